@@ -1,0 +1,69 @@
+# One macro a kind of target. Sources are relative to the calling folder; everything includes from the roots libs/,
+# services/, engines/ and the generated schemas ("bus/publisher.h", "trainer/trainer.h", "wire/engine_generated.h").
+set(CMAKE_CXX_STANDARD 20)
+set(CMAKE_CXX_STANDARD_REQUIRED ON)
+set(CMAKE_CXX_EXTENSIONS OFF)
+set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
+set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/bin")
+set(CMAKE_CXX_FLAGS_RELEASE "-O3 -DNDEBUG -g1")
+
+find_program(SPLATBUS_CCACHE ccache)
+if(SPLATBUS_CCACHE)
+  set(CMAKE_C_COMPILER_LAUNCHER "${SPLATBUS_CCACHE}")
+  set(CMAKE_CXX_COMPILER_LAUNCHER "${SPLATBUS_CCACHE}")
+endif()
+find_program(SPLATBUS_MOLD mold)
+if(SPLATBUS_MOLD)
+  add_link_options(-fuse-ld=mold)
+endif()
+if(SPLATBUS_SANITIZE)
+  add_compile_options(-fsanitize=${SPLATBUS_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=undefined)
+  add_link_options(-fsanitize=${SPLATBUS_SANITIZE})
+endif()
+
+function(splatbus_common_options target)
+  target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Werror>)
+  target_include_directories(${target} PUBLIC "${CMAKE_SOURCE_DIR}/libs" PRIVATE "${CMAKE_SOURCE_DIR}/services"
+                                              "${CMAKE_SOURCE_DIR}/engines")
+endfunction()
+
+# splatbus_library(NAME SOURCES a.cpp ... DEPENDS target ... [PRIVATE_DEPENDS target ...])
+function(splatbus_library name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
+  add_library(splatbus_${name} STATIC ${ARG_SOURCES})
+  splatbus_common_options(splatbus_${name})
+  target_link_libraries(splatbus_${name} PUBLIC ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
+endfunction()
+
+# splatbus_service(NAME SOURCES a.cpp ... DEPENDS target ...): the static library splatbus_service_NAME of all sources,
+# and the program splatbus-NAME of main.cpp.
+function(splatbus_service name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
+  splatbus_library(service_${name} SOURCES ${ARG_SOURCES} DEPENDS ${ARG_DEPENDS})
+  splatbus_program(splatbus-${name} SOURCES main.cpp DEPENDS splatbus_service_${name})
+endfunction()
+
+# splatbus_program(NAME SOURCES a.cpp ... DEPENDS target ...)
+function(splatbus_program name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
+  add_executable(${name} ${ARG_SOURCES})
+  splatbus_common_options(${name})
+  target_link_libraries(${name} PRIVATE ${ARG_DEPENDS})
+endfunction()
+
+# splatbus_test(NAME SOURCES a.cpp ... DEPENDS target ... [LABEL integration] [TIMEOUT s] [PROGRAMS target ...])
+# PROGRAMS are built first, and found by the test in SPLATBUS_BIN_DIR.
+function(splatbus_test name)
+  cmake_parse_arguments(ARG "" "LABEL;TIMEOUT" "SOURCES;DEPENDS;PROGRAMS" ${ARGN})
+  add_executable(test_${name} ${ARG_SOURCES})
+  splatbus_common_options(test_${name})
+  target_link_libraries(test_${name} PRIVATE ${ARG_DEPENDS} GTest::gmock GTest::gtest_main)
+  target_compile_definitions(
+    test_${name} PRIVATE SPLATBUS_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}" SPLATBUS_SOURCE_DIR="${CMAKE_SOURCE_DIR}")
+  if(ARG_PROGRAMS)
+    add_dependencies(test_${name} ${ARG_PROGRAMS})
+  endif()
+  add_test(NAME ${name} COMMAND test_${name})
+  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT "$<IF:$<BOOL:${ARG_TIMEOUT}>,${ARG_TIMEOUT},120>")
+endfunction()

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "bus/context.h"
+#include "bus/parameters.h"
+
+namespace splatbus::bus {
+
+/// What a running service has in hand.
+class ServiceContext {
+ public:
+  std::shared_ptr<Context> bus;
+  Parameters& parameters;
+  std::stop_token stop;  ///< SIGINT, SIGTERM
+
+  /// Shown in the next heartbeat; any thread.
+  void counter(const std::string& name, double value);
+  void detail(const std::string& text);  ///< what it waits for, in words
+
+  ServiceContext(std::shared_ptr<Context> bus, Parameters& parameters, std::stop_token stop);
+
+ private:
+  friend class Heartbeat;
+  std::mutex mutex_;
+  std::map<std::string, double> counters_;
+  std::string detail_;
+};
+
+struct ServiceDescription {
+  std::string kind;     ///< "trainer"
+  std::string summary;  ///< one line for --help
+  std::vector<ParameterSpec> parameters;
+};
+
+/// The main of every service but the broker. Flags: --bus ADDRESS, --name SOURCE (default: kind), --set name=value
+/// (repeatable), --log-level, --parameters (print them with defaults and units, and exit). Sets up spdlog (to stderr and
+/// sys/log), signals, heartbeats 5 times a second, and control/<kind> and control/<source>, then calls `run` and returns
+/// its exit status: 0 after a stop was asked for, 1 with a logged reason when `run` throws.
+int service_main(int argc, char** argv, const ServiceDescription& description,
+                 const std::function<void(ServiceContext&)>& run);
+
+}  // namespace splatbus::bus

@@ -1,0 +1,91 @@
+#pragma once
+
+#include <flatbuffers/flatbuffers.h>
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "bus/context.h"
+#include "bus/error.h"
+#include "bus/tensor.h"
+
+namespace splatbus::bus {
+
+/// A received message, its Header verified. The root is verified when it is asked for as a type.
+class Message {
+ public:
+  [[nodiscard]] const std::string& topic() const { return topic_; }
+  [[nodiscard]] const wire::Header& header() const { return *header_; }
+
+  /// The root as `T`, whose Header must name `schema` ("EngineFrame/1"). Throws Error naming topic, source, sequence and
+  /// what was wrong (another schema, or a buffer that does not verify).
+  template <class T>
+  [[nodiscard]] const T& root(const char* schema) const {
+    require_schema(schema);
+    flatbuffers::Verifier verifier(bytes(), size());
+    if (!verifier.VerifyBuffer<T>(nullptr)) throw_malformed(schema);
+    return *flatbuffers::GetRoot<T>(bytes());
+  }
+
+  /// A tensor by name; nullopt when the message has none of that name, or when its slab is gone or its slot already
+  /// overwritten (a lost frame: count it and go on). Throws Error when it lies (shape, size, bounds).
+  [[nodiscard]] std::optional<TensorView> tensor(const std::string& name) const;
+
+  /// The same, and throws Error too when type or rank differ. A 0 in `shape` matches any size.
+  [[nodiscard]] std::optional<TensorView> tensor(const std::string& name, ElementType type,
+                                                 const std::vector<std::uint32_t>& shape) const;
+
+  /// Like tensor(), as a message's span for handing on in a message of one's own, without a copy. Inline tensors come
+  /// back with inline_data pointing into this message.
+  [[nodiscard]] std::optional<OutgoingTensor> forward_tensor(const std::string& name) const;
+
+  [[nodiscard]] const std::uint8_t* bytes() const;
+  [[nodiscard]] std::size_t size() const;
+
+ private:
+  friend class Subscriber;
+  void require_schema(const char* schema) const;
+  [[noreturn]] void throw_malformed(const char* schema) const;
+  struct Frames;
+  std::string topic_;
+  const wire::Header* header_ = nullptr;
+  std::shared_ptr<Frames> frames_;
+  std::shared_ptr<Context> context_;
+};
+
+/// Subscribes to topics by exact name, or by prefix where the name ends in '*'. Not thread-safe: one a thread.
+///
+/// Whatever does not verify as an Envelope is counted and logged with its topic, and skipped. Repeated latched messages
+/// are dropped. Gaps in a source's sequence are counted.
+class Subscriber {
+ public:
+  Subscriber(std::shared_ptr<Context> context, const std::vector<std::string>& topics);
+  ~Subscriber();
+  Subscriber(Subscriber&&) noexcept;
+  Subscriber& operator=(Subscriber&&) noexcept;
+
+  /// The next message, or nullopt after `timeout` (0: what is there now).
+  std::optional<Message> receive(std::chrono::milliseconds timeout);
+
+  /// Reads everything that is there, keeps the newest of each topic and latch key, in order of arrival.
+  std::vector<Message> receive_newest(std::chrono::milliseconds timeout);
+
+  [[nodiscard]] std::uint64_t lost() const;       ///< by sequence gaps
+  [[nodiscard]] std::uint64_t malformed() const;
+  [[nodiscard]] void* zmq_socket() const;         ///< for zmq::poll beside other sockets
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Runs `handle` for a message, and turns an Error that it throws into a logged line that names the message. Services
+/// wrap every handler in this, so that one bad message never ends a process. False when it threw.
+bool guarded(const Message& message, const std::function<void()>& handle);
+
+}  // namespace splatbus::bus

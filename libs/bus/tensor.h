@@ -1,0 +1,90 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "wire/common_generated.h"
+
+namespace splatbus::bus {
+
+using wire::ElementType;
+
+/// Bytes of one element.
+[[nodiscard]] std::size_t element_bytes(ElementType type);
+
+/// Product of `shape`, times the element's size. Throws bus::Error when it overflows or exceeds `limit_bytes`.
+[[nodiscard]] std::size_t tensor_bytes(std::span<const std::uint32_t> shape, ElementType type,
+                                       std::size_t limit_bytes = std::size_t{1} << 34);
+
+/// Where the bytes of an outgoing tensor lie: a committed slot of a slab (no copy on this machine; the broker inlines
+/// it for readers over tcp), or a plain host buffer that is copied into the message as its third frame.
+struct OutgoingTensor {
+  std::string name;
+  std::vector<std::uint32_t> shape;
+  ElementType type = ElementType::F32;
+  wire::Span span{};            ///< from Slab::commit(); ignored when `inline_data` is set
+  const void* inline_data = nullptr;  ///< tensor_bytes(shape, type) bytes, read during publish()
+};
+
+/// A tensor as a receiver sees it: verified to lie within its slab or frame. The memory stays mapped as long as this
+/// object lives, but a slab slot may be overwritten at any time: copy() reports that; whoever uses data() in place
+/// calls still_valid() afterwards and throws its result away when that is false.
+class TensorView {
+ public:
+  TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, const std::byte* data,
+             std::size_t bytes, std::shared_ptr<const void> keep_alive, const void* slot_sequence,
+             std::uint64_t generation);
+
+  [[nodiscard]] const std::string& name() const { return name_; }
+  [[nodiscard]] std::span<const std::uint32_t> shape() const { return shape_; }
+  [[nodiscard]] std::uint32_t dim(std::size_t axis) const { return shape_.at(axis); }
+  [[nodiscard]] ElementType type() const { return type_; }
+  [[nodiscard]] std::size_t bytes() const { return bytes_; }
+  [[nodiscard]] std::size_t elements() const { return bytes_ / element_bytes(type_); }
+  [[nodiscard]] const std::byte* data() const { return data_; }
+
+  /// Typed view of data(). Throws bus::Error when T does not match type().
+  template <class T>
+  [[nodiscard]] std::span<const T> as() const;
+
+  /// True while the slot still holds what the message announced. Always true for inline tensors.
+  [[nodiscard]] bool still_valid() const;
+
+  /// Copies all bytes to `destination` (bytes() of room). False when the slot was overwritten meanwhile; the
+  /// destination then holds garbage.
+  [[nodiscard]] bool copy(void* destination) const;
+
+ private:
+  void require_type(ElementType type) const;
+
+  std::string name_;
+  std::vector<std::uint32_t> shape_;
+  ElementType type_;
+  const std::byte* data_;
+  std::size_t bytes_;
+  std::shared_ptr<const void> keep_alive_;
+  const void* slot_sequence_;  // std::atomic<uint64_t> in the slab's control block, null for inline tensors
+  std::uint64_t generation_;
+};
+
+template <class T>
+struct ElementTypeOf;
+template <> struct ElementTypeOf<std::uint8_t> { static constexpr auto value = ElementType::U8; };
+template <> struct ElementTypeOf<std::uint16_t> { static constexpr auto value = ElementType::U16; };
+template <> struct ElementTypeOf<std::uint32_t> { static constexpr auto value = ElementType::U32; };
+template <> struct ElementTypeOf<std::uint64_t> { static constexpr auto value = ElementType::U64; };
+template <> struct ElementTypeOf<std::int32_t> { static constexpr auto value = ElementType::I32; };
+template <> struct ElementTypeOf<float> { static constexpr auto value = ElementType::F32; };
+
+template <class T>
+std::span<const T> TensorView::as() const {
+  require_type(ElementTypeOf<T>::value);
+  return {reinterpret_cast<const T*>(data_), bytes_ / sizeof(T)};
+}
+
+}  // namespace splatbus::bus
