@@ -50,6 +50,7 @@ struct RenderGradient {
 /// zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
 struct ParameterGradient {
   ParameterLayout layout;
+  int active_channels = 0;  ///< backward and Adam work on channels below this only; 0: all. 14 leaves out the residual transfer
   std::size_t count = 0, stride = 0;
   std::vector<float> values;
   std::vector<std::uint8_t> touched;
