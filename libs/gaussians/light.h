@@ -31,7 +31,8 @@ struct Light {
 
 [[nodiscard]] Sh9 sh9_basis(const glm::vec3& unit_direction);
 /// SH coefficients of f(R^-1 d), given those of f(d), for each colour channel.
-[[nodiscard]] std::array<glm::vec3, 9> rotate_sh9(const std::array<glm::vec3, 9>& coefficients, const glm::quat& rotation);
+[[nodiscard]] std::array<glm::vec3, 9> rotate_sh9(const std::array<glm::vec3, 9>& coefficients,
+                                                  const glm::quat& rotation);
 
 /// Transforms of the objects that can move; an id that is not here has local frame = world.
 using ObjectTransforms = std::map<std::uint32_t, Rigid>;  // world_from_object

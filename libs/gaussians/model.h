@@ -17,11 +17,12 @@ enum class Appearance : std::uint8_t { Transfer, Radiance };
 ///   0..2   mean, metres, in the frame of the Gaussian's object       3..5  log of the scale, metres
 ///   6..9   rotation quaternion w x y z, normalised where it is used  10    opacity logit
 ///   Transfer: 11..13 albedo, linear RGB; 14..40 residual transfer, 14 + 3 k + c for SH coefficient k and colour c
-///   Radiance: 11 + 3 k + c, SH coefficient k of colour c, (degree + 1)^2 coefficients; colour = 0.5 + sum, display space
+///   Radiance: 11 + 3 k + c, SH coefficient k of colour c, (degree + 1)^2 coefficients; colour = 0.5 + sum, display
+///   space
 ///
-/// Transfer shading, linear: colour_c = albedo_c (E_c(n) + v s_c max(0, n.l) / pi) + sum_k R_kc (A_kc + v S_kc), at least 0,
-/// with E = ambient_reflected, s the sun's irradiance, v the visibility, A the ambient SH, S = sun irradiance * Y(l) / pi; n, A, l in
-/// the object's frame.
+/// Transfer shading, linear: colour_c = albedo_c (E_c(n) + v s_c max(0, n.l) / pi) + sum_k R_kc (A_kc + v S_kc), at
+/// least 0, with E = ambient_reflected, s the sun's irradiance, v the visibility, A the ambient SH, S = sun irradiance
+/// * Y(l) / pi; n, A, l in the object's frame.
 struct ParameterLayout {
   static constexpr int kMean = 0, kLogScale = 3, kRotation = 6, kOpacityLogit = 10, kAppearance = 11;
   static constexpr int kAlbedo = 11, kResidual = 14;
@@ -52,7 +53,9 @@ struct GaussiansView {
   const std::uint64_t* gaussian_id = nullptr;
   const std::uint64_t* cell = nullptr;
 
-  [[nodiscard]] const float* plane(int channel) const { return parameters + static_cast<std::size_t>(channel) * stride; }
+  [[nodiscard]] const float* plane(int channel) const {
+    return parameters + static_cast<std::size_t>(channel) * stride;
+  }
 };
 
 /// Gaussians in host memory of our own.
@@ -77,7 +80,8 @@ class GaussiansBuffer {
 };
 
 /// Writes the binary PLY layout of 3DGS (x y z nx ny nz f_dc f_rest opacity scale rot), world frame: object transforms
-/// applied. Transfer models are baked under `scene.light` to SH degree 0, display space. Throws std::runtime_error naming the path.
+/// applied. Transfer models are baked under `scene.light` to SH degree 0, display space. Throws std::runtime_error
+/// naming the path.
 void write_ply(const std::string& path, const GaussiansView& gaussians, const SceneState& scene);
 
 /// Reads any property order; properties that it does not know are skipped. Layout: Radiance, the degree that the f_rest
