@@ -2,13 +2,20 @@
 
 #include <flatbuffers/flatbuffers.h>
 
+#include <cstdint>
+
 #include "gaussians/light.h"
 #include "wire/common_generated.h"
 
 namespace splatbus {
 
 // Between wire structs and our types. The from_wire functions throw std::runtime_error on values that make no sense
-// (NaN, zero or huge sizes, a quaternion that is not near unit), naming the field.
+// (NaN or infinity, pictures without pixels or wider than 16384, a quaternion or sun direction that is not near unit,
+// spherical harmonics of another length than 27, an object twice), naming the field. What is near unit is normalised.
+// On the wire a light's coefficients lie colour by colour, in Light coefficient by coefficient.
+
+/// Largest width and height of a camera.
+inline constexpr std::uint32_t kMaxPictureSide = 16384;
 
 [[nodiscard]] wire::Vec3 to_wire(const glm::vec3& v);
 [[nodiscard]] wire::Rigid to_wire(const Rigid& rigid);
@@ -17,10 +24,13 @@ namespace splatbus {
 [[nodiscard]] flatbuffers::Offset<flatbuffers::Vector<const wire::ObjectTransform*>> to_wire(
     flatbuffers::FlatBufferBuilder& builder, const ObjectTransforms& objects);
 
-[[nodiscard]] glm::vec3 from_wire(const wire::Vec3& v);
-[[nodiscard]] Rigid from_wire(const wire::Rigid& rigid);
+/// `field` is how a message about a bad value calls it.
+[[nodiscard]] glm::vec3 from_wire(const wire::Vec3& v, const char* field = "vector");
+[[nodiscard]] Rigid from_wire(const wire::Rigid& rigid, const char* field = "transform");
 [[nodiscard]] Camera from_wire(const wire::Camera& camera);
+/// A field that is absent is zero; the sun's direction may be absent, or zero, where its irradiance is zero.
 [[nodiscard]] Light from_wire(const wire::Light& light);
+/// Null is no objects.
 [[nodiscard]] ObjectTransforms from_wire(const flatbuffers::Vector<const wire::ObjectTransform*>* objects);
 
 }  // namespace splatbus
