@@ -1,27 +1,34 @@
 #pragma once
 
 #include <opencv2/core.hpp>
-#include <string>
 
 namespace splatbus::metrics {
 
-// Images are cv::Mat CV_8UC3 in BGR order, display space (sRGB), of one size. Each throws std::invalid_argument naming
-// the mismatch.
+// Images are cv::Mat CV_8UC3 in BGR order, display space (sRGB), of one size. Each function throws
+// std::invalid_argument that names the mismatch: an empty image, another type, another size, a side too short for the
+// window.
 
-/// dB, peak 255; +infinity for equal images.
+/// dB over all three channels, peak 255; +infinity for equal images.
 [[nodiscard]] double psnr(const cv::Mat& image, const cv::Mat& reference);
 
-/// Mean SSIM over RGB (Wang et al. 2004): Gaussian window 11x11, sigma 1.5, K1 0.01, K2 0.03, valid region only... see .cpp;
-/// `map`, when not null, receives CV_32FC1.
+/// Mean SSIM (Wang et al. 2004), computed on R, G and B each and averaged: Gaussian window 11x11, sigma 1.5, K1 0.01,
+/// K2 0.03, L 255, population variances. The mean runs over the pixels whose window lies inside the picture, so 5
+/// pixels at each border do not count: the figure of scikit-image's structural_similarity(gaussian_weights=True,
+/// sigma=1.5, use_sample_covariance=False, data_range=255, channel_axis=2). Sides are at least 11 pixels. `map`, when
+/// not null, receives CV_32FC1 of the whole size, mean of the channels, borders mirrored for the window.
 [[nodiscard]] double ssim(const cv::Mat& image, const cv::Mat& reference, cv::Mat* map = nullptr);
 
-/// Mean LDR-FLIP (Andersson et al. 2020); `map` receives CV_32FC1 in [0, 1].
-[[nodiscard]] double flip(const cv::Mat& image, const cv::Mat& reference, double pixels_per_degree = 67.0, cv::Mat* map = nullptr);
+/// Mean LDR-FLIP (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020), 0 is best. 67
+/// pixels a degree is a 0.7 m wide 4K monitor seen from 0.7 m. `map`, when not null, receives CV_32FC1 in [0, 1].
+[[nodiscard]] double flip(const cv::Mat& image, const cv::Mat& reference, double pixels_per_degree = 67.0,
+                          cv::Mat* map = nullptr);
 
-/// A CV_32FC1 map in [0, 1] in false colours (magma), CV_8UC3 BGR.
+/// A CV_32FC1 map in [0, 1] in false colours (magma), CV_8UC3 BGR. Values outside are clamped, NaN is 0.
 [[nodiscard]] cv::Mat colorize(const cv::Mat& map);
 
-struct Quality { double psnr_db = 0, ssim = 0, flip = 0; };
+struct Quality {
+  double psnr_db = 0, ssim = 0, flip = 0;
+};
 [[nodiscard]] Quality compare(const cv::Mat& image, const cv::Mat& reference);
 
 }  // namespace splatbus::metrics
