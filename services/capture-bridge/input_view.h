@@ -1,0 +1,43 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <glm/glm.hpp>
+#include <vector>
+
+#include "gaussians/camera.h"
+#include "gaussians/light.h"
+
+namespace splatbus::capture_bridge {
+
+using Rgba8 = std::array<std::uint8_t, 4>;
+
+/// One input camera's buffers of one engine frame, row 0 on top; every vector has width * height elements. Values are
+/// the engine's, unchecked. Meanings: schemas/engine.fbs, EngineFrame.
+struct InputView {
+  Camera camera;
+  std::uint64_t frame = 0;
+  double time_s = 0;
+  std::int64_t capture_ns = 0;
+  ObjectTransforms objects;
+  Light light;
+  std::vector<glm::vec4> position;  ///< world, metres; w: object id, 0 where there is no surface
+  std::vector<glm::vec4> normal;    ///< world
+  std::vector<Rgba8> color, albedo;
+
+  [[nodiscard]] std::size_t pixels() const {
+    return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+  }
+};
+
+/// Samples of a round as structure of arrays; meanings in schemas/capture.fbs, CaptureInput.
+struct SampleSet {
+  std::vector<glm::vec3> position, normal, albedo, color;
+  std::vector<float> footprint_m, spacing_m, cosine;
+  std::vector<std::uint32_t> object_id, camera;
+
+  [[nodiscard]] std::size_t size() const { return position.size(); }
+  void resize(std::size_t count);
+};
+
+}  // namespace splatbus::capture_bridge

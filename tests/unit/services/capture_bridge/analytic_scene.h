@@ -1,0 +1,83 @@
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <glm/glm.hpp>
+#include <optional>
+#include <vector>
+
+#include "capture-bridge/input_view.h"
+#include "capture-bridge/rig.h"
+
+namespace splatbus::capture_bridge::test {
+
+/// A floor of 5 m x 5 m at y = 0 (object 1), a ball of 0.5 m on it (object 2) and a thin upright sheet (object 3), cast
+/// by rays: exact positions and normals to check the pipeline against.
+struct AnalyticScene {
+  static constexpr float kFloorHalf = 2.5F;
+  static constexpr std::uint32_t kFloor = 1, kBall = 2, kSheet = 3;
+  glm::vec3 ball_centre{0.6F, 0.5F, 0.1F};
+  float ball_radius = 0.5F;
+  glm::vec3 sheet_centre{-0.9F, 0.6F, -0.2F};  // in the plane z = const, seen from both sides
+  float sheet_half = 0.5F;
+
+  struct Hit {
+    float distance;
+    glm::vec3 position, normal;
+    std::uint32_t object;
+  };
+
+  [[nodiscard]] std::optional<Hit> cast(const glm::vec3& origin, const glm::vec3& direction) const {
+    std::optional<Hit> nearest;
+    const auto take = [&](float distance, const glm::vec3& normal, std::uint32_t object) {
+      if (distance <= 1e-4F || (nearest && nearest->distance <= distance)) return;
+      nearest = Hit{distance, origin + distance * direction, normal, object};
+    };
+    const float floor = -origin.y / direction.y;
+    const glm::vec3 on_floor = origin + floor * direction;
+    if (std::abs(on_floor.x) < kFloorHalf && std::abs(on_floor.z) < kFloorHalf) take(floor, {0, 1, 0}, kFloor);
+    const float along = glm::dot(ball_centre - origin, direction);
+    const glm::vec3 closest = origin + along * direction - ball_centre;
+    const float inside = ball_radius * ball_radius - glm::dot(closest, closest);
+    if (inside > 0) {
+      const float distance = along - std::sqrt(inside);
+      take(distance, glm::normalize(origin + distance * direction - ball_centre), kBall);
+    }
+    const float sheet = (sheet_centre.z - origin.z) / direction.z;
+    const glm::vec3 on_sheet = origin + sheet * direction - sheet_centre;
+    if (std::abs(on_sheet.x) < sheet_half && std::abs(on_sheet.y) < sheet_half) {
+      take(sheet, {0, 0, direction.z > 0 ? -1.0F : 1.0F}, kSheet);
+    }
+    return nearest;
+  }
+
+  [[nodiscard]] InputView render(const Camera& camera) const {
+    InputView view;
+    view.camera = camera;
+    for (std::uint32_t y = 0; y < camera.height; ++y) {
+      for (std::uint32_t x = 0; x < camera.width; ++x) {
+        const glm::vec3 origin = camera.world_from_camera.translation;
+        const glm::vec3 through = unproject(camera, static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F, 1);
+        const auto hit = cast(origin, glm::normalize(through - origin));
+        view.position.push_back(hit ? glm::vec4(hit->position, static_cast<float>(hit->object)) : glm::vec4(0));
+        view.normal.push_back(hit ? glm::vec4(hit->normal, 0) : glm::vec4(0));
+        view.color.push_back(hit ? Rgba8{128, 64, 32, 255} : Rgba8{0, 0, 0, 0});
+        view.albedo.push_back(hit ? Rgba8{200, 100, 50, 255} : Rgba8{0, 0, 0, 0});
+      }
+    }
+    return view;
+  }
+
+  [[nodiscard]] std::vector<InputView> render_all(const std::vector<Camera>& cameras) const {
+    std::vector<InputView> views;
+    for (const Camera& camera : cameras) views.push_back(render(camera));
+    return views;
+  }
+};
+
+inline std::vector<Camera> small_dome(int cameras = 12, int size = 64) {
+  return dome_cameras({.cameras = cameras, .size = size}, {0, 0.25F, 0}, 0);
+}
+
+}  // namespace splatbus::capture_bridge::test
