@@ -23,7 +23,9 @@ if(SPLATBUS_SANITIZE)
 endif()
 
 function(splatbus_common_options target)
-  target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Werror>)
+  # Fields that designated initializers leave out are value-initialised, on purpose.
+  target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Werror
+                                            -Wno-missing-field-initializers>)
   target_include_directories(${target} PUBLIC "${CMAKE_SOURCE_DIR}/libs" PRIVATE "${CMAKE_SOURCE_DIR}/services"
                                               "${CMAKE_SOURCE_DIR}/engines")
 endfunction()
