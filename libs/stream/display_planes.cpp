@@ -1,0 +1,82 @@
+#include "stream/display_planes.h"
+
+#include <algorithm>
+#include <numeric>
+
+namespace splatbus::stream {
+
+namespace {
+
+void restride(std::vector<float>& values, std::size_t planes, std::size_t count, std::size_t from, std::size_t to) {
+  std::vector<float> grown(planes * to);
+  for (std::size_t p = 0; p < planes; ++p) std::copy_n(values.data() + p * from, count, grown.data() + p * to);
+  values = std::move(grown);
+}
+
+void close_gaps(float* plane, std::size_t count, std::span<const std::uint32_t> ascending) {
+  std::size_t to = ascending[0], next = 0;
+  for (std::size_t from = to; from < count; ++from) {
+    if (next < ascending.size() && ascending[next] == from) {
+      ++next;
+    } else {
+      plane[to++] = plane[from];
+    }
+  }
+}
+
+}  // namespace
+
+void DisplayPlanes::reserve(std::size_t columns) {
+  if (columns <= stride_) return;
+  const std::size_t stride = std::max({columns, 2 * stride_, std::size_t{4096}});
+  restride(parameters_, static_cast<std::size_t>(layout_.parameters().channels()), count_, stride_, stride);
+  restride(normal_, 3, count_, stride_, stride);
+  restride(visibility_, 1, count_, stride_, stride);
+  stride_ = stride;
+}
+
+DequantisedPlanes DisplayPlanes::planes() { return {parameters_.data(), normal_.data(), visibility_.data(), stride_}; }
+
+void DisplayPlanes::extend(const QuantisedGaussians& gaussians) {
+  const std::size_t first = count_;
+  reserve(gaussians.count());
+  count_ = gaussians.count();
+  object_id_ = gaussians.object_id;
+  std::vector<std::uint32_t> columns(count_ - first);
+  std::iota(columns.begin(), columns.end(), static_cast<std::uint32_t>(first));
+  for (const AttributeChannels& a : layout_.attributes()) update(gaussians, a.attribute, columns);
+}
+
+void DisplayPlanes::update(const QuantisedGaussians& gaussians, Attribute attribute,
+                           std::span<const std::uint32_t> columns) {
+  dequantise(gaussians, layout_, attribute, columns, planes());
+}
+
+void DisplayPlanes::update_objects(const QuantisedGaussians& gaussians, std::span<const std::uint32_t> columns) {
+  for (const std::uint32_t i : columns) object_id_[i] = gaussians.object_id[i];
+}
+
+void DisplayPlanes::remove(std::span<const std::uint32_t> ascending) {
+  if (ascending.empty()) return;
+  for (int c = 0; c < layout_.parameters().channels(); ++c) {
+    close_gaps(parameters_.data() + static_cast<std::size_t>(c) * stride_, count_, ascending);
+  }
+  for (std::size_t c = 0; c < 3; ++c) close_gaps(normal_.data() + c * stride_, count_, ascending);
+  close_gaps(visibility_.data(), count_, ascending);
+  remove_at(object_id_, ascending);
+  count_ -= ascending.size();
+}
+
+GaussiansView DisplayPlanes::view() const {
+  GaussiansView view;
+  view.layout = layout_.parameters();
+  view.count = count_;
+  view.stride = stride_;
+  view.parameters = parameters_.data();
+  view.normal = normal_.data();
+  view.visibility = visibility_.data();
+  view.object_id = object_id_.data();
+  return view;
+}
+
+}  // namespace splatbus::stream

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "gaussians/model.h"
+#include "stream/quantised.h"
+
+namespace splatbus::stream {
+
+/// The floats that a rasteriser reads, kept beside the integers. Columns grow by doubling, so that a model which arrives
+/// chunk by chunk is not copied once a chunk.
+class DisplayPlanes {
+ public:
+  explicit DisplayPlanes(const StreamLayout& layout) : layout_(layout) {}
+
+  /// Adds the columns [count(), gaussians.count()).
+  void extend(const QuantisedGaussians& gaussians);
+  /// Writes the attribute of these columns anew.
+  void update(const QuantisedGaussians& gaussians, Attribute attribute, std::span<const std::uint32_t> columns);
+  void update_objects(const QuantisedGaussians& gaussians, std::span<const std::uint32_t> columns);
+  void remove(std::span<const std::uint32_t> ascending);
+
+  [[nodiscard]] std::size_t count() const { return count_; }
+  /// Valid until the next change. gaussian_id, surface_point, flags and cell are null.
+  [[nodiscard]] GaussiansView view() const;
+
+ private:
+  void reserve(std::size_t columns);
+  [[nodiscard]] DequantisedPlanes planes();
+
+  StreamLayout layout_;
+  std::size_t count_ = 0, stride_ = 0;
+  std::vector<float> parameters_, normal_, visibility_;
+  std::vector<std::uint32_t> object_id_;
+};
+
+}  // namespace splatbus::stream

@@ -1,0 +1,108 @@
+#include "stream/layout.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "stream/error.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+constexpr std::int32_t kMeanLimit = 1 << 26;   // 1 km at a step of 0.015 mm; sums of two fit in 32 bits
+constexpr std::int32_t kValueLimit = 1 << 14;  // log-scales, colours, coefficients
+constexpr std::int32_t kRotationLimit = 1 << 12;
+
+}  // namespace
+
+StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m) : parameters_(parameters) {
+  add(Attribute::Mean, 3, {0, mean_step_m}, -kMeanLimit, kMeanLimit);
+  add(Attribute::LogScale, 3, {0, 1.0F / 64}, -kValueLimit, kValueLimit);
+  add(Attribute::Rotation, 3, {0, 1.0F / 128}, -kRotationLimit, kRotationLimit);
+  add(Attribute::Opacity, 1, {0, 1.0F / 255}, 0, 255);
+  if (parameters.appearance == Appearance::Transfer) {
+    add(Attribute::Albedo, 3, {0, 1.0F / 255}, -kValueLimit, kValueLimit);
+    add(Attribute::Residual, 27, {0, 1.0F / 256}, -kValueLimit, kValueLimit);
+    add(Attribute::Normal, 2, {0, 1.0F / 512}, -512, 512);
+    add(Attribute::Visibility, 1, {0, 1.0F / 255}, 0, 255);
+  } else {
+    add(Attribute::ShDc, 3, {0, 1.0F / 72}, -kValueLimit, kValueLimit);  // a step is 1/255 of display white
+    const int rest = 3 * (parameters.sh_coefficients() - 1);
+    if (rest > 0) add(Attribute::ShRest, rest, {0, 1.0F / 64}, -kValueLimit, kValueLimit);
+  }
+}
+
+void StreamLayout::add(Attribute attribute, int channels, Quantiser quantiser, std::int32_t minimum,
+                       std::int32_t maximum) {
+  attributes_.push_back({attribute, channels_, channels, minimum, maximum, quantiser});
+  channels_ += channels;
+}
+
+const AttributeChannels* StreamLayout::find(Attribute attribute) const {
+  const auto found = std::ranges::find(attributes_, attribute, &AttributeChannels::attribute);
+  return found == attributes_.end() ? nullptr : &*found;
+}
+
+const AttributeChannels& StreamLayout::at(Attribute attribute) const {
+  const AttributeChannels* found = find(attribute);
+  assert(found);
+  return *found;
+}
+
+StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
+  ParameterLayout parameters;
+  switch (begin.appearance()) {
+    case wire::Appearance::Transfer: parameters.appearance = Appearance::Transfer; break;
+    case wire::Appearance::Radiance: parameters.appearance = Appearance::Radiance; break;
+    default:
+      throw StreamError(fmt::format("SnapshotBegin: unknown appearance {}", static_cast<int>(begin.appearance())));
+  }
+  if (parameters.appearance == Appearance::Radiance) {
+    if (begin.sh_degree() > 3) throw StreamError(fmt::format("SnapshotBegin: sh_degree {} above 3", begin.sh_degree()));
+    parameters.sh_degree = begin.sh_degree();
+  }
+  StreamLayout layout(parameters, 1.0F);
+  if (begin.attributes()->size() != layout.attributes_.size()) {
+    throw StreamError(fmt::format("SnapshotBegin: {} attributes where the layout has {}", begin.attributes()->size(),
+                                  layout.attributes_.size()));
+  }
+  for (std::size_t i = 0; i < layout.attributes_.size(); ++i) {
+    AttributeChannels& expected = layout.attributes_[i];
+    const wire::TensorMetadata& said = *begin.attributes()->Get(static_cast<flatbuffers::uoffset_t>(i));
+    const wire::Quantiser* quantiser = said.quantiser();
+    if (said.attribute() != expected.attribute || said.channels() != static_cast<std::uint32_t>(expected.channels) ||
+        !quantiser) {
+      throw StreamError(fmt::format("SnapshotBegin: attribute {} is not {} with {} channels", i,
+                                    wire::EnumNameAttribute(expected.attribute), expected.channels));
+    }
+    const Quantiser q{quantiser->offset(), quantiser->step()};
+    if (!std::isfinite(q.offset) || !std::isfinite(q.step) || std::abs(q.offset) > 1e6F || q.step < 1e-9F ||
+        q.step > 1e3F) {
+      throw StreamError(fmt::format("SnapshotBegin: quantiser of {} makes no sense (offset {}, step {})",
+                                    wire::EnumNameAttribute(expected.attribute), q.offset, q.step));
+    }
+    expected.quantiser = q;
+  }
+  return layout;
+}
+
+float choose_mean_step(const GaussiansView& gaussians) {
+  std::vector<float> extent;
+  extent.reserve(gaussians.count);
+  for (std::size_t i = 0; i < gaussians.count; ++i) {
+    std::array<float, 3> s{};
+    for (int c = 0; c < 3; ++c) s[c] = gaussians.plane(ParameterLayout::kLogScale + c)[i];
+    std::ranges::sort(s);
+    if (std::isfinite(s[1])) extent.push_back(s[1]);
+  }
+  if (extent.empty()) return std::ldexp(1.0F, -11);
+  auto middle = extent.begin() + static_cast<std::ptrdiff_t>(extent.size() / 2);
+  std::ranges::nth_element(extent, middle);
+  const float exponent = std::floor(*middle / std::log(2.0F)) - 5;
+  return std::ldexp(1.0F, static_cast<int>(std::clamp(exponent, -20.0F, 0.0F)));
+}
+
+}  // namespace splatbus::stream

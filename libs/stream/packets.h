@@ -1,0 +1,70 @@
+#pragma once
+
+#include <flatbuffers/flatbuffers.h>
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <utility>
+
+#include "stream/bytes.h"
+#include "wire/stream_generated.h"
+
+namespace splatbus::stream {
+
+/// One message as it travels: the Packet's FlatBuffer, and the payload frame (empty: none is sent).
+struct EncodedPacket {
+  wire::Body body{};
+  std::uint64_t sequence = 0;  ///< 0: unicast
+  Bytes packet, payload;
+
+  [[nodiscard]] std::size_t bytes() const { return packet.size() + payload.size(); }
+};
+
+/// Writes Packets of one source.
+class PacketWriter {
+ public:
+  /// `source_epoch`: CLOCK_MONOTONIC ns at which the source started.
+  PacketWriter(std::string source, std::uint64_t source_epoch) : source_(std::move(source)), epoch_(source_epoch) {}
+
+  /// `build` receives the builder and returns the body's offset, whose type is `body`.
+  template <class Build>
+  [[nodiscard]] EncodedPacket write(std::uint64_t stream_epoch, std::uint64_t sequence, wire::Body body, Build&& build,
+                                    Bytes payload = {}) const {
+    flatbuffers::FlatBufferBuilder builder(256);
+    const flatbuffers::Offset<void> content = build(builder).Union();
+    return finish(builder, stream_epoch, sequence, body, content, std::move(payload));
+  }
+
+ private:
+  EncodedPacket finish(flatbuffers::FlatBufferBuilder& builder, std::uint64_t stream_epoch, std::uint64_t sequence,
+                       wire::Body body, flatbuffers::Offset<void> content, Bytes payload) const;
+  std::string source_;
+  std::uint64_t epoch_;
+};
+
+/// A verified packet; shares its memory when copied.
+class ParsedPacket {
+ public:
+  /// Copies both (they may be unaligned in a message's memory). Throws StreamError when a size is above its limit, the
+  /// buffer does not verify, or its schema is not Packet/1.
+  static ParsedPacket parse(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload);
+
+  [[nodiscard]] const wire::Packet& root() const { return *root_; }
+  [[nodiscard]] wire::Body body() const { return root_->body_type(); }
+  [[nodiscard]] std::uint64_t sequence() const { return root_->header()->sequence(); }
+  [[nodiscard]] std::uint64_t stream_epoch() const { return root_->stream_epoch(); }
+  [[nodiscard]] std::span<const std::uint8_t> payload() const { return content_->payload; }
+  [[nodiscard]] std::size_t bytes() const { return content_->packet.size() * 8 + content_->payload.size(); }
+
+ private:
+  struct Content {
+    std::vector<std::uint64_t> packet;  // aligned as FlatBuffers needs it
+    Bytes payload;
+  };
+  std::shared_ptr<const Content> content_;
+  const wire::Packet* root_ = nullptr;
+};
+
+}  // namespace splatbus::stream

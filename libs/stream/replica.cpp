@@ -1,0 +1,215 @@
+#include "stream/replica.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "stream/chunk_codec.h"
+#include "stream/error.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+constexpr std::size_t kMaxEarlyBytes = std::size_t{1} << 25;
+constexpr std::size_t kMaxEarlyPackets = 4096;
+
+const SceneState& no_scene() {
+  static const SceneState scene;
+  return scene;
+}
+
+bool is_numbered_content(wire::Body body) {
+  switch (body) {
+    case wire::Body::Snapshot:
+    case wire::Body::TensorDelta:
+    case wire::Body::Remove:
+    case wire::Body::GaussianOrder:
+    case wire::Body::ObjectIds:
+    case wire::Body::ObjectTransforms:
+    case wire::Body::LightState:
+    case wire::Body::LightVisibility: return true;
+    default: return false;
+  }
+}
+
+}  // namespace
+
+bool Replica::receive(const ParsedPacket& packet) {
+  if (packet.body() == wire::Body::SnapshotBegin) {
+    begin(*packet.root().body_as_SnapshotBegin(), packet.stream_epoch());
+    return false;
+  }
+  if (packet.stream_epoch() != epoch() || epoch() == 0) return false;
+  if (packet.body() == wire::Body::Alive) {
+    last_known_ = std::max(last_known_, packet.root().body_as_Alive()->last_sequence());
+    return false;
+  }
+  if (!is_numbered_content(packet.body())) return false;
+  if (packet.sequence() == 0) return load(packet);
+  if (broken_ || packet.sequence() <= base()) return false;
+  last_known_ = std::max(last_known_, packet.sequence());
+  if (loading_ || packet.sequence() != base() + 1) {
+    keep(packet);
+    return false;
+  }
+  const bool changed = apply_in_order(packet);
+  return drain() || changed;
+}
+
+void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
+  if (epoch == 0) throw StreamError("SnapshotBegin: no stream epoch");
+  if (body.total() > max_gaussians_ || body.chunk_count() > body.total() || (body.total() > 0 && body.chunk_count() == 0)) {
+    throw StreamError(fmt::format("SnapshotBegin: {} Gaussians in {} chunks, at most {} Gaussians are accepted",
+                                  body.total(), body.chunk_count(), max_gaussians_));
+  }
+  Loading loading(StreamLayout::from_wire(body));
+  loading.snapshot = body.snapshot();
+  loading.total = body.total();
+  loading.chunk_count = body.chunk_count();
+  HeldState& state = loading.shown.state;
+  state.layout = StreamLayout::from_wire(body);
+  state.gaussians = QuantisedGaussians(state.layout);
+  state.epoch = epoch;
+  state.sequence = body.as_of();
+  state.scene = scene();  // until the snapshot's own arrives
+  if (epoch != this->epoch()) {
+    last_known_ = 0;
+    early_.clear();
+    early_bytes_ = 0;
+  }
+  last_known_ = std::max(last_known_, body.as_of());
+  loading_ = std::move(loading);
+  broken_ = false;
+  if (loading_->total == 0) finish_loading();
+}
+
+bool Replica::load(const ParsedPacket& packet) {
+  if (packet.body() != wire::Body::Snapshot) {
+    // Scene and ids of a snapshot, sent to this viewer alone.
+    if (loading_) return apply_to(loading_->shown, packet) && shown() == &loading_->shown;
+    return held_ && apply_to(*held_, packet);
+  }
+  const wire::Snapshot& body = *packet.root().body_as_Snapshot();
+  if (!loading_ || body.snapshot() != loading_->snapshot || loading_->chunks.contains(body.first_slot())) return false;
+  if (body.first_slot() > loading_->total || body.count() > loading_->total - body.first_slot()) {
+    throw StreamError(fmt::format("Snapshot: slots {} to {} of {}", body.first_slot(),
+                                  std::uint64_t{body.first_slot()} + body.count(), loading_->total));
+  }
+  Shown& part = loading_->shown;
+  const std::size_t column = part.state.gaussians.count();
+  if (column + body.count() > loading_->total) throw StreamError("Snapshot: chunks overlap");
+  part.state.gaussians.append(decode_chunk(packet.payload(), part.state.layout, body.count()));
+  part.planes.extend(part.state.gaussians);
+  loading_->chunks.emplace(body.first_slot(), static_cast<std::uint32_t>(column));
+  const bool visible = shown() == &part;
+  if (part.state.gaussians.count() < loading_->total) return visible;
+  finish_loading();
+  drain();
+  return true;
+}
+
+void Replica::finish_loading() {
+  Loading& loading = *loading_;
+  QuantisedGaussians& gaussians = loading.shown.state.gaussians;
+  std::vector<std::uint32_t> order;
+  order.reserve(gaussians.count());
+  for (auto chunk = loading.chunks.begin(); chunk != loading.chunks.end(); ++chunk) {
+    const auto after = std::next(chunk);
+    const std::size_t end = after == loading.chunks.end() ? loading.total : after->first;
+    const std::size_t first = chunk->first;
+    if (first != order.size()) {
+      loading_.reset();
+      broken_ = true;
+      throw StreamError("Snapshot: chunks overlap");
+    }
+    for (std::size_t i = first; i < end; ++i) order.push_back(static_cast<std::uint32_t>(chunk->second + (i - first)));
+  }
+  auto whole = std::make_unique<Shown>(loading.shown.state.layout);
+  whole->state = loading.shown.state;
+  whole->state.gaussians = gaussians.gather(order);
+  whole->planes.extend(whole->state.gaussians);
+  held_ = std::move(whole);
+  loading_.reset();
+}
+
+bool Replica::apply_to(Shown& shown, const ParsedPacket& packet) const {
+  const Change change = apply(shown.state, packet, max_gaussians_);
+  const QuantisedGaussians& gaussians = shown.state.gaussians;
+  switch (change.kind) {
+    case Change::Kind::Appended: shown.planes.extend(gaussians); break;
+    case Change::Kind::Values: shown.planes.update(gaussians, change.attribute, change.slots); break;
+    case Change::Kind::Removed: shown.planes.remove(change.slots); break;
+    case Change::Kind::Objects: shown.planes.update_objects(gaussians, change.slots); break;
+    case Change::Kind::Scene: break;
+    case Change::Kind::Nothing: return false;
+  }
+  return true;
+}
+
+bool Replica::apply_in_order(const ParsedPacket& packet) {
+  try {
+    const bool changed = apply_to(*held_, packet);
+    held_->state.sequence = packet.sequence();
+    return changed;
+  } catch (const StreamError&) {
+    broken_ = true;
+    throw;
+  }
+}
+
+bool Replica::drain() {
+  bool changed = false;
+  while (!loading_ && !broken_ && !early_.empty() && early_.begin()->first <= base() + 1) {
+    const auto node = early_.extract(early_.begin());
+    early_bytes_ -= std::min(early_bytes_, node.mapped().bytes());
+    // What the snapshot already has is dropped.
+    if (node.key() == base() + 1) changed = apply_in_order(node.mapped()) || changed;
+  }
+  return changed;
+}
+
+void Replica::keep(const ParsedPacket& packet) {
+  if (early_.size() >= kMaxEarlyPackets || early_bytes_ + packet.bytes() > kMaxEarlyBytes) return;
+  if (early_.emplace(packet.sequence(), packet).second) early_bytes_ += packet.bytes();
+}
+
+const Replica::Shown* Replica::shown() const {
+  if (held_ && (held_->planes.count() > 0 || !loading_)) return held_.get();
+  return loading_ ? &loading_->shown : nullptr;
+}
+
+std::uint64_t Replica::base() const {
+  if (loading_) return loading_->shown.state.sequence;
+  return held_ ? held_->state.sequence : 0;
+}
+
+GaussiansView Replica::view() const {
+  const Shown* s = shown();
+  return s ? s->planes.view() : GaussiansView{};
+}
+
+const SceneState& Replica::scene() const {
+  const Shown* s = shown();
+  return s ? s->state.scene : no_scene();
+}
+
+std::uint64_t Replica::epoch() const {
+  if (loading_) return loading_->shown.state.epoch;
+  return held_ ? held_->state.epoch : 0;
+}
+
+std::uint32_t Replica::missing_chunks() const {
+  return loading_ ? static_cast<std::uint32_t>(loading_->chunk_count - std::min(loading_->chunk_count, loading_->chunks.size()))
+                  : 0;
+}
+
+std::optional<MissingPackets> Replica::missing() const {
+  if (loading_ || broken_ || !held_) return std::nullopt;
+  const std::uint64_t next = base() + 1;
+  if (!early_.empty()) return MissingPackets{next, early_.begin()->first - 1};
+  if (last_known_ >= next) return MissingPackets{next, last_known_};
+  return std::nullopt;
+}
+
+}  // namespace splatbus::stream

@@ -1,0 +1,83 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+
+#include "stream/display_planes.h"
+#include "stream/held_state.h"
+
+namespace splatbus::stream {
+
+/// Broadcast packets that did not arrive, both ends included.
+struct MissingPackets {
+  std::uint64_t first = 0, last = 0;
+  bool operator==(const MissingPackets&) const = default;
+};
+
+/// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe.
+///
+/// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before, else
+/// the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for those
+/// missing before them.
+class Replica {
+ public:
+  explicit Replica(std::size_t max_gaussians = std::size_t{1} << 22) : max_gaussians_(max_gaussians) {}
+
+  /// Takes any packet of the stream; those that are not about the model (Welcome, ProbePicture, ...) change nothing.
+  /// True when the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was,
+  /// and needs_snapshot() says whether the stream can be followed any further.
+  bool receive(const ParsedPacket& packet);
+
+  [[nodiscard]] GaussiansView view() const;
+  [[nodiscard]] const SceneState& scene() const;
+
+  /// Epoch that is followed, 0 before the first SnapshotBegin.
+  [[nodiscard]] std::uint64_t epoch() const;
+  [[nodiscard]] bool loading() const { return loading_.has_value(); }
+  [[nodiscard]] std::uint32_t missing_chunks() const;
+
+  /// What to ask a Resend for; nullopt while nothing is known to be missing.
+  [[nodiscard]] std::optional<MissingPackets> missing() const;
+  /// A broadcast packet did not apply, or a snapshot contradicted itself: only another snapshot helps.
+  [[nodiscard]] bool needs_snapshot() const { return broken_; }
+
+  /// Exactly what is held, null before the first whole snapshot. For tests and statistics.
+  [[nodiscard]] const HeldState* held() const { return held_ ? &held_->state : nullptr; }
+
+ private:
+  struct Shown {
+    explicit Shown(const StreamLayout& layout) : planes(layout) {}
+    HeldState state;
+    DisplayPlanes planes;
+  };
+  struct Loading {
+    explicit Loading(const StreamLayout& layout) : shown(layout) {}
+    std::uint64_t snapshot = 0;
+    std::size_t total = 0, chunk_count = 0;
+    std::map<std::uint32_t, std::uint32_t> chunks;  ///< first slot, column in `shown` where the chunk begins
+    Shown shown;                                    ///< chunks in the order of their arrival
+  };
+
+  void begin(const wire::SnapshotBegin& body, std::uint64_t epoch);
+  bool load(const ParsedPacket& packet);
+  void finish_loading();
+  bool apply_in_order(const ParsedPacket& packet);
+  bool apply_to(Shown& shown, const ParsedPacket& packet) const;
+  bool drain();
+  void keep(const ParsedPacket& packet);
+  [[nodiscard]] const Shown* shown() const;
+  [[nodiscard]] std::uint64_t base() const;
+
+  std::size_t max_gaussians_;
+  std::unique_ptr<Shown> held_;
+  std::optional<Loading> loading_;
+  std::map<std::uint64_t, ParsedPacket> early_;
+  std::size_t early_bytes_ = 0;
+  std::uint64_t last_known_ = 0;
+  bool broken_ = false;
+};
+
+}  // namespace splatbus::stream
