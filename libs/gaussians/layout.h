@@ -26,7 +26,9 @@ struct ParameterLayout {
   int sh_degree = 3;  ///< Radiance only, 0 to 3
 
   [[nodiscard]] constexpr int sh_coefficients() const { return (sh_degree + 1) * (sh_degree + 1); }
-  [[nodiscard]] constexpr int channels() const { return appearance == Appearance::Transfer ? 41 : 11 + 3 * sh_coefficients(); }
+  [[nodiscard]] constexpr int channels() const {
+    return appearance == Appearance::Transfer ? 41 : 11 + 3 * sh_coefficients();
+  }
   bool operator==(const ParameterLayout&) const = default;
 };
 

@@ -1,0 +1,94 @@
+#include "gaussians/light.h"
+
+#include <gtest/gtest.h>
+
+#include "gaussians/sh.h"
+#include "random.h"
+
+namespace splatbus {
+namespace {
+
+glm::vec3 evaluate(const std::array<glm::vec3, 9>& coefficients, const glm::vec3& direction) {
+  const Sh9 basis = sh9_basis(direction);
+  glm::vec3 sum(0);
+  for (std::size_t k = 0; k < basis.size(); ++k) sum += basis[k] * coefficients[k];
+  return sum;
+}
+
+TEST(Sh9, IsThePrefixOfSh16) {
+  test::Random random(3);
+  for (int i = 0; i < 50; ++i) {
+    const glm::vec3 d = random.direction();
+    const Sh9 nine = sh9_basis(d);
+    const Sh16 sixteen = sh16_basis(d);
+    for (std::size_t k = 0; k < nine.size(); ++k) EXPECT_FLOAT_EQ(nine[k], sixteen[k]);
+  }
+}
+
+TEST(Sh9, RotationEqualsEvaluatingTheRotatedDirection) {
+  test::Random random(4);
+  for (int i = 0; i < 200; ++i) {
+    const Light light = random.light();
+    const glm::quat rotation = random.rotation();
+    const auto rotated = rotate_sh9(light.ambient_sh, rotation);
+    const glm::vec3 d = random.direction();
+    const glm::vec3 expected = evaluate(light.ambient_sh, glm::conjugate(rotation) * d);
+    EXPECT_LE(glm::distance(evaluate(rotated, d), expected), 3e-6F);
+  }
+}
+
+TEST(Light, RotatesWithItsSun) {
+  test::Random random(5);
+  const Light light = random.light();
+  const glm::quat object_from_world = random.rotation();
+  const Light local = rotate_light(light, object_from_world);
+  const glm::vec3 n = random.direction();
+  EXPECT_LE(glm::distance(ambient_reflected(light, n), ambient_reflected(local, object_from_world * n)), 3e-6F);
+  EXPECT_NEAR(glm::dot(light.sun_direction, n), glm::dot(local.sun_direction, object_from_world * n), 1e-6F);
+  EXPECT_EQ(local.sun_irradiance, light.sun_irradiance);
+  EXPECT_EQ(local.background, light.background);
+}
+
+TEST(Light, AmbientReflectedIsTheIntegralOfTheClampedCosine) {
+  test::Random random(6);
+  for (int i = 0; i < 4; ++i) {
+    const Light light = random.light();
+    const glm::vec3 n = random.direction();
+    constexpr int kRings = 400, kSectors = 800;
+    glm::dvec3 sum(0);
+    for (int ring = 0; ring < kRings; ++ring) {
+      const float z = -1 + 2 * (static_cast<float>(ring) + 0.5F) / kRings, r = std::sqrt(1 - z * z);
+      for (int sector = 0; sector < kSectors; ++sector) {
+        const float phi = glm::two_pi<float>() * static_cast<float>(sector) / kSectors;
+        const glm::vec3 d(r * std::cos(phi), r * std::sin(phi), z);
+        sum += glm::dvec3(std::max(0.0F, glm::dot(n, d)) * evaluate(light.ambient_sh, d));
+      }
+    }
+    const double solid_angle = 2 * glm::two_pi<double>() / (kRings * kSectors);
+    const glm::vec3 expected(sum * solid_angle / glm::pi<double>());
+    EXPECT_LE(glm::distance(ambient_reflected(light, n), expected), 1e-4F);
+  }
+}
+
+TEST(Light, UniformRadianceIsReflectedAsItIs) {
+  Light light;
+  light.ambient_sh[0] = glm::vec3(0.7F, 0.5F, 0.25F) / kShC0;
+  EXPECT_LE(glm::distance(ambient_reflected(light, {0, 1, 0}), {0.7F, 0.5F, 0.25F}), 1e-6F);
+}
+
+TEST(Srgb, CurvesAreInverseAndMeetKnownValues) {
+  EXPECT_EQ(srgb_from_linear(0), 0);
+  EXPECT_NEAR(srgb_from_linear(1), 1, 1e-6F);
+  EXPECT_NEAR(srgb_from_linear(0.5F), 0.7353569F, 1e-5F);
+  EXPECT_NEAR(srgb_from_linear(0.001F), 0.01292F, 1e-6F);
+  EXPECT_NEAR(linear_from_srgb(0.5F), 0.2140411F, 1e-5F);
+  for (int i = 0; i <= 255; ++i) {
+    const float srgb = static_cast<float>(i) / 255;
+    EXPECT_NEAR(srgb_from_linear(linear_from_srgb(srgb)), srgb, 1e-6F);
+  }
+  EXPECT_EQ(srgb_from_linear(-1), 0);
+  EXPECT_NEAR(srgb_from_linear(7), 1, 1e-6F);
+}
+
+}  // namespace
+}  // namespace splatbus
