@@ -1,0 +1,21 @@
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "verbs.h"
+
+namespace splatbus::cli {
+
+void add_bus_option(CLI::App& verb, std::string& address) {
+  verb.add_option("--bus", address,
+                  "bus address, ipc:///folder or tcp://host:port (default: SPLATBUS_BUS, else a folder of this user)");
+}
+
+bus::Address bus_address(const std::string& option) {
+  return option.empty() ? bus::Address::from_environment() : bus::Address::parse(option);
+}
+
+std::shared_ptr<bus::Context> connect(const bus::Address& address) {
+  return bus::Context::create(address, fmt::format("cli-{}", getpid()));
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,90 @@
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "default_launch_file.h"
+#include "demo_run.h"
+#include "terminal.h"
+#include "verbs.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+struct DemoVerbOptions {
+  DemoOptions demo;
+  std::string out = "out/demo";
+  std::string launch_file;
+  bool json = false;
+};
+
+std::string ssim_text(const std::optional<double>& ssim) {
+  return ssim ? fmt::format("{:.3f}", *ssim) : "-";
+}
+
+std::string live_line(const DemoState& state) {
+  return fmt::format(
+      "{:4.0f} s  {}/{} services  {:.0f} frames/s  {} Gaussians  {:.1f} steps/s  SSIM server {} viewer {}  {:.2f} "
+      "Mbit/s",
+      state.elapsed_s, state.running, state.services, state.frames_per_s, state.gaussians, state.steps_per_s,
+      ssim_text(state.ssim_server), ssim_text(state.ssim_viewer), state.wire_mbps);
+}
+
+nlohmann::json to_json(const DemoState& state) {
+  const auto figure = [](const std::optional<double>& value) {
+    return value ? nlohmann::json(rounded(*value)) : nlohmann::json();
+  };
+  return {{"elapsed_s", rounded(state.elapsed_s)},
+          {"running", state.running},
+          {"services", state.services},
+          {"frames_per_s", rounded(state.frames_per_s)},
+          {"gaussians", state.gaussians},
+          {"steps_per_s", rounded(state.steps_per_s)},
+          {"ssim_server", figure(state.ssim_server)},
+          {"ssim_viewer", figure(state.ssim_viewer)},
+          {"wire_mbps", rounded(state.wire_mbps)}};
+}
+
+int demo(DemoVerbOptions options) {
+  options.demo.out = options.out;
+  options.demo.launch_file =
+      options.launch_file.empty() ? default_launch_file("demo.yaml") : std::filesystem::path(options.launch_file);
+  const StopSignals signals;
+  ProgressLine line;
+  const auto started = [&](const std::string& bus) {
+    if (options.json) return;
+    fmt::print("{:.0f} s demo; look inside with: ./splatbus node list --bus {}\n", options.demo.seconds, bus);
+    std::fflush(stdout);
+  };
+  const auto show = [&](const DemoState& state) {
+    if (options.json) {
+      fmt::print("{}\n", to_json(state).dump());
+      std::fflush(stdout);
+    } else {
+      line.show(live_line(state));
+    }
+  };
+  const nlohmann::json summary = run_demo(options.demo, signals, started, show);
+  line.finish();
+  fmt::print("{}\n", options.json ? summary.dump() : summary.dump(2));
+  if (!options.json) fmt::print("{}: contact_sheet.png, model.ply, summary.json\n", options.out);
+  return 0;
+}
+
+}  // namespace
+
+void add_demo_verb(CLI::App& app, Action& action) {
+  auto options = std::make_shared<DemoVerbOptions>();
+  CLI::App* verb = app.add_subcommand("demo", "The whole pipeline on a built-in scene, with true figures beside it");
+  verb->option_defaults()->always_capture_default();
+  verb->add_option("--seconds", options->demo.seconds, "how long it runs")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--seed", options->demo.seed, "of everything random");
+  verb->add_option("--out", options->out, "folder for contact_sheet.png, model.ply and summary.json");
+  verb->add_option("--launch", options->launch_file, "launch file (default: launch/demo.yaml of this build)");
+  verb->add_option("--bus", options->demo.bus, "bus address (default: a folder of its own)");
+  verb->add_flag("--json", options->json, "live figures and summary as JSON, one object a line");
+  verb->callback([options, &action] { action = [options] { return demo(*options); }; });
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+
+#include "figures.h"
+#include "stop_signals.h"
+
+namespace splatbus::cli {
+
+struct DemoOptions {
+  double seconds = 60;
+  std::uint64_t seed = 0;
+  std::filesystem::path out = "out/demo";
+  std::filesystem::path launch_file;
+  std::string bus;  ///< empty: a folder of its own
+};
+
+/// A live line's figures.
+struct DemoState {
+  double elapsed_s = 0;
+  std::size_t running = 0, services = 0;
+  double frames_per_s = 0, steps_per_s = 0;
+  std::uint64_t gaussians = 0;
+  std::optional<double> ssim_server, ssim_viewer;
+  double wire_mbps = 0;
+};
+
+/// Launches the demo's services, compares held-out cameras at the server and at the viewer while they run, and writes
+/// contact_sheet.png, model.ply and summary.json to `out`. Returns the summary. Throws std::runtime_error.
+nlohmann::json run_demo(const DemoOptions& options, const StopSignals& signals,
+                        const std::function<void(const std::string& bus)>& started,
+                        const std::function<void(const DemoState&)>& show);
+
+}  // namespace splatbus::cli

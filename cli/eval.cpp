@@ -1,0 +1,83 @@
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "default_launch_file.h"
+#include "fixed_evaluation.h"
+#include "terminal.h"
+#include "verbs.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+struct EvalOptions {
+  FixedEvaluationOptions fixed;
+  std::string launch_file;
+  std::string out = "out/eval";
+  bool json = false;
+};
+
+int evaluate_fixed(EvalOptions options) {
+  options.fixed.launch_file =
+      options.launch_file.empty() ? default_launch_file("eval_fixed.yaml") : std::filesystem::path(options.launch_file);
+  options.fixed.out = options.out;
+  const StopSignals signals;
+  ProgressLine line;
+  const auto show_progress = [&](const FixedEvaluationProgress& progress) {
+    const FigureSummary& figures = progress.figures;
+    if (options.json) {
+      fmt::print("{}\n", nlohmann::json{{"iteration", progress.iteration},
+                                        {"gaussians", progress.gaussians},
+                                        {"steps_per_s", rounded(progress.steps_per_s)},
+                                        {"ssim_mean", rounded(figures.mean.ssim)},
+                                        {"psnr_mean", rounded(figures.mean.psnr_db)},
+                                        {"flip_mean", rounded(figures.mean.flip)}}
+                             .dump());
+      std::fflush(stdout);
+      return;
+    }
+    line.show(fmt::format(
+        "iteration {}/{}  SSIM {:.4f} (least {:.4f})  PSNR {:.2f} dB  FLIP {:.4f} (most {:.4f})  {:.1f} steps/s",
+        progress.iteration, options.fixed.iterations, figures.mean.ssim, figures.ssim_min, figures.mean.psnr_db,
+        figures.mean.flip, figures.flip_max, progress.steps_per_s));
+    line.finish();
+  };
+  const auto show_state = [&](const std::string& state) {
+    if (!options.json) line.show(state);
+  };
+  const nlohmann::json summary = run_fixed_evaluation(options.fixed, signals, show_state, show_progress);
+  line.finish();
+  fmt::print("{}\n", options.json ? summary.dump() : summary.dump(2));
+  if (!options.json) fmt::print("{}: figures.csv, summary.json, contact_sheet.png\n", options.out);
+  return 0;
+}
+
+}  // namespace
+
+void add_eval_verb(CLI::App& app, Action& action) {
+  CLI::App* eval = app.add_subcommand("eval", "Measure the quality that the real services reach");
+  eval->require_subcommand(1);
+  auto options = std::make_shared<EvalOptions>();
+  FixedEvaluationOptions& fixed = options->fixed;
+  CLI::App* verb = eval->add_subcommand(
+      "fixed", "Fixed cameras in a circle, held-out views between them; SSIM, PSNR and FLIP over the iterations");
+  verb->option_defaults()->always_capture_default();
+  verb->add_option("--cameras", fixed.cameras, "reference cameras")->check(CLI::Range(1, 64));
+  verb->add_option("--size", fixed.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
+  verb->add_option("--iterations", fixed.iterations, "optimizer steps")->check(CLI::Range(1, 1000000));
+  verb->add_option("--every", fixed.every, "steps between evaluations")->check(CLI::Range(1, 1000000));
+  verb->add_option("--views", fixed.views, "held-out views")->check(CLI::Range(1, 64));
+  verb->add_option("--input-cameras", fixed.input_cameras, "input cameras")->check(CLI::Range(1, 256));
+  verb->add_option("--input-size", fixed.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
+  verb->add_option("--budget", fixed.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
+  verb->add_option("--seed", fixed.seed, "of everything random");
+  verb->add_option("--timeout", fixed.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
+  verb->add_option("--out", options->out, "folder for figures.csv, summary.json and contact_sheet.png");
+  verb->add_option("--launch", options->launch_file, "launch file (default: launch/eval_fixed.yaml of this build)");
+  verb->add_flag("--json", options->json, "progress and summary as JSON, one object a line");
+  verb->callback([options, &action] { action = [options] { return evaluate_fixed(*options); }; });
+}
+
+}  // namespace splatbus::cli

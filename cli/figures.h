@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <string>
+
+#include "metrics/metrics.h"
+
+namespace splatbus::cli {
+
+/// Figures of some views, by view.
+using ViewFigures = std::map<std::size_t, metrics::Quality>;
+
+struct FigureSummary {
+  metrics::Quality mean;
+  double ssim_min = 0, flip_max = 0;
+};
+
+/// Of at least one view; an infinite PSNR (equal pictures) counts as 100 dB, so that means stay finite.
+[[nodiscard]] FigureSummary summarize(const ViewFigures& figures);
+
+/// "iteration,view,ssim,psnr,flip" lines of one iteration.
+[[nodiscard]] std::string csv_rows(std::uint64_t iteration, const ViewFigures& figures);
+inline constexpr const char* kCsvHeader = "iteration,view,ssim,psnr,flip\n";
+
+/// Writes text to a file; throws std::runtime_error that names it.
+void write_text(const std::string& path, const std::string& text);
+
+/// Six significant digits: what a figure in a summary is worth.
+[[nodiscard]] double rounded(double value);
+
+}  // namespace splatbus::cli

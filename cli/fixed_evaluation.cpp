@@ -1,0 +1,240 @@
+#include "fixed_evaluation.h"
+
+#include <fmt/format.h>
+
+#include <stdexcept>
+#include <vector>
+
+#include "bus/publisher.h"
+#include "launch_plan.h"
+#include "live_scene.h"
+#include "metrics/contact_sheet.h"
+#include "metrics/image_io.h"
+#include "pipeline_watch.h"
+#include "probe_round.h"
+#include "server_view.h"
+#include "supervised_run.h"
+#include "verbs.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+constexpr float kHeldOutTurnDegrees = 7;
+constexpr std::int64_t kRepeatNs = 3'000'000'000;  ///< what was asked for and has not come is asked for again
+
+LaunchPlan make_plan(const FixedEvaluationOptions& options, const bus::Address& address) {
+  LaunchFile file = read_launch_file(options.launch_file);
+  const std::vector<std::pair<std::string, std::string>> settings{
+      {"capture-bridge.reference_cameras", std::to_string(options.cameras)},
+      {"capture-bridge.reference_size", std::to_string(options.size)},
+      {"capture-bridge.input_cameras", std::to_string(options.input_cameras)},
+      {"capture-bridge.input_size", std::to_string(options.input_size)},
+      {"capture-bridge.sample_budget", std::to_string(options.budget)},
+      {"trainer.seed", std::to_string(options.seed)},
+  };
+  for (const auto& [name, value] : settings) apply_override(file, fmt::format("{}={}", name, value));
+  LaunchPlan plan = plan_launch(file, address, program_directory());
+  check_parameters(file, plan);
+  return plan;
+}
+
+class FixedEvaluation {
+ public:
+  FixedEvaluation(const FixedEvaluationOptions& options, const StopSignals& signals,
+                  const std::function<void(const std::string&)>& show_state)
+      : options_(options),
+        signals_(signals),
+        show_state_(show_state),
+        plan_(make_plan(options, folder_.address())),
+        context_(connect(folder_.address())),
+        watch_(context_),
+        live_(context_),
+        probes_(context_,
+                circle_cameras({.count = options.views, .size = options.size, .phase_degrees = kHeldOutTurnDegrees})),
+        control_(context_, "control/trainer"),
+        view_(0),
+        run_(plan_, options.out / "services.log") {}
+
+  Json run(const std::function<void(const FixedEvaluationProgress&)>& show_progress) {
+    prepare();
+    std::string csv = kCsvHeader;
+    ViewFigures figures;
+    for (int iteration = options_.every;; iteration += options_.every) {
+      const int step = std::min(iteration, options_.iterations);
+      train_until(static_cast<std::uint64_t>(step));
+      figures = evaluate();
+      csv += csv_rows(static_cast<std::uint64_t>(step), figures);
+      write_text(options_.out / "figures.csv", csv);
+      const auto& trainer = watch_.state().trainer;
+      show_progress({.iteration = static_cast<std::uint64_t>(step),
+                     .gaussians = trainer.gaussians,
+                     .steps_per_s = rate(static_cast<double>(trainer.step)),
+                     .figures = summarize(figures)});
+      if (step == options_.iterations) break;
+    }
+    write_contact_sheet(figures);
+    const Json summary = make_summary(figures);
+    write_text(options_.out / "summary.json", summary.dump(2) + "\n");
+    run_.stop();
+    return summary;
+  }
+
+ private:
+  /// Until every camera's picture is at the trainer, every sample in the model, and the engine's held-out pictures
+  /// here.
+  void prepare() {
+    probes_.begin();
+    std::int64_t asked_ns = bus::now_ns();
+    const auto ready = [&] {
+      if (!probes_.complete() && bus::now_ns() - asked_ns > kRepeatNs) {
+        probes_.ask_for_missing();
+        asked_ns = bus::now_ns();
+      }
+      const PipelineState& state = watch_.state();
+      return probes_.complete() && state.trainer.ready_references >= static_cast<std::uint32_t>(options_.cameras) &&
+             state.trainer.ready_inputs >= static_cast<std::uint32_t>(options_.input_cameras) &&
+             state.grid.rounds >= 1 && state.grid.batches_pending == 0 && live_.model() != nullptr &&
+             live_.model()->average().count > 0 && state.visibility_generation == live_.model()->generation();
+    };
+    wait_until("the services and their first pictures", ready, [&] {
+      const PipelineState& state = watch_.state();
+      return fmt::format("references {}/{}, inputs {}/{}, held-out views {}/{}, {} Gaussians, {} batches pending{}",
+                         state.trainer.ready_references, options_.cameras, state.trainer.ready_inputs,
+                         options_.input_cameras, probes_.pictures().size(), options_.views, state.trainer.gaussians,
+                         state.grid.batches_pending, state.visibility_generation == 0 ? ", no light visibility" : "");
+    });
+  }
+
+  void train_until(std::uint64_t step) {
+    std::int64_t asked_ns = 0;
+    const auto ready = [&] {
+      if (bus::now_ns() - asked_ns > kRepeatNs) {
+        send_control(step);
+        asked_ns = bus::now_ns();
+      }
+      return watch_.state().trainer.step >= step;
+    };
+    wait_until(fmt::format("step {}", step), ready, [&] {
+      const auto& trainer = watch_.state().trainer;
+      return fmt::format("step {}/{}, {:.1f} steps/s, {} Gaussians, loss {:.4f}", trainer.step, options_.iterations,
+                         trainer.steps_per_s, trainer.gaussians, trainer.loss);
+    });
+    if (watch_.state().trainer.step != step) {
+      throw std::runtime_error(
+          fmt::format("the trainer stopped at step {} instead of {}", watch_.state().trainer.step, step));
+    }
+  }
+
+  void send_control(std::uint64_t step) {
+    control_.publish({.schema = "Control/1"}, [&](auto& builder, auto header) {
+      const std::vector changes{
+          wire::CreateKeyValueDirect(builder, "run_until", std::to_string(step).c_str()),
+          wire::CreateKeyValueDirect(builder, "paused", "false"),
+      };
+      return wire::CreateControl(builder, header, builder.CreateVector(changes));
+    });
+  }
+
+  ViewFigures evaluate() {
+    ViewFigures figures;
+    for (const auto& [index, probe] : probes_.pictures()) {
+      std::optional<cv::Mat> picture;
+      wait_until(
+          "a model to draw", [&] { return (picture = view_.render(live_, probe.camera, probe.scene)).has_value(); },
+          [] { return std::string("drawing held-out views"); });
+      figures[index] = metrics::compare(*picture, probe.picture);
+      drawn_[index] = *picture;
+    }
+    return figures;
+  }
+
+  void write_contact_sheet(const ViewFigures& figures) {
+    metrics::ContactSheet sheet{
+        .title = fmt::format("{} reference cameras of {}x{}, {} iterations, held-out views", options_.cameras,
+                             options_.size, options_.size, options_.iterations),
+        .columns = {"engine", "server", "FLIP"},
+        .rows = {},
+        .picture_height = options_.size};
+    for (const auto& [index, probe] : probes_.pictures()) {
+      const metrics::Quality& quality = figures.at(index);
+      cv::Mat map;
+      static_cast<void>(metrics::flip(drawn_.at(index), probe.picture, 67.0, &map));
+      sheet.rows.push_back(
+          {.caption = fmt::format("view {}", index),
+           .figures = {fmt::format("SSIM {:.3f}", quality.ssim), fmt::format("PSNR {:.1f}", quality.psnr_db),
+                       fmt::format("FLIP {:.3f}", quality.flip)},
+           .pictures = {probe.picture, drawn_.at(index), metrics::colorize(map)}});
+    }
+    metrics::write_png(options_.out / "contact_sheet.png", metrics::draw(sheet));
+  }
+
+  [[nodiscard]] double rate(double count) const {
+    const double seconds = watch_.state().trainer.optimizer_s;
+    return seconds > 0 ? count / seconds : 0;
+  }
+
+  [[nodiscard]] Json make_summary(const ViewFigures& figures) const {
+    const FigureSummary summary = summarize(figures);
+    const auto& trainer = watch_.state().trainer;
+    return {{"gaussians", trainer.gaussians},
+            {"iterations", trainer.step},
+            {"ssim_mean", rounded(summary.mean.ssim)},
+            {"ssim_min", rounded(summary.ssim_min)},
+            {"psnr_mean", rounded(summary.mean.psnr_db)},
+            {"flip_mean", rounded(summary.mean.flip)},
+            {"flip_max", rounded(summary.flip_max)},
+            {"steps_per_s", rounded(rate(static_cast<double>(trainer.step)))},
+            {"views_per_s", rounded(rate(static_cast<double>(trainer.views)))}};
+  }
+
+  void wait_until(const std::string& what, const std::function<bool()>& condition,
+                  const std::function<std::string()>& describe) {
+    const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_.timeout_s * 1e9);
+    std::int64_t shown_ns = 0;
+    while (!condition()) {
+      run_.check();
+      if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted while waiting for " + what);
+      if (bus::now_ns() > end_ns) {
+        throw std::runtime_error(fmt::format("{} did not come within {} s ({}); see {}", what, options_.timeout_s,
+                                             describe(), (options_.out / "services.log").string()));
+      }
+      watch_.poll(std::chrono::milliseconds(20));
+      live_.poll(std::chrono::milliseconds(0));
+      probes_.poll(std::chrono::milliseconds(0), [](std::size_t, const ProbePicture&) {});
+      if (bus::now_ns() - shown_ns > 1'000'000'000) {
+        show_state_(describe());
+        shown_ns = bus::now_ns();
+      }
+    }
+  }
+
+  const FixedEvaluationOptions& options_;
+  const StopSignals& signals_;
+  const std::function<void(const std::string&)>& show_state_;
+  PrivateBusFolder folder_;
+  LaunchPlan plan_;
+  std::shared_ptr<bus::Context> context_;
+  PipelineWatch watch_;
+  LiveScene live_;
+  ProbeRounds probes_;
+  bus::Publisher control_;
+  ServerView view_;
+  std::map<std::size_t, cv::Mat> drawn_;
+  SupervisedRun run_;
+};
+
+}  // namespace
+
+Json run_fixed_evaluation(const FixedEvaluationOptions& options, const StopSignals& signals,
+                          const std::function<void(const std::string&)>& show_state,
+                          const std::function<void(const FixedEvaluationProgress&)>& show_progress) {
+  fs::create_directories(options.out);
+  return FixedEvaluation(options, signals, show_state).run(show_progress);
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,98 @@
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+#include <nlohmann/json.hpp>
+
+#include "launch_file.h"
+#include "launch_plan.h"
+#include "stop_signals.h"
+#include "supervisor.h"
+#include "terminal.h"
+#include "verbs.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+struct LaunchOptions {
+  std::string file;
+  std::vector<std::string> overrides;
+  std::string bus;
+  double seconds = 0;
+  bool check = false;
+  bool json = false;
+};
+
+std::string json_line(const std::string& name, const std::string& line, bool own) {
+  using Json = nlohmann::json;
+  return Json{{"service", name}, {own ? "event" : "line", line}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+int launch(const LaunchOptions& options) {
+  LaunchFile file = read_launch_file(options.file);
+  for (const std::string& assignment : options.overrides) apply_override(file, assignment);
+  bus::Address address = bus_address(options.bus);
+  if (options.bus.empty() && file.bus) {
+    try {
+      address = bus::Address::parse(file.bus->value);
+    } catch (const bus::Error& error) {
+      throw LaunchError(file.bus->mark, error.what());
+    }
+  }
+  const LaunchPlan plan = plan_launch(file, address, program_directory());
+  check_parameters(file, plan);
+  if (options.check) {
+    for (const ProcessPlan& process : plan.processes) fmt::print("{}\n", process.name);
+    return 0;
+  }
+
+  const StopSignals signals;
+  std::vector<std::string> names;
+  for (const ProcessPlan& process : plan.processes) names.push_back(process.name);
+  const PrefixedOutput output(names, !options.json && is_terminal(STDOUT_FILENO));
+  Supervisor supervisor(plan, [&](const std::string& name, const std::string& line, bool own) {
+    if (options.json) {
+      fmt::print("{}\n", json_line(name, line, own));
+      std::fflush(stdout);
+    } else {
+      output.print(name, line, own);
+    }
+  });
+
+  std::stop_source stop;
+  const std::stop_callback on_signal(signals.stop(), [&] { stop.request_stop(); });
+  std::jthread timer;
+  if (options.seconds > 0) {
+    timer = std::jthread([&](const std::stop_token& end) {
+      std::mutex mutex;
+      std::unique_lock lock(mutex);
+      std::condition_variable_any().wait_for(lock, end, std::chrono::duration<double>(options.seconds),
+                                             [] { return false; });
+      stop.request_stop();
+    });
+  }
+  const bool success = supervisor.run(stop.get_token(), signals.kill());
+  if (!success) fmt::print(stderr, "splatbus launch: {}\n", *supervisor.failure());
+  return success ? 0 : 1;
+}
+
+}  // namespace
+
+void add_launch_verb(CLI::App& app, Action& action) {
+  auto options = std::make_shared<LaunchOptions>();
+  CLI::App* verb = app.add_subcommand("launch", "Start and look after the services of a launch file");
+  verb->add_option("file", options->file, "launch file (YAML)")->required();
+  verb->add_option("--set", options->overrides, "service.key=value: set a parameter of a service (repeatable)")
+      ->allow_extra_args(false);
+  verb->add_option("--seconds", options->seconds, "stop after that long; 0: run until Ctrl-C")
+      ->check(CLI::NonNegativeNumber);
+  verb->add_flag("--check", options->check, "check the file, print the processes in starting order, and start nothing");
+  verb->add_flag("--json", options->json, "one JSON object a line of output");
+  add_bus_option(*verb, options->bus);
+  verb->callback([options, &action] { action = [options] { return launch(*options); }; });
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "bus/context.h"
+#include "launch_file.h"
+
+namespace splatbus::cli {
+
+/// One process to run and look after.
+struct ProcessPlan {
+  std::string name;  ///< source on the bus
+  std::filesystem::path program;
+  std::vector<std::string> arguments;
+  std::map<std::string, std::string> environment;
+  RestartPolicy restart = RestartPolicy::OnFailure;
+  std::vector<std::size_t> after;  ///< earlier entries of the plan
+  double heartbeat_timeout_s = 5;  ///< 0: ready as soon as it runs
+  double start_timeout_s = 30;
+  bool broker = false;
+};
+
+/// What a launch file comes to: processes, each after those that it waits for; the broker first.
+struct LaunchPlan {
+  bus::Address bus;
+  std::vector<ProcessPlan> processes;
+};
+
+/// Where the programs of this build lie: beside the running program.
+[[nodiscard]] std::filesystem::path program_directory();
+
+/// Makes replicas, finds programs, orders. In parameters, args and environment `${name}` is the process's name,
+/// `${replica}` its number from 1, `${bus_dir}` the folder of an ipc bus. Throws LaunchError with the place in the
+/// file.
+[[nodiscard]] LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus,
+                                     const std::filesystem::path& programs);
+
+/// Asks each service's program whether it accepts its parameters (--parameters runs nothing), and throws LaunchError
+/// with the place of the first that it does not.
+void check_parameters(const LaunchFile& file, const LaunchPlan& plan);
+
+}  // namespace splatbus::cli

@@ -1,0 +1,52 @@
+#include "live_scene.h"
+
+#include <utility>
+
+#include "wire/convert.h"
+#include "wire/scene_generated.h"
+
+namespace splatbus::cli {
+
+LiveScene::LiveScene(std::shared_ptr<bus::Context> context)
+    : subscriber_(std::move(context), {"model/published", "scene/light", "scene/objects"}) {}
+
+void LiveScene::poll(std::chrono::milliseconds timeout) {
+  for (const bus::Message& message : subscriber_.receive_newest(timeout)) {
+    bus::guarded(message, [&] { take(message); });
+  }
+  // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.
+  if (published_ && model() == nullptr) {
+    bus::guarded(*published_, [&] { model_ = PublishedModel::open(*published_); });
+  }
+}
+
+void LiveScene::take(const bus::Message& message) {
+  if (message.topic() == "model/published") {
+    published_ = message;
+    model_ = PublishedModel::open(message);
+  } else if (message.topic() == "scene/light") {
+    scene_.light = from_wire(*message.root<wire::SceneLight>("SceneLight/1").light());
+    has_light_ = true;
+  } else if (message.topic() == "scene/objects") {
+    scene_.objects = from_wire(message.root<wire::SceneObjects>("SceneObjects/1").objects());
+    has_objects_ = true;
+  }
+}
+
+const PublishedModel* LiveScene::model() const {
+  return model_ && model_->still_valid() ? &*model_ : nullptr;
+}
+
+std::optional<GaussiansBuffer> LiveScene::copy_average(std::chrono::milliseconds timeout) {
+  const auto end = std::chrono::steady_clock::now() + timeout;
+  do {
+    if (const PublishedModel* live = model()) {
+      GaussiansBuffer copy = GaussiansBuffer::copy_of(live->average());
+      if (live->still_valid()) return copy;
+    }
+    poll(std::chrono::milliseconds(20));
+  } while (std::chrono::steady_clock::now() < end);
+  return {};
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,38 @@
+#include <fmt/format.h>
+
+#include <exception>
+
+#include "verbs.h"
+
+namespace {
+
+int run(int argc, char** argv) {
+  CLI::App app{"splatbus turns a live game engine into a stream of 3D Gaussians."};
+  app.name("splatbus");
+  app.set_version_flag("--version", "splatbus " SPLATBUS_VERSION);
+  app.require_subcommand(1);
+  splatbus::cli::Action action;
+  splatbus::cli::add_launch_verb(app, action);
+  splatbus::cli::add_topic_verb(app, action);
+  splatbus::cli::add_node_verb(app, action);
+  splatbus::cli::add_export_verb(app, action);
+  splatbus::cli::add_eval_verb(app, action);
+  splatbus::cli::add_demo_verb(app, action);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  return action();
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return run(argc, argv);
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "splatbus: {}\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <memory>
+
+#include "bus/subscriber.h"
+#include "metrics/metrics.h"
+
+namespace splatbus::cli {
+
+/// What the services last said about themselves on the topics that tell how far the pipeline is.
+struct PipelineState {
+  struct Trainer {
+    std::uint64_t step = 0, views = 0, gaussians = 0;
+    double optimizer_s = 0, steps_per_s = 0, loss = 0;
+    std::uint32_t ready_references = 0, ready_inputs = 0;
+    bool paused = false;
+  };
+  struct Grid {
+    std::uint64_t rounds = 0, batches_pending = 0, gaussians_inserted = 0;
+  };
+  struct Stream {
+    std::uint32_t viewers = 0;
+    double wire_mbps = 0, wire_mbps_mean = 0, wire_mbps_peak = 0;
+  };
+  Trainer trainer;
+  Grid grid;
+  Stream stream;
+  std::uint64_t visibility_generation = 0;                   ///< model generation of the newest relight/visibility
+  std::map<std::uint64_t, metrics::Quality> viewer_quality;  ///< by probe id
+  std::int64_t first_picture_ns = 0;                         ///< CLOCK_MONOTONIC, 0 before
+};
+
+/// Keeps a PipelineState up to date. Not thread-safe.
+class PipelineWatch {
+ public:
+  explicit PipelineWatch(std::shared_ptr<bus::Context> context);
+
+  void poll(std::chrono::milliseconds timeout);
+  [[nodiscard]] const PipelineState& state() const { return state_; }
+
+ private:
+  void take(const bus::Message& message);
+
+  bus::Subscriber subscriber_;
+  PipelineState state_;
+};
+
+}  // namespace splatbus::cli

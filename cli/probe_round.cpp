@@ -1,0 +1,79 @@
+#include "probe_round.h"
+
+#include <glm/gtc/constants.hpp>
+#include <utility>
+
+#include "metrics/image_io.h"
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::cli {
+
+ProbeRounds::ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras)
+    : cameras_(std::move(cameras)),
+      requests_(context, "viewer/probe"),
+      answers_(context, {"capture/probe"}),
+      // Beside the ids that viewers count from 1, and other than those of a command that ran before.
+      next_id_(static_cast<std::uint64_t>(bus::now_ns())) {}
+
+void ProbeRounds::begin() {
+  first_id_ = next_id_;
+  next_id_ += cameras_.size();
+  pictures_.clear();
+  for (std::size_t i = 0; i < cameras_.size(); ++i) ask(i);
+}
+
+void ProbeRounds::ask_for_missing() {
+  for (std::size_t i = 0; i < cameras_.size(); ++i) {
+    if (!pictures_.contains(i)) ask(i);
+  }
+}
+
+void ProbeRounds::ask(std::size_t index) {
+  const wire::Camera camera = to_wire(cameras_[index]);
+  requests_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
+    return wire::CreateViewerProbe(builder, header, first_id_ + index, &camera);
+  });
+}
+
+void ProbeRounds::poll(std::chrono::milliseconds timeout,
+                       const std::function<void(std::size_t, const ProbePicture&)>& handle) {
+  for (auto message = answers_.receive(timeout); message; message = answers_.receive(std::chrono::milliseconds(0))) {
+    bus::guarded(*message, [&] {
+      const auto& probe = message->root<wire::CaptureProbe>("CaptureProbe/1");
+      if (first_id_ == 0 || probe.probe_id() < first_id_ || probe.probe_id() - first_id_ >= cameras_.size()) return;
+      const auto index = static_cast<std::size_t>(probe.probe_id() - first_id_);
+      if (pictures_.contains(index)) return;
+      ProbePicture picture{.probe_id = probe.probe_id(),
+                           .camera = from_wire(*probe.camera()),
+                           .scene = {.light = from_wire(*probe.light()), .objects = from_wire(probe.objects())},
+                           .picture = {}};
+      const auto color =
+          message->tensor("color", bus::ElementType::U8, {picture.camera.height, picture.camera.width, 4});
+      if (!color) return;
+      std::vector<std::uint8_t> rgba(color->bytes());
+      if (!color->copy(rgba.data())) return;
+      picture.picture = metrics::from_rgba(rgba.data(), picture.camera.width, picture.camera.height);
+      handle(index, pictures_.emplace(index, std::move(picture)).first->second);
+    });
+  }
+}
+
+std::vector<Camera> circle_cameras(const Circle& circle) {
+  std::vector<Camera> cameras;
+  const auto size = static_cast<std::uint32_t>(circle.size);
+  for (int i = 0; i < circle.count; ++i) {
+    const float angle = glm::radians(circle.phase_degrees) +
+                        glm::two_pi<float>() * static_cast<float>(i) / static_cast<float>(circle.count);
+    const glm::vec3 eye(circle.target.x + circle.radius_m * std::cos(angle), circle.height_m,
+                        circle.target.z + circle.radius_m * std::sin(angle));
+    Camera camera = look_at(eye, circle.target, size, size, glm::radians(circle.fov_degrees));
+    camera.id = static_cast<std::uint32_t>(i);
+    camera.role = CameraRole::Probe;
+    cameras.push_back(camera);
+  }
+  return cameras;
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,66 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <opencv2/core.hpp>
+#include <vector>
+
+#include "bus/publisher.h"
+#include "bus/subscriber.h"
+#include "gaussians/light.h"
+
+namespace splatbus::cli {
+
+/// The engine's own picture of a camera that was asked for, with the scene of that very frame.
+struct ProbePicture {
+  std::uint64_t probe_id = 0;
+  Camera camera;
+  SceneState scene;
+  cv::Mat picture;  ///< CV_8UC3 BGR
+};
+
+/// Held-out cameras: asks the engine for their pictures by viewer/probe, and gathers capture/probe. Each round has new
+/// probe ids, begin() ... begin() + size - 1. Not thread-safe.
+class ProbeRounds {
+ public:
+  ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras);
+
+  void begin();            ///< the next round: asks for every camera
+  void ask_for_missing();  ///< again, what has not come
+
+  /// Takes in pictures that have arrived; `handle(index, picture)` for each camera's first of this round.
+  void poll(std::chrono::milliseconds timeout, const std::function<void(std::size_t, const ProbePicture&)>& handle);
+
+  [[nodiscard]] std::uint64_t first_id() const { return first_id_; }
+  [[nodiscard]] const std::map<std::size_t, ProbePicture>& pictures() const { return pictures_; }
+  [[nodiscard]] bool complete() const { return first_id_ != 0 && pictures_.size() == cameras_.size(); }
+  [[nodiscard]] const std::vector<Camera>& cameras() const { return cameras_; }
+
+ private:
+  void ask(std::size_t index);
+
+  std::vector<Camera> cameras_;
+  bus::Publisher requests_;
+  bus::Subscriber answers_;
+  std::uint64_t first_id_ = 0, next_id_;
+  std::map<std::size_t, ProbePicture> pictures_;
+};
+
+/// A circle about `target`, as the capture-bridge's reference ring: camera i at angle phase + 2 pi i / count from +x
+/// towards +z.
+struct Circle {
+  int count = 4;
+  int size = 160;  ///< pixels, square
+  float fov_degrees = 60;
+  float radius_m = 3.4F;
+  float height_m = 1.6F;
+  float phase_degrees = 0;
+  glm::vec3 target{0, 0.25F, 0};
+};
+
+[[nodiscard]] std::vector<Camera> circle_cameras(const Circle& circle);
+
+}  // namespace splatbus::cli

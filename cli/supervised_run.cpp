@@ -1,0 +1,81 @@
+#include "supervised_run.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <stdexcept>
+#include <utility>
+
+namespace splatbus::cli {
+
+namespace {
+
+constexpr std::size_t kLinesKept = 12;
+
+}  // namespace
+
+PrivateBusFolder::PrivateBusFolder() {
+  std::string path = (std::filesystem::temp_directory_path() / "splatbus-run-XXXXXX").string();
+  if (mkdtemp(path.data()) == nullptr) {
+    throw std::runtime_error(fmt::format("cannot make a folder for the bus in {}: {}",
+                                         std::filesystem::temp_directory_path().string(), std::strerror(errno)));
+  }
+  path_ = path;
+}
+
+PrivateBusFolder::~PrivateBusFolder() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path_, ignored);
+}
+
+bus::Address PrivateBusFolder::address() const {
+  return bus::Address::parse("ipc://" + path_.string());
+}
+
+SupervisedRun::SupervisedRun(LaunchPlan plan, const std::filesystem::path& log)
+    : log_path_(log),
+      log_(log),
+      supervisor_(std::move(plan),
+                  [this](const auto& process, const auto& line, bool own) { log_line(process, line, own); }),
+      thread_([this] { supervisor_.run(stop_.get_token(), kill_.get_token()); }) {}
+
+SupervisedRun::~SupervisedRun() {
+  stop();
+}
+
+bool SupervisedRun::all_running() const {
+  const auto processes = status();
+  return std::all_of(processes.begin(), processes.end(),
+                     [](const ProcessStatus& p) { return p.state == ProcessState::Running; });
+}
+
+void SupervisedRun::check() const {
+  const auto failure = supervisor_.failure();
+  if (!failure) return;
+  const std::string name = failure->substr(0, failure->find(':'));
+  std::string text = fmt::format("{} (all output: {})", *failure, log_path_.string());
+  const std::scoped_lock lock(mutex_);
+  if (const auto lines = last_lines_.find(name); lines != last_lines_.end()) {
+    for (const std::string& line : lines->second) text += "\n  " + line;
+  }
+  throw std::runtime_error(text);
+}
+
+void SupervisedRun::stop() {
+  stop_.request_stop();
+  if (thread_.joinable()) thread_.join();
+}
+
+void SupervisedRun::log_line(const std::string& process, const std::string& line, bool own) {
+  const std::scoped_lock lock(mutex_);
+  log_ << process << (own ? " * " : " | ") << line << std::endl;
+  auto& lines = last_lines_[process];
+  lines.push_back(line);
+  if (lines.size() > kLinesKept) lines.pop_front();
+}
+
+}  // namespace splatbus::cli

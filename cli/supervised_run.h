@@ -1,0 +1,62 @@
+#pragma once
+
+#include <atomic>
+#include <deque>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "supervisor.h"
+
+namespace splatbus::cli {
+
+/// A folder of our own for a bus, removed with what is in it when this goes.
+class PrivateBusFolder {
+ public:
+  PrivateBusFolder();  ///< throws std::runtime_error
+  ~PrivateBusFolder();
+  PrivateBusFolder(const PrivateBusFolder&) = delete;
+  PrivateBusFolder& operator=(const PrivateBusFolder&) = delete;
+  [[nodiscard]] bus::Address address() const;
+  [[nodiscard]] const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+/// A supervisor on a thread of its own, for commands that do something beside the services. What these write goes to a
+/// log file.
+class SupervisedRun {
+ public:
+  SupervisedRun(LaunchPlan plan, const std::filesystem::path& log);  ///< starts
+  ~SupervisedRun();                                                  ///< stops every process and waits for it
+  SupervisedRun(const SupervisedRun&) = delete;
+  SupervisedRun& operator=(const SupervisedRun&) = delete;
+
+  [[nodiscard]] std::vector<ProcessStatus> status() const { return supervisor_.status(); }
+  [[nodiscard]] bool all_running() const;
+
+  /// Throws std::runtime_error with its last lines of output once a process has failed for good.
+  void check() const;
+
+  void stop();  ///< in order; returns when everything has ended
+  void kill() { kill_.request_stop(); }
+
+ private:
+  void log_line(const std::string& process, const std::string& line, bool own);
+
+  std::filesystem::path log_path_;
+  mutable std::mutex mutex_;
+  std::ofstream log_;
+  std::map<std::string, std::deque<std::string>> last_lines_;
+  Supervisor supervisor_;
+  std::stop_source stop_, kill_;
+  std::jthread thread_;
+};
+
+}  // namespace splatbus::cli

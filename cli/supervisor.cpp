@@ -1,0 +1,283 @@
+#include "supervisor.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+#include <zmq.h>
+
+#include <algorithm>
+#include <csignal>
+#include <utility>
+
+#include "wire/system_generated.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+constexpr int kPollMs = 50;
+constexpr std::int64_t kFirstBackOff = kSecond / 10;
+constexpr std::int64_t kLongestBackOff = 8 * kSecond;
+constexpr std::int64_t kHealthy = 10 * kSecond;  ///< ready for that long: earlier ends are forgotten
+constexpr int kMostAttempts = 8;
+constexpr std::int64_t kTerminateTimeout = 3 * kSecond;
+constexpr std::int64_t kBrokerFresh = 3 * kSecond / 2;
+
+std::int64_t from_seconds(double seconds) {
+  return static_cast<std::int64_t>(seconds * static_cast<double>(kSecond));
+}
+
+std::int64_t back_off(int attempts) {
+  std::int64_t delay = kFirstBackOff;
+  for (int i = 1; i < attempts && delay < kLongestBackOff; ++i) delay *= 2;
+  return std::min(delay, kLongestBackOff);
+}
+
+}  // namespace
+
+const char* to_string(ProcessState state) {
+  switch (state) {
+    case ProcessState::Waiting:
+      return "waiting";
+    case ProcessState::Starting:
+      return "starting";
+    case ProcessState::Running:
+      return "running";
+    case ProcessState::BackOff:
+      return "back-off";
+    case ProcessState::Ended:
+      return "ended";
+    case ProcessState::Failed:
+      return "failed";
+  }
+  return "?";
+}
+
+Supervisor::Supervisor(LaunchPlan plan, Output output)
+    : output_(std::move(output)),
+      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid())), {"sys/heartbeat"}) {
+  for (ProcessPlan& process_plan : plan.processes) {
+    Process process;
+    process.status.name = process_plan.name;
+    process.plan = std::move(process_plan);
+    processes_.push_back(std::move(process));
+  }
+  publish_status();
+}
+
+Supervisor::~Supervisor() = default;
+
+bool Supervisor::run(const std::stop_token& stop, const std::stop_token& kill) {
+  while (!stop.stop_requested() && anything_to_do()) {
+    start_what_is_due();
+    wait_for_events();
+    read_heartbeats();
+    for (Process& process : processes_) reap(process, false);
+    check_signs_of_life();
+    publish_status();
+  }
+  while (std::any_of(processes_.begin(), processes_.end(), [](const Process& p) { return p.child.has_value(); })) {
+    terminate_in_order(kill.stop_requested());
+    wait_for_events();
+    for (Process& process : processes_) reap(process, true);
+    publish_status();
+  }
+  return !failure().has_value();
+}
+
+std::vector<ProcessStatus> Supervisor::status() const {
+  const std::scoped_lock lock(mutex_);
+  return published_;
+}
+
+std::optional<std::string> Supervisor::failure() const {
+  const std::scoped_lock lock(mutex_);
+  return failure_;
+}
+
+void Supervisor::wait_for_events() {
+  std::vector<zmq_pollitem_t> items{{heartbeats_.zmq_socket(), 0, ZMQ_POLLIN, 0}};
+  for (const Process& process : processes_) {
+    if (!process.child) continue;
+    items.push_back({nullptr, process.child->exit_fd(), ZMQ_POLLIN, 0});
+    if (process.child->output_fd() >= 0) items.push_back({nullptr, process.child->output_fd(), ZMQ_POLLIN, 0});
+  }
+  zmq_poll(items.data(), static_cast<int>(items.size()), kPollMs);
+  for (Process& process : processes_) pass_output(process, false);
+}
+
+void Supervisor::pass_output(Process& process, bool rest) {
+  if (!process.child) return;
+  for (const std::string& line : process.child->read_lines(rest)) output_(process.plan.name, line, false);
+}
+
+void Supervisor::read_heartbeats() {
+  while (const auto message = heartbeats_.receive(std::chrono::milliseconds(0))) {
+    bus::guarded(*message, [&] {
+      const auto& heartbeat = message->root<wire::Heartbeat>("Heartbeat/1");
+      for (Process& process : processes_) {
+        // By process id, since the broker also hands out the last heartbeat of those that are gone.
+        if (!process.child || process.child->pid() != static_cast<pid_t>(heartbeat.pid())) continue;
+        process.last_sign_ns = bus::now_ns();
+        process.status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
+        process.status.counters.clear();
+        if (heartbeat.counters() != nullptr) {
+          for (const auto* counter : *heartbeat.counters()) {
+            process.status.counters[counter->name()->str()] = counter->value();
+          }
+        }
+        if (process.status.state == ProcessState::Starting) ready(process);
+      }
+    });
+  }
+}
+
+void Supervisor::ready(Process& process) {
+  process.status.state = ProcessState::Running;
+  process.was_ready = true;
+  process.ready_ns = bus::now_ns();
+  process.last_sign_ns = process.ready_ns;
+  if (!process.plan.broker) return;
+  for (Process& other : processes_) other.last_sign_ns = process.ready_ns;
+}
+
+void Supervisor::reap(Process& process, bool stopping) {
+  if (!process.child) return;
+  const auto status = process.child->poll_exit();
+  if (!status) return;
+  pass_output(process, true);
+  process.child.reset();
+  process.status.pid = 0;
+  if (stopping) {
+    process.status.state = ProcessState::Ended;
+  } else {
+    ended(process, *status);
+  }
+}
+
+void Supervisor::ended(Process& process, const ExitStatus& status) {
+  const std::int64_t now = bus::now_ns();
+  if (process.status.state == ProcessState::Running && now - process.ready_ns > kHealthy) process.attempts = 0;
+  const RestartPolicy policy = process.plan.restart;
+  if (status.success() && policy != RestartPolicy::Always) {
+    process.was_ready = true;  // what waits for it waits for its end at most
+    process.status.state = ProcessState::Ended;
+    say(process, "ended");
+    return;
+  }
+  if (policy == RestartPolicy::Never) return fail(process, status.text());
+  if (++process.attempts >= kMostAttempts) {
+    return fail(process, fmt::format("{}, {} times in a row", status.text(), process.attempts));
+  }
+  const std::int64_t delay = back_off(process.attempts);
+  process.next_start_ns = now + delay;
+  process.status.state = ProcessState::BackOff;
+  process.status.detail = status.text();
+  say(process, fmt::format("{}; starting it again in {:.1f} s", status.text(), static_cast<double>(delay) / 1e9));
+}
+
+void Supervisor::start_what_is_due() {
+  const std::int64_t now = bus::now_ns();
+  for (Process& process : processes_) {
+    if (process.status.state == ProcessState::BackOff && now >= process.next_start_ns) {
+      ++process.status.restarts;
+      start(process);
+    }
+    if (process.status.state != ProcessState::Waiting) continue;
+    const auto failed = std::find_if(process.plan.after.begin(), process.plan.after.end(),
+                                     [&](std::size_t i) { return processes_[i].status.state == ProcessState::Failed; });
+    if (failed != process.plan.after.end()) {
+      fail(process, fmt::format("waits for {}, which failed", processes_[*failed].plan.name));
+    } else if (std::all_of(process.plan.after.begin(), process.plan.after.end(),
+                           [&](std::size_t i) { return processes_[i].was_ready; })) {
+      start(process);
+    }
+  }
+}
+
+void Supervisor::start(Process& process) {
+  process.started_ns = bus::now_ns();
+  process.last_sign_ns = process.started_ns;
+  process.terminate_ns = 0;
+  process.status.state = ProcessState::Starting;
+  process.status.detail.clear();
+  try {
+    process.child.emplace(process.plan.program, process.plan.arguments, process.plan.environment);
+  } catch (const std::runtime_error& error) {
+    return fail(process, error.what());
+  }
+  process.status.pid = process.child->pid();
+  say(process, fmt::format("started, process {}", process.status.pid));
+  if (process.plan.heartbeat_timeout_s <= 0) ready(process);
+}
+
+void Supervisor::check_signs_of_life() {
+  const std::int64_t now = bus::now_ns();
+  const bool answers = bus_answers();
+  for (Process& process : processes_) {
+    if (!process.child || process.plan.heartbeat_timeout_s <= 0 || process.terminate_ns != 0) continue;
+    if (!process.plan.broker && !answers) continue;
+    const bool starting = process.status.state == ProcessState::Starting;
+    const double limit_s = starting ? process.plan.start_timeout_s : process.plan.heartbeat_timeout_s;
+    if (now - process.last_sign_ns <= from_seconds(limit_s)) continue;
+    say(process, fmt::format("no heartbeat for {} s, killing it", limit_s));
+    process.terminate_ns = now;
+    process.child->signal_group(SIGKILL);
+  }
+}
+
+bool Supervisor::bus_answers() const {
+  const std::int64_t now = bus::now_ns();
+  return std::all_of(processes_.begin(), processes_.end(), [&](const Process& process) {
+    return !process.plan.broker ||
+           (process.status.state == ProcessState::Running && now - process.last_sign_ns < kBrokerFresh);
+  });
+}
+
+bool Supervisor::anything_to_do() const {
+  return std::any_of(processes_.begin(), processes_.end(), [](const Process& process) {
+    return process.status.state != ProcessState::Ended && process.status.state != ProcessState::Failed;
+  });
+}
+
+void Supervisor::terminate_in_order(bool kill) {
+  const std::int64_t now = bus::now_ns();
+  for (std::size_t i = 0; i < processes_.size(); ++i) {
+    Process& process = processes_[i];
+    if (!process.child) continue;
+    const bool needed = std::any_of(processes_.begin(), processes_.end(), [&](const Process& other) {
+      return other.child && std::find(other.plan.after.begin(), other.plan.after.end(), i) != other.plan.after.end();
+    });
+    if (kill) {
+      process.child->signal_group(SIGKILL);
+    } else if (process.terminate_ns == 0) {
+      if (needed) continue;
+      process.terminate_ns = now;
+      process.child->signal_group(SIGTERM);
+    } else if (now - process.terminate_ns > kTerminateTimeout) {
+      say(process, "does not stop, killing it");
+      process.terminate_ns = now;
+      process.child->signal_group(SIGKILL);
+    }
+  }
+}
+
+void Supervisor::fail(Process& process, const std::string& reason) {
+  process.status.state = ProcessState::Failed;
+  process.status.detail = reason;
+  say(process, "failed: " + reason);
+  const std::scoped_lock lock(mutex_);
+  if (!failure_) failure_ = process.plan.name + ": " + reason;
+}
+
+void Supervisor::say(const Process& process, const std::string& text) const {
+  output_(process.plan.name, text, true);
+}
+
+void Supervisor::publish_status() {
+  const std::scoped_lock lock(mutex_);
+  published_.clear();
+  for (const Process& process : processes_) published_.push_back(process.status);
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "bus/context.h"
+
+namespace splatbus::cli {
+
+/// What the command line came to; returns the exit status. Errors are thrown as std::exception and reported by main.
+using Action = std::function<int()>;
+
+// Each verb adds itself to the program, and sets `action` when it is the one that was asked for.
+void add_launch_verb(CLI::App& app, Action& action);
+void add_topic_verb(CLI::App& app, Action& action);
+void add_node_verb(CLI::App& app, Action& action);
+void add_export_verb(CLI::App& app, Action& action);
+void add_eval_verb(CLI::App& app, Action& action);
+void add_demo_verb(CLI::App& app, Action& action);
+
+/// Adds --bus to a verb.
+void add_bus_option(CLI::App& verb, std::string& address);
+/// The bus that --bus names, or the default one.
+[[nodiscard]] bus::Address bus_address(const std::string& option);
+/// A connection of this command, under a name of its own.
+[[nodiscard]] std::shared_ptr<bus::Context> connect(const bus::Address& address);
+
+}  // namespace splatbus::cli
