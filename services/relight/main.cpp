@@ -1,0 +1,13 @@
+#include "bus/service.h"
+#include "relight/relight.h"
+
+int main(int argc, char** argv) {
+  const splatbus::bus::ServiceDescription description{
+      .kind = "relight",
+      .summary = "Tests which Gaussians the sun reaches",
+      .parameters = splatbus::relight::parameter_specs(),
+  };
+  return splatbus::bus::service_main(argc, argv, description, [](splatbus::bus::ServiceContext& service) {
+    splatbus::relight::Relight(service).run();
+  });
+}

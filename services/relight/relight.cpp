@@ -1,0 +1,168 @@
+#include "relight/relight.h"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <utility>
+
+#include "wire/convert.h"
+#include "wire/model_generated.h"
+#include "wire/published_model.h"
+#include "wire/scene_generated.h"
+
+namespace splatbus::relight {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kReceiveTimeout = 50ms;
+constexpr std::size_t kRingSlots = 4;
+constexpr std::uint32_t kMaxSide = 16384;
+
+bool same(const Rigid& a, const Rigid& b) {
+  return a.rotation == b.rotation && a.translation == b.translation;
+}
+
+bool same(const ObjectTransforms& a, const ObjectTransforms& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](const auto& x, const auto& y) { return x.first == y.first && same(x.second, y.second); });
+}
+
+bool same(const Camera& a, const Camera& b) {
+  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
+         same(a.world_from_camera, b.world_from_camera);
+}
+
+}  // namespace
+
+std::vector<bus::ParameterSpec> parameter_specs() {
+  return {
+      {.name = "softness_m",
+       .default_value = 0.012,
+       .description = "radius in metres of the shadow's filter, as the engine's own",
+       .minimum = 0,
+       .maximum = 10},
+      {.name = "footprint",
+       .default_value = 0.5,
+       .description = "added to that radius, in standard deviations of the Gaussian",
+       .minimum = 0,
+       .maximum = 10},
+      {.name = "lift_texels",
+       .default_value = 1.0,
+       .description = "by which a tested point is raised along its normal, in texels of the depth map",
+       .minimum = 0,
+       .maximum = 100},
+  };
+}
+
+Relight::Relight(bus::ServiceContext& service) : service_(service), publisher_(service.bus, "relight/visibility") {}
+
+VisibilityOptions Relight::options() const {
+  return {.softness_m = static_cast<float>(service_.parameters.number("softness_m")),
+          .footprint = static_cast<float>(service_.parameters.number("footprint")),
+          .lift_texels = static_cast<float>(service_.parameters.number("lift_texels"))};
+}
+
+void Relight::run() {
+  bus::Subscriber subscriber(service_.bus, {"model/published", "scene/light_depth", "scene/objects"});
+  while (!service_.stop.stop_requested()) {
+    for (const auto& message : subscriber.receive_newest(kReceiveTimeout)) {
+      bus::guarded(message, [&] { handle(message); });
+    }
+    if (model_) bus::guarded(*model_, [&] { update(); });
+    service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
+    service_.counter("published", static_cast<double>(published_));
+    service_.detail(!map_     ? "waits for scene/light_depth"
+                    : !model_ ? "waits for model/published"
+                              : "follows the light");
+  }
+}
+
+void Relight::handle(const bus::Message& message) {
+  if (message.topic() == "model/published") {
+    static_cast<void>(message.root<wire::ModelPublished>("ModelPublished/1"));  // throws when it is malformed
+    model_ = message;
+  } else if (message.topic() == "scene/light_depth") {
+    take_depth(message);
+  } else if (message.topic() == "scene/objects") {
+    auto objects = from_wire(message.root<wire::SceneObjects>("SceneObjects/1").objects());
+    // With transforms of its own, the depth map is what the visibility follows: both are of one frame.
+    scene_changed_ |= map_ && map_->objects.empty() && (!objects_ || !same(*objects_, objects));
+    objects_ = std::move(objects);
+  }
+}
+
+void Relight::take_depth(const bus::Message& message) {
+  const auto& depth = message.root<wire::SceneLightDepth>("SceneLightDepth/1");
+  DepthMap map{.camera = from_wire(*depth.camera()),
+               .light_generation = depth.light()->generation(),
+               .objects = from_wire(depth.objects()),
+               .depth_m = {}};
+  if (map.camera.role != CameraRole::Light || map.camera.width > kMaxSide || map.camera.height > kMaxSide) {
+    throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +
+                     " texels a side");
+  }
+  const bool unchanged = map_ && map_->light_generation == map.light_generation && same(map_->camera, map.camera) &&
+                         same(map_->objects, map.objects);
+  if (unchanged) return;
+  const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {map.camera.height, map.camera.width});
+  if (tensor) map.depth_m.resize(tensor->elements());
+  if (!tensor || !tensor->copy(map.depth_m.data())) {
+    ++lost_tensors_;
+    return;
+  }
+  map_ = std::move(map);
+  scene_changed_ = true;
+}
+
+void Relight::update() {
+  if (!map_) return;
+  const auto& published = model_->root<wire::ModelPublished>("ModelPublished/1");
+  const std::uint64_t version = service_.parameters.version();
+  if (!scene_changed_ && published.generation() == computed_generation_ && version == parameters_version_) return;
+  if (published.count() == 0 || published.appearance() != wire::Appearance::Transfer) return;
+  const auto model = PublishedModel::open(*model_);
+  if (!model) {
+    model_.reset();  // its structure has moved on: the next message is on its way
+    return;
+  }
+  const auto start = std::chrono::steady_clock::now();
+  const GaussiansView& gaussians = model->average();
+  visibility_.resize(gaussians.count);
+  const ObjectTransforms& objects = map_->objects.empty() && objects_ ? *objects_ : map_->objects;
+  compute_visibility(gaussians, objects, {.camera = map_->camera, .depth_m = map_->depth_m.data()}, options(),
+                     visibility_);
+  if (!model->still_valid()) {
+    model_.reset();
+    return;
+  }
+  const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - start;
+  service_.counter("compute_ms", spent.count());
+  computed_generation_ = model->generation();
+  parameters_version_ = version;
+  scene_changed_ = false;
+  publish(model->generation(), gaussians.count);
+}
+
+void Relight::publish(std::uint64_t model_generation, std::size_t count) {
+  const std::size_t bytes = count * sizeof(float);
+  if (!slab_ || slab_->slot_bytes() < bytes) slab_ = service_.bus->create_slab("visibility", kRingSlots, 2 * bytes);
+  const std::size_t slot = slab_->next_slot();
+  std::memcpy(slab_->slot_data(slot), visibility_.data(), bytes);
+  const std::uint64_t generation = slab_->end_write(slot);
+  bus::MessageInfo info{.schema = "RelightVisibility/1", .latch = true};
+  info.tensors.push_back({.name = "visibility",
+                          .shape = {1, static_cast<std::uint32_t>(count)},
+                          .type = bus::ElementType::F32,
+                          .span = slab_->span(slot, 0, bytes, generation),
+                          .inline_data = service_.bus->address().is_local() ? nullptr : visibility_.data()});
+  publisher_.publish(info, [&](auto& builder, auto header) {
+    return wire::CreateRelightVisibility(builder, header, model_generation, map_->light_generation, count);
+  });
+  ++published_;
+}
+
+}  // namespace splatbus::relight
