@@ -1,0 +1,72 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <mutex>
+#include <optional>
+#include <unordered_set>
+#include <utility>
+#include <vector>
+
+#include "trainer/insert_batch.h"
+
+namespace splatbus::trainer {
+
+struct CellsCommand {
+  std::unordered_set<std::uint64_t> cells;
+  bool freeze = false;
+};
+
+struct VisibilityCommand {
+  std::uint64_t model_generation = 0;
+  std::vector<float> visibility;
+};
+
+/// What others ask of the model, in order of arrival within each kind.
+struct Commands {
+  std::vector<InsertBatch> inserts;
+  std::vector<CellsCommand> cells;
+  std::optional<VisibilityCommand> visibility;  ///< the newest
+
+  [[nodiscard]] bool empty() const { return inserts.empty() && cells.empty() && !visibility; }
+};
+
+/// Hands commands from the message thread to the optimizer's, which takes them between two steps.
+class CommandQueue {
+ public:
+  template <class Edit>
+  void post(Edit&& edit) {
+    {
+      const std::scoped_lock lock(mutex_);
+      std::forward<Edit>(edit)(commands_);
+      woken_ = true;
+    }
+    wake_.notify_one();
+  }
+
+  /// Wakes wait() without a command: a view has arrived.
+  void wake() {
+    post([](Commands&) {});
+  }
+
+  [[nodiscard]] Commands take() {
+    const std::scoped_lock lock(mutex_);
+    return std::exchange(commands_, {});
+  }
+
+  /// Until something is posted or `timeout` has passed.
+  void wait(std::chrono::milliseconds timeout) {
+    std::unique_lock lock(mutex_);
+    wake_.wait_for(lock, timeout, [&] { return woken_; });
+    woken_ = false;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  Commands commands_;
+  bool woken_ = false;
+};
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "bus/subscriber.h"
+#include "gaussians/light.h"
+
+namespace splatbus::trainer {
+
+/// New Gaussians in host memory of our own, checked: everything finite, rotations and normals unit, albedo and
+/// visibility in [0, 1]. Planes [channels][count]; frames as in wire::ModelInsert.
+struct InsertBatch {
+  std::uint64_t epoch = 0;  ///< of the expander
+  std::uint64_t batch = 0;  ///< unique within the epoch
+  std::size_t count = 0;
+  std::size_t dropped = 0;  ///< rows that were not finite or without a direction
+  std::vector<float> mean, log_scale, rotation, opacity_logit, albedo, normal, visibility;
+  std::vector<std::uint32_t> object_id;
+  std::vector<std::uint64_t> cell;
+  ObjectTransforms objects;
+  Light light;
+
+  [[nodiscard]] std::size_t bytes() const;
+};
+
+/// Copies a model/insert message out of the expander's slab and checks every row. `lost` when the slab moved on
+/// meanwhile (the expander repeats the batch). Throws bus::Error or std::runtime_error when the message lies about its
+/// tensors.
+struct InsertReading {
+  bool lost = false;
+  InsertBatch batch;
+};
+[[nodiscard]] InsertReading read_insert(const bus::Message& message);
+
+/// Keeps the rows that can be Gaussians, normalised and clamped; counts the others in `dropped`.
+void keep_valid_rows(InsertBatch& batch);
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,14 @@
+#include "bus/service.h"
+#include "trainer/options.h"
+#include "trainer/trainer.h"
+
+int main(int argc, char** argv) {
+  const splatbus::bus::ServiceDescription description{
+      .kind = "trainer",
+      .summary = "Holds the Gaussian model and refines it on the engine's renders",
+      .parameters = splatbus::trainer::parameter_specs(),
+  };
+  return splatbus::bus::service_main(argc, argv, description, [](splatbus::bus::ServiceContext& service) {
+    splatbus::trainer::Trainer(service).run();
+  });
+}

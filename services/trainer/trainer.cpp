@@ -1,0 +1,135 @@
+#include "trainer/trainer.h"
+
+#include <spdlog/spdlog.h>
+
+#include <exception>
+#include <map>
+
+#include "wire/capture_generated.h"
+#include "wire/model_generated.h"
+
+namespace splatbus::trainer {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kReceiveTimeout = 50ms;
+constexpr int kMaxDrained = 512;
+constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
+
+}  // namespace
+
+Trainer::Trainer(bus::ServiceContext& service) : service_(service), schedule_(read_options(service.parameters).seed) {}
+
+void Trainer::run() {
+  const Options options = read_options(service_.parameters);
+  with_depth_ = options.depth_weight > 0;
+  store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians);
+  spdlog::info("model: {}", store_->origin());
+  optimizer_ = std::make_unique<Optimizer>(*store_, options);
+  options_version_ = service_.parameters.version();
+  model_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "model/published");
+  stats_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/stats");
+  cells_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/cells");
+
+  const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
+  receive();
+  commands_.wake();
+}
+
+void Trainer::receive() {
+  bus::Subscriber subscriber(
+      service_.bus, {"capture/reference", "model/insert", "model/freeze", "model/unfreeze", "relight/visibility"});
+  while (!service_.stop.stop_requested()) {
+    auto message = subscriber.receive(kReceiveTimeout);
+    // Pictures that are outdated by others in the queue are not copied.
+    std::vector<bus::Message> references;
+    for (int n = 0; message && n < kMaxDrained; ++n) {
+      if (message->topic() == "capture/reference") {
+        references.push_back(std::move(*message));
+      } else {
+        bus::guarded(*message, [&] { handle(*message); });
+      }
+      message = subscriber.receive(0ms);
+    }
+    if (message) bus::guarded(*message, [&] { handle(*message); });
+    take_references(references);
+    service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
+    service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
+  }
+}
+
+void Trainer::take_references(const std::vector<bus::Message>& messages) {
+  std::map<ViewKey, const bus::Message*> newest;
+  for (const auto& message : messages) {
+    bus::guarded(message, [&] { newest[reference_key(message)] = &message; });
+  }
+  for (const auto& [key, message] : newest) {
+    bus::guarded(*message, [&, m = message] { take_reference(*m); });
+  }
+}
+
+void Trainer::handle(const bus::Message& message) {
+  if (message.topic() == "capture/reference") return take_reference(message);
+  if (message.topic() == "model/insert") return take_insert(message);
+  if (message.topic() == "model/freeze") return take_cells(message, true);
+  if (message.topic() == "model/unfreeze") return take_cells(message, false);
+  if (message.topic() == "relight/visibility") return take_visibility(message);
+}
+
+void Trainer::take_reference(const bus::Message& message) {
+  auto reading = read_reference(message, with_depth_);
+  if (reading.retire) return views_.retire(reading.key);
+  if (reading.lost) {
+    ++lost_tensors_;
+    return;
+  }
+  host_copied_bytes_ += reading.view->bytes();
+  views_.put(std::move(reading.view));
+  commands_.wake();
+}
+
+void Trainer::take_insert(const bus::Message& message) {
+  auto reading = read_insert(message);
+  if (reading.lost) {
+    ++lost_tensors_;
+    return;
+  }
+  if (reading.batch.dropped > 0) {
+    dropped_rows_ += reading.batch.dropped;
+    service_.counter("dropped_rows", static_cast<double>(dropped_rows_));
+    spdlog::warn("model/insert from {}: {} of {} Gaussians in batch {} are not valid and were dropped",
+                 message.header().source()->str(), reading.batch.dropped, reading.batch.dropped + reading.batch.count,
+                 reading.batch.batch);
+  }
+  host_copied_bytes_ += reading.batch.bytes();
+  commands_.post([&](Commands& commands) { commands.inserts.push_back(std::move(reading.batch)); });
+}
+
+void Trainer::take_cells(const bus::Message& message, bool freeze) {
+  const auto* cells = message.root<wire::ModelCells>("ModelCells/1").cells();
+  if (cells == nullptr || cells->size() == 0) return;
+  CellsCommand command{.cells = {cells->begin(), cells->end()}, .freeze = freeze};
+  commands_.post([&](Commands& commands) { commands.cells.push_back(std::move(command)); });
+}
+
+void Trainer::take_visibility(const bus::Message& message) {
+  const auto& relit = message.root<wire::RelightVisibility>("RelightVisibility/1");
+  if (relit.count() > kMaxVisibilities) {
+    throw bus::Error(message.topic() + ": a count of " + std::to_string(relit.count()) + " makes no sense");
+  }
+  if (relit.count() == 0) return;
+  const auto tensor =
+      message.tensor("visibility", bus::ElementType::F32, {1, static_cast<std::uint32_t>(relit.count())});
+  VisibilityCommand command{.model_generation = relit.model_generation(),
+                            .visibility = std::vector<float>(relit.count())};
+  if (!tensor || !tensor->copy(command.visibility.data())) {
+    ++lost_tensors_;
+    return;
+  }
+  for (float& value : command.visibility) value = value >= 0 ? std::min(value, 1.0F) : 0.0F;  // NaN becomes 0
+  commands_.post([&](Commands& commands) { commands.visibility = std::move(command); });
+}
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,87 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <stop_token>
+#include <thread>
+#include <vector>
+
+#include "bus/publisher.h"
+#include "bus/service.h"
+#include "bus/subscriber.h"
+#include "trainer/commands.h"
+#include "trainer/optimizer.h"
+#include "trainer/schedule.h"
+#include "trainer/view_store.h"
+
+namespace splatbus::trainer {
+
+/// What training came to, for trainer/stats. Belongs to the optimizer's thread.
+class Progress {
+ public:
+  void add(double seconds, std::size_t views, double loss);
+  [[nodiscard]] double steps_per_s() const;  ///< over the last second of optimizer time
+  [[nodiscard]] double views_per_s() const;
+  [[nodiscard]] double loss() const { return loss_; }  ///< exponential mean over about 20 steps
+
+ private:
+  struct Step {
+    double seconds;
+    std::size_t views;
+  };
+  std::deque<Step> recent_;
+  double recent_s_ = 0, loss_ = 0;
+  std::size_t recent_views_ = 0;
+  bool any_ = false;
+};
+
+/// The trainer service: one thread takes messages, another one owns the model and steps without end.
+class Trainer {
+ public:
+  explicit Trainer(bus::ServiceContext& service);
+
+  /// Until `service.stop`. Throws bus::Error when no broker comes.
+  void run();
+
+ private:
+  // Message thread.
+  void receive();
+  void handle(const bus::Message& message);
+  void take_references(const std::vector<bus::Message>& messages);
+  void take_reference(const bus::Message& message);
+  void take_cells(const bus::Message& message, bool freeze);
+  void take_visibility(const bus::Message& message);
+  void take_insert(const bus::Message& message);
+
+  // Optimizer thread.
+  void optimize(const std::stop_token& stop);
+  void optimize_once();
+  void refresh_options();
+  [[nodiscard]] bool may_step() const;
+  void train_step();
+  void publish_due(bool structure_changed);
+  void publish_stats(bool stopped);
+  void publish_cells();
+
+  bus::ServiceContext& service_;
+  ViewStore views_;
+  CommandQueue commands_;
+  std::atomic<bool> with_depth_{false};
+  std::atomic<std::uint64_t> host_copied_bytes_{0};
+  std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0;
+
+  std::unique_ptr<ModelStore> store_;
+  std::unique_ptr<Optimizer> optimizer_;
+  Schedule schedule_;
+  Progress progress_;
+  std::uint64_t options_version_ = 0;
+  std::uint64_t announced_stop_ = ~std::uint64_t{0};  ///< step at which stats of a stop were published
+  using Clock = std::chrono::steady_clock;
+  Clock::time_point model_published_{}, stats_published_{};
+  std::unique_ptr<bus::Publisher> model_publisher_, stats_publisher_, cells_publisher_;
+};
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,131 @@
+// The optimizer's thread of the trainer: commands, steps and what is published of them.
+
+#include <spdlog/spdlog.h>
+
+#include <exception>
+#include <vector>
+
+#include "trainer/trainer.h"
+#include "wire/model_generated.h"
+
+namespace splatbus::trainer {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kIdleWait = 20ms;
+constexpr auto kAfterError = 500ms;
+constexpr auto kModelPeriod = 250ms;
+constexpr auto kRemoteModelPeriod = 5s;  // over tcp the planes ride in every message
+constexpr auto kStatsPeriod = 1s;
+
+}  // namespace
+
+void Trainer::optimize(const std::stop_token& stop) {
+  while (!stop.stop_requested()) {
+    try {
+      optimize_once();
+    } catch (const std::exception& error) {
+      spdlog::error("optimizer: {}", error.what());
+      commands_.wait(kAfterError);
+    }
+  }
+}
+
+void Trainer::optimize_once() {
+  refresh_options();
+  Commands commands = commands_.take();
+  const bool structure_changed = !commands.empty() && optimizer_->apply(commands);
+  publish_due(structure_changed);
+  if (may_step()) {
+    train_step();
+  } else {
+    commands_.wait(kIdleWait);
+  }
+}
+
+void Trainer::refresh_options() {
+  const std::uint64_t version = service_.parameters.version();
+  if (version == options_version_) return;
+  options_version_ = version;
+  optimizer_->set_options(read_options(service_.parameters));
+  with_depth_ = optimizer_->options().depth_weight > 0;
+}
+
+bool Trainer::may_step() const {
+  const Options& options = optimizer_->options();
+  if (options.paused || (options.run_until != 0 && store_->step() >= options.run_until)) return false;
+  const bool inputs_count = options.input_view_interval > 0;
+  return store_->count() > 0 &&
+         (views_.count(CameraRole::Reference) > 0 || (inputs_count && views_.count(CameraRole::Input) > 0));
+}
+
+void Trainer::train_step() {
+  const Options& options = optimizer_->options();
+  std::vector<TrainingViewPtr> batch;
+  for (int i = 0; i < options.batch; ++i) {
+    if (auto view = schedule_.next(views_, options.input_view_interval)) batch.push_back(std::move(view));
+  }
+  const double before_s = store_->optimizer_s();
+  const std::uint64_t generation = store_->structure().generation;
+  const double loss = optimizer_->step(batch);
+  progress_.add(store_->optimizer_s() - before_s, batch.size(), loss);
+  if (store_->structure().generation != generation) publish_due(true);
+}
+
+void Trainer::publish_due(bool structure_changed) {
+  const auto now = Clock::now();
+  const Options& options = optimizer_->options();
+  const bool stopped = options.run_until != 0 && store_->step() >= options.run_until;
+  const bool newly_stopped = stopped && announced_stop_ != store_->step();
+  const auto period = service_.bus->address().is_local() ? Clock::duration(kModelPeriod) : kRemoteModelPeriod;
+  if (structure_changed || newly_stopped || now - model_published_ >= period) {
+    store_->publish(*model_publisher_);
+    model_published_ = now;
+  }
+  if (newly_stopped || now - stats_published_ >= kStatsPeriod) {
+    publish_stats(stopped || options.paused);
+    publish_cells();
+    stats_published_ = now;
+  }
+  announced_stop_ = stopped ? store_->step() : ~std::uint64_t{0};
+}
+
+void Trainer::publish_stats(bool stopped) {
+  const auto references = static_cast<std::uint32_t>(views_.count(CameraRole::Reference));
+  const auto inputs = static_cast<std::uint32_t>(views_.count(CameraRole::Input));
+  service_.counter("step", static_cast<double>(store_->step()));
+  service_.counter("gaussians", static_cast<double>(store_->count()));
+  service_.counter("steps_per_s", progress_.steps_per_s());
+  service_.counter("loss", progress_.loss());
+  if (stopped) {
+    service_.detail("stopped at step " + std::to_string(store_->step()));
+  } else if (store_->count() == 0) {
+    service_.detail("waits for Gaussians");
+  } else if (references + inputs == 0) {
+    service_.detail("waits for training views");
+  } else {
+    service_.detail("trains");
+  }
+  stats_publisher_->publish({.schema = "TrainerStats/1"}, [&](auto& builder, auto header) {
+    return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
+                                    progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
+                                    store_->count() - store_->structure().frozen, references, inputs, stopped,
+                                    host_copied_bytes_.load());
+  });
+}
+
+void Trainer::publish_cells() {
+  std::vector<wire::CellStats> cells;
+  for (const auto& [id, cell] : optimizer_->cells().cells()) {
+    if (cell.seen) cells.emplace_back(id, cell.count, cell.loss, cell.movement);
+  }
+  if (cells.empty()) return;
+  cells_publisher_->publish({.schema = "TrainerCells/1"}, [&](auto& builder, auto header) {
+    const auto list = builder.CreateVectorOfStructs(cells);
+    return wire::CreateTrainerCells(builder, header, store_->step(), list);
+  });
+}
+
+}  // namespace splatbus::trainer

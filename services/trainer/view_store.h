@@ -1,0 +1,78 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <utility>
+#include <vector>
+
+#include "bus/subscriber.h"
+#include "gaussians/light.h"
+
+namespace splatbus::trainer {
+
+/// An engine render to train on, in memory of our own. Immutable once it is in the store.
+struct TrainingView {
+  Camera camera;
+  SceneState scene;  ///< light and object transforms of that very frame
+  std::uint64_t frame = 0;
+  std::vector<std::uint8_t> color;   ///< [h][w][4], display space
+  std::vector<std::uint8_t> albedo;  ///< the same, or empty
+  std::vector<float> depth;          ///< [h][w] metres along z, 0 where there is no surface; or empty
+
+  [[nodiscard]] std::size_t bytes() const { return color.size() + albedo.size() + depth.size() * sizeof(float); }
+};
+
+using TrainingViewPtr = std::shared_ptr<const TrainingView>;
+
+/// Identity of a view: its camera.
+struct ViewKey {
+  CameraRole role = CameraRole::Reference;
+  std::uint32_t id = 0;
+  auto operator<=>(const ViewKey&) const = default;
+};
+
+/// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room.
+/// Thread-safe.
+class ViewStore {
+ public:
+  explicit ViewStore(std::size_t max_views = 1024, std::size_t max_bytes = std::size_t{2} << 30);
+
+  void put(TrainingViewPtr view);
+  void retire(const ViewKey& key);
+  [[nodiscard]] TrainingViewPtr find(const ViewKey& key) const;
+  [[nodiscard]] std::vector<ViewKey> keys(CameraRole role) const;
+  [[nodiscard]] std::size_t count(CameraRole role) const;
+  [[nodiscard]] std::size_t bytes() const;
+  /// Grows whenever a camera comes or goes.
+  [[nodiscard]] std::uint64_t cameras_version() const;
+
+ private:
+  struct Entry {
+    TrainingViewPtr view;
+    std::uint64_t updated = 0;
+  };
+  void evict(const ViewKey& newest);
+
+  const std::size_t max_views_, max_bytes_;
+  mutable std::mutex mutex_;
+  std::map<ViewKey, Entry> views_;
+  std::size_t bytes_ = 0;
+  std::uint64_t updates_ = 0, cameras_version_ = 0;
+};
+
+/// A capture/reference message: a view, a camera that retires, or a picture that was overwritten before it could be
+/// copied (`lost`). Throws bus::Error or std::runtime_error when the message lies.
+struct ReferenceReading {
+  ViewKey key;
+  bool retire = false, lost = false;
+  TrainingViewPtr view;
+};
+[[nodiscard]] ReferenceReading read_reference(const bus::Message& message, bool with_depth);
+
+/// The camera of the message alone, without its pictures.
+[[nodiscard]] ViewKey reference_key(const bus::Message& message);
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,121 @@
+#include <gtest/gtest.h>
+
+#include <map>
+#include <memory>
+#include <set>
+
+#include "trainer/schedule.h"
+#include "trainer/view_store.h"
+
+namespace splatbus::trainer {
+namespace {
+
+TrainingViewPtr make_view(CameraRole role, std::uint32_t id, std::uint64_t frame = 0, std::size_t bytes = 16) {
+  TrainingView view;
+  view.camera.role = role;
+  view.camera.id = id;
+  view.frame = frame;
+  view.color.resize(bytes);
+  return std::make_shared<const TrainingView>(std::move(view));
+}
+
+TEST(ViewStore, KeepsTheNewestOfEachCamera) {
+  ViewStore store;
+  store.put(make_view(CameraRole::Reference, 1, 1));
+  store.put(make_view(CameraRole::Input, 1, 2));
+  store.put(make_view(CameraRole::Reference, 1, 3));
+  EXPECT_EQ(store.count(CameraRole::Reference), 1U);
+  EXPECT_EQ(store.find({.role = CameraRole::Reference, .id = 1})->frame, 3U);
+  EXPECT_EQ(store.find({.role = CameraRole::Input, .id = 1})->frame, 2U);
+  EXPECT_EQ(store.bytes(), 32U);
+}
+
+TEST(ViewStore, ForgetsWhatRetiresButNotWhatIsInUse) {
+  ViewStore store;
+  store.put(make_view(CameraRole::Reference, 1));
+  const auto held = store.find({.role = CameraRole::Reference, .id = 1});
+  const auto version = store.cameras_version();
+  store.retire({.role = CameraRole::Reference, .id = 1});
+  store.retire({.role = CameraRole::Reference, .id = 2});
+  EXPECT_EQ(store.find({.role = CameraRole::Reference, .id = 1}), nullptr);
+  EXPECT_EQ(store.bytes(), 0U);
+  EXPECT_EQ(held->color.size(), 16U);
+  EXPECT_EQ(store.cameras_version(), version + 1);
+}
+
+TEST(ViewStore, MakesRoomByTheViewUpdatedLongestAgo) {
+  ViewStore store(3, 1000);
+  for (std::uint32_t id = 0; id < 3; ++id) store.put(make_view(CameraRole::Reference, id));
+  store.put(make_view(CameraRole::Reference, 0));
+  store.put(make_view(CameraRole::Reference, 3));
+  EXPECT_EQ(store.find({.role = CameraRole::Reference, .id = 1}), nullptr);
+  EXPECT_NE(store.find({.role = CameraRole::Reference, .id = 0}), nullptr);
+  store.put(make_view(CameraRole::Reference, 4, 0, 990));
+  EXPECT_EQ(store.count(CameraRole::Reference), 1U) << "bounded in bytes too";
+}
+
+TEST(Schedule, TakesOneInputViewAfterThreeReferences) {
+  ViewStore store;
+  for (std::uint32_t id = 0; id < 8; ++id) store.put(make_view(CameraRole::Reference, id));
+  for (std::uint32_t id = 0; id < 40; ++id) store.put(make_view(CameraRole::Input, id));
+  Schedule schedule(7);
+  std::map<CameraRole, int> drawn;
+  for (int i = 0; i < 400; ++i) ++drawn[schedule.next(store, 3)->camera.role];
+  EXPECT_EQ(drawn[CameraRole::Reference], 300);
+  EXPECT_EQ(drawn[CameraRole::Input], 100);
+}
+
+TEST(Schedule, VisitsEveryReferenceOnceAnEpochInChangingOrder) {
+  ViewStore store;
+  for (std::uint32_t id = 0; id < 10; ++id) store.put(make_view(CameraRole::Reference, id));
+  Schedule schedule(7);
+  std::set<std::vector<std::uint32_t>> orders;
+  for (int epoch = 0; epoch < 5; ++epoch) {
+    std::vector<std::uint32_t> order;
+    for (int i = 0; i < 10; ++i) order.push_back(schedule.next(store, 0)->camera.id);
+    orders.insert(order);
+    EXPECT_EQ(std::set<std::uint32_t>(order.begin(), order.end()).size(), 10U);
+  }
+  EXPECT_GT(orders.size(), 1U);
+}
+
+TEST(Schedule, IsTheSameForTheSameSeed) {
+  ViewStore store;
+  for (std::uint32_t id = 0; id < 10; ++id) store.put(make_view(CameraRole::Reference, id));
+  Schedule a(3);
+  Schedule b(3);
+  Schedule c(4);
+  int differing = 0;
+  for (int i = 0; i < 50; ++i) {
+    const auto id = a.next(store, 0)->camera.id;
+    EXPECT_EQ(id, b.next(store, 0)->camera.id);
+    differing += id == c.next(store, 0)->camera.id ? 0 : 1;
+  }
+  EXPECT_GT(differing, 10);
+}
+
+TEST(Schedule, MakesDoWithWhatIsThere) {
+  ViewStore store;
+  Schedule schedule(1);
+  EXPECT_EQ(schedule.next(store, 3), nullptr);
+  store.put(make_view(CameraRole::Input, 5));
+  EXPECT_EQ(schedule.next(store, 0), nullptr);
+  EXPECT_EQ(schedule.next(store, 3)->camera.id, 5U);
+  store.put(make_view(CameraRole::Reference, 6));
+  store.retire({.role = CameraRole::Input, .id = 5});
+  for (int i = 0; i < 8; ++i) EXPECT_EQ(schedule.next(store, 3)->camera.id, 6U);
+}
+
+TEST(Schedule, SkipsCamerasThatRetiredWithinAnEpoch) {
+  ViewStore store;
+  for (std::uint32_t id = 0; id < 4; ++id) store.put(make_view(CameraRole::Reference, id));
+  Schedule schedule(1);
+  const auto first = schedule.next(store, 0)->camera.id;
+  for (std::uint32_t id = 0; id < 4; ++id) {
+    if (id != first) store.retire({.role = CameraRole::Reference, .id = id});
+  }
+  EXPECT_EQ(schedule.next(store, 0)->camera.id, first);
+}
+
+}  // namespace
+}  // namespace splatbus::trainer
