@@ -1,0 +1,59 @@
+#pragma once
+
+#include <cuda_runtime.h>
+
+#include <cstddef>
+#include <utility>
+
+#include "raster/cuda/workspace.h"
+
+namespace splatbus::raster::cuda {
+
+/// Owner of a device array; its contents are lost when it grows. Throws std::runtime_error.
+template <class T>
+class DeviceBuffer {
+ public:
+  DeviceBuffer() = default;
+  explicit DeviceBuffer(std::size_t elements) { resize(elements); }
+  ~DeviceBuffer() { cudaFree(data_); }
+  DeviceBuffer(DeviceBuffer&& other) noexcept
+      : data_(std::exchange(other.data_, nullptr)),
+        size_(std::exchange(other.size_, 0)),
+        capacity_(std::exchange(other.capacity_, 0)) {}
+  DeviceBuffer& operator=(DeviceBuffer&& other) noexcept {
+    std::swap(data_, other.data_);
+    std::swap(size_, other.size_);
+    std::swap(capacity_, other.capacity_);
+    return *this;
+  }
+  DeviceBuffer(const DeviceBuffer&) = delete;
+  DeviceBuffer& operator=(const DeviceBuffer&) = delete;
+
+  void resize(std::size_t elements) {
+    if (elements > capacity_) {
+      cudaFree(data_);
+      data_ = nullptr;
+      capacity_ = 0;
+      check(cudaMalloc(reinterpret_cast<void**>(&data_), elements * sizeof(T)), "allocating a buffer");
+      capacity_ = elements;
+    }
+    size_ = elements;
+  }
+  void upload(const T* host, std::size_t elements, cudaStream_t stream) {
+    resize(elements);
+    check(cudaMemcpyAsync(data_, host, elements * sizeof(T), cudaMemcpyHostToDevice, stream), "copying to the device");
+  }
+  void download(T* host, std::size_t elements, cudaStream_t stream) const {
+    check(cudaMemcpyAsync(host, data_, elements * sizeof(T), cudaMemcpyDeviceToHost, stream), "copying to the host");
+  }
+  void clear(cudaStream_t stream) { check(cudaMemsetAsync(data_, 0, size_ * sizeof(T), stream), "clearing a buffer"); }
+
+  [[nodiscard]] T* data() const { return data_; }
+  [[nodiscard]] std::size_t size() const { return size_; }
+
+ private:
+  T* data_ = nullptr;
+  std::size_t size_ = 0, capacity_ = 0;
+};
+
+}  // namespace splatbus::raster::cuda

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <cuda_runtime.h>
+
+#include "raster/cuda/workspace.h"
+
+// The stages of a step, each a few launches on `stream`, with no synchronisation and no allocation, so that a step can
+// be captured in a graph. All pointers are device pointers unless a name says host.
+namespace splatbus::raster::cuda {
+
+struct ProjectOptions {
+  float blur_px2 = 0.3F;
+  bool antialias = true;
+  bool emit_pairs = true;        ///< also rebuild the (tile, Gaussian) pairs
+  bool use_depth_limit = false;  ///< leave out pairs behind the tile's depth limit
+  float pair_margin_px = 0.0F;   ///< widens footprints, so that lists serve several steps
+};
+
+/// Projects and shades every Gaussian for every view; fills record_*, and the unsorted pairs.
+void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
+                    cudaStream_t stream);
+
+/// Sorts the pairs and finds each tile's range.
+void launch_sort(const WorkspaceView& workspace, cudaStream_t stream);
+
+/// Scratch that launch_sort needs.
+[[nodiscard]] std::size_t sort_scratch_bytes(std::uint32_t pair_capacity);
+
+/// Blends front to back. Writes color, transmittance, tile_depth_limit and, when it is there, albedo.
+void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
+
+/// Adds to record_gradient (zeroed here) what color_gradient and albedo_gradient imply.
+void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
+
+struct LossKernelOptions {
+  float ssim_weight = 0.2F;
+  float weight = 1.0F;  ///< of this picture in the step, divided by the batch by the caller
+  bool encode_srgb = true;
+};
+
+/// (1 - lambda) L1 + lambda (1 - SSIM) of `rendered` [batch][3][h][w] against `targets`, a device array of `batch`
+/// pointers to u8 RGBA pictures; writes `gradient`, adds each view's loss to workspace.loss.
+void launch_loss(const float* rendered, const std::uint8_t* const* targets, float* gradient,
+                 const WorkspaceView& workspace, const LossKernelOptions& options, cudaStream_t stream);
+
+struct AdamOptions {
+  float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
+  const float* learning_rate = nullptr;  ///< [channels]
+  int active_channels = 0;               ///< 0: all
+};
+
+/// Adam's state. Planes [channels][stride].
+struct OptimizerState {
+  float* first = nullptr;
+  float* second = nullptr;
+  std::uint32_t* steps = nullptr;  ///< [stride]
+};
+
+/// Projection and shading backward, summed over the views, and Adam, in one pass over the Gaussians that were in some
+/// view and are not frozen.
+void launch_update(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
+                   const OptimizerState& state, const AdamOptions& adam, cudaStream_t stream);
+
+/// The same gradients, added to planes [channels][stride] instead: for the checks against the reference renderer.
+void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
+                     float* gradient, int active_channels, cudaStream_t stream);
+
+}  // namespace splatbus::raster::cuda

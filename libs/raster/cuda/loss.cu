@@ -1,0 +1,177 @@
+#include "raster/cuda/kernels.h"
+
+namespace splatbus::raster::cuda {
+namespace {
+
+constexpr int kTileX = 32, kTileY = 16, kRadius = 5, kTaps = 2 * kRadius + 1;
+constexpr int kHaloX = kTileX + 2 * kRadius, kHaloY = kTileY + 2 * kRadius;
+constexpr int kLossThreads = kTileX * kTileY;
+constexpr float kC1 = 0.01F * 0.01F, kC2 = 0.03F * 0.03F;
+
+// Gaussian window of 11 taps, sigma 1.5, normalised.
+__constant__ float kWindow[kTaps] = {0.00102838F, 0.00759876F, 0.03600077F, 0.10936069F, 0.21300554F, 0.26601172F,
+                                     0.21300554F, 0.10936069F, 0.03600077F, 0.00759876F, 0.00102838F};
+
+__device__ inline float srgb_from_linear(float v) {
+  v = fminf(fmaxf(v, 0.0F), 1.0F);
+  return v <= 0.0031308F ? 12.92F * v : 1.055F * __powf(v, 1.0F / 2.4F) - 0.055F;
+}
+
+__device__ inline float srgb_slope(float v) {
+  v = fminf(fmaxf(v, 0.0F), 1.0F);
+  return v <= 0.0031308F ? 12.92F : (1.055F / 2.4F) * __powf(v, 1.0F / 2.4F - 1.0F);
+}
+
+__device__ inline float display(float value, bool encode) {
+  return encode ? srgb_from_linear(value) : value;
+}
+
+struct LossPicture {
+  const float* rendered;
+  const std::uint8_t* const* targets;
+  float* gradient;
+  LossKernelOptions options;
+};
+
+struct Place {
+  int view, channel, x0, y0;
+  std::size_t plane;  // first element of this view's channel
+};
+
+__device__ inline Place place(const WorkspaceView& w) {
+  Place p;
+  p.view = blockIdx.z / 3;
+  p.channel = blockIdx.z % 3;
+  p.x0 = blockIdx.x * kTileX;
+  p.y0 = blockIdx.y * kTileY;
+  p.plane = static_cast<std::size_t>(blockIdx.z) * w.width * w.height;
+  return p;
+}
+
+/// SSIM's derivatives with respect to the window's mean, variance and covariance (zero padding outside the picture).
+__global__ void __launch_bounds__(kLossThreads) ssim_kernel(WorkspaceView w, LossPicture picture) {
+  __shared__ float x[kHaloY][kHaloX], y[kHaloY][kHaloX];
+  __shared__ float rows[5][kHaloY][kTileX];
+  __shared__ float block_loss;
+  const Place p = place(w);
+  const int t = threadIdx.x;
+  const std::uint8_t* target = picture.targets[p.view];
+  if (t == 0) block_loss = 0.0F;
+  for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
+    const int ly = k / kHaloX, lx = k - ly * kHaloX;
+    const int gx = p.x0 + lx - kRadius, gy = p.y0 + ly - kRadius;
+    const bool inside = gx >= 0 && gy >= 0 && gx < w.width && gy < w.height;
+    const std::size_t at = static_cast<std::size_t>(gy) * w.width + gx;
+    x[ly][lx] = inside ? display(picture.rendered[p.plane + at], picture.options.encode_srgb) : 0.0F;
+    y[ly][lx] = inside ? target[4 * at + p.channel] * (1.0F / 255.0F) : 0.0F;
+  }
+  __syncthreads();
+  for (int k = t; k < kTileX * kHaloY; k += kLossThreads) {
+    const int ly = k / kTileX, lx = k - ly * kTileX;
+    float sums[5] = {};
+#pragma unroll
+    for (int tap = 0; tap < kTaps; ++tap) {
+      const float a = x[ly][lx + tap], b = y[ly][lx + tap], weight = kWindow[tap];
+      sums[0] += weight * a;
+      sums[1] += weight * b;
+      sums[2] += weight * a * a;
+      sums[3] += weight * b * b;
+      sums[4] += weight * a * b;
+    }
+    for (int s = 0; s < 5; ++s) rows[s][ly][lx] = sums[s];
+  }
+  __syncthreads();
+  const int lx = t % kTileX, ly = t / kTileX;
+  const int gx = p.x0 + lx, gy = p.y0 + ly;
+  float loss = 0.0F;
+  if (gx < w.width && gy < w.height) {
+    float m[5] = {};
+#pragma unroll
+    for (int tap = 0; tap < kTaps; ++tap) {
+      for (int s = 0; s < 5; ++s) m[s] += kWindow[tap] * rows[s][ly + tap][lx];
+    }
+    const float variance_x = m[2] - m[0] * m[0], variance_y = m[3] - m[1] * m[1], covariance = m[4] - m[0] * m[1];
+    const float a1 = 2.0F * m[0] * m[1] + kC1, a2 = 2.0F * covariance + kC2;
+    const float b1 = m[0] * m[0] + m[1] * m[1] + kC1, b2 = variance_x + variance_y + kC2;
+    const float inv = 1.0F / (b1 * b2), ssim = a1 * a2 * inv;
+    // By chain rule through E[x^2] and E[xy]: see the second kernel.
+    const float d_variance = -ssim / b2, d_covariance = 2.0F * a1 * inv;
+    const float d_mean =
+        2.0F * m[1] * a2 * inv - 2.0F * m[0] * ssim / b1 - 2.0F * m[0] * d_variance - m[1] * d_covariance;
+    const std::size_t at = p.plane + static_cast<std::size_t>(gy) * w.width + gx;
+    const std::size_t planes = static_cast<std::size_t>(3) * w.batch * w.width * w.height;
+    w.ssim_partials[at] = d_mean;
+    w.ssim_partials[planes + at] = d_variance;
+    w.ssim_partials[2 * planes + at] = d_covariance;
+    loss = picture.options.ssim_weight * (1.0F - ssim) +
+           (1.0F - picture.options.ssim_weight) * fabsf(x[ly + kRadius][lx + kRadius] - y[ly + kRadius][lx + kRadius]);
+  }
+  for (int mask = 16; mask >= 1; mask /= 2) loss += __shfl_xor_sync(0xFFFFFFFFU, loss, mask);
+  if ((t & 31) == 0) atomicAdd(&block_loss, loss);
+  __syncthreads();
+  if (t == 0) {
+    atomicAdd(w.loss + p.view, block_loss * picture.options.weight / (3.0F * w.width * w.height));
+  }
+}
+
+__global__ void __launch_bounds__(kLossThreads) loss_gradient_kernel(WorkspaceView w, LossPicture picture) {
+  __shared__ float maps[3][kHaloY][kHaloX];
+  __shared__ float rows[3][kHaloY][kTileX];
+  const Place p = place(w);
+  const int t = threadIdx.x;
+  const std::size_t planes = static_cast<std::size_t>(3) * w.batch * w.width * w.height;
+  for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
+    const int ly = k / kHaloX, lx = k - ly * kHaloX;
+    const int gx = p.x0 + lx - kRadius, gy = p.y0 + ly - kRadius;
+    const bool inside = gx >= 0 && gy >= 0 && gx < w.width && gy < w.height;
+    const std::size_t at = p.plane + static_cast<std::size_t>(gy) * w.width + gx;
+    for (int s = 0; s < 3; ++s) maps[s][ly][lx] = inside ? w.ssim_partials[s * planes + at] : 0.0F;
+  }
+  __syncthreads();
+  for (int k = t; k < kTileX * kHaloY; k += kLossThreads) {
+    const int ly = k / kTileX, lx = k - ly * kTileX;
+    float sums[3] = {};
+#pragma unroll
+    for (int tap = 0; tap < kTaps; ++tap) {
+      for (int s = 0; s < 3; ++s) sums[s] += kWindow[tap] * maps[s][ly][lx + tap];
+    }
+    for (int s = 0; s < 3; ++s) rows[s][ly][lx] = sums[s];
+  }
+  __syncthreads();
+  const int lx = t % kTileX, ly = t / kTileX;
+  const int gx = p.x0 + lx, gy = p.y0 + ly;
+  if (gx >= w.width || gy >= w.height) return;
+  float m[3] = {};
+#pragma unroll
+  for (int tap = 0; tap < kTaps; ++tap) {
+    for (int s = 0; s < 3; ++s) m[s] += kWindow[tap] * rows[s][ly + tap][lx];
+  }
+  const std::size_t at = static_cast<std::size_t>(gy) * w.width + gx;
+  const float raw = picture.rendered[p.plane + at];
+  const float a = display(raw, picture.options.encode_srgb);
+  const float b = picture.targets[p.view][4 * at + p.channel] * (1.0F / 255.0F);
+  const float d_ssim = m[0] + 2.0F * a * m[1] + b * m[2];
+  const float sign = a > b ? 1.0F : (a < b ? -1.0F : 0.0F);
+  float d = ((1.0F - picture.options.ssim_weight) * sign - picture.options.ssim_weight * d_ssim) *
+            picture.options.weight / (3.0F * w.width * w.height);
+  if (picture.options.encode_srgb) {
+    // Outside [0, 1] only a gradient that points back inside passes: descent moves against d.
+    if ((raw < 0.0F && d > 0.0F) || (raw > 1.0F && d < 0.0F)) d = 0.0F;
+    d *= srgb_slope(raw);
+  }
+  picture.gradient[p.plane + at] = d;
+}
+
+}  // namespace
+
+void launch_loss(const float* rendered, const std::uint8_t* const* targets, float* gradient,
+                 const WorkspaceView& workspace, const LossKernelOptions& options, cudaStream_t stream) {
+  const LossPicture picture{rendered, targets, gradient, options};
+  const dim3 blocks((workspace.width + kTileX - 1) / kTileX, (workspace.height + kTileY - 1) / kTileY,
+                    3 * workspace.batch);
+  ssim_kernel<<<blocks, kLossThreads, 0, stream>>>(workspace, picture);
+  loss_gradient_kernel<<<blocks, kLossThreads, 0, stream>>>(workspace, picture);
+  check(cudaGetLastError(), "loss");
+}
+
+}  // namespace splatbus::raster::cuda

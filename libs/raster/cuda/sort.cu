@@ -1,0 +1,48 @@
+#include <algorithm>
+#include <bit>
+#include <cub/device/device_radix_sort.cuh>
+
+#include "raster/cuda/kernels.h"
+
+namespace splatbus::raster::cuda {
+namespace {
+
+__global__ void find_ranges_kernel(WorkspaceView w) {
+  const std::uint32_t pair = blockIdx.x * blockDim.x + threadIdx.x;
+  const std::uint32_t count = min(*w.pair_count, w.pair_capacity);
+  if (pair >= count) return;
+  const auto tile = static_cast<std::uint32_t>(w.pair_keys[1][pair] >> 32U);
+  if (pair == 0 || static_cast<std::uint32_t>(w.pair_keys[1][pair - 1] >> 32U) != tile) w.tile_range[tile].x = pair;
+  if (pair + 1 == count || static_cast<std::uint32_t>(w.pair_keys[1][pair + 1] >> 32U) != tile) {
+    w.tile_range[tile].y = pair + 1;
+  }
+}
+
+}  // namespace
+
+std::size_t sort_scratch_bytes(std::uint32_t pair_capacity) {
+  std::size_t bytes = 0;
+  const std::uint64_t* keys = nullptr;
+  const std::uint32_t* values = nullptr;
+  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, keys, const_cast<std::uint64_t*>(keys), values,
+                                        const_cast<std::uint32_t*>(values), static_cast<int>(pair_capacity)),
+        "sizing the sort");
+  return bytes;
+}
+
+void launch_sort(const WorkspaceView& w, cudaStream_t stream) {
+  const auto tiles = static_cast<std::uint32_t>(w.tiles_x * w.tiles_y * w.batch);
+  check(cudaMemsetAsync(w.tile_range, 0, sizeof(uint2) * tiles, stream), "clearing the tile ranges");
+  if (w.pair_capacity == 0 || tiles == 0) return;
+  // Keys that no pair filled are all ones and sort last; one bit above the highest tile keeps them there.
+  const int end_bit = std::min(64, 32 + static_cast<int>(std::bit_width(tiles)));
+  std::size_t bytes = w.sort_scratch_bytes;
+  check(cub::DeviceRadixSort::SortPairs(w.sort_scratch, bytes, w.pair_keys[0], w.pair_keys[1], w.pair_records[0],
+                                        w.pair_records[1], static_cast<int>(w.pair_capacity), 0, end_bit, stream),
+        "sorting");
+  constexpr int kThreads = 256;
+  find_ranges_kernel<<<(w.pair_capacity + kThreads - 1) / kThreads, kThreads, 0, stream>>>(w);
+  check(cudaGetLastError(), "finding tile ranges");
+}
+
+}  // namespace splatbus::raster::cuda

@@ -1,0 +1,86 @@
+#include "raster/cuda/view_tables.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+namespace splatbus::raster::cuda {
+namespace {
+
+DeviceView device_view(const Camera& camera, const Light& light, Appearance appearance) {
+  DeviceView view{};
+  view.fx = camera.fx;
+  view.fy = camera.fy;
+  view.cx = camera.cx;
+  view.cy = camera.cy;
+  view.near_m = camera.near_m;
+  const auto width = static_cast<float>(camera.width), height = static_cast<float>(camera.height);
+  // 3DGS's clamp, for any principal point: 0.3 of the half field of view beyond each border (as gsplat).
+  const float margin_x = 0.3F * 0.5F * width / camera.fx, margin_y = 0.3F * 0.5F * height / camera.fy;
+  view.limit_x_low = -camera.cx / camera.fx - margin_x;
+  view.limit_x_high = (width - camera.cx) / camera.fx + margin_x;
+  view.limit_y_low = -camera.cy / camera.fy - margin_y;
+  view.limit_y_high = (height - camera.cy) / camera.fy + margin_y;
+  for (int c = 0; c < 3; ++c) {
+    view.background[c] =
+        appearance == Appearance::Transfer ? light.background[c] : srgb_from_linear(light.background[c]);
+  }
+  return view;
+}
+
+ObjectView object_view(const Camera& camera, const Light& light, const Rigid& world_from_object) {
+  ObjectView out{};
+  const Rigid object_from_world = inverse(world_from_object);
+  const Rigid view_from_object = inverse(camera.world_from_camera) * world_from_object;
+  const glm::mat3 rotation = glm::mat3_cast(view_from_object.rotation);
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) out.view_from_object[4 * row + column] = rotation[column][row];
+    out.view_from_object[4 * row + 3] = view_from_object.translation[row];
+  }
+  const glm::vec3 eye = object_from_world * camera.world_from_camera.translation;
+  const Light local = rotate_light(light, object_from_world.rotation);
+  for (int c = 0; c < 3; ++c) {
+    out.camera_in_object[c] = eye[c];
+    out.sun_direction[c] = local.sun_direction[c];
+    out.sun_irradiance[c] = local.sun_irradiance[c];
+    for (std::size_t k = 0; k < 9; ++k) out.ambient_sh[3 * k + static_cast<std::size_t>(c)] = local.ambient_sh[k][c];
+  }
+  return out;
+}
+
+}  // namespace
+
+ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance) {
+  ViewTables tables;
+  std::set<std::uint32_t> ids;
+  for (const SceneView& view : views) {
+    for (const auto& [id, transform] : view.scene->objects) ids.insert(id);
+  }
+  tables.object_ids.assign(ids.begin(), ids.end());
+  tables.object_count = 1 + static_cast<int>(tables.object_ids.size());
+  for (const SceneView& view : views) {
+    tables.views.push_back(device_view(view.camera, view.scene->light, appearance));
+    tables.object_views.push_back(object_view(view.camera, view.scene->light, Rigid{}));
+    for (const std::uint32_t id : tables.object_ids) {
+      const auto found = view.scene->objects.find(id);
+      const Rigid transform = found == view.scene->objects.end() ? Rigid{} : found->second;
+      tables.object_views.push_back(object_view(view.camera, view.scene->light, transform));
+    }
+  }
+  return tables;
+}
+
+std::vector<std::uint16_t> object_slots(const std::uint32_t* object_id, std::size_t count,
+                                        const std::vector<std::uint32_t>& object_ids) {
+  std::vector<std::uint16_t> slots(count, 0);
+  if (object_id == nullptr || object_ids.empty()) return slots;
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto found = std::lower_bound(object_ids.begin(), object_ids.end(), object_id[i]);
+    if (found != object_ids.end() && *found == object_id[i]) {
+      slots[i] = static_cast<std::uint16_t>(1 + (found - object_ids.begin()));
+    }
+  }
+  return slots;
+}
+
+}  // namespace splatbus::raster::cuda

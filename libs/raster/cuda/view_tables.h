@@ -1,0 +1,34 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "gaussians/model.h"
+#include "raster/cuda/device_scene.h"
+#include "raster/rasterizer.h"
+
+namespace splatbus::raster::cuda {
+
+/// One camera with the transforms and the light of its own instant.
+struct SceneView {
+  Camera camera;
+  const SceneState* scene = nullptr;
+};
+
+/// The small tables of a batch, in host memory, ready to be copied to the device.
+struct ViewTables {
+  std::vector<DeviceView> views;          ///< [batch]
+  std::vector<ObjectView> object_views;   ///< [batch][object_count]
+  std::vector<std::uint32_t> object_ids;  ///< id of each slot but 0, ascending
+  int object_count = 1;
+};
+
+/// Folds cameras, object transforms and light together. Every view knows the union of the views' objects; an object
+/// that a view lacks stands at the world's origin there, as in the CPU backend.
+[[nodiscard]] ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance);
+
+/// Rows of object_views for each Gaussian.
+[[nodiscard]] std::vector<std::uint16_t> object_slots(const std::uint32_t* object_id, std::size_t count,
+                                                      const std::vector<std::uint32_t>& object_ids);
+
+}  // namespace splatbus::raster::cuda
