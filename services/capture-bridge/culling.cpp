@@ -44,10 +44,9 @@ struct SurfacePoint {
 
 class Culling {
  public:
-  Culling(std::span<const InputView> views, std::span<const ViewSurface> surfaces, const CullOptions& options)
-      : options_(options) {
+  Culling(Views views, std::span<const ViewSurface> surfaces, const CullOptions& options) : options_(options) {
     for (std::size_t i = 0; i < views.size(); ++i) {
-      projectors_.emplace_back(views[i], surfaces[i], views.front().objects);
+      projectors_.emplace_back(*views[i], surfaces[i], views.front()->objects);
       movement_ = movement_ || !projectors_.back().to_round.empty();
     }
   }
@@ -144,12 +143,11 @@ class Culling {
 
 }  // namespace
 
-KeptDensity cull_across_cameras(std::span<const InputView> views, std::span<const ViewSurface> surfaces,
-                                const CullOptions& options) {
+KeptDensity cull_across_cameras(Views views, std::span<const ViewSurface> surfaces, const CullOptions& options) {
   KeptDensity density(views.size());
   if (views.empty()) return density;
   const Culling culling(views, surfaces, options);
-  for (std::size_t own = 0; own < views.size(); ++own) density[own].resize(views[own].pixels());
+  for (std::size_t own = 0; own < views.size(); ++own) density[own].resize(views[own]->pixels());
   tbb::parallel_for(std::size_t{0}, views.size(), [&](std::size_t own) {
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, density[own].size(), 2048),
                       [&](const tbb::blocked_range<std::size_t>& range) {

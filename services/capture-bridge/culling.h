@@ -25,7 +25,7 @@ using KeptDensity = std::vector<std::vector<float>>;
 /// of different cameras agree on it: no surface is covered twice, none is left out. A camera sees a point where its own
 /// pixel there holds a valid sample of the same object on the same tangent plane. Objects that moved between the views'
 /// frames are compared at their places in each view.
-[[nodiscard]] KeptDensity cull_across_cameras(std::span<const InputView> views, std::span<const ViewSurface> surfaces,
+[[nodiscard]] KeptDensity cull_across_cameras(Views views, std::span<const ViewSurface> surfaces,
                                               const CullOptions& options);
 
 /// p_round = transform * p_view for the objects of `view` that stand elsewhere in the round's frame.

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <glm/glm.hpp>
+#include <span>
 #include <vector>
 
 #include "gaussians/camera.h"
@@ -29,6 +30,9 @@ struct InputView {
     return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
   }
 };
+
+/// The views of a round. None is null; they are owned elsewhere.
+using Views = std::span<const InputView* const>;
 
 /// Samples of a round as structure of arrays; meanings in schemas/capture.fbs, CaptureInput.
 struct SampleSet {

@@ -47,15 +47,14 @@ struct Survivors {
   std::vector<float> area_m2;
 };
 
-Survivors survivors_of(std::span<const InputView> views, const KeptDensity& density,
-                       std::span<const ObjectTransforms> to_round) {
+Survivors survivors_of(Views views, const KeptDensity& density, std::span<const ObjectTransforms> to_round) {
   Survivors survivors;
   for (std::uint32_t v = 0; v < views.size(); ++v) {
     for (std::uint32_t i = 0; i < density[v].size(); ++i) {
       if (density[v][i] == 0) continue;
-      glm::vec3 position(views[v].position[i]);
+      glm::vec3 position(views[v]->position[i]);
       if (!to_round[v].empty()) {
-        const auto found = to_round[v].find(static_cast<std::uint32_t>(views[v].position[i].w));
+        const auto found = to_round[v].find(static_cast<std::uint32_t>(views[v]->position[i].w));
         if (found != to_round[v].end()) position = found->second * position;
       }
       survivors.source.push_back({v, i});
@@ -74,16 +73,15 @@ void SampleSet::resize(std::size_t count) {
   for (auto* ids : {&object_id, &camera}) ids->resize(count);
 }
 
-SampledRound sample_views(std::span<const InputView> views, const ObjectTransforms& round_objects,
-                          const SamplingOptions& options) {
+SampledRound sample_views(Views views, const ObjectTransforms& round_objects, const SamplingOptions& options) {
   SampledRound round;
   std::vector<ViewSurface> surfaces(views.size());
   tbb::parallel_for(std::size_t{0}, views.size(),
-                    [&](std::size_t v) { surfaces[v] = analyse_surface(views[v], options.surface); });
+                    [&](std::size_t v) { surfaces[v] = analyse_surface(*views[v], options.surface); });
   const KeptDensity density = cull_across_cameras(views, surfaces, options.culling);
 
   std::vector<ObjectTransforms> to_round;
-  for (const InputView& view : views) to_round.push_back(round_from_view(view.objects, round_objects));
+  for (const InputView* view : views) to_round.push_back(round_from_view(view->objects, round_objects));
   for (const ViewSurface& surface : surfaces) {
     round.dropped.push_back(surface.dropped);
     for (const float footprint : surface.footprint_m) round.valid += footprint > 0 ? 1 : 0;
@@ -101,7 +99,7 @@ SampledRound sample_views(std::span<const InputView> views, const ObjectTransfor
   std::vector<float> fallback_m(kept.size());
   tbb::parallel_for(std::size_t{0}, kept.size(), [&](std::size_t k) {
     const Source source = survivors.source[kept[k]];
-    const InputView& view = views[source.view];
+    const InputView& view = *views[source.view];
     const ViewSurface& surface = surfaces[source.view];
     const std::size_t i = source.pixel;
     samples.position[k] = survivors.position[kept[k]];

@@ -28,7 +28,7 @@ struct SampledRound {
 
 /// Views to samples: validity and footprint, culling across cameras, budget, spacing. `round_objects` are the
 /// transforms of the round's frame, to which samples of moving objects are brought. Uses all TBB workers.
-[[nodiscard]] SampledRound sample_views(std::span<const InputView> views, const ObjectTransforms& round_objects,
+[[nodiscard]] SampledRound sample_views(Views views, const ObjectTransforms& round_objects,
                                         const SamplingOptions& options);
 
 }  // namespace splatbus::capture_bridge

@@ -19,6 +19,13 @@ namespace {
 using test::AnalyticScene;
 using test::small_dome;
 
+SampledRound sample(const std::vector<InputView>& views, const ObjectTransforms& round_objects,
+                    const SamplingOptions& options) {
+  std::vector<const InputView*> pointers;
+  for (const InputView& view : views) pointers.push_back(&view);
+  return sample_views(pointers, round_objects, options);
+}
+
 SamplingOptions unlimited() {
   return {.budget = 10'000'000};
 }
@@ -100,7 +107,7 @@ TEST(Sampling, NothingThatIsNotFiniteGetsThrough) {
   auto views = scene.render_all(small_dome(4, 48));
   for (auto& position : views[1].position) position = glm::vec4(std::numeric_limits<float>::quiet_NaN());
   for (auto& normal : views[2].normal) normal = glm::vec4(std::numeric_limits<float>::quiet_NaN());
-  const SampledRound round = sample_views(views, {}, unlimited());
+  const SampledRound round = sample(views, {}, unlimited());
   ASSERT_GT(round.samples.size(), 500U);
   EXPECT_EQ(round.dropped[1].not_finite, views[1].pixels());
   for (std::size_t i = 0; i < round.samples.size(); ++i) {
@@ -115,7 +122,7 @@ TEST(Culling, OfTwoCamerasAtOnePlaceTheFirstKeepsAll) {
   const AnalyticScene scene;
   const Camera camera = look_at({0, 2, 2}, {0, 0, 0}, 64, 64, 1);
   const auto views = scene.render_all({camera, camera});
-  const SampledRound round = sample_views(views, {}, unlimited());
+  const SampledRound round = sample(views, {}, unlimited());
   EXPECT_EQ(round.valid, 2 * round.samples.size());
   EXPECT_TRUE(std::all_of(round.samples.camera.begin(), round.samples.camera.end(), [](auto c) { return c == 0; }));
 }
@@ -124,7 +131,7 @@ TEST(Culling, TheNearerAndLessObliqueCameraWins) {
   const AnalyticScene scene{.ball_centre = {9, 9, 9}, .sheet_centre = {9, 9, 9}};
   const auto views =
       scene.render_all({look_at({0, 0.6F, 3}, {0, 0, 0}, 64, 64, 1), look_at({0, 2, 0.01F}, {0, 0, 0}, 64, 64, 1)});
-  const SampledRound round = sample_views(views, {}, unlimited());
+  const SampledRound round = sample(views, {}, unlimited());
   for (std::size_t i = 0; i < round.samples.size(); ++i) {
     const glm::vec3& p = round.samples.position[i];
     if (std::abs(p.x) < 0.8F && std::abs(p.z) < 0.8F) {
@@ -137,7 +144,7 @@ TEST(Culling, TheNearerAndLessObliqueCameraWins) {
 TEST(Culling, CoversNothingTwiceAndLeavesNoHoles) {
   const AnalyticScene scene;
   const auto views = scene.render_all(small_dome());
-  const SampledRound round = sample_views(views, {}, unlimited());
+  const SampledRound round = sample(views, {}, unlimited());
   EXPECT_LT(round.samples.size(), round.valid / 2);
 
   // Holes: whatever any camera saw has a sample nearby. Oblique pixels are long; the winner's spacing is what counts.
@@ -174,12 +181,12 @@ TEST(Culling, CoversNothingTwiceAndLeavesNoHoles) {
 TEST(Culling, MoreCamerasASurfaceGiveMoreSamples) {
   const auto views = AnalyticScene{}.render_all(small_dome());
   SamplingOptions options = unlimited();
-  const std::size_t one = sample_views(views, {}, options).samples.size();
+  const std::size_t one = sample(views, {}, options).samples.size();
   options.culling.cameras_per_surface = 3;
-  const SampledRound three = sample_views(views, {}, options);
+  const SampledRound three = sample(views, {}, options);
   EXPECT_GT(three.samples.size(), 2 * one);
   options.culling.cameras_per_surface = 12;
-  EXPECT_EQ(sample_views(views, {}, options).culled, 0U);
+  EXPECT_EQ(sample(views, {}, options).culled, 0U);
 }
 
 TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
@@ -191,7 +198,7 @@ TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
   std::vector<InputView> views{before.render(cameras[0]), after.render(cameras[1])};
   views[0].objects[AnalyticScene::kBall] = {.translation = before.ball_centre};
   views[1].objects[AnalyticScene::kBall] = {.translation = after.ball_centre};
-  const SampledRound round = sample_views(views, views[1].objects, unlimited());
+  const SampledRound round = sample(views, views[1].objects, unlimited());
   std::size_t ball = 0;
   for (std::size_t i = 0; i < round.samples.size(); ++i) {
     if (round.samples.object_id[i] != AnalyticScene::kBall) continue;
@@ -237,7 +244,7 @@ TEST(Spacing, OfALoneSampleIsItsFallback) {
 TEST(Spacing, MatchesTheDensityAfterCullingAndBudget) {
   const auto views = AnalyticScene{}.render_all(small_dome());
   for (const std::size_t budget : {std::size_t{1'000'000}, std::size_t{4000}}) {
-    const SampledRound round = sample_views(views, {}, {.budget = budget});
+    const SampledRound round = sample(views, {}, {.budget = budget});
     // Truth: the area of a patch of the floor over the samples in it, away from the ball and the sheet.
     double truth_samples = 0;
     double mean_spacing = 0;
@@ -257,7 +264,7 @@ TEST(Spacing, MatchesTheDensityAfterCullingAndBudget) {
 
 TEST(Budget, KeepsExactlyTheBudgetEvenly) {
   const auto views = AnalyticScene{}.render_all(small_dome());
-  const SampledRound round = sample_views(views, {}, {.budget = 3000});
+  const SampledRound round = sample(views, {}, {.budget = 3000});
   EXPECT_LE(round.samples.size(), 3000U);
   EXPECT_GE(round.samples.size(), 2990U);
   // Even: among squares of the open floor the counts vary far less than a random choice's (a variance of the mean).
@@ -304,23 +311,23 @@ TEST(Sampling, ColoursAreLinearAndFreeOfBackground) {
   views[0].light.background = glm::vec3(1, 1, 1);
   for (std::size_t i = 0; i < views[0].pixels(); ++i)
     views[0].color[i] = {188, 188, 188, 128};  // half white, half black
-  const SampledRound round = sample_views(views, {}, unlimited());
+  const SampledRound round = sample(views, {}, unlimited());
   ASSERT_GT(round.samples.size(), 100U);
   EXPECT_NEAR(round.samples.color[0].x, 0, 0.02F);
   EXPECT_NEAR(round.samples.albedo[0].x, linear_from_srgb(200.0F / 255), 1e-4F);
 }
 
 TEST(Sampling, OfNothingIsNothing) {
-  const SampledRound none = sample_views({}, {}, {});
+  const SampledRound none = sample({}, {}, {});
   EXPECT_EQ(none.samples.size(), 0U);
   const auto sky = AnalyticScene{}.render_all({look_at({0, 2, 0}, {0, 9, 1}, 16, 16, 0.5F)});
-  EXPECT_EQ(sample_views(sky, {}, {}).samples.size(), 0U);
+  EXPECT_EQ(sample(sky, {}, {}).samples.size(), 0U);
 }
 
 TEST(Sampling, FullRigFigures) {
   const auto views = AnalyticScene{}.render_all(small_dome(24, 128));
   const auto start = std::chrono::steady_clock::now();
-  const SampledRound round = sample_views(views, {}, {});
+  const SampledRound round = sample(views, {}, {});
   const auto took = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
   std::cout << "24 x 128x128: " << took << " ms, " << round.valid << " valid, " << round.culled << " culled, "
             << round.samples.size() << " kept\n";

@@ -1,0 +1,51 @@
+#include "bus/tensor_ring.h"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+namespace splatbus::bus {
+
+namespace {
+
+constexpr std::size_t kAlignment = 64;
+
+std::size_t aligned(std::size_t bytes) {
+  return (bytes + kAlignment - 1) / kAlignment * kAlignment;
+}
+
+}  // namespace
+
+TensorRing::TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots)
+    : context_(std::move(context)), role_(std::move(role)), slots_(slots) {}
+
+std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sources) {
+  std::size_t needed = 0;
+  for (const TensorSource& source : sources) needed += aligned(tensor_bytes(source.shape, source.type));
+  if (!slab_ || slab_->slot_bytes() < needed) {
+    // A quarter of room, so that slowly growing messages do not make a slab each.
+    slab_ = context_->create_slab(role_, slots_, std::max<std::size_t>(needed + needed / 4, 4096));
+  }
+  const std::size_t slot = slab_->next_slot();
+  std::size_t offset = 0;
+  for (const TensorSource& source : sources) {
+    const std::size_t bytes = tensor_bytes(source.shape, source.type);
+    if (bytes > 0) std::memcpy(slab_->slot_data(slot) + offset, source.data, bytes);
+    offset += aligned(bytes);
+  }
+  const std::uint64_t generation = slab_->end_write(slot);
+
+  std::vector<OutgoingTensor> tensors;
+  offset = 0;
+  for (const TensorSource& source : sources) {
+    const std::size_t bytes = tensor_bytes(source.shape, source.type);
+    tensors.push_back({.name = source.name,
+                       .shape = source.shape,
+                       .type = source.type,
+                       .span = slab_->span(slot, offset, bytes, generation)});
+    offset += aligned(bytes);
+  }
+  return tensors;
+}
+
+}  // namespace splatbus::bus

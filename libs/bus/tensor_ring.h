@@ -1,0 +1,39 @@
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "bus/context.h"
+#include "bus/tensor.h"
+
+namespace splatbus::bus {
+
+/// An array in host memory that is to be published as a tensor: tensor_bytes(shape, type) bytes at `data`.
+struct TensorSource {
+  std::string name;
+  std::vector<std::uint32_t> shape;
+  ElementType type = ElementType::F32;
+  const void* data = nullptr;
+};
+
+/// A ring of slots for messages that carry several arrays of varying size: each write() takes the next slot. Not
+/// thread-safe.
+class TensorRing {
+ public:
+  /// The slab "<source>/<role>" is made at the first write, and again, larger, when a message does not fit.
+  TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots);
+
+  /// Copies the arrays into the next slot, each aligned to 64 bytes. Throws Error when the slab cannot be made.
+  [[nodiscard]] std::vector<OutgoingTensor> write(std::span<const TensorSource> sources);
+
+ private:
+  std::shared_ptr<Context> context_;
+  std::string role_;
+  std::size_t slots_;
+  std::shared_ptr<Slab> slab_;
+};
+
+}  // namespace splatbus::bus

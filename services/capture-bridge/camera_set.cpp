@@ -1,0 +1,86 @@
+#include "capture-bridge/camera_set.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace splatbus::capture_bridge {
+
+namespace {
+
+bool same(const Camera& a, const Camera& b) {
+  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
+         a.near_m == b.near_m && a.far_m == b.far_m && a.world_from_camera.rotation == b.world_from_camera.rotation &&
+         a.world_from_camera.translation == b.world_from_camera.translation;
+}
+
+auto is(CameraRole role, std::uint32_t id) {
+  return [role, id](const CameraRequest& request) { return request.camera.role == role && request.camera.id == id; };
+}
+
+}  // namespace
+
+std::vector<Camera> CameraSet::replace(CameraRole role, std::span<const Camera> cameras, wire::EngineBuffer buffers,
+                                       float rate_hz) {
+  std::vector<Camera> left;
+  std::erase_if(requests_, [&](const CameraRequest& request) {
+    if (request.camera.role != role) return false;
+    const bool stays = std::any_of(cameras.begin(), cameras.end(),
+                                   [&](const Camera& camera) { return camera.id == request.camera.id; });
+    if (!stays) left.push_back(request.camera);
+    return !stays;
+  });
+  changed_ = changed_ || !left.empty();
+  for (const Camera& camera : cameras) {
+    const auto found = std::find_if(requests_.begin(), requests_.end(), is(role, camera.id));
+    const bool keep = found != requests_.end() && same(found->camera, camera) && found->buffers == buffers &&
+                      found->rate_hz == rate_hz;
+    if (!keep) add(camera, buffers, rate_hz);
+  }
+  return left;
+}
+
+void CameraSet::reissue(CameraRole role, std::span<const std::uint32_t> ids) {
+  for (CameraRequest& request : requests_) {
+    if (request.camera.role != role || std::find(ids.begin(), ids.end(), request.camera.id) == ids.end()) continue;
+    request.request_id = ++last_request_id_;
+    changed_ = true;
+  }
+}
+
+void CameraSet::reissue_all(CameraRole role) {
+  for (CameraRequest& request : requests_) {
+    if (request.camera.role != role) continue;
+    request.request_id = ++last_request_id_;
+    changed_ = true;
+  }
+}
+
+std::uint64_t CameraSet::add(const Camera& camera, wire::EngineBuffer buffers, float rate_hz) {
+  const CameraRequest request{
+      .camera = camera, .buffers = buffers, .rate_hz = rate_hz, .request_id = ++last_request_id_};
+  const auto found = std::find_if(requests_.begin(), requests_.end(), is(camera.role, camera.id));
+  if (found == requests_.end()) {
+    requests_.push_back(request);
+  } else {
+    *found = request;
+  }
+  changed_ = true;
+  return last_request_id_;
+}
+
+void CameraSet::remove(CameraRole role, std::uint32_t id) {
+  changed_ = std::erase_if(requests_, is(role, id)) > 0 || changed_;
+}
+
+std::vector<CameraRequest> CameraSet::of_role(CameraRole role) const {
+  std::vector<CameraRequest> found;
+  std::copy_if(requests_.begin(), requests_.end(), std::back_inserter(found),
+               [role](const CameraRequest& request) { return request.camera.role == role; });
+  return found;
+}
+
+bool CameraSet::take_changed() {
+  return std::exchange(changed_, false);
+}
+
+}  // namespace splatbus::capture_bridge

@@ -1,0 +1,266 @@
+#include "capture-bridge/capture_bridge.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include "bus/clock.h"
+#include "capture-bridge/engine_frame.h"
+#include "capture-bridge/parameters.h"
+#include "wire/convert.h"
+#include "wire/model_generated.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::capture_bridge {
+
+namespace {
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+constexpr std::int64_t kViewerSilenceNs = 2 * kSecond;  // then another viewer is followed
+constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is asked again
+constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
+constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
+constexpr std::size_t kMostProbes = 64;
+constexpr int kMostMessagesAStep = 256;
+
+std::int64_t nanoseconds(double seconds) {
+  return static_cast<std::int64_t>(seconds * 1e9);
+}
+
+}  // namespace
+
+CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters)
+    : context_(std::move(context)),
+      parameters_(parameters),
+      subscriber_(context_, {"engine/frame", "viewer/pose", "viewer/probe", "trainer/stats", "grid/state"}),
+      cameras_publisher_(context_, "engine/cameras"),
+      forwarder_(context_),
+      // A restarted bridge must not repeat ids of the one before: the engine has answered those.
+      rigs_(parameters, context_->epoch()),
+      probes_(kMostProbes),
+      worker_(context_) {}
+
+void CaptureBridge::step(std::chrono::milliseconds timeout) {
+  update_rigs(bus::now_ns());
+  publish_cameras();
+  auto message = subscriber_.receive(timeout);
+  for (int taken = 0; message && taken < kMostMessagesAStep; ++taken) {
+    bus::guarded(*message, [&] { handle(*message); });
+    message = subscriber_.receive(std::chrono::milliseconds(0));
+  }
+  if (message) bus::guarded(*message, [&] { handle(*message); });
+  const std::int64_t now = bus::now_ns();
+  update_round(now);
+  update_probes(now);
+  publish_cameras();
+}
+
+void CaptureBridge::handle(const bus::Message& message) {
+  const std::string& topic = message.topic();
+  if (topic == "engine/frame") {
+    handle_frame(message);
+  } else if (topic == "viewer/pose") {
+    handle_pose(message);
+  } else if (topic == "viewer/probe") {
+    handle_probe(message);
+  } else if (topic == "trainer/stats") {
+    handle_trainer_stats(message);
+  } else {
+    handle_grid_state(message);
+  }
+}
+
+void CaptureBridge::handle_frame(const bus::Message& message) {
+  ++counters_.frames;
+  try {
+    const auto& frame = message.root<wire::EngineFrame>("EngineFrame/1");
+    forwarder_.scene(frame);
+    switch (frame.camera()->role()) {
+      case wire::CameraRole::Input:
+        handle_input(message, frame);
+        break;
+      case wire::CameraRole::Reference: {
+        const bool sent = forwarder_.reference(message, frame);
+        sent ? ++counters_.references : ++counters_.frames_lost;
+        if (sent) references_published_.insert(frame.camera()->id());
+        if (sent) view_published_ns_ = bus::now_ns();
+        break;
+      }
+      case wire::CameraRole::Probe:
+        handle_probe_frame(message, frame);
+        break;
+      case wire::CameraRole::Light:
+        forwarder_.light_depth(message, frame) ? ++counters_.light_depths : ++counters_.frames_lost;
+        break;
+      default:
+        throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
+    }
+  } catch (const std::exception& error) {
+    ++counters_.frames_refused;
+    // An engine that errs does so in every frame.
+    const std::string source = message.header().source()->str();
+    if (complained_.size() < 256 && complained_.insert(source).second) {
+      spdlog::error("engine/frame from {} refused: {} (said once; counted as frames_refused)", source, error.what());
+    }
+  }
+}
+
+void CaptureBridge::handle_input(const bus::Message& message, const wire::EngineFrame& frame) {
+  auto view = decode_input_frame(message, frame);
+  if (!view) {
+    ++counters_.frames_lost;
+    return;
+  }
+  const std::int64_t now = bus::now_ns();
+  const auto shared = std::make_shared<const InputView>(std::move(*view));
+  if (!rigs_.round().add(frame.camera()->id(), frame.request_id(), shared, now)) return;
+  ++counters_.inputs;
+  input_asked_ns_ = now;
+  input_patience_ns_ = 0;
+  if (parameters_.boolean("input_views") && forwarder_.reference(message, frame)) {
+    inputs_published_.insert(frame.camera()->id());
+    view_published_ns_ = now;
+  }
+}
+
+void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame) {
+  const auto probe = probes_.answer(frame.camera()->id(), frame.request_id());
+  if (!probe) return;
+  rigs_.cameras().remove(CameraRole::Probe, probe->camera.id);
+  forwarder_.probe(message, frame, *probe) ? ++counters_.probes : ++counters_.probes_dropped;
+}
+
+void CaptureBridge::handle_pose(const bus::Message& message) {
+  const auto& pose = message.root<wire::ViewerPose>("ViewerPose/1");
+  const Camera camera = from_wire(*pose.camera());
+  const std::string viewer = pose.viewer()->str();
+  const std::int64_t now = bus::now_ns();
+  if (viewer != viewer_ && viewer_camera_ && now - viewer_seen_ns_ < kViewerSilenceNs) return;
+  viewer_ = viewer;
+  viewer_camera_ = camera;
+  viewer_seen_ns_ = now;
+}
+
+void CaptureBridge::handle_probe(const bus::Message& message) {
+  const auto& asked = message.root<wire::ViewerProbe>("ViewerProbe/1");
+  const Camera camera = from_wire(*asked.camera());
+  std::optional<Probe> evicted;
+  Probe* probe = probes_.add(asked.probe_id(), message.header().source()->str(), camera, bus::now_ns(), evicted);
+  if (evicted) {
+    rigs_.cameras().remove(CameraRole::Probe, evicted->camera.id);
+    ++counters_.probes_dropped;
+    spdlog::warn("probe {} of {} dropped: {} wait already", evicted->probe_id, evicted->asker, kMostProbes);
+  }
+  if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, wire::EngineBuffer::Color, 0);
+}
+
+void CaptureBridge::handle_trainer_stats(const bus::Message& message) {
+  const auto& stats = message.root<wire::TrainerStats>("TrainerStats/1");
+  const std::uint64_t held = std::uint64_t{stats.ready_references()} + stats.ready_inputs();
+  const std::uint64_t published = references_published_.size() + inputs_published_.size();
+  if (!trainer_watch_.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
+  spdlog::info("{} holds {} of {} views: asking the engine for all again", message.header().source()->str(), held,
+               published);
+  if (parameters_.boolean("input_views")) rigs_.reissue_inputs();
+  rigs_.cameras().reissue_all(CameraRole::Reference);
+}
+
+void CaptureBridge::handle_grid_state(const bus::Message& message) {
+  const auto& state = message.root<wire::GridState>("GridState/1");
+  const std::int64_t now = bus::now_ns();
+  // An expander that has seen no round has missed ours: it started later, or again.
+  if (state.rounds() > 0 || rigs_.round().empty() || worker_.statistics().rounds == 0) return;
+  if (now - round_submitted_ns_ > kExpanderPatienceNs) submit_round();
+}
+
+void CaptureBridge::update_rigs(std::int64_t now_ns) {
+  InputRound& round = rigs_.round();
+  // A rig whose pictures are arriving stays until they are there, or a viewer on the move would never see one complete.
+  const bool hold = !round.empty() && !round.missing().empty() &&
+                    now_ns - input_asked_ns_ < nanoseconds(parameters_.number("input_deadline_s"));
+  const std::uint64_t generation = round.rig_generation();
+  const auto left = rigs_.update(viewer_camera_ ? &*viewer_camera_ : nullptr, worker_.statistics().heights, hold);
+  for (const Camera& camera : left) {
+    (camera.role == CameraRole::Reference ? references_published_ : inputs_published_).erase(camera.id);
+    forwarder_.retire(camera);
+  }
+  if (round.rig_generation() != generation) {
+    input_asked_ns_ = now_ns;
+    input_patience_ns_ = 0;
+  }
+}
+
+void CaptureBridge::update_round(std::int64_t now_ns) {
+  const std::int64_t deadline = nanoseconds(parameters_.number("input_deadline_s"));
+  InputRound& round = rigs_.round();
+  if (round.ready(now_ns, deadline)) submit_round();
+  input_patience_ns_ = std::max(input_patience_ns_, deadline);
+  if (round.missing().empty() || now_ns - input_asked_ns_ < input_patience_ns_) return;
+  if (!round.empty()) spdlog::warn("{} input frames have not come: asking again", round.missing().size());
+  rigs_.reissue_missing_inputs();
+  input_asked_ns_ = now_ns;
+  input_patience_ns_ = std::min(2 * input_patience_ns_, kInputPatienceMaxNs);
+}
+
+void CaptureBridge::submit_round() {
+  round_submitted_ns_ = bus::now_ns();
+  InputRound& round = rigs_.round();
+  worker_.submit(
+      {.views = round.take(), .rig_generation = round.rig_generation(), .options = sampling_options(parameters_)});
+}
+
+void CaptureBridge::update_probes(std::int64_t now_ns) {
+  for (const Probe& probe : probes_.expire(now_ns - nanoseconds(parameters_.number("probe_timeout_s")))) {
+    rigs_.cameras().remove(CameraRole::Probe, probe.camera.id);
+    ++counters_.probes_dropped;
+    spdlog::warn("probe {} of {} dropped: the engine did not answer", probe.probe_id, probe.asker);
+  }
+  for (Probe* probe : probes_.overdue(now_ns - kProbePatienceNs)) {
+    probe->request_id = rigs_.cameras().add(probe->camera, wire::EngineBuffer::Color, 0);
+    probe->requested_ns = now_ns;
+  }
+}
+
+void CaptureBridge::publish_cameras() {
+  if (!rigs_.cameras().take_changed()) return;
+  cameras_publisher_.publish(
+      {.schema = "EngineCameras/1", .latch = true}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+        std::vector<flatbuffers::Offset<wire::CameraRequest>> requests;
+        for (const CameraRequest& request : rigs_.cameras().requests()) {
+          const wire::Camera camera = to_wire(request.camera);
+          requests.push_back(
+              wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.request_id));
+        }
+        return wire::CreateEngineCameras(builder, header, builder.CreateVector(requests));
+      });
+}
+
+void run(bus::ServiceContext& service) {
+  CaptureBridge bridge(service.bus, service.parameters);
+  while (!service.stop.stop_requested()) {
+    bridge.step(std::chrono::milliseconds(20));
+    const BridgeCounters& counters = bridge.counters();
+    const InputStatistics input = bridge.input_statistics();
+    service.detail(counters.frames == 0 ? "waiting for the engine's first frame" : "");
+    service.counter("frames", static_cast<double>(counters.frames));
+    service.counter("frames_lost", static_cast<double>(counters.frames_lost + bridge.subscriber().lost()));
+    service.counter("frames_refused", static_cast<double>(counters.frames_refused));
+    service.counter("references", static_cast<double>(counters.references));
+    service.counter("inputs", static_cast<double>(counters.inputs));
+    service.counter("probes", static_cast<double>(counters.probes));
+    service.counter("probes_dropped", static_cast<double>(counters.probes_dropped));
+    service.counter("light_depths", static_cast<double>(counters.light_depths));
+    service.counter("cameras", static_cast<double>(bridge.cameras()));
+    service.counter("input_rounds", static_cast<double>(input.rounds));
+    service.counter("samples", static_cast<double>(input.samples));
+    service.counter("samples_culled", static_cast<double>(input.culled));
+    service.counter("samples_thinned", static_cast<double>(input.thinned));
+    service.counter("samples_dropped", static_cast<double>(input.dropped));
+    service.counter("sampling_ms", input.milliseconds);
+  }
+}
+
+}  // namespace splatbus::capture_bridge

@@ -1,0 +1,86 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "bus/publisher.h"
+#include "bus/service.h"
+#include "bus/subscriber.h"
+#include "capture-bridge/forwarder.h"
+#include "capture-bridge/input_worker.h"
+#include "capture-bridge/probe_table.h"
+#include "capture-bridge/rig_control.h"
+#include "capture-bridge/trainer_watch.h"
+#include "wire/engine_generated.h"
+
+namespace splatbus::capture_bridge {
+
+/// Counters of the bridge, as heartbeats show them.
+struct BridgeCounters {
+  std::uint64_t frames = 0, frames_lost = 0, frames_refused = 0;
+  std::uint64_t inputs = 0, references = 0, probes = 0, probes_dropped = 0, light_depths = 0;
+};
+
+/// The service: asks the engine for cameras and hands its frames on. One thread calls step(); sampling runs on another.
+class CaptureBridge {
+ public:
+  /// `parameters` outlive the bridge.
+  CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters);
+
+  /// Handles what arrives within `timeout`, then what is due.
+  void step(std::chrono::milliseconds timeout);
+
+  [[nodiscard]] const BridgeCounters& counters() const { return counters_; }
+  [[nodiscard]] InputStatistics input_statistics() const { return worker_.statistics(); }
+  [[nodiscard]] const bus::Subscriber& subscriber() const { return subscriber_; }
+  [[nodiscard]] std::size_t cameras() { return rigs_.cameras().requests().size(); }
+
+ private:
+  void handle(const bus::Message& message);
+  void handle_frame(const bus::Message& message);
+  void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
+  void handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame);
+  void handle_pose(const bus::Message& message);
+  void handle_probe(const bus::Message& message);
+  void handle_trainer_stats(const bus::Message& message);
+  void handle_grid_state(const bus::Message& message);
+
+  void update_rigs(std::int64_t now_ns);
+  void update_round(std::int64_t now_ns);
+  void update_probes(std::int64_t now_ns);
+  void submit_round();
+  void publish_cameras();
+
+  std::shared_ptr<bus::Context> context_;
+  const bus::Parameters& parameters_;
+  bus::Subscriber subscriber_;
+  bus::Publisher cameras_publisher_;
+  Forwarder forwarder_;
+  RigControl rigs_;
+  ProbeTable probes_;
+  TrainerWatch trainer_watch_;
+  BridgeCounters counters_;
+
+  std::string viewer_;  // whose pose the rigs follow
+  std::optional<Camera> viewer_camera_;
+  std::int64_t viewer_seen_ns_ = 0;
+
+  std::int64_t input_asked_ns_ = 0;  // last request for, or arrival of, an input frame
+  std::int64_t input_patience_ns_ = 0;
+  std::int64_t view_published_ns_ = 0;
+  std::int64_t round_submitted_ns_ = 0;
+  std::set<std::uint32_t> references_published_, inputs_published_;  // camera ids
+  std::set<std::string> complained_;                                 // sources whose bad frames were logged
+
+  InputWorker worker_;  // last: its thread uses the context
+};
+
+/// The service's main loop, until a stop is asked for.
+void run(bus::ServiceContext& service);
+
+}  // namespace splatbus::capture_bridge

@@ -1,0 +1,15 @@
+#pragma once
+
+#include <optional>
+
+#include "bus/subscriber.h"
+#include "capture-bridge/input_view.h"
+#include "wire/engine_generated.h"
+
+namespace splatbus::capture_bridge {
+
+/// Copies an input camera's frame out of the engine's slab. Nullopt when a buffer is gone or overwritten already (a
+/// lost frame). Throws bus::Error or std::runtime_error, naming what is wrong, when the message lies.
+[[nodiscard]] std::optional<InputView> decode_input_frame(const bus::Message& message, const wire::EngineFrame& frame);
+
+}  // namespace splatbus::capture_bridge

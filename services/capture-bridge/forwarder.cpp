@@ -1,0 +1,148 @@
+#include "capture-bridge/forwarder.h"
+
+#include <cstring>
+
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+#include "wire/scene_generated.h"
+
+namespace splatbus::capture_bridge {
+
+namespace {
+
+constexpr std::size_t kLightDepthSlots = 3;
+
+std::vector<std::uint8_t> object_bytes(const wire::EngineFrame& frame) {
+  const auto* objects = frame.objects();
+  if (objects == nullptr || objects->size() == 0) return {};
+  const auto* begin = reinterpret_cast<const std::uint8_t*>(objects->Get(0));
+  return {begin, begin + objects->size() * sizeof(wire::ObjectTransform)};
+}
+
+/// A light as bytes, without padding, to compare.
+std::vector<std::uint8_t> light_bytes(const Light& light) {
+  std::vector<std::uint8_t> bytes;
+  const auto append = [&bytes](const auto& value) {
+    const auto* begin = reinterpret_cast<const std::uint8_t*>(&value);
+    bytes.insert(bytes.end(), begin, begin + sizeof(value));
+  };
+  append(light.generation);
+  append(light.ambient_sh);
+  append(light.sun_direction);
+  append(light.sun_irradiance);
+  append(light.background);
+  return bytes;
+}
+
+}  // namespace
+
+Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context)
+    : context_(context),
+      reference_(context, "capture/reference"),
+      probe_(context, "capture/probe"),
+      light_depth_(context, "scene/light_depth"),
+      objects_(context, "scene/objects"),
+      light_(context, "scene/light"),
+      light_depth_ring_(context, "light_depth", kLightDepthSlots) {}
+
+bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
+  bus::MessageInfo info{.schema = "CaptureReference/1", .capture_ns = frame.header()->capture_ns()};
+  auto color = message.forward_tensor("color");
+  if (!color) return false;
+  info.tensors.push_back(std::move(*color));
+  for (const char* name : {"albedo", "depth"}) {
+    if (auto tensor = message.forward_tensor(name)) info.tensors.push_back(std::move(*tensor));
+  }
+  const Camera camera = from_wire(*frame.camera());
+  const ObjectTransforms transforms = from_wire(frame.objects());
+  const Light state = from_wire(*frame.light());
+  reference_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const auto objects = to_wire(builder, transforms);
+    const auto light = to_wire(builder, state);
+    const wire::Camera out = to_wire(camera);
+    return wire::CreateCaptureReference(builder, header, frame.frame(), frame.time_s(), &out, objects, light, false);
+  });
+  return true;
+}
+
+void Forwarder::retire(const Camera& camera) {
+  reference_.publish({.schema = "CaptureReference/1"}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const auto objects = to_wire(builder, ObjectTransforms{});
+    const auto light = to_wire(builder, last_light_);
+    const wire::Camera out = to_wire(camera);
+    return wire::CreateCaptureReference(builder, header, 0, 0, &out, objects, light, true);
+  });
+}
+
+bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& frame, const Probe& probe) {
+  auto color = message.forward_tensor("color");
+  if (!color) return false;
+  Camera camera = from_wire(*frame.camera());
+  camera.id = probe.camera.id;
+  const ObjectTransforms transforms = from_wire(frame.objects());
+  const Light state = from_wire(*frame.light());
+  probe_.publish(
+      {.schema = "CaptureProbe/1", .capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
+      [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+        const auto objects = to_wire(builder, transforms);
+        const auto light = to_wire(builder, state);
+        const wire::Camera out = to_wire(camera);
+        return wire::CreateCaptureProbe(builder, header, probe.probe_id, frame.frame(), frame.time_s(), &out, objects,
+                                        light);
+      });
+  return true;
+}
+
+bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame) {
+  const Camera camera = from_wire(*frame.camera());
+  const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
+  if (!depth) return false;
+  std::vector<float> copy(depth->elements());
+  if (!depth->copy(copy.data())) return false;
+  const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.data()};
+  const ObjectTransforms transforms = from_wire(frame.objects());
+  const Light state = from_wire(*frame.light());
+  const bus::MessageInfo info{.schema = "SceneLightDepth/1",
+                              .capture_ns = frame.header()->capture_ns(),
+                              .latch = true,
+                              .tensors = light_depth_ring_.write(std::span(&source, 1))};
+  light_depth_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const auto light = to_wire(builder, state);
+    const auto objects = to_wire(builder, transforms);
+    const wire::Camera out = to_wire(camera);
+    return wire::CreateSceneLightDepth(builder, header, frame.frame(), frame.time_s(), &out, light, objects);
+  });
+  return true;
+}
+
+void Forwarder::scene(const wire::EngineFrame& frame) {
+  const bool restarted = frame.header()->epoch() != engine_epoch_;
+  if (!restarted && newest_frame_ && frame.frame() < *newest_frame_) return;
+  const ObjectTransforms transforms = from_wire(frame.objects());
+  const Light state = from_wire(*frame.light());
+  engine_epoch_ = frame.header()->epoch();
+  const bool first = !newest_frame_;
+  newest_frame_ = frame.frame();
+  last_light_ = state;
+
+  auto objects_now = object_bytes(frame);
+  if (first || objects_now != said_objects_) {
+    said_objects_ = std::move(objects_now);
+    const bus::MessageInfo info{.schema = "SceneObjects/1", .capture_ns = frame.header()->capture_ns(), .latch = true};
+    objects_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      const auto objects = to_wire(builder, transforms);
+      return wire::CreateSceneObjects(builder, header, frame.frame(), frame.time_s(), objects);
+    });
+  }
+  auto light_now = light_bytes(state);
+  if (first || light_now != said_light_) {
+    said_light_ = std::move(light_now);
+    const bus::MessageInfo info{.schema = "SceneLight/1", .capture_ns = frame.header()->capture_ns(), .latch = true};
+    light_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      const auto light = to_wire(builder, state);
+      return wire::CreateSceneLight(builder, header, frame.frame(), frame.time_s(), light);
+    });
+  }
+}
+
+}  // namespace splatbus::capture_bridge

@@ -1,0 +1,118 @@
+#include "capture-bridge/input_worker.h"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+#include <exception>
+
+#include "capture-bridge/input_publisher.h"
+
+namespace splatbus::capture_bridge {
+
+namespace {
+
+constexpr std::size_t kQueuedJobs = 4;
+
+std::vector<const InputView*> pointers(const std::vector<InputViewPointer>& views) {
+  std::vector<const InputView*> plain;
+  for (const InputViewPointer& view : views) plain.push_back(view.get());
+  return plain;
+}
+
+/// Views are of one size unless the size was changed while a rig was captured; then the newest size counts.
+std::vector<InputViewPointer> of_one_size(const std::vector<InputViewPointer>& views, const Camera& camera) {
+  std::vector<InputViewPointer> same;
+  std::copy_if(views.begin(), views.end(), std::back_inserter(same), [&](const InputViewPointer& view) {
+    return view->camera.width == camera.width && view->camera.height == camera.height;
+  });
+  return same;
+}
+
+}  // namespace
+
+ContentHeights content_heights(const SampleSet& samples) {
+  if (samples.size() == 0) return {};
+  std::vector<float> heights;
+  for (const glm::vec3& position : samples.position) heights.push_back(position.y);
+  const auto at = [&heights](double fraction) {
+    const auto place =
+        heights.begin() + static_cast<std::ptrdiff_t>(fraction * static_cast<double>(heights.size() - 1));
+    std::nth_element(heights.begin(), place, heights.end());
+    return *place;
+  };
+  return {.low_m = at(0.02), .high_m = at(0.98)};
+}
+
+InputWorker::InputWorker(std::shared_ptr<bus::Context> context)
+    : context_(std::move(context)), thread_([this](const std::stop_token& stop) { run(stop); }) {}
+
+InputWorker::~InputWorker() {
+  thread_.request_stop();
+  wake_.notify_all();
+}
+
+void InputWorker::submit(InputJob job) {
+  if (job.views.empty()) return;
+  {
+    const std::scoped_lock lock(mutex_);
+    std::erase_if(jobs_, [&](const InputJob& waiting) { return waiting.rig_generation == job.rig_generation; });
+    if (jobs_.size() >= kQueuedJobs) {
+      spdlog::warn("input round of rig generation {} dropped: sampling is behind", jobs_.front().rig_generation);
+      jobs_.pop_front();
+    }
+    jobs_.push_back(std::move(job));
+  }
+  wake_.notify_all();
+}
+
+InputStatistics InputWorker::statistics() const {
+  const std::scoped_lock lock(mutex_);
+  return statistics_;
+}
+
+void InputWorker::run(const std::stop_token& stop) {
+  InputPublisher publisher(context_);
+  bool complained = false;
+  while (true) {
+    InputJob job;
+    {
+      std::unique_lock lock(mutex_);
+      if (!wake_.wait(lock, stop, [this] { return !jobs_.empty(); })) return;
+      job = std::move(jobs_.front());
+      jobs_.pop_front();
+    }
+    try {
+      const auto& newest = **std::max_element(job.views.begin(), job.views.end(), [](const auto& a, const auto& b) {
+        return a->capture_ns != b->capture_ns ? a->capture_ns < b->capture_ns : a->frame < b->frame;
+      });
+      const auto views = of_one_size(job.views, newest.camera);
+      const auto start = std::chrono::steady_clock::now();
+      const SampledRound round = sample_views(pointers(views), newest.objects, job.options);
+      const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - start;
+      publisher.publish(views, newest, job.rig_generation, round);
+
+      DropCounts dropped;
+      for (const DropCounts& counts : round.dropped) dropped += counts;
+      if (dropped.broken() > 0 && !complained) {
+        complained = true;
+        spdlog::warn(
+            "the engine's input pictures have pixels that were dropped: {} (said once; counted as "
+            "samples_dropped)",
+            dropped.text());
+      }
+      const std::scoped_lock lock(mutex_);
+      ++statistics_.rounds;
+      statistics_.samples = round.samples.size();
+      statistics_.culled = round.culled;
+      statistics_.thinned = round.thinned;
+      statistics_.dropped += dropped.broken();
+      statistics_.milliseconds = took.count();
+      statistics_.heights = content_heights(round.samples);
+    } catch (const std::exception& error) {
+      spdlog::error("input round of rig generation {}: {}", job.rig_generation, error.what());
+    }
+  }
+}
+
+}  // namespace splatbus::capture_bridge

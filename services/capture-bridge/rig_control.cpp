@@ -1,0 +1,101 @@
+#include "capture-bridge/rig_control.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/trigonometric.hpp>
+
+#include "capture-bridge/parameters.h"
+
+namespace splatbus::capture_bridge {
+
+namespace {
+
+using wire::EngineBuffer;
+
+// The engine puts the light camera where the sun is. What the request says besides the size only has to be sound.
+constexpr float kLightExtentMetres = 12.0F;
+constexpr float kLightHeightMetres = 20.0F;
+
+}  // namespace
+
+std::vector<Camera> RigControl::update(const Camera* viewer, const ContentHeights& content, bool hold_input) {
+  std::vector<Camera> left;
+  const std::uint64_t version = parameters_.version();
+  const bool changed = !placed_ || version != parameters_version_;
+  placed_ = true;
+  parameters_version_ = version;
+  std::optional<ViewerState> state;
+  if (viewer != nullptr) state = ViewerState::of(*viewer);
+  if (changed || !hold_input) {
+    const bool moved = tracker_.update(tracker_options(parameters_), state ? &*state : nullptr, content);
+    if (changed || moved) place_inputs(left);
+  }
+  const bool follow = parameters_.text("reference_rig") == "follow" && viewer != nullptr;
+  if (changed || (follow && viewer_moved(*viewer))) place_references(follow ? viewer : nullptr, left);
+  if (changed) place_light();
+  return left;
+}
+
+void RigControl::place_inputs(std::vector<Camera>& left) {
+  std::vector<Camera> cameras =
+      dome_cameras(dome_options(parameters_), tracker_.pose().centre, tracker_.pose().heading_radians);
+  for (Camera& camera : cameras) {
+    camera.near_m = static_cast<float>(parameters_.number("near_m"));
+    camera.far_m = static_cast<float>(parameters_.number("far_m"));
+  }
+  const auto before = cameras_.of_role(CameraRole::Input);
+  const auto gone =
+      cameras_.replace(CameraRole::Input, cameras,
+                       EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition | EngineBuffer::Normal,
+                       static_cast<float>(parameters_.number("input_rate_hz")));
+  left.insert(left.end(), gone.begin(), gone.end());
+  const auto now = cameras_.of_role(CameraRole::Input);
+  const bool same = std::equal(before.begin(), before.end(), now.begin(), now.end(),
+                               [](const auto& a, const auto& b) { return a.request_id == b.request_id; });
+  if (!same || round_.rig_generation() == 0) round_.begin(now);
+}
+
+void RigControl::place_references(const Camera* viewer, std::vector<Camera>& left) {
+  followed_ = viewer != nullptr ? std::optional(*viewer) : std::nullopt;
+  std::vector<Camera> cameras = viewer != nullptr ? follow_cameras(follow_options(parameters_), *viewer)
+                                                  : ring_cameras(ring_options(parameters_));
+  for (Camera& camera : cameras) {
+    camera.near_m = static_cast<float>(parameters_.number("near_m"));
+    camera.far_m = static_cast<float>(parameters_.number("far_m"));
+  }
+  EngineBuffer buffers = EngineBuffer::Color | EngineBuffer::Albedo;
+  if (parameters_.boolean("reference_depth")) buffers |= EngineBuffer::Depth;
+  const auto gone = cameras_.replace(CameraRole::Reference, cameras, buffers,
+                                     static_cast<float>(parameters_.number("reference_rate_hz")));
+  left.insert(left.end(), gone.begin(), gone.end());
+}
+
+void RigControl::place_light() {
+  const auto size = static_cast<std::uint32_t>(parameters_.integer("light_depth_size"));
+  Camera camera = look_at({0, kLightHeightMetres, 0}, {0, 0, 0}, size, size, 1);
+  camera.role = CameraRole::Light;
+  camera.fx = camera.fy = static_cast<float>(size) / kLightExtentMetres;
+  camera.far_m = 2 * kLightHeightMetres;
+  cameras_.replace(CameraRole::Light, std::span(&camera, 1), EngineBuffer::LightDepth, 0);
+}
+
+bool RigControl::viewer_moved(const Camera& viewer) const {
+  if (!followed_) return true;
+  const Rigid& a = followed_->world_from_camera;
+  const Rigid& b = viewer.world_from_camera;
+  const float turned = 2 * std::acos(std::min(1.0F, std::abs(glm::dot(a.rotation, b.rotation))));
+  return glm::distance(a.translation, b.translation) > static_cast<float>(parameters_.number("follow_move_m")) ||
+         turned > glm::radians(static_cast<float>(parameters_.number("follow_turn_deg")));
+}
+
+void RigControl::reissue_missing_inputs() {
+  cameras_.reissue(CameraRole::Input, round_.missing());
+  round_.renew(cameras_.of_role(CameraRole::Input));
+}
+
+void RigControl::reissue_inputs() {
+  cameras_.reissue_all(CameraRole::Input);
+  round_.renew(cameras_.of_role(CameraRole::Input));
+}
+
+}  // namespace splatbus::capture_bridge

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "bus/parameters.h"
+#include "capture-bridge/camera_set.h"
+#include "capture-bridge/input_round.h"
+#include "capture-bridge/rig.h"
+
+namespace splatbus::capture_bridge {
+
+/// Keeps both rigs where parameters and viewer want them, and the requests that follow from that.
+class RigControl {
+ public:
+  RigControl(const bus::Parameters& parameters, std::uint64_t first_request_id)
+      : parameters_(parameters), cameras_(first_request_id) {}
+
+  /// Places the rigs; `viewer` is null until one is known. With `hold_input` the input rig stays, whatever the viewer
+  /// does. Returns the input and reference cameras that have left for good.
+  std::vector<Camera> update(const Camera* viewer, const ContentHeights& content, bool hold_input);
+
+  /// Asks for input frames that are missing, or for all of them, again.
+  void reissue_missing_inputs();
+  void reissue_inputs();
+
+  [[nodiscard]] CameraSet& cameras() { return cameras_; }
+  [[nodiscard]] InputRound& round() { return round_; }
+
+ private:
+  void place_inputs(std::vector<Camera>& left);
+  void place_references(const Camera* viewer, std::vector<Camera>& left);
+  void place_light();
+  [[nodiscard]] bool viewer_moved(const Camera& viewer) const;
+
+  const bus::Parameters& parameters_;
+  CameraSet cameras_;
+  InputRound round_;
+  InputRigTracker tracker_;
+  std::optional<Camera> followed_;  // the viewer that the follow rig was placed for
+  std::uint64_t parameters_version_ = 0;
+  bool placed_ = false;
+};
+
+}  // namespace splatbus::capture_bridge
