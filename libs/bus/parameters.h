@@ -16,8 +16,8 @@ using ParameterValue = std::variant<bool, std::int64_t, double, std::string>;
 struct ParameterSpec {
   std::string name;
   ParameterValue default_value;
-  std::string description;           ///< with its unit
-  double minimum = -1e300;           ///< numbers only
+  std::string description;  ///< with its unit
+  double minimum = -1e300;  ///< numbers only
   double maximum = 1e300;
   std::vector<std::string> choices;  ///< strings only; empty: any
   bool runtime = true;               ///< false: fixed once the service has started
@@ -28,10 +28,11 @@ class Parameters {
  public:
   explicit Parameters(std::vector<ParameterSpec> specs);
 
-  /// Parses, checks and sets. Returns an empty string, or what was wrong, in words that name parameter and value.
+  /// Parses, checks and sets; booleans are true/false, 1/0, on/off or yes/no. Returns an empty string, or what was
+  /// wrong, in words that name parameter and value.
   [[nodiscard]] std::string set(const std::string& name, const std::string& text, bool at_runtime);
 
-  [[nodiscard]] bool boolean(const std::string& name) const;         ///< asserts that it was declared as bool
+  [[nodiscard]] bool boolean(const std::string& name) const;  ///< asserts that it was declared as bool
   [[nodiscard]] std::int64_t integer(const std::string& name) const;
   [[nodiscard]] double number(const std::string& name) const;
   [[nodiscard]] std::string text(const std::string& name) const;
@@ -41,6 +42,9 @@ class Parameters {
   [[nodiscard]] const std::vector<ParameterSpec>& specs() const { return specs_; }
 
  private:
+  template <class T>
+  [[nodiscard]] T value(const std::string& name) const;
+
   const std::vector<ParameterSpec> specs_;
   mutable std::mutex mutex_;
   std::map<std::string, ParameterValue> values_;

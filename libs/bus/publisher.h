@@ -13,15 +13,15 @@ namespace splatbus::bus {
 
 /// What the caller says of a message; the publisher fills in the rest of wire::Header.
 struct MessageInfo {
-  std::string schema;            ///< "EngineFrame/1"
+  std::string schema;  ///< "EngineFrame/1"
   std::int64_t capture_ns = 0;
   bool latch = false;
   std::string latch_key;
   std::vector<OutgoingTensor> tensors;
 };
 
-/// Publishes one topic. Not thread-safe: one a thread. Never blocks; at the high-water mark ZeroMQ drops, and readers see
-/// the gap in `sequence`.
+/// Publishes one topic. Not thread-safe: one a thread. Never blocks; at the high-water mark ZeroMQ drops, and readers
+/// see the gap in `sequence`.
 class Publisher {
  public:
   Publisher(std::shared_ptr<Context> context, std::string topic);

@@ -27,7 +27,7 @@ class ServiceContext {
   ServiceContext(std::shared_ptr<Context> bus, Parameters& parameters, std::stop_token stop);
 
  private:
-  friend class Heartbeat;
+  friend class Housekeeping;
   std::mutex mutex_;
   std::map<std::string, double> counters_;
   std::string detail_;
@@ -40,9 +40,9 @@ struct ServiceDescription {
 };
 
 /// The main of every service but the broker. Flags: --bus ADDRESS, --name SOURCE (default: kind), --set name=value
-/// (repeatable), --log-level, --parameters (print them with defaults and units, and exit). Sets up spdlog (to stderr and
-/// sys/log), signals, heartbeats 5 times a second, and control/<kind> and control/<source>, then calls `run` and returns
-/// its exit status: 0 after a stop was asked for, 1 with a logged reason when `run` throws.
+/// (repeatable), --log-level, --parameters (print them with defaults and units, and exit). Sets up spdlog (to stderr
+/// and sys/log), signals, heartbeats 5 times a second, and control/<kind> and control/<source>, then calls `run` and
+/// returns its exit status: 0 after a stop was asked for, 1 with a logged reason when `run` throws.
 int service_main(int argc, char** argv, const ServiceDescription& description,
                  const std::function<void(ServiceContext&)>& run);
 

@@ -22,8 +22,8 @@ class Message {
   [[nodiscard]] const std::string& topic() const { return topic_; }
   [[nodiscard]] const wire::Header& header() const { return *header_; }
 
-  /// The root as `T`, whose Header must name `schema` ("EngineFrame/1"). Throws Error naming topic, source, sequence and
-  /// what was wrong (another schema, or a buffer that does not verify).
+  /// The root as `T`, whose Header must name `schema` ("EngineFrame/1"). Throws Error naming topic, source, sequence
+  /// and what was wrong (another schema, or a buffer that does not verify).
   template <class T>
   [[nodiscard]] const T& root(const char* schema) const {
     require_schema(schema);
@@ -51,17 +51,18 @@ class Message {
   friend class Subscriber;
   void require_schema(const char* schema) const;
   [[noreturn]] void throw_malformed(const char* schema) const;
-  struct Frames;
+  struct Content;
   std::string topic_;
   const wire::Header* header_ = nullptr;
-  std::shared_ptr<Frames> frames_;
+  std::shared_ptr<Content> content_;
   std::shared_ptr<Context> context_;
 };
 
 /// Subscribes to topics by exact name, or by prefix where the name ends in '*'. Not thread-safe: one a thread.
 ///
-/// Whatever does not verify as an Envelope is counted and logged with its topic, and skipped. Repeated latched messages
-/// are dropped. Gaps in a source's sequence are counted.
+/// Whatever does not verify as an Envelope is counted and logged with its topic, and skipped. Latched messages that
+/// were seen already, by (source, epoch, topic, latch key, sequence), are dropped. Gaps in the sequence of a (source,
+/// topic) are counted, from the first message on that was not held by the broker.
 class Subscriber {
  public:
   Subscriber(std::shared_ptr<Context> context, const std::vector<std::string>& topics);
@@ -69,23 +70,25 @@ class Subscriber {
   Subscriber(Subscriber&&) noexcept;
   Subscriber& operator=(Subscriber&&) noexcept;
 
-  /// The next message, or nullopt after `timeout` (0: what is there now).
+  /// The next message, or nullopt after `timeout` (0: what is there now) and when a signal arrives.
   std::optional<Message> receive(std::chrono::milliseconds timeout);
 
-  /// Reads everything that is there, keeps the newest of each topic and latch key, in order of arrival.
+  /// Waits for a message, reads everything that is there, and keeps the newest of each (topic, source, latch key), in
+  /// order of arrival. Messages that are not latched count by the same three, so that a publisher can set `latch_key`
+  /// without `latch` to say what replaces what (one key a camera). Where every message counts, use receive().
   std::vector<Message> receive_newest(std::chrono::milliseconds timeout);
 
-  [[nodiscard]] std::uint64_t lost() const;       ///< by sequence gaps
+  [[nodiscard]] std::uint64_t lost() const;  ///< by sequence gaps
   [[nodiscard]] std::uint64_t malformed() const;
-  [[nodiscard]] void* zmq_socket() const;         ///< for zmq::poll beside other sockets
+  [[nodiscard]] void* zmq_socket() const;  ///< for zmq::poll beside other sockets
 
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
 
-/// Runs `handle` for a message, and turns an Error that it throws into a logged line that names the message. Services
-/// wrap every handler in this, so that one bad message never ends a process. False when it threw.
+/// Runs `handle` for a message, and turns an exception that it throws into a logged line that names the message.
+/// Services wrap every handler in this, so that one bad message never ends a process. False when it threw.
 bool guarded(const Message& message, const std::function<void()>& handle);
 
 }  // namespace splatbus::bus

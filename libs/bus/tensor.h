@@ -27,7 +27,7 @@ struct OutgoingTensor {
   std::string name;
   std::vector<std::uint32_t> shape;
   ElementType type = ElementType::F32;
-  wire::Span span{};            ///< from Slab::commit(); ignored when `inline_data` is set
+  wire::Span span{};                  ///< from Slab::commit(); ignored when `inline_data` is set
   const void* inline_data = nullptr;  ///< tensor_bytes(shape, type) bytes, read during publish()
 };
 
@@ -74,12 +74,30 @@ class TensorView {
 
 template <class T>
 struct ElementTypeOf;
-template <> struct ElementTypeOf<std::uint8_t> { static constexpr auto value = ElementType::U8; };
-template <> struct ElementTypeOf<std::uint16_t> { static constexpr auto value = ElementType::U16; };
-template <> struct ElementTypeOf<std::uint32_t> { static constexpr auto value = ElementType::U32; };
-template <> struct ElementTypeOf<std::uint64_t> { static constexpr auto value = ElementType::U64; };
-template <> struct ElementTypeOf<std::int32_t> { static constexpr auto value = ElementType::I32; };
-template <> struct ElementTypeOf<float> { static constexpr auto value = ElementType::F32; };
+template <>
+struct ElementTypeOf<std::uint8_t> {
+  static constexpr auto value = ElementType::U8;
+};
+template <>
+struct ElementTypeOf<std::uint16_t> {
+  static constexpr auto value = ElementType::U16;
+};
+template <>
+struct ElementTypeOf<std::uint32_t> {
+  static constexpr auto value = ElementType::U32;
+};
+template <>
+struct ElementTypeOf<std::uint64_t> {
+  static constexpr auto value = ElementType::U64;
+};
+template <>
+struct ElementTypeOf<std::int32_t> {
+  static constexpr auto value = ElementType::I32;
+};
+template <>
+struct ElementTypeOf<float> {
+  static constexpr auto value = ElementType::F32;
+};
 
 template <class T>
 std::span<const T> TensorView::as() const {

@@ -1,0 +1,13 @@
+#include "bus/clock.h"
+
+#include <time.h>
+
+namespace splatbus::bus {
+
+std::int64_t now_ns() {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
+}
+
+}  // namespace splatbus::bus

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <zmq.hpp>
+
+#include "bus/context.h"
+#include "bus/outbox.h"
+#include "bus/slab_client.h"
+
+namespace splatbus::bus {
+
+struct Context::Impl {
+  Impl(Address address, std::string source);
+
+  struct CachedSlab {
+    std::shared_ptr<Slab> slab;
+    std::int64_t used_ns = 0;
+  };
+  void forget_unused(std::int64_t now);
+
+  const Address address;
+  const std::string source;
+  const std::uint64_t epoch;
+  zmq::context_t zmq;
+  Outbox outbox;
+  std::optional<SlabClient> slabs;  // local buses only
+  std::mutex mutex;
+  std::unordered_map<std::uint64_t, CachedSlab> cache;                   // opened, read-only
+  std::unordered_map<std::uint64_t, std::weak_ptr<Slab>> private_slabs;  // over tcp
+};
+
+}  // namespace splatbus::bus

@@ -1,0 +1,118 @@
+#include "bus/outbox.h"
+
+#include <fmt/format.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+
+#include <utility>
+
+#include "bus/error.h"
+#include "bus/sockets.h"
+
+namespace splatbus::bus {
+namespace {
+
+constexpr std::size_t max_latched_messages = 8192;
+constexpr std::size_t max_latched_bytes = std::size_t{256} << 20;
+constexpr std::size_t max_pending_messages = 512;
+constexpr std::size_t max_pending_bytes = std::size_t{32} << 20;
+constexpr int poll_ms = 100;  // a net below the edge-triggered ZMQ_FD
+constexpr std::chrono::milliseconds farewell{500};
+
+}  // namespace
+
+Outbox::Outbox(zmq::context_t& context, const Address& address)
+    : socket_(context, zmq::socket_type::xpub), latched_(max_latched_messages, max_latched_bytes) {
+  configure_socket(socket_, address.is_local());
+  socket_.set(zmq::sockopt::xpub_verbose, true);
+  // A pipe that lives only while connected: losing the broker shows as an unsubscription, and nothing piles up unseen.
+  socket_.set(zmq::sockopt::immediate, true);
+  socket_.connect(address.publish_endpoint());
+  wake_ = FileDescriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!wake_.valid()) throw Error("cannot make an eventfd");
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
+
+Outbox::~Outbox() {
+  {
+    // A program that publishes one message and ends: give the broker that long to take it.
+    std::unique_lock lock(mutex_);
+    if (!pending_.empty()) connected_changed_.wait_for(lock, farewell, [this] { return connected_; });
+  }
+  thread_.request_stop();
+  ::eventfd_write(wake_.get(), 1);
+  thread_.join();
+}
+
+std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
+  const std::scoped_lock lock(mutex_);
+  read_subscriptions();
+  const std::string topic = frames.topic.to_string();
+  const std::uint64_t sequence = ++sequences_[topic];
+  auto* header =
+      const_cast<wire::Header*>(flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header());  // NOLINT
+  header->mutate_sequence(sequence);
+  const std::uint64_t order = next_order_++;
+  if (latch_key != nullptr) latched_.put(topic, *latch_key, order, frames.share());
+  if (connected_) {
+    send_frames(socket_, std::move(frames));
+    read_subscriptions();
+  } else if (latch_key == nullptr) {
+    pending_bytes_ += frames.bytes();
+    pending_.push_back({order, std::move(frames)});
+    while (pending_.size() > max_pending_messages || pending_bytes_ > max_pending_bytes) {
+      pending_bytes_ -= pending_.front().frames.bytes();
+      pending_.pop_front();
+    }
+  }
+  return sequence;
+}
+
+bool Outbox::wait_connected(std::chrono::milliseconds timeout) {
+  std::unique_lock lock(mutex_);
+  return connected_changed_.wait_for(lock, timeout, [this] { return connected_; });
+}
+
+void Outbox::run(const std::stop_token& stop) {
+  const int events = [this] {
+    const std::scoped_lock lock(mutex_);
+    return static_cast<int>(socket_.get(zmq::sockopt::fd));
+  }();
+  while (!stop.stop_requested()) {
+    pollfd fds[2] = {{events, POLLIN, 0}, {wake_.get(), POLLIN, 0}};
+    ::poll(fds, 2, poll_ms);
+    const std::scoped_lock lock(mutex_);
+    read_subscriptions();
+  }
+}
+
+void Outbox::read_subscriptions() {
+  zmq::message_t event;
+  while (socket_.recv(event, zmq::recv_flags::dontwait)) {
+    if (event.size() == 0) continue;
+    const auto kind = *event.data<std::uint8_t>();
+    if (kind > 1) continue;
+    connected_ = kind == 1;
+    if (connected_) catch_up();
+    connected_changed_.notify_all();
+  }
+}
+
+void Outbox::catch_up() {
+  auto latched = latched_.matching("");
+  auto next_latched = latched.begin();
+  const auto send_latched_before = [&](std::uint64_t order) {
+    for (; next_latched != latched.end() && next_latched->order < order; ++next_latched) {
+      send_frames(socket_, std::move(next_latched->frames));
+    }
+  };
+  for (auto& waiting : pending_) {
+    send_latched_before(waiting.order);
+    send_frames(socket_, std::move(waiting.frames));
+  }
+  send_latched_before(next_order_);
+  pending_.clear();
+  pending_bytes_ = 0;
+}
+
+}  // namespace splatbus::bus

@@ -1,0 +1,60 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <zmq.hpp>
+
+#include "bus/address.h"
+#include "bus/file_descriptor.h"
+#include "bus/frames.h"
+#include "bus/latch_store.h"
+
+namespace splatbus::bus {
+
+/// The one publishing socket of a Context, shared by its Publishers under a mutex. It is an XPUB, so that it sees the
+/// broker's subscription: that is the sign that the broker is there, or is there again. What was published before then
+/// waits here, bounded, and each new connection is first told every latched message again.
+///
+/// Never logs: the log itself is published through it.
+class Outbox {
+ public:
+  Outbox(zmq::context_t& context, const Address& address);
+  ~Outbox();
+  Outbox(const Outbox&) = delete;
+  Outbox& operator=(const Outbox&) = delete;
+
+  /// Numbers the message within its topic (Header.sequence, in place), sends it, and returns the number. `latch_key` is
+  /// null for what is not latched.
+  std::uint64_t send(Frames frames, const std::string* latch_key);
+
+  [[nodiscard]] bool wait_connected(std::chrono::milliseconds timeout);
+
+ private:
+  struct Pending {
+    std::uint64_t order;
+    Frames frames;
+  };
+  void run(const std::stop_token& stop);
+  void read_subscriptions();
+  void catch_up();
+
+  std::mutex mutex_;
+  std::condition_variable connected_changed_;
+  zmq::socket_t socket_;
+  bool connected_ = false;
+  std::uint64_t next_order_ = 1;
+  std::map<std::string, std::uint64_t> sequences_;
+  LatchStore latched_;
+  std::deque<Pending> pending_;
+  std::size_t pending_bytes_ = 0;
+  FileDescriptor wake_;
+  std::jthread thread_;
+};
+
+}  // namespace splatbus::bus

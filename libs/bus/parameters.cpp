@@ -1,0 +1,127 @@
+#include "bus/parameters.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cassert>
+#include <charconv>
+#include <cmath>
+#include <optional>
+
+namespace splatbus::bus {
+namespace {
+
+template <class T>
+std::optional<T> parse_number(const std::string& text) {
+  T value{};
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
+
+std::optional<bool> parse_boolean(const std::string& text) {
+  if (text == "true" || text == "1" || text == "on" || text == "yes") return true;
+  if (text == "false" || text == "0" || text == "off" || text == "no") return false;
+  return std::nullopt;
+}
+
+std::string to_text(const ParameterValue& value) {
+  if (const auto* boolean = std::get_if<bool>(&value)) return *boolean ? "true" : "false";
+  if (const auto* integer = std::get_if<std::int64_t>(&value)) return fmt::format("{}", *integer);
+  if (const auto* number = std::get_if<double>(&value)) return fmt::format("{}", *number);
+  return std::get<std::string>(value);
+}
+
+// The value, or what is wrong with it.
+std::variant<ParameterValue, std::string> parse_value(const ParameterSpec& spec, const std::string& text) {
+  const auto refuse = [&](const std::string& expected) {
+    return fmt::format("parameter '{}': '{}' is not {}", spec.name, text, expected);
+  };
+  if (std::holds_alternative<bool>(spec.default_value)) {
+    const auto value = parse_boolean(text);
+    if (!value) return refuse("true or false");
+    return ParameterValue(*value);
+  }
+  if (std::holds_alternative<std::string>(spec.default_value)) {
+    if (!spec.choices.empty() && std::find(spec.choices.begin(), spec.choices.end(), text) == spec.choices.end()) {
+      return refuse(fmt::format("one of {}", fmt::join(spec.choices, ", ")));
+    }
+    return ParameterValue(text);
+  }
+  const auto range = fmt::format("from {} to {}", spec.minimum, spec.maximum);
+  if (std::holds_alternative<std::int64_t>(spec.default_value)) {
+    const auto value = parse_number<std::int64_t>(text);
+    if (!value) return refuse("a whole number");
+    const auto number = static_cast<double>(*value);
+    if (number < spec.minimum || number > spec.maximum) return refuse(range);
+    return ParameterValue(*value);
+  }
+  const auto value = parse_number<double>(text);
+  if (!value || !std::isfinite(*value)) return refuse("a number");
+  if (*value < spec.minimum || *value > spec.maximum) return refuse(range);
+  return ParameterValue(*value);
+}
+
+}  // namespace
+
+Parameters::Parameters(std::vector<ParameterSpec> specs) : specs_(std::move(specs)) {
+  for (const auto& spec : specs_) {
+    [[maybe_unused]] const bool inserted = values_.emplace(spec.name, spec.default_value).second;
+    assert(inserted && "a parameter is declared twice");
+  }
+}
+
+std::string Parameters::set(const std::string& name, const std::string& text, bool at_runtime) {
+  const auto spec = std::find_if(specs_.begin(), specs_.end(),
+                                 [&](const ParameterSpec& candidate) { return candidate.name == name; });
+  if (spec == specs_.end()) {
+    std::vector<std::string> known;
+    for (const auto& candidate : specs_) known.push_back(candidate.name);
+    return fmt::format("there is no parameter '{}' to set to '{}'; there is: {}", name, text, fmt::join(known, ", "));
+  }
+  if (at_runtime && !spec->runtime) {
+    return fmt::format("parameter '{}' cannot change to '{}' while the service runs", name, text);
+  }
+  const auto parsed = parse_value(*spec, text);
+  if (const auto* problem = std::get_if<std::string>(&parsed)) return *problem;
+  const std::scoped_lock lock(mutex_);
+  values_[name] = std::get<ParameterValue>(parsed);
+  ++version_;
+  return {};
+}
+
+template <class T>
+T Parameters::value(const std::string& name) const {
+  const std::scoped_lock lock(mutex_);
+  const auto found = values_.find(name);
+  assert(found != values_.end() && std::holds_alternative<T>(found->second) && "a parameter read as declared");
+  return std::get<T>(found->second);
+}
+
+bool Parameters::boolean(const std::string& name) const {
+  return value<bool>(name);
+}
+std::int64_t Parameters::integer(const std::string& name) const {
+  return value<std::int64_t>(name);
+}
+double Parameters::number(const std::string& name) const {
+  return value<double>(name);
+}
+std::string Parameters::text(const std::string& name) const {
+  return value<std::string>(name);
+}
+
+std::uint64_t Parameters::version() const {
+  const std::scoped_lock lock(mutex_);
+  return version_;
+}
+
+std::vector<std::pair<std::string, std::string>> Parameters::list() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<std::pair<std::string, std::string>> result;
+  for (const auto& spec : specs_) result.emplace_back(spec.name, to_text(values_.at(spec.name)));
+  return result;
+}
+
+}  // namespace splatbus::bus

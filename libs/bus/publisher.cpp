@@ -1,0 +1,137 @@
+#include "bus/publisher.h"
+
+#include <fmt/format.h>
+
+#include <cstring>
+#include <utility>
+
+#include "bus/context_impl.h"
+#include "bus/error.h"
+#include "bus/frames.h"
+
+namespace splatbus::bus {
+namespace {
+
+constexpr std::size_t payload_alignment = 64;
+
+std::size_t aligned(std::size_t offset) {
+  return (offset + payload_alignment - 1) / payload_alignment * payload_alignment;
+}
+
+}  // namespace
+
+struct Publisher::Impl {
+  std::shared_ptr<Context> context;
+  std::string topic;
+  std::uint64_t sequence = 0;
+
+  // A slab that nobody else can map: its tensors are inlined.
+  std::shared_ptr<Slab> private_slab(std::uint64_t id) const {
+    auto& bus = *context->impl_;
+    if (bus.slabs) return nullptr;
+    const std::scoped_lock lock(bus.mutex);
+    const auto found = bus.private_slabs.find(id);
+    return found == bus.private_slabs.end() ? nullptr : found->second.lock();
+  }
+
+  // Where in the payload each tensor goes; its slab for those that stay there.
+  std::vector<wire::Span> place(const MessageInfo& info, std::size_t& payload_bytes) const {
+    std::vector<wire::Span> spans;
+    payload_bytes = 0;
+    for (const auto& tensor : info.tensors) {
+      const std::size_t bytes = tensor_bytes(tensor.shape, tensor.type);
+      if (tensor.inline_data == nullptr && bytes > 0) {
+        if (bytes != tensor.span.bytes()) {
+          throw Error(fmt::format("{}: tensor '{}' has {} bytes by its shape, {} by its span", topic, tensor.name,
+                                  bytes, tensor.span.bytes()));
+        }
+        if (context->address().is_local()) {
+          spans.push_back(tensor.span);
+          continue;
+        }
+        if (private_slab(tensor.span.slab()) == nullptr) {
+          throw Error(fmt::format("{}: tensor '{}' lies in a slab that is not of this process", topic, tensor.name));
+        }
+      }
+      payload_bytes = aligned(payload_bytes);
+      spans.emplace_back(0, 0, payload_bytes, bytes, wire::Storage::Inline);
+      payload_bytes += bytes;
+    }
+    if (payload_bytes > static_cast<std::size_t>(max_frame_bytes)) {
+      throw Error(fmt::format("{}: {} bytes of inline tensors are more than a frame may have", topic, payload_bytes));
+    }
+    return spans;
+  }
+};
+
+Publisher::Publisher(std::shared_ptr<Context> context, std::string topic)
+    : impl_(std::make_unique<Impl>(Impl{std::move(context), std::move(topic), 0})) {
+  if (impl_->topic.empty() || impl_->topic.size() > max_topic_bytes) {
+    throw Error(fmt::format("'{}' is no topic", printable(impl_->topic)));
+  }
+}
+
+Publisher::~Publisher() = default;
+Publisher::Publisher(Publisher&&) noexcept = default;
+Publisher& Publisher::operator=(Publisher&&) noexcept = default;
+
+const std::string& Publisher::topic() const {
+  return impl_->topic;
+}
+std::uint64_t Publisher::sequence() const {
+  return impl_->sequence;
+}
+
+flatbuffers::Offset<wire::Header> Publisher::make_header(flatbuffers::FlatBufferBuilder& builder,
+                                                         const MessageInfo& info) {
+  std::size_t payload_bytes = 0;
+  const auto spans = impl_->place(info, payload_bytes);
+  std::vector<flatbuffers::Offset<wire::Tensor>> tensors;
+  for (std::size_t i = 0; i < spans.size(); ++i) {
+    const auto& tensor = info.tensors[i];
+    const auto name = builder.CreateString(tensor.name);
+    const auto shape = builder.CreateVector(tensor.shape);
+    tensors.push_back(wire::CreateTensor(builder, name, &spans[i], shape, tensor.type));
+  }
+  const auto schema = builder.CreateString(info.schema);
+  const auto source = builder.CreateString(impl_->context->source());
+  const auto key = info.latch_key.empty() ? 0 : builder.CreateString(info.latch_key);
+  const auto tensor_vector = tensors.empty() ? 0 : builder.CreateVector(tensors);
+  // Every scalar is stored, so that the outbox and the broker can change sequence and resent in place.
+  builder.ForceDefaults(true);
+  const auto header = wire::CreateHeader(builder, schema, source, 1, impl_->context->epoch(), info.capture_ns, now_ns(),
+                                         0, info.latch, key, tensor_vector, false);
+  builder.ForceDefaults(false);
+  return header;
+}
+
+void Publisher::send(flatbuffers::FlatBufferBuilder& builder, const MessageInfo& info) {
+  Frames frames;
+  frames.topic.rebuild(impl_->topic.data(), impl_->topic.size());
+  frames.body.rebuild(builder.GetBufferPointer(), builder.GetSize());
+  std::size_t payload_bytes = 0;
+  const auto spans = impl_->place(info, payload_bytes);
+  for (std::size_t i = 0; i < spans.size(); ++i) {
+    if (spans[i].storage() != wire::Storage::Inline) continue;
+    if (!frames.has_payload) {
+      frames.payload.rebuild(payload_bytes);
+      if (payload_bytes > 0) std::memset(frames.payload.data(), 0, payload_bytes);
+      frames.has_payload = true;
+    }
+    if (spans[i].bytes() == 0) continue;
+    auto* destination = frames.payload.data<std::byte>() + spans[i].offset();
+    const auto& tensor = info.tensors[i];
+    if (tensor.inline_data != nullptr) {
+      std::memcpy(destination, tensor.inline_data, spans[i].bytes());
+    } else {
+      const auto slab = impl_->private_slab(tensor.span.slab());
+      if (slab == nullptr || !slab->copy(tensor.span, destination)) {
+        throw Error(fmt::format("{}: tensor '{}': its slot was written again before it was published", impl_->topic,
+                                tensor.name));
+      }
+    }
+  }
+  impl_->sequence = impl_->context->impl_->outbox.send(std::move(frames), info.latch ? &info.latch_key : nullptr);
+}
+
+}  // namespace splatbus::bus

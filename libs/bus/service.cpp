@@ -1,0 +1,111 @@
+#include "bus/service.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <exception>
+#include <utility>
+
+#include "bus/error.h"
+#include "bus/housekeeping.h"
+#include "bus/log_sink.h"
+#include "bus/signals.h"
+
+namespace splatbus::bus {
+namespace {
+
+struct Flags {
+  std::string address;
+  std::string name;
+  std::string log_level = "info";
+  std::vector<std::string> changes;
+  bool list_parameters = false;
+};
+
+void add_flags(CLI::App& app, Flags& flags) {
+  app.add_option("--bus", flags.address, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
+  app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
+  app.add_option("--set", flags.changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
+  app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  app.add_flag("--parameters", flags.list_parameters, "print the parameters with their defaults, and exit");
+}
+
+std::string describe_range(const ParameterSpec& spec) {
+  if (!spec.choices.empty()) return fmt::format(" One of: {}.", fmt::join(spec.choices, ", "));
+  const bool number =
+      std::holds_alternative<double>(spec.default_value) || std::holds_alternative<std::int64_t>(spec.default_value);
+  const ParameterSpec unbounded;
+  if (!number || (spec.minimum == unbounded.minimum && spec.maximum == unbounded.maximum)) return {};
+  if (spec.maximum == unbounded.maximum) return fmt::format(" At least {}.", spec.minimum);
+  if (spec.minimum == unbounded.minimum) return fmt::format(" At most {}.", spec.maximum);
+  return fmt::format(" From {} to {}.", spec.minimum, spec.maximum);
+}
+
+void print_parameters(const Parameters& parameters) {
+  const auto values = parameters.list();
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const auto& spec = parameters.specs()[i];
+    fmt::print("{} = {}\n    {}{}{}\n", values[i].first, values[i].second, spec.description, describe_range(spec),
+               spec.runtime ? "" : " Fixed at start.");
+  }
+}
+
+void set_parameters(Parameters& parameters, const std::vector<std::string>& changes) {
+  for (const auto& change : changes) {
+    const auto equals = change.find('=');
+    if (equals == std::string::npos) throw Error(fmt::format("--set '{}': expected name=value", change));
+    const auto problem = parameters.set(change.substr(0, equals), change.substr(equals + 1), false);
+    if (!problem.empty()) throw Error("--set: " + problem);
+  }
+}
+
+int run_service(const Flags& flags, const ServiceDescription& description, Parameters& parameters,
+                const std::function<void(ServiceContext&)>& run) {
+  std::stop_source stop;
+  const StopSignals signals(stop);
+  const auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
+  const auto context = Context::create(address, flags.name);
+  install_logger(context, flags.log_level);
+  ServiceContext service(context, parameters, stop.get_token());
+  std::string failure;
+  {
+    Housekeeping housekeeping(service, description.kind);
+    spdlog::info("{} on {}", description.kind, address.text());
+    try {
+      run(service);
+    } catch (const std::exception& error) {
+      failure = error.what();
+      spdlog::critical("{}", failure);
+    }
+    housekeeping.finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
+  }
+  uninstall_logger();
+  return failure.empty() ? 0 : 1;
+}
+
+}  // namespace
+
+int service_main(int argc, char** argv, const ServiceDescription& description,
+                 const std::function<void(ServiceContext&)>& run) {
+  CLI::App app(description.summary, "splatbus-" + description.kind);
+  Flags flags;
+  flags.name = description.kind;
+  add_flags(app, flags);
+  CLI11_PARSE(app, argc, argv);
+  Parameters parameters(description.parameters);
+  try {
+    set_parameters(parameters, flags.changes);
+    if (flags.list_parameters) {
+      print_parameters(parameters);
+      return 0;
+    }
+    return run_service(flags, description, parameters, run);
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
+    return 1;
+  }
+}
+
+}  // namespace splatbus::bus

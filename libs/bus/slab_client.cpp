@@ -1,0 +1,152 @@
+#include "bus/slab_client.h"
+
+#include <fmt/format.h>
+#include <poll.h>
+#include <spdlog/spdlog.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+#include "bus/error.h"
+
+namespace splatbus::bus {
+namespace {
+
+constexpr std::chrono::milliseconds first_pause{50};
+constexpr std::chrono::milliseconds longest_pause{1000};
+constexpr timeval answer_timeout{2, 0};
+
+FileDescriptor connect_to(const std::string& path) {
+  FileDescriptor socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  if (!socket.valid() || path.size() >= sizeof(address.sun_path)) return {};
+  std::memcpy(address.sun_path, path.c_str(), path.size());
+  if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) return {};
+  ::setsockopt(socket.get(), SOL_SOCKET, SO_RCVTIMEO, &answer_timeout, sizeof(answer_timeout));
+  ::setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &answer_timeout, sizeof(answer_timeout));
+  return socket;
+}
+
+}  // namespace
+
+SlabClient::SlabClient(std::string socket_path)
+    : socket_path_(std::move(socket_path)), wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  if (!wake_.valid()) throw Error("cannot make an eventfd");
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
+
+SlabClient::~SlabClient() {
+  thread_.request_stop();
+  ::eventfd_write(wake_.get(), 1);
+  thread_.join();
+}
+
+void SlabClient::add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout) {
+  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  std::unique_lock lock(mutex_);
+  while (connected_changed_.wait_until(lock, deadline, [this] { return connected_; })) {
+    const auto answer = ask(SlabOperation::Register, slab->descriptor(), slab->control_fd(), slab->data_fd());
+    if (!answer) continue;  // the broker went meanwhile
+    if (answer->status != SlabStatus::Ok) {
+      throw Error(fmt::format("slab '{}' was refused: {}", slab->name(), answer->text));
+    }
+    own_[slab->name()] = slab;
+    return;
+  }
+  throw Error(fmt::format("slab '{}': no broker answers at {}", slab->name(), socket_path_));
+}
+
+void SlabClient::keep(const std::shared_ptr<Slab>& slab) {
+  const std::scoped_lock lock(mutex_);
+  own_[slab->name()] = slab;
+}
+
+void SlabClient::drop(const std::string& name) {
+  const std::scoped_lock lock(mutex_);
+  own_.erase(name);
+  SlabDescriptor descriptor;
+  descriptor.name = name;
+  if (connected_) (void)ask(SlabOperation::Release, descriptor, -1, -1);
+}
+
+std::optional<SlabPacket> SlabClient::open(std::uint64_t id, const std::string& name) {
+  const std::scoped_lock lock(mutex_);
+  if (!connected_) return std::nullopt;
+  SlabDescriptor descriptor;
+  descriptor.id = id;
+  descriptor.name = name;
+  auto answer = ask(name.empty() ? SlabOperation::Open : SlabOperation::OpenByName, descriptor, -1, -1);
+  if (!answer || answer->status != SlabStatus::Ok) return std::nullopt;
+  return answer;
+}
+
+std::optional<SlabPacket> SlabClient::ask(SlabOperation operation, const SlabDescriptor& descriptor, int control_fd,
+                                          int data_fd) {
+  try {
+    SlabPacket request;
+    request.operation = operation;
+    request.descriptor = descriptor;
+    send_slab_packet(socket_.get(), request, control_fd, data_fd);
+    auto answer = receive_slab_packet(socket_.get());
+    if (answer && answer->operation == SlabOperation::Answer) return answer;
+  } catch (const Error& error) {
+    spdlog::warn("{}", error.what());
+  }
+  // Whatever went wrong, an answer that comes late must not be taken for the next question's.
+  connected_ = false;
+  ::shutdown(socket_.get(), SHUT_RDWR);
+  return std::nullopt;
+}
+
+bool SlabClient::connect() {
+  auto socket = connect_to(socket_path_);
+  if (!socket.valid()) return false;
+  const std::scoped_lock lock(mutex_);
+  socket_ = std::move(socket);
+  connected_ = true;
+  register_all();
+  connected_changed_.notify_all();
+  return connected_;
+}
+
+void SlabClient::register_all() {
+  for (auto it = own_.begin(); it != own_.end() && connected_;) {
+    const auto slab = it->second.lock();
+    if (slab == nullptr) {
+      it = own_.erase(it);
+      continue;
+    }
+    const auto answer = ask(SlabOperation::Register, slab->descriptor(), slab->control_fd(), slab->data_fd());
+    if (answer && answer->status != SlabStatus::Ok) {
+      spdlog::error("slab '{}' was refused after the broker came back: {}", slab->name(), answer->text);
+    }
+    ++it;
+  }
+}
+
+void SlabClient::run(const std::stop_token& stop) {
+  auto pause = first_pause;
+  while (!stop.stop_requested()) {
+    if (!connect()) {
+      pollfd wait{wake_.get(), POLLIN, 0};
+      ::poll(&wait, 1, static_cast<int>(pause.count()));
+      pause = std::min(pause * 2, longest_pause);
+      continue;
+    }
+    pause = first_pause;
+    // Answers are read by those who asked; here only the end of the connection counts.
+    pollfd fds[2] = {{socket_.get(), POLLRDHUP, 0}, {wake_.get(), POLLIN, 0}};
+    ::poll(fds, 2, -1);
+    const std::scoped_lock lock(mutex_);
+    connected_ = false;
+    socket_.reset();
+  }
+}
+
+}  // namespace splatbus::bus

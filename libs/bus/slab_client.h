@@ -1,0 +1,56 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "bus/file_descriptor.h"
+#include "bus/slab.h"
+#include "bus/slab_protocol.h"
+
+namespace splatbus::bus {
+
+/// A process's connection to the slab registry. A thread keeps it up: when the broker goes, it connects again with a
+/// growing pause and registers this process's slabs anew under the same ids. Thread-safe.
+class SlabClient {
+ public:
+  explicit SlabClient(std::string socket_path);
+  ~SlabClient();
+  SlabClient(const SlabClient&) = delete;
+  SlabClient& operator=(const SlabClient&) = delete;
+
+  /// Registers, and again after each reconnection for as long as the slab lives. Throws Error when the registry refuses
+  /// it, or cannot be reached within `timeout`.
+  void add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout);
+
+  /// Registers again after a reconnection what is registered already (an adopted slab).
+  void keep(const std::shared_ptr<Slab>& slab);
+
+  void drop(const std::string& name);
+
+  /// The registry's answer to Open or OpenByName; nullopt when it has no such slab or cannot be reached.
+  std::optional<SlabPacket> open(std::uint64_t id, const std::string& name);
+
+ private:
+  void run(const std::stop_token& stop);
+  bool connect();
+  std::optional<SlabPacket> ask(SlabOperation operation, const SlabDescriptor& descriptor, int control_fd, int data_fd);
+  void register_all();
+
+  const std::string socket_path_;
+  std::mutex mutex_;
+  std::condition_variable connected_changed_;
+  FileDescriptor socket_;  // closed by the thread alone; others shut it down
+  bool connected_ = false;
+  std::map<std::string, std::weak_ptr<Slab>> own_;
+  FileDescriptor wake_;
+  std::jthread thread_;
+};
+
+}  // namespace splatbus::bus

@@ -1,0 +1,64 @@
+#include "bus/slab_memory.h"
+
+#include <fmt/format.h>
+#include <sys/mman.h>
+
+#include <cstring>
+#include <utility>
+
+#include "bus/error.h"
+#include "bus/memfd.h"
+
+namespace splatbus::bus {
+namespace {
+
+[[noreturn]] void refuse_kind(const SlabDescriptor& descriptor) {
+  throw Error(fmt::format("slab '{}': this build has no memory of kind {}", descriptor.name,
+                          static_cast<std::uint32_t>(descriptor.kind)));
+}
+
+}  // namespace
+
+HostSlab::HostSlab(const SlabDescriptor& descriptor, ControlBlock control, FileDescriptor data, bool writable)
+    : Slab(descriptor, std::move(control), writable), data_fd_(std::move(data)) {
+  const std::size_t bytes = slab_data_bytes(descriptor);
+  data_ = map_memory(data_fd_, bytes, writable, descriptor.name);
+  mapped_bytes_ = bytes;
+}
+
+HostSlab::~HostSlab() {
+  if (data_ != nullptr) ::munmap(data_, mapped_bytes_);
+}
+
+std::shared_ptr<HostSlab> HostSlab::create(const SlabDescriptor& descriptor, bool shared) {
+  const std::size_t bytes = slab_data_bytes(descriptor);
+  auto control = ControlBlock::create(descriptor, shared);
+  FileDescriptor data;
+  if (shared) data = make_sealed_memfd(descriptor.name, bytes);
+  return std::shared_ptr<HostSlab>(new HostSlab(descriptor, std::move(control), std::move(data), true));
+}
+
+std::shared_ptr<HostSlab> HostSlab::map(const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
+                                        bool writable) {
+  const std::size_t bytes = slab_data_bytes(descriptor);
+  auto control_block = ControlBlock::map(descriptor, std::move(control), writable);
+  require_sealed_memfd(data, bytes, fmt::format("slab '{}': its data", descriptor.name));
+  return std::shared_ptr<HostSlab>(new HostSlab(descriptor, std::move(control_block), std::move(data), writable));
+}
+
+void HostSlab::read(std::size_t offset, std::size_t bytes, void* destination) const {
+  if (bytes > 0) std::memcpy(destination, data_ + offset, bytes);
+}
+
+std::shared_ptr<Slab> create_slab_memory(const SlabDescriptor& descriptor, bool shared) {
+  if (descriptor.kind != MemoryKind::Host) refuse_kind(descriptor);
+  return HostSlab::create(descriptor, shared);
+}
+
+std::shared_ptr<Slab> map_slab_memory(const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
+                                      bool writable) {
+  if (descriptor.kind != MemoryKind::Host) refuse_kind(descriptor);
+  return HostSlab::map(descriptor, std::move(control), std::move(data), writable);
+}
+
+}  // namespace splatbus::bus

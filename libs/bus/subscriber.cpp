@@ -1,0 +1,169 @@
+#include "bus/subscriber.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <map>
+#include <tuple>
+#include <unordered_map>
+#include <utility>
+
+#include "bus/clock.h"
+#include "bus/context_impl.h"
+#include "bus/log_limiter.h"
+#include "bus/message_content.h"
+#include "bus/sockets.h"
+
+namespace splatbus::bus {
+namespace {
+
+constexpr std::size_t max_tracked = 65536;   // streams that one subscriber remembers
+constexpr std::size_t max_drained = 100000;  // messages that one receive_newest() takes
+
+std::string latch_key_of(const wire::Header& header) {
+  return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
+}
+
+struct Position {
+  std::uint64_t epoch = 0;
+  std::uint64_t sequence = 0;
+  bool live = false;  // something that the broker did not hold has come
+};
+
+}  // namespace
+
+struct Subscriber::Impl {
+  std::shared_ptr<Context> context;
+  zmq::socket_t socket;
+  std::vector<std::string> exact;
+  std::vector<std::string> prefixes;
+  std::map<std::pair<std::string, std::string>, Position> positions;              // source, topic
+  std::map<std::tuple<std::string, std::string, std::string>, Position> latched;  // source, topic, latch key
+  std::uint64_t lost = 0;
+  std::uint64_t malformed = 0;
+  LogLimiter limiter;
+
+  Impl(std::shared_ptr<Context> bus, const std::vector<std::string>& topics)
+      : context(std::move(bus)), socket(context->impl_->zmq, zmq::socket_type::sub) {
+    configure_socket(socket, context->address().is_local());
+    for (const auto& topic : topics) {
+      const bool prefix = topic.ends_with('*');
+      const auto name = prefix ? topic.substr(0, topic.size() - 1) : topic;
+      (prefix ? prefixes : exact).push_back(name);
+      socket.set(zmq::sockopt::subscribe, name);
+    }
+    socket.connect(context->address().subscribe_endpoint());
+  }
+
+  // ZeroMQ matches prefixes only.
+  [[nodiscard]] bool wanted(std::string_view topic) const {
+    return std::any_of(exact.begin(), exact.end(), [&](const auto& name) { return topic == name; }) ||
+           std::any_of(prefixes.begin(), prefixes.end(), [&](const auto& name) { return topic.starts_with(name); });
+  }
+
+  void refuse(const Frames& frames, const std::string& why) {
+    ++malformed;
+    if (limiter.allow()) {
+      spdlog::warn("{}: skipped a malformed message ({} so far): {}", printable(frames.topic_text()), malformed, why);
+    }
+  }
+
+  [[nodiscard]] bool seen_before(const std::string& topic, const wire::Header& header) {
+    if (!header.latch()) return false;
+    if (latched.size() >= max_tracked) latched.clear();
+    auto& position = latched[{header.source()->str(), topic, latch_key_of(header)}];
+    if (position.epoch == header.epoch() && header.sequence() <= position.sequence) return true;
+    position = {header.epoch(), header.sequence(), true};
+    return false;
+  }
+
+  void count_gap(const std::string& topic, const wire::Header& header) {
+    if (positions.size() >= max_tracked) positions.clear();
+    auto& position = positions[{header.source()->str(), topic}];
+    if (position.epoch != header.epoch()) position = {header.epoch(), 0, false};
+    const bool live = !header.resent();
+    if (live && position.live && header.sequence() > position.sequence + 1) {
+      lost += header.sequence() - position.sequence - 1;
+    }
+    position.sequence = std::max(position.sequence, header.sequence());
+    position.live = position.live || live;
+  }
+
+  // The next message that is there and concerns the caller.
+  std::shared_ptr<Message::Content> take(const wire::Header*& header) {
+    while (true) {
+      auto content = std::make_shared<Message::Content>();
+      std::string why;
+      const Receipt receipt = receive_frames(socket, content->frames, why);
+      if (receipt == Receipt::Nothing) return nullptr;
+      if (receipt == Receipt::Malformed) {
+        refuse(content->frames, why);
+        continue;
+      }
+      if (!wanted(content->frames.topic_text())) continue;
+      header = verified_header(content->frames.body, why);
+      if (header == nullptr) {
+        refuse(content->frames, why);
+        continue;
+      }
+      const std::string topic = content->frames.topic.to_string();
+      if (seen_before(topic, *header)) continue;
+      count_gap(topic, *header);
+      return content;
+    }
+  }
+};
+
+Subscriber::Subscriber(std::shared_ptr<Context> context, const std::vector<std::string>& topics)
+    : impl_(std::make_unique<Impl>(std::move(context), topics)) {}
+Subscriber::~Subscriber() = default;
+Subscriber::Subscriber(Subscriber&&) noexcept = default;
+Subscriber& Subscriber::operator=(Subscriber&&) noexcept = default;
+
+std::optional<Message> Subscriber::receive(std::chrono::milliseconds timeout) {
+  const std::int64_t deadline = now_ns() + std::chrono::nanoseconds(timeout).count();
+  while (true) {
+    Message message;
+    message.content_ = impl_->take(message.header_);
+    if (message.content_ != nullptr) {
+      message.topic_ = message.content_->frames.topic.to_string();
+      message.context_ = impl_->context;
+      return message;
+    }
+    const std::int64_t left_ns = deadline - now_ns();
+    if (left_ns <= 0) return std::nullopt;
+    zmq_pollitem_t item{impl_->socket.handle(), 0, ZMQ_POLLIN, 0};
+    if (zmq_poll(&item, 1, static_cast<long>((left_ns + 999'999) / 1'000'000)) < 0) return std::nullopt;
+  }
+}
+
+std::vector<Message> Subscriber::receive_newest(std::chrono::milliseconds timeout) {
+  std::vector<std::optional<Message>> received;
+  std::map<std::tuple<std::string, std::string, std::string>, std::size_t> newest;
+  for (auto message = receive(timeout); message; message = receive(std::chrono::milliseconds(0))) {
+    const auto& header = message->header();
+    const auto [place, first] =
+        newest.try_emplace({message->topic(), header.source()->str(), latch_key_of(header)}, received.size());
+    if (!first) received[std::exchange(place->second, received.size())].reset();
+    received.push_back(std::move(message));
+    if (received.size() >= max_drained) break;
+  }
+  std::vector<Message> result;
+  for (auto& message : received) {
+    if (message) result.push_back(std::move(*message));
+  }
+  return result;
+}
+
+std::uint64_t Subscriber::lost() const {
+  return impl_->lost;
+}
+std::uint64_t Subscriber::malformed() const {
+  return impl_->malformed;
+}
+void* Subscriber::zmq_socket() const {
+  return impl_->socket.handle();
+}
+
+}  // namespace splatbus::bus

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "bus/address.h"
+
+namespace splatbus::bus_service {
+
+struct BrokerOptions {
+  bus::Address address;                 ///< local: the folder of the sockets, made with mode 0700 when it is missing
+  std::optional<std::string> tcp_host;  ///< interface to listen on ("127.0.0.1", "*") for readers and writers elsewhere
+  std::uint16_t tcp_port = 0;           ///< XSUB there, XPUB at the next; 0: two free ones in a row
+  std::size_t max_held_messages = 8192;  ///< latched messages kept, of all topics
+  std::size_t max_held_bytes = std::size_t{64} << 20;
+};
+
+/// Counters since start().
+struct BrokerStatistics {
+  std::uint64_t relayed = 0;         ///< messages
+  std::uint64_t malformed = 0;       ///< did not verify, and went no further
+  std::uint64_t inlined = 0;         ///< sent to tcp readers with the slabs' bytes
+  std::uint64_t inline_dropped = 0;  ///< not sent to tcp readers: the slab was gone or its slot overwritten
+  std::uint64_t held = 0;            ///< latched messages now
+  std::uint64_t slabs = 0;           ///< registered now
+};
+
+/// The bus process: relays messages from its XSUB to its XPUB, keeps the last value of latched topics, registers slabs,
+/// tells who is alive. Runs on threads of its own, in splatbus-bus or within a test.
+class Broker {
+ public:
+  explicit Broker(BrokerOptions options);
+  ~Broker();  ///< stops
+  Broker(const Broker&) = delete;
+  Broker& operator=(const Broker&) = delete;
+
+  /// Throws bus::Error: the address is not local, the folder is another user's, another broker runs there, a port is
+  /// taken. When it returns, clients can connect.
+  void start();
+  void stop();
+
+  [[nodiscard]] const bus::Address& address() const;
+  [[nodiscard]] std::optional<bus::Address> tcp_address() const;  ///< after start(), with the ports really taken
+  [[nodiscard]] BrokerStatistics statistics() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace splatbus::bus_service

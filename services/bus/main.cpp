@@ -1,0 +1,61 @@
+#include <fmt/format.h>
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <CLI/CLI.hpp>
+#include <condition_variable>
+#include <mutex>
+#include <string>
+
+#include "bus/broker.h"
+#include "bus/error.h"
+#include "bus/signals.h"
+
+namespace {
+
+using splatbus::bus::Address;
+
+int run(const std::string& address, const std::string& tcp, const std::string& log_level) {
+  std::stop_source stop;
+  const splatbus::bus::StopSignals signals(stop);
+  spdlog::set_default_logger(spdlog::stderr_logger_mt("bus"));
+  spdlog::set_pattern("[%H:%M:%S.%e] [%n] [%l] %v");
+  spdlog::set_level(spdlog::level::from_str(log_level));
+
+  splatbus::bus_service::BrokerOptions options;
+  options.address = address.empty() ? Address::from_environment() : Address::parse(address);
+  if (!tcp.empty()) {
+    const auto remote = Address::parse("tcp://" + tcp);
+    options.tcp_host = remote.host;
+    options.tcp_port = remote.port;
+  }
+  splatbus::bus_service::Broker broker(options);
+  broker.start();
+  spdlog::info("bus on {}{}", options.address.text(), tcp.empty() ? "" : " and tcp://" + tcp);
+
+  std::mutex mutex;
+  std::condition_variable_any stopped;
+  std::unique_lock lock(mutex);
+  stopped.wait(lock, stop.get_token(), [] { return false; });
+  broker.stop();
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("The splatbus broker: relays messages, keeps latched ones, registers slabs", "splatbus-bus");
+  std::string address;
+  std::string tcp;
+  std::string log_level = "info";
+  app.add_option("--bus", address, "ipc:///directory for the sockets")->envname("SPLATBUS_BUS");
+  app.add_option("--tcp", tcp, "host:port to listen on for other machines; the port after it is used too");
+  app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  try {
+    return run(address, tcp, log_level);
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "splatbus-bus: {}\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,66 @@
+#include "bus/own_messages.h"
+
+#include <unistd.h>
+
+#include <string_view>
+#include <vector>
+
+#include "bus/clock.h"
+
+namespace splatbus::bus_service {
+namespace {
+
+constexpr const char* own_source = "bus";
+
+bus::Frames make_frames(std::string_view topic, const flatbuffers::FlatBufferBuilder& builder) {
+  bus::Frames frames;
+  frames.topic.rebuild(topic.data(), topic.size());
+  frames.body.rebuild(builder.GetBufferPointer(), builder.GetSize());
+  return frames;
+}
+
+}  // namespace
+
+OwnMessages::OwnMessages() : epoch_(static_cast<std::uint64_t>(bus::now_ns())) {}
+
+flatbuffers::Offset<wire::Header> OwnMessages::header(flatbuffers::FlatBufferBuilder& builder, const char* schema,
+                                                      std::uint64_t sequence) const {
+  const auto schema_text = builder.CreateString(schema);
+  const auto source = builder.CreateString(own_source);
+  builder.ForceDefaults(true);
+  const auto result =
+      wire::CreateHeader(builder, schema_text, source, sequence, epoch_, 0, bus::now_ns(), 0, true, source, 0, false);
+  builder.ForceDefaults(false);
+  return result;
+}
+
+bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::ServiceState state) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto head = header(builder, "Heartbeat/1", ++heartbeats_);
+  const std::pair<const char*, std::uint64_t> counters[] = {
+      {"relayed", statistics.relayed}, {"malformed", statistics.malformed},
+      {"inlined", statistics.inlined}, {"inline_dropped", statistics.inline_dropped},
+      {"held", statistics.held},       {"slabs", statistics.slabs}};
+  std::vector<flatbuffers::Offset<wire::Counter>> offsets;
+  for (const auto& [name, value] : counters) {
+    offsets.push_back(wire::CreateCounterDirect(builder, name, static_cast<double>(value)));
+  }
+  builder.Finish(wire::CreateHeartbeatDirect(builder, head, own_source, static_cast<std::uint32_t>(::getpid()), state,
+                                             nullptr, &offsets, nullptr));
+  return make_frames("sys/heartbeat", builder);
+}
+
+bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& nodes) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto head = header(builder, "Liveness/1", ++liveness_messages_);
+  const std::int64_t now = bus::now_ns();
+  std::vector<flatbuffers::Offset<wire::Node>> offsets;
+  for (const auto& [source, node] : nodes) {
+    offsets.push_back(wire::CreateNodeDirect(builder, source.c_str(), node.service.c_str(), node.pid, node.epoch,
+                                             node.state, node.alive, static_cast<double>(now - node.heard_ns) * 1e-9));
+  }
+  builder.Finish(wire::CreateLivenessDirect(builder, head, &offsets));
+  return make_frames("sys/liveness", builder);
+}
+
+}  // namespace splatbus::bus_service

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+
+#include "bus/broker.h"
+#include "bus/frames.h"
+#include "bus/liveness.h"
+
+namespace splatbus::bus_service {
+
+/// What the broker itself says, as source "bus": its heartbeat and sys/liveness.
+class OwnMessages {
+ public:
+  OwnMessages();
+
+  bus::Frames heartbeat(const BrokerStatistics& statistics, wire::ServiceState state);
+  bus::Frames liveness(const std::map<std::string, Liveness::Node>& nodes);
+
+ private:
+  flatbuffers::Offset<wire::Header> header(flatbuffers::FlatBufferBuilder& builder, const char* schema,
+                                           std::uint64_t sequence) const;
+
+  const std::uint64_t epoch_;
+  std::uint64_t heartbeats_ = 0;
+  std::uint64_t liveness_messages_ = 0;
+};
+
+}  // namespace splatbus::bus_service
