@@ -16,9 +16,15 @@ constexpr std::int32_t kMeanLimit = 1 << 26;   // 1 km at a step of 0.015 mm; su
 constexpr std::int32_t kValueLimit = 1 << 14;  // log-scales, colours, coefficients
 constexpr std::int32_t kRotationLimit = 1 << 12;
 
+ParameterLayout canonical(ParameterLayout parameters) {
+  if (parameters.appearance == Appearance::Transfer) parameters.sh_degree = ParameterLayout{}.sh_degree;
+  return parameters;
+}
+
 }  // namespace
 
-StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m) : parameters_(parameters) {
+StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m)
+    : parameters_(canonical(parameters)) {
   add(Attribute::Mean, 3, {0, mean_step_m}, -kMeanLimit, kMeanLimit);
   add(Attribute::LogScale, 3, {0, 1.0F / 64}, -kValueLimit, kValueLimit);
   add(Attribute::Rotation, 3, {0, 1.0F / 128}, -kRotationLimit, kRotationLimit);
@@ -34,6 +40,8 @@ StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m)
     if (rest > 0) add(Attribute::ShRest, rest, {0, 1.0F / 64}, -kValueLimit, kValueLimit);
   }
 }
+
+bool StreamLayout::carries(const ParameterLayout& parameters) const { return parameters_ == canonical(parameters); }
 
 void StreamLayout::add(Attribute attribute, int channels, Quantiser quantiser, std::int32_t minimum,
                        std::int32_t maximum) {

@@ -56,7 +56,10 @@ class StreamLayout {
   /// As a SnapshotBegin says. Throws StreamError.
   static StreamLayout from_wire(const wire::SnapshotBegin& begin);
 
+  /// With the default sh_degree where the appearance has none.
   [[nodiscard]] const ParameterLayout& parameters() const { return parameters_; }
+  /// Whether Gaussians of this layout can be streamed with it.
+  [[nodiscard]] bool carries(const ParameterLayout& parameters) const;
   [[nodiscard]] const std::vector<AttributeChannels>& attributes() const { return attributes_; }
   [[nodiscard]] int channels() const { return channels_; }
   /// Null when the layout has no such attribute.

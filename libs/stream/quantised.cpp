@@ -201,7 +201,7 @@ void QuantisedGaussians::remove(std::span<const std::uint32_t> ascending) {
 
 void quantise(const GaussiansView& gaussians, const StreamLayout& layout, QuantisedGaussians& out,
               std::vector<std::uint8_t>& usable, const QuantisedGaussians* held, const std::uint32_t* held_column) {
-  assert(gaussians.layout == layout.parameters());
+  assert(layout.carries(gaussians.layout));
   const std::size_t count = gaussians.count;
   out.planes.resize(static_cast<std::size_t>(layout.channels()));
   out.resize(count);

@@ -1,0 +1,75 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "stream/delta_codec.h"
+#include "stream/quantised.h"
+
+namespace splatbus::stream {
+
+/// When and how changes of one attribute are sent.
+struct AttributeSchedule {
+  std::int32_t dead_zone = 2;  ///< quantiser steps: only changes above it, in any channel, are sent
+  std::uint32_t every = 1;     ///< ticks
+  float weight = 1;            ///< of one step in the picture, against the other attributes
+};
+
+/// One schedule an attribute, by wire value; Visibility, ObjectId and GaussianId are sent otherwise, and Normal never changes.
+using Schedules = std::array<AttributeSchedule, static_cast<std::size_t>(Attribute::MAX) + 1>;
+[[nodiscard]] Schedules default_schedules();
+
+/// A packet's worth of residuals.
+struct SelectedDelta {
+  Attribute attribute{};
+  Delta delta;
+};
+
+/// Chooses what of target - held is worth its bytes. Keeps, for each held Gaussian and attribute, how long the target has rested: what
+/// rested for `calm_ticks` is sent to within one step and then left alone, what still moves only beyond its dead zone.
+class DeltaSelection {
+ public:
+  DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks = 8);
+
+  void set_schedules(const Schedules& schedules) { schedules_ = schedules; }
+
+  /// Follows the held state's columns.
+  void append(const QuantisedGaussians& appended);
+  void remove(std::span<const std::uint32_t> ascending);
+
+  /// `target_column[slot]` is the slot's column in `target`, or kNotHeld when the target has nothing usable for it.
+  /// `share[slot]` as picture_share. Stays near `budget_bytes` after compression, most picture for the byte first.
+  [[nodiscard]] std::vector<SelectedDelta> select(const QuantisedGaussians& held, const QuantisedGaussians& target,
+                                                  std::span<const std::uint32_t> target_column,
+                                                  std::span<const float> share, double budget_bytes);
+
+  /// What a packet of `count` entries came to, for the next estimate.
+  void learn_cost(Attribute attribute, std::size_t count, std::size_t bytes);
+
+  /// Entries above their dead zone that the last select() left for later.
+  [[nodiscard]] std::size_t pending() const { return pending_; }
+
+ private:
+  struct Candidate {
+    float score;
+    std::uint32_t slot;
+    std::uint32_t attribute;  ///< index into the layout's attributes
+  };
+  void collect(std::uint32_t attribute, const QuantisedGaussians& held, const QuantisedGaussians& target,
+               std::span<const std::uint32_t> target_column, std::span<const float> share);
+  [[nodiscard]] const AttributeSchedule& schedule(std::uint32_t attribute) const;
+
+  StreamLayout layout_;
+  Schedules schedules_;
+  std::uint32_t calm_ticks_;
+  std::uint64_t tick_ = 0;
+  std::vector<std::vector<std::int32_t>> anchor_;  ///< [channels][slots] where the target rests
+  std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][slots] ticks of rest
+  std::vector<double> bytes_per_entry_;            ///< [attributes]
+  std::vector<Candidate> candidates_;
+  std::size_t pending_ = 0;
+};
+
+}  // namespace splatbus::stream

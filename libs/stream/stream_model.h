@@ -1,0 +1,101 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <span>
+#include <unordered_map>
+#include <vector>
+
+#include "gaussians/camera.h"
+#include "stream/delta_selection.h"
+#include "stream/held_state.h"
+
+namespace splatbus::stream {
+
+struct StreamOptions {
+  std::size_t chunk_gaussians = 4096;  ///< a Snapshot packet at most
+  Schedules schedules = default_schedules();
+  std::uint32_t calm_ticks = 8;
+};
+
+/// A snapshot of the held state, encoded once for however many viewers join.
+struct EncodedSnapshot {
+  std::uint64_t as_of = 0;
+  std::vector<EncodedPacket> head;    ///< SnapshotBegin, LightState, ObjectTransforms
+  std::vector<EncodedPacket> chunks;  ///< by slot
+  std::vector<EncodedPacket> tail;    ///< GaussianOrder
+};
+
+/// The streamer's side: a mirror of what every viewer holds, and the packets that bring it nearer to the published model.
+/// The mirror changes only by the very bytes that are sent. Not thread-safe.
+class StreamModel {
+ public:
+  StreamModel(PacketWriter writer, std::uint64_t stream_epoch, StreamOptions options = {});
+
+  /// Quantises what is published now into memory of its own; `still_valid` says afterwards whether what was read was whole. False
+  /// when it was not: everything is as before. After a view of another layout (appearance, degree) ready() is false.
+  bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
+  /// Throws StreamError when there are more than kMaxObjects.
+  void set_scene(const SceneState& scene, std::uint64_t frame);
+  void set_schedules(const Schedules& schedules);
+
+  /// What was observed becomes what is held, without packets: for when nobody holds anything, or everybody gets a snapshot. Takes
+  /// one sequence number, so that whoever held something before notices.
+  void jump();
+  /// Nobody holds anything any more: the next jump() may choose other quantisers.
+  void release() { ready_ = false; }
+  /// False before the first jump(), after release(), and when the observed layout is another one: only jump() helps.
+  [[nodiscard]] bool ready() const { return ready_; }
+  [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
+
+  /// Broadcast packets of one tick: scene, removals, object ids, visibility, new Gaussians, deltas. What viewers see most comes first,
+  /// and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready().
+  [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
+
+  [[nodiscard]] EncodedSnapshot snapshot();
+  /// Chunks of a snapshot of what is held now, most visible from `camera` first. Without a camera: as they come.
+  [[nodiscard]] std::vector<std::size_t> chunk_order(const std::optional<Camera>& camera) const;
+
+  [[nodiscard]] const HeldState& held() const { return held_; }
+  [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
+  [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }                    ///< observed, not held, after the last tick
+  [[nodiscard]] std::size_t pending_deltas() const { return selection_.pending(); }
+
+ private:
+  template <class Build>
+  void emit(std::vector<EncodedPacket>& out, wire::Body body, Build&& build, Payload payload = {});
+  [[nodiscard]] std::vector<std::uint32_t> slots_of(std::span<const std::uint64_t> ids) const;
+  void map_columns();
+  void index_ids();
+  void tick_scene(std::vector<EncodedPacket>& out);
+  void tick_removals(std::vector<EncodedPacket>& out);
+  void tick_objects(std::vector<EncodedPacket>& out);
+  void tick_visibility(std::vector<EncodedPacket>& out);
+  void tick_appends(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
+  void append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns);
+  void tick_deltas(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
+
+  PacketWriter writer_;
+  StreamOptions options_;
+  HeldState held_;
+  DeltaSelection selection_;
+  bool ready_ = false;
+
+  SceneState scene_;
+  std::uint64_t scene_frame_ = 0;
+  bool light_changed_ = false, objects_changed_ = false;
+
+  std::optional<StreamLayout> target_layout_;
+  QuantisedGaussians target_, scratch_;
+  std::vector<std::uint8_t> usable_, scratch_usable_;
+  std::vector<std::uint32_t> slot_of_column_;       ///< kNotHeld: not held
+  std::vector<std::uint32_t> column_of_slot_;       ///< kNotHeld: not in the target, or not usable
+  std::vector<std::uint32_t> gone_;                 ///< slots that the target has no more, ascending
+  std::vector<std::uint32_t> fresh_;                ///< columns that are usable and not held
+  std::unordered_map<std::uint64_t, std::uint32_t> slot_of_id_;
+  double chunk_bytes_per_gaussian_ = 24;
+  std::uint64_t snapshots_ = 0;
+};
+
+}  // namespace splatbus::stream

@@ -1,0 +1,324 @@
+#include "stream/replica.h"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <random>
+#include <set>
+
+#include "stream/chunk_codec.h"
+#include "stream/error.h"
+#include "toy_server.h"
+
+namespace splatbus::stream {
+namespace {
+
+using test::parse;
+using test::send;
+using test::ToyServer;
+
+void expect_exact(const StreamModel& server, const Replica& replica) {
+  ASSERT_TRUE(replica.held());
+  EXPECT_EQ(replica.held()->sequence, server.held().sequence);
+  EXPECT_TRUE(replica.held()->gaussians == server.held().gaussians) << "server's mirror and replica differ";
+  EXPECT_TRUE(replica.held()->layout == server.held().layout);
+  EXPECT_EQ(replica.view().count, server.held().gaussians.count());
+}
+
+// The floats that are shown equal those made afresh from the integers.
+void expect_shown(const Replica& replica) {
+  DisplayPlanes fresh(replica.held()->layout);
+  fresh.extend(replica.held()->gaussians);
+  const GaussiansView want = fresh.view(), got = replica.view();
+  ASSERT_EQ(got.count, want.count);
+  for (int c = 0; c < want.layout.channels(); ++c) {
+    ASSERT_TRUE(std::equal(want.plane(c), want.plane(c) + want.count, got.plane(c))) << "channel " << c;
+  }
+  ASSERT_TRUE(std::equal(want.visibility, want.visibility + want.count, got.visibility));
+  ASSERT_TRUE(std::equal(want.object_id, want.object_id + want.count, got.object_id));
+}
+
+TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
+  for (std::uint32_t seed = 1; seed <= 6; ++seed) {
+    std::mt19937 random(seed);
+    ToyServer server(seed, 500, seed % 2 ? Appearance::Transfer : Appearance::Radiance);
+    Replica replica;
+    send(server.stream.snapshot(), replica);
+    for (int tick = 0; tick < 40; ++tick) {
+      switch (random() % 5) {
+        case 0: server.insert(random() % 400); break;
+        case 1: server.remove(random() % 60); break;
+        case 2: server.scene.light.sun_irradiance.x += 1, ++server.scene.light.generation; break;
+        case 3: server.scene.objects[random() % 3].translation.y += 0.1F; break;
+        default: break;
+      }
+      server.train(0.02F);
+      send(server.tick(random() % 3 ? 3000 : 1e9), replica);
+      ASSERT_FALSE(replica.missing());
+      ASSERT_FALSE(replica.needs_snapshot());
+    }
+    expect_exact(server.stream, replica);
+    expect_shown(replica);
+    EXPECT_EQ(replica.scene().light.sun_irradiance, server.scene.light.sun_irradiance);
+    EXPECT_EQ(replica.scene().objects.size(), server.scene.objects.size());
+    Replica late;
+    send(server.stream.snapshot(), late);
+    expect_exact(server.stream, late);
+  }
+}
+
+TEST(ClosedLoop, EveryGaussianKeepsItsIdAndObject) {
+  ToyServer server(4);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  server.insert(300);
+  server.remove(100);
+  server.train(0.01F);
+  for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
+  std::map<std::uint64_t, std::uint32_t> object_of;
+  for (std::size_t i = 0; i < server.model().count(); ++i) {
+    object_of[server.model().gaussian_id[i]] = server.model().object_id[i];
+  }
+  const QuantisedGaussians& held = replica.held()->gaussians;
+  ASSERT_EQ(held.count(), object_of.size());
+  for (std::size_t i = 0; i < held.count(); ++i) {
+    ASSERT_TRUE(object_of.contains(held.gaussian_id[i]));
+    EXPECT_EQ(object_of[held.gaussian_id[i]], held.object_id[i]);
+  }
+}
+
+TEST(Loss, ResendOfWhatIsMissingHeals) {
+  ToyServer server(9);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  std::map<std::uint64_t, EncodedPacket> history;
+  std::mt19937 random(3);
+  int lost = 0;
+  for (int tick = 0; tick < 20; ++tick) {
+    server.insert(20);
+    server.remove(5);
+    server.train(0.05F);
+    for (const EncodedPacket& packet : server.tick()) {
+      history[packet.sequence] = packet;
+      if (random() % 3 == 0) {
+        ++lost;
+      } else {
+        replica.receive(parse(packet));
+      }
+    }
+  }
+  ASSERT_GT(lost, 10);
+  int asked = 0;
+  for (auto gap = replica.missing(); gap; gap = replica.missing()) {
+    ASSERT_LE(gap->first, gap->last);
+    ASSERT_LT(asked++, 1000);
+    for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
+  }
+  // A loss at the very end shows only in an Alive.
+  const PacketWriter writer("streamer", 1);
+  replica.receive(parse(writer.write(77, 0, wire::Body::Alive, [&](auto& b) {
+    return wire::CreateAlive(b, server.stream.held().sequence, 0, 1);
+  })));
+  for (auto gap = replica.missing(); gap; gap = replica.missing()) {
+    for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
+  }
+  expect_exact(server.stream, replica);
+  expect_shown(replica);
+}
+
+TEST(Loss, PacketsTwiceAndInAnyOrderChangeNothing) {
+  ToyServer server(10);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  std::vector<EncodedPacket> packets;
+  for (int tick = 0; tick < 10; ++tick) {
+    server.insert(10);
+    server.train(0.05F);
+    for (EncodedPacket& packet : server.tick()) packets.push_back(packet), packets.push_back(packets.back());
+  }
+  std::mt19937 random(5);
+  std::ranges::shuffle(packets, random);
+  send(packets, replica);
+  expect_exact(server.stream, replica);
+}
+
+TEST(Snapshot, FirstChunkIsShownAtOnceAndInAnyOrderTheWholeIsExact) {
+  ToyServer server(11, 1500);
+  EncodedSnapshot snapshot = server.stream.snapshot();
+  ASSERT_GE(snapshot.chunks.size(), 5U);
+  std::ranges::reverse(snapshot.chunks);
+  Replica replica;
+  send(snapshot.head, replica);
+  EXPECT_EQ(replica.view().count, 0U);
+  EXPECT_TRUE(replica.receive(parse(snapshot.chunks[0])));
+  EXPECT_GT(replica.view().count, 0U);
+  EXPECT_TRUE(replica.loading());
+  // Broadcast packets wait for the rest.
+  server.train(0.05F);
+  const auto packets = server.tick();
+  send(packets, replica);
+  EXPECT_TRUE(replica.loading());
+  for (const EncodedPacket& packet : snapshot.chunks) replica.receive(parse(packet));
+  send(snapshot.tail, replica);
+  EXPECT_FALSE(replica.loading());
+  expect_exact(server.stream, replica);
+}
+
+TEST(Snapshot, OldPictureStaysUntilTheNewOneIsWhole) {
+  ToyServer first(12, 700), second(13, 900);
+  Replica replica;
+  send(first.stream.snapshot(), replica);
+  const EncodedSnapshot snapshot = second.stream.snapshot();
+  send(snapshot.head, replica);
+  for (std::size_t i = 0; i + 1 < snapshot.chunks.size(); ++i) {
+    EXPECT_FALSE(replica.receive(parse(snapshot.chunks[i])));
+    EXPECT_EQ(replica.view().count, 700U);
+  }
+  EXPECT_TRUE(replica.receive(parse(snapshot.chunks.back())));
+  EXPECT_EQ(replica.view().count, 900U);
+}
+
+TEST(Snapshot, JumpIsNoticedByWhoeverHeldSomething) {
+  ToyServer server(14);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  server.stream.jump();
+  server.train(0.1F);
+  send(server.tick(), replica);
+  ASSERT_TRUE(replica.missing());
+  EXPECT_EQ(replica.missing()->first, replica.held()->sequence + 1);
+}
+
+TEST(Hostile, NothingIsHeldBeforeASnapshotAndForeignEpochsAreIgnored) {
+  ToyServer server(15);
+  Replica replica;
+  server.train(0.1F);
+  send(server.tick(), replica);
+  EXPECT_EQ(replica.view().count, 0U);
+  send(server.stream.snapshot(), replica);
+  const PacketWriter writer("other", 1);
+  const auto foreign = writer.write(78, replica.held()->sequence + 1, wire::Body::ObjectTransforms,
+                                    [](auto& b) { return wire::CreateObjectTransforms(b, 1); });
+  EXPECT_FALSE(replica.receive(parse(foreign)));
+  expect_exact(server.stream, replica);
+}
+
+TEST(Hostile, SnapshotBeginOfImpossibleSizesIsRefused) {
+  ToyServer server(16);
+  Replica replica(1000);
+  send(server.stream.snapshot(), replica);
+  const PacketWriter writer("streamer", 1);
+  const auto begin = [&](std::uint32_t total, std::uint32_t chunks, float step, std::uint8_t degree) {
+    return writer.write(77, 0, wire::Body::SnapshotBegin, [&](auto& b) {
+      std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
+      for (const AttributeChannels& a : server.stream.held().layout.attributes()) {
+        const wire::Quantiser quantiser(0, step);
+        attributes.push_back(wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
+      }
+      return wire::CreateSnapshotBegin(b, 5, 1, total, chunks, degree ? wire::Appearance::Radiance : wire::Appearance::Transfer,
+                                       degree, b.CreateVector(attributes));
+    });
+  };
+  EXPECT_THROW(replica.receive(parse(begin(1001, 3, 1, 0))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(0xFFFFFFFFU, 1, 1, 0))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(100, 101, 1, 0))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(100, 0, 1, 0))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(100, 1, 0, 0))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(100, 1, std::nanf(""), 0))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(100, 1, 1, 200))), StreamError);
+  EXPECT_THROW(replica.receive(parse(begin(100, 1, 1, 2))), StreamError);
+  expect_exact(server.stream, replica);
+}
+
+// Every packet of a history, mutated and truncated in FlatBuffer and payload, against a replica at that very point.
+TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
+  ToyServer server(17, 300);
+  Replica good;
+  send(server.stream.snapshot(), good);
+  server.scene.objects[3].translation = {1, 2, 3};
+  server.scene.light.generation = 9;
+  server.insert(100);
+  server.remove(20);
+  server.train(0.2F);
+  server.model().object_id[5] += 1;
+  const auto tick = server.tick();
+  std::set<wire::Body> kinds;
+  std::mt19937 random(21);
+  int thrown = 0, quiet = 0;
+  HeldState state = *good.held();
+  for (const EncodedPacket& packet : tick) {
+    kinds.insert(packet.body);
+    for (int round = 0; round < 300; ++round) {
+      EncodedPacket mutated = packet;
+      Bytes& bytes = mutated.payload.empty() || round % 3 == 0 ? mutated.packet : mutated.payload;
+      if (round % 5 == 0) bytes.resize(random() % bytes.size());
+      for (int k = 0; k < 2 && !bytes.empty(); ++k) bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
+      HeldState victim = state;
+      try {
+        const ParsedPacket parsed = parse(mutated);
+        try {
+          apply(victim, parsed, 5000);
+          ++quiet;
+          for (const AttributeChannels& a : victim.layout.attributes()) {
+            for (int c = 0; c < a.channels; ++c) {
+              ASSERT_EQ(victim.gaussians.planes[a.first + c].size(), victim.gaussians.count());
+              for (const std::int32_t q : victim.gaussians.planes[a.first + c]) {
+                ASSERT_TRUE(q >= a.minimum && q <= a.maximum);
+              }
+            }
+          }
+        } catch (const StreamError&) {
+          ++thrown;
+          ASSERT_TRUE(victim.gaussians == state.gaussians) << "half applied: " << wire::EnumNameBody(packet.body);
+        }
+      } catch (const StreamError&) {
+        ++thrown;
+      }
+    }
+    apply(state, parse(packet));
+  }
+  EXPECT_TRUE(state.gaussians == server.stream.held().gaussians);
+  EXPECT_GT(thrown, 100);
+  for (const wire::Body body : {wire::Body::Snapshot, wire::Body::TensorDelta, wire::Body::Remove, wire::Body::GaussianOrder,
+                                wire::Body::ObjectIds, wire::Body::ObjectTransforms, wire::Body::LightState,
+                                wire::Body::LightVisibility}) {
+    EXPECT_TRUE(kinds.contains(body)) << wire::EnumNameBody(body) << " was not exercised";
+  }
+}
+
+TEST(Hostile, ReplicaSurvivesMutatedPacketsAndASnapshotHealsIt) {
+  ToyServer server(18, 300);
+  std::mt19937 random(22);
+  for (int round = 0; round < 200; ++round) {
+    Replica replica(5000);
+    EncodedSnapshot snapshot = server.stream.snapshot();
+    const auto damage = [&](EncodedPacket& packet) {
+      Bytes& bytes = random() % 2 && !packet.payload.empty() ? packet.payload : packet.packet;
+      bytes[random() % bytes.size()] ^= static_cast<std::uint8_t>(1 + random() % 255);
+    };
+    damage(snapshot.head[random() % snapshot.head.size()]);
+    damage(snapshot.chunks[random() % snapshot.chunks.size()]);
+    for (const auto* part : {&snapshot.head, &snapshot.chunks, &snapshot.tail}) {
+      for (const EncodedPacket& packet : *part) {
+        try {
+          replica.receive(parse(packet));
+        } catch (const StreamError&) {
+        }
+      }
+    }
+    send(server.stream.snapshot(), replica);
+    expect_exact(server.stream, replica);
+  }
+}
+
+TEST(Hostile, RandomBytesAreNoPackets) {
+  std::mt19937 random(23);
+  for (int round = 0; round < 2000; ++round) {
+    Bytes bytes(random() % 300);
+    for (auto& byte : bytes) byte = static_cast<std::uint8_t>(random());
+    EXPECT_THROW((void)ParsedPacket::parse(bytes, {}), StreamError);
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::stream

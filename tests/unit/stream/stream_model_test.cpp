@@ -1,0 +1,200 @@
+#include "stream/stream_model.h"
+
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <set>
+
+#include "stream/importance.h"
+#include "toy_server.h"
+
+namespace splatbus::stream {
+namespace {
+
+using test::parse;
+using test::send;
+using test::ToyServer;
+
+std::size_t bytes(const std::vector<EncodedPacket>& packets) {
+  std::size_t sum = 0;
+  for (const EncodedPacket& packet : packets) sum += packet.bytes();
+  return sum;
+}
+
+std::size_t count(const std::vector<EncodedPacket>& packets, wire::Body body) {
+  return static_cast<std::size_t>(std::ranges::count(packets, body, &EncodedPacket::body));
+}
+
+TEST(StreamModel, NothingIsSentWhenNothingChanges) {
+  ToyServer server(1);
+  for (int tick = 0; tick < 5; ++tick) EXPECT_TRUE(server.tick().empty());
+}
+
+TEST(StreamModel, JitterBelowTheDeadZoneIsNeverSent) {
+  ToyServer server(2);
+  const GaussiansBuffer rest = GaussiansBuffer::copy_of(server.model().view());
+  std::mt19937 random(4);
+  std::size_t packets = 0;
+  for (int tick = 0; tick < 60; ++tick) {
+    // Half a step of the albedo's quantiser, to and fro.
+    for (std::size_t i = 0; i < rest.count(); ++i) {
+      const float jitter = random() % 2 ? 0.5F : -0.5F;
+      for (int c = 0; c < 3; ++c) {
+        const std::size_t at = static_cast<std::size_t>(ParameterLayout::kAlbedo + c) * rest.stride() + i;
+        server.model().parameters[at] = linear_from_srgb(srgb_from_linear(rest.parameters[at]) + jitter / 255);
+      }
+    }
+    packets += server.tick().size();
+  }
+  EXPECT_EQ(packets, 0U);
+}
+
+TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
+  ToyServer server(3);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  // Two steps of albedo: inside the dead zone.
+  for (std::size_t i = 0; i < server.model().count(); ++i) {
+    float& red = server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + i];
+    red = linear_from_srgb(srgb_from_linear(red) + 2.0F / 255);
+  }
+  std::size_t first = 0, later = 0;
+  for (int tick = 0; tick < 8; ++tick) {
+    const auto packets = server.tick();
+    first += count(packets, wire::Body::TensorDelta);
+    send(packets, replica);
+  }
+  for (int tick = 0; tick < 4; ++tick) send(server.tick(), replica);
+  for (int tick = 0; tick < 20; ++tick) later += server.tick().size();
+  EXPECT_EQ(later, 0U);
+  const AttributeChannels& albedo = replica.held()->layout.at(Attribute::Albedo);
+  for (std::size_t i = 0; i < replica.view().count; ++i) {
+    const std::uint64_t id = replica.held()->gaussians.gaussian_id[i];
+    const float want =
+        srgb_from_linear(server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + id - 1]);
+    EXPECT_NEAR(static_cast<float>(replica.held()->gaussians.planes[albedo.first][i]) / 255, want, 1.6F / 255);
+  }
+}
+
+TEST(StreamModel, BudgetBoundsEveryTickAndEverythingArrivesInTheEnd) {
+  ToyServer server(5, 3000);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  server.insert(3000);
+  server.train(0.05F);
+  std::size_t ticks = 0;
+  for (; ticks < 200; ++ticks) {
+    const auto packets = server.tick(8000);
+    send(packets, replica);
+    EXPECT_LT(bytes(packets), 8000U * 3 / 2 + 8000) << "tick " << ticks;
+    if (server.stream.unsent() == 0 && server.stream.pending_deltas() == 0 && packets.empty()) break;
+  }
+  EXPECT_GT(ticks, 10U);
+  EXPECT_LT(ticks, 200U);
+  EXPECT_EQ(replica.view().count, 6000U);
+}
+
+TEST(StreamModel, VisibleGaussiansComeFirst) {
+  ToyServer server(6, 100);
+  server.insert(4000);
+  server.stream.observe(server.model().view());
+  const Camera camera = look_at({-2.5F, 1, 0}, {-2, 0, 0}, 64, 64, 0.8F);
+  const auto packets = server.stream.tick(6000, {&camera, 1});
+  ASSERT_GE(count(packets, wire::Body::Snapshot), 1U);
+  const QuantisedGaussians& held = server.stream.held().gaussians;
+  std::vector<std::uint32_t> appended;
+  for (std::uint32_t slot = 100; slot < held.count(); ++slot) appended.push_back(slot);
+  const auto mean_share = [&](const QuantisedGaussians& gaussians) {
+    const auto share = picture_share(gaussians, server.stream.held().layout, {&camera, 1}, {});
+    double sum = 0;
+    for (const float s : share) sum += s;
+    return sum / static_cast<double>(share.size());
+  };
+  const double first = mean_share(held.gather(appended));
+  server.tick(1e9);
+  EXPECT_GT(first, 1.5 * mean_share(server.stream.held().gaussians));
+}
+
+TEST(StreamModel, GaussiansThatAreNotFiniteAreLeftOut) {
+  ToyServer server(7, 100);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  server.insert(10);
+  server.model().parameters[105] = std::numeric_limits<float>::quiet_NaN();
+  const float held = server.model().parameters[3];
+  server.model().parameters[3] = std::numeric_limits<float>::infinity();
+  send(server.tick(), replica);
+  EXPECT_EQ(replica.view().count, 109U);
+  server.model().parameters[105] = 0.25F;
+  server.model().parameters[3] = held;
+  send(server.tick(), replica);
+  EXPECT_EQ(replica.view().count, 110U);
+}
+
+TEST(StreamModel, DuplicateIdsAreStreamedOnce) {
+  ToyServer server(8, 50);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  server.insert(4);
+  server.model().gaussian_id[52] = server.model().gaussian_id[51];
+  server.model().gaussian_id[53] = server.model().gaussian_id[2];
+  for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
+  EXPECT_EQ(replica.view().count, 52U);
+}
+
+TEST(StreamModel, AnObservationThatWasTornIsThrownAway) {
+  ToyServer server(9, 50);
+  const GaussiansBuffer other = test::toy_model(80, 4, 1000);
+  EXPECT_FALSE(server.stream.observe(other.view(), [] { return false; }));
+  EXPECT_TRUE(server.stream.tick(1e9, {}).empty());
+  EXPECT_EQ(server.stream.observed_count(), 50U);
+}
+
+TEST(StreamModel, AnotherLayoutNeedsAJump) {
+  ToyServer server(10, 50);
+  const GaussiansBuffer other = test::toy_model(80, 4, 1, Appearance::Radiance, 2);
+  EXPECT_TRUE(server.stream.observe(other.view()));
+  EXPECT_FALSE(server.stream.ready());
+  server.stream.jump();
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  EXPECT_EQ(replica.view().count, 80U);
+  EXPECT_EQ(replica.view().layout, other.layout());
+}
+
+TEST(StreamModel, AnEmptyModelGrows) {
+  StreamModel stream(PacketWriter("streamer", 1), 5);
+  const GaussiansBuffer none(ParameterLayout{}, 0);
+  ASSERT_TRUE(stream.observe(none.view()));
+  stream.jump();
+  Replica replica;
+  send(stream.snapshot(), replica);
+  EXPECT_EQ(replica.epoch(), 5U);
+  ASSERT_TRUE(stream.observe(test::toy_model(100, 1).view()));
+  send(stream.tick(1e9, {}), replica);
+  EXPECT_EQ(replica.view().count, 100U);
+  ASSERT_TRUE(stream.observe(none.view()));
+  send(stream.tick(1e9, {}), replica);
+  EXPECT_EQ(replica.view().count, 0U);
+}
+
+TEST(StreamModel, ChunkOrderBeginsWithWhatTheCameraSees) {
+  ToyServer server(12, 4000);
+  const Camera camera = look_at({2, 1, 2}, {2, 0, 1.9F}, 64, 64, 0.8F);
+  const auto order = server.stream.chunk_order(camera);
+  EXPECT_EQ(std::set<std::size_t>(order.begin(), order.end()).size(), order.size());
+  EXPECT_EQ(order.size(), (4000U + 255) / 256);
+  Replica replica;
+  const EncodedSnapshot snapshot = server.stream.snapshot();
+  send(snapshot.head, replica);
+  replica.receive(parse(snapshot.chunks[order[0]]));
+  glm::vec3 centre(0);
+  for (std::size_t i = 0; i < replica.view().count; ++i) {
+    for (int c = 0; c < 3; ++c) centre[c] += replica.view().plane(c)[i] / static_cast<float>(replica.view().count);
+  }
+  EXPECT_GT(centre.x, 0.8F);
+  EXPECT_GT(centre.z, 0.8F);
+}
+
+}  // namespace
+}  // namespace splatbus::stream

@@ -1,0 +1,96 @@
+#pragma once
+
+#include <deque>
+#include <random>
+
+#include "stream/replica.h"
+#include "stream/stream_model.h"
+#include "toy_model.h"
+
+namespace splatbus::stream::test {
+
+inline ParsedPacket parse(const EncodedPacket& packet) { return ParsedPacket::parse(packet.packet, packet.payload); }
+
+/// A model that grows, shrinks and moves like a trained one, and its stream.
+class ToyServer {
+ public:
+  explicit ToyServer(std::uint32_t seed, std::size_t count = 600, Appearance appearance = Appearance::Transfer)
+      : stream(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256}),
+        random_(seed),
+        model_(toy_model(count, seed, 1, appearance)),
+        next_id_(count + 1) {
+    scene.light.sun_direction = {0, 1, 0};
+    scene.light.generation = 1;
+    stream.set_scene(scene, 0);
+    stream.observe(model_.view());
+    stream.jump();
+  }
+
+  void insert(std::size_t count) {
+    const GaussiansBuffer more = toy_model(count, static_cast<std::uint32_t>(random_()), next_id_, model_.layout().appearance);
+    next_id_ += count;
+    const std::size_t before = model_.count();
+    model_.resize(before + count);
+    for (std::size_t i = 0; i < count; ++i) copy(more, i, model_, before + i);
+  }
+
+  void remove(std::size_t count) {
+    std::vector<std::uint8_t> gone(model_.count());
+    for (std::size_t i = 0; i < count && i < gone.size(); ++i) gone[random_() % gone.size()] = 1;
+    GaussiansBuffer kept(model_.layout(), static_cast<std::size_t>(std::ranges::count(gone, 0)));
+    std::size_t to = 0;
+    for (std::size_t i = 0; i < gone.size(); ++i) {
+      if (!gone[i]) copy(model_, i, kept, to++);
+    }
+    model_ = kept;
+  }
+
+  void train(float amount) {
+    std::normal_distribution<float> normal(0, amount);
+    for (float& value : model_.parameters) value += normal(random_);
+    for (std::size_t i = 0; i < model_.count(); ++i) {
+      if (random_() % 50 == 0) model_.visibility[i] = 1 - model_.visibility[i];
+      if (random_() % 500 == 0) model_.object_id[i] = static_cast<std::uint32_t>(random_() % 3);
+    }
+  }
+
+  std::vector<EncodedPacket> tick(double budget = 1e9) {
+    stream.set_scene(scene, ++frame_);
+    EXPECT_TRUE(stream.observe(model_.view()));
+    return stream.tick(budget, {});
+  }
+
+  GaussiansBuffer& model() { return model_; }
+
+  StreamModel stream;
+  SceneState scene;
+
+ private:
+  static void copy(const GaussiansBuffer& from, std::size_t i, GaussiansBuffer& to, std::size_t k) {
+    for (int c = 0; c < from.layout().channels(); ++c) {
+      to.parameters[static_cast<std::size_t>(c) * to.stride() + k] =
+          from.parameters[static_cast<std::size_t>(c) * from.stride() + i];
+    }
+    for (std::size_t c = 0; c < 3; ++c) to.normal[c * to.stride() + k] = from.normal[c * from.stride() + i];
+    to.visibility[k] = from.visibility[i];
+    to.object_id[k] = from.object_id[i];
+    to.gaussian_id[k] = from.gaussian_id[i];
+  }
+
+  std::mt19937 random_;
+  GaussiansBuffer model_;
+  std::uint64_t next_id_;
+  std::uint64_t frame_ = 0;
+};
+
+inline void send(const std::vector<EncodedPacket>& packets, Replica& replica) {
+  for (const EncodedPacket& packet : packets) replica.receive(parse(packet));
+}
+
+inline void send(const EncodedSnapshot& snapshot, Replica& replica) {
+  send(snapshot.head, replica);
+  send(snapshot.chunks, replica);
+  send(snapshot.tail, replica);
+}
+
+}  // namespace splatbus::stream::test
