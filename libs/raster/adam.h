@@ -7,8 +7,8 @@
 
 namespace splatbus::raster {
 
-/// Adam (Kingma and Ba 2015) on parameter planes, only on Gaussians touched and not frozen (sparse, as Taming-3DGS and gsplat's
-/// SelectiveAdam: untouched moments rest). One learning rate a channel.
+/// Adam (Kingma and Ba 2015) on parameter planes, only on Gaussians touched and not frozen (sparse, as Taming-3DGS and
+/// gsplat's SelectiveAdam: untouched moments rest). One learning rate a channel.
 class Adam {
  public:
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;

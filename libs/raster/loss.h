@@ -7,12 +7,14 @@
 namespace splatbus::raster {
 
 struct LossOptions {
-  float ssim_weight = 0.2F;    ///< lambda in (1 - lambda) L1 + lambda (1 - SSIM), SSIM 11x11 sigma 1.5, zero padding as 3DGS
-  bool encode_srgb = true;     ///< the render is linear: clamp to [0, 1] and apply the sRGB curve before comparing
+  float ssim_weight =
+      0.2F;  ///< lambda in (1 - lambda) L1 + lambda (1 - SSIM), SSIM 11x11 sigma 1.5, zero padding as 3DGS
+  bool encode_srgb = true;  ///< the render is linear: clamp to [0, 1] and apply the sRGB curve before comparing
 };
 
 /// Loss of a rendered 3-plane image against an interleaved u8 RGBA target in display space (alpha is not read), and its
-/// gradient with respect to the rendered planes (sized here). The clamp to [0, 1] passes gradients that point back inside.
+/// gradient with respect to the rendered planes (sized here). The clamp to [0, 1] passes gradients that point back
+/// inside.
 [[nodiscard]] float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const LossOptions& options,
                                Image& gradient);
 

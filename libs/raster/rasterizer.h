@@ -17,20 +17,22 @@ struct Image {
   std::vector<float> data;
 
   Image() = default;
-  Image(std::uint32_t w, std::uint32_t h, std::uint32_t c) : width(w), height(h), channels(c), data(std::size_t{w} * h * c) {}
+  Image(std::uint32_t w, std::uint32_t h, std::uint32_t c)
+      : width(w), height(h), channels(c), data(std::size_t{w} * h * c) {}
   [[nodiscard]] float* plane(std::uint32_t c) { return data.data() + std::size_t{c} * width * height; }
   [[nodiscard]] const float* plane(std::uint32_t c) const { return data.data() + std::size_t{c} * width * height; }
 };
 
 struct RenderOptions {
-  bool antialias = true;      ///< opacity times sqrt(det cov / det(cov + blur)) (Yu et al. 2024, Mip-Splatting 2D filter, as gsplat)
-  float blur_px2 = 0.3F;      ///< added to the diagonal of the projected covariance, pixels squared
-  bool albedo = false;        ///< also render the albedo, unlit (Transfer only)
-  bool depth = false;         ///< also render depth: sum of weight * z, not normalised, metres
+  bool antialias =
+      true;  ///< opacity times sqrt(det cov / det(cov + blur)) (Yu et al. 2024, Mip-Splatting 2D filter, as gsplat)
+  float blur_px2 = 0.3F;  ///< added to the diagonal of the projected covariance, pixels squared
+  bool albedo = false;    ///< also render the albedo, unlit (Transfer only)
+  bool depth = false;     ///< also render depth: sum of weight * z, not normalised, metres
 };
 
-/// Planes of a render: colour (Transfer: linear over background; Radiance: display space over background converted to display space),
-/// alpha, and what the options ask for. Albedo is over black.
+/// Planes of a render: colour (Transfer: linear over background; Radiance: display space over background converted to
+/// display space), alpha, and what the options ask for. Albedo is over black.
 struct Render {
   Image color;   // 3
   Image alpha;   // 1
@@ -46,23 +48,26 @@ struct RenderGradient {
   Image depth;
 };
 
-/// Gradients of the parameters: planes like GaussiansView::parameters, [channels][stride]. Frozen Gaussians get none (their entries are
-/// zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
+/// Gradients of the parameters: planes like GaussiansView::parameters, [channels][stride]. Frozen Gaussians get none
+/// (their entries are zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
 struct ParameterGradient {
   ParameterLayout layout;
-  int active_channels = 0;  ///< backward and Adam work on channels below this only; 0: all. 14 leaves out the residual transfer
+  int active_channels =
+      0;  ///< backward and Adam work on channels below this only; 0: all. 14 leaves out the residual transfer
   std::size_t count = 0, stride = 0;
   std::vector<float> values;
   std::vector<std::uint8_t> touched;
-  std::vector<float> mean2d_norm;    ///< [count] sum over views of |dL/d(projected mean)| in NDC units, for clone and split
-  std::vector<float> contribution;   ///< [count] largest blending weight a Gaussian had in any pixel since clear()
+  std::vector<float>
+      mean2d_norm;  ///< [count] sum over views of |dL/d(projected mean)| in NDC units, for clone and split
+  std::vector<float> contribution;  ///< [count] largest blending weight a Gaussian had in any pixel since clear()
 
   void clear(const GaussiansView& gaussians);  ///< sizes and zeroes
 };
 
 /// Differentiable splatting. Front to back, tiles, alpha at most 0.999, contributions under 1/255 skipped, a pixel ends
-/// when its transmittance falls under 1e-4; projection by the local affine approximation (Zwicker et al. 2001) with 3DGS's clamp of the
-/// tangent to 1.3 times the field of view; gradients by hand, exact for this forward (Kerbl et al. 2023, section 4 and appendix).
+/// when its transmittance falls under 1e-4; projection by the local affine approximation (Zwicker et al. 2001) with
+/// 3DGS's clamp of the tangent to 1.3 times the field of view; gradients by hand, exact for this forward (Kerbl et al.
+/// 2023, section 4 and appendix).
 ///
 /// A Rasterizer owns scratch memory and a thread pool: one forward-backward pair at a time, not thread-safe.
 class Rasterizer {
@@ -73,7 +78,8 @@ class Rasterizer {
   virtual void forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                        const RenderOptions& options, Render& out) = 0;
 
-  /// Adds to `out` the gradient of the last forward(), whose arguments must not have changed. `gaussians.flags` says who is frozen.
+  /// Adds to `out` the gradient of the last forward(), whose arguments must not have changed. `gaussians.flags` says
+  /// who is frozen.
   virtual void backward(const RenderGradient& gradient, ParameterGradient& out) = 0;
 
   /// Forward only, keeping nothing for a backward pass; faster.

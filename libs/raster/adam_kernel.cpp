@@ -1,0 +1,81 @@
+#include "raster/adam_kernel.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "gaussians/model.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "raster/adam_kernel.cpp"
+#include "hwy/foreach_target.h"
+#include "raster/cpu/lanes-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace splatbus::raster::cpu::HWY_NAMESPACE {
+
+void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
+  const F f;
+  const std::size_t count = end - begin, lanes = hn::Lanes(f);
+  // Bias corrections of every column; a negative one marks a column that rests.
+  alignas(64) std::array<float, kAdamPiece> first_correction;
+  alignas(64) std::array<float, kAdamPiece> second_correction;
+  std::array<std::uint8_t, kAdamPiece> busy{};  // a vector of columns
+  first_correction.fill(-1);
+  second_correction.fill(1);
+  bool any = false;
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::size_t i = begin + k;
+    if (step.touched[i] == 0 || (step.flags != nullptr && (step.flags[i] & kFrozen) != 0)) continue;
+    const auto t = static_cast<float>(++step.steps[i]);
+    first_correction[k] = 1 / (1 - std::pow(step.beta1, t));
+    second_correction[k] = 1 / std::sqrt(1 - std::pow(step.beta2, t));
+    busy[k / lanes] = 1;
+    any = true;
+  }
+  if (!any) return;
+
+  const V beta1 = Splat1(step.beta1), beta2 = Splat1(step.beta2), epsilon = Splat1(step.epsilon);
+  const V rest1 = Splat1(1 - step.beta1), rest2 = Splat1(1 - step.beta2);
+  for (int channel = 0; channel < step.channels; ++channel) {
+    const auto plane = static_cast<std::size_t>(channel);
+    float* parameters = step.parameters + plane * step.stride + begin;
+    const float* gradient = step.gradient + plane * step.stride + begin;
+    float* first = step.first + plane * step.moment_stride + begin;
+    float* second = step.second + plane * step.moment_stride + begin;
+    const V rate = Splat1(step.learning_rate[channel]);
+    for (std::size_t k = 0; k < count; k += lanes) {
+      if (busy[k / lanes] == 0) continue;
+      const std::size_t n = count - k;
+      const V correction = hn::Load(f, first_correction.data() + k);
+      const M moving = hn::Gt(correction, hn::Zero(f));
+      const V g = LoadFirst(f, gradient + k, n);
+      const V m_old = LoadFirst(f, first + k, n), v_old = LoadFirst(f, second + k, n);
+      const V p_old = LoadFirst(f, parameters + k, n);
+      const V m = hn::MulAdd(beta1, m_old, hn::Mul(rest1, g));
+      const V v = hn::MulAdd(beta2, v_old, hn::Mul(rest2, hn::Mul(g, g)));
+      const V denominator = hn::MulAdd(hn::Sqrt(v), hn::Load(f, second_correction.data() + k), epsilon);
+      const V p = hn::Sub(p_old, hn::Div(hn::Mul(hn::Mul(rate, correction), m), denominator));
+      StoreFirst(f, hn::IfThenElse(moving, m, m_old), first + k, n);
+      StoreFirst(f, hn::IfThenElse(moving, v, v_old), second + k, n);
+      StoreFirst(f, hn::IfThenElse(moving, p, p_old), parameters + k, n);
+    }
+  }
+}
+
+}  // namespace splatbus::raster::cpu::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace splatbus::raster {
+namespace cpu {
+HWY_EXPORT(AdamRange);
+void dispatch_adam_range(const AdamStep& step, std::size_t begin, std::size_t end) {
+  HWY_DYNAMIC_DISPATCH(AdamRange)(step, begin, end);
+}
+}  // namespace cpu
+void adam_range(const AdamStep& step, std::size_t begin, std::size_t end) {
+  cpu::dispatch_adam_range(step, begin, end);
+}
+}  // namespace splatbus::raster
+#endif

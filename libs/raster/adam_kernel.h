@@ -1,0 +1,26 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace splatbus::raster {
+
+/// One Adam step over columns [begin, end), at most kAdamPiece of them.
+struct AdamStep {
+  int channels = 0;
+  std::size_t stride = 0;  ///< of parameters and gradient
+  std::size_t moment_stride = 0;
+  float* parameters = nullptr;
+  const float* gradient = nullptr;
+  const std::uint8_t* touched = nullptr;
+  const std::uint32_t* flags = nullptr;
+  const float* learning_rate = nullptr;
+  float* first = nullptr;
+  float* second = nullptr;
+  std::uint32_t* steps = nullptr;
+  float beta1 = 0, beta2 = 0, epsilon = 0;
+};
+constexpr std::size_t kAdamPiece = 512;
+void adam_range(const AdamStep& step, std::size_t begin, std::size_t end);
+
+}  // namespace splatbus::raster

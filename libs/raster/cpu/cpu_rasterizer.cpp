@@ -1,0 +1,141 @@
+#include "raster/cpu/cpu_rasterizer.h"
+
+#include <algorithm>
+#include <cassert>
+#include <stdexcept>
+
+#include "raster/cpu/kernels.h"
+
+namespace splatbus::raster {
+namespace cpu {
+namespace {
+
+constexpr std::size_t kGaussianPiece = 2048;  // a multiple of any vector's lanes
+constexpr std::size_t kTilePiece = 8;
+
+void resize(Image& image, const Camera& camera, std::uint32_t channels) {
+  image.width = channels == 0 ? 0 : camera.width;
+  image.height = channels == 0 ? 0 : camera.height;
+  image.channels = channels;
+  image.data.resize(std::size_t{image.width} * image.height * channels);
+}
+
+void check(const GaussiansView& gaussians, const Camera& camera) {
+  if (gaussians.count > kGaussianMask) throw std::invalid_argument("rasterizer: more than 2^28 Gaussians");
+  if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+  if (gaussians.count > 0 && gaussians.parameters == nullptr) throw std::invalid_argument("rasterizer: no parameters");
+  if (camera.role == CameraRole::Light) throw std::invalid_argument("rasterizer: light cameras are orthographic");
+  constexpr std::uint32_t kMaxSide = 1U << 15U;
+  if (camera.width > kMaxSide || camera.height > kMaxSide) throw std::invalid_argument("rasterizer: picture too large");
+}
+
+}  // namespace
+
+void CpuRasterizer::project() {
+  const std::size_t count = frame_.gaussians.count;
+  const std::size_t pieces = (count + kGaussianPiece - 1) / kGaussianPiece;
+  frame_.splats.reserve(count);
+  frame_.first_slot.reserve(count);
+  frame_.pair_count.reserve(count);
+  frame_.order.reserve(count);
+  spare_keys_.reserve(count);
+  visible_of_piece_.assign(pieces, 0);
+  // Every piece leaves its keys at its own place; they are then closed up.
+  workers_.for_pieces(count, kGaussianPiece, [&](std::size_t begin, std::size_t end) {
+    visible_of_piece_[begin / kGaussianPiece] = project_range(frame_, begin, end, spare_keys_.data() + begin);
+  });
+  frame_.visible = 0;
+  for (std::size_t piece = 0; piece < pieces; ++piece) {
+    std::copy_n(spare_keys_.data() + piece * kGaussianPiece, visible_of_piece_[piece],
+                frame_.order.data() + frame_.visible);
+    frame_.visible += visible_of_piece_[piece];
+  }
+}
+
+void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
+                                const RenderOptions& options, bool keep, Render& out) {
+  check(gaussians, camera);
+  frame_.gaussians = gaussians;
+  frame_.camera = camera;
+  frame_.options = options;
+  if (gaussians.layout.appearance != Appearance::Transfer) frame_.options.albedo = false;
+  frame_.objects.build(camera, scene);
+  for (int c = 0; c < 3; ++c) {
+    const float background = scene.light.background[c];
+    frame_.background[c] =
+        gaussians.layout.appearance == Appearance::Radiance ? srgb_from_linear(background) : background;
+  }
+  // gsplat's form of 3DGS's clamp: 0.3 of the half field of view beyond the picture's sides, wherever its centre is.
+  const float half_x = 0.5F * static_cast<float>(camera.width) / camera.fx;
+  const float half_y = 0.5F * static_cast<float>(camera.height) / camera.fy;
+  frame_.tan_limit_x_low = -camera.cx / camera.fx - 0.3F * half_x;
+  frame_.tan_limit_x_high = (static_cast<float>(camera.width) - camera.cx) / camera.fx + 0.3F * half_x;
+  frame_.tan_limit_y_low = -camera.cy / camera.fy - 0.3F * half_y;
+  frame_.tan_limit_y_high = (static_cast<float>(camera.height) - camera.cy) / camera.fy + 0.3F * half_y;
+  frame_.tiles_x = (camera.width + kTileSide - 1) / kTileSide;
+  frame_.tiles_y = (camera.height + kTileSide - 1) / kTileSide;
+
+  resize(out.color, camera, 3);
+  resize(out.alpha, camera, 1);
+  resize(out.albedo, camera, frame_.options.albedo ? 3 : 0);
+  resize(out.depth, camera, options.depth ? 1 : 0);
+
+  project();
+  sorter_.sort(frame_.order, spare_keys_, frame_.visible, workers_);
+  binner_.bin(frame_, workers_);
+  const std::size_t tiles = frame_.tile_count();
+  if (keep) {
+    frame_.transmittance.reserve(tiles * kTilePixels);
+    frame_.last_entry.reserve(tiles * kTilePixels);
+    frame_.block_entries.reserve(tiles * kTileBlocks);
+  }
+  workers_.for_pieces(tiles, kTilePiece, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t tile = begin; tile < end; ++tile) blend_tile(frame_, static_cast<std::uint32_t>(tile), keep, out);
+  });
+}
+
+void CpuRasterizer::forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
+                            const RenderOptions& options, Render& out) {
+  run_forward(gaussians, camera, scene, options, true, out);
+}
+
+void CpuRasterizer::render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
+                           const RenderOptions& options, Render& out) {
+  run_forward(gaussians, camera, scene, options, false, out);
+}
+
+void CpuRasterizer::blend_backward(const RenderGradient& gradient) {
+  const auto fits = [&](const Image& image, std::uint32_t channels) {
+    return image.channels == 0 ||
+           (image.channels == channels && image.width == frame_.camera.width && image.height == frame_.camera.height);
+  };
+  if (!fits(gradient.color, 3) || !fits(gradient.alpha, 1) || !fits(gradient.albedo, 3) || !fits(gradient.depth, 1)) {
+    throw std::invalid_argument("rasterizer: a gradient's size is not that of the render");
+  }
+  frame_.pair_gradients.reserve(frame_.pairs);
+  frame_.pair_written.reserve(frame_.pairs);
+  std::fill_n(frame_.pair_written.data(), frame_.pairs, std::uint8_t{0});
+  workers_.for_pieces(frame_.tile_count(), kTilePiece, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t tile = begin; tile < end; ++tile) {
+      blend_tile_backward(frame_, static_cast<std::uint32_t>(tile), gradient);
+    }
+  });
+}
+
+void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& out) {
+  const GaussiansView& gaussians = frame_.gaussians;
+  if (out.count != gaussians.count || out.stride != gaussians.stride || out.layout != gaussians.layout) {
+    throw std::invalid_argument("rasterizer: the gradient was not cleared for these Gaussians");
+  }
+  blend_backward(gradient);
+  workers_.for_pieces(gaussians.count, kGaussianPiece,
+                      [&](std::size_t begin, std::size_t end) { project_range_backward(frame_, begin, end, out); });
+}
+
+}  // namespace cpu
+
+std::unique_ptr<Rasterizer> make_cpu_rasterizer(int threads) {
+  return std::make_unique<cpu::CpuRasterizer>(threads);
+}
+
+}  // namespace splatbus::raster

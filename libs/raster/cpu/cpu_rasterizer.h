@@ -1,0 +1,35 @@
+#pragma once
+
+#include "raster/cpu/bin.h"
+#include "raster/cpu/frame.h"
+#include "raster/cpu/sort.h"
+#include "raster/cpu/workers.h"
+#include "raster/rasterizer.h"
+
+namespace splatbus::raster::cpu {
+
+class CpuRasterizer : public Rasterizer {
+ public:
+  explicit CpuRasterizer(int threads) : workers_(threads) {}
+
+  void forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
+               const RenderOptions& options, Render& out) override;
+  void backward(const RenderGradient& gradient, ParameterGradient& out) override;
+  void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
+              const RenderOptions& options, Render& out) override;
+
+ private:
+  void run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
+                   const RenderOptions& options, bool keep, Render& out);
+  void project();
+  void blend_backward(const RenderGradient& gradient);
+
+  Workers workers_;
+  Frame frame_;
+  Scratch<DepthKey> spare_keys_;
+  std::vector<std::size_t> visible_of_piece_;
+  DepthSorter sorter_;
+  TileBinner binner_;
+};
+
+}  // namespace splatbus::raster::cpu

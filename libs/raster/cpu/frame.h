@@ -1,0 +1,142 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "raster/rasterizer.h"
+
+namespace splatbus::raster::cpu {
+
+constexpr std::uint32_t kTileSide = 8, kBlockSide = 4;
+constexpr std::uint32_t kTilePixels = kTileSide * kTileSide, kBlockPixels = kBlockSide * kBlockSide;
+constexpr std::uint32_t kTileBlocks = kTilePixels / kBlockPixels;
+
+constexpr float kAlphaMin = 1.0F / 255.0F, kAlphaMax = 0.999F, kTransmittanceMin = 1e-4F;
+
+constexpr double kLog2E = 1.4426950408889634;
+/// Squared distances in a Splat are in units in which alpha = 2^(log2_alpha - u^2 - v^2): (x / this)^2 = 2 ln 2 x^2.
+constexpr float kWhiteScale = 0.8493218002880191F;  // sqrt(log2(e) / 2)
+
+/// What a render needs of one object's frame: all Gaussians of an object share it, so that light and camera are brought
+/// to the Gaussians instead of Gaussians to the world.
+struct ObjectFrame {
+  std::array<float, 9> camera_from_object{};  ///< row-major rotation
+  std::array<float, 3> translation{};         ///< of camera_from_object
+  std::array<float, 3> camera_position{};     ///< in the object's frame
+  std::array<float, 3> sun_direction{};
+  std::array<float, 3> sun_over_pi{};
+  std::array<float, 27> ambient{};       ///< 3 k + c: incident ambient light
+  std::array<float, 27> ambient_lobe{};  ///< ambient times the clamped cosine's factor over pi
+  std::array<float, 27> sun_sh{};        ///< sun irradiance Y_k(l) / pi
+};
+
+/// The frames of every object of a scene; index 0 is the world.
+class ObjectTable {
+ public:
+  void build(const Camera& camera, const SceneState& scene);
+  /// Index of the frame of an object id; an unknown id is static.
+  [[nodiscard]] std::uint32_t find(std::uint32_t object_id) const;
+  [[nodiscard]] const ObjectFrame& operator[](std::uint32_t index) const { return frames_[index]; }
+
+ private:
+  std::vector<std::uint32_t> ids_;  ///< sorted; ids_[k] has frame k + 1
+  std::vector<ObjectFrame> frames_;
+};
+
+/// A projected Gaussian, one cache line. With d = pixel centre - (x, y): u = uxx dx + uxy dy, v = uyy dy.
+struct alignas(64) Splat {
+  float x, y, log2_alpha, uxx;
+  float uxy, uyy, red, green;  ///< a colour channel that was clamped to 0 is -0
+  float blue, depth, albedo_red, albedo_green;
+  float albedo_blue, extent_x, extent_y;  ///< extent: half sides of the box in which alpha can reach 1/255, pixels
+  float rightmost_dy;                     ///< dy of the ellipse's rightmost point
+};
+static_assert(sizeof(Splat) == 64);
+
+/// Sums over the pixels of one tile of one Gaussian, written by the blending backward pass; s = dL/dalpha alpha.
+struct alignas(64) PairGradient {
+  float s, su, sv, suu;
+  float suv, svv, red, green;
+  float blue, depth, albedo_red, albedo_green;
+  float albedo_blue, largest_weight, unused[2];
+};
+static_assert(sizeof(PairGradient) == 64);
+
+/// One Gaussian in one tile's list, in depth order.
+struct TileEntry {
+  std::uint32_t
+      gaussian_and_blocks;  ///< Gaussian in the low 28 bits, mask of the tile's 4x4 blocks that it may reach above
+  std::uint32_t slot;       ///< where its PairGradient goes
+};
+constexpr std::uint32_t kBlockShift = 28, kGaussianMask = (1U << kBlockShift) - 1;
+
+/// Uninitialised growing memory for trivial types: resizing a std::vector would write what is about to be overwritten.
+template <class T>
+class Scratch {
+ public:
+  void reserve(std::size_t count) {
+    if (count <= storage_bytes_ / sizeof(T)) return;
+    storage_bytes_ = (count + count / 4 + 64) * sizeof(T);
+    storage_ = std::unique_ptr<std::byte[]>(new std::byte[storage_bytes_ + alignof(T) + 64]);
+    const auto address = reinterpret_cast<std::uintptr_t>(storage_.get());
+    data_ = reinterpret_cast<T*>((address + 63) / 64 * 64);
+  }
+  [[nodiscard]] T* data() { return data_; }
+  [[nodiscard]] const T* data() const { return data_; }
+  T& operator[](std::size_t i) { return data_[i]; }
+  const T& operator[](std::size_t i) const { return data_[i]; }
+
+ private:
+  std::unique_ptr<std::byte[]> storage_;
+  std::size_t storage_bytes_ = 0;
+  T* data_ = nullptr;
+};
+
+/// A depth-sort key: the bits of a positive float order like the float.
+struct DepthKey {
+  std::uint32_t depth_bits, gaussian;
+};
+
+/// Everything that a forward pass leaves for its backward pass.
+struct Frame {
+  GaussiansView gaussians;
+  Camera camera;
+  RenderOptions options;
+  ObjectTable objects;
+  std::array<float, 3> background{};  ///< in the colour plane's space
+  float tan_limit_x_low = 0, tan_limit_x_high = 0, tan_limit_y_low = 0, tan_limit_y_high = 0;
+
+  std::uint32_t tiles_x = 0, tiles_y = 0;
+  [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
+
+  Scratch<Splat> splats;              ///< [count], valid where visible
+  Scratch<std::uint32_t> first_slot;  ///< [count], valid where pair_count > 0
+  Scratch<std::uint32_t> pair_count;  ///< [count], tiles that the Gaussian may reach
+  Scratch<DepthKey> order;            ///< visible Gaussians, near to far
+  std::size_t visible = 0;
+
+  Scratch<TileEntry> entries;
+  std::vector<std::uint32_t> tile_begin;  ///< [tile_count + 1]
+  std::size_t pairs = 0;
+
+  // Per tile, pixels in block order (kTilePixels each): what the blending backward pass starts from.
+  Scratch<float> transmittance;
+  Scratch<std::int32_t> last_entry;      ///< index in the tile's list of the last entry that a pixel blends
+  Scratch<std::uint32_t> block_entries;  ///< [tile][kTileBlocks] entries after which the block was finished
+
+  Scratch<PairGradient> pair_gradients;
+  Scratch<std::uint8_t> pair_written;
+};
+
+/// Column and row in its tile of the pixel at an index in block order.
+constexpr std::uint32_t block_order_x(std::uint32_t index) {
+  return (index / kBlockPixels) % 2 * kBlockSide + index % kBlockSide;
+}
+constexpr std::uint32_t block_order_y(std::uint32_t index) {
+  return index / kBlockPixels / 2 * kBlockSide + index % kBlockPixels / kBlockSide;
+}
+
+}  // namespace splatbus::raster::cpu

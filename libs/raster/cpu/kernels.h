@@ -1,0 +1,22 @@
+#pragma once
+
+#include "raster/cpu/frame.h"
+
+// The vectorised parts; each picks the best instruction set at run time. All are pure in the range that they are given,
+// so ranges may run on different threads.
+namespace splatbus::raster::cpu {
+
+/// Projects Gaussians [begin, end): writes Frame::splats, a pair_count of 0, and the keys of those that may be visible,
+/// whose number it returns. Non-finite parameters make a Gaussian invisible.
+std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, DepthKey* visible);
+
+/// Blends one tile into the planes of `out`; with `keep` it leaves what the backward pass needs.
+void blend_tile(Frame& frame, std::uint32_t tile, bool keep, Render& out);
+
+/// Writes Frame::pair_gradients of every pair of the tile that was blended.
+void blend_tile_backward(Frame& frame, std::uint32_t tile, const RenderGradient& gradient);
+
+/// Sums the pair gradients of Gaussians [begin, end) and adds their parameters' gradients to `out`.
+void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, ParameterGradient& out);
+
+}  // namespace splatbus::raster::cpu

@@ -1,0 +1,149 @@
+#include <algorithm>
+#include <bit>
+
+#include "raster/cpu/kernels.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "raster/cpu/project.cpp"
+#include "hwy/foreach_target.h"
+#include "raster/cpu/shading-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace splatbus::raster::cpu::HWY_NAMESPACE {
+
+/// Values of the sixteen fields of the Splats of a vector of Gaussians, written as sixteen planes and read as records.
+struct SplatPlanes {
+  HWY_ALIGN float values[16][hn::MaxLanes(F())];
+
+  HWY_INLINE void Set(int field, V value) { hn::Store(value, F(), values[field]); }
+  HWY_INLINE void CopyLane(std::uint32_t lane, Splat& to) const {
+    auto* out = reinterpret_cast<float*>(&to);
+    for (int field = 0; field < 16; ++field) out[field] = values[field][lane];
+  }
+};
+
+/// -0 marks a channel that was clamped, so that the backward pass knows.
+HWY_INLINE V ClampColour(V raw) {
+  const V zero = hn::Zero(F());
+  return hn::IfThenElse(hn::Lt(raw, zero), Splat1(-0.0F), hn::Add(raw, zero));
+}
+
+HWY_INLINE M Bounded(V value) {
+  return hn::Lt(hn::Abs(value), Splat1(1e15F));
+}
+
+/// Which of `lanes` may be seen, with their Splats in `planes`.
+HWY_INLINE M ProjectLanes(const Frame& frame, const ObjectFrame& object, const Columns& in, M lanes,
+                          SplatPlanes& planes) {
+  const F f;
+  const Vec3 mean{in.Load(0), in.Load(1), in.Load(2)};
+  const V z = CameraPoint(object, mean).z;
+  M visible = hn::And(lanes, hn::And(hn::Gt(z, Splat1(frame.camera.near_m)), Bounded(z)));
+  if (hn::AllFalse(f, visible)) return visible;
+
+  const Projection p = Project(frame, object, in);
+  visible = hn::And(visible, hn::Ge(p.alpha, Splat1(kAlphaMin)));
+  visible = hn::And(visible, hn::And(hn::Gt(p.det_blurred, hn::Zero(f)), hn::Lt(p.det_blurred, Splat1(1e30F))));
+  visible = hn::And(visible, hn::And(Bounded(p.x), Bounded(p.y)));
+  visible = hn::And(visible, hn::And(Bounded(p.a), Bounded(p.c)));
+  if (hn::AllFalse(f, visible)) return visible;
+
+  // U with U^T U = covariance^-1, without cancellation: 1 / sqrt(c) and b are the Schur complement's.
+  const V inverse_root_c = hn::Div(Splat1(1.0F), hn::Sqrt(p.c));
+  const V uxx = hn::Sqrt(hn::Div(p.c, p.det_blurred));
+  const V uxy = hn::Neg(hn::Mul(hn::Mul(p.b, inverse_root_c), hn::Div(Splat1(1.0F), hn::Sqrt(p.det_blurred))));
+  const V log2_alpha = hn::Log2(f, p.alpha);
+  // Half sides of the box where alpha >= 1/255, with room for rounding.
+  const V reach2 = MulScalar(hn::Add(log2_alpha, Splat1(7.9943534F)), 1.3862944F);  // 2 ln(255 alpha)
+  const V reach = hn::Sqrt(hn::Max(reach2, hn::Zero(f)));
+  const V root_a = hn::Sqrt(p.a), root_c = hn::Sqrt(p.c);
+  const V margin = Splat1(1e-2F), slack = Splat1(1.0001F);
+  const V extent_x = hn::MulAdd(hn::Mul(reach, root_a), slack, margin);
+  const V extent_y = hn::MulAdd(hn::Mul(reach, root_c), slack, margin);
+  const V half = Splat1(0.5F);
+  visible = hn::And(visible, hn::Ge(hn::Add(p.x, extent_x), half));
+  visible = hn::And(visible, hn::Ge(hn::Add(p.y, extent_y), half));
+  visible = hn::And(visible, hn::Le(hn::Sub(p.x, extent_x), Splat1(static_cast<float>(frame.camera.width) - 0.5F)));
+  visible = hn::And(visible, hn::Le(hn::Sub(p.y, extent_y), Splat1(static_cast<float>(frame.camera.height) - 0.5F)));
+  if (hn::AllFalse(f, visible)) return visible;
+
+  Vec3 colour, albedo{hn::Zero(f), hn::Zero(f), hn::Zero(f)};
+  if (in.gaussians.layout.appearance == Appearance::Transfer) {
+    albedo = {in.Load(ParameterLayout::kAlbedo), in.Load(ParameterLayout::kAlbedo + 1),
+              in.Load(ParameterLayout::kAlbedo + 2)};
+    colour = ShadeTransfer(object, in, albedo);
+    visible = hn::And(visible, hn::And(Bounded(albedo.x), hn::And(Bounded(albedo.y), Bounded(albedo.z))));
+  } else {
+    colour = ShadeRadiance(object, in, mean);
+  }
+  visible = hn::And(visible, hn::And(Bounded(colour.x), hn::And(Bounded(colour.y), Bounded(colour.z))));
+
+  planes.Set(0, p.x);
+  planes.Set(1, p.y);
+  planes.Set(2, log2_alpha);
+  planes.Set(3, MulScalar(uxx, kWhiteScale));
+  planes.Set(4, MulScalar(uxy, kWhiteScale));
+  planes.Set(5, MulScalar(inverse_root_c, kWhiteScale));
+  planes.Set(6, ClampColour(colour.x));
+  planes.Set(7, ClampColour(colour.y));
+  planes.Set(8, ClampColour(colour.z));
+  planes.Set(9, z);
+  planes.Set(10, albedo.x);
+  planes.Set(11, albedo.y);
+  planes.Set(12, albedo.z);
+  planes.Set(13, extent_x);
+  planes.Set(14, extent_y);
+  planes.Set(15, hn::Div(hn::Mul(reach, p.b), root_a));
+  return visible;
+}
+
+std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, DepthKey* out) {
+  const F f;
+  const std::size_t step = hn::Lanes(f);
+  const GaussiansView& gaussians = frame.gaussians;
+  SplatPlanes planes;
+  std::size_t count = 0;
+  std::uint32_t cached_id = 0, cached_frame = gaussians.object_id == nullptr ? 0 : frame.objects.find(0);
+  for (std::size_t i = begin; i < end; i += step) {
+    const Columns in{gaussians, i, std::min(step, end - i)};
+    for (std::size_t k = 0; k < in.n; ++k) frame.pair_count[i + k] = 0;
+    M todo = hn::FirstN(f, in.n);
+    std::uint32_t todo_bits = LaneBits(todo);
+    // Lanes of one object at a time; neighbours nearly always share theirs.
+    while (todo_bits != 0) {
+      M lanes = todo;
+      if (gaussians.object_id != nullptr) {
+        const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(todo_bits))];
+        if (id != cached_id) {
+          cached_id = id;
+          cached_frame = frame.objects.find(id);
+        }
+        const auto ids = LoadFirst(U(), gaussians.object_id + i, in.n);
+        lanes = hn::And(todo, hn::RebindMask(f, hn::Eq(ids, hn::Set(U(), id))));
+      }
+      const std::uint32_t lane_bits = LaneBits(lanes);
+      std::uint32_t bits = LaneBits(ProjectLanes(frame, frame.objects[cached_frame], in, lanes, planes));
+      for (; bits != 0; bits &= bits - 1) {
+        const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits));
+        const auto gaussian = static_cast<std::uint32_t>(i + lane);
+        planes.CopyLane(lane, frame.splats[gaussian]);
+        out[count++] = {std::bit_cast<std::uint32_t>(planes.values[9][lane]), gaussian};
+      }
+      todo_bits &= ~lane_bits;
+      todo = hn::AndNot(lanes, todo);
+    }
+  }
+  return count;
+}
+
+}  // namespace splatbus::raster::cpu::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace splatbus::raster::cpu {
+HWY_EXPORT(ProjectRange);
+std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, DepthKey* visible) {
+  return HWY_DYNAMIC_DISPATCH(ProjectRange)(frame, begin, end, visible);
+}
+}  // namespace splatbus::raster::cpu
+#endif

@@ -1,0 +1,79 @@
+#include <algorithm>
+#include <bit>
+
+#include "raster/cpu/kernels.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "raster/cpu/project_backward.cpp"
+#include "hwy/foreach_target.h"
+#include "raster/cpu/gradient-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace splatbus::raster::cpu::HWY_NAMESPACE {
+
+/// Lanes that are not frozen.
+HWY_INLINE M ActiveLanes(const Columns& in) {
+  const F f;
+  if (in.gaussians.flags == nullptr) return hn::FirstN(f, in.n);
+  const U u;
+  const auto frozen = hn::And(LoadFirst(u, in.gaussians.flags + in.i, in.n), hn::Set(u, std::uint32_t{kFrozen}));
+  return hn::And(hn::FirstN(f, in.n), hn::RebindMask(f, hn::Eq(frozen, hn::Zero(u))));
+}
+
+HWY_INLINE void AddTo(float* to, V value, std::size_t n) {
+  const F f;
+  StoreFirst(f, hn::Add(LoadFirst(f, to, n), value), to, n);
+}
+
+void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end, ParameterGradient& out) {
+  const F f;
+  const GaussiansView& gaussians = frame.gaussians;
+  const int active = out.active_channels > 0 ? out.active_channels : gaussians.layout.channels();
+  for (std::size_t i = begin; i < end; i += hn::Lanes(f)) {
+    const Columns in{gaussians, i, std::min(hn::Lanes(f), end - i)};
+    PixelSums sums;
+    const M touched = SumPairs(frame, in, sums);
+    std::uint32_t bits = LaneBits(touched);
+    if (bits == 0) continue;
+    for (std::uint32_t rest = bits; rest != 0; rest &= rest - 1) {
+      out.touched[i + static_cast<std::size_t>(std::countr_zero(rest))] = 1;
+    }
+    float* contribution = out.contribution.data() + i;
+    const V largest = hn::IfThenElseZero(touched, sums.largest_weight);
+    StoreFirst(f, hn::Max(LoadFirst(f, contribution, in.n), largest), contribution, in.n);
+
+    M todo = hn::And(touched, ActiveLanes(in));
+    bits = LaneBits(todo);
+    while (bits != 0) {
+      M lanes = todo;
+      std::uint32_t object = 0;
+      if (gaussians.object_id != nullptr) {
+        const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(bits))];
+        object = frame.objects.find(id);
+        lanes =
+            hn::And(todo, hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
+      }
+      const auto emit = [&](int channel, V gradient) {
+        if (channel >= active) return;
+        float* plane = out.values.data() + static_cast<std::size_t>(channel) * out.stride + i;
+        AddTo(plane, hn::IfThenElseZero(lanes, gradient), in.n);
+      };
+      const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, active, emit);
+      AddTo(out.mean2d_norm.data() + i, hn::IfThenElseZero(lanes, ndc), in.n);
+      bits &= ~LaneBits(lanes);
+      todo = hn::AndNot(lanes, todo);
+    }
+  }
+}
+
+}  // namespace splatbus::raster::cpu::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace splatbus::raster::cpu {
+HWY_EXPORT(ProjectRangeBackward);
+void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, ParameterGradient& out) {
+  HWY_DYNAMIC_DISPATCH(ProjectRangeBackward)(frame, begin, end, out);
+}
+}  // namespace splatbus::raster::cpu
+#endif

@@ -1,0 +1,161 @@
+// Colour of Gaussians, 16 at a time; included once a Highway target.
+#if defined(SPLATBUS_RASTER_SHADING_INL_H) == defined(HWY_TARGET_TOGGLE)
+#ifdef SPLATBUS_RASTER_SHADING_INL_H
+#undef SPLATBUS_RASTER_SHADING_INL_H
+#else
+#define SPLATBUS_RASTER_SHADING_INL_H
+#endif
+
+#include "gaussians/sh.h"
+#include "raster/cpu/projection-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace splatbus::raster::cpu::HWY_NAMESPACE {
+
+/// The SH basis at unit directions, band after band up to `degree`; calls emit(k, Y_k).
+template <class Emit>
+HWY_INLINE void ShBasis(const Vec3& d, int degree, Emit&& emit) {
+  emit(0, Splat1(kShC0));
+  if (degree < 1) return;
+  emit(1, MulScalar(d.y, -kShC1));
+  emit(2, MulScalar(d.z, kShC1));
+  emit(3, MulScalar(d.x, -kShC1));
+  if (degree < 2) return;
+  const V xx = hn::Mul(d.x, d.x), yy = hn::Mul(d.y, d.y), zz = hn::Mul(d.z, d.z);
+  const V xy = hn::Mul(d.x, d.y), yz = hn::Mul(d.y, d.z), xz = hn::Mul(d.x, d.z);
+  const V two = Splat1(2.0F), three = Splat1(3.0F), four = Splat1(4.0F);
+  emit(4, MulScalar(xy, kShC2[0]));
+  emit(5, MulScalar(yz, kShC2[1]));
+  emit(6, MulScalar(hn::MulSub(two, zz, hn::Add(xx, yy)), kShC2[2]));
+  emit(7, MulScalar(xz, kShC2[3]));
+  emit(8, MulScalar(hn::Sub(xx, yy), kShC2[4]));
+  if (degree < 3) return;
+  const V ring = hn::MulSub(four, zz, hn::Add(xx, yy));
+  emit(9, MulScalar(hn::Mul(d.y, hn::MulSub(three, xx, yy)), kShC3[0]));
+  emit(10, MulScalar(hn::Mul(xy, d.z), kShC3[1]));
+  emit(11, MulScalar(hn::Mul(d.y, ring), kShC3[2]));
+  emit(12, MulScalar(hn::Mul(d.z, hn::NegMulAdd(three, hn::Add(xx, yy), hn::Mul(two, zz))), kShC3[3]));
+  emit(13, MulScalar(hn::Mul(d.x, ring), kShC3[4]));
+  emit(14, MulScalar(hn::Mul(d.z, hn::Sub(xx, yy)), kShC3[5]));
+  emit(15, MulScalar(hn::Mul(d.x, hn::NegMulAdd(three, yy, xx)), kShC3[6]));
+}
+
+/// sum_k w_k dY_k/d(x, y, z), the basis taken as polynomials of an unconstrained direction.
+HWY_INLINE Vec3 ShBasisGradient(const Vec3& d, int degree, const V* w) {
+  const V zero = hn::Zero(F());
+  Vec3 g{zero, zero, zero};
+  if (degree < 1) return g;
+  g = {MulScalar(w[3], -kShC1), MulScalar(w[1], -kShC1), MulScalar(w[2], kShC1)};
+  if (degree < 2) return g;
+  const V w4 = MulScalar(w[4], kShC2[0]), w5 = MulScalar(w[5], kShC2[1]), w6 = MulScalar(w[6], 2 * kShC2[2]);
+  const V w7 = MulScalar(w[7], kShC2[3]), w8 = MulScalar(w[8], 2 * kShC2[4]);
+  g.x = hn::Add(g.x, hn::MulAdd(w4, d.y, hn::MulAdd(w7, d.z, hn::Mul(d.x, hn::Sub(w8, w6)))));
+  g.y = hn::Add(g.y, hn::MulAdd(w4, d.x, hn::NegMulAdd(d.y, hn::Add(w8, w6), hn::Mul(w5, d.z))));
+  g.z = hn::Add(g.z, hn::MulAdd(w5, d.y, hn::MulAdd(w7, d.x, hn::Mul(hn::Add(w6, w6), d.z))));
+  if (degree < 3) return g;
+  const V xx = hn::Mul(d.x, d.x), yy = hn::Mul(d.y, d.y), zz = hn::Mul(d.z, d.z);
+  const V xy = hn::Mul(d.x, d.y), yz = hn::Mul(d.y, d.z), xz = hn::Mul(d.x, d.z);
+  const V w9 = MulScalar(w[9], 3 * kShC3[0]), w10 = MulScalar(w[10], kShC3[1]), w11 = MulScalar(w[11], kShC3[2]);
+  const V w12 = MulScalar(w[12], 3 * kShC3[3]), w13 = MulScalar(w[13], kShC3[4]), w14 = MulScalar(w[14], kShC3[5]);
+  const V w15 = MulScalar(w[15], 3 * kShC3[6]);
+  const V two = Splat1(2.0F), three = Splat1(3.0F), four = Splat1(4.0F), eight = Splat1(8.0F);
+  const V difference = hn::Sub(xx, yy);
+  // d/dx: w9 2xy + w10 yz - 2 w11 xy - 2 w12 xz + w13 (4zz - 3xx - yy) + 2 w14 xz + w15 (xx - yy)
+  V x = hn::Mul(hn::Mul(two, xy), hn::Sub(w9, w11));
+  x = hn::MulAdd(w10, yz, x);
+  x = hn::MulAdd(hn::Mul(two, xz), hn::Sub(w14, w12), x);
+  x = hn::MulAdd(w13, hn::NegMulAdd(three, xx, hn::MulSub(four, zz, yy)), x);
+  g.x = hn::Add(g.x, hn::MulAdd(w15, difference, x));
+  // d/dy: w9 (xx - yy) + w10 xz + w11 (4zz - xx - 3yy) - 2 w12 yz - 2 w13 xy - 2 w14 yz - 2 w15 xy
+  V y = hn::Mul(w9, difference);
+  y = hn::MulAdd(w10, xz, y);
+  y = hn::MulAdd(w11, hn::NegMulAdd(three, yy, hn::MulSub(four, zz, xx)), y);
+  y = hn::NegMulAdd(hn::Mul(two, yz), hn::Add(w12, w14), y);
+  g.y = hn::Add(g.y, hn::NegMulAdd(hn::Mul(two, xy), hn::Add(w13, w15), y));
+  // d/dz: w10 xy + 8 w11 yz + w12 (2zz - xx - yy) + 8 w13 xz + w14 (xx - yy)
+  V z = hn::Mul(w10, xy);
+  z = hn::MulAdd(eight, hn::MulAdd(w11, yz, hn::Mul(w13, xz)), z);
+  z = hn::MulAdd(w12, hn::MulSub(two, zz, hn::Add(xx, yy)), z);
+  g.z = hn::Add(g.z, hn::MulAdd(w14, difference, z));
+  return g;
+}
+
+struct ViewDirection {
+  Vec3 unit;
+  V inverse_length;
+};
+HWY_INLINE ViewDirection DirectionFromCamera(const ObjectFrame& object, const Vec3& mean) {
+  const Vec3 v{hn::Sub(mean.x, Splat1(object.camera_position[0])), hn::Sub(mean.y, Splat1(object.camera_position[1])),
+               hn::Sub(mean.z, Splat1(object.camera_position[2]))};
+  const V inverse_length = hn::Div(Splat1(1.0F), hn::Sqrt(Dot(v, v)));
+  return {Scale(v, inverse_length), inverse_length};
+}
+
+/// max(0, 0.5 + sum_k c_k Y_k), before the max.
+HWY_INLINE Vec3 ShadeRadiance(const ObjectFrame& object, const Columns& in, const Vec3& mean) {
+  const ViewDirection direction = DirectionFromCamera(object, mean);
+  Vec3 colour{Splat1(0.5F), Splat1(0.5F), Splat1(0.5F)};
+  ShBasis(direction.unit, in.gaussians.layout.sh_degree, [&](int k, V basis) {
+    const int channel = ParameterLayout::kAppearance + 3 * k;
+    colour.x = hn::MulAdd(basis, in.Load(channel), colour.x);
+    colour.y = hn::MulAdd(basis, in.Load(channel + 1), colour.y);
+    colour.z = hn::MulAdd(basis, in.Load(channel + 2), colour.z);
+  });
+  return colour;
+}
+
+/// What multiplies the albedo (diffuse) and what multiplies residual coefficient k, of the transfer model.
+struct TransferLight {
+  Vec3 diffuse;
+  V visibility;
+};
+
+HWY_INLINE V LoadVisibility(const Columns& in) {
+  const float* visibility = in.gaussians.visibility;
+  return visibility == nullptr ? Splat1(1.0F) : LoadFirst(F(), visibility + in.i, in.n);
+}
+
+HWY_INLINE TransferLight LightTransfer(const ObjectFrame& object, const Columns& in) {
+  const float* normals = in.gaussians.normal;
+  const std::size_t stride = in.gaussians.stride;
+  Vec3 n{hn::Zero(F()), hn::Zero(F()), hn::Zero(F())};
+  if (normals != nullptr) {
+    n = {LoadFirst(F(), normals + in.i, in.n), LoadFirst(F(), normals + stride + in.i, in.n),
+         LoadFirst(F(), normals + 2 * stride + in.i, in.n)};
+  }
+  TransferLight out;
+  out.visibility = LoadVisibility(in);
+  const auto& l = object.sun_direction;
+  V cosine = MulAddScalar(n.x, l[0], MulAddScalar(n.y, l[1], MulScalar(n.z, l[2])));
+  cosine = hn::Mul(hn::Max(cosine, hn::Zero(F())), out.visibility);
+  out.diffuse = {MulScalar(cosine, object.sun_over_pi[0]), MulScalar(cosine, object.sun_over_pi[1]),
+                 MulScalar(cosine, object.sun_over_pi[2])};
+  ShBasis(n, 2, [&](int k, V basis) {
+    out.diffuse.x = MulAddScalar(basis, object.ambient_lobe[3 * k], out.diffuse.x);
+    out.diffuse.y = MulAddScalar(basis, object.ambient_lobe[3 * k + 1], out.diffuse.y);
+    out.diffuse.z = MulAddScalar(basis, object.ambient_lobe[3 * k + 2], out.diffuse.z);
+  });
+  return out;
+}
+
+HWY_INLINE V ResidualLight(const ObjectFrame& object, V visibility, int entry) {
+  return MulAddScalar(visibility, object.sun_sh[entry], Splat1(object.ambient[entry]));
+}
+
+/// The transfer model's colour before the max with 0.
+HWY_INLINE Vec3 ShadeTransfer(const ObjectFrame& object, const Columns& in, const Vec3& albedo) {
+  const TransferLight light = LightTransfer(object, in);
+  Vec3 colour{hn::Mul(albedo.x, light.diffuse.x), hn::Mul(albedo.y, light.diffuse.y),
+              hn::Mul(albedo.z, light.diffuse.z)};
+  for (int k = 0; k < 9; ++k) {
+    const int channel = ParameterLayout::kResidual + 3 * k;
+    colour.x = hn::MulAdd(in.Load(channel), ResidualLight(object, light.visibility, 3 * k), colour.x);
+    colour.y = hn::MulAdd(in.Load(channel + 1), ResidualLight(object, light.visibility, 3 * k + 1), colour.y);
+    colour.z = hn::MulAdd(in.Load(channel + 2), ResidualLight(object, light.visibility, 3 * k + 2), colour.z);
+  }
+  return colour;
+}
+
+}  // namespace splatbus::raster::cpu::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+#endif
