@@ -6,10 +6,12 @@
 
 #include "gaussians/model.h"
 
+// clang-format off: Highway needs this order.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/adam_kernel.cpp"
 #include "hwy/foreach_target.h"
 #include "raster/cpu/lanes-inl.h"
+// clang-format on
 
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {

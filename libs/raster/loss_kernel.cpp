@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <vector>
 
+// clang-format off: Highway needs this order.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/loss_kernel.cpp"
 #include "hwy/contrib/math/math-inl.h"
 #include "hwy/foreach_target.h"
 #include "raster/cpu/lanes-inl.h"
+// clang-format on
 
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {

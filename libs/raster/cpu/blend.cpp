@@ -5,10 +5,12 @@
 
 #include "raster/cpu/kernels.h"
 
+// clang-format off: Highway needs this order.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/cpu/blend.cpp"
 #include "hwy/foreach_target.h"
 #include "raster/cpu/alpha-inl.h"
+// clang-format on
 
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
