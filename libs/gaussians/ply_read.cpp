@@ -61,7 +61,8 @@ int degree_from(const PlyHeader& header, const std::string& path) {
   const auto rest = std::count_if(header.properties.begin(), header.properties.end(),
                                   [](const PlyProperty& p) { return p.name.rfind("f_rest_", 0) == 0; });
   for (int degree = 0; degree <= kMaxShDegree; ++degree) {
-    if (rest == 3 * ((degree + 1) * (degree + 1) - 1)) return degree;
+    const ParameterLayout layout{Appearance::Radiance, degree};
+    if (rest == std::ptrdiff_t{3} * (layout.sh_coefficients() - 1)) return degree;
   }
   throw std::runtime_error(
       fmt::format("{}: header: {} properties f_rest_*; degrees 0 to 3 have 0, 9, 24 or 45", path, rest));

@@ -8,7 +8,7 @@ namespace splatbus {
 
 glm::vec3 shade_transfer(const GaussiansView& gaussians, std::size_t i, const Light& light_object) {
   assert(gaussians.layout.appearance == Appearance::Transfer && i < gaussians.count);
-  constexpr float kInversePi = glm::one_over_pi<float>();
+  constexpr auto kInversePi = glm::one_over_pi<float>();
   const auto triple = [i, &gaussians](const float* planes) {
     return glm::vec3(planes[i], planes[gaussians.stride + i], planes[2 * gaussians.stride + i]);
   };

@@ -50,7 +50,7 @@ cv::Mat from_planes(const float* planes, std::uint32_t width, std::uint32_t heig
       const float display = encode_srgb ? srgb_from_linear(plane[i]) : plane[i];
       // Written so that NaN takes the first branch.
       const float clamped = display > 0 ? std::min(display, 1.0F) : 0.0F;
-      to[i][static_cast<int>(2 - color)] = static_cast<std::uint8_t>(clamped * 255 + 0.5F);
+      to[i][static_cast<int>(2 - color)] = cv::saturate_cast<std::uint8_t>(clamped * 255);
     }
   }
   return out;

@@ -54,7 +54,7 @@ TEST(Light, AmbientReflectedIsTheIntegralOfTheClampedCosine) {
   for (int i = 0; i < 4; ++i) {
     const Light light = random.light();
     const glm::vec3 n = random.direction();
-    constexpr int kRings = 400, kSectors = 800;
+    constexpr int kRings = 200, kSectors = 400;
     glm::dvec3 sum(0);
     for (int ring = 0; ring < kRings; ++ring) {
       const float z = -1 + 2 * (static_cast<float>(ring) + 0.5F) / kRings, r = std::sqrt(1 - z * z);

@@ -190,7 +190,7 @@ TEST_F(ReadPly, SurvivesEveryTruncationAndManyMutations) {
     EXPECT_THROW((void)read(good.substr(0, size)), std::runtime_error) << size;
   }
   int read_anyway = 0;
-  for (int i = 0; i < 3000; ++i) {
+  for (int i = 0; i < 1500; ++i) {
     std::string content = good;
     for (int change = 0; change < 1 + i % 4; ++change) {
       const auto place = static_cast<std::size_t>(random.uniform(0, static_cast<float>(content.size()) - 1));
@@ -206,7 +206,7 @@ TEST_F(ReadPly, SurvivesEveryTruncationAndManyMutations) {
       EXPECT_THAT(error.what(), HasSubstr("model.ply: "));
     }
   }
-  EXPECT_GT(read_anyway, 100) << "changes within the rows are mostly just other values";
+  EXPECT_GT(read_anyway, 50) << "changes within the rows are mostly just other values";
 }
 
 }  // namespace

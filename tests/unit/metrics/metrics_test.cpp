@@ -119,7 +119,7 @@ TEST(Colorize, RunsFromBlackOverRedToLightYellow) {
   // First, middle and last entry of matplotlib's magma: (0.001462, 0.000466, 0.013866), (0.716387, 0.214982, 0.475290)
   // and (0.987053, 0.991438, 0.749504), R G B.
   const auto expect_rgb = [&colors](int column, int r, int g, int b) {
-    const auto bgr = colors.at<cv::Vec3b>(0, column);
+    const auto& bgr = colors.at<cv::Vec3b>(0, column);
     EXPECT_NEAR(bgr[2], r, 2);
     EXPECT_NEAR(bgr[1], g, 2);
     EXPECT_NEAR(bgr[0], b, 2);
