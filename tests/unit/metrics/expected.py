@@ -46,7 +46,9 @@ def variants(ref):
     return {"noise": noise, "shift": shifted, "blur": blurred, "tint": tinted}
 
 
-XYZ_FROM_RGB = np.array([[10135552, 8788810, 4435075], [5226144, 17577620, 1774030], [475104, 8788810 / 3, 70074185 / 3]])
+XYZ_FROM_RGB = np.array([[10135552, 8788810, 4435075],
+                         [5226144, 17577620, 1774030],
+                         [475104, 8788810 / 3, 70074185 / 3]])
 XYZ_FROM_RGB /= 24577794
 WHITE = XYZ_FROM_RGB.sum(axis=1)
 
@@ -126,8 +128,9 @@ def main():
     ref = reference()
     for name, test in variants(ref).items():
         a, b = test.astype(np.uint8), ref.astype(np.uint8)
-        ssim, ssim_map = metrics.structural_similarity(b, a, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
-                                                data_range=255, channel_axis=2, full=True)
+        ssim, ssim_map = metrics.structural_similarity(b, a, gaussian_weights=True, sigma=1.5,
+                                                       use_sample_covariance=False, data_range=255, channel_axis=2,
+                                                       full=True)
         psnr = metrics.peak_signal_noise_ratio(b, a, data_range=255)
         maps = [flip(test, ref), flip(test, ref, 30.0)]
         print(f'{{"{name}", {psnr:.6f}, {ssim:.6f}, {ssim_map.mean():.6f}, {maps[0].mean():.6f}, {maps[1].mean():.6f}, '
