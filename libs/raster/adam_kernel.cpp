@@ -6,7 +6,8 @@
 
 #include "gaussians/model.h"
 
-// clang-format off: Highway needs this order.
+// Highway needs this order.
+// clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/adam_kernel.cpp"
 #include "hwy/foreach_target.h"

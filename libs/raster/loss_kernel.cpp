@@ -3,11 +3,12 @@
 #include <algorithm>
 #include <vector>
 
-// clang-format off: Highway needs this order.
+// Highway needs this order.
+// clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/loss_kernel.cpp"
-#include "hwy/contrib/math/math-inl.h"
 #include "hwy/foreach_target.h"
+#include "hwy/contrib/math/math-inl.h"
 #include "raster/cpu/lanes-inl.h"
 // clang-format on
 

@@ -3,7 +3,8 @@
 
 #include "raster/cpu/kernels.h"
 
-// clang-format off: Highway needs this order.
+// Highway needs this order.
+// clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/cpu/project_backward.cpp"
 #include "hwy/foreach_target.h"
