@@ -1,0 +1,76 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+
+#include "bus/publisher.h"
+#include "bus/service.h"
+#include "bus/subscriber.h"
+#include "bus/tensor_ring.h"
+#include "expander/batch_ledger.h"
+#include "expander/grid.h"
+#include "expander/input_samples.h"
+#include "expander/model_follower.h"
+
+namespace splatbus::expander {
+
+/// Counters of the expander, as heartbeats show them.
+struct ExpanderCounters {
+  std::uint64_t rounds = 0, rounds_lost = 0;
+  std::uint64_t samples = 0, samples_dropped = 0, samples_unseen = 0;
+  std::uint64_t batches_sent = 0;
+  double milliseconds = 0;  ///< the last round's
+};
+
+/// The service: turns rounds of input samples into Gaussians for the parts of the scene that the model lacks, and sees
+/// to it that they reach the trainer. One thread calls step().
+class Expander {
+ public:
+  /// `parameters` outlive the expander.
+  Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters);
+
+  /// Handles what arrives within `timeout`, then what is due.
+  void step(std::chrono::milliseconds timeout);
+
+  [[nodiscard]] const ExpanderCounters& counters() const { return counters_; }
+  [[nodiscard]] const Grid& grid() const { return grid_; }
+  [[nodiscard]] const BatchLedger& ledger() const { return ledger_; }
+  [[nodiscard]] const ModelFollower& follower() const { return follower_; }
+
+ private:
+  void handle(const bus::Message& message);
+  void handle_input(const bus::Message& message);
+  void handle_pose(const bus::Message& message);
+  void handle_published(const bus::Message& message);
+
+  void process_waiting();
+  void process(const InputSamples& samples);
+  void publish_batches();
+  void publish(const InsertBatch& batch);
+  void publish_state();
+
+  const bus::Parameters& parameters_;
+  std::shared_ptr<bus::Context> context_;
+  bus::Subscriber subscriber_;
+  bus::Publisher insert_publisher_, state_publisher_;
+  bus::TensorRing ring_;
+  Grid grid_;
+  BatchLedger ledger_;
+  ModelFollower follower_;
+  ExpanderCounters counters_;
+
+  std::deque<InputSamples> waiting_;  // rounds that came before it was known what the trainer has
+  std::int64_t waiting_since_ns_ = 0;
+  std::optional<glm::vec3> viewer_;
+  std::size_t gaussian_limit_logged_ = 0;
+  bool state_changed_ = true;
+  std::int64_t state_published_ns_ = 0;
+};
+
+/// The service's main loop, until a stop is asked for.
+void run(bus::ServiceContext& service);
+
+}  // namespace splatbus::expander

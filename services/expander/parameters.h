@@ -1,0 +1,21 @@
+#pragma once
+
+#include <vector>
+
+#include "bus/parameters.h"
+#include "expander/batch_ledger.h"
+#include "expander/grid.h"
+#include "expander/insert_batch.h"
+#include "expander/visibility.h"
+
+namespace splatbus::expander {
+
+[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+
+/// The parameters as the parts take them.
+[[nodiscard]] GridOptions grid_options(const bus::Parameters& parameters);
+[[nodiscard]] VisibilityOptions visibility_options(const bus::Parameters& parameters);
+[[nodiscard]] InitialOptions initial_options(const bus::Parameters& parameters);
+[[nodiscard]] BatchLedger::Options ledger_options(const bus::Parameters& parameters);
+
+}  // namespace splatbus::expander
