@@ -3,8 +3,8 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <linux/close_range.h>
-#include <sys/pidfd.h>
 #include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -41,6 +41,11 @@ std::vector<std::string> merged_environment(const std::map<std::string, std::str
     result.push_back(variable.append("=").append(value));
   }
   return result;
+}
+
+/// glibc 2.36 declares pidfd_open without extern "C".
+int open_pidfd(pid_t pid) {
+  return static_cast<int>(syscall(SYS_pidfd_open, pid, 0));
 }
 
 struct Pipe {
@@ -110,7 +115,7 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
     waitpid(pid_, nullptr, 0);
     throw std::runtime_error(fmt::format("cannot start {}: {}", program.string(), std::strerror(error)));
   }
-  exit_ = bus::FileDescriptor(pidfd_open(pid_, 0));
+  exit_ = bus::FileDescriptor(open_pidfd(pid_));
   if (exit_.get() < 0) {
     const int reason = errno;
     signal_group(SIGKILL);

@@ -68,6 +68,11 @@ bool is_broker(const LaunchService& service) {
   return fs::path(service.program.value).filename() == kBrokerProgram;
 }
 
+/// The broker has flags only, and what sends no heartbeat is no service of ours.
+bool takes_parameters(const LaunchService& service) {
+  return !is_broker(service) && service.heartbeat_timeout_s > 0;
+}
+
 /// Services in an order in which each comes after those that it waits for, the broker first, else as in the file.
 std::vector<const LaunchService*> ordered(const LaunchFile& file) {
   std::vector<const LaunchService*> order;
@@ -100,7 +105,8 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
   process.heartbeat_timeout_s = service.heartbeat_timeout_s;
   process.start_timeout_s = service.start_timeout_s;
   process.broker = is_broker(service);
-  if (service.heartbeat_timeout_s > 0) process.arguments = {"--bus", address.text(), "--name", name};
+  if (service.heartbeat_timeout_s > 0) process.arguments = {"--bus", address.text()};
+  if (takes_parameters(service)) process.arguments.insert(process.arguments.end(), {"--name", name});
   for (const std::string& argument : service.args) process.arguments.push_back(expand(argument, variables));
   for (const auto& [key, setting] : service.parameters) {
     process.arguments.emplace_back("--set");
@@ -138,11 +144,9 @@ LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs
   std::map<std::string, SourceMark> names;
   for (const LaunchService* service : ordered(file)) {
     const fs::path program = find_program(*service, file, programs);
-    if (service->heartbeat_timeout_s <= 0 && !service->parameters.empty()) {
-      throw LaunchError(
-          service->parameters.begin()->second.mark,
-          fmt::format("service '{}' sends no heartbeat (heartbeat_timeout_s: 0), so it takes no parameters",
-                      service->name));
+    if (!takes_parameters(*service) && !service->parameters.empty()) {
+      throw LaunchError(service->parameters.begin()->second.mark,
+                        fmt::format("'{}' takes no parameters: give it args", service->name));
     }
     std::set<std::size_t> after(brokers.begin(), brokers.end());
     for (const auto& dependency : service->after) {

@@ -21,7 +21,6 @@ constexpr std::int64_t kLongestBackOff = 8 * kSecond;
 constexpr std::int64_t kHealthy = 10 * kSecond;  ///< ready for that long: earlier ends are forgotten
 constexpr int kMostAttempts = 8;
 constexpr std::int64_t kTerminateTimeout = 3 * kSecond;
-constexpr std::int64_t kBrokerFresh = 3 * kSecond / 2;
 
 std::int64_t from_seconds(double seconds) {
   return static_cast<std::int64_t>(seconds * static_cast<double>(kSecond));
@@ -213,25 +212,26 @@ void Supervisor::start(Process& process) {
 
 void Supervisor::check_signs_of_life() {
   const std::int64_t now = bus::now_ns();
-  const bool answers = bus_answers();
+  const std::int64_t heard_until = bus_heard_until();
   for (Process& process : processes_) {
     if (!process.child || process.plan.heartbeat_timeout_s <= 0 || process.terminate_ns != 0) continue;
-    if (!process.plan.broker && !answers) continue;
     const bool starting = process.status.state == ProcessState::Starting;
     const double limit_s = starting ? process.plan.start_timeout_s : process.plan.heartbeat_timeout_s;
-    if (now - process.last_sign_ns <= from_seconds(limit_s)) continue;
+    const std::int64_t judged_at = process.plan.broker ? now : heard_until;
+    if (judged_at - process.last_sign_ns <= from_seconds(limit_s)) continue;
     say(process, fmt::format("no heartbeat for {} s, killing it", limit_s));
     process.terminate_ns = now;
     process.child->signal_group(SIGKILL);
   }
 }
 
-bool Supervisor::bus_answers() const {
-  const std::int64_t now = bus::now_ns();
-  return std::all_of(processes_.begin(), processes_.end(), [&](const Process& process) {
-    return !process.plan.broker ||
-           (process.status.state == ProcessState::Running && now - process.last_sign_ns < kBrokerFresh);
-  });
+std::int64_t Supervisor::bus_heard_until() const {
+  std::int64_t until = bus::now_ns();
+  for (const Process& process : processes_) {
+    if (!process.plan.broker) continue;
+    until = process.status.state == ProcessState::Running ? std::min(until, process.last_sign_ns) : 0;
+  }
+  return until;
 }
 
 bool Supervisor::anything_to_do() const {

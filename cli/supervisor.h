@@ -75,7 +75,8 @@ class Supervisor {
   void start(Process& process);
   void ready(Process& process);
   void check_signs_of_life();
-  [[nodiscard]] bool bus_answers() const;
+  /// The time up to which silence means something: the broker's own last heartbeat, 0 while it is away.
+  [[nodiscard]] std::int64_t bus_heard_until() const;
   [[nodiscard]] bool anything_to_do() const;
   void terminate_in_order(bool kill);
   void fail(Process& process, const std::string& reason);

@@ -1,0 +1,157 @@
+#include "launch_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+namespace splatbus::cli {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+std::string error_of(const std::string& yaml) {
+  try {
+    static_cast<void>(parse_launch_file(yaml, "x.yaml"));
+  } catch (const LaunchError& error) {
+    return error.what();
+  }
+  return "no error";
+}
+
+TEST(LaunchFile, ReadsEveryKey) {
+  const LaunchFile file = parse_launch_file(R"(
+bus: ipc:///tmp/somewhere
+services:
+  - name: bus
+  - name: engine
+    program: splatbus-engine-sim
+    args: [--fps, "30"]
+    environment: {LIBGL_ALWAYS_SOFTWARE: "1"}
+    restart: always
+    after: [bus]
+    heartbeat_timeout_s: 2.5
+    start_timeout_s: 60
+  - name: viewer
+    parameters:
+      size: 160
+      probe: true
+    endpoint: tcp://127.0.0.1:5999
+    bus: tcp://127.0.0.1:6000
+    replicas: 3
+    restart: never
+)",
+                                            "x.yaml");
+  EXPECT_EQ(file.bus->value, "ipc:///tmp/somewhere");
+  ASSERT_EQ(file.services.size(), 3U);
+  EXPECT_EQ(file.services[0].program.value, "splatbus-bus");
+  EXPECT_EQ(file.services[0].restart, RestartPolicy::OnFailure);
+  const LaunchService& engine = file.services[1];
+  EXPECT_EQ(engine.program.value, "splatbus-engine-sim");
+  EXPECT_EQ(engine.args, (std::vector<std::string>{"--fps", "30"}));
+  EXPECT_EQ(engine.environment.at("LIBGL_ALWAYS_SOFTWARE"), "1");
+  EXPECT_EQ(engine.restart, RestartPolicy::Always);
+  ASSERT_EQ(engine.after.size(), 1U);
+  EXPECT_EQ(engine.after[0].value, "bus");
+  EXPECT_DOUBLE_EQ(engine.heartbeat_timeout_s, 2.5);
+  EXPECT_DOUBLE_EQ(engine.start_timeout_s, 60);
+  const LaunchService& viewer = file.services[2];
+  EXPECT_EQ(viewer.parameters.at("size").value, "160");
+  EXPECT_EQ(viewer.parameters.at("probe").value, "true");
+  EXPECT_EQ(viewer.parameters.at("endpoint").value, "tcp://127.0.0.1:5999");
+  EXPECT_EQ(viewer.parameters.at("size").mark.text(), "x.yaml:15:13");
+  EXPECT_EQ(viewer.bus->value, "tcp://127.0.0.1:6000");
+  EXPECT_EQ(viewer.replicas, 3);
+  EXPECT_EQ(viewer.restart, RestartPolicy::Never);
+}
+
+struct BadCase {
+  const char* name;
+  const char* yaml;
+  const char* place;  ///< how the message begins
+  const char* text;   ///< what it also says
+};
+
+class BadLaunchFile : public testing::TestWithParam<BadCase> {};
+
+TEST_P(BadLaunchFile, IsRefusedWithItsPlace) {
+  const std::string error = error_of(GetParam().yaml);
+  EXPECT_THAT(error, StartsWith(GetParam().place));
+  EXPECT_THAT(error, HasSubstr(GetParam().text));
+}
+
+const BadCase kBadCases[] = {
+    {"NotYaml", "services:\n  - name: [bus\n", "x.yaml:3:", "not YAML"},
+    {"Tabs", "services:\n\t- name: bus\n", "x.yaml:2:2:", "not YAML"},
+    {"Empty", "", "x.yaml:1:1:", "must be a map"},
+    {"List", "- a\n", "x.yaml:1:1:", "must be a map, not a list"},
+    {"NoServices", "bus: ipc:///tmp/a\n", "x.yaml:1:1:", "needs the key services"},
+    {"EmptyServices", "services: []\n", "x.yaml:1:11:", "services is empty"},
+    {"ServicesNoList", "services: {name: bus}\n", "x.yaml:1:11:", "services must be a list, not a map"},
+    {"UnknownTopKey", "services:\n  - name: bus\nservice: 1\n", "x.yaml:3:1:", "unknown key 'service'"},
+    {"UnknownServiceKey", "services:\n  - name: bus\n    parametres: {}\n",
+     "x.yaml:3:5:", "unknown key 'parametres' of service 'bus' (known: after, args"},
+    {"DuplicateKey", "services:\n  - name: bus\n    restart: never\n    restart: always\n",
+     "x.yaml:4:5:", "key 'restart' appears twice"},
+    {"NoName", "services:\n  - program: x\n", "x.yaml:2:5:", "has no name"},
+    {"EntryNoMap", "services:\n  - bus\n", "x.yaml:2:5:", "must be a map"},
+    {"NameIsList", "services:\n  - name: [bus]\n", "x.yaml:2:11:", "name must be a single value, not a list"},
+    {"BadName", "services:\n  - name: a/b\n", "x.yaml:2:11:", "'a/b' may only have letters"},
+    {"ParametersNoMap", "services:\n  - name: bus\n    parameters: [a]\n", "x.yaml:3:17:", "must be a map, not a list"},
+    {"ParameterNoScalar", "services:\n  - name: bus\n    parameters:\n      size: [1]\n",
+     "x.yaml:4:13:", "parameter 'size' of service 'bus' must be a single value"},
+    {"ArgsNoList", "services:\n  - name: bus\n    args: --x\n", "x.yaml:3:11:", "must be a list"},
+    {"ReplicasText", "services:\n  - name: bus\n    replicas: many\n", "x.yaml:3:15:", "from 1 to 64, not 'many'"},
+    {"ReplicasZero", "services:\n  - name: bus\n    replicas: 0\n", "x.yaml:3:15:", "from 1 to 64, not '0'"},
+    {"RestartWord", "services:\n  - name: bus\n    restart: sometimes\n",
+     "x.yaml:3:14:", "always, on-failure or never, not 'sometimes'"},
+    {"TimeoutText", "services:\n  - name: bus\n    heartbeat_timeout_s: soon\n", "x.yaml:3:26:", "must be seconds"},
+    {"TimeoutNegative", "services:\n  - name: bus\n    start_timeout_s: -1\n", "x.yaml:3:22:", "must be seconds"},
+    {"TimeoutNan", "services:\n  - name: bus\n    start_timeout_s: .nan\n", "x.yaml:3:22:", "must be seconds"},
+    {"DuplicateName", "services:\n  - name: bus\n  - name: bus\n",
+     "x.yaml:3:11:", "service name 'bus' is taken, first at x.yaml:2:11"},
+    {"AfterNobody", "services:\n  - name: bus\n    after: [engine]\n",
+     "x.yaml:3:13:", "'engine', which no entry is named"},
+    {"AfterItself", "services:\n  - name: bus\n    after: [bus]\n", "x.yaml:3:13:", "circle: bus after bus"},
+    {"Cycle", "services:\n  - {name: a, after: [b]}\n  - {name: b, after: [c]}\n  - {name: c, after: [a]}\n",
+     "x.yaml:4:23:", "circle: a after b after c after a"},
+};
+
+INSTANTIATE_TEST_SUITE_P(Cases, BadLaunchFile, testing::ValuesIn(kBadCases),
+                         [](const auto& instance) { return std::string(instance.param.name); });
+
+TEST(LaunchFile, MissingFileIsNamed) {
+  try {
+    static_cast<void>(read_launch_file("/nonexistent/x.yaml"));
+    FAIL();
+  } catch (const LaunchError& error) {
+    EXPECT_THAT(error.what(), StartsWith("/nonexistent/x.yaml: cannot be read"));
+  }
+}
+
+TEST(LaunchOverride, SetsAParameter) {
+  LaunchFile file = parse_launch_file("services:\n  - name: viewer\n    parameters: {size: 1}\n", "x.yaml");
+  apply_override(file, "viewer.size=2");
+  apply_override(file, "viewer.text=a=b.c");
+  EXPECT_EQ(file.services[0].parameters.at("size").value, "2");
+  EXPECT_EQ(file.services[0].parameters.at("size").mark.text(), "--set viewer.size=2");
+  EXPECT_EQ(file.services[0].parameters.at("text").value, "a=b.c");
+}
+
+TEST(LaunchOverride, RefusesWhatNamesNothing) {
+  LaunchFile file = parse_launch_file("services:\n  - name: viewer\n", "x.yaml");
+  for (const char* text : {"", "viewer", "viewer.size", "=1", ".size=1", "viewer.=1", "size=1.5"}) {
+    EXPECT_THROW(apply_override(file, text), LaunchError) << text;
+  }
+  try {
+    apply_override(file, "streamer.rate=1");
+    FAIL();
+  } catch (const LaunchError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("--set streamer.rate=1: x.yaml has no service 'streamer' (known: viewer)"));
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::cli

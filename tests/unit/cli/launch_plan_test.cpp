@@ -1,0 +1,131 @@
+#include "launch_plan.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+
+namespace splatbus::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+/// A folder with programs that do what a line of shell says.
+class LaunchPlanTest : public testing::Test {
+ protected:
+  LaunchPlanTest() {
+    std::string path = (fs::temp_directory_path() / "splatbus-plan-XXXXXX").string();
+    programs_ = mkdtemp(path.data());
+    for (const char* name : {"splatbus-bus", "splatbus-engine-sim", "splatbus-trainer", "splatbus-viewer"})
+      program(name, "exit 0");
+  }
+  ~LaunchPlanTest() override { fs::remove_all(programs_); }
+
+  void program(const std::string& name, const std::string& script) const {
+    std::ofstream(programs_ / name) << "#!/bin/sh\n" << script << "\n";
+    fs::permissions(programs_ / name, fs::perms::owner_all);
+  }
+
+  [[nodiscard]] LaunchPlan plan(const std::string& yaml) const {
+    return plan_launch(parse_launch_file(yaml, "x.yaml"), bus::Address::parse("ipc:///tmp/b"), programs_);
+  }
+
+  [[nodiscard]] std::string error_of(const std::string& yaml) const {
+    try {
+      const LaunchFile file = parse_launch_file(yaml, "x.yaml");
+      check_parameters(file, plan_launch(file, bus::Address::parse("ipc:///tmp/b"), programs_));
+    } catch (const LaunchError& error) {
+      return error.what();
+    }
+    return "no error";
+  }
+
+  fs::path programs_;
+};
+
+std::vector<std::string> names(const LaunchPlan& plan) {
+  std::vector<std::string> result;
+  for (const ProcessPlan& process : plan.processes) result.push_back(process.name);
+  return result;
+}
+
+TEST_F(LaunchPlanTest, BrokerFirstAndDependenciesBefore) {
+  const LaunchPlan p = plan(R"(
+services:
+  - {name: viewer, after: [trainer]}
+  - {name: trainer, after: [engine]}
+  - {name: engine, program: splatbus-engine-sim}
+  - {name: bus}
+)");
+  EXPECT_THAT(names(p), ElementsAre("bus", "engine", "trainer", "viewer"));
+  EXPECT_TRUE(p.processes[0].broker);
+  EXPECT_THAT(p.processes[0].arguments, ElementsAre("--bus", "ipc:///tmp/b"));
+  EXPECT_THAT(p.processes[0].after, ElementsAre());
+  EXPECT_THAT(p.processes[1].after, ElementsAre(0));
+  EXPECT_THAT(p.processes[2].after, ElementsAre(0, 1));
+  EXPECT_THAT(p.processes[3].after, ElementsAre(0, 2));
+}
+
+TEST_F(LaunchPlanTest, ArgumentsAndEnvironment) {
+  const LaunchPlan p = plan(R"(
+services:
+  - name: viewer
+    args: [--verbose]
+    parameters: {size: 160, out: "${bus_dir}/${name}"}
+    environment: {A: "${name}"}
+)");
+  const ProcessPlan& viewer = p.processes.at(0);
+  EXPECT_EQ(viewer.program, programs_ / "splatbus-viewer");
+  EXPECT_THAT(viewer.arguments, ElementsAre("--bus", "ipc:///tmp/b", "--name", "viewer", "--verbose", "--set",
+                                            "out=/tmp/b/viewer", "--set", "size=160"));
+  EXPECT_EQ(viewer.environment.at("SPLATBUS_BUS"), "ipc:///tmp/b");
+  EXPECT_EQ(viewer.environment.at("A"), "viewer");
+}
+
+TEST_F(LaunchPlanTest, ReplicasAreNumberedAndAllWaitedFor) {
+  const LaunchPlan p = plan(R"(
+services:
+  - {name: viewer, replicas: 2, parameters: {out: "out/${replica}"}}
+  - {name: trainer, after: [viewer]}
+)");
+  EXPECT_THAT(names(p), ElementsAre("viewer-1", "viewer-2", "trainer"));
+  EXPECT_EQ(p.processes[1].arguments.back(), "out=out/2");
+  EXPECT_THAT(p.processes[2].after, ElementsAre(0, 1));
+}
+
+TEST_F(LaunchPlanTest, ProgramsWithoutHeartbeatGetTheirOwnArgumentsOnly) {
+  const LaunchPlan p = plan("services:\n  - {name: job, program: /bin/sh, args: [-c, ls], heartbeat_timeout_s: 0}\n");
+  EXPECT_THAT(p.processes.at(0).arguments, ElementsAre("-c", "ls"));
+}
+
+TEST_F(LaunchPlanTest, UnknownServicesAreNamedWithThoseThatExist) {
+  const std::string error = error_of("services:\n  - name: trianer\n");
+  EXPECT_THAT(error, HasSubstr("x.yaml:2:11: unknown service: no program 'splatbus-trianer'"));
+  EXPECT_THAT(error, HasSubstr("splatbus-bus, splatbus-engine-sim, splatbus-trainer, splatbus-viewer"));
+  EXPECT_THAT(error_of("services:\n  - {name: a, program: /nonexistent/a}\n"),
+              HasSubstr("x.yaml:2:24: '/nonexistent/a' is no program"));
+}
+
+TEST_F(LaunchPlanTest, BadBusAndClashingReplicaNames) {
+  EXPECT_THAT(error_of("services:\n  - {name: viewer, bus: nonsense}\n"), HasSubstr("x.yaml:2:25: "));
+  EXPECT_THAT(error_of("services:\n  - {name: viewer, replicas: 2}\n  - {name: viewer-2, program: splatbus-viewer}\n"),
+              HasSubstr("process name 'viewer-2' is taken"));
+  EXPECT_THAT(error_of("services:\n  - {name: a, program: /bin/sh, heartbeat_timeout_s: 0, parameters: {x: 1}}\n"),
+              HasSubstr("'a' takes no parameters: give it args"));
+}
+
+TEST_F(LaunchPlanTest, ParametersAreCheckedByTheProgram) {
+  program("splatbus-trainer", "echo \"splatbus-trainer: --set: there is no parameter 'bacth'\" >&2; exit 1");
+  EXPECT_THAT(
+      error_of("services:\n  - name: trainer\n    parameters:\n      batch: 1\n      bacth: 2\n"),
+      testing::StartsWith("x.yaml:5:14: service 'trainer' refuses its parameters: splatbus-trainer: --set: there "
+                          "is no parameter 'bacth'"));
+  program("splatbus-trainer", "for a; do last=$a; done; [ \"$last\" = --parameters ]");
+  EXPECT_EQ(error_of("services:\n  - name: trainer\n    parameters: {batch: 1}\n"), "no error");
+}
+
+}  // namespace
+}  // namespace splatbus::cli

@@ -1,0 +1,275 @@
+#include "supervisor.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <csignal>
+#include <filesystem>
+#include <thread>
+
+#include "bus/broker.h"
+#include "bus/publisher.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::cli {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+constexpr auto kPatience = 20s;
+
+ProcessPlan shell(const std::string& name, const std::string& script, std::vector<std::size_t> after = {}) {
+  ProcessPlan plan;
+  plan.name = name;
+  plan.program = "/bin/sh";
+  plan.arguments = {"-c", script};
+  plan.after = std::move(after);
+  plan.heartbeat_timeout_s = 0;
+  return plan;
+}
+
+/// Runs a plan on a thread, on a bus with an in-process broker, and remembers what was said.
+class SupervisorTest : public testing::Test {
+ protected:
+  SupervisorTest() {
+    std::string path = (std::filesystem::temp_directory_path() / "splatbus-supervisor-XXXXXX").string();
+    folder_ = mkdtemp(path.data());
+    broker_.emplace(bus_service::BrokerOptions{.address = bus::Address::parse("ipc://" + folder_)});
+    broker_->start();
+  }
+  ~SupervisorTest() override {
+    stop();
+    supervisor_.reset();
+    broker_.reset();
+    std::filesystem::remove_all(folder_);
+  }
+
+  void launch(std::vector<ProcessPlan> processes) {
+    LaunchPlan plan{bus::Address::parse("ipc://" + folder_), std::move(processes)};
+    supervisor_.emplace(plan, [this](const std::string& process, const std::string& line, bool own) {
+      const std::scoped_lock lock(mutex_);
+      lines_.push_back(process + (own ? " * " : " | ") + line);
+      changed_.notify_all();
+    });
+    thread_ = std::jthread([this] { success_ = supervisor_->run(stop_.get_token(), kill_.get_token()); });
+  }
+
+  void stop() {
+    stop_.request_stop();
+    wait_for_end();
+  }
+  void wait_for_end() {
+    if (thread_.joinable()) thread_.join();
+  }
+
+  [[nodiscard]] bool wait_for_line(const std::string& text, std::size_t times = 1) {
+    std::unique_lock lock(mutex_);
+    return changed_.wait_for(lock, kPatience, [&] {
+      return static_cast<std::size_t>(std::count_if(lines_.begin(), lines_.end(), [&](const std::string& line) {
+               return line.find(text) != std::string::npos;
+             })) >= times;
+    });
+  }
+
+  [[nodiscard]] std::vector<std::string> lines() {
+    const std::scoped_lock lock(mutex_);
+    return lines_;
+  }
+
+  [[nodiscard]] ProcessStatus status(const std::string& name) const {
+    for (const ProcessStatus& status : supervisor_->status()) {
+      if (status.name == name) return status;
+    }
+    return {};
+  }
+
+  [[nodiscard]] bool wait_for_state(const std::string& name, ProcessState state) const {
+    const auto end = std::chrono::steady_clock::now() + kPatience;
+    while (status(name).state != state) {
+      if (std::chrono::steady_clock::now() > end) return false;
+      std::this_thread::yield();
+    }
+    return true;
+  }
+
+  std::string folder_;
+  std::optional<bus_service::Broker> broker_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<std::string> lines_;
+  std::optional<Supervisor> supervisor_;
+  std::stop_source stop_, kill_;
+  std::atomic<bool> success_ = false;
+  std::jthread thread_;
+};
+
+TEST_F(SupervisorTest, EndsWhenAllHaveEnded) {
+  launch({shell("a", "echo hello"), shell("b", "exit 0")});
+  wait_for_end();
+  EXPECT_TRUE(success_);
+  EXPECT_THAT(lines(), testing::Contains("a | hello"));
+  EXPECT_EQ(status("a").state, ProcessState::Ended);
+}
+
+TEST_F(SupervisorTest, RestartsWithBackOffUntilItFailsForGood) {
+  launch({shell("a", "exit 7")});
+  ASSERT_TRUE(wait_for_line("a * exited with status 7; starting it again in 0.1 s"));
+  ASSERT_TRUE(wait_for_line("a * exited with status 7; starting it again in 0.2 s"));
+  EXPECT_TRUE(wait_for_line("a * started", 3));
+  EXPECT_FALSE(supervisor_->failure().has_value());
+}
+
+TEST_F(SupervisorTest, NeverMeansNever) {
+  ProcessPlan once = shell("a", "exit 7");
+  once.restart = RestartPolicy::Never;
+  launch({once, shell("b", "exec sleep 100")});
+  ASSERT_TRUE(wait_for_line("a * failed: exited with status 7"));
+  EXPECT_TRUE(wait_for_state("b", ProcessState::Running)) << "others go on";
+  EXPECT_EQ(*supervisor_->failure(), "a: exited with status 7");
+  stop();
+  EXPECT_FALSE(success_);
+}
+
+TEST_F(SupervisorTest, AlwaysStartsAgainAfterSuccess) {
+  ProcessPlan again = shell("a", "exit 0");
+  again.restart = RestartPolicy::Always;
+  launch({again});
+  EXPECT_TRUE(wait_for_line("a * started", 3));
+}
+
+TEST_F(SupervisorTest, KilledProcessComesBackAndOthersStay) {
+  launch({shell("a", "echo up; exec sleep 100"), shell("b", "echo up; exec sleep 100")});
+  ASSERT_TRUE(wait_for_line("a | up"));
+  ASSERT_TRUE(wait_for_line("b | up"));
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
+  ASSERT_TRUE(wait_for_state("b", ProcessState::Running));
+  const pid_t old_a = status("a").pid;
+  const pid_t old_b = status("b").pid;
+  kill(old_a, SIGKILL);
+  ASSERT_TRUE(wait_for_line("a * killed by signal 9"));
+  ASSERT_TRUE(wait_for_line("a | up", 2));
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
+  EXPECT_NE(status("a").pid, old_a);
+  EXPECT_EQ(status("a").restarts, 1);
+  EXPECT_EQ(status("b").pid, old_b);
+}
+
+TEST_F(SupervisorTest, StopsInReverseOrderAndKillsWhatDoesNotGo) {
+  launch({shell("a", "trap 'echo stopped; exit 0' TERM; echo up; while :; do sleep 0.01; done"),
+          shell("b", "trap 'echo stopped; exit 0' TERM; echo up; while :; do sleep 0.01; done", {0}),
+          shell("c", "trap '' TERM; echo up; while :; do sleep 0.01; done", {1})});
+  for (const char* line : {"a | up", "b | up", "c | up"}) ASSERT_TRUE(wait_for_line(line));
+  stop();
+  EXPECT_TRUE(success_);
+  std::vector<std::string> ends;
+  for (const std::string& line : lines()) {
+    if (line.find("stop") != std::string::npos) ends.push_back(line);
+  }
+  EXPECT_THAT(ends, ElementsAre("c * does not stop, killing it", "b | stopped", "a | stopped"));
+}
+
+TEST_F(SupervisorTest, SecondStopKillsAtOnce) {
+  launch({shell("a", "trap '' TERM; echo up; while :; do sleep 0.01; done")});
+  ASSERT_TRUE(wait_for_line("a | up"));
+  kill_.request_stop();
+  stop();
+  EXPECT_THAT(lines(), testing::Not(testing::Contains(HasSubstr("does not stop"))));
+}
+
+TEST_F(SupervisorTest, ProgramThatCannotStartFails) {
+  ProcessPlan missing = shell("a", "");
+  missing.program = "/nonexistent";
+  launch({missing, shell("b", "echo up", {0})});
+  wait_for_end();
+  EXPECT_FALSE(success_);
+  EXPECT_THAT(*supervisor_->failure(), HasSubstr("a: cannot start /nonexistent"));
+  EXPECT_EQ(status("b").detail, "waits for a, which failed");
+}
+
+/// Sends heartbeats as if it were the process.
+class HeartbeatTest : public SupervisorTest {
+ protected:
+  HeartbeatTest()
+      : context_(bus::Context::create(bus::Address::parse("ipc://" + folder_), "faker")),
+        publisher_(context_, "sys/heartbeat") {}
+
+  void beat(pid_t pid) {
+    publisher_.publish({.schema = "Heartbeat/1"}, [&](auto& builder, auto header) {
+      const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.0)};
+      return wire::CreateHeartbeatDirect(builder, header, "fake", static_cast<std::uint32_t>(pid),
+                                         wire::ServiceState::Running, "fine", &counters);
+    });
+  }
+
+  /// Until `condition` holds, beating for `name` all the while when it runs.
+  template <class Condition>
+  [[nodiscard]] bool beat_until(const std::string& name, Condition condition) {
+    const auto end = std::chrono::steady_clock::now() + kPatience;
+    while (!condition()) {
+      if (std::chrono::steady_clock::now() > end) return false;
+      if (const pid_t pid = status(name).pid; pid != 0) beat(pid);
+      std::this_thread::sleep_for(20ms);
+    }
+    return true;
+  }
+
+  static ProcessPlan beating(const std::string& name, std::vector<std::size_t> after = {}) {
+    ProcessPlan plan = shell(name, "exec sleep 100", std::move(after));
+    plan.heartbeat_timeout_s = 0.4;
+    return plan;
+  }
+
+  std::shared_ptr<bus::Context> context_;
+  bus::Publisher publisher_;
+};
+
+TEST_F(HeartbeatTest, ReadyWithTheFirstHeartbeatAndThenOthersStart) {
+  launch({beating("a"), shell("b", "exec sleep 100", {0})});
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
+  EXPECT_EQ(status("b").state, ProcessState::Waiting);
+  beat(1);  // somebody else's
+  ASSERT_TRUE(beat_until("a", [&] { return status("b").state == ProcessState::Running; }));
+  EXPECT_EQ(status("a").state, ProcessState::Running);
+  EXPECT_EQ(status("a").detail, "fine");
+  EXPECT_EQ(status("a").counters.at("frames"), 42.0);
+}
+
+TEST_F(HeartbeatTest, SilentProcessIsKilledAndStartedAgain) {
+  launch({beating("a")});
+  ASSERT_TRUE(beat_until("a", [&] { return status("a").state == ProcessState::Running; }));
+  EXPECT_TRUE(wait_for_line("a * no heartbeat for 0.4 s, killing it"));
+  EXPECT_TRUE(wait_for_line("a * killed by signal 9"));
+  EXPECT_TRUE(wait_for_line("a * started", 2));
+}
+
+TEST_F(HeartbeatTest, NeverReadyIsKilledToo) {
+  ProcessPlan plan = beating("a");
+  plan.start_timeout_s = 0.2;
+  launch({plan});
+  EXPECT_TRUE(wait_for_line("a * no heartbeat for 0.2 s, killing it"));
+}
+
+TEST_F(HeartbeatTest, SilenceIsForgivenWhileTheBrokerIsSilent) {
+  ProcessPlan broker = beating("bus");
+  broker.broker = true;
+  broker.heartbeat_timeout_s = 1000;
+  launch({broker, beating("a", {0})});
+  ASSERT_TRUE(beat_until("bus", [&] { return status("a").state == ProcessState::Starting; }));
+  ASSERT_TRUE(beat_until("a", [&] { return status("a").state == ProcessState::Running; }));
+  // Nobody beats for longer than is allowed, and nobody is killed; then only the broker beats.
+  std::this_thread::sleep_for(1000ms);
+  EXPECT_THAT(lines(), testing::Not(testing::Contains(HasSubstr("no heartbeat"))));
+  EXPECT_TRUE(beat_until("bus", [&] {
+    const auto said = lines();
+    return std::find(said.begin(), said.end(), "a * no heartbeat for 0.4 s, killing it") != said.end();
+  }));
+}
+
+}  // namespace
+}  // namespace splatbus::cli
