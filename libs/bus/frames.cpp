@@ -13,9 +13,10 @@ constexpr std::size_t max_name_bytes = 256;
 constexpr std::size_t max_tensors = 256;
 constexpr std::size_t frame_alignment = 8;
 
-zmq::message_t share_frame(zmq::message_t& frame) {
+zmq::message_t share_frame(const zmq::message_t& frame) {
   zmq::message_t copy;
-  copy.copy(frame);
+  // ZeroMQ counts the reference inside of the frame; its bytes stay as they are.
+  copy.copy(const_cast<zmq::message_t&>(frame));
   return copy;
 }
 
@@ -32,7 +33,7 @@ bool too_long(const flatbuffers::String* text) {
 
 }  // namespace
 
-Frames Frames::share() {
+Frames Frames::share() const {
   return {share_frame(topic), share_frame(body), share_frame(payload), has_payload};
 }
 

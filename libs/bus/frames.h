@@ -21,7 +21,7 @@ struct Frames {
   bool has_payload = false;
 
   /// Shares the bytes, which nobody may change from then on.
-  [[nodiscard]] Frames share();
+  [[nodiscard]] Frames share() const;
   [[nodiscard]] std::size_t bytes() const { return topic.size() + body.size() + payload.size(); }
   [[nodiscard]] std::string_view topic_text() const { return topic.to_string_view(); }
 };

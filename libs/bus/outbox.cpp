@@ -37,7 +37,7 @@ Outbox::~Outbox() {
   {
     // A program that publishes one message and ends: give the broker that long to take it.
     std::unique_lock lock(mutex_);
-    if (!pending_.empty()) connected_changed_.wait_for(lock, farewell, [this] { return connected_; });
+    if (waiting_) connected_changed_.wait_for(lock, farewell, [this] { return connected_; });
   }
   thread_.request_stop();
   ::eventfd_write(wake_.get(), 1);
@@ -57,7 +57,10 @@ std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
   if (connected_) {
     send_frames(socket_, std::move(frames));
     read_subscriptions();
-  } else if (latch_key == nullptr) {
+    return sequence;
+  }
+  waiting_ = true;
+  if (latch_key == nullptr) {
     pending_bytes_ += frames.bytes();
     pending_.push_back({order, std::move(frames)});
     while (pending_.size() > max_pending_messages || pending_bytes_ > max_pending_bytes) {
@@ -113,6 +116,7 @@ void Outbox::catch_up() {
   send_latched_before(next_order_);
   pending_.clear();
   pending_bytes_ = 0;
+  waiting_ = false;
 }
 
 }  // namespace splatbus::bus

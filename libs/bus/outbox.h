@@ -53,6 +53,7 @@ class Outbox {
   LatchStore latched_;
   std::deque<Pending> pending_;
   std::size_t pending_bytes_ = 0;
+  bool waiting_ = false;  ///< something was published that no broker has seen
   FileDescriptor wake_;
   std::jthread thread_;
 };

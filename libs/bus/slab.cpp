@@ -46,6 +46,10 @@ std::size_t slot_stride(const SlabDescriptor& descriptor) {
 }
 
 std::size_t slab_data_bytes(const SlabDescriptor& descriptor) {
+  if (descriptor.name.empty() || descriptor.name.size() > max_slab_name) {
+    throw Error(fmt::format("slab '{}...': its name has {} characters; allowed are 1 to {}",
+                            descriptor.name.substr(0, 64), descriptor.name.size(), max_slab_name));
+  }
   if (descriptor.slots == 0 || descriptor.slots > max_slots || descriptor.slot_bytes == 0 ||
       descriptor.slot_bytes > max_data_bytes || slot_stride(descriptor) > max_data_bytes / descriptor.slots) {
     throw Error(fmt::format("slab '{}': {} slots of {} bytes; allowed are 1 to {} slots and {} bytes in all",

@@ -23,8 +23,11 @@ struct SlabDescriptor {
 /// Bytes from one slot's start to the next: slot_bytes rounded up to 4096.
 [[nodiscard]] std::size_t slot_stride(const SlabDescriptor& descriptor);
 
-/// Bytes of the whole data. Throws Error naming the slab when a size is 0 or beyond what libs/bus allows
-/// (65536 slots, 64 GiB).
+/// The longest name that a slab can have.
+constexpr std::size_t max_slab_name = 191;
+
+/// Bytes of the whole data. Throws Error naming the slab when its name is empty or too long, or a size is 0 or beyond
+/// what libs/bus allows (65536 slots, 64 GiB).
 [[nodiscard]] std::size_t slab_data_bytes(const SlabDescriptor& descriptor);
 
 /// The small memfd beside a slab's data: magic, sizes and one sequence counter a slot. Layout: docs/protocol.md.

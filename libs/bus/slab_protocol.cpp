@@ -61,9 +61,6 @@ std::array<FileDescriptor, max_descriptors> take_descriptors(msghdr& message) {
 }  // namespace
 
 void send_slab_packet(int socket, const SlabPacket& packet, int control_fd, int data_fd) {
-  if (packet.descriptor.name.size() > max_slab_name) {
-    throw Error(fmt::format("slab '{}': its name is longer than {} characters", packet.descriptor.name, max_slab_name));
-  }
   RawPacket raw{};
   raw.magic = packet_magic;
   raw.version = packet_version;
@@ -73,7 +70,7 @@ void send_slab_packet(int socket, const SlabPacket& packet, int control_fd, int 
   raw.id = packet.descriptor.id;
   raw.slots = packet.descriptor.slots;
   raw.slot_bytes = packet.descriptor.slot_bytes;
-  std::memcpy(raw.name, packet.descriptor.name.data(), packet.descriptor.name.size());
+  std::memcpy(raw.name, packet.descriptor.name.data(), std::min(packet.descriptor.name.size(), max_slab_name));
   std::memcpy(raw.text, packet.text.data(), std::min(packet.text.size(), sizeof(raw.text) - 1));
 
   iovec part{&raw, sizeof(raw)};

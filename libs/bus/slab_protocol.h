@@ -30,7 +30,4 @@ void send_slab_packet(int socket, const SlabPacket& packet, int control_fd, int 
 /// Nullopt at the end of the stream. Throws Error on a malformed packet, and on a timeout of the socket's own.
 std::optional<SlabPacket> receive_slab_packet(int socket);
 
-/// The longest name that a slab can have.
-constexpr std::size_t max_slab_name = 191;
-
 }  // namespace splatbus::bus

@@ -5,8 +5,8 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 #include <tuple>
-#include <unordered_map>
 #include <utility>
 
 #include "bus/clock.h"
@@ -18,8 +18,8 @@
 namespace splatbus::bus {
 namespace {
 
-constexpr std::size_t max_tracked = 65536;   // streams that one subscriber remembers
-constexpr std::size_t max_drained = 100000;  // messages that one receive_newest() takes
+constexpr std::size_t max_tracked = 65536;  // streams that one subscriber remembers
+constexpr std::size_t max_drained = 10000;  // messages that one receive_newest() takes
 
 std::string latch_key_of(const wire::Header& header) {
   return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
@@ -139,20 +139,23 @@ std::optional<Message> Subscriber::receive(std::chrono::milliseconds timeout) {
 }
 
 std::vector<Message> Subscriber::receive_newest(std::chrono::milliseconds timeout) {
-  std::vector<std::optional<Message>> received;
-  std::map<std::tuple<std::string, std::string, std::string>, std::size_t> newest;
+  std::vector<Message> received;
   for (auto message = receive(timeout); message; message = receive(std::chrono::milliseconds(0))) {
-    const auto& header = message->header();
-    const auto [place, first] =
-        newest.try_emplace({message->topic(), header.source()->str(), latch_key_of(header)}, received.size());
-    if (!first) received[std::exchange(place->second, received.size())].reset();
-    received.push_back(std::move(message));
+    received.push_back(std::move(*message));
     if (received.size() >= max_drained) break;
   }
+  return keep_newest(std::move(received));
+}
+
+std::vector<Message> keep_newest(std::vector<Message> messages) {
+  std::set<std::tuple<std::string, std::string, std::string>> seen;
   std::vector<Message> result;
-  for (auto& message : received) {
-    if (message) result.push_back(std::move(*message));
+  for (auto message = messages.rbegin(); message != messages.rend(); ++message) {
+    const auto& header = message->header();
+    const bool first = seen.emplace(message->topic(), header.source()->str(), latch_key_of(header)).second;
+    if (first) result.push_back(std::move(*message));
   }
+  std::reverse(result.begin(), result.end());
   return result;
 }
 

@@ -73,9 +73,7 @@ class Subscriber {
   /// The next message, or nullopt after `timeout` (0: what is there now) and when a signal arrives.
   std::optional<Message> receive(std::chrono::milliseconds timeout);
 
-  /// Waits for a message, reads everything that is there, and keeps the newest of each (topic, source, latch key), in
-  /// order of arrival. Messages that are not latched count by the same three, so that a publisher can set `latch_key`
-  /// without `latch` to say what replaces what (one key a camera). Where every message counts, use receive().
+  /// Waits for a message, reads everything that is there, and keeps the newest, as keep_newest() does.
   std::vector<Message> receive_newest(std::chrono::milliseconds timeout);
 
   [[nodiscard]] std::uint64_t lost() const;  ///< by sequence gaps
@@ -86,6 +84,11 @@ class Subscriber {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+/// The newest of each (topic, source, latch key), in order of arrival. Messages that are not latched count by the same
+/// three, so that a publisher can set `latch_key` without `latch` to say what replaces what (one key a camera). Where
+/// every message counts, this is not for you.
+[[nodiscard]] std::vector<Message> keep_newest(std::vector<Message> messages);
 
 /// Runs `handle` for a message, and turns an exception that it throws into a logged line that names the message.
 /// Services wrap every handler in this, so that one bad message never ends a process. False when it threw.

@@ -141,14 +141,14 @@ void Relay::relay_from(Side& side) {
     if (receipt == bus::Receipt::Malformed) {
       refuse(frames, why);
     } else {
-      relay(std::move(frames), side.local);
+      relay(frames, side.local);
     }
   }
 }
 
-void Relay::relay(bus::Frames frames, bool local) {
+void Relay::relay(const bus::Frames& frames, bool local) {
   std::string why;
-  const auto* header = bus::verified_header(frames.body, why);
+  const auto* const header = bus::verified_header(frames.body, why);
   if (header == nullptr) return refuse(frames, why);
   if (!local && has_slab_tensors(*header)) return refuse(frames, "a tensor in a slab cannot come over tcp");
   if (frames.topic_text() == "sys/heartbeat") {
@@ -158,8 +158,7 @@ void Relay::relay(bus::Frames frames, bool local) {
   }
   if (header->latch() && !hold(frames, *header, local)) return;
   ++relayed_;
-  if (remote_prefixes_.empty()) return bus::send_frames(local_.xpub, std::move(frames));
-  bus::send_frames(local_.xpub, frames.share());
+  send(local_, frames, *header);
   send(remote_, frames, *header);
 }
 
@@ -187,8 +186,6 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
 }
 
 void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& header) {
-  bus::Frames copy;
-  copy.topic.copy(const_cast<zmq::message_t&>(frames.topic));  // NOLINT(cppcoreguidelines-pro-type-const-cast)
   if (!side.local) {
     const auto topic = frames.topic_text();
     const bool wanted = std::any_of(remote_prefixes_.begin(), remote_prefixes_.end(),
@@ -196,8 +193,7 @@ void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& head
     if (!wanted) return;
     if (has_slab_tensors(header)) return send_inlined(frames);
   }
-  copy = const_cast<bus::Frames&>(frames).share();  // NOLINT
-  bus::send_frames(side.xpub, std::move(copy));
+  bus::send_frames(side.xpub, frames.share());
 }
 
 void Relay::send_inlined(const bus::Frames& frames) {

@@ -42,7 +42,7 @@ class Relay {
   void bind_tcp(const BrokerOptions& options);
   void run(const std::stop_token& stop);
   void relay_from(Side& side);
-  void relay(bus::Frames frames, bool local);
+  void relay(const bus::Frames& frames, bool local);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
   void send_inlined(const bus::Frames& frames);

@@ -1,27 +1,26 @@
+#include <gmock/gmock.h>
+
+#include <atomic>
 #include <cstring>
 
+#include "bus/error.h"
+#include "bus/slab_memory.h"
 #include "bus_fixture.h"
+#include "slab_helpers.h"
 
 namespace splatbus::bus_test {
 namespace {
 
-class Slabs : public BusTest {};
+using testing::HasSubstr;
+using testing::ThrowsMessage;
 
-bus::OutgoingTensor write_floats(bus::Slab& slab, const std::vector<float>& values) {
-  const auto slot = slab.next_slot();
-  std::memcpy(slab.slot_data(slot), values.data(), values.size() * sizeof(float));
-  const auto generation = slab.end_write(slot);
-  bus::OutgoingTensor tensor;
-  tensor.name = "values";
-  tensor.shape = {static_cast<std::uint32_t>(values.size())};
-  tensor.span = slab.span(slot, 0, values.size() * sizeof(float), generation);
-  return tensor;
-}
+class Slabs : public BusTest {};
 
 TEST_F(Slabs, TensorArrivesByReference) {
   const auto context = connect("maker");
   bus::Publisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 3, 1000);
+  EXPECT_EQ(slab->name(), "maker/frames");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
   publish_number(publisher, 7, false, "", {write_floats(*slab, {1, 2, 3})});
@@ -31,23 +30,139 @@ TEST_F(Slabs, TensorArrivesByReference) {
   ASSERT_TRUE(view.has_value());
   EXPECT_EQ(view->as<float>()[2], 3.0F);
   EXPECT_TRUE(view->still_valid());
+  const auto forwarded = message->forward_tensor("values");
+  ASSERT_TRUE(forwarded.has_value());
+  EXPECT_EQ(forwarded->span.slab(), slab->id());
   slab->begin_write(0);
+  float copied[3];
   EXPECT_FALSE(view->still_valid());
+  EXPECT_FALSE(view->copy(copied));
   EXPECT_FALSE(message->tensor("values").has_value());
+  EXPECT_FALSE(message->forward_tensor("values").has_value());
 }
 
-TEST_F(Slabs, TensorArrivesInlineOverTcp) {
+TEST_F(Slabs, ReadersCannotWrite) {
+  const auto slab = connect("maker")->create_slab("frames", 1, 100);
+  const auto reader = connect("reader");
+  std::shared_ptr<bus::Slab> opened;
+  ASSERT_TRUE(eventually([&] { return (opened = reader->open_slab(slab->id())) != nullptr; }));
+  EXPECT_FALSE(opened->writable());
+  EXPECT_THROW(opened->begin_write(0), bus::Error);
+  EXPECT_EQ(opened, reader->open_slab(slab->id()));  // cached
+}
+
+TEST_F(Slabs, GenerationsOnlyGrowAndAnOddSlotIsTakenOver) {
+  const auto slab = connect("maker")->create_slab("frames", 2, 100);
+  EXPECT_EQ(slab->sequence(1), 0u);
+  slab->begin_write(1);
+  EXPECT_EQ(slab->sequence(1), 1u);
+  EXPECT_EQ(slab->end_write(1), 2u);
+  slab->begin_write(1);  // the writer dies here, and the next takes over
+  slab->begin_write(1);
+  EXPECT_EQ(slab->sequence(1) % 2, 1u);
+  EXPECT_GT(slab->end_write(1), 2u);
+  EXPECT_EQ(slab->sequence(0), 0u);
+}
+
+TEST_F(Slabs, SpansStayWithinTheirSlot) {
+  const auto slab = connect("maker")->create_slab("frames", 2, 100);
+  EXPECT_EQ(slab->span(1, 0, 100, 2).offset(), 4096u);
+  EXPECT_THROW((void)slab->span(1, 1, 100, 2), bus::Error);
+  EXPECT_THROW((void)slab->span(0, 4096, 1, 2), bus::Error);
+  EXPECT_THROW((void)slab->span(0, UINT64_MAX, 2, 2), bus::Error);
+  using wire::Span;
+  using wire::Storage;
+  for (const auto& [offset, bytes] : std::initializer_list<std::pair<std::uint64_t, std::uint64_t>>{
+           {8192, 1}, {100, 1}, {4096 + 99, 2}, {UINT64_MAX, 1}, {0, UINT64_MAX}, {4095, 2}}) {
+    EXPECT_THROW((void)slab->slot_of(Span(slab->id(), 0, offset, bytes, Storage::Slab)), bus::Error) << offset;
+  }
+}
+
+TEST_F(Slabs, SizesBeyondTheLimitsAreRefused) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
-  const auto slab = context->create_slab("frames", 3, 1000);
-  bus::Subscriber subscriber(connect_tcp("reader"), {"viewer/probe"});
-  meet(publisher, subscriber);
-  publish_number(publisher, 7, false, "", {write_floats(*slab, {1, 2, 3})});
-  const auto message = subscriber.receive(patience);
-  ASSERT_TRUE(message.has_value());
-  const auto view = message->tensor("values", bus::ElementType::F32, {3});
-  ASSERT_TRUE(view.has_value());
-  EXPECT_EQ(view->as<float>()[2], 3.0F);
+  EXPECT_THROW((void)context->create_slab("a", 0, 100), bus::Error);
+  EXPECT_THROW((void)context->create_slab("a", 1, 0), bus::Error);
+  EXPECT_THROW((void)context->create_slab("a", 100000, 1), bus::Error);
+  EXPECT_THROW((void)context->create_slab("a", 2, SIZE_MAX), bus::Error);
+  EXPECT_THROW((void)context->create_slab("a", 65536, std::size_t{1} << 34), bus::Error);
+  EXPECT_THROW((void)context->create_slab(std::string(300, 'a'), 1, 1), bus::Error);  // the name
+}
+
+TEST_F(Slabs, WithoutABrokerCreationSaysSo) {
+  const TemporaryDirectory empty;
+  const auto context = bus::Context::create(empty.address(), "maker");
+  EXPECT_THAT([&] { (void)context->create_slab("frames", 1, 1, 50); },
+              ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr("maker/frames"), HasSubstr(empty.path()))));
+  EXPECT_EQ(context->open_slab(1), nullptr);
+  EXPECT_EQ(context->adopt_slab("maker/frames"), nullptr);
+}
+
+TEST_F(Slabs, ANameRegisteredAgainReplacesTheOldSlab) {
+  const auto context = connect("maker");
+  const auto first = context->create_slab("frames", 1, 100);
+  const auto second = context->create_slab("frames", 1, 200);
+  EXPECT_NE(first->id(), second->id());
+  EXPECT_EQ(broker_->statistics().slabs, 1u);
+  const auto reader = connect("reader");
+  std::shared_ptr<bus::Slab> adopted;
+  ASSERT_TRUE(eventually([&] { return (adopted = reader->adopt_slab("maker/frames")) != nullptr; }));
+  EXPECT_EQ(adopted->id(), second->id());
+  EXPECT_EQ(adopted->slot_bytes(), 200u);
+  EXPECT_EQ(reader->open_slab(first->id()), nullptr);
+  context->drop_slab("frames");
+  EXPECT_EQ(broker_->statistics().slabs, 0u);
+}
+
+TEST_F(Slabs, AnAdoptedSlabGoesOnWhereItsMakerStopped) {
+  std::uint64_t generation = 0;
+  {
+    const auto slab = connect("maker")->create_slab("model", 1, 100);
+    generation = write_floats(*slab, {1, 2}).span.generation();
+  }
+  const auto context = connect("maker");
+  std::shared_ptr<bus::Slab> slab;
+  ASSERT_TRUE(eventually([&] { return (slab = context->adopt_slab("maker/model")) != nullptr; }));
+  EXPECT_TRUE(slab->writable());
+  EXPECT_EQ(reinterpret_cast<const float*>(slab->slot_data(0))[1], 2.0F);
+  EXPECT_GT(write_floats(*slab, {3, 4}).span.generation(), generation);
+}
+
+TEST(SequenceLock, ATornReadIsNeverReportedValid) {
+  constexpr std::size_t words = 512;
+  bus::SlabDescriptor descriptor;
+  descriptor.id = 1;
+  descriptor.name = "maker/frames";
+  descriptor.slots = 1;
+  descriptor.slot_bytes = words * sizeof(std::uint64_t);
+  const auto slab = bus::create_slab_memory(descriptor, true);
+  std::atomic<bool> stop = false;
+  std::thread writer([&] {
+    for (std::uint64_t value = 1; !stop; ++value) {
+      slab->begin_write(0);
+      auto* data = reinterpret_cast<volatile std::uint64_t*>(slab->slot_data(0));
+      for (std::size_t i = 0; i < words; ++i) data[i] = value;
+      slab->end_write(0);
+      for (std::uint64_t pause = 0; pause < value % 64 * 64 && !stop;) ++pause;
+    }
+  });
+  std::size_t valid = 0;
+  std::size_t lost = 0;
+  std::vector<std::uint64_t> copy(words);
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  while ((valid < 200 || lost < 20) && std::chrono::steady_clock::now() < deadline) {
+    const auto generation = slab->sequence(0);
+    const wire::Span span(1, generation, 0, words * sizeof(std::uint64_t), wire::Storage::Slab);
+    if (!slab->copy(span, copy.data())) {
+      ++lost;
+      continue;
+    }
+    ++valid;
+    for (const auto word : copy) ASSERT_EQ(word, copy[0]) << "torn";
+    ASSERT_EQ(copy[0] * 2, generation);
+  }
+  stop = true;
+  writer.join();
+  EXPECT_GE(valid, 200u);
 }
 
 }  // namespace

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+#include <zmq.hpp>
+
+#include "bus/context.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::bus_test {
+
+/// The XPUB side of a broker that sends whatever a test wants, to see what a Subscriber makes of it.
+class FakeBroker {
+ public:
+  explicit FakeBroker(const bus::Address& address) : socket_(context_, zmq::socket_type::xpub) {
+    socket_.bind(address.subscribe_endpoint());
+    socket_.set(zmq::sockopt::rcvtimeo, 10000);
+  }
+
+  void await_subscription() {
+    zmq::message_t event;
+    ASSERT_TRUE(socket_.recv(event).has_value());
+  }
+
+  void send(const std::vector<std::string>& frames) {
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      socket_.send(zmq::buffer(frames[i]), i + 1 < frames.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+    }
+  }
+
+ private:
+  zmq::context_t context_;
+  zmq::socket_t socket_;
+};
+
+struct RawTensor {
+  std::string name = "values";
+  wire::Span span;
+  std::vector<std::uint32_t> shape;
+  wire::ElementType type = wire::ElementType::F32;
+};
+
+/// The body of a ViewerProbe, with a header as the test wants it.
+inline std::string probe_body(std::uint64_t sequence, std::uint64_t number, const std::vector<RawTensor>& tensors = {},
+                              const std::string& schema = "ViewerProbe/1", bool latch = false,
+                              const std::string& latch_key = "") {
+  flatbuffers::FlatBufferBuilder builder;
+  std::vector<flatbuffers::Offset<wire::Tensor>> offsets;
+  for (const auto& tensor : tensors) {
+    offsets.push_back(wire::CreateTensorDirect(builder, tensor.name.c_str(), &tensor.span, &tensor.shape, tensor.type));
+  }
+  const auto header = wire::CreateHeaderDirect(builder, schema.c_str(), "maker", sequence, 1, 0, 0, 0, latch,
+                                               latch_key.c_str(), &offsets);
+  const wire::Camera camera;
+  builder.Finish(wire::CreateViewerProbe(builder, header, number, &camera));
+  return {reinterpret_cast<const char*>(builder.GetBufferPointer()), builder.GetSize()};
+}
+
+}  // namespace splatbus::bus_test

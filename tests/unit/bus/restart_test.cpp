@@ -1,0 +1,148 @@
+#include <gmock/gmock.h>
+#include <sys/stat.h>
+
+#include "bus/error.h"
+#include "bus_fixture.h"
+#include "child_process.h"
+#include "slab_helpers.h"
+
+namespace splatbus::bus_test {
+namespace {
+
+using testing::HasSubstr;
+using testing::ThrowsMessage;
+
+/// Brokers as processes, to be killed.
+class Restart : public testing::Test {
+ protected:
+  std::unique_ptr<ChildProcess> start_broker() {
+    return std::make_unique<ChildProcess>(
+        "splatbus-bus", std::vector<std::string>{"--bus", directory_.address().text()}, output_path());
+  }
+  [[nodiscard]] std::string output_path() const { return directory_.path() + "/output"; }
+  std::shared_ptr<bus::Context> connect(const std::string& source) {
+    return bus::Context::create(directory_.address(), source);
+  }
+
+  TemporaryDirectory directory_;
+};
+
+TEST_F(Restart, EverythingGoesOnAfterTheBrokerWasKilled) {
+  auto broker = start_broker();
+  const auto maker = connect("maker");
+  const auto slab = maker->create_slab("model", 1, 1000);
+  bus::Publisher model(maker, "grid/state");
+  bus::Publisher publisher(maker, "viewer/probe");
+  bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
+  meet(publisher, subscriber);
+  publish_number(model, 5, true, "", {write_floats(*slab, {1, 2, 3})});
+
+  broker->send(SIGKILL);
+  broker->wait();
+  broker = start_broker();
+
+  // The publisher does nothing for it: the latched message and the slab are there again.
+  bus::Subscriber late(connect("late"), {"grid/state"});
+  const auto message = late.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(number_of(*message), 5u);
+  std::optional<bus::TensorView> view;
+  ASSERT_TRUE(eventually([&] { return (view = message->tensor("values")).has_value(); }));
+  EXPECT_EQ(view->as<float>()[2], 3.0F);
+
+  // Publishers and subscribers of before go on.
+  ASSERT_TRUE(eventually([&] {
+    publish_number(publisher, 6);
+    const auto number = receive_number(subscriber, 20ms);
+    return number == 6u;
+  }));
+}
+
+TEST_F(Restart, WhatIsPublishedWhileTheBrokerIsAwayWaits) {
+  auto broker = start_broker();
+  const auto maker = connect("maker");
+  bus::Publisher publisher(maker, "viewer/probe");
+  {
+    bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
+    meet(publisher, subscriber);
+  }
+  broker->send(SIGKILL);
+  broker->wait();
+  ASSERT_TRUE(eventually([&] { return !maker->wait_connected(0ms); }));
+  bus::Publisher latched(maker, "grid/state");
+  publish_number(latched, 8, true);
+  broker = start_broker();
+  bus::Subscriber subscriber(connect("reader"), {"grid/state"});
+  EXPECT_EQ(receive_number(subscriber), 8u);
+}
+
+TEST_F(Restart, ASlabOutlivesItsMaker) {
+  const auto broker = start_broker();
+  auto maker = std::make_unique<ChildProcess>(
+      "bus-test-service", std::vector<std::string>{"--bus", directory_.address().text()}, output_path() + "2");
+  const auto context = connect("reader");
+  bus::Subscriber subscriber(context, {"test/model"});
+  ASSERT_TRUE(subscriber.receive(patience).has_value());
+  maker->send(SIGKILL);
+  EXPECT_EQ(maker->wait(), -SIGKILL);
+
+  // A process that never saw the maker reads what it left, and its successor goes on with it.
+  const auto late = connect("late");
+  bus::Subscriber late_subscriber(late, {"test/model"});
+  const auto message = late_subscriber.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(number_of(*message), 7u);
+  std::optional<bus::TensorView> view;
+  ASSERT_TRUE(eventually([&] { return (view = message->tensor("values")).has_value(); }));
+  float values[3] = {};
+  EXPECT_TRUE(view->copy(values));
+  EXPECT_EQ(values[2], 3.0F);
+  const auto adopted = late->adopt_slab("test/model");
+  ASSERT_NE(adopted, nullptr);
+  write_floats(*adopted, {4, 5, 6});
+  EXPECT_FALSE(view->still_valid());
+}
+
+TEST_F(Restart, ASecondBrokerIsRefused) {
+  bus_service::Broker first({.address = directory_.address()});
+  first.start();
+  bus_service::Broker second({.address = directory_.address()});
+  EXPECT_THAT([&] { second.start(); },
+              ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr(directory_.path()), HasSubstr("already"),
+                                                       HasSubstr(std::to_string(::getpid())))));
+  const auto process = start_broker();
+  EXPECT_EQ(process->wait(), 1);
+  EXPECT_THAT(read_text(output_path()), HasSubstr("a broker runs there already"));
+  // The first was not disturbed.
+  bus::Publisher publisher(connect("maker"), "viewer/probe");
+  bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
+  meet(publisher, subscriber);
+  first.stop();
+  second.start();
+  meet(publisher, subscriber);
+}
+
+TEST_F(Restart, TheFolderIsPrivate) {
+  const auto address = bus::Address::parse("ipc://" + directory_.path() + "/new/bus");
+  bus_service::Broker broker({.address = address});
+  broker.start();
+  struct stat status {};
+  ASSERT_EQ(::stat((directory_.path() + "/new/bus").c_str(), &status), 0);
+  EXPECT_EQ(status.st_mode & 0777U, 0700U);
+}
+
+TEST_F(Restart, BadBrokerFlagsAreExplained) {
+  const std::pair<std::vector<std::string>, const char*> cases[] = {
+      {{"--bus", "tcp://127.0.0.1:5000"}, "needs an ipc:// folder"},
+      {{"--bus", "ipc:///proc/none/bus"}, "/proc/none/bus"},
+      {{"--bus", directory_.address().text(), "--tcp", "nohost"}, "nohost"},
+      {{"--bus", directory_.address().text(), "--tcp", "no.such.interface:5000"}, "no.such.interface"}};
+  for (const auto& [arguments, text] : cases) {
+    ChildProcess process("splatbus-bus", arguments, output_path());
+    EXPECT_EQ(process.wait(), 1);
+    EXPECT_THAT(read_text(output_path()), HasSubstr(text));
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::bus_test

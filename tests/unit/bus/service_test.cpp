@@ -1,0 +1,152 @@
+#include <gmock/gmock.h>
+
+#include "bus_fixture.h"
+#include "child_process.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::bus_test {
+namespace {
+
+using testing::HasSubstr;
+
+/// service_main in a process of its own.
+class Service : public BusTest {
+ protected:
+  Service() : context_(connect("tester")), heartbeats_(context_, {"sys/heartbeat"}), logs_(context_, {"sys/log"}) {}
+
+  std::unique_ptr<ChildProcess> start(std::vector<std::string> arguments = {}) {
+    arguments.insert(arguments.end(), {"--bus", directory_.address().text()});
+    return std::make_unique<ChildProcess>("bus-test-service", arguments, output_path());
+  }
+  [[nodiscard]] std::string output_path() const { return directory_.path() + "/output"; }
+
+  // Waits for a heartbeat of `source` that is as wanted.
+  bool await_heartbeat(const std::string& source, const std::function<bool(const wire::Heartbeat&)>& wanted) {
+    return eventually([&] {
+      const auto message = heartbeats_.receive(100ms);
+      return message && message->header().source()->str() == source &&
+             wanted(message->root<wire::Heartbeat>("Heartbeat/1"));
+    });
+  }
+
+  bool await_log(wire::LogLevel level, const std::string& text) {
+    return eventually([&] {
+      const auto message = logs_.receive(100ms);
+      if (!message) return false;
+      const auto& log = message->root<wire::Log>("Log/1");
+      return log.level() == level && log.text()->str().find(text) != std::string::npos;
+    });
+  }
+
+  void control(const std::string& topic, const std::string& name, const std::string& value) {
+    bus::Publisher publisher(context_, topic);
+    publisher.publish({.schema = "Control/1", .capture_ns = 0, .latch = false, .latch_key = {}, .tensors = {}},
+                      [&](auto& builder, auto header) {
+                        const std::vector<flatbuffers::Offset<wire::KeyValue>> changes{
+                            wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str())};
+                        return wire::CreateControlDirect(builder, header, &changes);
+                      });
+  }
+
+  std::shared_ptr<bus::Context> context_;
+  bus::Subscriber heartbeats_;
+  bus::Subscriber logs_;
+};
+
+std::string parameter(const wire::Heartbeat& heartbeat, const std::string& name) {
+  for (const auto* entry : *heartbeat.parameters()) {
+    if (entry->key()->str() == name) return entry->value()->str();
+  }
+  return {};
+}
+
+TEST_F(Service, HeartbeatsTellStateCountersAndParameters) {
+  const auto child = start({"--name", "test-2", "--set", "number=9", "--set", "rate_hz=2.5"});
+  EXPECT_TRUE(await_heartbeat("test-2", [&](const wire::Heartbeat& heartbeat) {
+    return heartbeat.state() == wire::ServiceState::Running && heartbeat.service()->str() == "test" &&
+           heartbeat.pid() == static_cast<std::uint32_t>(child->pid()) && heartbeat.detail()->str() == "counting" &&
+           heartbeat.counters()->size() == 1 && heartbeat.counters()->Get(0)->name()->str() == "turns" &&
+           heartbeat.counters()->Get(0)->value() > 0 && parameter(heartbeat, "number") == "9" &&
+           parameter(heartbeat, "rate_hz") == "2.5";
+  }));
+}
+
+TEST_F(Service, ParametersChangeByKindAndByName) {
+  const auto child = start({"--name", "test-2"});
+  ASSERT_TRUE(await_heartbeat("test-2", [](const auto& beat) { return beat.state() == wire::ServiceState::Running; }));
+  control("control/test", "number", "21");
+  EXPECT_TRUE(await_heartbeat("test-2", [](const auto& beat) { return parameter(beat, "number") == "21"; }));
+  control("control/test-2", "number", "22");
+  EXPECT_TRUE(await_heartbeat("test-2", [](const auto& beat) { return parameter(beat, "number") == "22"; }));
+  control("control/test-2", "rate_hz", "1000");
+  EXPECT_TRUE(await_log(wire::LogLevel::Error, "rate_hz"));
+  control("control/test-2", "fixed", "b");
+  EXPECT_TRUE(await_log(wire::LogLevel::Error, "fixed"));
+  EXPECT_TRUE(await_heartbeat("test-2", [](const auto& beat) { return parameter(beat, "fixed") == "a"; }));
+}
+
+TEST_F(Service, SigtermAndSigintStopIt) {
+  for (const int signal : {SIGTERM, SIGINT}) {
+    const auto child = start();
+    ASSERT_TRUE(await_heartbeat("test", [&](const auto& beat) {
+      return beat.state() == wire::ServiceState::Running && beat.pid() == static_cast<std::uint32_t>(child->pid());
+    }));
+    child->send(signal);
+    EXPECT_TRUE(await_heartbeat("test", [](const auto& beat) { return beat.state() == wire::ServiceState::Stopping; }));
+    EXPECT_EQ(child->wait(), 0);
+  }
+}
+
+TEST_F(Service, AFailureIsLoggedAndShown) {
+  const auto child = start();
+  ASSERT_TRUE(await_heartbeat("test", [](const auto& beat) { return beat.state() == wire::ServiceState::Running; }));
+  control("control/test", "fail", "true");
+  EXPECT_TRUE(await_log(wire::LogLevel::Error, "told to fail"));
+  EXPECT_TRUE(await_heartbeat("test", [](const auto& beat) {
+    return beat.state() == wire::ServiceState::Failed && beat.detail()->str() == "told to fail";
+  }));
+  EXPECT_EQ(child->wait(), 1);
+}
+
+TEST_F(Service, BadFlagsAreExplained) {
+  const std::pair<std::vector<std::string>, const char*> cases[] = {{{"--set", "rate_hz=99"}, "from 1 to 10"},
+                                                                    {{"--set", "rate_hz"}, "name=value"},
+                                                                    {{"--set", "speed=1"}, "speed"},
+                                                                    {{"--log-level", "loud"}, "loud"}};
+  for (const auto& [arguments, text] : cases) {
+    const auto child = start(arguments);
+    EXPECT_NE(child->wait(), 0);
+    EXPECT_THAT(read_text(output_path()), HasSubstr(text));
+  }
+  ChildProcess child("bus-test-service", {"--bus", "nowhere"}, output_path());
+  EXPECT_EQ(child.wait(), 1);
+  EXPECT_THAT(read_text(output_path()), HasSubstr("'nowhere'"));
+}
+
+TEST_F(Service, ParametersArePrintedOnDemand) {
+  const auto child = start({"--parameters"});
+  EXPECT_EQ(child->wait(), 0);
+  EXPECT_THAT(read_text(output_path()),
+              testing::AllOf(HasSubstr("rate_hz = 5"), HasSubstr("hertz From 1 to 10."), HasSubstr("Fixed at start.")));
+}
+
+TEST_F(Service, TheBrokerTellsWhoIsAlive) {
+  bus::Subscriber subscriber(context_, {"sys/liveness"});
+  const auto state_of = [&](const std::string& source, bool alive) {
+    return eventually([&] {
+      const auto message = subscriber.receive(100ms);
+      if (!message) return false;
+      const auto* nodes = message->root<wire::Liveness>("Liveness/1").nodes();
+      return std::any_of(nodes->begin(), nodes->end(), [&](const wire::Node* node) {
+        return node->source()->str() == source && node->alive() == alive && node->service()->str() == "test";
+      });
+    });
+  };
+  const auto child = start();
+  EXPECT_TRUE(state_of("test", true));
+  child->send(SIGKILL);
+  EXPECT_TRUE(state_of("test", false));
+}
+
+}  // namespace
+}  // namespace splatbus::bus_test

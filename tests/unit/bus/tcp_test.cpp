@@ -1,0 +1,130 @@
+#include "bus/error.h"
+#include "bus_fixture.h"
+#include "fake_broker.h"
+#include "slab_helpers.h"
+
+namespace splatbus::bus_test {
+namespace {
+
+/// Readers and writers over tcp beside those on this machine.
+class Tcp : public BusTest {};
+
+std::vector<float> floats_of(const bus::Message& message, const std::string& name) {
+  const auto view = message.tensor(name);
+  if (!view) return {};
+  const auto values = view->as<float>();
+  return {values.begin(), values.end()};
+}
+
+bus::OutgoingTensor inline_floats(const std::string& name, const std::vector<float>& values) {
+  bus::OutgoingTensor tensor;
+  tensor.name = name;
+  tensor.shape = {static_cast<std::uint32_t>(values.size())};
+  tensor.inline_data = values.data();
+  return tensor;
+}
+
+TEST_F(Tcp, SlabAndInlineTensorsOfOneMessageReachBothKindsOfReader) {
+  const auto context = connect("maker");
+  bus::Publisher publisher(context, "viewer/probe");
+  const auto slab = context->create_slab("frames", 2, 1000);
+  bus::Subscriber local(connect("local"), {"viewer/probe"});
+  bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
+  meet(publisher, local);
+  meet(publisher, remote);
+  const std::vector<float> extra{9, 8, 7};
+  std::vector<float> empty;
+  publish_number(publisher, 5, false, "",
+                 {inline_floats("extra", extra), write_floats(*slab, {1, 2, 3}), inline_floats("empty", empty)});
+  for (auto* subscriber : {&local, &remote}) {
+    auto message = subscriber->receive(patience);
+    while (message && number_of(*message) != 5) message = subscriber->receive(patience);
+    ASSERT_TRUE(message.has_value());
+    EXPECT_EQ(floats_of(*message, "values"), (std::vector<float>{1, 2, 3}));
+    EXPECT_EQ(floats_of(*message, "extra"), extra);
+    ASSERT_TRUE(message->tensor("empty").has_value());
+    EXPECT_EQ(message->tensor("empty")->bytes(), 0u);
+  }
+  EXPECT_GE(broker_->statistics().inlined, 1u);
+}
+
+TEST_F(Tcp, APublisherOverTcpSendsItsSlabsInline) {
+  const auto context = connect_tcp("far");
+  bus::Publisher publisher(context, "viewer/probe");
+  const auto slab = context->create_slab("frames", 2, 1000);
+  bus::Subscriber local(connect("local"), {"viewer/probe"});
+  meet(publisher, local);
+  publish_number(publisher, 5, false, "", {write_floats(*slab, {1, 2, 3})});
+  const auto message = local.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(floats_of(*message, "values"), (std::vector<float>{1, 2, 3}));
+  // Handing it on needs no slab either.
+  const auto forwarded = message->forward_tensor("values");
+  ASSERT_TRUE(forwarded.has_value());
+  EXPECT_NE(forwarded->inline_data, nullptr);
+  bus::OutgoingTensor foreign = write_floats(*slab, {1});
+  foreign.span.mutate_slab(1);
+  EXPECT_THROW(publish_number(publisher, 6, false, "", {foreign}), bus::Error);
+}
+
+TEST_F(Tcp, WhatWasOverwrittenIsDroppedForTcpReadersAndCounted) {
+  const auto context = connect("maker");
+  bus::Publisher publisher(context, "viewer/probe");
+  const auto slab = context->create_slab("frames", 1, 1000);
+  bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
+  meet(publisher, remote);
+  const auto old = write_floats(*slab, {1, 2, 3});
+  const auto fresh = write_floats(*slab, {4, 5, 6});
+  publish_number(publisher, 5, false, "", {old});
+  publish_number(publisher, 6, false, "", {fresh});
+  const auto message = remote.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(number_of(*message), 6u);
+  EXPECT_EQ(floats_of(*message, "values"), (std::vector<float>{4, 5, 6}));
+  EXPECT_EQ(remote.lost(), 1u);
+  EXPECT_EQ(broker_->statistics().inline_dropped, 1u);
+}
+
+TEST_F(Tcp, ASpanOutsideItsSlabIsMalformedForTcpReaders) {
+  const auto context = connect("maker");
+  bus::Publisher publisher(context, "viewer/probe");
+  const auto slab = context->create_slab("frames", 1, 1000);
+  bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
+  meet(publisher, remote);
+  auto lie = write_floats(*slab, {1, 2, 3});
+  lie.span.mutate_offset(1 << 20);
+  publish_number(publisher, 5, false, "", {lie});
+  publish_number(publisher, 6);
+  EXPECT_EQ(receive_number(remote), 6u);
+  EXPECT_EQ(broker_->statistics().malformed, 1u);
+}
+
+TEST_F(Tcp, ASlabTensorFromElsewhereGoesNoFurther) {
+  const auto context = connect("maker");
+  const auto slab = context->create_slab("frames", 1, 1000);
+  zmq::context_t zmq;
+  zmq::socket_t raw(zmq, zmq::socket_type::xpub);
+  raw.connect(broker_->tcp_address()->publish_endpoint());
+  zmq::message_t subscription;
+  ASSERT_TRUE(raw.recv(subscription).has_value());
+  const RawTensor stolen{"values", write_floats(*slab, {1}).span, {1}, wire::ElementType::F32};
+  raw.send(zmq::buffer(std::string("viewer/probe")), zmq::send_flags::sndmore);
+  raw.send(zmq::buffer(probe_body(1, 1, {stolen})), zmq::send_flags::none);
+  EXPECT_TRUE(eventually([&] { return broker_->statistics().malformed == 1; }));
+}
+
+TEST_F(Tcp, LatchedSlabMessageReachesALateTcpReader) {
+  const auto context = connect("maker");
+  bus::Publisher publisher(context, "grid/state");
+  const auto slab = context->create_slab("frames", 1, 1000);
+  bus::Subscriber witness(connect("witness"), {"grid/state"});
+  publish_number(publisher, 5, true, "", {write_floats(*slab, {1, 2, 3})});
+  ASSERT_EQ(receive_number(witness), 5u);
+  bus::Subscriber late(connect_tcp("late"), {"grid/state"});
+  const auto message = late.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(floats_of(*message, "values"), (std::vector<float>{1, 2, 3}));
+}
+
+}  // namespace
+}  // namespace splatbus::bus_test
