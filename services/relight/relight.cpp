@@ -4,7 +4,7 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cstring>
+#include <span>
 #include <utility>
 
 #include "wire/convert.h"
@@ -58,7 +58,8 @@ std::vector<bus::ParameterSpec> parameter_specs() {
   };
 }
 
-Relight::Relight(bus::ServiceContext& service) : service_(service), publisher_(service.bus, "relight/visibility") {}
+Relight::Relight(bus::ServiceContext& service)
+    : service_(service), publisher_(service.bus, "relight/visibility"), ring_(service.bus, "visibility", kRingSlots) {}
 
 VisibilityOptions Relight::options() const {
   return {.softness_m = static_cast<float>(service_.parameters.number("softness_m")),
@@ -148,17 +149,10 @@ void Relight::update() {
 }
 
 void Relight::publish(std::uint64_t model_generation, std::size_t count) {
-  const std::size_t bytes = count * sizeof(float);
-  if (!slab_ || slab_->slot_bytes() < bytes) slab_ = service_.bus->create_slab("visibility", kRingSlots, 2 * bytes);
-  const std::size_t slot = slab_->next_slot();
-  std::memcpy(slab_->slot_data(slot), visibility_.data(), bytes);
-  const std::uint64_t generation = slab_->end_write(slot);
-  bus::MessageInfo info{.schema = "RelightVisibility/1", .latch = true};
-  info.tensors.push_back({.name = "visibility",
-                          .shape = {1, static_cast<std::uint32_t>(count)},
-                          .type = bus::ElementType::F32,
-                          .span = slab_->span(slot, 0, bytes, generation),
-                          .inline_data = service_.bus->address().is_local() ? nullptr : visibility_.data()});
+  const bus::TensorSource source{
+      .name = "visibility", .shape = {1, static_cast<std::uint32_t>(count)}, .data = visibility_.data()};
+  const bus::MessageInfo info{
+      .schema = "RelightVisibility/1", .latch = true, .tensors = ring_.write(std::span(&source, 1))};
   publisher_.publish(info, [&](auto& builder, auto header) {
     return wire::CreateRelightVisibility(builder, header, model_generation, map_->light_generation, count);
   });

@@ -1,13 +1,13 @@
 #pragma once
 
 #include <cstdint>
-#include <memory>
 #include <optional>
 #include <vector>
 
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "bus/tensor_ring.h"
 #include "relight/visibility.h"
 
 namespace splatbus::relight {
@@ -39,10 +39,10 @@ class Relight {
 
   bus::ServiceContext& service_;
   bus::Publisher publisher_;
+  bus::TensorRing ring_;
   std::optional<bus::Message> model_;
   std::optional<ObjectTransforms> objects_;
   std::optional<DepthMap> map_;
-  std::shared_ptr<bus::Slab> slab_;
   std::vector<float> visibility_;
   std::uint64_t computed_generation_ = 0, parameters_version_ = 0, lost_tensors_ = 0, published_ = 0;
   bool scene_changed_ = false;

@@ -73,7 +73,9 @@ bool read_plane(const bus::Message& message, const char* name, std::vector<std::
     const bool announced =
         tensors != nullptr && std::any_of(tensors->begin(), tensors->end(),
                                           [&](const wire::Tensor* t) { return t->name()->string_view() == name; });
-    if (!announced) throw bus::Error(message.topic() + ": tensor \"" + name + "\" is missing");
+    if (!announced)
+      throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"" + name +
+                       "\" is missing");
     return false;
   }
   out.resize(tensor->elements());

@@ -201,8 +201,7 @@ void ModelStore::publish(bus::Publisher& publisher) const {
     info.tensors.push_back({.name = name,
                             .shape = shape,
                             .type = bus::ElementTypeOf<Element>::value,
-                            .span = slab_->span(kSlot, offset, bytes, slot_generation_),
-                            .inline_data = bus_->address().is_local() ? nullptr : plane});
+                            .span = slab_->span(kSlot, offset, bytes, slot_generation_)});
   };
   const auto channels = static_cast<std::uint32_t>(layout().channels());
   add("parameters", planes_.parameters, channels);

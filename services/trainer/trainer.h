@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
+#include <optional>
 #include <stop_token>
 #include <thread>
 #include <vector>
@@ -78,7 +79,15 @@ class Trainer {
   Schedule schedule_;
   Progress progress_;
   std::uint64_t options_version_ = 0;
-  std::uint64_t announced_stop_ = ~std::uint64_t{0};  ///< step at which stats of a stop were published
+
+  /// What is announced at once when it changes.
+  struct State {
+    std::optional<std::uint64_t> finished_at;  ///< step, when run_until is reached
+    bool paused = false;
+    std::uint64_t cameras = 0;
+    bool operator==(const State&) const = default;
+  };
+  State announced_;
   using Clock = std::chrono::steady_clock;
   Clock::time_point model_published_{}, stats_published_{};
   std::unique_ptr<bus::Publisher> model_publisher_, stats_publisher_, cells_publisher_;

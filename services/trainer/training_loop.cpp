@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <exception>
+#include <optional>
 #include <vector>
 
 #include "trainer/trainer.h"
@@ -19,6 +20,7 @@ constexpr auto kAfterError = 500ms;
 constexpr auto kModelPeriod = 250ms;
 constexpr auto kRemoteModelPeriod = 5s;  // over tcp the planes ride in every message
 constexpr auto kStatsPeriod = 1s;
+constexpr auto kChangedStatsPeriod = 100ms;  // when cameras came or went, or the trainer stopped or goes on
 
 }  // namespace
 
@@ -77,19 +79,23 @@ void Trainer::train_step() {
 void Trainer::publish_due(bool structure_changed) {
   const auto now = Clock::now();
   const Options& options = optimizer_->options();
-  const bool stopped = options.run_until != 0 && store_->step() >= options.run_until;
-  const bool newly_stopped = stopped && announced_stop_ != store_->step();
-  const auto period = service_.bus->address().is_local() ? Clock::duration(kModelPeriod) : kRemoteModelPeriod;
-  if (structure_changed || newly_stopped || now - model_published_ >= period) {
+  const bool finished = options.run_until != 0 && store_->step() >= options.run_until;
+  const State state{.finished_at = finished ? std::optional(store_->step()) : std::nullopt,
+                    .paused = options.paused,
+                    .cameras = views_.cameras_version()};
+  const bool newly_finished = finished && state.finished_at != announced_.finished_at;
+  const auto model_period = service_.bus->address().is_local() ? Clock::duration(kModelPeriod) : kRemoteModelPeriod;
+  if (structure_changed || newly_finished || now - model_published_ >= model_period) {
     store_->publish(*model_publisher_);
     model_published_ = now;
   }
-  if (newly_stopped || now - stats_published_ >= kStatsPeriod) {
-    publish_stats(stopped || options.paused);
+  const auto stats_period = state == announced_ ? Clock::duration(kStatsPeriod) : kChangedStatsPeriod;
+  if (newly_finished || now - stats_published_ >= stats_period) {
+    publish_stats(finished || options.paused);
     publish_cells();
     stats_published_ = now;
+    announced_ = state;
   }
-  announced_stop_ = stopped ? store_->step() : ~std::uint64_t{0};
 }
 
 void Trainer::publish_stats(bool stopped) {

@@ -126,7 +126,8 @@ ReferenceReading read_reference(const bus::Message& message, bool with_depth) {
   view.frame = reference.frame();
   const std::uint32_t h = view.camera.height;
   const std::uint32_t w = view.camera.width;
-  if (!announced(message, "color")) throw bus::Error(message.topic() + ": tensor \"color\" is missing");
+  if (!announced(message, "color"))
+    throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"color\" is missing");
   bool whole = copy_picture(message, "color", {h, w, 4}, view.color);
   if (whole && announced(message, "albedo")) whole = copy_picture(message, "albedo", {h, w, 4}, view.albedo);
   if (whole && with_depth && announced(message, "depth")) whole = copy_picture(message, "depth", {h, w}, view.depth);
