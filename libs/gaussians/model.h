@@ -52,8 +52,8 @@ class GaussiansBuffer {
 };
 
 /// Writes the binary PLY layout of 3DGS (x y z nx ny nz f_dc f_rest opacity scale rot), world frame: object transforms
-/// applied. Transfer models are baked under `scene.light` to SH degree 0, display space. Throws std::runtime_error
-/// naming the path.
+/// applied. Transfer models are baked under `scene.light` to SH degree 0, display space. Gaussians that are not
+/// finite are left out. Throws std::runtime_error naming the path.
 void write_ply(const std::string& path, const GaussiansView& gaussians, const SceneState& scene);
 
 /// Reads any property order; properties that it does not know are skipped. Layout: Radiance, the degree that the f_rest

@@ -2,10 +2,12 @@
 
 #include <bit>
 #include <cerrno>
+#include <cmath>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <stdexcept>
+#include <vector>
 
 #include "gaussians/model.h"
 #include "gaussians/sh.h"
@@ -53,6 +55,26 @@ std::string header(std::size_t count, int sh_coefficients) {
   for (int axis = 0; axis < 3; ++axis) property(fmt::format("scale_{}", axis));
   for (int k = 0; k < 4; ++k) property(fmt::format("rot_{}", k));
   return text + "end_header\n";
+}
+
+/// The Gaussians that other tools can read: a live model may hold one that training has just spoilt.
+std::vector<std::size_t> finite_gaussians(const GaussiansView& gaussians) {
+  std::vector<std::size_t> finite;
+  finite.reserve(gaussians.count);
+  for (std::size_t i = 0; i < gaussians.count; ++i) {
+    float sum = 0, rotation = 0;  // each term is 0 or NaN, which stays
+    for (int c = 0; c < gaussians.layout.channels(); ++c) sum += 0 * gaussians.plane(c)[i];
+    for (int k = 0; k < 4; ++k) {
+      const float q = gaussians.plane(ParameterLayout::kRotation + k)[i];
+      rotation += q * q;
+    }
+    for (std::size_t axis = 0; axis < 3 && gaussians.normal != nullptr; ++axis) {
+      sum += 0 * gaussians.normal[axis * gaussians.stride + i];
+    }
+    if (gaussians.visibility != nullptr) sum += 0 * gaussians.visibility[i];
+    if (sum == 0 && rotation > 0 && std::isfinite(rotation)) finite.push_back(i);
+  }
+  return finite;
 }
 
 glm::vec3 triple(const float* planes, std::size_t stride, std::size_t i) {
@@ -111,10 +133,11 @@ void write_ply(const std::string& path, const GaussiansView& gaussians, const Sc
   std::ofstream file(partial, std::ios::binary | std::ios::trunc);
   if (!file) fail(path);
   const bool transfer = gaussians.layout.appearance == Appearance::Transfer;
-  file << header(gaussians.count, transfer ? 1 : gaussians.layout.sh_coefficients());
+  const std::vector<std::size_t> finite = finite_gaussians(gaussians);
+  file << header(finite.size(), transfer ? 1 : gaussians.layout.sh_coefficients());
   const ObjectFrames frames(scene);
   std::vector<float> row;
-  for (std::size_t i = 0; i < gaussians.count; ++i) {
+  for (const std::size_t i : finite) {
     row.clear();
     append_row(gaussians, i, frames[gaussians.object_id != nullptr ? gaussians.object_id[i] : 0], row);
     file.write(reinterpret_cast<const char*>(row.data()), static_cast<std::streamsize>(row.size() * sizeof(float)));

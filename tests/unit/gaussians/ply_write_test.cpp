@@ -1,6 +1,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
+#include <cmath>
 #include <cstring>
 #include <fstream>
 #include <iterator>
@@ -132,6 +134,22 @@ TEST(WritePly, BakesTransferUnderTheLight) {
       EXPECT_NEAR(0.5F + kShC0 * at(back, 11 + c, i), srgb_from_linear(linear[c]), 1e-5F);
     }
   }
+}
+
+TEST(WritePly, LeavesOutWhatIsNotFinite) {
+  const test::TemporaryFolder folder;
+  test::Random random(18);
+  GaussiansBuffer model = random.gaussians({Appearance::Transfer, 3}, 6);
+  const std::size_t stride = model.stride();
+  model.parameters[0] = std::nanf("");                                        // x of Gaussian 0
+  model.parameters[30 * stride + 1] = INFINITY;                               // a residual of Gaussian 1
+  model.normal[stride + 2] = std::nanf("");                                   // a normal of Gaussian 2
+  model.visibility[3] = std::nanf("");                                        //
+  for (std::size_t k = 6; k < 10; ++k) model.parameters[k * stride + 4] = 0;  // no rotation
+  write_ply(folder.file("model.ply"), model.view(), {});
+  const GaussiansBuffer back = read_ply(folder.file("model.ply"));
+  ASSERT_EQ(back.count(), 1U);
+  EXPECT_EQ(mean(back, 0), mean(model, 5));
 }
 
 TEST(WritePly, ErrorsNameTheFile) {
