@@ -1,0 +1,152 @@
+#include "schema_json.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <array>
+#include <filesystem>
+#include <limits>
+#include <optional>
+
+#include "bus/broker.h"
+#include "bus/publisher.h"
+#include "topic_statistics.h"
+#include "wire/system_generated.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::cli {
+namespace {
+
+using namespace std::chrono_literals;
+using Json = nlohmann::json;
+
+class SchemaJsonTest : public testing::Test {
+ protected:
+  SchemaJsonTest() {
+    std::string path = (std::filesystem::temp_directory_path() / "splatbus-json-XXXXXX").string();
+    folder_ = mkdtemp(path.data());
+    broker_.emplace(bus_service::BrokerOptions{.address = bus::Address::parse("ipc://" + folder_)});
+    broker_->start();
+    context_ = bus::Context::create(broker_->address(), "tester");
+    publisher_.emplace(context_, "test/topic");
+    subscriber_.emplace(context_, std::vector<std::string>{"test/*"});
+  }
+  ~SchemaJsonTest() override {
+    publisher_.reset();
+    subscriber_.reset();
+    context_.reset();
+    broker_.reset();
+    std::filesystem::remove_all(folder_);
+  }
+
+  /// Latched, so that it comes whenever the subscription does.
+  template <class Build>
+  bus::Message round_trip(bus::MessageInfo info, Build build) {
+    info.latch = true;
+    publisher_->publish(info, build);
+    auto message = subscriber_->receive(10s);
+    EXPECT_TRUE(message.has_value());
+    return std::move(*message);
+  }
+
+  std::string folder_;
+  std::optional<bus_service::Broker> broker_;
+  std::shared_ptr<bus::Context> context_;
+  std::optional<bus::Publisher> publisher_;
+  std::optional<bus::Subscriber> subscriber_;
+  SchemaJson json_;
+};
+
+TEST_F(SchemaJsonTest, EveryFieldUnderItsName) {
+  const bus::Message message = round_trip({.schema = "Heartbeat/1"}, [](auto& builder, auto header) {
+    const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.5)};
+    const std::vector parameters{wire::CreateKeyValueDirect(builder, "inf", "a \"quoted\" nan")};
+    return wire::CreateHeartbeatDirect(builder, header, "fake", 7, wire::ServiceState::Running, "d\xc3\xa9tail",
+                                       &counters, &parameters);
+  });
+  const Json json = json_.to_json(message);
+  EXPECT_EQ(json["header"]["schema"], "Heartbeat/1");
+  EXPECT_EQ(json["header"]["source"], "tester");
+  EXPECT_EQ(json["service"], "fake");
+  EXPECT_EQ(json["pid"], 7);
+  EXPECT_EQ(json["state"], "Running");
+  EXPECT_EQ(json["detail"], "d\xc3\xa9tail");
+  EXPECT_EQ(json["counters"][0]["value"], 42.5);
+  EXPECT_EQ(json["parameters"][0]["key"], "inf");
+  EXPECT_EQ(json["parameters"][0]["value"], "a \"quoted\" nan");
+}
+
+TEST_F(SchemaJsonTest, NumbersThatJsonLacksBecomeNull) {
+  const float inf = std::numeric_limits<float>::infinity();
+  const bus::Message message = round_trip({.schema = "ViewerQuality/1"}, [&](auto& builder, auto header) {
+    return wire::CreateViewerQualityDirect(builder, header, "inf nan", 1, -inf, std::numeric_limits<float>::quiet_NaN(),
+                                           0.5F);
+  });
+  const Json json = json_.to_json(message);
+  EXPECT_EQ(json["viewer"], "inf nan");
+  EXPECT_TRUE(json["psnr_db"].is_null());
+  EXPECT_TRUE(json["ssim"].is_null());
+  EXPECT_EQ(json["flip"], 0.5);
+}
+
+TEST_F(SchemaJsonTest, TensorsAreSummarised) {
+  const std::array<float, 6> values{1, -2.5F, 3, 0, 8, 4};
+  const std::array<std::uint16_t, 3> halves{0x3C00, 0xC000, 0x0001};  // 1, -2, 2^-24
+  bus::MessageInfo info{.schema = "Log/1"};
+  info.tensors = {
+      {.name = "values", .shape = {2, 3}, .type = bus::ElementType::F32, .inline_data = values.data()},
+      {.name = "halves", .shape = {3}, .type = bus::ElementType::F16, .inline_data = halves.data()},
+      {.name = "none", .shape = {0}, .type = bus::ElementType::U8, .inline_data = values.data()},
+  };
+  const bus::Message message = round_trip(info, [](auto& builder, auto header) {
+    return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "text");
+  });
+  const Json tensors = json_.to_json(message)["header"]["tensors"];
+  ASSERT_EQ(tensors.size(), 3U);
+  EXPECT_EQ(tensors[0], Json({{"name", "values"}, {"shape", {2, 3}}, {"type", "F32"}, {"min", -2.5}, {"max", 8.0}}));
+  EXPECT_EQ(tensors[1]["min"], -2.0);
+  EXPECT_EQ(tensors[1]["max"], 1.0);
+  EXPECT_TRUE(tensors[2]["min"].is_null());
+  EXPECT_EQ(message_bytes(message), message.size() + 24 + 6);
+}
+
+TEST_F(SchemaJsonTest, UnknownAndWrongSchemasAreRefused) {
+  const auto error_of = [&](const bus::Message& message) -> std::string {
+    try {
+      static_cast<void>(json_.to_json(message));
+    } catch (const bus::Error& error) {
+      return error.what();
+    }
+    return "no error";
+  };
+  const auto log = [](auto& builder, auto header) {
+    return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "text");
+  };
+  EXPECT_EQ(error_of(round_trip({.schema = "Nonsense/1"}, log)), "test/topic: unknown schema 'Nonsense/1'");
+  EXPECT_EQ(error_of(round_trip({.schema = "Vec3/1"}, log)), "test/topic: unknown schema 'Vec3/1'");
+  EXPECT_EQ(error_of(round_trip({.schema = "EngineFrame/1"}, log)), "test/topic: is no valid EngineFrame/1");
+}
+
+TEST_F(SchemaJsonTest, StatisticsCountRateAndBytes) {
+  const auto log = [](auto& builder, auto header) {
+    return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "text");
+  };
+  TopicStatistics seen;
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  std::uint64_t bytes = 0;
+  for (std::int64_t i = 0; i < 3; ++i) {
+    const bus::Message message = round_trip({.schema = "Log/1"}, log);
+    seen.add(message, i * kSecond / 2);
+    bytes += message.size();
+  }
+  EXPECT_EQ(seen.messages, 3U);
+  EXPECT_DOUBLE_EQ(seen.rate_hz(), 2);
+  EXPECT_DOUBLE_EQ(seen.megabits_per_s(kSecond), static_cast<double>(bytes) * 8e-6);
+  EXPECT_TRUE(seen.latched);
+  EXPECT_THAT(seen.schemas, testing::ElementsAre("Log/1"));
+  EXPECT_THAT(seen.sources, testing::ElementsAre("tester"));
+  EXPECT_DOUBLE_EQ(TopicStatistics().rate_hz(), 0);
+}
+
+}  // namespace
+}  // namespace splatbus::cli
