@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <limits>
@@ -56,6 +57,7 @@ class ReadPly : public ::testing::Test {
  protected:
   GaussiansBuffer read(const std::string& content) {
     path_ = folder_.file("model.ply");
+    std::filesystem::remove(path_);  // some file systems wait for the disk when a file is truncated and written again
     std::ofstream(path_, std::ios::binary | std::ios::trunc) << content;
     return read_ply(path_);
   }
