@@ -27,7 +27,8 @@ class RelightTest : public bus_test::BusTest {
         subscriber_(peer_, {"relight/visibility"}),
         model_(peer_, "model/published"),
         depth_(peer_, "scene/light_depth"),
-        ring_(peer_, "planes", 8),
+        planes_(peer_, "planes", 8),
+        maps_(peer_, "maps", 8),
         service_(connect("relight"), parameters_, stop_.get_token()),
         thread_([this] { Relight(service_).run(); }) {}
 
@@ -59,7 +60,7 @@ class RelightTest : public bus_test::BusTest {
         {.name = "flags", .shape = {kCapacity}, .type = bus::ElementType::U32, .data = flags.data()},
         {.name = "cell", .shape = {kCapacity}, .type = bus::ElementType::U64, .data = ids.data()},
         {.name = "gaussian_id", .shape = {kCapacity}, .type = bus::ElementType::U64, .data = ids.data()}};
-    model_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = ring_.write(sources)},
+    model_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = planes_.write(sources)},
                    [&](auto& builder, auto header) {
                      return wire::CreateModelPublished(builder, header, generation, count, kCapacity);
                    });
@@ -78,7 +79,7 @@ class RelightTest : public bus_test::BusTest {
     }
     const bus::TensorSource source{.name = "light_depth", .shape = {kTexels, kTexels}, .data = depth.data()};
     const ObjectTransforms objects{{7, {.translation = {object_x, 0, 0}}}};
-    depth_.publish({.schema = "SceneLightDepth/1", .latch = true, .tensors = ring_.write({&source, 1})},
+    depth_.publish({.schema = "SceneLightDepth/1", .latch = true, .tensors = maps_.write({&source, 1})},
                    [&](auto& builder, auto header) {
                      const Light light{.generation = light_generation};
                      const auto light_offset = to_wire(builder, light);
@@ -108,7 +109,7 @@ class RelightTest : public bus_test::BusTest {
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber subscriber_;
   bus::Publisher model_, depth_;
-  bus::TensorRing ring_;
+  bus::TensorRing planes_, maps_;
   std::stop_source stop_;
   bus::ServiceContext service_;
   std::thread thread_;
