@@ -1,11 +1,13 @@
 /* splatbus engine SDK: a C ABI that any engine links to take part in the bus.
  *
- * Conventions at this boundary: world right-handed, metres, y up; cameras x right, y down, z forward; quaternions w x y z;
- * images row-major with row 0 on top; light linear. An engine that differs converts before it calls.
+ * Conventions at this boundary: world right-handed, metres, y up; cameras x right, y down, z forward, pixel centres at
+ * +0.5; quaternions w x y z; images row-major with row 0 on top; light linear. An engine that differs converts before
+ * it calls.
  *
- * Threads: one handle, one thread at a time. Ownership: pointers passed in are read during the call only; pointers passed out stay good
- * until the next splatbus_engine_poll() on that handle. Errors: functions return SPLATBUS_OK or a negative code, and
- * splatbus_engine_last_error() has the words. */
+ * Threads: one handle, one thread at a time. Ownership: pointers passed in are read during the call only; pointers
+ * passed out stay good until the next call of the same function on that handle. Errors: functions return SPLATBUS_OK or
+ * a negative code, and splatbus_engine_last_error() has the words. A call that fails changes nothing: submit the next
+ * frame. */
 #ifndef SPLATBUS_ENGINE_H
 #define SPLATBUS_ENGINE_H
 
@@ -21,18 +23,24 @@ extern "C" {
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;
 
 typedef enum {
-  SPLATBUS_BUFFER_COLOR = 1,          /* u8 RGBA, linear light under the sRGB curve, anti-aliased */
+  SPLATBUS_BUFFER_COLOR = 1,          /* u8 RGBA, linear light under the sRGB curve, anti-aliased, over the background;
+                                         alpha is coverage by surfaces */
   SPLATBUS_BUFFER_WORLD_POSITION = 2, /* f32 x 4: metres; w = object id, 0 where there is no surface */
   SPLATBUS_BUFFER_NORMAL = 4,         /* f32 x 4: unit, world */
-  SPLATBUS_BUFFER_ALBEDO = 8,         /* u8 RGBA, as colour */
+  SPLATBUS_BUFFER_ALBEDO = 8,         /* u8 RGBA, diffuse albedo, as colour but over black: alpha is in it */
   SPLATBUS_BUFFER_DEPTH = 16,         /* f32: metres along the camera's z, 0 where there is no surface */
   SPLATBUS_BUFFER_LIGHT_DEPTH = 32    /* f32: role light; metres along z, far_m where there is no surface */
 } splatbus_buffer;
 
 typedef enum { SPLATBUS_ROLE_INPUT, SPLATBUS_ROLE_REFERENCE, SPLATBUS_ROLE_PROBE, SPLATBUS_ROLE_LIGHT } splatbus_role;
 
-typedef struct { float rotation_wxyz[4]; float translation[3]; } splatbus_rigid;
+/* a_from_b: p_a = rotation * p_b + translation; the quaternion is unit. */
+typedef struct {
+  float rotation_wxyz[4];
+  float translation[3];
+} splatbus_rigid;
 
+/* Pinhole, in pixels; role light: orthographic, fx and fy in pixels a metre. */
 typedef struct {
   uint32_t id;
   uint32_t role; /* splatbus_role */
@@ -42,56 +50,67 @@ typedef struct {
   splatbus_rigid world_from_camera;
 } splatbus_camera;
 
+/* For role light only id and size count: the engine sets pose, fx, fy, near and far so that the scene fits, and submits
+ * again whenever sun or objects have moved. */
 typedef struct {
   splatbus_camera camera;
-  uint32_t buffers;    /* bits of splatbus_buffer */
-  float rate_hz;       /* of engine time; 0: once for each new request_id */
+  uint32_t buffers; /* bits of splatbus_buffer */
+  float rate_hz;    /* of engine time; 0: once for each new request_id */
   uint64_t request_id;
 } splatbus_camera_request;
 
-typedef struct { uint32_t id; splatbus_rigid world_from_object; } splatbus_object;
+typedef struct {
+  uint32_t id;
+  splatbus_rigid world_from_object;
+} splatbus_object;
 
 typedef struct {
-  float ambient_sh[27];     /* incident radiance: 9 coefficients R, 9 G, 9 B */
-  float sun_direction[3];   /* unit, towards the sun */
-  float sun_irradiance[3];
-  float background[3];
+  float ambient_sh[27];    /* incident radiance: 9 real SH coefficients for R, 9 for G, 9 for B, signs as in 3DGS */
+  float sun_direction[3];  /* unit, towards the sun */
+  float sun_irradiance[3]; /* on a surface that faces the sun */
+  float background[3];     /* linear colour behind everything */
 } splatbus_light;
 
 typedef struct {
   uint32_t buffer; /* one splatbus_buffer */
   const void* data;
-  size_t bytes;    /* exactly width * height * element size */
+  size_t bytes; /* exactly width * height * element size */
 } splatbus_image;
 
 typedef struct {
   uint64_t frame;
-  double time_s;
+  double time_s; /* engine time */
   uint64_t request_id;
   splatbus_camera camera;
   const splatbus_image* images;
   size_t image_count;
-  const splatbus_object* objects;
+  const splatbus_object* objects; /* every object that can move; ids are unique */
   size_t object_count;
   splatbus_light light;
 } splatbus_frame;
 
 typedef struct splatbus_engine splatbus_engine;
 
-/* Joins the bus at `address` (NULL: SPLATBUS_BUS or the default) under `source`. abi is SPLATBUS_ENGINE_ABI. */
+/* Joins the bus at `address` (NULL: SPLATBUS_BUS or the default) under the name `source`, unique on the bus. `abi` is
+ * SPLATBUS_ENGINE_ABI. The broker need not be there yet. *out is NULL when it fails. */
 splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, splatbus_engine** out);
+
+/* Leaves the bus. NULL is allowed. */
 void splatbus_engine_close(splatbus_engine* engine);
 
-/* Takes in camera requests that have arrived, waiting up to timeout_ms for a change. *changed is 1 when the set is another. */
+/* Takes in camera requests that have arrived, waiting up to timeout_ms for a change. The whole set as it now stands is
+ * at *requests; *changed is 1 when it is another than before. Requests that make no sense are left out and logged. */
 splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, const splatbus_camera_request** requests,
                                      size_t* count, int* changed);
 
-/* Publishes one camera of one frame. Copies the images into a slab ring. */
+/* Publishes one camera of one frame; copies the images into a slab ring in which readers have about a second. Checks
+ * everything but the pixels. */
 splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_frame* frame);
 
-/* Shown in heartbeats. */
+/* Shown in heartbeats, which are sent 5 times a second. */
 splatbus_status splatbus_engine_counter(splatbus_engine* engine, const char* name, double value);
 
+/* The words for the last call that failed on this handle; for NULL, for this thread's last splatbus_engine_open(). */
 const char* splatbus_engine_last_error(const splatbus_engine* engine);
 
 #ifdef __cplusplus

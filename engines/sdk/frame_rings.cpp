@@ -1,0 +1,68 @@
+#include "sdk/frame_rings.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <bit>
+#include <cstring>
+#include <span>
+
+#include "sdk/validate.h"
+
+namespace splatbus::engine_sdk {
+namespace {
+
+constexpr std::size_t kAlignment = 64;
+constexpr std::size_t kLeastSlot = std::size_t{64} << 10;
+constexpr std::size_t kRingBytes = std::size_t{128} << 20;
+constexpr std::size_t kLeastSlots = 8;
+constexpr std::size_t kMostSlots = 128;
+constexpr int kBrokerTimeout_ms = 2000;
+
+std::size_t aligned(std::size_t bytes) {
+  return (bytes + kAlignment - 1) / kAlignment * kAlignment;
+}
+
+}  // namespace
+
+bus::Slab& FrameRings::ring_for(std::size_t bytes) {
+  const std::size_t slot_bytes = std::bit_ceil(std::max(bytes, kLeastSlot));
+  std::shared_ptr<bus::Slab>& ring = rings_[slot_bytes];
+  if (!ring) {
+    const std::size_t slots = std::clamp(kRingBytes / slot_bytes, kLeastSlots, kMostSlots);
+    ring = context_->create_slab(fmt::format("frames-{}k", slot_bytes >> 10), slots, slot_bytes, kBrokerTimeout_ms);
+  }
+  return *ring;
+}
+
+std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) {
+  const std::span images(frame.images, frame.image_count);
+  std::size_t total = 0;
+  for (const splatbus_image& image : images) total += aligned(image.bytes);
+  bus::Slab& ring = ring_for(total);
+
+  const std::size_t slot = ring.next_slot();
+  std::size_t offset = 0;
+  for (const splatbus_image& image : images) {
+    std::memcpy(ring.slot_data(slot) + offset, image.data, image.bytes);
+    offset += aligned(image.bytes);
+  }
+  const std::uint64_t generation = ring.end_write(slot);
+
+  std::vector<bus::OutgoingTensor> tensors;
+  offset = 0;
+  for (const splatbus_image& image : images) {
+    bus::OutgoingTensor tensor;
+    tensor.name = buffer_name(image.buffer);
+    tensor.shape = {frame.camera.height, frame.camera.width};
+    if (buffer_channels(image.buffer) > 1)
+      tensor.shape.push_back(static_cast<std::uint32_t>(buffer_channels(image.buffer)));
+    tensor.type = buffer_element_bytes(image.buffer) == 1 ? bus::ElementType::U8 : bus::ElementType::F32;
+    tensor.span = ring.span(slot, offset, image.bytes, generation);
+    tensors.push_back(std::move(tensor));
+    offset += aligned(image.bytes);
+  }
+  return tensors;
+}
+
+}  // namespace splatbus::engine_sdk

@@ -1,0 +1,119 @@
+#include "sdk/messages.h"
+
+#include <spdlog/spdlog.h>
+
+#include <cstring>
+#include <span>
+
+#include "sdk/validate.h"
+
+namespace splatbus::engine_sdk {
+namespace {
+
+constexpr std::size_t kMostCameras = 4096;
+
+splatbus_rigid from_wire(const wire::Rigid& rigid) {
+  const wire::Quat& q = rigid.rotation();
+  const wire::Vec3& t = rigid.translation();
+  return {{q.w(), q.x(), q.y(), q.z()}, {t.x(), t.y(), t.z()}};
+}
+
+wire::Rigid to_wire(const splatbus_rigid& rigid) {
+  const float* q = rigid.rotation_wxyz;
+  const float* t = rigid.translation;
+  return {wire::Quat(q[0], q[1], q[2], q[3]), wire::Vec3(t[0], t[1], t[2])};
+}
+
+wire::Vec3 to_wire(const float (&v)[3]) {
+  return {v[0], v[1], v[2]};
+}
+
+wire::Camera to_wire(const splatbus_camera& camera) {
+  return {camera.id,
+          static_cast<wire::CameraRole>(camera.role),
+          camera.width,
+          camera.height,
+          camera.fx,
+          camera.fy,
+          camera.cx,
+          camera.cy,
+          camera.near_m,
+          camera.far_m,
+          to_wire(camera.world_from_camera)};
+}
+
+/// Fowler, Noll and Vo's FNV-1a over the light's floats.
+std::uint64_t light_hash(const splatbus_light& light) {
+  std::uint64_t hash = 14695981039346656037ULL;
+  const auto mix = [&](std::span<const float> values) {
+    for (const float value : values) {
+      std::uint32_t bits = 0;
+      std::memcpy(&bits, &value, sizeof(bits));
+      for (unsigned shift = 0; shift < 32; shift += 8) hash = (hash ^ ((bits >> shift) & 0xFFU)) * 1099511628211ULL;
+    }
+  };
+  mix(light.ambient_sh);
+  mix(light.sun_direction);
+  mix(light.sun_irradiance);
+  mix(light.background);
+  return hash;
+}
+
+}  // namespace
+
+std::vector<splatbus_camera_request> read_requests(const bus::Message& message) {
+  const auto& root = message.root<wire::EngineCameras>("EngineCameras/1");
+  std::vector<splatbus_camera_request> requests;
+  if (root.cameras() == nullptr) return requests;
+  for (const wire::CameraRequest* entry : *root.cameras()) {
+    const wire::Camera& camera = *entry->camera();
+    splatbus_camera_request request;
+    std::memset(&request, 0, sizeof(request));  // padding too: sets are compared as bytes
+    request.camera = {.id = camera.id(),
+                      .role = static_cast<std::uint32_t>(camera.role()),
+                      .width = camera.width(),
+                      .height = camera.height(),
+                      .fx = camera.fx(),
+                      .fy = camera.fy(),
+                      .cx = camera.cx(),
+                      .cy = camera.cy(),
+                      .near_m = camera.near_m(),
+                      .far_m = camera.far_m(),
+                      .world_from_camera = from_wire(camera.world_from_camera())};
+    request.buffers = static_cast<std::uint32_t>(entry->buffers());
+    request.rate_hz = entry->rate_hz();
+    request.request_id = entry->request_id();
+    if (const std::string wrong = problem(request); !wrong.empty()) {
+      spdlog::warn("{} from {}: {}", message.topic(), message.header().source()->str(), wrong);
+      continue;
+    }
+    if (requests.size() == kMostCameras) {
+      spdlog::warn("{} from {}: more than {} cameras; the rest is left out", message.topic(),
+                   message.header().source()->str(), kMostCameras);
+      break;
+    }
+    requests.push_back(request);
+  }
+  return requests;
+}
+
+flatbuffers::Offset<wire::EngineFrame> build_frame(flatbuffers::FlatBufferBuilder& builder,
+                                                   flatbuffers::Offset<wire::Header> header,
+                                                   const splatbus_frame& frame) {
+  const splatbus_light& light = frame.light;
+  const wire::Vec3 sun_direction = to_wire(light.sun_direction);
+  const wire::Vec3 sun_irradiance = to_wire(light.sun_irradiance);
+  const wire::Vec3 background = to_wire(light.background);
+  const auto light_offset = wire::CreateLight(builder, light_hash(light), builder.CreateVector(light.ambient_sh, 27),
+                                              &sun_direction, &sun_irradiance, &background);
+  std::vector<wire::ObjectTransform> objects;
+  for (const splatbus_object& object : std::span(frame.objects, frame.object_count)) {
+    objects.emplace_back(object.id, to_wire(object.world_from_object));
+  }
+  const auto objects_offset = builder.CreateVectorOfStructs(objects);
+  const wire::Camera camera = to_wire(frame.camera);
+  return wire::CreateEngineFrame(builder, header, frame.frame, frame.time_s, frame.request_id, &camera, objects_offset,
+                                 light_offset);
+}
+
+}  // namespace splatbus::engine_sdk

@@ -1,0 +1,172 @@
+#include "sdk/splatbus_engine.h"
+
+#include <fmt/format.h>
+
+#include <cstring>
+#include <exception>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "bus/context.h"
+#include "bus/error.h"
+#include "bus/housekeeping.h"
+#include "bus/publisher.h"
+#include "bus/service.h"
+#include "bus/subscriber.h"
+#include "sdk/frame_rings.h"
+#include "sdk/messages.h"
+#include "sdk/validate.h"
+
+using namespace splatbus;
+using engine_sdk::FrameRings;
+
+namespace {
+
+thread_local std::string
+    open_error;  // NOLINT(cppcoreguidelines-avoid-non-const-global-variables): C errors without a handle
+
+/// What the C ABI calls an argument error.
+class ArgumentError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+}  // namespace
+
+struct splatbus_engine {
+  explicit splatbus_engine(const std::shared_ptr<bus::Context>& bus_context)
+      : context(bus_context),
+        service(context, parameters, stop.get_token()),
+        frames(context, "engine/frame"),
+        cameras(context, {"engine/cameras"}),
+        rings(context),
+        housekeeping(service, "engine") {}
+
+  std::shared_ptr<bus::Context> context;
+  bus::Parameters parameters{{}};
+  std::stop_source stop;
+  bus::ServiceContext service;
+  bus::Publisher frames;
+  bus::Subscriber cameras;
+  FrameRings rings;
+  bus::Housekeeping housekeeping;
+
+  std::vector<splatbus_camera_request> requests;
+  std::uint64_t last_frame = 0;
+  std::int64_t last_frame_ns = 0;  ///< when the first camera of last_frame was submitted; 0: none was
+  std::string error;
+};
+
+namespace {
+
+/// Runs `call` and turns what it throws into a status and words: no exception crosses the C boundary.
+template <class Call>
+splatbus_status guarded_call(std::string& error, Call&& call) {
+  try {
+    call();
+    return SPLATBUS_OK;
+  } catch (const ArgumentError& wrong) {
+    error = wrong.what();
+    return SPLATBUS_ERROR_ARGUMENT;
+  } catch (const std::exception& failed) {
+    error = failed.what();
+    return SPLATBUS_ERROR_BUS;
+  }
+}
+
+void require(bool right, const char* what) {
+  if (!right) throw ArgumentError(what);
+}
+
+/// Replaces the set of requests; true when it is another.
+bool take_requests(splatbus_engine& engine, const bus::Message& message) {
+  std::vector<splatbus_camera_request> requests = engine_sdk::read_requests(message);
+  const bool same = requests.size() == engine.requests.size() &&
+                    (requests.empty() || std::memcmp(requests.data(), engine.requests.data(),
+                                                     requests.size() * sizeof(requests.front())) == 0);
+  if (!same) engine.requests = std::move(requests);
+  return !same;
+}
+
+}  // namespace
+
+extern "C" {
+
+splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, splatbus_engine** out) {
+  return guarded_call(open_error, [&] {
+    require(out != nullptr, "splatbus_engine_open: out is NULL");
+    *out = nullptr;
+    require(source != nullptr && *source != '\0', "splatbus_engine_open: source is NULL or empty");
+    if (abi != SPLATBUS_ENGINE_ABI) {
+      throw ArgumentError(fmt::format("splatbus_engine_open: the engine was built for ABI {}, this library has {}", abi,
+                                      SPLATBUS_ENGINE_ABI));
+    }
+    try {
+      const bus::Address where = address == nullptr ? bus::Address::from_environment() : bus::Address::parse(address);
+      *out = std::make_unique<splatbus_engine>(bus::Context::create(where, source)).release();
+    } catch (const bus::Error& wrong) {
+      throw ArgumentError(fmt::format("splatbus_engine_open: {}", wrong.what()));
+    }
+  });
+}
+
+void splatbus_engine_close(splatbus_engine* engine) {
+  if (engine == nullptr) return;
+  const std::unique_ptr<splatbus_engine> owned(engine);
+  try {
+    owned->housekeeping.finish(wire::ServiceState::Stopping, {});
+  } catch (const std::exception& failed) {
+    open_error = failed.what();
+  }
+}
+
+splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, const splatbus_camera_request** requests,
+                                     size_t* count, int* changed) {
+  if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
+  return guarded_call(engine->error, [&] {
+    require(requests != nullptr && count != nullptr && changed != nullptr,
+            "splatbus_engine_poll: requests, count or changed is NULL");
+    require(timeout_ms >= 0, "splatbus_engine_poll: timeout_ms is below 0");
+    *changed = 0;
+    for (const bus::Message& message : engine->cameras.receive_newest(std::chrono::milliseconds(timeout_ms))) {
+      bus::guarded(message, [&] { *changed |= take_requests(*engine, message) ? 1 : 0; });
+    }
+    *requests = engine->requests.data();
+    *count = engine->requests.size();
+  });
+}
+
+splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_frame* frame) {
+  if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
+  return guarded_call(engine->error, [&] {
+    require(frame != nullptr, "splatbus_engine_submit: frame is NULL");
+    if (const std::string wrong = engine_sdk::problem(*frame); !wrong.empty()) {
+      throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame->frame, wrong));
+    }
+    if (engine->last_frame_ns == 0 || frame->frame != engine->last_frame) {
+      engine->last_frame = frame->frame;
+      engine->last_frame_ns = bus::now_ns();
+    }
+    bus::MessageInfo info;
+    info.schema = "EngineFrame/1";
+    info.capture_ns = engine->last_frame_ns;
+    info.tensors = engine->rings.write(*frame);
+    engine->frames.publish(
+        info, [&](auto& builder, auto header) { return engine_sdk::build_frame(builder, header, *frame); });
+  });
+}
+
+splatbus_status splatbus_engine_counter(splatbus_engine* engine, const char* name, double value) {
+  if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
+  return guarded_call(engine->error, [&] {
+    require(name != nullptr && *name != '\0', "splatbus_engine_counter: name is NULL or empty");
+    engine->service.counter(name, value);
+  });
+}
+
+const char* splatbus_engine_last_error(const splatbus_engine* engine) {
+  return engine == nullptr ? open_error.c_str() : engine->error.c_str();
+}
+
+}  // extern "C"

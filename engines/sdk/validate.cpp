@@ -1,0 +1,155 @@
+#include "sdk/validate.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <set>
+#include <span>
+
+namespace splatbus::engine_sdk {
+namespace {
+
+constexpr std::uint32_t kGreatestSide = 8192;
+constexpr std::uint32_t kAllBuffers = 63;
+constexpr std::size_t kMostObjects = 65536;
+constexpr float kUnitTolerance = 1e-2F;
+
+bool finite(std::span<const float> values) {
+  return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });
+}
+
+float norm(std::span<const float> values) {
+  float sum = 0;
+  for (const float value : values) sum += value * value;
+  return std::sqrt(sum);
+}
+
+std::string problem(const splatbus_rigid& pose) {
+  if (!finite(pose.translation)) return "its translation is not finite";
+  if (!finite(pose.rotation_wxyz)) return "its rotation is not finite";
+  const float length = norm(pose.rotation_wxyz);
+  if (std::abs(length - 1) > kUnitTolerance)
+    return fmt::format("its rotation is no unit quaternion (norm {:.4g})", length);
+  return {};
+}
+
+std::string problem(const splatbus_light& light) {
+  if (!finite(light.ambient_sh)) return "light: ambient_sh is not finite";
+  if (!finite(light.sun_direction)) return "light: sun_direction is not finite";
+  if (!finite(light.sun_irradiance)) return "light: sun_irradiance is not finite";
+  if (!finite(light.background)) return "light: background is not finite";
+  const float length = norm(light.sun_direction);
+  if (std::abs(length - 1) > kUnitTolerance)
+    return fmt::format("light: sun_direction is not unit (norm {:.4g})", length);
+  return {};
+}
+
+std::string problem(const splatbus_image& image, const splatbus_camera& camera) {
+  const char* name = buffer_name(image.buffer);
+  if (name == nullptr) return fmt::format("{:#x} is not one known buffer", image.buffer);
+  if (image.data == nullptr) return fmt::format("{}: data is NULL", name);
+  if (image.buffer == SPLATBUS_BUFFER_LIGHT_DEPTH && camera.role != SPLATBUS_ROLE_LIGHT) {
+    return fmt::format("{}: only a camera of role light has one", name);
+  }
+  const std::size_t pixels = std::size_t{camera.width} * camera.height;
+  const std::size_t expected = pixels * buffer_channels(image.buffer) * buffer_element_bytes(image.buffer);
+  if (image.bytes != expected) {
+    return fmt::format("{}: {} bytes, where {} x {} pixels take {}", name, image.bytes, camera.width, camera.height,
+                       expected);
+  }
+  return {};
+}
+
+}  // namespace
+
+const char* buffer_name(std::uint32_t buffer) {
+  switch (buffer) {
+    case SPLATBUS_BUFFER_COLOR:
+      return "color";
+    case SPLATBUS_BUFFER_WORLD_POSITION:
+      return "world_position";
+    case SPLATBUS_BUFFER_NORMAL:
+      return "normal";
+    case SPLATBUS_BUFFER_ALBEDO:
+      return "albedo";
+    case SPLATBUS_BUFFER_DEPTH:
+      return "depth";
+    case SPLATBUS_BUFFER_LIGHT_DEPTH:
+      return "light_depth";
+    default:
+      return nullptr;
+  }
+}
+
+std::size_t buffer_channels(std::uint32_t buffer) {
+  return buffer == SPLATBUS_BUFFER_DEPTH || buffer == SPLATBUS_BUFFER_LIGHT_DEPTH ? 1 : 4;
+}
+
+std::size_t buffer_element_bytes(std::uint32_t buffer) {
+  return buffer == SPLATBUS_BUFFER_COLOR || buffer == SPLATBUS_BUFFER_ALBEDO ? 1 : 4;
+}
+
+std::string problem(const splatbus_camera& camera) {
+  const auto named = [&](const std::string& what) {
+    return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
+  };
+  if (camera.role > SPLATBUS_ROLE_LIGHT) return named("there is no such role");
+  if (camera.width == 0 || camera.height == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide) {
+    return named(
+        fmt::format("{} x {} pixels, where each side has 1 to {}", camera.width, camera.height, kGreatestSide));
+  }
+  if (!finite(std::array{camera.fx, camera.fy, camera.cx, camera.cy}))
+    return named("fx, fy, cx, cy are not all finite");
+  if (camera.fx <= 0 || camera.fy <= 0) return named("fx and fy must be above 0");
+  if (!finite(std::array{camera.near_m, camera.far_m})) return named("near_m and far_m are not both finite");
+  if (camera.near_m < 0 || camera.far_m <= camera.near_m) return named("it must be 0 <= near_m < far_m");
+  const std::string pose = problem(camera.world_from_camera);
+  return pose.empty() ? pose : named(pose);
+}
+
+std::string problem(const splatbus_camera_request& request) {
+  const splatbus_camera& camera = request.camera;
+  if (camera.role == SPLATBUS_ROLE_LIGHT) {
+    if (camera.width == 0 || camera.height == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide) {
+      return fmt::format("light camera {}: {} x {} pixels, where each side has 1 to {}", camera.id, camera.width,
+                         camera.height, kGreatestSide);
+    }
+  } else if (std::string wrong = problem(camera); !wrong.empty()) {
+    return wrong;
+  }
+  if (!std::isfinite(request.rate_hz) || request.rate_hz < 0) {
+    return fmt::format("camera {} (role {}): rate_hz is {}", camera.id, camera.role, request.rate_hz);
+  }
+  if (request.buffers == 0 || (request.buffers & ~kAllBuffers) != 0) {
+    return fmt::format("camera {} (role {}): {:#x} are no buffers", camera.id, camera.role, request.buffers);
+  }
+  return {};
+}
+
+std::string problem(const splatbus_frame& frame) {
+  if (!std::isfinite(frame.time_s)) return "time_s is not finite";
+  if (std::string wrong = problem(frame.camera); !wrong.empty()) return wrong;
+  if (std::string wrong = problem(frame.light); !wrong.empty()) return wrong;
+  if (frame.image_count == 0 || frame.images == nullptr) return "the frame has no image";
+  std::uint32_t seen = 0;
+  for (const splatbus_image& image : std::span(frame.images, frame.image_count)) {
+    if (std::string wrong = problem(image, frame.camera); !wrong.empty()) return wrong;
+    if ((seen & image.buffer) != 0) return fmt::format("{}: it is there twice", buffer_name(image.buffer));
+    seen |= image.buffer;
+  }
+  if (frame.object_count > 0 && frame.objects == nullptr) return "objects is NULL";
+  if (frame.object_count > kMostObjects)
+    return fmt::format("{} moving objects, where {} are the most", frame.object_count, kMostObjects);
+  std::set<std::uint32_t> ids;
+  for (const splatbus_object& object : std::span(frame.objects, frame.object_count)) {
+    if (object.id == 0) return "object 0: 0 means no surface";
+    if (!ids.insert(object.id).second) return fmt::format("object {}: it is there twice", object.id);
+    if (std::string wrong = problem(object.world_from_object); !wrong.empty())
+      return fmt::format("object {}: {}", object.id, wrong);
+  }
+  return {};
+}
+
+}  // namespace splatbus::engine_sdk

@@ -1,0 +1,21 @@
+#pragma once
+
+#include <cstddef>
+#include <string>
+
+#include "sdk/splatbus_engine.h"
+
+namespace splatbus::engine_sdk {
+
+/// What is wrong, in words, or an empty string.
+[[nodiscard]] std::string problem(const splatbus_camera& camera);
+[[nodiscard]] std::string problem(const splatbus_camera_request& request);
+[[nodiscard]] std::string problem(const splatbus_frame& frame);
+
+/// Name of the buffer's tensor; null unless it is exactly one known bit.
+[[nodiscard]] const char* buffer_name(std::uint32_t buffer);
+/// Channels of one pixel, and bytes of one channel.
+[[nodiscard]] std::size_t buffer_channels(std::uint32_t buffer);
+[[nodiscard]] std::size_t buffer_element_bytes(std::uint32_t buffer);
+
+}  // namespace splatbus::engine_sdk

@@ -1,0 +1,136 @@
+#include "sim/engine_loop.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+#include <vector>
+
+namespace splatbus::sim {
+namespace {
+
+std::int64_t now_ns() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+template <class T>
+void add_image(std::vector<splatbus_image>& images, splatbus_buffer buffer, const std::vector<T>& pixels) {
+  if (!pixels.empty()) images.push_back({static_cast<std::uint32_t>(buffer), pixels.data(), pixels.size() * sizeof(T)});
+}
+
+std::vector<splatbus_image> images_of(const Pictures& pictures) {
+  std::vector<splatbus_image> images;
+  add_image(images, SPLATBUS_BUFFER_COLOR, pictures.color);
+  add_image(images, SPLATBUS_BUFFER_WORLD_POSITION, pictures.world_position);
+  add_image(images, SPLATBUS_BUFFER_NORMAL, pictures.normal);
+  add_image(images, SPLATBUS_BUFFER_ALBEDO, pictures.albedo);
+  add_image(images, SPLATBUS_BUFFER_DEPTH, pictures.depth);
+  add_image(images, SPLATBUS_BUFFER_LIGHT_DEPTH, pictures.light_depth);
+  return images;
+}
+
+}  // namespace
+
+EngineHandle open_engine(const std::string& address, const std::string& name) {
+  splatbus_engine* engine = nullptr;
+  if (splatbus_engine_open(address.empty() ? nullptr : address.c_str(), name.c_str(), SPLATBUS_ENGINE_ABI, &engine) !=
+      SPLATBUS_OK) {
+    throw std::runtime_error(splatbus_engine_last_error(nullptr));
+  }
+  return EngineHandle(engine);
+}
+
+EngineLoop::EngineLoop(splatbus_engine& engine, Renderer& renderer, const EngineLoopOptions& options)
+    : engine_(engine), renderer_(renderer), options_(options) {}
+
+void EngineLoop::run(const std::atomic<bool>& stop) {
+  const std::int64_t start_ns = now_ns();
+  std::uint64_t frame = 0;
+  for (std::uint64_t rendered = 0; options_.frames == 0 || rendered < options_.frames; ++rendered) {
+    wait_until(start_ns + std::llround(static_cast<double>(frame) * 1e9 / options_.fps), stop);
+    if (stop) return;
+    render_frame(frame);
+    const auto current = static_cast<std::uint64_t>(static_cast<double>(now_ns() - start_ns) * 1e-9 * options_.fps);
+    const std::uint64_t next = std::max(frame + 1, current);
+    frames_skipped_ += next - frame - 1;
+    frame = next;
+    count("frame", static_cast<double>(frame));
+    count("frames_skipped", static_cast<double>(frames_skipped_));
+  }
+}
+
+void EngineLoop::wait_until(std::int64_t deadline_ns, const std::atomic<bool>& stop) {
+  bool polled = false;
+  while (!stop) {
+    const std::int64_t left_ns = deadline_ns - now_ns();
+    if (left_ns <= 0 && polled) return;
+    polled = true;  // requests are taken in at least once a frame
+    const splatbus_camera_request* requests = nullptr;
+    std::size_t size = 0;
+    int changed = 0;
+    const int timeout_ms = static_cast<int>(std::max<std::int64_t>(0, (left_ns + 999'999) / 1'000'000));
+    if (splatbus_engine_poll(&engine_, timeout_ms, &requests, &size, &changed) != SPLATBUS_OK) {
+      throw std::runtime_error(splatbus_engine_last_error(&engine_));
+    }
+    if (changed != 0) {
+      schedule_.replace({requests, size});
+      count("cameras", static_cast<double>(schedule_.size()));
+    }
+  }
+}
+
+void EngineLoop::render_frame(std::uint64_t frame) {
+  const double time_s = static_cast<double>(frame) / options_.fps;
+  // Whether light depth is due depends on what has moved by now.
+  if (schedule_.watches_scene()) renderer_.set_time(time_s);
+  const std::vector<splatbus_camera_request> due = schedule_.due(time_s, renderer_.scene_version());
+  if (due.empty()) return;
+  renderer_.set_time(time_s);
+  for (const splatbus_camera_request& request : due) {
+    try {
+      render_camera(frame, request);
+    } catch (const std::exception& failed) {
+      spdlog::error("frame {}: {}", frame, failed.what());
+      count("cameras_failed", static_cast<double>(++cameras_failed_));
+    }
+  }
+  count("cameras_rendered", static_cast<double>(cameras_rendered_));
+  count("render_ms", render_ms_);
+}
+
+void EngineLoop::render_camera(std::uint64_t frame, const splatbus_camera_request& request) {
+  const std::int64_t begin_ns = now_ns();
+  splatbus_camera camera = request.camera;
+  if (camera.role == SPLATBUS_ROLE_LIGHT) camera = renderer_.light_camera(camera.id, camera.width, camera.height);
+  const std::vector<splatbus_image> images = images_of(renderer_.render(camera, request.buffers));
+  const Instant& instant = renderer_.instant();
+  splatbus_frame out{};
+  out.frame = frame;
+  out.time_s = instant.time_s;
+  out.request_id = request.request_id;
+  out.camera = camera;
+  out.images = images.data();
+  out.image_count = images.size();
+  out.objects = instant.moving.data();
+  out.object_count = instant.moving.size();
+  out.light = instant.light;
+  if (splatbus_engine_submit(&engine_, &out) != SPLATBUS_OK) {
+    throw std::runtime_error(splatbus_engine_last_error(&engine_));
+  }
+  ++cameras_rendered_;
+  const double took_ms = static_cast<double>(now_ns() - begin_ns) * 1e-6;
+  render_ms_ = cameras_rendered_ == 1 ? took_ms : 0.95 * render_ms_ + 0.05 * took_ms;
+}
+
+void EngineLoop::count(const char* name, double value) {
+  if (splatbus_engine_counter(&engine_, name, value) != SPLATBUS_OK) {
+    throw std::runtime_error(splatbus_engine_last_error(&engine_));
+  }
+}
+
+}  // namespace splatbus::sim

@@ -1,0 +1,111 @@
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <csignal>
+#include <cstdlib>
+#include <exception>
+
+#include "sim/engine_loop.h"
+#include "sim/gltf_scene.h"
+#include "sim/snapshot.h"
+#include "sim/toys.h"
+
+namespace {
+
+std::atomic<bool> stop_requested =
+    false;  // NOLINT(cppcoreguidelines-avoid-non-const-global-variables): set by a signal
+
+void request_stop(int /*signal*/) {
+  stop_requested = true;
+}
+
+void handle_signals() {
+  struct sigaction action {};
+  action.sa_handler = request_stop;
+  action.sa_flags = static_cast<int>(SA_RESETHAND);  // a second one ends the process
+  sigaction(SIGINT, &action, nullptr);
+  sigaction(SIGTERM, &action, nullptr);
+}
+
+struct Flags {
+  std::string bus, name = "engine", scene = "toys", log_level = "info";
+  std::uint32_t seed = 1;
+  bool dynamics = false;
+  splatbus::sim::Lighting lighting;
+  splatbus::sim::RendererOptions renderer;
+  splatbus::sim::EngineLoopOptions loop;
+  std::string snapshot, pose = "3.13,1.6,1.32,0,0.25,0,60", buffer = "color";
+  std::uint32_t width = 512, height = 512;
+  double time_s = 0;
+};
+
+void add_flags(CLI::App& app, Flags& flags) {
+  app.add_option("--bus", flags.bus, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
+  app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
+  app.add_option("--scene", flags.scene, "toys, or a glTF file (.glb, .gltf)")->capture_default_str();
+  app.add_option("--seed", flags.seed, "shifts, turns and tones of the toys")->capture_default_str();
+  app.add_flag("--dynamics", flags.dynamics, "a ball that bounces and a cube that turns (toys only)");
+  app.add_option("--sun-azimuth", flags.lighting.sun_azimuth_deg, "degrees about the vertical, from +x towards +z")
+      ->capture_default_str();
+  app.add_option("--sun-zenith", flags.lighting.sun_zenith_deg, "degrees from the vertical")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 90));
+  app.add_option("--sun-rate", flags.lighting.sun_rate_deg_s, "degrees a second that the sun turns about the vertical")
+      ->capture_default_str();
+  app.add_option("--fps", flags.loop.fps, "engine frames a second")
+      ->capture_default_str()
+      ->check(CLI::Range(0.1, 1000.0));
+  app.add_option("--frames", flags.loop.frames, "end after so many frames; 0: never")->capture_default_str();
+  app.add_option("--supersample", flags.renderer.supersample,
+                 "pixels a side shaded for one pixel, each with coverage samples")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 4));
+  app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}));
+  app.add_option("--snapshot", flags.snapshot, "render one picture to this PNG, without a bus, and end");
+  app.add_option("--pose", flags.pose, "of the snapshot: eye x,y,z, target x,y,z, vertical field of view in degrees")
+      ->capture_default_str();
+  app.add_option("--buffer", flags.buffer, "of the snapshot: color, albedo, normal, position, depth, id or light_depth")
+      ->capture_default_str();
+  app.add_option("--width", flags.width, "of the snapshot, pixels")->capture_default_str();
+  app.add_option("--height", flags.height, "of the snapshot, pixels")->capture_default_str();
+  app.add_option("--time", flags.time_s, "of the snapshot, seconds of engine time")->capture_default_str();
+}
+
+void run(const Flags& flags) {
+  using namespace splatbus::sim;
+  Scene scene = flags.scene == "toys" ? make_toys(flags.seed, flags.dynamics) : load_gltf(flags.scene);
+  scene.lighting = flags.lighting;
+  const auto context = std::make_shared<GlContext>();
+  spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());
+  Renderer renderer(context, std::move(scene), flags.renderer);
+  if (!flags.snapshot.empty()) {
+    renderer.set_time(flags.time_s);
+    write_snapshot(renderer, parse_pose(flags.pose, flags.width, flags.height), flags.buffer, flags.snapshot);
+    return;
+  }
+  const EngineHandle engine = open_engine(flags.bus, flags.name);
+  EngineLoop(*engine, renderer, flags.loop).run(stop_requested);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("The built-in engine: renders a scene for whoever asks on the bus.", "splatbus-engine-sim");
+  Flags flags;
+  add_flags(app, flags);
+  CLI11_PARSE(app, argc, argv);
+  spdlog::set_default_logger(spdlog::stderr_color_mt(flags.name));
+  spdlog::set_level(spdlog::level::from_str(flags.log_level));
+  handle_signals();
+  try {
+    run(flags);
+  } catch (const std::exception& error) {
+    spdlog::critical("{}", error.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <array>
+#include <glm/glm.hpp>
+
+#include "sdk/splatbus_engine.h"
+#include "sim/mesh.h"
+
+namespace splatbus::sim {
+
+/// camera_from_world of the camera's pose.
+[[nodiscard]] glm::mat4 camera_from_world(const splatbus_camera& camera);
+
+/// Clip space whose window rows run downwards as the picture's do (so front faces become clockwise). Pinhole, or
+/// orthographic for role Light.
+[[nodiscard]] glm::mat4 clip_from_camera(const splatbus_camera& camera);
+
+/// A camera at `eye` towards `target`, world y up.
+[[nodiscard]] splatbus_camera look_at(const glm::vec3& eye, const glm::vec3& target, std::uint32_t width,
+                                      std::uint32_t height, float vertical_fov_deg);
+
+/// The orthographic camera that looks along the sun's rays and just holds `bounds`; the roll about its axis is the one
+/// that wastes the least.
+[[nodiscard]] splatbus_camera fit_light_camera(const Bounds& bounds, const glm::vec3& sun_direction,
+                                               std::uint32_t width, std::uint32_t height);
+
+/// False when the whole box lies outside one plane of the clip volume.
+[[nodiscard]] bool may_be_visible(const Bounds& bounds_world, const glm::mat4& clip_from_world);
+
+}  // namespace splatbus::sim

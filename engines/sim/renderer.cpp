@@ -1,0 +1,295 @@
+#include "sim/renderer.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <glm/gtc/type_ptr.hpp>
+#include <map>
+#include <span>
+#include <stdexcept>
+
+#include "sim/gl_objects.h"
+#include "sim/gpu_scene.h"
+#include "sim/projection.h"
+#include "sim/shaders.h"
+#include "sim/shadow_map.h"
+#include "sim/targets.h"
+
+namespace splatbus::sim {
+namespace {
+
+constexpr std::uint32_t kGreatestSide = 4096;
+constexpr std::uint64_t kGreatestPixels = 2048ULL * 2048;
+constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_ALBEDO;
+constexpr std::uint32_t kGeometryBuffers =
+    SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_LIGHT_DEPTH;
+
+/// Coefficients of the SH polynomials in n, with the basis constants and the clamped-cosine factors over pi (1, 2/3,
+/// 1/4) in.
+std::array<glm::vec3, 9> ambient_polynomial(const splatbus_light& light) {
+  constexpr std::array<float, 9> kFactors{0.28209479F,         0.48860251F * 2 / 3, 0.48860251F * 2 / 3,
+                                          0.48860251F * 2 / 3, 1.0925484F / 4,      1.0925484F / 4,
+                                          0.31539157F / 4,     1.0925484F / 4,      0.54627422F / 4};
+  std::array<glm::vec3, 9> result{};
+  for (std::size_t k = 0; k < 9; ++k) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      result.at(k)[static_cast<int>(c)] = kFactors.at(k) * light.ambient_sh[9 * c + k];
+    }
+  }
+  return result;
+}
+
+bool same_sun(const splatbus_light& a, const splatbus_light& b) {
+  return std::equal(std::begin(a.sun_direction), std::end(a.sun_direction), std::begin(b.sun_direction));
+}
+
+}  // namespace
+
+struct Renderer::Impl {
+  Impl(std::shared_ptr<GlContext> gl_context, Scene the_scene, const RendererOptions& the_options)
+      : context(std::move(gl_context)),
+        scene(std::move(the_scene)),
+        options(the_options),
+        gpu(scene, options.anisotropy),
+        targets(options.supersample, options.samples),
+        shadow(options.shadow_map_size, scene.bounds(true), scene.bounds(false)),
+        bounds(scene.bounds(false)) {}
+
+  std::shared_ptr<GlContext> context;
+  Scene scene;
+  RendererOptions options;
+  GpuScene gpu;
+  TargetCache targets;
+  ShadowMap shadow;
+  Bounds bounds;
+  std::map<ShaderVariant, GlProgram> programs;
+  std::map<std::pair<bool, bool>, GlProgram> resolve_programs;
+  GlVertexArray no_vertices = make_vertex_array();
+  Instant instant;
+  std::uint64_t scene_version = 0;
+  std::uint64_t shadow_version = 0;
+  Pictures pictures;
+
+  GLuint program(const ShaderVariant& variant) {
+    GlProgram& made = programs[variant];
+    if (!made) made = build_program(variant);
+    return made.get();
+  }
+
+  void update_shadow();
+  void shade(const splatbus_camera& camera, bool lit, bool albedo);
+  void geometry(const splatbus_camera& camera, std::uint32_t buffers);
+};
+
+namespace {
+
+template <class T>
+void read(const GlFramebuffer& framebuffer, GLenum attachment, GLenum format, GLenum type, std::uint32_t width,
+          std::uint32_t height, std::size_t channels, std::vector<T>& pixels) {
+  pixels.resize(static_cast<std::size_t>(width) * height * channels);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer.get());
+  glNamedFramebufferReadBuffer(framebuffer.get(), attachment);
+  glReadPixels(0, 0, static_cast<GLsizei>(width), static_cast<GLsizei>(height), format, type, pixels.data());
+}
+
+void set_draw_buffers(const GlFramebuffer& framebuffer, std::span<const bool> wanted) {
+  std::vector<GLenum> buffers;
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    buffers.push_back(wanted[i] ? GL_COLOR_ATTACHMENT0 + static_cast<GLenum>(i) : static_cast<GLenum>(GL_NONE));
+  }
+  glNamedFramebufferDrawBuffers(framebuffer.get(), static_cast<GLsizei>(buffers.size()), buffers.data());
+}
+
+}  // namespace
+
+void Renderer::Impl::update_shadow() {
+  if (shadow_version == scene_version) return;
+  shadow_version = scene_version;
+  const float* sun = instant.light.sun_direction;
+  shadow.draw(gpu, {sun[0], sun[1], sun[2]}, [&](const ShaderVariant& variant) { return program(variant); });
+}
+
+void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo) {
+  if (lit) update_shadow();
+  Targets& target = targets.get(camera.width, camera.height, true, false);
+  const glm::mat4 clip_from_world = clip_from_camera(camera) * camera_from_world(camera);
+  const std::array<bool, 2> wanted{lit, albedo};
+  set_draw_buffers(target.shade, wanted);
+  glBindFramebuffer(GL_FRAMEBUFFER, target.shade.get());
+  glViewport(0, 0, static_cast<GLsizei>(camera.width) * options.supersample,
+             static_cast<GLsizei>(camera.height) * options.supersample);
+  const float* sky = instant.light.background;
+  const std::array<float, 4> background{sky[0], sky[1], sky[2], 0};
+  constexpr std::array<float, 4> kNothing{};
+  constexpr float kFar = 1;
+  if (lit) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 0, background.data());
+  if (albedo) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 1, kNothing.data());
+  glClearNamedFramebufferfv(target.shade.get(), GL_DEPTH, 0, &kFar);
+
+  const splatbus_light& light = instant.light;
+  std::map<GLuint, bool> prepared;
+  gpu.draw(clip_from_world, {.lit = lit, .albedo = albedo, .supersample = options.supersample}, false,
+           [&](const ShaderVariant& variant) {
+             const GLuint made = program(variant);
+             if (std::exchange(prepared[made], true)) return made;
+             glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
+             if (lit) {
+               glm::vec3 sun_over_pi{light.sun_irradiance[0], light.sun_irradiance[1], light.sun_irradiance[2]};
+               sun_over_pi /= glm::pi<float>();
+               glProgramUniform3fv(made, kSunDirection, 1, light.sun_direction);
+               glProgramUniform3fv(made, kSunOverPi, 1, glm::value_ptr(sun_over_pi));
+               glProgramUniform3fv(made, kAmbientReflected, 9, glm::value_ptr(ambient_polynomial(light).front()));
+               shadow.bind(made, options.shadow_softness_m);
+             }
+             return made;
+           });
+
+  GlProgram& resolve = resolve_programs[{lit, albedo}];
+  if (!resolve) resolve = build_resolve_program(options.supersample, options.samples, lit, albedo);
+  glBindFramebuffer(GL_FRAMEBUFFER, target.resolve.get());
+  set_draw_buffers(target.resolve, wanted);
+  glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
+  glDisable(GL_DEPTH_TEST);
+  glUseProgram(resolve.get());
+  glBindTextureUnit(0, target.lit_samples.get());
+  glBindTextureUnit(1, target.albedo_samples.get());
+  glBindVertexArray(no_vertices.get());
+  glDisable(GL_CULL_FACE);
+  glDrawArrays(GL_TRIANGLES, 0, 3);
+  glEnable(GL_DEPTH_TEST);
+  const auto read_bytes = [&](GLenum attachment, std::vector<std::uint8_t>& pixels) {
+    read(target.resolve, attachment, GL_RGBA, GL_UNSIGNED_BYTE, camera.width, camera.height, 4, pixels);
+  };
+  if (lit) read_bytes(GL_COLOR_ATTACHMENT0, pictures.color);
+  if (albedo) read_bytes(GL_COLOR_ATTACHMENT1, pictures.albedo);
+}
+
+void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffers) {
+  Targets& target = targets.get(camera.width, camera.height, false, true);
+  const glm::mat4 view = camera_from_world(camera);
+  const glm::mat4 clip_from_world = clip_from_camera(camera) * view;
+  const bool light_depth = (buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0;
+  const std::array<bool, 3> wanted{(buffers & SPLATBUS_BUFFER_WORLD_POSITION) != 0,
+                                   (buffers & SPLATBUS_BUFFER_NORMAL) != 0,
+                                   (buffers & SPLATBUS_BUFFER_DEPTH) != 0 || light_depth};
+  set_draw_buffers(target.geometry, wanted);
+  glBindFramebuffer(GL_FRAMEBUFFER, target.geometry.get());
+  glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
+  constexpr std::array<float, 4> kNothing{};
+  const std::array<float, 4> no_surface{light_depth ? camera.far_m : 0, 0, 0, 0};
+  constexpr float kFar = 1;
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    if (!wanted.at(i)) continue;
+    glClearNamedFramebufferfv(target.geometry.get(), GL_COLOR, static_cast<GLint>(i),
+                              i == 2 ? no_surface.data() : kNothing.data());
+  }
+  glClearNamedFramebufferfv(target.geometry.get(), GL_DEPTH, 0, &kFar);
+  const glm::vec4 view_z{view[0][2], view[1][2], view[2][2], view[3][2]};
+  gpu.draw(clip_from_world, {.kind = ShaderVariant::Kind::Geometry}, false, [&](const ShaderVariant& variant) {
+    const GLuint made = program(variant);
+    glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
+    glProgramUniform4fv(made, kViewZ, 1, glm::value_ptr(view_z));
+    return made;
+  });
+
+  const auto read_floats = [&](GLenum attachment, GLenum format, std::size_t channels, std::vector<float>& pixels) {
+    read(target.geometry, attachment, format, GL_FLOAT, camera.width, camera.height, channels, pixels);
+  };
+  if (wanted[0]) read_floats(GL_COLOR_ATTACHMENT0, GL_RGBA, 4, pictures.world_position);
+  if (wanted[1]) read_floats(GL_COLOR_ATTACHMENT1, GL_RGBA, 4, pictures.normal);
+  if (wanted[2]) read_floats(GL_COLOR_ATTACHMENT2, GL_RED, 1, light_depth ? pictures.light_depth : pictures.depth);
+  if (light_depth && (buffers & SPLATBUS_BUFFER_DEPTH) != 0) {
+    pictures.depth = pictures.light_depth;
+    std::ranges::replace(pictures.depth, camera.far_m, 0.0F);
+  }
+}
+
+Renderer::Renderer(std::shared_ptr<GlContext> context, Scene scene, const RendererOptions& options) {
+  RendererOptions bounded = options;
+  GLint samples = 1;
+  glGetIntegerv(GL_MAX_COLOR_TEXTURE_SAMPLES, &samples);
+  bounded.samples = std::clamp(options.samples, 1, samples);
+  bounded.supersample = std::clamp(options.supersample, 1, 4);
+  // llvmpipe walks a grazing texel footprint for seconds; the supersamples spread along it anyway.
+  if (context->is_software()) bounded.anisotropy = 1;
+  impl_ = std::make_unique<Impl>(std::move(context), std::move(scene), bounded);
+  glEnable(GL_DEPTH_TEST);
+  glEnable(GL_MULTISAMPLE);
+  glFrontFace(GL_CW);  // pictures are drawn with their rows downwards
+  glPixelStorei(GL_PACK_ALIGNMENT, 1);
+  set_time(0);
+}
+
+Renderer::~Renderer() = default;
+
+void Renderer::set_time(double time_s) {
+  const splatbus_light light = impl_->scene.lighting.at(time_s);
+  const bool moved = impl_->gpu.set_time(impl_->scene, time_s);
+  const bool turned = !same_sun(light, impl_->instant.light);
+  impl_->instant = {.time_s = time_s, .light = light, .moving = impl_->gpu.moving()};
+  if (moved || turned || impl_->scene_version == 0) ++impl_->scene_version;
+}
+
+std::uint64_t Renderer::scene_version() const {
+  return impl_->scene_version;
+}
+const Instant& Renderer::instant() const {
+  return impl_->instant;
+}
+const Scene& Renderer::scene() const {
+  return impl_->scene;
+}
+std::uint64_t Renderer::shadow_maps_drawn() const {
+  return impl_->shadow.times_drawn();
+}
+
+const Pictures& Renderer::render(const splatbus_camera& camera, std::uint32_t buffers) {
+  if (const std::string wrong = problem(camera); !wrong.empty()) throw std::runtime_error(wrong);
+  Pictures& pictures = impl_->pictures;
+  pictures.width = camera.width;
+  pictures.height = camera.height;
+  for (auto* bytes : {&pictures.color, &pictures.albedo}) bytes->clear();
+  for (auto* floats : {&pictures.world_position, &pictures.normal, &pictures.depth, &pictures.light_depth})
+    floats->clear();
+  if ((buffers & kShadeBuffers) != 0) {
+    impl_->shade(camera, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0);
+  }
+  if ((buffers & kGeometryBuffers) != 0) impl_->geometry(camera, buffers);
+  return pictures;
+}
+
+splatbus_camera Renderer::light_camera(std::uint32_t id, std::uint32_t width, std::uint32_t height) const {
+  const float* sun = impl_->instant.light.sun_direction;
+  splatbus_camera camera = fit_light_camera(impl_->bounds, {sun[0], sun[1], sun[2]}, width, height);
+  camera.id = id;
+  return camera;
+}
+
+std::string Renderer::problem(const splatbus_camera& camera) {
+  const auto named = [&](const std::string& what) {
+    return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
+  };
+  const std::uint64_t pixels = static_cast<std::uint64_t>(camera.width) * camera.height;
+  if (pixels == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide || pixels > kGreatestPixels) {
+    return named(fmt::format("a picture of {} x {} is out of bounds (1 to {} a side, at most {} pixels)", camera.width,
+                             camera.height, kGreatestSide, kGreatestPixels));
+  }
+  const auto finite = [](std::span<const float> values) {
+    return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });
+  };
+  const std::array<float, 6> lens{camera.fx, camera.fy, camera.cx, camera.cy, camera.near_m, camera.far_m};
+  if (!finite(lens) || camera.fx <= 0 || camera.fy <= 0)
+    return named("fx, fy, cx, cy must be finite, fx and fy above 0");
+  if (camera.near_m <= 0 || camera.far_m <= camera.near_m) return named("it must be 0 < near_m < far_m");
+  const splatbus_rigid& pose = camera.world_from_camera;
+  if (!finite(pose.rotation_wxyz) || !finite(pose.translation)) return named("its pose is not finite");
+  float norm = 0;
+  for (const float q : pose.rotation_wxyz) norm += q * q;
+  if (std::abs(norm - 1) > 1e-2F)
+    return named(fmt::format("its rotation is no unit quaternion (norm {:.3f})", std::sqrt(norm)));
+  return {};
+}
+
+}  // namespace splatbus::sim

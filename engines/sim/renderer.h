@@ -1,0 +1,80 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "sdk/splatbus_engine.h"
+#include "sim/gl_context.h"
+#include "sim/scene.h"
+
+namespace splatbus::sim {
+
+struct RendererOptions {
+  int supersample = 2;         ///< 1..4; pixels a side that are shaded for one pixel of colour
+  int samples = 4;             ///< coverage samples a shaded pixel; the driver's greatest number when that is less
+  int shadow_map_size = 2048;  ///< texels a side
+  float shadow_softness_m = 0.012F;  ///< radius of the shadow's filter
+  float anisotropy = 8;              ///< hardware only
+};
+
+/// One camera's buffers, row 0 on top, layouts of splatbus_buffer. Those that were not asked for are empty.
+struct Pictures {
+  std::uint32_t width = 0, height = 0;
+  std::vector<std::uint8_t> color, albedo;    ///< [h, w, 4]; albedo is over black
+  std::vector<float> world_position, normal;  ///< [h, w, 4]
+  std::vector<float> depth, light_depth;      ///< [h, w]
+};
+
+/// The scene at one instant.
+struct Instant {
+  double time_s = 0;
+  splatbus_light light{};
+  std::vector<splatbus_object> moving;  ///< what is listed in a frame
+};
+
+/// Draws a scene off screen. Surfaces are Lambertian: linear colour = albedo (E(n) + v s max(0, n.l) / pi), where E is
+/// the irradiance over pi of the ambient SH (Ramamoorthi and Hanrahan 2001), s the sun's irradiance and v in [0, 1] its
+/// filtered visibility from a shadow map. Same scene, time and camera: same bytes.
+///
+/// Colour and albedo are drawn into multisampled targets of `supersample` times the size and averaged in linear light;
+/// position, normal and depth into targets of the very size, so that each value is that of the surface at the exact
+/// pixel centre. Only what is asked for is drawn.
+///
+/// One thread: the one where the context is current.
+class Renderer {
+ public:
+  /// Throws std::runtime_error.
+  Renderer(std::shared_ptr<GlContext> context, Scene scene, const RendererOptions& options = {});
+  ~Renderer();
+  Renderer(const Renderer&) = delete;
+  Renderer& operator=(const Renderer&) = delete;
+
+  /// Sets the time. The shadow map is drawn again only when the sun or an object has moved and a lit picture is asked
+  /// for.
+  void set_time(double time_s);
+  /// Grows whenever set_time() has moved the sun or an object.
+  [[nodiscard]] std::uint64_t scene_version() const;
+  [[nodiscard]] const Instant& instant() const;
+
+  /// Draws `buffers` (bits of splatbus_buffer). The result is valid until the next call. Throws std::runtime_error that
+  /// names the camera when its size or parameters are out of bounds.
+  const Pictures& render(const splatbus_camera& camera, std::uint32_t buffers);
+
+  /// A light camera of that size over the whole scene, for LIGHT_DEPTH: id is the caller's, pose, scale and range are
+  /// the sun's. Constant as long as the sun rests.
+  [[nodiscard]] splatbus_camera light_camera(std::uint32_t id, std::uint32_t width, std::uint32_t height) const;
+
+  [[nodiscard]] const Scene& scene() const;
+  [[nodiscard]] std::uint64_t shadow_maps_drawn() const;
+
+  /// Why this camera cannot be rendered, or an empty string.
+  [[nodiscard]] static std::string problem(const splatbus_camera& camera);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace splatbus::sim

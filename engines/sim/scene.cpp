@@ -1,0 +1,66 @@
+#include "sim/scene.h"
+
+#include <cmath>
+#include <glm/gtc/constants.hpp>
+
+namespace splatbus::sim {
+
+glm::mat4 matrix(const Pose& world_from_object) {
+  glm::mat4 result = glm::mat4_cast(world_from_object.rotation);
+  result[3] = glm::vec4(world_from_object.translation, 1);
+  return result;
+}
+
+Bounds Scene::bounds(bool shadow_casters_only) const {
+  constexpr int kWaySamples = 200;
+  constexpr double kWaySeconds = 20;
+  Bounds result;
+  for (const Object& object : objects) {
+    if (shadow_casters_only && !object.casts_shadow) continue;
+    Bounds local;
+    for (const Part& part : object.parts) local.add(bounds_of(part.mesh));
+    if (!object.motion) {
+      result.add(transformed(local, object.world_from_object));
+      continue;
+    }
+    for (int i = 0; i < kWaySamples; ++i) {
+      result.add(transformed(local, matrix(object.motion(kWaySeconds * i / kWaySamples))));
+    }
+  }
+  return result;
+}
+
+splatbus_light Lighting::at(double time_s) const {
+  splatbus_light light = ambient;
+  const double azimuth = glm::radians(sun_azimuth_deg + sun_rate_deg_s * time_s);
+  const double zenith = glm::radians(sun_zenith_deg);
+  light.sun_direction[0] = static_cast<float>(std::sin(zenith) * std::cos(azimuth));
+  light.sun_direction[1] = static_cast<float>(std::cos(zenith));
+  light.sun_direction[2] = static_cast<float>(std::sin(zenith) * std::sin(azimuth));
+  for (int c = 0; c < 3; ++c) light.sun_irradiance[c] = sun_irradiance[c];
+  return light;
+}
+
+splatbus_light Lighting::sky() {
+  // Real SH, signs as in 3DGS: Y00 = 0.2820948, Y1 = 0.4886025 (-y, z, -x), Y2,2 = 0.5462742 (x^2 - y^2), ... A bluish
+  // sky above a warm ground, a little brighter towards +x and +z.
+  constexpr glm::vec3 kMean{0.25F, 0.27F, 0.31F};
+  constexpr glm::vec3 kUp{0.13F, 0.17F, 0.24F};
+  constexpr glm::vec3 kSide{0.05F, 0.04F, 0.03F};
+  constexpr glm::vec3 kZonal{0.02F, 0.02F, 0.03F};
+  splatbus_light light{};
+  for (int c = 0; c < 3; ++c) {
+    float* sh = light.ambient_sh + 9 * c;
+    sh[0] = kMean[c] / 0.2820948F;
+    sh[1] = -kUp[c] / 0.4886025F;
+    sh[2] = kSide[c] / 0.4886025F;
+    sh[3] = -kSide[c] / 0.4886025F;
+    sh[6] = -kZonal[c] / 0.3153916F;
+    sh[8] = -kZonal[c] / 0.5462742F;
+  }
+  constexpr glm::vec3 kBackground{0.40F, 0.55F, 0.75F};
+  for (int c = 0; c < 3; ++c) light.background[c] = kBackground[c];
+  return light;
+}
+
+}  // namespace splatbus::sim

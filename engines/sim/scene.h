@@ -1,0 +1,73 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <glm/glm.hpp>
+#include <glm/gtc/quaternion.hpp>
+#include <string>
+#include <vector>
+
+#include "sdk/splatbus_engine.h"
+#include "sim/mesh.h"
+
+namespace splatbus::sim {
+
+/// RGBA8, row 0 on top, linear light under the sRGB curve.
+struct Image {
+  std::uint32_t width = 0, height = 0;
+  std::vector<std::uint8_t> rgba;
+};
+
+struct Material {
+  int image = -1;           ///< index into Scene::images, -1: none
+  glm::vec3 base_color{1};  ///< linear diffuse albedo, times the image
+  float alpha_cutoff = 0;   ///< texels below are holes; 0: none
+  bool double_sided = false;
+  bool repeat = true;  ///< the texture repeats; else its edge goes on
+};
+
+struct Part {
+  Mesh mesh;  ///< in the object's frame
+  int material = 0;
+};
+
+struct Pose {
+  glm::quat rotation{1, 0, 0, 0};
+  glm::vec3 translation{0};
+  bool operator==(const Pose&) const = default;
+};
+
+struct Object {
+  std::uint32_t id = 0;  ///< unique, from 1
+  std::string name;
+  std::vector<Part> parts;
+  glm::mat4 world_from_object{1};      ///< of an object that rests
+  std::function<Pose(double)> motion;  ///< world_from_object at a time in seconds; empty: the object rests
+  bool casts_shadow = true;
+};
+
+/// The sun's way, and all other light of a scene. Linear radiometric units.
+struct Lighting {
+  double sun_azimuth_deg = 40;  ///< about world y, from +x towards +z
+  double sun_zenith_deg = 45;
+  double sun_rate_deg_s = 0;  ///< azimuth's
+  glm::vec3 sun_irradiance{2.75F, 2.6F, 2.3F};
+  splatbus_light ambient = sky();  ///< ambient_sh and background count
+
+  [[nodiscard]] splatbus_light at(double time_s) const;
+  static splatbus_light sky();
+};
+
+struct Scene {
+  std::vector<Object> objects;
+  std::vector<Material> materials;
+  std::vector<Image> images;
+  Lighting lighting;
+
+  /// World bounds of everything, over the whole way of what moves.
+  [[nodiscard]] Bounds bounds(bool shadow_casters_only) const;
+};
+
+[[nodiscard]] glm::mat4 matrix(const Pose& world_from_object);
+
+}  // namespace splatbus::sim

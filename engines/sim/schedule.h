@@ -1,0 +1,37 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "sdk/splatbus_engine.h"
+
+namespace splatbus::sim {
+
+/// Which camera requests are due at a frame. A request with a rate is due at once and then every 1 / rate seconds of
+/// engine time; one without is due once for each request_id, and for role light again whenever the scene has changed.
+class Schedule {
+ public:
+  /// The whole set of requests; what was known under the same role, id, request_id and rate keeps its rhythm.
+  void replace(std::span<const splatbus_camera_request> requests);
+
+  /// Requests that are due, probes first; they count as served. `scene_version` changes when sun or objects move.
+  [[nodiscard]] std::vector<splatbus_camera_request> due(double time_s, std::uint64_t scene_version);
+
+  /// True when due() would depend on whether the scene has changed.
+  [[nodiscard]] bool watches_scene() const;
+  [[nodiscard]] std::size_t size() const { return entries_.size(); }
+
+ private:
+  struct Entry {
+    splatbus_camera_request request;
+    bool served = false;
+    double next_due_s = 0;
+    std::uint64_t scene_version = 0;
+  };
+  std::map<std::pair<std::uint32_t, std::uint32_t>, Entry> entries_;  ///< by role and id
+};
+
+}  // namespace splatbus::sim

@@ -1,0 +1,48 @@
+#pragma once
+
+#include <string>
+
+#include "sim/gl_objects.h"
+
+namespace splatbus::sim {
+
+/// What a fragment shader computes.
+struct ShaderVariant {
+  enum class Kind { Depth, Geometry, Shade } kind = Kind::Shade;
+  bool lit = false;     ///< Shade only
+  bool albedo = false;  ///< Shade only
+  bool holes = false;   ///< texels under an alpha cutoff are discarded
+  int supersample = 2;  ///< Shade only: shadow taps are shared out among a pixel's supersamples
+
+  auto operator<=>(const ShaderVariant&) const = default;
+};
+
+/// Uniform locations, the same in every program.
+enum UniformLocation : GLint {
+  kWorldFromObject = 0,
+  kNormalMatrix = 1,
+  kClipFromWorld = 2,
+  kViewZ = 3,            ///< vec4: metres along the camera's z = dot(kViewZ, world position)
+  kShadowFromWorld = 4,  ///< to texture coordinates and depth in [0, 1]
+  kObjectId = 5,
+  kBaseColor = 6,
+  kAlphaCutoff = 7,
+  kSunDirection = 8,
+  kSunOverPi = 9,
+  kShadowNormal = 10,  ///< mat3: a world normal to the plane that it stands for in shadow coordinates
+  kShadowFilter =
+      11,  ///< vec4: radius in texture coordinates (2), greatest depth slope, lift along the normal in metres
+  kAmbientReflected = 12  ///< vec3[9]
+};
+
+/// Vertex attribute locations.
+enum AttributeLocation : GLuint { kPosition = 0, kNormal = 1, kUv = 2 };
+
+/// Throws std::runtime_error with the compiler's words.
+[[nodiscard]] GlProgram build_program(const ShaderVariant& variant);
+
+/// Averages `supersample`^2 pixels of `samples` samples each from the multisampled textures at units 0 (lit) and 1
+/// (albedo), and writes both under the sRGB curve, alpha linear.
+[[nodiscard]] GlProgram build_resolve_program(int supersample, int samples, bool lit, bool albedo);
+
+}  // namespace splatbus::sim
