@@ -1,0 +1,98 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <set>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "analytic_scene.h"
+#include "bus/publisher.h"
+#include "bus/subscriber.h"
+#include "bus/tensor_ring.h"
+#include "wire/convert.h"
+#include "wire/engine_generated.h"
+
+namespace splatbus::capture_bridge::test {
+
+/// An engine on the bus that renders the analytic scene, one frame for each new request id.
+class FakeEngine {
+ public:
+  explicit FakeEngine(std::shared_ptr<bus::Context> context)
+      : subscriber_(context, {"engine/cameras"}), frames_(context, "engine/frame"), ring_(context, "frames", 512) {}
+
+  /// Takes in the newest camera set and renders what is new in it.
+  void serve() {
+    while (auto message = subscriber_.receive(std::chrono::milliseconds(0))) {
+      requests_.clear();
+      for (const wire::CameraRequest* request : *message->root<wire::EngineCameras>("EngineCameras/1").cameras()) {
+        requests_.push_back({from_wire(*request->camera()), request->buffers(), request->request_id()});
+      }
+    }
+    for (const Request& request : requests_) {
+      if (!answered_.insert(request.id).second || (lose && lose(request.camera))) continue;
+      submit(request.camera, request.buffers, request.id);
+    }
+  }
+
+  void submit(const Camera& camera, wire::EngineBuffer buffers, std::uint64_t request_id) {
+    const InputView view = camera.role == CameraRole::Light ? InputView{} : scene.render(camera);
+    const std::vector<float> light_depth(std::size_t{camera.width} * camera.height, 7.0F);
+    const auto has = [&](wire::EngineBuffer buffer) { return (buffers & buffer) != wire::EngineBuffer::NONE; };
+    std::vector<bus::TensorSource> sources;
+    const auto add = [&](const char* name, bus::ElementType type, const void* data) {
+      sources.push_back({name, {camera.height, camera.width, 4}, type, data});
+    };
+    auto position = view.position;
+    if (spoil) spoil(position);
+    if (has(wire::EngineBuffer::Color)) add("color", bus::ElementType::U8, view.color.data());
+    if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());
+    if (has(wire::EngineBuffer::WorldPosition)) add("world_position", bus::ElementType::F32, position.data());
+    if (has(wire::EngineBuffer::Normal)) add("normal", bus::ElementType::F32, view.normal.data());
+    if (has(wire::EngineBuffer::LightDepth)) {
+      sources.push_back({"light_depth", {camera.height, camera.width}, bus::ElementType::F32, light_depth.data()});
+    }
+    ++frame;
+    const bus::MessageInfo info{.schema = "EngineFrame/1", .capture_ns = 1234, .tensors = ring_.write(sources)};
+    frames_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      const auto objects_offset = to_wire(builder, objects);
+      const auto light_offset = to_wire(builder, light);
+      const wire::Camera out = to_wire(camera);
+      return wire::CreateEngineFrame(builder, header, frame, 0.1 * static_cast<double>(frame), request_id, &out,
+                                     objects_offset, light_offset);
+    });
+    ++submitted[camera.role];
+  }
+
+  struct Request {
+    Camera camera;
+    wire::EngineBuffer buffers;
+    std::uint64_t id;
+  };
+  [[nodiscard]] const std::vector<Request>& requests() const { return requests_; }
+  [[nodiscard]] std::size_t requested(CameraRole role) const {
+    return static_cast<std::size_t>(std::count_if(requests_.begin(), requests_.end(),
+                                                  [&](const Request& request) { return request.camera.role == role; }));
+  }
+  bus::Publisher& frames() { return frames_; }
+
+  AnalyticScene scene;
+  ObjectTransforms objects;
+  Light light{.generation = 1, .sun_irradiance = {1, 1, 1}};
+  std::uint64_t frame = 0;
+  std::function<bool(const Camera&)> lose;             ///< true: this camera's frame never comes
+  std::function<void(std::vector<glm::vec4>&)> spoil;  ///< changes positions before they go out
+  std::map<CameraRole, int> submitted;
+
+ private:
+  bus::Subscriber subscriber_;
+  bus::Publisher frames_;
+  bus::TensorRing ring_;
+  std::vector<Request> requests_;
+  std::set<std::uint64_t> answered_;
+};
+
+}  // namespace splatbus::capture_bridge::test

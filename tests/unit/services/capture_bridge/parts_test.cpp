@@ -1,0 +1,210 @@
+// The bridge's parts that need no bus: the camera set, rounds, probes, the trainer watch.
+#include <gtest/gtest.h>
+
+#include <glm/gtc/constants.hpp>
+
+#include "capture-bridge/camera_set.h"
+#include "capture-bridge/input_round.h"
+#include "capture-bridge/input_worker.h"
+#include "capture-bridge/parameters.h"
+#include "capture-bridge/probe_table.h"
+#include "capture-bridge/rig_control.h"
+#include "capture-bridge/trainer_watch.h"
+
+namespace splatbus::capture_bridge {
+namespace {
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+
+std::vector<std::uint64_t> ids_of(const CameraSet& set, CameraRole role) {
+  std::vector<std::uint64_t> ids;
+  for (const CameraRequest& request : set.of_role(role)) ids.push_back(request.request_id);
+  return ids;
+}
+
+TEST(CameraSet, KeepsRequestsOfCamerasThatStay) {
+  CameraSet set(100);
+  const auto ring = ring_cameras({.cameras = 4});
+  EXPECT_TRUE(set.replace(CameraRole::Reference, ring, wire::EngineBuffer::Color, 1).empty());
+  const auto before = ids_of(set, CameraRole::Reference);
+  EXPECT_GT(before.front(), 100U);
+  EXPECT_TRUE(set.take_changed());
+  EXPECT_FALSE(set.take_changed());
+
+  EXPECT_TRUE(set.replace(CameraRole::Reference, ring, wire::EngineBuffer::Color, 1).empty());
+  EXPECT_FALSE(set.take_changed());
+  EXPECT_EQ(ids_of(set, CameraRole::Reference), before);
+
+  auto fewer = ring;
+  fewer.pop_back();
+  fewer[0].world_from_camera.translation.x += 1;
+  const auto left = set.replace(CameraRole::Reference, fewer, wire::EngineBuffer::Color, 1);
+  ASSERT_EQ(left.size(), 1U);
+  EXPECT_EQ(left[0].id, 3U);
+  const auto after = ids_of(set, CameraRole::Reference);
+  EXPECT_GT(after[0], before.back());
+  EXPECT_EQ(after[1], before[1]);
+}
+
+TEST(CameraSet, ReissuesUnderNewIdsAndLeavesOtherRolesAlone) {
+  CameraSet set(0);
+  set.replace(CameraRole::Reference, ring_cameras({.cameras = 3}), wire::EngineBuffer::Color, 0);
+  set.replace(CameraRole::Input, dome_cameras({.cameras = 3}, glm::vec3(0), 0), wire::EngineBuffer::Color, 0);
+  const auto references = ids_of(set, CameraRole::Reference);
+  const auto inputs = ids_of(set, CameraRole::Input);
+  const std::vector<std::uint32_t> second{1};
+  set.reissue(CameraRole::Input, second);
+  EXPECT_EQ(ids_of(set, CameraRole::Reference), references);
+  EXPECT_EQ(ids_of(set, CameraRole::Input)[0], inputs[0]);
+  EXPECT_GT(ids_of(set, CameraRole::Input)[1], inputs[2]);
+  set.remove(CameraRole::Input, 0);
+  EXPECT_EQ(set.of_role(CameraRole::Input).size(), 2U);
+}
+
+class InputRoundTest : public testing::Test {
+ protected:
+  InputRoundTest() {
+    set_.replace(CameraRole::Input, dome_cameras({.cameras = 3}, glm::vec3(0), 0), wire::EngineBuffer::Color, 0);
+    round_.begin(set_.of_role(CameraRole::Input));
+  }
+  bool add(std::uint32_t camera, std::int64_t now) {
+    return round_.add(camera, set_.of_role(CameraRole::Input)[camera].request_id, std::make_shared<InputView>(), now);
+  }
+  CameraSet set_{0};
+  InputRound round_;
+};
+
+TEST_F(InputRoundTest, IsReadyWhenAllHaveCome) {
+  EXPECT_FALSE(round_.ready(100 * kSecond, kSecond)) << "a round without a frame is never due";
+  EXPECT_TRUE(add(0, 0));
+  EXPECT_TRUE(add(2, 0));
+  EXPECT_FALSE(round_.ready(kSecond / 2, kSecond));
+  EXPECT_EQ(round_.missing(), std::vector<std::uint32_t>{1});
+  EXPECT_TRUE(add(1, kSecond / 2));
+  EXPECT_TRUE(round_.ready(kSecond / 2, kSecond));
+  EXPECT_EQ(round_.take().size(), 3U);
+  EXPECT_FALSE(round_.ready(100 * kSecond, kSecond));
+}
+
+TEST_F(InputRoundTest, ALostFrameDelaysItAndComesAfter) {
+  add(0, 0);
+  add(1, 0);
+  EXPECT_TRUE(round_.ready(kSecond, kSecond));
+  EXPECT_EQ(round_.take().size(), 2U);
+  set_.reissue(CameraRole::Input, round_.missing());
+  round_.renew(set_.of_role(CameraRole::Input));
+  EXPECT_TRUE(add(2, 2 * kSecond));
+  EXPECT_TRUE(round_.ready(2 * kSecond, kSecond)) << "the straggler completes the rig";
+  EXPECT_EQ(round_.take().size(), 3U);
+}
+
+TEST_F(InputRoundTest, RefusesFramesOfAnotherRig) {
+  EXPECT_FALSE(round_.add(0, 999, std::make_shared<InputView>(), 0));
+  EXPECT_FALSE(round_.add(77, set_.of_role(CameraRole::Input)[0].request_id, std::make_shared<InputView>(), 0));
+  EXPECT_TRUE(round_.empty());
+  add(0, 0);
+  const std::uint64_t generation = round_.rig_generation();
+  round_.begin(set_.of_role(CameraRole::Input));
+  EXPECT_GT(round_.rig_generation(), generation);
+  EXPECT_TRUE(round_.empty());
+}
+
+TEST_F(InputRoundTest, AtARateEveryCameraMustBringANewFrame) {
+  for (std::uint32_t i = 0; i < 3; ++i) add(i, 0);
+  EXPECT_EQ(round_.take().size(), 3U);
+  add(0, kSecond);
+  EXPECT_FALSE(round_.ready(kSecond, kSecond));
+  add(1, kSecond);
+  add(2, kSecond);
+  EXPECT_TRUE(round_.ready(kSecond, kSecond));
+}
+
+TEST(ProbeTable, AnswersEachOnce) {
+  ProbeTable table(4);
+  std::optional<Probe> evicted;
+  Probe* probe = table.add(7, "viewer", {}, 0, evicted);
+  ASSERT_NE(probe, nullptr);
+  probe->request_id = 70;
+  EXPECT_EQ(table.add(7, "viewer", {}, 0, evicted), nullptr) << "the same probe again";
+  Probe* other = table.add(7, "another", {}, 0, evicted);
+  ASSERT_NE(other, nullptr);
+  other->request_id = 71;
+  EXPECT_FALSE(table.answer(other->camera.id, 70));
+  const auto answered = table.answer(other->camera.id, 71);
+  ASSERT_TRUE(answered);
+  EXPECT_EQ(answered->asker, "another");
+  EXPECT_FALSE(table.answer(answered->camera.id, 71));
+  EXPECT_EQ(table.size(), 1U);
+}
+
+TEST(ProbeTable, IsBoundedAndForgetsTheOld) {
+  ProbeTable table(2);
+  std::optional<Probe> evicted;
+  table.add(1, "viewer", {}, 0, evicted);
+  table.add(2, "viewer", {}, 5, evicted);
+  EXPECT_FALSE(evicted);
+  table.add(3, "viewer", {}, 6, evicted);
+  ASSERT_TRUE(evicted);
+  EXPECT_EQ(evicted->probe_id, 1U);
+  EXPECT_EQ(table.overdue(6).size(), 1U);
+  const auto expired = table.expire(6);
+  ASSERT_EQ(expired.size(), 1U);
+  EXPECT_EQ(expired[0].probe_id, 2U);
+}
+
+TEST(TrainerWatch, AsksAgainForANewTrainerButNotForEver) {
+  TrainerWatch watch;
+  EXPECT_FALSE(watch.lacks_views(1, 8, 8, 0, 10 * kSecond));
+  EXPECT_FALSE(watch.lacks_views(1, 7, 8, 9 * kSecond, 10 * kSecond)) << "the last view may be under way";
+  int demands = 0;
+  for (int i = 0; i < 100; ++i) demands += watch.lacks_views(1, 7, 8, 0, (10 + i) * kSecond) ? 1 : 0;
+  EXPECT_GE(demands, 2);
+  EXPECT_LE(demands, 5);
+  EXPECT_FALSE(watch.lacks_views(1, 0, 8, 0, 200 * kSecond));
+  EXPECT_TRUE(watch.lacks_views(2, 0, 8, 0, 200 * kSecond)) << "another trainer";
+}
+
+TEST(RigControl, FollowsParametersAndViewer) {
+  bus::Parameters parameters(parameter_specs());
+  const auto set = [&](const char* name, const char* value) { ASSERT_EQ(parameters.set(name, value, true), ""); };
+  set("input_cameras", "5");
+  set("reference_cameras", "4");
+  RigControl control(parameters, 1000);
+  EXPECT_TRUE(control.update(nullptr, {}, false).empty());
+  EXPECT_EQ(control.cameras().of_role(CameraRole::Input).size(), 5U);
+  EXPECT_EQ(control.cameras().of_role(CameraRole::Reference).size(), 4U);
+  ASSERT_EQ(control.cameras().of_role(CameraRole::Light).size(), 1U);
+  EXPECT_EQ(control.cameras().of_role(CameraRole::Light)[0].camera.width, 1024U);
+  const auto generation = control.round().rig_generation();
+  control.cameras().take_changed();
+  control.update(nullptr, {}, false);
+  EXPECT_FALSE(control.cameras().take_changed()) << "nothing moved, nothing is asked for again";
+
+  const Camera viewer = look_at({8, 1.6F, 0}, {5, 0.25F, 0}, 64, 64, 1);
+  control.update(&viewer, {}, true);
+  EXPECT_EQ(control.round().rig_generation(), generation) << "held";
+  control.update(&viewer, {}, false);
+  EXPECT_EQ(control.round().rig_generation(), generation + 1);
+
+  set("reference_rig", "follow");
+  control.update(&viewer, {}, false);
+  const auto references = control.cameras().of_role(CameraRole::Reference);
+  EXPECT_LT(glm::distance(references[0].camera.world_from_camera.translation, glm::vec3(8, 1.6F, 0)), 1e-5F);
+  set("reference_cameras", "2");
+  const auto left = control.update(&viewer, {}, false);
+  ASSERT_EQ(left.size(), 2U);
+  EXPECT_EQ(left[0].id, 2U);
+}
+
+TEST(ContentHeights, LeaveOutliersOut) {
+  SampleSet samples;
+  for (int i = 0; i < 100; ++i) samples.position.emplace_back(0, 0.01F * static_cast<float>(i), 0);
+  samples.position[0].y = -50;
+  samples.position[99].y = 50;
+  const ContentHeights heights = content_heights(samples);
+  EXPECT_NEAR(heights.low_m, 0.01F, 0.02F);
+  EXPECT_NEAR(heights.high_m, 0.97F, 0.02F);
+}
+
+}  // namespace
+}  // namespace splatbus::capture_bridge
