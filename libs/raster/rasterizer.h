@@ -64,6 +64,12 @@ struct ParameterGradient {
   void clear(const GaussiansView& gaussians);  ///< sizes and zeroes
 };
 
+/// How long a part of the last forward() or backward() took.
+struct StageTime {
+  const char* name;
+  double milliseconds;
+};
+
 /// Differentiable splatting. Front to back, tiles, alpha at most 0.999, contributions under 1/255 skipped, a pixel ends
 /// when its transmittance falls under 1e-4; projection by the local affine approximation (Zwicker et al. 2001) with
 /// 3DGS's clamp of the tangent to 1.3 times the field of view; gradients by hand, exact for this forward (Kerbl et al.
@@ -85,6 +91,9 @@ class Rasterizer {
   /// Forward only, keeping nothing for a backward pass; faster.
   virtual void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                       const RenderOptions& options, Render& out) = 0;
+
+  /// Stages of the last forward() or render(), then of the last backward().
+  [[nodiscard]] virtual std::vector<StageTime> stage_times() const { return {}; }
 };
 
 /// threads 0: all cores.

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "raster/cpu/frame.h"
+#include "raster/cpu/pairs.h"
 #include "raster/cpu/workers.h"
 
 namespace splatbus::raster::cpu {
@@ -15,16 +16,10 @@ class TileBinner {
   void bin(Frame& frame, Workers& workers);
 
  private:
-  struct Pending {
-    std::uint32_t tile, gaussian_and_blocks;
-  };
   struct Piece {
-    std::vector<Pending> pending;
+    PairBuffer pairs;
     std::vector<std::uint32_t> tile_counts;  ///< then where the piece's next entry of the tile goes
-    std::size_t first_slot = 0;
   };
-  static void collect(Frame& frame, std::size_t begin, std::size_t end, std::size_t most, Piece& piece);
-
   std::vector<Piece> pieces_;
 };
 

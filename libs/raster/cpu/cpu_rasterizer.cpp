@@ -1,7 +1,7 @@
 #include "raster/cpu/cpu_rasterizer.h"
 
 #include <algorithm>
-#include <cassert>
+#include <chrono>
 #include <stdexcept>
 
 #include "raster/cpu/kernels.h"
@@ -20,6 +20,14 @@ void resize(Image& image, const Camera& camera, std::uint32_t channels) {
   image.data.resize(std::size_t{image.width} * image.height * channels);
 }
 
+/// Runs one stage and notes its time.
+template <class Body>
+void timed(std::vector<StageTime>& times, const char* name, const Body& body) {
+  const auto begin = std::chrono::steady_clock::now();
+  body();
+  times.push_back({name, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin).count()});
+}
+
 void check(const GaussiansView& gaussians, const Camera& camera) {
   if (gaussians.count > kGaussianMask) throw std::invalid_argument("rasterizer: more than 2^28 Gaussians");
   if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
@@ -35,8 +43,7 @@ void CpuRasterizer::project() {
   const std::size_t count = frame_.gaussians.count;
   const std::size_t pieces = (count + kGaussianPiece - 1) / kGaussianPiece;
   frame_.splats.reserve(count);
-  frame_.first_slot.reserve(count);
-  frame_.pair_count.reserve(count);
+  frame_.pair_ranges.reserve(count);
   frame_.order.reserve(count);
   spare_keys_.reserve(count);
   visible_of_piece_.assign(pieces, 0);
@@ -80,18 +87,28 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   resize(out.albedo, camera, frame_.options.albedo ? 3 : 0);
   resize(out.depth, camera, options.depth ? 1 : 0);
 
-  project();
-  sorter_.sort(frame_.order, spare_keys_, frame_.visible, workers_);
-  binner_.bin(frame_, workers_);
+  forward_times_.clear();
+  timed(forward_times_, "project", [&] { project(); });
+  timed(forward_times_, "sort", [&] { sorter_.sort(frame_.order, spare_keys_, frame_.visible, workers_); });
+  timed(forward_times_, "bin", [&] { binner_.bin(frame_, workers_); });
   const std::size_t tiles = frame_.tile_count();
   if (keep) {
     frame_.transmittance.reserve(tiles * kTilePixels);
     frame_.last_entry.reserve(tiles * kTilePixels);
     frame_.block_entries.reserve(tiles * kTileBlocks);
   }
-  workers_.for_pieces(tiles, kTilePiece, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t tile = begin; tile < end; ++tile) blend_tile(frame_, static_cast<std::uint32_t>(tile), keep, out);
+  timed(forward_times_, "blend", [&] {
+    workers_.for_pieces(tiles, kTilePiece, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t tile = begin; tile < end; ++tile)
+        blend_tile(frame_, static_cast<std::uint32_t>(tile), keep, out);
+    });
   });
+}
+
+std::vector<StageTime> CpuRasterizer::stage_times() const {
+  std::vector<StageTime> times = forward_times_;
+  times.insert(times.end(), backward_times_.begin(), backward_times_.end());
+  return times;
 }
 
 void CpuRasterizer::forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
@@ -127,9 +144,12 @@ void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& 
   if (out.count != gaussians.count || out.stride != gaussians.stride || out.layout != gaussians.layout) {
     throw std::invalid_argument("rasterizer: the gradient was not cleared for these Gaussians");
   }
-  blend_backward(gradient);
-  workers_.for_pieces(gaussians.count, kGaussianPiece,
-                      [&](std::size_t begin, std::size_t end) { project_range_backward(frame_, begin, end, out); });
+  backward_times_.clear();
+  timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
+  timed(backward_times_, "project_backward", [&] {
+    workers_.for_pieces(gaussians.count, kGaussianPiece,
+                        [&](std::size_t begin, std::size_t end) { project_range_backward(frame_, begin, end, out); });
+  });
 }
 
 }  // namespace cpu

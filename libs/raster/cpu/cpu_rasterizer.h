@@ -17,6 +17,7 @@ class CpuRasterizer : public Rasterizer {
   void backward(const RenderGradient& gradient, ParameterGradient& out) override;
   void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
               const RenderOptions& options, Render& out) override;
+  [[nodiscard]] std::vector<StageTime> stage_times() const override;
 
  private:
   void run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
@@ -30,6 +31,7 @@ class CpuRasterizer : public Rasterizer {
   std::vector<std::size_t> visible_of_piece_;
   DepthSorter sorter_;
   TileBinner binner_;
+  std::vector<StageTime> forward_times_, backward_times_;
 };
 
 }  // namespace splatbus::raster::cpu

@@ -73,6 +73,11 @@ struct TileEntry {
 };
 constexpr std::uint32_t kBlockShift = 28, kGaussianMask = (1U << kBlockShift) - 1;
 
+/// The pairs of a Gaussian: `count` slots from piece_slot[piece] + first.
+struct PairRange {
+  std::uint32_t count, piece, first;
+};
+
 /// Uninitialised growing memory for trivial types: resizing a std::vector would write what is about to be overwritten.
 template <class T>
 class Scratch {
@@ -112,10 +117,10 @@ struct Frame {
   std::uint32_t tiles_x = 0, tiles_y = 0;
   [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
 
-  Scratch<Splat> splats;              ///< [count], valid where visible
-  Scratch<std::uint32_t> first_slot;  ///< [count], valid where pair_count > 0
-  Scratch<std::uint32_t> pair_count;  ///< [count], tiles that the Gaussian may reach
-  Scratch<DepthKey> order;            ///< visible Gaussians, near to far
+  Scratch<Splat> splats;                  ///< [count], valid where visible
+  Scratch<PairRange> pair_ranges;         ///< [count]
+  std::vector<std::uint32_t> piece_slot;  ///< first slot of every binning piece
+  Scratch<DepthKey> order;                ///< visible Gaussians, near to far
   std::size_t visible = 0;
 
   Scratch<TileEntry> entries;

@@ -30,8 +30,9 @@ HWY_INLINE M SumPairs(const Frame& frame, const Columns& in, PixelSums& out) {
     float* sum = sums + lane * 16;
     for (std::size_t k = 0; k < 16; k += hn::Lanes(record_tag)) hn::Store(hn::Zero(record_tag), record_tag, sum + k);
     const std::size_t i = in.i + lane;
-    if (lane >= in.n || frame.pair_count[i] == 0) continue;
-    const std::uint32_t first = frame.first_slot[i], end = first + frame.pair_count[i];
+    if (lane >= in.n || frame.pair_ranges[i].count == 0) continue;
+    const PairRange& range = frame.pair_ranges[i];
+    const std::uint32_t first = frame.piece_slot[range.piece] + range.first, end = first + range.count;
     float largest = 0;
     for (std::uint32_t slot = first; slot < end; ++slot) {
       if (frame.pair_written[slot] == 0) continue;
@@ -171,7 +172,7 @@ HWY_INLINE Vec3 UnclampedColourGradient(const Frame& frame, const Columns& in, c
   const F f;
   HWY_ALIGN float colour[3][hn::MaxLanes(F())] = {};
   for (std::size_t lane = 0; lane < in.n; ++lane) {
-    if (frame.pair_count[in.i + lane] == 0) continue;
+    if (frame.pair_ranges[in.i + lane].count == 0) continue;
     const Splat& splat = frame.splats[in.i + lane];
     colour[0][lane] = splat.red;
     colour[1][lane] = splat.green;

@@ -1,14 +1,20 @@
 #pragma once
 
 #include "raster/cpu/frame.h"
+#include "raster/cpu/pairs.h"
 
 // The vectorised parts; each picks the best instruction set at run time. All are pure in the range that they are given,
 // so ranges may run on different threads.
 namespace splatbus::raster::cpu {
 
-/// Projects Gaussians [begin, end): writes Frame::splats, a pair_count of 0, and the keys of those that may be visible,
+/// Projects Gaussians [begin, end): writes Frame::splats, empty pair_ranges, and the keys of those that may be visible,
 /// whose number it returns. Non-finite parameters make a Gaussian invisible.
 std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, DepthKey* visible);
+
+/// Tiles and blocks that the Gaussians [begin, end) of Frame::order reach, in that order; sets their pair_ranges and
+/// adds to the counts of the tiles. Gaussians after the first `most` pairs reach nothing.
+void collect_pairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_t piece, std::size_t most,
+                   PairBuffer& pairs, std::uint32_t* tile_counts);
 
 /// Blends one tile into the planes of `out`; with `keep` it leaves what the backward pass needs.
 void blend_tile(Frame& frame, std::uint32_t tile, bool keep, Render& out);

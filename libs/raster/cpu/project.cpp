@@ -109,7 +109,7 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
   std::uint32_t cached_id = 0, cached_frame = gaussians.object_id == nullptr ? 0 : frame.objects.find(0);
   for (std::size_t i = begin; i < end; i += step) {
     const Columns in{gaussians, i, std::min(step, end - i)};
-    for (std::size_t k = 0; k < in.n; ++k) frame.pair_count[i + k] = 0;
+    for (std::size_t k = 0; k < in.n; ++k) frame.pair_ranges[i + k].count = 0;
     M todo = hn::FirstN(f, in.n);
     std::uint32_t todo_bits = LaneBits(todo);
     // Lanes of one object at a time; neighbours nearly always share theirs.

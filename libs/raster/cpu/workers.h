@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tbb/blocked_range.h>
+#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
@@ -9,10 +10,11 @@
 
 namespace splatbus::raster::cpu {
 
-/// A bounded set of threads; 0: all cores. Work is cut into pieces whose bounds do not depend on the number of threads.
+/// A bounded set of threads; 0: all cores, more than there are count as all. Work is cut into pieces whose bounds do
+/// not depend on the number of threads.
 class Workers {
  public:
-  explicit Workers(int threads) : arena_(threads > 0 ? threads : tbb::task_arena::automatic) {}
+  explicit Workers(int threads) : arena_(concurrency(threads)) {}
 
   /// body(begin, end) for consecutive pieces of [0, count) of at most `piece`.
   template <class Body>
@@ -34,6 +36,11 @@ class Workers {
   }
 
  private:
+  static int concurrency(int threads) {
+    const int cores = tbb::info::default_concurrency();
+    return threads > 0 ? std::min(threads, cores) : cores;
+  }
+
   tbb::task_arena arena_;
 };
 

@@ -1,1 +1,101 @@
+#include "raster/adam.h"
+
 #include <gtest/gtest.h>
+
+#include "scenes.h"
+
+namespace splatbus::raster {
+namespace {
+
+using testing::TestScene;
+
+struct Fixture {
+  TestScene scene = testing::random_scene(testing::radiance_layout(0), 40, {}, 1);
+  std::vector<float> before = scene.parameters;
+  std::vector<float> rates = std::vector<float>(14, 0.1F);
+  ParameterGradient gradient;
+  Adam adam;
+
+  Fixture() {
+    gradient.clear(scene.view());
+    std::fill(gradient.values.begin(), gradient.values.end(), 2.0F);
+    std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
+    adam.resize(scene.layout, scene.count, scene.stride);
+  }
+  void step() { adam.step(scene.parameters.data(), scene.flags.data(), gradient, rates, 1); }
+  /// How far a value has moved, in learning rates.
+  float moved(int channel, std::size_t i) {
+    return (before[static_cast<std::size_t>(channel) * scene.stride + i] - scene.at(channel, i)) / 0.1F;
+  }
+};
+
+TEST(Adam, FirstStepIsOneLearningRate) {
+  Fixture fixture;
+  fixture.step();
+  for (int c = 0; c < 14; ++c) {
+    for (std::size_t i = 0; i < 40; ++i) ASSERT_NEAR(fixture.moved(c, i), 1, 1e-4F);
+  }
+}
+
+TEST(Adam, UntouchedAndFrozenRest) {
+  Fixture fixture;
+  fixture.gradient.touched[5] = 0;
+  fixture.scene.flags[6] = kFrozen;
+  fixture.step();
+  EXPECT_EQ(fixture.moved(3, 5), 0);
+  EXPECT_EQ(fixture.moved(3, 6), 0);
+  EXPECT_NE(fixture.moved(3, 7), 0);
+  // A first touch later is a first step, however many steps the others have taken.
+  fixture.gradient.touched[5] = 1;
+  fixture.step();
+  EXPECT_NEAR(fixture.moved(3, 5), 1, 1e-4F);
+}
+
+TEST(Adam, ActiveChannelsOnly) {
+  Fixture fixture;
+  fixture.gradient.active_channels = 11;
+  fixture.step();
+  EXPECT_NE(fixture.moved(10, 0), 0);
+  EXPECT_EQ(fixture.moved(11, 0), 0);
+}
+
+TEST(Adam, MomentsFollowPermutationAndGrowth) {
+  Fixture fixture, reference;
+  fixture.step();
+  reference.step();
+  // Reverse the columns, then let the model grow into a larger stride.
+  TestScene larger(fixture.scene.layout, 60);
+  std::vector<std::uint32_t> keep;
+  for (std::uint32_t i = 0; i < 40; ++i) keep.push_back(39 - i);
+  for (int c = 0; c < 14; ++c) {
+    for (std::size_t i = 0; i < 40; ++i) larger.at(c, i) = fixture.scene.at(c, 39 - i);
+  }
+  fixture.adam.permute(keep);
+  fixture.adam.resize(larger.layout, 60, larger.stride);
+  ParameterGradient gradient;
+  gradient.clear(larger.view());
+  std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
+  for (std::size_t i = 0; i < gradient.values.size(); ++i) gradient.values[i] = 0.5F;
+  fixture.adam.step(larger.parameters.data(), larger.flags.data(), gradient, fixture.rates, 2);
+  std::fill(reference.gradient.values.begin(), reference.gradient.values.end(), 0.5F);
+  reference.step();
+  for (int c = 0; c < 14; ++c) {
+    for (std::size_t i = 0; i < 40; ++i) ASSERT_EQ(larger.at(c, i), reference.scene.at(c, 39 - i));
+    for (std::size_t i = 40; i < 60; ++i) ASSERT_NEAR(larger.at(c, i), -0.1F, 1e-5F);
+  }
+}
+
+TEST(Adam, ShrinkingForgets) {
+  Fixture fixture;
+  fixture.step();
+  fixture.adam.resize(fixture.scene.layout, 10, fixture.scene.stride);
+  fixture.adam.resize(fixture.scene.layout, 40, fixture.scene.stride);
+  fixture.before = fixture.scene.parameters;
+  std::fill(fixture.gradient.values.begin(), fixture.gradient.values.end(), -1.0F);
+  fixture.step();
+  EXPECT_NEAR(fixture.moved(0, 20), -1, 1e-4F);  // a first step
+  EXPECT_GT(fixture.moved(0, 5), -0.5F);         // the momentum of the first step holds it back
+}
+
+}  // namespace
+}  // namespace splatbus::raster

@@ -1,1 +1,69 @@
+#include "raster/loss.h"
+
 #include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "gaussians/light.h"
+
+namespace splatbus::raster {
+namespace {
+
+std::vector<std::uint8_t> random_target(std::size_t pixels) {
+  std::mt19937 generator(2);
+  std::vector<std::uint8_t> target(4 * pixels);
+  for (std::uint8_t& value : target) value = static_cast<std::uint8_t>(generator() >> 24U);
+  return target;
+}
+
+TEST(Loss, OfThePictureItselfIsZero) {
+  const std::vector<std::uint8_t> target = random_target(std::size_t{30} * 20);
+  Image rendered(30, 20, 3), gradient;
+  for (std::size_t i = 0; i < 600; ++i) {
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      rendered.plane(c)[i] = linear_from_srgb(static_cast<float>(target[4 * i + c]) / 255);
+    }
+  }
+  EXPECT_NEAR(image_loss(rendered, target.data(), {}, gradient), 0, 1e-5F);
+}
+
+TEST(Loss, GradientIsTheSlope) {
+  const std::vector<std::uint8_t> target = random_target(std::size_t{23} * 19);
+  std::mt19937 generator(3);
+  Image rendered(23, 19, 3), gradient, scratch;
+  for (float& value : rendered.data) value = 0.05F + 0.9F * static_cast<float>(generator() >> 8U) / 16777216.0F;
+  (void)image_loss(rendered, target.data(), {}, gradient);
+  for (std::size_t i = 0; i < rendered.data.size(); i += 97) {
+    const float kept = rendered.data[i], h = 1e-3F;
+    rendered.data[i] = kept + h;
+    const float above = image_loss(rendered, target.data(), {}, scratch);
+    rendered.data[i] = kept - h;
+    const float below = image_loss(rendered, target.data(), {}, scratch);
+    rendered.data[i] = kept;
+    EXPECT_NEAR((above - below) / (2 * h), gradient.data[i], 1e-4F);
+  }
+}
+
+TEST(Loss, OutsideTheRangeOnlyWhatLeadsBackInside) {
+  std::vector<std::uint8_t> target(4, 128);
+  Image rendered(1, 1, 3), gradient;
+  const LossOptions l1{0, true};
+  rendered.data = {-0.5F, 1.5F, 0.5F};
+  (void)image_loss(rendered, target.data(), l1, gradient);
+  EXPECT_LT(gradient.data[0], 0);  // up, towards the target
+  EXPECT_GT(gradient.data[1], 0);  // down
+  target = {0, 255, 128, 255};
+  (void)image_loss(rendered, target.data(), l1, gradient);
+  EXPECT_EQ(gradient.data[0], 0);
+  EXPECT_EQ(gradient.data[1], 0);
+}
+
+TEST(Loss, EmptyPicture) {
+  Image rendered(0, 0, 3), gradient;
+  EXPECT_EQ(image_loss(rendered, nullptr, {}, gradient), 0);
+  EXPECT_TRUE(gradient.data.empty());
+}
+
+}  // namespace
+}  // namespace splatbus::raster
