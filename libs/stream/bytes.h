@@ -10,8 +10,11 @@ namespace splatbus::stream {
 
 using Bytes = std::vector<std::uint8_t>;
 
+/// Of a tick's packets: 4 to 6 % fewer bytes than level 3, for a millisecond.
+inline constexpr int kZstdLevel = 9;
+
 /// One Zstandard frame that says its content's size.
-[[nodiscard]] Bytes zstd_compress(std::span<const std::uint8_t> raw);
+[[nodiscard]] Bytes zstd_compress(std::span<const std::uint8_t> raw, int level = kZstdLevel);
 
 /// `raw_bytes` is what the packet says; the caller has bounded it. Throws StreamError, naming `what`, unless the payload is
 /// one frame of exactly that content size.

@@ -53,6 +53,9 @@ class StreamModel {
   /// and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready().
   [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
 
+  /// Only the scene's: for when the model could not be observed.
+  [[nodiscard]] std::vector<EncodedPacket> tick_scene_only();
+
   [[nodiscard]] EncodedSnapshot snapshot();
   /// Chunks of a snapshot of what is held now, most visible from `camera` first. Without a camera: as they come.
   [[nodiscard]] std::vector<std::size_t> chunk_order(const std::optional<Camera>& camera) const;

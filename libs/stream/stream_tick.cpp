@@ -50,6 +50,12 @@ std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<cons
   return out;
 }
 
+std::vector<EncodedPacket> StreamModel::tick_scene_only() {
+  std::vector<EncodedPacket> out;
+  tick_scene(out);
+  return out;
+}
+
 void StreamModel::tick_scene(std::vector<EncodedPacket>& out) {
   if (light_changed_) {
     emit(out, wire::Body::LightState, [&](auto& builder) {

@@ -1,0 +1,110 @@
+#include "streamer/endpoint.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <sys/file.h>
+
+#include <cerrno>
+#include <cstring>
+#include <span>
+#include <utility>
+
+#include "bus/error.h"
+#include "stream/error.h"
+#include "stream/layout.h"
+
+namespace splatbus::streamer {
+
+namespace {
+
+constexpr std::string_view kIpc = "ipc://";
+constexpr int kHeartbeatMs = 1000;
+constexpr int kHeartbeatTimeoutMs = 5000;
+
+std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
+  return {static_cast<const std::uint8_t*>(message.data()), message.size()};
+}
+
+// Freed by the kernel when its holder dies, so that a killed streamer is no hindrance.
+bus::FileDescriptor lock_beside(const std::string& path) {
+  const std::string name = path + ".lock";
+  bus::FileDescriptor file(::open(name.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0600));
+  if (!file.valid()) throw bus::Error(fmt::format("{}: {}", name, std::strerror(errno)));
+  if (::flock(file.get(), LOCK_EX | LOCK_NB) != 0) {
+    throw bus::Error(fmt::format("ipc://{}: another streamer is bound there", path));
+  }
+  return file;
+}
+
+}  // namespace
+
+WirePacket::WirePacket(const stream::EncodedPacket& packet)
+    : body_(packet.body),
+      sequence_(packet.sequence),
+      packet_(packet.packet.data(), packet.packet.size()),
+      payload_(packet.payload.data(), packet.payload.size()) {}
+
+Endpoint::Endpoint(const std::vector<std::string>& endpoints) : socket_(context_, zmq::socket_type::router) {
+  socket_.set(zmq::sockopt::router_mandatory, true);
+  socket_.set(zmq::sockopt::sndhwm, kQueuedPackets);
+  socket_.set(zmq::sockopt::rcvhwm, 256);
+  socket_.set(zmq::sockopt::linger, 0);
+  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPacketBytes));
+  socket_.set(zmq::sockopt::heartbeat_ivl, kHeartbeatMs);
+  socket_.set(zmq::sockopt::heartbeat_timeout, kHeartbeatTimeoutMs);
+  for (const std::string& endpoint : endpoints) {
+    try {
+      if (endpoint.starts_with(kIpc)) locks_.push_back(lock_beside(endpoint.substr(kIpc.size())));
+      socket_.bind(endpoint);
+    } catch (const zmq::error_t& error) {
+      throw bus::Error(fmt::format("{}: {}", endpoint, error.what()));
+    }
+    bound_.push_back(socket_.get(zmq::sockopt::last_endpoint));
+  }
+}
+
+Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
+  try {
+    const zmq::const_buffer id = zmq::buffer(peer);
+    const auto flags = zmq::send_flags::dontwait | zmq::send_flags::sndmore;
+    if (!socket_.send(id, flags)) return Sent::Full;
+    // Once the routing id is accepted, the rest of the message is.
+    zmq::message_t first, second;
+    first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    const bool has_payload = packet.payload_.size() > 0;
+    socket_.send(first, has_payload ? flags : zmq::send_flags::dontwait);
+    if (has_payload) {
+      second.copy(const_cast<zmq::message_t&>(packet.payload_));
+      socket_.send(second, zmq::send_flags::dontwait);
+    }
+    return Sent::Yes;
+  } catch (const zmq::error_t& error) {
+    if (error.num() == EHOSTUNREACH) return Sent::Gone;
+    throw;
+  }
+}
+
+std::optional<Endpoint::Received> Endpoint::receive() {
+  zmq::message_t frame;
+  while (socket_.recv(frame, zmq::recv_flags::dontwait)) {
+    const Peer peer = frame.to_string();
+    std::vector<zmq::message_t> parts;
+    while (frame.more()) {
+      (void)socket_.recv(frame);
+      if (parts.size() < 3) parts.push_back(std::move(frame));
+      if (!socket_.get(zmq::sockopt::rcvmore)) break;
+    }
+    try {
+      if (parts.empty() || parts.size() > 2) throw stream::StreamError("a message of one or two frames was expected");
+      return Received{peer, stream::ParsedPacket::parse(bytes_of(parts[0]), parts.size() > 1 ? bytes_of(parts[1])
+                                                                                             : std::span<const std::uint8_t>())};
+    } catch (const stream::StreamError& error) {
+      ++malformed_;
+      if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());
+    }
+  }
+  return std::nullopt;
+}
+
+}  // namespace splatbus::streamer

@@ -1,0 +1,235 @@
+#include "streamer/streamer.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+#include <zmq.hpp>
+
+#include "bus/clock.h"
+#include "stream/error.h"
+#include "streamer/parameters.h"
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+#include "wire/model_generated.h"
+#include "wire/scene_generated.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::streamer {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::int64_t kSecondNs = 1'000'000'000;
+constexpr std::int64_t kIdleNs = 50'000'000;
+constexpr std::int64_t kFullNs = 5'000'000;  // between tries while a viewer's queue is full
+constexpr int kPictureZstdLevel = 1;         // probe pictures are for measurements on the same machine
+
+HubOptions hub_options(const bus::Parameters& parameters) {
+  return {.max_viewers = static_cast<std::size_t>(parameters.integer("max_viewers")),
+          .history_bytes = static_cast<std::size_t>(parameters.integer("history_mb")) << 20,
+          .viewer_timeout_s = parameters.number("viewer_timeout_s"),
+          .tick_hz = static_cast<float>(parameters.number("tick_hz"))};
+}
+
+stream::StreamOptions stream_options(const bus::Parameters& parameters) {
+  return {.chunk_gaussians = static_cast<std::size_t>(parameters.integer("chunk_gaussians")),
+          .schedules = schedules(parameters),
+          .calm_ticks = static_cast<std::uint32_t>(parameters.integer("calm_ticks"))};
+}
+
+}  // namespace
+
+Streamer::Streamer(bus::ServiceContext& service)
+    : service_(service),
+      subscriber_(service.bus, {"model/published", "scene/objects", "scene/light", "capture/probe"}),
+      pose_(service.bus, "viewer/pose"),
+      probe_(service.bus, "viewer/probe"),
+      quality_(service.bus, "viewer/quality"),
+      stats_(service.bus, "stream/stats"),
+      endpoint_(streamer::endpoints(service.parameters, service.bus->address())),
+      writer_(service.bus->source(), service.bus->epoch()),
+      model_(writer_, service.bus->epoch(), stream_options(service.parameters)),
+      hub_(endpoint_, model_, writer_, hub_options(service.parameters), events()) {
+  for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
+}
+
+HubEvents Streamer::events() {
+  return {.pose =
+              [this](const std::string& viewer, const wire::Pose& body) {
+                pose_.publish({.schema = "ViewerPose/1"}, [&](auto& builder, auto header) {
+                  return wire::CreateViewerPoseDirect(builder, header, viewer.c_str(), body.camera());
+                });
+              },
+          .probe =
+              [this](const std::string&, const wire::Probe& body) {
+                probe_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
+                  return wire::CreateViewerProbe(builder, header, body.probe_id(), body.camera());
+                });
+              },
+          .quality =
+              [this](const std::string& viewer, const wire::Quality& body) {
+                quality_.publish({.schema = "ViewerQuality/1"}, [&](auto& builder, auto header) {
+                  return wire::CreateViewerQualityDirect(builder, header, viewer.c_str(), body.probe_id(),
+                                                         body.psnr_db(), body.ssim(), body.flip(), body.gaussians(),
+                                                         body.first_picture_ns());
+                });
+              }};
+}
+
+void Streamer::run() {
+  const auto period_ns = static_cast<std::int64_t>(1e9 / service_.parameters.number("tick_hz"));
+  std::int64_t next_tick_ns = bus::now_ns(), next_stats_ns = next_tick_ns + kSecondNs;
+  bool full = false;
+  while (!service_.stop.stop_requested()) {
+    const std::int64_t wait_ns =
+        std::clamp<std::int64_t>(std::min(next_tick_ns, next_stats_ns) - bus::now_ns(), 0, full ? kFullNs : kIdleNs);
+    zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0}, {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0}};
+    zmq::poll(items, 2, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
+    while (auto message = subscriber_.receive(0ms)) {
+      bus::guarded(*message, [&] { take(*message); });
+    }
+    const std::int64_t now_ns = bus::now_ns();
+    hub_.receive(now_ns);
+    hub_.expire(now_ns);
+    if (now_ns >= next_tick_ns) {
+      tick(now_ns);
+      next_tick_ns = std::max(next_tick_ns + period_ns, now_ns);
+    }
+    full = hub_.pump(bus::now_ns());
+    if (now_ns >= next_stats_ns) {
+      hub_.send_alive();
+      publish_statistics(now_ns);
+      next_stats_ns = std::max(next_stats_ns + kSecondNs, now_ns);
+    }
+  }
+}
+
+void Streamer::take(const bus::Message& message) {
+  const std::string& topic = message.topic();
+  if (topic == "model/published") {
+    static_cast<void>(message.root<wire::ModelPublished>("ModelPublished/1"));
+    announcement_ = message;
+  } else if (topic == "scene/objects") {
+    const auto& body = message.root<wire::SceneObjects>("SceneObjects/1");
+    scene_.objects = from_wire(body.objects());
+    scene_frame_ = body.frame();
+    model_.set_scene(scene_, scene_frame_);
+  } else if (topic == "scene/light") {
+    scene_.light = from_wire(*message.root<wire::SceneLight>("SceneLight/1").light());
+    model_.set_scene(scene_, scene_frame_);
+  } else if (topic == "capture/probe") {
+    forward_probe(message);
+  }
+}
+
+void Streamer::forward_probe(const bus::Message& message) {
+  const auto& body = message.root<wire::CaptureProbe>("CaptureProbe/1");
+  if (hub_.viewers() == 0) return;
+  const Camera camera = from_wire(*body.camera());
+  const Light light = from_wire(*body.light());
+  const ObjectTransforms objects = from_wire(body.objects());
+  const auto color = message.tensor("color", bus::ElementType::U8, {camera.height, camera.width, 4});
+  if (!color) return;
+  stream::Bytes rgba(color->bytes());
+  if (!color->copy(rgba.data())) return;
+  hub_.send_probe_picture(
+      body.probe_id(),
+      writer_.write(model_.held().epoch, 0, wire::Body::ProbePicture,
+                    [&](auto& builder) {
+                      const auto objects_offset = to_wire(builder, objects);
+                      const auto light_offset = to_wire(builder, light);
+                      return wire::CreateProbePicture(builder, body.probe_id(), body.camera(),
+                                                      static_cast<std::uint32_t>(rgba.size()), objects_offset, light_offset);
+                    },
+                    stream::zstd_compress(rgba, kPictureZstdLevel)));
+}
+
+bool Streamer::observe() {
+  if (announcement_) {
+    const bus::Message message = *announcement_;
+    announcement_.reset();
+    bus::guarded(message, [&] {
+      if (auto opened = PublishedModel::open(message)) published_ = std::move(*opened);
+    });
+  }
+  if (!published_ || !published_->still_valid()) return false;
+  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
+}
+
+void Streamer::tick(std::int64_t now_ns) {
+  if (!hub_.anybody_follows()) model_.release();
+  if (hub_.viewers() == 0) {
+    service_.detail(published_ ? "waits for viewers" : "waits for model/published");
+    return;
+  }
+  if (parameters_version_ != service_.parameters.version()) {
+    parameters_version_ = service_.parameters.version();
+    model_.set_schedules(schedules(service_.parameters));
+  }
+  const double per_tick = service_.parameters.number("budget_kbps") * 125 / service_.parameters.number("tick_hz");
+  balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
+  try {
+    const bool fresh = observe();
+    if (!model_.ready()) {
+      // An empty model is not worth a snapshot: the first Gaussians choose the quantisers.
+      if (!fresh || model_.observed_count() == 0) {
+        service_.detail("waits for Gaussians");
+        return;
+      }
+      model_.jump();
+      hub_.restart_all();
+    } else if (fresh) {
+      const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
+      for (const auto& packet : packets) balance_bytes_ -= static_cast<double>(packet.bytes());
+      hub_.broadcast(packets);
+    } else {
+      hub_.broadcast(model_.tick_scene_only());
+    }
+    service_.detail(fmt::format("streams to {} viewers", hub_.viewers()));
+  } catch (const stream::StreamError& error) {
+    spdlog::error("{}", error.what());
+  }
+  tick_ms_ = static_cast<double>(bus::now_ns() - now_ns) / 1e6;
+}
+
+void Streamer::publish_statistics(std::int64_t now_ns) {
+  const auto window = hub_.statistics().close_window(now_ns);
+  const stream::HeldState& held = model_.held();
+  stats_.publish({.schema = "StreamStats/1"}, [&](auto& builder, auto header) {
+    std::vector<flatbuffers::Offset<wire::PacketBytes>> types;
+    for (std::size_t i = 0; i < window.types.size(); ++i) {
+      const auto& type = window.types[i];
+      if (type.packets == 0) continue;
+      types.push_back(wire::CreatePacketBytesDirect(builder, wire::EnumNameBody(static_cast<wire::Body>(i)),
+                                                    type.total_bytes, type.window_bytes, type.packets));
+    }
+    return wire::CreateStreamStatsDirect(builder, header, held.epoch, held.sequence,
+                                         static_cast<std::uint32_t>(hub_.viewers()), held.gaussians.count(),
+                                         model_.observed_count(), window.total_bytes, window.bytes, window.seconds,
+                                         window.mbps, window.mbps_mean, window.mbps_peak, hub_.snapshots(),
+                                         hub_.resends(), hub_.lost_viewers(), &types);
+  });
+  service_.counter("viewers", static_cast<double>(hub_.viewers()));
+  service_.counter("gaussians", static_cast<double>(held.gaussians.count()));
+  service_.counter("unsent_gaussians", static_cast<double>(model_.unsent()));
+  service_.counter("pending_deltas", static_cast<double>(model_.pending_deltas()));
+  service_.counter("tick_ms", tick_ms_);
+  service_.counter("wire_mbps", window.mbps);
+  service_.counter("wire_mbps_mean", window.mbps_mean);
+  service_.counter("wire_mbps_peak", window.mbps_peak);
+  service_.counter("wire_bytes", static_cast<double>(window.total_bytes));
+  service_.counter("snapshots", static_cast<double>(hub_.snapshots()));
+  service_.counter("resends", static_cast<double>(hub_.resends()));
+  service_.counter("lost_viewers", static_cast<double>(hub_.lost_viewers()));
+  service_.counter("malformed", static_cast<double>(endpoint_.malformed()));
+  for (std::size_t i = 0; i < window.types.size(); ++i) {
+    if (window.types[i].packets == 0) continue;
+    service_.counter(fmt::format("wire_bytes_{}", wire::EnumNameBody(static_cast<wire::Body>(i))),
+                     static_cast<double>(window.types[i].total_bytes));
+  }
+}
+
+}  // namespace splatbus::streamer

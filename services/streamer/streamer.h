@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+
+#include "bus/publisher.h"
+#include "bus/service.h"
+#include "bus/subscriber.h"
+#include "stream/stream_model.h"
+#include "streamer/endpoint.h"
+#include "streamer/viewer_hub.h"
+#include "wire/published_model.h"
+
+namespace splatbus::streamer {
+
+/// The streamer service: follows the published model and the scene, and keeps viewers' replicas near them.
+class Streamer {
+ public:
+  /// Binds the endpoints. Throws bus::Error.
+  explicit Streamer(bus::ServiceContext& service);
+
+  /// Until `service.stop`.
+  void run();
+
+  [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoint_.bound(); }
+
+ private:
+  void take(const bus::Message& message);
+  void forward_probe(const bus::Message& message);
+  void tick(std::int64_t now_ns);
+  [[nodiscard]] bool observe();
+  void publish_statistics(std::int64_t now_ns);
+  [[nodiscard]] HubEvents events();
+
+  bus::ServiceContext& service_;
+  bus::Subscriber subscriber_;
+  bus::Publisher pose_, probe_, quality_, stats_;
+  Endpoint endpoint_;
+  stream::PacketWriter writer_;
+  stream::StreamModel model_;
+  ViewerHub hub_;
+
+  std::optional<bus::Message> announcement_;  ///< model/published that is not open yet
+  std::optional<PublishedModel> published_;
+  SceneState scene_;
+  std::uint64_t scene_frame_ = 0;
+  double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it
+  std::uint64_t parameters_version_ = 0;
+  double tick_ms_ = 0;
+};
+
+}  // namespace splatbus::streamer

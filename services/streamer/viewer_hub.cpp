@@ -1,0 +1,291 @@
+#include "streamer/viewer_hub.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "bus/frames.h"
+#include "wire/convert.h"
+
+namespace splatbus::streamer {
+
+namespace {
+
+constexpr int kMessagesACall = 512;
+constexpr std::size_t kMaxResends = 64;
+constexpr std::size_t kMaxProbes = 1024;
+constexpr std::uint64_t kMaxSnapshotAge = 256;  // broadcast packets; a newer one costs less than catching up on more
+
+std::vector<SharedPacket> shared(const std::vector<stream::EncodedPacket>& packets) {
+  std::vector<SharedPacket> out;
+  out.reserve(packets.size());
+  for (const auto& packet : packets) out.push_back(std::make_shared<WirePacket>(packet));
+  return out;
+}
+
+}  // namespace
+
+ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::PacketWriter writer, HubOptions options,
+                     HubEvents events)
+    : endpoint_(endpoint),
+      model_(model),
+      writer_(std::move(writer)),
+      options_(options),
+      events_(std::move(events)),
+      history_(options.history_bytes) {}
+
+void ViewerHub::receive(std::int64_t now_ns) {
+  for (int i = 0; i < kMessagesACall; ++i) {
+    const auto received = endpoint_.receive();
+    if (!received) return;
+    try {
+      handle(*received, now_ns);
+    } catch (const std::runtime_error& error) {
+      spdlog::warn("a viewer's {}: {}", wire::EnumNameBody(received->packet.body()), error.what());
+    }
+  }
+}
+
+stream::EncodedPacket ViewerHub::welcome() const {
+  const ParameterLayout& layout = model_.held().layout.parameters();
+  const bool transfer = layout.appearance == Appearance::Transfer;
+  return writer_.write(model_.held().epoch, 0, wire::Body::Welcome, [&](auto& builder) {
+    return wire::CreateWelcome(builder, transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
+                               static_cast<std::uint8_t>(transfer ? 0 : layout.sh_degree), model_.held().epoch,
+                               options_.tick_hz);
+  });
+}
+
+void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) {
+  const auto& [peer, packet] = received;
+  const wire::Packet& root = packet.root();
+  if (packet.body() == wire::Body::Hello) return hello(peer, packet, now_ns);
+  const auto found = viewers_.find(peer);
+  if (found == viewers_.end()) {
+    if (packet.body() != wire::Body::Bye) send(peer, WirePacket(welcome()));
+    return;
+  }
+  Viewer& viewer = found->second;
+  viewer.heard_ns = now_ns;
+  const bool same_epoch = packet.stream_epoch() == model_.held().epoch;
+  switch (packet.body()) {
+    case wire::Body::Pose:
+      viewer.camera = from_wire(*root.body_as_Pose()->camera());
+      events_.pose(viewer.name, *root.body_as_Pose());
+      break;
+    case wire::Body::Probe: {
+      const wire::Probe& probe = *root.body_as_Probe();
+      static_cast<void>(from_wire(*probe.camera()));  // refuses what makes no sense
+      if (probe_askers_.size() >= kMaxProbes) probe_askers_.erase(probe_askers_.begin());
+      probe_askers_[probe.probe_id()] = peer;
+      events_.probe(viewer.name, probe);
+      break;
+    }
+    case wire::Body::Quality: events_.quality(viewer.name, *root.body_as_Quality()); break;
+    case wire::Body::Resend:
+      if (same_epoch) resend(viewer, root.body_as_Resend()->first(), root.body_as_Resend()->last());
+      break;
+    case wire::Body::NeedSnapshot: need_snapshot(viewer); break;
+    case wire::Body::Bye:
+      spdlog::info("viewer {} left", viewer.name);
+      viewers_.erase(found);
+      break;
+    default: spdlog::debug("viewer {} sent a {}", viewer.name, wire::EnumNameBody(packet.body()));
+  }
+}
+
+void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns) {
+  const wire::Hello& body = *packet.root().body_as_Hello();
+  if (const auto known = viewers_.find(peer); known != viewers_.end()) {
+    known->second.heard_ns = now_ns;
+    send(peer, WirePacket(welcome()));  // it repeated itself before the Welcome was there
+    return;
+  }
+  if (viewers_.size() >= options_.max_viewers) {
+    send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Bye, [&](auto& builder) {
+      return wire::CreateByeDirect(builder, fmt::format("{} viewers are all that are served", viewers_.size()).c_str());
+    })));
+    return;
+  }
+  Viewer viewer;
+  viewer.name = bus::printable(body.viewer()->string_view());
+  viewer.wants_probes = body.probes();
+  viewer.heard_ns = viewer.sent_ns = now_ns;
+  if (body.camera()) viewer.camera = from_wire(*body.camera());
+  const bool resumes = model_.ready() && packet.stream_epoch() == model_.held().epoch && body.holds() > 0 &&
+                       (body.holds() == model_.held().sequence || history_.find(body.holds() + 1));
+  if (resumes) {
+    viewer.waits_for_snapshot = false;
+    viewer.next = body.holds() + 1;
+  }
+  spdlog::info("viewer {} {}", viewer.name, resumes ? "is back" : "joined");
+  statistics_.begin(now_ns);
+  viewers_[peer] = std::move(viewer);
+  send(peer, WirePacket(welcome()));
+}
+
+void ViewerHub::need_snapshot(Viewer& viewer) {
+  viewer.waits_for_snapshot = true;
+  viewer.snapshot.reset();
+  viewer.queue.clear();
+  viewer.queue_at = 0;
+  viewer.resend.clear();
+}
+
+void ViewerHub::resend(Viewer& viewer, std::uint64_t first, std::uint64_t last) {
+  if (viewer.waits_for_snapshot || viewer.snapshot) return;
+  last = std::min(last, model_.held().sequence);
+  if (first == 0 || first > last) return;
+  if (first >= viewer.next) return;  // on its way
+  last = std::min(last, viewer.next - 1);
+  ++resends_;
+  if (!history_.find(first) || !history_.find(last)) return need_snapshot(viewer);
+  if (viewer.resend.size() < kMaxResends) viewer.resend.push_back({first, last});
+}
+
+std::shared_ptr<const ViewerHub::Snapshot> ViewerHub::current_snapshot() {
+  const std::uint64_t now = model_.held().sequence;
+  const bool usable = snapshot_ && now - snapshot_->as_of <= kMaxSnapshotAge &&
+                      (snapshot_->as_of == now || history_.find(snapshot_->as_of + 1));
+  if (!usable) {
+    const stream::EncodedSnapshot encoded = model_.snapshot();
+    snapshot_ = std::make_shared<Snapshot>(
+        Snapshot{encoded.as_of, shared(encoded.head), shared(encoded.chunks), shared(encoded.tail)});
+  }
+  return snapshot_;
+}
+
+void ViewerHub::begin_snapshot(Viewer& viewer) {
+  ++snapshots_;
+  viewer.snapshot = current_snapshot();
+  viewer.queue = viewer.snapshot->head;
+  if (viewer.snapshot->as_of == model_.held().sequence) {
+    for (const std::size_t chunk : model_.chunk_order(viewer.camera)) viewer.queue.push_back(viewer.snapshot->chunks[chunk]);
+  } else {
+    viewer.queue.insert(viewer.queue.end(), viewer.snapshot->chunks.begin(), viewer.snapshot->chunks.end());
+  }
+  viewer.queue.insert(viewer.queue.end(), viewer.snapshot->tail.begin(), viewer.snapshot->tail.end());
+  viewer.queue_at = 0;
+  viewer.next = viewer.snapshot->as_of + 1;
+  viewer.waits_for_snapshot = false;
+}
+
+void ViewerHub::broadcast(const std::vector<stream::EncodedPacket>& packets) {
+  for (const auto& packet : packets) history_.add(std::make_shared<WirePacket>(packet));
+}
+
+void ViewerHub::restart_all() {
+  history_.clear();
+  snapshot_.reset();
+  for (auto& [peer, viewer] : viewers_) need_snapshot(viewer);
+}
+
+SharedPacket ViewerHub::next_packet(Viewer& viewer) {
+  if (!model_.ready()) return {};
+  while (!viewer.resend.empty()) {
+    if (SharedPacket packet = history_.find(viewer.resend.front().first)) return packet;
+    need_snapshot(viewer);
+  }
+  if (viewer.waits_for_snapshot) begin_snapshot(viewer);
+  if (viewer.snapshot) return viewer.queue[viewer.queue_at];
+  if (viewer.next > model_.held().sequence) return {};
+  if (SharedPacket packet = history_.find(viewer.next)) return packet;
+  // It lagged so far behind that the history has moved on.
+  ++lost_viewers_;
+  spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
+  begin_snapshot(viewer);
+  return viewer.queue[viewer.queue_at];
+}
+
+void ViewerHub::advance(Viewer& viewer) {
+  if (!viewer.resend.empty()) {
+    if (++viewer.resend.front().first > viewer.resend.front().last) viewer.resend.pop_front();
+  } else if (viewer.snapshot) {
+    if (++viewer.queue_at == viewer.queue.size()) {
+      viewer.snapshot.reset();
+      viewer.queue.clear();
+    }
+  } else {
+    ++viewer.next;
+  }
+}
+
+bool ViewerHub::pump(std::int64_t now_ns) {
+  bool full = false;
+  for (auto at = viewers_.begin(); at != viewers_.end();) {
+    Viewer& viewer = at->second;
+    auto sent = Endpoint::Sent::Yes;
+    bool idle = false;
+    while (sent == Endpoint::Sent::Yes) {
+      const SharedPacket packet = next_packet(viewer);
+      idle = !packet;
+      if (idle) break;
+      sent = send(at->first, *packet);
+      if (sent == Endpoint::Sent::Yes) advance(viewer);
+    }
+    if (sent != Endpoint::Sent::Full) viewer.sent_ns = now_ns;
+    full = full || sent == Endpoint::Sent::Full;
+    if (sent == Endpoint::Sent::Gone) {
+      spdlog::info("viewer {} is gone", viewer.name);
+      at = viewers_.erase(at);
+    } else {
+      ++at;
+    }
+  }
+  return full;
+}
+
+Endpoint::Sent ViewerHub::send(const Endpoint::Peer& peer, const WirePacket& packet) {
+  const auto sent = endpoint_.send(peer, packet);
+  if (sent == Endpoint::Sent::Yes) statistics_.add(packet.body(), packet.bytes());
+  return sent;
+}
+
+void ViewerHub::send_alive() {
+  for (const auto& [peer, viewer] : viewers_) {
+    // Only what has been sent can have been lost.
+    const bool follows = !viewer.waits_for_snapshot && !viewer.snapshot;
+    send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Alive, [&](auto& builder) {
+      return wire::CreateAlive(builder, follows ? viewer.next - 1 : 0, model_.held().gaussians.count(),
+                               static_cast<std::uint32_t>(viewers_.size()));
+    })));
+  }
+}
+
+void ViewerHub::expire(std::int64_t now_ns) {
+  const auto limit_ns = static_cast<std::int64_t>(options_.viewer_timeout_s * 1e9);
+  std::erase_if(viewers_, [&](const auto& entry) {
+    const Viewer& viewer = entry.second;
+    const bool silent = now_ns - viewer.heard_ns > limit_ns, stuck = now_ns - viewer.sent_ns > limit_ns;
+    if (silent || stuck) {
+      ++lost_viewers_;
+      spdlog::warn("viewer {} {} nothing for {} s and is forgotten", viewer.name, silent ? "sent" : "read",
+                   options_.viewer_timeout_s);
+    }
+    return silent || stuck;
+  });
+}
+
+void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture) {
+  const WirePacket packet(picture);
+  const auto asker = probe_askers_.extract(probe_id);
+  for (const auto& [peer, viewer] : viewers_) {
+    if (viewer.wants_probes || (asker && asker.mapped() == peer)) send(peer, packet);
+  }
+}
+
+bool ViewerHub::anybody_follows() const {
+  return std::ranges::any_of(viewers_, [](const auto& entry) { return !entry.second.waits_for_snapshot; });
+}
+
+std::vector<Camera> ViewerHub::cameras() const {
+  std::vector<Camera> cameras;
+  for (const auto& [peer, viewer] : viewers_) {
+    if (viewer.camera) cameras.push_back(*viewer.camera);
+  }
+  return cameras;
+}
+
+}  // namespace splatbus::streamer

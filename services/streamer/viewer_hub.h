@@ -1,0 +1,111 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "gaussians/camera.h"
+#include "stream/replica.h"
+#include "stream/stream_model.h"
+#include "streamer/endpoint.h"
+#include "streamer/packet_history.h"
+#include "streamer/wire_statistics.h"
+
+namespace splatbus::streamer {
+
+struct HubOptions {
+  std::size_t max_viewers = 64;
+  std::size_t history_bytes = std::size_t{16} << 20;
+  double viewer_timeout_s = 5;  ///< a viewer that sends nothing, or reads nothing, for so long is forgotten
+  float tick_hz = 5;
+};
+
+/// What viewers ask of the rest of the system.
+struct HubEvents {
+  std::function<void(const std::string& viewer, const wire::Pose&)> pose;
+  std::function<void(const std::string& viewer, const wire::Probe&)> probe;
+  std::function<void(const std::string& viewer, const wire::Quality&)> quality;
+};
+
+/// Every viewer's place in the stream. Each is sent, in this order and as fast as it reads: what it asked to be resent, the chunks of
+/// its snapshot, the broadcast packets that follow it. Nothing is queued for a viewer but numbers and shared packets: memory does not
+/// grow with a viewer that does not read. One thread.
+class ViewerHub {
+ public:
+  ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::PacketWriter writer, HubOptions options,
+            HubEvents events);
+
+  /// Takes what viewers sent. Bounded work a call.
+  void receive(std::int64_t now_ns);
+  /// After a tick of the model.
+  void broadcast(const std::vector<stream::EncodedPacket>& packets);
+  /// After the model jumped: everybody starts over with a snapshot.
+  void restart_all();
+  /// Sends as much as sockets take. True when somebody's is full.
+  bool pump(std::int64_t now_ns);
+  /// Once a second: Alive to all.
+  void send_alive();
+  /// Forgets viewers that fell silent.
+  void expire(std::int64_t now_ns);
+  /// To every viewer that wants probe pictures, and to the one that asked for this probe.
+  void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
+
+  [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
+  /// False while nobody holds or awaits anything of the current epoch: then the model may jump.
+  [[nodiscard]] bool anybody_follows() const;
+  [[nodiscard]] std::vector<Camera> cameras() const;
+
+  [[nodiscard]] WireStatistics& statistics() { return statistics_; }
+  [[nodiscard]] std::uint64_t snapshots() const { return snapshots_; }
+  [[nodiscard]] std::uint64_t resends() const { return resends_; }
+  [[nodiscard]] std::uint64_t lost_viewers() const { return lost_viewers_; }
+
+ private:
+  struct Snapshot {
+    std::uint64_t as_of = 0;
+    std::vector<SharedPacket> head, chunks, tail;
+  };
+  struct Viewer {
+    std::string name;
+    std::optional<Camera> camera;
+    bool wants_probes = false;
+    std::int64_t heard_ns = 0, sent_ns = 0;
+    bool waits_for_snapshot = true;
+    std::shared_ptr<const Snapshot> snapshot;  ///< being sent
+    std::vector<SharedPacket> queue;           ///< of the snapshot, in this viewer's order
+    std::size_t queue_at = 0;
+    std::uint64_t next = 0;  ///< broadcast packet
+    std::deque<stream::MissingPackets> resend;
+  };
+
+  void handle(const Endpoint::Received& received, std::int64_t now_ns);
+  void hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns);
+  void need_snapshot(Viewer& viewer);
+  void resend(Viewer& viewer, std::uint64_t first, std::uint64_t last);
+  void begin_snapshot(Viewer& viewer);
+  [[nodiscard]] std::shared_ptr<const Snapshot> current_snapshot();
+  /// Next packet to send to a viewer and what to do when it is sent; null when there is none.
+  [[nodiscard]] SharedPacket next_packet(Viewer& viewer);
+  void advance(Viewer& viewer);
+  Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet);
+  [[nodiscard]] stream::EncodedPacket welcome() const;
+
+  Endpoint& endpoint_;
+  stream::StreamModel& model_;
+  stream::PacketWriter writer_;
+  HubOptions options_;
+  HubEvents events_;
+  std::map<Endpoint::Peer, Viewer> viewers_;
+  PacketHistory history_;
+  std::shared_ptr<const Snapshot> snapshot_;
+  std::map<std::uint64_t, Endpoint::Peer> probe_askers_;
+  WireStatistics statistics_;
+  std::uint64_t snapshots_ = 0, resends_ = 0, lost_viewers_ = 0;
+};
+
+}  // namespace splatbus::streamer

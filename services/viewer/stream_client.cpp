@@ -1,0 +1,189 @@
+#include "viewer/stream_client.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <span>
+#include <utility>
+
+#include "bus/clock.h"
+#include "bus/error.h"
+#include "stream/error.h"
+#include "stream/layout.h"
+#include "wire/convert.h"
+
+namespace splatbus::viewer {
+
+namespace {
+
+constexpr int kQueuedMessages = 64;
+constexpr int kMessagesACall = 256;
+constexpr std::int64_t kAskAgainNs = 250'000'000;
+constexpr std::int64_t kSnapshotStalledNs = 3'000'000'000;
+constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;
+
+std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
+  return {static_cast<const std::uint8_t*>(message.data()), message.size()};
+}
+
+}  // namespace
+
+StreamClient::StreamClient(ClientOptions options)
+    : options_(std::move(options)),
+      socket_(context_, zmq::socket_type::dealer),
+      writer_(options_.name, static_cast<std::uint64_t>(bus::now_ns())) {
+  socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
+  socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
+  socket_.set(zmq::sockopt::linger, 100);
+  socket_.set(zmq::sockopt::immediate, true);  // poses do not pile up for a streamer that is away
+  socket_.set(zmq::sockopt::reconnect_ivl, 50);
+  socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
+  socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
+  socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
+  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));
+  try {
+    socket_.connect(options_.endpoint);
+  } catch (const zmq::error_t& error) {
+    throw bus::Error(fmt::format("{}: {}", options_.endpoint, error.what()));
+  }
+}
+
+StreamClient::~StreamClient() {
+  send(wire::Body::Bye, [](auto& builder) { return wire::CreateByeDirect(builder, "the viewer ends"); });
+}
+
+template <class Build>
+void StreamClient::send(wire::Body body, Build&& build) {
+  const stream::EncodedPacket packet = writer_.write(replica_.epoch(), 0, body, build);
+  // Dropped while nobody is connected: all of these are repeated or have become stale by then.
+  (void)socket_.send(zmq::buffer(packet.packet), zmq::send_flags::dontwait);
+}
+
+bool StreamClient::poll(std::chrono::milliseconds timeout) {
+  maintain(bus::now_ns());
+  zmq::pollitem_t items[]{{socket_.handle(), 0, ZMQ_POLLIN, 0}};
+  try {
+    zmq::poll(items, 1, timeout);
+  } catch (const zmq::error_t& error) {
+    if (error.num() != EINTR) throw;
+  }
+  const bool changed = receive_all();
+  maintain(bus::now_ns());
+  return changed;
+}
+
+bool StreamClient::receive_all() {
+  bool changed = false;
+  for (int i = 0; i < kMessagesACall; ++i) {
+    zmq::message_t packet, payload;
+    if (!socket_.recv(packet, zmq::recv_flags::dontwait)) break;
+    bool more = packet.more();
+    if (more) {
+      (void)socket_.recv(payload);
+      more = payload.more();
+    }
+    for (zmq::message_t rest; more; more = rest.more()) (void)socket_.recv(rest);
+    received_bytes_ += packet.size() + payload.size();
+    heard_ns_ = bus::now_ns();
+    try {
+      changed = take(stream::ParsedPacket::parse(bytes_of(packet), bytes_of(payload))) || changed;
+    } catch (const std::runtime_error& error) {
+      ++refused_;
+      if (log_limiter_.allow()) spdlog::warn("{}: {}", options_.endpoint, error.what());
+    }
+  }
+  return changed;
+}
+
+bool StreamClient::take(const stream::ParsedPacket& packet) {
+  if (lose_ && lose_(packet)) return false;
+  switch (packet.body()) {
+    case wire::Body::Welcome:
+      // Unasked it means: who are you?
+      if (welcomed_) hello(bus::now_ns());
+      welcomed_ = !welcomed_;
+      return false;
+    case wire::Body::ProbePicture: take_probe_picture(packet); return false;
+    case wire::Body::Bye: {
+      const auto* reason = packet.root().body_as_Bye()->reason();
+      if (log_limiter_.allow()) spdlog::warn("the streamer says: {}", reason ? reason->string_view() : "");
+      return false;
+    }
+    default: break;
+  }
+  if (packet.body() == wire::Body::Snapshot || packet.body() == wire::Body::SnapshotBegin) progress_ns_ = bus::now_ns();
+  return replica_.receive(packet);
+}
+
+void StreamClient::take_probe_picture(const stream::ParsedPacket& packet) {
+  const wire::ProbePicture& body = *packet.root().body_as_ProbePicture();
+  ProbeAnswer answer{.probe_id = body.probe_id(),
+                     .camera = from_wire(*body.camera()),
+                     .scene = {.light = from_wire(*body.light()), .objects = from_wire(body.objects())},
+                     .rgba = {}};
+  const std::size_t bytes = std::size_t{answer.camera.width} * answer.camera.height * 4;
+  if (bytes > kMaxPictureBytes || body.raw_bytes() != bytes) {
+    throw stream::StreamError(fmt::format("ProbePicture: {} bytes for {} x {} pixels", body.raw_bytes(),
+                                          answer.camera.width, answer.camera.height));
+  }
+  answer.rgba = stream::zstd_decompress(packet.payload(), bytes, "ProbePicture");
+  answers_.push_back(std::move(answer));
+}
+
+std::vector<ProbeAnswer> StreamClient::take_probe_answers() { return std::exchange(answers_, {}); }
+
+void StreamClient::hello(std::int64_t now_ns) {
+  hello_ns_ = now_ns;
+  const stream::HeldState* held = replica_.held();
+  const bool follows = held && !replica_.loading() && !replica_.needs_snapshot();
+  send(wire::Body::Hello, [&](auto& builder) {
+    const wire::Camera camera = camera_ ? to_wire(*camera_) : wire::Camera();
+    return wire::CreateHelloDirect(builder, options_.name.c_str(), camera_ ? &camera : nullptr, options_.probes,
+                                   follows ? held->sequence : 0);
+  });
+}
+
+void StreamClient::maintain(std::int64_t now_ns) {
+  if (welcomed_ && now_ns - heard_ns_ > options_.silence_ns) welcomed_ = false;
+  if (!welcomed_) {
+    if (now_ns - hello_ns_ > options_.hello_every_ns) hello(now_ns);
+    return;
+  }
+  if (now_ns - asked_ns_ < kAskAgainNs) return;
+  const bool stalled = replica_.loading() && now_ns - progress_ns_ > kSnapshotStalledNs;
+  if (replica_.needs_snapshot() || stalled) {
+    asked_ns_ = progress_ns_ = now_ns;
+    ++snapshot_requests_;
+    send(wire::Body::NeedSnapshot, [&](auto& builder) {
+      return wire::CreateNeedSnapshotDirect(builder, stalled ? "chunks are missing" : "a packet did not apply");
+    });
+  } else if (const auto missing = replica_.missing()) {
+    asked_ns_ = now_ns;
+    ++resends_;
+    send(wire::Body::Resend, [&](auto& builder) { return wire::CreateResend(builder, missing->first, missing->last); });
+  }
+}
+
+void StreamClient::send_pose(const Camera& camera) {
+  camera_ = camera;
+  send(wire::Body::Pose, [&](auto& builder) {
+    const wire::Camera wired = to_wire(camera);
+    return wire::CreatePose(builder, &wired);
+  });
+}
+
+void StreamClient::send_probe(std::uint64_t probe_id, const Camera& camera) {
+  send(wire::Body::Probe, [&](auto& builder) {
+    const wire::Camera wired = to_wire(camera);
+    return wire::CreateProbe(builder, probe_id, &wired);
+  });
+}
+
+void StreamClient::send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns) {
+  send(wire::Body::Quality, [&](auto& builder) {
+    return wire::CreateQuality(builder, probe_id, static_cast<float>(quality.psnr_db), static_cast<float>(quality.ssim),
+                               static_cast<float>(quality.flip), replica_.view().count, first_picture_ns);
+  });
+}
+
+}  // namespace splatbus::viewer

@@ -1,0 +1,91 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+#include <zmq.hpp>
+
+#include "bus/log_limiter.h"
+#include "gaussians/camera.h"
+#include "gaussians/light.h"
+#include "metrics/metrics.h"
+#include "stream/packets.h"
+#include "stream/replica.h"
+
+namespace splatbus::viewer {
+
+struct ClientOptions {
+  std::string endpoint;
+  std::string name;
+  bool probes = false;  ///< wants ProbePictures
+  std::int64_t hello_every_ns = 500'000'000;
+  std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
+};
+
+/// The engine's render for a probe.
+struct ProbeAnswer {
+  std::uint64_t probe_id = 0;
+  Camera camera;
+  SceneState scene;
+  std::vector<std::uint8_t> rgba;  ///< [height][width][4]
+};
+
+/// A viewer's end of the stream: keeps a replica, asks again for what is missing, greets a streamer that came back. What is held stays
+/// whatever happens to the streamer. Needs no bus. One thread.
+class StreamClient {
+ public:
+  /// Connects; the streamer may start later. Throws bus::Error naming the endpoint.
+  explicit StreamClient(ClientOptions options);
+
+  /// Waits up to `timeout` for packets, takes all that are there, and sends what is due. True when the picture may have changed.
+  bool poll(std::chrono::milliseconds timeout);
+
+  void send_pose(const Camera& camera);
+  void send_probe(std::uint64_t probe_id, const Camera& camera);
+  void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
+
+  /// Pictures that arrived since the last call.
+  [[nodiscard]] std::vector<ProbeAnswer> take_probe_answers();
+
+  [[nodiscard]] const stream::Replica& replica() const { return replica_; }
+  [[nodiscard]] bool connected() const { return welcomed_; }
+  [[nodiscard]] std::uint64_t received_bytes() const { return received_bytes_; }
+  [[nodiscard]] std::uint64_t refused() const { return refused_; }  ///< packets that were wrong
+  [[nodiscard]] std::uint64_t resends() const { return resends_; }
+  [[nodiscard]] std::uint64_t snapshot_requests() const { return snapshot_requests_; }
+
+  /// For tests: a packet for which it returns true is lost on the way.
+  void lose_packets(std::function<bool(const stream::ParsedPacket&)> lose) { lose_ = std::move(lose); }
+
+  ~StreamClient();
+  StreamClient(const StreamClient&) = delete;
+  StreamClient& operator=(const StreamClient&) = delete;
+
+ private:
+  bool receive_all();
+  bool take(const stream::ParsedPacket& packet);
+  void take_probe_picture(const stream::ParsedPacket& packet);
+  void maintain(std::int64_t now_ns);
+  void hello(std::int64_t now_ns);
+  template <class Build>
+  void send(wire::Body body, Build&& build);
+
+  ClientOptions options_;
+  zmq::context_t context_;
+  zmq::socket_t socket_;
+  stream::PacketWriter writer_;
+  stream::Replica replica_;
+  std::optional<Camera> camera_;
+  std::vector<ProbeAnswer> answers_;
+  std::function<bool(const stream::ParsedPacket&)> lose_;
+
+  bool welcomed_ = false;
+  std::int64_t heard_ns_ = 0, hello_ns_ = 0, asked_ns_ = 0, progress_ns_ = 0;
+  std::uint64_t received_bytes_ = 0, refused_ = 0, resends_ = 0, snapshot_requests_ = 0;
+  bus::LogLimiter log_limiter_;
+};
+
+}  // namespace splatbus::viewer

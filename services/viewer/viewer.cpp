@@ -1,0 +1,179 @@
+#include "viewer/viewer.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <random>
+#include <thread>
+#include <utility>
+
+#include "bus/clock.h"
+#include "bus/error.h"
+#include "metrics/image_io.h"
+#include "viewer/camera_path.h"
+
+namespace splatbus::viewer {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::int64_t kSecondNs = 1'000'000'000;
+constexpr std::size_t kMaxWaitingProbes = 256;
+
+bool same(const Camera& a, const Camera& b) {
+  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy &&
+         a.world_from_camera.rotation == b.world_from_camera.rotation &&
+         a.world_from_camera.translation == b.world_from_camera.translation;
+}
+
+ClientOptions client_options(const bus::Parameters& parameters, const ViewerHost& host) {
+  return {.endpoint = host.endpoint, .name = host.name, .probes = parameters.boolean("probe")};
+}
+
+// Viewers choose their ids without asking each other.
+std::uint64_t first_probe_id() { return std::uint64_t{std::random_device{}()} << 20 | 1; }
+
+}  // namespace
+
+std::vector<bus::ParameterSpec> parameter_specs() {
+  std::vector<bus::ParameterSpec> specs{
+      {.name = "endpoint",
+       .default_value = std::string(),
+       .description = "of the streamer; empty: 'streamer' in the folder of the bus",
+       .runtime = false},
+      {.name = "rate_hz", .default_value = 5.0, .description = "pictures and poses a second", .minimum = 0.1, .maximum = 240},
+      {.name = "threads", .default_value = std::int64_t{0}, .description = "that draw; 0: one a core", .minimum = 0, .maximum = 1024, .runtime = false},
+      {.name = "out", .default_value = std::string(), .description = "folder for pictures; empty: none are written"},
+      {.name = "frames",
+       .default_value = std::int64_t{0},
+       .description = "every n-th picture is written there as frame_<number>.png; 0: none",
+       .minimum = 0,
+       .maximum = 1e9},
+      {.name = "probe",
+       .default_value = false,
+       .description = "compare with the engine's own picture whenever one arrives: quality, and probe_<id>_viewer.png in 'out'",
+       .runtime = false},
+      {.name = "probe_period_s",
+       .default_value = 5.0,
+       .description = "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: only what others ask for",
+       .minimum = 0,
+       .maximum = 1e6},
+      {.name = "window", .default_value = false, .description = "show a window, steered with mouse and keys", .runtime = false},
+  };
+  std::ranges::move(path_parameter_specs(), std::back_inserter(specs));
+  return specs;
+}
+
+Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
+    : parameters_(parameters),
+      host_(std::move(host)),
+      client_(client_options(parameters, host_)),
+      rasterizer_(raster::make_cpu_rasterizer(static_cast<int>(parameters.integer("threads")))),
+      camera_(path_camera(parameters, 0)),
+      begin_ns_(bus::now_ns()),
+      next_probe_id_(first_probe_id()) {
+  if (parameters.boolean("window")) window_ = std::make_unique<Window>(camera_, "splatbus: " + host_.name);
+}
+
+void Viewer::run() {
+  std::int64_t next_ns = bus::now_ns();
+  bool changed = true;
+  while (!host_.stop.stop_requested() && !(window_ && window_->closed())) {
+    const std::int64_t wait_ms = std::clamp<std::int64_t>((next_ns - bus::now_ns()) / 1'000'000, 0, 50);
+    changed = client_.poll(std::chrono::milliseconds(wait_ms)) || changed;
+    if (window_) window_->poll_events();
+    const std::int64_t now_ns = bus::now_ns();
+    const bool first = first_picture_ns_ == 0 && client_.replica().view().count > 0;
+    if (now_ns >= next_ns || first) {
+      show(changed);
+      changed = false;
+      const auto period_ns = static_cast<std::int64_t>(1e9 / parameters_.number("rate_hz"));
+      next_ns = std::max(next_ns + period_ns, bus::now_ns() - period_ns);
+    }
+    ask_probe(now_ns);
+    answer_probes();
+    if (now_ns - last_report_ns_ > kSecondNs) {
+      last_report_ns_ = now_ns;
+      report();
+    }
+  }
+}
+
+cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
+  const std::int64_t begin_ns = bus::now_ns();
+  const GaussiansView view = client_.replica().view();
+  rasterizer_->render(view, camera, scene, {}, render_);
+  draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+  const bool linear = view.layout.appearance == Appearance::Transfer;
+  return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, linear);
+}
+
+void Viewer::show(bool changed) {
+  const double seconds = static_cast<double>(bus::now_ns() - begin_ns_) / 1e9;
+  const Camera before = camera_;
+  camera_ = window_ ? window_->camera() : path_camera(parameters_, seconds);
+  client_.send_pose(camera_);
+  const bool empty = client_.replica().view().count == 0;
+  if (empty || (!changed && frames_ > 0 && same(before, camera_))) return;
+  const cv::Mat picture = draw(camera_, client_.replica().scene());
+  if (first_picture_ns_ == 0) {
+    first_picture_ns_ = bus::now_ns();
+    spdlog::info("first picture, {} Gaussians", client_.replica().view().count);
+  }
+  ++frames_;
+  if (window_) window_->show(picture);
+  const std::string out = parameters_.text("out");
+  const auto every = static_cast<std::uint64_t>(parameters_.integer("frames"));
+  if (out.empty() || every == 0 || (frames_ - 1) % every != 0) return;
+  fs::create_directories(out);
+  metrics::write_png(fs::path(out) / fmt::format("frame_{:06}.png", frames_ - 1), picture);
+}
+
+void Viewer::ask_probe(std::int64_t now_ns) {
+  const double period_s = parameters_.number("probe_period_s");
+  if (!parameters_.boolean("probe") || period_s <= 0 || first_picture_ns_ == 0 || now_ns < next_probe_ns_) return;
+  next_probe_ns_ = now_ns + static_cast<std::int64_t>(period_s * 1e9);
+  client_.send_probe(next_probe_id_++, camera_);
+}
+
+void Viewer::answer_probes() {
+  std::ranges::move(client_.take_probe_answers(), std::back_inserter(waiting_probes_));
+  if (waiting_probes_.size() > kMaxWaitingProbes) waiting_probes_.resize(kMaxWaitingProbes);
+  if (waiting_probes_.empty() || client_.replica().view().count == 0) return;
+  // One a turn: packets are taken in between.
+  const ProbeAnswer probe = std::move(waiting_probes_.front());
+  waiting_probes_.erase(waiting_probes_.begin());
+  const cv::Mat picture = draw(probe.camera, probe.scene);
+  const cv::Mat reference = metrics::from_rgba(probe.rgba.data(), probe.camera.width, probe.camera.height);
+  last_quality_ = metrics::compare(picture, reference);
+  ++compared_;
+  if (const std::string out = parameters_.text("out"); !out.empty()) {
+    fs::create_directories(out);
+    metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe.probe_id), picture);
+  }
+  client_.send_quality(probe.probe_id, last_quality_, first_picture_ns_);
+}
+
+void Viewer::report() {
+  const stream::Replica& replica = client_.replica();
+  host_.counter("gaussians", static_cast<double>(replica.view().count));
+  host_.counter("frames", static_cast<double>(frames_));
+  host_.counter("draw_ms", draw_ms_);
+  host_.counter("received_bytes", static_cast<double>(client_.received_bytes()));
+  host_.counter("resends", static_cast<double>(client_.resends()));
+  host_.counter("refused", static_cast<double>(client_.refused()));
+  if (compared_ > 0) {
+    host_.counter("psnr_db", last_quality_.psnr_db);
+    host_.counter("ssim", last_quality_.ssim);
+    host_.counter("flip", last_quality_.flip);
+  }
+  host_.detail(!client_.connected()          ? fmt::format("waits for the streamer at {}", host_.endpoint)
+               : replica.view().count == 0 ? "waits for Gaussians"
+               : replica.loading()         ? fmt::format("waits for {} chunks", replica.missing_chunks())
+                                           : "shows the stream");
+}
+
+}  // namespace splatbus::viewer

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "bus/parameters.h"
+#include "raster/rasterizer.h"
+#include "viewer/stream_client.h"
+#include "viewer/window.h"
+
+namespace splatbus::viewer {
+
+[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+
+/// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
+struct ViewerHost {
+  std::string name;
+  std::string endpoint;  ///< of the streamer
+  std::stop_token stop;
+  std::function<void(const std::string& name, double value)> counter;
+  std::function<void(const std::string& text)> detail;
+};
+
+/// Shows what the streamer sends: PNG frames, a window, or only figures against the engine's own pictures.
+class Viewer {
+ public:
+  /// Throws bus::Error when the endpoint is malformed, or a window was asked for and there is no display.
+  Viewer(const bus::Parameters& parameters, ViewerHost host);
+
+  /// Until the host says stop or the window is closed.
+  void run();
+
+  [[nodiscard]] const StreamClient& client() const { return client_; }
+  /// CLOCK_MONOTONIC when the first picture with a Gaussian in it was ready; 0 before.
+  [[nodiscard]] std::int64_t first_picture_ns() const { return first_picture_ns_; }
+
+ private:
+  [[nodiscard]] cv::Mat draw(const Camera& camera, const SceneState& scene);
+  void show(bool changed);
+  void answer_probes();
+  void ask_probe(std::int64_t now_ns);
+  void report();
+
+  const bus::Parameters& parameters_;
+  ViewerHost host_;
+  StreamClient client_;
+  std::unique_ptr<raster::Rasterizer> rasterizer_;
+  std::unique_ptr<Window> window_;
+  raster::Render render_;
+  Camera camera_;
+  std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
+  std::uint64_t frames_ = 0, next_probe_id_, shown_parameters_ = 0, compared_ = 0;
+  std::vector<ProbeAnswer> waiting_probes_;
+  metrics::Quality last_quality_;
+  double draw_ms_ = 0;
+};
+
+}  // namespace splatbus::viewer
