@@ -78,6 +78,10 @@ Publisher& Publisher::operator=(Publisher&&) noexcept = default;
 const std::string& Publisher::topic() const {
   return impl_->topic;
 }
+const std::shared_ptr<Context>& Publisher::context() const {
+  return impl_->context;
+}
+
 std::uint64_t Publisher::sequence() const {
   return impl_->sequence;
 }

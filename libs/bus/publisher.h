@@ -42,6 +42,7 @@ class Publisher {
   }
 
   [[nodiscard]] const std::string& topic() const;
+  [[nodiscard]] const std::shared_ptr<Context>& context() const;
   [[nodiscard]] std::uint64_t sequence() const;  ///< of the last message
 
  private:

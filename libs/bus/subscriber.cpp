@@ -4,6 +4,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <deque>
 #include <map>
 #include <set>
 #include <tuple>
@@ -18,6 +19,7 @@
 namespace splatbus::bus {
 namespace {
 
+constexpr const char* broker_topic = "sys/liveness";
 constexpr std::size_t max_tracked = 65536;  // streams that one subscriber remembers
 constexpr std::size_t max_drained = 10000;  // messages that one receive_newest() takes
 
@@ -40,6 +42,7 @@ struct Subscriber::Impl {
   std::vector<std::string> prefixes;
   std::map<std::pair<std::string, std::string>, Position> positions;              // source, topic
   std::map<std::tuple<std::string, std::string, std::string>, Position> latched;  // source, topic, latch key
+  std::deque<std::shared_ptr<Message::Content>> early;                            // came during wait_connected()
   std::uint64_t lost = 0;
   std::uint64_t malformed = 0;
   LogLimiter limiter;
@@ -90,18 +93,57 @@ struct Subscriber::Impl {
     position.live = position.live || live;
   }
 
-  // The next message that is there and concerns the caller.
-  std::shared_ptr<Message::Content> take(const wire::Header*& header) {
-    while (true) {
+  // Subscriptions are handled in order, and what the broker holds is sent when one arrives: its own word, asked for
+  // last, says that the others are in place.
+  bool wait_connected(std::int64_t deadline) {
+    socket.set(zmq::sockopt::subscribe, broker_topic);
+    bool connected = false;
+    while (!connected) {
       auto content = std::make_shared<Message::Content>();
       std::string why;
       const Receipt receipt = receive_frames(socket, content->frames, why);
-      if (receipt == Receipt::Nothing) return nullptr;
-      if (receipt == Receipt::Malformed) {
+      if (receipt == Receipt::Nothing) {
+        if (!wait_readable(deadline)) break;
+      } else if (receipt == Receipt::Malformed) {
         refuse(content->frames, why);
-        continue;
+      } else {
+        connected = content->frames.topic_text() == broker_topic;
+        early.push_back(std::move(content));
       }
+    }
+    socket.set(zmq::sockopt::unsubscribe, broker_topic);
+    return connected;
+  }
+
+  // False at the deadline, and when a signal arrives.
+  bool wait_readable(std::int64_t deadline) {
+    const std::int64_t left_ns = deadline - now_ns();
+    if (left_ns <= 0) return false;
+    zmq_pollitem_t item{socket.handle(), 0, ZMQ_POLLIN, 0};
+    return zmq_poll(&item, 1, static_cast<long>((left_ns + 999'999) / 1'000'000)) >= 0;
+  }
+
+  std::shared_ptr<Message::Content> next_complete() {
+    while (true) {
+      if (!early.empty()) {
+        auto content = std::move(early.front());
+        early.pop_front();
+        return content;
+      }
+      auto content = std::make_shared<Message::Content>();
+      std::string why;
+      const Receipt receipt = receive_frames(socket, content->frames, why);
+      if (receipt == Receipt::Complete) return content;
+      if (receipt == Receipt::Nothing) return nullptr;
+      refuse(content->frames, why);
+    }
+  }
+
+  // The next message that is there and concerns the caller.
+  std::shared_ptr<Message::Content> take(const wire::Header*& header) {
+    while (auto content = next_complete()) {
       if (!wanted(content->frames.topic_text())) continue;
+      std::string why;
       header = verified_header(content->frames.body, why);
       if (header == nullptr) {
         refuse(content->frames, why);
@@ -112,6 +154,7 @@ struct Subscriber::Impl {
       count_gap(topic, *header);
       return content;
     }
+    return nullptr;
   }
 };
 
@@ -120,6 +163,10 @@ Subscriber::Subscriber(std::shared_ptr<Context> context, const std::vector<std::
 Subscriber::~Subscriber() = default;
 Subscriber::Subscriber(Subscriber&&) noexcept = default;
 Subscriber& Subscriber::operator=(Subscriber&&) noexcept = default;
+
+bool Subscriber::wait_connected(std::chrono::milliseconds timeout) {
+  return impl_->wait_connected(now_ns() + std::chrono::nanoseconds(timeout).count());
+}
 
 std::optional<Message> Subscriber::receive(std::chrono::milliseconds timeout) {
   const std::int64_t deadline = now_ns() + std::chrono::nanoseconds(timeout).count();
@@ -131,10 +178,7 @@ std::optional<Message> Subscriber::receive(std::chrono::milliseconds timeout) {
       message.context_ = impl_->context;
       return message;
     }
-    const std::int64_t left_ns = deadline - now_ns();
-    if (left_ns <= 0) return std::nullopt;
-    zmq_pollitem_t item{impl_->socket.handle(), 0, ZMQ_POLLIN, 0};
-    if (zmq_poll(&item, 1, static_cast<long>((left_ns + 999'999) / 1'000'000)) < 0) return std::nullopt;
+    if (!impl_->wait_readable(deadline)) return std::nullopt;
   }
 }
 

@@ -70,6 +70,11 @@ class Subscriber {
   Subscriber(Subscriber&&) noexcept;
   Subscriber& operator=(Subscriber&&) noexcept;
 
+  /// Waits until the broker knows of the subscriptions: what is published from then on arrives. False after `timeout`.
+  /// Needed only where a lost answer is not asked for again (a request is published right after); messages that come
+  /// meanwhile are kept for receive().
+  [[nodiscard]] bool wait_connected(std::chrono::milliseconds timeout);
+
   /// The next message, or nullopt after `timeout` (0: what is there now) and when a signal arrives.
   std::optional<Message> receive(std::chrono::milliseconds timeout);
 

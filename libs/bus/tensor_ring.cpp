@@ -16,15 +16,16 @@ std::size_t aligned(std::size_t bytes) {
 
 }  // namespace
 
-TensorRing::TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots)
-    : context_(std::move(context)), role_(std::move(role)), slots_(slots) {}
+TensorRing::TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots, std::size_t slot_bytes)
+    : context_(std::move(context)), role_(std::move(role)), slots_(slots), slot_bytes_(slot_bytes) {}
 
 std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sources) {
   std::size_t needed = 0;
   for (const TensorSource& source : sources) needed += aligned(tensor_bytes(source.shape, source.type));
   if (!slab_ || slab_->slot_bytes() < needed) {
-    // A quarter of room, so that slowly growing messages do not make a slab each.
-    slab_ = context_->create_slab(role_, slots_, std::max<std::size_t>(needed + needed / 4, 4096));
+    // Twice the room, so that growing messages seldom make a new slab.
+    slot_bytes_ = std::max({slot_bytes_, slab_ ? 2 * needed : needed, kAlignment});
+    slab_ = context_->create_slab(role_, slots_, slot_bytes_);
   }
   const std::size_t slot = slab_->next_slot();
   std::size_t offset = 0;

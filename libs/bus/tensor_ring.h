@@ -23,8 +23,9 @@ struct TensorSource {
 /// thread-safe.
 class TensorRing {
  public:
-  /// The slab "<source>/<role>" is made at the first write, and again, larger, when a message does not fit.
-  TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots);
+  /// The slab "<source>/<role>" is made at the first write, with slots of at least `slot_bytes`. When a message does
+  /// not fit, it is made again, larger; messages that were not read by then are lost, so say what is to be expected.
+  TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots, std::size_t slot_bytes = 0);
 
   /// Copies the arrays into the next slot, each aligned to 64 bytes. Throws Error when the slab cannot be made.
   [[nodiscard]] std::vector<OutgoingTensor> write(std::span<const TensorSource> sources);
@@ -32,7 +33,7 @@ class TensorRing {
  private:
   std::shared_ptr<Context> context_;
   std::string role_;
-  std::size_t slots_;
+  std::size_t slots_, slot_bytes_;
   std::shared_ptr<Slab> slab_;
 };
 

@@ -101,21 +101,10 @@ inline std::optional<std::uint64_t> receive_number(bus::Subscriber& subscriber,
   return number_of(*message);
 }
 
-/// Publishes to the subscriber until the first message arrives, so that what follows is not lost to the connection's
-/// start; then empties it.
-inline void meet(bus::Publisher& publisher, bus::Subscriber& subscriber) {
-  ASSERT_TRUE(eventually([&] {
-    publish_number(publisher, 0);
-    return subscriber.receive(20ms).has_value();
-  }));
-  // In order: what was published before the last has arrived when the last has.
-  static std::uint64_t last = UINT64_MAX;
-  --last;
-  publish_number(publisher, last);
-  while (const auto number = receive_number(subscriber)) {
-    if (*number == last) return;
-  }
-  FAIL() << "the last message did not arrive";
+/// From here on nothing is lost to a connection's start.
+inline void meet(const bus::Publisher& publisher, bus::Subscriber& subscriber) {
+  ASSERT_TRUE(publisher.context()->wait_connected(patience));
+  ASSERT_TRUE(subscriber.wait_connected(patience));
 }
 
 }  // namespace splatbus::bus_test

@@ -148,6 +148,22 @@ TEST_F(PublishSubscribe, NewestOfEachTopicSourceAndKeyIsKept) {
   EXPECT_EQ(numbers, (std::vector<std::uint64_t>{2, 3, 4, 5, 7}));
 }
 
+TEST_F(PublishSubscribe, WaitingForTheSubscriptionKeepsWhatComesMeanwhile) {
+  const auto context = connect("maker");
+  bus::Publisher latched(context, "grid/state");
+  publish_number(latched, 4, true);
+  ASSERT_TRUE(context->wait_connected(patience));
+  bus::Subscriber subscriber(connect("reader"), {"grid/state", "viewer/probe"});
+  ASSERT_TRUE(subscriber.wait_connected(patience));
+  bus::Publisher publisher(context, "viewer/probe");
+  publish_number(publisher, 5);
+  EXPECT_EQ(receive_number(subscriber), 4u);
+  EXPECT_EQ(receive_number(subscriber), 5u);
+  EXPECT_FALSE(subscriber.receive(0ms).has_value());
+  const TemporaryDirectory empty;
+  EXPECT_FALSE(bus::Subscriber(bus::Context::create(empty.address(), "reader"), {"a"}).wait_connected(10ms));
+}
+
 TEST_F(PublishSubscribe, ReceiveNewestEndsWithTheLast) {
   bus::Publisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});

@@ -117,9 +117,10 @@ TEST_F(Restart, ASecondBrokerIsRefused) {
   bus::Publisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
+  publish_number(publisher, 1);
+  EXPECT_EQ(receive_number(subscriber), 1u);
   first.stop();
   second.start();
-  meet(publisher, subscriber);
 }
 
 TEST_F(Restart, TheFolderIsPrivate) {

@@ -73,6 +73,8 @@ TEST_F(Tcp, WhatWasOverwrittenIsDroppedForTcpReadersAndCounted) {
   const auto slab = context->create_slab("frames", 1, 1000);
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
   meet(publisher, remote);
+  publish_number(publisher, 4);
+  EXPECT_EQ(receive_number(remote), 4u);
   const auto old = write_floats(*slab, {1, 2, 3});
   const auto fresh = write_floats(*slab, {4, 5, 6});
   publish_number(publisher, 5, false, "", {old});
