@@ -25,9 +25,9 @@ std::string ssim_text(const std::optional<double>& ssim) {
 
 std::string live_line(const DemoState& state) {
   return fmt::format(
-      "{:4.0f} s  {}/{} services  {:.0f} frames/s  {} Gaussians  {:.1f} steps/s  SSIM server {} viewer {}  {:.2f} "
+      "{:4.0f} s  {}/{} services  {:.1f} pictures/s  {} Gaussians  {:.1f} steps/s  SSIM server {} viewer {}  {:.2f} "
       "Mbit/s",
-      state.elapsed_s, state.running, state.services, state.frames_per_s, state.gaussians, state.steps_per_s,
+      state.elapsed_s, state.running, state.services, state.pictures_per_s, state.gaussians, state.steps_per_s,
       ssim_text(state.ssim_server), ssim_text(state.ssim_viewer), state.wire_mbps);
 }
 
@@ -38,7 +38,7 @@ nlohmann::json to_json(const DemoState& state) {
   return {{"elapsed_s", rounded(state.elapsed_s)},
           {"running", state.running},
           {"services", state.services},
-          {"frames_per_s", rounded(state.frames_per_s)},
+          {"pictures_per_s", rounded(state.pictures_per_s)},
           {"gaussians", state.gaussians},
           {"steps_per_s", rounded(state.steps_per_s)},
           {"ssim_server", figure(state.ssim_server)},

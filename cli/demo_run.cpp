@@ -47,6 +47,10 @@ LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address) {
       {"viewer.out", fs::absolute(options.out).string()},
   };
   for (const auto& [name, value] : settings) apply_override(file, fmt::format("{}={}", name, value));
+  // The engine's flags are its own.
+  if (LaunchService* engine = file.find("engine")) {
+    engine->args.insert(engine->args.end(), {"--seed", std::to_string(options.seed)});
+  }
   LaunchPlan plan = plan_launch(file, address, program_directory());
   check_parameters(file, plan);
   return plan;
@@ -100,9 +104,13 @@ class Demo {
     draw_what_has_come();
     remember_round();
     count_steps();
-    if (bus::now_ns() - shown_ns_ < kShowNs) return;
-    shown_ns_ = bus::now_ns();
-    show(state());
+    const std::int64_t now = bus::now_ns();
+    if (now - shown_ns_ < kShowNs) return;
+    DemoState next = state();
+    next.pictures_per_s = std::max(0.0, next.pictures - pictures_) * 1e9 / static_cast<double>(now - shown_ns_);
+    pictures_ = next.pictures;
+    shown_ns_ = now;
+    show(next);
   }
 
   void draw_what_has_come() {
@@ -176,8 +184,8 @@ class Demo {
     state.services = processes.size();
     for (const ProcessStatus& process : processes) {
       if (process.state == ProcessState::Running) ++state.running;
-      const auto frames = process.counters.find("frames_per_s");
-      if (process.name == "engine" && frames != process.counters.end()) state.frames_per_s = frames->second;
+      const auto pictures = process.counters.find("cameras_rendered");
+      if (process.name == "engine" && pictures != process.counters.end()) state.pictures = pictures->second;
     }
     state.steps_per_s = watch_.state().trainer.steps_per_s;
     state.gaussians = watch_.state().trainer.gaussians;
@@ -242,6 +250,7 @@ class Demo {
   std::map<std::size_t, cv::Mat> drawn_;
   std::optional<double> shown_server_, shown_viewer_;
   std::int64_t asked_ns_ = 0, shown_ns_ = 0;
+  double pictures_ = 0;
   std::int64_t first_step_ns_ = 0, last_step_ns_ = 0;
   std::uint64_t first_step_ = 0;
   std::int64_t start_ns_;

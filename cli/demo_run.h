@@ -24,7 +24,8 @@ struct DemoOptions {
 struct DemoState {
   double elapsed_s = 0;
   std::size_t running = 0, services = 0;
-  double frames_per_s = 0, steps_per_s = 0;
+  double pictures = 0, pictures_per_s = 0;  ///< that the engine has rendered, over all cameras
+  double steps_per_s = 0;
   std::uint64_t gaussians = 0;
   std::optional<double> ssim_server, ssim_viewer;
   double wire_mbps = 0;
