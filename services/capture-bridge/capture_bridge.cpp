@@ -41,7 +41,9 @@ CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::P
       // A restarted bridge must not repeat ids of the one before: the engine has answered those.
       rigs_(parameters, context_->epoch()),
       probes_(kMostProbes),
-      worker_(context_) {}
+      worker_(context_, static_cast<std::size_t>(parameters.integer("sample_budget")),
+              static_cast<std::size_t>(parameters.integer("input_cameras") * parameters.integer("input_size") *
+                                       parameters.integer("input_size"))) {}
 
 void CaptureBridge::step(std::chrono::milliseconds timeout) {
   update_rigs(bus::now_ns());

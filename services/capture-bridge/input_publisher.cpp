@@ -10,6 +10,8 @@ namespace splatbus::capture_bridge {
 namespace {
 
 constexpr std::size_t kRingSlots = 4;
+constexpr std::size_t kBytesASample = 15 * sizeof(float) + 2 * sizeof(std::uint32_t);
+constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 
 std::vector<float> stacked(const std::vector<std::vector<float>>& planes) {
   std::vector<float> all;
@@ -19,8 +21,10 @@ std::vector<float> stacked(const std::vector<std::vector<float>>& planes) {
 
 }  // namespace
 
-InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context)
-    : publisher_(context, "capture/input"), ring_(context, "input", kRingSlots) {}
+InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, std::size_t most_samples,
+                               std::size_t depth_pixels)
+    : publisher_(context, "capture/input"),
+      ring_(context, "input", kRingSlots, most_samples * kBytesASample + depth_pixels * sizeof(float) + kRingSlack) {}
 
 void InputPublisher::publish(std::span<const InputViewPointer> views, const InputView& newest,
                              std::uint64_t rig_generation, const SampledRound& round) {

@@ -14,7 +14,8 @@ namespace splatbus::capture_bridge {
 /// Publishes capture/input. Not thread-safe.
 class InputPublisher {
  public:
-  explicit InputPublisher(const std::shared_ptr<bus::Context>& context);
+  /// `most_samples` and `depth_pixels` of all cameras are what to expect of a round.
+  InputPublisher(const std::shared_ptr<bus::Context>& context, std::size_t most_samples, std::size_t depth_pixels);
 
   /// `views` are those that `round` was sampled from; all have pictures of one size. `newest` is the round's frame.
   void publish(std::span<const InputViewPointer> views, const InputView& newest, std::uint64_t rig_generation,

@@ -44,8 +44,11 @@ ContentHeights content_heights(const SampleSet& samples) {
   return {.low_m = at(0.02), .high_m = at(0.98)};
 }
 
-InputWorker::InputWorker(std::shared_ptr<bus::Context> context)
-    : context_(std::move(context)), thread_([this](const std::stop_token& stop) { run(stop); }) {}
+InputWorker::InputWorker(std::shared_ptr<bus::Context> context, std::size_t most_samples, std::size_t depth_pixels)
+    : context_(std::move(context)),
+      most_samples_(most_samples),
+      depth_pixels_(depth_pixels),
+      thread_([this](const std::stop_token& stop) { run(stop); }) {}
 
 InputWorker::~InputWorker() {
   thread_.request_stop();
@@ -72,7 +75,7 @@ InputStatistics InputWorker::statistics() const {
 }
 
 void InputWorker::run(const std::stop_token& stop) {
-  InputPublisher publisher(context_);
+  InputPublisher publisher(context_, most_samples_, depth_pixels_);
   bool complained = false;
   while (true) {
     InputJob job;

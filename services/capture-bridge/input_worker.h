@@ -33,7 +33,8 @@ struct InputStatistics {
 /// Samples rounds and publishes them on a thread of its own, so that forwarding frames never waits for it.
 class InputWorker {
  public:
-  explicit InputWorker(std::shared_ptr<bus::Context> context);
+  /// `most_samples` and `depth_pixels` of all cameras are what to expect of a round.
+  InputWorker(std::shared_ptr<bus::Context> context, std::size_t most_samples, std::size_t depth_pixels);
   ~InputWorker();
 
   /// Queues a round. One of the same rig that still waits is replaced; others wait their turn, the oldest of more than
@@ -45,6 +46,7 @@ class InputWorker {
   void run(const std::stop_token& stop);
 
   std::shared_ptr<bus::Context> context_;
+  std::size_t most_samples_, depth_pixels_;
   mutable std::mutex mutex_;
   std::condition_variable_any wake_;
   std::deque<InputJob> jobs_;

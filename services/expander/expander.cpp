@@ -22,6 +22,8 @@ constexpr std::int64_t kStatePeriodNs = 100'000'000;
 constexpr std::int64_t kWaitingStatePeriodNs = 1'000'000'000;
 constexpr int kMostMessagesAStep = 64;
 // Published batches that are not acknowledged must stay readable: more slots than batches in flight.
+constexpr std::size_t kBytesAGaussian = 18 * sizeof(float) + sizeof(std::uint32_t) + sizeof(CellId);
+constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 constexpr std::size_t kRingSlots = BatchLedger::Options{}.in_flight + 2;
 
 /// Points of the model as it stands. False when its structure changed meanwhile.
@@ -51,7 +53,8 @@ Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters&
       subscriber_(context_, {"capture/input", "viewer/pose", "model/published"}),
       insert_publisher_(context_, "model/insert"),
       state_publisher_(context_, "grid/state"),
-      ring_(context_, "insert", kRingSlots),
+      ring_(context_, "insert", kRingSlots,
+            static_cast<std::size_t>(parameters.integer("batch_size")) * kBytesAGaussian + kRingSlack),
       grid_(grid_options(parameters)),
       ledger_(ledger_options(parameters)),
       follower_(context_->epoch()) {}

@@ -16,7 +16,8 @@ struct GridOptions {
   float candidate_radius_m = 12;  ///< broad phase: cells within this distance of the viewer
   int min_samples = 4;            ///< a cell counts as seen with this many, or with fewer beside a cell that has them
   float new_distance = 0.5F;  ///< of a sample's spacing: how near to modelled neighbours a new cell's samples may come
-  float top_up_distance = 1.0F;   ///< the same in cells that are modelled
+  float top_up_distance =
+      0.75F;  ///< the same in cells that are modelled; a full square grid leaves nothing beyond 0.71
   float top_up_fraction = 0.02F;  ///< a modelled cell is topped up when this share of what it holds is new
 };
 

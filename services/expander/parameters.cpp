@@ -35,7 +35,7 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .minimum = 0,
        .maximum = 10},
       {.name = "top_up_distance",
-       .default_value = 1.0,
+       .default_value = 0.75,
        .description =
            "samples of modelled cells keep this distance from what is modelled, as a fraction of their spacing",
        .minimum = 0,

@@ -1,0 +1,60 @@
+#include "streamer/wire_statistics.h"
+
+#include <gtest/gtest.h>
+
+#include "streamer/packet_history.h"
+
+namespace splatbus::streamer {
+namespace {
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+
+TEST(WireStatistics, CountsByTypeAndLeavesProbePicturesOutOfTheRates) {
+  WireStatistics statistics;
+  statistics.begin(5 * kSecond);
+  statistics.add(wire::Body::TensorDelta, 100'000);
+  statistics.add(wire::Body::TensorDelta, 25'000);
+  statistics.add(wire::Body::ProbePicture, 1'000'000);
+  auto window = statistics.close_window(6 * kSecond);
+  EXPECT_DOUBLE_EQ(window.seconds, 1);
+  EXPECT_DOUBLE_EQ(window.mbps, 1);
+  EXPECT_EQ(window.bytes, 1'125'000U);
+  EXPECT_EQ(window.types[static_cast<std::size_t>(wire::Body::TensorDelta)].packets, 2U);
+  window = statistics.close_window(7 * kSecond);
+  EXPECT_DOUBLE_EQ(window.mbps, 0);
+  EXPECT_DOUBLE_EQ(window.mbps_mean, 0.5);
+  EXPECT_DOUBLE_EQ(window.mbps_peak, 1);
+  EXPECT_EQ(window.total_bytes, 1'125'000U);
+}
+
+TEST(WireStatistics, SaysNothingBeforeTheFirstViewer) {
+  WireStatistics statistics;
+  EXPECT_DOUBLE_EQ(statistics.close_window(kSecond).mbps_mean, 0);
+  statistics.begin(10 * kSecond);
+  statistics.begin(20 * kSecond);
+  statistics.add(wire::Body::Snapshot, 125'000);
+  EXPECT_DOUBLE_EQ(statistics.close_window(11 * kSecond).mbps_mean, 1);
+}
+
+TEST(PacketHistory, KeepsTheNewestWithinItsBytes) {
+  PacketHistory history(1000);
+  EXPECT_FALSE(history.find(1));
+  for (std::uint64_t sequence = 5; sequence <= 20; ++sequence) {
+    stream::EncodedPacket packet;
+    packet.sequence = sequence;
+    packet.packet.resize(100);
+    history.add(std::make_shared<WirePacket>(packet));
+  }
+  EXPECT_LE(history.bytes(), 1000U);
+  EXPECT_FALSE(history.find(10));
+  EXPECT_FALSE(history.find(21));
+  for (std::uint64_t sequence = 11; sequence <= 20; ++sequence) {
+    ASSERT_TRUE(history.find(sequence));
+    EXPECT_EQ(history.find(sequence)->sequence(), sequence);
+  }
+  history.clear();
+  EXPECT_FALSE(history.find(20));
+}
+
+}  // namespace
+}  // namespace splatbus::streamer

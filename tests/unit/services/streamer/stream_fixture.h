@@ -1,0 +1,127 @@
+#pragma once
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "../../bus/bus_fixture.h"
+#include "../../stream/toy_model.h"
+#include "bus/service.h"
+#include "bus/tensor_ring.h"
+#include "streamer/parameters.h"
+#include "streamer/streamer.h"
+#include "viewer/stream_client.h"
+#include "wire/convert.h"
+#include "wire/model_generated.h"
+#include "wire/scene_generated.h"
+
+namespace splatbus::stream_test {
+
+/// Publishes models as the trainer does, each in a slot of its own.
+class FakeTrainer {
+ public:
+  explicit FakeTrainer(std::shared_ptr<bus::Context> context)
+      : publisher_(context, "model/published"), light_(context, "scene/light"), ring_(context, "model", 16) {}
+
+  void publish(const GaussiansBuffer& model) {
+    const auto capacity = static_cast<std::uint32_t>(std::max<std::size_t>(model.stride(), 1));
+    GaussiansBuffer some = GaussiansBuffer::copy_of(model.view());
+    if (model.stride() == 0) some.resize(1);
+    const auto channels = static_cast<std::uint32_t>(model.layout().channels());
+    const std::vector<bus::TensorSource> sources = {
+        {.name = "parameters", .shape = {channels, capacity}, .data = some.parameters.data()},
+        {.name = "average", .shape = {channels, capacity}, .data = some.parameters.data()},
+        {.name = "normal", .shape = {3, capacity}, .data = some.normal.data()},
+        {.name = "surface_point", .shape = {3, capacity}, .data = some.surface_point.data()},
+        {.name = "visibility", .shape = {capacity}, .data = some.visibility.data()},
+        {.name = "object_id", .shape = {capacity}, .type = bus::ElementType::U32, .data = some.object_id.data()},
+        {.name = "flags", .shape = {capacity}, .type = bus::ElementType::U32, .data = some.flags.data()},
+        {.name = "cell", .shape = {capacity}, .type = bus::ElementType::U64, .data = some.cell.data()},
+        {.name = "gaussian_id", .shape = {capacity}, .type = bus::ElementType::U64, .data = some.gaussian_id.data()}};
+    publisher_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = ring_.write(sources)},
+                       [&](auto& builder, auto header) {
+                         return wire::CreateModelPublished(builder, header, ++generation_, model.count(), capacity);
+                       });
+  }
+
+  void publish_light(const Light& light) {
+    light_.publish({.schema = "SceneLight/1", .latch = true}, [&](auto& builder, auto header) {
+      return wire::CreateSceneLight(builder, header, 0, 0, to_wire(builder, light));
+    });
+  }
+
+ private:
+  bus::Publisher publisher_, light_;
+  bus::TensorRing ring_;
+  std::uint64_t generation_ = 0;
+};
+
+/// A streamer on a thread of its own.
+class RunningStreamer {
+ public:
+  RunningStreamer(std::shared_ptr<bus::Context> context, const std::vector<std::pair<std::string, std::string>>& changes)
+      : parameters_(streamer::parameter_specs()) {
+    for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
+    service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token());
+    streamer_ = std::make_unique<streamer::Streamer>(*service_);
+    endpoints_ = streamer_->endpoints();
+    thread_ = std::thread([this] { streamer_->run(); });
+  }
+  ~RunningStreamer() {
+    stop_.request_stop();
+    thread_.join();
+  }
+  RunningStreamer(const RunningStreamer&) = delete;
+  RunningStreamer& operator=(const RunningStreamer&) = delete;
+
+  [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoints_; }
+
+ private:
+  bus::Parameters parameters_;
+  std::stop_source stop_;
+  std::unique_ptr<bus::ServiceContext> service_;
+  std::unique_ptr<streamer::Streamer> streamer_;
+  std::vector<std::string> endpoints_;
+  std::thread thread_;
+};
+
+/// Broker, fake trainer and streamer.
+class StreamTest : public bus_test::BusTest {
+ protected:
+  StreamTest() : trainer_(connect("trainer")) {}
+
+  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {}) {
+    changes.insert(changes.begin(), {"tick_hz", "50"});
+    changes.insert(changes.begin(), {"budget_kbps", "1000000"});
+    streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes);
+  }
+
+  [[nodiscard]] std::string endpoint() const { return streamer_->endpoints().front(); }
+
+  [[nodiscard]] viewer::ClientOptions client_options(const std::string& name) const {
+    return {.endpoint = endpoint(), .name = name, .hello_every_ns = 20'000'000, .silence_ns = 1'500'000'000};
+  }
+
+  /// Polls clients until the condition holds.
+  template <class... Clients>
+  static bool poll_until(const std::function<bool()>& condition, Clients&... clients) {
+    const auto deadline = std::chrono::steady_clock::now() + bus_test::patience;
+    while (!condition()) {
+      (clients.poll(std::chrono::milliseconds(1)), ...);
+      if (std::chrono::steady_clock::now() > deadline) return false;
+    }
+    return true;
+  }
+
+  FakeTrainer trainer_;
+  std::unique_ptr<RunningStreamer> streamer_;
+};
+
+}  // namespace splatbus::stream_test

@@ -1,0 +1,133 @@
+#include "viewer/viewer.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "../streamer/stream_fixture.h"
+#include "bus/clock.h"
+#include "bus/error.h"
+#include "metrics/image_io.h"
+#include "wire/capture_generated.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::stream_test {
+namespace {
+
+using namespace std::chrono_literals;
+namespace fs = std::filesystem;
+
+class ViewerTest : public StreamTest {
+ protected:
+  ViewerTest() : peer_(connect("peer")), out_(directory_.path() + "/out") {}
+  ~ViewerTest() override { stop_viewer(); }
+
+  void start_viewer(const std::vector<std::pair<std::string, std::string>>& changes) {
+    parameters_ = std::make_unique<bus::Parameters>(viewer::parameter_specs());
+    for (const auto& [name, value] : changes) ASSERT_EQ(parameters_->set(name, value, false), "");
+    viewer_ = std::make_unique<viewer::Viewer>(*parameters_, viewer::ViewerHost{.name = "viewer",
+                                                                               .endpoint = endpoint(),
+                                                                               .stop = stop_.get_token(),
+                                                                               .counter = [](const auto&, double) {},
+                                                                               .detail = [](const auto&) {}});
+    thread_ = std::thread([this] { viewer_->run(); });
+  }
+  void stop_viewer() {
+    stop_.request_stop();
+    if (thread_.joinable()) thread_.join();
+  }
+
+  std::shared_ptr<bus::Context> peer_;
+  std::string out_;
+  std::stop_source stop_;
+  std::unique_ptr<bus::Parameters> parameters_;
+  std::unique_ptr<viewer::Viewer> viewer_;
+  std::thread thread_;
+};
+
+Light daylight() {
+  Light light;
+  light.generation = 1;
+  light.ambient_sh[0] = glm::vec3(2);
+  light.sun_direction = glm::vec3(0, 1, 0);
+  light.sun_irradiance = glm::vec3(1);
+  return light;
+}
+
+TEST_F(ViewerTest, WritesFramesThatShowTheModel) {
+  trainer_.publish_light(daylight());
+  trainer_.publish(stream::test::toy_model(2000, 1));
+  start_streamer();
+  start_viewer({{"out", out_}, {"frames", "1"}, {"rate_hz", "50"}, {"width", "48"}, {"height", "32"}, {"path", "still"}, {"threads", "1"}});
+  const fs::path frame = fs::path(out_) / "frame_000000.png";
+  ASSERT_TRUE(bus_test::eventually([&] { return fs::exists(frame); }));
+  stop_viewer();
+  const cv::Mat picture = metrics::read_png(frame);
+  EXPECT_EQ(picture.cols, 48);
+  EXPECT_EQ(picture.rows, 32);
+  EXPECT_GT(cv::mean(picture)[1], 10) << "black";
+  EXPECT_GT(viewer_->first_picture_ns(), 0);
+}
+
+TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
+  const Light light = daylight();
+  const GaussiansBuffer model = stream::test::toy_model(2000, 1);
+  trainer_.publish_light(light);
+  trainer_.publish(model);
+  start_streamer();
+  bus::Subscriber probes(peer_, {"viewer/probe"}), qualities(peer_, {"viewer/quality"});
+  bus::Publisher answers(peer_, "capture/probe");
+  start_viewer({{"out", out_}, {"probe", "true"}, {"probe_period_s", "0.1"}, {"width", "64"}, {"height", "64"}, {"threads", "1"}});
+  // The engine is played by a render of the very model: what is left is the stream's loss.
+  const auto rasterizer = raster::make_cpu_rasterizer(1);
+  std::uint64_t compared = 0;
+  float psnr = 0, ssim = 0;
+  std::int64_t first_picture_ns = 0;
+  const bool answered = bus_test::eventually([&] {
+    while (const auto message = probes.receive(1ms)) {
+      const auto& body = message->root<wire::ViewerProbe>("ViewerProbe/1");
+      const Camera camera = from_wire(*body.camera());
+      raster::Render render;
+      rasterizer->render(model.view(), camera, {light, {}}, {}, render);
+      const cv::Mat bgr = metrics::from_planes(render.color.data.data(), camera.width, camera.height, true);
+      std::vector<std::uint8_t> rgba(std::size_t{camera.width} * camera.height * 4, 255);
+      for (std::size_t i = 0; i < rgba.size() / 4; ++i) {
+        for (std::size_t c = 0; c < 3; ++c) rgba[4 * i + c] = bgr.data[3 * i + 2 - c];
+      }
+      const bus::OutgoingTensor color{.name = "color", .shape = {camera.height, camera.width, 4}, .type = bus::ElementType::U8, .inline_data = rgba.data()};
+      answers.publish({.schema = "CaptureProbe/1", .tensors = {color}}, [&](auto& builder, auto header) {
+        return wire::CreateCaptureProbe(builder, header, body.probe_id(), 1, 0, body.camera(), 0, to_wire(builder, light));
+      });
+    }
+    while (const auto message = qualities.receive(1ms)) {
+      const auto& body = message->root<wire::ViewerQuality>("ViewerQuality/1");
+      compared = body.probe_id();
+      psnr = body.psnr_db();
+      ssim = body.ssim();
+      first_picture_ns = body.first_picture_ns();
+      EXPECT_EQ(body.gaussians(), 2000U);
+    }
+    return compared != 0;
+  });
+  ASSERT_TRUE(answered);
+  EXPECT_GT(psnr, 40);
+  EXPECT_GT(ssim, 0.99F);
+  EXPECT_GT(first_picture_ns, 0);
+  EXPECT_LE(first_picture_ns, bus::now_ns());
+  EXPECT_TRUE(fs::exists(fs::path(out_) / ("probe_" + std::to_string(compared) + "_viewer.png")));
+}
+
+TEST_F(ViewerTest, AWindowWithoutADisplayIsAClearError) {
+  ::unsetenv("DISPLAY");
+  ::unsetenv("WAYLAND_DISPLAY");
+  start_streamer();
+  try {
+    start_viewer({{"window", "true"}});
+    FAIL();
+  } catch (const bus::Error& error) {
+    EXPECT_NE(std::string(error.what()).find("display"), std::string::npos) << error.what();
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::stream_test
