@@ -43,7 +43,8 @@ void put_planes(Bytes& out, std::span<const std::uint64_t> values) {
 
 void ByteReader::require(std::size_t bytes) const {
   if (bytes_.size() - at_ < bytes) {
-    throw StreamError(fmt::format("{}: ends after {} of its bytes, {} more were announced", what_, bytes_.size(), bytes));
+    throw StreamError(
+        fmt::format("{}: ends after {} of its bytes, {} more were announced", what_, bytes_.size(), bytes));
   }
 }
 

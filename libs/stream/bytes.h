@@ -16,9 +16,10 @@ inline constexpr int kZstdLevel = 9;
 /// One Zstandard frame that says its content's size.
 [[nodiscard]] Bytes zstd_compress(std::span<const std::uint8_t> raw, int level = kZstdLevel);
 
-/// `raw_bytes` is what the packet says; the caller has bounded it. Throws StreamError, naming `what`, unless the payload is
-/// one frame of exactly that content size.
-[[nodiscard]] Bytes zstd_decompress(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::string_view what);
+/// `raw_bytes` is what the packet says; the caller has bounded it. Throws StreamError, naming `what`, unless the
+/// payload is one frame of exactly that content size.
+[[nodiscard]] Bytes zstd_decompress(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
+                                    std::string_view what);
 
 /// Signed to unsigned so that small magnitudes are small numbers: 0, -1, 1, -2 become 0, 1, 2, 3.
 [[nodiscard]] constexpr std::uint64_t zigzag(std::int64_t value) {
@@ -33,7 +34,9 @@ inline constexpr int kZstdLevel = 9;
 void put_planes(Bytes& out, std::span<const std::uint64_t> values);
 
 /// Largest size of put_planes for `count` values of at most `width` bytes each.
-[[nodiscard]] constexpr std::size_t planes_bound(std::size_t count, std::size_t width) { return 1 + count * width; }
+[[nodiscard]] constexpr std::size_t planes_bound(std::size_t count, std::size_t width) {
+  return 1 + count * width;
+}
 
 /// Reads what put_planes and its like wrote. Every read is checked; a shortage throws StreamError naming `what`.
 class ByteReader {
@@ -41,7 +44,8 @@ class ByteReader {
   ByteReader(std::span<const std::uint8_t> bytes, std::string_view what) : bytes_(bytes), what_(what) {}
 
   [[nodiscard]] std::uint32_t u32();
-  /// `count` values of at most `max_width` bytes; the count is checked against what is left before anything is allocated.
+  /// `count` values of at most `max_width` bytes; the count is checked against what is left before anything is
+  /// allocated.
   [[nodiscard]] std::vector<std::uint64_t> planes(std::size_t count, std::size_t max_width);
   /// Throws unless everything was read.
   void finish() const;

@@ -39,8 +39,8 @@ void put_varint(Bytes& out, std::uint32_t value) {
   out.push_back(static_cast<std::uint8_t>(value));
 }
 
-// What Draco 2.3 writes before the values of such a point cloud: header, point count, one attribute decoder that has all
-// attributes, and for each its type, data type, channels, normalised flag and id.
+// What Draco 2.3 writes before the values of such a point cloud: header, point count, one attribute decoder that has
+// all attributes, and for each its type, data type, channels, normalised flag and id.
 Bytes expected_declarations(const StreamLayout& layout, std::size_t count) {
   Bytes out{'D', 'R', 'A', 'C', 'O', 2, 3, draco::POINT_CLOUD, draco::POINT_CLOUD_SEQUENTIAL_ENCODING, 0, 0};
   for (int i = 0; i < 4; ++i) out.push_back(static_cast<std::uint8_t>(count >> (8 * i)));
@@ -110,8 +110,8 @@ Bytes encode_chunk(const QuantisedGaussians& gaussians, const StreamLayout& layo
   encoder.SetEncodingMethod(draco::POINT_CLOUD_SEQUENTIAL_ENCODING);
   encoder.SetSpeedOptions(0, 0);
   for (const auto& [id, predict] : prediction) {
-    const draco::Status status = encoder.SetAttributePredictionScheme(
-        id, predict ? draco::PREDICTION_DIFFERENCE : draco::PREDICTION_NONE);
+    const draco::Status status =
+        encoder.SetAttributePredictionScheme(id, predict ? draco::PREDICTION_DIFFERENCE : draco::PREDICTION_NONE);
     if (!status.ok()) throw StreamError("Draco: " + status.error_msg_string());
   }
   draco::EncoderBuffer buffer;
@@ -122,7 +122,8 @@ Bytes encode_chunk(const QuantisedGaussians& gaussians, const StreamLayout& layo
 
 QuantisedGaussians decode_chunk(std::span<const std::uint8_t> payload, const StreamLayout& layout, std::size_t count) {
   if (count < 1 || count > kMaxChunkGaussians) {
-    throw StreamError(fmt::format("Snapshot: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
+    throw StreamError(
+        fmt::format("Snapshot: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
   }
   const Bytes expected = expected_declarations(layout, count);
   static_assert(kHeaderBytes == 11);
@@ -142,14 +143,14 @@ QuantisedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
   QuantisedGaussians out(layout, count);
   int id = 0;
   for (const AttributeChannels& a : layout.attributes()) {
-    const auto planes = std::span(out.planes).subspan(static_cast<std::size_t>(a.first),
-                                                      static_cast<std::size_t>(a.channels));
+    const auto planes =
+        std::span(out.planes).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels));
     read_attribute(cloud, id++, a.channels, count, planes);
     for (const auto& plane : planes) {
       const auto [low, high] = std::ranges::minmax(plane);
       if (low < a.minimum || high > a.maximum) {
-        throw StreamError(fmt::format("Snapshot: {} outside [{}, {}]", wire::EnumNameAttribute(a.attribute), a.minimum,
-                                      a.maximum));
+        throw StreamError(
+            fmt::format("Snapshot: {} outside [{}, {}]", wire::EnumNameAttribute(a.attribute), a.minimum, a.maximum));
       }
     }
   }

@@ -10,7 +10,9 @@ namespace splatbus::stream {
 
 namespace {
 
-Payload finish(const Bytes& raw) { return {zstd_compress(raw), static_cast<std::uint32_t>(raw.size())}; }
+Payload finish(const Bytes& raw) {
+  return {zstd_compress(raw), static_cast<std::uint32_t>(raw.size())};
+}
 
 void put_slots(Bytes& out, std::span<const std::uint32_t> ascending) {
   std::vector<std::uint64_t> gaps;
@@ -60,8 +62,8 @@ Payload encode_delta(const Delta& delta) {
   return finish(raw);
 }
 
-Delta decode_delta(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count, std::size_t channels,
-                   std::size_t held) {
+Delta decode_delta(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
+                   std::size_t channels, std::size_t held) {
   constexpr std::string_view what = "TensorDelta";
   require_count(what, count, std::min(held, kMaxDeltaGaussians));
   require_raw_bytes(what, raw_bytes, planes_bound(count, 4) * (channels + 1));
@@ -141,7 +143,8 @@ Payload encode_runs(std::span<const std::uint32_t> ids) {
   return finish(raw);
 }
 
-std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count) {
+std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
+                                       std::size_t count) {
   constexpr std::string_view what = "ObjectIds";
   require_count(what, count, kMaxGaussians);
   require_raw_bytes(what, raw_bytes, 4 + 2 * planes_bound(count, 4));

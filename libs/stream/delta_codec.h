@@ -9,11 +9,11 @@
 
 namespace splatbus::stream {
 
-// Payloads of the small packets, before and after Zstandard. Encoders give payload and raw_bytes; decoders take what the
-// packet says (count, raw_bytes) as hostile: they bound both, check every value, and throw StreamError.
+// Payloads of the small packets, before and after Zstandard. Encoders give payload and raw_bytes; decoders take what
+// the packet says (count, raw_bytes) as hostile: they bound both, check every value, and throw StreamError.
 
 struct Payload {
-  Bytes bytes;                  ///< Zstandard
+  Bytes bytes;  ///< Zstandard
   std::uint32_t raw_bytes = 0;
 };
 

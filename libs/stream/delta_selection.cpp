@@ -8,10 +8,10 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr std::int32_t kCalmZone = 1;        // steps: rounding alone can toggle a value by one
-constexpr std::int32_t kSaturation = 64;     // steps a channel; a larger change is not more urgent
+constexpr std::int32_t kCalmZone = 1;     // steps: rounding alone can toggle a value by one
+constexpr std::int32_t kSaturation = 64;  // steps a channel; a larger change is not more urgent
 constexpr std::size_t kMaxEntriesAPacket = std::size_t{1} << 16;
-constexpr std::size_t kBuckets = 512;        // of score, eight an octave
+constexpr std::size_t kBuckets = 512;  // of score, eight an octave
 
 bool is_delta_coded(Attribute attribute) {
   return attribute != Attribute::Normal && attribute != Attribute::Visibility;

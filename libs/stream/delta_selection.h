@@ -17,7 +17,8 @@ struct AttributeSchedule {
   float weight = 1;            ///< of one step in the picture, against the other attributes
 };
 
-/// One schedule an attribute, by wire value; Visibility, ObjectId and GaussianId are sent otherwise, and Normal never changes.
+/// One schedule an attribute, by wire value; Visibility, ObjectId and GaussianId are sent otherwise, and Normal never
+/// changes.
 using Schedules = std::array<AttributeSchedule, static_cast<std::size_t>(Attribute::MAX) + 1>;
 [[nodiscard]] Schedules default_schedules();
 
@@ -27,8 +28,9 @@ struct SelectedDelta {
   Delta delta;
 };
 
-/// Chooses what of target - held is worth its bytes. Keeps, for each held Gaussian and attribute, how long the target has rested: what
-/// rested for `calm_ticks` is sent to within one step and then left alone, what still moves only beyond its dead zone.
+/// Chooses what of target - held is worth its bytes. Keeps, for each held Gaussian and attribute, how long the target
+/// has rested: what rested for `calm_ticks` is sent to within one step and then left alone, what still moves only
+/// beyond its dead zone.
 class DeltaSelection {
  public:
   DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks = 8);

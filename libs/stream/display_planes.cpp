@@ -35,7 +35,9 @@ void DisplayPlanes::reserve(std::size_t columns) {
   stride_ = stride;
 }
 
-DequantisedPlanes DisplayPlanes::planes() { return {parameters_.data(), normal_.data(), visibility_.data(), stride_}; }
+DequantisedPlanes DisplayPlanes::planes() {
+  return {parameters_.data(), normal_.data(), visibility_.data(), stride_};
+}
 
 void DisplayPlanes::extend(const QuantisedGaussians& gaussians) {
   const std::size_t first = count_;

@@ -9,8 +9,8 @@
 
 namespace splatbus::stream {
 
-/// The floats that a rasteriser reads, kept beside the integers. Columns grow by doubling, so that a model which arrives
-/// chunk by chunk is not copied once a chunk.
+/// The floats that a rasteriser reads, kept beside the integers. Columns grow by doubling, so that a model which
+/// arrives chunk by chunk is not copied once a chunk.
 class DisplayPlanes {
  public:
   explicit DisplayPlanes(const StreamLayout& layout) : layout_(layout) {}

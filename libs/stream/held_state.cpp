@@ -33,8 +33,8 @@ Change append(HeldState& state, const wire::Snapshot& body, std::span<const std:
     throw StreamError(fmt::format("Snapshot: appends at slot {} where {} are held", body.first_slot(), held));
   }
   if (body.count() > max_gaussians || held > max_gaussians - body.count()) {
-    throw StreamError(fmt::format("Snapshot: {} more Gaussians than {} exceed the limit of {}", body.count(), held,
-                                  max_gaussians));
+    throw StreamError(
+        fmt::format("Snapshot: {} more Gaussians than {} exceed the limit of {}", body.count(), held, max_gaussians));
   }
   state.gaussians.append(decode_chunk(payload, state.layout, body.count()));
   return {Change::Kind::Appended, {}, slot_range(held, body.count())};
@@ -43,7 +43,8 @@ Change append(HeldState& state, const wire::Snapshot& body, std::span<const std:
 Change add_residuals(HeldState& state, const wire::TensorDelta& body, std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(body.attribute());
   if (!a) {
-    throw StreamError(fmt::format("TensorDelta: attribute {} is not in this stream", static_cast<int>(body.attribute())));
+    throw StreamError(
+        fmt::format("TensorDelta: attribute {} is not in this stream", static_cast<int>(body.attribute())));
   }
   if (body.channels() != static_cast<std::uint32_t>(a->channels)) {
     throw StreamError(fmt::format("TensorDelta: {} channels of {} where it has {}", body.channels(),
@@ -100,9 +101,12 @@ Change apply(HeldState& state, const ParsedPacket& packet, std::size_t max_gauss
   const auto payload = packet.payload();
   const wire::Packet& root = packet.root();
   switch (packet.body()) {
-    case wire::Body::Snapshot: return append(state, *root.body_as_Snapshot(), payload, max_gaussians);
-    case wire::Body::TensorDelta: return add_residuals(state, *root.body_as_TensorDelta(), payload);
-    case wire::Body::LightVisibility: return add_visibility(state, *root.body_as_LightVisibility(), payload);
+    case wire::Body::Snapshot:
+      return append(state, *root.body_as_Snapshot(), payload, max_gaussians);
+    case wire::Body::TensorDelta:
+      return add_residuals(state, *root.body_as_TensorDelta(), payload);
+    case wire::Body::LightVisibility:
+      return add_visibility(state, *root.body_as_LightVisibility(), payload);
     case wire::Body::Remove: {
       const wire::Remove& body = *root.body_as_Remove();
       auto slots = decode_slots(payload, body.raw_bytes(), body.count(), state.gaussians.count());
@@ -132,8 +136,7 @@ Change apply(HeldState& state, const ParsedPacket& packet, std::size_t max_gauss
       return {Change::Kind::Scene, {}, {}};
     }
     case wire::Body::LightState:
-      state.scene.light =
-          converted("LightState", [&] { return from_wire(*root.body_as_LightState()->light()); });
+      state.scene.light = converted("LightState", [&] { return from_wire(*root.body_as_LightState()->light()); });
       return {Change::Kind::Scene, {}, {}};
     default:
       throw StreamError(fmt::format("{}: not a packet that changes what is held", wire::EnumNameBody(packet.body())));

@@ -9,8 +9,8 @@
 
 namespace splatbus::stream {
 
-/// What every viewer holds after broadcast packet `sequence` of `epoch`. The streamer keeps the same: both change it only
-/// by apply(), so that they agree bit for bit.
+/// What every viewer holds after broadcast packet `sequence` of `epoch`. The streamer keeps the same: both change it
+/// only by apply(), so that they agree bit for bit.
 struct HeldState {
   StreamLayout layout;
   QuantisedGaussians gaussians;
@@ -28,8 +28,8 @@ struct Change {
 };
 
 /// Applies Snapshot (appending), TensorDelta, Remove, GaussianOrder, ObjectIds, ObjectTransforms, LightState or
-/// LightVisibility. Throws StreamError, with the state as it was, when anything in the packet cannot be. Does not look at
-/// epoch and does not change `sequence`. `max_gaussians` bounds what is held.
+/// LightVisibility. Throws StreamError, with the state as it was, when anything in the packet cannot be. Does not look
+/// at epoch and does not change `sequence`. `max_gaussians` bounds what is held.
 Change apply(HeldState& state, const ParsedPacket& packet, std::size_t max_gaussians = kMaxGaussians);
 
 }  // namespace splatbus::stream

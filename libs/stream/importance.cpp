@@ -7,7 +7,7 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr float kMaxAreaPx2 = 400;      // a Gaussian right before the camera is not worth more than this
+constexpr float kMaxAreaPx2 = 400;  // a Gaussian right before the camera is not worth more than this
 constexpr float kOutsideShare = 0.1F;
 constexpr float kCentimetres2 = 1e4F;
 

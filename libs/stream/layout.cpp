@@ -23,8 +23,7 @@ ParameterLayout canonical(ParameterLayout parameters) {
 
 }  // namespace
 
-StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m)
-    : parameters_(canonical(parameters)) {
+StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m) : parameters_(canonical(parameters)) {
   add(Attribute::Mean, 3, {0, mean_step_m}, -kMeanLimit, kMeanLimit);
   add(Attribute::LogScale, 3, {0, 1.0F / 64}, -kValueLimit, kValueLimit);
   add(Attribute::Rotation, 3, {0, 1.0F / 128}, -kRotationLimit, kRotationLimit);
@@ -41,7 +40,9 @@ StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m)
   }
 }
 
-bool StreamLayout::carries(const ParameterLayout& parameters) const { return parameters_ == canonical(parameters); }
+bool StreamLayout::carries(const ParameterLayout& parameters) const {
+  return parameters_ == canonical(parameters);
+}
 
 void StreamLayout::add(Attribute attribute, int channels, Quantiser quantiser, std::int32_t minimum,
                        std::int32_t maximum) {
@@ -63,8 +64,12 @@ const AttributeChannels& StreamLayout::at(Attribute attribute) const {
 StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
   ParameterLayout parameters;
   switch (begin.appearance()) {
-    case wire::Appearance::Transfer: parameters.appearance = Appearance::Transfer; break;
-    case wire::Appearance::Radiance: parameters.appearance = Appearance::Radiance; break;
+    case wire::Appearance::Transfer:
+      parameters.appearance = Appearance::Transfer;
+      break;
+    case wire::Appearance::Radiance:
+      parameters.appearance = Appearance::Radiance;
+      break;
     default:
       throw StreamError(fmt::format("SnapshotBegin: unknown appearance {}", static_cast<int>(begin.appearance())));
   }

@@ -77,8 +77,8 @@ class StreamLayout {
   int channels_ = 0;
 };
 
-/// A 32nd of the median Gaussian's extent (second largest scale), rounded down to a power of two, between 2^-20 and 1 m;
-/// 2^-11 m when there is none. Error of a mean: at most half of that, under 2 % of a typical Gaussian's sigma.
+/// A 32nd of the median Gaussian's extent (second largest scale), rounded down to a power of two, between 2^-20 and 1
+/// m; 2^-11 m when there is none. Error of a mean: at most half of that, under 2 % of a typical Gaussian's sigma.
 [[nodiscard]] float choose_mean_step(const GaussiansView& gaussians);
 
 }  // namespace splatbus::stream

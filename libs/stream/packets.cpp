@@ -34,8 +34,8 @@ EncodedPacket PacketWriter::finish(flatbuffers::FlatBufferBuilder& builder, std:
   header.add_publish_ns(now_ns());
   const auto header_offset = header.Finish();
   builder.Finish(wire::CreatePacket(builder, header_offset, stream_epoch, body, content));
-  return {body, sequence, {builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize()},
-          std::move(payload)};
+  return {
+      body, sequence, {builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize()}, std::move(payload)};
 }
 
 ParsedPacket ParsedPacket::parse(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload) {
@@ -43,8 +43,8 @@ ParsedPacket ParsedPacket::parse(std::span<const std::uint8_t> packet, std::span
     throw StreamError(fmt::format("Packet: {} bytes, 1 to {} are allowed", packet.size(), kMaxPacketBytes));
   }
   if (payload.size() > kMaxPayloadBytes) {
-    throw StreamError(fmt::format("Packet: payload of {} bytes, at most {} are allowed", payload.size(),
-                                  kMaxPayloadBytes));
+    throw StreamError(
+        fmt::format("Packet: payload of {} bytes, at most {} are allowed", payload.size(), kMaxPayloadBytes));
   }
   auto content = std::make_shared<Content>();
   content->packet.resize((packet.size() + 7) / 8);

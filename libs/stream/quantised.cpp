@@ -21,7 +21,9 @@ float linear_odd(float encoded) {
   return std::copysign(y, encoded);
 }
 
-float sign_not_zero(float x) { return x < 0 ? -1.0F : 1.0F; }
+float sign_not_zero(float x) {
+  return x < 0 ? -1.0F : 1.0F;
+}
 
 glm::vec2 octahedral(const glm::vec3& n) {
   const float sum = std::abs(n.x) + std::abs(n.y) + std::abs(n.z);
@@ -91,13 +93,20 @@ class Step {
 
 int parameter_channel(Attribute attribute) {
   switch (attribute) {
-    case Attribute::Mean: return ParameterLayout::kMean;
-    case Attribute::LogScale: return ParameterLayout::kLogScale;
-    case Attribute::Rotation: return ParameterLayout::kRotation;
-    case Attribute::Opacity: return ParameterLayout::kOpacityLogit;
-    case Attribute::Residual: return ParameterLayout::kResidual;
-    case Attribute::ShRest: return ParameterLayout::kAppearance + 3;
-    default: return ParameterLayout::kAppearance;
+    case Attribute::Mean:
+      return ParameterLayout::kMean;
+    case Attribute::LogScale:
+      return ParameterLayout::kLogScale;
+    case Attribute::Rotation:
+      return ParameterLayout::kRotation;
+    case Attribute::Opacity:
+      return ParameterLayout::kOpacityLogit;
+    case Attribute::Residual:
+      return ParameterLayout::kResidual;
+    case Attribute::ShRest:
+      return ParameterLayout::kAppearance + 3;
+    default:
+      return ParameterLayout::kAppearance;
   }
 }
 
@@ -208,12 +217,18 @@ void quantise(const GaussiansView& gaussians, const StreamLayout& layout, Quanti
   find_unusable(gaussians, usable);
   for (const AttributeChannels& a : layout.attributes()) {
     switch (a.attribute) {
-      case Attribute::Rotation: quantise_rotation(gaussians, layout, out, held, held_column); break;
-      case Attribute::Normal: quantise_normal(gaussians, a, out); break;
+      case Attribute::Rotation:
+        quantise_rotation(gaussians, layout, out, held, held_column);
+        break;
+      case Attribute::Normal:
+        quantise_normal(gaussians, a, out);
+        break;
       case Attribute::Opacity:
         quantise_planes(gaussians, a, out, [](float logit) { return 1 / (1 + std::exp(-logit)); });
         break;
-      case Attribute::Albedo: quantise_planes(gaussians, a, out, srgb_odd); break;
+      case Attribute::Albedo:
+        quantise_planes(gaussians, a, out, srgb_odd);
+        break;
       case Attribute::Visibility: {
         const Step step(a);
         for (std::size_t i = 0; i < count; ++i) {
@@ -221,7 +236,8 @@ void quantise(const GaussiansView& gaussians, const StreamLayout& layout, Quanti
         }
         break;
       }
-      default: quantise_planes(gaussians, a, out, [](float value) { return value; });
+      default:
+        quantise_planes(gaussians, a, out, [](float value) { return value; });
     }
   }
   for (std::size_t i = 0; i < count; ++i) {
@@ -265,7 +281,8 @@ void dequantise(const QuantisedGaussians& gaussians, const StreamLayout& layout,
     case Attribute::Visibility:
       for (const std::uint32_t i : columns) out.visibility[i] = value(0, i);
       return;
-    default: break;
+    default:
+      break;
   }
   const bool albedo = attribute == Attribute::Albedo;
   for (int c = 0; c < a.channels; ++c) {

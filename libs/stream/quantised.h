@@ -10,8 +10,8 @@
 
 namespace splatbus::stream {
 
-/// Gaussians as the integers that travel: what server and viewer hold alike, bit for bit. Column i of every plane is one
-/// Gaussian; in a held state i is its stream slot.
+/// Gaussians as the integers that travel: what server and viewer hold alike, bit for bit. Column i of every plane is
+/// one Gaussian; in a held state i is its stream slot.
 struct QuantisedGaussians {
   std::vector<std::vector<std::int32_t>> planes;  ///< [layout.channels()][count]
   std::vector<std::uint32_t> object_id;
@@ -46,9 +46,9 @@ void remove_at(std::vector<T>& values, std::span<const std::uint32_t> ascending)
   values.resize(to);
 }
 
-/// Nearest integers of columns [0, gaussians.count) of a view, into `out` (resized; buffers are reused). Reads parameters,
-/// normal and visibility (Transfer; null: up, 1), object_id and gaussian_id where they are not null. Values are clamped to
-/// the layout's range. `usable[i]` is 0 where a value was not finite; that column is then all zero.
+/// Nearest integers of columns [0, gaussians.count) of a view, into `out` (resized; buffers are reused). Reads
+/// parameters, normal and visibility (Transfer; null: up, 1), object_id and gaussian_id where they are not null. Values
+/// are clamped to the layout's range. `usable[i]` is 0 where a value was not finite; that column is then all zero.
 ///
 /// `held_column[i]` is the column of `held` that Gaussian i has, or kNotHeld: its rotation is then written as the
 /// equivalent one nearest to that which is held. Both may be null.
@@ -57,8 +57,8 @@ void quantise(const GaussiansView& gaussians, const StreamLayout& layout, Quanti
               std::vector<std::uint8_t>& usable, const QuantisedGaussians* held = nullptr,
               const std::uint32_t* held_column = nullptr);
 
-/// Model parameters of one Gaussian attribute from its integers: writes the attribute's parameter channels (or normal, or
-/// visibility) of columns `columns` into planes of `stride`. `normal` and `visibility` may be null for Radiance.
+/// Model parameters of one Gaussian attribute from its integers: writes the attribute's parameter channels (or normal,
+/// or visibility) of columns `columns` into planes of `stride`. `normal` and `visibility` may be null for Radiance.
 struct DequantisedPlanes {
   float* parameters = nullptr;  ///< [layout.parameters().channels()][stride]
   float* normal = nullptr;      ///< [3][stride]

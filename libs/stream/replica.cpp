@@ -28,8 +28,10 @@ bool is_numbered_content(wire::Body body) {
     case wire::Body::ObjectIds:
     case wire::Body::ObjectTransforms:
     case wire::Body::LightState:
-    case wire::Body::LightVisibility: return true;
-    default: return false;
+    case wire::Body::LightVisibility:
+      return true;
+    default:
+      return false;
   }
 }
 
@@ -59,7 +61,8 @@ bool Replica::receive(const ParsedPacket& packet) {
 
 void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   if (epoch == 0) throw StreamError("SnapshotBegin: no stream epoch");
-  if (body.total() > max_gaussians_ || body.chunk_count() > body.total() || (body.total() > 0 && body.chunk_count() == 0)) {
+  if (body.total() > max_gaussians_ || body.chunk_count() > body.total() ||
+      (body.total() > 0 && body.chunk_count() == 0)) {
     throw StreamError(fmt::format("SnapshotBegin: {} Gaussians in {} chunks, at most {} Gaussians are accepted",
                                   body.total(), body.chunk_count(), max_gaussians_));
   }
@@ -137,12 +140,22 @@ bool Replica::apply_to(Shown& shown, const ParsedPacket& packet) const {
   const Change change = apply(shown.state, packet, max_gaussians_);
   const QuantisedGaussians& gaussians = shown.state.gaussians;
   switch (change.kind) {
-    case Change::Kind::Appended: shown.planes.extend(gaussians); break;
-    case Change::Kind::Values: shown.planes.update(gaussians, change.attribute, change.slots); break;
-    case Change::Kind::Removed: shown.planes.remove(change.slots); break;
-    case Change::Kind::Objects: shown.planes.update_objects(gaussians, change.slots); break;
-    case Change::Kind::Scene: break;
-    case Change::Kind::Nothing: return false;
+    case Change::Kind::Appended:
+      shown.planes.extend(gaussians);
+      break;
+    case Change::Kind::Values:
+      shown.planes.update(gaussians, change.attribute, change.slots);
+      break;
+    case Change::Kind::Removed:
+      shown.planes.remove(change.slots);
+      break;
+    case Change::Kind::Objects:
+      shown.planes.update_objects(gaussians, change.slots);
+      break;
+    case Change::Kind::Scene:
+      break;
+    case Change::Kind::Nothing:
+      return false;
   }
   return true;
 }
@@ -200,7 +213,8 @@ std::uint64_t Replica::epoch() const {
 }
 
 std::uint32_t Replica::missing_chunks() const {
-  return loading_ ? static_cast<std::uint32_t>(loading_->chunk_count - std::min(loading_->chunk_count, loading_->chunks.size()))
+  return loading_ ? static_cast<std::uint32_t>(loading_->chunk_count -
+                                               std::min(loading_->chunk_count, loading_->chunks.size()))
                   : 0;
 }
 

@@ -19,9 +19,9 @@ struct MissingPackets {
 
 /// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe.
 ///
-/// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before, else
-/// the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for those
-/// missing before them.
+/// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before,
+/// else the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for
+/// those missing before them.
 class Replica {
  public:
   explicit Replica(std::size_t max_gaussians = std::size_t{1} << 22) : max_gaussians_(max_gaussians) {}

@@ -70,7 +70,8 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
     throw StreamError(fmt::format("model: {} Gaussians, at most {} can be streamed", gaussians.count, kMaxGaussians));
   }
   const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
-  const StreamLayout layout = another || !ready_ ? StreamLayout(gaussians.layout, choose_mean_step(gaussians)) : *target_layout_;
+  const StreamLayout layout =
+      another || !ready_ ? StreamLayout(gaussians.layout, choose_mean_step(gaussians)) : *target_layout_;
   const bool mirrored = ready_ && !another;
 
   std::vector<std::uint64_t> ids(gaussians.count);

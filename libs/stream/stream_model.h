@@ -27,21 +27,22 @@ struct EncodedSnapshot {
   std::vector<EncodedPacket> tail;    ///< GaussianOrder
 };
 
-/// The streamer's side: a mirror of what every viewer holds, and the packets that bring it nearer to the published model.
-/// The mirror changes only by the very bytes that are sent. Not thread-safe.
+/// The streamer's side: a mirror of what every viewer holds, and the packets that bring it nearer to the published
+/// model. The mirror changes only by the very bytes that are sent. Not thread-safe.
 class StreamModel {
  public:
   StreamModel(PacketWriter writer, std::uint64_t stream_epoch, StreamOptions options = {});
 
-  /// Quantises what is published now into memory of its own; `still_valid` says afterwards whether what was read was whole. False
-  /// when it was not: everything is as before. After a view of another layout (appearance, degree) ready() is false.
+  /// Quantises what is published now into memory of its own; `still_valid` says afterwards whether what was read was
+  /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
+  /// is false.
   bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
   /// Throws StreamError when there are more than kMaxObjects.
   void set_scene(const SceneState& scene, std::uint64_t frame);
   void set_schedules(const Schedules& schedules);
 
-  /// What was observed becomes what is held, without packets: for when nobody holds anything, or everybody gets a snapshot. Takes
-  /// one sequence number, so that whoever held something before notices.
+  /// What was observed becomes what is held, without packets: for when nobody holds anything, or everybody gets a
+  /// snapshot. Takes one sequence number, so that whoever held something before notices.
   void jump();
   /// Nobody holds anything any more: the next jump() may choose other quantisers.
   void release() { ready_ = false; }
@@ -49,8 +50,8 @@ class StreamModel {
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
-  /// Broadcast packets of one tick: scene, removals, object ids, visibility, new Gaussians, deltas. What viewers see most comes first,
-  /// and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready().
+  /// Broadcast packets of one tick: scene, removals, object ids, visibility, new Gaussians, deltas. What viewers see
+  /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready().
   [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
 
   /// Only the scene's: for when the model could not be observed.
@@ -62,7 +63,7 @@ class StreamModel {
 
   [[nodiscard]] const HeldState& held() const { return held_; }
   [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
-  [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }                    ///< observed, not held, after the last tick
+  [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }  ///< observed, not held, after the last tick
   [[nodiscard]] std::size_t pending_deltas() const { return selection_.pending(); }
 
  private:
@@ -92,10 +93,10 @@ class StreamModel {
   std::optional<StreamLayout> target_layout_;
   QuantisedGaussians target_, scratch_;
   std::vector<std::uint8_t> usable_, scratch_usable_;
-  std::vector<std::uint32_t> slot_of_column_;       ///< kNotHeld: not held
-  std::vector<std::uint32_t> column_of_slot_;       ///< kNotHeld: not in the target, or not usable
-  std::vector<std::uint32_t> gone_;                 ///< slots that the target has no more, ascending
-  std::vector<std::uint32_t> fresh_;                ///< columns that are usable and not held
+  std::vector<std::uint32_t> slot_of_column_;  ///< kNotHeld: not held
+  std::vector<std::uint32_t> column_of_slot_;  ///< kNotHeld: not in the target, or not usable
+  std::vector<std::uint32_t> gone_;            ///< slots that the target has no more, ascending
+  std::vector<std::uint32_t> fresh_;           ///< columns that are usable and not held
   std::unordered_map<std::uint64_t, std::uint32_t> slot_of_id_;
   double chunk_bytes_per_gaussian_ = 24;
   std::uint64_t snapshots_ = 0;

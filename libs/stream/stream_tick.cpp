@@ -58,9 +58,8 @@ std::vector<EncodedPacket> StreamModel::tick_scene_only() {
 
 void StreamModel::tick_scene(std::vector<EncodedPacket>& out) {
   if (light_changed_) {
-    emit(out, wire::Body::LightState, [&](auto& builder) {
-      return wire::CreateLightState(builder, to_wire(builder, scene_.light));
-    });
+    emit(out, wire::Body::LightState,
+         [&](auto& builder) { return wire::CreateLightState(builder, to_wire(builder, scene_.light)); });
   }
   if (objects_changed_) {
     emit(out, wire::Body::ObjectTransforms, [&](auto& builder) {
@@ -74,9 +73,10 @@ void StreamModel::tick_removals(std::vector<EncodedPacket>& out) {
   if (gone_.empty()) return;
   Payload payload = encode_slots(gone_);
   const std::uint32_t raw_bytes = payload.raw_bytes;
-  emit(out, wire::Body::Remove, [&](auto& builder) {
-    return wire::CreateRemove(builder, static_cast<std::uint32_t>(gone_.size()), raw_bytes);
-  }, std::move(payload));
+  emit(
+      out, wire::Body::Remove,
+      [&](auto& builder) { return wire::CreateRemove(builder, static_cast<std::uint32_t>(gone_.size()), raw_bytes); },
+      std::move(payload));
   selection_.remove(gone_);
   index_ids();
   map_columns();
@@ -124,12 +124,14 @@ void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const 
   const QuantisedGaussians chunk = target_.gather(columns);
   const std::size_t first = held_.gaussians.count();
   const std::size_t before = out.size();
-  emit(out, wire::Body::Snapshot, packet_with_slots(first, columns.size(), 0, [](auto& builder, auto slot, auto count, auto) {
-         return wire::CreateSnapshot(builder, 0, 0, slot, count);
-       }), {encode_chunk(chunk, held_.layout), 0});
+  emit(out, wire::Body::Snapshot,
+       packet_with_slots(
+           first, columns.size(), 0,
+           [](auto& builder, auto slot, auto count, auto) { return wire::CreateSnapshot(builder, 0, 0, slot, count); }),
+       {encode_chunk(chunk, held_.layout), 0});
   Payload ids = encode_ids(chunk.gaussian_id);
-  emit(out, wire::Body::GaussianOrder, packet_with_slots(first, columns.size(), ids.raw_bytes, wire::CreateGaussianOrder),
-       std::move(ids));
+  emit(out, wire::Body::GaussianOrder,
+       packet_with_slots(first, columns.size(), ids.raw_bytes, wire::CreateGaussianOrder), std::move(ids));
   const double bytes = static_cast<double>(out[before].bytes() + out[before + 1].bytes());
   chunk_bytes_per_gaussian_ += 0.5 * (bytes / static_cast<double>(columns.size()) - chunk_bytes_per_gaussian_);
   selection_.append(chunk);
@@ -176,9 +178,12 @@ void StreamModel::tick_deltas(std::vector<EncodedPacket>& out, double budget_byt
     Payload payload = encode_delta(selected.delta);
     const auto count = static_cast<std::uint32_t>(selected.delta.slots.size());
     const auto channels = static_cast<std::uint32_t>(selected.delta.residuals.size());
-    emit(out, wire::Body::TensorDelta, [&, raw_bytes = payload.raw_bytes](auto& builder) {
-      return wire::CreateTensorDelta(builder, selected.attribute, count, channels, raw_bytes);
-    }, std::move(payload));
+    emit(
+        out, wire::Body::TensorDelta,
+        [&, raw_bytes = payload.raw_bytes](auto& builder) {
+          return wire::CreateTensorDelta(builder, selected.attribute, count, channels, raw_bytes);
+        },
+        std::move(payload));
     selection_.learn_cost(selected.attribute, count, out.back().bytes());
   }
 }
@@ -217,10 +222,13 @@ EncodedSnapshot StreamModel::snapshot() {
     std::vector<std::uint32_t> slots(std::min(size, total - first));
     std::iota(slots.begin(), slots.end(), static_cast<std::uint32_t>(first));
     const QuantisedGaussians chunk = held_.gaussians.gather(slots);
-    snapshot.chunks.push_back(unicast(wire::Body::Snapshot, [&](auto& builder) {
-      return wire::CreateSnapshot(builder, id, static_cast<std::uint32_t>(first / size), slots.front(),
-                                  static_cast<std::uint32_t>(slots.size()));
-    }, encode_chunk(chunk, held_.layout)));
+    snapshot.chunks.push_back(unicast(
+        wire::Body::Snapshot,
+        [&](auto& builder) {
+          return wire::CreateSnapshot(builder, id, static_cast<std::uint32_t>(first / size), slots.front(),
+                                      static_cast<std::uint32_t>(slots.size()));
+        },
+        encode_chunk(chunk, held_.layout)));
     Payload ids = encode_ids(chunk.gaussian_id);
     snapshot.tail.push_back(unicast(wire::Body::GaussianOrder,
                                     packet_with_slots(first, slots.size(), ids.raw_bytes, wire::CreateGaussianOrder),

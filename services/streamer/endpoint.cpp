@@ -97,8 +97,9 @@ std::optional<Endpoint::Received> Endpoint::receive() {
     }
     try {
       if (parts.empty() || parts.size() > 2) throw stream::StreamError("a message of one or two frames was expected");
-      return Received{peer, stream::ParsedPacket::parse(bytes_of(parts[0]), parts.size() > 1 ? bytes_of(parts[1])
-                                                                                             : std::span<const std::uint8_t>())};
+      return Received{
+          peer, stream::ParsedPacket::parse(bytes_of(parts[0]),
+                                            parts.size() > 1 ? bytes_of(parts[1]) : std::span<const std::uint8_t>())};
     } catch (const stream::StreamError& error) {
       ++malformed_;
       if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());

@@ -39,8 +39,8 @@ class Endpoint {
   enum class Sent : std::uint8_t { Yes, Full, Gone };
   static constexpr int kQueuedPackets = 64;  ///< for a viewer that does not read; then send() says Full
 
-  /// Binds `endpoints`. An ipc path is held by a lock file beside it, since a second bind would silently steal it. Throws
-  /// bus::Error naming the endpoint and what is wrong.
+  /// Binds `endpoints`. An ipc path is held by a lock file beside it, since a second bind would silently steal it.
+  /// Throws bus::Error naming the endpoint and what is wrong.
   explicit Endpoint(const std::vector<std::string>& endpoints);
 
   [[nodiscard]] Sent send(const Peer& peer, const WirePacket& packet);

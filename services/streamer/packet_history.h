@@ -28,7 +28,8 @@ class PacketHistory {
 
   /// Null when it is not (or no longer) here.
   [[nodiscard]] SharedPacket find(std::uint64_t sequence) const {
-    if (packets_.empty() || sequence < packets_.front()->sequence() || sequence > packets_.back()->sequence()) return {};
+    if (packets_.empty() || sequence < packets_.front()->sequence() || sequence > packets_.back()->sequence())
+      return {};
     return packets_[sequence - packets_.front()->sequence()];
   }
   [[nodiscard]] std::size_t bytes() const { return bytes_; }

@@ -34,7 +34,12 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .default_value = std::string(),
        .description = "another endpoint, for viewers elsewhere, such as tcp://127.0.0.1:7600; empty: none",
        .runtime = false},
-      {.name = "tick_hz", .default_value = 5.0, .description = "updates a second", .minimum = 0.1, .maximum = 120, .runtime = false},
+      {.name = "tick_hz",
+       .default_value = 5.0,
+       .description = "updates a second",
+       .minimum = 0.1,
+       .maximum = 120,
+       .runtime = false},
       {.name = "budget_kbps",
        .default_value = 6000.0,
        .description = "kbit/s to one viewer for new Gaussians and deltas; snapshots of those who join come on top",
@@ -52,7 +57,12 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .minimum = 64,
        .maximum = static_cast<double>(stream::kMaxChunkGaussians),
        .runtime = false},
-      {.name = "max_viewers", .default_value = std::int64_t{64}, .description = "that are served", .minimum = 1, .maximum = 4096, .runtime = false},
+      {.name = "max_viewers",
+       .default_value = std::int64_t{64},
+       .description = "that are served",
+       .minimum = 1,
+       .maximum = 4096,
+       .runtime = false},
       {.name = "viewer_timeout_s",
        .default_value = 5.0,
        .description = "seconds after which a viewer that sends or reads nothing is forgotten",
@@ -69,11 +79,13 @@ std::vector<bus::ParameterSpec> parameter_specs() {
   const stream::Schedules defaults = stream::default_schedules();
   for (const auto& [attribute, name] : kScheduled) {
     const stream::AttributeSchedule& s = defaults[static_cast<std::size_t>(attribute)];
-    specs.push_back({.name = fmt::format("{}_dead_zone", name),
-                     .default_value = std::int64_t{s.dead_zone},
-                     .description = "quantiser steps; a change up to that, in every channel, is not sent while the value still moves",
-                     .minimum = 0,
-                     .maximum = 10000});
+    specs.push_back(
+        {.name = fmt::format("{}_dead_zone", name),
+         .default_value = std::int64_t{s.dead_zone},
+         .description =
+             "quantiser steps; a change up to that, in every channel, is not sent while the value still moves",
+         .minimum = 0,
+         .maximum = 10000});
     specs.push_back({.name = fmt::format("{}_every", name),
                      .default_value = std::int64_t{s.every},
                      .description = "ticks between its deltas",
@@ -92,7 +104,8 @@ std::vector<std::string> endpoints(const bus::Parameters& parameters, const bus:
   }
   if (const std::string tcp = parameters.text("tcp"); !tcp.empty()) endpoints.push_back(tcp);
   if (endpoints.empty()) {
-    throw bus::Error(fmt::format("the bus at {} has no folder: set 'endpoint' or 'tcp' to where viewers connect", address.text()));
+    throw bus::Error(
+        fmt::format("the bus at {} has no folder: set 'endpoint' or 'tcp' to where viewers connect", address.text()));
   }
   return endpoints;
 }

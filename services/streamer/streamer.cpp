@@ -94,7 +94,9 @@ void Streamer::run() {
     const std::int64_t now_ns = bus::now_ns();
     hub_.receive(now_ns);
     hub_.expire(now_ns);
-    if (now_ns >= next_tick_ns) {
+    // The first Gaussians do not wait for the tick.
+    const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
+    if (now_ns >= next_tick_ns || first) {
       tick(now_ns);
       next_tick_ns = std::max(next_tick_ns + period_ns, now_ns);
     }
@@ -135,16 +137,17 @@ void Streamer::forward_probe(const bus::Message& message) {
   if (!color) return;
   stream::Bytes rgba(color->bytes());
   if (!color->copy(rgba.data())) return;
-  hub_.send_probe_picture(
-      body.probe_id(),
-      writer_.write(model_.held().epoch, 0, wire::Body::ProbePicture,
-                    [&](auto& builder) {
-                      const auto objects_offset = to_wire(builder, objects);
-                      const auto light_offset = to_wire(builder, light);
-                      return wire::CreateProbePicture(builder, body.probe_id(), body.camera(),
-                                                      static_cast<std::uint32_t>(rgba.size()), objects_offset, light_offset);
-                    },
-                    stream::zstd_compress(rgba, kPictureZstdLevel)));
+  hub_.send_probe_picture(body.probe_id(), writer_.write(
+                                               model_.held().epoch, 0, wire::Body::ProbePicture,
+                                               [&](auto& builder) {
+                                                 const auto objects_offset = to_wire(builder, objects);
+                                                 const auto light_offset = to_wire(builder, light);
+                                                 return wire::CreateProbePicture(
+                                                     builder, body.probe_id(), body.camera(),
+                                                     static_cast<std::uint32_t>(rgba.size()), objects_offset,
+                                                     light_offset);
+                                               },
+                                               stream::zstd_compress(rgba, kPictureZstdLevel)));
 }
 
 bool Streamer::observe() {
@@ -206,11 +209,10 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
       types.push_back(wire::CreatePacketBytesDirect(builder, wire::EnumNameBody(static_cast<wire::Body>(i)),
                                                     type.total_bytes, type.window_bytes, type.packets));
     }
-    return wire::CreateStreamStatsDirect(builder, header, held.epoch, held.sequence,
-                                         static_cast<std::uint32_t>(hub_.viewers()), held.gaussians.count(),
-                                         model_.observed_count(), window.total_bytes, window.bytes, window.seconds,
-                                         window.mbps, window.mbps_mean, window.mbps_peak, hub_.snapshots(),
-                                         hub_.resends(), hub_.lost_viewers(), &types);
+    return wire::CreateStreamStatsDirect(
+        builder, header, held.epoch, held.sequence, static_cast<std::uint32_t>(hub_.viewers()), held.gaussians.count(),
+        model_.observed_count(), window.total_bytes, window.bytes, window.seconds, window.mbps, window.mbps_mean,
+        window.mbps_peak, hub_.snapshots(), hub_.resends(), hub_.lost_viewers(), &types);
   });
   service_.counter("viewers", static_cast<double>(hub_.viewers()));
   service_.counter("gaussians", static_cast<double>(held.gaussians.count()));

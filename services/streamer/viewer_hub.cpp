@@ -43,7 +43,8 @@ void ViewerHub::receive(std::int64_t now_ns) {
     try {
       handle(*received, now_ns);
     } catch (const std::runtime_error& error) {
-      spdlog::warn("a viewer's {}: {}", wire::EnumNameBody(received->packet.body()), error.what());
+      if (log_limiter_.allow())
+        spdlog::warn("a viewer's {}: {}", wire::EnumNameBody(received->packet.body()), error.what());
     }
   }
 }
@@ -83,16 +84,21 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
       events_.probe(viewer.name, probe);
       break;
     }
-    case wire::Body::Quality: events_.quality(viewer.name, *root.body_as_Quality()); break;
+    case wire::Body::Quality:
+      events_.quality(viewer.name, *root.body_as_Quality());
+      break;
     case wire::Body::Resend:
       if (same_epoch) resend(viewer, root.body_as_Resend()->first(), root.body_as_Resend()->last());
       break;
-    case wire::Body::NeedSnapshot: need_snapshot(viewer); break;
+    case wire::Body::NeedSnapshot:
+      need_snapshot(viewer);
+      break;
     case wire::Body::Bye:
       spdlog::info("viewer {} left", viewer.name);
       viewers_.erase(found);
       break;
-    default: spdlog::debug("viewer {} sent a {}", viewer.name, wire::EnumNameBody(packet.body()));
+    default:
+      spdlog::debug("viewer {} sent a {}", viewer.name, wire::EnumNameBody(packet.body()));
   }
 }
 
@@ -105,8 +111,9 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
   }
   if (viewers_.size() >= options_.max_viewers) {
     send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Bye, [&](auto& builder) {
-      return wire::CreateByeDirect(builder, fmt::format("{} viewers are all that are served", viewers_.size()).c_str());
-    })));
+           return wire::CreateByeDirect(builder,
+                                        fmt::format("{} viewers are all that are served", viewers_.size()).c_str());
+         })));
     return;
   }
   Viewer viewer;
@@ -162,7 +169,8 @@ void ViewerHub::begin_snapshot(Viewer& viewer) {
   viewer.snapshot = current_snapshot();
   viewer.queue = viewer.snapshot->head;
   if (viewer.snapshot->as_of == model_.held().sequence) {
-    for (const std::size_t chunk : model_.chunk_order(viewer.camera)) viewer.queue.push_back(viewer.snapshot->chunks[chunk]);
+    for (const std::size_t chunk : model_.chunk_order(viewer.camera))
+      viewer.queue.push_back(viewer.snapshot->chunks[chunk]);
   } else {
     viewer.queue.insert(viewer.queue.end(), viewer.snapshot->chunks.begin(), viewer.snapshot->chunks.end());
   }
@@ -248,9 +256,9 @@ void ViewerHub::send_alive() {
     // Only what has been sent can have been lost.
     const bool follows = !viewer.waits_for_snapshot && !viewer.snapshot;
     send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Alive, [&](auto& builder) {
-      return wire::CreateAlive(builder, follows ? viewer.next - 1 : 0, model_.held().gaussians.count(),
-                               static_cast<std::uint32_t>(viewers_.size()));
-    })));
+           return wire::CreateAlive(builder, follows ? viewer.next - 1 : 0, model_.held().gaussians.count(),
+                                    static_cast<std::uint32_t>(viewers_.size()));
+         })));
   }
 }
 

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "bus/log_limiter.h"
 #include "gaussians/camera.h"
 #include "stream/replica.h"
 #include "stream/stream_model.h"
@@ -32,9 +33,9 @@ struct HubEvents {
   std::function<void(const std::string& viewer, const wire::Quality&)> quality;
 };
 
-/// Every viewer's place in the stream. Each is sent, in this order and as fast as it reads: what it asked to be resent, the chunks of
-/// its snapshot, the broadcast packets that follow it. Nothing is queued for a viewer but numbers and shared packets: memory does not
-/// grow with a viewer that does not read. One thread.
+/// Every viewer's place in the stream. Each is sent, in this order and as fast as it reads: what it asked to be resent,
+/// the chunks of its snapshot, the broadcast packets that follow it. Nothing is queued for a viewer but numbers and
+/// shared packets: memory does not grow with a viewer that does not read. One thread.
 class ViewerHub {
  public:
   ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::PacketWriter writer, HubOptions options,
@@ -106,6 +107,7 @@ class ViewerHub {
   std::map<std::uint64_t, Endpoint::Peer> probe_askers_;
   WireStatistics statistics_;
   std::uint64_t snapshots_ = 0, resends_ = 0, lost_viewers_ = 0;
+  bus::LogLimiter log_limiter_;
 };
 
 }  // namespace splatbus::streamer

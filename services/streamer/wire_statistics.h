@@ -8,8 +8,8 @@
 
 namespace splatbus::streamer {
 
-/// Bytes on the wire to viewers, by packet type. Rates are of the model's stream: ProbePictures, which only measurements ask
-/// for, are counted but left out of them.
+/// Bytes on the wire to viewers, by packet type. Rates are of the model's stream: ProbePictures, which only
+/// measurements ask for, are counted but left out of them.
 class WireStatistics {
  public:
   struct Type {

@@ -50,8 +50,9 @@ int main(int argc, char** argv) {
   if (standalone) return splatbus::viewer::standalone_main(count, arguments.data());
   const splatbus::bus::ServiceDescription description{
       .kind = "viewer",
-      .summary = "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window; and --connect ENDPOINT to "
-                 "view a streamer elsewhere without any bus",
+      .summary =
+          "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window; and --connect ENDPOINT to "
+          "view a streamer elsewhere without any bus",
       .parameters = splatbus::viewer::parameter_specs(),
   };
   return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);

@@ -37,15 +37,16 @@ int standalone_main(int argc, char** argv) {
     std::stop_source stop;
     const bus::StopSignals signals(stop);
     std::string detail;
-    Viewer(parameters, {.name = name,
-                        .endpoint = endpoint,
-                        .stop = stop.get_token(),
-                        .counter = [](const std::string& counter, double value) { spdlog::debug("{} {}", counter, value); },
-                        .detail =
-                            [&](const std::string& text) {
-                              if (text != detail) spdlog::info("{}", text);
-                              detail = text;
-                            }})
+    Viewer(parameters,
+           {.name = name,
+            .endpoint = endpoint,
+            .stop = stop.get_token(),
+            .counter = [](const std::string& counter, double value) { spdlog::debug("{} {}", counter, value); },
+            .detail =
+                [&](const std::string& text) {
+                  if (text != detail) spdlog::info("{}", text);
+                  detail = text;
+                }})
         .run();
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-viewer: {}\n", error.what());

@@ -103,13 +103,16 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
       if (welcomed_) hello(bus::now_ns());
       welcomed_ = !welcomed_;
       return false;
-    case wire::Body::ProbePicture: take_probe_picture(packet); return false;
+    case wire::Body::ProbePicture:
+      take_probe_picture(packet);
+      return false;
     case wire::Body::Bye: {
       const auto* reason = packet.root().body_as_Bye()->reason();
       if (log_limiter_.allow()) spdlog::warn("the streamer says: {}", reason ? reason->string_view() : "");
       return false;
     }
-    default: break;
+    default:
+      break;
   }
   if (packet.body() == wire::Body::Snapshot || packet.body() == wire::Body::SnapshotBegin) progress_ns_ = bus::now_ns();
   return replica_.receive(packet);
@@ -130,7 +133,9 @@ void StreamClient::take_probe_picture(const stream::ParsedPacket& packet) {
   answers_.push_back(std::move(answer));
 }
 
-std::vector<ProbeAnswer> StreamClient::take_probe_answers() { return std::exchange(answers_, {}); }
+std::vector<ProbeAnswer> StreamClient::take_probe_answers() {
+  return std::exchange(answers_, {});
+}
 
 void StreamClient::hello(std::int64_t now_ns) {
   hello_ns_ = now_ns;
@@ -179,7 +184,8 @@ void StreamClient::send_probe(std::uint64_t probe_id, const Camera& camera) {
   });
 }
 
-void StreamClient::send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns) {
+void StreamClient::send_quality(std::uint64_t probe_id, const metrics::Quality& quality,
+                                std::int64_t first_picture_ns) {
   send(wire::Body::Quality, [&](auto& builder) {
     return wire::CreateQuality(builder, probe_id, static_cast<float>(quality.psnr_db), static_cast<float>(quality.ssim),
                                static_cast<float>(quality.flip), replica_.view().count, first_picture_ns);

@@ -21,7 +21,7 @@ struct ClientOptions {
   std::string endpoint;
   std::string name;
   bool probes = false;  ///< wants ProbePictures
-  std::int64_t hello_every_ns = 500'000'000;
+  std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
 };
 
@@ -33,14 +33,15 @@ struct ProbeAnswer {
   std::vector<std::uint8_t> rgba;  ///< [height][width][4]
 };
 
-/// A viewer's end of the stream: keeps a replica, asks again for what is missing, greets a streamer that came back. What is held stays
-/// whatever happens to the streamer. Needs no bus. One thread.
+/// A viewer's end of the stream: keeps a replica, asks again for what is missing, greets a streamer that came back.
+/// What is held stays whatever happens to the streamer. Needs no bus. One thread.
 class StreamClient {
  public:
   /// Connects; the streamer may start later. Throws bus::Error naming the endpoint.
   explicit StreamClient(ClientOptions options);
 
-  /// Waits up to `timeout` for packets, takes all that are there, and sends what is due. True when the picture may have changed.
+  /// Waits up to `timeout` for packets, takes all that are there, and sends what is due. True when the picture may have
+  /// changed.
   bool poll(std::chrono::milliseconds timeout);
 
   void send_pose(const Camera& camera);

@@ -34,7 +34,9 @@ ClientOptions client_options(const bus::Parameters& parameters, const ViewerHost
 }
 
 // Viewers choose their ids without asking each other.
-std::uint64_t first_probe_id() { return std::uint64_t{std::random_device{}()} << 20 | 1; }
+std::uint64_t first_probe_id() {
+  return std::uint64_t{std::random_device{}()} << 20 | 1;
+}
 
 }  // namespace
 
@@ -44,8 +46,17 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .default_value = std::string(),
        .description = "of the streamer; empty: 'streamer' in the folder of the bus",
        .runtime = false},
-      {.name = "rate_hz", .default_value = 5.0, .description = "pictures and poses a second", .minimum = 0.1, .maximum = 240},
-      {.name = "threads", .default_value = std::int64_t{0}, .description = "that draw; 0: one a core", .minimum = 0, .maximum = 1024, .runtime = false},
+      {.name = "rate_hz",
+       .default_value = 5.0,
+       .description = "pictures and poses a second",
+       .minimum = 0.1,
+       .maximum = 240},
+      {.name = "threads",
+       .default_value = std::int64_t{0},
+       .description = "that draw; 0: one a core",
+       .minimum = 0,
+       .maximum = 1024,
+       .runtime = false},
       {.name = "out", .default_value = std::string(), .description = "folder for pictures; empty: none are written"},
       {.name = "frames",
        .default_value = std::int64_t{0},
@@ -54,14 +65,19 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .maximum = 1e9},
       {.name = "probe",
        .default_value = false,
-       .description = "compare with the engine's own picture whenever one arrives: quality, and probe_<id>_viewer.png in 'out'",
+       .description =
+           "compare with the engine's own picture whenever one arrives: quality, and probe_<id>_viewer.png in 'out'",
        .runtime = false},
       {.name = "probe_period_s",
        .default_value = 5.0,
-       .description = "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: only what others ask for",
+       .description = "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: "
+                      "only what others ask for",
        .minimum = 0,
        .maximum = 1e6},
-      {.name = "window", .default_value = false, .description = "show a window, steered with mouse and keys", .runtime = false},
+      {.name = "window",
+       .default_value = false,
+       .description = "show a window, steered with mouse and keys",
+       .runtime = false},
   };
   std::ranges::move(path_parameter_specs(), std::back_inserter(specs));
   return specs;
@@ -170,7 +186,7 @@ void Viewer::report() {
     host_.counter("ssim", last_quality_.ssim);
     host_.counter("flip", last_quality_.flip);
   }
-  host_.detail(!client_.connected()          ? fmt::format("waits for the streamer at {}", host_.endpoint)
+  host_.detail(!client_.connected()        ? fmt::format("waits for the streamer at {}", host_.endpoint)
                : replica.view().count == 0 ? "waits for Gaussians"
                : replica.loading()         ? fmt::format("waits for {} chunks", replica.missing_chunks())
                                            : "shows the stream");

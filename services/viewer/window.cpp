@@ -68,7 +68,8 @@ struct Window::Impl {
 
   void keys() {
     const std::int64_t now_ns = bus::now_ns();
-    const float step = kSpeed * distance * static_cast<float>(std::min<std::int64_t>(now_ns - moved_ns, 100'000'000)) / 1e9F;
+    const float step =
+        kSpeed * distance * static_cast<float>(std::min<std::int64_t>(now_ns - moved_ns, 100'000'000)) / 1e9F;
     moved_ns = now_ns;
     const auto axis = [&](int more, int less) {
       return static_cast<float>((glfwGetKey(window, more) == GLFW_PRESS) - (glfwGetKey(window, less) == GLFW_PRESS));
@@ -84,13 +85,15 @@ struct Window::Impl {
 
 Window::Window(const Camera& camera, const std::string& title) : impl_(std::make_unique<Impl>()) {
   if (!std::getenv("DISPLAY") && !std::getenv("WAYLAND_DISPLAY")) {
-    throw bus::Error("a window was asked for (window=true), but there is no display: neither DISPLAY nor WAYLAND_DISPLAY is set");
+    throw bus::Error(
+        "a window was asked for (window=true), but there is no display: neither DISPLAY nor WAYLAND_DISPLAY is set");
   }
   if (!glfwInit()) throw bus::Error(fmt::format("no window: {}", glfw_reason()));
   glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, 3);
   glfwWindowHint(GLFW_CONTEXT_VERSION_MINOR, 3);
   glfwWindowHint(GLFW_OPENGL_PROFILE, GLFW_OPENGL_CORE_PROFILE);
-  impl_->window = glfwCreateWindow(static_cast<int>(camera.width), static_cast<int>(camera.height), title.c_str(), nullptr, nullptr);
+  impl_->window = glfwCreateWindow(static_cast<int>(camera.width), static_cast<int>(camera.height), title.c_str(),
+                                   nullptr, nullptr);
   if (!impl_->window) {
     const std::string reason = glfw_reason();
     glfwTerminate();
@@ -121,7 +124,9 @@ void Window::poll_events() {
   impl_->keys();
 }
 
-bool Window::closed() const { return glfwWindowShouldClose(impl_->window) == GLFW_TRUE; }
+bool Window::closed() const {
+  return glfwWindowShouldClose(impl_->window) == GLFW_TRUE;
+}
 
 Camera Window::camera() const {
   int width = 0, height = 0;

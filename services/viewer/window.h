@@ -8,8 +8,8 @@
 
 namespace splatbus::viewer {
 
-/// A GLFW window that shows pictures and steers a camera about a point. Left button: turn. Right button: move. Wheel: nearer or farther.
-/// W A S D Q E: move. Escape: close. Main thread only; one a process.
+/// A GLFW window that shows pictures and steers a camera about a point. Left button: turn. Right button: move. Wheel:
+/// nearer or farther. W A S D Q E: move. Escape: close. Main thread only; one a process.
 class Window {
  public:
   /// Opens with `camera`'s size and begins at its pose. Throws bus::Error when there is no display, or no OpenGL 3.3.

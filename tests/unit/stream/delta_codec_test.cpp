@@ -25,8 +25,8 @@ Delta random_delta(std::size_t count, std::size_t channels, std::mt19937& random
 }
 
 TEST(Bytes, ZigzagIsItsOwnInverseAtTheExtremes) {
-  for (const std::int64_t v : {std::int64_t{0}, std::int64_t{-1}, std::int64_t{1}, std::numeric_limits<std::int64_t>::min(),
-                               std::numeric_limits<std::int64_t>::max()}) {
+  for (const std::int64_t v : {std::int64_t{0}, std::int64_t{-1}, std::int64_t{1},
+                               std::numeric_limits<std::int64_t>::min(), std::numeric_limits<std::int64_t>::max()}) {
     EXPECT_EQ(unzigzag(zigzag(v)), v);
   }
   EXPECT_EQ(zigzag(-1), 1U);

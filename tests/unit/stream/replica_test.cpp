@@ -46,11 +46,20 @@ TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
     send(server.stream.snapshot(), replica);
     for (int tick = 0; tick < 40; ++tick) {
       switch (random() % 5) {
-        case 0: server.insert(random() % 400); break;
-        case 1: server.remove(random() % 60); break;
-        case 2: server.scene.light.sun_irradiance.x += 1, ++server.scene.light.generation; break;
-        case 3: server.scene.objects[random() % 3].translation.y += 0.1F; break;
-        default: break;
+        case 0:
+          server.insert(random() % 400);
+          break;
+        case 1:
+          server.remove(random() % 60);
+          break;
+        case 2:
+          server.scene.light.sun_irradiance.x += 1, ++server.scene.light.generation;
+          break;
+        case 3:
+          server.scene.objects[random() % 3].translation.y += 0.1F;
+          break;
+        default:
+          break;
       }
       server.train(0.02F);
       send(server.tick(random() % 3 ? 3000 : 1e9), replica);
@@ -116,9 +125,8 @@ TEST(Loss, ResendOfWhatIsMissingHeals) {
   }
   // A loss at the very end shows only in an Alive.
   const PacketWriter writer("streamer", 1);
-  replica.receive(parse(writer.write(77, 0, wire::Body::Alive, [&](auto& b) {
-    return wire::CreateAlive(b, server.stream.held().sequence, 0, 1);
-  })));
+  replica.receive(parse(writer.write(
+      77, 0, wire::Body::Alive, [&](auto& b) { return wire::CreateAlive(b, server.stream.held().sequence, 0, 1); })));
   for (auto gap = replica.missing(); gap; gap = replica.missing()) {
     for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
   }
@@ -213,10 +221,12 @@ TEST(Hostile, SnapshotBeginOfImpossibleSizesIsRefused) {
       std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
       for (const AttributeChannels& a : server.stream.held().layout.attributes()) {
         const wire::Quantiser quantiser(0, step);
-        attributes.push_back(wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
+        attributes.push_back(
+            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
       }
-      return wire::CreateSnapshotBegin(b, 5, 1, total, chunks, degree ? wire::Appearance::Radiance : wire::Appearance::Transfer,
-                                       degree, b.CreateVector(attributes));
+      return wire::CreateSnapshotBegin(b, 5, 1, total, chunks,
+                                       degree ? wire::Appearance::Radiance : wire::Appearance::Transfer, degree,
+                                       b.CreateVector(attributes));
     });
   };
   EXPECT_THROW(replica.receive(parse(begin(1001, 3, 1, 0))), StreamError);
@@ -252,7 +262,8 @@ TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
       EncodedPacket mutated = packet;
       Bytes& bytes = mutated.payload.empty() || round % 3 == 0 ? mutated.packet : mutated.payload;
       if (round % 5 == 0) bytes.resize(random() % bytes.size());
-      for (int k = 0; k < 2 && !bytes.empty(); ++k) bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
+      for (int k = 0; k < 2 && !bytes.empty(); ++k)
+        bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
       HeldState victim = state;
       try {
         const ParsedPacket parsed = parse(mutated);
@@ -279,9 +290,9 @@ TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
   }
   EXPECT_TRUE(state.gaussians == server.stream.held().gaussians);
   EXPECT_GT(thrown, 100);
-  for (const wire::Body body : {wire::Body::Snapshot, wire::Body::TensorDelta, wire::Body::Remove, wire::Body::GaussianOrder,
-                                wire::Body::ObjectIds, wire::Body::ObjectTransforms, wire::Body::LightState,
-                                wire::Body::LightVisibility}) {
+  for (const wire::Body body :
+       {wire::Body::Snapshot, wire::Body::TensorDelta, wire::Body::Remove, wire::Body::GaussianOrder,
+        wire::Body::ObjectIds, wire::Body::ObjectTransforms, wire::Body::LightState, wire::Body::LightVisibility}) {
     EXPECT_TRUE(kinds.contains(body)) << wire::EnumNameBody(body) << " was not exercised";
   }
 }

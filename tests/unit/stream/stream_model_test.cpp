@@ -55,7 +55,8 @@ TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
   send(server.stream.snapshot(), replica);
   // Two steps of albedo: inside the dead zone.
   for (std::size_t i = 0; i < server.model().count(); ++i) {
-    float& red = server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + i];
+    float& red =
+        server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + i];
     red = linear_from_srgb(srgb_from_linear(red) + 2.0F / 255);
   }
   std::size_t first = 0, later = 0;
@@ -70,8 +71,9 @@ TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
   const AttributeChannels& albedo = replica.held()->layout.at(Attribute::Albedo);
   for (std::size_t i = 0; i < replica.view().count; ++i) {
     const std::uint64_t id = replica.held()->gaussians.gaussian_id[i];
-    const float want =
-        srgb_from_linear(server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + id - 1]);
+    const float want = srgb_from_linear(
+        server.model()
+            .parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + id - 1]);
     EXPECT_NEAR(static_cast<float>(replica.held()->gaussians.planes[albedo.first][i]) / 255, want, 1.6F / 255);
   }
 }

@@ -9,7 +9,9 @@
 
 namespace splatbus::stream::test {
 
-inline ParsedPacket parse(const EncodedPacket& packet) { return ParsedPacket::parse(packet.packet, packet.payload); }
+inline ParsedPacket parse(const EncodedPacket& packet) {
+  return ParsedPacket::parse(packet.packet, packet.payload);
+}
 
 /// A model that grows, shrinks and moves like a trained one, and its stream.
 class ToyServer {
@@ -27,7 +29,8 @@ class ToyServer {
   }
 
   void insert(std::size_t count) {
-    const GaussiansBuffer more = toy_model(count, static_cast<std::uint32_t>(random_()), next_id_, model_.layout().appearance);
+    const GaussiansBuffer more =
+        toy_model(count, static_cast<std::uint32_t>(random_()), next_id_, model_.layout().appearance);
     next_id_ += count;
     const std::size_t before = model_.count();
     model_.resize(before + count);

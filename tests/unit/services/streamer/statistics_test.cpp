@@ -1,8 +1,7 @@
-#include "streamer/wire_statistics.h"
-
 #include <gtest/gtest.h>
 
 #include "streamer/packet_history.h"
+#include "streamer/wire_statistics.h"
 
 namespace splatbus::streamer {
 namespace {

@@ -66,7 +66,8 @@ class FakeTrainer {
 /// A streamer on a thread of its own.
 class RunningStreamer {
  public:
-  RunningStreamer(std::shared_ptr<bus::Context> context, const std::vector<std::pair<std::string, std::string>>& changes)
+  RunningStreamer(std::shared_ptr<bus::Context> context,
+                  const std::vector<std::pair<std::string, std::string>>& changes)
       : parameters_(streamer::parameter_specs()) {
     for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
     service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token());

@@ -117,7 +117,8 @@ TEST_F(StreamerTest, WhatWasLostIsSentAgainAndNothingElse) {
   GaussiansBuffer model = stream::test::toy_model(400, 1);
   trainer_.publish(model);
   StreamClient good(client_options("good")), lossy(client_options("lossy"));
-  ASSERT_TRUE(poll_until([&] { return good.replica().view().count == 400 && lossy.replica().view().count == 400; }, good, lossy));
+  ASSERT_TRUE(poll_until([&] { return good.replica().view().count == 400 && lossy.replica().view().count == 400; },
+                         good, lossy));
   std::mt19937 dice(7);
   int lost = 0;
   lossy.lose_packets([&](const stream::ParsedPacket& packet) {
@@ -131,7 +132,8 @@ TEST_F(StreamerTest, WhatWasLostIsSentAgainAndNothingElse) {
     const std::uint64_t before = good.replica().held()->sequence;
     ASSERT_TRUE(poll_until([&] { return good.replica().held()->sequence > before; }, good, lossy));
   }
-  EXPECT_TRUE(poll_until([&] { return lossy.replica().held()->sequence == good.replica().held()->sequence; }, good, lossy));
+  EXPECT_TRUE(
+      poll_until([&] { return lossy.replica().held()->sequence == good.replica().held()->sequence; }, good, lossy));
   EXPECT_TRUE(lossy.replica().held()->gaussians == good.replica().held()->gaussians);
   EXPECT_GT(lost, 5);
   EXPECT_GT(lossy.resends(), 0U);
@@ -151,13 +153,15 @@ TEST_F(StreamerTest, ThePictureStaysWhenTheStreamerIsRestarted) {
   GaussiansBuffer model = stream::test::toy_model(300, 1);
   grow(model, 50, 9);
   trainer_.publish(model);
-  EXPECT_TRUE(poll_until([&] { return watch(), client.replica().epoch() != epoch && client.replica().view().count == 350; }, client));
+  EXPECT_TRUE(poll_until(
+      [&] { return watch(), client.replica().epoch() != epoch && client.replica().view().count == 350; }, client));
   EXPECT_FALSE(vanished);
 }
 
 TEST_F(StreamerTest, PosesProbesAndQualityReachTheBus) {
   start_streamer();
-  bus::Subscriber poses(observer_, {"viewer/pose"}), probes(observer_, {"viewer/probe"}), qualities(observer_, {"viewer/quality"});
+  bus::Subscriber poses(observer_, {"viewer/pose"}), probes(observer_, {"viewer/probe"}),
+      qualities(observer_, {"viewer/quality"});
   StreamClient client(client_options("eye"));
   ASSERT_TRUE(poll_until([&] { return client.connected(); }, client));
   const Camera camera = look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1);
@@ -169,8 +173,11 @@ TEST_F(StreamerTest, PosesProbesAndQualityReachTheBus) {
       probes, "ViewerProbe/1", [](const auto& body) { return body.probe_id() == 42; },
       [&] { client.send_probe(42, camera), client.poll(1ms); }));
   EXPECT_TRUE(wait_message<wire::ViewerQuality>(
-      qualities, "ViewerQuality/1", [](const auto& body) { return body.ssim() == 0.5F && body.viewer()->str() == "eye"; },
-      [&] { client.send_quality(42, {30, 0.5, 0.1}, 7), client.poll(1ms); }));
+      qualities, "ViewerQuality/1",
+      [](const auto& body) { return body.ssim() == 0.5F && body.viewer()->str() == "eye"; },
+      [&] {
+        client.send_quality(42, {30, 0.5, 0.1}, 7), client.poll(1ms);
+      }));
 }
 
 TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
@@ -188,14 +195,16 @@ TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
   Light light;
   light.generation = 3;
   const auto publish = [&](std::uint32_t width) {
-    const bus::OutgoingTensor color{.name = "color", .shape = {8, width, 4}, .type = bus::ElementType::U8, .inline_data = pixels.data()};
+    const bus::OutgoingTensor color{
+        .name = "color", .shape = {8, width, 4}, .type = bus::ElementType::U8, .inline_data = pixels.data()};
     publisher.publish({.schema = "CaptureProbe/1", .tensors = {color}}, [&](auto& builder, auto header) {
       return wire::CreateCaptureProbe(builder, header, 9, 1, 0.5, &wired, to_wire(builder, ObjectTransforms{{3, {}}}),
                                       to_wire(builder, light));
     });
   };
   publish(15);  // a tensor that is not the camera's size is refused
-  ASSERT_TRUE(poll_until([&] { return publish(16), answers = with.take_probe_answers(), !answers.empty(); }, with, without));
+  ASSERT_TRUE(
+      poll_until([&] { return publish(16), answers = with.take_probe_answers(), !answers.empty(); }, with, without));
   EXPECT_EQ(answers[0].probe_id, 9U);
   EXPECT_EQ(answers[0].rgba, pixels);
   EXPECT_EQ(answers[0].scene.light.generation, 3U);
@@ -233,8 +242,12 @@ TEST_F(StreamerTest, GarbageFromAViewerDisturbsNobody) {
     } else {
       const Camera camera;  // zero pixels, zero focal length
       const wire::Camera wired = to_wire(camera);
-      bytes = writer.write(1, 0, wire::Body::Hello, [&](auto& b) { return wire::CreateHelloDirect(b, "x\n\x1b[31m", &wired, true, ~0ULL); }).packet;
-      for (int k = 0; k < 3 && round % 4 == 1; ++k) bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
+      bytes = writer
+                  .write(1, 0, wire::Body::Hello,
+                         [&](auto& b) { return wire::CreateHelloDirect(b, "x\n\x1b[31m", &wired, true, ~0ULL); })
+                  .packet;
+      for (int k = 0; k < 3 && round % 4 == 1; ++k)
+        bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
     }
     const auto flags = round % 5 == 0 ? zmq::send_flags::sndmore : zmq::send_flags::none;
     (void)hostile.send(zmq::buffer(bytes), flags);
@@ -260,7 +273,9 @@ TEST_F(StreamerTest, AViewerThatDoesNotReadIsForgottenAndTheOthersGoOn) {
   deaf.set(zmq::sockopt::rcvbuf, 4096);
   deaf.connect(endpoint());
   const stream::PacketWriter writer("deaf", 1);
-  const auto say = [&](wire::Body body, auto build) { (void)deaf.send(zmq::buffer(writer.write(0, 0, body, build).packet), zmq::send_flags::dontwait); };
+  const auto say = [&](wire::Body body, auto build) {
+    (void)deaf.send(zmq::buffer(writer.write(0, 0, body, build).packet), zmq::send_flags::dontwait);
+  };
   say(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "deaf"); });
   bus::Subscriber stats(observer_, {"stream/stats"});
   std::int64_t published_ns = 0;
@@ -288,23 +303,29 @@ TEST_F(StreamerTest, AViewerThatFellSilentGoesOnWhereItWas) {
   trainer_.publish(model);
   StreamClient awake(client_options("awake")), sleeper(client_options("sleeper"));
   const auto keep_awake = [&] { awake.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), awake.poll(1ms); };
-  ASSERT_TRUE(poll_until([&] { return keep_awake(), awake.replica().view().count == 300 && sleeper.replica().view().count == 300; }, sleeper));
+  ASSERT_TRUE(poll_until(
+      [&] { return keep_awake(), awake.replica().view().count == 300 && sleeper.replica().view().count == 300; },
+      sleeper));
   bus::Subscriber stats(observer_, {"stream/stats"});
   std::uint64_t snapshots = 0;
   ASSERT_TRUE(wait_message<wire::StreamStats>(
-      stats, "StreamStats/1", [&](const auto& body) { return snapshots = body.snapshots(), body.viewers() == 1; }, keep_awake));
+      stats, "StreamStats/1", [&](const auto& body) { return snapshots = body.snapshots(), body.viewers() == 1; },
+      keep_awake));
   disturb(model, random);
   trainer_.publish(model);
   const auto caught_up = [&] {
     keep_awake();
     sleeper.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
-    return sleeper.replica().held()->sequence > 1 && sleeper.replica().held()->sequence == awake.replica().held()->sequence;
+    return sleeper.replica().held()->sequence > 1 &&
+           sleeper.replica().held()->sequence == awake.replica().held()->sequence;
   };
   EXPECT_TRUE(poll_until(caught_up, sleeper));
   EXPECT_TRUE(sleeper.replica().held()->gaussians == awake.replica().held()->gaussians);
   EXPECT_TRUE(wait_message<wire::StreamStats>(
       stats, "StreamStats/1", [&](const auto& body) { return body.viewers() == 2 && body.snapshots() == snapshots; },
-      [&] { keep_awake(), sleeper.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), sleeper.poll(1ms); }));
+      [&] {
+        keep_awake(), sleeper.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), sleeper.poll(1ms);
+      }));
 }
 
 TEST_F(StreamerTest, StatisticsAddUp) {

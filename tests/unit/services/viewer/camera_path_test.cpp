@@ -19,7 +19,9 @@ TEST(CameraPath, OrbitReturnsAfterOnePeriodAndLooksAtTheTarget) {
     EXPECT_NEAR(pixel.y, a.cy, 0.01F);
     EXPECT_GT(pixel.z, 0);
   }
-  EXPECT_GT(glm::length(path_camera(p, 0).world_from_camera.translation - path_camera(p, 4).world_from_camera.translation), 5.9F);
+  EXPECT_GT(
+      glm::length(path_camera(p, 0).world_from_camera.translation - path_camera(p, 4).world_from_camera.translation),
+      5.9F);
 }
 
 TEST(CameraPath, StillStays) {

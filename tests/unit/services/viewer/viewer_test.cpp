@@ -26,10 +26,10 @@ class ViewerTest : public StreamTest {
     parameters_ = std::make_unique<bus::Parameters>(viewer::parameter_specs());
     for (const auto& [name, value] : changes) ASSERT_EQ(parameters_->set(name, value, false), "");
     viewer_ = std::make_unique<viewer::Viewer>(*parameters_, viewer::ViewerHost{.name = "viewer",
-                                                                               .endpoint = endpoint(),
-                                                                               .stop = stop_.get_token(),
-                                                                               .counter = [](const auto&, double) {},
-                                                                               .detail = [](const auto&) {}});
+                                                                                .endpoint = endpoint(),
+                                                                                .stop = stop_.get_token(),
+                                                                                .counter = [](const auto&, double) {},
+                                                                                .detail = [](const auto&) {}});
     thread_ = std::thread([this] { viewer_->run(); });
   }
   void stop_viewer() {
@@ -58,7 +58,13 @@ TEST_F(ViewerTest, WritesFramesThatShowTheModel) {
   trainer_.publish_light(daylight());
   trainer_.publish(stream::test::toy_model(2000, 1));
   start_streamer();
-  start_viewer({{"out", out_}, {"frames", "1"}, {"rate_hz", "50"}, {"width", "48"}, {"height", "32"}, {"path", "still"}, {"threads", "1"}});
+  start_viewer({{"out", out_},
+                {"frames", "1"},
+                {"rate_hz", "50"},
+                {"width", "48"},
+                {"height", "32"},
+                {"path", "still"},
+                {"threads", "1"}});
   const fs::path frame = fs::path(out_) / "frame_000000.png";
   ASSERT_TRUE(bus_test::eventually([&] { return fs::exists(frame); }));
   stop_viewer();
@@ -77,7 +83,12 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
   start_streamer();
   bus::Subscriber probes(peer_, {"viewer/probe"}), qualities(peer_, {"viewer/quality"});
   bus::Publisher answers(peer_, "capture/probe");
-  start_viewer({{"out", out_}, {"probe", "true"}, {"probe_period_s", "0.1"}, {"width", "64"}, {"height", "64"}, {"threads", "1"}});
+  start_viewer({{"out", out_},
+                {"probe", "true"},
+                {"probe_period_s", "0.1"},
+                {"width", "64"},
+                {"height", "64"},
+                {"threads", "1"}});
   // The engine is played by a render of the very model: what is left is the stream's loss.
   const auto rasterizer = raster::make_cpu_rasterizer(1);
   std::uint64_t compared = 0;
@@ -94,9 +105,13 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
       for (std::size_t i = 0; i < rgba.size() / 4; ++i) {
         for (std::size_t c = 0; c < 3; ++c) rgba[4 * i + c] = bgr.data[3 * i + 2 - c];
       }
-      const bus::OutgoingTensor color{.name = "color", .shape = {camera.height, camera.width, 4}, .type = bus::ElementType::U8, .inline_data = rgba.data()};
+      const bus::OutgoingTensor color{.name = "color",
+                                      .shape = {camera.height, camera.width, 4},
+                                      .type = bus::ElementType::U8,
+                                      .inline_data = rgba.data()};
       answers.publish({.schema = "CaptureProbe/1", .tensors = {color}}, [&](auto& builder, auto header) {
-        return wire::CreateCaptureProbe(builder, header, body.probe_id(), 1, 0, body.camera(), 0, to_wire(builder, light));
+        return wire::CreateCaptureProbe(builder, header, body.probe_id(), 1, 0, body.camera(), 0,
+                                        to_wire(builder, light));
       });
     }
     while (const auto message = qualities.receive(1ms)) {
