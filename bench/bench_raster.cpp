@@ -28,6 +28,7 @@ using Clock = std::chrono::steady_clock;
 struct Arguments {
   std::string scene, cameras, json, backend = "cpu", mode = "train", appearance = "radiance";
   int sh = 3, batch = 1, threads = 0, iterations = 60, warmup = 10, active_channels = 0;
+  bool separate_adam = false;
 };
 
 /// "world_to_camera": 4x4 rows, "intrinsics": 3x3 rows, OpenCV axes.
@@ -172,26 +173,34 @@ nlohmann::json run(const Arguments& arguments) {
   const std::vector<float> rates = learning_rates(model.layout());
   const raster::LossOptions loss_options{0.2F, transfer};
 
+  const bool fused = arguments.batch == 1 && !arguments.separate_adam;
+
   Stages stages;
   std::vector<double> milliseconds;
   double loss = 0;
   std::size_t view = 0;
   for (int step = -arguments.warmup; step < arguments.iterations; ++step) {
     const auto begin = Clock::now();
-    if (arguments.mode == "train") stages.time("clear", [&] { gradient.clear(model.view()); });
+    if (arguments.mode == "train") {
+      stages.time("clear", [&] { fused ? gradient.clear_statistics(model.view()) : gradient.clear(model.view()); });
+    }
     for (int b = 0; b < arguments.batch; ++b, view = (view + 1) % cameras.size()) {
       if (arguments.mode == "train") {
         rasterizer->forward(model.view(), cameras[view], scene, {}, render);
         stages.time("loss", [&] {
           loss = image_loss(render.color, targets[view].data(), loss_options, render_gradient.color);
         });
-        rasterizer->backward(render_gradient, gradient);
+        if (fused) {
+          rasterizer->backward_step(render_gradient, rates, adam, model.parameters.data(), gradient);
+        } else {
+          rasterizer->backward(render_gradient, gradient);
+        }
       } else {
         rasterizer->render(model.view(), cameras[view], scene, {}, render);
       }
       for (const raster::StageTime& stage : rasterizer->stage_times()) stages.add(stage.name, stage.milliseconds);
     }
-    if (arguments.mode == "train") {
+    if (arguments.mode == "train" && !fused) {
       stages.time("adam",
                   [&] { adam.step(model.parameters.data(), model.flags.data(), gradient, rates, arguments.threads); });
     }
@@ -236,6 +245,7 @@ int main(int argc, char** argv) {
   app.add_option("--threads", arguments.threads, "0: all cores")->check(CLI::Range(0, 1024));
   app.add_option("--iterations", arguments.iterations)->check(CLI::Range(1, 1000000));
   app.add_option("--warmup", arguments.warmup)->check(CLI::Range(0, 100000));
+  app.add_flag("--separate-adam", arguments.separate_adam, "backward and Adam as two passes even at a batch of 1");
   app.add_option("--json", arguments.json, "where the result goes; standard output if absent");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -56,23 +56,19 @@ void Adam::permute(const std::vector<std::uint32_t>& keep) {
   count_ = keep.size();
 }
 
-void Adam::step(float* parameters, const std::uint32_t* flags, const ParameterGradient& gradient,
-                const std::vector<float>& learning_rate, int threads) {
+AdamStep Adam::prepare(const ParameterGradient& gradient, const std::vector<float>& learning_rate) {
   if (gradient.layout != layout_ || gradient.count != count_) {
     throw std::invalid_argument("Adam: resize() has not followed the model");
   }
   if (learning_rate.size() != static_cast<std::size_t>(layout_.channels())) {
     throw std::invalid_argument("Adam: one learning rate a channel is needed");
   }
+  const int channels = layout_.channels();
   AdamStep step;
-  step.channels =
-      gradient.active_channels > 0 ? std::min(gradient.active_channels, layout_.channels()) : layout_.channels();
+  step.channels = gradient.active_channels > 0 ? std::min(gradient.active_channels, channels) : channels;
   step.stride = gradient.stride;
   step.moment_stride = stride_;
-  step.parameters = parameters;
-  step.gradient = gradient.values.data();
   step.touched = gradient.touched.data();
-  step.flags = flags;
   step.learning_rate = learning_rate.data();
   step.first = first_.data();
   step.second = second_.data();
@@ -80,6 +76,16 @@ void Adam::step(float* parameters, const std::uint32_t* flags, const ParameterGr
   step.beta1 = beta1;
   step.beta2 = beta2;
   step.epsilon = epsilon;
+  return step;
+}
+
+void Adam::step(float* parameters, const std::uint32_t* flags, const ParameterGradient& gradient,
+                const std::vector<float>& learning_rate, int threads) {
+  AdamStep step = prepare(gradient, learning_rate);
+  step.parameters = parameters;
+  step.flags = flags;
+  step.gradient = gradient.values.data();
+  step.gradient_stride = gradient.stride;
   cpu::Workers(threads).for_pieces(count_, kAdamPiece,
                                    [&](std::size_t begin, std::size_t end) { adam_range(step, begin, end); });
 }

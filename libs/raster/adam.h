@@ -7,6 +7,8 @@
 
 namespace splatbus::raster {
 
+struct AdamStep;
+
 /// Adam (Kingma and Ba 2015) on parameter planes, only on Gaussians touched and not frozen (sparse, as Taming-3DGS and
 /// gsplat's SelectiveAdam: untouched moments rest). One learning rate a channel.
 class Adam {
@@ -20,6 +22,9 @@ class Adam {
   /// parameters[channels][stride] in place. learning_rate has layout.channels() entries.
   void step(float* parameters, const std::uint32_t* flags, const ParameterGradient& gradient,
             const std::vector<float>& learning_rate, int threads);
+
+  /// The next step's planes and rates, without parameters, flags and gradient; for Rasterizer::backward_step().
+  [[nodiscard]] AdamStep prepare(const ParameterGradient& gradient, const std::vector<float>& learning_rate);
 
  private:
   ParameterLayout layout_;

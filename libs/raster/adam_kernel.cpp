@@ -11,6 +11,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/adam_kernel.cpp"
 #include "hwy/foreach_target.h"
+#include "hwy/contrib/math/math-inl.h"
 #include "raster/cpu/lanes-inl.h"
 // clang-format on
 
@@ -20,30 +21,37 @@ namespace splatbus::raster::cpu::HWY_NAMESPACE {
 void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
   const F f;
   const std::size_t count = end - begin, lanes = hn::Lanes(f);
-  // Bias corrections of every column; a negative one marks a column that rests.
+  // Bias corrections of every column; one of 0 marks a column that rests.
   alignas(64) std::array<float, kAdamPiece> first_correction;
   alignas(64) std::array<float, kAdamPiece> second_correction;
-  std::array<std::uint8_t, kAdamPiece> busy{};  // a vector of columns
-  first_correction.fill(-1);
-  second_correction.fill(1);
+  alignas(64) std::array<float, kAdamPiece> steps;
+  std::array<std::uint8_t, kAdamPiece> busy;  // a vector of columns
+  steps.fill(0);
   bool any = false;
   for (std::size_t k = 0; k < count; ++k) {
     const std::size_t i = begin + k;
     if (step.touched[i] == 0 || (step.flags != nullptr && (step.flags[i] & kFrozen) != 0)) continue;
-    const auto t = static_cast<float>(++step.steps[i]);
-    first_correction[k] = 1 / (1 - std::pow(step.beta1, t));
-    second_correction[k] = 1 / std::sqrt(1 - std::pow(step.beta2, t));
-    busy[k / lanes] = 1;
+    steps[k] = static_cast<float>(++step.steps[i]);
     any = true;
   }
   if (!any) return;
+  const float log_beta1 = std::log(step.beta1), log_beta2 = std::log(step.beta2);
+  for (std::size_t k = 0; k < count; k += lanes) {
+    const V t = hn::Load(f, steps.data() + k);
+    const M moving = hn::Gt(t, hn::Zero(f));
+    busy[k / lanes] = hn::AllFalse(f, moving) ? 0 : 1;
+    const V bias1 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta1))),
+            bias2 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta2)));
+    hn::Store(hn::IfThenElseZero(moving, hn::Div(Splat1(1.0F), bias1)), f, first_correction.data() + k);
+    hn::Store(hn::IfThenElse(moving, hn::Div(Splat1(1.0F), bias2), Splat1(1.0F)), f, second_correction.data() + k);
+  }
 
-  const V beta1 = Splat1(step.beta1), beta2 = Splat1(step.beta2), epsilon = Splat1(step.epsilon);
+  const V beta1 = Splat1(step.beta1), beta2 = Splat1(step.beta2), epsilon = Splat1(step.epsilon), one = Splat1(1.0F);
   const V rest1 = Splat1(1 - step.beta1), rest2 = Splat1(1 - step.beta2);
   for (int channel = 0; channel < step.channels; ++channel) {
     const auto plane = static_cast<std::size_t>(channel);
     float* parameters = step.parameters + plane * step.stride + begin;
-    const float* gradient = step.gradient + plane * step.stride + begin;
+    const float* gradient = step.gradient + plane * step.gradient_stride + begin - step.gradient_origin;
     float* first = step.first + plane * step.moment_stride + begin;
     float* second = step.second + plane * step.moment_stride + begin;
     const V rate = Splat1(step.learning_rate[channel]);
@@ -57,8 +65,12 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
       const V p_old = LoadFirst(f, parameters + k, n);
       const V m = hn::MulAdd(beta1, m_old, hn::Mul(rest1, g));
       const V v = hn::MulAdd(beta2, v_old, hn::Mul(rest2, hn::Mul(g, g)));
-      const V denominator = hn::MulAdd(hn::Sqrt(v), hn::Load(f, second_correction.data() + k), epsilon);
-      const V p = hn::Sub(p_old, hn::Div(hn::Mul(hn::Mul(rate, correction), m), denominator));
+      // 1 / (sqrt(v) + epsilon) = r / (1 + epsilon r), r = 1 / sqrt(v) by one Newton step: no root, no division.
+      const V s = hn::Max(hn::Mul(v, hn::Load(f, second_correction.data() + k)), Splat1(1e-36F));
+      V r = hn::ApproximateReciprocalSqrt(s);
+      r = hn::Mul(r, hn::NegMulAdd(hn::Mul(MulScalar(s, 0.5F), r), r, Splat1(1.5F)));
+      const V inverse = hn::Mul(r, Reciprocal(hn::MulAdd(epsilon, r, one)));
+      const V p = hn::NegMulAdd(hn::Mul(hn::Mul(rate, correction), m), inverse, p_old);
       StoreFirst(f, hn::IfThenElse(moving, m, m_old), first + k, n);
       StoreFirst(f, hn::IfThenElse(moving, v, v_old), second + k, n);
       StoreFirst(f, hn::IfThenElse(moving, p, p_old), parameters + k, n);

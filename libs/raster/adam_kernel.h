@@ -8,7 +8,8 @@ namespace splatbus::raster {
 /// One Adam step over columns [begin, end), at most kAdamPiece of them.
 struct AdamStep {
   int channels = 0;
-  std::size_t stride = 0;  ///< of parameters and gradient
+  std::size_t stride = 0;                                ///< of parameters
+  std::size_t gradient_stride = 0, gradient_origin = 0;  ///< column i is at gradient[c * gradient_stride + i - origin]
   std::size_t moment_stride = 0;
   float* parameters = nullptr;
   const float* gradient = nullptr;

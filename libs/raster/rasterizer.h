@@ -61,8 +61,11 @@ struct ParameterGradient {
       mean2d_norm;  ///< [count] sum over views of |dL/d(projected mean)| in NDC units, for clone and split
   std::vector<float> contribution;  ///< [count] largest blending weight a Gaussian had in any pixel since clear()
 
-  void clear(const GaussiansView& gaussians);  ///< sizes and zeroes
+  void clear(const GaussiansView& gaussians);             ///< sizes and zeroes
+  void clear_statistics(const GaussiansView& gaussians);  ///< the same, but `values` is left empty
 };
+
+class Adam;
 
 /// How long a part of the last forward() or backward() took.
 struct StageTime {
@@ -87,6 +90,11 @@ class Rasterizer {
   /// Adds to `out` the gradient of the last forward(), whose arguments must not have changed. `gaussians.flags` says
   /// who is frozen.
   virtual void backward(const RenderGradient& gradient, ParameterGradient& out) = 0;
+
+  /// backward() and Adam::step() in one pass for a batch of one view: gradients stay in the cache, `statistics`
+  /// (clear_statistics() is enough) gets all but values. `parameters` are those of the forward pass, to be changed.
+  virtual void backward_step(const RenderGradient& gradient, const std::vector<float>& learning_rate, Adam& adam,
+                             float* parameters, ParameterGradient& statistics) = 0;
 
   /// Forward only, keeping nothing for a backward pass; faster.
   virtual void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,

@@ -4,6 +4,8 @@
 #include <chrono>
 #include <stdexcept>
 
+#include "raster/adam.h"
+#include "raster/adam_kernel.h"
 #include "raster/cpu/kernels.h"
 
 namespace splatbus::raster {
@@ -139,16 +141,55 @@ void CpuRasterizer::blend_backward(const RenderGradient& gradient) {
   });
 }
 
-void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& out) {
+GradientTarget CpuRasterizer::target_of(ParameterGradient& out) const {
   const GaussiansView& gaussians = frame_.gaussians;
   if (out.count != gaussians.count || out.stride != gaussians.stride || out.layout != gaussians.layout) {
     throw std::invalid_argument("rasterizer: the gradient was not cleared for these Gaussians");
   }
+  const int channels = out.layout.channels();
+  const int active = out.active_channels > 0 ? std::min(out.active_channels, channels) : channels;
+  return {out.values.data(),      out.stride, 0, active, out.touched.data(), out.mean2d_norm.data(),
+          out.contribution.data()};
+}
+
+void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& out) {
+  const GradientTarget target = target_of(out);
+  if (out.values.size() < static_cast<std::size_t>(out.layout.channels()) * out.stride) {
+    throw std::invalid_argument("rasterizer: the gradient has no room for values");
+  }
   backward_times_.clear();
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward", [&] {
-    workers_.for_pieces(gaussians.count, kGaussianPiece,
-                        [&](std::size_t begin, std::size_t end) { project_range_backward(frame_, begin, end, out); });
+    workers_.for_pieces(frame_.gaussians.count, kGaussianPiece, [&](std::size_t begin, std::size_t end) {
+      project_range_backward(frame_, begin, end, target);
+    });
+  });
+}
+
+void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vector<float>& learning_rate, Adam& adam,
+                                  float* parameters, ParameterGradient& statistics) {
+  const GradientTarget target = target_of(statistics);
+  const GaussiansView& gaussians = frame_.gaussians;
+  AdamStep step = adam.prepare(statistics, learning_rate);
+  step.parameters = parameters;
+  step.flags = gaussians.flags;
+  backward_times_.clear();
+  timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
+  timed(backward_times_, "project_backward_adam", [&] {
+    workers_.for_pieces(gaussians.count, kAdamPiece, [&](std::size_t begin, std::size_t end) {
+      thread_local std::vector<float> values;
+      values.assign(static_cast<std::size_t>(target.active_channels) * kAdamPiece, 0.0F);
+      GradientTarget piece = target;
+      piece.values = values.data();
+      piece.stride = kAdamPiece;
+      piece.origin = begin;
+      project_range_backward(frame_, begin, end, piece);
+      AdamStep piece_step = step;
+      piece_step.gradient = values.data();
+      piece_step.gradient_stride = kAdamPiece;
+      piece_step.gradient_origin = begin;
+      adam_range(piece_step, begin, end);
+    });
   });
 }
 

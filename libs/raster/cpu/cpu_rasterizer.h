@@ -2,6 +2,7 @@
 
 #include "raster/cpu/bin.h"
 #include "raster/cpu/frame.h"
+#include "raster/cpu/kernels.h"
 #include "raster/cpu/sort.h"
 #include "raster/cpu/workers.h"
 #include "raster/rasterizer.h"
@@ -15,6 +16,8 @@ class CpuRasterizer : public Rasterizer {
   void forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                const RenderOptions& options, Render& out) override;
   void backward(const RenderGradient& gradient, ParameterGradient& out) override;
+  void backward_step(const RenderGradient& gradient, const std::vector<float>& learning_rate, Adam& adam,
+                     float* parameters, ParameterGradient& statistics) override;
   void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
               const RenderOptions& options, Render& out) override;
   [[nodiscard]] std::vector<StageTime> stage_times() const override;
@@ -23,6 +26,7 @@ class CpuRasterizer : public Rasterizer {
   void run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                    const RenderOptions& options, bool keep, Render& out);
   void project();
+  [[nodiscard]] GradientTarget target_of(ParameterGradient& out) const;
   void blend_backward(const RenderGradient& gradient);
 
   Workers workers_;

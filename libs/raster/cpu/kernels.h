@@ -22,7 +22,17 @@ void blend_tile(Frame& frame, std::uint32_t tile, bool keep, Render& out);
 /// Writes Frame::pair_gradients of every pair of the tile that was blended.
 void blend_tile_backward(Frame& frame, std::uint32_t tile, const RenderGradient& gradient);
 
-/// Sums the pair gradients of Gaussians [begin, end) and adds their parameters' gradients to `out`.
-void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, ParameterGradient& out);
+/// Where project_range_backward() adds: Gaussian i and channel c at values[c * stride + i - origin].
+struct GradientTarget {
+  float* values;
+  std::size_t stride, origin;
+  int active_channels;
+  std::uint8_t* touched;
+  float* mean2d_norm;
+  float* contribution;
+};
+
+/// Sums the pair gradients of Gaussians [begin, end) and adds their parameters' gradients.
+void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out);
 
 }  // namespace splatbus::raster::cpu

@@ -26,6 +26,12 @@ using I = hn::RebindToSigned<F>;
 HWY_INLINE V Splat1(float value) {
   return hn::Set(F(), value);
 }
+HWY_INLINE V MulScalar(V a, float s) {
+  return hn::Mul(a, Splat1(s));
+}
+HWY_INLINE V MulAddScalar(V a, float s, V b) {
+  return hn::MulAdd(a, Splat1(s), b);
+}
 
 /// The first n lanes from memory, the others 0; reads nothing beyond them.
 template <class D>

@@ -28,10 +28,9 @@ HWY_INLINE void AddTo(float* to, V value, std::size_t n) {
   StoreFirst(f, hn::Add(LoadFirst(f, to, n), value), to, n);
 }
 
-void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end, ParameterGradient& out) {
+void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out) {
   const F f;
   const GaussiansView& gaussians = frame.gaussians;
-  const int active = out.active_channels > 0 ? out.active_channels : gaussians.layout.channels();
   for (std::size_t i = begin; i < end; i += hn::Lanes(f)) {
     const Columns in{gaussians, i, std::min(hn::Lanes(f), end - i)};
     PixelSums sums;
@@ -41,7 +40,7 @@ void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end
     for (std::uint32_t rest = bits; rest != 0; rest &= rest - 1) {
       out.touched[i + static_cast<std::size_t>(std::countr_zero(rest))] = 1;
     }
-    float* contribution = out.contribution.data() + i;
+    float* contribution = out.contribution + i;
     const V largest = hn::IfThenElseZero(touched, sums.largest_weight);
     StoreFirst(f, hn::Max(LoadFirst(f, contribution, in.n), largest), contribution, in.n);
 
@@ -57,12 +56,12 @@ void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end
             hn::And(todo, hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
       }
       const auto emit = [&](int channel, V gradient) {
-        if (channel >= active) return;
-        float* plane = out.values.data() + static_cast<std::size_t>(channel) * out.stride + i;
+        if (channel >= out.active_channels) return;
+        float* plane = out.values + static_cast<std::size_t>(channel) * out.stride + i - out.origin;
         AddTo(plane, hn::IfThenElseZero(lanes, gradient), in.n);
       };
-      const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, active, emit);
-      AddTo(out.mean2d_norm.data() + i, hn::IfThenElseZero(lanes, ndc), in.n);
+      const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, out.active_channels, emit);
+      AddTo(out.mean2d_norm + i, hn::IfThenElseZero(lanes, ndc), in.n);
       bits &= ~LaneBits(lanes);
       todo = hn::AndNot(lanes, todo);
     }
@@ -75,7 +74,7 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace splatbus::raster::cpu {
 HWY_EXPORT(ProjectRangeBackward);
-void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, ParameterGradient& out) {
+void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out) {
   HWY_DYNAMIC_DISPATCH(ProjectRangeBackward)(frame, begin, end, out);
 }
 }  // namespace splatbus::raster::cpu

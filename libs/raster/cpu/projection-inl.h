@@ -38,13 +38,6 @@ HWY_INLINE Vec3 Add3(const Vec3& a, const Vec3& b) {
   return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
 }
 
-HWY_INLINE V MulScalar(V a, float s) {
-  return hn::Mul(a, Splat1(s));
-}
-HWY_INLINE V MulAddScalar(V a, float s, V b) {
-  return hn::MulAdd(a, Splat1(s), b);
-}
-
 /// The mean in the camera's frame.
 HWY_INLINE Vec3 CameraPoint(const ObjectFrame& object, const Vec3& mean) {
   const auto& w = object.camera_from_object;

@@ -10,8 +10,11 @@ namespace splatbus::raster::cuda {
 constexpr int kMaxBatch = 16;
 /// Objects that move, the world itself included (slot 0).
 constexpr int kMaxObjects = 256;
-/// Pixels of a tile's side. A tile is one thread block, an 8x4 patch of it one warp.
+/// Pixels of a tile's side. A tile has one list of Gaussians; each of its patches is blended by one warp.
 constexpr int kTileSize = 16;
+constexpr int kPatchWidth = 8, kPatchHeight = 4;
+constexpr int kPatchColumns = kTileSize / kPatchWidth, kPatchRows = kTileSize / kPatchHeight;
+constexpr int kPatches = kPatchColumns * kPatchRows;  // of a tile
 
 /// What a view needs of one object: everything is folded into the object's frame, so that kernels never see the world.
 struct ObjectView {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "raster/cuda/projection_math.cuh"
 #include "raster/cuda/workspace.h"
 
 namespace splatbus::raster::cuda {
@@ -7,68 +8,95 @@ namespace splatbus::raster::cuda {
 constexpr float kAlphaMin = 1.0F / 255.0F;
 constexpr float kAlphaMax = 0.999F;
 constexpr float kTransmittanceMin = 1e-4F;
+constexpr float kLog2AlphaMin = -7.994353436858858F;
 
-/// The ellipse in which a Gaussian's alpha reaches 1/255, and the tiles that it meets (exact, up to a margin).
+/// The ellipse u^2 + v^2 <= level in which a Gaussian's alpha reaches 1/255, widened by a margin, and the patches of
+/// tiles that have a pixel centre in it.
 struct Footprint {
   float x, y;  // centre, pixels
-  float conic_a, conic_b, conic_c;
-  float level;           // the ellipse is q^T conic q <= level
-  float half_x, half_y;  // of its bounding box
-  float slope_x;         // dy of the rightmost point, as a part of half_x
+  Whitening white;
+  float level, inv_uxx;
+  float half_y;        // of its bounding box
+  float rightmost_dy;  // of its rightmost point
   float margin;
   int row_low, row_high;  // tile rows, half open
 
-  /// False when it misses the image.
-  __device__ bool set(float center_x, float center_y, float a, float b, float c, float det, float alpha_peak,
+  /// False when it holds no pixel centre of the image.
+  __device__ bool set(float center_x, float center_y, const Projection& p, const Whitening& u, float log2_alpha,
                       float margin_px, const WorkspaceView& w) {
     x = center_x;
     y = center_y;
-    const float inv_det = 1.0F / det;
-    conic_a = c * inv_det;
-    conic_b = -b * inv_det;
-    conic_c = a * inv_det;
-    level = 2.0F * __logf(alpha_peak * 255.0F);
-    half_x = sqrtf(level * a);
-    half_y = sqrtf(level * c);
-    slope_x = b / a;
-    margin = margin_px;
-    const float low = (y - half_y - margin) * (1.0F / kTileSize), high = (y + half_y + margin) * (1.0F / kTileSize);
-    if (!(x + half_x + margin > 0.0F && x - half_x - margin < w.width && high > 0.0F && low < w.tiles_y)) return false;
-    row_low = max(0, static_cast<int>(floorf(low)));
-    row_high = min(w.tiles_y, static_cast<int>(floorf(high)) + 1);
+    white = u;
+    level = log2_alpha - kLog2AlphaMin + 1e-3F;
+    inv_uxx = 1.0F / u.uxx;
+    // Of the box: reach sigma, with room for rounding.
+    const float reach = sqrtf(level) * (1.0F / kWhiteScale), root_a = sqrtf(p.a);
+    const float half_x = reach * root_a;
+    half_y = reach * sqrtf(p.c);
+    rightmost_dy = reach * p.b / root_a;
+    margin = margin_px + 1e-2F;
+    if (!(x + half_x + margin >= 0.5F && x - half_x - margin <= w.width - 0.5F)) return false;
+    const float low = y - half_y - margin - 0.5F, high = y + half_y + margin - 0.5F;
+    if (!(high >= 0.0F && low <= w.height - 1)) return false;
+    // Rows of the first and the last pixel centre within.
+    row_low = static_cast<int>(fmaxf(ceilf(low), 0.0F)) / kTileSize;
+    row_high = static_cast<int>(fminf(floorf(high), w.height - 1.0F)) / kTileSize + 1;
     return row_low < row_high;
   }
 
-  /// x-range of the ellipse between the lines y_low and y_high (pixels); empty when right < left.
-  __device__ void span(float y_low, float y_high, float& left, float& right) const {
-    const float low = fmaxf(y_low - margin - y, -half_y), high = fminf(y_high + margin - y, half_y);
-    if (low > high) {
-      left = 1.0F;
-      right = 0.0F;
-      return;
-    }
-    const float extreme = slope_x * half_x;
-    const float dy_right = fminf(fmaxf(extreme, low), high), dy_left = fminf(fmaxf(-extreme, low), high);
-    const float inv = 1.0F / conic_a, det = conic_a * conic_c - conic_b * conic_b;
-    right = x + margin + inv * (-conic_b * dy_right + sqrtf(fmaxf(conic_a * level - det * dy_right * dy_right, 0.0F)));
-    left = x - margin + inv * (-conic_b * dy_left - sqrtf(fmaxf(conic_a * level - det * dy_left * dy_left, 0.0F)));
+  /// Columns of patches [first, last] with a pixel centre in the ellipse, in the row of patches that begins at pixel
+  /// row y0; empty when last < first.
+  __device__ void columns(int y0, const WorkspaceView& w, int& first, int& last) const {
+    first = 1;
+    last = 0;
+    const float top = y0 + 0.5F - y, bottom = fminf(y0 + kPatchHeight, w.height) - 0.5F - y;
+    const float low = fmaxf(top - margin, -half_y), high = fminf(bottom + margin, half_y);
+    if (low > high) return;
+    // Within a band of dy the right end lies at the dy of the rightmost point, clamped to the band.
+    const float dy_right = fminf(fmaxf(rightmost_dy, low), high), dy_left = fminf(fmaxf(-rightmost_dy, low), high);
+    const float v_right = white.uyy * dy_right, v_left = white.uyy * dy_left;
+    const float right = x + margin + inv_uxx * (sqrtf(fmaxf(level - v_right * v_right, 0.0F)) - white.uxy * dy_right);
+    const float left = x - margin - inv_uxx * (sqrtf(fmaxf(level - v_left * v_left, 0.0F)) + white.uxy * dy_left);
+    const float first_pixel = fmaxf(ceilf(left - 0.5F), 0.0F);
+    const float last_pixel = fminf(floorf(right - 0.5F), w.width - 1.0F);
+    if (!(first_pixel <= last_pixel)) return;
+    first = static_cast<int>(first_pixel) / kPatchWidth;
+    last = static_cast<int>(last_pixel) / kPatchWidth;
   }
 
-  /// Calls `visit(tile)` for the tiles of this view that it meets, and returns how many. `limits`, when not null: tiles
-  /// whose limit lies before `depth` are left out.
+  /// Calls `visit(tile, patches)` for the tiles of this view that it meets, with a bit for each patch, and returns how
+  /// many. `limits`, when not null: patches whose limit lies before `depth` are left out.
   template <class Visit>
   __device__ std::uint32_t for_each_tile(const WorkspaceView& w, const float* limits, float depth, Visit visit) const {
     std::uint32_t count = 0;
     for (int row = row_low; row < row_high; ++row) {
-      float left = 0.0F, right = 0.0F;
-      span(static_cast<float>(row * kTileSize), static_cast<float>((row + 1) * kTileSize), left, right);
-      if (right < left) continue;
-      const int low = max(0, static_cast<int>(floorf(left * (1.0F / kTileSize))));
-      const int high = min(w.tiles_x, static_cast<int>(floorf(right * (1.0F / kTileSize))) + 1);
-      for (int column = low; column < high; ++column) {
+      int first[kPatchRows], last[kPatchRows];
+      int column = w.tiles_x, end = 0;
+#pragma unroll
+      for (int k = 0; k < kPatchRows; ++k) {
+        columns(row * kTileSize + k * kPatchHeight, w, first[k], last[k]);
+        if (last[k] < first[k]) continue;
+        column = min(column, first[k] / kPatchColumns);
+        end = max(end, last[k] / kPatchColumns + 1);
+      }
+      for (; column < end; ++column) {
+        std::uint32_t patches = 0;
+#pragma unroll
+        for (int k = 0; k < kPatchRows; ++k) {
+#pragma unroll
+          for (int c = 0; c < kPatchColumns; ++c) {
+            const int at = kPatchColumns * column + c;
+            if (first[k] <= at && at <= last[k]) patches |= 1U << (kPatchColumns * k + c);
+          }
+        }
         const int tile = row * w.tiles_x + column;
-        if (limits != nullptr && depth > limits[tile]) continue;
-        visit(tile);
+        if (limits != nullptr) {
+          for (int patch = 0; patch < kPatches; ++patch) {
+            if (depth > limits[kPatches * tile + patch]) patches &= ~(1U << patch);
+          }
+        }
+        if (patches == 0) continue;
+        visit(tile, patches);
         ++count;
       }
     }

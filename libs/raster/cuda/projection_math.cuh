@@ -35,8 +35,22 @@ struct Projection {
   float a, b, c;         // projected covariance, blur added
   float3 cross;          // of the rows of jwm
   float det, det_sharp;  // of the covariance with and without blur
-  float compensation;
 };
+
+/// Squared distances are in units in which alpha = 2^(log2_alpha - u^2 - v^2): (x / this)^2 = 2 ln 2 x^2.
+constexpr float kWhiteScale = 0.8493218002880191F;  // sqrt(log2(e) / 2)
+
+/// The factor U of the inverse covariance, U^T U, times kWhiteScale: u = uxx dx + uxy dy, v = uyy dy. It comes from
+/// the Schur complement, without cancellation.
+struct Whitening {
+  float uxx, uxy, uyy;
+};
+
+__device__ inline Whitening whitening(const Projection& p) {
+  const float inv_root_c = 1.0F / sqrtf(p.c), inv_root_det = 1.0F / sqrtf(p.det);
+  return {kWhiteScale * sqrtf(p.c) * inv_root_det, -kWhiteScale * p.b * inv_root_c * inv_root_det,
+          kWhiteScale * inv_root_c};
+}
 
 __device__ inline void rotation_matrix(const float4 q, float* r) {
   r[0] = 1.0F - 2.0F * (q.z * q.z + q.w * q.w);
@@ -53,7 +67,7 @@ __device__ inline void rotation_matrix(const float4 q, float* r) {
 /// Local affine approximation (Zwicker et al. 2001). False when the Gaussian is to be culled: behind the near plane,
 /// not finite, or degenerate.
 __device__ inline bool project(const GaussianGeometry& g, const ObjectView& object, const DeviceView& view, float blur,
-                               bool antialias, Projection& out) {
+                               Projection& out) {
   const float* v = object.view_from_object;
   out.view = make_float3(v[0] * g.mean.x + v[1] * g.mean.y + v[2] * g.mean.z + v[3],
                          v[4] * g.mean.x + v[5] * g.mean.y + v[6] * g.mean.z + v[7],
@@ -99,9 +113,10 @@ __device__ inline bool project(const GaussianGeometry& g, const ObjectView& obje
       make_float3(out.jwm[1] * out.jwm[5] - out.jwm[2] * out.jwm[4], out.jwm[2] * out.jwm[3] - out.jwm[0] * out.jwm[5],
                   out.jwm[0] * out.jwm[4] - out.jwm[1] * out.jwm[3]);
   out.det_sharp = out.cross.x * out.cross.x + out.cross.y * out.cross.y + out.cross.z * out.cross.z;
-  out.det = out.a * out.c - out.b * out.b;
-  out.compensation = antialias ? sqrtf(fmaxf(out.det_sharp / out.det, 0.0F)) : 1.0F;
-  return out.det > 0.0F && isfinite(out.det) && isfinite(out.view.x) && isfinite(out.view.y);
+  out.det = out.det_sharp + blur * (a + out.c);
+  constexpr float kBound = 1e15F;
+  return out.view.z < kBound && out.det > 0.0F && out.det < 1e30F && out.a < kBound && out.c < kBound &&
+         fabsf(tx) * view.fx < kBound && fabsf(ty) * view.fy < kBound;
 }
 
 __device__ inline float sigmoid(float x) {

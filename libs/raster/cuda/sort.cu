@@ -37,8 +37,8 @@ void launch_sort(const WorkspaceView& w, cudaStream_t stream) {
   // Keys that no pair filled are all ones and sort last; one bit above the highest tile keeps them there.
   const int end_bit = std::min(64, 32 + static_cast<int>(std::bit_width(tiles)));
   std::size_t bytes = w.sort_scratch_bytes;
-  check(cub::DeviceRadixSort::SortPairs(w.sort_scratch, bytes, w.pair_keys[0], w.pair_keys[1], w.pair_records[0],
-                                        w.pair_records[1], static_cast<int>(w.pair_capacity), 0, end_bit, stream),
+  check(cub::DeviceRadixSort::SortPairs(w.sort_scratch, bytes, w.pair_keys[0], w.pair_keys[1], w.pair_entries[0],
+                                        w.pair_entries[1], static_cast<int>(w.pair_capacity), 0, end_bit, stream),
         "sorting");
   constexpr int kThreads = 256;
   find_ranges_kernel<<<(w.pair_capacity + kThreads - 1) / kThreads, kThreads, 0, stream>>>(w);

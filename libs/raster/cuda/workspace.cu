@@ -33,6 +33,9 @@ void Workspace::allocate(T*& pointer, std::size_t elements) {
 }
 
 bool Workspace::reserve(const WorkspaceRequest& r) {
+  if (static_cast<std::uint32_t>(r.count) > kGaussianMask) {
+    throw std::invalid_argument("CUDA rasteriser: more than 2^24 Gaussians");
+  }
   const bool fits = r.count <= request_.count && r.batch <= request_.batch && r.object_count <= request_.object_count &&
                     r.albedo == request_.albedo && r.training <= request_.training && r.width == request_.width &&
                     r.height == request_.height && r.pair_capacity <= request_.pair_capacity && block_count_ > 0;
@@ -43,16 +46,15 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
     const std::size_t pixels = static_cast<std::size_t>(r.width) * r.height * r.batch;
     const std::size_t tiles = static_cast<std::size_t>((r.width + kTileSize - 1) / kTileSize) *
                               ((r.height + kTileSize - 1) / kTileSize) * r.batch;
-    allocate(view_.record_geometry, records);
-    allocate(view_.record_shading, records);
+    allocate(view_.record_shape, 2 * records);
     allocate(view_.record_tail, records);
     for (int k = 0; k < 2; ++k) {
       allocate(view_.pair_keys[k], r.pair_capacity);
-      allocate(view_.pair_records[k], r.pair_capacity);
+      allocate(view_.pair_entries[k], r.pair_capacity);
     }
     allocate(view_.pair_count, 1);
     allocate(view_.tile_range, tiles);
-    allocate(view_.tile_depth_limit, tiles);
+    allocate(view_.patch_depth_limit, tiles * kPatches);
     view_.sort_scratch_bytes = sort_scratch_bytes(r.pair_capacity);
     char* scratch = nullptr;
     allocate(scratch, view_.sort_scratch_bytes);
@@ -62,7 +64,9 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
     if (r.albedo) allocate(view_.albedo, 3 * pixels);
     if (r.training) {
       allocate(view_.record_gradient, records * kGradientFloats);
-      allocate(view_.direction_gradient, static_cast<std::size_t>(r.count) * 9);
+      allocate(view_.record_touched, records);
+      check(cudaMemset(view_.record_gradient, 0, records * kGradientFloats * sizeof(float)), "clearing the workspace");
+      check(cudaMemset(view_.record_touched, 0, records), "clearing the workspace");
       allocate(view_.color_gradient, 3 * pixels);
       if (r.albedo) allocate(view_.albedo_gradient, 3 * pixels);
       allocate(view_.ssim_partials, 9 * pixels);

@@ -16,21 +16,18 @@ struct WorkspaceView {
   int tiles_x = 0, tiles_y = 0;
   std::uint32_t pair_capacity = 0;
 
-  // Projected Gaussians. Powers are premultiplied so that alpha = opacity * 2^(a dx^2 + b dx dy + c dy^2).
-  float4* record_geometry = nullptr;  ///< x, y (pixels), a, b
-  float4* record_shading = nullptr;   ///< c, opacity (0: culled), red, green
-  float2* record_tail = nullptr;      ///< blue, depth (metres)
-  float* record_gradient = nullptr;   ///< [batch * count][kGradientFloats]
-
-  float* direction_gradient =
-      nullptr;  ///< [3 colours][3][count]: what view-dependent colour adds to the mean's gradient
+  // Projected Gaussians: alpha = 2^(log2_alpha - u^2 - v^2) with u = uxx dx + uxy dy, v = uyy dy.
+  float4* record_shape = nullptr;          ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
+  float2* record_tail = nullptr;           ///< blue, depth (metres); a colour that was clamped to 0 is -0
+  float* record_gradient = nullptr;        ///< [batch * count][kGradientFloats]; zero but between blending and update
+  std::uint8_t* record_touched = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
 
   // (tile, Gaussian) pairs, sorted by view, tile and depth.
   std::uint64_t* pair_keys[2] = {nullptr, nullptr};
-  std::uint32_t* pair_records[2] = {nullptr, nullptr};
+  std::uint32_t* pair_entries[2] = {nullptr, nullptr};  ///< Gaussian | patches that it may reach << kPatchShift
   std::uint32_t* pair_count = nullptr;  ///< pairs that the last build wanted; above pair_capacity the rest is missing
   uint2* tile_range = nullptr;          ///< [batch * tiles], into the sorted pairs
-  float* tile_depth_limit = nullptr;  ///< [batch * tiles], depth beyond which every pixel was opaque at the last blend
+  float* patch_depth_limit = nullptr;   ///< [batch * tiles][kPatches], beyond it every pixel was opaque when last blended
   void* sort_scratch = nullptr;
   std::size_t sort_scratch_bytes = 0;
 
@@ -50,7 +47,11 @@ struct WorkspaceView {
   int object_count = 1;
 };
 
-constexpr int kGradientFloats = 12;  // x, y, a, b, c, opacity, red, green, blue, albedo
+/// With s = dL/d(ln alpha) and d the offset of a pixel from the Gaussian, sums over pixels: s dx, s dy, s dx^2, s dx dy,
+/// s dy^2, s; then the gradients of red, green, blue and albedo.
+constexpr int kGradientFloats = 12;
+constexpr int kPatchShift = 24;
+constexpr std::uint32_t kGaussianMask = (1U << kPatchShift) - 1;
 
 struct WorkspaceRequest {
   int count = 0, batch = 1, width = 0, height = 0;

@@ -97,5 +97,41 @@ TEST(Adam, ShrinkingForgets) {
   EXPECT_GT(fixture.moved(0, 5), -0.5F);         // the momentum of the first step holds it back
 }
 
+TEST(Adam, FusedStepIsBackwardThenStep) {
+  for (const ParameterLayout& layout : {testing::transfer_layout(), testing::radiance_layout(3)}) {
+    for (const int active_channels : {0, 14}) {
+      TestScene separate = testing::random_scene(layout, 1500, {.scale_high = 0.1F}, 9);
+      for (std::size_t i = 0; i < separate.count; i += 5) separate.flags[i] = kFrozen;
+      TestScene fused = separate;
+      const Camera camera = testing::test_camera(40, 40);
+      const std::vector<float> rates(static_cast<std::size_t>(layout.channels()), 0.01F);
+      Adam separate_adam, fused_adam;
+      separate_adam.resize(layout, separate.count, separate.stride);
+      fused_adam.resize(layout, separate.count, separate.stride);
+      const auto rasterizer = make_cpu_rasterizer(2);
+      ParameterGradient gradient, statistics;
+      gradient.active_channels = statistics.active_channels = active_channels;
+      for (int step = 0; step < 3; ++step) {
+        Render render;
+        RenderGradient render_gradient;
+        rasterizer->forward(separate.view(), camera, separate.state, {}, render);
+        render_gradient.color = render.color;
+        gradient.clear(separate.view());
+        rasterizer->backward(render_gradient, gradient);
+        separate_adam.step(separate.parameters.data(), separate.flags.data(), gradient, rates, 2);
+
+        rasterizer->forward(fused.view(), camera, fused.state, {}, render);
+        render_gradient.color = render.color;
+        statistics.clear_statistics(fused.view());
+        rasterizer->backward_step(render_gradient, rates, fused_adam, fused.parameters.data(), statistics);
+        EXPECT_EQ(statistics.touched, gradient.touched);
+        EXPECT_EQ(statistics.mean2d_norm, gradient.mean2d_norm);
+        EXPECT_EQ(statistics.contribution, gradient.contribution);
+      }
+      EXPECT_EQ(fused.parameters, separate.parameters);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace splatbus::raster
