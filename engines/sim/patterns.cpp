@@ -12,9 +12,19 @@ namespace {
 
 constexpr std::uint32_t kSide = 512;
 
-float encode(float linear) {
-  const float c = glm::clamp(linear, 0.0F, 1.0F);
-  return c <= 0.0031308F ? 12.92F * c : 1.055F * std::pow(c, 1 / 2.4F) - 0.055F;
+/// The sRGB byte of a linear value, from a table fine enough for every byte.
+std::uint8_t encode(float linear) {
+  constexpr std::size_t kEntries = 8192;
+  static const std::vector<std::uint8_t> table = [] {
+    std::vector<std::uint8_t> bytes;
+    for (std::size_t i = 0; i <= kEntries; ++i) {
+      const float c = static_cast<float>(i) / kEntries;
+      const float s = c <= 0.0031308F ? 12.92F * c : 1.055F * std::pow(c, 1 / 2.4F) - 0.055F;
+      bytes.push_back(static_cast<std::uint8_t>(std::lround(255 * s)));
+    }
+    return bytes;
+  }();
+  return table[static_cast<std::size_t>(glm::clamp(linear, 0.0F, 1.0F) * kEntries + 0.5F)];
 }
 
 /// Samples `color_at`(u, v), linear RGB, 2 x 2 times a texel.
@@ -30,7 +40,7 @@ Image paint(std::uint32_t side, ColorAt&& color_at) {
                         (static_cast<float>(y) + offset.y) / static_cast<float>(side));
       }
       for (int c = 0; c < 3; ++c) {
-        image.rgba.push_back(static_cast<std::uint8_t>(std::lround(255 * encode(sum[c] / 4))));
+        image.rgba.push_back(encode(sum[c] / 4));
       }
       image.rgba.push_back(255);
     }
@@ -92,16 +102,18 @@ glm::vec3 plank(std::uint32_t seed, float u, float v) {
   const float from_row_edge = std::min(row_position - std::floor(row_position), std::ceil(row_position) - row_position);
   const float from_end = std::min(shifted - std::floor(shifted), std::ceil(shifted) - shifted);
   const bool seam = from_row_edge < 0.03F || from_end < 0.004F;
-  const glm::vec3 base = glm::mix(color("#8a5a34"), color("#c89a66"), 0.65F * tone + 0.35F * streak);
+  static const glm::vec3 dark = color("#8a5a34");
+  static const glm::vec3 light = color("#c89a66");
+  const glm::vec3 base = glm::mix(dark, light, 0.65F * tone + 0.35F * streak);
   return base * (seam ? 0.35F : 1.0F);
 }
 
 /// Concentric patterned bands; `radius` in [0, 1] of the rug's.
 glm::vec3 rug(float radius, float angle) {
-  const glm::vec3 navy = color("#2c3e63");
-  const glm::vec3 cream = color("#d9cbb0");
-  const glm::vec3 red = color("#a23b36");
-  const glm::vec3 teal = color("#3f8079");
+  static const glm::vec3 navy = color("#2c3e63");
+  static const glm::vec3 cream = color("#d9cbb0");
+  static const glm::vec3 red = color("#a23b36");
+  static const glm::vec3 teal = color("#3f8079");
   const auto petals = [&](int count, float phase) {
     return 0.5F + 0.5F * std::cos(angle * static_cast<float>(count) + phase);
   };

@@ -87,7 +87,7 @@ vec3 ambient_reflected(vec3 n) {
 float sun_visibility(vec3 n) {
   vec3 plane = shadow_normal * n;
   vec2 slope = clamp(-plane.xy / min(plane.z, -1e-6), -shadow_filter.z, shadow_filter.z);
-  ivec2 pixel = ivec2(gl_FragCoord.xy) % SUPERSAMPLE;
+  ivec2 pixel = ivec2(mod(gl_FragCoord.xy, SUPERSAMPLE));  // integer division is slow on a CPU
   vec2 turn = kTurns[pixel.y * SUPERSAMPLE + pixel.x];
   float sum = 0;
   for (int i = 0; i < TAPS; ++i) {

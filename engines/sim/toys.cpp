@@ -12,7 +12,7 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr int kRound = 40;  // segments of a round toy
+constexpr int kRound = 32;  // segments of a round toy
 constexpr glm::vec3 kUp{0, 1, 0};
 
 glm::mat4 at(float x, float y, float z, float turn_deg = 0) {
@@ -52,7 +52,7 @@ Mesh tripod(int rods, float radius, float length) {
   for (int i = 0; i < rods; ++i) {
     const float turn = 360.0F * static_cast<float>(i) / static_cast<float>(rods);
     const glm::mat4 stood = tilted(at(0, 0, 0, turn) * at(0.17F, 0, 0), 22, {0, 0, 1});
-    append(mesh, cylinder(radius, length, 10, 1), stood);
+    append(mesh, cylinder(radius, length, 8, 1), stood);
   }
   return mesh;
 }
@@ -63,7 +63,7 @@ Mesh ring_tower(int rings) {
   float y = 0;
   for (int i = 0; i < rings; ++i) {
     const float tube = 0.055F - 0.006F * static_cast<float>(i);
-    append(mesh, torus(0.14F - 0.02F * static_cast<float>(i), tube, 28, 12, 3), at(0, y + tube, 0));
+    append(mesh, torus(0.14F - 0.02F * static_cast<float>(i), tube, 22, 9, 3), at(0, y + tube, 0));
     y += 1.85F * tube;
   }
   append(mesh, cylinder(0.022F, y + 0.05F, 12, 1));
@@ -135,12 +135,12 @@ void add_inner_toys(Builder& toys, std::uint32_t seed) {
            at(0.12F, 0.30F, -0.15F, 20));
   toys.add("crate", box({0.46F, 0.46F, 0.46F}), wood(seed + 1, color("#c99a5b"), color("#7d4f28")),
            at(-0.62F, 0.23F, -0.42F, 28));
-  toys.add_with_last("crate ball", sphere(0.13F, 28, 2), checker(8, color("#2f6fae"), color("#dfe3e6")),
+  toys.add_with_last("crate ball", sphere(0.13F, 24, 2), checker(8, color("#2f6fae"), color("#dfe3e6")),
                      at(-0.62F, 0.59F, -0.42F));
-  toys.add_with_last("hoop", torus(0.30F, 0.022F, kRound, 10, 8),
+  toys.add_with_last("hoop", torus(0.30F, 0.022F, 36, 7, 8),
                      stripes(std::array{color("#e3b83a"), color("#4a3a86")}, 1, false),
                      tilted(at(-0.40F, 0.30F, -0.08F, 28), 73, {1, 0, 0}));
-  toys.add("torus", torus(0.25F, 0.085F, kRound, 18, 3), checker(6, color("#3d9a5f"), color("#d8dcae")),
+  toys.add("torus", torus(0.25F, 0.085F, 32, 14, 3), checker(6, color("#3d9a5f"), color("#d8dcae")),
            at(0.62F, 0.085F, 0.42F));
   toys.add("cone", cone(0.22F, 0.62F, kRound, 3),
            stripes(std::array{color("#e07b2c"), color("#e9dcc3"), color("#8f3f1e")}, 3, true), at(-0.18F, 0, 0.62F));
@@ -160,7 +160,7 @@ void add_outer_toys(Builder& toys, std::uint32_t seed) {
            at(1.30F, 0, 0.32F, 105));
   toys.add("ring tower", ring_tower(5),
            stripes(std::array{color("#d6453d"), color("#e8b23c"), color("#3c8fd6")}, 2, true), at(0.42F, 0, 1.12F));
-  toys.add("capsule", capsule(0.11F, 0.34F, 32, 3), dots(5, color("#7a55a8"), color("#e5c94f"), 0.28F),
+  toys.add("capsule", capsule(0.11F, 0.34F, 26, 3), dots(5, color("#7a55a8"), color("#e5c94f"), 0.28F),
            tilted(at(-0.75F, 0.11F, 1.02F, 35), 90, {0, 0, 1}));
   toys.add("rods", tripod(5, 0.013F, 0.72F), stripes(std::array{color("#c8c1b1"), color("#40484f")}, 9, false),
            at(1.12F, 0, -1.02F));
@@ -170,9 +170,9 @@ void add_outer_toys(Builder& toys, std::uint32_t seed) {
            at(-1.42F, 0, -0.72F, 70));
   toys.add("plate", cylinder(0.24F, 0.05F, kRound, 1), checker(10, color("#d9cdb4"), color("#4d7f86")),
            at(1.02F, 0, 1.08F));
-  toys.add_with_last("fruit", sphere(0.105F, 28, 1), gradient(color("#d8c23a"), color("#c0562a"), color("#8b8f2e"), 4),
+  toys.add_with_last("fruit", sphere(0.105F, 22, 1), gradient(color("#d8c23a"), color("#c0562a"), color("#8b8f2e"), 4),
                      at(1.07F, 0.145F, 1.06F));
-  toys.add_with_last("second fruit", sphere(0.075F, 24, 1), dots(9, color("#b8323c"), color("#dfb08a"), 0.14F),
+  toys.add_with_last("second fruit", sphere(0.075F, 18, 1), dots(9, color("#b8323c"), color("#dfb08a"), 0.14F),
                      at(0.91F, 0.12F, 1.13F));
 
   const auto block = [&](const char* text, const char* ground, const char* ink) {
