@@ -1,6 +1,7 @@
 #include "raster/loss.h"
 
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <stdexcept>
@@ -30,7 +31,7 @@ float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const L
   if (pixels == 0) return 0;
 
   thread_local std::vector<float> scratch;
-  scratch.resize(3 * kScratchPlanes * pixels);
+  scratch.resize(std::size_t{3} * kScratchPlanes * pixels);
   const auto inverse_count = 1.0F / static_cast<float>(3 * pixels);
   std::vector<LossChannel> channels(3);
   for (std::uint32_t c = 0; c < 3; ++c) {
@@ -58,9 +59,12 @@ float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const L
     }
   }
   std::vector<LossSums> sums(bands.size());
+  // Isolated: while a thread waits here it must not take up another loss, whose scratch memory would be the same.
   const auto for_bands = [&](auto&& pass) {
-    tbb::parallel_for(std::size_t{0}, bands.size(),
-                      [&](std::size_t k) { pass(k, channels[bands[k].channel], bands[k]); });
+    tbb::this_task_arena::isolate([&] {
+      tbb::parallel_for(std::size_t{0}, bands.size(),
+                        [&](std::size_t k) { pass(k, channels[bands[k].channel], bands[k]); });
+    });
   };
   for_bands(
       [](std::size_t, const LossChannel& channel, const Band& band) { loss_blur_rows(channel, band.begin, band.end); });

@@ -85,9 +85,10 @@ class Scratch {
   void reserve(std::size_t count) {
     if (count <= storage_bytes_ / sizeof(T)) return;
     storage_bytes_ = (count + count / 4 + 64) * sizeof(T);
-    storage_ = std::unique_ptr<std::byte[]>(new std::byte[storage_bytes_ + alignof(T) + 64]);
-    const auto address = reinterpret_cast<std::uintptr_t>(storage_.get());
-    data_ = reinterpret_cast<T*>((address + 63) / 64 * 64);
+    std::size_t room = storage_bytes_ + kAlignment;
+    storage_ = std::unique_ptr<std::byte[]>(new std::byte[room]);  // not initialised
+    void* start = storage_.get();
+    data_ = static_cast<T*>(std::align(kAlignment, storage_bytes_, start, room));
   }
   [[nodiscard]] T* data() { return data_; }
   [[nodiscard]] const T* data() const { return data_; }
@@ -95,6 +96,7 @@ class Scratch {
   const T& operator[](std::size_t i) const { return data_[i]; }
 
  private:
+  static constexpr std::size_t kAlignment = 64;
   std::unique_ptr<std::byte[]> storage_;
   std::size_t storage_bytes_ = 0;
   T* data_ = nullptr;

@@ -5,75 +5,128 @@
 
 namespace splatbus::raster::cuda {
 
-constexpr int kBlendThreads = kTileSize * kTileSize;
-constexpr int kPatchWidth = 8, kPatchHeight = 4;  // a warp's pixels; 2 x 4 patches a tile
+constexpr unsigned kAllLanes = 0xFFFFFFFFU;
+constexpr int kLanes = 32;
+/// A block is half a tile. Its warps never wait for one another: each blends one patch, one lane a pixel.
+constexpr int kBlendWarps = 4;
+constexpr int kBlendThreads = kBlendWarps * kLanes;
 
-/// Gaussians of a tile, staged in shared memory for all its warps.
-template <bool kAlbedo>
-struct Stage {
-  float4 geometry[kBlendThreads];  // x, y, a, b
-  float4 shading[kBlendThreads];   // c, opacity, red, green
-  float2 tail[kBlendThreads];      // blue, depth
-  float4 albedo[kAlbedo ? kBlendThreads : 1];
-  std::uint32_t record[kBlendThreads];
-  std::uint32_t patches[kBlendThreads];  // bit p: reaches 1/255 somewhere in patch p
+/// The patch of a warp and the pixel of a lane.
+struct Pixel {
+  int tile, patch, view, x0, y0;  // x0, y0: of the patch
+  float x, y;                     // pixel centre
+  bool inside;
+  std::size_t at;  // in a plane of the view
 };
 
-/// Which patches of the tile at pixel (x0, y0) the ellipse {alpha >= 1/255} meets.
-__device__ inline std::uint32_t patch_mask(const float4 geometry, float c, float opacity, int x0, int y0) {
-  // q(dx, dy) = -(a dx^2 + b dx dy + c dy^2) <= level, all powers of two.
-  const float a = -geometry.z, b = -geometry.w, cc = -c;
-  const float level = __log2f(opacity * 255.0F);
-  const float inv_det4 = 1.0F / fmaxf(4.0F * a * cc - b * b, 1e-30F);
-  const float half_y = sqrtf(fmaxf(4.0F * a * level * inv_det4, 0.0F));
-  const float half_x = sqrtf(fmaxf(4.0F * cc * level * inv_det4, 0.0F));
-  const float extreme = -b * half_x / (2.0F * cc);  // dy at the rightmost point
-  const float inv_2a = 0.5F / a;
-  std::uint32_t mask = 0;
-#pragma unroll
-  for (int row = 0; row < kTileSize / kPatchHeight; ++row) {
-    // Pixel centres of the band.
-    const float top = y0 + row * kPatchHeight + 0.5F - geometry.y, bottom = top + (kPatchHeight - 1);
-    const float low = fmaxf(top, -half_y), high = fminf(bottom, half_y);
-    if (low > high) continue;
-    const float dy_right = fminf(fmaxf(extreme, low), high), dy_left = fminf(fmaxf(-extreme, low), high);
-    const float right =
-        inv_2a * (-b * dy_right +
-                  sqrtf(fmaxf(b * b * dy_right * dy_right - 4.0F * a * (cc * dy_right * dy_right - level), 0.0F)));
-    const float left =
-        inv_2a *
-        (-b * dy_left - sqrtf(fmaxf(b * b * dy_left * dy_left - 4.0F * a * (cc * dy_left * dy_left - level), 0.0F)));
-    const float x_first = x0 + 0.5F - geometry.x;
-    if (right >= x_first && left <= x_first + (kPatchWidth - 1)) mask |= 1U << (2 * row);
-    if (right >= x_first + kPatchWidth && left <= x_first + (2 * kPatchWidth - 1)) mask |= 2U << (2 * row);
-  }
-  return mask;
+__device__ inline Pixel locate(const WorkspaceView& w) {
+  Pixel p;
+  constexpr int kBlocks = kPatches / kBlendWarps;  // of a tile
+  const int tiles = w.tiles_x * w.tiles_y, lane = threadIdx.x & (kLanes - 1);
+  p.tile = blockIdx.x / kBlocks;
+  p.patch = (blockIdx.x % kBlocks) * kBlendWarps + threadIdx.x / kLanes;
+  p.view = p.tile / tiles;
+  const int in_view = p.tile - p.view * tiles;
+  p.x0 = (in_view % w.tiles_x) * kTileSize + (p.patch % kPatchColumns) * kPatchWidth;
+  p.y0 = (in_view / w.tiles_x) * kTileSize + (p.patch / kPatchColumns) * kPatchHeight;
+  const int x = p.x0 + lane % kPatchWidth, y = p.y0 + lane / kPatchWidth;
+  p.x = x + 0.5F;
+  p.y = y + 0.5F;
+  p.inside = x < w.width && y < w.height;
+  p.at = static_cast<std::size_t>(y) * w.width + x;
+  return p;
 }
 
+inline int blend_blocks(const WorkspaceView& w) {
+  return w.tiles_x * w.tiles_y * w.batch * (kPatches / kBlendWarps);
+}
+
+/// The next Gaussians of a patch, in shared memory of its warp.
 template <bool kAlbedo>
-__device__ inline void load_stage(Stage<kAlbedo>& stage, const DeviceGaussians& gaussians, const WorkspaceView& w,
-                                  int view, std::uint32_t pair, std::uint32_t end, int x0, int y0) {
-  const int t = threadIdx.x;
-  std::uint32_t mask = 0;
-  if (pair < end) {
-    const std::uint32_t record = w.pair_records[1][pair];
-    const float4 shading = w.record_shading[record];
-    if (shading.y >= kAlphaMin) {
-      const float4 geometry = w.record_geometry[record];
-      mask = patch_mask(geometry, shading.x, shading.y, x0, y0);
-      stage.geometry[t] = geometry;
-      stage.shading[t] = shading;
-      stage.tail[t] = w.record_tail[record];
-      stage.record[t] = record;
+struct Staged {
+  float4 shape[kLanes];  // x, y, log2_alpha, uxx
+  float4 rest[kLanes];   // uxy, uyy, red, green
+  float2 tail[kLanes];   // blue; the Gaussian's number, as bits
+  float4 albedo[kAlbedo ? kLanes : 1];
+};
+
+/// Streams the Gaussians that reach a warp's patch out of its tile's list, 32 entries at a time. What the next 32 need
+/// is on its way while the last are blended.
+template <bool kAlbedo>
+class PatchStream {
+ public:
+  __device__ PatchStream(const DeviceGaussians& gaussians, const WorkspaceView& w, const Pixel& pixel,
+                         Staged<kAlbedo>& staged)
+      : entries_(w.pair_entries[1]),
+        shapes_(w.record_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
+        tails_(w.record_tail + static_cast<std::size_t>(pixel.view) * w.count),
+        albedo_(gaussians.parameters + ParameterLayout::kAlbedo * gaussians.stride),
+        stride_(gaussians.stride),
+        staged_(staged),
+        bit_(1U << (kPatchShift + pixel.patch)) {
+    const uint2 range = w.tile_range[pixel.tile];
+    at_ = range.x + (threadIdx.x & (kLanes - 1));
+    first_ = range.x;
+    end_ = range.y;
+    entry_ = at_ < end_ ? entries_[at_] : 0;
+    fetch();
+  }
+
+  [[nodiscard]] __device__ bool empty() const { return first_ >= end_; }
+  /// Depth of the last entry that advance() looked at, infinite when that is not known.
+  [[nodiscard]] __device__ float depth() const {
+    const std::uint32_t last = min(first_, end_);
+    if (last == 0) return INFINITY;
+    const std::size_t gaussian = entries_[last - 1] & kGaussianMask;
+    return isfinite(shapes_[2 * gaussian].z) ? tails_[gaussian].y : INFINITY;
+  }
+
+  /// Stages the hits among the next 32 entries and returns how many they are.
+  __device__ int advance() {
+    const unsigned hits = __ballot_sync(kAllLanes, hit_);
+    const unsigned lane = threadIdx.x & (kLanes - 1);
+    __syncwarp();
+    if (hit_) {
+      const int slot = __popc(hits & ((1U << lane) - 1));
+      staged_.shape[slot] = shape_;
+      staged_.rest[slot] = rest_;
+      staged_.tail[slot] = make_float2(blue_, __uint_as_float(gaussian_));
+      if constexpr (kAlbedo) staged_.albedo[slot] = make_float4(a_[0], a_[1], a_[2], 0.0F);
+    }
+    first_ += kLanes;
+    fetch();
+    __syncwarp();
+    return __popc(hits);
+  }
+
+ private:
+  /// Begins to load the records of the entries in entry_, and the entries after them.
+  __device__ void fetch() {
+    hit_ = (entry_ & bit_) != 0;
+    gaussian_ = entry_ & kGaussianMask;
+    if (hit_) {
+      shape_ = shapes_[2 * static_cast<std::size_t>(gaussian_)];
+      rest_ = shapes_[2 * static_cast<std::size_t>(gaussian_) + 1];
+      blue_ = tails_[gaussian_].x;
       if constexpr (kAlbedo) {
-        const int i = static_cast<int>(record - static_cast<std::uint32_t>(view) * w.count);
-        const float* p = gaussians.parameters + ParameterLayout::kAlbedo * gaussians.stride + i;
-        stage.albedo[t] = make_float4(p[0], p[gaussians.stride], p[2 * gaussians.stride], 0.0F);
+        for (int c = 0; c < 3; ++c) a_[c] = albedo_[c * stride_ + gaussian_];
       }
     }
+    at_ += kLanes;
+    entry_ = at_ < end_ ? entries_[at_] : 0;
   }
-  stage.patches[t] = mask;
-}
+
+  const std::uint32_t* __restrict__ entries_;
+  const float4* __restrict__ shapes_;
+  const float2* __restrict__ tails_;
+  const float* __restrict__ albedo_;
+  std::int64_t stride_;
+  Staged<kAlbedo>& staged_;
+  std::uint32_t bit_, at_, first_, end_, entry_, gaussian_;
+  bool hit_;
+  float4 shape_, rest_;
+  float blue_, a_[kAlbedo ? 3 : 1];
+};
 
 __device__ inline float exp2_approximate(float x) {
   float y;
@@ -81,25 +134,11 @@ __device__ inline float exp2_approximate(float x) {
   return y;
 }
 
-/// Where this thread's pixel lies.
-struct Pixel {
-  int tile, view, x, y, x0, y0;
-  bool inside;
-};
-
-__device__ inline Pixel locate(const WorkspaceView& w) {
-  Pixel p;
-  const int tiles = w.tiles_x * w.tiles_y;
-  p.tile = blockIdx.x;
-  p.view = p.tile / tiles;
-  const int in_view = p.tile - p.view * tiles;
-  p.y0 = (in_view / w.tiles_x) * kTileSize;
-  p.x0 = (in_view % w.tiles_x) * kTileSize;
-  const int warp = threadIdx.x >> 5, lane = threadIdx.x & 31;
-  p.x = p.x0 + (warp & 1) * kPatchWidth + (lane & 7);
-  p.y = p.y0 + (warp >> 1) * kPatchHeight + (lane >> 3);
-  p.inside = p.x < w.width && p.y < w.height;
-  return p;
+/// log2 of a Gaussian's alpha at a pixel; the same operations forward and backward, so that both blend the same.
+__device__ inline float log2_alpha_at(const float4& shape, const float4& rest, const Pixel& pixel) {
+  const float dx = pixel.x - shape.x, dy = pixel.y - shape.y;
+  const float u = __fmaf_rn(shape.w, dx, __fmul_rn(rest.x, dy)), v = __fmul_rn(rest.y, dy);
+  return __fmaf_rn(-u, u, __fmaf_rn(-v, v, shape.z));
 }
 
 }  // namespace splatbus::raster::cuda

@@ -1,149 +1,198 @@
+#include <cuda_bf16.h>
+
 #include "raster/cuda/blend.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
 
-constexpr float kLn2 = 0.6931471805599453F;
+constexpr int kColumns = 8;  // Gaussians summed by one round of matrix products
 
-/// Sums eight values over a warp in nine shuffles: lane l ends with the sum of values[l >> 2].
-__device__ inline float reduce8(float (&values)[8]) {
-  const int lane = threadIdx.x & 31;
-#pragma unroll
-  for (int half = 4, mask = 16; half >= 1; half /= 2, mask /= 2) {
-    const bool upper = (lane & mask) != 0;
-#pragma unroll
-    for (int k = 0; k < half; ++k) {
-      const float send = upper ? values[k] : values[k + half];
-      const float keep = upper ? values[k + half] : values[k];
-      values[k] = keep + __shfl_xor_sync(0xFFFFFFFFU, send, mask);
-    }
-  }
-  values[0] += __shfl_xor_sync(0xFFFFFFFFU, values[0], 2);
-  return values[0] + __shfl_xor_sync(0xFFFFFFFFU, values[0], 1);
+/// A warp's Gaussians whose gradients wait to be summed over the patch's pixels: for each pixel s = dL/d(ln alpha) and
+/// the blending weight. The sums are matrix products on the tensor cores, (what multiplies s and the weight) [16][32
+/// pixels] times (s and weight) [32 pixels][8 Gaussians], so that no shuffles are needed.
+struct alignas(16) Columns {
+  float2 values[kColumns]
+               [kLanes];    // bits of (s as two bfloat16, weight as tf32); odd columns have pixel bit 3 inverted
+  float2 center[kColumns];  // of the Gaussian, from the patch's centre
+  std::uint32_t gaussian[kColumns];
+};
+static_assert(sizeof(Columns::values) >= kColumns * 17 * sizeof(float));
+
+/// s as the sum of two bfloat16: 16 bits of mantissa.
+__device__ inline std::uint32_t split_bfloat16(float s) {
+  const float high = __uint_as_float(__float_as_uint(s) & 0xFFFF0000U);
+  const __nv_bfloat162 pair = __floats2bfloat162_rn(s - high, high);
+  std::uint32_t bits;
+  memcpy(&bits, &pair, sizeof(bits));
+  return bits;
 }
 
-/// The same for four values, in six shuffles: lane l ends with the sum of values[l >> 3].
-__device__ inline float reduce4(float (&values)[4]) {
-  const int lane = threadIdx.x & 31;
-#pragma unroll
-  for (int half = 2, mask = 16; half >= 1; half /= 2, mask /= 2) {
-    const bool upper = (lane & mask) != 0;
-#pragma unroll
-    for (int k = 0; k < half; ++k) {
-      const float send = upper ? values[k] : values[k + half];
-      const float keep = upper ? values[k + half] : values[k];
-      values[k] = keep + __shfl_xor_sync(0xFFFFFFFFU, send, mask);
-    }
-  }
-  float sum = values[0];
-  for (int mask = 4; mask >= 1; mask /= 2) sum += __shfl_xor_sync(0xFFFFFFFFU, sum, mask);
-  return sum;
+__device__ inline std::uint32_t tf32(float value) {
+  std::uint32_t bits;
+  asm("cvt.rna.tf32.f32 %0, %1;" : "=r"(bits) : "f"(value));
+  return bits;
 }
 
-__device__ inline float reduce1(float value) {
-  for (int mask = 16; mask >= 1; mask /= 2) value += __shfl_xor_sync(0xFFFFFFFFU, value, mask);
-  return value;
+/// Rows 0 to 7 of d [16][8] += a [8][16] b [16][8]; each word of `a` and `b` holds two neighbours of the inner index.
+__device__ inline void multiply_bfloat16(float (&d)[4], std::uint32_t a0, std::uint32_t a2, std::uint32_t b0,
+                                         std::uint32_t b1) {
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.bf16.bf16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%5}, {%7,%8}, {%0,%1,%2,%3};"
+      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
+      : "r"(a0), "r"(0U), "r"(a2), "r"(b0), "r"(b1));
+}
+
+/// Rows 8 to 15 of d [16][8] += a [8][8] b [8][8].
+__device__ inline void multiply_tf32(float (&d)[4], std::uint32_t a1, std::uint32_t a3, std::uint32_t b0,
+                                     std::uint32_t b1) {
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0,%1,%2,%3}, {%5,%4,%5,%6}, {%7,%8}, {%0,%1,%2,%3};"
+      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
+      : "r"(a1), "r"(0U), "r"(a3), "r"(b0), "r"(b1));
+}
+
+/// A lane's share of the left factors: row lane / 4, and the pixels 8 k + 2 (lane % 4) and the next, k = 0 to 3.
+struct Factors {
+  std::uint32_t moments[kPatchHeight][2];   // row of 1, x, y, x^2, x y, y^2, pixels from the patch's centre
+  std::uint32_t gradient[kPatchHeight][2];  // row of dL/d(red, green, blue, albedo)
+
+  template <int kPlanes>
+  __device__ void set(const float (&g)[kPlanes]) {
+    const int lane = threadIdx.x & (kLanes - 1), row = lane >> 2, quad = lane & 3;
+    for (int k = 0; k < kPatchHeight; ++k) {
+      for (int e = 0; e < 2; ++e) {
+        const int column = 2 * quad + e;
+        const float x = column - 0.5F * (kPatchWidth - 1), y = k - 0.5F * (kPatchHeight - 1);
+        const float rows[8] = {1.0F, x, y, x * x, x * y, y * y, 0.0F, 0.0F};
+        float moment = 0.0F, gradient_here = 0.0F;
+#pragma unroll
+        for (int r = 0; r < 8; ++r) moment = row == r ? rows[r] : moment;
+        const __nv_bfloat162 twice = __float2bfloat162_rn(moment);
+        memcpy(&moments[k][e], &twice, sizeof(twice));
+#pragma unroll
+        for (int plane = 0; plane < kPlanes; ++plane) {
+          const float of_pixel = __shfl_sync(kAllLanes, g[plane], kPatchWidth * k + column);
+          gradient_here = row == plane ? of_pixel : gradient_here;
+        }
+        gradient[k][e] = tf32(gradient_here);
+      }
+    }
+  }
+};
+
+/// Sums the first `count` columns and adds them to their Gaussians' records.
+template <bool kAlbedo>
+__device__ void flush(Columns& columns, int count, const Factors& factors, const WorkspaceView& w, int view) {
+  const int lane = threadIdx.x & (kLanes - 1), column = lane >> 2, quad = lane & 3;
+  __syncwarp();
+  float d[4] = {};
+  const auto* row = reinterpret_cast<const float4*>(columns.values[column]);
+#pragma unroll
+  for (int k = 0; k < kPatchHeight; ++k) {
+    const float4 v = row[(4 * k + quad) ^ ((column & 1) << 2)];
+    multiply_bfloat16(d, factors.moments[k][0], factors.moments[k][1], __float_as_uint(v.x), __float_as_uint(v.z));
+    multiply_tf32(d, factors.gradient[k][0], factors.gradient[k][1], __float_as_uint(v.y), __float_as_uint(v.w));
+  }
+  __syncwarp();
+  // d[0], d[1]: row lane / 4 of columns 2 quad and the next; d[2], d[3]: eight rows further down.
+  constexpr int kStride = 17;
+  auto* sums = reinterpret_cast<float*>(columns.values);
+  sums[2 * quad * kStride + column] = d[0];
+  sums[(2 * quad + 1) * kStride + column] = d[1];
+  sums[2 * quad * kStride + 8 + column] = d[2];
+  sums[(2 * quad + 1) * kStride + 8 + column] = d[3];
+  __syncwarp();
+  if (column < count) {
+    const float* m = sums + column * kStride;
+    const float2 c = columns.center[column];
+    const std::size_t record = static_cast<std::size_t>(view) * w.count + columns.gaussian[column];
+    float4 out;
+    if (quad == 0) {
+      const float s_x = m[1] - c.x * m[0], s_y = m[2] - c.y * m[0];
+      out = make_float4(s_x, s_y, m[3] - c.x * (m[1] + s_x), m[4] - c.x * m[2] - c.y * s_x);
+    } else if (quad == 1) {
+      const float s_y = m[2] - c.y * m[0];
+      out = make_float4(m[5] - c.y * (m[2] + s_y), m[0], m[8], m[9]);
+    } else {
+      out = make_float4(m[10], m[11], m[12], m[13]);
+    }
+    if (quad < 3) {
+      atomicAdd(reinterpret_cast<float4*>(w.record_gradient + record * kGradientFloats) + quad, out);
+    } else {
+      w.record_touched[record] = 1;
+    }
+  }
+  __syncwarp();
 }
 
 /// Front to back, as the forward pass and with its tests, so that both visit the same Gaussians. With G the part of
-/// dL/dC . C that is blended so far and `total` all of it, dL/dalpha = T (c . g) - (total - G) / (1 - alpha).
+/// dL/dC . C that is blended so far and `total` all of it, dL/d(ln alpha) = weight (c . g) - alpha (total - G) / (1 -
+/// alpha).
 template <bool kAlbedo>
-__global__ void __launch_bounds__(kBlendThreads) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
-  __shared__ Stage<kAlbedo> stage;
+__global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
+  __shared__ Staged<kAlbedo> all_staged[kBlendWarps];
+  __shared__ Columns all_columns[kBlendWarps];
+  Staged<kAlbedo>& staged = all_staged[threadIdx.x / kLanes];
+  Columns& columns = all_columns[threadIdx.x / kLanes];
   const Pixel pixel = locate(w);
-  const float px = pixel.x + 0.5F, py = pixel.y + 0.5F;
-  const std::uint32_t warp_bit = 1U << (threadIdx.x >> 5);
-  const int lane = threadIdx.x & 31;
-  const uint2 range = w.tile_range[pixel.tile];
-  float g[3] = {0.0F, 0.0F, 0.0F}, g_albedo[3] = {0.0F, 0.0F, 0.0F}, total = 0.0F;
+  const int lane = threadIdx.x & (kLanes - 1);
+  constexpr int kPlanes = kAlbedo ? 6 : 3;
+  float g[kPlanes] = {}, rest_of_total = 0.0F;
   if (pixel.inside) {
     const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
-    const std::size_t at = 3 * pixels * pixel.view + static_cast<std::size_t>(pixel.y) * w.width + pixel.x;
+    const std::size_t at = 3 * pixels * pixel.view + pixel.at;
     for (int c = 0; c < 3; ++c) {
       g[c] = w.color_gradient[at + c * pixels];
-      total += g[c] * w.color[at + c * pixels];
+      rest_of_total += g[c] * w.color[at + c * pixels];
       if constexpr (kAlbedo) {
-        g_albedo[c] = w.albedo_gradient[at + c * pixels];
-        total += g_albedo[c] * w.albedo[at + c * pixels];
+        g[3 + c] = w.albedo_gradient[at + c * pixels];
+        rest_of_total += g[3 + c] * w.albedo[at + c * pixels];
       }
     }
   }
-  float transmittance = 1.0F, rest = total;
-  bool done = !pixel.inside;
-  for (std::uint32_t first = range.x; first < range.y; first += kBlendThreads) {
-    if (__syncthreads_and(done)) break;
-    load_stage(stage, gaussians, w, pixel.view, first + threadIdx.x, range.y, pixel.x0, pixel.y0);
-    __syncthreads();
-    for (int chunk = 0; chunk < kBlendThreads; chunk += 32) {
-      if (__all_sync(0xFFFFFFFFU, done)) break;
-      std::uint32_t hits = __ballot_sync(0xFFFFFFFFU, (stage.patches[chunk + lane] & warp_bit) != 0);
-      while (hits != 0) {
-        const int j = chunk + __ffs(hits) - 1;
-        hits &= hits - 1;
-        const float4 geometry = stage.geometry[j];
-        const float4 shading = stage.shading[j];
-        const float dx = px - geometry.x, dy = py - geometry.y;
-        const float power = (geometry.z * dx + geometry.w * dy) * dx + shading.x * dy * dy;
-        const float falloff = exp2_approximate(power);
-        const float alpha = fminf(kAlphaMax, shading.y * falloff);
-        bool counts = !done && alpha >= kAlphaMin && power <= 0.0F;
-        const float next = transmittance * (1.0F - alpha);
-        if (counts && next < kTransmittanceMin) {
-          done = true;
-          counts = false;
-        }
-        if (!__any_sync(0xFFFFFFFFU, counts)) continue;
-        float sums[8] = {};
-        float tail_sums[4] = {};
-        if (counts) {
-          const float weight = alpha * transmittance;
-          const float2 tail = stage.tail[j];
-          float along = g[0] * shading.z + g[1] * shading.w + g[2] * tail.x;
-          if constexpr (kAlbedo) {
-            const float4 a = stage.albedo[j];
-            along += g_albedo[0] * a.x + g_albedo[1] * a.y + g_albedo[2] * a.z;
-          }
-          rest -= weight * along;
-          const float d_alpha = transmittance * along - rest / (1.0F - alpha);
-          transmittance = next;
-          if (shading.y * falloff < kAlphaMax) {
-            sums[5] = falloff * d_alpha;
-            const float d_power = kLn2 * alpha * d_alpha;  // alpha = o 2^power
-            sums[0] = -d_power * (2.0F * geometry.z * dx + geometry.w * dy);
-            sums[1] = -d_power * (geometry.w * dx + 2.0F * shading.x * dy);
-            sums[2] = d_power * dx * dx;
-            sums[3] = d_power * dx * dy;
-            sums[4] = d_power * dy * dy;
-          }
-          sums[6] = weight * g[0];
-          sums[7] = weight * g[1];
-          tail_sums[0] = weight * g[2];
-          if constexpr (kAlbedo) {
-            for (int c = 0; c < 3; ++c) tail_sums[1 + c] = weight * g_albedo[c];
-          }
-        }
-        float* out = w.record_gradient + static_cast<std::size_t>(stage.record[j]) * kGradientFloats;
-        const float sum = reduce8(sums);
-        if ((lane & 3) == 0) atomicAdd(out + (lane >> 2), sum);
-        if constexpr (kAlbedo) {
-          const float tail_sum = reduce4(tail_sums);
-          if ((lane & 7) == 0) atomicAdd(out + 8 + (lane >> 3), tail_sum);
-        } else {
-          const float tail_sum = reduce1(tail_sums[0]);
-          if (lane == 0) atomicAdd(out + 8, tail_sum);
-        }
+  Factors factors;
+  factors.set(g);
+  const float center_x = pixel.x0 + 0.5F * kPatchWidth, center_y = pixel.y0 + 0.5F * kPatchHeight;
+  float transmittance = pixel.inside ? 1.0F : 0.0F;
+  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged);
+  int column = 0;
+  while (!stream.empty()) {
+    const int count = stream.advance();
+    for (int j = 0; j < count; ++j) {
+      const float4 shape = staged.shape[j], rest = staged.rest[j];
+      const float log2_alpha = log2_alpha_at(shape, rest, pixel);
+      const bool taken = log2_alpha >= kLog2AlphaMin && transmittance >= kTransmittanceMin;
+      if (!__any_sync(kAllLanes, taken)) continue;
+      const float unclamped = exp2_approximate(log2_alpha), alpha = fminf(kAlphaMax, unclamped);
+      const float weight = taken ? __fmul_rn(alpha, transmittance) : 0.0F;
+      transmittance = __fsub_rn(transmittance, weight);
+      const float2 tail = staged.tail[j];
+      float along = g[0] * rest.z + g[1] * rest.w + g[2] * tail.x;
+      if constexpr (kAlbedo) {
+        const float4 a = staged.albedo[j];
+        along += g[3] * a.x + g[4] * a.y + g[5] * a.z;
+      }
+      rest_of_total -= weight * along;
+      const bool moves = taken && unclamped <= kAlphaMax;
+      const float s = moves ? weight * along - __fdividef(alpha * rest_of_total, 1.0F - alpha) : 0.0F;
+      columns.values[column][lane ^ ((column & 1) << 3)] =
+          make_float2(__uint_as_float(split_bfloat16(s)), __uint_as_float(tf32(weight)));
+      if (lane == 0) {
+        columns.center[column] = make_float2(shape.x - center_x, shape.y - center_y);
+        columns.gaussian[column] = __float_as_uint(tail.y);
+      }
+      if (++column == kColumns) {
+        flush<kAlbedo>(columns, kColumns, factors, w, pixel.view);
+        column = 0;
       }
     }
+    if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;
   }
+  if (column > 0) flush<kAlbedo>(columns, column, factors, w, pixel.view);
 }
 
 }  // namespace
 
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream) {
-  const std::size_t records = static_cast<std::size_t>(workspace.count) * workspace.batch;
-  check(cudaMemsetAsync(workspace.record_gradient, 0, records * kGradientFloats * sizeof(float), stream),
-        "clearing the record gradients");
-  const int blocks = workspace.tiles_x * workspace.tiles_y * workspace.batch;
+  const int blocks = blend_blocks(workspace);
   if (blocks == 0) return;
   if (workspace.albedo != nullptr) {
     blend_backward_kernel<true><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);

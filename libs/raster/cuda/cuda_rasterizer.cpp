@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "raster/adam.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/view_tables.h"
@@ -33,30 +34,44 @@ class CudaRasterizer final : public Rasterizer {
   }
 
   void backward(const RenderGradient& gradient, ParameterGradient& out) override {
+    if (gradient.alpha.channels != 0) throw std::invalid_argument("the CUDA rasteriser has no gradient through alpha");
+    const cuda::DeviceGaussians& gaussians = model_.view();
+    const auto channels = static_cast<std::size_t>(gaussians.layout.channels());
+    const auto count = static_cast<std::size_t>(gaussians.count);
+    if (out.count != count || out.layout != gaussians.layout || out.values.size() < channels * out.stride) {
+      throw std::invalid_argument("rasterizer: the gradient was not cleared for these Gaussians");
+    }
     const cuda::WorkspaceView& w = workspace_.view();
-    const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
-    if (model_.view().count == 0 || pixels == 0) return;
+    const std::size_t pixels = static_cast<std::size_t>(w.width) * static_cast<std::size_t>(w.height);
+    if (count == 0 || pixels == 0) return;
     upload_gradient(gradient.color, w.color_gradient, pixels);
     if (w.albedo != nullptr) upload_gradient(gradient.albedo, w.albedo_gradient, pixels);
-    cuda::launch_blend_backward(model_.view(), w, stream_);
-    const auto channels = static_cast<std::size_t>(model_.view().layout.channels());
-    const auto count = static_cast<std::size_t>(model_.view().count);
+    cuda::launch_blend_backward(gaussians, w, stream_);
     gradient_.resize(channels * count);
     gradient_.clear(stream_);
-    cuda::launch_gradient(model_.view(), w, project_, gradient_.data(), out.active_channels, stream_);
+    touched_.resize(count);
+    touched_.clear(stream_);
+    cuda::launch_gradient(gaussians, w, project_, gradient_.data(), touched_.data(), out.active_channels, stream_);
     std::vector<float> host(channels * count);
-    std::vector<float4> shading(count);
+    std::vector<std::uint8_t> touched(count);
     gradient_.download(host.data(), host.size(), stream_);
-    check(cudaMemcpyAsync(shading.data(), w.record_shading, count * sizeof(float4), cudaMemcpyDeviceToHost, stream_),
-          "copying records");
+    touched_.download(touched.data(), count, stream_);
     check(cudaStreamSynchronize(stream_), "backward");
     const std::size_t active = out.active_channels > 0 ? static_cast<std::size_t>(out.active_channels) : channels;
     for (std::size_t c = 0; c < active; ++c) {
       for (std::size_t i = 0; i < count; ++i) out.values[c * out.stride + i] += host[c * count + i];
     }
-    for (std::size_t i = 0; i < count; ++i) {
-      if (shading[i].y > 0.0F) out.touched[i] = 1;
-    }
+    for (std::size_t i = 0; i < count; ++i) out.touched[i] |= touched[i];
+  }
+
+  void backward_step(const RenderGradient& gradient, const std::vector<float>& learning_rate, Adam& adam,
+                     float* parameters, ParameterGradient& statistics) override {
+    ParameterGradient full;
+    full.active_channels = statistics.active_channels;
+    full.clear(gaussians_);
+    backward(gradient, full);
+    adam.step(parameters, gaussians_.flags, full, learning_rate, 0);
+    for (std::size_t i = 0; i < full.count; ++i) statistics.touched[i] |= full.touched[i];
   }
 
  private:
@@ -68,6 +83,7 @@ class CudaRasterizer final : public Rasterizer {
     out.alpha = Image(camera.width, camera.height, 1);
     out.albedo = albedo ? Image(camera.width, camera.height, 3) : Image();
     out.depth = Image();
+    gaussians_ = gaussians;
     model_.upload(gaussians, stream_);
     const cuda::SceneView view{camera, &scene};
     const cuda::ViewTables tables = cuda::make_view_tables({&view, 1}, gaussians.layout.appearance);
@@ -132,6 +148,8 @@ class CudaRasterizer final : public Rasterizer {
   cuda::Workspace workspace_;
   cuda::ProjectOptions project_;
   cuda::DeviceBuffer<float> gradient_;
+  cuda::DeviceBuffer<std::uint8_t> touched_;
+  GaussiansView gaussians_;
   std::uint32_t pair_capacity_ = 0;
 };
 

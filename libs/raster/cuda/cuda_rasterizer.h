@@ -6,8 +6,9 @@
 
 namespace splatbus::raster {
 
-/// The Rasterizer interface on the first CUDA device, over host memory: every call copies in and out. No depth plane.
-/// Throws std::runtime_error naming the CUDA error when there is no usable device.
+/// The Rasterizer interface on the first CUDA device, over host memory: every call copies in and out. No depth plane,
+/// no gradient through alpha, and of the statistics of a ParameterGradient only `touched`. Throws std::runtime_error
+/// naming the CUDA error when there is no usable device.
 [[nodiscard]] std::unique_ptr<Rasterizer> make_cuda_rasterizer();
 
 }  // namespace splatbus::raster

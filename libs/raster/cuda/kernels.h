@@ -12,7 +12,7 @@ struct ProjectOptions {
   float blur_px2 = 0.3F;
   bool antialias = true;
   bool emit_pairs = true;        ///< also rebuild the (tile, Gaussian) pairs
-  bool use_depth_limit = false;  ///< leave out pairs behind the tile's depth limit
+  bool use_depth_limit = false;  ///< leave out pairs behind their patches' depth limits
   float pair_margin_px = 0.0F;   ///< widens footprints, so that lists serve several steps
 };
 
@@ -26,10 +26,10 @@ void launch_sort(const WorkspaceView& workspace, cudaStream_t stream);
 /// Scratch that launch_sort needs.
 [[nodiscard]] std::size_t sort_scratch_bytes(std::uint32_t pair_capacity);
 
-/// Blends front to back. Writes color, transmittance, tile_depth_limit and, when it is there, albedo.
+/// Blends front to back. Writes color, transmittance, patch_depth_limit and, when it is there, albedo.
 void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
-/// Adds to record_gradient (zeroed here) what color_gradient and albedo_gradient imply.
+/// Adds to record_gradient what color_gradient and albedo_gradient imply, and marks record_touched.
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 struct LossKernelOptions {
@@ -56,13 +56,14 @@ struct OptimizerState {
   std::uint32_t* steps = nullptr;  ///< [stride]
 };
 
-/// Projection and shading backward, summed over the views, and Adam, in one pass over the Gaussians that were in some
-/// view and are not frozen.
+/// Projection and shading backward, summed over the views, and Adam, in one pass over the Gaussians that were blended
+/// into some pixel and are not frozen. Leaves record_gradient and record_touched zeroed.
 void launch_update(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
                    const OptimizerState& state, const AdamOptions& adam, cudaStream_t stream);
 
-/// The same gradients, added to planes [channels][stride] instead: for the checks against the reference renderer.
+/// The same gradients, added to planes [channels][stride] instead, and [count] marks of who was blended: for the checks
+/// against the reference renderer.
 void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
-                     float* gradient, int active_channels, cudaStream_t stream);
+                     float* gradient, std::uint8_t* touched, int active_channels, cudaStream_t stream);
 
 }  // namespace splatbus::raster::cuda

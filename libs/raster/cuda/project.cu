@@ -6,7 +6,6 @@ namespace splatbus::raster::cuda {
 namespace {
 
 constexpr int kThreads = 128;
-constexpr float kLog2E = 1.4426950408889634F;
 
 struct Shading {
   const float* parameters;
@@ -37,8 +36,8 @@ __device__ float3 radiance_color(const Shading& s, int i, const float3 mean, con
 }
 
 __device__ float3 transfer_color(const Shading& s, int i, const ObjectView& object) {
-  const float3 n = make_float3(s.normal[i], s.normal[s.stride + i], s.normal[2 * s.stride + i]);
-  const float visibility = s.visibility[i];
+  const float3 n = load_normal(s.normal, s.stride, i);
+  const float visibility = s.visibility != nullptr ? s.visibility[i] : 1.0F;
   const float* p = s.parameters + ParameterLayout::kAlbedo * s.stride + i;
   const float3 response = diffuse_response(object, n, visibility);
   float3 color = make_float3(p[0] * response.x, p[s.stride] * response.y, p[2 * s.stride] * response.z);
@@ -55,71 +54,89 @@ __device__ float3 transfer_color(const Shading& s, int i, const ObjectView& obje
   return color;
 }
 
+/// -0 marks a channel that was clamped, so that the backward pass knows.
+__device__ float clamp_color(float raw) {
+  return raw < 0.0F ? -0.0F : raw + 0.0F;
+}
+
+__device__ bool bounded(float value) {
+  return fabsf(value) < 1e15F;
+}
+
+/// Projects and shades Gaussian i in one view; false when it cannot be seen.
 template <bool kTransfer>
-__global__ void __launch_bounds__(kThreads)
+__device__ bool write_record(const GaussianGeometry& g, float opacity, const Shading& shading, int i,
+                             const ObjectView& object, const DeviceView& view, const ProjectOptions& options,
+                             const WorkspaceView& w, std::size_t record, Footprint& footprint, float& depth) {
+  Projection p;
+  if (!project(g, object, view, options.blur_px2, p)) return false;
+  const float alpha = options.antialias ? opacity * sqrtf(p.det_sharp / p.det) : opacity;
+  if (!(alpha >= kAlphaMin)) return false;
+  const float x = view.fx * p.view.x / p.view.z + view.cx, y = view.fy * p.view.y / p.view.z + view.cy;
+  const float log2_alpha = log2f(alpha);
+  const Whitening u = whitening(p);
+  if (!footprint.set(x, y, p, u, log2_alpha, options.pair_margin_px, w)) return false;
+  const float3 color = kTransfer ? transfer_color(shading, i, object) : radiance_color(shading, i, g.mean, object);
+  if (!(bounded(color.x) && bounded(color.y) && bounded(color.z))) return false;
+  if constexpr (kTransfer) {
+    const float* albedo = shading.parameters + ParameterLayout::kAlbedo * shading.stride + i;
+    if (!(bounded(albedo[0]) && bounded(albedo[shading.stride]) && bounded(albedo[2 * shading.stride]))) return false;
+  }
+  depth = p.view.z;
+  w.record_shape[2 * record] = make_float4(x, y, log2_alpha, u.uxx);
+  w.record_shape[2 * record + 1] = make_float4(u.uxy, u.uyy, clamp_color(color.x), clamp_color(color.y));
+  w.record_tail[record] = make_float2(clamp_color(color.z), depth);
+  return true;
+}
+
+template <bool kTransfer>
+__global__ void __launch_bounds__(kThreads, 6)
     project_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
   const bool present = i < w.count;
   const int lane = threadIdx.x & 31;
   GaussianGeometry g;
   float opacity = 0.0F;
-  Shading shading{gaussians.parameters, gaussians.stride, gaussians.normal, gaussians.visibility,
-                  gaussians.layout.sh_coefficients()};
+  const Shading shading{gaussians.parameters, gaussians.stride, gaussians.normal, gaussians.visibility,
+                        gaussians.layout.sh_coefficients()};
   int slot = 0;
   if (present) {
     g = load_geometry(gaussians.parameters, gaussians.stride, i);
     opacity = sigmoid(g.opacity_logit);
     if (w.object_slot != nullptr) slot = w.object_slot[i];
   }
+  const int tiles = w.tiles_x * w.tiles_y;
   for (int b = 0; b < w.batch; ++b) {
-    const DeviceView& view = w.views[b];
-    Projection p;
     Footprint footprint;
+    float depth = 0.0F;
     bool visible = false;
-    const std::uint32_t record = static_cast<std::uint32_t>(b) * w.count + i;
     if (present) {
-      const ObjectView& object = w.object_views[b * w.object_count + slot];
-      visible = project(g, object, view, options.blur_px2, options.antialias, p);
-      const float alpha_peak = opacity * p.compensation;
-      visible = visible && alpha_peak >= kAlphaMin;
-      if (visible) {
-        const float x = view.fx * p.view.x / p.view.z + view.cx, y = view.fy * p.view.y / p.view.z + view.cy;
-        visible = footprint.set(x, y, p.a, p.b, p.c, p.det, alpha_peak, options.pair_margin_px, w);
-        if (visible) {
-          float3 color = kTransfer ? transfer_color(shading, i, object) : radiance_color(shading, i, g.mean, object);
-          visible = isfinite(color.x + color.y + color.z);
-          const float inv_det = 1.0F / p.det;
-          w.record_geometry[record] = make_float4(x, y, -0.5F * kLog2E * p.c * inv_det, kLog2E * p.b * inv_det);
-          w.record_shading[record] = make_float4(-0.5F * kLog2E * p.a * inv_det, visible ? alpha_peak : 0.0F,
-                                                 fmaxf(color.x, 0.0F), fmaxf(color.y, 0.0F));
-          w.record_tail[record] = make_float2(fmaxf(color.z, 0.0F), p.view.z);
-        }
-      }
-      if (!visible) w.record_shading[record] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
+      const std::size_t record = static_cast<std::size_t>(b) * w.count + i;
+      visible = write_record<kTransfer>(g, opacity, shading, i, w.object_views[b * w.object_count + slot], w.views[b],
+                                        options, w, record, footprint, depth);
+      // A list of an earlier step may still name it.
+      if (!visible) w.record_shape[2 * record] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
     }
     if (!options.emit_pairs) continue;
-    const float* limits =
-        options.use_depth_limit ? w.tile_depth_limit + static_cast<std::size_t>(b) * w.tiles_x * w.tiles_y : nullptr;
+    const float* limits = options.use_depth_limit ? w.patch_depth_limit + b * tiles * kPatches : nullptr;
     std::uint32_t count = 0;
-    if (visible) count = footprint.for_each_tile(w, limits, p.view.z, [](int) {});
+    if (visible) count = footprint.for_each_tile(w, limits, depth, [](int, std::uint32_t) {});
     // One atomic a warp: an inclusive scan gives each lane its place.
     std::uint32_t end = count;
     for (int step = 1; step < 32; step *= 2) {
       const std::uint32_t other = __shfl_up_sync(0xFFFFFFFFU, end, step);
       if (lane >= step) end += other;
     }
-    std::uint32_t base = 0;
-    if (lane == 31 && end > 0) base = atomicAdd(w.pair_count, end);
-    base = __shfl_sync(0xFFFFFFFFU, base, 31) + end - count;
+    std::uint32_t at = 0;
+    if (lane == 31 && end > 0) at = atomicAdd(w.pair_count, end);
+    at = __shfl_sync(0xFFFFFFFFU, at, 31) + end - count;
     if (count == 0) continue;
-    const std::uint64_t depth_bits = __float_as_uint(p.view.z);
-    const std::uint64_t first_tile = static_cast<std::uint64_t>(b) * w.tiles_x * w.tiles_y;
-    footprint.for_each_tile(w, limits, p.view.z, [&](int tile) {
-      if (base < w.pair_capacity) {
-        w.pair_keys[0][base] = ((first_tile + tile) << 32U) | depth_bits;
-        w.pair_records[0][base] = record;
+    footprint.for_each_tile(w, limits, depth, [&](int tile, std::uint32_t patches) {
+      if (at < w.pair_capacity) {
+        w.pair_keys[0][at] = (static_cast<std::uint64_t>(b * tiles + tile) << 32U) | __float_as_uint(depth);
+        w.pair_entries[0][at] = static_cast<std::uint32_t>(i) | patches << kPatchShift;
       }
-      ++base;
+      ++at;
     });
   }
 }

@@ -175,6 +175,12 @@ __device__ inline float3 sh_direction_gradient(const float3 d, int count, const 
   return g;
 }
 
+/// Without normals, only what does not depend on them lights a Gaussian.
+__device__ inline float3 load_normal(const float* normal, std::int64_t stride, int i) {
+  if (normal == nullptr) return make_float3(0.0F, 0.0F, 0.0F);
+  return make_float3(normal[i], normal[stride + i], normal[2 * stride + i]);
+}
+
 /// Transfer shading without the residual: colour = albedo * this (model.h).
 __device__ inline float3 diffuse_response(const ObjectView& o, const float3 n, float visibility) {
   float y[9];

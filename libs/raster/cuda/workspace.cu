@@ -67,6 +67,8 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
       allocate(view_.record_touched, records);
       check(cudaMemset(view_.record_gradient, 0, records * kGradientFloats * sizeof(float)), "clearing the workspace");
       check(cudaMemset(view_.record_touched, 0, records), "clearing the workspace");
+      // The stages run on streams that do not wait for this one.
+      check(cudaDeviceSynchronize(), "clearing the workspace");
       allocate(view_.color_gradient, 3 * pixels);
       if (r.albedo) allocate(view_.albedo_gradient, 3 * pixels);
       allocate(view_.ssim_partials, 9 * pixels);

@@ -17,9 +17,9 @@ struct WorkspaceView {
   std::uint32_t pair_capacity = 0;
 
   // Projected Gaussians: alpha = 2^(log2_alpha - u^2 - v^2) with u = uxx dx + uxy dy, v = uyy dy.
-  float4* record_shape = nullptr;          ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
-  float2* record_tail = nullptr;           ///< blue, depth (metres); a colour that was clamped to 0 is -0
-  float* record_gradient = nullptr;        ///< [batch * count][kGradientFloats]; zero but between blending and update
+  float4* record_shape = nullptr;    ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
+  float2* record_tail = nullptr;     ///< blue, depth (metres); a colour that was clamped to 0 is -0
+  float* record_gradient = nullptr;  ///< [batch * count][kGradientFloats]; zero but between blending and update
   std::uint8_t* record_touched = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
 
   // (tile, Gaussian) pairs, sorted by view, tile and depth.
@@ -27,7 +27,8 @@ struct WorkspaceView {
   std::uint32_t* pair_entries[2] = {nullptr, nullptr};  ///< Gaussian | patches that it may reach << kPatchShift
   std::uint32_t* pair_count = nullptr;  ///< pairs that the last build wanted; above pair_capacity the rest is missing
   uint2* tile_range = nullptr;          ///< [batch * tiles], into the sorted pairs
-  float* patch_depth_limit = nullptr;   ///< [batch * tiles][kPatches], beyond it every pixel was opaque when last blended
+  float* patch_depth_limit =
+      nullptr;  ///< [batch * tiles][kPatches], beyond it every pixel was opaque when last blended
   void* sort_scratch = nullptr;
   std::size_t sort_scratch_bytes = 0;
 
@@ -47,8 +48,8 @@ struct WorkspaceView {
   int object_count = 1;
 };
 
-/// With s = dL/d(ln alpha) and d the offset of a pixel from the Gaussian, sums over pixels: s dx, s dy, s dx^2, s dx dy,
-/// s dy^2, s; then the gradients of red, green, blue and albedo.
+/// With s = dL/d(ln alpha) and d the offset of a pixel from the Gaussian, sums over pixels: s dx, s dy, s dx^2, s dx
+/// dy, s dy^2, s; then the gradients of red, green, blue and albedo.
 constexpr int kGradientFloats = 12;
 constexpr int kPatchShift = 24;
 constexpr std::uint32_t kGaussianMask = (1U << kPatchShift) - 1;

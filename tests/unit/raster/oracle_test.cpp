@@ -175,16 +175,20 @@ TEST(Oracle, NegativeColourIsClampedInBoth) {
 }
 
 TEST(Oracle, EveryInstructionSetAgrees) {
-  for (const std::int64_t target : hwy::SupportedAndGeneratedTargets()) {
+  // Those that libs/raster is compiled for; the chosen one is forgotten so that the next call chooses again.
+  for (const std::int64_t target : {std::int64_t{HWY_AVX3}, std::int64_t{HWY_AVX2}, std::int64_t{HWY_SCALAR}}) {
+    if (target != HWY_SCALAR && (hwy::SupportedTargets() & target) == 0) continue;
     SCOPED_TRACE(hwy::TargetName(target));
-    hwy::SetSupportedTargetsForTest(target);
+    hwy::SetSupportedTargetsForTest(target | HWY_SCALAR);
+    hwy::GetChosenTarget().DeInit();
     RenderOptions options;
     options.albedo = true;
     expect_like_oracle(testing::random_scene(testing::transfer_layout(), 70, {}, 9), testing::test_camera(29, 31),
                        options);
     expect_like_oracle(testing::random_scene(testing::radiance_layout(3), 70, {}, 9), testing::test_camera(29, 31), {});
+    hwy::SetSupportedTargetsForTest(0);
+    hwy::GetChosenTarget().DeInit();
   }
-  hwy::SetSupportedTargetsForTest(0);
 }
 
 }  // namespace

@@ -1,0 +1,178 @@
+#include <algorithm>
+#include <array>
+
+#include "raster/cuda/train_step_impl.h"
+
+namespace splatbus::raster::cuda {
+
+bool TrainStep::Impl::albedo() const {
+  return options.albedo_weight > 0.0F && gaussians.layout.appearance == Appearance::Transfer;
+}
+
+WorkspaceView TrainStep::Impl::workspace_for(const Group& group) {
+  WorkspaceRequest request{.count = gaussians.count,
+                           .batch = static_cast<int>(group.views.size()),
+                           .width = group.width,
+                           .height = group.height,
+                           .object_count = 1,
+                           .albedo = albedo(),
+                           .training = true,
+                           .pair_capacity = pair_capacity};
+  if (workspace.reserve(request)) {
+    for (auto& other : groups) {
+      other->rebuild_graph.reset();
+      other->reuse_graph.reset();
+    }
+  }
+  WorkspaceView w = workspace.view();
+  w.views = group.device_views.data();
+  w.object_views = group.object_views.data();
+  w.object_count = static_cast<int>(group.object_views.size() / group.views.size());
+  w.object_slot = group.object_slot.size() == 0 ? nullptr : group.object_slot.data();
+  w.tile_range = group.tile_range.data();
+  w.patch_depth_limit = group.patch_depth_limit.data();
+  w.pair_entries[1] = group.entries.data();
+  return w;
+}
+
+ProjectOptions TrainStep::Impl::project_options(bool rebuild) const {
+  ProjectOptions project = options.project;
+  project.emit_pairs = rebuild;
+  project.use_depth_limit = options.use_depth_limit;
+  return project;
+}
+
+void TrainStep::Impl::read_pair_count(const WorkspaceView& w) {
+  check(cudaMemcpyAsync(host_pair_count, w.pair_count, sizeof(std::uint32_t), cudaMemcpyDeviceToHost, stream),
+        "reading the pair count");
+}
+
+void TrainStep::Impl::picture_loss(const float* rendered, const Group& group, bool of_albedo, float* gradient,
+                                   const WorkspaceView& w) {
+  const LossKernelOptions loss{
+      .ssim_weight = options.ssim_weight,
+      .weight = (of_albedo ? options.albedo_weight : 1.0F) / static_cast<float>(group.views.size()),
+      .encode_srgb = gaussians.layout.appearance == Appearance::Transfer};
+  launch_loss(rendered, of_albedo ? group.albedo_targets.data() : group.color_targets.data(), gradient, w, loss,
+              stream);
+}
+
+void TrainStep::Impl::losses(const Group& group, const WorkspaceView& w) {
+  check(cudaMemsetAsync(w.loss, 0, sizeof(float) * kMaxBatch, stream), "clearing the losses");
+  picture_loss(w.color, group, false, w.color_gradient, w);
+  if (albedo()) picture_loss(w.albedo, group, true, w.albedo_gradient, w);
+}
+
+void TrainStep::Impl::update(const WorkspaceView& w) {
+  const AdamOptions adam{.beta1 = options.beta1,
+                         .beta2 = options.beta2,
+                         .epsilon = options.epsilon,
+                         .learning_rate = learning_rate.data(),
+                         .active_channels = options.active_channels};
+  const OptimizerState state{.first = first.data(), .second = second.data(), .steps = steps.data()};
+  launch_update(gaussians, w, project_options(false), state, adam, stream);
+}
+
+void TrainStep::Impl::enqueue_forward(const WorkspaceView& w, bool rebuild) {
+  launch_project(gaussians, w, project_options(rebuild), stream);
+  if (rebuild) {
+    launch_sort(w, stream);
+    read_pair_count(w);
+  }
+  launch_blend_forward(gaussians, w, stream);
+}
+
+/// Grows the pair buffers when an earlier build did not fit. The count is of a build long done, or not there yet.
+void TrainStep::Impl::grow_if_needed(Group& group) {
+  if (*host_pair_count > pair_capacity) {
+    check(cudaStreamSynchronize(stream), "waiting to grow");
+    pair_capacity = *host_pair_count + *host_pair_count / 4;
+    for (auto& other : groups) other->lists_built = false;
+  }
+  if (group.entries.size() < pair_capacity) {
+    check(cudaStreamSynchronize(stream), "waiting to grow");
+    group.entries.resize(pair_capacity);
+    group.rebuild_graph.reset();
+    group.reuse_graph.reset();
+    group.lists_built = false;
+  }
+}
+
+void TrainStep::Impl::enqueue_training(const Group& group, const WorkspaceView& w) {
+  losses(group, w);
+  launch_blend_backward(gaussians, w, stream);
+  update(w);
+}
+
+void TrainStep::Impl::run(Group& group, bool train) {
+  grow_if_needed(group);
+  const bool rebuild = !group.lists_built || group.steps >= std::max(1, options.rebuild_interval);
+  // A group's first build is sized before anything depends on it: the only wait.
+  const bool first_build = !group.lists_built;
+  const WorkspaceView w = workspace_for(group);
+  const auto enqueue = [&] {
+    enqueue_forward(w, rebuild);
+    if (train) enqueue_training(group, w);
+  };
+  if (first_build) {
+    launch_project(gaussians, w, project_options(true), stream);
+    read_pair_count(w);
+    check(cudaStreamSynchronize(stream), "sizing the tile lists");
+    if (*host_pair_count > pair_capacity || *host_pair_count < pair_capacity / 4) {
+      pair_capacity = *host_pair_count + *host_pair_count / 4 + 1024;
+      if (group.entries.size() < pair_capacity || workspace.view().pair_capacity < pair_capacity) {
+        group.lists_built = true;  // sized: not again
+        group.steps = options.rebuild_interval;
+        run(group, train);
+        return;
+      }
+    }
+    group.lists_built = true;
+  }
+  if (!options.use_graph || !train) {
+    enqueue();
+  } else {
+    (rebuild ? group.rebuild_graph : group.reuse_graph).launch(stream, enqueue);
+  }
+  group.steps = rebuild ? 1 : group.steps + 1;
+  last = &group;
+}
+
+std::vector<TrainStep::StageTime> TrainStep::time_stages(std::size_t index, int repeats) {
+  Group& group = *impl_->groups.at(index);
+  impl_->run(group, true);
+  const WorkspaceView w = impl_->workspace_for(group);
+  Impl& impl = *impl_;
+  const std::array<std::pair<const char*, std::function<void()>>, 7> stages = {{
+      {"project+emit", [&] { launch_project(impl.gaussians, w, impl.project_options(true), impl.stream); }},
+      {"sort", [&] { launch_sort(w, impl.stream); }},
+      {"project", [&] { launch_project(impl.gaussians, w, impl.project_options(false), impl.stream); }},
+      {"blend forward", [&] { launch_blend_forward(impl.gaussians, w, impl.stream); }},
+      {"loss", [&] { impl.losses(group, w); }},
+      {"blend backward", [&] { launch_blend_backward(impl.gaussians, w, impl.stream); }},
+      {"update", [&] { impl.update(w); }},
+  }};
+  std::vector<StageTime> times;
+  cudaEvent_t begin = nullptr, end = nullptr;
+  check(cudaEventCreate(&begin), "making an event");
+  check(cudaEventCreate(&end), "making an event");
+  for (const auto& [name, run] : stages) {
+    std::vector<float> samples;
+    for (int k = 0; k < repeats; ++k) {
+      check(cudaEventRecord(begin, impl.stream), "timing");
+      run();
+      check(cudaEventRecord(end, impl.stream), "timing");
+      check(cudaEventSynchronize(end), "timing");
+      float milliseconds = 0.0F;
+      check(cudaEventElapsedTime(&milliseconds, begin, end), "timing");
+      samples.push_back(milliseconds);
+    }
+    std::nth_element(samples.begin(), samples.begin() + repeats / 2, samples.end());
+    times.push_back({name, samples[static_cast<std::size_t>(repeats) / 2]});
+  }
+  cudaEventDestroy(begin);
+  cudaEventDestroy(end);
+  return times;
+}
+
+}  // namespace splatbus::raster::cuda
