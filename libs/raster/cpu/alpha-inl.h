@@ -6,6 +6,7 @@
 #define SPLATBUS_RASTER_ALPHA_INL_H
 #endif
 
+#include "hwy/cache_control.h"
 #include "raster/cpu/frame.h"
 #include "raster/cpu/lanes-inl.h"
 
@@ -40,6 +41,9 @@ struct TileGaussian {
         uxy(Splat1(splat.uxy)),
         uyy(Splat1(splat.uyy)) {}
 };
+
+/// Splats of a tile lie apart in memory.
+constexpr std::uint32_t kPrefetchEntries = 8;
 
 struct Footprint {
   V u, v, log2_alpha;

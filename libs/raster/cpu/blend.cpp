@@ -95,6 +95,9 @@ void BlendTilePlanes(Frame& frame, std::uint32_t tile_index, bool keep, Render& 
   for (std::uint32_t b = 0; b < kTileBlocks; ++b) finished_after[b] = (live >> b & 1U) != 0 ? count : 0;
   const auto corner_x = static_cast<float>(area.x), corner_y = static_cast<float>(area.y);
   for (std::uint32_t k = 0; k < count && live != 0; ++k) {
+    if (k + kPrefetchEntries < count) {
+      hwy::Prefetch(&frame.splats[entries[k + kPrefetchEntries].gaussian_and_blocks & kGaussianMask]);
+    }
     const std::uint32_t packed = entries[k].gaussian_and_blocks;
     std::uint32_t blocks = packed >> kBlockShift & live;
     if (blocks == 0) continue;

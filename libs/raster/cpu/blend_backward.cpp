@@ -151,6 +151,10 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
   const TileEntry* entries = frame.entries.data() + frame.tile_begin[tile_index];
 
   for (std::uint32_t k = processed; k-- > 0;) {
+    if (k >= kPrefetchEntries) {
+      hwy::Prefetch(&frame.splats[entries[k - kPrefetchEntries].gaussian_and_blocks & kGaussianMask]);
+      hwy::Prefetch(&frame.pair_gradients[entries[k - kPrefetchEntries].slot]);
+    }
     std::uint32_t blocks = entries[k].gaussian_and_blocks >> kBlockShift;
     for (std::uint32_t b = 0; b < kTileBlocks; ++b) {
       if (k >= block_entries[b]) blocks &= ~(1U << b);

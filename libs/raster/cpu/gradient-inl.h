@@ -6,6 +6,7 @@
 #define SPLATBUS_RASTER_GRADIENT_INL_H
 #endif
 
+#include "hwy/cache_control.h"
 #include "raster/cpu/shading-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -26,6 +27,15 @@ HWY_INLINE M SumPairs(const Frame& frame, const Columns& in, PixelSums& out) {
   const hn::CappedTag<float, 16> record_tag;
   HWY_ALIGN float sums[hn::MaxLanes(F()) * 16];
   std::uint32_t bits = 0;
+  // Pairs of neighbouring Gaussians lie apart, in depth order: fetch those of the next vector.
+  const std::size_t next = in.i + hn::Lanes(f), next_end = std::min(next + hn::Lanes(f), in.gaussians.count);
+  for (std::size_t i = next; i < next_end; ++i) {
+    const PairRange& range = frame.pair_ranges[i];
+    if (range.count == 0) continue;
+    const std::uint32_t first = frame.piece_slot[range.piece] + range.first;
+    hwy::Prefetch(&frame.pair_written[first]);
+    for (std::uint32_t k = 0; k < std::min(range.count, 3U); ++k) hwy::Prefetch(&frame.pair_gradients[first + k]);
+  }
   for (std::size_t lane = 0; lane < hn::Lanes(f); ++lane) {
     float* sum = sums + lane * 16;
     for (std::size_t k = 0; k < 16; k += hn::Lanes(record_tag)) hn::Store(hn::Zero(record_tag), record_tag, sum + k);
