@@ -92,7 +92,7 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message) 
   live.stride = published.capacity();
   const auto channels = static_cast<std::uint32_t>(live.layout.channels());
   live.parameters = planes.plane<float>("parameters", channels);
-  const float* average = planes.plane<float>("average", channels);
+  const auto* const average = planes.plane<float>("average", channels);
   live.normal = planes.plane<float>("normal", 3);
   live.surface_point = planes.plane<float>("surface_point", 3);
   live.visibility = planes.plane<float>("visibility", 0);

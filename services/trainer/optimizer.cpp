@@ -62,11 +62,20 @@ double Optimizer::step(std::span<const TrainingViewPtr> views) {
   if (views.empty() || store_.count() == 0) return 0;
   const auto start = std::chrono::steady_clock::now();
   gradient_.active_channels = active_channels_;
-  gradient_.clear(store_.view());
+  float* const parameters = store_.planes().parameters;
   double loss = 0;
-  const float share = 1.0F / static_cast<float>(views.size());
-  for (const auto& view : views) loss += backpropagate(*view, share);
-  adam_.step(store_.planes().parameters, store_.planes().flags, gradient_, learning_rates_, options_.threads);
+  if (views.size() == 1) {
+    gradient_.clear_statistics(store_.view());
+    loss = render_loss(*views.front(), 1.0F);
+    rasterizer_->backward_step(render_gradient_, learning_rates_, adam_, parameters, gradient_);
+  } else {
+    gradient_.clear(store_.view());
+    for (const auto& view : views) {
+      loss += render_loss(*view, 1.0F / static_cast<float>(views.size()));
+      rasterizer_->backward(render_gradient_, gradient_);
+    }
+    adam_.step(parameters, store_.planes().flags, gradient_, learning_rates_, options_.threads);
+  }
   if (options_.layout.appearance == Appearance::Transfer) clamp_albedo();
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
   store_.add_step(views.size(), spent.count());
@@ -78,7 +87,7 @@ double Optimizer::step(std::span<const TrainingViewPtr> views) {
   return loss;
 }
 
-double Optimizer::backpropagate(const TrainingView& view, float scale) {
+double Optimizer::render_loss(const TrainingView& view, float scale) {
   const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
   const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
   const raster::RenderOptions render_options{
@@ -98,7 +107,6 @@ double Optimizer::backpropagate(const TrainingView& view, float scale) {
     scale_image(render_gradient_.albedo, scale * options_.albedo_weight);
   }
   if (with_depth) loss += depth_loss(view, scale);
-  rasterizer_->backward(render_gradient_, gradient_);
   return loss * scale;
 }
 

@@ -37,7 +37,8 @@ class Optimizer {
   [[nodiscard]] const CellStats& cells() const { return cells_; }
 
  private:
-  double backpropagate(const TrainingView& view, float scale);
+  /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
+  double render_loss(const TrainingView& view, float scale);
   float depth_loss(const TrainingView& view, float scale);
   void clamp_albedo() const;
   void maintain_density();

@@ -31,6 +31,7 @@ using TrainingViewPtr = std::shared_ptr<const TrainingView>;
 struct ViewKey {
   CameraRole role = CameraRole::Reference;
   std::uint32_t id = 0;
+  // NOLINTNEXTLINE(modernize-use-nullptr): clang-tidy 14 takes the comparison with 0 that is generated for a pointer's.
   auto operator<=>(const ViewKey&) const = default;
 };
 
