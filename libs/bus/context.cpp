@@ -73,8 +73,9 @@ bool Context::wait_connected(std::chrono::milliseconds timeout) const {
 }
 
 std::shared_ptr<Slab> Context::create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
-                                           int timeout_ms) {
+                                           int timeout_ms, MemoryKind kind) {
   SlabDescriptor descriptor;
+  descriptor.kind = kind;
   descriptor.id = random_id();
   descriptor.name = fmt::format("{}/{}", source(), role);
   descriptor.slots = slots;
@@ -100,7 +101,7 @@ std::shared_ptr<Slab> Context::open_slab(std::uint64_t id) {
       return found->second.slab;
     }
   }
-  auto answer = impl_->slabs->open(id, "");
+  auto answer = impl_->slabs->open(id, "", std::chrono::milliseconds(0));
   if (!answer) return nullptr;
   if (answer->descriptor.id != id) throw Error(fmt::format("slab registry: asked for {:#x}, got another", id));
   auto slab = map_slab_memory(answer->descriptor, std::move(answer->control), std::move(answer->data), false);
@@ -110,9 +111,9 @@ std::shared_ptr<Slab> Context::open_slab(std::uint64_t id) {
   return slab;
 }
 
-std::shared_ptr<Slab> Context::adopt_slab(const std::string& name) {
+std::shared_ptr<Slab> Context::adopt_slab(const std::string& name, int timeout_ms) {
   if (!impl_->slabs) return nullptr;
-  auto answer = impl_->slabs->open(0, name);
+  auto answer = impl_->slabs->open(0, name, std::chrono::milliseconds(timeout_ms));
   if (!answer) return nullptr;
   auto slab = map_slab_memory(answer->descriptor, std::move(answer->control), std::move(answer->data), true);
   impl_->slabs->keep(slab);

@@ -82,17 +82,14 @@ std::optional<TensorView> Message::tensor(const std::string& name) const try {
                               payload.size()));
     }
     return TensorView(name, std::move(announced->shape), announced->type, payload.data<std::byte>() + span.offset(),
-                      span.bytes(), content_, nullptr, 0);
+                      span.bytes(), content_);
   }
   if (span.storage() != wire::Storage::Slab) throw Error("its storage does not exist");
   if (!context_->address().is_local()) throw Error("it lies in a slab, which cannot be reached over tcp");
   const auto slab = context_->open_slab(span.slab());
   if (slab == nullptr) return std::nullopt;
-  const std::size_t slot = slab->slot_of(span);
   if (span.generation() % 2 != 0) throw Error(fmt::format("its generation {} is odd", span.generation()));
-  const std::size_t start = span.offset() % slot_stride(slab->descriptor());
-  TensorView view(name, std::move(announced->shape), announced->type, slab->slot_data(slot) + start, span.bytes(), slab,
-                  slab->sequence_address(slot), span.generation());
+  TensorView view(name, std::move(announced->shape), announced->type, slab, span);
   if (!view.still_valid()) return std::nullopt;
   return view;
 } catch (const Error& error) {

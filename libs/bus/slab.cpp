@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "bus/error.h"
+#include "bus/fence.h"
 #include "bus/memfd.h"
 
 namespace splatbus::bus {
@@ -118,13 +119,9 @@ std::byte* Slab::slot_data(std::size_t slot) const {
   return data_ + slot * stride_;
 }
 
-const void* Slab::sequence_address(std::size_t slot) const {
-  assert(slot < slots());
-  return control_.sequence_address(slot);
-}
-
 std::uint64_t Slab::sequence(std::size_t slot) const {
-  return static_cast<const Sequence*>(sequence_address(slot))->load(std::memory_order_acquire);
+  assert(slot < slots());
+  return static_cast<const Sequence*>(control_.sequence_address(slot))->load(std::memory_order_acquire);
 }
 
 void Slab::begin_write(std::size_t slot) {
@@ -134,7 +131,7 @@ void Slab::begin_write(std::size_t slot) {
   const std::uint64_t before = counter->load(std::memory_order_relaxed);
   counter->store(before % 2 == 0 ? before + 1 : before + 2, std::memory_order_relaxed);
   // Keeps the writes of the data from rising above the odd mark.
-  std::atomic_thread_fence(std::memory_order_release);
+  release_fence();
 }
 
 std::uint64_t Slab::end_write(std::size_t slot) {
@@ -171,12 +168,24 @@ std::size_t Slab::slot_of(const wire::Span& span) const {
   return slot;
 }
 
+const std::byte* Slab::data_of(const wire::Span& span) const {
+  (void)slot_of(span);  // throws when the span leaves its slot
+  return data_ + span.offset();
+}
+
+bool Slab::holds(const wire::Span& span) const {
+  if (span.generation() % 2 != 0) return false;
+  // The fence keeps the reads of the data that came before from sinking below the check (Boehm 2012, seqlock readers).
+  acquire_fence();
+  const auto* counter = static_cast<const Sequence*>(control_.sequence_address(span.offset() / stride_));
+  return counter->load(std::memory_order_relaxed) == span.generation();
+}
+
 bool Slab::copy(const wire::Span& span, void* destination) const {
   const std::size_t slot = slot_of(span);
   if (span.generation() % 2 != 0 || sequence(slot) != span.generation()) return false;
   read(span.offset(), span.bytes(), destination);
-  std::atomic_thread_fence(std::memory_order_acquire);
-  return static_cast<const Sequence*>(sequence_address(slot))->load(std::memory_order_relaxed) == span.generation();
+  return holds(span);
 }
 
 }  // namespace splatbus::bus

@@ -9,7 +9,8 @@
 
 namespace splatbus::bus {
 
-enum class MemoryKind : std::uint32_t { Host, Cuda };
+/// Where the bytes of a slab's data are; a number of the registry's protocol.
+enum class MemoryKind : std::uint32_t { Host = 0, Cuda = 1 };
 
 /// What a slab claims to be; every claim is checked against the descriptors that come with it.
 struct SlabDescriptor {
@@ -98,12 +99,16 @@ class Slab {
   /// The slot that a span from a peer lies in. Throws Error naming the slab when the span leaves its slot.
   [[nodiscard]] std::size_t slot_of(const wire::Span& span) const;
 
+  /// Where a span from a peer begins. Throws Error as slot_of does.
+  [[nodiscard]] const std::byte* data_of(const wire::Span& span) const;
+
+  /// True while the span's slot still holds what it held under the span's generation; whatever was read before this
+  /// call was then whole. The span lies within its slot.
+  [[nodiscard]] bool holds(const wire::Span& span) const;
+
   /// Copies a span to host memory (span.bytes() of room). False when its slot was overwritten, before or meanwhile; the
   /// destination then holds garbage. Throws Error as slot_of does.
   [[nodiscard]] bool copy(const wire::Span& span, void* destination) const;
-
-  /// Address of the slot's sequence counter (std::atomic<uint64_t>), for TensorView.
-  [[nodiscard]] const void* sequence_address(std::size_t slot) const;
 
   /// Descriptors for the registry, owned by the slab; -1 when it is private to this process.
   [[nodiscard]] int control_fd() const { return control_.fd(); }

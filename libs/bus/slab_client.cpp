@@ -38,6 +38,7 @@ FileDescriptor connect_to(const std::string& path) {
 SlabClient::SlabClient(std::string socket_path)
     : socket_path_(std::move(socket_path)), wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   if (!wake_.valid()) throw Error("cannot make an eventfd");
+  connect();
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
 }
 
@@ -75,9 +76,10 @@ void SlabClient::drop(const std::string& name) {
   if (connected_) (void)ask(SlabOperation::Release, descriptor, -1, -1);
 }
 
-std::optional<SlabPacket> SlabClient::open(std::uint64_t id, const std::string& name) {
-  const std::scoped_lock lock(mutex_);
-  if (!connected_) return std::nullopt;
+std::optional<SlabPacket> SlabClient::open(std::uint64_t id, const std::string& name,
+                                           std::chrono::milliseconds timeout) {
+  std::unique_lock lock(mutex_);
+  if (!connected_changed_.wait_for(lock, timeout, [this] { return connected_; })) return std::nullopt;
   SlabDescriptor descriptor;
   descriptor.id = id;
   descriptor.name = name;
@@ -130,10 +132,15 @@ void SlabClient::register_all() {
   }
 }
 
+bool SlabClient::connected() {
+  const std::scoped_lock lock(mutex_);
+  return connected_;
+}
+
 void SlabClient::run(const std::stop_token& stop) {
   auto pause = first_pause;
   while (!stop.stop_requested()) {
-    if (!connect()) {
+    if (!connected() && !connect()) {
       pollfd wait{wake_.get(), POLLIN, 0};
       ::poll(&wait, 1, static_cast<int>(pause.count()));
       pause = std::min(pause * 2, longest_pause);

@@ -20,7 +20,7 @@ namespace splatbus::bus {
 /// growing pause and registers this process's slabs anew under the same ids. Thread-safe.
 class SlabClient {
  public:
-  explicit SlabClient(std::string socket_path);
+  explicit SlabClient(std::string socket_path);  ///< tries to connect once, and goes on trying
   ~SlabClient();
   SlabClient(const SlabClient&) = delete;
   SlabClient& operator=(const SlabClient&) = delete;
@@ -34,12 +34,14 @@ class SlabClient {
 
   void drop(const std::string& name);
 
-  /// The registry's answer to Open or OpenByName; nullopt when it has no such slab or cannot be reached.
-  std::optional<SlabPacket> open(std::uint64_t id, const std::string& name);
+  /// The registry's answer to Open, or to OpenByName where `name` is not empty; nullopt when it has no such slab or
+  /// cannot be reached within `timeout`.
+  std::optional<SlabPacket> open(std::uint64_t id, const std::string& name, std::chrono::milliseconds timeout);
 
  private:
   void run(const std::stop_token& stop);
   bool connect();
+  bool connected();
   std::optional<SlabPacket> ask(SlabOperation operation, const SlabDescriptor& descriptor, int control_fd, int data_fd);
   void register_all();
 

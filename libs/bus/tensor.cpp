@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <atomic>
 #include <cstring>
 #include <utility>
 
@@ -44,35 +43,44 @@ std::size_t tensor_bytes(std::span<const std::uint32_t> shape, ElementType type,
 }
 
 TensorView::TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, const std::byte* data,
-                       std::size_t bytes, std::shared_ptr<const void> keep_alive, const void* slot_sequence,
-                       std::uint64_t generation)
+                       std::size_t bytes, std::shared_ptr<const void> keep_alive)
     : name_(std::move(name)),
       shape_(std::move(shape)),
       type_(type),
       data_(data),
       bytes_(bytes),
-      keep_alive_(std::move(keep_alive)),
-      slot_sequence_(slot_sequence),
-      generation_(generation) {}
+      keep_alive_(std::move(keep_alive)) {}
+
+TensorView::TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type,
+                       std::shared_ptr<const Slab> slab, const wire::Span& span)
+    : name_(std::move(name)),
+      shape_(std::move(shape)),
+      type_(type),
+      data_(slab->data_of(span)),
+      bytes_(span.bytes()),
+      slab_(std::move(slab)),
+      span_(span) {}
+
+MemoryKind TensorView::memory() const {
+  return slab_ == nullptr ? MemoryKind::Host : slab_->descriptor().kind;
+}
 
 bool TensorView::still_valid() const {
-  if (slot_sequence_ == nullptr) return true;
-  // The fence keeps the reads of the data that came before from sinking below the check (Boehm 2012, seqlock readers).
-  std::atomic_thread_fence(std::memory_order_acquire);
-  return static_cast<const std::atomic<std::uint64_t>*>(slot_sequence_)->load(std::memory_order_relaxed) == generation_;
+  return slab_ == nullptr || slab_->holds(span_);
 }
 
 bool TensorView::copy(void* destination) const {
-  if (!still_valid()) return false;
+  if (slab_ != nullptr) return slab_->copy(span_, destination);
   if (bytes_ > 0) std::memcpy(destination, data_, bytes_);
-  return still_valid();
+  return true;
 }
 
-void TensorView::require_type(ElementType type) const {
+void TensorView::require_host(ElementType type) const {
   if (type != type_) {
     throw Error(fmt::format("tensor '{}' holds {}, asked for as {}", name_, wire::EnumNameElementType(type_),
                             wire::EnumNameElementType(type)));
   }
+  if (memory() != MemoryKind::Host) throw Error(fmt::format("tensor '{}' is not in host memory", name_));
 }
 
 }  // namespace splatbus::bus

@@ -12,6 +12,9 @@
 
 namespace splatbus::bus {
 
+class Slab;
+enum class MemoryKind : std::uint32_t;
+
 using wire::ElementType;
 
 /// Bytes of one element.
@@ -36,9 +39,13 @@ struct OutgoingTensor {
 /// calls still_valid() afterwards and throws its result away when that is false.
 class TensorView {
  public:
+  /// In host memory that `keep_alive` owns.
   TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, const std::byte* data,
-             std::size_t bytes, std::shared_ptr<const void> keep_alive, const void* slot_sequence,
-             std::uint64_t generation);
+             std::size_t bytes, std::shared_ptr<const void> keep_alive);
+
+  /// In a slab. Throws bus::Error when the span leaves its slot.
+  TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, std::shared_ptr<const Slab> slab,
+             const wire::Span& span);
 
   [[nodiscard]] const std::string& name() const { return name_; }
   [[nodiscard]] std::span<const std::uint32_t> shape() const { return shape_; }
@@ -46,21 +53,22 @@ class TensorView {
   [[nodiscard]] ElementType type() const { return type_; }
   [[nodiscard]] std::size_t bytes() const { return bytes_; }
   [[nodiscard]] std::size_t elements() const { return bytes_ / element_bytes(type_); }
-  [[nodiscard]] const std::byte* data() const { return data_; }
+  [[nodiscard]] const std::byte* data() const { return data_; }  ///< a device address when memory() is Cuda
+  [[nodiscard]] MemoryKind memory() const;
 
-  /// Typed view of data(). Throws bus::Error when T does not match type().
+  /// Typed view of data(). Throws bus::Error when T does not match type(), or the memory is not the host's.
   template <class T>
   [[nodiscard]] std::span<const T> as() const;
 
   /// True while the slot still holds what the message announced. Always true for inline tensors.
   [[nodiscard]] bool still_valid() const;
 
-  /// Copies all bytes to `destination` (bytes() of room). False when the slot was overwritten meanwhile; the
-  /// destination then holds garbage.
+  /// Copies all bytes to `destination` in host memory (bytes() of room). False when the slot was overwritten meanwhile;
+  /// the destination then holds garbage.
   [[nodiscard]] bool copy(void* destination) const;
 
  private:
-  void require_type(ElementType type) const;
+  void require_host(ElementType type) const;
 
   std::string name_;
   std::vector<std::uint32_t> shape_;
@@ -68,8 +76,8 @@ class TensorView {
   const std::byte* data_;
   std::size_t bytes_;
   std::shared_ptr<const void> keep_alive_;
-  const void* slot_sequence_;  // std::atomic<uint64_t> in the slab's control block, null for inline tensors
-  std::uint64_t generation_;
+  std::shared_ptr<const Slab> slab_;  // null for inline tensors
+  wire::Span span_{};
 };
 
 template <class T>
@@ -101,7 +109,7 @@ struct ElementTypeOf<float> {
 
 template <class T>
 std::span<const T> TensorView::as() const {
-  require_type(ElementTypeOf<T>::value);
+  require_host(ElementTypeOf<T>::value);
   return {reinterpret_cast<const T*>(data_), bytes_ / sizeof(T)};
 }
 

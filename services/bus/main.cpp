@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
+#include <sys/resource.h>
 
 #include <CLI/CLI.hpp>
 #include <condition_variable>
@@ -13,6 +14,14 @@
 
 namespace {
 
+// Two descriptors a slab, one a client.
+void raise_descriptor_limit() {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+  limit.rlim_cur = limit.rlim_max;
+  ::setrlimit(RLIMIT_NOFILE, &limit);
+}
+
 using splatbus::bus::Address;
 
 int run(const std::string& address, const std::string& tcp, const std::string& log_level) {
@@ -22,6 +31,7 @@ int run(const std::string& address, const std::string& tcp, const std::string& l
   spdlog::set_pattern("[%H:%M:%S.%e] [%n] [%l] %v");
   spdlog::set_level(spdlog::level::from_str(log_level));
 
+  raise_descriptor_limit();
   splatbus::bus_service::BrokerOptions options;
   options.address = address.empty() ? Address::from_environment() : Address::parse(address);
   if (!tcp.empty()) {

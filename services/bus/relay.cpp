@@ -166,7 +166,10 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
   const auto topic = frames.topic.to_string();
   const auto key = latch_key_of(header);
   const auto* known = held_.find(topic, key);
-  if (known != nullptr && is_stale(header, *known, local)) return false;
+  if (known != nullptr && is_stale(header, *known, local)) {
+    warn_of_namesakes(topic, header, header_of(known->frames));
+    return false;
+  }
   bus::Frames copy;
   copy.topic.rebuild(frames.topic.data(), frames.topic.size());
   copy.body.rebuild(frames.body.data(), frames.body.size());
@@ -183,6 +186,12 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
   }
   held_count_ = held_.size();
   return true;
+}
+
+void Relay::warn_of_namesakes(const std::string& topic, const wire::Header& header, const wire::Header& known) {
+  if (topic != "sys/heartbeat" || header.epoch() >= known.epoch() || !limiter_.allow()) return;
+  spdlog::warn("two processes call themselves '{}'; the one that started first is not heard",
+               bus::printable(header.source()->string_view()));
 }
 
 void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& header) {

@@ -44,6 +44,7 @@ class Relay {
   void relay_from(Side& side);
   void relay(const bus::Frames& frames, bool local);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
+  void warn_of_namesakes(const std::string& topic, const wire::Header& header, const wire::Header& known);
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
   void send_inlined(const bus::Frames& frames);
   void read_subscriptions(Side& side);

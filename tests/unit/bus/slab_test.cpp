@@ -44,8 +44,8 @@ TEST_F(Slabs, TensorArrivesByReference) {
 TEST_F(Slabs, ReadersCannotWrite) {
   const auto slab = connect("maker")->create_slab("frames", 1, 100);
   const auto reader = connect("reader");
-  std::shared_ptr<bus::Slab> opened;
-  ASSERT_TRUE(eventually([&] { return (opened = reader->open_slab(slab->id())) != nullptr; }));
+  const auto opened = reader->open_slab(slab->id());
+  ASSERT_NE(opened, nullptr);
   EXPECT_FALSE(opened->writable());
   EXPECT_THROW(opened->begin_write(0), bus::Error);
   EXPECT_EQ(opened, reader->open_slab(slab->id()));  // cached
@@ -88,13 +88,18 @@ TEST_F(Slabs, SizesBeyondTheLimitsAreRefused) {
   EXPECT_THROW((void)context->create_slab(std::string(300, 'a'), 1, 1), bus::Error);  // the name
 }
 
+TEST_F(Slabs, AKindWithoutMemoryIsRefused) {
+  EXPECT_THAT([&] { (void)connect("maker")->create_slab("frames", 1, 1, 10000, bus::MemoryKind::Cuda); },
+              ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr("maker/frames"), HasSubstr("kind 1"))));
+}
+
 TEST_F(Slabs, WithoutABrokerCreationSaysSo) {
   const TemporaryDirectory empty;
   const auto context = bus::Context::create(empty.address(), "maker");
   EXPECT_THAT([&] { (void)context->create_slab("frames", 1, 1, 50); },
               ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr("maker/frames"), HasSubstr(empty.path()))));
   EXPECT_EQ(context->open_slab(1), nullptr);
-  EXPECT_EQ(context->adopt_slab("maker/frames"), nullptr);
+  EXPECT_EQ(context->adopt_slab("maker/frames", 50), nullptr);
 }
 
 TEST_F(Slabs, ANameRegisteredAgainReplacesTheOldSlab) {
@@ -104,8 +109,8 @@ TEST_F(Slabs, ANameRegisteredAgainReplacesTheOldSlab) {
   EXPECT_NE(first->id(), second->id());
   EXPECT_EQ(broker_->statistics().slabs, 1u);
   const auto reader = connect("reader");
-  std::shared_ptr<bus::Slab> adopted;
-  ASSERT_TRUE(eventually([&] { return (adopted = reader->adopt_slab("maker/frames")) != nullptr; }));
+  const auto adopted = reader->adopt_slab("maker/frames");
+  ASSERT_NE(adopted, nullptr);
   EXPECT_EQ(adopted->id(), second->id());
   EXPECT_EQ(adopted->slot_bytes(), 200u);
   EXPECT_EQ(reader->open_slab(first->id()), nullptr);
@@ -120,14 +125,17 @@ TEST_F(Slabs, AnAdoptedSlabGoesOnWhereItsMakerStopped) {
     generation = write_floats(*slab, {1, 2}).span.generation();
   }
   const auto context = connect("maker");
-  std::shared_ptr<bus::Slab> slab;
-  ASSERT_TRUE(eventually([&] { return (slab = context->adopt_slab("maker/model")) != nullptr; }));
+  const auto slab = context->adopt_slab("maker/model");
+  ASSERT_NE(slab, nullptr);
   EXPECT_TRUE(slab->writable());
   EXPECT_EQ(reinterpret_cast<const float*>(slab->slot_data(0))[1], 2.0F);
   EXPECT_GT(write_floats(*slab, {3, 4}).span.generation(), generation);
 }
 
 TEST(SequenceLock, ATornReadIsNeverReportedValid) {
+#if defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "the race is the point";
+#endif
   constexpr std::size_t words = 512;
   bus::SlabDescriptor descriptor;
   descriptor.id = 1;
