@@ -4,8 +4,8 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
+#include <limits>
 
 namespace splatbus::capture_bridge {
 
@@ -14,20 +14,36 @@ namespace {
 constexpr float kPlaneTolerance = 0.5F;    // pixel extents off the tangent plane
 constexpr float kLateralTolerance = 1.5F;  // pixel extents on it: a pixel's centre is at most 0.71 from any point in it
 
+/// What culling reads of a pixel, together in half a cache line: the lookups jump about.
+struct Texel {
+  glm::vec3 position{0};
+  float footprint_m = 0;  // 0: no valid sample; negative: beside a discontinuity
+  glm::vec3 normal{0};
+  std::uint32_t object_id = 0;
+};
+
 /// One view, ready for many projections.
 struct Projector {
-  Projector(const InputView& view_in, const ViewSurface& surface_in, const ObjectTransforms& round_objects)
-      : view(&view_in),
-        surface(&surface_in),
-        centre(view_in.camera.world_from_camera.translation),
-        camera_from_world(glm::transpose(glm::mat3_cast(view_in.camera.world_from_camera.rotation))),
-        to_round(round_from_view(view_in.objects, round_objects)) {}
+  Projector(const InputView& view, const ViewSurface& surface, const ObjectTransforms& round_objects)
+      : camera(view.camera),
+        centre(view.camera.world_from_camera.translation),
+        camera_from_world(glm::transpose(glm::mat3_cast(view.camera.world_from_camera.rotation))),
+        to_round(round_from_view(view.objects, round_objects)),
+        texels(view.pixels()) {
+    for (std::size_t i = 0; i < texels.size(); ++i) {
+      if (surface.footprint_m[i] == 0) continue;
+      texels[i] = {.position = glm::vec3(view.position[i]),
+                   .footprint_m = surface.edge[i] != 0 ? -surface.footprint_m[i] : surface.footprint_m[i],
+                   .normal = glm::normalize(glm::vec3(view.normal[i])),
+                   .object_id = surface.object_id[i]};
+    }
+  }
 
-  const InputView* view;
-  const ViewSurface* surface;
+  Camera camera;
   glm::vec3 centre;
   glm::mat3 camera_from_world;
   ObjectTransforms to_round;
+  std::vector<Texel> texels;
 };
 
 /// A camera that sees the point.
@@ -37,14 +53,10 @@ struct Candidate {
   float footprint_m = 0;
 };
 
-struct SurfacePoint {
-  glm::vec3 position, normal;  // in the frame of the view it came from
-  std::uint32_t object_id;
-};
-
 class Culling {
  public:
   Culling(Views views, std::span<const ViewSurface> surfaces, const CullOptions& options) : options_(options) {
+    projectors_.reserve(views.size());
     for (std::size_t i = 0; i < views.size(); ++i) {
       projectors_.emplace_back(*views[i], surfaces[i], views.front()->objects);
       movement_ = movement_ || !projectors_.back().to_round.empty();
@@ -54,31 +66,34 @@ class Culling {
   /// Density that remains at pixel `i` of camera `own`, 0 when its sample goes.
   [[nodiscard]] float kept_density(std::uint32_t own, std::size_t i, std::vector<Candidate>& seen_by) const {
     const Projector& here = projectors_[own];
-    const ViewSurface& surface = *here.surface;
-    if (surface.footprint_m[i] == 0) return 0;
-    const SurfacePoint point{.position = glm::vec3(here.view->position[i]),
-                             .normal = glm::normalize(glm::vec3(here.view->normal[i])),
-                             .object_id = surface.object_id[i]};
+    const Texel& point = here.texels[i];
+    if (point.footprint_m == 0) return 0;
+    const float depth_m = (here.camera_from_world * (point.position - here.centre)).z;
     seen_by.clear();
     for (std::uint32_t other = 0; other < projectors_.size(); ++other) {
       if (other == own) {
-        seen_by.push_back(
-            {own, quality(here, point, surface.depth_m[i], surface.edge[i] != 0), surface.footprint_m[i]});
+        seen_by.push_back({own, extent(here, point, depth_m) * penalty(point), std::abs(point.footprint_m)});
+      } else if (movement_) {
+        consider(other, moved(point, own, other), seen_by);
       } else {
-        consider(other, movement_ ? moved(point, own, other) : point, seen_by);
+        consider(other, point, seen_by);
       }
     }
-    return rank(own, seen_by);
+    return options_.cameras_per_surface == 1 ? density_of_best(own, seen_by) : rank(own, seen_by);
   }
 
  private:
-  [[nodiscard]] float quality(const Projector& camera, const SurfacePoint& point, float depth_m, bool edge) const {
-    const float cosine = glm::dot(point.normal, glm::normalize(camera.centre - point.position));
-    if (cosine <= 0) return std::numeric_limits<float>::infinity();
-    return depth_m / (camera.view->camera.fx * cosine) * (edge ? options_.edge_penalty : 1.0F);
+  /// Longest extent of a camera's pixel on the surface, metres.
+  [[nodiscard]] static float extent(const Projector& camera, const Texel& point, float depth_m) {
+    const glm::vec3 to_camera = camera.centre - point.position;
+    const float facing = glm::dot(point.normal, to_camera);
+    if (facing <= 0) return std::numeric_limits<float>::infinity();
+    return depth_m * glm::length(to_camera) / (camera.camera.fx * facing);
   }
 
-  [[nodiscard]] SurfacePoint moved(SurfacePoint point, std::uint32_t from, std::uint32_t to) const {
+  [[nodiscard]] float penalty(const Texel& texel) const { return texel.footprint_m < 0 ? options_.edge_penalty : 1; }
+
+  [[nodiscard]] Texel moved(Texel point, std::uint32_t from, std::uint32_t to) const {
     const auto apply = [&point](const Rigid& transform) {
       point.position = transform * point.position;
       point.normal = transform.rotation * point.normal;
@@ -91,33 +106,43 @@ class Culling {
   }
 
   /// Adds the camera when its own pixel at the point holds a sample of the same surface.
-  void consider(std::uint32_t index, const SurfacePoint& point, std::vector<Candidate>& seen_by) const {
+  void consider(std::uint32_t index, const Texel& point, std::vector<Candidate>& seen_by) const {
     const Projector& other = projectors_[index];
-    const Camera& camera = other.view->camera;
+    const Camera& camera = other.camera;
     const glm::vec3 local = other.camera_from_world * (point.position - other.centre);
     if (local.z < camera.near_m) return;
     const float x = camera.fx * local.x / local.z + camera.cx;
     const float y = camera.fy * local.y / local.z + camera.cy;
-    if (!(x >= 0) || !(y >= 0) || x >= static_cast<float>(camera.width) || y >= static_cast<float>(camera.height))
-      return;
-    const std::size_t pixel = static_cast<std::size_t>(y) * camera.width + static_cast<std::size_t>(x);
-    const ViewSurface& surface = *other.surface;
-    if (surface.footprint_m[pixel] == 0 || surface.object_id[pixel] != point.object_id) return;
-    if (glm::dot(point.normal, glm::vec3(other.view->normal[pixel])) < options_.min_normal_cosine) return;
-    const float extent = quality(other, point, local.z, false);
-    const glm::vec3 offset = glm::vec3(other.view->position[pixel]) - point.position;
-    if (std::abs(glm::dot(offset, point.normal)) > kPlaneTolerance * extent) return;
-    if (glm::length(offset) > kLateralTolerance * extent) return;
-    const bool edge = surface.edge[pixel] != 0;
-    seen_by.push_back({index, edge ? extent * options_.edge_penalty : extent, surface.footprint_m[pixel]});
+    if (!(x >= 0 && y >= 0 && x < static_cast<float>(camera.width) && y < static_cast<float>(camera.height))) return;
+    const Texel& texel = other.texels[static_cast<std::size_t>(y) * camera.width + static_cast<std::size_t>(x)];
+    if (texel.footprint_m == 0 || texel.object_id != point.object_id) return;
+    if (glm::dot(point.normal, texel.normal) < options_.min_normal_cosine) return;
+    const float pixel_m = extent(other, point, local.z);
+    const glm::vec3 offset = texel.position - point.position;
+    if (std::abs(glm::dot(offset, point.normal)) > kPlaneTolerance * pixel_m) return;
+    if (glm::dot(offset, offset) > kLateralTolerance * kLateralTolerance * pixel_m * pixel_m) return;
+    seen_by.push_back({index, pixel_m * penalty(texel), std::abs(texel.footprint_m)});
+  }
+
+  [[nodiscard]] float similar_to_best(const std::vector<Candidate>& seen_by) const {
+    float best = seen_by.front().quality;
+    for (const Candidate& candidate : seen_by) best = std::min(best, candidate.quality);
+    return best * (1 + options_.similar);
+  }
+
+  /// rank() for one camera a surface, without sorting; candidates come in order of their index.
+  [[nodiscard]] float density_of_best(std::uint32_t own, const std::vector<Candidate>& seen_by) const {
+    const float similar = similar_to_best(seen_by);
+    const auto winner = std::find_if(seen_by.begin(), seen_by.end(),
+                                     [similar](const Candidate& candidate) { return candidate.quality <= similar; });
+    if (winner == seen_by.end() || winner->camera != own) return 0;
+    return 1 / (winner->footprint_m * winner->footprint_m);
   }
 
   /// The best first: those similar to the best by index, then the others by quality. `own` keeps its sample when it is
   /// among the first cameras_per_surface.
   [[nodiscard]] float rank(std::uint32_t own, std::vector<Candidate>& seen_by) const {
-    float best = seen_by.front().quality;
-    for (const Candidate& candidate : seen_by) best = std::min(best, candidate.quality);
-    const float similar = best * (1 + options_.similar);
+    const float similar = similar_to_best(seen_by);
     std::sort(seen_by.begin(), seen_by.end(), [similar](const Candidate& a, const Candidate& b) {
       const bool a_similar = a.quality <= similar;
       const bool b_similar = b.quality <= similar;

@@ -72,8 +72,9 @@ std::vector<Camera> follow_cameras(const FollowOptions& options, const Camera& v
   const Camera pinhole = look_at({0, 0, 0}, {0, 0, 1}, size, size, options.fov_radians);
   std::vector<Camera> cameras;
   for (int i = 0; i < options.cameras; ++i) {
-    const float ring = static_cast<float>((i + 2) / 3);  // 0 | 1 1 1 | 2 2 2 | ...
-    glm::vec3 offset(0);                                 // in the viewer's frame: x right, y down
+    const int place_ring = (i + 2) / 3;  // 0 | 1 1 1 | 2 2 2 | ...
+    const auto ring = static_cast<float>(place_ring);
+    glm::vec3 offset(0);  // in the viewer's frame: x right, y down
     glm::quat turn(1, 0, 0, 0);
     if (i > 0) {
       const int place = (i - 1) % 3;
