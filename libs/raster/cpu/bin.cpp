@@ -20,7 +20,7 @@ void TileBinner::bin(Frame& frame, Workers& workers) {
   workers.for_pieces(frame.visible, kPiece, [&](std::size_t begin, std::size_t end) {
     const std::size_t index = begin / kPiece;
     Piece& piece = pieces_[index];
-    piece.tile_counts.assign(frame.tile_count(), 0);
+    piece.tile_counts.assign(frame.tile_count() + frame.tiles_x + 2, 0);  // 2x2 tiles may overhang, empty
     collect_pairs(frame, begin, end, static_cast<std::uint32_t>(index), kMaxPairs / piece_count, piece.pairs,
                   piece.tile_counts.data());
   });

@@ -70,47 +70,68 @@ HWY_INLINE void CutRows(const Splat& splat, float reach2, float first_row, float
   }
 }
 
+/// A Gaussian that may reach more than 2x2 tiles, row after row of them.
+void CollectLarge(const Frame& frame, std::uint32_t gaussian, PairBuffer& pairs, std::uint32_t* tile_counts) {
+  static_assert(kTileSide == 2 * kBlockSide && kBlockSide == 4);
+  const auto last_column = static_cast<float>(frame.camera.width) - 1;
+  const auto bottom = static_cast<float>(frame.camera.height) - 1;
+  const Splat& splat = frame.splats[gaussian];
+  const float reach2 = splat.log2_alpha + 7.9943534F + 1e-3F;
+  // The rows of pixel centres within the ellipse's box; truncation is floor as both ends are made positive.
+  const float low_y = std::max(splat.y - splat.extent_y + 0.5F, 0.0F);
+  const float high_y = std::min(splat.y + splat.extent_y - 0.5F, bottom);
+  if (!(high_y >= 0) || low_y > bottom + 1) return;
+  const auto first_row = static_cast<std::int32_t>(low_y), last_row = static_cast<std::int32_t>(high_y);
+  for (std::int32_t row = first_row / static_cast<std::int32_t>(kTileSide) * 2; row * 4 <= last_row; row += kRows) {
+    Spans spans;
+    CutRows(splat, reach2, static_cast<float>(first_row), static_cast<float>(last_row), last_column, row, spans);
+    for (int pair = 0; pair < kRows; pair += 2) {
+      const std::int32_t first = std::min(spans.first[pair], spans.first[pair + 1]) >> 1;
+      const std::int32_t last = std::max(spans.last[pair], spans.last[pair + 1]) >> 1;
+      if (first > last) continue;
+      Pair* out = pairs.room_for(static_cast<std::size_t>(last - first + 1));
+      const std::uint32_t tile_row = static_cast<std::uint32_t>((row + pair) >> 1) * frame.tiles_x;
+      for (std::int32_t column = first; column <= last; ++column) {
+        const std::uint32_t blocks = spans.Bits(pair, 2 * column) | spans.Bits(pair + 1, 2 * column) << 2U;
+        if (blocks == 0) continue;
+        const std::uint32_t tile = tile_row + static_cast<std::uint32_t>(column);
+        *out++ = {tile, gaussian | blocks << kBlockShift};
+        ++tile_counts[tile];
+      }
+      pairs.commit(out);
+    }
+  }
+}
+
 void CollectPairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_t piece, std::size_t most,
                   PairBuffer& pairs, std::uint32_t* tile_counts) {
-  static_assert(kTileSide == 2 * kBlockSide && kBlockSide == 4);
-  const auto last_column = static_cast<float>(frame.camera.width) - 1,
-             bottom = static_cast<float>(frame.camera.height) - 1;
+  const std::uint32_t tiles_x = frame.tiles_x;
   pairs.clear();
-  for (std::size_t k = begin; k < end; ++k) {
-    const std::uint32_t gaussian = frame.order[k].gaussian;
+  for (std::size_t k = begin; k < end && pairs.size() < most; ++k) {
     if (k + kPrefetch < end) {
       const std::uint32_t ahead = frame.order[k + kPrefetch].gaussian;
-      hwy::Prefetch(&frame.splats[ahead]);
+      hwy::Prefetch(&frame.reaches[ahead]);
       hwy::Prefetch(&frame.pair_ranges[ahead]);
     }
-    if (pairs.size() >= most) continue;
-    const Splat& splat = frame.splats[gaussian];
-    const float reach2 = splat.log2_alpha + 7.9943534F + 1e-3F;
-    // The rows of pixel centres within the ellipse's box; truncation is floor as both ends are made positive.
-    const float low_y = std::max(splat.y - splat.extent_y + 0.5F, 0.0F);
-    const float high_y = std::min(splat.y + splat.extent_y - 0.5F, bottom);
-    if (!(high_y >= 0) || low_y > bottom + 1) continue;
-    const auto first_row = static_cast<std::int32_t>(low_y), last_row = static_cast<std::int32_t>(high_y);
+    const std::uint32_t gaussian = frame.order[k].gaussian;
     const std::size_t before = pairs.size();
-    for (std::int32_t row = first_row / static_cast<std::int32_t>(kTileSide) * 2; row * 4 <= last_row; row += kRows) {
-      Spans spans;
-      CutRows(splat, reach2, static_cast<float>(first_row), static_cast<float>(last_row), last_column, row, spans);
-      for (int pair = 0; pair < kRows; pair += 2) {
-        const std::int32_t first = std::min(spans.first[pair], spans.first[pair + 1]) >> 1;
-        const std::int32_t last = std::max(spans.last[pair], spans.last[pair + 1]) >> 1;
-        if (first > last) continue;
-        Pair* out = pairs.room_for(static_cast<std::size_t>(last - first + 1));
-        const std::uint32_t tile_row = static_cast<std::uint32_t>((row + pair) >> 1) * frame.tiles_x;
-        for (std::int32_t column = first; column <= last; ++column) {
-          const std::uint32_t blocks = spans.Bits(pair, 2 * column) | spans.Bits(pair + 1, 2 * column) << 2U;
-          const std::uint32_t tile = tile_row + static_cast<std::uint32_t>(column);
-          *out = {tile, gaussian | blocks << kBlockShift};
-          const std::uint32_t reached = blocks != 0 ? 1 : 0;
-          tile_counts[tile] += reached;
-          out += reached;
-        }
-        pairs.commit(out);
-      }
+    const TileReach reach = frame.reaches[gaussian];
+    if (HWY_UNLIKELY(reach.blocks == TileReach::kLarge)) {
+      CollectLarge(frame, gaussian, pairs, tile_counts);
+    } else {
+      Pair* out = pairs.room_for(4);
+      const auto add = [&](std::uint32_t tile, std::uint32_t blocks) {
+        // Without a branch: what is empty is overwritten by the next.
+        const std::uint32_t reached = blocks != 0 ? 1 : 0;
+        *out = {tile, gaussian | blocks << kBlockShift};
+        tile_counts[tile] += reached;
+        out += reached;
+      };
+      add(reach.tile, reach.blocks & 15U);
+      add(reach.tile + 1, reach.blocks >> 4U & 15U);
+      add(reach.tile + tiles_x, reach.blocks >> 8U & 15U);
+      add(reach.tile + tiles_x + 1, reach.blocks >> 12U & 15U);
+      pairs.commit(out);
     }
     frame.pair_ranges[gaussian] = {static_cast<std::uint32_t>(pairs.size() - before), piece,
                                    static_cast<std::uint32_t>(before)};

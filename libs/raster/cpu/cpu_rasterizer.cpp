@@ -45,6 +45,7 @@ void CpuRasterizer::project() {
   const std::size_t count = frame_.gaussians.count;
   const std::size_t pieces = (count + kGaussianPiece - 1) / kGaussianPiece;
   frame_.splats.reserve(count);
+  frame_.reaches.reserve(count);
   frame_.pair_ranges.reserve(count);
   frame_.order.reserve(count);
   spare_keys_.reserve(count);

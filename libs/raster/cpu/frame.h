@@ -73,6 +73,12 @@ struct TileEntry {
 };
 constexpr std::uint32_t kBlockShift = 28, kGaussianMask = (1U << kBlockShift) - 1;
 
+/// The blocks that a small Gaussian reaches: 2x2 tiles from `tile` on, four bits a tile (left to right, then down).
+struct TileReach {
+  static constexpr std::uint32_t kLarge = 1U << 16U;  ///< in `blocks`: it may reach more tiles than that
+  std::uint32_t tile, blocks;
+};
+
 /// The pairs of a Gaussian: `count` slots from piece_slot[piece] + first.
 struct PairRange {
   std::uint32_t count, piece, first;
@@ -120,6 +126,7 @@ struct Frame {
   [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
 
   Scratch<Splat> splats;                  ///< [count], valid where visible
+  Scratch<TileReach> reaches;             ///< [count], valid where visible
   Scratch<PairRange> pair_ranges;         ///< [count]
   std::vector<std::uint32_t> piece_slot;  ///< first slot of every binning piece
   Scratch<DepthKey> order;                ///< visible Gaussians, near to far

@@ -17,6 +17,8 @@ namespace splatbus::raster::cpu::HWY_NAMESPACE {
 /// Values of the sixteen fields of the Splats of a vector of Gaussians, written as sixteen planes and read as records.
 struct SplatPlanes {
   HWY_ALIGN float values[16][hn::MaxLanes(F())];
+  HWY_ALIGN std::uint32_t tile[hn::MaxLanes(F())];
+  HWY_ALIGN std::uint32_t blocks[hn::MaxLanes(F())];
 
   HWY_INLINE void Set(int field, V value) { hn::Store(value, F(), values[field]); }
   HWY_INLINE void CopyLane(std::uint32_t lane, Splat& to) const {
@@ -33,6 +35,68 @@ HWY_INLINE V ClampColour(V raw) {
 
 HWY_INLINE M Bounded(V value) {
   return hn::Lt(hn::Abs(value), Splat1(1e15F));
+}
+
+/// The pixels' rows or columns [first, last] whose centres lie within `extent` of `centre`.
+struct PixelRange {
+  V first, last;
+};
+HWY_INLINE PixelRange RangeOf(V centre, V extent, std::uint32_t size) {
+  const V edge = Splat1(static_cast<float>(size) - 1), half = Splat1(0.5F);
+  return {hn::Floor(hn::Max(hn::Add(hn::Sub(centre, extent), half), hn::Zero(F()))),
+          hn::Floor(hn::Min(hn::Sub(hn::Add(centre, extent), half), edge))};
+}
+
+/// The blocks that small ellipses reach, exactly: the same cut as in collect.cpp, over Gaussians instead of over rows.
+HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V extent_y, V log2_alpha, V uxx, V uxy,
+                         V uyy, V rightmost_dy, SplatPlanes& out) {
+  const F f;
+  const I d;
+  const PixelRange rows = RangeOf(p.y, extent_y, frame.camera.height),
+                   columns = RangeOf(p.x, extent_x, frame.camera.width);
+  const auto to_tile = [&](V pixel) { return hn::ShiftRight<3>(hn::ConvertTo(d, pixel)); };
+  const auto tile_x = to_tile(columns.first), tile_y = to_tile(rows.first);
+  const auto one = hn::Set(d, 1), four = hn::Set(d, 4), zero = hn::Zero(d);
+  const auto large =
+      hn::Or(hn::Gt(hn::Sub(to_tile(columns.last), tile_x), one), hn::Gt(hn::Sub(to_tile(rows.last), tile_y), one));
+  const auto first_block_column = hn::Add(tile_x, tile_x);
+  const V reach2 = hn::Add(log2_alpha, Splat1(7.9943534F + 1e-3F)), inverse_uxx = hn::Div(Splat1(1.0F), uxx);
+  const V edge = Splat1(static_cast<float>(frame.camera.width) - 1);
+  const V half = Splat1(0.5F), margin = Splat1(0.01F);
+  const auto half_width = [&](V dy) {
+    const V v = hn::Mul(uyy, dy);
+    return hn::Sqrt(hn::Max(hn::NegMulAdd(v, v, reach2), hn::Zero(f)));
+  };
+  V top = MulScalar(hn::ConvertTo(f, tile_y), float{kTileSide});
+  auto blocks = zero;
+  for (int row = 0; row < 4; ++row) {
+    const V low = hn::Max(top, rows.first), high = hn::Min(hn::Add(top, Splat1(float{kBlockSide} - 1)), rows.last);
+    const V low_dy = hn::Sub(hn::Add(low, half), p.y), high_dy = hn::Sub(hn::Add(high, half), p.y);
+    const V right_dy = hn::Min(hn::Max(rightmost_dy, low_dy), high_dy);
+    const V left_dy = hn::Min(hn::Max(hn::Neg(rightmost_dy), low_dy), high_dy);
+    const V right = hn::MulAdd(hn::NegMulAdd(uxy, right_dy, half_width(right_dy)), inverse_uxx,
+                               hn::Add(hn::Sub(p.x, half), margin));
+    const V left =
+        hn::NegMulAdd(hn::MulAdd(uxy, left_dy, half_width(left_dy)), inverse_uxx, hn::Sub(hn::Sub(p.x, half), margin));
+    const V first = hn::Ceil(hn::Min(hn::Max(left, columns.first), hn::Add(edge, Splat1(1.0F))));
+    const V last = hn::Floor(hn::Max(hn::Min(right, columns.last), Splat1(-1.0F)));
+    const auto none = hn::RebindMask(d, hn::Or(hn::Gt(low, high), hn::Gt(first, last)));
+    const auto relative = [&](V column) {
+      return hn::Sub(hn::ShiftRight<2>(hn::ConvertTo(d, column)), first_block_column);
+    };
+    const auto begin = hn::Min(hn::Max(relative(first), zero), four);
+    const auto end = hn::Min(hn::Max(hn::Add(relative(last), one), begin), four);
+    const auto bits = hn::IfThenZeroElse(none, hn::Sub(hn::Shl(one, end), hn::Shl(one, begin)));
+    // Two bits to the left tile, two to the right; rows 2 and 3 belong to the tiles below.
+    const auto left_bits = hn::And(bits, hn::Set(d, 3)), right_bits = hn::ShiftRight<2>(bits);
+    const auto both = hn::Or(left_bits, hn::ShiftLeft<4>(right_bits));
+    blocks = hn::Or(blocks, hn::Shl(both, hn::Set(d, row / 2 * 8 + row % 2 * 2)));
+    top = hn::Add(top, Splat1(float{kBlockSide}));
+  }
+  blocks = hn::IfThenElse(large, hn::Set(d, static_cast<std::int32_t>(TileReach::kLarge)), blocks);
+  const auto tile = hn::Add(hn::Mul(tile_y, hn::Set(d, static_cast<std::int32_t>(frame.tiles_x))), tile_x);
+  hn::Store(hn::BitCast(U(), tile), U(), out.tile);
+  hn::Store(hn::BitCast(U(), blocks), U(), out.blocks);
 }
 
 /// Which of `lanes` may be seen, with their Splats in `planes`.
@@ -96,7 +160,10 @@ HWY_INLINE M ProjectLanes(const Frame& frame, const ObjectFrame& object, const C
   planes.Set(12, albedo.z);
   planes.Set(13, extent_x);
   planes.Set(14, extent_y);
-  planes.Set(15, hn::Div(hn::Mul(reach, p.b), root_a));
+  const V rightmost_dy = hn::Div(hn::Mul(reach, p.b), root_a);
+  planes.Set(15, rightmost_dy);
+  SetReach(frame, p, extent_x, extent_y, log2_alpha, MulScalar(uxx, kWhiteScale), MulScalar(uxy, kWhiteScale),
+           MulScalar(inverse_root_c, kWhiteScale), rightmost_dy, planes);
   return visible;
 }
 
@@ -130,6 +197,7 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
         const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits));
         const auto gaussian = static_cast<std::uint32_t>(i + lane);
         planes.CopyLane(lane, frame.splats[gaussian]);
+        frame.reaches[gaussian] = {planes.tile[lane], planes.blocks[lane]};
         out[count++] = {std::bit_cast<std::uint32_t>(planes.values[9][lane]), gaussian};
       }
       todo_bits &= ~lane_bits;

@@ -48,63 +48,86 @@ struct Staged {
   float4 rest[kLanes];   // uxy, uyy, red, green
   float2 tail[kLanes];   // blue; the Gaussian's number, as bits
   float4 albedo[kAlbedo ? kLanes : 1];
+  std::uint32_t queue[256];  // a ring of Gaussians that reach the patch
 };
 
-/// Streams the Gaussians that reach a warp's patch out of its tile's list, 32 entries at a time. What the next 32 need
-/// is on its way while the last are blended.
+/// Streams the Gaussians that reach a warp's patch out of its tile's list. Entries are looked at 128 at a time, records
+/// fetched 32 at a time; both are on their way while what came before is blended.
 template <bool kAlbedo>
 class PatchStream {
  public:
   __device__ PatchStream(const DeviceGaussians& gaussians, const WorkspaceView& w, const Pixel& pixel,
                          Staged<kAlbedo>& staged)
-      : entries_(w.pair_entries[1]),
+      : entries_(reinterpret_cast<const uint4*>(w.pair_entries[1])),
         shapes_(w.record_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
         tails_(w.record_tail + static_cast<std::size_t>(pixel.view) * w.count),
         albedo_(gaussians.parameters + ParameterLayout::kAlbedo * gaussians.stride),
         stride_(gaussians.stride),
         staged_(staged),
-        bit_(1U << (kPatchShift + pixel.patch)) {
+        bit_(1U << (kPatchShift + pixel.patch)),
+        lane_(threadIdx.x & (kLanes - 1)) {
     const uint2 range = w.tile_range[pixel.tile];
-    at_ = range.x + (threadIdx.x & (kLanes - 1));
     first_ = range.x;
     end_ = range.y;
-    entry_ = at_ < end_ ? entries_[at_] : 0;
+    // Vectors of four entries are aligned, so the first may hold some of the tile before.
+    at_ = range.x / 4 * 4;
+    load();
     fetch();
   }
 
-  [[nodiscard]] __device__ bool empty() const { return first_ >= end_; }
-  /// Depth of the last entry that advance() looked at, infinite when that is not known.
-  [[nodiscard]] __device__ float depth() const {
-    const std::uint32_t last = min(first_, end_);
-    if (last == 0) return INFINITY;
-    const std::size_t gaussian = entries_[last - 1] & kGaussianMask;
-    return isfinite(shapes_[2 * gaussian].z) ? tails_[gaussian].y : INFINITY;
-  }
-
-  /// Stages the hits among the next 32 entries and returns how many they are.
+  /// Stages the next Gaussians, at most 32, and returns how many they are: 0 at the end.
   __device__ int advance() {
-    const unsigned hits = __ballot_sync(kAllLanes, hit_);
-    const unsigned lane = threadIdx.x & (kLanes - 1);
+    const int count = fetched_;
     __syncwarp();
-    if (hit_) {
-      const int slot = __popc(hits & ((1U << lane) - 1));
-      staged_.shape[slot] = shape_;
-      staged_.rest[slot] = rest_;
-      staged_.tail[slot] = make_float2(blue_, __uint_as_float(gaussian_));
-      if constexpr (kAlbedo) staged_.albedo[slot] = make_float4(a_[0], a_[1], a_[2], 0.0F);
+    if (lane_ < count) {
+      staged_.shape[lane_] = shape_;
+      staged_.rest[lane_] = rest_;
+      staged_.tail[lane_] = make_float2(blue_, __uint_as_float(gaussian_));
+      if constexpr (kAlbedo) staged_.albedo[lane_] = make_float4(a_[0], a_[1], a_[2], 0.0F);
     }
-    first_ += kLanes;
     fetch();
     __syncwarp();
-    return __popc(hits);
+    return count;
   }
+
+  /// Depth of a staged Gaussian.
+  [[nodiscard]] __device__ float depth(int slot) const { return tails_[__float_as_uint(staged_.tail[slot].y)].y; }
 
  private:
-  /// Begins to load the records of the entries in entry_, and the entries after them.
+  __device__ void load() {
+    const std::uint32_t at = at_ + 4 * lane_;
+    next_ = at < end_ ? entries_[at / 4] : make_uint4(0, 0, 0, 0);
+  }
+
+  /// Queues the hits among the next 128 entries, in their order.
+  __device__ void scan() {
+    const std::uint32_t at = at_ + 4 * lane_;
+    const std::uint32_t entries[4] = {next_.x, next_.y, next_.z, next_.w};
+    at_ += 4 * kLanes;
+    load();
+    bool hit[4];
+    std::uint32_t slot = head_ + queued_;
+    const unsigned before = (1U << lane_) - 1;
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      hit[k] = (entries[k] & bit_) != 0 && at + k >= first_ && at + k < end_;
+      const unsigned hits = __ballot_sync(kAllLanes, hit[k]);
+      slot += __popc(hits & before);
+      queued_ += __popc(hits);
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (hit[k]) staged_.queue[slot++ % 256] = entries[k] & kGaussianMask;
+    }
+  }
+
+  /// Begins to load the next 32 records.
   __device__ void fetch() {
-    hit_ = (entry_ & bit_) != 0;
-    gaussian_ = entry_ & kGaussianMask;
-    if (hit_) {
+    while (queued_ < kLanes && at_ < end_) scan();
+    __syncwarp();
+    fetched_ = min(queued_, kLanes);
+    if (lane_ < fetched_) {
+      gaussian_ = staged_.queue[(head_ + lane_) % 256];
       shape_ = shapes_[2 * static_cast<std::size_t>(gaussian_)];
       rest_ = shapes_[2 * static_cast<std::size_t>(gaussian_) + 1];
       blue_ = tails_[gaussian_].x;
@@ -112,18 +135,19 @@ class PatchStream {
         for (int c = 0; c < 3; ++c) a_[c] = albedo_[c * stride_ + gaussian_];
       }
     }
-    at_ += kLanes;
-    entry_ = at_ < end_ ? entries_[at_] : 0;
+    head_ += fetched_;
+    queued_ -= fetched_;
   }
 
-  const std::uint32_t* __restrict__ entries_;
+  const uint4* __restrict__ entries_;
   const float4* __restrict__ shapes_;
   const float2* __restrict__ tails_;
   const float* __restrict__ albedo_;
   std::int64_t stride_;
   Staged<kAlbedo>& staged_;
-  std::uint32_t bit_, at_, first_, end_, entry_, gaussian_;
-  bool hit_;
+  std::uint32_t bit_, at_, first_, end_, gaussian_, head_ = 0;
+  int lane_, queued_ = 0, fetched_ = 0;
+  uint4 next_;
   float4 shape_, rest_;
   float blue_, a_[kAlbedo ? 3 : 1];
 };

@@ -49,6 +49,12 @@ __device__ inline void multiply_tf32(float (&d)[4], std::uint32_t a1, std::uint3
       : "r"(a1), "r"(0U), "r"(a3), "r"(b0), "r"(b1));
 }
 
+__device__ inline float reciprocal(float x) {
+  float y;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
 /// A lane's share of the left factors: row lane / 4, and the pixels 8 k + 2 (lane % 4) and the next, k = 0 to 3.
 struct Factors {
   std::uint32_t moments[kPatchHeight][2];   // row of 1, x, y, x^2, x y, y^2, pixels from the patch's centre
@@ -78,9 +84,15 @@ struct Factors {
   }
 };
 
+/// Whose column lane / 4 is.
+struct Owner {
+  float x, y;  // centre, pixels from the patch's centre
+  std::uint32_t gaussian;
+};
+
 /// Sums the first `count` columns and adds them to their Gaussians' records.
-template <bool kAlbedo>
-__device__ void flush(Columns& columns, int count, const Factors& factors, const WorkspaceView& w, int view) {
+__device__ void flush(Columns& columns, int count, const Owner& c, const Factors& factors, const WorkspaceView& w,
+                      int view) {
   const int lane = threadIdx.x & (kLanes - 1), column = lane >> 2, quad = lane & 3;
   __syncwarp();
   float d[4] = {};
@@ -102,8 +114,7 @@ __device__ void flush(Columns& columns, int count, const Factors& factors, const
   __syncwarp();
   if (column < count) {
     const float* m = sums + column * kStride;
-    const float2 c = columns.center[column];
-    const std::size_t record = static_cast<std::size_t>(view) * w.count + columns.gaussian[column];
+    const std::size_t record = static_cast<std::size_t>(view) * w.count + c.gaussian;
     float4 out;
     if (quad == 0) {
       const float s_x = m[1] - c.x * m[0], s_y = m[2] - c.y * m[0];
@@ -154,8 +165,8 @@ __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(Device
   float transmittance = pixel.inside ? 1.0F : 0.0F;
   PatchStream<kAlbedo> stream(gaussians, w, pixel, staged);
   int column = 0;
-  while (!stream.empty()) {
-    const int count = stream.advance();
+  Owner owner{};
+  for (int count = stream.advance(); count > 0; count = stream.advance()) {
     for (int j = 0; j < count; ++j) {
       const float4 shape = staged.shape[j], rest = staged.rest[j];
       const float log2_alpha = log2_alpha_at(shape, rest, pixel);
@@ -172,21 +183,18 @@ __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(Device
       }
       rest_of_total -= weight * along;
       const bool moves = taken && unclamped <= kAlphaMax;
-      const float s = moves ? weight * along - __fdividef(alpha * rest_of_total, 1.0F - alpha) : 0.0F;
+      const float s = moves ? weight * along - alpha * rest_of_total * reciprocal(1.0F - alpha) : 0.0F;
       columns.values[column][lane ^ ((column & 1) << 3)] =
           make_float2(__uint_as_float(split_bfloat16(s)), __uint_as_float(tf32(weight)));
-      if (lane == 0) {
-        columns.center[column] = make_float2(shape.x - center_x, shape.y - center_y);
-        columns.gaussian[column] = __float_as_uint(tail.y);
-      }
+      if (lane / 4 == column) owner = {shape.x - center_x, shape.y - center_y, __float_as_uint(tail.y)};
       if (++column == kColumns) {
-        flush<kAlbedo>(columns, kColumns, factors, w, pixel.view);
+        flush(columns, kColumns, owner, factors, w, pixel.view);
         column = 0;
       }
     }
     if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;
   }
-  if (column > 0) flush<kAlbedo>(columns, column, factors, w, pixel.view);
+  if (column > 0) flush(columns, column, owner, factors, w, pixel.view);
 }
 
 }  // namespace

@@ -11,9 +11,9 @@ __global__ void __launch_bounds__(kBlendThreads) blend_forward_kernel(DeviceGaus
   PatchStream<kAlbedo> stream(gaussians, w, pixel, staged);
   float transmittance = pixel.inside ? 1.0F : 0.0F, red = 0.0F, green = 0.0F, blue = 0.0F;
   float albedo[3] = {0.0F, 0.0F, 0.0F};
-  bool opaque = false;
-  while (!stream.empty()) {
-    const int count = stream.advance();
+  // Behind its limit nothing of a patch can be seen; one that never becomes opaque has none.
+  float limit = INFINITY;
+  for (int count = stream.advance(); count > 0; count = stream.advance()) {
 #pragma unroll 4
     for (int j = 0; j < count; ++j) {
       const float4 rest = staged.rest[j];
@@ -32,12 +32,12 @@ __global__ void __launch_bounds__(kBlendThreads) blend_forward_kernel(DeviceGaus
         albedo[2] += weight * a.z;
       }
     }
-    opaque = __all_sync(kAllLanes, transmittance < kTransmittanceMin);
-    if (opaque) break;
+    if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) {
+      limit = stream.depth(count - 1);
+      break;
+    }
   }
-  if ((threadIdx.x & (kLanes - 1)) == 0) {
-    w.patch_depth_limit[kPatches * pixel.tile + pixel.patch] = opaque ? stream.depth() : INFINITY;
-  }
+  if (threadIdx.x % kLanes == 0) w.patch_depth_limit[kPatches * pixel.tile + pixel.patch] = limit;
   if (!pixel.inside) return;
   const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
   const float* background = w.views[pixel.view].background;

@@ -1,6 +1,7 @@
 #include "raster/cuda/footprint.cuh"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/projection_math.cuh"
+#include "raster/cuda/sort_key.h"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -63,38 +64,75 @@ __device__ bool bounded(float value) {
   return fabsf(value) < 1e15F;
 }
 
-/// Projects and shades Gaussian i in one view; false when it cannot be seen.
-template <bool kTransfer>
-__device__ bool write_record(const GaussianGeometry& g, float opacity, const Shading& shading, int i,
-                             const ObjectView& object, const DeviceView& view, const ProjectOptions& options,
-                             const WorkspaceView& w, std::size_t record, Footprint& footprint, float& depth) {
+/// What projection knows of a Gaussian in one view.
+struct Seen {
   Projection p;
-  if (!project(g, object, view, options.blur_px2, p)) return false;
-  const float alpha = options.antialias ? opacity * sqrtf(p.det_sharp / p.det) : opacity;
-  if (!(alpha >= kAlphaMin)) return false;
-  const float x = view.fx * p.view.x / p.view.z + view.cx, y = view.fy * p.view.y / p.view.z + view.cy;
-  const float log2_alpha = log2f(alpha);
-  const Whitening u = whitening(p);
-  if (!footprint.set(x, y, p, u, log2_alpha, options.pair_margin_px, w)) return false;
-  const float3 color = kTransfer ? transfer_color(shading, i, object) : radiance_color(shading, i, g.mean, object);
-  if (!(bounded(color.x) && bounded(color.y) && bounded(color.z))) return false;
-  if constexpr (kTransfer) {
-    const float* albedo = shading.parameters + ParameterLayout::kAlbedo * shading.stride + i;
-    if (!(bounded(albedo[0]) && bounded(albedo[shading.stride]) && bounded(albedo[2 * shading.stride]))) return false;
+  Whitening white;
+  float x, y, log2_alpha;
+
+  /// False when it cannot be seen.
+  __device__ bool set(const GaussianGeometry& g, float opacity, const ObjectView& object, const DeviceView& view,
+                      const ProjectOptions& options) {
+    if (!project(g, object, view, options.blur_px2, p)) return false;
+    const float alpha = options.antialias ? opacity * sqrtf(p.det_sharp / p.det) : opacity;
+    if (!(alpha >= kAlphaMin)) return false;
+    log2_alpha = log2f(alpha);
+    white = whitening(p);
+    x = view.fx * p.view.x / p.view.z + view.cx;
+    y = view.fy * p.view.y / p.view.z + view.cy;
+    return true;
   }
-  depth = p.view.z;
-  w.record_shape[2 * record] = make_float4(x, y, log2_alpha, u.uxx);
-  w.record_shape[2 * record + 1] = make_float4(u.uxy, u.uyy, clamp_color(color.x), clamp_color(color.y));
-  w.record_tail[record] = make_float2(clamp_color(color.z), depth);
+};
+
+/// False when the colour is not finite.
+template <bool kTransfer>
+__device__ bool shade(const Shading& s, int i, const float3 mean, const ObjectView& object, float3& color) {
+  color = kTransfer ? transfer_color(s, i, object) : radiance_color(s, i, mean, object);
+  bool finite = bounded(color.x) && bounded(color.y) && bounded(color.z);
+  if constexpr (kTransfer) {
+    const float* albedo = s.parameters + ParameterLayout::kAlbedo * s.stride + i;
+    finite = finite && bounded(albedo[0]) && bounded(albedo[s.stride]) && bounded(albedo[2 * s.stride]);
+  }
+  return finite;
+}
+
+/// Appends the pairs of a warp's Gaussians in one view; true for those that have any.
+__device__ bool emit(const Footprint& footprint, bool visible, int i, int b, float depth, const ProjectOptions& options,
+                     const WorkspaceView& w) {
+  const int tiles = w.tiles_x * w.tiles_y, lane = threadIdx.x & 31;
+  const float* limits = options.use_depth_limit ? w.patch_depth_limit + b * tiles * kPatches : nullptr;
+  std::uint32_t count = 0;
+  if (visible) count = footprint.for_each_tile(w, limits, depth, [](int, std::uint32_t) {});
+  // One atomic a warp: an inclusive scan gives each lane its place.
+  std::uint32_t end = count;
+  for (int step = 1; step < 32; step *= 2) {
+    const std::uint32_t other = __shfl_up_sync(0xFFFFFFFFU, end, step);
+    if (lane >= step) end += other;
+  }
+  std::uint32_t at = 0;
+  if (lane == 31 && end > 0) at = atomicAdd(w.pair_count, end);
+  at = __shfl_sync(0xFFFFFFFFU, at, 31) + end - count;
+  if (count == 0) return false;
+  const SortKey key(w);
+  footprint.for_each_tile(w, limits, depth, [&](int tile, std::uint32_t patches) {
+    if (at < w.pair_capacity) {
+      w.pair_keys[0][at] = key.of(b * tiles + tile, depth, w.views[b].near_m);
+      w.pair_entries[0][at] = static_cast<std::uint32_t>(i) | patches << kPatchShift;
+    }
+    ++at;
+  });
   return true;
 }
 
-template <bool kTransfer>
+/// With kEmit, lists are built and w.listed says for each Gaussian in which views it is in a list; without, only what
+/// is in a list is projected. Shading comes last, for what was listed, when little else is held in registers.
+template <bool kTransfer, bool kEmit>
 __global__ void __launch_bounds__(kThreads, 6)
     project_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
   const bool present = i < w.count;
-  const int lane = threadIdx.x & 31;
+  const std::uint32_t candidates = kEmit ? (1U << w.batch) - 1 : (present ? w.listed[i] : 0U);
+  if (!kEmit && candidates == 0) return;
   GaussianGeometry g;
   float opacity = 0.0F;
   const Shading shading{gaussians.parameters, gaussians.stride, gaussians.normal, gaussians.visibility,
@@ -105,40 +143,53 @@ __global__ void __launch_bounds__(kThreads, 6)
     opacity = sigmoid(g.opacity_logit);
     if (w.object_slot != nullptr) slot = w.object_slot[i];
   }
-  const int tiles = w.tiles_x * w.tiles_y;
+  std::uint32_t listed = 0;
   for (int b = 0; b < w.batch; ++b) {
-    Footprint footprint;
+    if (!kEmit && (candidates >> b & 1U) == 0) continue;
+    const std::size_t record = static_cast<std::size_t>(b) * w.count + i;
+    const ObjectView& object = w.object_views[b * w.object_count + slot];
     float depth = 0.0F;
     bool visible = false;
-    if (present) {
-      const std::size_t record = static_cast<std::size_t>(b) * w.count + i;
-      visible = write_record<kTransfer>(g, opacity, shading, i, w.object_views[b * w.object_count + slot], w.views[b],
-                                        options, w, record, footprint, depth);
-      // A list of an earlier step may still name it.
-      if (!visible) w.record_shape[2 * record] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
-    }
-    if (!options.emit_pairs) continue;
-    const float* limits = options.use_depth_limit ? w.patch_depth_limit + b * tiles * kPatches : nullptr;
-    std::uint32_t count = 0;
-    if (visible) count = footprint.for_each_tile(w, limits, depth, [](int, std::uint32_t) {});
-    // One atomic a warp: an inclusive scan gives each lane its place.
-    std::uint32_t end = count;
-    for (int step = 1; step < 32; step *= 2) {
-      const std::uint32_t other = __shfl_up_sync(0xFFFFFFFFU, end, step);
-      if (lane >= step) end += other;
-    }
-    std::uint32_t at = 0;
-    if (lane == 31 && end > 0) at = atomicAdd(w.pair_count, end);
-    at = __shfl_sync(0xFFFFFFFFU, at, 31) + end - count;
-    if (count == 0) continue;
-    footprint.for_each_tile(w, limits, depth, [&](int tile, std::uint32_t patches) {
-      if (at < w.pair_capacity) {
-        w.pair_keys[0][at] = (static_cast<std::uint64_t>(b * tiles + tile) << 32U) | __float_as_uint(depth);
-        w.pair_entries[0][at] = static_cast<std::uint32_t>(i) | patches << kPatchShift;
+    {
+      Seen seen;
+      visible = present && seen.set(g, opacity, object, w.views[b], options);
+      if (visible) depth = seen.p.view.z;
+      if constexpr (kEmit) {
+        Footprint footprint;
+        visible =
+            visible && footprint.set(seen.x, seen.y, seen.p, seen.white, seen.log2_alpha, options.pair_margin_px, w);
+        visible = emit(footprint, visible, i, b, depth, options, w);
       }
-      ++at;
-    });
+      if (visible) {
+        listed |= 1U << b;
+        w.record_shape[2 * record] = make_float4(seen.x, seen.y, seen.log2_alpha, seen.white.uxx);
+        *reinterpret_cast<float2*>(w.record_shape + 2 * record + 1) = make_float2(seen.white.uxy, seen.white.uyy);
+      }
+    }
+    float3 color;
+    if (visible && shade<kTransfer>(shading, i, g.mean, object, color)) {
+      reinterpret_cast<float2*>(w.record_shape + 2 * record + 1)[1] =
+          make_float2(clamp_color(color.x), clamp_color(color.y));
+      w.record_tail[record] = make_float2(clamp_color(color.z), depth);
+    } else if (present && (visible || !kEmit)) {
+      // It is in a list, but not to be seen.
+      w.record_shape[2 * record] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
+    }
   }
+  if (kEmit && present) w.listed[i] = static_cast<std::uint16_t>(listed);
+}
+
+template <bool kTransfer>
+void launch(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
+            cudaStream_t stream) {
+  const int blocks = (workspace.count + kThreads - 1) / kThreads;
+  if (blocks == 0) return;
+  if (options.emit_pairs) {
+    project_kernel<kTransfer, true><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+  } else {
+    project_kernel<kTransfer, false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+  }
+  check(cudaGetLastError(), "projection");
 }
 
 }  // namespace
@@ -150,14 +201,11 @@ void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& works
     check(cudaMemsetAsync(workspace.pair_keys[0], 0xFF, sizeof(std::uint64_t) * workspace.pair_capacity, stream),
           "clearing the pairs");
   }
-  const int blocks = (workspace.count + kThreads - 1) / kThreads;
-  if (blocks == 0) return;
   if (gaussians.layout.appearance == Appearance::Transfer) {
-    project_kernel<true><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    launch<true>(gaussians, workspace, options, stream);
   } else {
-    project_kernel<false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    launch<false>(gaussians, workspace, options, stream);
   }
-  check(cudaGetLastError(), "projection");
 }
 
 }  // namespace splatbus::raster::cuda

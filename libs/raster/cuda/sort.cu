@@ -1,8 +1,7 @@
-#include <algorithm>
-#include <bit>
 #include <cub/device/device_radix_sort.cuh>
 
 #include "raster/cuda/kernels.h"
+#include "raster/cuda/sort_key.h"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -11,11 +10,10 @@ __global__ void find_ranges_kernel(WorkspaceView w) {
   const std::uint32_t pair = blockIdx.x * blockDim.x + threadIdx.x;
   const std::uint32_t count = min(*w.pair_count, w.pair_capacity);
   if (pair >= count) return;
-  const auto tile = static_cast<std::uint32_t>(w.pair_keys[1][pair] >> 32U);
-  if (pair == 0 || static_cast<std::uint32_t>(w.pair_keys[1][pair - 1] >> 32U) != tile) w.tile_range[tile].x = pair;
-  if (pair + 1 == count || static_cast<std::uint32_t>(w.pair_keys[1][pair + 1] >> 32U) != tile) {
-    w.tile_range[tile].y = pair + 1;
-  }
+  const SortKey key(w);
+  const std::uint64_t tile = key.tile(w.pair_keys[1][pair]);
+  if (pair == 0 || key.tile(w.pair_keys[1][pair - 1]) != tile) w.tile_range[tile].x = pair;
+  if (pair + 1 == count || key.tile(w.pair_keys[1][pair + 1]) != tile) w.tile_range[tile].y = pair + 1;
 }
 
 }  // namespace
@@ -34,11 +32,11 @@ void launch_sort(const WorkspaceView& w, cudaStream_t stream) {
   const auto tiles = static_cast<std::uint32_t>(w.tiles_x * w.tiles_y * w.batch);
   check(cudaMemsetAsync(w.tile_range, 0, sizeof(uint2) * tiles, stream), "clearing the tile ranges");
   if (w.pair_capacity == 0 || tiles == 0) return;
-  // Keys that no pair filled are all ones and sort last; one bit above the highest tile keeps them there.
-  const int end_bit = std::min(64, 32 + static_cast<int>(std::bit_width(tiles)));
+  const SortKey key(w);
   std::size_t bytes = w.sort_scratch_bytes;
   check(cub::DeviceRadixSort::SortPairs(w.sort_scratch, bytes, w.pair_keys[0], w.pair_keys[1], w.pair_entries[0],
-                                        w.pair_entries[1], static_cast<int>(w.pair_capacity), 0, end_bit, stream),
+                                        w.pair_entries[1], static_cast<int>(w.pair_capacity), 0,
+                                        key.depth_bits + key.tile_bits, stream),
         "sorting");
   constexpr int kThreads = 256;
   find_ranges_kernel<<<(w.pair_capacity + kThreads - 1) / kThreads, kThreads, 0, stream>>>(w);

@@ -4,6 +4,14 @@
 #include "raster/cuda/train_step_impl.h"
 
 namespace splatbus::raster::cuda {
+namespace {
+
+/// Pairs to make room for when there were `count`.
+std::uint32_t with_room(std::uint32_t count) {
+  return count + count / 8 + 1024;
+}
+
+}  // namespace
 
 bool TrainStep::Impl::albedo() const {
   return options.albedo_weight > 0.0F && gaussians.layout.appearance == Appearance::Transfer;
@@ -18,12 +26,7 @@ WorkspaceView TrainStep::Impl::workspace_for(const Group& group) {
                            .albedo = albedo(),
                            .training = true,
                            .pair_capacity = pair_capacity};
-  if (workspace.reserve(request)) {
-    for (auto& other : groups) {
-      other->rebuild_graph.reset();
-      other->reuse_graph.reset();
-    }
-  }
+  if (workspace.reserve(request)) drop_graphs();
   WorkspaceView w = workspace.view();
   w.views = group.device_views.data();
   w.object_views = group.object_views.data();
@@ -32,6 +35,7 @@ WorkspaceView TrainStep::Impl::workspace_for(const Group& group) {
   w.tile_range = group.tile_range.data();
   w.patch_depth_limit = group.patch_depth_limit.data();
   w.pair_entries[1] = group.entries.data();
+  w.listed = group.listed.data();
   return w;
 }
 
@@ -82,20 +86,39 @@ void TrainStep::Impl::enqueue_forward(const WorkspaceView& w, bool rebuild) {
   launch_blend_forward(gaussians, w, stream);
 }
 
+void TrainStep::Impl::drop_graphs() {
+  for (auto& group : groups) {
+    group->rebuild_graph.reset();
+    group->reuse_graph.reset();
+  }
+}
+
 /// Grows the pair buffers when an earlier build did not fit. The count is of a build long done, or not there yet.
 void TrainStep::Impl::grow_if_needed(Group& group) {
   if (*host_pair_count > pair_capacity) {
     check(cudaStreamSynchronize(stream), "waiting to grow");
-    pair_capacity = *host_pair_count + *host_pair_count / 4;
+    pair_capacity = with_room(*host_pair_count);
     for (auto& other : groups) other->lists_built = false;
+    drop_graphs();
   }
-  if (group.entries.size() < pair_capacity) {
+  const std::size_t entries = std::size_t{pair_capacity} + 3;  // they are read four at a time
+  if (group.entries.size() < entries) {
     check(cudaStreamSynchronize(stream), "waiting to grow");
-    group.entries.resize(pair_capacity);
+    group.entries.resize(entries);
     group.rebuild_graph.reset();
     group.reuse_graph.reset();
     group.lists_built = false;
   }
+}
+
+/// Sizes the pair buffers for a group's first build: the only wait.
+void TrainStep::Impl::size_lists(Group& group) {
+  launch_project(gaussians, workspace_for(group), project_options(true), stream);
+  read_pair_count(workspace_for(group));
+  check(cudaStreamSynchronize(stream), "sizing the tile lists");
+  const bool alone = std::none_of(groups.begin(), groups.end(), [](const auto& other) { return other->lists_built; });
+  if (*host_pair_count < pair_capacity / 4 && alone) pair_capacity = with_room(*host_pair_count);
+  grow_if_needed(group);
 }
 
 void TrainStep::Impl::enqueue_training(const Group& group, const WorkspaceView& w) {
@@ -107,28 +130,13 @@ void TrainStep::Impl::enqueue_training(const Group& group, const WorkspaceView& 
 void TrainStep::Impl::run(Group& group, bool train) {
   grow_if_needed(group);
   const bool rebuild = !group.lists_built || group.steps >= std::max(1, options.rebuild_interval);
-  // A group's first build is sized before anything depends on it: the only wait.
-  const bool first_build = !group.lists_built;
+  if (!group.lists_built) size_lists(group);
+  group.lists_built = true;
   const WorkspaceView w = workspace_for(group);
   const auto enqueue = [&] {
     enqueue_forward(w, rebuild);
     if (train) enqueue_training(group, w);
   };
-  if (first_build) {
-    launch_project(gaussians, w, project_options(true), stream);
-    read_pair_count(w);
-    check(cudaStreamSynchronize(stream), "sizing the tile lists");
-    if (*host_pair_count > pair_capacity || *host_pair_count < pair_capacity / 4) {
-      pair_capacity = *host_pair_count + *host_pair_count / 4 + 1024;
-      if (group.entries.size() < pair_capacity || workspace.view().pair_capacity < pair_capacity) {
-        group.lists_built = true;  // sized: not again
-        group.steps = options.rebuild_interval;
-        run(group, train);
-        return;
-      }
-    }
-    group.lists_built = true;
-  }
   if (!options.use_graph || !train) {
     enqueue();
   } else {

@@ -83,6 +83,7 @@ std::size_t TrainStep::add_group(std::span<const TrainView> views) {
   const auto tiles = static_cast<std::size_t>((group->width + kTileSize - 1) / kTileSize) *
                      static_cast<std::size_t>((group->height + kTileSize - 1) / kTileSize) * views.size();
   group->tile_range.resize(tiles);
+  group->listed.resize(static_cast<std::size_t>(impl_->gaussians.count));
   group->patch_depth_limit.resize(tiles * kPatches);
   // Nothing is known to be hidden before the first blend: all ones is a NaN, which no depth lies beyond.
   check(cudaMemsetAsync(group->patch_depth_limit.data(), 0xFF, sizeof(float) * tiles * kPatches, impl_->stream),
@@ -126,7 +127,8 @@ std::size_t TrainStep::bytes() const {
   std::size_t total = impl_->workspace.bytes() + (impl_->first.size() + impl_->second.size() + impl_->steps.size()) * 4;
   for (const auto& group : impl_->groups) {
     total += group->entries.size() * sizeof(std::uint32_t) + group->tile_range.size() * sizeof(uint2) +
-             group->patch_depth_limit.size() * sizeof(float) + group->object_slot.size() * sizeof(std::uint16_t);
+             group->patch_depth_limit.size() * sizeof(float) +
+             (group->object_slot.size() + group->listed.size()) * sizeof(std::uint16_t);
   }
   return total;
 }

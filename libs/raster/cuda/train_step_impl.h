@@ -49,6 +49,7 @@ struct Group {
   DeviceBuffer<uint2> tile_range;
   DeviceBuffer<float> patch_depth_limit;
   DeviceBuffer<std::uint32_t> entries;
+  DeviceBuffer<std::uint16_t> listed;
   int steps = 0;  // since the lists were built
   bool lists_built = false;
   Graph rebuild_graph, reuse_graph;
@@ -85,6 +86,8 @@ struct TrainStep::Impl {
  private:
   void picture_loss(const float* rendered, const Group& group, bool of_albedo, float* gradient, const WorkspaceView& w);
   void grow_if_needed(Group& group);
+  void size_lists(Group& group);
+  void drop_graphs();
 };
 
 }  // namespace splatbus::raster::cuda

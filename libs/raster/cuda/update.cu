@@ -6,6 +6,12 @@ namespace {
 
 constexpr int kThreads = 128;
 
+__device__ inline float square_root(float x) {
+  float y;
+  asm("sqrt.approx.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
 /// Where gradients go: Adam in place (Kingma and Ba 2015), each Gaussian with a step count of its own.
 struct AdamSink {
   DeviceGaussians gaussians;
@@ -44,8 +50,8 @@ struct AdamSink {
       v[k] = options.beta2 * v[k] + (1.0F - options.beta2) * gradient[k] * gradient[k];
       state.first[at] = m[k];
       state.second[at] = v[k];
-      gaussians.parameters[at] = value[k] - options.learning_rate[channel] * m[k] * correction1 /
-                                                (sqrtf(v[k] * correction2) + options.epsilon);
+      const float scale = square_root(v[k] * correction2) + options.epsilon;
+      gaussians.parameters[at] = value[k] - __fdividef(options.learning_rate[channel] * m[k] * correction1, scale);
     }
   }
 };

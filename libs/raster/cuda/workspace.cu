@@ -50,8 +50,9 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
     allocate(view_.record_tail, records);
     for (int k = 0; k < 2; ++k) {
       allocate(view_.pair_keys[k], r.pair_capacity);
-      allocate(view_.pair_entries[k], r.pair_capacity);
+      allocate(view_.pair_entries[k], r.pair_capacity + 3);  // read four at a time
     }
+    allocate(view_.listed, r.count);
     allocate(view_.pair_count, 1);
     allocate(view_.tile_range, tiles);
     allocate(view_.patch_depth_limit, tiles * kPatches);
@@ -85,7 +86,7 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
   view_.height = r.height;
   view_.tiles_x = (r.width + kTileSize - 1) / kTileSize;
   view_.tiles_y = (r.height + kTileSize - 1) / kTileSize;
-  view_.pair_capacity = request_.pair_capacity;
+  view_.pair_capacity = r.pair_capacity;
   return !fits;
 }
 

@@ -22,8 +22,10 @@ struct WorkspaceView {
   float* record_gradient = nullptr;  ///< [batch * count][kGradientFloats]; zero but between blending and update
   std::uint8_t* record_touched = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
 
+  std::uint16_t* listed = nullptr;  ///< [count] bit b: in a tile's list of view b
+
   // (tile, Gaussian) pairs, sorted by view, tile and depth.
-  std::uint64_t* pair_keys[2] = {nullptr, nullptr};
+  std::uint64_t* pair_keys[2] = {nullptr, nullptr};     ///< SortKey
   std::uint32_t* pair_entries[2] = {nullptr, nullptr};  ///< Gaussian | patches that it may reach << kPatchShift
   std::uint32_t* pair_count = nullptr;  ///< pairs that the last build wanted; above pair_capacity the rest is missing
   uint2* tile_range = nullptr;          ///< [batch * tiles], into the sorted pairs
