@@ -74,11 +74,12 @@ void read_attribute(const draco::PointCloud& cloud, int id, int channels, std::s
       attribute->size() != count || !attribute->is_mapping_identity()) {
     throw StreamError(fmt::format("Snapshot: Draco attribute {} is not {} x {} integers", id, count, channels));
   }
-  std::array<std::int32_t, 128> value{};
-  assert(channels <= static_cast<int>(value.size()));
-  for (std::size_t i = 0; i < count; ++i) {
-    attribute->GetValue(draco::AttributeValueIndex(static_cast<std::uint32_t>(i)), value.data());
-    for (int c = 0; c < channels; ++c) planes[c][i] = value[c];
+  const auto* values = reinterpret_cast<const std::int32_t*>(attribute->GetAddress(draco::AttributeValueIndex(0)));
+  if (attribute->byte_stride() != static_cast<std::int64_t>(sizeof(std::int32_t)) * channels) {
+    throw StreamError("Snapshot: Draco attribute with gaps");
+  }
+  for (int c = 0; c < channels; ++c) {
+    for (std::size_t i = 0; i < count; ++i) planes[c][i] = values[i * static_cast<std::size_t>(channels) + c];
   }
 }
 
@@ -89,12 +90,10 @@ Bytes encode_chunk(const QuantisedGaussians& gaussians, const StreamLayout& layo
   assert(count > 0 && count <= kMaxChunkGaussians);
   draco::PointCloud cloud;
   cloud.set_num_points(static_cast<std::uint32_t>(count));
-  std::vector<std::int32_t> value;
   const auto fill = [&](int id, int channels, auto&& get) {
-    value.resize(static_cast<std::size_t>(channels));
-    for (std::size_t i = 0; i < count; ++i) {
-      for (int c = 0; c < channels; ++c) value[c] = get(c, i);
-      cloud.attribute(id)->SetAttributeValue(draco::AttributeValueIndex(static_cast<std::uint32_t>(i)), value.data());
+    auto* values = reinterpret_cast<std::int32_t*>(cloud.attribute(id)->GetAddress(draco::AttributeValueIndex(0)));
+    for (int c = 0; c < channels; ++c) {
+      for (std::size_t i = 0; i < count; ++i) values[i * static_cast<std::size_t>(channels) + c] = get(c, i);
     }
   };
   std::vector<std::pair<int, bool>> prediction;

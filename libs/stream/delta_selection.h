@@ -71,6 +71,7 @@ class DeltaSelection {
   std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][slots] ticks of rest
   std::vector<double> bytes_per_entry_;            ///< [attributes]
   std::vector<Candidate> candidates_;
+  std::vector<std::int32_t> largest_, sum_, drift_;  ///< [slots] scratch of collect()
   std::size_t pending_ = 0;
 };
 

@@ -69,6 +69,21 @@ void DisplayPlanes::remove(std::span<const std::uint32_t> ascending) {
   count_ -= ascending.size();
 }
 
+void DisplayPlanes::reorder(std::span<const std::uint32_t> order) {
+  std::vector<float> before(count_);
+  const auto plane = [&](float* values) {
+    std::copy_n(values, count_, before.begin());
+    for (std::size_t i = 0; i < count_; ++i) values[i] = before[order[i]];
+  };
+  for (int c = 0; c < layout_.parameters().channels(); ++c) {
+    plane(parameters_.data() + static_cast<std::size_t>(c) * stride_);
+  }
+  for (std::size_t c = 0; c < 3; ++c) plane(normal_.data() + c * stride_);
+  plane(visibility_.data());
+  const std::vector<std::uint32_t> objects = object_id_;
+  for (std::size_t i = 0; i < count_; ++i) object_id_[i] = objects[order[i]];
+}
+
 GaussiansView DisplayPlanes::view() const {
   GaussiansView view;
   view.layout = layout_.parameters();

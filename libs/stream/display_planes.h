@@ -21,6 +21,8 @@ class DisplayPlanes {
   void update(const QuantisedGaussians& gaussians, Attribute attribute, std::span<const std::uint32_t> columns);
   void update_objects(const QuantisedGaussians& gaussians, std::span<const std::uint32_t> columns);
   void remove(std::span<const std::uint32_t> ascending);
+  /// Column i becomes what column order[i] was; a permutation of all columns.
+  void reorder(std::span<const std::uint32_t> order);
 
   [[nodiscard]] std::size_t count() const { return count_; }
   /// Valid until the next change. gaussian_id, surface_point, flags and cell are null.

@@ -30,7 +30,7 @@ StreamLayout::StreamLayout(const ParameterLayout& parameters, float mean_step_m)
   add(Attribute::Opacity, 1, {0, 1.0F / 255}, 0, 255);
   if (parameters.appearance == Appearance::Transfer) {
     add(Attribute::Albedo, 3, {0, 1.0F / 255}, -kValueLimit, kValueLimit);
-    add(Attribute::Residual, 27, {0, 1.0F / 256}, -kValueLimit, kValueLimit);
+    add(Attribute::Residual, 27, {0, 1.0F / 128}, -kValueLimit, kValueLimit);
     add(Attribute::Normal, 2, {0, 1.0F / 512}, -512, 512);
     add(Attribute::Visibility, 1, {0, 1.0F / 255}, 0, 255);
   } else {

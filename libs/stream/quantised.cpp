@@ -83,8 +83,8 @@ class Step {
         maximum_(static_cast<float>(a.maximum)) {}
   [[nodiscard]] std::int32_t operator()(float value) const {
     const float q = (value - offset_) * per_step_;
-    const float bounded = q >= minimum_ ? std::min(q, maximum_) : minimum_;  // NaN gives the minimum
-    return static_cast<std::int32_t>(std::floor(bounded + 0.5F));
+    const float bounded = q >= minimum_ ? std::min(q, maximum_) : minimum_;    // NaN gives the minimum
+    return static_cast<std::int32_t>(bounded + std::copysign(0.5F, bounded));  // half away from zero; vectorizes
   }
 
  private:

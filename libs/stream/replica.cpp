@@ -114,9 +114,8 @@ bool Replica::load(const ParsedPacket& packet) {
 
 void Replica::finish_loading() {
   Loading& loading = *loading_;
-  QuantisedGaussians& gaussians = loading.shown.state.gaussians;
   std::vector<std::uint32_t> order;
-  order.reserve(gaussians.count());
+  order.reserve(loading.total);
   for (auto chunk = loading.chunks.begin(); chunk != loading.chunks.end(); ++chunk) {
     const auto after = std::next(chunk);
     const std::size_t end = after == loading.chunks.end() ? loading.total : after->first;
@@ -128,11 +127,9 @@ void Replica::finish_loading() {
     }
     for (std::size_t i = first; i < end; ++i) order.push_back(static_cast<std::uint32_t>(chunk->second + (i - first)));
   }
-  auto whole = std::make_unique<Shown>(loading.shown.state.layout);
-  whole->state = loading.shown.state;
-  whole->state.gaussians = gaussians.gather(order);
-  whole->planes.extend(whole->state.gaussians);
-  held_ = std::move(whole);
+  held_ = std::make_unique<Shown>(std::move(loading.shown));
+  held_->state.gaussians = held_->state.gaussians.gather(order);
+  held_->planes.reorder(order);
   loading_.reset();
 }
 

@@ -43,7 +43,7 @@ TEST(Quantise, ErrorIsWithinHalfAStepOfEachAttribute) {
       ASSERT_NEAR(out.plane(3 + c)[i], in.plane(3 + c)[i], 0.501F / 64);
       ASSERT_NEAR(srgb_from_linear(out.plane(11 + c)[i]), srgb_from_linear(in.plane(11 + c)[i]), 0.51F / 255);
     }
-    for (int c = 14; c < 41; ++c) ASSERT_NEAR(out.plane(c)[i], in.plane(c)[i], 0.501F / 256);
+    for (int c = 14; c < 41; ++c) ASSERT_NEAR(out.plane(c)[i], in.plane(c)[i], 0.501F / 128);
     const auto sigmoid = [](float x) { return 1 / (1 + std::exp(-x)); };
     ASSERT_NEAR(sigmoid(out.plane(10)[i]), sigmoid(in.plane(10)[i]), 0.51F / 255);
     const glm::vec3 n(in.normal[i], in.normal[in.stride + i], in.normal[2 * in.stride + i]);
