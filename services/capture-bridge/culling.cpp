@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 
@@ -50,7 +51,6 @@ struct Projector {
 struct Candidate {
   std::uint32_t camera = 0;
   float quality = 0;  // metres, smaller is better
-  float footprint_m = 0;
 };
 
 class Culling {
@@ -63,23 +63,25 @@ class Culling {
     }
   }
 
-  /// Density that remains at pixel `i` of camera `own`, 0 when its sample goes.
-  [[nodiscard]] float kept_density(std::uint32_t own, std::size_t i, std::vector<Candidate>& seen_by) const {
+  /// Fills `seen_by` with the cameras that see what pixel `i` of camera `own` sees, and returns own's rank among them;
+  /// 0 when there is no valid sample.
+  [[nodiscard]] std::size_t rank(std::uint32_t own, std::size_t i, std::vector<Candidate>& seen_by) const {
     const Projector& here = projectors_[own];
     const Texel& point = here.texels[i];
+    seen_by.clear();
     if (point.footprint_m == 0) return 0;
     const float depth_m = (here.camera_from_world * (point.position - here.centre)).z;
-    seen_by.clear();
+    const Candidate self{own, extent(here, point, depth_m) * penalty(point)};
     for (std::uint32_t other = 0; other < projectors_.size(); ++other) {
       if (other == own) {
-        seen_by.push_back({own, extent(here, point, depth_m) * penalty(point), std::abs(point.footprint_m)});
+        seen_by.push_back(self);
       } else if (movement_) {
         consider(other, moved(point, own, other), seen_by);
       } else {
         consider(other, point, seen_by);
       }
     }
-    return options_.cameras_per_surface == 1 ? density_of_best(own, seen_by) : rank(own, seen_by);
+    return 1 + preceding(self, seen_by);
   }
 
  private:
@@ -121,44 +123,20 @@ class Culling {
     const glm::vec3 offset = texel.position - point.position;
     if (std::abs(glm::dot(offset, point.normal)) > kPlaneTolerance * pixel_m) return;
     if (glm::dot(offset, offset) > kLateralTolerance * kLateralTolerance * pixel_m * pixel_m) return;
-    seen_by.push_back({index, pixel_m * penalty(texel), std::abs(texel.footprint_m)});
+    seen_by.push_back({index, pixel_m * penalty(texel)});
   }
 
-  [[nodiscard]] float similar_to_best(const std::vector<Candidate>& seen_by) const {
-    float best = seen_by.front().quality;
+  /// How many come before `self`: first those similar to the best, by index, then the others, by quality.
+  [[nodiscard]] std::size_t preceding(const Candidate& self, const std::vector<Candidate>& seen_by) const {
+    float best = self.quality;
     for (const Candidate& candidate : seen_by) best = std::min(best, candidate.quality);
-    return best * (1 + options_.similar);
-  }
-
-  /// rank() for one camera a surface, without sorting; candidates come in order of their index.
-  [[nodiscard]] float density_of_best(std::uint32_t own, const std::vector<Candidate>& seen_by) const {
-    const float similar = similar_to_best(seen_by);
-    const auto winner = std::find_if(seen_by.begin(), seen_by.end(),
-                                     [similar](const Candidate& candidate) { return candidate.quality <= similar; });
-    if (winner == seen_by.end() || winner->camera != own) return 0;
-    return 1 / (winner->footprint_m * winner->footprint_m);
-  }
-
-  /// The best first: those similar to the best by index, then the others by quality. `own` keeps its sample when it is
-  /// among the first cameras_per_surface.
-  [[nodiscard]] float rank(std::uint32_t own, std::vector<Candidate>& seen_by) const {
-    const float similar = similar_to_best(seen_by);
-    std::sort(seen_by.begin(), seen_by.end(), [similar](const Candidate& a, const Candidate& b) {
-      const bool a_similar = a.quality <= similar;
-      const bool b_similar = b.quality <= similar;
-      if (a_similar != b_similar) return a_similar;
-      if (!a_similar && a.quality != b.quality) return a.quality < b.quality;
-      return a.camera < b.camera;
-    });
-    const std::size_t winners =
-        std::min<std::size_t>(seen_by.size(), static_cast<std::size_t>(options_.cameras_per_surface));
-    float density = 0;
-    bool kept = false;
-    for (std::size_t i = 0; i < winners; ++i) {
-      density += 1 / (seen_by[i].footprint_m * seen_by[i].footprint_m);
-      kept = kept || seen_by[i].camera == own;
-    }
-    return kept ? density : 0;
+    const float similar = best * (1 + options_.similar);
+    const auto precedes = [&](const Candidate& candidate) {
+      if (self.quality <= similar) return candidate.quality <= similar && candidate.camera < self.camera;
+      if (candidate.quality != self.quality) return candidate.quality < self.quality;
+      return candidate.camera < self.camera;
+    };
+    return static_cast<std::size_t>(std::count_if(seen_by.begin(), seen_by.end(), precedes));
   }
 
   CullOptions options_;
@@ -168,22 +146,27 @@ class Culling {
 
 }  // namespace
 
-KeptDensity cull_across_cameras(Views views, std::span<const ViewSurface> surfaces, const CullOptions& options) {
-  KeptDensity density(views.size());
-  if (views.empty()) return density;
+std::vector<SurfaceRanks> rank_across_cameras(Views views, std::span<const ViewSurface> surfaces,
+                                              const CullOptions& options) {
+  assert(views.size() < 256);
+  std::vector<SurfaceRanks> ranks(views.size());
+  if (views.empty()) return ranks;
   const Culling culling(views, surfaces, options);
-  for (std::size_t own = 0; own < views.size(); ++own) density[own].resize(views[own]->pixels());
   tbb::parallel_for(std::size_t{0}, views.size(), [&](std::size_t own) {
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, density[own].size(), 2048),
-                      [&](const tbb::blocked_range<std::size_t>& range) {
-                        std::vector<Candidate> seen_by;
-                        seen_by.reserve(views.size());
-                        for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                          density[own][i] = culling.kept_density(static_cast<std::uint32_t>(own), i, seen_by);
-                        }
-                      });
+    SurfaceRanks& out = ranks[own];
+    out.rank.resize(views[own]->pixels());
+    out.seen_by.resize(views[own]->pixels());
+    tbb::parallel_for(
+        tbb::blocked_range<std::size_t>(0, out.rank.size(), 2048), [&](const tbb::blocked_range<std::size_t>& range) {
+          std::vector<Candidate> seen_by;
+          seen_by.reserve(views.size());
+          for (std::size_t i = range.begin(); i < range.end(); ++i) {
+            out.rank[i] = static_cast<std::uint8_t>(culling.rank(static_cast<std::uint32_t>(own), i, seen_by));
+            out.seen_by[i] = static_cast<std::uint8_t>(seen_by.size());
+          }
+        });
   });
-  return density;
+  return ranks;
 }
 
 ObjectTransforms round_from_view(const ObjectTransforms& view_objects, const ObjectTransforms& round_objects) {

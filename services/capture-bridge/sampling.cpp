@@ -2,6 +2,7 @@
 
 #include <tbb/parallel_for.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -47,19 +48,41 @@ struct Survivors {
   std::vector<float> area_m2;
 };
 
-Survivors survivors_of(Views views, const KeptDensity& density, std::span<const ObjectTransforms> to_round) {
+/// The most cameras a surface whose samples are within the budget, or little above it: thinning evens out what several
+/// cameras' grids leave, but a single camera's grid is more even than anything thinned.
+int cameras_within_budget(const std::vector<SurfaceRanks>& ranks, std::size_t budget) {
+  std::array<std::size_t, 256> of_rank{};
+  for (const SurfaceRanks& view : ranks) {
+    for (const std::uint8_t rank : view.rank) ++of_rank[rank];
+  }
+  const std::size_t most = budget + budget / 8;
+  int cameras = 1;
+  std::size_t samples = of_rank[1];
+  while (cameras < 255 && of_rank[static_cast<std::size_t>(cameras) + 1] > 0) {
+    samples += of_rank[static_cast<std::size_t>(cameras) + 1];
+    if (samples > most) break;
+    ++cameras;
+  }
+  return cameras;
+}
+
+Survivors survivors_of(Views views, std::span<const ViewSurface> surfaces, const std::vector<SurfaceRanks>& ranks,
+                       int cameras_per_surface, std::span<const ObjectTransforms> to_round) {
   Survivors survivors;
   for (std::uint32_t v = 0; v < views.size(); ++v) {
-    for (std::uint32_t i = 0; i < density[v].size(); ++i) {
-      if (density[v][i] == 0) continue;
+    for (std::uint32_t i = 0; i < ranks[v].rank.size(); ++i) {
+      if (ranks[v].rank[i] == 0 || ranks[v].rank[i] > cameras_per_surface) continue;
       glm::vec3 position(views[v]->position[i]);
       if (!to_round[v].empty()) {
-        const auto found = to_round[v].find(static_cast<std::uint32_t>(views[v]->position[i].w));
+        const auto found = to_round[v].find(surfaces[v].object_id[i]);
         if (found != to_round[v].end()) position = found->second * position;
       }
       survivors.source.push_back({v, i});
       survivors.position.push_back(position);
-      survivors.area_m2.push_back(1 / density[v][i]);
+      // The winners' footprints are about the same; they share the surface.
+      const float footprint = surfaces[v].footprint_m[i];
+      survivors.area_m2.push_back(footprint * footprint /
+                                  static_cast<float>(std::min<int>(cameras_per_surface, ranks[v].seen_by[i])));
     }
   }
   return survivors;
@@ -78,7 +101,9 @@ SampledRound sample_views(Views views, const ObjectTransforms& round_objects, co
   std::vector<ViewSurface> surfaces(views.size());
   tbb::parallel_for(std::size_t{0}, views.size(),
                     [&](std::size_t v) { surfaces[v] = analyse_surface(*views[v], options.surface); });
-  const KeptDensity density = cull_across_cameras(views, surfaces, options.culling);
+  const std::vector<SurfaceRanks> ranks = rank_across_cameras(views, surfaces, options.culling);
+  round.cameras_per_surface =
+      options.cameras_per_surface > 0 ? options.cameras_per_surface : cameras_within_budget(ranks, options.budget);
 
   std::vector<ObjectTransforms> to_round;
   for (const InputView* view : views) to_round.push_back(round_from_view(view->objects, round_objects));
@@ -86,7 +111,7 @@ SampledRound sample_views(Views views, const ObjectTransforms& round_objects, co
     round.dropped.push_back(surface.dropped);
     for (const float footprint : surface.footprint_m) round.valid += footprint > 0 ? 1 : 0;
   }
-  const Survivors survivors = survivors_of(views, density, to_round);
+  const Survivors survivors = survivors_of(views, surfaces, ranks, round.cameras_per_surface, to_round);
   const std::vector<std::uint32_t> kept = thin_to_budget(survivors.position, survivors.area_m2, options.budget);
   round.culled = round.valid - survivors.source.size();
   round.thinned = survivors.source.size() - kept.size();

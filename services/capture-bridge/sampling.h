@@ -14,6 +14,8 @@ struct SamplingOptions {
   SurfaceOptions surface{};
   CullOptions culling{};
   std::size_t budget = 60000;  ///< samples a round
+  /// How many cameras keep their samples of the same surface, the best ones; 0: as many as the budget has room for.
+  int cameras_per_surface = 0;
 };
 
 /// What a round of input views comes to.
@@ -21,6 +23,7 @@ struct SampledRound {
   SampleSet samples;                        ///< position and normal in the round's frame (objects where `objects` says)
   std::vector<std::vector<float>> depth_m;  ///< a view; [h, w], 0 where there is no surface
   std::vector<DropCounts> dropped;          ///< a view
+  int cameras_per_surface = 0;              ///< what the budget had room for
   std::size_t valid = 0;                    ///< samples before culling
   std::size_t culled = 0;                   ///< samples that another camera sees better
   std::size_t thinned = 0;                  ///< samples over the budget

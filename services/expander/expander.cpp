@@ -155,8 +155,9 @@ void Expander::process(const InputSamples& samples) {
     ledger_.add(initial_gaussians(samples, part, initial_options(parameters_)));
   }
   counters_.milliseconds = static_cast<double>(bus::now_ns() - start) * 1e-6;
-  spdlog::info("input round of rig generation {}: {} of {} samples inserted", samples.rig_generation, chosen.size(),
-               samples.size());
+  spdlog::log(chosen.empty() ? spdlog::level::debug : spdlog::level::info,
+              "input round of rig generation {}: {} of {} samples inserted", samples.rig_generation, chosen.size(),
+              samples.size());
 }
 
 void Expander::publish_batches() {

@@ -26,8 +26,9 @@ SampledRound sample(const std::vector<InputView>& views, const ObjectTransforms&
   return sample_views(pointers, round_objects, options);
 }
 
+/// No budget, and one camera a surface.
 SamplingOptions unlimited() {
-  return {.budget = 10'000'000};
+  return {.budget = 10'000'000, .cameras_per_surface = 1};
 }
 
 /// Nearest kept sample with a similar normal.
@@ -182,10 +183,10 @@ TEST(Culling, MoreCamerasASurfaceGiveMoreSamples) {
   const auto views = AnalyticScene{}.render_all(small_dome());
   SamplingOptions options = unlimited();
   const std::size_t one = sample(views, {}, options).samples.size();
-  options.culling.cameras_per_surface = 3;
+  options.cameras_per_surface = 3;
   const SampledRound three = sample(views, {}, options);
   EXPECT_GT(three.samples.size(), 2 * one);
-  options.culling.cameras_per_surface = 12;
+  options.cameras_per_surface = 12;
   EXPECT_EQ(sample(views, {}, options).culled, 0U);
 }
 
@@ -212,6 +213,18 @@ TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
     pixels += alone.footprint_m[i] > 0 && alone.object_id[i] == AnalyticScene::kBall;
   EXPECT_GT(ball, pixels * 9 / 10);
   EXPECT_LT(ball, pixels * 14 / 10);
+}
+
+TEST(Culling, FillsTheBudgetWithAsManyCamerasAsItHasRoomFor) {
+  const auto views = AnalyticScene{}.render_all(small_dome());
+  const SampledRound one = sample(views, {}, unlimited());
+  const SampledRound tight = sample(views, {}, {.budget = one.samples.size() / 2});
+  EXPECT_EQ(tight.cameras_per_surface, 1);
+  const SampledRound wide = sample(views, {}, {.budget = 4 * one.samples.size()});
+  EXPECT_GE(wide.cameras_per_surface, 2);
+  EXPECT_GT(wide.samples.size(), 2 * one.samples.size());
+  EXPECT_LE(wide.samples.size(), 4 * one.samples.size());
+  EXPECT_EQ(sample(views, {}, {.budget = 10'000'000}).culled, 0U);
 }
 
 TEST(Spacing, OfASquareGridIsItsStep) {
@@ -244,7 +257,7 @@ TEST(Spacing, OfALoneSampleIsItsFallback) {
 TEST(Spacing, MatchesTheDensityAfterCullingAndBudget) {
   const auto views = AnalyticScene{}.render_all(small_dome());
   for (const std::size_t budget : {std::size_t{1'000'000}, std::size_t{4000}}) {
-    const SampledRound round = sample(views, {}, {.budget = budget});
+    const SampledRound round = sample(views, {}, {.budget = budget, .cameras_per_surface = 1});
     // Truth: the area of a patch of the floor over the samples in it, away from the ball and the sheet.
     double truth_samples = 0;
     double mean_spacing = 0;
