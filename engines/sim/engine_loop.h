@@ -2,8 +2,10 @@
 
 #include <atomic>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "sdk/splatbus_engine.h"
 #include "sim/renderer.h"
@@ -37,13 +39,22 @@ class EngineLoop {
   void wait_until(std::int64_t deadline_ns, const std::atomic<bool>& stop);
   void render_frame(std::uint64_t frame);
   void render_camera(std::uint64_t frame, const splatbus_camera_request& request);
+  const Pictures& pictures_for(const splatbus_camera_request& request, const splatbus_camera& camera);
   void count(const char* name, double value);
 
   splatbus_engine& engine_;
   Renderer& renderer_;
   EngineLoopOptions options_;
   Schedule schedule_;
-  std::uint64_t cameras_rendered_ = 0, cameras_failed_ = 0, frames_skipped_ = 0;
+
+  struct Rendered {
+    splatbus_camera camera;
+    std::uint32_t buffers;
+    std::uint64_t scene_version;
+    Pictures pictures;
+  };
+  std::map<std::pair<std::uint32_t, std::uint32_t>, Rendered> rendered_;  ///< by role and id, of repeated requests
+  std::uint64_t cameras_submitted_ = 0, cameras_rendered_ = 0, cameras_failed_ = 0, frames_skipped_ = 0;
   double render_ms_ = 0;  ///< a camera, an exponential mean
 };
 

@@ -10,7 +10,8 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr std::uint32_t kSide = 512;
+constexpr std::uint32_t kSide = 256;
+constexpr std::uint32_t kPageSide = 512;
 
 /// The sRGB byte of a linear value, from a table fine enough for every byte.
 std::uint8_t encode(float linear) {
@@ -216,7 +217,7 @@ Image letter(const std::string& text, const glm::vec3& ground, const glm::vec3& 
 }
 
 Image page(std::uint32_t seed, const glm::vec3& paper, const glm::vec3& ink) {
-  const std::vector<float> mask = ink_mask(kSide, [&](cv::Mat& target) {
+  const std::vector<float> mask = ink_mask(kPageSide, [&](cv::Mat& target) {
     cv::putText(target, "SPLATBUS", {34, 84}, cv::FONT_HERSHEY_DUPLEX, 2.6, cv::Scalar(255), 7, cv::LINE_AA);
     constexpr std::array<const char*, 12> kWords{"light", "of",    "the", "floor", "toys",   "are",
                                                  "seen",  "again", "and", "many",  "colors", "turn"};
@@ -230,7 +231,7 @@ Image page(std::uint32_t seed, const glm::vec3& paper, const glm::vec3& ink) {
     }
     cv::rectangle(target, {6, 6}, {505, 505}, cv::Scalar(255), 8, cv::LINE_AA);
   });
-  return paint(kSide, [&](float u, float v) { return glm::mix(paper, ink, at(mask, kSide, u, v)); });
+  return paint(kPageSide, [&](float u, float v) { return glm::mix(paper, ink, at(mask, kPageSide, u, v)); });
 }
 
 Image floor_with_rug(std::uint32_t seed) {

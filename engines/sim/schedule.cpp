@@ -42,6 +42,11 @@ std::vector<splatbus_camera_request> Schedule::due(double time_s, std::uint64_t 
   return due;
 }
 
+bool Schedule::repeats(const std::pair<std::uint32_t, std::uint32_t>& key) const {
+  const auto found = entries_.find(key);
+  return found != entries_.end() && found->second.request.rate_hz > 0;
+}
+
 bool Schedule::watches_scene() const {
   return std::ranges::any_of(entries_, [](const auto& entry) {
     return entry.second.request.camera.role == SPLATBUS_ROLE_LIGHT && entry.second.request.rate_hz <= 0;

@@ -22,6 +22,8 @@ class Schedule {
 
   /// True when due() would depend on whether the scene has changed.
   [[nodiscard]] bool watches_scene() const;
+  /// True for a request (role, id) with a rate.
+  [[nodiscard]] bool repeats(const std::pair<std::uint32_t, std::uint32_t>& key) const;
   [[nodiscard]] std::size_t size() const { return entries_.size(); }
 
  private:

@@ -1,0 +1,135 @@
+#include "sim/engine_loop.h"
+
+#include <atomic>
+#include <map>
+#include <optional>
+#include <thread>
+
+#include "render_scenes.h"
+#include "sdk_fixture.h"
+
+namespace splatbus::engine_test {
+namespace {
+
+using wire::EngineBuffer;
+
+/// The engine with a small scene, on a thread of its own.
+class EngineLoopTest : public SdkTest {
+ protected:
+  void start(double sun_rate_deg_s, bool moving) {
+    thread_ = std::jthread([this, sun_rate_deg_s, moving] {
+      sim::Scene scene;
+      sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
+      sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
+      if (moving) {
+        scene.objects.back().motion = [](double time_s) {
+          return sim::Pose{.translation = {static_cast<float>(0.1 * time_s), 0.5F, 0}};
+        };
+      }
+      scene.lighting.sun_rate_deg_s = sun_rate_deg_s;
+      sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
+      const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
+      sim::EngineLoop(*engine, renderer, {.fps = 50}).run(stop_);
+    });
+  }
+  ~EngineLoopTest() override { stop_ = true; }
+
+  static Request request(std::uint32_t id, EngineBuffer buffers, float rate_hz, std::uint64_t request_id = 1) {
+    Request result{.camera = sim::look_at({0, 1, 3}, {0, 0, 0}, 24, 16, 50),
+                   .buffers = buffers,
+                   .rate_hz = rate_hz,
+                   .id = request_id};
+    result.camera.id = id;
+    return result;
+  }
+  static Request light_request() {
+    Request result{.camera = {}, .buffers = EngineBuffer::LightDepth};
+    result.camera.role = SPLATBUS_ROLE_LIGHT;
+    result.camera.width = result.camera.height = 32;
+    return result;
+  }
+
+  std::atomic<bool> stop_ = false;
+  std::jthread thread_;
+};
+
+TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {request(1, EngineBuffer::Color | EngineBuffer::WorldPosition, 0, 11), light_request()});
+  start(0, false);
+
+  std::map<std::uint64_t, bus::Message> answers;
+  while (answers.size() < 2) {
+    auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const std::uint64_t id = message->root<wire::EngineFrame>("EngineFrame/1").request_id();
+    answers.emplace(id, std::move(*message));
+  }
+  const bus::Message& picture = answers.at(11);
+  EXPECT_TRUE(picture.tensor("color", bus::ElementType::U8, {16, 24, 4}).has_value());
+  const auto position = picture.tensor("world_position", bus::ElementType::F32, {16, 24, 4});
+  ASSERT_TRUE(position.has_value());
+  EXPECT_EQ(position->as<float>()[4 * (7 * 24 + 12) + 3], 2.0F);
+  EXPECT_FALSE(picture.tensor("normal").has_value());
+  const auto& light = answers.at(1).root<wire::EngineFrame>("EngineFrame/1");
+  EXPECT_EQ(light.camera()->role(), wire::CameraRole::Light);
+  EXPECT_GT(light.camera()->fx(), 0);
+  EXPECT_TRUE(answers.at(1).tensor("light_depth", bus::ElementType::F32, {32, 32}).has_value());
+
+  // A static scene: only the new request is answered.
+  publish_requests(cameras,
+                   {request(1, EngineBuffer::Color, 0, 11), request(2, EngineBuffer::Albedo, 0, 12), light_request()});
+  const auto message = frames.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(message->root<wire::EngineFrame>("EngineFrame/1").request_id(), 12U);
+  EXPECT_TRUE(message->tensor("albedo").has_value());
+  EXPECT_FALSE(frames.receive(std::chrono::milliseconds(100)).has_value());
+}
+
+TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {request(1, EngineBuffer::Depth, 25), light_request()});
+  start(90, true);
+  int pictures = 0;
+  int lights = 0;
+  std::optional<std::uint64_t> last_generation;
+  while (pictures < 4 || lights < 4) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& frame = message->root<wire::EngineFrame>("EngineFrame/1");
+    EXPECT_NEAR(frame.time_s(), static_cast<double>(frame.frame()) / 50, 1e-9);
+    ASSERT_EQ(frame.objects()->size(), 1U);
+    EXPECT_EQ(frame.objects()->Get(0)->id(), 2U);
+    EXPECT_NEAR(frame.objects()->Get(0)->world_from_object().translation().x(), 0.1 * frame.time_s(), 1e-5);
+    if (frame.camera()->role() == wire::CameraRole::Light) {
+      ++lights;
+      EXPECT_NE(last_generation, frame.light()->generation());
+      last_generation = frame.light()->generation();
+    } else {
+      ++pictures;
+    }
+  }
+}
+
+TEST_F(EngineLoopTest, ACameraThatCannotBeRenderedDisturbsNoOther) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  Request huge = request(1, EngineBuffer::Color, 0, 5);
+  huge.camera.width = huge.camera.height = 8000;
+  publish_requests(cameras, {huge, request(2, EngineBuffer::Color, 0, 6)});
+  start(0, false);
+  const auto message = frames.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  EXPECT_EQ(message->root<wire::EngineFrame>("EngineFrame/1").request_id(), 6U);
+}
+
+}  // namespace
+}  // namespace splatbus::engine_test

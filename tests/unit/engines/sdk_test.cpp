@@ -1,0 +1,232 @@
+#include <gmock/gmock.h>
+
+#include <set>
+#include <thread>
+
+#include "c_engine.h"
+#include "sdk_fixture.h"
+
+namespace splatbus::engine_test {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {{.camera = small_camera(3), .id = 99}});
+  int failed = -1;
+  std::jthread engine([&] { failed = run_c_engine(directory_.address().text().c_str(), 10000); });
+  const auto message = frames.receive(patience);
+  ASSERT_TRUE(message.has_value());
+  engine.join();
+  EXPECT_EQ(failed, 0);
+
+  const auto& frame = message->root<wire::EngineFrame>("EngineFrame/1");
+  EXPECT_EQ(message->header().source()->str(), "c-engine");
+  EXPECT_GT(message->header().capture_ns(), 0);
+  EXPECT_EQ(frame.frame(), 42U);
+  EXPECT_EQ(frame.request_id(), 99U);
+  EXPECT_EQ(frame.camera()->id(), 3U);
+  ASSERT_EQ(frame.objects()->size(), 1U);
+  EXPECT_EQ(frame.objects()->Get(0)->id(), 7U);
+  EXPECT_FLOAT_EQ(frame.objects()->Get(0)->world_from_object().translation().z(), 3);
+  const auto color = message->tensor("color", bus::ElementType::U8, {6, 8, 4});
+  ASSERT_TRUE(color.has_value());
+  EXPECT_EQ(color->as<std::uint8_t>()[17], 200);
+  const auto depth = message->tensor("depth", bus::ElementType::F32, {6, 8});
+  ASSERT_TRUE(depth.has_value());
+  EXPECT_FLOAT_EQ(depth->as<float>()[47], 1.5F);
+  EXPECT_FALSE(message->tensor("albedo").has_value());
+}
+
+TEST_F(SdkTest, RequestsArriveAndAreReplaced) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  const Engine engine = open();
+  publish_requests(cameras, {{.camera = small_camera(1), .rate_hz = 2}, {.camera = small_camera(2), .id = 8}});
+  auto requests = wait_for_change(engine.get());
+  ASSERT_EQ(requests.size(), 2U);
+  EXPECT_FLOAT_EQ(requests[0].rate_hz, 2);
+  EXPECT_EQ(requests[1].request_id, 8U);
+  EXPECT_EQ(requests[1].camera.width, 8U);
+
+  publish_requests(cameras, {{.camera = small_camera(2), .id = 9}});
+  requests = wait_for_change(engine.get());
+  ASSERT_EQ(requests.size(), 1U);
+  EXPECT_EQ(requests[0].request_id, 9U);
+}
+
+TEST_F(SdkTest, RequestsThatMakeNoSenseAreLeftOut) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  const Engine engine = open();
+  std::vector<Request> requests(6, Request{.camera = small_camera(1)});
+  requests[0].camera.world_from_camera.translation[0] = kNan;
+  requests[1].camera.width = 0;
+  requests[2].camera.fx = -1;
+  requests[3].rate_hz = kNan;
+  requests[4].buffers = static_cast<wire::EngineBuffer>(0);
+  requests[5].camera.id = 44;
+  publish_requests(cameras, requests);
+  const auto taken = wait_for_change(engine.get());
+  ASSERT_EQ(taken.size(), 1U);
+  EXPECT_EQ(taken[0].camera.id, 44U);
+}
+
+TEST_F(SdkTest, LightRequestsNeedOnlyASize) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  const Engine engine = open();
+  Request request{.camera = {}, .buffers = wire::EngineBuffer::LightDepth};
+  request.camera.role = SPLATBUS_ROLE_LIGHT;
+  request.camera.width = request.camera.height = 64;
+  publish_requests(cameras, {request});
+  EXPECT_EQ(wait_for_change(engine.get()).size(), 1U);
+}
+
+TEST_F(SdkTest, WhatAnEngineGetsWrongIsToldInWords) {
+  const Engine engine = open();
+  const auto words = [&](const std::function<void(OwnedFrame&)>& spoil) {
+    OwnedFrame owned(small_camera());
+    spoil(owned);
+    EXPECT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_ERROR_ARGUMENT);
+    return std::string(splatbus_engine_last_error(engine.get()));
+  };
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.translation[1] = kNan; }),
+              HasSubstr("translation is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.rotation_wxyz[0] = 2; }),
+              HasSubstr("no unit quaternion"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.width = 0; }), HasSubstr("0 x 6 pixels"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.role = 9; }), HasSubstr("no such role"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.far_m = 0; }), HasSubstr("near_m < far_m"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].bytes -= 4; }),
+              HasSubstr("color: 188 bytes, where 8 x 6 pixels take 192"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].data = nullptr; }), HasSubstr("color: data is NULL"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].buffer = 3; }), HasSubstr("0x3 is not one known buffer"));
+  EXPECT_THAT(words([](auto& f) {
+                f.images.push_back(f.images[0]);
+                f.refresh();
+              }),
+              HasSubstr("color: it is there twice"));
+  EXPECT_THAT(words([](auto& f) { f.frame.image_count = 0; }), HasSubstr("no image"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].buffer = SPLATBUS_BUFFER_LIGHT_DEPTH; }),
+              HasSubstr("only a camera of role light"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.ambient_sh[20] = kNan; }), HasSubstr("ambient_sh"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.sun_direction[1] = 0; }), HasSubstr("sun_direction is not unit"));
+  EXPECT_THAT(words([](auto& f) { f.frame.time_s = kNan; }), HasSubstr("time_s"));
+  const auto with_objects = [&](std::uint32_t first, std::uint32_t second) {
+    return words([&](auto& f) {
+      f.objects = {{first, {{1, 0, 0, 0}, {0, 0, 0}}}, {second, {{1, 0, 0, 0}, {0, 0, 0}}}};
+      f.refresh();
+    });
+  };
+  EXPECT_THAT(with_objects(4, 4), HasSubstr("object 4: it is there twice"));
+  EXPECT_THAT(with_objects(4, 0), HasSubstr("object 0"));
+}
+
+TEST_F(SdkTest, NullPointersAreArgumentErrors) {
+  EXPECT_EQ(splatbus_engine_open(nullptr, "x", SPLATBUS_ENGINE_ABI, nullptr), SPLATBUS_ERROR_ARGUMENT);
+  splatbus_engine* none = nullptr;
+  EXPECT_EQ(splatbus_engine_open("ipc:///tmp", nullptr, SPLATBUS_ENGINE_ABI, &none), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_THAT(splatbus_engine_last_error(nullptr), HasSubstr("source"));
+  EXPECT_EQ(splatbus_engine_open("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI + 1, &none), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_THAT(splatbus_engine_last_error(nullptr), HasSubstr("ABI"));
+  EXPECT_EQ(splatbus_engine_open("nonsense", "x", SPLATBUS_ENGINE_ABI, &none), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_THAT(splatbus_engine_last_error(nullptr), HasSubstr("nonsense"));
+  EXPECT_EQ(none, nullptr);
+  splatbus_engine_close(nullptr);
+  const Engine engine = open();
+  EXPECT_EQ(splatbus_engine_submit(engine.get(), nullptr), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_EQ(splatbus_engine_poll(engine.get(), 0, nullptr, nullptr, nullptr), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_EQ(splatbus_engine_counter(engine.get(), nullptr, 1), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_EQ(splatbus_engine_submit(nullptr, nullptr), SPLATBUS_ERROR_ARGUMENT);
+}
+
+TEST_F(SdkTest, HeartbeatsCarryCounters) {
+  const auto context = connect("tester");
+  bus::Subscriber heartbeats(context, {"sys/heartbeat"});
+  const Engine engine = open("engine-7");
+  ASSERT_EQ(splatbus_engine_counter(engine.get(), "render_ms", 12.5), SPLATBUS_OK);
+  const auto beat = [&] {
+    const auto message = heartbeats.receive(std::chrono::milliseconds(500));
+    if (!message || message->header().source()->str() != "engine-7") return false;
+    const auto& root = message->root<wire::Heartbeat>("Heartbeat/1");
+    return root.service()->str() == "engine" && root.counters() != nullptr && root.counters()->size() == 1 &&
+           root.counters()->Get(0)->value() == 12.5;
+  };
+  EXPECT_TRUE(bus_test::eventually(beat));
+}
+
+TEST_F(SdkTest, TheLightsGenerationFollowsTheLight) {
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open();
+  std::vector<std::uint64_t> generations;
+  OwnedFrame owned(small_camera());
+  for (const float irradiance : {1.0F, 1.0F, 2.0F}) {
+    owned.frame.light.sun_irradiance[0] = irradiance;
+    ++owned.frame.frame;
+    ASSERT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK)
+        << splatbus_engine_last_error(engine.get());
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    generations.push_back(message->root<wire::EngineFrame>("EngineFrame/1").light()->generation());
+  }
+  EXPECT_EQ(generations[0], generations[1]);
+  EXPECT_NE(generations[1], generations[2]);
+}
+
+TEST_F(SdkTest, ReadersHaveRoomForManyFrames) {
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open();
+  constexpr std::size_t kFrames = 100;
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    OwnedFrame owned(small_camera());
+    owned.frame.frame = i;
+    std::ranges::fill(owned.color, static_cast<std::uint8_t>(i));
+    ASSERT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK);
+  }
+  for (std::size_t i = 0; i < kFrames; ++i) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto color = message->tensor("color");
+    ASSERT_TRUE(color.has_value()) << "frame " << i << " was overwritten";
+    EXPECT_EQ(color->as<std::uint8_t>()[0], i);
+  }
+}
+
+TEST_F(SdkTest, TheEngineOutlivesTheBroker) {
+  const Engine engine = open();
+  OwnedFrame owned(small_camera());
+  ASSERT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK);
+  broker_.reset();
+  ++owned.frame.frame;
+  EXPECT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK);
+  broker_ = std::make_unique<bus_service::Broker>(options());
+  broker_->start();
+
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {{.camera = small_camera(21)}});
+  EXPECT_EQ(wait_for_change(engine.get()).size(), 1U);
+  const bool again = bus_test::eventually([&] {
+    ++owned.frame.frame;
+    if (splatbus_engine_submit(engine.get(), &owned.frame) != SPLATBUS_OK) return false;
+    const auto message = frames.receive(std::chrono::milliseconds(100));
+    return message && message->tensor("color").has_value();
+  });
+  EXPECT_TRUE(again);
+}
+
+}  // namespace
+}  // namespace splatbus::engine_test
