@@ -3,9 +3,9 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 #include <vector>
 
+#include "raster/cpu/scratch.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster::cpu {
@@ -82,30 +82,6 @@ struct TileReach {
 /// The pairs of a Gaussian: `count` slots from piece_slot[piece] + first.
 struct PairRange {
   std::uint32_t count, piece, first;
-};
-
-/// Uninitialised growing memory for trivial types: resizing a std::vector would write what is about to be overwritten.
-template <class T>
-class Scratch {
- public:
-  void reserve(std::size_t count) {
-    if (count <= storage_bytes_ / sizeof(T)) return;
-    storage_bytes_ = (count + count / 4 + 64) * sizeof(T);
-    std::size_t room = storage_bytes_ + kAlignment;
-    storage_ = std::unique_ptr<std::byte[]>(new std::byte[room]);  // not initialised
-    void* start = storage_.get();
-    data_ = static_cast<T*>(std::align(kAlignment, storage_bytes_, start, room));
-  }
-  [[nodiscard]] T* data() { return data_; }
-  [[nodiscard]] const T* data() const { return data_; }
-  T& operator[](std::size_t i) { return data_[i]; }
-  const T& operator[](std::size_t i) const { return data_[i]; }
-
- private:
-  static constexpr std::size_t kAlignment = 64;
-  std::unique_ptr<std::byte[]> storage_;
-  std::size_t storage_bytes_ = 0;
-  T* data_ = nullptr;
 };
 
 /// A depth-sort key: the bits of a positive float order like the float.

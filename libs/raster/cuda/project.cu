@@ -1,3 +1,4 @@
+#include "raster/cuda/appearance_dispatch.h"
 #include "raster/cuda/footprint.cuh"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/projection_math.cuh"
@@ -13,27 +14,24 @@ struct Shading {
   std::int64_t stride;
   const float* normal;
   const float* visibility;
-  int coefficients;
 };
 
+template <int kCoefficients>
 __device__ float3 radiance_color(const Shading& s, int i, const float3 mean, const ObjectView& object) {
   float3 d = make_float3(mean.x - object.camera_in_object[0], mean.y - object.camera_in_object[1],
                          mean.z - object.camera_in_object[2]);
   const float inv = rsqrtf(fmaxf(d.x * d.x + d.y * d.y + d.z * d.z, 1e-20F));
   d = make_float3(d.x * inv, d.y * inv, d.z * inv);
-  float y[16];
-  sh_basis(d, s.coefficients, y);
-  float3 color = make_float3(0.5F, 0.5F, 0.5F);
+  float y[kCoefficients];
+  sh_basis<kCoefficients>(d, y);
+  float color[3] = {0.5F, 0.5F, 0.5F};
   const float* p = s.parameters + ParameterLayout::kAppearance * s.stride + i;
 #pragma unroll
-  for (int k = 0; k < 16; ++k) {
-    if (k < s.coefficients) {
-      color.x += y[k] * p[(3 * k) * s.stride];
-      color.y += y[k] * p[(3 * k + 1) * s.stride];
-      color.z += y[k] * p[(3 * k + 2) * s.stride];
-    }
+  for (int k = 0; k < kCoefficients; ++k) {
+#pragma unroll
+    for (int c = 0; c < 3; ++c) color[c] += y[k] * p[(3 * k + c) * s.stride];
   }
-  return color;
+  return make_float3(color[0], color[1], color[2]);
 }
 
 __device__ float3 transfer_color(const Shading& s, int i, const ObjectView& object) {
@@ -43,7 +41,7 @@ __device__ float3 transfer_color(const Shading& s, int i, const ObjectView& obje
   const float3 response = diffuse_response(object, n, visibility);
   float3 color = make_float3(p[0] * response.x, p[s.stride] * response.y, p[2 * s.stride] * response.z);
   float sun[9];
-  sh_basis(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), 9, sun);
+  sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
   const float* r = s.parameters + ParameterLayout::kResidual * s.stride + i;
 #pragma unroll
   for (int k = 0; k < 9; ++k) {
@@ -85,15 +83,16 @@ struct Seen {
 };
 
 /// False when the colour is not finite.
-template <bool kTransfer>
+template <int kCoefficients>
 __device__ bool shade(const Shading& s, int i, const float3 mean, const ObjectView& object, float3& color) {
-  color = kTransfer ? transfer_color(s, i, object) : radiance_color(s, i, mean, object);
-  bool finite = bounded(color.x) && bounded(color.y) && bounded(color.z);
-  if constexpr (kTransfer) {
+  if constexpr (kCoefficients > 0) {
+    color = radiance_color<kCoefficients>(s, i, mean, object);
+  } else {
+    color = transfer_color(s, i, object);
     const float* albedo = s.parameters + ParameterLayout::kAlbedo * s.stride + i;
-    finite = finite && bounded(albedo[0]) && bounded(albedo[s.stride]) && bounded(albedo[2 * s.stride]);
+    if (!(bounded(albedo[0]) && bounded(albedo[s.stride]) && bounded(albedo[2 * s.stride]))) return false;
   }
-  return finite;
+  return bounded(color.x) && bounded(color.y) && bounded(color.z);
 }
 
 /// Appends the pairs of a warp's Gaussians in one view; true for those that have any.
@@ -126,7 +125,7 @@ __device__ bool emit(const Footprint& footprint, bool visible, int i, int b, flo
 
 /// With kEmit, lists are built and w.listed says for each Gaussian in which views it is in a list; without, only what
 /// is in a list is projected. Shading comes last, for what was listed, when little else is held in registers.
-template <bool kTransfer, bool kEmit>
+template <int kCoefficients, bool kEmit>
 __global__ void __launch_bounds__(kThreads, 6)
     project_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
@@ -135,8 +134,7 @@ __global__ void __launch_bounds__(kThreads, 6)
   if (!kEmit && candidates == 0) return;
   GaussianGeometry g;
   float opacity = 0.0F;
-  const Shading shading{gaussians.parameters, gaussians.stride, gaussians.normal, gaussians.visibility,
-                        gaussians.layout.sh_coefficients()};
+  const Shading shading{gaussians.parameters, gaussians.stride, gaussians.normal, gaussians.visibility};
   int slot = 0;
   if (present) {
     g = load_geometry(gaussians.parameters, gaussians.stride, i);
@@ -167,7 +165,7 @@ __global__ void __launch_bounds__(kThreads, 6)
       }
     }
     float3 color;
-    if (visible && shade<kTransfer>(shading, i, g.mean, object, color)) {
+    if (visible && shade<kCoefficients>(shading, i, g.mean, object, color)) {
       reinterpret_cast<float2*>(w.record_shape + 2 * record + 1)[1] =
           make_float2(clamp_color(color.x), clamp_color(color.y));
       w.record_tail[record] = make_float2(clamp_color(color.z), depth);
@@ -179,19 +177,6 @@ __global__ void __launch_bounds__(kThreads, 6)
   if (kEmit && present) w.listed[i] = static_cast<std::uint16_t>(listed);
 }
 
-template <bool kTransfer>
-void launch(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
-            cudaStream_t stream) {
-  const int blocks = (workspace.count + kThreads - 1) / kThreads;
-  if (blocks == 0) return;
-  if (options.emit_pairs) {
-    project_kernel<kTransfer, true><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
-  } else {
-    project_kernel<kTransfer, false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
-  }
-  check(cudaGetLastError(), "projection");
-}
-
 }  // namespace
 
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
@@ -201,11 +186,16 @@ void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& works
     check(cudaMemsetAsync(workspace.pair_keys[0], 0xFF, sizeof(std::uint64_t) * workspace.pair_capacity, stream),
           "clearing the pairs");
   }
-  if (gaussians.layout.appearance == Appearance::Transfer) {
-    launch<true>(gaussians, workspace, options, stream);
-  } else {
-    launch<false>(gaussians, workspace, options, stream);
-  }
+  const int blocks = (workspace.count + kThreads - 1) / kThreads;
+  if (blocks == 0) return;
+  with_coefficients(gaussians.layout, [&](auto coefficients) {
+    if (options.emit_pairs) {
+      project_kernel<coefficients(), true><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    } else {
+      project_kernel<coefficients(), false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    }
+  });
+  check(cudaGetLastError(), "projection");
 }
 
 }  // namespace splatbus::raster::cuda

@@ -126,52 +126,60 @@ __device__ inline float sigmoid(float x) {
 constexpr float kShC0 = 0.28209479177387814F;
 constexpr float kShC1 = 0.4886025119029199F;
 
-/// Real SH basis in the order and signs of 3DGS, first `count` of 16 coefficients.
-__device__ inline void sh_basis(const float3 d, int count, float* y) {
+/// Real SH basis in the order and signs of 3DGS, first kCount of 16 coefficients.
+template <int kCount>
+__device__ inline void sh_basis(const float3 d, float* y) {
   y[0] = kShC0;
-  if (count <= 1) return;
-  y[1] = -kShC1 * d.y;
-  y[2] = kShC1 * d.z;
-  y[3] = -kShC1 * d.x;
-  if (count <= 4) return;
-  const float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, xy = d.x * d.y, yz = d.y * d.z, xz = d.x * d.z;
-  y[4] = 1.0925484305920792F * xy;
-  y[5] = -1.0925484305920792F * yz;
-  y[6] = 0.31539156525252005F * (2.0F * zz - xx - yy);
-  y[7] = -1.0925484305920792F * xz;
-  y[8] = 0.5462742152960396F * (xx - yy);
-  if (count <= 9) return;
-  y[9] = -0.5900435899266435F * d.y * (3.0F * xx - yy);
-  y[10] = 2.890611442640554F * xy * d.z;
-  y[11] = -0.4570457994644658F * d.y * (4.0F * zz - xx - yy);
-  y[12] = 0.3731763325901154F * d.z * (2.0F * zz - 3.0F * xx - 3.0F * yy);
-  y[13] = -0.4570457994644658F * d.x * (4.0F * zz - xx - yy);
-  y[14] = 1.445305721320277F * d.z * (xx - yy);
-  y[15] = -0.5900435899266435F * d.x * (xx - 3.0F * yy);
+  if constexpr (kCount > 1) {
+    y[1] = -kShC1 * d.y;
+    y[2] = kShC1 * d.z;
+    y[3] = -kShC1 * d.x;
+    if constexpr (kCount > 4) {
+      const float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, xy = d.x * d.y, yz = d.y * d.z, xz = d.x * d.z;
+      y[4] = 1.0925484305920792F * xy;
+      y[5] = -1.0925484305920792F * yz;
+      y[6] = 0.31539156525252005F * (2.0F * zz - xx - yy);
+      y[7] = -1.0925484305920792F * xz;
+      y[8] = 0.5462742152960396F * (xx - yy);
+      if constexpr (kCount > 9) {
+        y[9] = -0.5900435899266435F * d.y * (3.0F * xx - yy);
+        y[10] = 2.890611442640554F * xy * d.z;
+        y[11] = -0.4570457994644658F * d.y * (4.0F * zz - xx - yy);
+        y[12] = 0.3731763325901154F * d.z * (2.0F * zz - 3.0F * xx - 3.0F * yy);
+        y[13] = -0.4570457994644658F * d.x * (4.0F * zz - xx - yy);
+        y[14] = 1.445305721320277F * d.z * (xx - yy);
+        y[15] = -0.5900435899266435F * d.x * (xx - 3.0F * yy);
+      }
+    }
+  }
 }
 
 /// Gradient of sum_k f_k Y_k(d) with respect to d (d taken as free in R^3).
-__device__ inline float3 sh_direction_gradient(const float3 d, int count, const float* f) {
+template <int kCount>
+__device__ inline float3 sh_direction_gradient(const float3 d, const float* f) {
   float3 g = make_float3(0.0F, 0.0F, 0.0F);
-  if (count <= 1) return g;
-  g.y -= kShC1 * f[1];
-  g.z += kShC1 * f[2];
-  g.x -= kShC1 * f[3];
-  if (count <= 4) return g;
-  constexpr float c20 = 1.0925484305920792F, c22 = 0.31539156525252005F, c24 = 0.5462742152960396F;
-  g.x += c20 * d.y * f[4] - 2.0F * c22 * d.x * f[6] - c20 * d.z * f[7] + 2.0F * c24 * d.x * f[8];
-  g.y += c20 * d.x * f[4] - c20 * d.z * f[5] - 2.0F * c22 * d.y * f[6] - 2.0F * c24 * d.y * f[8];
-  g.z += -c20 * d.y * f[5] + 4.0F * c22 * d.z * f[6] - c20 * d.x * f[7];
-  if (count <= 9) return g;
-  const float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, xy = d.x * d.y, yz = d.y * d.z, xz = d.x * d.z;
-  constexpr float c30 = -0.5900435899266435F, c31 = 2.890611442640554F, c32 = -0.4570457994644658F,
-                  c33 = 0.3731763325901154F, c35 = 1.445305721320277F;
-  g.x += c30 * 6.0F * xy * f[9] + c31 * yz * f[10] - c32 * 2.0F * xy * f[11] - c33 * 6.0F * xz * f[12] +
-         c32 * (4.0F * zz - 3.0F * xx - yy) * f[13] + c35 * 2.0F * xz * f[14] + c30 * 3.0F * (xx - yy) * f[15];
-  g.y += c30 * 3.0F * (xx - yy) * f[9] + c31 * xz * f[10] + c32 * (4.0F * zz - xx - 3.0F * yy) * f[11] -
-         c33 * 6.0F * yz * f[12] - c32 * 2.0F * xy * f[13] - c35 * 2.0F * yz * f[14] - c30 * 6.0F * xy * f[15];
-  g.z += c31 * xy * f[10] + c32 * 8.0F * yz * f[11] + c33 * (6.0F * zz - 3.0F * xx - 3.0F * yy) * f[12] +
-         c32 * 8.0F * xz * f[13] + c35 * (xx - yy) * f[14];
+  if constexpr (kCount > 1) {
+    g.y -= kShC1 * f[1];
+    g.z += kShC1 * f[2];
+    g.x -= kShC1 * f[3];
+    if constexpr (kCount > 4) {
+      constexpr float c20 = 1.0925484305920792F, c22 = 0.31539156525252005F, c24 = 0.5462742152960396F;
+      g.x += c20 * d.y * f[4] - 2.0F * c22 * d.x * f[6] - c20 * d.z * f[7] + 2.0F * c24 * d.x * f[8];
+      g.y += c20 * d.x * f[4] - c20 * d.z * f[5] - 2.0F * c22 * d.y * f[6] - 2.0F * c24 * d.y * f[8];
+      g.z += -c20 * d.y * f[5] + 4.0F * c22 * d.z * f[6] - c20 * d.x * f[7];
+      if constexpr (kCount > 9) {
+        const float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, xy = d.x * d.y, yz = d.y * d.z, xz = d.x * d.z;
+        constexpr float c30 = -0.5900435899266435F, c31 = 2.890611442640554F, c32 = -0.4570457994644658F,
+                        c33 = 0.3731763325901154F, c35 = 1.445305721320277F;
+        g.x += c30 * 6.0F * xy * f[9] + c31 * yz * f[10] - c32 * 2.0F * xy * f[11] - c33 * 6.0F * xz * f[12] +
+               c32 * (4.0F * zz - 3.0F * xx - yy) * f[13] + c35 * 2.0F * xz * f[14] + c30 * 3.0F * (xx - yy) * f[15];
+        g.y += c30 * 3.0F * (xx - yy) * f[9] + c31 * xz * f[10] + c32 * (4.0F * zz - xx - 3.0F * yy) * f[11] -
+               c33 * 6.0F * yz * f[12] - c32 * 2.0F * xy * f[13] - c35 * 2.0F * yz * f[14] - c30 * 6.0F * xy * f[15];
+        g.z += c31 * xy * f[10] + c32 * 8.0F * yz * f[11] + c33 * (6.0F * zz - 3.0F * xx - 3.0F * yy) * f[12] +
+               c32 * 8.0F * xz * f[13] + c35 * (xx - yy) * f[14];
+      }
+    }
+  }
   return g;
 }
 
@@ -184,7 +192,7 @@ __device__ inline float3 load_normal(const float* normal, std::int64_t stride, i
 /// Transfer shading without the residual: colour = albedo * this (model.h).
 __device__ inline float3 diffuse_response(const ObjectView& o, const float3 n, float visibility) {
   float y[9];
-  sh_basis(n, 9, y);
+  sh_basis<9>(n, y);
   const float band[9] = {1.0F, 2.0F / 3.0F, 2.0F / 3.0F, 2.0F / 3.0F, 0.25F, 0.25F, 0.25F, 0.25F, 0.25F};
   float e[3] = {0.0F, 0.0F, 0.0F};
   for (int k = 0; k < 9; ++k) {

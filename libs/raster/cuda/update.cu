@@ -1,3 +1,4 @@
+#include "raster/cuda/appearance_dispatch.h"
 #include "raster/cuda/gradient_math.cuh"
 #include "raster/cuda/kernels.h"
 
@@ -37,9 +38,9 @@ struct AdamSink {
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
       const std::int64_t at = channel * gaussians.stride + i;
-      if (channel >= active_channels) continue;
-      m[k] = state.first[at];
-      v[k] = state.second[at];
+      const bool active = channel < active_channels;
+      m[k] = active ? state.first[at] : 0.0F;
+      v[k] = active ? state.second[at] : 0.0F;
     }
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
@@ -94,20 +95,17 @@ struct Item {
 };
 
 /// SH coefficients; adds to mean_gradient what comes through the view direction.
-template <class Sink>
+template <int kCoefficients, class Sink>
 __device__ void update_radiance(const Item& item, const float3 mean, const Sink& sink, float* mean_gradient) {
   const std::int64_t stride = item.gaussians.stride;
-  const int coefficients = item.gaussians.layout.sh_coefficients();
 #pragma unroll 1
   for (int c = 0; c < 3; ++c) {
     const int first = ParameterLayout::kAppearance + c;
     const float* p = item.gaussians.parameters + first * stride + item.i;
-    float f[16], sums[16];
+    float f[kCoefficients], sums[kCoefficients] = {};
 #pragma unroll
-    for (int k = 0; k < 16; ++k) {
-      f[k] = k < coefficients ? p[3 * k * stride] : 0.0F;
-      sums[k] = 0.0F;
-    }
+    for (int k = 0; k < kCoefficients; ++k) f[k] = p[3 * k * stride];
+#pragma unroll 1
     for (int b = 0; b < item.w.batch; ++b) {
       if ((item.views >> b & 1U) == 0) continue;
       const float g = item.color_gradient(b, c);
@@ -116,22 +114,19 @@ __device__ void update_radiance(const Item& item, const float3 mean, const Sink&
                              mean.z - object.camera_in_object[2]);
       const float inv = rsqrtf(fmaxf(d.x * d.x + d.y * d.y + d.z * d.z, 1e-20F));
       d = make_float3(d.x * inv, d.y * inv, d.z * inv);
-      float y[16];
-      sh_basis(d, coefficients, y);
+      float y[kCoefficients];
+      sh_basis<kCoefficients>(d, y);
 #pragma unroll
-      for (int k = 0; k < 16; ++k) {
-        if (k < coefficients) sums[k] += g * y[k];
-      }
-      const float3 along = sh_direction_gradient(d, coefficients, f);
+      for (int k = 0; k < kCoefficients; ++k) sums[k] += g * y[k];
+      const float3 along = sh_direction_gradient<kCoefficients>(d, f);
       const float radial = along.x * d.x + along.y * d.y + along.z * d.z;
       mean_gradient[0] += g * inv * (along.x - radial * d.x);
       mean_gradient[1] += g * inv * (along.y - radial * d.y);
       mean_gradient[2] += g * inv * (along.z - radial * d.z);
     }
-    sink.template put<1>(first, 3, item.i, f, sums);
-    if (coefficients > 1) sink.template put<3>(first + 3, 3, item.i, f + 1, sums + 1);
-    if (coefficients > 4) sink.template put<5>(first + 12, 3, item.i, f + 4, sums + 4);
-    if (coefficients > 9) sink.template put<7>(first + 27, 3, item.i, f + 9, sums + 9);
+    constexpr int kHalf = kCoefficients / 2;
+    if constexpr (kHalf > 0) sink.template put<kHalf>(first, 3, item.i, f, sums);
+    sink.template put<kCoefficients - kHalf>(first + 3 * kHalf, 3, item.i, f + kHalf, sums + kHalf);
   }
 }
 
@@ -159,7 +154,7 @@ __device__ void update_transfer(const Item& item, const Sink& sink, bool residua
     for (int c = 0; c < 3; ++c) albedo[c] += g[c] * direct[c] + item.gradient(b)[9 + c];
     if (!residual) continue;
     float sun[9];
-    sh_basis(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), 9, sun);
+    sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
       const float3 light = residual_light(object, k, sun[k], visibility);
@@ -216,7 +211,7 @@ __device__ void clear_records(const Item& item) {
   }
 }
 
-template <class Sink, bool kTransfer>
+template <class Sink, int kCoefficients>
 __global__ void __launch_bounds__(kThreads, 5)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
@@ -232,10 +227,10 @@ __global__ void __launch_bounds__(kThreads, 5)
     const GaussianGeometry g = load_geometry(gaussians.parameters, gaussians.stride, i);
     sink.begin(i);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};
-    if constexpr (kTransfer) {
+    if constexpr (kCoefficients == 0) {
       update_transfer(item, sink, residual);
     } else {
-      update_radiance(item, g.mean, sink, mean_gradient);
+      update_radiance<kCoefficients>(item, g.mean, sink, mean_gradient);
     }
     update_geometry(item, g, options, sink, mean_gradient);
   }
@@ -247,12 +242,10 @@ void launch_with(const DeviceGaussians& gaussians, const WorkspaceView& workspac
                  const Sink& sink, cudaStream_t stream) {
   const auto blocks = static_cast<unsigned>((workspace.count + kThreads - 1) / kThreads);
   if (blocks == 0) return;
-  if (gaussians.layout.appearance == Appearance::Radiance) {
-    update_kernel<Sink, false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, false);
-  } else {
-    const bool residual = sink.active_channels > ParameterLayout::kResidual;
-    update_kernel<Sink, true><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual);
-  }
+  const bool residual = sink.active_channels > ParameterLayout::kResidual;
+  with_coefficients(gaussians.layout, [&](auto coefficients) {
+    update_kernel<Sink, coefficients()><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual);
+  });
   check(cudaGetLastError(), "update");
 }
 
