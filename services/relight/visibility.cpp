@@ -7,31 +7,21 @@
 #include <array>
 #include <cmath>
 #include <glm/glm.hpp>
-#include <glm/gtc/matrix_transform.hpp>
 #include <glm/gtc/quaternion.hpp>
-#include <numbers>
+#include <limits>
 
 namespace splatbus::relight {
 
 namespace {
 
-constexpr int kTaps = 16;
+constexpr int kLanes = 8;                    // texels of a row that are compared together
 constexpr float kGreatestSlope = 8.0F;       // metres of depth a metre across: beyond it the normal is no guide
 constexpr float kLeastFacing = 0.02F;        // cosine below which no light arrives
-constexpr float kLeastRadius_texels = 1.0F;  // the map's own resolution
+constexpr float kLeastRadius_texels = 1.5F;  // the map's own resolution
+constexpr float kGreatestRadius_texels = 24.0F;
+// A paraboloid has the spread of a uniform disc that is smaller by this.
+constexpr float kParaboloidOverDisc = 1.2247449F;
 constexpr std::size_t kGrain = 2048;
-
-/// Points spread evenly over the unit disc (Vogel 1979).
-std::array<glm::vec2, kTaps> disc() {
-  std::array<glm::vec2, kTaps> points{};
-  const float golden_angle = std::numbers::pi_v<float> * (3.0F - std::sqrt(5.0F));
-  for (int i = 0; i < kTaps; ++i) {
-    const float radius = std::sqrt((static_cast<float>(i) + 0.5F) / kTaps);
-    const float angle = golden_angle * static_cast<float>(i);
-    points.at(static_cast<std::size_t>(i)) = radius * glm::vec2(std::cos(angle), std::sin(angle));
-  }
-  return points;
-}
 
 /// The plane of a surface in texels across and metres of depth.
 struct Receiver {
@@ -52,8 +42,7 @@ class Tester {
         width_(static_cast<int>(map.camera.width)),
         height_(static_cast<int>(map.camera.height)),
         light_from_world_(inverse(map.camera.world_from_camera)),
-        rotation_(glm::mat3_cast(light_from_world_.rotation)),
-        disc_(disc()) {}
+        rotation_(glm::mat3_cast(light_from_world_.rotation)) {}
 
   [[nodiscard]] float test(const glm::vec3& point_world, const glm::vec3& normal_world, float deviation_m) const {
     const glm::vec3 normal = rotation_ * normal_world;
@@ -72,32 +61,73 @@ class Tester {
                             .slope = {slope.x / camera.fx, slope.y / camera.fy}};
     if (!std::isfinite(receiver.depth_m + receiver.texel.x + receiver.texel.y)) return 0;
     const float radius_m = options_.softness_m + options_.footprint * deviation_m;
-    const glm::vec2 radius = glm::max(radius_m * glm::vec2(camera.fx, camera.fy), glm::vec2(kLeastRadius_texels));
-    float sum = 0;
-    for (const glm::vec2& tap : disc_) sum += filtered(receiver, receiver.texel + radius * tap);
-    return sum / kTaps;
+    const glm::vec2 radius = glm::clamp(kParaboloidOverDisc * radius_m * glm::vec2(camera.fx, camera.fy),
+                                        kLeastRadius_texels, kGreatestRadius_texels);
+    return filtered(receiver, radius);
   }
 
  private:
-  /// Bilinear mean of four comparisons about texel coordinates (x, y).
-  [[nodiscard]] float filtered(const Receiver& receiver, const glm::vec2& at) const {
-    const float left = std::floor(at.x - 0.5F);
-    const float top = std::floor(at.y - 0.5F);
-    if (left < -1 || top < -1 || left >= static_cast<float>(width_) || top >= static_cast<float>(height_)) return 1;
-    const float fx = at.x - 0.5F - left;
-    const float fy = at.y - 0.5F - top;
-    const int x = static_cast<int>(left);
-    const int y = static_cast<int>(top);
-    const float upper = (1 - fx) * lit(receiver, x, y) + fx * lit(receiver, x + 1, y);
-    const float lower = (1 - fx) * lit(receiver, x, y + 1) + fx * lit(receiver, x + 1, y + 1);
-    return (1 - fy) * upper + fy * lower;
+  struct Sum {
+    std::array<float, kLanes> lit{}, weight{};
+  };
+
+  /// Share of lit texels about the receiver, weighted by 1 - (distance / radius)^2.
+  [[nodiscard]] float filtered(const Receiver& receiver, const glm::vec2& radius) const {
+    const glm::vec2 low = glm::floor(receiver.texel - radius);
+    const glm::vec2 high = glm::ceil(receiver.texel + radius);
+    const bool apart =
+        high.x < 0 || high.y < 0 || low.x > static_cast<float>(width_) || low.y > static_cast<float>(height_);
+    if (apart) return 1;
+    const int left = static_cast<int>(low.x);
+    const int right = left + (static_cast<int>(high.x) - left + kLanes - 1) / kLanes * kLanes;
+    const int bottom = static_cast<int>(high.y);
+    Sum sum;
+    for (int y = static_cast<int>(low.y); y < bottom; ++y) {
+      const bool within = y >= 0 && y < height_ && left >= 0 && right <= width_;
+      for (int x = left; x < right; x += kLanes) {
+        if (within) {
+          add(receiver, radius, x, y, texels(x, y), sum);
+        } else {
+          add(receiver, radius, x, y, padded(x, y).data(), sum);
+        }
+      }
+    }
+    float lit = 0;
+    float weight = 0;
+    for (std::size_t k = 0; k < kLanes; ++k) {
+      lit += sum.lit[k];
+      weight += sum.weight[k];
+    }
+    return lit < weight ? lit / weight : 1.0F;
   }
 
-  [[nodiscard]] float lit(const Receiver& receiver, int x, int y) const {
-    if (x < 0 || y < 0 || x >= width_ || y >= height_) return 1;
-    const float nearest =
-        map_.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x)];
-    return receiver.depth_at(static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F) <= nearest ? 1.0F : 0.0F;
+  /// Texels (x, y) to (x + kLanes - 1, y). Written for the compiler to vectorise.
+  static void add(const Receiver& receiver, const glm::vec2& radius, int x, int y, const float* depth_m, Sum& sum) {
+    const float row_m = receiver.depth_at(static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F);
+    const float dx = (static_cast<float>(x) + 0.5F - receiver.texel.x) / radius.x;
+    const float dy = (static_cast<float>(y) + 0.5F - receiver.texel.y) / radius.y;
+    const float step = 1.0F / radius.x;
+    for (std::size_t k = 0; k < kLanes; ++k) {
+      const float across = dx + static_cast<float>(k) * step;
+      const float weight = std::max(0.0F, 1.0F - across * across - dy * dy);
+      const float plane_m = row_m + static_cast<float>(k) * receiver.slope.x;
+      sum.weight[k] += weight;
+      sum.lit[k] += plane_m <= depth_m[k] ? weight : 0.0F;
+    }
+  }
+
+  [[nodiscard]] const float* texels(int x, int y) const {
+    return map_.depth_m + static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x);
+  }
+
+  /// A piece of a row that leaves the map: what lies outside is lit.
+  [[nodiscard]] std::array<float, kLanes> padded(int x, int y) const {
+    std::array<float, kLanes> depth_m{};
+    for (int k = 0; k < kLanes; ++k) {
+      const bool inside = x + k >= 0 && x + k < width_ && y >= 0 && y < height_;
+      depth_m.at(static_cast<std::size_t>(k)) = inside ? *texels(x + k, y) : std::numeric_limits<float>::max();
+    }
+    return depth_m;
   }
 
   const LightDepthMap map_;
@@ -105,7 +135,6 @@ class Tester {
   const int width_, height_;
   const Rigid light_from_world_;
   const glm::mat3 rotation_;
-  const std::array<glm::vec2, kTaps> disc_;
 };
 
 /// Mean of the two larger standard deviations: a flat Gaussian's extent on its surface.

@@ -19,9 +19,9 @@ struct VisibilityOptions {
 };
 
 /// Share of the sun's disc that each Gaussian's surface point sees, in [0, 1]: percentage-closer filtering (Reeves et
-/// al. 1987) over a disc, every texel compared with the depth of the surface's own plane there (receiver plane bias,
-/// Isidoro 2006), so that slanted surfaces do not shade themselves. What faces away from the light is 0, what lies
-/// outside of the map 1.
+/// al. 1987) under a paraboloid, every texel compared with the depth of the surface's own plane there (receiver plane
+/// bias, Isidoro 2006), so that slanted surfaces do not shade themselves. What faces away from the light is 0, what
+/// lies outside of the map 1.
 ///
 /// Reads surface_point, normal, object_id and the scales; `visibility` has gaussians.count entries. Runs in parallel.
 void compute_visibility(const GaussiansView& gaussians, const ObjectTransforms& objects, const LightDepthMap& map,
