@@ -14,6 +14,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* NOLINTBEGIN(modernize-use-using): C */
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -116,4 +117,5 @@ const char* splatbus_engine_last_error(const splatbus_engine* engine);
 #ifdef __cplusplus
 }
 #endif
+/* NOLINTEND(modernize-use-using) */
 #endif

@@ -49,7 +49,8 @@ class GpuScene {
     glm::mat3 normal_matrix;
   };
 
-  std::vector<const Part*> visible_parts(const glm::mat4& clip_from_world, bool shadow_casters_only) const;
+  [[nodiscard]] std::vector<const Part*> visible_parts(const glm::mat4& clip_from_world,
+                                                       bool shadow_casters_only) const;
   void draw_part(const Part& part, const ShaderVariant& variant, GLuint program) const;
   void upload_textures(const Scene& scene, float anisotropy);
   void place(std::size_t object, const glm::mat4& world_from_object);

@@ -14,7 +14,7 @@ struct ShaderVariant {
   bool holes = false;   ///< texels under an alpha cutoff are discarded
   int supersample = 2;  ///< Shade only: shadow taps are shared out among a pixel's supersamples
 
-  auto operator<=>(const ShaderVariant&) const = default;
+  auto operator<=>(const ShaderVariant&) const = default;  // NOLINT(modernize-use-nullptr): the check misreads <=>
 };
 
 /// Uniform locations, the same in every program.
