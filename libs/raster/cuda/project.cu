@@ -25,7 +25,7 @@ __device__ float3 radiance_color(const Shading& s, int i, const float3 mean, con
   float y[kCoefficients];
   sh_basis<kCoefficients>(d, y);
   float color[3] = {0.5F, 0.5F, 0.5F};
-  const float* p = s.parameters + ParameterLayout::kAppearance * s.stride + i;
+  const float* p = recomputed(s.parameters + ParameterLayout::kAppearance * s.stride + i);
 #pragma unroll
   for (int k = 0; k < kCoefficients; ++k) {
 #pragma unroll
@@ -42,7 +42,7 @@ __device__ float3 transfer_color(const Shading& s, int i, const ObjectView& obje
   float3 color = make_float3(p[0] * response.x, p[s.stride] * response.y, p[2 * s.stride] * response.z);
   float sun[9];
   sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
-  const float* r = s.parameters + ParameterLayout::kResidual * s.stride + i;
+  const float* r = recomputed(s.parameters + ParameterLayout::kResidual * s.stride + i);
 #pragma unroll
   for (int k = 0; k < 9; ++k) {
     const float3 light = residual_light(object, k, sun[k], visibility);

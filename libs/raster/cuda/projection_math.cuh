@@ -4,6 +4,18 @@
 
 namespace splatbus::raster::cuda {
 
+/// The same value, but the compiler does not know: it then computes the addresses of a Gaussian's many planes where
+/// they are used, instead of keeping them all in registers, and spilling them.
+template <class T>
+__device__ inline T recomputed(T value) {
+  if constexpr (sizeof(T) == 8) {
+    asm volatile("" : "+l"(value));
+  } else {
+    asm volatile("" : "+r"(value));
+  }
+  return value;
+}
+
 /// A Gaussian's parameters in registers.
 struct GaussianGeometry {
   float3 mean;

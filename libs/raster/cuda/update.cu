@@ -42,10 +42,11 @@ struct AdamSink {
       m[k] = active ? state.first[at] : 0.0F;
       v[k] = active ? state.second[at] : 0.0F;
     }
+    const int same_i = recomputed(i);
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
-      const std::int64_t at = channel * gaussians.stride + i;
+      const std::int64_t at = channel * gaussians.stride + same_i;
       if (channel >= active_channels) continue;
       m[k] = options.beta1 * m[k] + (1.0F - options.beta1) * gradient[k];
       v[k] = options.beta2 * v[k] + (1.0F - options.beta2) * gradient[k] * gradient[k];
