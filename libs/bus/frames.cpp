@@ -44,21 +44,18 @@ Receipt receive_frames(zmq::socket_ref socket, Frames& frames, std::string& why)
   std::size_t count = 1;
   bool more = frames.topic.more();
   while (more) {
-    zmq::message_t frame;
+    zmq::message_t surplus;
+    ++count;
+    frames.has_payload = count == 3;
+    auto& frame = count == 2 ? frames.body : count == 3 ? frames.payload : surplus;
     if (!socket.recv(frame, zmq::recv_flags::dontwait)) break;
     more = frame.more();
-    ++count;
-    if (count == 2) frames.body = std::move(frame);
-    if (count == 3) {
-      frames.payload = std::move(frame);
-      frames.has_payload = true;
-    }
   }
   if (count < 2 || count > 3) {
     why = fmt::format("{} frames instead of 2 or 3", count);
     return Receipt::Malformed;
   }
-  if (frames.topic.size() == 0 || frames.topic.size() > max_topic_bytes || frames.body.size() > max_body_bytes) {
+  if (frames.topic.empty() || frames.topic.size() > max_topic_bytes || frames.body.size() > max_body_bytes) {
     why = fmt::format("a topic of {} bytes and a body of {}", frames.topic.size(), frames.body.size());
     return Receipt::Malformed;
   }

@@ -77,11 +77,14 @@ void Housekeeping::beat(wire::ServiceState state) {
       .schema = "Heartbeat/1", .capture_ns = 0, .latch = true, .latch_key = service_.bus->source(), .tensors = {}};
   heartbeat_.publish(info, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::Counter>> counter_offsets;
+    counter_offsets.reserve(counters.size());
     for (const auto& [name, value] : counters) {
       counter_offsets.push_back(wire::CreateCounterDirect(builder, name.c_str(), value));
     }
     std::vector<flatbuffers::Offset<wire::KeyValue>> parameter_offsets;
-    for (const auto& [name, value] : service_.parameters.list()) {
+    const auto parameters = service_.parameters.list();
+    parameter_offsets.reserve(parameters.size());
+    for (const auto& [name, value] : parameters) {
       parameter_offsets.push_back(wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str()));
     }
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,

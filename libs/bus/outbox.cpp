@@ -92,7 +92,7 @@ void Outbox::run(const std::stop_token& stop) {
 void Outbox::read_subscriptions() {
   zmq::message_t event;
   while (socket_.recv(event, zmq::recv_flags::dontwait)) {
-    if (event.size() == 0) continue;
+    if (event.empty()) continue;
     const auto kind = *event.data<std::uint8_t>();
     if (kind > 1) continue;
     connected_ = kind == 1;

@@ -26,7 +26,7 @@ struct Publisher::Impl {
   std::uint64_t sequence = 0;
 
   // A slab that nobody else can map: its tensors are inlined.
-  std::shared_ptr<Slab> private_slab(std::uint64_t id) const {
+  [[nodiscard]] std::shared_ptr<Slab> private_slab(std::uint64_t id) const {
     auto& bus = *context->impl_;
     if (bus.slabs) return nullptr;
     const std::scoped_lock lock(bus.mutex);
@@ -35,7 +35,7 @@ struct Publisher::Impl {
   }
 
   // Where in the payload each tensor goes; its slab for those that stay there.
-  std::vector<wire::Span> place(const MessageInfo& info, std::size_t& payload_bytes) const {
+  [[nodiscard]] std::vector<wire::Span> place(const MessageInfo& info, std::size_t& payload_bytes) const {
     std::vector<wire::Span> spans;
     payload_bytes = 0;
     for (const auto& tensor : info.tensors) {

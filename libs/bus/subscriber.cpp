@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <deque>
 #include <map>
-#include <set>
 #include <tuple>
 #include <utility>
 
@@ -192,14 +191,16 @@ std::vector<Message> Subscriber::receive_newest(std::chrono::milliseconds timeou
 }
 
 std::vector<Message> keep_newest(std::vector<Message> messages) {
-  std::set<std::tuple<std::string, std::string, std::string>> seen;
+  std::map<std::tuple<std::string, std::string, std::string>, std::size_t> newest;
+  const auto stream_of = [](const Message& message) {
+    return std::tuple(message.topic(), message.header().source()->str(), latch_key_of(message.header()));
+  };
+  for (std::size_t i = 0; i < messages.size(); ++i) newest[stream_of(messages[i])] = i;
   std::vector<Message> result;
-  for (auto message = messages.rbegin(); message != messages.rend(); ++message) {
-    const auto& header = message->header();
-    const bool first = seen.emplace(message->topic(), header.source()->str(), latch_key_of(header)).second;
-    if (first) result.push_back(std::move(*message));
+  result.reserve(newest.size());
+  for (std::size_t i = 0; i < messages.size(); ++i) {
+    if (newest.at(stream_of(messages[i])) == i) result.push_back(std::move(messages[i]));
   }
-  std::reverse(result.begin(), result.end());
   return result;
 }
 

@@ -42,6 +42,7 @@ bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::Ser
       {"inlined", statistics.inlined}, {"inline_dropped", statistics.inline_dropped},
       {"held", statistics.held},       {"slabs", statistics.slabs}};
   std::vector<flatbuffers::Offset<wire::Counter>> offsets;
+  offsets.reserve(std::size(counters));
   for (const auto& [name, value] : counters) {
     offsets.push_back(wire::CreateCounterDirect(builder, name, static_cast<double>(value)));
   }
@@ -55,6 +56,7 @@ bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& n
   const auto head = header(builder, "Liveness/1", ++liveness_messages_);
   const std::int64_t now = bus::now_ns();
   std::vector<flatbuffers::Offset<wire::Node>> offsets;
+  offsets.reserve(nodes.size());
   for (const auto& [source, node] : nodes) {
     offsets.push_back(wire::CreateNodeDirect(builder, source.c_str(), node.service.c_str(), node.pid, node.epoch,
                                              node.state, node.alive, static_cast<double>(now - node.heard_ns) * 1e-9));

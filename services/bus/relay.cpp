@@ -222,7 +222,7 @@ void Relay::send_inlined(const bus::Frames& frames) {
 void Relay::read_subscriptions(Side& side) {
   zmq::message_t event;
   while (side.xpub.recv(event, zmq::recv_flags::dontwait)) {
-    if (event.size() == 0 || event.size() > bus::max_topic_bytes + 1) continue;
+    if (event.empty() || event.size() > bus::max_topic_bytes + 1) continue;
     const auto kind = *event.data<std::uint8_t>();
     if (kind > 1) continue;
     const auto prefix = event.to_string().substr(1);

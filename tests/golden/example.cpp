@@ -54,6 +54,7 @@ class Filler {
 
   std::string elements(const FieldDef& field, const Type& type, int count) {
     std::vector<std::string> result;
+    result.reserve(static_cast<std::size_t>(count));
     for (int i = 0; i < count; ++i) result.push_back(value(field, type));
     return fmt::format("[{}]", fmt::join(result, ", "));
   }
