@@ -231,6 +231,7 @@ void CaptureBridge::publish_cameras() {
   cameras_publisher_.publish(
       {.schema = "EngineCameras/1", .latch = true}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
         std::vector<flatbuffers::Offset<wire::CameraRequest>> requests;
+        requests.reserve(rigs_.cameras().requests().size());
         for (const CameraRequest& request : rigs_.cameras().requests()) {
           const wire::Camera camera = to_wire(request.camera);
           requests.push_back(

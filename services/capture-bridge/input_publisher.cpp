@@ -51,6 +51,7 @@ void InputPublisher::publish(std::span<const InputViewPointer> views, const Inpu
   bus::MessageInfo info{.schema = "CaptureInput/1", .capture_ns = newest.capture_ns, .tensors = ring_.write(sources)};
   publisher_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     std::vector<wire::Camera> cameras;
+    cameras.reserve(views.size());
     for (const InputViewPointer& view : views) cameras.push_back(to_wire(view->camera));
     const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
     const auto objects = to_wire(builder, newest.objects);

@@ -16,6 +16,7 @@ constexpr std::size_t kQueuedJobs = 4;
 
 std::vector<const InputView*> pointers(const std::vector<InputViewPointer>& views) {
   std::vector<const InputView*> plain;
+  plain.reserve(views.size());
   for (const InputViewPointer& view : views) plain.push_back(view.get());
   return plain;
 }
@@ -34,6 +35,7 @@ std::vector<InputViewPointer> of_one_size(const std::vector<InputViewPointer>& v
 ContentHeights content_heights(const SampleSet& samples) {
   if (samples.size() == 0) return {};
   std::vector<float> heights;
+  heights.reserve(samples.size());
   for (const glm::vec3& position : samples.position) heights.push_back(position.y);
   const auto at = [&heights](double fraction) {
     const auto place =

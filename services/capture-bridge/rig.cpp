@@ -40,6 +40,7 @@ std::vector<Camera> dome_cameras(const DomeOptions& options, const glm::vec3& ce
   const float golden_angle = glm::pi<float>() * (3 - std::sqrt(5.0F));
   const auto size = static_cast<std::uint32_t>(options.size);
   std::vector<Camera> cameras;
+  cameras.reserve(static_cast<std::size_t>(options.cameras));
   for (int i = 0; i < options.cameras; ++i) {
     const float t = (static_cast<float>(i) + 0.5F) / static_cast<float>(options.cameras);
     const float sine = kLowestSine + (kHighestSine - kLowestSine) * t;
@@ -56,6 +57,7 @@ std::vector<Camera> dome_cameras(const DomeOptions& options, const glm::vec3& ce
 std::vector<Camera> ring_cameras(const RingOptions& options) {
   const auto size = static_cast<std::uint32_t>(options.size);
   std::vector<Camera> cameras;
+  cameras.reserve(static_cast<std::size_t>(options.cameras));
   for (int i = 0; i < options.cameras; ++i) {
     const float angle =
         options.phase_radians + glm::two_pi<float>() * static_cast<float>(i) / static_cast<float>(options.cameras);
@@ -71,6 +73,7 @@ std::vector<Camera> follow_cameras(const FollowOptions& options, const Camera& v
   const auto size = static_cast<std::uint32_t>(options.size);
   const Camera pinhole = look_at({0, 0, 0}, {0, 0, 1}, size, size, options.fov_radians);
   std::vector<Camera> cameras;
+  cameras.reserve(static_cast<std::size_t>(options.cameras));
   for (int i = 0; i < options.cameras; ++i) {
     const int place_ring = (i + 2) / 3;  // 0 | 1 1 1 | 2 2 2 | ...
     const auto ring = static_cast<float>(place_ring);

@@ -106,6 +106,7 @@ SampledRound sample_views(Views views, const ObjectTransforms& round_objects, co
       options.cameras_per_surface > 0 ? options.cameras_per_surface : cameras_within_budget(ranks, options.budget);
 
   std::vector<ObjectTransforms> to_round;
+  to_round.reserve(views.size());
   for (const InputView* view : views) to_round.push_back(round_from_view(view->objects, round_objects));
   for (const ViewSurface& surface : surfaces) {
     round.dropped.push_back(surface.dropped);
@@ -140,6 +141,7 @@ SampledRound sample_views(Views views, const ObjectTransforms& round_objects, co
     fallback_m[k] = std::sqrt(survivors.area_m2[kept[k]]) * thinning;
   });
   samples.spacing_m = estimate_spacing(samples.position, samples.normal, fallback_m);
+  round.depth_m.reserve(surfaces.size());
   for (ViewSurface& surface : surfaces) round.depth_m.push_back(std::move(surface.depth_m));
   return round;
 }

@@ -66,6 +66,7 @@ void BatchLedger::restart() {
 
 std::vector<const InsertBatch*> BatchLedger::pending_batches() const {
   std::vector<const InsertBatch*> batches;
+  batches.reserve(pending_.size());
   for (const Entry& entry : pending_) batches.push_back(&entry.batch);
   return batches;
 }

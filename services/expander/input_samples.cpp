@@ -78,6 +78,7 @@ std::optional<InputSamples> decode_input(const bus::Message& message) {
   samples.capture_ns = input.header()->capture_ns();
   samples.objects = from_wire(input.objects());
   samples.light = from_wire(*input.light());
+  samples.cameras.reserve(input.cameras()->size());
   for (const wire::Camera* camera : *input.cameras()) samples.cameras.push_back(from_wire(*camera));
   samples.height = depth->dim(1);
   samples.width = depth->dim(2);
