@@ -146,8 +146,8 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
   if (processed == 0) return;
   TileState<kPlanes> tile{};
   LoadTile(frame, tile_index, gradient, tile);
-  const auto corner_x = static_cast<float>(tile_index % frame.tiles_x * kTileSide);
-  const auto corner_y = static_cast<float>(tile_index / frame.tiles_x * kTileSide);
+  const std::uint32_t row = tile_index / frame.tiles_x, column = tile_index % frame.tiles_x;
+  const auto corner_x = static_cast<float>(column * kTileSide), corner_y = static_cast<float>(row * kTileSide);
   const TileEntry* entries = frame.entries.data() + frame.tile_begin[tile_index];
 
   for (std::uint32_t k = processed; k-- > 0;) {

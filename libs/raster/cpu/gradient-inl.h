@@ -152,7 +152,7 @@ HWY_INLINE ShapeGradient ShapeBackward(const Frame& frame, const ObjectFrame& ob
 
   // T = J W; J has fx/z, -fx tan_x/z, fy/z, -fy tan_y/z.
   const auto& m = object.camera_from_object;
-  const auto with_row = [&](const Vec3& g, int row) {
+  const auto with_row = [&](const Vec3& g, std::size_t row) {
     return MulAddScalar(g.x, m[3 * row], MulAddScalar(g.y, m[3 * row + 1], MulScalar(g.z, m[3 * row + 2])));
   };
   const V jx = with_row(gt0, 0), jxz = with_row(gt0, 2), jy = with_row(gt1, 1), jyz = with_row(gt1, 2);
@@ -166,7 +166,7 @@ HWY_INLINE ShapeGradient ShapeBackward(const Frame& frame, const ObjectFrame& ob
   g_inverse_z = hn::MulAdd(g_tan_x, p.camera.x, hn::MulAdd(g_tan_y, p.camera.y, g_inverse_z));
   const Vec3 g_camera{hn::Mul(g_tan_x, p.inverse_z), hn::Mul(g_tan_y, p.inverse_z),
                       hn::NegMulAdd(hn::Mul(p.inverse_z, p.inverse_z), g_inverse_z, sums.depth)};
-  const auto to_object = [&](int column) {
+  const auto to_object = [&](std::size_t column) {
     return MulAddScalar(g_camera.x, m[column],
                         MulAddScalar(g_camera.y, m[3 + column], MulScalar(g_camera.z, m[6 + column])));
   };

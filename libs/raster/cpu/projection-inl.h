@@ -41,7 +41,7 @@ HWY_INLINE Vec3 Add3(const Vec3& a, const Vec3& b) {
 /// The mean in the camera's frame.
 HWY_INLINE Vec3 CameraPoint(const ObjectFrame& object, const Vec3& mean) {
   const auto& w = object.camera_from_object;
-  const auto row = [&](int r) {
+  const auto row = [&](std::size_t r) {
     return MulAddScalar(
         mean.x, w[3 * r],
         MulAddScalar(mean.y, w[3 * r + 1], MulAddScalar(mean.z, w[3 * r + 2], Splat1(object.translation[r]))));
@@ -87,7 +87,7 @@ HWY_INLINE Projection Project(const Frame& frame, const ObjectFrame& object, con
   const auto& w = object.camera_from_object;
   const V jx = MulScalar(p.inverse_z, camera.fx), jy = MulScalar(p.inverse_z, camera.fy);
   const V jxz = hn::Neg(hn::Mul(jx, p.tan_x)), jyz = hn::Neg(hn::Mul(jy, p.tan_y));
-  const auto t_entry = [&](V j, V jz, int row, int column) {
+  const auto t_entry = [&](V j, V jz, std::size_t row, std::size_t column) {
     return MulAddScalar(j, w[3 * row + column], MulScalar(jz, w[6 + column]));
   };
   p.t0 = {t_entry(jx, jxz, 0, 0), t_entry(jx, jxz, 0, 1), t_entry(jx, jxz, 0, 2)};

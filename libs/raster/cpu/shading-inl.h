@@ -131,9 +131,10 @@ HWY_INLINE TransferLight LightTransfer(const ObjectFrame& object, const Columns&
   out.diffuse = {MulScalar(cosine, object.sun_over_pi[0]), MulScalar(cosine, object.sun_over_pi[1]),
                  MulScalar(cosine, object.sun_over_pi[2])};
   ShBasis(n, 2, [&](int k, V basis) {
-    out.diffuse.x = MulAddScalar(basis, object.ambient_lobe[3 * k], out.diffuse.x);
-    out.diffuse.y = MulAddScalar(basis, object.ambient_lobe[3 * k + 1], out.diffuse.y);
-    out.diffuse.z = MulAddScalar(basis, object.ambient_lobe[3 * k + 2], out.diffuse.z);
+    const auto entry = 3 * static_cast<std::size_t>(k);
+    out.diffuse.x = MulAddScalar(basis, object.ambient_lobe[entry], out.diffuse.x);
+    out.diffuse.y = MulAddScalar(basis, object.ambient_lobe[entry + 1], out.diffuse.y);
+    out.diffuse.z = MulAddScalar(basis, object.ambient_lobe[entry + 2], out.diffuse.z);
   });
   return out;
 }

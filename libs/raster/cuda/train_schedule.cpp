@@ -152,34 +152,36 @@ std::vector<TrainStep::StageTime> TrainStep::time_stages(std::size_t index, int 
   const WorkspaceView w = impl_->workspace_for(group);
   Impl& impl = *impl_;
   const std::array<std::pair<const char*, std::function<void()>>, 7> stages = {{
-      {"project+emit", [&] { launch_project(impl.gaussians, w, impl.project_options(true), impl.stream); }},
+      {"project_and_list", [&] { launch_project(impl.gaussians, w, impl.project_options(true), impl.stream); }},
       {"sort", [&] { launch_sort(w, impl.stream); }},
       {"project", [&] { launch_project(impl.gaussians, w, impl.project_options(false), impl.stream); }},
-      {"blend forward", [&] { launch_blend_forward(impl.gaussians, w, impl.stream); }},
+      {"blend_forward", [&] { launch_blend_forward(impl.gaussians, w, impl.stream); }},
       {"loss", [&] { impl.losses(group, w); }},
-      {"blend backward", [&] { launch_blend_backward(impl.gaussians, w, impl.stream); }},
+      {"blend_backward", [&] { launch_blend_backward(impl.gaussians, w, impl.stream); }},
       {"update", [&] { impl.update(w); }},
   }};
-  std::vector<StageTime> times;
-  cudaEvent_t begin = nullptr, end = nullptr;
-  check(cudaEventCreate(&begin), "making an event");
-  check(cudaEventCreate(&end), "making an event");
-  for (const auto& [name, run] : stages) {
-    std::vector<float> samples;
-    for (int k = 0; k < repeats; ++k) {
-      check(cudaEventRecord(begin, impl.stream), "timing");
-      run();
-      check(cudaEventRecord(end, impl.stream), "timing");
-      check(cudaEventSynchronize(end), "timing");
-      float milliseconds = 0.0F;
-      check(cudaEventElapsedTime(&milliseconds, begin, end), "timing");
-      samples.push_back(milliseconds);
+  std::array<cudaEvent_t, stages.size() + 1> marks{};
+  for (cudaEvent_t& mark : marks) check(cudaEventCreate(&mark), "making an event");
+  std::array<std::vector<float>, stages.size()> samples;
+  for (int k = 0; k < repeats; ++k) {
+    check(cudaEventRecord(marks[0], impl.stream), "timing");
+    for (std::size_t s = 0; s < stages.size(); ++s) {
+      stages[s].second();
+      check(cudaEventRecord(marks[s + 1], impl.stream), "timing");
     }
-    std::nth_element(samples.begin(), samples.begin() + repeats / 2, samples.end());
-    times.push_back({name, samples[static_cast<std::size_t>(repeats) / 2]});
+    check(cudaEventSynchronize(marks.back()), "timing");
+    for (std::size_t s = 0; s < stages.size(); ++s) {
+      float milliseconds = 0.0F;
+      check(cudaEventElapsedTime(&milliseconds, marks[s], marks[s + 1]), "timing");
+      samples[s].push_back(milliseconds);
+    }
   }
-  cudaEventDestroy(begin);
-  cudaEventDestroy(end);
+  for (cudaEvent_t& mark : marks) cudaEventDestroy(mark);
+  std::vector<StageTime> times;
+  for (std::size_t s = 0; s < stages.size(); ++s) {
+    std::nth_element(samples[s].begin(), samples[s].begin() + repeats / 2, samples[s].end());
+    times.push_back({stages[s].first, samples[s][static_cast<std::size_t>(repeats) / 2]});
+  }
   return times;
 }
 

@@ -62,7 +62,8 @@ class TrainStep {
   [[nodiscard]] cudaStream_t stream() const;
   [[nodiscard]] std::size_t bytes() const;  ///< device memory that it owns
 
-  /// The stages of a step, timed one by one with events (median of `repeats`), for benchmarks.
+  /// The stages of whole steps that are trained to this end, each between two events (median of `repeats`), for
+  /// benchmarks. A step that reuses its lists has "project" instead of "project_and_list" and "sort".
   struct StageTime {
     const char* name;
     float milliseconds;
