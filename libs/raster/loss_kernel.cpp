@@ -26,8 +26,8 @@ constexpr float kWindow[kTaps] = {0.00102838008447911F, 0.00759875813523919F, 0.
 class PaddedRow {
  public:
   explicit PaddedRow(std::uint32_t width) : values_(width + 2 * kPad, 0.0F) {}
-  float* data() { return values_.data() + kPad; }
-  const float* data() const { return values_.data() + kPad; }
+  [[nodiscard]] float* data() { return values_.data() + kPad; }
+  [[nodiscard]] const float* data() const { return values_.data() + kPad; }
 
  private:
   static constexpr std::size_t kPad = 32;
