@@ -55,31 +55,37 @@ __device__ inline float reciprocal(float x) {
   return y;
 }
 
-/// A lane's share of the left factors: row lane / 4, and the pixels 8 k + 2 (lane % 4) and the next, k = 0 to 3.
+/// The left factors, in shared memory of a warp. A lane's share is row lane / 4, and the pixels 8 k + 2 (lane % 4) and
+/// the next, k = 0 to 3; [k / 2][lane] holds those of k and of k + 1.
 struct Factors {
-  std::uint32_t moments[kPatchHeight][2];   // row of 1, x, y, x^2, x y, y^2, pixels from the patch's centre
-  std::uint32_t gradient[kPatchHeight][2];  // row of dL/d(red, green, blue, albedo)
+  uint4 moments[kPatchHeight / 2][kLanes];   // row of 1, x, y, x^2, x y, y^2, pixels from the patch's centre
+  uint4 gradient[kPatchHeight / 2][kLanes];  // row of dL/d(red, green, blue, albedo)
 
   template <int kPlanes>
   __device__ void set(const float (&g)[kPlanes]) {
     const int lane = threadIdx.x & (kLanes - 1), row = lane >> 2, quad = lane & 3;
-    for (int k = 0; k < kPatchHeight; ++k) {
-      for (int e = 0; e < 2; ++e) {
-        const int column = 2 * quad + e;
-        const float x = column - 0.5F * (kPatchWidth - 1), y = k - 0.5F * (kPatchHeight - 1);
-        const float rows[8] = {1.0F, x, y, x * x, x * y, y * y, 0.0F, 0.0F};
-        float moment = 0.0F, gradient_here = 0.0F;
 #pragma unroll
-        for (int r = 0; r < 8; ++r) moment = row == r ? rows[r] : moment;
-        const __nv_bfloat162 twice = __float2bfloat162_rn(moment);
-        memcpy(&moments[k][e], &twice, sizeof(twice));
+    for (int half = 0; half < kPatchHeight / 2; ++half) {
+      std::uint32_t moment[4], of_gradient[4];
+#pragma unroll
+      for (int part = 0; part < 4; ++part) {
+        const int column = 2 * quad + part % 2, line = 2 * half + part / 2;
+        const float x = column - 0.5F * (kPatchWidth - 1), y = line - 0.5F * (kPatchHeight - 1);
+        const float rows[8] = {1.0F, x, y, x * x, x * y, y * y, 0.0F, 0.0F};
+        float value = 0.0F, gradient_here = 0.0F;
+#pragma unroll
+        for (int r = 0; r < 8; ++r) value = row == r ? rows[r] : value;
+        const __nv_bfloat162 twice = __float2bfloat162_rn(value);
+        memcpy(&moment[part], &twice, sizeof(twice));
 #pragma unroll
         for (int plane = 0; plane < kPlanes; ++plane) {
-          const float of_pixel = __shfl_sync(kAllLanes, g[plane], kPatchWidth * k + column);
+          const float of_pixel = __shfl_sync(kAllLanes, g[plane], kPatchWidth * line + column);
           gradient_here = row == plane ? of_pixel : gradient_here;
         }
-        gradient[k][e] = tf32(gradient_here);
+        of_gradient[part] = tf32(gradient_here);
       }
+      moments[half][lane] = make_uint4(moment[0], moment[1], moment[2], moment[3]);
+      gradient[half][lane] = make_uint4(of_gradient[0], of_gradient[1], of_gradient[2], of_gradient[3]);
     }
   }
 };
@@ -98,10 +104,13 @@ __device__ void flush(Columns& columns, int count, const Owner& c, const Factors
   float d[4] = {};
   const auto* row = reinterpret_cast<const float4*>(columns.values[column]);
 #pragma unroll
-  for (int k = 0; k < kPatchHeight; ++k) {
-    const float4 v = row[(4 * k + quad) ^ ((column & 1) << 2)];
-    multiply_bfloat16(d, factors.moments[k][0], factors.moments[k][1], __float_as_uint(v.x), __float_as_uint(v.z));
-    multiply_tf32(d, factors.gradient[k][0], factors.gradient[k][1], __float_as_uint(v.y), __float_as_uint(v.w));
+  for (int half = 0; half < kPatchHeight / 2; ++half) {
+    const uint4 m = factors.moments[half][lane], g = factors.gradient[half][lane];
+    const float4 v = row[(8 * half + quad) ^ ((column & 1) << 2)], u = row[(8 * half + 4 + quad) ^ ((column & 1) << 2)];
+    multiply_bfloat16(d, m.x, m.y, __float_as_uint(v.x), __float_as_uint(v.z));
+    multiply_tf32(d, g.x, g.y, __float_as_uint(v.y), __float_as_uint(v.w));
+    multiply_bfloat16(d, m.z, m.w, __float_as_uint(u.x), __float_as_uint(u.z));
+    multiply_tf32(d, g.z, g.w, __float_as_uint(u.y), __float_as_uint(u.w));
   }
   __syncwarp();
   // d[0], d[1]: row lane / 4 of columns 2 quad and the next; d[2], d[3]: eight rows further down.
@@ -141,6 +150,7 @@ template <bool kAlbedo>
 __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
   __shared__ Staged<kAlbedo> all_staged[kBlendWarps];
   __shared__ Columns all_columns[kBlendWarps];
+  __shared__ Factors all_factors[kBlendWarps];
   Staged<kAlbedo>& staged = all_staged[threadIdx.x / kLanes];
   Columns& columns = all_columns[threadIdx.x / kLanes];
   const Pixel pixel = locate(w);
@@ -159,7 +169,7 @@ __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(Device
       }
     }
   }
-  Factors factors;
+  Factors& factors = all_factors[threadIdx.x / kLanes];
   factors.set(g);
   const float center_x = pixel.x0 + 0.5F * kPatchWidth, center_y = pixel.y0 + 0.5F * kPatchHeight;
   float transmittance = pixel.inside ? 1.0F : 0.0F;

@@ -213,7 +213,7 @@ __device__ void clear_records(const Item& item) {
 }
 
 template <class Sink, int kCoefficients>
-__global__ void __launch_bounds__(kThreads, 5)
+__global__ void __launch_bounds__(kThreads, 4)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= w.count) return;

@@ -115,6 +115,49 @@ TEST_F(CudaTest, GroupsMayMoveDifferentObjects) {
   }
 }
 
+TEST_F(CudaTest, ReusedListsTrainAlike) {
+  const Case c{"", {Appearance::Radiance, 1}, 4000, 96, 80, true, true, -2.5F};
+  const GaussiansBuffer model = random_model(c, 41);
+  const SceneState scene = random_scene(true);
+  std::mt19937 random(7);
+  std::vector<std::uint8_t> target(std::size_t{4} * c.width * c.height);
+  for (auto& value : target) value = static_cast<std::uint8_t>(random() % 256);
+  cuda::DeviceBuffer<std::uint8_t> picture;
+  picture.upload(target.data(), target.size(), nullptr);
+  std::vector<cuda::TrainView> views;
+  for (int k = 0; k < 3; ++k) {
+    const float angle = 2.0F * static_cast<float>(k);
+    const Camera camera = look_at({5 * std::cos(angle), 1.5F, 5 * std::sin(angle)}, {0, 0, 0}, c.width, c.height, 1.0F);
+    views.push_back({{camera, &scene}, picture.data(), nullptr});
+  }
+  const auto train = [&](const cuda::TrainStepOptions& options) {
+    cuda::DeviceModel device;
+    device.upload(model.view(), nullptr);
+    cudaDeviceSynchronize();
+    cuda::TrainStep trainer(options);
+    trainer.set_model(device.view(), model.object_id.data());
+    trainer.set_learning_rates(std::vector<float>(static_cast<std::size_t>(c.layout.channels()), 1e-3F));
+    const std::size_t group = trainer.add_group(views);
+    for (int k = 0; k < 24; ++k) trainer.step(group);
+    std::vector<float> trained(static_cast<std::size_t>(c.layout.channels()) * model.count());
+    device.download_parameters(trained.data(), trainer.stream());
+    cudaStreamSynchronize(trainer.stream());
+    return trained;
+  };
+  cuda::TrainStepOptions reuse;
+  reuse.rebuild_interval = 8;
+  reuse.use_depth_limit = true;
+  reuse.project.pair_margin_px = 0.5F;
+  const std::vector<float> expected = train({}), actual = train(reuse);
+  double difference = 0, norm = 0;
+  for (std::size_t k = 0; k < expected.size(); ++k) {
+    difference += std::pow(actual[k] - expected[k], 2);
+    norm += std::pow(expected[k], 2);
+  }
+  EXPECT_GT(norm, 0);
+  EXPECT_LT(std::sqrt(difference / norm), 1e-3);
+}
+
 TEST_F(CudaTest, HiddenGaussiansRest) {
   constexpr std::size_t kWalls = 3, kCount = 5;  // walls, one behind them, one beside the picture
   GaussiansBuffer model({Appearance::Radiance, 0}, kCount);

@@ -1,0 +1,116 @@
+#include <sys/resource.h>
+
+#include <chrono>
+#include <map>
+
+#include "bench_scene.h"
+#include "raster/adam.h"
+#include "raster/loss.h"
+
+namespace splatbus::bench {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+class Stages {
+ public:
+  template <class Body>
+  void time(const std::string& name, const Body& body) {
+    const auto begin = Clock::now();
+    body();
+    add(name, std::chrono::duration<double, std::milli>(Clock::now() - begin).count());
+  }
+  void add(const std::string& name, double milliseconds) { step_[name] += milliseconds; }
+  void end_step(bool counted) {
+    for (const auto& [name, milliseconds] : step_) {
+      if (counted) all_[name].push_back(milliseconds);
+    }
+    step_.clear();
+  }
+  [[nodiscard]] nlohmann::json medians() const {
+    nlohmann::json out;
+    for (const auto& [name, values] : all_) out[name] = median(values);
+    return out;
+  }
+
+ private:
+  std::map<std::string, double> step_;
+  std::map<std::string, std::vector<double>> all_;
+};
+
+}  // namespace
+
+nlohmann::json run_cpu(const Arguments& arguments) {
+  Workload workload(arguments);
+  GaussiansBuffer& model = workload.model;
+  const std::vector<Camera>& cameras = workload.cameras;
+  const SceneState& scene = workload.scene;
+  const auto rasterizer = raster::make_cpu_rasterizer(arguments.threads);
+  const bool transfer = workload.transfer();
+
+  raster::Render render;
+  std::vector<std::vector<std::uint8_t>> targets;
+  double mean_image = 0;
+  for (const Camera& camera : cameras) {
+    rasterizer->render(model.view(), camera, scene, {}, render);
+    if (targets.empty()) mean_image = mean_of(render.color);
+    targets.push_back(to_target(render.color, transfer));
+  }
+  if (arguments.mode == "train") workload.disturb();
+
+  raster::ParameterGradient gradient;
+  gradient.active_channels = arguments.active_channels;
+  raster::RenderGradient render_gradient;
+  raster::Adam adam;
+  adam.resize(model.layout(), model.count(), model.stride());
+  const std::vector<float> rates = learning_rates(model.layout());
+  const raster::LossOptions loss_options{0.2F, transfer};
+
+  const bool fused = arguments.batch == 1 && !arguments.separate_adam;
+
+  Stages stages;
+  std::vector<double> milliseconds;
+  double loss = 0;
+  std::size_t view = 0;
+  const int iterations = arguments.iterations > 0 ? arguments.iterations : 60;
+  for (int step = arguments.warmup >= 0 ? -arguments.warmup : -10; step < iterations; ++step) {
+    const auto begin = Clock::now();
+    if (arguments.mode == "train") {
+      stages.time("clear", [&] { fused ? gradient.clear_statistics(model.view()) : gradient.clear(model.view()); });
+    }
+    for (int b = 0; b < arguments.batch; ++b, view = (view + 1) % cameras.size()) {
+      if (arguments.mode == "train") {
+        rasterizer->forward(model.view(), cameras[view], scene, {}, render);
+        stages.time("loss", [&] {
+          loss = image_loss(render.color, targets[view].data(), loss_options, render_gradient.color);
+        });
+        if (fused) {
+          rasterizer->backward_step(render_gradient, rates, adam, model.parameters.data(), gradient);
+        } else {
+          rasterizer->backward(render_gradient, gradient);
+        }
+      } else {
+        rasterizer->render(model.view(), cameras[view], scene, {}, render);
+      }
+      for (const raster::StageTime& stage : rasterizer->stage_times()) stages.add(stage.name, stage.milliseconds);
+    }
+    if (arguments.mode == "train" && !fused) {
+      stages.time("adam",
+                  [&] { adam.step(model.parameters.data(), model.flags.data(), gradient, rates, arguments.threads); });
+    }
+    const double elapsed = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
+    stages.end_step(step >= 0);
+    if (step >= 0) milliseconds.push_back(elapsed);
+  }
+
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  nlohmann::json out = report(arguments, workload, milliseconds);
+  out["peak_mib"] = static_cast<double>(usage.ru_maxrss) / 1024;
+  out["stages"] = stages.medians();
+  out["mean_image"] = mean_image;
+  out["loss"] = loss;
+  return out;
+}
+
+}  // namespace splatbus::bench

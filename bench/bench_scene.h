@@ -1,0 +1,45 @@
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "gaussians/model.h"
+#include "raster/rasterizer.h"
+
+namespace splatbus::bench {
+
+struct Arguments {
+  std::string scene, cameras, json, backend = "cpu", mode = "train", appearance = "radiance";
+  int sh = 3, batch = 1, threads = 0, active_channels = 0;
+  int iterations = 0, warmup = -1;  ///< 0 and -1: what the backend takes by default
+  bool separate_adam = false;
+  int rebuild_interval = 1;  ///< CUDA: steps of a group of views that share one set of tile lists
+};
+
+/// The model in the layout asked for, and what looks at it.
+struct Workload {
+  GaussiansBuffer model;
+  std::vector<Camera> cameras;
+  SceneState scene;
+
+  /// Throws std::runtime_error, naming the file.
+  explicit Workload(const Arguments& arguments);
+  [[nodiscard]] bool transfer() const { return model.layout().appearance == Appearance::Transfer; }
+  /// Training starts from disturbed means and colours; the targets are the model's own pictures.
+  void disturb();
+};
+
+/// A picture as u8 RGBA in display space.
+[[nodiscard]] std::vector<std::uint8_t> to_target(const raster::Image& image, bool linear);
+[[nodiscard]] double mean_of(const raster::Image& image);
+[[nodiscard]] std::vector<float> learning_rates(const ParameterLayout& layout);
+[[nodiscard]] double median(std::vector<double> values);
+/// What every backend reports alike.
+[[nodiscard]] nlohmann::json report(const Arguments& arguments, const Workload& workload,
+                                    const std::vector<double>& milliseconds);
+
+[[nodiscard]] nlohmann::json run_cpu(const Arguments& arguments);
+[[nodiscard]] nlohmann::json run_cuda(const Arguments& arguments);
+
+}  // namespace splatbus::bench
