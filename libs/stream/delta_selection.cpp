@@ -30,15 +30,15 @@ Schedules default_schedules() {
     s[static_cast<std::size_t>(attribute)] = schedule;
   };
   // A step of a mean is a 32nd of a typical sigma, of a scale 1.6 %, of a rotation 0.45 degrees, of colours 1/255, of a
-  // residual 1/128.
-  set(Attribute::Mean, {.dead_zone = 3, .every = 1, .weight = 2});
-  set(Attribute::LogScale, {.dead_zone = 3, .every = 1, .weight = 2});
-  set(Attribute::Rotation, {.dead_zone = 5, .every = 2, .weight = 1});
-  set(Attribute::Opacity, {.dead_zone = 4, .every = 1, .weight = 1});
-  set(Attribute::Albedo, {.dead_zone = 2, .every = 1, .weight = 2});
-  set(Attribute::Residual, {.dead_zone = 2, .every = 2, .weight = 1});
-  set(Attribute::ShDc, {.dead_zone = 2, .every = 1, .weight = 2});
-  set(Attribute::ShRest, {.dead_zone = 3, .every = 3, .weight = 0.5F});
+  // residual 1/128. Residuals add up over their coefficients: resting a step off, they cost 8 dB (docs/decisions/0051).
+  set(Attribute::Mean, {.dead_zone = 2, .every = 1, .weight = 2});
+  set(Attribute::LogScale, {.dead_zone = 2, .every = 1, .weight = 2});
+  set(Attribute::Rotation, {.dead_zone = 3, .every = 2, .weight = 1});
+  set(Attribute::Opacity, {.dead_zone = 2, .every = 1, .weight = 1});
+  set(Attribute::Albedo, {.dead_zone = 1, .every = 1, .weight = 2});
+  set(Attribute::Residual, {.dead_zone = 0, .every = 2, .weight = 1});
+  set(Attribute::ShDc, {.dead_zone = 1, .every = 1, .weight = 2});
+  set(Attribute::ShRest, {.dead_zone = 1, .every = 3, .weight = 0.5F});
   return s;
 }
 

@@ -28,9 +28,9 @@ bool same(const ObjectTransforms& a, const ObjectTransforms& b) {
 
 }  // namespace
 
-StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, StreamOptions options)
+StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options)
     : writer_(std::move(writer)),
-      options_(std::move(options)),
+      options_(options),
       selection_(StreamLayout{}, options_.schedules, options_.calm_ticks) {
   assert(options_.chunk_gaussians > 0 && options_.chunk_gaussians <= kMaxChunkGaussians);
   held_.epoch = stream_epoch;

@@ -31,7 +31,7 @@ struct EncodedSnapshot {
 /// model. The mirror changes only by the very bytes that are sent. Not thread-safe.
 class StreamModel {
  public:
-  StreamModel(PacketWriter writer, std::uint64_t stream_epoch, StreamOptions options = {});
+  StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options = {});
 
   /// Quantises what is published now into memory of its own; `still_valid` says afterwards whether what was read was
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()

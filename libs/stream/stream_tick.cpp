@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::size_t kSmallestChunk = 256;      // below that Draco's tables cost more than the Gaussians
 constexpr double kAppendShare = 0.8;             // of the budget, while deltas wait
-constexpr std::int32_t kVisibilityDeadZone = 6;  // of 255
+constexpr std::int32_t kVisibilityDeadZone = 3;  // of 255
 
 template <class Body>
 auto packet_with_slots(std::size_t first, std::size_t count, std::uint32_t raw_bytes, Body&& create) {

@@ -53,6 +53,9 @@ TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
   ToyServer server(3);
   Replica replica;
   send(server.stream.snapshot(), replica);
+  Schedules schedules = default_schedules();
+  schedules[static_cast<std::size_t>(Attribute::Albedo)].dead_zone = 2;
+  server.stream.set_schedules(schedules);
   // Two steps of albedo: inside the dead zone.
   for (std::size_t i = 0; i < server.model().count(); ++i) {
     float& red =
@@ -65,6 +68,7 @@ TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
     first += count(packets, wire::Body::TensorDelta);
     send(packets, replica);
   }
+  EXPECT_EQ(first, 0U) << "sent before it had rested";
   for (int tick = 0; tick < 4; ++tick) send(server.tick(), replica);
   for (int tick = 0; tick < 20; ++tick) later += server.tick().size();
   EXPECT_EQ(later, 0U);
