@@ -73,7 +73,8 @@ void Relight::run() {
     for (const auto& message : subscriber.receive_newest(kReceiveTimeout)) {
       bus::guarded(message, [&] { handle(message); });
     }
-    if (model_) bus::guarded(*model_, [&] { update(); });
+    // A model that makes no sense is reported once.
+    if (model_ && !bus::guarded(*model_, [&] { update(); })) model_.reset();
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("published", static_cast<double>(published_));
     service_.detail(!map_     ? "waits for scene/light_depth"
@@ -124,7 +125,7 @@ void Relight::update() {
   const auto& published = model_->root<wire::ModelPublished>("ModelPublished/1");
   const std::uint64_t version = service_.parameters.version();
   if (!scene_changed_ && published.generation() == computed_generation_ && version == parameters_version_) return;
-  if (published.count() == 0 || published.appearance() != wire::Appearance::Transfer) return;
+  if (published.count() == 0) return;
   const auto model = PublishedModel::open(*model_);
   if (!model) {
     model_.reset();  // its structure has moved on: the next message is on its way

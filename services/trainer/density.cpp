@@ -53,9 +53,9 @@ void Densifier::observe(const raster::ParameterGradient& gradient) {
   }
 }
 
-void Densifier::append(std::size_t count) {
-  sum_.resize(sum_.size() + count, 0.0F);
-  views_.resize(views_.size() + count, 0U);
+void Densifier::resize(std::size_t count) {
+  sum_.resize(count, 0.0F);
+  views_.resize(count, 0U);
 }
 
 void Densifier::permute(const std::vector<std::uint32_t>& keep) {
@@ -99,7 +99,6 @@ ModelStore::Columns Densifier::densify(ModelStore& store, const DensifyOptions& 
     scatter(store.planes(), chosen[k]);
     scatter(store.planes(), added.first + k);
   }
-  append(added.count);
   std::fill(sum_.begin(), sum_.end(), 0.0F);
   std::fill(views_.begin(), views_.end(), 0U);
   return added;

@@ -28,7 +28,7 @@ class Densifier {
 
   /// Collects the gradients of the projected means.
   void observe(const raster::ParameterGradient& gradient);
-  void append(std::size_t count);
+  void resize(std::size_t count);
   void permute(const std::vector<std::uint32_t>& keep);
 
   /// Clones small and splits large Gaussians whose mean gradient is above the threshold, inside ModelStore::change(). A

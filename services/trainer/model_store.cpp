@@ -1,5 +1,7 @@
 #include "trainer/model_store.h"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
 #include <glm/glm.hpp>
 #include <numbers>
@@ -89,6 +91,10 @@ ModelStore::Columns ModelStore::append(const InsertBatch& batch) {
   if (holds(batch.epoch, batch.batch)) return {.first = count(), .count = 0};
   const std::size_t room = max_gaussians_ - std::min(max_gaussians_, count());
   const Columns columns{.first = count(), .count = std::min(batch.count, room)};
+  if (columns.count < batch.count) {
+    spdlog::warn("model: {} of {} Gaussians in batch {} are left out, the model has max_gaussians ({})",
+                 batch.count - columns.count, batch.count, batch.batch, max_gaussians_);
+  }
   reserve(columns.first + columns.count);
   write_columns(batch, columns.first, columns.count);
   structure_.next_gaussian_id += columns.count;

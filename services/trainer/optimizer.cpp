@@ -24,7 +24,6 @@ Optimizer::Optimizer(ModelStore& store, const Options& options)
   set_options(options);
   // An adopted model is taken for old: its average is settled.
   birth_.assign(store.count(), 0);
-  densifier_.append(store.count());
   follow_growth();
 }
 
@@ -37,6 +36,7 @@ void Optimizer::set_options(const Options& options) {
 void Optimizer::follow_growth() {
   adam_.resize(store_.layout(), store_.count(), store_.capacity());
   birth_.resize(store_.count(), store_.step());
+  densifier_.resize(store_.count());
   cells_.recount(store_.planes(), store_.count());
 }
 
@@ -48,10 +48,7 @@ bool Optimizer::apply(const Commands& commands) {
                                    [&](const InsertBatch& b) { return !store_.holds(b.epoch, b.batch); });
   if (!any_new && commands.cells.empty()) return false;
   store_.change([&] {
-    for (const InsertBatch& batch : commands.inserts) {
-      const auto added = store_.append(batch);
-      densifier_.append(added.count);
-    }
+    for (const InsertBatch& batch : commands.inserts) store_.append(batch);
     for (const CellsCommand& command : commands.cells) store_.set_frozen(command.cells, command.freeze);
   });
   follow_growth();
