@@ -21,10 +21,11 @@ namespace splatbus::cli {
 
 namespace {
 
-constexpr std::size_t kLongestLine = 16384;
+constexpr std::size_t kLongestLine = std::size_t{1} << 20;
 
 std::vector<char*> pointers(std::vector<std::string>& strings) {
   std::vector<char*> result;
+  result.reserve(strings.size() + 1);
   for (std::string& s : strings) result.push_back(s.data());
   result.push_back(nullptr);
   return result;
@@ -134,7 +135,7 @@ ChildProcess::~ChildProcess() {
 
 std::vector<std::string> ChildProcess::read_lines(bool rest) {
   std::array<char, 8192> chunk{};
-  while (output_.get() >= 0 && partial_.size() < 16 * kLongestLine) {
+  while (output_.get() >= 0 && partial_.size() < 4 * kLongestLine) {
     const ssize_t got = read(output_.get(), chunk.data(), chunk.size());
     if (got > 0) {
       partial_.append(chunk.data(), static_cast<std::size_t>(got));

@@ -38,13 +38,13 @@ std::vector<Camera> held_out_cameras() {
   return circle_cameras({.count = kHeldOutCameras, .size = kSize, .phase_degrees = 180.0F / kReferenceCameras});
 }
 
-LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address) {
+LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, const fs::path& viewer_pictures) {
   LaunchFile file = read_launch_file(options.launch_file);
   const std::vector<std::pair<std::string, std::string>> settings{
       {"capture-bridge.reference_cameras", std::to_string(kReferenceCameras)},
       {"capture-bridge.reference_size", std::to_string(kSize)},
       {"trainer.seed", std::to_string(options.seed)},
-      {"viewer.out", fs::absolute(options.out).string()},
+      {"viewer.out", viewer_pictures.string()},
   };
   for (const auto& [name, value] : settings) apply_override(file, fmt::format("{}={}", name, value));
   // The engine's flags are its own.
@@ -62,7 +62,8 @@ class Demo {
       : options_(options),
         signals_(signals),
         address_(options.bus.empty() ? folder_.address() : bus::Address::parse(options.bus)),
-        plan_(make_plan(options, address_)),
+        viewer_pictures_(folder_.path() / "viewer"),
+        plan_(make_plan(options, address_, viewer_pictures_)),
         context_(connect(address_)),
         watch_(context_),
         live_(context_),
@@ -200,7 +201,7 @@ class Demo {
                                 .columns = {"engine", "server", "viewer", "FLIP (viewer)"},
                                 .rows = {}};
     for (const auto& [index, probe] : probes_.pictures()) {
-      const cv::Mat viewer = metrics::read_png(options_.out / fmt::format("probe_{}_viewer.png", probe.probe_id));
+      const cv::Mat viewer = metrics::read_png(viewer_pictures_ / fmt::format("probe_{}_viewer.png", probe.probe_id));
       cv::Mat map;
       static_cast<void>(metrics::flip(viewer, probe.picture, 67.0, &map));
       const metrics::Quality& at_server = server_.at(index);
@@ -240,6 +241,7 @@ class Demo {
   const StopSignals& signals_;
   PrivateBusFolder folder_;
   bus::Address address_;
+  fs::path viewer_pictures_;
   LaunchPlan plan_;
   std::shared_ptr<bus::Context> context_;
   PipelineWatch watch_;

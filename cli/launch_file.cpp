@@ -170,10 +170,9 @@ LaunchService read_service(const Reader& reader, const YAML::Node& node) {
                     [&](const std::string& key, const YAML::Node& key_node, const YAML::Node& value) {
                       const auto handler = handlers.find(key);
                       if (handler == handlers.end()) {
-                        std::vector<std::string> known;
-                        for (const auto& [known_key, unused] : handlers) known.push_back(known_key);
-                        reader.refuse(key_node, fmt::format("unknown key '{}' {} (known: {})", key, of_service,
-                                                            fmt::join(known, ", ")));
+                        std::string known;
+                        for (const auto& [other, unused] : handlers) known += (known.empty() ? "" : ", ") + other;
+                        reader.refuse(key_node, fmt::format("unknown key '{}' {} (known: {})", key, of_service, known));
                       }
                       handler->second(value);
                     });

@@ -84,6 +84,7 @@ TEST_P(BadLaunchFile, IsRefusedWithItsPlace) {
 
 const BadCase kBadCases[] = {
     {"NotYaml", "services:\n  - name: [bus\n", "x.yaml:3:", "not YAML"},
+    {"OpenList", "services: [\n", "x.yaml:2:1:", "not YAML"},
     {"Tabs", "services:\n\t- name: bus\n", "x.yaml:2:2:", "not YAML"},
     {"Empty", "", "x.yaml:1:1:", "must be a map"},
     {"List", "- a\n", "x.yaml:1:1:", "must be a map, not a list"},

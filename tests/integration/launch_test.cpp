@@ -1,0 +1,200 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <poll.h>
+
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <string>
+
+#include "child_process.h"
+#include "pipeline.h"
+
+namespace splatbus::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+using testing::HasSubstr;
+
+constexpr int kPatienceMs = 60000;
+
+/// `splatbus launch` as a user runs it.
+class LaunchedFile {
+ public:
+  LaunchedFile(const std::string& yaml, std::vector<std::string> options = {}) {
+    path_ = folder_.path() / "test.yaml";
+    std::ofstream(path_) << yaml;
+    std::vector<std::string> arguments{"launch", path_.string(), "--json", "--bus", folder_.address().text()};
+    arguments.insert(arguments.end(), options.begin(), options.end());
+    child_.emplace(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, std::map<std::string, std::string>{});
+  }
+
+  [[nodiscard]] ChildProcess& child() { return *child_; }
+  [[nodiscard]] const fs::path& path() const { return path_; }
+  [[nodiscard]] const std::vector<std::string>& lines() const { return lines_; }
+
+  /// Until a line has all the texts, or the program ends.
+  bool wait_for(const std::vector<std::string>& texts) {
+    for (;;) {
+      for (const std::string& line : lines_) {
+        if (std::all_of(texts.begin(), texts.end(), [&](const auto& t) { return line.find(t) != std::string::npos; })) {
+          return true;
+        }
+      }
+      if (!read_more()) return false;
+    }
+  }
+
+  ExitStatus wait_for_end() {
+    while (read_more()) {
+    }
+    return child_->poll_exit().value_or(ExitStatus{.code = -1, .signal = 0});
+  }
+
+  /// Process ids of "started, process N" events.
+  [[nodiscard]] std::map<std::string, pid_t> started() const {
+    std::map<std::string, pid_t> pids;
+    for (const std::string& line : lines_) {
+      const Json json = Json::parse(line, nullptr, false);
+      const std::string event = json.is_object() ? json.value("event", "") : "";
+      const std::string prefix = "started, process ";
+      if (event.starts_with(prefix)) pids[json.at("service")] = std::stoi(event.substr(prefix.size()));
+    }
+    return pids;
+  }
+
+ private:
+  bool read_more() {
+    if (child_->output_fd() < 0) {
+      pollfd end{.fd = child_->exit_fd(), .events = POLLIN, .revents = 0};
+      poll(&end, 1, kPatienceMs);
+      return false;
+    }
+    pollfd output{.fd = child_->output_fd(), .events = POLLIN, .revents = 0};
+    if (poll(&output, 1, kPatienceMs) <= 0) return false;
+    for (std::string& line : child_->read_lines(true)) lines_.push_back(std::move(line));
+    return true;
+  }
+
+  PrivateBusFolder folder_;
+  fs::path path_;
+  std::vector<std::string> lines_;
+  std::optional<ChildProcess> child_;
+};
+
+bool is_gone(pid_t pid) {
+  std::ifstream stat("/proc/" + std::to_string(pid) + "/stat");
+  std::string number, name, state;
+  // A killed orphan stays as a zombie until init collects it.
+  return !(stat >> number >> name >> state) || state == "Z" || state == "X";
+}
+
+void expect_gone(const std::map<std::string, pid_t>& pids) {
+  for (const auto& [name, pid] : pids) {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(kPatienceMs);
+    while (!is_gone(pid) && std::chrono::steady_clock::now() < end) std::this_thread::yield();
+    EXPECT_TRUE(is_gone(pid)) << name << ", process " << pid << ", is an orphan";
+  }
+}
+
+class Interrupt : public testing::TestWithParam<int> {};
+
+TEST_P(Interrupt, LeavesNoOrphan) {
+  LaunchedFile launched(Pipeline::launch_file());
+  for (const char* service :
+       {"bus", "engine", "capture-bridge", "expander", "trainer", "relight", "streamer", "viewer"}) {
+    ASSERT_TRUE(launched.wait_for({Json(service).dump(), "started, process"})) << service;
+  }
+  ASSERT_TRUE(launched.wait_for({"\"trainer\"", "\"line\""}));
+  const auto pids = launched.started();
+  ASSERT_EQ(pids.size(), 8U);
+  kill(launched.child().pid(), GetParam());
+  const ExitStatus status = launched.wait_for_end();
+  if (GetParam() == SIGKILL) {
+    EXPECT_EQ(status.signal, SIGKILL);
+  } else {
+    EXPECT_EQ(status.text(), "exited with status 0");
+    EXPECT_FALSE(launched.wait_for({"does not stop"}));
+  }
+  expect_gone(pids);
+}
+
+INSTANTIATE_TEST_SUITE_P(Signals, Interrupt, testing::Values(SIGINT, SIGTERM, SIGKILL),
+                         [](const auto& instance) { return std::string("Signal") + std::to_string(instance.param); });
+
+TEST(Launch, StopsByItselfAfterSeconds) {
+  LaunchedFile launched("services:\n  - name: bus\n  - name: relight\n", {"--seconds", "1"});
+  EXPECT_EQ(launched.wait_for_end().text(), "exited with status 0");
+  EXPECT_EQ(launched.started().size(), 2U);
+  expect_gone(launched.started());
+}
+
+TEST(Launch, FailureForGoodIsTheExitStatus) {
+  LaunchedFile launched(
+      "services:\n  - name: bus\n    restart: never\n    args: [--tcp, nonsense]\n  - name: relight\n");
+  EXPECT_EQ(launched.wait_for_end().text(), "exited with status 1");
+  EXPECT_TRUE(launched.wait_for({"splatbus launch: bus: exited with status 1"}));
+  EXPECT_TRUE(launched.wait_for({"waits for bus, which failed"}));
+}
+
+struct BadFile {
+  const char* name;
+  const char* yaml;
+  const char* message;  ///< after the path
+};
+
+class BadLaunchFile : public testing::TestWithParam<BadFile> {};
+
+TEST_P(BadLaunchFile, IsRefusedBeforeAnythingStarts) {
+  LaunchedFile launched(GetParam().yaml);
+  EXPECT_EQ(launched.wait_for_end().text(), "exited with status 1");
+  EXPECT_THAT(launched.lines(), testing::Contains(HasSubstr(launched.path().string() + GetParam().message)));
+  EXPECT_TRUE(launched.started().empty());
+}
+
+const BadFile kBadFiles[] = {
+    {"NotYaml", "services: [\n", ":2:1: not YAML"},
+    {"UnknownKey", "services:\n  - name: bus\n    color: red\n", ":3:5: unknown key 'color' of service 'bus'"},
+    {"UnknownService", "services:\n  - name: bus\n  - name: strimer\n",
+     ":3:11: unknown service: no program 'splatbus-strimer'"},
+    {"UnknownParameter", "services:\n  - name: trainer\n    parameters:\n      batch: 2\n      bach: 2\n",
+     ":5:13: service 'trainer' refuses its parameters: splatbus-trainer: --set: there is no parameter 'bach'"},
+    {"WrongType", "services:\n  - name: trainer\n    parameters: {batch: some}\n",
+     ":3:25: service 'trainer' refuses its parameters: splatbus-trainer: --set: parameter 'batch': 'some' is not a "
+     "whole number"},
+    {"OutOfRange", "services:\n  - name: trainer\n    parameters: {ssim_weight: 7}\n",
+     ":3:31: service 'trainer' refuses"},
+    {"Cycle", "services:\n  - {name: trainer, after: [viewer]}\n  - {name: viewer, after: [trainer]}\n",
+     ":3:28: the services start after one another in a circle: trainer after viewer after trainer"},
+    {"Duplicate", "services:\n  - name: bus\n  - name: bus\n", ":3:11: service name 'bus' is taken, first at"},
+};
+
+INSTANTIATE_TEST_SUITE_P(Cases, BadLaunchFile, testing::ValuesIn(kBadFiles),
+                         [](const auto& instance) { return std::string(instance.param.name); });
+
+TEST(Launch, BadOverridesAreRefused) {
+  LaunchedFile unknown("services:\n  - name: relight\n", {"--set", "relite.bias=1"});
+  EXPECT_EQ(unknown.wait_for_end().code, 1);
+  EXPECT_THAT(unknown.lines(), testing::Contains(HasSubstr("--set relite.bias=1: ")));
+  LaunchedFile refused("services:\n  - name: trainer\n", {"--set", "trainer.batch=x"});
+  EXPECT_EQ(refused.wait_for_end().code, 1);
+  EXPECT_THAT(refused.lines(), testing::Contains(HasSubstr("--set trainer.batch=x: service 'trainer' refuses")));
+}
+
+TEST(Launch, ShippedFilesAreGood) {
+  for (const auto& entry : fs::directory_iterator(fs::path(SPLATBUS_SOURCE_DIR) / "launch")) {
+    ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", {"launch", entry.path().string(), "--check"}, {});
+    pollfd end{.fd = child.exit_fd(), .events = POLLIN, .revents = 0};
+    ASSERT_EQ(poll(&end, 1, kPatienceMs), 1) << entry.path();
+    const auto status = child.poll_exit();
+    EXPECT_TRUE(status && status->success()) << entry.path();
+    EXPECT_THAT(child.read_lines(true), testing::Contains("bus"));
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::cli
