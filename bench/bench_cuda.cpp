@@ -70,6 +70,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
 
   const double free_before = free_mib();
   raster::cuda::TrainStepOptions options;
+  options.training = train;
   options.active_channels = arguments.active_channels;
   options.rebuild_interval = arguments.rebuild_interval;
   options.use_depth_limit = arguments.rebuild_interval > 1;
@@ -77,7 +78,8 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   raster::cuda::DeviceModel model;
   model.upload(workload.model.view(), nullptr);
   std::vector<raster::cuda::DeviceBuffer<std::uint8_t>> pictures(targets.size());
-  for (std::size_t k = 0; k < targets.size(); ++k) pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
+  for (std::size_t k = 0; k < targets.size() && train; ++k)
+    pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
   check(cudaDeviceSynchronize(), "copying the workload");
   raster::cuda::TrainStep trainer(options);
   trainer.set_model(model.view(), nullptr);

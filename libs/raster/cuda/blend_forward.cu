@@ -4,7 +4,7 @@ namespace splatbus::raster::cuda {
 namespace {
 
 template <bool kAlbedo>
-__global__ void __launch_bounds__(kBlendThreads) blend_forward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
+__global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
   __shared__ Staged<kAlbedo> all_staged[kBlendWarps];
   Staged<kAlbedo>& staged = all_staged[threadIdx.x / kLanes];
   const Pixel pixel = locate(w);

@@ -20,10 +20,9 @@ __global__ void find_ranges_kernel(WorkspaceView w) {
 
 std::size_t sort_scratch_bytes(std::uint32_t pair_capacity) {
   std::size_t bytes = 0;
-  const std::uint64_t* keys = nullptr;
-  const std::uint32_t* values = nullptr;
-  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, keys, const_cast<std::uint64_t*>(keys), values,
-                                        const_cast<std::uint32_t*>(values), static_cast<int>(pair_capacity)),
+  cub::DoubleBuffer<std::uint64_t> keys;
+  cub::DoubleBuffer<std::uint32_t> entries;
+  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, keys, entries, static_cast<int>(pair_capacity)),
         "sizing the sort");
   return bytes;
 }
@@ -34,10 +33,20 @@ void launch_sort(const WorkspaceView& w, cudaStream_t stream) {
   if (w.pair_capacity == 0 || tiles == 0) return;
   const SortKey key(w);
   std::size_t bytes = w.sort_scratch_bytes;
-  check(cub::DeviceRadixSort::SortPairs(w.sort_scratch, bytes, w.pair_keys[0], w.pair_keys[1], w.pair_entries[0],
-                                        w.pair_entries[1], static_cast<int>(w.pair_capacity), 0,
+  cub::DoubleBuffer<std::uint64_t> keys(w.pair_keys[0], w.pair_keys[1]);
+  cub::DoubleBuffer<std::uint32_t> entries(w.pair_entries[0], w.pair_entries[1]);
+  check(cub::DeviceRadixSort::SortPairs(w.sort_scratch, bytes, keys, entries, static_cast<int>(w.pair_capacity), 0,
                                         key.depth_bits + key.tile_bits, stream),
         "sorting");
+  if (keys.selector == 0) {
+    // An even number of passes: small pictures only.
+    check(cudaMemcpyAsync(w.pair_keys[1], w.pair_keys[0], sizeof(std::uint64_t) * w.pair_capacity,
+                          cudaMemcpyDeviceToDevice, stream),
+          "moving sorted pairs");
+    check(cudaMemcpyAsync(w.pair_entries[1], w.pair_entries[0], sizeof(std::uint32_t) * w.pair_capacity,
+                          cudaMemcpyDeviceToDevice, stream),
+          "moving sorted pairs");
+  }
   constexpr int kThreads = 256;
   find_ranges_kernel<<<(w.pair_capacity + kThreads - 1) / kThreads, kThreads, 0, stream>>>(w);
   check(cudaGetLastError(), "finding tile ranges");

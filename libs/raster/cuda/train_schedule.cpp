@@ -17,6 +17,11 @@ bool TrainStep::Impl::albedo() const {
   return options.albedo_weight > 0.0F && gaussians.layout.appearance == Appearance::Transfer;
 }
 
+/// Lists that are used once need not be kept for each group.
+bool TrainStep::Impl::keeps_lists() const {
+  return options.rebuild_interval > 1;
+}
+
 WorkspaceView TrainStep::Impl::workspace_for(const Group& group) {
   WorkspaceRequest request{.count = gaussians.count,
                            .batch = static_cast<int>(group.views.size()),
@@ -24,7 +29,8 @@ WorkspaceView TrainStep::Impl::workspace_for(const Group& group) {
                            .height = group.height,
                            .object_count = 1,
                            .albedo = albedo(),
-                           .training = true,
+                           .training = options.training,
+                           .lists = !keeps_lists(),
                            .pair_capacity = pair_capacity};
   if (workspace.reserve(request)) drop_graphs();
   WorkspaceView w = workspace.view();
@@ -34,7 +40,7 @@ WorkspaceView TrainStep::Impl::workspace_for(const Group& group) {
   w.object_slot = group.object_slot.size() == 0 ? nullptr : group.object_slot.data();
   w.tile_range = group.tile_range.data();
   w.patch_depth_limit = group.patch_depth_limit.data();
-  w.pair_entries[1] = group.entries.data();
+  if (keeps_lists()) w.pair_entries[1] = group.entries.data();
   w.listed = group.listed.data();
   return w;
 }
@@ -102,7 +108,7 @@ void TrainStep::Impl::grow_if_needed(Group& group) {
     drop_graphs();
   }
   const std::size_t entries = std::size_t{pair_capacity} + 3;  // they are read four at a time
-  if (group.entries.size() < entries) {
+  if (keeps_lists() && group.entries.size() < entries) {
     check(cudaStreamSynchronize(stream), "waiting to grow");
     group.entries.resize(entries);
     group.rebuild_graph.reset();
@@ -148,9 +154,9 @@ void TrainStep::Impl::run(Group& group, bool train) {
 
 std::vector<TrainStep::StageTime> TrainStep::time_stages(std::size_t index, int repeats) {
   Group& group = *impl_->groups.at(index);
-  impl_->run(group, true);
-  const WorkspaceView w = impl_->workspace_for(group);
   Impl& impl = *impl_;
+  impl.run(group, impl.options.training);
+  const WorkspaceView w = impl.workspace_for(group);
   const std::array<std::pair<const char*, std::function<void()>>, 7> stages = {{
       {"project_and_list", [&] { launch_project(impl.gaussians, w, impl.project_options(true), impl.stream); }},
       {"sort", [&] { launch_sort(w, impl.stream); }},
@@ -163,14 +169,16 @@ std::vector<TrainStep::StageTime> TrainStep::time_stages(std::size_t index, int 
   std::array<cudaEvent_t, stages.size() + 1> marks{};
   for (cudaEvent_t& mark : marks) check(cudaEventCreate(&mark), "making an event");
   std::array<std::vector<float>, stages.size()> samples;
+  constexpr std::size_t kForwardStages = 4;
+  const std::size_t count = impl.options.training ? stages.size() : kForwardStages;
   for (int k = 0; k < repeats; ++k) {
     check(cudaEventRecord(marks[0], impl.stream), "timing");
-    for (std::size_t s = 0; s < stages.size(); ++s) {
+    for (std::size_t s = 0; s < count; ++s) {
       stages[s].second();
       check(cudaEventRecord(marks[s + 1], impl.stream), "timing");
     }
-    check(cudaEventSynchronize(marks.back()), "timing");
-    for (std::size_t s = 0; s < stages.size(); ++s) {
+    check(cudaEventSynchronize(marks[count]), "timing");
+    for (std::size_t s = 0; s < count; ++s) {
       float milliseconds = 0.0F;
       check(cudaEventElapsedTime(&milliseconds, marks[s], marks[s + 1]), "timing");
       samples[s].push_back(milliseconds);
@@ -178,7 +186,7 @@ std::vector<TrainStep::StageTime> TrainStep::time_stages(std::size_t index, int 
   }
   for (cudaEvent_t& mark : marks) cudaEventDestroy(mark);
   std::vector<StageTime> times;
-  for (std::size_t s = 0; s < stages.size(); ++s) {
+  for (std::size_t s = 0; s < count; ++s) {
     std::nth_element(samples[s].begin(), samples[s].begin() + repeats / 2, samples[s].end());
     times.push_back({stages[s].first, samples[s][static_cast<std::size_t>(repeats) / 2]});
   }

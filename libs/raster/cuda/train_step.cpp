@@ -33,6 +33,7 @@ void TrainStep::set_model(const DeviceGaussians& gaussians, const std::uint32_t*
   impl_->gaussians = gaussians;
   impl_->host_object_id.clear();
   if (host_object_id != nullptr) impl_->host_object_id.assign(host_object_id, host_object_id + gaussians.count);
+  if (!impl_->options.training) return;
   impl_->first.resize(elements);
   impl_->second.resize(elements);
   impl_->steps.resize(static_cast<std::size_t>(gaussians.stride));
@@ -100,6 +101,7 @@ void TrainStep::clear_groups() {
 }
 
 void TrainStep::step(std::size_t group) {
+  if (!impl_->options.training) throw std::logic_error("TrainStep: made for forward() only");
   impl_->run(*impl_->groups.at(group), true);
 }
 void TrainStep::forward(std::size_t group) {

@@ -19,6 +19,7 @@ struct TrainStepOptions {
   int rebuild_interval = 1;      ///< steps of a group that share one set of sorted tile lists
   bool use_depth_limit = false;  ///< leave hidden Gaussians out of the lists
   bool use_graph = true;
+  bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
 };
 
 /// A training view: camera, scene and pictures, u8 RGBA on the device, which must stay there as long as the group does.

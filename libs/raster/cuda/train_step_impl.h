@@ -74,6 +74,7 @@ struct TrainStep::Impl {
   const Group* last = nullptr;
 
   [[nodiscard]] bool albedo() const;
+  [[nodiscard]] bool keeps_lists() const;
   WorkspaceView workspace_for(const Group& group);
   [[nodiscard]] ProjectOptions project_options(bool rebuild) const;
   void read_pair_count(const WorkspaceView& w);

@@ -37,8 +37,9 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
     throw std::invalid_argument("CUDA rasteriser: more than 2^24 Gaussians");
   }
   const bool fits = r.count <= request_.count && r.batch <= request_.batch && r.object_count <= request_.object_count &&
-                    r.albedo == request_.albedo && r.training <= request_.training && r.width == request_.width &&
-                    r.height == request_.height && r.pair_capacity <= request_.pair_capacity && block_count_ > 0;
+                    r.albedo == request_.albedo && r.lists == request_.lists && r.training <= request_.training &&
+                    r.width == request_.width && r.height == request_.height &&
+                    r.pair_capacity <= request_.pair_capacity && block_count_ > 0;
   if (!fits) {
     release();
     request_ = r;
@@ -48,10 +49,9 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
                               ((r.height + kTileSize - 1) / kTileSize) * r.batch;
     allocate(view_.record_shape, 2 * records);
     allocate(view_.record_tail, records);
-    for (int k = 0; k < 2; ++k) {
-      allocate(view_.pair_keys[k], r.pair_capacity);
-      allocate(view_.pair_entries[k], r.pair_capacity + 3);  // read four at a time
-    }
+    for (int k = 0; k < 2; ++k) allocate(view_.pair_keys[k], r.pair_capacity);
+    allocate(view_.pair_entries[0], r.pair_capacity);
+    if (r.lists) allocate(view_.pair_entries[1], r.pair_capacity + 3);  // read four at a time
     allocate(view_.listed, r.count);
     allocate(view_.pair_count, 1);
     allocate(view_.tile_range, tiles);

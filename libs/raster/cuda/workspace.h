@@ -61,6 +61,7 @@ struct WorkspaceRequest {
   int object_count = 1;
   bool albedo = false;
   bool training = true;
+  bool lists = true;  ///< room for sorted entries; false: the caller has its own
   std::uint32_t pair_capacity = 0;
 };
 
