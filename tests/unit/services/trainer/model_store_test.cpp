@@ -24,6 +24,8 @@ class ModelStoreTest : public bus_test::BusTest {
  protected:
   ModelStoreTest() : reader_(connect("reader")), subscriber_(reader_, {"model/published"}) { restart(); }
 
+  void SetUp() override { ASSERT_TRUE(subscriber_.wait_connected(std::chrono::seconds(20))); }
+
   /// A trainer process that begins: the one before was killed.
   void restart(std::size_t capacity = 64, const ParameterLayout& layout = {}, std::size_t max_gaussians = 1000) {
     publisher_.reset();
