@@ -47,21 +47,23 @@ int list(const TopicOptions& options) {
   const StopSignals signals;
   bus::Subscriber subscriber(connect(bus_address(options.bus)), {"*"});
   TopicTable table;
+  const std::int64_t start_ns = bus::now_ns();
   for (const Deadline deadline(options.seconds); !deadline.passed() && !signals.stop().stop_requested();) {
-    if (const auto message = subscriber.receive(kPatience)) table[message->topic()].add(*message, bus::now_ns());
+    if (const auto message = subscriber.receive(kPatience)) table[message->topic()].add(*message);
   }
+  const std::int64_t window_ns = bus::now_ns() - start_ns;
   if (!options.json) print(fmt::format("{:<24} {:>8} {:>8}  {:<22} {}", "TOPIC", "MESSAGES", "HZ", "SCHEMA", "SOURCE"));
   for (const auto& [topic, seen] : table) {
     if (options.json) {
       print(Json{{"topic", topic},
                  {"messages", seen.messages},
-                 {"rate_hz", seen.rate_hz()},
+                 {"rate_hz", seen.rate_hz(window_ns)},
                  {"schemas", seen.schemas},
                  {"sources", seen.sources},
                  {"latched", seen.latched}}
                 .dump());
     } else {
-      print(fmt::format("{:<24} {:>8} {:>8.2f}  {:<22} {}{}", topic, seen.messages, seen.rate_hz(),
+      print(fmt::format("{:<24} {:>8} {:>8.2f}  {:<22} {}{}", topic, seen.messages, seen.rate_hz(window_ns),
                         fmt::join(seen.schemas, ","), fmt::join(seen.sources, ","), seen.latched ? " (latched)" : ""));
     }
   }
@@ -98,11 +100,11 @@ int meter(const TopicOptions& options, bool bandwidth) {
   TopicTable table;
   std::int64_t window_start = bus::now_ns();
   for (const Deadline deadline(options.seconds); !deadline.passed() && !signals.stop().stop_requested();) {
-    if (const auto message = subscriber.receive(kPatience)) table[message->topic()].add(*message, bus::now_ns());
+    if (const auto message = subscriber.receive(kPatience)) table[message->topic()].add(*message);
     const std::int64_t window_ns = bus::now_ns() - window_start;
     if (window_ns < kSecond) continue;
     for (const auto& [topic, seen] : table) {
-      const double rate_hz = static_cast<double>(seen.messages) * 1e9 / static_cast<double>(window_ns);
+      const double rate_hz = seen.rate_hz(window_ns);
       const double megabits = seen.megabits_per_s(window_ns);
       if (options.json) {
         print(Json{{"topic", topic}, {"rate_hz", rate_hz}, {"mbps", megabits}}.dump());

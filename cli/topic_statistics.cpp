@@ -2,18 +2,17 @@
 
 namespace splatbus::cli {
 
-void TopicStatistics::add(const bus::Message& message, std::int64_t now_ns) {
+void TopicStatistics::add(const bus::Message& message) {
   schemas.insert(message.header().schema()->str());
   sources.insert(message.header().source()->str());
   latched = latched || message.header().latch();
+  if (message.header().resent()) ++resent;
+  ++messages;
   bytes += message_bytes(message);
-  if (++messages == 1) first_ns = now_ns;
-  last_ns = now_ns;
 }
 
-double TopicStatistics::rate_hz() const {
-  if (messages < 2 || last_ns == first_ns) return 0;
-  return static_cast<double>(messages - 1) * 1e9 / static_cast<double>(last_ns - first_ns);
+double TopicStatistics::rate_hz(std::int64_t window_ns) const {
+  return window_ns > 0 ? static_cast<double>(messages - resent) * 1e9 / static_cast<double>(window_ns) : 0;
 }
 
 double TopicStatistics::megabits_per_s(std::int64_t window_ns) const {

@@ -13,14 +13,13 @@ namespace splatbus::cli {
 struct TopicStatistics {
   std::set<std::string> schemas, sources;
   std::uint64_t messages = 0;
-  std::uint64_t bytes = 0;  ///< messages and the tensors that they announce, wherever those lie
-  std::int64_t first_ns = 0, last_ns = 0;
+  std::uint64_t resent = 0;  ///< of those, last values that the broker held
+  std::uint64_t bytes = 0;   ///< messages and the tensors that they announce, wherever those lie
   bool latched = false;
 
-  void add(const bus::Message& message, std::int64_t now_ns);
-  /// Messages a second between the first and the last; 0 when fewer than two were seen.
-  [[nodiscard]] double rate_hz() const;
-  /// Over `window_ns`.
+  void add(const bus::Message& message);
+  /// New messages a second, over `window_ns` of listening.
+  [[nodiscard]] double rate_hz(std::int64_t window_ns) const;
   [[nodiscard]] double megabits_per_s(std::int64_t window_ns) const;
 };
 
