@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cassert>
 
 #include "stream/chunk_codec.h"
 #include "stream/error.h"
@@ -51,7 +52,7 @@ bool Replica::receive(const ParsedPacket& packet) {
   if (packet.sequence() == 0) return load(packet);
   if (broken_ || packet.sequence() <= base()) return false;
   last_known_ = std::max(last_known_, packet.sequence());
-  if (loading_ || packet.sequence() != base() + 1) {
+  if (loading() || packet.sequence() != base() + 1) {
     keep(packet);
     return false;
   }
@@ -88,11 +89,21 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
 }
 
 bool Replica::load(const ParsedPacket& packet) {
-  if (packet.body() != wire::Body::Snapshot) {
-    // Scene and ids of a snapshot, sent to this viewer alone.
-    if (loading_) return apply_to(loading_->shown, packet) && shown() == &loading_->shown;
-    return held_ && apply_to(*held_, packet);
+  switch (packet.body()) {
+    case wire::Body::Snapshot:
+      return load_chunk(packet);
+    case wire::Body::GaussianOrder:
+      return load_ids(packet);
+    case wire::Body::LightState:
+    case wire::Body::ObjectTransforms:
+      if (loading_) return apply_to(loading_->shown, packet) && shown() == &loading_->shown;
+      return held_ && apply_to(*held_, packet);
+    default:
+      throw StreamError(fmt::format("{}: is no part of a snapshot", wire::EnumNameBody(packet.body())));
   }
+}
+
+bool Replica::load_chunk(const ParsedPacket& packet) {
   const wire::Snapshot& body = *packet.root().body_as_Snapshot();
   if (!loading_ || body.snapshot() != loading_->snapshot || loading_->chunks.contains(body.first_slot())) return false;
   if (body.first_slot() > loading_->total || body.count() > loading_->total - body.first_slot()) {
@@ -101,35 +112,48 @@ bool Replica::load(const ParsedPacket& packet) {
   }
   Shown& part = loading_->shown;
   const std::size_t column = part.state.gaussians.count();
-  if (column + body.count() > loading_->total) throw StreamError("Snapshot: chunks overlap");
+  if (column + body.count() > loading_->total) refuse_snapshot("Snapshot: chunks overlap");
   part.state.gaussians.append(decode_chunk(packet.payload(), part.state.layout, body.count()));
   part.planes.extend(part.state.gaussians);
-  loading_->chunks.emplace(body.first_slot(), static_cast<std::uint32_t>(column));
+  loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
   const bool visible = shown() == &part;
   if (part.state.gaussians.count() < loading_->total) return visible;
   finish_loading();
-  drain();
   return true;
+}
+
+// What was broadcast since waits for the last of them: a Remove before would move the slots that they name.
+bool Replica::load_ids(const ParsedPacket& packet) {
+  if (loading_ || missing_ids_ == 0) return false;
+  const wire::GaussianOrder& body = *packet.root().body_as_GaussianOrder();
+  const std::size_t next = held_->state.gaussians.count() - missing_ids_;
+  if (body.first_slot() != next) {
+    throw StreamError(fmt::format("GaussianOrder: ids from slot {} on where {} is next", body.first_slot(), next));
+  }
+  const bool changed = apply_to(*held_, packet);
+  missing_ids_ -= body.count();
+  return drain() || changed;
+}
+
+void Replica::refuse_snapshot(const std::string& why) {
+  loading_.reset();
+  broken_ = true;
+  throw StreamError(why);
 }
 
 void Replica::finish_loading() {
   Loading& loading = *loading_;
   std::vector<std::uint32_t> order;
   order.reserve(loading.total);
-  for (auto chunk = loading.chunks.begin(); chunk != loading.chunks.end(); ++chunk) {
-    const auto after = std::next(chunk);
-    const std::size_t end = after == loading.chunks.end() ? loading.total : after->first;
-    const std::size_t first = chunk->first;
-    if (first != order.size()) {
-      loading_.reset();
-      broken_ = true;
-      throw StreamError("Snapshot: chunks overlap");
-    }
-    for (std::size_t i = first; i < end; ++i) order.push_back(static_cast<std::uint32_t>(chunk->second + (i - first)));
+  for (const auto& [first, chunk] : loading.chunks) {
+    if (first != order.size()) refuse_snapshot("Snapshot: chunks overlap");
+    for (std::size_t i = 0; i < chunk.count; ++i) order.push_back(static_cast<std::uint32_t>(chunk.column + i));
   }
+  assert(order.size() == loading.total);  // the counts add up to it
   held_ = std::make_unique<Shown>(std::move(loading.shown));
   held_->state.gaussians = held_->state.gaussians.gather(order);
   held_->planes.reorder(order);
+  missing_ids_ = loading.total;
   loading_.reset();
 }
 
@@ -170,7 +194,7 @@ bool Replica::apply_in_order(const ParsedPacket& packet) {
 
 bool Replica::drain() {
   bool changed = false;
-  while (!loading_ && !broken_ && !early_.empty() && early_.begin()->first <= base() + 1) {
+  while (!loading() && !broken_ && !early_.empty() && early_.begin()->first <= base() + 1) {
     const auto node = early_.extract(early_.begin());
     early_bytes_ -= std::min(early_bytes_, node.mapped().bytes());
     // What the snapshot already has is dropped.
@@ -216,7 +240,7 @@ std::uint32_t Replica::missing_chunks() const {
 }
 
 std::optional<MissingPackets> Replica::missing() const {
-  if (loading_ || broken_ || !held_) return std::nullopt;
+  if (loading() || broken_ || !held_) return std::nullopt;
   const std::uint64_t next = base() + 1;
   if (!early_.empty()) return MissingPackets{next, early_.begin()->first - 1};
   if (last_known_ >= next) return MissingPackets{next, last_known_};

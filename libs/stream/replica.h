@@ -4,7 +4,7 @@
 #include <map>
 #include <memory>
 #include <optional>
-#include <span>
+#include <string>
 
 #include "stream/display_planes.h"
 #include "stream/held_state.h"
@@ -21,7 +21,7 @@ struct MissingPackets {
 ///
 /// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before,
 /// else the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for
-/// those missing before them.
+/// those missing before them, and for the end of a snapshot: the ids that close it are those of its slots.
 class Replica {
  public:
   explicit Replica(std::size_t max_gaussians = std::size_t{1} << 22) : max_gaussians_(max_gaussians) {}
@@ -36,7 +36,8 @@ class Replica {
 
   /// Epoch that is followed, 0 before the first SnapshotBegin.
   [[nodiscard]] std::uint64_t epoch() const;
-  [[nodiscard]] bool loading() const { return loading_.has_value(); }
+  /// Until all of a snapshot has come, the ids included.
+  [[nodiscard]] bool loading() const { return loading_.has_value() || missing_ids_ > 0; }
   [[nodiscard]] std::uint32_t missing_chunks() const;
 
   /// What to ask a Resend for; nullopt while nothing is known to be missing.
@@ -53,17 +54,23 @@ class Replica {
     HeldState state;
     DisplayPlanes planes;
   };
+  struct Chunk {
+    std::size_t column = 0, count = 0;  ///< where it lies in `Loading::shown`
+  };
   struct Loading {
     explicit Loading(const StreamLayout& layout) : shown(layout) {}
     std::uint64_t snapshot = 0;
     std::size_t total = 0, chunk_count = 0;
-    std::map<std::uint32_t, std::uint32_t> chunks;  ///< first slot, column in `shown` where the chunk begins
-    Shown shown;                                    ///< chunks in the order of their arrival
+    std::map<std::size_t, Chunk> chunks;  ///< by first slot
+    Shown shown;                          ///< chunks in the order of their arrival
   };
 
   void begin(const wire::SnapshotBegin& body, std::uint64_t epoch);
   bool load(const ParsedPacket& packet);
+  bool load_chunk(const ParsedPacket& packet);
+  bool load_ids(const ParsedPacket& packet);
   void finish_loading();
+  [[noreturn]] void refuse_snapshot(const std::string& why);
   bool apply_in_order(const ParsedPacket& packet);
   bool apply_to(Shown& shown, const ParsedPacket& packet) const;
   bool drain();
@@ -74,6 +81,7 @@ class Replica {
   std::size_t max_gaussians_;
   std::unique_ptr<Shown> held_;
   std::optional<Loading> loading_;
+  std::size_t missing_ids_ = 0;  ///< of the snapshot whose chunks are all held
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
   std::uint64_t last_known_ = 0;

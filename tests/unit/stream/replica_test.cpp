@@ -3,10 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <map>
+#include <numeric>
 #include <random>
 #include <set>
 
 #include "stream/chunk_codec.h"
+#include "stream/delta_codec.h"
 #include "stream/error.h"
 #include "toy_server.h"
 
@@ -172,6 +174,32 @@ TEST(Snapshot, FirstChunkIsShownAtOnceAndInAnyOrderTheWholeIsExact) {
   expect_exact(server.stream, replica);
 }
 
+// The streamer keeps a snapshot for a while: the viewer may hold early packets that are newer.
+TEST(Snapshot, WhatWasBroadcastSinceWaitsForItsIds) {
+  ToyServer server(24);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  const EncodedSnapshot cached = server.stream.snapshot();
+  server.remove(60);
+  server.insert(40);
+  server.train(0.05F);
+  const auto packets = server.tick();
+  ASSERT_TRUE(std::ranges::any_of(packets, [](const auto& packet) { return packet.body == wire::Body::Remove; }));
+  const auto halfway = cached.tail.begin() + 1;
+  send(cached.head, replica);
+  send(packets, replica);  // early
+  send(cached.chunks, replica);
+  EXPECT_EQ(replica.view().count, 600U);
+  EXPECT_TRUE(replica.loading());
+  EXPECT_FALSE(replica.missing());
+  send({cached.tail.begin(), halfway}, replica);
+  EXPECT_EQ(replica.view().count, 600U);
+  send({halfway, cached.tail.end()}, replica);
+  EXPECT_FALSE(replica.loading());
+  expect_exact(server.stream, replica);
+  expect_shown(replica);
+}
+
 TEST(Snapshot, OldPictureStaysUntilTheNewOneIsWhole) {
   ToyServer first(12, 700), second(13, 900);
   Replica replica;
@@ -238,6 +266,84 @@ TEST(Hostile, SnapshotBeginOfImpossibleSizesIsRefused) {
   EXPECT_THROW(replica.receive(parse(begin(100, 1, 1, 200))), StreamError);
   EXPECT_THROW(replica.receive(parse(begin(100, 1, 1, 2))), StreamError);
   expect_exact(server.stream, replica);
+}
+
+class ForgedSnapshot : public testing::Test {
+ protected:
+  /// Twenty Gaussians are announced; each chunk is a valid one of `count`, said to begin at `first`.
+  void begin(std::uint32_t chunks) {
+    receive(writer_.write(77, 0, wire::Body::SnapshotBegin, [&](auto& b) {
+      std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
+      for (const AttributeChannels& a : layout().attributes()) {
+        const wire::Quantiser quantiser(a.quantiser.offset, a.quantiser.step);
+        attributes.push_back(
+            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
+      }
+      return wire::CreateSnapshotBegin(b, 9, 1, 20, chunks, wire::Appearance::Transfer, 0, b.CreateVector(attributes));
+    }));
+  }
+  bool chunk(std::uint32_t first, std::uint32_t count) {
+    std::vector<std::uint32_t> columns(count);
+    std::iota(columns.begin(), columns.end(), first);
+    return receive(writer_.write(
+        77, 0, wire::Body::Snapshot, [&](auto& b) { return wire::CreateSnapshot(b, 9, 0, first, count); },
+        encode_chunk(server_.stream.held().gaussians.gather(columns), layout())));
+  }
+  bool receive(const EncodedPacket& packet) { return replica_.receive(parse(packet)); }
+  const StreamLayout& layout() const { return server_.stream.held().layout; }
+
+  ToyServer server_{19, 300};
+  PacketWriter writer_{"streamer", 1};
+  Replica replica_;
+};
+
+TEST_F(ForgedSnapshot, OverlappingChunksWhoseCountsAddUpAreRefused) {
+  begin(2);
+  chunk(0, 10);
+  EXPECT_THROW(chunk(5, 10), StreamError);
+  EXPECT_TRUE(replica_.needs_snapshot());
+  EXPECT_FALSE(replica_.loading());
+  send(server_.stream.snapshot(), replica_);
+  expect_exact(server_.stream, replica_);
+}
+
+TEST_F(ForgedSnapshot, AGapThatAnOverlapMakesUpForIsRefused) {
+  send(server_.stream.snapshot(), replica_);
+  begin(3);
+  chunk(12, 8);
+  chunk(8, 8);
+  EXPECT_THROW(chunk(0, 4), StreamError);
+  EXPECT_TRUE(replica_.needs_snapshot());
+  expect_exact(server_.stream, replica_);  // what was held stays
+}
+
+TEST_F(ForgedSnapshot, MoreThanWasAnnouncedIsRefused) {
+  begin(2);
+  chunk(0, 15);
+  EXPECT_THROW(chunk(10, 10), StreamError);
+  EXPECT_TRUE(replica_.needs_snapshot());
+}
+
+TEST_F(ForgedSnapshot, AChunkTwiceCountsOnce) {
+  begin(2);
+  EXPECT_TRUE(chunk(0, 10));
+  EXPECT_FALSE(chunk(0, 10));
+  EXPECT_EQ(replica_.view().count, 10U);
+  EXPECT_TRUE(chunk(10, 10));
+  EXPECT_EQ(replica_.view().count, 20U);
+  expect_shown(replica_);
+}
+
+TEST_F(ForgedSnapshot, WhatIsNoPartOfASnapshotIsNotAppliedToIt) {
+  begin(2);
+  chunk(0, 10);
+  const std::vector<std::uint32_t> slots = {0, 1, 2};
+  Payload payload = encode_slots(slots);
+  EXPECT_THROW(receive(writer_.write(
+                   77, 0, wire::Body::Remove, [&](auto& b) { return wire::CreateRemove(b, 3, payload.raw_bytes); },
+                   std::move(payload.bytes))),
+               StreamError);
+  EXPECT_EQ(replica_.view().count, 10U);
 }
 
 // Every packet of a history, mutated and truncated in FlatBuffer and payload, against a replica at that very point.
