@@ -23,11 +23,20 @@ struct VisibilityCommand {
   std::vector<float> visibility;
 };
 
-/// What others ask of the model, in order of arrival within each kind.
+/// What others ask of the model, in order of arrival within each kind. Bounded: the optimizer takes all of it between
+/// two steps, but those who ask do not wait for it.
 struct Commands {
+  static constexpr std::size_t kMaxRows = std::size_t{1} << 22;  ///< of all inserts together
+  static constexpr std::size_t kMaxInserts = 4096;
+  static constexpr std::size_t kMaxCells = std::size_t{1} << 20;  ///< of all cell commands together
+
   std::vector<InsertBatch> inserts;
   std::vector<CellsCommand> cells;
   std::optional<VisibilityCommand> visibility;  ///< the newest
+
+  /// False when there is no room for it. A batch that waits here already is not taken twice.
+  [[nodiscard]] bool add(InsertBatch&& batch);
+  [[nodiscard]] bool add(CellsCommand&& command);
 
   [[nodiscard]] bool empty() const { return inserts.empty() && cells.empty() && !visibility; }
 };

@@ -103,15 +103,31 @@ void Trainer::take_insert(const bus::Message& message) {
                  message.header().source()->str(), reading.batch.dropped, reading.batch.dropped + reading.batch.count,
                  reading.batch.batch);
   }
-  host_copied_bytes_ += reading.batch.bytes();
-  commands_.post([&](Commands& commands) { commands.inserts.push_back(std::move(reading.batch)); });
+  const std::size_t bytes = reading.batch.bytes();
+  bool taken = false;
+  commands_.post([&](Commands& commands) { taken = commands.add(std::move(reading.batch)); });
+  if (taken) {
+    host_copied_bytes_ += bytes;
+  } else {
+    refuse(message);
+  }
 }
 
 void Trainer::take_cells(const bus::Message& message, bool freeze) {
   const auto* cells = message.root<wire::ModelCells>("ModelCells/1").cells();
   if (cells == nullptr || cells->size() == 0) return;
   CellsCommand command{.cells = {cells->begin(), cells->end()}, .freeze = freeze};
-  commands_.post([&](Commands& commands) { commands.cells.push_back(std::move(command)); });
+  bool taken = false;
+  commands_.post([&](Commands& commands) { taken = commands.add(std::move(command)); });
+  if (!taken) refuse(message);
+}
+
+void Trainer::refuse(const bus::Message& message) {
+  if (refused_commands_++ == 0) {
+    spdlog::warn("{} from {}: too much waits for the optimizer already; this is left out, and counted from now on",
+                 message.topic(), message.header().source()->str());
+  }
+  service_.counter("refused_commands", static_cast<double>(refused_commands_));
 }
 
 void Trainer::take_visibility(const bus::Message& message) {

@@ -56,6 +56,8 @@ class Trainer {
   void take_cells(const bus::Message& message, bool freeze);
   void take_visibility(const bus::Message& message);
   void take_insert(const bus::Message& message);
+  /// Counts a command that the queue has no room for, and says so once: the expander repeats a batch.
+  void refuse(const bus::Message& message);
 
   // Optimizer thread.
   void optimize(const std::stop_token& stop);
@@ -72,7 +74,7 @@ class Trainer {
   CommandQueue commands_;
   std::atomic<bool> with_depth_{false};
   std::atomic<std::uint64_t> host_copied_bytes_{0};
-  std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0;
+  std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
   std::unique_ptr<ModelStore> store_;
   std::unique_ptr<Optimizer> optimizer_;

@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "sample_batch.h"
+#include "trainer/commands.h"
 
 namespace splatbus::trainer {
 namespace {
@@ -70,6 +71,31 @@ TEST(InsertRows, NormalisesAndClampsTheRest) {
   EXPECT_FLOAT_EQ(batch.albedo[2], 1.0F);
   EXPECT_FLOAT_EQ(batch.visibility[2], 0.0F);
   EXPECT_LT(batch.opacity_logit[2], 20.0F);
+}
+
+TEST(Commands, HoldNoMoreRowsThanTheirBound) {
+  InsertBatch large;
+  large.count = Commands::kMaxRows - 10;
+  Commands commands;
+  EXPECT_TRUE(commands.add(InsertBatch(large)));
+  EXPECT_TRUE(commands.add(sample_batch(1, 1, 10)));
+  EXPECT_FALSE(commands.add(sample_batch(1, 2, 1)));
+  EXPECT_TRUE(commands.add(sample_batch(1, 1, 10))) << "it waits already";
+  EXPECT_EQ(commands.inserts.size(), 2U);
+}
+
+TEST(Commands, HoldNoMoreBatchesAndCellsThanTheirBound) {
+  Commands commands;
+  for (std::uint64_t batch = 0; batch < Commands::kMaxInserts; ++batch) {
+    ASSERT_TRUE(commands.add(sample_batch(1, batch, 0)));
+  }
+  EXPECT_FALSE(commands.add(sample_batch(1, Commands::kMaxInserts, 0)));
+  CellsCommand many;
+  for (std::uint64_t cell = 0; cell + 2 < Commands::kMaxCells; ++cell) many.cells.insert(cell);
+  EXPECT_TRUE(commands.add(std::move(many)));
+  EXPECT_TRUE(commands.add(CellsCommand{.cells = {1}}));
+  EXPECT_FALSE(commands.add(CellsCommand{.cells = {1}}));
+  EXPECT_EQ(commands.cells.size(), 2U);
 }
 
 }  // namespace
