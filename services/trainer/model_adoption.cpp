@@ -26,8 +26,9 @@ std::string fault(const bus::Slab& slab, const ParameterLayout& layout) {
   if (slab.slots() != 1 || slab.slot_bytes() < sizeof(SlabHeader)) return "it is too small for a model";
   const auto& header = *reinterpret_cast<const SlabHeader*>(slab.slot_data(kSlot));
   if (header.magic != SlabHeader::kMagic || header.version != SlabHeader::kVersion) return "it does not hold a model";
-  if (header.appearance != static_cast<std::uint32_t>(layout.appearance) ||
-      header.sh_degree != static_cast<std::uint32_t>(layout.sh_degree) ||
+  const bool other_degree = layout.appearance == Appearance::Radiance &&  // Transfer has no use for it
+                            header.sh_degree != static_cast<std::uint32_t>(layout.sh_degree);
+  if (header.appearance != static_cast<std::uint32_t>(layout.appearance) || other_degree ||
       header.channels != static_cast<std::uint32_t>(layout.channels())) {
     return "its appearance is another one";
   }

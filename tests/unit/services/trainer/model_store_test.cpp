@@ -270,6 +270,17 @@ TEST_F(ModelStoreTest, ARestartedTrainerGoesOnWithTheModel) {
   EXPECT_EQ(publish_and_open()->live().count, 94U);
 }
 
+TEST_F(ModelStoreTest, OnlyRadianceMindsTheDegree) {
+  append(1, 5);
+  restart(64, {.appearance = Appearance::Transfer, .sh_degree = 1});
+  EXPECT_EQ(store_->count(), 5U) << store_->origin();
+  restart(64, {.appearance = Appearance::Radiance, .sh_degree = 1});
+  EXPECT_EQ(store_->count(), 0U);
+  append(2, 5);
+  restart(64, {.appearance = Appearance::Radiance, .sh_degree = 2});
+  EXPECT_EQ(store_->count(), 0U);
+}
+
 TEST_F(ModelStoreTest, ATrainerKilledWithinAChangeLeavesTheStructureBefore) {
   append(1, 20);
   const auto expected = by_id(store_->view());
