@@ -40,6 +40,16 @@ void Optimizer::follow_growth() {
   cells_.recount(store_.planes(), store_.count());
 }
 
+void Optimizer::change(const std::function<void()>& work) {
+  try {
+    store_.change(work);
+  } catch (...) {
+    follow_growth();
+    throw;
+  }
+  follow_growth();
+}
+
 bool Optimizer::apply(const Commands& commands) {
   if (commands.visibility) {
     store_.set_visibility(commands.visibility->model_generation, commands.visibility->visibility);
@@ -47,11 +57,10 @@ bool Optimizer::apply(const Commands& commands) {
   const bool any_new = std::any_of(commands.inserts.begin(), commands.inserts.end(),
                                    [&](const InsertBatch& b) { return !store_.holds(b.epoch, b.batch); });
   if (!any_new && commands.cells.empty()) return false;
-  store_.change([&] {
+  change([&] {
     for (const InsertBatch& batch : commands.inserts) store_.append(batch);
     for (const CellsCommand& command : commands.cells) store_.set_frozen(command.cells, command.freeze);
   });
-  follow_growth();
   return true;
 }
 
@@ -141,8 +150,7 @@ void Optimizer::maintain_density() {
   if (options_.densify.enabled) {
     densifier_.observe(gradient_);
     if (step % options_.densify.interval_steps == 0) {
-      store_.change([&] { densifier_.densify(store_, options_.densify); });
-      follow_growth();
+      change([&] { densifier_.densify(store_, options_.densify); });
     }
   }
   if (options_.prune.enabled && step % options_.prune.interval_steps == 0) {

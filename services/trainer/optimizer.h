@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <vector>
@@ -43,6 +44,9 @@ class Optimizer {
   void clamp_albedo() const;
   void maintain_density();
   void remove(const std::vector<std::uint8_t>& dead);
+  /// A change of structure that adds or freezes. What is kept here for each Gaussian follows the model even when it
+  /// throws: it may have moved to a larger slab before.
+  void change(const std::function<void()>& work);
   void follow_growth();
 
   ModelStore& store_;

@@ -7,6 +7,7 @@
 #include <set>
 
 #include "../../bus/bus_fixture.h"
+#include "bus/error.h"
 #include "synthetic_scene.h"
 #include "trainer/schedule.h"
 
@@ -162,6 +163,28 @@ TEST_F(OptimizerTest, RepeatedBatchesChangeNothing) {
   EXPECT_EQ(store_->structure().generation, generation);
   EXPECT_TRUE(insert(sample_batch(1, 2, 10)));
   train(1);
+}
+
+TEST_F(OptimizerTest, ABatchThatCannotBeTakenHarmsNoOther) {
+  const SyntheticScene scene;
+  start(scene);
+  store_ = nullptr;
+  store_ = std::make_unique<ModelStore>(context_, read_options(parameters_).layout, 1024, std::size_t{1} << 44);
+  optimizer_ = std::make_unique<Optimizer>(*store_, read_options(parameters_));
+  const std::size_t before = store_->count();
+  ASSERT_GT(before, 0U);
+  Commands commands;
+  commands.inserts.push_back(sample_batch(1, 2, 1500));  // moves the model to a larger slab
+  InsertBatch endless = sample_batch(1, 3, 0);
+  endless.count = std::size_t{1} << 40;  // no slab is that large
+  commands.inserts.push_back(std::move(endless));
+  EXPECT_THROW(optimizer_->apply(commands), bus::Error);
+  EXPECT_EQ(store_->count(), before);
+  EXPECT_GT(store_->capacity(), 1024U);
+  EXPECT_LT(train(3), 1.0);
+  EXPECT_TRUE(insert(sample_batch(1, 4, 700)));
+  train(3);
+  EXPECT_EQ(store_->count(), before + 700);
 }
 
 TEST_F(OptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
