@@ -15,12 +15,13 @@ void shuffle(std::vector<ViewKey>& keys, std::mt19937_64& random) {
 
 Schedule::Schedule(std::uint64_t seed) : random_(seed) {}
 
-TrainingViewPtr Schedule::draw(const ViewStore& views, Epoch& epoch) {
+TrainingViewPtr Schedule::draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light) {
   for (bool refilled = false;;) {
     while (!epoch.left.empty()) {
       const ViewKey key = epoch.left.back();
       epoch.left.pop_back();
-      if (auto view = views.find(key)) return view;
+      auto view = views.find(key);
+      if (view && (!light || view->scene.light.generation == *light)) return view;
     }
     if (refilled) return nullptr;
     epoch.left = views.keys(epoch.role);
@@ -39,7 +40,7 @@ TrainingViewPtr Schedule::next(const ViewStore& views, int input_interval) {
   }
   references_since_input_ = 0;
   if (input_interval > 0) {
-    if (auto view = draw(views, inputs_)) return view;
+    if (auto view = draw(views, inputs_, views.reference_light())) return view;
   }
   return draw(views, references_);
 }

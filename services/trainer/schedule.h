@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -9,8 +10,10 @@
 namespace splatbus::trainer {
 
 /// Which views are trained when: epochs over the reference cameras, each in an order of its own, and one input camera
-/// after every `input_interval` reference views (docs/decisions: input pictures as training views). Without reference
-/// cameras, input cameras only. The same seed, cameras and calls give the same choice.
+/// after every `input_interval` reference views (docs/decisions/0073-training-defaults.md). Without reference
+/// cameras, input cameras only. An input view rests while its light is not the newest one and a reference view has
+/// that: input pictures may be rendered once, and the model's visibility of the sun follows the newest light. The same
+/// seed, cameras and calls give the same choice.
 class Schedule {
  public:
   explicit Schedule(std::uint64_t seed);
@@ -23,7 +26,8 @@ class Schedule {
     CameraRole role;
     std::vector<ViewKey> left;
   };
-  TrainingViewPtr draw(const ViewStore& views, Epoch& epoch);
+  /// `light` (generation), where given, is the only one whose views are drawn.
+  TrainingViewPtr draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light = std::nullopt);
 
   std::mt19937_64 random_;
   Epoch references_{.role = CameraRole::Reference, .left = {}};

@@ -43,6 +43,7 @@ void ViewStore::put(TrainingViewPtr view) {
     bytes_ -= place->second.view->bytes();
   }
   bytes_ += view->bytes();
+  newest_light_ = view->scene.light.generation;
   place->second = {.view = std::move(view), .updated = ++updates_};
   evict(key);
 }
@@ -88,6 +89,14 @@ std::size_t ViewStore::count(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
   return static_cast<std::size_t>(
       std::count_if(views_.begin(), views_.end(), [&](const auto& view) { return view.first.role == role; }));
+}
+
+std::optional<std::uint64_t> ViewStore::reference_light() const {
+  const std::scoped_lock lock(mutex_);
+  const bool ready = std::any_of(views_.begin(), views_.end(), [&](const auto& view) {
+    return view.first.role == CameraRole::Reference && view.second.view->scene.light.generation == newest_light_;
+  });
+  return ready ? std::optional(newest_light_) : std::nullopt;
 }
 
 std::size_t ViewStore::bytes() const {

@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -47,6 +48,8 @@ class ViewStore {
   [[nodiscard]] std::vector<ViewKey> keys(CameraRole role) const;
   [[nodiscard]] std::size_t count(CameraRole role) const;
   [[nodiscard]] std::size_t bytes() const;
+  /// Generation of the newest view's light, when a reference view under it is here.
+  [[nodiscard]] std::optional<std::uint64_t> reference_light() const;
   /// Grows whenever a camera comes or goes.
   [[nodiscard]] std::uint64_t cameras_version() const;
 
@@ -62,6 +65,8 @@ class ViewStore {
   std::map<ViewKey, Entry> views_;
   std::size_t bytes_ = 0;
   std::uint64_t updates_ = 0, cameras_version_ = 0;
+  std::uint64_t newest_light_ =
+      0;  ///< generation; views arrive in the engine's order, and its frames count anew with it
 };
 
 /// A capture/reference message: a view, a camera that retires, or a picture that was overwritten before it could be

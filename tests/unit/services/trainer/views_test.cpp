@@ -10,11 +10,13 @@
 namespace splatbus::trainer {
 namespace {
 
-TrainingViewPtr make_view(CameraRole role, std::uint32_t id, std::uint64_t frame = 0, std::size_t bytes = 16) {
+TrainingViewPtr make_view(CameraRole role, std::uint32_t id, std::uint64_t frame = 0, std::size_t bytes = 16,
+                          std::uint64_t light = 0) {
   TrainingView view;
   view.camera.role = role;
   view.camera.id = id;
   view.frame = frame;
+  view.scene.light.generation = light;
   view.color.resize(bytes);
   return std::make_shared<const TrainingView>(std::move(view));
 }
@@ -104,6 +106,31 @@ TEST(Schedule, MakesDoWithWhatIsThere) {
   store.put(make_view(CameraRole::Reference, 6));
   store.retire({.role = CameraRole::Input, .id = 5});
   for (int i = 0; i < 8; ++i) EXPECT_EQ(schedule.next(store, 3)->camera.id, 6U);
+}
+
+TEST(Schedule, LeavesOutInputViewsOfAnOlderLight) {
+  const auto input = [](std::uint32_t id, std::uint64_t light) {
+    return make_view(CameraRole::Input, id, 0, 16, light);
+  };
+  const auto reference = [](std::uint64_t light) { return make_view(CameraRole::Reference, 9, 0, 16, light); };
+  ViewStore store;
+  Schedule schedule(1);
+  const auto drawn = [&] {
+    std::set<std::uint32_t> ids;
+    for (int i = 0; i < 40; ++i) ids.insert(schedule.next(store, 1)->camera.id);
+    return ids;
+  };
+  for (std::uint32_t id = 0; id < 3; ++id) store.put(input(id, 70));
+  store.put(reference(70));
+  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2, 9}));
+  store.put(input(2, 50));
+  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2, 9})) << "no reference view is under the newest light yet";
+  store.put(reference(50));
+  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{2, 9})) << "the others wait for pictures under the newest light";
+  store.put(input(0, 50));
+  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 2, 9}));
+  store.retire({.role = CameraRole::Reference, .id = 9});
+  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2}));
 }
 
 TEST(Schedule, SkipsCamerasThatRetiredWithinAnEpoch) {
