@@ -14,6 +14,15 @@ namespace {
 
 using cuda::check;
 
+void check_arguments(const GaussiansView& gaussians, const Camera& camera, const RenderOptions& options) {
+  if (options.depth) throw std::invalid_argument("the CUDA rasteriser renders no depth plane");
+  if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+  if (gaussians.count > 0 && gaussians.parameters == nullptr) throw std::invalid_argument("rasterizer: no parameters");
+  if (camera.role == CameraRole::Light) throw std::invalid_argument("rasterizer: light cameras are orthographic");
+  constexpr std::uint32_t kMaxSide = 1U << 15U;
+  if (camera.width > kMaxSide || camera.height > kMaxSide) throw std::invalid_argument("rasterizer: picture too large");
+}
+
 /// The Rasterizer interface over host memory: every call copies its model in and its planes out. For viewers,
 /// evaluation and checks against the reference; training on the device uses cuda::TrainStep.
 class CudaRasterizer final : public Rasterizer {
@@ -77,7 +86,7 @@ class CudaRasterizer final : public Rasterizer {
  private:
   void draw(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene, const RenderOptions& options,
             bool training, Render& out) {
-    if (options.depth) throw std::invalid_argument("the CUDA rasteriser renders no depth plane");
+    check_arguments(gaussians, camera, options);
     const bool albedo = options.albedo && gaussians.layout.appearance == Appearance::Transfer;
     out.color = Image(camera.width, camera.height, 3);
     out.alpha = Image(camera.width, camera.height, 1);

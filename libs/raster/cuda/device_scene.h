@@ -8,8 +8,8 @@ namespace splatbus::raster::cuda {
 
 /// Views trained or rendered in one launch.
 constexpr int kMaxBatch = 16;
-/// Objects that move, the world itself included (slot 0).
-constexpr int kMaxObjects = 256;
+/// Objects that move, the world itself included (slot 0): a slot has 16 bits.
+constexpr int kMaxObjects = 1 << 16;
 /// Pixels of a tile's side. A tile has one list of Gaussians; each of its patches is blended by one warp.
 constexpr int kTileSize = 16;
 constexpr int kPatchWidth = 8, kPatchHeight = 4;

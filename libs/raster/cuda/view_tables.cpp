@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <set>
+#include <stdexcept>
+#include <string>
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -55,6 +57,9 @@ ViewTables make_view_tables(std::span<const SceneView> views, Appearance appeara
   std::set<std::uint32_t> ids;
   for (const SceneView& view : views) {
     for (const auto& [id, transform] : view.scene->objects) ids.insert(id);
+  }
+  if (ids.size() >= static_cast<std::size_t>(kMaxObjects)) {
+    throw std::invalid_argument("CUDA rasteriser: more than " + std::to_string(kMaxObjects - 1) + " moving objects");
   }
   tables.object_ids.assign(ids.begin(), ids.end());
   tables.object_count = 1 + static_cast<int>(tables.object_ids.size());

@@ -24,7 +24,8 @@ struct ViewTables {
 };
 
 /// Folds cameras, object transforms and light together. Every view knows the union of the views' objects; an object
-/// that a view lacks stands at the world's origin there, as in the CPU backend.
+/// that a view lacks stands at the world's origin there, as in the CPU backend. Throws std::invalid_argument when there
+/// are too many.
 [[nodiscard]] ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance);
 
 /// Rows of object_views for each Gaussian.
