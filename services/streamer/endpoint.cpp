@@ -19,6 +19,7 @@ namespace splatbus::streamer {
 namespace {
 
 constexpr std::string_view kIpc = "ipc://";
+constexpr std::size_t kMaxParts = 2;  // packet and payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
 
@@ -90,13 +91,15 @@ std::optional<Endpoint::Received> Endpoint::receive() {
   while (socket_.recv(frame, zmq::recv_flags::dontwait)) {
     const Peer peer = frame.to_string();
     std::vector<zmq::message_t> parts;
-    while (frame.more()) {
-      (void)socket_.recv(frame);
-      if (parts.size() < 3) parts.push_back(std::move(frame));
-      if (!socket_.get(zmq::sockopt::rcvmore)) break;
+    // To its very last part: what is left behind would be read as the next sender's routing id.
+    for (bool more = frame.more(); more; more = socket_.get(zmq::sockopt::rcvmore) != 0) {
+      zmq::message_t part;
+      (void)socket_.recv(part);
+      if (parts.size() <= kMaxParts) parts.push_back(std::move(part));
     }
     try {
-      if (parts.empty() || parts.size() > 2) throw stream::StreamError("a message of one or two frames was expected");
+      if (parts.empty() || parts.size() > kMaxParts)
+        throw stream::StreamError("a message of one or two frames was expected");
       return Received{
           peer, stream::ParsedPacket::parse(bytes_of(parts[0]),
                                             parts.size() > 1 ? bytes_of(parts[1]) : std::span<const std::uint8_t>())};

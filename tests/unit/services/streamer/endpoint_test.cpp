@@ -1,0 +1,80 @@
+#include "streamer/endpoint.h"
+
+#include <gtest/gtest.h>
+
+#include "../../bus/bus_fixture.h"
+
+namespace splatbus::streamer {
+namespace {
+
+class EndpointTest : public testing::Test {
+ protected:
+  EndpointTest() : endpoint_({"ipc://" + directory_.path() + "/streamer"}) {}
+
+  zmq::socket_t connect(const std::string& routing_id) {
+    zmq::socket_t socket(context_, zmq::socket_type::dealer);
+    socket.set(zmq::sockopt::linger, 0);
+    socket.set(zmq::sockopt::routing_id, routing_id);
+    socket.connect(endpoint_.bound().front());
+    return socket;
+  }
+
+  static void send(zmq::socket_t& socket, const std::vector<stream::Bytes>& parts) {
+    for (std::size_t i = 0; i < parts.size(); ++i) {
+      (void)socket.send(zmq::buffer(parts[i]), i + 1 < parts.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+    }
+  }
+
+  stream::Bytes bye() const {
+    return writer_.write(1, 0, wire::Body::Bye, [](auto& b) { return wire::CreateByeDirect(b, "x"); }).packet;
+  }
+  stream::Bytes hello() const {
+    return writer_.write(1, 0, wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "x"); }).packet;
+  }
+
+  /// All that arrives up to and with the next Hello.
+  std::vector<Endpoint::Received> receive_to_hello() {
+    std::vector<Endpoint::Received> all;
+    EXPECT_TRUE(bus_test::eventually([&] {
+      while (const auto received = endpoint_.receive()) {
+        all.push_back(*received);
+        if (received->packet.body() == wire::Body::Hello) return true;
+      }
+      return false;
+    }));
+    return all;
+  }
+
+  bus_test::TemporaryDirectory directory_;
+  zmq::context_t context_;
+  Endpoint endpoint_;
+  stream::PacketWriter writer_{"viewer", 1};
+};
+
+TEST_F(EndpointTest, AMessageOfManyPartsIsRefusedWholeAndSpeaksForNobodyElse) {
+  zmq::socket_t victim = connect("victim"), hostile = connect("hostile");
+  send(victim, {hello()});
+  ASSERT_EQ(receive_to_hello().back().peer, "victim");
+  const stream::Bytes victims_id{'v', 'i', 'c', 't', 'i', 'm'};
+  send(hostile, {bye(), victims_id, bye()});
+  send(hostile, {bye(), {}, victims_id, bye()});
+  send(hostile, std::vector<stream::Bytes>(50, bye()));
+  send(hostile, {hello()});
+  const auto received = receive_to_hello();
+  ASSERT_EQ(received.size(), 1U) << received.front().peer << " is said to have sent a part of another's message";
+  EXPECT_EQ(received.front().peer, "hostile");
+  EXPECT_EQ(endpoint_.malformed(), 3U);
+}
+
+TEST_F(EndpointTest, PacketAndPayloadArriveTogether) {
+  zmq::socket_t viewer = connect("viewer");
+  send(viewer, {bye(), {1, 2, 3}});
+  send(viewer, {hello()});
+  const auto received = receive_to_hello();
+  ASSERT_EQ(received.size(), 2U);
+  EXPECT_TRUE(std::ranges::equal(received[0].packet.payload(), stream::Bytes{1, 2, 3}));
+  EXPECT_EQ(endpoint_.malformed(), 0U);
+}
+
+}  // namespace
+}  // namespace splatbus::streamer
