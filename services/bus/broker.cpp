@@ -34,7 +34,9 @@ void Broker::start() {
   impl_->lock.emplace(*address.directory);
   try {
     impl_->registry.emplace(address.slab_socket());
-    impl_->relay.emplace(impl_->options, [this](std::uint64_t id) { return impl_->registry->find(id); });
+    impl_->relay.emplace(
+        impl_->options, [this](std::uint64_t id) { return impl_->registry->find(id); },
+        [this] { return impl_->registry->size(); });
   } catch (...) {
     stop();
     throw;
@@ -60,10 +62,7 @@ std::optional<bus::Address> Broker::tcp_address() const {
 }
 
 BrokerStatistics Broker::statistics() const {
-  BrokerStatistics result;
-  if (impl_->relay) result = impl_->relay->statistics();
-  if (impl_->registry) result.slabs = impl_->registry->size();
-  return result;
+  return impl_->relay ? impl_->relay->statistics() : BrokerStatistics{};
 }
 
 }  // namespace splatbus::bus_service

@@ -45,8 +45,9 @@ std::uint16_t port_of(const zmq::socket_t& socket) {
 
 }  // namespace
 
-Relay::Relay(const BrokerOptions& options, FindSlab find_slab)
+Relay::Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std::size_t()> count_slabs)
     : find_slab_(std::move(find_slab)),
+      count_slabs_(std::move(count_slabs)),
       local_{true, {zmq_, zmq::socket_type::xsub}, {zmq_, zmq::socket_type::xpub}},
       remote_{false, {zmq_, zmq::socket_type::xsub}, {zmq_, zmq::socket_type::xpub}},
       held_(options.max_held_messages, options.max_held_bytes),
@@ -110,7 +111,7 @@ BrokerStatistics Relay::statistics() const {
   result.inlined = inlined_;
   result.inline_dropped = inline_dropped_;
   result.held = held_count_;
-  result.slabs = slabs_;
+  result.slabs = count_slabs_();
   return result;
 }
 

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <set>
 #include <string>
 #include <thread>
@@ -23,14 +24,13 @@ namespace splatbus::bus_service {
 class Relay {
  public:
   /// Binds. Throws bus::Error.
-  Relay(const BrokerOptions& options, FindSlab find_slab);
+  Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std::size_t()> count_slabs);
   ~Relay();
   Relay(const Relay&) = delete;
   Relay& operator=(const Relay&) = delete;
 
   [[nodiscard]] std::uint16_t tcp_port() const { return tcp_port_; }
-  [[nodiscard]] BrokerStatistics statistics() const;  ///< all but `slabs`
-  void set_slab_count(std::size_t count) { slabs_ = count; }
+  [[nodiscard]] BrokerStatistics statistics() const;
 
  private:
   /// The pair of sockets for one kind of reach.
@@ -53,6 +53,7 @@ class Relay {
   void refuse(const bus::Frames& frames, const std::string& why);
 
   const FindSlab find_slab_;
+  const std::function<std::size_t()> count_slabs_;
   zmq::context_t zmq_;
   Side local_;
   Side remote_;
@@ -70,7 +71,6 @@ class Relay {
   std::atomic<std::uint64_t> inlined_ = 0;
   std::atomic<std::uint64_t> inline_dropped_ = 0;
   std::atomic<std::uint64_t> held_count_ = 0;
-  std::atomic<std::uint64_t> slabs_ = 0;
   bus::FileDescriptor wake_;
   std::jthread thread_;
 };
