@@ -17,8 +17,7 @@ struct AttributeSchedule {
   float weight = 1;            ///< of one step in the picture, against the other attributes
 };
 
-/// One schedule an attribute, by wire value; Visibility, ObjectId and GaussianId are sent otherwise, and Normal never
-/// changes.
+/// One schedule an attribute, by wire value; Visibility is sent otherwise, and Normal never changes.
 using Schedules = std::array<AttributeSchedule, static_cast<std::size_t>(Attribute::MAX) + 1>;
 [[nodiscard]] Schedules default_schedules();
 

@@ -16,6 +16,8 @@ namespace {
 constexpr int kMessagesACall = 512;
 constexpr std::size_t kMaxResends = 64;
 constexpr std::size_t kMaxProbes = 1024;
+constexpr std::size_t kMaxPictures = 8;
+constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
 constexpr std::uint64_t kMaxSnapshotAge = 256;  // broadcast packets; a newer one costs less than catching up on more
 
 std::vector<SharedPacket> shared(const std::vector<stream::EncodedPacket>& packets) {
@@ -49,13 +51,13 @@ void ViewerHub::receive(std::int64_t now_ns) {
   }
 }
 
-stream::EncodedPacket ViewerHub::welcome() const {
+stream::EncodedPacket ViewerHub::welcome(bool asks) const {
   const ParameterLayout& layout = model_.held().layout.parameters();
   const bool transfer = layout.appearance == Appearance::Transfer;
   return writer_.write(model_.held().epoch, 0, wire::Body::Welcome, [&](auto& builder) {
     return wire::CreateWelcome(builder, transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
                                static_cast<std::uint8_t>(transfer ? 0 : layout.sh_degree), model_.held().epoch,
-                               options_.tick_hz);
+                               options_.tick_hz, asks);
   });
 }
 
@@ -65,7 +67,7 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
   if (packet.body() == wire::Body::Hello) return hello(peer, packet, now_ns);
   const auto found = viewers_.find(peer);
   if (found == viewers_.end()) {
-    if (packet.body() != wire::Body::Bye) send(peer, WirePacket(welcome()));
+    if (packet.body() != wire::Body::Bye) send(peer, WirePacket(welcome(true)));
     return;
   }
   Viewer& viewer = found->second;
@@ -106,7 +108,7 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
   const wire::Hello& body = *packet.root().body_as_Hello();
   if (const auto known = viewers_.find(peer); known != viewers_.end()) {
     known->second.heard_ns = now_ns;
-    send(peer, WirePacket(welcome()));  // it repeated itself before the Welcome was there
+    send(peer, WirePacket(welcome(false)));  // it repeated itself before the Welcome was there
     return;
   }
   if (viewers_.size() >= options_.max_viewers) {
@@ -130,7 +132,7 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
   spdlog::info("viewer {} {}", viewer.name, resumes ? "is back" : "joined");
   statistics_.begin(now_ns);
   viewers_[peer] = std::move(viewer);
-  send(peer, WirePacket(welcome()));
+  send(peer, WirePacket(welcome(false)));
 }
 
 void ViewerHub::need_snapshot(Viewer& viewer) {
@@ -191,6 +193,11 @@ void ViewerHub::restart_all() {
 }
 
 SharedPacket ViewerHub::next_packet(Viewer& viewer) {
+  if (SharedPacket packet = next_of_the_model(viewer)) return packet;
+  return viewer.pictures.empty() ? SharedPacket() : viewer.pictures.front();
+}
+
+SharedPacket ViewerHub::next_of_the_model(Viewer& viewer) {
   if (!model_.ready()) return {};
   while (!viewer.resend.empty()) {
     if (SharedPacket packet = history_.find(viewer.resend.front().first)) return packet;
@@ -207,8 +214,10 @@ SharedPacket ViewerHub::next_packet(Viewer& viewer) {
   return viewer.queue[viewer.queue_at];
 }
 
-void ViewerHub::advance(Viewer& viewer) {
-  if (!viewer.resend.empty()) {
+void ViewerHub::advance(Viewer& viewer, const SharedPacket& sent) {
+  if (sent->body() == wire::Body::ProbePicture) {
+    viewer.pictures.pop_front();
+  } else if (!viewer.resend.empty()) {
     if (++viewer.resend.front().first > viewer.resend.front().last) viewer.resend.pop_front();
   } else if (viewer.snapshot) {
     if (++viewer.queue_at == viewer.queue.size()) {
@@ -231,9 +240,11 @@ bool ViewerHub::pump(std::int64_t now_ns) {
       idle = !packet;
       if (idle) break;
       sent = send(at->first, *packet);
-      if (sent == Endpoint::Sent::Yes) advance(viewer);
+      if (sent != Endpoint::Sent::Yes) break;
+      advance(viewer, packet);
+      viewer.sent_ns = now_ns;  // it reads, however slowly
     }
-    if (sent != Endpoint::Sent::Full) viewer.sent_ns = now_ns;
+    if (idle) viewer.sent_ns = now_ns;
     full = full || sent == Endpoint::Sent::Full;
     if (sent == Endpoint::Sent::Gone) {
       spdlog::info("viewer {} is gone", viewer.name);
@@ -277,10 +288,17 @@ void ViewerHub::expire(std::int64_t now_ns) {
 }
 
 void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture) {
-  const WirePacket packet(picture);
+  const auto packet = std::make_shared<WirePacket>(picture);
   const auto asker = probe_askers_.extract(probe_id);
-  for (const auto& [peer, viewer] : viewers_) {
-    if (viewer.wants_probes || (asker && asker.mapped() == peer)) send(peer, packet);
+  for (auto& [peer, viewer] : viewers_) {
+    if (!viewer.wants_probes && (!asker || asker.mapped() != peer)) continue;
+    viewer.pictures.push_back(packet);
+    std::size_t bytes = 0;
+    for (const SharedPacket& waiting : viewer.pictures) bytes += waiting->bytes();
+    while (viewer.pictures.size() > 1 && (viewer.pictures.size() > kMaxPictures || bytes > kMaxPictureBytes)) {
+      bytes -= viewer.pictures.front()->bytes();
+      viewer.pictures.pop_front();
+    }
   }
 }
 

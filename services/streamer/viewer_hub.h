@@ -34,8 +34,8 @@ struct HubEvents {
 };
 
 /// Every viewer's place in the stream. Each is sent, in this order and as fast as it reads: what it asked to be resent,
-/// the chunks of its snapshot, the broadcast packets that follow it. Nothing is queued for a viewer but numbers and
-/// shared packets: memory does not grow with a viewer that does not read. One thread.
+/// the chunks of its snapshot, the broadcast packets that follow it, the newest few probe pictures. Nothing is queued
+/// for a viewer but numbers and shared packets: memory does not grow with a viewer that does not read. One thread.
 class ViewerHub {
  public:
   ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::PacketWriter writer, HubOptions options,
@@ -53,7 +53,7 @@ class ViewerHub {
   void send_alive();
   /// Forgets viewers that fell silent.
   void expire(std::int64_t now_ns);
-  /// To every viewer that wants probe pictures, and to the one that asked for this probe.
+  /// To every viewer that wants probe pictures, and to the one that asked for this probe: by pump(), behind the model.
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
 
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
@@ -82,6 +82,7 @@ class ViewerHub {
     std::size_t queue_at = 0;
     std::uint64_t next = 0;  ///< broadcast packet
     std::deque<stream::MissingPackets> resend;
+    std::deque<SharedPacket> pictures;
   };
 
   void handle(const Endpoint::Received& received, std::int64_t now_ns);
@@ -92,9 +93,10 @@ class ViewerHub {
   [[nodiscard]] std::shared_ptr<const Snapshot> current_snapshot();
   /// Next packet to send to a viewer and what to do when it is sent; null when there is none.
   [[nodiscard]] SharedPacket next_packet(Viewer& viewer);
-  void advance(Viewer& viewer);
+  [[nodiscard]] SharedPacket next_of_the_model(Viewer& viewer);
+  void advance(Viewer& viewer, const SharedPacket& sent);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet);
-  [[nodiscard]] stream::EncodedPacket welcome() const;
+  [[nodiscard]] stream::EncodedPacket welcome(bool asks) const;
 
   Endpoint& endpoint_;
   stream::StreamModel& model_;

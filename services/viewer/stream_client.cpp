@@ -99,9 +99,8 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
   if (lose_ && lose_(packet)) return false;
   switch (packet.body()) {
     case wire::Body::Welcome:
-      // Unasked it means: who are you?
-      if (welcomed_) hello(bus::now_ns());
-      welcomed_ = !welcomed_;
+      // One that asks is followed by a Hello when maintain() next runs, at once but not once for each that comes.
+      welcomed_ = !packet.root().body_as_Welcome()->asks();
       return false;
     case wire::Body::ProbePicture:
       take_probe_picture(packet);
@@ -114,11 +113,20 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
     default:
       break;
   }
-  if (packet.body() == wire::Body::Snapshot || packet.body() == wire::Body::SnapshotBegin) progress_ns_ = bus::now_ns();
+  switch (packet.body()) {
+    case wire::Body::Snapshot:
+    case wire::Body::SnapshotBegin:
+    case wire::Body::GaussianOrder:
+      progress_ns_ = bus::now_ns();
+      break;
+    default:
+      break;
+  }
   return replica_.receive(packet);
 }
 
 void StreamClient::take_probe_picture(const stream::ParsedPacket& packet) {
+  if (!options_.probes) return;
   const wire::ProbePicture& body = *packet.root().body_as_ProbePicture();
   ProbeAnswer answer{.probe_id = body.probe_id(),
                      .camera = from_wire(*body.camera()),
@@ -129,12 +137,21 @@ void StreamClient::take_probe_picture(const stream::ParsedPacket& packet) {
     throw stream::StreamError(fmt::format("ProbePicture: {} bytes for {} x {} pixels", body.raw_bytes(),
                                           answer.camera.width, answer.camera.height));
   }
+  if (answer_bytes_ + bytes > options_.held_picture_bytes) {
+    if (log_limiter_.allow()) spdlog::warn("probe pictures come faster than they are compared: one is left out");
+    return;
+  }
   answer.rgba = stream::zstd_decompress(packet.payload(), bytes, "ProbePicture");
+  answer_bytes_ += bytes;
   answers_.push_back(std::move(answer));
 }
 
-std::vector<ProbeAnswer> StreamClient::take_probe_answers() {
-  return std::exchange(answers_, {});
+std::optional<ProbeAnswer> StreamClient::take_probe_answer() {
+  if (answers_.empty()) return std::nullopt;
+  ProbeAnswer answer = std::move(answers_.front());
+  answers_.pop_front();
+  answer_bytes_ -= answer.rgba.size();
+  return answer;
 }
 
 void StreamClient::hello(std::int64_t now_ns) {

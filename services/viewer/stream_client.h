@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <optional>
 #include <string>
@@ -20,9 +21,10 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
-  bool probes = false;  ///< wants ProbePictures
+  bool probes = false;  ///< wants ProbePictures; else they are ignored
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
+  std::size_t held_picture_bytes = std::size_t{1} << 28;  ///< of answers that nobody took yet; more are not kept
 };
 
 /// The engine's render for a probe.
@@ -48,8 +50,8 @@ class StreamClient {
   void send_probe(std::uint64_t probe_id, const Camera& camera);
   void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
 
-  /// Pictures that arrived since the last call.
-  [[nodiscard]] std::vector<ProbeAnswer> take_probe_answers();
+  /// The oldest picture that was not taken yet.
+  [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer();
 
   [[nodiscard]] const stream::Replica& replica() const { return replica_; }
   [[nodiscard]] bool connected() const { return welcomed_; }
@@ -80,7 +82,8 @@ class StreamClient {
   stream::PacketWriter writer_;
   stream::Replica replica_;
   std::optional<Camera> camera_;
-  std::vector<ProbeAnswer> answers_;
+  std::deque<ProbeAnswer> answers_;
+  std::size_t answer_bytes_ = 0;
   std::function<bool(const stream::ParsedPacket&)> lose_;
 
   bool welcomed_ = false;

@@ -21,7 +21,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
-constexpr std::size_t kMaxWaitingProbes = 256;
 
 bool same(const Camera& a, const Camera& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy &&
@@ -156,21 +155,19 @@ void Viewer::ask_probe(std::int64_t now_ns) {
 }
 
 void Viewer::answer_probes() {
-  std::ranges::move(client_.take_probe_answers(), std::back_inserter(waiting_probes_));
-  if (waiting_probes_.size() > kMaxWaitingProbes) waiting_probes_.resize(kMaxWaitingProbes);
-  if (waiting_probes_.empty() || client_.replica().view().count == 0) return;
+  if (client_.replica().view().count == 0) return;
   // One a turn: packets are taken in between.
-  const ProbeAnswer probe = std::move(waiting_probes_.front());
-  waiting_probes_.erase(waiting_probes_.begin());
-  const cv::Mat picture = draw(probe.camera, probe.scene);
-  const cv::Mat reference = metrics::from_rgba(probe.rgba.data(), probe.camera.width, probe.camera.height);
+  const std::optional<ProbeAnswer> probe = client_.take_probe_answer();
+  if (!probe) return;
+  const cv::Mat picture = draw(probe->camera, probe->scene);
+  const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
   last_quality_ = metrics::compare(picture, reference);
   ++compared_;
   if (const std::string out = parameters_.text("out"); !out.empty()) {
     fs::create_directories(out);
-    metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe.probe_id), picture);
+    metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
   }
-  client_.send_quality(probe.probe_id, last_quality_, first_picture_ns_);
+  client_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }
 
 void Viewer::report() {

@@ -55,8 +55,7 @@ class Viewer {
   raster::Render render_;
   Camera camera_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
-  std::uint64_t frames_ = 0, next_probe_id_, shown_parameters_ = 0, compared_ = 0;
-  std::vector<ProbeAnswer> waiting_probes_;
+  std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;
 };

@@ -191,7 +191,7 @@ TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
   std::vector<std::uint8_t> pixels(16 * 8 * 4);
   for (std::size_t i = 0; i < pixels.size(); ++i) pixels[i] = static_cast<std::uint8_t>(i);
   bus::Publisher publisher(observer_, "capture/probe");
-  std::vector<viewer::ProbeAnswer> answers;
+  std::optional<viewer::ProbeAnswer> answer;
   Light light;
   light.generation = 3;
   const auto publish = [&](std::uint32_t width) {
@@ -204,12 +204,12 @@ TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
   };
   publish(15);  // a tensor that is not the camera's size is refused
   ASSERT_TRUE(
-      poll_until([&] { return publish(16), answers = with.take_probe_answers(), !answers.empty(); }, with, without));
-  EXPECT_EQ(answers[0].probe_id, 9U);
-  EXPECT_EQ(answers[0].rgba, pixels);
-  EXPECT_EQ(answers[0].scene.light.generation, 3U);
-  EXPECT_EQ(answers[0].scene.objects.size(), 1U);
-  EXPECT_TRUE(without.take_probe_answers().empty());
+      poll_until([&] { return publish(16), answer = with.take_probe_answer(), answer.has_value(); }, with, without));
+  EXPECT_EQ(answer->probe_id, 9U);
+  EXPECT_EQ(answer->rgba, pixels);
+  EXPECT_EQ(answer->scene.light.generation, 3U);
+  EXPECT_EQ(answer->scene.objects.size(), 1U);
+  EXPECT_FALSE(without.take_probe_answer());
 }
 
 TEST_F(StreamerTest, LightReachesTheViewer) {

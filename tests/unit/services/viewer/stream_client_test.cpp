@@ -1,0 +1,122 @@
+#include "viewer/stream_client.h"
+
+#include <gtest/gtest.h>
+
+#include "../../bus/bus_fixture.h"
+#include "stream/bytes.h"
+#include "wire/convert.h"
+
+namespace splatbus::viewer {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// A streamer that says what the test wants, when it wants.
+class StreamClientTest : public testing::Test {
+ protected:
+  StreamClientTest() {
+    router_.set(zmq::sockopt::linger, 0);
+    router_.bind(endpoint_);
+  }
+
+  ClientOptions options() const { return {.endpoint = endpoint_, .name = "viewer", .probes = true}; }
+
+  bool poll_until(StreamClient& client, const std::function<bool()>& condition) {
+    return bus_test::eventually([&] { return client.poll(1ms), take_hellos(), condition(); });
+  }
+  void take_hellos() {
+    zmq::message_t frame;
+    while (router_.recv(frame, zmq::recv_flags::dontwait)) {
+      peer_ = frame.to_string();
+      zmq::message_t packet;
+      (void)router_.recv(packet);
+      const auto parsed = stream::ParsedPacket::parse({packet.data<std::uint8_t>(), packet.size()}, {});
+      if (parsed.body() == wire::Body::Hello) ++hellos_;
+    }
+  }
+  void send(const stream::EncodedPacket& packet) {
+    (void)router_.send(zmq::buffer(peer_), zmq::send_flags::sndmore);
+    const auto flags = packet.payload.empty() ? zmq::send_flags::none : zmq::send_flags::sndmore;
+    (void)router_.send(zmq::buffer(packet.packet), flags);
+    if (!packet.payload.empty()) (void)router_.send(zmq::buffer(packet.payload), zmq::send_flags::none);
+    sent_bytes_ += packet.bytes();
+  }
+  void welcome(bool asks) {
+    send(writer_.write(5, 0, wire::Body::Welcome,
+                       [&](auto& b) { return wire::CreateWelcome(b, wire::Appearance::Transfer, 0, 5, 5, asks); }));
+  }
+  void picture(std::uint64_t id) {
+    const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 16, 8, 1));
+    send(writer_.write(
+        5, 0, wire::Body::ProbePicture,
+        [&](auto& b) { return wire::CreateProbePicture(b, id, &camera, 512, 0, to_wire(b, Light{})); },
+        stream::zstd_compress(stream::Bytes(512), 1)));
+  }
+  bool all_received(StreamClient& client) {
+    return poll_until(client, [&] { return client.received_bytes() == sent_bytes_; });
+  }
+
+  bus_test::TemporaryDirectory directory_;
+  std::string endpoint_ = "ipc://" + directory_.path() + "/streamer";
+  zmq::context_t context_;
+  zmq::socket_t router_{context_, zmq::socket_type::router};
+  stream::PacketWriter writer_{"streamer", 1};
+  std::string peer_;
+  int hellos_ = 0;
+  std::size_t sent_bytes_ = 0;
+};
+
+// A long way off, a second Hello leaves before the first one's answer is there.
+TEST_F(StreamClientTest, TwoAnswersAreOneWelcome) {
+  StreamClient client(options());
+  ASSERT_TRUE(poll_until(client, [&] { return hellos_ >= 2; }));
+  for (int answers = 1; answers <= 3; ++answers) {
+    welcome(false);
+    ASSERT_TRUE(all_received(client));
+    EXPECT_TRUE(client.connected()) << answers << " answers";
+  }
+}
+
+TEST_F(StreamClientTest, AnAskedViewerSaysHelloAgain) {
+  StreamClient client(options());
+  ASSERT_TRUE(poll_until(client, [&] { return hellos_ >= 1; }));
+  welcome(false);
+  ASSERT_TRUE(all_received(client));
+  const int before = hellos_;
+  welcome(true);
+  welcome(true);
+  EXPECT_TRUE(poll_until(client, [&] { return hellos_ > before; }));
+  EXPECT_FALSE(client.connected());
+  welcome(false);
+  ASSERT_TRUE(all_received(client));
+  EXPECT_TRUE(client.connected());
+}
+
+TEST_F(StreamClientTest, PicturesThatNobodyTakesAreBoundedInBytes) {
+  ClientOptions small = options();
+  small.held_picture_bytes = 1100;
+  StreamClient client(small);
+  ASSERT_TRUE(poll_until(client, [&] { return hellos_ >= 1; }));
+  for (std::uint64_t id = 1; id <= 5; ++id) picture(id);
+  ASSERT_TRUE(all_received(client));
+  EXPECT_EQ(client.take_probe_answer()->probe_id, 1U);
+  picture(6);
+  ASSERT_TRUE(all_received(client));
+  EXPECT_EQ(client.take_probe_answer()->probe_id, 2U);
+  EXPECT_EQ(client.take_probe_answer()->probe_id, 6U);
+  EXPECT_FALSE(client.take_probe_answer());
+  EXPECT_EQ(client.refused(), 0U);
+}
+
+TEST_F(StreamClientTest, PicturesThatWereNotWantedAreIgnored) {
+  ClientOptions without = options();
+  without.probes = false;
+  StreamClient client(without);
+  ASSERT_TRUE(poll_until(client, [&] { return hellos_ >= 1; }));
+  picture(1);
+  ASSERT_TRUE(all_received(client));
+  EXPECT_FALSE(client.take_probe_answer());
+}
+
+}  // namespace
+}  // namespace splatbus::viewer
