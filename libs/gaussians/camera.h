@@ -10,6 +10,7 @@ namespace splatbus {
 struct Rigid {
   glm::quat rotation{1, 0, 0, 0};  // w x y z
   glm::vec3 translation{0};
+  bool operator==(const Rigid&) const = default;
 };
 
 [[nodiscard]] Rigid inverse(const Rigid& a_from_b);

@@ -20,6 +20,7 @@ struct Light {
   glm::vec3 sun_direction{0, 1, 0};       ///< unit, from the scene towards the sun
   glm::vec3 sun_irradiance{0};            ///< on a surface that faces the sun
   glm::vec3 background{0};                ///< linear colour behind everything
+  bool operator==(const Light&) const = default;
 };
 
 /// Irradiance over pi is what a white Lambertian surface with normal n reflects (Ramamoorthi and Hanrahan 2001):

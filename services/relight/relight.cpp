@@ -22,18 +22,10 @@ constexpr auto kReceiveTimeout = 50ms;
 constexpr std::size_t kRingSlots = 4;
 constexpr std::uint32_t kMaxSide = 16384;
 
-bool same(const Rigid& a, const Rigid& b) {
-  return a.rotation == b.rotation && a.translation == b.translation;
-}
-
-bool same(const ObjectTransforms& a, const ObjectTransforms& b) {
-  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
-                    [](const auto& x, const auto& y) { return x.first == y.first && same(x.second, y.second); });
-}
-
-bool same(const Camera& a, const Camera& b) {
+/// Whether a map through b shows what one through a shows: the planes only say how far it reaches.
+bool same_projection(const Camera& a, const Camera& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
-         same(a.world_from_camera, b.world_from_camera);
+         a.world_from_camera == b.world_from_camera;
 }
 
 }  // namespace
@@ -92,7 +84,7 @@ void Relight::handle(const bus::Message& message) {
   } else if (message.topic() == "scene/objects") {
     auto objects = from_wire(message.root<wire::SceneObjects>("SceneObjects/1").objects());
     // With transforms of its own, the depth map is what the visibility follows: both are of one frame.
-    scene_changed_ |= map_ && map_->objects.empty() && (!objects_ || !same(*objects_, objects));
+    scene_changed_ |= map_ && map_->objects.empty() && (objects_ != objects);
     objects_ = std::move(objects);
   }
 }
@@ -107,8 +99,8 @@ void Relight::take_depth(const bus::Message& message) {
     throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +
                      " texels a side");
   }
-  const bool unchanged = map_ && map_->light_generation == map.light_generation && same(map_->camera, map.camera) &&
-                         same(map_->objects, map.objects);
+  const bool unchanged = map_ && map_->light_generation == map.light_generation &&
+                         same_projection(map_->camera, map.camera) && map_->objects == map.objects;
   if (unchanged) return;
   const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {map.camera.height, map.camera.width});
   if (tensor) map.depth_m.resize(tensor->elements());
