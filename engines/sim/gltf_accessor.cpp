@@ -10,8 +10,6 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr std::size_t kMostRows = 20'000'000;
-
 /// The bytes of an accessor, checked to lie within its buffer.
 struct Rows {
   const unsigned char* data;
@@ -24,16 +22,8 @@ struct Rows {
   throw std::runtime_error(fmt::format("accessor {}: {}", accessor, what));
 }
 
-template <class T>
-const T& item(const std::vector<T>& items, int index, int accessor, const char* what) {
-  if (index < 0 || static_cast<std::size_t>(index) >= items.size())
-    fail(accessor, fmt::format("there is no {} {}", what, index));
-  return items[static_cast<std::size_t>(index)];
-}
-
 Rows rows_of(const tinygltf::Model& model, int index, int components) {
-  if (index < 0 || static_cast<std::size_t>(index) >= model.accessors.size()) fail(index, "there is none");
-  const tinygltf::Accessor& accessor = model.accessors[static_cast<std::size_t>(index)];
+  const tinygltf::Accessor& accessor = item(model.accessors, index, "accessor");
   if (accessor.sparse.isSparse) fail(index, "sparse accessors are not supported");
   if (tinygltf::GetNumComponentsInType(static_cast<std::uint32_t>(accessor.type)) != components) {
     fail(index, fmt::format("its rows should have {} components", components));
@@ -42,8 +32,11 @@ Rows rows_of(const tinygltf::Model& model, int index, int components) {
   if (component_bytes <= 0) fail(index, fmt::format("component type {} is unknown", accessor.componentType));
   if (accessor.count > kMostRows) fail(index, fmt::format("{} rows, where {} are the most", accessor.count, kMostRows));
 
-  const tinygltf::BufferView& view = item(model.bufferViews, accessor.bufferView, index, "buffer view");
-  const tinygltf::Buffer& buffer = item(model.buffers, view.buffer, index, "buffer");
+  const std::string where = fmt::format("accessor {}", index);
+  const tinygltf::BufferView& view = within(
+      where, [&]() -> const auto& { return item(model.bufferViews, accessor.bufferView, "buffer view"); });
+  const tinygltf::Buffer& buffer = within(
+      where, [&]() -> const auto& { return item(model.buffers, view.buffer, "buffer"); });
   const std::size_t row_bytes = static_cast<std::size_t>(component_bytes) * static_cast<std::size_t>(components);
   const std::size_t stride = view.byteStride != 0 ? view.byteStride : row_bytes;
   if (stride < row_bytes || stride > 4096) fail(index, fmt::format("a stride of {} bytes", stride));

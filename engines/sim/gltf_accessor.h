@@ -1,8 +1,13 @@
 #pragma once
 
+#include <fmt/format.h>
+
+#include <cstddef>
 #include <cstdint>
-#include <span>
+#include <exception>
+#include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 // NOLINTNEXTLINE(cppcoreguidelines-macro-usage): the library's own switches
@@ -10,6 +15,28 @@
 #include <tiny_gltf.h>
 
 namespace splatbus::sim {
+
+/// The most rows of an accessor.
+constexpr std::size_t kMostRows = 20'000'000;
+
+/// items[index]; throws std::runtime_error "there is no <what> <index>".
+template <class T>
+[[nodiscard]] const T& item(const std::vector<T>& items, int index, const char* what) {
+  if (index < 0 || static_cast<std::size_t>(index) >= items.size()) {
+    throw std::runtime_error(fmt::format("there is no {} {}", what, index));
+  }
+  return items[static_cast<std::size_t>(index)];
+}
+
+/// Adds where it happened to what went wrong.
+template <class Call>
+decltype(auto) within(const std::string& where, Call&& call) {
+  try {
+    return std::forward<Call>(call)();
+  } catch (const std::exception& error) {
+    throw std::runtime_error(fmt::format("{}: {}", where, error.what()));
+  }
+}
 
 /// Reads an accessor as floats, `components` a row (normalised integers become [0, 1] or [-1, 1]). Throws
 /// std::runtime_error that names the accessor when it is not of that shape, reaches out of its buffer, is sparse or

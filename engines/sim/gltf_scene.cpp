@@ -19,32 +19,29 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr std::uintmax_t kGreatestFile = std::uintmax_t{512} << 20;
 constexpr int kGreatestImageSide = 8192;
 constexpr int kDeepestNode = 256;
-constexpr std::size_t kMostVertices = 20'000'000;
 
-template <class T>
-const T& item(const std::vector<T>& items, int index, const char* what) {
-  if (index < 0 || static_cast<std::size_t>(index) >= items.size()) {
-    throw std::runtime_error(fmt::format("there is no {} {}", what, index));
+/// What is left of a limit.
+class Budget {
+ public:
+  Budget(std::uintmax_t limit, const char* what) : limit_(limit), left_(limit), what_(what) {}
+
+  /// Throws when it is not there.
+  void take(std::uintmax_t amount) {
+    if (amount > left_) throw std::runtime_error(fmt::format("more than {} {} in all", limit_, what_));
+    left_ -= amount;
   }
-  return items[static_cast<std::size_t>(index)];
-}
 
-/// Adds where it happened to what went wrong.
-template <class Call>
-auto within(const std::string& where, Call&& call) {
-  try {
-    return call();
-  } catch (const std::exception& error) {
-    throw std::runtime_error(fmt::format("{}: {}", where, error.what()));
-  }
-}
+ private:
+  std::uintmax_t limit_, left_;
+  const char* what_;
+};
 
-/// tinygltf's image callback: four channels of eight bits, of a size checked before it is decoded.
+/// tinygltf's image callback: four channels of eight bits, of a size checked before it is decoded; `user` is
+/// the Budget of all images' bytes.
 bool decode_image(tinygltf::Image* image, const int index, std::string* error, std::string* /*warning*/, int /*width*/,
-                  int /*height*/, const unsigned char* bytes, int size, void* /*user*/) {
+                  int /*height*/, const unsigned char* bytes, int size, void* user) {
   int width = 0;
   int height = 0;
   int channels = 0;
@@ -56,6 +53,12 @@ bool decode_image(tinygltf::Image* image, const int index, std::string* error, s
   if (width < 1 || height < 1 || width > kGreatestImageSide || height > kGreatestImageSide) {
     return refuse(fmt::format("{} x {} pixels, where a side has at most {}", width, height, kGreatestImageSide));
   }
+  const std::size_t decoded_bytes = std::size_t{4} * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+  try {
+    static_cast<Budget*>(user)->take(decoded_bytes);
+  } catch (const std::runtime_error& over) {
+    return refuse(over.what());
+  }
   const std::unique_ptr<stbi_uc, void (*)(void*)> pixels(
       stbi_load_from_memory(bytes, size, &width, &height, &channels, 4), stbi_image_free);
   if (!pixels) return refuse(fmt::format("it cannot be decoded ({})", stbi_failure_reason()));
@@ -64,35 +67,34 @@ bool decode_image(tinygltf::Image* image, const int index, std::string* error, s
   image->component = 4;
   image->bits = 8;
   image->pixel_type = TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE;
-  image->image.assign(
-      pixels.get(), pixels.get() + std::size_t{4} * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+  image->image.assign(pixels.get(), pixels.get() + decoded_bytes);
   return true;
 }
 
+/// tinygltf's file callback; `user` is the Budget of all files' bytes.
 bool read_bounded_file(std::vector<unsigned char>* out, std::string* error, const std::string& path, void* user) {
   std::error_code code;
   const std::uintmax_t size = std::filesystem::file_size(path, code);
-  if (code || size > kGreatestFile) {
-    if (error != nullptr) *error += fmt::format("{}: {}", path, code ? code.message() : "it is too large");
+  try {
+    if (code) throw std::runtime_error(code.message());
+    static_cast<Budget*>(user)->take(size);
+  } catch (const std::runtime_error& failure) {
+    if (error != nullptr) *error += fmt::format("{}: {}", path, failure.what());
     return false;
   }
   return tinygltf::ReadWholeFile(out, error, path, user);
 }
 
-tinygltf::Model parse(const std::string& path) {
-  std::error_code code;
-  const std::uintmax_t size = std::filesystem::file_size(path, code);
-  if (code) throw std::runtime_error(code.message());
-  if (size > kGreatestFile)
-    throw std::runtime_error(fmt::format("{} bytes, where {} are the most", size, kGreatestFile));
-
+tinygltf::Model parse(const std::string& path, const GltfLimits& limits) {
+  Budget file_bytes(limits.file_bytes, "bytes of files");
+  Budget image_bytes(limits.image_bytes, "bytes of images");
   tinygltf::TinyGLTF loader;
-  loader.SetImageLoader(decode_image, nullptr);
+  loader.SetImageLoader(decode_image, &image_bytes);
   loader.SetFsCallbacks({.FileExists = tinygltf::FileExists,
                          .ExpandFilePath = tinygltf::ExpandFilePath,
                          .ReadWholeFile = read_bounded_file,
                          .WriteWholeFile = tinygltf::WriteWholeFile,
-                         .user_data = nullptr});
+                         .user_data = &file_bytes});
   tinygltf::Model model;
   std::string error;
   std::string warning;
@@ -173,12 +175,34 @@ void make_flat(Mesh& mesh) {
   mesh = std::move(flat);
 }
 
-Mesh read_primitive(const tinygltf::Model& model, const tinygltf::Primitive& primitive) {
+std::size_t checked_rows(const tinygltf::Model& model, int accessor) {
+  const std::size_t rows = item(model.accessors, accessor, "accessor").count;
+  if (rows > kMostRows)
+    throw std::runtime_error(fmt::format("accessor {}: {} rows, where {} are the most", accessor, rows, kMostRows));
+  return rows;
+}
+
+/// What all meshes may come to.
+struct MeshBudget {
+  Budget vertices, indices;
+
+  /// Takes what read_primitive() is about to make, or more.
+  void take(const tinygltf::Model& model, const tinygltf::Primitive& primitive, int position, bool flat) {
+    const std::size_t rows = checked_rows(model, position);
+    const std::size_t sequence = primitive.indices < 0 ? rows : checked_rows(model, primitive.indices);
+    const std::size_t corners = primitive.mode == TINYGLTF_MODE_TRIANGLES ? sequence : 3 * sequence;
+    indices.take(corners);
+    vertices.take(std::max({rows, flat ? corners : 0, std::size_t{1}}));
+  }
+};
+
+Mesh read_primitive(const tinygltf::Model& model, const tinygltf::Primitive& primitive, MeshBudget& budget) {
   const auto attribute = [&](const char* name) {
     const auto found = primitive.attributes.find(name);
     return found == primitive.attributes.end() ? -1 : found->second;
   };
   if (attribute("POSITION") < 0) throw std::runtime_error("it has no POSITION");
+  budget.take(model, primitive, attribute("POSITION"), attribute("NORMAL") < 0);
   const std::vector<float> positions = read_floats(model, attribute("POSITION"), 3);
   const std::size_t count = positions.size() / 3;
   std::vector<float> normals;
@@ -226,14 +250,15 @@ glm::mat4 local_transform(const tinygltf::Node& node) {
 
 class SceneReader {
  public:
-  explicit SceneReader(tinygltf::Model model) : model_(std::move(model)) {}
+  SceneReader(tinygltf::Model model, const GltfLimits& limits)
+      : model_(std::move(model)), budget_{{limits.vertices, "vertices"}, {limits.indices, "indices"}} {}
 
   Scene read() {
-    for (const tinygltf::Image& image : model_.images) {
+    for (tinygltf::Image& image : model_.images) {
+      if (image.image.empty()) throw std::runtime_error(fmt::format("image '{}' is empty", image.name));
       scene_.images.push_back({.width = static_cast<std::uint32_t>(image.width),
                                .height = static_cast<std::uint32_t>(image.height),
-                               .rgba = image.image});
-      if (image.image.empty()) throw std::runtime_error(fmt::format("image '{}' is empty", image.name));
+                               .rgba = std::move(image.image)});
     }
     scene_.materials.emplace_back();  // for primitives without one
     for (std::size_t i = 0; i < model_.materials.size(); ++i) {
@@ -289,13 +314,11 @@ class SceneReader {
       }
       Part part;
       part.mesh = within(fmt::format("mesh {} ('{}'), primitive {}", node.mesh, mesh.name, i),
-                         [&] { return read_primitive(model_, primitive); });
+                         [&] { return read_primitive(model_, primitive, budget_); });
       if (primitive.material >= static_cast<int>(model_.materials.size())) {
         throw std::runtime_error(fmt::format("there is no material {}", primitive.material));
       }
       part.material = std::max(primitive.material, -1) + 1;
-      vertices_ += part.mesh.vertices.size();
-      if (vertices_ > kMostVertices) throw std::runtime_error(fmt::format("more than {} vertices", kMostVertices));
       if (determinant < 0) {
         for (std::size_t k = 0; k + 2 < part.mesh.indices.size(); k += 3)
           std::swap(part.mesh.indices[k + 1], part.mesh.indices[k + 2]);
@@ -308,13 +331,13 @@ class SceneReader {
   tinygltf::Model model_;
   Scene scene_;
   std::set<int> visited_;
-  std::size_t vertices_ = 0;
+  MeshBudget budget_;
 };
 
 }  // namespace
 
-Scene load_gltf(const std::string& path) {
-  return within(path, [&] { return SceneReader(parse(path)).read(); });
+Scene load_gltf(const std::string& path, const GltfLimits& limits) {
+  return within(path, [&] { return SceneReader(parse(path, limits), limits).read(); });
 }
 
 }  // namespace splatbus::sim

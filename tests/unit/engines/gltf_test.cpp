@@ -68,9 +68,9 @@ class Gltf : public testing::Test {
     json.replace(at, from.size(), to);
     return words(write(glb(json, square_bytes())));
   }
-  static std::string words(const std::string& path) {
+  static std::string words(const std::string& path, const GltfLimits& limits = {}) {
     try {
-      static_cast<void>(load_gltf(path));
+      static_cast<void>(load_gltf(path, limits));
     } catch (const std::runtime_error& error) {
       EXPECT_THAT(error.what(), HasSubstr(path));
       return error.what();
@@ -123,6 +123,27 @@ TEST_F(Gltf, WhatIsWrongIsNamed) {
   EXPECT_THAT(broken(R"("asset": {"version": "2.0"})",
                      R"("asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"])"),
               HasSubstr("KHR_draco_mesh_compression"));
+}
+
+TEST_F(Gltf, WhatAFileComesToIsBounded) {
+  // Two nodes show one square without normals: 6 corners each, and as many vertices.
+  const std::string square = write(glb(square_json(), square_bytes()));
+  EXPECT_EQ(words(square, {.vertices = 12, .indices = 12}), "no error");
+  EXPECT_THAT(words(square, {.vertices = 11}), testing::AllOf(HasSubstr("node 2 ('far')"), HasSubstr("11 vertices")));
+  EXPECT_THAT(words(square, {.indices = 11}), testing::AllOf(HasSubstr("node 2 ('far')"), HasSubstr("11 indices")));
+  EXPECT_THAT(words(square, {.file_bytes = 100}), HasSubstr("more than 100 bytes of files"));
+
+  // The same picture of 2 x 2 pixels twice, 16 bytes each when it is decoded.
+  const std::string picture =
+      R"({"uri": "data:image/png;base64,)"
+      "iVBORw0KGgoAAAANSUhEUgAAAAIAAAACCAIAAAD91JpzAAAAC0lEQVR4nGNgQAYAAA4AAamRc7EAAAAASUVORK5CYII="
+      R"("})";
+  std::string json = square_json();
+  json.insert(json.rfind('}'), R"(, "images": [)" + picture + ", " + picture + "]");
+  const std::string pictures = write(glb(json, square_bytes()));
+  EXPECT_EQ(words(pictures, {.image_bytes = 32}), "no error");
+  EXPECT_THAT(words(pictures, {.image_bytes = 31}),
+              testing::AllOf(HasSubstr("image 1"), HasSubstr("more than 31 bytes of images")));
 }
 
 TEST_F(Gltf, PositionsThatAreNotFiniteAreRefused) {
