@@ -5,6 +5,7 @@
 
 #include "default_launch_file.h"
 #include "demo_run.h"
+#include "json_text.h"
 #include "terminal.h"
 #include "verbs.h"
 
@@ -59,7 +60,7 @@ int demo(DemoVerbOptions options) {
   };
   const auto show = [&](const DemoState& state) {
     if (options.json) {
-      fmt::print("{}\n", to_json(state).dump());
+      fmt::print("{}\n", json_text(to_json(state)));
       std::fflush(stdout);
     } else {
       line.show(live_line(state));
@@ -67,9 +68,10 @@ int demo(DemoVerbOptions options) {
   };
   const nlohmann::json summary = run_demo(options.demo, signals, started, show);
   line.finish();
-  fmt::print("{}\n", options.json ? summary.dump() : summary.dump(2));
+  fmt::print("{}\n", json_text(summary, options.json ? -1 : 2));
   if (!options.json) fmt::print("{}: contact_sheet.png, model.ply, summary.json\n", options.out);
-  return 0;
+  if (summary.contains("note")) fmt::print(stderr, "splatbus demo: {}\n", summary["note"].get<std::string>());
+  return summary["ssim_viewer"].is_null() ? 1 : 0;
 }
 
 }  // namespace
@@ -79,7 +81,8 @@ void add_demo_verb(CLI::App& app, Action& action) {
   CLI::App* verb = app.add_subcommand("demo", "The whole pipeline on a built-in scene, with true figures beside it");
   verb->option_defaults()->always_capture_default();
   verb->add_option("--seconds", options->demo.seconds, "how long it runs")->check(CLI::Range(5.0, 86400.0));
-  verb->add_option("--seed", options->demo.seed, "of everything random");
+  verb->add_option("--seed", options->demo.seed, "of everything random: the scene and the trainer's choices")
+      ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{0xFFFFFFFF}));
   verb->add_option("--out", options->out, "folder for contact_sheet.png, model.ply and summary.json");
   verb->add_option("--launch", options->launch_file, "launch file (default: launch/demo.yaml of this build)");
   verb->add_option("--bus", options->demo.bus, "bus address (default: a folder of its own)");

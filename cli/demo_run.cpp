@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "gaussians/model.h"
+#include "json_text.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "metrics/contact_sheet.h"
@@ -40,9 +41,10 @@ std::vector<Camera> held_out_cameras() {
 
 LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, const fs::path& viewer_pictures) {
   LaunchFile file = read_launch_file(options.launch_file);
+  for (const auto& [name, value] : ring_parameters({.count = kReferenceCameras, .size = kSize})) {
+    apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
+  }
   const std::vector<std::pair<std::string, std::string>> settings{
-      {"capture-bridge.reference_cameras", std::to_string(kReferenceCameras)},
-      {"capture-bridge.reference_size", std::to_string(kSize)},
       {"trainer.seed", std::to_string(options.seed)},
       {"viewer.out", viewer_pictures.string()},
   };
@@ -78,12 +80,13 @@ class Demo {
     const std::int64_t end_ns = start_ns_ + static_cast<std::int64_t>(options_.seconds * 1e9);
     while (bus::now_ns() < end_ns) step(show, bus::now_ns() - asked_ns_ > kRoundNs);
     finish_last_round(show);
-    const auto model = live_.copy_average(std::chrono::milliseconds(2000));
-    if (!model) throw std::runtime_error("there is no model to write");
+    const auto model = live_.copy_average(std::chrono::seconds(10));
+    if (!model) throw std::runtime_error("there is no model to write; see " + log_path());
     write_ply(options_.out / "model.ply", model->view(), live_.scene());
+    if (compared_.empty()) throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
     write_contact_sheet();
     const Json summary = make_summary(model->count());
-    write_text(options_.out / "summary.json", summary.dump(2) + "\n");
+    write_text(options_.out / "summary.json", json_text(summary, 2) + "\n");
     run_.stop();
     return summary;
   }
@@ -95,7 +98,6 @@ class Demo {
     // Nothing can be compared before there is a model.
     if (new_round && live_.model() != nullptr) {
       server_.clear();
-      drawn_.clear();
       probes_.begin();
       asked_ns_ = bus::now_ns();
     }
@@ -119,8 +121,8 @@ class Demo {
       if (server_.contains(index)) continue;
       const auto picture = view_.render(live_, probe.camera, probe.scene);
       if (!picture) return;
-      drawn_[index] = *picture;
       server_[index] = metrics::compare(*picture, probe.picture);
+      compared_[index] = {.engine = probe.picture, .drawn = *picture, .server = server_[index]};
     }
   }
 
@@ -131,36 +133,37 @@ class Demo {
     if (viewer.size() == kHeldOutCameras) shown_viewer_ = summarize(viewer).mean.ssim;
   }
 
+  /// The viewer's answers of this round.
   [[nodiscard]] ViewFigures viewer_figures() const {
     ViewFigures figures;
     if (probes_.first_id() == 0) return figures;
-    for (std::size_t i = 0; i < kHeldOutCameras; ++i) {
-      const auto quality = watch_.state().viewer_quality.find(probes_.first_id() + i);
-      if (quality != watch_.state().viewer_quality.end()) figures[i] = quality->second;
+    for (const auto& [probe_id, quality] : watch_.state().viewer_quality) {
+      const auto camera = probes_.camera_of(probe_id);
+      if (camera && probe_id >= probes_.first_id()) figures[*camera] = quality;
     }
     return figures;
   }
 
-  /// One more round, waited for: its figures are the demo's.
+  /// One more round, waited for: its figures are the demo's. What does not come leaves what earlier rounds gave.
   void finish_last_round(const std::function<void(const DemoState&)>& show) {
     const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(kFinalTimeoutS * 1e9);
     step(show, true);
     std::int64_t asked_again_ns = bus::now_ns();
-    while (server_.size() < kHeldOutCameras || viewer_figures().size() < kHeldOutCameras) {
-      if (bus::now_ns() > end_ns) {
-        throw std::runtime_error(
-            fmt::format("after {} s: pictures from the engine {}, drawn at the server {}, compared at the viewer {}, "
-                        "of {} held-out views; see {}",
-                        options_.seconds, probes_.pictures().size(), server_.size(), viewer_figures().size(),
-                        kHeldOutCameras, (options_.out / "services.log").string()));
-      }
+    ViewFigures viewer = viewer_figures();
+    while ((server_.size() < kHeldOutCameras || viewer.size() < kHeldOutCameras) && bus::now_ns() < end_ns) {
       if (bus::now_ns() - asked_again_ns > kRepeatNs) {
-        probes_.ask_for_missing();
+        for (std::size_t i = 0; i < kHeldOutCameras; ++i) {
+          if (!probes_.pictures().contains(i) || !viewer.contains(i)) probes_.ask_again(i);
+        }
         asked_again_ns = bus::now_ns();
       }
       step(show, probes_.first_id() == 0);
+      viewer = viewer_figures();
     }
-    last_viewer_ = viewer_figures();
+    // By rising id: a later round's answer takes the place of an earlier one's.
+    for (const auto& [probe_id, quality] : watch_.state().viewer_quality) {
+      if (const auto camera = probes_.camera_of(probe_id)) viewer_known_[*camera] = {probe_id, quality};
+    }
   }
 
   void count_steps() {
@@ -196,46 +199,102 @@ class Demo {
     return state;
   }
 
+  /// The viewer's picture of a probe; empty when there is none that can be read.
+  [[nodiscard]] cv::Mat viewer_picture(std::uint64_t probe_id, const cv::Size& size) const {
+    try {
+      cv::Mat picture = metrics::read_png(viewer_pictures_ / fmt::format("probe_{}_viewer.png", probe_id));
+      if (picture.size() == size) return picture;
+    } catch (const std::exception&) {
+      // The viewer was killed while it wrote it.
+    }
+    return {};
+  }
+
   void write_contact_sheet() const {
     metrics::ContactSheet sheet{.title = fmt::format("splatbus demo, {:.0f} s: held-out cameras", options_.seconds),
                                 .columns = {"engine", "server", "viewer", "FLIP (viewer)"},
                                 .rows = {}};
-    for (const auto& [index, probe] : probes_.pictures()) {
-      const cv::Mat viewer = metrics::read_png(viewer_pictures_ / fmt::format("probe_{}_viewer.png", probe.probe_id));
+    for (const auto& [camera, compared] : compared_) {
+      metrics::ContactSheetRow row{.caption = fmt::format("camera {}", camera),
+                                   .figures = {fmt::format("server SSIM {:.3f}", compared.server.ssim),
+                                               fmt::format("PSNR {:.1f} dB", compared.server.psnr_db)},
+                                   .pictures = {compared.engine, compared.drawn}};
+      const auto viewer = viewer_known_.find(camera);
+      const cv::Mat picture =
+          viewer == viewer_known_.end() ? cv::Mat() : viewer_picture(viewer->second.probe_id, compared.engine.size());
+      if (viewer != viewer_known_.end()) {
+        const metrics::Quality& quality = viewer->second.quality;
+        row.figures.push_back(fmt::format("viewer SSIM {:.3f}", quality.ssim));
+        row.figures.push_back(fmt::format("PSNR {:.1f} dB", quality.psnr_db));
+        row.figures.push_back(fmt::format("FLIP {:.3f}", quality.flip));
+        if (is_stale(viewer->second.probe_id)) row.figures.emplace_back("(earlier round)");
+      } else {
+        row.figures.emplace_back("viewer: no answer");
+      }
       cv::Mat map;
-      static_cast<void>(metrics::flip(viewer, probe.picture, 67.0, &map));
-      const metrics::Quality& at_server = server_.at(index);
-      const metrics::Quality& at_viewer = last_viewer_.at(index);
-      sheet.rows.push_back(
-          {.caption = fmt::format("camera {}", index),
-           .figures = {fmt::format("server SSIM {:.3f}", at_server.ssim),
-                       fmt::format("PSNR {:.1f} dB", at_server.psnr_db),
-                       fmt::format("viewer SSIM {:.3f}", at_viewer.ssim),
-                       fmt::format("PSNR {:.1f} dB", at_viewer.psnr_db), fmt::format("FLIP {:.3f}", at_viewer.flip)},
-           .pictures = {probe.picture, drawn_.at(index), viewer, metrics::colorize(map)}});
+      if (!picture.empty()) static_cast<void>(metrics::flip(picture, compared.engine, 67.0, &map));
+      row.pictures.push_back(picture);
+      row.pictures.push_back(map.empty() ? map : metrics::colorize(map));
+      sheet.rows.push_back(std::move(row));
     }
     metrics::write_png(options_.out / "contact_sheet.png", metrics::draw(sheet));
   }
 
+  [[nodiscard]] bool is_stale(std::uint64_t probe_id) const { return probe_id < probes_.first_id(); }
+
   [[nodiscard]] Json make_summary(std::size_t gaussians) const {
-    const metrics::Quality server = summarize(server_).mean;
-    const metrics::Quality viewer = summarize(last_viewer_).mean;
     const PipelineState& state = watch_.state();
-    return {{"first_picture_s", rounded(static_cast<double>(state.first_picture_ns - start_ns_) / 1e9)},
-            {"gaussians", gaussians},
-            {"ssim_server", rounded(server.ssim)},
-            {"psnr_server", rounded(server.psnr_db)},
-            {"flip_server", rounded(server.flip)},
-            {"ssim_viewer", rounded(viewer.ssim)},
-            {"psnr_viewer", rounded(viewer.psnr_db)},
-            {"flip_viewer", rounded(viewer.flip)},
-            {"steps_per_s", rounded(steps_per_s())},
-            {"wire_mbps_mean", rounded(state.stream.wire_mbps_mean)},
-            {"wire_mbps_peak", rounded(state.stream.wire_mbps_peak)},
-            {"seconds", options_.seconds},
-            {"seed", options_.seed},
-            {"cameras", kHeldOutCameras}};
+    ViewFigures server, viewer;
+    for (const auto& [camera, compared] : compared_) server[camera] = compared.server;
+    for (const auto& [camera, known] : viewer_known_) viewer[camera] = known.quality;
+    const metrics::Quality at_server = summarize(server).mean;
+    Json summary{{"first_picture_s", nullptr},
+                 {"gaussians", gaussians},
+                 {"ssim_server", rounded(at_server.ssim)},
+                 {"psnr_server", rounded(at_server.psnr_db)},
+                 {"flip_server", rounded(at_server.flip)},
+                 {"ssim_viewer", nullptr},
+                 {"psnr_viewer", nullptr},
+                 {"flip_viewer", nullptr},
+                 {"steps_per_s", rounded(steps_per_s())},
+                 {"wire_mbps_mean", rounded(state.stream.wire_mbps_mean)},
+                 {"wire_mbps_peak", rounded(state.stream.wire_mbps_peak)},
+                 {"seconds", options_.seconds},
+                 {"seed", options_.seed},
+                 {"cameras", kHeldOutCameras}};
+    if (!viewer.empty()) {
+      const metrics::Quality at_viewer = summarize(viewer).mean;
+      summary["ssim_viewer"] = rounded(at_viewer.ssim);
+      summary["psnr_viewer"] = rounded(at_viewer.psnr_db);
+      summary["flip_viewer"] = rounded(at_viewer.flip);
+    }
+    if (state.first_picture_ns != 0) {
+      summary["first_picture_s"] = rounded(static_cast<double>(state.first_picture_ns - start_ns_) / 1e9);
+    }
+    const auto at_last =
+        static_cast<std::size_t>(std::count_if(viewer_known_.begin(), viewer_known_.end(),
+                                               [&](const auto& entry) { return !is_stale(entry.second.probe_id); }));
+    if (server_.size() < kHeldOutCameras || at_last < kHeldOutCameras) {
+      summary["note"] = fmt::format(
+          "of {} held-out views, {} of the last round were compared at the server and {} at the viewer within {} s; "
+          "the figures are of {} and {} views, older ones where the last did not come; see {}",
+          kHeldOutCameras, server_.size(), at_last, kFinalTimeoutS, server.size(), viewer.size(), log_path());
+    }
+    return summary;
   }
+
+  [[nodiscard]] std::string log_path() const { return (options_.out / "services.log").string(); }
+
+  /// Newest comparison of a camera at the server.
+  struct Compared {
+    cv::Mat engine, drawn;
+    metrics::Quality server;
+  };
+  /// Newest answer of the viewer about a camera.
+  struct ViewerAnswer {
+    std::uint64_t probe_id = 0;
+    metrics::Quality quality;
+  };
 
   const DemoOptions& options_;
   const StopSignals& signals_;
@@ -248,8 +307,9 @@ class Demo {
   LiveScene live_;
   ProbeRounds probes_;
   ServerView view_;
-  ViewFigures server_, last_viewer_;
-  std::map<std::size_t, cv::Mat> drawn_;
+  ViewFigures server_;  ///< of this round
+  std::map<std::size_t, Compared> compared_;
+  std::map<std::size_t, ViewerAnswer> viewer_known_;
   std::optional<double> shown_server_, shown_viewer_;
   std::int64_t asked_ns_ = 0, shown_ns_ = 0;
   double pictures_ = 0;

@@ -32,7 +32,9 @@ struct DemoState {
 };
 
 /// Launches the demo's services, compares held-out cameras at the server and at the viewer while they run, and writes
-/// contact_sheet.png, model.ply and summary.json to `out`. Returns the summary. Throws std::runtime_error.
+/// contact_sheet.png, model.ply and summary.json to `out`. Returns the summary: where a camera's last answer from the
+/// viewer did not come, with an earlier one and a "note" that says so; null figures without any. Throws
+/// std::runtime_error.
 nlohmann::json run_demo(const DemoOptions& options, const StopSignals& signals,
                         const std::function<void(const std::string& bus)>& started,
                         const std::function<void(const DemoState&)>& show);

@@ -1,10 +1,10 @@
 #include <fmt/format.h>
 
 #include <cstdio>
-#include <nlohmann/json.hpp>
 
 #include "default_launch_file.h"
 #include "fixed_evaluation.h"
+#include "json_text.h"
 #include "terminal.h"
 #include "verbs.h"
 
@@ -28,13 +28,12 @@ int evaluate_fixed(EvalOptions options) {
   const auto show_progress = [&](const FixedEvaluationProgress& progress) {
     const FigureSummary& figures = progress.figures;
     if (options.json) {
-      fmt::print("{}\n", nlohmann::json{{"iteration", progress.iteration},
-                                        {"gaussians", progress.gaussians},
-                                        {"steps_per_s", rounded(progress.steps_per_s)},
-                                        {"ssim_mean", rounded(figures.mean.ssim)},
-                                        {"psnr_mean", rounded(figures.mean.psnr_db)},
-                                        {"flip_mean", rounded(figures.mean.flip)}}
-                             .dump());
+      fmt::print("{}\n", json_text({{"iteration", progress.iteration},
+                                    {"gaussians", progress.gaussians},
+                                    {"steps_per_s", rounded(progress.steps_per_s)},
+                                    {"ssim_mean", rounded(figures.mean.ssim)},
+                                    {"psnr_mean", rounded(figures.mean.psnr_db)},
+                                    {"flip_mean", rounded(figures.mean.flip)}}));
       std::fflush(stdout);
       return;
     }
@@ -49,7 +48,7 @@ int evaluate_fixed(EvalOptions options) {
   };
   const nlohmann::json summary = run_fixed_evaluation(options.fixed, signals, show_state, show_progress);
   line.finish();
-  fmt::print("{}\n", options.json ? summary.dump() : summary.dump(2));
+  fmt::print("{}\n", json_text(summary, options.json ? -1 : 2));
   if (!options.json) fmt::print("{}: figures.csv, summary.json, contact_sheet.png\n", options.out);
   return 0;
 }
@@ -72,7 +71,7 @@ void add_eval_verb(CLI::App& app, Action& action) {
   verb->add_option("--input-cameras", fixed.input_cameras, "input cameras")->check(CLI::Range(1, 256));
   verb->add_option("--input-size", fixed.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
   verb->add_option("--budget", fixed.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
-  verb->add_option("--seed", fixed.seed, "of everything random");
+  verb->add_option("--seed", fixed.seed, "of the trainer's random choices; the scene is the launch file's");
   verb->add_option("--timeout", fixed.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
   verb->add_option("--out", options->out, "folder for figures.csv, summary.json and contact_sheet.png");
   verb->add_option("--launch", options->launch_file, "launch file (default: launch/eval_fixed.yaml of this build)");

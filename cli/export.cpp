@@ -1,10 +1,10 @@
 #include <fmt/format.h>
 
 #include <chrono>
-#include <nlohmann/json.hpp>
 #include <stdexcept>
 
 #include "gaussians/model.h"
+#include "json_text.h"
 #include "live_scene.h"
 #include "verbs.h"
 
@@ -15,7 +15,7 @@ namespace {
 struct ExportOptions {
   std::string bus;
   std::string path;
-  double timeout_s = 5;
+  double timeout_s = 30;
   bool json = false;
 };
 
@@ -37,7 +37,7 @@ int export_model(const ExportOptions& options) {
   }
   write_ply(options.path, model->view(), live.scene());
   if (options.json) {
-    fmt::print("{}\n", nlohmann::json{{"path", options.path}, {"gaussians", model->count()}}.dump());
+    fmt::print("{}\n", json_text({{"path", options.path}, {"gaussians", model->count()}}));
   } else {
     fmt::print("{}: {} Gaussians\n", options.path, model->count());
   }
@@ -50,7 +50,7 @@ void add_export_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<ExportOptions>();
   CLI::App* verb = app.add_subcommand("export", "Write the live model as a PLY file that 3DGS tools read");
   verb->add_option("file", options->path, "file to write (.ply)")->required();
-  verb->add_option("--timeout", options->timeout_s, "seconds to wait for the model (default 5)")
+  verb->add_option("--timeout", options->timeout_s, "seconds to wait for the model (default 30)")
       ->check(CLI::PositiveNumber);
   verb->add_flag("--json", options->json, "print the result as JSON");
   add_bus_option(*verb, options->bus);

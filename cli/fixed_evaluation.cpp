@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "bus/publisher.h"
+#include "json_text.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "metrics/contact_sheet.h"
@@ -29,9 +30,10 @@ constexpr std::int64_t kRepeatNs = 3'000'000'000;  ///< what was asked for and h
 
 LaunchPlan make_plan(const FixedEvaluationOptions& options, const bus::Address& address) {
   LaunchFile file = read_launch_file(options.launch_file);
+  for (const auto& [name, value] : ring_parameters({.count = options.cameras, .size = options.size})) {
+    apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
+  }
   const std::vector<std::pair<std::string, std::string>> settings{
-      {"capture-bridge.reference_cameras", std::to_string(options.cameras)},
-      {"capture-bridge.reference_size", std::to_string(options.size)},
       {"capture-bridge.input_cameras", std::to_string(options.input_cameras)},
       {"capture-bridge.input_size", std::to_string(options.input_size)},
       {"capture-bridge.sample_budget", std::to_string(options.budget)},
@@ -79,7 +81,7 @@ class FixedEvaluation {
     }
     write_contact_sheet(figures);
     const Json summary = make_summary(figures);
-    write_text(options_.out / "summary.json", summary.dump(2) + "\n");
+    write_text(options_.out / "summary.json", json_text(summary, 2) + "\n");
     run_.stop();
     return summary;
   }
@@ -92,7 +94,9 @@ class FixedEvaluation {
     std::int64_t asked_ns = bus::now_ns();
     const auto ready = [&] {
       if (!probes_.complete() && bus::now_ns() - asked_ns > kRepeatNs) {
-        probes_.ask_for_missing();
+        for (std::size_t i = 0; i < probes_.cameras().size(); ++i) {
+          if (!probes_.pictures().contains(i)) probes_.ask_again(i);
+        }
         asked_ns = bus::now_ns();
       }
       const PipelineState& state = watch_.state();

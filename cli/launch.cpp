@@ -4,8 +4,8 @@
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
-#include <nlohmann/json.hpp>
 
+#include "json_text.h"
 #include "launch_file.h"
 #include "launch_plan.h"
 #include "stop_signals.h"
@@ -27,8 +27,19 @@ struct LaunchOptions {
 };
 
 std::string json_line(const std::string& name, const std::string& line, bool own) {
-  using Json = nlohmann::json;
-  return Json{{"service", name}, {own ? "event" : "line", line}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+  return json_text({{"service", name}, {own ? "event" : "line", line}});
+}
+
+void print_plan(const LaunchPlan& plan, bool json) {
+  for (const ProcessPlan& process : plan.processes) {
+    std::vector<std::string> after;
+    for (const std::size_t index : process.after) after.push_back(plan.processes[index].name);
+    fmt::print("{}\n", json ? json_text({{"service", process.name},
+                                         {"program", process.program.string()},
+                                         {"arguments", process.arguments},
+                                         {"after", after}})
+                            : process.name);
+  }
 }
 
 int launch(const LaunchOptions& options) {
@@ -45,7 +56,7 @@ int launch(const LaunchOptions& options) {
   const LaunchPlan plan = plan_launch(file, address, program_directory());
   check_parameters(file, plan);
   if (options.check) {
-    for (const ProcessPlan& process : plan.processes) fmt::print("{}\n", process.name);
+    print_plan(plan, options.json);
     return 0;
   }
 

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "bus/subscriber.h"
+#include "json_text.h"
 #include "stop_signals.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
@@ -57,7 +58,7 @@ int list(const NodeOptions& options) {
   for (const auto& [source, message] : newest) {
     bus::guarded(message, [&message = message, &options] {
       const Json node = describe(message.root<wire::Heartbeat>("Heartbeat/1"));
-      if (options.json) return fmt::print("{}\n", node.dump());
+      if (options.json) return fmt::print("{}\n", json_text(node));
       std::string counters = node["detail"];
       for (const auto& [name, value] : node["counters"].items()) {
         counters +=

@@ -1,5 +1,7 @@
 #include "probe_round.h"
 
+#include <fmt/format.h>
+
 #include <glm/gtc/constants.hpp>
 #include <utility>
 
@@ -15,7 +17,8 @@ ProbeRounds::ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vect
       requests_(context, "viewer/probe"),
       answers_(context, {"capture/probe"}),
       // Beside the ids that viewers count from 1, and other than those of a command that ran before.
-      next_id_(static_cast<std::uint64_t>(bus::now_ns())) {}
+      next_id_(static_cast<std::uint64_t>(bus::now_ns())),
+      oldest_id_(next_id_) {}
 
 void ProbeRounds::begin() {
   first_id_ = next_id_;
@@ -24,10 +27,13 @@ void ProbeRounds::begin() {
   for (std::size_t i = 0; i < cameras_.size(); ++i) ask(i);
 }
 
-void ProbeRounds::ask_for_missing() {
-  for (std::size_t i = 0; i < cameras_.size(); ++i) {
-    if (!pictures_.contains(i)) ask(i);
-  }
+void ProbeRounds::ask_again(std::size_t camera) {
+  if (first_id_ != 0) ask(camera);
+}
+
+std::optional<std::size_t> ProbeRounds::camera_of(std::uint64_t probe_id) const {
+  if (probe_id < oldest_id_ || probe_id >= next_id_) return {};
+  return static_cast<std::size_t>((probe_id - oldest_id_) % cameras_.size());
 }
 
 void ProbeRounds::ask(std::size_t index) {
@@ -74,6 +80,17 @@ std::vector<Camera> circle_cameras(const Circle& circle) {
     cameras.push_back(camera);
   }
   return cameras;
+}
+
+std::vector<std::pair<std::string, std::string>> ring_parameters(const Circle& circle) {
+  return {{"reference_rig", "ring"},
+          {"reference_cameras", std::to_string(circle.count)},
+          {"reference_size", std::to_string(circle.size)},
+          {"fov_deg", fmt::format("{}", circle.fov_degrees)},
+          {"ring_radius_m", fmt::format("{}", circle.radius_m)},
+          {"ring_height_m", fmt::format("{}", circle.height_m)},
+          {"ring_phase_deg", fmt::format("{}", circle.phase_degrees)},
+          {"ring_target", fmt::format("{},{},{}", circle.target.x, circle.target.y, circle.target.z)}};
 }
 
 }  // namespace splatbus::cli

@@ -6,6 +6,9 @@
 #include <map>
 #include <memory>
 #include <opencv2/core.hpp>
+#include <optional>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "bus/publisher.h"
@@ -28,13 +31,15 @@ class ProbeRounds {
  public:
   ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras);
 
-  void begin();            ///< the next round: asks for every camera
-  void ask_for_missing();  ///< again, what has not come
+  void begin();  ///< the next round: asks for every camera
+  void ask_again(std::size_t camera);
 
   /// Takes in pictures that have arrived; `handle(index, picture)` for each camera's first of this round.
   void poll(std::chrono::milliseconds timeout, const std::function<void(std::size_t, const ProbePicture&)>& handle);
 
   [[nodiscard]] std::uint64_t first_id() const { return first_id_; }
+  /// The camera that a probe of this or an earlier round was of; nullopt for somebody else's.
+  [[nodiscard]] std::optional<std::size_t> camera_of(std::uint64_t probe_id) const;
   [[nodiscard]] const std::map<std::size_t, ProbePicture>& pictures() const { return pictures_; }
   [[nodiscard]] bool complete() const { return first_id_ != 0 && pictures_.size() == cameras_.size(); }
   [[nodiscard]] const std::vector<Camera>& cameras() const { return cameras_; }
@@ -46,10 +51,11 @@ class ProbeRounds {
   bus::Publisher requests_;
   bus::Subscriber answers_;
   std::uint64_t first_id_ = 0, next_id_;
+  const std::uint64_t oldest_id_;
   std::map<std::size_t, ProbePicture> pictures_;
 };
 
-/// A circle about `target`, as the capture-bridge's reference ring: camera i at angle phase + 2 pi i / count from +x
+/// A circle about `target`: camera i at angle phase + 2 pi i / count from +x
 /// towards +z.
 struct Circle {
   int count = 4;
@@ -62,5 +68,8 @@ struct Circle {
 };
 
 [[nodiscard]] std::vector<Camera> circle_cameras(const Circle& circle);
+
+/// The capture-bridge's parameters that put its reference cameras on the circle.
+[[nodiscard]] std::vector<std::pair<std::string, std::string>> ring_parameters(const Circle& circle);
 
 }  // namespace splatbus::cli

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <vector>
 
+#include "json_text.h"
 #include "schema_json.h"
 #include "stop_signals.h"
 #include "topic_statistics.h"
@@ -55,13 +56,12 @@ int list(const TopicOptions& options) {
   if (!options.json) print(fmt::format("{:<24} {:>8} {:>8}  {:<22} {}", "TOPIC", "MESSAGES", "HZ", "SCHEMA", "SOURCE"));
   for (const auto& [topic, seen] : table) {
     if (options.json) {
-      print(Json{{"topic", topic},
-                 {"messages", seen.messages},
-                 {"rate_hz", seen.rate_hz(window_ns)},
-                 {"schemas", seen.schemas},
-                 {"sources", seen.sources},
-                 {"latched", seen.latched}}
-                .dump());
+      print(json_text({{"topic", topic},
+                       {"messages", seen.messages},
+                       {"rate_hz", seen.rate_hz(window_ns)},
+                       {"schemas", seen.schemas},
+                       {"sources", seen.sources},
+                       {"latched", seen.latched}}));
     } else {
       print(fmt::format("{:<24} {:>8} {:>8.2f}  {:<22} {}{}", topic, seen.messages, seen.rate_hz(window_ns),
                         fmt::join(seen.schemas, ","), fmt::join(seen.sources, ","), seen.latched ? " (latched)" : ""));
@@ -82,7 +82,7 @@ int echo(const TopicOptions& options) {
     try {
       const Json body = schemas.to_json(*message);
       const Json json{{"topic", message->topic()}, {"message", body}};
-      print(options.json ? json.dump() : fmt::format("--- {}\n{}", message->topic(), body.dump(2)));
+      print(options.json ? json_text(json) : fmt::format("--- {}\n{}", message->topic(), json_text(body, 2)));
     } catch (const bus::Error& error) {
       fmt::print(stderr, "splatbus topic echo: {}\n", error.what());
       continue;
@@ -107,7 +107,7 @@ int meter(const TopicOptions& options, bool bandwidth) {
       const double rate_hz = seen.rate_hz(window_ns);
       const double megabits = seen.megabits_per_s(window_ns);
       if (options.json) {
-        print(Json{{"topic", topic}, {"rate_hz", rate_hz}, {"mbps", megabits}}.dump());
+        print(json_text({{"topic", topic}, {"rate_hz", rate_hz}, {"mbps", megabits}}));
       } else if (bandwidth) {
         print(fmt::format("{:<24} {:>10.3f} Mbit/s", topic, megabits));
       } else {
