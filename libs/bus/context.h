@@ -31,7 +31,7 @@ class Context : public std::enable_shared_from_this<Context> {
   /// waits in a bounded queue (docs/protocol.md, "Start-up").
   [[nodiscard]] bool wait_connected(std::chrono::milliseconds timeout) const;
 
-  /// Makes a host slab and registers it under "<source>/<role>"; a slab registered under that name before is dropped
+  /// Makes a slab and registers it under "<source>/<role>"; a slab registered under that name before is dropped
   /// by the registry (mappings that others hold stay good). Waits up to `timeout_ms` for the broker. Over tcp the slab
   /// is private memory and its tensors are inlined. Throws Error, also for a kind that this build has no memory for.
   std::shared_ptr<Slab> create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,

@@ -8,11 +8,44 @@
 
 #include "bus/error.h"
 #include "bus/memfd.h"
+#ifdef SPLATBUS_HAVE_CUDA
+#include "bus/gpu/cuda_slab.h"
+#endif
 
 namespace splatbus::bus {
 namespace {
 
-[[noreturn]] void refuse_kind(const SlabDescriptor& descriptor) {
+/// How slabs of one kind are made and mapped.
+struct SlabMemory {
+  MemoryKind kind;
+  std::shared_ptr<Slab> (*create)(const SlabDescriptor& descriptor, bool shared);
+  std::shared_ptr<Slab> (*map)(const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
+                               bool writable);
+};
+
+template <class KindOfSlab>
+constexpr SlabMemory slab_memory(MemoryKind kind) {
+  return {kind,
+          [](const SlabDescriptor& descriptor, bool shared) -> std::shared_ptr<Slab> {
+            return KindOfSlab::create(descriptor, shared);
+          },
+          [](const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
+             bool writable) -> std::shared_ptr<Slab> {
+            return KindOfSlab::map(descriptor, std::move(control), std::move(data), writable);
+          }};
+}
+
+constexpr SlabMemory slab_memories[] = {
+    slab_memory<HostSlab>(MemoryKind::Host),
+#ifdef SPLATBUS_HAVE_CUDA
+    slab_memory<gpu::CudaSlab>(MemoryKind::Cuda),
+#endif
+};
+
+const SlabMemory& memory_of(const SlabDescriptor& descriptor) {
+  for (const SlabMemory& memory : slab_memories) {
+    if (memory.kind == descriptor.kind) return memory;
+  }
   throw Error(fmt::format("slab '{}': this build has no memory of kind {}", descriptor.name,
                           static_cast<std::uint32_t>(descriptor.kind)));
 }
@@ -51,14 +84,12 @@ void HostSlab::read(std::size_t offset, std::size_t bytes, void* destination) co
 }
 
 std::shared_ptr<Slab> create_slab_memory(const SlabDescriptor& descriptor, bool shared) {
-  if (descriptor.kind != MemoryKind::Host) refuse_kind(descriptor);
-  return HostSlab::create(descriptor, shared);
+  return memory_of(descriptor).create(descriptor, shared);
 }
 
 std::shared_ptr<Slab> map_slab_memory(const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
                                       bool writable) {
-  if (descriptor.kind != MemoryKind::Host) refuse_kind(descriptor);
-  return HostSlab::map(descriptor, std::move(control), std::move(data), writable);
+  return memory_of(descriptor).map(descriptor, std::move(control), std::move(data), writable);
 }
 
 }  // namespace splatbus::bus

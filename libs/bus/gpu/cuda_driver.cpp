@@ -32,6 +32,7 @@ Driver load() {
   look_up("cuMemRelease", driver.release);
   look_up("cuMemExportToShareableHandle", driver.export_handle);
   look_up("cuMemImportFromShareableHandle", driver.import_handle);
+  look_up("cuMemGetAllocationPropertiesFromHandle", driver.properties);
   look_up("cuMemAddressReserve", driver.reserve);
   look_up("cuMemAddressFree", driver.free_address);
   look_up("cuMemMap", driver.map);
@@ -44,16 +45,15 @@ Driver load() {
 
 const Driver& Driver::get() {
   check_runtime(cudaSetDevice(0), "choosing the device");
-  check_runtime(cudaFree(nullptr), "making a context");
   static const Driver driver = load();
   return driver;
 }
 
-void Driver::check(CUresult result, const char* what) const {
+void Driver::check(CUresult result, const std::string& what) const {
   if (result == CUDA_SUCCESS) return;
   const char* words = nullptr;
   error_string(result, &words);
-  throw Error(fmt::format("CUDA: {}: {}", what, words != nullptr ? words : "unknown error"));
+  throw Error(fmt::format("{}: {}", what, words != nullptr ? words : "unknown error"));
 }
 
 }  // namespace splatbus::bus::gpu
