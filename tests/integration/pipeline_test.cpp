@@ -2,14 +2,11 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <poll.h>
 
 #include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
-#include <set>
 
-#include "child_process.h"
+#include "command.h"
 #include "gaussians/model.h"
 
 namespace splatbus::cli {
@@ -17,34 +14,6 @@ namespace {
 
 using Json = nlohmann::json;
 using testing::HasSubstr;
-
-struct Answer {
-  ExitStatus status;
-  std::vector<std::string> lines;
-
-  [[nodiscard]] std::vector<Json> json() const {
-    std::vector<Json> result;
-    for (const std::string& line : lines) result.push_back(Json::parse(line, nullptr, false));
-    return result;
-  }
-};
-
-/// The program's answer to a command that ends by itself.
-Answer splatbus(const std::vector<std::string>& arguments) {
-  ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, {});
-  Answer answer;
-  std::optional<ExitStatus> status;
-  while (!status) {
-    pollfd events[] = {{.fd = child.output_fd(), .events = POLLIN, .revents = 0},
-                       {.fd = child.exit_fd(), .events = POLLIN, .revents = 0}};
-    if (poll(events, 2, 60000) <= 0) break;
-    status = child.poll_exit();
-    for (std::string& line : child.read_lines(status.has_value())) answer.lines.push_back(std::move(line));
-  }
-  EXPECT_TRUE(status.has_value()) << "splatbus " << arguments.front() << " did not end";
-  answer.status = status.value_or(ExitStatus{.code = -1, .signal = 0});
-  return answer;
-}
 
 /// One pipeline for all commands: they only look.
 class RunningPipeline : public testing::Test {
@@ -75,7 +44,7 @@ TEST_F(RunningPipeline, ReachesTheViewer) {
 }
 
 TEST_F(RunningPipeline, TopicListKnowsEveryTopic) {
-  const Answer answer = splatbus({"topic", "list", "--seconds", "2.5", "--json", "--bus", bus_});
+  const Answer answer = splatbus_command({"topic", "list", "--seconds", "2.5", "--json", "--bus", bus_});
   EXPECT_TRUE(answer.status.success());
   std::map<std::string, Json> topics;
   for (const Json& line : answer.json()) topics[line.at("topic")] = line;
@@ -94,15 +63,17 @@ TEST_F(RunningPipeline, TopicEchoDecodesEveryTopic) {
   for (const char* topic :
        {"engine/cameras", "engine/frame", "capture/reference", "scene/objects", "scene/light_depth", "model/published",
         "trainer/stats", "trainer/cells", "grid/state", "stream/stats", "sys/heartbeat", "viewer/pose"}) {
-    const Answer answer = splatbus({"topic", "echo", topic, "-n", "1", "--seconds", "30", "--json", "--bus", bus_});
+    const Answer answer =
+        splatbus_command({"topic", "echo", topic, "-n", "1", "--seconds", "30", "--json", "--bus", bus_});
     ASSERT_TRUE(answer.status.success()) << topic;
     ASSERT_EQ(answer.lines.size(), 1U) << topic;
     const Json json = answer.json().front();
     EXPECT_EQ(json.value("topic", ""), topic);
     EXPECT_GT(json["message"]["header"]["sequence"], 0) << topic;
   }
-  const Json frame =
-      splatbus({"topic", "echo", "capture/reference", "-n", "1", "--json", "--bus", bus_}).json().front()["message"];
+  const Json frame = splatbus_command({"topic", "echo", "capture/reference", "-n", "1", "--json", "--bus", bus_})
+                         .json()
+                         .front()["message"];
   const Json color = frame["header"]["tensors"][0];
   EXPECT_EQ(color["name"], "color");
   EXPECT_EQ(color["type"], "U8");
@@ -111,18 +82,18 @@ TEST_F(RunningPipeline, TopicEchoDecodesEveryTopic) {
 }
 
 TEST_F(RunningPipeline, TopicRatesAndBandwidth) {
-  const Answer hz = splatbus({"topic", "hz", "sys/heartbeat", "--seconds", "2.2", "--json", "--bus", bus_});
+  const Answer hz = splatbus_command({"topic", "hz", "sys/heartbeat", "--seconds", "2.2", "--json", "--bus", bus_});
   EXPECT_TRUE(hz.status.success());
   ASSERT_FALSE(hz.lines.empty());
   EXPECT_GT(hz.json().back()["rate_hz"], 8) << "eight services, a few times a second each";
-  const Answer bw = splatbus({"topic", "bw", "capture/reference", "--seconds", "2.2", "--json", "--bus", bus_});
+  const Answer bw = splatbus_command({"topic", "bw", "capture/reference", "--seconds", "2.2", "--json", "--bus", bus_});
   EXPECT_TRUE(bw.status.success());
   ASSERT_FALSE(bw.lines.empty());
   EXPECT_GT(bw.json().back()["mbps"], 0.1) << "pictures of 64 x 64 x 8 bytes, at least one a second";
 }
 
 TEST_F(RunningPipeline, NodeListShowsEveryService) {
-  const Answer answer = splatbus({"node", "list", "--json", "--bus", bus_});
+  const Answer answer = splatbus_command({"node", "list", "--json", "--bus", bus_});
   EXPECT_TRUE(answer.status.success());
   std::map<std::string, pid_t> pids;
   for (const Json& node : answer.json()) {
@@ -135,12 +106,12 @@ TEST_F(RunningPipeline, NodeListShowsEveryService) {
 
 TEST_F(RunningPipeline, ExportWritesAModelThatCanBeRead) {
   const std::string path = *pipeline_->address().directory + "/model.ply";
-  const Answer answer = splatbus({"export", path, "--json", "--bus", bus_});
+  const Answer answer = splatbus_command({"export", path, "--json", "--bus", bus_});
   ASSERT_TRUE(answer.status.success());
   const GaussiansBuffer model = read_ply(path);
   EXPECT_EQ(answer.json().front()["gaussians"], model.count());
   EXPECT_GT(model.count(), 500U);
-  const Answer bad = splatbus({"export", "/nonexistent/model.ply", "--bus", bus_});
+  const Answer bad = splatbus_command({"export", "/nonexistent/model.ply", "--bus", bus_});
   EXPECT_EQ(bad.status.code, 1);
   EXPECT_THAT(bad.lines, testing::Contains(HasSubstr("/nonexistent/model.ply")));
 }
@@ -148,12 +119,12 @@ TEST_F(RunningPipeline, ExportWritesAModelThatCanBeRead) {
 TEST(Commands, WithoutABusTheySaySo) {
   const PrivateBusFolder nobody;
   const std::string bus = nobody.address().text();
-  const Answer topics = splatbus({"topic", "list", "--seconds", "0.2", "--bus", bus});
+  const Answer topics = splatbus_command({"topic", "list", "--seconds", "0.2", "--bus", bus});
   EXPECT_EQ(topics.status.code, 1);
   EXPECT_THAT(topics.lines, testing::Contains(HasSubstr("nothing arrived within 0.2 s")));
-  const Answer nodes = splatbus({"node", "list", "--seconds", "0.2", "--bus", bus});
+  const Answer nodes = splatbus_command({"node", "list", "--seconds", "0.2", "--bus", bus});
   EXPECT_EQ(nodes.status.code, 1);
-  const Answer model = splatbus({"export", "/tmp/never.ply", "--timeout", "0.2", "--bus", bus});
+  const Answer model = splatbus_command({"export", "/tmp/never.ply", "--timeout", "0.2", "--bus", bus});
   EXPECT_EQ(model.status.code, 1);
   EXPECT_THAT(model.lines, testing::Contains(HasSubstr("no model/published within 0.2 s")));
 }
@@ -174,14 +145,14 @@ TEST(Commands, HelpAndVersionEverywhere) {
                                                                                     {"demo"}}) {
     std::vector<std::string> arguments = verb;
     arguments.emplace_back("--help");
-    const Answer answer = splatbus(arguments);
+    const Answer answer = splatbus_command(arguments);
     EXPECT_TRUE(answer.status.success());
     EXPECT_THAT(answer.lines, testing::Contains(HasSubstr("Usage:")));
   }
-  EXPECT_THAT(splatbus({"--version"}).lines,
+  EXPECT_THAT(splatbus_command({"--version"}).lines,
               testing::ElementsAre(testing::MatchesRegex("splatbus [0-9]+.[0-9]+.[0-9]+")));
-  EXPECT_EQ(splatbus({"nonsense"}).status.code, 2);
-  EXPECT_EQ(splatbus({}).status.code, 2);
+  EXPECT_EQ(splatbus_command({"nonsense"}).status.code, 2);
+  EXPECT_EQ(splatbus_command({}).status.code, 2);
 }
 
 }  // namespace

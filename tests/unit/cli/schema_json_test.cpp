@@ -44,7 +44,7 @@ class SchemaJsonTest : public testing::Test {
   bus::Message round_trip(bus::MessageInfo info, Build build) {
     info.latch = true;
     publisher_->publish(info, build);
-    auto message = subscriber_->receive(10s);
+    auto message = subscriber_->receive(60s);
     EXPECT_TRUE(message.has_value());
     return std::move(*message);
   }

@@ -22,7 +22,7 @@ using namespace std::chrono_literals;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-constexpr auto kPatience = 20s;
+constexpr auto kPatience = 60s;
 
 ProcessPlan shell(const std::string& name, const std::string& script, std::vector<std::size_t> after = {}) {
   ProcessPlan plan;
@@ -221,7 +221,7 @@ class HeartbeatTest : public SupervisorTest {
 
   static ProcessPlan beating(const std::string& name, std::vector<std::size_t> after = {}) {
     ProcessPlan plan = shell(name, "exec sleep 100", std::move(after));
-    plan.heartbeat_timeout_s = 0.4;
+    plan.heartbeat_timeout_s = 2;
     return plan;
   }
 
@@ -243,7 +243,7 @@ TEST_F(HeartbeatTest, ReadyWithTheFirstHeartbeatAndThenOthersStart) {
 TEST_F(HeartbeatTest, SilentProcessIsKilledAndStartedAgain) {
   launch({beating("a")});
   ASSERT_TRUE(beat_until("a", [&] { return status("a").state == ProcessState::Running; }));
-  EXPECT_TRUE(wait_for_line("a * no heartbeat for 0.4 s, killing it"));
+  EXPECT_TRUE(wait_for_line("a * no heartbeat for 2 s, killing it"));
   EXPECT_TRUE(wait_for_line("a * killed by signal 9"));
   EXPECT_TRUE(wait_for_line("a * started", 2));
 }
@@ -263,11 +263,11 @@ TEST_F(HeartbeatTest, SilenceIsForgivenWhileTheBrokerIsSilent) {
   ASSERT_TRUE(beat_until("bus", [&] { return status("a").state == ProcessState::Starting; }));
   ASSERT_TRUE(beat_until("a", [&] { return status("a").state == ProcessState::Running; }));
   // Nobody beats for longer than is allowed, and nobody is killed; then only the broker beats.
-  std::this_thread::sleep_for(1000ms);
+  std::this_thread::sleep_for(3000ms);
   EXPECT_THAT(lines(), testing::Not(testing::Contains(HasSubstr("no heartbeat"))));
   EXPECT_TRUE(beat_until("bus", [&] {
     const auto said = lines();
-    return std::find(said.begin(), said.end(), "a * no heartbeat for 0.4 s, killing it") != said.end();
+    return std::find(said.begin(), said.end(), "a * no heartbeat for 2 s, killing it") != said.end();
   }));
 }
 

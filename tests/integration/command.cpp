@@ -1,0 +1,38 @@
+#include "command.h"
+
+#include <gtest/gtest.h>
+#include <poll.h>
+
+#include <optional>
+
+namespace splatbus::cli {
+
+namespace {
+
+constexpr int kPatienceMs = 60000;
+
+}  // namespace
+
+std::vector<nlohmann::json> Answer::json() const {
+  std::vector<nlohmann::json> result;
+  for (const std::string& line : lines) result.push_back(nlohmann::json::parse(line, nullptr, false));
+  return result;
+}
+
+Answer splatbus_command(const std::vector<std::string>& arguments) {
+  ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, {});
+  Answer answer;
+  std::optional<ExitStatus> status;
+  while (!status) {
+    pollfd events[] = {{.fd = child.output_fd(), .events = POLLIN, .revents = 0},
+                       {.fd = child.exit_fd(), .events = POLLIN, .revents = 0}};
+    if (poll(events, 2, kPatienceMs) <= 0) break;
+    status = child.poll_exit();
+    for (std::string& line : child.read_lines(status.has_value())) answer.lines.push_back(std::move(line));
+  }
+  EXPECT_TRUE(status.has_value()) << "splatbus " << arguments.front() << " did not end";
+  answer.status = status.value_or(ExitStatus{.code = -1, .signal = 0});
+  return answer;
+}
+
+}  // namespace splatbus::cli

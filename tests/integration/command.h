@@ -1,0 +1,22 @@
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "child_process.h"
+
+namespace splatbus::cli {
+
+/// What a command of the program came to.
+struct Answer {
+  ExitStatus status;
+  std::vector<std::string> lines;  ///< standard output and standard error
+
+  [[nodiscard]] std::vector<nlohmann::json> json() const;  ///< of each line; discarded where it is none
+};
+
+/// Runs the program with a command that ends by itself; one that says nothing for a minute counts as failed.
+[[nodiscard]] Answer splatbus_command(const std::vector<std::string>& arguments);
+
+}  // namespace splatbus::cli

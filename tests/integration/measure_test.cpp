@@ -1,0 +1,99 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+#include "command.h"
+#include "figures.h"
+#include "gaussians/model.h"
+#include "metrics/image_io.h"
+#include "pipeline.h"
+
+namespace splatbus::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+Json read_json(const fs::path& path) {
+  std::ifstream file(path);
+  return Json::parse(file, nullptr, false);
+}
+
+void expect_finite(const Json& summary, const std::vector<std::string>& keys) {
+  for (const std::string& key : keys) {
+    ASSERT_TRUE(summary.contains(key)) << key;
+    EXPECT_TRUE(summary[key].is_number()) << key << ": " << summary[key];  // JSON has no infinite numbers: null
+  }
+}
+
+TEST(Measure, DemoWritesItsFigures) {
+  const PrivateBusFolder folder;
+  const fs::path launch_file = folder.path() / "small.yaml";
+  std::ofstream(launch_file) << Pipeline::launch_file();
+  const fs::path out = folder.path() / "demo";
+  const Answer answer = splatbus_command(
+      {"demo", "--seconds", "5", "--seed", "3", "--json", "--launch", launch_file.string(), "--out", out.string()});
+  std::ostringstream log;
+  log << std::ifstream(out / "services.log").rdbuf();
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines) << log.str();
+
+  const Json summary = read_json(out / "summary.json");
+  ASSERT_TRUE(summary.is_object());
+  expect_finite(summary, {"first_picture_s", "gaussians", "ssim_server", "psnr_server", "flip_server", "ssim_viewer",
+                          "psnr_viewer", "flip_viewer", "steps_per_s", "wire_mbps_mean", "wire_mbps_peak", "seconds",
+                          "seed", "cameras"});
+  EXPECT_FALSE(summary.contains("note")) << summary["note"];
+  EXPECT_EQ(answer.json().back(), summary) << "what is printed is what is written";
+  EXPECT_EQ(summary["seconds"], 5);
+  EXPECT_EQ(summary["seed"], 3);
+  EXPECT_GT(summary["first_picture_s"], 0);
+  for (const char* key : {"ssim_server", "ssim_viewer"}) {
+    EXPECT_GT(summary[key], 0.5) << key;
+    EXPECT_LE(summary[key], 1) << key;
+  }
+  EXPECT_GT(summary["steps_per_s"], 0);
+  EXPECT_GE(summary["wire_mbps_peak"], summary["wire_mbps_mean"]);
+
+  EXPECT_EQ(read_ply((out / "model.ply").string()).count(), summary["gaussians"].get<std::size_t>());
+  const cv::Mat sheet = metrics::read_png((out / "contact_sheet.png").string());
+  EXPECT_GT(sheet.cols, 4 * 160) << "four pictures a row";
+  EXPECT_GT(sheet.rows, 4 * 160) << "four held-out cameras";
+}
+
+TEST(Measure, EvalFixedWritesItsFigures) {
+  const PrivateBusFolder folder;
+  const fs::path out = folder.path() / "eval";
+  const Answer answer =
+      splatbus_command({"eval",     "fixed", "--cameras", "3",  "--size",          "48",    "--iterations", "20",
+                        "--every",  "10",    "--views",   "2",  "--input-cameras", "4",     "--input-size", "48",
+                        "--budget", "3000",  "--timeout", "90", "--json",          "--out", out.string()});
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+
+  std::ifstream csv(out / "figures.csv");
+  std::string line;
+  ASSERT_TRUE(std::getline(csv, line));
+  EXPECT_EQ(line + "\n", kCsvHeader);
+  std::vector<std::string> places;
+  while (std::getline(csv, line)) {
+    EXPECT_THAT(line, testing::MatchesRegex("[0-9]+,[0-9]+,[0-9.]+,[0-9.]+,[0-9.]+"));
+    places.push_back(line.substr(0, line.find(',', line.find(',') + 1)));
+  }
+  EXPECT_THAT(places, testing::ElementsAre("10,0", "10,1", "20,0", "20,1"));
+
+  const Json summary = read_json(out / "summary.json");
+  ASSERT_TRUE(summary.is_object());
+  expect_finite(summary, {"gaussians", "iterations", "ssim_mean", "ssim_min", "psnr_mean", "flip_mean", "flip_max",
+                          "steps_per_s", "views_per_s"});
+  EXPECT_EQ(summary["iterations"], 20);
+  EXPECT_GT(summary["gaussians"], 100);
+  EXPECT_GT(summary["ssim_mean"], 0.3);
+  EXPECT_LE(summary["ssim_min"], summary["ssim_mean"]);
+  EXPECT_GE(summary["flip_max"], summary["flip_mean"]);
+  EXPECT_FALSE(metrics::read_png((out / "contact_sheet.png").string()).empty());
+}
+
+}  // namespace
+}  // namespace splatbus::cli
