@@ -22,7 +22,8 @@ void PipelineWatch::poll(std::chrono::milliseconds timeout) {
 void PipelineWatch::take(const bus::Message& message) {
   if (message.topic() == "trainer/stats") {
     const auto& stats = message.root<wire::TrainerStats>("TrainerStats/1");
-    state_.trainer = {.step = stats.step(),
+    state_.trainer = {.epoch = message.header().epoch(),
+                      .step = stats.step(),
                       .views = stats.views(),
                       .gaussians = stats.gaussians(),
                       .optimizer_s = stats.optimizer_s(),

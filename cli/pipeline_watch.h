@@ -13,6 +13,7 @@ namespace splatbus::cli {
 /// What the services last said about themselves on the topics that tell how far the pipeline is.
 struct PipelineState {
   struct Trainer {
+    std::uint64_t epoch = 0;  ///< of the process
     std::uint64_t step = 0, views = 0, gaussians = 0;
     double optimizer_s = 0, steps_per_s = 0, loss = 0;
     std::uint32_t ready_references = 0, ready_inputs = 0;

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <csignal>
 #include <string>
 
@@ -9,6 +10,12 @@ namespace splatbus::cli {
 namespace {
 
 constexpr double kSsim = 0.8;
+
+double viewer_counter(const Pipeline& pipeline, const std::string& name) {
+  const auto counters = pipeline.status("viewer").counters;
+  const auto counter = counters.find(name);
+  return counter == counters.end() ? 0 : counter->second;
+}
 
 /// Every service dies once; the supervisor brings it back, nobody else notices, and pictures reach the viewer again.
 TEST(Restart, AnyServiceKilledComesBackAndThePictureGoesOn) {
@@ -20,8 +27,14 @@ TEST(Restart, AnyServiceKilledComesBackAndThePictureGoesOn) {
     const auto before = pipeline.pids();
     ASSERT_EQ(before.size(), 8U);
     const std::uint64_t gaussians = pipeline.state().trainer.gaussians;
+    const std::uint64_t trainer_epoch = pipeline.state().trainer.epoch;
+    const bool viewer_is_watched = victim == "trainer" || victim == "streamer" || victim == "engine";
+    const double frames = viewer_counter(pipeline, "frames");
+    const double shown = viewer_counter(pipeline, "gaussians");
+    double least_shown = shown;
     ASSERT_EQ(kill(before.at(victim), SIGKILL), 0);
     ASSERT_TRUE(pipeline.wait_until([&] {
+      least_shown = std::min(least_shown, viewer_counter(pipeline, "gaussians"));
       const ProcessStatus status = pipeline.status(victim);
       return status.restarts == 1 && status.state == ProcessState::Running;
     })) << pipeline.log();
@@ -34,7 +47,17 @@ TEST(Restart, AnyServiceKilledComesBackAndThePictureGoesOn) {
         EXPECT_EQ(after.at(name), pid) << name << " was restarted too\n" << pipeline.log();
       }
     }
-    ASSERT_TRUE(pipeline.wait_until([&] { return pipeline.state().trainer.gaussians > 0; }));
+    if (viewer_is_watched) {
+      EXPECT_GT(shown, 0);
+      EXPECT_GE(least_shown, shown / 2) << "the viewer's picture went away";
+      EXPECT_TRUE(pipeline.wait_until([&] { return viewer_counter(pipeline, "frames") > frames; }))
+          << "the viewer draws no more";
+    }
+    // Its own words, not those of the process before.
+    ASSERT_TRUE(pipeline.wait_until([&] {
+      const auto& trainer = pipeline.state().trainer;
+      return trainer.gaussians > 0 && (victim != "trainer" || trainer.epoch != trainer_epoch);
+    })) << pipeline.log();
     EXPECT_GT(pipeline.state().trainer.gaussians, gaussians / 2) << "the model was lost";
   }
 }
