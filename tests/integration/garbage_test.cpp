@@ -8,6 +8,7 @@
 #include <limits>
 #include <map>
 #include <random>
+#include <sstream>
 #include <string>
 #include <vector>
 
@@ -112,6 +113,18 @@ class Garbage : public testing::Test {
     ASSERT_TRUE(pipeline_.wait_for_picture(kSsim)) << pipeline_.log();
     EXPECT_EQ(pipeline_.pids(), before_) << pipeline_.log();
     for (const auto& [name, pid] : before_) EXPECT_EQ(pipeline_.status(name).restarts, 0) << name;
+  }
+
+  /// A service said that it refused the stranger's message on `topic`, since it is no `schema`.
+  [[nodiscard]] bool log_names(const std::string& topic, const std::string& schema) const {
+    std::istringstream log(pipeline_.log());
+    for (std::string line; std::getline(log, line);) {
+      if (line.find(topic + " from stranger") != std::string::npos &&
+          line.find("not '" + schema + "'") != std::string::npos) {
+        return true;
+      }
+    }
+    return false;
   }
 
   Pipeline pipeline_;
@@ -238,6 +251,14 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
   });
 
   expect_unharmed();
+  for (const auto& [topic, schema] :
+       std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/1"},
+                                                        {"model/insert", "ModelInsert/1"},
+                                                        {"model/published", "ModelPublished/1"},
+                                                        {"viewer/pose", "ViewerPose/1"}}) {
+    EXPECT_TRUE(pipeline_.wait_until([&] { return log_names(topic, schema); })) << topic << ", " << schema << "\n"
+                                                                                << pipeline_.log();
+  }
 }
 
 /// Connects to a Unix socket and writes bytes to it.
