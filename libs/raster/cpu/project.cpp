@@ -177,19 +177,19 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
   for (std::size_t i = begin; i < end; i += step) {
     const Columns in{gaussians, i, std::min(step, end - i)};
     for (std::size_t k = 0; k < in.n; ++k) frame.pair_ranges[i + k].count = 0;
-    M todo = hn::FirstN(f, in.n);
-    std::uint32_t todo_bits = LaneBits(todo);
+    M remaining = hn::FirstN(f, in.n);
+    std::uint32_t remaining_bits = LaneBits(remaining);
     // Lanes of one object at a time; neighbours nearly always share theirs.
-    while (todo_bits != 0) {
-      M lanes = todo;
+    while (remaining_bits != 0) {
+      M lanes = remaining;
       if (gaussians.object_id != nullptr) {
-        const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(todo_bits))];
+        const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(remaining_bits))];
         if (id != cached_id) {
           cached_id = id;
           cached_frame = frame.objects.find(id);
         }
         const auto ids = LoadFirst(U(), gaussians.object_id + i, in.n);
-        lanes = hn::And(todo, hn::RebindMask(f, hn::Eq(ids, hn::Set(U(), id))));
+        lanes = hn::And(remaining, hn::RebindMask(f, hn::Eq(ids, hn::Set(U(), id))));
       }
       const std::uint32_t lane_bits = LaneBits(lanes);
       std::uint32_t bits = LaneBits(ProjectLanes(frame, frame.objects[cached_frame], in, lanes, planes));
@@ -200,8 +200,8 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
         frame.reaches[gaussian] = {planes.tile[lane], planes.blocks[lane]};
         out[count++] = {std::bit_cast<std::uint32_t>(planes.values[9][lane]), gaussian};
       }
-      todo_bits &= ~lane_bits;
-      todo = hn::AndNot(lanes, todo);
+      remaining_bits &= ~lane_bits;
+      remaining = hn::AndNot(lanes, remaining);
     }
   }
   return count;

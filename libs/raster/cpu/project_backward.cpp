@@ -44,16 +44,16 @@ void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end
     const V largest = hn::IfThenElseZero(touched, sums.largest_weight);
     StoreFirst(f, hn::Max(LoadFirst(f, contribution, in.n), largest), contribution, in.n);
 
-    M todo = hn::And(touched, ActiveLanes(in));
-    bits = LaneBits(todo);
+    M remaining = hn::And(touched, ActiveLanes(in));
+    bits = LaneBits(remaining);
     while (bits != 0) {
-      M lanes = todo;
+      M lanes = remaining;
       std::uint32_t object = 0;
       if (gaussians.object_id != nullptr) {
         const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(bits))];
         object = frame.objects.find(id);
-        lanes =
-            hn::And(todo, hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
+        lanes = hn::And(remaining,
+                        hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
       }
       const auto emit = [&](int channel, V gradient) {
         if (channel >= out.active_channels) return;
@@ -63,7 +63,7 @@ void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end
       const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, out.active_channels, emit);
       AddTo(out.mean2d_norm + i, hn::IfThenElseZero(lanes, ndc), in.n);
       bits &= ~LaneBits(lanes);
-      todo = hn::AndNot(lanes, todo);
+      remaining = hn::AndNot(lanes, remaining);
     }
   }
 }
