@@ -124,7 +124,8 @@ void CollectPairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_
         // Without a branch: what is empty is overwritten by the next.
         const std::uint32_t reached = blocks != 0 ? 1 : 0;
         *out = {tile, gaussian | blocks << kBlockShift};
-        tile_counts[tile] += reached;
+        // A neighbour that is not reached may lie outside the picture: its zero goes to a tile that exists.
+        tile_counts[reached != 0 ? tile : 0] += reached;
         out += reached;
       };
       add(reach.tile, reach.blocks & 15U);
