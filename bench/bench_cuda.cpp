@@ -77,7 +77,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   options.project.pair_margin_px = arguments.rebuild_interval > 1 ? 0.5F : 0.0F;
   raster::cuda::DeviceModel model;
   model.upload(workload.model.view(), nullptr);
-  std::vector<raster::cuda::DeviceBuffer<std::uint8_t>> pictures(targets.size());
+  std::vector<device::Buffer<std::uint8_t>> pictures(targets.size());
   for (std::size_t k = 0; k < targets.size() && train; ++k)
     pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
   check(cudaDeviceSynchronize(), "copying the workload");

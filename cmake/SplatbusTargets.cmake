@@ -46,6 +46,19 @@ function(splatbus_service name)
   splatbus_program(splatbus-${name} SOURCES main.cpp DEPENDS splatbus_service_${name})
 endfunction()
 
+# splatbus_cuda_sources(TARGET a.cu b.cpp ...): what a library holds besides when there is CUDA; its other sources then see
+# SPLATBUS_HAVE_CUDA. Kernels (.cu) include no header of the bus and no GLM.
+function(splatbus_cuda_sources target)
+  if(NOT SPLATBUS_WITH_CUDA)
+    return()
+  endif()
+  target_sources(${target} PRIVATE ${ARGN})
+  target_link_libraries(${target} PUBLIC splatbus_device)
+  target_compile_definitions(${target} PRIVATE SPLATBUS_HAVE_CUDA)
+  target_compile_options(${target}
+                         PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr -Xcompiler=-Wall,-Wextra>)
+endfunction()
+
 # splatbus_program(NAME SOURCES a.cpp ... DEPENDS target ...)
 function(splatbus_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})

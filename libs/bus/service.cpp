@@ -20,6 +20,7 @@ struct Flags {
   std::string address;
   std::string name;
   std::string log_level = "info";
+  std::string backend = "auto";
   std::vector<std::string> changes;
   bool list_parameters = false;
 };
@@ -28,6 +29,10 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--bus", flags.address, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
   app.add_option("--set", flags.changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
+  app.add_option("--backend", flags.backend, "where it computes: cpu, cuda or auto")
+      ->envname("SPLATBUS_BACKEND")
+      ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
+      ->capture_default_str();
   app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   app.add_flag("--parameters", flags.list_parameters, "print the parameters with their defaults, and exit");
 }
@@ -65,14 +70,15 @@ int run_service(const Flags& flags, const ServiceDescription& description, Param
                 const std::function<void(ServiceContext&)>& run) {
   std::stop_source stop;
   const StopSignals signals(stop);
+  const Backend backend = choose_backend(flags.backend);
   const auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
   const auto context = Context::create(address, flags.name);
   install_logger(context, flags.log_level);
-  ServiceContext service(context, parameters, stop.get_token());
+  ServiceContext service(context, parameters, stop.get_token(), backend);
   std::string failure;
   {
     Housekeeping housekeeping(service, description.kind);
-    spdlog::info("{} on {}", description.kind, address.text());
+    spdlog::info("{} on {}, backend {}", description.kind, address.text(), name_of(backend));
     try {
       run(service);
     } catch (const std::exception& error) {

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "bus/backend.h"
 #include "bus/context.h"
 #include "bus/parameters.h"
 
@@ -19,12 +20,14 @@ class ServiceContext {
   std::shared_ptr<Context> bus;
   Parameters& parameters;
   std::stop_token stop;  ///< SIGINT, SIGTERM
+  Backend backend = Backend::Cpu;
 
   /// Shown in the next heartbeat; any thread.
   void counter(const std::string& name, double value);
   void detail(const std::string& text);  ///< what it waits for, in words
 
-  ServiceContext(std::shared_ptr<Context> bus, Parameters& parameters, std::stop_token stop);
+  ServiceContext(std::shared_ptr<Context> bus, Parameters& parameters, std::stop_token stop,
+                 Backend backend = Backend::Cpu);
 
  private:
   friend class Housekeeping;
@@ -39,10 +42,11 @@ struct ServiceDescription {
   std::vector<ParameterSpec> parameters;
 };
 
-/// The main of every service but the broker. Flags: --bus ADDRESS, --name SOURCE (default: kind), --set name=value
-/// (repeatable), --log-level, --parameters (print them with defaults and units, and exit). Sets up spdlog (to stderr
-/// and sys/log), signals, heartbeats 5 times a second, and control/<kind> and control/<source>, then calls `run` and
-/// returns its exit status: 0 after a stop was asked for, 1 with a logged reason when `run` throws.
+/// The main of every service but the broker. Flags: --bus ADDRESS, --name SOURCE (default: kind), --backend
+/// cpu, cuda or auto (default: SPLATBUS_BACKEND, or auto), --set name=value (repeatable), --log-level, --parameters
+/// (print them with defaults and units, and exit). Sets up spdlog (to stderr and sys/log), signals, heartbeats 5 times
+/// a second, and control/<kind> and control/<source>, then calls `run` and returns its exit status: 0 after a stop was
+/// asked for, 1 with a logged reason when `run` throws.
 int service_main(int argc, char** argv, const ServiceDescription& description,
                  const std::function<void(ServiceContext&)>& run);
 

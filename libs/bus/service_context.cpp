@@ -5,8 +5,8 @@
 namespace splatbus::bus {
 
 ServiceContext::ServiceContext(std::shared_ptr<Context> context, Parameters& service_parameters,
-                               std::stop_token stop_token)
-    : bus(std::move(context)), parameters(service_parameters), stop(std::move(stop_token)) {}
+                               std::stop_token stop_token, Backend service_backend)
+    : bus(std::move(context)), parameters(service_parameters), stop(std::move(stop_token)), backend(service_backend) {}
 
 void ServiceContext::counter(const std::string& name, double value) {
   const std::scoped_lock lock(mutex_);

@@ -1,14 +1,16 @@
 #include "bus/tensor_ring.h"
 
 #include <algorithm>
-#include <cstring>
 #include <utility>
+
+#include "bus/memory.h"
 
 namespace splatbus::bus {
 
 namespace {
 
 constexpr std::size_t kAlignment = 64;
+constexpr int kCreateTimeoutMs = 10000;
 
 std::size_t aligned(std::size_t bytes) {
   return (bytes + kAlignment - 1) / kAlignment * kAlignment;
@@ -16,8 +18,9 @@ std::size_t aligned(std::size_t bytes) {
 
 }  // namespace
 
-TensorRing::TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots, std::size_t slot_bytes)
-    : context_(std::move(context)), role_(std::move(role)), slots_(slots), slot_bytes_(slot_bytes) {}
+TensorRing::TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots, std::size_t slot_bytes,
+                       MemoryKind kind)
+    : context_(std::move(context)), role_(std::move(role)), slots_(slots), slot_bytes_(slot_bytes), kind_(kind) {}
 
 std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sources) {
   std::size_t needed = 0;
@@ -25,15 +28,18 @@ std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sour
   if (!slab_ || slab_->slot_bytes() < needed) {
     // Twice the room, so that growing messages seldom make a new slab.
     slot_bytes_ = std::max({slot_bytes_, slab_ ? 2 * needed : needed, kAlignment});
-    slab_ = context_->create_slab(role_, slots_, slot_bytes_);
+    slab_ = context_->create_slab(role_, slots_, slot_bytes_, kCreateTimeoutMs, kind_);
   }
   const std::size_t slot = slab_->next_slot();
   std::size_t offset = 0;
+  bool on_device = false;
   for (const TensorSource& source : sources) {
     const std::size_t bytes = tensor_bytes(source.shape, source.type);
-    if (bytes > 0) std::memcpy(slab_->slot_data(slot) + offset, source.data, bytes);
+    copy_memory(slab_->slot_data(slot) + offset, kind_, source.data, source.memory, bytes);
+    on_device |= kind_ != MemoryKind::Host || source.memory != MemoryKind::Host;
     offset += aligned(bytes);
   }
+  if (on_device) finish_copies();
   const std::uint64_t generation = slab_->end_write(slot);
 
   std::vector<OutgoingTensor> tensors;

@@ -1,10 +1,11 @@
 #include "wire/published_model.h"
 
-#include <array>
+#include <algorithm>
 #include <string>
-#include <vector>
+#include <utility>
 
 #include "bus/error.h"
+#include "bus/memory.h"
 #include "wire/model_generated.h"
 
 namespace splatbus {
@@ -12,6 +13,7 @@ namespace splatbus {
 namespace {
 
 constexpr std::uint64_t kCapacityLimit = std::uint64_t{1} << 26;
+constexpr std::size_t kAlignment = 64;
 
 [[noreturn]] void reject(const bus::Message& message, const std::string& what) {
   throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": " + what);
@@ -34,47 +36,23 @@ ParameterLayout layout_of(const bus::Message& message, const wire::ModelPublishe
   reject(message, "unknown appearance " + std::to_string(static_cast<int>(published.appearance())));
 }
 
-/// The planes of one message. `lost` is set when one of them lies in a slab, or a generation of it, that is gone.
-class Planes {
- public:
-  Planes(const bus::Message& message, std::uint32_t capacity) : message_(message), capacity_(capacity) {}
+bool announces(const bus::Message& message, const std::string& name) {
+  const auto* tensors = message.header().tensors();
+  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(),
+                                           [&](const wire::Tensor* tensor) { return tensor->name()->str() == name; });
+}
 
-  template <class T>
-  const T* plane(const char* name, std::uint32_t channels) {
-    const auto type = bus::ElementTypeOf<T>::value;
-    auto view =
-        channels == 0 ? message_.tensor(name, type, {capacity_}) : message_.tensor(name, type, {channels, capacity_});
-    if (!view) {
-      if (!announces(name)) reject(message_, std::string("plane \"") + name + "\" is missing");
-      lost_ = true;
-      return nullptr;
-    }
-    views_->push_back(std::move(*view));
-    return views_->back().as<T>().data();
-  }
-
-  [[nodiscard]] bool lost() const { return lost_; }
-  [[nodiscard]] const std::shared_ptr<std::vector<bus::TensorView>>& views() const { return views_; }
-
- private:
-  [[nodiscard]] bool announces(const std::string& name) const {
-    const auto* tensors = message_.header().tensors();
-    if (tensors == nullptr) return false;
-    for (const auto* tensor : *tensors) {
-      if (tensor->name()->str() == name) return true;
-    }
-    return false;
-  }
-
-  const bus::Message& message_;
-  std::uint32_t capacity_;
-  bool lost_ = false;
-  std::shared_ptr<std::vector<bus::TensorView>> views_ = std::make_shared<std::vector<bus::TensorView>>();
-};
+/// The tensor of a plane, nullopt when it lies in a slab, or a generation of it, that is gone.
+std::optional<bus::TensorView> find_plane(const bus::Message& message, const char* name, bus::ElementType type,
+                                          std::uint32_t channels, std::uint32_t capacity) {
+  auto view = channels == 0 ? message.tensor(name, type, {capacity}) : message.tensor(name, type, {channels, capacity});
+  if (!view && !announces(message, name)) reject(message, std::string("plane \"") + name + "\" is missing");
+  return view;
+}
 
 }  // namespace
 
-std::optional<PublishedModel> PublishedModel::open(const bus::Message& message) {
+std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, bus::MemoryKind kind, Need need) {
   const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
   if (published.capacity() == 0 || published.capacity() > kCapacityLimit) {
     reject(message, "capacity " + std::to_string(published.capacity()) + " is not within 1 and " +
@@ -85,37 +63,82 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message) 
            "count " + std::to_string(published.count()) + " exceeds capacity " + std::to_string(published.capacity()));
   }
 
-  Planes planes(message, static_cast<std::uint32_t>(published.capacity()));
-  GaussiansView live;
+  PublishedModel model;
+  model.kind_ = kind;
+  model.generation_ = published.generation();
+  model.step_ = published.step();
+  GaussiansView& live = model.live_;
   live.layout = layout_of(message, published);
   live.count = published.count();
   live.stride = published.capacity();
-  const auto channels = static_cast<std::uint32_t>(live.layout.channels());
-  live.parameters = planes.plane<float>("parameters", channels);
-  const auto* const average = planes.plane<float>("average", channels);
-  live.normal = planes.plane<float>("normal", 3);
-  live.surface_point = planes.plane<float>("surface_point", 3);
-  live.visibility = planes.plane<float>("visibility", 0);
-  live.object_id = planes.plane<std::uint32_t>("object_id", 0);
-  live.flags = planes.plane<std::uint32_t>("flags", 0);
-  live.cell = planes.plane<std::uint64_t>("cell", 0);
-  live.gaussian_id = planes.plane<std::uint64_t>("gaussian_id", 0);
-  if (planes.lost()) return std::nullopt;
 
-  PublishedModel model;
-  model.generation_ = published.generation();
-  model.step_ = published.step();
-  model.live_ = live;
+  bool lost = false, elsewhere = false;
+  const auto add = [&](const char* name, bus::ElementType type, std::uint32_t channels) {
+    auto plane = find_plane(message, name, type, channels, static_cast<std::uint32_t>(published.capacity()));
+    lost |= !plane;
+    if (!plane) return;
+    elsewhere |= plane->memory() != kind;
+    model.planes_.push_back(
+        {.source = std::move(*plane), .channels = std::max(1U, channels), .element_bytes = bus::element_bytes(type)});
+  };
+  const auto channels = static_cast<std::uint32_t>(live.layout.channels());
+  add("average", bus::ElementType::F32, channels);
+  add("normal", bus::ElementType::F32, 3);
+  add("surface_point", bus::ElementType::F32, 3);
+  add("visibility", bus::ElementType::F32, 0);
+  add("object_id", bus::ElementType::U32, 0);
+  add("flags", bus::ElementType::U32, 0);
+  add("cell", bus::ElementType::U64, 0);
+  add("gaussian_id", bus::ElementType::U64, 0);
+  if (need == Need::Both) add("parameters", bus::ElementType::F32, channels);
+  if (lost) return std::nullopt;
+
+  if (elsewhere) {
+    live.stride = std::max<std::size_t>(live.count, 1);
+    std::size_t bytes = 0;
+    for (Plane& plane : model.planes_) {
+      plane.copied_at = bytes;
+      bytes += (plane.channels * live.stride * plane.element_bytes + kAlignment - 1) / kAlignment * kAlignment;
+    }
+    model.copies_ = bus::allocate_memory(kind, bytes);
+  }
+  const auto at = [&](std::size_t index) {
+    const Plane& plane = model.planes_[index];
+    return elsewhere ? model.copies_.get() + plane.copied_at : plane.source.data();
+  };
+  const auto* const average = reinterpret_cast<const float*>(at(0));
+  live.normal = reinterpret_cast<const float*>(at(1));
+  live.surface_point = reinterpret_cast<const float*>(at(2));
+  live.visibility = reinterpret_cast<const float*>(at(3));
+  live.object_id = reinterpret_cast<const std::uint32_t*>(at(4));
+  live.flags = reinterpret_cast<const std::uint32_t*>(at(5));
+  live.cell = reinterpret_cast<const std::uint64_t*>(at(6));
+  live.gaussian_id = reinterpret_cast<const std::uint64_t*>(at(7));
+  if (need == Need::Both) live.parameters = reinterpret_cast<const float*>(at(8));
   model.average_ = live;
   model.average_.parameters = average;
-  model.probe_ = planes.views()->front();
-  model.keep_alive_ = planes.views();
-  if (!model.still_valid()) return std::nullopt;
+  if (!model.refresh()) return std::nullopt;
   return model;
 }
 
+bool PublishedModel::refresh() {
+  if (!copies_) return still_valid();
+  const std::size_t source_stride = planes_.back().source.dim(planes_.back().source.shape().size() - 1);
+  for (const Plane& plane : planes_) {
+    const std::size_t row_bytes = live_.count * plane.element_bytes;
+    for (std::size_t channel = 0; channel < plane.channels; ++channel) {
+      bus::copy_memory(copies_.get() + plane.copied_at + channel * live_.stride * plane.element_bytes, kind_,
+                       plane.source.data() + channel * source_stride * plane.element_bytes, plane.source.memory(),
+                       row_bytes);
+      if (plane.source.memory() != kind_) copied_bytes_ += row_bytes;
+    }
+  }
+  bus::finish_copies();
+  return still_valid();
+}
+
 bool PublishedModel::still_valid() const {
-  return probe_ && probe_->still_valid();
+  return !planes_.empty() && planes_.front().source.still_valid();
 }
 
 }  // namespace splatbus

@@ -156,8 +156,8 @@ class CudaRasterizer final : public Rasterizer {
   cuda::DeviceModel model_;
   cuda::Workspace workspace_;
   cuda::ProjectOptions project_;
-  cuda::DeviceBuffer<float> gradient_;
-  cuda::DeviceBuffer<std::uint8_t> touched_;
+  device::Buffer<float> gradient_;
+  device::Buffer<std::uint8_t> touched_;
   GaussiansView gaussians_;
   std::uint32_t pair_capacity_ = 0;
 };

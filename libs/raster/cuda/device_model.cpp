@@ -4,13 +4,13 @@ namespace splatbus::raster::cuda {
 namespace {
 
 template <class T>
-void upload_planes(DeviceBuffer<T>& to, const T* from, std::size_t planes, std::size_t count, std::size_t stride,
+void upload_planes(device::Buffer<T>& to, const T* from, std::size_t planes, std::size_t count, std::size_t stride,
                    cudaStream_t stream) {
   if (from == nullptr || count == 0) return;
   to.resize(planes * count);
-  check(cudaMemcpy2DAsync(to.data(), count * sizeof(T), from, stride * sizeof(T), count * sizeof(T), planes,
-                          cudaMemcpyHostToDevice, stream),
-        "copying a model to the device");
+  device::check(cudaMemcpy2DAsync(to.data(), count * sizeof(T), from, stride * sizeof(T), count * sizeof(T), planes,
+                                  cudaMemcpyHostToDevice, stream),
+                "copying a model to the device");
 }
 
 }  // namespace

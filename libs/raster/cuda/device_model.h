@@ -2,8 +2,8 @@
 
 #include <cstdint>
 
+#include "device/buffer.h"
 #include "gaussians/model.h"
-#include "raster/cuda/device_buffer.h"
 #include "raster/cuda/device_scene.h"
 
 namespace splatbus::raster::cuda {
@@ -19,8 +19,8 @@ class DeviceModel {
 
  private:
   DeviceGaussians view_;
-  DeviceBuffer<float> parameters_, normal_, visibility_;
-  DeviceBuffer<std::uint32_t> object_id_, flags_;
+  device::Buffer<float> parameters_, normal_, visibility_;
+  device::Buffer<std::uint32_t> object_id_, flags_;
 };
 
 }  // namespace splatbus::raster::cuda

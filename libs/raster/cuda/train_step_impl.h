@@ -4,7 +4,7 @@
 #include <memory>
 #include <vector>
 
-#include "raster/cuda/device_buffer.h"
+#include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 
 namespace splatbus::raster::cuda {
@@ -42,14 +42,14 @@ class Graph {
 struct Group {
   std::vector<TrainView> views;
   int width = 0, height = 0;
-  DeviceBuffer<DeviceView> device_views;
-  DeviceBuffer<ObjectView> object_views;
-  DeviceBuffer<std::uint16_t> object_slot;  // of this group's objects; empty when nothing moves
-  DeviceBuffer<const std::uint8_t*> color_targets, albedo_targets;
-  DeviceBuffer<uint2> tile_range;
-  DeviceBuffer<float> patch_depth_limit;
-  DeviceBuffer<std::uint32_t> entries;
-  DeviceBuffer<std::uint16_t> listed;
+  device::Buffer<DeviceView> device_views;
+  device::Buffer<ObjectView> object_views;
+  device::Buffer<std::uint16_t> object_slot;  // of this group's objects; empty when nothing moves
+  device::Buffer<const std::uint8_t*> color_targets, albedo_targets;
+  device::Buffer<uint2> tile_range;
+  device::Buffer<float> patch_depth_limit;
+  device::Buffer<std::uint32_t> entries;
+  device::Buffer<std::uint16_t> listed;
   int steps = 0;  // since the lists were built
   bool lists_built = false;
   Graph rebuild_graph, reuse_graph;
@@ -65,8 +65,8 @@ struct TrainStep::Impl {
   cudaStream_t stream = nullptr;
   DeviceGaussians gaussians;
   std::vector<std::uint32_t> host_object_id;
-  DeviceBuffer<float> first, second, learning_rate;
-  DeviceBuffer<std::uint32_t> steps;
+  device::Buffer<float> first, second, learning_rate;
+  device::Buffer<std::uint32_t> steps;
   std::vector<std::unique_ptr<Group>> groups;
   Workspace workspace;
   std::uint32_t pair_capacity = 1U << 20U;

@@ -5,12 +5,6 @@
 
 namespace splatbus::raster::cuda {
 
-void check(cudaError_t status, const char* what) {
-  if (status != cudaSuccess) {
-    throw std::runtime_error(std::string("CUDA, ") + what + ": " + cudaGetErrorString(status));
-  }
-}
-
 Workspace::~Workspace() {
   release();
 }

@@ -5,9 +5,12 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "device/check.h"
 #include "raster/cuda/device_scene.h"
 
 namespace splatbus::raster::cuda {
+
+using device::check;
 
 /// Device memory of the kernels, all of it allocated by Workspace::reserve and owned by it. `batch * count` records,
 /// one a view and Gaussian: record = view * count + Gaussian.
@@ -88,8 +91,5 @@ class Workspace {
   void* blocks_[32] = {};
   int block_count_ = 0;
 };
-
-/// Throws std::runtime_error with `what` and the error's name.
-void check(cudaError_t status, const char* what);
 
 }  // namespace splatbus::raster::cuda

@@ -31,7 +31,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   cuda::TrainStep trainer({.albedo_weight = 0.5F});
   trainer.set_model(device.view(), model.object_id.data());
   trainer.set_learning_rates(rates);
-  std::vector<cuda::DeviceBuffer<std::uint8_t>> pictures(3);
+  std::vector<device::Buffer<std::uint8_t>> pictures(3);
   std::vector<cuda::TrainView> views;
   for (std::size_t k = 0; k < 3; ++k) {
     pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
@@ -96,7 +96,7 @@ TEST_F(CudaTest, GroupsMayMoveDifferentObjects) {
   cuda::TrainStep trainer({});
   trainer.set_model(device.view(), model.object_id.data());
   const std::size_t pixels = std::size_t{c.width} * c.height;
-  const cuda::DeviceBuffer<std::uint8_t> picture(4 * pixels);
+  const device::Buffer<std::uint8_t> picture(4 * pixels);
   cudaDeviceSynchronize();
   std::vector<std::size_t> groups;
   for (const SceneState& scene : scenes) {
@@ -122,7 +122,7 @@ TEST_F(CudaTest, ReusedListsTrainAlike) {
   std::mt19937 random(7);
   std::vector<std::uint8_t> target(std::size_t{4} * c.width * c.height);
   for (auto& value : target) value = static_cast<std::uint8_t>(random() % 256);
-  cuda::DeviceBuffer<std::uint8_t> picture;
+  device::Buffer<std::uint8_t> picture;
   picture.upload(target.data(), target.size(), nullptr);
   std::vector<cuda::TrainView> views;
   for (int k = 0; k < 3; ++k) {
@@ -181,7 +181,7 @@ TEST_F(CudaTest, HiddenGaussiansRest) {
   cuda::TrainStep trainer({.rebuild_interval = 2});
   trainer.set_model(device.view(), nullptr);
   trainer.set_learning_rates(std::vector<float>(14, 1e-2F));
-  cuda::DeviceBuffer<std::uint8_t> picture;
+  device::Buffer<std::uint8_t> picture;
   picture.upload(target.data(), target.size(), nullptr);
   cudaDeviceSynchronize();
   const cuda::TrainView view{{camera, &scene}, picture.data(), nullptr};

@@ -1,33 +1,34 @@
 #pragma once
 
-#include <cuda_runtime.h>
+#include <cuda_runtime_api.h>
 
 #include <cstddef>
 #include <utility>
 
-#include "raster/cuda/workspace.h"
+#include "device/check.h"
 
-namespace splatbus::raster::cuda {
+namespace splatbus::device {
 
-/// Owner of a device array; its contents are lost when it grows. Throws std::runtime_error.
+/// Owner of an array on the current device; its contents are lost when it grows. Copies are enqueued, not waited for.
+/// Throws std::runtime_error.
 template <class T>
-class DeviceBuffer {
+class Buffer {
  public:
-  DeviceBuffer() = default;
-  explicit DeviceBuffer(std::size_t elements) { resize(elements); }
-  ~DeviceBuffer() { cudaFree(data_); }
-  DeviceBuffer(DeviceBuffer&& other) noexcept
+  Buffer() = default;
+  explicit Buffer(std::size_t elements) { resize(elements); }
+  ~Buffer() { cudaFree(data_); }
+  Buffer(Buffer&& other) noexcept
       : data_(std::exchange(other.data_, nullptr)),
         size_(std::exchange(other.size_, 0)),
         capacity_(std::exchange(other.capacity_, 0)) {}
-  DeviceBuffer& operator=(DeviceBuffer&& other) noexcept {
+  Buffer& operator=(Buffer&& other) noexcept {
     std::swap(data_, other.data_);
     std::swap(size_, other.size_);
     std::swap(capacity_, other.capacity_);
     return *this;
   }
-  DeviceBuffer(const DeviceBuffer&) = delete;
-  DeviceBuffer& operator=(const DeviceBuffer&) = delete;
+  Buffer(const Buffer&) = delete;
+  Buffer& operator=(const Buffer&) = delete;
 
   void resize(std::size_t elements) {
     if (elements > capacity_) {
@@ -56,4 +57,4 @@ class DeviceBuffer {
   std::size_t size_ = 0, capacity_ = 0;
 };
 
-}  // namespace splatbus::raster::cuda
+}  // namespace splatbus::device

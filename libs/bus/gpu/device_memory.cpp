@@ -1,0 +1,37 @@
+#include "bus/gpu/device_memory.h"
+
+#include <cuda_runtime_api.h>
+#include <fmt/format.h>
+
+#include "bus/error.h"
+#include "bus/gpu/cuda_driver.h"
+
+namespace splatbus::bus::gpu {
+namespace {
+
+void check(cudaError_t status, const char* what) {
+  if (status != cudaSuccess) throw Error(fmt::format("CUDA: {}: {}", what, cudaGetErrorString(status)));
+}
+
+}  // namespace
+
+std::shared_ptr<std::byte> allocate(std::size_t bytes) {
+  (void)Driver::get();  // throws when there is no device
+  void* memory = nullptr;
+  check(cudaMalloc(&memory, bytes), "allocating memory");
+  std::shared_ptr<std::byte> owner(static_cast<std::byte*>(memory), [](std::byte* owned) { cudaFree(owned); });
+  check(cudaMemsetAsync(memory, 0, bytes, cudaStreamPerThread), "clearing memory");
+  finish_copies();
+  return owner;
+}
+
+void enqueue_copy(void* destination, const void* source, std::size_t bytes) {
+  // The thread's own stream waits for no kernels of others.
+  check(cudaMemcpyAsync(destination, source, bytes, cudaMemcpyDefault, cudaStreamPerThread), "copying");
+}
+
+void finish_copies() {
+  check(cudaStreamSynchronize(cudaStreamPerThread), "waiting for copies");
+}
+
+}  // namespace splatbus::bus::gpu

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+#include "bus/slab.h"
+#include "bus/tensor.h"
+
+namespace splatbus::bus {
+
+/// Memory of this process, zeroed, aligned to at least 64 bytes. Throws Error, also for a kind that this build or
+/// machine does not have.
+[[nodiscard]] std::shared_ptr<std::byte> allocate_memory(MemoryKind kind, std::size_t bytes);
+
+/// Copies between any two kinds. With device memory at either end the copy is enqueued on this thread's own stream:
+/// finish_copies() waits for it. Whoever wrote the source on another stream has waited for that stream before. Throws
+/// Error.
+void copy_memory(void* destination, MemoryKind to, const void* source, MemoryKind from, std::size_t bytes);
+
+/// Waits for the copies that this thread has enqueued. Throws Error.
+void finish_copies();
+
+/// Copies a tensor into memory of `kind`, tensor.bytes() of room, and waits for it. False when its slot was overwritten
+/// meanwhile; the destination then holds garbage. Adds to `host_bytes` what did not stay on the device. Throws Error.
+[[nodiscard]] bool copy_tensor(const TensorView& tensor, void* destination, MemoryKind kind,
+                               std::atomic<std::uint64_t>& host_bytes);
+
+}  // namespace splatbus::bus
