@@ -58,7 +58,7 @@ void finish_copies() {
 bool copy_tensor(const TensorView& tensor, void* destination, MemoryKind kind, std::atomic<std::uint64_t>& host_bytes) {
   if (!tensor.still_valid()) return false;
   copy_memory(destination, kind, tensor.data(), tensor.memory(), tensor.bytes());
-  if (kind != MemoryKind::Host || tensor.memory() != MemoryKind::Host) finish_copies();
+  finish_copies();
   if (kind == MemoryKind::Host || tensor.memory() == MemoryKind::Host) host_bytes += tensor.bytes();
   return tensor.still_valid();
 }

@@ -19,7 +19,7 @@ namespace splatbus::bus {
 /// Error.
 void copy_memory(void* destination, MemoryKind to, const void* source, MemoryKind from, std::size_t bytes);
 
-/// Waits for the copies that this thread has enqueued. Throws Error.
+/// Waits for the copies that this thread has enqueued, if any. Throws Error.
 void finish_copies();
 
 /// Copies a tensor into memory of `kind`, tensor.bytes() of room, and waits for it. False when its slot was overwritten

@@ -32,14 +32,12 @@ std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sour
   }
   const std::size_t slot = slab_->next_slot();
   std::size_t offset = 0;
-  bool on_device = false;
   for (const TensorSource& source : sources) {
     const std::size_t bytes = tensor_bytes(source.shape, source.type);
     copy_memory(slab_->slot_data(slot) + offset, kind_, source.data, source.memory, bytes);
-    on_device |= kind_ != MemoryKind::Host || source.memory != MemoryKind::Host;
     offset += aligned(bytes);
   }
-  if (on_device) finish_copies();
+  finish_copies();
   const std::uint64_t generation = slab_->end_write(slot);
 
   std::vector<OutgoingTensor> tensors;

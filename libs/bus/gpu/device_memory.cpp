@@ -9,6 +9,9 @@
 namespace splatbus::bus::gpu {
 namespace {
 
+thread_local bool copies_enqueued =
+    false;  // NOLINT(cppcoreguidelines-avoid-non-const-global-variables): a stream is a thread's
+
 void check(cudaError_t status, const char* what) {
   if (status != cudaSuccess) throw Error(fmt::format("CUDA: {}: {}", what, cudaGetErrorString(status)));
 }
@@ -21,16 +24,19 @@ std::shared_ptr<std::byte> allocate(std::size_t bytes) {
   check(cudaMalloc(&memory, bytes), "allocating memory");
   std::shared_ptr<std::byte> owner(static_cast<std::byte*>(memory), [](std::byte* owned) { cudaFree(owned); });
   check(cudaMemsetAsync(memory, 0, bytes, cudaStreamPerThread), "clearing memory");
-  finish_copies();
+  check(cudaStreamSynchronize(cudaStreamPerThread), "clearing memory");
   return owner;
 }
 
 void enqueue_copy(void* destination, const void* source, std::size_t bytes) {
   // The thread's own stream waits for no kernels of others.
   check(cudaMemcpyAsync(destination, source, bytes, cudaMemcpyDefault, cudaStreamPerThread), "copying");
+  copies_enqueued = true;
 }
 
 void finish_copies() {
+  if (!copies_enqueued) return;  // a process that never asked for a device need not have one
+  copies_enqueued = false;
   check(cudaStreamSynchronize(cudaStreamPerThread), "waiting for copies");
 }
 
