@@ -2,11 +2,11 @@
 
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <chrono>
 #include <span>
 #include <utility>
 
+#include "bus/memory.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/published_model.h"
@@ -50,8 +50,21 @@ std::vector<bus::ParameterSpec> parameter_specs() {
   };
 }
 
+float* Relight::Memory::floats(std::size_t count, bus::MemoryKind kind) {
+  const std::size_t needed = count * sizeof(float);
+  if (size < needed || !bytes) {
+    bytes = bus::allocate_memory(kind, needed);
+    size = needed;
+  }
+  return reinterpret_cast<float*>(bytes.get());
+}
+
 Relight::Relight(bus::ServiceContext& service)
-    : service_(service), publisher_(service.bus, "relight/visibility"), ring_(service.bus, "visibility", kRingSlots) {}
+    : service_(service),
+      memory_(bus::memory_of(service.backend)),
+      backend_(make_visibility_backend(service.backend)),
+      publisher_(service.bus, "relight/visibility"),
+      ring_(service.bus, "visibility", kRingSlots, 0, memory_) {}
 
 VisibilityOptions Relight::options() const {
   return {.softness_m = static_cast<float>(service_.parameters.number("softness_m")),
@@ -67,12 +80,15 @@ void Relight::run() {
     }
     // A model that makes no sense is reported once.
     if (model_ && !bus::guarded(*model_, [&] { update(); })) model_.reset();
-    service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
-    service_.counter("published", static_cast<double>(published_));
-    service_.detail(!map_     ? "waits for scene/light_depth"
-                    : !model_ ? "waits for model/published"
-                              : "follows the light");
+    report();
   }
+}
+
+void Relight::report() {
+  service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
+  service_.counter("published", static_cast<double>(published_));
+  service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
+  service_.detail(!map_ ? "waits for scene/light_depth" : !model_ ? "waits for model/published" : "follows the light");
 }
 
 void Relight::handle(const bus::Message& message) {
@@ -103,11 +119,14 @@ void Relight::take_depth(const bus::Message& message) {
                          same_projection(map_->camera, map.camera) && map_->objects == map.objects;
   if (unchanged) return;
   const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {map.camera.height, map.camera.width});
-  if (tensor) map.depth_m.resize(tensor->elements());
-  if (!tensor || !tensor->copy(map.depth_m.data())) {
+  // The map that is in use stays whole until the new one is.
+  if (!tensor ||
+      !bus::copy_tensor(*tensor, spare_depth_.floats(tensor->elements(), memory_), memory_, host_copied_bytes_)) {
     ++lost_tensors_;
     return;
   }
+  std::swap(map.depth_m, spare_depth_);
+  if (map_) std::swap(map_->depth_m, spare_depth_);
   map_ = std::move(map);
   scene_changed_ = true;
 }
@@ -118,17 +137,18 @@ void Relight::update() {
   const std::uint64_t version = service_.parameters.version();
   if (!scene_changed_ && published.generation() == computed_generation_ && version == parameters_version_) return;
   if (published.count() == 0) return;
-  const auto model = PublishedModel::open(*model_);
+  const auto model = PublishedModel::open(*model_, memory_, PublishedModel::Need::Average);
   if (!model) {
     model_.reset();  // its structure has moved on: the next message is on its way
     return;
   }
   const auto start = std::chrono::steady_clock::now();
   const GaussiansView& gaussians = model->average();
-  visibility_.resize(gaussians.count);
+  float* const visibility = visibility_.floats(gaussians.count, memory_);
   const ObjectTransforms& objects = map_->objects.empty() && objects_ ? *objects_ : map_->objects;
-  compute_visibility(gaussians, objects, {.camera = map_->camera, .depth_m = map_->depth_m.data()}, options(),
-                     visibility_);
+  const float* const depth_m = reinterpret_cast<const float*>(map_->depth_m.bytes.get());
+  backend_->compute(gaussians, objects, {.camera = map_->camera, .depth_m = depth_m}, options(), visibility);
+  host_copied_bytes_ += model->copied_bytes();
   if (!model->still_valid()) {
     model_.reset();
     return;
@@ -138,12 +158,12 @@ void Relight::update() {
   computed_generation_ = model->generation();
   parameters_version_ = version;
   scene_changed_ = false;
-  publish(model->generation(), gaussians.count);
+  publish(model->generation(), gaussians.count, visibility);
 }
 
-void Relight::publish(std::uint64_t model_generation, std::size_t count) {
+void Relight::publish(std::uint64_t model_generation, std::size_t count, const float* visibility) {
   const bus::TensorSource source{
-      .name = "visibility", .shape = {1, static_cast<std::uint32_t>(count)}, .data = visibility_.data()};
+      .name = "visibility", .shape = {1, static_cast<std::uint32_t>(count)}, .data = visibility, .memory = memory_};
   const bus::MessageInfo info{
       .schema = "RelightVisibility/1", .latch = true, .tensors = ring_.write(std::span(&source, 1))};
   publisher_.publish(info, [&](auto& builder, auto header) {

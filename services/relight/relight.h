@@ -1,6 +1,9 @@
 #pragma once
 
+#include <atomic>
+#include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -8,7 +11,7 @@
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
-#include "relight/visibility.h"
+#include "relight/visibility_backend.h"
 
 namespace splatbus::relight {
 
@@ -23,27 +26,37 @@ class Relight {
   void run();
 
  private:
+  /// Memory of the backend's kind that is used again and again; contents are lost when it grows.
+  struct Memory {
+    std::shared_ptr<std::byte> bytes;
+    std::size_t size = 0;
+    [[nodiscard]] float* floats(std::size_t count, bus::MemoryKind kind);
+  };
   /// The newest light-space depth, in memory of our own, with the light and the transforms of its frame.
   struct DepthMap {
     Camera camera;
     std::uint64_t light_generation = 0;
     ObjectTransforms objects;
-    std::vector<float> depth_m;
+    Memory depth_m;
   };
 
   void handle(const bus::Message& message);
   void take_depth(const bus::Message& message);
   void update();
-  void publish(std::uint64_t model_generation, std::size_t count);
+  void publish(std::uint64_t model_generation, std::size_t count, const float* visibility);
+  void report();
   [[nodiscard]] VisibilityOptions options() const;
 
   bus::ServiceContext& service_;
+  const bus::MemoryKind memory_;
+  const std::unique_ptr<VisibilityBackend> backend_;
   bus::Publisher publisher_;
   bus::TensorRing ring_;
   std::optional<bus::Message> model_;
   std::optional<ObjectTransforms> objects_;
   std::optional<DepthMap> map_;
-  std::vector<float> visibility_;
+  Memory spare_depth_, visibility_;
+  std::atomic<std::uint64_t> host_copied_bytes_ = 0;  ///< bulk that came from, or went through, host memory
   std::uint64_t computed_generation_ = 0, parameters_version_ = 0, lost_tensors_ = 0, published_ = 0;
   bool scene_changed_ = false;
 };

@@ -10,17 +10,12 @@
 #include <glm/gtc/quaternion.hpp>
 #include <limits>
 
+#include "relight/visibility_limits.h"
+
 namespace splatbus::relight {
 
 namespace {
 
-constexpr int kLanes = 8;                    // texels of a row that are compared together
-constexpr float kGreatestSlope = 8.0F;       // metres of depth a metre across: beyond it the normal is no guide
-constexpr float kLeastFacing = 0.02F;        // cosine below which no light arrives
-constexpr float kLeastRadius_texels = 1.5F;  // the map's own resolution
-constexpr float kGreatestRadius_texels = 24.0F;
-// A paraboloid has the spread of a uniform disc that is smaller by this.
-constexpr float kParaboloidOverDisc = 1.2247449F;
 constexpr std::size_t kGrain = 2048;
 
 /// The plane of a surface in texels across and metres of depth.
@@ -140,13 +135,12 @@ class Tester {
 /// Mean of the two larger standard deviations: a flat Gaussian's extent on its surface.
 float surface_deviation_m(const GaussiansView& gaussians, std::size_t i) {
   if (gaussians.parameters == nullptr) return 0;
-  std::array<float, 3> log_scale{};
-  for (int axis = 0; axis < 3; ++axis) {
-    log_scale.at(static_cast<std::size_t>(axis)) = gaussians.plane(ParameterLayout::kLogScale + axis)[i];
-  }
-  std::sort(log_scale.begin(), log_scale.end());
-  const float mean = 0.5F * (std::exp(log_scale[1]) + std::exp(log_scale[2]));
-  return mean < 1.0F ? mean : 1.0F;  // also when it is NaN
+  const auto log_scale = [&](int axis) { return gaussians.plane(ParameterLayout::kLogScale + axis)[i]; };
+  const float a = log_scale(0), b = log_scale(1), c = log_scale(2);
+  if (std::isnan(a + b + c)) return kGreatestDeviation_m;
+  const float middle = std::max(std::min(a, b), std::min(std::max(a, b), c));
+  const float mean = 0.5F * (std::exp(middle) + std::exp(std::max({a, b, c})));
+  return std::min(mean, kGreatestDeviation_m);
 }
 
 }  // namespace

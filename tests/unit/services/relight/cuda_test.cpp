@@ -1,0 +1,154 @@
+// The CUDA backend against the CPU one, and the service with its data in either kind of memory.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "ball_scene.h"
+#include "bus/memory.h"
+#include "relight_fixture.h"
+
+namespace splatbus::relight {
+namespace {
+
+using test::BallOverFloor;
+using test::RelightTest;
+
+bool no_device() {
+  return bus::choose_backend("auto") != bus::Backend::Cuda;
+}
+
+/// Arrays in device memory for as long as this lives.
+class OnDevice {
+ public:
+  template <class T>
+  const T* copy(const T* host, std::size_t elements) {
+    const auto memory = bus::allocate_memory(bus::MemoryKind::Cuda, elements * sizeof(T));
+    bus::copy_memory(memory.get(), bus::MemoryKind::Cuda, host, bus::MemoryKind::Host, elements * sizeof(T));
+    bus::finish_copies();
+    owned_.push_back(memory);
+    return reinterpret_cast<const T*>(memory.get());
+  }
+  GaussiansView copy(const GaussiansBuffer& host) {
+    GaussiansView view = host.view();
+    view.parameters = copy(host.parameters.data(), host.parameters.size());
+    view.surface_point = copy(host.surface_point.data(), host.surface_point.size());
+    view.normal = copy(host.normal.data(), host.normal.size());
+    view.object_id = copy(host.object_id.data(), host.object_id.size());
+    return view;
+  }
+
+ private:
+  std::vector<std::shared_ptr<std::byte>> owned_;
+};
+
+/// Gaussians all over the scene, some without sense.
+GaussiansBuffer random_gaussians(std::size_t count) {
+  std::mt19937 random(3);
+  std::normal_distribution<float> normal;
+  std::uniform_real_distribution<float> uniform(-2.0F, 2.0F);
+  std::vector<glm::vec3> points, normals;
+  for (std::size_t i = 0; i < count; ++i) {
+    const bool on_floor = i % 2 == 0;
+    const glm::vec3 direction = glm::normalize(glm::vec3(normal(random), normal(random), normal(random)));
+    points.push_back(on_floor ? glm::vec3(uniform(random), 0, uniform(random))
+                              : test::kBallCentre + test::kBallRadius_m * direction);
+    normals.push_back(on_floor ? glm::vec3(0, 1, 0) : direction);
+  }
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  points[0].x = nan;
+  normals[1].y = nan;
+  points[2] = glm::vec3(1e30F);
+  points[3].x = 50;
+  points[4].y = std::numeric_limits<float>::infinity();
+  GaussiansBuffer gaussians = BallOverFloor::gaussians(points, normals);
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      gaussians.parameters[(ParameterLayout::kLogScale + c) * gaussians.stride() + i] = -5.0F + 1.5F * normal(random);
+    }
+    gaussians.object_id[i] = static_cast<std::uint32_t>(i % 5);
+  }
+  gaussians.parameters[ParameterLayout::kLogScale * gaussians.stride() + 6] = nan;
+  gaussians.parameters[ParameterLayout::kLogScale * gaussians.stride() + 7] = 80.0F;
+  return gaussians;
+}
+
+TEST(CudaVisibility, IsThatOfTheCpu) {
+  if (no_device()) GTEST_SKIP() << "no CUDA device";
+  const BallOverFloor scene(glm::vec3(0.5F, 1, 0.3F), 1024);
+  const GaussiansBuffer gaussians = random_gaussians(200'000);
+  const ObjectTransforms objects{{2, {.rotation = glm::normalize(glm::quat(1, 0.1F, 0.2F, -0.1F))}},
+                                 {3, {.translation = {0.5F, 0.01F, -0.2F}}}};
+  const std::size_t count = gaussians.count();
+  std::vector<float> expected(count), actual(count);
+  compute_visibility(gaussians.view(), objects, scene.map(), {}, expected);
+
+  OnDevice device;
+  const GaussiansView view = device.copy(gaussians);
+  LightDepthMap map = scene.map();
+  map.depth_m = device.copy(map.depth_m, std::size_t{map.camera.width} * map.camera.height);
+  const auto memory = bus::allocate_memory(bus::MemoryKind::Cuda, count * sizeof(float));
+  auto* const visibility = reinterpret_cast<float*>(memory.get());
+  const auto backend = make_visibility_backend(bus::Backend::Cuda);
+  backend->compute(view, objects, map, {}, visibility);
+  double best_ms = 1e9;
+  for (int round = 0; round < 20; ++round) {
+    const auto begin = std::chrono::steady_clock::now();
+    backend->compute(view, objects, map, {}, visibility);
+    const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - begin;
+    best_ms = std::min(best_ms, spent.count());
+  }
+  RecordProperty("ms", std::to_string(best_ms));
+  bus::copy_memory(actual.data(), bus::MemoryKind::Host, visibility, bus::MemoryKind::Cuda, count * sizeof(float));
+  bus::finish_copies();
+
+  std::size_t apart = 0, partly = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    const float difference = std::abs(actual[i] - expected[i]);
+    ASSERT_LE(difference, 0.3F) << "Gaussian " << i << ": " << actual[i] << ", not " << expected[i];
+    apart += difference > 1e-4F ? 1 : 0;
+    partly += expected[i] > 0 && expected[i] < 1 ? 1 : 0;
+  }
+  // Where the surface's plane meets the depth of a texel exactly, rounding decides.
+  EXPECT_LE(apart, count / 2000);
+  EXPECT_GT(partly, count / 100);
+}
+
+struct Memories {
+  bus::Backend backend;
+  bus::MemoryKind peers;
+};
+
+/// Starts only where there is a device.
+class RelightOnDevice : public testing::TestWithParam<Memories> {
+ protected:
+  class Pipeline : public RelightTest {
+   public:
+    explicit Pipeline(const Memories& m) : RelightTest(m.backend, m.peers) {}
+    void TestBody() override {}
+    using RelightTest::publish_depth;
+    using RelightTest::publish_model;
+    using RelightTest::visibility;
+  };
+};
+
+TEST_P(RelightOnDevice, FollowsModelLightAndObjects) {
+  if (no_device()) GTEST_SKIP() << "no CUDA device";
+  Pipeline pipeline(GetParam());
+  pipeline.publish_model(1, 33);  // more than there can be
+  pipeline.publish_model(1);
+  pipeline.publish_depth(1, -2.0F);
+  EXPECT_EQ(pipeline.visibility(1, 1), (std::vector<float>{1, 0, 1}));
+  pipeline.publish_depth(2, 2.0F);
+  EXPECT_EQ(pipeline.visibility(1, 2), (std::vector<float>{1, 0, 0})) << "the object has moved under the roof";
+  pipeline.publish_model(2, 2);
+  EXPECT_EQ(pipeline.visibility(2, 2), (std::vector<float>{1, 0}));
+}
+
+INSTANTIATE_TEST_SUITE_P(Memories, RelightOnDevice,
+                         testing::Values(Memories{bus::Backend::Cuda, bus::MemoryKind::Cuda},
+                                         Memories{bus::Backend::Cuda, bus::MemoryKind::Host},
+                                         Memories{bus::Backend::Cpu, bus::MemoryKind::Cuda}));
+
+}  // namespace
+}  // namespace splatbus::relight
