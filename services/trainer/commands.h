@@ -3,6 +3,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <unordered_set>
@@ -20,7 +21,9 @@ struct CellsCommand {
 
 struct VisibilityCommand {
   std::uint64_t model_generation = 0;
-  std::vector<float> visibility;
+  std::size_t count = 0;
+  bus::MemoryKind memory = bus::MemoryKind::Host;
+  std::shared_ptr<const std::byte> visibility;  ///< floats, as they came
 };
 
 /// What others ask of the model, in order of arrival within each kind. Bounded: the optimizer takes all of it between

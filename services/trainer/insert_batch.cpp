@@ -84,6 +84,21 @@ bool read_plane(const bus::Message& message, const char* name, std::vector<std::
 
 }  // namespace
 
+InsertRows InsertBatch::rows() const {
+  if (device_memory) return device_rows;
+  return {.memory = bus::MemoryKind::Host,
+          .stride = count,
+          .mean = mean.data(),
+          .log_scale = log_scale.data(),
+          .rotation = rotation.data(),
+          .opacity_logit = opacity_logit.data(),
+          .albedo = albedo.data(),
+          .normal = normal.data(),
+          .visibility = visibility.data(),
+          .object_id = object_id.data(),
+          .cell = cell.data()};
+}
+
 std::size_t InsertBatch::bytes() const {
   const std::size_t floats = mean.size() + log_scale.size() + rotation.size() + opacity_logit.size() + albedo.size() +
                              normal.size() + visibility.size();

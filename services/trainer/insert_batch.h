@@ -2,26 +2,49 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
+#include "bus/slab.h"
 #include "bus/subscriber.h"
 #include "gaussians/light.h"
 
 namespace splatbus::trainer {
 
-/// New Gaussians in host memory of our own, checked: everything finite, rotations and normals unit, albedo and
-/// visibility in [0, 1]. Planes [channels][count]; frames as in wire::ModelInsert.
+/// Where the rows of a batch lie: planes [channels][stride].
+struct InsertRows {
+  bus::MemoryKind memory = bus::MemoryKind::Host;
+  std::size_t stride = 0;
+  const float* mean = nullptr;
+  const float* log_scale = nullptr;
+  const float* rotation = nullptr;
+  const float* opacity_logit = nullptr;
+  const float* albedo = nullptr;
+  const float* normal = nullptr;
+  const float* visibility = nullptr;
+  const std::uint32_t* object_id = nullptr;
+  const std::uint64_t* cell = nullptr;
+};
+
+/// New Gaussians in memory of our own, checked: everything finite, rotations and normals unit, albedo and visibility in
+/// [0, 1]. Frames as in wire::ModelInsert.
 struct InsertBatch {
   std::uint64_t epoch = 0;  ///< of the expander
   std::uint64_t batch = 0;  ///< unique within the epoch
   std::size_t count = 0;
   std::size_t dropped = 0;  ///< rows that were not finite or without a direction
+  // In host memory: planes [channels][count].
   std::vector<float> mean, log_scale, rotation, opacity_logit, albedo, normal, visibility;
   std::vector<std::uint32_t> object_id;
   std::vector<std::uint64_t> cell;
+  // Or in device memory, and the vectors are empty.
+  std::shared_ptr<const std::byte> device_memory;
+  InsertRows device_rows;
+
   ObjectTransforms objects;
   Light light;
 
+  [[nodiscard]] InsertRows rows() const;
   [[nodiscard]] std::size_t bytes() const;
 };
 

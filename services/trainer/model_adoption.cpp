@@ -1,15 +1,15 @@
-// How a ModelStore comes by its slab: made, adopted from a trainer that was killed, or grown.
+// How a ModelStore comes by its slabs: made, adopted from a trainer that was killed, or moved to.
 
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <cmath>
+#include <array>
 #include <new>
 #include <numeric>
-#include <optional>
 #include <utility>
 
 #include "bus/error.h"
+#include "bus/memory.h"
 #include "trainer/model_store.h"
 
 namespace splatbus::trainer {
@@ -17,13 +17,15 @@ namespace splatbus::trainer {
 namespace {
 
 constexpr std::size_t kSlot = 0;
-constexpr const char* kRole = "model";
-constexpr const char* kGrownRole = "model-grown";
-constexpr float kInvisibleLogit = -15.0F;
+constexpr const char* kHeaderRole = "model-header";
+/// The planes' slab is one of these; the other one is what they move to.
+constexpr std::array<const char*, 2> kPlanesRoles = {"model", "model-grown"};
 
-/// What is wrong with a slab's content as a model of this layout; empty when nothing is.
-std::string fault(const bus::Slab& slab, const ParameterLayout& layout) {
-  if (slab.slots() != 1 || slab.slot_bytes() < sizeof(SlabHeader)) return "it is too small for a model";
+/// What is wrong with a header as that of a model of this layout; empty when nothing is.
+std::string header_fault(const bus::Slab& slab, const ParameterLayout& layout) {
+  if (slab.descriptor().kind != bus::MemoryKind::Host || slab.slots() != 1 || slab.slot_bytes() < sizeof(SlabHeader)) {
+    return "it is too small for a model's header";
+  }
   const auto& header = *reinterpret_cast<const SlabHeader*>(slab.slot_data(kSlot));
   if (header.magic != SlabHeader::kMagic || header.version != SlabHeader::kVersion) return "it does not hold a model";
   const bool other_degree = layout.appearance == Appearance::Radiance &&  // Transfer has no use for it
@@ -32,158 +34,159 @@ std::string fault(const bus::Slab& slab, const ParameterLayout& layout) {
       header.channels != static_cast<std::uint32_t>(layout.channels())) {
     return "its appearance is another one";
   }
-  if (header.capacity == 0 || header.capacity > (1U << 26) || header.capacity % 16 != 0 ||
-      SlabLayout(layout, header.capacity).bytes > slab.slot_bytes()) {
-    return "its capacity of " + std::to_string(header.capacity) + " does not fit its size";
-  }
   const std::uint32_t current = header.current.load();
   if (current > 1) return "it names no current structure";
   const Structure& structure = header.structure.at(current);
-  if (structure.count > header.capacity || structure.batch_count > kRememberedBatches ||
+  if (structure.capacity == 0 || structure.capacity > (1U << 26) || structure.capacity % 16 != 0) {
+    return "it claims a capacity of " + std::to_string(structure.capacity);
+  }
+  if (structure.count > structure.capacity || structure.batch_count > kRememberedBatches ||
       structure.frozen > structure.count) {
     return "its counts contradict each other";
   }
   return {};
 }
 
-bool finite_column(const ModelPlanes& planes, std::size_t column) {
-  const auto finite = [&](const float* plane, std::size_t channels) {
-    for (std::size_t c = 0; c < channels; ++c) {
-      if (!std::isfinite(plane[c * planes.capacity + column])) return false;
-    }
-    return true;
-  };
-  const auto channels = static_cast<std::size_t>(planes.layout.channels());
-  return finite(planes.parameters, channels) && finite(planes.average, channels) && finite(planes.normal, 3) &&
-         finite(planes.surface_point, 3) && finite(planes.visibility, 1);
-}
-
 }  // namespace
 
 ModelStore::ModelStore(std::shared_ptr<bus::Context> bus, const ParameterLayout& layout, std::size_t capacity,
-                       std::size_t max_gaussians)
-    : bus_(std::move(bus)), max_gaussians_(max_gaussians) {
+                       std::size_t max_gaussians, bus::MemoryKind memory)
+    : bus_(std::move(bus)), max_gaussians_(max_gaussians), memory_(memory), columns_(make_model_columns(memory)) {
   planes_.layout = layout;
   // Registering anything waits for the broker; asked before that, it would seem to hold no model.
   bus_->create_slab("start", 1, 4096);
   bus_->drop_slab("start");
-  // A trainer that is killed while its model moves to a larger slab leaves both: the newer one counts.
-  std::optional<std::string> best;
-  std::uint64_t best_generation = 0;
-  for (const char* role : {kRole, kGrownRole}) {
-    if (adopt(role) && (!best || structure_.generation > best_generation)) {
-      best = role;
-      best_generation = structure_.generation;
-    }
-  }
-  if (!best) {
-    create(capacity);
-    if (origin_.empty()) origin_ = "empty";
+  if (!adopt()) {
+    begin_empty(capacity);
     return;
   }
-  adopt(*best);
+  if (planes_slab_->descriptor().kind != memory_) {  // the trainer before had another backend
+    planes_slab_->begin_write(kSlot);
+    move_planes(this->capacity());
+  }
   repair();
   origin_ = "adopted " + std::to_string(count()) + " Gaussians at step " + std::to_string(step());
 }
 
-bool ModelStore::adopt(const std::string& role) {
-  const std::string name = bus_->source() + "/" + role;
+bool ModelStore::adopt() {
+  const std::string name = bus_->source() + "/" + kHeaderRole;
+  const auto useless = [&](const std::string& why) {
+    origin_ = "empty, for " + name + " is of no use: " + why;
+    return false;
+  };
   try {
     auto slab = bus_->adopt_slab(name);
-    if (!slab) return false;
-    const std::string wrong = fault(*slab, planes_.layout);
-    if (!wrong.empty()) {
-      origin_ = "empty, for " + name + " is of no use: " + wrong;
+    if (!slab) {
+      origin_ = "empty";
       return false;
     }
-    role_ = role;
-    const std::size_t capacity = reinterpret_cast<const SlabHeader*>(slab->slot_data(kSlot))->capacity;
-    bind(std::move(slab), capacity);
-    structure_ = header_->structure.at(header_->current.load());
+    if (const std::string wrong = header_fault(*slab, planes_.layout); !wrong.empty()) return useless(wrong);
+    auto* const header = reinterpret_cast<SlabHeader*>(slab->slot_data(kSlot));
+    const Structure structure = header->structure.at(header->current.load());
+    auto planes = adopt_planes(structure);
+    header_slab_ = std::move(slab);
+    header_ = header;
+    structure_ = structure;
+    bind(std::move(planes), structure.capacity);
+    bus_->drop_slab(spare_role());  // of a move that was cut short
     return true;
   } catch (const bus::Error& error) {
-    origin_ = "empty, for " + name + " is of no use: " + error.what();
-    return false;
+    return useless(error.what());
   }
+}
+
+std::shared_ptr<bus::Slab> ModelStore::adopt_planes(const Structure& structure) const {
+  std::string missing = "its planes are gone";
+  for (const char* role : kPlanesRoles) {
+    const std::string name = bus_->source() + "/" + role;
+    try {
+      auto slab = bus_->adopt_slab(name);
+      if (!slab) continue;
+      if (slab->id() != structure.planes_slab) {
+        missing = name + " holds planes of another model";
+      } else if (slab->slots() != 1 || slab->slot_bytes() < SlabLayout(planes_.layout, structure.capacity).bytes) {
+        missing = name + " is too small for a capacity of " + std::to_string(structure.capacity);
+      } else {
+        return slab;
+      }
+    } catch (const bus::Error& error) {
+      missing = error.what();
+    }
+  }
+  throw bus::Error(missing);
 }
 
 void ModelStore::repair() {
-  std::vector<std::uint8_t> dead(count(), 0);
+  // Downloads a few bytes a column when the model lies on the device: once a start.
+  auto [ids, dead] = columns_->inspect(planes_, count());
   std::vector<std::uint32_t> by_id(count());
   std::iota(by_id.begin(), by_id.end(), 0U);
-  std::sort(by_id.begin(), by_id.end(), [&](std::uint32_t a, std::uint32_t b) {
-    const auto id = [&](std::uint32_t i) { return std::pair(planes_.gaussian_id[i], i); };
-    return id(a) < id(b);
-  });
+  std::sort(by_id.begin(), by_id.end(),
+            [&, &id = ids](std::uint32_t a, std::uint32_t b) { return std::pair(id[a], a) < std::pair(id[b], b); });
   for (std::size_t k = 0; k + 1 < by_id.size(); ++k) {
     // A removal that was cut short leaves a column twice; the later one is whole.
-    if (planes_.gaussian_id[by_id[k]] == planes_.gaussian_id[by_id[k + 1]]) dead[by_id[k]] = 1;
-  }
-  const float* const logits = planes_.parameters + ParameterLayout::kOpacityLogit * planes_.capacity;
-  for (std::size_t i = 0; i < count(); ++i) {
-    if (logits[i] < kInvisibleLogit || !finite_column(planes_, i)) dead[i] = 1;
+    if (ids[by_id[k]] == ids[by_id[k + 1]]) dead[by_id[k]] = 1;
   }
   if (!by_id.empty()) {
-    structure_.next_gaussian_id = std::max(structure_.next_gaussian_id, planes_.gaussian_id[by_id.back()] + 1);
+    structure_.next_gaussian_id = std::max(structure_.next_gaussian_id, ids[by_id.back()] + 1);
   }
-  change([&] { remove(dead); });
+  const auto marks = bus::allocate_memory(memory_, count());
+  bus::copy_memory(marks.get(), memory_, dead.data(), bus::MemoryKind::Host, count());
+  bus::finish_copies();
+  change([&] { remove(reinterpret_cast<const std::uint8_t*>(marks.get())); });
 }
 
-void ModelStore::create(std::size_t capacity) {
+void ModelStore::begin_empty(std::size_t capacity) {
   capacity = rounded_capacity(capacity);
-  auto slab = bus_->create_slab(role_, 1, SlabLayout(planes_.layout, capacity).bytes);
-  slab->begin_write(kSlot);
-  auto* const header = new (slab->slot_data(kSlot)) SlabHeader{};
-  header->version = SlabHeader::kVersion;
-  header->appearance = static_cast<std::uint32_t>(planes_.layout.appearance);
-  header->sh_degree = static_cast<std::uint32_t>(planes_.layout.sh_degree);
-  header->channels = static_cast<std::uint32_t>(planes_.layout.channels());
-  header->capacity = capacity;
-  header->magic = SlabHeader::kMagic;
-  bind(slab, capacity);
-  structure_ = Structure{.generation = 1};
+  bus_->drop_slab(kPlanesRoles[1]);
+  bind(create_planes(kPlanesRoles[0], capacity), capacity);
+  planes_slab_->begin_write(kSlot);
+  header_slab_ = bus_->create_slab(kHeaderRole, 1, sizeof(SlabHeader));
+  header_ = new (header_slab_->slot_data(kSlot)) SlabHeader{};
+  header_->version = SlabHeader::kVersion;
+  header_->appearance = static_cast<std::uint32_t>(planes_.layout.appearance);
+  header_->sh_degree = static_cast<std::uint32_t>(planes_.layout.sh_degree);
+  header_->channels = static_cast<std::uint32_t>(planes_.layout.channels());
+  structure_ = Structure{.planes_slab = planes_slab_->id(), .capacity = capacity, .generation = 1};
   commit();
-  slot_generation_ = slab_->end_write(kSlot);
+  header_->magic = SlabHeader::kMagic;
+  slot_generation_ = planes_slab_->end_write(kSlot);
+}
+
+std::shared_ptr<bus::Slab> ModelStore::create_planes(const std::string& role, std::size_t capacity) const {
+  constexpr int kTimeout_ms = 10000;
+  return bus_->create_slab(role, 1, SlabLayout(planes_.layout, capacity).bytes, kTimeout_ms, memory_);
 }
 
 void ModelStore::bind(std::shared_ptr<bus::Slab> slab, std::size_t capacity) {
-  slab_ = std::move(slab);
-  header_ = reinterpret_cast<SlabHeader*>(slab_->slot_data(kSlot));
-  planes_ = ModelPlanes(planes_.layout, capacity, slab_->slot_data(kSlot));
+  planes_slab_ = std::move(slab);
+  planes_ = ModelPlanes(planes_.layout, capacity, planes_slab_->slot_data(kSlot));
 }
 
 std::string ModelStore::spare_role() const {
-  return role_ == kRole ? kGrownRole : kRole;
+  return planes_slab_->name().ends_with(kPlanesRoles[1]) ? kPlanesRoles[0] : kPlanesRoles[1];
 }
 
 void ModelStore::reserve(std::size_t needed) {
   if (needed <= capacity()) return;
-  const auto old_slab = slab_;
-  const ModelPlanes old_planes = planes_;
-  const Structure pending = structure_;
-  const std::string old_role = role_;
-  const SlabHeader& old_header = *header_;
+  move_planes(rounded_capacity(std::max(needed, 2 * capacity())));
+  spdlog::info("model: moved to a slab for {} Gaussians", capacity());
+}
 
-  role_ = spare_role();
-  try {
-    create(std::max(needed, 2 * old_planes.capacity));
-  } catch (...) {
-    role_ = old_role;
-    structure_ = pending;
-    throw;
-  }
-  slab_->begin_write(kSlot);
-  planes_.copy_from(old_planes, pending.count);
-  header_->step = old_header.step;
-  header_->views = old_header.views;
-  header_->optimizer_s = old_header.optimizer_s;
-  structure_ = pending;
-  structure_.generation += 1;
+void ModelStore::move_planes(std::size_t capacity) {
+  const std::string role = spare_role();
+  const auto old_slab = planes_slab_;
+  const std::string old_role = role == kPlanesRoles[0] ? kPlanesRoles[1] : kPlanesRoles[0];
+  auto slab = create_planes(role, capacity);
+  slab->begin_write(kSlot);
+  const ModelPlanes target(planes_.layout, capacity, slab->slot_data(kSlot));
+  copy_columns(target, memory_, planes_, old_slab->descriptor().kind, count());
+  bind(std::move(slab), capacity);
+  structure_.planes_slab = planes_slab_->id();
+  structure_.capacity = capacity;
   commit();
-  structure_.generation -= 1;
   old_slab->end_write(kSlot);
   bus_->drop_slab(old_role);
-  spdlog::info("model: moved to a slab for {} Gaussians", capacity());
 }
 
 }  // namespace splatbus::trainer

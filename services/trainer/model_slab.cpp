@@ -2,21 +2,15 @@
 
 #include <algorithm>
 
+#include "bus/memory.h"
+
 namespace splatbus::trainer {
 
 namespace {
 
-constexpr float kInvisibleLogit = -20.0F;
-
 template <class T>
 void move_planes(T* planes, std::size_t channels, std::size_t stride, std::size_t from, std::size_t to) {
   for (std::size_t c = 0; c < channels; ++c) planes[c * stride + to] = planes[c * stride + from];
-}
-
-template <class T>
-void copy_planes(const T* from, std::size_t from_stride, T* to, std::size_t to_stride, std::size_t channels,
-                 std::size_t count) {
-  for (std::size_t c = 0; c < channels; ++c) std::copy_n(from + c * from_stride, count, to + c * to_stride);
 }
 
 }  // namespace
@@ -27,7 +21,7 @@ std::size_t rounded_capacity(std::size_t capacity) {
 
 SlabLayout::SlabLayout(const ParameterLayout& layout, std::size_t capacity) {
   const auto channels = static_cast<std::size_t>(layout.channels());
-  std::size_t next = (sizeof(SlabHeader) + 4095) / 4096 * 4096;
+  std::size_t next = 0;
   const auto reserve = [&](std::size_t plane_count, std::size_t element_bytes) {
     const std::size_t offset = next;
     next += plane_count * capacity * element_bytes;
@@ -96,17 +90,25 @@ void ModelPlanes::move_column(std::size_t from, std::size_t to) const {
   logits[to] = logit;
 }
 
-void ModelPlanes::copy_from(const ModelPlanes& other, std::size_t count) const {
-  const auto channels = static_cast<std::size_t>(layout.channels());
-  copy_planes(other.parameters, other.capacity, parameters, capacity, channels, count);
-  copy_planes(other.average, other.capacity, average, capacity, channels, count);
-  copy_planes(other.normal, other.capacity, normal, capacity, 3, count);
-  copy_planes(other.surface_point, other.capacity, surface_point, capacity, 3, count);
-  copy_planes(other.visibility, other.capacity, visibility, capacity, 1, count);
-  copy_planes(other.object_id, other.capacity, object_id, capacity, 1, count);
-  copy_planes(other.flags, other.capacity, flags, capacity, 1, count);
-  copy_planes(other.cell, other.capacity, cell, capacity, 1, count);
-  copy_planes(other.gaussian_id, other.capacity, gaussian_id, capacity, 1, count);
+void copy_columns(const ModelPlanes& to, bus::MemoryKind to_memory, const ModelPlanes& from,
+                  bus::MemoryKind from_memory, std::size_t count) {
+  const auto copy = [&](auto* to_planes, const auto* from_planes, std::size_t channels) {
+    for (std::size_t c = 0; c < channels; ++c) {
+      bus::copy_memory(to_planes + c * to.capacity, to_memory, from_planes + c * from.capacity, from_memory,
+                       count * sizeof(*from_planes));
+    }
+  };
+  const auto channels = static_cast<std::size_t>(to.layout.channels());
+  copy(to.parameters, from.parameters, channels);
+  copy(to.average, from.average, channels);
+  copy(to.normal, from.normal, 3);
+  copy(to.surface_point, from.surface_point, 3);
+  copy(to.visibility, from.visibility, 1);
+  copy(to.object_id, from.object_id, 1);
+  copy(to.flags, from.flags, 1);
+  copy(to.cell, from.cell, 1);
+  copy(to.gaussian_id, from.gaussian_id, 1);
+  bus::finish_copies();
 }
 
 }  // namespace splatbus::trainer

@@ -4,8 +4,8 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <span>
 
+#include "bus/slab.h"
 #include "gaussians/model.h"
 
 namespace splatbus::trainer {
@@ -13,9 +13,15 @@ namespace splatbus::trainer {
 /// Most recent batches that the model remembers, as model/published carries them.
 inline constexpr std::size_t kRememberedBatches = 4096;
 
-/// The model's structure. Two copies lie in the slab and `SlabHeader::current` says which one counts, so that a trainer
-/// killed at any instant leaves either the old structure or the new one.
+/// Opacity logit of a column that is being written, and what is taken for one that was left so.
+inline constexpr float kInvisibleLogit = -20.0F;
+inline constexpr float kLeftInvisibleLogit = -15.0F;
+
+/// The model's structure. Two copies lie in the header and `SlabHeader::current` says which one counts, so that a
+/// trainer killed at any instant leaves either the old structure or the new one.
 struct Structure {
+  std::uint64_t planes_slab = 0;  ///< id of the slab with the planes
+  std::uint64_t capacity = 0;     ///< columns of every plane in it
   std::uint64_t count = 0;
   std::uint64_t generation = 0;          ///< grows with every change of structure, across slabs and restarts
   std::uint64_t removal_generation = 0;  ///< of the last change that moved columns
@@ -26,17 +32,16 @@ struct Structure {
   std::array<std::uint64_t, kRememberedBatches> batches{};  ///< in order of insertion
 };
 
-/// What lies at the start of the model's slab slot.
+/// What lies in the model's header slab, in host memory.
 struct SlabHeader {
   static constexpr std::uint64_t kMagic = 0x6c65646f6d627073;  // "spbmodel"
-  static constexpr std::uint32_t kVersion = 1;
+  static constexpr std::uint32_t kVersion = 2;
 
   std::uint64_t magic;
   std::uint32_t version;
   std::uint32_t appearance;
   std::uint32_t sh_degree;
   std::uint32_t channels;
-  std::uint64_t capacity;
   std::atomic<std::uint32_t> current;  ///< index into `structure`
 
   // Progress, in place.
@@ -47,7 +52,8 @@ struct SlabHeader {
   std::array<Structure, 2> structure;
 };
 
-/// Byte offsets of the planes in the slot, for a capacity that is a multiple of 16 (planes begin on cache lines).
+/// Byte offsets of the planes in their slab's slot, for a capacity that is a multiple of 16 (planes begin on cache
+/// lines).
 struct SlabLayout {
   std::size_t parameters = 0, average = 0, normal = 0, surface_point = 0, visibility = 0;
   std::size_t object_id = 0, flags = 0, cell = 0, gaussian_id = 0;
@@ -58,7 +64,7 @@ struct SlabLayout {
 
 [[nodiscard]] std::size_t rounded_capacity(std::size_t capacity);
 
-/// The planes of a slot, writable.
+/// The planes of a slot, writable: addresses in the slab's memory.
 struct ModelPlanes {
   ParameterLayout layout;
   std::size_t capacity = 0;
@@ -78,11 +84,12 @@ struct ModelPlanes {
   [[nodiscard]] GaussiansView view(std::size_t count) const;
 
   /// Copies column `from` over column `to`, its id last: until then the column under `to` is invisible, so that a copy
-  /// cut short leaves nothing that shows.
+  /// cut short leaves nothing that shows. Host memory.
   void move_column(std::size_t from, std::size_t to) const;
-
-  /// Copies the first `count` columns of `other`, whose layout is the same.
-  void copy_from(const ModelPlanes& other, std::size_t count) const;
 };
+
+/// Copies the first `count` columns between planes of one layout in any two kinds of memory, and waits for it.
+void copy_columns(const ModelPlanes& to, bus::MemoryKind to_memory, const ModelPlanes& from,
+                  bus::MemoryKind from_memory, std::size_t count);
 
 }  // namespace splatbus::trainer

@@ -3,9 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <glm/glm.hpp>
 #include <memory>
-#include <span>
 #include <string>
 #include <unordered_set>
 #include <vector>
@@ -13,15 +11,19 @@
 #include "bus/context.h"
 #include "bus/publisher.h"
 #include "trainer/insert_batch.h"
+#include "trainer/model_columns.h"
 #include "trainer/model_slab.h"
 
 namespace splatbus::trainer {
 
-/// The live model in its slab "<source>/model": values change in place at any time; the structure changes only inside
-/// change(), under the slot's sequence lock. A store that is made where a killed trainer's slab still lies goes on with
-/// it.
+/// The live model: its planes in a slab of either kind of memory, "<source>/model", and what says what they hold in one
+/// of the host's, "<source>/model-header". Values change in place at any time; the structure changes only inside
+/// change(), under the planes slot's sequence lock. A store that is made where a killed trainer's slabs still lie goes
+/// on with them, whichever kind of memory that trainer had.
 ///
-/// Not thread-safe: it belongs to the optimizer's thread. Other processes read the slab through PublishedModel.
+/// Not thread-safe: it belongs to the optimizer's thread. In device memory, whoever works on the planes on a stream of
+/// his own waits for it before he calls change() or set_visibility(), and finds their work done when they return. Other
+/// processes read the slab through PublishedModel.
 class ModelStore {
  public:
   struct Columns {
@@ -30,11 +32,13 @@ class ModelStore {
 
   /// Waits for the broker (bus::Error when it does not come). `max_gaussians` bounds growth.
   ModelStore(std::shared_ptr<bus::Context> bus, const ParameterLayout& layout, std::size_t capacity,
-             std::size_t max_gaussians);
+             std::size_t max_gaussians, bus::MemoryKind memory = bus::MemoryKind::Host);
 
   /// How the store began, in words: "empty", "adopted ...", or why what was found was of no use.
   [[nodiscard]] const std::string& origin() const { return origin_; }
 
+  /// Where the planes lie.
+  [[nodiscard]] bus::MemoryKind memory() const { return memory_; }
   [[nodiscard]] const ParameterLayout& layout() const { return planes_.layout; }
   [[nodiscard]] std::size_t count() const { return structure_.count; }
   [[nodiscard]] std::size_t capacity() const { return planes_.capacity; }
@@ -48,8 +52,9 @@ class ModelStore {
   [[nodiscard]] double optimizer_s() const { return header_->optimizer_s; }
   void add_step(std::size_t views, double seconds);
 
-  /// Takes over the sun's visibility of the first columns, in place, when columns have not moved since `generation`.
-  bool set_visibility(std::uint64_t generation, std::span<const float> visibility);
+  /// Takes over the sun's visibility of the first `count` columns, in place, from values in either memory, when columns
+  /// have not moved since `generation`.
+  bool set_visibility(std::uint64_t generation, const float* values, bus::MemoryKind memory, std::size_t count);
 
   /// Runs `work`, which may call the four functions below, as one change of structure with one new generation. When it
   /// throws, the structure stays as it was.
@@ -60,8 +65,8 @@ class ModelStore {
   Columns append(const InsertBatch& batch);
   /// Adds a copy of each column, with a new id.
   Columns duplicate(const std::vector<std::uint32_t>& columns);
-  /// Removes the columns with a non-zero entry. keep[i] of the result is the column that column i was.
-  std::vector<std::uint32_t> remove(const std::vector<std::uint8_t>& dead);
+  /// Removes the columns with a non-zero entry; `dead` is [count()], in memory().
+  ColumnMoves remove(const std::uint8_t* dead);
   /// Sets or clears kFrozen of every Gaussian of the cells; one that freezes takes its average as its value. Returns
   /// how many changed.
   std::size_t set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen);
@@ -70,28 +75,28 @@ class ModelStore {
   void publish(bus::Publisher& publisher) const;
 
  private:
-  void create(std::size_t capacity);
-  bool adopt(const std::string& role);
+  void begin_empty(std::size_t capacity);
+  bool adopt();
+  [[nodiscard]] std::shared_ptr<bus::Slab> adopt_planes(const Structure& structure) const;
   void repair();
   void reserve(std::size_t count);
+  void move_planes(std::size_t capacity);
+  [[nodiscard]] std::shared_ptr<bus::Slab> create_planes(const std::string& role, std::size_t capacity) const;
+  [[nodiscard]] std::string spare_role() const;
   void bind(std::shared_ptr<bus::Slab> slab, std::size_t capacity);
   void commit();
-  void write_columns(const InsertBatch& batch, std::size_t first, std::size_t count) const;
-  [[nodiscard]] std::string spare_role() const;
+  [[nodiscard]] std::size_t room() const;
 
   std::shared_ptr<bus::Context> bus_;
   std::size_t max_gaussians_;
+  bus::MemoryKind memory_;
+  std::unique_ptr<ModelColumns> columns_;
   std::string origin_;
-  std::string role_ = "model";
-  std::shared_ptr<bus::Slab> slab_;
+  std::shared_ptr<bus::Slab> header_slab_, planes_slab_;
   SlabHeader* header_ = nullptr;
   ModelPlanes planes_;
   Structure structure_;
-  std::uint64_t slot_generation_ = 0;  ///< of the slab's sequence lock
+  std::uint64_t slot_generation_ = 0;  ///< of the planes slot's sequence lock
 };
-
-/// What a Gaussian of the batch starts with in Radiance: constant band of the lit colour, display space (Kerbl et al.
-/// 2023).
-[[nodiscard]] glm::vec3 radiance_dc(const InsertBatch& batch, std::size_t row);
 
 }  // namespace splatbus::trainer

@@ -52,7 +52,9 @@ void Optimizer::change(const std::function<void()>& work) {
 
 bool Optimizer::apply(const Commands& commands) {
   if (commands.visibility) {
-    store_.set_visibility(commands.visibility->model_generation, commands.visibility->visibility);
+    const VisibilityCommand& relit = *commands.visibility;
+    store_.set_visibility(relit.model_generation, reinterpret_cast<const float*>(relit.visibility.get()), relit.memory,
+                          relit.count);
   }
   const bool any_new = std::any_of(commands.inserts.begin(), commands.inserts.end(),
                                    [&](const InsertBatch& b) { return !store_.holds(b.epoch, b.batch); });
@@ -163,7 +165,7 @@ void Optimizer::maintain_density() {
 
 void Optimizer::remove(const std::vector<std::uint8_t>& dead) {
   std::vector<std::uint32_t> keep;
-  store_.change([&] { keep = store_.remove(dead); });
+  store_.change([&] { keep = kept_columns(store_.remove(dead.data())); });
   adam_.permute(keep);
   densifier_.permute(keep);
   std::vector<std::uint64_t> birth(keep.size());

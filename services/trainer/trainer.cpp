@@ -5,6 +5,7 @@
 #include <exception>
 #include <map>
 
+#include "bus/memory.h"
 #include "wire/capture_generated.h"
 #include "wire/model_generated.h"
 
@@ -25,7 +26,8 @@ Trainer::Trainer(bus::ServiceContext& service) : service_(service), schedule_(re
 void Trainer::run() {
   const Options options = read_options(service_.parameters);
   with_depth_ = options.depth_weight > 0;
-  store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians);
+  store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
+                                        bus::memory_of(service_.backend));
   spdlog::info("model: {}", store_->origin());
   optimizer_ = std::make_unique<Optimizer>(*store_, options);
   options_version_ = service_.parameters.version();
@@ -138,13 +140,20 @@ void Trainer::take_visibility(const bus::Message& message) {
   if (relit.count() == 0) return;
   const auto tensor =
       message.tensor("visibility", bus::ElementType::F32, {1, static_cast<std::uint32_t>(relit.count())});
-  VisibilityCommand command{.model_generation = relit.model_generation(),
-                            .visibility = std::vector<float>(relit.count())};
-  if (!tensor || !tensor->copy(command.visibility.data())) {
+  if (!tensor) {
     ++lost_tensors_;
     return;
   }
-  for (float& value : command.visibility) value = value >= 0 ? std::min(value, 1.0F) : 0.0F;  // NaN becomes 0
+  const bus::MemoryKind memory = bus::memory_of(service_.backend);
+  auto values = bus::allocate_memory(memory, tensor->bytes());
+  if (!bus::copy_tensor(*tensor, values.get(), memory, host_copied_bytes_)) {
+    ++lost_tensors_;
+    return;
+  }
+  VisibilityCommand command{.model_generation = relit.model_generation(),
+                            .count = relit.count(),
+                            .memory = memory,
+                            .visibility = std::move(values)};
   commands_.post([&](Commands& commands) { commands.visibility = std::move(command); });
 }
 
