@@ -23,6 +23,10 @@ std::vector<const InsertBatch*> BatchLedger::due(std::int64_t now_ns) {
   return batches;
 }
 
+bool BatchLedger::all_sent() const {
+  return std::all_of(pending_.begin(), pending_.end(), [](const Entry& entry) { return entry.sent_ns != 0; });
+}
+
 std::size_t BatchLedger::acknowledge(std::span<const std::uint64_t> batches) {
   const std::unordered_set<std::uint64_t> listed(batches.begin(), batches.end());
   const std::size_t before = pending_.size();

@@ -42,6 +42,7 @@ class BatchLedger {
 
   [[nodiscard]] std::vector<const InsertBatch*> pending_batches() const;
   [[nodiscard]] std::size_t pending() const { return pending_.size(); }
+  [[nodiscard]] bool all_sent() const;  ///< every batch has been published once at least
   [[nodiscard]] bool ever_acknowledged() const { return acknowledged_ > 0; }
   [[nodiscard]] std::uint64_t gaussians() const { return gaussians_; }  ///< of all batches ever added
   [[nodiscard]] std::size_t forgotten() const { return forgotten_; }    ///< acknowledged batches dropped for room

@@ -4,17 +4,9 @@
 #include <glm/glm.hpp>
 #include <optional>
 
+#include "expander/cell_packing.h"
+
 namespace splatbus::expander {
-
-/// A cell of the grid, packed as messages carry it. Cells are centred at multiples of the cell size, so that a floor at
-/// height 0 lies in the middle of its cells and not on their border.
-///
-/// World cells: bit 63 is 0, then 21 bits each of x, y, z. Cells of a moving object, in the object's frame: bit 63 is
-/// 1, then the low 18 bits of the object's id, then 15 bits each of x, y, z. Coordinates are offset by half their
-/// range.
-using CellId = std::uint64_t;
-
-inline constexpr CellId kObjectCell = CellId{1} << 63U;
 
 /// Where a sample's Gaussian lives: the world, or a moving object.
 struct Frame {

@@ -7,7 +7,6 @@
 
 #include "bus/clock.h"
 #include "expander/parameters.h"
-#include "expander/visibility.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/published_model.h"
@@ -22,47 +21,28 @@ constexpr std::int64_t kStatePeriodNs = 100'000'000;
 constexpr std::int64_t kWaitingStatePeriodNs = 1'000'000'000;
 constexpr int kMostMessagesAStep = 64;
 // Published batches that are not acknowledged must stay readable: more slots than batches in flight.
-constexpr std::size_t kBytesAGaussian = 18 * sizeof(float) + sizeof(std::uint32_t) + sizeof(CellId);
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 constexpr std::size_t kRingSlots = BatchLedger::Options{}.in_flight + 2;
 
-/// Points of the model as it stands. False when its structure changed meanwhile.
-bool read_points(const bus::Message& message, ModelPoints& points) {
-  const auto model = PublishedModel::open(message);
-  if (!model) return false;
-  const GaussiansView& view = model->live();
-  if (view.count > 0 && (view.cell == nullptr || view.object_id == nullptr || view.normal == nullptr)) return false;
-  const float* position = view.surface_point != nullptr ? view.surface_point : view.plane(ParameterLayout::kMean);
-  const auto vector_at = [&](const float* planes, std::size_t i) {
-    return glm::vec3(planes[i], planes[view.stride + i], planes[2 * view.stride + i]);
-  };
-  for (std::size_t i = 0; i < view.count; ++i) {
-    points.position.push_back(vector_at(position, i));
-    points.normal.push_back(vector_at(view.normal, i));
-    points.object_id.push_back(view.object_id[i]);
-    points.cell.push_back(view.cell[i]);
-  }
-  return model->still_valid();
-}
-
 }  // namespace
 
-Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters)
+Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, bus::Backend backend)
     : parameters_(parameters),
       context_(std::move(context)),
+      mapper_(make_mapper(backend, static_cast<float>(parameters.number("cell_size_m")))),
       subscriber_(context_, {"capture/input", "viewer/pose", "model/published"}),
       insert_publisher_(context_, "model/insert"),
       state_publisher_(context_, "grid/state"),
       ring_(context_, "insert", kRingSlots,
-            static_cast<std::size_t>(parameters.integer("batch_size")) * kBytesAGaussian + kRingSlack),
-      grid_(grid_options(parameters)),
+            static_cast<std::size_t>(parameters.integer("batch_size")) * kInsertBytes + kRingSlack, mapper_->memory()),
       ledger_(ledger_options(parameters)),
       follower_(context_->epoch()) {}
 
 void Expander::step(std::chrono::milliseconds timeout) {
   auto message = subscriber_.receive(timeout);
   for (int taken = 1; message; ++taken) {
-    bus::guarded(*message, [&] { handle(*message); });
+    prepare_ring();
+    if (!bus::guarded(*message, [&] { handle(*message); })) mapper_->require_usable();
     if (taken >= kMostMessagesAStep) break;
     message = subscriber_.receive(std::chrono::milliseconds(0));
   }
@@ -82,21 +62,22 @@ void Expander::handle(const bus::Message& message) {
 }
 
 void Expander::handle_input(const bus::Message& message) {
-  auto samples = decode_input(message);
-  if (!samples) {
+  const auto incoming = open_round(message);
+  auto round = incoming ? mapper_->take(*incoming) : nullptr;
+  if (!round) {
     ++counters_.rounds_lost;
     return;
   }
-  if (samples->dropped > 0) {
+  if (round->dropped() > 0) {
     spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
-                 samples->rig_generation, samples->dropped);
+                 round->info().rig_generation, round->dropped());
   }
   if (waiting_.empty()) waiting_since_ns_ = bus::now_ns();
   if (waiting_.size() >= kWaitingRounds) {
     ++counters_.rounds_lost;
     waiting_.pop_front();
   }
-  waiting_.push_back(std::move(*samples));
+  waiting_.push_back(std::move(round));
 }
 
 void Expander::handle_pose(const bus::Message& message) {
@@ -112,8 +93,11 @@ void Expander::handle_published(const bus::Message& message) {
                      .batches = {}};
   if (const auto* batches = published.inserted_batches()) report.batches.assign(batches->begin(), batches->end());
   const std::size_t pending = ledger_.pending();
-  follower_.follow(
-      report, [&](ModelPoints& points) { return read_points(message, points); }, grid_, ledger_);
+  const auto adopt_model = [&] {
+    const auto model = PublishedModel::open(message, mapper_->memory(), PublishedModel::Need::Average);
+    return model && mapper_->adopt(*model);
+  };
+  follower_.follow(report, adopt_model, *mapper_, ledger_);
   state_changed_ = state_changed_ || pending != ledger_.pending();
 }
 
@@ -122,61 +106,70 @@ void Expander::process_waiting() {
   const auto wait_ns = static_cast<std::int64_t>(parameters_.number("adopt_wait_s") * 1e9);
   if (!follower_.settled() && bus::now_ns() - waiting_since_ns_ < wait_ns) return;
   while (!waiting_.empty()) {
-    process(waiting_.front());
+    process(*waiting_.front());
     waiting_.pop_front();
+    publish_batches();
   }
 }
 
-void Expander::process(const InputSamples& samples) {
+void Expander::process(const Round& round) {
   const std::int64_t start = bus::now_ns();
+  const RoundInfo& info = round.info();
   ++counters_.rounds;
-  counters_.samples += samples.size();
-  counters_.samples_dropped += samples.dropped;
+  counters_.samples += round.size();
+  counters_.samples_dropped += round.dropped();
   state_changed_ = true;
-  grid_.set_options(grid_options(parameters_));
-  const auto seen = seen_samples(samples, visibility_options(parameters_));
-  counters_.samples_unseen += static_cast<std::uint64_t>(std::count(seen.begin(), seen.end(), false));
   // Before a viewer is known, the rig stands about the place of interest.
   glm::vec3 middle(0);
-  for (const Camera& camera : samples.cameras) middle += camera.world_from_camera.translation;
-  if (!samples.cameras.empty()) middle /= static_cast<float>(samples.cameras.size());
+  for (const Camera& camera : info.cameras) middle += camera.world_from_camera.translation;
+  if (!info.cameras.empty()) middle /= static_cast<float>(info.cameras.size());
 
   const auto limit = static_cast<std::size_t>(parameters_.integer("max_gaussians"));
-  const std::size_t room = limit - std::min(limit, grid_.modelled_points());
-  const std::vector<Chosen> chosen = grid_.choose(samples, seen, viewer_.value_or(middle), room);
-  if (chosen.size() == room && gaussian_limit_logged_ != limit) {
+  const std::size_t room = limit - std::min(limit, mapper_->modelled_points());
+  Growth growth = mapper_->grow(round, {.grid = grid_options(parameters_),
+                                        .visibility = visibility_options(parameters_),
+                                        .initial = initial_options(parameters_),
+                                        .viewer = viewer_.value_or(middle),
+                                        .room = room,
+                                        .batch_size = static_cast<std::size_t>(parameters_.integer("batch_size"))});
+  counters_.samples_unseen += growth.unseen;
+  if (growth.chosen == room && gaussian_limit_logged_ != limit) {
     gaussian_limit_logged_ = limit;
     spdlog::warn("the model has reached max_gaussians = {}: nothing more is inserted", limit);
   }
-  const auto batch_size = static_cast<std::size_t>(parameters_.integer("batch_size"));
-  const std::span<const Chosen> all(chosen);
-  for (std::size_t first = 0; first < all.size(); first += batch_size) {
-    const auto part = all.subspan(first, std::min(batch_size, all.size() - first));
-    ledger_.add(initial_gaussians(samples, part, initial_options(parameters_)));
-  }
+  if (!growth.batches.empty() && unsent_since_ns_ == 0) unsent_since_ns_ = info.publish_ns;
+  for (InsertBatch& batch : growth.batches) ledger_.add(std::move(batch));
   counters_.milliseconds = static_cast<double>(bus::now_ns() - start) * 1e-6;
-  spdlog::log(chosen.empty() ? spdlog::level::debug : spdlog::level::info,
-              "input round of rig generation {}: {} of {} samples inserted", samples.rig_generation, chosen.size(),
-              samples.size());
+  spdlog::log(growth.chosen == 0 ? spdlog::level::debug : spdlog::level::info,
+              "input round of rig generation {}: {} of {} samples inserted, {:.1f} ms", info.rig_generation,
+              growth.chosen, round.size(), counters_.milliseconds);
 }
 
 void Expander::publish_batches() {
   for (const InsertBatch* batch : ledger_.due(bus::now_ns())) publish(*batch);
+  if (unsent_since_ns_ == 0 || !ledger_.all_sent()) return;
+  counters_.latency_milliseconds = static_cast<double>(bus::now_ns() - unsent_since_ns_) * 1e-6;
+  unsent_since_ns_ = 0;
 }
 
 void Expander::publish(const InsertBatch& batch) {
   using bus::ElementType;
   const auto n = static_cast<std::uint32_t>(batch.size());
+  const InsertPlanes planes = batch.planes();
+  const auto source = [&](const char* name, std::vector<std::uint32_t> shape, ElementType type, const void* data) {
+    return bus::TensorSource{
+        .name = name, .shape = std::move(shape), .type = type, .data = data, .memory = batch.memory};
+  };
   const std::vector<bus::TensorSource> sources{
-      {"mean", {3, n}, ElementType::F32, batch.mean.data()},
-      {"log_scale", {3, n}, ElementType::F32, batch.log_scale.data()},
-      {"rotation", {4, n}, ElementType::F32, batch.rotation.data()},
-      {"opacity_logit", {1, n}, ElementType::F32, batch.opacity_logit.data()},
-      {"albedo", {3, n}, ElementType::F32, batch.albedo.data()},
-      {"normal", {3, n}, ElementType::F32, batch.normal.data()},
-      {"visibility", {1, n}, ElementType::F32, batch.visibility.data()},
-      {"object_id", {n}, ElementType::U32, batch.object_id.data()},
-      {"cell", {n}, ElementType::U64, batch.cell.data()},
+      source("mean", {3, n}, ElementType::F32, planes.mean),
+      source("log_scale", {3, n}, ElementType::F32, planes.log_scale),
+      source("rotation", {4, n}, ElementType::F32, planes.rotation),
+      source("opacity_logit", {1, n}, ElementType::F32, planes.opacity_logit),
+      source("albedo", {3, n}, ElementType::F32, planes.albedo),
+      source("normal", {3, n}, ElementType::F32, planes.normal),
+      source("visibility", {1, n}, ElementType::F32, planes.visibility),
+      source("object_id", {n}, ElementType::U32, planes.object_id),
+      source("cell", {n}, ElementType::U64, planes.cell),
   };
   const bus::MessageInfo info{
       .schema = "ModelInsert/1", .capture_ns = batch.capture_ns, .tensors = ring_.write(sources)};
@@ -195,21 +188,30 @@ void Expander::publish_state() {
   if (!waits && (!state_changed_ || now - state_published_ns_ < kStatePeriodNs)) return;
   state_changed_ = false;
   state_published_ns_ = now;
+  const auto cell_size_m = static_cast<float>(parameters_.number("cell_size_m"));
   std::vector<wire::CellState> cells;
-  cells.reserve(grid_.cells().size());
-  for (const auto& [id, cell] : grid_.cells()) {
-    cells.emplace_back(id, cell.samples, static_cast<std::uint32_t>(cell.points.size()), false);
+  std::uint64_t seen = 0, modelled = 0;
+  for (const CellCounts& cell : mapper_->cells()) {
+    cells.emplace_back(cell.cell, cell.samples, cell.points, false);
+    seen += cell.samples > 0 ? 1 : 0;
+    modelled += cell.points > 0 ? 1 : 0;
   }
   state_publisher_.publish(
       {.schema = "GridState/1", .latch = true}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
         const auto cells_offset = builder.CreateVectorOfStructs(cells);
-        return wire::CreateGridState(builder, header, grid_.options().cell_size_m, counters_.rounds, grid_.seen_cells(),
-                                     grid_.modelled_cells(), ledger_.pending(), ledger_.gaussians(), cells_offset);
+        return wire::CreateGridState(builder, header, cell_size_m, counters_.rounds, seen, modelled, ledger_.pending(),
+                                     ledger_.gaussians(), cells_offset);
       });
 }
 
+void Expander::prepare_ring() {
+  // The slab is made while nothing waits for it: a message has come, so the broker is there.
+  if (std::exchange(ring_prepared_, true)) return;
+  (void)ring_.write({});
+}
+
 void run(bus::ServiceContext& service) {
-  Expander expander(service.bus, service.parameters);
+  Expander expander(service.bus, service.parameters, service.backend);
   while (!service.stop.stop_requested()) {
     expander.step(std::chrono::milliseconds(20));
     const ExpanderCounters& counters = expander.counters();
@@ -223,9 +225,11 @@ void run(bus::ServiceContext& service) {
     service.counter("batches_sent", static_cast<double>(counters.batches_sent));
     service.counter("batches_pending", static_cast<double>(expander.ledger().pending()));
     service.counter("gaussians_inserted", static_cast<double>(expander.ledger().gaussians()));
-    service.counter("cells", static_cast<double>(expander.grid().cells().size()));
+    service.counter("cells", static_cast<double>(expander.mapper().cell_count()));
     service.counter("adoptions", static_cast<double>(expander.follower().adoptions()));
     service.counter("round_ms", counters.milliseconds);
+    service.counter("latency_ms", counters.latency_milliseconds);
+    service.counter("host_copied_bytes", static_cast<double>(expander.mapper().host_copied_bytes()));
   }
 }
 

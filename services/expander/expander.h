@@ -11,8 +11,7 @@
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
 #include "expander/batch_ledger.h"
-#include "expander/grid.h"
-#include "expander/input_samples.h"
+#include "expander/mapper.h"
 #include "expander/model_follower.h"
 
 namespace splatbus::expander {
@@ -22,21 +21,23 @@ struct ExpanderCounters {
   std::uint64_t rounds = 0, rounds_lost = 0;
   std::uint64_t samples = 0, samples_dropped = 0, samples_unseen = 0;
   std::uint64_t batches_sent = 0;
-  double milliseconds = 0;  ///< the last round's
+  double milliseconds = 0;          ///< the last round's
+  double latency_milliseconds = 0;  ///< from a round's publication until its last batch was published
 };
 
 /// The service: turns rounds of input samples into Gaussians for the parts of the scene that the model lacks, and sees
 /// to it that they reach the trainer. One thread calls step().
 class Expander {
  public:
-  /// `parameters` outlive the expander.
-  Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters);
+  /// `parameters` outlive the expander. Throws when the backend cannot be had.
+  Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
+           bus::Backend backend = bus::Backend::Cpu);
 
-  /// Handles what arrives within `timeout`, then what is due.
+  /// Handles what arrives within `timeout`, then what is due. Throws when the backend has failed for good.
   void step(std::chrono::milliseconds timeout);
 
   [[nodiscard]] const ExpanderCounters& counters() const { return counters_; }
-  [[nodiscard]] const Grid& grid() const { return grid_; }
+  [[nodiscard]] Mapper& mapper() { return *mapper_; }
   [[nodiscard]] const BatchLedger& ledger() const { return ledger_; }
   [[nodiscard]] const ModelFollower& follower() const { return follower_; }
 
@@ -47,25 +48,28 @@ class Expander {
   void handle_published(const bus::Message& message);
 
   void process_waiting();
-  void process(const InputSamples& samples);
+  void process(const Round& round);
   void publish_batches();
   void publish(const InsertBatch& batch);
   void publish_state();
+  void prepare_ring();
 
   const bus::Parameters& parameters_;
   std::shared_ptr<bus::Context> context_;
+  std::unique_ptr<Mapper> mapper_;  // before what holds its rounds and batches
   bus::Subscriber subscriber_;
   bus::Publisher insert_publisher_, state_publisher_;
   bus::TensorRing ring_;
-  Grid grid_;
   BatchLedger ledger_;
   ModelFollower follower_;
   ExpanderCounters counters_;
 
-  std::deque<InputSamples> waiting_;  // rounds that came before it was known what the trainer has
+  std::deque<std::unique_ptr<Round>> waiting_;  // rounds that came before it was known what the trainer has
   std::int64_t waiting_since_ns_ = 0;
   std::optional<glm::vec3> viewer_;
   std::size_t gaussian_limit_logged_ = 0;
+  bool ring_prepared_ = false;
+  std::int64_t unsent_since_ns_ = 0;  // publication of the round whose batches are not all published yet; 0: none
   bool state_changed_ = true;
   std::int64_t state_published_ns_ = 0;
 };

@@ -7,8 +7,6 @@ namespace splatbus::expander {
 
 namespace {
 
-constexpr float kSameSurfaceCosine = 0.5F;
-
 template <class Test>
 bool any_neighbour(CellId cell, const Test& test) {
   for (int dx = -1; dx <= 1; ++dx) {
@@ -108,6 +106,15 @@ void Grid::add_modelled(const Frame& frame, const glm::vec3& position, const glm
   if (!cell) return;
   cells_[*cell].points.push_back({position, normal});
   ++points_;
+}
+
+bool Grid::contains(const Frame& frame, const glm::vec3& position) const {
+  const auto cell = cell_at(position, frame, options_.cell_size_m);
+  const auto found = cell ? cells_.find(*cell) : cells_.end();
+  if (found == cells_.end()) return false;
+  const std::vector<Cell::Point>& points = found->second.points;
+  return std::any_of(points.begin(), points.end(),
+                     [&](const Cell::Point& point) { return point.position == position; });
 }
 
 void Grid::clear() {

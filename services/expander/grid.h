@@ -21,6 +21,8 @@ struct GridOptions {
   float top_up_fraction = 0.02F;  ///< a modelled cell is topped up when this share of what it holds is new
 };
 
+inline constexpr float kSameSurfaceCosine = 0.5F;  ///< between normals of points that can cover one another
+
 /// A sample that is to become a Gaussian.
 struct Chosen {
   std::uint32_t sample;  ///< index into the round
@@ -55,6 +57,9 @@ class Grid {
   /// True when something modelled within `distance_m`, at most the cell size, faces the same way. `cell` holds the
   /// position.
   [[nodiscard]] bool covered(CellId cell, const glm::vec3& position, const glm::vec3& normal, float distance_m) const;
+
+  /// True when exactly that position is modelled in that frame.
+  [[nodiscard]] bool contains(const Frame& frame, const glm::vec3& position) const;
 
   void clear();
 

@@ -1,39 +1,35 @@
 #pragma once
 
+#include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <glm/glm.hpp>
 #include <optional>
-#include <string>
 #include <vector>
 
-#include "bus/subscriber.h"
-#include "gaussians/camera.h"
-#include "gaussians/light.h"
+#include "expander/round.h"
 
 namespace splatbus::expander {
 
-/// One round of capture/input in host memory; every sample is finite, with a unit normal, a positive spacing and a
-/// camera that exists. Meanings: schemas/capture.fbs, CaptureInput.
-struct InputSamples {
-  std::uint64_t frame = 0, rig_generation = 0;
-  double time_s = 0;
-  std::int64_t capture_ns = 0;
-  std::vector<Camera> cameras;
-  ObjectTransforms objects;
-  Light light;
+/// A round in host memory.
+struct InputSamples : RoundInfo {
   std::vector<glm::vec3> position, normal, albedo, color;
   std::vector<float> spacing_m, cosine;
   std::vector<std::uint32_t> object_id, camera;
   std::vector<float> depth_m;  ///< [cameras][height][width]
-  std::uint32_t height = 0, width = 0;
-  std::size_t dropped = 0;  ///< samples that were garbage
+  std::size_t dropped = 0;     ///< samples that were garbage
 
   [[nodiscard]] std::size_t size() const { return position.size(); }
 };
 
-/// Copies a round out of its slab and drops samples that are garbage. Nullopt when the slab has moved on. Throws
-/// bus::Error or std::runtime_error, naming what is wrong, when the message lies.
-[[nodiscard]] std::optional<InputSamples> decode_input(const bus::Message& message);
+/// What a sample must be to be taken; the same on every backend.
+inline constexpr float kLargestSpacing_m = 1000;
+inline constexpr float kUnitTolerance = 0.05F;  ///< of a normal's length
+
+/// Copies a round to the host and drops samples that are garbage. Nullopt when a slab has moved on meanwhile. Adds what
+/// was copied to `host_bytes`. Throws bus::Error.
+[[nodiscard]] std::optional<InputSamples> copy_samples(const IncomingRound& round,
+                                                       std::atomic<std::uint64_t>& host_bytes);
 
 /// Removes samples that are not finite, or whose normal, spacing or camera make no sense; counts them in `dropped`.
 void drop_garbage(InputSamples& samples);

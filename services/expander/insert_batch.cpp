@@ -4,19 +4,18 @@
 #include <cmath>
 #include <glm/gtc/constants.hpp>
 
+#include "bus/memory.h"
+
 namespace splatbus::expander {
 
 namespace {
-
-constexpr float kLeastSpacing_m = 1e-4F;
-constexpr float kLeastSunPart = 0.02F;  // luminance; below this the division says nothing
 
 float luminance(const glm::vec3& linear) {
   return glm::dot(linear, glm::vec3(0.2126F, 0.7152F, 0.0722F));
 }
 
 template <class Vector>
-void put(std::vector<float>& planes, std::size_t count, std::size_t i, const Vector& value) {
+void put(float* planes, std::size_t count, std::size_t i, const Vector& value) {
   for (int c = 0; c < Vector::length(); ++c) planes[static_cast<std::size_t>(c) * count + i] = value[c];
 }
 
@@ -38,29 +37,27 @@ float guess_visibility(const glm::vec3& color, const glm::vec3& albedo, const gl
 InsertBatch initial_gaussians(const InputSamples& samples, std::span<const Chosen> chosen,
                               const InitialOptions& options) {
   const std::size_t n = chosen.size();
-  InsertBatch batch;
-  batch.capture_ns = samples.capture_ns;
-  batch.objects = samples.objects;
-  batch.light = samples.light;
-  for (auto* planes : {&batch.mean, &batch.log_scale, &batch.albedo, &batch.normal}) planes->resize(3 * n);
-  batch.rotation.resize(4 * n);
-  batch.opacity_logit.assign(n, std::log(options.opacity / (1 - options.opacity)));
-  batch.visibility.resize(n);
-  batch.object_id.resize(n);
-  batch.cell.resize(n);
+  InsertBatch batch{.capture_ns = samples.capture_ns,
+                    .objects = samples.objects,
+                    .light = samples.light,
+                    .count = n,
+                    .memory = bus::MemoryKind::Host,
+                    .data = bus::allocate_memory(bus::MemoryKind::Host, n * kInsertBytes)};
+  const InsertPlanes planes = batch.planes();
+  std::fill_n(planes.opacity_logit, n, std::log(options.opacity / (1 - options.opacity)));
   for (std::size_t i = 0; i < n; ++i) {
     const Chosen& sample = chosen[i];
     const std::size_t s = sample.sample;
     const float along = std::log(std::max(samples.spacing_m[s], kLeastSpacing_m) * options.scale);
     const glm::quat rotation = rotation_to_normal(sample.normal);
-    put(batch.mean, n, i, sample.position);
-    put(batch.log_scale, n, i, glm::vec3(along, along, along + std::log(options.flatness)));
-    put(batch.rotation, n, i, glm::vec4(rotation.w, rotation.x, rotation.y, rotation.z));
-    put(batch.albedo, n, i, samples.albedo[s]);
-    put(batch.normal, n, i, sample.normal);
-    batch.visibility[i] = guess_visibility(samples.color[s], samples.albedo[s], samples.normal[s], samples.light);
-    batch.object_id[i] = samples.object_id[s];
-    batch.cell[i] = sample.cell;
+    put(planes.mean, n, i, sample.position);
+    put(planes.log_scale, n, i, glm::vec3(along, along, along + std::log(options.flatness)));
+    put(planes.rotation, n, i, glm::vec4(rotation.w, rotation.x, rotation.y, rotation.z));
+    put(planes.albedo, n, i, samples.albedo[s]);
+    put(planes.normal, n, i, sample.normal);
+    planes.visibility[i] = guess_visibility(samples.color[s], samples.albedo[s], samples.normal[s], samples.light);
+    planes.object_id[i] = samples.object_id[s];
+    planes.cell[i] = sample.cell;
   }
   return batch;
 }

@@ -1,29 +1,31 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <span>
-#include <vector>
 
+#include "bus/slab.h"
 #include "expander/grid.h"
 #include "expander/input_samples.h"
+#include "expander/insert_planes.h"
 
 namespace splatbus::expander {
 
-/// New Gaussians as model/insert carries them: planes [channels][n]. Frames and units: schemas/model.fbs, ModelInsert.
+/// New Gaussians as model/insert carries them, in either kind of memory. Frames and units: schemas/model.fbs,
+/// ModelInsert. Copies share the planes, which nobody changes once the batch is made.
 struct InsertBatch {
   std::uint64_t batch = 0;  ///< unique within this process
   std::int64_t capture_ns = 0;
   ObjectTransforms objects;
   Light light;
-  std::vector<float> mean, log_scale, rotation, opacity_logit, albedo, normal, visibility;
-  std::vector<std::uint32_t> object_id;
-  std::vector<CellId> cell;
+  std::size_t count = 0;
+  bus::MemoryKind memory = bus::MemoryKind::Host;
+  std::shared_ptr<std::byte> data;  ///< insert_planes(data.get(), count) says what lies where
 
-  [[nodiscard]] std::size_t size() const { return object_id.size(); }
-  [[nodiscard]] std::size_t bytes() const {
-    return size() * (18 * sizeof(float) + sizeof(std::uint32_t) + sizeof(CellId));
-  }
+  [[nodiscard]] std::size_t size() const { return count; }
+  [[nodiscard]] std::size_t bytes() const { return count * kInsertBytes; }
+  [[nodiscard]] InsertPlanes planes() const { return insert_planes(data.get(), count); }
 };
 
 struct InitialOptions {
@@ -32,7 +34,10 @@ struct InitialOptions {
   float opacity = 0.95F;
 };
 
-/// Samples to flat Gaussians: the local z axis lies along the normal.
+inline constexpr float kLeastSpacing_m = 1e-4F;
+inline constexpr float kLeastSunPart = 0.02F;  ///< luminance; below this the sun's visibility cannot be told
+
+/// Samples to flat Gaussians in host memory: the local z axis lies along the normal.
 [[nodiscard]] InsertBatch initial_gaussians(const InputSamples& samples, std::span<const Chosen> chosen,
                                             const InitialOptions& options);
 

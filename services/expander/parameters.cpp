@@ -61,7 +61,7 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .minimum = 0.01,
        .maximum = 0.999},
       {.name = "batch_size",
-       .default_value = std::int64_t{16384},
+       .default_value = std::int64_t{65536},
        .description = "most Gaussians of one model/insert",
        .minimum = 1,
        .maximum = 1 << 20},

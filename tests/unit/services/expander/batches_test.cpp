@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "expander/batch_ledger.h"
+#include "expander/cpu_mapper.h"
 #include "expander/insert_batch.h"
 #include "expander/model_follower.h"
 #include "expander/visibility.h"
@@ -13,6 +14,10 @@
 
 namespace splatbus::expander {
 namespace {
+
+std::vector<float> copy_of(const float* plane, std::size_t values) {
+  return {plane, plane + values};
+}
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 
@@ -23,15 +28,16 @@ TEST(InitialGaussians, AreFlatAlongTheNormalAndOfTheSpacing) {
   const std::vector<Chosen> chosen{{.sample = 0, .cell = 77, .position = {1, 2, 3}, .normal = normal}};
   const InsertBatch batch = initial_gaussians(samples, chosen, {.scale = 0.4F, .flatness = 0.25F, .opacity = 0.9F});
   ASSERT_EQ(batch.size(), 1U);
-  EXPECT_EQ(batch.mean, (std::vector<float>{1, 2, 3}));
-  EXPECT_NEAR(std::exp(batch.log_scale[0]), 0.4F * test::kSpacing, 1e-6F);
-  EXPECT_NEAR(std::exp(batch.log_scale[1]), 0.4F * test::kSpacing, 1e-6F);
-  EXPECT_NEAR(std::exp(batch.log_scale[2]), 0.1F * test::kSpacing, 1e-6F);
-  const glm::quat rotation(batch.rotation[0], batch.rotation[1], batch.rotation[2], batch.rotation[3]);
+  const InsertPlanes planes = batch.planes();
+  EXPECT_EQ(copy_of(planes.mean, 3), (std::vector<float>{1, 2, 3}));
+  EXPECT_NEAR(std::exp(planes.log_scale[0]), 0.4F * test::kSpacing, 1e-6F);
+  EXPECT_NEAR(std::exp(planes.log_scale[1]), 0.4F * test::kSpacing, 1e-6F);
+  EXPECT_NEAR(std::exp(planes.log_scale[2]), 0.1F * test::kSpacing, 1e-6F);
+  const glm::quat rotation(planes.rotation[0], planes.rotation[1], planes.rotation[2], planes.rotation[3]);
   EXPECT_LT(glm::distance(rotation * glm::vec3(0, 0, 1), normal), 1e-5F);
-  EXPECT_NEAR(1 / (1 + std::exp(-batch.opacity_logit[0])), 0.9F, 1e-5F);
-  EXPECT_EQ(batch.object_id[0], 9U);
-  EXPECT_EQ(batch.cell[0], 77U);
+  EXPECT_NEAR(1 / (1 + std::exp(-planes.opacity_logit[0])), 0.9F, 1e-5F);
+  EXPECT_EQ(planes.object_id[0], 9U);
+  EXPECT_EQ(planes.cell[0], 77U);
 }
 
 TEST(InitialGaussians, LieInPlanes) {
@@ -42,8 +48,8 @@ TEST(InitialGaussians, LieInPlanes) {
   }
   const InsertBatch batch = initial_gaussians(samples, chosen, {});
   ASSERT_EQ(batch.size(), 4U);
-  EXPECT_EQ(batch.mean, (std::vector<float>{0, 1, 2, 3, 10, 10, 10, 10, 20, 20, 20, 20}));
-  EXPECT_EQ(batch.rotation.size(), 16U);
+  EXPECT_EQ(copy_of(batch.planes().mean, 12), (std::vector<float>{0, 1, 2, 3, 10, 10, 10, 10, 20, 20, 20, 20}));
+  EXPECT_EQ(batch.planes().object_id + 4, static_cast<void*>(batch.data.get() + batch.bytes())) << "nothing behind";
 }
 
 TEST(RotationToNormal, TurnsZThereFromEverywhere) {
@@ -141,28 +147,22 @@ class ModelFollowerTest : public testing::Test {
   static constexpr std::uint64_t kOwn = 500, kTrainer = 1000;
   void insert(float x) {
     ledger_.add(batch_at(x));
-    add_batch(*ledger_.pending_batches().back(), grid_);
+    mapper_.add(*ledger_.pending_batches().back());
   }
-  void report(const ModelReport& report, const InsertBatch* points = nullptr) {
-    follower_.follow(
-        report,
-        [&](ModelPoints& out) {
-          if (points == nullptr) return false;
-          for (std::size_t i = 0; i < points->size(); ++i) {
-            out.position.emplace_back(points->mean[i], points->mean[points->size() + i],
-                                      points->mean[2 * points->size() + i]);
-            out.normal.emplace_back(0, 1, 0);
-            out.object_id.push_back(points->object_id[i]);
-            out.cell.push_back(points->cell[i]);
-          }
-          return true;
-        },
-        grid_, ledger_);
+  /// The live model has the points of `live`, or cannot be read.
+  void report(const ModelReport& report, const InsertBatch* live = nullptr) {
+    const auto adopt_model = [&] {
+      if (live == nullptr) return false;
+      mapper_.clear();
+      mapper_.add(*live);
+      return true;
+    };
+    follower_.follow(report, adopt_model, mapper_, ledger_);
   }
   [[nodiscard]] bool modelled(float x) const {
-    return grid_.covered(*cell_at({x, 0, 0}, {}, 0.25F), {x, 0, 0}, {0, 1, 0}, 0.005F);
+    return mapper_.grid().covered(*cell_at({x, 0, 0}, {}, 0.25F), {x, 0, 0}, {0, 1, 0}, 0.005F);
   }
-  Grid grid_{GridOptions{}};
+  CpuMapper mapper_{0.25F};
   BatchLedger ledger_{BatchLedger::Options{}};
   ModelFollower follower_{kOwn};
 };

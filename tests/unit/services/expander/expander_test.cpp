@@ -223,7 +223,7 @@ TEST_F(ExpanderTest, ARestartedExpanderDoesNotDoubleTheModel) {
   expander_.reset();
   start();
   EXPECT_EQ(expander_->follower().adoptions(), 1U);
-  EXPECT_EQ(expander_->grid().modelled_points(), round.size());
+  EXPECT_EQ(expander_->mapper().modelled_points(), round.size());
   publish_input(test::floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(trainer_->points.size(), 2500U);

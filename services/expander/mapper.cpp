@@ -1,0 +1,20 @@
+#include "expander/mapper.h"
+
+#include "bus/error.h"
+#include "expander/cpu_mapper.h"
+#ifdef SPLATBUS_HAVE_CUDA
+#include "expander/cuda/cuda_mapper.h"
+#endif
+
+namespace splatbus::expander {
+
+std::unique_ptr<Mapper> make_mapper(bus::Backend backend, float cell_size_m) {
+  if (backend == bus::Backend::Cpu) return std::make_unique<CpuMapper>(cell_size_m);
+#ifdef SPLATBUS_HAVE_CUDA
+  return std::make_unique<cuda::CudaMapper>(cell_size_m);
+#else
+  throw bus::Error("this build has no CUDA backend");
+#endif
+}
+
+}  // namespace splatbus::expander
