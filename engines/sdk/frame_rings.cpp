@@ -4,9 +4,9 @@
 
 #include <algorithm>
 #include <bit>
-#include <cstring>
 #include <span>
 
+#include "bus/memory.h"
 #include "sdk/validate.h"
 
 namespace splatbus::engine_sdk {
@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::size_t kAlignment = 64;
 constexpr std::size_t kLeastSlot = std::size_t{64} << 10;
-constexpr std::size_t kRingBytes = std::size_t{128} << 20;
+constexpr std::size_t kRingBytes = std::size_t{256} << 20;
 constexpr std::size_t kLeastSlots = 8;
 constexpr std::size_t kMostSlots = 128;
 constexpr int kBrokerTimeout_ms = 2000;
@@ -30,7 +30,8 @@ bus::Slab& FrameRings::ring_for(std::size_t bytes) {
   std::shared_ptr<bus::Slab>& ring = rings_[slot_bytes];
   if (!ring) {
     const std::size_t slots = std::clamp(kRingBytes / slot_bytes, kLeastSlots, kMostSlots);
-    ring = context_->create_slab(fmt::format("frames-{}k", slot_bytes >> 10), slots, slot_bytes, kBrokerTimeout_ms);
+    ring =
+        context_->create_slab(fmt::format("frames-{}k", slot_bytes >> 10), slots, slot_bytes, kBrokerTimeout_ms, kind_);
   }
   return *ring;
 }
@@ -43,10 +44,15 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
 
   const std::size_t slot = ring.next_slot();
   std::size_t offset = 0;
+  bool on_device = false;
   for (const splatbus_image& image : images) {
-    std::memcpy(ring.slot_data(slot) + offset, image.data, image.bytes);
+    const bus::MemoryKind from = image.memory == SPLATBUS_MEMORY_CUDA ? bus::MemoryKind::Cuda : bus::MemoryKind::Host;
+    bus::copy_memory(ring.slot_data(slot) + offset, kind_, image.data, from, image.bytes);
+    on_device |= kind_ == bus::MemoryKind::Cuda || from == bus::MemoryKind::Cuda;
+    if (kind_ == bus::MemoryKind::Host || from == bus::MemoryKind::Host) host_copied_bytes_ += image.bytes;
     offset += aligned(image.bytes);
   }
+  if (on_device) bus::finish_copies();
   const std::uint64_t generation = ring.end_write(slot);
 
   std::vector<bus::OutgoingTensor> tensors;

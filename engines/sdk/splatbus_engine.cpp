@@ -15,6 +15,7 @@
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "sdk/frame_rings.h"
+#include "sdk/image_memory.h"
 #include "sdk/messages.h"
 #include "sdk/validate.h"
 
@@ -35,12 +36,13 @@ class ArgumentError : public std::runtime_error {
 }  // namespace
 
 struct splatbus_engine {
-  explicit splatbus_engine(const std::shared_ptr<bus::Context>& bus_context)
+  splatbus_engine(const std::shared_ptr<bus::Context>& bus_context, bus::MemoryKind memory)
       : context(bus_context),
-        service(context, parameters, stop.get_token()),
+        service(context, parameters, stop.get_token(),
+                memory == bus::MemoryKind::Cuda ? bus::Backend::Cuda : bus::Backend::Cpu),
         frames(context, "engine/frame"),
         cameras(context, {"engine/cameras"}),
-        rings(context),
+        rings(context, memory),
         housekeeping(service, "engine") {}
 
   std::shared_ptr<bus::Context> context;
@@ -93,18 +95,21 @@ bool take_requests(splatbus_engine& engine, const bus::Message& message) {
 
 extern "C" {
 
-splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, splatbus_engine** out) {
+splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, uint32_t memory,
+                                     splatbus_engine** out) {
   return guarded_call(open_error, [&] {
-    require(out != nullptr, "splatbus_engine_open: out is NULL");
-    *out = nullptr;
-    require(source != nullptr && *source != '\0', "splatbus_engine_open: source is NULL or empty");
+    // First of all: a caller of another ABI may have passed no `out` at this place.
     if (abi != SPLATBUS_ENGINE_ABI) {
       throw ArgumentError(fmt::format("splatbus_engine_open: the engine was built for ABI {}, this library has {}", abi,
                                       SPLATBUS_ENGINE_ABI));
     }
+    require(out != nullptr, "splatbus_engine_open: out is NULL");
+    *out = nullptr;
+    require(source != nullptr && *source != '\0', "splatbus_engine_open: source is NULL or empty");
     try {
       const bus::Address where = address == nullptr ? bus::Address::from_environment() : bus::Address::parse(address);
-      *out = std::make_unique<splatbus_engine>(bus::Context::create(where, source)).release();
+      const bus::MemoryKind kind = engine_sdk::memory_kind(memory);
+      *out = std::make_unique<splatbus_engine>(bus::Context::create(where, source), kind).release();
     } catch (const bus::Error& wrong) {
       throw ArgumentError(fmt::format("splatbus_engine_open: {}", wrong.what()));
     }
@@ -154,6 +159,7 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
     info.tensors = engine->rings.write(*frame);
     engine->frames.publish(
         info, [&](auto& builder, auto header) { return engine_sdk::build_frame(builder, header, *frame); });
+    engine->service.counter("host_copied_bytes", static_cast<double>(engine->rings.host_copied_bytes()));
   });
 }
 

@@ -19,7 +19,7 @@
 extern "C" {
 #endif
 
-#define SPLATBUS_ENGINE_ABI 1
+#define SPLATBUS_ENGINE_ABI 2
 
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;
 
@@ -34,6 +34,9 @@ typedef enum {
 } splatbus_buffer;
 
 typedef enum { SPLATBUS_ROLE_INPUT, SPLATBUS_ROLE_REFERENCE, SPLATBUS_ROLE_PROBE, SPLATBUS_ROLE_LIGHT } splatbus_role;
+
+/* Where bytes lie: CUDA is the memory of this process's first CUDA device. */
+typedef enum { SPLATBUS_MEMORY_HOST = 0, SPLATBUS_MEMORY_CUDA = 1 } splatbus_memory;
 
 /* a_from_b: p_a = rotation * p_b + translation; the quaternion is unit. */
 typedef struct {
@@ -75,7 +78,8 @@ typedef struct {
 typedef struct {
   uint32_t buffer; /* one splatbus_buffer */
   const void* data;
-  size_t bytes; /* exactly width * height * element size */
+  size_t bytes;    /* exactly width * height * element size */
+  uint32_t memory; /* splatbus_memory: where `data` points, a device address for CUDA */
 } splatbus_image;
 
 typedef struct {
@@ -93,8 +97,11 @@ typedef struct {
 typedef struct splatbus_engine splatbus_engine;
 
 /* Joins the bus at `address` (NULL: SPLATBUS_BUS or the default) under the name `source`, unique on the bus. `abi` is
- * SPLATBUS_ENGINE_ABI. The broker need not be there yet. *out is NULL when it fails. */
-splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, splatbus_engine** out);
+ * SPLATBUS_ENGINE_ABI. `memory`, of splatbus_memory, is where readers find the frames, wherever the engine has them:
+ * choose the side on which most images are. CUDA where this library or this machine has none is an argument error. The
+ * broker need not be there yet. *out is NULL when it fails, and not written for an `abi` that is another. */
+splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, uint32_t memory,
+                                     splatbus_engine** out);
 
 /* Leaves the bus. NULL is allowed. */
 void splatbus_engine_close(splatbus_engine* engine);
@@ -105,7 +112,11 @@ splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, co
                                      size_t* count, int* changed);
 
 /* Publishes one camera of one frame; copies the images into a slab ring in which readers have about a second. Checks
- * everything but the pixels. */
+ * everything but the pixels.
+ *
+ * An image in CUDA memory is complete before the call: its writer has waited for its stream, or for the graphics API
+ * that it is shared with. The copy runs on a stream of the calling thread's own, from device to device when the frames
+ * lie there, and has ended when the call returns: the image may be written again at once. */
 splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_frame* frame);
 
 /* Shown in heartbeats, which are sent 5 times a second. */

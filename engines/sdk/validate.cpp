@@ -8,6 +8,8 @@
 #include <set>
 #include <span>
 
+#include "sdk/image_memory.h"
+
 namespace splatbus::engine_sdk {
 namespace {
 
@@ -50,6 +52,7 @@ std::string problem(const splatbus_image& image, const splatbus_camera& camera) 
   const char* name = buffer_name(image.buffer);
   if (name == nullptr) return fmt::format("{:#x} is not one known buffer", image.buffer);
   if (image.data == nullptr) return fmt::format("{}: data is NULL", name);
+  if (const std::string wrong = memory_problem(image); !wrong.empty()) return fmt::format("{}: {}", name, wrong);
   if (image.buffer == SPLATBUS_BUFFER_LIGHT_DEPTH && camera.role != SPLATBUS_ROLE_LIGHT) {
     return fmt::format("{}: only a camera of role light has one", name);
   }

@@ -32,7 +32,9 @@ std::int64_t now_ns() {
 
 template <class T>
 void add_image(std::vector<splatbus_image>& images, splatbus_buffer buffer, const std::vector<T>& pixels) {
-  if (!pixels.empty()) images.push_back({static_cast<std::uint32_t>(buffer), pixels.data(), pixels.size() * sizeof(T)});
+  if (pixels.empty()) return;
+  images.push_back(
+      {static_cast<std::uint32_t>(buffer), pixels.data(), pixels.size() * sizeof(T), SPLATBUS_MEMORY_HOST});
 }
 
 std::vector<splatbus_image> images_of(const Pictures& pictures) {
@@ -48,17 +50,18 @@ std::vector<splatbus_image> images_of(const Pictures& pictures) {
 
 }  // namespace
 
-EngineHandle open_engine(const std::string& address, const std::string& name) {
+EngineHandle open_engine(const std::string& address, const std::string& name, splatbus_memory memory) {
   splatbus_engine* engine = nullptr;
-  if (splatbus_engine_open(address.empty() ? nullptr : address.c_str(), name.c_str(), SPLATBUS_ENGINE_ABI, &engine) !=
-      SPLATBUS_OK) {
+  if (splatbus_engine_open(address.empty() ? nullptr : address.c_str(), name.c_str(), SPLATBUS_ENGINE_ABI, memory,
+                           &engine) != SPLATBUS_OK) {
     throw std::runtime_error(splatbus_engine_last_error(nullptr));
   }
   return EngineHandle(engine);
 }
 
-EngineLoop::EngineLoop(splatbus_engine& engine, Renderer& renderer, const EngineLoopOptions& options)
-    : engine_(engine), renderer_(renderer), options_(options) {}
+EngineLoop::EngineLoop(splatbus_engine& engine, Renderer& renderer, DeviceReadback* readback,
+                       const EngineLoopOptions& options)
+    : engine_(engine), renderer_(renderer), readback_(readback), options_(options) {}
 
 void EngineLoop::run(const std::atomic<bool>& stop) {
   const std::int64_t start_ns = now_ns();
@@ -93,18 +96,29 @@ void EngineLoop::wait_until(std::int64_t deadline_ns, const std::atomic<bool>& s
       schedule_.replace({requests, size});
       std::erase_if(rendered_, [&](const auto& entry) { return !schedule_.repeats(entry.first); });
       count("cameras", static_cast<double>(schedule_.size()));
+      render_newcomers();
     }
   }
 }
 
 void EngineLoop::render_frame(std::uint64_t frame) {
-  const double time_s = static_cast<double>(frame) / options_.fps;
+  standing_frame_ = frame;
   // Whether light depth is due depends on what has moved by now.
+  if (schedule_.watches_scene()) renderer_.set_time(time_of(frame));
+  render_cameras(frame, schedule_.due(time_of(frame), renderer_.scene_version()));
+}
+
+void EngineLoop::render_newcomers() {
+  if (!standing_frame_) return;
+  const double time_s = time_of(*standing_frame_);
   if (schedule_.watches_scene()) renderer_.set_time(time_s);
-  const std::vector<splatbus_camera_request> due = schedule_.due(time_s, renderer_.scene_version());
-  if (due.empty()) return;
-  renderer_.set_time(time_s);
-  for (const splatbus_camera_request& request : due) {
+  render_cameras(*standing_frame_, schedule_.newcomers(time_s, renderer_.scene_version()));
+}
+
+void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests) {
+  if (requests.empty()) return;
+  renderer_.set_time(time_of(frame));
+  for (const splatbus_camera_request& request : requests) {
     try {
       render_camera(frame, request);
     } catch (const std::exception& failed) {
@@ -117,6 +131,22 @@ void EngineLoop::render_frame(std::uint64_t frame) {
   count("render_ms", render_ms_);
 }
 
+std::vector<splatbus_image> EngineLoop::images_for(const splatbus_camera_request& request,
+                                                   const splatbus_camera& camera) {
+  if (readback_ == nullptr) return images_of(pictures_for(request, camera));
+  const std::int64_t begin_ns = now_ns();
+  renderer_.render(camera, request.buffers, *readback_);
+  std::vector<splatbus_image> images = readback_->images();
+  count_render(begin_ns);
+  return images;
+}
+
+void EngineLoop::count_render(std::int64_t begin_ns) {
+  ++cameras_rendered_;
+  const double took_ms = static_cast<double>(now_ns() - begin_ns) * 1e-6;
+  render_ms_ = cameras_rendered_ == 1 ? took_ms : 0.95 * render_ms_ + 0.05 * took_ms;
+}
+
 const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request, const splatbus_camera& camera) {
   const std::pair key{camera.role, camera.id};
   const auto known = rendered_.find(key);
@@ -126,9 +156,7 @@ const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request,
   }
   const std::int64_t begin_ns = now_ns();
   const Pictures& pictures = renderer_.render(camera, request.buffers);
-  ++cameras_rendered_;
-  const double took_ms = static_cast<double>(now_ns() - begin_ns) * 1e-6;
-  render_ms_ = cameras_rendered_ == 1 ? took_ms : 0.95 * render_ms_ + 0.05 * took_ms;
+  count_render(begin_ns);
   const bool room = known != rendered_.end() || rendered_.size() < kMostRemembered;
   if (request.rate_hz > 0 && room && std::uint64_t{camera.width} * camera.height <= kMostRememberedPixels) {
     rendered_.insert_or_assign(key, Rendered{camera, request.buffers, renderer_.scene_version(), pictures});
@@ -139,7 +167,7 @@ const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request,
 void EngineLoop::render_camera(std::uint64_t frame, const splatbus_camera_request& request) {
   splatbus_camera camera = request.camera;
   if (camera.role == SPLATBUS_ROLE_LIGHT) camera = renderer_.light_camera(camera.id, camera.width, camera.height);
-  const std::vector<splatbus_image> images = images_of(pictures_for(request, camera));
+  const std::vector<splatbus_image> images = images_for(request, camera);
   const Instant& instant = renderer_.instant();
   splatbus_frame out{};
   out.frame = frame;

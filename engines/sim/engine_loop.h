@@ -4,10 +4,13 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "sdk/splatbus_engine.h"
+#include "sim/device_readback.h"
 #include "sim/renderer.h"
 #include "sim/schedule.h"
 
@@ -23,14 +26,18 @@ struct CloseEngine {
 };
 using EngineHandle = std::unique_ptr<splatbus_engine, CloseEngine>;
 
-/// Joins the bus through the SDK. An empty address is the default bus. Throws std::runtime_error.
-[[nodiscard]] EngineHandle open_engine(const std::string& address, const std::string& name);
+/// Joins the bus through the SDK, with frames in `memory`. An empty address is the default bus. Throws
+/// std::runtime_error.
+[[nodiscard]] EngineHandle open_engine(const std::string& address, const std::string& name,
+                                       splatbus_memory memory = SPLATBUS_MEMORY_HOST);
 
 /// The built-in engine's main loop: frames by absolute deadlines, each rendering the cameras that are due. A frame
-/// whose deadline has passed before it could begin is skipped, so engine time keeps pace with real time.
+/// whose deadline has passed before it could begin is skipped, so engine time keeps pace with real time. A camera that
+/// is asked for between two frames for the first time is rendered at once, as a part of the frame that stands.
 class EngineLoop {
  public:
-  EngineLoop(splatbus_engine& engine, Renderer& renderer, const EngineLoopOptions& options);
+  /// Pictures are taken by `readback`, or, when it is null, through host memory. All three live longer.
+  EngineLoop(splatbus_engine& engine, Renderer& renderer, DeviceReadback* readback, const EngineLoopOptions& options);
 
   /// Until `stop` or the last frame.
   void run(const std::atomic<bool>& stop);
@@ -38,14 +45,21 @@ class EngineLoop {
  private:
   void wait_until(std::int64_t deadline_ns, const std::atomic<bool>& stop);
   void render_frame(std::uint64_t frame);
+  void render_newcomers();
+  void render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests);
   void render_camera(std::uint64_t frame, const splatbus_camera_request& request);
+  std::vector<splatbus_image> images_for(const splatbus_camera_request& request, const splatbus_camera& camera);
   const Pictures& pictures_for(const splatbus_camera_request& request, const splatbus_camera& camera);
+  void count_render(std::int64_t begin_ns);
   void count(const char* name, double value);
+  [[nodiscard]] double time_of(std::uint64_t frame) const { return static_cast<double>(frame) / options_.fps; }
 
   splatbus_engine& engine_;
   Renderer& renderer_;
+  DeviceReadback* readback_;
   EngineLoopOptions options_;
   Schedule schedule_;
+  std::optional<std::uint64_t> standing_frame_;
 
   struct Rendered {
     splatbus_camera camera;

@@ -6,7 +6,9 @@
 #include <csignal>
 #include <cstdlib>
 #include <exception>
+#include <memory>
 
+#include "sim/device_readback.h"
 #include "sim/engine_loop.h"
 #include "sim/gltf_scene.h"
 #include "sim/snapshot.h"
@@ -30,7 +32,7 @@ void handle_signals() {
 }
 
 struct Flags {
-  std::string bus, name = "engine", scene = "toys", log_level = "info";
+  std::string bus, name = "engine", scene = "toys", log_level = "info", backend = "auto";
   std::uint32_t seed = 1;
   bool dynamics = false;
   splatbus::sim::Lighting lighting;
@@ -62,6 +64,11 @@ void add_flags(CLI::App& app, Flags& flags) {
                  "pixels a side shaded for one pixel, each with coverage samples")
       ->capture_default_str()
       ->check(CLI::Range(1, 4));
+  app.add_option("--backend", flags.backend,
+                 "where frames are handed over: cpu, cuda (from a renderer on the first CUDA device) or auto")
+      ->envname("SPLATBUS_BACKEND")
+      ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
+      ->capture_default_str();
   app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
       ->capture_default_str()
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}));
@@ -87,8 +94,12 @@ void run(const Flags& flags) {
     write_snapshot(renderer, parse_pose(flags.pose, flags.width, flags.height), flags.buffer, flags.snapshot);
     return;
   }
-  const EngineHandle engine = open_engine(flags.bus, flags.name);
-  EngineLoop(*engine, renderer, flags.loop).run(stop_requested);
+  const std::unique_ptr<DeviceReadback> readback = make_device_readback(*context, flags.backend);
+  renderer.warm_up(readback.get());
+  const splatbus_memory memory = readback ? SPLATBUS_MEMORY_CUDA : SPLATBUS_MEMORY_HOST;
+  const EngineHandle engine = open_engine(flags.bus, flags.name, memory);
+  spdlog::info("frames in {} memory", readback ? "CUDA" : "host");
+  EngineLoop(*engine, renderer, readback.get(), flags.loop).run(stop_requested);
 }
 
 }  // namespace

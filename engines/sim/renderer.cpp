@@ -24,7 +24,7 @@ constexpr std::uint32_t kGreatestSide = 4096;
 constexpr std::uint64_t kGreatestPixels = 2048ULL * 2048;
 constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_ALBEDO;
 constexpr std::uint32_t kGeometryBuffers =
-    SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_LIGHT_DEPTH;
+    SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH;
 
 /// Coefficients of the SH polynomials in n, with the basis constants and the clamped-cosine factors over pi (1, 2/3,
 /// 1/4) in.
@@ -79,20 +79,51 @@ struct Renderer::Impl {
   }
 
   void update_shadow();
-  void shade(const splatbus_camera& camera, bool lit, bool albedo);
-  void geometry(const splatbus_camera& camera, std::uint32_t buffers);
+  void shade(const splatbus_camera& camera, bool lit, bool albedo, Readback& readback);
+  void geometry(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback);
 };
 
 namespace {
 
-template <class T>
-void read(const GlFramebuffer& framebuffer, GLenum attachment, GLenum format, GLenum type, std::uint32_t width,
-          std::uint32_t height, std::size_t channels, std::vector<T>& pixels) {
-  pixels.resize(static_cast<std::size_t>(width) * height * channels);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer.get());
-  glNamedFramebufferReadBuffer(framebuffer.get(), attachment);
-  glReadPixels(0, 0, static_cast<GLsizei>(width), static_cast<GLsizei>(height), format, type, pixels.data());
-}
+/// Into the host's memory.
+class HostReadback final : public Readback {
+ public:
+  explicit HostReadback(Pictures& pictures) : pictures_(pictures) {}
+
+  void begin(std::uint32_t width, std::uint32_t height) override {
+    pictures_.width = width;
+    pictures_.height = height;
+    for (auto* bytes : {&pictures_.color, &pictures_.albedo}) bytes->clear();
+    for (auto* floats : {&pictures_.world_position, &pictures_.normal, &pictures_.depth, &pictures_.light_depth})
+      floats->clear();
+  }
+
+  void take(const DrawnPicture& drawn) override {
+    switch (drawn.buffer) {
+      case SPLATBUS_BUFFER_COLOR:
+        return read(drawn, pictures_.color);
+      case SPLATBUS_BUFFER_ALBEDO:
+        return read(drawn, pictures_.albedo);
+      case SPLATBUS_BUFFER_WORLD_POSITION:
+        return read(drawn, pictures_.world_position);
+      case SPLATBUS_BUFFER_NORMAL:
+        return read(drawn, pictures_.normal);
+      case SPLATBUS_BUFFER_DEPTH:
+        return read(drawn, pictures_.depth);
+      case SPLATBUS_BUFFER_LIGHT_DEPTH:
+        return read(drawn, pictures_.light_depth);
+    }
+  }
+
+ private:
+  template <class T>
+  static void read(const DrawnPicture& drawn, std::vector<T>& pixels) {
+    pixels.resize(drawn.bytes / sizeof(T));
+    read_pixels(drawn, pixels.data());
+  }
+
+  Pictures& pictures_;
+};
 
 void set_draw_buffers(const GlFramebuffer& framebuffer, std::span<const bool> wanted) {
   std::vector<GLenum> buffers;
@@ -111,7 +142,7 @@ void Renderer::Impl::update_shadow() {
   shadow.draw(gpu, {sun[0], sun[1], sun[2]}, [&](const ShaderVariant& variant) { return program(variant); });
 }
 
-void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo) {
+void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo, Readback& readback) {
   if (lit) update_shadow();
   Targets& target = targets.get(camera.width, camera.height, true, false);
   const glm::mat4 clip_from_world = clip_from_camera(camera) * camera_from_world(camera);
@@ -159,14 +190,22 @@ void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo)
   glDisable(GL_CULL_FACE);
   glDrawArrays(GL_TRIANGLES, 0, 3);
   glEnable(GL_DEPTH_TEST);
-  const auto read_bytes = [&](GLenum attachment, std::vector<std::uint8_t>& pixels) {
-    read(target.resolve, attachment, GL_RGBA, GL_UNSIGNED_BYTE, camera.width, camera.height, 4, pixels);
+  const auto take = [&](splatbus_buffer buffer, GLenum attachment) {
+    readback.take({.buffer = buffer,
+                   .framebuffer = target.resolve.get(),
+                   .attachment = attachment,
+                   .format = GL_RGBA,
+                   .type = GL_UNSIGNED_BYTE,
+                   .width = camera.width,
+                   .height = camera.height,
+                   .bytes = std::size_t{4} * camera.width * camera.height});
   };
-  if (lit) read_bytes(GL_COLOR_ATTACHMENT0, pictures.color);
-  if (albedo) read_bytes(GL_COLOR_ATTACHMENT1, pictures.albedo);
+  if (lit) take(SPLATBUS_BUFFER_COLOR, GL_COLOR_ATTACHMENT0);
+  if (albedo) take(SPLATBUS_BUFFER_ALBEDO, GL_COLOR_ATTACHMENT1);
 }
 
-void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffers) {
+/// Light depth comes alone: where there is no surface it is another value than depth.
+void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback) {
   Targets& target = targets.get(camera.width, camera.height, false, true);
   const glm::mat4 view = camera_from_world(camera);
   const glm::mat4 clip_from_world = clip_from_camera(camera) * view;
@@ -194,15 +233,20 @@ void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffe
     return made;
   });
 
-  const auto read_floats = [&](GLenum attachment, GLenum format, std::size_t channels, std::vector<float>& pixels) {
-    read(target.geometry, attachment, format, GL_FLOAT, camera.width, camera.height, channels, pixels);
+  const auto take = [&](splatbus_buffer buffer, GLenum attachment, GLenum format, std::size_t channels) {
+    readback.take({.buffer = buffer,
+                   .framebuffer = target.geometry.get(),
+                   .attachment = attachment,
+                   .format = format,
+                   .type = GL_FLOAT,
+                   .width = camera.width,
+                   .height = camera.height,
+                   .bytes = sizeof(float) * channels * camera.width * camera.height});
   };
-  if (wanted[0]) read_floats(GL_COLOR_ATTACHMENT0, GL_RGBA, 4, pictures.world_position);
-  if (wanted[1]) read_floats(GL_COLOR_ATTACHMENT1, GL_RGBA, 4, pictures.normal);
-  if (wanted[2]) read_floats(GL_COLOR_ATTACHMENT2, GL_RED, 1, light_depth ? pictures.light_depth : pictures.depth);
-  if (light_depth && (buffers & SPLATBUS_BUFFER_DEPTH) != 0) {
-    pictures.depth = pictures.light_depth;
-    std::ranges::replace(pictures.depth, camera.far_m, 0.0F);
+  if (wanted[0]) take(SPLATBUS_BUFFER_WORLD_POSITION, GL_COLOR_ATTACHMENT0, GL_RGBA, 4);
+  if (wanted[1]) take(SPLATBUS_BUFFER_NORMAL, GL_COLOR_ATTACHMENT1, GL_RGBA, 4);
+  if (wanted[2]) {
+    take(light_depth ? SPLATBUS_BUFFER_LIGHT_DEPTH : SPLATBUS_BUFFER_DEPTH, GL_COLOR_ATTACHMENT2, GL_RED, 1);
   }
 }
 
@@ -246,18 +290,29 @@ std::uint64_t Renderer::shadow_maps_drawn() const {
 }
 
 const Pictures& Renderer::render(const splatbus_camera& camera, std::uint32_t buffers) {
+  HostReadback readback(impl_->pictures);
+  render(camera, buffers, readback);
+  return impl_->pictures;
+}
+
+void Renderer::render(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback) {
   if (const std::string wrong = problem(camera); !wrong.empty()) throw std::runtime_error(wrong);
-  Pictures& pictures = impl_->pictures;
-  pictures.width = camera.width;
-  pictures.height = camera.height;
-  for (auto* bytes : {&pictures.color, &pictures.albedo}) bytes->clear();
-  for (auto* floats : {&pictures.world_position, &pictures.normal, &pictures.depth, &pictures.light_depth})
-    floats->clear();
+  readback.begin(camera.width, camera.height);
   if ((buffers & kShadeBuffers) != 0) {
-    impl_->shade(camera, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0);
+    impl_->shade(camera, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0, readback);
   }
-  if ((buffers & kGeometryBuffers) != 0) impl_->geometry(camera, buffers);
-  return pictures;
+  if ((buffers & kGeometryBuffers) != 0) impl_->geometry(camera, buffers & kGeometryBuffers, readback);
+  if ((buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0) impl_->geometry(camera, SPLATBUS_BUFFER_LIGHT_DEPTH, readback);
+}
+
+void Renderer::warm_up(Readback* readback) {
+  constexpr std::uint32_t kSize = 64;
+  HostReadback host(impl_->pictures);
+  // The light's camera has every object in view, and so every program in use.
+  const splatbus_camera camera = light_camera(0, kSize, kSize);
+  for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
+    render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? *readback : host);
+  }
 }
 
 splatbus_camera Renderer::light_camera(std::uint32_t id, std::uint32_t width, std::uint32_t height) const {

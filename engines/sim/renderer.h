@@ -7,6 +7,7 @@
 
 #include "sdk/splatbus_engine.h"
 #include "sim/gl_context.h"
+#include "sim/readback.h"
 #include "sim/scene.h"
 
 namespace splatbus::sim {
@@ -61,6 +62,12 @@ class Renderer {
   /// Draws `buffers` (bits of splatbus_buffer). The result is valid until the next call. Throws std::runtime_error that
   /// names the camera when its size or parameters are out of bounds.
   const Pictures& render(const splatbus_camera& camera, std::uint32_t buffers);
+
+  /// The same, with `readback` to take the pictures. Throws also what that throws.
+  void render(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback);
+
+  /// Draws small pictures of what cameras usually ask for, so that the first real one waits for no program to be built.
+  void warm_up(Readback* readback);
 
   /// A light camera of that size over the whole scene, for LIGHT_DEPTH: id is the caller's, pose, scale and range are
   /// the sun's. Constant as long as the sun rests.

@@ -10,6 +10,7 @@ void Schedule::replace(std::span<const splatbus_camera_request> requests) {
     const std::pair key{request.camera.role, request.camera.id};
     Entry entry{.request = request};
     const auto known = entries_.find(key);
+    entry.newcomer = known == entries_.end();
     if (known != entries_.end() && known->second.request.request_id == request.request_id &&
         known->second.request.rate_hz == request.rate_hz) {
       entry = known->second;
@@ -21,9 +22,18 @@ void Schedule::replace(std::span<const splatbus_camera_request> requests) {
 }
 
 std::vector<splatbus_camera_request> Schedule::due(double time_s, std::uint64_t scene_version) {
+  return serve(time_s, scene_version, false);
+}
+
+std::vector<splatbus_camera_request> Schedule::newcomers(double time_s, std::uint64_t scene_version) {
+  return serve(time_s, scene_version, true);
+}
+
+std::vector<splatbus_camera_request> Schedule::serve(double time_s, std::uint64_t scene_version, bool newcomers_only) {
   constexpr double kTolerance_s = 1e-6;
   std::vector<splatbus_camera_request> due;
   for (auto& [key, entry] : entries_) {
+    if (newcomers_only && (entry.served || !entry.newcomer)) continue;
     const splatbus_camera_request& request = entry.request;
     const bool changed = request.camera.role == SPLATBUS_ROLE_LIGHT && entry.scene_version != scene_version;
     const bool is_due = !entry.served || (request.rate_hz > 0 ? time_s >= entry.next_due_s - kTolerance_s : changed);

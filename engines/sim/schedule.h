@@ -20,6 +20,10 @@ class Schedule {
   /// Requests that are due, probes first; they count as served. `scene_version` changes when sun or objects move.
   [[nodiscard]] std::vector<splatbus_camera_request> due(double time_s, std::uint64_t scene_version);
 
+  /// Of these only what was asked for of cameras that no set had before the last: few, and someone waits for them. A
+  /// camera that moves is asked for again and again, and waits for the next frame.
+  [[nodiscard]] std::vector<splatbus_camera_request> newcomers(double time_s, std::uint64_t scene_version);
+
   /// True when due() would depend on whether the scene has changed.
   [[nodiscard]] bool watches_scene() const;
   /// True for a request (role, id) with a rate.
@@ -27,9 +31,12 @@ class Schedule {
   [[nodiscard]] std::size_t size() const { return entries_.size(); }
 
  private:
+  std::vector<splatbus_camera_request> serve(double time_s, std::uint64_t scene_version, bool newcomers_only);
+
   struct Entry {
     splatbus_camera_request request;
     bool served = false;
+    bool newcomer = true;
     double next_due_s = 0;
     std::uint64_t scene_version = 0;
   };

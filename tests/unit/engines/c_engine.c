@@ -7,7 +7,7 @@
 
 int run_c_engine(const char* address, int patience_ms) {
   splatbus_engine* engine = NULL;
-  if (splatbus_engine_open(address, "c-engine", SPLATBUS_ENGINE_ABI, &engine) != SPLATBUS_OK) return 1;
+  if (splatbus_engine_open(address, "c-engine", SPLATBUS_ENGINE_ABI, SPLATBUS_MEMORY_HOST, &engine) != SPLATBUS_OK) return 1;
 
   const splatbus_camera_request* requests = NULL;
   size_t count = 0;
@@ -23,8 +23,8 @@ int run_c_engine(const char* address, int patience_ms) {
   float* depth = malloc(sizeof(float) * pixels);
   memset(color, 200, 4 * pixels);
   for (size_t i = 0; i < pixels; ++i) depth[i] = 1.5f;
-  splatbus_image images[2] = {{SPLATBUS_BUFFER_COLOR, color, 4 * pixels},
-                              {SPLATBUS_BUFFER_DEPTH, depth, sizeof(float) * pixels}};
+  splatbus_image images[2] = {{SPLATBUS_BUFFER_COLOR, color, 4 * pixels, SPLATBUS_MEMORY_HOST},
+                              {SPLATBUS_BUFFER_DEPTH, depth, sizeof(float) * pixels, SPLATBUS_MEMORY_HOST}};
   splatbus_object object = {7, {{1, 0, 0, 0}, {1, 2, 3}}};
   splatbus_frame frame;
   memset(&frame, 0, sizeof(frame));

@@ -16,8 +16,8 @@ using wire::EngineBuffer;
 /// The engine with a small scene, on a thread of its own.
 class EngineLoopTest : public SdkTest {
  protected:
-  void start(double sun_rate_deg_s, bool moving) {
-    thread_ = std::jthread([this, sun_rate_deg_s, moving] {
+  void start(double sun_rate_deg_s, bool moving, double fps = 50) {
+    thread_ = std::jthread([this, sun_rate_deg_s, moving, fps] {
       sim::Scene scene;
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
@@ -29,7 +29,7 @@ class EngineLoopTest : public SdkTest {
       scene.lighting.sun_rate_deg_s = sun_rate_deg_s;
       sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
       const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
-      sim::EngineLoop(*engine, renderer, {.fps = 50}).run(stop_);
+      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps}).run(stop_);
     });
   }
   ~EngineLoopTest() override { stop_ = true; }
@@ -114,6 +114,26 @@ TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
     } else {
       ++pictures;
     }
+  }
+}
+
+TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {
+  const auto context = connect("tester");
+  bus::Publisher cameras(context, "engine/cameras");
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {request(1, EngineBuffer::Color, 0, 1)});
+  start(0, false, 0.1);  // ten seconds a frame
+  const auto first = frames.receive(patience);
+  ASSERT_TRUE(first.has_value());
+  std::vector<Request> requests;
+  for (std::uint32_t id = 2; id < 12; ++id) requests.push_back(request(id, EngineBuffer::Color, 0, id));
+  publish_requests(cameras, requests);
+  for (std::size_t i = 0; i < requests.size(); ++i) {
+    const auto message = frames.receive(std::chrono::seconds(5));
+    ASSERT_TRUE(message.has_value()) << i;
+    EXPECT_EQ(message->root<wire::EngineFrame>("EngineFrame/1").frame(),
+              first->root<wire::EngineFrame>("EngineFrame/1").frame());
   }
 }
 

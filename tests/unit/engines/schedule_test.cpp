@@ -53,6 +53,17 @@ TEST(Schedule, AReplacedSetKeepsItsRhythm) {
   EXPECT_EQ(ids(schedule.due(1.0, 0)), std::vector{1U});
 }
 
+TEST(Schedule, OnlyNewCamerasAreNewcomers) {
+  Schedule schedule;
+  schedule.replace(std::vector{request(1, 0, 5), request(2, 2)});
+  EXPECT_EQ(ids(schedule.newcomers(0, 0)), (std::vector{1U, 2U}));
+  EXPECT_EQ(schedule.due(0, 0).size(), 0U) << "they are served";
+  schedule.replace(std::vector{request(1, 0, 6), request(2, 2), request(3, 0)});
+  EXPECT_EQ(ids(schedule.newcomers(0.1, 0)), std::vector{3U}) << "the first is known, and waits";
+  EXPECT_EQ(ids(schedule.due(0.2, 0)), std::vector{1U});
+  EXPECT_EQ(ids(schedule.due(0.5, 0)), std::vector{2U}) << "half a second after it was served";
+}
+
 TEST(Schedule, LightDepthFollowsTheScene) {
   Schedule schedule;
   schedule.replace(std::vector{request(1, 0, 1, SPLATBUS_ROLE_LIGHT), request(2, 0)});

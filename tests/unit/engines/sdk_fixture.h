@@ -40,7 +40,7 @@ inline splatbus_camera small_camera(std::uint32_t id = 3, std::uint32_t role = S
 struct OwnedFrame {
   explicit OwnedFrame(const splatbus_camera& camera)
       : color(std::size_t{4} * camera.width * camera.height, std::uint8_t{77}),
-        images{{SPLATBUS_BUFFER_COLOR, color.data(), color.size()}} {
+        images{{SPLATBUS_BUFFER_COLOR, color.data(), color.size(), SPLATBUS_MEMORY_HOST}} {
     frame.frame = 5;
     frame.time_s = 0.5;
     frame.camera = camera;
@@ -87,9 +87,9 @@ inline void publish_requests(bus::Publisher& publisher, const std::vector<Reques
 
 class SdkTest : public BusTest {
  protected:
-  Engine open(const char* name = "engine") {
+  Engine open(const char* name = "engine", splatbus_memory memory = SPLATBUS_MEMORY_HOST) {
     splatbus_engine* engine = nullptr;
-    EXPECT_EQ(splatbus_engine_open(directory_.address().text().c_str(), name, SPLATBUS_ENGINE_ABI, &engine),
+    EXPECT_EQ(splatbus_engine_open(directory_.address().text().c_str(), name, SPLATBUS_ENGINE_ABI, memory, &engine),
               SPLATBUS_OK)
         << splatbus_engine_last_error(nullptr);
     return Engine(engine);

@@ -107,6 +107,9 @@ TEST_F(SdkTest, WhatAnEngineGetsWrongIsToldInWords) {
   EXPECT_THAT(words([](auto& f) { f.images[0].bytes -= 4; }),
               HasSubstr("color: 188 bytes, where 8 x 6 pixels take 192"));
   EXPECT_THAT(words([](auto& f) { f.images[0].data = nullptr; }), HasSubstr("color: data is NULL"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].memory = 2; }),
+              HasSubstr("color: its memory is 2, which does not exist"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].memory = SPLATBUS_MEMORY_CUDA; }), HasSubstr("CUDA"));
   EXPECT_THAT(words([](auto& f) { f.images[0].buffer = 3; }), HasSubstr("0x3 is not one known buffer"));
   EXPECT_THAT(words([](auto& f) {
                 f.images.push_back(f.images[0]);
@@ -130,14 +133,18 @@ TEST_F(SdkTest, WhatAnEngineGetsWrongIsToldInWords) {
 }
 
 TEST_F(SdkTest, NullPointersAreArgumentErrors) {
-  EXPECT_EQ(splatbus_engine_open(nullptr, "x", SPLATBUS_ENGINE_ABI, nullptr), SPLATBUS_ERROR_ARGUMENT);
+  const auto refused = [](const char* address, const char* source, std::uint32_t abi, std::uint32_t memory,
+                          splatbus_engine** out) {
+    EXPECT_EQ(splatbus_engine_open(address, source, abi, memory, out), SPLATBUS_ERROR_ARGUMENT);
+    return std::string(splatbus_engine_last_error(nullptr));
+  };
+  constexpr std::uint32_t kHost = SPLATBUS_MEMORY_HOST;
+  EXPECT_THAT(refused(nullptr, "x", SPLATBUS_ENGINE_ABI, kHost, nullptr), HasSubstr("out is NULL"));
   splatbus_engine* none = nullptr;
-  EXPECT_EQ(splatbus_engine_open("ipc:///tmp", nullptr, SPLATBUS_ENGINE_ABI, &none), SPLATBUS_ERROR_ARGUMENT);
-  EXPECT_THAT(splatbus_engine_last_error(nullptr), HasSubstr("source"));
-  EXPECT_EQ(splatbus_engine_open("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI + 1, &none), SPLATBUS_ERROR_ARGUMENT);
-  EXPECT_THAT(splatbus_engine_last_error(nullptr), HasSubstr("ABI"));
-  EXPECT_EQ(splatbus_engine_open("nonsense", "x", SPLATBUS_ENGINE_ABI, &none), SPLATBUS_ERROR_ARGUMENT);
-  EXPECT_THAT(splatbus_engine_last_error(nullptr), HasSubstr("nonsense"));
+  EXPECT_THAT(refused("ipc:///tmp", nullptr, SPLATBUS_ENGINE_ABI, kHost, &none), HasSubstr("source"));
+  EXPECT_THAT(refused("nonsense", "x", SPLATBUS_ENGINE_ABI, kHost, &none), HasSubstr("nonsense"));
+  EXPECT_THAT(refused("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI, 7, &none), HasSubstr("7 is no memory"));
+  EXPECT_THAT(refused("ipc:///tmp", "x", SPLATBUS_ENGINE_ABI - 1, kHost, nullptr), HasSubstr("built for ABI"));
   EXPECT_EQ(none, nullptr);
   splatbus_engine_close(nullptr);
   const Engine engine = open();

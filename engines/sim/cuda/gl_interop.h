@@ -1,0 +1,44 @@
+#pragma once
+
+#include <map>
+#include <vector>
+
+#include "sim/device_readback.h"
+
+// As in the CUDA runtime's headers, which only the implementation needs.
+struct cudaGraphicsResource;
+
+namespace splatbus::sim::cuda {
+
+/// Whether the current OpenGL context renders on the first CUDA device.
+[[nodiscard]] bool renders_on_first_device();
+
+/// Reads pictures into pixel buffer objects that CUDA maps: OpenGL converts and lays them out as for the host, and they
+/// never leave the device. One buffer for each of splatbus_buffer, registered once and again only when it grows.
+class GlInterop final : public DeviceReadback {
+ public:
+  GlInterop() = default;
+  ~GlInterop() override;
+  GlInterop(const GlInterop&) = delete;
+  GlInterop& operator=(const GlInterop&) = delete;
+
+  void begin(std::uint32_t width, std::uint32_t height) override;
+  void take(const DrawnPicture& drawn) override;
+  [[nodiscard]] const std::vector<splatbus_image>& images() override;
+
+ private:
+  struct PixelBuffer {
+    GlBuffer name;
+    std::size_t bytes = 0;
+    cudaGraphicsResource* resource = nullptr;
+  };
+  void grow(PixelBuffer& buffer, std::size_t bytes);
+  void unmap();
+
+  std::map<splatbus_buffer, PixelBuffer> buffers_;
+  std::vector<cudaGraphicsResource*> taken_;  ///< resources of images_, in order
+  std::vector<splatbus_image> images_;
+  bool mapped_ = false;
+};
+
+}  // namespace splatbus::sim::cuda

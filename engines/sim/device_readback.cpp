@@ -1,0 +1,28 @@
+#include "sim/device_readback.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <stdexcept>
+
+#include "bus/backend.h"
+#ifdef SPLATBUS_HAVE_CUDA
+#include "sim/cuda/gl_interop.h"
+#endif
+
+namespace splatbus::sim {
+
+std::unique_ptr<DeviceReadback> make_device_readback(const GlContext& context, const std::string& backend) {
+  if (bus::choose_backend(backend) == bus::Backend::Cpu) return nullptr;
+#ifdef SPLATBUS_HAVE_CUDA
+  // Asked first: a software renderer's context is nothing that the driver knows.
+  const bool shared = !context.is_software() && cuda::renders_on_first_device();
+  if (shared) return std::make_unique<cuda::GlInterop>();
+#endif
+  const std::string why = fmt::format("{} is not the first CUDA device", context.description());
+  if (backend == "cuda") throw std::runtime_error("no backend cuda: " + why);
+  spdlog::info("frames go through host memory: {}", why);
+  return nullptr;
+}
+
+}  // namespace splatbus::sim

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "sim/gl_context.h"
+#include "sim/readback.h"
+
+namespace splatbus::sim {
+
+/// Hands pictures over in CUDA memory, without a copy through the host.
+class DeviceReadback : public Readback {
+ public:
+  /// The pictures taken since begin(), complete and in the layout that the host would read. Valid until the next
+  /// begin(). Throws std::runtime_error.
+  [[nodiscard]] virtual const std::vector<splatbus_image>& images() = 0;
+};
+
+/// By `backend`: null for cpu; for auto null, too, where there is no CUDA or the context, which is current, renders on
+/// something else than the first CUDA device. For cuda these throw std::runtime_error. The context lives longer.
+[[nodiscard]] std::unique_ptr<DeviceReadback> make_device_readback(const GlContext& context,
+                                                                   const std::string& backend);
+
+}  // namespace splatbus::sim
