@@ -1,5 +1,6 @@
 #include "raster/cpu/bin.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "raster/cpu/kernels.h"
@@ -8,7 +9,7 @@ namespace splatbus::raster::cpu {
 namespace {
 
 constexpr std::size_t kPiece = 8192;
-/// A bound on memory (20 bytes a pair, 84 while training) that only a model gone wrong, all of whose Gaussians cover
+/// A bound on memory (12 bytes a pair, 81 while training) that only a model gone wrong, all of whose Gaussians cover
 /// the picture, can reach; beyond it the farthest Gaussians of a piece are left out.
 constexpr std::size_t kMaxPairs = std::size_t{1} << 26U;
 
@@ -20,7 +21,7 @@ void TileBinner::bin(Frame& frame, Workers& workers) {
   workers.for_pieces(frame.visible, kPiece, [&](std::size_t begin, std::size_t end) {
     const std::size_t index = begin / kPiece;
     Piece& piece = pieces_[index];
-    piece.tile_counts.assign(frame.tile_count() + frame.tiles_x + 2, 0);  // 2x2 tiles may overhang, empty
+    piece.tile_counts.assign(std::max(frame.tile_count(), 1U), 0);  // what is not reached counts zero at the first
     collect_pairs(frame, begin, end, static_cast<std::uint32_t>(index), kMaxPairs / piece_count, piece.pairs,
                   piece.tile_counts.data());
   });
@@ -40,11 +41,20 @@ void TileBinner::bin(Frame& frame, Workers& workers) {
   frame.tile_begin[frame.tile_count()] = next;
 
   frame.entries.reserve(frame.pairs);
+  if (frame.keep) frame.entry_of_slot.reserve(frame.pairs);
   workers.for_pieces(frame.visible, kPiece, [&](std::size_t begin, std::size_t) {
     Piece& piece = pieces_[begin / kPiece];
-    auto slot = frame.piece_slot[begin / kPiece];
+    TileEntry* entries = frame.entries.data();
+    std::uint32_t* next_entry = piece.tile_counts.data();
+    if (!frame.keep) {
+      for (const Pair& pair : piece.pairs) entries[next_entry[pair.tile]++] = pair.gaussian_and_blocks;
+      return;
+    }
+    std::uint32_t* entry_of_slot = frame.entry_of_slot.data() + frame.piece_slot[begin / kPiece];
     for (const Pair& pair : piece.pairs) {
-      frame.entries[piece.tile_counts[pair.tile]++] = {pair.gaussian_and_blocks, slot++};
+      const std::uint32_t entry = next_entry[pair.tile]++;
+      entries[entry] = pair.gaussian_and_blocks;
+      *entry_of_slot++ = entry;
     }
   });
 }

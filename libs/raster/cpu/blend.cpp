@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <limits>
 
 #include "raster/cpu/kernels.h"
@@ -16,7 +15,7 @@
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
-/// What the blended planes of a Splat are: red green blue | depth | albedo.
+/// Blended planes of a Splat: red green blue | depth | albedo.
 template <int kPlanes>
 struct TileState {
   alignas(64) float transmittance[kTilePixels];
@@ -24,41 +23,71 @@ struct TileState {
   alignas(64) float planes[kPlanes][kTilePixels];
 };
 
-/// Blends one Gaussian into one block; false when no pixel of the block takes anything any more.
-template <int kPlanes>
-HWY_INLINE bool BlendBlock(const TileGaussian& gaussian, const float* colour, std::uint32_t block, std::int32_t index,
-                           TileState<kPlanes>& tile) {
+/// Entries of a tile's list looked at at once: their Splats stay in the first level of cache while the tile's blocks
+/// take them in turn.
+constexpr std::uint32_t kChunk = 64;
+
+/// The entries of a chunk that reach one block, closed up.
+struct BlockList {
+  std::uint32_t count;
+  HWY_ALIGN std::uint32_t gaussian[kChunk + hn::MaxLanes(U())];
+  HWY_ALIGN std::uint32_t index[kChunk + hn::MaxLanes(U())];  ///< in the chunk
+};
+
+HWY_INLINE void CloseUp(const TileEntry* entries, std::uint32_t count, std::uint32_t block, BlockList& out) {
+  const U u;
+  const auto bit = hn::Set(u, 1U << (kBlockShift + block)), mask = hn::Set(u, kGaussianMask);
+  out.count = 0;
+  for (std::uint32_t k = 0; k < count; k += static_cast<std::uint32_t>(hn::Lanes(u))) {
+    const auto inside = hn::FirstN(u, count - k);
+    const auto packed = hn::MaskedLoad(inside, u, entries + k);
+    const auto reached = hn::TestBit(packed, bit);
+    hn::CompressStore(hn::Iota(u, k), reached, u, out.index + out.count);
+    out.count +=
+        static_cast<std::uint32_t>(hn::CompressStore(hn::And(packed, mask), reached, u, out.gaussian + out.count));
+  }
+}
+
+/// Blends the Gaussians of a list into one vector of pixels, whose state stays in registers. Returns how many entries
+/// of the chunk were needed until no pixel took anything any more, or `unfinished`.
+template <int kPlanes, bool kKeep>
+HWY_INLINE std::uint32_t BlendPixels(const Frame& frame, const BlockList& list, std::uint32_t first_index,
+                                     std::uint32_t pixel, const PixelCentres& centres, std::uint32_t unfinished,
+                                     TileState<kPlanes>& tile) {
   const F f;
-  const V transmittance_min = Splat1(kTransmittanceMin);
-  bool unfinished = true;
-  const std::uint32_t begin = block * kBlockPixels;
-  for (std::uint32_t pixel = begin; pixel < begin + kBlockPixels; pixel += hn::Lanes(f)) {
-    const Footprint footprint = Evaluate(gaussian, pixel);
-    const V transmittance = hn::Load(f, tile.transmittance + pixel);
-    const M taken =
-        hn::And(hn::Ge(footprint.log2_alpha, Splat1(kLog2AlphaMin)), hn::Ge(transmittance, transmittance_min));
-    if (hn::AllFalse(f, taken)) continue;
-    const V alpha = hn::IfThenElseZero(taken, hn::Min(Exp2(footprint.log2_alpha), Splat1(kAlphaMax)));
-    const V weight = hn::Mul(alpha, transmittance);
-    const V after = hn::Sub(transmittance, weight);
-    hn::Store(after, f, tile.transmittance + pixel);
-    for (int c = 0; c < kPlanes; ++c) {
-      float* plane = tile.planes[c] + pixel;
-      hn::Store(hn::MulAdd(Splat1(colour[c]), weight, hn::Load(f, plane)), f, plane);
+  const I d;
+  const V transmittance_min = Splat1(kTransmittanceMin), log2_alpha_min = Splat1(kLog2AlphaMin);
+  const V x = hn::Load(f, centres.x + pixel), y = hn::Load(f, centres.y + pixel);
+  V transmittance = hn::Load(f, tile.transmittance + pixel);
+  auto last = hn::Load(d, tile.last + pixel);
+  V planes[kPlanes];
+  for (int c = 0; c < kPlanes; ++c) planes[c] = hn::Load(f, tile.planes[c] + pixel);
+  M alive = hn::Ge(transmittance, transmittance_min);
+  std::uint32_t needed = hn::AllFalse(f, alive) ? 0 : unfinished;
+  for (std::uint32_t k = 0; k < list.count && needed != 0; ++k) {
+    const Splat& splat = frame.splats[list.gaussian[k]];
+    const Footprint footprint = Evaluate(splat, x, y);
+    const M taken = hn::And(hn::Ge(footprint.log2_alpha, log2_alpha_min), alive);
+    const V alpha = hn::Min(Exp2(footprint.log2_alpha), Splat1(kAlphaMax));
+    const V weight = hn::IfThenElseZero(taken, hn::Mul(alpha, transmittance));
+    transmittance = hn::Sub(transmittance, weight);
+    const float* colour = &splat.red;
+    for (int c = 0; c < kPlanes; ++c) planes[c] = hn::MulAdd(Splat1(colour[c]), weight, planes[c]);
+    const M still_alive = hn::Ge(transmittance, transmittance_min);
+    if constexpr (kKeep) {
+      const auto index = hn::Set(d, static_cast<std::int32_t>(first_index + list.index[k]));
+      last = hn::IfThenElse(hn::RebindMask(d, hn::AndNot(still_alive, alive)), index, last);
     }
-    const M ended = hn::And(taken, hn::Lt(after, transmittance_min));
-    if (HWY_UNLIKELY(!hn::AllFalse(f, ended))) {
-      const I d;
-      const auto last = hn::Load(d, tile.last + pixel);
-      hn::Store(hn::IfThenElse(hn::RebindMask(d, ended), hn::Set(d, index), last), d, tile.last + pixel);
-      unfinished = false;
+    alive = still_alive;
+    if (HWY_UNLIKELY(hn::AllFalse(f, alive))) {
+      needed = list.index[k] + 1;
+      break;
     }
   }
-  if (HWY_LIKELY(unfinished)) return true;
-  for (std::uint32_t pixel = begin; pixel < begin + kBlockPixels; pixel += hn::Lanes(f)) {
-    if (!hn::AllTrue(f, hn::Lt(hn::Load(f, tile.transmittance + pixel), transmittance_min))) return true;
-  }
-  return false;
+  hn::Store(transmittance, f, tile.transmittance + pixel);
+  if constexpr (kKeep) hn::Store(last, d, tile.last + pixel);
+  for (int c = 0; c < kPlanes; ++c) hn::Store(planes[c], f, tile.planes[c] + pixel);
+  return needed;
 }
 
 /// The part of a tile that lies in the image.
@@ -71,14 +100,25 @@ inline TileArea AreaOf(const Frame& frame, std::uint32_t tile) {
 }
 
 inline void WritePlane(const TileArea& area, const float* values, float* plane, std::size_t row_stride) {
+  if (area.width == kTileSide && area.height == kTileSide) {
+    for (std::uint32_t i = 0; i < kTilePixels; i += kBlockSide) {
+      std::copy_n(values + i, kBlockSide, plane + (area.y + block_order_y(i)) * row_stride + area.x + block_order_x(i));
+    }
+    return;
+  }
   for (std::uint32_t i = 0; i < kTilePixels; ++i) {
     const std::uint32_t x = block_order_x(i), y = block_order_y(i);
     if (x < area.width && y < area.height) plane[(area.y + y) * row_stride + area.x + x] = values[i];
   }
 }
 
-template <int kPlanes>
-void BlendTilePlanes(Frame& frame, std::uint32_t tile_index, bool keep, Render& out) {
+/// Splats of a tile lie apart in memory.
+HWY_INLINE void PrefetchSplats(const Frame& frame, std::uint32_t begin, std::uint32_t end) {
+  for (std::uint32_t k = begin; k < end; ++k) hwy::Prefetch(&frame.splats[frame.entries[k] & kGaussianMask]);
+}
+
+template <int kPlanes, bool kKeep>
+void BlendTilePlanes(Frame& frame, std::uint32_t tile_index, Render& out) {
   const TileArea area = AreaOf(frame, tile_index);
   TileState<kPlanes> tile{};
   std::uint32_t live = 0;
@@ -89,25 +129,29 @@ void BlendTilePlanes(Frame& frame, std::uint32_t tile_index, bool keep, Render& 
     if (inside) live |= 1U << (i / kBlockPixels);
   }
 
-  const std::uint32_t begin = frame.tile_begin[tile_index], count = frame.tile_begin[tile_index + 1] - begin;
-  const TileEntry* entries = frame.entries.data() + begin;
+  const std::uint32_t begin = frame.tile_begin[tile_index], end = frame.tile_begin[tile_index + 1];
+  if (tile_index + 1 < frame.tile_count()) {
+    PrefetchSplats(frame, end, std::min(end + kChunk / 2, frame.tile_begin[tile_index + 2]));
+  }
   std::array<std::uint32_t, kTileBlocks> finished_after;
-  for (std::uint32_t b = 0; b < kTileBlocks; ++b) finished_after[b] = (live >> b & 1U) != 0 ? count : 0;
-  const auto corner_x = static_cast<float>(area.x), corner_y = static_cast<float>(area.y);
-  for (std::uint32_t k = 0; k < count && live != 0; ++k) {
-    if (k + kPrefetchEntries < count) {
-      hwy::Prefetch(&frame.splats[entries[k + kPrefetchEntries].gaussian_and_blocks & kGaussianMask]);
-    }
-    const std::uint32_t packed = entries[k].gaussian_and_blocks;
-    std::uint32_t blocks = packed >> kBlockShift & live;
-    if (blocks == 0) continue;
-    const Splat& splat = frame.splats[packed & kGaussianMask];
-    const TileGaussian gaussian(splat, corner_x, corner_y);
-    for (; blocks != 0; blocks &= blocks - 1) {
-      const auto block = static_cast<std::uint32_t>(std::countr_zero(blocks));
-      if (HWY_LIKELY(BlendBlock<kPlanes>(gaussian, &splat.red, block, static_cast<std::int32_t>(k), tile))) continue;
+  for (std::uint32_t b = 0; b < kTileBlocks; ++b) finished_after[b] = (live >> b & 1U) != 0 ? end - begin : 0;
+  const PixelCentres centres(area.x, area.y);
+  BlockList list;
+  for (std::uint32_t chunk = begin; chunk < end && live != 0; chunk += kChunk) {
+    const std::uint32_t count = std::min(kChunk, end - chunk), first_index = chunk - begin;
+    PrefetchSplats(frame, chunk + count, std::min(chunk + count + kChunk, end));
+    for (std::uint32_t block = 0; block < kTileBlocks; ++block) {
+      if ((live >> block & 1U) == 0) continue;
+      CloseUp(frame.entries.data() + chunk, count, block, list);
+      std::uint32_t needed = 0;
+      for (std::uint32_t k = 0; k < kBlockPixels; k += static_cast<std::uint32_t>(hn::Lanes(F()))) {
+        const std::uint32_t pixel = block * kBlockPixels + k;
+        needed =
+            std::max(needed, BlendPixels<kPlanes, kKeep>(frame, list, first_index, pixel, centres, kChunk + 1, tile));
+      }
+      if (needed > kChunk) continue;
       live &= ~(1U << block);
-      finished_after[block] = k + 1;
+      finished_after[block] = first_index + needed;
     }
   }
 
@@ -128,17 +172,22 @@ void BlendTilePlanes(Frame& frame, std::uint32_t tile_index, bool keep, Render& 
   if constexpr (kPlanes > 4) {
     for (std::uint32_t c = 0; c < 3; ++c) WritePlane(area, tile.planes[4 + c], out.albedo.plane(c), row_stride);
   }
-  if (!keep) return;
+  if constexpr (!kKeep) return;
   const std::size_t first = std::size_t{tile_index} * kTilePixels;
   std::copy_n(tile.transmittance, kTilePixels, frame.transmittance.data() + first);
   std::copy_n(tile.last, kTilePixels, frame.last_entry.data() + first);
   std::copy_n(finished_after.data(), kTileBlocks, frame.block_entries.data() + std::size_t{tile_index} * kTileBlocks);
 }
 
-void BlendTile(Frame& frame, std::uint32_t tile, bool keep, Render& out) {
-  if (frame.options.albedo) return BlendTilePlanes<7>(frame, tile, keep, out);
-  if (frame.options.depth) return BlendTilePlanes<4>(frame, tile, keep, out);
-  return BlendTilePlanes<3>(frame, tile, keep, out);
+template <int kPlanes>
+void BlendTileKeeping(Frame& frame, std::uint32_t tile, Render& out) {
+  frame.keep ? BlendTilePlanes<kPlanes, true>(frame, tile, out) : BlendTilePlanes<kPlanes, false>(frame, tile, out);
+}
+
+void BlendTile(Frame& frame, std::uint32_t tile, Render& out) {
+  if (frame.options.albedo) return BlendTileKeeping<7>(frame, tile, out);
+  if (frame.options.depth) return BlendTileKeeping<4>(frame, tile, out);
+  return BlendTileKeeping<3>(frame, tile, out);
 }
 
 }  // namespace splatbus::raster::cpu::HWY_NAMESPACE
@@ -147,8 +196,8 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace splatbus::raster::cpu {
 HWY_EXPORT(BlendTile);
-void blend_tile(Frame& frame, std::uint32_t tile, bool keep, Render& out) {
-  HWY_DYNAMIC_DISPATCH(BlendTile)(frame, tile, keep, out);
+void blend_tile(Frame& frame, std::uint32_t tile, Render& out) {
+  HWY_DYNAMIC_DISPATCH(BlendTile)(frame, tile, out);
 }
 }  // namespace splatbus::raster::cpu
 #endif

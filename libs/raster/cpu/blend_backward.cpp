@@ -57,19 +57,22 @@ struct TileState {
   alignas(64) float gradient[kPlanes][kTilePixels];
 };
 
+/// Splats of a tile lie apart in memory.
+constexpr std::uint32_t kPrefetchEntries = 8;
+
 struct Sums {
   V s, su, sv, suu, suv, svv, largest;
 };
 
 template <int kPlanes>
-HWY_INLINE void BlendBlockBackward(const TileGaussian& gaussian, const float* colour, std::uint32_t block,
+HWY_INLINE void BlendBlockBackward(const Splat& splat, const PixelCentres& centres, std::uint32_t block,
                                    std::int32_t index, TileState<kPlanes>& tile, Sums& sums, V* plane_sums, M& any) {
   const F f;
   const I d;
   const V one = Splat1(1.0F), alpha_max = Splat1(kAlphaMax);
   const std::uint32_t begin = block * kBlockPixels;
   for (std::uint32_t pixel = begin; pixel < begin + kBlockPixels; pixel += hn::Lanes(f)) {
-    const Footprint footprint = Evaluate(gaussian, pixel);
+    const Footprint footprint = Evaluate(splat, hn::Load(f, centres.x + pixel), hn::Load(f, centres.y + pixel));
     const M before_end = hn::RebindMask(f, hn::Gt(hn::Load(d, tile.last + pixel), hn::Set(d, index - 1)));
     const M taken = hn::And(hn::Ge(footprint.log2_alpha, Splat1(kLog2AlphaMin)), before_end);
     if (hn::AllFalse(f, taken)) continue;
@@ -81,6 +84,7 @@ HWY_INLINE void BlendBlockBackward(const TileGaussian& gaussian, const float* co
     const V weight = hn::Mul(alpha, transmittance);
     sums.largest = hn::Max(sums.largest, weight);
 
+    const float* colour = &splat.red;
     V own = hn::Mul(Splat1(colour[0]), hn::Load(f, tile.gradient[0] + pixel));
     for (int c = 1; c < kPlanes; ++c) own = hn::MulAdd(Splat1(colour[c]), hn::Load(f, tile.gradient[c] + pixel), own);
     for (int c = 0; c < kPlanes; ++c) {
@@ -105,6 +109,13 @@ HWY_INLINE void BlendBlockBackward(const TileGaussian& gaussian, const float* co
 /// Reads a gradient plane into block order; pixels outside the image get 0.
 inline void ReadPlane(const Image& image, std::uint32_t plane, std::uint32_t x0, std::uint32_t y0, float* values) {
   const float* from = image.plane(plane);
+  if (x0 + kTileSide <= image.width && y0 + kTileSide <= image.height) {
+    for (std::uint32_t i = 0; i < kTilePixels; i += kBlockSide) {
+      const std::size_t row = y0 + block_order_y(i);
+      std::copy_n(from + row * image.width + x0 + block_order_x(i), kBlockSide, values + i);
+    }
+    return;
+  }
   for (std::uint32_t i = 0; i < kTilePixels; ++i) {
     const std::uint32_t x = x0 + block_order_x(i), y = y0 + block_order_y(i);
     const bool inside = x < image.width && y < image.height;
@@ -142,36 +153,37 @@ template <int kPlanes>
 void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const RenderGradient& gradient) {
   const F f;
   const std::uint32_t* block_entries = frame.block_entries.data() + std::size_t{tile_index} * kTileBlocks;
+  const std::uint32_t first_entry = frame.tile_begin[tile_index];
+  std::fill(frame.pair_written.data() + first_entry, frame.pair_written.data() + frame.tile_begin[tile_index + 1],
+            std::uint8_t{0});
   const std::uint32_t processed = *std::max_element(block_entries, block_entries + kTileBlocks);
   if (processed == 0) return;
   TileState<kPlanes> tile{};
   LoadTile(frame, tile_index, gradient, tile);
   const std::uint32_t row = tile_index / frame.tiles_x, column = tile_index % frame.tiles_x;
-  const auto corner_x = static_cast<float>(column * kTileSide), corner_y = static_cast<float>(row * kTileSide);
-  const TileEntry* entries = frame.entries.data() + frame.tile_begin[tile_index];
+  const PixelCentres centres(column * kTileSide, row * kTileSide);
+  const TileEntry* entries = frame.entries.data() + first_entry;
 
   for (std::uint32_t k = processed; k-- > 0;) {
     if (k >= kPrefetchEntries) {
-      hwy::Prefetch(&frame.splats[entries[k - kPrefetchEntries].gaussian_and_blocks & kGaussianMask]);
-      hwy::Prefetch(&frame.pair_gradients[entries[k - kPrefetchEntries].slot]);
+      hwy::Prefetch(&frame.splats[entries[k - kPrefetchEntries] & kGaussianMask]);
     }
-    std::uint32_t blocks = entries[k].gaussian_and_blocks >> kBlockShift;
+    std::uint32_t blocks = entries[k] >> kBlockShift;
     for (std::uint32_t b = 0; b < kTileBlocks; ++b) {
       if (k >= block_entries[b]) blocks &= ~(1U << b);
     }
     if (blocks == 0) continue;
-    const Splat& splat = frame.splats[entries[k].gaussian_and_blocks & kGaussianMask];
-    const TileGaussian gaussian(splat, corner_x, corner_y);
+    const Splat& splat = frame.splats[entries[k] & kGaussianMask];
     const V zero = hn::Zero(f);
     Sums sums{zero, zero, zero, zero, zero, zero, zero};
     V planes[8] = {zero, zero, zero, zero, zero, zero, zero, zero};
     M any = hn::FirstN(f, 0);
     for (; blocks != 0; blocks &= blocks - 1) {
       const auto block = static_cast<std::uint32_t>(std::countr_zero(blocks));
-      BlendBlockBackward<kPlanes>(gaussian, &splat.red, block, static_cast<std::int32_t>(k), tile, sums, planes, any);
+      BlendBlockBackward<kPlanes>(splat, centres, block, static_cast<std::int32_t>(k), tile, sums, planes, any);
     }
     if (hn::AllFalse(f, any)) continue;
-    auto* record = reinterpret_cast<float*>(&frame.pair_gradients[entries[k].slot]);
+    auto* record = reinterpret_cast<float*>(&frame.pair_gradients[first_entry + k]);
     SumLanes4(sums.s, sums.su, sums.sv, sums.suu, record);
     SumLanes4(sums.suv, sums.svv, planes[0], planes[1], record + 4);
     if constexpr (kPlanes > 3) {
@@ -181,7 +193,7 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
     }
     record[12] = kPlanes > 4 ? hn::GetLane(hn::SumOfLanes(f, planes[6])) : 0.0F;
     record[13] = hn::GetLane(hn::MaxOfLanes(f, sums.largest));
-    frame.pair_written[entries[k].slot] = 1;
+    frame.pair_written[first_entry + k] = 1;
   }
 }
 

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <bit>
 
 #include "raster/cpu/kernels.h"
 
@@ -70,7 +71,7 @@ HWY_INLINE void CutRows(const Splat& splat, float reach2, float first_row, float
   }
 }
 
-/// A Gaussian that may reach more than 2x2 tiles, row after row of them.
+/// A Gaussian that may reach more than a TileReach holds, row after row of tiles.
 void CollectLarge(const Frame& frame, std::uint32_t gaussian, PairBuffer& pairs, std::uint32_t* tile_counts) {
   static_assert(kTileSide == 2 * kBlockSide && kBlockSide == 4);
   const auto last_column = static_cast<float>(frame.camera.width) - 1;
@@ -103,6 +104,30 @@ void CollectLarge(const Frame& frame, std::uint32_t gaussian, PairBuffer& pairs,
   }
 }
 
+/// The tiles of a reach, lowest bits first.
+HWY_INLINE void CollectReach(const TileReach& reach, std::uint32_t tiles_x, std::uint32_t gaussian, PairBuffer& pairs,
+                             std::uint32_t* tile_counts) {
+  constexpr int kAtOnce = 4;
+  constexpr std::uint64_t kLowBits = 0x1111111111111111U;
+  const std::uint64_t blocks = reach.blocks[0] | std::uint64_t{reach.blocks[1]} << 32U;
+  std::uint64_t tiles = (blocks | blocks >> 1U | blocks >> 2U | blocks >> 3U) & kLowBits;  // one bit a tile
+  Pair* out = pairs.room_for(TileReach::kSide * TileReach::kSide + kAtOnce);
+  do {
+    // Four at a time without a branch: what is empty is overwritten by the next, and its zero is counted at a tile
+    // that exists.
+    for (int k = 0; k < kAtOnce; ++k) {
+      const std::uint32_t reached = tiles != 0 ? 1 : 0;
+      const auto bit = static_cast<std::uint32_t>(std::countr_zero(tiles)) & 63U;
+      const std::uint32_t tile = reach.tile + (bit >> 4U) * tiles_x + (bit >> 2U & 3U);
+      *out = {tile, gaussian | static_cast<std::uint32_t>(blocks >> bit) << kBlockShift};
+      tile_counts[reached != 0 ? tile : 0] += reached;
+      out += reached;
+      tiles &= tiles - 1;
+    }
+  } while (tiles != 0);
+  pairs.commit(out);
+}
+
 void CollectPairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_t piece, std::size_t most,
                   PairBuffer& pairs, std::uint32_t* tile_counts) {
   const std::uint32_t tiles_x = frame.tiles_x;
@@ -111,31 +136,20 @@ void CollectPairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_
     if (k + kPrefetch < end) {
       const std::uint32_t ahead = frame.order[k + kPrefetch].gaussian;
       hwy::Prefetch(&frame.reaches[ahead]);
-      hwy::Prefetch(&frame.pair_ranges[ahead]);
+      if (frame.keep) hwy::Prefetch(&frame.pair_ranges[ahead]);
     }
     const std::uint32_t gaussian = frame.order[k].gaussian;
     const std::size_t before = pairs.size();
     const TileReach reach = frame.reaches[gaussian];
-    if (HWY_UNLIKELY(reach.blocks == TileReach::kLarge)) {
+    if (HWY_UNLIKELY(reach.tile == TileReach::kLarge)) {
       CollectLarge(frame, gaussian, pairs, tile_counts);
     } else {
-      Pair* out = pairs.room_for(4);
-      const auto add = [&](std::uint32_t tile, std::uint32_t blocks) {
-        // Without a branch: what is empty is overwritten by the next.
-        const std::uint32_t reached = blocks != 0 ? 1 : 0;
-        *out = {tile, gaussian | blocks << kBlockShift};
-        // A neighbour that is not reached may lie outside the picture: its zero goes to a tile that exists.
-        tile_counts[reached != 0 ? tile : 0] += reached;
-        out += reached;
-      };
-      add(reach.tile, reach.blocks & 15U);
-      add(reach.tile + 1, reach.blocks >> 4U & 15U);
-      add(reach.tile + tiles_x, reach.blocks >> 8U & 15U);
-      add(reach.tile + tiles_x + 1, reach.blocks >> 12U & 15U);
-      pairs.commit(out);
+      CollectReach(reach, tiles_x, gaussian, pairs, tile_counts);
     }
-    frame.pair_ranges[gaussian] = {static_cast<std::uint32_t>(pairs.size() - before), piece,
-                                   static_cast<std::uint32_t>(before)};
+    if (frame.keep) {
+      frame.pair_ranges[gaussian] = {static_cast<std::uint32_t>(pairs.size() - before), piece,
+                                     static_cast<std::uint32_t>(before)};
+    }
   }
 }
 

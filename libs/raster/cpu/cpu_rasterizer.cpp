@@ -46,7 +46,7 @@ void CpuRasterizer::project() {
   const std::size_t pieces = (count + kGaussianPiece - 1) / kGaussianPiece;
   frame_.splats.reserve(count);
   frame_.reaches.reserve(count);
-  frame_.pair_ranges.reserve(count);
+  if (frame_.keep) frame_.pair_ranges.reserve(count);
   frame_.order.reserve(count);
   spare_keys_.reserve(count);
   visible_of_piece_.assign(pieces, 0);
@@ -65,6 +65,7 @@ void CpuRasterizer::project() {
 void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                                 const RenderOptions& options, bool keep, Render& out) {
   check(gaussians, camera);
+  frame_.keep = keep;
   frame_.gaussians = gaussians;
   frame_.camera = camera;
   frame_.options = options;
@@ -102,8 +103,7 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   }
   timed(forward_times_, "blend", [&] {
     workers_.for_pieces(tiles, kTilePiece, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t tile = begin; tile < end; ++tile)
-        blend_tile(frame_, static_cast<std::uint32_t>(tile), keep, out);
+      for (std::size_t tile = begin; tile < end; ++tile) blend_tile(frame_, static_cast<std::uint32_t>(tile), out);
     });
   });
 }
@@ -134,7 +134,6 @@ void CpuRasterizer::blend_backward(const RenderGradient& gradient) {
   }
   frame_.pair_gradients.reserve(frame_.pairs);
   frame_.pair_written.reserve(frame_.pairs);
-  std::fill_n(frame_.pair_written.data(), frame_.pairs, std::uint8_t{0});
   workers_.for_pieces(frame_.tile_count(), kTilePiece, [&](std::size_t begin, std::size_t end) {
     for (std::size_t tile = begin; tile < end; ++tile) {
       blend_tile_backward(frame_, static_cast<std::uint32_t>(tile), gradient);
@@ -143,6 +142,7 @@ void CpuRasterizer::blend_backward(const RenderGradient& gradient) {
 }
 
 GradientTarget CpuRasterizer::target_of(ParameterGradient& out) const {
+  if (!frame_.keep) throw std::invalid_argument("rasterizer: backward() without forward()");
   const GaussiansView& gaussians = frame_.gaussians;
   if (out.count != gaussians.count || out.stride != gaussians.stride || out.layout != gaussians.layout) {
     throw std::invalid_argument("rasterizer: the gradient was not cleared for these Gaussians");

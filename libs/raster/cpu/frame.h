@@ -65,18 +65,17 @@ struct alignas(64) PairGradient {
 };
 static_assert(sizeof(PairGradient) == 64);
 
-/// One Gaussian in one tile's list, in depth order.
-struct TileEntry {
-  std::uint32_t
-      gaussian_and_blocks;  ///< Gaussian in the low 28 bits, mask of the tile's 4x4 blocks that it may reach above
-  std::uint32_t slot;       ///< where its PairGradient goes
-};
+/// One Gaussian in one tile's list: the Gaussian in the low 28 bits, a mask of the tile's 4x4 blocks that it may reach
+/// above.
+using TileEntry = std::uint32_t;
 constexpr std::uint32_t kBlockShift = 28, kGaussianMask = (1U << kBlockShift) - 1;
 
-/// The blocks that a small Gaussian reaches: 2x2 tiles from `tile` on, four bits a tile (left to right, then down).
-struct TileReach {
-  static constexpr std::uint32_t kLarge = 1U << 16U;  ///< in `blocks`: it may reach more tiles than that
-  std::uint32_t tile, blocks;
+/// The blocks that a Gaussian reaches: 4x4 tiles from `tile` on, row after row, four bits a tile (left to right, then
+/// down); blocks[0] has the first two rows of tiles.
+struct alignas(16) TileReach {
+  static constexpr std::uint32_t kLarge = ~0U;  ///< as `tile`: it may reach more tiles than that
+  static constexpr std::uint32_t kSide = 4;     ///< tiles
+  std::uint32_t tile, blocks[2];
 };
 
 /// The pairs of a Gaussian: `count` slots from piece_slot[piece] + first.
@@ -91,6 +90,7 @@ struct DepthKey {
 
 /// Everything that a forward pass leaves for its backward pass.
 struct Frame {
+  bool keep = false;  ///< a backward pass will follow: what only it reads is written
   GaussiansView gaussians;
   Camera camera;
   RenderOptions options;
@@ -103,12 +103,13 @@ struct Frame {
 
   Scratch<Splat> splats;                  ///< [count], valid where visible
   Scratch<TileReach> reaches;             ///< [count], valid where visible
-  Scratch<PairRange> pair_ranges;         ///< [count]
+  Scratch<PairRange> pair_ranges;         ///< [count], kept
   std::vector<std::uint32_t> piece_slot;  ///< first slot of every binning piece
   Scratch<DepthKey> order;                ///< visible Gaussians, near to far
   std::size_t visible = 0;
 
-  Scratch<TileEntry> entries;
+  Scratch<TileEntry> entries;             ///< of tile after tile, near to far
+  Scratch<std::uint32_t> entry_of_slot;   ///< [pairs], kept
   std::vector<std::uint32_t> tile_begin;  ///< [tile_count + 1]
   std::size_t pairs = 0;
 
@@ -117,6 +118,7 @@ struct Frame {
   Scratch<std::int32_t> last_entry;      ///< index in the tile's list of the last entry that a pixel blends
   Scratch<std::uint32_t> block_entries;  ///< [tile][kTileBlocks] entries after which the block was finished
 
+  // Per entry: a tile's lie together, and neighbouring Gaussians find theirs in the same tiles.
   Scratch<PairGradient> pair_gradients;
   Scratch<std::uint8_t> pair_written;
 };

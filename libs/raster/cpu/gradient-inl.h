@@ -21,21 +21,31 @@ struct PixelSums {
   V largest_weight;
 };
 
+/// Fetches ahead: slots of neighbouring Gaussians lie apart, in depth order, and lead to entries in many tiles.
+HWY_INLINE void PrefetchPairs(const Frame& frame, const Columns& in) {
+  const auto each_of = [&](std::size_t vectors_ahead, auto&& fetch) {
+    const std::size_t begin = in.i + vectors_ahead * hn::Lanes(F());
+    const std::size_t end = std::min(begin + hn::Lanes(F()), in.gaussians.count);
+    for (std::size_t i = begin; i < end; ++i) {
+      const PairRange& range = frame.pair_ranges[i];
+      if (range.count != 0) fetch(&frame.entry_of_slot[frame.piece_slot[range.piece] + range.first], range.count);
+    }
+  };
+  each_of(2, [](const std::uint32_t* entries, std::uint32_t) { hwy::Prefetch(entries); });
+  each_of(1, [&](const std::uint32_t* entries, std::uint32_t count) {
+    for (std::uint32_t k = 0; k < std::min(count, 8U); ++k) {
+      if (frame.pair_written[entries[k]] != 0) hwy::Prefetch(&frame.pair_gradients[entries[k]]);
+    }
+  });
+}
+
 /// Sums the pairs of the Gaussians of `in`, for lanes that blended into a pixel; returns those lanes.
 HWY_INLINE M SumPairs(const Frame& frame, const Columns& in, PixelSums& out) {
   const F f;
   const hn::CappedTag<float, 16> record_tag;
   HWY_ALIGN float sums[hn::MaxLanes(F()) * 16];
   std::uint32_t bits = 0;
-  // Pairs of neighbouring Gaussians lie apart, in depth order: fetch those of the next vector.
-  const std::size_t next = in.i + hn::Lanes(f), next_end = std::min(next + hn::Lanes(f), in.gaussians.count);
-  for (std::size_t i = next; i < next_end; ++i) {
-    const PairRange& range = frame.pair_ranges[i];
-    if (range.count == 0) continue;
-    const std::uint32_t first = frame.piece_slot[range.piece] + range.first;
-    hwy::Prefetch(&frame.pair_written[first]);
-    for (std::uint32_t k = 0; k < std::min(range.count, 3U); ++k) hwy::Prefetch(&frame.pair_gradients[first + k]);
-  }
+  PrefetchPairs(frame, in);
   for (std::size_t lane = 0; lane < hn::Lanes(f); ++lane) {
     float* sum = sums + lane * 16;
     for (std::size_t k = 0; k < 16; k += hn::Lanes(record_tag)) hn::Store(hn::Zero(record_tag), record_tag, sum + k);
@@ -45,10 +55,11 @@ HWY_INLINE M SumPairs(const Frame& frame, const Columns& in, PixelSums& out) {
     const std::uint32_t first = frame.piece_slot[range.piece] + range.first, end = first + range.count;
     float largest = 0;
     for (std::uint32_t slot = first; slot < end; ++slot) {
-      if (frame.pair_written[slot] == 0) continue;
+      const std::uint32_t entry = frame.entry_of_slot[slot];
+      if (frame.pair_written[entry] == 0) continue;
       bits |= 1U << lane;
-      const auto* record = reinterpret_cast<const float*>(&frame.pair_gradients[slot]);
-      largest = std::max(largest, frame.pair_gradients[slot].largest_weight);
+      const auto* record = reinterpret_cast<const float*>(&frame.pair_gradients[entry]);
+      largest = std::max(largest, frame.pair_gradients[entry].largest_weight);
       for (std::size_t k = 0; k < 16; k += hn::Lanes(record_tag)) {
         hn::Store(hn::Add(hn::Load(record_tag, sum + k), hn::Load(record_tag, record + k)), record_tag, sum + k);
       }

@@ -7,8 +7,8 @@
 // so ranges may run on different threads.
 namespace splatbus::raster::cpu {
 
-/// Projects Gaussians [begin, end): writes Frame::splats, empty pair_ranges, and the keys of those that may be visible,
-/// whose number it returns. Non-finite parameters make a Gaussian invisible.
+/// Projects Gaussians [begin, end): writes Frame::splats, reaches, empty pair_ranges if kept, and the keys of those
+/// that may be visible, whose number it returns. Non-finite parameters make a Gaussian invisible.
 std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, DepthKey* visible);
 
 /// Tiles and blocks that the Gaussians [begin, end) of Frame::order reach, in that order; sets their pair_ranges and
@@ -16,10 +16,10 @@ std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, Dept
 void collect_pairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_t piece, std::size_t most,
                    PairBuffer& pairs, std::uint32_t* tile_counts);
 
-/// Blends one tile into the planes of `out`; with `keep` it leaves what the backward pass needs.
-void blend_tile(Frame& frame, std::uint32_t tile, bool keep, Render& out);
+/// Blends one tile into the planes of `out`; with Frame::keep it leaves what the backward pass needs.
+void blend_tile(Frame& frame, std::uint32_t tile, Render& out);
 
-/// Writes Frame::pair_gradients of every pair of the tile that was blended.
+/// Writes Frame::pair_gradients of every entry of the tile that was blended, and Frame::pair_written of all.
 void blend_tile_backward(Frame& frame, std::uint32_t tile, const RenderGradient& gradient);
 
 /// Where project_range_backward() adds: Gaussian i and channel c at values[c * stride + i - origin].

@@ -18,7 +18,7 @@ namespace splatbus::raster::cpu::HWY_NAMESPACE {
 struct SplatPlanes {
   HWY_ALIGN float values[16][hn::MaxLanes(F())];
   HWY_ALIGN std::uint32_t tile[hn::MaxLanes(F())];
-  HWY_ALIGN std::uint32_t blocks[hn::MaxLanes(F())];
+  HWY_ALIGN std::uint32_t blocks[2][hn::MaxLanes(F())];
 
   HWY_INLINE void Set(int field, V value) { hn::Store(value, F(), values[field]); }
   HWY_INLINE void CopyLane(std::uint32_t lane, Splat& to) const {
@@ -47,7 +47,15 @@ HWY_INLINE PixelRange RangeOf(V centre, V extent, std::uint32_t size) {
           hn::Floor(hn::Min(hn::Sub(hn::Add(centre, extent), half), edge))};
 }
 
-/// The blocks that small ellipses reach, exactly: the same cut as in collect.cpp, over Gaussians instead of over rows.
+/// Eight bits, a pair a tile, to the lower two bits of four nibbles.
+HWY_INLINE hn::Vec<I> SpreadPairs(hn::Vec<I> bits) {
+  const I d;
+  bits = hn::And(hn::Or(bits, hn::ShiftLeft<4>(bits)), hn::Set(d, 0x0F0F));
+  return hn::And(hn::Or(bits, hn::ShiftLeft<2>(bits)), hn::Set(d, 0x3333));
+}
+
+/// The blocks that ellipses of up to 4x4 tiles reach, exactly: the same cut as in collect.cpp, over Gaussians instead
+/// of over rows.
 HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V extent_y, V log2_alpha, V uxx, V uxy,
                          V uyy, V rightmost_dy, SplatPlanes& out) {
   const F f;
@@ -56,9 +64,10 @@ HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V 
                    columns = RangeOf(p.x, extent_x, frame.camera.width);
   const auto to_tile = [&](V pixel) { return hn::ShiftRight<3>(hn::ConvertTo(d, pixel)); };
   const auto tile_x = to_tile(columns.first), tile_y = to_tile(rows.first);
-  const auto one = hn::Set(d, 1), four = hn::Set(d, 4), zero = hn::Zero(d);
-  const auto large =
-      hn::Or(hn::Gt(hn::Sub(to_tile(columns.last), tile_x), one), hn::Gt(hn::Sub(to_tile(rows.last), tile_y), one));
+  const auto one = hn::Set(d, 1), eight = hn::Set(d, 8), zero = hn::Zero(d);
+  const auto side = hn::Set(d, static_cast<std::int32_t>(TileReach::kSide));
+  const auto more_columns = hn::Sub(to_tile(columns.last), tile_x), more_rows = hn::Sub(to_tile(rows.last), tile_y);
+  const auto large = hn::Or(hn::Gt(more_columns, hn::Sub(side, one)), hn::Gt(more_rows, hn::Sub(side, one)));
   const auto first_block_column = hn::Add(tile_x, tile_x);
   const V reach2 = hn::Add(log2_alpha, Splat1(7.9943534F + 1e-3F)), inverse_uxx = hn::Div(Splat1(1.0F), uxx);
   const V edge = Splat1(static_cast<float>(frame.camera.width) - 1);
@@ -68,8 +77,7 @@ HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V 
     return hn::Sqrt(hn::Max(hn::NegMulAdd(v, v, reach2), hn::Zero(f)));
   };
   V top = MulScalar(hn::ConvertTo(f, tile_y), float{kTileSide});
-  auto blocks = zero;
-  for (int row = 0; row < 4; ++row) {
+  const auto cut_row = [&] {
     const V low = hn::Max(top, rows.first), high = hn::Min(hn::Add(top, Splat1(float{kBlockSide} - 1)), rows.last);
     const V low_dy = hn::Sub(hn::Add(low, half), p.y), high_dy = hn::Sub(hn::Add(high, half), p.y);
     const V right_dy = hn::Min(hn::Max(rightmost_dy, low_dy), high_dy);
@@ -84,19 +92,24 @@ HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V 
     const auto relative = [&](V column) {
       return hn::Sub(hn::ShiftRight<2>(hn::ConvertTo(d, column)), first_block_column);
     };
-    const auto begin = hn::Min(hn::Max(relative(first), zero), four);
-    const auto end = hn::Min(hn::Max(hn::Add(relative(last), one), begin), four);
-    const auto bits = hn::IfThenZeroElse(none, hn::Sub(hn::Shl(one, end), hn::Shl(one, begin)));
-    // Two bits to the left tile, two to the right; rows 2 and 3 belong to the tiles below.
-    const auto left_bits = hn::And(bits, hn::Set(d, 3)), right_bits = hn::ShiftRight<2>(bits);
-    const auto both = hn::Or(left_bits, hn::ShiftLeft<4>(right_bits));
-    blocks = hn::Or(blocks, hn::Shl(both, hn::Set(d, row / 2 * 8 + row % 2 * 2)));
+    const auto begin = hn::Min(hn::Max(relative(first), zero), eight);
+    const auto end = hn::Min(hn::Max(hn::Add(relative(last), one), begin), eight);
     top = hn::Add(top, Splat1(float{kBlockSide}));
-  }
-  blocks = hn::IfThenElse(large, hn::Set(d, static_cast<std::int32_t>(TileReach::kLarge)), blocks);
-  const auto tile = hn::Add(hn::Mul(tile_y, hn::Set(d, static_cast<std::int32_t>(frame.tiles_x))), tile_x);
+    return SpreadPairs(hn::IfThenZeroElse(none, hn::Sub(hn::Shl(one, end), hn::Shl(one, begin))));
+  };
+  // Two rows of tiles, each of two rows of blocks.
+  const auto cut_tiles = [&] {
+    auto blocks = cut_row();
+    blocks = hn::Or(blocks, hn::ShiftLeft<2>(cut_row()));
+    blocks = hn::Or(blocks, hn::ShiftLeft<16>(cut_row()));
+    return hn::Or(blocks, hn::ShiftLeft<18>(cut_row()));
+  };
+  hn::Store(hn::BitCast(U(), cut_tiles()), U(), out.blocks[0]);
+  const bool tall = !hn::AllFalse(d, hn::Gt(more_rows, one));
+  hn::Store(hn::BitCast(U(), tall ? cut_tiles() : zero), U(), out.blocks[1]);
+  auto tile = hn::Add(hn::Mul(tile_y, hn::Set(d, static_cast<std::int32_t>(frame.tiles_x))), tile_x);
+  tile = hn::IfThenElse(large, hn::Set(d, -1), tile);
   hn::Store(hn::BitCast(U(), tile), U(), out.tile);
-  hn::Store(hn::BitCast(U(), blocks), U(), out.blocks);
 }
 
 /// Which of `lanes` may be seen, with their Splats in `planes`.
@@ -176,7 +189,7 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
   std::uint32_t cached_id = 0, cached_frame = gaussians.object_id == nullptr ? 0 : frame.objects.find(0);
   for (std::size_t i = begin; i < end; i += step) {
     const Columns in{gaussians, i, std::min(step, end - i)};
-    for (std::size_t k = 0; k < in.n; ++k) frame.pair_ranges[i + k].count = 0;
+    for (std::size_t k = 0; k < in.n && frame.keep; ++k) frame.pair_ranges[i + k].count = 0;
     M remaining = hn::FirstN(f, in.n);
     std::uint32_t remaining_bits = LaneBits(remaining);
     // Lanes of one object at a time; neighbours nearly always share theirs.
@@ -197,7 +210,7 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
         const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits));
         const auto gaussian = static_cast<std::uint32_t>(i + lane);
         planes.CopyLane(lane, frame.splats[gaussian]);
-        frame.reaches[gaussian] = {planes.tile[lane], planes.blocks[lane]};
+        frame.reaches[gaussian] = {planes.tile[lane], {planes.blocks[0][lane], planes.blocks[1][lane]}};
         out[count++] = {std::bit_cast<std::uint32_t>(planes.values[9][lane]), gaussian};
       }
       remaining_bits &= ~lane_bits;
