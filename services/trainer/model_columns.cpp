@@ -2,12 +2,19 @@
 
 #include "bus/error.h"
 #include "trainer/host_columns.h"
+#ifdef SPLATBUS_HAVE_CUDA
+#include "trainer/cuda/device_columns.h"
+#endif
 
 namespace splatbus::trainer {
 
 std::unique_ptr<ModelColumns> make_model_columns(bus::MemoryKind memory) {
   if (memory == bus::MemoryKind::Host) return std::make_unique<HostColumns>();
-  throw bus::Error("this build has no model in CUDA memory");
+#ifdef SPLATBUS_HAVE_CUDA
+  return std::make_unique<cuda::DeviceColumns>();
+#else
+  throw bus::Error("this build has no CUDA memory");
+#endif
 }
 
 }  // namespace splatbus::trainer

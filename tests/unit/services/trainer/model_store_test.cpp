@@ -74,6 +74,10 @@ class ModelStoreTest : public bus_test::BusTest {
     header_ = context_->adopt_slab("trainer/model-header");
     return *reinterpret_cast<SlabHeader*>(header_->slot_data(0));
   }
+  Structure& current_structure() {
+    SlabHeader& of = header();
+    return of.structure.at(of.current);
+  }
 
   /// First mean coordinate of every Gaussian by id.
   static std::map<std::uint64_t, float> by_id(const GaussiansView& view) {
@@ -332,10 +336,10 @@ TEST_F(ModelStoreTest, AnotherLayoutOrGarbageBeginsEmptyAndSaysWhy) {
   EXPECT_THAT(store_->origin(), HasSubstr("appearance"));
 
   restart();
-  header().structure.at(header().current).capacity = 1U << 20;
+  current_structure().capacity = 1U << 20;
   restart();
   EXPECT_THAT(store_->origin(), AllOf(HasSubstr("of no use"), HasSubstr("too small for a capacity")));
-  header().structure.at(header().current).count = 65;
+  current_structure().count = 65;
   restart();
   EXPECT_THAT(store_->origin(), HasSubstr("contradict"));
   header().current = 7;

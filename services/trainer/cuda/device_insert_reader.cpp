@@ -1,0 +1,54 @@
+#include "trainer/cuda/device_insert_reader.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "bus/memory.h"
+#include "trainer/cuda/device_rows.h"
+
+namespace splatbus::trainer::cuda {
+
+DeviceInsertReader::DeviceInsertReader(std::atomic<std::uint64_t>& host_bytes)
+    : host_bytes_(host_bytes), kept_(1), host_kept_(1) {}
+
+InsertReading DeviceInsertReader::read(const bus::Message& message) {
+  InsertReading reading;
+  const auto tensors = find_insert_tensors(message, reading.batch);
+  reading.lost = !tensors || (tensors->rows > 0 && !copy(*tensors));
+  if (!reading.lost && tensors->rows > 0) keep_valid_rows(reading.batch, tensors->rows);
+  return reading;
+}
+
+bool DeviceInsertReader::copy(const InsertTensors& tensors) {
+  announced_.resize(insert_rows_bytes(tensors.rows));
+  std::byte* to = announced_.data();
+  std::uint64_t from_host = 0;
+  for (const bus::TensorView& plane : tensors.planes) {
+    bus::copy_memory(to, bus::MemoryKind::Cuda, plane.data(), plane.memory(), plane.bytes());
+    to += plane.bytes();
+    if (plane.memory() == bus::MemoryKind::Host) from_host += plane.bytes();
+  }
+  bus::finish_copies();
+  host_bytes_ += from_host;
+  return std::all_of(tensors.planes.begin(), tensors.planes.end(),
+                     [](const bus::TensorView& plane) { return plane.still_valid(); });
+}
+
+void DeviceInsertReader::keep_valid_rows(InsertBatch& batch, std::uint32_t rows) {
+  const DeviceRows announced = device_rows(insert_rows_at(announced_.data(), bus::MemoryKind::Cuda, rows));
+  valid_.resize(rows);
+  keep_.resize(rows);
+  scratch_.resize(valid_rows_scratch_bytes(rows));
+  launch_find_valid_rows(announced, rows, valid_.data(), keep_.data(), kept_.data(), scratch_.data(), scratch_.size(),
+                         stream_.get());
+  auto memory = pool_.take(insert_rows_bytes(rows));
+  batch.device_rows = insert_rows_at(memory.get(), bus::MemoryKind::Cuda, rows);
+  launch_gather_rows(announced, rows, keep_.data(), kept_.data(), device_rows(batch.device_rows), stream_.get());
+  kept_.download(host_kept_.data(), 1, stream_.get());
+  stream_.wait();
+  batch.device_memory = std::move(memory);
+  batch.count = host_kept_[0];
+  batch.dropped = rows - batch.count;
+}
+
+}  // namespace splatbus::trainer::cuda
