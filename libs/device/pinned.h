@@ -33,6 +33,7 @@ class Pinned {
     }
   }
   [[nodiscard]] T* data() const { return data_; }
+  [[nodiscard]] std::size_t size() const { return size_; }
   [[nodiscard]] T& operator[](std::size_t i) const { return data_[i]; }
 
  private:

@@ -6,6 +6,7 @@
 #include <cassert>
 #include <cmath>
 
+#include "stream/coding.h"
 #include "stream/error.h"
 
 namespace splatbus::stream {
@@ -102,20 +103,44 @@ StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
   return layout;
 }
 
+int parameter_channel(Attribute attribute) {
+  switch (attribute) {
+    case Attribute::Mean:
+      return ParameterLayout::kMean;
+    case Attribute::LogScale:
+      return ParameterLayout::kLogScale;
+    case Attribute::Rotation:
+      return ParameterLayout::kRotation;
+    case Attribute::Opacity:
+      return ParameterLayout::kOpacityLogit;
+    case Attribute::Residual:
+      return ParameterLayout::kResidual;
+    case Attribute::ShRest:
+      return ParameterLayout::kAppearance + 3;
+    default:
+      return ParameterLayout::kAppearance;
+  }
+}
+
+float mean_step_for(float median_log_extent) {
+  const float exponent = std::floor(median_log_extent / std::log(2.0F)) - 5;
+  return std::ldexp(1.0F, static_cast<int>(std::clamp(exponent, -20.0F, 0.0F)));
+}
+
 float choose_mean_step(const GaussiansView& gaussians) {
   std::vector<float> extent;
   extent.reserve(gaussians.count);
+  const float* const a = gaussians.plane(ParameterLayout::kLogScale);
+  const float* const b = gaussians.plane(ParameterLayout::kLogScale + 1);
+  const float* const c = gaussians.plane(ParameterLayout::kLogScale + 2);
   for (std::size_t i = 0; i < gaussians.count; ++i) {
-    std::array<float, 3> s{};
-    for (int c = 0; c < 3; ++c) s[c] = gaussians.plane(ParameterLayout::kLogScale + c)[i];
-    std::ranges::sort(s);
-    if (std::isfinite(s[1])) extent.push_back(s[1]);
+    const float middle = coding::middle_of(a[i], b[i], c[i]);
+    if (std::isfinite(middle)) extent.push_back(middle);
   }
-  if (extent.empty()) return std::ldexp(1.0F, -11);
+  if (extent.empty()) return kDefaultMeanStep_m;
   auto middle = extent.begin() + static_cast<std::ptrdiff_t>(extent.size() / 2);
   std::ranges::nth_element(extent, middle);
-  const float exponent = std::floor(*middle / std::log(2.0F)) - 5;
-  return std::ldexp(1.0F, static_cast<int>(std::clamp(exponent, -20.0F, 0.0F)));
+  return mean_step_for(*middle);
 }
 
 }  // namespace splatbus::stream

@@ -77,8 +77,15 @@ class StreamLayout {
   int channels_ = 0;
 };
 
+/// The first of ParameterLayout's channels that the attribute is made from; Normal and Visibility have planes of their
+/// own.
+[[nodiscard]] int parameter_channel(Attribute attribute);
+
 /// A 32nd of the median Gaussian's extent (second largest scale), rounded down to a power of two, between 2^-20 and 1
 /// m; 2^-11 m when there is none. Error of a mean: at most half of that, under 2 % of a typical Gaussian's sigma.
 [[nodiscard]] float choose_mean_step(const GaussiansView& gaussians);
+inline constexpr float kDefaultMeanStep_m = 1.0F / 2048;
+/// The same from the median of the log of the extents.
+[[nodiscard]] float mean_step_for(float median_log_extent);
 
 }  // namespace splatbus::stream

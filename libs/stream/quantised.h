@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "gaussians/model.h"
+#include "stream/coding.h"
 #include "stream/layout.h"
 
 namespace splatbus::stream {
@@ -45,6 +46,9 @@ void remove_at(std::vector<T>& values, std::span<const std::uint32_t> ascending)
   }
   values.resize(to);
 }
+
+/// How a channel of the attribute becomes an integer.
+[[nodiscard]] coding::Step step_of(const AttributeChannels& channels);
 
 /// Nearest integers of columns [0, gaussians.count) of a view, into `out` (resized; buffers are reused). Reads
 /// parameters, normal and visibility (Transfer; null: up, 1), object_id and gaussian_id where they are not null. Values

@@ -13,24 +13,11 @@
 
 namespace splatbus::stream {
 
-namespace {
-
-bool same(const Light& a, const Light& b) {
-  return a.generation == b.generation && a.ambient_sh == b.ambient_sh && a.sun_direction == b.sun_direction &&
-         a.sun_irradiance == b.sun_irradiance && a.background == b.background;
-}
-
-bool same(const ObjectTransforms& a, const ObjectTransforms& b) {
-  return std::ranges::equal(a, b, [](const auto& x, const auto& y) {
-    return x.first == y.first && x.second.rotation == y.second.rotation && x.second.translation == y.second.translation;
-  });
-}
-
-}  // namespace
-
-StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options)
+StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options,
+                         std::unique_ptr<Observer> observer)
     : writer_(std::move(writer)),
       options_(options),
+      observer_(std::move(observer)),
       selection_(StreamLayout{}, options_.schedules, options_.calm_ticks) {
   assert(options_.chunk_gaussians > 0 && options_.chunk_gaussians <= kMaxChunkGaussians);
   held_.epoch = stream_epoch;
@@ -45,8 +32,8 @@ void StreamModel::set_scene(const SceneState& scene, std::uint64_t frame) {
   if (scene.objects.size() > kMaxObjects) {
     throw StreamError(fmt::format("scene: {} objects, at most {} can be streamed", scene.objects.size(), kMaxObjects));
   }
-  light_changed_ = light_changed_ || !same(scene.light, scene_.light);
-  objects_changed_ = objects_changed_ || !same(scene.objects, scene_.objects);
+  light_changed_ = light_changed_ || scene.light != scene_.light;
+  objects_changed_ = objects_changed_ || scene.objects != scene_.objects;
   scene_ = scene;
   scene_frame_ = frame;
 }
@@ -71,23 +58,15 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   }
   const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
   const StreamLayout layout =
-      another || !ready_ ? StreamLayout(gaussians.layout, choose_mean_step(gaussians)) : *target_layout_;
+      another || !ready_ ? StreamLayout(gaussians.layout, observer_->choose_mean_step(gaussians)) : *target_layout_;
   const bool mirrored = ready_ && !another;
-
-  std::vector<std::uint64_t> ids(gaussians.count);
-  if (gaussians.gaussian_id) {
-    std::copy_n(gaussians.gaussian_id, gaussians.count, ids.begin());
-  } else {
-    std::iota(ids.begin(), ids.end(), std::uint64_t{1});
-  }
+  const std::span<const std::uint64_t> ids = observer_->ids(gaussians);
   const std::vector<std::uint32_t> slots = mirrored ? slots_of(ids) : std::vector<std::uint32_t>(ids.size(), kNotHeld);
-  quantise(gaussians, layout, scratch_, scratch_usable_, mirrored ? &held_.gaussians : nullptr, slots.data());
+  observer_->quantise(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
   if (still_valid && !still_valid()) return false;
 
   if (another) ready_ = false;
-  scratch_.gaussian_id = std::move(ids);
-  std::swap(target_, scratch_);
-  std::swap(usable_, scratch_usable_);
+  observer_->commit(target_, usable_);
   target_layout_ = layout;
   if (ready_) map_columns();
   return true;

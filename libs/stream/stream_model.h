@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <span>
 #include <unordered_map>
@@ -10,6 +11,7 @@
 #include "gaussians/camera.h"
 #include "stream/delta_selection.h"
 #include "stream/held_state.h"
+#include "stream/observer.h"
 
 namespace splatbus::stream {
 
@@ -31,7 +33,9 @@ struct EncodedSnapshot {
 /// model. The mirror changes only by the very bytes that are sent. Not thread-safe.
 class StreamModel {
  public:
-  StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options = {});
+  /// `observer` decides in which memory the views lie that observe() is given.
+  StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options = {},
+              std::unique_ptr<Observer> observer = make_host_observer());
 
   /// Quantises what is published now into memory of its own; `still_valid` says afterwards whether what was read was
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
@@ -63,6 +67,8 @@ class StreamModel {
 
   [[nodiscard]] const HeldState& held() const { return held_; }
   [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
+  [[nodiscard]] const QuantisedGaussians& observed_gaussians() const { return target_; }
+  [[nodiscard]] const Observer& observer() const { return *observer_; }
   [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }  ///< observed, not held, after the last tick
   [[nodiscard]] std::size_t pending_deltas() const { return selection_.pending(); }
 
@@ -82,6 +88,7 @@ class StreamModel {
 
   PacketWriter writer_;
   StreamOptions options_;
+  std::unique_ptr<Observer> observer_;
   HeldState held_;
   DeltaSelection selection_;
   bool ready_ = false;
@@ -91,8 +98,8 @@ class StreamModel {
   bool light_changed_ = false, objects_changed_ = false;
 
   std::optional<StreamLayout> target_layout_;
-  QuantisedGaussians target_, scratch_;
-  std::vector<std::uint8_t> usable_, scratch_usable_;
+  QuantisedGaussians target_;
+  std::vector<std::uint8_t> usable_;
   std::vector<std::uint32_t> slot_of_column_;  ///< kNotHeld: not held
   std::vector<std::uint32_t> column_of_slot_;  ///< kNotHeld: not in the target, or not usable
   std::vector<std::uint32_t> gone_;            ///< slots that the target has no more, ascending

@@ -51,7 +51,9 @@ Streamer::Streamer(bus::ServiceContext& service)
       stats_(service.bus, "stream/stats"),
       endpoint_(streamer::endpoints(service.parameters, service.bus->address())),
       writer_(service.bus->source(), service.bus->epoch()),
-      model_(writer_, service.bus->epoch(), stream_options(service.parameters)),
+      model_(writer_, service.bus->epoch(), stream_options(service.parameters),
+             stream::make_observer(service.backend == bus::Backend::Cuda ? stream::ModelMemory::Device
+                                                                         : stream::ModelMemory::Host)),
       hub_(endpoint_, model_, writer_, hub_options(service.parameters), events()) {
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
@@ -155,10 +157,13 @@ bool Streamer::observe() {
     const bus::Message message = *announcement_;
     announcement_.reset();
     bus::guarded(message, [&] {
-      if (auto opened = PublishedModel::open(message)) published_ = std::move(*opened);
+      auto opened = PublishedModel::open(message, bus::memory_of(service_.backend), PublishedModel::Need::Average);
+      if (!opened) return;
+      if (published_) host_copied_bytes_ += published_->copied_bytes();
+      published_ = std::move(*opened);
     });
   }
-  if (!published_ || !published_->still_valid()) return false;
+  if (!published_ || !published_->refresh()) return false;
   return model_.observe(published_->average(), [&] { return published_->still_valid(); });
 }
 
@@ -219,6 +224,9 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("unsent_gaussians", static_cast<double>(model_.unsent()));
   service_.counter("pending_deltas", static_cast<double>(model_.pending_deltas()));
   service_.counter("tick_ms", tick_ms_);
+  const std::uint64_t copying = published_ ? published_->copied_bytes() : 0;
+  service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_ + copying));
+  service_.counter("observed_bytes", static_cast<double>(model_.observer().copied_bytes()));
   service_.counter("wire_mbps", window.mbps);
   service_.counter("wire_mbps_mean", window.mbps_mean);
   service_.counter("wire_mbps_peak", window.mbps_peak);

@@ -48,6 +48,7 @@ class Streamer {
   double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it
   std::uint64_t parameters_version_ = 0;
   double tick_ms_ = 0;
+  std::uint64_t host_copied_bytes_ = 0;  ///< of models that were open before; planes, not what leaves the machine
 };
 
 }  // namespace splatbus::streamer
