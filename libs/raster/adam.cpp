@@ -12,7 +12,7 @@ void Adam::resize(const ParameterLayout& layout, std::size_t count, std::size_t 
   if (layout == layout_ && stride == stride_ && !first_.empty()) {
     // Columns that come back after a shrink begin anew.
     for (std::size_t i = count; i < count_; ++i) steps_[i] = 0;
-    for (std::vector<float>* moments : {&first_, &second_}) {
+    for (Moments* moments : {&first_, &second_}) {
       for (int c = 0; c < layout.channels(); ++c) {
         float* plane = moments->data() + static_cast<std::size_t>(c) * stride;
         for (std::size_t i = count; i < count_; ++i) plane[i] = 0;
@@ -22,8 +22,8 @@ void Adam::resize(const ParameterLayout& layout, std::size_t count, std::size_t 
     return;
   }
   const std::size_t kept = layout == layout_ ? std::min(count, count_) : 0;
-  for (std::vector<float>* moments : {&first_, &second_}) {
-    std::vector<float> moved(static_cast<std::size_t>(layout.channels()) * stride, 0.0F);
+  for (Moments* moments : {&first_, &second_}) {
+    Moments moved(static_cast<std::size_t>(layout.channels()) * stride, 0.0F);
     for (int c = 0; c < layout.channels() && kept > 0; ++c) {
       const auto plane = static_cast<std::size_t>(c);
       std::copy_n(moments->data() + plane * stride_, kept, moved.data() + plane * stride);
@@ -48,7 +48,7 @@ void Adam::permute(const std::vector<std::uint32_t>& keep) {
     std::copy_n(scratch.begin(), keep.size(), values);
     std::fill(values + keep.size(), values + std::max(count_, keep.size()), 0);
   };
-  for (std::vector<float>* moments : {&first_, &second_}) {
+  for (Moments* moments : {&first_, &second_}) {
     for (int c = 0; c < layout_.channels(); ++c) gather(moments->data() + static_cast<std::size_t>(c) * stride_, moved);
   }
   std::vector<std::uint32_t> moved_steps(stride_);

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "raster/large_pages.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster {
@@ -29,7 +30,8 @@ class Adam {
  private:
   ParameterLayout layout_;
   std::size_t count_ = 0, stride_ = 0;
-  std::vector<float> first_, second_;
+  using Moments = std::vector<float, LargePageAllocator<float>>;
+  Moments first_, second_;
   std::vector<std::uint32_t> steps_;  ///< a Gaussian, for its bias correction
 };
 

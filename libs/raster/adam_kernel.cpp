@@ -11,6 +11,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/adam_kernel.cpp"
 #include "hwy/foreach_target.h"
+#include "hwy/cache_control.h"
 #include "hwy/contrib/math/math-inl.h"
 #include "raster/cpu/lanes-inl.h"
 // clang-format on
@@ -55,9 +56,16 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
     float* first = step.first + plane * step.moment_stride + begin;
     float* second = step.second + plane * step.moment_stride + begin;
     const V rate = Splat1(step.learning_rate[channel]);
+    // The next channel's columns come from memory meanwhile.
+    const bool more = channel + 1 < step.channels;
+    const std::size_t next = more ? step.stride : 0, next_moment = more ? step.moment_stride : 0;
     for (std::size_t k = 0; k < count; k += lanes) {
       if (busy[k / lanes] == 0) continue;
       const std::size_t n = count - k;
+      const std::size_t last = std::min(n, lanes) - 1 + k;
+      hwy::Prefetch(first + next_moment + last);
+      hwy::Prefetch(second + next_moment + last);
+      hwy::Prefetch(parameters + next + last);
       const V correction = hn::Load(f, first_correction.data() + k);
       const M moving = hn::Gt(correction, hn::Zero(f));
       const V g = LoadFirst(f, gradient + k, n);

@@ -34,6 +34,7 @@ struct BlockList {
   HWY_ALIGN std::uint32_t index[kChunk + hn::MaxLanes(U())];  ///< in the chunk
 };
 
+template <bool kKeep>
 HWY_INLINE void CloseUp(const TileEntry* entries, std::uint32_t count, std::uint32_t block, BlockList& out) {
   const U u;
   const auto bit = hn::Set(u, 1U << (kBlockShift + block)), mask = hn::Set(u, kGaussianMask);
@@ -42,14 +43,14 @@ HWY_INLINE void CloseUp(const TileEntry* entries, std::uint32_t count, std::uint
     const auto inside = hn::FirstN(u, count - k);
     const auto packed = hn::MaskedLoad(inside, u, entries + k);
     const auto reached = hn::TestBit(packed, bit);
-    hn::CompressStore(hn::Iota(u, k), reached, u, out.index + out.count);
-    out.count +=
-        static_cast<std::uint32_t>(hn::CompressStore(hn::And(packed, mask), reached, u, out.gaussian + out.count));
+    hn::StoreU(hn::Compress(hn::And(packed, mask), reached), u, out.gaussian + out.count);
+    if constexpr (kKeep) hn::StoreU(hn::Compress(hn::Iota(u, k), reached), u, out.index + out.count);
+    out.count += static_cast<std::uint32_t>(hn::CountTrue(u, reached));
   }
 }
 
 /// Blends the Gaussians of a list into one vector of pixels, whose state stays in registers. Returns how many entries
-/// of the chunk were needed until no pixel took anything any more, or `unfinished`.
+/// of the chunk were needed until no pixel took anything any more (0 where that is not kept), or `unfinished`.
 template <int kPlanes, bool kKeep>
 HWY_INLINE std::uint32_t BlendPixels(const Frame& frame, const BlockList& list, std::uint32_t first_index,
                                      std::uint32_t pixel, const PixelCentres& centres, std::uint32_t unfinished,
@@ -80,7 +81,7 @@ HWY_INLINE std::uint32_t BlendPixels(const Frame& frame, const BlockList& list, 
     }
     alive = still_alive;
     if (HWY_UNLIKELY(hn::AllFalse(f, alive))) {
-      needed = list.index[k] + 1;
+      needed = kKeep ? list.index[k] + 1 : 0;
       break;
     }
   }
@@ -142,7 +143,7 @@ void BlendTilePlanes(Frame& frame, std::uint32_t tile_index, Render& out) {
     PrefetchSplats(frame, chunk + count, std::min(chunk + count + kChunk, end));
     for (std::uint32_t block = 0; block < kTileBlocks; ++block) {
       if ((live >> block & 1U) == 0) continue;
-      CloseUp(frame.entries.data() + chunk, count, block, list);
+      CloseUp<kKeep>(frame.entries.data() + chunk, count, block, list);
       std::uint32_t needed = 0;
       for (std::uint32_t k = 0; k < kBlockPixels; k += static_cast<std::uint32_t>(hn::Lanes(F()))) {
         const std::uint32_t pixel = block * kBlockPixels + k;

@@ -14,16 +14,29 @@
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
-/// Values of the sixteen fields of the Splats of a vector of Gaussians, written as sixteen planes and read as records.
+/// The Splats and reaches of a vector of Gaussians, as planes of fields.
 struct SplatPlanes {
   HWY_ALIGN float values[16][hn::MaxLanes(F())];
   HWY_ALIGN std::uint32_t tile[hn::MaxLanes(F())];
   HWY_ALIGN std::uint32_t blocks[2][hn::MaxLanes(F())];
 
   HWY_INLINE void Set(int field, V value) { hn::Store(value, F(), values[field]); }
+  [[nodiscard]] HWY_INLINE V Get(int field) const { return hn::Load(F(), values[field]); }
+};
+
+/// The same as records: quarter q of lane l at values[q][4 l].
+struct SplatQuarters {
+  HWY_ALIGN float values[4][4 * hn::MaxLanes(F())];
+
+  explicit HWY_INLINE SplatQuarters(const SplatPlanes& planes) {
+    for (int q = 0; q < 4; ++q) {
+      hn::StoreInterleaved4(planes.Get(4 * q), planes.Get(4 * q + 1), planes.Get(4 * q + 2), planes.Get(4 * q + 3), F(),
+                            values[q]);
+    }
+  }
   HWY_INLINE void CopyLane(std::uint32_t lane, Splat& to) const {
     auto* out = reinterpret_cast<float*>(&to);
-    for (int field = 0; field < 16; ++field) out[field] = values[field][lane];
+    for (int q = 0; q < 4; ++q) std::copy_n(values[q] + 4 * lane, 4, out + 4 * q);
   }
 };
 
@@ -112,9 +125,17 @@ HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V 
   hn::Store(hn::BitCast(U(), tile), U(), out.tile);
 }
 
-/// Which of `lanes` may be seen, with their Splats in `planes`.
-HWY_INLINE M ProjectLanes(const Frame& frame, const ObjectFrame& object, const Columns& in, M lanes,
-                          SplatPlanes& planes) {
+/// Gaussians whose geometry is known and whose colour is on its way from memory.
+struct Pending {
+  std::size_t i, n;
+  const ObjectFrame* object;
+  M visible;
+  SplatPlanes planes;
+};
+
+/// Which of `lanes` may be seen, with all but the colours of their Splats in `planes`.
+HWY_INLINE M PlaceLanes(const Frame& frame, const ObjectFrame& object, const Columns& in, M lanes,
+                        SplatPlanes& planes) {
   const F f;
   const Vec3 mean{in.Load(0), in.Load(1), in.Load(2)};
   const V z = CameraPoint(object, mean).z;
@@ -147,30 +168,13 @@ HWY_INLINE M ProjectLanes(const Frame& frame, const ObjectFrame& object, const C
   visible = hn::And(visible, hn::Le(hn::Sub(p.y, extent_y), Splat1(static_cast<float>(frame.camera.height) - 0.5F)));
   if (hn::AllFalse(f, visible)) return visible;
 
-  Vec3 colour, albedo{hn::Zero(f), hn::Zero(f), hn::Zero(f)};
-  if (in.gaussians.layout.appearance == Appearance::Transfer) {
-    albedo = {in.Load(ParameterLayout::kAlbedo), in.Load(ParameterLayout::kAlbedo + 1),
-              in.Load(ParameterLayout::kAlbedo + 2)};
-    colour = ShadeTransfer(object, in, albedo);
-    visible = hn::And(visible, hn::And(Bounded(albedo.x), hn::And(Bounded(albedo.y), Bounded(albedo.z))));
-  } else {
-    colour = ShadeRadiance(object, in, mean);
-  }
-  visible = hn::And(visible, hn::And(Bounded(colour.x), hn::And(Bounded(colour.y), Bounded(colour.z))));
-
   planes.Set(0, p.x);
   planes.Set(1, p.y);
   planes.Set(2, log2_alpha);
   planes.Set(3, MulScalar(uxx, kWhiteScale));
   planes.Set(4, MulScalar(uxy, kWhiteScale));
   planes.Set(5, MulScalar(inverse_root_c, kWhiteScale));
-  planes.Set(6, ClampColour(colour.x));
-  planes.Set(7, ClampColour(colour.y));
-  planes.Set(8, ClampColour(colour.z));
   planes.Set(9, z);
-  planes.Set(10, albedo.x);
-  planes.Set(11, albedo.y);
-  planes.Set(12, albedo.z);
   planes.Set(13, extent_x);
   planes.Set(14, extent_y);
   const V rightmost_dy = hn::Div(hn::Mul(reach, p.b), root_a);
@@ -180,15 +184,52 @@ HWY_INLINE M ProjectLanes(const Frame& frame, const ObjectFrame& object, const C
   return visible;
 }
 
-std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, DepthKey* out) {
+/// Shades what was placed, and writes those that may be seen; returns the end of their keys.
+HWY_INLINE DepthKey* FinishLanes(Frame& frame, Pending& pending, DepthKey* out) {
+  const F f;
+  const Columns in{frame.gaussians, pending.i, pending.n};
+  SplatPlanes& planes = pending.planes;
+  Vec3 colour, albedo{hn::Zero(f), hn::Zero(f), hn::Zero(f)};
+  M visible = pending.visible;
+  if (in.gaussians.layout.appearance == Appearance::Transfer) {
+    albedo = {in.Load(ParameterLayout::kAlbedo), in.Load(ParameterLayout::kAlbedo + 1),
+              in.Load(ParameterLayout::kAlbedo + 2)};
+    colour = ShadeTransfer(*pending.object, in, albedo);
+    visible = hn::And(visible, hn::And(Bounded(albedo.x), hn::And(Bounded(albedo.y), Bounded(albedo.z))));
+  } else {
+    colour = ShadeRadiance(*pending.object, in, {in.Load(0), in.Load(1), in.Load(2)});
+  }
+  visible = hn::And(visible, hn::And(Bounded(colour.x), hn::And(Bounded(colour.y), Bounded(colour.z))));
+  planes.Set(6, ClampColour(colour.x));
+  planes.Set(7, ClampColour(colour.y));
+  planes.Set(8, ClampColour(colour.z));
+  planes.Set(10, albedo.x);
+  planes.Set(11, albedo.y);
+  planes.Set(12, albedo.z);
+  const SplatQuarters quarters(planes);
+  for (std::uint32_t bits = LaneBits(visible); bits != 0; bits &= bits - 1) {
+    const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits));
+    const auto gaussian = static_cast<std::uint32_t>(pending.i + lane);
+    quarters.CopyLane(lane, frame.splats[gaussian]);
+    frame.reaches[gaussian] = {planes.tile[lane], {planes.blocks[0][lane], planes.blocks[1][lane]}};
+    *out++ = {std::bit_cast<std::uint32_t>(planes.values[9][lane]), gaussian};
+  }
+  return out;
+}
+
+std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, DepthKey* keys) {
   const F f;
   const std::size_t step = hn::Lanes(f);
   const GaussiansView& gaussians = frame.gaussians;
-  SplatPlanes planes;
-  std::size_t count = 0;
+  DepthKey* out = keys;
+  // While one vector's geometry is worked out, the appearance of the one before comes from memory.
+  Pending pending[2];
+  int turn = 0;
+  bool waiting = false;
   std::uint32_t cached_id = 0, cached_frame = gaussians.object_id == nullptr ? 0 : frame.objects.find(0);
   for (std::size_t i = begin; i < end; i += step) {
     const Columns in{gaussians, i, std::min(step, end - i)};
+    if (i + 2 * step < end) PrefetchPlanes(gaussians, i + 2 * step, 0, ParameterLayout::kAppearance);
     for (std::size_t k = 0; k < in.n && frame.keep; ++k) frame.pair_ranges[i + k].count = 0;
     M remaining = hn::FirstN(f, in.n);
     std::uint32_t remaining_bits = LaneBits(remaining);
@@ -205,19 +246,22 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
         lanes = hn::And(remaining, hn::RebindMask(f, hn::Eq(ids, hn::Set(U(), id))));
       }
       const std::uint32_t lane_bits = LaneBits(lanes);
-      std::uint32_t bits = LaneBits(ProjectLanes(frame, frame.objects[cached_frame], in, lanes, planes));
-      for (; bits != 0; bits &= bits - 1) {
-        const auto lane = static_cast<std::uint32_t>(std::countr_zero(bits));
-        const auto gaussian = static_cast<std::uint32_t>(i + lane);
-        planes.CopyLane(lane, frame.splats[gaussian]);
-        frame.reaches[gaussian] = {planes.tile[lane], {planes.blocks[0][lane], planes.blocks[1][lane]}};
-        out[count++] = {std::bit_cast<std::uint32_t>(planes.values[9][lane]), gaussian};
-      }
       remaining_bits &= ~lane_bits;
       remaining = hn::AndNot(lanes, remaining);
+      Pending& placed = pending[turn];
+      placed.i = i;
+      placed.n = in.n;
+      placed.object = &frame.objects[cached_frame];
+      placed.visible = PlaceLanes(frame, *placed.object, in, lanes, placed.planes);
+      if (hn::AllFalse(f, placed.visible)) continue;
+      PrefetchPlanes(gaussians, i, ParameterLayout::kAppearance, gaussians.layout.channels());
+      turn ^= 1;
+      if (waiting) out = FinishLanes(frame, pending[turn], out);
+      waiting = true;
     }
   }
-  return count;
+  if (waiting) out = FinishLanes(frame, pending[turn ^ 1], out);
+  return static_cast<std::size_t>(out - keys);
 }
 
 }  // namespace splatbus::raster::cpu::HWY_NAMESPACE

@@ -28,44 +28,68 @@ HWY_INLINE void AddTo(float* to, V value, std::size_t n) {
   StoreFirst(f, hn::Add(LoadFirst(f, to, n), value), to, n);
 }
 
+/// Adds the gradients of a vector's Gaussians that blended into a pixel.
+HWY_INLINE void AddGradients(const Frame& frame, const Columns& in, const PixelSums& sums, M touched,
+                             const GradientTarget& out) {
+  const F f;
+  const GaussiansView& gaussians = frame.gaussians;
+  const std::size_t i = in.i;
+  M remaining = hn::And(touched, ActiveLanes(in));
+  std::uint32_t bits = LaneBits(remaining);
+  while (bits != 0) {
+    M lanes = remaining;
+    std::uint32_t object = 0;
+    if (gaussians.object_id != nullptr) {
+      const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(bits))];
+      object = frame.objects.find(id);
+      lanes = hn::And(remaining,
+                      hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
+    }
+    const auto emit = [&](int channel, V gradient) {
+      if (channel >= out.active_channels) return;
+      float* plane = out.values + static_cast<std::size_t>(channel) * out.stride + i - out.origin;
+      AddTo(plane, hn::IfThenElseZero(lanes, gradient), in.n);
+    };
+    const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, out.active_channels, emit);
+    AddTo(out.mean2d_norm + i, hn::IfThenElseZero(lanes, ndc), in.n);
+    bits &= ~LaneBits(lanes);
+    remaining = hn::AndNot(lanes, remaining);
+  }
+}
+
 void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out) {
   const F f;
   const GaussiansView& gaussians = frame.gaussians;
+  // While the pairs of one vector are summed, the parameters of the one before come from memory.
+  struct Waiting {
+    std::size_t i;
+    M touched;
+    PixelSums sums;
+  } waiting{end, {}, {}};
+  const auto finish = [&] {
+    if (waiting.i < end) {
+      AddGradients(frame, {gaussians, waiting.i, std::min(hn::Lanes(f), end - waiting.i)}, waiting.sums,
+                   waiting.touched, out);
+    }
+    waiting.i = end;
+  };
   for (std::size_t i = begin; i < end; i += hn::Lanes(f)) {
     const Columns in{gaussians, i, std::min(hn::Lanes(f), end - i)};
     PixelSums sums;
     const M touched = SumPairs(frame, in, sums);
-    std::uint32_t bits = LaneBits(touched);
+    const std::uint32_t bits = LaneBits(touched);
     if (bits == 0) continue;
+    PrefetchPlanes(gaussians, i, 0, std::min(out.active_channels, gaussians.layout.channels()));
     for (std::uint32_t rest = bits; rest != 0; rest &= rest - 1) {
       out.touched[i + static_cast<std::size_t>(std::countr_zero(rest))] = 1;
     }
     float* contribution = out.contribution + i;
     const V largest = hn::IfThenElseZero(touched, sums.largest_weight);
     StoreFirst(f, hn::Max(LoadFirst(f, contribution, in.n), largest), contribution, in.n);
-
-    M remaining = hn::And(touched, ActiveLanes(in));
-    bits = LaneBits(remaining);
-    while (bits != 0) {
-      M lanes = remaining;
-      std::uint32_t object = 0;
-      if (gaussians.object_id != nullptr) {
-        const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(bits))];
-        object = frame.objects.find(id);
-        lanes = hn::And(remaining,
-                        hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
-      }
-      const auto emit = [&](int channel, V gradient) {
-        if (channel >= out.active_channels) return;
-        float* plane = out.values + static_cast<std::size_t>(channel) * out.stride + i - out.origin;
-        AddTo(plane, hn::IfThenElseZero(lanes, gradient), in.n);
-      };
-      const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, out.active_channels, emit);
-      AddTo(out.mean2d_norm + i, hn::IfThenElseZero(lanes, ndc), in.n);
-      bits &= ~LaneBits(lanes);
-      remaining = hn::AndNot(lanes, remaining);
-    }
+    finish();
+    waiting = {i, touched, sums};
   }
+  finish();
 }
 
 }  // namespace splatbus::raster::cpu::HWY_NAMESPACE

@@ -6,6 +6,9 @@
 #define SPLATBUS_RASTER_PROJECTION_INL_H
 #endif
 
+#include <algorithm>
+
+#include "hwy/cache_control.h"
 #include "hwy/contrib/math/math-inl.h"
 #include "raster/cpu/frame.h"
 #include "raster/cpu/lanes-inl.h"
@@ -20,6 +23,13 @@ struct Columns {
 
   [[nodiscard]] HWY_INLINE V Load(int channel) const { return LoadFirst(F(), gaussians.plane(channel) + i, n); }
 };
+
+/// Fetches a vector's columns of channels [begin, end): the planes are more streams than a core follows by itself.
+/// Where planes are not aligned a vector's first line is the last of the vector before.
+HWY_INLINE void PrefetchPlanes(const GaussiansView& gaussians, std::size_t i, int begin, int end) {
+  const std::size_t last = std::min(i + hn::Lanes(F()), gaussians.count) - 1;
+  for (int channel = begin; channel < end; ++channel) hwy::Prefetch(gaussians.plane(channel) + last);
+}
 
 struct Vec3 {
   V x, y, z;

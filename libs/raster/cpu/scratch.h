@@ -1,7 +1,10 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdlib>
 #include <memory>
+
+#include "raster/large_pages.h"
 
 namespace splatbus::raster::cpu {
 
@@ -13,23 +16,23 @@ class Scratch {
   /// Room for `count`; what was there is lost when it has to grow.
   void reserve(std::size_t count) {
     if (count <= capacity_) return;
-    capacity_ = count + count / 4 + 64;
-    const std::size_t bytes = capacity_ * sizeof(T);
-    std::size_t room = bytes + kCacheLine;
-    storage_ = std::unique_ptr<std::byte[]>(new std::byte[room]);  // not initialised
-    void* start = storage_.get();
-    data_ = static_cast<T*>(std::align(kCacheLine, bytes, start, room));
+    storage_.reset();
+    capacity_ = 0;
+    const std::size_t room = count + count / 4 + 64;
+    storage_.reset(static_cast<T*>(allocate_large(room * sizeof(T))));  // not initialised
+    capacity_ = room;
   }
-  [[nodiscard]] T* data() { return data_; }
-  [[nodiscard]] const T* data() const { return data_; }
-  T& operator[](std::size_t i) { return data_[i]; }
-  const T& operator[](std::size_t i) const { return data_[i]; }
+  [[nodiscard]] T* data() { return storage_.get(); }
+  [[nodiscard]] const T* data() const { return storage_.get(); }
+  T& operator[](std::size_t i) { return storage_.get()[i]; }
+  const T& operator[](std::size_t i) const { return storage_.get()[i]; }
 
  private:
-  static constexpr std::size_t kCacheLine = 64;
-  std::unique_ptr<std::byte[]> storage_;
+  struct Free {
+    void operator()(T* memory) const { std::free(memory); }
+  };
+  std::unique_ptr<T, Free> storage_;
   std::size_t capacity_ = 0;
-  T* data_ = nullptr;
 };
 
 }  // namespace splatbus::raster::cpu
