@@ -32,18 +32,21 @@ std::int64_t nanoseconds(double seconds) {
 
 }  // namespace
 
-CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters)
+CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
+                             bus::Backend backend)
     : context_(std::move(context)),
       parameters_(parameters),
       subscriber_(context_, {"engine/frame", "viewer/pose", "viewer/probe", "trainer/stats", "grid/state"}),
       cameras_publisher_(context_, "engine/cameras"),
-      forwarder_(context_),
+      forwarder_(context_, bus::memory_of(backend)),
       // A restarted bridge must not repeat ids of the one before: the engine has answered those.
       rigs_(parameters, context_->epoch()),
       probes_(kMostProbes),
-      worker_(context_, static_cast<std::size_t>(parameters.integer("sample_budget")),
-              static_cast<std::size_t>(parameters.integer("input_cameras") * parameters.integer("input_size") *
-                                       parameters.integer("input_size"))) {}
+      input_pictures_(bus::memory_of(backend)),
+      worker_(context_, backend, round_sizes(parameters)) {
+  const RoundSizes expected = round_sizes(parameters);
+  input_pictures_.reserve(expected.views, input_view_bytes(expected.pixels));
+}
 
 void CaptureBridge::step(std::chrono::milliseconds timeout) {
   update_rigs(bus::now_ns());
@@ -95,7 +98,7 @@ void CaptureBridge::handle_frame(const bus::Message& message) {
         handle_probe_frame(message, frame);
         break;
       case wire::CameraRole::Light:
-        forwarder_.light_depth(message, frame) ? ++counters_.light_depths : ++counters_.frames_lost;
+        forwarder_.light_depth(message, frame, host_copied_bytes_) ? ++counters_.light_depths : ++counters_.frames_lost;
         break;
       default:
         throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
@@ -111,7 +114,7 @@ void CaptureBridge::handle_frame(const bus::Message& message) {
 }
 
 void CaptureBridge::handle_input(const bus::Message& message, const wire::EngineFrame& frame) {
-  auto view = decode_input_frame(message, frame);
+  auto view = decode_input_frame(message, frame, input_pictures_, host_copied_bytes_);
   if (!view) {
     ++counters_.frames_lost;
     return;
@@ -242,7 +245,7 @@ void CaptureBridge::publish_cameras() {
 }
 
 void run(bus::ServiceContext& service) {
-  CaptureBridge bridge(service.bus, service.parameters);
+  CaptureBridge bridge(service.bus, service.parameters, service.backend);
   while (!service.stop.stop_requested()) {
     bridge.step(std::chrono::milliseconds(20));
     const BridgeCounters& counters = bridge.counters();
@@ -263,6 +266,7 @@ void run(bus::ServiceContext& service) {
     service.counter("samples_thinned", static_cast<double>(input.thinned));
     service.counter("samples_dropped", static_cast<double>(input.dropped));
     service.counter("sampling_ms", input.milliseconds);
+    service.counter("host_copied_bytes", static_cast<double>(bridge.host_copied_bytes()));
   }
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <map>
@@ -11,6 +12,7 @@
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "capture-bridge/block_pool.h"
 #include "capture-bridge/forwarder.h"
 #include "capture-bridge/input_worker.h"
 #include "capture-bridge/probe_table.h"
@@ -29,14 +31,18 @@ struct BridgeCounters {
 /// The service: asks the engine for cameras and hands its frames on. One thread calls step(); sampling runs on another.
 class CaptureBridge {
  public:
-  /// `parameters` outlive the bridge.
-  CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters);
+  /// `parameters` outlive the bridge. Input frames are kept and sampled where `backend` says. Throws std::runtime_error
+  /// when it cannot be had.
+  CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
+                bus::Backend backend = bus::Backend::Cpu);
 
   /// Handles what arrives within `timeout`, then what is due.
   void step(std::chrono::milliseconds timeout);
 
   [[nodiscard]] const BridgeCounters& counters() const { return counters_; }
   [[nodiscard]] InputStatistics input_statistics() const { return worker_.statistics(); }
+  /// Bytes of pictures and depth maps that have passed through host memory.
+  [[nodiscard]] std::uint64_t host_copied_bytes() const { return host_copied_bytes_; }
   [[nodiscard]] const bus::Subscriber& subscriber() const { return subscriber_; }
   [[nodiscard]] std::size_t cameras() { return rigs_.cameras().requests().size(); }
 
@@ -65,6 +71,8 @@ class CaptureBridge {
   ProbeTable probes_;
   TrainerWatch trainer_watch_;
   BridgeCounters counters_;
+  BlockPool input_pictures_;
+  std::atomic<std::uint64_t> host_copied_bytes_ = 0;
 
   std::string viewer_;  // whose pose the rigs follow
   std::optional<Camera> viewer_camera_;

@@ -1,23 +1,12 @@
 #include "capture-bridge/engine_frame.h"
 
+#include "bus/memory.h"
 #include "wire/convert.h"
 
 namespace splatbus::capture_bridge {
 
-namespace {
-
-template <class Pixel>
-bool copy_picture(const bus::Message& message, const char* name, bus::ElementType type, const Camera& camera,
-                  std::vector<Pixel>& pixels) {
-  const auto tensor = message.tensor(name, type, {camera.height, camera.width, 4});
-  if (!tensor) return false;
-  pixels.resize(static_cast<std::size_t>(camera.width) * camera.height);
-  return tensor->copy(pixels.data());
-}
-
-}  // namespace
-
-std::optional<InputView> decode_input_frame(const bus::Message& message, const wire::EngineFrame& frame) {
+std::optional<InputView> decode_input_frame(const bus::Message& message, const wire::EngineFrame& frame,
+                                            BlockPool& pool, std::atomic<std::uint64_t>& host_bytes) {
   InputView view;
   view.camera = from_wire(*frame.camera());
   view.frame = frame.frame();
@@ -25,10 +14,20 @@ std::optional<InputView> decode_input_frame(const bus::Message& message, const w
   view.capture_ns = frame.header()->capture_ns();
   view.objects = from_wire(frame.objects());
   view.light = from_wire(*frame.light());
-  const bool whole = copy_picture(message, "world_position", bus::ElementType::F32, view.camera, view.position) &&
-                     copy_picture(message, "normal", bus::ElementType::F32, view.camera, view.normal) &&
-                     copy_picture(message, "color", bus::ElementType::U8, view.camera, view.color) &&
-                     copy_picture(message, "albedo", bus::ElementType::U8, view.camera, view.albedo);
+  const auto picture = [&](const char* name, bus::ElementType type) {
+    return message.tensor(name, type, {view.camera.height, view.camera.width, 4});
+  };
+  const auto position = picture("world_position", bus::ElementType::F32);
+  const auto normal = picture("normal", bus::ElementType::F32);
+  const auto color = picture("color", bus::ElementType::U8);
+  const auto albedo = picture("albedo", bus::ElementType::U8);
+  if (!position || !normal || !color || !albedo) return std::nullopt;
+  // Only now: that the tensors are there bounds the size.
+  view.allocate(pool);
+  const bool whole = bus::copy_tensor(*position, view.position.data(), view.memory, host_bytes) &&
+                     bus::copy_tensor(*normal, view.normal.data(), view.memory, host_bytes) &&
+                     bus::copy_tensor(*color, view.color.data(), view.memory, host_bytes) &&
+                     bus::copy_tensor(*albedo, view.albedo.data(), view.memory, host_bytes);
   if (!whole) return std::nullopt;
   return view;
 }

@@ -1,7 +1,6 @@
 #include "capture-bridge/forwarder.h"
 
-#include <cstring>
-
+#include "bus/memory.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/scene_generated.h"
@@ -36,14 +35,15 @@ std::vector<std::uint8_t> light_bytes(const Light& light) {
 
 }  // namespace
 
-Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context)
+Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind)
     : context_(context),
       reference_(context, "capture/reference"),
       probe_(context, "capture/probe"),
       light_depth_(context, "scene/light_depth"),
       objects_(context, "scene/objects"),
       light_(context, "scene/light"),
-      light_depth_ring_(context, "light_depth", kLightDepthSlots) {}
+      light_depth_copies_(kind),
+      light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {}
 
 bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
   bus::MessageInfo info{.schema = "CaptureReference/1", .capture_ns = frame.header()->capture_ns()};
@@ -93,13 +93,16 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   return true;
 }
 
-bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame) {
+bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame,
+                            std::atomic<std::uint64_t>& host_bytes) {
   const Camera camera = from_wire(*frame.camera());
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth) return false;
-  std::vector<float> copy(depth->elements());
-  if (!depth->copy(copy.data())) return false;
-  const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.data()};
+  // Through a copy, so that a depth that is gone costs no slot of the ring.
+  const bus::MemoryKind kind = light_depth_copies_.kind();
+  const auto copy = light_depth_copies_.take(depth->bytes());
+  if (!bus::copy_tensor(*depth, copy.get(), kind, host_bytes)) return false;
+  const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.get(), kind};
   const ObjectTransforms transforms = from_wire(frame.objects());
   const Light state = from_wire(*frame.light());
   const bus::MessageInfo info{.schema = "SceneLightDepth/1",

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -7,6 +8,7 @@
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
+#include "capture-bridge/block_pool.h"
 #include "capture-bridge/probe_table.h"
 #include "gaussians/light.h"
 #include "wire/engine_generated.h"
@@ -18,7 +20,8 @@ namespace splatbus::capture_bridge {
 /// Not thread-safe.
 class Forwarder {
  public:
-  explicit Forwarder(const std::shared_ptr<bus::Context>& context);
+  /// The light's depth is kept in memory of `kind`.
+  Forwarder(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind);
 
   /// capture/reference: colour, albedo, and depth where there is one. False when the colour is gone already.
   bool reference(const bus::Message& message, const wire::EngineFrame& frame);
@@ -26,14 +29,15 @@ class Forwarder {
   void retire(const Camera& camera);
   /// capture/probe. False when the colour is gone already.
   bool probe(const bus::Message& message, const wire::EngineFrame& frame, const Probe& probe);
-  /// scene/light_depth. False when the depth is gone already.
-  bool light_depth(const bus::Message& message, const wire::EngineFrame& frame);
+  /// scene/light_depth. False when the depth is gone already. Adds to `host_bytes` what did not stay on the device.
+  bool light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::atomic<std::uint64_t>& host_bytes);
   /// scene/objects and scene/light, when this frame is the engine's newest and they differ from what was said last.
   void scene(const wire::EngineFrame& frame);
 
  private:
   std::shared_ptr<bus::Context> context_;
   bus::Publisher reference_, probe_, light_depth_, objects_, light_;
+  BlockPool light_depth_copies_;
   bus::TensorRing light_depth_ring_;
   std::uint64_t engine_epoch_ = 0;
   std::optional<std::uint64_t> newest_frame_;

@@ -1,7 +1,5 @@
 #include "capture-bridge/input_publisher.h"
 
-#include <algorithm>
-
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -13,41 +11,35 @@ constexpr std::size_t kRingSlots = 4;
 constexpr std::size_t kBytesASample = 15 * sizeof(float) + 2 * sizeof(std::uint32_t);
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 
-std::vector<float> stacked(const std::vector<std::vector<float>>& planes) {
-  std::vector<float> all;
-  for (const auto& plane : planes) all.insert(all.end(), plane.begin(), plane.end());
-  return all;
-}
-
 }  // namespace
 
-InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, std::size_t most_samples,
-                               std::size_t depth_pixels)
+InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind,
+                               const RoundSizes& expected)
     : publisher_(context, "capture/input"),
-      ring_(context, "input", kRingSlots, most_samples * kBytesASample + depth_pixels * sizeof(float) + kRingSlack) {}
+      ring_(context, "input", kRingSlots,
+            expected.samples * kBytesASample + expected.views * expected.pixels * sizeof(float) + kRingSlack, kind) {}
 
 void InputPublisher::publish(std::span<const InputViewPointer> views, const InputView& newest,
-                             std::uint64_t rig_generation, const SampledRound& round) {
+                             std::uint64_t rig_generation, const RoundSamples& round) {
   using bus::ElementType;
-  const SampleSet& samples = round.samples;
-  const auto n = static_cast<std::uint32_t>(samples.size());
-  const std::vector<float> depth = stacked(round.depth_m);
+  const auto n = static_cast<std::uint32_t>(round.size);
   const Camera& camera = views.front()->camera;
-  const std::vector<bus::TensorSource> sources{
-      {"position", {n, 3}, ElementType::F32, samples.position.data()},
-      {"normal", {n, 3}, ElementType::F32, samples.normal.data()},
-      {"albedo", {n, 3}, ElementType::F32, samples.albedo.data()},
-      {"color", {n, 3}, ElementType::F32, samples.color.data()},
-      {"footprint", {n}, ElementType::F32, samples.footprint_m.data()},
-      {"spacing", {n}, ElementType::F32, samples.spacing_m.data()},
-      {"cosine", {n}, ElementType::F32, samples.cosine.data()},
-      {"object_id", {n}, ElementType::U32, samples.object_id.data()},
-      {"camera", {n}, ElementType::U32, samples.camera.data()},
+  std::vector<bus::TensorSource> sources{
+      {"position", {n, 3}, ElementType::F32, round.position},
+      {"normal", {n, 3}, ElementType::F32, round.normal},
+      {"albedo", {n, 3}, ElementType::F32, round.albedo},
+      {"color", {n, 3}, ElementType::F32, round.color},
+      {"footprint", {n}, ElementType::F32, round.footprint_m},
+      {"spacing", {n}, ElementType::F32, round.spacing_m},
+      {"cosine", {n}, ElementType::F32, round.cosine},
+      {"object_id", {n}, ElementType::U32, round.object_id},
+      {"camera", {n}, ElementType::U32, round.camera},
       {"depth",
        {static_cast<std::uint32_t>(views.size()), camera.height, camera.width},
        ElementType::F32,
-       depth.data()},
+       round.depth_m},
   };
+  for (bus::TensorSource& source : sources) source.memory = round.memory;
   bus::MessageInfo info{.schema = "CaptureInput/1", .capture_ns = newest.capture_ns, .tensors = ring_.write(sources)};
   publisher_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     std::vector<wire::Camera> cameras;

@@ -3,9 +3,12 @@
 #include <array>
 #include <cstdint>
 #include <glm/glm.hpp>
+#include <memory>
 #include <span>
 #include <vector>
 
+#include "bus/slab.h"
+#include "capture-bridge/block_pool.h"
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
 
@@ -13,8 +16,13 @@ namespace splatbus::capture_bridge {
 
 using Rgba8 = std::array<std::uint8_t, 4>;
 
-/// One input camera's buffers of one engine frame, row 0 on top; every vector has width * height elements. Values are
-/// the engine's, unchecked. Meanings: schemas/engine.fbs, EngineFrame.
+/// Bytes of an input view's pictures.
+[[nodiscard]] constexpr std::size_t input_view_bytes(std::size_t pixels) {
+  return pixels * 2 * (sizeof(glm::vec4) + sizeof(Rgba8));
+}
+
+/// One input camera's buffers of one engine frame, row 0 on top; every picture has width * height pixels. Values are
+/// the engine's, unchecked. Meanings: schemas/engine.fbs, EngineFrame. Copies share the pictures.
 struct InputView {
   Camera camera;
   std::uint64_t frame = 0;
@@ -22,13 +30,20 @@ struct InputView {
   std::int64_t capture_ns = 0;
   ObjectTransforms objects;
   Light light;
-  std::vector<glm::vec4> position;  ///< world, metres; w: object id, 0 where there is no surface
-  std::vector<glm::vec4> normal;    ///< world
-  std::vector<Rgba8> color, albedo;
+  bus::MemoryKind memory = bus::MemoryKind::Host;  ///< of the pictures
+  std::span<glm::vec4> position;                   ///< world, metres; w: object id, 0 where there is no surface
+  std::span<glm::vec4> normal;                     ///< world
+  std::span<Rgba8> color, albedo;
 
   [[nodiscard]] std::size_t pixels() const {
     return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
   }
+
+  /// Makes room for the pictures of `camera` in one block of the pool, whatever they held.
+  void allocate(BlockPool& pool);
+
+ private:
+  std::shared_ptr<std::byte> block_;
 };
 
 /// The views of a round. None is null; they are owned elsewhere.

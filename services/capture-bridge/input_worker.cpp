@@ -6,8 +6,6 @@
 #include <chrono>
 #include <exception>
 
-#include "capture-bridge/input_publisher.h"
-
 namespace splatbus::capture_bridge {
 
 namespace {
@@ -32,24 +30,9 @@ std::vector<InputViewPointer> of_one_size(const std::vector<InputViewPointer>& v
 
 }  // namespace
 
-ContentHeights content_heights(const SampleSet& samples) {
-  if (samples.size() == 0) return {};
-  std::vector<float> heights;
-  heights.reserve(samples.size());
-  for (const glm::vec3& position : samples.position) heights.push_back(position.y);
-  const auto at = [&heights](double fraction) {
-    const auto place =
-        heights.begin() + static_cast<std::ptrdiff_t>(fraction * static_cast<double>(heights.size() - 1));
-    std::nth_element(heights.begin(), place, heights.end());
-    return *place;
-  };
-  return {.low_m = at(0.02), .high_m = at(0.98)};
-}
-
-InputWorker::InputWorker(std::shared_ptr<bus::Context> context, std::size_t most_samples, std::size_t depth_pixels)
-    : context_(std::move(context)),
-      most_samples_(most_samples),
-      depth_pixels_(depth_pixels),
+InputWorker::InputWorker(std::shared_ptr<bus::Context> context, bus::Backend backend, const RoundSizes& expected)
+    : sampler_(make_sampler(backend, expected)),
+      publisher_(context, bus::memory_of(backend), expected),
       thread_([this](const std::stop_token& stop) { run(stop); }) {}
 
 InputWorker::~InputWorker() {
@@ -77,8 +60,6 @@ InputStatistics InputWorker::statistics() const {
 }
 
 void InputWorker::run(const std::stop_token& stop) {
-  InputPublisher publisher(context_, most_samples_, depth_pixels_);
-  bool complained = false;
   while (true) {
     InputJob job;
     {
@@ -88,36 +69,39 @@ void InputWorker::run(const std::stop_token& stop) {
       jobs_.pop_front();
     }
     try {
-      const auto& newest = **std::max_element(job.views.begin(), job.views.end(), [](const auto& a, const auto& b) {
-        return a->capture_ns != b->capture_ns ? a->capture_ns < b->capture_ns : a->frame < b->frame;
-      });
-      const auto views = of_one_size(job.views, newest.camera);
-      const auto start = std::chrono::steady_clock::now();
-      const SampledRound round = sample_views(pointers(views), newest.objects, job.options);
-      const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - start;
-      publisher.publish(views, newest, job.rig_generation, round);
-
-      DropCounts dropped;
-      for (const DropCounts& counts : round.dropped) dropped += counts;
-      if (dropped.broken() > 0 && !complained) {
-        complained = true;
-        spdlog::warn(
-            "the engine's input pictures have pixels that were dropped: {} (said once; counted as "
-            "samples_dropped)",
-            dropped.text());
-      }
-      const std::scoped_lock lock(mutex_);
-      ++statistics_.rounds;
-      statistics_.samples = round.samples.size();
-      statistics_.culled = round.culled;
-      statistics_.thinned = round.thinned;
-      statistics_.dropped += dropped.broken();
-      statistics_.milliseconds = took.count();
-      statistics_.heights = content_heights(round.samples);
+      process(job);
     } catch (const std::exception& error) {
       spdlog::error("input round of rig generation {}: {}", job.rig_generation, error.what());
     }
   }
+}
+
+void InputWorker::process(const InputJob& job) {
+  const auto& newest = **std::max_element(job.views.begin(), job.views.end(), [](const auto& a, const auto& b) {
+    return a->capture_ns != b->capture_ns ? a->capture_ns < b->capture_ns : a->frame < b->frame;
+  });
+  const auto views = of_one_size(job.views, newest.camera);
+  const auto start = std::chrono::steady_clock::now();
+  const RoundSamples round = sampler_->sample(pointers(views), newest.objects, job.options);
+  const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - start;
+  publisher_.publish(views, newest, job.rig_generation, round);
+
+  DropCounts dropped;
+  for (const DropCounts& counts : round.dropped) dropped += counts;
+  if (dropped.broken() > 0 && !complained_) {
+    complained_ = true;
+    spdlog::warn(
+        "the engine's input pictures have pixels that were dropped: {} (said once; counted as samples_dropped)",
+        dropped.text());
+  }
+  const std::scoped_lock lock(mutex_);
+  ++statistics_.rounds;
+  statistics_.samples = round.size;
+  statistics_.culled = round.culled;
+  statistics_.thinned = round.thinned;
+  statistics_.dropped += dropped.broken();
+  statistics_.milliseconds = took.count();
+  statistics_.heights = round.heights;
 }
 
 }  // namespace splatbus::capture_bridge

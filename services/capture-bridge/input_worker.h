@@ -9,9 +9,10 @@
 #include <vector>
 
 #include "bus/context.h"
+#include "capture-bridge/input_publisher.h"
 #include "capture-bridge/input_round.h"
 #include "capture-bridge/rig.h"
-#include "capture-bridge/sampling.h"
+#include "capture-bridge/sampler.h"
 
 namespace splatbus::capture_bridge {
 
@@ -33,8 +34,9 @@ struct InputStatistics {
 /// Samples rounds and publishes them on a thread of its own, so that forwarding frames never waits for it.
 class InputWorker {
  public:
-  /// `most_samples` and `depth_pixels` of all cameras are what to expect of a round.
-  InputWorker(std::shared_ptr<bus::Context> context, std::size_t most_samples, std::size_t depth_pixels);
+  /// `expected` is what is to be expected of a round. Returns when sampling is ready. Throws std::runtime_error when
+  /// the backend cannot be had.
+  InputWorker(std::shared_ptr<bus::Context> context, bus::Backend backend, const RoundSizes& expected);
   ~InputWorker();
 
   /// Queues a round. One of the same rig that still waits is replaced; others wait their turn, the oldest of more than
@@ -44,17 +46,16 @@ class InputWorker {
 
  private:
   void run(const std::stop_token& stop);
+  void process(const InputJob& job);
 
-  std::shared_ptr<bus::Context> context_;
-  std::size_t most_samples_, depth_pixels_;
+  std::unique_ptr<Sampler> sampler_;
+  InputPublisher publisher_;
   mutable std::mutex mutex_;
   std::condition_variable_any wake_;
   std::deque<InputJob> jobs_;
   InputStatistics statistics_;
+  bool complained_ = false;
   std::jthread thread_;  // last: it uses everything above
 };
-
-/// Heights of the middle 96 % of the samples. Everything, when there are none.
-[[nodiscard]] ContentHeights content_heights(const SampleSet& samples);
 
 }  // namespace splatbus::capture_bridge

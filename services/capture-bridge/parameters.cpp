@@ -216,4 +216,11 @@ SamplingOptions sampling_options(const bus::Parameters& parameters) {
   return options;
 }
 
+RoundSizes round_sizes(const bus::Parameters& parameters) {
+  const auto size = static_cast<std::size_t>(parameters.integer("input_size"));
+  return {.views = static_cast<std::size_t>(parameters.integer("input_cameras")),
+          .pixels = size * size,
+          .samples = static_cast<std::size_t>(parameters.integer("sample_budget"))};
+}
+
 }  // namespace splatbus::capture_bridge

@@ -4,7 +4,7 @@
 
 #include "bus/parameters.h"
 #include "capture-bridge/rig.h"
-#include "capture-bridge/sampling.h"
+#include "capture-bridge/round_plan.h"
 
 namespace splatbus::capture_bridge {
 
@@ -16,5 +16,6 @@ namespace splatbus::capture_bridge {
 [[nodiscard]] RingOptions ring_options(const bus::Parameters& parameters);
 [[nodiscard]] FollowOptions follow_options(const bus::Parameters& parameters);
 [[nodiscard]] SamplingOptions sampling_options(const bus::Parameters& parameters);
+[[nodiscard]] RoundSizes round_sizes(const bus::Parameters& parameters);
 
 }  // namespace splatbus::capture_bridge

@@ -3,68 +3,30 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
-#include <algorithm>
-#include <array>
-#include <cmath>
+#include <cassert>
 #include <cstdint>
-#include <nanoflann.hpp>
+
+#include "capture-bridge/spacing_math.h"
 
 namespace splatbus::capture_bridge {
 
-namespace {
-
-constexpr std::size_t kNeighbours = 4;
-constexpr std::size_t kSearched = 9;  // itself and enough to find four on the same side of an edge or a thin sheet
-constexpr float kSameSurfaceCosine = 0.5F;
-constexpr float kLargestRatio = 4.0F;
-
-struct PointCloud {
-  std::span<const glm::vec3> points;
-  // nanoflann's names
-  [[nodiscard]] std::size_t kdtree_get_point_count() const { return points.size(); }
-  [[nodiscard]] float kdtree_get_pt(std::size_t i, std::size_t axis) const { return points[i][static_cast<int>(axis)]; }
-  template <class Box>
-  bool kdtree_get_bbox(Box& /*box*/) const {
-    return false;
-  }
-};
-
-using Tree =
-    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, PointCloud>, PointCloud, 3, std::uint32_t>;
-
-float spacing_of(const Tree& tree, std::span<const glm::vec3> position, std::span<const glm::vec3> normal,
-                 std::size_t i, float fallback_m) {
-  std::array<std::uint32_t, kSearched> index{};
-  std::array<float, kSearched> distance2{};
-  nanoflann::KNNResultSet<float, std::uint32_t> found(kSearched);
-  found.init(index.data(), distance2.data());
-  tree.findNeighbors(found, &position[i].x, nanoflann::SearchParams());
-  float sum = 0;
-  std::size_t neighbours = 0;
-  for (std::size_t k = 0; k < found.size() && neighbours < kNeighbours; ++k) {
-    if (index[k] == i || glm::dot(normal[index[k]], normal[i]) < kSameSurfaceCosine) continue;
-    sum += std::sqrt(distance2[k]);
-    ++neighbours;
-  }
-  if (neighbours < 2) return fallback_m;
-  return std::clamp(sum / static_cast<float>(neighbours), fallback_m / kLargestRatio, fallback_m * kLargestRatio);
-}
-
-}  // namespace
-
 std::vector<float> estimate_spacing(std::span<const glm::vec3> position, std::span<const glm::vec3> normal,
                                     std::span<const float> fallback_m) {
+  assert(normal.size() == position.size() && fallback_m.size() == position.size());
   std::vector<float> spacing(position.size());
   if (position.empty()) return spacing;
-  const PointCloud cloud{position};
-  Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(10));
-  tree.buildIndex();
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, position.size(), 1024),
-                    [&](const tbb::blocked_range<std::size_t>& range) {
-                      for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                        spacing[i] = spacing_of(tree, position, normal, i, fallback_m[i]);
-                      }
-                    });
+  const auto count = static_cast<std::uint32_t>(position.size());
+  const std::uint32_t leaves = NeighbourTree::leaves_for(count);
+  std::vector<Box> nodes(2 * std::size_t{leaves});
+  const NeighbourTree tree{&position[0].x, count, leaves, nodes.data()};
+  for (std::uint32_t leaf = 0; leaf < leaves; ++leaf) tree.build_leaf(leaf);
+  for (std::uint32_t node = leaves - 1; node > 0; --node) tree.build_node(node);
+  using Range = tbb::blocked_range<std::uint32_t>;
+  tbb::parallel_for(Range(0, count, 1024), [&](const Range& range) {
+    for (std::uint32_t i = range.begin(); i < range.end(); ++i) {
+      spacing[i] = spacing_of(tree, &normal[0].x, i, fallback_m[i]);
+    }
+  });
   return spacing;
 }
 

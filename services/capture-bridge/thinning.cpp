@@ -6,23 +6,15 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <functional>
 #include <limits>
+#include <numeric>
+
+#include "capture-bridge/thinning_math.h"
 
 namespace splatbus::capture_bridge {
 
 namespace {
-
-constexpr float kMortonCells = 2097151.0F;  // 21 bits an axis
-
-std::uint64_t spread_bits(std::uint64_t v) {
-  v &= 0x1fffff;
-  v = (v | v << 32) & 0x1f00000000ffff;
-  v = (v | v << 16) & 0x1f0000ff0000ff;
-  v = (v | v << 8) & 0x100f00f00f00f00f;
-  v = (v | v << 4) & 0x10c30c30c30c30c3;
-  v = (v | v << 2) & 0x1249249249249249;
-  return v;
-}
 
 struct Keyed {
   std::uint64_t morton;
@@ -39,14 +31,10 @@ std::vector<Keyed> morton_order(std::span<const glm::vec3> position) {
     low = glm::min(low, p);
     high = glm::max(high, p);
   }
-  const glm::vec3 size = high - low;
-  const float scale = kMortonCells / std::max({size.x, size.y, size.z, 1e-6F});
+  const MortonCube cube = morton_cube({low.x, low.y, low.z}, {high.x, high.y, high.z});
   std::vector<Keyed> order(position.size());
   tbb::parallel_for(std::size_t{0}, position.size(), [&](std::size_t i) {
-    const glm::vec3 cell = (position[i] - low) * scale;
-    order[i] = {.morton = spread_bits(static_cast<std::uint64_t>(cell.x)) |
-                          spread_bits(static_cast<std::uint64_t>(cell.y)) << 1U |
-                          spread_bits(static_cast<std::uint64_t>(cell.z)) << 2U,
+    order[i] = {.morton = morton_code(cube, {position[i].x, position[i].y, position[i].z}),
                 .index = static_cast<std::uint32_t>(i)};
   });
   tbb::parallel_sort(order.begin(), order.end());
@@ -54,20 +42,19 @@ std::vector<Keyed> morton_order(std::span<const glm::vec3> position) {
 }
 
 /// T with sum_i min(1, area_i / T) = budget.
-double area_per_point(std::span<const float> area_m2, std::size_t budget) {
+float threshold_of(std::span<const float> area_m2, std::size_t budget) {
   std::vector<float> sorted(area_m2.begin(), area_m2.end());
   tbb::parallel_sort(sorted.begin(), sorted.end());
-  double below = 0;
-  for (const float area : sorted) below += area;
+  std::vector<double> sum_m2(sorted.size());
+  std::inclusive_scan(sorted.begin(), sorted.end(), sum_m2.begin(), std::plus<>(), 0.0);
   // Points larger than T are kept for sure; take them off the top until the rest fits what is left of the budget.
   std::size_t certain = 0;
-  double threshold = below / static_cast<double>(budget);
+  double threshold = area_per_point(sum_m2.back(), 0, budget);
   while (certain + 1 < budget && sorted[sorted.size() - 1 - certain] > threshold) {
-    below -= sorted[sorted.size() - 1 - certain];
     ++certain;
-    threshold = below / static_cast<double>(budget - certain);
+    threshold = area_per_point(sum_m2[sorted.size() - 1 - certain], certain, budget);
   }
-  return threshold;
+  return static_cast<float>(threshold);
 }
 
 }  // namespace
@@ -83,12 +70,12 @@ std::vector<std::uint32_t> thin_to_budget(std::span<const glm::vec3> position, s
     for (const Keyed& keyed : order) kept.push_back(keyed.index);
     return kept;
   }
-  const double threshold = area_per_point(area_m2, budget);
-  double sum = 0.5;
+  const float threshold = threshold_of(area_m2, budget);
+  std::uint64_t sum = kFirstShare;
   for (const Keyed& keyed : order) {
-    const double before = std::floor(sum);
-    sum += std::min(1.0, area_m2[keyed.index] / threshold);
-    if (std::floor(sum) > before && kept.size() < budget) kept.push_back(keyed.index);
+    const std::uint64_t before = sum >> kShareBits;
+    sum += share_of(area_m2[keyed.index], threshold);
+    if (sum >> kShareBits > before && kept.size() < budget) kept.push_back(keyed.index);
   }
   return kept;
 }

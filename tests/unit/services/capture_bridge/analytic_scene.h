@@ -55,15 +55,18 @@ struct AnalyticScene {
   [[nodiscard]] InputView render(const Camera& camera) const {
     InputView view;
     view.camera = camera;
+    BlockPool own(bus::MemoryKind::Host);  // so that views share nothing
+    view.allocate(own);
+    std::size_t i = 0;
     for (std::uint32_t y = 0; y < camera.height; ++y) {
-      for (std::uint32_t x = 0; x < camera.width; ++x) {
+      for (std::uint32_t x = 0; x < camera.width; ++x, ++i) {
         const glm::vec3 origin = camera.world_from_camera.translation;
         const glm::vec3 through = unproject(camera, static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F, 1);
         const auto hit = cast(origin, glm::normalize(through - origin));
-        view.position.push_back(hit ? glm::vec4(hit->position, static_cast<float>(hit->object)) : glm::vec4(0));
-        view.normal.push_back(hit ? glm::vec4(hit->normal, 0) : glm::vec4(0));
-        view.color.push_back(hit ? Rgba8{128, 64, 32, 255} : Rgba8{0, 0, 0, 0});
-        view.albedo.push_back(hit ? Rgba8{200, 100, 50, 255} : Rgba8{0, 0, 0, 0});
+        view.position[i] = hit ? glm::vec4(hit->position, static_cast<float>(hit->object)) : glm::vec4(0);
+        view.normal[i] = hit ? glm::vec4(hit->normal, 0) : glm::vec4(0);
+        view.color[i] = hit ? Rgba8{128, 64, 32, 255} : Rgba8{0, 0, 0, 0};
+        view.albedo[i] = hit ? Rgba8{200, 100, 50, 255} : Rgba8{0, 0, 0, 0};
       }
     }
     return view;

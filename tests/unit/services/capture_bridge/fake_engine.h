@@ -21,8 +21,11 @@ namespace splatbus::capture_bridge::test {
 /// An engine on the bus that renders the analytic scene, one frame for each new request id.
 class FakeEngine {
  public:
-  explicit FakeEngine(std::shared_ptr<bus::Context> context)
-      : subscriber_(context, {"engine/cameras"}), frames_(context, "engine/frame"), ring_(context, "frames", 512) {}
+  /// Its pictures lie in memory of `kind`.
+  explicit FakeEngine(std::shared_ptr<bus::Context> context, bus::MemoryKind kind = bus::MemoryKind::Host)
+      : subscriber_(context, {"engine/cameras"}),
+        frames_(context, "engine/frame"),
+        ring_(context, "frames", 512, 0, kind) {}
 
   /// Takes in the newest camera set and renders what is new in it.
   void serve() {
@@ -46,7 +49,7 @@ class FakeEngine {
     const auto add = [&](const char* name, bus::ElementType type, const void* data) {
       sources.push_back({name, {camera.height, camera.width, 4}, type, data});
     };
-    auto position = view.position;
+    std::vector<glm::vec4> position(view.position.begin(), view.position.end());
     if (spoil) spoil(position);
     if (has(wire::EngineBuffer::Color)) add("color", bus::ElementType::U8, view.color.data());
     if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());

@@ -9,6 +9,7 @@
 #include "capture-bridge/parameters.h"
 #include "capture-bridge/probe_table.h"
 #include "capture-bridge/rig_control.h"
+#include "capture-bridge/sampling.h"
 #include "capture-bridge/trainer_watch.h"
 
 namespace splatbus::capture_bridge {

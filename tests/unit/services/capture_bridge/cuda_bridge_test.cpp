@@ -1,0 +1,91 @@
+// The bridge on the device, between an engine and a reader on the bus.
+#include "../../bus/bus_fixture.h"
+#include "capture-bridge/capture_bridge.h"
+#include "capture-bridge/parameters.h"
+#include "cuda_rounds.h"
+#include "fake_engine.h"
+#include "wire/capture_generated.h"
+
+namespace splatbus::capture_bridge::test {
+namespace {
+
+using namespace std::chrono_literals;
+
+class CudaBridgeTest : public bus_test::BusTest {
+ protected:
+  void SetUp() override {
+    int devices = 0;
+    if (cudaGetDeviceCount(&devices) != cudaSuccess || devices == 0) GTEST_SKIP() << "no CUDA device";
+    for (const auto& [name, value] : {std::pair{"input_cameras", "4"}, std::pair{"input_size", "32"},
+                                      std::pair{"reference_cameras", "2"}, std::pair{"reference_size", "16"},
+                                      std::pair{"reference_rate_hz", "0"}, std::pair{"light_depth_size", "16"}}) {
+      ASSERT_EQ(parameters_.set(name, value, true), "");
+    }
+  }
+
+  /// One round of an engine whose pictures lie in `engine_memory`, through a bridge: its input and its light's depth.
+  void capture(bus::MemoryKind engine_memory, bus::Backend backend) {
+    const auto peer = connect("peer");
+    bus::Subscriber reader(peer, {"capture/*", "scene/*"});
+    FakeEngine engine(connect("engine"), engine_memory);
+    const auto context = connect("capture-bridge");
+    CaptureBridge bridge(context, parameters_, backend);
+    ASSERT_TRUE(bus_test::eventually([&] {
+      bridge.step(1ms);
+      engine.serve();
+      while (auto message = reader.receive(0ms)) {
+        // A bridge before this one may have latched its own.
+        if (message->header().epoch() == context->epoch()) received_.insert_or_assign(message->topic(), *message);
+      }
+      return received_.contains("capture/input") && received_.contains("scene/light_depth") &&
+             received_.contains("capture/reference");
+    }));
+    host_copied_bytes_ = bridge.host_copied_bytes();
+    for (const char* name : {"position", "normal", "albedo", "color", "footprint", "spacing", "cosine", "depth"}) {
+      const auto tensor = received_.at("capture/input").tensor(name);
+      ASSERT_TRUE(tensor) << name;
+      EXPECT_EQ(tensor->memory(), bus::memory_of(backend)) << name;
+      auto& values = tensors_[backend][name];
+      values.resize(tensor->elements());
+      ASSERT_TRUE(tensor->copy(values.data())) << name;
+    }
+    const auto light_depth = received_.at("scene/light_depth").tensor("light_depth", bus::ElementType::F32, {16, 16});
+    ASSERT_TRUE(light_depth);
+    EXPECT_EQ(light_depth->memory(), bus::memory_of(backend));
+    std::vector<float> depth(light_depth->elements());
+    ASSERT_TRUE(light_depth->copy(depth.data()));
+    EXPECT_EQ(depth, std::vector<float>(256, 7.0F));
+    const auto color = received_.at("capture/reference").tensor("color");
+    ASSERT_TRUE(color);
+    EXPECT_EQ(color->memory(), engine_memory) << "forwarded, not copied";
+    received_.clear();
+  }
+
+  bus::Parameters parameters_{parameter_specs()};
+  std::map<std::string, bus::Message> received_;
+  std::map<bus::Backend, std::map<std::string, std::vector<float>>> tensors_;
+  std::uint64_t host_copied_bytes_ = 0;
+};
+
+constexpr std::uint64_t kInputBytes = 4 * 32 * 32 * (16 + 16 + 4 + 4);
+constexpr std::uint64_t kLightBytes = 16 * 16 * 4;
+
+TEST_F(CudaBridgeTest, KeepsADevicesPicturesOnTheDevice) {
+  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);
+  EXPECT_EQ(host_copied_bytes_, 0U);
+}
+
+TEST_F(CudaBridgeTest, UploadsAndCountsAHostsPictures) {
+  capture(bus::MemoryKind::Host, bus::Backend::Cuda);
+  EXPECT_EQ(host_copied_bytes_, kInputBytes + kLightBytes);
+}
+
+TEST_F(CudaBridgeTest, OnTheCpuReadsADevicesPictures) {
+  capture(bus::MemoryKind::Cuda, bus::Backend::Cpu);
+  EXPECT_EQ(host_copied_bytes_, kInputBytes + kLightBytes);
+  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);
+  EXPECT_EQ(tensors_[bus::Backend::Cuda], tensors_[bus::Backend::Cpu]);
+}
+
+}  // namespace
+}  // namespace splatbus::capture_bridge::test

@@ -1,0 +1,138 @@
+// The CUDA sampler against the CPU's: the same views, the same samples.
+#include <chrono>
+#include <iostream>
+
+#include "cuda_rounds.h"
+
+namespace splatbus::capture_bridge::test {
+namespace {
+
+/// Both samplers' answers on the host. The device does the host's operations in the host's order, so that samples
+/// agree one by one; sums that round differently could move a sample across a threshold, once in very many.
+struct Comparison {
+  const RoundSamples& expected;
+  const RoundSamples& actual;
+
+  template <class T>
+  void equal(const T* RoundSamples::*array, std::size_t channels, float tolerance, const char* name) const {
+    const auto a = on_host(actual.*array, channels * actual.size, actual.memory);
+    const auto b = on_host(expected.*array, channels * expected.size, expected.memory);
+    std::size_t different = 0;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      const double x = a[i];
+      const double y = b[i];
+      different += std::abs(x - y) <= tolerance * std::max(1.0, std::abs(y)) ? 0 : 1;
+    }
+    EXPECT_EQ(different, 0U) << name << " of " << a.size();
+  }
+
+  void check(std::size_t pixels) const {
+    EXPECT_EQ(actual.dropped, expected.dropped);
+    EXPECT_EQ(actual.cameras_per_surface, expected.cameras_per_surface);
+    EXPECT_EQ(actual.valid, expected.valid);
+    EXPECT_EQ(actual.culled, expected.culled);
+    EXPECT_EQ(actual.thinned, expected.thinned);
+    ASSERT_EQ(actual.size, expected.size);
+    equal(&RoundSamples::position, 3, 1e-5F, "position");
+    equal(&RoundSamples::normal, 3, 1e-5F, "normal");
+    equal(&RoundSamples::albedo, 3, 1e-5F, "albedo");
+    equal(&RoundSamples::color, 3, 1e-5F, "color");
+    equal(&RoundSamples::footprint_m, 1, 1e-6F, "footprint");
+    equal(&RoundSamples::spacing_m, 1, 1e-6F, "spacing");
+    equal(&RoundSamples::cosine, 1, 1e-5F, "cosine");
+    equal(&RoundSamples::object_id, 1, 0, "object id");
+    equal(&RoundSamples::camera, 1, 0, "camera");
+    EXPECT_FLOAT_EQ(actual.heights.low_m, expected.heights.low_m);
+    EXPECT_FLOAT_EQ(actual.heights.high_m, expected.heights.high_m);
+    const auto depth = on_host(actual.depth_m, pixels, actual.memory);
+    const auto expected_depth = on_host(expected.depth_m, pixels, expected.memory);
+    for (std::size_t i = 0; i < pixels; ++i) ASSERT_NEAR(depth[i], expected_depth[i], 1e-5F) << i;
+  }
+};
+
+struct Named {
+  const char* name;
+  RoundCase (*make)();
+};
+
+class CudaSamplerTest : public CudaTest, public testing::WithParamInterface<Named> {};
+
+TEST_P(CudaSamplerTest, GivesTheSamplesOfTheCpu) {
+  const RoundCase round = GetParam().make();
+  const auto device_views = on_device(round.views);
+  const auto cpu = make_sampler(bus::Backend::Cpu, {});
+  const auto gpu = make_sampler(bus::Backend::Cuda, {});
+  const RoundSamples expected = cpu->sample(pointers_to(round.views), round.objects, round.options);
+  // Twice, so that what one round leaves behind does not show in the next.
+  for (int repeat = 0; repeat < 2; ++repeat) {
+    const RoundSamples actual = gpu->sample(pointers_to(device_views), round.objects, round.options);
+    EXPECT_EQ(actual.memory, bus::MemoryKind::Cuda);
+    Comparison{expected, actual}.check(round.views.size() * round.views.front().pixels());
+  }
+  std::cout << expected.valid << " valid, " << expected.culled << " culled, " << expected.thinned << " thinned, "
+            << expected.size << " kept, " << expected.cameras_per_surface << " cameras a surface\n";
+}
+
+INSTANTIATE_TEST_SUITE_P(Rounds, CudaSamplerTest,
+                         testing::Values(Named{"Dome", [] { return dome_round(12, 64, 60000); }},
+                                         Named{"Thinned", [] { return dome_round(12, 64, 3000); }},
+                                         Named{"OneSample", [] { return dome_round(4, 32, 1); }},
+                                         Named{"NoBudget", [] { return dome_round(4, 32, 0); }},
+                                         Named{"Live", [] { return dome_round(10, 256, 250000); }},
+                                         Named{"LiveThinned", [] { return dome_round(10, 256, 100000); }},
+                                         Named{"Default", [] { return dome_round(24, 128, 60000); }},
+                                         Named{"Moving", moving_round}, Named{"Garbage", garbage_round},
+                                         Named{"Odd", [] { return odd_round(37, 53); }},
+                                         Named{"Thin", [] { return odd_round(300, 1); }},
+                                         Named{"Pixel", [] { return odd_round(1, 1); }},
+                                         Named{"Sky",
+                                               [] {
+                                                 const auto camera = look_at({0, 2, 0}, {0, 9, 1}, 16, 16, 0.5F);
+                                                 return RoundCase{.views = AnalyticScene{}.render_all({camera})};
+                                               }}),
+                         [](const auto& test) { return test.param.name; });
+
+class CudaSampling : public CudaTest {};
+
+TEST_F(CudaSampling, OfNothingIsNothing) {
+  const auto gpu = make_sampler(bus::Backend::Cuda, {});
+  EXPECT_EQ(gpu->sample({}, {}, {}).size, 0U);
+}
+
+TEST_F(CudaSampling, Figures) {
+  using Clock = std::chrono::steady_clock;
+  const auto since = [](Clock::time_point start) {
+    return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+  };
+  for (const auto& [cameras, size, budget] : {std::tuple{10, 256, 250000}, std::tuple{24, 128, 60000}}) {
+    const RoundCase round = dome_round(cameras, size, static_cast<std::size_t>(budget));
+    const auto device_views = on_device(round.views);
+    const auto ready = Clock::now();
+    const auto gpu = make_sampler(
+        bus::Backend::Cuda,
+        {.views = round.views.size(), .pixels = round.views.front().pixels(), .samples = round.options.budget});
+    const double start_up = since(ready);
+    const auto cpu = make_sampler(bus::Backend::Cpu, {});
+    const auto median = [&](Sampler& sampler, const std::vector<InputView>& views, int repeats, double& first) {
+      std::vector<double> times;
+      for (int i = 0; i < repeats; ++i) {
+        const auto start = Clock::now();
+        static_cast<void>(sampler.sample(pointers_to(views), round.objects, round.options));
+        times.push_back(since(start));
+      }
+      first = times.front();
+      std::nth_element(times.begin(), times.begin() + repeats / 2, times.end());
+      return times[static_cast<std::size_t>(repeats) / 2];
+    };
+    double first_cpu = 0;
+    double first_gpu = 0;
+    const double gpu_ms = median(*gpu, device_views, 21, first_gpu);
+    const double cpu_ms = median(*cpu, round.views, 5, first_cpu);
+    std::cout << cameras << " x " << size << "x" << size << ", budget " << budget << ": start-up " << start_up
+              << " ms, first round " << first_gpu << " ms, median " << gpu_ms << " ms; CPU " << cpu_ms << " ms\n";
+    EXPECT_LT(first_gpu, 50);
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::capture_bridge::test
