@@ -1,105 +1,214 @@
-#include "trainer/cuda/column_kernels.h"
+#include <thrust/iterator/counting_iterator.h>
+
+#include <cub/device/device_select.cuh>
 
 #include "device/check.h"
-#include "gaussians/layout.h"
+#include "trainer/cuda/column_kernels.h"
 
 namespace splatbus::trainer::cuda {
+
 namespace {
 
-using device::check;
-
 constexpr int kThreads = 256;
+constexpr int kPlanesBesides = 10;  // that copy_one copies after parameters and average
 
-unsigned blocks_for(int count) {
-  return static_cast<unsigned>((count + kThreads - 1) / kThreads);
+unsigned blocks_for(std::uint32_t count) {
+  return (count + kThreads - 1) / kThreads;
 }
 
-/// A thread a column; a row of blocks takes kChannels channels, so that loads overlap.
-constexpr int kChannels = 8;
-
-__global__ void average_kernel(Columns c, AverageOptions options) {
-  const int i = options.begin + static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
-  if (i >= options.end || (c.flags[i] & kFrozen) != 0) return;
-  const std::uint64_t born = c.birth[i], age = options.step > born ? options.step - born : 0;
-  float share = 1.0F;
-  if (age > 0) {
-    share = fmaxf(options.settled_share, fminf(1.0F, 4.0F * options.stripes / static_cast<float>(age)));
-  }
-  const int first = static_cast<int>(blockIdx.y) * kChannels;
-  float live[kChannels], average[kChannels];
-#pragma unroll
-  for (int k = 0; k < kChannels; ++k) {
-    const std::int64_t at = (first + k) * c.stride + i;
-    const bool active = first + k < c.active_channels;
-    live[k] = active ? c.parameters[at] : 0.0F;
-    average[k] = active ? c.average[at] : 0.0F;
-  }
-#pragma unroll
-  for (int k = 0; k < kChannels; ++k) {
-    if (first + k >= c.active_channels) continue;
-    c.average[(first + k) * c.stride + i] = average[k] + share * (live[k] - average[k]);
-  }
+__device__ std::uint32_t thread_index() {
+  return blockIdx.x * kThreads + threadIdx.x;
 }
 
-__global__ void find_dead_kernel(Columns c, FindDeadOptions options, std::uint8_t* dead, DeadCounts* counts) {
-  const int i = static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
-  bool finite = true, gone = false;
-  if (i < c.count) {
-    for (int channel = 0; channel < c.active_channels; ++channel) {
-      finite = finite && isfinite(c.parameters[channel * c.stride + i]);
+/// Copies a column's value in plane number `plane`, but for logit and id, which come by themselves.
+__device__ void copy_one(const DevicePlanes& p, int plane, std::uint32_t from, std::uint32_t to) {
+  const int channels = p.layout.channels();
+  const auto copy = [&](auto* planes, int channel) {
+    planes[channel * p.capacity + to] = planes[channel * p.capacity + from];
+  };
+  if (plane < channels) {
+    if (plane != ParameterLayout::kOpacityLogit) copy(p.parameters, plane);
+    return;
+  }
+  plane -= channels;
+  if (plane < channels) return copy(p.average, plane);
+  plane -= channels;
+  if (plane < 3) return copy(p.normal, plane);
+  if (plane < 6) return copy(p.surface_point, plane - 3);
+  if (plane == 6) return copy(p.visibility, 0);
+  if (plane == 7) return copy(p.object_id, 0);
+  if (plane == 8) return copy(p.flags, 0);
+  copy(p.cell, 0);
+}
+
+__global__ void hide_columns(DevicePlanes p, const std::uint32_t* to, std::uint32_t count, float invisible_logit) {
+  const std::uint32_t k = thread_index();
+  if (k < count) p.parameters[ParameterLayout::kOpacityLogit * p.capacity + to[k]] = invisible_logit;
+}
+
+__global__ void copy_planes(DevicePlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
+  const std::uint32_t k = thread_index();
+  if (k < count) copy_one(p, static_cast<int>(blockIdx.y), from[k], to[k]);
+}
+
+__global__ void copy_ids(DevicePlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
+  const std::uint32_t k = thread_index();
+  if (k < count) p.gaussian_id[to[k]] = p.gaussian_id[from[k]];
+}
+
+__global__ void show_columns(DevicePlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
+  const std::uint32_t k = thread_index();
+  float* const logits = p.parameters + ParameterLayout::kOpacityLogit * p.capacity;
+  if (k < count) logits[to[k]] = logits[from[k]];
+}
+
+__global__ void number_columns(DevicePlanes p, std::uint32_t first, std::uint32_t count, std::uint64_t first_id) {
+  const std::uint32_t k = thread_index();
+  if (k < count) p.gaussian_id[first + k] = first_id + k;
+}
+
+/// Adds how many threads of the block say yes; all of them call it.
+__device__ void count_in(std::uint32_t* counter, bool yes) {
+  const int in_block = __syncthreads_count(yes ? 1 : 0);
+  if (threadIdx.x == 0 && in_block > 0) atomicAdd(counter, static_cast<std::uint32_t>(in_block));
+}
+
+__global__ void count_marks(const std::uint8_t* marks, std::uint32_t count, std::uint32_t* counter) {
+  const std::uint32_t i = thread_index();
+  count_in(counter, i < count && marks[i] != 0);
+}
+
+__global__ void count_frozen(DevicePlanes p, std::uint32_t count, std::uint32_t* counter) {
+  const std::uint32_t i = thread_index();
+  count_in(counter, i < count && (p.flags[i] & kFrozen) != 0);
+}
+
+__device__ bool contains(const std::uint64_t* cells, std::uint32_t count, std::uint64_t cell) {
+  std::uint32_t low = 0, high = count;
+  while (low < high) {
+    const std::uint32_t middle = low + (high - low) / 2;
+    if (cells[middle] < cell) {
+      low = middle + 1;
+    } else {
+      high = middle;
     }
-    const std::uint64_t born = c.birth[i], age = options.step > born ? options.step - born : 0;
-    const float* scale = c.parameters + ParameterLayout::kLogScale * c.stride + i;
-    const float largest = fmaxf(scale[0], fmaxf(scale[c.stride], scale[2 * c.stride]));
-    const bool useless = c.parameters[ParameterLayout::kOpacityLogit * c.stride + i] < options.min_opacity_logit ||
-                         largest > options.max_log_scale;
-    gone = !finite || (age >= options.min_age_steps && useless);
-    dead[i] = gone ? 1 : 0;
   }
-  const int removed = __syncthreads_count(gone), not_finite = __syncthreads_count(!finite);
-  if (threadIdx.x != 0) return;
-  if (removed > 0) atomicAdd(&counts->removed, static_cast<std::uint32_t>(removed));
-  if (not_finite > 0) atomicAdd(&counts->not_finite, static_cast<std::uint32_t>(not_finite));
+  return low < count && cells[low] == cell;
 }
 
-__global__ void set_birth_kernel(std::uint64_t* birth, int begin, int end, std::uint64_t step) {
-  const int i = begin + static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
-  if (i < end) birth[i] = step;
+__global__ void set_frozen(DevicePlanes p, std::uint32_t count, const std::uint64_t* cells, std::uint32_t cell_count,
+                           bool frozen, std::uint32_t* counter) {
+  const std::uint32_t i = thread_index();
+  const bool changes = i < count && ((p.flags[i] & kFrozen) != 0) != frozen && contains(cells, cell_count, p.cell[i]);
+  if (changes) {
+    p.flags[i] ^= kFrozen;
+    for (int c = 0; frozen && c < p.layout.channels(); ++c) {
+      p.parameters[c * p.capacity + i] = p.average[c * p.capacity + i];
+    }
+  }
+  count_in(counter, changes);
 }
 
-__global__ void move_birth_kernel(std::uint64_t* birth, const std::uint32_t* from, const std::uint32_t* to, int count) {
-  const int k = static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
-  if (k < count) birth[to[k]] = birth[from[k]];
+__global__ void set_visibility(DevicePlanes p, const float* values, std::uint32_t count) {
+  const std::uint32_t i = thread_index();
+  if (i < count) p.visibility[i] = values[i] >= 0 ? fminf(values[i], 1.0F) : 0.0F;  // 0 for what is not a number
+}
+
+__global__ void find_broken(DevicePlanes p, std::uint32_t count, float invisible_logit, std::uint8_t* broken) {
+  const std::uint32_t i = thread_index();
+  if (i >= count) return;
+  bool finite = true;
+  const auto look = [&](const float* planes, int channels) {
+    for (int c = 0; c < channels; ++c) finite = finite && isfinite(planes[c * p.capacity + i]);
+  };
+  look(p.parameters, p.layout.channels());
+  look(p.average, p.layout.channels());
+  look(p.normal, 3);
+  look(p.surface_point, 3);
+  look(p.visibility, 1);
+  const bool left = p.parameters[ParameterLayout::kOpacityLogit * p.capacity + i] < invisible_logit;
+  broken[i] = left || !finite ? 1 : 0;
+}
+
+struct HasMark {
+  const std::uint8_t* marks;
+  bool set;
+  __device__ bool operator()(std::uint32_t column) const { return (marks[column] != 0) == set; }
+};
+
+void launched(const char* what) {
+  device::check(cudaGetLastError(), what);
 }
 
 }  // namespace
 
-void launch_average(const Columns& columns, const AverageOptions& options, cudaStream_t stream) {
-  if (options.begin >= options.end) return;
-  const dim3 blocks(blocks_for(options.end - options.begin),
-                    static_cast<unsigned>((columns.active_channels + kChannels - 1) / kChannels));
-  average_kernel<<<blocks, kThreads, 0, stream>>>(columns, options);
-  check(cudaGetLastError(), "averaging");
-}
-
-void launch_find_dead(const Columns& columns, const FindDeadOptions& options, std::uint8_t* dead, DeadCounts* counts,
-                      cudaStream_t stream) {
-  if (columns.count == 0) return;
-  find_dead_kernel<<<blocks_for(columns.count), kThreads, 0, stream>>>(columns, options, dead, counts);
-  check(cudaGetLastError(), "looking for Gaussians to remove");
-}
-
-void launch_set_birth(std::uint64_t* birth, int begin, int end, std::uint64_t step, cudaStream_t stream) {
-  if (begin >= end) return;
-  set_birth_kernel<<<blocks_for(end - begin), kThreads, 0, stream>>>(birth, begin, end, step);
-  check(cudaGetLastError(), "setting ages");
-}
-
-void launch_move_birth(std::uint64_t* birth, const std::uint32_t* from, const std::uint32_t* to, int count,
-                       cudaStream_t stream) {
+void launch_copy_columns(const DevicePlanes& planes, const std::uint32_t* from, const std::uint32_t* to,
+                         std::uint32_t count, float invisible_logit, cudaStream_t stream) {
   if (count == 0) return;
-  move_birth_kernel<<<blocks_for(count), kThreads, 0, stream>>>(birth, from, to, count);
-  check(cudaGetLastError(), "moving ages");
+  const unsigned blocks = blocks_for(count);
+  const auto plane_count = static_cast<unsigned>(2 * planes.layout.channels() + kPlanesBesides);
+  hide_columns<<<blocks, kThreads, 0, stream>>>(planes, to, count, invisible_logit);
+  copy_planes<<<dim3(blocks, plane_count), kThreads, 0, stream>>>(planes, from, to, count);
+  copy_ids<<<blocks, kThreads, 0, stream>>>(planes, from, to, count);
+  show_columns<<<blocks, kThreads, 0, stream>>>(planes, from, to, count);
+  launched("moving columns");
+}
+
+void launch_number_columns(const DevicePlanes& planes, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
+                           cudaStream_t stream) {
+  if (count == 0) return;
+  number_columns<<<blocks_for(count), kThreads, 0, stream>>>(planes, first, count, first_id);
+  launched("numbering columns");
+}
+
+void launch_count_marks(const std::uint8_t* marks, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream) {
+  if (count == 0) return;
+  count_marks<<<blocks_for(count), kThreads, 0, stream>>>(marks, count, counter);
+  launched("counting marks");
+}
+
+void launch_count_frozen(const DevicePlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream) {
+  if (count == 0) return;
+  count_frozen<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, counter);
+  launched("counting frozen columns");
+}
+
+std::size_t list_columns_scratch_bytes(std::uint32_t count) {
+  std::size_t bytes = 0;
+  device::check(cub::DeviceSelect::If(nullptr, bytes, thrust::counting_iterator<std::uint32_t>(0),
+                                      static_cast<std::uint32_t*>(nullptr), static_cast<std::uint32_t*>(nullptr),
+                                      static_cast<int>(count), HasMark{}),
+                "asking for scratch");
+  return bytes;
+}
+
+void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begin, std::uint32_t end,
+                         std::uint32_t* columns, std::uint32_t* listed, void* scratch, std::size_t scratch_bytes,
+                         cudaStream_t stream) {
+  device::check(
+      cub::DeviceSelect::If(scratch, scratch_bytes, thrust::counting_iterator<std::uint32_t>(begin), columns, listed,
+                            static_cast<int>(end - begin), HasMark{.marks = marks, .set = set}, stream),
+      "listing columns");
+}
+
+void launch_set_frozen(const DevicePlanes& planes, std::uint32_t count, const std::uint64_t* cells,
+                       std::uint32_t cell_count, bool frozen, std::uint32_t* counter, cudaStream_t stream) {
+  if (count == 0) return;
+  set_frozen<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, cells, cell_count, frozen, counter);
+  launched("freezing columns");
+}
+
+void launch_set_visibility(const DevicePlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream) {
+  if (count == 0) return;
+  set_visibility<<<blocks_for(count), kThreads, 0, stream>>>(planes, values, count);
+  launched("setting visibility");
+}
+
+void launch_find_broken(const DevicePlanes& planes, std::uint32_t count, float invisible_logit, std::uint8_t* broken,
+                        cudaStream_t stream) {
+  if (count == 0) return;
+  find_broken<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, invisible_logit, broken);
+  launched("inspecting columns");
 }
 
 }  // namespace splatbus::trainer::cuda

@@ -2,48 +2,70 @@
 
 #include <cuda_runtime_api.h>
 
+#include <cstddef>
 #include <cstdint>
 
-// Kernels over a model's columns between training steps, for CudaOptimizer. Device pointers; planes [channels][stride];
-// all enqueued on `stream`. Throw std::runtime_error naming the CUDA error.
+#include "gaussians/layout.h"
+#include "trainer/cuda/insert_kernels.h"
+
+// What a ModelStore does to columns, on the device. Device pointers; launches on `stream`, nothing waits. Counts are
+// added to what `counter` holds.
 namespace splatbus::trainer::cuda {
 
-/// The planes of a model that these kernels read.
-struct Columns {
-  int count = 0;
-  std::int64_t stride = 0;
+/// ModelPlanes in device memory.
+struct DevicePlanes {
+  ParameterLayout layout;
+  std::int64_t capacity = 0;
   float* parameters = nullptr;
   float* average = nullptr;
-  const std::uint32_t* flags = nullptr;
-  const std::uint64_t* birth = nullptr;  ///< [stride] step at which a column was inserted
-  int active_channels = 0;
+  float* normal = nullptr;
+  float* surface_point = nullptr;
+  float* visibility = nullptr;
+  std::uint32_t* object_id = nullptr;
+  std::uint32_t* flags = nullptr;
+  std::uint64_t* cell = nullptr;
+  std::uint64_t* gaussian_id = nullptr;
 };
 
-/// TimeAverage::update of the columns [begin, end) after step `step`.
-struct AverageOptions {
-  int begin = 0, end = 0;
-  std::uint64_t step = 0;
-  float settled_share = 0;  ///< of an old Gaussian's present value
-  float stripes = 0;        ///< steps since these columns were last averaged
+/// Light of an insert, world frame, and how its objects are turned: world from object, ascending ids.
+struct InsertLight {
+  float ambient_sh[27];  ///< [9][3]
+  float sun_direction[3];
+  float sun_irradiance[3];
 };
-void launch_average(const Columns& columns, const AverageOptions& options, cudaStream_t stream);
+struct ObjectRotation {
+  std::uint32_t id;
+  float w, x, y, z;
+};
 
-/// What find_dead found.
-struct DeadCounts {
-  std::uint32_t removed, not_finite;
-};
-struct FindDeadOptions {
-  std::uint64_t step = 0, min_age_steps = 0;
-  float min_opacity_logit = 0, max_log_scale = 0;
-};
-/// trainer::find_dead: marks [count] and counts, which the caller has cleared.
-void launch_find_dead(const Columns& columns, const FindDeadOptions& options, std::uint8_t* dead, DeadCounts* counts,
-                      cudaStream_t stream);
+/// HostColumns::append; light and objects are for Radiance.
+void launch_append(const DevicePlanes& planes, const DeviceRows& rows, std::uint32_t first, std::uint32_t count,
+                   std::uint64_t first_id, const InsertLight& light, const ObjectRotation* objects,
+                   std::uint32_t object_count, cudaStream_t stream);
 
-/// birth[begin..end) = step.
-void launch_set_birth(std::uint64_t* birth, int begin, int end, std::uint64_t step, cudaStream_t stream);
-/// birth[to[k]] = birth[from[k]], no index in both.
-void launch_move_birth(std::uint64_t* birth, const std::uint32_t* from, const std::uint32_t* to, int count,
-                       cudaStream_t stream);
+/// ModelPlanes::move_column of every pair: invisible until whole, ids last, one launch after the other.
+void launch_copy_columns(const DevicePlanes& planes, const std::uint32_t* from, const std::uint32_t* to,
+                         std::uint32_t count, float invisible_logit, cudaStream_t stream);
+void launch_number_columns(const DevicePlanes& planes, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
+                           cudaStream_t stream);
+
+void launch_count_marks(const std::uint8_t* marks, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
+void launch_count_frozen(const DevicePlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
+
+/// Lists the columns from `begin` to `end` whose mark is set, or is not set, ascending; *listed becomes their number.
+void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begin, std::uint32_t end,
+                         std::uint32_t* columns, std::uint32_t* listed, void* scratch, std::size_t scratch_bytes,
+                         cudaStream_t stream);
+[[nodiscard]] std::size_t list_columns_scratch_bytes(std::uint32_t count);
+
+/// `cells` ascending.
+void launch_set_frozen(const DevicePlanes& planes, std::uint32_t count, const std::uint64_t* cells,
+                       std::uint32_t cell_count, bool frozen, std::uint32_t* counter, cudaStream_t stream);
+
+void launch_set_visibility(const DevicePlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream);
+
+/// broken[i] becomes 1 where a column is not finite, or its logit is below `invisible_logit`, 0 elsewhere.
+void launch_find_broken(const DevicePlanes& planes, std::uint32_t count, float invisible_logit, std::uint8_t* broken,
+                        cudaStream_t stream);
 
 }  // namespace splatbus::trainer::cuda
