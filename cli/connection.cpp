@@ -10,6 +10,12 @@ void add_bus_option(CLI::App& verb, std::string& address) {
                   "bus address, ipc:///folder or tcp://host:port (default: SPLATBUS_BUS, else a folder of this user)");
 }
 
+void add_backend_option(CLI::App& verb, std::string& backend) {
+  verb.add_option("--backend", backend,
+                  "cpu, cuda or auto, for every service that the launch file gives none of its own")
+      ->check(CLI::IsMember({"cpu", "cuda", "auto"}));
+}
+
 bus::Address bus_address(const std::string& option) {
   return option.empty() ? bus::Address::from_environment() : bus::Address::parse(option);
 }

@@ -86,6 +86,7 @@ void add_demo_verb(CLI::App& app, Action& action) {
   verb->add_option("--out", options->out, "folder for contact_sheet.png, model.ply and summary.json");
   verb->add_option("--launch", options->launch_file, "launch file (default: launch/demo.yaml of this build)");
   verb->add_option("--bus", options->demo.bus, "bus address (default: a folder of its own)");
+  add_backend_option(*verb, options->demo.backend);
   verb->add_flag("--json", options->json, "live figures and summary as JSON, one object a line");
   verb->callback([options, &action] { action = [options] { return demo(*options); }; });
 }

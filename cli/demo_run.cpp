@@ -53,6 +53,8 @@ LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, co
   if (LaunchService* engine = file.find("engine")) {
     engine->args.insert(engine->args.end(), {"--seed", std::to_string(options.seed)});
   }
+  set_backend(file, options.backend);
+  check_backends(file);
   LaunchPlan plan = plan_launch(file, address, program_directory());
   check_parameters(file, plan);
   return plan;
@@ -96,7 +98,7 @@ class Demo {
     run_.check();
     if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
     // Nothing can be compared before there is a model.
-    if (new_round && live_.model() != nullptr) {
+    if (new_round && live_.published()) {
       server_.clear();
       probes_.begin();
       asked_ns_ = bus::now_ns();

@@ -17,7 +17,8 @@ struct DemoOptions {
   std::uint64_t seed = 0;
   std::filesystem::path out = "out/demo";
   std::filesystem::path launch_file;
-  std::string bus;  ///< empty: a folder of its own
+  std::string bus;      ///< empty: a folder of its own
+  std::string backend;  ///< cpu, cuda or auto; empty: the launch file's
 };
 
 /// A live line's figures.

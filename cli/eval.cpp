@@ -5,6 +5,7 @@
 #include "default_launch_file.h"
 #include "fixed_evaluation.h"
 #include "json_text.h"
+#include "start_evaluation.h"
 #include "terminal.h"
 #include "verbs.h"
 
@@ -17,12 +18,18 @@ struct EvalOptions {
   std::string launch_file;
   std::string out = "out/eval";
   bool json = false;
+
+  [[nodiscard]] EvaluationSetup setup() const {
+    EvaluationSetup setup = fixed.setup;
+    setup.launch_file =
+        launch_file.empty() ? default_launch_file("eval_fixed.yaml") : std::filesystem::path(launch_file);
+    setup.out = out;
+    return setup;
+  }
 };
 
 int evaluate_fixed(EvalOptions options) {
-  options.fixed.launch_file =
-      options.launch_file.empty() ? default_launch_file("eval_fixed.yaml") : std::filesystem::path(options.launch_file);
-  options.fixed.out = options.out;
+  options.fixed.setup = options.setup();
   const StopSignals signals;
   ProgressLine line;
   const auto show_progress = [&](const FixedEvaluationProgress& progress) {
@@ -30,10 +37,12 @@ int evaluate_fixed(EvalOptions options) {
     if (options.json) {
       fmt::print("{}\n", json_text({{"iteration", progress.iteration},
                                     {"gaussians", progress.gaussians},
+                                    {"optimizer_s", rounded(progress.optimizer_s)},
                                     {"steps_per_s", rounded(progress.steps_per_s)},
                                     {"ssim_mean", rounded(figures.mean.ssim)},
                                     {"psnr_mean", rounded(figures.mean.psnr_db)},
-                                    {"flip_mean", rounded(figures.mean.flip)}}));
+                                    {"flip_mean", rounded(figures.mean.flip)},
+                                    {"flip_max", rounded(figures.flip_max)}}));
       std::fflush(stdout);
       return;
     }
@@ -53,30 +62,54 @@ int evaluate_fixed(EvalOptions options) {
   return 0;
 }
 
+int evaluate_start(const EvalOptions& options) {
+  const StopSignals signals;
+  ProgressLine line;
+  const nlohmann::json summary = run_start_evaluation(options.setup(), signals, [&](const std::string& state) {
+    if (!options.json) line.show(state);
+  });
+  line.finish();
+  fmt::print("{}\n", json_text(summary, options.json ? -1 : 2));
+  return 0;
+}
+
+void add_setup_options(CLI::App& verb, EvalOptions& options) {
+  EvaluationSetup& setup = options.fixed.setup;
+  verb.option_defaults()->always_capture_default();
+  verb.add_option("--cameras", setup.cameras, "reference cameras")->check(CLI::Range(1, 64));
+  verb.add_option("--size", setup.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
+  verb.add_option("--input-cameras", setup.input_cameras, "input cameras")->check(CLI::Range(1, 256));
+  verb.add_option("--input-size", setup.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
+  verb.add_option("--budget", setup.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
+  verb.add_option("--ready-gaussians", setup.ready_gaussians,
+                  "Gaussians that make the model count as there; 0: 95 % of the budget");
+  verb.add_option("--seed", setup.seed, "of the trainer's random choices; the scene is the launch file's");
+  verb.add_option("--timeout", setup.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
+  verb.add_option("--out", options.out, "folder for what is written");
+  verb.add_option("--launch", options.launch_file, "launch file (default: launch/eval_fixed.yaml of this build)");
+  verb.add_flag("--json", options.json, "progress and summary as JSON, one object a line");
+  add_backend_option(verb, setup.backend);
+}
+
 }  // namespace
 
 void add_eval_verb(CLI::App& app, Action& action) {
   CLI::App* eval = app.add_subcommand("eval", "Measure the quality that the real services reach");
   eval->require_subcommand(1);
   auto options = std::make_shared<EvalOptions>();
-  FixedEvaluationOptions& fixed = options->fixed;
   CLI::App* verb = eval->add_subcommand(
       "fixed", "Fixed cameras in a circle, held-out views between them; SSIM, PSNR and FLIP over the iterations");
-  verb->option_defaults()->always_capture_default();
-  verb->add_option("--cameras", fixed.cameras, "reference cameras")->check(CLI::Range(1, 64));
-  verb->add_option("--size", fixed.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
+  add_setup_options(*verb, *options);
+  FixedEvaluationOptions& fixed = options->fixed;
   verb->add_option("--iterations", fixed.iterations, "optimizer steps")->check(CLI::Range(1, 1000000));
   verb->add_option("--every", fixed.every, "steps between evaluations")->check(CLI::Range(1, 1000000));
   verb->add_option("--views", fixed.views, "held-out views")->check(CLI::Range(1, 64));
-  verb->add_option("--input-cameras", fixed.input_cameras, "input cameras")->check(CLI::Range(1, 256));
-  verb->add_option("--input-size", fixed.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
-  verb->add_option("--budget", fixed.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
-  verb->add_option("--seed", fixed.seed, "of the trainer's random choices; the scene is the launch file's");
-  verb->add_option("--timeout", fixed.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
-  verb->add_option("--out", options->out, "folder for figures.csv, summary.json and contact_sheet.png");
-  verb->add_option("--launch", options->launch_file, "launch file (default: launch/eval_fixed.yaml of this build)");
-  verb->add_flag("--json", options->json, "progress and summary as JSON, one object a line");
   verb->callback([options, &action] { action = [options] { return evaluate_fixed(*options); }; });
+
+  auto start_options = std::make_shared<EvalOptions>();
+  CLI::App* start = eval->add_subcommand("start", "How soon after the engine's first frame there is a trained model");
+  add_setup_options(*start, *start_options);
+  start->callback([start_options, &action] { action = [start_options] { return evaluate_start(*start_options); }; });
 }
 
 }  // namespace splatbus::cli

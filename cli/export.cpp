@@ -23,7 +23,7 @@ int export_model(const ExportOptions& options) {
   const bus::Address address = bus_address(options.bus);
   LiveScene live(connect(address));
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.timeout_s * 1e9);
-  while (bus::now_ns() < end_ns && (live.model() == nullptr || !live.has_light() || !live.has_objects())) {
+  while (bus::now_ns() < end_ns && (!live.published() || !live.has_light() || !live.has_objects())) {
     live.poll(std::chrono::milliseconds(50));
   }
   const auto model = live.copy_average(std::chrono::milliseconds(1000));

@@ -35,11 +35,11 @@ FigureSummary summarize(const ViewFigures& figures) {
   return summary;
 }
 
-std::string csv_rows(std::uint64_t iteration, const ViewFigures& figures) {
+std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigures& figures) {
   std::string rows;
   for (const auto& [view, quality] : figures) {
-    rows += fmt::format("{},{},{:.5f},{:.3f},{:.5f}\n", iteration, view, quality.ssim,
-                        std::min(quality.psnr_db, kHighestPsnr), quality.flip);
+    rows += fmt::format("{},{},{:.5f},{:.3f},{:.5f},{:.4f}\n", iteration, view, quality.ssim,
+                        std::min(quality.psnr_db, kHighestPsnr), quality.flip, optimizer_s);
   }
   return rows;
 }

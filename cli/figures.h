@@ -20,9 +20,9 @@ struct FigureSummary {
 /// Of at least one view; an infinite PSNR (equal pictures) counts as 100 dB, so that means stay finite.
 [[nodiscard]] FigureSummary summarize(const ViewFigures& figures);
 
-/// "iteration,view,ssim,psnr,flip" lines of one iteration.
-[[nodiscard]] std::string csv_rows(std::uint64_t iteration, const ViewFigures& figures);
-inline constexpr const char* kCsvHeader = "iteration,view,ssim,psnr,flip\n";
+/// Lines of one iteration under kCsvHeader; `optimizer_s` is what training has taken so far.
+[[nodiscard]] std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigures& figures);
+inline constexpr const char* kCsvHeader = "iteration,view,ssim,psnr,flip,optimizer_s\n";
 
 /// Writes text to a file; throws std::runtime_error that names it.
 void write_text(const std::string& path, const std::string& text);

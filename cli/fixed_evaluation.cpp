@@ -14,6 +14,7 @@
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "server_view.h"
+#include "start_watch.h"
 #include "supervised_run.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
@@ -28,23 +29,6 @@ using Json = nlohmann::json;
 constexpr float kHeldOutTurnDegrees = 7;
 constexpr std::int64_t kRepeatNs = 3'000'000'000;  ///< what was asked for and has not come is asked for again
 
-LaunchPlan make_plan(const FixedEvaluationOptions& options, const bus::Address& address) {
-  LaunchFile file = read_launch_file(options.launch_file);
-  for (const auto& [name, value] : ring_parameters({.count = options.cameras, .size = options.size})) {
-    apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
-  }
-  const std::vector<std::pair<std::string, std::string>> settings{
-      {"capture-bridge.input_cameras", std::to_string(options.input_cameras)},
-      {"capture-bridge.input_size", std::to_string(options.input_size)},
-      {"capture-bridge.sample_budget", std::to_string(options.budget)},
-      {"trainer.seed", std::to_string(options.seed)},
-  };
-  for (const auto& [name, value] : settings) apply_override(file, fmt::format("{}={}", name, value));
-  LaunchPlan plan = plan_launch(file, address, program_directory());
-  check_parameters(file, plan);
-  return plan;
-}
-
 class FixedEvaluation {
  public:
   FixedEvaluation(const FixedEvaluationOptions& options, const StopSignals& signals,
@@ -52,15 +36,17 @@ class FixedEvaluation {
       : options_(options),
         signals_(signals),
         show_state_(show_state),
-        plan_(make_plan(options, folder_.address())),
+        plan_(plan_evaluation(options.setup, folder_.address(), true)),
         context_(connect(folder_.address())),
         watch_(context_),
         live_(context_),
-        probes_(context_,
-                circle_cameras({.count = options.views, .size = options.size, .phase_degrees = kHeldOutTurnDegrees})),
+        start_(context_, options.setup.enough_gaussians()),
+        probes_(
+            context_,
+            circle_cameras({.count = options.views, .size = options.setup.size, .phase_degrees = kHeldOutTurnDegrees})),
         control_(context_, "control/trainer"),
         view_(0),
-        run_(plan_, options.out / "services.log") {}
+        run_(plan_, options.setup.out / "services.log") {}
 
   Json run(const std::function<void(const FixedEvaluationProgress&)>& show_progress) {
     prepare();
@@ -70,18 +56,21 @@ class FixedEvaluation {
       const int step = std::min(iteration, options_.iterations);
       train_until(static_cast<std::uint64_t>(step));
       figures = evaluate();
-      csv += csv_rows(static_cast<std::uint64_t>(step), figures);
-      write_text(options_.out / "figures.csv", csv);
       const auto& trainer = watch_.state().trainer;
-      show_progress({.iteration = static_cast<std::uint64_t>(step),
-                     .gaussians = trainer.gaussians,
-                     .steps_per_s = rate(static_cast<double>(trainer.step)),
-                     .figures = summarize(figures)});
+      const FixedEvaluationProgress progress{.iteration = static_cast<std::uint64_t>(step),
+                                             .gaussians = trainer.gaussians,
+                                             .optimizer_s = trainer.optimizer_s,
+                                             .steps_per_s = rate(static_cast<double>(trainer.step)),
+                                             .figures = summarize(figures)};
+      csv += csv_rows(progress.iteration, progress.optimizer_s, figures);
+      write_text(options_.setup.out / "figures.csv", csv);
+      evaluations_.push_back(progress);
+      show_progress(progress);
       if (step == options_.iterations) break;
     }
     write_contact_sheet(figures);
     const Json summary = make_summary(figures);
-    write_text(options_.out / "summary.json", json_text(summary, 2) + "\n");
+    write_text(options_.setup.out / "summary.json", json_text(summary, 2) + "\n");
     run_.stop();
     return summary;
   }
@@ -100,17 +89,19 @@ class FixedEvaluation {
         asked_ns = bus::now_ns();
       }
       const PipelineState& state = watch_.state();
-      return probes_.complete() && state.trainer.ready_references >= static_cast<std::uint32_t>(options_.cameras) &&
-             state.trainer.ready_inputs >= static_cast<std::uint32_t>(options_.input_cameras) &&
-             state.grid.rounds >= 1 && state.grid.batches_pending == 0 && live_.model() != nullptr &&
-             live_.model()->average().count > 0 && state.visibility_generation == live_.model()->generation();
+      return probes_.complete() &&
+             state.trainer.ready_references >= static_cast<std::uint32_t>(options_.setup.cameras) &&
+             state.trainer.ready_inputs >= static_cast<std::uint32_t>(options_.setup.input_cameras) &&
+             state.grid.rounds >= 1 && state.grid.batches_pending == 0 && live_.published() &&
+             live_.published()->count > 0 && state.visibility_generation == live_.published()->generation;
     };
     wait_until("the services and their first pictures", ready, [&] {
       const PipelineState& state = watch_.state();
       return fmt::format("references {}/{}, inputs {}/{}, held-out views {}/{}, {} Gaussians, {} batches pending{}",
-                         state.trainer.ready_references, options_.cameras, state.trainer.ready_inputs,
-                         options_.input_cameras, probes_.pictures().size(), options_.views, state.trainer.gaussians,
-                         state.grid.batches_pending, state.visibility_generation == 0 ? ", no light visibility" : "");
+                         state.trainer.ready_references, options_.setup.cameras, state.trainer.ready_inputs,
+                         options_.setup.input_cameras, probes_.pictures().size(), options_.views,
+                         state.trainer.gaussians, state.grid.batches_pending,
+                         state.visibility_generation == 0 ? ", no light visibility" : "");
     });
   }
 
@@ -159,11 +150,11 @@ class FixedEvaluation {
 
   void write_contact_sheet(const ViewFigures& figures) {
     metrics::ContactSheet sheet{
-        .title = fmt::format("{} reference cameras of {}x{}, {} iterations, held-out views", options_.cameras,
-                             options_.size, options_.size, options_.iterations),
+        .title = fmt::format("{} reference cameras of {}x{}, {} iterations, held-out views", options_.setup.cameras,
+                             options_.setup.size, options_.setup.size, options_.iterations),
         .columns = {"engine", "server", "FLIP"},
         .rows = {},
-        .picture_height = options_.size};
+        .picture_height = options_.setup.size};
     for (const auto& [index, probe] : probes_.pictures()) {
       const metrics::Quality& quality = figures.at(index);
       cv::Mat map;
@@ -174,7 +165,7 @@ class FixedEvaluation {
                        fmt::format("FLIP {:.3f}", quality.flip)},
            .pictures = {probe.picture, drawn_.at(index), metrics::colorize(map)}});
     }
-    metrics::write_png(options_.out / "contact_sheet.png", metrics::draw(sheet));
+    metrics::write_png(options_.setup.out / "contact_sheet.png", metrics::draw(sheet));
   }
 
   [[nodiscard]] double rate(double count) const {
@@ -185,30 +176,45 @@ class FixedEvaluation {
   [[nodiscard]] Json make_summary(const ViewFigures& figures) const {
     const FigureSummary summary = summarize(figures);
     const auto& trainer = watch_.state().trainer;
-    return {{"gaussians", trainer.gaussians},
-            {"iterations", trainer.step},
-            {"ssim_mean", rounded(summary.mean.ssim)},
-            {"ssim_min", rounded(summary.ssim_min)},
-            {"psnr_mean", rounded(summary.mean.psnr_db)},
-            {"flip_mean", rounded(summary.mean.flip)},
-            {"flip_max", rounded(summary.flip_max)},
-            {"steps_per_s", rounded(rate(static_cast<double>(trainer.step)))},
-            {"views_per_s", rounded(rate(static_cast<double>(trainer.views)))}};
+    Json result{{"gaussians", trainer.gaussians},
+                {"iterations", trainer.step},
+                {"optimizer_s", rounded(trainer.optimizer_s)},
+                {"ssim_mean", rounded(summary.mean.ssim)},
+                {"ssim_min", rounded(summary.ssim_min)},
+                {"psnr_mean", rounded(summary.mean.psnr_db)},
+                {"flip_mean", rounded(summary.mean.flip)},
+                {"flip_max", rounded(summary.flip_max)},
+                {"steps_per_s", rounded(rate(static_cast<double>(trainer.step)))},
+                {"views_per_s", rounded(rate(static_cast<double>(trainer.views)))},
+                {"host_copied_bytes", trainer.host_copied_bytes},
+                {"host_copied_bytes_by_service", host_copied_bytes(run_.status())},
+                {"evaluations", Json::array()}};
+    for (const FixedEvaluationProgress& at : evaluations_) {
+      result["evaluations"].push_back({{"iteration", at.iteration},
+                                       {"optimizer_s", rounded(at.optimizer_s)},
+                                       {"ssim_mean", rounded(at.figures.mean.ssim)},
+                                       {"ssim_min", rounded(at.figures.ssim_min)},
+                                       {"flip_mean", rounded(at.figures.mean.flip)},
+                                       {"flip_max", rounded(at.figures.flip_max)}});
+    }
+    result.update(start_.summary());
+    return result;
   }
 
   void wait_until(const std::string& what, const std::function<bool()>& condition,
                   const std::function<std::string()>& describe) {
-    const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_.timeout_s * 1e9);
+    const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_.setup.timeout_s * 1e9);
     std::int64_t shown_ns = 0;
     while (!condition()) {
       run_.check();
       if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted while waiting for " + what);
       if (bus::now_ns() > end_ns) {
-        throw std::runtime_error(fmt::format("{} did not come within {} s ({}); see {}", what, options_.timeout_s,
-                                             describe(), (options_.out / "services.log").string()));
+        throw std::runtime_error(fmt::format("{} did not come within {} s ({}); see {}", what, options_.setup.timeout_s,
+                                             describe(), (options_.setup.out / "services.log").string()));
       }
       watch_.poll(std::chrono::milliseconds(20));
       live_.poll(std::chrono::milliseconds(0));
+      start_.poll(std::chrono::milliseconds(0));
       probes_.poll(std::chrono::milliseconds(0), [](std::size_t, const ProbePicture&) {});
       if (bus::now_ns() - shown_ns > 1'000'000'000) {
         show_state_(describe());
@@ -225,10 +231,12 @@ class FixedEvaluation {
   std::shared_ptr<bus::Context> context_;
   PipelineWatch watch_;
   LiveScene live_;
+  StartWatch start_;
   ProbeRounds probes_;
   bus::Publisher control_;
   ServerView view_;
   std::map<std::size_t, cv::Mat> drawn_;
+  std::vector<FixedEvaluationProgress> evaluations_;
   SupervisedRun run_;
 };
 
@@ -237,7 +245,7 @@ class FixedEvaluation {
 Json run_fixed_evaluation(const FixedEvaluationOptions& options, const StopSignals& signals,
                           const std::function<void(const std::string&)>& show_state,
                           const std::function<void(const FixedEvaluationProgress&)>& show_progress) {
-  fs::create_directories(options.out);
+  fs::create_directories(options.setup.out);
   return FixedEvaluation(options, signals, show_state).run(show_progress);
 }
 

@@ -20,7 +20,7 @@ namespace {
 struct LaunchOptions {
   std::string file;
   std::vector<std::string> overrides;
-  std::string bus;
+  std::string bus, backend;
   double seconds = 0;
   bool check = false;
   bool json = false;
@@ -34,17 +34,21 @@ void print_plan(const LaunchPlan& plan, bool json) {
   for (const ProcessPlan& process : plan.processes) {
     std::vector<std::string> after;
     for (const std::size_t index : process.after) after.push_back(plan.processes[index].name);
-    fmt::print("{}\n", json ? json_text({{"service", process.name},
-                                         {"program", process.program.string()},
-                                         {"arguments", process.arguments},
-                                         {"after", after}})
-                            : process.name);
+    fmt::print(
+        "{}\n",
+        json ? json_text({{"service", process.name},
+                          {"program", process.program.string()},
+                          {"arguments", process.arguments},
+                          {"backend", process.backend.empty() ? nlohmann::json() : nlohmann::json(process.backend)},
+                          {"after", after}})
+             : process.name);
   }
 }
 
 int launch(const LaunchOptions& options) {
   LaunchFile file = read_launch_file(options.file);
   for (const std::string& assignment : options.overrides) apply_override(file, assignment);
+  set_backend(file, options.backend);
   bus::Address address = bus_address(options.bus);
   if (options.bus.empty() && file.bus) {
     try {
@@ -54,6 +58,7 @@ int launch(const LaunchOptions& options) {
     }
   }
   const LaunchPlan plan = plan_launch(file, address, program_directory());
+  check_backends(file);
   check_parameters(file, plan);
   if (options.check) {
     print_plan(plan, options.json);
@@ -102,6 +107,7 @@ void add_launch_verb(CLI::App& app, Action& action) {
       ->check(CLI::NonNegativeNumber);
   verb->add_flag("--check", options->check, "check the file, print the processes in starting order, and start nothing");
   verb->add_flag("--json", options->json, "one JSON object a line of output");
+  add_backend_option(*verb, options->backend);
   add_bus_option(*verb, options->bus);
   verb->callback([options, &action] { action = [options] { return launch(*options); }; });
 }

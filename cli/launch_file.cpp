@@ -82,6 +82,14 @@ class Reader {
   std::string path_;
 };
 
+Marked<std::string> read_backend(const Reader& reader, const YAML::Node& node, const std::string& what) {
+  const std::string backend = reader.scalar(node, what);
+  if (backend != "cpu" && backend != "cuda" && backend != "auto") {
+    reader.refuse(node, fmt::format("{} must be cpu, cuda or auto, not '{}'", what, backend));
+  }
+  return {backend, reader.mark(node)};
+}
+
 bool is_source_name(const std::string& name) {
   return !name.empty() && name.size() <= 64 && std::all_of(name.begin(), name.end(), [](unsigned char c) {
     return std::isalnum(c) != 0 || c == '-' || c == '_';
@@ -137,6 +145,7 @@ LaunchService read_service(const Reader& reader, const YAML::Node& node) {
        [&](const YAML::Node& v) {
          service.bus = {reader.scalar(v, "bus " + of_service), reader.mark(v)};
        }},
+      {"backend", [&](const YAML::Node& v) { service.backend = read_backend(reader, v, "backend " + of_service); }},
       {"replicas",
        [&](const YAML::Node& v) { service.replicas = reader.integer(v, "replicas " + of_service, 1, kMaxReplicas); }},
       {"restart",
@@ -255,18 +264,24 @@ LaunchFile parse_launch_file(const std::string& yaml, const std::string& path) {
   reader.each_entry(root, "a launch file", [&](const std::string& key, const auto& key_node, const auto& value) {
     if (key == "bus") {
       file.bus = {reader.scalar(value, "bus"), reader.mark(value)};
+    } else if (key == "backend") {
+      file.backend = read_backend(reader, value, "backend");
     } else if (key == "services") {
       has_services = true;
       for (const auto& node : reader.list(value, "services")) file.services.push_back(read_service(reader, node));
       if (file.services.empty()) reader.refuse(value, "services is empty");
     } else {
-      reader.refuse(key_node, fmt::format("unknown key '{}' (known: bus, services)", key));
+      reader.refuse(key_node, fmt::format("unknown key '{}' (known: backend, bus, services)", key));
     }
   });
   if (!has_services) reader.refuse(root, "a launch file needs the key services");
   check_names(file);
   check_dependencies(file);
   return file;
+}
+
+void set_backend(LaunchFile& file, const std::string& backend) {
+  if (!backend.empty()) file.backend = {backend, {"--backend " + backend, 0, 0}};
 }
 
 void apply_override(LaunchFile& file, const std::string& assignment) {

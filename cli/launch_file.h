@@ -43,6 +43,7 @@ struct LaunchService {
   std::vector<std::string> args;
   std::map<std::string, std::string> environment;  ///< added to ours
   std::optional<Marked<std::string>> bus;          ///< a bus of its own, e.g. tcp://host:port
+  std::optional<Marked<std::string>> backend;      ///< cpu, cuda or auto, before the file's
   int replicas = 1;                                ///< more than 1: name-1, name-2, ...
   RestartPolicy restart = RestartPolicy::OnFailure;
   std::vector<Marked<std::string>> after;  ///< names of services that have to be ready first
@@ -53,6 +54,7 @@ struct LaunchService {
 struct LaunchFile {
   std::string path;
   std::optional<Marked<std::string>> bus;
+  std::optional<Marked<std::string>> backend;  ///< of every service that names none
   std::vector<LaunchService> services;
 
   [[nodiscard]] LaunchService* find(const std::string& name);
@@ -62,6 +64,9 @@ struct LaunchFile {
 /// LaunchError.
 [[nodiscard]] LaunchFile read_launch_file(const std::string& path);
 [[nodiscard]] LaunchFile parse_launch_file(const std::string& yaml, const std::string& path);
+
+/// The backend of every service that names none, instead of the file's; empty changes nothing.
+void set_backend(LaunchFile& file, const std::string& backend);
 
 /// Applies "service.key=value", value of a parameter. Throws LaunchError that names the known services.
 void apply_override(LaunchFile& file, const std::string& assignment);

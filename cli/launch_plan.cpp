@@ -10,6 +10,7 @@
 #include <optional>
 #include <set>
 
+#include "bus/backend.h"
 #include "bus/error.h"
 #include "child_process.h"
 
@@ -94,7 +95,7 @@ std::vector<const LaunchService*> ordered(const LaunchFile& file) {
 }
 
 ProcessPlan make_process(const LaunchService& service, const fs::path& program, const std::string& name, int replica,
-                         const bus::Address& file_bus) {
+                         const LaunchFile& file, const bus::Address& file_bus) {
   const bus::Address address = service.bus ? bus::Address::parse(service.bus->value) : file_bus;
   const Variables variables{
       {"name", name}, {"replica", std::to_string(replica)}, {"bus_dir", address.directory.value_or("")}};
@@ -113,6 +114,11 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
     process.arguments.push_back(key + "=" + expand(setting.value, variables));
   }
   process.environment = {{"SPLATBUS_BUS", address.text()}};
+  // In the environment: a program that knows of no backends does not mind.
+  if (const auto& backend = service.backend ? service.backend : file.backend) {
+    process.backend = backend->value;
+    process.environment["SPLATBUS_BACKEND"] = backend->value;
+  }
   for (const auto& [key, value] : service.environment) process.environment[key] = expand(value, variables);
   return process;
 }
@@ -160,7 +166,7 @@ LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs
         throw LaunchError(service->mark, fmt::format("process name '{}' is taken, at {}", name, taken->second.text()));
       }
       try {
-        plan.processes.push_back(make_process(*service, program, name, ++replica, bus));
+        plan.processes.push_back(make_process(*service, program, name, ++replica, file, bus));
       } catch (const bus::Error& error) {
         throw LaunchError(service->bus->mark, error.what());
       }
@@ -171,6 +177,28 @@ LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs
     indices[service->name] = std::move(own);
   }
   return plan;
+}
+
+std::vector<std::string> heartbeat_sources(const LaunchFile& file) {
+  std::vector<std::string> sources;
+  for (const LaunchService& service : file.services) {
+    if (is_broker(service) || service.heartbeat_timeout_s <= 0 || service.bus) continue;
+    for (std::string& name : process_names(service)) sources.push_back(std::move(name));
+  }
+  return sources;
+}
+
+void check_backends(const LaunchFile& file) {
+  const auto check = [](const std::optional<Marked<std::string>>& backend) {
+    if (!backend || backend->value != "cuda") return;
+    try {
+      static_cast<void>(bus::choose_backend(backend->value));
+    } catch (const bus::Error& error) {
+      throw LaunchError(backend->mark, error.what());
+    }
+  };
+  check(file.backend);
+  for (const LaunchService& service : file.services) check(service.backend);
 }
 
 void check_parameters(const LaunchFile& file, const LaunchPlan& plan) {

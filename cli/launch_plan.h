@@ -22,6 +22,7 @@ struct ProcessPlan {
   double heartbeat_timeout_s = 5;  ///< 0: ready as soon as it runs
   double start_timeout_s = 30;
   bool broker = false;
+  std::string backend;  ///< cpu, cuda or auto, as SPLATBUS_BACKEND; empty: what that variable says here
 };
 
 /// What a launch file comes to: processes, each after those that it waits for; the broker first.
@@ -38,6 +39,12 @@ struct LaunchPlan {
 /// file.
 [[nodiscard]] LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus,
                                      const std::filesystem::path& programs);
+
+/// Names under which the processes of a file send heartbeats on its bus, but for the broker's.
+[[nodiscard]] std::vector<std::string> heartbeat_sources(const LaunchFile& file);
+
+/// Throws LaunchError with the place when a service shall use CUDA and this machine or build cannot.
+void check_backends(const LaunchFile& file);
 
 /// Asks each service's program whether it accepts its parameters (--parameters runs nothing), and throws LaunchError
 /// with the place of the first that it does not.

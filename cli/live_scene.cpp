@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "wire/convert.h"
+#include "wire/model_generated.h"
 #include "wire/scene_generated.h"
 
 namespace splatbus::cli {
@@ -14,16 +15,14 @@ void LiveScene::poll(std::chrono::milliseconds timeout) {
   for (const bus::Message& message : subscriber_.receive_newest(timeout)) {
     bus::guarded(message, [&] { take(message); });
   }
-  // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.
-  if (published_ && model() == nullptr) {
-    bus::guarded(*published_, [&] { model_ = PublishedModel::open(*published_); });
-  }
 }
 
 void LiveScene::take(const bus::Message& message) {
   if (message.topic() == "model/published") {
-    published_ = message;
-    model_ = PublishedModel::open(message);
+    const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
+    published_ = {.generation = published.generation(), .step = published.step(), .count = published.count()};
+    message_ = message;
+    model_.reset();
   } else if (message.topic() == "scene/light") {
     scene_.light = from_wire(*message.root<wire::SceneLight>("SceneLight/1").light());
     has_light_ = true;
@@ -33,8 +32,14 @@ void LiveScene::take(const bus::Message& message) {
   }
 }
 
-const PublishedModel* LiveScene::model() const {
-  return model_ && model_->still_valid() ? &*model_ : nullptr;
+const PublishedModel* LiveScene::model() {
+  if (!message_) return nullptr;
+  if (model_ && model_->refresh()) return &*model_;
+  // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.
+  model_.reset();
+  bus::guarded(*message_,
+               [&] { model_ = PublishedModel::open(*message_, bus::MemoryKind::Host, PublishedModel::Need::Average); });
+  return model_ ? &*model_ : nullptr;
 }
 
 std::optional<GaussiansBuffer> LiveScene::copy_average(std::chrono::milliseconds timeout) {

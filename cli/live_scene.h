@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <optional>
 
@@ -18,8 +19,16 @@ class LiveScene {
   /// Takes in what has arrived.
   void poll(std::chrono::milliseconds timeout);
 
-  /// Null until a model is published, and while its structure has moved on and the newer message has not come.
-  [[nodiscard]] const PublishedModel* model() const;
+  /// What the newest model/published says of the model.
+  struct Published {
+    std::uint64_t generation = 0, step = 0, count = 0;
+  };
+  [[nodiscard]] const std::optional<Published>& published() const { return published_; }
+
+  /// The averaged model with its values as they are now: read in place, or copied, where it lies on the device. Null
+  /// until one is published, and while its structure has moved on and the newer message has not come. Valid until the
+  /// next call.
+  [[nodiscard]] const PublishedModel* model();
   [[nodiscard]] const SceneState& scene() const { return scene_; }
   [[nodiscard]] bool has_light() const { return has_light_; }
   [[nodiscard]] bool has_objects() const { return has_objects_; }
@@ -31,7 +40,8 @@ class LiveScene {
   void take(const bus::Message& message);
 
   bus::Subscriber subscriber_;
-  std::optional<bus::Message> published_;
+  std::optional<bus::Message> message_;
+  std::optional<Published> published_;
   std::optional<PublishedModel> model_;
   SceneState scene_;
   bool has_light_ = false, has_objects_ = false;

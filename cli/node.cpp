@@ -1,11 +1,20 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
+#include <algorithm>
 #include <chrono>
+#include <iterator>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <stdexcept>
+#include <vector>
 
 #include "bus/subscriber.h"
 #include "json_text.h"
+#include "launch_plan.h"
 #include "stop_signals.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
@@ -20,6 +29,8 @@ constexpr std::chrono::milliseconds kPatience(50);
 struct NodeOptions {
   std::string bus;
   double seconds = 1;
+  std::string wait;  ///< launch file whose services shall be there first
+  double timeout_s = 60;
   bool json = false;
 };
 
@@ -29,6 +40,7 @@ Json describe(const wire::Heartbeat& heartbeat) {
             {"kind", heartbeat.service()->str()},
             {"pid", heartbeat.pid()},
             {"state", wire::EnumNameServiceState(heartbeat.state())},
+            {"backend", text(heartbeat.backend())},
             {"detail", text(heartbeat.detail())},
             {"age_s", static_cast<double>(bus::now_ns() - heartbeat.header()->publish_ns()) / 1e9},
             {"counters", Json::object()},
@@ -42,9 +54,49 @@ Json describe(const wire::Heartbeat& heartbeat) {
   return node;
 }
 
+/// Names that a sys/liveness message calls alive.
+std::set<std::string> alive_nodes(const bus::Message& message) {
+  std::set<std::string> alive;
+  const auto& liveness = message.root<wire::Liveness>("Liveness/1");
+  if (liveness.nodes() == nullptr) return alive;
+  for (const wire::Node* node : *liveness.nodes()) {
+    if (node->alive()) alive.insert(node->source()->str());
+  }
+  return alive;
+}
+
+/// Until the broker calls every service of the file alive. Throws std::runtime_error that names those that are missing.
+void wait_for_services(const NodeOptions& options, const std::shared_ptr<bus::Context>& context, const LaunchFile& file,
+                       const StopSignals& signals) {
+  const std::vector<std::string> wanted = heartbeat_sources(file);
+  std::vector<std::string> missing = wanted;
+  bus::Subscriber subscriber(context, {"sys/liveness"});
+  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.timeout_s * 1e9);
+  while (!missing.empty()) {
+    if (signals.stop().stop_requested()) throw std::runtime_error("interrupted");
+    if (bus::now_ns() > end_ns) {
+      throw std::runtime_error(fmt::format("not alive within {} s on {}: {}", options.timeout_s,
+                                           context->address().text(), fmt::join(missing, ", ")));
+    }
+    const auto message = subscriber.receive(kPatience);
+    if (!message) continue;
+    bus::guarded(*message, [&] {
+      const std::set<std::string> alive = alive_nodes(*message);
+      missing.clear();
+      std::copy_if(wanted.begin(), wanted.end(), std::back_inserter(missing),
+                   [&](const std::string& name) { return !alive.contains(name); });
+    });
+  }
+}
+
 int list(const NodeOptions& options) {
   const StopSignals signals;
-  bus::Subscriber subscriber(connect(bus_address(options.bus)), {"sys/heartbeat"});
+  std::optional<LaunchFile> file;
+  if (!options.wait.empty()) file = read_launch_file(options.wait);
+  const bool own_bus = options.bus.empty() && file && file->bus;
+  const auto context = connect(own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus));
+  if (file) wait_for_services(options, context, *file, signals);
+  bus::Subscriber subscriber(context, {"sys/heartbeat"});
   std::map<std::string, bus::Message> newest;
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.seconds * 1e9);
   while (bus::now_ns() < end_ns && !signals.stop().stop_requested()) {
@@ -53,7 +105,8 @@ int list(const NodeOptions& options) {
     }
   }
   if (!options.json) {
-    fmt::print("{:<18} {:<16} {:>8} {:<9} {:>7}  {}\n", "SOURCE", "KIND", "PID", "STATE", "AGE s", "COUNTERS");
+    fmt::print("{:<18} {:<16} {:>8} {:<9} {:<7} {:>7}  {}\n", "SOURCE", "KIND", "PID", "STATE", "BACKEND", "AGE s",
+               "COUNTERS");
   }
   for (const auto& [source, message] : newest) {
     bus::guarded(message, [&message = message, &options] {
@@ -64,9 +117,9 @@ int list(const NodeOptions& options) {
         counters +=
             fmt::format("{}{}={:.6g}", counters.empty() ? "" : " ", name, value.is_null() ? 0.0 : value.get<double>());
       }
-      fmt::print("{:<18} {:<16} {:>8} {:<9} {:>7.2f}  {}\n", node["source"].get<std::string>(),
+      fmt::print("{:<18} {:<16} {:>8} {:<9} {:<7} {:>7.2f}  {}\n", node["source"].get<std::string>(),
                  node["kind"].get<std::string>(), node["pid"].get<int>(), node["state"].get<std::string>(),
-                 node["age_s"].get<double>(), counters);
+                 node["backend"].get<std::string>(), node["age_s"].get<double>(), counters);
     });
   }
   if (newest.empty()) fmt::print(stderr, "splatbus node list: no heartbeat within {} s\n", options.seconds);
@@ -82,6 +135,8 @@ void add_node_verb(CLI::App& app, Action& action) {
   CLI::App* verb = node->add_subcommand("list", "Processes that send heartbeats, with state, age and counters");
   verb->add_option("--seconds", options->seconds, "how long to listen (default 1)")->check(CLI::PositiveNumber);
   verb->add_flag("--json", options->json, "one JSON object a line");
+  verb->add_option("--wait", options->wait, "launch file: wait first until each of its services is alive");
+  verb->add_option("--timeout", options->timeout_s, "seconds to wait at most (default 60)")->check(CLI::PositiveNumber);
   add_bus_option(*verb, options->bus);
   verb->callback([options, &action] { action = [options] { return list(*options); }; });
 }

@@ -31,7 +31,8 @@ void PipelineWatch::take(const bus::Message& message) {
                       .loss = stats.loss(),
                       .ready_references = stats.ready_references(),
                       .ready_inputs = stats.ready_inputs(),
-                      .paused = stats.paused()};
+                      .paused = stats.paused(),
+                      .host_copied_bytes = stats.host_copied_bytes()};
   } else if (message.topic() == "grid/state") {
     const auto& grid = message.root<wire::GridState>("GridState/1");
     state_.grid = {.rounds = grid.rounds(),

@@ -18,6 +18,7 @@ struct PipelineState {
     double optimizer_s = 0, steps_per_s = 0, loss = 0;
     std::uint32_t ready_references = 0, ready_inputs = 0;
     bool paused = false;
+    std::uint64_t host_copied_bytes = 0;
   };
   struct Grid {
     std::uint64_t rounds = 0, batches_pending = 0, gaussians_inserted = 0;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -90,10 +91,18 @@ Json tensor_summary(const bus::Message& message, const wire::Tensor& tensor) {
                {"type", wire::EnumNameElementType(tensor.type())},
                {"min", nullptr},
                {"max", nullptr}};
-  const auto view = message.tensor(tensor.name()->str());
-  if (!view) return summary;
-  std::vector<std::byte> bytes(view->bytes());
-  if (!view->copy(bytes.data())) return summary;
+  std::vector<std::byte> bytes;
+  std::optional<bus::TensorView> view;
+  try {
+    view = message.tensor(tensor.name()->str());
+    if (!view) return summary;
+    bytes.resize(view->bytes());
+    if (!view->copy(bytes.data())) return summary;
+  } catch (const bus::Error& error) {
+    // Memory of a device that this machine or build does not have; the rest of the message is worth showing.
+    summary["unreadable"] = error.what();
+    return summary;
+  }
   switch (view->type()) {
     case wire::ElementType::U8:
       add_range<std::uint8_t>(summary, bytes);

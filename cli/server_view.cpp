@@ -6,7 +6,7 @@ namespace splatbus::cli {
 
 ServerView::ServerView(int threads) : rasterizer_(raster::make_cpu_rasterizer(threads)) {}
 
-std::optional<cv::Mat> ServerView::render(const LiveScene& live, const Camera& camera, const SceneState& scene) {
+std::optional<cv::Mat> ServerView::render(LiveScene& live, const Camera& camera, const SceneState& scene) {
   const PublishedModel* model = live.model();
   if (model == nullptr || model->average().count == 0) return {};
   rasterizer_->render(model->average(), camera, scene, {}, render_);

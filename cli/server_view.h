@@ -15,7 +15,7 @@ class ServerView {
   explicit ServerView(int threads);
 
   /// CV_8UC3 BGR in display space; nullopt when there is no model, or its structure changed while it was drawn.
-  [[nodiscard]] std::optional<cv::Mat> render(const LiveScene& live, const Camera& camera, const SceneState& scene);
+  [[nodiscard]] std::optional<cv::Mat> render(LiveScene& live, const Camera& camera, const SceneState& scene);
 
  private:
   std::unique_ptr<raster::Rasterizer> rasterizer_;

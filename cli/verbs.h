@@ -22,6 +22,8 @@ void add_demo_verb(CLI::App& app, Action& action);
 
 /// Adds --bus to a verb.
 void add_bus_option(CLI::App& verb, std::string& address);
+/// Adds --backend to a verb that launches services; empty when it is not given.
+void add_backend_option(CLI::App& verb, std::string& backend);
 /// The bus that --bus names, or the default one.
 [[nodiscard]] bus::Address bus_address(const std::string& option);
 /// A connection of this command, under a name of its own.

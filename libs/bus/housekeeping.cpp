@@ -88,7 +88,7 @@ void Housekeeping::beat(wire::ServiceState state) {
       parameter_offsets.push_back(wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str()));
     }
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
-                                       detail.c_str(), &counter_offsets, &parameter_offsets);
+                                       detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend));
   });
 }
 

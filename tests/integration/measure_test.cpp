@@ -66,10 +66,31 @@ TEST(Measure, DemoWritesItsFigures) {
 TEST(Measure, EvalFixedWritesItsFigures) {
   const PrivateBusFolder folder;
   const fs::path out = folder.path() / "eval";
-  const Answer answer =
-      splatbus_command({"eval",     "fixed", "--cameras", "3",  "--size",          "48",    "--iterations", "20",
-                        "--every",  "10",    "--views",   "2",  "--input-cameras", "4",     "--input-size", "48",
-                        "--budget", "3000",  "--timeout", "90", "--json",          "--out", out.string()});
+  const Answer answer = splatbus_command({"eval",
+                                          "fixed",
+                                          "--cameras",
+                                          "3",
+                                          "--size",
+                                          "48",
+                                          "--iterations",
+                                          "20",
+                                          "--every",
+                                          "10",
+                                          "--views",
+                                          "2",
+                                          "--input-cameras",
+                                          "4",
+                                          "--input-size",
+                                          "48",
+                                          "--budget",
+                                          "3000",
+                                          "--timeout",
+                                          "90",
+                                          "--json",
+                                          "--ready-gaussians",
+                                          "100",
+                                          "--out",
+                                          out.string()});
   ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
 
   std::ifstream csv(out / "figures.csv");
@@ -78,7 +99,7 @@ TEST(Measure, EvalFixedWritesItsFigures) {
   EXPECT_EQ(line + "\n", kCsvHeader);
   std::vector<std::string> places;
   while (std::getline(csv, line)) {
-    EXPECT_THAT(line, testing::MatchesRegex("[0-9]+,[0-9]+,[0-9.]+,[0-9.]+,[0-9.]+"));
+    EXPECT_THAT(line, testing::MatchesRegex("[0-9]+,[0-9]+,[0-9.]+,[0-9.]+,[0-9.]+,[0-9.]+"));
     places.push_back(line.substr(0, line.find(',', line.find(',') + 1)));
   }
   EXPECT_THAT(places, testing::ElementsAre("10,0", "10,1", "20,0", "20,1"));
@@ -86,13 +107,36 @@ TEST(Measure, EvalFixedWritesItsFigures) {
   const Json summary = read_json(out / "summary.json");
   ASSERT_TRUE(summary.is_object());
   expect_finite(summary, {"gaussians", "iterations", "ssim_mean", "ssim_min", "psnr_mean", "flip_mean", "flip_max",
-                          "steps_per_s", "views_per_s"});
+                          "steps_per_s", "views_per_s", "optimizer_s", "host_copied_bytes", "enough_gaussians"});
   EXPECT_EQ(summary["iterations"], 20);
+  ASSERT_EQ(summary["evaluations"].size(), 2U);
+  EXPECT_GT(summary["evaluations"][0]["optimizer_s"], 0);
+  EXPECT_EQ(summary["evaluations"][1]["iteration"], 20);
+  EXPECT_EQ(summary["evaluations"][1]["optimizer_s"], summary["optimizer_s"]);
   EXPECT_GT(summary["gaussians"], 100);
   EXPECT_GT(summary["ssim_mean"], 0.3);
   EXPECT_LE(summary["ssim_min"], summary["ssim_mean"]);
   EXPECT_GE(summary["flip_max"], summary["flip_mean"]);
   EXPECT_FALSE(metrics::read_png((out / "contact_sheet.png").string()).empty());
+  EXPECT_GT(summary["inserted_s"], 0);
+  EXPECT_GE(summary["ready_s"], summary["inserted_s"]);
+  EXPECT_GE(summary["optimised_s"], summary["ready_s"]);
+}
+
+TEST(Measure, EvalStartSaysWhenThereIsAModel) {
+  const PrivateBusFolder folder;
+  const fs::path out = folder.path() / "eval";
+  const Answer answer = splatbus_command({"eval", "start", "--cameras", "3", "--size", "48", "--input-cameras", "4",
+                                          "--input-size", "48", "--budget", "3000", "--ready-gaussians", "100",
+                                          "--timeout", "90", "--json", "--out", out.string()});
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+  const Json summary = read_json(out / "summary.json");
+  EXPECT_EQ(answer.json().back(), summary);
+  expect_finite(summary,
+                {"enough_gaussians", "inserted_s", "ready_s", "optimised_s", "gaussians", "step", "host_copied_bytes"});
+  EXPECT_GE(summary["gaussians"], 100);
+  EXPECT_GT(summary["inserted_s"], 0);
+  EXPECT_GE(summary["optimised_s"], summary["inserted_s"]);
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "command.h"
@@ -99,9 +100,22 @@ TEST_F(RunningPipeline, NodeListShowsEveryService) {
   for (const Json& node : answer.json()) {
     pids[node.at("source")] = node.at("pid");
     EXPECT_EQ(node.at("state"), "Running") << node;
+    if (node.at("source") != "bus") EXPECT_THAT(node.at("backend"), testing::AnyOf("cpu", "cuda")) << node;
     EXPECT_LT(node.at("age_s"), 5) << node;
   }
   EXPECT_EQ(pids, pipeline_->pids());
+}
+
+TEST_F(RunningPipeline, NodeListWaitsForTheServicesOfAFile) {
+  const std::string file = *pipeline_->address().directory + "/wait.yaml";
+  std::ofstream(file) << Pipeline::launch_file();
+  const Answer there = splatbus_command({"node", "list", "--wait", file, "--json", "--bus", bus_});
+  EXPECT_TRUE(there.status.success()) << testing::PrintToString(there.lines);
+  EXPECT_GE(there.lines.size(), 8U);
+  std::ofstream(file, std::ios::app) << "  - {name: viewer-7, program: splatbus-viewer}\n";
+  const Answer missing = splatbus_command({"node", "list", "--wait", file, "--timeout", "0.5", "--bus", bus_});
+  EXPECT_EQ(missing.status.code, 1);
+  EXPECT_THAT(missing.lines, testing::Contains(HasSubstr("not alive within 0.5 s on " + bus_ + ": viewer-7")));
 }
 
 TEST_F(RunningPipeline, ExportWritesAModelThatCanBeRead) {
@@ -142,6 +156,7 @@ TEST(Commands, HelpAndVersionEverywhere) {
                                                                                     {"export"},
                                                                                     {"eval"},
                                                                                     {"eval", "fixed"},
+                                                                                    {"eval", "start"},
                                                                                     {"demo"}}) {
     std::vector<std::string> arguments = verb;
     arguments.emplace_back("--help");

@@ -20,7 +20,8 @@ TEST(Figures, MeansAndExtremes) {
 }
 
 TEST(Figures, CsvHasARowAView) {
-  EXPECT_EQ(csv_rows(100, kFigures), "100,0,0.90000,30.000,0.02000\n100,1,0.98000,100.000,0.04000\n");
+  EXPECT_EQ(csv_rows(100, 0.25, kFigures),
+            "100,0,0.90000,30.000,0.02000,0.2500\n100,1,0.98000,100.000,0.04000,0.2500\n");
 }
 
 TEST(Figures, RoundedKeepsSixDigits) {

@@ -24,6 +24,7 @@ std::string error_of(const std::string& yaml) {
 TEST(LaunchFile, ReadsEveryKey) {
   const LaunchFile file = parse_launch_file(R"(
 bus: ipc:///tmp/somewhere
+backend: cuda
 services:
   - name: bus
   - name: engine
@@ -40,6 +41,7 @@ services:
       probe: true
     endpoint: tcp://127.0.0.1:5999
     bus: tcp://127.0.0.1:6000
+    backend: cpu
     replicas: 3
     restart: never
 )",
@@ -61,9 +63,12 @@ services:
   EXPECT_EQ(viewer.parameters.at("size").value, "160");
   EXPECT_EQ(viewer.parameters.at("probe").value, "true");
   EXPECT_EQ(viewer.parameters.at("endpoint").value, "tcp://127.0.0.1:5999");
-  EXPECT_EQ(viewer.parameters.at("size").mark.text(), "x.yaml:15:13");
+  EXPECT_EQ(viewer.parameters.at("size").mark.text(), "x.yaml:16:13");
   EXPECT_EQ(viewer.bus->value, "tcp://127.0.0.1:6000");
   EXPECT_EQ(viewer.replicas, 3);
+  EXPECT_EQ(file.backend->value, "cuda");
+  EXPECT_EQ(viewer.backend->value, "cpu");
+  EXPECT_FALSE(engine.backend.has_value());
   EXPECT_EQ(viewer.restart, RestartPolicy::Never);
 }
 
@@ -92,6 +97,9 @@ const BadCase kBadCases[] = {
     {"EmptyServices", "services: []\n", "x.yaml:1:11:", "services is empty"},
     {"ServicesNoList", "services: {name: bus}\n", "x.yaml:1:11:", "services must be a list, not a map"},
     {"UnknownTopKey", "services:\n  - name: bus\nservice: 1\n", "x.yaml:3:1:", "unknown key 'service'"},
+    {"TopBackend", "backend: gpu\nservices:\n  - name: bus\n", "x.yaml:1:10:", "cpu, cuda or auto, not 'gpu'"},
+    {"ServiceBackend", "services:\n  - name: bus\n    backend: [cpu]\n",
+     "x.yaml:3:14:", "backend of service 'bus' must be a single value"},
     {"UnknownServiceKey", "services:\n  - name: bus\n    parametres: {}\n",
      "x.yaml:3:5:", "unknown key 'parametres' of service 'bus' (known: after, args"},
     {"DuplicateKey", "services:\n  - name: bus\n    restart: never\n    restart: always\n",
@@ -130,6 +138,16 @@ TEST(LaunchFile, MissingFileIsNamed) {
   } catch (const LaunchError& error) {
     EXPECT_THAT(error.what(), StartsWith("/nonexistent/x.yaml: cannot be read"));
   }
+}
+
+TEST(LaunchOverride, SetsTheBackendOfTheFile) {
+  LaunchFile file = parse_launch_file("backend: auto\nservices:\n  - {name: viewer, backend: cpu}\n", "x.yaml");
+  set_backend(file, "");
+  EXPECT_EQ(file.backend->value, "auto");
+  set_backend(file, "cuda");
+  EXPECT_EQ(file.backend->value, "cuda");
+  EXPECT_EQ(file.backend->mark.text(), "--backend cuda");
+  EXPECT_EQ(file.services[0].backend->value, "cpu");
 }
 
 TEST(LaunchOverride, SetsAParameter) {

@@ -85,6 +85,32 @@ services:
   EXPECT_EQ(viewer.environment.at("A"), "viewer");
 }
 
+TEST_F(LaunchPlanTest, ABackendOfAServiceGoesBeforeTheFiles) {
+  const LaunchPlan p = plan(R"(
+backend: auto
+services:
+  - {name: engine, program: splatbus-engine-sim}
+  - {name: trainer, backend: cpu}
+)");
+  EXPECT_EQ(p.processes[0].environment.at("SPLATBUS_BACKEND"), "auto");
+  EXPECT_EQ(p.processes[1].environment.at("SPLATBUS_BACKEND"), "cpu");
+  const LaunchPlan silent = plan("services:\n  - {name: trainer}\n");
+  EXPECT_FALSE(silent.processes[0].environment.contains("SPLATBUS_BACKEND")) << "ours is passed on";
+}
+
+TEST_F(LaunchPlanTest, HeartbeatSourcesAreThoseOfThisBus) {
+  const LaunchFile file = parse_launch_file(R"(
+services:
+  - {name: bus}
+  - {name: viewer, replicas: 2}
+  - {name: job, program: /bin/sh, heartbeat_timeout_s: 0}
+  - {name: trainer, bus: "tcp://127.0.0.1:6000"}
+  - {name: engine, program: splatbus-engine-sim}
+)",
+                                            "x.yaml");
+  EXPECT_THAT(heartbeat_sources(file), ElementsAre("viewer-1", "viewer-2", "engine"));
+}
+
 TEST_F(LaunchPlanTest, ReplicasAreNumberedAndAllWaitedFor) {
   const LaunchPlan p = plan(R"(
 services:

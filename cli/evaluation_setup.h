@@ -1,0 +1,37 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "launch_plan.h"
+#include "supervisor.h"
+
+namespace splatbus::cli {
+
+/// What an evaluation launches: fixed cameras around a still scene.
+struct EvaluationSetup {
+  int cameras = 10;  ///< reference cameras, on a circle
+  int size = 256;    ///< their pixels, square
+  int input_cameras = 40;
+  int input_size = 128;
+  int budget = 208000;  ///< samples
+  std::uint64_t seed = 0;
+  std::uint64_t ready_gaussians = 0;  ///< that make the model count as there; 0: 95 % of the budget
+  double timeout_s = 1200;            ///< longest wait for any one thing
+  std::string backend;                ///< cpu, cuda or auto; empty: the launch file's
+  std::filesystem::path launch_file;
+  std::filesystem::path out = "out/eval";
+
+  [[nodiscard]] std::uint64_t enough_gaussians() const;
+};
+
+/// The launch file with the setup's cameras; `paused` is whether the trainer waits to be told. Throws LaunchError.
+[[nodiscard]] LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused);
+
+/// Bytes of bulk data that each process says passed through host memory; without those that do not count them.
+[[nodiscard]] nlohmann::json host_copied_bytes(const std::vector<ProcessStatus>& processes);
+
+}  // namespace splatbus::cli
