@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <cstdint>
 #include <cstring>
 #include <utility>
 
@@ -59,7 +60,13 @@ TensorView::TensorView(std::string name, std::vector<std::uint32_t> shape, Eleme
       data_(slab->data_of(span)),
       bytes_(span.bytes()),
       slab_(std::move(slab)),
-      span_(span) {}
+      span_(span) {
+  // A kernel that reads askew takes its whole process down.
+  if (reinterpret_cast<std::uintptr_t>(data_) % element_bytes(type_) != 0) {
+    throw Error(fmt::format("tensor '{}' begins at byte {} of slab '{}', which its elements of {} bytes cannot", name_,
+                            span_.offset(), slab_->name(), element_bytes(type_)));
+  }
+}
 
 MemoryKind TensorView::memory() const {
   return slab_ == nullptr ? MemoryKind::Host : slab_->descriptor().kind;

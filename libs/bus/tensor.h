@@ -43,7 +43,7 @@ class TensorView {
   TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, const std::byte* data,
              std::size_t bytes, std::shared_ptr<const void> keep_alive);
 
-  /// In a slab. Throws bus::Error when the span leaves its slot.
+  /// In a slab. Throws bus::Error when the span leaves its slot or is not aligned to its elements.
   TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, std::shared_ptr<const Slab> slab,
              const wire::Span& span);
 

@@ -1,0 +1,8 @@
+#include "expander_fixture.h"
+
+namespace splatbus::expander::test {
+
+INSTANTIATE_TEST_SUITE_P(Machines, ExpanderTest, testing::Values(Machine{bus::Backend::Cpu, bus::MemoryKind::Host}),
+                         machine_name);
+
+}  // namespace splatbus::expander::test

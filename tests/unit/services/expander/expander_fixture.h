@@ -1,0 +1,228 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <set>
+#include <string>
+#include <tuple>
+
+#include "../../bus/bus_fixture.h"
+#include "bus/error.h"
+#include "bus/memory.h"
+#include "expander/expander.h"
+#include "expander/parameters.h"
+#include "gaussians/model.h"
+#include "sample_scene.h"
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+#include "wire/model_generated.h"
+
+namespace splatbus::expander::test {
+
+using namespace std::chrono_literals;
+
+template <class T>
+std::vector<T> host_copy(const bus::TensorView& tensor) {
+  std::vector<T> values(tensor.elements());
+  std::atomic<std::uint64_t> bytes{0};
+  EXPECT_TRUE(bus::copy_tensor(tensor, values.data(), bus::MemoryKind::Host, bytes));
+  return values;
+}
+
+/// Where the expander works, and where its peers keep what they publish.
+struct Machine {
+  bus::Backend backend;
+  bus::MemoryKind peers;
+};
+
+inline std::string machine_name(const testing::TestParamInfo<Machine>& info) {
+  return std::string(bus::name_of(info.param.backend)) + "_among_" +
+         (info.param.peers == bus::MemoryKind::Cuda ? "cuda" : "cpu");
+}
+
+/// Says model/published as a trainer would: a slab with the planes of the Gaussians that it took.
+class FakeTrainer {
+ public:
+  FakeTrainer(std::shared_ptr<bus::Context> context, bus::MemoryKind memory)
+      : context_(std::move(context)),
+        subscriber_(context_, {"model/insert"}),
+        publisher_(context_, "model/published"),
+        ring_(context_, "model", 4, 0, memory) {}
+
+  /// Takes batches in; acknowledges them unless told not to.
+  void serve() {
+    while (auto message = subscriber_.receive(0ms)) {
+      ++received;
+      const auto& insert = message->root<wire::ModelInsert>("ModelInsert/1");
+      const auto mean = message->tensor("mean", bus::ElementType::F32, {3, 0});
+      if (!mean || deaf) continue;
+      const std::uint32_t n = mean->dim(1);
+      for (const char* name : {"log_scale", "albedo", "normal"})
+        EXPECT_TRUE(message->tensor(name, bus::ElementType::F32, {3, n}));
+      EXPECT_TRUE(message->tensor("rotation", bus::ElementType::F32, {4, n}));
+      for (const char* name : {"opacity_logit", "visibility"})
+        EXPECT_TRUE(message->tensor(name, bus::ElementType::F32, {1, n}));
+      if (message->header().epoch() == insert_epoch && batches.contains(insert.batch())) continue;
+      if (message->header().epoch() != insert_epoch) batches.clear();
+      insert_epoch = message->header().epoch();
+      batches.insert(insert.batch());
+      const auto cells = host_copy<std::uint64_t>(message->tensor("cell", bus::ElementType::U64, {n}).value());
+      const auto ids = host_copy<std::uint32_t>(message->tensor("object_id", bus::ElementType::U32, {n}).value());
+      const auto planes = host_copy<float>(*mean);
+      for (std::uint32_t i = 0; i < n; ++i) {
+        points.emplace_back(planes[i], planes[n + i], planes[2 * n + i]);
+        cell.push_back(cells[i]);
+        object_id.push_back(ids[i]);
+      }
+      publish();
+    }
+  }
+
+  void publish() {
+    ++generation;
+    const auto n = static_cast<std::uint32_t>(points.size());
+    const std::uint32_t capacity = n + 16;
+    const std::uint32_t channels = ParameterLayout{}.channels();
+    std::vector<float> parameters(std::size_t{channels} * capacity), normal(std::size_t{3} * capacity),
+        surface(std::size_t{3} * capacity);
+    std::vector<float> visibility(capacity);
+    std::vector<std::uint32_t> ids(capacity), flags(capacity);
+    std::vector<std::uint64_t> cells(capacity), gaussians(capacity);
+    for (std::uint32_t i = 0; i < n; ++i) {
+      normal[capacity + i] = 1;
+      for (int c = 0; c < 3; ++c) surface[static_cast<std::size_t>(c) * capacity + i] = points[i][c];
+      ids[i] = object_id[i];
+      cells[i] = cell[i];
+    }
+    using bus::ElementType;
+    const std::vector<bus::TensorSource> sources{
+        {"parameters", {channels, capacity}, ElementType::F32, parameters.data()},
+        {"average", {channels, capacity}, ElementType::F32, parameters.data()},
+        {"normal", {3, capacity}, ElementType::F32, normal.data()},
+        {"surface_point", {3, capacity}, ElementType::F32, surface.data()},
+        {"visibility", {capacity}, ElementType::F32, visibility.data()},
+        {"object_id", {capacity}, ElementType::U32, ids.data()},
+        {"flags", {capacity}, ElementType::U32, flags.data()},
+        {"cell", {capacity}, ElementType::U64, cells.data()},
+        {"gaussian_id", {capacity}, ElementType::U64, gaussians.data()}};
+    publisher_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = ring_.write(sources)},
+                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+                         const auto list =
+                             builder.CreateVector(std::vector<std::uint64_t>(batches.begin(), batches.end()));
+                         return wire::CreateModelPublished(builder, header, generation, n, capacity,
+                                                           wire::Appearance::Transfer, 0, 0, insert_epoch, list, 0);
+                       });
+  }
+
+  int received = 0;
+  bool deaf = false;
+  std::uint64_t generation = 0, insert_epoch = 0;
+  std::set<std::uint64_t> batches;
+  std::vector<glm::vec3> points;
+  std::vector<std::uint64_t> cell;
+  std::vector<std::uint32_t> object_id;
+
+ private:
+  std::shared_ptr<bus::Context> context_;
+  bus::Subscriber subscriber_;
+  bus::Publisher publisher_;
+  bus::TensorRing ring_;
+};
+
+/// Skipped where the machine is not to be had.
+class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterface<Machine> {
+ protected:
+  ExpanderTest()
+      : parameters_(parameter_specs()),
+        peer_(connect("capture-bridge")),
+        reader_(peer_, {"grid/state"}),
+        input_(peer_, "capture/input"),
+        ring_(peer_, "input", 8, 1 << 20, GetParam().peers) {
+    set("batch_size", "500");
+    set("resend_s", "0.05");
+  }
+
+  void SetUp() override {
+    if (GetParam().backend == bus::Backend::Cuda || GetParam().peers == bus::MemoryKind::Cuda) {
+      try {
+        (void)bus::choose_backend("cuda");
+      } catch (const bus::Error& error) {
+        GTEST_SKIP() << error.what();
+      }
+    }
+    start_trainer();
+  }
+
+  void start_trainer() {
+    trainer_ = std::make_unique<FakeTrainer>(connect("trainer"), GetParam().peers);
+    trainer_->publish();
+  }
+
+  void set(const std::string& name, const std::string& value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
+
+  /// Starts an expander that hears what is published from now on.
+  void start() {
+    expander_ = std::make_unique<Expander>(connect("expander"), parameters_, GetParam().backend);
+    ASSERT_TRUE(until([&] { return expander_->follower().settled() && state_.has_value() && rounds() == 0; }));
+  }
+
+  bool until(const std::function<bool()>& condition) {
+    return bus_test::eventually([&] {
+      if (expander_) expander_->step(1ms);
+      if (trainer_) trainer_->serve();
+      while (auto message = reader_.receive(0ms)) state_ = *message;
+      return condition();
+    });
+  }
+
+  const wire::GridState& state() { return state_->root<wire::GridState>("GridState/1"); }
+  std::uint64_t rounds() { return state().rounds(); }
+  /// The state that eval waits for.
+  bool settled_after(std::uint64_t round_count) {
+    return until([&] { return state_ && rounds() >= round_count && state().batches_pending() == 0; });
+  }
+
+  void publish_input(const InputSamples& samples) {
+    using bus::ElementType;
+    const auto n = static_cast<std::uint32_t>(samples.size());
+    const auto c = static_cast<std::uint32_t>(samples.cameras.size());
+    const std::vector<bus::TensorSource> sources{
+        {"position", {n, 3}, ElementType::F32, samples.position.data()},
+        {"normal", {n, 3}, ElementType::F32, samples.normal.data()},
+        {"albedo", {n, 3}, ElementType::F32, samples.albedo.data()},
+        {"color", {n, 3}, ElementType::F32, samples.color.data()},
+        {"spacing", {n}, ElementType::F32, samples.spacing_m.data()},
+        {"cosine", {n}, ElementType::F32, samples.cosine.data()},
+        {"object_id", {n}, ElementType::U32, samples.object_id.data()},
+        {"camera", {n}, ElementType::U32, samples.camera.data()},
+        {"depth", {c, samples.height, samples.width}, ElementType::F32, samples.depth_m.data()}};
+    input_.publish({.schema = "CaptureInput/1", .tensors = ring_.write(sources)},
+                   [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+                     std::vector<wire::Camera> cameras;
+                     for (const Camera& camera : samples.cameras) cameras.push_back(to_wire(camera));
+                     const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
+                     const auto objects = to_wire(builder, samples.objects);
+                     const auto light = to_wire(builder, samples.light);
+                     return wire::CreateCaptureInput(builder, header, 1, 0, samples.rig_generation, cameras_offset,
+                                                     objects, light);
+                   });
+  }
+
+  [[nodiscard]] std::size_t distinct_points() const {
+    std::set<std::tuple<float, float, float>> distinct;
+    for (const glm::vec3& p : trainer_->points) distinct.insert({p.x, p.y, p.z});
+    return distinct.size();
+  }
+
+  bus::Parameters parameters_;
+  std::shared_ptr<bus::Context> peer_;
+  bus::Subscriber reader_;
+  bus::Publisher input_;
+  bus::TensorRing ring_;
+  std::unique_ptr<FakeTrainer> trainer_;
+  std::unique_ptr<Expander> expander_;
+  std::optional<bus::Message> state_;
+};
+
+}  // namespace splatbus::expander::test
