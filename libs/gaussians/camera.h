@@ -27,6 +27,7 @@ struct Camera {
   float fx = 0, fy = 0, cx = 0, cy = 0;  // pixels
   float near_m = 0.05F, far_m = 100.0F;
   Rigid world_from_camera;
+  bool operator==(const Camera&) const = default;
 };
 
 /// A camera at `eye` that looks at `target`, world y up, square pixels, principal point in the middle.

@@ -84,6 +84,7 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   }
   last_known_ = std::max(last_known_, body.as_of());
   loading_ = std::move(loading);
+  ++version_;
   broken_ = false;
   if (loading_->total == 0) finish_loading();
 }
@@ -115,6 +116,7 @@ bool Replica::load_chunk(const ParsedPacket& packet) {
   if (column + body.count() > loading_->total) refuse_snapshot("Snapshot: chunks overlap");
   part.state.gaussians.append(decode_chunk(packet.payload(), part.state.layout, body.count()));
   part.planes.extend(part.state.gaussians);
+  ++version_;
   loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
   const bool visible = shown() == &part;
   if (part.state.gaussians.count() < loading_->total) return visible;
@@ -137,6 +139,7 @@ bool Replica::load_ids(const ParsedPacket& packet) {
 
 void Replica::refuse_snapshot(const std::string& why) {
   loading_.reset();
+  ++version_;
   broken_ = true;
   throw StreamError(why);
 }
@@ -151,14 +154,16 @@ void Replica::finish_loading() {
   }
   assert(order.size() == loading.total);  // the counts add up to it
   held_ = std::make_unique<Shown>(std::move(loading.shown));
+  ++version_;
   held_->state.gaussians = held_->state.gaussians.gather(order);
   held_->planes.reorder(order);
   missing_ids_ = loading.total;
   loading_.reset();
 }
 
-bool Replica::apply_to(Shown& shown, const ParsedPacket& packet) const {
+bool Replica::apply_to(Shown& shown, const ParsedPacket& packet) {
   const Change change = apply(shown.state, packet, max_gaussians_);
+  if (change.kind != Change::Kind::Scene && change.kind != Change::Kind::Nothing) ++version_;
   const QuantisedGaussians& gaussians = shown.state.gaussians;
   switch (change.kind) {
     case Change::Kind::Appended:

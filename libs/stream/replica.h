@@ -32,6 +32,8 @@ class Replica {
   bool receive(const ParsedPacket& packet);
 
   [[nodiscard]] GaussiansView view() const;
+  /// Another number whenever view() is another, or its planes hold other values.
+  [[nodiscard]] std::uint64_t version() const { return version_; }
   [[nodiscard]] const SceneState& scene() const;
 
   /// Epoch that is followed, 0 before the first SnapshotBegin.
@@ -72,7 +74,7 @@ class Replica {
   void finish_loading();
   [[noreturn]] void refuse_snapshot(const std::string& why);
   bool apply_in_order(const ParsedPacket& packet);
-  bool apply_to(Shown& shown, const ParsedPacket& packet) const;
+  bool apply_to(Shown& shown, const ParsedPacket& packet);
   bool drain();
   void keep(const ParsedPacket& packet);
   [[nodiscard]] const Shown* shown() const;
@@ -84,7 +86,7 @@ class Replica {
   std::size_t missing_ids_ = 0;  ///< of the snapshot whose chunks are all held
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
-  std::uint64_t last_known_ = 0;
+  std::uint64_t last_known_ = 0, version_ = 0;
   bool broken_ = false;
 };
 

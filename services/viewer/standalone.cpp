@@ -18,11 +18,15 @@ namespace splatbus::viewer {
 
 int standalone_main(int argc, char** argv) {
   CLI::App app("Shows a stream without any bus", "splatbus-viewer");
-  std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info";
+  std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info", backend = "auto";
   std::vector<std::string> changes;
   app.add_option("--connect", endpoint, "the streamer's endpoint, such as tcp://host:7600")->required();
   app.add_option("--name", name, "told to the streamer")->capture_default_str();
   app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
+  app.add_option("--backend", backend, "what draws: cpu, cuda or auto")
+      ->envname("SPLATBUS_BACKEND")
+      ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
+      ->capture_default_str();
   app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   try {
@@ -40,6 +44,7 @@ int standalone_main(int argc, char** argv) {
     Viewer(parameters,
            {.name = name,
             .endpoint = endpoint,
+            .device = device_of(bus::choose_backend(backend)),
             .stop = stop.get_token(),
             .counter = [](const std::string& counter, double value) { spdlog::debug("{} {}", counter, value); },
             .detail =

@@ -22,12 +22,6 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 
-bool same(const Camera& a, const Camera& b) {
-  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy &&
-         a.world_from_camera.rotation == b.world_from_camera.rotation &&
-         a.world_from_camera.translation == b.world_from_camera.translation;
-}
-
 ClientOptions client_options(const bus::Parameters& parameters, const ViewerHost& host) {
   return {.endpoint = host.endpoint, .name = host.name, .probes = parameters.boolean("probe")};
 }
@@ -52,7 +46,7 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .maximum = 240},
       {.name = "threads",
        .default_value = std::int64_t{0},
-       .description = "that draw; 0: one a core",
+       .description = "that draw, on the CPU; 0: one a core",
        .minimum = 0,
        .maximum = 1024,
        .runtime = false},
@@ -86,7 +80,7 @@ Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : parameters_(parameters),
       host_(std::move(host)),
       client_(client_options(parameters, host_)),
-      rasterizer_(raster::make_cpu_rasterizer(static_cast<int>(parameters.integer("threads")))),
+      renderer_(raster::make_model_renderer(host_.device, static_cast<int>(parameters.integer("threads")))),
       camera_(path_camera(parameters, 0)),
       begin_ns_(bus::now_ns()),
       next_probe_id_(first_probe_id()) {
@@ -119,8 +113,13 @@ void Viewer::run() {
 
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const std::int64_t begin_ns = bus::now_ns();
-  const GaussiansView view = client_.replica().view();
-  rasterizer_->render(view, camera, scene, {}, render_);
+  const stream::Replica& replica = client_.replica();
+  const GaussiansView view = replica.view();
+  if (drawn_version_ != replica.version()) {
+    renderer_->take(view);
+    drawn_version_ = replica.version();
+  }
+  renderer_->draw(camera, scene, {}, render_);
   draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
   const bool linear = view.layout.appearance == Appearance::Transfer;
   return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, linear);
@@ -132,7 +131,7 @@ void Viewer::show(bool changed) {
   camera_ = window_ ? window_->camera() : path_camera(parameters_, seconds);
   client_.send_pose(camera_);
   const bool empty = client_.replica().view().count == 0;
-  if (empty || (!changed && frames_ > 0 && same(before, camera_))) return;
+  if (empty || (!changed && frames_ > 0 && before == camera_)) return;
   const cv::Mat picture = draw(camera_, client_.replica().scene());
   if (first_picture_ns_ == 0) {
     first_picture_ns_ = bus::now_ns();

@@ -9,8 +9,9 @@
 #include <string>
 #include <vector>
 
+#include "bus/backend.h"
 #include "bus/parameters.h"
-#include "raster/rasterizer.h"
+#include "raster/model_renderer.h"
 #include "viewer/stream_client.h"
 #include "viewer/window.h"
 
@@ -18,10 +19,16 @@ namespace splatbus::viewer {
 
 [[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
 
+/// What a backend draws with.
+[[nodiscard]] constexpr raster::Device device_of(bus::Backend backend) {
+  return backend == bus::Backend::Cuda ? raster::Device::Cuda : raster::Device::Cpu;
+}
+
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
 struct ViewerHost {
   std::string name;
   std::string endpoint;  ///< of the streamer
+  raster::Device device = raster::Device::Cpu;
   std::stop_token stop;
   std::function<void(const std::string& name, double value)> counter;
   std::function<void(const std::string& text)> detail;
@@ -50,11 +57,12 @@ class Viewer {
   const bus::Parameters& parameters_;
   ViewerHost host_;
   StreamClient client_;
-  std::unique_ptr<raster::Rasterizer> rasterizer_;
+  std::unique_ptr<raster::ModelRenderer> renderer_;
   std::unique_ptr<Window> window_;
   raster::Render render_;
   Camera camera_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
+  std::uint64_t drawn_version_ = 0;  ///< of the replica's Gaussians, as the renderer has them
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;

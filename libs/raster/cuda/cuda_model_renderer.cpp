@@ -1,0 +1,48 @@
+#include "raster/cuda/cuda_model_renderer.h"
+
+#include <stdexcept>
+
+#include "raster/cuda/forward_pass.h"
+
+namespace splatbus::raster::cuda {
+namespace {
+
+class CudaModelRenderer final : public ModelRenderer {
+ public:
+  void take(const GaussiansView& gaussians) override {
+    if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+    copy_.upload(gaussians, pass_.stream());
+    // The caller's planes may change as soon as this returns.
+    check(cudaStreamSynchronize(pass_.stream()), "copying a model to the device");
+    gaussians_ = copy_.view();
+  }
+
+  void read_in_place(const GaussiansView& gaussians) override {
+    gaussians_ = {.layout = gaussians.layout,
+                  .count = static_cast<int>(gaussians.count),
+                  .stride = static_cast<std::int64_t>(gaussians.stride),
+                  .parameters = const_cast<float*>(gaussians.parameters),  // written by training only
+                  .normal = gaussians.normal,
+                  .visibility = gaussians.visibility,
+                  .object_id = gaussians.object_id,
+                  .flags = gaussians.flags};
+  }
+
+  void draw(const Camera& camera, const SceneState& scene, const RenderOptions& options, Render& out) override {
+    pass_.draw(gaussians_, camera, scene, options, false);
+    pass_.download(out);
+  }
+
+ private:
+  ForwardPass pass_;
+  DeviceModel copy_;
+  DeviceGaussians gaussians_;
+};
+
+}  // namespace
+
+std::unique_ptr<ModelRenderer> make_cuda_model_renderer() {
+  return std::make_unique<CudaModelRenderer>();
+}
+
+}  // namespace splatbus::raster::cuda

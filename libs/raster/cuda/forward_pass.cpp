@@ -1,0 +1,83 @@
+#include "raster/cuda/forward_pass.h"
+
+#include <stdexcept>
+
+namespace splatbus::raster::cuda {
+namespace {
+
+void check_arguments(const DeviceGaussians& gaussians, const Camera& camera, const RenderOptions& options) {
+  if (options.depth) throw std::invalid_argument("the CUDA rasteriser renders no depth plane");
+  if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+  if (gaussians.count > 0 && gaussians.parameters == nullptr) throw std::invalid_argument("rasterizer: no parameters");
+  if (camera.role == CameraRole::Light) throw std::invalid_argument("rasterizer: light cameras are orthographic");
+  constexpr std::uint32_t kMaxSide = 1U << 15U;
+  if (camera.width > kMaxSide || camera.height > kMaxSide) throw std::invalid_argument("rasterizer: picture too large");
+}
+
+}  // namespace
+
+void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, const SceneState& scene,
+                       const RenderOptions& options, bool training) {
+  check_arguments(gaussians, camera, options);
+  const SceneView view{camera, &scene};
+  const ViewTables tables = make_view_tables({&view, 1}, gaussians.layout.appearance);
+  WorkspaceRequest request{.count = gaussians.count,
+                           .batch = 1,
+                           .width = static_cast<int>(camera.width),
+                           .height = static_cast<int>(camera.height),
+                           .object_count = tables.object_count,
+                           .albedo = options.albedo && gaussians.layout.appearance == Appearance::Transfer,
+                           .training = training,
+                           .pair_capacity = pair_capacity_};
+  project_ = {.blur_px2 = options.blur_px2, .antialias = options.antialias};
+  for (;;) {
+    workspace_.reserve(request);
+    const WorkspaceView& w = workspace_.view();
+    copy_tables(tables, gaussians, w);
+    launch_project(gaussians, w, project_, stream());
+    std::uint32_t pairs = 0;
+    check(cudaMemcpyAsync(&pairs, w.pair_count, sizeof(pairs), cudaMemcpyDeviceToHost, stream()),
+          "reading the pair count");
+    stream_.wait();
+    if (pairs <= w.pair_capacity) break;
+    pair_capacity_ = request.pair_capacity = pairs + pairs / 4;
+  }
+  launch_sort(workspace_.view(), stream());
+  launch_blend_forward(gaussians, workspace_.view(), stream());
+  stream_.wait();
+}
+
+void ForwardPass::copy_tables(const ViewTables& tables, const DeviceGaussians& gaussians, const WorkspaceView& w) {
+  check(cudaMemcpyAsync(w.views, tables.views.data(), sizeof(DeviceView), cudaMemcpyHostToDevice, stream()),
+        "copying views");
+  check(cudaMemcpyAsync(w.object_views, tables.object_views.data(), sizeof(ObjectView) * tables.object_views.size(),
+                        cudaMemcpyHostToDevice, stream()),
+        "copying object views");
+  if (gaussians.object_id == nullptr || tables.object_ids.empty()) {
+    const auto count = static_cast<std::size_t>(gaussians.count);
+    check(cudaMemsetAsync(w.object_slot, 0, sizeof(std::uint16_t) * count, stream()), "clearing object slots");
+    return;
+  }
+  object_ids_.upload(tables.object_ids.data(), tables.object_ids.size(), stream());
+  launch_object_slots(gaussians.object_id, gaussians.count, object_ids_.data(),
+                      static_cast<int>(tables.object_ids.size()), w.object_slot, stream());
+}
+
+void ForwardPass::download(Render& out) const {
+  const WorkspaceView& w = workspace_.view();
+  const auto width = static_cast<std::uint32_t>(w.width), height = static_cast<std::uint32_t>(w.height);
+  const auto copy = [&](const float* from, std::uint32_t channels) {
+    Image image(width, height, channels);
+    check(cudaMemcpyAsync(image.data.data(), from, sizeof(float) * image.data.size(), cudaMemcpyDeviceToHost, stream()),
+          "copying a picture");
+    return image;
+  };
+  out.color = copy(w.color, 3);
+  out.alpha = copy(w.transmittance, 1);
+  out.albedo = w.albedo != nullptr ? copy(w.albedo, 3) : Image();
+  out.depth = Image();
+  stream_.wait();
+  for (float& value : out.alpha.data) value = 1.0F - value;
+}
+
+}  // namespace splatbus::raster::cuda
