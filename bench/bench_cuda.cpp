@@ -82,7 +82,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
     pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
   check(cudaDeviceSynchronize(), "copying the workload");
   raster::cuda::TrainStep trainer(options);
-  trainer.set_model(model.view(), nullptr);
+  trainer.set_model(model.view());
   trainer.set_learning_rates(learning_rates(layout));
   const auto cameras = workload.cameras.size(), batch = static_cast<std::size_t>(arguments.batch);
   const std::size_t groups = std::lcm(cameras, batch) / batch;

@@ -8,10 +8,9 @@ namespace splatbus::trainer {
 
 namespace {
 
-constexpr float kMemory = 0.98F;               // of a cell's figures, a sample
-constexpr float kMinContribution = 1.0F / 32;  // below it another surface is what the pixel shows
+constexpr float kMemory = 0.98F;  // of a cell's figures, a sample
 
-float pixel_error(const raster::Image& color, const std::vector<std::uint8_t>& target, std::size_t pixel,
+float pixel_error(const raster::Image& color, const Pixels<std::uint8_t>& target, std::size_t pixel,
                   bool display_space) {
   float error = 0;
   for (std::uint32_t c = 0; c < 3; ++c) {
@@ -22,20 +21,35 @@ float pixel_error(const raster::Image& color, const std::vector<std::uint8_t>& t
   return error / 3.0F;
 }
 
-void blend(float& figure, float sample, bool first) {
-  figure = first ? sample : figure + (1 - kMemory) * (sample - figure);
-}
-
 }  // namespace
 
-void CellStats::recount(const ModelPlanes& planes, std::size_t count) {
-  for (auto& [cell, figures] : cells_) figures.count = 0;
-  for (std::size_t i = 0; i < count; ++i) ++cells_[planes.cell[i]].count;
+void CellTable::recount(const std::uint64_t* cell, std::size_t count) {
+  for (auto& [id, figures] : cells_) figures.count = 0;
+  for (std::size_t i = 0; i < count; ++i) ++cells_[cell[i]].count;
+  forget_empty();
+}
+
+void CellTable::recount(std::span<const std::uint64_t> cells, std::span<const std::uint32_t> counts) {
+  for (auto& [id, figures] : cells_) figures.count = 0;
+  for (std::size_t k = 0; k < cells.size(); ++k) cells_[cells[k]].count = counts[k];
+  forget_empty();
+}
+
+void CellTable::forget_empty() {
   std::erase_if(cells_, [](const auto& entry) { return entry.second.count == 0; });
 }
 
-void CellStats::observe(const ModelPlanes& planes, std::size_t count, const TrainingView& view,
-                        const raster::Image& color, bool display_space, const std::vector<float>& contribution) {
+void CellTable::observe(std::uint64_t cell, std::size_t samples, float loss, float movement) {
+  Cell& figures = cells_[cell];
+  const float share = figures.seen ? 1.0F - std::pow(kMemory, static_cast<float>(samples)) : 1.0F;
+  figures.loss += share * (loss - figures.loss);
+  figures.movement += share * (movement - figures.movement);
+  figures.seen = true;
+}
+
+void CellSampler::observe(const ModelPlanes& planes, std::size_t count, const TrainingView& view,
+                          const raster::Image& color, bool display_space, const std::vector<float>& contribution,
+                          CellTable& cells) {
   const GaussiansView gaussians = planes.view(count);
   const auto column = [&](const float* from, int channel, std::size_t i) {
     return glm::vec3(from[static_cast<std::size_t>(channel) * planes.capacity + i],
@@ -58,10 +72,8 @@ void CellStats::observe(const ModelPlanes& planes, std::size_t count, const Trai
     const glm::vec3 log_scale = column(gaussians.parameters, ParameterLayout::kLogScale, i);
     const float deviation_m = std::exp(std::max({log_scale.x, log_scale.y, log_scale.z}));
     const float moved_m = glm::distance(mean, column(planes.average, ParameterLayout::kMean, i));
-    Cell& cell = cells_[planes.cell[i]];
-    blend(cell.loss, pixel_error(color, view.color, pixel, display_space), !cell.seen);
-    blend(cell.movement, moved_m / std::max(deviation_m, 1e-6F), !cell.seen);
-    cell.seen = true;
+    cells.observe(planes.cell[i], 1, pixel_error(color, view.color, pixel, display_space),
+                  moved_m / std::max(deviation_m, 1e-6F));
   }
 }
 

@@ -51,6 +51,8 @@ class ModelStore {
   [[nodiscard]] std::uint64_t views() const { return header_->views; }
   [[nodiscard]] double optimizer_s() const { return header_->optimizer_s; }
   void add_step(std::size_t views, double seconds);
+  /// Time of steps that were added without it.
+  void add_time(double seconds) { header_->optimizer_s += seconds; }
 
   /// Takes over the sun's visibility of the first `count` columns, in place, from values in either memory, when columns
   /// have not moved since `generation`.

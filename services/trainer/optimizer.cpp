@@ -1,44 +1,14 @@
 #include "trainer/optimizer.h"
 
-#include <spdlog/spdlog.h>
-
 #include <algorithm>
-#include <chrono>
-#include <cmath>
 
-#include "raster/loss.h"
+#include "bus/error.h"
+#include "trainer/cpu_optimizer.h"
+#ifdef SPLATBUS_HAVE_CUDA
+#include "trainer/cuda/cuda_optimizer.h"
+#endif
 
 namespace splatbus::trainer {
-
-namespace {
-
-void scale_image(raster::Image& image, float factor) {
-  if (factor == 1.0F) return;
-  for (float& value : image.data) value *= factor;
-}
-
-}  // namespace
-
-Optimizer::Optimizer(ModelStore& store, const Options& options)
-    : store_(store), rasterizer_(raster::make_cpu_rasterizer(options.threads)), densifier_(options.seed) {
-  set_options(options);
-  // An adopted model is taken for old: its average is settled.
-  birth_.assign(store.count(), 0);
-  follow_growth();
-}
-
-void Optimizer::set_options(const Options& options) {
-  options_ = options;
-  active_channels_ = active_channels(options);
-  learning_rates_ = channel_learning_rates(options);
-}
-
-void Optimizer::follow_growth() {
-  adam_.resize(store_.layout(), store_.count(), store_.capacity());
-  birth_.resize(store_.count(), store_.step());
-  densifier_.resize(store_.count());
-  cells_.recount(store_.planes(), store_.count());
-}
 
 void Optimizer::change(const std::function<void()>& work) {
   try {
@@ -51,6 +21,9 @@ void Optimizer::change(const std::function<void()>& work) {
 }
 
 bool Optimizer::apply(const Commands& commands) {
+  if (commands.empty()) return false;
+  const std::uint64_t generation = store_.structure().generation;
+  before_change();
   if (commands.visibility) {
     const VisibilityCommand& relit = *commands.visibility;
     store_.set_visibility(relit.model_generation, reinterpret_cast<const float*>(relit.visibility.get()), relit.memory,
@@ -58,120 +31,22 @@ bool Optimizer::apply(const Commands& commands) {
   }
   const bool any_new = std::any_of(commands.inserts.begin(), commands.inserts.end(),
                                    [&](const InsertBatch& b) { return !store_.holds(b.epoch, b.batch); });
-  if (!any_new && commands.cells.empty()) return false;
-  change([&] {
-    for (const InsertBatch& batch : commands.inserts) store_.append(batch);
-    for (const CellsCommand& command : commands.cells) store_.set_frozen(command.cells, command.freeze);
-  });
-  return true;
+  if (any_new || !commands.cells.empty()) {
+    change([&] {
+      for (const InsertBatch& batch : commands.inserts) store_.append(batch);
+      for (const CellsCommand& command : commands.cells) store_.set_frozen(command.cells, command.freeze);
+    });
+  }
+  return store_.structure().generation != generation;
 }
 
-double Optimizer::step(std::span<const TrainingViewPtr> views) {
-  if (views.empty() || store_.count() == 0) return 0;
-  const auto start = std::chrono::steady_clock::now();
-  gradient_.active_channels = active_channels_;
-  float* const parameters = store_.planes().parameters;
-  double loss = 0;
-  if (views.size() == 1) {
-    gradient_.clear_statistics(store_.view());
-    loss = render_loss(*views.front(), 1.0F);
-    rasterizer_->backward_step(render_gradient_, learning_rates_, adam_, parameters, gradient_);
-  } else {
-    gradient_.clear(store_.view());
-    for (const auto& view : views) {
-      loss += render_loss(*view, 1.0F / static_cast<float>(views.size()));
-      rasterizer_->backward(render_gradient_, gradient_);
-    }
-    adam_.step(parameters, store_.planes().flags, gradient_, learning_rates_, options_.threads);
-  }
-  if (options_.layout.appearance == Appearance::Transfer) clamp_albedo();
-  const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
-  store_.add_step(views.size(), spent.count());
-
-  average_.update(store_.planes(), store_.count(), active_channels_, birth_, store_.step(), options_.average_decay);
-  const bool display_space = options_.layout.appearance == Appearance::Radiance;
-  cells_.observe(store_.planes(), store_.count(), *views.back(), render_.color, display_space, gradient_.contribution);
-  maintain_density();
-  return loss;
-}
-
-double Optimizer::render_loss(const TrainingView& view, float scale) {
-  const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
-  const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
-  const raster::RenderOptions render_options{
-      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
-  rasterizer_->forward(store_.view(), view.camera, view.scene, render_options, render_);
-
-  render_gradient_.alpha = {};
-  render_gradient_.albedo = {};
-  render_gradient_.depth = {};
-  raster::LossOptions loss_options{.ssim_weight = options_.ssim_weight,
-                                   .encode_srgb = options_.layout.appearance == Appearance::Transfer};
-  float loss = image_loss(render_.color, view.color.data(), loss_options, render_gradient_.color);
-  scale_image(render_gradient_.color, scale);
-  if (with_albedo) {
-    loss +=
-        options_.albedo_weight * image_loss(render_.albedo, view.albedo.data(), loss_options, render_gradient_.albedo);
-    scale_image(render_gradient_.albedo, scale * options_.albedo_weight);
-  }
-  if (with_depth) loss += depth_loss(view, scale);
-  return loss * scale;
-}
-
-float Optimizer::depth_loss(const TrainingView& view, float scale) {
-  // mean |sum w (z - z_engine)| / extent over pixels with a surface: linear in depth and alpha, and 0 only where every
-  // Gaussian in front balances about the surface.
-  const std::uint32_t w = view.camera.width;
-  const std::uint32_t h = view.camera.height;
-  render_gradient_.depth = raster::Image(w, h, 1);
-  render_gradient_.alpha = raster::Image(w, h, 1);
-  const float weight = options_.depth_weight / (options_.scene_extent_m * static_cast<float>(view.depth.size()));
-  double loss = 0;
-  for (std::size_t i = 0; i < view.depth.size(); ++i) {
-    const float expected = view.depth[i];
-    if (!(expected > 0)) continue;
-    const float difference = render_.depth.data[i] - render_.alpha.data[i] * expected;
-    loss += std::abs(difference) * weight;
-    const float slope = std::copysign(weight * scale, difference);
-    render_gradient_.depth.data[i] = slope;
-    render_gradient_.alpha.data[i] = -slope * expected;
-  }
-  return static_cast<float>(loss);
-}
-
-void Optimizer::clamp_albedo() const {
-  const ModelPlanes& planes = store_.planes();
-  for (int c = ParameterLayout::kAlbedo; c < ParameterLayout::kResidual; ++c) {
-    float* const plane = planes.parameters + static_cast<std::size_t>(c) * planes.capacity;
-    for (std::size_t i = 0; i < store_.count(); ++i) plane[i] = std::clamp(plane[i], 0.0F, 1.0F);
-  }
-}
-
-void Optimizer::maintain_density() {
-  const std::uint64_t step = store_.step();
-  if (options_.densify.enabled) {
-    densifier_.observe(gradient_);
-    if (step % options_.densify.interval_steps == 0) {
-      change([&] { densifier_.densify(store_, options_.densify); });
-    }
-  }
-  if (options_.prune.enabled && step % options_.prune.interval_steps == 0) {
-    const Pruning pruning = find_dead(store_.view(), options_.prune, active_channels_, birth_, step);
-    // A change of structure costs every reader: not for a handful that nobody sees anyway.
-    if (pruning.not_finite || pruning.removed * 500 >= store_.count()) remove(pruning.dead);
-    if (pruning.not_finite) spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", step);
-  }
-}
-
-void Optimizer::remove(const std::vector<std::uint8_t>& dead) {
-  std::vector<std::uint32_t> keep;
-  store_.change([&] { keep = kept_columns(store_.remove(dead.data())); });
-  adam_.permute(keep);
-  densifier_.permute(keep);
-  std::vector<std::uint64_t> birth(keep.size());
-  for (std::size_t i = 0; i < keep.size(); ++i) birth[i] = birth_[keep[i]];
-  birth_ = std::move(birth);
-  cells_.recount(store_.planes(), store_.count());
+std::unique_ptr<Optimizer> make_optimizer(ModelStore& store, const Options& options) {
+  if (store.memory() == bus::MemoryKind::Host) return std::make_unique<CpuOptimizer>(store, options);
+#ifdef SPLATBUS_HAVE_CUDA
+  return make_cuda_optimizer(store, options);
+#else
+  throw bus::Error("this build cannot train a model in device memory");
+#endif
 }
 
 }  // namespace splatbus::trainer

@@ -1,67 +1,70 @@
 #pragma once
 
-#include <cstdint>
+#include <cstddef>
 #include <functional>
 #include <memory>
 #include <span>
-#include <vector>
 
-#include "raster/adam.h"
-#include "raster/rasterizer.h"
-#include "trainer/average.h"
 #include "trainer/cell_stats.h"
 #include "trainer/commands.h"
-#include "trainer/density.h"
 #include "trainer/model_store.h"
 #include "trainer/options.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
 
+/// Steps that came to their end since the last report.
+struct StepReport {
+  std::size_t steps = 0, views = 0;
+  double seconds = 0;  ///< of optimizer time
+  double loss = 0;     ///< mean over the views
+};
+
 /// Trains the model of a ModelStore: applies what others ask of it between steps, and steps. Belongs to one thread.
 /// What it keeps of its own for each Gaussian (Adam's moments, age) begins anew with a new Optimizer.
+///
+/// In device memory a few steps may still be under way when step() returns. They count in ModelStore::step() already,
+/// in its optimizer_s() once they are done.
 class Optimizer {
  public:
-  Optimizer(ModelStore& store, const Options& options);
+  virtual ~Optimizer() = default;
+  Optimizer(const Optimizer&) = delete;
+  Optimizer& operator=(const Optimizer&) = delete;
 
-  void set_options(const Options& options);
+  virtual void set_options(const Options& options) = 0;
   [[nodiscard]] const Options& options() const { return options_; }
 
   /// One change of structure for all of them; visibility is taken over in place. Returns whether the structure changed.
   bool apply(const Commands& commands);
 
-  /// Render, loss, backward pass and Adam on a mini-batch, then the average over time, and pruning when it is due.
-  /// Returns the mean loss: (1 - lambda) L1 + lambda (1 - SSIM) of the lit picture, plus the weighted terms of albedo
-  /// and depth. The structure may have changed. Nothing happens to an empty model or batch.
-  double step(std::span<const TrainingViewPtr> views);
+  /// Render, loss, backward pass and Adam on a mini-batch, then the average over time, and pruning when it is due. The
+  /// loss is (1 - lambda) L1 + lambda (1 - SSIM) of the lit picture, plus the weighted terms of albedo and depth. The
+  /// structure may have changed. Nothing happens to an empty model or batch. The views' pictures lie in the model's
+  /// kind of memory.
+  virtual StepReport step(std::span<const TrainingViewPtr> views) = 0;
 
-  [[nodiscard]] const CellStats& cells() const { return cells_; }
+  /// Waits for all that is under way; the structure may have changed.
+  virtual StepReport finish() = 0;
 
- private:
-  /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
-  double render_loss(const TrainingView& view, float scale);
-  float depth_loss(const TrainingView& view, float scale);
-  void clamp_albedo() const;
-  void maintain_density();
-  void remove(const std::vector<std::uint8_t>& dead);
+  [[nodiscard]] const CellTable& cells() const { return cells_; }
+
+ protected:
+  explicit Optimizer(ModelStore& store) : store_(store) {}
+
   /// A change of structure that adds or freezes. What is kept here for each Gaussian follows the model even when it
   /// throws: it may have moved to a larger slab before.
   void change(const std::function<void()>& work);
-  void follow_growth();
+  /// Ends what is under way, so that nothing of this optimizer's own works on the planes; the structure may change.
+  virtual void before_change() = 0;
+  /// Columns were added or frozen, and perhaps moved to other planes.
+  virtual void follow_growth() = 0;
 
   ModelStore& store_;
   Options options_;
-  int active_channels_ = 0;
-  std::vector<float> learning_rates_;
-  std::unique_ptr<raster::Rasterizer> rasterizer_;
-  raster::Adam adam_;
-  raster::ParameterGradient gradient_;
-  raster::Render render_;
-  raster::RenderGradient render_gradient_;
-  TimeAverage average_;
-  CellStats cells_;
-  Densifier densifier_;
-  std::vector<std::uint64_t> birth_;  ///< step at which each column was inserted
+  CellTable cells_;
 };
+
+/// The one for the memory in which the model lies. Throws bus::Error or std::runtime_error when it cannot be had.
+[[nodiscard]] std::unique_ptr<Optimizer> make_optimizer(ModelStore& store, const Options& options);
 
 }  // namespace splatbus::trainer

@@ -30,19 +30,35 @@ TrainingViewPtr Schedule::draw(const ViewStore& views, Epoch& epoch, std::option
   }
 }
 
-TrainingViewPtr Schedule::next(const ViewStore& views, int input_interval) {
+std::vector<TrainingViewPtr> Schedule::draw_batch(const ViewStore& views, int size, Epoch& epoch,
+                                                  std::optional<std::uint64_t> light) {
+  std::vector<TrainingViewPtr> batch;
+  while (static_cast<int>(batch.size()) < size) {
+    auto view = draw(views, epoch, light);
+    if (!view) break;
+    batch.push_back(std::move(view));
+  }
+  return batch;
+}
+
+std::vector<TrainingViewPtr> Schedule::next_batch(const ViewStore& views, int size, int input_interval) {
   const bool input_is_due = input_interval > 0 && references_since_input_ >= input_interval;
   if (!input_is_due) {
-    if (auto view = draw(views, references_)) {
+    if (auto batch = draw_batch(views, size, references_); !batch.empty()) {
       ++references_since_input_;
-      return view;
+      return batch;
     }
   }
   references_since_input_ = 0;
   if (input_interval > 0) {
-    if (auto view = draw(views, inputs_, views.reference_light())) return view;
+    if (auto batch = draw_batch(views, size, inputs_, views.reference_light()); !batch.empty()) return batch;
   }
-  return draw(views, references_);
+  return draw_batch(views, size, references_);
+}
+
+TrainingViewPtr Schedule::next(const ViewStore& views, int input_interval) {
+  auto batch = next_batch(views, 1, input_interval);
+  return batch.empty() ? nullptr : std::move(batch.front());
 }
 
 }  // namespace splatbus::trainer

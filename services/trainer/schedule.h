@@ -11,14 +11,17 @@ namespace splatbus::trainer {
 
 /// Which views are trained when: epochs over the reference cameras, each in an order of its own, and one input camera
 /// after every `input_interval` reference views (docs/decisions/0073-training-defaults.md). Without reference
-/// cameras, input cameras only. An input view rests while its light is not the newest one and a reference view has
-/// that: input pictures may be rendered once, and the model's visibility of the sun follows the newest light. The same
-/// seed, cameras and calls give the same choice.
+/// cameras, input cameras only. A batch of several views is of one kind, for pictures of one size are trained at once;
+/// one of input cameras then comes after every `input_interval` batches of reference views. An input view rests while
+/// its light is not the newest one and a reference view has that: input pictures may be rendered once, and the model's
+/// visibility of the sun follows the newest light. The same seed, cameras and calls give the same choice.
 class Schedule {
  public:
   explicit Schedule(std::uint64_t seed);
 
-  /// The next view; null when there is none. `input_interval` 0: no input cameras.
+  /// The next views, at most `size`; none when there are none. `input_interval` 0: no input cameras.
+  [[nodiscard]] std::vector<TrainingViewPtr> next_batch(const ViewStore& views, int size, int input_interval);
+  /// A batch of one; null when there is none.
   [[nodiscard]] TrainingViewPtr next(const ViewStore& views, int input_interval);
 
  private:
@@ -28,6 +31,8 @@ class Schedule {
   };
   /// `light` (generation), where given, is the only one whose views are drawn.
   TrainingViewPtr draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light = std::nullopt);
+  std::vector<TrainingViewPtr> draw_batch(const ViewStore& views, int size, Epoch& epoch,
+                                          std::optional<std::uint64_t> light = std::nullopt);
 
   std::mt19937_64 random_;
   Epoch references_{.role = CameraRole::Reference, .left = {}};

@@ -21,15 +21,20 @@ constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
 }  // namespace
 
-Trainer::Trainer(bus::ServiceContext& service) : service_(service), schedule_(read_options(service.parameters).seed) {}
+Trainer::Trainer(bus::ServiceContext& service)
+    : service_(service),
+      references_(bus::memory_of(service.backend), host_copied_bytes_),
+      inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
+      visibilities_(bus::memory_of(service.backend)),
+      schedule_(read_options(service.parameters).seed) {}
 
 void Trainer::run() {
   const Options options = read_options(service_.parameters);
-  with_depth_ = options.depth_weight > 0;
+  with_depth_ = wants_depth(options);
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
                                         bus::memory_of(service_.backend));
   spdlog::info("model: {}", store_->origin());
-  optimizer_ = std::make_unique<Optimizer>(*store_, options);
+  optimizer_ = make_optimizer(*store_, options);
   options_version_ = service_.parameters.version();
   model_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "model/published");
   stats_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/stats");
@@ -38,6 +43,10 @@ void Trainer::run() {
   const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
   receive();
   commands_.wake();
+}
+
+bool Trainer::wants_depth(const Options& options) const {
+  return options.depth_weight > 0 && service_.backend == bus::Backend::Cpu;
 }
 
 void Trainer::receive() {
@@ -81,19 +90,18 @@ void Trainer::handle(const bus::Message& message) {
 }
 
 void Trainer::take_reference(const bus::Message& message) {
-  auto reading = read_reference(message, with_depth_);
+  auto reading = references_.read(message, with_depth_);
   if (reading.retire) return views_.retire(reading.key);
   if (reading.lost) {
     ++lost_tensors_;
     return;
   }
-  host_copied_bytes_ += reading.view->bytes();
   views_.put(std::move(reading.view));
   commands_.wake();
 }
 
 void Trainer::take_insert(const bus::Message& message) {
-  auto reading = read_insert(message);
+  auto reading = inserts_->read(message);
   if (reading.lost) {
     ++lost_tensors_;
     return;
@@ -105,14 +113,9 @@ void Trainer::take_insert(const bus::Message& message) {
                  message.header().source()->str(), reading.batch.dropped, reading.batch.dropped + reading.batch.count,
                  reading.batch.batch);
   }
-  const std::size_t bytes = reading.batch.bytes();
   bool taken = false;
   commands_.post([&](Commands& commands) { taken = commands.add(std::move(reading.batch)); });
-  if (taken) {
-    host_copied_bytes_ += bytes;
-  } else {
-    refuse(message);
-  }
+  if (!taken) refuse(message);
 }
 
 void Trainer::take_cells(const bus::Message& message, bool freeze) {
@@ -145,7 +148,7 @@ void Trainer::take_visibility(const bus::Message& message) {
     return;
   }
   const bus::MemoryKind memory = bus::memory_of(service_.backend);
-  auto values = bus::allocate_memory(memory, tensor->bytes());
+  auto values = visibilities_.take(tensor->bytes());
   if (!bus::copy_tensor(*tensor, values.get(), memory, host_copied_bytes_)) {
     ++lost_tensors_;
     return;

@@ -13,8 +13,11 @@
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "trainer/buffer_pool.h"
 #include "trainer/commands.h"
+#include "trainer/insert_reader.h"
 #include "trainer/optimizer.h"
+#include "trainer/reference_reader.h"
 #include "trainer/schedule.h"
 #include "trainer/view_store.h"
 
@@ -23,19 +26,15 @@ namespace splatbus::trainer {
 /// What training came to, for trainer/stats. Belongs to the optimizer's thread.
 class Progress {
  public:
-  void add(double seconds, std::size_t views, double loss);
+  void add(const StepReport& report);
   [[nodiscard]] double steps_per_s() const;  ///< over the last second of optimizer time
   [[nodiscard]] double views_per_s() const;
   [[nodiscard]] double loss() const { return loss_; }  ///< exponential mean over about 20 steps
 
  private:
-  struct Step {
-    double seconds;
-    std::size_t views;
-  };
-  std::deque<Step> recent_;
+  std::deque<StepReport> recent_;
   double recent_s_ = 0, loss_ = 0;
-  std::size_t recent_views_ = 0;
+  std::size_t recent_steps_ = 0, recent_views_ = 0;
   bool any_ = false;
 };
 
@@ -63,8 +62,11 @@ class Trainer {
   void optimize(const std::stop_token& stop);
   void optimize_once();
   void refresh_options();
+  [[nodiscard]] bool wants_depth(const Options& options) const;
   [[nodiscard]] bool may_step() const;
   void train_step();
+  /// Waits for what is under way. Returns whether the structure changed.
+  bool finish_steps();
   void publish_due(bool structure_changed);
   void publish_stats(bool stopped);
   void publish_cells();
@@ -73,7 +75,10 @@ class Trainer {
   ViewStore views_;
   CommandQueue commands_;
   std::atomic<bool> with_depth_{false};
-  std::atomic<std::uint64_t> host_copied_bytes_{0};
+  std::atomic<std::uint64_t> host_copied_bytes_{0};  ///< bulk data that passed through host memory
+  ReferenceReader references_;
+  std::unique_ptr<InsertReader> inserts_;
+  BufferPool visibilities_;
   std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
   std::unique_ptr<ModelStore> store_;

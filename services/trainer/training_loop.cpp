@@ -38,13 +38,22 @@ void Trainer::optimize(const std::stop_token& stop) {
 void Trainer::optimize_once() {
   refresh_options();
   Commands commands = commands_.take();
-  const bool structure_changed = !commands.empty() && optimizer_->apply(commands);
+  bool structure_changed = optimizer_->apply(commands);
+  const bool steps = may_step();
+  // What is published while nothing goes on is the end of all steps so far.
+  if (!steps) structure_changed |= finish_steps();
   publish_due(structure_changed);
-  if (may_step()) {
+  if (steps) {
     train_step();
   } else {
     commands_.wait(kIdleWait);
   }
+}
+
+bool Trainer::finish_steps() {
+  const std::uint64_t generation = store_->structure().generation;
+  progress_.add(optimizer_->finish());
+  return store_->structure().generation != generation;
 }
 
 void Trainer::refresh_options() {
@@ -52,7 +61,7 @@ void Trainer::refresh_options() {
   if (version == options_version_) return;
   options_version_ = version;
   optimizer_->set_options(read_options(service_.parameters));
-  with_depth_ = optimizer_->options().depth_weight > 0;
+  with_depth_ = wants_depth(optimizer_->options());
 }
 
 bool Trainer::may_step() const {
@@ -65,14 +74,9 @@ bool Trainer::may_step() const {
 
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
-  std::vector<TrainingViewPtr> batch;
-  for (int i = 0; i < options.batch; ++i) {
-    if (auto view = schedule_.next(views_, options.input_view_interval)) batch.push_back(std::move(view));
-  }
-  const double before_s = store_->optimizer_s();
+  const auto batch = schedule_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->structure().generation;
-  const double loss = optimizer_->step(batch);
-  progress_.add(store_->optimizer_s() - before_s, batch.size(), loss);
+  progress_.add(optimizer_->step(batch));
   if (store_->structure().generation != generation) publish_due(true);
 }
 

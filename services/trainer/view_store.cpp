@@ -1,35 +1,8 @@
 #include "trainer/view_store.h"
 
 #include <algorithm>
-#include <string>
-
-#include "bus/error.h"
-#include "wire/capture_generated.h"
-#include "wire/convert.h"
 
 namespace splatbus::trainer {
-
-namespace {
-
-constexpr std::uint32_t kMaxSide = 8192;
-
-bool announced(const bus::Message& message, const char* name) {
-  const auto* tensors = message.header().tensors();
-  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(),
-                                           [&](const wire::Tensor* t) { return t->name()->string_view() == name; });
-}
-
-/// Copies a tensor of the camera's size. False when its slot was overwritten.
-template <class T>
-bool copy_picture(const bus::Message& message, const char* name, std::vector<std::uint32_t> shape,
-                  std::vector<T>& out) {
-  const auto tensor = message.tensor(name, bus::ElementTypeOf<T>::value, shape);
-  if (!tensor) return false;
-  out.resize(tensor->elements());
-  return tensor->copy(out.data());
-}
-
-}  // namespace
 
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
@@ -107,42 +80,6 @@ std::size_t ViewStore::bytes() const {
 std::uint64_t ViewStore::cameras_version() const {
   const std::scoped_lock lock(mutex_);
   return cameras_version_;
-}
-
-ViewKey reference_key(const bus::Message& message) {
-  const auto& camera = *message.root<wire::CaptureReference>("CaptureReference/1").camera();
-  return {.role = static_cast<CameraRole>(camera.role()), .id = camera.id()};
-}
-
-ReferenceReading read_reference(const bus::Message& message, bool with_depth) {
-  const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
-  ReferenceReading reading;
-  reading.key = reference_key(message);
-  if (reading.key.role != CameraRole::Reference && reading.key.role != CameraRole::Input) {
-    throw bus::Error(message.topic() + ": a camera of role " + std::to_string(static_cast<int>(reading.key.role)) +
-                     " is no training view");
-  }
-  reading.retire = reference.retire();
-  if (reading.retire) return reading;
-
-  TrainingView view;
-  view.camera = from_wire(*reference.camera());
-  if (view.camera.width > kMaxSide || view.camera.height > kMaxSide) {
-    throw bus::Error(message.topic() + ": a picture of " + std::to_string(view.camera.width) + " x " +
-                     std::to_string(view.camera.height) + " is larger than " + std::to_string(kMaxSide));
-  }
-  view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
-  view.frame = reference.frame();
-  const std::uint32_t h = view.camera.height;
-  const std::uint32_t w = view.camera.width;
-  if (!announced(message, "color"))
-    throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"color\" is missing");
-  bool whole = copy_picture(message, "color", {h, w, 4}, view.color);
-  if (whole && announced(message, "albedo")) whole = copy_picture(message, "albedo", {h, w, 4}, view.albedo);
-  if (whole && with_depth && announced(message, "depth")) whole = copy_picture(message, "depth", {h, w}, view.depth);
-  reading.lost = !whole;
-  if (whole) reading.view = std::make_shared<const TrainingView>(std::move(view));
-  return reading;
 }
 
 }  // namespace splatbus::trainer

@@ -9,8 +9,9 @@
 #include <utility>
 #include <vector>
 
-#include "bus/subscriber.h"
+#include "bus/slab.h"
 #include "gaussians/light.h"
+#include "trainer/pixels.h"
 
 namespace splatbus::trainer {
 
@@ -19,11 +20,12 @@ struct TrainingView {
   Camera camera;
   SceneState scene;  ///< light and object transforms of that very frame
   std::uint64_t frame = 0;
-  std::vector<std::uint8_t> color;   ///< [h][w][4], display space
-  std::vector<std::uint8_t> albedo;  ///< the same, or empty
-  std::vector<float> depth;          ///< [h][w] metres along z, 0 where there is no surface; or empty
+  bus::MemoryKind memory = bus::MemoryKind::Host;  ///< where the pictures lie
+  Pixels<std::uint8_t> color;                      ///< [h][w][4], display space
+  Pixels<std::uint8_t> albedo;                     ///< the same, or empty
+  Pixels<float> depth;                             ///< [h][w] metres along z, 0 where there is no surface; or empty
 
-  [[nodiscard]] std::size_t bytes() const { return color.size() + albedo.size() + depth.size() * sizeof(float); }
+  [[nodiscard]] std::size_t bytes() const { return color.bytes() + albedo.bytes() + depth.bytes(); }
 };
 
 using TrainingViewPtr = std::shared_ptr<const TrainingView>;
@@ -68,17 +70,5 @@ class ViewStore {
   std::uint64_t newest_light_ =
       0;  ///< generation; views arrive in the engine's order, and its frames count anew with it
 };
-
-/// A capture/reference message: a view, a camera that retires, or a picture that was overwritten before it could be
-/// copied (`lost`). Throws bus::Error or std::runtime_error when the message lies.
-struct ReferenceReading {
-  ViewKey key;
-  bool retire = false, lost = false;
-  TrainingViewPtr view;
-};
-[[nodiscard]] ReferenceReading read_reference(const bus::Message& message, bool with_depth);
-
-/// The camera of the message alone, without its pictures.
-[[nodiscard]] ViewKey reference_key(const bus::Message& message);
 
 }  // namespace splatbus::trainer

@@ -19,12 +19,13 @@ struct Pixel {
   std::size_t at;  // in a plane of the view
 };
 
-__device__ inline Pixel locate(const WorkspaceView& w) {
+__device__ inline Pixel locate(const WorkspaceView& w, unsigned first_block = 0) {
   Pixel p;
   constexpr int kBlocks = kPatches / kBlendWarps;  // of a tile
   const int tiles = w.tiles_x * w.tiles_y, lane = threadIdx.x & (kLanes - 1);
-  p.tile = blockIdx.x / kBlocks;
-  p.patch = (blockIdx.x % kBlocks) * kBlendWarps + threadIdx.x / kLanes;
+  const unsigned block = first_block + blockIdx.x;
+  p.tile = block / kBlocks;
+  p.patch = (block % kBlocks) * kBlendWarps + threadIdx.x / kLanes;
   p.view = p.tile / tiles;
   const int in_view = p.tile - p.view * tiles;
   p.x0 = (in_view % w.tiles_x) * kTileSize + (p.patch % kPatchColumns) * kPatchWidth;

@@ -153,6 +153,7 @@ __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(Device
   __shared__ Factors all_factors[kBlendWarps];
   Staged<kAlbedo>& staged = all_staged[threadIdx.x / kLanes];
   Columns& columns = all_columns[threadIdx.x / kLanes];
+  if (*w.pair_count > w.pair_capacity) return;
   const Pixel pixel = locate(w);
   const int lane = threadIdx.x & (kLanes - 1);
   constexpr int kPlanes = kAlbedo ? 6 : 3;

@@ -16,6 +16,11 @@ struct ProjectOptions {
   float pair_margin_px = 0.0F;   ///< widens footprints, so that lists serve several steps
 };
 
+/// [count] rows of object_views: 1 + the index of a Gaussian's object in the ascending `object_ids`, 0 when it is none
+/// of them.
+void launch_object_slots(const std::uint32_t* object_id, int count, const std::uint32_t* object_ids, int id_count,
+                         std::uint16_t* slots, cudaStream_t stream);
+
 /// Projects and shades every Gaussian for every view; fills record_*, and the unsorted pairs.
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
                     cudaStream_t stream);
@@ -29,7 +34,13 @@ void launch_sort(const WorkspaceView& workspace, cudaStream_t stream);
 /// Blends front to back. Writes color, transmittance, patch_depth_limit and, when it is there, albedo.
 void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
-/// Adds to record_gradient what color_gradient and albedo_gradient imply, and marks record_touched.
+/// Largest blending weight of each Gaussian in any pixel of one view, [count], which the caller has cleared: what
+/// launch_blend_forward blends, without the picture.
+void launch_contribution(const DeviceGaussians& gaussians, const WorkspaceView& workspace, int view,
+                         float* contribution, cudaStream_t stream);
+
+/// Adds to record_gradient what color_gradient and albedo_gradient imply, and marks record_touched. Nothing happens
+/// when pairs are missing, so that a step whose lists did not fit changes no Gaussian.
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 struct LossKernelOptions {
@@ -39,7 +50,8 @@ struct LossKernelOptions {
 };
 
 /// (1 - lambda) L1 + lambda (1 - SSIM) of `rendered` [batch][3][h][w] against `targets`, a device array of `batch`
-/// pointers to u8 RGBA pictures; writes `gradient`, adds each view's loss to workspace.loss.
+/// pointers to u8 RGBA pictures; writes `gradient`, adds each view's loss to workspace.loss. A view whose pointer is
+/// null has no loss and a gradient of zero.
 void launch_loss(const float* rendered, const std::uint8_t* const* targets, float* gradient,
                  const WorkspaceView& workspace, const LossKernelOptions& options, cudaStream_t stream);
 
@@ -47,6 +59,7 @@ struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   const float* learning_rate = nullptr;  ///< [channels]
   int active_channels = 0;               ///< 0: all
+  bool unit_albedo = false;              ///< Transfer: albedo stays within [0, 1]
 };
 
 /// Adam's state. Planes [channels][stride].

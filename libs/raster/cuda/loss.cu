@@ -103,6 +103,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) ssim_kernel(WorkspaceView w, 
   const Place p = place(w);
   const int t = threadIdx.x;
   const std::uint8_t* target = picture.targets[p.view];
+  if (target == nullptr) return;
   if (t == 0) block_loss = 0.0F;
   for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
     const int ly = k / kHaloX, lx = k - ly * kHaloX;
@@ -155,11 +156,22 @@ __global__ void __launch_bounds__(kLossThreads, 4) ssim_kernel(WorkspaceView w, 
   }
 }
 
+/// Of a picture without a target.
+__device__ void clear_gradient(const WorkspaceView& w, const LossPicture& picture, const Place& p) {
+  for (int k = threadIdx.x; k < kTileX * kTileY; k += kLossThreads) {
+    const int gx = p.x0 + k % kTileX, gy = p.y0 + k / kTileX;
+    if (gx >= w.width || gy >= w.height) continue;
+    picture.gradient[p.plane + static_cast<std::size_t>(gy) * w.width + gx] = 0.0F;
+  }
+}
+
 __global__ void __launch_bounds__(kLossThreads, 4) loss_gradient_kernel(WorkspaceView w, LossPicture picture) {
   __shared__ float maps[3][kHaloY][kHaloPitch];
   __shared__ Rows<3> rows;
   const Place p = place(w);
   const int t = threadIdx.x;
+  const std::uint8_t* target = picture.targets[p.view];
+  if (target == nullptr) return clear_gradient(w, picture, p);
   const std::size_t planes = static_cast<std::size_t>(3) * w.batch * w.width * w.height;
   for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
     const int ly = k / kHaloX, lx = k - ly * kHaloX;
@@ -183,7 +195,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) loss_gradient_kernel(Workspac
     const std::size_t at = static_cast<std::size_t>(gy) * w.width + gx;
     const float raw = picture.rendered[p.plane + at];
     const float a = display(raw, picture.options.encode_srgb);
-    const float b = picture.targets[p.view][4 * at + p.channel] * (1.0F / 255.0F);
+    const float b = target[4 * at + p.channel] * (1.0F / 255.0F);
     const float d_ssim = sums[r][0] + 2.0F * a * sums[r][1] + b * sums[r][2];
     const float sign = a > b ? 1.0F : (a < b ? -1.0F : 0.0F);
     float d = ((1.0F - picture.options.ssim_weight) * sign - picture.options.ssim_weight * d_ssim) *

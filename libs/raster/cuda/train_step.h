@@ -16,22 +16,27 @@ struct TrainStepOptions {
   float albedo_weight = 0.0F;  ///< of the albedo picture's loss; 0: none is rendered. Transfer only
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   int active_channels = 0;
+  bool unit_albedo = false;      ///< Transfer: albedo stays within [0, 1]
   int rebuild_interval = 1;      ///< steps of a group that share one set of sorted tile lists
   bool use_depth_limit = false;  ///< leave hidden Gaussians out of the lists
   bool use_graph = true;
   bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
 };
 
-/// A training view: camera, scene and pictures, u8 RGBA on the device, which must stay there as long as the group does.
+/// A training view: camera, scene and pictures, u8 RGBA on the device, which must stay there until the steps that were
+/// given them are done. `view.scene` is read during the call only.
 struct TrainView {
   SceneView view;
   const std::uint8_t* color = nullptr;
-  const std::uint8_t* albedo = nullptr;  ///< needed when albedo_weight > 0
+  const std::uint8_t* albedo = nullptr;  ///< null: this view has no albedo loss
 };
 
 /// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. Views are trained in
-/// groups of one size of picture; a group keeps its sorted tile lists from step to step (cameras stand still, Gaussians
-/// move little) and renews them every rebuild_interval steps.
+/// groups of one size of picture. A group keeps its sorted tile lists from step to step (cameras stand still, Gaussians
+/// move little) and renews them every rebuild_interval steps; or its views are renewed before every step.
+///
+/// A few steps may be on their way at once; step() waits for the oldest when they are too many. A step whose lists turn
+/// out not to fit their memory changes nothing; the memory grows as soon as that is known.
 ///
 /// One thread at a time. Throws std::runtime_error naming the CUDA error.
 class TrainStep {
@@ -41,25 +46,46 @@ class TrainStep {
   TrainStep(const TrainStep&) = delete;
   TrainStep& operator=(const TrainStep&) = delete;
 
-  /// The model to train in place, device memory; `object_id` on the host, null: all static. Groups are dropped; Adam's
-  /// moments begin anew unless `keep_moments` and the layout and the stride are as before.
-  void set_model(const DeviceGaussians& gaussians, const std::uint32_t* host_object_id, bool keep_moments = false);
+  /// `training` and `rebuild_interval` stay as they were made.
+  void set_options(const TrainStepOptions& options);
+  /// The model to train in place, device memory, object_id too (null: all static). Groups are dropped and Adam's
+  /// moments begin anew.
+  void set_model(const DeviceGaussians& gaussians);
+  /// The same model after a change of its structure, of the same layout, planes perhaps elsewhere and with another
+  /// stride. Groups stay. Columns below both counts keep their moments, others begin without.
+  void follow_model(const DeviceGaussians& gaussians);
+  /// Moves Adam's moments as columns were moved, from[k] to to[k], before follow_model(): device arrays, read by
+  /// stream().
+  void move_columns(const std::uint32_t* from, const std::uint32_t* to, int count);
   /// One rate a channel.
   void set_learning_rates(const std::vector<float>& rates);
 
   /// All views of one size, at most kMaxBatch. Returns the group's index.
   std::size_t add_group(std::span<const TrainView> views);
+  /// Puts other views, of the same number and size, in the place of a group's: no allocation and no wait, unless more
+  /// objects move.
+  void renew_group(std::size_t group, std::span<const TrainView> views);
   void clear_groups();
 
-  /// Enqueues one step on stream(). Now and then it looks at counters of steps long done, to grow buffers.
+  /// Enqueues one step on stream().
   void step(std::size_t group);
   /// Forward only: fills color() and, when rendered, albedo.
   void forward(std::size_t group);
+
+  /// A step that is done.
+  struct Report {
+    float loss = 0;        ///< mean over its views
+    bool changed = false;  ///< false: its lists did not fit
+  };
+  /// Steps that are done and were not reported yet, in order; after waiting for all of them when `wait` is set.
+  [[nodiscard]] std::vector<Report> finished(bool wait);
 
   /// Loss of each view of the last step; synchronises.
   [[nodiscard]] std::vector<float> losses();
   /// [batch][3][h][w] of the last step or forward().
   [[nodiscard]] const float* color() const;
+  /// The arrays of the last step or forward(), for more work on stream() before the next one.
+  [[nodiscard]] const WorkspaceView& workspace() const;
   [[nodiscard]] cudaStream_t stream() const;
   [[nodiscard]] std::size_t bytes() const;  ///< device memory that it owns
 

@@ -1,94 +1,54 @@
 #pragma once
 
-#include <functional>
+#include <deque>
 #include <memory>
 #include <vector>
 
 #include "device/buffer.h"
+#include "device/stream.h"
+#include "raster/cuda/adam_state.h"
 #include "raster/cuda/train_step.h"
+#include "raster/cuda/view_group.h"
 
 namespace splatbus::raster::cuda {
 
-/// A step captured once and launched often.
-class Graph {
- public:
-  Graph() = default;
-  ~Graph() { reset(); }
-  Graph(const Graph&) = delete;
-  Graph& operator=(const Graph&) = delete;
-
-  void reset() {
-    if (executable_ != nullptr) cudaGraphExecDestroy(executable_);
-    executable_ = nullptr;
-  }
-  void launch(cudaStream_t stream, const std::function<void()>& enqueue) {
-    if (executable_ == nullptr) {
-      cudaGraph_t graph = nullptr;
-      check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal), "capturing a step");
-      enqueue();
-      check(cudaStreamEndCapture(stream, &graph), "capturing a step");
-      const cudaError_t status = cudaGraphInstantiate(&executable_, graph, 0);
-      cudaGraphDestroy(graph);
-      check(status, "making a step's graph");
-    }
-    check(cudaGraphLaunch(executable_, stream), "launching a step");
-  }
-
- private:
-  cudaGraphExec_t executable_ = nullptr;
-};
-
-/// Views that are trained together, and their tile lists.
-struct Group {
-  std::vector<TrainView> views;
-  int width = 0, height = 0;
-  device::Buffer<DeviceView> device_views;
-  device::Buffer<ObjectView> object_views;
-  device::Buffer<std::uint16_t> object_slot;  // of this group's objects; empty when nothing moves
-  device::Buffer<const std::uint8_t*> color_targets, albedo_targets;
-  device::Buffer<uint2> tile_range;
-  device::Buffer<float> patch_depth_limit;
-  device::Buffer<std::uint32_t> entries;
-  device::Buffer<std::uint16_t> listed;
-  int steps = 0;  // since the lists were built
-  bool lists_built = false;
-  Graph rebuild_graph, reuse_graph;
-};
-
 struct TrainStep::Impl {
-  explicit Impl(TrainStepOptions o);
+  explicit Impl(TrainStepOptions o) : options(o) {}
   ~Impl();
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
 
   TrainStepOptions options;
-  cudaStream_t stream = nullptr;
+  device::Stream own_stream;
+  cudaStream_t stream = own_stream.get();
   DeviceGaussians gaussians;
-  std::vector<std::uint32_t> host_object_id;
-  device::Buffer<float> first, second, learning_rate;
-  device::Buffer<std::uint32_t> steps;
-  std::vector<std::unique_ptr<Group>> groups;
+  AdamState adam;
+  device::Buffer<float> learning_rate;
+  Staging staging;
+  std::vector<std::unique_ptr<ViewGroup>> groups;
   Workspace workspace;
-  std::uint32_t pair_capacity = 1U << 20U;
-  std::uint32_t* host_pair_count = nullptr;
-  const Group* last = nullptr;
+  WorkspaceView last_view;
+  const ViewGroup* last = nullptr;
+  StepsInFlight in_flight;
+  std::deque<Report> reports;
 
-  [[nodiscard]] bool albedo() const;
+  [[nodiscard]] bool albedo(const ViewGroup& group) const;
   [[nodiscard]] bool keeps_lists() const;
-  WorkspaceView workspace_for(const Group& group);
   [[nodiscard]] ProjectOptions project_options(bool rebuild) const;
-  void read_pair_count(const WorkspaceView& w);
-  void losses(const Group& group, const WorkspaceView& w);
+  WorkspaceView workspace_for(ViewGroup& group);
+  void losses(const ViewGroup& group, const WorkspaceView& w);
   void update(const WorkspaceView& w);
   void enqueue_forward(const WorkspaceView& w, bool rebuild);
-  void enqueue_training(const Group& group, const WorkspaceView& w);
-  void run(Group& group, bool train);
+  void enqueue_training(const ViewGroup& group, const WorkspaceView& w);
+  void run(std::size_t index, bool train);
+  /// Takes note of the steps that are done; of all of them, after waiting, with `wait`.
+  void retire(bool wait);
 
  private:
-  void picture_loss(const float* rendered, const Group& group, bool of_albedo, float* gradient, const WorkspaceView& w);
-  void grow_if_needed(Group& group);
-  void size_lists(Group& group);
-  void drop_graphs();
+  void picture_loss(const float* rendered, const ViewGroup& group, bool of_albedo, float* gradient,
+                    const WorkspaceView& w);
+  bool retire_one(bool wait);
+  void size_lists(ViewGroup& group);
 };
 
 }  // namespace splatbus::raster::cuda

@@ -31,7 +31,7 @@ struct AdamSink {
 
   /// Channels first, first + spacing, ... with their present values; all loads come before the first store, so that
   /// they overlap.
-  template <int kChannels>
+  template <int kChannels, bool kUnit = false>
   __device__ void put(int first, int spacing, int i, const float* value, const float* gradient) const {
     float m[kChannels], v[kChannels];
 #pragma unroll
@@ -53,7 +53,9 @@ struct AdamSink {
       state.first[at] = m[k];
       state.second[at] = v[k];
       const float scale = square_root(v[k] * correction2) + options.epsilon;
-      gaussians.parameters[at] = value[k] - __fdividef(options.learning_rate[channel] * m[k] * correction1, scale);
+      float next = value[k] - __fdividef(options.learning_rate[channel] * m[k] * correction1, scale);
+      if (kUnit && options.unit_albedo) next = fminf(fmaxf(next, 0.0F), 1.0F);
+      gaussians.parameters[at] = next;
     }
   }
 };
@@ -66,7 +68,7 @@ struct GradientSink {
   int active_channels;
 
   __device__ void begin(int) const {}
-  template <int kChannels>
+  template <int kChannels, bool kUnit = false>
   __device__ void put(int first, int spacing, int i, const float*, const float* values) const {
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
@@ -131,14 +133,14 @@ __device__ void update_radiance(const Item& item, const float3 mean, const Sink&
   }
 }
 
-template <int kChannels, class Sink>
+template <int kChannels, bool kUnit = false, class Sink>
 __device__ void put_planes(const Item& item, const Sink& sink, int first, const float* gradient) {
   float value[kChannels];
 #pragma unroll
   for (int k = 0; k < kChannels; ++k) {
     value[k] = item.gaussians.parameters[(first + k) * item.gaussians.stride + item.i];
   }
-  sink.template put<kChannels>(first, 1, item.i, value, gradient);
+  sink.template put<kChannels, kUnit>(first, 1, item.i, value, gradient);
 }
 
 template <class Sink>
@@ -164,7 +166,7 @@ __device__ void update_transfer(const Item& item, const Sink& sink, bool residua
       sums[3 * k + 2] += g[2] * light.z;
     }
   }
-  put_planes<3>(item, sink, ParameterLayout::kAlbedo, albedo);
+  put_planes<3, true>(item, sink, ParameterLayout::kAlbedo, albedo);
   if (!residual) return;
 #pragma unroll
   for (int k = 0; k < 27; k += 9) put_planes<9>(item, sink, ParameterLayout::kResidual + k, sums + k);

@@ -5,6 +5,7 @@
 #include <set>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -52,8 +53,7 @@ ObjectView object_view(const Camera& camera, const Light& light, const Rigid& wo
 
 }  // namespace
 
-ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance) {
-  ViewTables tables;
+std::vector<std::uint32_t> moving_objects(std::span<const SceneView> views) {
   std::set<std::uint32_t> ids;
   for (const SceneView& view : views) {
     for (const auto& [id, transform] : view.scene->objects) ids.insert(id);
@@ -61,7 +61,17 @@ ViewTables make_view_tables(std::span<const SceneView> views, Appearance appeara
   if (ids.size() >= static_cast<std::size_t>(kMaxObjects)) {
     throw std::invalid_argument("CUDA rasteriser: more than " + std::to_string(kMaxObjects - 1) + " moving objects");
   }
-  tables.object_ids.assign(ids.begin(), ids.end());
+  return {ids.begin(), ids.end()};
+}
+
+ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance) {
+  return make_view_tables(views, appearance, moving_objects(views));
+}
+
+ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance,
+                            std::vector<std::uint32_t> object_ids) {
+  ViewTables tables;
+  tables.object_ids = std::move(object_ids);
   tables.object_count = 1 + static_cast<int>(tables.object_ids.size());
   for (const SceneView& view : views) {
     tables.views.push_back(device_view(view.camera, view.scene->light, appearance));

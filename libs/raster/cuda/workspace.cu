@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -13,66 +14,117 @@ void Workspace::release() {
   for (int k = 0; k < block_count_; ++k) cudaFree(blocks_[k]);
   block_count_ = 0;
   bytes_ = 0;
-  view_ = {};
+  memory_ = view_ = {};
 }
 
 template <class T>
 void Workspace::allocate(T*& pointer, std::size_t elements) {
+  if (elements == 0) return;
   void* block = nullptr;
-  const std::size_t bytes = (elements > 0 ? elements : 1) * sizeof(T);
+  const std::size_t bytes = elements * sizeof(T);
   check(cudaMalloc(&block, bytes), "allocating the workspace");
   blocks_[block_count_++] = block;
   bytes_ += bytes;
   pointer = static_cast<T*>(block);
 }
 
+Workspace::Sizes::Sizes(const WorkspaceRequest& r) {
+  const auto batch = static_cast<std::size_t>(r.batch);
+  count = static_cast<std::size_t>(std::max({1, r.count, r.capacity}));
+  records = count * batch;
+  tiles = static_cast<std::size_t>((r.width + kTileSize - 1) / kTileSize) *
+          static_cast<std::size_t>((r.height + kTileSize - 1) / kTileSize) * batch;
+  tiles = std::max<std::size_t>(tiles, 1);
+  pairs = std::max(r.pair_capacity, 1U);
+  list_pairs = r.lists ? pairs : 0;
+  pixels = std::max<std::size_t>(static_cast<std::size_t>(r.width) * static_cast<std::size_t>(r.height) * batch, 1);
+  albedo_pixels = r.albedo ? pixels : 0;
+  training_records = r.training ? records : 0;
+  training_pixels = r.training ? pixels : 0;
+  training_albedo_pixels = r.training ? albedo_pixels : 0;
+  objects = static_cast<std::size_t>(r.object_count);
+}
+
+bool Workspace::Sizes::hold(const Sizes& o) const {
+  return o.count <= count && o.records <= records && o.training_records <= training_records && o.tiles <= tiles &&
+         o.pairs <= pairs && o.list_pairs <= list_pairs && o.pixels <= pixels && o.albedo_pixels <= albedo_pixels &&
+         o.training_pixels <= training_pixels && o.training_albedo_pixels <= training_albedo_pixels &&
+         o.objects <= objects;
+}
+
+void Workspace::Sizes::grow_to(const Sizes& o) {
+  count = std::max(count, o.count);
+  records = std::max(records, o.records);
+  training_records = std::max(training_records, o.training_records);
+  tiles = std::max(tiles, o.tiles);
+  pairs = std::max(pairs, o.pairs);
+  list_pairs = std::max(list_pairs, o.list_pairs);
+  pixels = std::max(pixels, o.pixels);
+  albedo_pixels = std::max(albedo_pixels, o.albedo_pixels);
+  training_pixels = std::max(training_pixels, o.training_pixels);
+  training_albedo_pixels = std::max(training_albedo_pixels, o.training_albedo_pixels);
+  objects = std::max(objects, o.objects);
+}
+
+void Workspace::allocate_all() {
+  WorkspaceView& m = memory_;
+  const Sizes& s = sizes_;
+  allocate(m.record_shape, 2 * s.records);
+  allocate(m.record_tail, s.records);
+  for (auto& keys : m.pair_keys) allocate(keys, s.pairs);
+  allocate(m.pair_entries[0], s.pairs);
+  allocate(m.pair_entries[1], s.list_pairs > 0 ? s.list_pairs + 3 : 0);  // read four at a time
+  allocate(m.listed, s.count);
+  allocate(m.pair_count, 1);
+  allocate(m.tile_range, s.tiles);
+  allocate(m.patch_depth_limit, s.tiles * kPatches);
+  m.sort_scratch_bytes = sort_scratch_bytes(static_cast<std::uint32_t>(s.pairs));
+  char* scratch = nullptr;
+  allocate(scratch, m.sort_scratch_bytes);
+  m.sort_scratch = scratch;
+  allocate(m.color, 3 * s.pixels);
+  allocate(m.transmittance, s.pixels);
+  allocate(m.albedo, 3 * s.albedo_pixels);
+  allocate(m.record_gradient, s.training_records * kGradientFloats);
+  allocate(m.record_touched, s.training_records);
+  if (s.training_records > 0) {
+    check(cudaMemset(m.record_gradient, 0, s.training_records * kGradientFloats * sizeof(float)),
+          "clearing the workspace");
+    check(cudaMemset(m.record_touched, 0, s.training_records), "clearing the workspace");
+    // The stages run on streams that do not wait for this one.
+    check(cudaDeviceSynchronize(), "clearing the workspace");
+  }
+  allocate(m.color_gradient, 3 * s.training_pixels);
+  allocate(m.albedo_gradient, 3 * s.training_albedo_pixels);
+  allocate(m.ssim_partials, 9 * s.training_pixels);
+  allocate(m.loss, kMaxBatch);
+  allocate(m.views, kMaxBatch);
+  allocate(m.object_views, kMaxBatch * s.objects);
+  allocate(m.object_slot, s.count);
+}
+
 bool Workspace::reserve(const WorkspaceRequest& r) {
   if (static_cast<std::uint32_t>(r.count) > kGaussianMask) {
     throw std::invalid_argument("CUDA rasteriser: more than 2^24 Gaussians");
   }
-  const bool fits = r.count <= request_.count && r.batch <= request_.batch && r.object_count <= request_.object_count &&
-                    r.albedo == request_.albedo && r.lists == request_.lists && r.training <= request_.training &&
-                    r.width == request_.width && r.height == request_.height &&
-                    r.pair_capacity <= request_.pair_capacity && block_count_ > 0;
+  const Sizes needed(r);
+  const bool fits = block_count_ > 0 && sizes_.hold(needed);
   if (!fits) {
     release();
-    request_ = r;
-    const std::size_t records = static_cast<std::size_t>(r.count) * r.batch;
-    const std::size_t pixels = static_cast<std::size_t>(r.width) * r.height * r.batch;
-    const std::size_t tiles = static_cast<std::size_t>((r.width + kTileSize - 1) / kTileSize) *
-                              ((r.height + kTileSize - 1) / kTileSize) * r.batch;
-    allocate(view_.record_shape, 2 * records);
-    allocate(view_.record_tail, records);
-    for (int k = 0; k < 2; ++k) allocate(view_.pair_keys[k], r.pair_capacity);
-    allocate(view_.pair_entries[0], r.pair_capacity);
-    if (r.lists) allocate(view_.pair_entries[1], r.pair_capacity + 3);  // read four at a time
-    allocate(view_.listed, r.count);
-    allocate(view_.pair_count, 1);
-    allocate(view_.tile_range, tiles);
-    allocate(view_.patch_depth_limit, tiles * kPatches);
-    view_.sort_scratch_bytes = sort_scratch_bytes(r.pair_capacity);
-    char* scratch = nullptr;
-    allocate(scratch, view_.sort_scratch_bytes);
-    view_.sort_scratch = scratch;
-    allocate(view_.color, 3 * pixels);
-    allocate(view_.transmittance, pixels);
-    if (r.albedo) allocate(view_.albedo, 3 * pixels);
-    if (r.training) {
-      allocate(view_.record_gradient, records * kGradientFloats);
-      allocate(view_.record_touched, records);
-      check(cudaMemset(view_.record_gradient, 0, records * kGradientFloats * sizeof(float)), "clearing the workspace");
-      check(cudaMemset(view_.record_touched, 0, records), "clearing the workspace");
-      // The stages run on streams that do not wait for this one.
-      check(cudaDeviceSynchronize(), "clearing the workspace");
-      allocate(view_.color_gradient, 3 * pixels);
-      if (r.albedo) allocate(view_.albedo_gradient, 3 * pixels);
-      allocate(view_.ssim_partials, 9 * pixels);
+    Sizes grown = sizes_;
+    grown.grow_to(needed);
+    sizes_ = grown;
+    try {
+      allocate_all();
+    } catch (...) {
+      release();
+      sizes_ = {};
+      throw;
     }
-    allocate(view_.loss, kMaxBatch);
-    allocate(view_.views, kMaxBatch);
-    allocate(view_.object_views, static_cast<std::size_t>(kMaxBatch) * r.object_count);
-    allocate(view_.object_slot, r.count);
   }
+  view_ = memory_;
+  if (!r.albedo) view_.albedo = view_.albedo_gradient = nullptr;
+  if (!r.lists) view_.pair_entries[1] = nullptr;
   view_.count = r.count;
   view_.batch = r.batch;
   view_.object_count = r.object_count;

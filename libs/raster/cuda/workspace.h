@@ -60,7 +60,9 @@ constexpr int kPatchShift = 24;
 constexpr std::uint32_t kGaussianMask = (1U << kPatchShift) - 1;
 
 struct WorkspaceRequest {
-  int count = 0, batch = 1, width = 0, height = 0;
+  int count = 0;     ///< Gaussians
+  int capacity = 0;  ///< to make room for, where that is more than `count`
+  int batch = 1, width = 0, height = 0;
   int object_count = 1;
   bool albedo = false;
   bool training = true;
@@ -68,7 +70,8 @@ struct WorkspaceRequest {
   std::uint32_t pair_capacity = 0;
 };
 
-/// Owner of a WorkspaceView's memory. Throws std::runtime_error naming the CUDA error.
+/// Owner of a WorkspaceView's memory. It never shrinks, so that pictures of several sizes can take turns. Throws
+/// std::runtime_error naming the CUDA error.
 class Workspace {
  public:
   Workspace() = default;
@@ -82,11 +85,23 @@ class Workspace {
   [[nodiscard]] std::size_t bytes() const { return bytes_; }
 
  private:
+  /// What the arrays' sizes follow from.
+  struct Sizes {
+    std::size_t count = 0, records = 0, training_records = 0, tiles = 0, pairs = 0, list_pairs = 0;
+    std::size_t pixels = 0, albedo_pixels = 0, training_pixels = 0, training_albedo_pixels = 0, objects = 0;
+
+    explicit Sizes(const WorkspaceRequest& request);
+    Sizes() = default;
+    [[nodiscard]] bool hold(const Sizes& other) const;
+    void grow_to(const Sizes& other);
+  };
+
   void release();
+  void allocate_all();
   template <class T>
   void allocate(T*& pointer, std::size_t elements);
-  WorkspaceView view_;
-  WorkspaceRequest request_;
+  WorkspaceView memory_, view_;
+  Sizes sizes_;
   std::size_t bytes_ = 0;
   void* blocks_[32] = {};
   int block_count_ = 0;

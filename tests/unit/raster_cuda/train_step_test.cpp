@@ -29,7 +29,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
   cuda::TrainStep trainer({.albedo_weight = 0.5F});
-  trainer.set_model(device.view(), model.object_id.data());
+  trainer.set_model(device.view());
   trainer.set_learning_rates(rates);
   std::vector<device::Buffer<std::uint8_t>> pictures(3);
   std::vector<cuda::TrainView> views;
@@ -94,7 +94,7 @@ TEST_F(CudaTest, GroupsMayMoveDifferentObjects) {
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
   cuda::TrainStep trainer({});
-  trainer.set_model(device.view(), model.object_id.data());
+  trainer.set_model(device.view());
   const std::size_t pixels = std::size_t{c.width} * c.height;
   const device::Buffer<std::uint8_t> picture(4 * pixels);
   cudaDeviceSynchronize();
@@ -135,7 +135,7 @@ TEST_F(CudaTest, ReusedListsTrainAlike) {
     device.upload(model.view(), nullptr);
     cudaDeviceSynchronize();
     cuda::TrainStep trainer(options);
-    trainer.set_model(device.view(), model.object_id.data());
+    trainer.set_model(device.view());
     trainer.set_learning_rates(std::vector<float>(static_cast<std::size_t>(c.layout.channels()), 1e-3F));
     const std::size_t group = trainer.add_group(views);
     for (int k = 0; k < 24; ++k) trainer.step(group);
@@ -179,7 +179,7 @@ TEST_F(CudaTest, HiddenGaussiansRest) {
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
   cuda::TrainStep trainer({.rebuild_interval = 2});
-  trainer.set_model(device.view(), nullptr);
+  trainer.set_model(device.view());
   trainer.set_learning_rates(std::vector<float>(14, 1e-2F));
   device::Buffer<std::uint8_t> picture;
   picture.upload(target.data(), target.size(), nullptr);

@@ -34,12 +34,13 @@ class SyntheticScene {
       view.scene = scene_;
       raster::Render render;
       rasterizer->render(planes.view(gaussians), view.camera, scene_, {.albedo = true, .depth = true}, render);
-      view.color = to_rgba(render.color);
-      view.albedo = to_rgba(render.albedo);
-      view.depth.resize(std::size_t{kSize} * kSize);
-      for (std::size_t i = 0; i < view.depth.size(); ++i) {
-        view.depth[i] = render.alpha.data[i] > 0.5F ? render.depth.data[i] / render.alpha.data[i] : 0.0F;
+      view.color = Pixels<std::uint8_t>(to_rgba(render.color));
+      view.albedo = Pixels<std::uint8_t>(to_rgba(render.albedo));
+      std::vector<float> depth(std::size_t{kSize} * kSize);
+      for (std::size_t i = 0; i < depth.size(); ++i) {
+        depth[i] = render.alpha.data[i] > 0.5F ? render.depth.data[i] / render.alpha.data[i] : 0.0F;
       }
+      view.depth = Pixels<float>(std::move(depth));
       views_.push_back(std::make_shared<const TrainingView>(std::move(view)));
     }
   }

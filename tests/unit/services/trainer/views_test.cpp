@@ -3,6 +3,7 @@
 #include <map>
 #include <memory>
 #include <set>
+#include <string>
 
 #include "trainer/schedule.h"
 #include "trainer/view_store.h"
@@ -17,7 +18,7 @@ TrainingViewPtr make_view(CameraRole role, std::uint32_t id, std::uint64_t frame
   view.camera.id = id;
   view.frame = frame;
   view.scene.light.generation = light;
-  view.color.resize(bytes);
+  view.color = Pixels<std::uint8_t>(std::vector<std::uint8_t>(bytes));
   return std::make_shared<const TrainingView>(std::move(view));
 }
 
@@ -65,6 +66,22 @@ TEST(Schedule, TakesOneInputViewAfterThreeReferences) {
   for (int i = 0; i < 400; ++i) ++drawn[schedule.next(store, 3)->camera.role];
   EXPECT_EQ(drawn[CameraRole::Reference], 300);
   EXPECT_EQ(drawn[CameraRole::Input], 100);
+}
+
+TEST(Schedule, BatchesAreOfOneKind) {
+  ViewStore store;
+  for (std::uint32_t id = 0; id < 8; ++id) store.put(make_view(CameraRole::Reference, id));
+  for (std::uint32_t id = 0; id < 3; ++id) store.put(make_view(CameraRole::Input, id));
+  Schedule schedule(7);
+  std::string kinds;
+  for (int i = 0; i < 8; ++i) {
+    const auto batch = schedule.next_batch(store, 4, 3);
+    ASSERT_EQ(batch.size(), 4U);
+    for (const auto& view : batch) EXPECT_EQ(view->camera.role, batch.front()->camera.role);
+    kinds += batch.front()->camera.role == CameraRole::Input ? 'i' : 'r';
+  }
+  EXPECT_EQ(kinds, "rrrirrri");
+  EXPECT_TRUE(schedule.next_batch(ViewStore(), 4, 3).empty());
 }
 
 TEST(Schedule, VisitsEveryReferenceOnceAnEpochInChangingOrder) {

@@ -1,0 +1,78 @@
+#include "trainer/reference_reader.h"
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "bus/error.h"
+#include "bus/memory.h"
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+
+namespace splatbus::trainer {
+
+namespace {
+
+constexpr std::uint32_t kMaxSide = 8192;
+
+bool announced(const bus::Message& message, const char* name) {
+  const auto* tensors = message.header().tensors();
+  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(),
+                                           [&](const wire::Tensor* t) { return t->name()->string_view() == name; });
+}
+
+}  // namespace
+
+ReferenceReader::ReferenceReader(bus::MemoryKind memory, std::atomic<std::uint64_t>& host_bytes)
+    : memory_(memory), host_bytes_(host_bytes), pool_(memory) {}
+
+/// Copies a tensor of the camera's size. False when its slot was overwritten.
+template <class T>
+bool ReferenceReader::read_picture(const bus::Message& message, const char* name, std::vector<std::uint32_t> shape,
+                                   Pixels<T>& out) {
+  const auto tensor = message.tensor(name, bus::ElementTypeOf<T>::value, std::move(shape));
+  if (!tensor) return false;
+  const auto buffer = pool_.take(tensor->bytes());
+  if (!bus::copy_tensor(*tensor, buffer.get(), memory_, host_bytes_)) return false;
+  out = Pixels<T>(std::shared_ptr<const T>(buffer, reinterpret_cast<const T*>(buffer.get())), tensor->elements());
+  return true;
+}
+
+ViewKey reference_key(const bus::Message& message) {
+  const auto& camera = *message.root<wire::CaptureReference>("CaptureReference/1").camera();
+  return {.role = static_cast<CameraRole>(camera.role()), .id = camera.id()};
+}
+
+ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_depth) {
+  const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
+  ReferenceReading reading;
+  reading.key = reference_key(message);
+  if (reading.key.role != CameraRole::Reference && reading.key.role != CameraRole::Input) {
+    throw bus::Error(message.topic() + ": a camera of role " + std::to_string(static_cast<int>(reading.key.role)) +
+                     " is no training view");
+  }
+  reading.retire = reference.retire();
+  if (reading.retire) return reading;
+
+  TrainingView view;
+  view.camera = from_wire(*reference.camera());
+  if (view.camera.width > kMaxSide || view.camera.height > kMaxSide) {
+    throw bus::Error(message.topic() + ": a picture of " + std::to_string(view.camera.width) + " x " +
+                     std::to_string(view.camera.height) + " is larger than " + std::to_string(kMaxSide));
+  }
+  view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
+  view.frame = reference.frame();
+  view.memory = memory_;
+  const std::uint32_t h = view.camera.height;
+  const std::uint32_t w = view.camera.width;
+  if (!announced(message, "color"))
+    throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"color\" is missing");
+  bool whole = read_picture(message, "color", {h, w, 4}, view.color);
+  if (whole && announced(message, "albedo")) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
+  if (whole && with_depth && announced(message, "depth")) whole = read_picture(message, "depth", {h, w}, view.depth);
+  reading.lost = !whole;
+  if (whole) reading.view = std::make_shared<const TrainingView>(std::move(view));
+  return reading;
+}
+
+}  // namespace splatbus::trainer

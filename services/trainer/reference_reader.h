@@ -1,0 +1,46 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "bus/subscriber.h"
+#include "trainer/buffer_pool.h"
+#include "trainer/view_store.h"
+
+namespace splatbus::trainer {
+
+/// A capture/reference message: a view, a camera that retires, or a picture that was overwritten before it could be
+/// copied (`lost`).
+struct ReferenceReading {
+  ViewKey key;
+  bool retire = false, lost = false;
+  TrainingViewPtr view;
+};
+
+/// Copies capture/reference messages out of the engine's slabs, whichever memory those lie in, into memory of one kind.
+/// One thread; what it read may outlive it.
+class ReferenceReader {
+ public:
+  /// What passes through the host is added to `host_bytes`.
+  ReferenceReader(bus::MemoryKind memory, std::atomic<std::uint64_t>& host_bytes);
+
+  /// Throws bus::Error or std::runtime_error when the message lies.
+  [[nodiscard]] ReferenceReading read(const bus::Message& message, bool with_depth);
+
+ private:
+  template <class T>
+  [[nodiscard]] bool read_picture(const bus::Message& message, const char* name, std::vector<std::uint32_t> shape,
+                                  Pixels<T>& out);
+
+  bus::MemoryKind memory_;
+  std::atomic<std::uint64_t>& host_bytes_;
+  BufferPool pool_;
+};
+
+/// The camera of the message alone, without its pictures.
+[[nodiscard]] ViewKey reference_key(const bus::Message& message);
+
+}  // namespace splatbus::trainer
