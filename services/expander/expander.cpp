@@ -18,7 +18,9 @@ namespace {
 
 constexpr std::size_t kWaitingRounds = 8;
 constexpr std::int64_t kStatePeriodNs = 100'000'000;
-constexpr std::int64_t kWaitingStatePeriodNs = 1'000'000'000;
+constexpr std::int64_t kSettledStatePeriodNs =
+    10'000'000;  // all that was inserted is acknowledged: somebody waits for it
+constexpr std::int64_t kWaitingStatePeriodNs = 200'000'000;
 constexpr int kMostMessagesAStep = 64;
 // Published batches that are not acknowledged must stay readable: more slots than batches in flight.
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
@@ -183,9 +185,11 @@ void Expander::publish(const InsertBatch& batch) {
 
 void Expander::publish_state() {
   const std::int64_t now = bus::now_ns();
+  const std::int64_t since = now - state_published_ns_;
   // Said again while no round has come: the capture-bridge then repeats the one that this process has missed.
-  const bool waits = counters_.rounds == 0 && now - state_published_ns_ > kWaitingStatePeriodNs;
-  if (!waits && (!state_changed_ || now - state_published_ns_ < kStatePeriodNs)) return;
+  const bool waits = counters_.rounds == 0 && waiting_.empty() && since > kWaitingStatePeriodNs;
+  const bool due = since >= (ledger_.pending() == 0 ? kSettledStatePeriodNs : kStatePeriodNs);
+  if (!waits && !(state_changed_ && due)) return;
   state_changed_ = false;
   state_published_ns_ = now;
   const auto cell_size_m = static_cast<float>(parameters_.number("cell_size_m"));

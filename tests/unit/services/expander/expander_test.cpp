@@ -1,7 +1,9 @@
 // The service against a trainer and a capture-bridge of the test's own.
+#include <cstdio>
 #include <limits>
 
 #include "expander_fixture.h"
+#include "room_scene.h"
 
 namespace splatbus::expander::test {
 namespace {
@@ -107,6 +109,26 @@ TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
   ASSERT_TRUE(settled_after(1));
   const bool on_device = GetParam().backend == bus::Backend::Cuda && GetParam().peers == bus::MemoryKind::Cuda;
   EXPECT_EQ(expander_->mapper().host_copied_bytes() == 0, on_device);
+}
+
+TEST_P(ExpanderTest, AFullRoundIsInsertedAtOnce) {
+  set("batch_size", "262144");
+  start();
+  trainer_->deaf = true;  // three batches do not wait for an answer
+  bus::Subscriber inserts(peer_, {"model/insert"});
+  ASSERT_TRUE(inserts.wait_connected(bus_test::patience));
+  const InputSamples samples = room_round({}, 10, 256);
+  publish_input(samples);
+  std::size_t inserted = 0;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    expander_->step(0ms);
+    while (auto message = inserts.receive(0ms)) inserted += message->tensor("cell")->dim(0);
+    return inserted > 0 && inserted == expander_->ledger().gaussians();
+  }));
+  EXPECT_GT(inserted, 600000U);
+  EXPECT_GT(expander_->counters().latency_milliseconds, 0);
+  std::printf("%zu samples: %zu Gaussians published after %.2f ms, %.2f ms of them the mapper's\n", samples.size(),
+              inserted, expander_->counters().latency_milliseconds, expander_->counters().milliseconds);
 }
 
 TEST_P(ExpanderTest, StopsAtTheMostGaussians) {
