@@ -16,6 +16,10 @@ void add_backend_option(CLI::App& verb, std::string& backend) {
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}));
 }
 
+bus::Backend own_backend(const std::string& backend) {
+  return bus::choose_backend(backend.empty() ? "auto" : backend);
+}
+
 bus::Address bus_address(const std::string& option) {
   return option.empty() ? bus::Address::from_environment() : bus::Address::parse(option);
 }

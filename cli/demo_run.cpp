@@ -72,7 +72,7 @@ class Demo {
         watch_(context_),
         live_(context_),
         probes_(context_, held_out_cameras()),
-        view_(1),
+        view_(own_backend(options.backend), 1),
         start_ns_(bus::now_ns()),
         run_(plan_, options.out / "services.log") {}
 

@@ -45,7 +45,7 @@ class FixedEvaluation {
             context_,
             circle_cameras({.count = options.views, .size = options.setup.size, .phase_degrees = kHeldOutTurnDegrees})),
         control_(context_, "control/trainer"),
-        view_(0),
+        view_(own_backend(options.setup.backend), 0),
         run_(plan_, options.setup.out / "services.log") {}
 
   Json run(const std::function<void(const FixedEvaluationProgress&)>& show_progress) {

@@ -32,13 +32,13 @@ void LiveScene::take(const bus::Message& message) {
   }
 }
 
-const PublishedModel* LiveScene::model() {
+const PublishedModel* LiveScene::model(bus::MemoryKind kind) {
   if (!message_) return nullptr;
-  if (model_ && model_->refresh()) return &*model_;
+  if (model_ && model_kind_ == kind && model_->refresh()) return &*model_;
   // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.
   model_.reset();
-  bus::guarded(*message_,
-               [&] { model_ = PublishedModel::open(*message_, bus::MemoryKind::Host, PublishedModel::Need::Average); });
+  model_kind_ = kind;
+  bus::guarded(*message_, [&] { model_ = PublishedModel::open(*message_, kind, PublishedModel::Need::Average); });
   return model_ ? &*model_ : nullptr;
 }
 

@@ -25,10 +25,10 @@ class LiveScene {
   };
   [[nodiscard]] const std::optional<Published>& published() const { return published_; }
 
-  /// The averaged model with its values as they are now: read in place, or copied, where it lies on the device. Null
-  /// until one is published, and while its structure has moved on and the newer message has not come. Valid until the
-  /// next call.
-  [[nodiscard]] const PublishedModel* model();
+  /// The averaged model with its values as they are now, in memory of `kind`: read in place where it lies there, else
+  /// copied. Null until one is published, and while its structure has moved on and the newer message has not come.
+  /// Valid until the next call.
+  [[nodiscard]] const PublishedModel* model(bus::MemoryKind kind = bus::MemoryKind::Host);
   [[nodiscard]] const SceneState& scene() const { return scene_; }
   [[nodiscard]] bool has_light() const { return has_light_; }
   [[nodiscard]] bool has_objects() const { return has_objects_; }
@@ -43,6 +43,7 @@ class LiveScene {
   std::optional<bus::Message> message_;
   std::optional<Published> published_;
   std::optional<PublishedModel> model_;
+  bus::MemoryKind model_kind_ = bus::MemoryKind::Host;
   SceneState scene_;
   bool has_light_ = false, has_objects_ = false;
 };

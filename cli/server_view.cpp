@@ -4,12 +4,16 @@
 
 namespace splatbus::cli {
 
-ServerView::ServerView(int threads) : rasterizer_(raster::make_cpu_rasterizer(threads)) {}
+ServerView::ServerView(bus::Backend backend, int threads)
+    : memory_(bus::memory_of(backend)),
+      renderer_(raster::make_model_renderer(backend == bus::Backend::Cuda ? raster::Device::Cuda : raster::Device::Cpu,
+                                            threads)) {}
 
 std::optional<cv::Mat> ServerView::render(LiveScene& live, const Camera& camera, const SceneState& scene) {
-  const PublishedModel* model = live.model();
+  const PublishedModel* model = live.model(memory_);
   if (model == nullptr || model->average().count == 0) return {};
-  rasterizer_->render(model->average(), camera, scene, {}, render_);
+  renderer_->read_in_place(model->average());
+  renderer_->draw(camera, scene, {}, render_);
   if (!model->still_valid()) return {};
   const bool linear = model->average().layout.appearance == Appearance::Transfer;
   return metrics::from_planes(render_.color.data.data(), render_.color.width, render_.color.height, linear);

@@ -4,21 +4,25 @@
 #include <opencv2/core.hpp>
 #include <optional>
 
+#include "bus/backend.h"
 #include "live_scene.h"
-#include "raster/rasterizer.h"
+#include "raster/model_renderer.h"
 
 namespace splatbus::cli {
 
-/// Renders the averaged model straight from the trainer's memory: what the server would show.
+/// Renders the averaged model straight from the trainer's memory, where that is the backend's: what the server would
+/// show.
 class ServerView {
  public:
-  explicit ServerView(int threads);
+  /// `threads` of the CPU, 0: all cores.
+  ServerView(bus::Backend backend, int threads);
 
   /// CV_8UC3 BGR in display space; nullopt when there is no model, or its structure changed while it was drawn.
   [[nodiscard]] std::optional<cv::Mat> render(LiveScene& live, const Camera& camera, const SceneState& scene);
 
  private:
-  std::unique_ptr<raster::Rasterizer> rasterizer_;
+  const bus::MemoryKind memory_;
+  std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
 };
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "bus/backend.h"
 #include "bus/context.h"
 
 namespace splatbus::cli {
@@ -24,6 +25,9 @@ void add_demo_verb(CLI::App& app, Action& action);
 void add_bus_option(CLI::App& verb, std::string& address);
 /// Adds --backend to a verb that launches services; empty when it is not given.
 void add_backend_option(CLI::App& verb, std::string& backend);
+/// What this program itself works with when services were given --backend `backend`; auto when that is empty. Throws
+/// bus::Error.
+[[nodiscard]] bus::Backend own_backend(const std::string& backend);
 /// The bus that --bus names, or the default one.
 [[nodiscard]] bus::Address bus_address(const std::string& option);
 /// A connection of this command, under a name of its own.
