@@ -24,40 +24,72 @@ struct SurfaceRank {
   std::uint8_t seen_by = 0;  ///< how many cameras see the point, this one included
 };
 
-/// Ranks samples across cameras; what it means: culling.h.
-class Ranking {
- public:
-  /// `texels` of all views, at each view's first_pixel. At most 255 views. `movement`: some view has moved objects.
-  SPLATBUS_PORTABLE Ranking(const PixelView* views, std::uint32_t view_count, const Texel* texels, bool movement,
-                            const CullOptions& options)
-      : views_(views), view_count_(view_count), texels_(texels), movement_(movement), options_(options) {}
-
-  [[nodiscard]] SPLATBUS_PORTABLE SurfaceRank rank(std::uint32_t own, std::size_t pixel) const {
-    const PixelView& here = views_[own];
-    const Texel point = texels_[here.first_pixel + pixel];
-    if (point.footprint_m == 0) return {};
-    const float depth_m = (here.camera_from_world * (point.position - here.centre)).z;
-    const float quality = extent(here, point, depth_m) * penalty(point);
-    float best = quality;
-    std::uint32_t seen_by = 1;
-    std::uint32_t better = 0;
-    for (std::uint32_t other = 0; other < view_count_; ++other) {
+/// The rank of camera `own`, that sees a point with `quality`, among `view_count`: sees(other, found) says whether
+/// another one sees it, and how well. Those similar to the best come first, by index; the others by quality.
+template <class Sees>
+SPLATBUS_PORTABLE SurfaceRank rank_among(std::uint32_t view_count, std::uint32_t own, float quality, float similar,
+                                         const Sees& sees) {
+  float best = quality;
+  std::uint32_t seen_by = 1;
+  std::uint32_t better = 0;
+  for (std::uint32_t other = 0; other < view_count; ++other) {
+    float found = 0;
+    if (other == own || !sees(other, found)) continue;
+    ++seen_by;
+    best = smaller(found, best);
+    if (found < quality || (found == quality && other < own)) ++better;
+  }
+  const float limit = best * (1 + similar);
+  if (quality <= limit) {
+    better = 0;
+    for (std::uint32_t other = 0; other < own; ++other) {
       float found = 0;
-      if (other == own || !sees(other, own, point, found)) continue;
-      ++seen_by;
-      if (found < best) best = found;
-      if (found < quality || (found == quality && other < own)) ++better;
+      if (sees(other, found) && found <= limit) ++better;
     }
-    // Those similar to the best come first, by index; the others by quality.
-    const float similar = best * (1 + options_.similar);
-    if (quality <= similar) {
-      better = 0;
-      for (std::uint32_t other = 0; other < own; ++other) {
-        float found = 0;
-        if (sees(other, own, point, found) && found <= similar) ++better;
-      }
+  }
+  return {static_cast<std::uint8_t>(1 + better), static_cast<std::uint8_t>(seen_by)};
+}
+
+/// How well cameras see the points of each other's pixels; what it means: culling.h.
+class Sight {
+ public:
+  /// `texels` of all views, at each view's first_pixel. `movement`: some view has moved objects.
+  SPLATBUS_PORTABLE Sight(const PixelView* views, const Texel* texels, bool movement, const CullOptions& options)
+      : views_(views), texels_(texels), movement_(movement), options_(options) {}
+
+  /// Quality of a camera's own sample: the longest extent of its pixel on the surface, metres. Smaller is better.
+  [[nodiscard]] SPLATBUS_PORTABLE float own_quality(std::uint32_t own, const Texel& point) const {
+    const PixelView& camera = views_[own];
+    const Vec3 to_camera = camera.centre - point.position;
+    const float depth_m = -(camera.camera_from_world * to_camera).z;
+    return extent(camera, depth_m, to_camera, dot(point.normal, to_camera)) * penalty(point);
+  }
+
+  /// True when the camera faces a sample of view `own`, and its own pixel there holds a sample of the same surface;
+  /// then `quality` is how well it sees the point.
+  SPLATBUS_PORTABLE bool sees(std::uint32_t index, std::uint32_t own, const Texel& sample, float& quality) const {
+    const Texel point = movement_ ? moved(sample, own, index) : sample;
+    const PixelView& camera = views_[index];
+    const Vec3 to_camera = camera.centre - point.position;
+    const float facing = dot(point.normal, to_camera);
+    if (!(facing > 0)) return false;
+    const Vec3 local = camera.camera_from_world * (point.position - camera.centre);
+    if (local.z < camera.near_m) return false;
+    const float x = camera.fx * local.x / local.z + camera.cx;
+    const float y = camera.fy * local.y / local.z + camera.cy;
+    if (!(x >= 0 && y >= 0 && x < static_cast<float>(camera.width) && y < static_cast<float>(camera.height))) {
+      return false;
     }
-    return {static_cast<std::uint8_t>(1 + better), static_cast<std::uint8_t>(seen_by)};
+    const Texel texel =
+        texels_[camera.first_pixel + static_cast<std::size_t>(y) * camera.width + static_cast<std::size_t>(x)];
+    if (texel.footprint_m == 0 || texel.object_id != point.object_id) return false;
+    if (dot(point.normal, texel.normal) < options_.min_normal_cosine) return false;
+    const float pixel_m = extent(camera, local.z, to_camera, facing);
+    const Vec3 offset = texel.position - point.position;
+    if (fabsf(dot(offset, point.normal)) > kPlaneTolerance * pixel_m) return false;
+    if (dot(offset, offset) > kLateralTolerance * kLateralTolerance * pixel_m * pixel_m) return false;
+    quality = pixel_m * penalty(texel);
+    return true;
   }
 
  private:
@@ -65,11 +97,8 @@ class Ranking {
   // Pixel extents on the plane: a pixel's centre is at most 0.71 from any point in it.
   static constexpr float kLateralTolerance = 1.5F;
 
-  /// Longest extent of a camera's pixel on the surface, metres: smaller is better.
-  [[nodiscard]] SPLATBUS_PORTABLE static float extent(const PixelView& camera, const Texel& point, float depth_m) {
-    const Vec3 to_camera = camera.centre - point.position;
-    const float facing = dot(point.normal, to_camera);
-    if (facing <= 0) return INFINITY;
+  [[nodiscard]] SPLATBUS_PORTABLE static float extent(const PixelView& camera, float depth_m, const Vec3& to_camera,
+                                                      float facing) {
     return depth_m * length(to_camera) / (camera.fx * facing);
   }
 
@@ -88,32 +117,7 @@ class Ranking {
     return point;
   }
 
-  /// True when the other camera's own pixel at the point holds a sample of the same surface; then `quality` is how well
-  /// it sees the point.
-  SPLATBUS_PORTABLE bool sees(std::uint32_t index, std::uint32_t own, const Texel& seen, float& quality) const {
-    const Texel point = movement_ ? moved(seen, own, index) : seen;
-    const PixelView& camera = views_[index];
-    const Vec3 local = camera.camera_from_world * (point.position - camera.centre);
-    if (local.z < camera.near_m) return false;
-    const float x = camera.fx * local.x / local.z + camera.cx;
-    const float y = camera.fy * local.y / local.z + camera.cy;
-    if (!(x >= 0 && y >= 0 && x < static_cast<float>(camera.width) && y < static_cast<float>(camera.height))) {
-      return false;
-    }
-    const Texel texel =
-        texels_[camera.first_pixel + static_cast<std::size_t>(y) * camera.width + static_cast<std::size_t>(x)];
-    if (texel.footprint_m == 0 || texel.object_id != point.object_id) return false;
-    if (dot(point.normal, texel.normal) < options_.min_normal_cosine) return false;
-    const float pixel_m = extent(camera, point, local.z);
-    const Vec3 offset = texel.position - point.position;
-    if (fabsf(dot(offset, point.normal)) > kPlaneTolerance * pixel_m) return false;
-    if (dot(offset, offset) > kLateralTolerance * kLateralTolerance * pixel_m * pixel_m) return false;
-    quality = pixel_m * penalty(texel);
-    return true;
-  }
-
   const PixelView* views_;
-  std::uint32_t view_count_;
   const Texel* texels_;
   bool movement_;
   CullOptions options_;

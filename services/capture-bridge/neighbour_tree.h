@@ -22,6 +22,14 @@ SPLATBUS_PORTABLE float distance2(const Box& box, const Vec3& p) {
   return dot(d, d);
 }
 
+/// Between boxes; never more than that of any point of the one to the other.
+SPLATBUS_PORTABLE float distance2(const Box& a, const Box& b) {
+  const Vec3 d{larger(larger(a.low.x - b.high.x, b.low.x - a.high.x), 0),
+               larger(larger(a.low.y - b.high.y, b.low.y - a.high.y), 0),
+               larger(larger(a.low.z - b.high.z, b.low.z - a.high.z), 0)};
+  return dot(d, d);
+}
+
 /// The nearest points to one of them, by distance, those as far by index: whatever the order of looking, the same.
 template <int kCount>
 struct Nearest {
@@ -39,6 +47,7 @@ struct Nearest {
 
   SPLATBUS_PORTABLE void add(float d2, std::uint32_t i) {
     if (!before(d2, i, distance2[kCount - 1], index[kCount - 1])) return;
+#ifdef __CUDA_ARCH__
     // Constant indices throughout, so that the arrays stay in registers.
     for (int k = kCount - 1; k > 0; --k) {
       if (before(d2, i, distance2[k - 1], index[k - 1])) {
@@ -53,6 +62,15 @@ struct Nearest {
       distance2[0] = d2;
       index[0] = i;
     }
+#else
+    int k = kCount - 1;
+    for (; k > 0 && before(d2, i, distance2[k - 1], index[k - 1]); --k) {
+      distance2[k] = distance2[k - 1];
+      index[k] = index[k - 1];
+    }
+    distance2[k] = d2;
+    index[k] = i;
+#endif
     found += found < kCount ? 1 : 0;
   }
 
@@ -66,16 +84,16 @@ struct Nearest {
 /// node n are 2n and 2n + 1, leaf l is node `leaves` + l. The answers are right in any order of the points, but only a
 /// curve that keeps near points together makes them quick.
 struct NeighbourTree {
-  static constexpr std::uint32_t kLeafPoints = 8;
+  static constexpr std::uint32_t kLeafPoints = 16;
 
   const float* points = nullptr;  ///< [count, 3]
   std::uint32_t count = 0;
   std::uint32_t leaves = 0;  ///< a power of two
   Box* nodes = nullptr;      ///< [2 * leaves]
 
-  /// Leaves of a tree over so many points.
+  /// Leaves of a tree over so many points, at least 2.
   [[nodiscard]] SPLATBUS_PORTABLE static std::uint32_t leaves_for(std::uint32_t points) {
-    std::uint32_t leaves = 1;
+    std::uint32_t leaves = 2;
     while (leaves * kLeafPoints < points) leaves *= 2;
     return leaves;
   }
@@ -98,9 +116,10 @@ struct NeighbourTree {
   [[nodiscard]] SPLATBUS_PORTABLE Nearest<kCount> nearest(std::uint32_t i) const {
     const Vec3 point = load3(points, i);
     Nearest<kCount> found;
-    // Its own leaf bounds the search well before it begins.
+    // The leaf beside its own bounds the search well before it begins.
     const std::uint32_t own_leaf = leaves + i / kLeafPoints;
     add_leaf(own_leaf, point, found);
+    add_leaf(own_leaf ^ 1U, point, found);
     std::uint32_t waiting[32];  // the tree's depth is below that
     float waiting_distance2[32];
     int depth = 0;
@@ -108,7 +127,7 @@ struct NeighbourTree {
     while (true) {
       bool descend = false;
       if (node >= leaves) {
-        if (node != own_leaf) add_leaf(node, point, found);
+        if ((node ^ own_leaf) > 1) add_leaf(node, point, found);
       } else {
         const float left = distance2(nodes[2 * node], point);
         const float right = distance2(nodes[2 * node + 1], point);

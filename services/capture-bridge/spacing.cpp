@@ -3,10 +3,11 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
+#include <algorithm>
 #include <cassert>
 #include <cstdint>
 
-#include "capture-bridge/spacing_math.h"
+#include "capture-bridge/leaf_search.h"
 
 namespace splatbus::capture_bridge {
 
@@ -21,10 +22,15 @@ std::vector<float> estimate_spacing(std::span<const glm::vec3> position, std::sp
   const NeighbourTree tree{&position[0].x, count, leaves, nodes.data()};
   for (std::uint32_t leaf = 0; leaf < leaves; ++leaf) tree.build_leaf(leaf);
   for (std::uint32_t node = leaves - 1; node > 0; --node) tree.build_node(node);
+  const LeafSearch search(tree);
   using Range = tbb::blocked_range<std::uint32_t>;
-  tbb::parallel_for(Range(0, count, 1024), [&](const Range& range) {
-    for (std::uint32_t i = range.begin(); i < range.end(); ++i) {
-      spacing[i] = spacing_of(tree, &normal[0].x, i, fallback_m[i]);
+  tbb::parallel_for(Range(0, (count + LeafSearch::kPoints - 1) / LeafSearch::kPoints, 128), [&](const Range& range) {
+    for (std::uint32_t leaf = range.begin(); leaf < range.end(); ++leaf) {
+      const LeafSearch::Found nearest = search.nearest(leaf);
+      const std::uint32_t first = leaf * LeafSearch::kPoints;
+      for (std::uint32_t i = first; i < std::min(first + LeafSearch::kPoints, count); ++i) {
+        spacing[i] = spacing_of(nearest[i - first], &normal[0].x, i, fallback_m[i]);
+      }
     }
   });
   return spacing;

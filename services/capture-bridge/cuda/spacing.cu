@@ -29,7 +29,8 @@ __global__ void top_kernel(NeighbourTree tree, std::uint32_t first) {
 
 __global__ void spacing_kernel(NeighbourTree tree, SampleArrays samples) {
   const std::uint32_t i = item_of_thread();
-  if (i < samples.count) samples.spacing_m[i] = spacing_of(tree, samples.normal, i, samples.spacing_m[i]);
+  if (i >= samples.count) return;
+  samples.spacing_m[i] = spacing_of(tree.nearest<kSearchedNeighbours>(i), samples.normal, i, samples.spacing_m[i]);
 }
 
 }  // namespace

@@ -46,9 +46,16 @@ __global__ void rank_kernel(RoundPixels round, CullOptions options, RoundTally* 
   __syncthreads();
   const std::uint32_t in_view = item_of_thread();
   if (in_view < round.view_pixels) {
-    const Ranking ranking(round.views, round.view_count, round.texels, round.movement, options);
-    const SurfaceRank rank = ranking.rank(blockIdx.y, in_view);
-    round.ranks[round.views[blockIdx.y].first_pixel + in_view] = rank;
+    const std::uint32_t own = blockIdx.y;
+    const std::uint32_t pixel = round.views[own].first_pixel + in_view;
+    const Texel point = round.texels[pixel];
+    SurfaceRank rank;
+    if (point.footprint_m != 0) {
+      const Sight sight(round.views, round.texels, round.movement, options);
+      const auto sees = [&](std::uint32_t other, float& found) { return sight.sees(other, own, point, found); };
+      rank = rank_among(round.view_count, own, sight.own_quality(own, point), options.similar, sees);
+    }
+    round.ranks[pixel] = rank;
     atomicAdd(&of_rank[rank.rank], 1U);
   }
   __syncthreads();

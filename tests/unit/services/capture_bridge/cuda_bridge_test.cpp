@@ -87,5 +87,28 @@ TEST_F(CudaBridgeTest, OnTheCpuReadsADevicesPictures) {
   EXPECT_EQ(tensors_[bus::Backend::Cuda], tensors_[bus::Backend::Cpu]);
 }
 
+TEST_F(CudaBridgeTest, FiguresOfPublishing) {
+  const RoundCase round = dome_round(10, 256, 250000);
+  const auto device_views = on_device(round.views);
+  const RoundSizes sizes{.views = 10, .pixels = round.views[0].pixels(), .samples = round.options.budget};
+  const auto sampler = make_sampler(bus::Backend::Cuda, sizes);
+  std::vector<InputViewPointer> views;
+  for (const InputView& view : device_views) views.push_back(std::make_shared<const InputView>(view));
+  const auto since = [](auto start) {
+    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+  };
+  const auto ready = std::chrono::steady_clock::now();
+  InputPublisher publisher(connect("publisher"), bus::MemoryKind::Cuda, sizes);
+  std::cout << "publisher ready after " << since(ready) << " ms; rounds sampled and published in";
+  for (int i = 0; i < 6; ++i) {
+    const auto start = std::chrono::steady_clock::now();
+    const RoundSamples samples = sampler->sample(pointers_to(device_views), round.objects, round.options);
+    const double sampled = since(start);
+    publisher.publish(views, *views.front(), 1, samples);
+    std::cout << ' ' << sampled << " + " << since(start) - sampled;
+  }
+  std::cout << " ms\n";
+}
+
 }  // namespace
 }  // namespace splatbus::capture_bridge::test
