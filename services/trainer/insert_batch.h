@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "bus/slab.h"
-#include "bus/subscriber.h"
 #include "gaussians/light.h"
 
 namespace splatbus::trainer {
@@ -26,6 +25,10 @@ struct InsertRows {
   const std::uint64_t* cell = nullptr;
 };
 
+/// Bytes of rows that lie in one piece, and where their planes are in it.
+[[nodiscard]] std::size_t insert_rows_bytes(std::size_t stride);
+[[nodiscard]] InsertRows insert_rows_at(const std::byte* memory, bus::MemoryKind kind, std::size_t stride);
+
 /// New Gaussians in memory of our own, checked: everything finite, rotations and normals unit, albedo and visibility in
 /// [0, 1]. Frames as in wire::ModelInsert.
 struct InsertBatch {
@@ -33,6 +36,7 @@ struct InsertBatch {
   std::uint64_t batch = 0;  ///< unique within the epoch
   std::size_t count = 0;
   std::size_t dropped = 0;  ///< rows that were not finite or without a direction
+
   // In host memory: planes [channels][count].
   std::vector<float> mean, log_scale, rotation, opacity_logit, albedo, normal, visibility;
   std::vector<std::uint32_t> object_id;
@@ -45,19 +49,9 @@ struct InsertBatch {
   Light light;
 
   [[nodiscard]] InsertRows rows() const;
-  [[nodiscard]] std::size_t bytes() const;
 };
 
-/// Copies a model/insert message out of the expander's slab and checks every row. `lost` when the slab moved on
-/// meanwhile (the expander repeats the batch). Throws bus::Error or std::runtime_error when the message lies about its
-/// tensors.
-struct InsertReading {
-  bool lost = false;
-  InsertBatch batch;
-};
-[[nodiscard]] InsertReading read_insert(const bus::Message& message);
-
-/// Keeps the rows that can be Gaussians, normalised and clamped; counts the others in `dropped`.
+/// Keeps the rows in host memory that can be Gaussians, normalised and clamped; counts the others in `dropped`.
 void keep_valid_rows(InsertBatch& batch);
 
 }  // namespace splatbus::trainer
