@@ -1,23 +1,49 @@
 #include "raster/loss.h"
 
-#include <tbb/parallel_for.h>
-#include <tbb/task_arena.h>
-
 #include <algorithm>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
+#include "raster/cpu/scratch.h"
+#include "raster/cpu/workers.h"
 #include "raster/loss_kernel.h"
 
 namespace splatbus::raster {
 namespace {
 
-constexpr std::uint32_t kBandRows = 16;
-constexpr std::uint32_t kScratchPlanes = 10;  // of a channel: x, y, 5 blurred, 3 gradients
+constexpr std::uint32_t kBandRows = 32;
+/// Rows around a band that its passes work out again: SSIM's gradient looks at what looks at the picture.
+constexpr std::uint32_t kSurround = 2 * kSsimRadius;
+constexpr std::size_t kPlanes = 10;  // x, y, 5 blurred, 3 gradients
 
-struct Band {
-  std::uint32_t channel, begin, end;
-};
+std::uint32_t rows_before(std::uint32_t row, std::uint32_t rows) {
+  return row > rows ? row - rows : 0;
+}
+
+/// All passes over one band of a channel; the planes between them never leave the cache.
+LossSums band_loss(LossBand band, std::uint32_t begin, std::uint32_t end) {
+  const std::uint32_t last_row = std::min(end + kSurround, band.height);
+  band.first_row = rows_before(begin, kSurround);
+  thread_local cpu::Scratch<float> scratch;
+  const std::size_t pixels = std::size_t{last_row - band.first_row} * band.width;
+  scratch.reserve(kPlanes * pixels);
+  float* plane = scratch.data();
+  const auto next_plane = [&] { return std::exchange(plane, plane + pixels); };
+  band.shown = next_plane();
+  band.target = next_plane();
+  for (float*& blurred : band.row_blurred) blurred = next_plane();
+  for (float*& gradient : band.row_gradients) gradient = next_plane();
+
+  loss_blur_rows(band, band.first_row, last_row);
+  const std::uint32_t above = rows_before(begin, kSsimRadius);
+  const std::uint32_t below = std::min(end + kSsimRadius, band.height);
+  (void)loss_ssim_rows(band, above, begin);
+  const LossSums sums = loss_ssim_rows(band, begin, end);
+  (void)loss_ssim_rows(band, end, below);
+  loss_gradient_rows(band, begin, end);
+  return sums;
+}
 
 }  // namespace
 
@@ -30,49 +56,22 @@ float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const L
   gradient.data.resize(3 * pixels);
   if (pixels == 0) return 0;
 
-  thread_local std::vector<float> scratch;
-  scratch.resize(std::size_t{3} * kScratchPlanes * pixels);
   const auto inverse_count = 1.0F / static_cast<float>(3 * pixels);
-  std::vector<LossChannel> channels(3);
-  for (std::uint32_t c = 0; c < 3; ++c) {
-    LossChannel& channel = channels[c];
-    channel.width = rendered.width;
-    channel.height = rendered.height;
-    channel.channel = c;
-    channel.encode_srgb = options.encode_srgb;
-    channel.ssim_scale = options.ssim_weight * inverse_count;
-    channel.l1_scale = (1 - options.ssim_weight) * inverse_count;
-    channel.rendered = rendered.plane(c);
-    channel.target_rgba = target_rgba;
-    float* plane = scratch.data() + std::size_t{c} * kScratchPlanes * pixels;
-    channel.shown = plane;
-    channel.target = plane + pixels;
-    for (std::size_t k = 0; k < 5; ++k) channel.row_blurred[k] = plane + (2 + k) * pixels;
-    for (std::size_t k = 0; k < 3; ++k) channel.row_gradients[k] = plane + (7 + k) * pixels;
-    channel.gradient = gradient.plane(c);
-  }
-
-  std::vector<Band> bands;
-  for (std::uint32_t c = 0; c < 3; ++c) {
-    for (std::uint32_t y = 0; y < rendered.height; y += kBandRows) {
-      bands.push_back({c, y, std::min(rendered.height, y + kBandRows)});
-    }
-  }
-  std::vector<LossSums> sums(bands.size());
-  // Isolated: while a thread waits here it must not take up another loss, whose scratch memory would be the same.
-  const auto for_bands = [&](auto&& pass) {
-    tbb::this_task_arena::isolate([&] {
-      tbb::parallel_for(std::size_t{0}, bands.size(),
-                        [&](std::size_t k) { pass(k, channels[bands[k].channel], bands[k]); });
-    });
-  };
-  for_bands(
-      [](std::size_t, const LossChannel& channel, const Band& band) { loss_blur_rows(channel, band.begin, band.end); });
-  for_bands([&](std::size_t k, const LossChannel& channel, const Band& band) {
-    sums[k] = loss_ssim_rows(channel, band.begin, band.end);
-  });
-  for_bands([](std::size_t, const LossChannel& channel, const Band& band) {
-    loss_gradient_rows(channel, band.begin, band.end);
+  const std::uint32_t bands = (rendered.height + kBandRows - 1) / kBandRows;
+  std::vector<LossSums> sums(std::size_t{3} * bands);
+  cpu::Workers(options.threads).for_pieces(sums.size(), 1, [&](std::size_t k, std::size_t) {
+    LossBand band;
+    band.width = rendered.width;
+    band.height = rendered.height;
+    band.channel = static_cast<std::uint32_t>(k / bands);
+    band.encode_srgb = options.encode_srgb;
+    band.ssim_scale = options.ssim_weight * inverse_count;
+    band.l1_scale = (1 - options.ssim_weight) * inverse_count;
+    band.rendered = rendered.plane(band.channel);
+    band.target_rgba = target_rgba;
+    band.gradient = gradient.plane(band.channel);
+    const std::uint32_t begin = static_cast<std::uint32_t>(k % bands) * kBandRows;
+    sums[k] = band_loss(band, begin, std::min(rendered.height, begin + kBandRows));
   });
 
   double l1 = 0, ssim = 0;

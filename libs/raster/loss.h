@@ -10,6 +10,7 @@ struct LossOptions {
   float ssim_weight =
       0.2F;  ///< lambda in (1 - lambda) L1 + lambda (1 - SSIM), SSIM 11x11 sigma 1.5, zero padding as 3DGS
   bool encode_srgb = true;  ///< the render is linear: clamp to [0, 1] and apply the sRGB curve before comparing
+  int threads = 0;          ///< at most, 0: all cores
 };
 
 /// Loss of a rendered 3-plane image against an interleaved u8 RGBA target in display space (alpha is not read), and its

@@ -42,13 +42,13 @@ HWY_INLINE V BlurRow(const float* centre) {
 }
 
 /// The same down a column of a plane; rows outside the picture are zero.
-HWY_INLINE V BlurColumn(const float* plane, const LossChannel& in, std::uint32_t y, std::uint32_t x) {
+HWY_INLINE V BlurColumn(const float* plane, const LossBand& in, std::uint32_t y, std::uint32_t x) {
   const F f;
   const int first = std::max(-kSsimRadius, -static_cast<int>(y));
   const int last = std::min(kSsimRadius, static_cast<int>(in.height - 1 - y));
   V sum = hn::Zero(f);
   for (int t = first; t <= last; ++t) {
-    const float* row = plane + static_cast<std::size_t>(static_cast<int>(y) + t) * in.width;
+    const float* row = plane + static_cast<std::size_t>(static_cast<int>(y - in.first_row) + t) * in.width;
     sum = hn::MulAdd(Splat1(kWindow[t + kSsimRadius]), LoadFirst(f, row + x, in.width - x), sum);
   }
   return sum;
@@ -65,7 +65,7 @@ HWY_INLINE V EncodeSrgb(V x) {
                         hn::MulAdd(power, Splat1(1.055F), Splat1(-0.055F)));
 }
 
-void LossBlurRows(const LossChannel& in, std::uint32_t begin, std::uint32_t end) {
+void LossBlurRows(const LossBand& in, std::uint32_t begin, std::uint32_t end) {
   const F f;
   const std::size_t lanes = hn::Lanes(f);
   std::array<PaddedRow, 5> rows{PaddedRow(in.width), PaddedRow(in.width), PaddedRow(in.width), PaddedRow(in.width),
@@ -73,7 +73,7 @@ void LossBlurRows(const LossChannel& in, std::uint32_t begin, std::uint32_t end)
   float* x_row = rows[0].data();
   float* y_row = rows[1].data();
   for (std::uint32_t y = begin; y < end; ++y) {
-    const std::size_t offset = std::size_t{y} * in.width;
+    const std::size_t offset = std::size_t{y} * in.width, local = std::size_t{y - in.first_row} * in.width;
     for (std::uint32_t x = 0; x < in.width; ++x) {
       y_row[x] = static_cast<float>(in.target_rgba[4 * (offset + x) + in.channel]) * (1.0F / 255.0F);
     }
@@ -84,28 +84,28 @@ void LossBlurRows(const LossChannel& in, std::uint32_t begin, std::uint32_t end)
       if (in.encode_srgb) shown = EncodeSrgb(shown);
       StoreFirst(f, shown, x_row + x, n);
       const V target = LoadFirst(f, y_row + x, n);
-      StoreFirst(f, shown, in.shown + offset + x, n);
-      StoreFirst(f, target, in.target + offset + x, n);
+      StoreFirst(f, shown, in.shown + local + x, n);
+      StoreFirst(f, target, in.target + local + x, n);
       StoreFirst(f, hn::Mul(shown, shown), rows[2].data() + x, n);
       StoreFirst(f, hn::Mul(target, target), rows[3].data() + x, n);
       StoreFirst(f, hn::Mul(shown, target), rows[4].data() + x, n);
     }
     for (std::size_t x = 0; x < in.width; x += lanes) {
       for (std::size_t k = 0; k < 5; ++k) {
-        StoreFirst(f, BlurRow(rows[k].data() + x), in.row_blurred[k] + offset + x, in.width - x);
+        StoreFirst(f, BlurRow(rows[k].data() + x), in.row_blurred[k] + local + x, in.width - x);
       }
     }
   }
 }
 
-LossSums LossSsimRows(const LossChannel& in, std::uint32_t begin, std::uint32_t end) {
+LossSums LossSsimRows(const LossBand& in, std::uint32_t begin, std::uint32_t end) {
   const F f;
   const std::size_t lanes = hn::Lanes(f);
   const V c1 = Splat1(0.01F * 0.01F), c2 = Splat1(0.03F * 0.03F), two = Splat1(2.0F), one = Splat1(1.0F);
   std::array<PaddedRow, 3> rows{PaddedRow(in.width), PaddedRow(in.width), PaddedRow(in.width)};
   LossSums sums;
   for (std::uint32_t y = begin; y < end; ++y) {
-    const std::size_t offset = std::size_t{y} * in.width;
+    const std::size_t local = std::size_t{y - in.first_row} * in.width;
     V ssim_sum = hn::Zero(f), l1_sum = hn::Zero(f);
     for (std::size_t x = 0; x < in.width; x += lanes) {
       const std::size_t n = in.width - x;
@@ -129,7 +129,7 @@ LossSums LossSsimRows(const LossChannel& in, std::uint32_t begin, std::uint32_t 
       StoreFirst(f, by_xx, rows[1].data() + x, n);
       StoreFirst(f, by_xy, rows[2].data() + x, n);
       const M inside = hn::FirstN(f, n);
-      const V difference = hn::AbsDiff(LoadFirst(f, in.shown + offset + x, n), LoadFirst(f, in.target + offset + x, n));
+      const V difference = hn::AbsDiff(LoadFirst(f, in.shown + local + x, n), LoadFirst(f, in.target + local + x, n));
       ssim_sum = hn::Add(ssim_sum, hn::IfThenElseZero(inside, ssim));
       l1_sum = hn::Add(l1_sum, hn::IfThenElseZero(inside, difference));
     }
@@ -137,24 +137,24 @@ LossSums LossSsimRows(const LossChannel& in, std::uint32_t begin, std::uint32_t 
     sums.l1 += hn::GetLane(hn::SumOfLanes(f, l1_sum));
     for (std::size_t x = 0; x < in.width; x += lanes) {
       for (std::size_t k = 0; k < 3; ++k) {
-        StoreFirst(f, BlurRow(rows[k].data() + x), in.row_gradients[k] + offset + x, in.width - x);
+        StoreFirst(f, BlurRow(rows[k].data() + x), in.row_gradients[k] + local + x, in.width - x);
       }
     }
   }
   return sums;
 }
 
-void LossGradientRows(const LossChannel& in, std::uint32_t begin, std::uint32_t end) {
+void LossGradientRows(const LossBand& in, std::uint32_t begin, std::uint32_t end) {
   const F f;
   const V zero = hn::Zero(f), one = Splat1(1.0F), two = Splat1(2.0F);
   for (std::uint32_t y = begin; y < end; ++y) {
-    const std::size_t offset = std::size_t{y} * in.width;
+    const std::size_t offset = std::size_t{y} * in.width, local = std::size_t{y - in.first_row} * in.width;
     for (std::size_t x = 0; x < in.width; x += hn::Lanes(f)) {
       const std::size_t n = in.width - x;
       const auto column = [&](std::size_t k) {
         return BlurColumn(in.row_gradients[k], in, y, static_cast<std::uint32_t>(x));
       };
-      const V shown = LoadFirst(f, in.shown + offset + x, n), target = LoadFirst(f, in.target + offset + x, n);
+      const V shown = LoadFirst(f, in.shown + local + x, n), target = LoadFirst(f, in.target + local + x, n);
       V g = hn::MulAdd(target, column(2), column(0));
       g = hn::MulAdd(hn::Mul(two, shown), column(1), g);
       g = hn::Mul(g, Splat1(-in.ssim_scale));
@@ -184,25 +184,25 @@ namespace cpu {
 HWY_EXPORT(LossBlurRows);
 HWY_EXPORT(LossSsimRows);
 HWY_EXPORT(LossGradientRows);
-void dispatch_blur(const LossChannel& c, std::uint32_t b, std::uint32_t e) {
-  HWY_DYNAMIC_DISPATCH(LossBlurRows)(c, b, e);
+void dispatch_blur(const LossBand& band, std::uint32_t begin, std::uint32_t end) {
+  HWY_DYNAMIC_DISPATCH(LossBlurRows)(band, begin, end);
 }
-LossSums dispatch_ssim(const LossChannel& c, std::uint32_t b, std::uint32_t e) {
-  return HWY_DYNAMIC_DISPATCH(LossSsimRows)(c, b, e);
+LossSums dispatch_ssim(const LossBand& band, std::uint32_t begin, std::uint32_t end) {
+  return HWY_DYNAMIC_DISPATCH(LossSsimRows)(band, begin, end);
 }
-void dispatch_gradient(const LossChannel& c, std::uint32_t b, std::uint32_t e) {
-  HWY_DYNAMIC_DISPATCH(LossGradientRows)(c, b, e);
+void dispatch_gradient(const LossBand& band, std::uint32_t begin, std::uint32_t end) {
+  HWY_DYNAMIC_DISPATCH(LossGradientRows)(band, begin, end);
 }
 }  // namespace cpu
 
-void loss_blur_rows(const LossChannel& channel, std::uint32_t begin, std::uint32_t end) {
-  cpu::dispatch_blur(channel, begin, end);
+void loss_blur_rows(const LossBand& band, std::uint32_t begin, std::uint32_t end) {
+  cpu::dispatch_blur(band, begin, end);
 }
-LossSums loss_ssim_rows(const LossChannel& channel, std::uint32_t begin, std::uint32_t end) {
-  return cpu::dispatch_ssim(channel, begin, end);
+LossSums loss_ssim_rows(const LossBand& band, std::uint32_t begin, std::uint32_t end) {
+  return cpu::dispatch_ssim(band, begin, end);
 }
-void loss_gradient_rows(const LossChannel& channel, std::uint32_t begin, std::uint32_t end) {
-  cpu::dispatch_gradient(channel, begin, end);
+void loss_gradient_rows(const LossBand& band, std::uint32_t begin, std::uint32_t end) {
+  cpu::dispatch_gradient(band, begin, end);
 }
 }  // namespace splatbus::raster
 #endif

@@ -8,10 +8,11 @@ namespace splatbus::raster {
 
 constexpr int kSsimRadius = 5;
 
-/// The passes of the loss over one colour channel, each on rows [begin, end) of [height][width] planes. A pass needs
-/// the one before it to be complete for the rows within kSsimRadius.
-struct LossChannel {
-  std::uint32_t width = 0, height = 0, channel = 0;
+/// The passes of the loss over one colour channel, each on rows [begin, end). A pass needs the one before it to be
+/// complete for the rows within kSsimRadius. Rendered, target and gradient are whole pictures; the planes between the
+/// passes have their first row at `first_row`, so that a band of rows and its surroundings fit in the cache.
+struct LossBand {
+  std::uint32_t width = 0, height = 0, channel = 0, first_row = 0;
   bool encode_srgb = true;
   float ssim_scale = 0, l1_scale = 0;  ///< gradient of the loss by a pixel's SSIM (negated) and by |x - y|
   const float* rendered = nullptr;
@@ -27,8 +28,8 @@ struct LossSums {
   double l1 = 0, ssim = 0;
 };
 
-void loss_blur_rows(const LossChannel& channel, std::uint32_t begin, std::uint32_t end);
-LossSums loss_ssim_rows(const LossChannel& channel, std::uint32_t begin, std::uint32_t end);
-void loss_gradient_rows(const LossChannel& channel, std::uint32_t begin, std::uint32_t end);
+void loss_blur_rows(const LossBand& band, std::uint32_t begin, std::uint32_t end);
+LossSums loss_ssim_rows(const LossBand& band, std::uint32_t begin, std::uint32_t end);
+void loss_gradient_rows(const LossBand& band, std::uint32_t begin, std::uint32_t end);
 
 }  // namespace splatbus::raster

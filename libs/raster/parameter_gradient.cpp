@@ -1,17 +1,19 @@
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
 
+#include "raster/cpu/workers.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster {
 
-void ParameterGradient::clear(const GaussiansView& gaussians) {
+void ParameterGradient::clear(const GaussiansView& gaussians, int threads) {
+  std::vector<float> kept = std::move(values);
   clear_statistics(gaussians);
-  const auto planes = static_cast<std::size_t>(layout.channels());
-  values.resize(planes * stride);
-  tbb::parallel_for(std::size_t{0}, planes, [&](std::size_t plane) {
-    std::fill_n(values.begin() + static_cast<std::ptrdiff_t>(plane * stride), stride, 0.0F);
+  values = std::move(kept);
+  const int channels = layout.channels();
+  values.resize(static_cast<std::size_t>(channels) * stride);
+  const int active = active_channels > 0 ? std::min(active_channels, channels) : channels;
+  cpu::Workers(threads).for_pieces(static_cast<std::size_t>(active), 1, [&](std::size_t plane, std::size_t) {
+    std::fill_n(values.data() + plane * stride, count, 0.0F);
   });
 }
 

@@ -61,7 +61,8 @@ struct ParameterGradient {
       mean2d_norm;  ///< [count] sum over views of |dL/d(projected mean)| in NDC units, for clone and split
   std::vector<float> contribution;  ///< [count] largest blending weight a Gaussian had in any pixel since clear()
 
-  void clear(const GaussiansView& gaussians);             ///< sizes and zeroes
+  /// Sizes, and zeroes what counts: the columns of active channels. At most `threads` do it, 0: all cores.
+  void clear(const GaussiansView& gaussians, int threads = 0);
   void clear_statistics(const GaussiansView& gaussians);  ///< the same, but `values` is left empty
 };
 

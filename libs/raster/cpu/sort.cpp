@@ -17,14 +17,16 @@ void DepthSorter::sort(Scratch<DepthKey>& keys, Scratch<DepthKey>& spare, std::s
     low = std::min(low, keys[i].depth_bits);
     high = std::max(high, keys[i].depth_bits);
   }
-  const auto bits = static_cast<unsigned>(std::bit_width(high - low));
-  if (bits == 0) return;
+  // Two passes tell depths apart to a few units in the last place, which is what their own rounding leaves.
+  const auto all_bits = static_cast<unsigned>(std::bit_width(high - low));
+  if (all_bits == 0) return;
+  const unsigned bits = std::min(all_bits, 2 * kMaxDigitBits), dropped = all_bits - bits;
   const unsigned passes = (bits + kMaxDigitBits - 1) / kMaxDigitBits, digit_bits = (bits + passes - 1) / passes;
   const std::uint32_t digits = 1U << digit_bits;
   const std::size_t pieces = (count + kPiece - 1) / kPiece;
 
   for (unsigned pass = 0; pass < passes; ++pass) {
-    const unsigned shift = pass * digit_bits;
+    const unsigned shift = dropped + pass * digit_bits;
     const DepthKey* from = keys.data();
     DepthKey* to = spare.data();
     const auto digit = [=](const DepthKey& key) { return (key.depth_bits - low) >> shift & (digits - 1); };
