@@ -24,11 +24,11 @@
 
 namespace splatbus::stream_test {
 
-/// Publishes models as the trainer does, each in a slot of its own.
+/// Publishes models as the trainer does, each in a slot of its own, in memory of some kind.
 class FakeTrainer {
  public:
-  explicit FakeTrainer(std::shared_ptr<bus::Context> context)
-      : publisher_(context, "model/published"), light_(context, "scene/light"), ring_(context, "model", 16) {}
+  explicit FakeTrainer(std::shared_ptr<bus::Context> context, bus::MemoryKind kind = bus::MemoryKind::Host)
+      : publisher_(context, "model/published"), light_(context, "scene/light"), ring_(context, "model", 16, 0, kind) {}
 
   void publish(const GaussiansBuffer& model) {
     const auto capacity = static_cast<std::uint32_t>(std::max<std::size_t>(model.stride(), 1));
@@ -67,10 +67,11 @@ class FakeTrainer {
 class RunningStreamer {
  public:
   RunningStreamer(std::shared_ptr<bus::Context> context,
-                  const std::vector<std::pair<std::string, std::string>>& changes)
+                  const std::vector<std::pair<std::string, std::string>>& changes,
+                  bus::Backend backend = bus::Backend::Cpu)
       : parameters_(streamer::parameter_specs()) {
     for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
-    service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token());
+    service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token(), backend);
     streamer_ = std::make_unique<streamer::Streamer>(*service_);
     endpoints_ = streamer_->endpoints();
     thread_ = std::thread([this] { streamer_->run(); });
@@ -96,12 +97,13 @@ class RunningStreamer {
 /// Broker, fake trainer and streamer.
 class StreamTest : public bus_test::BusTest {
  protected:
-  StreamTest() : trainer_(connect("trainer")) {}
+  explicit StreamTest(bus::MemoryKind trainer = bus::MemoryKind::Host) : trainer_(connect("trainer"), trainer) {}
 
-  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {}) {
+  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {},
+                      bus::Backend backend = bus::Backend::Cpu) {
     changes.insert(changes.begin(), {"tick_hz", "50"});
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
-    streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes);
+    streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);
   }
 
   [[nodiscard]] std::string endpoint() const { return streamer_->endpoints().front(); }
