@@ -73,6 +73,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   options.training = train;
   options.active_channels = arguments.active_channels;
   options.rebuild_interval = arguments.rebuild_interval;
+  options.albedo_weight = arguments.albedo_weight;
   options.use_depth_limit = arguments.rebuild_interval > 1;
   options.project.pair_margin_px = arguments.rebuild_interval > 1 ? 0.5F : 0.0F;
   raster::cuda::DeviceModel model;
@@ -90,7 +91,8 @@ nlohmann::json run_cuda(const Arguments& arguments) {
     std::vector<raster::cuda::TrainView> views;
     for (std::size_t k = 0; k < batch; ++k) {
       const std::size_t camera = (group * batch + k) % cameras;
-      views.push_back({{workload.cameras[camera], &workload.scene}, pictures[camera].data(), nullptr});
+      const std::uint8_t* const picture = pictures[camera].data();
+      views.push_back({{workload.cameras[camera], &workload.scene}, picture, picture});
     }
     trainer.add_group(views);
   }

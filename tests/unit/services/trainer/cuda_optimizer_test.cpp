@@ -1,0 +1,312 @@
+// The optimizer on a model in device memory beside the one on a model in host memory.
+#include "bus/error.h"
+#include "cuda_model_fixture.h"
+#include "synthetic_scene.h"
+#include "trainer/optimizer.h"
+#include "trainer/schedule.h"
+
+namespace splatbus::trainer {
+namespace {
+
+using bus::MemoryKind;
+
+Pixels<std::uint8_t> placed(const Pixels<std::uint8_t>& pixels, MemoryKind memory) {
+  auto copy = bus::allocate_memory(memory, pixels.bytes());
+  bus::copy_memory(copy.get(), memory, pixels.data(), MemoryKind::Host, pixels.bytes());
+  bus::finish_copies();
+  return {std::shared_ptr<const std::uint8_t>(copy, reinterpret_cast<const std::uint8_t*>(copy.get())), pixels.size()};
+}
+
+TrainingViewPtr placed(const TrainingView& view, MemoryKind memory) {
+  TrainingView copy = view;
+  copy.memory = memory;
+  copy.color = placed(view.color, memory);
+  copy.albedo = placed(view.albedo, memory);
+  copy.depth = {};
+  return std::make_shared<const TrainingView>(std::move(copy));
+}
+
+using Settings = std::vector<std::pair<std::string, std::string>>;
+
+/// A model of its own in one kind of memory, trained on the synthetic scene.
+class Session {
+ public:
+  Session(std::shared_ptr<bus::Context> context, MemoryKind memory, const SyntheticScene& scene,
+          const Settings& settings, std::size_t capacity = 512)
+      : context_(std::move(context)) {
+    EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
+    EXPECT_EQ(parameters_.set("threads", "1", false), "");
+    for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");
+    const Options options = read_options(parameters_);
+    store_ = std::make_unique<ModelStore>(context_, options.layout, capacity, 4096, memory);
+    optimizer_ = make_optimizer(*store_, options);
+    for (const auto& view : scene.views()) views_.put(placed(*view, memory));
+    insert(scene.perturbed());
+  }
+
+  void insert(InsertBatch batch) {
+    Commands commands;
+    commands.inserts.push_back(std::move(batch));
+    optimizer_->apply(commands);
+  }
+
+  /// Mean loss of the steps, all of them at their end.
+  double train(int steps) {
+    StepReport sum;
+    const auto add = [&](const StepReport& report) {
+      sum.steps += report.steps;
+      sum.views += report.views;
+      sum.seconds += report.seconds;
+      sum.loss += report.loss * static_cast<double>(report.views);
+    };
+    for (int i = 0; i < steps; ++i) {
+      add(optimizer_->step(schedule_.next_batch(views_, optimizer_->options().batch, 0)));
+    }
+    add(optimizer_->finish());
+    EXPECT_EQ(sum.steps, static_cast<std::size_t>(steps));
+    seconds_ += sum.seconds;
+    return sum.loss / static_cast<double>(sum.views);
+  }
+
+  void set(const std::string& name, const std::string& value) {
+    EXPECT_EQ(parameters_.set(name, value, true), "");
+    optimizer_->set_options(read_options(parameters_));
+  }
+
+  void put(TrainingView view) { views_.put(placed(view, store_->memory())); }
+
+  /// Writes one value of a plane of parameters.
+  void poke(int channel, std::size_t column, float value) {
+    float* const to = store_->planes().parameters + static_cast<std::size_t>(channel) * store_->capacity() + column;
+    bus::copy_memory(to, store_->memory(), &value, MemoryKind::Host, sizeof(value));
+    bus::finish_copies();
+  }
+
+  [[nodiscard]] HostPlanes planes() const { return HostPlanes(*store_); }
+  [[nodiscard]] ModelStore& store() { return *store_; }
+  [[nodiscard]] Optimizer& optimizer() { return *optimizer_; }
+  [[nodiscard]] double seconds() const { return seconds_; }
+
+ private:
+  std::shared_ptr<bus::Context> context_;
+  bus::Parameters parameters_{parameter_specs()};
+  ViewStore views_;
+  Schedule schedule_{1};
+  std::unique_ptr<ModelStore> store_;
+  std::unique_ptr<Optimizer> optimizer_;
+  double seconds_ = 0;
+};
+
+/// Relative, over the first `channels` planes.
+double distance(const float* a, std::size_t a_stride, const float* b, std::size_t b_stride, std::size_t count,
+                int channels) {
+  double off = 0;
+  double norm = 0;
+  for (std::size_t c = 0; c < static_cast<std::size_t>(channels); ++c) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const double left = a[c * a_stride + i];
+      const double right = b[c * b_stride + i];
+      off += (left - right) * (left - right);
+      norm += right * right;
+    }
+  }
+  return std::sqrt(off / norm);
+}
+
+class CudaOptimizerTest : public bus_test::BusTest {
+ protected:
+  void SetUp() override {
+    if (!has_device()) GTEST_SKIP() << "no CUDA device";
+    bus_test::BusTest::SetUp();
+  }
+
+  Session session(MemoryKind memory, const Settings& settings = {}, std::size_t capacity = 512) {
+    // A name of its own: a second session must not adopt the first one's model.
+    const std::string name = "trainer-" + std::to_string(++sessions_);
+    return {connect(name), memory, scene_, settings, capacity};
+  }
+
+  static void expect_close(Session& cuda, Session& cpu, double tolerance) {
+    const HostPlanes a = cuda.planes();
+    const HostPlanes b = cpu.planes();
+    ASSERT_EQ(a.count(), b.count());
+    EXPECT_EQ(a.ids(), b.ids());
+    const int channels = ParameterLayout::kResidual;
+    EXPECT_LT(distance(a->parameters, a->capacity, b->parameters, b->capacity, a.count(), channels), tolerance);
+    EXPECT_LT(distance(a->average, a->capacity, b->average, b->capacity, a.count(), channels), tolerance);
+  }
+
+  [[nodiscard]] double psnr(Session& session, bool average) const {
+    const HostPlanes planes = session.planes();
+    GaussiansView view = planes->view(planes.count());
+    if (average) view.parameters = planes->average;
+    return scene_.psnr(view);
+  }
+
+  SyntheticScene scene_;
+  int sessions_ = 0;
+};
+
+TEST_F(CudaOptimizerTest, StepsAsTheCpuDoes) {
+  for (const char* batch : {"1", "3"}) {
+    Session cuda = session(MemoryKind::Cuda, {{"batch", batch}});
+    Session cpu = session(MemoryKind::Host, {{"batch", batch}});
+    const double of_cuda = cuda.train(10);
+    const double of_cpu = cpu.train(10);
+    EXPECT_NEAR(of_cuda, of_cpu, 2e-3 * of_cpu) << batch;
+    expect_close(cuda, cpu, 5e-3);
+    EXPECT_EQ(cuda.store().step(), 10U);
+    EXPECT_EQ(cuda.store().views(), cpu.store().views());
+    EXPECT_GT(cuda.seconds(), 0);
+    EXPECT_NEAR(cuda.store().optimizer_s(), cuda.seconds(), 1e-9);
+  }
+}
+
+TEST_F(CudaOptimizerTest, FindsASceneAgainAsWellAsTheCpuDoes) {
+  Session cuda = session(MemoryKind::Cuda);
+  Session cpu = session(MemoryKind::Host);
+  const double before = psnr(cuda, false);
+  const double loss_cuda = (cuda.train(294), cuda.train(6));
+  const double loss_cpu = (cpu.train(294), cpu.train(6));
+  std::printf(
+      "after 300 steps: loss %.5f cuda, %.5f cpu; PSNR of the average %.2f and %.2f dB, of the last value %.2f "
+      "and %.2f dB (before: %.2f dB); %.3f and %.3f ms a step\n",
+      loss_cuda, loss_cpu, psnr(cuda, true), psnr(cpu, true), psnr(cuda, false), psnr(cpu, false), before,
+      1e3 * cuda.seconds() / 300, 1e3 * cpu.seconds() / 300);
+  EXPECT_GT(psnr(cuda, false), before + 8);
+  EXPECT_GT(psnr(cuda, true), psnr(cpu, true) - 0.3);
+  EXPECT_LT(loss_cuda, 1.05 * loss_cpu);
+}
+
+TEST_F(CudaOptimizerTest, TrainsRadianceAndWithoutResidual) {
+  const Settings radiance = {{"appearance", "radiance"}, {"sh_degree", "1"}};
+  const Settings stiff = {{"residual", "false"}, {"albedo_weight", "0"}};
+  for (const Settings& settings : {radiance, stiff}) {
+    Session cuda = session(MemoryKind::Cuda, settings);
+    Session cpu = session(MemoryKind::Host, settings);
+    EXPECT_NEAR(cuda.train(8), cpu.train(8), 1e-3);
+    expect_close(cuda, cpu, 5e-3);
+  }
+}
+
+TEST_F(CudaOptimizerTest, MomentsFollowInsertsIntoLargerSlabs) {
+  Session cuda = session(MemoryKind::Cuda, {}, 304);
+  Session cpu = session(MemoryKind::Host, {}, 304);
+  for (Session* s : {&cuda, &cpu}) {
+    s->train(5);
+    s->insert(sample_batch(1, 2, 150, 7));
+    s->train(5);
+    s->insert(sample_batch(1, 3, 40, 8));
+    s->train(5);
+    EXPECT_EQ(s->store().count(), 490U);
+  }
+  EXPECT_GE(cuda.store().capacity(), 490U);
+  expect_close(cuda, cpu, 1e-2);
+}
+
+TEST_F(CudaOptimizerTest, RenewsPicturesAndTrainsSeveralSizesInABatch) {
+  Session cuda = session(MemoryKind::Cuda, {{"batch", "4"}});
+  Session cpu = session(MemoryKind::Host, {{"batch", "4"}});
+  const SyntheticScene other(200, 3);
+  for (Session* s : {&cuda, &cpu}) {
+    s->train(4);
+    for (const auto& view : other.views()) s->put(*view);
+    s->train(4);
+  }
+  expect_close(cuda, cpu, 1e-2);
+  TrainingView narrow = *other.views().front();
+  narrow.camera.id = 77;
+  narrow.camera.height /= 2;
+  cuda.put(narrow);
+  EXPECT_TRUE(std::isfinite(cuda.train(6)));
+}
+
+TEST_F(CudaOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
+  for (const MemoryKind memory : {MemoryKind::Cuda, MemoryKind::Host}) {
+    Session s = session(memory, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
+    const std::size_t before = s.store().count();
+    const std::uint64_t last = s.planes().ids().back();
+    s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
+    s.poke(ParameterLayout::kLogScale, 4, 3.0F);
+    s.poke(20, 5, std::numeric_limits<float>::quiet_NaN());
+    s.train(5);
+    EXPECT_EQ(s.store().count(), before - 3);
+    EXPECT_THAT(s.planes().ids(), testing::Contains(last));
+    s.train(40);
+    const HostPlanes planes = s.planes();
+    for (std::size_t i = 0; i < planes.count(); ++i) ASSERT_TRUE(std::isfinite(planes->parameters[i]));
+  }
+}
+
+TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
+  Session s = session(MemoryKind::Cuda, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
+  const std::size_t before = s.store().count();
+  s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
+  s.poke(ParameterLayout::kOpacityLogit, 7, -9.0F);
+  ViewStore views;
+  for (const auto& view : scene_.views()) views.put(placed(*view, MemoryKind::Cuda));
+  Schedule schedule(3);
+  for (int i = 0; i < 12; ++i) s.optimizer().step(schedule.next_batch(views, 1, 0));
+  EXPECT_EQ(s.store().count(), before - 2);
+  s.optimizer().finish();
+}
+
+TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
+  Session s = session(MemoryKind::Cuda);
+  s.train(3);
+  Commands commands;
+  commands.cells.push_back({.cells = {1}, .freeze = true});
+  EXPECT_TRUE(s.optimizer().apply(commands));
+  const HostPlanes before = s.planes();
+  s.train(10);
+  const HostPlanes after = s.planes();
+  std::size_t moved = 0;
+  for (std::size_t i = 0; i < after.count(); ++i) {
+    if (after->cell[i] == 1) {
+      EXPECT_EQ(after->parameters[i], before->parameters[i]);
+      EXPECT_EQ(after->average[i], before->average[i]);
+    } else {
+      moved += after->parameters[i] != before->parameters[i] ? 1 : 0;
+    }
+  }
+  EXPECT_GT(moved, 50U);
+}
+
+TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
+  Session cuda = session(MemoryKind::Cuda);
+  Session cpu = session(MemoryKind::Host);
+  cuda.train(12);
+  cpu.train(12);
+  const auto early = cuda.optimizer().cells().cells();
+  ASSERT_EQ(early.size(), 4U);
+  for (const auto& [id, cell] : cpu.optimizer().cells().cells()) {
+    EXPECT_EQ(early.at(id).count, cell.count);
+    EXPECT_TRUE(early.at(id).seen);
+    EXPECT_NEAR(early.at(id).loss, cell.loss, 0.5F * cell.loss);
+    EXPECT_GT(early.at(id).movement, 0.0F);
+  }
+  cuda.train(300);
+  for (const auto& [id, cell] : cuda.optimizer().cells().cells()) EXPECT_LT(cell.loss, 0.8F * early.at(id).loss);
+}
+
+TEST_F(CudaOptimizerTest, GoesOnWithoutWhatItDoesNotOffer) {
+  Session s = session(MemoryKind::Cuda, {{"depth_weight", "0.5"}, {"densify", "true"}, {"densify_interval", "2"}});
+  EXPECT_EQ(s.store().count(), 300U);
+  EXPECT_LT(s.train(20), 1.0);
+  EXPECT_EQ(s.store().count(), 300U);
+  s.set("albedo_weight", "0");
+  s.set("lr_mean", "0");
+  const HostPlanes before = s.planes();
+  s.train(2);
+  EXPECT_EQ(s.planes()->parameters[0], before->parameters[0]);
+}
+
+TEST_F(CudaOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
+  Session s = session(MemoryKind::Cuda);
+  EXPECT_EQ(s.optimizer().step({}).steps, 0U);
+  EXPECT_EQ(s.optimizer().finish().steps, 0U);
+  EXPECT_EQ(s.store().step(), 0U);
+}
+
+}  // namespace
+}  // namespace splatbus::trainer
