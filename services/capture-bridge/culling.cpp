@@ -31,7 +31,7 @@ class TileRanking {
     collect(views_.views[own], x, y);
     const auto view_count = static_cast<std::uint32_t>(views_.views.size());
     for (std::uint32_t view = 0; view < view_count; ++view) {
-      float* const quality = quality_.data() + view * kTilePixels;
+      float* const quality = quality_.data() + std::size_t{view} * kTilePixels;
       for (std::uint32_t s = 0; s < samples_; ++s) {
         const Texel& point = texels_[pixel_[s]];
         if (view == own) {

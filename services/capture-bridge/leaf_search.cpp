@@ -76,8 +76,9 @@ class LeafSearch::Query {
       if (waiting2[depth] > bound2_) continue;
       std::uint32_t node = waiting[depth];
       while (node < leaves) {
-        const float left2 = distance2(nodes[2 * node], box_);
-        const float right2 = distance2(nodes[2 * node + 1], box_);
+        const std::size_t left = 2 * std::size_t{node};
+        const float left2 = distance2(nodes[left], box_);
+        const float right2 = distance2(nodes[left + 1], box_);
         const std::uint32_t near = left2 <= right2 ? 0 : 1;
         const float far2 = std::max(left2, right2);
         if (far2 <= bound2_ && far2 < INFINITY) {

@@ -108,7 +108,8 @@ struct NeighbourTree {
     nodes[leaves + leaf] = box;
   }
   SPLATBUS_PORTABLE void build_node(std::uint32_t node) const {
-    nodes[node] = united(nodes[2 * node], nodes[2 * node + 1]);
+    const std::size_t left = 2 * std::size_t{node};
+    nodes[node] = united(nodes[left], nodes[left + 1]);
   }
 
   /// The nearest points to point i, itself among them.
@@ -129,8 +130,9 @@ struct NeighbourTree {
       if (node >= leaves) {
         if ((node ^ own_leaf) > 1) add_leaf(node, point, found);
       } else {
-        const float left = distance2(nodes[2 * node], point);
-        const float right = distance2(nodes[2 * node + 1], point);
+        const Box* const children = nodes + 2 * std::size_t{node};
+        const float left = distance2(children[0], point);
+        const float right = distance2(children[1], point);
         const bool left_first = left <= right;
         const float near = left_first ? left : right;
         const float far = left_first ? right : left;

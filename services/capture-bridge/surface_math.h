@@ -66,7 +66,7 @@ class FootprintMeasure {
       : view_(view), checked_(checked) {}
 
   /// `normal` is the pixel's, of unit length.
-  SPLATBUS_PORTABLE Footprint measure(std::uint32_t x, std::uint32_t y, const Vec3& normal) const {
+  [[nodiscard]] SPLATBUS_PORTABLE Footprint measure(std::uint32_t x, std::uint32_t y, const Vec3& normal) const {
     const std::size_t i = static_cast<std::size_t>(y) * view_.width + x;
     const Vec3 ray = view_.world_from_camera * Vec3{(static_cast<float>(x) + 0.5F - view_.cx) / view_.fx,
                                                     (static_cast<float>(y) + 0.5F - view_.cy) / view_.fy, 1};
