@@ -1,0 +1,169 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "../../bus/bus_fixture.h"
+#include "bus/tensor_ring.h"
+#include "synthetic_scene.h"
+#include "trainer/trainer.h"
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+#include "wire/model_generated.h"
+
+namespace splatbus::trainer {
+
+using namespace std::chrono_literals;
+
+/// A trainer on a bus, with an expander, a capture bridge and a relight made by hand.
+class TrainerTest : public bus_test::BusTest {
+ protected:
+  TrainerTest()
+      : peer_(connect("peer")),
+        subscriber_(peer_, {"model/published", "trainer/stats", "trainer/cells"}),
+        insert_(peer_, "model/insert"),
+        reference_(peer_, "capture/reference"),
+        freeze_(peer_, "model/freeze"),
+        unfreeze_(peer_, "model/unfreeze"),
+        visibility_(peer_, "relight/visibility"),
+        ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
+    set("threads", "1", false);
+    set("capacity", "1024", false);
+    set("input_view_interval", "0", false);
+  }
+
+  ~TrainerTest() override { stop(); }
+
+  /// Before start(): where the trainer's model lies, and where the slabs of those that feed it.
+  void place(bus::Backend trainer, bus::MemoryKind producers) {
+    backend_ = trainer;
+    ring_ = std::make_unique<bus::TensorRing>(peer_, "pictures", 32, 0, producers);
+  }
+
+  void set(const std::string& name, const std::string& value, bool at_runtime = true) {
+    EXPECT_EQ(parameters_.set(name, value, at_runtime), "");
+  }
+
+  void start() {
+    stop_ = std::stop_source();
+    service_ = std::make_unique<bus::ServiceContext>(connect("trainer"), parameters_, stop_.get_token(), backend_);
+    thread_ = std::thread([this] { Trainer(*service_).run(); });
+    ASSERT_TRUE(until([&] { return published(); }));
+  }
+
+  void stop() {
+    stop_.request_stop();
+    if (thread_.joinable()) thread_.join();
+    service_.reset();
+    newest_.clear();
+  }
+
+  /// Receives until the condition holds.
+  bool until(const std::function<bool()>& condition) {
+    return bus_test::eventually([&] {
+      while (auto message = subscriber_.receive(5ms)) newest_.insert_or_assign(message->topic(), *message);
+      return condition();
+    });
+  }
+
+  const wire::ModelPublished* published() {
+    const auto found = newest_.find("model/published");
+    return found == newest_.end() ? nullptr : &found->second.root<wire::ModelPublished>("ModelPublished/1");
+  }
+  const wire::TrainerStats* stats() {
+    const auto found = newest_.find("trainer/stats");
+    return found == newest_.end() ? nullptr : &found->second.root<wire::TrainerStats>("TrainerStats/1");
+  }
+  bool holds(std::uint64_t batch) {
+    const auto* model = published();
+    if (model == nullptr || model->insert_epoch() != peer_->epoch()) return false;
+    const auto* batches = model->inserted_batches();
+    return std::find(batches->begin(), batches->end(), batch) != batches->end();
+  }
+
+  void publish_insert(const InsertBatch& batch, const std::string& without = {}) {
+    const auto n = static_cast<std::uint32_t>(batch.count);
+    const auto u32 = bus::ElementType::U32;
+    const auto u64 = bus::ElementType::U64;
+    std::vector<bus::TensorSource> sources = {
+        {.name = "mean", .shape = {3, n}, .data = batch.mean.data()},
+        {.name = "log_scale", .shape = {3, n}, .data = batch.log_scale.data()},
+        {.name = "rotation", .shape = {4, n}, .data = batch.rotation.data()},
+        {.name = "opacity_logit", .shape = {1, n}, .data = batch.opacity_logit.data()},
+        {.name = "albedo", .shape = {3, n}, .data = batch.albedo.data()},
+        {.name = "normal", .shape = {3, n}, .data = batch.normal.data()},
+        {.name = "visibility", .shape = {1, n}, .data = batch.visibility.data()},
+        {.name = "object_id", .shape = {n}, .type = u32, .data = batch.object_id.data()},
+        {.name = "cell", .shape = {n}, .type = u64, .data = batch.cell.data()}};
+    std::erase_if(sources, [&](const bus::TensorSource& source) { return source.name == without; });
+    insert_.publish({.schema = "ModelInsert/1", .tensors = ring_->write(sources)}, [&](auto& builder, auto header) {
+      const auto light = to_wire(builder, batch.light);
+      return wire::CreateModelInsert(builder, header, batch.batch, 0, light);
+    });
+  }
+
+  void insert(const InsertBatch& batch) {
+    ASSERT_TRUE(until([&] {
+      publish_insert(batch);  // as the expander does, until it is acknowledged
+      return holds(batch.batch);
+    }));
+  }
+
+  void publish_view(const TrainingView& view, bool retire = false, std::uint32_t height_off = 0) {
+    const std::uint32_t h = view.camera.height + height_off;
+    const std::uint32_t w = view.camera.width;
+    std::vector<bus::TensorSource> sources;
+    if (!retire && height_off == 0) {
+      sources = {{.name = "color", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.color.data()},
+                 {.name = "albedo", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.albedo.data()}};
+    } else if (!retire) {
+      sources = {{.name = "color",
+                  .shape = {h - 2 * height_off, w, 4},
+                  .type = bus::ElementType::U8,
+                  .data = view.color.data()}};
+    }
+    bus::MessageInfo info{.schema = "CaptureReference/1"};
+    if (!sources.empty()) info.tensors = ring_->write(sources);
+    reference_.publish(info, [&](auto& builder, auto header) {
+      const auto light = to_wire(builder, view.scene.light);
+      const auto camera = to_wire(view.camera);
+      return wire::CreateCaptureReference(builder, header, 1, 0.0, &camera, 0, light, retire);
+    });
+  }
+
+  void publish_visibility(const std::vector<float>& values, std::uint64_t generation) {
+    const auto n = static_cast<std::uint32_t>(values.size());
+    const bus::TensorSource source{.name = "visibility", .shape = {1, n}, .data = values.data()};
+    visibility_.publish(
+        {.schema = "RelightVisibility/1", .tensors = ring_->write({&source, 1})},
+        [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, generation, 1, n); });
+  }
+
+  void show(const SyntheticScene& scene) {
+    ASSERT_TRUE(until([&] {
+      for (const auto& view : scene.views()) publish_view(*view);
+      return stats() != nullptr && stats()->ready_references() == scene.views().size();
+    }));
+  }
+
+  bus::Parameters parameters_{parameter_specs()};
+  std::shared_ptr<bus::Context> peer_;
+  bus::Subscriber subscriber_;
+  bus::Publisher insert_, reference_, freeze_, unfreeze_, visibility_;
+  std::unique_ptr<bus::TensorRing> ring_;
+  bus::Backend backend_ = bus::Backend::Cpu;
+  std::stop_source stop_;
+  std::unique_ptr<bus::ServiceContext> service_;
+  std::thread thread_;
+  std::map<std::string, bus::Message> newest_;
+};
+
+}  // namespace splatbus::trainer
