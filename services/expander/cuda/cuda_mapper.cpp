@@ -76,7 +76,7 @@ Growth CudaMapper::grow(const Round& round, const GrowOptions& options) {
 }
 
 CudaMapper::Counts CudaMapper::choose(const RoundView& round, const GrowOptions& options) {
-  const cudaStream_t stream = thread_stream();
+  cudaStream_t stream = thread_stream();
   workspace_.resize(round.count);
   const Placement placement = workspace_.placement();
   const ChoiceView choice = workspace_.choice();
