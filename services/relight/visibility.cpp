@@ -4,12 +4,11 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <glm/glm.hpp>
 #include <glm/gtc/quaternion.hpp>
-#include <limits>
 
+#include "relight/filter_kernel.h"
 #include "relight/visibility_limits.h"
 
 namespace splatbus::relight {
@@ -17,17 +16,6 @@ namespace splatbus::relight {
 namespace {
 
 constexpr std::size_t kGrain = 2048;
-
-/// The plane of a surface in texels across and metres of depth.
-struct Receiver {
-  glm::vec2 texel{0};
-  float depth_m = 0;
-  glm::vec2 slope{0};  ///< metres of depth a texel
-
-  [[nodiscard]] float depth_at(float x, float y) const {
-    return depth_m + slope.x * (x - texel.x) + slope.y * (y - texel.y);
-  }
-};
 
 class Tester {
  public:
@@ -51,78 +39,24 @@ class Tester {
     const float steepness = glm::length(slope);
     if (steepness > kGreatestSlope) slope *= kGreatestSlope / steepness;
 
-    const Receiver receiver{.texel = {camera.fx * point.x + camera.cx, camera.fy * point.y + camera.cy},
-                            .depth_m = point.z,
-                            .slope = {slope.x / camera.fx, slope.y / camera.fy}};
-    if (!std::isfinite(receiver.depth_m + receiver.texel.x + receiver.texel.y)) return 0;
-    const float radius_m = options_.softness_m + options_.footprint * deviation_m;
-    const glm::vec2 radius = glm::clamp(kParaboloidOverDisc * radius_m * glm::vec2(camera.fx, camera.fy),
-                                        kLeastRadius_texels, kGreatestRadius_texels);
-    return filtered(receiver, radius);
+    const float radius_m = kParaboloidOverDisc * (options_.softness_m + options_.footprint * deviation_m);
+    const FilterWindow window{.x = camera.fx * point.x + camera.cx,
+                              .y = camera.fy * point.y + camera.cy,
+                              .depth_m = point.z,
+                              .slope_x = slope.x / camera.fx,
+                              .slope_y = slope.y / camera.fy,
+                              .radius_x = bounded_radius(radius_m * camera.fx),
+                              .radius_y = bounded_radius(radius_m * camera.fy)};
+    if (!std::isfinite(window.depth_m + window.x + window.y)) return 0;
+    const bool apart = window.x + window.radius_x < 0 || window.y + window.radius_y < 0 ||
+                       window.x - window.radius_x > static_cast<float>(width_) ||
+                       window.y - window.radius_y > static_cast<float>(height_);
+    return apart ? 1 : lit_share(window, map_.depth_m, width_, height_);
   }
 
  private:
-  struct Sum {
-    std::array<float, kLanes> lit{}, weight{};
-  };
-
-  /// Share of lit texels about the receiver, weighted by 1 - (distance / radius)^2.
-  [[nodiscard]] float filtered(const Receiver& receiver, const glm::vec2& radius) const {
-    const glm::vec2 low = glm::floor(receiver.texel - radius);
-    const glm::vec2 high = glm::ceil(receiver.texel + radius);
-    const bool apart =
-        high.x < 0 || high.y < 0 || low.x > static_cast<float>(width_) || low.y > static_cast<float>(height_);
-    if (apart) return 1;
-    const int left = static_cast<int>(low.x);
-    const int right = left + (static_cast<int>(high.x) - left + kLanes - 1) / kLanes * kLanes;
-    const int bottom = static_cast<int>(high.y);
-    Sum sum;
-    for (int y = static_cast<int>(low.y); y < bottom; ++y) {
-      const bool within = y >= 0 && y < height_ && left >= 0 && right <= width_;
-      for (int x = left; x < right; x += kLanes) {
-        if (within) {
-          add(receiver, radius, x, y, texels(x, y), sum);
-        } else {
-          add(receiver, radius, x, y, padded(x, y).data(), sum);
-        }
-      }
-    }
-    float lit = 0;
-    float weight = 0;
-    for (std::size_t k = 0; k < kLanes; ++k) {
-      lit += sum.lit[k];
-      weight += sum.weight[k];
-    }
-    return lit < weight ? lit / weight : 1.0F;
-  }
-
-  /// Texels (x, y) to (x + kLanes - 1, y). Written for the compiler to vectorise.
-  static void add(const Receiver& receiver, const glm::vec2& radius, int x, int y, const float* depth_m, Sum& sum) {
-    const float row_m = receiver.depth_at(static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F);
-    const float dx = (static_cast<float>(x) + 0.5F - receiver.texel.x) / radius.x;
-    const float dy = (static_cast<float>(y) + 0.5F - receiver.texel.y) / radius.y;
-    const float step = 1.0F / radius.x;
-    for (std::size_t k = 0; k < kLanes; ++k) {
-      const float across = dx + static_cast<float>(k) * step;
-      const float weight = std::max(0.0F, 1.0F - across * across - dy * dy);
-      const float plane_m = row_m + static_cast<float>(k) * receiver.slope.x;
-      sum.weight[k] += weight;
-      sum.lit[k] += plane_m <= depth_m[k] ? weight : 0.0F;
-    }
-  }
-
-  [[nodiscard]] const float* texels(int x, int y) const {
-    return map_.depth_m + static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x);
-  }
-
-  /// A piece of a row that leaves the map: what lies outside is lit.
-  [[nodiscard]] std::array<float, kLanes> padded(int x, int y) const {
-    std::array<float, kLanes> depth_m{};
-    for (int k = 0; k < kLanes; ++k) {
-      const bool inside = x + k >= 0 && x + k < width_ && y >= 0 && y < height_;
-      depth_m.at(static_cast<std::size_t>(k)) = inside ? *texels(x + k, y) : std::numeric_limits<float>::max();
-    }
-    return depth_m;
+  [[nodiscard]] static float bounded_radius(float texels) {
+    return std::clamp(texels, kLeastRadius_texels, kGreatestRadius_texels);
   }
 
   const LightDepthMap map_;

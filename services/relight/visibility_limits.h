@@ -3,7 +3,6 @@
 // Bounds of the visibility test that its backends share.
 namespace splatbus::relight {
 
-constexpr int kLanes = 8;                    // texels of a row that are compared together
 constexpr float kGreatestSlope = 8.0F;       // metres of depth a metre across: beyond it the normal is no guide
 constexpr float kLeastFacing = 0.02F;        // cosine below which no light arrives
 constexpr float kLeastRadius_texels = 1.5F;  // the map's own resolution

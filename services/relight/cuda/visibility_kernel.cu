@@ -6,6 +6,7 @@ namespace splatbus::relight::cuda {
 namespace {
 
 constexpr unsigned kThreads = 256;
+constexpr int kLanes = 8;  // of a Gaussian
 constexpr unsigned kGaussiansABlock = kThreads / kLanes;
 
 struct Vector {
