@@ -1,6 +1,8 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <cstdlib>
+
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -17,7 +19,9 @@ void add_backend_option(CLI::App& verb, std::string& backend) {
 }
 
 bus::Backend own_backend(const std::string& backend) {
-  return bus::choose_backend(backend.empty() ? "auto" : backend);
+  const char* const of_environment = std::getenv("SPLATBUS_BACKEND");
+  if (!backend.empty()) return bus::choose_backend(backend);
+  return bus::choose_backend(of_environment != nullptr ? of_environment : "auto");
 }
 
 bus::Address bus_address(const std::string& option) {

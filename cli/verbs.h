@@ -25,8 +25,8 @@ void add_demo_verb(CLI::App& app, Action& action);
 void add_bus_option(CLI::App& verb, std::string& address);
 /// Adds --backend to a verb that launches services; empty when it is not given.
 void add_backend_option(CLI::App& verb, std::string& backend);
-/// What this program itself works with when services were given --backend `backend`; auto when that is empty. Throws
-/// bus::Error.
+/// What this program itself works with when services were given --backend `backend`; where that is empty, what
+/// SPLATBUS_BACKEND says, else auto. Throws bus::Error.
 [[nodiscard]] bus::Backend own_backend(const std::string& backend);
 /// The bus that --bus names, or the default one.
 [[nodiscard]] bus::Address bus_address(const std::string& option);
