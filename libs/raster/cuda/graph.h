@@ -42,12 +42,8 @@ class Graph {
       throw;
     }
     device::check(cudaStreamEndCapture(stream, &graph), "capturing a step");
-    cudaGraphExecUpdateResultInfo result{};
-    if (executable_ != nullptr && cudaGraphExecUpdate(executable_, graph, &result) != cudaSuccess) {
-      cudaGetLastError();  // another topology: made anew
-      destroy();
-    }
-    const cudaError_t status = executable_ == nullptr ? cudaGraphInstantiate(&executable_, graph, 0) : cudaSuccess;
+    destroy();
+    const cudaError_t status = cudaGraphInstantiate(&executable_, graph, 0);
     cudaGraphDestroy(graph);
     device::check(status, "making a step's graph");
     captured_ = true;
