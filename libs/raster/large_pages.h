@@ -8,15 +8,15 @@
 
 namespace splatbus::raster {
 
-/// Memory for big arrays that are walked plane by plane: from 2 MiB on it begins at a large page and asks for such
-/// pages, of which a core finds the addresses without a walk; below, one cache line. free() gives it back.
+/// Memory for big arrays: from one large page on it begins at such a page and asks for them, so that planes walked side
+/// by side need no walk for their addresses; below, it begins at a cache line. std::free() gives it back.
 [[nodiscard]] inline void* allocate_large(std::size_t bytes) {
   constexpr std::size_t kLargePage = std::size_t{2} << 20U, kCacheLine = 64;
   const std::size_t unit = bytes >= kLargePage ? kLargePage : kCacheLine;
   const std::size_t room = (bytes + unit - 1) / unit * unit;
   void* memory = std::aligned_alloc(unit, room);
   if (memory == nullptr && room > 0) throw std::bad_alloc();
-  if (unit == kLargePage) (void)::madvise(memory, room, MADV_HUGEPAGE);  // a wish: without it all is as correct
+  if (unit == kLargePage) (void)::madvise(memory, room, MADV_HUGEPAGE);  // a wish: only time depends on it
   return memory;
 }
 

@@ -51,7 +51,7 @@ StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
     loss = render_loss(*views.front(), 1.0F);
     rasterizer_->backward_step(render_gradient_, learning_rates_, adam_, parameters, gradient_);
   } else {
-    gradient_.clear(store_.view());
+    gradient_.clear(store_.view(), options_.threads);
     for (const auto& view : views) {
       loss += render_loss(*view, 1.0F / static_cast<float>(views.size()));
       rasterizer_->backward(render_gradient_, gradient_);
@@ -81,7 +81,8 @@ double CpuOptimizer::render_loss(const TrainingView& view, float scale) {
   render_gradient_.albedo = {};
   render_gradient_.depth = {};
   raster::LossOptions loss_options{.ssim_weight = options_.ssim_weight,
-                                   .encode_srgb = options_.layout.appearance == Appearance::Transfer};
+                                   .encode_srgb = options_.layout.appearance == Appearance::Transfer,
+                                   .threads = options_.threads};
   float loss = image_loss(render_.color, view.color.data(), loss_options, render_gradient_.color);
   scale_image(render_gradient_.color, scale);
   if (with_albedo) {

@@ -1,7 +1,6 @@
 #include "raster/cpu/bin.h"
 
 #include <algorithm>
-#include <utility>
 
 #include "raster/cpu/kernels.h"
 
@@ -33,12 +32,9 @@ void TileBinner::bin(Frame& frame, Workers& workers) {
     frame.pairs += piece.pairs.size();
   }
   frame.tile_begin.resize(frame.tile_count() + 1);
-  std::uint32_t next = 0;
-  for (std::uint32_t tile = 0; tile < frame.tile_count(); ++tile) {
-    frame.tile_begin[tile] = next;
-    for (Piece& piece : pieces_) next += std::exchange(piece.tile_counts[tile], next);
-  }
-  frame.tile_begin[frame.tile_count()] = next;
+  scan_.scan(
+      piece_count, frame.tile_count(), [&](std::size_t piece) { return pieces_[piece].tile_counts.data(); },
+      frame.tile_begin.data());
 
   frame.entries.reserve(frame.pairs);
   if (frame.keep) frame.entry_of_slot.reserve(frame.pairs);

@@ -5,6 +5,7 @@
 
 #include "raster/cpu/frame.h"
 #include "raster/cpu/pairs.h"
+#include "raster/cpu/row_scan.h"
 #include "raster/cpu/workers.h"
 
 namespace splatbus::raster::cpu {
@@ -21,6 +22,7 @@ class TileBinner {
     std::vector<std::uint32_t> tile_counts;  ///< then where the piece's next entry of the tile goes
   };
   std::vector<Piece> pieces_;
+  RowScan scan_;
 };
 
 }  // namespace splatbus::raster::cpu

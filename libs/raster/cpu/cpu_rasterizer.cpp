@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <numeric>
 #include <stdexcept>
 
 #include "raster/adam.h"
@@ -54,12 +55,13 @@ void CpuRasterizer::project() {
   workers_.for_pieces(count, kGaussianPiece, [&](std::size_t begin, std::size_t end) {
     visible_of_piece_[begin / kGaussianPiece] = project_range(frame_, begin, end, spare_keys_.data() + begin);
   });
-  frame_.visible = 0;
-  for (std::size_t piece = 0; piece < pieces; ++piece) {
-    std::copy_n(spare_keys_.data() + piece * kGaussianPiece, visible_of_piece_[piece],
-                frame_.order.data() + frame_.visible);
-    frame_.visible += visible_of_piece_[piece];
-  }
+  first_of_piece_.resize(pieces);
+  std::exclusive_scan(visible_of_piece_.begin(), visible_of_piece_.end(), first_of_piece_.begin(), std::size_t{0});
+  frame_.visible = pieces == 0 ? 0 : first_of_piece_.back() + visible_of_piece_.back();
+  workers_.for_pieces(count, kGaussianPiece, [&](std::size_t begin, std::size_t) {
+    const std::size_t piece = begin / kGaussianPiece;
+    std::copy_n(spare_keys_.data() + begin, visible_of_piece_[piece], frame_.order.data() + first_of_piece_[piece]);
+  });
 }
 
 void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,

@@ -32,7 +32,7 @@ class CpuRasterizer : public Rasterizer {
   Workers workers_;
   Frame frame_;
   Scratch<DepthKey> spare_keys_;
-  std::vector<std::size_t> visible_of_piece_;
+  std::vector<std::size_t> visible_of_piece_, first_of_piece_;
   DepthSorter sorter_;
   TileBinner binner_;
   std::vector<StageTime> forward_times_, backward_times_;

@@ -28,10 +28,15 @@ TEST(Loss, OfThePictureItselfIsZero) {
   EXPECT_NEAR(image_loss(rendered, target.data(), {}, gradient), 0, 1e-5F);
 }
 
-TEST(Loss, GradientIsTheSlope) {
-  const std::vector<std::uint8_t> target = random_target(std::size_t{23} * 19);
+/// In a picture of one band of rows and in one of several.
+class LossGradient : public ::testing::TestWithParam<std::uint32_t> {};
+INSTANTIATE_TEST_SUITE_P(Heights, LossGradient, ::testing::Values(19U, 75U));
+
+TEST_P(LossGradient, IsTheSlope) {
+  const std::uint32_t height = GetParam();
+  const std::vector<std::uint8_t> target = random_target(std::size_t{23} * height);
   std::mt19937 generator(3);
-  Image rendered(23, 19, 3), gradient, scratch;
+  Image rendered(23, height, 3), gradient, scratch;
   for (float& value : rendered.data) value = 0.05F + 0.9F * static_cast<float>(generator() >> 8U) / 16777216.0F;
   (void)image_loss(rendered, target.data(), {}, gradient);
   for (std::size_t i = 0; i < rendered.data.size(); i += 97) {

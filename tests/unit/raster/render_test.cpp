@@ -142,6 +142,22 @@ TEST(Backward, BatchAddsUpAndActiveChannelsLimitIt) {
   EXPECT_EQ(some.active_channels, 14);
 }
 
+TEST(Backward, ClearLeavesNothingOfTheLastBatch) {
+  const TestScene scene = testing::random_scene(testing::transfer_layout(), 50, {}, 23);
+  ParameterGradient gradient;
+  gradient.clear(scene.view(), 1);
+  std::fill(gradient.values.begin(), gradient.values.end(), 1.0F);
+  std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
+  gradient.clear(scene.view(), 2);
+  ASSERT_EQ(gradient.values.size(), static_cast<std::size_t>(scene.layout.channels()) * scene.stride);
+  for (std::size_t i = 0; i < gradient.values.size(); ++i) {
+    if (i % scene.stride < scene.count) {
+      ASSERT_EQ(gradient.values[i], 0);
+    }
+  }
+  EXPECT_EQ(std::count(gradient.touched.begin(), gradient.touched.end(), 1), 0);
+}
+
 TEST(Backward, StatisticsSayWhatWasSeen) {
   TestScene scene = testing::random_scene(testing::transfer_layout(), 2, {.objects = false}, 22);
   for (int c = 0; c < 3; ++c) scene.at(c, 0) = 0;

@@ -128,6 +128,8 @@ TEST(Robustness, MisuseIsNamed) {
   RenderGradient wrong;
   wrong.color = Image(15, 16, 3);
   EXPECT_THROW(rasterizer->backward(wrong, out), std::invalid_argument);
+  rasterizer->render(scene.view(), camera, scene.state, {}, render);  // keeps nothing
+  EXPECT_THROW(rasterizer->backward({}, out), std::invalid_argument);
   Adam adam;
   std::vector<float> parameters = scene.parameters;
   EXPECT_THROW(adam.step(parameters.data(), nullptr, out, std::vector<float>(41, 0.1F), 1), std::invalid_argument);
