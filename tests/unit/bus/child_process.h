@@ -21,6 +21,7 @@ class ChildProcess {
     const std::string path = std::string(SPLATBUS_BIN_DIR) + "/" + program;
     arguments.insert(arguments.begin(), path);
     std::vector<char*> argv;
+    argv.reserve(arguments.size() + 1);
     for (auto& argument : arguments) argv.push_back(argument.data());
     argv.push_back(nullptr);
     pid_ = ::fork();

@@ -17,7 +17,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus_test::patience;
 using testing::AllOf;
 using testing::HasSubstr;
 
@@ -401,7 +400,7 @@ TEST_F(ModelStoreTest, LyingAnnouncementsAreRefused) {
   append(1, 20);
   const auto lie = [&](std::uint64_t count, std::uint64_t capacity, std::uint8_t degree, bool with_planes) {
     bus::MessageInfo info{.schema = "ModelPublished/1"};
-    static const std::vector<float> plane(41 * 64);
+    static const std::vector<float> plane(std::size_t{41} * 64);
     if (with_planes) {
       info.tensors.push_back({.name = "parameters", .shape = {41, 64}, .inline_data = plane.data()});
     }
