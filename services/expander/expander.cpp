@@ -44,7 +44,10 @@ void Expander::step(std::chrono::milliseconds timeout) {
   auto message = subscriber_.receive(timeout);
   for (int taken = 1; message; ++taken) {
     prepare_ring();
-    if (!bus::guarded(*message, [&] { handle(*message); })) mapper_->require_usable();
+    if (!bus::guarded(*message, [&] { handle(*message); })) {
+      mapper_->require_usable();
+      if (message->topic() == "capture/input") ++counters_.rounds_lost;
+    }
     if (taken >= kMostMessagesAStep) break;
     message = subscriber_.receive(std::chrono::milliseconds(0));
   }

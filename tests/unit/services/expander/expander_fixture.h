@@ -58,7 +58,8 @@ class FakeTrainer {
       const auto mean = message->tensor("mean", bus::ElementType::F32, {3, 0});
       if (!mean || deaf) continue;
       const std::uint32_t n = mean->dim(1);
-      for (const char* name : {"log_scale", "albedo", "normal"})
+      const auto normals = host_copy<float>(message->tensor("normal", bus::ElementType::F32, {3, n}).value());
+      for (const char* name : {"log_scale", "albedo"})
         EXPECT_TRUE(message->tensor(name, bus::ElementType::F32, {3, n}));
       EXPECT_TRUE(message->tensor("rotation", bus::ElementType::F32, {4, n}));
       for (const char* name : {"opacity_logit", "visibility"})
@@ -72,6 +73,7 @@ class FakeTrainer {
       const auto planes = host_copy<float>(*mean);
       for (std::uint32_t i = 0; i < n; ++i) {
         points.emplace_back(planes[i], planes[n + i], planes[2 * n + i]);
+        normal.emplace_back(normals[i], normals[n + i], normals[2 * n + i]);
         cell.push_back(cells[i]);
         object_id.push_back(ids[i]);
       }
@@ -84,14 +86,16 @@ class FakeTrainer {
     const auto n = static_cast<std::uint32_t>(points.size());
     const std::uint32_t capacity = n + 16;
     const std::uint32_t channels = ParameterLayout{}.channels();
-    std::vector<float> parameters(std::size_t{channels} * capacity), normal(std::size_t{3} * capacity),
+    std::vector<float> parameters(std::size_t{channels} * capacity), normals(std::size_t{3} * capacity),
         surface(std::size_t{3} * capacity);
     std::vector<float> visibility(capacity);
     std::vector<std::uint32_t> ids(capacity), flags(capacity);
     std::vector<std::uint64_t> cells(capacity), gaussians(capacity);
     for (std::uint32_t i = 0; i < n; ++i) {
-      normal[capacity + i] = 1;
-      for (int c = 0; c < 3; ++c) surface[static_cast<std::size_t>(c) * capacity + i] = points[i][c];
+      for (int c = 0; c < 3; ++c) {
+        surface[static_cast<std::size_t>(c) * capacity + i] = points[i][c];
+        normals[static_cast<std::size_t>(c) * capacity + i] = normal[i][c];
+      }
       ids[i] = object_id[i];
       cells[i] = cell[i];
     }
@@ -99,7 +103,7 @@ class FakeTrainer {
     const std::vector<bus::TensorSource> sources{
         {"parameters", {channels, capacity}, ElementType::F32, parameters.data()},
         {"average", {channels, capacity}, ElementType::F32, parameters.data()},
-        {"normal", {3, capacity}, ElementType::F32, normal.data()},
+        {"normal", {3, capacity}, ElementType::F32, normals.data()},
         {"surface_point", {3, capacity}, ElementType::F32, surface.data()},
         {"visibility", {capacity}, ElementType::F32, visibility.data()},
         {"object_id", {capacity}, ElementType::U32, ids.data()},
@@ -119,7 +123,7 @@ class FakeTrainer {
   bool deaf = false;
   std::uint64_t generation = 0, insert_epoch = 0;
   std::set<std::uint64_t> batches;
-  std::vector<glm::vec3> points;
+  std::vector<glm::vec3> points, normal;
   std::vector<std::uint64_t> cell;
   std::vector<std::uint32_t> object_id;
 

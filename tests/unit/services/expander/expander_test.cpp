@@ -50,6 +50,29 @@ TEST_P(ExpanderTest, ARestartedExpanderDoesNotDoubleTheModel) {
   EXPECT_EQ(distinct_points(), 2500U);
 }
 
+TEST_P(ExpanderTest, ARestartedExpanderKnowsMovingObjectsAndLeavesOutGarbage) {
+  start();
+  RoomScene scene;
+  publish_input(room_round(scene, 3, 32));
+  ASSERT_TRUE(settled_after(1));
+  const std::size_t inserted = trainer_->points.size();
+  ASSERT_GT(inserted, 2000U);
+  for (const float x : {std::numeric_limits<float>::quiet_NaN(), 1e30F}) {
+    trainer_->points.emplace_back(x, 0, 0);
+    trainer_->normal.emplace_back(0, 1, 0);
+    trainer_->cell.push_back(~0ULL);
+    trainer_->object_id.push_back(RoomScene::kBall);
+  }
+  trainer_->publish();
+  expander_.reset();
+  start();
+  EXPECT_EQ(expander_->follower().adoptions(), 1U);
+  EXPECT_EQ(expander_->mapper().modelled_points(), inserted);
+  publish_input(room_round(scene, 3, 32));
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(expander_->ledger().gaussians(), 0U) << "all of it is there";
+}
+
 TEST_P(ExpanderTest, ATrainerThatLostItsModelGetsItAgain) {
   start();
   publish_input(floor_round(-1, 1));
@@ -113,6 +136,7 @@ TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
 
 TEST_P(ExpanderTest, AFullRoundIsInsertedAtOnce) {
   set("batch_size", "262144");
+  set("resend_s", "60");
   start();
   trainer_->deaf = true;  // three batches do not wait for an answer
   bus::Subscriber inserts(peer_, {"model/insert"});
