@@ -68,6 +68,7 @@ void Trainer::receive() {
     take_references(references);
     service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
+    service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
   }
 }
 
