@@ -101,6 +101,7 @@ TEST(DropGarbage, LeavesWhatIsSound) {
 InsertBatch batch_at(float x, std::size_t count = 10) {
   InputSamples samples = test::empty_round();
   std::vector<Chosen> chosen;
+  chosen.reserve(count);
   for (std::uint32_t i = 0; i < count; ++i) {
     const glm::vec3 position(x + 0.01F * static_cast<float>(i), 0, 0);
     test::add_sample(samples, position);

@@ -32,7 +32,7 @@ class SentRound {
                                          .name = "bridge/input",
                                          .kind = kind,
                                          .slots = 1,
-                                         .slot_bytes = n * 64U + samples.depth_m.size() * 4 + 4096};
+                                         .slot_bytes = std::size_t{n} * 64 + samples.depth_m.size() * 4 + 4096};
     slab_ = bus::create_slab_memory(descriptor, false);
     slab_->begin_write(0);
     std::size_t offset = 0;
@@ -249,10 +249,10 @@ TEST_F(CudaMapperTest, BatchesAreFoundAndAddedAgain) {
   cuda_->clear();
   EXPECT_EQ(cuda_->cell_count(), 0U);
   EXPECT_FALSE(cuda_->holds_any(batches[0]));
-  for (std::size_t i = 0; i < batches.size(); ++i) {
-    EXPECT_FALSE(cuda_->holds_any(batches[i]));
-    cuda_->add(batches[i]);
-    EXPECT_TRUE(cuda_->holds_any(batches[i]));
+  for (const InsertBatch& batch : batches) {
+    EXPECT_FALSE(cuda_->holds_any(batch));
+    cuda_->add(batch);
+    EXPECT_TRUE(cuda_->holds_any(batch));
   }
   for (const auto& [cell, counts] : cell_map(*cuda_)) EXPECT_EQ(counts.second, cells.at(cell).second);
   EXPECT_EQ(compare(test::room_round({}, 4, 64)), 0U) << "all of it is modelled again";
@@ -266,8 +266,8 @@ TEST_F(CudaMapperTest, TimesOfAFullRound) {
   };
   const test::RoomScene scene;
   const InputSamples rounds[] = {test::room_round(scene, 10, 256), test::room_round(scene, 10, 256, 0.2F)};
-  const std::pair<Mapper*, MemoryKind> mappers[] = {{cpu_.get(), MemoryKind::Host}, {cuda_.get(), MemoryKind::Cuda}};
-  for (const auto& [mapper, kind] : mappers) {
+  for (Mapper* mapper : {cpu_.get(), cuda_.get()}) {
+    const MemoryKind kind = mapper->memory();
     std::printf("%s\n", kind == MemoryKind::Cuda ? "cuda" : "cpu");
     for (const InputSamples& samples : rounds) {
       const SentRound sent(samples, kind);
