@@ -164,14 +164,22 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
   const PixelCentres centres(column * kTileSide, row * kTileSide);
   const TileEntry* entries = frame.entries.data() + first_entry;
 
+  std::uint32_t live = 0, next_change = processed;  // from the entry before it on, more blocks take part
   for (std::uint32_t k = processed; k-- > 0;) {
     if (k >= kPrefetchEntries) {
       hwy::Prefetch(&frame.splats[entries[k - kPrefetchEntries] & kGaussianMask]);
     }
-    std::uint32_t blocks = entries[k] >> kBlockShift;
-    for (std::uint32_t b = 0; b < kTileBlocks; ++b) {
-      if (k >= block_entries[b]) blocks &= ~(1U << b);
+    if (k + 1 == next_change) {
+      next_change = 0;
+      for (std::uint32_t b = 0; b < kTileBlocks; ++b) {
+        if (block_entries[b] > k) {
+          live |= 1U << b;
+        } else {
+          next_change = std::max(next_change, block_entries[b]);
+        }
+      }
     }
+    std::uint32_t blocks = entries[k] >> kBlockShift & live;
     if (blocks == 0) continue;
     const Splat& splat = frame.splats[entries[k] & kGaussianMask];
     const V zero = hn::Zero(f);
@@ -189,7 +197,8 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
     if constexpr (kPlanes > 3) {
       SumLanes4(planes[2], planes[3], planes[4], planes[5], record + 8);
     } else {
-      SumLanes4(planes[2], zero, zero, zero, record + 8);
+      record[8] = hn::GetLane(hn::SumOfLanes(f, planes[2]));
+      std::fill_n(record + 9, 3, 0.0F);
     }
     record[12] = kPlanes > 4 ? hn::GetLane(hn::SumOfLanes(f, planes[6])) : 0.0F;
     record[13] = hn::GetLane(hn::MaxOfLanes(f, sums.largest));
