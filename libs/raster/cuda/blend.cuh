@@ -19,13 +19,12 @@ struct Pixel {
   std::size_t at;  // in a plane of the view
 };
 
-__device__ inline Pixel locate(const WorkspaceView& w, unsigned first_block = 0) {
+/// Of patch `index` of the batch.
+__device__ inline Pixel locate_patch(const WorkspaceView& w, unsigned index) {
   Pixel p;
-  constexpr int kBlocks = kPatches / kBlendWarps;  // of a tile
   const int tiles = w.tiles_x * w.tiles_y, lane = threadIdx.x & (kLanes - 1);
-  const unsigned block = first_block + blockIdx.x;
-  p.tile = block / kBlocks;
-  p.patch = (block % kBlocks) * kBlendWarps + threadIdx.x / kLanes;
+  p.tile = static_cast<int>(index / kPatches);
+  p.patch = static_cast<int>(index % kPatches);
   p.view = p.tile / tiles;
   const int in_view = p.tile - p.view * tiles;
   p.x0 = (in_view % w.tiles_x) * kTileSize + (p.patch % kPatchColumns) * kPatchWidth;
@@ -38,27 +37,34 @@ __device__ inline Pixel locate(const WorkspaceView& w, unsigned first_block = 0)
   return p;
 }
 
+/// Of the patch that this warp blends when each has one.
+__device__ inline Pixel locate(const WorkspaceView& w, unsigned first_block = 0) {
+  return locate_patch(w, (first_block + blockIdx.x) * kBlendWarps + threadIdx.x / kLanes);
+}
+
 inline int blend_blocks(const WorkspaceView& w) {
   return w.tiles_x * w.tiles_y * w.batch * (kPatches / kBlendWarps);
 }
 
-/// The next Gaussians of a patch, in shared memory of its warp.
-template <bool kAlbedo>
+/// The next Gaussians of a patch, in shared memory of its warp; with kPositions also where their entries are.
+template <bool kAlbedo, bool kPositions = false>
 struct Staged {
   float4 shape[kLanes];  // x, y, log2_alpha, uxx
   float4 rest[kLanes];   // uxy, uyy, red, green
   float2 tail[kLanes];   // blue; the Gaussian's number, as bits
   float4 albedo[kAlbedo ? kLanes : 1];
   std::uint32_t queue[256];  // a ring of Gaussians that reach the patch
+  std::uint32_t positions[kPositions ? 256 : 1];
 };
 
 /// Streams the Gaussians that reach a warp's patch out of its tile's list. Entries are looked at 128 at a time, records
 /// fetched 32 at a time; both are on their way while what came before is blended.
-template <bool kAlbedo>
+template <bool kAlbedo, bool kPositions = false>
 class PatchStream {
  public:
+  /// From entry `begin` on, where that lies behind the first one of the tile.
   __device__ PatchStream(const DeviceGaussians& gaussians, const WorkspaceView& w, const Pixel& pixel,
-                         Staged<kAlbedo>& staged)
+                         Staged<kAlbedo, kPositions>& staged, std::uint32_t begin = 0)
       : entries_(reinterpret_cast<const uint4*>(w.pair_entries[1])),
         shapes_(w.record_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
         tails_(w.record_tail + static_cast<std::size_t>(pixel.view) * w.count),
@@ -68,10 +74,10 @@ class PatchStream {
         bit_(1U << (kPatchShift + pixel.patch)),
         lane_(threadIdx.x & (kLanes - 1)) {
     const uint2 range = w.tile_range[pixel.tile];
-    first_ = range.x;
+    first_ = max(range.x, begin);
     end_ = range.y;
     // Vectors of four entries are aligned, so the first may hold some of the tile before.
-    at_ = range.x / 4 * 4;
+    at_ = first_ / 4 * 4;
     load();
     fetch();
   }
@@ -79,6 +85,7 @@ class PatchStream {
   /// Stages the next Gaussians, at most 32, and returns how many they are: 0 at the end.
   __device__ int advance() {
     const int count = fetched_;
+    position_ = fetched_position_;
     __syncwarp();
     if (lane_ < count) {
       staged_.shape[lane_] = shape_;
@@ -90,6 +97,9 @@ class PatchStream {
     __syncwarp();
     return count;
   }
+
+  /// Where the entry of the first staged Gaussian is.
+  [[nodiscard]] __device__ std::uint32_t position() const { return position_; }
 
   /// Depth of a staged Gaussian.
   [[nodiscard]] __device__ float depth(int slot) const { return tails_[__float_as_uint(staged_.tail[slot].y)].y; }
@@ -118,7 +128,9 @@ class PatchStream {
     }
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
-      if (hit[k]) staged_.queue[slot++ % 256] = entries[k] & kGaussianMask;
+      if (!hit[k]) continue;
+      if constexpr (kPositions) staged_.positions[slot % 256] = at + k;
+      staged_.queue[slot++ % 256] = entries[k] & kGaussianMask;
     }
   }
 
@@ -127,6 +139,7 @@ class PatchStream {
     while (queued_ < kLanes && at_ < end_) scan();
     __syncwarp();
     fetched_ = min(queued_, kLanes);
+    if constexpr (kPositions) fetched_position_ = staged_.positions[head_ % 256];
     if (lane_ < fetched_) {
       gaussian_ = staged_.queue[(head_ + lane_) % 256];
       shape_ = shapes_[2 * static_cast<std::size_t>(gaussian_)];
@@ -145,8 +158,8 @@ class PatchStream {
   const float2* __restrict__ tails_;
   const float* __restrict__ albedo_;
   std::int64_t stride_;
-  Staged<kAlbedo>& staged_;
-  std::uint32_t bit_, at_, first_, end_, gaussian_, head_ = 0;
+  Staged<kAlbedo, kPositions>& staged_;
+  std::uint32_t bit_, at_, first_, end_, gaussian_, head_ = 0, position_ = 0, fetched_position_ = 0;
   int lane_, queued_ = 0, fetched_ = 0;
   uint4 next_;
   float4 shape_, rest_;

@@ -1,5 +1,7 @@
 #include <cuda_bf16.h>
 
+#include <algorithm>
+
 #include "raster/cuda/blend.cuh"
 
 namespace splatbus::raster::cuda {
@@ -143,41 +145,56 @@ __device__ void flush(Columns& columns, int count, const Owner& c, const Factors
   __syncwarp();
 }
 
-/// Front to back, as the forward pass and with its tests, so that both visit the same Gaussians. With G the part of
-/// dL/dC . C that is blended so far and `total` all of it, dL/d(ln alpha) = weight (c . g) - alpha (total - G) / (1 -
-/// alpha).
+/// What the segments of a warp share.
 template <bool kAlbedo>
-__global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
-  __shared__ Staged<kAlbedo> all_staged[kBlendWarps];
-  __shared__ Columns all_columns[kBlendWarps];
-  __shared__ Factors all_factors[kBlendWarps];
-  Staged<kAlbedo>& staged = all_staged[threadIdx.x / kLanes];
-  Columns& columns = all_columns[threadIdx.x / kLanes];
-  if (*w.pair_count > w.pair_capacity) return;
-  const Pixel pixel = locate(w);
+struct Scratch {
+  Staged<kAlbedo> staged;
+  Columns columns;
+  Factors factors;
+};
+
+/// One segment, front to back, as the forward pass and with its tests, so that both visit the same Gaussians. With G
+/// the part of dL/dC . C that is blended so far and `total` all of it, dL/d(ln alpha) = weight (c . g) - alpha (total -
+/// G) / (1 - alpha).
+template <bool kAlbedo>
+__device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceView& w, std::uint32_t segment,
+                              Scratch<kAlbedo>& scratch) {
+  const uint2 place = w.segments[segment];
+  const Pixel pixel = locate_patch(w, place.x);
   const int lane = threadIdx.x & (kLanes - 1);
+  Staged<kAlbedo>& staged = scratch.staged;
+  Columns& columns = scratch.columns;
+  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged, place.y);
+  const std::size_t state = kLanes * static_cast<std::size_t>(segment) + lane;
+  const float4 before = w.segment_color[state];
   constexpr int kPlanes = kAlbedo ? 6 : 3;
   float g[kPlanes] = {}, rest_of_total = 0.0F;
   if (pixel.inside) {
     const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
     const std::size_t at = 3 * pixels * pixel.view + pixel.at;
+    const float blended[3] = {before.y, before.z, before.w};
     for (int c = 0; c < 3; ++c) {
       g[c] = w.color_gradient[at + c * pixels];
-      rest_of_total += g[c] * w.color[at + c * pixels];
-      if constexpr (kAlbedo) {
+      rest_of_total += g[c] * (w.color[at + c * pixels] - blended[c]);
+    }
+    if constexpr (kAlbedo) {
+      const float4 albedo_before = w.segment_albedo[state];
+      const float albedo_blended[3] = {albedo_before.x, albedo_before.y, albedo_before.z};
+      for (int c = 0; c < 3; ++c) {
         g[3 + c] = w.albedo_gradient[at + c * pixels];
-        rest_of_total += g[3 + c] * w.albedo[at + c * pixels];
+        rest_of_total += g[3 + c] * (w.albedo[at + c * pixels] - albedo_blended[c]);
       }
     }
   }
-  Factors& factors = all_factors[threadIdx.x / kLanes];
+  Factors& factors = scratch.factors;
   factors.set(g);
   const float center_x = pixel.x0 + 0.5F * kPatchWidth, center_y = pixel.y0 + 0.5F * kPatchHeight;
-  float transmittance = pixel.inside ? 1.0F : 0.0F;
-  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged);
+  float transmittance = before.x;
   int column = 0;
   Owner owner{};
-  for (int count = stream.advance(); count > 0; count = stream.advance()) {
+  for (int group = 0; group < kSegmentGroups; ++group) {
+    const int count = stream.advance();
+    if (count == 0) break;
     for (int j = 0; j < count; ++j) {
       const float4 shape = staged.shape[j], rest = staged.rest[j];
       const float log2_alpha = log2_alpha_at(shape, rest, pixel);
@@ -208,11 +225,37 @@ __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(Device
   if (column > 0) flush(columns, column, owner, factors, w, pixel.view);
 }
 
+/// Each warp takes segments in turn.
+template <bool kAlbedo>
+__global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
+  __shared__ Scratch<kAlbedo> scratch[kBlendWarps];
+  if (*w.pair_count > w.pair_capacity) return;
+  const std::uint32_t count = min(*w.segment_count, w.segment_capacity);
+  const unsigned warp = threadIdx.x / kLanes;
+  for (std::uint32_t k = blockIdx.x * kBlendWarps + warp; k < count; k += gridDim.x * kBlendWarps) {
+    blend_segment(gaussians, w, k, scratch[warp]);
+    __syncwarp();
+  }
+}
+
+/// As many blocks as keep the device busy to the end, however many segments there turn out to be.
+unsigned backward_blocks(const WorkspaceView& w) {
+  static const int processors = [] {
+    int device = 0, count = 0;
+    check(cudaGetDevice(&device), "asking for the device");
+    check(cudaDeviceGetAttribute(&count, cudaDevAttrMultiProcessorCount, device), "asking for multiprocessors");
+    return count;
+  }();
+  constexpr unsigned kBlocksPerProcessor = 48;
+  const unsigned needed = (w.segment_capacity + kBlendWarps - 1) / kBlendWarps;
+  return std::min(needed, kBlocksPerProcessor * static_cast<unsigned>(processors));
+}
+
 }  // namespace
 
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream) {
-  const int blocks = blend_blocks(workspace);
-  if (blocks == 0) return;
+  if (blend_blocks(workspace) == 0) return;
+  const unsigned blocks = backward_blocks(workspace);
   if (workspace.albedo != nullptr) {
     blend_backward_kernel<true><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
   } else {

@@ -1,19 +1,44 @@
+#include <type_traits>
+
 #include "raster/cuda/blend.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
 
+/// Notes where a patch's next segment begins, and the pixels' state before it.
 template <bool kAlbedo>
+__device__ void begin_segment(const WorkspaceView& w, const Pixel& pixel, std::uint32_t position, float4 color,
+                              const float* albedo) {
+  const int lane = threadIdx.x & (kLanes - 1);
+  std::uint32_t slot = 0;
+  if (lane == 0) slot = atomicAdd(w.segment_count, 1U);
+  slot = __shfl_sync(kAllLanes, slot, 0);
+  if (slot >= w.segment_capacity) return;
+  if (lane == 0) w.segments[slot] = make_uint2(static_cast<unsigned>(kPatches * pixel.tile + pixel.patch), position);
+  w.segment_color[kLanes * static_cast<std::size_t>(slot) + lane] = color;
+  if constexpr (kAlbedo) {
+    w.segment_albedo[kLanes * static_cast<std::size_t>(slot) + lane] =
+        make_float4(albedo[0], albedo[1], albedo[2], 0.0F);
+  }
+}
+
+template <bool kAlbedo, bool kSegments>
 __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
-  __shared__ Staged<kAlbedo> all_staged[kBlendWarps];
-  Staged<kAlbedo>& staged = all_staged[threadIdx.x / kLanes];
+  __shared__ Staged<kAlbedo, kSegments> all_staged[kBlendWarps];
+  Staged<kAlbedo, kSegments>& staged = all_staged[threadIdx.x / kLanes];
   const Pixel pixel = locate(w);
-  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged);
+  PatchStream<kAlbedo, kSegments> stream(gaussians, w, pixel, staged);
+  int group = 0;
   float transmittance = pixel.inside ? 1.0F : 0.0F, red = 0.0F, green = 0.0F, blue = 0.0F;
   float albedo[3] = {0.0F, 0.0F, 0.0F};
   // Behind its limit nothing of a patch can be seen; one that never becomes opaque has none.
   float limit = INFINITY;
   for (int count = stream.advance(); count > 0; count = stream.advance()) {
+    if constexpr (kSegments) {
+      if (group++ % kSegmentGroups == 0) {
+        begin_segment<kAlbedo>(w, pixel, stream.position(), make_float4(transmittance, red, green, blue), albedo);
+      }
+    }
 #pragma unroll 4
     for (int j = 0; j < count; ++j) {
       const float4 rest = staged.rest[j];
@@ -57,10 +82,19 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
 void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream) {
   const int blocks = blend_blocks(workspace);
   if (blocks == 0) return;
-  if (workspace.albedo != nullptr) {
-    blend_forward_kernel<true><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
+  const auto launch = [&](auto segments) {
+    constexpr bool kSegments = decltype(segments)::value;
+    if (workspace.albedo != nullptr) {
+      blend_forward_kernel<true, kSegments><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
+    } else {
+      blend_forward_kernel<false, kSegments><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
+    }
+  };
+  if (workspace.segments != nullptr) {
+    check(cudaMemsetAsync(workspace.segment_count, 0, sizeof(std::uint32_t), stream), "clearing the segments");
+    launch(std::true_type{});
   } else {
-    blend_forward_kernel<false><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
+    launch(std::false_type{});
   }
   check(cudaGetLastError(), "forward blending");
 }

@@ -60,6 +60,7 @@ struct AdamOptions {
   const float* learning_rate = nullptr;  ///< [channels]
   int active_channels = 0;               ///< 0: all
   bool unit_albedo = false;              ///< Transfer: albedo stays within [0, 1]
+  float half_rate_steps = 0;             ///< as Adam::half_rate_steps
 };
 
 /// Adam's state. Planes [channels][stride].

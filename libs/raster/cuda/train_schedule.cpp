@@ -69,7 +69,8 @@ void TrainStep::Impl::update(const WorkspaceView& w) {
                                  .epsilon = options.epsilon,
                                  .learning_rate = learning_rate.data(),
                                  .active_channels = options.active_channels,
-                                 .unit_albedo = options.unit_albedo};
+                                 .unit_albedo = options.unit_albedo,
+                                 .half_rate_steps = options.half_rate_steps};
   launch_update(gaussians, w, project_options(false), adam.view(), adam_options, stream);
 }
 

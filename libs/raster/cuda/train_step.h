@@ -17,6 +17,7 @@ struct TrainStepOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   int active_channels = 0;
   bool unit_albedo = false;      ///< Transfer: albedo stays within [0, 1]
+  float half_rate_steps = 0;     ///< as Adam::half_rate_steps
   int rebuild_interval = 1;      ///< steps of a group that share one set of sorted tile lists
   bool use_depth_limit = false;  ///< leave hidden Gaussians out of the lists
   bool use_graph = true;

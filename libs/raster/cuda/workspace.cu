@@ -43,13 +43,16 @@ Workspace::Sizes::Sizes(const WorkspaceRequest& r) {
   training_pixels = r.training ? pixels : 0;
   training_albedo_pixels = r.training ? albedo_pixels : 0;
   objects = static_cast<std::size_t>(r.object_count);
+  // A pair reaches at most every patch of its tile, and a patch's last segment may be short.
+  segments = r.training ? tiles * kPatches + pairs * kPatches / (32 * kSegmentGroups) + 1 : 0;
+  albedo_segments = r.albedo ? segments : 0;
 }
 
 bool Workspace::Sizes::hold(const Sizes& o) const {
   return o.count <= count && o.records <= records && o.training_records <= training_records && o.tiles <= tiles &&
          o.pairs <= pairs && o.list_pairs <= list_pairs && o.pixels <= pixels && o.albedo_pixels <= albedo_pixels &&
          o.training_pixels <= training_pixels && o.training_albedo_pixels <= training_albedo_pixels &&
-         o.objects <= objects;
+         o.objects <= objects && o.segments <= segments && o.albedo_segments <= albedo_segments;
 }
 
 void Workspace::Sizes::grow_to(const Sizes& o) {
@@ -64,6 +67,8 @@ void Workspace::Sizes::grow_to(const Sizes& o) {
   training_pixels = std::max(training_pixels, o.training_pixels);
   training_albedo_pixels = std::max(training_albedo_pixels, o.training_albedo_pixels);
   objects = std::max(objects, o.objects);
+  segments = std::max(segments, o.segments);
+  albedo_segments = std::max(albedo_segments, o.albedo_segments);
 }
 
 void Workspace::allocate_all() {
@@ -97,6 +102,11 @@ void Workspace::allocate_all() {
   allocate(m.color_gradient, 3 * s.training_pixels);
   allocate(m.albedo_gradient, 3 * s.training_albedo_pixels);
   allocate(m.ssim_partials, 9 * s.training_pixels);
+  allocate(m.segments, s.segments);
+  allocate(m.segment_color, 32 * s.segments);
+  allocate(m.segment_albedo, 32 * s.albedo_segments);
+  allocate(m.segment_count, 1);
+  m.segment_capacity = static_cast<std::uint32_t>(s.segments);
   allocate(m.loss, kMaxBatch);
   allocate(m.views, kMaxBatch);
   allocate(m.object_views, kMaxBatch * s.objects);
@@ -124,6 +134,7 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
   }
   view_ = memory_;
   if (!r.albedo) view_.albedo = view_.albedo_gradient = nullptr;
+  if (!r.training) view_.segments = nullptr;
   if (!r.lists) view_.pair_entries[1] = nullptr;
   view_.count = r.count;
   view_.batch = r.batch;

@@ -37,6 +37,14 @@ struct WorkspaceView {
   void* sort_scratch = nullptr;
   std::size_t sort_scratch_bytes = 0;
 
+  // A patch's Gaussians in segments of kSegmentGroups * 32, with each pixel's state before them, so that the backward
+  // pass works on all segments at once. Null without training.
+  uint2* segments = nullptr;  ///< [segment_capacity], in no order: patch of the batch, position in pair_entries[1]
+  float4* segment_color = nullptr;   ///< [segment_capacity][32] transmittance, red, green, blue blended so far
+  float4* segment_albedo = nullptr;  ///< [segment_capacity][32] albedo blended so far
+  std::uint32_t* segment_count = nullptr;
+  std::uint32_t segment_capacity = 0;  ///< as many as there can be
+
   // Pictures, [batch][channel][height][width].
   float* color = nullptr;
   float* albedo = nullptr;
@@ -56,6 +64,8 @@ struct WorkspaceView {
 /// With s = dL/d(ln alpha) and d the offset of a pixel from the Gaussian, sums over pixels: s dx, s dy, s dx^2, s dx
 /// dy, s dy^2, s; then the gradients of red, green, blue and albedo.
 constexpr int kGradientFloats = 12;
+/// Groups of 32 Gaussians in a segment.
+constexpr int kSegmentGroups = 8;
 constexpr int kPatchShift = 24;
 constexpr std::uint32_t kGaussianMask = (1U << kPatchShift) - 1;
 
@@ -89,6 +99,7 @@ class Workspace {
   struct Sizes {
     std::size_t count = 0, records = 0, training_records = 0, tiles = 0, pairs = 0, list_pairs = 0;
     std::size_t pixels = 0, albedo_pixels = 0, training_pixels = 0, training_albedo_pixels = 0, objects = 0;
+    std::size_t segments = 0, albedo_segments = 0;
 
     explicit Sizes(const WorkspaceRequest& request);
     Sizes() = default;
