@@ -76,6 +76,7 @@ AdamStep Adam::prepare(const ParameterGradient& gradient, const std::vector<floa
   step.beta1 = beta1;
   step.beta2 = beta2;
   step.epsilon = epsilon;
+  step.half_rate_steps = half_rate_steps;
   return step;
 }
 

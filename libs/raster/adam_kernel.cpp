@@ -22,7 +22,7 @@ namespace splatbus::raster::cpu::HWY_NAMESPACE {
 void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
   const F f;
   const std::size_t count = end - begin, lanes = hn::Lanes(f);
-  // Bias corrections of every column; one of 0 marks a column that rests.
+  // Bias corrections of every column, the first times its rate; one of 0 marks a column that rests.
   alignas(64) std::array<float, kAdamPiece> first_correction;
   alignas(64) std::array<float, kAdamPiece> second_correction;
   alignas(64) std::array<float, kAdamPiece> steps;
@@ -36,6 +36,7 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
     any = true;
   }
   if (!any) return;
+  const V half = Splat1(step.half_rate_steps);
   const float log_beta1 = std::log(step.beta1), log_beta2 = std::log(step.beta2);
   for (std::size_t k = 0; k < count; k += lanes) {
     const V t = hn::Load(f, steps.data() + k);
@@ -43,7 +44,9 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
     busy[k / lanes] = hn::AllFalse(f, moving) ? 0 : 1;
     const V bias1 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta1))),
             bias2 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta2)));
-    hn::Store(hn::IfThenElseZero(moving, hn::Div(Splat1(1.0F), bias1)), f, first_correction.data() + k);
+    const V rate =
+        step.half_rate_steps > 0 ? hn::Max(Splat1(kLeastRate), hn::Div(half, hn::Add(half, t))) : Splat1(1.0F);
+    hn::Store(hn::IfThenElseZero(moving, hn::Div(rate, bias1)), f, first_correction.data() + k);
     hn::Store(hn::IfThenElse(moving, hn::Div(Splat1(1.0F), bias2), Splat1(1.0F)), f, second_correction.data() + k);
   }
 

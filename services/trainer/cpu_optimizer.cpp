@@ -29,8 +29,10 @@ CpuOptimizer::CpuOptimizer(ModelStore& store, const Options& options)
 
 void CpuOptimizer::set_options(const Options& options) {
   options_ = options;
+  options_.batch = std::max(1, options.batch);
   active_channels_ = active_channels(options);
   learning_rates_ = channel_learning_rates(options);
+  adam_.half_rate_steps = options.half_rate_steps;
 }
 
 void CpuOptimizer::follow_growth() {
@@ -62,7 +64,7 @@ StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
   store_.add_step(views.size(), spent.count());
 
-  average_.update(store_.planes(), store_.count(), active_channels_, birth_, store_.step(), options_.average_decay);
+  average_.update(store_.planes(), store_.count(), active_channels_, birth_, store_.step(), average_decay());
   const bool display_space = options_.layout.appearance == Appearance::Radiance;
   cell_sampler_.observe(store_.planes(), store_.count(), *views.back(), render_.color, display_space,
                         gradient_.contribution, cells_);

@@ -32,6 +32,7 @@ class Optimizer {
   Optimizer& operator=(const Optimizer&) = delete;
 
   virtual void set_options(const Options& options) = 0;
+  /// Those that were set, with the batch that this optimizer chooses where they leave it open.
   [[nodiscard]] const Options& options() const { return options_; }
 
   /// One change of structure for all of them; visibility is taken over in place. Returns whether the structure changed.
@@ -54,6 +55,9 @@ class Optimizer {
   /// A change of structure that adds or freezes. What is kept here for each Gaussian follows the model even when it
   /// throws: it may have moved to a larger slab before.
   void change(const std::function<void()>& work);
+  /// Of the average over time, a step: options().average_decay, or as much more as average_s of optimizer time takes at
+  /// the pace of the steps so far.
+  [[nodiscard]] float average_decay() const;
   /// Ends what is under way, so that nothing of this optimizer's own works on the planes; the structure may change.
   virtual void before_change() = 0;
   /// Columns were added or frozen, and perhaps moved to other planes.

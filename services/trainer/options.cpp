@@ -68,7 +68,7 @@ std::vector<bus::ParameterSpec> parameter_specs() {
   const std::vector<bus::ParameterSpec> runtime = {
       flag("paused", false, "no optimizer steps while true"),
       integer("run_until", 0, "step at which the optimizer stops, 0: never", 1e15),
-      integer("batch", 1, "views an optimizer step, at least 1", 256),
+      integer("batch", 0, "views an optimizer step, 0: one on the CPU, two on a GPU", 256),
       integer("input_view_interval", 3, "one input picture is trained after that many reference views, 0: none", 1e6),
       flag("antialias", true, "opacity compensation for the pixel filter"),
       flag("residual", true, "transfer: train the residual beside albedo and normal"),
@@ -76,7 +76,10 @@ std::vector<bus::ParameterSpec> parameter_specs() {
       number("albedo_weight", 0.3, "of the albedo picture's loss against the lit picture's, 0: not used", 0, 100),
       number("depth_weight", 0.0, "of the depth loss, per scene extent, 0: not used", 0, 100),
       number("average_decay", 0.98, "of the parameters' average over time, a step", 0, 0.9999),
+      number("average_s", 0.5, "of optimizer time that the average covers at least, s", 0, 60),
       number("scene_extent_m", 5.0, "size of the content in metres, the unit of the mean's learning rate", 1e-3, 1e6),
+      number("half_rate_steps", 2000, "a Gaussian's own steps after which its learning rates are halved, 0: constant",
+             0, 1e9),
       number("lr_mean", 0.8e-4, "learning rate of means, in scene extents", 0, 1),
       number("lr_log_scale", 0.03, "learning rate of log-scales", 0, 1),
       number("lr_rotation", 3e-3, "learning rate of quaternions", 0, 1),
@@ -113,7 +116,7 @@ Options read_options(const bus::Parameters& parameters) {
 
   options.paused = parameters.boolean("paused");
   options.run_until = count("run_until");
-  options.batch = std::max(1, static_cast<int>(parameters.integer("batch")));
+  options.batch = static_cast<int>(parameters.integer("batch"));
   options.input_view_interval = static_cast<int>(parameters.integer("input_view_interval"));
   options.antialias = parameters.boolean("antialias");
   options.residual = parameters.boolean("residual");
@@ -121,6 +124,8 @@ Options read_options(const bus::Parameters& parameters) {
   options.albedo_weight = options.layout.appearance == Appearance::Transfer ? real("albedo_weight") : 0.0F;
   options.depth_weight = real("depth_weight");
   options.average_decay = real("average_decay");
+  options.average_s = real("average_s");
+  options.half_rate_steps = real("half_rate_steps");
   options.scene_extent_m = real("scene_extent_m");
   options.learning_rates = {.mean_extents = real("lr_mean"),
                             .log_scale = real("lr_log_scale"),

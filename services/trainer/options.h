@@ -44,12 +44,14 @@ struct Options {
   // Changed at run time.
   bool paused = false;
   std::uint64_t run_until = 0;  ///< step at which to stop, 0: none
-  int batch = 1;                ///< views a step
+  int batch = 0;                ///< views a step, 0: as suits the optimizer
   int input_view_interval = 0;  ///< one input view after that many reference views, 0: none
   bool antialias = true;
   bool residual = true;  ///< Transfer: the residual transfer trains
   float ssim_weight = 0, albedo_weight = 0, depth_weight = 0;
-  float average_decay = 0;  ///< a step
+  float average_decay = 0;    ///< a step
+  float average_s = 0;        ///< of optimizer time that the average covers at least
+  float half_rate_steps = 0;  ///< as raster::Adam::half_rate_steps
   float scene_extent_m = 0;
   LearningRates learning_rates;
   PruneOptions prune;

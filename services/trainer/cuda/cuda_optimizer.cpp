@@ -30,13 +30,15 @@ using device::check;
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kMaxGroups = 32;
+constexpr int kDefaultBatch = 2;  // takes a quarter longer than one view, and 200 steps of it are worth 300
 
 raster::cuda::TrainStepOptions train_options(const Options& options) {
   return {.project = {.antialias = options.antialias},
           .ssim_weight = options.ssim_weight,
           .albedo_weight = options.albedo_weight,
           .active_channels = active_channels(options),
-          .unit_albedo = options.layout.appearance == Appearance::Transfer};
+          .unit_albedo = options.layout.appearance == Appearance::Transfer,
+          .half_rate_steps = options.half_rate_steps};
 }
 
 raster::cuda::TrainView train_view(const TrainingView& view) {
@@ -64,6 +66,7 @@ class CudaOptimizer final : public Optimizer {
 
   void set_options(const Options& options) override {
     options_ = options;
+    if (options.batch == 0) options_.batch = kDefaultBatch;
     train_.set_options(train_options(options));
     train_.set_learning_rates(channel_learning_rates(options));
     if (options.depth_weight > 0 && !std::exchange(warned_depth_, true)) {
@@ -179,7 +182,7 @@ class CudaOptimizer final : public Optimizer {
                          {.begin = static_cast<int>(store_.count() * stripe / TimeAverage::kStripes),
                           .end = static_cast<int>(store_.count() * (stripe + 1) / TimeAverage::kStripes),
                           .step = step,
-                          .settled_share = average_share(options_.average_decay, TimeAverage::kStripes, ~0ULL),
+                          .settled_share = average_share(average_decay(), TimeAverage::kStripes, ~0ULL),
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
     if (observer_.due()) {

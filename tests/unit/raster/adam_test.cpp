@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "raster/adam_kernel.h"
 #include "scenes.h"
 
 namespace splatbus::raster {
@@ -35,6 +36,25 @@ TEST(Adam, FirstStepIsOneLearningRate) {
   for (int c = 0; c < 14; ++c) {
     for (std::size_t i = 0; i < 40; ++i) ASSERT_NEAR(fixture.moved(c, i), 1, 1e-4F);
   }
+}
+
+TEST(Adam, RatesFallWithAGaussiansOwnSteps) {
+  // The gradient is always the same, so that every step is as long as the rate.
+  Fixture fixture;
+  fixture.adam.half_rate_steps = 2;
+  fixture.step();
+  EXPECT_NEAR(fixture.moved(3, 7), 2.0F / 3, 1e-3F);
+  fixture.gradient.touched[8] = 0;
+  fixture.step();
+  EXPECT_NEAR(fixture.moved(3, 7), 2.0F / 3 + 2.0F / 4, 1e-3F);
+  EXPECT_NEAR(fixture.moved(3, 8), 2.0F / 3, 1e-3F);
+  fixture.gradient.touched[8] = 1;
+  fixture.step();
+  EXPECT_NEAR(fixture.moved(3, 8), 2.0F / 3 + 2.0F / 4, 1e-3F);  // what matters is its own
+  for (int k = 0; k < 200; ++k) fixture.step();
+  const float before = fixture.moved(3, 7);
+  fixture.step();
+  EXPECT_NEAR(fixture.moved(3, 7) - before, kLeastRate, 1e-3F);
 }
 
 TEST(Adam, UntouchedAndFrozenRest) {
