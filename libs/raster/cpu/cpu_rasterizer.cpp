@@ -151,7 +151,7 @@ GradientTarget CpuRasterizer::target_of(ParameterGradient& out) const {
   }
   const int channels = out.layout.channels();
   const int active = out.active_channels > 0 ? std::min(out.active_channels, channels) : channels;
-  return {out.values.data(),      out.stride, 0, active, out.touched.data(), out.mean2d_norm.data(),
+  return {out.values.data(),      out.stride, 0, true, active, out.touched.data(), out.mean2d_norm.data(),
           out.contribution.data()};
 }
 
@@ -180,12 +180,13 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward_adam", [&] {
     workers_.for_pieces(gaussians.count, kAdamPiece, [&](std::size_t begin, std::size_t end) {
-      thread_local std::vector<float> values;
-      values.assign(static_cast<std::size_t>(target.active_channels) * kAdamPiece, 0.0F);
+      thread_local Scratch<float> values;
+      values.reserve(static_cast<std::size_t>(target.active_channels) * kAdamPiece);
       GradientTarget piece = target;
       piece.values = values.data();
       piece.stride = kAdamPiece;
       piece.origin = begin;
+      piece.zeroed = false;
       project_range_backward(frame_, begin, end, piece);
       AdamStep piece_step = step;
       piece_step.gradient = values.data();

@@ -22,10 +22,12 @@ void blend_tile(Frame& frame, std::uint32_t tile, Render& out);
 /// Writes Frame::pair_gradients of every entry of the tile that was blended, and Frame::pair_written of all.
 void blend_tile_backward(Frame& frame, std::uint32_t tile, const RenderGradient& gradient);
 
-/// Where project_range_backward() adds: Gaussian i and channel c at values[c * stride + i - origin].
+/// Where project_range_backward() adds: Gaussian i and channel c at values[c * stride + i - origin]. What is not
+/// `zeroed` is written first where a Gaussian moves, and stays undefined elsewhere.
 struct GradientTarget {
   float* values;
   std::size_t stride, origin;
+  bool zeroed;
   int active_channels;
   std::uint8_t* touched;
   float* mean2d_norm;

@@ -36,6 +36,7 @@ HWY_INLINE void AddGradients(const Frame& frame, const Columns& in, const PixelS
   const std::size_t i = in.i;
   M remaining = hn::And(touched, ActiveLanes(in));
   std::uint32_t bits = LaneBits(remaining);
+  bool add = out.zeroed;
   while (bits != 0) {
     M lanes = remaining;
     std::uint32_t object = 0;
@@ -48,10 +49,12 @@ HWY_INLINE void AddGradients(const Frame& frame, const Columns& in, const PixelS
     const auto emit = [&](int channel, V gradient) {
       if (channel >= out.active_channels) return;
       float* plane = out.values + static_cast<std::size_t>(channel) * out.stride + i - out.origin;
-      AddTo(plane, hn::IfThenElseZero(lanes, gradient), in.n);
+      const V before = add ? LoadFirst(f, plane, in.n) : hn::Zero(f);
+      StoreFirst(f, hn::Add(before, hn::IfThenElseZero(lanes, gradient)), plane, in.n);
     };
     const V ndc = GaussianBackward(frame, frame.objects[object], in, sums, out.active_channels, emit);
     AddTo(out.mean2d_norm + i, hn::IfThenElseZero(lanes, ndc), in.n);
+    add = true;
     bits &= ~LaneBits(lanes);
     remaining = hn::AndNot(lanes, remaining);
   }
