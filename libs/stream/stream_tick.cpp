@@ -96,8 +96,8 @@ void StreamModel::tick_objects(std::vector<EncodedPacket>& out) {
     ids.push_back(column_of_slot_[slot] == kNotHeld ? held[slot] : target_.object_id[column_of_slot_[slot]]);
   }
   Payload payload = encode_runs(ids);
-  emit(out, wire::Body::ObjectIds, packet_with_slots(first, ids.size(), payload.raw_bytes, wire::CreateObjectIds),
-       std::move(payload));
+  const auto build = packet_with_slots(first, ids.size(), payload.raw_bytes, wire::CreateObjectIds);
+  emit(out, wire::Body::ObjectIds, build, std::move(payload));
 }
 
 void StreamModel::tick_visibility(std::vector<EncodedPacket>& out) {
@@ -116,8 +116,8 @@ void StreamModel::tick_visibility(std::vector<EncodedPacket>& out) {
   }
   if (first == held.size()) return;
   Payload payload = encode_bytes(std::span(residuals).subspan(first, last - first + 1));
-  emit(out, wire::Body::LightVisibility,
-       packet_with_slots(first, payload.raw_bytes, payload.raw_bytes, wire::CreateLightVisibility), std::move(payload));
+  const auto build = packet_with_slots(first, payload.raw_bytes, payload.raw_bytes, wire::CreateLightVisibility);
+  emit(out, wire::Body::LightVisibility, build, std::move(payload));
 }
 
 void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns) {
@@ -130,9 +130,9 @@ void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const 
            [](auto& builder, auto slot, auto count, auto) { return wire::CreateSnapshot(builder, 0, 0, slot, count); }),
        {encode_chunk(chunk, held_.layout), 0});
   Payload ids = encode_ids(chunk.gaussian_id);
-  emit(out, wire::Body::GaussianOrder,
-       packet_with_slots(first, columns.size(), ids.raw_bytes, wire::CreateGaussianOrder), std::move(ids));
-  const double bytes = static_cast<double>(out[before].bytes() + out[before + 1].bytes());
+  const auto build_ids = packet_with_slots(first, columns.size(), ids.raw_bytes, wire::CreateGaussianOrder);
+  emit(out, wire::Body::GaussianOrder, build_ids, std::move(ids));
+  const auto bytes = static_cast<double>(out[before].bytes() + out[before + 1].bytes());
   chunk_bytes_per_gaussian_ += 0.5 * (bytes / static_cast<double>(columns.size()) - chunk_bytes_per_gaussian_);
   selection_.append(chunk);
   for (std::size_t i = 0; i < columns.size(); ++i) {
@@ -178,12 +178,10 @@ void StreamModel::tick_deltas(std::vector<EncodedPacket>& out, double budget_byt
     Payload payload = encode_delta(selected.delta);
     const auto count = static_cast<std::uint32_t>(selected.delta.slots.size());
     const auto channels = static_cast<std::uint32_t>(selected.delta.residuals.size());
-    emit(
-        out, wire::Body::TensorDelta,
-        [&, raw_bytes = payload.raw_bytes](auto& builder) {
-          return wire::CreateTensorDelta(builder, selected.attribute, count, channels, raw_bytes);
-        },
-        std::move(payload));
+    const auto build = [&, raw_bytes = payload.raw_bytes](auto& builder) {
+      return wire::CreateTensorDelta(builder, selected.attribute, count, channels, raw_bytes);
+    };
+    emit(out, wire::Body::TensorDelta, build, std::move(payload));
     selection_.learn_cost(selected.attribute, count, out.back().bytes());
   }
 }

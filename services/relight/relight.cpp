@@ -146,7 +146,7 @@ void Relight::update() {
   const GaussiansView& gaussians = model->average();
   float* const visibility = visibility_.floats(gaussians.count, memory_);
   const ObjectTransforms& objects = map_->objects.empty() && objects_ ? *objects_ : map_->objects;
-  const float* const depth_m = reinterpret_cast<const float*>(map_->depth_m.bytes.get());
+  const auto* const depth_m = reinterpret_cast<const float*>(map_->depth_m.bytes.get());
   backend_->compute(gaussians, objects, {.camera = map_->camera, .depth_m = depth_m}, options(), visibility);
   host_copied_bytes_ += model->copied_bytes();
   if (!model->still_valid()) {

@@ -73,7 +73,7 @@ Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
     // Once the routing id is accepted, the rest of the message is.
     zmq::message_t first, second;
     first.copy(const_cast<zmq::message_t&>(packet.packet_));
-    const bool has_payload = packet.payload_.size() > 0;
+    const bool has_payload = !packet.payload_.empty();
     socket_.send(first, has_payload ? flags : zmq::send_flags::dontwait);
     if (has_payload) {
       second.copy(const_cast<zmq::message_t&>(packet.payload_));

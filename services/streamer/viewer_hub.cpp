@@ -266,8 +266,9 @@ void ViewerHub::send_alive() {
   for (const auto& [peer, viewer] : viewers_) {
     // Only what has been sent can have been lost.
     const bool follows = !viewer.waits_for_snapshot && !viewer.snapshot;
+    const std::uint64_t last_sent = follows ? viewer.next - 1 : 0;
     send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Alive, [&](auto& builder) {
-           return wire::CreateAlive(builder, follows ? viewer.next - 1 : 0, model_.held().gaussians.count(),
+           return wire::CreateAlive(builder, last_sent, model_.held().gaussians.count(),
                                     static_cast<std::uint32_t>(viewers_.size()));
          })));
   }
