@@ -14,7 +14,7 @@ namespace splatbus::sim {
 namespace {
 
 constexpr std::size_t kMostRemembered = 64;
-constexpr std::uint64_t kMostRememberedPixels = 384 * 384;
+constexpr std::uint64_t kMostRememberedPixels = std::uint64_t{384} * 384;
 
 bool same_view(const splatbus_camera& a, const splatbus_camera& b) {
   const auto values = [](const splatbus_camera& c) {
