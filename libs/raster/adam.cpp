@@ -77,6 +77,7 @@ AdamStep Adam::prepare(const ParameterGradient& gradient, const std::vector<floa
   step.beta2 = beta2;
   step.epsilon = epsilon;
   step.half_rate_steps = half_rate_steps;
+  step.least_rate = least_rate;
   return step;
 }
 

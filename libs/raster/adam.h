@@ -15,8 +15,9 @@ struct AdamStep;
 class Adam {
  public:
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
-  float half_rate_steps =
-      0;  ///< h: rates of a Gaussian fall with its own steps t to max(kLeastRate, h / (h + t)); 0: they stay
+  /// h and l: the rates of a Gaussian fall with its own steps t to max(l, h / (h + t)) of what they are; h 0: they
+  /// stay.
+  float half_rate_steps = 0, least_rate = 0;
 
   void resize(const ParameterLayout& layout, std::size_t count, std::size_t stride);  ///< keeps old moments, new are 0
   /// keep[i] is the old column of new column i.

@@ -45,7 +45,7 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
     const V bias1 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta1))),
             bias2 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta2)));
     const V rate =
-        step.half_rate_steps > 0 ? hn::Max(Splat1(kLeastRate), hn::Div(half, hn::Add(half, t))) : Splat1(1.0F);
+        step.half_rate_steps > 0 ? hn::Max(Splat1(step.least_rate), hn::Div(half, hn::Add(half, t))) : Splat1(1.0F);
     hn::Store(hn::IfThenElseZero(moving, hn::Div(rate, bias1)), f, first_correction.data() + k);
     hn::Store(hn::IfThenElse(moving, hn::Div(Splat1(1.0F), bias2), Splat1(1.0F)), f, second_correction.data() + k);
   }

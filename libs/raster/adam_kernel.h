@@ -20,11 +20,9 @@ struct AdamStep {
   float* second = nullptr;
   std::uint32_t* steps = nullptr;
   float beta1 = 0, beta2 = 0, epsilon = 0;
-  float half_rate_steps = 0;  ///< as Adam::half_rate_steps
+  float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
 };
 constexpr std::size_t kAdamPiece = 512;
-/// What a Gaussian's learning rates keep, however long it has been trained: the scene may change.
-constexpr float kLeastRate = 0.05F;
 void adam_range(const AdamStep& step, std::size_t begin, std::size_t end);
 
 }  // namespace splatbus::raster

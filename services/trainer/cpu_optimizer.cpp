@@ -33,6 +33,7 @@ void CpuOptimizer::set_options(const Options& options) {
   active_channels_ = active_channels(options);
   learning_rates_ = channel_learning_rates(options);
   adam_.half_rate_steps = options.half_rate_steps;
+  adam_.least_rate = options.least_rate;
 }
 
 void CpuOptimizer::follow_growth() {

@@ -80,6 +80,7 @@ std::vector<bus::ParameterSpec> parameter_specs() {
       number("scene_extent_m", 5.0, "size of the content in metres, the unit of the mean's learning rate", 1e-3, 1e6),
       number("half_rate_steps", 2000, "a Gaussian's own steps after which its learning rates are halved, 0: constant",
              0, 1e9),
+      number("least_rate", 0.02, "what a Gaussian's learning rates keep at least, of themselves", 0, 1),
       number("lr_mean", 0.8e-4, "learning rate of means, in scene extents", 0, 1),
       number("lr_log_scale", 0.03, "learning rate of log-scales", 0, 1),
       number("lr_rotation", 3e-3, "learning rate of quaternions", 0, 1),
@@ -126,6 +127,7 @@ Options read_options(const bus::Parameters& parameters) {
   options.average_decay = real("average_decay");
   options.average_s = real("average_s");
   options.half_rate_steps = real("half_rate_steps");
+  options.least_rate = real("least_rate");
   options.scene_extent_m = real("scene_extent_m");
   options.learning_rates = {.mean_extents = real("lr_mean"),
                             .log_scale = real("lr_log_scale"),

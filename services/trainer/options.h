@@ -49,9 +49,9 @@ struct Options {
   bool antialias = true;
   bool residual = true;  ///< Transfer: the residual transfer trains
   float ssim_weight = 0, albedo_weight = 0, depth_weight = 0;
-  float average_decay = 0;    ///< a step
-  float average_s = 0;        ///< of optimizer time that the average covers at least
-  float half_rate_steps = 0;  ///< as raster::Adam::half_rate_steps
+  float average_decay = 0;                    ///< a step
+  float average_s = 0;                        ///< of optimizer time that the average covers at least
+  float half_rate_steps = 0, least_rate = 0;  ///< as in raster::Adam
   float scene_extent_m = 0;
   LearningRates learning_rates;
   PruneOptions prune;

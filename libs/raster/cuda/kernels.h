@@ -57,10 +57,10 @@ void launch_loss(const float* rendered, const std::uint8_t* const* targets, floa
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
-  const float* learning_rate = nullptr;  ///< [channels]
-  int active_channels = 0;               ///< 0: all
-  bool unit_albedo = false;              ///< Transfer: albedo stays within [0, 1]
-  float half_rate_steps = 0;             ///< as Adam::half_rate_steps
+  const float* learning_rate = nullptr;       ///< [channels]
+  int active_channels = 0;                    ///< 0: all
+  bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
+  float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
 };
 
 /// Adam's state. Planes [channels][stride].

@@ -70,7 +70,8 @@ void TrainStep::Impl::update(const WorkspaceView& w) {
                                  .learning_rate = learning_rate.data(),
                                  .active_channels = options.active_channels,
                                  .unit_albedo = options.unit_albedo,
-                                 .half_rate_steps = options.half_rate_steps};
+                                 .half_rate_steps = options.half_rate_steps,
+                                 .least_rate = options.least_rate};
   launch_update(gaussians, w, project_options(false), adam.view(), adam_options, stream);
 }
 

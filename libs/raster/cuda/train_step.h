@@ -16,10 +16,10 @@ struct TrainStepOptions {
   float albedo_weight = 0.0F;  ///< of the albedo picture's loss; 0: none is rendered. Transfer only
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   int active_channels = 0;
-  bool unit_albedo = false;      ///< Transfer: albedo stays within [0, 1]
-  float half_rate_steps = 0;     ///< as Adam::half_rate_steps
-  int rebuild_interval = 1;      ///< steps of a group that share one set of sorted tile lists
-  bool use_depth_limit = false;  ///< leave hidden Gaussians out of the lists
+  bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
+  float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
+  int rebuild_interval = 1;                   ///< steps of a group that share one set of sorted tile lists
+  bool use_depth_limit = false;               ///< leave hidden Gaussians out of the lists
   bool use_graph = true;
   bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
 };

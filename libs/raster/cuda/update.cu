@@ -1,4 +1,3 @@
-#include "raster/adam_kernel.h"
 #include "raster/cuda/appearance_dispatch.h"
 #include "raster/cuda/gradient_math.cuh"
 #include "raster/cuda/kernels.h"
@@ -27,7 +26,7 @@ struct AdamSink {
     state.steps[i] = taken;
     const auto step = static_cast<float>(taken);
     const float half = options.half_rate_steps;
-    const float rate = half > 0.0F ? fmaxf(kLeastRate, half / (half + step)) : 1.0F;
+    const float rate = half > 0.0F ? fmaxf(options.least_rate, half / (half + step)) : 1.0F;
     correction1 = rate / (1.0F - exp2f(step * log2f(options.beta1)));
     correction2 = 1.0F / (1.0F - exp2f(step * log2f(options.beta2)));
   }

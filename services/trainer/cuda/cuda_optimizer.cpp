@@ -38,7 +38,8 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .albedo_weight = options.albedo_weight,
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
-          .half_rate_steps = options.half_rate_steps};
+          .half_rate_steps = options.half_rate_steps,
+          .least_rate = options.least_rate};
 }
 
 raster::cuda::TrainView train_view(const TrainingView& view) {
