@@ -153,33 +153,52 @@ struct Scratch {
   Factors factors;
 };
 
+/// Where a segment begins, and a pixel's state before it.
+struct Start {
+  std::uint32_t patch = 0, position = 0;
+  float4 color = {1.0F, 0.0F, 0.0F, 0.0F};  // transmittance, red, green, blue
+  float4 albedo = {0.0F, 0.0F, 0.0F, 0.0F};
+};
+
+/// The first segments of all patches come first.
+template <bool kAlbedo>
+__device__ Start start_of(const WorkspaceView& w, std::uint32_t item, std::uint32_t patches) {
+  Start start;
+  start.patch = item;
+  if (item < patches) return start;
+  const std::uint32_t segment = item - patches;
+  const uint2 place = w.segments[segment];
+  const std::size_t state = kLanes * static_cast<std::size_t>(segment) + (threadIdx.x & (kLanes - 1));
+  start.patch = place.x;
+  start.position = place.y;
+  start.color = w.segment_color[state];
+  if constexpr (kAlbedo) start.albedo = w.segment_albedo[state];
+  return start;
+}
+
 /// One segment, front to back, as the forward pass and with its tests, so that both visit the same Gaussians. With G
 /// the part of dL/dC . C that is blended so far and `total` all of it, dL/d(ln alpha) = weight (c . g) - alpha (total -
 /// G) / (1 - alpha).
 template <bool kAlbedo>
-__device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceView& w, std::uint32_t segment,
+__device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceView& w, const Start& start,
                               Scratch<kAlbedo>& scratch) {
-  const uint2 place = w.segments[segment];
-  const Pixel pixel = locate_patch(w, place.x);
+  const Pixel pixel = locate_patch(w, start.patch);
   const int lane = threadIdx.x & (kLanes - 1);
   Staged<kAlbedo>& staged = scratch.staged;
   Columns& columns = scratch.columns;
-  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged, place.y);
-  const std::size_t state = kLanes * static_cast<std::size_t>(segment) + lane;
-  const float4 before = w.segment_color[state];
+  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged, start.position);
   constexpr int kPlanes = kAlbedo ? 6 : 3;
   float g[kPlanes] = {}, rest_of_total = 0.0F;
   if (pixel.inside) {
     const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
     const std::size_t at = 3 * pixels * pixel.view + pixel.at;
-    const float blended[3] = {before.y, before.z, before.w};
+    const float blended[3] = {start.color.y, start.color.z, start.color.w};
     for (int c = 0; c < 3; ++c) {
       g[c] = w.color_gradient[at + c * pixels];
       rest_of_total += g[c] * (w.color[at + c * pixels] - blended[c]);
     }
     if constexpr (kAlbedo) {
-      const float4 albedo_before = w.segment_albedo[state];
-      const float albedo_blended[3] = {albedo_before.x, albedo_before.y, albedo_before.z};
+      const float albedo_blended[3] = {start.albedo.x, start.albedo.y, start.albedo.z};
       for (int c = 0; c < 3; ++c) {
         g[3 + c] = w.albedo_gradient[at + c * pixels];
         rest_of_total += g[3 + c] * (w.albedo[at + c * pixels] - albedo_blended[c]);
@@ -189,7 +208,7 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
   Factors& factors = scratch.factors;
   factors.set(g);
   const float center_x = pixel.x0 + 0.5F * kPatchWidth, center_y = pixel.y0 + 0.5F * kPatchHeight;
-  float transmittance = before.x;
+  float transmittance = pixel.inside ? start.color.x : 0.0F;
   int column = 0;
   Owner owner{};
   for (int group = 0; group < kSegmentGroups; ++group) {
@@ -230,10 +249,11 @@ template <bool kAlbedo>
 __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
   __shared__ Scratch<kAlbedo> scratch[kBlendWarps];
   if (*w.pair_count > w.pair_capacity) return;
-  const std::uint32_t count = min(*w.segment_count, w.segment_capacity);
+  const std::uint32_t patches = w.tiles_x * w.tiles_y * w.batch * kPatches;
+  const std::uint32_t count = patches + min(*w.segment_count, w.segment_capacity);
   const unsigned warp = threadIdx.x / kLanes;
   for (std::uint32_t k = blockIdx.x * kBlendWarps + warp; k < count; k += gridDim.x * kBlendWarps) {
-    blend_segment(gaussians, w, k, scratch[warp]);
+    blend_segment(gaussians, w, start_of<kAlbedo>(w, k, patches), scratch[warp]);
     __syncwarp();
   }
 }
@@ -247,7 +267,7 @@ unsigned backward_blocks(const WorkspaceView& w) {
     return count;
   }();
   constexpr unsigned kBlocksPerProcessor = 48;
-  const unsigned needed = (w.segment_capacity + kBlendWarps - 1) / kBlendWarps;
+  const unsigned needed = static_cast<unsigned>(blend_blocks(w)) + (w.segment_capacity + kBlendWarps - 1) / kBlendWarps;
   return std::min(needed, kBlocksPerProcessor * static_cast<unsigned>(processors));
 }
 

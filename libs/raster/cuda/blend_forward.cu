@@ -35,9 +35,10 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
   float limit = INFINITY;
   for (int count = stream.advance(); count > 0; count = stream.advance()) {
     if constexpr (kSegments) {
-      if (group++ % kSegmentGroups == 0) {
+      if (group > 0 && group % kSegmentGroups == 0) {
         begin_segment<kAlbedo>(w, pixel, stream.position(), make_float4(transmittance, red, green, blue), albedo);
       }
+      ++group;
     }
 #pragma unroll 4
     for (int j = 0; j < count; ++j) {

@@ -5,6 +5,11 @@
 #include "raster/cuda/kernels.h"
 
 namespace splatbus::raster::cuda {
+namespace {
+
+constexpr std::size_t kLanes = 32;
+
+}  // namespace
 
 Workspace::~Workspace() {
   release();
@@ -35,7 +40,7 @@ Workspace::Sizes::Sizes(const WorkspaceRequest& r) {
   tiles = static_cast<std::size_t>((r.width + kTileSize - 1) / kTileSize) *
           static_cast<std::size_t>((r.height + kTileSize - 1) / kTileSize) * batch;
   tiles = std::max<std::size_t>(tiles, 1);
-  pairs = std::max(r.pair_capacity, 1U);
+  pairs = (std::max<std::size_t>(r.pair_capacity, kLanes) + 1) / 2 * 2;
   list_pairs = r.lists ? pairs : 0;
   pixels = std::max<std::size_t>(static_cast<std::size_t>(r.width) * static_cast<std::size_t>(r.height) * batch, 1);
   albedo_pixels = r.albedo ? pixels : 0;
@@ -43,8 +48,8 @@ Workspace::Sizes::Sizes(const WorkspaceRequest& r) {
   training_pixels = r.training ? pixels : 0;
   training_albedo_pixels = r.training ? albedo_pixels : 0;
   objects = static_cast<std::size_t>(r.object_count);
-  // A pair reaches at most every patch of its tile, and a patch's last segment may be short.
-  segments = r.training ? tiles * kPatches + pairs * kPatches / (32 * kSegmentGroups) + 1 : 0;
+  // A pair reaches at most every patch of its tile; what is left over lies in the patches' first segments.
+  segments = r.training ? std::max<std::size_t>(pairs * kPatches / (kLanes * kSegmentGroups), 1) : 0;
   albedo_segments = r.albedo ? segments : 0;
 }
 
@@ -76,7 +81,8 @@ void Workspace::allocate_all() {
   const Sizes& s = sizes_;
   allocate(m.record_shape, 2 * s.records);
   allocate(m.record_tail, s.records);
-  for (auto& keys : m.pair_keys) allocate(keys, s.pairs);
+  allocate(m.pair_keys[0], 2 * s.pairs);
+  m.pair_keys[1] = m.pair_keys[0] + s.pairs;
   allocate(m.pair_entries[0], s.pairs);
   allocate(m.pair_entries[1], s.list_pairs > 0 ? s.list_pairs + 3 : 0);  // read four at a time
   allocate(m.listed, s.count);
@@ -103,8 +109,9 @@ void Workspace::allocate_all() {
   allocate(m.albedo_gradient, 3 * s.training_albedo_pixels);
   allocate(m.ssim_partials, 9 * s.training_pixels);
   allocate(m.segments, s.segments);
-  allocate(m.segment_color, 32 * s.segments);
-  allocate(m.segment_albedo, 32 * s.albedo_segments);
+  static_assert(kPatches * sizeof(float4) <= 2 * sizeof(std::uint64_t) * kSegmentGroups);
+  m.segment_color = reinterpret_cast<float4*>(m.pair_keys[0]);
+  allocate(m.segment_albedo, kLanes * s.albedo_segments);
   allocate(m.segment_count, 1);
   m.segment_capacity = static_cast<std::uint32_t>(s.segments);
   allocate(m.loss, kMaxBatch);

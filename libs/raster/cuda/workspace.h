@@ -37,10 +37,12 @@ struct WorkspaceView {
   void* sort_scratch = nullptr;
   std::size_t sort_scratch_bytes = 0;
 
-  // A patch's Gaussians in segments of kSegmentGroups * 32, with each pixel's state before them, so that the backward
-  // pass works on all segments at once. Null without training.
+  // A patch's Gaussians are taken in segments of kSegmentGroups * 32 by the backward pass, all of them at once. The
+  // first segment of each patch is known; of the others the forward pass leaves where they begin, and each pixel's
+  // state there. Null without training.
   uint2* segments = nullptr;  ///< [segment_capacity], in no order: patch of the batch, position in pair_entries[1]
-  float4* segment_color = nullptr;   ///< [segment_capacity][32] transmittance, red, green, blue blended so far
+  float4* segment_color = nullptr;   ///< [segment_capacity][32] transmittance, red, green, blue blended so far; it lies
+                                     ///< in pair_keys, which nothing reads after the sort
   float4* segment_albedo = nullptr;  ///< [segment_capacity][32] albedo blended so far
   std::uint32_t* segment_count = nullptr;
   std::uint32_t segment_capacity = 0;  ///< as many as there can be

@@ -36,6 +36,8 @@ class Session {
       : context_(std::move(context)) {
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
+    EXPECT_EQ(parameters_.set("batch", "1", true), "");
+    EXPECT_EQ(parameters_.set("average_s", "0", true), "");  // it depends on the pace
     for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");
     const Options options = read_options(parameters_);
     store_ = std::make_unique<ModelStore>(context_, options.layout, capacity, 4096, memory);
@@ -299,6 +301,11 @@ TEST_F(CudaOptimizerTest, GoesOnWithoutWhatItDoesNotOffer) {
   const HostPlanes before = s.planes();
   s.train(2);
   EXPECT_EQ(s.planes()->parameters[0], before->parameters[0]);
+}
+
+TEST_F(CudaOptimizerTest, ChoosesABatchOfItsOwn) {
+  EXPECT_EQ(session(MemoryKind::Cuda, {{"batch", "0"}}).optimizer().options().batch, 2);
+  EXPECT_EQ(session(MemoryKind::Host, {{"batch", "0"}}).optimizer().options().batch, 1);
 }
 
 TEST_F(CudaOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
