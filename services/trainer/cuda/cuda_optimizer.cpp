@@ -262,7 +262,7 @@ class CudaOptimizer final : public Optimizer {
   }
 
   void follow_growth() override {
-    const cudaStream_t stream = train_.stream();
+    cudaStream_t stream = train_.stream();
     if (birth_.size() != store_.capacity()) {
       device::Buffer<std::uint64_t> birth(store_.capacity());
       check(cudaMemcpyAsync(birth.data(), birth_.data(), count_ * sizeof(std::uint64_t), cudaMemcpyDeviceToDevice,

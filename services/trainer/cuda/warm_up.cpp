@@ -22,11 +22,12 @@ GaussiansBuffer square(const ParameterLayout& layout) {
   GaussiansBuffer model(layout, kGaussians);
   constexpr std::size_t kSide = 128;
   for (std::size_t i = 0; i < kGaussians; ++i) {
+    const std::size_t row = i / kSide;
     const auto put = [&](int channel, float value) {
       model.parameters[static_cast<std::size_t>(channel) * model.stride() + i] = value;
     };
     put(ParameterLayout::kMean, static_cast<float>(i % kSide) / kSide - 0.5F);
-    put(ParameterLayout::kMean + 1, static_cast<float>(i / kSide) / kSide - 0.5F);
+    put(ParameterLayout::kMean + 1, static_cast<float>(row) / kSide - 0.5F);
     for (int k = 0; k < 3; ++k) put(ParameterLayout::kLogScale + k, -4.0F);
     put(ParameterLayout::kRotation, 1.0F);
   }
@@ -44,7 +45,7 @@ void warm_up(const ParameterLayout& layout) {
   device::Buffer<std::uint64_t> birth(kGaussians), cell(kGaussians);
   for (const bool albedo : {true, false}) {
     raster::cuda::TrainStep train({.albedo_weight = 1.0F, .unit_albedo = true});
-    const cudaStream_t stream = train.stream();
+    cudaStream_t stream = train.stream();
     birth.clear(stream);
     cell.clear(stream);
     model.upload(host.view(), stream);

@@ -152,7 +152,7 @@ TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
     cuda::DeviceGaussians smaller = device.view();
     smaller.count -= 1;
     if (moves) {
-      const std::uint32_t from = static_cast<std::uint32_t>(count - 1), to = static_cast<std::uint32_t>(hole);
+      const auto from = static_cast<std::uint32_t>(count - 1), to = static_cast<std::uint32_t>(hole);
       for (std::size_t c = 0; c < 41; ++c) {
         cudaMemcpy(smaller.parameters + c * count + to, smaller.parameters + c * count + from, sizeof(float),
                    cudaMemcpyDeviceToDevice);

@@ -75,7 +75,7 @@ class Session {
     optimizer_->set_options(read_options(parameters_));
   }
 
-  void put(TrainingView view) { views_.put(placed(view, store_->memory())); }
+  void put(const TrainingView& view) { views_.put(placed(view, store_->memory())); }
 
   /// Writes one value of a plane of parameters.
   void poke(int channel, std::size_t column, float value) {
