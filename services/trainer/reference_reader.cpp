@@ -14,6 +14,7 @@ namespace splatbus::trainer {
 namespace {
 
 constexpr std::uint32_t kMaxSide = 8192;
+constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch together have a place for 65535
 
 bool announced(const bus::Message& message, const char* name) {
   const auto* tensors = message.header().tensors();
@@ -61,6 +62,11 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
                      std::to_string(view.camera.height) + " is larger than " + std::to_string(kMaxSide));
   }
   view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
+  if (memory_ == bus::MemoryKind::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
+    throw bus::Error(message.topic() + ": " + std::to_string(view.scene.objects.size()) +
+                     " moving objects are more than the CUDA backend takes (" + std::to_string(kMaxDeviceObjects) +
+                     ")");
+  }
   view.frame = reference.frame();
   view.memory = memory_;
   const std::uint32_t h = view.camera.height;

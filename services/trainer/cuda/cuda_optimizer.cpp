@@ -154,9 +154,8 @@ class CudaOptimizer final : public Optimizer {
     if (chunks_.empty()) busy_since_ = Clock::now();
     std::vector<raster::cuda::TrainView> views;
     for (const TrainingViewPtr& view : chunk.views) views.push_back(train_view(*view));
-    const std::size_t group = group_for(views);
-    chunks_.push_back(std::move(chunk));
-    train_.step(group);
+    train_.step(group_for(views));
+    chunks_.push_back(std::move(chunk));  // last: what could not be enqueued is not waited for
   }
 
   /// The group of these views' size, with them in it.
@@ -228,7 +227,6 @@ class CudaOptimizer final : public Optimizer {
 
   /// Waits for all that is under way, and ends it.
   void settle() {
-    if (chunks_.empty() && repeats_.empty() && !pruning_.since() && !observer_.under_way()) return;
     do {
       check(cudaStreamSynchronize(train_.stream()), "waiting for the steps");
       collect(true);
@@ -236,8 +234,8 @@ class CudaOptimizer final : public Optimizer {
     } while (!chunks_.empty());
     if (!pruning_.since()) return;
     const bool removal = pruning_.wants_removal(store_.count());
-    if (removal) remove();
     pruning_.forget();
+    if (removal) remove();
   }
 
   void remove() {
@@ -256,10 +254,7 @@ class CudaOptimizer final : public Optimizer {
     }
   }
 
-  void before_change() override {
-    settle();
-    check(cudaStreamSynchronize(train_.stream()), "waiting for the optimizer");
-  }
+  void before_change() override { settle(); }
 
   void follow_growth() override {
     cudaStream_t stream = train_.stream();

@@ -22,7 +22,7 @@ class PruneCheck {
   PruneCheck(const PruneCheck&) = delete;
   PruneCheck& operator=(const PruneCheck&) = delete;
 
-  /// As the columns are after step `step`; they stay where they are until forget().
+  /// As the columns are after step `step`; the result holds as long as they stay where they are.
   void search(const cuda::Columns& columns, const PruneOptions& options, std::uint64_t step);
   /// Step of the search whose result was not forgotten yet.
   [[nodiscard]] std::optional<std::uint64_t> since() const { return since_; }
@@ -32,6 +32,7 @@ class PruneCheck {
   [[nodiscard]] bool wants_removal(std::size_t count);
   [[nodiscard]] bool found_not_finite() const { return host_counts_[0].not_finite > 0; }
   [[nodiscard]] const std::uint8_t* dead() const { return dead_.data(); }
+  /// Another search may begin; until it does, dead() stays.
   void forget() { since_.reset(); }
 
  private:
