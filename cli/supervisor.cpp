@@ -265,9 +265,11 @@ void Supervisor::terminate_in_order(bool kill) {
 void Supervisor::fail(Process& process, const std::string& reason) {
   process.status.state = ProcessState::Failed;
   process.status.detail = reason;
-  say(process, "failed: " + reason);
-  const std::scoped_lock lock(mutex_);
-  if (!failure_) failure_ = process.plan.name + ": " + reason;
+  {
+    const std::scoped_lock lock(mutex_);
+    if (!failure_) failure_ = process.plan.name + ": " + reason;
+  }
+  say(process, "failed: " + reason);  // whoever reads that line finds the failure
 }
 
 void Supervisor::say(const Process& process, const std::string& text) const {
