@@ -209,11 +209,12 @@ std::size_t ScratchFloats(std::uint32_t width) {
 LossSums LossRows(const LossChannel& in, std::uint32_t begin, std::uint32_t end, float* scratch) {
   const RowRing ring(in.width, scratch);
   const auto first = static_cast<std::int64_t>(begin), last = static_cast<std::int64_t>(end);
+  constexpr std::int64_t kRadius = kSsimRadius;
   LossSums sums;
-  for (std::int64_t row = first - 2 * kSsimRadius; row < last + 2 * kSsimRadius; ++row) {
+  for (std::int64_t row = first - 2 * kRadius; row < last + 2 * kRadius; ++row) {
     BlurProducts(in, row, ring);
-    const std::int64_t middle = row - kSsimRadius, done = row - 2 * kSsimRadius;
-    if (middle >= first - kSsimRadius && middle < last + kSsimRadius) {
+    const std::int64_t middle = row - kRadius, done = row - 2 * kRadius;
+    if (middle >= first - kRadius && middle < last + kRadius) {
       const LossSums of_row = Ssim(in, middle, ring);
       if (middle >= first && middle < last) {
         sums.l1 += of_row.l1;

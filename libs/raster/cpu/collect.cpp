@@ -90,7 +90,7 @@ void CollectLarge(const Frame& frame, std::uint32_t gaussian, PairBuffer& pairs,
       const std::int32_t first = std::min(spans.first[pair], spans.first[pair + 1]) >> 1;
       const std::int32_t last = std::max(spans.last[pair], spans.last[pair + 1]) >> 1;
       if (first > last) continue;
-      Pair* out = pairs.room_for(static_cast<std::size_t>(last - first + 1));
+      Pair* out = pairs.room_for(static_cast<std::size_t>(last - first) + 1);
       const std::uint32_t tile_row = static_cast<std::uint32_t>((row + pair) >> 1) * frame.tiles_x;
       for (std::int32_t column = first; column <= last; ++column) {
         const std::uint32_t blocks = spans.Bits(pair, 2 * column) | spans.Bits(pair + 1, 2 * column) << 2U;

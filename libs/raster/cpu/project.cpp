@@ -36,7 +36,7 @@ struct SplatQuarters {
   }
   HWY_INLINE void CopyLane(std::uint32_t lane, Splat& to) const {
     auto* out = reinterpret_cast<float*>(&to);
-    for (int q = 0; q < 4; ++q) std::copy_n(values[q] + 4 * lane, 4, out + 4 * q);
+    for (std::size_t q = 0; q < 4; ++q) std::copy_n(values[q] + std::size_t{4} * lane, 4, out + 4 * q);
   }
 };
 
