@@ -12,6 +12,9 @@ namespace splatbus::trainer {
 
 namespace {
 
+// At tens of steps a second a live scene is learned all the while.
+constexpr float kDefaultHalfRateSteps = 1000;
+
 void scale_image(raster::Image& image, float factor) {
   if (factor == 1.0F) return;
   for (float& value : image.data) value *= factor;
@@ -30,9 +33,10 @@ CpuOptimizer::CpuOptimizer(ModelStore& store, const Options& options)
 void CpuOptimizer::set_options(const Options& options) {
   options_ = options;
   options_.batch = std::max(1, options.batch);
+  if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
   active_channels_ = active_channels(options);
   learning_rates_ = channel_learning_rates(options);
-  adam_.half_rate_steps = options.half_rate_steps;
+  adam_.half_rate_steps = options_.half_rate_steps;
   adam_.least_rate = options.least_rate;
 }
 

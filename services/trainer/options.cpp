@@ -78,8 +78,10 @@ std::vector<bus::ParameterSpec> parameter_specs() {
       number("average_decay", 0.98, "of the parameters' average over time, a step", 0, 0.9999),
       number("average_s", 0.5, "of optimizer time that the average covers at least, s", 0, 60),
       number("scene_extent_m", 5.0, "size of the content in metres, the unit of the mean's learning rate", 1e-3, 1e6),
-      number("half_rate_steps", 200, "a Gaussian's own steps after which its learning rates are halved, 0: constant", 0,
-             1e9),
+      number("half_rate_steps", -1,
+             "a Gaussian's own steps after which its learning rates are halved; 0: constant, "
+             "-1: 1000 on the CPU, 200 on a GPU",
+             -1, 1e9),
       number("least_rate", 0.01, "what a Gaussian's learning rates keep at least, of themselves", 0, 1),
       number("lr_mean", 0.8e-4, "learning rate of means, in scene extents", 0, 1),
       number("lr_log_scale", 0.03, "learning rate of log-scales", 0, 1),
