@@ -32,10 +32,10 @@ void clear_plane_columns(T* planes, std::size_t channels, std::int64_t stride, i
   check(cudaMemset2DAsync(planes + begin, pitch, 0, width, channels, stream), "clearing Adam's moments");
 }
 
-/// A buffer of `channels` planes with another stride that holds the first `kept` columns of `old`, all else zero.
+/// A buffer of `channels` planes with another stride that holds the first `kept` columns of `planes`, all else zero.
 template <class T>
-void restride(device::Buffer<T>& planes, std::size_t channels, std::int64_t old_stride, std::int64_t stride, int kept,
-              cudaStream_t stream) {
+device::Buffer<T> restrided(const device::Buffer<T>& planes, std::size_t channels, std::int64_t old_stride,
+                            std::int64_t stride, int kept, cudaStream_t stream) {
   device::Buffer<T> moved(channels * static_cast<std::size_t>(stride));
   moved.clear(stream);
   if (kept > 0) {
@@ -44,8 +44,7 @@ void restride(device::Buffer<T>& planes, std::size_t channels, std::int64_t old_
                             static_cast<std::size_t>(kept) * sizeof(T), channels, cudaMemcpyDeviceToDevice, stream),
           "moving Adam's moments");
   }
-  check(cudaStreamSynchronize(stream), "moving Adam's moments");
-  planes = std::move(moved);
+  return moved;
 }
 
 }  // namespace
@@ -67,9 +66,14 @@ void AdamState::resize(int count, std::int64_t stride, cudaStream_t stream) {
   const auto channels = static_cast<std::size_t>(layout_.channels());
   if (stride != stride_) {
     const int kept = std::min(count, count_);
-    restride(first_, channels, stride_, stride, kept, stream);
-    restride(second_, channels, stride_, stride, kept, stream);
-    restride(steps_, 1, stride_, stride, kept, stream);
+    // All of them or, when memory runs out, none.
+    auto first = restrided(first_, channels, stride_, stride, kept, stream);
+    auto second = restrided(second_, channels, stride_, stride, kept, stream);
+    auto steps = restrided(steps_, 1, stride_, stride, kept, stream);
+    check(cudaStreamSynchronize(stream), "moving Adam's moments");
+    first_ = std::move(first);
+    second_ = std::move(second);
+    steps_ = std::move(steps);
     stride_ = stride;
   } else {
     // Columns that come back after a shrink begin anew.

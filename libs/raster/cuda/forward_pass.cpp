@@ -1,6 +1,9 @@
 #include "raster/cuda/forward_pass.h"
 
+#include <algorithm>
 #include <stdexcept>
+
+#include "raster/cuda/pair_limit.h"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -40,7 +43,9 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
           "reading the pair count");
     stream_.wait();
     if (pairs <= w.pair_capacity) break;
-    pair_capacity_ = request.pair_capacity = pairs + pairs / 4;
+    if (pairs > kMostPairs)
+      throw std::runtime_error("rasterizer: more pairs of Gaussians and tiles than can be sorted");
+    pair_capacity_ = request.pair_capacity = std::min(pairs + pairs / 4, kMostPairs);
   }
   launch_sort(workspace_.view(), stream());
   launch_blend_forward(gaussians, workspace_.view(), stream());

@@ -34,8 +34,8 @@ void TrainStep::set_model(const DeviceGaussians& gaussians) {
 
 void TrainStep::follow_model(const DeviceGaussians& gaussians) {
   if (gaussians.layout != impl_->gaussians.layout) throw std::invalid_argument("TrainStep: a model keeps its layout");
-  const int count_before = std::exchange(impl_->gaussians, gaussians).count;
   if (impl_->options.training) impl_->adam.resize(gaussians.count, gaussians.stride, impl_->stream);
+  const int count_before = std::exchange(impl_->gaussians, gaussians).count;
   for (const auto& group : impl_->groups) group->model_changed(gaussians.count, count_before);
 }
 

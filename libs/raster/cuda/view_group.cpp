@@ -7,6 +7,8 @@
 #include <string>
 #include <type_traits>
 
+#include "raster/cuda/pair_limit.h"
+
 namespace splatbus::raster::cuda {
 namespace {
 
@@ -133,7 +135,8 @@ void ViewGroup::bind(WorkspaceView& w) const {
 }
 
 void ViewGroup::set_capacity(std::uint32_t pairs) {
-  pair_capacity = pairs + pairs / (renewed ? 2 : 8) + 1024;
+  const std::uint64_t wanted = std::uint64_t{pairs} + pairs / (renewed ? 2 : 8) + 1024;
+  pair_capacity = static_cast<std::uint32_t>(std::min<std::uint64_t>(wanted, kMostPairs));
   most_pairs_ = 0;
   builds_ = 0;
   invalidate_graphs();

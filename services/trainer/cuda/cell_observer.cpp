@@ -24,11 +24,11 @@ void CellObserver::reserve(std::size_t columns) {
   ids_.resize(columns);
   gaussians_.resize(columns);
   sums_.resize(columns);
-  contribution_.resize(columns);
   std::size_t bytes = 0;
   cuda::list_cells(nullptr, columns, sorted_.data(), {ids_.data(), gaussians_.data(), cell_count_.data()}, nullptr,
                    bytes, nullptr);
   scratch_.resize(bytes);
+  contribution_.resize(columns);  // last: its size says that there is room for all
 }
 
 void CellObserver::list(const std::uint64_t* cell, std::size_t count, cudaStream_t stream) {

@@ -91,7 +91,7 @@ class CudaOptimizer final : public Optimizer {
     for (Chunk& chunk : std::exchange(repeats_, {})) enqueue(std::move(chunk));
     for (Chunk& chunk : split(views)) enqueue(std::move(chunk));
     store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));
-    after_step(*views.back());
+    after_step(chunks_.back().views.back());
     collect(false);
     return take_report();
   }
@@ -107,7 +107,11 @@ class CudaOptimizer final : public Optimizer {
   struct Chunk {
     std::vector<TrainingViewPtr> views;  // their pictures are kept until the device is done with them
     bool ends_step = false;
+    int tries = 0;  // that changed nothing, for its lists did not fit
   };
+
+  /// Lists grow with every try; what does not fit by then never will.
+  static constexpr int kMostTries = 8;
 
   /// Steps between the search for Gaussians to remove and the look at what it found, which is there by then.
   static constexpr std::uint64_t kPruneLag = 3;
@@ -154,6 +158,7 @@ class CudaOptimizer final : public Optimizer {
   }
 
   void enqueue(Chunk chunk) {
+    if (!followed_) follow_growth();
     if (chunks_.empty()) busy_since_ = Clock::now();
     std::vector<raster::cuda::TrainView> views;
     for (const TrainingViewPtr& view : chunk.views) views.push_back(train_view(*view));
@@ -177,8 +182,8 @@ class CudaOptimizer final : public Optimizer {
   }
 
   /// What follows a step on the device: the average over time, and now and then a look at cells and for Gaussians to
-  /// remove.
-  void after_step(const TrainingView& last) {
+  /// remove. `last` is the last view that was enqueued, whose pictures the workspace holds.
+  void after_step(const TrainingViewPtr& last) {
     const std::uint64_t step = store_.step();
     const std::size_t stripe = step % TimeAverage::kStripes;
     cuda::launch_average(columns(),
@@ -193,9 +198,10 @@ class CudaOptimizer final : public Optimizer {
       observer_.observe(gaussians(), columns(), store_.planes().cell,
                         {.workspace = w,
                          .view = w.batch - 1,
-                         .target = last.color.data(),
+                         .target = last->color.data(),
                          .display_space = options_.layout.appearance == Appearance::Radiance},
                         train_.stream());
+      observed_ = last;
     }
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {
       pruning_.search(columns(), options_.prune, step);
@@ -209,7 +215,7 @@ class CudaOptimizer final : public Optimizer {
       Chunk chunk = std::move(chunks_.front());
       chunks_.pop_front();
       if (!report.changed) {
-        repeats_.push_back(std::move(chunk));
+        repeat(std::move(chunk));
         continue;
       }
       report_.steps += chunk.ends_step ? 1 : 0;
@@ -218,6 +224,13 @@ class CudaOptimizer final : public Optimizer {
     }
     if (!reports.empty()) book_time();
     observer_.collect(wait, cells_);
+  }
+
+  void repeat(Chunk chunk) {
+    if (++chunk.tries < kMostTries) return repeats_.push_back(std::move(chunk));
+    if (!std::exchange(warned_lists_, true)) {
+      spdlog::error("optimizer: Gaussians cover more tiles of pictures than can be listed: such steps are left out");
+    }
   }
 
   void book_time() {
@@ -230,6 +243,7 @@ class CudaOptimizer final : public Optimizer {
 
   /// Waits for all that is under way, and ends it.
   void settle() {
+    if (!followed_) follow_growth();
     do {
       check(cudaStreamSynchronize(train_.stream()), "waiting for the steps");
       collect(true);
@@ -260,6 +274,7 @@ class CudaOptimizer final : public Optimizer {
   void before_change() override { settle(); }
 
   void follow_growth() override {
+    followed_ = false;
     cudaStream_t stream = train_.stream();
     if (birth_.size() != store_.capacity()) {
       device::Buffer<std::uint64_t> birth(store_.capacity());
@@ -274,6 +289,7 @@ class CudaOptimizer final : public Optimizer {
     count_ = store_.count();
     train_.follow_model(gaussians());
     observer_.structure_changed();
+    followed_ = true;
   }
 
   StepReport take_report() {
@@ -290,12 +306,14 @@ class CudaOptimizer final : public Optimizer {
   std::vector<Chunk> repeats_;  // whose lists did not fit: they are trained again
   device::Buffer<std::uint64_t> birth_;
   std::size_t count_ = 0;  // of Gaussians whose birth is known
+  bool followed_ = true;   // the model's last change; else there was no memory for that, and it is tried again
   CellObserver observer_;
+  TrainingViewPtr observed_;  // kept until the device has looked at it
   PruneCheck pruning_;
   StepReport report_;      // loss summed over views
   double unbooked_s_ = 0;  // of optimizer time that the model's figures do not have yet
   Clock::time_point busy_since_{};
-  bool warned_depth_ = false, warned_densify_ = false;
+  bool warned_depth_ = false, warned_densify_ = false, warned_lists_ = false;
 };
 
 }  // namespace
