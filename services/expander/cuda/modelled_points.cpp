@@ -23,8 +23,9 @@ void grow(device::Buffer<T>& buffer, std::size_t used, std::size_t room, cudaStr
 }  // namespace
 
 void ModelledPoints::reserve(std::size_t count, cudaStream_t stream) {
-  if (count <= points_.size()) return;
-  const std::size_t room = std::max({count, 2 * points_.size(), kLeastRoom});
+  // Both are asked: when there was memory for the first alone, the second stayed as it was.
+  if (count <= std::min(points_.size(), keys_.size())) return;
+  const std::size_t room = std::max({count, 2 * keys_.size(), kLeastRoom});
   grow(points_, count_, room, stream);
   grow(keys_, count_, room, stream);
 }
