@@ -55,6 +55,12 @@ void finish_copies() {
 #endif
 }
 
+void require_usable([[maybe_unused]] MemoryKind kind) {
+#ifdef SPLATBUS_HAVE_CUDA
+  if (kind == MemoryKind::Cuda) gpu::require_usable();
+#endif
+}
+
 bool copy_tensor(const TensorView& tensor, void* destination, MemoryKind kind, std::atomic<std::uint64_t>& host_bytes) {
   if (!tensor.still_valid()) return false;
   copy_memory(destination, kind, tensor.data(), tensor.memory(), tensor.bytes());

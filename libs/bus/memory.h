@@ -22,6 +22,10 @@ void copy_memory(void* destination, MemoryKind to, const void* source, MemoryKin
 /// Waits for the copies that this thread has enqueued, if any. Throws Error.
 void finish_copies();
 
+/// To be asked when work in that memory has failed: throws Error when nothing that this process does there will succeed
+/// any more, as after a fault of a kernel. Then only another process can go on; slabs stay what they are.
+void require_usable(MemoryKind kind);
+
 /// Copies a tensor into memory of `kind`, tensor.bytes() of room, and waits for it. False when its slot was overwritten
 /// meanwhile; the destination then holds garbage. Adds to `host_bytes` what did not stay on the device. Throws Error.
 [[nodiscard]] bool copy_tensor(const TensorView& tensor, void* destination, MemoryKind kind,

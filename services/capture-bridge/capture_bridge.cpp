@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "bus/clock.h"
+#include "bus/memory.h"
 #include "capture-bridge/engine_frame.h"
 #include "capture-bridge/parameters.h"
 #include "wire/convert.h"
@@ -57,6 +58,8 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
     message = subscriber_.receive(std::chrono::milliseconds(0));
   }
   if (message) bus::guarded(*message, [&] { handle(*message); });
+  const bool failed = worker_.take_failure();
+  if (std::exchange(frame_failed_, false) || failed) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
   update_round(now);
   update_probes(now);
@@ -105,6 +108,7 @@ void CaptureBridge::handle_frame(const bus::Message& message) {
     }
   } catch (const std::exception& error) {
     ++counters_.frames_refused;
+    frame_failed_ = true;
     // An engine that errs does so in every frame.
     const std::string source = message.header().source()->str();
     if (complained_.size() < 256 && complained_.insert(source).second) {

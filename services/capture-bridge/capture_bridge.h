@@ -36,7 +36,7 @@ class CaptureBridge {
   CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
                 bus::Backend backend = bus::Backend::Cpu);
 
-  /// Handles what arrives within `timeout`, then what is due.
+  /// Handles what arrives within `timeout`, then what is due. Throws bus::Error when the device has failed for good.
   void step(std::chrono::milliseconds timeout);
 
   [[nodiscard]] const BridgeCounters& counters() const { return counters_; }
@@ -84,6 +84,7 @@ class CaptureBridge {
   std::int64_t round_submitted_ns_ = 0;
   std::set<std::uint32_t> references_published_, inputs_published_;  // camera ids
   std::set<std::string> complained_;                                 // sources whose bad frames were logged
+  bool frame_failed_ = false;                                        // since the device was asked for last
 
   InputWorker worker_;  // last: its thread uses the context
 };

@@ -72,6 +72,7 @@ void InputWorker::run(const std::stop_token& stop) {
       process(job);
     } catch (const std::exception& error) {
       spdlog::error("input round of rig generation {}: {}", job.rig_generation, error.what());
+      failed_ = true;
     }
   }
 }

@@ -43,6 +43,8 @@ class InputWorker {
   /// four is dropped.
   void submit(InputJob job);
   [[nodiscard]] InputStatistics statistics() const;
+  /// Whether a round has failed since this was asked last.
+  [[nodiscard]] bool take_failure() { return failed_.exchange(false); }
 
  private:
   void run(const std::stop_token& stop);
@@ -54,6 +56,7 @@ class InputWorker {
   std::condition_variable_any wake_;
   std::deque<InputJob> jobs_;
   InputStatistics statistics_;
+  std::atomic<bool> failed_ = false;
   bool complained_ = false;
   std::jthread thread_;  // last: it uses everything above
 };

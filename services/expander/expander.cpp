@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "bus/clock.h"
+#include "bus/memory.h"
 #include "expander/parameters.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -45,7 +46,7 @@ void Expander::step(std::chrono::milliseconds timeout) {
   for (int taken = 1; message; ++taken) {
     prepare_ring();
     if (!bus::guarded(*message, [&] { handle(*message); })) {
-      mapper_->require_usable();
+      bus::require_usable(mapper_->memory());
       if (message->topic() == "capture/input") ++counters_.rounds_lost;
     }
     if (taken >= kMostMessagesAStep) break;

@@ -66,9 +66,6 @@ class Mapper {
   [[nodiscard]] virtual bool adopt(const PublishedModel& model) = 0;
   virtual void clear() = 0;
 
-  /// Throws when the backend can do no more work, whatever it is given.
-  virtual void require_usable() {}
-
   [[nodiscard]] virtual std::vector<CellCounts> cells() = 0;
   [[nodiscard]] virtual std::size_t cell_count() = 0;
   [[nodiscard]] virtual std::size_t modelled_points() const = 0;

@@ -76,10 +76,13 @@ void Relight::run() {
   bus::Subscriber subscriber(service_.bus, {"model/published", "scene/light_depth", "scene/objects"});
   while (!service_.stop.stop_requested()) {
     for (const auto& message : subscriber.receive_newest(kReceiveTimeout)) {
-      bus::guarded(message, [&] { handle(message); });
+      if (!bus::guarded(message, [&] { handle(message); })) bus::require_usable(memory_);
     }
     // A model that makes no sense is reported once.
-    if (model_ && !bus::guarded(*model_, [&] { update(); })) model_.reset();
+    if (model_ && !bus::guarded(*model_, [&] { update(); })) {
+      bus::require_usable(memory_);
+      model_.reset();
+    }
     report();
   }
 }

@@ -59,13 +59,14 @@ void Trainer::receive() {
     for (int n = 0; message && n < kMaxDrained; ++n) {
       if (message->topic() == "capture/reference") {
         references.push_back(std::move(*message));
-      } else {
-        bus::guarded(*message, [&] { handle(*message); });
+      } else if (!bus::guarded(*message, [&] { handle(*message); })) {
+        failed_ = true;
       }
       message = subscriber.receive(0ms);
     }
-    if (message) bus::guarded(*message, [&] { handle(*message); });
+    if (message && !bus::guarded(*message, [&] { handle(*message); })) failed_ = true;
     take_references(references);
+    if (failed_.exchange(false)) bus::require_usable(bus::memory_of(service_.backend));
     service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
@@ -78,7 +79,7 @@ void Trainer::take_references(const std::vector<bus::Message>& messages) {
     bus::guarded(message, [&] { newest[reference_key(message)] = &message; });
   }
   for (const auto& [key, message] : newest) {
-    bus::guarded(*message, [&, m = message] { take_reference(*m); });
+    if (!bus::guarded(*message, [&, m = message] { take_reference(*m); })) failed_ = true;
   }
 }
 

@@ -43,7 +43,8 @@ class Trainer {
  public:
   explicit Trainer(bus::ServiceContext& service);
 
-  /// Until `service.stop`. Throws bus::Error when no broker comes.
+  /// Until `service.stop`. Throws bus::Error when no broker comes, and when the device fails for good: the model stays
+  /// with the bus for the next trainer.
   void run();
 
  private:
@@ -75,6 +76,7 @@ class Trainer {
   ViewStore views_;
   CommandQueue commands_;
   std::atomic<bool> with_depth_{false};
+  std::atomic<bool> failed_{false};                  ///< something has: does the device still work?
   std::atomic<std::uint64_t> host_copied_bytes_{0};  ///< bulk data that passed through host memory
   ReferenceReader references_;
   std::unique_ptr<InsertReader> inserts_;

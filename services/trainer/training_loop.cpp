@@ -30,6 +30,7 @@ void Trainer::optimize(const std::stop_token& stop) {
       optimize_once();
     } catch (const std::exception& error) {
       spdlog::error("optimizer: {}", error.what());
+      failed_ = true;
       commands_.wait(kAfterError);
     }
   }

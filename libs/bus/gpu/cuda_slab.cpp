@@ -29,7 +29,9 @@ const Driver& driver_for(const std::string& slab) {
 }
 
 void check_runtime(cudaError_t status, const std::string& slab, const char* what) {
-  if (status != cudaSuccess) throw Error(in_slab(slab, fmt::format("{}: {}", what, cudaGetErrorString(status))));
+  if (status == cudaSuccess) return;
+  static_cast<void>(cudaGetLastError());  // else this thread's next launch is blamed for it
+  throw Error(in_slab(slab, fmt::format("{}: {}", what, cudaGetErrorString(status))));
 }
 
 CUmemAllocationProp allocation_properties() {

@@ -13,7 +13,9 @@ thread_local bool copies_enqueued =
     false;  // NOLINT(cppcoreguidelines-avoid-non-const-global-variables): a stream is a thread's
 
 void check(cudaError_t status, const char* what) {
-  if (status != cudaSuccess) throw Error(fmt::format("CUDA: {}: {}", what, cudaGetErrorString(status)));
+  if (status == cudaSuccess) return;
+  static_cast<void>(cudaGetLastError());  // else this thread's next launch is blamed for it
+  throw Error(fmt::format("CUDA: {}: {}", what, cudaGetErrorString(status)));
 }
 
 }  // namespace
@@ -38,6 +40,11 @@ void finish_copies() {
   if (!copies_enqueued) return;  // a process that never asked for a device need not have one
   copies_enqueued = false;
   check(cudaStreamSynchronize(cudaStreamPerThread), "waiting for copies");
+}
+
+void require_usable() {
+  static_cast<void>(cudaGetLastError());  // what a failed allocation leaves behind
+  check(cudaStreamSynchronize(cudaStreamPerThread), "the device does no more work for this process");
 }
 
 }  // namespace splatbus::bus::gpu

@@ -10,5 +10,6 @@ namespace splatbus::bus::gpu {
 [[nodiscard]] std::shared_ptr<std::byte> allocate(std::size_t bytes);
 void enqueue_copy(void* destination, const void* source, std::size_t bytes);
 void finish_copies();
+void require_usable();
 
 }  // namespace splatbus::bus::gpu

@@ -188,11 +188,6 @@ void CudaMapper::clear() {
   points_stale_ = false;
 }
 
-void CudaMapper::require_usable() {
-  (void)cudaGetLastError();  // what a failed allocation leaves behind
-  wait();
-}
-
 void CudaMapper::refresh_points() {
   if (!std::exchange(points_stale_, false)) return;
   for (auto& [cell, row] : rows_) row.points = 0;

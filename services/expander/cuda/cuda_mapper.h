@@ -25,7 +25,6 @@ class CudaMapper final : public Mapper {
   [[nodiscard]] bool holds_any(const InsertBatch& batch) override;
   [[nodiscard]] bool adopt(const PublishedModel& model) override;
   void clear() override;
-  void require_usable() override;
   [[nodiscard]] std::vector<CellCounts> cells() override;
   [[nodiscard]] std::size_t cell_count() override;
   [[nodiscard]] std::size_t modelled_points() const override { return modelled_.size(); }
