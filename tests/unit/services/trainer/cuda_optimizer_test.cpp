@@ -29,10 +29,10 @@ TrainingViewPtr placed(const TrainingView& view, MemoryKind memory) {
 using Settings = std::vector<std::pair<std::string, std::string>>;
 
 /// A model of its own in one kind of memory, trained on the synthetic scene.
-class Session {
+class Trial {
  public:
-  Session(std::shared_ptr<bus::Context> context, MemoryKind memory, const SyntheticScene& scene,
-          const Settings& settings, std::size_t capacity = 512)
+  Trial(std::shared_ptr<bus::Context> context, MemoryKind memory, const SyntheticScene& scene, const Settings& settings,
+        std::size_t capacity = 512)
       : context_(std::move(context)) {
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
@@ -122,13 +122,13 @@ class CudaOptimizerTest : public bus_test::BusTest {
     bus_test::BusTest::SetUp();
   }
 
-  Session session(MemoryKind memory, const Settings& settings = {}, std::size_t capacity = 512) {
-    // A name of its own: a second session must not adopt the first one's model.
-    const std::string name = "trainer-" + std::to_string(++sessions_);
+  Trial trial(MemoryKind memory, const Settings& settings = {}, std::size_t capacity = 512) {
+    // A name of its own: a second trial must not adopt the first one's model.
+    const std::string name = "trainer-" + std::to_string(++trials_);
     return {connect(name), memory, scene_, settings, capacity};
   }
 
-  static void expect_close(Session& cuda, Session& cpu, double tolerance) {
+  static void expect_close(Trial& cuda, Trial& cpu, double tolerance) {
     const HostPlanes a = cuda.planes();
     const HostPlanes b = cpu.planes();
     ASSERT_EQ(a.count(), b.count());
@@ -138,21 +138,21 @@ class CudaOptimizerTest : public bus_test::BusTest {
     EXPECT_LT(distance(a->average, a->capacity, b->average, b->capacity, a.count(), channels), tolerance);
   }
 
-  [[nodiscard]] double psnr(Session& session, bool average) const {
-    const HostPlanes planes = session.planes();
+  [[nodiscard]] double psnr(Trial& trial, bool average) const {
+    const HostPlanes planes = trial.planes();
     GaussiansView view = planes->view(planes.count());
     if (average) view.parameters = planes->average;
     return scene_.psnr(view);
   }
 
   SyntheticScene scene_;
-  int sessions_ = 0;
+  int trials_ = 0;
 };
 
 TEST_F(CudaOptimizerTest, StepsAsTheCpuDoes) {
   for (const char* batch : {"1", "3"}) {
-    Session cuda = session(MemoryKind::Cuda, {{"batch", batch}});
-    Session cpu = session(MemoryKind::Host, {{"batch", batch}});
+    Trial cuda = trial(MemoryKind::Cuda, {{"batch", batch}});
+    Trial cpu = trial(MemoryKind::Host, {{"batch", batch}});
     const double of_cuda = cuda.train(10);
     const double of_cpu = cpu.train(10);
     EXPECT_NEAR(of_cuda, of_cpu, 2e-3 * of_cpu) << batch;
@@ -165,8 +165,8 @@ TEST_F(CudaOptimizerTest, StepsAsTheCpuDoes) {
 }
 
 TEST_F(CudaOptimizerTest, FindsASceneAgainAsWellAsTheCpuDoes) {
-  Session cuda = session(MemoryKind::Cuda);
-  Session cpu = session(MemoryKind::Host);
+  Trial cuda = trial(MemoryKind::Cuda);
+  Trial cpu = trial(MemoryKind::Host);
   const double before = psnr(cuda, false);
   const double loss_cuda = (cuda.train(294), cuda.train(6));
   const double loss_cpu = (cpu.train(294), cpu.train(6));
@@ -184,17 +184,17 @@ TEST_F(CudaOptimizerTest, TrainsRadianceAndWithoutResidual) {
   const Settings radiance = {{"appearance", "radiance"}, {"sh_degree", "1"}};
   const Settings stiff = {{"residual", "false"}, {"albedo_weight", "0"}};
   for (const Settings& settings : {radiance, stiff}) {
-    Session cuda = session(MemoryKind::Cuda, settings);
-    Session cpu = session(MemoryKind::Host, settings);
+    Trial cuda = trial(MemoryKind::Cuda, settings);
+    Trial cpu = trial(MemoryKind::Host, settings);
     EXPECT_NEAR(cuda.train(8), cpu.train(8), 1e-3);
     expect_close(cuda, cpu, 5e-3);
   }
 }
 
 TEST_F(CudaOptimizerTest, MomentsFollowInsertsIntoLargerSlabs) {
-  Session cuda = session(MemoryKind::Cuda, {}, 304);
-  Session cpu = session(MemoryKind::Host, {}, 304);
-  for (Session* s : {&cuda, &cpu}) {
+  Trial cuda = trial(MemoryKind::Cuda, {}, 304);
+  Trial cpu = trial(MemoryKind::Host, {}, 304);
+  for (Trial* s : {&cuda, &cpu}) {
     s->train(5);
     s->insert(sample_batch(1, 2, 150, 7));
     s->train(5);
@@ -207,10 +207,10 @@ TEST_F(CudaOptimizerTest, MomentsFollowInsertsIntoLargerSlabs) {
 }
 
 TEST_F(CudaOptimizerTest, RenewsPicturesAndTrainsSeveralSizesInABatch) {
-  Session cuda = session(MemoryKind::Cuda, {{"batch", "4"}});
-  Session cpu = session(MemoryKind::Host, {{"batch", "4"}});
+  Trial cuda = trial(MemoryKind::Cuda, {{"batch", "4"}});
+  Trial cpu = trial(MemoryKind::Host, {{"batch", "4"}});
   const SyntheticScene other(200, 3);
-  for (Session* s : {&cuda, &cpu}) {
+  for (Trial* s : {&cuda, &cpu}) {
     s->train(4);
     for (const auto& view : other.views()) s->put(*view);
     s->train(4);
@@ -225,7 +225,7 @@ TEST_F(CudaOptimizerTest, RenewsPicturesAndTrainsSeveralSizesInABatch) {
 
 TEST_F(CudaOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
   for (const MemoryKind memory : {MemoryKind::Cuda, MemoryKind::Host}) {
-    Session s = session(memory, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
+    Trial s = trial(memory, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
     const std::size_t before = s.store().count();
     const std::uint64_t last = s.planes().ids().back();
     s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
@@ -241,7 +241,7 @@ TEST_F(CudaOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
 }
 
 TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
-  Session s = session(MemoryKind::Cuda, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
+  Trial s = trial(MemoryKind::Cuda, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
   const std::size_t before = s.store().count();
   s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
   s.poke(ParameterLayout::kOpacityLogit, 7, -9.0F);
@@ -254,7 +254,7 @@ TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
 }
 
 TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
-  Session s = session(MemoryKind::Cuda);
+  Trial s = trial(MemoryKind::Cuda);
   s.train(3);
   Commands commands;
   commands.cells.push_back({.cells = {1}, .freeze = true});
@@ -275,8 +275,8 @@ TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
 }
 
 TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
-  Session cuda = session(MemoryKind::Cuda);
-  Session cpu = session(MemoryKind::Host);
+  Trial cuda = trial(MemoryKind::Cuda);
+  Trial cpu = trial(MemoryKind::Host);
   cuda.train(12);
   cpu.train(12);
   const auto early = cuda.optimizer().cells().cells();
@@ -292,7 +292,7 @@ TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
 }
 
 TEST_F(CudaOptimizerTest, GoesOnWithoutWhatItDoesNotOffer) {
-  Session s = session(MemoryKind::Cuda, {{"depth_weight", "0.5"}, {"densify", "true"}, {"densify_interval", "2"}});
+  Trial s = trial(MemoryKind::Cuda, {{"depth_weight", "0.5"}, {"densify", "true"}, {"densify_interval", "2"}});
   EXPECT_EQ(s.store().count(), 300U);
   EXPECT_LT(s.train(20), 1.0);
   EXPECT_EQ(s.store().count(), 300U);
@@ -304,12 +304,12 @@ TEST_F(CudaOptimizerTest, GoesOnWithoutWhatItDoesNotOffer) {
 }
 
 TEST_F(CudaOptimizerTest, ChoosesABatchOfItsOwn) {
-  EXPECT_EQ(session(MemoryKind::Cuda, {{"batch", "0"}}).optimizer().options().batch, 2);
-  EXPECT_EQ(session(MemoryKind::Host, {{"batch", "0"}}).optimizer().options().batch, 1);
+  EXPECT_EQ(trial(MemoryKind::Cuda, {{"batch", "0"}}).optimizer().options().batch, 2);
+  EXPECT_EQ(trial(MemoryKind::Host, {{"batch", "0"}}).optimizer().options().batch, 1);
 }
 
 TEST_F(CudaOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
-  Session s = session(MemoryKind::Cuda);
+  Trial s = trial(MemoryKind::Cuda);
   EXPECT_EQ(s.optimizer().step({}).steps, 0U);
   EXPECT_EQ(s.optimizer().finish().steps, 0U);
   EXPECT_EQ(s.store().step(), 0U);
