@@ -5,9 +5,11 @@
 
 #include <algorithm>
 #include <chrono>
+#include <exception>
 #include <zmq.hpp>
 
 #include "bus/clock.h"
+#include "bus/memory.h"
 #include "stream/error.h"
 #include "streamer/parameters.h"
 #include "wire/capture_generated.h"
@@ -163,8 +165,18 @@ bool Streamer::observe() {
       published_ = std::move(*opened);
     });
   }
-  if (!published_ || !published_->refresh()) return false;
-  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
+  if (!published_) return false;
+  try {
+    if (!published_->refresh()) return false;
+    return model_.observe(published_->average(), [&] { return published_->still_valid(); });
+  } catch (const stream::StreamError&) {
+    throw;
+  } catch (const std::exception& error) {
+    // What could not be observed has changed nothing: viewers keep what they have until there is memory again.
+    spdlog::error("observing the model: {}", error.what());
+    bus::require_usable(bus::memory_of(service_.backend));
+    return false;
+  }
 }
 
 void Streamer::tick(std::int64_t now_ns) {
