@@ -109,6 +109,13 @@ std::optional<TensorView> Message::tensor(const std::string& name, ElementType t
                           wire::EnumNameElementType(type), fmt::join(shape, ", ")));
 }
 
+bool Message::announces(const std::string& name) const {
+  const auto* tensors = header_->tensors();
+  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(), [&](const wire::Tensor* tensor) {
+           return tensor->name()->string_view() == name;
+         });
+}
+
 std::optional<OutgoingTensor> Message::forward_tensor(const std::string& name) const {
   const auto view = tensor(name);
   if (!view) return std::nullopt;

@@ -40,6 +40,9 @@ class Message {
   [[nodiscard]] std::optional<TensorView> tensor(const std::string& name, ElementType type,
                                                  const std::vector<std::uint32_t>& shape) const;
 
+  /// Whether there is a tensor of that name, wherever its bytes are by now.
+  [[nodiscard]] bool announces(const std::string& name) const;
+
   /// Like tensor(), as a message's span for handing on in a message of one's own, without a copy. Inline tensors come
   /// back with inline_data pointing into this message.
   [[nodiscard]] std::optional<OutgoingTensor> forward_tensor(const std::string& name) const;

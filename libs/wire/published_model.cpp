@@ -36,17 +36,11 @@ ParameterLayout layout_of(const bus::Message& message, const wire::ModelPublishe
   reject(message, "unknown appearance " + std::to_string(static_cast<int>(published.appearance())));
 }
 
-bool announces(const bus::Message& message, const std::string& name) {
-  const auto* tensors = message.header().tensors();
-  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(),
-                                           [&](const wire::Tensor* tensor) { return tensor->name()->str() == name; });
-}
-
 /// The tensor of a plane, nullopt when it lies in a slab, or a generation of it, that is gone.
 std::optional<bus::TensorView> find_plane(const bus::Message& message, const char* name, bus::ElementType type,
                                           std::uint32_t channels, std::uint32_t capacity) {
   auto view = channels == 0 ? message.tensor(name, type, {capacity}) : message.tensor(name, type, {channels, capacity});
-  if (!view && !announces(message, name)) reject(message, std::string("plane \"") + name + "\" is missing");
+  if (!view && !message.announces(name)) reject(message, std::string("plane \"") + name + "\" is missing");
   return view;
 }
 

@@ -1,6 +1,7 @@
 #include "trainer/commands.h"
 
 #include <algorithm>
+#include <iterator>
 #include <numeric>
 
 namespace splatbus::trainer {
@@ -23,6 +24,13 @@ bool Commands::add(CellsCommand&& command) {
   if (waiting + command.cells.size() > kMaxCells) return false;
   cells.push_back(std::move(command));
   return true;
+}
+
+void CommandQueue::give_back(Commands&& commands) {
+  const std::scoped_lock lock(mutex_);
+  commands_.cells.insert(commands_.cells.begin(), std::make_move_iterator(commands.cells.begin()),
+                         std::make_move_iterator(commands.cells.end()));
+  if (!commands_.visibility) commands_.visibility = std::move(commands.visibility);
 }
 
 }  // namespace splatbus::trainer

@@ -1,6 +1,5 @@
 #include "trainer/insert_reader.h"
 
-#include <algorithm>
 #include <array>
 #include <string>
 #include <utility>
@@ -32,13 +31,6 @@ constexpr std::array<Plane, 9> kPlanes = {{{"cell", bus::ElementType::U64, 0},
                                            {"albedo", bus::ElementType::F32, 3},
                                            {"normal", bus::ElementType::F32, 3},
                                            {"visibility", bus::ElementType::F32, 1}}};
-
-bool announces(const bus::Message& message, const char* name) {
-  const auto* tensors = message.header().tensors();
-  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(), [&](const wire::Tensor* tensor) {
-           return tensor->name()->string_view() == name;
-         });
-}
 
 class HostInsertReader final : public InsertReader {
  public:
@@ -90,7 +82,7 @@ std::optional<InsertTensors> find_insert_tensors(const bus::Message& message, In
     std::vector<std::uint32_t> shape{tensors.rows};
     if (plane.channels != 0) shape.insert(shape.begin(), plane.channels);
     auto tensor = message.tensor(plane.name, plane.type, shape);
-    if (!tensor && !announces(message, plane.name)) {
+    if (!tensor && !message.announces(plane.name)) {
       throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"" + plane.name +
                        "\" is missing");
     }

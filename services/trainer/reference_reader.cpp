@@ -1,6 +1,5 @@
 #include "trainer/reference_reader.h"
 
-#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -15,12 +14,6 @@ namespace {
 
 constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch together have a place for 65535
-
-bool announced(const bus::Message& message, const char* name) {
-  const auto* tensors = message.header().tensors();
-  return tensors != nullptr && std::any_of(tensors->begin(), tensors->end(),
-                                           [&](const wire::Tensor* t) { return t->name()->string_view() == name; });
-}
 
 }  // namespace
 
@@ -71,11 +64,11 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
   view.memory = memory_;
   const std::uint32_t h = view.camera.height;
   const std::uint32_t w = view.camera.width;
-  if (!announced(message, "color"))
+  if (!message.announces("color"))
     throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"color\" is missing");
   bool whole = read_picture(message, "color", {h, w, 4}, view.color);
-  if (whole && announced(message, "albedo")) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
-  if (whole && with_depth && announced(message, "depth")) whole = read_picture(message, "depth", {h, w}, view.depth);
+  if (whole && message.announces("albedo")) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
+  if (whole && with_depth && message.announces("depth")) whole = read_picture(message, "depth", {h, w}, view.depth);
   reading.lost = !whole;
   if (whole) reading.view = std::make_shared<const TrainingView>(std::move(view));
   return reading;

@@ -39,7 +39,13 @@ void Trainer::optimize(const std::stop_token& stop) {
 void Trainer::optimize_once() {
   refresh_options();
   Commands commands = commands_.take();
-  bool structure_changed = optimizer_->apply(commands);
+  bool structure_changed = false;
+  try {
+    structure_changed = optimizer_->apply(commands);
+  } catch (...) {
+    commands_.give_back(std::move(commands));
+    throw;
+  }
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
   if (!steps) structure_changed |= finish_steps();

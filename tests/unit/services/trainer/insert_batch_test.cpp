@@ -84,6 +84,27 @@ TEST(Commands, HoldNoMoreRowsThanTheirBound) {
   EXPECT_EQ(commands.inserts.size(), 2U);
 }
 
+TEST(Commands, ThatNobodySendsAgainAreGivenBack) {
+  CommandQueue queue;
+  queue.post([](Commands& commands) {
+    EXPECT_TRUE(commands.add(CellsCommand{.cells = {1}, .freeze = true}));
+    EXPECT_TRUE(commands.add(sample_batch(1, 1, 0)));
+    commands.visibility = VisibilityCommand{.model_generation = 5};
+  });
+  Commands taken = queue.take();
+  queue.post([](Commands& commands) {
+    EXPECT_TRUE(commands.add(CellsCommand{.cells = {1}, .freeze = false}));
+    commands.visibility = VisibilityCommand{.model_generation = 6};
+  });
+  queue.give_back(std::move(taken));
+  const Commands again = queue.take();
+  ASSERT_EQ(again.cells.size(), 2U);
+  EXPECT_TRUE(again.cells[0].freeze);  // in the order of their coming
+  EXPECT_FALSE(again.cells[1].freeze);
+  EXPECT_EQ(again.visibility->model_generation, 6U);  // the newest
+  EXPECT_TRUE(again.inserts.empty());                 // its expander sends it again
+}
+
 TEST(Commands, HoldNoMoreBatchesAndCellsThanTheirBound) {
   Commands commands;
   for (std::uint64_t batch = 0; batch < Commands::kMaxInserts; ++batch) {
