@@ -10,6 +10,17 @@
 
 namespace splatbus::trainer {
 
+StepReport& StepReport::operator+=(const StepReport& later) {
+  const std::size_t all = views + later.views;
+  if (all > 0)
+    loss =
+        (loss * static_cast<double>(views) + later.loss * static_cast<double>(later.views)) / static_cast<double>(all);
+  steps += later.steps;
+  views = all;
+  seconds += later.seconds;
+  return *this;
+}
+
 void Optimizer::change(const std::function<void()>& work) {
   try {
     store_.change(work);

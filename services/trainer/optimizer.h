@@ -18,6 +18,8 @@ struct StepReport {
   std::size_t steps = 0, views = 0;
   double seconds = 0;  ///< of optimizer time
   double loss = 0;     ///< mean over the views
+
+  StepReport& operator+=(const StepReport& later);
 };
 
 /// Trains the model of a ModelStore: applies what others ask of it between steps, and steps. Belongs to one thread.
