@@ -45,8 +45,9 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
     if (pairs <= w.pair_capacity) break;
     if (pairs > kMostPairs)
       throw std::runtime_error("rasterizer: more pairs of Gaussians and tiles than can be sorted");
-    pair_capacity_ = request.pair_capacity = std::min(pairs + pairs / 4, kMostPairs);
+    request.pair_capacity = std::min(pairs + pairs / 4, kMostPairs);
   }
+  pair_capacity_ = request.pair_capacity;
   launch_sort(workspace_.view(), stream());
   launch_blend_forward(gaussians, workspace_.view(), stream());
   stream_.wait();

@@ -16,7 +16,7 @@ namespace splatbus::raster::cuda {
 class ForwardPass {
  public:
   /// Draws; `training` makes room for a backward pass. `gaussians` is read until this returns. Throws
-  /// std::invalid_argument for what the CUDA rasteriser cannot draw.
+  /// std::invalid_argument for what the CUDA rasteriser cannot draw, StepTooLarge for what there is no memory for.
   void draw(const DeviceGaussians& gaussians, const Camera& camera, const SceneState& scene,
             const RenderOptions& options, bool training);
 

@@ -12,13 +12,27 @@ constexpr std::size_t kKeptReports = 256;  // of steps that nobody asks about
 
 }  // namespace
 
-bool TrainStep::Impl::albedo(const ViewGroup& group) const {
-  return options.albedo_weight > 0.0F && gaussians.layout.appearance == Appearance::Transfer && group.any_albedo();
-}
-
 /// Lists that are used once need not be kept for each group.
 bool TrainStep::Impl::keeps_lists() const {
   return options.rebuild_interval > 1;
+}
+
+bool TrainStep::Impl::with_albedo(bool any_target) const {
+  return options.albedo_weight > 0.0F && gaussians.layout.appearance == Appearance::Transfer && any_target;
+}
+
+WorkspaceRequest TrainStep::Impl::request_for(std::span<const TrainView> views) const {
+  const auto has_albedo = [](const TrainView& view) { return view.albedo != nullptr; };
+  return {.count = gaussians.count,
+          .capacity = static_cast<int>(gaussians.stride),
+          .batch = static_cast<int>(views.size()),
+          .width = static_cast<int>(views[0].view.camera.width),
+          .height = static_cast<int>(views[0].view.camera.height),
+          .object_count = 1,
+          .albedo = with_albedo(std::any_of(views.begin(), views.end(), has_albedo)),
+          .training = options.training,
+          .lists = !keeps_lists(),
+          .pair_capacity = ViewGroup::kFirstPairs};
 }
 
 WorkspaceView TrainStep::Impl::workspace_for(ViewGroup& group) {
@@ -28,11 +42,18 @@ WorkspaceView TrainStep::Impl::workspace_for(ViewGroup& group) {
                                  .width = group.width,
                                  .height = group.height,
                                  .object_count = 1,
-                                 .albedo = albedo(group),
+                                 .albedo = with_albedo(group.any_albedo()),
                                  .training = options.training,
                                  .lists = !keeps_lists(),
                                  .pair_capacity = group.pair_capacity};
-  if (workspace.reserve(request)) {
+  bool moved = false;
+  try {
+    moved = workspace.reserve(request);
+  } catch (const StepTooLarge&) {
+    group.forget_size();
+    throw;
+  }
+  if (moved) {
     for (const auto& other : groups) other->invalidate_graphs();
   }
   if (keeps_lists()) group.keep_entries(stream);

@@ -52,6 +52,7 @@ void TrainStep::set_learning_rates(const std::vector<float>& rates) {
 }
 
 std::size_t TrainStep::add_group(std::span<const TrainView> views) {
+  if (!views.empty()) impl_->workspace.require(impl_->request_for(views));
   auto group = std::make_unique<ViewGroup>(views);
   group->set_views(views, impl_->gaussians.layout.appearance, impl_->options.use_depth_limit, impl_->staging,
                    impl_->stream);

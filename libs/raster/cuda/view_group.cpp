@@ -159,6 +159,13 @@ void ViewGroup::note_pairs(std::uint32_t pairs) {
   builds_ = 0;
 }
 
+void ViewGroup::forget_size() {
+  pair_capacity = kFirstPairs;
+  sized = false;
+  lists_built = false;
+  invalidate_graphs();
+}
+
 void ViewGroup::keep_entries(cudaStream_t stream) {
   keeps_entries_ = true;
   const std::size_t entries = std::size_t{pair_capacity} + 3;

@@ -39,13 +39,16 @@ class ViewGroup {
   void note_pairs(std::uint32_t pairs);
   /// Sizes the lists by a build that was waited for.
   void size_by(std::uint32_t pairs);
+  /// What its lists take is not to be had: they are sized anew, for other views perhaps.
+  void forget_size();
   /// Makes room for entries of its own, which reads of four at a time may overrun. Waits when it has to grow.
   void keep_entries(cudaStream_t stream);
 
   [[nodiscard]] std::size_t bytes() const;
 
   const int batch, width, height;
-  std::uint32_t pair_capacity = 1U << 20U;
+  static constexpr std::uint32_t kFirstPairs = 1U << 20U;  ///< before they are counted
+  std::uint32_t pair_capacity = kFirstPairs;
   bool sized = false;    ///< pair_capacity comes from these views' own pairs
   bool renewed = false;  ///< its views change, and with them their pairs
   int steps = 0;         ///< since the lists were built

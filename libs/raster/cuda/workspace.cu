@@ -9,6 +9,23 @@ namespace {
 
 constexpr std::size_t kLanes = 32;
 
+std::string described(const WorkspaceRequest& r) {
+  return std::to_string(r.batch) + " pictures of " + std::to_string(r.width) + " x " + std::to_string(r.height) +
+         " pixels, " + std::to_string(r.count) + " Gaussians and " + std::to_string(r.pair_capacity) +
+         " of their pairs with tiles";
+}
+
+std::string mebibytes(std::size_t bytes) {
+  return std::to_string(bytes >> 20U) + " MiB";
+}
+
+void check_pixels(const WorkspaceRequest& r) {
+  const auto width = static_cast<std::uint32_t>(r.width), height = static_cast<std::uint32_t>(r.height);
+  if (std::size_t{width} * height <= kMostPixels / static_cast<std::size_t>(r.batch)) return;
+  throw StepTooLarge("CUDA rasteriser: " + described(r) + " are more than " + std::to_string(kMostPixels) +
+                     " pixels at once");
+}
+
 }  // namespace
 
 Workspace::~Workspace() {
@@ -20,17 +37,6 @@ void Workspace::release() {
   block_count_ = 0;
   bytes_ = 0;
   memory_ = view_ = {};
-}
-
-template <class T>
-void Workspace::allocate(T*& pointer, std::size_t elements) {
-  if (elements == 0) return;
-  void* block = nullptr;
-  const std::size_t bytes = elements * sizeof(T);
-  check(cudaMalloc(&block, bytes), "allocating the workspace");
-  blocks_[block_count_++] = block;
-  bytes_ += bytes;
-  pointer = static_cast<T*>(block);
 }
 
 Workspace::Sizes::Sizes(const WorkspaceRequest& r) {
@@ -76,60 +82,95 @@ void Workspace::Sizes::grow_to(const Sizes& o) {
   albedo_segments = std::max(albedo_segments, o.albedo_segments);
 }
 
+template <class Take>
+void Workspace::for_each_array(WorkspaceView& m, const Sizes& s, Take take) {
+  take(m.record_shape, 2 * s.records);
+  take(m.record_tail, s.records);
+  take(m.pair_keys[0], 2 * s.pairs);
+  take(m.pair_entries[0], s.pairs);
+  take(m.pair_entries[1], s.list_pairs > 0 ? s.list_pairs + 3 : 0);  // read four at a time
+  take(m.listed, s.count);
+  take(m.pair_count, 1);
+  take(m.tile_range, s.tiles);
+  take(m.patch_depth_limit, s.tiles * kPatches);
+  char* scratch = nullptr;
+  m.sort_scratch_bytes = sort_scratch_bytes(static_cast<std::uint32_t>(s.pairs));
+  take(scratch, m.sort_scratch_bytes);
+  m.sort_scratch = scratch;
+  take(m.color, 3 * s.pixels);
+  take(m.transmittance, s.pixels);
+  take(m.albedo, 3 * s.albedo_pixels);
+  take(m.record_gradient, s.training_records * kGradientFloats);
+  take(m.record_touched, s.training_records);
+  take(m.color_gradient, 3 * s.training_pixels);
+  take(m.albedo_gradient, 3 * s.training_albedo_pixels);
+  take(m.ssim_partials, 9 * s.training_pixels);
+  take(m.segments, s.segments);
+  take(m.segment_albedo, kLanes * s.albedo_segments);
+  take(m.segment_count, 1);
+  take(m.loss, kMaxBatch);
+  take(m.views, kMaxBatch);
+  take(m.object_views, kMaxBatch * s.objects);
+  take(m.object_slot, s.count);
+}
+
 void Workspace::allocate_all() {
   WorkspaceView& m = memory_;
   const Sizes& s = sizes_;
-  allocate(m.record_shape, 2 * s.records);
-  allocate(m.record_tail, s.records);
-  allocate(m.pair_keys[0], 2 * s.pairs);
+  for_each_array(m, s, [&]<class T>(T*& pointer, std::size_t elements) {
+    if (elements == 0) return;
+    void* block = nullptr;
+    check(cudaMalloc(&block, elements * sizeof(T)), "allocating the workspace");
+    blocks_[block_count_++] = block;
+    bytes_ += elements * sizeof(T);
+    pointer = static_cast<T*>(block);
+  });
   m.pair_keys[1] = m.pair_keys[0] + s.pairs;
-  allocate(m.pair_entries[0], s.pairs);
-  allocate(m.pair_entries[1], s.list_pairs > 0 ? s.list_pairs + 3 : 0);  // read four at a time
-  allocate(m.listed, s.count);
-  allocate(m.pair_count, 1);
-  allocate(m.tile_range, s.tiles);
-  allocate(m.patch_depth_limit, s.tiles * kPatches);
-  m.sort_scratch_bytes = sort_scratch_bytes(static_cast<std::uint32_t>(s.pairs));
-  char* scratch = nullptr;
-  allocate(scratch, m.sort_scratch_bytes);
-  m.sort_scratch = scratch;
-  allocate(m.color, 3 * s.pixels);
-  allocate(m.transmittance, s.pixels);
-  allocate(m.albedo, 3 * s.albedo_pixels);
-  allocate(m.record_gradient, s.training_records * kGradientFloats);
-  allocate(m.record_touched, s.training_records);
-  if (s.training_records > 0) {
-    check(cudaMemset(m.record_gradient, 0, s.training_records * kGradientFloats * sizeof(float)),
-          "clearing the workspace");
-    check(cudaMemset(m.record_touched, 0, s.training_records), "clearing the workspace");
-    // The stages run on streams that do not wait for this one.
-    check(cudaDeviceSynchronize(), "clearing the workspace");
-  }
-  allocate(m.color_gradient, 3 * s.training_pixels);
-  allocate(m.albedo_gradient, 3 * s.training_albedo_pixels);
-  allocate(m.ssim_partials, 9 * s.training_pixels);
-  allocate(m.segments, s.segments);
   static_assert(kPatches * sizeof(float4) <= 2 * sizeof(std::uint64_t) * kSegmentGroups);
   m.segment_color = reinterpret_cast<float4*>(m.pair_keys[0]);
-  allocate(m.segment_albedo, kLanes * s.albedo_segments);
-  allocate(m.segment_count, 1);
   m.segment_capacity = static_cast<std::uint32_t>(s.segments);
-  allocate(m.loss, kMaxBatch);
-  allocate(m.views, kMaxBatch);
-  allocate(m.object_views, kMaxBatch * s.objects);
-  allocate(m.object_slot, s.count);
+  if (s.training_records == 0) return;
+  check(cudaMemset(m.record_gradient, 0, s.training_records * kGradientFloats * sizeof(float)),
+        "clearing the workspace");
+  check(cudaMemset(m.record_touched, 0, s.training_records), "clearing the workspace");
+  // The stages run on streams that do not wait for this one.
+  check(cudaDeviceSynchronize(), "clearing the workspace");
+}
+
+Workspace::Sizes Workspace::sizes_for(const WorkspaceRequest& r) const {
+  Sizes grown = sizes_;
+  grown.grow_to(Sizes(r));
+  return grown;
+}
+
+void Workspace::require(const WorkspaceRequest& r) const {
+  check_pixels(r);
+  if (!sizes_.hold(Sizes(r))) require(sizes_for(r), r);
+}
+
+void Workspace::require(const Sizes& grown, const WorkspaceRequest& r) const {
+  std::size_t wanted = 0, free = 0, total = 0;
+  WorkspaceView unused;
+  for_each_array(unused, grown, [&]<class T>(T*&, std::size_t elements) { wanted += elements * sizeof(T); });
+  check(cudaMemGetInfo(&free, &total), "asking for free memory");
+  // What is held is given back before.
+  const std::size_t there = bytes_ + free;
+  if (wanted + kMemoryLeftFree > there) {
+    throw StepTooLarge("CUDA rasteriser: " + described(r) + " take " + mebibytes(wanted) + " of device memory, of " +
+                       mebibytes(there) + " there are, where " + mebibytes(kMemoryLeftFree) + " are left free");
+  }
 }
 
 bool Workspace::reserve(const WorkspaceRequest& r) {
   if (static_cast<std::uint32_t>(r.count) > kGaussianMask) {
     throw std::invalid_argument("CUDA rasteriser: more than 2^24 Gaussians");
   }
-  const Sizes needed(r);
-  const bool fits = block_count_ > 0 && sizes_.hold(needed);
+  check_pixels(r);
+  const bool fits = block_count_ > 0 && sizes_.hold(Sizes(r));
   if (!fits) {
+    const Sizes grown = sizes_for(r);
+    require(grown, r);
     release();
-    Sizes grown = sizes_;
-    grown.grow_to(needed);
     sizes_ = grown;
     try {
       allocate_all();

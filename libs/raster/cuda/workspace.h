@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <stdexcept>
 
 #include "device/check.h"
 #include "raster/cuda/device_scene.h"
@@ -82,8 +83,20 @@ struct WorkspaceRequest {
   std::uint32_t pair_capacity = 0;
 };
 
+/// Pixels of all pictures that are drawn at once.
+constexpr std::size_t kMostPixels = std::size_t{1} << 30;
+/// Of the device's memory, what a workspace leaves to others when it grows.
+constexpr std::size_t kMemoryLeftFree = std::size_t{256} << 20;
+
+/// Pictures or lists want more memory than there is to have. It is thrown before anything is allocated, so that what is
+/// held stays as it is, and work that fits goes on.
+class StepTooLarge : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
 /// Owner of a WorkspaceView's memory. It never shrinks, so that pictures of several sizes can take turns. Throws
-/// std::runtime_error naming the CUDA error.
+/// StepTooLarge, or std::runtime_error naming the CUDA error.
 class Workspace {
  public:
   Workspace() = default;
@@ -91,6 +104,8 @@ class Workspace {
   Workspace(const Workspace&) = delete;
   Workspace& operator=(const Workspace&) = delete;
 
+  /// Throws StepTooLarge when reserve() would: more than kMostPixels, or memory that would not leave kMemoryLeftFree.
+  void require(const WorkspaceRequest& request) const;
   /// Grows to hold what is asked for; contents are lost when anything grows. True when pointers changed.
   bool reserve(const WorkspaceRequest& request);
   [[nodiscard]] const WorkspaceView& view() const { return view_; }
@@ -109,10 +124,14 @@ class Workspace {
     void grow_to(const Sizes& other);
   };
 
+  /// Calls `take(pointer, elements)` for every array.
+  template <class Take>
+  static void for_each_array(WorkspaceView& memory, const Sizes& sizes, Take take);
+  /// Sizes to grow to; as they are when the request fits.
+  [[nodiscard]] Sizes sizes_for(const WorkspaceRequest& request) const;
+  void require(const Sizes& grown, const WorkspaceRequest& request) const;
   void release();
   void allocate_all();
-  template <class T>
-  void allocate(T*& pointer, std::size_t elements);
   WorkspaceView memory_, view_;
   Sizes sizes_;
   std::size_t bytes_ = 0;
