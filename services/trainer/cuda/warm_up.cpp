@@ -1,7 +1,9 @@
 #include "trainer/cuda/warm_up.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <mutex>
 #include <vector>
 
 #include "gaussians/model.h"
@@ -34,9 +36,7 @@ GaussiansBuffer square(const ParameterLayout& layout) {
   return model;
 }
 
-}  // namespace
-
-void warm_up(const ParameterLayout& layout) {
+void run_kernels(const ParameterLayout& layout) {
   const GaussiansBuffer host = square(layout);
   raster::cuda::DeviceModel model, average;
   const SceneState scene;
@@ -77,6 +77,17 @@ void warm_up(const ParameterLayout& layout) {
     observer.collect(true, cells);
     device::check(cudaStreamSynchronize(stream), "warming up");
   }
+}
+
+}  // namespace
+
+void warm_up(const ParameterLayout& layout) {
+  static std::mutex mutex;
+  static std::vector<ParameterLayout> warm;
+  const std::scoped_lock lock(mutex);
+  if (std::find(warm.begin(), warm.end(), layout) != warm.end()) return;
+  run_kernels(layout);
+  warm.push_back(layout);
 }
 
 }  // namespace splatbus::trainer
