@@ -9,10 +9,10 @@
 #include <set>
 #include <string>
 
+#include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
-#include "capture-bridge/block_pool.h"
 #include "capture-bridge/forwarder.h"
 #include "capture-bridge/input_worker.h"
 #include "capture-bridge/probe_table.h"
@@ -71,7 +71,7 @@ class CaptureBridge {
   ProbeTable probes_;
   TrainerWatch trainer_watch_;
   BridgeCounters counters_;
-  BlockPool input_pictures_;
+  bus::MemoryPool input_pictures_;
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;
 
   std::string viewer_;  // whose pose the rigs follow

@@ -6,7 +6,7 @@
 namespace splatbus::capture_bridge {
 
 std::optional<InputView> decode_input_frame(const bus::Message& message, const wire::EngineFrame& frame,
-                                            BlockPool& pool, std::atomic<std::uint64_t>& host_bytes) {
+                                            bus::MemoryPool& pool, std::atomic<std::uint64_t>& host_bytes) {
   InputView view;
   view.camera = from_wire(*frame.camera());
   view.frame = frame.frame();

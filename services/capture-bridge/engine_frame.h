@@ -4,8 +4,8 @@
 #include <cstdint>
 #include <optional>
 
+#include "bus/memory_pool.h"
 #include "bus/subscriber.h"
-#include "capture-bridge/block_pool.h"
 #include "capture-bridge/input_view.h"
 #include "wire/engine_generated.h"
 
@@ -15,6 +15,7 @@ namespace splatbus::capture_bridge {
 /// returns. Adds to `host_bytes` what did not stay on the device. Nullopt when a buffer is gone or overwritten already
 /// (a lost frame). Throws bus::Error or std::runtime_error, naming what is wrong, when the message lies.
 [[nodiscard]] std::optional<InputView> decode_input_frame(const bus::Message& message, const wire::EngineFrame& frame,
-                                                          BlockPool& pool, std::atomic<std::uint64_t>& host_bytes);
+                                                          bus::MemoryPool& pool,
+                                                          std::atomic<std::uint64_t>& host_bytes);
 
 }  // namespace splatbus::capture_bridge

@@ -5,10 +5,10 @@
 #include <memory>
 #include <optional>
 
+#include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
-#include "capture-bridge/block_pool.h"
 #include "capture-bridge/probe_table.h"
 #include "gaussians/light.h"
 #include "wire/engine_generated.h"
@@ -37,7 +37,7 @@ class Forwarder {
  private:
   std::shared_ptr<bus::Context> context_;
   bus::Publisher reference_, probe_, light_depth_, objects_, light_;
-  BlockPool light_depth_copies_;
+  bus::MemoryPool light_depth_copies_;
   bus::TensorRing light_depth_ring_;
   std::uint64_t engine_epoch_ = 0;
   std::optional<std::uint64_t> newest_frame_;

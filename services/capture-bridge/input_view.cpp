@@ -2,7 +2,7 @@
 
 namespace splatbus::capture_bridge {
 
-void InputView::allocate(BlockPool& pool) {
+void InputView::allocate(bus::MemoryPool& pool) {
   const std::size_t count = pixels();
   memory = pool.kind();
   block_ = pool.take(input_view_bytes(count));

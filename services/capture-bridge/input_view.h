@@ -7,8 +7,7 @@
 #include <span>
 #include <vector>
 
-#include "bus/slab.h"
-#include "capture-bridge/block_pool.h"
+#include "bus/memory_pool.h"
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
 
@@ -40,7 +39,7 @@ struct InputView {
   }
 
   /// Makes room for the pictures of `camera` in one block of the pool, whatever they held.
-  void allocate(BlockPool& pool);
+  void allocate(bus::MemoryPool& pool);
 
  private:
   std::shared_ptr<std::byte> block_;

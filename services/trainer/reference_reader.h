@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "bus/memory_pool.h"
 #include "bus/subscriber.h"
-#include "trainer/buffer_pool.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
@@ -37,7 +37,7 @@ class ReferenceReader {
 
   bus::MemoryKind memory_;
   std::atomic<std::uint64_t>& host_bytes_;
-  BufferPool pool_;
+  bus::MemoryPool pool_;
 };
 
 /// The camera of the message alone, without its pictures.

@@ -10,10 +10,10 @@
 #include <thread>
 #include <vector>
 
+#include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
-#include "trainer/buffer_pool.h"
 #include "trainer/commands.h"
 #include "trainer/insert_reader.h"
 #include "trainer/optimizer.h"
@@ -80,7 +80,7 @@ class Trainer {
   std::atomic<std::uint64_t> host_copied_bytes_{0};  ///< bulk data that passed through host memory
   ReferenceReader references_;
   std::unique_ptr<InsertReader> inserts_;
-  BufferPool visibilities_;
+  bus::MemoryPool visibilities_;
   std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
   std::unique_ptr<ModelStore> store_;

@@ -1,9 +1,9 @@
 #pragma once
 
+#include "bus/memory_pool.h"
 #include "device/buffer.h"
 #include "device/pinned.h"
 #include "device/stream.h"
-#include "trainer/buffer_pool.h"
 #include "trainer/insert_reader.h"
 
 namespace splatbus::trainer::cuda {
@@ -21,7 +21,7 @@ class DeviceInsertReader final : public InsertReader {
 
   std::atomic<std::uint64_t>& host_bytes_;
   device::Stream stream_;
-  BufferPool pool_{bus::MemoryKind::Cuda};
+  bus::MemoryPool pool_{bus::MemoryKind::Cuda};
   device::Buffer<std::byte> announced_, scratch_;
   device::Buffer<std::uint8_t> valid_;
   device::Buffer<std::uint32_t> keep_, kept_;

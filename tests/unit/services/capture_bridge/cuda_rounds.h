@@ -40,7 +40,7 @@ inline std::vector<const InputView*> pointers_to(const std::vector<InputView>& v
 inline std::vector<InputView> on_device(const std::vector<InputView>& views) {
   std::vector<InputView> copies;
   for (const InputView& view : views) {
-    BlockPool own(bus::MemoryKind::Cuda);
+    bus::MemoryPool own(bus::MemoryKind::Cuda);
     InputView& copy = copies.emplace_back(view);
     copy.allocate(own);
     const auto upload = [](auto to, auto from) {

@@ -1,12 +1,9 @@
-// The searches for neighbours against looking at every point, and the pool of blocks.
+// The searches for neighbours against looking at every point.
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cstring>
 #include <random>
-#include <set>
 
-#include "capture-bridge/block_pool.h"
 #include "capture-bridge/leaf_search.h"
 
 namespace splatbus::capture_bridge {
@@ -57,39 +54,6 @@ TEST_P(NeighboursTest, AreTheNearestByDistanceAndThenByIndex) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Counts, NeighboursTest, testing::Values(1, 2, 8, 9, 15, 16, 17, 33, 100, 1000));
-
-TEST(BlockPool, GivesOutWhatHasComeBack) {
-  BlockPool pool(bus::MemoryKind::Host);
-  pool.reserve(2, 1000);
-  std::set<std::byte*> first;
-  {
-    const auto a = pool.take(1000);
-    const auto b = pool.take(1000);
-    std::memset(a.get(), 1, 1000);
-    EXPECT_NE(a, b);
-    first = {a.get(), b.get()};
-  }
-  EXPECT_TRUE(first.contains(pool.take(1000).get()));
-}
-
-TEST(BlockPool, OfAnotherSizeLetsGoOfTheOldBlocks) {
-  BlockPool pool(bus::MemoryKind::Host);
-  const auto small = pool.take(100);
-  auto large = pool.take(100000);
-  std::memset(large.get(), 1, 100000);
-  std::byte* const address = large.get();
-  large.reset();
-  EXPECT_EQ(pool.take(100000).get(), address);
-}
-
-TEST(BlockPool, BlocksOutliveIt) {
-  std::shared_ptr<std::byte> block;
-  {
-    BlockPool pool(bus::MemoryKind::Host);
-    block = pool.take(64);
-  }
-  std::memset(block.get(), 1, 64);
-}
 
 }  // namespace
 }  // namespace splatbus::capture_bridge
