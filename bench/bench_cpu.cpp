@@ -3,12 +3,15 @@
 #include <chrono>
 #include <map>
 
-#include "bench_scene.h"
+#include "bench/bench_scene.h"
+#include "bench/roofline.h"
 #include "raster/adam.h"
 #include "raster/loss.h"
 
 namespace splatbus::bench {
 namespace {
+
+constexpr std::uint32_t kTileSide = 8;  // of the CPU rasteriser, pixels
 
 using Clock = std::chrono::steady_clock;
 
@@ -64,7 +67,7 @@ nlohmann::json run_cpu(const Arguments& arguments) {
   raster::Adam adam;
   adam.resize(model.layout(), model.count(), model.stride());
   const std::vector<float> rates = learning_rates(model.layout());
-  const raster::LossOptions loss_options{0.2F, transfer};
+  const raster::LossOptions loss_options{.encode_srgb = transfer, .threads = arguments.threads};
 
   const bool fused = arguments.batch == 1 && !arguments.separate_adam;
 
@@ -72,11 +75,12 @@ nlohmann::json run_cpu(const Arguments& arguments) {
   std::vector<double> milliseconds;
   double loss = 0;
   std::size_t view = 0;
-  const int iterations = arguments.iterations > 0 ? arguments.iterations : 60;
-  for (int step = arguments.warmup >= 0 ? -arguments.warmup : -10; step < iterations; ++step) {
+  for (int step = -arguments.warmup; step < arguments.iterations; ++step) {
     const auto begin = Clock::now();
     if (arguments.mode == "train") {
-      stages.time("clear", [&] { fused ? gradient.clear_statistics(model.view()) : gradient.clear(model.view()); });
+      stages.time("clear", [&] {
+        fused ? gradient.clear_statistics(model.view()) : gradient.clear(model.view(), arguments.threads);
+      });
     }
     for (int b = 0; b < arguments.batch; ++b, view = (view + 1) % cameras.size()) {
       if (arguments.mode == "train") {
@@ -108,6 +112,13 @@ nlohmann::json run_cpu(const Arguments& arguments) {
   nlohmann::json out = report(arguments, workload, milliseconds);
   out["peak_mib"] = static_cast<double>(usage.ru_maxrss) / 1024;
   out["stages"] = stages.medians();
+  const Job job{.layout = model.layout(),
+                .active_channels = arguments.active_channels,
+                .fused = fused,
+                .census = mean_census(model.view(), cameras, static_cast<std::size_t>(arguments.batch), kTileSide)};
+  // As much as a step goes through: parameters and both moments.
+  const std::size_t bytes = 3 * sizeof(float) * model.parameters.size();
+  add_roofline(cpu_floors(job), measure_cpu_peaks(arguments.threads, bytes), job.census, out);
   out["mean_image"] = mean_image;
   out["loss"] = loss;
   return out;

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <numeric>
 
-#include "bench_scene.h"
+#include "bench/bench_scene.h"
+#include "bench/roofline.h"
 #include "raster/cuda/cuda_rasterizer.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/train_step.h"
@@ -47,6 +48,26 @@ double free_mib() {
   return static_cast<double>(free_bytes) / (1024.0 * 1024.0);
 }
 
+/// What there is to do for the views of one group, with the model as it has become.
+Census census_of(const raster::cuda::DeviceModel& model, const Workload& workload, std::size_t batch) {
+  std::vector<float> parameters(static_cast<std::size_t>(workload.model.layout().channels()) * workload.model.count());
+  model.download_parameters(parameters.data(), nullptr);
+  check(cudaDeviceSynchronize(), "copying the model");
+  GaussiansView trained = workload.model.view();
+  trained.parameters = parameters.data();
+  trained.stride = trained.count;
+  std::vector<Camera> views;
+  for (std::size_t k = 0; k < batch; ++k) views.push_back(workload.cameras[k % workload.cameras.size()]);
+  return take_census(trained, views, raster::cuda::kTileSize);
+}
+
+std::uint32_t pairs_in_lists(const raster::cuda::TrainStep& trainer) {
+  std::uint32_t pairs = 0;
+  check(cudaStreamSynchronize(trainer.stream()), "timing the stages");
+  check(cudaMemcpy(&pairs, trainer.workspace().pair_count, sizeof(pairs), cudaMemcpyDeviceToHost), "counting pairs");
+  return pairs;
+}
+
 }  // namespace
 
 /// Steps take the cameras in turn, a batch a step. A sample is one step where lists are built in every step; otherwise
@@ -54,6 +75,8 @@ double free_mib() {
 nlohmann::json run_cuda(const Arguments& arguments) {
   Workload workload(arguments);
   const ParameterLayout layout = workload.model.layout();
+  check(cudaFree(nullptr), "opening the device");
+  const double free_before = free_mib();  // kernels that are loaded on their way count, too
   double mean_image = 0;
   std::vector<std::vector<std::uint8_t>> targets;
   {
@@ -68,7 +91,6 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   const bool train = arguments.mode == "train";
   if (train) workload.disturb();
 
-  const double free_before = free_mib();
   raster::cuda::TrainStepOptions options;
   options.training = train;
   options.active_channels = arguments.active_channels;
@@ -104,12 +126,11 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   };
   const std::size_t steps = arguments.rebuild_interval == 1 ? 1 : groups * std::size_t(arguments.rebuild_interval);
   // Every group has sized its lists and captured its graphs before the first sample.
-  const std::size_t warmup =
-      std::max<std::size_t>(arguments.warmup >= 0 ? std::size_t(arguments.warmup) : 20, 2 * groups);
+  const std::size_t warmup = std::max(static_cast<std::size_t>(arguments.warmup), 2 * groups);
   for (std::size_t k = 0; k < (warmup + steps - 1) / steps * steps; ++k) step();
   Stopwatch stopwatch(trainer.stream());
   std::vector<double> milliseconds;
-  for (int k = 0; k < (arguments.iterations > 0 ? arguments.iterations : 100); ++k) {
+  for (int k = 0; k < arguments.iterations; ++k) {
     stopwatch.start();
     for (std::size_t n = 0; n < steps; ++n) step();
     milliseconds.push_back(stopwatch.stop_ms() / static_cast<double>(steps));
@@ -124,7 +145,13 @@ nlohmann::json run_cuda(const Arguments& arguments) {
     const std::vector<float> losses = trainer.losses();
     out["loss"] = std::accumulate(losses.begin(), losses.end(), 0.0F);
   }
-  for (const auto& [name, stage_ms] : trainer.time_stages(0, 20)) out["stages"][name] = stage_ms;
+  for (const auto& [name, stage_ms] : trainer.time_stages(0, arguments.iterations)) out["stages"][name] = stage_ms;
+  out["pairs_in_lists"] = pairs_in_lists(trainer);
+  const Job job{.layout = layout,
+                .active_channels = arguments.active_channels,
+                .albedo = arguments.albedo_weight > 0,
+                .census = census_of(model, workload, batch)};
+  add_roofline(cuda_floors(job), measure_cuda_peaks(), job.census, out);
   return out;
 }
 

@@ -12,7 +12,7 @@ namespace splatbus::bench {
 struct Arguments {
   std::string scene, cameras, json, backend = "cpu", mode = "train", appearance = "radiance";
   int sh = 3, batch = 1, threads = 0, active_channels = 0;
-  int iterations = 0, warmup = -1;  ///< 0 and -1: what the backend takes by default
+  int iterations = 100, warmup = 20;
   bool separate_adam = false;
   float albedo_weight = 0;   ///< CUDA, transfer: above 0 the pictures are albedo pictures, too
   int rebuild_interval = 1;  ///< CUDA: steps of a group of views that share one set of tile lists
