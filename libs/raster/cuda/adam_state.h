@@ -2,13 +2,14 @@
 
 #include <cstdint>
 
-#include "device/buffer.h"
+#include "raster/cuda/column_planes.h"
 #include "raster/cuda/kernels.h"
 
 namespace splatbus::raster::cuda {
 
-/// Owner of Adam's moments of a model on the device, planes [channels][stride] beside the model's. All work is enqueued
-/// on the stream that is given. Throws std::runtime_error naming the CUDA error.
+/// Owner of what a training step keeps for each Gaussian of a model on the device: Adam's moments, planes
+/// [channels][stride] beside the model's, and statistics where they are gathered. All work is enqueued on the stream
+/// that is given. Throws std::runtime_error naming the CUDA error.
 class AdamState {
  public:
   /// Everything begins anew.
@@ -17,20 +18,29 @@ class AdamState {
   void resize(int count, std::int64_t stride, cudaStream_t stream);
   /// Column from[k] replaces column to[k]; device arrays without an index in common.
   void move(const std::uint32_t* from, const std::uint32_t* to, int count, cudaStream_t stream);
+  /// Begins to gather statistics, or gives their memory back.
+  void gather_statistics(bool gather, cudaStream_t stream);
+  void clear_statistics(cudaStream_t stream);
 
   [[nodiscard]] OptimizerState view() const {
     return {.first = first_.data(), .second = second_.data(), .steps = steps_.data()};
   }
-  [[nodiscard]] std::size_t bytes() const { return (first_.size() + second_.size() + steps_.size()) * sizeof(float); }
+  /// Null where they are not gathered.
+  [[nodiscard]] ScreenStatistics statistics() const {
+    return {.mean2d_norm = mean2d_norm_.data(), .steps = mean2d_steps_.data()};
+  }
+  [[nodiscard]] std::size_t bytes() const {
+    return first_.bytes() + second_.bytes() + steps_.bytes() + mean2d_norm_.bytes() + mean2d_steps_.bytes();
+  }
 
  private:
-  void clear_columns(int begin, int end, cudaStream_t stream);
-
-  ParameterLayout layout_;
   int count_ = 0;
   std::int64_t stride_ = 0;
-  device::Buffer<float> first_, second_;
-  device::Buffer<std::uint32_t> steps_;
+  bool gathers_ = false;
+  ColumnPlanes<float> first_, second_;
+  ColumnPlanes<std::uint32_t> steps_;
+  ColumnPlanes<float> mean2d_norm_;
+  ColumnPlanes<std::uint32_t> mean2d_steps_;
 };
 
 }  // namespace splatbus::raster::cuda

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <type_traits>
+
 #include "raster/cuda/footprint.cuh"
 #include "raster/cuda/kernels.h"
 
@@ -46,25 +48,35 @@ inline int blend_blocks(const WorkspaceView& w) {
   return w.tiles_x * w.tiles_y * w.batch * (kPatches / kBlendWarps);
 }
 
-/// The next Gaussians of a patch, in shared memory of its warp; with kPositions also where their entries are.
-template <bool kAlbedo, bool kPositions = false>
+/// Calls `run` with whether there is an albedo plane, and whether there is something else, as compile-time constants.
+template <class Run>
+void with_planes(bool albedo, bool depth, Run run) {
+  if (albedo && depth) return run(std::true_type{}, std::true_type{});
+  if (albedo) return run(std::true_type{}, std::false_type{});
+  if (depth) return run(std::false_type{}, std::true_type{});
+  run(std::false_type{}, std::false_type{});
+}
+
+/// The next Gaussians of a patch, in shared memory of its warp; with kExtra their albedo and depth, with kPositions
+/// also where their entries are.
+template <bool kExtra, bool kPositions = false>
 struct Staged {
-  float4 shape[kLanes];  // x, y, log2_alpha, uxx
-  float4 rest[kLanes];   // uxy, uyy, red, green
-  float2 tail[kLanes];   // blue; the Gaussian's number, as bits
-  float4 albedo[kAlbedo ? kLanes : 1];
-  std::uint32_t queue[256];  // a ring of Gaussians that reach the patch
+  float4 shape[kLanes];               // x, y, log2_alpha, uxx
+  float4 rest[kLanes];                // uxy, uyy, red, green
+  float2 tail[kLanes];                // blue; the Gaussian's number, as bits
+  float4 extra[kExtra ? kLanes : 1];  // albedo, depth
+  std::uint32_t queue[256];           // a ring of Gaussians that reach the patch
   std::uint32_t positions[kPositions ? 256 : 1];
 };
 
 /// Streams the Gaussians that reach a warp's patch out of its tile's list. Entries are looked at 128 at a time, records
 /// fetched 32 at a time; both are on their way while what came before is blended.
-template <bool kAlbedo, bool kPositions = false>
+template <bool kAlbedo, bool kDepth = false, bool kPositions = false>
 class PatchStream {
  public:
   /// From entry `begin` on, where that lies behind the first one of the tile.
   __device__ PatchStream(const DeviceGaussians& gaussians, const WorkspaceView& w, const Pixel& pixel,
-                         Staged<kAlbedo, kPositions>& staged, std::uint32_t begin = 0)
+                         Staged<kAlbedo || kDepth, kPositions>& staged, std::uint32_t begin = 0)
       : entries_(reinterpret_cast<const uint4*>(w.pair_entries[1])),
         shapes_(w.record_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
         tails_(w.record_tail + static_cast<std::size_t>(pixel.view) * w.count),
@@ -91,7 +103,9 @@ class PatchStream {
       staged_.shape[lane_] = shape_;
       staged_.rest[lane_] = rest_;
       staged_.tail[lane_] = make_float2(blue_, __uint_as_float(gaussian_));
-      if constexpr (kAlbedo) staged_.albedo[lane_] = make_float4(a_[0], a_[1], a_[2], 0.0F);
+      if constexpr (kAlbedo && kDepth) staged_.extra[lane_] = make_float4(a_[0], a_[1], a_[2], z_[0]);
+      if constexpr (kAlbedo && !kDepth) staged_.extra[lane_] = make_float4(a_[0], a_[1], a_[2], 0.0F);
+      if constexpr (!kAlbedo && kDepth) staged_.extra[lane_].w = z_[0];
     }
     fetch();
     __syncwarp();
@@ -144,9 +158,17 @@ class PatchStream {
       gaussian_ = staged_.queue[(head_ + lane_) % 256];
       shape_ = shapes_[2 * static_cast<std::size_t>(gaussian_)];
       rest_ = shapes_[2 * static_cast<std::size_t>(gaussian_) + 1];
-      blue_ = tails_[gaussian_].x;
+      if constexpr (kDepth) {
+        const float2 tail = tails_[gaussian_];
+        blue_ = tail.x;
+        z_[0] = tail.y;
+      } else {
+        blue_ = tails_[gaussian_].x;
+      }
       if constexpr (kAlbedo) {
-        for (int c = 0; c < 3; ++c) a_[c] = albedo_[c * stride_ + gaussian_];
+        // Of those that are not to be seen it may not be finite.
+        const bool seen = shape_.z > -INFINITY;
+        for (int c = 0; c < 3; ++c) a_[c] = seen ? albedo_[c * stride_ + gaussian_] : 0.0F;
       }
     }
     head_ += fetched_;
@@ -158,12 +180,12 @@ class PatchStream {
   const float2* __restrict__ tails_;
   const float* __restrict__ albedo_;
   std::int64_t stride_;
-  Staged<kAlbedo, kPositions>& staged_;
+  Staged<kAlbedo || kDepth, kPositions>& staged_;
   std::uint32_t bit_, at_, first_, end_, gaussian_, head_ = 0, position_ = 0, fetched_position_ = 0;
   int lane_, queued_ = 0, fetched_ = 0;
   uint4 next_;
   float4 shape_, rest_;
-  float blue_, a_[kAlbedo ? 3 : 1];
+  float blue_, a_[kAlbedo ? 3 : 1], z_[1];
 };
 
 __device__ inline float exp2_approximate(float x) {

@@ -7,7 +7,8 @@
 namespace splatbus::raster::cuda {
 namespace {
 
-constexpr int kColumns = 8;  // Gaussians summed by one round of matrix products
+constexpr int kDepthPlane = 6;  // behind colour and albedo
+constexpr int kColumns = 8;     // Gaussians summed by one round of matrix products
 
 /// A warp's Gaussians whose gradients wait to be summed over the patch's pixels: for each pixel s = dL/d(ln alpha) and
 /// the blending weight. The sums are matrix products on the tensor cores, (what multiplies s and the weight) [16][32
@@ -61,7 +62,7 @@ __device__ inline float reciprocal(float x) {
 /// the next, k = 0 to 3; [k / 2][lane] holds those of k and of k + 1.
 struct Factors {
   uint4 moments[kPatchHeight / 2][kLanes];   // row of 1, x, y, x^2, x y, y^2, pixels from the patch's centre
-  uint4 gradient[kPatchHeight / 2][kLanes];  // row of dL/d(red, green, blue, albedo)
+  uint4 gradient[kPatchHeight / 2][kLanes];  // row of dL/d(red, green, blue, albedo, depth)
 
   template <int kPlanes>
   __device__ void set(const float (&g)[kPlanes]) {
@@ -99,6 +100,7 @@ struct Owner {
 };
 
 /// Sums the first `count` columns and adds them to their Gaussians' records.
+template <bool kDepth>
 __device__ void flush(Columns& columns, int count, const Owner& c, const Factors& factors, const WorkspaceView& w,
                       int view) {
   const int lane = threadIdx.x & (kLanes - 1), column = lane >> 2, quad = lane & 3;
@@ -140,15 +142,18 @@ __device__ void flush(Columns& columns, int count, const Owner& c, const Factors
       atomicAdd(reinterpret_cast<float4*>(w.record_gradient + record * kGradientFloats) + quad, out);
     } else {
       w.record_touched[record] = 1;
+      if constexpr (kDepth) {
+        if (w.record_depth_gradient != nullptr) atomicAdd(w.record_depth_gradient + record, m[14]);
+      }
     }
   }
   __syncwarp();
 }
 
 /// What the segments of a warp share.
-template <bool kAlbedo>
+template <bool kExtra>
 struct Scratch {
-  Staged<kAlbedo> staged;
+  Staged<kExtra> staged;
   Columns columns;
   Factors factors;
 };
@@ -157,11 +162,11 @@ struct Scratch {
 struct Start {
   std::uint32_t patch = 0, position = 0;
   float4 color = {1.0F, 0.0F, 0.0F, 0.0F};  // transmittance, red, green, blue
-  float4 albedo = {0.0F, 0.0F, 0.0F, 0.0F};
+  float4 extra = {0.0F, 0.0F, 0.0F, 0.0F};  // albedo, depth
 };
 
 /// The first segments of all patches come first.
-template <bool kAlbedo>
+template <bool kAlbedo, bool kDepth>
 __device__ Start start_of(const WorkspaceView& w, std::uint32_t item, std::uint32_t patches) {
   Start start;
   start.patch = item;
@@ -172,22 +177,26 @@ __device__ Start start_of(const WorkspaceView& w, std::uint32_t item, std::uint3
   start.patch = place.x;
   start.position = place.y;
   start.color = w.segment_color[state];
-  if constexpr (kAlbedo) start.albedo = w.segment_albedo[state];
+  if constexpr (kAlbedo) {
+    start.extra = w.segment_extra[state];
+  } else if constexpr (kDepth) {
+    if (w.depth_gradient != nullptr) start.extra = w.segment_extra[state];
+  }
   return start;
 }
 
 /// One segment, front to back, as the forward pass and with its tests, so that both visit the same Gaussians. With G
 /// the part of dL/dC . C that is blended so far and `total` all of it, dL/d(ln alpha) = weight (c . g) - alpha (total -
 /// G) / (1 - alpha).
-template <bool kAlbedo>
+template <bool kAlbedo, bool kDepth>
 __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceView& w, const Start& start,
-                              Scratch<kAlbedo>& scratch) {
+                              Scratch<kAlbedo || kDepth>& scratch) {
   const Pixel pixel = locate_patch(w, start.patch);
   const int lane = threadIdx.x & (kLanes - 1);
-  Staged<kAlbedo>& staged = scratch.staged;
+  Staged<kAlbedo || kDepth>& staged = scratch.staged;
   Columns& columns = scratch.columns;
-  PatchStream<kAlbedo> stream(gaussians, w, pixel, staged, start.position);
-  constexpr int kPlanes = kAlbedo ? 6 : 3;
+  PatchStream<kAlbedo, kDepth> stream(gaussians, w, pixel, staged, start.position);
+  constexpr int kPlanes = kDepth ? kDepthPlane + 1 : (kAlbedo ? 6 : 3);
   float g[kPlanes] = {}, rest_of_total = 0.0F;
   if (pixel.inside) {
     const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
@@ -198,10 +207,19 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
       rest_of_total += g[c] * (w.color[at + c * pixels] - blended[c]);
     }
     if constexpr (kAlbedo) {
-      const float albedo_blended[3] = {start.albedo.x, start.albedo.y, start.albedo.z};
+      const float albedo_blended[3] = {start.extra.x, start.extra.y, start.extra.z};
       for (int c = 0; c < 3; ++c) {
         g[3 + c] = w.albedo_gradient[at + c * pixels];
         rest_of_total += g[3 + c] * (w.albedo[at + c * pixels] - albedo_blended[c]);
+      }
+    }
+    if constexpr (kDepth) {
+      const std::size_t here = pixels * pixel.view + pixel.at;
+      // Alpha is what is not left of the transmittance: like a background of -1.
+      rest_of_total -= w.alpha_gradient[here] * w.transmittance[here];
+      if (w.depth_gradient != nullptr) {
+        g[kDepthPlane] = w.depth_gradient[here];
+        rest_of_total += g[kDepthPlane] * (w.depth[here] - start.extra.w);
       }
     }
   }
@@ -225,9 +243,10 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
       const float2 tail = staged.tail[j];
       float along = g[0] * rest.z + g[1] * rest.w + g[2] * tail.x;
       if constexpr (kAlbedo) {
-        const float4 a = staged.albedo[j];
+        const float4 a = staged.extra[j];
         along += g[3] * a.x + g[4] * a.y + g[5] * a.z;
       }
+      if constexpr (kDepth) along += g[kDepthPlane] * staged.extra[j].w;
       rest_of_total -= weight * along;
       const bool moves = taken && unclamped <= kAlphaMax;
       const float s = moves ? weight * along - alpha * rest_of_total * reciprocal(1.0F - alpha) : 0.0F;
@@ -235,25 +254,25 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
           make_float2(__uint_as_float(split_bfloat16(s)), __uint_as_float(tf32(weight)));
       if (lane / 4 == column) owner = {shape.x - center_x, shape.y - center_y, __float_as_uint(tail.y)};
       if (++column == kColumns) {
-        flush(columns, kColumns, owner, factors, w, pixel.view);
+        flush<kDepth>(columns, kColumns, owner, factors, w, pixel.view);
         column = 0;
       }
     }
     if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;
   }
-  if (column > 0) flush(columns, column, owner, factors, w, pixel.view);
+  if (column > 0) flush<kDepth>(columns, column, owner, factors, w, pixel.view);
 }
 
-/// Each warp takes segments in turn.
-template <bool kAlbedo>
+/// Each warp takes segments in turn. kDepth: gradients through alpha too, and through depth where there are any.
+template <bool kAlbedo, bool kDepth>
 __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
-  __shared__ Scratch<kAlbedo> scratch[kBlendWarps];
+  __shared__ Scratch<kAlbedo || kDepth> scratch[kBlendWarps];
   if (*w.pair_count > w.pair_capacity) return;
   const std::uint32_t patches = w.tiles_x * w.tiles_y * w.batch * kPatches;
   const std::uint32_t count = patches + min(*w.segment_count, w.segment_capacity);
   const unsigned warp = threadIdx.x / kLanes;
   for (std::uint32_t k = blockIdx.x * kBlendWarps + warp; k < count; k += gridDim.x * kBlendWarps) {
-    blend_segment(gaussians, w, start_of<kAlbedo>(w, k, patches), scratch[warp]);
+    blend_segment<kAlbedo, kDepth>(gaussians, w, start_of<kAlbedo, kDepth>(w, k, patches), scratch[warp]);
     __syncwarp();
   }
 }
@@ -276,11 +295,9 @@ unsigned backward_blocks(const WorkspaceView& w) {
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream) {
   if (blend_blocks(workspace) == 0) return;
   const unsigned blocks = backward_blocks(workspace);
-  if (workspace.albedo != nullptr) {
-    blend_backward_kernel<true><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
-  } else {
-    blend_backward_kernel<false><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
-  }
+  with_planes(workspace.albedo != nullptr, workspace.alpha_gradient != nullptr, [&](auto albedo, auto depth) {
+    blend_backward_kernel<albedo(), depth()><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
+  });
   check(cudaGetLastError(), "backward blending");
 }
 

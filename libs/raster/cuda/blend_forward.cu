@@ -1,14 +1,12 @@
-#include <type_traits>
-
 #include "raster/cuda/blend.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
 
 /// Notes where a patch's next segment begins, and the pixels' state before it.
-template <bool kAlbedo>
+template <bool kExtra>
 __device__ void begin_segment(const WorkspaceView& w, const Pixel& pixel, std::uint32_t position, float4 color,
-                              const float* albedo) {
+                              float4 extra) {
   const int lane = threadIdx.x & (kLanes - 1);
   std::uint32_t slot = 0;
   if (lane == 0) slot = atomicAdd(w.segment_count, 1U);
@@ -16,27 +14,26 @@ __device__ void begin_segment(const WorkspaceView& w, const Pixel& pixel, std::u
   if (slot >= w.segment_capacity) return;
   if (lane == 0) w.segments[slot] = make_uint2(static_cast<unsigned>(kPatches * pixel.tile + pixel.patch), position);
   w.segment_color[kLanes * static_cast<std::size_t>(slot) + lane] = color;
-  if constexpr (kAlbedo) {
-    w.segment_albedo[kLanes * static_cast<std::size_t>(slot) + lane] =
-        make_float4(albedo[0], albedo[1], albedo[2], 0.0F);
-  }
+  if constexpr (kExtra) w.segment_extra[kLanes * static_cast<std::size_t>(slot) + lane] = extra;
 }
 
-template <bool kAlbedo, bool kSegments>
+template <bool kAlbedo, bool kDepth, bool kSegments>
 __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
-  __shared__ Staged<kAlbedo, kSegments> all_staged[kBlendWarps];
-  Staged<kAlbedo, kSegments>& staged = all_staged[threadIdx.x / kLanes];
+  constexpr bool kExtra = kAlbedo || kDepth;
+  __shared__ Staged<kExtra, kSegments> all_staged[kBlendWarps];
+  Staged<kExtra, kSegments>& staged = all_staged[threadIdx.x / kLanes];
   const Pixel pixel = locate(w);
-  PatchStream<kAlbedo, kSegments> stream(gaussians, w, pixel, staged);
+  PatchStream<kAlbedo, kDepth, kSegments> stream(gaussians, w, pixel, staged);
   int group = 0;
   float transmittance = pixel.inside ? 1.0F : 0.0F, red = 0.0F, green = 0.0F, blue = 0.0F;
-  float albedo[3] = {0.0F, 0.0F, 0.0F};
+  float albedo[3] = {0.0F, 0.0F, 0.0F}, depth = 0.0F;
   // Behind its limit nothing of a patch can be seen; one that never becomes opaque has none.
   float limit = INFINITY;
   for (int count = stream.advance(); count > 0; count = stream.advance()) {
     if constexpr (kSegments) {
       if (group > 0 && group % kSegmentGroups == 0) {
-        begin_segment<kAlbedo>(w, pixel, stream.position(), make_float4(transmittance, red, green, blue), albedo);
+        begin_segment<kExtra>(w, pixel, stream.position(), make_float4(transmittance, red, green, blue),
+                              make_float4(albedo[0], albedo[1], albedo[2], depth));
       }
       ++group;
     }
@@ -52,11 +49,12 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
       green += weight * rest.w;
       blue += weight * staged.tail[j].x;
       if constexpr (kAlbedo) {
-        const float4 a = staged.albedo[j];
+        const float4 a = staged.extra[j];
         albedo[0] += weight * a.x;
         albedo[1] += weight * a.y;
         albedo[2] += weight * a.z;
       }
+      if constexpr (kDepth) depth += weight * staged.extra[j].w;
     }
     if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) {
       limit = stream.depth(count - 1);
@@ -76,6 +74,7 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
     float* out = w.albedo + 3 * pixels * pixel.view + pixel.at;
     for (int c = 0; c < 3; ++c) out[c * pixels] = albedo[c];
   }
+  if constexpr (kDepth) w.depth[pixels * pixel.view + pixel.at] = depth;
 }
 
 }  // namespace
@@ -84,12 +83,9 @@ void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView&
   const int blocks = blend_blocks(workspace);
   if (blocks == 0) return;
   const auto launch = [&](auto segments) {
-    constexpr bool kSegments = decltype(segments)::value;
-    if (workspace.albedo != nullptr) {
-      blend_forward_kernel<true, kSegments><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
-    } else {
-      blend_forward_kernel<false, kSegments><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
-    }
+    with_planes(workspace.albedo != nullptr, workspace.depth != nullptr, [&](auto albedo, auto depth) {
+      blend_forward_kernel<albedo(), depth(), segments()><<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace);
+    });
   };
   if (workspace.segments != nullptr) {
     check(cudaMemsetAsync(workspace.segment_count, 0, sizeof(std::uint32_t), stream), "clearing the segments");

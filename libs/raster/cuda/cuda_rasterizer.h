@@ -6,9 +6,8 @@
 
 namespace splatbus::raster {
 
-/// The Rasterizer interface on the first CUDA device, over host memory: every call copies in and out. No depth plane,
-/// no gradient through alpha, and of the statistics of a ParameterGradient only `touched`. Throws std::runtime_error
-/// naming the CUDA error when there is no usable device.
+/// The Rasterizer interface on the first CUDA device, over host memory: every call copies in and out. Throws
+/// std::runtime_error naming the CUDA error when there is no usable device.
 [[nodiscard]] std::unique_ptr<Rasterizer> make_cuda_rasterizer();
 
 }  // namespace splatbus::raster

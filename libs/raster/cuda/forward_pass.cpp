@@ -8,8 +8,7 @@
 namespace splatbus::raster::cuda {
 namespace {
 
-void check_arguments(const DeviceGaussians& gaussians, const Camera& camera, const RenderOptions& options) {
-  if (options.depth) throw std::invalid_argument("the CUDA rasteriser renders no depth plane");
+void check_arguments(const DeviceGaussians& gaussians, const Camera& camera) {
   if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
   if (gaussians.count > 0 && gaussians.parameters == nullptr) throw std::invalid_argument("rasterizer: no parameters");
   if (camera.role == CameraRole::Light) throw std::invalid_argument("rasterizer: light cameras are orthographic");
@@ -21,7 +20,7 @@ void check_arguments(const DeviceGaussians& gaussians, const Camera& camera, con
 
 void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, const SceneState& scene,
                        const RenderOptions& options, bool training) {
-  check_arguments(gaussians, camera, options);
+  check_arguments(gaussians, camera);
   const SceneView view{camera, &scene};
   const ViewTables tables = make_view_tables({&view, 1}, gaussians.layout.appearance);
   WorkspaceRequest request{.count = gaussians.count,
@@ -30,6 +29,7 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
                            .height = static_cast<int>(camera.height),
                            .object_count = tables.object_count,
                            .albedo = options.albedo && gaussians.layout.appearance == Appearance::Transfer,
+                           .depth = options.depth,
                            .training = training,
                            .pair_capacity = pair_capacity_};
   project_ = {.blur_px2 = options.blur_px2, .antialias = options.antialias};
@@ -81,7 +81,7 @@ void ForwardPass::download(Render& out) const {
   out.color = copy(w.color, 3);
   out.alpha = copy(w.transmittance, 1);
   out.albedo = w.albedo != nullptr ? copy(w.albedo, 3) : Image();
-  out.depth = Image();
+  out.depth = w.depth != nullptr ? copy(w.depth, 1) : Image();
   stream_.wait();
   for (float& value : out.alpha.data) value = 1.0F - value;
 }

@@ -11,9 +11,9 @@ struct GeometryGradient {
 };
 
 /// Adds the gradient through one view; `r` is what blending summed for the record: s dx, s dy, s dx^2, s dx dy, s dy^2
-/// and s.
-__device__ inline void add_view(const Projection& p, const ObjectView& object, const DeviceView& view, const float* r,
-                                bool antialias, GeometryGradient& out) {
+/// and s. Returns that of the projected mean, a pixel.
+__device__ inline float2 add_view(const Projection& p, const ObjectView& object, const DeviceView& view, const float* r,
+                                  bool antialias, GeometryGradient& out) {
   constexpr float kUnwhite = 1.3862943611198906F;  // kWhiteScale^-2
   constexpr float kHalf = 0.5F * kUnwhite * kUnwhite;
   const Whitening q = whitening(p);
@@ -75,6 +75,7 @@ __device__ inline void add_view(const Projection& p, const ObjectView& object, c
   const float d_view[3] = {d_x_ratio * inv_z, d_y_ratio * inv_z,
                            -inv_z * (d_jx * jx + d_jy * jy + (d_x_ratio * p.view.x + d_y_ratio * p.view.y) * inv_z)};
   for (int k = 0; k < 3; ++k) out.mean[k] += w[k] * d_view[0] + w[4 + k] * d_view[1] + w[8 + k] * d_view[2];
+  return make_float2(g_x, g_y);
 }
 
 /// Gradient of the stored quaternion, given that of the rotation matrix of its unit quaternion.

@@ -31,7 +31,7 @@ void launch_sort(const WorkspaceView& workspace, cudaStream_t stream);
 /// Scratch that launch_sort needs.
 [[nodiscard]] std::size_t sort_scratch_bytes(std::uint32_t pair_capacity);
 
-/// Blends front to back. Writes color, transmittance, patch_depth_limit and, when it is there, albedo.
+/// Blends front to back. Writes color, transmittance, patch_depth_limit and, when they are there, albedo and depth.
 void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 /// Largest blending weight of each Gaussian in any pixel of one view, [count], which the caller has cleared: what
@@ -39,8 +39,9 @@ void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView&
 void launch_contribution(const DeviceGaussians& gaussians, const WorkspaceView& workspace, int view,
                          float* contribution, cudaStream_t stream);
 
-/// Adds to record_gradient what color_gradient and albedo_gradient imply, and marks record_touched. Nothing happens
-/// when pairs are missing, so that a step whose lists did not fit changes no Gaussian.
+/// Adds to record_gradient and record_depth_gradient what the pictures' gradients imply (of albedo, alpha and depth
+/// where there are any; depth's only with alpha's), and marks record_touched. Nothing happens when pairs are missing,
+/// so that a step whose lists did not fit changes no Gaussian.
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 struct LossKernelOptions {
@@ -54,6 +55,12 @@ struct LossKernelOptions {
 /// null has no loss and a gradient of zero.
 void launch_loss(const float* rendered, const std::uint8_t* const* targets, float* gradient,
                  const WorkspaceView& workspace, const LossKernelOptions& options, cudaStream_t stream);
+
+/// `weight` * |depth - alpha * reference| summed over the pixels that have a surface, where the reference, metres, is
+/// above 0: linear in depth and alpha, and 0 only where what is blended balances about the surface. `targets` is a
+/// device array of `batch` pointers to [h][w]. Writes depth_gradient and alpha_gradient, adds to loss. A view whose
+/// pointer is null has no loss and gradients of zero.
+void launch_depth_loss(const float* const* targets, const WorkspaceView& workspace, float weight, cudaStream_t stream);
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
@@ -70,14 +77,23 @@ struct OptimizerState {
   std::uint32_t* steps = nullptr;  ///< [stride]
 };
 
+/// For clone and split, [count]; null: not gathered.
+struct ScreenStatistics {
+  float* mean2d_norm = nullptr;    ///< sum over views of |dL/d(projected mean)| in NDC units
+  std::uint32_t* steps = nullptr;  ///< in which it was blended into a pixel
+};
+
 /// Projection and shading backward, summed over the views, and Adam, in one pass over the Gaussians that were blended
-/// into some pixel and are not frozen. Leaves record_gradient and record_touched zeroed.
+/// into some pixel and are not frozen, which it adds to the statistics. Leaves record_gradient, record_depth_gradient
+/// and record_touched zeroed.
 void launch_update(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
-                   const OptimizerState& state, const AdamOptions& adam, cudaStream_t stream);
+                   const OptimizerState& state, const AdamOptions& adam, const ScreenStatistics& statistics,
+                   cudaStream_t stream);
 
 /// The same gradients, added to planes [channels][stride] instead, and [count] marks of who was blended: for the checks
 /// against the reference renderer.
 void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
-                     float* gradient, std::uint8_t* touched, int active_channels, cudaStream_t stream);
+                     float* gradient, std::uint8_t* touched, const ScreenStatistics& statistics, int active_channels,
+                     cudaStream_t stream);
 
 }  // namespace splatbus::raster::cuda

@@ -170,8 +170,10 @@ __global__ void __launch_bounds__(kThreads, 6)
           make_float2(clamp_color(color.x), clamp_color(color.y));
       w.record_tail[record] = make_float2(clamp_color(color.z), depth);
     } else if (present && (visible || !kEmit)) {
-      // It is in a list, but not to be seen.
+      // It is in a list, but not to be seen: what is blended with a weight of 0 must be finite, too.
       w.record_shape[2 * record] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
+      w.record_shape[2 * record + 1] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
+      w.record_tail[record] = make_float2(0.0F, 0.0F);
     }
   }
   if (kEmit && present) w.listed[i] = static_cast<std::uint16_t>(listed);

@@ -17,35 +17,25 @@ bool TrainStep::Impl::keeps_lists() const {
   return options.rebuild_interval > 1;
 }
 
-bool TrainStep::Impl::with_albedo(bool any_target) const {
-  return options.albedo_weight > 0.0F && gaussians.layout.appearance == Appearance::Transfer && any_target;
-}
-
-WorkspaceRequest TrainStep::Impl::request_for(std::span<const TrainView> views) const {
-  const auto has_albedo = [](const TrainView& view) { return view.albedo != nullptr; };
+WorkspaceRequest TrainStep::Impl::request_for(int width, int height, int batch, const Targets& targets,
+                                              std::uint32_t pairs) const {
+  const bool transfer = gaussians.layout.appearance == Appearance::Transfer;
   return {.count = gaussians.count,
           .capacity = static_cast<int>(gaussians.stride),
-          .batch = static_cast<int>(views.size()),
-          .width = static_cast<int>(views[0].view.camera.width),
-          .height = static_cast<int>(views[0].view.camera.height),
+          .batch = batch,
+          .width = width,
+          .height = height,
           .object_count = 1,
-          .albedo = with_albedo(std::any_of(views.begin(), views.end(), has_albedo)),
+          .albedo = options.albedo_weight > 0.0F && transfer && targets.albedo,
+          .depth = options.depth_weight > 0.0F && targets.depth,
           .training = options.training,
           .lists = !keeps_lists(),
-          .pair_capacity = ViewGroup::kFirstPairs};
+          .pair_capacity = pairs};
 }
 
 WorkspaceView TrainStep::Impl::workspace_for(ViewGroup& group) {
-  const WorkspaceRequest request{.count = gaussians.count,
-                                 .capacity = static_cast<int>(gaussians.stride),
-                                 .batch = group.batch,
-                                 .width = group.width,
-                                 .height = group.height,
-                                 .object_count = 1,
-                                 .albedo = with_albedo(group.any_albedo()),
-                                 .training = options.training,
-                                 .lists = !keeps_lists(),
-                                 .pair_capacity = group.pair_capacity};
+  const WorkspaceRequest request =
+      request_for(group.width, group.height, group.batch, group.targets(), group.pair_capacity);
   bool moved = false;
   try {
     moved = workspace.reserve(request);
@@ -82,6 +72,9 @@ void TrainStep::Impl::losses(const ViewGroup& group, const WorkspaceView& w) {
   check(cudaMemsetAsync(w.loss, 0, sizeof(float) * kMaxBatch, stream), "clearing the losses");
   picture_loss(w.color, group, false, w.color_gradient, w);
   if (w.albedo != nullptr) picture_loss(w.albedo, group, true, w.albedo_gradient, w);
+  if (w.depth == nullptr) return;
+  const float values = static_cast<float>(group.batch) * static_cast<float>(w.width) * static_cast<float>(w.height);
+  launch_depth_loss(group.depth_targets(), w, options.depth_weight / values, stream);
 }
 
 void TrainStep::Impl::update(const WorkspaceView& w) {
@@ -93,7 +86,7 @@ void TrainStep::Impl::update(const WorkspaceView& w) {
                                  .unit_albedo = options.unit_albedo,
                                  .half_rate_steps = options.half_rate_steps,
                                  .least_rate = options.least_rate};
-  launch_update(gaussians, w, project_options(false), adam.view(), adam_options, stream);
+  launch_update(gaussians, w, project_options(false), adam.view(), adam_options, adam.statistics(), stream);
 }
 
 void TrainStep::Impl::enqueue_forward(const WorkspaceView& w, bool rebuild) {

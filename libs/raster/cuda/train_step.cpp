@@ -20,6 +20,7 @@ void TrainStep::set_options(const TrainStepOptions& options) {
   impl_->options = options;
   impl_->options.training = training;
   impl_->options.rebuild_interval = rebuild_interval;
+  impl_->adam.gather_statistics(options.statistics && training, impl_->stream);
   for (const auto& group : impl_->groups) {
     group->lists_built = false;
     group->invalidate_graphs();
@@ -29,7 +30,9 @@ void TrainStep::set_options(const TrainStepOptions& options) {
 void TrainStep::set_model(const DeviceGaussians& gaussians) {
   clear_groups();
   impl_->gaussians = gaussians;
-  if (impl_->options.training) impl_->adam.reset(gaussians.layout, gaussians.count, gaussians.stride, impl_->stream);
+  if (!impl_->options.training) return;
+  impl_->adam.reset(gaussians.layout, gaussians.count, gaussians.stride, impl_->stream);
+  impl_->adam.gather_statistics(impl_->options.statistics, impl_->stream);
 }
 
 void TrainStep::follow_model(const DeviceGaussians& gaussians) {
@@ -52,7 +55,12 @@ void TrainStep::set_learning_rates(const std::vector<float>& rates) {
 }
 
 std::size_t TrainStep::add_group(std::span<const TrainView> views) {
-  if (!views.empty()) impl_->workspace.require(impl_->request_for(views));
+  if (!views.empty()) {
+    const Camera& camera = views[0].view.camera;
+    impl_->workspace.require(impl_->request_for(static_cast<int>(camera.width), static_cast<int>(camera.height),
+                                                static_cast<int>(views.size()), Targets(views),
+                                                ViewGroup::kFirstPairs));
+  }
   auto group = std::make_unique<ViewGroup>(views);
   group->set_views(views, impl_->gaussians.layout.appearance, impl_->options.use_depth_limit, impl_->staging,
                    impl_->stream);
@@ -101,6 +109,12 @@ std::vector<float> TrainStep::losses() {
 
 const float* TrainStep::color() const {
   return impl_->last_view.color;
+}
+ScreenStatistics TrainStep::statistics() const {
+  return impl_->adam.statistics();
+}
+void TrainStep::clear_statistics() {
+  impl_->adam.clear_statistics(impl_->stream);
 }
 const WorkspaceView& TrainStep::workspace() const {
   return impl_->last_view;

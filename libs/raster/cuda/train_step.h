@@ -14,6 +14,8 @@ struct TrainStepOptions {
   ProjectOptions project;
   float ssim_weight = 0.2F;
   float albedo_weight = 0.0F;  ///< of the albedo picture's loss; 0: none is rendered. Transfer only
+  float depth_weight = 0.0F;   ///< a metre, of mean |depth - alpha * reference| over the picture; 0: none is rendered
+  bool statistics = false;     ///< statistics() are gathered
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   int active_channels = 0;
   bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
@@ -24,12 +26,13 @@ struct TrainStepOptions {
   bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
 };
 
-/// A training view: camera, scene and pictures, u8 RGBA on the device, which must stay there until the steps that were
-/// given them are done. `view.scene` is read during the call only.
+/// A training view: camera, scene and pictures on the device (u8 RGBA; depth float), which must stay there until the
+/// steps that were given them are done. `view.scene` is read during the call only.
 struct TrainView {
   SceneView view;
   const std::uint8_t* color = nullptr;
   const std::uint8_t* albedo = nullptr;  ///< null: this view has no albedo loss
+  const float* depth = nullptr;          ///< metres along z, 0 where there is no surface; null: it has no depth loss
 };
 
 /// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. Views are trained in
@@ -39,11 +42,11 @@ struct TrainView {
 /// A few steps may be on their way at once; step() waits for the oldest when they are too many. A step whose lists turn
 /// out not to fit their memory changes nothing; the memory grows as soon as that is known.
 ///
-/// The arrays of a step grow with its pictures (64 bytes a pixel, 88 with albedo) and with its lists (24 bytes a pair).
-/// add_group(), step() and forward() throw StepTooLarge when a step would take more than kMostPixels or more memory
-/// than the device has free, kMemoryLeftFree aside. Nothing is allocated then and nothing lost: the model, Adam's
-/// moments and all groups stay as they are, steps under way come to their end, and what fits trains on, the same group
-/// with other views too.
+/// The arrays of a step grow with its pictures (64 bytes a pixel, 24 more with albedo, 12 with depth) and with its
+/// lists (24 bytes a pair). add_group(), step() and forward() throw StepTooLarge when a step would take more than
+/// kMostPixels or more memory than the device has free, kMemoryLeftFree aside. Nothing is allocated then and nothing
+/// lost: the model, Adam's moments and all groups stay as they are, steps under way come to their end, and what fits
+/// trains on, the same group with other views too.
 ///
 /// One thread at a time. Throws std::runtime_error naming the CUDA error.
 class TrainStep {
@@ -59,10 +62,10 @@ class TrainStep {
   /// moments begin anew.
   void set_model(const DeviceGaussians& gaussians);
   /// The same model after a change of its structure, of the same layout, planes perhaps elsewhere and with another
-  /// stride. Groups stay. Columns below both counts keep their moments, others begin without.
+  /// stride. Groups stay. Columns below both counts keep their moments and statistics, others begin without.
   void follow_model(const DeviceGaussians& gaussians);
-  /// Moves Adam's moments as columns were moved, from[k] to to[k], before follow_model(): device arrays, read by
-  /// stream().
+  /// Moves Adam's moments and the statistics as columns were moved, from[k] to to[k], before follow_model(): device
+  /// arrays, read by stream().
   void move_columns(const std::uint32_t* from, const std::uint32_t* to, int count);
   /// One rate a channel.
   void set_learning_rates(const std::vector<float>& rates);
@@ -91,6 +94,10 @@ class TrainStep {
   [[nodiscard]] std::vector<float> losses();
   /// [batch][3][h][w] of the last step or forward().
   [[nodiscard]] const float* color() const;
+  /// Of the steps since set_model() or clear_statistics(), for work on stream(); null where they are not gathered, or
+  /// where the model is empty.
+  [[nodiscard]] ScreenStatistics statistics() const;
+  void clear_statistics();
   /// The arrays of the last step or forward(), for more work on stream() before the next one.
   [[nodiscard]] const WorkspaceView& workspace() const;
   [[nodiscard]] cudaStream_t stream() const;

@@ -32,11 +32,10 @@ struct TrainStep::Impl {
   StepsInFlight in_flight;
   std::deque<Report> reports;
 
-  [[nodiscard]] bool with_albedo(bool any_target) const;
   [[nodiscard]] bool keeps_lists() const;
   [[nodiscard]] ProjectOptions project_options(bool rebuild) const;
-  /// Of a group that is to be, before its lists are sized.
-  [[nodiscard]] WorkspaceRequest request_for(std::span<const TrainView> views) const;
+  [[nodiscard]] WorkspaceRequest request_for(int width, int height, int batch, const Targets& targets,
+                                             std::uint32_t pairs) const;
   WorkspaceView workspace_for(ViewGroup& group);
   void losses(const ViewGroup& group, const WorkspaceView& w);
   void update(const WorkspaceView& w);

@@ -174,11 +174,12 @@ __device__ void update_transfer(const Item& item, const Sink& sink, bool residua
   for (int k = 0; k < 27; k += 9) put_planes<9>(item, sink, ParameterLayout::kResidual + k, sums + k);
 }
 
-/// Also leaves the records of the Gaussian zeroed for the next step.
-template <class Sink>
+/// With kExtra also what comes through depth, and the statistics.
+template <bool kExtra, class Sink>
 __device__ void update_geometry(const Item& item, const GaussianGeometry& g, const ProjectOptions& options,
-                                const Sink& sink, const float* mean_gradient) {
+                                const Sink& sink, const float* mean_gradient, const ScreenStatistics& statistics) {
   GeometryGradient sums;
+  float norm2d = 0.0F;
   for (int b = 0; b < item.w.batch; ++b) {
     if ((item.views >> b & 1U) == 0) continue;
     const auto* from = reinterpret_cast<const float4*>(item.gradient(b));
@@ -186,7 +187,20 @@ __device__ void update_geometry(const Item& item, const GaussianGeometry& g, con
     const float r[6] = {low.x, low.y, low.z, low.w, high.x, high.y};
     Projection p;
     if (!project(g, item.object(b), item.w.views[b], options.blur_px2, p)) continue;
-    add_view(p, item.object(b), item.w.views[b], r, options.antialias, sums);
+    const float2 of_center = add_view(p, item.object(b), item.w.views[b], r, options.antialias, sums);
+    if constexpr (kExtra) {
+      const float x = 0.5F * item.w.width * of_center.x, y = 0.5F * item.w.height * of_center.y;
+      norm2d += sqrtf(x * x + y * y);
+      if (item.w.record_depth_gradient == nullptr) continue;
+      const float of_depth = item.w.record_depth_gradient[item.record(b)];
+      for (int k = 0; k < 3; ++k) sums.mean[k] += item.object(b).view_from_object[8 + k] * of_depth;
+    }
+  }
+  if constexpr (kExtra) {
+    if (statistics.mean2d_norm != nullptr) {
+      statistics.mean2d_norm[item.i] += norm2d;
+      statistics.steps[item.i] += 1;
+    }
   }
   const float norm = sqrtf(g.rotation.x * g.rotation.x + g.rotation.y * g.rotation.y + g.rotation.z * g.rotation.z +
                            g.rotation.w * g.rotation.w);
@@ -207,18 +221,24 @@ __device__ void update_geometry(const Item& item, const GaussianGeometry& g, con
   sink.template put<11>(0, 1, item.i, value, all);
 }
 
+/// For the next step.
+template <bool kExtra>
 __device__ void clear_records(const Item& item) {
   for (int b = 0; b < item.w.batch; ++b) {
     if ((item.views >> b & 1U) == 0) continue;
     auto* gradient = reinterpret_cast<float4*>(item.w.record_gradient + item.record(b) * kGradientFloats);
     for (int k = 0; k < kGradientFloats / 4; ++k) gradient[k] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
     item.w.record_touched[item.record(b)] = 0;
+    if constexpr (kExtra) {
+      if (item.w.record_depth_gradient != nullptr) item.w.record_depth_gradient[item.record(b)] = 0.0F;
+    }
   }
 }
 
-template <class Sink, int kCoefficients>
+template <class Sink, int kCoefficients, bool kExtra>
 __global__ void __launch_bounds__(kThreads, 4)
-    update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual) {
+    update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual,
+                  ScreenStatistics statistics) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= w.count) return;
   std::uint32_t views = 0;
@@ -237,19 +257,24 @@ __global__ void __launch_bounds__(kThreads, 4)
     } else {
       update_radiance<kCoefficients>(item, g.mean, sink, mean_gradient);
     }
-    update_geometry(item, g, options, sink, mean_gradient);
+    update_geometry<kExtra>(item, g, options, sink, mean_gradient, statistics);
   }
-  clear_records(item);
+  clear_records<kExtra>(item);
 }
 
 template <class Sink>
 void launch_with(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
-                 const Sink& sink, cudaStream_t stream) {
+                 const Sink& sink, const ScreenStatistics& statistics, cudaStream_t stream) {
   const auto blocks = static_cast<unsigned>((workspace.count + kThreads - 1) / kThreads);
   if (blocks == 0) return;
   const bool residual = sink.active_channels > ParameterLayout::kResidual;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
-    update_kernel<Sink, coefficients()><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual);
+    const auto launch = [&](auto extra) {
+      update_kernel<Sink, coefficients(), extra()>
+          <<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual, statistics);
+    };
+    const bool extra = workspace.record_depth_gradient != nullptr || statistics.mean2d_norm != nullptr;
+    extra ? launch(std::true_type{}) : launch(std::false_type{});
   });
   check(cudaGetLastError(), "update");
 }
@@ -261,23 +286,25 @@ int active(const DeviceGaussians& gaussians, int active_channels) {
 }  // namespace
 
 void launch_update(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
-                   const OptimizerState& state, const AdamOptions& adam, cudaStream_t stream) {
+                   const OptimizerState& state, const AdamOptions& adam, const ScreenStatistics& statistics,
+                   cudaStream_t stream) {
   launch_with(gaussians, workspace, project,
               AdamSink{.gaussians = gaussians,
                        .state = state,
                        .options = adam,
                        .active_channels = active(gaussians, adam.active_channels)},
-              stream);
+              statistics, stream);
 }
 
 void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
-                     float* gradient, std::uint8_t* touched, int active_channels, cudaStream_t stream) {
+                     float* gradient, std::uint8_t* touched, const ScreenStatistics& statistics, int active_channels,
+                     cudaStream_t stream) {
   launch_with(gaussians, workspace, project,
               GradientSink{.gradient = gradient,
                            .touched = touched,
                            .stride = gaussians.stride,
                            .active_channels = active(gaussians, active_channels)},
-              stream);
+              statistics, stream);
 }
 
 }  // namespace splatbus::raster::cuda

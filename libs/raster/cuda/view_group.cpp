@@ -29,6 +29,13 @@ int checked_batch(std::span<const TrainView> views) {
 
 }  // namespace
 
+Targets::Targets(std::span<const TrainView> views) {
+  for (const TrainView& view : views) {
+    albedo |= view.albedo != nullptr;
+    depth |= view.depth != nullptr;
+  }
+}
+
 ViewGroup::ViewGroup(std::span<const TrainView> views)
     : batch(checked_batch(views)),
       width(static_cast<int>(views[0].view.camera.width)),
@@ -53,7 +60,7 @@ void ViewGroup::set_views(std::span<const TrainView> views, Appearance appearanc
                           Staging& staging, cudaStream_t stream) {
   std::vector<SceneView> scenes;
   std::vector<const std::uint8_t*> colors, albedos;
-  bool any_albedo = false;
+  std::vector<const float*> depths;
   for (const TrainView& view : views) {
     if (static_cast<int>(view.view.camera.width) != width || static_cast<int>(view.view.camera.height) != height) {
       throw std::invalid_argument("TrainStep: all views of a group have one size");
@@ -61,7 +68,7 @@ void ViewGroup::set_views(std::span<const TrainView> views, Appearance appearanc
     scenes.push_back(view.view);
     colors.push_back(view.color);
     albedos.push_back(view.albedo);
-    any_albedo |= view.albedo != nullptr;
+    depths.push_back(view.depth);
   }
   if (checked_batch(views) != batch) throw std::invalid_argument("TrainStep: a group keeps its number of views");
   choose_objects(scenes);
@@ -70,7 +77,8 @@ void ViewGroup::set_views(std::span<const TrainView> views, Appearance appearanc
   const std::size_t pointers = aligned(views.size() * sizeof(void*));
   color_offset_ = aligned(tables.views.size() * sizeof(DeviceView));
   albedo_offset_ = color_offset_ + pointers;
-  object_offset_ = albedo_offset_ + pointers;
+  depth_offset_ = albedo_offset_ + pointers;
+  object_offset_ = depth_offset_ + pointers;
   host_tables_.resize(object_offset_ + tables.object_views.size() * sizeof(ObjectView));
   const auto put = [&](std::size_t offset, const auto& values) {
     std::memcpy(host_tables_.data() + offset, values.data(), values.size() * sizeof(values[0]));
@@ -78,12 +86,14 @@ void ViewGroup::set_views(std::span<const TrainView> views, Appearance appearanc
   put(0, tables.views);
   put(color_offset_, colors);
   put(albedo_offset_, albedos);
+  put(depth_offset_, depths);
   put(object_offset_, tables.object_views);
   const std::byte* const before = tables_.data();
   tables_.resize(host_tables_.size());
   staging.copy(tables_.data(), host_tables_, stream);
-  if (tables_.data() != before || any_albedo != any_albedo_) invalidate_graphs();
-  any_albedo_ = any_albedo;
+  const Targets targets(views);
+  if (tables_.data() != before || targets != targets_) invalidate_graphs();
+  targets_ = targets;
 
   if (use_depth_limit || !renewed) {
     // Nothing is known to be hidden before the first blend: all ones is a NaN, which no depth lies beyond.

@@ -12,6 +12,15 @@
 
 namespace splatbus::raster::cuda {
 
+/// Which pictures beside the lit one any view of a group has to be compared with.
+struct Targets {
+  bool albedo = false, depth = false;
+
+  Targets() = default;
+  explicit Targets(std::span<const TrainView> views);
+  auto operator<=>(const Targets&) const = default;
+};
+
 /// Views that are trained together: their tables and tile lists on the device, and how large the lists are.
 class ViewGroup {
  public:
@@ -33,7 +42,8 @@ class ViewGroup {
   [[nodiscard]] const StepFigures* figures() const { return figures_.data(); }
   [[nodiscard]] const std::uint8_t* const* color_targets() const { return at<const std::uint8_t*>(color_offset_); }
   [[nodiscard]] const std::uint8_t* const* albedo_targets() const { return at<const std::uint8_t*>(albedo_offset_); }
-  [[nodiscard]] bool any_albedo() const { return any_albedo_; }
+  [[nodiscard]] const float* const* depth_targets() const { return at<const float*>(depth_offset_); }
+  [[nodiscard]] const Targets& targets() const { return targets_; }
 
   /// Takes note of how many pairs a build wanted.
   void note_pairs(std::uint32_t pairs);
@@ -63,11 +73,11 @@ class ViewGroup {
   void choose_objects(std::span<const SceneView> views);
   void set_capacity(std::uint32_t pairs);
 
-  // One table, copied at once: views, colour targets, albedo targets, views of objects.
+  // One table, copied at once: views, targets of colour, albedo and depth, views of objects.
   std::vector<std::byte> host_tables_;
   device::Buffer<std::byte> tables_;
-  std::size_t color_offset_ = 0, albedo_offset_ = 0, object_offset_ = 0;
-  bool any_albedo_ = false;
+  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, object_offset_ = 0;
+  Targets targets_;
 
   std::vector<std::uint32_t> object_ids_;
   device::Buffer<std::uint32_t> device_object_ids_;

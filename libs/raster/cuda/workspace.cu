@@ -50,20 +50,25 @@ Workspace::Sizes::Sizes(const WorkspaceRequest& r) {
   list_pairs = r.lists ? pairs : 0;
   pixels = std::max<std::size_t>(static_cast<std::size_t>(r.width) * static_cast<std::size_t>(r.height) * batch, 1);
   albedo_pixels = r.albedo ? pixels : 0;
+  depth_pixels = r.depth ? pixels : 0;
   training_records = r.training ? records : 0;
   training_pixels = r.training ? pixels : 0;
   training_albedo_pixels = r.training ? albedo_pixels : 0;
+  training_depth_pixels = r.training ? depth_pixels : 0;
+  depth_records = r.depth ? training_records : 0;
   objects = static_cast<std::size_t>(r.object_count);
   // A pair reaches at most every patch of its tile; what is left over lies in the patches' first segments.
   segments = r.training ? std::max<std::size_t>(pairs * kPatches / (kLanes * kSegmentGroups), 1) : 0;
-  albedo_segments = r.albedo ? segments : 0;
+  extra_segments = r.albedo || r.depth ? segments : 0;
 }
 
 bool Workspace::Sizes::hold(const Sizes& o) const {
   return o.count <= count && o.records <= records && o.training_records <= training_records && o.tiles <= tiles &&
          o.pairs <= pairs && o.list_pairs <= list_pairs && o.pixels <= pixels && o.albedo_pixels <= albedo_pixels &&
          o.training_pixels <= training_pixels && o.training_albedo_pixels <= training_albedo_pixels &&
-         o.objects <= objects && o.segments <= segments && o.albedo_segments <= albedo_segments;
+         o.depth_pixels <= depth_pixels && o.training_depth_pixels <= training_depth_pixels &&
+         o.depth_records <= depth_records && o.objects <= objects && o.segments <= segments &&
+         o.extra_segments <= extra_segments;
 }
 
 void Workspace::Sizes::grow_to(const Sizes& o) {
@@ -79,7 +84,10 @@ void Workspace::Sizes::grow_to(const Sizes& o) {
   training_albedo_pixels = std::max(training_albedo_pixels, o.training_albedo_pixels);
   objects = std::max(objects, o.objects);
   segments = std::max(segments, o.segments);
-  albedo_segments = std::max(albedo_segments, o.albedo_segments);
+  extra_segments = std::max(extra_segments, o.extra_segments);
+  depth_pixels = std::max(depth_pixels, o.depth_pixels);
+  training_depth_pixels = std::max(training_depth_pixels, o.training_depth_pixels);
+  depth_records = std::max(depth_records, o.depth_records);
 }
 
 template <class Take>
@@ -100,13 +108,17 @@ void Workspace::for_each_array(WorkspaceView& m, const Sizes& s, Take take) {
   take(m.color, 3 * s.pixels);
   take(m.transmittance, s.pixels);
   take(m.albedo, 3 * s.albedo_pixels);
+  take(m.depth, s.depth_pixels);
   take(m.record_gradient, s.training_records * kGradientFloats);
   take(m.record_touched, s.training_records);
+  take(m.record_depth_gradient, s.depth_records);
   take(m.color_gradient, 3 * s.training_pixels);
   take(m.albedo_gradient, 3 * s.training_albedo_pixels);
+  take(m.depth_gradient, s.training_depth_pixels);
+  take(m.alpha_gradient, s.training_depth_pixels);
   take(m.ssim_partials, 9 * s.training_pixels);
   take(m.segments, s.segments);
-  take(m.segment_albedo, kLanes * s.albedo_segments);
+  take(m.segment_extra, kLanes * s.extra_segments);
   take(m.segment_count, 1);
   take(m.loss, kMaxBatch);
   take(m.views, kMaxBatch);
@@ -133,6 +145,9 @@ void Workspace::allocate_all() {
   check(cudaMemset(m.record_gradient, 0, s.training_records * kGradientFloats * sizeof(float)),
         "clearing the workspace");
   check(cudaMemset(m.record_touched, 0, s.training_records), "clearing the workspace");
+  if (s.depth_records > 0) {
+    check(cudaMemset(m.record_depth_gradient, 0, s.depth_records * sizeof(float)), "clearing the workspace");
+  }
   // The stages run on streams that do not wait for this one.
   check(cudaDeviceSynchronize(), "clearing the workspace");
 }
@@ -182,6 +197,7 @@ bool Workspace::reserve(const WorkspaceRequest& r) {
   }
   view_ = memory_;
   if (!r.albedo) view_.albedo = view_.albedo_gradient = nullptr;
+  if (!r.depth) view_.depth = view_.depth_gradient = view_.alpha_gradient = view_.record_depth_gradient = nullptr;
   if (!r.training) view_.segments = nullptr;
   if (!r.lists) view_.pair_entries[1] = nullptr;
   view_.count = r.count;

@@ -24,6 +24,7 @@ struct WorkspaceView {
   float4* record_shape = nullptr;    ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
   float2* record_tail = nullptr;     ///< blue, depth (metres); a colour that was clamped to 0 is -0
   float* record_gradient = nullptr;  ///< [batch * count][kGradientFloats]; zero but between blending and update
+  float* record_depth_gradient = nullptr;  ///< [batch * count] of the depth; zero but between them, too
   std::uint8_t* record_touched = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
 
   std::uint16_t* listed = nullptr;  ///< [count] bit b: in a tile's list of view b
@@ -42,20 +43,23 @@ struct WorkspaceView {
   // first segment of each patch is known; of the others the forward pass leaves where they begin, and each pixel's
   // state there. Null without training.
   uint2* segments = nullptr;  ///< [segment_capacity], in no order: patch of the batch, position in pair_entries[1]
-  float4* segment_color = nullptr;   ///< [segment_capacity][32] transmittance, red, green, blue blended so far; it lies
-                                     ///< in pair_keys, which nothing reads after the sort
-  float4* segment_albedo = nullptr;  ///< [segment_capacity][32] albedo blended so far
+  float4* segment_color = nullptr;  ///< [segment_capacity][32] transmittance, red, green, blue blended so far; it lies
+                                    ///< in pair_keys, which nothing reads after the sort
+  float4* segment_extra = nullptr;  ///< [segment_capacity][32] albedo and depth blended so far
   std::uint32_t* segment_count = nullptr;
   std::uint32_t segment_capacity = 0;  ///< as many as there can be
 
   // Pictures, [batch][channel][height][width].
   float* color = nullptr;
   float* albedo = nullptr;
+  float* depth = nullptr;          ///< [batch][height][width] sum of weight * z, metres
   float* transmittance = nullptr;  ///< [batch][height][width]
   float* color_gradient = nullptr;
   float* albedo_gradient = nullptr;
-  float* ssim_partials = nullptr;  ///< [3][batch][3][height][width]
-  float* loss = nullptr;           ///< [batch]
+  float* depth_gradient = nullptr;
+  float* alpha_gradient = nullptr;  ///< of alpha = 1 - transmittance
+  float* ssim_partials = nullptr;   ///< [3][batch][3][height][width]
+  float* loss = nullptr;            ///< [batch]
 
   // Small tables, written before a step.
   DeviceView* views = nullptr;           ///< [kMaxBatch]
@@ -78,6 +82,7 @@ struct WorkspaceRequest {
   int batch = 1, width = 0, height = 0;
   int object_count = 1;
   bool albedo = false;
+  bool depth = false;  ///< the depth plane; in training also gradients through it and through alpha
   bool training = true;
   bool lists = true;  ///< room for sorted entries; false: the caller has its own
   std::uint32_t pair_capacity = 0;
@@ -115,8 +120,9 @@ class Workspace {
   /// What the arrays' sizes follow from.
   struct Sizes {
     std::size_t count = 0, records = 0, training_records = 0, tiles = 0, pairs = 0, list_pairs = 0;
-    std::size_t pixels = 0, albedo_pixels = 0, training_pixels = 0, training_albedo_pixels = 0, objects = 0;
-    std::size_t segments = 0, albedo_segments = 0;
+    std::size_t pixels = 0, albedo_pixels = 0, depth_pixels = 0, objects = 0;
+    std::size_t training_pixels = 0, training_albedo_pixels = 0, training_depth_pixels = 0, depth_records = 0;
+    std::size_t segments = 0, extra_segments = 0;
 
     explicit Sizes(const WorkspaceRequest& request);
     Sizes() = default;

@@ -3,8 +3,12 @@
 #include <cuda_runtime.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <random>
+#include <string>
+#include <vector>
 
 #include "gaussians/model.h"
 #include "raster/rasterizer.h"
@@ -19,6 +23,8 @@ struct Case {
   bool antialias;
   bool objects;
   float log_scale;
+  float opacity_logit = 0.0F;
+  bool depth = false, alpha = false;  ///< with gradients through them
 };
 
 inline std::string case_name(const ::testing::TestParamInfo<Case>& info) {
@@ -41,7 +47,7 @@ inline GaussiansBuffer random_model(const Case& c, unsigned seed) {
       model.normal[static_cast<std::size_t>(k) * stride + i] = normal(random);
     }
     for (int k = 0; k < 4; ++k) put(6 + k, normal(random));
-    put(10, 2.0F * normal(random));
+    put(10, c.opacity_logit + 2.0F * normal(random));
     for (int k = 11; k < c.layout.channels(); ++k)
       put(k, (k < 14 ? 0.5F : 0.1F) * normal(random) + (k < 14 ? 0.4F : 0.0F));
     const float n = std::hypot(model.normal[i], model.normal[stride + i], model.normal[2 * stride + i]);
@@ -68,8 +74,41 @@ inline SceneState random_scene(bool objects) {
 
 inline double largest_difference(const Image& a, const Image& b) {
   double largest = 0;
-  for (std::size_t k = 0; k < a.data.size(); ++k) largest = std::max(largest, std::abs(double{a.data[k]} - b.data[k]));
+  for (std::size_t k = 0; k < a.data.size(); ++k) {
+    const double difference = std::abs(double{a.data[k]} - b.data[k]);
+    largest = std::isfinite(difference) ? std::max(largest, difference) : INFINITY;
+  }
   return largest;
+}
+
+/// ||a - b|| / ||b|| over channels [first, last) of Gaussians' gradients.
+inline double relative_error(const ParameterGradient& a, const ParameterGradient& b, int first, int last) {
+  double difference = 0, norm = 0;
+  for (int c = first; c < last; ++c) {
+    for (std::size_t i = 0; i < a.count; ++i) {
+      const std::size_t at = static_cast<std::size_t>(c) * a.stride + i;
+      difference += std::pow(a.values[at] - b.values[at], 2);
+      norm += std::pow(b.values[at], 2);
+    }
+  }
+  return std::sqrt(difference / std::max(norm, 1e-30));
+}
+
+/// The same for any two lists of numbers.
+inline double relative_error(const std::vector<float>& a, const std::vector<float>& b) {
+  double difference = 0, norm = 0;
+  for (std::size_t k = 0; k < b.size(); ++k) {
+    difference += std::pow(a[k] - b[k], 2);
+    norm += std::pow(b[k], 2);
+  }
+  return std::sqrt(difference / std::max(norm, 1e-30));
+}
+
+inline Image random_image(std::uint32_t width, std::uint32_t height, std::uint32_t channels, std::mt19937& random) {
+  Image image(width, height, channels);
+  std::normal_distribution<float> normal;
+  for (float& value : image.data) value = normal(random);
+  return image;
 }
 
 /// Skipped where there is no device.

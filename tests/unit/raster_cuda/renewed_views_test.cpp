@@ -6,7 +6,7 @@
 namespace splatbus::raster::testing {
 namespace {
 
-constexpr Case kCase{"", {Appearance::Transfer, 0}, 3000, 64, 48, true, true, -2.5F};
+constexpr Case kCase{"", {Appearance::Transfer, 0}, 1500, 48, 40, true, true, -2.5F};
 
 class RenewedViews : public CudaTest {
  protected:

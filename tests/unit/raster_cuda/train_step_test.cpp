@@ -10,7 +10,7 @@ namespace splatbus::raster::testing {
 namespace {
 
 TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
-  const Case c{"", {Appearance::Transfer, 0}, 2000, 96, 80, true, true, -3.0F};
+  const Case c{"", {Appearance::Transfer, 0}, 800, 64, 56, true, true, -2.5F};
   GaussiansBuffer model = random_model(c, 3);
   const SceneState scene = random_scene(true);
   std::vector<Camera> cameras;
@@ -117,7 +117,7 @@ TEST_F(CudaTest, GroupsMayMoveDifferentObjects) {
 }
 
 TEST_F(CudaTest, ReusedListsTrainAlike) {
-  const Case c{"", {Appearance::Radiance, 1}, 4000, 96, 80, true, true, -2.5F};
+  const Case c{"", {Appearance::Radiance, 1}, 1200, 64, 56, true, true, -2.5F};
   const GaussiansBuffer model = random_model(c, 41);
   const SceneState scene = random_scene(true);
   std::mt19937 random(7);
@@ -139,7 +139,7 @@ TEST_F(CudaTest, ReusedListsTrainAlike) {
     trainer.set_model(device.view());
     trainer.set_learning_rates(std::vector<float>(static_cast<std::size_t>(c.layout.channels()), 1e-3F));
     const std::size_t group = trainer.add_group(views);
-    for (int k = 0; k < 24; ++k) trainer.step(group);
+    for (int k = 0; k < 18; ++k) trainer.step(group);
     std::vector<float> trained(static_cast<std::size_t>(c.layout.channels()) * model.count());
     device.download_parameters(trained.data(), trainer.stream());
     cudaStreamSynchronize(trainer.stream());
