@@ -19,7 +19,7 @@ namespace {
 constexpr std::size_t kGaussians = 1 << 14;  // as many pairs as make the sort work as it does on more
 constexpr std::uint32_t kSize = 64;
 
-/// A square of small Gaussians before the camera.
+/// A square of small opaque Gaussians before the camera.
 GaussiansBuffer square(const ParameterLayout& layout) {
   GaussiansBuffer model(layout, kGaussians);
   constexpr std::size_t kSide = 128;
@@ -32,6 +32,7 @@ GaussiansBuffer square(const ParameterLayout& layout) {
     put(ParameterLayout::kMean + 1, static_cast<float>(row) / kSide - 0.5F);
     for (int k = 0; k < 3; ++k) put(ParameterLayout::kLogScale + k, -4.0F);
     put(ParameterLayout::kRotation, 1.0F);
+    put(ParameterLayout::kOpacityLogit, 6.0F);  // a pixel is done after a few of them
   }
   return model;
 }

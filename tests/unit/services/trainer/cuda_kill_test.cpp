@@ -26,7 +26,7 @@ class CudaKill : public bus_test::BusTest {
   void run_and_kill(const std::string& role, std::chrono::milliseconds life) {
     bus_test::ChildProcess trainer("test_trainer_cuda_model", {role, directory_.path()}, output_path());
     ASSERT_TRUE(bus_test::eventually(
-        [&] { return bus_test::read_text(output_path()).find("ready") != std::string::npos; }, 30s))
+        [&] { return bus_test::read_text(output_path()).find("ready") != std::string::npos; }, 120s))
         << bus_test::read_text(output_path());
     std::this_thread::sleep_for(life);
     trainer.send(SIGKILL);

@@ -25,14 +25,14 @@ class CudaTrainerFedFrom : public CudaTrainer, public testing::WithParamInterfac
 
 TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   const bool on_device = GetParam() == MemoryKind::Cuda;
-  const SyntheticScene scene;
+  const SyntheticScene scene(100, 4, 32);
   place(bus::Backend::Cuda, GetParam());
-  set("run_until", "25");
+  set("run_until", "10");
   start();
   insert(scene.perturbed());
   show(scene);
-  ASSERT_TRUE(until([&] { return stats()->step() == 25 && stats()->paused(); }));
-  ASSERT_TRUE(until([&] { return published()->step() == 25; }));
+  ASSERT_TRUE(until([&] { return stats()->step() == 10 && stats()->paused(); }));
+  ASSERT_TRUE(until([&] { return published()->step() == 10; }));
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
   const auto in_place = open(MemoryKind::Cuda);
   ASSERT_TRUE(in_place);
@@ -40,8 +40,8 @@ TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   auto copied = open(MemoryKind::Host);
   ASSERT_TRUE(copied);
   const double psnr = scene.psnr(copied->average());
-  set("run_until", "120");
-  ASSERT_TRUE(until([&] { return stats()->step() == 120 && stats()->paused(); }));
+  set("run_until", "40");
+  ASSERT_TRUE(until([&] { return stats()->step() == 40 && stats()->paused(); }));
   ASSERT_TRUE(copied->refresh());
   EXPECT_GT(scene.psnr(copied->average()), psnr + 1);
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
@@ -71,7 +71,7 @@ TEST_F(CudaTrainer, TakesVisibilityFromTheDevice) {
 }
 
 TEST_F(CudaTrainer, GoesOnOnTheHostAndBack) {
-  const SyntheticScene scene;
+  const SyntheticScene scene(100, 4, 32);
   set("run_until", "10");
   place(bus::Backend::Cuda, MemoryKind::Cuda);
   start();
@@ -87,7 +87,7 @@ TEST_F(CudaTrainer, GoesOnOnTheHostAndBack) {
     place(backend, MemoryKind::Cuda);
     start();
     ASSERT_TRUE(until([&] { return published()->generation() > generation; }));
-    EXPECT_EQ(published()->count(), 300U);
+    EXPECT_EQ(published()->count(), 100U);
     EXPECT_TRUE(holds(scene.truth().batch));
     show(scene);
   }

@@ -16,9 +16,9 @@ namespace splatbus::trainer {
 /// A floor of Gaussians, photographed by the rasterizer itself from cameras in a circle: what training must find again.
 class SyntheticScene {
  public:
-  static constexpr std::uint32_t kSize = 48;
-
-  explicit SyntheticScene(std::size_t gaussians = 300, int cameras = 6) : truth_(sample_batch(1, 1, gaussians)) {
+  /// Pictures of `size` x `size`.
+  explicit SyntheticScene(std::size_t gaussians = 300, int cameras = 6, std::uint32_t size = 48)
+      : truth_(sample_batch(1, 1, gaussians)), size_(size) {
     for (std::size_t i = 0; i < 3 * gaussians; ++i) truth_.log_scale[i] = std::log(i / gaussians == 1 ? 0.03F : 0.18F);
     scene_.light = truth_.light;
     scene_.light.background = glm::vec3(0.2F);
@@ -29,14 +29,14 @@ class SyntheticScene {
     for (int c = 0; c < cameras; ++c) {
       const float angle = 2.0F * std::numbers::pi_v<float> * static_cast<float>(c) / static_cast<float>(cameras);
       TrainingView view;
-      view.camera = look_at({3.5F * std::cos(angle), 2.5F, 3.5F * std::sin(angle)}, {0, 0, 0}, kSize, kSize, 1.0F);
+      view.camera = look_at({3.5F * std::cos(angle), 2.5F, 3.5F * std::sin(angle)}, {0, 0, 0}, size, size, 1.0F);
       view.camera.id = static_cast<std::uint32_t>(c);
       view.scene = scene_;
       raster::Render render;
       rasterizer->render(planes.view(gaussians), view.camera, scene_, {.albedo = true, .depth = true}, render);
       view.color = Pixels<std::uint8_t>(to_rgba(render.color));
       view.albedo = Pixels<std::uint8_t>(to_rgba(render.albedo));
-      std::vector<float> depth(std::size_t{kSize} * kSize);
+      std::vector<float> depth(std::size_t{size} * size);
       for (std::size_t i = 0; i < depth.size(); ++i) {
         depth[i] = render.alpha.data[i] > 0.5F ? render.depth.data[i] / render.alpha.data[i] : 0.0F;
       }
@@ -81,7 +81,7 @@ class SyntheticScene {
       const auto shown = to_rgba(render.color);
       for (std::size_t i = 0; i < shown.size(); ++i) square += std::pow(double(shown[i]) - double(view->color[i]), 2);
     }
-    const double samples = 3.0 * kSize * kSize * static_cast<double>(views_.size());
+    const double samples = 3.0 * size_ * size_ * static_cast<double>(views_.size());
     return 10.0 * std::log10(255.0 * 255.0 * samples / square);
   }
 
@@ -103,6 +103,7 @@ class SyntheticScene {
   }
 
   InsertBatch truth_;
+  std::uint32_t size_;
   SceneState scene_;
   std::vector<TrainingViewPtr> views_;
 };

@@ -23,6 +23,10 @@ namespace splatbus::trainer {
 
 using namespace std::chrono_literals;
 
+/// How long a condition that must come true may take: only there to end a test that hangs, also where every access of a
+/// kernel is checked.
+constexpr auto kPatience = 120s;
+
 /// A trainer on a bus, with an expander, a capture bridge and a relight made by hand.
 class TrainerTest : public bus_test::BusTest {
  protected:
@@ -68,10 +72,12 @@ class TrainerTest : public bus_test::BusTest {
 
   /// Receives until the condition holds.
   bool until(const std::function<bool()>& condition) {
-    return bus_test::eventually([&] {
-      while (auto message = subscriber_.receive(5ms)) newest_.insert_or_assign(message->topic(), *message);
-      return condition();
-    });
+    return bus_test::eventually(
+        [&] {
+          while (auto message = subscriber_.receive(5ms)) newest_.insert_or_assign(message->topic(), *message);
+          return condition();
+        },
+        kPatience);
   }
 
   const wire::ModelPublished* published() {
