@@ -1,6 +1,7 @@
 #include "bench/bench_scene.h"
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <glm/gtc/quaternion.hpp>
 #include <numeric>
@@ -86,7 +87,7 @@ std::vector<std::uint8_t> to_target(const raster::Image& image, bool linear) {
     for (std::uint32_t c = 0; c < 3; ++c) {
       const float value = image.plane(c)[i];
       const float shown = linear ? srgb_from_linear(value) : std::clamp(value, 0.0F, 1.0F);
-      rgba[4 * i + c] = static_cast<std::uint8_t>(255 * shown + 0.5F);
+      rgba[4 * i + c] = static_cast<std::uint8_t>(std::lround(255 * shown));
     }
   }
   return rgba;

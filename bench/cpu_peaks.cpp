@@ -33,7 +33,7 @@ std::size_t MultiplyAdd(std::size_t rounds, float* sink) {
   V x[kChains];
   for (std::size_t j = 0; j < kChains; ++j) x[j] = hn::Set(f, 0.1F * static_cast<float>(j));
   for (std::size_t k = 0; k < rounds; ++k) {
-    for (std::size_t j = 0; j < kChains; ++j) x[j] = hn::MulAdd(x[j], factor, term);
+    for (V& value : x) value = hn::MulAdd(value, factor, term);
   }
   V sum = x[0];
   for (std::size_t j = 1; j < kChains; ++j) sum = hn::Add(sum, x[j]);

@@ -17,7 +17,7 @@ __global__ void multiply_add_kernel(float factor, float term, float* sink) {
   float x[kChains];
 #pragma unroll
   for (int k = 0; k < kChains; ++k) x[k] = 0.1F * k + threadIdx.x;
-#pragma unroll 4
+#pragma unroll 32
   for (int n = 0; n < kRounds; ++n) {
 #pragma unroll
     for (int k = 0; k < kChains; ++k) x[k] = fmaf(x[k], factor, term);

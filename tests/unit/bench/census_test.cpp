@@ -115,9 +115,9 @@ TEST(Census, BlendsThoseThatTheRasteriserBlends) {
   const auto uniform = [&](float low, float high) {
     return low + (high - low) * static_cast<float>(generator() >> 8U) / 16777216.0F;
   };
-  std::vector<Ball> balls;
-  for (int k = 0; k < 2000; ++k) {
-    balls.push_back({uniform(-1, 1), uniform(-1, 1), uniform(1, 4), uniform(0.02F, 0.2F), uniform(-6, 6)});
+  std::vector<Ball> balls(2000);
+  for (Ball& ball : balls) {
+    ball = {uniform(-1, 1), uniform(-1, 1), uniform(1, 4), uniform(0.02F, 0.2F), uniform(-6, 6)};
   }
   GaussiansBuffer model = model_of(balls);
   for (std::size_t c = 3; c < 10; ++c) {
