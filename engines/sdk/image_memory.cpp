@@ -27,7 +27,7 @@ std::string memory_problem(const splatbus_image& image) {
       return {};
     case SPLATBUS_MEMORY_CUDA:
 #ifdef SPLATBUS_HAVE_CUDA
-      return cuda::pointer_problem(image.data);
+      return cuda::pointer_problem(image.data, image.bytes);
 #else
       return "its memory is CUDA's, which this build does not have";
 #endif

@@ -78,7 +78,7 @@ typedef struct {
 typedef struct {
   uint32_t buffer; /* one splatbus_buffer */
   const void* data;
-  size_t bytes;    /* exactly width * height * element size */
+  size_t bytes;    /* exactly width * height * element size; in CUDA memory they must all be there, which is checked */
   uint32_t memory; /* splatbus_memory: where `data` points, a device address for CUDA */
 } splatbus_image;
 

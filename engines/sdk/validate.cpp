@@ -52,7 +52,6 @@ std::string problem(const splatbus_image& image, const splatbus_camera& camera) 
   const char* name = buffer_name(image.buffer);
   if (name == nullptr) return fmt::format("{:#x} is not one known buffer", image.buffer);
   if (image.data == nullptr) return fmt::format("{}: data is NULL", name);
-  if (const std::string wrong = memory_problem(image); !wrong.empty()) return fmt::format("{}: {}", name, wrong);
   if (image.buffer == SPLATBUS_BUFFER_LIGHT_DEPTH && camera.role != SPLATBUS_ROLE_LIGHT) {
     return fmt::format("{}: only a camera of role light has one", name);
   }
@@ -62,7 +61,8 @@ std::string problem(const splatbus_image& image, const splatbus_camera& camera) 
     return fmt::format("{}: {} bytes, where {} x {} pixels take {}", name, image.bytes, camera.width, camera.height,
                        expected);
   }
-  return {};
+  const std::string wrong = memory_problem(image);
+  return wrong.empty() ? wrong : fmt::format("{}: {}", name, wrong);
 }
 
 }  // namespace

@@ -61,7 +61,11 @@ TensorView::TensorView(std::string name, std::vector<std::uint32_t> shape, Eleme
       bytes_(span.bytes()),
       slab_(std::move(slab)),
       span_(span) {
-  // A kernel that reads askew takes its whole process down.
+  // A kernel that reads too far, or askew, takes its whole process down.
+  if (const std::size_t needed = tensor_bytes(shape_, type_); needed != bytes_) {
+    throw Error(fmt::format("tensor '{}' of shape [{}] needs {} bytes, its span in slab '{}' has {}", name_,
+                            fmt::join(shape_, ", "), needed, slab_->name(), bytes_));
+  }
   if (reinterpret_cast<std::uintptr_t>(data_) % element_bytes(type_) != 0) {
     throw Error(fmt::format("tensor '{}' begins at byte {} of slab '{}', which its elements of {} bytes cannot", name_,
                             span_.offset(), slab_->name(), element_bytes(type_)));
@@ -74,6 +78,12 @@ MemoryKind TensorView::memory() const {
 
 bool TensorView::still_valid() const {
   return slab_ == nullptr || slab_->holds(span_);
+}
+
+bool TensorView::shares_validity(const TensorView& other) const {
+  if (slab_ == nullptr || other.slab_ == nullptr) return slab_ == other.slab_;
+  return slab_->id() == other.slab_->id() && slab_->slot_of(span_) == other.slab_->slot_of(other.span_) &&
+         span_.generation() == other.span_.generation();
 }
 
 bool TensorView::copy(void* destination) const {

@@ -43,7 +43,8 @@ class TensorView {
   TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, const std::byte* data,
              std::size_t bytes, std::shared_ptr<const void> keep_alive);
 
-  /// In a slab. Throws bus::Error when the span leaves its slot or is not aligned to its elements.
+  /// In a slab. Throws bus::Error when the span leaves its slot, is not what the shape needs, or is not aligned to its
+  /// elements.
   TensorView(std::string name, std::vector<std::uint32_t> shape, ElementType type, std::shared_ptr<const Slab> slab,
              const wire::Span& span);
 
@@ -63,6 +64,10 @@ class TensorView {
   /// True while the slot still holds what the message announced. Always true for inline tensors.
   [[nodiscard]] bool still_valid() const;
 
+  /// True when still_valid() of one tells for both: they lie in one slot of one slab, under one generation, or both are
+  /// inline.
+  [[nodiscard]] bool shares_validity(const TensorView& other) const;
+
   /// Copies all bytes to `destination` in host memory (bytes() of room). False when the slot was overwritten meanwhile;
   /// the destination then holds garbage.
   [[nodiscard]] bool copy(void* destination) const;
@@ -80,32 +85,25 @@ class TensorView {
   wire::Span span_{};
 };
 
+/// The ElementType whose elements are T.
 template <class T>
 struct ElementTypeOf;
-template <>
-struct ElementTypeOf<std::uint8_t> {
-  static constexpr auto value = ElementType::U8;
+template <ElementType type>
+struct ElementTypeIs {
+  static constexpr auto value = type;
 };
 template <>
-struct ElementTypeOf<std::uint16_t> {
-  static constexpr auto value = ElementType::U16;
-};
+struct ElementTypeOf<std::uint8_t> : ElementTypeIs<ElementType::U8> {};
 template <>
-struct ElementTypeOf<std::uint32_t> {
-  static constexpr auto value = ElementType::U32;
-};
+struct ElementTypeOf<std::uint16_t> : ElementTypeIs<ElementType::U16> {};
 template <>
-struct ElementTypeOf<std::uint64_t> {
-  static constexpr auto value = ElementType::U64;
-};
+struct ElementTypeOf<std::uint32_t> : ElementTypeIs<ElementType::U32> {};
 template <>
-struct ElementTypeOf<std::int32_t> {
-  static constexpr auto value = ElementType::I32;
-};
+struct ElementTypeOf<std::uint64_t> : ElementTypeIs<ElementType::U64> {};
 template <>
-struct ElementTypeOf<float> {
-  static constexpr auto value = ElementType::F32;
-};
+struct ElementTypeOf<std::int32_t> : ElementTypeIs<ElementType::I32> {};
+template <>
+struct ElementTypeOf<float> : ElementTypeIs<ElementType::F32> {};
 
 template <class T>
 std::span<const T> TensorView::as() const {

@@ -1,10 +1,11 @@
 #pragma once
 
+#include <cstddef>
 #include <string>
 
 namespace splatbus::engine_sdk::cuda {
 
-/// Why an address is not in memory of the first CUDA device, or an empty string.
-[[nodiscard]] std::string pointer_problem(const void* address);
+/// Why so many bytes do not lie at an address in memory of the first CUDA device, or an empty string.
+[[nodiscard]] std::string pointer_problem(const void* address, std::size_t bytes);
 
 }  // namespace splatbus::engine_sdk::cuda

@@ -78,6 +78,16 @@ TEST_F(Slabs, SpansStayWithinTheirSlot) {
   }
 }
 
+TEST_F(Slabs, ATensorNeedsWhatItsSpanHas) {
+  const auto slab = connect("maker")->create_slab("frames", 1, 100);
+  (void)slab->next_slot();
+  const auto span = slab->span(0, 0, 100, slab->end_write(0));
+  EXPECT_TRUE(bus::TensorView("values", {5, 5}, bus::ElementType::F32, slab, span).still_valid());
+  for (const std::uint32_t columns : {4U, 6U, 0xFFFFFFFFU}) {
+    EXPECT_THROW(bus::TensorView("values", {5, columns}, bus::ElementType::F32, slab, span), bus::Error) << columns;
+  }
+}
+
 TEST_F(Slabs, SizesBeyondTheLimitsAreRefused) {
   const auto context = connect("maker");
   EXPECT_THROW((void)context->create_slab("a", 0, 100), bus::Error);

@@ -166,6 +166,30 @@ TEST_F(CudaSlabs, ASlabSmallerThanItClaimsIsRefused) {
   EXPECT_NO_THROW(map_as(*claim, *claim));
 }
 
+TEST_F(CudaSlabs, ATensorThatClaimsMoreThanItsSlabHasIsRefused) {
+  const auto context = connect("maker");
+  bus::Publisher publisher(context, "viewer/probe");
+  const auto slab = create_cuda_slab(*context, 1);
+  bus::Subscriber reader(connect("reader"), {"viewer/probe"});
+  meet(publisher, reader);
+  bus::OutgoingTensor lie = write_to_device(*slab, make_values());
+  const wire::Span& whole = lie.span;
+  lie.shape = {64 * value_count};  // far beyond what is mapped
+  lie.span = wire::Span(whole.slab(), whole.generation(), 0, 64 * whole.bytes(), wire::Storage::Slab);
+  publish_number(publisher, 1, false, "", {lie});
+  const auto lying = reader.receive(patience);
+  ASSERT_TRUE(lying.has_value());
+  EXPECT_THAT([&] { (void)lying->tensor("values"); },
+              ThrowsMessage<bus::Error>(AllOf(HasSubstr("values"), HasSubstr("leave their slot"))));
+
+  publish_number(publisher, 2, false, "", {write_to_device(*slab, make_values())});
+  const auto good = reader.receive(patience);
+  ASSERT_TRUE(good.has_value());
+  const auto view = good->tensor("values");
+  ASSERT_TRUE(view.has_value());
+  EXPECT_EQ(read_on_device(view->data(), view->elements()), make_values());
+}
+
 TEST_F(CudaSlabs, MemoryOfAnotherKindIsRefused) {
   const auto host = bus::create_slab_memory(descriptor_of(4096, bus::MemoryKind::Host), true);
   const auto cuda = bus::create_slab_memory(descriptor_of(4096), true);
@@ -200,6 +224,12 @@ TEST_F(CudaSlabs, TheDeviceGetsItsMemoryBack) {
     EXPECT_LT(free_bytes() + bytes, before);
   }
   EXPECT_LT(before, free_bytes() + bytes / 4);
+}
+
+TEST_F(CudaSlabs, OnlyAFaultIsTheEndOfAProcess) {
+  ChildProcess process("test_bus_gpu", peer("--fault"), output_path());
+  EXPECT_EQ(process.wait(), 0) << read_text(output_path());
+  EXPECT_THAT(read_text(output_path()), HasSubstr("does no more work for this process"));
 }
 
 TEST_F(CudaSlabs, ReadersOverTcpGetTheBytes) {

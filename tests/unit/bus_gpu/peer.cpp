@@ -5,10 +5,13 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <stdexcept>
 
 #include "bus/error.h"
+#include "bus/memory.h"
 #include "bus/subscriber.h"
 #include "bus_fixture.h"
+#include "fault.h"
 
 namespace splatbus::bus_test {
 namespace {
@@ -33,6 +36,26 @@ int read(const bus::Address& address) {
   if (read_on_device(view->data(), view->elements()) != make_values()) throw bus::Error("other values came");
   if (!view->still_valid()) throw bus::Error("the slot was overwritten");
   return 0;
+}
+
+/// Memory that there is too little of is another matter than a device that has failed for good.
+int fault() {
+  constexpr std::size_t far_too_much = std::size_t{1} << 50;
+  try {
+    (void)bus::allocate_memory(bus::MemoryKind::Cuda, far_too_much);
+    throw std::logic_error("memory that does not exist was given");
+  } catch (const bus::Error&) {
+    bus::require_usable(bus::MemoryKind::Cuda);
+  }
+  (void)bus::allocate_memory(bus::MemoryKind::Cuda, 4096);
+  launch_fault();
+  try {
+    bus::require_usable(bus::MemoryKind::Cuda);
+  } catch (const bus::Error& error) {
+    fmt::print("{}\n", error.what());
+    return 0;
+  }
+  throw std::logic_error("the fault was not noticed");
 }
 
 }  // namespace
@@ -82,6 +105,7 @@ int run_peer(const std::string& role, const std::string& folder) {
   const auto address = bus::Address::parse("ipc://" + folder);
   if (role == "--make") return make(address);
   if (role == "--read") return read(address);
+  if (role == "--fault") return fault();
   throw bus::Error(fmt::format("'{}' is no role", role));
 }
 

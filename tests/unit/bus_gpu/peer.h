@@ -29,7 +29,8 @@ std::vector<float> read_on_device(const std::byte* device_address, std::size_t c
 
 /// The other process, by its first argument; its exit status. "--make FOLDER": makes a slab as "maker", writes it,
 /// prints "ID OFFSET BYTES GENERATION" and waits to be killed. "--read FOLDER": reads the tensor of the latched message
-/// on "viewer/probe" on the device.
+/// on "viewer/probe" on the device. "--fault FOLDER": runs out of memory, then lets a kernel fail, and prints what
+/// require_usable() says to that.
 int run_peer(const std::string& role, const std::string& folder);
 
 }  // namespace splatbus::bus_test

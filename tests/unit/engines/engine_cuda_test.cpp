@@ -86,6 +86,33 @@ TEST_P(CudaSdk, WhatIsNoDeviceMemoryIsRefused) {
   EXPECT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK) << "it goes on";
 }
 
+TEST_P(CudaSdk, AnImageThatLeavesItsMemoryIsRefused) {
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open("engine", GetParam());
+  OwnedFrame owned(small_camera());
+  const DeviceBytes color(std::vector<std::uint8_t>(owned.color.size(), 7));
+  const auto claim = [&](std::uint32_t width, std::uint32_t height) {
+    owned.frame.camera.width = width;
+    owned.frame.camera.height = height;
+    owned.images[0] = {SPLATBUS_BUFFER_COLOR, color.data(), std::size_t{4} * width * height, SPLATBUS_MEMORY_CUDA};
+  };
+  claim(8192, 8192);  // far more than what else may lie behind it
+  EXPECT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_ERROR_ARGUMENT);
+  EXPECT_THAT(splatbus_engine_last_error(engine.get()),
+              testing::AllOf(HasSubstr("color"), HasSubstr("where 268435456 are said to be")));
+  claim(8, 6);
+  ASSERT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK)
+      << splatbus_engine_last_error(engine.get());
+  const auto message = frames.receive(patience);
+  ASSERT_TRUE(message.has_value()) << "the next good frame is taken";
+  std::vector<std::uint8_t> pixels(owned.color.size());
+  const auto tensor = message->tensor("color");
+  ASSERT_TRUE(tensor && tensor->copy(pixels.data()));
+  EXPECT_EQ(pixels, std::vector<std::uint8_t>(pixels.size(), 7));
+}
+
 INSTANTIATE_TEST_SUITE_P(Rings, CudaSdk, testing::Values(SPLATBUS_MEMORY_HOST, SPLATBUS_MEMORY_CUDA),
                          [](const auto& memory) { return memory.param == SPLATBUS_MEMORY_CUDA ? "Cuda" : "Host"; });
 

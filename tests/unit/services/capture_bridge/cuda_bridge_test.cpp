@@ -24,10 +24,11 @@ class CudaBridgeTest : public bus_test::BusTest {
   }
 
   /// One round of an engine whose pictures lie in `engine_memory`, through a bridge: its input and its light's depth.
-  void capture(bus::MemoryKind engine_memory, bus::Backend backend) {
+  void capture(bus::MemoryKind engine_memory, bus::Backend backend, std::uint32_t claimed_rows = 1) {
     const auto peer = connect("peer");
     bus::Subscriber reader(peer, {"capture/*", "scene/*"});
     FakeEngine engine(connect("engine"), engine_memory);
+    engine.claimed_rows = claimed_rows;
     const auto context = connect("capture-bridge");
     CaptureBridge bridge(context, parameters_, backend);
     ASSERT_TRUE(bus_test::eventually([&] {
@@ -41,6 +42,7 @@ class CudaBridgeTest : public bus_test::BusTest {
              received_.contains("capture/reference");
     }));
     host_copied_bytes_ = bridge.host_copied_bytes();
+    frames_refused_ = bridge.counters().frames_refused;
     for (const char* name : {"position", "normal", "albedo", "color", "footprint", "spacing", "cosine", "depth"}) {
       const auto tensor = received_.at("capture/input").tensor(name);
       ASSERT_TRUE(tensor) << name;
@@ -64,7 +66,7 @@ class CudaBridgeTest : public bus_test::BusTest {
   bus::Parameters parameters_{parameter_specs()};
   std::map<std::string, bus::Message> received_;
   std::map<bus::Backend, std::map<std::string, std::vector<float>>> tensors_;
-  std::uint64_t host_copied_bytes_ = 0;
+  std::uint64_t host_copied_bytes_ = 0, frames_refused_ = 0;
 };
 
 constexpr std::uint64_t kInputBytes = 4 * 32 * 32 * (16 + 16 + 4 + 4);
@@ -87,27 +89,14 @@ TEST_F(CudaBridgeTest, OnTheCpuReadsADevicesPictures) {
   EXPECT_EQ(tensors_[bus::Backend::Cuda], tensors_[bus::Backend::Cpu]);
 }
 
-TEST_F(CudaBridgeTest, FiguresOfPublishing) {
-  const RoundCase round = dome_round(10, 256, 250000);
-  const auto device_views = on_device(round.views);
-  const RoundSizes sizes{.views = 10, .pixels = round.views[0].pixels(), .samples = round.options.budget};
-  const auto sampler = make_sampler(bus::Backend::Cuda, sizes);
-  std::vector<InputViewPointer> views;
-  for (const InputView& view : device_views) views.push_back(std::make_shared<const InputView>(view));
-  const auto since = [](auto start) {
-    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-  };
-  const auto ready = std::chrono::steady_clock::now();
-  InputPublisher publisher(connect("publisher"), bus::MemoryKind::Cuda, sizes);
-  std::cout << "publisher ready after " << since(ready) << " ms; rounds sampled and published in";
-  for (int i = 0; i < 6; ++i) {
-    const auto start = std::chrono::steady_clock::now();
-    const RoundSamples samples = sampler->sample(pointers_to(device_views), round.objects, round.options);
-    const double sampled = since(start);
-    publisher.publish(views, *views.front(), 1, samples);
-    std::cout << ' ' << sampled << " + " << since(start) - sampled;
-  }
-  std::cout << " ms\n";
+TEST_F(CudaBridgeTest, FramesThatClaimMoreMemoryThanThereIsAreRefused) {
+  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);
+  EXPECT_EQ(frames_refused_, 0U);
+  const auto sound = tensors_;
+  // Each good frame comes behind one whose pictures would reach far beyond the slab.
+  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda, 128);
+  EXPECT_GE(frames_refused_, 6U) << "4 input cameras, a reference camera and a light";
+  EXPECT_EQ(tensors_, sound);
 }
 
 }  // namespace

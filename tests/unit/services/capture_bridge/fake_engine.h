@@ -59,14 +59,20 @@ class FakeEngine {
       sources.push_back({"light_depth", {camera.height, camera.width}, bus::ElementType::F32, light_depth.data()});
     }
     ++frame;
-    const bus::MessageInfo info{.schema = "EngineFrame/1", .capture_ns = 1234, .tensors = ring_.write(sources)};
-    frames_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-      const auto objects_offset = to_wire(builder, objects);
-      const auto light_offset = to_wire(builder, light);
-      const wire::Camera out = to_wire(camera);
-      return wire::CreateEngineFrame(builder, header, frame, 0.1 * static_cast<double>(frame), request_id, &out,
-                                     objects_offset, light_offset);
-    });
+    std::vector<bus::OutgoingTensor> tensors = ring_.write(sources);
+    if (claimed_rows > 1) {
+      std::vector<bus::OutgoingTensor> lies = tensors;
+      for (bus::OutgoingTensor& lie : lies) {
+        const wire::Span& there = lie.span;
+        lie.shape[0] *= claimed_rows;
+        lie.span =
+            wire::Span(there.slab(), there.generation(), there.offset(), there.bytes() * claimed_rows, there.storage());
+      }
+      Camera tall = camera;
+      tall.height *= claimed_rows;
+      publish(tall, request_id, std::move(lies));
+    }
+    publish(camera, request_id, std::move(tensors));
     ++submitted[camera.role];
   }
 
@@ -88,9 +94,21 @@ class FakeEngine {
   std::uint64_t frame = 0;
   std::function<bool(const Camera&)> lose;             ///< true: this camera's frame never comes
   std::function<void(std::vector<glm::vec4>&)> spoil;  ///< changes positions before they go out
+  std::uint32_t claimed_rows = 1;  ///< more: before each frame comes one that says to have so many times the rows
   std::map<CameraRole, int> submitted;
 
  private:
+  void publish(const Camera& camera, std::uint64_t request_id, std::vector<bus::OutgoingTensor> tensors) {
+    const bus::MessageInfo info{.schema = "EngineFrame/1", .capture_ns = 1234, .tensors = std::move(tensors)};
+    frames_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      const auto objects_offset = to_wire(builder, objects);
+      const auto light_offset = to_wire(builder, light);
+      const wire::Camera out = to_wire(camera);
+      return wire::CreateEngineFrame(builder, header, frame, 0.1 * static_cast<double>(frame), request_id, &out,
+                                     objects_offset, light_offset);
+    });
+  }
+
   bus::Subscriber subscriber_;
   bus::Publisher frames_;
   bus::TensorRing ring_;
