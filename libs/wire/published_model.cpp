@@ -71,6 +71,10 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, 
     auto plane = find_plane(message, name, type, channels, static_cast<std::uint32_t>(published.capacity()));
     lost |= !plane;
     if (!plane) return;
+    if (!model.planes_.empty() && !plane->shares_validity(model.planes_.front().source)) {
+      reject(message, std::string("plane \"") + name + "\" lies in another slot than plane \"" +
+                          model.planes_.front().source.name() + "\": one sequence lock guards all planes");
+    }
     elsewhere |= plane->memory() != kind;
     model.planes_.push_back(
         {.source = std::move(*plane), .channels = std::max(1U, channels), .element_bytes = bus::element_bytes(type)});
@@ -132,6 +136,7 @@ bool PublishedModel::refresh() {
 }
 
 bool PublishedModel::still_valid() const {
+  // The first plane tells for all: open() refuses planes that do not share a lock.
   return !planes_.empty() && planes_.front().source.still_valid();
 }
 

@@ -23,7 +23,8 @@ class PublishedModel {
   enum class Need { Both, Average };
 
   /// Nullopt when the slab is gone or its structure has moved on since. Throws bus::Error when the message lies (planes
-  /// of other sizes than count and capacity say; that values are finite is not checked).
+  /// of other sizes than count and capacity say, or not all in one slot of one slab; that values are finite is not
+  /// checked).
   [[nodiscard]] static std::optional<PublishedModel> open(const bus::Message& message,
                                                           bus::MemoryKind kind = bus::MemoryKind::Host,
                                                           Need need = Need::Both);

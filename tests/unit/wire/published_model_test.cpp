@@ -2,10 +2,13 @@
 
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <numeric>
+#include <span>
 #include <vector>
 
 #include "bus/backend.h"
+#include "bus/error.h"
 #include "bus/memory.h"
 #include "bus/publisher.h"
 #include "bus/tensor_ring.h"
@@ -29,7 +32,8 @@ class PublishedModels : public bus_test::BusTest,
     if (device && bus::choose_backend("auto") != bus::Backend::Cuda) GTEST_SKIP() << "no CUDA device";
   }
 
-  bus::Message publish(MemoryKind kind, float first_value) {
+  /// The planes beyond `together` lie in a slab of their own.
+  bus::Message publish(MemoryKind kind, float first_value, std::size_t together = SIZE_MAX) {
     std::vector<float> floats(std::size_t{kChannels} * kCapacity);
     std::iota(floats.begin(), floats.end(), first_value);
     std::vector<std::uint64_t> ids(kCapacity);
@@ -50,11 +54,17 @@ class PublishedModels : public bus_test::BusTest,
                                                  id("flags", bus::ElementType::U32),
                                                  id("cell", bus::ElementType::U64),
                                                  id("gaussian_id", bus::ElementType::U64)};
-    publisher_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = ring_->write(sources)},
-                       [&](auto& builder, auto header) {
-                         return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity,
-                                                           wire::Appearance::Radiance, 0);
-                       });
+    const std::span all(sources);
+    std::vector<bus::OutgoingTensor> planes = ring_->write(all.first(std::min(together, all.size())));
+    if (together < all.size()) {
+      if (!apart_) apart_.emplace(maker_, "apart", 2, 0, kind);
+      const auto others = apart_->write(all.subspan(together));
+      planes.insert(planes.end(), others.begin(), others.end());
+    }
+    publisher_.publish(
+        {.schema = "ModelPublished/1", .latch = true, .tensors = planes}, [&](auto& builder, auto header) {
+          return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
+        });
     auto message = subscriber_.receive(bus_test::patience);
     if (!message) throw std::runtime_error("nothing arrived");
     return *message;
@@ -71,7 +81,7 @@ class PublishedModels : public bus_test::BusTest,
   std::shared_ptr<bus::Context> maker_ = connect("trainer"), reader_ = connect("reader");
   bus::Publisher publisher_{maker_, "model/published"};
   bus::Subscriber subscriber_{reader_, {"model/published"}};
-  std::optional<bus::TensorRing> ring_;
+  std::optional<bus::TensorRing> ring_, apart_;
 };
 
 TEST_P(PublishedModels, AreReadWhereTheReaderWantsThem) {
@@ -104,6 +114,17 @@ TEST_P(PublishedModels, OneThatMovesOnIsNotValidAnyMore) {
   EXPECT_FALSE(model->still_valid());
   EXPECT_FALSE(model->refresh());
   EXPECT_FALSE(PublishedModel::open(message, wanted));
+}
+
+TEST_P(PublishedModels, PlanesThatOneLockDoesNotGuardAreRefused) {
+  const auto [published, wanted] = GetParam();
+  // The last plane alone moves on unseen by whoever asks the first.
+  const auto torn = publish(published, 0, 8);
+  const auto open_torn = [&, kind = wanted] { (void)PublishedModel::open(torn, kind); };
+  EXPECT_THAT(open_torn,
+              testing::ThrowsMessage<bus::Error>(testing::AllOf(
+                  testing::HasSubstr("trainer"), testing::HasSubstr("gaussian_id"), testing::HasSubstr("lock"))));
+  EXPECT_TRUE(PublishedModel::open(publish(published, 0), wanted)) << "the next one is read";
 }
 
 constexpr auto kAnyKind = {MemoryKind::Host, MemoryKind::Cuda};
