@@ -34,8 +34,9 @@ class Buffer {
     if (elements > capacity_) {
       cudaFree(data_);
       data_ = nullptr;
-      capacity_ = 0;
-      check(cudaMalloc(reinterpret_cast<void**>(&data_), elements * sizeof(T)), "allocating a buffer");
+      capacity_ = size_ = 0;
+      const std::size_t bytes = elements * sizeof(T);
+      check_allocation(cudaMalloc(reinterpret_cast<void**>(&data_), bytes), "allocating a buffer", bytes);
       capacity_ = elements;
     }
     size_ = elements;

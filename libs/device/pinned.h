@@ -28,7 +28,8 @@ class Pinned {
       cudaFreeHost(data_);
       data_ = nullptr;
       size_ = 0;
-      check(cudaMallocHost(reinterpret_cast<void**>(&data_), elements * sizeof(T)), "allocating pinned memory");
+      const std::size_t bytes = elements * sizeof(T);
+      check_allocation(cudaMallocHost(reinterpret_cast<void**>(&data_), bytes), "allocating pinned memory", bytes);
       size_ = elements;
     }
   }

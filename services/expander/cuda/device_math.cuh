@@ -2,6 +2,7 @@
 
 #include <cstdint>
 
+#include "device/sorted.cuh"
 #include "expander/cuda/kernels.h"
 
 // Vector arithmetic in the order in which GLM does it on the host.
@@ -57,16 +58,7 @@ __device__ inline CellId cell_at(const float3& point, CellId prefix, float cell_
 
 /// Index of a cell in a table, or -1.
 __device__ inline int find_cell(const CellTableView& table, std::uint32_t cells, CellId cell) {
-  std::uint32_t low = 0, high = cells;
-  while (low < high) {
-    const std::uint32_t middle = (low + high) / 2;
-    if (table.id[middle] < cell) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  return low < cells && table.id[low] == cell ? static_cast<int>(low) : -1;
+  return device::find_sorted(table.id, cells, cell);
 }
 
 }  // namespace splatbus::expander::cuda

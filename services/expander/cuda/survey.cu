@@ -7,16 +7,9 @@ namespace {
 using device::check;
 
 __device__ const DeviceObject* find_object(const RoundView& round, std::uint32_t id) {
-  std::uint32_t low = 0, high = round.object_count;
-  while (low < high) {
-    const std::uint32_t middle = (low + high) / 2;
-    if (round.objects[middle].id < id) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  return low < round.object_count && round.objects[low].id == id ? round.objects + low : nullptr;
+  const int at =
+      device::find_sorted(round.objects, round.object_count, id, [](const DeviceObject& object) { return object.id; });
+  return at < 0 ? nullptr : round.objects + at;
 }
 
 __device__ bool depth_matches(const RoundView& round, std::uint32_t camera_index, const float3& position,

@@ -1,4 +1,5 @@
 #include "device/check.h"
+#include "device/sorted.cuh"
 #include "relight/cuda/visibility_kernel.h"
 #include "relight/visibility_limits.h"
 
@@ -30,17 +31,9 @@ __device__ Vector apply(const Transform& t, const Vector& p) {
 
 /// Null when the object does not move.
 __device__ const Transform* find(const ObjectTransform* objects, int count, std::uint32_t id) {
-  int low = 0;
-  while (low < count) {
-    const int middle = (low + count) / 2;
-    if (objects[middle].id == id) return &objects[middle].world_from_object;
-    if (objects[middle].id < id) {
-      low = middle + 1;
-    } else {
-      count = middle;
-    }
-  }
-  return nullptr;
+  const int at = device::find_sorted(objects, static_cast<std::uint32_t>(count), id,
+                                     [](const ObjectTransform& object) { return object.id; });
+  return at < 0 ? nullptr : &objects[at].world_from_object;
 }
 
 /// Mean of the two larger standard deviations.
