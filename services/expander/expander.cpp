@@ -1,5 +1,6 @@
 #include "expander/expander.h"
 
+#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
@@ -17,7 +18,6 @@ namespace splatbus::expander {
 
 namespace {
 
-constexpr std::size_t kWaitingRounds = 8;
 constexpr std::int64_t kStatePeriodNs = 100'000'000;
 constexpr std::int64_t kSettledStatePeriodNs =
     10'000'000;  // all that was inserted is acknowledged: somebody waits for it
@@ -32,7 +32,7 @@ constexpr std::size_t kRingSlots = BatchLedger::Options{}.in_flight + 2;
 Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, bus::Backend backend)
     : parameters_(parameters),
       context_(std::move(context)),
-      mapper_(make_mapper(backend, static_cast<float>(parameters.number("cell_size_m")))),
+      mapper_(make_mapper(backend, mapper_options(parameters))),
       subscriber_(context_, {"capture/input", "viewer/pose", "model/published"}),
       insert_publisher_(context_, "model/insert"),
       state_publisher_(context_, "grid/state"),
@@ -42,6 +42,7 @@ Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters&
       follower_(context_->epoch()) {}
 
 void Expander::step(std::chrono::milliseconds timeout) {
+  mapper_->limit_device_memory(device_bytes(parameters_));
   auto message = subscriber_.receive(timeout);
   for (int taken = 1; message; ++taken) {
     prepare_ring();
@@ -68,22 +69,8 @@ void Expander::handle(const bus::Message& message) {
 }
 
 void Expander::handle_input(const bus::Message& message) {
-  const auto incoming = open_round(message);
-  auto round = incoming ? mapper_->take(*incoming) : nullptr;
-  if (!round) {
-    ++counters_.rounds_lost;
-    return;
-  }
-  if (round->dropped() > 0) {
-    spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
-                 round->info().rig_generation, round->dropped());
-  }
-  if (waiting_.empty()) waiting_since_ns_ = bus::now_ns();
-  if (waiting_.size() >= kWaitingRounds) {
-    ++counters_.rounds_lost;
-    waiting_.pop_front();
-  }
-  waiting_.push_back(std::move(round));
+  auto incoming = open_round(message);
+  if (!incoming || !waiting_.add(std::move(*incoming), bus::now_ns())) ++counters_.rounds_lost;
 }
 
 void Expander::handle_pose(const bus::Message& message) {
@@ -109,22 +96,38 @@ void Expander::handle_published(const bus::Message& message) {
 
 void Expander::process_waiting() {
   if (waiting_.empty()) return;
+  const std::int64_t now = bus::now_ns();
   const auto wait_ns = static_cast<std::int64_t>(parameters_.number("adopt_wait_s") * 1e9);
-  if (!follower_.settled() && bus::now_ns() - waiting_since_ns_ < wait_ns) return;
-  while (!waiting_.empty()) {
-    process(*waiting_.front());
-    waiting_.pop_front();
-    publish_batches();
+  const bool grows = follower_.settled() || now - waiting_.since_ns() >= wait_ns;
+  WaitingRounds::Work work{
+      .take = [&](const IncomingRound& incoming) { return take(incoming); },
+      .grow = {},
+      .failed =
+          [&](const RoundInfo& info, const std::exception& error, bool again) {
+            live_through(fmt::format("input round of rig generation {}: {}; it is {}", info.rig_generation,
+                                     error.what(), again ? "tried again" : "set aside"));
+          }};
+  if (grows) {
+    work.grow = [&](const Round& round) {
+      grow(round);
+      publish_batches();
+    };
   }
+  counters_.rounds_lost += waiting_.run(work, now, retry_ns());
 }
 
-void Expander::process(const Round& round) {
+std::unique_ptr<Round> Expander::take(const IncomingRound& incoming) {
+  auto round = mapper_->take(incoming);
+  if (round && round->dropped() > 0) {
+    spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
+                 incoming.rig_generation, round->dropped());
+  }
+  return round;
+}
+
+void Expander::grow(const Round& round) {
   const std::int64_t start = bus::now_ns();
   const RoundInfo& info = round.info();
-  ++counters_.rounds;
-  counters_.samples += round.size();
-  counters_.samples_dropped += round.dropped();
-  state_changed_ = true;
   // Before a viewer is known, the rig stands about the place of interest.
   glm::vec3 middle(0);
   for (const Camera& camera : info.cameras) middle += camera.world_from_camera.translation;
@@ -138,7 +141,11 @@ void Expander::process(const Round& round) {
                                         .viewer = viewer_.value_or(middle),
                                         .room = room,
                                         .batch_size = static_cast<std::size_t>(parameters_.integer("batch_size"))});
+  ++counters_.rounds;
+  counters_.samples += round.size();
+  counters_.samples_dropped += round.dropped();
   counters_.samples_unseen += growth.unseen;
+  state_changed_ = true;
   if (growth.chosen == room && gaussian_limit_logged_ != limit) {
     gaussian_limit_logged_ = limit;
     spdlog::warn("the model has reached max_gaussians = {}: nothing more is inserted", limit);
@@ -152,7 +159,10 @@ void Expander::process(const Round& round) {
 }
 
 void Expander::publish_batches() {
-  for (const InsertBatch* batch : ledger_.due(bus::now_ns())) publish(*batch);
+  for (const InsertBatch* batch : ledger_.due(bus::now_ns())) {
+    // One that fails counts as published: it is repeated, like all that nobody acknowledges.
+    if (!attempt("publishing a batch", [&] { publish(*batch); })) break;
+  }
   if (unsent_since_ns_ == 0 || !ledger_.all_sent()) return;
   counters_.latency_milliseconds = static_cast<double>(bus::now_ns() - unsent_since_ns_) * 1e-6;
   unsent_since_ns_ = 0;
@@ -194,8 +204,16 @@ void Expander::publish_state() {
   const bool waits = counters_.rounds == 0 && waiting_.empty() && since > kWaitingStatePeriodNs;
   const bool due = since >= (ledger_.pending() == 0 ? kSettledStatePeriodNs : kStatePeriodNs);
   if (!waits && !(state_changed_ && due)) return;
+  if (now < state_retry_ns_) return;
+  if (!attempt("publishing grid/state", [&] { send_state(); })) {
+    state_retry_ns_ = now + retry_ns();
+    return;
+  }
   state_changed_ = false;
   state_published_ns_ = now;
+}
+
+void Expander::send_state() {
   const auto cell_size_m = static_cast<float>(parameters_.number("cell_size_m"));
   std::vector<wire::CellState> cells;
   std::uint64_t seen = 0, modelled = 0;
@@ -204,6 +222,7 @@ void Expander::publish_state() {
     seen += cell.samples > 0 ? 1 : 0;
     modelled += cell.points > 0 ? 1 : 0;
   }
+  counters_.cells = cells.size();
   state_publisher_.publish(
       {.schema = "GridState/1", .latch = true}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
         const auto cells_offset = builder.CreateVectorOfStructs(cells);
@@ -215,7 +234,25 @@ void Expander::publish_state() {
 void Expander::prepare_ring() {
   // The slab is made while nothing waits for it: a message has come, so the broker is there.
   if (std::exchange(ring_prepared_, true)) return;
-  (void)ring_.write({});
+  attempt("making the slab of inserts", [&] { (void)ring_.write({}); });
+}
+
+std::int64_t Expander::retry_ns() const {
+  return static_cast<std::int64_t>(parameters_.number("retry_s") * 1e9);
+}
+
+bool Expander::attempt(const char* what, const std::function<void()>& part) try {
+  part();
+  return true;
+} catch (const std::exception& error) {
+  live_through(fmt::format("{}: {}; it is tried again", what, error.what()));
+  return false;
+}
+
+void Expander::live_through(const std::string& failure) {
+  spdlog::error("{}", failure);
+  ++counters_.failures;
+  bus::require_usable(mapper_->memory());
 }
 
 void run(bus::ServiceContext& service) {
@@ -233,7 +270,8 @@ void run(bus::ServiceContext& service) {
     service.counter("batches_sent", static_cast<double>(counters.batches_sent));
     service.counter("batches_pending", static_cast<double>(expander.ledger().pending()));
     service.counter("gaussians_inserted", static_cast<double>(expander.ledger().gaussians()));
-    service.counter("cells", static_cast<double>(expander.mapper().cell_count()));
+    service.counter("cells", static_cast<double>(counters.cells));
+    service.counter("failures", static_cast<double>(counters.failures));
     service.counter("adoptions", static_cast<double>(expander.follower().adoptions()));
     service.counter("round_ms", counters.milliseconds);
     service.counter("latency_ms", counters.latency_milliseconds);

@@ -2,9 +2,10 @@
 
 #include <chrono>
 #include <cstdint>
-#include <deque>
+#include <functional>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "bus/publisher.h"
 #include "bus/service.h"
@@ -13,6 +14,7 @@
 #include "expander/batch_ledger.h"
 #include "expander/mapper.h"
 #include "expander/model_follower.h"
+#include "expander/waiting_rounds.h"
 
 namespace splatbus::expander {
 
@@ -21,6 +23,8 @@ struct ExpanderCounters {
   std::uint64_t rounds = 0, rounds_lost = 0;
   std::uint64_t samples = 0, samples_dropped = 0, samples_unseen = 0;
   std::uint64_t batches_sent = 0;
+  std::uint64_t failures = 0;       ///< of memory or the device, that this process has lived through
+  std::uint64_t cells = 0;          ///< as published last
   double milliseconds = 0;          ///< the last round's
   double latency_milliseconds = 0;  ///< from a round's publication until its last batch was published
 };
@@ -33,7 +37,8 @@ class Expander {
   Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
            bus::Backend backend = bus::Backend::Cpu);
 
-  /// Handles what arrives within `timeout`, then what is due. Throws when the backend has failed for good.
+  /// Handles what arrives within `timeout`, then what is due. What there is no memory for is logged and tried again
+  /// after `retry_s`. Throws when the backend has failed for good.
   void step(std::chrono::milliseconds timeout);
 
   [[nodiscard]] const ExpanderCounters& counters() const { return counters_; }
@@ -48,11 +53,17 @@ class Expander {
   void handle_published(const bus::Message& message);
 
   void process_waiting();
-  void process(const Round& round);
+  [[nodiscard]] std::unique_ptr<Round> take(const IncomingRound& incoming);
+  void grow(const Round& round);
   void publish_batches();
   void publish(const InsertBatch& batch);
   void publish_state();
+  void send_state();
   void prepare_ring();
+  [[nodiscard]] std::int64_t retry_ns() const;
+  /// Does a part of a step whose failure another try can mend; false when it failed. Throws when none can.
+  bool attempt(const char* what, const std::function<void()>& part);
+  void live_through(const std::string& failure);
 
   const bus::Parameters& parameters_;
   std::shared_ptr<bus::Context> context_;
@@ -64,14 +75,13 @@ class Expander {
   ModelFollower follower_;
   ExpanderCounters counters_;
 
-  std::deque<std::unique_ptr<Round>> waiting_;  // rounds that came before it was known what the trainer has
-  std::int64_t waiting_since_ns_ = 0;
+  WaitingRounds waiting_;
   std::optional<glm::vec3> viewer_;
   std::size_t gaussian_limit_logged_ = 0;
   bool ring_prepared_ = false;
   std::int64_t unsent_since_ns_ = 0;  // publication of the round whose batches are not all published yet; 0: none
   bool state_changed_ = true;
-  std::int64_t state_published_ns_ = 0;
+  std::int64_t state_published_ns_ = 0, state_retry_ns_ = 0;
 };
 
 /// The service's main loop, until a stop is asked for.

@@ -8,10 +8,10 @@
 
 namespace splatbus::expander {
 
-std::unique_ptr<Mapper> make_mapper(bus::Backend backend, float cell_size_m) {
-  if (backend == bus::Backend::Cpu) return std::make_unique<CpuMapper>(cell_size_m);
+std::unique_ptr<Mapper> make_mapper(bus::Backend backend, const MapperOptions& options) {
+  if (backend == bus::Backend::Cpu) return std::make_unique<CpuMapper>(options.cell_size_m);
 #ifdef SPLATBUS_HAVE_CUDA
-  return std::make_unique<cuda::CudaMapper>(cell_size_m);
+  return std::make_unique<cuda::CudaMapper>(options);
 #else
   throw bus::Error("this build has no CUDA backend");
 #endif

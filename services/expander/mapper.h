@@ -14,6 +14,11 @@
 
 namespace splatbus::expander {
 
+struct MapperOptions {
+  float cell_size_m = 0.25F;
+  std::uint32_t usual_samples = 1U << 20U;  ///< at least 1: a device has memory ready for rounds of so many
+};
+
 /// How a round grows the model.
 struct GrowOptions {
   GridOptions grid;  ///< its cell size is the mapper's
@@ -42,7 +47,8 @@ struct CellCounts {
 /// All backends give the same cells and Gaussians. Rounds and batches live in memory() and are used with the mapper
 /// that made them. Not thread-safe, and rounds and batches are let go on the thread that uses the mapper.
 ///
-/// Functions throw bus::Error or std::runtime_error when memory or the device fails.
+/// Functions throw bus::Error or std::runtime_error, which says how much was asked for, when memory or the device
+/// fails; what is modelled has not changed then.
 class Mapper {
  public:
   virtual ~Mapper() = default;
@@ -66,6 +72,10 @@ class Mapper {
   [[nodiscard]] virtual bool adopt(const PublishedModel& model) = 0;
   virtual void clear() = 0;
 
+  /// Bounds the device memory of rounds, batches and what is modelled: more is not asked for. Slabs are beside it; a
+  /// backend without device memory takes no notice.
+  virtual void limit_device_memory(std::size_t /*most_bytes*/) {}
+
   [[nodiscard]] virtual std::vector<CellCounts> cells() = 0;
   [[nodiscard]] virtual std::size_t cell_count() = 0;
   [[nodiscard]] virtual std::size_t modelled_points() const = 0;
@@ -77,7 +87,7 @@ class Mapper {
   std::atomic<std::uint64_t> host_bytes_{0};
 };
 
-/// A mapper with cells of that size. Throws when the backend cannot be had.
-[[nodiscard]] std::unique_ptr<Mapper> make_mapper(bus::Backend backend, float cell_size_m);
+/// Throws when the backend cannot be had.
+[[nodiscard]] std::unique_ptr<Mapper> make_mapper(bus::Backend backend, const MapperOptions& options);
 
 }  // namespace splatbus::expander

@@ -78,6 +78,22 @@ std::vector<bus::ParameterSpec> parameter_specs() {
        .description =
            "how long input waits for a trainer to say what it has before insertion begins regardless, seconds",
        .minimum = 0},
+      {.name = "retry_s",
+       .default_value = 1.0,
+       .description = "what there was no memory for is tried again after this time, seconds",
+       .minimum = 0.001},
+      {.name = "device_mb",
+       .default_value = std::int64_t{0},
+       .description =
+           "most device memory for rounds, batches and the grid, beside slabs, MiB; 0: as much as the device has",
+       .minimum = 0,
+       .maximum = 1 << 20},
+      {.name = "usual_samples",
+       .default_value = std::int64_t{1 << 20},
+       .description = "a device has memory ready for rounds of this many samples",
+       .minimum = 1,
+       .maximum = 8 << 20,
+       .runtime = false},
       {.name = "kept_mb",
        .default_value = std::int64_t{256},
        .description = "acknowledged batches kept for a trainer that loses its model, MiB",
@@ -106,6 +122,16 @@ InitialOptions initial_options(const bus::Parameters& parameters) {
   return {.scale = static_cast<float>(parameters.number("initial_scale")),
           .flatness = static_cast<float>(parameters.number("flatness")),
           .opacity = static_cast<float>(parameters.number("initial_opacity"))};
+}
+
+MapperOptions mapper_options(const bus::Parameters& parameters) {
+  return {.cell_size_m = static_cast<float>(parameters.number("cell_size_m")),
+          .usual_samples = static_cast<std::uint32_t>(parameters.integer("usual_samples"))};
+}
+
+std::size_t device_bytes(const bus::Parameters& parameters) {
+  const auto mebibytes = static_cast<std::size_t>(parameters.integer("device_mb"));
+  return mebibytes == 0 ? SIZE_MAX : mebibytes << 20U;
 }
 
 BatchLedger::Options ledger_options(const bus::Parameters& parameters) {

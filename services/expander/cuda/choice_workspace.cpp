@@ -2,29 +2,36 @@
 
 namespace splatbus::expander::cuda {
 
+ChoiceWorkspace::ChoiceWorkspace(Pool& pool)
+    : cells(pool), pool_(&pool), counts_(pool.take(2 * sizeof(std::uint32_t), "counts of samples")) {
+  unseen_ = reinterpret_cast<std::uint32_t*>(counts_.get());
+  choice_.count = unseen_ + 1;
+}
+
+void ChoiceWorkspace::lay_out(Carver& carver, std::uint32_t n) {
+  placement_.key = carver.take<std::uint64_t>(n);
+  for (float3** vectors : {&placement_.position, &placement_.normal}) *vectors = carver.take<float3>(n);
+  choice_.apart = carver.take<float>(n);
+  for (std::uint32_t** counts :
+       {&choice_.modelled, &choice_.fresh, &choice_.inserted, &choice_.cell_of, &choice_.chosen}) {
+    *counts = carver.take<std::uint32_t>(n);
+  }
+  for (std::uint8_t** flags : {&choice_.uncovered, &choice_.taken}) *flags = carver.take<std::uint8_t>(n);
+  scratch_ = carver.take<std::byte>(scratch_bytes_);
+}
+
 void ChoiceWorkspace::resize(std::uint32_t n) {
-  key_.resize(n);
-  for (auto* vectors : {&position_, &normal_}) vectors->resize(n);
-  apart_.resize(n);
-  for (auto* counts : {&modelled_, &fresh_, &inserted_, &cell_of_, &chosen_}) counts->resize(n);
-  for (auto* flags : {&uncovered_, &taken_}) flags->resize(n);
-  scratch_.resize(choose_scratch_bytes(n));
-}
-
-Placement ChoiceWorkspace::placement() const {
-  return {.key = key_.data(), .position = position_.data(), .normal = normal_.data()};
-}
-
-ChoiceView ChoiceWorkspace::choice() const {
-  return {.apart = apart_.data(),
-          .modelled = modelled_.data(),
-          .fresh = fresh_.data(),
-          .inserted = inserted_.data(),
-          .uncovered = uncovered_.data(),
-          .taken = taken_.data(),
-          .cell_of = cell_of_.data(),
-          .chosen = chosen_.data(),
-          .count = count_.data()};
+  const std::size_t scratch_bytes = choose_scratch_bytes(n);
+  if (n <= room_ && scratch_bytes <= scratch_bytes_) return;
+  memory_.reset();
+  room_ = 0;
+  scratch_bytes_ = scratch_bytes;
+  Carver sizes;
+  lay_out(sizes, n);
+  memory_ = pool_->take(sizes.used(), "choosing among samples");
+  Carver parts(memory_.get());
+  lay_out(parts, n);
+  room_ = n;
 }
 
 }  // namespace splatbus::expander::cuda

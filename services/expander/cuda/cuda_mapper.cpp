@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "device/check.h"
-#include "expander/cuda/pool.h"
 #include "gaussians/sh.h"
 
 namespace splatbus::expander::cuda {
@@ -50,22 +49,24 @@ InitialValues initial_values(const InitialOptions& options, const Light& light) 
 
 }  // namespace
 
-CudaMapper::CudaMapper(float cell_size_m) : cell_size_m_(cell_size_m), counts_(1) {
-  keep_pooled_memory();
-  warm_up();
+CudaMapper::CudaMapper(const MapperOptions& options)
+    : cell_size_m_(options.cell_size_m), modelled_(pool_), workspace_(pool_), counts_(1) {
+  warm_up(options.usual_samples);
 }
 
 std::unique_ptr<Round> CudaMapper::take(const IncomingRound& round) {
-  return DeviceRound::take(round, host_bytes_);
+  return DeviceRound::take(round, pool_, host_bytes_);
 }
 
 Growth CudaMapper::grow(const Round& round, const GrowOptions& options) {
   const auto& samples = static_cast<const DeviceRound&>(round);
   if (samples.view().count == 0) return {};
+  // All that takes memory comes before anything is remembered as modelled.
   const Counts counts = choose(samples.view(), options);
   fetch_rows(counts.cells);
   const auto room = static_cast<std::uint32_t>(std::min<std::size_t>(options.room, UINT32_MAX));
   const std::uint32_t chosen = std::min(counts.chosen, room);
+  modelled_.reserve(chosen, thread_stream());
   Growth growth{.unseen = counts.unseen, .chosen = chosen, .batches = make_batches(samples, chosen, options)};
   for (const InsertBatch& batch : growth.batches) {
     modelled_.append(batch.planes(), static_cast<std::uint32_t>(batch.size()), thread_stream());
@@ -97,7 +98,7 @@ CudaMapper::Counts CudaMapper::choose(const RoundView& round, const GrowOptions&
                  .same_surface_cosine = kSameSurfaceCosine,
                  .min_samples = static_cast<std::uint32_t>(std::max(options.grid.min_samples, 0)),
                  .room = static_cast<std::uint32_t>(std::min<std::size_t>(options.room, UINT32_MAX))},
-                choice, workspace_.scratch().data(), workspace_.scratch().size(), stream);
+                choice, workspace_.scratch(), workspace_.scratch_bytes(), stream);
   download(&counts_[0].unseen, workspace_.unseen(), sizeof(std::uint32_t));
   download(&counts_[0].chosen, choice.count, sizeof(std::uint32_t));
   download(&counts_[0].cells, cells.cells, sizeof(std::uint32_t));
@@ -111,7 +112,7 @@ std::vector<InsertBatch> CudaMapper::make_batches(const DeviceRound& round, std:
   const std::size_t batch_size = std::min<std::size_t>(options.batch_size, count);
   const std::size_t stride = (batch_size * kInsertBytes + kBatchAlignment - 1) / kBatchAlignment * kBatchAlignment;
   const std::size_t batches = (count + batch_size - 1) / batch_size;
-  const std::shared_ptr<std::byte> memory = pooled(batches * stride);
+  const std::shared_ptr<std::byte> memory = pool_.take(batches * stride, "the new Gaussians of a round");
   launch_gaussians(round.view(), workspace_.placement(), workspace_.choice().chosen,
                    initial_values(options.initial, round.info().light),
                    {.data = memory.get(),
@@ -167,7 +168,7 @@ bool CudaMapper::holds_any(const InsertBatch& batch) {
 
 bool CudaMapper::adopt(const PublishedModel& model) {
   const GaussiansView& view = model.live();
-  ModelledPoints points;
+  ModelledPoints points(pool_);
   points.append({.position = view.surface_point,
                  .normal = view.normal,
                  .object_id = view.object_id,
@@ -189,9 +190,11 @@ void CudaMapper::clear() {
 }
 
 void CudaMapper::refresh_points() {
-  if (!std::exchange(points_stale_, false)) return;
+  if (!points_stale_) return;
+  const auto cells = modelled_.cells(thread_stream());
   for (auto& [cell, row] : rows_) row.points = 0;
-  for (const auto& [cell, points] : modelled_.cells(thread_stream())) rows_[cell].points = points;
+  for (const auto& [cell, points] : cells) rows_[cell].points = points;
+  points_stale_ = false;
 }
 
 std::vector<CellCounts> CudaMapper::cells() {

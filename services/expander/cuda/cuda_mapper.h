@@ -7,6 +7,7 @@
 #include "expander/cuda/choice_workspace.h"
 #include "expander/cuda/device_round.h"
 #include "expander/cuda/modelled_points.h"
+#include "expander/cuda/pool.h"
 #include "expander/mapper.h"
 
 namespace splatbus::expander::cuda {
@@ -16,7 +17,7 @@ namespace splatbus::expander::cuda {
 class CudaMapper final : public Mapper {
  public:
   /// Takes memory for usual rounds and loads all kernels, which takes a while, so that the first round does not.
-  explicit CudaMapper(float cell_size_m);
+  explicit CudaMapper(const MapperOptions& options);
 
   [[nodiscard]] bus::MemoryKind memory() const override { return bus::MemoryKind::Cuda; }
   [[nodiscard]] std::unique_ptr<Round> take(const IncomingRound& round) override;
@@ -25,6 +26,7 @@ class CudaMapper final : public Mapper {
   [[nodiscard]] bool holds_any(const InsertBatch& batch) override;
   [[nodiscard]] bool adopt(const PublishedModel& model) override;
   void clear() override;
+  void limit_device_memory(std::size_t most_bytes) override { pool_.limit(most_bytes); }
   [[nodiscard]] std::vector<CellCounts> cells() override;
   [[nodiscard]] std::size_t cell_count() override;
   [[nodiscard]] std::size_t modelled_points() const override { return modelled_.size(); }
@@ -34,7 +36,7 @@ class CudaMapper final : public Mapper {
     std::uint32_t unseen, chosen, cells;
   };
 
-  void warm_up();
+  void warm_up(std::uint32_t usual_samples);
   [[nodiscard]] Counts choose(const RoundView& round, const GrowOptions& options);
   [[nodiscard]] std::vector<InsertBatch> make_batches(const DeviceRound& round, std::uint32_t count,
                                                       const GrowOptions& options);
@@ -43,6 +45,7 @@ class CudaMapper final : public Mapper {
   void refresh_points();
 
   float cell_size_m_;
+  Pool pool_;
   ModelledPoints modelled_;
   ChoiceWorkspace workspace_;
   device::Pinned<Counts> counts_;

@@ -5,7 +5,6 @@
 
 #include "bus/memory.h"
 #include "device/check.h"
-#include "expander/cuda/pool.h"
 #include "expander/input_samples.h"
 
 namespace splatbus::expander::cuda {
@@ -54,13 +53,13 @@ void upload(const std::vector<T>& from, const T* to) {
 /// Tensors as kernels can read them.
 class Readable {
  public:
-  explicit Readable(std::atomic<std::uint64_t>& host_bytes) : host_bytes_(host_bytes) {}
+  Readable(Pool& pool, std::atomic<std::uint64_t>& host_bytes) : pool_(pool), host_bytes_(host_bytes) {}
 
   /// In place where it lies on the device.
   template <class T>
   const T* get(const bus::TensorView& tensor) {
     if (tensor.memory() == bus::MemoryKind::Cuda) return reinterpret_cast<const T*>(tensor.data());
-    staged_.push_back(pooled(tensor.bytes()));
+    staged_.push_back(pool_.take(tensor.bytes(), "samples from the host"));
     copy(tensor, staged_.back().get());
     return reinterpret_cast<const T*>(staged_.back().get());
   }
@@ -71,6 +70,7 @@ class Readable {
   }
 
  private:
+  Pool& pool_;
   std::atomic<std::uint64_t>& host_bytes_;
   std::vector<std::shared_ptr<std::byte>> staged_;
 };
@@ -100,7 +100,7 @@ bool still_valid(const IncomingRound& round) {
 
 }  // namespace
 
-DeviceRound::DeviceRound(const IncomingRound& incoming) : info_(incoming) {
+DeviceRound::DeviceRound(const IncomingRound& incoming, Pool& pool) : info_(incoming) {
   view_.count = static_cast<std::uint32_t>(incoming.count);
   view_.height = info_.height;
   view_.width = info_.width;
@@ -108,17 +108,18 @@ DeviceRound::DeviceRound(const IncomingRound& incoming) : info_(incoming) {
   view_.object_count = static_cast<std::uint32_t>(info_.objects.size());
   Carver sizes;
   (void)lay_out(sizes, view_, incoming.depth.elements());
-  memory_ = pooled(sizes.used());
+  memory_ = pool.take(sizes.used(), "the samples of a round");
   Carver parts(memory_.get());
   dropped_count_ = lay_out(parts, view_, incoming.depth.elements());
 }
 
-std::unique_ptr<DeviceRound> DeviceRound::take(const IncomingRound& incoming, std::atomic<std::uint64_t>& host_bytes) {
-  std::unique_ptr<DeviceRound> round(new DeviceRound(incoming));
+std::unique_ptr<DeviceRound> DeviceRound::take(const IncomingRound& incoming, Pool& pool,
+                                               std::atomic<std::uint64_t>& host_bytes) {
+  std::unique_ptr<DeviceRound> round(new DeviceRound(incoming, pool));
   const RoundView& view = round->view_;
   upload(cameras_of(round->info_), view.cameras);
   upload(objects_of(round->info_), view.objects);
-  Readable readable(host_bytes);
+  Readable readable(pool, host_bytes);
   const IncomingSamples samples{.position = readable.get<float3>(incoming.position),
                                 .normal = readable.get<float3>(incoming.normal),
                                 .albedo = readable.get<float3>(incoming.albedo),

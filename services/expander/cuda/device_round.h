@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "expander/cuda/kernels.h"
+#include "expander/cuda/pool.h"
 #include "expander/round.h"
 
 namespace splatbus::expander::cuda {
@@ -14,7 +15,7 @@ class DeviceRound final : public Round {
  public:
   /// Copies a round, reading it in place where it lies on the device, and waits for that. Null when a slab has moved on
   /// meanwhile. Adds what came from the host to `host_bytes`. Throws.
-  [[nodiscard]] static std::unique_ptr<DeviceRound> take(const IncomingRound& incoming,
+  [[nodiscard]] static std::unique_ptr<DeviceRound> take(const IncomingRound& incoming, Pool& pool,
                                                          std::atomic<std::uint64_t>& host_bytes);
 
   [[nodiscard]] const RoundInfo& info() const override { return info_; }
@@ -23,7 +24,7 @@ class DeviceRound final : public Round {
   [[nodiscard]] const RoundView& view() const { return view_; }
 
  private:
-  explicit DeviceRound(const IncomingRound& incoming);
+  DeviceRound(const IncomingRound& incoming, Pool& pool);
 
   RoundInfo info_;
   std::shared_ptr<std::byte> memory_;

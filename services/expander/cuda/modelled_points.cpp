@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "device/check.h"
+
 namespace splatbus::expander::cuda {
 
 namespace {
@@ -11,37 +13,44 @@ using device::check;
 constexpr std::size_t kLeastRoom = std::size_t{1} << 20;
 
 template <class T>
-void grow(device::Buffer<T>& buffer, std::size_t used, std::size_t room, cudaStream_t stream) {
-  device::Buffer<T> larger(room);
-  if (used > 0) {
-    check(cudaMemcpyAsync(larger.data(), buffer.data(), used * sizeof(T), cudaMemcpyDeviceToDevice, stream),
-          "moving points");
-  }
-  std::swap(buffer, larger);  // the old one is freed when the copy is done: cudaFree waits
+void copy(T* to, const T* from, std::size_t count, cudaStream_t stream) {
+  if (count == 0) return;
+  check(cudaMemcpyAsync(to, from, count * sizeof(T), cudaMemcpyDeviceToDevice, stream), "moving points");
 }
 
 }  // namespace
 
-void ModelledPoints::reserve(std::size_t count, cudaStream_t stream) {
-  // Both are asked: when there was memory for the first alone, the second stayed as it was.
-  if (count <= std::min(points_.size(), keys_.size())) return;
-  const std::size_t room = std::max({count, 2 * keys_.size(), kLeastRoom});
-  grow(points_, count_, room, stream);
-  grow(keys_, count_, room, stream);
+void ModelledPoints::Storage::lay_out(Carver& carver, std::size_t count) {
+  for (ModelledPoint** array : {&points, &sorted}) *array = carver.take<ModelledPoint>(count);
+  keys = carver.take<std::uint64_t>(count);
+  room = count;
+}
+
+void ModelledPoints::reserve(std::size_t more, cudaStream_t stream) {
+  if (count_ + more <= storage_.room) return;
+  const std::size_t room = std::max({count_ + more, 2 * storage_.room, kLeastRoom});
+  Carver sizes;
+  Storage().lay_out(sizes, room);
+  Storage larger{.block = pool_->take(sizes.used(), "what is modelled")};
+  Carver parts(larger.block.get());
+  larger.lay_out(parts, room);
+  copy(larger.points, storage_.points, count_, stream);
+  copy(larger.keys, storage_.keys, count_, stream);
+  storage_ = std::move(larger);
 }
 
 void ModelledPoints::append(const InsertPlanes& planes, std::uint32_t count, cudaStream_t stream) {
   if (count == 0) return;
-  reserve(count_ + count, stream);
-  launch_points_of_batch(planes, count, points_.data() + count_, keys_.data() + count_, stream);
+  reserve(count, stream);
+  launch_points_of_batch(planes, count, storage_.points + count_, storage_.keys + count_, stream);
   count_ += count;
   indexed_ = SIZE_MAX;
 }
 
 void ModelledPoints::append(const ModelPlanes& planes, std::uint32_t count, float cell_size_m, cudaStream_t stream) {
   if (count == 0) return;
-  reserve(count_ + count, stream);
-  launch_points_of_model(planes, count, cell_size_m, points_.data() + count_, keys_.data() + count_, stream);
+  reserve(count, stream);
+  launch_points_of_model(planes, count, cell_size_m, storage_.points + count_, storage_.keys + count_, stream);
   count_ += count;
   indexed_ = SIZE_MAX;
   std::size_t held = 0;
@@ -55,20 +64,18 @@ void ModelledPoints::index(cudaStream_t stream) {
     table_.clear(stream);
   } else {
     const auto count = static_cast<std::uint32_t>(count_);
-    table_.build(keys_.data(), count, stream);
-    sorted_.resize(points_.size());
-    launch_gather(points_.data(), table_.view().order, count, sorted_.data(), stream);
-    std::swap(points_, sorted_);
-    check(cudaMemcpyAsync(keys_.data(), table_.view().key, count_ * sizeof(std::uint64_t), cudaMemcpyDeviceToDevice,
-                          stream),
-          "keeping the cells of points");
+    indexed_ = SIZE_MAX;  // should there be no memory for the table
+    table_.build(storage_.keys, count, stream);
+    launch_gather(storage_.points, table_.view().order, count, storage_.sorted, stream);
+    std::swap(storage_.points, storage_.sorted);
+    copy(storage_.keys, table_.view().key, count_, stream);
   }
   indexed_ = count_;
 }
 
 ModelledView ModelledPoints::view(cudaStream_t stream) {
   index(stream);
-  return {.points = points_.data(), .cells = table_.view()};
+  return {.points = storage_.points, .cells = table_.view()};
 }
 
 std::vector<std::pair<CellId, std::uint32_t>> ModelledPoints::cells(cudaStream_t stream) {

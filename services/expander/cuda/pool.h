@@ -12,13 +12,27 @@ inline cudaStream_t thread_stream() {
   return cudaStreamPerThread;
 }
 
-/// Device memory in the order of thread_stream(): usable by what is enqueued from now on, and given back, without a
-/// wait, behind what was enqueued by the time the last owner lets it go. That is done on the same thread. Throws
-/// std::runtime_error.
-[[nodiscard]] std::shared_ptr<std::byte> pooled(std::size_t bytes);
+/// Device memory in the order of thread_stream(), within a bound. One thread; blocks may outlive the pool.
+class Pool {
+ public:
+  /// Memory that is given back stays with the process, for the next round. Throws std::runtime_error.
+  Pool();
 
-/// Memory that is given back stays with the process, for the next round. Throws std::runtime_error.
-void keep_pooled_memory();
+  /// A block, usable by what is enqueued from now on, and given back, without a wait, behind what was enqueued by the
+  /// time its last owner lets it go. Throws std::runtime_error that names `what` and how much was asked for when the
+  /// bound or the device has no room for it; nothing has changed then.
+  [[nodiscard]] std::shared_ptr<std::byte> take(std::size_t bytes, const char* what);
+
+  /// Nothing is handed out that would make it more than so many bytes; what is held stays.
+  void limit(std::size_t most_bytes) { account_->most = most_bytes; }
+  [[nodiscard]] std::size_t held() const { return account_->held; }
+
+ private:
+  struct Account {
+    std::size_t held = 0, most = SIZE_MAX;
+  };
+  std::shared_ptr<Account> account_ = std::make_shared<Account>();  // also its blocks'
+};
 
 /// Hands out the parts of one allocation: first counts, then, given memory, points.
 class Carver {

@@ -2,13 +2,11 @@
 #include <vector>
 
 #include "expander/cuda/cuda_mapper.h"
-#include "expander/cuda/pool.h"
 
 namespace splatbus::expander::cuda {
 
 namespace {
 
-constexpr std::uint32_t kUsualSamples = 1U << 20U;
 constexpr std::size_t kUsualCells = 1U << 16U;
 constexpr std::size_t kFewGaussians = 4096;
 
@@ -20,9 +18,8 @@ bus::TensorView tensor_of(std::vector<std::uint32_t> shape, bus::ElementType typ
 }
 
 /// Samples of one moving object, all at one point: they are seen without a depth map.
-IncomingRound usual_round() {
+IncomingRound usual_round(std::uint32_t n) {
   using bus::ElementType;
-  constexpr std::uint32_t n = kUsualSamples;
   const bus::TensorView vectors = tensor_of({n, 3}, ElementType::F32, std::vector<glm::vec3>(n, {0, 0, 1}));
   const bus::TensorView ones = tensor_of({n}, ElementType::F32, std::vector<float>(n, 1));
   const bus::TensorView zeros = tensor_of({n}, ElementType::U32, std::vector<std::uint32_t>(n));
@@ -36,13 +33,13 @@ IncomingRound usual_round() {
 
 }  // namespace
 
-void CudaMapper::warm_up() {
+void CudaMapper::warm_up(std::uint32_t usual_samples) {
   row_cell_.resize(kUsualCells);
   row_start_.resize(kUsualCells);
   row_inserted_.resize(kUsualCells);
   {
-    const auto batches = pooled(kUsualSamples * kInsertBytes);
-    const std::unique_ptr<Round> round = take(usual_round());
+    const auto batches = pool_.take(std::size_t{usual_samples} * kInsertBytes, "the Gaussians of a usual round");
+    const std::unique_ptr<Round> round = take(usual_round(usual_samples));
     const GrowOptions options{.viewer = {0, 0, 1}, .room = kFewGaussians};
     const Growth growth = grow(*round, options);
     (void)grow(*round, options);

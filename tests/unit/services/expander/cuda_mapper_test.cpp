@@ -1,12 +1,11 @@
 // The CUDA mapper against the host's: the same rounds through both give the same cells and Gaussians.
-#include <gtest/gtest.h>
+#include <gmock/gmock.h>
 
-#include <chrono>
-#include <cstdio>
 #include <cstring>
 #include <functional>
 #include <limits>
 #include <map>
+#include <stdexcept>
 #include <utility>
 
 #include "bus/error.h"
@@ -140,8 +139,9 @@ class CudaMapperTest : public testing::Test {
     } catch (const bus::Error& error) {
       GTEST_SKIP() << error.what();
     }
-    cpu_ = make_mapper(bus::Backend::Cpu, kCellSize_m);
-    cuda_ = make_mapper(bus::Backend::Cuda, kCellSize_m);
+    const MapperOptions options{.cell_size_m = kCellSize_m, .usual_samples = 4096};
+    cpu_ = make_mapper(bus::Backend::Cpu, options);
+    cuda_ = make_mapper(bus::Backend::Cuda, options);
   }
 
   /// One round through both; returns how many Gaussians it gave.
@@ -174,20 +174,20 @@ class CudaMapperTest : public testing::Test {
 
 TEST_F(CudaMapperTest, RoundsGrowTheSameModel) {
   test::RoomScene scene;
-  InputSamples first = test::room_round(scene, 6, 96);
+  InputSamples first = test::room_round(scene, 6, 64);
   const std::size_t spoilt = spoil(first);
-  EXPECT_GT(spoilt, 500U);
-  EXPECT_GT(compare(first, {.batch_size = 5001}), 30000U);
+  EXPECT_GT(spoilt, 200U);
+  EXPECT_GT(compare(first, {.batch_size = 5001}), 20000U);
   EXPECT_EQ(compare(first), 0U) << "the same again";
   // Seen from elsewhere, with the ball moved and turned: gaps are topped up.
   scene.world_from_ball = {glm::angleAxis(0.7F, glm::normalize(glm::vec3(1, 2, 3))), {-0.4F, 1.1F, 0.6F}};
-  EXPECT_GT(compare(test::room_round(scene, 7, 128, 0.3F)), 100U);
+  EXPECT_GT(compare(test::room_round(scene, 7, 80, 0.3F)), 100U);
   EXPECT_EQ(cuda_->host_copied_bytes(), 0U);
 }
 
 TEST_F(CudaMapperTest, OptionsMeanTheSame) {
   const test::RoomScene scene;
-  const InputSamples round = test::room_round(scene, 4, 64);
+  const InputSamples round = test::room_round(scene, 4, 48);
   GrowOptions options{.viewer = {1, 1, 1}, .room = 777, .batch_size = 100};
   options.grid.candidate_radius_m = 3;
   EXPECT_EQ(compare(round, options), 777U) << "no more room";
@@ -199,7 +199,7 @@ TEST_F(CudaMapperTest, OptionsMeanTheSame) {
   options.grid.top_up_distance = 10;  // spheres that reach into all neighbours
   options.grid.new_distance = 10;
   options.grid.candidate_radius_m = 100;
-  EXPECT_GT(compare(test::room_round(scene, 5, 80, 0.4F), options), 100U);
+  EXPECT_GT(compare(test::room_round(scene, 5, 56, 0.4F), options), 100U);
 }
 
 TEST_F(CudaMapperTest, NothingIsNothing) {
@@ -242,7 +242,7 @@ TEST_F(CudaMapperTest, ARoundThatIsOverwrittenIsLost) {
 }
 
 TEST_F(CudaMapperTest, BatchesAreFoundAndAddedAgain) {
-  ASSERT_GT(compare(test::room_round({}, 4, 64), {.batch_size = 4000}), 8000U);
+  ASSERT_GT(compare(test::room_round({}, 4, 48), {.batch_size = 2000}), 8000U);
   const std::vector<InsertBatch> batches = last_.batches;
   const auto cells = cell_map(*cuda_);
   for (const InsertBatch& batch : batches) EXPECT_TRUE(cuda_->holds_any(batch));
@@ -255,32 +255,31 @@ TEST_F(CudaMapperTest, BatchesAreFoundAndAddedAgain) {
     EXPECT_TRUE(cuda_->holds_any(batch));
   }
   for (const auto& [cell, counts] : cell_map(*cuda_)) EXPECT_EQ(counts.second, cells.at(cell).second);
-  EXPECT_EQ(compare(test::room_round({}, 4, 64)), 0U) << "all of it is modelled again";
+  EXPECT_EQ(compare(test::room_round({}, 4, 48)), 0U) << "all of it is modelled again";
 }
 
-TEST_F(CudaMapperTest, TimesOfAFullRound) {
-  const auto milliseconds = [](const auto& work) {
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-  };
-  const test::RoomScene scene;
-  const InputSamples rounds[] = {test::room_round(scene, 10, 256), test::room_round(scene, 10, 256, 0.2F)};
-  for (Mapper* mapper : {cpu_.get(), cuda_.get()}) {
-    const MemoryKind kind = mapper->memory();
-    std::printf("%s\n", kind == MemoryKind::Cuda ? "cuda" : "cpu");
-    for (const InputSamples& samples : rounds) {
-      const SentRound sent(samples, kind);
-      std::unique_ptr<Round> round;
-      Growth growth;
-      const double take_ms = milliseconds([&] { round = mapper->take(sent.round()); });
-      const double grow_ms = milliseconds([&] { growth = mapper->grow(*round, {}); });
-      const double cells_ms = milliseconds([&] { (void)mapper->cells(); });
-      std::printf("  %zu samples: take %.2f ms, grow %.2f ms, %zu Gaussians, %zu cells in %.2f ms\n", samples.size(),
-                  take_ms, grow_ms, growth.chosen, mapper->cell_count(), cells_ms);
-    }
+TEST_F(CudaMapperTest, WithoutMemoryWhatIsModelledStays) {
+  using testing::HasSubstr;
+  ASSERT_GT(compare(test::room_round({}, 4, 40)), 5000U);
+  ASSERT_EQ(compare(test::room_round({}, 4, 40)), 0U);
+  // As large as the round before, so that only the Gaussians need memory; then larger in all.
+  for (const auto& [size, what] : {std::pair{40U, "the new Gaussians"}, std::pair{64U, "choosing among samples"}}) {
+    const InputSamples samples = test::room_round({}, 4, size, 0.3F);
+    const auto cells = cell_map(*cuda_);
+    const std::size_t points = cuda_->modelled_points();
+    const SentRound sent(samples, MemoryKind::Cuda);
+    const auto round = cuda_->take(sent.round());
+    ASSERT_NE(round, nullptr);
+    cuda_->limit_device_memory(1);
+    EXPECT_THAT([&] { (void)cuda_->grow(*round, {}); },
+                testing::ThrowsMessage<std::runtime_error>(
+                    testing::AllOf(HasSubstr("no device memory"), HasSubstr(what), HasSubstr("bytes asked for"))));
+    EXPECT_THROW((void)cuda_->take(sent.round()), std::runtime_error);
+    EXPECT_EQ(cell_map(*cuda_), cells);
+    EXPECT_EQ(cuda_->modelled_points(), points);
+    cuda_->limit_device_memory(SIZE_MAX);
+    EXPECT_GT(compare(samples), 100U) << "as if nothing had been";
   }
-  EXPECT_EQ(cuda_->modelled_points(), cpu_->modelled_points());
 }
 
 }  // namespace

@@ -145,6 +145,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
         ring_(peer_, "input", 8, 1 << 20, GetParam().peers) {
     set("batch_size", "500");
     set("resend_s", "0.05");
+    EXPECT_EQ(parameters_.set("usual_samples", "4096", false), "");
   }
 
   void SetUp() override {

@@ -1,5 +1,4 @@
 // The service against a trainer and a capture-bridge of the test's own.
-#include <cstdio>
 #include <limits>
 
 #include "expander_fixture.h"
@@ -135,24 +134,21 @@ TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
 }
 
 TEST_P(ExpanderTest, AFullRoundIsInsertedAtOnce) {
-  set("batch_size", "262144");
+  set("batch_size", "5000");
   set("resend_s", "60");
   start();
   trainer_->deaf = true;  // three batches do not wait for an answer
   bus::Subscriber inserts(peer_, {"model/insert"});
   ASSERT_TRUE(inserts.wait_connected(bus_test::patience));
-  const InputSamples samples = room_round({}, 10, 256);
-  publish_input(samples);
+  publish_input(room_round({}, 10, 40));
   std::size_t inserted = 0;
   ASSERT_TRUE(bus_test::eventually([&] {
     expander_->step(0ms);
     while (auto message = inserts.receive(0ms)) inserted += message->tensor("cell")->dim(0);
     return inserted > 0 && inserted == expander_->ledger().gaussians();
   }));
-  EXPECT_GT(inserted, 600000U);
+  EXPECT_GT(inserted, 10000U);
   EXPECT_GT(expander_->counters().latency_milliseconds, 0);
-  std::printf("%zu samples: %zu Gaussians published after %.2f ms, %.2f ms of them the mapper's\n", samples.size(),
-              inserted, expander_->counters().latency_milliseconds, expander_->counters().milliseconds);
 }
 
 TEST_P(ExpanderTest, StopsAtTheMostGaussians) {
