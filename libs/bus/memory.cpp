@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 #include <new>
 
 #include "bus/error.h"
@@ -31,6 +32,15 @@ std::shared_ptr<std::byte> allocate_memory(MemoryKind kind, std::size_t bytes) {
   }
 #ifdef SPLATBUS_HAVE_CUDA
   return gpu::allocate(bytes);
+#else
+  no_device();
+#endif
+}
+
+std::size_t free_memory(MemoryKind kind) {
+  if (kind == MemoryKind::Host) return std::numeric_limits<std::size_t>::max();
+#ifdef SPLATBUS_HAVE_CUDA
+  return gpu::free_bytes();
 #else
   no_device();
 #endif

@@ -14,6 +14,9 @@ namespace splatbus::bus {
 /// machine does not have.
 [[nodiscard]] std::shared_ptr<std::byte> allocate_memory(MemoryKind kind, std::size_t bytes);
 
+/// Bytes of that memory that nobody has at this moment; of the host's, as many as can be addressed. Throws Error.
+[[nodiscard]] std::size_t free_memory(MemoryKind kind);
+
 /// Copies between any two kinds. With device memory at either end the copy is enqueued on this thread's own stream:
 /// finish_copies() waits for it. Whoever wrote the source on another stream has waited for that stream before. Throws
 /// Error.

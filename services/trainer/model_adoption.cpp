@@ -167,9 +167,13 @@ std::string ModelStore::spare_role() const {
   return planes_slab_->name().ends_with(kPlanesRoles[1]) ? kPlanesRoles[0] : kPlanesRoles[1];
 }
 
+std::size_t ModelStore::capacity_for(std::size_t count) const {
+  return count <= capacity() ? capacity() : rounded_capacity(std::max(count, 2 * capacity()));
+}
+
 void ModelStore::reserve(std::size_t needed) {
   if (needed <= capacity()) return;
-  move_planes(rounded_capacity(std::max(needed, 2 * capacity())));
+  move_planes(capacity_for(needed));
   spdlog::info("model: moved to a slab for {} Gaussians", capacity());
 }
 

@@ -69,13 +69,9 @@ void ModelStore::commit() {
   header_->current.store(next, std::memory_order_release);
 }
 
-std::size_t ModelStore::room() const {
-  return max_gaussians_ - std::min(max_gaussians_, count());
-}
-
 ModelStore::Columns ModelStore::append(const InsertBatch& batch) {
   if (holds(batch.epoch, batch.batch)) return {.first = count(), .count = 0};
-  const Columns added{.first = count(), .count = std::min(batch.count, room())};
+  const Columns added{.first = count(), .count = std::min(batch.count, room(count()))};
   if (added.count < batch.count) {
     spdlog::warn("model: {} of {} Gaussians in batch {} are left out, the model has max_gaussians ({})",
                  batch.count - added.count, batch.count, batch.batch, max_gaussians_);
@@ -89,7 +85,7 @@ ModelStore::Columns ModelStore::append(const InsertBatch& batch) {
 }
 
 ModelStore::Columns ModelStore::duplicate(const std::vector<std::uint32_t>& columns) {
-  const Columns added{.first = count(), .count = std::min(columns.size(), room())};
+  const Columns added{.first = count(), .count = std::min(columns.size(), room(count()))};
   reserve(added.first + added.count);
   columns_->duplicate(planes_, std::span(columns).first(added.count), added.first, structure_.next_gaussian_id);
   structure_.next_gaussian_id += added.count;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -45,6 +46,10 @@ class ModelStore {
   [[nodiscard]] const Structure& structure() const { return structure_; }
   [[nodiscard]] const ModelPlanes& planes() const { return planes_; }
   [[nodiscard]] GaussiansView view() const { return planes_.view(structure_.count); }
+  /// Gaussians that `count` may grow by.
+  [[nodiscard]] std::size_t room(std::size_t count) const { return max_gaussians_ - std::min(max_gaussians_, count); }
+  /// What capacity() becomes when there are that many.
+  [[nodiscard]] std::size_t capacity_for(std::size_t count) const;
   [[nodiscard]] bool holds(std::uint64_t epoch, std::uint64_t batch) const;
 
   [[nodiscard]] std::uint64_t step() const { return header_->step; }
@@ -87,7 +92,6 @@ class ModelStore {
   [[nodiscard]] std::string spare_role() const;
   void bind(std::shared_ptr<bus::Slab> slab, std::size_t capacity);
   void commit();
-  [[nodiscard]] std::size_t room() const;
 
   std::shared_ptr<bus::Context> bus_;
   std::size_t max_gaussians_;

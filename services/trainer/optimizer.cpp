@@ -1,5 +1,7 @@
 #include "trainer/optimizer.h"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
 
 #include "bus/error.h"
@@ -38,8 +40,30 @@ float Optimizer::average_decay() const {
   return std::max(options_.average_decay, static_cast<float>(of_time));
 }
 
+std::vector<const InsertBatch*> Optimizer::admitted(const std::vector<InsertBatch>& inserts) {
+  std::vector<const InsertBatch*> batches;
+  std::size_t count = store_.count();
+  for (const InsertBatch& batch : inserts) {
+    if (store_.holds(batch.epoch, batch.batch)) continue;
+    const std::size_t grown = count + std::min(batch.count, store_.room(count));
+    const std::string lacking = lacks_memory_for(store_.capacity_for(grown));
+    if (lacking.empty()) {
+      count = grown;
+      batches.push_back(&batch);
+      continue;
+    }
+    ++refused_inserts_;
+    if (std::exchange(warned_insert_, true)) continue;
+    spdlog::error("model: {} Gaussians in batch {} are refused, and so is what follows until there is memory: {}",
+                  batch.count, batch.batch, lacking);
+  }
+  if (!batches.empty()) warned_insert_ = false;
+  return batches;
+}
+
 bool Optimizer::apply(const Commands& commands) {
-  if (commands.empty()) return false;
+  const auto inserts = admitted(commands.inserts);
+  if (inserts.empty() && commands.cells.empty() && !commands.visibility) return false;
   const std::uint64_t generation = store_.structure().generation;
   before_change();
   if (commands.visibility) {
@@ -47,11 +71,9 @@ bool Optimizer::apply(const Commands& commands) {
     store_.set_visibility(relit.model_generation, reinterpret_cast<const float*>(relit.visibility.get()), relit.memory,
                           relit.count);
   }
-  const bool any_new = std::any_of(commands.inserts.begin(), commands.inserts.end(),
-                                   [&](const InsertBatch& b) { return !store_.holds(b.epoch, b.batch); });
-  if (any_new || !commands.cells.empty()) {
+  if (!inserts.empty() || !commands.cells.empty()) {
     change([&] {
-      for (const InsertBatch& batch : commands.inserts) store_.append(batch);
+      for (const InsertBatch* batch : inserts) store_.append(*batch);
       for (const CellsCommand& command : commands.cells) store_.set_frozen(command.cells, command.freeze);
     });
   }

@@ -17,8 +17,8 @@ constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch togethe
 
 }  // namespace
 
-ReferenceReader::ReferenceReader(bus::MemoryKind memory, std::atomic<std::uint64_t>& host_bytes)
-    : memory_(memory), host_bytes_(host_bytes), pool_(memory) {}
+ReferenceReader::ReferenceReader(bus::MemoryKind memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes)
+    : memory_(memory), max_bytes_(max_bytes), host_bytes_(host_bytes), pool_(memory) {}
 
 /// Copies a tensor of the camera's size. False when its slot was overwritten.
 template <class T>
@@ -66,9 +66,16 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
   const std::uint32_t w = view.camera.width;
   if (!message.announces("color"))
     throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"color\" is missing");
+  const bool with_albedo = message.announces("albedo");
+  with_depth = with_depth && message.announces("depth");
+  const std::size_t bytes = std::size_t{h} * w * (4 + (with_albedo ? 4 : 0) + (with_depth ? sizeof(float) : 0));
+  if (bytes > max_bytes_) {
+    throw bus::Error(message.topic() + ": pictures of " + std::to_string(w) + " x " + std::to_string(h) + " take " +
+                     std::to_string(bytes >> 20) + " MiB, and all of them have " + std::to_string(max_bytes_ >> 20));
+  }
   bool whole = read_picture(message, "color", {h, w, 4}, view.color);
-  if (whole && message.announces("albedo")) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
-  if (whole && with_depth && message.announces("depth")) whole = read_picture(message, "depth", {h, w}, view.depth);
+  if (whole && with_albedo) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
+  if (whole && with_depth) whole = read_picture(message, "depth", {h, w}, view.depth);
   reading.lost = !whole;
   if (whole) reading.view = std::make_shared<const TrainingView>(std::move(view));
   return reading;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -24,8 +25,8 @@ struct ReferenceReading {
 /// One thread; what it read may outlive it.
 class ReferenceReader {
  public:
-  /// What passes through the host is added to `host_bytes`.
-  ReferenceReader(bus::MemoryKind memory, std::atomic<std::uint64_t>& host_bytes);
+  /// No camera's pictures may take more than `max_bytes`. What passes through the host is added to `host_bytes`.
+  ReferenceReader(bus::MemoryKind memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes);
 
   /// Throws bus::Error or std::runtime_error when the message lies.
   [[nodiscard]] ReferenceReading read(const bus::Message& message, bool with_depth);
@@ -36,6 +37,7 @@ class ReferenceReader {
                                   Pixels<T>& out);
 
   bus::MemoryKind memory_;
+  std::size_t max_bytes_;
   std::atomic<std::uint64_t>& host_bytes_;
   bus::MemoryPool pool_;
 };

@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <exception>
 #include <map>
 
@@ -19,18 +20,24 @@ constexpr auto kReceiveTimeout = 50ms;
 constexpr int kMaxDrained = 512;
 constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
+/// What pictures may take: most of the memory is the model's.
+std::size_t picture_bytes(bus::MemoryKind memory) {
+  return std::min(ViewStore::kMaxBytes, bus::free_memory(memory) / 4);
+}
+
 }  // namespace
 
 Trainer::Trainer(bus::ServiceContext& service)
     : service_(service),
-      references_(bus::memory_of(service.backend), host_copied_bytes_),
+      views_(ViewStore::kMaxViews, picture_bytes(bus::memory_of(service.backend))),
+      references_(bus::memory_of(service.backend), views_.max_bytes(), host_copied_bytes_),
       inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
       visibilities_(bus::memory_of(service.backend)),
       schedule_(read_options(service.parameters).seed) {}
 
 void Trainer::run() {
   const Options options = read_options(service_.parameters);
-  with_depth_ = wants_depth(options);
+  with_depth_ = options.depth_weight > 0;
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
                                         bus::memory_of(service_.backend));
   spdlog::info("model: {}", store_->origin());
@@ -43,10 +50,6 @@ void Trainer::run() {
   const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
   receive();
   commands_.wake();
-}
-
-bool Trainer::wants_depth(const Options& options) const {
-  return options.depth_weight > 0 && service_.backend == bus::Backend::Cpu;
 }
 
 void Trainer::receive() {

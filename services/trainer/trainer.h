@@ -63,9 +63,9 @@ class Trainer {
   void optimize(const std::stop_token& stop);
   void optimize_once();
   void refresh_options();
-  [[nodiscard]] bool wants_depth(const Options& options) const;
   [[nodiscard]] bool may_step() const;
   void train_step();
+  void set_aside(const std::vector<LeftOut>& views);
   /// Waits for what is under way. Returns whether the structure changed.
   bool finish_steps();
   void publish_due(bool structure_changed);

@@ -68,7 +68,7 @@ void Trainer::refresh_options() {
   if (version == options_version_) return;
   options_version_ = version;
   optimizer_->set_options(read_options(service_.parameters));
-  with_depth_ = wants_depth(optimizer_->options());
+  with_depth_ = optimizer_->options().depth_weight > 0;
 }
 
 bool Trainer::may_step() const {
@@ -76,7 +76,7 @@ bool Trainer::may_step() const {
   if (options.paused || (options.run_until != 0 && store_->step() >= options.run_until)) return false;
   const bool inputs_count = options.input_view_interval > 0;
   return store_->count() > 0 &&
-         (views_.count(CameraRole::Reference) > 0 || (inputs_count && views_.count(CameraRole::Input) > 0));
+         (views_.any_to_train(CameraRole::Reference) || (inputs_count && views_.any_to_train(CameraRole::Input)));
 }
 
 void Trainer::train_step() {
@@ -84,10 +84,21 @@ void Trainer::train_step() {
   const auto batch = schedule_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->structure().generation;
   progress_.add(optimizer_->step(batch));
+  set_aside(optimizer_->take_left_out());
   if (store_->structure().generation != generation) publish_due(true);
 }
 
+void Trainer::set_aside(const std::vector<LeftOut>& views) {
+  for (const auto& [view, why] : views) {
+    const Camera& camera = view->camera;
+    if (!views_.set_aside(*view)) continue;
+    spdlog::warn("{} camera {}: pictures of {} x {} are left out of training, for there is no memory for them: {}",
+                 camera.role == CameraRole::Input ? "input" : "reference", camera.id, camera.width, camera.height, why);
+  }
+}
+
 void Trainer::publish_due(bool structure_changed) {
+  if (structure_changed) views_.take_up();
   const auto now = Clock::now();
   const Options& options = optimizer_->options();
   const bool finished = options.run_until != 0 && store_->step() >= options.run_until;
@@ -116,6 +127,7 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("gaussians", static_cast<double>(store_->count()));
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
+  service_.counter("refused_inserts", static_cast<double>(optimizer_->refused_inserts()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));
   } else if (store_->count() == 0) {

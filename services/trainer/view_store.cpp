@@ -1,24 +1,53 @@
 #include "trainer/view_store.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace splatbus::trainer {
+
+namespace {
+
+bool same_size(const Camera& a, const Camera& b) {
+  return a.width == b.width && a.height == b.height;
+}
+
+ViewKey key_of(const TrainingView& view) {
+  return {.role = view.camera.role, .id = view.camera.id};
+}
+
+}  // namespace
 
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
 void ViewStore::put(TrainingViewPtr view) {
-  const ViewKey key{.role = view->camera.role, .id = view->camera.id};
+  const ViewKey key = key_of(*view);
   const std::scoped_lock lock(mutex_);
   const auto [place, is_new] = views_.try_emplace(key);
+  Entry& entry = place->second;
   if (is_new) {
     ++cameras_version_;
   } else {
-    bytes_ -= place->second.view->bytes();
+    bytes_ -= entry.view->bytes();
+    if (!same_size(entry.view->camera, view->camera)) entry.aside = entry.told = false;
   }
   bytes_ += view->bytes();
   newest_light_ = view->scene.light.generation;
-  place->second = {.view = std::move(view), .updated = ++updates_};
+  entry.view = std::move(view);
+  entry.updated = ++updates_;
   evict(key);
+}
+
+bool ViewStore::set_aside(const TrainingView& view) {
+  const std::scoped_lock lock(mutex_);
+  const auto found = views_.find(key_of(view));
+  if (found == views_.end() || !same_size(found->second.view->camera, view.camera)) return false;
+  found->second.aside = true;
+  return !std::exchange(found->second.told, true);
+}
+
+void ViewStore::take_up() {
+  const std::scoped_lock lock(mutex_);
+  for (auto& [key, entry] : views_) entry.aside = false;
 }
 
 void ViewStore::evict(const ViewKey& newest) {
@@ -46,16 +75,22 @@ void ViewStore::retire(const ViewKey& key) {
 TrainingViewPtr ViewStore::find(const ViewKey& key) const {
   const std::scoped_lock lock(mutex_);
   const auto found = views_.find(key);
-  return found == views_.end() ? nullptr : found->second.view;
+  return found == views_.end() || found->second.aside ? nullptr : found->second.view;
 }
 
 std::vector<ViewKey> ViewStore::keys(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
   std::vector<ViewKey> keys;
   for (const auto& [key, entry] : views_) {
-    if (key.role == role) keys.push_back(key);
+    if (key.role == role && !entry.aside) keys.push_back(key);
   }
   return keys;
+}
+
+bool ViewStore::any_to_train(CameraRole role) const {
+  const std::scoped_lock lock(mutex_);
+  return std::any_of(views_.begin(), views_.end(),
+                     [&](const auto& view) { return view.first.role == role && !view.second.aside; });
 }
 
 std::size_t ViewStore::count(CameraRole role) const {
@@ -67,7 +102,9 @@ std::size_t ViewStore::count(CameraRole role) const {
 std::optional<std::uint64_t> ViewStore::reference_light() const {
   const std::scoped_lock lock(mutex_);
   const bool ready = std::any_of(views_.begin(), views_.end(), [&](const auto& view) {
-    return view.first.role == CameraRole::Reference && view.second.view->scene.light.generation == newest_light_;
+    const Entry& entry = view.second;
+    return view.first.role == CameraRole::Reference && !entry.aside &&
+           entry.view->scene.light.generation == newest_light_;
   });
   return ready ? std::optional(newest_light_) : std::nullopt;
 }

@@ -30,6 +30,14 @@ std::shared_ptr<std::byte> allocate(std::size_t bytes) {
   return owner;
 }
 
+std::size_t free_bytes() {
+  (void)Driver::get();  // throws when there is no device
+  std::size_t free = 0;
+  std::size_t total = 0;
+  check(cudaMemGetInfo(&free, &total), "asking for free memory");
+  return free;
+}
+
 void enqueue_copy(void* destination, const void* source, std::size_t bytes) {
   // The thread's own stream waits for no kernels of others.
   check(cudaMemcpyAsync(destination, source, bytes, cudaMemcpyDefault, cudaStreamPerThread), "copying");

@@ -18,7 +18,8 @@ constexpr int kMostTries = 8;
 raster::cuda::TrainView train_view(const TrainingView& view) {
   return {.view = {.camera = view.camera, .scene = &view.scene},
           .color = view.color.data(),
-          .albedo = view.albedo.empty() ? nullptr : view.albedo.data()};
+          .albedo = view.albedo.empty() ? nullptr : view.albedo.data(),
+          .depth = view.depth.empty() ? nullptr : view.depth.data()};
 }
 
 }  // namespace
@@ -41,12 +42,14 @@ std::vector<StepQueue::Part> StepQueue::split(std::span<const TrainingViewPtr> v
                                  of_size.begin() + static_cast<std::ptrdiff_t>(end)}});
     }
   }
-  parts.back().ends_step = true;
   return parts;
 }
 
-void StepQueue::enqueue(std::span<const TrainingViewPtr> views) {
-  for (Part& part : split(views)) enqueue(std::move(part));
+std::size_t StepQueue::enqueue(std::span<const TrainingViewPtr> views) {
+  std::size_t enqueued = 0;
+  for (Part& part : split(views)) enqueued += enqueue(std::move(part));
+  if (enqueued > 0) parts_.back().ends_step = true;
+  return enqueued;
 }
 
 void StepQueue::enqueue_repeats() {
@@ -57,18 +60,46 @@ void StepQueue::enqueue_repeats() {
   }
 }
 
-void StepQueue::enqueue(Part part) {
+std::size_t StepQueue::enqueue(Part part) {
   std::vector<raster::cuda::TrainView> views;
   for (const TrainingViewPtr& view : part.views) views.push_back(train_view(*view));
   if (parts_.empty()) busy_since_ = Clock::now();
   parts_.push_back(std::move(part));
   try {
     train_.step(group_for(views));
+    return views.size();
+  } catch (const raster::cuda::StepTooLarge& error) {  // nothing of it is on its way
+    Part too_large = std::move(parts_.back());
+    parts_.pop_back();
+    return enqueue_halves(std::move(too_large), error.what());
   } catch (...) {
     cudaStreamSynchronize(train_.stream());  // a piece of it may be on its way, and reads the pictures
     parts_.pop_back();
     throw;
   }
+}
+
+/// A part that there is no memory for at once.
+std::size_t StepQueue::enqueue_halves(Part part, const std::string& why) {
+  std::size_t enqueued = 0;
+  if (part.views.size() == 1) {
+    left_out_.push_back({.view = std::move(part.views[0]), .why = why});
+  } else {
+    const auto middle = part.views.begin() + static_cast<std::ptrdiff_t>(part.views.size() / 2);
+    enqueued += enqueue(Part{.views = {part.views.begin(), middle}, .tries = part.tries});
+    enqueued += enqueue(Part{.views = {middle, part.views.end()}, .tries = part.tries});
+  }
+  if (enqueued == 0) {
+    give_up(part);
+  } else if (part.ends_step) {
+    parts_.back().ends_step = true;
+  }
+  return enqueued;
+}
+
+/// The step that it would have ended has ended before.
+void StepQueue::give_up(const Part& part) {
+  if (part.ends_step) ++ended_steps_;
 }
 
 /// The group of these views' size, with them in it.
@@ -100,6 +131,7 @@ StepReport StepQueue::collect(bool wait) {
     }
     sum += {.steps = part.ends_step ? 1U : 0U, .views = part.views.size(), .loss = report.loss};
   }
+  sum.steps += std::exchange(ended_steps_, 0);
   if (!reports.empty()) {
     const Clock::time_point now = Clock::now();
     sum.seconds = std::chrono::duration<double>(now - std::exchange(busy_since_, now)).count();
@@ -109,6 +141,7 @@ StepReport StepQueue::collect(bool wait) {
 
 void StepQueue::repeat(Part part) {
   if (++part.tries < kMostTries) return repeats_.push_back(std::move(part));
+  give_up(part);
   if (!std::exchange(warned_lists_, true)) {
     spdlog::error("optimizer: Gaussians cover more tiles of pictures than can be listed: such steps are left out");
   }

@@ -2,9 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <limits>
 #include <optional>
 
+#include "bus/error.h"
 #include "trainer_fixture.h"
 #include "wire/published_model.h"
 
@@ -117,6 +119,21 @@ TEST_F(TrainerTest, FreezesThawsAndTakesVisibility) {
   }));
   EXPECT_EQ(model->live().visibility[1], 0.0F);
   EXPECT_EQ(model->live().visibility[2], 1.0F);
+}
+
+TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
+  const SyntheticScene scene(20, 1);
+  bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
+  bus_test::meet(reference_, subscriber);
+  publish_view(*scene.views()[0]);
+  const auto message = subscriber.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  std::atomic<std::uint64_t> host_bytes{0};
+  const std::size_t bytes = scene.views()[0]->color.bytes() + scene.views()[0]->albedo.bytes();
+  ReferenceReader small(bus::MemoryKind::Host, bytes - 1, host_bytes);
+  EXPECT_THROW(static_cast<void>(small.read(*message, false)), bus::Error);
+  ReferenceReader large(bus::MemoryKind::Host, bytes, host_bytes);
+  EXPECT_NE(large.read(*message, false).view, nullptr);
 }
 
 TEST_F(TrainerTest, GoesOnAfterARestart) {
