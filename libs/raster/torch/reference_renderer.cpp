@@ -1,5 +1,7 @@
 #include "raster/torch/reference_renderer.h"
 
+#include <torch/nn/functional/conv.h>
+
 #include <glm/glm.hpp>
 #include <numbers>
 #include <vector>
