@@ -21,6 +21,15 @@ if(SPLATBUS_SANITIZE)
   add_compile_options(-fsanitize=${SPLATBUS_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=undefined)
   add_link_options(-fsanitize=${SPLATBUS_SANITIZE})
 endif()
+# What CTest tells the sanitizers of a test and of the programs that it starts.
+set(SPLATBUS_TEST_ENVIRONMENT)
+if(SPLATBUS_SANITIZE MATCHES thread)
+  list(APPEND SPLATBUS_TEST_ENVIRONMENT
+       "TSAN_OPTIONS=suppressions=${CMAKE_SOURCE_DIR}/cmake/tsan.supp:second_deadlock_stack=1")
+elseif(SPLATBUS_SANITIZE)
+  list(APPEND SPLATBUS_TEST_ENVIRONMENT "ASAN_OPTIONS=detect_stack_use_after_return=1:strict_string_checks=1"
+       "UBSAN_OPTIONS=print_stacktrace=1")
+endif()
 
 function(splatbus_common_options target)
   # Fields that designated initializers leave out are value-initialised, on purpose.
@@ -80,5 +89,6 @@ function(splatbus_test name)
     add_dependencies(test_${name} ${ARG_PROGRAMS})
   endif()
   add_test(NAME ${name} COMMAND test_${name})
-  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT "$<IF:$<BOOL:${ARG_TIMEOUT}>,${ARG_TIMEOUT},120>")
+  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT "$<IF:$<BOOL:${ARG_TIMEOUT}>,${ARG_TIMEOUT},120>"
+                                          ENVIRONMENT "${SPLATBUS_TEST_ENVIRONMENT}")
 endfunction()
