@@ -134,13 +134,17 @@ TEST_F(SchemaJsonTest, StatisticsCountRateAndBytes) {
   TopicStatistics seen;
   constexpr std::int64_t kSecond = 1'000'000'000;
   std::uint64_t bytes = 0;
+  // The broker may see the subscription after the first message, which then comes from its store.
+  int fresh = 0;
   for (std::int64_t i = 0; i < 3; ++i) {
     const bus::Message message = round_trip({.schema = "Log/1"}, log);
     seen.add(message);
     bytes += message.size();
+    if (!message.header().resent()) ++fresh;
   }
   EXPECT_EQ(seen.messages, 3U);
-  EXPECT_DOUBLE_EQ(seen.rate_hz(kSecond * 3 / 2), 2);
+  EXPECT_GT(fresh, 0);
+  EXPECT_DOUBLE_EQ(seen.rate_hz(kSecond / 2), fresh * 2);
   EXPECT_DOUBLE_EQ(seen.megabits_per_s(kSecond), static_cast<double>(bytes) * 8e-6);
   EXPECT_TRUE(seen.latched);
   EXPECT_THAT(seen.schemas, testing::ElementsAre("Log/1"));
