@@ -112,7 +112,7 @@ float CpuOptimizer::depth_loss(const TrainingView& view, float scale) {
   double loss = 0;
   for (std::size_t i = 0; i < view.depth.size(); ++i) {
     const float expected = view.depth[i];
-    if (!(expected > 0)) continue;
+    if (!(expected > 0) || std::isinf(expected)) continue;
     const float difference = render_.depth.data[i] - render_.alpha.data[i] * expected;
     loss += std::abs(difference) * weight;
     const float slope = std::copysign(weight * scale, difference);

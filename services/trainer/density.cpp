@@ -5,11 +5,11 @@
 #include <glm/glm.hpp>
 #include <glm/gtc/quaternion.hpp>
 
+#include "trainer/split_factor.h"
+
 namespace splatbus::trainer {
 
 namespace {
-
-constexpr float kSplitFactor = 1.6F;  // Kerbl et al. 2023
 
 float logit(float probability) {
   return std::log(probability / (1.0F - probability));

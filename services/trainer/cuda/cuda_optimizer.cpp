@@ -1,14 +1,20 @@
 #include "trainer/cuda/cuda_optimizer.h"
 
+#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cstdint>
+#include <string>
 #include <utility>
+#include <vector>
 
+#include "bus/memory.h"
 #include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 #include "trainer/average.h"
 #include "trainer/cuda/cell_observer.h"
+#include "trainer/cuda/device_densifier.h"
 #include "trainer/cuda/prune_check.h"
 #include "trainer/cuda/step_kernels.h"
 #include "trainer/cuda/step_queue.h"
@@ -28,6 +34,8 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
   return {.project = {.antialias = options.antialias},
           .ssim_weight = options.ssim_weight,
           .albedo_weight = options.albedo_weight,
+          .depth_weight = options.depth_weight / options.scene_extent_m,
+          .statistics = options.densify.enabled,
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
           .half_rate_steps = options.half_rate_steps,
@@ -37,7 +45,10 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
 class CudaOptimizer final : public Optimizer {
  public:
   CudaOptimizer(ModelStore& store, const Options& options)
-      : Optimizer(store), train_(train_options(options)), pruning_(train_.stream()) {
+      : Optimizer(store),
+        train_(train_options(options)),
+        pruning_(train_.stream()),
+        densifier_(options.seed, train_.stream()) {
     warm_up(options.layout);
     train_.set_model(gaussians());
     set_options(options);
@@ -57,12 +68,6 @@ class CudaOptimizer final : public Optimizer {
     if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
     train_.set_options(train_options(options_));
     train_.set_learning_rates(channel_learning_rates(options));
-    if (options.depth_weight > 0 && !std::exchange(warned_depth_, true)) {
-      spdlog::warn("depth_weight is not offered by the CUDA backend: training goes on without a depth loss");
-    }
-    if (options.densify.enabled && !std::exchange(warned_densify_, true)) {
-      spdlog::warn("densify is not offered by the CUDA backend: training goes on without it");
-    }
   }
 
   StepReport step(std::span<const TrainingViewPtr> views) override {
@@ -74,9 +79,10 @@ class CudaOptimizer final : public Optimizer {
     }
     if (!followed_) follow_growth();
     steps_.enqueue_repeats();
-    steps_.enqueue(views);
-    store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));
-    after_step(steps_.last());
+    if (const std::size_t enqueued = steps_.enqueue(views); enqueued > 0) {
+      store_.add_step(enqueued, std::exchange(unbooked_s_, 0.0));
+      after_step(steps_.last());
+    }
     collect(false);
     return take_report();
   }
@@ -86,6 +92,8 @@ class CudaOptimizer final : public Optimizer {
     store_.add_time(std::exchange(unbooked_s_, 0.0));
     return take_report();
   }
+
+  std::vector<LeftOut> take_left_out() override { return steps_.take_left_out(); }
 
  private:
   /// Steps between the search for Gaussians to remove and the look at what it found, which is there by then.
@@ -115,7 +123,7 @@ class CudaOptimizer final : public Optimizer {
   }
 
   /// What follows a step on the device: the average over time, and now and then a look at cells and for Gaussians to
-  /// remove. `last` is the last view that was enqueued, whose pictures the workspace holds.
+  /// remove, to clone and to split. `last` is the last view that was enqueued, whose pictures the workspace holds.
   void after_step(const TrainingViewPtr& last) {
     const std::uint64_t step = store_.step();
     const std::size_t stripe = step % TimeAverage::kStripes;
@@ -139,6 +147,18 @@ class CudaOptimizer final : public Optimizer {
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {
       pruning_.search(columns(), options_.prune, step);
     }
+    if (options_.densify.enabled && step % options_.densify.interval_steps == 0) densify();
+  }
+
+  void densify() {
+    settle();
+    const auto chosen = densifier_.choose(store_, train_.statistics(), options_.densify.gradient_threshold);
+    train_.clear_statistics();
+    const std::size_t added = std::min(chosen.size(), store_.room(store_.count()));
+    if (added == 0) return;  // a change of structure costs every reader: not for nothing
+    const std::string lacking = lacks_memory_for(store_.capacity_for(store_.count() + added));
+    if (lacking.empty()) return change([&] { densifier_.densify(store_, chosen, options_.densify); });
+    if (!std::exchange(warned_densify_, true)) spdlog::error("optimizer: no Gaussian is cloned or split: {}", lacking);
   }
 
   /// Takes in the figures of steps that are done; of all of them, after waiting, with `wait`.
@@ -181,6 +201,25 @@ class CudaOptimizer final : public Optimizer {
 
   void before_change() override { settle(); }
 
+  [[nodiscard]] std::string lacks_memory_for(std::size_t capacity) const override {
+    if (capacity <= store_.capacity()) return {};
+    // The model moves to planes beside its own, and what is kept here for each Gaussian likewise.
+    const std::size_t wanted = SlabLayout(store_.layout(), capacity).bytes + capacity * bytes_a_gaussian();
+    const std::size_t free = bus::free_memory(bus::MemoryKind::Cuda);
+    if (wanted + raster::cuda::kMemoryLeftFree <= free) return {};
+    return fmt::format(
+        "{} Gaussians take {} MiB of device memory more, of which {} MiB are free, and {} MiB are left so", capacity,
+        wanted >> 20U, free >> 20U, raster::cuda::kMemoryLeftFree >> 20U);
+  }
+
+  /// What training keeps for a Gaussian of its own, about.
+  [[nodiscard]] std::size_t bytes_a_gaussian() const {
+    constexpr std::size_t kOfAView = 100;  // records of the projection, and their gradients
+    constexpr std::size_t kOfAStep = 100;  // ages, statistics, the observation of cells
+    const auto channels = static_cast<std::size_t>(store_.layout().channels());
+    return 2 * channels * sizeof(float) + kOfAStep + static_cast<std::size_t>(options_.batch) * kOfAView;
+  }
+
   void follow_growth() override {
     followed_ = false;
     cudaStream_t stream = train_.stream();
@@ -210,9 +249,10 @@ class CudaOptimizer final : public Optimizer {
   CellObserver observer_;
   TrainingViewPtr observed_;  // kept until the device has looked at it
   PruneCheck pruning_;
+  DeviceDensifier densifier_;
   StepReport report_;
   double unbooked_s_ = 0;  // of optimizer time that the model's figures do not have yet
-  bool warned_depth_ = false, warned_densify_ = false;
+  bool warned_densify_ = false;
 };
 
 }  // namespace

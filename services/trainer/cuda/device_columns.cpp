@@ -9,8 +9,6 @@
 
 namespace splatbus::trainer::cuda {
 
-namespace {
-
 DevicePlanes device_planes(const ModelPlanes& planes) {
   return {.layout = planes.layout,
           .capacity = static_cast<std::int64_t>(planes.capacity),
@@ -24,6 +22,8 @@ DevicePlanes device_planes(const ModelPlanes& planes) {
           .cell = planes.cell,
           .gaussian_id = planes.gaussian_id};
 }
+
+namespace {
 
 InsertLight insert_light(const Light& light) {
   InsertLight result{};
