@@ -62,7 +62,7 @@ TEST_F(RenewedViews, TrainAsGroupsOfTheirOwnDo) {
     cuda::TrainStep train({.albedo_weight = 0.5F});
     start(train, device);
     std::vector<std::size_t> groups;
-    for (int k = 0; k < 12; ++k) {
+    for (int k = 0; k < 9; ++k) {
       const cuda::TrainView now = view(2.0F * static_cast<float>(k % 3));
       if (renew && k > 0) {
         train.renew_group(0, {&now, 1});
@@ -72,7 +72,7 @@ TEST_F(RenewedViews, TrainAsGroupsOfTheirOwnDo) {
       train.step(renew ? 0 : groups[static_cast<std::size_t>(k % 3)]);
     }
     const auto reports = train.finished(true);
-    EXPECT_EQ(reports.size(), 12U);
+    EXPECT_EQ(reports.size(), 9U);
     for (const auto& report : reports) EXPECT_TRUE(report.changed);
     EXPECT_NEAR(reports.back().loss, train.losses()[0], 1e-6F);
     trained[renew ? 1 : 0] = parameters(device, train);
