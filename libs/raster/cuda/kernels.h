@@ -77,7 +77,7 @@ struct OptimizerState {
   std::uint32_t* steps = nullptr;  ///< [stride]
 };
 
-/// For clone and split, [count]; null: not gathered.
+/// For clone and split, [count]; null: not gathered. `steps` only with `mean2d_norm`.
 struct ScreenStatistics {
   float* mean2d_norm = nullptr;    ///< sum over views of |dL/d(projected mean)| in NDC units
   std::uint32_t* steps = nullptr;  ///< in which it was blended into a pixel

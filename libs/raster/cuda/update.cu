@@ -199,7 +199,7 @@ __device__ void update_geometry(const Item& item, const GaussianGeometry& g, con
   if constexpr (kExtra) {
     if (statistics.mean2d_norm != nullptr) {
       statistics.mean2d_norm[item.i] += norm2d;
-      statistics.steps[item.i] += 1;
+      if (statistics.steps != nullptr) statistics.steps[item.i] += 1;
     }
   }
   const float norm = sqrtf(g.rotation.x * g.rotation.x + g.rotation.y * g.rotation.y + g.rotation.z * g.rotation.z +
