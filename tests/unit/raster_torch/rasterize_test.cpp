@@ -1,6 +1,7 @@
 #include "raster/torch/rasterize.h"
 
 #include <array>
+#include <thread>
 
 #include "tensor_scene.h"
 
@@ -167,6 +168,31 @@ TEST_P(Rasterize, PassesMayInterleaveAndRepeat) {
   EXPECT_LT(relative_error(first.parameters.grad(), 3 * first_alone), 1e-5);
   EXPECT_LT(relative_error(second.parameters.grad(), 2 * second_alone), 1e-5);
   EXPECT_THROW(of_second.backward(), c10::Error) << "what the backward pass reads is gone";
+}
+
+TEST_P(Rasterize, ThreadsMayCallAtOnce) {
+  const std::vector<Camera> cameras = testing::test_cameras(2, 60, 50);
+  std::vector<TensorScene> models;
+  std::vector<Tensor> alone;
+  const auto gradient_of = [&](const TensorScene& model) {
+    model.parameters.mutable_grad() = Tensor();
+    rasterize(model.parameters, model.planes, cameras, {model.scene.state}).color.square().sum().backward();
+    return model.parameters.grad();
+  };
+  for (std::uint32_t k = 0; k < 4; ++k) {
+    models.emplace_back(testing::random_scene(testing::transfer_layout(), 100 + 300 * k, {}, 20 + k), device());
+    alone.push_back(gradient_of(models.back()).clone());
+  }
+  std::vector<std::thread> threads;
+  for (const TensorScene& model : models) {
+    threads.emplace_back([&] {
+      for (int k = 0; k < 5; ++k) (void)gradient_of(model);
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  for (std::size_t k = 0; k < models.size(); ++k) {
+    EXPECT_LT(relative_error(models[k].parameters.grad(), alone[k]), 1e-5) << k;
+  }
 }
 
 TEST_P(Rasterize, PicturesWithoutAGradientAreTheSame) {

@@ -57,7 +57,7 @@ TEST(RasterizeStreams, OperationsRunOnTheCurrentStreamAlone) {
   Tensor gradient;
   {
     const c10::cuda::CUDAStreamGuard guard(c10::cuda::getStreamFromPool());
-    gradient = everything();  // what is allocated once, is
+    for (int k = 0; k < 2; ++k) gradient = everything();  // what has to be allocated, is
     c10::cuda::getCurrentCUDAStream().synchronize();
     others.synchronize();
     {
