@@ -1,115 +1,22 @@
 #include "sim/gltf_scene.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
-#include <stb_image.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <filesystem>
 #include <glm/gtc/type_ptr.hpp>
-#include <memory>
 #include <set>
 #include <stdexcept>
 #include <vector>
 
 #include "sim/gltf_accessor.h"
+#include "sim/gltf_file.h"
+#include "sim/gltf_mesh.h"
 
 namespace splatbus::sim {
 namespace {
 
-constexpr int kGreatestImageSide = 8192;
 constexpr int kDeepestNode = 256;
-
-/// What is left of a limit.
-class Budget {
- public:
-  Budget(std::uintmax_t limit, const char* what) : limit_(limit), left_(limit), what_(what) {}
-
-  /// Throws when it is not there.
-  void take(std::uintmax_t amount) {
-    if (amount > left_) throw std::runtime_error(fmt::format("more than {} {} in all", limit_, what_));
-    left_ -= amount;
-  }
-
- private:
-  std::uintmax_t limit_, left_;
-  const char* what_;
-};
-
-/// tinygltf's image callback: four channels of eight bits, of a size checked before it is decoded; `user` is
-/// the Budget of all images' bytes.
-bool decode_image(tinygltf::Image* image, const int index, std::string* error, std::string* /*warning*/, int /*width*/,
-                  int /*height*/, const unsigned char* bytes, int size, void* user) {
-  int width = 0;
-  int height = 0;
-  int channels = 0;
-  const auto refuse = [&](const std::string& what) {
-    if (error != nullptr) *error += fmt::format("image {}: {}", index, what);
-    return false;
-  };
-  if (stbi_info_from_memory(bytes, size, &width, &height, &channels) == 0) return refuse("it is no PNG or JPEG");
-  if (width < 1 || height < 1 || width > kGreatestImageSide || height > kGreatestImageSide) {
-    return refuse(fmt::format("{} x {} pixels, where a side has at most {}", width, height, kGreatestImageSide));
-  }
-  const std::size_t decoded_bytes = std::size_t{4} * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
-  try {
-    static_cast<Budget*>(user)->take(decoded_bytes);
-  } catch (const std::runtime_error& over) {
-    return refuse(over.what());
-  }
-  const std::unique_ptr<stbi_uc, void (*)(void*)> pixels(
-      stbi_load_from_memory(bytes, size, &width, &height, &channels, 4), stbi_image_free);
-  if (!pixels) return refuse(fmt::format("it cannot be decoded ({})", stbi_failure_reason()));
-  image->width = width;
-  image->height = height;
-  image->component = 4;
-  image->bits = 8;
-  image->pixel_type = TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE;
-  image->image.assign(pixels.get(), pixels.get() + decoded_bytes);
-  return true;
-}
-
-/// tinygltf's file callback; `user` is the Budget of all files' bytes.
-bool read_bounded_file(std::vector<unsigned char>* out, std::string* error, const std::string& path, void* user) {
-  std::error_code code;
-  const std::uintmax_t size = std::filesystem::file_size(path, code);
-  try {
-    if (code) throw std::runtime_error(code.message());
-    static_cast<Budget*>(user)->take(size);
-  } catch (const std::runtime_error& failure) {
-    if (error != nullptr) *error += fmt::format("{}: {}", path, failure.what());
-    return false;
-  }
-  return tinygltf::ReadWholeFile(out, error, path, user);
-}
-
-tinygltf::Model parse(const std::string& path, const GltfLimits& limits) {
-  Budget file_bytes(limits.file_bytes, "bytes of files");
-  Budget image_bytes(limits.image_bytes, "bytes of images");
-  tinygltf::TinyGLTF loader;
-  loader.SetImageLoader(decode_image, &image_bytes);
-  loader.SetFsCallbacks({.FileExists = tinygltf::FileExists,
-                         .ExpandFilePath = tinygltf::ExpandFilePath,
-                         .ReadWholeFile = read_bounded_file,
-                         .WriteWholeFile = tinygltf::WriteWholeFile,
-                         .user_data = &file_bytes});
-  tinygltf::Model model;
-  std::string error;
-  std::string warning;
-  const bool binary = std::filesystem::path(path).extension() != ".gltf";
-  const bool loaded = binary ? loader.LoadBinaryFromFile(&model, &error, &warning, path)
-                             : loader.LoadASCIIFromFile(&model, &error, &warning, path);
-  if (!warning.empty()) spdlog::warn("{}: {}", path, warning);
-  if (!loaded) throw std::runtime_error(error.empty() ? "it is no glTF file" : error);
-  const std::set<std::string> supported{"KHR_materials_unlit", "KHR_materials_specular", "KHR_materials_ior"};
-  for (const std::string& extension : model.extensionsRequired) {
-    if (!supported.contains(extension))
-      throw std::runtime_error(fmt::format("it requires {}, which is not supported", extension));
-  }
-  return model;
-}
 
 Material read_material(const tinygltf::Model& model, const tinygltf::Material& source) {
   Material material;
@@ -131,100 +38,6 @@ Material read_material(const tinygltf::Model& model, const tinygltf::Material& s
     material.repeat = item(model.samplers, from.sampler, "sampler").wrapS != TINYGLTF_TEXTURE_WRAP_CLAMP_TO_EDGE;
   }
   return material;
-}
-
-/// Corners of the triangles, in order, as vertex indices.
-std::vector<std::uint32_t> triangle_corners(const tinygltf::Model& model, const tinygltf::Primitive& primitive,
-                                            std::size_t vertex_count) {
-  std::vector<std::uint32_t> sequence;
-  if (primitive.indices >= 0) {
-    sequence = read_indices(model, primitive.indices, vertex_count);
-  } else {
-    sequence.resize(vertex_count);
-    for (std::size_t i = 0; i < vertex_count; ++i) sequence[i] = static_cast<std::uint32_t>(i);
-  }
-  if (primitive.mode == TINYGLTF_MODE_TRIANGLES) {
-    sequence.resize(sequence.size() / 3 * 3);
-    return sequence;
-  }
-  std::vector<std::uint32_t> corners;
-  for (std::size_t i = 2; i < sequence.size(); ++i) {
-    const bool fan = primitive.mode == TINYGLTF_MODE_TRIANGLE_FAN;
-    const bool odd = !fan && i % 2 == 1;
-    corners.insert(corners.end(),
-                   {fan ? sequence[0] : sequence[odd ? i - 1 : i - 2], sequence[odd ? i - 2 : i - 1], sequence[i]});
-  }
-  return corners;
-}
-
-/// Without normals in the file every triangle gets vertices of its own, with its own normal.
-void make_flat(Mesh& mesh) {
-  Mesh flat;
-  for (std::size_t i = 0; i + 2 < mesh.indices.size(); i += 3) {
-    std::array<Vertex, 3> corners{mesh.vertices[mesh.indices[i]], mesh.vertices[mesh.indices[i + 1]],
-                                  mesh.vertices[mesh.indices[i + 2]]};
-    const glm::vec3 face =
-        glm::cross(corners[1].position - corners[0].position, corners[2].position - corners[0].position);
-    if (glm::dot(face, face) <= 0) continue;
-    for (Vertex& corner : corners) {
-      corner.normal = glm::normalize(face);
-      flat.indices.push_back(static_cast<std::uint32_t>(flat.vertices.size()));
-      flat.vertices.push_back(corner);
-    }
-  }
-  mesh = std::move(flat);
-}
-
-std::size_t checked_rows(const tinygltf::Model& model, int accessor) {
-  const std::size_t rows = item(model.accessors, accessor, "accessor").count;
-  if (rows > kMostRows)
-    throw std::runtime_error(fmt::format("accessor {}: {} rows, where {} are the most", accessor, rows, kMostRows));
-  return rows;
-}
-
-/// What all meshes may come to.
-struct MeshBudget {
-  Budget vertices, indices;
-
-  /// Takes what read_primitive() is about to make, or more.
-  void take(const tinygltf::Model& model, const tinygltf::Primitive& primitive, int position, bool flat) {
-    const std::size_t rows = checked_rows(model, position);
-    const std::size_t sequence = primitive.indices < 0 ? rows : checked_rows(model, primitive.indices);
-    const std::size_t corners = primitive.mode == TINYGLTF_MODE_TRIANGLES ? sequence : 3 * sequence;
-    indices.take(corners);
-    vertices.take(std::max({rows, flat ? corners : 0, std::size_t{1}}));
-  }
-};
-
-Mesh read_primitive(const tinygltf::Model& model, const tinygltf::Primitive& primitive, MeshBudget& budget) {
-  const auto attribute = [&](const char* name) {
-    const auto found = primitive.attributes.find(name);
-    return found == primitive.attributes.end() ? -1 : found->second;
-  };
-  if (attribute("POSITION") < 0) throw std::runtime_error("it has no POSITION");
-  budget.take(model, primitive, attribute("POSITION"), attribute("NORMAL") < 0);
-  const std::vector<float> positions = read_floats(model, attribute("POSITION"), 3);
-  const std::size_t count = positions.size() / 3;
-  std::vector<float> normals;
-  std::vector<float> uvs;
-  if (attribute("NORMAL") >= 0) normals = read_floats(model, attribute("NORMAL"), 3);
-  if (attribute("TEXCOORD_0") >= 0) uvs = read_floats(model, attribute("TEXCOORD_0"), 2);
-  if ((!normals.empty() && normals.size() != 3 * count) || (!uvs.empty() && uvs.size() != 2 * count)) {
-    throw std::runtime_error("NORMAL or TEXCOORD_0 has another number of rows than POSITION");
-  }
-  Mesh mesh;
-  mesh.vertices.resize(count);
-  for (std::size_t i = 0; i < count; ++i) {
-    Vertex& vertex = mesh.vertices[i];
-    vertex = {.position = glm::make_vec3(&positions[3 * i]), .normal = {0, 1, 0}, .uv = {0, 0}};
-    if (!uvs.empty()) vertex.uv = glm::make_vec2(&uvs[2 * i]);
-    if (normals.empty()) continue;
-    const glm::vec3 normal = glm::make_vec3(&normals[3 * i]);
-    if (glm::dot(normal, normal) > 1e-12F) vertex.normal = glm::normalize(normal);
-  }
-  mesh.indices = triangle_corners(model, primitive, count);
-  if (normals.empty()) make_flat(mesh);
-  return mesh;
 }
 
 glm::mat4 local_transform(const tinygltf::Node& node) {
@@ -337,7 +150,7 @@ class SceneReader {
 }  // namespace
 
 Scene load_gltf(const std::string& path, const GltfLimits& limits) {
-  return within(path, [&] { return SceneReader(parse(path, limits), limits).read(); });
+  return within(path, [&] { return SceneReader(read_gltf_file(path, limits), limits).read(); });
 }
 
 }  // namespace splatbus::sim

@@ -1,15 +1,13 @@
 #include "sim/renderer.h"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <glm/gtc/type_ptr.hpp>
 #include <map>
 #include <span>
 #include <stdexcept>
 
+#include "sim/camera_check.h"
 #include "sim/gl_objects.h"
 #include "sim/gpu_scene.h"
 #include "sim/projection.h"
@@ -20,8 +18,6 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr std::uint32_t kGreatestSide = 4096;
-constexpr std::uint64_t kGreatestPixels = 2048ULL * 2048;
 constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_ALBEDO;
 constexpr std::uint32_t kGeometryBuffers =
     SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH;
@@ -84,46 +80,6 @@ struct Renderer::Impl {
 };
 
 namespace {
-
-/// Into the host's memory.
-class HostReadback final : public Readback {
- public:
-  explicit HostReadback(Pictures& pictures) : pictures_(pictures) {}
-
-  void begin(std::uint32_t width, std::uint32_t height) override {
-    pictures_.width = width;
-    pictures_.height = height;
-    for (auto* bytes : {&pictures_.color, &pictures_.albedo}) bytes->clear();
-    for (auto* floats : {&pictures_.world_position, &pictures_.normal, &pictures_.depth, &pictures_.light_depth})
-      floats->clear();
-  }
-
-  void take(const DrawnPicture& drawn) override {
-    switch (drawn.buffer) {
-      case SPLATBUS_BUFFER_COLOR:
-        return read(drawn, pictures_.color);
-      case SPLATBUS_BUFFER_ALBEDO:
-        return read(drawn, pictures_.albedo);
-      case SPLATBUS_BUFFER_WORLD_POSITION:
-        return read(drawn, pictures_.world_position);
-      case SPLATBUS_BUFFER_NORMAL:
-        return read(drawn, pictures_.normal);
-      case SPLATBUS_BUFFER_DEPTH:
-        return read(drawn, pictures_.depth);
-      case SPLATBUS_BUFFER_LIGHT_DEPTH:
-        return read(drawn, pictures_.light_depth);
-    }
-  }
-
- private:
-  template <class T>
-  static void read(const DrawnPicture& drawn, std::vector<T>& pixels) {
-    pixels.resize(drawn.bytes / sizeof(T));
-    read_pixels(drawn, pixels.data());
-  }
-
-  Pictures& pictures_;
-};
 
 void set_draw_buffers(const GlFramebuffer& framebuffer, std::span<const bool> wanted) {
   std::vector<GLenum> buffers;
@@ -296,7 +252,7 @@ const Pictures& Renderer::render(const splatbus_camera& camera, std::uint32_t bu
 }
 
 void Renderer::render(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback) {
-  if (const std::string wrong = problem(camera); !wrong.empty()) throw std::runtime_error(wrong);
+  if (const std::string wrong = camera_problem(camera); !wrong.empty()) throw std::runtime_error(wrong);
   readback.begin(camera.width, camera.height);
   if ((buffers & kShadeBuffers) != 0) {
     impl_->shade(camera, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0, readback);
@@ -320,31 +276,6 @@ splatbus_camera Renderer::light_camera(std::uint32_t id, std::uint32_t width, st
   splatbus_camera camera = fit_light_camera(impl_->bounds, {sun[0], sun[1], sun[2]}, width, height);
   camera.id = id;
   return camera;
-}
-
-std::string Renderer::problem(const splatbus_camera& camera) {
-  const auto named = [&](const std::string& what) {
-    return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
-  };
-  const std::uint64_t pixels = static_cast<std::uint64_t>(camera.width) * camera.height;
-  if (pixels == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide || pixels > kGreatestPixels) {
-    return named(fmt::format("a picture of {} x {} is out of bounds (1 to {} a side, at most {} pixels)", camera.width,
-                             camera.height, kGreatestSide, kGreatestPixels));
-  }
-  const auto finite = [](std::span<const float> values) {
-    return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });
-  };
-  const std::array<float, 6> lens{camera.fx, camera.fy, camera.cx, camera.cy, camera.near_m, camera.far_m};
-  if (!finite(lens) || camera.fx <= 0 || camera.fy <= 0)
-    return named("fx, fy, cx, cy must be finite, fx and fy above 0");
-  if (camera.near_m <= 0 || camera.far_m <= camera.near_m) return named("it must be 0 < near_m < far_m");
-  const splatbus_rigid& pose = camera.world_from_camera;
-  if (!finite(pose.rotation_wxyz) || !finite(pose.translation)) return named("its pose is not finite");
-  float norm = 0;
-  for (const float q : pose.rotation_wxyz) norm += q * q;
-  if (std::abs(norm - 1) > 1e-2F)
-    return named(fmt::format("its rotation is no unit quaternion (norm {:.3f})", std::sqrt(norm)));
-  return {};
 }
 
 }  // namespace splatbus::sim

@@ -2,11 +2,11 @@
 
 #include <cstdint>
 #include <memory>
-#include <string>
 #include <vector>
 
 #include "sdk/splatbus_engine.h"
 #include "sim/gl_context.h"
+#include "sim/pictures.h"
 #include "sim/readback.h"
 #include "sim/scene.h"
 
@@ -18,14 +18,6 @@ struct RendererOptions {
   int shadow_map_size = 2048;  ///< texels a side
   float shadow_softness_m = 0.012F;  ///< radius of the shadow's filter
   float anisotropy = 8;              ///< hardware only
-};
-
-/// One camera's buffers, row 0 on top, layouts of splatbus_buffer. Those that were not asked for are empty.
-struct Pictures {
-  std::uint32_t width = 0, height = 0;
-  std::vector<std::uint8_t> color, albedo;    ///< [h, w, 4]; albedo is over black
-  std::vector<float> world_position, normal;  ///< [h, w, 4]
-  std::vector<float> depth, light_depth;      ///< [h, w]
 };
 
 /// The scene at one instant.
@@ -75,9 +67,6 @@ class Renderer {
 
   [[nodiscard]] const Scene& scene() const;
   [[nodiscard]] std::uint64_t shadow_maps_drawn() const;
-
-  /// Why this camera cannot be rendered, or an empty string.
-  [[nodiscard]] static std::string problem(const splatbus_camera& camera);
 
  private:
   struct Impl;

@@ -56,7 +56,7 @@ std::string square_json() {
 class Gltf : public testing::Test {
  protected:
   std::string write(const std::string& bytes, const std::string& name = "scene.glb") {
-    const std::string path = directory_.path() + "/" + name;
+    std::string path = directory_.path() + "/" + name;
     std::ofstream(path, std::ios::binary) << bytes;
     return path;
   }

@@ -1,0 +1,39 @@
+#include "sim/pictures.h"
+
+namespace splatbus::sim {
+namespace {
+
+template <class T>
+void read(const DrawnPicture& drawn, std::vector<T>& pixels) {
+  pixels.resize(drawn.bytes / sizeof(T));
+  read_pixels(drawn, pixels.data());
+}
+
+}  // namespace
+
+void HostReadback::begin(std::uint32_t width, std::uint32_t height) {
+  pictures_.width = width;
+  pictures_.height = height;
+  for (auto* bytes : {&pictures_.color, &pictures_.albedo}) bytes->clear();
+  for (auto* floats : {&pictures_.world_position, &pictures_.normal, &pictures_.depth, &pictures_.light_depth})
+    floats->clear();
+}
+
+void HostReadback::take(const DrawnPicture& drawn) {
+  switch (drawn.buffer) {
+    case SPLATBUS_BUFFER_COLOR:
+      return read(drawn, pictures_.color);
+    case SPLATBUS_BUFFER_ALBEDO:
+      return read(drawn, pictures_.albedo);
+    case SPLATBUS_BUFFER_WORLD_POSITION:
+      return read(drawn, pictures_.world_position);
+    case SPLATBUS_BUFFER_NORMAL:
+      return read(drawn, pictures_.normal);
+    case SPLATBUS_BUFFER_DEPTH:
+      return read(drawn, pictures_.depth);
+    case SPLATBUS_BUFFER_LIGHT_DEPTH:
+      return read(drawn, pictures_.light_depth);
+  }
+}
+
+}  // namespace splatbus::sim

@@ -1,0 +1,31 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "sim/readback.h"
+
+namespace splatbus::sim {
+
+/// One camera's buffers, row 0 on top, layouts of splatbus_buffer. Those that were not asked for are empty.
+struct Pictures {
+  std::uint32_t width = 0, height = 0;
+  std::vector<std::uint8_t> color, albedo;    ///< [h, w, 4]; albedo is over black
+  std::vector<float> world_position, normal;  ///< [h, w, 4]
+  std::vector<float> depth, light_depth;      ///< [h, w]
+};
+
+/// Takes pictures into the host's memory.
+class HostReadback final : public Readback {
+ public:
+  /// `pictures` outlive it, and are those of the last camera.
+  explicit HostReadback(Pictures& pictures) : pictures_(pictures) {}
+
+  void begin(std::uint32_t width, std::uint32_t height) override;
+  void take(const DrawnPicture& drawn) override;
+
+ private:
+  Pictures& pictures_;
+};
+
+}  // namespace splatbus::sim
