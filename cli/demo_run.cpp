@@ -6,12 +6,11 @@
 #include <stdexcept>
 #include <vector>
 
+#include "demo_results.h"
 #include "gaussians/model.h"
 #include "json_text.h"
 #include "launch_plan.h"
 #include "live_scene.h"
-#include "metrics/contact_sheet.h"
-#include "metrics/image_io.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "server_view.h"
@@ -85,9 +84,11 @@ class Demo {
     const auto model = live_.copy_average(std::chrono::seconds(10));
     if (!model) throw std::runtime_error("there is no model to write; see " + log_path());
     write_ply(options_.out / "model.ply", model->view(), live_.scene());
-    if (compared_.empty()) throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
-    write_contact_sheet();
-    const Json summary = make_summary(model->count());
+    if (results_.compared.empty())
+      throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
+    note_pipeline(model->count());
+    write_contact_sheet(results_, options_, viewer_pictures_);
+    const Json summary = summarize_demo(results_, options_, log_path());
     write_text(options_.out / "summary.json", json_text(summary, 2) + "\n");
     run_.stop();
     return summary;
@@ -124,7 +125,7 @@ class Demo {
       const auto picture = view_.render(live_, probe.camera, probe.scene);
       if (!picture) return;
       server_[index] = metrics::compare(*picture, probe.picture);
-      compared_[index] = {.engine = probe.picture, .drawn = *picture, .server = server_[index]};
+      results_.compared[index] = {.engine = probe.picture, .drawn = *picture, .server = server_[index]};
     }
   }
 
@@ -164,7 +165,7 @@ class Demo {
     }
     // By rising id: a later round's answer takes the place of an earlier one's.
     for (const auto& [probe_id, quality] : watch_.state().viewer_quality) {
-      if (const auto camera = probes_.camera_of(probe_id)) viewer_known_[*camera] = {probe_id, quality};
+      if (const auto camera = probes_.camera_of(probe_id)) results_.viewer[*camera] = {probe_id, quality};
     }
   }
 
@@ -201,102 +202,20 @@ class Demo {
     return state;
   }
 
-  /// The viewer's picture of a probe; empty when there is none that can be read.
-  [[nodiscard]] cv::Mat viewer_picture(std::uint64_t probe_id, const cv::Size& size) const {
-    try {
-      cv::Mat picture = metrics::read_png(viewer_pictures_ / fmt::format("probe_{}_viewer.png", probe_id));
-      if (picture.size() == size) return picture;
-    } catch (const std::exception&) {
-      // The viewer was killed while it wrote it.
-    }
-    return {};
-  }
-
-  void write_contact_sheet() const {
-    metrics::ContactSheet sheet{.title = fmt::format("splatbus demo, {:.0f} s: held-out cameras", options_.seconds),
-                                .columns = {"engine", "server", "viewer", "FLIP (viewer)"},
-                                .rows = {}};
-    for (const auto& [camera, compared] : compared_) {
-      metrics::ContactSheetRow row{.caption = fmt::format("camera {}", camera),
-                                   .figures = {fmt::format("server SSIM {:.3f}", compared.server.ssim),
-                                               fmt::format("PSNR {:.1f} dB", compared.server.psnr_db)},
-                                   .pictures = {compared.engine, compared.drawn}};
-      const auto viewer = viewer_known_.find(camera);
-      const cv::Mat picture =
-          viewer == viewer_known_.end() ? cv::Mat() : viewer_picture(viewer->second.probe_id, compared.engine.size());
-      if (viewer != viewer_known_.end()) {
-        const metrics::Quality& quality = viewer->second.quality;
-        row.figures.push_back(fmt::format("viewer SSIM {:.3f}", quality.ssim));
-        row.figures.push_back(fmt::format("PSNR {:.1f} dB", quality.psnr_db));
-        row.figures.push_back(fmt::format("FLIP {:.3f}", quality.flip));
-        if (is_stale(viewer->second.probe_id)) row.figures.emplace_back("(earlier round)");
-      } else {
-        row.figures.emplace_back("viewer: no answer");
-      }
-      cv::Mat map;
-      if (!picture.empty()) static_cast<void>(metrics::flip(picture, compared.engine, 67.0, &map));
-      row.pictures.push_back(picture);
-      row.pictures.push_back(map.empty() ? map : metrics::colorize(map));
-      sheet.rows.push_back(std::move(row));
-    }
-    metrics::write_png(options_.out / "contact_sheet.png", metrics::draw(sheet));
-  }
-
-  [[nodiscard]] bool is_stale(std::uint64_t probe_id) const { return probe_id < probes_.first_id(); }
-
-  [[nodiscard]] Json make_summary(std::size_t gaussians) const {
+  void note_pipeline(std::size_t gaussians) {
     const PipelineState& state = watch_.state();
-    ViewFigures server, viewer;
-    for (const auto& [camera, compared] : compared_) server[camera] = compared.server;
-    for (const auto& [camera, known] : viewer_known_) viewer[camera] = known.quality;
-    const metrics::Quality at_server = summarize(server).mean;
-    Json summary{{"first_picture_s", nullptr},
-                 {"gaussians", gaussians},
-                 {"ssim_server", rounded(at_server.ssim)},
-                 {"psnr_server", rounded(at_server.psnr_db)},
-                 {"flip_server", rounded(at_server.flip)},
-                 {"ssim_viewer", nullptr},
-                 {"psnr_viewer", nullptr},
-                 {"flip_viewer", nullptr},
-                 {"steps_per_s", rounded(steps_per_s())},
-                 {"wire_mbps_mean", rounded(state.stream.wire_mbps_mean)},
-                 {"wire_mbps_peak", rounded(state.stream.wire_mbps_peak)},
-                 {"seconds", options_.seconds},
-                 {"seed", options_.seed},
-                 {"cameras", kHeldOutCameras}};
-    if (!viewer.empty()) {
-      const metrics::Quality at_viewer = summarize(viewer).mean;
-      summary["ssim_viewer"] = rounded(at_viewer.ssim);
-      summary["psnr_viewer"] = rounded(at_viewer.psnr_db);
-      summary["flip_viewer"] = rounded(at_viewer.flip);
-    }
+    results_.last_round = {.first_id = probes_.first_id(), .compared = server_.size(), .timeout_s = kFinalTimeoutS};
+    results_.cameras = kHeldOutCameras;
+    results_.gaussians = gaussians;
+    results_.steps_per_s = steps_per_s();
+    results_.wire_mbps_mean = state.stream.wire_mbps_mean;
+    results_.wire_mbps_peak = state.stream.wire_mbps_peak;
     if (state.first_picture_ns != 0) {
-      summary["first_picture_s"] = rounded(static_cast<double>(state.first_picture_ns - start_ns_) / 1e9);
+      results_.first_picture_s = static_cast<double>(state.first_picture_ns - start_ns_) / 1e9;
     }
-    const auto at_last =
-        static_cast<std::size_t>(std::count_if(viewer_known_.begin(), viewer_known_.end(),
-                                               [&](const auto& entry) { return !is_stale(entry.second.probe_id); }));
-    if (server_.size() < kHeldOutCameras || at_last < kHeldOutCameras) {
-      summary["note"] = fmt::format(
-          "of {} held-out views, {} of the last round were compared at the server and {} at the viewer within {} s; "
-          "the figures are of {} and {} views, older ones where the last did not come; see {}",
-          kHeldOutCameras, server_.size(), at_last, kFinalTimeoutS, server.size(), viewer.size(), log_path());
-    }
-    return summary;
   }
 
   [[nodiscard]] std::string log_path() const { return (options_.out / "services.log").string(); }
-
-  /// Newest comparison of a camera at the server.
-  struct Compared {
-    cv::Mat engine, drawn;
-    metrics::Quality server;
-  };
-  /// Newest answer of the viewer about a camera.
-  struct ViewerAnswer {
-    std::uint64_t probe_id = 0;
-    metrics::Quality quality;
-  };
 
   const DemoOptions& options_;
   const StopSignals& signals_;
@@ -310,8 +229,7 @@ class Demo {
   ProbeRounds probes_;
   ServerView view_;
   ViewFigures server_;  ///< of this round
-  std::map<std::size_t, Compared> compared_;
-  std::map<std::size_t, ViewerAnswer> viewer_known_;
+  DemoResults results_;
   std::optional<double> shown_server_, shown_viewer_;
   std::int64_t asked_ns_ = 0, shown_ns_ = 0;
   double pictures_ = 0;

@@ -2,14 +2,14 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <yaml-cpp/yaml.h>
 
 #include <algorithm>
-#include <cmath>
 #include <fstream>
 #include <functional>
-#include <set>
 #include <sstream>
+
+#include "launch_order.h"
+#include "yaml_reader.h"
 
 namespace splatbus::cli {
 
@@ -17,72 +17,7 @@ namespace {
 
 constexpr int kMaxReplicas = 64;
 
-/// The file's nodes with their places, and the checks that every key needs.
-class Reader {
- public:
-  explicit Reader(std::string path) : path_(std::move(path)) {}
-
-  [[nodiscard]] SourceMark mark(const YAML::Node& node) const { return mark(node.Mark()); }
-  [[nodiscard]] SourceMark mark(const YAML::Mark& at) const {
-    return at.is_null() ? SourceMark{path_, 1, 1} : SourceMark{path_, at.line + 1, at.column + 1};
-  }
-
-  [[noreturn]] void refuse(const YAML::Node& node, const std::string& text) const {
-    throw LaunchError(mark(node), text);
-  }
-
-  /// Calls `handle(key, value)` for each entry, after refusing what is no map and what appears twice.
-  void each_entry(const YAML::Node& map, const std::string& what,
-                  const std::function<void(const std::string&, const YAML::Node&, const YAML::Node&)>& handle) const {
-    if (!map.IsMap()) refuse(map, fmt::format("{} must be a map, not {}", what, kind(map)));
-    std::set<std::string> seen;
-    for (const auto& entry : map) {
-      const std::string key = scalar(entry.first, "a key of " + what);
-      if (!seen.insert(key).second) refuse(entry.first, fmt::format("key '{}' appears twice in {}", key, what));
-      handle(key, entry.first, entry.second);
-    }
-  }
-
-  [[nodiscard]] std::string scalar(const YAML::Node& node, const std::string& what) const {
-    if (!node.IsScalar()) refuse(node, fmt::format("{} must be a single value, not {}", what, kind(node)));
-    return node.Scalar();
-  }
-
-  [[nodiscard]] std::vector<YAML::Node> list(const YAML::Node& node, const std::string& what) const {
-    if (!node.IsSequence()) refuse(node, fmt::format("{} must be a list, not {}", what, kind(node)));
-    return {node.begin(), node.end()};
-  }
-
-  [[nodiscard]] double seconds(const YAML::Node& node, const std::string& what) const {
-    double value = 0;
-    const std::string text = scalar(node, what);
-    if (!YAML::convert<double>::decode(node, value) || !std::isfinite(value) || value < 0) {
-      refuse(node, fmt::format("{} must be seconds, 0 or more, not '{}'", what, text));
-    }
-    return value;
-  }
-
-  [[nodiscard]] int integer(const YAML::Node& node, const std::string& what, int minimum, int maximum) const {
-    int value = 0;
-    const std::string text = scalar(node, what);
-    if (!YAML::convert<int>::decode(node, value) || value < minimum || value > maximum) {
-      refuse(node, fmt::format("{} must be a whole number from {} to {}, not '{}'", what, minimum, maximum, text));
-    }
-    return value;
-  }
-
- private:
-  static std::string kind(const YAML::Node& node) {
-    if (node.IsMap()) return "a map";
-    if (node.IsSequence()) return "a list";
-    if (node.IsScalar()) return "the value '" + node.Scalar() + "'";
-    return "nothing";
-  }
-
-  std::string path_;
-};
-
-Marked<std::string> read_backend(const Reader& reader, const YAML::Node& node, const std::string& what) {
+Marked<std::string> read_backend(const YamlReader& reader, const YAML::Node& node, const std::string& what) {
   const std::string backend = reader.scalar(node, what);
   if (backend != "cpu" && backend != "cuda" && backend != "auto") {
     reader.refuse(node, fmt::format("{} must be cpu, cuda or auto, not '{}'", what, backend));
@@ -96,7 +31,7 @@ bool is_source_name(const std::string& name) {
   });
 }
 
-LaunchService read_service(const Reader& reader, const YAML::Node& node) {
+LaunchService read_service(const YamlReader& reader, const YAML::Node& node) {
   LaunchService service;
   service.mark = reader.mark(node);
   if (!node.IsMap()) reader.refuse(node, "each entry of services must be a map with a name");
@@ -188,50 +123,6 @@ LaunchService read_service(const Reader& reader, const YAML::Node& node) {
   return service;
 }
 
-/// Refuses dependencies on nobody, and cycles, naming the way round.
-void check_dependencies(const LaunchFile& file) {
-  std::map<std::string, const LaunchService*> by_name;
-  for (const LaunchService& service : file.services) by_name[service.name] = &service;
-
-  std::map<std::string, bool> finished;  // false: on the path now
-  std::vector<std::string> path;
-  const std::function<void(const LaunchService&)> visit = [&](const LaunchService& service) {
-    finished[service.name] = false;
-    path.push_back(service.name);
-    for (const auto& dependency : service.after) {
-      const auto found = by_name.find(dependency.value);
-      if (found == by_name.end()) {
-        throw LaunchError(dependency.mark, fmt::format("service '{}' starts after '{}', which no entry is named",
-                                                       service.name, dependency.value));
-      }
-      const auto state = finished.find(dependency.value);
-      if (state == finished.end()) {
-        visit(*found->second);
-      } else if (!state->second) {
-        const auto start = std::find(path.begin(), path.end(), dependency.value);
-        throw LaunchError(dependency.mark, fmt::format("the services start after one another in a circle: {} after {}",
-                                                       fmt::join(start, path.end(), " after "), dependency.value));
-      }
-    }
-    path.pop_back();
-    finished[service.name] = true;
-  };
-  for (const LaunchService& service : file.services) {
-    if (!finished.contains(service.name)) visit(service);
-  }
-}
-
-void check_names(const LaunchFile& file) {
-  std::map<std::string, SourceMark> seen;
-  for (const LaunchService& service : file.services) {
-    const auto [first, inserted] = seen.emplace(service.name, service.mark);
-    if (!inserted) {
-      throw LaunchError(service.mark,
-                        fmt::format("service name '{}' is taken, first at {}", service.name, first->second.text()));
-    }
-  }
-}
-
 }  // namespace
 
 std::string SourceMark::text() const {
@@ -251,7 +142,7 @@ LaunchFile read_launch_file(const std::string& path) {
 }
 
 LaunchFile parse_launch_file(const std::string& yaml, const std::string& path) {
-  const Reader reader(path);
+  const YamlReader reader(path);
   LaunchFile file;
   file.path = path;
   YAML::Node root;
@@ -275,8 +166,7 @@ LaunchFile parse_launch_file(const std::string& yaml, const std::string& path) {
     }
   });
   if (!has_services) reader.refuse(root, "a launch file needs the key services");
-  check_names(file);
-  check_dependencies(file);
+  check_order(file);
   return file;
 }
 

@@ -14,18 +14,9 @@ namespace splatbus::streamer {
 namespace {
 
 constexpr int kMessagesACall = 512;
-constexpr std::size_t kMaxResends = 64;
 constexpr std::size_t kMaxProbes = 1024;
 constexpr std::size_t kMaxPictures = 8;
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
-constexpr std::uint64_t kMaxSnapshotAge = 256;  // broadcast packets; a newer one costs less than catching up on more
-
-std::vector<SharedPacket> shared(const std::vector<stream::EncodedPacket>& packets) {
-  std::vector<SharedPacket> out;
-  out.reserve(packets.size());
-  for (const auto& packet : packets) out.push_back(std::make_shared<WirePacket>(packet));
-  return out;
-}
 
 }  // namespace
 
@@ -36,7 +27,7 @@ ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::Pac
       writer_(std::move(writer)),
       options_(options),
       events_(std::move(events)),
-      history_(options.history_bytes) {}
+      feed_(model, options.history_bytes) {}
 
 void ViewerHub::receive(std::int64_t now_ns) {
   for (int i = 0; i < kMessagesACall; ++i) {
@@ -90,10 +81,10 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
       events_.quality(viewer.name, *root.body_as_Quality());
       break;
     case wire::Body::Resend:
-      if (same_epoch) resend(viewer, root.body_as_Resend()->first(), root.body_as_Resend()->last());
+      if (same_epoch) feed_.resend(viewer.place, root.body_as_Resend()->first(), root.body_as_Resend()->last());
       break;
     case wire::Body::NeedSnapshot:
-      need_snapshot(viewer);
+      PacketFeed::start_over(viewer.place);
       break;
     case wire::Body::Bye:
       spdlog::info("viewer {} left", viewer.name);
@@ -123,109 +114,38 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
   viewer.wants_probes = body.probes();
   viewer.heard_ns = viewer.sent_ns = now_ns;
   if (body.camera()) viewer.camera = from_wire(*body.camera());
-  const bool resumes = model_.ready() && packet.stream_epoch() == model_.held().epoch && body.holds() > 0 &&
-                       (body.holds() == model_.held().sequence || history_.find(body.holds() + 1));
-  if (resumes) {
-    viewer.waits_for_snapshot = false;
-    viewer.next = body.holds() + 1;
-  }
+  const bool resumes = feed_.resume(viewer.place, packet.stream_epoch(), body.holds());
   spdlog::info("viewer {} {}", viewer.name, resumes ? "is back" : "joined");
   statistics_.begin(now_ns);
   viewers_[peer] = std::move(viewer);
   send(peer, WirePacket(welcome(false)));
 }
 
-void ViewerHub::need_snapshot(Viewer& viewer) {
-  viewer.waits_for_snapshot = true;
-  viewer.snapshot.reset();
-  viewer.queue.clear();
-  viewer.queue_at = 0;
-  viewer.resend.clear();
-}
-
-void ViewerHub::resend(Viewer& viewer, std::uint64_t first, std::uint64_t last) {
-  if (viewer.waits_for_snapshot || viewer.snapshot) return;
-  last = std::min(last, model_.held().sequence);
-  if (first == 0 || first > last) return;
-  if (first >= viewer.next) return;  // on its way
-  last = std::min(last, viewer.next - 1);
-  ++resends_;
-  if (!history_.find(first) || !history_.find(last)) return need_snapshot(viewer);
-  if (viewer.resend.size() < kMaxResends) viewer.resend.push_back({first, last});
-}
-
-std::shared_ptr<const ViewerHub::Snapshot> ViewerHub::current_snapshot() {
-  const std::uint64_t now = model_.held().sequence;
-  const bool usable = snapshot_ && now - snapshot_->as_of <= kMaxSnapshotAge &&
-                      (snapshot_->as_of == now || history_.find(snapshot_->as_of + 1));
-  if (!usable) {
-    const stream::EncodedSnapshot encoded = model_.snapshot();
-    snapshot_ = std::make_shared<Snapshot>(
-        Snapshot{encoded.as_of, shared(encoded.head), shared(encoded.chunks), shared(encoded.tail)});
-  }
-  return snapshot_;
-}
-
-void ViewerHub::begin_snapshot(Viewer& viewer) {
-  ++snapshots_;
-  viewer.snapshot = current_snapshot();
-  viewer.queue = viewer.snapshot->head;
-  if (viewer.snapshot->as_of == model_.held().sequence) {
-    for (const std::size_t chunk : model_.chunk_order(viewer.camera))
-      viewer.queue.push_back(viewer.snapshot->chunks[chunk]);
-  } else {
-    viewer.queue.insert(viewer.queue.end(), viewer.snapshot->chunks.begin(), viewer.snapshot->chunks.end());
-  }
-  viewer.queue.insert(viewer.queue.end(), viewer.snapshot->tail.begin(), viewer.snapshot->tail.end());
-  viewer.queue_at = 0;
-  viewer.next = viewer.snapshot->as_of + 1;
-  viewer.waits_for_snapshot = false;
-}
-
 void ViewerHub::broadcast(const std::vector<stream::EncodedPacket>& packets) {
-  for (const auto& packet : packets) history_.add(std::make_shared<WirePacket>(packet));
+  feed_.add(packets);
 }
 
 void ViewerHub::restart_all() {
-  history_.clear();
-  snapshot_.reset();
-  for (auto& [peer, viewer] : viewers_) need_snapshot(viewer);
+  feed_.clear();
+  for (auto& [peer, viewer] : viewers_) PacketFeed::start_over(viewer.place);
 }
 
 SharedPacket ViewerHub::next_packet(Viewer& viewer) {
-  if (SharedPacket packet = next_of_the_model(viewer)) return packet;
-  return viewer.pictures.empty() ? SharedPacket() : viewer.pictures.front();
-}
-
-SharedPacket ViewerHub::next_of_the_model(Viewer& viewer) {
-  if (!model_.ready()) return {};
-  while (!viewer.resend.empty()) {
-    if (SharedPacket packet = history_.find(viewer.resend.front().first)) return packet;
-    need_snapshot(viewer);
+  bool lagged = false;
+  const SharedPacket packet = feed_.next(viewer.place, viewer.camera, lagged);
+  if (lagged) {
+    ++lost_viewers_;
+    spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
   }
-  if (viewer.waits_for_snapshot) begin_snapshot(viewer);
-  if (viewer.snapshot) return viewer.queue[viewer.queue_at];
-  if (viewer.next > model_.held().sequence) return {};
-  if (SharedPacket packet = history_.find(viewer.next)) return packet;
-  // It lagged so far behind that the history has moved on.
-  ++lost_viewers_;
-  spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
-  begin_snapshot(viewer);
-  return viewer.queue[viewer.queue_at];
+  if (packet) return packet;
+  return viewer.pictures.empty() ? SharedPacket() : viewer.pictures.front();
 }
 
 void ViewerHub::advance(Viewer& viewer, const SharedPacket& sent) {
   if (sent->body() == wire::Body::ProbePicture) {
     viewer.pictures.pop_front();
-  } else if (!viewer.resend.empty()) {
-    if (++viewer.resend.front().first > viewer.resend.front().last) viewer.resend.pop_front();
-  } else if (viewer.snapshot) {
-    if (++viewer.queue_at == viewer.queue.size()) {
-      viewer.snapshot.reset();
-      viewer.queue.clear();
-    }
   } else {
-    ++viewer.next;
+    PacketFeed::advance(viewer.place);
   }
 }
 
@@ -265,8 +185,8 @@ Endpoint::Sent ViewerHub::send(const Endpoint::Peer& peer, const WirePacket& pac
 void ViewerHub::send_alive() {
   for (const auto& [peer, viewer] : viewers_) {
     // Only what has been sent can have been lost.
-    const bool follows = !viewer.waits_for_snapshot && !viewer.snapshot;
-    const std::uint64_t last_sent = follows ? viewer.next - 1 : 0;
+    const bool follows = !viewer.place.waits_for_snapshot && !viewer.place.snapshot;
+    const std::uint64_t last_sent = follows ? viewer.place.next - 1 : 0;
     send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Alive, [&](auto& builder) {
            return wire::CreateAlive(builder, last_sent, model_.held().gaussians.count(),
                                     static_cast<std::uint32_t>(viewers_.size()));
@@ -304,7 +224,7 @@ void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::Encoded
 }
 
 bool ViewerHub::anybody_follows() const {
-  return std::ranges::any_of(viewers_, [](const auto& entry) { return !entry.second.waits_for_snapshot; });
+  return std::ranges::any_of(viewers_, [](const auto& entry) { return !entry.second.place.waits_for_snapshot; });
 }
 
 std::vector<Camera> ViewerHub::cameras() const {

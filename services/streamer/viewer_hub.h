@@ -4,17 +4,15 @@
 #include <deque>
 #include <functional>
 #include <map>
-#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "bus/log_limiter.h"
 #include "gaussians/camera.h"
-#include "stream/replica.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
-#include "streamer/packet_history.h"
+#include "streamer/packet_feed.h"
 #include "streamer/wire_statistics.h"
 
 namespace splatbus::streamer {
@@ -62,38 +60,24 @@ class ViewerHub {
   [[nodiscard]] std::vector<Camera> cameras() const;
 
   [[nodiscard]] WireStatistics& statistics() { return statistics_; }
-  [[nodiscard]] std::uint64_t snapshots() const { return snapshots_; }
-  [[nodiscard]] std::uint64_t resends() const { return resends_; }
+  [[nodiscard]] std::uint64_t snapshots() const { return feed_.snapshots(); }
+  [[nodiscard]] std::uint64_t resends() const { return feed_.resends(); }
   [[nodiscard]] std::uint64_t lost_viewers() const { return lost_viewers_; }
 
  private:
-  struct Snapshot {
-    std::uint64_t as_of = 0;
-    std::vector<SharedPacket> head, chunks, tail;
-  };
   struct Viewer {
     std::string name;
     std::optional<Camera> camera;
     bool wants_probes = false;
     std::int64_t heard_ns = 0, sent_ns = 0;
-    bool waits_for_snapshot = true;
-    std::shared_ptr<const Snapshot> snapshot;  ///< being sent
-    std::vector<SharedPacket> queue;           ///< of the snapshot, in this viewer's order
-    std::size_t queue_at = 0;
-    std::uint64_t next = 0;  ///< broadcast packet
-    std::deque<stream::MissingPackets> resend;
+    FeedPlace place;
     std::deque<SharedPacket> pictures;
   };
 
   void handle(const Endpoint::Received& received, std::int64_t now_ns);
   void hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns);
-  void need_snapshot(Viewer& viewer);
-  void resend(Viewer& viewer, std::uint64_t first, std::uint64_t last);
-  void begin_snapshot(Viewer& viewer);
-  [[nodiscard]] std::shared_ptr<const Snapshot> current_snapshot();
-  /// Next packet to send to a viewer and what to do when it is sent; null when there is none.
+  /// Next packet to send to a viewer, null when there is none; and what to do when it is sent.
   [[nodiscard]] SharedPacket next_packet(Viewer& viewer);
-  [[nodiscard]] SharedPacket next_of_the_model(Viewer& viewer);
   void advance(Viewer& viewer, const SharedPacket& sent);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet);
   [[nodiscard]] stream::EncodedPacket welcome(bool asks) const;
@@ -104,11 +88,10 @@ class ViewerHub {
   HubOptions options_;
   HubEvents events_;
   std::map<Endpoint::Peer, Viewer> viewers_;
-  PacketHistory history_;
-  std::shared_ptr<const Snapshot> snapshot_;
+  PacketFeed feed_;
   std::map<std::uint64_t, Endpoint::Peer> probe_askers_;
   WireStatistics statistics_;
-  std::uint64_t snapshots_ = 0, resends_ = 0, lost_viewers_ = 0;
+  std::uint64_t lost_viewers_ = 0;
   bus::LogLimiter log_limiter_;
 };
 

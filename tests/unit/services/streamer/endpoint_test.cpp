@@ -25,10 +25,10 @@ class EndpointTest : public testing::Test {
     }
   }
 
-  stream::Bytes bye() const {
+  [[nodiscard]] stream::Bytes bye() const {
     return writer_.write(1, 0, wire::Body::Bye, [](auto& b) { return wire::CreateByeDirect(b, "x"); }).packet;
   }
-  stream::Bytes hello() const {
+  [[nodiscard]] stream::Bytes hello() const {
     return writer_.write(1, 0, wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "x"); }).packet;
   }
 

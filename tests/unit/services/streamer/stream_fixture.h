@@ -27,7 +27,7 @@ namespace splatbus::stream_test {
 /// Publishes models as the trainer does, each in a slot of its own, in memory of some kind.
 class FakeTrainer {
  public:
-  explicit FakeTrainer(std::shared_ptr<bus::Context> context, bus::MemoryKind kind = bus::MemoryKind::Host)
+  explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind = bus::MemoryKind::Host)
       : publisher_(context, "model/published"), light_(context, "scene/light"), ring_(context, "model", 16, 0, kind) {}
 
   void publish(const GaussiansBuffer& model) {
