@@ -1,5 +1,9 @@
 #include "capture-bridge/input_view.h"
 
+#include <cassert>
+
+#include "bus/memory.h"
+
 namespace splatbus::capture_bridge {
 
 void InputView::allocate(bus::MemoryPool& pool) {
@@ -15,6 +19,12 @@ void InputView::allocate(bus::MemoryPool& pool) {
   carve(normal);
   carve(color);
   carve(albedo);
+}
+
+void InputView::copy_pictures(const InputView& from) {
+  assert(from.pixels() == pixels());
+  bus::copy_memory(block_.get(), memory, from.block_.get(), from.memory, input_view_bytes(pixels()));
+  bus::finish_copies();
 }
 
 void SampleSet::resize(std::size_t count) {

@@ -40,6 +40,8 @@ struct InputView {
 
   /// Makes room for the pictures of `camera` in one block of the pool, whatever they held.
   void allocate(bus::MemoryPool& pool);
+  /// Copies the pictures of a view of that size, both allocated, from whichever memory they lie in, and waits for it.
+  void copy_pictures(const InputView& from);
 
  private:
   std::shared_ptr<std::byte> block_;

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <vector>
 
-#include "bus/memory.h"
-
 namespace splatbus::capture_bridge::cuda {
 
 namespace {
@@ -31,14 +29,7 @@ InputView wall(const Camera& camera, bus::MemoryPool& pool) {
     }
   }
   view.allocate(pool);
-  const auto copy = [](auto to, auto from) {
-    bus::copy_memory(to.data(), bus::MemoryKind::Cuda, from.data(), bus::MemoryKind::Host, from.size_bytes());
-  };
-  copy(view.position, host.position);
-  copy(view.normal, host.normal);
-  copy(view.color, host.color);
-  copy(view.albedo, host.albedo);
-  bus::finish_copies();
+  view.copy_pictures(host);
   return view;
 }
 

@@ -1,104 +1,12 @@
-#include "capture-bridge/capture_bridge.h"
-
-#include <gtest/gtest.h>
-
-#include <limits>
-#include <optional>
-
-#include "../../bus/bus_fixture.h"
-#include "capture-bridge/parameters.h"
-#include "fake_engine.h"
-#include "wire/capture_generated.h"
-#include "wire/model_generated.h"
+// What the bridge makes of an engine that answers.
+#include "bridge_fixture.h"
 #include "wire/scene_generated.h"
-#include "wire/viewer_generated.h"
 
-namespace splatbus::capture_bridge {
+namespace splatbus::capture_bridge::test {
 namespace {
 
-using namespace std::chrono_literals;
-
-/// A bridge between an engine and readers made by hand, all in this thread but the bridge's sampling.
-class CaptureBridgeTest : public bus_test::BusTest {
- protected:
-  CaptureBridgeTest()
-      : parameters_(parameter_specs()),
-        peer_(connect("peer")),
-        reader_(peer_, {"capture/*", "scene/*"}),
-        engine_(connect("engine")),
-        pose_(peer_, "viewer/pose"),
-        probe_(peer_, "viewer/probe") {
-    set("input_cameras", "4");
-    set("input_size", "32");
-    set("reference_cameras", "2");
-    set("reference_size", "16");
-    set("reference_rate_hz", "0");
-    set("light_depth_size", "16");
-    set("input_deadline_s", "0.2");
-  }
-
-  void set(const std::string& name, const std::string& value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
-
-  void start() { bridge_ = std::make_unique<CaptureBridge>(connect("capture-bridge"), parameters_); }
-
-  /// Runs bridge and engine and reads what comes out, until the condition holds.
-  bool until(const std::function<bool()>& condition, std::chrono::milliseconds timeout = bus_test::patience) {
-    return bus_test::eventually(
-        [&] {
-          bridge_->step(1ms);
-          engine_.serve();
-          while (auto message = reader_.receive(0ms)) received_[message->topic()].push_back(*message);
-          return condition();
-        },
-        timeout);
-  }
-
-  void settle() {
-    start();
-    ASSERT_TRUE(until([&] {
-      return !received_["capture/input"].empty() && references(CameraRole::Reference).size() == 2 &&
-             references(CameraRole::Input).size() == 4 && !received_["scene/light_depth"].empty();
-    }));
-  }
-
-  std::vector<const wire::CaptureReference*> references(CameraRole role) {
-    std::vector<const wire::CaptureReference*> found;
-    for (const bus::Message& message : received_["capture/reference"]) {
-      const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
-      if (reference.camera()->role() == static_cast<wire::CameraRole>(role)) found.push_back(&reference);
-    }
-    return found;
-  }
-
-  const wire::CaptureInput& last_input() {
-    return received_["capture/input"].back().root<wire::CaptureInput>("CaptureInput/1");
-  }
-
-  void look_from(const Camera& camera) {
-    pose_.publish({.schema = "ViewerPose/1"}, [&](auto& builder, auto header) {
-      const wire::Camera out = to_wire(camera);
-      return wire::CreateViewerPose(builder, header, builder.CreateString("viewer-1"), &out);
-    });
-  }
-
-  void ask_probe(std::uint64_t id, const Camera& camera) {
-    probe_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
-      const wire::Camera out = to_wire(camera);
-      return wire::CreateViewerProbe(builder, header, id, &out);
-    });
-  }
-
-  bus::Parameters parameters_;
-  std::shared_ptr<bus::Context> peer_;
-  bus::Subscriber reader_;
-  test::FakeEngine engine_;
-  bus::Publisher pose_, probe_;
-  std::map<std::string, std::vector<bus::Message>> received_;
-  std::unique_ptr<CaptureBridge> bridge_;
-};
-
 TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
-  engine_.objects[test::AnalyticScene::kBall] = {.translation = {1, 2, 3}};
+  engine_.objects[AnalyticScene::kBall] = {.translation = {1, 2, 3}};
   settle();
   const bus::Message& message = received_["capture/input"].front();
   const auto& input = message.root<wire::CaptureInput>("CaptureInput/1");
@@ -149,16 +57,6 @@ TEST_F(CaptureBridgeTest, AViewerThatMovesTakesTheInputRigAlong) {
   EXPECT_GT((middle / 4.0F).x, 1.0F);
 }
 
-TEST_F(CaptureBridgeTest, ALostFrameBlocksNoRoundAndIsAskedForAgain) {
-  bool losing = true;
-  engine_.lose = [&](const Camera& camera) { return losing && camera.role == CameraRole::Input && camera.id == 2; };
-  start();
-  ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
-  EXPECT_EQ(last_input().cameras()->size(), 3U);
-  losing = false;
-  ASSERT_TRUE(until([&] { return last_input().cameras()->size() == 4; }));
-}
-
 TEST_F(CaptureBridgeTest, ProbesAreEachAnsweredOnce) {
   settle();
   const Camera camera = look_at({0, 2, 2}, {0, 0, 0}, 24, 20, 1);
@@ -172,16 +70,6 @@ TEST_F(CaptureBridgeTest, ProbesAreEachAnsweredOnce) {
   }
   for (std::uint64_t id = 10; id < 15; ++id) EXPECT_GE(answered.count(id), 1U) << id;
   EXPECT_LE(answered.size(), 6U) << "12 may be asked again once it was answered";
-}
-
-TEST_F(CaptureBridgeTest, AProbeThatTheEngineLosesIsAskedForAgainAndThenDropped) {
-  set("probe_timeout_s", "0.3");
-  settle();
-  engine_.lose = [](const Camera& camera) { return camera.role == CameraRole::Probe; };
-  ask_probe(1, look_at({0, 2, 2}, {0, 0, 0}, 24, 20, 1));
-  ASSERT_TRUE(until([&] { return bridge_->counters().probes_dropped == 1; }));
-  EXPECT_EQ(bridge_->cameras(), 7U);
-  EXPECT_TRUE(received_["capture/probe"].empty());
 }
 
 TEST_F(CaptureBridgeTest, CamerasThatLeaveAreRetired) {
@@ -237,73 +125,5 @@ TEST_F(CaptureBridgeTest, ChangesOfLightAndObjectsArePublished) {
   EXPECT_EQ(received_["scene/objects"].size(), 2U);
 }
 
-TEST_F(CaptureBridgeTest, NaNPositionsAreDroppedAndTheRestGoesOn) {
-  engine_.spoil = [](std::vector<glm::vec4>& positions) {
-    for (std::size_t i = 0; i < positions.size(); i += 2) positions[i].y = std::numeric_limits<float>::quiet_NaN();
-  };
-  settle();
-  const auto view = received_["capture/input"].front().tensor("position", bus::ElementType::F32, {0, 3});
-  ASSERT_TRUE(view);
-  EXPECT_GT(view->dim(0), 100U);
-  for (const float value : view->as<float>()) ASSERT_TRUE(std::isfinite(value));
-  EXPECT_TRUE(until([&] { return bridge_->input_statistics().dropped > 0; }));
-}
-
-TEST_F(CaptureBridgeTest, BrokenFramesAreRefusedAndNothingElseDisturbed) {
-  start();
-  // Wrong schema, a camera with NaN, pictures smaller than the camera says, a role that does not exist, no pictures.
-  ASSERT_TRUE(until([&] { return engine_.requested(CameraRole::Input) == 4; }));
-  bus::Publisher garbage(peer_, "engine/frame");
-  const auto publish = [&](const char* schema, wire::Camera camera, std::vector<bus::OutgoingTensor> tensors) {
-    garbage.publish({.schema = schema, .tensors = std::move(tensors)}, [&](auto& builder, auto header) {
-      const auto light = to_wire(builder, Light{});
-      return wire::CreateEngineFrame(builder, header, 1, 0, 1, &camera, 0, light);
-    });
-  };
-  Camera nan = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
-  nan.fx = std::numeric_limits<float>::quiet_NaN();
-  Camera role = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
-  role.role = static_cast<CameraRole>(9);
-  Camera input = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
-  input.role = CameraRole::Input;
-  const std::vector<std::uint8_t> few(4 * 4 * 4);
-  const std::vector<bus::OutgoingTensor> small{
-      {.name = "world_position", .shape = {4, 4, 4}, .type = bus::ElementType::U8, .inline_data = few.data()}};
-  ASSERT_TRUE(until([&] {
-    publish("EngineFrames/7", to_wire(input), {});
-    publish("EngineFrame/1", to_wire(nan), {});
-    publish("EngineFrame/1", to_wire(role), {});
-    publish("EngineFrame/1", to_wire(input), small);
-    return bridge_->counters().frames_refused >= 20;
-  }));
-  const auto before = received_["capture/input"].size();
-  set("input_radius_m", "3.0");
-  EXPECT_TRUE(until([&] { return received_["capture/input"].size() > before && last_input().cameras()->size() == 4; }));
-}
-
-TEST_F(CaptureBridgeTest, AnExpanderThatMissedTheRoundGetsItAgain) {
-  settle();
-  const auto rounds = received_["capture/input"].size();
-  const auto submitted = engine_.submitted;
-  bus::Publisher state(peer_, "grid/state");
-  ASSERT_TRUE(until([&] {
-    state.publish({.schema = "GridState/1"},
-                  [](auto& builder, auto header) { return wire::CreateGridState(builder, header); });
-    return received_["capture/input"].size() > rounds;
-  }));
-  EXPECT_EQ(engine_.submitted, submitted) << "from the frames that the bridge has";
-}
-
-TEST_F(CaptureBridgeTest, ATrainerThatMissedTheViewsGetsThemAgain) {
-  settle();
-  bus::Publisher stats(peer_, "trainer/stats");
-  const auto inputs = references(CameraRole::Input).size();
-  ASSERT_TRUE(until([&] {
-    stats.publish({.schema = "TrainerStats/1"},
-                  [](auto& builder, auto header) { return wire::CreateTrainerStats(builder, header); });
-    return references(CameraRole::Input).size() >= inputs + 4 && references(CameraRole::Reference).size() >= 4;
-  }));
-}
-
 }  // namespace
-}  // namespace splatbus::capture_bridge
+}  // namespace splatbus::capture_bridge::test

@@ -69,8 +69,8 @@ class CudaBridgeTest : public bus_test::BusTest {
   std::uint64_t host_copied_bytes_ = 0, frames_refused_ = 0;
 };
 
-constexpr std::uint64_t kInputBytes = 4 * 32 * 32 * (16 + 16 + 4 + 4);
-constexpr std::uint64_t kLightBytes = 16 * 16 * 4;
+constexpr std::uint64_t kInputBytes = std::uint64_t{4} * 32 * 32 * (16 + 16 + 4 + 4);
+constexpr std::uint64_t kLightBytes = std::uint64_t{16} * 16 * 4;
 
 TEST_F(CudaBridgeTest, KeepsADevicesPicturesOnTheDevice) {
   capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);

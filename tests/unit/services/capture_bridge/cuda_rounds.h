@@ -43,15 +43,8 @@ inline std::vector<InputView> on_device(const std::vector<InputView>& views) {
     bus::MemoryPool own(bus::MemoryKind::Cuda);
     InputView& copy = copies.emplace_back(view);
     copy.allocate(own);
-    const auto upload = [](auto to, auto from) {
-      bus::copy_memory(to.data(), bus::MemoryKind::Cuda, from.data(), bus::MemoryKind::Host, from.size_bytes());
-    };
-    upload(copy.position, view.position);
-    upload(copy.normal, view.normal);
-    upload(copy.color, view.color);
-    upload(copy.albedo, view.albedo);
+    copy.copy_pictures(view);
   }
-  bus::finish_copies();
   return copies;
 }
 

@@ -1,0 +1,102 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "../../bus/bus_fixture.h"
+#include "capture-bridge/capture_bridge.h"
+#include "capture-bridge/parameters.h"
+#include "fake_engine.h"
+#include "wire/capture_generated.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::capture_bridge::test {
+
+using namespace std::chrono_literals;
+
+/// A bridge between an engine and readers made by hand, all in this thread but the bridge's sampling.
+class CaptureBridgeTest : public bus_test::BusTest {
+ protected:
+  CaptureBridgeTest()
+      : parameters_(parameter_specs()),
+        peer_(connect("peer")),
+        reader_(peer_, {"capture/*", "scene/*"}),
+        engine_(connect("engine")),
+        pose_(peer_, "viewer/pose"),
+        probe_(peer_, "viewer/probe") {
+    set("input_cameras", "4");
+    set("input_size", "32");
+    set("reference_cameras", "2");
+    set("reference_size", "16");
+    set("reference_rate_hz", "0");
+    set("light_depth_size", "16");
+    set("input_deadline_s", "0.2");
+  }
+
+  void set(const std::string& name, const std::string& value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
+
+  void start() { bridge_ = std::make_unique<CaptureBridge>(connect("capture-bridge"), parameters_); }
+
+  /// Runs bridge and engine and reads what comes out, until the condition holds.
+  bool until(const std::function<bool()>& condition, std::chrono::milliseconds timeout = bus_test::patience) {
+    return bus_test::eventually(
+        [&] {
+          bridge_->step(1ms);
+          engine_.serve();
+          while (auto message = reader_.receive(0ms)) received_[message->topic()].push_back(*message);
+          return condition();
+        },
+        timeout);
+  }
+
+  void settle() {
+    start();
+    ASSERT_TRUE(until([&] {
+      return !received_["capture/input"].empty() && references(CameraRole::Reference).size() == 2 &&
+             references(CameraRole::Input).size() == 4 && !received_["scene/light_depth"].empty();
+    }));
+  }
+
+  std::vector<const wire::CaptureReference*> references(CameraRole role) {
+    std::vector<const wire::CaptureReference*> found;
+    for (const bus::Message& message : received_["capture/reference"]) {
+      const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
+      if (reference.camera()->role() == static_cast<wire::CameraRole>(role)) found.push_back(&reference);
+    }
+    return found;
+  }
+
+  const wire::CaptureInput& last_input() {
+    return received_["capture/input"].back().root<wire::CaptureInput>("CaptureInput/1");
+  }
+
+  void look_from(const Camera& camera) {
+    pose_.publish({.schema = "ViewerPose/1"}, [&](auto& builder, auto header) {
+      const wire::Camera out = to_wire(camera);
+      return wire::CreateViewerPose(builder, header, builder.CreateString("viewer-1"), &out);
+    });
+  }
+
+  void ask_probe(std::uint64_t id, const Camera& camera) {
+    probe_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
+      const wire::Camera out = to_wire(camera);
+      return wire::CreateViewerProbe(builder, header, id, &out);
+    });
+  }
+
+  bus::Parameters parameters_;
+  std::shared_ptr<bus::Context> peer_;
+  bus::Subscriber reader_;
+  FakeEngine engine_;
+  bus::Publisher pose_, probe_;
+  std::map<std::string, std::vector<bus::Message>> received_;
+  std::unique_ptr<CaptureBridge> bridge_;
+};
+
+}  // namespace splatbus::capture_bridge::test

@@ -1,0 +1,99 @@
+// What the bridge does about frames that are lost or broken, and about peers that have missed something.
+#include <limits>
+
+#include "bridge_fixture.h"
+#include "wire/model_generated.h"
+
+namespace splatbus::capture_bridge::test {
+namespace {
+
+TEST_F(CaptureBridgeTest, ALostFrameBlocksNoRoundAndIsAskedForAgain) {
+  bool losing = true;
+  engine_.lose = [&](const Camera& camera) { return losing && camera.role == CameraRole::Input && camera.id == 2; };
+  start();
+  ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
+  EXPECT_EQ(last_input().cameras()->size(), 3U);
+  losing = false;
+  ASSERT_TRUE(until([&] { return last_input().cameras()->size() == 4; }));
+}
+
+TEST_F(CaptureBridgeTest, AProbeThatTheEngineLosesIsAskedForAgainAndThenDropped) {
+  set("probe_timeout_s", "0.3");
+  settle();
+  engine_.lose = [](const Camera& camera) { return camera.role == CameraRole::Probe; };
+  ask_probe(1, look_at({0, 2, 2}, {0, 0, 0}, 24, 20, 1));
+  ASSERT_TRUE(until([&] { return bridge_->counters().probes_dropped == 1; }));
+  EXPECT_EQ(bridge_->cameras(), 7U);
+  EXPECT_TRUE(received_["capture/probe"].empty());
+}
+
+TEST_F(CaptureBridgeTest, NaNPositionsAreDroppedAndTheRestGoesOn) {
+  engine_.spoil = [](std::vector<glm::vec4>& positions) {
+    for (std::size_t i = 0; i < positions.size(); i += 2) positions[i].y = std::numeric_limits<float>::quiet_NaN();
+  };
+  settle();
+  const auto view = received_["capture/input"].front().tensor("position", bus::ElementType::F32, {0, 3});
+  ASSERT_TRUE(view);
+  EXPECT_GT(view->dim(0), 100U);
+  for (const float value : view->as<float>()) ASSERT_TRUE(std::isfinite(value));
+  EXPECT_TRUE(until([&] { return bridge_->input_statistics().dropped > 0; }));
+}
+
+TEST_F(CaptureBridgeTest, BrokenFramesAreRefusedAndNothingElseDisturbed) {
+  start();
+  // Wrong schema, a camera with NaN, pictures smaller than the camera says, a role that does not exist, no pictures.
+  ASSERT_TRUE(until([&] { return engine_.requested(CameraRole::Input) == 4; }));
+  bus::Publisher garbage(peer_, "engine/frame");
+  const auto publish = [&](const char* schema, wire::Camera camera, std::vector<bus::OutgoingTensor> tensors) {
+    garbage.publish({.schema = schema, .tensors = std::move(tensors)}, [&](auto& builder, auto header) {
+      const auto light = to_wire(builder, Light{});
+      return wire::CreateEngineFrame(builder, header, 1, 0, 1, &camera, 0, light);
+    });
+  };
+  Camera nan = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
+  nan.fx = std::numeric_limits<float>::quiet_NaN();
+  Camera role = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
+  role.role = static_cast<CameraRole>(9);
+  Camera input = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
+  input.role = CameraRole::Input;
+  const std::vector<std::uint8_t> few(std::size_t{4} * 4 * 4);
+  const std::vector<bus::OutgoingTensor> small{
+      {.name = "world_position", .shape = {4, 4, 4}, .type = bus::ElementType::U8, .inline_data = few.data()}};
+  ASSERT_TRUE(until([&] {
+    publish("EngineFrames/7", to_wire(input), {});
+    publish("EngineFrame/1", to_wire(nan), {});
+    publish("EngineFrame/1", to_wire(role), {});
+    publish("EngineFrame/1", to_wire(input), small);
+    return bridge_->counters().frames_refused >= 20;
+  }));
+  const auto before = received_["capture/input"].size();
+  set("input_radius_m", "3.0");
+  EXPECT_TRUE(until([&] { return received_["capture/input"].size() > before && last_input().cameras()->size() == 4; }));
+}
+
+TEST_F(CaptureBridgeTest, AnExpanderThatMissedTheRoundGetsItAgain) {
+  settle();
+  const auto rounds = received_["capture/input"].size();
+  const auto submitted = engine_.submitted;
+  bus::Publisher state(peer_, "grid/state");
+  ASSERT_TRUE(until([&] {
+    state.publish({.schema = "GridState/1"},
+                  [](auto& builder, auto header) { return wire::CreateGridState(builder, header); });
+    return received_["capture/input"].size() > rounds;
+  }));
+  EXPECT_EQ(engine_.submitted, submitted) << "from the frames that the bridge has";
+}
+
+TEST_F(CaptureBridgeTest, ATrainerThatMissedTheViewsGetsThemAgain) {
+  settle();
+  bus::Publisher stats(peer_, "trainer/stats");
+  const auto inputs = references(CameraRole::Input).size();
+  ASSERT_TRUE(until([&] {
+    stats.publish({.schema = "TrainerStats/1"},
+                  [](auto& builder, auto header) { return wire::CreateTrainerStats(builder, header); });
+    return references(CameraRole::Input).size() >= inputs + 4 && references(CameraRole::Reference).size() >= 4;
+  }));
+}
+
+}  // namespace
+}  // namespace splatbus::capture_bridge::test

@@ -1,0 +1,123 @@
+#include "capture-bridge/culling.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <map>
+#include <set>
+
+#include "sampled_views.h"
+
+namespace splatbus::capture_bridge::test {
+namespace {
+
+TEST(Culling, OfTwoCamerasAtOnePlaceTheFirstKeepsAll) {
+  const AnalyticScene scene;
+  const Camera camera = look_at({0, 2, 2}, {0, 0, 0}, 64, 64, 1);
+  const auto views = scene.render_all({camera, camera});
+  const SampledRound round = sample(views, {}, unlimited());
+  EXPECT_EQ(round.valid, 2 * round.samples.size());
+  EXPECT_TRUE(std::all_of(round.samples.camera.begin(), round.samples.camera.end(), [](auto c) { return c == 0; }));
+}
+
+TEST(Culling, TheNearerAndLessObliqueCameraWins) {
+  const AnalyticScene scene{.ball_centre = {9, 9, 9}, .sheet_centre = {9, 9, 9}};
+  const auto views =
+      scene.render_all({look_at({0, 0.6F, 3}, {0, 0, 0}, 64, 64, 1), look_at({0, 2, 0.01F}, {0, 0, 0}, 64, 64, 1)});
+  const SampledRound round = sample(views, {}, unlimited());
+  for (std::size_t i = 0; i < round.samples.size(); ++i) {
+    const glm::vec3& p = round.samples.position[i];
+    if (std::abs(p.x) < 0.8F && std::abs(p.z) < 0.8F) {
+      ASSERT_EQ(round.samples.camera[i], 1U);
+    }
+  }
+  EXPECT_GT(std::count(round.samples.camera.begin(), round.samples.camera.end(), 0U), 100);
+}
+
+TEST(Culling, CoversNothingTwiceAndLeavesNoHoles) {
+  const AnalyticScene scene;
+  const auto views = scene.render_all(small_dome());
+  const SampledRound round = sample(views, {}, unlimited());
+  EXPECT_LT(round.samples.size(), round.valid / 2);
+
+  // Holes: whatever any camera saw has a sample nearby. Oblique pixels are long; the winner's spacing is what counts.
+  std::size_t seen = 0;
+  std::size_t holes = 0;
+  for (const InputView& view : views) {
+    const ViewSurface surface = analyse_surface(view);
+    for (std::size_t i = 0; i < view.pixels(); i += 7) {
+      if (surface.footprint_m[i] == 0) continue;
+      std::size_t which = 0;
+      const float distance =
+          nearest_sample(round.samples, glm::vec3(view.position[i]), glm::vec3(view.normal[i]), &which);
+      ++seen;
+      holes += distance > 1.5F * std::max(round.samples.spacing_m[which], round.samples.footprint_m[which]) ? 1 : 0;
+    }
+  }
+  EXPECT_LT(static_cast<double>(holes), 0.002 * static_cast<double>(seen)) << holes << " of " << seen;
+
+  // Double coverage: a sample of another camera closer than half a spacing only happens along seams.
+  std::size_t doubled = 0;
+  for (std::size_t i = 0; i < round.samples.size(); ++i) {
+    for (std::size_t j = 0; j < round.samples.size(); ++j) {
+      if (round.samples.camera[i] == round.samples.camera[j]) continue;
+      if (glm::dot(round.samples.normal[i], round.samples.normal[j]) < 0.5F) continue;
+      if (glm::distance(round.samples.position[i], round.samples.position[j]) < 0.5F * round.samples.footprint_m[i]) {
+        ++doubled;
+        break;
+      }
+    }
+  }
+  EXPECT_LT(static_cast<double>(doubled), 0.06 * static_cast<double>(round.samples.size()));
+}
+
+TEST(Culling, MoreCamerasASurfaceGiveMoreSamples) {
+  const auto views = AnalyticScene{}.render_all(small_dome());
+  SamplingOptions options = unlimited();
+  const std::size_t one = sample(views, {}, options).samples.size();
+  options.cameras_per_surface = 3;
+  const SampledRound three = sample(views, {}, options);
+  EXPECT_GT(three.samples.size(), 2 * one);
+  options.cameras_per_surface = 12;
+  EXPECT_EQ(sample(views, {}, options).culled, 0U);
+}
+
+TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
+  AnalyticScene before;
+  AnalyticScene after;
+  after.ball_centre += glm::vec3(0.3F, 0, 0);
+  const auto cameras = std::vector<Camera>{look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1),
+                                           look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1)};
+  std::vector<InputView> views{before.render(cameras[0]), after.render(cameras[1])};
+  views[0].objects[AnalyticScene::kBall] = {.translation = before.ball_centre};
+  views[1].objects[AnalyticScene::kBall] = {.translation = after.ball_centre};
+  const SampledRound round = sample(views, views[1].objects, unlimited());
+  std::size_t ball = 0;
+  for (std::size_t i = 0; i < round.samples.size(); ++i) {
+    if (round.samples.object_id[i] != AnalyticScene::kBall) continue;
+    ++ball;
+    EXPECT_NEAR(glm::distance(round.samples.position[i], after.ball_centre), after.ball_radius, 1e-3F);
+  }
+  // Its own camera alone sees half of the ball in this many pixels; both together no more than a seam above that.
+  const ViewSurface alone = analyse_surface(views[0]);
+  std::size_t pixels = 0;
+  for (std::size_t i = 0; i < views[0].pixels(); ++i)
+    pixels += alone.footprint_m[i] > 0 && alone.pixels.object_id[i] == AnalyticScene::kBall;
+  EXPECT_GT(ball, pixels * 9 / 10);
+  EXPECT_LT(ball, pixels * 14 / 10);
+}
+
+TEST(Culling, FillsTheBudgetWithAsManyCamerasAsItHasRoomFor) {
+  const auto views = AnalyticScene{}.render_all(small_dome());
+  const SampledRound one = sample(views, {}, unlimited());
+  const SampledRound tight = sample(views, {}, {.budget = one.samples.size() / 2});
+  EXPECT_EQ(tight.cameras_per_surface, 1);
+  const SampledRound wide = sample(views, {}, {.budget = 4 * one.samples.size()});
+  EXPECT_GE(wide.cameras_per_surface, 2);
+  EXPECT_GT(wide.samples.size(), 2 * one.samples.size());
+  EXPECT_LE(wide.samples.size(), 4 * one.samples.size());
+  EXPECT_EQ(sample(views, {}, {.budget = 10'000'000}).culled, 0U);
+}
+
+}  // namespace
+}  // namespace splatbus::capture_bridge::test
