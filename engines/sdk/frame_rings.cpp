@@ -6,22 +6,18 @@
 #include <bit>
 #include <span>
 
+#include "bus/alignment.h"
 #include "bus/memory.h"
 #include "sdk/validate.h"
 
 namespace splatbus::engine_sdk {
 namespace {
 
-constexpr std::size_t kAlignment = 64;
 constexpr std::size_t kLeastSlot = std::size_t{64} << 10;
 constexpr std::size_t kRingBytes = std::size_t{256} << 20;
 constexpr std::size_t kLeastSlots = 8;
 constexpr std::size_t kMostSlots = 128;
 constexpr int kBrokerTimeout_ms = 2000;
-
-std::size_t aligned(std::size_t bytes) {
-  return (bytes + kAlignment - 1) / kAlignment * kAlignment;
-}
 
 }  // namespace
 
@@ -39,7 +35,7 @@ bus::Slab& FrameRings::ring_for(std::size_t bytes) {
 std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) {
   const std::span images(frame.images, frame.image_count);
   std::size_t total = 0;
-  for (const splatbus_image& image : images) total += aligned(image.bytes);
+  for (const splatbus_image& image : images) total += bus::aligned(image.bytes);
   bus::Slab& ring = ring_for(total);
 
   const std::size_t slot = ring.next_slot();
@@ -50,7 +46,7 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
     bus::copy_memory(ring.slot_data(slot) + offset, kind_, image.data, from, image.bytes);
     on_device |= kind_ == bus::MemoryKind::Cuda || from == bus::MemoryKind::Cuda;
     if (kind_ == bus::MemoryKind::Host || from == bus::MemoryKind::Host) host_copied_bytes_ += image.bytes;
-    offset += aligned(image.bytes);
+    offset += bus::aligned(image.bytes);
   }
   if (on_device) bus::finish_copies();
   const std::uint64_t generation = ring.end_write(slot);
@@ -66,7 +62,7 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
     tensor.type = buffer_element_bytes(image.buffer) == 1 ? bus::ElementType::U8 : bus::ElementType::F32;
     tensor.span = ring.span(slot, offset, image.bytes, generation);
     tensors.push_back(std::move(tensor));
-    offset += aligned(image.bytes);
+    offset += bus::aligned(image.bytes);
   }
   return tensors;
 }

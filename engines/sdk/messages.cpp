@@ -6,6 +6,7 @@
 #include <span>
 
 #include "sdk/validate.h"
+#include "wire/camera_struct.h"
 
 namespace splatbus::engine_sdk {
 namespace {
@@ -29,17 +30,7 @@ wire::Vec3 to_wire(const float (&v)[3]) {
 }
 
 wire::Camera to_wire(const splatbus_camera& camera) {
-  return {camera.id,
-          static_cast<wire::CameraRole>(camera.role),
-          camera.width,
-          camera.height,
-          camera.fx,
-          camera.fy,
-          camera.cx,
-          camera.cy,
-          camera.near_m,
-          camera.far_m,
-          to_wire(camera.world_from_camera)};
+  return camera_struct(camera, to_wire(camera.world_from_camera));
 }
 
 /// Fowler, Noll and Vo's FNV-1a over the light's floats.

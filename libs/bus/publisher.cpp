@@ -5,20 +5,12 @@
 #include <cstring>
 #include <utility>
 
+#include "bus/alignment.h"
 #include "bus/context_impl.h"
 #include "bus/error.h"
 #include "bus/frames.h"
 
 namespace splatbus::bus {
-namespace {
-
-constexpr std::size_t payload_alignment = 64;
-
-std::size_t aligned(std::size_t offset) {
-  return (offset + payload_alignment - 1) / payload_alignment * payload_alignment;
-}
-
-}  // namespace
 
 struct Publisher::Impl {
   std::shared_ptr<Context> context;

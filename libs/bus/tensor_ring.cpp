@@ -3,18 +3,14 @@
 #include <algorithm>
 #include <utility>
 
+#include "bus/alignment.h"
 #include "bus/memory.h"
 
 namespace splatbus::bus {
 
 namespace {
 
-constexpr std::size_t kAlignment = 64;
 constexpr int kCreateTimeoutMs = 10000;
-
-std::size_t aligned(std::size_t bytes) {
-  return (bytes + kAlignment - 1) / kAlignment * kAlignment;
-}
 
 }  // namespace
 
@@ -27,7 +23,7 @@ std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sour
   for (const TensorSource& source : sources) needed += aligned(tensor_bytes(source.shape, source.type));
   if (!slab_ || slab_->slot_bytes() < needed) {
     // Twice the room, so that growing messages seldom make a new slab.
-    slot_bytes_ = std::max({slot_bytes_, slab_ ? 2 * needed : needed, kAlignment});
+    slot_bytes_ = std::max({slot_bytes_, slab_ ? 2 * needed : needed, tensor_alignment});
     slab_ = context_->create_slab(role_, slots_, slot_bytes_, kCreateTimeoutMs, kind_);
   }
   const std::size_t slot = slab_->next_slot();

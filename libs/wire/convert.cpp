@@ -7,6 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "wire/camera_struct.h"
+
 namespace splatbus {
 namespace {
 
@@ -73,17 +75,7 @@ wire::Rigid to_wire(const Rigid& rigid) {
 }
 
 wire::Camera to_wire(const Camera& camera) {
-  return {camera.id,
-          static_cast<wire::CameraRole>(camera.role),
-          camera.width,
-          camera.height,
-          camera.fx,
-          camera.fy,
-          camera.cx,
-          camera.cy,
-          camera.near_m,
-          camera.far_m,
-          to_wire(camera.world_from_camera)};
+  return camera_struct(camera, to_wire(camera.world_from_camera));
 }
 
 flatbuffers::Offset<wire::Light> to_wire(flatbuffers::FlatBufferBuilder& builder, const Light& light) {

@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "bus/alignment.h"
 #include "bus/error.h"
 #include "bus/memory.h"
 #include "wire/model_generated.h"
@@ -13,7 +14,6 @@ namespace splatbus {
 namespace {
 
 constexpr std::uint64_t kCapacityLimit = std::uint64_t{1} << 26;
-constexpr std::size_t kAlignment = 64;
 
 [[noreturn]] void reject(const bus::Message& message, const std::string& what) {
   throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": " + what);
@@ -96,7 +96,7 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, 
     std::size_t bytes = 0;
     for (Plane& plane : model.planes_) {
       plane.copied_at = bytes;
-      bytes += (plane.channels * live.stride * plane.element_bytes + kAlignment - 1) / kAlignment * kAlignment;
+      bytes += bus::aligned(plane.channels * live.stride * plane.element_bytes);
     }
     model.copies_ = bus::allocate_memory(kind, bytes);
   }

@@ -6,18 +6,10 @@
 #include <algorithm>
 #include <cstring>
 
+#include "bus/alignment.h"
 #include "bus/error.h"
 
 namespace splatbus::bus_service {
-namespace {
-
-constexpr std::size_t alignment = 64;
-
-std::size_t aligned(std::size_t offset) {
-  return (offset + alignment - 1) / alignment * alignment;
-}
-
-}  // namespace
 
 bool has_slab_tensors(const wire::Header& header) {
   if (header.tensors() == nullptr) return false;
@@ -46,7 +38,7 @@ std::optional<bus::Frames> inline_slab_tensors(const bus::Frames& frames, const 
     auto slab = find_slab(span->slab());
     if (slab == nullptr) return std::nullopt;
     (void)slab->slot_of(*span);  // throws when the span leaves its slot
-    const std::size_t offset = aligned(bytes);
+    const std::size_t offset = bus::aligned(bytes);
     if (offset + span->bytes() > static_cast<std::size_t>(bus::max_frame_bytes)) {
       throw bus::Error(fmt::format("its tensors have more than the {} bytes of a frame", bus::max_frame_bytes));
     }

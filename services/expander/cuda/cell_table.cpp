@@ -21,11 +21,7 @@ void CellTable::reserve(std::uint32_t n) {
   memory_.reset();
   room_ = 0;
   scratch_bytes_ = scratch_bytes;
-  Carver sizes;
-  lay_out(sizes, n);
-  memory_ = pool_->take(sizes.used(), "a table of cells");
-  Carver parts(memory_.get());
-  lay_out(parts, n);
+  memory_ = carve(*pool_, "a table of cells", [&](Carver& carver) { lay_out(carver, n); });
   room_ = n;
 }
 

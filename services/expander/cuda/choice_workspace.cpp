@@ -26,11 +26,7 @@ void ChoiceWorkspace::resize(std::uint32_t n) {
   memory_.reset();
   room_ = 0;
   scratch_bytes_ = scratch_bytes;
-  Carver sizes;
-  lay_out(sizes, n);
-  memory_ = pool_->take(sizes.used(), "choosing among samples");
-  Carver parts(memory_.get());
-  lay_out(parts, n);
+  memory_ = carve(*pool_, "choosing among samples", [&](Carver& carver) { lay_out(carver, n); });
   room_ = n;
 }
 

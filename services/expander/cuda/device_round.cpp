@@ -106,11 +106,8 @@ DeviceRound::DeviceRound(const IncomingRound& incoming, Pool& pool) : info_(inco
   view_.width = info_.width;
   view_.camera_count = static_cast<std::uint32_t>(info_.cameras.size());
   view_.object_count = static_cast<std::uint32_t>(info_.objects.size());
-  Carver sizes;
-  (void)lay_out(sizes, view_, incoming.depth.elements());
-  memory_ = pool.take(sizes.used(), "the samples of a round");
-  Carver parts(memory_.get());
-  dropped_count_ = lay_out(parts, view_, incoming.depth.elements());
+  memory_ = carve(pool, "the samples of a round",
+                  [&](Carver& carver) { dropped_count_ = lay_out(carver, view_, incoming.depth.elements()); });
 }
 
 std::unique_ptr<DeviceRound> DeviceRound::take(const IncomingRound& incoming, Pool& pool,

@@ -29,11 +29,8 @@ void ModelledPoints::Storage::lay_out(Carver& carver, std::size_t count) {
 void ModelledPoints::reserve(std::size_t more, cudaStream_t stream) {
   if (count_ + more <= storage_.room) return;
   const std::size_t room = std::max({count_ + more, 2 * storage_.room, kLeastRoom});
-  Carver sizes;
-  Storage().lay_out(sizes, room);
-  Storage larger{.block = pool_->take(sizes.used(), "what is modelled")};
-  Carver parts(larger.block.get());
-  larger.lay_out(parts, room);
+  Storage larger;
+  larger.block = carve(*pool_, "what is modelled", [&](Carver& carver) { larger.lay_out(carver, room); });
   copy(larger.points, storage_.points, count_, stream);
   copy(larger.keys, storage_.keys, count_, stream);
   storage_ = std::move(larger);

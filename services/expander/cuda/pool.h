@@ -34,7 +34,7 @@ class Pool {
   std::shared_ptr<Account> account_ = std::make_shared<Account>();  // also its blocks'
 };
 
-/// Hands out the parts of one allocation: first counts, then, given memory, points.
+/// Hands out the parts of one block: first counts, then, given memory, points.
 class Carver {
  public:
   explicit Carver(std::byte* memory = nullptr) : memory_(memory) {}
@@ -52,5 +52,17 @@ class Carver {
   std::byte* memory_;
   std::size_t used_ = 0;
 };
+
+/// A block of the parts that `lay_out` takes from a Carver: it is called once without memory, and once with it. Throws
+/// as Pool::take does.
+template <class LayOut>
+[[nodiscard]] std::shared_ptr<std::byte> carve(Pool& pool, const char* what, const LayOut& lay_out) {
+  Carver sizes;
+  lay_out(sizes);
+  std::shared_ptr<std::byte> block = pool.take(sizes.used(), what);
+  Carver parts(block.get());
+  lay_out(parts);
+  return block;
+}
 
 }  // namespace splatbus::expander::cuda
