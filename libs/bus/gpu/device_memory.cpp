@@ -23,7 +23,7 @@ void check(cudaError_t status, const char* what) {
 std::shared_ptr<std::byte> allocate(std::size_t bytes) {
   (void)Driver::get();  // throws when there is no device
   void* memory = nullptr;
-  check(cudaMalloc(&memory, bytes), "allocating memory");
+  check(cudaMalloc(&memory, bytes), fmt::format("allocating {} bytes", bytes).c_str());
   std::shared_ptr<std::byte> owner(static_cast<std::byte*>(memory), [](std::byte* owned) { cudaFree(owned); });
   check(cudaMemsetAsync(memory, 0, bytes, cudaStreamPerThread), "clearing memory");
   check(cudaStreamSynchronize(cudaStreamPerThread), "clearing memory");

@@ -6,6 +6,7 @@
 
 #include <cstdio>
 #include <stdexcept>
+#include <string>
 
 #include "bus/error.h"
 #include "bus/memory.h"
@@ -44,7 +45,10 @@ int fault() {
   try {
     (void)bus::allocate_memory(bus::MemoryKind::Cuda, far_too_much);
     throw std::logic_error("memory that does not exist was given");
-  } catch (const bus::Error&) {
+  } catch (const bus::Error& error) {
+    if (std::string(error.what()).find(std::to_string(far_too_much)) == std::string::npos) {
+      throw std::logic_error(fmt::format("it is not said how much was asked for: {}", error.what()));
+    }
     bus::require_usable(bus::MemoryKind::Cuda);
   }
   (void)bus::allocate_memory(bus::MemoryKind::Cuda, 4096);
