@@ -256,8 +256,9 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                                                         {"model/insert", "ModelInsert/1"},
                                                         {"model/published", "ModelPublished/1"},
                                                         {"viewer/pose", "ViewerPose/1"}}) {
-    EXPECT_TRUE(pipeline_.wait_until([&] { return log_names(topic, schema); })) << topic << ", " << schema << "\n"
-                                                                                << pipeline_.log();
+    EXPECT_TRUE(pipeline_.wait_until([&, &name = topic, &type = schema] { return log_names(name, type); }))
+        << topic << ", " << schema << "\n"
+        << pipeline_.log();
   }
 }
 

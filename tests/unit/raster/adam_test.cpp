@@ -95,7 +95,7 @@ TEST(Adam, MomentsFollowPermutationAndGrowth) {
   ParameterGradient gradient;
   gradient.clear(larger.view());
   std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
-  for (std::size_t i = 0; i < gradient.values.size(); ++i) gradient.values[i] = 0.5F;
+  std::fill(gradient.values.begin(), gradient.values.end(), 0.5F);
   fixture.adam.step(larger.parameters.data(), larger.flags.data(), gradient, fixture.rates, 2);
   std::fill(reference.gradient.values.begin(), reference.gradient.values.end(), 0.5F);
   reference.step();

@@ -15,7 +15,7 @@ void expect_loss_like_autograd(std::uint32_t width, std::uint32_t height, bool e
   std::mt19937 generator(11);
   Image rendered(width, height, 3);
   std::vector<std::uint8_t> target(std::size_t{width} * height * 4);
-  for (std::size_t i = 0; i < target.size(); ++i) target[i] = static_cast<std::uint8_t>(generator() >> 24U);
+  for (std::uint8_t& value : target) value = static_cast<std::uint8_t>(generator() >> 24U);
   // Near the target's smooth part, with some values at the curve's linear end; inside (0, 1), where clamping is silent.
   for (float& value : rendered.data) {
     value = 0.0001F + 0.99F * std::pow(static_cast<float>(generator() >> 8U) / 16777216.0F, 3.0F);

@@ -76,7 +76,7 @@ void expect_like_oracle(const TestScene& scene, const Camera& camera, const Rend
     objective = objective + (reference.depth * random_gradient(gradient.depth, camera, 1, 4)[0]).sum();
   }
   objective.backward();
-  const torch::Tensor truth = parameters.grad();
+  const torch::Tensor& truth = parameters.grad();
 
   ParameterGradient ours;
   ours.clear(view);

@@ -23,7 +23,8 @@ TestScene single_gaussian(float scale, float logit) {
 Camera axial_camera(std::uint32_t side) {
   Camera camera = look_at({0, 0, 4}, {0, 0, 0}, side, side, 1.0F);
   camera.fx = camera.fy = 20;
-  camera.cx = camera.cy = static_cast<float>(side / 2) + 0.5F;
+  const std::uint32_t middle = side / 2;
+  camera.cx = camera.cy = static_cast<float>(middle) + 0.5F;
   return camera;
 }
 

@@ -89,7 +89,8 @@ TEST(Quantise, RotationStaysNearWhatIsHeld) {
   };
   turn(0);
   quantise(model.view(), layout, held, usable);
-  for (float angle = 0; angle < 6; angle += 0.01F) {
+  for (int step = 0; step < 600; ++step) {
+    const float angle = 0.01F * static_cast<float>(step);
     turn(angle);
     quantise(model.view(), layout, next, usable, &held, &column);
     for (int c = 6; c < 9; ++c) ASSERT_LE(std::abs(next.planes[c][0] - held.planes[c][0]), 3) << "at " << angle;

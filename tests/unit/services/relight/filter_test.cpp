@@ -22,7 +22,7 @@ double expected_share(const FilterWindow& w, const std::vector<float>& depth_m) 
       const bool inside = x >= 0 && x < kWidth && y >= 0 && y < kHeight;
       const double plane_m = w.depth_m + w.slope_x * dx + w.slope_y * dy;
       all += share;
-      if (!inside || plane_m <= depth_m[static_cast<std::size_t>(y * kWidth + x)]) lit += share;
+      if (!inside || plane_m <= depth_m[static_cast<std::size_t>(y) * kWidth + x]) lit += share;
     }
   }
   return lit / all;

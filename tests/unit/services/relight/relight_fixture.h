@@ -35,8 +35,8 @@ class RelightTest : public bus_test::BusTest {
   /// Two Gaussians on the floor, at x = -1 and x = 1, and a third one of object 7 at its origin.
   void publish_model(std::uint64_t generation, std::uint64_t count = 3, std::uint32_t parameter_rows = 41) {
     const std::vector<float> parameters(std::size_t{41} * kCapacity, -4.0F);
-    std::vector<float> normal(3 * kCapacity, 0.0F);
-    std::vector<float> point(3 * kCapacity, 0.0F);
+    std::vector<float> normal(std::size_t{3} * kCapacity, 0.0F);
+    std::vector<float> point(std::size_t{3} * kCapacity, 0.0F);
     const std::vector<float> ones(kCapacity, 1.0F);
     std::vector<std::uint32_t> object(kCapacity, 0);
     const std::vector<std::uint32_t> flags(kCapacity, 0);

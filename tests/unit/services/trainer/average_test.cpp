@@ -60,7 +60,7 @@ TEST(TimeAverage, LeavesFrozenGaussiansAndInactiveChannelsAlone) {
   columns.planes.flags[2] = kFrozen;
   for (std::size_t i = 0; i < 8; ++i) {
     columns.planes.parameters[i] = 1.0F;
-    columns.planes.parameters[14 * 16 + i] = 1.0F;
+    columns.planes.parameters[std::size_t{14} * 16 + i] = 1.0F;
   }
   TimeAverage average;
   for (std::uint64_t step = 1; step <= 8; ++step) average.update(columns.planes, 8, 14, birth, step, 0.98F);

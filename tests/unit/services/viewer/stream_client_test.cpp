@@ -19,7 +19,7 @@ class StreamClientTest : public testing::Test {
     router_.bind(endpoint_);
   }
 
-  ClientOptions options() const { return {.endpoint = endpoint_, .name = "viewer", .probes = true}; }
+  [[nodiscard]] ClientOptions options() const { return {.endpoint = endpoint_, .name = "viewer", .probes = true}; }
 
   bool poll_until(StreamClient& client, const std::function<bool()>& condition) {
     return bus_test::eventually([&] { return client.poll(1ms), take_hellos(), condition(); });
