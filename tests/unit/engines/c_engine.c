@@ -7,7 +7,8 @@
 
 int run_c_engine(const char* address, int patience_ms) {
   splatbus_engine* engine = NULL;
-  if (splatbus_engine_open(address, "c-engine", SPLATBUS_ENGINE_ABI, SPLATBUS_MEMORY_HOST, &engine) != SPLATBUS_OK) return 1;
+  if (splatbus_engine_open(address, "c-engine", SPLATBUS_ENGINE_ABI, SPLATBUS_MEMORY_HOST, &engine) != SPLATBUS_OK)
+    return 1;
 
   const splatbus_camera_request* requests = NULL;
   size_t count = 0;
