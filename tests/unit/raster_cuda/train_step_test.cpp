@@ -126,7 +126,7 @@ TEST_F(CudaTest, ReusedListsTrainAlike) {
   device::Buffer<std::uint8_t> picture;
   picture.upload(target.data(), target.size(), nullptr);
   std::vector<cuda::TrainView> views;
-  for (int k = 0; k < 3; ++k) {
+  for (int k = 0; k < 2; ++k) {
     const float angle = 2.0F * static_cast<float>(k);
     const Camera camera = look_at({5 * std::cos(angle), 1.5F, 5 * std::sin(angle)}, {0, 0, 0}, c.width, c.height, 1.0F);
     views.push_back({{camera, &scene}, picture.data(), nullptr});
@@ -139,14 +139,14 @@ TEST_F(CudaTest, ReusedListsTrainAlike) {
     trainer.set_model(device.view());
     trainer.set_learning_rates(std::vector<float>(static_cast<std::size_t>(c.layout.channels()), 1e-3F));
     const std::size_t group = trainer.add_group(views);
-    for (int k = 0; k < 12; ++k) trainer.step(group);
+    for (int k = 0; k < 8; ++k) trainer.step(group);
     std::vector<float> trained(static_cast<std::size_t>(c.layout.channels()) * model.count());
     device.download_parameters(trained.data(), trainer.stream());
     cudaStreamSynchronize(trainer.stream());
     return trained;
   };
   cuda::TrainStepOptions reuse;
-  reuse.rebuild_interval = 5;
+  reuse.rebuild_interval = 3;
   reuse.use_depth_limit = true;
   reuse.project.pair_margin_px = 0.5F;
   const std::vector<float> expected = train({}), actual = train(reuse);
