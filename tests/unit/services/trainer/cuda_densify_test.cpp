@@ -83,7 +83,7 @@ class CudaDensify : public bus_test::BusTest {
     device::Buffer<std::uint32_t> steps;
     sum.upload(gathered.sum.data(), gathered.sum.size(), stream);
     steps.upload(gathered.steps.data(), gathered.steps.size(), stream);
-    const auto chosen =
+    auto chosen =
         densifier.choose(*device_, {.mean2d_norm = sum.data(), .steps = steps.data()}, kOptions.gradient_threshold);
     device_->change([&] { densifier.densify(*device_, chosen, kOptions); });
     return chosen;
@@ -201,8 +201,6 @@ TEST_F(CudaOptimizerTest, ClonesAndSplitsWhenAsked) {
   cpu.train(18);
   const auto ids = cuda.planes().ids();
   EXPECT_EQ(std::set<std::uint64_t>(ids.begin(), ids.end()).size(), cuda.store().count());
-  std::printf("%zu Gaussians cuda, %zu cpu; PSNR %.2f and %.2f dB\n", cuda.store().count(), cpu.store().count(),
-              psnr(cuda, false), psnr(cpu, false));
   EXPECT_GT(psnr(cuda, false), psnr(cpu, false) - 2);  // other draws
 }
 
