@@ -16,13 +16,14 @@ namespace splatbus::raster::cpu::HWY_NAMESPACE {
 constexpr float kLog2AlphaMin = -7.994353436858858F;
 
 /// A tile's pixel centres in block order, pixels.
+template <std::uint32_t kSide = kTileSide>
 struct PixelCentres {
-  alignas(64) float x[kTilePixels], y[kTilePixels];
+  alignas(64) float x[kSide * kSide], y[kSide * kSide];
 
   PixelCentres(std::uint32_t corner_x, std::uint32_t corner_y) {
-    for (std::uint32_t i = 0; i < kTilePixels; ++i) {
-      x[i] = static_cast<float>(corner_x + block_order_x(i)) + 0.5F;
-      y[i] = static_cast<float>(corner_y + block_order_y(i)) + 0.5F;
+    for (std::uint32_t i = 0; i < kSide * kSide; ++i) {
+      x[i] = static_cast<float>(corner_x + block_order_x<kSide>(i)) + 0.5F;
+      y[i] = static_cast<float>(corner_y + block_order_y<kSide>(i)) + 0.5F;
     }
   }
 };

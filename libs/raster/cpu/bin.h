@@ -18,7 +18,8 @@ class TileBinner {
 
  private:
   struct Piece {
-    PairBuffer pairs;
+    PairBuffer pairs;                        ///< kept
+    WidePairBuffer wide_pairs;               ///< not kept
     std::vector<std::uint32_t> tile_counts;  ///< then where the piece's next entry of the tile goes
   };
   std::vector<Piece> pieces_;

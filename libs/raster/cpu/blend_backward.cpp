@@ -65,7 +65,7 @@ struct Sums {
 };
 
 template <int kPlanes>
-HWY_INLINE void BlendBlockBackward(const Splat& splat, const PixelCentres& centres, std::uint32_t block,
+HWY_INLINE void BlendBlockBackward(const Splat& splat, const PixelCentres<>& centres, std::uint32_t block,
                                    std::int32_t index, TileState<kPlanes>& tile, Sums& sums, V* plane_sums, M& any) {
   const F f;
   const I d;
@@ -161,7 +161,7 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
   TileState<kPlanes> tile{};
   LoadTile(frame, tile_index, gradient, tile);
   const std::uint32_t row = tile_index / frame.tiles_x, column = tile_index % frame.tiles_x;
-  const PixelCentres centres(column * kTileSide, row * kTileSide);
+  const PixelCentres<> centres(column * kTileSide, row * kTileSide);
   const TileEntry* entries = frame.entries.data() + first_entry;
 
   std::uint32_t live = 0, next_change = processed;  // from the entry before it on, more blocks take part

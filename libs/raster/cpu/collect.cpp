@@ -9,67 +9,14 @@
 #define HWY_TARGET_INCLUDE "raster/cpu/collect.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/cache_control.h"
-#include "raster/cpu/lanes-inl.h"
+#include "raster/cpu/cut-inl.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
-/// Four rows of blocks (two of tiles) at a time: most Gaussians reach no more.
-using F4 = hn::CappedTag<float, 4>;
-using I4 = hn::RebindToSigned<F4>;
-constexpr int kRows = 4;
 /// Gaussians come in depth order, that is at random in memory.
 constexpr std::size_t kPrefetch = 16;
-
-/// Columns of blocks [first, last] that an ellipse reaches in kRows rows of blocks; empty where first > last.
-struct Spans {
-  HWY_ALIGN std::int32_t first[kRows];
-  HWY_ALIGN std::int32_t last[kRows];
-
-  /// Bits of the two blocks at `block` and `block + 1`.
-  [[nodiscard]] HWY_INLINE std::uint32_t Bits(int row, std::int32_t block) const {
-    return static_cast<std::uint32_t>(first[row] <= block && block <= last[row]) |
-           static_cast<std::uint32_t>(first[row] <= block + 1 && block + 1 <= last[row]) << 1U;
-  }
-};
-
-/// The ellipse u^2 + v^2 <= reach2 cut with the pixel centres of rows of blocks. Within a band of dy its right end lies
-/// at the dy of its rightmost point, clamped to the band; the left end is that of the mirrored ellipse.
-HWY_INLINE void CutRows(const Splat& splat, float reach2, float first_row, float last_row, float last_column,
-                        std::int32_t first_block_row, Spans& out) {
-  const F4 f;
-  const I4 d;
-  const auto set = [&](float value) { return hn::Set(f, value); };
-  const auto zero = hn::Zero(f);
-  const auto inverse_uxx = hn::Div(set(1.0F), set(splat.uxx));
-  for (int row = 0; row < kRows; row += static_cast<int>(hn::Lanes(f))) {
-    const auto top = hn::Mul(hn::Iota(f, static_cast<float>(first_block_row + row)), set(float{kBlockSide}));
-    const auto low = hn::Max(top, set(first_row));
-    const auto high = hn::Min(hn::Add(top, set(float{kBlockSide} - 1)), set(last_row));
-    const auto empty = hn::Gt(low, high);
-    const auto low_dy = hn::Add(low, set(0.5F - splat.y)), high_dy = hn::Add(high, set(0.5F - splat.y));
-    const auto right_dy = hn::Min(hn::Max(set(splat.rightmost_dy), low_dy), high_dy);
-    const auto left_dy = hn::Min(hn::Max(set(-splat.rightmost_dy), low_dy), high_dy);
-    const auto half_width = [&](auto dy) {
-      const auto v = hn::Mul(set(splat.uyy), dy);
-      return hn::Sqrt(hn::Max(hn::NegMulAdd(v, v, set(reach2)), zero));
-    };
-    const auto uxy = set(splat.uxy);
-    const auto right =
-        hn::MulAdd(hn::NegMulAdd(uxy, right_dy, half_width(right_dy)), inverse_uxx, set(splat.x - 0.49F));
-    const auto left = hn::NegMulAdd(hn::MulAdd(uxy, left_dy, half_width(left_dy)), inverse_uxx, set(splat.x - 0.51F));
-    // Columns of the first and last pixel centre between, then their blocks.
-    const auto first = hn::Ceil(hn::Min(hn::Max(left, zero), set(last_column + 1)));
-    const auto last = hn::Floor(hn::Max(hn::Min(right, set(last_column)), set(-1.0F)));
-    const auto none = hn::Or(empty, hn::Gt(first, last));
-    const auto first_block = hn::ShiftRight<2>(hn::ConvertTo(d, first));
-    const auto last_block = hn::ShiftRight<2>(hn::ConvertTo(d, last));
-    const auto none_d = hn::RebindMask(d, none);
-    hn::Store(hn::IfThenElse(none_d, hn::Set(d, 1 << 28), first_block), d, out.first + row);
-    hn::Store(hn::IfThenElse(none_d, hn::Set(d, -1), last_block), d, out.last + row);
-  }
-}
 
 /// A Gaussian that may reach more than a TileReach holds, row after row of tiles.
 void CollectLarge(const Frame& frame, std::uint32_t gaussian, PairBuffer& pairs, std::uint32_t* tile_counts) {

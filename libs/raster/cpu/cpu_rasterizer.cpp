@@ -14,7 +14,7 @@ namespace cpu {
 namespace {
 
 constexpr std::size_t kGaussianPiece = 2048;  // a multiple of any vector's lanes
-constexpr std::size_t kTilePiece = 8;
+constexpr std::size_t kTilePiece = 8, kWideTilePiece = 4;
 
 void resize(Image& image, const Camera& camera, std::uint32_t channels) {
   image.width = channels == 0 ? 0 : camera.width;
@@ -85,8 +85,9 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   frame_.tan_limit_x_high = (static_cast<float>(camera.width) - camera.cx) / camera.fx + 0.3F * half_x;
   frame_.tan_limit_y_low = -camera.cy / camera.fy - 0.3F * half_y;
   frame_.tan_limit_y_high = (static_cast<float>(camera.height) - camera.cy) / camera.fy + 0.3F * half_y;
-  frame_.tiles_x = (camera.width + kTileSide - 1) / kTileSide;
-  frame_.tiles_y = (camera.height + kTileSide - 1) / kTileSide;
+  const std::uint32_t side = tile_side(keep);
+  frame_.tiles_x = (camera.width + side - 1) / side;
+  frame_.tiles_y = (camera.height + side - 1) / side;
 
   resize(out.color, camera, 3);
   resize(out.alpha, camera, 1);
@@ -104,7 +105,7 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
     frame_.block_entries.reserve(tiles * kTileBlocks);
   }
   timed(forward_times_, "blend", [&] {
-    workers_.for_pieces(tiles, kTilePiece, [&](std::size_t begin, std::size_t end) {
+    workers_.for_pieces(tiles, keep ? kTilePiece : kWideTilePiece, [&](std::size_t begin, std::size_t end) {
       for (std::size_t tile = begin; tile < end; ++tile) blend_tile(frame_, static_cast<std::uint32_t>(tile), out);
     });
   });

@@ -13,6 +13,12 @@ namespace splatbus::raster::cpu {
 constexpr std::uint32_t kTileSide = 8, kBlockSide = 4;
 constexpr std::uint32_t kTilePixels = kTileSide * kTileSide, kBlockPixels = kBlockSide * kBlockSide;
 constexpr std::uint32_t kTileBlocks = kTilePixels / kBlockPixels;
+/// A render without a backward pass lists wide tiles: half as many pairs, which is most of what listing takes, while a
+/// pixel still sees what its block reaches only.
+constexpr std::uint32_t kWideSide = 16;
+constexpr std::uint32_t tile_side(bool keep) {
+  return keep ? kTileSide : kWideSide;
+}
 
 constexpr float kAlphaMin = 1.0F / 255.0F, kAlphaMax = 0.999F, kTransmittanceMin = 1e-4F;
 
@@ -70,11 +76,18 @@ static_assert(sizeof(PairGradient) == 64);
 using TileEntry = std::uint32_t;
 constexpr std::uint32_t kBlockShift = 28, kGaussianMask = (1U << kBlockShift) - 1;
 
+/// The same in a wide tile's list: a bit of `blocks` a 4x4 block, row after row.
+struct WideEntry {
+  std::uint32_t gaussian, blocks;
+};
+
 /// The blocks that a Gaussian reaches: 4x4 tiles from `tile` on, row after row, four bits a tile (left to right, then
-/// down); blocks[0] has the first two rows of tiles.
+/// down); blocks[0] has the first two rows of tiles. Or 2x2 wide tiles, a row of tiles in each of `blocks`, sixteen
+/// bits a tile.
 struct alignas(16) TileReach {
   static constexpr std::uint32_t kLarge = ~0U;  ///< as `tile`: it may reach more tiles than that
   static constexpr std::uint32_t kSide = 4;     ///< tiles
+  static constexpr std::uint32_t kWideTiles = 2;
   std::uint32_t tile, blocks[2];
 };
 
@@ -108,7 +121,8 @@ struct Frame {
   Scratch<DepthKey> order;                ///< visible Gaussians, near to far
   std::size_t visible = 0;
 
-  Scratch<TileEntry> entries;             ///< of tile after tile, near to far
+  Scratch<TileEntry> entries;             ///< of tile after tile, near to far, kept
+  Scratch<WideEntry> wide_entries;        ///< the same, not kept
   Scratch<std::uint32_t> entry_of_slot;   ///< [pairs], kept
   std::vector<std::uint32_t> tile_begin;  ///< [tile_count + 1]
   std::size_t pairs = 0;
@@ -124,11 +138,13 @@ struct Frame {
 };
 
 /// Column and row in its tile of the pixel at an index in block order.
+template <std::uint32_t kSide = kTileSide>
 constexpr std::uint32_t block_order_x(std::uint32_t index) {
-  return (index / kBlockPixels) % 2 * kBlockSide + index % kBlockSide;
+  return (index / kBlockPixels) % (kSide / kBlockSide) * kBlockSide + index % kBlockSide;
 }
+template <std::uint32_t kSide = kTileSide>
 constexpr std::uint32_t block_order_y(std::uint32_t index) {
-  return index / kBlockPixels / 2 * kBlockSide + index % kBlockPixels / kBlockSide;
+  return index / kBlockPixels / (kSide / kBlockSide) * kBlockSide + index % kBlockPixels / kBlockSide;
 }
 
 }  // namespace splatbus::raster::cpu

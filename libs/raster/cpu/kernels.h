@@ -16,6 +16,10 @@ std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, Dept
 void collect_pairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_t piece, std::size_t most,
                    PairBuffer& pairs, std::uint32_t* tile_counts);
 
+/// The same for a frame that is not kept, in wide tiles.
+void collect_wide_pairs(Frame& frame, std::size_t begin, std::size_t end, std::size_t most, WidePairBuffer& pairs,
+                        std::uint32_t* tile_counts);
+
 /// Blends one tile into the planes of `out`; with Frame::keep it leaves what the backward pass needs.
 void blend_tile(Frame& frame, std::uint32_t tile, Render& out);
 

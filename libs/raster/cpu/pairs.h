@@ -12,8 +12,14 @@ struct Pair {
   std::uint32_t tile, gaussian_and_blocks;
 };
 
+/// The same of a wide tile.
+struct WidePair {
+  std::uint32_t tile, gaussian, blocks;
+};
+
 /// Growing array whose room is asked for ahead, so that filling it needs no test.
-class PairBuffer {
+template <class Pair>
+class GrowingPairs {
  public:
   void clear() { size_ = 0; }
   /// Room for `more` pairs at the end; commit() takes what was written there.
@@ -36,5 +42,8 @@ class PairBuffer {
   std::unique_ptr<Pair[]> pairs_;
   std::size_t size_ = 0, capacity_ = 0;
 };
+
+using PairBuffer = GrowingPairs<Pair>;
+using WidePairBuffer = GrowingPairs<WidePair>;
 
 }  // namespace splatbus::raster::cpu

@@ -31,6 +31,28 @@ HWY_INLINE void PrefetchPlanes(const GaussiansView& gaussians, std::size_t i, in
   for (int channel = begin; channel < end; ++channel) hwy::Prefetch(gaussians.plane(channel) + last);
 }
 
+/// The same, a few planes at a time between other work: a core has room for a dozen or so lines on their way, and waits
+/// when it asks for more.
+class PlaneFetch {
+ public:
+  PlaneFetch() = default;
+  PlaneFetch(const GaussiansView& gaussians, std::size_t i, int begin, int end)
+      : gaussians_(&gaussians),
+        column_(std::min(i + hn::Lanes(F()), gaussians.count) - 1),
+        channel_(begin),
+        end_(end) {}
+  HWY_INLINE void Some(int most) {
+    const int stop = std::min(channel_ + most, end_);
+    for (; channel_ < stop; ++channel_) hwy::Prefetch(gaussians_->plane(channel_) + column_);
+  }
+  HWY_INLINE void Rest() { Some(end_ - channel_); }
+
+ private:
+  const GaussiansView* gaussians_ = nullptr;
+  std::size_t column_ = 0;
+  int channel_ = 0, end_ = 0;
+};
+
 struct Vec3 {
   V x, y, z;
 };

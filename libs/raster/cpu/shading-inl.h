@@ -12,32 +12,46 @@
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
-/// The SH basis at unit directions, band after band up to `degree`; calls emit(k, Y_k).
+/// One band of the SH basis at unit directions; calls emit(k, Y_k).
+template <int kBand, class Emit>
+HWY_INLINE void ShBand(const Vec3& d, Emit&& emit) {
+  static_assert(kBand <= 3);
+  if constexpr (kBand == 0) {
+    emit(0, Splat1(kShC0));
+  } else if constexpr (kBand == 1) {
+    emit(1, MulScalar(d.y, -kShC1));
+    emit(2, MulScalar(d.z, kShC1));
+    emit(3, MulScalar(d.x, -kShC1));
+  } else {
+    const V xx = hn::Mul(d.x, d.x), yy = hn::Mul(d.y, d.y), zz = hn::Mul(d.z, d.z);
+    const V xy = hn::Mul(d.x, d.y), yz = hn::Mul(d.y, d.z), xz = hn::Mul(d.x, d.z);
+    const V two = Splat1(2.0F), three = Splat1(3.0F), four = Splat1(4.0F);
+    if constexpr (kBand == 2) {
+      emit(4, MulScalar(xy, kShC2[0]));
+      emit(5, MulScalar(yz, kShC2[1]));
+      emit(6, MulScalar(hn::MulSub(two, zz, hn::Add(xx, yy)), kShC2[2]));
+      emit(7, MulScalar(xz, kShC2[3]));
+      emit(8, MulScalar(hn::Sub(xx, yy), kShC2[4]));
+    } else {
+      const V ring = hn::MulSub(four, zz, hn::Add(xx, yy));
+      emit(9, MulScalar(hn::Mul(d.y, hn::MulSub(three, xx, yy)), kShC3[0]));
+      emit(10, MulScalar(hn::Mul(xy, d.z), kShC3[1]));
+      emit(11, MulScalar(hn::Mul(d.y, ring), kShC3[2]));
+      emit(12, MulScalar(hn::Mul(d.z, hn::NegMulAdd(three, hn::Add(xx, yy), hn::Mul(two, zz))), kShC3[3]));
+      emit(13, MulScalar(hn::Mul(d.x, ring), kShC3[4]));
+      emit(14, MulScalar(hn::Mul(d.z, hn::Sub(xx, yy)), kShC3[5]));
+      emit(15, MulScalar(hn::Mul(d.x, hn::NegMulAdd(three, yy, xx)), kShC3[6]));
+    }
+  }
+}
+
+/// The bands up to `degree`, one after the other.
 template <class Emit>
 HWY_INLINE void ShBasis(const Vec3& d, int degree, Emit&& emit) {
-  emit(0, Splat1(kShC0));
-  if (degree < 1) return;
-  emit(1, MulScalar(d.y, -kShC1));
-  emit(2, MulScalar(d.z, kShC1));
-  emit(3, MulScalar(d.x, -kShC1));
-  if (degree < 2) return;
-  const V xx = hn::Mul(d.x, d.x), yy = hn::Mul(d.y, d.y), zz = hn::Mul(d.z, d.z);
-  const V xy = hn::Mul(d.x, d.y), yz = hn::Mul(d.y, d.z), xz = hn::Mul(d.x, d.z);
-  const V two = Splat1(2.0F), three = Splat1(3.0F), four = Splat1(4.0F);
-  emit(4, MulScalar(xy, kShC2[0]));
-  emit(5, MulScalar(yz, kShC2[1]));
-  emit(6, MulScalar(hn::MulSub(two, zz, hn::Add(xx, yy)), kShC2[2]));
-  emit(7, MulScalar(xz, kShC2[3]));
-  emit(8, MulScalar(hn::Sub(xx, yy), kShC2[4]));
-  if (degree < 3) return;
-  const V ring = hn::MulSub(four, zz, hn::Add(xx, yy));
-  emit(9, MulScalar(hn::Mul(d.y, hn::MulSub(three, xx, yy)), kShC3[0]));
-  emit(10, MulScalar(hn::Mul(xy, d.z), kShC3[1]));
-  emit(11, MulScalar(hn::Mul(d.y, ring), kShC3[2]));
-  emit(12, MulScalar(hn::Mul(d.z, hn::NegMulAdd(three, hn::Add(xx, yy), hn::Mul(two, zz))), kShC3[3]));
-  emit(13, MulScalar(hn::Mul(d.x, ring), kShC3[4]));
-  emit(14, MulScalar(hn::Mul(d.z, hn::Sub(xx, yy)), kShC3[5]));
-  emit(15, MulScalar(hn::Mul(d.x, hn::NegMulAdd(three, yy, xx)), kShC3[6]));
+  ShBand<0>(d, emit);
+  if (degree >= 1) ShBand<1>(d, emit);
+  if (degree >= 2) ShBand<2>(d, emit);
+  if (degree >= 3) ShBand<3>(d, emit);
 }
 
 /// sum_k w_k dY_k/d(x, y, z), the basis taken as polynomials of an unconstrained direction.
@@ -91,18 +105,64 @@ HWY_INLINE ViewDirection DirectionFromCamera(const ObjectFrame& object, const Ve
   return {Scale(v, inverse_length), inverse_length};
 }
 
-/// max(0, 0.5 + sum_k c_k Y_k), before the max.
-HWY_INLINE Vec3 ShadeRadiance(const ObjectFrame& object, const Columns& in, const Vec3& mean) {
-  const ViewDirection direction = DirectionFromCamera(object, mean);
-  Vec3 colour{Splat1(0.5F), Splat1(0.5F), Splat1(0.5F)};
-  ShBasis(direction.unit, in.gaussians.layout.sh_degree, [&](int k, V basis) {
-    const int channel = ParameterLayout::kAppearance + 3 * k;
-    colour.x = hn::MulAdd(basis, in.Load(channel), colour.x);
-    colour.y = hn::MulAdd(basis, in.Load(channel + 1), colour.y);
-    colour.z = hn::MulAdd(basis, in.Load(channel + 2), colour.z);
-  });
-  return colour;
-}
+/// A vector of Gaussians of one object.
+struct ObjectColumns {
+  const ObjectFrame* object;
+  Columns in;
+};
+
+/// 0.5 + sum_k c_k Y_k of several vectors of Gaussians, a band of coefficients at a time: runs of a few planes, one
+/// after the other, are what a core fetches ahead by itself, which it does not for all planes side by side.
+template <std::size_t kMost>
+class RadianceBatch {
+ public:
+  /// input_of(e) is the ObjectColumns of vector e.
+  template <class InputOf>
+  HWY_INLINE void Shade(std::size_t count, int degree, const InputOf& input_of) {
+    ShadeBand<0>(count, input_of);
+    if (degree >= 1) ShadeBand<1>(count, input_of);
+    if (degree >= 2) ShadeBand<2>(count, input_of);
+    if (degree >= 3) ShadeBand<3>(count, input_of);
+  }
+
+  [[nodiscard]] HWY_INLINE Vec3 Colour(std::size_t e) const { return LoadVec(colour_[e]); }
+
+ private:
+  static HWY_INLINE Vec3 LoadVec(const float (&from)[3][hn::MaxLanes(F())]) {
+    return {hn::Load(F(), from[0]), hn::Load(F(), from[1]), hn::Load(F(), from[2])};
+  }
+  static HWY_INLINE void StoreVec(const Vec3& v, float (&to)[3][hn::MaxLanes(F())]) {
+    hn::Store(v.x, F(), to[0]);
+    hn::Store(v.y, F(), to[1]);
+    hn::Store(v.z, F(), to[2]);
+  }
+
+  template <int kBand, class InputOf>
+  HWY_INLINE void ShadeBand(std::size_t count, const InputOf& input_of) {
+    for (std::size_t e = 0; e < count; ++e) {
+      const ObjectColumns input = input_of(e);
+      const Columns& in = input.in;
+      Vec3 unit, sum{Splat1(0.5F), Splat1(0.5F), Splat1(0.5F)};
+      if constexpr (kBand == 0) {
+        unit = DirectionFromCamera(*input.object, {in.Load(0), in.Load(1), in.Load(2)}).unit;
+        StoreVec(unit, direction_[e]);
+      } else {
+        unit = LoadVec(direction_[e]);
+        sum = LoadVec(colour_[e]);
+      }
+      ShBand<kBand>(unit, [&](int k, V basis) {
+        const int channel = ParameterLayout::kAppearance + 3 * k;
+        sum.x = hn::MulAdd(basis, in.Load(channel), sum.x);
+        sum.y = hn::MulAdd(basis, in.Load(channel + 1), sum.y);
+        sum.z = hn::MulAdd(basis, in.Load(channel + 2), sum.z);
+      });
+      StoreVec(sum, colour_[e]);
+    }
+  }
+
+  HWY_ALIGN float direction_[kMost][3][hn::MaxLanes(F())];
+  HWY_ALIGN float colour_[kMost][3][hn::MaxLanes(F())];
+};
 
 /// What multiplies the albedo (diffuse) and what multiplies residual coefficient k, of the transfer model.
 struct TransferLight {

@@ -41,17 +41,19 @@ class GuardedCounters {
   std::uint32_t* counters_ = nullptr;
 };
 
-/// The Gaussians of a scene as the projection leaves them for collect_pairs().
-cpu::Frame projected(const TestScene& scene, const Camera& camera) {
+/// The Gaussians of a scene as the projection leaves them for collect_pairs() or, where nothing is kept, for
+/// collect_wide_pairs().
+cpu::Frame projected(const TestScene& scene, const Camera& camera, bool keep = true) {
   cpu::Frame frame;
-  frame.keep = true;
+  frame.keep = keep;
   frame.gaussians = scene.view();
   frame.camera = camera;
   frame.objects.build(camera, scene.state);
   frame.tan_limit_x_low = frame.tan_limit_y_low = -10;
   frame.tan_limit_x_high = frame.tan_limit_y_high = 10;
-  frame.tiles_x = (camera.width + cpu::kTileSide - 1) / cpu::kTileSide;
-  frame.tiles_y = (camera.height + cpu::kTileSide - 1) / cpu::kTileSide;
+  const std::uint32_t side = cpu::tile_side(keep);
+  frame.tiles_x = (camera.width + side - 1) / side;
+  frame.tiles_y = (camera.height + side - 1) / side;
   frame.splats.reserve(scene.count);
   frame.reaches.reserve(scene.count);
   frame.pair_ranges.reserve(scene.count);
@@ -63,13 +65,14 @@ cpu::Frame projected(const TestScene& scene, const Camera& camera) {
 /// The blocks of every tile, as a mask, in which the Gaussian's alpha reaches 1/255 at a pixel's centre, by trying all.
 std::map<std::uint32_t, std::uint32_t> blocks_by_search(const cpu::Frame& frame, const cpu::Splat& splat) {
   std::map<std::uint32_t, std::uint32_t> blocks;
+  const std::uint32_t side = cpu::tile_side(frame.keep), row = side / cpu::kBlockSide;
   for (std::uint32_t y = 0; y < frame.camera.height; ++y) {
     for (std::uint32_t x = 0; x < frame.camera.width; ++x) {
       const float dx = static_cast<float>(x) + 0.5F - splat.x, dy = static_cast<float>(y) + 0.5F - splat.y;
       const float u = splat.uxx * dx + splat.uxy * dy, v = splat.uyy * dy;
       if (std::exp2(splat.log2_alpha - u * u - v * v) < cpu::kAlphaMin) continue;
-      const std::uint32_t block = y % cpu::kTileSide / cpu::kBlockSide * 2 + x % cpu::kTileSide / cpu::kBlockSide;
-      blocks[y / cpu::kTileSide * frame.tiles_x + x / cpu::kTileSide] |= 1U << block;
+      const std::uint32_t block = y % side / cpu::kBlockSide * row + x % side / cpu::kBlockSide;
+      blocks[y / side * frame.tiles_x + x / side] |= 1U << block;
     }
   }
   return blocks;
@@ -126,6 +129,55 @@ TEST(CollectPairs, EveryBlockThatIsReachedAndNoTileTwice) {
     }
     for (std::uint32_t tile = 0; tile < frame.tile_count(); ++tile) EXPECT_EQ(counters.data()[tile], counted[tile]);
     // Rows of blocks are cut as bands, not at pixel centres, so a few more are listed.
+    EXPECT_LE(static_cast<double>(listed), 1.3 * static_cast<double>(needed));
+  }
+}
+
+TEST(CollectWidePairs, CountsNothingPastTheLastTile) {
+  const TestScene scene =
+      testing::random_scene(testing::transfer_layout(), 400, {.scale_low = 0.005F, .scale_high = 0.05F}, 41);
+  cpu::Frame frame = projected(scene, testing::test_camera(40, 24), false);
+  ASSERT_GT(frame.visible, 100U);
+  const std::uint32_t last = frame.tile_count() - 1;
+  frame.reaches[frame.order[0].gaussian] = {last, {1, 0}};
+  frame.reaches[frame.order[1].gaussian] = {last + 1, {0, 0}};
+  frame.reaches[frame.order[2].gaussian] = {last + frame.tiles_x, {0, 0}};
+  GuardedCounters counters(frame.tile_count());
+  cpu::WidePairBuffer pairs;
+  cpu::collect_wide_pairs(frame, 0, 3, 1U << 20U, pairs, counters.data());
+  ASSERT_EQ(pairs.size(), 1U);
+  EXPECT_EQ(pairs.begin()->tile, last);
+  EXPECT_EQ(counters.data()[last], 1U);
+  EXPECT_EQ(std::accumulate(counters.data(), counters.data() + frame.tile_count(), 0U), 1U);
+}
+
+TEST(CollectWidePairs, EveryBlockThatIsReachedAndNoTileTwice) {
+  for (const auto& [low, high] : {std::pair{0.01F, 0.1F}, {0.05F, 0.3F}, {0.2F, 0.9F}}) {
+    const TestScene scene = testing::random_scene(testing::transfer_layout(), 300,
+                                                  {.spread = 1.5F, .scale_low = low, .scale_high = high}, 42);
+    cpu::Frame frame = projected(scene, testing::test_camera(93, 70), false);
+    GuardedCounters counters(frame.tile_count());
+    cpu::WidePairBuffer pairs;
+    cpu::collect_wide_pairs(frame, 0, frame.visible, 1U << 20U, pairs, counters.data());
+    std::vector<std::map<std::uint32_t, std::uint32_t>> collected(scene.count);
+    std::vector<std::uint32_t> counted(frame.tile_count());
+    std::size_t needed = 0, listed = 0;
+    for (const cpu::WidePair& pair : pairs) {
+      ASSERT_LT(pair.tile, frame.tile_count());
+      ASSERT_LT(pair.gaussian, scene.count);
+      ASSERT_TRUE(collected[pair.gaussian].emplace(pair.tile, pair.blocks).second);
+      ++counted[pair.tile];
+      listed += static_cast<std::size_t>(std::popcount(pair.blocks));
+    }
+    for (std::size_t k = 0; k < frame.visible; ++k) {
+      const std::uint32_t gaussian = frame.order[k].gaussian;
+      SCOPED_TRACE(::testing::Message() << "Gaussian " << gaussian << ", scales " << low << " to " << high);
+      for (const auto& [tile, blocks] : blocks_by_search(frame, frame.splats[gaussian])) {
+        ASSERT_EQ(blocks & ~collected[gaussian][tile], 0U) << "tile " << tile;
+        needed += static_cast<std::size_t>(std::popcount(blocks));
+      }
+    }
+    for (std::uint32_t tile = 0; tile < frame.tile_count(); ++tile) EXPECT_EQ(counters.data()[tile], counted[tile]);
     EXPECT_LE(static_cast<double>(listed), 1.3 * static_cast<double>(needed));
   }
 }
