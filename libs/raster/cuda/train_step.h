@@ -44,10 +44,10 @@ struct TrainView {
 ///
 /// The arrays of a step grow with its pictures (64 bytes a pixel, 24 more with albedo, 12 with depth), with its lists
 /// (24 bytes a pair of a Gaussian and a tile, 16 more with albedo or depth) and with views times Gaussians (89 bytes).
-/// add_group(), step() and forward() throw StepTooLarge when a step would take more than kMostPixels or more memory than
-/// the device has free, kMemoryLeftFree aside. Nothing is allocated then and nothing lost: the model, Adam's moments and
-/// all groups stay as they are, steps under way come to their end, and what fits trains on, the same group with other
-/// views too.
+/// add_group(), step() and forward() throw StepTooLarge when a step would take more than kMostPixels or more memory
+/// than the device has free, kMemoryLeftFree aside. Nothing is allocated then and nothing lost: the model, Adam's
+/// moments and all groups stay as they are, steps under way come to their end, and what fits trains on, the same group
+/// with other views too.
 ///
 /// One thread at a time. Throws std::runtime_error naming the CUDA error.
 class TrainStep {
