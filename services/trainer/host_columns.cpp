@@ -46,8 +46,8 @@ bool finite_column(const ModelPlanes& planes, std::size_t column) {
 
 void HostColumns::append(const ModelPlanes& planes, const InsertBatch& batch, std::size_t first, std::size_t count,
                          std::uint64_t first_id) {
+  assert(batch.memory() == bus::MemoryKind::Host);
   const InsertRows rows = batch.rows();
-  assert(rows.memory == bus::MemoryKind::Host);
   const std::size_t stride = planes.capacity;
   const auto fill = [&](float* to, int channel, const float* from, std::size_t channels) {
     for (std::size_t c = 0; c < channels; ++c) {

@@ -60,8 +60,7 @@ void clamp(std::vector<float>& planes, float low, float high) {
 
 InsertRows InsertBatch::rows() const {
   if (device_memory) return device_rows;
-  return {.memory = bus::MemoryKind::Host,
-          .stride = count,
+  return {.stride = count,
           .mean = mean.data(),
           .log_scale = log_scale.data(),
           .rotation = rotation.data(),
@@ -74,25 +73,20 @@ InsertRows InsertBatch::rows() const {
 }
 
 std::size_t insert_rows_bytes(std::size_t stride) {
-  constexpr std::size_t kFloats = 3 + 3 + 4 + 1 + 3 + 3 + 1;
-  return stride * (sizeof(std::uint64_t) + sizeof(std::uint32_t) + kFloats * sizeof(float));
+  std::size_t bytes = 0;
+  InsertRows rows;
+  for_each_plane(rows, [&](const char* /*name*/, const auto* planes, std::size_t channels) {
+    bytes += channels * stride * sizeof(*planes);
+  });
+  return bytes;
 }
 
-InsertRows insert_rows_at(const std::byte* memory, bus::MemoryKind kind, std::size_t stride) {
-  InsertRows rows{.memory = kind, .stride = stride};
-  const auto next = [&]<class T>(const T*& plane, std::size_t channels) {
-    plane = reinterpret_cast<const T*>(memory);
+InsertRows insert_rows_at(const std::byte* memory, std::size_t stride) {
+  InsertRows rows{.stride = stride};
+  for_each_plane(rows, [&]<class T>(const char* /*name*/, const T*& planes, std::size_t channels) {
+    planes = reinterpret_cast<const T*>(memory);
     memory += channels * stride * sizeof(T);
-  };
-  next(rows.cell, 1);
-  next(rows.object_id, 1);
-  next(rows.mean, 3);
-  next(rows.log_scale, 3);
-  next(rows.rotation, 4);
-  next(rows.opacity_logit, 1);
-  next(rows.albedo, 3);
-  next(rows.normal, 3);
-  next(rows.visibility, 1);
+  });
   return rows;
 }
 
@@ -104,15 +98,9 @@ void keep_valid_rows(InsertBatch& batch) {
     if (valid_row(batch, row)) keep.push_back(row);
   }
   if (keep.size() < announced) {
-    gather(batch.mean, 3, announced, keep);
-    gather(batch.log_scale, 3, announced, keep);
-    gather(batch.rotation, 4, announced, keep);
-    gather(batch.opacity_logit, 1, announced, keep);
-    gather(batch.albedo, 3, announced, keep);
-    gather(batch.normal, 3, announced, keep);
-    gather(batch.visibility, 1, announced, keep);
-    gather(batch.object_id, 1, announced, keep);
-    gather(batch.cell, 1, announced, keep);
+    for_each_plane(batch, [&](const char* /*name*/, auto& planes, std::size_t channels) {
+      gather(planes, channels, announced, keep);
+    });
   }
   batch.count = keep.size();
   batch.dropped = announced - keep.size();

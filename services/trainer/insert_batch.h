@@ -7,27 +7,13 @@
 
 #include "bus/slab.h"
 #include "gaussians/light.h"
+#include "trainer/insert_rows.h"
 
 namespace splatbus::trainer {
 
-/// Where the rows of a batch lie: planes [channels][stride].
-struct InsertRows {
-  bus::MemoryKind memory = bus::MemoryKind::Host;
-  std::size_t stride = 0;
-  const float* mean = nullptr;
-  const float* log_scale = nullptr;
-  const float* rotation = nullptr;
-  const float* opacity_logit = nullptr;
-  const float* albedo = nullptr;
-  const float* normal = nullptr;
-  const float* visibility = nullptr;
-  const std::uint32_t* object_id = nullptr;
-  const std::uint64_t* cell = nullptr;
-};
-
 /// Bytes of rows that lie in one piece, and where their planes are in it.
 [[nodiscard]] std::size_t insert_rows_bytes(std::size_t stride);
-[[nodiscard]] InsertRows insert_rows_at(const std::byte* memory, bus::MemoryKind kind, std::size_t stride);
+[[nodiscard]] InsertRows insert_rows_at(const std::byte* memory, std::size_t stride);
 
 /// New Gaussians in memory of our own, checked: everything finite, rotations and normals unit, albedo and visibility in
 /// [0, 1]. Frames as in wire::ModelInsert.
@@ -49,6 +35,8 @@ struct InsertBatch {
   Light light;
 
   [[nodiscard]] InsertRows rows() const;
+  /// Where they lie.
+  [[nodiscard]] bus::MemoryKind memory() const { return device_memory ? bus::MemoryKind::Cuda : bus::MemoryKind::Host; }
 };
 
 /// Keeps the rows in host memory that can be Gaussians, normalised and clamped; counts the others in `dropped`.

@@ -1,7 +1,7 @@
 #include "trainer/insert_reader.h"
 
-#include <array>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 #include "bus/error.h"
@@ -17,21 +17,6 @@ namespace splatbus::trainer {
 
 namespace {
 
-struct Plane {
-  const char* name;
-  bus::ElementType type;
-  std::uint32_t channels;  // 0: [rows]
-};
-constexpr std::array<Plane, 9> kPlanes = {{{"cell", bus::ElementType::U64, 0},
-                                           {"object_id", bus::ElementType::U32, 0},
-                                           {"mean", bus::ElementType::F32, 3},
-                                           {"log_scale", bus::ElementType::F32, 3},
-                                           {"rotation", bus::ElementType::F32, 4},
-                                           {"opacity_logit", bus::ElementType::F32, 1},
-                                           {"albedo", bus::ElementType::F32, 3},
-                                           {"normal", bus::ElementType::F32, 3},
-                                           {"visibility", bus::ElementType::F32, 1}}};
-
 class HostInsertReader final : public InsertReader {
  public:
   explicit HostInsertReader(std::atomic<std::uint64_t>& host_bytes) : host_bytes_(host_bytes) {}
@@ -43,14 +28,12 @@ class HostInsertReader final : public InsertReader {
     reading.lost = !tensors;
     if (!tensors || tensors->rows == 0) return reading;
     std::size_t next = 0;
-    const auto copy = [&](auto& to) {
+    for_each_plane(batch, [&](const char* /*name*/, auto& to, std::size_t /*channels*/) {
+      if (reading.lost) return;
       const bus::TensorView& tensor = tensors->planes[next++];
       to.resize(tensor.elements());
-      return bus::copy_tensor(tensor, to.data(), bus::MemoryKind::Host, host_bytes_);
-    };
-    reading.lost = !(copy(batch.cell) && copy(batch.object_id) && copy(batch.mean) && copy(batch.log_scale) &&
-                     copy(batch.rotation) && copy(batch.opacity_logit) && copy(batch.albedo) && copy(batch.normal) &&
-                     copy(batch.visibility));
+      reading.lost = !bus::copy_tensor(tensor, to.data(), bus::MemoryKind::Host, host_bytes_);
+    });
     if (reading.lost) return reading;
     batch.count = tensors->rows;
     keep_valid_rows(batch);
@@ -78,17 +61,21 @@ std::optional<InsertTensors> find_insert_tensors(const bus::Message& message, In
     throw bus::Error(message.topic() + ": " + std::to_string(tensors.rows) + " Gaussians in one batch, more than " +
                      std::to_string(kMaxInsertRows));
   }
-  for (const Plane& plane : kPlanes) {
+  bool lost = false;
+  const InsertRows described;
+  for_each_plane(described, [&]<class T>(const char* name, const T* /*planes*/, std::uint32_t channels) {
+    if (lost) return;
     std::vector<std::uint32_t> shape{tensors.rows};
-    if (plane.channels != 0) shape.insert(shape.begin(), plane.channels);
-    auto tensor = message.tensor(plane.name, plane.type, shape);
-    if (!tensor && !message.announces(plane.name)) {
-      throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"" + plane.name +
+    if (std::is_floating_point_v<T>) shape.insert(shape.begin(), channels);
+    auto tensor = message.tensor(name, bus::ElementTypeOf<T>::value, shape);
+    if (!tensor && !message.announces(name)) {
+      throw bus::Error(message.topic() + " from " + message.header().source()->str() + ": tensor \"" + name +
                        "\" is missing");
     }
-    if (!tensor) return std::nullopt;
-    tensors.planes.push_back(std::move(*tensor));
-  }
+    lost = !tensor;
+    if (tensor) tensors.planes.push_back(std::move(*tensor));
+  });
+  if (lost) return std::nullopt;
   if (tensors.rows == 0) return std::nullopt;
   return tensors;
 }

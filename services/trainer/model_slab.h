@@ -7,6 +7,7 @@
 
 #include "bus/slab.h"
 #include "gaussians/model.h"
+#include "trainer/model_planes.h"
 
 namespace splatbus::trainer {
 
@@ -63,30 +64,6 @@ struct SlabLayout {
 };
 
 [[nodiscard]] std::size_t rounded_capacity(std::size_t capacity);
-
-/// The planes of a slot, writable: addresses in the slab's memory.
-struct ModelPlanes {
-  ParameterLayout layout;
-  std::size_t capacity = 0;
-  float* parameters = nullptr;
-  float* average = nullptr;
-  float* normal = nullptr;
-  float* surface_point = nullptr;
-  float* visibility = nullptr;
-  std::uint32_t* object_id = nullptr;
-  std::uint32_t* flags = nullptr;
-  std::uint64_t* cell = nullptr;
-  std::uint64_t* gaussian_id = nullptr;
-
-  ModelPlanes() = default;
-  ModelPlanes(const ParameterLayout& layout, std::size_t capacity, std::byte* slot);
-
-  [[nodiscard]] GaussiansView view(std::size_t count) const;
-
-  /// Copies column `from` over column `to`, its id last: until then the column under `to` is invisible, so that a copy
-  /// cut short leaves nothing that shows. Host memory.
-  void move_column(std::size_t from, std::size_t to) const;
-};
 
 /// Copies the first `count` columns between planes of one layout in any two kinds of memory, and waits for it.
 void copy_columns(const ModelPlanes& to, bus::MemoryKind to_memory, const ModelPlanes& from,

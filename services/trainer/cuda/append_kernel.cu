@@ -1,4 +1,6 @@
 #include "device/check.h"
+#include "device/sorted.cuh"
+#include "device/srgb.cuh"
 #include "trainer/cuda/column_kernels.h"
 
 namespace splatbus::trainer::cuda {
@@ -28,11 +30,6 @@ __device__ float ambient_reflected(const float (&sh)[27], int color, float3 n) {
   return sum;
 }
 
-__device__ float srgb_from_linear(float linear) {
-  const float x = fminf(fmaxf(linear, 0.0F), 1.0F);
-  return x <= 0.0031308F ? 12.92F * x : 1.055F * powf(x, 1 / 2.4F) - 0.055F;
-}
-
 __device__ float3 turned(float3 v, const ObjectRotation& q) {
   // v + 2 w (u x v) + 2 u x (u x v), u the quaternion's vector part.
   const float3 uv = make_float3(q.y * v.z - q.z * v.y, q.z * v.x - q.x * v.z, q.x * v.y - q.y * v.x);
@@ -40,26 +37,17 @@ __device__ float3 turned(float3 v, const ObjectRotation& q) {
   return make_float3(v.x + 2 * (q.w * uv.x + uuv.x), v.y + 2 * (q.w * uv.y + uuv.y), v.z + 2 * (q.w * uv.z + uuv.z));
 }
 
-__device__ float3 world_normal(const DeviceRows& rows, std::uint32_t row, const ObjectRotation* objects,
+__device__ float3 world_normal(const InsertRows& rows, std::uint32_t row, const ObjectRotation* objects,
                                std::uint32_t object_count) {
   const float3 normal =
       make_float3(rows.normal[row], rows.normal[rows.stride + row], rows.normal[2 * rows.stride + row]);
-  const std::uint32_t id = rows.object_id[row];
-  std::uint32_t low = 0, high = object_count;
-  while (low < high) {
-    const std::uint32_t middle = low + (high - low) / 2;
-    if (objects[middle].id < id) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  return low < object_count && objects[low].id == id ? turned(normal, objects[low]) : normal;
+  const int found = device::find_sorted(objects, object_count, rows.object_id[row],
+                                        [](const ObjectRotation& object) { return object.id; });
+  return found < 0 ? normal : turned(normal, objects[found]);
 }
 
-__global__ void append(DevicePlanes p, DeviceRows rows, std::uint32_t first, std::uint32_t count,
-                       std::uint64_t first_id, InsertLight light, const ObjectRotation* objects,
-                       std::uint32_t object_count) {
+__global__ void append(ModelPlanes p, InsertRows rows, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
+                       InsertLight light, const ObjectRotation* objects, std::uint32_t object_count) {
   const std::uint32_t row = blockIdx.x * kThreads + threadIdx.x;
   if (row >= count) return;
   const std::int64_t i = std::int64_t{first} + row;
@@ -85,7 +73,7 @@ __global__ void append(DevicePlanes p, DeviceRows rows, std::uint32_t first, std
       const float direct = light.sun_irradiance[c] * (visibility * cosine / kPi);
       const float lit =
           rows.albedo[c * rows.stride + row] * (fmaxf(ambient_reflected(light.ambient_sh, c, n), 0.0F) + direct);
-      set(ParameterLayout::kAppearance + c, (srgb_from_linear(lit) - 0.5F) / kShC0);
+      set(ParameterLayout::kAppearance + c, (device::srgb_from_linear(lit) - 0.5F) / kShC0);
     }
   }
   for (int c = ParameterLayout::kAppearance + 3; c < p.layout.channels(); ++c) set(c, 0.0F);
@@ -102,7 +90,7 @@ __global__ void append(DevicePlanes p, DeviceRows rows, std::uint32_t first, std
 
 }  // namespace
 
-void launch_append(const DevicePlanes& planes, const DeviceRows& rows, std::uint32_t first, std::uint32_t count,
+void launch_append(const ModelPlanes& planes, const InsertRows& rows, std::uint32_t first, std::uint32_t count,
                    std::uint64_t first_id, const InsertLight& light, const ObjectRotation* objects,
                    std::uint32_t object_count, cudaStream_t stream) {
   if (count == 0) return;

@@ -1,6 +1,8 @@
 #include <cub/device/device_radix_sort.cuh>
 #include <cub/device/device_run_length_encode.cuh>
 
+#include "device/sorted.cuh"
+#include "device/srgb.cuh"
 #include "gaussians/layout.h"
 #include "trainer/cuda/cell_kernels.h"
 
@@ -11,17 +13,13 @@ using device::check;
 
 constexpr int kThreads = 256;
 
-__device__ float srgb_from_linear(float v) {
-  return v <= 0.0031308F ? 12.92F * v : 1.055F * powf(v, 1.0F / 2.4F) - 0.055F;
-}
-
 __device__ float pixel_error(const ObservedView& o, std::size_t pixel) {
   const auto pixels = static_cast<std::size_t>(o.workspace.width) * static_cast<std::size_t>(o.workspace.height);
   const float* color = o.workspace.color + 3 * pixels * static_cast<std::size_t>(o.view) + pixel;
   float error = 0.0F;
   for (std::size_t c = 0; c < 3; ++c) {
     const float value = fminf(fmaxf(color[c * pixels], 0.0F), 1.0F);
-    const float shown = o.display_space ? value : srgb_from_linear(value);
+    const float shown = o.display_space ? value : device::srgb_from_linear(value);
     error += fabsf(shown - static_cast<float>(o.target[4 * pixel + c]) / 255.0F);
   }
   return error / 3.0F;
@@ -40,25 +38,16 @@ __global__ void cell_samples_kernel(Columns c, const std::uint64_t* cell, Observ
                             static_cast<std::size_t>(shape.x);
   float moved2 = 0.0F, largest = -INFINITY;
   for (int k = 0; k < 3; ++k) {
-    const std::int64_t at = (ParameterLayout::kMean + k) * c.stride + i;
-    const float moved = c.parameters[at] - c.average[at];
+    const std::int64_t channel = (ParameterLayout::kMean + k) * c.stride + i;
+    const float moved = c.parameters[channel] - c.average[channel];
     moved2 += moved * moved;
     largest = fmaxf(largest, c.parameters[(ParameterLayout::kLogScale + k) * c.stride + i]);
   }
-  const std::uint64_t id = cell[i];
-  std::uint32_t low = 0, high = *list.count;
-  while (low < high) {
-    const std::uint32_t middle = (low + high) / 2;
-    if (list.id[middle] < id) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  if (low >= *list.count) return;
-  atomicAdd(&sums[low].loss, pixel_error(o, pixel));
-  atomicAdd(&sums[low].movement, sqrtf(moved2) / fmaxf(expf(largest), 1e-6F));
-  atomicAdd(&sums[low].samples, 1U);
+  const int at = device::find_sorted(list.id, *list.count, cell[i]);
+  if (at < 0) return;
+  atomicAdd(&sums[at].loss, pixel_error(o, pixel));
+  atomicAdd(&sums[at].movement, sqrtf(moved2) / fmaxf(expf(largest), 1e-6F));
+  atomicAdd(&sums[at].samples, 1U);
 }
 
 }  // namespace

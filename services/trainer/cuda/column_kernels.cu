@@ -3,6 +3,7 @@
 #include <cub/device/device_select.cuh>
 
 #include "device/check.h"
+#include "device/sorted.cuh"
 #include "trainer/cuda/column_kernels.h"
 
 namespace splatbus::trainer::cuda {
@@ -21,7 +22,7 @@ __device__ std::uint32_t thread_index() {
 }
 
 /// Copies a column's value in plane number `plane`, but for logit and id, which come by themselves.
-__device__ void copy_one(const DevicePlanes& p, int plane, std::uint32_t from, std::uint32_t to) {
+__device__ void copy_one(const ModelPlanes& p, int plane, std::uint32_t from, std::uint32_t to) {
   const int channels = p.layout.channels();
   const auto copy = [&](auto* planes, int channel) {
     planes[channel * p.capacity + to] = planes[channel * p.capacity + from];
@@ -41,28 +42,28 @@ __device__ void copy_one(const DevicePlanes& p, int plane, std::uint32_t from, s
   copy(p.cell, 0);
 }
 
-__global__ void hide_columns(DevicePlanes p, const std::uint32_t* to, std::uint32_t count, float invisible_logit) {
+__global__ void hide_columns(ModelPlanes p, const std::uint32_t* to, std::uint32_t count, float invisible_logit) {
   const std::uint32_t k = thread_index();
   if (k < count) p.parameters[ParameterLayout::kOpacityLogit * p.capacity + to[k]] = invisible_logit;
 }
 
-__global__ void copy_planes(DevicePlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
+__global__ void copy_planes(ModelPlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
   const std::uint32_t k = thread_index();
   if (k < count) copy_one(p, static_cast<int>(blockIdx.y), from[k], to[k]);
 }
 
-__global__ void copy_ids(DevicePlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
+__global__ void copy_ids(ModelPlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
   const std::uint32_t k = thread_index();
   if (k < count) p.gaussian_id[to[k]] = p.gaussian_id[from[k]];
 }
 
-__global__ void show_columns(DevicePlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
+__global__ void show_columns(ModelPlanes p, const std::uint32_t* from, const std::uint32_t* to, std::uint32_t count) {
   const std::uint32_t k = thread_index();
   float* const logits = p.parameters + ParameterLayout::kOpacityLogit * p.capacity;
   if (k < count) logits[to[k]] = logits[from[k]];
 }
 
-__global__ void number_columns(DevicePlanes p, std::uint32_t first, std::uint32_t count, std::uint64_t first_id) {
+__global__ void number_columns(ModelPlanes p, std::uint32_t first, std::uint32_t count, std::uint64_t first_id) {
   const std::uint32_t k = thread_index();
   if (k < count) p.gaussian_id[first + k] = first_id + k;
 }
@@ -78,28 +79,16 @@ __global__ void count_marks(const std::uint8_t* marks, std::uint32_t count, std:
   count_in(counter, i < count && marks[i] != 0);
 }
 
-__global__ void count_frozen(DevicePlanes p, std::uint32_t count, std::uint32_t* counter) {
+__global__ void count_frozen(ModelPlanes p, std::uint32_t count, std::uint32_t* counter) {
   const std::uint32_t i = thread_index();
   count_in(counter, i < count && (p.flags[i] & kFrozen) != 0);
 }
 
-__device__ bool contains(const std::uint64_t* cells, std::uint32_t count, std::uint64_t cell) {
-  std::uint32_t low = 0, high = count;
-  while (low < high) {
-    const std::uint32_t middle = low + (high - low) / 2;
-    if (cells[middle] < cell) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  return low < count && cells[low] == cell;
-}
-
-__global__ void set_frozen(DevicePlanes p, std::uint32_t count, const std::uint64_t* cells, std::uint32_t cell_count,
+__global__ void set_frozen(ModelPlanes p, std::uint32_t count, const std::uint64_t* cells, std::uint32_t cell_count,
                            bool frozen, std::uint32_t* counter) {
   const std::uint32_t i = thread_index();
-  const bool changes = i < count && ((p.flags[i] & kFrozen) != 0) != frozen && contains(cells, cell_count, p.cell[i]);
+  const bool changes =
+      i < count && ((p.flags[i] & kFrozen) != 0) != frozen && device::find_sorted(cells, cell_count, p.cell[i]) >= 0;
   if (changes) {
     p.flags[i] ^= kFrozen;
     for (int c = 0; frozen && c < p.layout.channels(); ++c) {
@@ -109,12 +98,12 @@ __global__ void set_frozen(DevicePlanes p, std::uint32_t count, const std::uint6
   count_in(counter, changes);
 }
 
-__global__ void set_visibility(DevicePlanes p, const float* values, std::uint32_t count) {
+__global__ void set_visibility(ModelPlanes p, const float* values, std::uint32_t count) {
   const std::uint32_t i = thread_index();
   if (i < count) p.visibility[i] = values[i] >= 0 ? fminf(values[i], 1.0F) : 0.0F;  // 0 for what is not a number
 }
 
-__global__ void find_broken(DevicePlanes p, std::uint32_t count, float invisible_logit, std::uint8_t* broken) {
+__global__ void find_broken(ModelPlanes p, std::uint32_t count, float invisible_logit, std::uint8_t* broken) {
   const std::uint32_t i = thread_index();
   if (i >= count) return;
   bool finite = true;
@@ -142,7 +131,7 @@ void launched(const char* what) {
 
 }  // namespace
 
-void launch_copy_columns(const DevicePlanes& planes, const std::uint32_t* from, const std::uint32_t* to,
+void launch_copy_columns(const ModelPlanes& planes, const std::uint32_t* from, const std::uint32_t* to,
                          std::uint32_t count, float invisible_logit, cudaStream_t stream) {
   if (count == 0) return;
   const unsigned blocks = blocks_for(count);
@@ -154,7 +143,7 @@ void launch_copy_columns(const DevicePlanes& planes, const std::uint32_t* from, 
   launched("moving columns");
 }
 
-void launch_number_columns(const DevicePlanes& planes, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
+void launch_number_columns(const ModelPlanes& planes, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
                            cudaStream_t stream) {
   if (count == 0) return;
   number_columns<<<blocks_for(count), kThreads, 0, stream>>>(planes, first, count, first_id);
@@ -167,7 +156,7 @@ void launch_count_marks(const std::uint8_t* marks, std::uint32_t count, std::uin
   launched("counting marks");
 }
 
-void launch_count_frozen(const DevicePlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream) {
+void launch_count_frozen(const ModelPlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream) {
   if (count == 0) return;
   count_frozen<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, counter);
   launched("counting frozen columns");
@@ -191,20 +180,20 @@ void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begi
       "listing columns");
 }
 
-void launch_set_frozen(const DevicePlanes& planes, std::uint32_t count, const std::uint64_t* cells,
+void launch_set_frozen(const ModelPlanes& planes, std::uint32_t count, const std::uint64_t* cells,
                        std::uint32_t cell_count, bool frozen, std::uint32_t* counter, cudaStream_t stream) {
   if (count == 0) return;
   set_frozen<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, cells, cell_count, frozen, counter);
   launched("freezing columns");
 }
 
-void launch_set_visibility(const DevicePlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream) {
+void launch_set_visibility(const ModelPlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream) {
   if (count == 0) return;
   set_visibility<<<blocks_for(count), kThreads, 0, stream>>>(planes, values, count);
   launched("setting visibility");
 }
 
-void launch_find_broken(const DevicePlanes& planes, std::uint32_t count, float invisible_logit, std::uint8_t* broken,
+void launch_find_broken(const ModelPlanes& planes, std::uint32_t count, float invisible_logit, std::uint8_t* broken,
                         cudaStream_t stream) {
   if (count == 0) return;
   find_broken<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, invisible_logit, broken);

@@ -5,27 +5,12 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "gaussians/layout.h"
-#include "trainer/cuda/insert_kernels.h"
+#include "trainer/insert_rows.h"
+#include "trainer/model_planes.h"
 
 // What a ModelStore does to columns, on the device. Device pointers; launches on `stream`, nothing waits. Counts are
 // added to what `counter` holds.
 namespace splatbus::trainer::cuda {
-
-/// ModelPlanes in device memory.
-struct DevicePlanes {
-  ParameterLayout layout;
-  std::int64_t capacity = 0;
-  float* parameters = nullptr;
-  float* average = nullptr;
-  float* normal = nullptr;
-  float* surface_point = nullptr;
-  float* visibility = nullptr;
-  std::uint32_t* object_id = nullptr;
-  std::uint32_t* flags = nullptr;
-  std::uint64_t* cell = nullptr;
-  std::uint64_t* gaussian_id = nullptr;
-};
 
 /// Light of an insert, world frame, and how its objects are turned: world from object, ascending ids.
 struct InsertLight {
@@ -39,18 +24,18 @@ struct ObjectRotation {
 };
 
 /// HostColumns::append; light and objects are for Radiance.
-void launch_append(const DevicePlanes& planes, const DeviceRows& rows, std::uint32_t first, std::uint32_t count,
+void launch_append(const ModelPlanes& planes, const InsertRows& rows, std::uint32_t first, std::uint32_t count,
                    std::uint64_t first_id, const InsertLight& light, const ObjectRotation* objects,
                    std::uint32_t object_count, cudaStream_t stream);
 
 /// ModelPlanes::move_column of every pair: invisible until whole, ids last, one launch after the other.
-void launch_copy_columns(const DevicePlanes& planes, const std::uint32_t* from, const std::uint32_t* to,
+void launch_copy_columns(const ModelPlanes& planes, const std::uint32_t* from, const std::uint32_t* to,
                          std::uint32_t count, float invisible_logit, cudaStream_t stream);
-void launch_number_columns(const DevicePlanes& planes, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
+void launch_number_columns(const ModelPlanes& planes, std::uint32_t first, std::uint32_t count, std::uint64_t first_id,
                            cudaStream_t stream);
 
 void launch_count_marks(const std::uint8_t* marks, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
-void launch_count_frozen(const DevicePlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
+void launch_count_frozen(const ModelPlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
 
 /// Lists the columns from `begin` to `end` whose mark is set, or is not set, ascending; *listed becomes their number.
 void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begin, std::uint32_t end,
@@ -59,13 +44,13 @@ void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begi
 [[nodiscard]] std::size_t list_columns_scratch_bytes(std::uint32_t count);
 
 /// `cells` ascending.
-void launch_set_frozen(const DevicePlanes& planes, std::uint32_t count, const std::uint64_t* cells,
+void launch_set_frozen(const ModelPlanes& planes, std::uint32_t count, const std::uint64_t* cells,
                        std::uint32_t cell_count, bool frozen, std::uint32_t* counter, cudaStream_t stream);
 
-void launch_set_visibility(const DevicePlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream);
+void launch_set_visibility(const ModelPlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream);
 
 /// broken[i] becomes 1 where a column is not finite, or its logit is below `invisible_logit`, 0 elsewhere.
-void launch_find_broken(const DevicePlanes& planes, std::uint32_t count, float invisible_logit, std::uint8_t* broken,
+void launch_find_broken(const ModelPlanes& planes, std::uint32_t count, float invisible_logit, std::uint8_t* broken,
                         cudaStream_t stream);
 
 }  // namespace splatbus::trainer::cuda

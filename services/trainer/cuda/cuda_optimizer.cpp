@@ -137,12 +137,17 @@ class CudaOptimizer final : public Optimizer {
     if (observer_.due()) {
       const raster::cuda::WorkspaceView& w = train_.workspace();
       observed_ = last;
-      observer_.observe(gaussians(), columns(), store_.planes().cell,
-                        {.workspace = w,
-                         .view = w.batch - 1,
-                         .target = last->color.data(),
-                         .display_space = options_.layout.appearance == Appearance::Radiance},
-                        train_.stream());
+      try {
+        observer_.observe(gaussians(), columns(), store_.planes().cell,
+                          {.workspace = w,
+                           .view = w.batch - 1,
+                           .target = last->color.data(),
+                           .display_space = options_.layout.appearance == Appearance::Radiance},
+                          train_.stream());
+      } catch (...) {
+        cudaStreamSynchronize(train_.stream());  // a piece of it may be on its way, and reads the picture
+        throw;
+      }
     }
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {
       pruning_.search(columns(), options_.prune, step);

@@ -15,7 +15,7 @@ unsigned blocks_for(std::uint32_t count) {
   return (count + kThreads - 1) / kThreads;
 }
 
-__global__ void choose_dense(DevicePlanes p, raster::cuda::ScreenStatistics statistics, std::uint32_t count,
+__global__ void choose_dense(ModelPlanes p, raster::cuda::ScreenStatistics statistics, std::uint32_t count,
                              float threshold, std::uint8_t* chosen) {
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= count) return;
@@ -35,7 +35,7 @@ __device__ float3 rotated(float4 q, float3 v) {  // w x y z
 }
 
 /// Moves a Gaussian to a place drawn from it, and makes it smaller.
-__device__ void scatter(const DevicePlanes& p, std::uint32_t column, thrust::minstd_rand& random) {
+__device__ void scatter(const ModelPlanes& p, std::uint32_t column, thrust::minstd_rand& random) {
   thrust::normal_distribution<float> normal;
 
   float* const at = p.parameters + column;
@@ -55,7 +55,7 @@ __device__ void scatter(const DevicePlanes& p, std::uint32_t column, thrust::min
   at[2 * p.capacity] += offset.z;
 }
 
-__global__ void split(DevicePlanes p, const std::uint32_t* columns, std::uint32_t first, std::uint32_t count,
+__global__ void split(ModelPlanes p, const std::uint32_t* columns, std::uint32_t first, std::uint32_t count,
                       SplitOptions options) {
   const std::uint32_t k = blockIdx.x * kThreads + threadIdx.x;
   if (k >= count) return;
@@ -70,14 +70,14 @@ __global__ void split(DevicePlanes p, const std::uint32_t* columns, std::uint32_
 
 }  // namespace
 
-void launch_choose_dense(const DevicePlanes& planes, const raster::cuda::ScreenStatistics& statistics,
+void launch_choose_dense(const ModelPlanes& planes, const raster::cuda::ScreenStatistics& statistics,
                          std::uint32_t count, float threshold, std::uint8_t* chosen, cudaStream_t stream) {
   if (count == 0) return;
   choose_dense<<<blocks_for(count), kThreads, 0, stream>>>(planes, statistics, count, threshold, chosen);
   device::check(cudaGetLastError(), "choosing Gaussians to clone");
 }
 
-void launch_split(const DevicePlanes& planes, const std::uint32_t* columns, std::uint32_t first, std::uint32_t count,
+void launch_split(const ModelPlanes& planes, const std::uint32_t* columns, std::uint32_t first, std::uint32_t count,
                   const SplitOptions& options, cudaStream_t stream) {
   if (count == 0) return;
   split<<<blocks_for(count), kThreads, 0, stream>>>(planes, columns, first, count, options);

@@ -13,7 +13,7 @@ namespace splatbus::trainer::cuda {
 
 /// chosen[i], of [count], becomes 1 where the mean gradient of the projected mean is at least `threshold` and the
 /// Gaussian is not frozen, 0 elsewhere.
-void launch_choose_dense(const DevicePlanes& planes, const raster::cuda::ScreenStatistics& statistics,
+void launch_choose_dense(const ModelPlanes& planes, const raster::cuda::ScreenStatistics& statistics,
                          std::uint32_t count, float threshold, std::uint8_t* chosen, cudaStream_t stream);
 
 struct SplitOptions {
@@ -22,7 +22,7 @@ struct SplitOptions {
 };
 /// Column first + k is a copy of columns[k], k < count. Where their scale asks for a split, both are drawn from what
 /// they were, and become kSplitFactor times smaller.
-void launch_split(const DevicePlanes& planes, const std::uint32_t* columns, std::uint32_t first, std::uint32_t count,
+void launch_split(const ModelPlanes& planes, const std::uint32_t* columns, std::uint32_t first, std::uint32_t count,
                   const SplitOptions& options, cudaStream_t stream);
 
 }  // namespace splatbus::trainer::cuda

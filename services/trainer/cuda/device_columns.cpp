@@ -5,23 +5,8 @@
 #include <vector>
 
 #include "bus/memory.h"
-#include "trainer/cuda/device_rows.h"
 
 namespace splatbus::trainer::cuda {
-
-DevicePlanes device_planes(const ModelPlanes& planes) {
-  return {.layout = planes.layout,
-          .capacity = static_cast<std::int64_t>(planes.capacity),
-          .parameters = planes.parameters,
-          .average = planes.average,
-          .normal = planes.normal,
-          .surface_point = planes.surface_point,
-          .visibility = planes.visibility,
-          .object_id = planes.object_id,
-          .flags = planes.flags,
-          .cell = planes.cell,
-          .gaussian_id = planes.gaussian_id};
-}
 
 namespace {
 
@@ -67,34 +52,25 @@ std::uint32_t DeviceColumns::counted(Launch&& launch) {
 InsertRows DeviceColumns::upload(const InsertRows& rows, std::size_t count) {
   rows_.resize(insert_rows_bytes(count));
   std::byte* next = rows_.data();
-  const auto copy = [&](const auto* planes, std::size_t channels) {
+  for_each_plane(rows, [&](const char* /*name*/, const auto* planes, std::size_t channels) {
     const std::size_t row_bytes = count * sizeof(*planes);
     device::check(cudaMemcpy2DAsync(next, row_bytes, planes, rows.stride * sizeof(*planes), row_bytes, channels,
                                     cudaMemcpyHostToDevice, stream_.get()),
                   "copying inserted rows to the device");
     next += channels * row_bytes;
-  };
-  copy(rows.cell, 1);
-  copy(rows.object_id, 1);
-  copy(rows.mean, 3);
-  copy(rows.log_scale, 3);
-  copy(rows.rotation, 4);
-  copy(rows.opacity_logit, 1);
-  copy(rows.albedo, 3);
-  copy(rows.normal, 3);
-  copy(rows.visibility, 1);
-  return insert_rows_at(rows_.data(), bus::MemoryKind::Cuda, count);
+  });
+  return insert_rows_at(rows_.data(), count);
 }
 
 void DeviceColumns::append(const ModelPlanes& planes, const InsertBatch& batch, std::size_t first, std::size_t count,
                            std::uint64_t first_id) {
   if (count == 0) return;
   InsertRows rows = batch.rows();
-  if (rows.memory == bus::MemoryKind::Host) rows = upload(rows, count);
+  if (batch.memory() == bus::MemoryKind::Host) rows = upload(rows, count);
   const std::vector<ObjectRotation> objects = object_rotations(batch.objects);
   objects_.upload(objects.data(), objects.size(), stream_.get());
-  launch_append(device_planes(planes), device_rows(rows), u32(first), u32(count), first_id, insert_light(batch.light),
-                objects_.data(), u32(objects.size()), stream_.get());
+  launch_append(planes, rows, u32(first), u32(count), first_id, insert_light(batch.light), objects_.data(),
+                u32(objects.size()), stream_.get());
   stream_.wait();
 }
 
@@ -105,9 +81,8 @@ void DeviceColumns::duplicate(const ModelPlanes& planes, std::span<const std::ui
   for (std::size_t i = 0; i < to.size(); ++i) to[i] = u32(first + i);
   from_.upload(columns.data(), columns.size(), stream_.get());
   to_.upload(to.data(), to.size(), stream_.get());
-  const DevicePlanes device = device_planes(planes);
-  launch_copy_columns(device, from_.data(), to_.data(), u32(columns.size()), kInvisibleLogit, stream_.get());
-  launch_number_columns(device, u32(first), u32(columns.size()), first_id, stream_.get());
+  launch_copy_columns(planes, from_.data(), to_.data(), u32(columns.size()), kInvisibleLogit, stream_.get());
+  launch_number_columns(planes, u32(first), u32(columns.size()), first_id, stream_.get());
   stream_.wait();
 }
 
@@ -126,14 +101,13 @@ ColumnMoves DeviceColumns::remove(const ModelPlanes& planes, std::size_t count, 
                         stream_.get());
     launch_list_columns(dead, true, 0, new_count, to_.data(), counter, scratch_.data(), scratch_.size(), stream_.get());
   });
-  launch_copy_columns(device_planes(planes), from_.data(), to_.data(), moved, kInvisibleLogit, stream_.get());
+  launch_copy_columns(planes, from_.data(), to_.data(), moved, kInvisibleLogit, stream_.get());
   stream_.wait();
   return {.moved = moved, .from = from_.data(), .to = to_.data(), .new_count = new_count};
 }
 
 std::size_t DeviceColumns::count_frozen(const ModelPlanes& planes, std::size_t count) {
-  return counted(
-      [&](std::uint32_t* counter) { launch_count_frozen(device_planes(planes), u32(count), counter, stream_.get()); });
+  return counted([&](std::uint32_t* counter) { launch_count_frozen(planes, u32(count), counter, stream_.get()); });
 }
 
 std::size_t DeviceColumns::set_frozen(const ModelPlanes& planes, std::size_t count,
@@ -143,8 +117,7 @@ std::size_t DeviceColumns::set_frozen(const ModelPlanes& planes, std::size_t cou
   std::sort(sorted.begin(), sorted.end());
   cells_.upload(sorted.data(), sorted.size(), stream_.get());
   return counted([&](std::uint32_t* counter) {
-    launch_set_frozen(device_planes(planes), u32(count), cells_.data(), u32(sorted.size()), frozen, counter,
-                      stream_.get());
+    launch_set_frozen(planes, u32(count), cells_.data(), u32(sorted.size()), frozen, counter, stream_.get());
   });
 }
 
@@ -154,14 +127,14 @@ void DeviceColumns::set_visibility(const ModelPlanes& planes, const float* value
     values_.upload(values, count, stream_.get());
     values = values_.data();
   }
-  launch_set_visibility(device_planes(planes), values, u32(count), stream_.get());
+  launch_set_visibility(planes, values, u32(count), stream_.get());
   stream_.wait();
 }
 
 ModelColumns::Inspection DeviceColumns::inspect(const ModelPlanes& planes, std::size_t count) {
   Inspection found{.gaussian_id = std::vector<std::uint64_t>(count), .broken = std::vector<std::uint8_t>(count)};
   marks_.resize(std::max<std::size_t>(count, 1));
-  launch_find_broken(device_planes(planes), u32(count), kLeftInvisibleLogit, marks_.data(), stream_.get());
+  launch_find_broken(planes, u32(count), kLeftInvisibleLogit, marks_.data(), stream_.get());
   marks_.download(found.broken.data(), count, stream_.get());
   device::check(cudaMemcpyAsync(found.gaussian_id.data(), planes.gaussian_id, count * sizeof(std::uint64_t),
                                 cudaMemcpyDeviceToHost, stream_.get()),

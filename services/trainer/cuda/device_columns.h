@@ -8,8 +8,6 @@
 
 namespace splatbus::trainer::cuda {
 
-[[nodiscard]] DevicePlanes device_planes(const ModelPlanes& planes);
-
 /// ModelColumns of planes in device memory. Works on a stream of its own and waits for it before it returns. Throws
 /// std::runtime_error naming the CUDA error.
 class DeviceColumns final : public ModelColumns {

@@ -26,8 +26,7 @@ std::vector<std::uint32_t> DeviceDensifier::choose(const ModelStore& store,
   chosen_.resize(count);
   columns_.resize(count);
   scratch_.resize(cuda::list_columns_scratch_bytes(count));
-  cuda::launch_choose_dense(cuda::device_planes(store.planes()), statistics, count, gradient_threshold, chosen_.data(),
-                            stream_);
+  cuda::launch_choose_dense(store.planes(), statistics, count, gradient_threshold, chosen_.data(), stream_);
   cuda::launch_list_columns(chosen_.data(), true, 0, count, columns_.data(), listed_.data(), scratch_.data(),
                             scratch_.size(), stream_);
   listed_.download(host_listed_.data(), 1, stream_);
@@ -43,10 +42,9 @@ ModelStore::Columns DeviceDensifier::densify(ModelStore& store, const std::vecto
   const ModelStore::Columns added = store.duplicate(columns);
   columns_.upload(columns.data(), columns.size(), stream_);
   // The planes may have moved.
-  cuda::launch_split(cuda::device_planes(store.planes()), columns_.data(), static_cast<std::uint32_t>(added.first),
-                     static_cast<std::uint32_t>(added.count),
-                     {.max_clone_log_scale = std::log(options.clone_max_scale_m), .seed = seed_of(seed_, store.step())},
-                     stream_);
+  cuda::launch_split(
+      store.planes(), columns_.data(), static_cast<std::uint32_t>(added.first), static_cast<std::uint32_t>(added.count),
+      {.max_clone_log_scale = std::log(options.clone_max_scale_m), .seed = seed_of(seed_, store.step())}, stream_);
   check(cudaStreamSynchronize(stream_), "splitting Gaussians");
   return added;
 }

@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "bus/memory.h"
-#include "trainer/cuda/device_rows.h"
+#include "trainer/cuda/insert_kernels.h"
 
 namespace splatbus::trainer::cuda {
 
@@ -35,15 +35,15 @@ bool DeviceInsertReader::copy(const InsertTensors& tensors) {
 }
 
 void DeviceInsertReader::keep_valid_rows(InsertBatch& batch, std::uint32_t rows) {
-  const DeviceRows announced = device_rows(insert_rows_at(announced_.data(), bus::MemoryKind::Cuda, rows));
+  const InsertRows announced = insert_rows_at(announced_.data(), rows);
   valid_.resize(rows);
   keep_.resize(rows);
   scratch_.resize(valid_rows_scratch_bytes(rows));
   launch_find_valid_rows(announced, rows, valid_.data(), keep_.data(), kept_.data(), scratch_.data(), scratch_.size(),
                          stream_.get());
   auto memory = pool_.take(insert_rows_bytes(rows));
-  batch.device_rows = insert_rows_at(memory.get(), bus::MemoryKind::Cuda, rows);
-  launch_gather_rows(announced, rows, keep_.data(), kept_.data(), device_rows(batch.device_rows), stream_.get());
+  batch.device_rows = insert_rows_at(memory.get(), rows);
+  launch_gather_rows(announced, rows, keep_.data(), kept_.data(), batch.device_rows, stream_.get());
   kept_.download(host_kept_.data(), 1, stream_.get());
   stream_.wait();
   batch.device_memory = std::move(memory);

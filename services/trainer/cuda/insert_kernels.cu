@@ -38,7 +38,7 @@ __device__ float length(const float (&values)[kChannels]) {
   return sqrtf(sum);
 }
 
-__global__ void mark_valid(DeviceRows from, std::uint32_t rows, std::uint8_t* valid) {
+__global__ void mark_valid(InsertRows from, std::uint32_t rows, std::uint8_t* valid) {
   const std::uint32_t row = blockIdx.x * kThreads + threadIdx.x;
   if (row >= rows) return;
   float mean[3], log_scale[3], rotation[4], opacity_logit[1], albedo[3], normal[3], visibility[1];
@@ -76,7 +76,7 @@ __device__ void clamp(float (&values)[kChannels], float low, float high) {
   for (int c = 0; c < kChannels; ++c) values[c] = fminf(fmaxf(values[c], low), high);
 }
 
-__global__ void gather(DeviceRows from, const std::uint32_t* keep, const std::uint32_t* kept, DeviceRows to) {
+__global__ void gather(InsertRows from, const std::uint32_t* keep, const std::uint32_t* kept, InsertRows to) {
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= *kept) return;
   const std::uint32_t row = keep[i];
@@ -117,7 +117,7 @@ std::size_t valid_rows_scratch_bytes(std::uint32_t rows) {
   return bytes;
 }
 
-void launch_find_valid_rows(const DeviceRows& from, std::uint32_t rows, std::uint8_t* valid, std::uint32_t* keep,
+void launch_find_valid_rows(const InsertRows& from, std::uint32_t rows, std::uint8_t* valid, std::uint32_t* keep,
                             std::uint32_t* kept, void* scratch, std::size_t scratch_bytes, cudaStream_t stream) {
   mark_valid<<<blocks_for(rows), kThreads, 0, stream>>>(from, rows, valid);
   device::check(cudaGetLastError(), "checking inserted rows");
@@ -126,8 +126,8 @@ void launch_find_valid_rows(const DeviceRows& from, std::uint32_t rows, std::uin
                 "selecting inserted rows");
 }
 
-void launch_gather_rows(const DeviceRows& from, std::uint32_t rows, const std::uint32_t* keep,
-                        const std::uint32_t* kept, const DeviceRows& to, cudaStream_t stream) {
+void launch_gather_rows(const InsertRows& from, std::uint32_t rows, const std::uint32_t* keep,
+                        const std::uint32_t* kept, const InsertRows& to, cudaStream_t stream) {
   gather<<<blocks_for(rows), kThreads, 0, stream>>>(from, keep, kept, to);
   device::check(cudaGetLastError(), "gathering inserted rows");
 }

@@ -5,32 +5,20 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "trainer/insert_rows.h"
+
 // model/insert's rows on the device: the checks of keep_valid_rows. Device pointers; launches on `stream`, nothing
 // waits.
 namespace splatbus::trainer::cuda {
 
-/// Planes [channels][stride].
-struct DeviceRows {
-  std::int64_t stride = 0;
-  const float* mean = nullptr;
-  const float* log_scale = nullptr;
-  const float* rotation = nullptr;
-  const float* opacity_logit = nullptr;
-  const float* albedo = nullptr;
-  const float* normal = nullptr;
-  const float* visibility = nullptr;
-  const std::uint32_t* object_id = nullptr;
-  const std::uint64_t* cell = nullptr;
-};
-
 /// Lists the rows that can be Gaussians, in order, in keep[rows], and their number in *kept. `scratch` has
 /// valid_rows_scratch_bytes(rows).
-void launch_find_valid_rows(const DeviceRows& from, std::uint32_t rows, std::uint8_t* valid, std::uint32_t* keep,
+void launch_find_valid_rows(const InsertRows& from, std::uint32_t rows, std::uint8_t* valid, std::uint32_t* keep,
                             std::uint32_t* kept, void* scratch, std::size_t scratch_bytes, cudaStream_t stream);
 [[nodiscard]] std::size_t valid_rows_scratch_bytes(std::uint32_t rows);
 
 /// Writes row keep[i], normalised and clamped, to row i of `to`, for i below *kept.
-void launch_gather_rows(const DeviceRows& from, std::uint32_t rows, const std::uint32_t* keep,
-                        const std::uint32_t* kept, const DeviceRows& to, cudaStream_t stream);
+void launch_gather_rows(const InsertRows& from, std::uint32_t rows, const std::uint32_t* keep,
+                        const std::uint32_t* kept, const InsertRows& to, cudaStream_t stream);
 
 }  // namespace splatbus::trainer::cuda

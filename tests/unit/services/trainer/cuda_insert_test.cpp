@@ -5,6 +5,7 @@
 
 #include "bus/tensor_ring.h"
 #include "cuda_model_fixture.h"
+#include "insert_sources.h"
 #include "trainer/insert_reader.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -24,19 +25,7 @@ class CudaInsert : public bus_test::BusTest {
   }
 
   bus::Message publish(const InsertBatch& batch, MemoryKind memory) {
-    const auto n = static_cast<std::uint32_t>(batch.count);
-    const auto u32 = bus::ElementType::U32;
-    const auto u64 = bus::ElementType::U64;
-    const std::vector<bus::TensorSource> sources = {
-        {.name = "mean", .shape = {3, n}, .data = batch.mean.data()},
-        {.name = "log_scale", .shape = {3, n}, .data = batch.log_scale.data()},
-        {.name = "rotation", .shape = {4, n}, .data = batch.rotation.data()},
-        {.name = "opacity_logit", .shape = {1, n}, .data = batch.opacity_logit.data()},
-        {.name = "albedo", .shape = {3, n}, .data = batch.albedo.data()},
-        {.name = "normal", .shape = {3, n}, .data = batch.normal.data()},
-        {.name = "visibility", .shape = {1, n}, .data = batch.visibility.data()},
-        {.name = "object_id", .shape = {n}, .type = u32, .data = batch.object_id.data()},
-        {.name = "cell", .shape = {n}, .type = u64, .data = batch.cell.data()}};
+    const std::vector<bus::TensorSource> sources = insert_sources(batch);
     bus::TensorRing& ring = memory == MemoryKind::Host ? host_ring_ : device_ring_;
     publisher_.publish({.schema = "ModelInsert/1", .tensors = ring.write(sources)}, [&](auto& builder, auto header) {
       const auto light = to_wire(builder, batch.light);
@@ -71,7 +60,7 @@ class CudaInsert : public bus_test::BusTest {
     ASSERT_EQ(host.count, device.count);
     EXPECT_EQ(host.dropped, device.dropped);
     const InsertRows rows = device.rows();
-    ASSERT_EQ(rows.memory, MemoryKind::Cuda);
+    ASSERT_EQ(device.memory(), MemoryKind::Cuda);
     const auto compare = [&](const char* name, const auto* on_host, const auto* on_device, int channels) {
       const auto copied =
           host_copy(on_device, MemoryKind::Cuda, rows.stride * static_cast<std::size_t>(channels - 1) + device.count);

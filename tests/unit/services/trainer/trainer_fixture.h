@@ -13,6 +13,7 @@
 
 #include "../../bus/bus_fixture.h"
 #include "bus/tensor_ring.h"
+#include "insert_sources.h"
 #include "synthetic_scene.h"
 #include "trainer/trainer.h"
 #include "wire/capture_generated.h"
@@ -96,19 +97,7 @@ class TrainerTest : public bus_test::BusTest {
   }
 
   void publish_insert(const InsertBatch& batch, const std::string& without = {}) {
-    const auto n = static_cast<std::uint32_t>(batch.count);
-    const auto u32 = bus::ElementType::U32;
-    const auto u64 = bus::ElementType::U64;
-    std::vector<bus::TensorSource> sources = {
-        {.name = "mean", .shape = {3, n}, .data = batch.mean.data()},
-        {.name = "log_scale", .shape = {3, n}, .data = batch.log_scale.data()},
-        {.name = "rotation", .shape = {4, n}, .data = batch.rotation.data()},
-        {.name = "opacity_logit", .shape = {1, n}, .data = batch.opacity_logit.data()},
-        {.name = "albedo", .shape = {3, n}, .data = batch.albedo.data()},
-        {.name = "normal", .shape = {3, n}, .data = batch.normal.data()},
-        {.name = "visibility", .shape = {1, n}, .data = batch.visibility.data()},
-        {.name = "object_id", .shape = {n}, .type = u32, .data = batch.object_id.data()},
-        {.name = "cell", .shape = {n}, .type = u64, .data = batch.cell.data()}};
+    std::vector<bus::TensorSource> sources = insert_sources(batch);
     std::erase_if(sources, [&](const bus::TensorSource& source) { return source.name == without; });
     insert_.publish({.schema = "ModelInsert/1", .tensors = ring_->write(sources)}, [&](auto& builder, auto header) {
       const auto light = to_wire(builder, batch.light);
