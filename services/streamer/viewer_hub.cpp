@@ -132,7 +132,7 @@ void ViewerHub::restart_all() {
 
 SharedPacket ViewerHub::next_packet(Viewer& viewer) {
   bool lagged = false;
-  const SharedPacket packet = feed_.next(viewer.place, viewer.camera, lagged);
+  SharedPacket packet = feed_.next(viewer.place, viewer.camera, lagged);
   if (lagged) {
     ++lost_viewers_;
     spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
