@@ -1,13 +1,11 @@
 #pragma once
 
-#include <ATen/core/ivalue.h>
-#include <torch/types.h>
-
 #include <utility>
 #include <vector>
 
 #include "raster/loss.h"
 #include "raster/torch/rasterize.h"
+#include "raster/torch/tensor.h"
 
 // What stands behind the operations on each kind of device. Arguments were checked by the operations.
 namespace splatbus::raster {

@@ -1,6 +1,6 @@
 #pragma once
 
-#include <torch/types.h>
+#include "raster/torch/tensor.h"
 
 namespace splatbus::raster {
 

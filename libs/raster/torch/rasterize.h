@@ -1,10 +1,9 @@
 #pragma once
 
-#include <torch/types.h>
-
 #include <vector>
 
 #include "raster/rasterizer.h"
+#include "raster/torch/tensor.h"
 
 namespace splatbus::raster {
 

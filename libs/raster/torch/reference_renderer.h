@@ -1,8 +1,7 @@
 #pragma once
 
-#include <torch/types.h>
-
 #include "raster/rasterizer.h"
+#include "raster/torch/tensor.h"
 
 namespace splatbus::raster {
 

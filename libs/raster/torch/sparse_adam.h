@@ -1,8 +1,8 @@
 #pragma once
 
-#include <torch/types.h>
-
 #include <vector>
+
+#include "raster/torch/tensor.h"
 
 namespace splatbus::raster {
 

@@ -1,11 +1,11 @@
 #pragma once
 
-#include <torch/types.h>
-
 #include <algorithm>
 #include <cstddef>
 #include <functional>
 #include <vector>
+
+#include "raster/torch/tensor.h"
 
 namespace splatbus::raster::cuda {
 
