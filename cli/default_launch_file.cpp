@@ -8,7 +8,7 @@ namespace splatbus::cli {
 
 std::filesystem::path default_launch_file(const std::string& name) {
   namespace fs = std::filesystem;
-  const fs::path relative = fs::path("launch") / name;
+  fs::path relative = fs::path("launch") / name;
   if (fs::exists(relative)) return relative;
   const fs::path programs = program_directory();
   for (fs::path folder = programs; folder.has_relative_path(); folder = folder.parent_path()) {

@@ -88,7 +88,7 @@ class Demo {
       throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
     note_pipeline(model->count());
     write_contact_sheet(results_, options_, viewer_pictures_);
-    const Json summary = summarize_demo(results_, options_, log_path());
+    Json summary = summarize_demo(results_, options_, log_path());
     write_text(options_.out / "summary.json", json_text(summary, 2) + "\n");
     run_.stop();
     return summary;

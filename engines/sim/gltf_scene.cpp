@@ -85,7 +85,7 @@ class SceneReader {
   }
 
  private:
-  std::vector<int> root_nodes() const {
+  [[nodiscard]] std::vector<int> root_nodes() const {
     if (!model_.scenes.empty()) return item(model_.scenes, std::max(model_.defaultScene, 0), "scene").nodes;
     std::set<int> children;
     for (const tinygltf::Node& node : model_.nodes) children.insert(node.children.begin(), node.children.end());

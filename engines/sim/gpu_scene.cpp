@@ -158,6 +158,7 @@ void GpuScene::draw_part(const Part& part, const ShaderVariant& variant, GLuint 
     glEnable(GL_CULL_FACE);
   }
   glDrawElementsBaseVertex(GL_TRIANGLES, static_cast<GLsizei>(part.index_count), GL_UNSIGNED_INT,
+                           // NOLINTNEXTLINE(performance-no-int-to-ptr): OpenGL's offset into the bound buffer
                            reinterpret_cast<const void*>(part.first_index * sizeof(std::uint32_t)), part.first_vertex);
 }
 

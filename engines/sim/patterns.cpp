@@ -25,6 +25,7 @@ std::uint8_t encode(float linear) {
     }
     return bytes;
   }();
+  // NOLINTNEXTLINE(bugprone-incorrect-roundings): not negative, and an entry off by one at a half does not show
   return table[static_cast<std::size_t>(glm::clamp(linear, 0.0F, 1.0F) * kEntries + 0.5F)];
 }
 

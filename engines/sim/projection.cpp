@@ -111,8 +111,8 @@ bool may_be_visible(const Bounds& bounds_world, const glm::mat4& clip_from_world
   for (int i = 0; i < 8; ++i) {
     const glm::vec4 p = clip_from_world * glm::vec4(bounds_world.corner(i), 1);
     for (int axis = 0; axis < 3; ++axis) {
-      if (p[axis] < -p.w) ++outside.at(static_cast<std::size_t>(2 * axis));
-      if (p[axis] > p.w) ++outside.at(static_cast<std::size_t>(2 * axis + 1));
+      if (p[axis] < -p.w) ++outside.at(2 * static_cast<std::size_t>(axis));
+      if (p[axis] > p.w) ++outside.at(2 * static_cast<std::size_t>(axis) + 1);
     }
   }
   return std::ranges::none_of(outside, [](int count) { return count == 8; });

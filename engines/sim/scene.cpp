@@ -50,7 +50,7 @@ splatbus_light Lighting::sky() {
   constexpr glm::vec3 kZonal{0.02F, 0.02F, 0.03F};
   splatbus_light light{};
   for (int c = 0; c < 3; ++c) {
-    float* sh = light.ambient_sh + 9 * c;
+    float* sh = light.ambient_sh + std::ptrdiff_t{9} * c;
     sh[0] = kMean[c] / 0.2820948F;
     sh[1] = -kUp[c] / 0.4886025F;
     sh[2] = kSide[c] / 0.4886025F;
