@@ -8,7 +8,8 @@
 namespace splatbus::raster::cuda {
 namespace {
 
-constexpr std::size_t kKeptReports = 256;  // of steps that nobody asks about
+// Of steps that nobody asks about; more than anybody enqueues between two questions.
+constexpr std::size_t kKeptReports = 4096;
 
 }  // namespace
 
@@ -133,6 +134,7 @@ void TrainStep::Impl::run(std::size_t index, bool train) {
   ViewGroup& group = *groups.at(index);
   retire(false);
   if (in_flight.full()) retire_one(true);
+  last_view = {};  // its memory may be given back, and what lies there change, whether this step comes about or not
   if (!group.sized) size_lists(group);
   WorkspaceView w = workspace_for(group);
   const bool rebuild = !group.lists_built || group.steps >= std::max(1, options.rebuild_interval);

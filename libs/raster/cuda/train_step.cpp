@@ -80,6 +80,7 @@ void TrainStep::clear_groups() {
   check(cudaStreamSynchronize(impl_->stream), "dropping groups");
   impl_->groups.clear();
   impl_->last = nullptr;
+  impl_->last_view = {};
 }
 
 void TrainStep::step(std::size_t group) {

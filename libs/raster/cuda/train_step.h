@@ -93,13 +93,14 @@ class TrainStep {
 
   /// Loss of each view of the last step; synchronises.
   [[nodiscard]] std::vector<float> losses();
-  /// [batch][3][h][w] of the last step or forward().
+  /// [batch][3][h][w] of the last step or forward(); null where workspace() is empty.
   [[nodiscard]] const float* color() const;
   /// Of the steps since set_model() or clear_statistics(), for work on stream(); null where they are not gathered, or
   /// where the model is empty.
   [[nodiscard]] ScreenStatistics statistics() const;
   void clear_statistics();
-  /// The arrays of the last step or forward(), for more work on stream() before the next one.
+  /// The arrays of the last step or forward(), for more work on stream() before the next one. All null when that one
+  /// was refused or failed, and after clear_groups().
   [[nodiscard]] const WorkspaceView& workspace() const;
   [[nodiscard]] cudaStream_t stream() const;
   [[nodiscard]] std::size_t bytes() const;  ///< device memory that it owns

@@ -134,8 +134,9 @@ class CudaOptimizer final : public Optimizer {
                           .settled_share = average_share(average_decay(), TimeAverage::kStripes, ~0ULL),
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
-    if (observer_.due()) {
-      const raster::cuda::WorkspaceView& w = train_.workspace();
+    const raster::cuda::WorkspaceView& w = train_.workspace();
+    // The workspace is empty when the last part of the step was left out: the pictures of those before are gone.
+    if (observer_.due() && w.batch > 0) {
       observed_ = last;
       try {
         observer_.observe(gaussians(), columns(), store_.planes().cell,

@@ -38,7 +38,8 @@ class StepQueue {
   void enqueue_repeats();
 
   [[nodiscard]] bool empty() const { return parts_.empty(); }
-  /// The view that was enqueued last, whose pictures the workspace of `train` holds. Not while empty().
+  /// The view that was enqueued last, whose pictures the workspace of `train` holds where it holds any. Not while
+  /// empty().
   [[nodiscard]] const TrainingViewPtr& last() const { return parts_.back().views.back(); }
 
   /// The views that there was no memory for since the last call.

@@ -1,4 +1,6 @@
 // What there is no memory for is refused before anything is lost.
+#include <limits>
+
 #include "cuda_scenes.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/pair_limit.h"
@@ -54,6 +56,34 @@ TEST_F(CudaTest, AGroupThatIsTooLargeLeavesTheOthers) {
   const auto reports = train.finished(true);
   ASSERT_EQ(reports.size(), 3U);
   EXPECT_LT(reports[2].loss, reports[0].loss);
+  EXPECT_NE(train.color(), nullptr);
+  train.clear_groups();
+  EXPECT_EQ(train.workspace().pair_count, nullptr);
+}
+
+TEST_F(CudaTest, ARefusedStepLeavesNoArraysToReadFrom) {
+  const Case c{"", {Appearance::Radiance, 0}, 200, 32, 24, true, false, -2.0F};
+  const GaussiansBuffer model = random_model(c, 3);
+  const SceneState scene = random_scene(false);
+  cuda::DeviceModel device;
+  device.upload(model.view(), nullptr);
+  cudaDeviceSynchronize();
+  cuda::TrainStep draw({.training = false});
+  draw.set_model(device.view());
+  const Camera camera = look_at({0.5F, 1.5F, 5.0F}, {0, 0, 0}, c.width, c.height, 1.0F);
+  const std::size_t group = draw.add_group(std::vector<cuda::TrainView>(16, {{camera, &scene}}));
+  draw.forward(group);
+  EXPECT_EQ(draw.workspace().batch, 16);
+  cuda::DeviceGaussians vast = device.view();
+  vast.stride = std::numeric_limits<int>::max();  // a terabyte of records
+  draw.follow_model(vast);
+  EXPECT_THROW(draw.forward(group), cuda::StepTooLarge);
+  EXPECT_EQ(draw.workspace().batch, 0);
+  EXPECT_EQ(draw.color(), nullptr);
+  draw.follow_model(device.view());
+  draw.forward(group);
+  EXPECT_EQ(draw.workspace().batch, 16);
+  EXPECT_NE(draw.color(), nullptr);
 }
 
 }  // namespace
