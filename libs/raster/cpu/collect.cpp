@@ -83,7 +83,7 @@ void CollectPairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_
     if (k + kPrefetch < end) {
       const std::uint32_t ahead = frame.order[k + kPrefetch].gaussian;
       hwy::Prefetch(&frame.reaches[ahead]);
-      if (frame.keep) hwy::Prefetch(&frame.pair_ranges[ahead]);
+      hwy::Prefetch(&frame.pair_ranges[ahead]);
     }
     const std::uint32_t gaussian = frame.order[k].gaussian;
     const std::size_t before = pairs.size();
@@ -93,10 +93,8 @@ void CollectPairs(Frame& frame, std::size_t begin, std::size_t end, std::uint32_
     } else {
       CollectReach(reach, tiles_x, gaussian, pairs, tile_counts);
     }
-    if (frame.keep) {
-      frame.pair_ranges[gaussian] = {static_cast<std::uint32_t>(pairs.size() - before), piece,
-                                     static_cast<std::uint32_t>(before)};
-    }
+    frame.pair_ranges[gaussian] = {static_cast<std::uint32_t>(pairs.size() - before), piece,
+                                   static_cast<std::uint32_t>(before)};
   }
 }
 
