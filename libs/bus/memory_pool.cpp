@@ -42,6 +42,7 @@ class MemoryPool::Idle {
   void give_back(std::shared_ptr<std::byte> memory, std::size_t size) {
     std::list<Block> freed;  // without the lock
     const std::scoped_lock lock(mutex_);
+    if (size > bound_) return;  // it would push out all others before it went itself
     blocks_.push_back({.size = size, .memory = std::move(memory)});
     bytes_ += size;
     while (bytes_ > bound_) {

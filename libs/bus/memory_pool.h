@@ -12,7 +12,7 @@ namespace splatbus::bus {
 class MemoryPool {
  public:
   /// What nobody has is kept up to `idle_bytes`, or what is reserved where that is more; then what came back longest
-  /// ago is freed.
+  /// ago is freed. A block that is larger is freed at once, and the others stay.
   explicit MemoryPool(MemoryKind kind, std::size_t idle_bytes = std::size_t{256} << 20);
 
   /// At least `bytes`, aligned to 64; what it holds is whatever it held last. It comes back when the last owner lets go
