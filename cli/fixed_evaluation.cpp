@@ -69,7 +69,7 @@ class FixedEvaluation {
       if (step == options_.iterations) break;
     }
     write_contact_sheet(figures);
-    const Json summary = make_summary(figures);
+    Json summary = make_summary(figures);
     write_text(options_.setup.out / "summary.json", json_text(summary, 2) + "\n");
     run_.stop();
     return summary;
@@ -140,7 +140,10 @@ class FixedEvaluation {
     for (const auto& [index, probe] : probes_.pictures()) {
       std::optional<cv::Mat> picture;
       wait_until(
-          "a model to draw", [&] { return (picture = view_.render(live_, probe.camera, probe.scene)).has_value(); },
+          "a model to draw",
+          [&, &held_out = probe] {
+            return (picture = view_.render(live_, held_out.camera, held_out.scene)).has_value();
+          },
           [] { return std::string("drawing held-out views"); });
       figures[index] = metrics::compare(*picture, probe.picture);
       drawn_[index] = *picture;

@@ -68,7 +68,7 @@ std::string without_non_finite(const std::string& text) {
 
 float half_to_float(std::uint16_t half) {
   const int exponent = (half >> 10) & 31;
-  const float mantissa = static_cast<float>(half & 1023);
+  const auto mantissa = static_cast<float>(half & 1023);
   const float sign = (half & 0x8000) != 0 ? -1.0F : 1.0F;
   if (exponent == 31) return mantissa != 0 ? NAN : sign * INFINITY;
   return sign * (exponent == 0 ? std::ldexp(mantissa, -24) : std::ldexp(mantissa + 1024, exponent - 25));
