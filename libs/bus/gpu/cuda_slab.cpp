@@ -80,7 +80,7 @@ void CudaSlab::map_allocation() {
   access.location.id = device;
   access.flags = writable() ? CU_MEM_ACCESS_FLAGS_PROT_READWRITE : CU_MEM_ACCESS_FLAGS_PROT_READ;
   driver.check(driver.set_access(address_, mapped_bytes_, &access, 1), in_slab(name(), "giving access to it"));
-  data_ = reinterpret_cast<std::byte*>(address_);  // NOLINT(performance-no-int-to-ptr): addresses are numbers to the driver
+  data_ = reinterpret_cast<std::byte*>(address_);  // NOLINT(performance-no-int-to-ptr): a number to the driver
 }
 
 void CudaSlab::clear() {
