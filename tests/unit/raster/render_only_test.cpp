@@ -64,16 +64,41 @@ TEST(RenderOnly, SamePictureOfOpaqueLayers) {
 }
 
 TEST(RenderOnly, BadGaussiansAreLeftOut) {
-  TestScene scene = testing::random_scene(testing::radiance_layout(3), 500, {}, 54);
-  for (int channel = 0; channel < scene.layout.channels(); ++channel) {
-    scene.at(channel, static_cast<std::size_t>(channel) * 7) = channel % 2 == 0 ? NAN : INFINITY;
+  for (const ParameterLayout& layout : {testing::radiance_layout(3), testing::transfer_layout()}) {
+    TestScene scene = testing::random_scene(layout, 500, {}, 54);
+    for (int channel = 0; channel < scene.layout.channels(); ++channel) {
+      scene.at(channel, static_cast<std::size_t>(channel) * 7) = channel % 2 == 0 ? NAN : INFINITY;
+    }
+    const Camera camera = testing::test_camera(50, 50);
+    const RenderOptions options{.albedo = true, .depth = true};
+    Render rendered;
+    make_cpu_rasterizer(2)->render(scene.view(), camera, scene.state, options, rendered);
+    for (const Image* image : {&rendered.color, &rendered.alpha, &rendered.albedo, &rendered.depth}) {
+      EXPECT_TRUE(
+          std::all_of(image->data.begin(), image->data.end(), [](float value) { return std::isfinite(value); }));
+    }
+    expect_same_picture(scene, camera, options);
   }
-  const Camera camera = testing::test_camera(50, 50);
+}
+
+TEST(RenderOnly, SamePictureOfGaussiansLargerThanIt) {
+  // Some begin left of and above the picture, and all end beyond it.
+  const TestScene scene = testing::random_scene(
+      testing::radiance_layout(1), 300, {.scale_low = 2, .scale_high = 1e6F, .logit_low = -4, .logit_high = 0}, 55);
+  const Camera camera = testing::test_camera(75, 43);
+  expect_same_picture(scene, camera, {.depth = true});
   Render rendered;
   make_cpu_rasterizer(2)->render(scene.view(), camera, scene.state, {}, rendered);
-  EXPECT_TRUE(std::all_of(rendered.color.data.begin(), rendered.color.data.end(),
-                          [](float value) { return std::isfinite(value); }));
-  expect_same_picture(scene, camera, {});
+  EXPECT_GT(*std::min_element(rendered.alpha.data.begin(), rendered.alpha.data.end()), 0.1F)
+      << "the test shows nothing";
+}
+
+TEST(RenderOnly, SamePictureOfNothing) {
+  const TestScene scene = testing::random_scene(testing::radiance_layout(1), 0, {}, 56);
+  expect_same_picture(scene, testing::test_camera(33, 17), {.depth = true});
+  const TestScene some = testing::random_scene(testing::radiance_layout(1), 50, {.scale_low = 2, .scale_high = 9}, 57);
+  expect_same_picture(some, testing::test_camera(0, 40), {.depth = true});
+  expect_same_picture(some, testing::test_camera(40, 0), {.depth = true});
 }
 
 }  // namespace
