@@ -44,9 +44,9 @@ struct GaussianStatistics {
 /// copy a call would cost more than it saves. Cameras have one size; `scenes` has an entry for each, or one for all.
 ///
 /// Frozen Gaussians are drawn and their columns of the gradient are zero. A value that is not finite hides its
-/// Gaussian, as in Rasterizer; none is looked for. Gradients come from color, alpha, albedo and depth, as far as the
-/// backend has them (docs/torch.md); there is no second derivative. Parameters that were changed in place between the
-/// pictures and backward() are refused there, as LibTorch does for its own operations.
+/// Gaussian, as in Rasterizer; none is looked for. Gradients come from color, alpha, albedo and depth; there is no
+/// second derivative. Parameters that were changed in place between the pictures and backward() are refused there, as
+/// LibTorch does for its own operations.
 ///
 /// The host waits at one place: on CUDA, for the number of pairs of Gaussians and tiles, while the device goes on to
 /// blend. Any thread may call it, several at once too. Throws c10::Error or std::invalid_argument for arguments that do

@@ -15,6 +15,10 @@ SparseAdam::SparseAdam(Tensor parameters, const std::vector<double>& rates, cons
   check_tensor(parameters_, "SparseAdam", "parameters", at::kFloat, parameters_.sizes(), parameters_.device());
   TORCH_CHECK(parameters_.is_leaf() && parameters_.requires_grad(),
               "SparseAdam: parameters is not a leaf that requires a gradient");
+  const auto is_decay = [](double beta) { return beta >= 0 && beta < 1; };
+  TORCH_CHECK(is_decay(options.beta1) && is_decay(options.beta2), "SparseAdam: beta1 is ", options.beta1, " and beta2 ",
+              options.beta2, ", not within [0, 1)");
+  TORCH_CHECK(static_cast<float>(options.epsilon) > 0, "SparseAdam: epsilon is ", options.epsilon, ", not above 0");
   (void)on_cuda(parameters_.device(), "SparseAdam");
   first_ = torch::zeros_like(parameters_.detach());
   second_ = torch::zeros_like(first_);

@@ -136,6 +136,8 @@ TEST(SparseAdamArguments, AreNamed) {
   EXPECT_THAT(message_of([&] { SparseAdam(torch::zeros({14, 5}), rates); }), HasSubstr("requires a gradient"));
   EXPECT_THAT(message_of([&] { SparseAdam(leaf * 2, rates); }), HasSubstr("not a leaf"));
   EXPECT_THAT(message_of([&] { SparseAdam(leaf, {0.01}); }), HasSubstr("1 learning rates for 14 channels"));
+  EXPECT_THAT(message_of([&] { SparseAdam(leaf, rates, {.beta1 = 1}); }), HasSubstr("beta1 is 1 and beta2 0.999"));
+  EXPECT_THAT(message_of([&] { SparseAdam(leaf, rates, {.epsilon = 0}); }), HasSubstr("epsilon is 0, not above 0"));
 }
 
 }  // namespace
