@@ -71,7 +71,8 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
   const std::size_t bytes = std::size_t{h} * w * (4 + (with_albedo ? 4 : 0) + (with_depth ? sizeof(float) : 0));
   if (bytes > max_bytes_) {
     throw bus::Error(message.topic() + ": pictures of " + std::to_string(w) + " x " + std::to_string(h) + " take " +
-                     std::to_string(bytes >> 20) + " MiB, and all of them have " + std::to_string(max_bytes_ >> 20));
+                     std::to_string(bytes >> 20) + " MiB, and all of them have " + std::to_string(max_bytes_ >> 20) +
+                     " MiB");
   }
   bool whole = read_picture(message, "color", {h, w, 4}, view.color);
   if (whole && with_albedo) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
