@@ -16,7 +16,7 @@ namespace splatbus::expander {
 
 struct MapperOptions {
   float cell_size_m = 0.25F;
-  std::uint32_t usual_samples = 1U << 20U;  ///< at least 1: a device has memory ready for rounds of so many
+  std::uint32_t usual_samples = 1U << 20U;  ///< at least 64: a device has memory ready for rounds of so many
 };
 
 /// How a round grows the model.

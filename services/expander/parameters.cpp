@@ -85,13 +85,14 @@ std::vector<bus::ParameterSpec> parameter_specs() {
       {.name = "device_mb",
        .default_value = std::int64_t{0},
        .description =
-           "most device memory for rounds, batches and the grid, beside slabs, MiB; 0: as much as the device has",
+           "most device memory for rounds, batches and the grid, what usual_samples take included, beside slabs, MiB; "
+           "0: as much as the device has",
        .minimum = 0,
        .maximum = 1 << 20},
       {.name = "usual_samples",
        .default_value = std::int64_t{1 << 20},
        .description = "a device has memory ready for rounds of this many samples",
-       .minimum = 1,
+       .minimum = 64,
        .maximum = 8 << 20,
        .runtime = false},
       {.name = "kept_mb",

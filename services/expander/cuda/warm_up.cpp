@@ -1,3 +1,4 @@
+#include <cassert>
 #include <memory>
 #include <vector>
 
@@ -42,6 +43,7 @@ void CudaMapper::warm_up(std::uint32_t usual_samples) {
     const std::unique_ptr<Round> round = take(usual_round(usual_samples));
     const GrowOptions options{.viewer = {0, 0, 1}, .room = kFewGaussians};
     const Growth growth = grow(*round, options);
+    assert(!growth.batches.empty());  // as usual_samples are more than make a cell seen
     (void)grow(*round, options);
     (void)holds_any(growth.batches.front());
     (void)cells();

@@ -159,5 +159,15 @@ TEST_P(ExpanderTest, StopsAtTheMostGaussians) {
   EXPECT_EQ(trainer_->points.size(), 700U);
 }
 
+TEST_P(ExpanderTest, IsReadyForRoundsThatMakeACellSeen) {
+  // The least that may be asked for: a device is made ready with a round of so many samples, which must insert.
+  EXPECT_NE(parameters_.set("usual_samples", "63", false), "");
+  ASSERT_EQ(parameters_.set("usual_samples", "64", false), "");
+  start();
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(trainer_->points.size(), 1600U);
+}
+
 }  // namespace
 }  // namespace splatbus::expander::test
