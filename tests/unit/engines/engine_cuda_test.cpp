@@ -197,20 +197,21 @@ TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
   bus_test::meet(cameras, frames);
   std::atomic<bool> stop = false;
   std::atomic<bool> ready = false;
-  const std::jthread engine_thread([&] {
+  const std::jthread engine_thread([&](const std::stop_token& ends) {
+    const std::stop_callback stops(ends, [&] { stop = true; });
     const auto gl = std::make_shared<sim::GlContext>();  // current on this thread
     sim::Renderer renderer(gl, sim::make_toys(1, false));
     const auto readback = sim::make_device_readback(*gl, "cuda");
     renderer.warm_up(readback.get());
     const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine", SPLATBUS_MEMORY_CUDA);
     ready = true;
-    sim::EngineLoop(*engine, renderer, readback.get(), {.fps = 1}).run(stop);
+    // The next frame comes after our patience.
+    sim::EngineLoop(*engine, renderer, readback.get(), {.fps = 0.05}).run(stop);
   });
   ASSERT_TRUE(bus_test::eventually([&] { return ready.load(); }, std::chrono::seconds(60)));
   // The first burst also makes slabs and targets of these sizes; the second has them.
   for (const std::uint32_t first_id : {0U, 100U}) {
     const std::vector<Request> requests = burst(first_id);
-    const auto asked = std::chrono::steady_clock::now();
     publish_requests(cameras, requests);
     std::set<std::uint64_t> answered;
     while (answered.size() < requests.size()) {
@@ -219,13 +220,10 @@ TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
       const auto color = message->tensor("color");
       ASSERT_TRUE(color && color->memory() == bus::MemoryKind::Cuda);
       answered.insert(message->root<wire::EngineFrame>("EngineFrame/1").request_id());
-      const std::chrono::duration<double, std::milli> ms = std::chrono::steady_clock::now() - asked;
-      if (answered.size() == 1 || answered.size() == requests.size()) {
-        GTEST_LOG_(INFO) << "frame " << answered.size() << " after " << ms.count() << " ms";
-      }
     }
   }
   stop = true;
+  publish_requests(cameras, burst(200));  // wakes the engine
 }
 
 }  // namespace

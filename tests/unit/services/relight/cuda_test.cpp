@@ -91,14 +91,6 @@ TEST(CudaVisibility, IsThatOfTheCpu) {
   auto* const visibility = reinterpret_cast<float*>(memory.get());
   const auto backend = make_visibility_backend(bus::Backend::Cuda);
   backend->compute(view, objects, map, {}, visibility);
-  double best_ms = 1e9;
-  for (int round = 0; round < 20; ++round) {
-    const auto begin = std::chrono::steady_clock::now();
-    backend->compute(view, objects, map, {}, visibility);
-    const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - begin;
-    best_ms = std::min(best_ms, spent.count());
-  }
-  RecordProperty("ms", std::to_string(best_ms));
   bus::copy_memory(actual.data(), bus::MemoryKind::Host, visibility, bus::MemoryKind::Cuda, count * sizeof(float));
   bus::finish_copies();
 
