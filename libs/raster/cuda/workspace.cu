@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <cassert>
+#include <iterator>
 #include <stdexcept>
 #include <string>
 
@@ -131,6 +133,7 @@ void Workspace::allocate_all() {
   const Sizes& s = sizes_;
   for_each_array(m, s, [&]<class T>(T*& pointer, std::size_t elements) {
     if (elements == 0) return;
+    assert(block_count_ < std::ssize(blocks_));
     void* block = nullptr;
     check(cudaMalloc(&block, elements * sizeof(T)), "allocating the workspace");
     blocks_[block_count_++] = block;
