@@ -1,6 +1,4 @@
 // model/insert read into device memory against the same read into the host's, from slabs of both kinds.
-#include <chrono>
-#include <iostream>
 #include <limits>
 
 #include "bus/tensor_ring.h"
@@ -141,17 +139,7 @@ TEST_F(CudaInsert, ABatchOfDeviceRowsIsAppendedAsTheHostsIs) {
   ModelStore host(connect("host"), {}, count, count, MemoryKind::Host);
   ModelStore device(connect("device"), {}, count, count, MemoryKind::Cuda);
   host.change([&] { host.append(on_host->read(message).batch); });
-  using Clock = std::chrono::steady_clock;
-  const auto begin = Clock::now();
-  (void)reader->read(message);
-  const auto start = Clock::now();
-  const InsertReading reading = reader->read(message);
-  const auto read = Clock::now();
-  device.change([&] { device.append(reading.batch); });
-  const auto appended = Clock::now();
-  const auto ms = [](auto span) { return std::chrono::duration<double, std::milli>(span).count(); };
-  std::cout << count << " rows: first read in " << ms(start - begin) << " ms, then in " << ms(read - start)
-            << " ms, appended in " << ms(appended - read) << " ms\n";
+  device.change([&] { device.append(reader->read(message).batch); });
   EXPECT_EQ(device_bytes_, 0U);
   expect_same(HostPlanes(host), HostPlanes(device), 1e-6);
 }
