@@ -78,6 +78,27 @@ std::map<std::uint32_t, std::uint32_t> blocks_by_search(const cpu::Frame& frame,
   return blocks;
 }
 
+/// Of which there is no memory for many.
+struct Scarce {
+  std::uint32_t value;
+
+  static void* operator new[](std::size_t bytes) {
+    if (bytes > (1U << 16U)) throw std::bad_alloc();
+    return ::operator new[](bytes);
+  }
+  static void operator delete[](void* memory) { ::operator delete[](memory); }
+};
+
+TEST(GrowingPairs, KnowTheirSizeAfterMemoryWasRefused) {
+  cpu::GrowingPairs<Scarce> pairs;
+  Scarce* out = pairs.room_for(2);
+  *out++ = {3};
+  pairs.commit(out);
+  for (int k = 0; k < 2; ++k) EXPECT_THROW(static_cast<void>(pairs.room_for(1U << 20U)), std::bad_alloc);
+  ASSERT_EQ(pairs.size(), 1U);
+  EXPECT_EQ(pairs.begin()->value, 3U);
+}
+
 TEST(CollectPairs, CountsNothingPastTheLastTile) {
   const TestScene scene =
       testing::random_scene(testing::transfer_layout(), 400, {.scale_low = 0.005F, .scale_high = 0.05F}, 41);
