@@ -42,11 +42,6 @@ TEST_F(CudaOptimizerTest, FindsASceneAgainAsWellAsTheCpuDoes) {
   const double before = psnr(cuda, false);
   const double loss_cuda = (cuda.train(18), cuda.train(6));
   const double loss_cpu = (cpu.train(18), cpu.train(6));
-  std::printf(
-      "after 24 steps: loss %.5f cuda, %.5f cpu; PSNR of the average %.2f and %.2f dB, of the last value %.2f "
-      "and %.2f dB (before: %.2f dB); %.3f and %.3f ms a step\n",
-      loss_cuda, loss_cpu, psnr(cuda, true), psnr(cpu, true), psnr(cuda, false), psnr(cpu, false), before,
-      1e3 * cuda.seconds() / 24, 1e3 * cpu.seconds() / 24);
   EXPECT_GT(psnr(cuda, false), before + 8);
   EXPECT_GT(psnr(cuda, true), psnr(cpu, true) - 0.3);
   EXPECT_LT(loss_cuda, 1.05 * loss_cpu);
