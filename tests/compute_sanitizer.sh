@@ -24,7 +24,7 @@ if [ ${#programs[@]} -eq 0 ]; then
     [ -x "$bin/test_$program" ] && programs+=("test_$program")
   done
   # The operations of LibTorch use a device where LibTorch itself does.
-  if ldd "$bin/test_raster_torch" 2>/dev/null | grep -q torch_cuda; then programs+=("test_raster_torch"); fi
+  if ldd "$bin/test_raster_torch" 2>/dev/null | grep torch_cuda >/dev/null; then programs+=("test_raster_torch"); fi
   for program in "$bin"/test_*cuda* "$bin"/test_bus_gpu "$bin"/test_bus "$bin"/test_wire_model; do
     program="$(basename "$program")"
     [ -x "$bin/$program" ] && [[ " ${programs[*]} " != *" $program "* ]] && programs+=("$program")
