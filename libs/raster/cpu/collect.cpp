@@ -21,18 +21,12 @@ constexpr std::size_t kPrefetch = 16;
 /// A Gaussian that may reach more than a TileReach holds, row after row of tiles.
 void CollectLarge(const Frame& frame, std::uint32_t gaussian, PairBuffer& pairs, std::uint32_t* tile_counts) {
   static_assert(kTileSide == 2 * kBlockSide && kBlockSide == 4);
-  const auto last_column = static_cast<float>(frame.camera.width) - 1;
-  const auto bottom = static_cast<float>(frame.camera.height) - 1;
   const Splat& splat = frame.splats[gaussian];
-  const float reach2 = splat.log2_alpha + 7.9943534F + 1e-3F;
-  // The rows of pixel centres within the ellipse's box; truncation is floor as both ends are made positive.
-  const float low_y = std::max(splat.y - splat.extent_y + 0.5F, 0.0F);
-  const float high_y = std::min(splat.y + splat.extent_y - 0.5F, bottom);
-  if (!(high_y >= 0) || low_y > bottom + 1) return;
-  const auto first_row = static_cast<std::int32_t>(low_y), last_row = static_cast<std::int32_t>(high_y);
-  for (std::int32_t row = first_row / static_cast<std::int32_t>(kTileSide) * 2; row * 4 <= last_row; row += kRows) {
+  const RowsToCut rows(splat, frame.camera);
+  for (std::int32_t row = rows.first / static_cast<std::int32_t>(kTileSide) * 2; row * 4 <= rows.last; row += kRows) {
     Spans spans;
-    CutRows(splat, reach2, static_cast<float>(first_row), static_cast<float>(last_row), last_column, row, spans);
+    CutRows(splat, rows.reach2, static_cast<float>(rows.first), static_cast<float>(rows.last), rows.last_column, row,
+            spans);
     for (int pair = 0; pair < kRows; pair += 2) {
       const std::int32_t first = std::min(spans.first[pair], spans.first[pair + 1]) >> 1;
       const std::int32_t last = std::max(spans.last[pair], spans.last[pair + 1]) >> 1;

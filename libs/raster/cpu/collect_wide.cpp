@@ -28,20 +28,13 @@ HWY_INLINE std::uint32_t NibbleOf(std::int32_t first, std::int32_t last, std::in
 
 /// A Gaussian that may reach more than a TileReach holds, row after row of tiles.
 void CollectLarge(const Frame& frame, std::uint32_t gaussian, WidePairBuffer& pairs, std::uint32_t* tile_counts) {
-  const auto last_column = static_cast<float>(frame.camera.width) - 1;
-  const auto bottom = static_cast<float>(frame.camera.height) - 1;
   const Splat& splat = frame.splats[gaussian];
-  const float reach2 = splat.log2_alpha + 7.9943534F + 1e-3F;
-  // The rows of pixel centres within the ellipse's box; truncation is floor as both ends are made positive.
-  const float low_y = std::max(splat.y - splat.extent_y + 0.5F, 0.0F);
-  const float high_y = std::min(splat.y + splat.extent_y - 0.5F, bottom);
-  if (!(high_y >= 0) || low_y > bottom + 1) return;
-  const auto first_row = static_cast<std::int32_t>(low_y), last_row = static_cast<std::int32_t>(high_y);
+  const RowsToCut rows(splat, frame.camera);
   constexpr auto kSide = static_cast<std::int32_t>(kWideSide);
-  for (std::int32_t tile_row = first_row / kSide; tile_row * kSide <= last_row; ++tile_row) {
+  for (std::int32_t tile_row = rows.first / kSide; tile_row * kSide <= rows.last; ++tile_row) {
     Spans spans;
-    CutRows(splat, reach2, static_cast<float>(first_row), static_cast<float>(last_row), last_column, tile_row * kRows,
-            spans);
+    CutRows(splat, rows.reach2, static_cast<float>(rows.first), static_cast<float>(rows.last), rows.last_column,
+            tile_row * kRows, spans);
     const std::int32_t first = *std::min_element(spans.first, spans.first + kRows) / kTileBlockRows;
     const std::int32_t last = *std::max_element(spans.last, spans.last + kRows);
     if (last < 0 || first > last / kTileBlockRows) continue;

@@ -6,6 +6,8 @@
 #define SPLATBUS_RASTER_CUT_INL_H
 #endif
 
+#include <algorithm>
+
 #include "raster/cpu/frame.h"
 #include "raster/cpu/lanes-inl.h"
 
@@ -26,6 +28,23 @@ struct Spans {
   [[nodiscard]] HWY_INLINE std::uint32_t Bits(int row, std::int32_t block) const {
     return static_cast<std::uint32_t>(first[row] <= block && block <= last[row]) |
            static_cast<std::uint32_t>(first[row] <= block + 1 && block + 1 <= last[row]) << 1U;
+  }
+};
+
+/// Rows of pixel centres within an ellipse's box, and what cuts them; empty where first > last.
+struct RowsToCut {
+  float reach2, last_column;
+  std::int32_t first = 0, last = -1;
+
+  HWY_INLINE RowsToCut(const Splat& splat, const Camera& camera)
+      : reach2(splat.log2_alpha + 7.9943534F + 1e-3F), last_column(static_cast<float>(camera.width) - 1) {
+    const auto bottom = static_cast<float>(camera.height) - 1;
+    // Truncation is floor as both ends are made positive.
+    const float low_y = std::max(splat.y - splat.extent_y + 0.5F, 0.0F);
+    const float high_y = std::min(splat.y + splat.extent_y - 0.5F, bottom);
+    if (!(high_y >= 0) || low_y > bottom + 1) return;
+    first = static_cast<std::int32_t>(low_y);
+    last = static_cast<std::int32_t>(high_y);
   }
 };
 
