@@ -21,7 +21,7 @@ constexpr int kMaxDrained = 512;
 constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
 /// What pictures may take: most of the memory is the model's.
-std::size_t picture_bytes(bus::MemoryKind memory) {
+std::size_t picture_bytes(Device memory) {
   return std::min(ViewStore::kMaxBytes, bus::free_memory(memory) / 4);
 }
 
@@ -29,17 +29,17 @@ std::size_t picture_bytes(bus::MemoryKind memory) {
 
 Trainer::Trainer(bus::ServiceContext& service)
     : service_(service),
-      views_(ViewStore::kMaxViews, picture_bytes(bus::memory_of(service.backend))),
-      references_(bus::memory_of(service.backend), views_.max_bytes(), host_copied_bytes_),
-      inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
-      visibilities_(bus::memory_of(service.backend)),
+      views_(ViewStore::kMaxViews, picture_bytes(service.backend)),
+      references_(service.backend, views_.max_bytes(), host_copied_bytes_),
+      inserts_(make_insert_reader(service.backend, host_copied_bytes_)),
+      visibilities_(service.backend),
       schedule_(read_options(service.parameters).seed) {}
 
 void Trainer::run() {
   const Options options = read_options(service_.parameters);
   with_depth_ = options.depth_weight > 0;
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
-                                        bus::memory_of(service_.backend));
+                                        service_.backend);
   spdlog::info("model: {}", store_->origin());
   optimizer_ = make_optimizer(*store_, options);
   options_version_ = service_.parameters.version();
@@ -69,7 +69,7 @@ void Trainer::receive() {
     }
     if (message && !bus::guarded(*message, [&] { handle(*message); })) failed_ = true;
     take_references(references);
-    if (failed_.exchange(false)) bus::require_usable(bus::memory_of(service_.backend));
+    if (failed_.exchange(false)) bus::require_usable(service_.backend);
     service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
@@ -152,7 +152,7 @@ void Trainer::take_visibility(const bus::Message& message) {
     ++lost_tensors_;
     return;
   }
-  const bus::MemoryKind memory = bus::memory_of(service_.backend);
+  const Device memory = service_.backend;
   auto values = visibilities_.take(tensor->bytes());
   if (!bus::copy_tensor(*tensor, values.get(), memory, host_copied_bytes_)) {
     ++lost_tensors_;

@@ -211,7 +211,7 @@ class CudaOptimizer final : public Optimizer {
     if (capacity <= store_.capacity()) return {};
     // The model moves to planes beside its own, and what is kept here for each Gaussian likewise.
     const std::size_t wanted = SlabLayout(store_.layout(), capacity).bytes + capacity * bytes_a_gaussian();
-    const std::size_t free = bus::free_memory(bus::MemoryKind::Cuda);
+    const std::size_t free = bus::free_memory(Device::Cuda);
     if (wanted + raster::cuda::kMemoryLeftFree <= free) return {};
     return fmt::format(
         "{} Gaussians take {} MiB of device memory more, of which {} MiB are free, and {} MiB are left so", capacity,

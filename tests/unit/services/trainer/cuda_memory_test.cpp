@@ -4,10 +4,9 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
 
 TEST_F(CudaOptimizerTest, LeavesOutPicturesThatThereIsNoMemoryFor) {
-  Trial s = trial(MemoryKind::Cuda);
+  Trial s = trial(Device::Cuda);
   const TrainingView& common = *scene_.views()[0];
   TrainingView giant = *scene_.views()[1];
   giant.camera.width = giant.camera.height = 40000;
@@ -32,7 +31,7 @@ TEST_F(CudaOptimizerTest, LeavesOutPicturesThatThereIsNoMemoryFor) {
 TEST_F(CudaOptimizerTest, RefusesInsertsThatThereIsNoMemoryFor) {
   bus::Parameters parameters(parameter_specs());
   const Options options = read_options(parameters);
-  ModelStore store(connect("trainer"), options.layout, 64, std::size_t{1} << 40, MemoryKind::Cuda);
+  ModelStore store(connect("trainer"), options.layout, 64, std::size_t{1} << 40, Device::Cuda);
   const auto optimizer = make_optimizer(store, options);
   InsertBatch giant = sample_batch(1, 1, 10);
   giant.count = std::size_t{1} << 33;

@@ -130,9 +130,9 @@ TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   ASSERT_TRUE(message);
   std::atomic<std::uint64_t> host_bytes{0};
   const std::size_t bytes = scene.views()[0]->color.bytes() + scene.views()[0]->albedo.bytes();
-  ReferenceReader small(bus::MemoryKind::Host, bytes - 1, host_bytes);
+  ReferenceReader small(Device::Cpu, bytes - 1, host_bytes);
   EXPECT_THROW(static_cast<void>(small.read(*message, false)), bus::Error);
-  ReferenceReader large(bus::MemoryKind::Host, bytes, host_bytes);
+  ReferenceReader large(Device::Cpu, bytes, host_bytes);
   EXPECT_NE(large.read(*message, false).view, nullptr);
 }
 
