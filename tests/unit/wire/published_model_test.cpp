@@ -60,10 +60,9 @@ class PublishedModels : public bus_test::BusTest,
       const auto others = apart_->write(all.subspan(together));
       planes.insert(planes.end(), others.begin(), others.end());
     }
-    publisher_.publish(
-        {.schema = "ModelPublished/1", .latch = true, .tensors = planes}, [&](auto& builder, auto header) {
-          return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
-        });
+    publisher_.publish(topics::kModelPublished, {.tensors = planes}, [&](auto& builder, auto header) {
+      return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
+    });
     auto message = subscriber_.receive(bus_test::patience);
     if (!message) throw std::runtime_error("nothing arrived");
     return *message;
@@ -78,7 +77,7 @@ class PublishedModels : public bus_test::BusTest,
   }
 
   std::shared_ptr<bus::Context> maker_ = connect("trainer"), reader_ = connect("reader");
-  bus::Publisher publisher_{maker_, "model/published"};
+  bus::Publisher publisher_{maker_};
   bus::Subscriber subscriber_{reader_, {"model/published"}};
   std::optional<bus::TensorRing> ring_, apart_;
 };
