@@ -18,10 +18,7 @@ constexpr std::int64_t beat_ns = 200'000'000;
 }  // namespace
 
 HeartbeatThread::HeartbeatThread(ServiceContext& service, std::string kind)
-    : service_(service),
-      kind_(std::move(kind)),
-      publisher_(service.bus),
-      control_(service.bus) {
+    : service_(service), kind_(std::move(kind)), publisher_(service.bus), control_(service.bus) {
   for (const std::string& name : {kind_, service.bus->source()}) {
     control_.on(topics::control("control/" + name),
                 [this](const wire::Control& control, const Message& message) { apply(control, message); });

@@ -32,8 +32,7 @@ std::int64_t nanoseconds(double seconds) {
 
 }  // namespace
 
-CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-                             Device backend)
+CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend)
     : context_(std::move(context)),
       options_(parameters),
       subscriber_(context_),

@@ -13,8 +13,7 @@ constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 
 }  // namespace
 
-InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind,
-                               const RoundSizes& expected)
+InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind, const RoundSizes& expected)
     : publisher_(context),
       ring_(context, "input", kRingSlots,
             expected.samples * kBytesASample + expected.views * expected.pixels * sizeof(float) + kRingSlack, kind) {}

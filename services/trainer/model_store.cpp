@@ -38,8 +38,7 @@ void ModelStore::add_step(std::size_t views, double seconds) {
   header_->optimizer_s += seconds;
 }
 
-bool ModelStore::set_visibility(std::uint64_t generation, const float* values, Device memory,
-                                std::size_t count) {
+bool ModelStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
   const bool moved = generation < structure_.removal_generation || generation > structure_.generation;
   if (moved || count > structure_.count) return false;
   columns_->set_visibility(planes_, values, memory, count);

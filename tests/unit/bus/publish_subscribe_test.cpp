@@ -215,9 +215,8 @@ TEST_F(PublishSubscribe, HandlersGetVerifiedRootsAndTheRestIsRefused) {
             numbers.push_back(probe.probe_id());
             if (probe.probe_id() == 13) throw std::runtime_error("thirteen");
           })
-      .on(topics::kViewerPose, [&](const wire::ViewerPose&, const bus::Message& message) {
-        poses.push_back(message.header().sequence());
-      });
+      .on(topics::kViewerPose,
+          [&](const wire::ViewerPose&, const bus::Message& message) { poses.push_back(message.header().sequence()); });
   meet(publisher, subscriber);
   const auto probe = [](auto& builder, auto header) {
     const wire::Camera camera;
@@ -245,9 +244,8 @@ TEST_F(PublishSubscribe, HandlersGetVerifiedRootsAndTheRestIsRefused) {
 TEST_F(PublishSubscribe, RefusalsOfASourceAreLoggedOnceASecond) {
   NumberPublisher publisher(connect("maker"), "viewer/probe"), other(connect("other"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"));
-  subscriber.on(topics::kViewerProbe, [](const wire::ViewerProbe&, const bus::Message&) {
-    throw std::runtime_error("never good enough");
-  });
+  subscriber.on(topics::kViewerProbe,
+                [](const wire::ViewerProbe&, const bus::Message&) { throw std::runtime_error("never good enough"); });
   meet(publisher, subscriber);
   meet(other, subscriber);
   std::ostringstream lines;

@@ -18,12 +18,10 @@
 namespace splatbus {
 namespace {
 
-
 constexpr std::uint32_t kCapacity = 32, kCount = 20, kChannels = 11 + 3;
 
 /// Publishes a radiance model of degree 0 whose planes hold their own index, and reads it back.
-class PublishedModels : public bus_test::BusTest,
-                        public testing::WithParamInterface<std::tuple<Device, Device>> {
+class PublishedModels : public bus_test::BusTest, public testing::WithParamInterface<std::tuple<Device, Device>> {
  protected:
   void SetUp() override {
     const auto [published, wanted] = GetParam();

@@ -37,8 +37,7 @@ struct Machine {
 };
 
 inline std::string machine_name(const testing::TestParamInfo<Machine>& info) {
-  return std::string(name_of(info.param.backend)) + "_among_" +
-         (info.param.peers == Device::Cuda ? "cuda" : "cpu");
+  return std::string(name_of(info.param.backend)) + "_among_" + (info.param.peers == Device::Cuda ? "cuda" : "cpu");
 }
 
 /// Says model/published as a trainer would: a slab with the planes of the Gaussians that it took.

@@ -107,8 +107,7 @@ TEST_P(StreamerOnDevice, PicturesOfProbesLeaveTheMachine) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Memories, StreamerOnDevice,
-                         testing::Values(Memories{Device::Cuda, Device::Cuda},
-                                         Memories{Device::Cuda, Device::Cpu},
+                         testing::Values(Memories{Device::Cuda, Device::Cuda}, Memories{Device::Cuda, Device::Cpu},
                                          Memories{Device::Cpu, Device::Cuda}));
 
 }  // namespace

@@ -66,8 +66,7 @@ class FakeTrainer {
 class RunningStreamer {
  public:
   RunningStreamer(std::shared_ptr<bus::Context> context,
-                  const std::vector<std::pair<std::string, std::string>>& changes,
-                  Device backend = Device::Cpu)
+                  const std::vector<std::pair<std::string, std::string>>& changes, Device backend = Device::Cpu)
       : parameters_(bus::Parameters::declare<streamer::Options>()) {
     for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
     service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token(), backend);
@@ -98,8 +97,7 @@ class StreamTest : public bus_test::BusTest {
  protected:
   explicit StreamTest(Device trainer = Device::Cpu) : trainer_(connect("trainer"), trainer) {}
 
-  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {},
-                      Device backend = Device::Cpu) {
+  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {}, Device backend = Device::Cpu) {
     changes.insert(changes.begin(), {"tick_hz", "50"});
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
     streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);

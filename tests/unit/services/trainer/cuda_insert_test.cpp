@@ -11,7 +11,6 @@
 namespace splatbus::trainer {
 namespace {
 
-
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
 class CudaInsert : public bus_test::BusTest {

@@ -4,7 +4,6 @@
 namespace splatbus::trainer {
 namespace {
 
-
 TEST_F(CudaOptimizerTest, LeavesOutPicturesThatThereIsNoMemoryFor) {
   Trial s = trial(Device::Cuda);
   const TrainingView& common = *scene_.views()[0];

@@ -37,8 +37,8 @@ using Settings = std::vector<std::pair<std::string, std::string>>;
 /// A model of its own in one kind of memory, trained on the synthetic scene.
 class Trial {
  public:
-  Trial(std::shared_ptr<bus::Context> context, Device memory, const SyntheticScene& scene,
-        const Settings& settings, std::size_t capacity = 512)
+  Trial(std::shared_ptr<bus::Context> context, Device memory, const SyntheticScene& scene, const Settings& settings,
+        std::size_t capacity = 512)
       : Trial(std::move(context), memory, scene.perturbed(), settings, capacity) {
     for (const auto& view : scene.views()) put(*view);
   }
