@@ -33,11 +33,11 @@ CpuOptimizer::CpuOptimizer(ModelStore& store, const Options& options)
 void CpuOptimizer::set_options(const Options& options) {
   options_ = options;
   options_.batch = std::max(1, options.batch);
-  if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
+  if (options.lr_half_life_steps < 0) options_.lr_half_life_steps = kDefaultHalfRateSteps;
   active_channels_ = active_channels(options);
   learning_rates_ = channel_learning_rates(options);
-  adam_.half_rate_steps = options_.half_rate_steps;
-  adam_.least_rate = options.least_rate;
+  adam_.half_rate_steps = options_.lr_half_life_steps;
+  adam_.least_rate = options.lr_min_factor;
 }
 
 void CpuOptimizer::follow_growth() {

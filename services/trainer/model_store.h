@@ -79,7 +79,7 @@ class ModelStore {
   std::size_t set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen);
 
   /// Publishes model/published with the slab as it is now.
-  void publish(bus::Publisher& publisher) const;
+  void publish(const bus::Publisher& publisher) const;
 
  private:
   void begin_empty(std::size_t capacity);

@@ -38,8 +38,8 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .statistics = options.densify.enabled,
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
-          .half_rate_steps = options.half_rate_steps,
-          .least_rate = options.least_rate};
+          .half_rate_steps = options.lr_half_life_steps,
+          .least_rate = options.lr_min_factor};
 }
 
 class CudaOptimizer final : public Optimizer {
@@ -65,7 +65,7 @@ class CudaOptimizer final : public Optimizer {
   void set_options(const Options& options) override {
     options_ = options;
     if (options.batch == 0) options_.batch = kDefaultBatch;
-    if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
+    if (options.lr_half_life_steps < 0) options_.lr_half_life_steps = kDefaultHalfRateSteps;
     train_.set_options(train_options(options_));
     train_.set_learning_rates(channel_learning_rates(options));
   }

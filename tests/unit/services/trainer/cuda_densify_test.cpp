@@ -9,8 +9,8 @@
 namespace splatbus::trainer {
 namespace {
 
-
-constexpr DensifyOptions kOptions{.enabled = true, .gradient_threshold = 0.5F, .clone_max_scale_m = 0.1F};
+constexpr DensifyOptions kOptions{
+    .enabled = true, .interval_steps = 100, .gradient_threshold = 0.5F, .clone_max_scale_m = 0.1F};
 
 /// Statistics as a few steps leave them.
 struct Gathered {
@@ -45,8 +45,7 @@ class CudaDensify : public bus_test::BusTest {
       }
     }
     host_ = std::make_unique<ModelStore>(connect("host"), ParameterLayout{}, count, max_gaussians, Device::Cpu);
-    device_ =
-        std::make_unique<ModelStore>(connect("device"), ParameterLayout{}, count, max_gaussians, Device::Cuda);
+    device_ = std::make_unique<ModelStore>(connect("device"), ParameterLayout{}, count, max_gaussians, Device::Cuda);
     for (ModelStore* store : {host_.get(), device_.get()}) {
       store->change([&] {
         store->append(rows);

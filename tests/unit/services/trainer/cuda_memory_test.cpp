@@ -4,7 +4,6 @@
 namespace splatbus::trainer {
 namespace {
 
-
 TEST_F(CudaOptimizerTest, LeavesOutPicturesThatThereIsNoMemoryFor) {
   Trial s = trial(Device::Cuda);
   const TrainingView& common = *scene_.views()[0];
@@ -29,8 +28,8 @@ TEST_F(CudaOptimizerTest, LeavesOutPicturesThatThereIsNoMemoryFor) {
 }
 
 TEST_F(CudaOptimizerTest, RefusesInsertsThatThereIsNoMemoryFor) {
-  bus::Parameters parameters(parameter_specs());
-  const Options options = read_options(parameters);
+  bus::Parameters parameters(bus::Parameters::declare<Options>());
+  const Options options = parameters.read<Options>();
   ModelStore store(connect("trainer"), options.layout, 64, std::size_t{1} << 40, Device::Cuda);
   const auto optimizer = make_optimizer(store, options);
   InsertBatch giant = sample_batch(1, 1, 10);
