@@ -3,7 +3,16 @@
 namespace splatbus::raster::cuda {
 namespace {
 
-constexpr int kThreads = 256;
+constexpr int kThreads = 256, kCopyThreads = 512;
+
+/// One block, so that all of it has read `turn` before that changes.
+__global__ void copy_tables_kernel(const uint4* ring, int slots, uint4* tables, std::size_t words,
+                                   std::uint32_t* turn) {
+  const uint4* from = ring + *turn % slots * words;
+  for (std::size_t k = threadIdx.x; k < words; k += kCopyThreads) tables[k] = __ldcv(from + k);
+  __syncthreads();
+  if (threadIdx.x == 0) *turn += 1;
+}
 
 __global__ void object_slots_kernel(const std::uint32_t* object_id, int count, const std::uint32_t* ids, int id_count,
                                     std::uint16_t* slots) {
@@ -23,6 +32,13 @@ __global__ void object_slots_kernel(const std::uint32_t* object_id, int count, c
 }
 
 }  // namespace
+
+void launch_copy_tables(const std::byte* ring, int slots, std::byte* tables, std::size_t bytes, std::uint32_t* turn,
+                        cudaStream_t stream) {
+  copy_tables_kernel<<<1, kCopyThreads, 0, stream>>>(reinterpret_cast<const uint4*>(ring), slots,
+                                                     reinterpret_cast<uint4*>(tables), bytes / sizeof(uint4), turn);
+  check(cudaGetLastError(), "copying tables");
+}
 
 void launch_object_slots(const std::uint32_t* object_id, int count, const std::uint32_t* object_ids, int id_count,
                          std::uint16_t* slots, cudaStream_t stream) {
