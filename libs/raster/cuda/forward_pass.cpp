@@ -35,6 +35,7 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
     workspace_.reserve(request);
     const WorkspaceView& w = workspace_.view();
     copy_tables(tables, gaussians, w);
+    launch_clear_counts(w, stream());
     launch_project(gaussians, w, project_, stream());
     std::uint32_t isects = 0;
     check(cudaMemcpyAsync(&isects, &w.counts->isects, sizeof(isects), cudaMemcpyDeviceToHost, stream()),

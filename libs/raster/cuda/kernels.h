@@ -14,21 +14,24 @@ struct ProjectOptions {
 };
 
 /// Copies `bytes`, a multiple of 16, from slot `turn % slots` of `ring`, pinned host memory, to `tables`, and adds 1 to
-/// `turn`, a device word: a launch that stays the same, in a graph too, while the host fills the slots in turn.
+/// `turn`, a device word: a launch that stays the same, in a graph too, while the host fills the slots in turn. Clears
+/// `counts`.
 void launch_copy_tables(const std::byte* ring, int slots, std::byte* tables, std::size_t bytes, std::uint32_t* turn,
-                        cudaStream_t stream);
+                        StepCounts* counts, cudaStream_t stream);
+
+void launch_clear_counts(const WorkspaceView& workspace, cudaStream_t stream);
 
 /// [count] rows of object_views: 1 + the index of a Gaussian's object in the ascending `object_ids`, 0 when it is none
 /// of them.
 void launch_object_slots(const std::uint32_t* object_id, int count, const std::uint32_t* object_ids, int id_count,
                          std::uint16_t* slots, cudaStream_t stream);
 
-/// Projects and shades every Gaussian for every view; fills projected_shape and projected_tail, and
-/// lists what tiles they meet, unsorted. Clears the counts.
+/// Projects and shades every Gaussian for every view; fills projected_shape and projected_tail, and lists which tiles
+/// they meet, unsorted. The caller has cleared the counts.
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
                     cudaStream_t stream);
 
-/// Sorts the intersections and finds each tile's.
+/// Sorts the intersections and finds those of each tile.
 void launch_sort(const WorkspaceView& workspace, cudaStream_t stream);
 
 /// Scratch that launch_sort needs.

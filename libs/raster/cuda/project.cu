@@ -170,7 +170,6 @@ __global__ void __launch_bounds__(kThreads, 6)
 
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
                     cudaStream_t stream) {
-  check(cudaMemsetAsync(workspace.counts, 0, sizeof(StepCounts), stream), "clearing the counts");
   check(cudaMemsetAsync(workspace.isect_ids[0], 0xFF, sizeof(std::uint64_t) * workspace.isect_capacity, stream),
         "clearing the intersections");
   const int blocks = (workspace.count + kThreads - 1) / kThreads;

@@ -29,7 +29,7 @@ WorkspaceView TrainStep::workspace_for(ViewBatch& batch) {
 /// The only wait.
 void TrainStep::size_isects(ViewBatch& batch) {
   const WorkspaceView w = workspace_for(batch);
-  batch.copy_tables(stream());
+  batch.copy_tables(w.counts, stream());
   launch_project(gaussians_, w, options_.project, stream());
   std::uint32_t isects = 0;
   check(cudaMemcpyAsync(&isects, &w.counts->isects, sizeof(isects), cudaMemcpyDeviceToHost, stream()),
@@ -39,7 +39,7 @@ void TrainStep::size_isects(ViewBatch& batch) {
 }
 
 void TrainStep::enqueue_forward(const ViewBatch& batch, const WorkspaceView& w) {
-  batch.copy_tables(stream());
+  batch.copy_tables(w.counts, stream());
   launch_project(gaussians_, w, options_.project, stream());
   launch_sort(w, stream());
   launch_blend_forward(gaussians_, w, stream());
@@ -79,7 +79,11 @@ std::vector<TrainStep::StageTime> TrainStep::time_stages(std::span<const TrainVi
   ViewBatch& batch = batch_for(views);
   const WorkspaceView w = workspace_for(batch);
   const std::array<std::pair<const char*, std::function<void()>>, 6> stages = {{
-      {"project_and_list", [&] { launch_project(gaussians_, w, options_.project, stream()); }},
+      {"project_and_list",
+       [&] {
+         launch_clear_counts(w, stream());
+         launch_project(gaussians_, w, options_.project, stream());
+       }},
       {"sort", [&] { launch_sort(w, stream()); }},
       {"blend_forward", [&] { launch_blend_forward(gaussians_, w, stream()); }},
       {"loss", [&] { losses(batch, w); }},

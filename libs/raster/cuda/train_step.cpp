@@ -67,7 +67,7 @@ void TrainStep::set_learning_rates(const std::vector<float>& rates) {
 }
 
 std::vector<TrainStep::Part> TrainStep::split(std::span<const TrainView> views) {
-  std::map<std::pair<std::uint32_t, std::uint32_t>, std::vector<TrainView>> by_size;
+  std::map<std::pair<std::uint32_t, std::uint32_t>, std::vector<TrainView>> by_size;  // seldom more than one
   for (const TrainView& view : views) by_size[{view.view.camera.width, view.view.camera.height}].push_back(view);
   std::vector<Part> parts;
   for (auto& [size, of_size] : by_size) {

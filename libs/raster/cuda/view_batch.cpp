@@ -82,8 +82,8 @@ void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearanc
   targets_ = targets;
 }
 
-void ViewBatch::copy_tables(cudaStream_t stream) const {
-  launch_copy_tables(ring_.data(), kSlots, tables_.data(), table_bytes_, device_turn_.data(), stream);
+void ViewBatch::copy_tables(StepCounts* counts, cudaStream_t stream) const {
+  launch_copy_tables(ring_.data(), kSlots, tables_.data(), table_bytes_, device_turn_.data(), counts, stream);
 }
 
 void ViewBatch::follow_model(const DeviceGaussians& gaussians, cudaStream_t stream) {

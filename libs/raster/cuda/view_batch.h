@@ -45,8 +45,8 @@ class ViewBatch {
   /// Writes the tables that the next copy_tables() takes, where no step on its way reads them. Waits for the stream
   /// when more objects move than before.
   void set_views(std::span<const TrainView> views, Appearance appearance, cudaStream_t stream);
-  /// The first stage of a step, the same for all of them.
-  void copy_tables(cudaStream_t stream) const;
+  /// The first stage of a step, the same for all of them: takes the tables and clears the counts.
+  void copy_tables(StepCounts* counts, cudaStream_t stream) const;
   /// Finds each Gaussian's object again where the model or the objects have changed.
   void follow_model(const DeviceGaussians& gaussians, cudaStream_t stream);
   /// The model's structure has changed, from `count_before` Gaussians.

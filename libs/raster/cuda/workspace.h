@@ -34,7 +34,7 @@ struct WorkspaceView {
   float* projected_depth_gradient = nullptr;  ///< [batch * count] of the depth; zero but between them, too
   std::uint8_t* projected_visible = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
 
-  StepCounts* counts = nullptr;  ///< since the last projection
+  StepCounts* counts = nullptr;  ///< cleared before every projection
 
   // Intersections of Gaussians with tiles; [1] is sorted by view, tile and depth.
   std::uint64_t* isect_ids[2] = {nullptr, nullptr};    ///< SortKey

@@ -78,6 +78,7 @@ class CudaPass final : public RasterPass {
     Tensor lists;
     for (w_.isect_capacity = guesses.guess(kind, gaussians.count);;) {
       const Tensor scratch = allocate_lists(type, differentiable, lists);
+      cuda::launch_clear_counts(w_, stream);
       cuda::launch_project(gaussians, w_, project_, stream);
       isects_to_host.copy(&w_.counts->isects, stream);
       // Lists that do not fit are drawn for nothing; to wait before it is known would cost every call.
