@@ -8,7 +8,7 @@
 namespace splatbus::raster {
 
 /// Cameras of one call.
-constexpr std::size_t kMostCameras = 16;
+constexpr std::size_t kMaxCameras = 16;
 
 /// What of a model is not trained, planes as in GaussiansView. An undefined tensor stands for a plane that is not
 /// there. The 32-bit planes are int32, whose bits are those of the unsigned values.
