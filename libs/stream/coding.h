@@ -113,7 +113,7 @@ SPLATBUS_HOST_DEVICE inline float dot(const Quaternion& a, const Quaternion& b) 
 }
 
 /// Of length 1; the identity where there is no direction.
-SPLATBUS_HOST_DEVICE inline Quaternion normalised(const Quaternion& q) {
+SPLATBUS_HOST_DEVICE inline Quaternion normalized(const Quaternion& q) {
   const float length = std::sqrt(dot(q, q));
   if (!(length > 1e-12F && length <= 3.4028234e38F)) return {};
   return {q.w / length, q.x / length, q.y / length, q.z / length};

@@ -6,15 +6,15 @@
 #include <cassert>
 #include <cmath>
 
+#include "stream/bytes.h"
 #include "stream/coding.h"
-#include "stream/error.h"
 
 namespace splatbus::stream {
 
 namespace {
 
 constexpr std::int32_t kMeanLimit = 1 << 26;   // 1 km at a step of 0.015 mm; sums of two fit in 32 bits
-constexpr std::int32_t kValueLimit = 1 << 14;  // log-scales, colours, coefficients
+constexpr std::int32_t kValueLimit = 1 << 14;  // log-scales, colors, coefficients
 constexpr std::int32_t kRotationLimit = 1 << 12;
 
 ParameterLayout canonical(ParameterLayout parameters) {
@@ -45,9 +45,9 @@ bool StreamLayout::carries(const ParameterLayout& parameters) const {
   return parameters_ == canonical(parameters);
 }
 
-void StreamLayout::add(Attribute attribute, int channels, Quantiser quantiser, std::int32_t minimum,
+void StreamLayout::add(Attribute attribute, int channels, Quantizer quantizer, std::int32_t minimum,
                        std::int32_t maximum) {
-  attributes_.push_back({attribute, channels_, channels, minimum, maximum, quantiser});
+  attributes_.push_back({attribute, channels_, channels, minimum, maximum, quantizer});
   channels_ += channels;
 }
 
@@ -86,19 +86,19 @@ StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
   for (std::size_t i = 0; i < layout.attributes_.size(); ++i) {
     AttributeChannels& expected = layout.attributes_[i];
     const wire::TensorMetadata& said = *begin.attributes()->Get(static_cast<flatbuffers::uoffset_t>(i));
-    const wire::Quantiser* quantiser = said.quantiser();
+    const wire::Quantizer* quantizer = said.quantizer();
     if (said.attribute() != expected.attribute || said.channels() != static_cast<std::uint32_t>(expected.channels) ||
-        !quantiser) {
+        !quantizer) {
       throw StreamError(fmt::format("SnapshotBegin: attribute {} is not {} with {} channels", i,
                                     wire::EnumNameAttribute(expected.attribute), expected.channels));
     }
-    const Quantiser q{quantiser->offset(), quantiser->step()};
+    const Quantizer q{quantizer->offset(), quantizer->step()};
     if (!std::isfinite(q.offset) || !std::isfinite(q.step) || std::abs(q.offset) > 1e6F || q.step < 1e-9F ||
         q.step > 1e3F) {
-      throw StreamError(fmt::format("SnapshotBegin: quantiser of {} makes no sense (offset {}, step {})",
+      throw StreamError(fmt::format("SnapshotBegin: quantizer of {} makes no sense (offset {}, step {})",
                                     wire::EnumNameAttribute(expected.attribute), q.offset, q.step));
     }
-    expected.quantiser = q;
+    expected.quantizer = q;
   }
   return layout;
 }

@@ -6,8 +6,8 @@
 #include <optional>
 #include <string>
 
-#include "stream/display_planes.h"
-#include "stream/held_state.h"
+#include "stream/display_gaussians.h"
+#include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 
@@ -24,7 +24,7 @@ struct MissingPackets {
 /// those missing before them, and for the end of a snapshot: the ids that close it are those of its slots.
 class Replica {
  public:
-  explicit Replica(std::size_t max_gaussians = std::size_t{1} << 22) : max_gaussians_(max_gaussians) {}
+  explicit Replica(std::size_t max_gaussians = kMaxGaussians) : max_gaussians_(max_gaussians) {}
 
   /// Takes any packet of the stream; those that are not about the model (Welcome, ProbePicture, ...) change nothing.
   /// True when the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was,
@@ -44,17 +44,19 @@ class Replica {
 
   /// What to ask a Resend for; nullopt while nothing is known to be missing.
   [[nodiscard]] std::optional<MissingPackets> missing() const;
-  /// A broadcast packet did not apply, or a snapshot contradicted itself: only another snapshot helps.
-  [[nodiscard]] bool needs_snapshot() const { return broken_; }
+  /// A broadcast packet did not apply, or a snapshot was refused: only another snapshot helps.
+  [[nodiscard]] bool needs_snapshot() const { return !refusal_.empty(); }
+  /// Why; empty while nothing is wrong.
+  [[nodiscard]] const std::string& refusal() const { return refusal_; }
 
   /// Exactly what is held, null before the first whole snapshot. For tests and statistics.
-  [[nodiscard]] const HeldState* held() const { return held_ ? &held_->state : nullptr; }
+  [[nodiscard]] const ReplicatedState* held() const { return held_ ? &held_->state : nullptr; }
 
  private:
   struct Shown {
-    explicit Shown(const StreamLayout& layout) : planes(layout) {}
-    HeldState state;
-    DisplayPlanes planes;
+    explicit Shown(const StreamLayout& layout) : display(layout) {}
+    ReplicatedState state;
+    DisplayGaussians display;
   };
   struct Chunk {
     std::size_t column = 0, count = 0;  ///< where it lies in `Loading::shown`
@@ -68,6 +70,7 @@ class Replica {
   };
 
   void begin(const wire::SnapshotBegin& body, std::uint64_t epoch);
+  [[nodiscard]] StreamLayout layout_of(const wire::SnapshotBegin& body);
   bool load(const ParsedPacket& packet);
   bool load_chunk(const ParsedPacket& packet);
   bool load_ids(const ParsedPacket& packet);
@@ -87,7 +90,7 @@ class Replica {
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
   std::uint64_t last_known_ = 0, version_ = 0;
-  bool broken_ = false;
+  std::string refusal_;
 };
 
 }  // namespace splatbus::stream

@@ -47,7 +47,7 @@ struct Storage {
       for (int c = 0; c < (together ? 1 : a.channels); ++c) {
         assert(plans.count < cuda::kMaxPlans);
         plans.plan[plans.count++] = {.step = step_of(a),
-                                     .unit = a.quantiser.step,
+                                     .unit = a.quantizer.step,
                                      .coding = coding,
                                      .source = static_cast<std::int16_t>(parameter_channel(a.attribute) + c),
                                      .first = static_cast<std::int16_t>(a.first + c),
@@ -87,7 +87,7 @@ void make_room(Array& array, std::size_t elements) {
   if (array.size() < elements) array.resize(elements + elements / 2);
 }
 
-class CudaObserver final : public Observer {
+class CudaQuantizer final : public ModelQuantizer {
  public:
   float choose_mean_step(const GaussiansView& gaussians) override {
     make_room(extents_, gaussians.count);
@@ -114,7 +114,7 @@ class CudaObserver final : public Observer {
     return ids_;
   }
 
-  void quantise(const GaussiansView& gaussians, const StreamLayout& layout, const QuantisedGaussians* held,
+  void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const QuantizedGaussians* held,
                 std::span<const std::uint32_t> held_column) override {
     assert(ids_.size() == gaussians.count);
     // What an observation that was not committed has written over is in nobody's memory.
@@ -130,7 +130,7 @@ class CudaObserver final : public Observer {
     make_room(changes_, capacity);
     pending_ = true;
 
-    cuda::launch_quantise(planes_of(gaussians), storage_->plans, upload_held(layout, held, held_column), integers(),
+    cuda::launch_quantize(planes_of(gaussians), storage_->plans, upload_held(layout, held, held_column), integers(),
                           changes_.data(), static_cast<std::uint32_t>(capacity), counts_.data(), stream_.get());
     read_ = read_counts();
     all_ = whole || read_.values > capacity;
@@ -138,7 +138,7 @@ class CudaObserver final : public Observer {
     bring_over();
   }
 
-  void commit(QuantisedGaussians& target, std::vector<std::uint8_t>& usable) override {
+  void commit(QuantizedGaussians& target, std::vector<std::uint8_t>& usable) override {
     assert(pending_);
     pending_ = false;
     if (all_) {
@@ -146,7 +146,7 @@ class CudaObserver final : public Observer {
     } else {
       for (std::size_t k = 0; k < read_.values; ++k) {
         const auto [where, value] = host_changes_[k];
-        target.planes[where >> cuda::kChannelShift][where & ((1U << cuda::kChannelShift) - 1)] = value;
+        target.channels[where >> cuda::kChannelShift][where & ((1U << cuda::kChannelShift) - 1)] = value;
       }
     }
     if (read_.usable > 0) usable.assign(host_usable_.data(), host_usable_.data() + count_);
@@ -198,13 +198,13 @@ class CudaObserver final : public Observer {
   }
 
   /// Null when nothing is held.
-  const cuda::HeldRotation* upload_held(const StreamLayout& layout, const QuantisedGaussians* held,
+  const cuda::HeldRotation* upload_held(const StreamLayout& layout, const QuantizedGaussians* held,
                                         std::span<const std::uint32_t> held_column) {
     if (held == nullptr || count_ == 0) return nullptr;
     assert(held_column.size() == count_);
     const auto first = static_cast<std::size_t>(layout.at(Attribute::Rotation).first);
-    const std::int32_t *x = held->planes[first].data(), *y = held->planes[first + 1].data(),
-                       *z = held->planes[first + 2].data();
+    const std::int32_t *x = held->channels[first].data(), *y = held->channels[first + 1].data(),
+                       *z = held->channels[first + 2].data();
     make_room(host_held_, count_);
     for (std::size_t i = 0; i < count_; ++i) {
       const std::uint32_t column = held_column[i];
@@ -220,16 +220,16 @@ class CudaObserver final : public Observer {
     return held_.data();
   }
 
-  void unpack(QuantisedGaussians& target) const {
-    target.planes.resize(storage_->rows_of_channel.size());
+  void unpack(QuantizedGaussians& target) const {
+    target.channels.resize(storage_->rows_of_channel.size());
     target.resize(count_);
-    for (std::size_t channel = 0; channel < target.planes.size(); ++channel) {
+    for (std::size_t channel = 0; channel < target.channels.size(); ++channel) {
       const auto [row, is_wide] = storage_->rows_of_channel[channel];
       const std::size_t first = static_cast<std::size_t>(row) * count_;
       if (is_wide) {
-        std::copy_n(host_wide_.data() + first, count_, target.planes[channel].begin());
+        std::copy_n(host_wide_.data() + first, count_, target.channels[channel].begin());
       } else {
-        std::copy_n(host_narrow_.data() + first, count_, target.planes[channel].begin());
+        std::copy_n(host_narrow_.data() + first, count_, target.channels[channel].begin());
       }
     }
   }
@@ -237,8 +237,8 @@ class CudaObserver final : public Observer {
   device::Stream stream_;
   std::optional<Storage> storage_;
   std::size_t count_ = 0;
-  bool pending_ = false;    ///< quantised and not committed
-  bool all_ = false;        ///< the last quantise() brought every value over
+  bool pending_ = false;    ///< quantized and not committed
+  bool all_ = false;        ///< the last quantize() brought every value over
   bool ids_moved_ = false;  ///< since the last commit
   cuda::ObservedCounts read_{};
   std::uint64_t copied_bytes_ = 0;
@@ -265,8 +265,8 @@ class CudaObserver final : public Observer {
 
 }  // namespace
 
-std::unique_ptr<Observer> make_cuda_observer() {
-  return std::make_unique<CudaObserver>();
+std::unique_ptr<ModelQuantizer> make_cuda_quantizer() {
+  return std::make_unique<CudaQuantizer>();
 }
 
 }  // namespace splatbus::stream

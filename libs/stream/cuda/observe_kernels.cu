@@ -109,7 +109,7 @@ __device__ coding::Vector rotation_vector(const PlanePlan& plan, const ModelPlan
                                               static_cast<float>(held[i].y) * plan.unit,
                                               static_cast<float>(held[i].z) * plan.unit});
   }
-  const coding::Quaternion q = coding::normalised({value(0), value(1), value(2), value(3)});
+  const coding::Quaternion q = coding::normalized({value(0), value(1), value(2), value(3)});
   return coding::to_rotation_vector(coding::nearest_equivalent(q, reference));
 }
 
@@ -178,7 +178,7 @@ void launch_ids(const ModelPlanes& model, const Integers& integers, ObservedCoun
   device::check(cudaGetLastError(), "comparing ids");
 }
 
-void launch_quantise(const ModelPlanes& model, const Plans& plans, const HeldRotation* held, const Integers& integers,
+void launch_quantize(const ModelPlanes& model, const Plans& plans, const HeldRotation* held, const Integers& integers,
                      ValueChange* changes, std::uint32_t capacity, ObservedCounts* counts, cudaStream_t stream) {
   device::check(cudaMemsetAsync(counts, 0, sizeof(ObservedCounts), stream), "clearing counts");
   if (model.count == 0) return;
@@ -186,7 +186,7 @@ void launch_quantise(const ModelPlanes& model, const Plans& plans, const HeldRot
   device::check(cudaGetLastError(), "marking usable columns");
   const dim3 grid(blocks_for(model.count), static_cast<unsigned>(plans.count));
   quantise_kernel<<<grid, kThreads, 0, stream>>>(model, plans, held, integers, {changes, capacity, counts});
-  device::check(cudaGetLastError(), "quantising");
+  device::check(cudaGetLastError(), "quantizing");
 }
 
 void launch_extents(const ModelPlanes& model, float* extents, ObservedCounts* counts, cudaStream_t stream) {

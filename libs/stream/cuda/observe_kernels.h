@@ -26,7 +26,7 @@ enum class Coding : std::uint8_t { Plain, Opacity, Albedo, Visibility, Rotation,
 /// One plane of integers; with Rotation and Normal its two neighbours and its one neighbour as well.
 struct PlanePlan {
   coding::Step step{};
-  float unit = 0;  ///< the quantiser's step
+  float unit = 0;  ///< the quantizer's step
   Coding coding{};
   std::int16_t source = 0;   ///< first parameter channel
   std::int16_t first = 0;    ///< among the stream's channels
@@ -40,7 +40,7 @@ struct Plans {
   int count = 0;
 };
 
-/// The rotation that viewers hold of a column, in quantiser steps.
+/// The rotation that viewers hold of a column, in quantizer steps.
 struct HeldRotation {
   std::int16_t x, y, z;
   std::int16_t held;  ///< 0: none is
@@ -71,9 +71,9 @@ struct Integers {
 /// Takes the ids over, and counts those that have changed.
 void launch_ids(const ModelPlanes& model, const Integers& integers, ObservedCounts* counts, cudaStream_t stream);
 
-/// Takes the object ids over, marks the usable columns, quantises, counts what has changed and lists changed values.
+/// Takes the object ids over, marks the usable columns, quantizes, counts what has changed and lists changed values.
 /// `held` may be null.
-void launch_quantise(const ModelPlanes& model, const Plans& plans, const HeldRotation* held, const Integers& integers,
+void launch_quantize(const ModelPlanes& model, const Plans& plans, const HeldRotation* held, const Integers& integers,
                      ValueChange* changes, std::uint32_t capacity, ObservedCounts* counts, cudaStream_t stream);
 
 /// Sorted into `extents` ([count]): the finite ones first. Counts those.

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "stream/display_planes.h"
+#include "stream/display_gaussians.h"
 #include "stream/replica.h"
 #include "stream/stream_model.h"
 
@@ -20,7 +20,7 @@ inline void expect_exact(const StreamModel& server, const Replica& replica) {
 
 /// The floats that are shown equal those made afresh from the integers.
 inline void expect_shown(const Replica& replica) {
-  DisplayPlanes fresh(replica.held()->layout);
+  DisplayGaussians fresh(replica.held()->layout);
   fresh.extend(replica.held()->gaussians);
   const GaussiansView want = fresh.view(), got = replica.view();
   ASSERT_EQ(got.count, want.count);

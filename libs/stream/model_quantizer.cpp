@@ -1,14 +1,18 @@
+#include "stream/model_quantizer.h"
+
 #include <algorithm>
+#include <cassert>
 #include <numeric>
 #include <utility>
-
-#include "stream/observer.h"
+#ifdef SPLATBUS_HAVE_CUDA
+#include "stream/cuda/cuda_observer.h"
+#endif
 
 namespace splatbus::stream {
 
 namespace {
 
-class HostObserver final : public Observer {
+class HostQuantizer final : public ModelQuantizer {
  public:
   float choose_mean_step(const GaussiansView& gaussians) override { return stream::choose_mean_step(gaussians); }
 
@@ -22,12 +26,12 @@ class HostObserver final : public Observer {
     return ids_;
   }
 
-  void quantise(const GaussiansView& gaussians, const StreamLayout& layout, const QuantisedGaussians* held,
+  void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const QuantizedGaussians* held,
                 std::span<const std::uint32_t> held_column) override {
-    stream::quantise(gaussians, layout, read_, usable_, held, held_column.data());
+    stream::quantize(gaussians, layout, read_, usable_, held, held_column.data());
   }
 
-  void commit(QuantisedGaussians& target, std::vector<std::uint8_t>& usable) override {
+  void commit(QuantizedGaussians& target, std::vector<std::uint8_t>& usable) override {
     read_.gaussian_id = ids_;
     std::swap(target, read_);
     std::swap(usable, usable_);
@@ -35,14 +39,22 @@ class HostObserver final : public Observer {
 
  private:
   std::vector<std::uint64_t> ids_;
-  QuantisedGaussians read_;
+  QuantizedGaussians read_;
   std::vector<std::uint8_t> usable_;
 };
 
 }  // namespace
 
-std::unique_ptr<Observer> make_host_observer() {
-  return std::make_unique<HostObserver>();
+std::unique_ptr<ModelQuantizer> make_host_quantizer() {
+  return std::make_unique<HostQuantizer>();
+}
+
+std::unique_ptr<ModelQuantizer> make_model_quantizer([[maybe_unused]] Device memory) {
+#ifdef SPLATBUS_HAVE_CUDA
+  if (memory == Device::Cuda) return make_cuda_quantizer();
+#endif
+  assert(memory == Device::Cpu);
+  return make_host_quantizer();
 }
 
 }  // namespace splatbus::stream

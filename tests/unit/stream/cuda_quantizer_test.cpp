@@ -1,4 +1,4 @@
-// The observer of device memory against that of host memory: the same integers, the same packets.
+// The quantizer of device memory against that of host memory: the same integers, the same packets.
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -7,7 +7,7 @@
 
 #include "device/buffer.h"
 #include "device/stream.h"
-#include "stream/observer.h"
+#include "stream/model_quantizer.h"
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -50,7 +50,7 @@ std::string case_name(const testing::TestParamInfo<Case>& info) {
          std::to_string(info.param.count);
 }
 
-class CudaObserver : public testing::TestWithParam<Case> {
+class CudaQuantizer : public testing::TestWithParam<Case> {
  protected:
   void SetUp() override {
     int devices = 0;
@@ -58,10 +58,10 @@ class CudaObserver : public testing::TestWithParam<Case> {
     device_.emplace();
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
     twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
-                                          make_observer(Device::Cuda));
+                                          make_model_quantizer(Device::Cuda));
     twin_->set_scene(server_->scene, 0);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
-    twin_->jump();
+    twin_->reset_to_target();
     expect_same();
   }
 
@@ -83,12 +83,13 @@ class CudaObserver : public testing::TestWithParam<Case> {
   }
 
   void expect_same() {
-    const QuantisedGaussians &actual = twin_->observed_gaussians(), &expected = server_->stream.observed_gaussians();
+    const QuantizedGaussians &actual = twin_->observed_gaussians(), &expected = server_->stream.observed_gaussians();
     ASSERT_EQ(actual.count(), expected.count());
-    ASSERT_EQ(actual.planes.size(), expected.planes.size());
-    for (std::size_t c = 0; c < actual.planes.size(); ++c) {
+    ASSERT_EQ(actual.channels.size(), expected.channels.size());
+    for (std::size_t c = 0; c < actual.channels.size(); ++c) {
       std::size_t apart = 0;
-      for (std::size_t i = 0; i < actual.count(); ++i) apart += actual.planes[c][i] != expected.planes[c][i] ? 1 : 0;
+      for (std::size_t i = 0; i < actual.count(); ++i)
+        apart += actual.channels[c][i] != expected.channels[c][i] ? 1 : 0;
       EXPECT_EQ(apart, 0U) << "of " << actual.count() << " in channel " << c;
     }
     EXPECT_EQ(actual.object_id, expected.object_id);
@@ -103,7 +104,7 @@ class CudaObserver : public testing::TestWithParam<Case> {
   std::uint64_t frame_ = 0;
 };
 
-TEST_P(CudaObserver, FollowsATrainedModelBitForBit) {
+TEST_P(CudaQuantizer, FollowsATrainedModelBitForBit) {
   for (int round = 0; round < 12; ++round) {
     if (round % 3 == 0) server_->insert(GetParam().count / 5 + 1);
     if (round % 4 == 1) server_->remove(GetParam().count / 9);
@@ -114,7 +115,7 @@ TEST_P(CudaObserver, FollowsATrainedModelBitForBit) {
   }
 }
 
-TEST_P(CudaObserver, LeavesOutWhatIsNotFinite) {
+TEST_P(CudaQuantizer, LeavesOutWhatIsNotFinite) {
   GaussiansBuffer& model = server_->model();
   const float nan = std::numeric_limits<float>::quiet_NaN();
   const std::size_t channel = model.layout().channels() - 1;
@@ -126,49 +127,49 @@ TEST_P(CudaObserver, LeavesOutWhatIsNotFinite) {
   tick();
 }
 
-TEST_P(CudaObserver, AnObservationThatWasTornLeavesNothingBehind) {
+TEST_P(CudaQuantizer, AnObservationThatWasTornLeavesNothingBehind) {
   server_->train(0.05F);
   GaussiansBuffer torn = server_->model();
   torn.gaussian_id[0] = 99999;
   torn.object_id[1] = 4;
   torn.parameters[0] = std::numeric_limits<float>::quiet_NaN();
   for (float& value : torn.parameters) value += 0.5F;
-  const QuantisedGaussians before = twin_->observed_gaussians();
+  const QuantizedGaussians before = twin_->observed_gaussians();
   EXPECT_FALSE(twin_->observe(device_->copy(torn), [] { return false; }));
   EXPECT_EQ(twin_->observed_gaussians(), before);
   tick();
 }
 
-TEST_P(CudaObserver, BringsOverLittleOfWhatRests) {
+TEST_P(CudaQuantizer, BringsOverLittleOfWhatRests) {
   tick();
-  const std::uint64_t before = twin_->observer().copied_bytes();
+  const std::uint64_t before = twin_->quantizer().copied_bytes();
   tick();
-  EXPECT_EQ(twin_->observer().copied_bytes(), before);
+  EXPECT_EQ(twin_->quantizer().copied_bytes(), before);
   server_->model().parameters[0] += 1.0F;
   tick();
-  EXPECT_LE(twin_->observer().copied_bytes() - before, 64U);
+  EXPECT_LE(twin_->quantizer().copied_bytes() - before, 64U);
 }
 
-INSTANTIATE_TEST_SUITE_P(Appearances, CudaObserver,
+INSTANTIATE_TEST_SUITE_P(Appearances, CudaQuantizer,
                          testing::Values(Case{Appearance::Transfer, 600}, Case{Appearance::Radiance, 600},
                                          Case{Appearance::Transfer, 20'000}, Case{Appearance::Radiance, 20'000}),
                          case_name);
 
-TEST(CudaObserverOfALargeModel, SeesWhatTheHostSees) {
+TEST(CudaQuantizerOfALargeModel, SeesWhatTheHostSees) {
   int devices = 0;
   if (cudaGetDeviceCount(&devices) != cudaSuccess || devices == 0) GTEST_SKIP() << "no CUDA device";
   GaussiansBuffer model = test::toy_model(200'000, 3);
   DeviceModel device;
   StreamModel host(PacketWriter("streamer", 1), 77);
-  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, make_observer(Device::Cuda));
+  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, make_model_quantizer(Device::Cuda));
   const auto observe = [&] {
     EXPECT_TRUE(host.observe(model.view()));
     EXPECT_TRUE(cuda.observe(device.copy(model)));
     EXPECT_EQ(host.observed_gaussians(), cuda.observed_gaussians());
   };
   observe();
-  host.jump();
-  cuda.jump();
+  host.reset_to_target();
+  cuda.reset_to_target();
   for (float& value : model.parameters) value += 0.02F;
   observe();
   std::mt19937 random(5);

@@ -1,4 +1,4 @@
-#include "stream/display_planes.h"
+#include "stream/display_gaussians.h"
 
 #include <algorithm>
 #include <numeric>
@@ -26,7 +26,7 @@ void close_gaps(float* plane, std::size_t count, std::span<const std::uint32_t> 
 
 }  // namespace
 
-void DisplayPlanes::reserve(std::size_t columns) {
+void DisplayGaussians::reserve(std::size_t columns) {
   if (columns <= stride_) return;
   const std::size_t stride = std::max({columns, 2 * stride_, std::size_t{4096}});
   restride(parameters_, static_cast<std::size_t>(layout_.parameters().channels()), count_, stride_, stride);
@@ -35,11 +35,11 @@ void DisplayPlanes::reserve(std::size_t columns) {
   stride_ = stride;
 }
 
-DequantisedPlanes DisplayPlanes::planes() {
+DequantizedChannels DisplayGaussians::planes() {
   return {parameters_.data(), normal_.data(), visibility_.data(), stride_};
 }
 
-void DisplayPlanes::extend(const QuantisedGaussians& gaussians) {
+void DisplayGaussians::extend(const QuantizedGaussians& gaussians) {
   const std::size_t first = count_;
   reserve(gaussians.count());
   count_ = gaussians.count();
@@ -49,16 +49,16 @@ void DisplayPlanes::extend(const QuantisedGaussians& gaussians) {
   for (const AttributeChannels& a : layout_.attributes()) update(gaussians, a.attribute, columns);
 }
 
-void DisplayPlanes::update(const QuantisedGaussians& gaussians, Attribute attribute,
-                           std::span<const std::uint32_t> columns) {
-  dequantise(gaussians, layout_, attribute, columns, planes());
+void DisplayGaussians::update(const QuantizedGaussians& gaussians, Attribute attribute,
+                              std::span<const std::uint32_t> columns) {
+  dequantize(gaussians, layout_, attribute, columns, planes());
 }
 
-void DisplayPlanes::update_objects(const QuantisedGaussians& gaussians, std::span<const std::uint32_t> columns) {
+void DisplayGaussians::update_objects(const QuantizedGaussians& gaussians, std::span<const std::uint32_t> columns) {
   for (const std::uint32_t i : columns) object_id_[i] = gaussians.object_id[i];
 }
 
-void DisplayPlanes::remove(std::span<const std::uint32_t> ascending) {
+void DisplayGaussians::remove(std::span<const std::uint32_t> ascending) {
   if (ascending.empty()) return;
   for (int c = 0; c < layout_.parameters().channels(); ++c) {
     close_gaps(parameters_.data() + static_cast<std::size_t>(c) * stride_, count_, ascending);
@@ -69,7 +69,7 @@ void DisplayPlanes::remove(std::span<const std::uint32_t> ascending) {
   count_ -= ascending.size();
 }
 
-void DisplayPlanes::reorder(std::span<const std::uint32_t> order) {
+void DisplayGaussians::reorder(std::span<const std::uint32_t> order) {
   std::vector<float> before(count_);
   const auto plane = [&](float* values) {
     std::copy_n(values, count_, before.begin());
@@ -84,7 +84,7 @@ void DisplayPlanes::reorder(std::span<const std::uint32_t> order) {
   for (std::size_t i = 0; i < count_; ++i) object_id_[i] = objects[order[i]];
 }
 
-GaussiansView DisplayPlanes::view() const {
+GaussiansView DisplayGaussians::view() const {
   GaussiansView view;
   view.layout = layout_.parameters();
   view.count = count_;

@@ -13,23 +13,23 @@ namespace splatbus::stream {
 
 /// Gaussians as the integers that travel: what server and viewer hold alike, bit for bit. Column i of every plane is
 /// one Gaussian; in a held state i is its stream slot.
-struct QuantisedGaussians {
-  std::vector<std::vector<std::int32_t>> planes;  ///< [layout.channels()][count]
+struct QuantizedGaussians {
+  std::vector<std::vector<std::int32_t>> channels;  ///< [layout.channels()][count]
   std::vector<std::uint32_t> object_id;
   std::vector<std::uint64_t> gaussian_id;  ///< 0 where it is not known (yet)
 
-  QuantisedGaussians() = default;
-  explicit QuantisedGaussians(const StreamLayout& layout, std::size_t count = 0);
+  QuantizedGaussians() = default;
+  explicit QuantizedGaussians(const StreamLayout& layout, std::size_t count = 0);
 
   [[nodiscard]] std::size_t count() const { return object_id.size(); }
   void resize(std::size_t count);
-  void append(const QuantisedGaussians& other);
+  void append(const QuantizedGaussians& other);
   /// The columns `columns`, in that order.
-  [[nodiscard]] QuantisedGaussians gather(std::span<const std::uint32_t> columns) const;
+  [[nodiscard]] QuantizedGaussians gather(std::span<const std::uint32_t> columns) const;
   /// Takes out the columns `ascending` (sorted, distinct, in range); those above close the gaps in order.
   void remove(std::span<const std::uint32_t> ascending);
 
-  bool operator==(const QuantisedGaussians&) const = default;
+  bool operator==(const QuantizedGaussians&) const = default;
 };
 
 /// Removes elements at the ascending indices.
@@ -57,19 +57,19 @@ void remove_at(std::vector<T>& values, std::span<const std::uint32_t> ascending)
 /// `held_column[i]` is the column of `held` that Gaussian i has, or kNotHeld: its rotation is then written as the
 /// equivalent one nearest to that which is held. Both may be null.
 inline constexpr std::uint32_t kNotHeld = 0xFFFFFFFFU;
-void quantise(const GaussiansView& gaussians, const StreamLayout& layout, QuantisedGaussians& out,
-              std::vector<std::uint8_t>& usable, const QuantisedGaussians* held = nullptr,
+void quantize(const GaussiansView& gaussians, const StreamLayout& layout, QuantizedGaussians& out,
+              std::vector<std::uint8_t>& usable, const QuantizedGaussians* held = nullptr,
               const std::uint32_t* held_column = nullptr);
 
 /// Model parameters of one Gaussian attribute from its integers: writes the attribute's parameter channels (or normal,
 /// or visibility) of columns `columns` into planes of `stride`. `normal` and `visibility` may be null for Radiance.
-struct DequantisedPlanes {
+struct DequantizedChannels {
   float* parameters = nullptr;  ///< [layout.parameters().channels()][stride]
   float* normal = nullptr;      ///< [3][stride]
   float* visibility = nullptr;  ///< [stride]
   std::size_t stride = 0;
 };
-void dequantise(const QuantisedGaussians& gaussians, const StreamLayout& layout, Attribute attribute,
-                std::span<const std::uint32_t> columns, const DequantisedPlanes& out);
+void dequantize(const QuantizedGaussians& gaussians, const StreamLayout& layout, Attribute attribute,
+                std::span<const std::uint32_t> columns, const DequantizedChannels& out);
 
 }  // namespace splatbus::stream

@@ -5,21 +5,21 @@
 #include <vector>
 
 #include "gaussians/model.h"
-#include "stream/quantised.h"
+#include "stream/quantized.h"
 
 namespace splatbus::stream {
 
 /// The floats that a rasteriser reads, kept beside the integers. Columns grow by doubling, so that a model which
 /// arrives chunk by chunk is not copied once a chunk.
-class DisplayPlanes {
+class DisplayGaussians {
  public:
-  explicit DisplayPlanes(const StreamLayout& layout) : layout_(layout) {}
+  explicit DisplayGaussians(const StreamLayout& layout) : layout_(layout) {}
 
   /// Adds the columns [count(), gaussians.count()).
-  void extend(const QuantisedGaussians& gaussians);
+  void extend(const QuantizedGaussians& gaussians);
   /// Writes the attribute of these columns anew.
-  void update(const QuantisedGaussians& gaussians, Attribute attribute, std::span<const std::uint32_t> columns);
-  void update_objects(const QuantisedGaussians& gaussians, std::span<const std::uint32_t> columns);
+  void update(const QuantizedGaussians& gaussians, Attribute attribute, std::span<const std::uint32_t> columns);
+  void update_objects(const QuantizedGaussians& gaussians, std::span<const std::uint32_t> columns);
   void remove(std::span<const std::uint32_t> ascending);
   /// Column i becomes what column order[i] was; a permutation of all columns.
   void reorder(std::span<const std::uint32_t> order);
@@ -30,7 +30,7 @@ class DisplayPlanes {
 
  private:
   void reserve(std::size_t columns);
-  [[nodiscard]] DequantisedPlanes planes();
+  [[nodiscard]] DequantizedChannels planes();
 
   StreamLayout layout_;
   std::size_t count_ = 0, stride_ = 0;

@@ -1,4 +1,4 @@
-#include "stream/quantised.h"
+#include "stream/quantized.h"
 
 #include <algorithm>
 #include <array>
@@ -28,8 +28,8 @@ glm::vec3 from_octahedral(const glm::vec2& e) {
   return length > 0 ? n / length : glm::vec3(0, 0, 1);
 }
 
-void quantise_rotation(const GaussiansView& in, const StreamLayout& layout, QuantisedGaussians& out,
-                       const QuantisedGaussians* held, const std::uint32_t* held_column) {
+void quantise_rotation(const GaussiansView& in, const StreamLayout& layout, QuantizedGaussians& out,
+                       const QuantizedGaussians* held, const std::uint32_t* held_column) {
   const AttributeChannels& a = layout.at(Attribute::Rotation);
   const coding::Step step = step_of(a);
   const float* w = in.plane(ParameterLayout::kRotation);
@@ -37,29 +37,29 @@ void quantise_rotation(const GaussiansView& in, const StreamLayout& layout, Quan
   const float* y = in.plane(ParameterLayout::kRotation + 2);
   const float* z = in.plane(ParameterLayout::kRotation + 3);
   for (std::size_t i = 0; i < in.count; ++i) {
-    const coding::Quaternion q = coding::normalised({w[i], x[i], y[i], z[i]});
+    const coding::Quaternion q = coding::normalized({w[i], x[i], y[i], z[i]});
     coding::Quaternion reference;
     if (held && held_column && held_column[i] != kNotHeld) {
       const auto value = [&](int channel) {
-        return static_cast<float>(held->planes[a.first + channel][held_column[i]]) * a.quantiser.step;
+        return static_cast<float>(held->channels[a.first + channel][held_column[i]]) * a.quantizer.step;
       };
       reference = coding::from_rotation_vector({value(0), value(1), value(2)});
     }
     const coding::Vector v = coding::to_rotation_vector(coding::nearest_equivalent(q, reference));
-    out.planes[a.first][i] = step(v.x);
-    out.planes[a.first + 1][i] = step(v.y);
-    out.planes[a.first + 2][i] = step(v.z);
+    out.channels[a.first][i] = step(v.x);
+    out.channels[a.first + 1][i] = step(v.y);
+    out.channels[a.first + 2][i] = step(v.z);
   }
 }
 
-void quantise_normal(const GaussiansView& in, const AttributeChannels& a, QuantisedGaussians& out) {
+void quantise_normal(const GaussiansView& in, const AttributeChannels& a, QuantizedGaussians& out) {
   const coding::Step step = step_of(a);
   for (std::size_t i = 0; i < in.count; ++i) {
     const coding::Octahedral e =
         in.normal ? coding::octahedral(in.normal[i], in.normal[in.stride + i], in.normal[2 * in.stride + i])
                   : coding::octahedral(0, 1, 0);
-    out.planes[a.first][i] = step(e.x);
-    out.planes[a.first + 1][i] = step(e.y);
+    out.channels[a.first][i] = step(e.x);
+    out.channels[a.first + 1][i] = step(e.y);
   }
 }
 
@@ -85,11 +85,11 @@ void find_unusable(const GaussiansView& in, std::vector<std::uint8_t>& usable) {
 }
 
 template <class Map>
-void quantise_planes(const GaussiansView& in, const AttributeChannels& a, QuantisedGaussians& out, Map map) {
+void quantize_channels(const GaussiansView& in, const AttributeChannels& a, QuantizedGaussians& out, Map map) {
   const coding::Step step = step_of(a);
   for (int c = 0; c < a.channels; ++c) {
     const float* from = in.plane(parameter_channel(a.attribute) + c);
-    std::int32_t* to = out.planes[a.first + c].data();
+    std::int32_t* to = out.channels[a.first + c].data();
     for (std::size_t i = 0; i < in.count; ++i) to[i] = step(map(from[i]));
   }
 }
@@ -97,37 +97,37 @@ void quantise_planes(const GaussiansView& in, const AttributeChannels& a, Quanti
 }  // namespace
 
 coding::Step step_of(const AttributeChannels& a) {
-  return {.offset = a.quantiser.offset,
-          .per_step = 1 / a.quantiser.step,
+  return {.offset = a.quantizer.offset,
+          .per_step = 1 / a.quantizer.step,
           .minimum = static_cast<float>(a.minimum),
           .maximum = static_cast<float>(a.maximum)};
 }
 
-QuantisedGaussians::QuantisedGaussians(const StreamLayout& layout, std::size_t count) : planes(layout.channels()) {
+QuantizedGaussians::QuantizedGaussians(const StreamLayout& layout, std::size_t count) : channels(layout.channels()) {
   resize(count);
 }
 
-void QuantisedGaussians::resize(std::size_t count) {
-  for (auto& plane : planes) plane.resize(count);
+void QuantizedGaussians::resize(std::size_t count) {
+  for (auto& plane : channels) plane.resize(count);
   object_id.resize(count);
   gaussian_id.resize(count);
 }
 
-void QuantisedGaussians::append(const QuantisedGaussians& other) {
-  assert(planes.size() == other.planes.size());
-  for (std::size_t c = 0; c < planes.size(); ++c) {
-    planes[c].insert(planes[c].end(), other.planes[c].begin(), other.planes[c].end());
+void QuantizedGaussians::append(const QuantizedGaussians& other) {
+  assert(channels.size() == other.channels.size());
+  for (std::size_t c = 0; c < channels.size(); ++c) {
+    channels[c].insert(channels[c].end(), other.channels[c].begin(), other.channels[c].end());
   }
   object_id.insert(object_id.end(), other.object_id.begin(), other.object_id.end());
   gaussian_id.insert(gaussian_id.end(), other.gaussian_id.begin(), other.gaussian_id.end());
 }
 
-QuantisedGaussians QuantisedGaussians::gather(std::span<const std::uint32_t> columns) const {
-  QuantisedGaussians out;
-  out.planes.resize(planes.size());
+QuantizedGaussians QuantizedGaussians::gather(std::span<const std::uint32_t> columns) const {
+  QuantizedGaussians out;
+  out.channels.resize(channels.size());
   out.resize(columns.size());
-  for (std::size_t c = 0; c < planes.size(); ++c) {
-    for (std::size_t i = 0; i < columns.size(); ++i) out.planes[c][i] = planes[c][columns[i]];
+  for (std::size_t c = 0; c < channels.size(); ++c) {
+    for (std::size_t i = 0; i < columns.size(); ++i) out.channels[c][i] = channels[c][columns[i]];
   }
   for (std::size_t i = 0; i < columns.size(); ++i) {
     out.object_id[i] = object_id[columns[i]];
@@ -136,17 +136,17 @@ QuantisedGaussians QuantisedGaussians::gather(std::span<const std::uint32_t> col
   return out;
 }
 
-void QuantisedGaussians::remove(std::span<const std::uint32_t> ascending) {
-  for (auto& plane : planes) remove_at(plane, ascending);
+void QuantizedGaussians::remove(std::span<const std::uint32_t> ascending) {
+  for (auto& plane : channels) remove_at(plane, ascending);
   remove_at(object_id, ascending);
   remove_at(gaussian_id, ascending);
 }
 
-void quantise(const GaussiansView& gaussians, const StreamLayout& layout, QuantisedGaussians& out,
-              std::vector<std::uint8_t>& usable, const QuantisedGaussians* held, const std::uint32_t* held_column) {
+void quantize(const GaussiansView& gaussians, const StreamLayout& layout, QuantizedGaussians& out,
+              std::vector<std::uint8_t>& usable, const QuantizedGaussians* held, const std::uint32_t* held_column) {
   assert(layout.carries(gaussians.layout));
   const std::size_t count = gaussians.count;
-  out.planes.resize(static_cast<std::size_t>(layout.channels()));
+  out.channels.resize(static_cast<std::size_t>(layout.channels()));
   out.resize(count);
   find_unusable(gaussians, usable);
   for (const AttributeChannels& a : layout.attributes()) {
@@ -158,35 +158,35 @@ void quantise(const GaussiansView& gaussians, const StreamLayout& layout, Quanti
         quantise_normal(gaussians, a, out);
         break;
       case Attribute::Opacity:
-        quantise_planes(gaussians, a, out, coding::sigmoid);
+        quantize_channels(gaussians, a, out, coding::sigmoid);
         break;
       case Attribute::Albedo:
-        quantise_planes(gaussians, a, out, coding::srgb_odd);
+        quantize_channels(gaussians, a, out, coding::srgb_odd);
         break;
       case Attribute::Visibility: {
         const coding::Step step = step_of(a);
         for (std::size_t i = 0; i < count; ++i) {
-          out.planes[a.first][i] = step(gaussians.visibility ? gaussians.visibility[i] : 1.0F);
+          out.channels[a.first][i] = step(gaussians.visibility ? gaussians.visibility[i] : 1.0F);
         }
         break;
       }
       default:
-        quantise_planes(gaussians, a, out, [](float value) { return value; });
+        quantize_channels(gaussians, a, out, [](float value) { return value; });
     }
   }
   for (std::size_t i = 0; i < count; ++i) {
     out.object_id[i] = gaussians.object_id ? gaussians.object_id[i] : 0;
     out.gaussian_id[i] = gaussians.gaussian_id ? gaussians.gaussian_id[i] : 0;
     if (usable[i]) continue;
-    for (auto& plane : out.planes) plane[i] = 0;
+    for (auto& plane : out.channels) plane[i] = 0;
   }
 }
 
-void dequantise(const QuantisedGaussians& gaussians, const StreamLayout& layout, Attribute attribute,
-                std::span<const std::uint32_t> columns, const DequantisedPlanes& out) {
+void dequantize(const QuantizedGaussians& gaussians, const StreamLayout& layout, Attribute attribute,
+                std::span<const std::uint32_t> columns, const DequantizedChannels& out) {
   const AttributeChannels& a = layout.at(attribute);
   const auto value = [&](int channel, std::uint32_t column) {
-    return a.quantiser.offset + a.quantiser.step * static_cast<float>(gaussians.planes[a.first + channel][column]);
+    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + channel][column]);
   };
   const auto plane = [&](int channel) { return out.parameters + static_cast<std::size_t>(channel) * out.stride; };
   const int first = parameter_channel(attribute);
