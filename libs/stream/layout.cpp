@@ -7,7 +7,6 @@
 #include <cmath>
 
 #include "stream/bytes.h"
-#include "stream/coding.h"
 
 namespace splatbus::stream {
 
@@ -125,22 +124,6 @@ int parameter_channel(Attribute attribute) {
 float mean_step_for(float median_log_extent) {
   const float exponent = std::floor(median_log_extent / std::log(2.0F)) - 5;
   return std::ldexp(1.0F, static_cast<int>(std::clamp(exponent, -20.0F, 0.0F)));
-}
-
-float choose_mean_step(const GaussiansView& gaussians) {
-  std::vector<float> extent;
-  extent.reserve(gaussians.count);
-  const float* const a = gaussians.plane(ParameterLayout::kLogScale);
-  const float* const b = gaussians.plane(ParameterLayout::kLogScale + 1);
-  const float* const c = gaussians.plane(ParameterLayout::kLogScale + 2);
-  for (std::size_t i = 0; i < gaussians.count; ++i) {
-    const float middle = coding::middle_of(a[i], b[i], c[i]);
-    if (std::isfinite(middle)) extent.push_back(middle);
-  }
-  if (extent.empty()) return kDefaultMeanStep_m;
-  auto middle = extent.begin() + static_cast<std::ptrdiff_t>(extent.size() / 2);
-  std::ranges::nth_element(extent, middle);
-  return mean_step_for(*middle);
 }
 
 }  // namespace splatbus::stream

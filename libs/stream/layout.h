@@ -50,7 +50,7 @@ class StreamLayout {
  public:
   StreamLayout() : StreamLayout(ParameterLayout{}, 1.0F) {}
 
-  /// The streamer's choice. `mean_step_m`: see choose_mean_step.
+  /// The streamer's choice. `mean_step_m`: see ModelQuantizer::choose_mean_step.
   StreamLayout(const ParameterLayout& parameters, float mean_step_m);
 
   /// As a SnapshotBegin says. Throws StreamError.
@@ -81,11 +81,8 @@ class StreamLayout {
 /// own.
 [[nodiscard]] int parameter_channel(Attribute attribute);
 
-/// A 32nd of the median Gaussian's extent (second largest scale), rounded down to a power of two, between 2^-20 and 1
-/// m; 2^-11 m when there is none. Error of a mean: at most half of that, under 2 % of a typical Gaussian's sigma.
-[[nodiscard]] float choose_mean_step(const GaussiansView& gaussians);
 inline constexpr float kDefaultMeanStep_m = 1.0F / 2048;
-/// The same from the median of the log of the extents.
+/// ModelQuantizer::choose_mean_step from the median of the log of the extents.
 [[nodiscard]] float mean_step_for(float median_log_extent);
 
 }  // namespace splatbus::stream

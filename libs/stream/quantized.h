@@ -50,26 +50,8 @@ void remove_at(std::vector<T>& values, std::span<const std::uint32_t> ascending)
 /// How a channel of the attribute becomes an integer.
 [[nodiscard]] coding::Step step_of(const AttributeChannels& channels);
 
-/// Nearest integers of columns [0, gaussians.count) of a view, into `out` (resized; buffers are reused). Reads
-/// parameters, normal and visibility (Transfer; null: up, 1), object_id and gaussian_id where they are not null. Values
-/// are clamped to the layout's range. `usable[i]` is 0 where a value was not finite; that column is then all zero.
-///
-/// `held_column[i]` is the column of `held` that Gaussian i has, or kNotHeld: its rotation is then written as the
-/// equivalent one nearest to that which is held. Both may be null.
-inline constexpr std::uint32_t kNotHeld = 0xFFFFFFFFU;
-void quantize(const GaussiansView& gaussians, const StreamLayout& layout, QuantizedGaussians& out,
-              std::vector<std::uint8_t>& usable, const QuantizedGaussians* held = nullptr,
-              const std::uint32_t* held_column = nullptr);
+[[nodiscard]] coding::Kind coding_of(Attribute attribute);
 
-/// Model parameters of one Gaussian attribute from its integers: writes the attribute's parameter channels (or normal,
-/// or visibility) of columns `columns` into planes of `stride`. `normal` and `visibility` may be null for Radiance.
-struct DequantizedChannels {
-  float* parameters = nullptr;  ///< [layout.parameters().channels()][stride]
-  float* normal = nullptr;      ///< [3][stride]
-  float* visibility = nullptr;  ///< [stride]
-  std::size_t stride = 0;
-};
-void dequantize(const QuantizedGaussians& gaussians, const StreamLayout& layout, Attribute attribute,
-                std::span<const std::uint32_t> columns, const DequantizedChannels& out);
+inline constexpr std::uint32_t kNotHeld = 0xFFFFFFFFU;
 
 }  // namespace splatbus::stream

@@ -68,7 +68,7 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
                                 body.total(), body.chunk_count(), max_gaussians_));
   }
   const StreamLayout layout = layout_of(body);
-  Loading loading(layout);
+  Loading loading(layout, stream_);
   loading.snapshot = body.snapshot();
   loading.total = body.total();
   loading.chunk_count = body.chunk_count();

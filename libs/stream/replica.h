@@ -17,14 +17,17 @@ struct MissingPackets {
   bool operator==(const MissingPackets&) const = default;
 };
 
-/// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe.
+/// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe. All of it throws
+/// std::runtime_error when the device fails.
 ///
 /// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before,
 /// else the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for
 /// those missing before them, and for the end of a snapshot: the ids that close it are those of its slots.
 class Replica {
  public:
-  explicit Replica(std::size_t max_gaussians = kMaxGaussians) : max_gaussians_(max_gaussians) {}
+  /// `device`: where view() lies.
+  explicit Replica(std::size_t max_gaussians = kMaxGaussians, Device device = Device::Cpu)
+      : max_gaussians_(max_gaussians), stream_(device) {}
 
   /// Takes any packet of the stream; those that are not about the model (Welcome, ProbePicture, ...) change nothing.
   /// True when the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was,
@@ -54,7 +57,7 @@ class Replica {
 
  private:
   struct Shown {
-    explicit Shown(const StreamLayout& layout) : display(layout) {}
+    Shown(const StreamLayout& layout, device::StreamView stream) : display(layout, stream) {}
     ReplicatedState state;
     DisplayGaussians display;
   };
@@ -62,7 +65,7 @@ class Replica {
     std::size_t column = 0, count = 0;  ///< where it lies in `Loading::shown`
   };
   struct Loading {
-    explicit Loading(const StreamLayout& layout) : shown(layout) {}
+    Loading(const StreamLayout& layout, device::StreamView stream) : shown(layout, stream) {}
     std::uint64_t snapshot = 0;
     std::size_t total = 0, chunk_count = 0;
     std::map<std::size_t, Chunk> chunks;  ///< by first slot
@@ -84,6 +87,7 @@ class Replica {
   [[nodiscard]] std::uint64_t base() const;
 
   std::size_t max_gaussians_;
+  device::Stream stream_;
   std::unique_ptr<Shown> held_;
   std::optional<Loading> loading_;
   std::size_t missing_ids_ = 0;  ///< of the snapshot whose chunks are all held

@@ -13,11 +13,10 @@
 
 namespace splatbus::stream {
 
-StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options,
-                         std::unique_ptr<ModelQuantizer> quantizer)
+StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options, Device device)
     : writer_(std::move(writer)),
       options_(options),
-      quantizer_(std::move(quantizer)),
+      quantizer_(device),
       selection_(StreamLayout{}, options_.schedules, options_.calm_ticks) {
   assert(options_.chunk_gaussians > 0 && options_.chunk_gaussians <= kMaxChunkGaussians);
   held_.epoch = stream_epoch;
@@ -58,15 +57,15 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   }
   const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
   const StreamLayout layout =
-      another || !ready_ ? StreamLayout(gaussians.layout, quantizer_->choose_mean_step(gaussians)) : *target_layout_;
+      another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
   const bool mirrored = ready_ && !another;
-  const std::span<const std::uint64_t> ids = quantizer_->ids(gaussians);
+  const std::span<const std::uint64_t> ids = quantizer_.ids(gaussians);
   const std::vector<std::uint32_t> slots = mirrored ? slots_of(ids) : std::vector<std::uint32_t>(ids.size(), kNotHeld);
-  quantizer_->quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
+  quantizer_.quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
   if (still_valid && !still_valid()) return false;
 
   if (another) ready_ = false;
-  quantizer_->commit(target_, usable_);
+  quantizer_.commit(target_, usable_);
   target_layout_ = layout;
   if (ready_) map_columns();
   return true;

@@ -2,7 +2,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <span>
 #include <unordered_map>
@@ -34,9 +33,9 @@ struct EncodedSnapshot {
 /// model. The mirror changes only by the very bytes that are sent. Not thread-safe.
 class StreamModel {
  public:
-  /// `quantizer` decides in which memory the views lie that observe() is given.
+  /// `device`: in whose memory the views lie that observe() is given.
   StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options = {},
-              std::unique_ptr<ModelQuantizer> quantizer = make_host_quantizer());
+              Device device = Device::Cpu);
 
   /// Quantizes what is published now into memory of its own; `still_valid` says afterwards whether what was read was
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
@@ -71,7 +70,7 @@ class StreamModel {
   [[nodiscard]] const ReplicatedState& held() const { return held_; }
   [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
   [[nodiscard]] const QuantizedGaussians& observed_gaussians() const { return target_; }
-  [[nodiscard]] const ModelQuantizer& quantizer() const { return *quantizer_; }
+  [[nodiscard]] const ModelQuantizer& quantizer() const { return quantizer_; }
   [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }  ///< observed, not held, after the last tick
   /// Viewers hold as many Gaussians as they take, and the model has more.
   [[nodiscard]] bool full() const { return room() == 0 && !fresh_.empty(); }
@@ -94,7 +93,7 @@ class StreamModel {
 
   PacketWriter writer_;
   StreamOptions options_;
-  std::unique_ptr<ModelQuantizer> quantizer_;
+  ModelQuantizer quantizer_;
   ReplicatedState held_;
   DeltaSelection selection_;
   bool ready_ = false;

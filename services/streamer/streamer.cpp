@@ -37,7 +37,7 @@ Streamer::Streamer(bus::ServiceContext& service)
       publisher_(service.bus),
       endpoint_(streamer::endpoints(*options_, service.bus->address())),
       writer_(service.bus->source(), service.bus->epoch()),
-      model_(writer_, service.bus->epoch(), options_->stream, stream::make_model_quantizer(service.backend)),
+      model_(writer_, service.bus->epoch(), options_->stream, service.backend),
       hub_(endpoint_, model_, writer_, options_->hub, events()) {
   subscribe();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);

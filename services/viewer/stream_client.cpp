@@ -33,7 +33,8 @@ std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
 StreamClient::StreamClient(ClientOptions options)
     : options_(std::move(options)),
       socket_(context_, zmq::socket_type::dealer),
-      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())) {
+      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())),
+      replica_(stream::kMaxGaussians, options_.device) {
   socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::linger, 100);

@@ -22,7 +22,8 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
-  bool probes = false;  ///< wants ProbePictures; else they are ignored
+  bool probes = false;          ///< wants ProbePictures; else they are ignored
+  Device device = Device::Cpu;  ///< where the replica's Gaussians lie
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
   std::function<std::int64_t()> now_ns = bus::now_ns;

@@ -3,7 +3,7 @@
 #include <numeric>
 #include <random>
 
-#include "stream/bytes.h"
+#include "quantize_once.h"
 #include "stream/codecs.h"
 #include "toy_model.h"
 
@@ -17,9 +17,8 @@ struct Chunk {
 
 Chunk toy_chunk(std::size_t count, Appearance appearance = Appearance::Transfer, int degree = 1) {
   const GaussiansBuffer model = test::toy_model(count, 3, 1, appearance, degree);
-  Chunk chunk{StreamLayout(model.layout(), choose_mean_step(model.view())), {}};
-  std::vector<std::uint8_t> usable;
-  quantize(model.view(), chunk.layout, chunk.gaussians, usable);
+  Chunk chunk{StreamLayout(model.layout(), test::choose_mean_step(model.view())), {}};
+  chunk.gaussians = test::quantize_once(model.view(), chunk.layout).gaussians;
   std::vector<std::uint32_t> all(count);
   std::iota(all.begin(), all.end(), 0U);
   chunk.gaussians = chunk.gaussians.gather(morton_order(chunk.gaussians, chunk.layout, all));

@@ -1,4 +1,5 @@
 // The quantizer of device memory against that of host memory: the same integers, the same packets.
+#include <cuda_runtime_api.h>
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -8,6 +9,7 @@
 #include "device/buffer.h"
 #include "device/stream.h"
 #include "stream/model_quantizer.h"
+#include "stream/replica.h"
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -58,7 +60,7 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     device_.emplace();
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
     twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
-                                          make_model_quantizer(Device::Cuda));
+                                          Device::Cuda);
     twin_->set_scene(server_->scene, 0);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->reset_to_target();
@@ -150,6 +152,50 @@ TEST_P(CudaQuantizer, BringsOverLittleOfWhatRests) {
   EXPECT_LE(twin_->quantizer().copied_bytes() - before, 64U);
 }
 
+/// A row of a view on the device.
+std::vector<float> brought(const float* row, std::size_t count) {
+  std::vector<float> host(count);
+  const device::StreamView stream{.device = Device::Cuda};
+  device::copy(stream, host.data(), row, count * sizeof(float));
+  stream.wait();
+  return host;
+}
+
+void expect_rows_near(const float* device, const float* host, std::size_t count, const char* what) {
+  const std::vector<float> actual = brought(device, count);
+  for (std::size_t i = 0; i < count; ++i) {
+    ASSERT_NEAR(actual[i], host[i], 1e-5F * std::max(1.0F, std::abs(host[i]))) << what << " of Gaussian " << i;
+  }
+}
+
+TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
+  Replica host, device(kMaxGaussians, Device::Cuda);
+  const auto both = [&](const auto& packets) {
+    test::send(packets, host);
+    test::send(packets, device);
+  };
+  both(server_->stream.snapshot());
+  for (int round = 0; round < 6; ++round) {
+    if (round % 2 == 0) server_->insert(GetParam().count / 5 + 1);
+    if (round % 3 == 1) server_->remove(GetParam().count / 9);
+    server_->train(0.02F);
+    both(server_->tick(round % 2 == 0 ? 1e9 : 2e4));
+    const GaussiansView want = host.view(), got = device.view();
+    ASSERT_EQ(got.count, want.count);
+    for (int c = 0; c < want.layout.channels(); ++c)
+      expect_rows_near(got.plane(c), want.plane(c), want.count, "a channel");
+    for (std::size_t c = 0; want.normal != nullptr && c < 3; ++c) {
+      expect_rows_near(got.normal + c * got.stride, want.normal + c * want.stride, want.count, "the normal");
+    }
+    if (want.visibility != nullptr) expect_rows_near(got.visibility, want.visibility, want.count, "the visibility");
+    std::vector<std::uint32_t> objects(want.count);
+    const device::StreamView stream{.device = Device::Cuda};
+    device::copy(stream, objects.data(), got.object_id, objects.size() * sizeof(std::uint32_t));
+    stream.wait();
+    ASSERT_TRUE(std::equal(objects.begin(), objects.end(), want.object_id));
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Appearances, CudaQuantizer,
                          testing::Values(Case{Appearance::Transfer, 600}, Case{Appearance::Radiance, 600},
                                          Case{Appearance::Transfer, 20'000}, Case{Appearance::Radiance, 20'000}),
@@ -161,7 +207,7 @@ TEST(CudaQuantizerOfALargeModel, SeesWhatTheHostSees) {
   GaussiansBuffer model = test::toy_model(200'000, 3);
   DeviceModel device;
   StreamModel host(PacketWriter("streamer", 1), 77);
-  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, make_model_quantizer(Device::Cuda));
+  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, Device::Cuda);
   const auto observe = [&] {
     EXPECT_TRUE(host.observe(model.view()));
     EXPECT_TRUE(cuda.observe(device.copy(model)));

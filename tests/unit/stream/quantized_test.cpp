@@ -7,6 +7,7 @@
 #include <limits>
 #include <numeric>
 
+#include "quantize_once.h"
 #include "stream/display_gaussians.h"
 #include "toy_model.h"
 
@@ -22,9 +23,8 @@ glm::mat3 covariance(const GaussiansView& g, std::size_t i) {
 
 struct RoundTrip {
   explicit RoundTrip(const GaussiansBuffer& model)
-      : layout(model.layout(), choose_mean_step(model.view())), display(layout) {
-    std::vector<std::uint8_t> usable;
-    quantize(model.view(), layout, quantized, usable);
+      : layout(model.layout(), test::choose_mean_step(model.view())), display(layout) {
+    quantized = test::quantize_once(model.view(), layout).gaussians;
     display.extend(quantized);
   }
   StreamLayout layout;
@@ -80,20 +80,18 @@ TEST(Quantize, RotationKeepsTheCovarianceWhicheverEquivalentItWrites) {
 TEST(Quantize, RotationStaysNearWhatIsHeld) {
   GaussiansBuffer model = test::toy_model(1, 7);
   const StreamLayout layout(model.layout(), 0.001F);
-  std::vector<std::uint8_t> usable;
   QuantizedGaussians held, next;
-  const std::uint32_t column = 0;
   const auto turn = [&](float angle) {
     const glm::quat q = glm::angleAxis(angle, glm::normalize(glm::vec3(1, 2, 3)));
     const float values[]{q.w, q.x, q.y, q.z};
     for (int c = 0; c < 4; ++c) model.parameters[static_cast<std::size_t>(6 + c) * model.stride()] = values[c];
   };
   turn(0);
-  quantize(model.view(), layout, held, usable);
+  held = test::quantize_once(model.view(), layout).gaussians;
   for (int step = 0; step < 600; ++step) {
     const float angle = 0.01F * static_cast<float>(step);
     turn(angle);
-    quantize(model.view(), layout, next, usable, &held, &column);
+    next = test::quantize_once(model.view(), layout, &held, {0}).gaussians;
     for (int c = 6; c < 9; ++c) ASSERT_LE(std::abs(next.channels[c][0] - held.channels[c][0]), 3) << "at " << angle;
     held = next;
   }
@@ -102,16 +100,15 @@ TEST(Quantize, RotationStaysNearWhatIsHeld) {
 TEST(Quantize, ARotationAndItsNegativeAreTheSame) {
   GaussiansBuffer model = test::toy_model(200, 17);
   const StreamLayout layout(model.layout(), 0.001F);
-  std::vector<std::uint8_t> usable;
   QuantizedGaussians held, next;
   std::vector<std::uint32_t> columns(model.count());
   std::iota(columns.begin(), columns.end(), 0U);
-  quantize(model.view(), layout, held, usable);
+  held = test::quantize_once(model.view(), layout).gaussians;
   for (int c = 6; c < 10; ++c) {
     for (std::size_t i = 0; i < model.count(); ++i)
       model.parameters[static_cast<std::size_t>(c) * model.stride() + i] *= -1;
   }
-  quantize(model.view(), layout, next, usable, &held, columns.data());
+  next = test::quantize_once(model.view(), layout, &held, columns).gaussians;
   for (std::size_t c = 6; c < 9; ++c) {
     for (std::size_t i = 0; i < model.count(); ++i) ASSERT_NEAR(next.channels[c][i], held.channels[c][i], 1);
   }
@@ -124,7 +121,7 @@ TEST(MeanStep, IsA32ndOfTheSecondLargestScale) {
     for (std::size_t i = 0; i < 3; ++i) {
       for (std::size_t c = 0; c < 3; ++c) model.parameters[(3 + c) * model.stride() + i] = scales[order[c]];
     }
-    EXPECT_EQ(choose_mean_step(model.view()), 1.0F / 128);  // 0.3 / 32 is 0.0094
+    EXPECT_EQ(test::choose_mean_step(model.view()), 1.0F / 128);  // 0.3 / 32 is 0.0094
   }
 }
 
@@ -133,9 +130,7 @@ TEST(Quantize, MarksWhatIsNotFinite) {
   model.parameters[1] = std::numeric_limits<float>::quiet_NaN();
   model.parameters[20 * model.stride() + 2] = std::numeric_limits<float>::infinity();
   const StreamLayout layout(model.layout(), 0.001F);
-  std::vector<std::uint8_t> usable;
-  QuantizedGaussians out;
-  quantize(model.view(), layout, out, usable);
+  const auto [out, usable] = test::quantize_once(model.view(), layout);
   EXPECT_EQ(usable, (std::vector<std::uint8_t>{1, 0, 0, 1}));
 }
 
@@ -145,9 +140,7 @@ TEST(Quantize, ClampsHugeValues) {
   model.parameters[1 * model.stride()] = -3e38F;
   model.parameters[11 * model.stride()] = 1e30F;
   const StreamLayout layout(model.layout(), 0.001F);
-  std::vector<std::uint8_t> usable;
-  QuantizedGaussians out;
-  quantize(model.view(), layout, out, usable);
+  const auto [out, usable] = test::quantize_once(model.view(), layout);
   EXPECT_EQ(out.channels[0][0], layout.at(Attribute::Mean).maximum);
   EXPECT_EQ(out.channels[1][0], layout.at(Attribute::Mean).minimum);
   EXPECT_EQ(out.channels[layout.at(Attribute::Albedo).first][0], layout.at(Attribute::Albedo).maximum);

@@ -83,6 +83,24 @@ TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
   }
 }
 
+TEST(StreamModel, WhatRestsKeepsItsRestWhenOthersAreRemoved) {
+  ToyServer server(20, 600);
+  Schedules schedules = default_schedules();
+  schedules[static_cast<std::size_t>(Attribute::Albedo)].dead_zone = 2;
+  server.stream.set_schedules(schedules);
+  for (std::size_t i = 0; i < server.model().count(); ++i) {
+    float& red =
+        server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + i];
+    red = linear_from_srgb(srgb_from_linear(red) + 2.0F / 255);
+  }
+  for (int tick = 0; tick < 4; ++tick) EXPECT_TRUE(server.tick().empty());
+  server.remove(40);
+  std::size_t deltas = 0;
+  for (int tick = 4; tick < 10; ++tick) deltas += count(server.tick(), wire::Body::TensorDelta);
+  EXPECT_GT(deltas, 0U);
+  for (int tick = 10; tick < 20; ++tick) EXPECT_TRUE(server.tick().empty()) << "tick " << tick;
+}
+
 TEST(StreamModel, BudgetBoundsEveryTickAndEverythingArrivesInTheEnd) {
   ToyServer server(5, 3000);
   Replica replica;
