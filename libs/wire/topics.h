@@ -23,6 +23,7 @@ struct SceneLight;
 struct SceneLightDepth;
 struct SceneObjects;
 struct StreamStats;
+struct Topics;
 struct TrainerCells;
 struct TrainerStats;
 struct ViewerPose;
@@ -34,17 +35,17 @@ struct ViewerQuality;
 template <class Table>
 inline constexpr std::string_view kSchema{};
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureInput> = "CaptureInput/1";
+inline constexpr std::string_view kSchema<wire::CaptureInput> = "CaptureInput/2";
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureProbe> = "CaptureProbe/1";
+inline constexpr std::string_view kSchema<wire::CaptureProbe> = "CaptureProbe/2";
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureReference> = "CaptureReference/1";
+inline constexpr std::string_view kSchema<wire::CaptureReference> = "CaptureReference/2";
 template <>
 inline constexpr std::string_view kSchema<wire::Control> = "Control/1";
 template <>
 inline constexpr std::string_view kSchema<wire::EngineCameras> = "EngineCameras/1";
 template <>
-inline constexpr std::string_view kSchema<wire::EngineFrame> = "EngineFrame/1";
+inline constexpr std::string_view kSchema<wire::EngineFrame> = "EngineFrame/2";
 template <>
 inline constexpr std::string_view kSchema<wire::GridState> = "GridState/1";
 template <>
@@ -64,11 +65,13 @@ inline constexpr std::string_view kSchema<wire::RelightVisibility> = "RelightVis
 template <>
 inline constexpr std::string_view kSchema<wire::SceneLight> = "SceneLight/1";
 template <>
-inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDepth/1";
+inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDepth/2";
 template <>
 inline constexpr std::string_view kSchema<wire::SceneObjects> = "SceneObjects/1";
 template <>
 inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/1";
+template <>
+inline constexpr std::string_view kSchema<wire::Topics> = "Topics/1";
 template <>
 inline constexpr std::string_view kSchema<wire::TrainerCells> = "TrainerCells/1";
 template <>
@@ -113,6 +116,7 @@ inline constexpr Topic<wire::ViewerQuality> kViewerQuality{"viewer/quality"};
 inline constexpr Topic<wire::StreamStats> kStreamStats{"stream/stats"};
 inline constexpr Topic<wire::Heartbeat> kHeartbeat{"sys/heartbeat", kLatched};  ///< keyed by source
 inline constexpr Topic<wire::Liveness> kLiveness{"sys/liveness", kLatched};
+inline constexpr Topic<wire::Topics> kTopics{"sys/topics", kLatched};
 inline constexpr Topic<wire::Log> kLog{"sys/log"};
 
 /// `name` is "control/" and a service's kind or source; it outlives the topic.

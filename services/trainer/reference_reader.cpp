@@ -54,13 +54,13 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
     throw bus::Error(message.topic() + ": a picture of " + std::to_string(view.camera.width) + " x " +
                      std::to_string(view.camera.height) + " is larger than " + std::to_string(kMaxSide));
   }
-  view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
+  view.scene = from_wire(*reference.scene());
   if (memory_ == Device::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
     throw bus::Error(message.topic() + ": " + std::to_string(view.scene.objects.size()) +
                      " moving objects are more than the CUDA backend takes (" + std::to_string(kMaxDeviceObjects) +
                      ")");
   }
-  view.frame = reference.frame();
+  view.frame = reference.scene()->frame();
   view.memory = memory_;
   const std::uint32_t h = view.camera.height;
   const std::uint32_t w = view.camera.width;

@@ -124,9 +124,9 @@ class TrainerTest : public bus_test::BusTest {
     bus::MessageInfo info;
     if (!sources.empty()) info.tensors = ring_->write(sources);
     publisher_.publish(topics::kCaptureReference, info, [&](auto& builder, auto header) {
-      const auto light = to_wire(builder, view.scene.light);
+      const auto scene = to_wire(builder, SceneState{.light = view.scene.light, .objects = {}}, 1);
       const auto camera = to_wire(view.camera);
-      return wire::CreateCaptureReference(builder, header, 1, 0.0, &camera, 0, light, retire);
+      return wire::CreateCaptureReference(builder, header, &camera, scene, retire);
     });
   }
 
