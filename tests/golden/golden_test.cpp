@@ -168,12 +168,12 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
   }
   const auto bytes = load(golden_dir / "EngineFrame.bin", true);
   const auto* frame = flatbuffers::GetRoot<wire::EngineFrame>(bytes.data());
-  EXPECT_GT(frame->frame(), 1'000'000'000'000u);
+  EXPECT_GT(frame->scene()->frame(), 1'000'000'000'000u);
   EXPECT_EQ(frame->camera()->role(), wire::CameraRole::Light);
   EXPECT_EQ(frame->camera()->cx(), frame->camera()->fy() + 1);
   EXPECT_EQ(frame->camera()->world_from_camera().rotation().x(),
             frame->camera()->world_from_camera().rotation().w() + 1);
-  EXPECT_EQ(frame->objects()->size(), 2u);
+  EXPECT_EQ(frame->scene()->objects()->size(), 2u);
 }
 
 }  // namespace

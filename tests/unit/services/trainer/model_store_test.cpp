@@ -199,12 +199,12 @@ TEST_F(ModelStoreTest, RadianceBeginsWithTheLitColour) {
 TEST_F(ModelStoreTest, LyingAnnouncementsAreRefused) {
   append(1, 20);
   const auto lie = [&](std::uint64_t count, std::uint64_t capacity, std::uint8_t degree, bool with_planes) {
-    bus::MessageInfo info{.schema = "ModelPublished/1"};
+    bus::MessageInfo info;
     static const std::vector<float> plane(std::size_t{41} * 64);
     if (with_planes) {
       info.tensors.push_back({.name = "parameters", .shape = {41, 64}, .inline_data = plane.data()});
     }
-    publisher_->publish(info, [&](auto& builder, auto header) {
+    publisher_->publish(Topic<wire::ModelPublished>{"model/published"}, info, [&](auto& builder, auto header) {
       const auto appearance = degree > 0 ? wire::Appearance::Radiance : wire::Appearance::Transfer;
       return wire::CreateModelPublished(builder, header, 77, count, capacity, appearance, degree);
     });
