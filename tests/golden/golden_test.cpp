@@ -160,7 +160,7 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
     EXPECT_TRUE(reads(bytes)) << name;
     ASSERT_TRUE(verify<wire::Envelope>(bytes)) << name;
     const auto* header = flatbuffers::GetRoot<wire::Envelope>(bytes.data())->header();
-    EXPECT_EQ(header->schema()->str(), name.substr(0, name.find('.')) + "/1");
+    EXPECT_TRUE(header->schema()->str().starts_with(name.substr(0, name.find('.')) + "/")) << name;
     EXPECT_EQ(header->source()->str(), "source 1");
     ASSERT_EQ(header->tensors()->size(), 2u) << name;
     EXPECT_EQ(header->tensors()->Get(0)->span()->storage(), wire::Storage::Inline);
