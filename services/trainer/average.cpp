@@ -27,7 +27,7 @@ void TimeAverage::update(const ModelPlanes& planes, std::size_t count, int activ
       last_age = age;
       last_share = average_share(decay, kStripes, age);
     }
-    share_[i - begin] = (planes.flags[i] & kFrozen) != 0 ? 0.0F : last_share;
+    share_[i - begin] = last_share;
   }
   tbb::parallel_for(0, active_channels, [&](int channel) {
     const std::size_t offset = static_cast<std::size_t>(channel) * planes.capacity + begin;

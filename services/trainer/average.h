@@ -20,7 +20,7 @@ class TimeAverage {
   static constexpr std::uint64_t kStripes = 8;
 
   /// After step `step`: updates the stripe whose turn it is, channels below `active_channels`. `birth[i]` is the step
-  /// at which column i was inserted. Frozen Gaussians rest.
+  /// at which column i was inserted.
   void update(const ModelPlanes& planes, std::size_t count, int active_channels,
               const std::vector<std::uint64_t>& birth, std::uint64_t step, float decay);
 

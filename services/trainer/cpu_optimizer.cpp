@@ -44,7 +44,6 @@ void CpuOptimizer::follow_growth() {
   adam_.resize(store_.layout(), store_.count(), store_.capacity());
   birth_.resize(store_.count(), store_.step());
   densifier_.resize(store_.count());
-  cells_.recount(store_.planes().cell, store_.count());
 }
 
 StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
@@ -70,9 +69,6 @@ StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
   store_.add_step(views.size(), spent.count());
 
   average_.update(store_.planes(), store_.count(), active_channels_, birth_, store_.step(), average_decay());
-  const bool display_space = options_.layout.appearance == Appearance::Radiance;
-  cell_sampler_.observe(store_.planes(), store_.count(), *views.back(), render_.color, display_space,
-                        gradient_.contribution, cells_);
   maintain_density();
   return {.steps = 1, .views = views.size(), .seconds = spent.count(), .loss = loss};
 }
@@ -154,7 +150,6 @@ void CpuOptimizer::remove(const std::vector<std::uint8_t>& dead) {
   std::vector<std::uint64_t> birth(keep.size());
   for (std::size_t i = 0; i < keep.size(); ++i) birth[i] = birth_[keep[i]];
   birth_ = std::move(birth);
-  cells_.recount(store_.planes().cell, store_.count());
 }
 
 }  // namespace splatbus::trainer

@@ -7,7 +7,6 @@
 #include "raster/adam.h"
 #include "raster/rasterizer.h"
 #include "trainer/average.h"
-#include "trainer/cell_stats.h"
 #include "trainer/density.h"
 #include "trainer/optimizer.h"
 
@@ -40,7 +39,6 @@ class CpuOptimizer final : public Optimizer {
   raster::Render render_;
   raster::RenderGradient render_gradient_;
   TimeAverage average_;
-  CellSampler cell_sampler_;
   Densifier densifier_;
   std::vector<std::uint64_t> birth_;  ///< step at which each column was inserted
 };

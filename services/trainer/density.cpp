@@ -89,8 +89,7 @@ ModelStore::Columns Densifier::densify(ModelStore& store, const DensifyOptions& 
   const float max_clone_log_scale = std::log(options.clone_max_scale_m);
   std::vector<std::uint32_t> chosen;
   for (std::size_t i = 0; i < gaussians.count; ++i) {
-    const bool frozen = (gaussians.flags[i] & kFrozen) != 0;
-    if (frozen || views_[i] == 0 || sum_[i] / static_cast<float>(views_[i]) < options.gradient_threshold) continue;
+    if (views_[i] == 0 || sum_[i] / static_cast<float>(views_[i]) < options.gradient_threshold) continue;
     chosen.push_back(static_cast<std::uint32_t>(i));
   }
   const auto added = store.duplicate(chosen);

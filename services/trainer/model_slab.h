@@ -27,7 +27,6 @@ struct Structure {
   std::uint64_t generation = 0;          ///< grows with every change of structure, across slabs and restarts
   std::uint64_t removal_generation = 0;  ///< of the last change that moved columns
   std::uint64_t next_gaussian_id = 1;
-  std::uint64_t frozen = 0;
   std::uint64_t insert_epoch = 0;
   std::uint64_t batch_count = 0;
   std::array<std::uint64_t, kRememberedBatches> batches{};  ///< in order of insertion
@@ -36,7 +35,7 @@ struct Structure {
 /// What lies in the model's header slab, in host memory.
 struct SlabHeader {
   static constexpr std::uint64_t kMagic = 0x6c65646f6d627073;  // "spbmodel"
-  static constexpr std::uint32_t kVersion = 2;
+  static constexpr std::uint32_t kVersion = 3;
 
   std::uint64_t magic;
   std::uint32_t version;

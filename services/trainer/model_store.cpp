@@ -98,14 +98,7 @@ ColumnMoves ModelStore::remove(const std::uint8_t* dead) {
   if (moves.new_count == count()) return moves;
   structure_.count = moves.new_count;
   structure_.removal_generation = structure_.generation + 1;
-  structure_.frozen = columns_->count_frozen(planes_, structure_.count);
   return moves;
-}
-
-std::size_t ModelStore::set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen) {
-  const std::size_t changed = columns_->set_frozen(planes_, count(), cells, frozen);
-  structure_.frozen = frozen ? structure_.frozen + changed : structure_.frozen - changed;
-  return changed;
 }
 
 void ModelStore::publish(bus::Publisher& publisher) const {
@@ -138,7 +131,7 @@ void ModelStore::publish(bus::Publisher& publisher) const {
     return wire::CreateModelPublished(
         builder, header, structure_.generation, structure_.count, planes_.capacity,
         layout().appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-        static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches, structure_.frozen);
+        static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches);
   });
 }
 

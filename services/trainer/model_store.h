@@ -6,7 +6,6 @@
 #include <functional>
 #include <memory>
 #include <string>
-#include <unordered_set>
 #include <vector>
 
 #include "bus/context.h"
@@ -74,9 +73,6 @@ class ModelStore {
   Columns duplicate(const std::vector<std::uint32_t>& columns);
   /// Removes the columns with a non-zero entry; `dead` is [count()], in memory().
   ColumnMoves remove(const std::uint8_t* dead);
-  /// Sets or clears kFrozen of every Gaussian of the cells; one that freezes takes its average as its value. Returns
-  /// how many changed.
-  std::size_t set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen);
 
   /// Publishes model/published with the slab as it is now.
   void publish(bus::Publisher& publisher) const;

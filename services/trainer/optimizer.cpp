@@ -63,7 +63,7 @@ std::vector<const InsertBatch*> Optimizer::admitted(const std::vector<InsertBatc
 
 bool Optimizer::apply(const Commands& commands) {
   const auto inserts = admitted(commands.inserts);
-  if (inserts.empty() && commands.cells.empty() && !commands.visibility) return false;
+  if (inserts.empty() && !commands.visibility) return false;
   const std::uint64_t generation = store_.structure().generation;
   before_change();
   if (commands.visibility) {
@@ -71,10 +71,9 @@ bool Optimizer::apply(const Commands& commands) {
     store_.set_visibility(relit.model_generation, reinterpret_cast<const float*>(relit.visibility.get()), relit.memory,
                           relit.count);
   }
-  if (!inserts.empty() || !commands.cells.empty()) {
+  if (!inserts.empty()) {
     change([&] {
       for (const InsertBatch* batch : inserts) store_.append(*batch);
-      for (const CellsCommand& command : commands.cells) store_.set_frozen(command.cells, command.freeze);
     });
   }
   return store_.structure().generation != generation;

@@ -9,7 +9,6 @@
 #include <utility>
 #include <vector>
 
-#include "trainer/cell_stats.h"
 #include "trainer/commands.h"
 #include "trainer/model_store.h"
 #include "trainer/options.h"
@@ -64,12 +63,10 @@ class Optimizer {
   /// The views of the steps since the last call that were left out. Others of the same steps were trained.
   [[nodiscard]] virtual std::vector<LeftOut> take_left_out() { return {}; }
 
-  [[nodiscard]] const CellTable& cells() const { return cells_; }
-
  protected:
   explicit Optimizer(ModelStore& store) : store_(store) {}
 
-  /// A change of structure that adds or freezes. What is kept here for each Gaussian follows the model even when it
+  /// A change of structure that adds. What is kept here for each Gaussian follows the model even when it
   /// throws: it may have moved to a larger slab before.
   void change(const std::function<void()>& work);
   /// Of the average over time, a step: options().average_decay, or as much more as average_s of optimizer time takes at
@@ -77,14 +74,13 @@ class Optimizer {
   [[nodiscard]] float average_decay() const;
   /// Ends what is under way, so that nothing of this optimizer's own works on the planes; the structure may change.
   virtual void before_change() = 0;
-  /// Columns were added or frozen, and perhaps moved to other planes.
+  /// Columns were added, and perhaps moved to other planes.
   virtual void follow_growth() = 0;
   /// Why there is no memory for a model of that capacity; empty when there is, or when that cannot be said before.
   [[nodiscard]] virtual std::string lacks_memory_for(std::size_t /*capacity*/) const { return {}; }
 
   ModelStore& store_;
   Options options_;
-  CellTable cells_;
 
  private:
   /// Those that the model does not hold yet, and that there is memory for.

@@ -45,7 +45,6 @@ void Trainer::run() {
   options_version_ = service_.parameters.version();
   model_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "model/published");
   stats_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/stats");
-  cells_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/cells");
 
   const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
   receive();
@@ -53,8 +52,7 @@ void Trainer::run() {
 }
 
 void Trainer::receive() {
-  bus::Subscriber subscriber(
-      service_.bus, {"capture/reference", "model/insert", "model/freeze", "model/unfreeze", "relight/visibility"});
+  bus::Subscriber subscriber(service_.bus, {"capture/reference", "model/insert", "relight/visibility"});
   while (!service_.stop.stop_requested()) {
     auto message = subscriber.receive(kReceiveTimeout);
     // Pictures that are outdated by others in the queue are not copied.
@@ -89,8 +87,6 @@ void Trainer::take_references(const std::vector<bus::Message>& messages) {
 void Trainer::handle(const bus::Message& message) {
   if (message.topic() == "capture/reference") return take_reference(message);
   if (message.topic() == "model/insert") return take_insert(message);
-  if (message.topic() == "model/freeze") return take_cells(message, true);
-  if (message.topic() == "model/unfreeze") return take_cells(message, false);
   if (message.topic() == "relight/visibility") return take_visibility(message);
 }
 
@@ -120,15 +116,6 @@ void Trainer::take_insert(const bus::Message& message) {
   }
   bool taken = false;
   commands_.post([&](Commands& commands) { taken = commands.add(std::move(reading.batch)); });
-  if (!taken) refuse(message);
-}
-
-void Trainer::take_cells(const bus::Message& message, bool freeze) {
-  const auto* cells = message.root<wire::ModelCells>("ModelCells/1").cells();
-  if (cells == nullptr || cells->size() == 0) return;
-  CellsCommand command{.cells = {cells->begin(), cells->end()}, .freeze = freeze};
-  bool taken = false;
-  commands_.post([&](Commands& commands) { taken = commands.add(std::move(command)); });
   if (!taken) refuse(message);
 }
 

@@ -53,7 +53,6 @@ class Trainer {
   void handle(const bus::Message& message);
   void take_references(const std::vector<bus::Message>& messages);
   void take_reference(const bus::Message& message);
-  void take_cells(const bus::Message& message, bool freeze);
   void take_visibility(const bus::Message& message);
   void take_insert(const bus::Message& message);
   /// Counts a command that the queue has no room for, and says so once: the expander repeats a batch.
@@ -70,7 +69,6 @@ class Trainer {
   bool finish_steps();
   void publish_due(bool structure_changed);
   void publish_stats(bool stopped);
-  void publish_cells();
 
   bus::ServiceContext& service_;
   ViewStore views_;
@@ -99,7 +97,7 @@ class Trainer {
   State announced_;
   using Clock = std::chrono::steady_clock;
   Clock::time_point model_published_{}, stats_published_{};
-  std::unique_ptr<bus::Publisher> model_publisher_, stats_publisher_, cells_publisher_;
+  std::unique_ptr<bus::Publisher> model_publisher_, stats_publisher_;
 };
 
 }  // namespace splatbus::trainer

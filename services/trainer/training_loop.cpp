@@ -114,7 +114,6 @@ void Trainer::publish_due(bool structure_changed) {
   const auto stats_period = state == announced_ ? Clock::duration(kStatsPeriod) : kChangedStatsPeriod;
   if (newly_finished || now - stats_published_ >= stats_period) {
     publish_stats(finished || options.paused);
-    publish_cells();
     stats_published_ = now;
     announced_ = state;
   }
@@ -140,20 +139,7 @@ void Trainer::publish_stats(bool stopped) {
   stats_publisher_->publish({.schema = "TrainerStats/1"}, [&](auto& builder, auto header) {
     return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
                                     progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
-                                    store_->count() - store_->structure().frozen, references, inputs, stopped,
-                                    host_copied_bytes_.load());
-  });
-}
-
-void Trainer::publish_cells() {
-  std::vector<wire::CellStats> cells;
-  for (const auto& [id, cell] : optimizer_->cells().cells()) {
-    if (cell.seen) cells.emplace_back(id, cell.count, cell.loss, cell.movement);
-  }
-  if (cells.empty()) return;
-  cells_publisher_->publish({.schema = "TrainerCells/1"}, [&](auto& builder, auto header) {
-    const auto list = builder.CreateVectorOfStructs(cells);
-    return wire::CreateTrainerCells(builder, header, store_->step(), list);
+                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load());
   });
 }
 

@@ -13,7 +13,6 @@
 #include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 #include "trainer/average.h"
-#include "trainer/cuda/cell_observer.h"
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/cuda/prune_check.h"
 #include "trainer/cuda/step_kernels.h"
@@ -81,7 +80,7 @@ class CudaOptimizer final : public Optimizer {
     steps_.enqueue_repeats();
     if (const std::size_t enqueued = steps_.enqueue(views); enqueued > 0) {
       store_.add_step(enqueued, std::exchange(unbooked_s_, 0.0));
-      after_step(steps_.last());
+      after_step();
     }
     collect(false);
     return take_report();
@@ -122,9 +121,9 @@ class CudaOptimizer final : public Optimizer {
             .active_channels = active_channels(options_)};
   }
 
-  /// What follows a step on the device: the average over time, and now and then a look at cells and for Gaussians to
-  /// remove, to clone and to split. `last` is the last view that was enqueued, whose pictures the workspace holds.
-  void after_step(const TrainingViewPtr& last) {
+  /// What follows a step on the device: the average over time, and now and then a look for Gaussians to
+  /// remove, to clone and to split.
+  void after_step() {
     const std::uint64_t step = store_.step();
     const std::size_t stripe = step % TimeAverage::kStripes;
     cuda::launch_average(columns(),
@@ -134,22 +133,6 @@ class CudaOptimizer final : public Optimizer {
                           .settled_share = average_share(average_decay(), TimeAverage::kStripes, ~0ULL),
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
-    const raster::cuda::WorkspaceView& w = train_.workspace();
-    // The workspace is empty when the last part of the step was left out: the pictures of those before are gone.
-    if (observer_.due() && w.batch > 0) {
-      observed_ = last;
-      try {
-        observer_.observe(gaussians(), columns(), store_.planes().cell,
-                          {.workspace = w,
-                           .view = w.batch - 1,
-                           .target = last->color.data(),
-                           .display_space = options_.layout.appearance == Appearance::Radiance},
-                          train_.stream());
-      } catch (...) {
-        cudaStreamSynchronize(train_.stream());  // a piece of it may be on its way, and reads the picture
-        throw;
-      }
-    }
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {
       pruning_.search(columns(), options_.prune, step);
     }
@@ -172,7 +155,6 @@ class CudaOptimizer final : public Optimizer {
     const StepReport done = steps_.collect(wait);
     unbooked_s_ += done.seconds;
     report_ += done;
-    observer_.collect(wait, cells_);
   }
 
   /// Waits for all that is under way, and ends it.
@@ -199,7 +181,6 @@ class CudaOptimizer final : public Optimizer {
     // The moves are gone with the next change.
     check(cudaStreamSynchronize(train_.stream()), "removing Gaussians");
     count_ = store_.count();
-    observer_.structure_changed();
     if (pruning_.found_not_finite()) {
       spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", store_.step());
     }
@@ -221,7 +202,7 @@ class CudaOptimizer final : public Optimizer {
   /// What training keeps for a Gaussian of its own, about.
   [[nodiscard]] std::size_t bytes_a_gaussian() const {
     constexpr std::size_t kOfAView = 100;  // records of the projection, and their gradients
-    constexpr std::size_t kOfAStep = 100;  // ages, statistics, the observation of cells
+    constexpr std::size_t kOfAStep = 100;  // ages, statistics
     const auto channels = static_cast<std::size_t>(store_.layout().channels());
     return 2 * channels * sizeof(float) + kOfAStep + static_cast<std::size_t>(options_.batch) * kOfAView;
   }
@@ -241,7 +222,6 @@ class CudaOptimizer final : public Optimizer {
                            stream);
     count_ = store_.count();
     train_.follow_model(gaussians());
-    observer_.structure_changed();
     followed_ = true;
   }
 
@@ -252,8 +232,6 @@ class CudaOptimizer final : public Optimizer {
   device::Buffer<std::uint64_t> birth_;
   std::size_t count_ = 0;  // of Gaussians whose birth is known
   bool followed_ = true;   // the model's last change; else there was no memory for that, and it is tried again
-  CellObserver observer_;
-  TrainingViewPtr observed_;  // kept until the device has looked at it
   PruneCheck pruning_;
   DeviceDensifier densifier_;
   StepReport report_;

@@ -20,8 +20,7 @@ __global__ void choose_dense(ModelPlanes p, raster::cuda::ScreenStatistics stati
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= count) return;
   const std::uint32_t steps = statistics.steps[i];
-  const bool frozen = (p.flags[i] & kFrozen) != 0;
-  chosen[i] = !frozen && steps > 0 && statistics.mean2d_norm[i] / static_cast<float>(steps) >= threshold ? 1 : 0;
+  chosen[i] = steps > 0 && statistics.mean2d_norm[i] / static_cast<float>(steps) >= threshold ? 1 : 0;
 }
 
 /// Rotates by a unit quaternion.

@@ -11,8 +11,8 @@
 // std::runtime_error naming the CUDA error.
 namespace splatbus::trainer::cuda {
 
-/// chosen[i], of [count], becomes 1 where the mean gradient of the projected mean is at least `threshold` and the
-/// Gaussian is not frozen, 0 elsewhere.
+/// chosen[i], of [count], becomes 1 where the mean gradient of the projected mean is at least `threshold`, 0
+/// elsewhere.
 void launch_choose_dense(const ModelPlanes& planes, const raster::cuda::ScreenStatistics& statistics,
                          std::uint32_t count, float threshold, std::uint8_t* chosen, cudaStream_t stream);
 

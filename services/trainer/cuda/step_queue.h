@@ -38,10 +38,6 @@ class StepQueue {
   void enqueue_repeats();
 
   [[nodiscard]] bool empty() const { return parts_.empty(); }
-  /// The view that was enqueued last, whose pictures the workspace of `train` holds where it holds any. Not while
-  /// empty().
-  [[nodiscard]] const TrainingViewPtr& last() const { return parts_.back().views.back(); }
-
   /// The views that there was no memory for since the last call.
   [[nodiscard]] std::vector<LeftOut> take_left_out() { return std::exchange(left_out_, {}); }
 

@@ -9,7 +9,6 @@
 #include "gaussians/model.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/train_step.h"
-#include "trainer/cuda/cell_observer.h"
 #include "trainer/cuda/prune_check.h"
 
 namespace splatbus::trainer {
@@ -43,12 +42,11 @@ void run_kernels(const ParameterLayout& layout) {
   const SceneState scene;
   const Camera camera = look_at({0, 0, 2}, {0, 0, 0}, kSize, kSize, 1.0F);
   const device::Buffer<std::uint8_t> picture(std::size_t{4} * kSize * kSize);
-  device::Buffer<std::uint64_t> birth(kGaussians), cell(kGaussians);
+  device::Buffer<std::uint64_t> birth(kGaussians);
   for (const bool albedo : {true, false}) {
     raster::cuda::TrainStep train({.albedo_weight = 1.0F, .unit_albedo = true});
     cudaStream_t stream = train.stream();
     birth.clear(stream);
-    cell.clear(stream);
     model.upload(host.view(), stream);
     average.upload(host.view(), stream);
     device::check(cudaStreamSynchronize(stream), "warming up");
@@ -71,11 +69,6 @@ void run_kernels(const ParameterLayout& layout) {
                          stream);
     PruneCheck pruning(stream);
     pruning.search(columns, {.max_scale_m = 1.0F}, 1);
-    CellObserver observer;
-    observer.observe(model.view(), columns, cell.data(), {.workspace = train.workspace(), .target = picture.data()},
-                     stream);
-    CellTable cells;
-    observer.collect(true, cells);
     device::check(cudaStreamSynchronize(stream), "warming up");
   }
 }

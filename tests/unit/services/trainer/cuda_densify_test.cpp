@@ -49,10 +49,7 @@ class CudaDensify : public bus_test::BusTest {
     device_ =
         std::make_unique<ModelStore>(connect("device"), ParameterLayout{}, count, max_gaussians, MemoryKind::Cuda);
     for (ModelStore* store : {host_.get(), device_.get()}) {
-      store->change([&] {
-        store->append(rows);
-        store->set_frozen({rows.cell[0]}, true);
-      });
+      store->change([&] { store->append(rows); });
     }
   }
 
@@ -118,7 +115,6 @@ TEST_F(CudaDensify, ChoosesTheColumnsThatTheCpuDoes) {
     const bool splits = is_chosen && from % 2 == 0;
     EXPECT_EQ(a->parameters[i] != before->parameters[from], splits) << i;
     EXPECT_EQ(a->parameters[i] != b->parameters[i], splits) << i;
-    EXPECT_TRUE(!is_chosen || (before->flags[from] & kFrozen) == 0);
   }
 }
 

@@ -151,26 +151,6 @@ TEST_F(ModelStoreTest, RemovesAllOrNone) {
   EXPECT_TRUE(keep_.empty());
 }
 
-TEST_F(ModelStoreTest, FreezesAndThawsCells) {
-  append(1, 40);
-  std::size_t in_cell = 0;
-  for (std::size_t i = 0; i < 40; ++i) in_cell += store_->view().cell[i] == 2 ? 1 : 0;
-  ASSERT_GT(in_cell, 0U);
-  store_->planes().parameters[0] += 1.0F;
-  store_->change([&] { EXPECT_EQ(store_->set_frozen({2}, true), in_cell); });
-  store_->change([&] { EXPECT_EQ(store_->set_frozen({2}, true), 0U); });
-  EXPECT_EQ(store_->structure().frozen, in_cell);
-  for (std::size_t i = 0; i < 40; ++i) {
-    const bool frozen = (store_->view().flags[i] & kFrozen) != 0;
-    EXPECT_EQ(frozen, store_->view().cell[i] == 2);
-    if (frozen) {
-      EXPECT_EQ(store_->view().parameters[i], store_->planes().average[i]);
-    }
-  }
-  store_->change([&] { EXPECT_EQ(store_->set_frozen({2, 3}, false), in_cell); });
-  EXPECT_EQ(store_->structure().frozen, 0U);
-}
-
 TEST_F(ModelStoreTest, TakesVisibilityOfColumnsThatHaveNotMoved) {
   append(1, 10);
   const auto generation = store_->structure().generation;

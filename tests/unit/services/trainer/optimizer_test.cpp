@@ -136,25 +136,6 @@ TEST_F(OptimizerTest, IsTheSameEveryTime) {
   }
 }
 
-TEST_F(OptimizerTest, FrozenGaussiansStay) {
-  const SyntheticScene scene;
-  start(scene);
-  Commands commands;
-  commands.cells.push_back({.cells = {1}, .freeze = true});
-  EXPECT_TRUE(optimizer_->apply(commands));
-  const std::vector<float> before(store_->view().parameters, store_->view().parameters + store_->count());
-  train(10);
-  std::size_t moved = 0;
-  for (std::size_t i = 0; i < store_->count(); ++i) {
-    if (store_->view().cell[i] == 1) {
-      EXPECT_EQ(store_->view().parameters[i], before[i]);
-    } else {
-      moved += store_->view().parameters[i] != before[i] ? 1 : 0;
-    }
-  }
-  EXPECT_GT(moved, 50U);
-}
-
 TEST_F(OptimizerTest, RepeatedBatchesChangeNothing) {
   const SyntheticScene scene;
   start(scene);
@@ -233,24 +214,6 @@ TEST_F(OptimizerTest, ClonesAndSplitsWhenAsked) {
   EXPECT_GT(store_->count(), before);
   std::set<std::uint64_t> ids(store_->view().gaussian_id, store_->view().gaussian_id + store_->count());
   EXPECT_EQ(ids.size(), store_->count());
-}
-
-TEST_F(OptimizerTest, KnowsHowWellCellsAreTrained) {
-  const SyntheticScene scene;
-  start(scene);
-  train(12);
-  const auto early = optimizer_->cells().cells();
-  ASSERT_EQ(early.size(), 4U);
-  std::size_t count = 0;
-  for (const auto& [id, cell] : early) {
-    EXPECT_TRUE(cell.seen);
-    EXPECT_GT(cell.loss, 0.0F);
-    EXPECT_LT(cell.loss, 0.5F);
-    count += cell.count;
-  }
-  EXPECT_EQ(count, store_->count());
-  train(200);
-  for (const auto& [id, cell] : optimizer_->cells().cells()) EXPECT_LT(cell.loss, 0.7F * early.at(id).loss);
 }
 
 TEST_F(OptimizerTest, AnEmptyModelOrBatchIsNoStep) {

@@ -33,11 +33,9 @@ class TrainerTest : public bus_test::BusTest {
  protected:
   TrainerTest()
       : peer_(connect("peer")),
-        subscriber_(peer_, {"model/published", "trainer/stats", "trainer/cells"}),
+        subscriber_(peer_, {"model/published", "trainer/stats"}),
         insert_(peer_, "model/insert"),
         reference_(peer_, "capture/reference"),
-        freeze_(peer_, "model/freeze"),
-        unfreeze_(peer_, "model/unfreeze"),
         visibility_(peer_, "relight/visibility"),
         ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
     set("threads", "1", false);
@@ -152,7 +150,7 @@ class TrainerTest : public bus_test::BusTest {
   bus::Parameters parameters_{parameter_specs()};
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber subscriber_;
-  bus::Publisher insert_, reference_, freeze_, unfreeze_, visibility_;
+  bus::Publisher insert_, reference_, visibility_;
   std::unique_ptr<bus::TensorRing> ring_;
   bus::Backend backend_ = bus::Backend::Cpu;
   std::stop_source stop_;

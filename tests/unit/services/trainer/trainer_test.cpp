@@ -31,7 +31,6 @@ TEST_F(TrainerTest, TrainsToTheStepAskedForAndNoFurther) {
   set("run_until", "120");
   ASSERT_TRUE(until([&] { return stats()->step() == 120 && stats()->paused(); }));
   EXPECT_GT(scene.psnr(model->average()), psnr + 1) << "the model is read live";
-  ASSERT_TRUE(until([&] { return newest_.contains("trainer/cells"); }));
 }
 
 TEST_F(TrainerTest, RestsWhilePaused) {
@@ -67,7 +66,7 @@ TEST_F(TrainerTest, BadInsertsHarmNobody) {
     return wire::CreateModelInsert(builder, header, 5, 0, light);
   });
   insert_.publish({.schema = "ModelInsert/1"}, [&](auto& builder, auto header) {
-    return wire::CreateTrainerCells(builder, header, 6);  // another table under that name
+    return wire::CreateTrainerStats(builder, header, 6);  // another table under that name
   });
   insert(damaged);
   EXPECT_EQ(published()->count(), 19U) << "all but the row that was not finite";
@@ -87,27 +86,9 @@ TEST_F(TrainerTest, BadViewsAreRefusedAndRetiredOnesForgotten) {
   }));
 }
 
-TEST_F(TrainerTest, FreezesThawsAndTakesVisibility) {
+TEST_F(TrainerTest, TakesVisibility) {
   start();
-  const InsertBatch batch = sample_batch(0, 1, 40);
-  insert(batch);
-  std::uint64_t in_cell = 0;
-  for (const auto cell : batch.cell) in_cell += cell == 1 ? 1 : 0;
-  const std::vector<std::uint64_t> cells{1};
-  const auto send = [&](bus::Publisher& publisher) {
-    publisher.publish({.schema = "ModelCells/1"}, [&](auto& builder, auto header) {
-      return wire::CreateModelCells(builder, header, builder.CreateVector(cells));
-    });
-  };
-  ASSERT_TRUE(until([&] {
-    send(freeze_);
-    return published()->frozen() == in_cell;
-  }));
-  ASSERT_TRUE(until([&] {
-    send(unfreeze_);
-    return published()->frozen() == 0;
-  }));
-
+  insert(sample_batch(0, 1, 40));
   std::vector<float> seen(40, 0.25F);
   seen[1] = std::numeric_limits<float>::quiet_NaN();
   seen[2] = 7.0F;
