@@ -1,9 +1,5 @@
 #include "trainer/commands.h"
 
-#include <algorithm>
-#include <iterator>
-#include <numeric>
-
 namespace splatbus::trainer {
 
 bool Commands::add(InsertBatch&& batch) {
@@ -15,11 +11,6 @@ bool Commands::add(InsertBatch&& batch) {
   if (rows > kMaxRows || inserts.size() >= kMaxInserts) return false;
   inserts.push_back(std::move(batch));
   return true;
-}
-
-void CommandQueue::give_back(Commands&& commands) {
-  const std::scoped_lock lock(mutex_);
-  if (!commands_.visibility) commands_.visibility = std::move(commands.visibility);
 }
 
 }  // namespace splatbus::trainer

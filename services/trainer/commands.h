@@ -58,10 +58,6 @@ class CommandQueue {
     return std::exchange(commands_, {});
   }
 
-  /// For commands that were taken and could not be obeyed: those that nobody sends again come first the next time.
-  /// Inserts are sent again until they are acknowledged.
-  void give_back(Commands&& commands);
-
   /// Until something is posted or `timeout` has passed.
   void wait(std::chrono::milliseconds timeout) {
     std::unique_lock lock(mutex_);

@@ -46,6 +46,11 @@ void CpuOptimizer::follow_growth() {
   densifier_.resize(store_.count());
 }
 
+void CpuOptimizer::set_visibility(const VisibilityCommand& relit) {
+  store_.set_visibility(relit.model_generation, reinterpret_cast<const float*>(relit.visibility.get()), relit.memory,
+                        relit.count);
+}
+
 StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
   if (views.empty() || store_.count() == 0) return {};
   const auto start = std::chrono::steady_clock::now();

@@ -24,6 +24,7 @@ class CpuOptimizer final : public Optimizer {
  private:
   void before_change() override {}
   void follow_growth() override;
+  void set_visibility(const VisibilityCommand& relit) override;
   /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
   double render_loss(const TrainingView& view, float scale);
   float depth_loss(const TrainingView& view, float scale);

@@ -23,7 +23,7 @@ class InsertReader {
   virtual ~InsertReader() = default;
 
   /// `lost` when the slab moved on meanwhile (the expander repeats the batch). Throws bus::Error or std::runtime_error
-  /// when the message lies about its tensors.
+  /// when the message lies about its tensors, MemoryFailure.
   [[nodiscard]] virtual InsertReading read(const bus::Message& message) = 0;
 };
 

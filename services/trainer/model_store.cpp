@@ -38,29 +38,24 @@ void ModelStore::add_step(std::size_t views, double seconds) {
   header_->optimizer_s += seconds;
 }
 
+bool ModelStore::accepts_visibility(std::uint64_t generation, std::size_t count) const {
+  const bool moved = generation < structure_.removal_generation || generation > structure_.generation;
+  return !moved && count <= structure_.count;
+}
+
 bool ModelStore::set_visibility(std::uint64_t generation, const float* values, bus::MemoryKind memory,
                                 std::size_t count) {
-  const bool moved = generation < structure_.removal_generation || generation > structure_.generation;
-  if (moved || count > structure_.count) return false;
+  if (!accepts_visibility(generation, count)) return false;
   columns_->set_visibility(planes_, values, memory, count);
   return true;
 }
 
 void ModelStore::change(const std::function<void()>& work) {
   planes_slab_->begin_write(kSlot);
-  const auto finish = [&] {
-    structure_.generation += 1;
-    commit();
-    slot_generation_ = planes_slab_->end_write(kSlot);
-  };
-  try {
-    work();
-  } catch (...) {
-    structure_ = header_->structure.at(header_->current.load());
-    finish();
-    throw;
-  }
-  finish();
+  work();
+  structure_.generation += 1;
+  commit();
+  slot_generation_ = planes_slab_->end_write(kSlot);
 }
 
 void ModelStore::commit() {

@@ -34,6 +34,12 @@ std::vector<bus::ParameterSpec> fixed_specs() {
        .minimum = 1,
        .maximum = 1 << 24,
        .runtime = kFixed},
+      {.name = "max_picture_mpixels",
+       .default_value = 16.0,
+       .description = "2^20 pixels of the largest picture that is trained; larger ones are refused",
+       .minimum = 0.001,
+       .maximum = 64,
+       .runtime = kFixed},
       {.name = "seed",
        .default_value = std::int64_t{1},
        .description = "of the order of views",
@@ -114,6 +120,7 @@ Options read_options(const bus::Parameters& parameters) {
   options.layout.sh_degree = static_cast<int>(parameters.integer("sh_degree"));
   options.capacity = count("capacity");
   options.max_gaussians = count("max_gaussians");
+  options.max_picture_pixels = static_cast<std::size_t>(parameters.number("max_picture_mpixels") * (1 << 20));
   options.seed = count("seed");
   options.threads = static_cast<int>(parameters.integer("threads"));
 

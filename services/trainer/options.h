@@ -36,8 +36,9 @@ struct DensifyOptions {
 struct Options {
   // Fixed once started.
   ParameterLayout layout;
-  std::size_t capacity = 0;       ///< Gaussians that the first slab has room for
-  std::size_t max_gaussians = 0;  ///< beyond it nothing is inserted
+  std::size_t capacity = 0;            ///< Gaussians that the first slab has room for
+  std::size_t max_gaussians = 0;       ///< beyond it nothing is inserted
+  std::size_t max_picture_pixels = 0;  ///< larger pictures are refused
   std::uint64_t seed = 0;
   int threads = 0;  ///< 0: all cores
 

@@ -7,6 +7,7 @@
 #include <map>
 
 #include "bus/memory.h"
+#include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
 #include "wire/model_generated.h"
 
@@ -27,12 +28,14 @@ std::size_t picture_bytes(bus::MemoryKind memory) {
 
 }  // namespace
 
-Trainer::Trainer(bus::ServiceContext& service)
+Trainer::Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer)
     : service_(service),
       views_(ViewStore::kMaxViews, picture_bytes(bus::memory_of(service.backend))),
-      references_(bus::memory_of(service.backend), views_.max_bytes(), host_copied_bytes_),
+      references_(bus::memory_of(service.backend), read_options(service.parameters).max_picture_pixels,
+                  views_.max_bytes(), host_copied_bytes_),
       inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
       visibilities_(bus::memory_of(service.backend)),
+      make_optimizer_(std::move(make_optimizer)),
       schedule_(read_options(service.parameters).seed) {}
 
 void Trainer::run() {
@@ -41,33 +44,47 @@ void Trainer::run() {
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
                                         bus::memory_of(service_.backend));
   spdlog::info("model: {}", store_->origin());
-  optimizer_ = make_optimizer(*store_, options);
+  optimizer_ = make_optimizer_(*store_, options);
   options_version_ = service_.parameters.version();
   model_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "model/published");
   stats_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/stats");
 
-  const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
-  receive();
-  commands_.wake();
+  {
+    const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
+    receive();
+    commands_.wake();
+  }
+  if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
+}
+
+void Trainer::guard(const bus::Message& message, const std::function<void()>& handle) {
+  std::exception_ptr failure;
+  bus::guarded(message, [&] {
+    try {
+      handle();
+    } catch (const MemoryFailure&) {
+      failure = std::current_exception();
+    }
+  });
+  if (failure) std::rethrow_exception(failure);
 }
 
 void Trainer::receive() {
   bus::Subscriber subscriber(service_.bus, {"capture/reference", "model/insert", "relight/visibility"});
-  while (!service_.stop.stop_requested()) {
+  while (!service_.stop.stop_requested() && !optimizer_failed_) {
     auto message = subscriber.receive(kReceiveTimeout);
     // Pictures that are outdated by others in the queue are not copied.
     std::vector<bus::Message> references;
     for (int n = 0; message && n < kMaxDrained; ++n) {
       if (message->topic() == "capture/reference") {
         references.push_back(std::move(*message));
-      } else if (!bus::guarded(*message, [&] { handle(*message); })) {
-        failed_ = true;
+      } else {
+        guard(*message, [&] { handle(*message); });
       }
       message = subscriber.receive(0ms);
     }
-    if (message && !bus::guarded(*message, [&] { handle(*message); })) failed_ = true;
+    if (message) guard(*message, [&] { handle(*message); });
     take_references(references);
-    if (failed_.exchange(false)) bus::require_usable(bus::memory_of(service_.backend));
     service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
@@ -77,10 +94,10 @@ void Trainer::receive() {
 void Trainer::take_references(const std::vector<bus::Message>& messages) {
   std::map<ViewKey, const bus::Message*> newest;
   for (const auto& message : messages) {
-    bus::guarded(message, [&] { newest[reference_key(message)] = &message; });
+    guard(message, [&] { newest[reference_key(message)] = &message; });
   }
   for (const auto& [key, message] : newest) {
-    if (!bus::guarded(*message, [&, m = message] { take_reference(*m); })) failed_ = true;
+    guard(*message, [&, m = message] { take_reference(*m); });
   }
 }
 
@@ -140,15 +157,17 @@ void Trainer::take_visibility(const bus::Message& message) {
     return;
   }
   const bus::MemoryKind memory = bus::memory_of(service_.backend);
-  auto values = visibilities_.take(tensor->bytes());
-  if (!bus::copy_tensor(*tensor, values.get(), memory, host_copied_bytes_)) {
+  const auto values = in_own_memory([&] {
+    auto buffer = visibilities_.take(tensor->bytes());
+    const bool whole = bus::copy_tensor(*tensor, buffer.get(), memory, host_copied_bytes_);
+    return whole ? std::move(buffer) : nullptr;
+  });
+  if (!values) {
     ++lost_tensors_;
     return;
   }
-  VisibilityCommand command{.model_generation = relit.model_generation(),
-                            .count = relit.count(),
-                            .memory = memory,
-                            .visibility = std::move(values)};
+  VisibilityCommand command{
+      .model_generation = relit.model_generation(), .count = relit.count(), .memory = memory, .visibility = values};
   commands_.post([&](Commands& commands) { commands.visibility = std::move(command); });
 }
 

@@ -4,6 +4,8 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
+#include <exception>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <stop_token>
@@ -41,14 +43,18 @@ class Progress {
 /// The trainer service: one thread takes messages, another one owns the model and steps without end.
 class Trainer {
  public:
-  explicit Trainer(bus::ServiceContext& service);
+  using OptimizerMaker = std::function<std::unique_ptr<Optimizer>(ModelStore&, const Options&)>;
 
-  /// Until `service.stop`. Throws bus::Error when no broker comes, and when the device fails for good: the model stays
-  /// with the bus for the next trainer.
+  explicit Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer = trainer::make_optimizer);
+
+  /// Until `service.stop`. Throws bus::Error when no broker comes, and whatever memory, the device or the optimizer
+  /// fail with: the model stays with the bus for the next trainer.
   void run();
 
  private:
   // Message thread.
+  /// A message that lies is logged and left out. Throws MemoryFailure.
+  static void guard(const bus::Message& message, const std::function<void()>& handle);
   void receive();
   void handle(const bus::Message& message);
   void take_references(const std::vector<bus::Message>& messages);
@@ -64,7 +70,6 @@ class Trainer {
   void refresh_options();
   [[nodiscard]] bool may_step() const;
   void train_step();
-  void set_aside(const std::vector<LeftOut>& views);
   /// Waits for what is under way. Returns whether the structure changed.
   bool finish_steps();
   void publish_due(bool structure_changed);
@@ -74,7 +79,8 @@ class Trainer {
   ViewStore views_;
   CommandQueue commands_;
   std::atomic<bool> with_depth_{false};
-  std::atomic<bool> failed_{false};                  ///< something has: does the device still work?
+  std::atomic<bool> optimizer_failed_{false};
+  std::exception_ptr optimizer_failure_;             ///< once its thread has ended
   std::atomic<std::uint64_t> host_copied_bytes_{0};  ///< bulk data that passed through host memory
   ReferenceReader references_;
   std::unique_ptr<InsertReader> inserts_;
@@ -82,6 +88,7 @@ class Trainer {
   std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
   std::unique_ptr<ModelStore> store_;
+  OptimizerMaker make_optimizer_;
   std::unique_ptr<Optimizer> optimizer_;
   Schedule schedule_;
   Progress progress_;

@@ -16,7 +16,6 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kIdleWait = 20ms;
-constexpr auto kAfterError = 500ms;
 constexpr auto kModelPeriod = 250ms;
 constexpr auto kRemoteModelPeriod = 5s;  // over tcp the planes ride in every message
 constexpr auto kStatsPeriod = 1s;
@@ -25,27 +24,17 @@ constexpr auto kChangedStatsPeriod = 100ms;  // when cameras came or went, or th
 }  // namespace
 
 void Trainer::optimize(const std::stop_token& stop) {
-  while (!stop.stop_requested()) {
-    try {
-      optimize_once();
-    } catch (const std::exception& error) {
-      spdlog::error("optimizer: {}", error.what());
-      failed_ = true;
-      commands_.wait(kAfterError);
-    }
+  try {
+    while (!stop.stop_requested()) optimize_once();
+  } catch (...) {
+    optimizer_failure_ = std::current_exception();
+    optimizer_failed_ = true;
   }
 }
 
 void Trainer::optimize_once() {
   refresh_options();
-  Commands commands = commands_.take();
-  bool structure_changed = false;
-  try {
-    structure_changed = optimizer_->apply(commands);
-  } catch (...) {
-    commands_.give_back(std::move(commands));
-    throw;
-  }
+  bool structure_changed = optimizer_->apply(commands_.take());
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
   if (!steps) structure_changed |= finish_steps();
@@ -84,21 +73,10 @@ void Trainer::train_step() {
   const auto batch = schedule_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->structure().generation;
   progress_.add(optimizer_->step(batch));
-  set_aside(optimizer_->take_left_out());
   if (store_->structure().generation != generation) publish_due(true);
 }
 
-void Trainer::set_aside(const std::vector<LeftOut>& views) {
-  for (const auto& [view, why] : views) {
-    const Camera& camera = view->camera;
-    if (!views_.set_aside(*view)) continue;
-    spdlog::warn("{} camera {}: pictures of {} x {} are left out of training, for there is no memory for them: {}",
-                 camera.role == CameraRole::Input ? "input" : "reference", camera.id, camera.width, camera.height, why);
-  }
-}
-
 void Trainer::publish_due(bool structure_changed) {
-  if (structure_changed) views_.take_up();
   const auto now = Clock::now();
   const Options& options = optimizer_->options();
   const bool finished = options.run_until != 0 && store_->step() >= options.run_until;
@@ -126,7 +104,6 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("gaussians", static_cast<double>(store_->count()));
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
-  service_.counter("refused_inserts", static_cast<double>(optimizer_->refused_inserts()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));
   } else if (store_->count() == 0) {

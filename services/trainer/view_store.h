@@ -38,8 +38,8 @@ struct ViewKey {
   auto operator<=>(const ViewKey&) const = default;
 };
 
-/// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room. A
-/// view that cannot be trained is set aside: it is held, and nobody draws it. Thread-safe.
+/// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room.
+/// Thread-safe.
 class ViewStore {
  public:
   static constexpr std::size_t kMaxViews = 1024;
@@ -50,21 +50,13 @@ class ViewStore {
   void put(TrainingViewPtr view);
   void retire(const ViewKey& key);
 
-  /// There is no memory for a step of such pictures: the camera's views are set aside until its pictures have another
-  /// size, or take_up(). False when that was said of them before.
-  bool set_aside(const TrainingView& view);
-  /// Perhaps there is memory now: nothing is set aside any more.
-  void take_up();
-
-  /// Null too when it is set aside.
   [[nodiscard]] TrainingViewPtr find(const ViewKey& key) const;
-  /// Without those that are set aside.
   [[nodiscard]] std::vector<ViewKey> keys(CameraRole role) const;
   [[nodiscard]] bool any_to_train(CameraRole role) const;
   [[nodiscard]] std::size_t count(CameraRole role) const;
   [[nodiscard]] std::size_t bytes() const;
   [[nodiscard]] std::size_t max_bytes() const { return max_bytes_; }
-  /// Generation of the newest view's light, when a reference view under it is here and not set aside.
+  /// Generation of the newest view's light, when a reference view under it is here.
   [[nodiscard]] std::optional<std::uint64_t> reference_light() const;
   /// Grows whenever a camera comes or goes.
   [[nodiscard]] std::uint64_t cameras_version() const;
@@ -73,8 +65,6 @@ class ViewStore {
   struct Entry {
     TrainingViewPtr view;
     std::uint64_t updated = 0;
-    bool aside = false;
-    bool told = false;  // that pictures of this size were set aside
   };
   void evict(const ViewKey& newest);
 

@@ -1,11 +1,11 @@
 #include "trainer/cuda/cuda_optimizer.h"
 
-#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cstdint>
-#include <string>
+#include <memory>
+#include <stdexcept>
 #include <utility>
 #include <vector>
 
@@ -13,6 +13,7 @@
 #include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 #include "trainer/average.h"
+#include "trainer/cuda/column_kernels.h"
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/cuda/prune_check.h"
 #include "trainer/cuda/step_kernels.h"
@@ -48,6 +49,7 @@ class CudaOptimizer final : public Optimizer {
         train_(train_options(options)),
         pruning_(train_.stream()),
         densifier_(options.seed, train_.stream()) {
+    check(cudaEventCreateWithFlags(&visibility_read_, cudaEventDisableTiming), "making an event");
     warm_up(options.layout);
     train_.set_model(gaussians());
     set_options(options);
@@ -57,7 +59,10 @@ class CudaOptimizer final : public Optimizer {
     count_ = store.count();
   }
 
-  ~CudaOptimizer() override { cudaStreamSynchronize(train_.stream()); }
+  ~CudaOptimizer() override {
+    cudaStreamSynchronize(train_.stream());
+    cudaEventDestroy(visibility_read_);
+  }
   CudaOptimizer(const CudaOptimizer&) = delete;
   CudaOptimizer& operator=(const CudaOptimizer&) = delete;
 
@@ -91,8 +96,6 @@ class CudaOptimizer final : public Optimizer {
     store_.add_time(std::exchange(unbooked_s_, 0.0));
     return take_report();
   }
-
-  std::vector<LeftOut> take_left_out() override { return steps_.take_left_out(); }
 
  private:
   /// Steps between the search for Gaussians to remove and the look at what it found, which is there by then.
@@ -145,9 +148,7 @@ class CudaOptimizer final : public Optimizer {
     train_.clear_statistics();
     const std::size_t added = std::min(chosen.size(), store_.room(store_.count()));
     if (added == 0) return;  // a change of structure costs every reader: not for nothing
-    const std::string lacking = lacks_memory_for(store_.capacity_for(store_.count() + added));
-    if (lacking.empty()) return change([&] { densifier_.densify(store_, chosen, options_.densify); });
-    if (!std::exchange(warned_densify_, true)) spdlog::error("optimizer: no Gaussian is cloned or split: {}", lacking);
+    change([&] { densifier_.densify(store_, chosen, options_.densify); });
   }
 
   /// Takes in the figures of steps that are done; of all of them, after waiting, with `wait`.
@@ -188,23 +189,13 @@ class CudaOptimizer final : public Optimizer {
 
   void before_change() override { settle(); }
 
-  [[nodiscard]] std::string lacks_memory_for(std::size_t capacity) const override {
-    if (capacity <= store_.capacity()) return {};
-    // The model moves to planes beside its own, and what is kept here for each Gaussian likewise.
-    const std::size_t wanted = SlabLayout(store_.layout(), capacity).bytes + capacity * bytes_a_gaussian();
-    const std::size_t free = bus::free_memory(bus::MemoryKind::Cuda);
-    if (wanted + raster::cuda::kMemoryLeftFree <= free) return {};
-    return fmt::format(
-        "{} Gaussians take {} MiB of device memory more, of which {} MiB are free, and {} MiB are left so", capacity,
-        wanted >> 20U, free >> 20U, raster::cuda::kMemoryLeftFree >> 20U);
-  }
-
-  /// What training keeps for a Gaussian of its own, about.
-  [[nodiscard]] std::size_t bytes_a_gaussian() const {
-    constexpr std::size_t kOfAView = 100;  // records of the projection, and their gradients
-    constexpr std::size_t kOfAStep = 100;  // ages, statistics
-    const auto channels = static_cast<std::size_t>(store_.layout().channels());
-    return 2 * channels * sizeof(float) + kOfAStep + static_cast<std::size_t>(options_.batch) * kOfAView;
+  void set_visibility(const VisibilityCommand& relit) override {
+    if (relit.memory != bus::MemoryKind::Cuda) throw std::invalid_argument("visibility is not in device memory");
+    check(cudaEventSynchronize(visibility_read_), "waiting for the visibility before");
+    cuda::launch_set_visibility(store_.planes(), reinterpret_cast<const float*>(relit.visibility.get()),
+                                static_cast<std::uint32_t>(relit.count), train_.stream());
+    check(cudaEventRecord(visibility_read_, train_.stream()), "recording an event");
+    visibility_ = relit.visibility;
   }
 
   void follow_growth() override {
@@ -234,9 +225,10 @@ class CudaOptimizer final : public Optimizer {
   bool followed_ = true;   // the model's last change; else there was no memory for that, and it is tried again
   PruneCheck pruning_;
   DeviceDensifier densifier_;
+  cudaEvent_t visibility_read_ = nullptr;
+  std::shared_ptr<const std::byte> visibility_;  // kept until the device has read it
   StepReport report_;
   double unbooked_s_ = 0;  // of optimizer time that the model's figures do not have yet
-  bool warned_densify_ = false;
 };
 
 }  // namespace

@@ -68,33 +68,11 @@ std::size_t StepQueue::enqueue(Part part) {
   try {
     train_.step(group_for(views));
     return views.size();
-  } catch (const raster::cuda::StepTooLarge& error) {  // nothing of it is on its way
-    Part too_large = std::move(parts_.back());
-    parts_.pop_back();
-    return enqueue_halves(std::move(too_large), error.what());
   } catch (...) {
     cudaStreamSynchronize(train_.stream());  // a piece of it may be on its way, and reads the pictures
     parts_.pop_back();
     throw;
   }
-}
-
-/// A part that there is no memory for at once.
-std::size_t StepQueue::enqueue_halves(Part part, const std::string& why) {
-  std::size_t enqueued = 0;
-  if (part.views.size() == 1) {
-    left_out_.push_back({.view = std::move(part.views[0]), .why = why});
-  } else {
-    const auto middle = part.views.begin() + static_cast<std::ptrdiff_t>(part.views.size() / 2);
-    enqueued += enqueue(Part{.views = {part.views.begin(), middle}, .tries = part.tries});
-    enqueued += enqueue(Part{.views = {middle, part.views.end()}, .tries = part.tries});
-  }
-  if (enqueued == 0) {
-    give_up(part);
-  } else if (part.ends_step) {
-    parts_.back().ends_step = true;
-  }
-  return enqueued;
 }
 
 /// The step that it would have ended has ended before.

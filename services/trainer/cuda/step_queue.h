@@ -6,7 +6,6 @@
 #include <deque>
 #include <map>
 #include <span>
-#include <string>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -19,8 +18,8 @@ namespace splatbus::trainer {
 
 /// Training steps that are on their way on the device, and the views whose pictures they read: those are kept until the
 /// device is done with them. Views of a step that differ in the size of their pictures, and more than
-/// raster::cuda::kMaxBatch of them, are trained one part after the other. So are those that there is no memory for at
-/// once. A part whose lists did not fit has changed nothing and is trained again.
+/// raster::cuda::kMaxBatch of them, are trained one part after the other. A part whose lists did not fit has changed
+/// nothing and is trained again.
 ///
 /// All on the stream of `train`, which outlives this. One thread. Throws std::runtime_error naming the CUDA error;
 /// nothing reads the pictures of what could not be enqueued any more then.
@@ -31,16 +30,12 @@ class StepQueue {
   StepQueue(const StepQueue&) = delete;
   StepQueue& operator=(const StepQueue&) = delete;
 
-  /// Enqueues a step of as many of these views as there is memory for; their pictures lie in device memory. Returns how
-  /// many.
+  /// Enqueues a step of these views; their pictures lie in device memory. Returns how many.
   std::size_t enqueue(std::span<const TrainingViewPtr> views);
   /// Enqueues what is to be trained again.
   void enqueue_repeats();
 
   [[nodiscard]] bool empty() const { return parts_.empty(); }
-  /// The views that there was no memory for since the last call.
-  [[nodiscard]] std::vector<LeftOut> take_left_out() { return std::exchange(left_out_, {}); }
-
   /// The figures of steps that have come to their end; of all of them, after waiting, with `wait`.
   [[nodiscard]] StepReport collect(bool wait);
 
@@ -58,16 +53,14 @@ class StepQueue {
   static std::vector<Part> split(std::span<const TrainingViewPtr> views);
   /// Returns how many of its views are on their way.
   std::size_t enqueue(Part part);
-  std::size_t enqueue_halves(Part part, const std::string& why);
   void give_up(const Part& part);
   std::size_t group_for(std::span<const raster::cuda::TrainView> views);
   void repeat(Part part);
 
   raster::cuda::TrainStep& train_;
   std::map<GroupKey, std::size_t> groups_;
-  std::deque<Part> parts_;    // under way
-  std::deque<Part> repeats_;  // whose lists did not fit
-  std::vector<LeftOut> left_out_;
+  std::deque<Part> parts_;       // under way
+  std::deque<Part> repeats_;     // whose lists did not fit
   std::size_t ended_steps_ = 0;  // not reported yet, whose last part was given up
   Clock::time_point busy_since_{};
   bool warned_lists_ = false;

@@ -1,4 +1,4 @@
-// The optimizer on the device where there is no memory for what it is given.
+// A trainer on the device that runs out of memory, and the one that comes after it; visibility from other memory.
 #include "cuda_optimizer_fixture.h"
 
 namespace splatbus::trainer {
@@ -6,46 +6,39 @@ namespace {
 
 using bus::MemoryKind;
 
-TEST_F(CudaOptimizerTest, LeavesOutPicturesThatThereIsNoMemoryFor) {
-  Trial s = trial(MemoryKind::Cuda);
-  const TrainingView& common = *scene_.views()[0];
-  TrainingView giant = *scene_.views()[1];
-  giant.camera.width = giant.camera.height = 40000;
-  StepReport sum = s.step({&giant, &common, &giant});
-  sum += s.optimizer().finish();
-  EXPECT_EQ(sum.steps, 1U);
-  EXPECT_EQ(sum.views, 1U);
-  EXPECT_EQ(s.store().views(), 1U);
-  const auto left_out = s.optimizer().take_left_out();
-  ASSERT_EQ(left_out.size(), 2U);
-  EXPECT_EQ(left_out[0].view->camera.width, 40000U);
-  EXPECT_THAT(left_out[0].why, testing::HasSubstr("40000 x 40000"));
-  EXPECT_EQ(s.step({&giant}).steps, 0U);
-  EXPECT_EQ(s.store().step(), 1U);
-  EXPECT_EQ(s.optimizer().take_left_out().size(), 1U);
-  sum = s.step({&common});
-  sum += s.optimizer().finish();
-  EXPECT_EQ(sum.steps, 1U);
-  EXPECT_TRUE(s.optimizer().take_left_out().empty());
+TEST_F(CudaOptimizerTest, AStepWithoutMemoryFailsAndTheNextTrainerAdoptsTheModel) {
+  {
+    Trial s(connect("trainer"), MemoryKind::Cuda, scene_, {});
+    s.train(3);
+    TrainingView giant = *scene_.views()[1];
+    giant.camera.width = giant.camera.height = 40000;
+    EXPECT_THROW(s.step({&giant}), std::runtime_error);
+  }
+  Trial next(connect("trainer"), MemoryKind::Cuda, scene_, {});
+  EXPECT_EQ(next.store().origin(), "adopted 100 Gaussians at step 3");
+  next.train(2);
+  EXPECT_EQ(next.store().step(), 5U);
 }
 
-TEST_F(CudaOptimizerTest, RefusesInsertsThatThereIsNoMemoryFor) {
-  bus::Parameters parameters(parameter_specs());
-  const Options options = read_options(parameters);
-  ModelStore store(connect("trainer"), options.layout, 64, std::size_t{1} << 40, MemoryKind::Cuda);
-  const auto optimizer = make_optimizer(store, options);
-  InsertBatch giant = sample_batch(1, 1, 10);
-  giant.count = std::size_t{1} << 33;
-  Commands commands;
-  commands.inserts.push_back(std::move(giant));
-  EXPECT_FALSE(optimizer->apply(commands));
-  EXPECT_EQ(optimizer->refused_inserts(), 1U);
-  commands.inserts.push_back(sample_batch(1, 2, 20));
-  EXPECT_TRUE(optimizer->apply(commands));
-  EXPECT_EQ(optimizer->refused_inserts(), 2U);
-  EXPECT_EQ(store.count(), 20U);
-  EXPECT_FALSE(store.holds(1, 1));
-  EXPECT_TRUE(store.holds(1, 2));
+TEST_F(CudaOptimizerTest, TakesVisibilityBehindTheStepsUnderWay) {
+  Trial s = trial(MemoryKind::Cuda);
+  for (const float value : {0.25F, 0.75F}) {
+    s.step({scene_.views()[0].get()});
+    const std::vector<float> seen(s.store().count(), value);
+    const std::size_t bytes = seen.size() * sizeof(float);
+    const std::shared_ptr<std::byte> values = bus::allocate_memory(MemoryKind::Cuda, bytes);
+    bus::copy_memory(values.get(), MemoryKind::Cuda, seen.data(), MemoryKind::Host, bytes);
+    bus::finish_copies();
+    Commands commands;
+    commands.visibility = VisibilityCommand{.model_generation = s.store().structure().generation,
+                                            .count = seen.size(),
+                                            .memory = MemoryKind::Cuda,
+                                            .visibility = values};
+    EXPECT_FALSE(s.optimizer().apply(commands));
+  }
+  s.optimizer().finish();
+  const HostPlanes planes = s.planes();
+  for (std::size_t i = 0; i < planes.count(); ++i) ASSERT_EQ(planes->visibility[i], 0.75F);
 }
 
 }  // namespace

@@ -157,21 +157,6 @@ TEST_F(CudaModel, DuplicatesTheSame) {
   EXPECT_EQ(std::set<std::uint64_t>(ids.begin(), ids.end()).size(), 65U);
 }
 
-TEST_F(CudaModel, AChangeThatThrowsLeavesTheStructure) {
-  append(1, 40);
-  on_both([](ModelStore& store) { store.append(sample_batch(kEpoch, 2, 10)); });
-  for (ModelStore* store : {host_.get(), device_.get()}) {
-    EXPECT_THROW(store->change([&] {
-      store->append(sample_batch(kEpoch, 3, 100));
-      throw std::runtime_error("no");
-    }),
-                 std::runtime_error);
-  }
-  EXPECT_EQ(device_->count(), 50U);
-  EXPECT_FALSE(device_->holds(kEpoch, 3));
-  expect_same_stores();
-}
-
 TEST_F(CudaModel, WhatARemovalCutShortLeavesIsRepairedTheSame) {
   append(1, 60);
   for (ModelStore* store : {host_.get(), device_.get()}) {

@@ -88,18 +88,6 @@ TEST_F(ModelStoreTest, AChangeOfStructureInvalidatesReaders) {
   EXPECT_EQ(newer->live().count, 20U);
 }
 
-TEST_F(ModelStoreTest, AChangeThatThrowsLeavesTheStructure) {
-  append(1, 10);
-  EXPECT_THROW(store_->change([&] {
-    store_->append(sample_batch(kEpoch, 2, 10));
-    throw std::runtime_error("no");
-  }),
-               std::runtime_error);
-  EXPECT_EQ(store_->count(), 10U);
-  EXPECT_FALSE(store_->holds(kEpoch, 2));
-  EXPECT_EQ(publish_and_open()->live().count, 10U);
-}
-
 TEST_F(ModelStoreTest, GrowsIntoALargerSlab) {
   append(1, 60);
   const auto old_ids = by_id(store_->view());

@@ -146,7 +146,7 @@ TEST_F(OptimizerTest, RepeatedBatchesChangeNothing) {
   train(1);
 }
 
-TEST_F(OptimizerTest, ABatchThatCannotBeTakenHarmsNoOther) {
+TEST_F(OptimizerTest, ABatchThatThereIsNoMemoryForLeavesTheModelToTheNextTrainer) {
   const SyntheticScene scene;
   start(scene);
   store_ = nullptr;
@@ -160,6 +160,13 @@ TEST_F(OptimizerTest, ABatchThatCannotBeTakenHarmsNoOther) {
   endless.count = std::size_t{1} << 40;  // no slab is that large
   commands.inserts.push_back(std::move(endless));
   EXPECT_THROW(optimizer_->apply(commands), bus::Error);
+
+  optimizer_ = nullptr;
+  store_ = nullptr;
+  context_ = connect("trainer");
+  const Options options = read_options(parameters_);
+  store_ = std::make_unique<ModelStore>(context_, options.layout, 1024, 4096);
+  optimizer_ = make_optimizer(*store_, options);
   EXPECT_EQ(store_->count(), before);
   EXPECT_GT(store_->capacity(), 1024U);
   EXPECT_LT(train(3), 1.0);

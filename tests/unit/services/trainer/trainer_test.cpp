@@ -4,9 +4,13 @@
 
 #include <atomic>
 #include <limits>
+#include <memory>
+#include <new>
 #include <optional>
 
 #include "bus/error.h"
+#include "bus/memory.h"
+#include "trainer/memory_failure.h"
 #include "trainer_fixture.h"
 #include "wire/published_model.h"
 
@@ -111,10 +115,74 @@ TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   ASSERT_TRUE(message);
   std::atomic<std::uint64_t> host_bytes{0};
   const std::size_t bytes = scene.views()[0]->color.bytes() + scene.views()[0]->albedo.bytes();
-  ReferenceReader small(bus::MemoryKind::Host, bytes - 1, host_bytes);
-  EXPECT_THROW(static_cast<void>(small.read(*message, false)), bus::Error);
-  ReferenceReader large(bus::MemoryKind::Host, bytes, host_bytes);
-  EXPECT_NE(large.read(*message, false).view, nullptr);
+  const std::size_t pixels = bytes / 8;
+  ReferenceReader few_bytes(bus::MemoryKind::Host, pixels, bytes - 1, host_bytes);
+  EXPECT_THROW(static_cast<void>(few_bytes.read(*message, false)), bus::Error);
+  ReferenceReader few_pixels(bus::MemoryKind::Host, pixels - 1, bytes, host_bytes);
+  EXPECT_THROW(static_cast<void>(few_pixels.read(*message, false)), bus::Error);
+  ReferenceReader enough(bus::MemoryKind::Host, pixels, bytes, host_bytes);
+  EXPECT_NE(enough.read(*message, false).view, nullptr);
+}
+
+/// Trains as the true one does, and fails at a step.
+class FailingOptimizer final : public Optimizer {
+ public:
+  FailingOptimizer(ModelStore& store, const Options& options, std::uint64_t at_step)
+      : Optimizer(store), true_(make_optimizer(store, options)), at_step_(at_step) {
+    options_ = true_->options();
+  }
+  void set_options(const Options& options) override { true_->set_options(options); }
+  StepReport step(std::span<const TrainingViewPtr> views) override {
+    if (store_.step() >= at_step_) throw std::bad_alloc();
+    return true_->step(views);
+  }
+  StepReport finish() override { return true_->finish(); }
+
+ private:
+  void before_change() override {}
+  void follow_growth() override { true_ = make_optimizer(store_, options_); }
+  void set_visibility(const VisibilityCommand& /*relit*/) override {}
+
+  std::unique_ptr<Optimizer> true_;
+  std::uint64_t at_step_;
+};
+
+TEST_F(TrainerTest, AFailureEndsItAndTheNextOneAdoptsTheModel) {
+  const SyntheticScene scene;
+  set("run_until", "20");
+  start(
+      [](ModelStore& store, const Options& options) { return std::make_unique<FailingOptimizer>(store, options, 10); });
+  insert(scene.perturbed());
+  for (const auto& view : scene.views()) publish_view(*view);
+  join();
+  ASSERT_NE(ended_with_, nullptr);
+  EXPECT_THROW(std::rethrow_exception(ended_with_), std::bad_alloc);
+
+  newest_.clear();
+  start();
+  ASSERT_TRUE(until([&] { return published()->header()->epoch() == service_->bus->epoch(); }));
+  EXPECT_EQ(published()->count(), 300U);
+  EXPECT_EQ(published()->step(), 10U);
+  EXPECT_TRUE(holds(scene.truth().batch));
+  show(scene);
+  ASSERT_TRUE(until([&] { return stats()->step() == 20 && stats()->paused(); }));
+}
+
+TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
+  try {
+    (void)bus::allocate_memory(bus::MemoryKind::Cuda, 1);
+    GTEST_SKIP() << "this machine has such memory";
+  } catch (const bus::Error&) {  // as it should be
+  }
+  const SyntheticScene scene(20, 1);
+  bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
+  bus_test::meet(reference_, subscriber);
+  publish_view(*scene.views()[0]);
+  const auto message = subscriber.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  std::atomic<std::uint64_t> host_bytes{0};
+  ReferenceReader reader(bus::MemoryKind::Cuda, 1 << 20, 1 << 20, host_bytes);
+  EXPECT_THROW(static_cast<void>(reader.read(*message, false)), MemoryFailure);
 }
 
 TEST_F(TrainerTest, GoesOnAfterARestart) {

@@ -57,41 +57,6 @@ TEST(ViewStore, MakesRoomByTheViewUpdatedLongestAgo) {
   EXPECT_EQ(store.count(CameraRole::Reference), 1U) << "bounded in bytes too";
 }
 
-TEST(ViewStore, SetsAsideWhatCannotBeTrainedUntilItsSizeChanges) {
-  const auto sized = [](std::uint32_t id, std::uint32_t width) {
-    TrainingView view = *make_view(CameraRole::Reference, id);
-    view.camera.width = width;
-    return std::make_shared<const TrainingView>(std::move(view));
-  };
-  ViewStore store;
-  store.put(sized(1, 8192));
-  store.put(sized(2, 512));
-  Schedule schedule(1);
-  const auto drawn = [&] {
-    std::set<std::uint32_t> ids;
-    for (const auto& view : schedule.next_batch(store, 4, 0)) ids.insert(view->camera.id);
-    return ids;
-  };
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{1, 2}));
-  EXPECT_TRUE(store.set_aside(*sized(1, 8192)));
-  EXPECT_EQ(drawn(), std::set<std::uint32_t>{2});
-  EXPECT_EQ(store.count(CameraRole::Reference), 2U) << "it is held";
-  store.put(sized(1, 8192));
-  EXPECT_EQ(drawn(), std::set<std::uint32_t>{2}) << "a new picture of the same size";
-  store.take_up();
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{1, 2}));
-  EXPECT_FALSE(store.set_aside(*sized(1, 8192))) << "said before";
-  store.put(sized(1, 1024));
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{1, 2}));
-  EXPECT_FALSE(store.set_aside(*sized(1, 8192))) << "a picture that is no longer there";
-  EXPECT_FALSE(store.set_aside(*sized(3, 8192)));
-  EXPECT_TRUE(store.set_aside(*sized(1, 1024)));
-  EXPECT_TRUE(store.set_aside(*sized(2, 512)));
-  EXPECT_FALSE(store.any_to_train(CameraRole::Reference));
-  EXPECT_TRUE(drawn().empty());
-  EXPECT_EQ(store.reference_light(), std::nullopt);
-}
-
 TEST(Schedule, TakesOneInputViewAfterThreeReferences) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 8; ++id) store.put(make_view(CameraRole::Reference, id));
