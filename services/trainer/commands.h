@@ -30,7 +30,16 @@ struct Commands {
   std::optional<VisibilityCommand> visibility;  ///< the newest
 
   /// False when there is no room for it. A batch that waits here already is not taken twice.
-  [[nodiscard]] bool add(InsertBatch&& batch);
+  [[nodiscard]] bool add(InsertBatch&& batch) {
+    std::size_t rows = batch.count;
+    for (const InsertBatch& waiting : inserts) {
+      if (waiting.epoch == batch.epoch && waiting.batch == batch.batch) return true;
+      rows += waiting.count;
+    }
+    if (rows > kMaxRows || inserts.size() >= kMaxInserts) return false;
+    inserts.push_back(std::move(batch));
+    return true;
+  }
 
   [[nodiscard]] bool empty() const { return inserts.empty() && !visibility; }
 };

@@ -30,7 +30,7 @@ class CpuOptimizer final : public Optimizer {
   float depth_loss(const TrainingView& view, float scale);
   void clamp_albedo() const;
   void maintain_density();
-  void remove(const std::vector<std::uint8_t>& dead);
+  void remove(const std::vector<std::uint8_t>& prune_mask);
 
   int active_channels_ = 0;
   std::vector<float> learning_rates_;
@@ -41,7 +41,7 @@ class CpuOptimizer final : public Optimizer {
   raster::RenderGradient render_gradient_;
   TimeAverage average_;
   Densifier densifier_;
-  std::vector<std::uint64_t> birth_;  ///< step at which each column was inserted
+  std::vector<std::uint64_t> created_step_;  ///< step at which each column was inserted
 };
 
 }  // namespace splatbus::trainer

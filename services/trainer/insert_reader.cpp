@@ -6,7 +6,6 @@
 
 #include "bus/error.h"
 #include "bus/memory.h"
-#include "trainer/insert_limits.h"
 #include "trainer/memory_failure.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"

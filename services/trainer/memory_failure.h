@@ -1,8 +1,11 @@
 #pragma once
 
 #include <exception>
+#include <functional>
 #include <stdexcept>
 #include <utility>
+
+#include "bus/subscriber.h"
 
 namespace splatbus::trainer {
 
@@ -21,6 +24,19 @@ decltype(auto) in_own_memory(Work&& work) {
   } catch (const std::exception& error) {
     throw MemoryFailure(error.what());
   }
+}
+
+/// bus::guarded() that lets a MemoryFailure pass: a message that lies is logged and left out.
+inline void guard_message(const bus::Message& message, const std::function<void()>& handle) {
+  std::exception_ptr failure;
+  bus::guarded(message, [&] {
+    try {
+      handle();
+    } catch (const MemoryFailure&) {
+      failure = std::current_exception();
+    }
+  });
+  if (failure) std::rethrow_exception(failure);
 }
 
 }  // namespace splatbus::trainer

@@ -36,7 +36,7 @@ Trainer::Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer)
       inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
       visibilities_(bus::memory_of(service.backend)),
       make_optimizer_(std::move(make_optimizer)),
-      schedule_(read_options(service.parameters).seed) {}
+      sampler_(read_options(service.parameters).seed) {}
 
 void Trainer::run() {
   const Options options = read_options(service_.parameters);
@@ -57,18 +57,6 @@ void Trainer::run() {
   if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
 }
 
-void Trainer::guard(const bus::Message& message, const std::function<void()>& handle) {
-  std::exception_ptr failure;
-  bus::guarded(message, [&] {
-    try {
-      handle();
-    } catch (const MemoryFailure&) {
-      failure = std::current_exception();
-    }
-  });
-  if (failure) std::rethrow_exception(failure);
-}
-
 void Trainer::receive() {
   bus::Subscriber subscriber(service_.bus, {"capture/reference", "model/insert", "relight/visibility"});
   while (!service_.stop.stop_requested() && !optimizer_failed_) {
@@ -79,11 +67,11 @@ void Trainer::receive() {
       if (message->topic() == "capture/reference") {
         references.push_back(std::move(*message));
       } else {
-        guard(*message, [&] { handle(*message); });
+        guard_message(*message, [&] { handle(*message); });
       }
       message = subscriber.receive(0ms);
     }
-    if (message) guard(*message, [&] { handle(*message); });
+    if (message) guard_message(*message, [&] { handle(*message); });
     take_references(references);
     service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
@@ -94,10 +82,10 @@ void Trainer::receive() {
 void Trainer::take_references(const std::vector<bus::Message>& messages) {
   std::map<ViewKey, const bus::Message*> newest;
   for (const auto& message : messages) {
-    guard(message, [&] { newest[reference_key(message)] = &message; });
+    guard_message(message, [&] { newest[reference_key(message)] = &message; });
   }
   for (const auto& [key, message] : newest) {
-    guard(*message, [&, m = message] { take_reference(*m); });
+    guard_message(*message, [&, m = message] { take_reference(*m); });
   }
 }
 

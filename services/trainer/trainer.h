@@ -20,7 +20,7 @@
 #include "trainer/insert_reader.h"
 #include "trainer/optimizer.h"
 #include "trainer/reference_reader.h"
-#include "trainer/schedule.h"
+#include "trainer/view_sampler.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
@@ -53,8 +53,6 @@ class Trainer {
 
  private:
   // Message thread.
-  /// A message that lies is logged and left out. Throws MemoryFailure.
-  static void guard(const bus::Message& message, const std::function<void()>& handle);
   void receive();
   void handle(const bus::Message& message);
   void take_references(const std::vector<bus::Message>& messages);
@@ -90,7 +88,7 @@ class Trainer {
   std::unique_ptr<ModelStore> store_;
   OptimizerMaker make_optimizer_;
   std::unique_ptr<Optimizer> optimizer_;
-  Schedule schedule_;
+  ViewSampler sampler_;
   Progress progress_;
   std::uint64_t options_version_ = 0;
 

@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <cmath>
 #include <exception>
 #include <optional>
 #include <vector>
@@ -21,7 +22,35 @@ constexpr auto kRemoteModelPeriod = 5s;  // over tcp the planes ride in every me
 constexpr auto kStatsPeriod = 1s;
 constexpr auto kChangedStatsPeriod = 100ms;  // when cameras came or went, or the trainer stopped or goes on
 
+constexpr double kWindow_s = 1.0;     // of optimizer time, for the pace
+constexpr double kLossMemory = 0.95;  // a step
+
 }  // namespace
+
+void Progress::add(const StepReport& report) {
+  if (report.steps == 0) return;
+  recent_.push_back(report);
+  recent_s_ += report.seconds;
+  recent_steps_ += report.steps;
+  recent_views_ += report.views;
+  while (recent_.size() > 1 && recent_s_ - recent_.front().seconds >= kWindow_s) {
+    recent_s_ -= recent_.front().seconds;
+    recent_steps_ -= recent_.front().steps;
+    recent_views_ -= recent_.front().views;
+    recent_.pop_front();
+  }
+  const double memory = any_ ? std::pow(kLossMemory, static_cast<double>(report.steps)) : 0.0;
+  loss_ = memory * loss_ + (1 - memory) * report.loss;
+  any_ = true;
+}
+
+double Progress::steps_per_s() const {
+  return recent_s_ > 0 ? static_cast<double>(recent_steps_) / recent_s_ : 0;
+}
+
+double Progress::views_per_s() const {
+  return recent_s_ > 0 ? static_cast<double>(recent_views_) / recent_s_ : 0;
+}
 
 void Trainer::optimize(const std::stop_token& stop) {
   try {
@@ -70,7 +99,7 @@ bool Trainer::may_step() const {
 
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
-  const auto batch = schedule_.next_batch(views_, options.batch, options.input_view_interval);
+  const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->structure().generation;
   progress_.add(optimizer_->step(batch));
   if (store_->structure().generation != generation) publish_due(true);

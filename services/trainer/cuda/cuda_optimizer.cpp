@@ -133,7 +133,7 @@ class CudaOptimizer final : public Optimizer {
                          {.begin = static_cast<int>(store_.count() * stripe / TimeAverage::kStripes),
                           .end = static_cast<int>(store_.count() * (stripe + 1) / TimeAverage::kStripes),
                           .step = step,
-                          .settled_share = average_share(average_decay(), TimeAverage::kStripes, ~0ULL),
+                          .settled_share = ema_weight(average_decay(), TimeAverage::kStripes, ~0ULL),
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {

@@ -4,7 +4,6 @@
 #include "cuda_optimizer_fixture.h"
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/density.h"
-#include "trainer/split_factor.h"
 
 namespace splatbus::trainer {
 namespace {

@@ -113,8 +113,8 @@ TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
   s.poke(ParameterLayout::kOpacityLogit, 7, -9.0F);
   ViewStore views;
   for (const auto& view : scene_.views()) views.put(placed(*view, MemoryKind::Cuda));
-  Schedule schedule(3);
-  for (int i = 0; i < 12; ++i) s.optimizer().step(schedule.next_batch(views, 1, 0));
+  ViewSampler sampler(3);
+  for (int i = 0; i < 12; ++i) s.optimizer().step(sampler.next_batch(views, 1, 0));
   EXPECT_EQ(s.store().count(), before - 2);
   s.optimizer().finish();
 }

@@ -1,6 +1,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <glm/gtc/quaternion.hpp>
+#include <numbers>
 #include <set>
 #include <stdexcept>
 
@@ -162,6 +164,24 @@ TEST_F(ModelStoreTest, RadianceBeginsWithTheLitColour) {
   store_->change([&] { store_->append(batch); });
   const float color = 0.5F + 0.28209479F * store_->view().plane(ParameterLayout::kAppearance)[0];
   EXPECT_NEAR(color, srgb_from_linear(0.5F), 1e-4F);
+}
+
+TEST_F(ModelStoreTest, RadianceOfATurnedObjectIsLitByItsNormalInTheWorld) {
+  restart(64, {.appearance = Appearance::Radiance, .sh_degree = 0});
+  InsertBatch batch = sample_batch(kEpoch, 1, 3);
+  batch.albedo.assign(9, 0.5F);
+  batch.object_id = {0, 7, 8};
+  const float third = std::numbers::pi_v<float> / 3.0F;
+  batch.objects[7].rotation = glm::angleAxis(third, glm::vec3(0, 0, 1));
+  batch.objects[8].rotation = glm::angleAxis(3.0F * third, glm::vec3(1, 0, 0));
+  batch.light.ambient_sh = {};
+  batch.light.sun_direction = {0, 1, 0};  // along the normals in their own frames
+  batch.light.sun_irradiance = glm::vec3(std::numbers::pi_v<float>);
+  store_->change([&] { store_->append(batch); });
+  const float* const dc = store_->view().plane(ParameterLayout::kAppearance);
+  EXPECT_NEAR(0.5F + 0.28209479F * dc[0], srgb_from_linear(0.5F), 1e-4F);
+  EXPECT_NEAR(0.5F + 0.28209479F * dc[1], srgb_from_linear(0.25F), 1e-4F);
+  EXPECT_NEAR(0.5F + 0.28209479F * dc[2], 0.0F, 1e-4F) << "it lies on its face";
 }
 
 TEST_F(ModelStoreTest, LyingAnnouncementsAreRefused) {

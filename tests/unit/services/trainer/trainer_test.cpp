@@ -185,6 +185,17 @@ TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
   EXPECT_THROW(static_cast<void>(reader.read(*message, false)), MemoryFailure);
 }
 
+TEST_F(TrainerTest, OnlyAFailureOfMemoryPassesTheGuardOfAMessage) {
+  bus::Subscriber subscriber(connect("reader"), {"model/insert"});
+  bus_test::meet(insert_, subscriber);
+  publish_insert(sample_batch(0, 1, 1));
+  const auto message = subscriber.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  EXPECT_NO_THROW(guard_message(*message, [] { throw std::runtime_error("it lies"); }));
+  const auto allocate = [] { in_own_memory([] { throw bus::Error("there is no memory"); }); };
+  EXPECT_THROW(guard_message(*message, allocate), MemoryFailure);
+}
+
 TEST_F(TrainerTest, GoesOnAfterARestart) {
   const SyntheticScene scene;
   set("run_until", "10");
