@@ -32,7 +32,7 @@ void LiveScene::take(const bus::Message& message) {
   }
 }
 
-const PublishedModel* LiveScene::model(bus::MemoryKind kind) {
+const PublishedModel* LiveScene::model(Device kind) {
   if (!message_) return nullptr;
   if (model_ && model_kind_ == kind && model_->refresh()) return &*model_;
   // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.

@@ -28,7 +28,7 @@ class LiveScene {
   /// The averaged model with its values as they are now, in memory of `kind`: read in place where it lies there, else
   /// copied. Null until one is published, and while its structure has moved on and the newer message has not come.
   /// Valid until the next call.
-  [[nodiscard]] const PublishedModel* model(bus::MemoryKind kind = bus::MemoryKind::Host);
+  [[nodiscard]] const PublishedModel* model(Device kind = Device::Cpu);
   [[nodiscard]] const SceneState& scene() const { return scene_; }
   [[nodiscard]] bool has_light() const { return has_light_; }
   [[nodiscard]] bool has_objects() const { return has_objects_; }
@@ -43,7 +43,7 @@ class LiveScene {
   std::optional<bus::Message> message_;
   std::optional<Published> published_;
   std::optional<PublishedModel> model_;
-  bus::MemoryKind model_kind_ = bus::MemoryKind::Host;
+  Device model_kind_ = Device::Cpu;
   SceneState scene_;
   bool has_light_ = false, has_objects_ = false;
 };

@@ -4,10 +4,9 @@
 
 namespace splatbus::cli {
 
-ServerView::ServerView(bus::Backend backend, int threads)
-    : memory_(bus::memory_of(backend)),
-      renderer_(raster::make_model_renderer(backend == bus::Backend::Cuda ? raster::Device::Cuda : raster::Device::Cpu,
-                                            threads)) {}
+ServerView::ServerView(Device backend, int threads)
+    : memory_(backend),
+      renderer_(raster::make_model_renderer(backend, threads)) {}
 
 std::optional<cv::Mat> ServerView::render(LiveScene& live, const Camera& camera, const SceneState& scene) {
   const PublishedModel* model = live.model(memory_);

@@ -15,13 +15,13 @@ namespace splatbus::cli {
 class ServerView {
  public:
   /// `threads` of the CPU, 0: all cores.
-  ServerView(bus::Backend backend, int threads);
+  ServerView(Device backend, int threads);
 
   /// CV_8UC3 BGR in display space; nullopt when there is no model, or its structure changed while it was drawn.
   [[nodiscard]] std::optional<cv::Mat> render(LiveScene& live, const Camera& camera, const SceneState& scene);
 
  private:
-  const bus::MemoryKind memory_;
+  const Device memory_;
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
 };

@@ -36,10 +36,9 @@ class ArgumentError : public std::runtime_error {
 }  // namespace
 
 struct splatbus_engine {
-  splatbus_engine(const std::shared_ptr<bus::Context>& bus_context, bus::MemoryKind memory)
+  splatbus_engine(const std::shared_ptr<bus::Context>& bus_context, Device memory)
       : context(bus_context),
-        service(context, parameters, stop.get_token(),
-                memory == bus::MemoryKind::Cuda ? bus::Backend::Cuda : bus::Backend::Cpu),
+        service(context, parameters, stop.get_token(), memory),
         frames(context, "engine/frame"),
         cameras(context, {"engine/cameras"}),
         rings(context, memory),
@@ -108,7 +107,7 @@ splatbus_status splatbus_engine_open(const char* address, const char* source, ui
     require(source != nullptr && *source != '\0', "splatbus_engine_open: source is NULL or empty");
     try {
       const bus::Address where = address == nullptr ? bus::Address::from_environment() : bus::Address::parse(address);
-      const bus::MemoryKind kind = engine_sdk::memory_kind(memory);
+      const Device kind = engine_sdk::memory_kind(memory);
       *out = std::make_unique<splatbus_engine>(bus::Context::create(where, source), kind).release();
     } catch (const bus::Error& wrong) {
       throw ArgumentError(fmt::format("splatbus_engine_open: {}", wrong.what()));

@@ -70,7 +70,7 @@ int run_service(const Flags& flags, const ServiceDescription& description, Param
                 const std::function<void(ServiceContext&)>& run) {
   std::stop_source stop;
   const StopSignals signals(stop);
-  const Backend backend = choose_backend(flags.backend);
+  const Device backend = choose_backend(flags.backend);
   const auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
   const auto context = Context::create(address, flags.name);
   install_logger(context, flags.log_level);

@@ -20,14 +20,14 @@ class ServiceContext {
   std::shared_ptr<Context> bus;
   Parameters& parameters;
   std::stop_token stop;  ///< SIGINT, SIGTERM
-  Backend backend = Backend::Cpu;
+  Device backend = Device::Cpu;
 
   /// Shown in the next heartbeat; any thread.
   void counter(const std::string& name, double value);
   void detail(const std::string& text);  ///< what it waits for, in words
 
   ServiceContext(std::shared_ptr<Context> bus, Parameters& parameters, std::stop_token stop,
-                 Backend backend = Backend::Cpu);
+                 Device backend = Device::Cpu);
 
  private:
   friend class Housekeeping;

@@ -5,18 +5,16 @@
 #include <string>
 
 #include "bus/file_descriptor.h"
+#include "device/device.h"
 #include "wire/common_generated.h"
 
 namespace splatbus::bus {
-
-/// Where the bytes of a slab's data are; a number of the registry's protocol.
-enum class MemoryKind : std::uint32_t { Host = 0, Cuda = 1 };
 
 /// What a slab claims to be; every claim is checked against the descriptors that come with it.
 struct SlabDescriptor {
   std::uint64_t id = 0;  ///< made by the owner, unique for ever: it survives a restart of the broker
   std::string name;      ///< "<source>/<role>"
-  MemoryKind kind = MemoryKind::Host;
+  Device kind = Device::Cpu;
   std::size_t slots = 0;
   std::size_t slot_bytes = 0;
 };

@@ -17,14 +17,14 @@ namespace {
 
 /// How slabs of one kind are made and mapped.
 struct SlabMemory {
-  MemoryKind kind;
+  Device kind;
   std::shared_ptr<Slab> (*create)(const SlabDescriptor& descriptor, bool shared);
   std::shared_ptr<Slab> (*map)(const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
                                bool writable);
 };
 
 template <class KindOfSlab>
-constexpr SlabMemory slab_memory(MemoryKind kind) {
+constexpr SlabMemory slab_memory(Device kind) {
   return {kind,
           [](const SlabDescriptor& descriptor, bool shared) -> std::shared_ptr<Slab> {
             return KindOfSlab::create(descriptor, shared);
@@ -36,9 +36,9 @@ constexpr SlabMemory slab_memory(MemoryKind kind) {
 }
 
 constexpr SlabMemory slab_memories[] = {
-    slab_memory<HostSlab>(MemoryKind::Host),
+    slab_memory<HostSlab>(Device::Cpu),
 #ifdef SPLATBUS_HAVE_CUDA
-    slab_memory<gpu::CudaSlab>(MemoryKind::Cuda),
+    slab_memory<gpu::CudaSlab>(Device::Cuda),
 #endif
 };
 

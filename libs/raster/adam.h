@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "raster/large_pages.h"
+#include "device/large_pages.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster {
@@ -33,7 +33,7 @@ class Adam {
  private:
   ParameterLayout layout_;
   std::size_t count_ = 0, stride_ = 0;
-  using Moments = std::vector<float, LargePageAllocator<float>>;
+  using Moments = std::vector<float, device::LargePageAllocator<float>>;
   Moments first_, second_;
   std::vector<std::uint32_t> steps_;  ///< a Gaussian, for its bias correction
 };

@@ -7,11 +7,11 @@
 
 namespace splatbus::stream {
 
-std::unique_ptr<Observer> make_observer([[maybe_unused]] ModelMemory memory) {
+std::unique_ptr<Observer> make_observer([[maybe_unused]] Device memory) {
 #ifdef SPLATBUS_HAVE_CUDA
-  if (memory == ModelMemory::Device) return make_cuda_observer();
+  if (memory == Device::Cuda) return make_cuda_observer();
 #endif
-  assert(memory == ModelMemory::Host);
+  assert(memory == Device::Cpu);
   return make_host_observer();
 }
 

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "device/device.h"
 #include "stream/quantised.h"
 
 namespace splatbus::stream {
@@ -38,11 +39,9 @@ class Observer {
   [[nodiscard]] virtual std::uint64_t copied_bytes() const { return 0; }
 };
 
-/// Where the views lie that an observer reads. The integers are the same, bit for bit.
-enum class ModelMemory : std::uint8_t { Host, Device };
-
-/// Asserts that the build has CUDA when it is asked for.
-[[nodiscard]] std::unique_ptr<Observer> make_observer(ModelMemory memory);
+/// `memory` is where the views lie that the observer reads. The integers are the same, bit for bit. Asserts that the
+/// build has CUDA when it is asked for.
+[[nodiscard]] std::unique_ptr<Observer> make_observer(Device memory);
 
 [[nodiscard]] std::unique_ptr<Observer> make_host_observer();
 

@@ -34,16 +34,16 @@ std::int64_t nanoseconds(double seconds) {
 }  // namespace
 
 CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-                             bus::Backend backend)
+                             Device backend)
     : context_(std::move(context)),
       parameters_(parameters),
       subscriber_(context_, {"engine/frame", "viewer/pose", "viewer/probe", "trainer/stats", "grid/state"}),
       cameras_publisher_(context_, "engine/cameras"),
-      forwarder_(context_, bus::memory_of(backend)),
+      forwarder_(context_, backend),
       // A restarted bridge must not repeat ids of the one before: the engine has answered those.
       rigs_(parameters, context_->epoch()),
       probes_(kMostProbes),
-      input_pictures_(bus::memory_of(backend)),
+      input_pictures_(backend),
       worker_(context_, backend, round_sizes(parameters)) {
   const RoundSizes expected = round_sizes(parameters);
   input_pictures_.reserve(expected.views, input_view_bytes(expected.pixels));

@@ -34,7 +34,7 @@ class CaptureBridge {
   /// `parameters` outlive the bridge. Input frames are kept and sampled where `backend` says. Throws std::runtime_error
   /// when it cannot be had.
   CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-                bus::Backend backend = bus::Backend::Cpu);
+                Device backend = Device::Cpu);
 
   /// Handles what arrives within `timeout`, then what is due. Throws bus::Error when the device has failed for good.
   void step(std::chrono::milliseconds timeout);

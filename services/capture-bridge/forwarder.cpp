@@ -35,7 +35,7 @@ std::vector<std::uint8_t> light_bytes(const Light& light) {
 
 }  // namespace
 
-Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind)
+Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind)
     : context_(context),
       reference_(context, "capture/reference"),
       probe_(context, "capture/probe"),
@@ -99,7 +99,7 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth) return false;
   // Through a copy, so that a depth that is gone costs no slot of the ring.
-  const bus::MemoryKind kind = light_depth_copies_.kind();
+  const Device kind = light_depth_copies_.kind();
   const auto copy = light_depth_copies_.take(depth->bytes());
   if (!bus::copy_tensor(*depth, copy.get(), kind, host_bytes)) return false;
   const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.get(), kind};

@@ -21,7 +21,7 @@ namespace splatbus::capture_bridge {
 class Forwarder {
  public:
   /// The light's depth is kept in memory of `kind`.
-  Forwarder(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind);
+  Forwarder(const std::shared_ptr<bus::Context>& context, Device kind);
 
   /// capture/reference: colour, albedo, and depth where there is one. False when the colour is gone already.
   bool reference(const bus::Message& message, const wire::EngineFrame& frame);

@@ -13,7 +13,7 @@ constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 
 }  // namespace
 
-InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind,
+InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind,
                                const RoundSizes& expected)
     : publisher_(context, "capture/input"),
       ring_(context, "input", kRingSlots,

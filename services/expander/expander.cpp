@@ -29,7 +29,7 @@ constexpr std::size_t kRingSlots = BatchLedger::Options{}.in_flight + 2;
 
 }  // namespace
 
-Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, bus::Backend backend)
+Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend)
     : parameters_(parameters),
       context_(std::move(context)),
       mapper_(make_mapper(backend, mapper_options(parameters))),

@@ -35,7 +35,7 @@ class Expander {
  public:
   /// `parameters` outlive the expander. Throws when the backend cannot be had.
   Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-           bus::Backend backend = bus::Backend::Cpu);
+           Device backend = Device::Cpu);
 
   /// Handles what arrives within `timeout`, then what is due. What there is no memory for is logged and tried again
   /// after `retry_s`. Throws when the backend has failed for good.

@@ -50,7 +50,7 @@ std::vector<bus::ParameterSpec> parameter_specs() {
   };
 }
 
-float* Relight::Memory::floats(std::size_t count, bus::MemoryKind kind) {
+float* Relight::Memory::floats(std::size_t count, Device kind) {
   const std::size_t needed = count * sizeof(float);
   if (size < needed || !bytes) {
     bytes = bus::allocate_memory(kind, needed);
@@ -61,7 +61,7 @@ float* Relight::Memory::floats(std::size_t count, bus::MemoryKind kind) {
 
 Relight::Relight(bus::ServiceContext& service)
     : service_(service),
-      memory_(bus::memory_of(service.backend)),
+      memory_(service.backend),
       backend_(make_visibility_backend(service.backend)),
       publisher_(service.bus, "relight/visibility"),
       ring_(service.bus, "visibility", kRingSlots, 0, memory_) {}

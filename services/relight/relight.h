@@ -30,7 +30,7 @@ class Relight {
   struct Memory {
     std::shared_ptr<std::byte> bytes;
     std::size_t size = 0;
-    [[nodiscard]] float* floats(std::size_t count, bus::MemoryKind kind);
+    [[nodiscard]] float* floats(std::size_t count, Device kind);
   };
   /// The newest light-space depth, in memory of our own, with the light and the transforms of its frame.
   struct DepthMap {
@@ -48,7 +48,7 @@ class Relight {
   [[nodiscard]] VisibilityOptions options() const;
 
   bus::ServiceContext& service_;
-  const bus::MemoryKind memory_;
+  const Device memory_;
   const std::unique_ptr<VisibilityBackend> backend_;
   bus::Publisher publisher_;
   bus::TensorRing ring_;

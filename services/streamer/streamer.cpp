@@ -54,8 +54,7 @@ Streamer::Streamer(bus::ServiceContext& service)
       endpoint_(streamer::endpoints(service.parameters, service.bus->address())),
       writer_(service.bus->source(), service.bus->epoch()),
       model_(writer_, service.bus->epoch(), stream_options(service.parameters),
-             stream::make_observer(service.backend == bus::Backend::Cuda ? stream::ModelMemory::Device
-                                                                         : stream::ModelMemory::Host)),
+             stream::make_observer(service.backend)),
       hub_(endpoint_, model_, writer_, hub_options(service.parameters), events()) {
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
@@ -159,7 +158,7 @@ bool Streamer::observe() {
     const bus::Message message = *announcement_;
     announcement_.reset();
     bus::guarded(message, [&] {
-      auto opened = PublishedModel::open(message, bus::memory_of(service_.backend), PublishedModel::Need::Average);
+      auto opened = PublishedModel::open(message, service_.backend, PublishedModel::Need::Average);
       if (!opened) return;
       if (published_) host_copied_bytes_ += published_->copied_bytes();
       published_ = std::move(*opened);
@@ -174,7 +173,7 @@ bool Streamer::observe() {
   } catch (const std::exception& error) {
     // What could not be observed has changed nothing: viewers keep what they have until there is memory again.
     spdlog::error("observing the model: {}", error.what());
-    bus::require_usable(bus::memory_of(service_.backend));
+    bus::require_usable(service_.backend);
     return false;
   }
 }

@@ -43,8 +43,7 @@ class ModelColumns {
   virtual ColumnMoves remove(const ModelPlanes& planes, std::size_t count, const std::uint8_t* dead) = 0;
 
   /// Values of either memory, clamped to [0, 1], to the first columns; what is not a number becomes 0.
-  virtual void set_visibility(const ModelPlanes& planes, const float* values, bus::MemoryKind memory,
-                              std::size_t count) = 0;
+  virtual void set_visibility(const ModelPlanes& planes, const float* values, Device memory, std::size_t count) = 0;
 
   /// What adoption wants to know, in host memory.
   struct Inspection {
@@ -55,6 +54,6 @@ class ModelColumns {
 };
 
 /// Throws bus::Error when this build or machine has no such memory.
-[[nodiscard]] std::unique_ptr<ModelColumns> make_model_columns(bus::MemoryKind memory);
+[[nodiscard]] std::unique_ptr<ModelColumns> make_model_columns(Device memory);
 
 }  // namespace splatbus::trainer

@@ -43,8 +43,7 @@ bool ModelStore::accepts_visibility(std::uint64_t generation, std::size_t count)
   return !moved && count <= structure_.count;
 }
 
-bool ModelStore::set_visibility(std::uint64_t generation, const float* values, bus::MemoryKind memory,
-                                std::size_t count) {
+bool ModelStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
   if (!accepts_visibility(generation, count)) return false;
   columns_->set_visibility(planes_, values, memory, count);
   return true;

@@ -46,7 +46,7 @@ bool Optimizer::apply(const Commands& commands) {
 }
 
 std::unique_ptr<Optimizer> make_optimizer(ModelStore& store, const Options& options) {
-  if (store.memory() == bus::MemoryKind::Host) return std::make_unique<CpuOptimizer>(store, options);
+  if (store.memory() == Device::Cpu) return std::make_unique<CpuOptimizer>(store, options);
 #ifdef SPLATBUS_HAVE_CUDA
   return make_cuda_optimizer(store, options);
 #else

@@ -17,7 +17,7 @@ constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch togethe
 
 }  // namespace
 
-ReferenceReader::ReferenceReader(bus::MemoryKind memory, std::size_t max_pixels, std::size_t max_bytes,
+ReferenceReader::ReferenceReader(Device memory, std::size_t max_pixels, std::size_t max_bytes,
                                  std::atomic<std::uint64_t>& host_bytes)
     : memory_(memory), max_pixels_(max_pixels), max_bytes_(max_bytes), host_bytes_(host_bytes), pool_(memory) {}
 
@@ -58,7 +58,7 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
                      std::to_string(view.camera.height) + " has more pixels than max_picture_mpixels allows");
   }
   view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
-  if (memory_ == bus::MemoryKind::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
+  if (memory_ == Device::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
     throw bus::Error(message.topic() + ": " + std::to_string(view.scene.objects.size()) +
                      " moving objects are more than the CUDA backend takes (" + std::to_string(kMaxDeviceObjects) +
                      ")");

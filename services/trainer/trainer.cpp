@@ -22,7 +22,7 @@ constexpr int kMaxDrained = 512;
 constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
 /// What pictures may take: most of the memory is the model's.
-std::size_t picture_bytes(bus::MemoryKind memory) {
+std::size_t picture_bytes(Device memory) {
   return std::min(ViewStore::kMaxBytes, bus::free_memory(memory) / 4);
 }
 
@@ -30,11 +30,11 @@ std::size_t picture_bytes(bus::MemoryKind memory) {
 
 Trainer::Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer)
     : service_(service),
-      views_(ViewStore::kMaxViews, picture_bytes(bus::memory_of(service.backend))),
-      references_(bus::memory_of(service.backend), read_options(service.parameters).max_picture_pixels,
-                  views_.max_bytes(), host_copied_bytes_),
-      inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
-      visibilities_(bus::memory_of(service.backend)),
+      views_(ViewStore::kMaxViews, picture_bytes(service.backend)),
+      references_(service.backend, read_options(service.parameters).max_picture_pixels, views_.max_bytes(),
+                  host_copied_bytes_),
+      inserts_(make_insert_reader(service.backend, host_copied_bytes_)),
+      visibilities_(service.backend),
       make_optimizer_(std::move(make_optimizer)),
       sampler_(read_options(service.parameters).seed) {}
 
@@ -42,7 +42,7 @@ void Trainer::run() {
   const Options options = read_options(service_.parameters);
   with_depth_ = options.depth_weight > 0;
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
-                                        bus::memory_of(service_.backend));
+                                        service_.backend);
   spdlog::info("model: {}", store_->origin());
   optimizer_ = make_optimizer_(*store_, options);
   options_version_ = service_.parameters.version();
@@ -144,7 +144,7 @@ void Trainer::take_visibility(const bus::Message& message) {
     ++lost_tensors_;
     return;
   }
-  const bus::MemoryKind memory = bus::memory_of(service_.backend);
+  const Device memory = service_.backend;
   const auto values = in_own_memory([&] {
     auto buffer = visibilities_.take(tensor->bytes());
     const bool whole = bus::copy_tensor(*tensor, buffer.get(), memory, host_copied_bytes_);

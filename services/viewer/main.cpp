@@ -23,7 +23,7 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
   splatbus::viewer::Viewer(service.parameters,
                            {.name = service.bus->source(),
                             .endpoint = endpoint,
-                            .device = splatbus::viewer::device_of(service.backend),
+                            .device = service.backend,
                             .stop = service.stop,
                             .counter = [&](const std::string& name, double value) { service.counter(name, value); },
                             .detail = [&](const std::string& text) { service.detail(text); }})

@@ -44,7 +44,7 @@ int standalone_main(int argc, char** argv) {
     Viewer(parameters,
            {.name = name,
             .endpoint = endpoint,
-            .device = device_of(bus::choose_backend(backend)),
+            .device = bus::choose_backend(backend),
             .stop = stop.get_token(),
             .counter = [](const std::string& counter, double value) { spdlog::debug("{} {}", counter, value); },
             .detail =

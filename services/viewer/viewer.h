@@ -19,16 +19,11 @@ namespace splatbus::viewer {
 
 [[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
 
-/// What a backend draws with.
-[[nodiscard]] constexpr raster::Device device_of(bus::Backend backend) {
-  return backend == bus::Backend::Cuda ? raster::Device::Cuda : raster::Device::Cpu;
-}
-
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
 struct ViewerHost {
   std::string name;
   std::string endpoint;  ///< of the streamer
-  raster::Device device = raster::Device::Cpu;
+  Device device = Device::Cpu;
   std::stop_token stop;
   std::function<void(const std::string& name, double value)> counter;
   std::function<void(const std::string& text)> detail;

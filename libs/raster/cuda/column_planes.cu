@@ -1,5 +1,6 @@
 #include <algorithm>
 
+#include "device/check.h"
 #include "raster/cuda/column_planes.h"
 
 namespace splatbus::raster::cuda {

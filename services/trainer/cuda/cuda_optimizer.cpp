@@ -190,7 +190,7 @@ class CudaOptimizer final : public Optimizer {
   void before_change() override { settle(); }
 
   void set_visibility(const VisibilityCommand& relit) override {
-    if (relit.memory != bus::MemoryKind::Cuda) throw std::invalid_argument("visibility is not in device memory");
+    if (relit.memory != Device::Cuda) throw std::invalid_argument("visibility is not in device memory");
     check(cudaEventSynchronize(visibility_read_), "waiting for the visibility before");
     cuda::launch_set_visibility(store_.planes(), reinterpret_cast<const float*>(relit.visibility.get()),
                                 static_cast<std::uint32_t>(relit.count), train_.stream());

@@ -31,7 +31,7 @@ StepQueue::~StepQueue() {
 std::vector<StepQueue::Part> StepQueue::split(std::span<const TrainingViewPtr> views) {
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::vector<TrainingViewPtr>> by_size;
   for (const TrainingViewPtr& view : views) {
-    if (view->memory != bus::MemoryKind::Cuda) throw std::invalid_argument("a picture is not in device memory");
+    if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
     by_size[{view->camera.width, view->camera.height}].push_back(view);
   }
   std::vector<Part> parts;

@@ -99,7 +99,7 @@ TEST_F(Slabs, SizesBeyondTheLimitsAreRefused) {
 }
 
 TEST_F(Slabs, AKindWithoutMemoryIsRefused) {
-  EXPECT_THAT([&] { (void)connect("maker")->create_slab("frames", 1, 1, 10000, static_cast<bus::MemoryKind>(9)); },
+  EXPECT_THAT([&] { (void)connect("maker")->create_slab("frames", 1, 1, 10000, static_cast<Device>(9)); },
               ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr("maker/frames"), HasSubstr("kind 9"))));
 }
 

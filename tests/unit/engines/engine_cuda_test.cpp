@@ -65,7 +65,7 @@ TEST_P(CudaSdk, ImagesOfEitherMemoryReachTheReaders) {
 
   const auto message = frames.receive(patience);
   ASSERT_TRUE(message.has_value());
-  const auto kind = GetParam() == SPLATBUS_MEMORY_CUDA ? bus::MemoryKind::Cuda : bus::MemoryKind::Host;
+  const auto kind = GetParam() == SPLATBUS_MEMORY_CUDA ? Device::Cuda : Device::Cpu;
   const auto pixels = [&](const char* name) {
     std::vector<std::uint8_t> bytes(owned.color.size());
     const auto tensor = message->tensor(name, bus::ElementType::U8, {6, 8, 4});
@@ -218,7 +218,7 @@ TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
       const auto message = frames.receive(patience);
       ASSERT_TRUE(message.has_value()) << answered.size();
       const auto color = message->tensor("color");
-      ASSERT_TRUE(color && color->memory() == bus::MemoryKind::Cuda);
+      ASSERT_TRUE(color && color->memory() == Device::Cuda);
       answered.insert(message->root<wire::EngineFrame>("EngineFrame/1").request_id());
     }
   }

@@ -58,7 +58,7 @@ class CudaObserver : public testing::TestWithParam<Case> {
     device_.emplace();
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
     twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
-                                          make_observer(ModelMemory::Device));
+                                          make_observer(Device::Cuda));
     twin_->set_scene(server_->scene, 0);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->jump();
@@ -160,7 +160,7 @@ TEST(CudaObserverOfALargeModel, SeesWhatTheHostSees) {
   GaussiansBuffer model = test::toy_model(200'000, 3);
   DeviceModel device;
   StreamModel host(PacketWriter("streamer", 1), 77);
-  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, make_observer(ModelMemory::Device));
+  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, make_observer(Device::Cuda));
   const auto observe = [&] {
     EXPECT_TRUE(host.observe(model.view()));
     EXPECT_TRUE(cuda.observe(device.copy(model)));

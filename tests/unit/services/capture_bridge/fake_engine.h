@@ -22,7 +22,7 @@ namespace splatbus::capture_bridge::test {
 class FakeEngine {
  public:
   /// Its pictures lie in memory of `kind`.
-  explicit FakeEngine(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind = bus::MemoryKind::Host)
+  explicit FakeEngine(const std::shared_ptr<bus::Context>& context, Device kind = Device::Cpu)
       : subscriber_(context, {"engine/cameras"}),
         frames_(context, "engine/frame"),
         ring_(context, "frames", 512, 0, kind) {}

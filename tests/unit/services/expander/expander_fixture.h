@@ -26,25 +26,25 @@ template <class T>
 std::vector<T> host_copy(const bus::TensorView& tensor) {
   std::vector<T> values(tensor.elements());
   std::atomic<std::uint64_t> bytes{0};
-  EXPECT_TRUE(bus::copy_tensor(tensor, values.data(), bus::MemoryKind::Host, bytes));
+  EXPECT_TRUE(bus::copy_tensor(tensor, values.data(), Device::Cpu, bytes));
   return values;
 }
 
 /// Where the expander works, and where its peers keep what they publish.
 struct Machine {
-  bus::Backend backend;
-  bus::MemoryKind peers;
+  Device backend;
+  Device peers;
 };
 
 inline std::string machine_name(const testing::TestParamInfo<Machine>& info) {
-  return std::string(bus::name_of(info.param.backend)) + "_among_" +
-         (info.param.peers == bus::MemoryKind::Cuda ? "cuda" : "cpu");
+  return std::string(name_of(info.param.backend)) + "_among_" +
+         (info.param.peers == Device::Cuda ? "cuda" : "cpu");
 }
 
 /// Says model/published as a trainer would: a slab with the planes of the Gaussians that it took.
 class FakeTrainer {
  public:
-  FakeTrainer(std::shared_ptr<bus::Context> context, bus::MemoryKind memory)
+  FakeTrainer(std::shared_ptr<bus::Context> context, Device memory)
       : context_(std::move(context)),
         subscriber_(context_, {"model/insert"}),
         publisher_(context_, "model/published"),
@@ -149,7 +149,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
   }
 
   void SetUp() override {
-    if (GetParam().backend == bus::Backend::Cuda || GetParam().peers == bus::MemoryKind::Cuda) {
+    if (GetParam().backend == Device::Cuda || GetParam().peers == Device::Cuda) {
       try {
         (void)bus::choose_backend("cuda");
       } catch (const bus::Error& error) {

@@ -129,7 +129,7 @@ TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
   start();  // which adopts the model
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
-  const bool on_device = GetParam().backend == bus::Backend::Cuda && GetParam().peers == bus::MemoryKind::Cuda;
+  const bool on_device = GetParam().backend == Device::Cuda && GetParam().peers == Device::Cuda;
   EXPECT_EQ(expander_->mapper().host_copied_bytes() == 0, on_device);
 }
 

@@ -17,7 +17,7 @@ class RelightTest : public bus_test::BusTest {
   static constexpr std::uint32_t kTexels = 64;
   static constexpr std::uint32_t kCapacity = 32;
 
-  explicit RelightTest(bus::Backend backend = bus::Backend::Cpu, bus::MemoryKind peers = bus::MemoryKind::Host)
+  explicit RelightTest(Device backend = Device::Cpu, Device peers = Device::Cpu)
       : peer_(connect("peer")),
         subscriber_(peer_, {"relight/visibility"}),
         model_(peer_, "model/published"),

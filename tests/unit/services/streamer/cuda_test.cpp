@@ -14,8 +14,8 @@ namespace {
 using viewer::StreamClient;
 
 struct Memories {
-  bus::Backend backend;
-  bus::MemoryKind peers;
+  Device backend;
+  Device peers;
 };
 
 class Pipeline : public StreamTest {
@@ -94,7 +94,7 @@ void Pipeline::answer_probe() {
 class StreamerOnDevice : public testing::TestWithParam<Memories> {
  protected:
   void SetUp() override {
-    if (bus::choose_backend("auto") != bus::Backend::Cuda) GTEST_SKIP() << "no CUDA device";
+    if (bus::choose_backend("auto") != Device::Cuda) GTEST_SKIP() << "no CUDA device";
   }
 };
 
@@ -107,9 +107,9 @@ TEST_P(StreamerOnDevice, PicturesOfProbesLeaveTheMachine) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Memories, StreamerOnDevice,
-                         testing::Values(Memories{bus::Backend::Cuda, bus::MemoryKind::Cuda},
-                                         Memories{bus::Backend::Cuda, bus::MemoryKind::Host},
-                                         Memories{bus::Backend::Cpu, bus::MemoryKind::Cuda}));
+                         testing::Values(Memories{Device::Cuda, Device::Cuda},
+                                         Memories{Device::Cuda, Device::Cpu},
+                                         Memories{Device::Cpu, Device::Cuda}));
 
 }  // namespace
 }  // namespace splatbus::stream_test

@@ -27,7 +27,7 @@ namespace splatbus::stream_test {
 /// Publishes models as the trainer does, each in a slot of its own, in memory of some kind.
 class FakeTrainer {
  public:
-  explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind = bus::MemoryKind::Host)
+  explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, Device kind = Device::Cpu)
       : publisher_(context, "model/published"), light_(context, "scene/light"), ring_(context, "model", 16, 0, kind) {}
 
   void publish(const GaussiansBuffer& model) {
@@ -68,7 +68,7 @@ class RunningStreamer {
  public:
   RunningStreamer(std::shared_ptr<bus::Context> context,
                   const std::vector<std::pair<std::string, std::string>>& changes,
-                  bus::Backend backend = bus::Backend::Cpu)
+                  Device backend = Device::Cpu)
       : parameters_(streamer::parameter_specs()) {
     for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
     service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token(), backend);
@@ -97,10 +97,10 @@ class RunningStreamer {
 /// Broker, fake trainer and streamer.
 class StreamTest : public bus_test::BusTest {
  protected:
-  explicit StreamTest(bus::MemoryKind trainer = bus::MemoryKind::Host) : trainer_(connect("trainer"), trainer) {}
+  explicit StreamTest(Device trainer = Device::Cpu) : trainer_(connect("trainer"), trainer) {}
 
   void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {},
-                      bus::Backend backend = bus::Backend::Cpu) {
+                      Device backend = Device::Cpu) {
     changes.insert(changes.begin(), {"tick_hz", "50"});
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
     streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);

@@ -61,7 +61,7 @@ class ModelStoreTest : public bus_test::BusTest {
   }
 
   bool set_visibility(std::uint64_t generation, const std::vector<float>& values) {
-    return store_->set_visibility(generation, values.data(), bus::MemoryKind::Host, values.size());
+    return store_->set_visibility(generation, values.data(), Device::Cpu, values.size());
   }
 
   /// What the present trainer's header slab holds, for damage.

@@ -47,7 +47,7 @@ class TrainerTest : public bus_test::BusTest {
   ~TrainerTest() override { stop(); }
 
   /// Before start(): where the trainer's model lies, and where the slabs of those that feed it.
-  void place(bus::Backend trainer, bus::MemoryKind producers) {
+  void place(Device trainer, Device producers) {
     backend_ = trainer;
     ring_ = std::make_unique<bus::TensorRing>(peer_, "pictures", 32, 0, producers);
   }
@@ -166,7 +166,7 @@ class TrainerTest : public bus_test::BusTest {
   bus::Subscriber subscriber_;
   bus::Publisher insert_, reference_, visibility_;
   std::unique_ptr<bus::TensorRing> ring_;
-  bus::Backend backend_ = bus::Backend::Cpu;
+  Device backend_ = Device::Cpu;
   std::stop_source stop_;
   std::unique_ptr<bus::ServiceContext> service_;
   std::thread thread_;

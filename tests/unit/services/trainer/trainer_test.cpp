@@ -116,11 +116,11 @@ TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   std::atomic<std::uint64_t> host_bytes{0};
   const std::size_t bytes = scene.views()[0]->color.bytes() + scene.views()[0]->albedo.bytes();
   const std::size_t pixels = bytes / 8;
-  ReferenceReader few_bytes(bus::MemoryKind::Host, pixels, bytes - 1, host_bytes);
+  ReferenceReader few_bytes(Device::Cpu, pixels, bytes - 1, host_bytes);
   EXPECT_THROW(static_cast<void>(few_bytes.read(*message, false)), bus::Error);
-  ReferenceReader few_pixels(bus::MemoryKind::Host, pixels - 1, bytes, host_bytes);
+  ReferenceReader few_pixels(Device::Cpu, pixels - 1, bytes, host_bytes);
   EXPECT_THROW(static_cast<void>(few_pixels.read(*message, false)), bus::Error);
-  ReferenceReader enough(bus::MemoryKind::Host, pixels, bytes, host_bytes);
+  ReferenceReader enough(Device::Cpu, pixels, bytes, host_bytes);
   EXPECT_NE(enough.read(*message, false).view, nullptr);
 }
 
@@ -170,7 +170,7 @@ TEST_F(TrainerTest, AFailureEndsItAndTheNextOneAdoptsTheModel) {
 
 TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
   try {
-    (void)bus::allocate_memory(bus::MemoryKind::Cuda, 1);
+    (void)bus::allocate_memory(Device::Cuda, 1);
     GTEST_SKIP() << "this machine has such memory";
   } catch (const bus::Error&) {  // as it should be
   }
@@ -181,7 +181,7 @@ TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
   const auto message = subscriber.receive(bus_test::patience);
   ASSERT_TRUE(message);
   std::atomic<std::uint64_t> host_bytes{0};
-  ReferenceReader reader(bus::MemoryKind::Cuda, 1 << 20, 1 << 20, host_bytes);
+  ReferenceReader reader(Device::Cuda, 1 << 20, 1 << 20, host_bytes);
   EXPECT_THROW(static_cast<void>(reader.read(*message, false)), MemoryFailure);
 }
 

@@ -6,7 +6,7 @@
 #include <cstdlib>
 #include <new>
 
-namespace splatbus::raster {
+namespace splatbus::device {
 
 /// Memory for big arrays: from one large page on it begins at such a page and asks for them, so that planes walked side
 /// by side need no walk for their addresses; below, it begins at a cache line. std::free() gives it back.
@@ -35,4 +35,4 @@ struct LargePageAllocator {
   }
 };
 
-}  // namespace splatbus::raster
+}  // namespace splatbus::device

@@ -4,16 +4,18 @@
 #include <cstddef>
 #include <cstdint>
 
-// What is computed for each pixel and sample is written once, and compiled for the host and for the device: both do the
-// same operations in the same order, without fused multiply-adds, so that they agree to the bit wherever they sum in
-// the same order.
+// Arithmetic of what is computed for each pixel, sample and Gaussian, written once and compiled for the host and for
+// the device: both do the same operations in the same order. Where they are compiled without fused multiply-adds
+// (splatbus_single_source() does that), they agree to the bit wherever they sum in the same order.
 #ifdef __CUDACC__
 #define SPLATBUS_PORTABLE __host__ __device__ inline
+#define SPLATBUS_PORTABLE_MEMBER __host__ __device__
 #else
 #define SPLATBUS_PORTABLE inline
+#define SPLATBUS_PORTABLE_MEMBER
 #endif
 
-namespace splatbus::capture_bridge {
+namespace splatbus::math {
 
 struct Vec3 {
   float x = 0, y = 0, z = 0;
@@ -53,14 +55,21 @@ SPLATBUS_PORTABLE Mat3 transposed(const Mat3& m) {
   return {{m.x.x, m.y.x, m.z.x}, {m.x.y, m.y.y, m.z.y}, {m.x.z, m.y.z, m.z.z}};
 }
 
-/// p_a = rotation * p_b + translation.
-struct Motion {
+/// a_from_b: p_a = rotation * p_b + translation.
+struct Rigid {
   Mat3 rotation;
   Vec3 translation;
 };
 
-SPLATBUS_PORTABLE Vec3 transformed(const Motion& a_from_b, const Vec3& point_b) {
+SPLATBUS_PORTABLE Vec3 transformed(const Rigid& a_from_b, const Vec3& point_b) {
   return a_from_b.rotation * point_b + a_from_b.translation;
+}
+
+/// Of a unit quaternion.
+SPLATBUS_PORTABLE Mat3 rotation_matrix(float w, float x, float y, float z) {
+  return {{1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},
+          {2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)},
+          {2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)}};
 }
 
 /// The second, when the first is no number.
@@ -84,6 +93,16 @@ SPLATBUS_PORTABLE Vec3 load3(const float* array, std::size_t i) {
   return {array[3 * i], array[3 * i + 1], array[3 * i + 2]};
 }
 
+/// The sRGB transfer function (IEC 61966-2-1); clamps to [0, 1].
+SPLATBUS_PORTABLE float srgb_from_linear(float linear) {
+  const float x = clamped(linear, 0.0F, 1.0F);
+  return x <= 0.0031308F ? 12.92F * x : 1.055F * powf(x, 1 / 2.4F) - 0.055F;
+}
+SPLATBUS_PORTABLE float linear_from_srgb(float srgb) {
+  const float x = clamped(srgb, 0.0F, 1.0F);
+  return x <= 0.04045F ? x / 12.92F : powf((x + 0.055F) / 1.055F, 2.4F);
+}
+
 struct Vec4 {
   Vec3 xyz;
   float w = 0;
@@ -99,4 +118,4 @@ SPLATBUS_PORTABLE Vec4 load4(const float* array, std::size_t i) {
 #endif
 }
 
-}  // namespace splatbus::capture_bridge
+}  // namespace splatbus::math
