@@ -8,28 +8,27 @@
 
 namespace splatbus::cli {
 
-LiveScene::LiveScene(std::shared_ptr<bus::Context> context)
-    : subscriber_(std::move(context), {"model/published", "scene/light", "scene/objects"}) {}
-
-void LiveScene::poll(std::chrono::milliseconds timeout) {
-  for (const bus::Message& message : subscriber_.receive_newest(timeout)) {
-    bus::guarded(message, [&] { take(message); });
-  }
+LiveScene::LiveScene(std::shared_ptr<bus::Context> context) : subscriber_(std::move(context)) {
+  subscriber_
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished& published, const bus::Message& message) {
+            published_ = {.generation = published.generation(), .step = published.step(), .count = published.count()};
+            message_ = message;
+            model_.reset();
+          })
+      .on(topics::kSceneLight,
+          [this](const wire::SceneLight& body, const bus::Message&) {
+            scene_.light = from_wire(*body.light());
+            has_light_ = true;
+          })
+      .on(topics::kSceneObjects, [this](const wire::SceneObjects& body, const bus::Message&) {
+        scene_.objects = from_wire(body.objects());
+        has_objects_ = true;
+      });
 }
 
-void LiveScene::take(const bus::Message& message) {
-  if (message.topic() == "model/published") {
-    const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
-    published_ = {.generation = published.generation(), .step = published.step(), .count = published.count()};
-    message_ = message;
-    model_.reset();
-  } else if (message.topic() == "scene/light") {
-    scene_.light = from_wire(*message.root<wire::SceneLight>("SceneLight/1").light());
-    has_light_ = true;
-  } else if (message.topic() == "scene/objects") {
-    scene_.objects = from_wire(message.root<wire::SceneObjects>("SceneObjects/1").objects());
-    has_objects_ = true;
-  }
+void LiveScene::poll(std::chrono::milliseconds timeout) {
+  subscriber_.dispatch_newest(timeout);
 }
 
 const PublishedModel* LiveScene::model(Device kind) {

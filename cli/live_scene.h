@@ -37,8 +37,6 @@ class LiveScene {
   [[nodiscard]] std::optional<GaussiansBuffer> copy_average(std::chrono::milliseconds timeout);
 
  private:
-  void take(const bus::Message& message);
-
   bus::Subscriber subscriber_;
   std::optional<bus::Message> message_;
   std::optional<Published> published_;

@@ -44,8 +44,6 @@ class PipelineWatch {
   [[nodiscard]] const PipelineState& state() const { return state_; }
 
  private:
-  void take(const bus::Message& message);
-
   bus::Subscriber subscriber_;
   PipelineState state_;
 };

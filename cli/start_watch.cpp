@@ -4,27 +4,28 @@
 #include <utility>
 
 #include "figures.h"
+#include "wire/engine_generated.h"
 #include "wire/model_generated.h"
 
 namespace splatbus::cli {
 
 StartWatch::StartWatch(std::shared_ptr<bus::Context> context, std::uint64_t gaussians)
-    : subscriber_(std::move(context), {"engine/frame", "model/published"}), gaussians_(gaussians) {}
-
-void StartWatch::poll(std::chrono::milliseconds timeout) {
-  for (auto message = subscriber_.receive(timeout); message;
-       message = subscriber_.receive(std::chrono::milliseconds(0))) {
-    bus::guarded(*message, [&] { take(*message); });
-  }
+    : subscriber_(std::move(context)), gaussians_(gaussians) {
+  subscriber_
+      .on(topics::kEngineFrame,
+          [this](const wire::EngineFrame&, const bus::Message& message) {
+            const std::int64_t captured_ns = message.header().capture_ns();
+            first_frame_ns_ = std::min(first_frame_ns_.value_or(captured_ns), captured_ns);
+          })
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished& published, const bus::Message& message) { take(published, message); });
 }
 
-void StartWatch::take(const bus::Message& message) {
-  if (message.topic() == "engine/frame") {
-    const std::int64_t captured_ns = message.header().capture_ns();
-    first_frame_ns_ = std::min(first_frame_ns_.value_or(captured_ns), captured_ns);
-    return;
-  }
-  const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
+void StartWatch::poll(std::chrono::milliseconds timeout) {
+  subscriber_.dispatch_all(timeout);
+}
+
+void StartWatch::take(const wire::ModelPublished& published, const bus::Message& message) {
   if (published.count() < gaussians_) return;
   const std::int64_t now_ns = message.header().publish_ns();
   if (!inserted_ns_) {

@@ -28,7 +28,7 @@ class StartWatch {
   [[nodiscard]] nlohmann::json summary() const;
 
  private:
-  void take(const bus::Message& message);
+  void take(const wire::ModelPublished& published, const bus::Message& message);
 
   bus::Subscriber subscriber_;
   const std::uint64_t gaussians_;

@@ -53,8 +53,9 @@ const char* to_string(ProcessState state) {
 }
 
 Supervisor::Supervisor(LaunchPlan plan, Output output)
-    : output_(std::move(output)),
-      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid())), {"sys/heartbeat"}) {
+    : output_(std::move(output)), heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid()))) {
+  heartbeats_.on(topics::kHeartbeat,
+                 [this](const wire::Heartbeat& heartbeat, const bus::Message&) { take(heartbeat); });
   for (ProcessPlan& process_plan : plan.processes) {
     Process process;
     process.status.name = process_plan.name;
@@ -70,7 +71,7 @@ bool Supervisor::run(const std::stop_token& stop, const std::stop_token& kill) {
   while (!stop.stop_requested() && anything_to_do()) {
     start_what_is_due();
     wait_for_events();
-    read_heartbeats();
+    heartbeats_.dispatch_all(std::chrono::milliseconds(0));
     for (Process& process : processes_) reap(process, false);
     check_signs_of_life();
     publish_status();
@@ -110,24 +111,19 @@ void Supervisor::pass_output(Process& process, bool rest) {
   for (const std::string& line : process.child->read_lines(rest)) output_(process.plan.name, line, false);
 }
 
-void Supervisor::read_heartbeats() {
-  while (const auto message = heartbeats_.receive(std::chrono::milliseconds(0))) {
-    bus::guarded(*message, [&] {
-      const auto& heartbeat = message->root<wire::Heartbeat>("Heartbeat/1");
-      for (Process& process : processes_) {
-        // By process id, since the broker also hands out the last heartbeat of those that are gone.
-        if (!process.child || process.child->pid() != static_cast<pid_t>(heartbeat.pid())) continue;
-        process.last_sign_ns = bus::now_ns();
-        process.status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
-        process.status.counters.clear();
-        if (heartbeat.counters() != nullptr) {
-          for (const auto* counter : *heartbeat.counters()) {
-            process.status.counters[counter->name()->str()] = counter->value();
-          }
-        }
-        if (process.status.state == ProcessState::Starting) ready(process);
+void Supervisor::take(const wire::Heartbeat& heartbeat) {
+  for (Process& process : processes_) {
+    // By process id, since the broker also hands out the last heartbeat of those that are gone.
+    if (!process.child || process.child->pid() != static_cast<pid_t>(heartbeat.pid())) continue;
+    process.last_sign_ns = bus::now_ns();
+    process.status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
+    process.status.counters.clear();
+    if (heartbeat.counters() != nullptr) {
+      for (const auto* counter : *heartbeat.counters()) {
+        process.status.counters[counter->name()->str()] = counter->value();
       }
-    });
+    }
+    if (process.status.state == ProcessState::Starting) ready(process);
   }
 }
 

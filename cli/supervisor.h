@@ -68,7 +68,7 @@ class Supervisor {
 
   void wait_for_events();
   void pass_output(Process& process, bool rest);
-  void read_heartbeats();
+  void take(const wire::Heartbeat& heartbeat);
   void reap(Process& process, bool stopping);
   void ended(Process& process, const ExitStatus& status);
   void start_what_is_due();

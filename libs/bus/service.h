@@ -30,7 +30,7 @@ class ServiceContext {
                  Device backend = Device::Cpu);
 
  private:
-  friend class Housekeeping;
+  friend class HeartbeatThread;
   std::mutex mutex_;
   std::map<std::string, double> counters_;
   std::string detail_;

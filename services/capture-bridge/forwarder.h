@@ -35,8 +35,7 @@ class Forwarder {
   void scene(const wire::EngineFrame& frame);
 
  private:
-  std::shared_ptr<bus::Context> context_;
-  bus::Publisher reference_, probe_, light_depth_, objects_, light_;
+  bus::Publisher publisher_;
   bus::MemoryPool light_depth_copies_;
   bus::TensorRing light_depth_ring_;
   std::uint64_t engine_epoch_ = 0;

@@ -9,6 +9,7 @@
 #include "bus/subscriber.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
+#include "streamer/parameters.h"
 #include "streamer/viewer_hub.h"
 #include "wire/published_model.h"
 
@@ -26,16 +27,17 @@ class Streamer {
   [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoint_.bound(); }
 
  private:
-  void take(const bus::Message& message);
-  void forward_probe(const bus::Message& message);
+  void subscribe();
+  void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
   void tick(std::int64_t now_ns);
   [[nodiscard]] bool observe();
   void publish_statistics(std::int64_t now_ns);
   [[nodiscard]] HubEvents events();
 
   bus::ServiceContext& service_;
+  bus::LiveOptions<Options> options_;
   bus::Subscriber subscriber_;
-  bus::Publisher pose_, probe_, quality_, stats_;
+  bus::Publisher publisher_;
   Endpoint endpoint_;
   stream::PacketWriter writer_;
   stream::StreamModel model_;
@@ -46,7 +48,6 @@ class Streamer {
   SceneState scene_;
   std::uint64_t scene_frame_ = 0;
   double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it
-  std::uint64_t parameters_version_ = 0;
   double tick_ms_ = 0;
   std::uint64_t host_copied_bytes_ = 0;  ///< of models that were open before; planes, not what leaves the machine
 };

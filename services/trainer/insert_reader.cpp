@@ -49,7 +49,7 @@ class HostInsertReader final : public InsertReader {
 }  // namespace
 
 std::optional<InsertTensors> find_insert_tensors(const bus::Message& message, InsertBatch& batch) {
-  const auto& insert = message.root<wire::ModelInsert>("ModelInsert/1");
+  const auto& insert = message.root<wire::ModelInsert>();
   batch.epoch = message.header().epoch();
   batch.batch = insert.batch();
   batch.light = from_wire(*insert.light());

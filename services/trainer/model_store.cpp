@@ -95,10 +95,10 @@ ColumnMoves ModelStore::remove(const std::uint8_t* dead) {
   return moves;
 }
 
-void ModelStore::publish(bus::Publisher& publisher) const {
+void ModelStore::publish(const bus::Publisher& publisher) const {
   const auto stride = static_cast<std::uint32_t>(planes_.capacity);
   const std::byte* const start = planes_slab_->slot_data(kSlot);
-  bus::MessageInfo info{.schema = "ModelPublished/1", .latch = true};
+  bus::MessageInfo info;
   const auto add = [&](const char* name, const auto* plane, std::uint32_t channels) {
     using Element = std::remove_const_t<std::remove_pointer_t<decltype(plane)>>;
     std::vector<std::uint32_t> shape{stride};
@@ -120,13 +120,15 @@ void ModelStore::publish(bus::Publisher& publisher) const {
   add("flags", planes_.flags, 0);
   add("cell", planes_.cell, 0);
   add("gaussian_id", planes_.gaussian_id, 0);
-  publisher.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<wire::Header> header) {
-    const auto batches = builder.CreateVector(structure_.batches.data(), structure_.batch_count);
-    return wire::CreateModelPublished(
-        builder, header, structure_.generation, structure_.count, planes_.capacity,
-        layout().appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-        static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches);
-  });
+  publisher.publish(
+      topics::kModelPublished, info,
+      [&](flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<wire::Header> header) {
+        const auto batches = builder.CreateVector(structure_.batches.data(), structure_.batch_count);
+        return wire::CreateModelPublished(
+            builder, header, structure_.generation, structure_.count, planes_.capacity,
+            layout().appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
+            static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches);
+      });
 }
 
 }  // namespace splatbus::trainer

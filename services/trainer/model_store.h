@@ -77,7 +77,7 @@ class ModelStore {
   ColumnMoves remove(const std::uint8_t* dead);
 
   /// Publishes model/published with the slab as it is now.
-  void publish(bus::Publisher& publisher) const;
+  void publish(const bus::Publisher& publisher) const;
 
  private:
   void begin_empty(std::size_t capacity);

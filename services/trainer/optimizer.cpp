@@ -26,11 +26,11 @@ void Optimizer::change(const std::function<void()>& work) {
   follow_growth();
 }
 
-float Optimizer::average_decay() const {
+float Optimizer::ema_decay() const {
   const double covered_steps =
-      store_.optimizer_s() > 0 ? options_.average_s * static_cast<double>(store_.step()) / store_.optimizer_s() : 0;
+      store_.optimizer_s() > 0 ? options_.ema_s * static_cast<double>(store_.step()) / store_.optimizer_s() : 0;
   const double of_time = covered_steps > 1 ? 1 - 1 / covered_steps : 0;
-  return std::max(options_.average_decay, static_cast<float>(of_time));
+  return std::max(options_.ema_decay, static_cast<float>(of_time));
 }
 
 bool Optimizer::apply(const Commands& commands) {

@@ -36,12 +36,12 @@ bool ReferenceReader::read_picture(const bus::Message& message, const char* name
 }
 
 ViewKey reference_key(const bus::Message& message) {
-  const auto& camera = *message.root<wire::CaptureReference>("CaptureReference/1").camera();
+  const auto& camera = *message.root<wire::CaptureReference>().camera();
   return {.role = static_cast<CameraRole>(camera.role()), .id = camera.id()};
 }
 
 ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_depth) {
-  const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
+  const auto& reference = message.root<wire::CaptureReference>();
   ReferenceReading reading;
   reading.key = reference_key(message);
   if (reading.key.role != CameraRole::Reference && reading.key.role != CameraRole::Input) {

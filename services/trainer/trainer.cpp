@@ -30,50 +30,61 @@ std::size_t picture_bytes(Device memory) {
 
 Trainer::Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer)
     : service_(service),
+      publisher_(service.bus),
+      subscriber_(service.bus),
       views_(ViewStore::kMaxViews, picture_bytes(service.backend)),
-      references_(service.backend, read_options(service.parameters).max_picture_pixels, views_.max_bytes(),
+      references_(service.backend, service.parameters.read<Options>().max_picture_pixels, views_.max_bytes(),
                   host_copied_bytes_),
       inserts_(make_insert_reader(service.backend, host_copied_bytes_)),
       visibilities_(service.backend),
       make_optimizer_(std::move(make_optimizer)),
-      sampler_(read_options(service.parameters).seed) {}
+      sampler_(service.parameters.read<Options>().seed),
+      options_(service.parameters) {}
 
 void Trainer::run() {
-  const Options options = read_options(service_.parameters);
+  const Options& options = *options_;
   with_depth_ = options.depth_weight > 0;
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
                                         service_.backend);
   spdlog::info("model: {}", store_->origin());
   optimizer_ = make_optimizer_(*store_, options);
-  options_version_ = service_.parameters.version();
-  model_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "model/published");
-  stats_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/stats");
 
-  {
+  try {
     const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
     receive();
     commands_.wake();
+  } catch (const MemoryFailure& failure) {
+    throw std::runtime_error(failure.what());
   }
   if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
 }
 
+void Trainer::subscribe() {
+  subscriber_
+      .on(topics::kCaptureReference,
+          [this](const wire::CaptureReference&, const bus::Message& message) { take_reference(message); })
+      .on(topics::kModelInsert, [this](const wire::ModelInsert&, const bus::Message& message) { take_insert(message); })
+      .on(topics::kRelightVisibility,
+          [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); });
+}
+
 void Trainer::receive() {
-  bus::Subscriber subscriber(service_.bus, {"capture/reference", "model/insert", "relight/visibility"});
+  subscribe();
   while (!service_.stop.stop_requested() && !optimizer_failed_) {
-    auto message = subscriber.receive(kReceiveTimeout);
+    auto message = subscriber_.receive(kReceiveTimeout);
     // Pictures that are outdated by others in the queue are not copied.
     std::vector<bus::Message> references;
     for (int n = 0; message && n < kMaxDrained; ++n) {
-      if (message->topic() == "capture/reference") {
+      if (message->topic() == topics::kCaptureReference.name) {
         references.push_back(std::move(*message));
       } else {
-        guard_message(*message, [&] { handle(*message); });
+        subscriber_.dispatch(*message);
       }
-      message = subscriber.receive(0ms);
+      message = subscriber_.receive(0ms);
     }
-    if (message) guard_message(*message, [&] { handle(*message); });
+    if (message) subscriber_.dispatch(*message);
     take_references(references);
-    service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
+    service_.counter("lost_messages", static_cast<double>(subscriber_.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
   }
@@ -82,17 +93,11 @@ void Trainer::receive() {
 void Trainer::take_references(const std::vector<bus::Message>& messages) {
   std::map<ViewKey, const bus::Message*> newest;
   for (const auto& message : messages) {
-    guard_message(message, [&] { newest[reference_key(message)] = &message; });
+    bus::guarded(message, [&] { newest[reference_key(message)] = &message; });
   }
   for (const auto& [key, message] : newest) {
-    guard_message(*message, [&, m = message] { take_reference(*m); });
+    subscriber_.dispatch(*message);
   }
-}
-
-void Trainer::handle(const bus::Message& message) {
-  if (message.topic() == "capture/reference") return take_reference(message);
-  if (message.topic() == "model/insert") return take_insert(message);
-  if (message.topic() == "relight/visibility") return take_visibility(message);
 }
 
 void Trainer::take_reference(const bus::Message& message) {
@@ -132,8 +137,7 @@ void Trainer::refuse(const bus::Message& message) {
   service_.counter("refused_commands", static_cast<double>(refused_commands_));
 }
 
-void Trainer::take_visibility(const bus::Message& message) {
-  const auto& relit = message.root<wire::RelightVisibility>("RelightVisibility/1");
+void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::Message& message) {
   if (relit.count() > kMaxVisibilities) {
     throw bus::Error(message.topic() + ": a count of " + std::to_string(relit.count()) + " makes no sense");
   }

@@ -11,7 +11,7 @@
 namespace {
 
 void run_on_bus(splatbus::bus::ServiceContext& service) {
-  std::string endpoint = service.parameters.text("endpoint");
+  std::string endpoint = service.parameters.read<splatbus::viewer::Options>().endpoint;
   const splatbus::bus::Address& address = service.bus->address();
   if (endpoint.empty()) {
     if (!address.is_local()) {
@@ -54,7 +54,7 @@ int main(int argc, char** argv) {
       .summary =
           "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window; and --connect ENDPOINT to "
           "view a streamer elsewhere without any bus",
-      .parameters = splatbus::viewer::parameter_specs(),
+      .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
   };
   return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);
 }

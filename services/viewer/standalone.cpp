@@ -31,7 +31,7 @@ int standalone_main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     spdlog::set_level(spdlog::level::from_str(log_level));
-    bus::Parameters parameters(parameter_specs());
+    bus::Parameters parameters(bus::Parameters::declare<Options>());
     for (const std::string& change : changes) {
       const auto equals = change.find('=');
       if (equals == std::string::npos) throw bus::Error(fmt::format("--set '{}': expected name=value", change));

@@ -12,12 +12,26 @@
 #include "bus/backend.h"
 #include "bus/parameters.h"
 #include "raster/model_renderer.h"
+#include "viewer/camera_path.h"
 #include "viewer/stream_client.h"
 #include "viewer/window.h"
 
 namespace splatbus::viewer {
 
-[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+/// The viewer's parameters.
+struct Options {
+  std::string endpoint;
+  double rate_hz = 5;
+  int threads = 0;
+  std::string out;
+  std::uint64_t frames = 0;
+  bool probe = false;
+  double probe_period_s = 5;
+  bool window = false;
+  CameraPath path;
+
+  void bind(bus::ParameterBinder& parameters);
+};
 
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
 struct ViewerHost {
@@ -49,7 +63,7 @@ class Viewer {
   void ask_probe(std::int64_t now_ns);
   void report();
 
-  const bus::Parameters& parameters_;
+  bus::LiveOptions<Options> options_;
   ViewerHost host_;
   StreamClient client_;
   std::unique_ptr<raster::ModelRenderer> renderer_;

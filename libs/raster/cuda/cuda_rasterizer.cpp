@@ -58,7 +58,7 @@ class CudaRasterizer final : public Rasterizer {
     full.active_channels = statistics.active_channels;
     full.clear(gaussians_);
     backward(gradient, full);
-    adam.step(parameters, gaussians_.flags, full, learning_rate, 0);
+    adam.step(gaussians_, parameters, full, learning_rate, 0);
     for (std::size_t i = 0; i < full.count; ++i) {
       statistics.touched[i] |= full.touched[i];
       statistics.mean2d_norm[i] += full.mean2d_norm[i];

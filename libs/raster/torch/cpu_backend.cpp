@@ -179,8 +179,16 @@ void cpu_adam_step(const AdamTensors& adam) {
   step.epsilon = adam.epsilon;
   step.half_rate_steps = adam.half_rate_steps;
   step.least_rate = adam.least_rate;
-  cpu::Workers(0).for_pieces(count, kAdamPiece,
-                             [&](std::size_t begin, std::size_t end) { adam_range(step, begin, end); });
+  cpu::Workers(0).for_pieces(count, kAdamPiece, [&](std::size_t begin, std::size_t end) {
+    AdamStep piece = step;
+    piece.parameters += begin;
+    piece.gradient += begin;
+    piece.touched += begin;
+    piece.first += begin;
+    piece.second += begin;
+    piece.steps += begin;
+    adam_range(piece, end - begin);
+  });
 }
 
 }  // namespace splatbus::raster

@@ -38,8 +38,8 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .statistics = options.densify.enabled,
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
-          .half_rate_steps = options.half_rate_steps,
-          .least_rate = options.least_rate};
+          .half_rate_steps = options.lr_half_life_steps,
+          .least_rate = options.lr_min_factor};
 }
 
 class CudaOptimizer final : public Optimizer {
@@ -69,7 +69,7 @@ class CudaOptimizer final : public Optimizer {
   void set_options(const Options& options) override {
     options_ = options;
     if (options.batch == 0) options_.batch = kDefaultBatch;
-    if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
+    if (options.lr_half_life_steps < 0) options_.lr_half_life_steps = kDefaultHalfRateSteps;
     train_.set_options(train_options(options_));
     train_.set_learning_rates(channel_learning_rates(options));
   }
@@ -133,7 +133,7 @@ class CudaOptimizer final : public Optimizer {
                          {.begin = static_cast<int>(store_.count() * stripe / TimeAverage::kStripes),
                           .end = static_cast<int>(store_.count() * (stripe + 1) / TimeAverage::kStripes),
                           .step = step,
-                          .settled_share = ema_weight(average_decay(), TimeAverage::kStripes, ~0ULL),
+                          .settled_share = ema_weight(ema_decay(), TimeAverage::kStripes, ~0ULL),
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {

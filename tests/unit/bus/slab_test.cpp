@@ -18,7 +18,7 @@ class Slabs : public BusTest {};
 
 TEST_F(Slabs, TensorArrivesByReference) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 3, 1000);
   EXPECT_EQ(slab->name(), "maker/frames");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});

@@ -76,7 +76,7 @@ TEST(CudaSlabsWithoutADevice, OnlyDeviceMemoryIsRefused) {
 
 TEST_F(CudaSlabs, AnotherProcessReadsTheSameBytesOnTheDevice) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 3);
   (void)write_to_device(*slab, std::vector<float>(value_count, -1.0F));
   publish_number(publisher, 1, true, "", {write_to_device(*slab, make_values())});
@@ -168,7 +168,7 @@ TEST_F(CudaSlabs, ASlabSmallerThanItClaimsIsRefused) {
 
 TEST_F(CudaSlabs, ATensorThatClaimsMoreThanItsSlabHasIsRefused) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
   bus::Subscriber reader(connect("reader"), {"viewer/probe"});
   meet(publisher, reader);
@@ -234,7 +234,7 @@ TEST_F(CudaSlabs, OnlyAFaultIsTheEndOfAProcess) {
 
 TEST_F(CudaSlabs, ReadersOverTcpGetTheBytes) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
   meet(publisher, remote);
@@ -250,7 +250,7 @@ TEST_F(CudaSlabs, ReadersOverTcpGetTheBytes) {
 
 TEST_F(CudaSlabs, APublisherOverTcpInlinesItsOwn) {
   const auto context = connect_tcp("far");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
   EXPECT_EQ(slab->data_fd(), -1);
   bus::Subscriber local(connect("local"), {"viewer/probe"});

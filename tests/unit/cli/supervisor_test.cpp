@@ -196,11 +196,10 @@ TEST_F(SupervisorTest, ProgramThatCannotStartFails) {
 class HeartbeatTest : public SupervisorTest {
  protected:
   HeartbeatTest()
-      : context_(bus::Context::create(bus::Address::parse("ipc://" + folder_), "faker")),
-        publisher_(context_, "sys/heartbeat") {}
+      : context_(bus::Context::create(bus::Address::parse("ipc://" + folder_), "faker")), publisher_(context_) {}
 
   void beat(pid_t pid) {
-    publisher_.publish({.schema = "Heartbeat/1"}, [&](auto& builder, auto header) {
+    publisher_.publish(Topic<wire::Heartbeat>{"sys/heartbeat"}, [&](auto& builder, auto header) {
       const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.0)};
       return wire::CreateHeartbeatDirect(builder, header, "fake", static_cast<std::uint32_t>(pid),
                                          wire::ServiceState::Running, "fine", &counters);

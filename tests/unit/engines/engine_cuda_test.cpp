@@ -192,7 +192,7 @@ std::vector<Request> burst(std::uint32_t first_id) {
 
 TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   std::atomic<bool> stop = false;
@@ -219,7 +219,7 @@ TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
       ASSERT_TRUE(message.has_value()) << answered.size();
       const auto color = message->tensor("color");
       ASSERT_TRUE(color && color->memory() == Device::Cuda);
-      answered.insert(message->root<wire::EngineFrame>("EngineFrame/1").request_id());
+      answered.insert(message->root<wire::EngineFrame>().request_id());
     }
   }
   stop = true;

@@ -47,7 +47,7 @@ Trained train_on_cpu(const Scene& scene, GaussiansBuffer model, const std::vecto
   const std::size_t pixels = std::size_t{scene.c.width} * scene.c.height, count = model.count();
   Trained out{.mean2d_norm = std::vector<float>(count), .steps = std::vector<float>(count)};
   Adam adam;
-  adam.resize(scene.c.layout, count, model.stride());
+  adam.resize(scene.c.layout, count);
   const LossOptions options{.encode_srgb = scene.transfer()};
   for (std::size_t step = 0; step < kSteps; ++step) {
     ParameterGradient gradient;
@@ -78,7 +78,7 @@ Trained train_on_cpu(const Scene& scene, GaussiansBuffer model, const std::vecto
       }
       cpu->backward(g, gradient);
     }
-    adam.step(model.parameters.data(), model.flags.data(), gradient, rates, 2);
+    adam.step(model.view(), model.parameters.data(), gradient, rates, 2);
     for (std::size_t i = 0; i < count; ++i) {
       out.mean2d_norm[i] += gradient.mean2d_norm[i];
       out.steps[i] += gradient.touched[i] != 0 && (model.flags[i] & kFrozen) == 0 ? 1.0F : 0.0F;

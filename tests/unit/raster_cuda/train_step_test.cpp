@@ -48,7 +48,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   const auto cpu = make_cpu_rasterizer(2);
   Adam adam;
   adam.half_rate_steps = 3;
-  adam.resize(c.layout, model.count(), model.stride());
+  adam.resize(c.layout, model.count());
   float loss = 0;
   for (int step = 0; step < kSteps; ++step) {
     ParameterGradient gradient;
@@ -64,7 +64,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
       for (float& value : g.albedo.data) value *= 0.5F / 3;
       cpu->backward(g, gradient);
     }
-    adam.step(model.parameters.data(), model.flags.data(), gradient, rates, 2);
+    adam.step(model.view(), model.parameters.data(), gradient, rates, 2);
   }
   double gpu_loss = 0;
   for (const float value : gpu_losses) gpu_loss += value;

@@ -18,12 +18,10 @@
 namespace splatbus {
 namespace {
 
-
 constexpr std::uint32_t kCapacity = 32, kCount = 20, kChannels = 11 + 3;
 
 /// Publishes a radiance model of degree 0 whose planes hold their own index, and reads it back.
-class PublishedModels : public bus_test::BusTest,
-                        public testing::WithParamInterface<std::tuple<Device, Device>> {
+class PublishedModels : public bus_test::BusTest, public testing::WithParamInterface<std::tuple<Device, Device>> {
  protected:
   void SetUp() override {
     const auto [published, wanted] = GetParam();
@@ -60,10 +58,9 @@ class PublishedModels : public bus_test::BusTest,
       const auto others = apart_->write(all.subspan(together));
       planes.insert(planes.end(), others.begin(), others.end());
     }
-    publisher_.publish(
-        {.schema = "ModelPublished/1", .latch = true, .tensors = planes}, [&](auto& builder, auto header) {
-          return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
-        });
+    publisher_.publish(topics::kModelPublished, {.tensors = planes}, [&](auto& builder, auto header) {
+      return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
+    });
     auto message = subscriber_.receive(bus_test::patience);
     if (!message) throw std::runtime_error("nothing arrived");
     return *message;
@@ -78,7 +75,7 @@ class PublishedModels : public bus_test::BusTest,
   }
 
   std::shared_ptr<bus::Context> maker_ = connect("trainer"), reader_ = connect("reader");
-  bus::Publisher publisher_{maker_, "model/published"};
+  bus::Publisher publisher_{maker_};
   bus::Subscriber subscriber_{reader_, {"model/published"}};
   std::optional<bus::TensorRing> ring_, apart_;
 };

@@ -42,7 +42,7 @@ class CudaBridgeTest : public bus_test::BusTest {
              received_.contains("capture/reference");
     }));
     host_copied_bytes_ = bridge.host_copied_bytes();
-    frames_refused_ = bridge.counters().frames_refused;
+    refused_ = bridge.counters().refused;
     for (const char* name : {"position", "normal", "albedo", "color", "footprint", "spacing", "cosine", "depth"}) {
       const auto tensor = received_.at("capture/input").tensor(name);
       ASSERT_TRUE(tensor) << name;
@@ -63,10 +63,10 @@ class CudaBridgeTest : public bus_test::BusTest {
     received_.clear();
   }
 
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   std::map<std::string, bus::Message> received_;
   std::map<Device, std::map<std::string, std::vector<float>>> tensors_;
-  std::uint64_t host_copied_bytes_ = 0, frames_refused_ = 0;
+  std::uint64_t host_copied_bytes_ = 0, refused_ = 0;
 };
 
 constexpr std::uint64_t kInputBytes = std::uint64_t{4} * 32 * 32 * (16 + 16 + 4 + 4);
@@ -91,11 +91,11 @@ TEST_F(CudaBridgeTest, OnTheCpuReadsADevicesPictures) {
 
 TEST_F(CudaBridgeTest, FramesThatClaimMoreMemoryThanThereIsAreRefused) {
   capture(Device::Cuda, Device::Cuda);
-  EXPECT_EQ(frames_refused_, 0U);
+  EXPECT_EQ(refused_, 0U);
   const auto sound = tensors_;
   // Each good frame comes behind one whose pictures would reach far beyond the slab.
   capture(Device::Cuda, Device::Cuda, 128);
-  EXPECT_GE(frames_refused_, 6U) << "4 input cameras, a reference camera and a light";
+  EXPECT_GE(refused_, 6U) << "4 input cameras, a reference camera and a light";
   EXPECT_EQ(tensors_, sound);
 }
 

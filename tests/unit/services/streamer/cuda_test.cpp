@@ -73,14 +73,14 @@ void Pipeline::answer_probe() {
   const Camera camera = look_at({0, 1, 2}, {0, 0, 0}, 32, 16, 1.0F);
   std::vector<std::uint8_t> rgba(std::size_t{32} * 16 * 4);
   std::iota(rgba.begin(), rgba.end(), std::uint8_t{0});
-  bus::Publisher answers(bridge_, "capture/probe");
+  bus::Publisher answers(bridge_);
   const bus::TensorSource source{
       .name = "color", .shape = {16, 32, 4}, .type = bus::ElementType::U8, .data = rgba.data()};
   std::optional<viewer::ProbeAnswer> answer;
   EXPECT_TRUE(poll_until(
       [&] {
         answers.publish(
-            {.schema = "CaptureProbe/1", .tensors = pictures_.write({&source, 1})}, [&](auto& builder, auto header) {
+            topics::kCaptureProbe, {.tensors = pictures_.write({&source, 1})}, [&](auto& builder, auto header) {
               const auto wire_camera = to_wire(camera);
               return wire::CreateCaptureProbe(builder, header, 9, 1, 0, &wire_camera, 0, to_wire(builder, Light{}));
             });
@@ -107,8 +107,7 @@ TEST_P(StreamerOnDevice, PicturesOfProbesLeaveTheMachine) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Memories, StreamerOnDevice,
-                         testing::Values(Memories{Device::Cuda, Device::Cuda},
-                                         Memories{Device::Cuda, Device::Cpu},
+                         testing::Values(Memories{Device::Cuda, Device::Cuda}, Memories{Device::Cuda, Device::Cpu},
                                          Memories{Device::Cpu, Device::Cuda}));
 
 }  // namespace

@@ -96,14 +96,14 @@ TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
   const wire::Camera wired = to_wire(camera);
   std::vector<std::uint8_t> pixels(std::size_t{16} * 8 * 4);
   for (std::size_t i = 0; i < pixels.size(); ++i) pixels[i] = static_cast<std::uint8_t>(i);
-  bus::Publisher publisher(observer_, "capture/probe");
+  bus::Publisher publisher(observer_);
   std::optional<viewer::ProbeAnswer> answer;
   Light light;
   light.generation = 3;
   const auto publish = [&](std::uint32_t width) {
     const bus::OutgoingTensor color{
         .name = "color", .shape = {8, width, 4}, .type = bus::ElementType::U8, .inline_data = pixels.data()};
-    publisher.publish({.schema = "CaptureProbe/1", .tensors = {color}}, [&](auto& builder, auto header) {
+    publisher.publish(topics::kCaptureProbe, {.tensors = {color}}, [&](auto& builder, auto header) {
       return wire::CreateCaptureProbe(builder, header, 9, 1, 0.5, &wired, to_wire(builder, ObjectTransforms{{3, {}}}),
                                       to_wire(builder, light));
     });

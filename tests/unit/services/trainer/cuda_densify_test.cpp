@@ -8,7 +8,8 @@
 namespace splatbus::trainer {
 namespace {
 
-constexpr DensifyOptions kOptions{.enabled = true, .gradient_threshold = 0.5F, .clone_max_scale_m = 0.1F};
+constexpr DensifyOptions kOptions{
+    .enabled = true, .interval_steps = 100, .gradient_threshold = 0.5F, .clone_max_scale_m = 0.1F};
 
 /// Statistics as a few steps leave them.
 struct Gathered {

@@ -23,7 +23,7 @@ class CudaInsert : public bus_test::BusTest {
   bus::Message publish(const InsertBatch& batch, Device memory) {
     const std::vector<bus::TensorSource> sources = insert_sources(batch);
     bus::TensorRing& ring = memory == Device::Cpu ? host_ring_ : device_ring_;
-    publisher_.publish({.schema = "ModelInsert/1", .tensors = ring.write(sources)}, [&](auto& builder, auto header) {
+    publisher_.publish(topics::kModelInsert, {.tensors = ring.write(sources)}, [&](auto& builder, auto header) {
       const auto light = to_wire(builder, batch.light);
       return wire::CreateModelInsert(builder, header, batch.batch, 0, light);
     });
@@ -75,7 +75,7 @@ class CudaInsert : public bus_test::BusTest {
   }
 
   std::shared_ptr<bus::Context> context_ = connect("expander");
-  bus::Publisher publisher_{context_, "model/insert"};
+  bus::Publisher publisher_{context_};
   bus::Subscriber subscriber_{connect("reader"), {"model/insert"}};
   bus::TensorRing host_ring_{context_, "host", 2};
   bus::TensorRing device_ring_{context_, "device", 2, 0, Device::Cuda};

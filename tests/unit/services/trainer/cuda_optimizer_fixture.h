@@ -50,10 +50,10 @@ class Trial {
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
     EXPECT_EQ(parameters_.set("batch", "1", true), "");
-    EXPECT_EQ(parameters_.set("average_s", "0", true), "");          // it depends on the pace
-    EXPECT_EQ(parameters_.set("half_rate_steps", "200", true), "");  // each backend has one of its own
+    EXPECT_EQ(parameters_.set("ema_s", "0", true), "");                 // it depends on the pace
+    EXPECT_EQ(parameters_.set("lr_half_life_steps", "200", true), "");  // each backend has one of its own
     for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");
-    const Options options = read_options(parameters_);
+    const Options options = parameters_.read<Options>();
     store_ = std::make_unique<ModelStore>(context_, options.layout, capacity, 4096, memory);
     optimizer_ = make_optimizer(*store_, options);
     insert(std::move(batch));
@@ -87,7 +87,7 @@ class Trial {
 
   void set(const std::string& name, const std::string& value) {
     EXPECT_EQ(parameters_.set(name, value, true), "");
-    optimizer_->set_options(read_options(parameters_));
+    optimizer_->set_options(parameters_.read<Options>());
   }
 
   void put(const TrainingView& view) { views_.put(placed(view, store_->memory())); }
@@ -106,7 +106,7 @@ class Trial {
 
  private:
   std::shared_ptr<bus::Context> context_;
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   ViewStore views_;
   ViewSampler sampler_{1};
   std::unique_ptr<ModelStore> store_;

@@ -68,7 +68,7 @@ TEST_F(ModelStoreTest, AcknowledgesTheLast4096Batches) {
   store_->publish(*publisher_);
   const auto message = last_published();
   ASSERT_TRUE(message);
-  const auto& published = message->root<wire::ModelPublished>("ModelPublished/1");
+  const auto& published = message->root<wire::ModelPublished>();
   ASSERT_EQ(published.inserted_batches()->size(), 4096U);
   EXPECT_EQ(published.inserted_batches()->Get(4095), 5000U);
   EXPECT_EQ(published.insert_epoch(), kEpoch);
@@ -187,19 +187,19 @@ TEST_F(ModelStoreTest, RadianceOfATurnedObjectIsLitByItsNormalInTheWorld) {
 TEST_F(ModelStoreTest, LyingAnnouncementsAreRefused) {
   append(1, 20);
   const auto lie = [&](std::uint64_t count, std::uint64_t capacity, std::uint8_t degree, bool with_planes) {
-    bus::MessageInfo info{.schema = "ModelPublished/1"};
+    bus::MessageInfo info;
     static const std::vector<float> plane(std::size_t{41} * 64);
     if (with_planes) {
       info.tensors.push_back({.name = "parameters", .shape = {41, 64}, .inline_data = plane.data()});
     }
-    publisher_->publish(info, [&](auto& builder, auto header) {
+    publisher_->publish(topics::kModelPublished, info, [&](auto& builder, auto header) {
       const auto appearance = degree > 0 ? wire::Appearance::Radiance : wire::Appearance::Transfer;
       return wire::CreateModelPublished(builder, header, 77, count, capacity, appearance, degree);
     });
     std::optional<bus::Message> message;
     bus_test::eventually([&] {
       if (auto next = subscriber_.receive(std::chrono::milliseconds(20))) message = std::move(next);
-      return message && message->root<wire::ModelPublished>("ModelPublished/1").generation() == 77;
+      return message && message->root<wire::ModelPublished>().generation() == 77;
     });
     return PublishedModel::open(message.value());
   };

@@ -65,13 +65,15 @@ TEST_F(TrainerTest, BadInsertsHarmNobody) {
   damaged.mean[4] = std::numeric_limits<float>::quiet_NaN();
   publish_insert(sample_batch(0, 3, 10), "albedo");  // a plane is missing
   InsertBatch short_plane = sample_batch(0, 4, 10);
-  insert_.publish({.schema = "ModelInsert/2"}, [&](auto& builder, auto header) {
-    const auto light = to_wire(builder, Light{});
-    return wire::CreateModelInsert(builder, header, 5, 0, light);
-  });
-  insert_.publish({.schema = "ModelInsert/1"}, [&](auto& builder, auto header) {
-    return wire::CreateTrainerStats(builder, header, 6);  // another table under that name
-  });
+  publisher_.publish(Topic<wire::ModelInsert>{"model/insert", false, "ModelInsert/99"},
+                     [&](auto& builder, auto header) {
+                       const auto light = to_wire(builder, Light{});
+                       return wire::CreateModelInsert(builder, header, 5, 0, light);
+                     });
+  publisher_.publish(Topic<wire::TrainerStats>{"model/insert", false, kSchema<wire::ModelInsert>},
+                     [&](auto& builder, auto header) {
+                       return wire::CreateTrainerStats(builder, header, 6);  // another table under that name
+                     });
   insert(damaged);
   EXPECT_EQ(published()->count(), 19U) << "all but the row that was not finite";
   EXPECT_FALSE(holds(3));
@@ -109,7 +111,7 @@ TEST_F(TrainerTest, TakesVisibility) {
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   const SyntheticScene scene(20, 1);
   bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
-  bus_test::meet(reference_, subscriber);
+  bus_test::meet(publisher_, subscriber);
   publish_view(*scene.views()[0]);
   const auto message = subscriber.receive(bus_test::patience);
   ASSERT_TRUE(message);
@@ -176,7 +178,7 @@ TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
   }
   const SyntheticScene scene(20, 1);
   bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
-  bus_test::meet(reference_, subscriber);
+  bus_test::meet(publisher_, subscriber);
   publish_view(*scene.views()[0]);
   const auto message = subscriber.receive(bus_test::patience);
   ASSERT_TRUE(message);
@@ -187,13 +189,13 @@ TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
 
 TEST_F(TrainerTest, OnlyAFailureOfMemoryPassesTheGuardOfAMessage) {
   bus::Subscriber subscriber(connect("reader"), {"model/insert"});
-  bus_test::meet(insert_, subscriber);
+  bus_test::meet(publisher_, subscriber);
   publish_insert(sample_batch(0, 1, 1));
   const auto message = subscriber.receive(bus_test::patience);
   ASSERT_TRUE(message);
-  EXPECT_NO_THROW(guard_message(*message, [] { throw std::runtime_error("it lies"); }));
+  EXPECT_NO_THROW(bus::guarded(*message, [] { throw std::runtime_error("it lies"); }));
   const auto allocate = [] { in_own_memory([] { throw bus::Error("there is no memory"); }); };
-  EXPECT_THROW(guard_message(*message, allocate), MemoryFailure);
+  EXPECT_THROW(bus::guarded(*message, allocate), MemoryFailure);
 }
 
 TEST_F(TrainerTest, GoesOnAfterARestart) {

@@ -1,4 +1,4 @@
-#include "bus/housekeeping.h"
+#include "bus/heartbeat_thread.h"
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
@@ -17,40 +17,38 @@ constexpr std::int64_t beat_ns = 200'000'000;
 
 }  // namespace
 
-Housekeeping::Housekeeping(ServiceContext& service, std::string kind)
-    : service_(service),
-      kind_(std::move(kind)),
-      heartbeat_(service.bus, "sys/heartbeat"),
-      control_(service.bus, {"control/" + kind_, "control/" + service.bus->source()}) {
+HeartbeatThread::HeartbeatThread(ServiceContext& service, std::string kind)
+    : service_(service), kind_(std::move(kind)), publisher_(service.bus), control_(service.bus) {
+  for (const std::string& name : {kind_, service.bus->source()}) {
+    control_.on(topics::control("control/" + name),
+                [this](const wire::Control& control, const Message& message) { apply(control, message); });
+  }
   beat(wire::ServiceState::Starting);
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
 }
 
-Housekeeping::~Housekeeping() = default;
+HeartbeatThread::~HeartbeatThread() = default;
 
-void Housekeeping::finish(wire::ServiceState state, const std::string& reason) {
+void HeartbeatThread::finish(wire::ServiceState state, const std::string& reason) {
   thread_.request_stop();
   thread_.join();
   if (!reason.empty()) service_.detail(reason);
   beat(state);
 }
 
-void Housekeeping::run(const std::stop_token& stop) {
+void HeartbeatThread::run(const std::stop_token& stop) {
   std::int64_t next_beat = now_ns() + beat_ns;
   while (!stop.stop_requested()) {
     const std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat - now_ns()) / 1'000'000);
     // A short wait, so that finish() does not wait long for us.
-    if (const auto message = control_.receive(std::chrono::milliseconds(std::min<std::int64_t>(left_ms, 50)))) {
-      guarded(*message, [&] { apply(*message); });
-    }
+    control_.dispatch_all(std::chrono::milliseconds(std::min<std::int64_t>(left_ms, 50)));
     if (now_ns() < next_beat) continue;
     next_beat = std::max(next_beat + beat_ns, now_ns());
     beat(wire::ServiceState::Running);
   }
 }
 
-void Housekeeping::apply(const Message& message) {
-  const auto& control = message.root<wire::Control>("Control/1");
+void HeartbeatThread::apply(const wire::Control& control, const Message& message) {
   if (control.changes() == nullptr) return;
   for (const auto* change : *control.changes()) {
     const auto name = change->key()->str();
@@ -65,7 +63,7 @@ void Housekeeping::apply(const Message& message) {
   beat(wire::ServiceState::Running);
 }
 
-void Housekeeping::beat(wire::ServiceState state) {
+void HeartbeatThread::beat(wire::ServiceState state) {
   std::map<std::string, double> counters;
   std::string detail;
   {
@@ -73,9 +71,8 @@ void Housekeeping::beat(wire::ServiceState state) {
     counters = service_.counters_;
     detail = service_.detail_;
   }
-  const MessageInfo info{
-      .schema = "Heartbeat/1", .capture_ns = 0, .latch = true, .latch_key = service_.bus->source(), .tensors = {}};
-  heartbeat_.publish(info, [&](auto& builder, auto header) {
+  const MessageInfo info{.capture_ns = 0, .latch_key = service_.bus->source(), .tensors = {}};
+  publisher_.publish(topics::kHeartbeat, info, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::Counter>> counter_offsets;
     counter_offsets.reserve(counters.size());
     for (const auto& [name, value] : counters) {

@@ -12,12 +12,12 @@
 namespace splatbus::bus {
 
 /// The thread beside a service's own: heartbeats, and parameters changed through control/<kind> and control/<source>.
-class Housekeeping {
+class HeartbeatThread {
  public:
-  Housekeeping(ServiceContext& service, std::string kind);
-  ~Housekeeping();
-  Housekeeping(const Housekeeping&) = delete;
-  Housekeeping& operator=(const Housekeeping&) = delete;
+  HeartbeatThread(ServiceContext& service, std::string kind);
+  ~HeartbeatThread();
+  HeartbeatThread(const HeartbeatThread&) = delete;
+  HeartbeatThread& operator=(const HeartbeatThread&) = delete;
 
   /// Ends the thread and sends the last heartbeat. `reason` goes into its detail when not empty.
   void finish(wire::ServiceState state, const std::string& reason);
@@ -25,11 +25,11 @@ class Housekeeping {
  private:
   void run(const std::stop_token& stop);
   void beat(wire::ServiceState state);
-  void apply(const Message& message);
+  void apply(const wire::Control& control, const Message& message);
 
   ServiceContext& service_;
   const std::string kind_;
-  Publisher heartbeat_;
+  Publisher publisher_;
   Subscriber control_;
   std::jthread thread_;
 };
