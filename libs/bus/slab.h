@@ -108,7 +108,8 @@ class Slab {
   /// destination then holds garbage. Throws Error as slot_of does.
   [[nodiscard]] bool copy(const wire::Span& span, void* destination) const;
 
-  /// Descriptors for the registry, owned by the slab; -1 when it is private to this process.
+  /// Descriptors for the registry and for who maps the data once more, owned by the slab; the control block of a slab
+  /// that is private to this process has none (-1).
   [[nodiscard]] int control_fd() const { return control_.fd(); }
   [[nodiscard]] virtual int data_fd() const = 0;
 

@@ -66,8 +66,7 @@ HostSlab::~HostSlab() {
 std::shared_ptr<HostSlab> HostSlab::create(const SlabDescriptor& descriptor, bool shared) {
   const std::size_t bytes = slab_data_bytes(descriptor);
   auto control = ControlBlock::create(descriptor, shared);
-  FileDescriptor data;
-  if (shared) data = make_sealed_memfd(descriptor.name, bytes);
+  FileDescriptor data = make_sealed_memfd(descriptor.name, bytes);
   return std::shared_ptr<HostSlab>(new HostSlab(descriptor, std::move(control), std::move(data), true));
 }
 

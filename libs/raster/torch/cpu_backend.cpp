@@ -25,7 +25,7 @@ class IdleRasterizers {
   }
   void give_back(std::unique_ptr<Rasterizer> rasterizer) {
     const std::lock_guard lock(mutex_);
-    if (idle_.size() < kMostCameras) idle_.push_back(std::move(rasterizer));
+    if (idle_.size() < kMaxCameras) idle_.push_back(std::move(rasterizer));
   }
   static IdleRasterizers& instance() {
     static auto* const rasterizers = new IdleRasterizers;  // outlives what threads and graphs hold at exit

@@ -3,13 +3,13 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
 #include <utility>
 #include <vector>
 
-#include "bus/memory.h"
 #include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 #include "trainer/average.h"
@@ -17,8 +17,6 @@
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/cuda/prune_check.h"
 #include "trainer/cuda/step_kernels.h"
-#include "trainer/cuda/step_queue.h"
-#include "trainer/cuda/warm_up.h"
 
 namespace splatbus::trainer {
 
@@ -42,6 +40,19 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .least_rate = options.lr_min_factor};
 }
 
+std::vector<raster::cuda::TrainView> train_views(std::span<const TrainingViewPtr> views) {
+  std::vector<raster::cuda::TrainView> out;
+  for (const TrainingViewPtr& view : views) {
+    if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
+    out.push_back({.view = {.camera = view->camera, .scene = &view->scene},
+                   .color = view->color.data(),
+                   .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
+                   .depth = view->depth.empty() ? nullptr : view->depth.data(),
+                   .keep = view});
+  }
+  return out;
+}
+
 class CudaOptimizer final : public Optimizer {
  public:
   CudaOptimizer(ModelStore& store, const Options& options)
@@ -50,7 +61,6 @@ class CudaOptimizer final : public Optimizer {
         pruning_(train_.stream()),
         densifier_(options.seed, train_.stream()) {
     check(cudaEventCreateWithFlags(&visibility_read_, cudaEventDisableTiming), "making an event");
-    warm_up(options.layout);
     train_.set_model(gaussians());
     set_options(options);
     // An adopted model is taken for old: its average is settled.
@@ -81,12 +91,9 @@ class CudaOptimizer final : public Optimizer {
       settle();
       if (store_.count() == 0) return take_report();
     }
-    if (!followed_) follow_growth();
-    steps_.enqueue_repeats();
-    if (const std::size_t enqueued = steps_.enqueue(views); enqueued > 0) {
-      store_.add_step(enqueued, std::exchange(unbooked_s_, 0.0));
-      after_step();
-    }
+    train_.step(train_views(views));
+    store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));
+    after_step();
     collect(false);
     return take_report();
   }
@@ -153,19 +160,15 @@ class CudaOptimizer final : public Optimizer {
 
   /// Takes in the figures of steps that are done; of all of them, after waiting, with `wait`.
   void collect(bool wait) {
-    const StepReport done = steps_.collect(wait);
+    const auto done = train_.finished(wait);
     unbooked_s_ += done.seconds;
-    report_ += done;
+    report_ += {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss};
   }
 
   /// Waits for all that is under way, and ends it.
   void settle() {
-    if (!followed_) follow_growth();
-    do {
-      check(cudaStreamSynchronize(train_.stream()), "waiting for the steps");
-      collect(true);
-      steps_.enqueue_repeats();
-    } while (!steps_.empty());
+    collect(true);
+    check(cudaStreamSynchronize(train_.stream()), "waiting for the steps");
     if (!pruning_.since()) return;
     const bool removal = pruning_.wants_removal(store_.count());
     pruning_.forget();
@@ -199,7 +202,6 @@ class CudaOptimizer final : public Optimizer {
   }
 
   void follow_growth() override {
-    followed_ = false;
     cudaStream_t stream = train_.stream();
     if (birth_.size() != store_.capacity()) {
       device::Buffer<std::uint64_t> birth(store_.capacity());
@@ -213,16 +215,13 @@ class CudaOptimizer final : public Optimizer {
                            stream);
     count_ = store_.count();
     train_.follow_model(gaussians());
-    followed_ = true;
   }
 
   StepReport take_report() { return std::exchange(report_, {}); }
 
   raster::cuda::TrainStep train_;
-  StepQueue steps_{train_};
   device::Buffer<std::uint64_t> birth_;
   std::size_t count_ = 0;  // of Gaussians whose birth is known
-  bool followed_ = true;   // the model's last change; else there was no memory for that, and it is tried again
   PruneCheck pruning_;
   DeviceDensifier densifier_;
   cudaEvent_t visibility_read_ = nullptr;

@@ -252,7 +252,7 @@ TEST_F(CudaSlabs, APublisherOverTcpInlinesItsOwn) {
   const auto context = connect_tcp("far");
   NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
-  EXPECT_EQ(slab->data_fd(), -1);
+  EXPECT_EQ(slab->control_fd(), -1);
   bus::Subscriber local(connect("local"), {"viewer/probe"});
   meet(publisher, local);
   publish_number(publisher, 5, false, "", {write_to_device(*slab, make_values())});

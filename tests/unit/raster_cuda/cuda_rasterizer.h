@@ -1,6 +1,7 @@
-#include "raster/cuda/cuda_rasterizer.h"
+#pragma once
 
 #include <algorithm>
+#include <memory>
 #include <stdexcept>
 #include <vector>
 
@@ -8,13 +9,10 @@
 #include "raster/cuda/forward_pass.h"
 #include "raster/rasterizer.h"
 
-namespace splatbus::raster {
-namespace {
+namespace splatbus::raster::testing {
 
-using cuda::check;
-
-/// The Rasterizer interface over host memory: every call copies its model in and its planes out. For viewers,
-/// evaluation and checks against the reference; training on the device uses cuda::TrainStep.
+/// The Rasterizer interface on the device over host memory, to be compared with the CPU backend: every call copies its
+/// model in and its planes out.
 class CudaRasterizer final : public Rasterizer {
  public:
   void forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
@@ -100,10 +98,11 @@ class CudaRasterizer final : public Rasterizer {
 
   void upload_plane(const Image& from, float* to, std::size_t values) {
     if (from.data.empty()) {
-      check(cudaMemsetAsync(to, 0, values * sizeof(float), pass_.stream()), "clearing a gradient");
+      device::check(cudaMemsetAsync(to, 0, values * sizeof(float), pass_.stream()), "clearing a gradient");
     } else {
-      check(cudaMemcpyAsync(to, from.data.data(), values * sizeof(float), cudaMemcpyHostToDevice, pass_.stream()),
-            "copying a gradient");
+      device::check(
+          cudaMemcpyAsync(to, from.data.data(), values * sizeof(float), cudaMemcpyHostToDevice, pass_.stream()),
+          "copying a gradient");
     }
   }
 
@@ -114,7 +113,7 @@ class CudaRasterizer final : public Rasterizer {
     touched_.download(touched.data(), count, pass_.stream());
     mean2d_norm_.download(mean2d_norm.data(), count, pass_.stream());
     contribution_.download(contribution.data(), count, pass_.stream());
-    check(cudaStreamSynchronize(pass_.stream()), "backward");
+    device::check(cudaStreamSynchronize(pass_.stream()), "backward");
     const std::size_t active = out.active_channels > 0 ? static_cast<std::size_t>(out.active_channels) : channels;
     for (std::size_t c = 0; c < active; ++c) {
       for (std::size_t i = 0; i < count; ++i) out.values[c * out.stride + i] += values[c * count + i];
@@ -134,10 +133,8 @@ class CudaRasterizer final : public Rasterizer {
   GaussiansView gaussians_;
 };
 
-}  // namespace
-
-std::unique_ptr<Rasterizer> make_cuda_rasterizer() {
+inline std::unique_ptr<Rasterizer> make_cuda_rasterizer() {
   return std::make_unique<CudaRasterizer>();
 }
 
-}  // namespace splatbus::raster
+}  // namespace splatbus::raster::testing
