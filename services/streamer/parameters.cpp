@@ -32,7 +32,7 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("budget_kbps", budget_kbps,
         "kbit/s to one viewer for new Gaussians and deltas; snapshots of those who join come on top", {10, 1e7});
   p.add("calm_ticks", stream.calm_ticks,
-        "ticks after which a value that rests is sent to within a step of its quantiser", {1, 255}, kFixed);
+        "ticks after which a value that rests is sent to within a step of its quantizer", {1, 255}, kFixed);
   p.add("chunk_gaussians", stream.chunk_gaussians, "Gaussians in one packet of a snapshot, at most",
         {64, static_cast<double>(stream::kMaxChunkGaussians)}, kFixed);
   p.add("max_viewers", hub.max_viewers, "that are served", {1, 4096}, kFixed);
@@ -43,7 +43,7 @@ void Options::bind(bus::ParameterBinder& p) {
   for (const auto& [attribute, name] : kScheduled) {
     stream::AttributeSchedule& s = stream.schedules[static_cast<std::size_t>(attribute)];
     p.add(fmt::format("{}_dead_zone", name), s.dead_zone,
-          "quantiser steps; a change up to that, in every channel, is not sent while the value still moves",
+          "quantizer steps; a change up to that, in every channel, is not sent while the value still moves",
           {0, 10000});
     p.add(fmt::format("{}_every", name), s.every, "ticks between its deltas", {1, 1000});
   }

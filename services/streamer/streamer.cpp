@@ -10,7 +10,7 @@
 
 #include "bus/clock.h"
 #include "bus/memory.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -25,8 +25,8 @@ using namespace std::chrono_literals;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
-constexpr std::int64_t kFullNs = 5'000'000;  // between tries while a viewer's queue is full
-constexpr int kPictureZstdLevel = 1;         // probe pictures are for measurements on the same machine
+constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
+constexpr int kPictureZstdLevel = 1;            // probe pictures are for measurements on the same machine
 
 }  // namespace
 
@@ -37,7 +37,7 @@ Streamer::Streamer(bus::ServiceContext& service)
       publisher_(service.bus),
       endpoint_(streamer::endpoints(*options_, service.bus->address())),
       writer_(service.bus->source(), service.bus->epoch()),
-      model_(writer_, service.bus->epoch(), options_->stream, stream::make_observer(service.backend)),
+      model_(writer_, service.bus->epoch(), options_->stream, service.backend),
       hub_(endpoint_, model_, writer_, options_->hub, events()) {
   subscribe();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
@@ -67,30 +67,32 @@ HubEvents Streamer::events() {
 }
 
 void Streamer::run() {
-  const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
-  std::int64_t next_tick_ns = bus::now_ns(), next_stats_ns = next_tick_ns + kSecondNs;
-  bool full = false;
   while (!service_.stop.stop_requested()) {
-    const std::int64_t wait_ns =
-        std::clamp<std::int64_t>(std::min(next_tick_ns, next_stats_ns) - bus::now_ns(), 0, full ? kFullNs : kIdleNs);
+    const std::int64_t wait_ns = std::clamp<std::int64_t>(std::min(next_tick_ns_, next_stats_ns_) - bus::now_ns(), 0,
+                                                          blocked_ ? kBlockedNs : kIdleNs);
     zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0}, {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0}};
     zmq::poll(items, 2, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
-    subscriber_.dispatch_all(0ms);
-    const std::int64_t now_ns = bus::now_ns();
-    hub_.receive(now_ns);
-    hub_.expire(now_ns);
-    // The first Gaussians do not wait for the tick.
-    const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
-    if (now_ns >= next_tick_ns || first) {
-      tick(now_ns);
-      next_tick_ns = std::max(next_tick_ns + period_ns, now_ns);
-    }
-    full = hub_.pump(bus::now_ns());
-    if (now_ns >= next_stats_ns) {
-      hub_.send_alive();
-      publish_statistics(now_ns);
-      next_stats_ns = std::max(next_stats_ns + kSecondNs, now_ns);
-    }
+    turn(bus::now_ns());
+  }
+}
+
+void Streamer::turn(std::int64_t now_ns) {
+  subscriber_.dispatch_all(0ms);
+  hub_.receive(now_ns);
+  // The first Gaussians do not wait for the tick.
+  const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
+  if (now_ns >= next_tick_ns_ || first) {
+    tick();
+    const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
+    next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
+  }
+  blocked_ = hub_.pump(now_ns);
+  hub_.expire(now_ns);
+  if (next_stats_ns_ == 0) next_stats_ns_ = now_ns + kSecondNs;
+  if (now_ns >= next_stats_ns_) {
+    hub_.send_keepalive();
+    publish_statistics(now_ns);
+    next_stats_ns_ = std::max(next_stats_ns_ + kSecondNs, now_ns);
   }
 }
 
@@ -160,7 +162,8 @@ bool Streamer::observe() {
   }
 }
 
-void Streamer::tick(std::int64_t now_ns) {
+void Streamer::tick() {
+  const std::int64_t begin_ns = bus::now_ns();
   if (!hub_.anybody_follows()) model_.release();
   if (hub_.viewers() == 0) {
     service_.detail(published_ ? "waits for viewers" : "waits for model/published");
@@ -172,12 +175,12 @@ void Streamer::tick(std::int64_t now_ns) {
   try {
     const bool fresh = observe();
     if (!model_.ready()) {
-      // An empty model is not worth a snapshot: the first Gaussians choose the quantisers.
+      // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
       if (!fresh || model_.observed_count() == 0) {
         service_.detail("waits for Gaussians");
         return;
       }
-      model_.jump();
+      model_.reset_to_target();
       hub_.restart_all();
     } else if (fresh) {
       const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
@@ -186,16 +189,24 @@ void Streamer::tick(std::int64_t now_ns) {
     } else {
       hub_.broadcast(model_.tick_scene_only());
     }
-    service_.detail(fmt::format("streams to {} viewers", hub_.viewers()));
+    say_what_is_served();
   } catch (const stream::StreamError& error) {
-    spdlog::error("{}", error.what());
+    if (log_limiter_.allow()) spdlog::error("{}", error.what());
   }
-  tick_ms_ = static_cast<double>(bus::now_ns() - now_ns) / 1e6;
+  tick_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+}
+
+void Streamer::say_what_is_served() {
+  const std::size_t held = model_.held().gaussians.count(), observed = model_.observed_count();
+  if (model_.full() && !full_) spdlog::warn("{} of {} Gaussians are served: viewers take no more", held, observed);
+  full_ = model_.full();
+  service_.detail(full_ ? fmt::format("streams {} of {} Gaussians to {} viewers", held, observed, hub_.viewers())
+                        : fmt::format("streams to {} viewers", hub_.viewers()));
 }
 
 void Streamer::publish_statistics(std::int64_t now_ns) {
   const auto window = hub_.statistics().close_window(now_ns);
-  const stream::HeldState& held = model_.held();
+  const stream::ReplicatedState& held = model_.held();
   publisher_.publish(topics::kStreamStats, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::PacketBytes>> types;
     for (std::size_t i = 0; i < window.types.size(); ++i) {
@@ -216,7 +227,7 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("tick_ms", tick_ms_);
   const std::uint64_t copying = published_ ? published_->copied_bytes() : 0;
   service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_ + copying));
-  service_.counter("observed_bytes", static_cast<double>(model_.observer().copied_bytes()));
+  service_.counter("observed_bytes", static_cast<double>(model_.quantizer().copied_bytes()));
   service_.counter("wire_mbps", window.mbps);
   service_.counter("wire_mbps_mean", window.mbps_mean);
   service_.counter("wire_mbps_peak", window.mbps_peak);

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 
+#include "bus/log_limiter.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
@@ -23,15 +24,19 @@ class Streamer {
 
   /// Until `service.stop`.
   void run();
+  /// One turn of run() at `now_ns` (CLOCK_MONOTONIC), without waiting: takes what has come, ticks and reports when that
+  /// is due, sends what the sockets take.
+  void turn(std::int64_t now_ns);
 
   [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoint_.bound(); }
 
  private:
   void subscribe();
   void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
-  void tick(std::int64_t now_ns);
+  void tick();
   [[nodiscard]] bool observe();
   void publish_statistics(std::int64_t now_ns);
+  void say_what_is_served();
   [[nodiscard]] HubEvents events();
 
   bus::ServiceContext& service_;
@@ -47,8 +52,12 @@ class Streamer {
   std::optional<PublishedModel> published_;
   SceneState scene_;
   std::uint64_t scene_frame_ = 0;
+  std::int64_t next_tick_ns_ = 0, next_stats_ns_ = 0;
+  bool blocked_ = false;      ///< somebody's queue is full
+  bool full_ = false;         ///< viewers take no more of the model
   double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it
   double tick_ms_ = 0;
+  bus::LogLimiter log_limiter_;
   std::uint64_t host_copied_bytes_ = 0;  ///< of models that were open before; planes, not what leaves the machine
 };
 

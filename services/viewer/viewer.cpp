@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
-  return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe};
+  return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe, .device = host.device};
 }
 
 // Viewers choose their ids without asking each other.
@@ -91,7 +91,7 @@ cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const stream::Replica& replica = client_.replica();
   const GaussiansView view = replica.view();
   if (drawn_version_ != replica.version()) {
-    renderer_->take(view);
+    renderer_->read_in_place(view);
     drawn_version_ = replica.version();
   }
   renderer_->draw(camera, scene, {}, render_);

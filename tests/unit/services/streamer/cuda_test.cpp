@@ -46,7 +46,7 @@ void Pipeline::follow() {
     for (float& value : model.parameters) value += normal(random);
     trainer_.publish(model);
     const auto near = [&] {
-      const stream::HeldState* held = client.replica().held();
+      const stream::ReplicatedState* held = client.replica().held();
       if (held == nullptr) return false;
       std::map<std::uint64_t, std::size_t> column;
       for (std::size_t i = 0; i < model.count(); ++i) column[model.gaussian_id[i]] = i;

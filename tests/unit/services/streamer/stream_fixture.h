@@ -92,6 +92,32 @@ class RunningStreamer {
   std::thread thread_;
 };
 
+/// A streamer under the test's own clock, which moves only in turns.
+class SteppedStreamer {
+ public:
+  SteppedStreamer(std::shared_ptr<bus::Context> context,
+                  const std::vector<std::pair<std::string, std::string>>& changes)
+      : parameters_(bus::Parameters::declare<streamer::Options>()) {
+    for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
+    service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token(), Device::Cpu);
+    streamer_ = std::make_unique<streamer::Streamer>(*service_);
+  }
+
+  /// A turn after `passed_s` seconds.
+  void turn(double passed_s) {
+    now_ns_ += static_cast<std::int64_t>(passed_s * 1e9);
+    streamer_->turn(now_ns_);
+  }
+  [[nodiscard]] const std::string& endpoint() const { return streamer_->endpoints().front(); }
+
+ private:
+  bus::Parameters parameters_;
+  std::stop_source stop_;
+  std::unique_ptr<bus::ServiceContext> service_;
+  std::unique_ptr<streamer::Streamer> streamer_;
+  std::int64_t now_ns_ = 1'000'000'000'000;
+};
+
 /// Broker, fake trainer and streamer.
 class StreamTest : public bus_test::BusTest {
  protected:

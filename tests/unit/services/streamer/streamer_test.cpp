@@ -20,7 +20,7 @@ TEST_F(StreamerTest, AViewerGetsTheModelAndFollowsIt) {
   ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 800; }, client));
   EXPECT_EQ(client.refused(), 0U);
   EXPECT_EQ(client.snapshot_requests(), 0U);
-  // What it shows is what was published, to within the quantisers.
+  // What it shows is what was published, to within the quantizers.
   const auto& held = *client.replica().held();
   ASSERT_TRUE(poll_until([&] { return held.gaussians.gaussian_id[799] != 0; }, client));
   std::map<std::uint64_t, std::size_t> column;

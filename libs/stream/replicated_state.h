@@ -5,15 +5,15 @@
 
 #include "gaussians/light.h"
 #include "stream/packets.h"
-#include "stream/quantised.h"
+#include "stream/quantized.h"
 
 namespace splatbus::stream {
 
 /// What every viewer holds after broadcast packet `sequence` of `epoch`. The streamer keeps the same: both change it
 /// only by apply(), so that they agree bit for bit.
-struct HeldState {
+struct ReplicatedState {
   StreamLayout layout;
-  QuantisedGaussians gaussians;
+  QuantizedGaussians gaussians;
   SceneState scene;
   std::uint64_t epoch = 0;
   std::uint64_t sequence = 0;
@@ -30,6 +30,6 @@ struct Change {
 /// Applies Snapshot (appending), TensorDelta, Remove, GaussianOrder, ObjectIds, ObjectTransforms, LightState or
 /// LightVisibility. Throws StreamError, with the state as it was, when anything in the packet cannot be. Does not look
 /// at epoch and does not change `sequence`. `max_gaussians` bounds what is held.
-Change apply(HeldState& state, const ParsedPacket& packet, std::size_t max_gaussians = kMaxGaussians);
+Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max_gaussians = kMaxGaussians);
 
 }  // namespace splatbus::stream

@@ -1,4 +1,5 @@
-// The observer of device memory against that of host memory: the same integers, the same packets.
+// The quantizer of device memory against that of host memory: the same integers, the same packets.
+#include <cuda_runtime_api.h>
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -7,7 +8,8 @@
 
 #include "device/buffer.h"
 #include "device/stream.h"
-#include "stream/observer.h"
+#include "stream/model_quantizer.h"
+#include "stream/replica.h"
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -50,7 +52,7 @@ std::string case_name(const testing::TestParamInfo<Case>& info) {
          std::to_string(info.param.count);
 }
 
-class CudaObserver : public testing::TestWithParam<Case> {
+class CudaQuantizer : public testing::TestWithParam<Case> {
  protected:
   void SetUp() override {
     int devices = 0;
@@ -58,10 +60,10 @@ class CudaObserver : public testing::TestWithParam<Case> {
     device_.emplace();
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
     twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
-                                          make_observer(Device::Cuda));
+                                          Device::Cuda);
     twin_->set_scene(server_->scene, 0);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
-    twin_->jump();
+    twin_->reset_to_target();
     expect_same();
   }
 
@@ -83,12 +85,13 @@ class CudaObserver : public testing::TestWithParam<Case> {
   }
 
   void expect_same() {
-    const QuantisedGaussians &actual = twin_->observed_gaussians(), &expected = server_->stream.observed_gaussians();
+    const QuantizedGaussians &actual = twin_->observed_gaussians(), &expected = server_->stream.observed_gaussians();
     ASSERT_EQ(actual.count(), expected.count());
-    ASSERT_EQ(actual.planes.size(), expected.planes.size());
-    for (std::size_t c = 0; c < actual.planes.size(); ++c) {
+    ASSERT_EQ(actual.channels.size(), expected.channels.size());
+    for (std::size_t c = 0; c < actual.channels.size(); ++c) {
       std::size_t apart = 0;
-      for (std::size_t i = 0; i < actual.count(); ++i) apart += actual.planes[c][i] != expected.planes[c][i] ? 1 : 0;
+      for (std::size_t i = 0; i < actual.count(); ++i)
+        apart += actual.channels[c][i] != expected.channels[c][i] ? 1 : 0;
       EXPECT_EQ(apart, 0U) << "of " << actual.count() << " in channel " << c;
     }
     EXPECT_EQ(actual.object_id, expected.object_id);
@@ -103,7 +106,7 @@ class CudaObserver : public testing::TestWithParam<Case> {
   std::uint64_t frame_ = 0;
 };
 
-TEST_P(CudaObserver, FollowsATrainedModelBitForBit) {
+TEST_P(CudaQuantizer, FollowsATrainedModelBitForBit) {
   for (int round = 0; round < 12; ++round) {
     if (round % 3 == 0) server_->insert(GetParam().count / 5 + 1);
     if (round % 4 == 1) server_->remove(GetParam().count / 9);
@@ -114,7 +117,7 @@ TEST_P(CudaObserver, FollowsATrainedModelBitForBit) {
   }
 }
 
-TEST_P(CudaObserver, LeavesOutWhatIsNotFinite) {
+TEST_P(CudaQuantizer, LeavesOutWhatIsNotFinite) {
   GaussiansBuffer& model = server_->model();
   const float nan = std::numeric_limits<float>::quiet_NaN();
   const std::size_t channel = model.layout().channels() - 1;
@@ -126,49 +129,93 @@ TEST_P(CudaObserver, LeavesOutWhatIsNotFinite) {
   tick();
 }
 
-TEST_P(CudaObserver, AnObservationThatWasTornLeavesNothingBehind) {
+TEST_P(CudaQuantizer, AnObservationThatWasTornLeavesNothingBehind) {
   server_->train(0.05F);
   GaussiansBuffer torn = server_->model();
   torn.gaussian_id[0] = 99999;
   torn.object_id[1] = 4;
   torn.parameters[0] = std::numeric_limits<float>::quiet_NaN();
   for (float& value : torn.parameters) value += 0.5F;
-  const QuantisedGaussians before = twin_->observed_gaussians();
+  const QuantizedGaussians before = twin_->observed_gaussians();
   EXPECT_FALSE(twin_->observe(device_->copy(torn), [] { return false; }));
   EXPECT_EQ(twin_->observed_gaussians(), before);
   tick();
 }
 
-TEST_P(CudaObserver, BringsOverLittleOfWhatRests) {
+TEST_P(CudaQuantizer, BringsOverLittleOfWhatRests) {
   tick();
-  const std::uint64_t before = twin_->observer().copied_bytes();
+  const std::uint64_t before = twin_->quantizer().copied_bytes();
   tick();
-  EXPECT_EQ(twin_->observer().copied_bytes(), before);
+  EXPECT_EQ(twin_->quantizer().copied_bytes(), before);
   server_->model().parameters[0] += 1.0F;
   tick();
-  EXPECT_LE(twin_->observer().copied_bytes() - before, 64U);
+  EXPECT_LE(twin_->quantizer().copied_bytes() - before, 64U);
 }
 
-INSTANTIATE_TEST_SUITE_P(Appearances, CudaObserver,
+/// A row of a view on the device.
+std::vector<float> brought(const float* row, std::size_t count) {
+  std::vector<float> host(count);
+  const device::StreamView stream{.device = Device::Cuda};
+  device::copy(stream, host.data(), row, count * sizeof(float));
+  stream.wait();
+  return host;
+}
+
+void expect_rows_near(const float* device, const float* host, std::size_t count, const char* what) {
+  const std::vector<float> actual = brought(device, count);
+  for (std::size_t i = 0; i < count; ++i) {
+    ASSERT_NEAR(actual[i], host[i], 1e-5F * std::max(1.0F, std::abs(host[i]))) << what << " of Gaussian " << i;
+  }
+}
+
+TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
+  Replica host, device(kMaxGaussians, Device::Cuda);
+  const auto both = [&](const auto& packets) {
+    test::send(packets, host);
+    test::send(packets, device);
+  };
+  both(server_->stream.snapshot());
+  for (int round = 0; round < 6; ++round) {
+    if (round % 2 == 0) server_->insert(GetParam().count / 5 + 1);
+    if (round % 3 == 1) server_->remove(GetParam().count / 9);
+    server_->train(0.02F);
+    both(server_->tick(round % 2 == 0 ? 1e9 : 2e4));
+    const GaussiansView want = host.view(), got = device.view();
+    ASSERT_EQ(got.count, want.count);
+    for (int c = 0; c < want.layout.channels(); ++c)
+      expect_rows_near(got.plane(c), want.plane(c), want.count, "a channel");
+    for (std::size_t c = 0; want.normal != nullptr && c < 3; ++c) {
+      expect_rows_near(got.normal + c * got.stride, want.normal + c * want.stride, want.count, "the normal");
+    }
+    if (want.visibility != nullptr) expect_rows_near(got.visibility, want.visibility, want.count, "the visibility");
+    std::vector<std::uint32_t> objects(want.count);
+    const device::StreamView stream{.device = Device::Cuda};
+    device::copy(stream, objects.data(), got.object_id, objects.size() * sizeof(std::uint32_t));
+    stream.wait();
+    ASSERT_TRUE(std::equal(objects.begin(), objects.end(), want.object_id));
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Appearances, CudaQuantizer,
                          testing::Values(Case{Appearance::Transfer, 600}, Case{Appearance::Radiance, 600},
                                          Case{Appearance::Transfer, 20'000}, Case{Appearance::Radiance, 20'000}),
                          case_name);
 
-TEST(CudaObserverOfALargeModel, SeesWhatTheHostSees) {
+TEST(CudaQuantizerOfALargeModel, SeesWhatTheHostSees) {
   int devices = 0;
   if (cudaGetDeviceCount(&devices) != cudaSuccess || devices == 0) GTEST_SKIP() << "no CUDA device";
   GaussiansBuffer model = test::toy_model(200'000, 3);
   DeviceModel device;
   StreamModel host(PacketWriter("streamer", 1), 77);
-  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, make_observer(Device::Cuda));
+  StreamModel cuda(PacketWriter("streamer", 1), 77, {}, Device::Cuda);
   const auto observe = [&] {
     EXPECT_TRUE(host.observe(model.view()));
     EXPECT_TRUE(cuda.observe(device.copy(model)));
     EXPECT_EQ(host.observed_gaussians(), cuda.observed_gaussians());
   };
   observe();
-  host.jump();
-  cuda.jump();
+  host.reset_to_target();
+  cuda.reset_to_target();
   for (float& value : model.parameters) value += 0.02F;
   observe();
   std::mt19937 random(5);

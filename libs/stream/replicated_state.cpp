@@ -1,13 +1,12 @@
-#include "stream/held_state.h"
+#include "stream/replicated_state.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <numeric>
 
-#include "stream/chunk_codec.h"
-#include "stream/delta_codec.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 #include "wire/convert.h"
 
 namespace splatbus::stream {
@@ -26,7 +25,7 @@ std::vector<std::uint32_t> slot_range(std::size_t first, std::size_t count) {
   return slots;
 }
 
-Change append(HeldState& state, const wire::Snapshot& body, std::span<const std::uint8_t> payload,
+Change append(ReplicatedState& state, const wire::Snapshot& body, std::span<const std::uint8_t> payload,
               std::size_t max_gaussians) {
   const std::size_t held = state.gaussians.count();
   if (body.first_slot() != held) {
@@ -40,7 +39,7 @@ Change append(HeldState& state, const wire::Snapshot& body, std::span<const std:
   return {Change::Kind::Appended, {}, slot_range(held, body.count())};
 }
 
-Change add_residuals(HeldState& state, const wire::TensorDelta& body, std::span<const std::uint8_t> payload) {
+Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(body.attribute());
   if (!a) {
     throw StreamError(
@@ -52,7 +51,7 @@ Change add_residuals(HeldState& state, const wire::TensorDelta& body, std::span<
   }
   Delta delta = decode_delta(payload, body.raw_bytes(), body.count(), body.channels(), state.gaussians.count());
   for (int c = 0; c < a->channels; ++c) {
-    const auto& plane = state.gaussians.planes[a->first + c];
+    const auto& plane = state.gaussians.channels[a->first + c];
     for (std::size_t i = 0; i < delta.slots.size(); ++i) {
       const std::int64_t sum = std::int64_t{plane[delta.slots[i]]} + delta.residuals[c][i];
       if (sum < a->minimum || sum > a->maximum) {
@@ -63,18 +62,19 @@ Change add_residuals(HeldState& state, const wire::TensorDelta& body, std::span<
     }
   }
   for (int c = 0; c < a->channels; ++c) {
-    auto& plane = state.gaussians.planes[a->first + c];
+    auto& plane = state.gaussians.channels[a->first + c];
     for (std::size_t i = 0; i < delta.slots.size(); ++i) plane[delta.slots[i]] = delta.residuals[c][i];
   }
   return {Change::Kind::Values, a->attribute, std::move(delta.slots)};
 }
 
-Change add_visibility(HeldState& state, const wire::LightVisibility& body, std::span<const std::uint8_t> payload) {
+Change add_visibility(ReplicatedState& state, const wire::LightVisibility& body,
+                      std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(Attribute::Visibility);
   if (!a) throw StreamError("LightVisibility: this stream has no visibility");
   require_range("LightVisibility", body.first_slot(), body.count(), state.gaussians.count());
   const Bytes residuals = decode_bytes(payload, body.raw_bytes(), body.count(), "LightVisibility");
-  auto& plane = state.gaussians.planes[a->first];
+  auto& plane = state.gaussians.channels[a->first];
   Change change{Change::Kind::Values, Attribute::Visibility, {}};
   for (std::size_t i = 0; i < residuals.size(); ++i) {
     if (residuals[i] == 0) continue;
@@ -97,7 +97,7 @@ auto converted(std::string_view what, Convert&& convert) {
 
 }  // namespace
 
-Change apply(HeldState& state, const ParsedPacket& packet, std::size_t max_gaussians) {
+Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max_gaussians) {
   const auto payload = packet.payload();
   const wire::Packet& root = packet.root();
   switch (packet.body()) {

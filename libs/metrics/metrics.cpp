@@ -1,8 +1,12 @@
-#include <array>
-#include <opencv2/imgproc.hpp>
-
-#include "metrics/images.h"
 #include "metrics/metrics.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <opencv2/imgproc.hpp>
+#include <stdexcept>
 
 namespace splatbus::metrics {
 namespace {
@@ -41,6 +45,25 @@ cv::Mat ssim_plane(const cv::Mat& x, const cv::Mat& y) {
 
 }  // namespace
 
+void check_images(const char* who, const cv::Mat& image, const cv::Mat& reference, int min_side) {
+  const auto check = [who, min_side](const char* which, const cv::Mat& mat) {
+    if (mat.empty()) throw std::invalid_argument(fmt::format("{}: the {} is empty", who, which));
+    if (mat.dims != 2 || mat.type() != CV_8UC3) {
+      throw std::invalid_argument(fmt::format("{}: the {} is not of type CV_8UC3", who, which));
+    }
+    if (mat.rows < min_side || mat.cols < min_side) {
+      throw std::invalid_argument(
+          fmt::format("{}: the {} is {}x{}, sides must be at least {}", who, which, mat.cols, mat.rows, min_side));
+    }
+  };
+  check("image", image);
+  check("reference", reference);
+  if (image.size() != reference.size()) {
+    throw std::invalid_argument(fmt::format("{}: the image is {}x{}, the reference {}x{}", who, image.cols, image.rows,
+                                            reference.cols, reference.rows));
+  }
+}
+
 double ssim(const cv::Mat& image, const cv::Mat& reference, cv::Mat* map) {
   check_images("ssim", image, reference, kWindow);
   cv::Mat image_f, reference_f;
@@ -55,6 +78,29 @@ double ssim(const cv::Mat& image, const cv::Mat& reference, cv::Mat* map) {
   if (map != nullptr) sum.convertTo(*map, CV_32F);
   const cv::Rect inside(kRadius, kRadius, image.cols - 2 * kRadius, image.rows - 2 * kRadius);
   return cv::mean(sum(inside))[0];
+}
+
+double psnr(const cv::Mat& image, const cv::Mat& reference) {
+  check_images("psnr", image, reference);
+  const double squared = cv::norm(image, reference, cv::NORM_L2SQR);
+  if (squared == 0) return std::numeric_limits<double>::infinity();
+  const double mean_squared = squared / (static_cast<double>(image.total()) * image.channels());
+  return 10 * std::log10(255.0 * 255.0 / mean_squared);
+}
+
+Quality compare(const cv::Mat& image, const cv::Mat& reference) {
+  return {psnr(image, reference), ssim(image, reference), flip(image, reference)};
+}
+
+cv::Mat colorize(const cv::Mat& map) {
+  if (map.empty() || map.dims != 2 || map.type() != CV_32FC1) {
+    throw std::invalid_argument("colorize: the map is empty or not of type CV_32FC1");
+  }
+  cv::Mat finite = map.clone(), bytes, out;
+  cv::patchNaNs(finite, 0);
+  finite.convertTo(bytes, CV_8U, 255);  // saturates
+  cv::applyColorMap(bytes, out, cv::COLORMAP_MAGMA);
+  return out;
 }
 
 }  // namespace splatbus::metrics
