@@ -15,7 +15,6 @@ struct GridState;
 struct Heartbeat;
 struct Liveness;
 struct Log;
-struct ModelCells;
 struct ModelInsert;
 struct ModelPublished;
 struct RelightVisibility;
@@ -24,7 +23,6 @@ struct SceneLightDepth;
 struct SceneObjects;
 struct StreamStats;
 struct Topics;
-struct TrainerCells;
 struct TrainerStats;
 struct ViewerPose;
 struct ViewerProbe;
@@ -55,8 +53,6 @@ inline constexpr std::string_view kSchema<wire::Liveness> = "Liveness/1";
 template <>
 inline constexpr std::string_view kSchema<wire::Log> = "Log/1";
 template <>
-inline constexpr std::string_view kSchema<wire::ModelCells> = "ModelCells/1";
-template <>
 inline constexpr std::string_view kSchema<wire::ModelInsert> = "ModelInsert/1";
 template <>
 inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/1";
@@ -72,8 +68,6 @@ template <>
 inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/1";
 template <>
 inline constexpr std::string_view kSchema<wire::Topics> = "Topics/1";
-template <>
-inline constexpr std::string_view kSchema<wire::TrainerCells> = "TrainerCells/1";
 template <>
 inline constexpr std::string_view kSchema<wire::TrainerStats> = "TrainerStats/1";
 template <>
@@ -103,10 +97,7 @@ inline constexpr Topic<wire::SceneObjects> kSceneObjects{"scene/objects", kLatch
 inline constexpr Topic<wire::SceneLight> kSceneLight{"scene/light", kLatched};
 inline constexpr Topic<wire::SceneLightDepth> kSceneLightDepth{"scene/light_depth", kLatched};
 inline constexpr Topic<wire::ModelInsert> kModelInsert{"model/insert"};
-inline constexpr Topic<wire::ModelCells> kModelFreeze{"model/freeze"};
-inline constexpr Topic<wire::ModelCells> kModelUnfreeze{"model/unfreeze"};
 inline constexpr Topic<wire::ModelPublished> kModelPublished{"model/published", kLatched};
-inline constexpr Topic<wire::TrainerCells> kTrainerCells{"trainer/cells"};
 inline constexpr Topic<wire::TrainerStats> kTrainerStats{"trainer/stats"};
 inline constexpr Topic<wire::GridState> kGridState{"grid/state", kLatched};
 inline constexpr Topic<wire::RelightVisibility> kRelightVisibility{"relight/visibility", kLatched};

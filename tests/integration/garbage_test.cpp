@@ -79,7 +79,7 @@ std::map<std::string, Bytes> collect_messages(Pipeline& pipeline) {
       messages.emplace(message->topic(), Bytes(message->bytes(), message->bytes() + message->size()));
     }
     for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/objects", "scene/light",
-                              "scene/light_depth", "model/published", "trainer/stats", "trainer/cells", "grid/state",
+                              "scene/light_depth", "model/published", "trainer/stats", "grid/state",
                               "relight/visibility", "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
       if (!messages.contains(topic)) return false;
     }
@@ -134,9 +134,8 @@ class Garbage : public testing::Test {
 
 TEST_F(Garbage, OnEveryTopicDisturbsNobody) {
   auto messages = collect_messages(pipeline_);
-  for (const char* topic :
-       {"capture/input", "capture/probe", "model/insert", "model/freeze", "model/unfreeze", "viewer/probe",
-        "viewer/quality", "sys/log", "control/trainer", "control/viewer", "", "*"}) {
+  for (const char* topic : {"capture/input", "capture/probe", "model/insert", "viewer/probe", "viewer/quality",
+                            "sys/log", "control/trainer", "control/viewer", "", "*"}) {
     messages.emplace(topic, Bytes());
   }
   {
@@ -185,10 +184,7 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                                                         {"scene/light", "SceneLight/1"},
                                                         {"scene/light_depth", "SceneLightDepth/2"},
                                                         {"model/insert", "ModelInsert/1"},
-                                                        {"model/freeze", "ModelCells/1"},
-                                                        {"model/unfreeze", "ModelCells/1"},
                                                         {"model/published", "ModelPublished/1"},
-                                                        {"trainer/cells", "TrainerCells/1"},
                                                         {"grid/state", "GridState/1"},
                                                         {"relight/visibility", "RelightVisibility/1"},
                                                         {"viewer/pose", "ViewerPose/1"},
