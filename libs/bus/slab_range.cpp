@@ -24,7 +24,7 @@ SlabRange::~SlabRange() {
   release();
 }
 
-void SlabRange::append(std::shared_ptr<Slab> slab) {
+void SlabRange::append(std::shared_ptr<const Slab> slab) {
   const auto refuse = [&](const std::string& why) {
     throw Error(fmt::format("slab '{}': cannot follow others: {}", slab->name(), why));
   };

@@ -22,13 +22,13 @@ class SlabRange {
 
   /// Maps the data of a slab of one slot behind the last one's, writable where the slab is. Throws Error naming the
   /// slab when it is on another device, when its bytes are no multiple of granularity(), or when the range is full.
-  void append(std::shared_ptr<Slab> slab);
+  void append(std::shared_ptr<const Slab> slab);
 
   /// Of every slab's bytes.
   [[nodiscard]] std::size_t granularity() const { return granularity_; }
   [[nodiscard]] std::byte* data() const { return data_; }
   [[nodiscard]] std::size_t bytes() const { return bytes_; }
-  [[nodiscard]] const std::vector<std::shared_ptr<Slab>>& slabs() const { return slabs_; }
+  [[nodiscard]] const std::vector<std::shared_ptr<const Slab>>& slabs() const { return slabs_; }
 
  private:
   void reserve();
@@ -38,7 +38,7 @@ class SlabRange {
   Device device_;
   std::size_t granularity_ = 4096, reserved_ = 0, bytes_ = 0;
   std::byte* data_ = nullptr;
-  std::vector<std::shared_ptr<Slab>> slabs_;
+  std::vector<std::shared_ptr<const Slab>> slabs_;
   std::vector<std::uint64_t> allocations_;  ///< CUDA's handles, one a slab
 };
 

@@ -64,6 +64,7 @@ class TensorView {
   [[nodiscard]] std::size_t elements() const { return bytes_ / element_bytes(type_); }
   [[nodiscard]] const std::byte* data() const { return data_; }  ///< a device address when memory() is Cuda
   [[nodiscard]] Device memory() const;
+  [[nodiscard]] const std::shared_ptr<const Slab>& slab() const { return slab_; }  ///< null for inline tensors
 
   /// Typed view of data(). Throws bus::Error when T does not match type(), or the memory is not the host's.
   template <class T>
