@@ -35,9 +35,11 @@ const PublishedModel* LiveScene::model(Device kind) {
   if (!message_) return nullptr;
   if (model_ && model_kind_ == kind && model_->refresh()) return &*model_;
   // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.
-  model_.reset();
+  const std::optional<PublishedModel> before = std::exchange(model_, {});
+  bus::guarded(*message_, [&] {
+    model_ = PublishedModel::open(*message_, kind, PublishedModel::Need::Average, before ? &*before : nullptr);
+  });
   model_kind_ = kind;
-  bus::guarded(*message_, [&] { model_ = PublishedModel::open(*message_, kind, PublishedModel::Need::Average); });
   return model_ ? &*model_ : nullptr;
 }
 

@@ -7,7 +7,7 @@
 
 #include "bus/subscriber.h"
 #include "gaussians/light.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 
 namespace splatbus::cli {
 

@@ -25,12 +25,9 @@ void clear_columns(std::vector<T>& planes, std::size_t rows, std::size_t stride,
 }
 
 template <typename T>
-void copy_planes(const T* source, std::size_t source_stride, std::size_t rows, std::size_t count,
-                 std::vector<T>& target, std::size_t target_stride) {
-  if (source == nullptr) return;
-  for (std::size_t row = 0; row < rows; ++row) {
-    std::copy_n(source + row * source_stride, count, target.begin() + static_cast<std::ptrdiff_t>(row * target_stride));
-  }
+void copy_channels(const T* source, std::size_t source_stride, std::size_t channels, std::size_t count, T* target,
+                   std::size_t target_stride) {
+  for (std::size_t c = 0; c < channels; ++c) std::copy_n(source + c * source_stride, count, target + c * target_stride);
 }
 
 }  // namespace
@@ -81,19 +78,32 @@ GaussiansView GaussiansBuffer::view() const {
 }
 
 GaussiansBuffer GaussiansBuffer::copy_of(const GaussiansView& view) {
-  GaussiansBuffer out(view.layout, view.count);
-  const auto copy = [&](const auto* source, std::size_t rows, auto& target) {
-    copy_planes(source, view.stride, rows, view.count, target, out.stride_);
-  };
-  copy(view.parameters, static_cast<std::size_t>(view.layout.channels()), out.parameters);
-  copy(view.normal, 3, out.normal);
+  const IndexRange all{.count = static_cast<std::uint32_t>(view.count)};
+  const std::span<const IndexRange> ranges = view.has_pages() ? view.ranges : std::span(&all, 1);
+  std::size_t count = 0;
+  for (const IndexRange& range : ranges) count += range.count;
+  GaussiansBuffer out(view.layout, count);
   const bool has_surface_point = view.surface_point != nullptr || view.parameters == nullptr;
-  copy(has_surface_point ? view.surface_point : view.plane(ParameterLayout::kMean), 3, out.surface_point);
-  copy(view.visibility, 1, out.visibility);
-  copy(view.object_id, 1, out.object_id);
-  copy(view.flags, 1, out.flags);
-  copy(view.gaussian_id, 1, out.gaussian_id);
-  copy(view.cell, 1, out.cell);
+  const float* const surface_point = has_surface_point ? view.surface_point : view.plane(ParameterLayout::kMean);
+  std::size_t first = 0;
+  for (const IndexRange& range : ranges) {
+    const auto copy = [&](const auto* source, std::size_t channels, auto& target) {
+      if (source == nullptr) return;
+      const std::size_t offset = sizeof(*source) == 8 ? view.wide_offset(range.first) : view.offset(range.first);
+      copy_channels(source + offset, view.stride, channels, range.count, target.data() + first, out.stride_);
+    };
+    copy(view.parameters, static_cast<std::size_t>(view.layout.channels()), out.parameters);
+    copy(view.normal, 3, out.normal);
+    copy(surface_point, 3, out.surface_point);
+    copy(view.visibility, 1, out.visibility);
+    copy(view.object_id, 1, out.object_id);
+    copy(view.flags, 1, out.flags);
+    copy(view.gaussian_id, 1, out.gaussian_id);
+    copy(view.cell, 1, out.cell);
+    if (view.has_pages())
+      std::fill_n(out.object_id.begin() + static_cast<std::ptrdiff_t>(first), range.count, range.frame_id);
+    first += range.count;
+  }
   return out;
 }
 

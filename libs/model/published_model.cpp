@@ -82,7 +82,9 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, 
   opened.take_table(message, opened.tensors_.front());
   if (!opened.read_pages(message, published.arenas())) return std::nullopt;
 
-  const auto in_place = [&](const bus::TensorView& pages) { return pages.slab() != nullptr && pages.memory() == device; };
+  const auto in_place = [&](const bus::TensorView& pages) {
+    return pages.slab() != nullptr && pages.memory() == device;
+  };
   if (std::all_of(opened.tensors_.begin() + 1, opened.tensors_.end(), in_place)) {
     opened.map_arenas(before);
     opened.make_views(opened.range_->data(), need);
@@ -169,8 +171,7 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
 bool PublishedModel::refresh() {
   if (!copies_) return still_valid();
   const std::size_t page_bytes = model::page_bytes(live_.layout);
-  const std::uint32_t first_row =
-      need_ == Need::Both ? 0 : model::rows_of(model::Channel::Average, live_.layout).first;
+  const std::uint32_t first_row = need_ == Need::Both ? 0 : model::rows_of(model::Channel::Average, live_.layout).first;
   const std::size_t begin = std::size_t{first_row} * kPageLanes * sizeof(float);
   const std::size_t bytes = std::size_t{model::used_rows(live_.layout)} * kPageLanes * sizeof(float) - begin;
   for (const IndexRange& range : ranges_) {

@@ -16,9 +16,9 @@ namespace model {
 struct PageTableHeader;
 }
 
-/// A reader's hold on the trainer's live model, made from a model/published message. Where the pages lie in the memory of
-/// the device that is asked for, they are read in place, and stay mapped while this lives: values change while they are
-/// read (harmless). Elsewhere they are copied, and refresh() copies them again. The structure is whole only while
+/// A reader's hold on the trainer's live model, made from a model/published message. Where the pages lie in the memory
+/// of the device that is asked for, they are read in place, and stay mapped while this lives: values change while they
+/// are read (harmless). Elsewhere they are copied, and refresh() copies them again. The structure is whole only while
 /// still_valid(): check it after reading and throw the result away when it is false (a newer model/published is then on
 /// its way). Not thread-safe.
 class PublishedModel {
@@ -26,9 +26,9 @@ class PublishedModel {
   /// Parameters that the caller has no use for are not copied.
   enum class Need { Both, Average };
 
-  /// Nullopt when a slab is gone or the structure has moved on since. Throws bus::Error when the message or the page table
-  /// lies (sizes that contradict each other, pages that are nowhere; that values are finite is not checked). With the
-  /// model that was read before, where its pages are mapped already is kept.
+  /// Nullopt when a slab is gone or the structure has moved on since. Throws bus::Error when the message or the page
+  /// table lies (sizes that contradict each other, pages that are nowhere; that values are finite is not checked). With
+  /// the model that was read before, where its pages are mapped already is kept.
   [[nodiscard]] static std::optional<PublishedModel> open(const bus::Message& message, Device device = Device::Cpu,
                                                           Need need = Need::Both,
                                                           const PublishedModel* before = nullptr);

@@ -11,7 +11,7 @@
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 #include "wire/viewer_generated.h"
 
 namespace splatbus::expander {

@@ -10,7 +10,7 @@
 #include "expander/insert_batch.h"
 #include "expander/round.h"
 #include "expander/visibility.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 
 namespace splatbus::expander {
 

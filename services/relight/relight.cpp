@@ -9,7 +9,7 @@
 #include "bus/memory.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 #include "wire/scene_generated.h"
 
 namespace splatbus::relight {

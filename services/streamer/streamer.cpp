@@ -141,7 +141,8 @@ bool Streamer::observe() {
     const bus::Message message = *announcement_;
     announcement_.reset();
     bus::guarded(message, [&] {
-      auto opened = PublishedModel::open(message, service_.backend, PublishedModel::Need::Average);
+      auto opened = PublishedModel::open(message, service_.backend, PublishedModel::Need::Average,
+                                         published_ ? &*published_ : nullptr);
       if (!opened) return;
       if (published_) host_copied_bytes_ += published_->copied_bytes();
       published_ = std::move(*opened);

@@ -12,7 +12,7 @@
 #include "streamer/endpoint.h"
 #include "streamer/parameters.h"
 #include "streamer/viewer_hub.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 
 namespace splatbus::streamer {
 

@@ -3,7 +3,7 @@
 
 #include "cuda_model_fixture.h"
 #include "trainer_fixture.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 
 namespace splatbus::trainer {
 namespace {

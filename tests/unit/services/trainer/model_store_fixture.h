@@ -11,7 +11,7 @@
 #include "sample_batch.h"
 #include "trainer/model_store.h"
 #include "wire/model_generated.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 
 namespace splatbus::trainer {
 

@@ -12,7 +12,7 @@
 #include "bus/memory.h"
 #include "trainer/memory_failure.h"
 #include "trainer_fixture.h"
-#include "wire/published_model.h"
+#include "model/published_model.h"
 
 namespace splatbus::trainer {
 namespace {
