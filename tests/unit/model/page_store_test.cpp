@@ -390,7 +390,7 @@ TEST_P(PageStoreTest, WhatIsPublishedIsWhereThePagesAre) {
   EXPECT_EQ(published.count(), 130000U);
   EXPECT_EQ(published.page_lanes(), kPageLanes);
   EXPECT_EQ(published.page_words(), page_words({}));
-  EXPECT_EQ(published.pages(), store_->page_count());
+  EXPECT_EQ(published.arenas(), 2U);
   EXPECT_EQ(published.inserted_batches()->Get(0), 9U);
   const auto table = message->tensor("page_table", bus::ElementType::U8,
                                      {static_cast<std::uint32_t>(page_table_bytes(store_->table().page_capacity()))});
