@@ -3,10 +3,13 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <opencv2/core.hpp>
 #include <optional>
 
+#include "bus/backend.h"
 #include "bus/subscriber.h"
 #include "gaussians/light.h"
+#include "raster/model_renderer.h"
 #include "wire/published_model.h"
 
 namespace splatbus::cli {
@@ -46,6 +49,22 @@ class LiveScene {
   bus::MemoryKind model_kind_ = bus::MemoryKind::Host;
   SceneState scene_;
   bool has_light_ = false, has_objects_ = false;
+};
+
+/// Renders the averaged model straight from the trainer's memory, where that is the backend's: what the server would
+/// show.
+class ServerView {
+ public:
+  /// `threads` of the CPU, 0: all cores.
+  ServerView(bus::Backend backend, int threads);
+
+  /// CV_8UC3 BGR in display space; nullopt when there is no model, or its structure changed while it was drawn.
+  [[nodiscard]] std::optional<cv::Mat> render(LiveScene& live, const Camera& camera, const SceneState& scene);
+
+ private:
+  const bus::MemoryKind memory_;
+  std::unique_ptr<raster::ModelRenderer> renderer_;
+  raster::Render render_;
 };
 
 }  // namespace splatbus::cli

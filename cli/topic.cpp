@@ -1,14 +1,14 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <CLI/CLI.hpp>
 #include <chrono>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 #include <vector>
 
-#include "json_text.h"
 #include "schema_json.h"
-#include "stop_signals.h"
+#include "supervised_run.h"
 #include "topic_statistics.h"
 #include "verbs.h"
 
