@@ -65,7 +65,7 @@ nlohmann::json run_cpu(const Arguments& arguments) {
   gradient.active_channels = arguments.active_channels;
   raster::RenderGradient render_gradient;
   raster::Adam adam;
-  adam.resize(model.layout(), model.count(), model.stride());
+  adam.resize(model.layout(), model.count());
   const std::vector<float> rates = learning_rates(model.layout());
   const raster::LossOptions loss_options{.encode_srgb = transfer, .threads = arguments.threads};
 
@@ -100,7 +100,7 @@ nlohmann::json run_cpu(const Arguments& arguments) {
     }
     if (arguments.mode == "train" && !fused) {
       stages.time("adam",
-                  [&] { adam.step(model.parameters.data(), model.flags.data(), gradient, rates, arguments.threads); });
+                  [&] { adam.step(model.view(), model.parameters.data(), gradient, rates, arguments.threads); });
     }
     const double elapsed = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
     stages.end_step(step >= 0);

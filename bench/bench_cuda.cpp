@@ -5,7 +5,7 @@
 
 #include "bench/bench_scene.h"
 #include "bench/roofline.h"
-#include "raster/cuda/cuda_rasterizer.h"
+#include "raster/cuda/cuda_model_renderer.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/train_step.h"
 
@@ -48,7 +48,7 @@ double free_mib() {
   return static_cast<double>(free_bytes) / (1024.0 * 1024.0);
 }
 
-/// What there is to do for the views of one group, with the model as it has become.
+/// What there is to do for the views of one batch, with the model as it has become.
 Census census_of(const raster::cuda::DeviceModel& model, const Workload& workload, std::size_t batch) {
   std::vector<float> parameters(static_cast<std::size_t>(workload.model.layout().channels()) * workload.model.count());
   model.download_parameters(parameters.data(), nullptr);
@@ -61,29 +61,30 @@ Census census_of(const raster::cuda::DeviceModel& model, const Workload& workloa
   return take_census(trained, views, raster::cuda::kTileSize);
 }
 
-std::uint32_t pairs_in_lists(const raster::cuda::TrainStep& trainer) {
-  std::uint32_t pairs = 0;
+std::uint32_t isects_of(const raster::cuda::TrainStep& trainer) {
+  std::uint32_t isects = 0;
   check(cudaStreamSynchronize(trainer.stream()), "timing the stages");
-  check(cudaMemcpy(&pairs, trainer.workspace().pair_count, sizeof(pairs), cudaMemcpyDeviceToHost), "counting pairs");
-  return pairs;
+  check(cudaMemcpy(&isects, &trainer.workspace().counts->isects, sizeof(isects), cudaMemcpyDeviceToHost),
+        "counting intersections");
+  return isects;
 }
 
 }  // namespace
 
-/// Steps take the cameras in turn, a batch a step. A sample is one step where lists are built in every step; otherwise
-/// the mean over one whole round of building them and using them again, for every batch.
+/// Steps take the cameras in turn, a batch a step; a sample is one step.
 nlohmann::json run_cuda(const Arguments& arguments) {
   Workload workload(arguments);
   const ParameterLayout layout = workload.model.layout();
   check(cudaFree(nullptr), "opening the device");
-  const double free_before = free_mib();  // kernels that are loaded on their way count, too
+  const double free_before = free_mib();
   double mean_image = 0;
   std::vector<std::vector<std::uint8_t>> targets;
   {
-    const auto rasterizer = raster::make_cuda_rasterizer();
+    const auto renderer = raster::cuda::make_cuda_model_renderer();
+    renderer->take(workload.model.view());
     raster::Render render;
     for (const Camera& camera : workload.cameras) {
-      rasterizer->render(workload.model.view(), camera, workload.scene, {}, render);
+      renderer->draw(camera, workload.scene, {}, render);
       if (targets.empty()) mean_image = mean_of(render.color);
       targets.push_back(to_target(render.color, workload.transfer()));
     }
@@ -94,10 +95,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   raster::cuda::TrainStepOptions options;
   options.training = train;
   options.active_channels = arguments.active_channels;
-  options.rebuild_interval = arguments.rebuild_interval;
   options.albedo_weight = arguments.albedo_weight;
-  options.use_depth_limit = arguments.rebuild_interval > 1;
-  options.project.pair_margin_px = arguments.rebuild_interval > 1 ? 0.5F : 0.0F;
   raster::cuda::DeviceModel model;
   model.upload(workload.model.view(), nullptr);
   std::vector<device::Buffer<std::uint8_t>> pictures(targets.size());
@@ -108,45 +106,40 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   trainer.set_model(model.view());
   trainer.set_learning_rates(learning_rates(layout));
   const auto cameras = workload.cameras.size(), batch = static_cast<std::size_t>(arguments.batch);
-  const std::size_t groups = std::lcm(cameras, batch) / batch;
-  for (std::size_t group = 0; group < groups; ++group) {
-    std::vector<raster::cuda::TrainView> views;
-    for (std::size_t k = 0; k < batch; ++k) {
-      const std::size_t camera = (group * batch + k) % cameras;
-      const std::uint8_t* const picture = pictures[camera].data();
-      views.push_back({{workload.cameras[camera], &workload.scene}, picture, picture});
-    }
-    trainer.add_group(views);
+  std::vector<std::vector<raster::cuda::TrainView>> batches(std::lcm(cameras, batch) / batch);
+  for (std::size_t k = 0; k < batches.size() * batch; ++k) {
+    const std::size_t camera = k % cameras;
+    const std::uint8_t* const picture = pictures[camera].data();
+    batches[k / batch].push_back({{workload.cameras[camera], &workload.scene}, picture, picture});
   }
 
-  std::size_t group = 0;
+  std::size_t next = 0;
   const auto step = [&] {
-    train ? trainer.step(group) : trainer.forward(group);
-    group = (group + 1) % groups;
+    train ? trainer.step(batches[next]) : trainer.forward(batches[next]);
+    next = (next + 1) % batches.size();
   };
-  const std::size_t steps = arguments.rebuild_interval == 1 ? 1 : groups * std::size_t(arguments.rebuild_interval);
-  // Every group has sized its lists and captured its graphs before the first sample.
-  const std::size_t warmup = std::max(static_cast<std::size_t>(arguments.warmup), 2 * groups);
-  for (std::size_t k = 0; k < (warmup + steps - 1) / steps * steps; ++k) step();
+  // There is room for every batch, and the step has become a graph, before the first sample.
+  const std::size_t warmup = std::max(static_cast<std::size_t>(arguments.warmup), 2 * batches.size());
+  for (std::size_t k = 0; k < warmup; ++k) step();
   Stopwatch stopwatch(trainer.stream());
   std::vector<double> milliseconds;
   for (int k = 0; k < arguments.iterations; ++k) {
     stopwatch.start();
-    for (std::size_t n = 0; n < steps; ++n) step();
-    milliseconds.push_back(stopwatch.stop_ms() / static_cast<double>(steps));
+    step();
+    milliseconds.push_back(stopwatch.stop_ms());
   }
   const double used_mib = free_before - free_mib();
 
   nlohmann::json out = report(arguments, workload, milliseconds);
-  out["rebuild_interval"] = arguments.rebuild_interval;
   out["peak_mib"] = used_mib;
   out["mean_image"] = mean_image;
   if (train) {
     const std::vector<float> losses = trainer.losses();
     out["loss"] = std::accumulate(losses.begin(), losses.end(), 0.0F);
   }
-  for (const auto& [name, stage_ms] : trainer.time_stages(0, arguments.iterations)) out["stages"][name] = stage_ms;
-  out["pairs_in_lists"] = pairs_in_lists(trainer);
+  for (const auto& [name, stage_ms] : trainer.time_stages(batches[0], arguments.iterations))
+    out["stages"][name] = stage_ms;
+  out["isects"] = isects_of(trainer);
   const Job job{.layout = layout,
                 .active_channels = arguments.active_channels,
                 .albedo = arguments.albedo_weight > 0,

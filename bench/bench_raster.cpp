@@ -36,8 +36,6 @@ int main(int argc, char** argv) {
   app.add_option("--threads", arguments.threads, "0: all cores")->check(CLI::Range(0, 1024));
   app.add_option("--iterations", arguments.iterations, "timed steps")->check(CLI::Range(1, 1000000));
   app.add_option("--warmup", arguments.warmup, "steps before them")->check(CLI::Range(0, 100000));
-  app.add_option("--rebuild-interval", arguments.rebuild_interval, "CUDA: steps that share tile lists; 1: none do")
-      ->check(CLI::Range(1, 1000));
   app.add_option("--albedo-weight", arguments.albedo_weight, "CUDA, transfer: of an albedo picture's loss, 0: none")
       ->check(CLI::Range(0.0F, 100.0F));
   app.add_flag("--separate-adam", arguments.separate_adam, "backward and Adam as two passes even at a batch of 1");

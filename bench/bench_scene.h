@@ -14,8 +14,7 @@ struct Arguments {
   int sh = 3, batch = 1, threads = 0, active_channels = 0;
   int iterations = 100, warmup = 20;
   bool separate_adam = false;
-  float albedo_weight = 0;   ///< CUDA, transfer: above 0 the pictures are albedo pictures, too
-  int rebuild_interval = 1;  ///< CUDA: steps of a group of views that share one set of tile lists
+  float albedo_weight = 0;  ///< CUDA, transfer: above 0 the pictures are albedo pictures, too
 };
 
 /// The model in the layout asked for, and what looks at it.

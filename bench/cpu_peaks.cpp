@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "bench/peaks.h"
-#include "raster/large_pages.h"
+#include "device/large_pages.h"
 
 // Highway needs this order.
 // clang-format off
@@ -93,7 +93,7 @@ Peaks measure_cpu_peaks(int threads, std::size_t bytes) {
   const int used = threads > 0 ? std::min(threads, cores) : cores;
   tbb::task_arena arena(used);
   const std::size_t pieces = std::max<std::size_t>(bytes / sizeof(float) / kPiece, 1);
-  std::vector<float, raster::LargePageAllocator<float>> values(pieces * kPiece, 1.0F);
+  std::vector<float, device::LargePageAllocator<float>> values(pieces * kPiece, 1.0F);
   const std::size_t tasks = std::size_t{64} * static_cast<std::size_t>(used);
   std::vector<float> sinks(std::max(pieces, tasks));
   std::vector<std::size_t> operations(tasks);

@@ -4,6 +4,7 @@
 
 #include "bench/peaks.h"
 #include "device/buffer.h"
+#include "device/check.h"
 
 namespace splatbus::bench {
 namespace {

@@ -37,7 +37,6 @@ def arguments():
     parser.add_argument("--sizes", default="256,512,1024", help="pixels of a picture's side")
     parser.add_argument("--batches", default="1,4,10", help="views a step")
     parser.add_argument("--modes", default="train,forward")
-    parser.add_argument("--rebuild-interval", type=int, default=1, help="CUDA: steps that share tile lists")
     parser.add_argument("--iterations", type=int, default=100)
     parser.add_argument("--warmup", type=int, default=20)
     parser.add_argument("--timeout", type=float, default=120, help="seconds a row may take")
@@ -77,7 +76,7 @@ def run_row(options, folder, gaussians, model, size, batch, mode):
             options.bench, "--scene", os.path.join(folder, f"scene{gaussians}.ply"),
             "--cams", os.path.join(folder, f"cameras{size}.json"), "--backend", options.backend, "--mode", mode,
             "--batch", str(batch), "--threads", str(options.threads), "--iterations", str(options.iterations),
-            "--warmup", str(options.warmup), "--rebuild-interval", str(options.rebuild_interval), "--json", out.name,
+            "--warmup", str(options.warmup), "--json", out.name,
         ] + MODELS[model]
         try:
             done = subprocess.run(command, stderr=subprocess.PIPE, timeout=options.timeout, check=False, text=True)

@@ -65,11 +65,6 @@ class Model {
                 per_pair * c_.pairs,
             kPlace * c_.gaussians * c_.views + seen_operations()};
   }
-  /// Of what is known to be seen.
-  [[nodiscard]] Floor project_again(const char* name) const {
-    return {name, (kFloat * channels_ + constants()) * c_.listed_gaussians + record() * c_.listed_records,
-            kPlace * c_.listed_records + seen_operations()};
-  }
   [[nodiscard]] Floor sort(const char* name, double items, double bytes) const { return {name, bytes * items, 0}; }
   /// Records' places and shapes in depth order become the tiles' lists.
   [[nodiscard]] Floor bin(const char* name) const {
@@ -116,7 +111,7 @@ class Model {
 
  private:
   [[nodiscard]] int planes() const { return albedo_ ? 6 : 3; }
-  /// Place, log of alpha, whitening, colours.
+  /// Place, log of alpha, conic factor, colours.
   [[nodiscard]] double record() const { return kFloat * (6 + planes()); }
   /// Six moments, colours.
   [[nodiscard]] double sums_of_record() const { return kFloat * (6 + planes()); }
@@ -164,7 +159,6 @@ std::vector<Floor> cuda_floors(const Job& job) {
   const Model m(job, kCuda);
   return {m.project("project_and_list", 0, kKey + kEntry),
           m.sort("sort", job.census.pairs, kKey + 2 * kEntry),
-          m.project_again("project"),
           m.blend("blend_forward"),
           m.loss("loss"),
           m.blend_backward("blend_backward"),

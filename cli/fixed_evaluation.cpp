@@ -42,7 +42,7 @@ class FixedEvaluation {
         probes_(
             context_,
             circle_cameras({.count = options.views, .size = options.setup.size, .phase_degrees = kHeldOutTurnDegrees})),
-        control_(context_, "control/trainer"),
+        publisher_(context_),
         view_(own_backend(options.setup.backend), 0),
         run_(plan_, options.setup.out / "services.log") {}
 
@@ -124,7 +124,7 @@ class FixedEvaluation {
   }
 
   void send_control(std::uint64_t step) {
-    control_.publish({.schema = "Control/1"}, [&](auto& builder, auto header) {
+    publisher_.publish(topics::control("control/trainer"), [&](auto& builder, auto header) {
       const std::vector changes{
           wire::CreateKeyValueDirect(builder, "run_until", std::to_string(step).c_str()),
           wire::CreateKeyValueDirect(builder, "paused", "false"),
@@ -234,7 +234,7 @@ class FixedEvaluation {
   LiveScene live_;
   StartWatch start_;
   ProbeRounds probes_;
-  bus::Publisher control_;
+  bus::Publisher publisher_;
   ServerView view_;
   std::map<std::size_t, cv::Mat> drawn_;
   std::vector<FixedEvaluationProgress> evaluations_;

@@ -9,31 +9,30 @@
 
 namespace splatbus::cli {
 
-LiveScene::LiveScene(std::shared_ptr<bus::Context> context)
-    : subscriber_(std::move(context), {"model/published", "scene/light", "scene/objects"}) {}
+LiveScene::LiveScene(std::shared_ptr<bus::Context> context) : subscriber_(std::move(context)) {
+  subscriber_
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished& published, const bus::Message& message) {
+            published_ = {.generation = published.generation(), .step = published.step(), .count = published.count()};
+            message_ = message;
+            model_.reset();
+          })
+      .on(topics::kSceneLight,
+          [this](const wire::SceneLight& body, const bus::Message&) {
+            scene_.light = from_wire(*body.light());
+            has_light_ = true;
+          })
+      .on(topics::kSceneObjects, [this](const wire::SceneObjects& body, const bus::Message&) {
+        scene_.objects = from_wire(body.objects());
+        has_objects_ = true;
+      });
+}
 
 void LiveScene::poll(std::chrono::milliseconds timeout) {
-  for (const bus::Message& message : subscriber_.receive_newest(timeout)) {
-    bus::guarded(message, [&] { take(message); });
-  }
+  subscriber_.dispatch_newest(timeout);
 }
 
-void LiveScene::take(const bus::Message& message) {
-  if (message.topic() == "model/published") {
-    const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
-    published_ = {.generation = published.generation(), .step = published.step(), .count = published.count()};
-    message_ = message;
-    model_.reset();
-  } else if (message.topic() == "scene/light") {
-    scene_.light = from_wire(*message.root<wire::SceneLight>("SceneLight/1").light());
-    has_light_ = true;
-  } else if (message.topic() == "scene/objects") {
-    scene_.objects = from_wire(message.root<wire::SceneObjects>("SceneObjects/1").objects());
-    has_objects_ = true;
-  }
-}
-
-const PublishedModel* LiveScene::model(bus::MemoryKind kind) {
+const PublishedModel* LiveScene::model(Device kind) {
   if (!message_) return nullptr;
   if (model_ && model_kind_ == kind && model_->refresh()) return &*model_;
   // The slab may not have been there a moment ago, or the message is newer than what the writer had committed.
@@ -55,10 +54,8 @@ std::optional<GaussiansBuffer> LiveScene::copy_average(std::chrono::milliseconds
   return {};
 }
 
-ServerView::ServerView(bus::Backend backend, int threads)
-    : memory_(bus::memory_of(backend)),
-      renderer_(raster::make_model_renderer(backend == bus::Backend::Cuda ? raster::Device::Cuda : raster::Device::Cpu,
-                                            threads)) {}
+ServerView::ServerView(Device backend, int threads)
+    : memory_(backend), renderer_(raster::make_model_renderer(backend, threads)) {}
 
 std::optional<cv::Mat> ServerView::render(LiveScene& live, const Camera& camera, const SceneState& scene) {
   const PublishedModel* model = live.model(memory_);

@@ -31,7 +31,7 @@ class LiveScene {
   /// The averaged model with its values as they are now, in memory of `kind`: read in place where it lies there, else
   /// copied. Null until one is published, and while its structure has moved on and the newer message has not come.
   /// Valid until the next call.
-  [[nodiscard]] const PublishedModel* model(bus::MemoryKind kind = bus::MemoryKind::Host);
+  [[nodiscard]] const PublishedModel* model(Device kind = Device::Cpu);
   [[nodiscard]] const SceneState& scene() const { return scene_; }
   [[nodiscard]] bool has_light() const { return has_light_; }
   [[nodiscard]] bool has_objects() const { return has_objects_; }
@@ -40,13 +40,11 @@ class LiveScene {
   [[nodiscard]] std::optional<GaussiansBuffer> copy_average(std::chrono::milliseconds timeout);
 
  private:
-  void take(const bus::Message& message);
-
   bus::Subscriber subscriber_;
   std::optional<bus::Message> message_;
   std::optional<Published> published_;
   std::optional<PublishedModel> model_;
-  bus::MemoryKind model_kind_ = bus::MemoryKind::Host;
+  Device model_kind_ = Device::Cpu;
   SceneState scene_;
   bool has_light_ = false, has_objects_ = false;
 };
@@ -56,13 +54,13 @@ class LiveScene {
 class ServerView {
  public:
   /// `threads` of the CPU, 0: all cores.
-  ServerView(bus::Backend backend, int threads);
+  ServerView(Device backend, int threads);
 
   /// CV_8UC3 BGR in display space; nullopt when there is no model, or its structure changed while it was drawn.
   [[nodiscard]] std::optional<cv::Mat> render(LiveScene& live, const Camera& camera, const SceneState& scene);
 
  private:
-  const bus::MemoryKind memory_;
+  const Device memory_;
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
 };

@@ -58,7 +58,7 @@ Json describe(const wire::Heartbeat& heartbeat) {
 /// Names that a sys/liveness message calls alive.
 std::set<std::string> alive_nodes(const bus::Message& message) {
   std::set<std::string> alive;
-  const auto& liveness = message.root<wire::Liveness>("Liveness/1");
+  const auto& liveness = message.root<wire::Liveness>();
   if (liveness.nodes() == nullptr) return alive;
   for (const wire::Node* node : *liveness.nodes()) {
     if (node->alive()) alive.insert(node->source()->str());
@@ -71,7 +71,7 @@ void wait_for_services(const NodeOptions& options, const std::shared_ptr<bus::Co
                        const StopSignals& signals) {
   const std::vector<std::string> wanted = heartbeat_sources(file);
   std::vector<std::string> missing = wanted;
-  bus::Subscriber subscriber(context, {"sys/liveness"});
+  bus::Subscriber subscriber(context, {std::string(topics::kLiveness.name)});
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.timeout_s * 1e9);
   while (!missing.empty()) {
     if (signals.stop().stop_requested()) throw std::runtime_error("interrupted");
@@ -97,7 +97,7 @@ int list(const NodeOptions& options) {
   const bool own_bus = options.bus.empty() && file && file->bus;
   const auto context = connect(own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus));
   if (file) wait_for_services(options, context, *file, signals);
-  bus::Subscriber subscriber(context, {"sys/heartbeat"});
+  bus::Subscriber subscriber(context, {std::string(topics::kHeartbeat.name)});
   std::map<std::string, bus::Message> newest;
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.seconds * 1e9);
   while (bus::now_ns() < end_ns && !signals.stop().stop_requested()) {
@@ -111,7 +111,7 @@ int list(const NodeOptions& options) {
   }
   for (const auto& [source, message] : newest) {
     bus::guarded(message, [&message = message, &options] {
-      const Json node = describe(message.root<wire::Heartbeat>("Heartbeat/1"));
+      const Json node = describe(message.root<wire::Heartbeat>());
       if (options.json) return fmt::print("{}\n", json_text(node));
       std::string counters = node["detail"];
       for (const auto& [name, value] : node["counters"].items()) {

@@ -46,8 +46,6 @@ class PipelineWatch {
   [[nodiscard]] const PipelineState& state() const { return state_; }
 
  private:
-  void take(const bus::Message& message);
-
   bus::Subscriber subscriber_;
   PipelineState state_;
 };
@@ -70,7 +68,7 @@ class StartWatch {
   [[nodiscard]] nlohmann::json summary() const;
 
  private:
-  void take(const bus::Message& message);
+  void take(const wire::ModelPublished& published, const bus::Message& message);
 
   bus::Subscriber subscriber_;
   const std::uint64_t gaussians_;

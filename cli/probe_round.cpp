@@ -14,8 +14,8 @@ namespace splatbus::cli {
 
 ProbeRounds::ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras)
     : cameras_(std::move(cameras)),
-      requests_(context, "viewer/probe"),
-      answers_(context, {"capture/probe"}),
+      publisher_(context),
+      answers_(context, {std::string(topics::kCaptureProbe.name)}),
       // Beside the ids that viewers count from 1, and other than those of a command that ran before.
       next_id_(static_cast<std::uint64_t>(bus::now_ns())),
       oldest_id_(next_id_) {}
@@ -38,7 +38,7 @@ std::optional<std::size_t> ProbeRounds::camera_of(std::uint64_t probe_id) const 
 
 void ProbeRounds::ask(std::size_t index) {
   const wire::Camera camera = to_wire(cameras_[index]);
-  requests_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
+  publisher_.publish(topics::kViewerProbe, [&](auto& builder, auto header) {
     return wire::CreateViewerProbe(builder, header, first_id_ + index, &camera);
   });
 }
@@ -47,7 +47,7 @@ void ProbeRounds::poll(std::chrono::milliseconds timeout,
                        const std::function<void(std::size_t, const ProbePicture&)>& handle) {
   for (auto message = answers_.receive(timeout); message; message = answers_.receive(std::chrono::milliseconds(0))) {
     bus::guarded(*message, [&] {
-      const auto& probe = message->root<wire::CaptureProbe>("CaptureProbe/1");
+      const auto& probe = message->root<wire::CaptureProbe>();
       if (first_id_ == 0 || probe.probe_id() < first_id_ || probe.probe_id() - first_id_ >= cameras_.size()) return;
       const auto index = static_cast<std::size_t>(probe.probe_id() - first_id_);
       if (pictures_.contains(index)) return;

@@ -48,7 +48,7 @@ class ProbeRounds {
   void ask(std::size_t index);
 
   std::vector<Camera> cameras_;
-  bus::Publisher requests_;
+  bus::Publisher publisher_;
   bus::Subscriber answers_;
   std::uint64_t first_id_ = 0, next_id_;
   const std::uint64_t oldest_id_;

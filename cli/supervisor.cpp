@@ -55,7 +55,10 @@ const char* to_string(ProcessState state) {
 Supervisor::Supervisor(LaunchPlan plan, Output output, Clock now_ns)
     : output_(std::move(output)),
       now_ns_(std::move(now_ns)),
-      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid())), {"sys/heartbeat"}) {
+      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid()))) {
+  heartbeats_.on(topics::kHeartbeat, [this](const wire::Heartbeat& heartbeat, const bus::Message& message) {
+    take(heartbeat, message.header().source()->string_view());
+  });
   for (ProcessPlan& process_plan : plan.processes) {
     Process process;
     process.status.name = process_plan.name;
@@ -71,7 +74,7 @@ bool Supervisor::run(const std::stop_token& stop, const std::stop_token& kill) {
   while (!stop.stop_requested() && anything_to_do()) {
     start_what_is_due();
     wait_for_events();
-    read_heartbeats();
+    heartbeats_.dispatch_all(std::chrono::milliseconds(0));
     for (Process& process : processes_) reap(process, false);
     check_signs_of_life();
     publish_status();
@@ -111,23 +114,18 @@ void Supervisor::pass_output(Process& process, bool rest) {
   for (const std::string& line : process.child->read_lines(rest)) output_(process.plan.name, line, false);
 }
 
-void Supervisor::read_heartbeats() {
-  while (const auto message = heartbeats_.receive(std::chrono::milliseconds(0))) {
-    bus::guarded(*message, [&] {
-      const auto& heartbeat = message->root<wire::Heartbeat>("Heartbeat/1");
-      Process* const process = sender(message->header().source()->string_view(), static_cast<pid_t>(heartbeat.pid()));
-      if (process == nullptr) return;
-      process->last_sign_ns = now_ns_();
-      process->status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
-      process->status.counters.clear();
-      if (heartbeat.counters() != nullptr) {
-        for (const auto* counter : *heartbeat.counters()) {
-          process->status.counters[counter->name()->str()] = counter->value();
-        }
-      }
-      if (process->status.state == ProcessState::Starting) ready(*process);
-    });
+void Supervisor::take(const wire::Heartbeat& heartbeat, std::string_view source) {
+  Process* const process = sender(source, static_cast<pid_t>(heartbeat.pid()));
+  if (process == nullptr) return;
+  process->last_sign_ns = now_ns_();
+  process->status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
+  process->status.counters.clear();
+  if (heartbeat.counters() != nullptr) {
+    for (const auto* counter : *heartbeat.counters()) {
+      process->status.counters[counter->name()->str()] = counter->value();
+    }
   }
+  if (process->status.state == ProcessState::Starting) ready(*process);
 }
 
 /// By name, since another machine's process may have the same id; and by id, since the broker also hands out the last

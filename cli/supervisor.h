@@ -75,7 +75,7 @@ class Supervisor {
 
   void wait_for_events();
   void pass_output(Process& process, bool rest);
-  void read_heartbeats();
+  void take(const wire::Heartbeat& heartbeat, std::string_view source);
   [[nodiscard]] Process* sender(std::string_view source, pid_t pid);
   void reap(Process& process, bool stopping);
   void ended(Process& process, const ExitStatus& status);

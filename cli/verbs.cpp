@@ -19,7 +19,7 @@ void add_backend_option(CLI::App& verb, std::string& backend) {
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}));
 }
 
-bus::Backend own_backend(const std::string& backend) {
+Device own_backend(const std::string& backend) {
   const char* const of_environment = std::getenv("SPLATBUS_BACKEND");
   if (!backend.empty()) return bus::choose_backend(backend);
   return bus::choose_backend(of_environment != nullptr ? of_environment : "auto");

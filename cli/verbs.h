@@ -31,7 +31,7 @@ void add_bus_option(CLI::App& verb, std::string& address);
 void add_backend_option(CLI::App& verb, std::string& backend);
 /// What this program itself works with when services were given --backend `backend`; where that is empty, what
 /// SPLATBUS_BACKEND says, else auto. Throws bus::Error.
-[[nodiscard]] bus::Backend own_backend(const std::string& backend);
+[[nodiscard]] Device own_backend(const std::string& backend);
 /// The bus that --bus names, or the default one.
 [[nodiscard]] bus::Address bus_address(const std::string& option);
 /// A connection of this command, under a name of its own.

@@ -76,6 +76,24 @@ function(splatbus_cuda_sources target)
                          PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr -Xcompiler=-Wall,-Wextra>)
 endfunction()
 
+# splatbus_single_source(TARGET a.cu ...): sources that are written once for both devices (device/parallel.h). In a build
+# with CUDA nvcc compiles them for the host and the device, in one without they are C++. Neither fuses multiplications
+# with additions, so that both devices round alike.
+function(splatbus_single_source target)
+  target_sources(${target} PRIVATE ${ARGN})
+  target_link_libraries(${target} PUBLIC splatbus_device)
+  if(SPLATBUS_WITH_CUDA)
+    set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS "--fmad=false;-Xcompiler=-ffp-contract=off")
+    target_compile_options(${target}
+                           PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr -Xcompiler=-Wall,-Wextra>)
+  else()
+    # Debian's headers of Thrust; with CUDA they are the toolkit's own.
+    set_source_files_properties(
+      ${ARGN} PROPERTIES LANGUAGE CXX COMPILE_OPTIONS "-x;c++;-ffp-contract=off;-Wno-shadow;-Wno-pedantic"
+                         COMPILE_DEFINITIONS THRUST_DEVICE_SYSTEM=THRUST_DEVICE_SYSTEM_TBB)
+  endif()
+endfunction()
+
 # splatbus_program(NAME SOURCES a.cpp ... DEPENDS target ...)
 function(splatbus_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})

@@ -42,10 +42,10 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
   std::size_t offset = 0;
   bool on_device = false;
   for (const splatbus_image& image : images) {
-    const bus::MemoryKind from = image.memory == SPLATBUS_MEMORY_CUDA ? bus::MemoryKind::Cuda : bus::MemoryKind::Host;
+    const Device from = image.memory == SPLATBUS_MEMORY_CUDA ? Device::Cuda : Device::Cpu;
     bus::copy_memory(ring.slot_data(slot) + offset, kind_, image.data, from, image.bytes);
-    on_device |= kind_ == bus::MemoryKind::Cuda || from == bus::MemoryKind::Cuda;
-    if (kind_ == bus::MemoryKind::Host || from == bus::MemoryKind::Host) host_copied_bytes_ += image.bytes;
+    on_device |= kind_ == Device::Cuda || from == Device::Cuda;
+    if (kind_ == Device::Cpu || from == Device::Cpu) host_copied_bytes_ += image.bytes;
     offset += bus::aligned(image.bytes);
   }
   if (on_device) bus::finish_copies();

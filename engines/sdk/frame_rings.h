@@ -16,7 +16,7 @@ namespace splatbus::engine_sdk {
 /// slot holds all images of a frame. Pages that are never written take no memory.
 class FrameRings {
  public:
-  FrameRings(std::shared_ptr<bus::Context> context, bus::MemoryKind kind) : context_(std::move(context)), kind_(kind) {}
+  FrameRings(std::shared_ptr<bus::Context> context, Device kind) : context_(std::move(context)), kind_(kind) {}
 
   /// Copies the images of a checked frame, from whichever memory each lies in, and waits for the copies. Throws
   /// bus::Error when a slab is needed and the broker does not answer, or the device fails.
@@ -29,7 +29,7 @@ class FrameRings {
   bus::Slab& ring_for(std::size_t bytes);
 
   std::shared_ptr<bus::Context> context_;
-  bus::MemoryKind kind_;
+  Device kind_;
   std::uint64_t host_copied_bytes_ = 0;
   std::map<std::size_t, std::shared_ptr<bus::Slab>> rings_;  ///< by slot size
 };

@@ -10,12 +10,12 @@
 
 namespace splatbus::engine_sdk {
 
-bus::MemoryKind memory_kind(std::uint32_t memory) {
+Device memory_kind(std::uint32_t memory) {
   switch (memory) {
     case SPLATBUS_MEMORY_HOST:
-      return bus::MemoryKind::Host;
+      return Device::Cpu;
     case SPLATBUS_MEMORY_CUDA:
-      return bus::memory_of(bus::choose_backend("cuda"));
+      return bus::choose_backend("cuda");
     default:
       throw bus::Error(fmt::format("{} is no memory", memory));
   }

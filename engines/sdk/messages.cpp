@@ -52,8 +52,7 @@ std::uint64_t light_hash(const splatbus_light& light) {
 
 }  // namespace
 
-std::vector<splatbus_camera_request> read_requests(const bus::Message& message) {
-  const auto& root = message.root<wire::EngineCameras>("EngineCameras/1");
+std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root, const bus::Message& message) {
   std::vector<splatbus_camera_request> requests;
   if (root.cameras() == nullptr) return requests;
   for (const wire::CameraRequest* entry : *root.cameras()) {

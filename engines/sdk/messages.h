@@ -8,8 +8,9 @@
 
 namespace splatbus::engine_sdk {
 
-/// The requests of an EngineCameras message that make sense; the others are logged. Throws bus::Error.
-[[nodiscard]] std::vector<splatbus_camera_request> read_requests(const bus::Message& message);
+/// The requests of an EngineCameras message that make sense; the others are logged.
+[[nodiscard]] std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& root,
+                                                                 const bus::Message& message);
 
 /// The root of an EngineFrame message. The light's generation is a hash of the light: it changes when the light does,
 /// and is the same again after a restart under the same light.

@@ -10,7 +10,7 @@
 
 #include "bus/context.h"
 #include "bus/error.h"
-#include "bus/housekeeping.h"
+#include "bus/heartbeat_thread.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
@@ -36,25 +36,38 @@ class ArgumentError : public std::runtime_error {
 }  // namespace
 
 struct splatbus_engine {
-  splatbus_engine(const std::shared_ptr<bus::Context>& bus_context, bus::MemoryKind memory)
+  splatbus_engine(const std::shared_ptr<bus::Context>& bus_context, Device memory)
       : context(bus_context),
-        service(context, parameters, stop.get_token(),
-                memory == bus::MemoryKind::Cuda ? bus::Backend::Cuda : bus::Backend::Cpu),
-        frames(context, "engine/frame"),
-        cameras(context, {"engine/cameras"}),
+        service(context, parameters, stop.get_token(), memory),
+        publisher(context),
+        subscriber(context),
         rings(context, memory),
-        housekeeping(service, "engine") {}
+        heartbeats(service, "engine") {
+    subscriber.on(topics::kEngineCameras, [this](const wire::EngineCameras& root, const bus::Message& message) {
+      requests_changed |= take_requests(engine_sdk::read_requests(root, message));
+    });
+  }
+
+  /// Replaces the set of requests; true when it is another.
+  bool take_requests(std::vector<splatbus_camera_request> newest) {
+    const bool same =
+        newest.size() == requests.size() &&
+        (newest.empty() || std::memcmp(newest.data(), requests.data(), newest.size() * sizeof(newest.front())) == 0);
+    if (!same) requests = std::move(newest);
+    return !same;
+  }
 
   std::shared_ptr<bus::Context> context;
   bus::Parameters parameters{{}};
   std::stop_source stop;
   bus::ServiceContext service;
-  bus::Publisher frames;
-  bus::Subscriber cameras;
+  bus::Publisher publisher;
+  bus::Subscriber subscriber;
   FrameRings rings;
-  bus::Housekeeping housekeeping;
+  bus::HeartbeatThread heartbeats;
 
   std::vector<splatbus_camera_request> requests;
+  bool requests_changed = false;  ///< since the last poll
   std::uint64_t last_frame = 0;
   std::int64_t last_frame_ns = 0;  ///< when the first camera of last_frame was submitted; 0: none was
   std::string error;
@@ -81,16 +94,6 @@ void require(bool right, const char* what) {
   if (!right) throw ArgumentError(what);
 }
 
-/// Replaces the set of requests; true when it is another.
-bool take_requests(splatbus_engine& engine, const bus::Message& message) {
-  std::vector<splatbus_camera_request> requests = engine_sdk::read_requests(message);
-  const bool same = requests.size() == engine.requests.size() &&
-                    (requests.empty() || std::memcmp(requests.data(), engine.requests.data(),
-                                                     requests.size() * sizeof(requests.front())) == 0);
-  if (!same) engine.requests = std::move(requests);
-  return !same;
-}
-
 }  // namespace
 
 extern "C" {
@@ -108,7 +111,7 @@ splatbus_status splatbus_engine_open(const char* address, const char* source, ui
     require(source != nullptr && *source != '\0', "splatbus_engine_open: source is NULL or empty");
     try {
       const bus::Address where = address == nullptr ? bus::Address::from_environment() : bus::Address::parse(address);
-      const bus::MemoryKind kind = engine_sdk::memory_kind(memory);
+      const Device kind = engine_sdk::memory_kind(memory);
       *out = std::make_unique<splatbus_engine>(bus::Context::create(where, source), kind).release();
     } catch (const bus::Error& wrong) {
       throw ArgumentError(fmt::format("splatbus_engine_open: {}", wrong.what()));
@@ -120,7 +123,7 @@ void splatbus_engine_close(splatbus_engine* engine) {
   if (engine == nullptr) return;
   const std::unique_ptr<splatbus_engine> owned(engine);
   try {
-    owned->housekeeping.finish(wire::ServiceState::Stopping, {});
+    owned->heartbeats.finish(wire::ServiceState::Stopping, {});
   } catch (const std::exception& failed) {
     open_error = failed.what();
   }
@@ -133,10 +136,8 @@ splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, co
     require(requests != nullptr && count != nullptr && changed != nullptr,
             "splatbus_engine_poll: requests, count or changed is NULL");
     require(timeout_ms >= 0, "splatbus_engine_poll: timeout_ms is below 0");
-    *changed = 0;
-    for (const bus::Message& message : engine->cameras.receive_newest(std::chrono::milliseconds(timeout_ms))) {
-      bus::guarded(message, [&] { *changed |= take_requests(*engine, message) ? 1 : 0; });
-    }
+    engine->subscriber.dispatch_newest(std::chrono::milliseconds(timeout_ms));
+    *changed = std::exchange(engine->requests_changed, false) ? 1 : 0;
     *requests = engine->requests.data();
     *count = engine->requests.size();
   });
@@ -153,12 +154,10 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
       engine->last_frame = frame->frame;
       engine->last_frame_ns = bus::now_ns();
     }
-    bus::MessageInfo info;
-    info.schema = "EngineFrame/1";
-    info.capture_ns = engine->last_frame_ns;
-    info.tensors = engine->rings.write(*frame);
-    engine->frames.publish(
-        info, [&](auto& builder, auto header) { return engine_sdk::build_frame(builder, header, *frame); });
+    const bus::MessageInfo info{.capture_ns = engine->last_frame_ns, .tensors = engine->rings.write(*frame)};
+    engine->publisher.publish(topics::kEngineFrame, info, [&](auto& builder, auto header) {
+      return engine_sdk::build_frame(builder, header, *frame);
+    });
     engine->service.counter("host_copied_bytes", static_cast<double>(engine->rings.host_copied_bytes()));
   });
 }

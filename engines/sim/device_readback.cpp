@@ -13,7 +13,7 @@
 namespace splatbus::sim {
 
 std::unique_ptr<DeviceReadback> make_device_readback(const GlContext& context, const std::string& backend) {
-  if (bus::choose_backend(backend) == bus::Backend::Cpu) return nullptr;
+  if (bus::choose_backend(backend) == Device::Cpu) return nullptr;
 #ifdef SPLATBUS_HAVE_CUDA
   // Asked first: a software renderer's context is nothing that the driver knows.
   const bool shared = !context.is_software() && cuda::renders_on_first_device();

@@ -26,15 +26,15 @@ std::string obstacle() {
 
 }  // namespace
 
-Backend choose_backend(const std::string& text) {
-  if (text == "cpu") return Backend::Cpu;
+Device choose_backend(const std::string& text) {
+  if (text == "cpu") return Device::Cpu;
   if (text != "cuda" && text != "auto") {
     throw Error(fmt::format("backend '{}' does not exist: cpu, cuda or auto", text));
   }
   const std::string why = obstacle();
-  if (why.empty()) return Backend::Cuda;
+  if (why.empty()) return Device::Cuda;
   if (text == "cuda") throw Error(fmt::format("no backend cuda: {}", why));
-  return Backend::Cpu;
+  return Device::Cpu;
 }
 
 }  // namespace splatbus::bus

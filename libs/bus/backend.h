@@ -2,23 +2,13 @@
 
 #include <string>
 
-#include "bus/slab.h"
+#include "device/device.h"
 
 namespace splatbus::bus {
 
-/// Where a service does its work, and so where the slabs that it makes lie. What it reads may lie anywhere.
-enum class Backend { Cpu, Cuda };
-
-/// "cpu", "cuda" or "auto": CUDA where this build has it and a device is usable. Throws Error that says why CUDA, asked
-/// for by name, cannot be had.
-[[nodiscard]] Backend choose_backend(const std::string& text);
-
-[[nodiscard]] constexpr MemoryKind memory_of(Backend backend) {
-  return backend == Backend::Cuda ? MemoryKind::Cuda : MemoryKind::Host;
-}
-
-[[nodiscard]] constexpr const char* name_of(Backend backend) {
-  return backend == Backend::Cuda ? "cuda" : "cpu";
-}
+/// "cpu", "cuda" or "auto": CUDA where this build has it and a device is usable. A service does its work there, and the
+/// slabs that it makes lie there; what it reads may lie anywhere. Throws Error that says why CUDA, asked for by name,
+/// cannot be had.
+[[nodiscard]] Device choose_backend(const std::string& text);
 
 }  // namespace splatbus::bus

@@ -73,7 +73,7 @@ bool Context::wait_connected(std::chrono::milliseconds timeout) const {
 }
 
 std::shared_ptr<Slab> Context::create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
-                                           int timeout_ms, MemoryKind kind) {
+                                           int timeout_ms, Device kind) {
   SlabDescriptor descriptor;
   descriptor.kind = kind;
   descriptor.id = random_id();

@@ -35,7 +35,7 @@ class Context : public std::enable_shared_from_this<Context> {
   /// by the registry (mappings that others hold stay good). Waits up to `timeout_ms` for the broker. Over tcp the slab
   /// is private memory and its tensors are inlined. Throws Error, also for a kind that this build has no memory for.
   std::shared_ptr<Slab> create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
-                                    int timeout_ms = 10000, MemoryKind kind = MemoryKind::Host);
+                                    int timeout_ms = 10000, Device kind = Device::Cpu);
 
   /// Opens a registered slab, read-only; cached by id. Null when the registry has no such slab or cannot be reached;
   /// throws Error when what it got is malformed (a slab smaller than it claims).

@@ -25,15 +25,14 @@ wire::LogLevel to_wire(spdlog::level::level_enum level) {
 
 class BusSink final : public spdlog::sinks::base_sink<std::mutex> {
  public:
-  explicit BusSink(std::shared_ptr<Context> context) : publisher_(std::move(context), "sys/log") {}
+  explicit BusSink(std::shared_ptr<Context> context) : publisher_(std::move(context)) {}
 
  private:
   void sink_it_(const spdlog::details::log_msg& line) override {
     const std::string text(line.payload.data(), std::min(line.payload.size(), max_text));
-    publisher_.publish({.schema = "Log/1", .capture_ns = 0, .latch = false, .latch_key = {}, .tensors = {}},
-                       [&](auto& builder, auto header) {
-                         return wire::CreateLogDirect(builder, header, to_wire(line.level), text.c_str());
-                       });
+    publisher_.publish(topics::kLog, [&](auto& builder, auto header) {
+      return wire::CreateLogDirect(builder, header, to_wire(line.level), text.c_str());
+    });
   }
   void flush_() override {}
 

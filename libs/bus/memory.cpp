@@ -23,9 +23,9 @@ constexpr std::size_t kAlignment = 64;
 
 }  // namespace
 
-std::shared_ptr<std::byte> allocate_memory(MemoryKind kind, std::size_t bytes) {
+std::shared_ptr<std::byte> allocate_memory(Device kind, std::size_t bytes) {
   bytes = std::max<std::size_t>(bytes, 1);
-  if (kind == MemoryKind::Host) {
+  if (kind == Device::Cpu) {
     auto* const memory = static_cast<std::byte*>(::operator new(bytes, std::align_val_t(kAlignment)));
     std::memset(memory, 0, bytes);
     return {memory, [](std::byte* owned) { ::operator delete(owned, std::align_val_t(kAlignment)); }};
@@ -37,8 +37,8 @@ std::shared_ptr<std::byte> allocate_memory(MemoryKind kind, std::size_t bytes) {
 #endif
 }
 
-std::size_t free_memory(MemoryKind kind) {
-  if (kind == MemoryKind::Host) return std::numeric_limits<std::size_t>::max();
+std::size_t free_memory(Device kind) {
+  if (kind == Device::Cpu) return std::numeric_limits<std::size_t>::max();
 #ifdef SPLATBUS_HAVE_CUDA
   return gpu::free_bytes();
 #else
@@ -46,9 +46,9 @@ std::size_t free_memory(MemoryKind kind) {
 #endif
 }
 
-void copy_memory(void* destination, MemoryKind to, const void* source, MemoryKind from, std::size_t bytes) {
+void copy_memory(void* destination, Device to, const void* source, Device from, std::size_t bytes) {
   if (bytes == 0) return;
-  if (to == MemoryKind::Host && from == MemoryKind::Host) {
+  if (to == Device::Cpu && from == Device::Cpu) {
     std::memcpy(destination, source, bytes);
     return;
   }
@@ -65,17 +65,17 @@ void finish_copies() {
 #endif
 }
 
-void require_usable([[maybe_unused]] MemoryKind kind) {
+void require_usable([[maybe_unused]] Device kind) {
 #ifdef SPLATBUS_HAVE_CUDA
-  if (kind == MemoryKind::Cuda) gpu::require_usable();
+  if (kind == Device::Cuda) gpu::require_usable();
 #endif
 }
 
-bool copy_tensor(const TensorView& tensor, void* destination, MemoryKind kind, std::atomic<std::uint64_t>& host_bytes) {
+bool copy_tensor(const TensorView& tensor, void* destination, Device kind, std::atomic<std::uint64_t>& host_bytes) {
   if (!tensor.still_valid()) return false;
   copy_memory(destination, kind, tensor.data(), tensor.memory(), tensor.bytes());
   finish_copies();
-  if (kind == MemoryKind::Host || tensor.memory() == MemoryKind::Host) host_bytes += tensor.bytes();
+  if (kind == Device::Cpu || tensor.memory() == Device::Cpu) host_bytes += tensor.bytes();
   return tensor.still_valid();
 }
 

@@ -13,7 +13,7 @@ class MemoryPool {
  public:
   /// What nobody has is kept up to `idle_bytes`, or what is reserved where that is more; then what came back longest
   /// ago is freed. A block that is larger is freed at once, and the others stay.
-  explicit MemoryPool(MemoryKind kind, std::size_t idle_bytes = std::size_t{256} << 20);
+  explicit MemoryPool(Device kind, std::size_t idle_bytes = std::size_t{256} << 20);
 
   /// At least `bytes`, aligned to 64; what it holds is whatever it held last. It comes back when the last owner lets go
   /// of it, on whichever thread: whoever used it on a stream has waited for that stream. Throws Error.
@@ -22,12 +22,12 @@ class MemoryPool {
   /// Sees to it that `count` times so many bytes can be taken without an allocation, and are kept. Throws Error.
   void reserve(std::size_t count, std::size_t bytes);
 
-  [[nodiscard]] MemoryKind kind() const { return kind_; }
+  [[nodiscard]] Device kind() const { return kind_; }
   [[nodiscard]] std::size_t idle_bytes() const;
 
  private:
   class Idle;
-  MemoryKind kind_;
+  Device kind_;
   std::shared_ptr<Idle> idle_;
 };
 

@@ -61,13 +61,13 @@ std::size_t Message::size() const {
   return content_->frames.body.size();
 }
 
-void Message::require_schema(const char* schema) const {
+void Message::require_schema(std::string_view schema) const {
   if (header_->schema()->string_view() == schema) return;
   throw Error(fmt::format("{}: its schema is '{}', not '{}'", describe(topic_, *header_),
                           printable(header_->schema()->string_view()), schema));
 }
 
-void Message::throw_malformed(const char* schema) const {
+void Message::throw_malformed(std::string_view schema) const {
   throw Error(fmt::format("{}: its {} bytes do not verify as {}", describe(topic_, *header_), size(), schema));
 }
 

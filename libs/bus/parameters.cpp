@@ -49,21 +49,49 @@ std::variant<ParameterValue, std::string> parse_value(const ParameterSpec& spec,
     }
     return ParameterValue(text);
   }
-  const auto range = fmt::format("from {} to {}", spec.minimum, spec.maximum);
+  const auto range = fmt::format("from {} to {}", spec.range.minimum, spec.range.maximum);
   if (std::holds_alternative<std::int64_t>(spec.default_value)) {
     const auto value = parse_number<std::int64_t>(text);
     if (!value) return refuse("a whole number");
     const auto number = static_cast<double>(*value);
-    if (number < spec.minimum || number > spec.maximum) return refuse(range);
+    if (number < spec.range.minimum || number > spec.range.maximum) return refuse(range);
     return ParameterValue(*value);
   }
   const auto value = parse_number<double>(text);
   if (!value || !std::isfinite(*value)) return refuse("a number");
-  if (*value < spec.minimum || *value > spec.maximum) return refuse(range);
+  if (*value < spec.range.minimum || *value > spec.range.maximum) return refuse(range);
   return ParameterValue(*value);
 }
 
 }  // namespace
+
+double ParameterBinder::as_written(float member, double unit) {
+  return unit == 1 ? std::stod(fmt::format("{}", member)) : std::stod(fmt::format("{:.6g}", member / unit));
+}
+
+double ParameterBinder::as_written(double member, double unit) {
+  return unit == 1 ? member : std::stod(fmt::format("{:.12g}", member / unit));
+}
+
+void ParameterBinder::declare(ParameterSpec spec) {
+  specs_->push_back(std::move(spec));
+}
+
+void ParameterBinder::add(const std::string& name, bool& member, const std::string& description, Change change) {
+  if (values_ != nullptr) {
+    member = std::get<bool>(values_->at(name));
+  } else {
+    declare({name, member, description, {}, {}, change});
+  }
+}
+
+void ParameterBinder::add(const std::string& name, std::string& member, const std::string& description, Change change) {
+  if (values_ != nullptr) {
+    member = std::get<std::string>(values_->at(name));
+  } else {
+    declare({name, member, description, {}, {}, change});
+  }
+}
 
 Parameters::Parameters(std::vector<ParameterSpec> specs) : specs_(std::move(specs)) {
   for (const auto& spec : specs_) {
@@ -80,7 +108,7 @@ std::string Parameters::set(const std::string& name, const std::string& text, bo
     for (const auto& candidate : specs_) known.push_back(candidate.name);
     return fmt::format("there is no parameter '{}' to set to '{}'; there is: {}", name, text, fmt::join(known, ", "));
   }
-  if (at_runtime && !spec->runtime) {
+  if (at_runtime && spec->change == kFixed) {
     return fmt::format("parameter '{}' cannot change to '{}' while the service runs", name, text);
   }
   const auto parsed = parse_value(*spec, text);
@@ -89,27 +117,6 @@ std::string Parameters::set(const std::string& name, const std::string& text, bo
   values_[name] = std::get<ParameterValue>(parsed);
   ++version_;
   return {};
-}
-
-template <class T>
-T Parameters::value(const std::string& name) const {
-  const std::scoped_lock lock(mutex_);
-  const auto found = values_.find(name);
-  assert(found != values_.end() && std::holds_alternative<T>(found->second) && "a parameter read as declared");
-  return std::get<T>(found->second);
-}
-
-bool Parameters::boolean(const std::string& name) const {
-  return value<bool>(name);
-}
-std::int64_t Parameters::integer(const std::string& name) const {
-  return value<std::int64_t>(name);
-}
-double Parameters::number(const std::string& name) const {
-  return value<double>(name);
-}
-std::string Parameters::text(const std::string& name) const {
-  return value<std::string>(name);
 }
 
 std::uint64_t Parameters::version() const {

@@ -12,76 +12,53 @@
 
 namespace splatbus::bus {
 
-struct Publisher::Impl {
-  std::shared_ptr<Context> context;
-  std::string topic;
-  std::uint64_t sequence = 0;
+// A slab that nobody else can map: its tensors are inlined.
+std::shared_ptr<Slab> Publisher::private_slab(std::uint64_t id) const {
+  auto& bus = *context_->impl_;
+  if (bus.slabs) return nullptr;
+  const std::scoped_lock lock(bus.mutex);
+  const auto found = bus.private_slabs.find(id);
+  return found == bus.private_slabs.end() ? nullptr : found->second.lock();
+}
 
-  // A slab that nobody else can map: its tensors are inlined.
-  [[nodiscard]] std::shared_ptr<Slab> private_slab(std::uint64_t id) const {
-    auto& bus = *context->impl_;
-    if (bus.slabs) return nullptr;
-    const std::scoped_lock lock(bus.mutex);
-    const auto found = bus.private_slabs.find(id);
-    return found == bus.private_slabs.end() ? nullptr : found->second.lock();
-  }
-
-  // Where in the payload each tensor goes; its slab for those that stay there.
-  [[nodiscard]] std::vector<wire::Span> place(const MessageInfo& info, std::size_t& payload_bytes) const {
-    std::vector<wire::Span> spans;
-    payload_bytes = 0;
-    for (const auto& tensor : info.tensors) {
-      const std::size_t bytes = tensor_bytes(tensor.shape, tensor.type);
-      if (tensor.inline_data == nullptr && bytes > 0) {
-        if (bytes != tensor.span.bytes()) {
-          throw Error(fmt::format("{}: tensor '{}' has {} bytes by its shape, {} by its span", topic, tensor.name,
-                                  bytes, tensor.span.bytes()));
-        }
-        if (context->address().is_local()) {
-          spans.push_back(tensor.span);
-          continue;
-        }
-        if (private_slab(tensor.span.slab()) == nullptr) {
-          throw Error(fmt::format("{}: tensor '{}' lies in a slab that is not of this process", topic, tensor.name));
-        }
+// Where in the payload each tensor goes; its slab for those that stay there.
+std::vector<wire::Span> Publisher::place(std::string_view topic, const MessageInfo& info,
+                                         std::size_t& payload_bytes) const {
+  std::vector<wire::Span> spans;
+  payload_bytes = 0;
+  for (const auto& tensor : info.tensors) {
+    const std::size_t bytes = tensor_bytes(tensor.shape, tensor.type);
+    if (tensor.inline_data == nullptr && bytes > 0) {
+      if (bytes != tensor.span.bytes()) {
+        throw Error(fmt::format("{}: tensor '{}' has {} bytes by its shape, {} by its span", topic, tensor.name, bytes,
+                                tensor.span.bytes()));
       }
-      payload_bytes = aligned(payload_bytes);
-      spans.emplace_back(0, 0, payload_bytes, bytes, wire::Storage::Inline);
-      payload_bytes += bytes;
+      if (context_->address().is_local()) {
+        spans.push_back(tensor.span);
+        continue;
+      }
+      if (private_slab(tensor.span.slab()) == nullptr) {
+        throw Error(fmt::format("{}: tensor '{}' lies in a slab that is not of this process", topic, tensor.name));
+      }
     }
-    if (payload_bytes > static_cast<std::size_t>(max_frame_bytes)) {
-      throw Error(fmt::format("{}: {} bytes of inline tensors are more than a frame may have", topic, payload_bytes));
-    }
-    return spans;
+    payload_bytes = aligned(payload_bytes);
+    spans.emplace_back(0, 0, payload_bytes, bytes, wire::Storage::Inline);
+    payload_bytes += bytes;
   }
-};
-
-Publisher::Publisher(std::shared_ptr<Context> context, std::string topic)
-    : impl_(std::make_unique<Impl>(Impl{std::move(context), std::move(topic), 0})) {
-  if (impl_->topic.empty() || impl_->topic.size() > max_topic_bytes) {
-    throw Error(fmt::format("'{}' is no topic", printable(impl_->topic)));
+  if (payload_bytes > static_cast<std::size_t>(max_frame_bytes)) {
+    throw Error(fmt::format("{}: {} bytes of inline tensors are more than a frame may have", topic, payload_bytes));
   }
-}
-
-Publisher::~Publisher() = default;
-Publisher::Publisher(Publisher&&) noexcept = default;
-Publisher& Publisher::operator=(Publisher&&) noexcept = default;
-
-const std::string& Publisher::topic() const {
-  return impl_->topic;
-}
-const std::shared_ptr<Context>& Publisher::context() const {
-  return impl_->context;
-}
-
-std::uint64_t Publisher::sequence() const {
-  return impl_->sequence;
+  return spans;
 }
 
 flatbuffers::Offset<wire::Header> Publisher::make_header(flatbuffers::FlatBufferBuilder& builder,
-                                                         const MessageInfo& info) {
+                                                         std::string_view topic, std::string_view schema, bool latch,
+                                                         const MessageInfo& info) const {
+  if (topic.empty() || topic.size() > max_topic_bytes) {
+    throw Error(fmt::format("'{}' is no topic", printable(topic)));
+  }
   std::size_t payload_bytes = 0;
-  const auto spans = impl_->place(info, payload_bytes);
+  const auto spans = place(topic, info, payload_bytes);
   std::vector<flatbuffers::Offset<wire::Tensor>> tensors;
   for (std::size_t i = 0; i < spans.size(); ++i) {
     const auto& tensor = info.tensors[i];
@@ -89,24 +66,25 @@ flatbuffers::Offset<wire::Header> Publisher::make_header(flatbuffers::FlatBuffer
     const auto shape = builder.CreateVector(tensor.shape);
     tensors.push_back(wire::CreateTensor(builder, name, &spans[i], shape, tensor.type));
   }
-  const auto schema = builder.CreateString(info.schema);
-  const auto source = builder.CreateString(impl_->context->source());
+  const auto schema_text = builder.CreateString(schema);
+  const auto source = builder.CreateString(context_->source());
   const auto key = info.latch_key.empty() ? 0 : builder.CreateString(info.latch_key);
   const auto tensor_vector = tensors.empty() ? 0 : builder.CreateVector(tensors);
   // Every scalar is stored, so that the outbox and the broker can change sequence and resent in place.
   builder.ForceDefaults(true);
-  const auto header = wire::CreateHeader(builder, schema, source, 1, impl_->context->epoch(), info.capture_ns, now_ns(),
-                                         0, info.latch, key, tensor_vector, false);
+  const auto header = wire::CreateHeader(builder, schema_text, source, 1, context_->epoch(), info.capture_ns, now_ns(),
+                                         0, latch, key, tensor_vector, false);
   builder.ForceDefaults(false);
   return header;
 }
 
-void Publisher::send(flatbuffers::FlatBufferBuilder& builder, const MessageInfo& info) {
+std::uint64_t Publisher::send(flatbuffers::FlatBufferBuilder& builder, std::string_view topic, bool latch,
+                              const MessageInfo& info) const {
   Frames frames;
-  frames.topic.rebuild(impl_->topic.data(), impl_->topic.size());
+  frames.topic.rebuild(topic.data(), topic.size());
   frames.body.rebuild(builder.GetBufferPointer(), builder.GetSize());
   std::size_t payload_bytes = 0;
-  const auto spans = impl_->place(info, payload_bytes);
+  const auto spans = place(topic, info, payload_bytes);
   for (std::size_t i = 0; i < spans.size(); ++i) {
     if (spans[i].storage() != wire::Storage::Inline) continue;
     if (!frames.has_payload) {
@@ -120,14 +98,14 @@ void Publisher::send(flatbuffers::FlatBufferBuilder& builder, const MessageInfo&
     if (tensor.inline_data != nullptr) {
       std::memcpy(destination, tensor.inline_data, spans[i].bytes());
     } else {
-      const auto slab = impl_->private_slab(tensor.span.slab());
+      const auto slab = private_slab(tensor.span.slab());
       if (slab == nullptr || !slab->copy(tensor.span, destination)) {
-        throw Error(fmt::format("{}: tensor '{}': its slot was written again before it was published", impl_->topic,
-                                tensor.name));
+        throw Error(
+            fmt::format("{}: tensor '{}': its slot was written again before it was published", topic, tensor.name));
       }
     }
   }
-  impl_->sequence = impl_->context->impl_->outbox.send(std::move(frames), info.latch ? &info.latch_key : nullptr);
+  return context_->impl_->outbox.send(std::move(frames), latch ? &info.latch_key : nullptr);
 }
 
 }  // namespace splatbus::bus

@@ -4,12 +4,13 @@
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
+#include <cmath>
 #include <cstdio>
 #include <exception>
 #include <utility>
 
 #include "bus/error.h"
-#include "bus/housekeeping.h"
+#include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
 #include "bus/signals.h"
 
@@ -41,11 +42,12 @@ std::string describe_range(const ParameterSpec& spec) {
   if (!spec.choices.empty()) return fmt::format(" One of: {}.", fmt::join(spec.choices, ", "));
   const bool number =
       std::holds_alternative<double>(spec.default_value) || std::holds_alternative<std::int64_t>(spec.default_value);
-  const ParameterSpec unbounded;
-  if (!number || (spec.minimum == unbounded.minimum && spec.maximum == unbounded.maximum)) return {};
-  if (spec.maximum == unbounded.maximum) return fmt::format(" At least {}.", spec.minimum);
-  if (spec.minimum == unbounded.minimum) return fmt::format(" At most {}.", spec.maximum);
-  return fmt::format(" From {} to {}.", spec.minimum, spec.maximum);
+  const auto bounded = [](double bound) { return std::abs(bound) < 1e18; };
+  const auto [minimum, maximum] = spec.range;
+  if (!number || (!bounded(minimum) && !bounded(maximum))) return {};
+  if (!bounded(maximum)) return fmt::format(" At least {}.", minimum);
+  if (!bounded(minimum)) return fmt::format(" At most {}.", maximum);
+  return fmt::format(" From {} to {}.", minimum, maximum);
 }
 
 void print_parameters(const Parameters& parameters) {
@@ -53,7 +55,7 @@ void print_parameters(const Parameters& parameters) {
   for (std::size_t i = 0; i < values.size(); ++i) {
     const auto& spec = parameters.specs()[i];
     fmt::print("{} = {}\n    {}{}{}\n", values[i].first, values[i].second, spec.description, describe_range(spec),
-               spec.runtime ? "" : " Fixed at start.");
+               spec.change == kRuntime ? "" : " Fixed at start.");
   }
 }
 
@@ -70,14 +72,14 @@ int run_service(const Flags& flags, const ServiceDescription& description, Param
                 const std::function<void(ServiceContext&)>& run) {
   std::stop_source stop;
   const StopSignals signals(stop);
-  const Backend backend = choose_backend(flags.backend);
+  const Device backend = choose_backend(flags.backend);
   const auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
   const auto context = Context::create(address, flags.name);
   install_logger(context, flags.log_level);
   ServiceContext service(context, parameters, stop.get_token(), backend);
   std::string failure;
   {
-    Housekeeping housekeeping(service, description.kind);
+    HeartbeatThread heartbeats(service, description.kind);
     spdlog::info("{} on {}, backend {}", description.kind, address.text(), name_of(backend));
     try {
       run(service);
@@ -85,7 +87,7 @@ int run_service(const Flags& flags, const ServiceDescription& description, Param
       failure = error.what();
       spdlog::critical("{}", failure);
     }
-    housekeeping.finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
+    heartbeats.finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
   }
   uninstall_logger();
   return failure.empty() ? 0 : 1;

@@ -20,17 +20,17 @@ class ServiceContext {
   std::shared_ptr<Context> bus;
   Parameters& parameters;
   std::stop_token stop;  ///< SIGINT, SIGTERM
-  Backend backend = Backend::Cpu;
+  Device backend = Device::Cpu;
 
   /// Shown in the next heartbeat; any thread.
   void counter(const std::string& name, double value);
   void detail(const std::string& text);  ///< what it waits for, in words
 
   ServiceContext(std::shared_ptr<Context> bus, Parameters& parameters, std::stop_token stop,
-                 Backend backend = Backend::Cpu);
+                 Device backend = Device::Cpu);
 
  private:
-  friend class Housekeeping;
+  friend class HeartbeatThread;
   std::mutex mutex_;
   std::map<std::string, double> counters_;
   std::string detail_;

@@ -5,7 +5,7 @@
 namespace splatbus::bus {
 
 ServiceContext::ServiceContext(std::shared_ptr<Context> context, Parameters& service_parameters,
-                               std::stop_token stop_token, Backend service_backend)
+                               std::stop_token stop_token, Device service_backend)
     : bus(std::move(context)), parameters(service_parameters), stop(std::move(stop_token)), backend(service_backend) {}
 
 void ServiceContext::counter(const std::string& name, double value) {

@@ -5,18 +5,16 @@
 #include <string>
 
 #include "bus/file_descriptor.h"
+#include "device/device.h"
 #include "wire/common_generated.h"
 
 namespace splatbus::bus {
-
-/// Where the bytes of a slab's data are; a number of the registry's protocol.
-enum class MemoryKind : std::uint32_t { Host = 0, Cuda = 1 };
 
 /// What a slab claims to be; every claim is checked against the descriptors that come with it.
 struct SlabDescriptor {
   std::uint64_t id = 0;  ///< made by the owner, unique for ever: it survives a restart of the broker
   std::string name;      ///< "<source>/<role>"
-  MemoryKind kind = MemoryKind::Host;
+  Device kind = Device::Cpu;
   std::size_t slots = 0;
   std::size_t slot_bytes = 0;
 };
@@ -110,7 +108,8 @@ class Slab {
   /// destination then holds garbage. Throws Error as slot_of does.
   [[nodiscard]] bool copy(const wire::Span& span, void* destination) const;
 
-  /// Descriptors for the registry, owned by the slab; -1 when it is private to this process.
+  /// Descriptors for the registry and for who maps the data once more, owned by the slab; the control block of a slab
+  /// that is private to this process has none (-1).
   [[nodiscard]] int control_fd() const { return control_.fd(); }
   [[nodiscard]] virtual int data_fd() const = 0;
 

@@ -17,14 +17,14 @@ namespace {
 
 /// How slabs of one kind are made and mapped.
 struct SlabMemory {
-  MemoryKind kind;
+  Device kind;
   std::shared_ptr<Slab> (*create)(const SlabDescriptor& descriptor, bool shared);
   std::shared_ptr<Slab> (*map)(const SlabDescriptor& descriptor, FileDescriptor control, FileDescriptor data,
                                bool writable);
 };
 
 template <class KindOfSlab>
-constexpr SlabMemory slab_memory(MemoryKind kind) {
+constexpr SlabMemory slab_memory(Device kind) {
   return {kind,
           [](const SlabDescriptor& descriptor, bool shared) -> std::shared_ptr<Slab> {
             return KindOfSlab::create(descriptor, shared);
@@ -36,9 +36,9 @@ constexpr SlabMemory slab_memory(MemoryKind kind) {
 }
 
 constexpr SlabMemory slab_memories[] = {
-    slab_memory<HostSlab>(MemoryKind::Host),
+    slab_memory<HostSlab>(Device::Cpu),
 #ifdef SPLATBUS_HAVE_CUDA
-    slab_memory<gpu::CudaSlab>(MemoryKind::Cuda),
+    slab_memory<gpu::CudaSlab>(Device::Cuda),
 #endif
 };
 
@@ -66,8 +66,7 @@ HostSlab::~HostSlab() {
 std::shared_ptr<HostSlab> HostSlab::create(const SlabDescriptor& descriptor, bool shared) {
   const std::size_t bytes = slab_data_bytes(descriptor);
   auto control = ControlBlock::create(descriptor, shared);
-  FileDescriptor data;
-  if (shared) data = make_sealed_memfd(descriptor.name, bytes);
+  FileDescriptor data = make_sealed_memfd(descriptor.name, bytes);
   return std::shared_ptr<HostSlab>(new HostSlab(descriptor, std::move(control), std::move(data), true));
 }
 

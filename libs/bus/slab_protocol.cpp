@@ -120,7 +120,7 @@ std::optional<SlabPacket> receive_slab_packet(int socket) {
   packet.status = static_cast<SlabStatus>(raw.status);
   packet.descriptor.id = raw.id;
   packet.descriptor.name = terminated(raw.name, sizeof(raw.name));
-  packet.descriptor.kind = static_cast<MemoryKind>(raw.kind);
+  packet.descriptor.kind = static_cast<Device>(raw.kind);
   packet.descriptor.slots = raw.slots;
   packet.descriptor.slot_bytes = raw.slot_bytes;
   packet.text = terminated(raw.text, sizeof(raw.text));

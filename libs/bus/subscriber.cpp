@@ -18,7 +18,7 @@
 namespace splatbus::bus {
 namespace {
 
-constexpr const char* broker_topic = "sys/liveness";
+constexpr auto broker_topic = topics::kLiveness.name;
 constexpr std::size_t max_tracked = 65536;  // streams that one subscriber remembers
 constexpr std::size_t max_drained = 10000;  // messages that one receive_newest() takes
 
@@ -42,8 +42,11 @@ struct Subscriber::Impl {
   std::map<std::pair<std::string, std::string>, Position> positions;              // source, topic
   std::map<std::tuple<std::string, std::string, std::string>, Position> latched;  // source, topic, latch key
   std::deque<std::shared_ptr<Message::Content>> early;                            // came during wait_connected()
+  std::map<std::string, std::function<void(const Message&)>, std::less<>> handlers;
+  std::map<std::pair<std::string, std::string>, LogLimiter> refusal_limiters;  // topic, source
   std::uint64_t lost = 0;
   std::uint64_t malformed = 0;
+  std::uint64_t refused = 0;
   LogLimiter limiter;
 
   Impl(std::shared_ptr<Context> bus, const std::vector<std::string>& topics)
@@ -190,6 +193,46 @@ std::vector<Message> Subscriber::receive_newest(std::chrono::milliseconds timeou
   return keep_newest(std::move(received));
 }
 
+void Subscriber::add_handler(std::string_view topic, std::function<void(const Message&)> handle) {
+  impl_->handlers.insert_or_assign(std::string(topic), std::move(handle));
+  impl_->exact.emplace_back(topic);
+  impl_->socket.set(zmq::sockopt::subscribe, std::string(topic));
+}
+
+bool Subscriber::dispatch(const Message& message) {
+  const auto found = impl_->handlers.find(message.topic());
+  if (found == impl_->handlers.end()) return true;
+  try {
+    found->second(message);
+    return true;
+  } catch (const std::exception& error) {
+    ++impl_->refused;
+    auto& limiters = impl_->refusal_limiters;
+    if (limiters.size() >= max_tracked) limiters.clear();
+    const std::string source = message.header().source()->str();
+    if (limiters[{message.topic(), source}].allow()) {
+      spdlog::error("{} from {} (sequence {}) is refused, {} so far: {}", message.topic(), printable(source),
+                    message.header().sequence(), impl_->refused, error.what());
+    }
+    return false;
+  }
+}
+
+std::size_t Subscriber::dispatch_all(std::chrono::milliseconds timeout, std::size_t max_messages) {
+  std::size_t taken = 0;
+  for (auto message = receive(timeout); message; message = receive(std::chrono::milliseconds(0))) {
+    dispatch(*message);
+    if (++taken >= max_messages) break;
+  }
+  return taken;
+}
+
+std::size_t Subscriber::dispatch_newest(std::chrono::milliseconds timeout) {
+  const auto messages = receive_newest(timeout);
+  for (const Message& message : messages) dispatch(message);
+  return messages.size();
+}
+
 std::vector<Message> keep_newest(std::vector<Message> messages) {
   std::map<std::tuple<std::string, std::string, std::string>, std::size_t> newest;
   const auto stream_of = [](const Message& message) {
@@ -209,6 +252,9 @@ std::uint64_t Subscriber::lost() const {
 }
 std::uint64_t Subscriber::malformed() const {
   return impl_->malformed;
+}
+std::uint64_t Subscriber::refused() const {
+  return impl_->refused;
 }
 void* Subscriber::zmq_socket() const {
   return impl_->socket.handle();

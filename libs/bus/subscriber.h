@@ -8,11 +8,14 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include "bus/context.h"
 #include "bus/error.h"
 #include "bus/tensor.h"
+#include "wire/topics.h"
 
 namespace splatbus::bus {
 
@@ -22,10 +25,10 @@ class Message {
   [[nodiscard]] const std::string& topic() const { return topic_; }
   [[nodiscard]] const wire::Header& header() const { return *header_; }
 
-  /// The root as `T`, whose Header must name `schema` ("EngineFrame/1"). Throws Error naming topic, source, sequence
-  /// and what was wrong (another schema, or a buffer that does not verify).
+  /// The root as `T`, whose Header must name its schema. Throws Error naming topic, source, sequence and what was wrong
+  /// (another schema, or a buffer that does not verify).
   template <class T>
-  [[nodiscard]] const T& root(const char* schema) const {
+  [[nodiscard]] const T& root(std::string_view schema = kSchema<T>) const {
     require_schema(schema);
     flatbuffers::Verifier verifier(bytes(), size());
     if (!verifier.VerifyBuffer<T>(nullptr)) throw_malformed(schema);
@@ -52,8 +55,8 @@ class Message {
 
  private:
   friend class Subscriber;
-  void require_schema(const char* schema) const;
-  [[noreturn]] void throw_malformed(const char* schema) const;
+  void require_schema(std::string_view schema) const;
+  [[noreturn]] void throw_malformed(std::string_view schema) const;
   struct Content;
   std::string topic_;
   const wire::Header* header_ = nullptr;
@@ -61,17 +64,38 @@ class Message {
   std::shared_ptr<Context> context_;
 };
 
-/// Subscribes to topics by exact name, or by prefix where the name ends in '*'. Not thread-safe: one a thread.
+/// Reads topics: whole ones with a handler each (on()), or by name for receive(), by prefix where the name ends in '*'.
+/// Not thread-safe: one a thread.
 ///
 /// Whatever does not verify as an Envelope is counted and logged with its topic, and skipped. Latched messages that
 /// were seen already, by (source, epoch, topic, latch key, sequence), are dropped. Gaps in the sequence of a (source,
 /// topic) are counted, from the first message on that was not held by the broker.
 class Subscriber {
  public:
-  Subscriber(std::shared_ptr<Context> context, const std::vector<std::string>& topics);
+  explicit Subscriber(std::shared_ptr<Context> context, const std::vector<std::string>& topics = {});
   ~Subscriber();
   Subscriber(Subscriber&&) noexcept;
   Subscriber& operator=(Subscriber&&) noexcept;
+
+  /// Subscribes, and has dispatch() call `handle(const Table&, const Message&)` for messages of that topic: with a root
+  /// that names the topic's schema and verifies. A handler throws to refuse a message.
+  template <class Table, class Handle>
+  Subscriber& on(const Topic<Table>& topic, Handle handle) {
+    add_handler(topic.name, [schema = topic.schema, handle = std::move(handle)](const Message& message) {
+      handle(message.root<Table>(schema), message);
+    });
+    return *this;
+  }
+
+  /// Calls the handler of the message's topic. False when the message does not verify or the handler threw: that is
+  /// counted in refused() and logged with topic, source and reason, once a second at most for each topic and source.
+  bool dispatch(const Message& message);
+
+  /// Waits up to `timeout` for a message, then dispatches what is there, `max_messages` at most. Returns how many.
+  std::size_t dispatch_all(std::chrono::milliseconds timeout, std::size_t max_messages = 256);
+
+  /// The same for the newest messages only, as keep_newest() has it.
+  std::size_t dispatch_newest(std::chrono::milliseconds timeout);
 
   /// Waits until the broker knows of the subscriptions: what is published from then on arrives. False after `timeout`.
   /// Needed only where a lost answer is not asked for again (a request is published right after); messages that come
@@ -84,11 +108,13 @@ class Subscriber {
   /// Waits for a message, reads everything that is there, and keeps the newest, as keep_newest() does.
   std::vector<Message> receive_newest(std::chrono::milliseconds timeout);
 
-  [[nodiscard]] std::uint64_t lost() const;  ///< by sequence gaps
-  [[nodiscard]] std::uint64_t malformed() const;
-  [[nodiscard]] void* zmq_socket() const;  ///< for zmq::poll beside other sockets
+  [[nodiscard]] std::uint64_t lost() const;       ///< by sequence gaps
+  [[nodiscard]] std::uint64_t malformed() const;  ///< not even an Envelope
+  [[nodiscard]] std::uint64_t refused() const;    ///< by dispatch()
+  [[nodiscard]] void* zmq_socket() const;         ///< for zmq::poll beside other sockets
 
  private:
+  void add_handler(std::string_view topic, std::function<void(const Message&)> handle);
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
@@ -98,8 +124,8 @@ class Subscriber {
 /// every message counts, this is not for you.
 [[nodiscard]] std::vector<Message> keep_newest(std::vector<Message> messages);
 
-/// Runs `handle` for a message, and turns an exception that it throws into a logged line that names the message.
-/// Services wrap every handler in this, so that one bad message never ends a process. False when it threw.
+/// Runs `handle` for a message, and turns an exception that it throws into a logged line that names the message: for
+/// work on a message outside of its handler. False when it threw.
 bool guarded(const Message& message, const std::function<void()>& handle);
 
 }  // namespace splatbus::bus

@@ -72,8 +72,8 @@ TensorView::TensorView(std::string name, std::vector<std::uint32_t> shape, Eleme
   }
 }
 
-MemoryKind TensorView::memory() const {
-  return slab_ == nullptr ? MemoryKind::Host : slab_->descriptor().kind;
+Device TensorView::memory() const {
+  return slab_ == nullptr ? Device::Cpu : slab_->descriptor().kind;
 }
 
 bool TensorView::still_valid() const {
@@ -97,7 +97,7 @@ void TensorView::require_host(ElementType type) const {
     throw Error(fmt::format("tensor '{}' holds {}, asked for as {}", name_, wire::EnumNameElementType(type_),
                             wire::EnumNameElementType(type)));
   }
-  if (memory() != MemoryKind::Host) throw Error(fmt::format("tensor '{}' is not in host memory", name_));
+  if (memory() != Device::Cpu) throw Error(fmt::format("tensor '{}' is not in host memory", name_));
 }
 
 }  // namespace splatbus::bus

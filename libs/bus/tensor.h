@@ -8,12 +8,12 @@
 #include <string_view>
 #include <vector>
 
+#include "device/device.h"
 #include "wire/common_generated.h"
 
 namespace splatbus::bus {
 
 class Slab;
-enum class MemoryKind : std::uint32_t;
 
 using wire::ElementType;
 
@@ -55,7 +55,7 @@ class TensorView {
   [[nodiscard]] std::size_t bytes() const { return bytes_; }
   [[nodiscard]] std::size_t elements() const { return bytes_ / element_bytes(type_); }
   [[nodiscard]] const std::byte* data() const { return data_; }  ///< a device address when memory() is Cuda
-  [[nodiscard]] MemoryKind memory() const;
+  [[nodiscard]] Device memory() const;
 
   /// Typed view of data(). Throws bus::Error when T does not match type(), or the memory is not the host's.
   template <class T>

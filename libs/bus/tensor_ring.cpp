@@ -15,7 +15,7 @@ constexpr int kCreateTimeoutMs = 10000;
 }  // namespace
 
 TensorRing::TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots, std::size_t slot_bytes,
-                       MemoryKind kind)
+                       Device kind)
     : context_(std::move(context)), role_(std::move(role)), slots_(slots), slot_bytes_(slot_bytes), kind_(kind) {}
 
 std::vector<OutgoingTensor> TensorRing::write(std::span<const TensorSource> sources) {

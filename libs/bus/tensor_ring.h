@@ -19,7 +19,7 @@ struct TensorSource {
   std::vector<std::uint32_t> shape;
   ElementType type = ElementType::F32;
   const void* data = nullptr;
-  MemoryKind memory = MemoryKind::Host;  ///< of `data`
+  Device memory = Device::Cpu;  ///< of `data`
 };
 
 /// A ring of slots for messages that carry several arrays of varying size: each write() takes the next slot. Not
@@ -30,7 +30,7 @@ class TensorRing {
   /// not fit, it is made again, larger; messages that were not read by then are lost, so say what is to be expected.
   /// `kind` is where the slab lies, whatever the sources' memory.
   TensorRing(std::shared_ptr<Context> context, std::string role, std::size_t slots, std::size_t slot_bytes = 0,
-             MemoryKind kind = MemoryKind::Host);
+             Device kind = Device::Cpu);
 
   /// Copies the arrays into the next slot, each aligned to 64 bytes. Throws Error when the slab cannot be made.
   [[nodiscard]] std::vector<OutgoingTensor> write(std::span<const TensorSource> sources);
@@ -39,7 +39,7 @@ class TensorRing {
   std::shared_ptr<Context> context_;
   std::string role_;
   std::size_t slots_, slot_bytes_;
-  MemoryKind kind_;
+  Device kind_;
   std::shared_ptr<Slab> slab_;
 };
 

@@ -2,20 +2,30 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
 #include "gaussians/layout.h"
 #include "gaussians/light.h"
+#include "gaussians/pages.h"
 
 namespace splatbus {
 
 /// Gaussians in somebody else's memory (slab, vector, device): non-owning, cheap to copy. Pointers may be null where a
 /// use does not need them; PLY and raster headers say which they read.
+///
+/// Every channel of Gaussian i lies at offset(i) from where the channel begins, in one of two ways: channel by channel
+/// for all Gaussians ([channels][stride], no pages), or page by page (gaussians/pages.h: [page][channels][kPageLanes],
+/// page_stride apart), and then `ranges` says which indices are Gaussians.
 struct GaussiansView {
   ParameterLayout layout;
-  std::size_t count = 0;
-  std::size_t stride = 0;                    ///< columns of every plane, at least count
+  std::size_t count = 0;                     ///< indices below it may be Gaussians
+  std::size_t stride = 0;                    ///< elements from one channel to the next
+  std::uint32_t page_shift = kNoPages;       ///< index >> page_shift is the page
+  std::size_t page_stride = 0;               ///< 4-byte words from one page to the next
+  std::span<const IndexRange> ranges;        ///< which indices are Gaussians, ascending; with pages only
+  std::span<const PageBounds> bounds;        ///< of each range; empty: unknown
   const float* parameters = nullptr;         ///< [layout.channels()][stride]
   const float* normal = nullptr;             ///< [3][stride], unit, object's frame (Transfer)
   const float* surface_point = nullptr;      ///< [3][stride], where the sample was, object's frame
@@ -25,10 +35,28 @@ struct GaussiansView {
   const std::uint64_t* gaussian_id = nullptr;
   const std::uint64_t* cell = nullptr;
 
+  [[nodiscard]] bool has_pages() const { return page_shift != kNoPages; }
+  /// Of 4-byte elements.
+  [[nodiscard]] std::size_t offset(std::size_t i) const {
+    return (i >> page_shift) * page_stride + (i & ((std::size_t{1} << page_shift) - 1));
+  }
+  /// Gaussian i of a channel, a parameter's or of one of the pointers below.
+  [[nodiscard]] const float* at(int channel, std::size_t i) const {
+    return parameters + offset(i) + static_cast<std::size_t>(channel) * stride;
+  }
+  /// Without pages only.
   [[nodiscard]] const float* plane(int channel) const {
     return parameters + static_cast<std::size_t>(channel) * stride;
   }
 };
+
+/// The ranges of `gaussians`, which has bounds, that a camera may see (PageFrustum); those of objects that are not in
+/// the scene are left out.
+[[nodiscard]] std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const FrustumCamera& camera,
+                                                    const Rigid& world_from_camera, const ObjectTransforms& objects);
+
+/// Bounds of Gaussians in host memory, for GaussiansView::bounds.
+[[nodiscard]] PageBounds bounds_of(const GaussiansView& gaussians, const IndexRange& range);
 
 /// Gaussians in host memory of our own.
 class GaussiansBuffer {

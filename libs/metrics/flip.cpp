@@ -10,10 +10,9 @@
 #include <vector>
 
 #include "gaussians/light.h"
-#include "metrics/images.h"
 #include "metrics/metrics.h"
 
-// LDR-FLIP; section numbers are those of Andersson et al. 2020. Filters are separated: the colour filters are sums of
+// LDR-FLIP; section numbers are those of Andersson et al. 2020. Filters are separated: the color filters are sums of
 // Gaussians, the feature filters products of a Gaussian and a derivative of it.
 
 namespace splatbus::metrics {
@@ -145,7 +144,7 @@ cv::Mat perceived(const Planes& planes, const cv::Matx33f& xyz_from_rgb, double 
   return out;
 }
 
-/// Section 4.1.3: the colour difference, redistributed over [0, 1].
+/// Section 4.1.3: the color difference, redistributed over [0, 1].
 cv::Mat color_difference(const cv::Mat& a, const cv::Mat& b, const cv::Matx33f& xyz_from_rgb) {
   const float largest =
       std::pow(hyab(hunt_lab(xyz_from_rgb * Vec3(0, 1, 0)), hunt_lab(xyz_from_rgb * Vec3(0, 0, 1))), kColorExponent);

@@ -8,6 +8,10 @@ namespace splatbus::metrics {
 // std::invalid_argument that names the mismatch: an empty image, another type, another size, a side too short for the
 // window.
 
+/// Throws std::invalid_argument, beginning with `who`, unless both are CV_8UC3 of one size with sides of at least
+/// `min_side` pixels.
+void check_images(const char* who, const cv::Mat& image, const cv::Mat& reference, int min_side = 1);
+
 /// dB over all three channels, peak 255; +infinity for equal images.
 [[nodiscard]] double psnr(const cv::Mat& image, const cv::Mat& reference);
 
@@ -23,7 +27,7 @@ namespace splatbus::metrics {
 [[nodiscard]] double flip(const cv::Mat& image, const cv::Mat& reference, double pixels_per_degree = 67.0,
                           cv::Mat* map = nullptr);
 
-/// A CV_32FC1 map in [0, 1] in false colours (magma), CV_8UC3 BGR. Values outside are clamped, NaN is 0.
+/// A CV_32FC1 map in [0, 1] in false colors (magma), CV_8UC3 BGR. Values outside are clamped, NaN is 0.
 [[nodiscard]] cv::Mat colorize(const cv::Mat& map);
 
 struct Quality {

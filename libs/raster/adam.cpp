@@ -1,95 +1,106 @@
 #include "raster/adam.h"
 
 #include <algorithm>
+#include <cstring>
 #include <stdexcept>
 
+#include "device/large_pages.h"
 #include "raster/adam_kernel.h"
-#include "raster/cpu/workers.h"
+#include "raster/cpu/pieces.h"
 
 namespace splatbus::raster {
 
-void Adam::resize(const ParameterLayout& layout, std::size_t count, std::size_t stride) {
-  if (layout == layout_ && stride == stride_ && !first_.empty()) {
-    // Columns that come back after a shrink begin anew.
-    for (std::size_t i = count; i < count_; ++i) steps_[i] = 0;
-    for (Moments* moments : {&first_, &second_}) {
-      for (int c = 0; c < layout.channels(); ++c) {
-        float* plane = moments->data() + static_cast<std::size_t>(c) * stride;
-        for (std::size_t i = count; i < count_; ++i) plane[i] = 0;
-      }
-    }
-    count_ = count;
-    return;
+namespace {
+
+constexpr std::size_t kArenaPages = 16;
+
+}  // namespace
+
+std::size_t Adam::block_floats() const {
+  return (2 * static_cast<std::size_t>(layout_.channels()) + 1) * kPageLanes;
+}
+
+float* Adam::block(std::size_t page) const {
+  return arenas_[page / kArenaPages].get() + page % kArenaPages * block_floats();
+}
+
+void Adam::resize(const ParameterLayout& layout, std::size_t count) {
+  if (layout != layout_) {
+    arenas_.clear();
+    count_ = 0;
+    layout_ = layout;
   }
-  const std::size_t kept = layout == layout_ ? std::min(count, count_) : 0;
-  for (Moments* moments : {&first_, &second_}) {
-    Moments moved(static_cast<std::size_t>(layout.channels()) * stride, 0.0F);
-    for (int c = 0; c < layout.channels() && kept > 0; ++c) {
-      const auto plane = static_cast<std::size_t>(c);
-      std::copy_n(moments->data() + plane * stride_, kept, moved.data() + plane * stride);
-    }
-    *moments = std::move(moved);
-  }
-  steps_.resize(kept);
-  steps_.resize(stride, 0);
-  layout_ = layout;
+  if (count < count_) reset(count, count_ - count);  // those that come back begin anew
   count_ = count;
-  stride_ = stride;
+  const std::size_t pages = (count + kPageLanes - 1) / kPageLanes;
+  while (arenas_.size() * kArenaPages < pages) {
+    const std::size_t bytes = kArenaPages * block_floats() * sizeof(float);
+    arenas_.emplace_back(static_cast<float*>(device::allocate_large(bytes)));
+    std::memset(arenas_.back().get(), 0, bytes);
+  }
 }
 
-void Adam::permute(const std::vector<std::uint32_t>& keep) {
-  if (keep.size() > stride_) throw std::invalid_argument("Adam: more columns kept than there is room for");
-  for (const std::uint32_t old : keep) {
-    if (old >= count_) throw std::invalid_argument("Adam: a kept column does not exist");
+void Adam::reset(std::size_t first, std::size_t count) {
+  const std::size_t channels = 2 * static_cast<std::size_t>(layout_.channels()) + 1;
+  for (std::size_t i = first; i < first + count;) {
+    const std::size_t lane = i % kPageLanes;
+    const std::size_t lanes = std::min<std::size_t>(kPageLanes - lane, first + count - i);
+    for (std::size_t c = 0; c < channels; ++c) std::fill_n(block(i >> kPageShift) + c * kPageLanes + lane, lanes, 0.0F);
+    i += lanes;
   }
-  std::vector<float> moved(stride_);
-  const auto gather = [&](auto* values, auto& scratch) {
-    for (std::size_t i = 0; i < keep.size(); ++i) scratch[i] = values[keep[i]];
-    std::copy_n(scratch.begin(), keep.size(), values);
-    std::fill(values + keep.size(), values + std::max(count_, keep.size()), 0);
-  };
-  for (Moments* moments : {&first_, &second_}) {
-    for (int c = 0; c < layout_.channels(); ++c) gather(moments->data() + static_cast<std::size_t>(c) * stride_, moved);
-  }
-  std::vector<std::uint32_t> moved_steps(stride_);
-  gather(steps_.data(), moved_steps);
-  count_ = keep.size();
 }
 
-AdamStep Adam::prepare(const ParameterGradient& gradient, const std::vector<float>& learning_rate) {
+void Adam::move(std::span<const std::uint32_t> from, std::span<const std::uint32_t> to) {
+  if (from.size() != to.size()) throw std::invalid_argument("Adam: a move needs as many targets as sources");
+  const std::size_t channels = 2 * static_cast<std::size_t>(layout_.channels()) + 1;
+  for (std::size_t k = 0; k < from.size(); ++k) {
+    if (from[k] >= count_ || to[k] >= count_) throw std::invalid_argument("Adam: a Gaussian that moves does not exist");
+    const float* const source = block(from[k] >> kPageShift) + from[k] % kPageLanes;
+    float* const target = block(to[k] >> kPageShift) + to[k] % kPageLanes;
+    for (std::size_t c = 0; c < channels; ++c) target[c * kPageLanes] = source[c * kPageLanes];
+  }
+}
+
+void Adam::check(const ParameterGradient& gradient, const std::vector<float>& learning_rate) const {
   if (gradient.layout != layout_ || gradient.count != count_) {
     throw std::invalid_argument("Adam: resize() has not followed the model");
   }
   if (learning_rate.size() != static_cast<std::size_t>(layout_.channels())) {
     throw std::invalid_argument("Adam: one learning rate a channel is needed");
   }
-  const int channels = layout_.channels();
-  AdamStep step;
-  step.channels = gradient.active_channels > 0 ? std::min(gradient.active_channels, channels) : channels;
-  step.stride = gradient.stride;
-  step.moment_stride = stride_;
-  step.touched = gradient.touched.data();
-  step.learning_rate = learning_rate.data();
-  step.first = first_.data();
-  step.second = second_.data();
-  step.steps = steps_.data();
-  step.beta1 = beta1;
-  step.beta2 = beta2;
-  step.epsilon = epsilon;
-  step.half_rate_steps = half_rate_steps;
-  step.least_rate = least_rate;
-  return step;
 }
 
-void Adam::step(float* parameters, const std::uint32_t* flags, const ParameterGradient& gradient,
+AdamStep Adam::piece(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,
+                     const std::vector<float>& learning_rate, std::size_t begin) const {
+  const int channels = layout_.channels();
+  float* const moments = block(begin >> kPageShift) + begin % kPageLanes;
+  return {.channels = gradient.active_channels > 0 ? std::min(gradient.active_channels, channels) : channels,
+          .stride = gaussians.stride,
+          .gradient_stride = gradient.stride,
+          .moment_stride = kPageLanes,
+          .parameters = parameters + gaussians.offset(begin),
+          .gradient = gradient.values.empty() ? nullptr : gradient.values.data() + begin,
+          .touched = gradient.touched.data() + begin,
+          .flags = gaussians.flags == nullptr ? nullptr : gaussians.flags + gaussians.offset(begin),
+          .learning_rate = learning_rate.data(),
+          .first = moments,
+          .second = moments + static_cast<std::size_t>(channels) * kPageLanes,
+          .steps = reinterpret_cast<std::uint32_t*>(moments + 2 * static_cast<std::size_t>(channels) * kPageLanes),
+          .beta1 = beta1,
+          .beta2 = beta2,
+          .epsilon = epsilon,
+          .half_rate_steps = half_rate_steps,
+          .least_rate = least_rate};
+}
+
+void Adam::step(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,
                 const std::vector<float>& learning_rate, int threads) {
-  AdamStep step = prepare(gradient, learning_rate);
-  step.parameters = parameters;
-  step.flags = flags;
-  step.gradient = gradient.values.data();
-  step.gradient_stride = gradient.stride;
-  cpu::Workers(threads).for_pieces(count_, kAdamPiece,
-                                   [&](std::size_t begin, std::size_t end) { adam_range(step, begin, end); });
+  check(gradient, learning_rate);
+  std::vector<IndexRange> pieces;
+  cpu::cut_pieces(gaussians, kAdamPiece, pieces);
+  cpu::Workers(threads).for_pieces(pieces.size(), 1, [&](std::size_t k, std::size_t) {
+    adam_range(piece(gaussians, parameters, gradient, learning_rate, pieces[k].first), pieces[k].count);
+  });
 }
 
 }  // namespace splatbus::raster

@@ -1,17 +1,20 @@
 #pragma once
 
 #include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <span>
 #include <vector>
 
-#include "raster/large_pages.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster {
 
 struct AdamStep;
 
-/// Adam (Kingma and Ba 2015) on parameter planes, only on Gaussians touched and not frozen (sparse, as Taming-3DGS and
-/// gsplat's SelectiveAdam: untouched moments rest). One learning rate a channel.
+/// Adam (Kingma and Ba 2015), only on Gaussians touched and not frozen (sparse, as Taming-3DGS and gsplat's
+/// SelectiveAdam: untouched moments rest). One learning rate a channel. Moments lie in pages (gaussians/pages.h) in
+/// arenas that are added as the model grows: nothing is copied. Not thread-safe.
 class Adam {
  public:
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
@@ -19,23 +22,37 @@ class Adam {
   /// stay.
   float half_rate_steps = 0, least_rate = 0;
 
-  void resize(const ParameterLayout& layout, std::size_t count, std::size_t stride);  ///< keeps old moments, new are 0
-  /// keep[i] is the old column of new column i.
-  void permute(const std::vector<std::uint32_t>& keep);
+  /// Room for indices below `count`; what is new is 0, what leaves is forgotten, as is everything when the layout
+  /// changes.
+  void resize(const ParameterLayout& layout, std::size_t count);
+  /// Gaussians first, first + 1, ... begin anew.
+  void reset(std::size_t first, std::size_t count);
+  /// What was kept of from[k] is now that of to[k], in this order.
+  void move(std::span<const std::uint32_t> from, std::span<const std::uint32_t> to);
 
-  /// parameters[channels][stride] in place. learning_rate has layout.channels() entries.
-  void step(float* parameters, const std::uint32_t* flags, const ParameterGradient& gradient,
+  /// Parameters of the Gaussians in place, `parameters` as GaussiansView::parameters but to be changed. learning_rate
+  /// has layout.channels() entries.
+  void step(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,
             const std::vector<float>& learning_rate, int threads);
 
-  /// The next step's planes and rates, without parameters, flags and gradient; for Rasterizer::backward_step().
-  [[nodiscard]] AdamStep prepare(const ParameterGradient& gradient, const std::vector<float>& learning_rate);
+  /// The next step of Gaussians from `begin` on, which lie in one page, without a gradient's values; for
+  /// Rasterizer::backward_step().
+  [[nodiscard]] AdamStep piece(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,
+                               const std::vector<float>& learning_rate, std::size_t begin) const;
+  /// Throws std::invalid_argument when moments, gradient and rates do not belong together.
+  void check(const ParameterGradient& gradient, const std::vector<float>& learning_rate) const;
 
  private:
+  struct Free {
+    void operator()(float* memory) const { std::free(memory); }
+  };
+  /// [2 channels + 1][kPageLanes]: first moments, second moments, steps as integers.
+  [[nodiscard]] float* block(std::size_t page) const;
+  [[nodiscard]] std::size_t block_floats() const;
+
   ParameterLayout layout_;
-  std::size_t count_ = 0, stride_ = 0;
-  using Moments = std::vector<float, LargePageAllocator<float>>;
-  Moments first_, second_;
-  std::vector<std::uint32_t> steps_;  ///< a Gaussian, for its bias correction
+  std::size_t count_ = 0;
+  std::vector<std::unique_ptr<float, Free>> arenas_;
 };
 
 }  // namespace splatbus::raster

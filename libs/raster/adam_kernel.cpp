@@ -19,9 +19,9 @@
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
-void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
+void AdamRange(const AdamStep& step, std::size_t count) {
   const F f;
-  const std::size_t count = end - begin, lanes = hn::Lanes(f);
+  const std::size_t lanes = hn::Lanes(f);
   // Bias corrections of every column, the first times its rate; one of 0 marks a column that rests.
   alignas(64) std::array<float, kAdamPiece> first_correction;
   alignas(64) std::array<float, kAdamPiece> second_correction;
@@ -30,9 +30,8 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
   steps.fill(0);
   bool any = false;
   for (std::size_t k = 0; k < count; ++k) {
-    const std::size_t i = begin + k;
-    if (step.touched[i] == 0 || (step.flags != nullptr && (step.flags[i] & kFrozen) != 0)) continue;
-    steps[k] = static_cast<float>(++step.steps[i]);
+    if (step.touched[k] == 0 || (step.flags != nullptr && (step.flags[k] & kFrozen) != 0)) continue;
+    steps[k] = static_cast<float>(++step.steps[k]);
     any = true;
   }
   if (!any) return;
@@ -54,10 +53,10 @@ void AdamRange(const AdamStep& step, std::size_t begin, std::size_t end) {
   const V rest1 = Splat1(1 - step.beta1), rest2 = Splat1(1 - step.beta2);
   for (int channel = 0; channel < step.channels; ++channel) {
     const auto plane = static_cast<std::size_t>(channel);
-    float* parameters = step.parameters + plane * step.stride + begin;
-    const float* gradient = step.gradient + plane * step.gradient_stride + begin - step.gradient_origin;
-    float* first = step.first + plane * step.moment_stride + begin;
-    float* second = step.second + plane * step.moment_stride + begin;
+    float* parameters = step.parameters + plane * step.stride;
+    const float* gradient = step.gradient + plane * step.gradient_stride;
+    float* first = step.first + plane * step.moment_stride;
+    float* second = step.second + plane * step.moment_stride;
     const V rate = Splat1(step.learning_rate[channel]);
     // The next channel's columns come from memory meanwhile.
     const bool more = channel + 1 < step.channels;
@@ -96,12 +95,12 @@ HWY_AFTER_NAMESPACE();
 namespace splatbus::raster {
 namespace cpu {
 HWY_EXPORT(AdamRange);
-void dispatch_adam_range(const AdamStep& step, std::size_t begin, std::size_t end) {
-  HWY_DYNAMIC_DISPATCH(AdamRange)(step, begin, end);
+void dispatch_adam_range(const AdamStep& step, std::size_t count) {
+  HWY_DYNAMIC_DISPATCH(AdamRange)(step, count);
 }
 }  // namespace cpu
-void adam_range(const AdamStep& step, std::size_t begin, std::size_t end) {
-  cpu::dispatch_adam_range(step, begin, end);
+void adam_range(const AdamStep& step, std::size_t count) {
+  cpu::dispatch_adam_range(step, count);
 }
 }  // namespace splatbus::raster
 #endif

@@ -5,12 +5,11 @@
 
 namespace splatbus::raster {
 
-/// One Adam step over columns [begin, end), at most kAdamPiece of them.
+/// One Adam step over consecutive Gaussians that lie in one page, at most kAdamPiece of them. Pointers are to the first
+/// of them; channels are a stride apart.
 struct AdamStep {
   int channels = 0;
-  std::size_t stride = 0;                                ///< of parameters
-  std::size_t gradient_stride = 0, gradient_origin = 0;  ///< column i is at gradient[c * gradient_stride + i - origin]
-  std::size_t moment_stride = 0;
+  std::size_t stride = 0, gradient_stride = 0, moment_stride = 0;
   float* parameters = nullptr;
   const float* gradient = nullptr;
   const std::uint8_t* touched = nullptr;
@@ -23,6 +22,6 @@ struct AdamStep {
   float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
 };
 constexpr std::size_t kAdamPiece = 512;
-void adam_range(const AdamStep& step, std::size_t begin, std::size_t end);
+void adam_range(const AdamStep& step, std::size_t count);
 
 }  // namespace splatbus::raster

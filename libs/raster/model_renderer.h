@@ -1,13 +1,11 @@
 #pragma once
 
-#include <cstdint>
 #include <memory>
 
+#include "device/device.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster {
-
-enum class Device : std::uint8_t { Cpu, Cuda };
 
 /// Draws any number of pictures of one model. Not thread-safe. Throws std::runtime_error when the device fails,
 /// std::invalid_argument for what cannot be drawn.

@@ -20,7 +20,7 @@ void ParameterGradient::clear(const GaussiansView& gaussians, int threads) {
 void ParameterGradient::clear_statistics(const GaussiansView& gaussians) {
   layout = gaussians.layout;
   count = gaussians.count;
-  stride = gaussians.stride;
+  stride = gaussians.has_pages() ? gaussians.count : gaussians.stride;
   values.clear();
   touched.assign(count, 0);
   mean2d_norm.assign(count, 0.0F);

@@ -48,7 +48,7 @@ struct RenderGradient {
   Image depth;
 };
 
-/// Gradients of the parameters: planes like GaussiansView::parameters, [channels][stride]. Frozen Gaussians get none
+/// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians get none
 /// (their entries are zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
 struct ParameterGradient {
   ParameterLayout layout;

@@ -5,8 +5,6 @@
 
 #include <algorithm>
 
-#include "stream/error.h"
-
 namespace splatbus::stream {
 
 Bytes zstd_compress(std::span<const std::uint8_t> raw, int level) {
@@ -29,7 +27,7 @@ Bytes zstd_decompress(std::span<const std::uint8_t> payload, std::size_t raw_byt
   return out;
 }
 
-void put_planes(Bytes& out, std::span<const std::uint64_t> values) {
+void put_byte_planes(Bytes& out, std::span<const std::uint64_t> values) {
   std::uint64_t all = 0;
   for (const std::uint64_t value : values) all |= value;
   std::size_t width = 1;
@@ -55,7 +53,7 @@ std::uint32_t ByteReader::u32() {
   return value;
 }
 
-std::vector<std::uint64_t> ByteReader::planes(std::size_t count, std::size_t max_width) {
+std::vector<std::uint64_t> ByteReader::byte_planes(std::size_t count, std::size_t max_width) {
   require(1);
   const std::size_t width = bytes_[at_++];
   if (width < 1 || width > max_width) {

@@ -3,10 +3,18 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <stdexcept>
 #include <string_view>
 #include <vector>
 
 namespace splatbus::stream {
+
+/// A packet or payload that cannot be what it says; what() names the packet and the field. Whoever throws it has
+/// changed nothing.
+class StreamError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
 
 using Bytes = std::vector<std::uint8_t>;
 
@@ -31,14 +39,14 @@ inline constexpr int kZstdLevel = 9;
 
 /// Appends `values` as planes: one byte with the width in bytes (1 to 8) that the largest needs, then all lowest bytes,
 /// then all second bytes, and so on.
-void put_planes(Bytes& out, std::span<const std::uint64_t> values);
+void put_byte_planes(Bytes& out, std::span<const std::uint64_t> values);
 
-/// Largest size of put_planes for `count` values of at most `width` bytes each.
-[[nodiscard]] constexpr std::size_t planes_bound(std::size_t count, std::size_t width) {
+/// Largest size of put_byte_planes for `count` values of at most `width` bytes each.
+[[nodiscard]] constexpr std::size_t byte_planes_bound(std::size_t count, std::size_t width) {
   return 1 + count * width;
 }
 
-/// Reads what put_planes and its like wrote. Every read is checked; a shortage throws StreamError naming `what`.
+/// Reads what put_byte_planes and its like wrote. Every read is checked; a shortage throws StreamError naming `what`.
 class ByteReader {
  public:
   ByteReader(std::span<const std::uint8_t> bytes, std::string_view what) : bytes_(bytes), what_(what) {}
@@ -46,7 +54,7 @@ class ByteReader {
   [[nodiscard]] std::uint32_t u32();
   /// `count` values of at most `max_width` bytes; the count is checked against what is left before anything is
   /// allocated.
-  [[nodiscard]] std::vector<std::uint64_t> planes(std::size_t count, std::size_t max_width);
+  [[nodiscard]] std::vector<std::uint64_t> byte_planes(std::size_t count, std::size_t max_width);
   /// Throws unless everything was read.
   void finish() const;
 

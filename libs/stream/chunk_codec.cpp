@@ -1,5 +1,3 @@
-#include "stream/chunk_codec.h"
-
 #include <draco/compression/decode.h>
 #include <draco/compression/expert_encode.h>
 #include <fmt/format.h>
@@ -10,7 +8,8 @@
 #include <limits>
 #include <utility>
 
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 
 namespace splatbus::stream {
 
@@ -40,7 +39,7 @@ void put_varint(Bytes& out, std::uint32_t value) {
 }
 
 // What Draco 2.3 writes before the values of such a point cloud: header, point count, one attribute decoder that has
-// all attributes, and for each its type, data type, channels, normalised flag and id.
+// all attributes, and for each its type, data type, channels, normalized flag and id.
 Bytes expected_declarations(const StreamLayout& layout, std::size_t count) {
   Bytes out{'D', 'R', 'A', 'C', 'O', 2, 3, draco::POINT_CLOUD, draco::POINT_CLOUD_SEQUENTIAL_ENCODING, 0, 0};
   for (int i = 0; i < 4; ++i) out.push_back(static_cast<std::uint8_t>(count >> (8 * i)));
@@ -85,7 +84,7 @@ void read_attribute(const draco::PointCloud& cloud, int id, int channels, std::s
 
 }  // namespace
 
-Bytes encode_chunk(const QuantisedGaussians& gaussians, const StreamLayout& layout) {
+Bytes encode_chunk(const QuantizedGaussians& gaussians, const StreamLayout& layout) {
   const std::size_t count = gaussians.count();
   assert(count > 0 && count <= kMaxChunkGaussians);
   draco::PointCloud cloud;
@@ -99,7 +98,7 @@ Bytes encode_chunk(const QuantisedGaussians& gaussians, const StreamLayout& layo
   std::vector<std::pair<int, bool>> prediction;
   for (const AttributeChannels& a : layout.attributes()) {
     const int id = add_attribute(cloud, a.channels);
-    fill(id, a.channels, [&](int c, std::size_t i) { return gaussians.planes[a.first + c][i]; });
+    fill(id, a.channels, [&](int c, std::size_t i) { return gaussians.channels[a.first + c][i]; });
     prediction.emplace_back(id, predicts(a.attribute));
   }
   const int objects = add_attribute(cloud, 1);
@@ -119,7 +118,7 @@ Bytes encode_chunk(const QuantisedGaussians& gaussians, const StreamLayout& layo
   return {buffer.data(), buffer.data() + buffer.size()};
 }
 
-QuantisedGaussians decode_chunk(std::span<const std::uint8_t> payload, const StreamLayout& layout, std::size_t count) {
+QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const StreamLayout& layout, std::size_t count) {
   if (count < 1 || count > kMaxChunkGaussians) {
     throw StreamError(
         fmt::format("Snapshot: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
@@ -139,11 +138,11 @@ QuantisedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
   if (cloud.num_points() != count || cloud.num_attributes() != static_cast<int>(layout.attributes().size()) + 1) {
     throw StreamError("Snapshot: Draco decoded something else than was declared");
   }
-  QuantisedGaussians out(layout, count);
+  QuantizedGaussians out(layout, count);
   int id = 0;
   for (const AttributeChannels& a : layout.attributes()) {
     const auto planes =
-        std::span(out.planes).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels));
+        std::span(out.channels).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels));
     read_attribute(cloud, id++, a.channels, count, planes);
     for (const auto& plane : planes) {
       const auto [low, high] = std::ranges::minmax(plane);
@@ -159,16 +158,16 @@ QuantisedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
   return out;
 }
 
-std::vector<std::uint32_t> morton_order(const QuantisedGaussians& gaussians, const StreamLayout& layout,
+std::vector<std::uint32_t> morton_order(const QuantizedGaussians& gaussians, const StreamLayout& layout,
                                         std::span<const std::uint32_t> columns) {
   const int first = layout.at(Attribute::Mean).first;
   std::array<std::int32_t, 3> low{};
   std::int64_t extent = 1;
   for (int c = 0; c < 3 && !columns.empty(); ++c) {
-    std::int32_t high = low[c] = gaussians.planes[first + c][columns[0]];
+    std::int32_t high = low[c] = gaussians.channels[first + c][columns[0]];
     for (const std::uint32_t i : columns) {
-      low[c] = std::min(low[c], gaussians.planes[first + c][i]);
-      high = std::max(high, gaussians.planes[first + c][i]);
+      low[c] = std::min(low[c], gaussians.channels[first + c][i]);
+      high = std::max(high, gaussians.channels[first + c][i]);
     }
     extent = std::max(extent, std::int64_t{high} - low[c]);
   }
@@ -179,7 +178,7 @@ std::vector<std::uint32_t> morton_order(const QuantisedGaussians& gaussians, con
   for (const std::uint32_t i : columns) {
     std::uint64_t key = 0;
     for (int c = 0; c < 3; ++c) {
-      const auto offset = static_cast<std::uint64_t>(std::int64_t{gaussians.planes[first + c][i]} - low[c]);
+      const auto offset = static_cast<std::uint64_t>(std::int64_t{gaussians.channels[first + c][i]} - low[c]);
       key |= spread(offset >> shift) << c;
     }
     keyed.emplace_back(key, i);

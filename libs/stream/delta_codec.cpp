@@ -1,10 +1,9 @@
-#include "stream/delta_codec.h"
-
 #include <fmt/format.h>
 
 #include <cassert>
 
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 
 namespace splatbus::stream {
 
@@ -23,14 +22,14 @@ void put_slots(Bytes& out, std::span<const std::uint32_t> ascending) {
     gaps.push_back(slot - next);
     next = std::uint64_t{slot} + 1;
   }
-  put_planes(out, gaps);
+  put_byte_planes(out, gaps);
 }
 
 std::vector<std::uint32_t> read_slots(ByteReader& reader, std::size_t count, std::size_t held, std::string_view what) {
   std::vector<std::uint32_t> slots;
   slots.reserve(count);
   std::uint64_t next = 0;
-  for (const std::uint64_t gap : reader.planes(count, 4)) {
+  for (const std::uint64_t gap : reader.byte_planes(count, 4)) {
     const std::uint64_t slot = next + gap;
     if (slot >= held) throw StreamError(fmt::format("{}: slot {} of {} held", what, slot, held));
     slots.push_back(static_cast<std::uint32_t>(slot));
@@ -57,7 +56,7 @@ Payload encode_delta(const Delta& delta) {
   std::vector<std::uint64_t> plane(delta.slots.size());
   for (const auto& residuals : delta.residuals) {
     for (std::size_t i = 0; i < plane.size(); ++i) plane[i] = zigzag(residuals[i]);
-    put_planes(raw, plane);
+    put_byte_planes(raw, plane);
   }
   return finish(raw);
 }
@@ -66,7 +65,7 @@ Delta decode_delta(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
                    std::size_t channels, std::size_t held) {
   constexpr std::string_view what = "TensorDelta";
   require_count(what, count, std::min(held, kMaxDeltaGaussians));
-  require_raw_bytes(what, raw_bytes, planes_bound(count, 4) * (channels + 1));
+  require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 4) * (channels + 1));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
   ByteReader reader(raw, what);
   Delta delta;
@@ -74,7 +73,7 @@ Delta decode_delta(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
   for (std::size_t c = 0; c < channels; ++c) {
     auto& residuals = delta.residuals.emplace_back();
     residuals.reserve(count);
-    for (const std::uint64_t value : reader.planes(count, 4)) {
+    for (const std::uint64_t value : reader.byte_planes(count, 4)) {
       residuals.push_back(static_cast<std::int32_t>(unzigzag(value)));
     }
   }
@@ -92,7 +91,7 @@ std::vector<std::uint32_t> decode_slots(std::span<const std::uint8_t> payload, s
                                         std::size_t held) {
   constexpr std::string_view what = "Remove";
   require_count(what, count, held);
-  require_raw_bytes(what, raw_bytes, planes_bound(count, 4));
+  require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 4));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
   ByteReader reader(raw, what);
   auto slots = read_slots(reader, count, held, what);
@@ -109,17 +108,17 @@ Payload encode_ids(std::span<const std::uint64_t> ids) {
     before = id;
   }
   Bytes raw;
-  put_planes(raw, differences);
+  put_byte_planes(raw, differences);
   return finish(raw);
 }
 
 std::vector<std::uint64_t> decode_ids(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count) {
   constexpr std::string_view what = "GaussianOrder";
   require_count(what, count, kMaxGaussians);
-  require_raw_bytes(what, raw_bytes, planes_bound(count, 8));
+  require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 8));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
   ByteReader reader(raw, what);
-  std::vector<std::uint64_t> ids = reader.planes(count, 8);
+  std::vector<std::uint64_t> ids = reader.byte_planes(count, 8);
   reader.finish();
   std::uint64_t before = 0;
   for (std::uint64_t& id : ids) id = before += static_cast<std::uint64_t>(unzigzag(id));
@@ -138,8 +137,8 @@ Payload encode_runs(std::span<const std::uint32_t> ids) {
   }
   Bytes raw;
   for (int i = 0; i < 4; ++i) raw.push_back(static_cast<std::uint8_t>(lengths.size() >> (8 * i)));
-  put_planes(raw, lengths);
-  put_planes(raw, values);
+  put_byte_planes(raw, lengths);
+  put_byte_planes(raw, values);
   return finish(raw);
 }
 
@@ -147,13 +146,13 @@ std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, st
                                        std::size_t count) {
   constexpr std::string_view what = "ObjectIds";
   require_count(what, count, kMaxGaussians);
-  require_raw_bytes(what, raw_bytes, 4 + 2 * planes_bound(count, 4));
+  require_raw_bytes(what, raw_bytes, 4 + 2 * byte_planes_bound(count, 4));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
   ByteReader reader(raw, what);
   const std::size_t runs = reader.u32();
   require_count(what, runs, count);
-  const auto lengths = reader.planes(runs, 4);
-  const auto values = reader.planes(runs, 4);
+  const auto lengths = reader.byte_planes(runs, 4);
+  const auto values = reader.byte_planes(runs, 4);
   reader.finish();
   std::uint64_t total = 0;
   for (const std::uint64_t length : lengths) total += length + 1;

@@ -8,6 +8,27 @@ namespace splatbus::stream {
 
 namespace {
 
+constexpr float kMaxAreaPx2 = 400;  // a Gaussian right before the camera is not worth more than this
+constexpr float kOutsideShare = 0.1F;
+constexpr float kCentimetres2 = 1e4F;
+
+struct View {
+  Camera camera;
+  Rigid camera_from_world;
+};
+
+float area_px2(const View& view, const glm::vec3& mean_world, float sigma2_m2) {
+  const glm::vec3 p = view.camera_from_world * mean_world;
+  const float depth = std::max(std::abs(p.z), view.camera.near_m);
+  const float area = std::min(sigma2_m2 * view.camera.fx * view.camera.fy / (depth * depth), kMaxAreaPx2);
+  const float margin = 3 * std::sqrt(area);
+  const float x = view.camera.fx * p.x / depth + view.camera.cx, y = view.camera.fy * p.y / depth + view.camera.cy;
+  const bool inside = p.z > view.camera.near_m && x > -margin && y > -margin &&
+                      x < static_cast<float>(view.camera.width) + margin &&
+                      y < static_cast<float>(view.camera.height) + margin;
+  return inside ? area : kOutsideShare * area;
+}
+
 constexpr std::int32_t kCalmZone = 1;     // steps: rounding alone can toggle a value by one
 constexpr std::int32_t kSaturation = 64;  // steps a channel; a larger change is not more urgent
 constexpr std::size_t kMaxEntriesAPacket = std::size_t{1} << 16;
@@ -24,12 +45,36 @@ std::size_t bucket(float score) {
 
 }  // namespace
 
+std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
+                                 std::span<const Camera> cameras, const ObjectTransforms& objects) {
+  std::vector<View> views;
+  for (const Camera& camera : cameras) views.push_back({camera, inverse(camera.world_from_camera)});
+  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale),
+                          &opacity = layout.at(Attribute::Opacity);
+  const auto value = [&](const AttributeChannels& a, int channel, std::size_t i) {
+    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + channel][i]);
+  };
+  std::vector<float> share(gaussians.count());
+  for (std::size_t i = 0; i < share.size(); ++i) {
+    const float a = value(scale, 0, i), b = value(scale, 1, i), c = value(scale, 2, i);
+    const float sigma2 = std::exp(std::min(a + b + c - std::min({a, b, c}), 10.0F));
+    float area = views.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
+    glm::vec3 p(value(mean, 0, i), value(mean, 1, i), value(mean, 2, i));
+    if (gaussians.object_id[i] != 0) {
+      if (const auto object = objects.find(gaussians.object_id[i]); object != objects.end()) p = object->second * p;
+    }
+    for (const View& view : views) area = std::max(area, area_px2(view, p, sigma2));
+    share[i] = area * value(opacity, 0, i);
+  }
+  return share;
+}
+
 Schedules default_schedules() {
   Schedules s{};
   const auto set = [&](Attribute attribute, AttributeSchedule schedule) {
     s[static_cast<std::size_t>(attribute)] = schedule;
   };
-  // A step of a mean is a 32nd of a typical sigma, of a scale 1.6 %, of a rotation 0.45 degrees, of colours 1/255, of a
+  // A step of a mean is a 32nd of a typical sigma, of a scale 1.6 %, of a rotation 0.45 degrees, of colors 1/255, of a
   // residual 1/128. Residuals add up over their coefficients: resting a step off, they cost 8 dB (docs/decisions/0051).
   set(Attribute::Mean, {.dead_zone = 2, .every = 1, .weight = 2});
   set(Attribute::LogScale, {.dead_zone = 2, .every = 1, .weight = 2});
@@ -53,9 +98,9 @@ const AttributeSchedule& DeltaSelection::schedule(std::uint32_t attribute) const
   return schedules_[static_cast<std::size_t>(layout_.attributes()[attribute].attribute)];
 }
 
-void DeltaSelection::append(const QuantisedGaussians& appended) {
+void DeltaSelection::append(const QuantizedGaussians& appended) {
   for (std::size_t c = 0; c < anchor_.size(); ++c) {
-    anchor_[c].insert(anchor_[c].end(), appended.planes[c].begin(), appended.planes[c].end());
+    anchor_[c].insert(anchor_[c].end(), appended.channels[c].begin(), appended.channels[c].end());
   }
   for (auto& calm : calm_) calm.resize(calm.size() + appended.count());
 }
@@ -65,7 +110,7 @@ void DeltaSelection::remove(std::span<const std::uint32_t> ascending) {
   for (auto& calm : calm_) remove_at(calm, ascending);
 }
 
-void DeltaSelection::collect(std::uint32_t attribute, const QuantisedGaussians& held, const QuantisedGaussians& target,
+void DeltaSelection::collect(std::uint32_t attribute, const QuantizedGaussians& held, const QuantizedGaussians& target,
                              std::span<const std::uint32_t> target_column, std::span<const float> share) {
   const AttributeChannels& a = layout_.attributes()[attribute];
   const AttributeSchedule& plan = schedule(attribute);
@@ -76,7 +121,7 @@ void DeltaSelection::collect(std::uint32_t attribute, const QuantisedGaussians& 
   drift_.assign(slots, 0);
   // Plane by plane: a plane fits the cache, a Gaussian's row over all planes does not.
   for (int c = a.first; c < a.first + a.channels; ++c) {
-    const std::int32_t *to = target.planes[c].data(), *from = held.planes[c].data(), *rest = anchor_[c].data();
+    const std::int32_t *to = target.channels[c].data(), *from = held.channels[c].data(), *rest = anchor_[c].data();
     for (std::size_t slot = 0; slot < slots; ++slot) {
       if (target_column[slot] == kNotHeld) continue;
       const std::int32_t value = to[target_column[slot]];
@@ -91,7 +136,7 @@ void DeltaSelection::collect(std::uint32_t attribute, const QuantisedGaussians& 
     const std::uint32_t column = target_column[slot];
     if (column == kNotHeld) continue;
     if (drift_[slot] > 1) {
-      for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][slot] = target.planes[c][column];
+      for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][slot] = target.channels[c][column];
       calm[slot] = 0;
     } else if (calm[slot] < calm_ticks_) {
       ++calm[slot];
@@ -102,7 +147,7 @@ void DeltaSelection::collect(std::uint32_t attribute, const QuantisedGaussians& 
   }
 }
 
-std::vector<SelectedDelta> DeltaSelection::select(const QuantisedGaussians& held, const QuantisedGaussians& target,
+std::vector<SelectedDelta> DeltaSelection::select(const QuantizedGaussians& held, const QuantizedGaussians& target,
                                                   std::span<const std::uint32_t> target_column,
                                                   std::span<const float> share, double budget_bytes) {
   candidates_.clear();
@@ -140,7 +185,7 @@ std::vector<SelectedDelta> DeltaSelection::select(const QuantisedGaussians& held
       for (int c = channels.first; c < channels.first + channels.channels; ++c) {
         auto& plane = out.delta.residuals.emplace_back();
         for (const std::uint32_t slot : part) {
-          plane.push_back(target.planes[c][target_column[slot]] - held.planes[c][slot]);
+          plane.push_back(target.channels[c][target_column[slot]] - held.channels[c][slot]);
         }
       }
       selected.push_back(std::move(out));

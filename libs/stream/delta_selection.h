@@ -5,14 +5,21 @@
 #include <span>
 #include <vector>
 
-#include "stream/delta_codec.h"
-#include "stream/quantised.h"
+#include "gaussians/camera.h"
+#include "gaussians/light.h"
+#include "stream/codecs.h"
 
 namespace splatbus::stream {
 
+/// How much of the pictures each Gaussian makes up, an estimate without occlusion: opacity times the area in pixels of
+/// its one-sigma ellipse's two largest axes, the largest over the viewers' cameras. Outside all pictures a tenth of
+/// what it would be inside: viewers turn. Without cameras the area is in square centimetres.
+[[nodiscard]] std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
+                                               std::span<const Camera> cameras, const ObjectTransforms& objects);
+
 /// When and how changes of one attribute are sent.
 struct AttributeSchedule {
-  std::int32_t dead_zone = 2;  ///< quantiser steps: only changes above it, in any channel, are sent
+  std::int32_t dead_zone = 2;  ///< quantizer steps: only changes above it, in any channel, are sent
   std::uint32_t every = 1;     ///< ticks
   float weight = 1;            ///< of one step in the picture, against the other attributes
 };
@@ -37,12 +44,12 @@ class DeltaSelection {
   void set_schedules(const Schedules& schedules) { schedules_ = schedules; }
 
   /// Follows the held state's columns.
-  void append(const QuantisedGaussians& appended);
+  void append(const QuantizedGaussians& appended);
   void remove(std::span<const std::uint32_t> ascending);
 
   /// `target_column[slot]` is the slot's column in `target`, or kNotHeld when the target has nothing usable for it.
   /// `share[slot]` as picture_share. Stays near `budget_bytes` after compression, most picture for the byte first.
-  [[nodiscard]] std::vector<SelectedDelta> select(const QuantisedGaussians& held, const QuantisedGaussians& target,
+  [[nodiscard]] std::vector<SelectedDelta> select(const QuantizedGaussians& held, const QuantizedGaussians& target,
                                                   std::span<const std::uint32_t> target_column,
                                                   std::span<const float> share, double budget_bytes);
 
@@ -58,7 +65,7 @@ class DeltaSelection {
     std::uint32_t slot;
     std::uint32_t attribute;  ///< index into the layout's attributes
   };
-  void collect(std::uint32_t attribute, const QuantisedGaussians& held, const QuantisedGaussians& target,
+  void collect(std::uint32_t attribute, const QuantizedGaussians& held, const QuantizedGaussians& target,
                std::span<const std::uint32_t> target_column, std::span<const float> share);
   [[nodiscard]] const AttributeSchedule& schedule(std::uint32_t attribute) const;
 

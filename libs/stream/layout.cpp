@@ -6,15 +6,14 @@
 #include <cassert>
 #include <cmath>
 
-#include "stream/coding.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
 
 namespace splatbus::stream {
 
 namespace {
 
 constexpr std::int32_t kMeanLimit = 1 << 26;   // 1 km at a step of 0.015 mm; sums of two fit in 32 bits
-constexpr std::int32_t kValueLimit = 1 << 14;  // log-scales, colours, coefficients
+constexpr std::int32_t kValueLimit = 1 << 14;  // log-scales, colors, coefficients
 constexpr std::int32_t kRotationLimit = 1 << 12;
 
 ParameterLayout canonical(ParameterLayout parameters) {
@@ -45,9 +44,9 @@ bool StreamLayout::carries(const ParameterLayout& parameters) const {
   return parameters_ == canonical(parameters);
 }
 
-void StreamLayout::add(Attribute attribute, int channels, Quantiser quantiser, std::int32_t minimum,
+void StreamLayout::add(Attribute attribute, int channels, Quantizer quantizer, std::int32_t minimum,
                        std::int32_t maximum) {
-  attributes_.push_back({attribute, channels_, channels, minimum, maximum, quantiser});
+  attributes_.push_back({attribute, channels_, channels, minimum, maximum, quantizer});
   channels_ += channels;
 }
 
@@ -86,19 +85,19 @@ StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
   for (std::size_t i = 0; i < layout.attributes_.size(); ++i) {
     AttributeChannels& expected = layout.attributes_[i];
     const wire::TensorMetadata& said = *begin.attributes()->Get(static_cast<flatbuffers::uoffset_t>(i));
-    const wire::Quantiser* quantiser = said.quantiser();
+    const wire::Quantizer* quantizer = said.quantizer();
     if (said.attribute() != expected.attribute || said.channels() != static_cast<std::uint32_t>(expected.channels) ||
-        !quantiser) {
+        !quantizer) {
       throw StreamError(fmt::format("SnapshotBegin: attribute {} is not {} with {} channels", i,
                                     wire::EnumNameAttribute(expected.attribute), expected.channels));
     }
-    const Quantiser q{quantiser->offset(), quantiser->step()};
+    const Quantizer q{quantizer->offset(), quantizer->step()};
     if (!std::isfinite(q.offset) || !std::isfinite(q.step) || std::abs(q.offset) > 1e6F || q.step < 1e-9F ||
         q.step > 1e3F) {
-      throw StreamError(fmt::format("SnapshotBegin: quantiser of {} makes no sense (offset {}, step {})",
+      throw StreamError(fmt::format("SnapshotBegin: quantizer of {} makes no sense (offset {}, step {})",
                                     wire::EnumNameAttribute(expected.attribute), q.offset, q.step));
     }
-    expected.quantiser = q;
+    expected.quantizer = q;
   }
   return layout;
 }
@@ -125,22 +124,6 @@ int parameter_channel(Attribute attribute) {
 float mean_step_for(float median_log_extent) {
   const float exponent = std::floor(median_log_extent / std::log(2.0F)) - 5;
   return std::ldexp(1.0F, static_cast<int>(std::clamp(exponent, -20.0F, 0.0F)));
-}
-
-float choose_mean_step(const GaussiansView& gaussians) {
-  std::vector<float> extent;
-  extent.reserve(gaussians.count);
-  const float* const a = gaussians.plane(ParameterLayout::kLogScale);
-  const float* const b = gaussians.plane(ParameterLayout::kLogScale + 1);
-  const float* const c = gaussians.plane(ParameterLayout::kLogScale + 2);
-  for (std::size_t i = 0; i < gaussians.count; ++i) {
-    const float middle = coding::middle_of(a[i], b[i], c[i]);
-    if (std::isfinite(middle)) extent.push_back(middle);
-  }
-  if (extent.empty()) return kDefaultMeanStep_m;
-  auto middle = extent.begin() + static_cast<std::ptrdiff_t>(extent.size() / 2);
-  std::ranges::nth_element(extent, middle);
-  return mean_step_for(*middle);
 }
 
 }  // namespace splatbus::stream

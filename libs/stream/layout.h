@@ -13,7 +13,7 @@ namespace splatbus::stream {
 using wire::Attribute;
 
 // What no packet may exceed; checked before anything is allocated.
-inline constexpr std::size_t kMaxGaussians = std::size_t{1} << 24;       ///< held by a viewer
+inline constexpr std::size_t kMaxGaussians = std::size_t{1} << 22;       ///< that a streamer serves and a viewer takes
 inline constexpr std::size_t kMaxChunkGaussians = std::size_t{1} << 16;  ///< in one Snapshot
 inline constexpr std::size_t kMaxDeltaGaussians = std::size_t{1} << 20;  ///< in one TensorDelta
 inline constexpr std::size_t kMaxObjects = 4096;
@@ -21,9 +21,9 @@ inline constexpr std::size_t kMaxPacketBytes = std::size_t{1} << 20;   ///< the 
 inline constexpr std::size_t kMaxPayloadBytes = std::size_t{1} << 28;  ///< the payload frame
 
 /// value = offset + step * q, in the attribute's coding space (below). Finite, step > 0.
-struct Quantiser {
+struct Quantizer {
   float offset = 0, step = 1;
-  bool operator==(const Quantiser&) const = default;
+  bool operator==(const Quantizer&) const = default;
 };
 
 /// One attribute's channels among the integer planes of a stream.
@@ -31,11 +31,11 @@ struct AttributeChannels {
   Attribute attribute{};
   int first = 0, channels = 0;
   std::int32_t minimum = 0, maximum = 0;  ///< of q; whatever lies outside is refused
-  Quantiser quantiser;
+  Quantizer quantizer;
   bool operator==(const AttributeChannels&) const = default;
 };
 
-/// Which attributes a stream carries, in which order, and how each is quantised. Coding space of the attributes:
+/// Which attributes a stream carries, in which order, and how each is quantized. Coding space of the attributes:
 ///
 ///   Mean        metres, object's frame                LogScale   as in the model
 ///   Rotation    rotation vector (axis times angle), of that one among the four rotations with the same covariance
@@ -50,7 +50,7 @@ class StreamLayout {
  public:
   StreamLayout() : StreamLayout(ParameterLayout{}, 1.0F) {}
 
-  /// The streamer's choice. `mean_step_m`: see choose_mean_step.
+  /// The streamer's choice. `mean_step_m`: see ModelQuantizer::choose_mean_step.
   StreamLayout(const ParameterLayout& parameters, float mean_step_m);
 
   /// As a SnapshotBegin says. Throws StreamError.
@@ -70,7 +70,7 @@ class StreamLayout {
   bool operator==(const StreamLayout&) const = default;
 
  private:
-  void add(Attribute attribute, int channels, Quantiser quantiser, std::int32_t minimum, std::int32_t maximum);
+  void add(Attribute attribute, int channels, Quantizer quantizer, std::int32_t minimum, std::int32_t maximum);
 
   ParameterLayout parameters_;
   std::vector<AttributeChannels> attributes_;
@@ -81,11 +81,8 @@ class StreamLayout {
 /// own.
 [[nodiscard]] int parameter_channel(Attribute attribute);
 
-/// A 32nd of the median Gaussian's extent (second largest scale), rounded down to a power of two, between 2^-20 and 1
-/// m; 2^-11 m when there is none. Error of a mean: at most half of that, under 2 % of a typical Gaussian's sigma.
-[[nodiscard]] float choose_mean_step(const GaussiansView& gaussians);
 inline constexpr float kDefaultMeanStep_m = 1.0F / 2048;
-/// The same from the median of the log of the extents.
+/// ModelQuantizer::choose_mean_step from the median of the log of the extents.
 [[nodiscard]] float mean_step_for(float median_log_extent);
 
 }  // namespace splatbus::stream

@@ -5,7 +5,7 @@
 #include <chrono>
 #include <cstring>
 
-#include "stream/error.h"
+#include "stream/bytes.h"
 #include "stream/layout.h"
 
 namespace splatbus::stream {

@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cassert>
 
-#include "stream/chunk_codec.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 
 namespace splatbus::stream {
 
@@ -44,13 +44,13 @@ bool Replica::receive(const ParsedPacket& packet) {
     return false;
   }
   if (packet.stream_epoch() != epoch() || epoch() == 0) return false;
-  if (packet.body() == wire::Body::Alive) {
-    last_known_ = std::max(last_known_, packet.root().body_as_Alive()->last_sequence());
+  if (packet.body() == wire::Body::Keepalive) {
+    last_known_ = std::max(last_known_, packet.root().body_as_Keepalive()->last_sequence());
     return false;
   }
   if (!is_numbered_content(packet.body())) return false;
   if (packet.sequence() == 0) return load(packet);
-  if (broken_ || packet.sequence() <= base()) return false;
+  if (needs_snapshot() || packet.sequence() <= base()) return false;
   last_known_ = std::max(last_known_, packet.sequence());
   if (loading() || packet.sequence() != base() + 1) {
     keep(packet);
@@ -64,16 +64,17 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   if (epoch == 0) throw StreamError("SnapshotBegin: no stream epoch");
   if (body.total() > max_gaussians_ || body.chunk_count() > body.total() ||
       (body.total() > 0 && body.chunk_count() == 0)) {
-    throw StreamError(fmt::format("SnapshotBegin: {} Gaussians in {} chunks, at most {} Gaussians are accepted",
-                                  body.total(), body.chunk_count(), max_gaussians_));
+    refuse_snapshot(fmt::format("SnapshotBegin: {} Gaussians in {} chunks, at most {} Gaussians are accepted",
+                                body.total(), body.chunk_count(), max_gaussians_));
   }
-  Loading loading(StreamLayout::from_wire(body));
+  const StreamLayout layout = layout_of(body);
+  Loading loading(layout, stream_);
   loading.snapshot = body.snapshot();
   loading.total = body.total();
   loading.chunk_count = body.chunk_count();
-  HeldState& state = loading.shown.state;
-  state.layout = StreamLayout::from_wire(body);
-  state.gaussians = QuantisedGaussians(state.layout);
+  ReplicatedState& state = loading.shown.state;
+  state.layout = layout;
+  state.gaussians = QuantizedGaussians(state.layout);
   state.epoch = epoch;
   state.sequence = body.as_of();
   state.scene = scene();  // until the snapshot's own arrives
@@ -85,7 +86,7 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   last_known_ = std::max(last_known_, body.as_of());
   loading_ = std::move(loading);
   ++version_;
-  broken_ = false;
+  refusal_.clear();
   if (loading_->total == 0) finish_loading();
 }
 
@@ -115,7 +116,7 @@ bool Replica::load_chunk(const ParsedPacket& packet) {
   const std::size_t column = part.state.gaussians.count();
   if (column + body.count() > loading_->total) refuse_snapshot("Snapshot: chunks overlap");
   part.state.gaussians.append(decode_chunk(packet.payload(), part.state.layout, body.count()));
-  part.planes.extend(part.state.gaussians);
+  part.display.extend(part.state.gaussians);
   ++version_;
   loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
   const bool visible = shown() == &part;
@@ -140,8 +141,16 @@ bool Replica::load_ids(const ParsedPacket& packet) {
 void Replica::refuse_snapshot(const std::string& why) {
   loading_.reset();
   ++version_;
-  broken_ = true;
+  refusal_ = why;
   throw StreamError(why);
+}
+
+StreamLayout Replica::layout_of(const wire::SnapshotBegin& body) {
+  try {
+    return StreamLayout::from_wire(body);
+  } catch (const StreamError& error) {
+    refuse_snapshot(error.what());
+  }
 }
 
 void Replica::finish_loading() {
@@ -156,7 +165,7 @@ void Replica::finish_loading() {
   held_ = std::make_unique<Shown>(std::move(loading.shown));
   ++version_;
   held_->state.gaussians = held_->state.gaussians.gather(order);
-  held_->planes.reorder(order);
+  held_->display.reorder(order);
   missing_ids_ = loading.total;
   loading_.reset();
 }
@@ -164,19 +173,19 @@ void Replica::finish_loading() {
 bool Replica::apply_to(Shown& shown, const ParsedPacket& packet) {
   const Change change = apply(shown.state, packet, max_gaussians_);
   if (change.kind != Change::Kind::Scene && change.kind != Change::Kind::Nothing) ++version_;
-  const QuantisedGaussians& gaussians = shown.state.gaussians;
+  const QuantizedGaussians& gaussians = shown.state.gaussians;
   switch (change.kind) {
     case Change::Kind::Appended:
-      shown.planes.extend(gaussians);
+      shown.display.extend(gaussians);
       break;
     case Change::Kind::Values:
-      shown.planes.update(gaussians, change.attribute, change.slots);
+      shown.display.update(gaussians, change.attribute, change.slots);
       break;
     case Change::Kind::Removed:
-      shown.planes.remove(change.slots);
+      shown.display.remove(change.slots);
       break;
     case Change::Kind::Objects:
-      shown.planes.update_objects(gaussians, change.slots);
+      shown.display.update_objects(gaussians, change.slots);
       break;
     case Change::Kind::Scene:
       break;
@@ -191,15 +200,15 @@ bool Replica::apply_in_order(const ParsedPacket& packet) {
     const bool changed = apply_to(*held_, packet);
     held_->state.sequence = packet.sequence();
     return changed;
-  } catch (const StreamError&) {
-    broken_ = true;
+  } catch (const StreamError& error) {
+    refusal_ = error.what();
     throw;
   }
 }
 
 bool Replica::drain() {
   bool changed = false;
-  while (!loading() && !broken_ && !early_.empty() && early_.begin()->first <= base() + 1) {
+  while (!loading() && !needs_snapshot() && !early_.empty() && early_.begin()->first <= base() + 1) {
     const auto node = early_.extract(early_.begin());
     early_bytes_ -= std::min(early_bytes_, node.mapped().bytes());
     // What the snapshot already has is dropped.
@@ -214,7 +223,7 @@ void Replica::keep(const ParsedPacket& packet) {
 }
 
 const Replica::Shown* Replica::shown() const {
-  if (held_ && (held_->planes.count() > 0 || !loading_)) return held_.get();
+  if (held_ && (held_->display.count() > 0 || !loading_)) return held_.get();
   return loading_ ? &loading_->shown : nullptr;
 }
 
@@ -225,7 +234,7 @@ std::uint64_t Replica::base() const {
 
 GaussiansView Replica::view() const {
   const Shown* s = shown();
-  return s ? s->planes.view() : GaussiansView{};
+  return s ? s->display.view() : GaussiansView{};
 }
 
 const SceneState& Replica::scene() const {
@@ -245,7 +254,7 @@ std::uint32_t Replica::missing_chunks() const {
 }
 
 std::optional<MissingPackets> Replica::missing() const {
-  if (loading() || broken_ || !held_) return std::nullopt;
+  if (loading() || needs_snapshot() || !held_) return std::nullopt;
   const std::uint64_t next = base() + 1;
   if (!early_.empty()) return MissingPackets{next, early_.begin()->first - 1};
   if (last_known_ >= next) return MissingPackets{next, last_known_};

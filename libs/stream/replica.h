@@ -6,8 +6,8 @@
 #include <optional>
 #include <string>
 
-#include "stream/display_planes.h"
-#include "stream/held_state.h"
+#include "stream/display_gaussians.h"
+#include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 
@@ -17,14 +17,17 @@ struct MissingPackets {
   bool operator==(const MissingPackets&) const = default;
 };
 
-/// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe.
+/// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe. All of it throws
+/// std::runtime_error when the device fails.
 ///
 /// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before,
 /// else the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for
 /// those missing before them, and for the end of a snapshot: the ids that close it are those of its slots.
 class Replica {
  public:
-  explicit Replica(std::size_t max_gaussians = std::size_t{1} << 22) : max_gaussians_(max_gaussians) {}
+  /// `device`: where view() lies.
+  explicit Replica(std::size_t max_gaussians = kMaxGaussians, Device device = Device::Cpu)
+      : max_gaussians_(max_gaussians), stream_(device) {}
 
   /// Takes any packet of the stream; those that are not about the model (Welcome, ProbePicture, ...) change nothing.
   /// True when the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was,
@@ -44,23 +47,25 @@ class Replica {
 
   /// What to ask a Resend for; nullopt while nothing is known to be missing.
   [[nodiscard]] std::optional<MissingPackets> missing() const;
-  /// A broadcast packet did not apply, or a snapshot contradicted itself: only another snapshot helps.
-  [[nodiscard]] bool needs_snapshot() const { return broken_; }
+  /// A broadcast packet did not apply, or a snapshot was refused: only another snapshot helps.
+  [[nodiscard]] bool needs_snapshot() const { return !refusal_.empty(); }
+  /// Why; empty while nothing is wrong.
+  [[nodiscard]] const std::string& refusal() const { return refusal_; }
 
   /// Exactly what is held, null before the first whole snapshot. For tests and statistics.
-  [[nodiscard]] const HeldState* held() const { return held_ ? &held_->state : nullptr; }
+  [[nodiscard]] const ReplicatedState* held() const { return held_ ? &held_->state : nullptr; }
 
  private:
   struct Shown {
-    explicit Shown(const StreamLayout& layout) : planes(layout) {}
-    HeldState state;
-    DisplayPlanes planes;
+    Shown(const StreamLayout& layout, device::StreamView stream) : display(layout, stream) {}
+    ReplicatedState state;
+    DisplayGaussians display;
   };
   struct Chunk {
     std::size_t column = 0, count = 0;  ///< where it lies in `Loading::shown`
   };
   struct Loading {
-    explicit Loading(const StreamLayout& layout) : shown(layout) {}
+    Loading(const StreamLayout& layout, device::StreamView stream) : shown(layout, stream) {}
     std::uint64_t snapshot = 0;
     std::size_t total = 0, chunk_count = 0;
     std::map<std::size_t, Chunk> chunks;  ///< by first slot
@@ -68,6 +73,7 @@ class Replica {
   };
 
   void begin(const wire::SnapshotBegin& body, std::uint64_t epoch);
+  [[nodiscard]] StreamLayout layout_of(const wire::SnapshotBegin& body);
   bool load(const ParsedPacket& packet);
   bool load_chunk(const ParsedPacket& packet);
   bool load_ids(const ParsedPacket& packet);
@@ -81,13 +87,14 @@ class Replica {
   [[nodiscard]] std::uint64_t base() const;
 
   std::size_t max_gaussians_;
+  device::Stream stream_;
   std::unique_ptr<Shown> held_;
   std::optional<Loading> loading_;
   std::size_t missing_ids_ = 0;  ///< of the snapshot whose chunks are all held
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
   std::uint64_t last_known_ = 0, version_ = 0;
-  bool broken_ = false;
+  std::string refusal_;
 };
 
 }  // namespace splatbus::stream

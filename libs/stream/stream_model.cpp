@@ -7,17 +7,16 @@
 #include <numeric>
 #include <unordered_set>
 
-#include "stream/chunk_codec.h"
-#include "stream/error.h"
-#include "stream/importance.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
+#include "stream/delta_selection.h"
 
 namespace splatbus::stream {
 
-StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options,
-                         std::unique_ptr<Observer> observer)
+StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options, Device device)
     : writer_(std::move(writer)),
       options_(options),
-      observer_(std::move(observer)),
+      quantizer_(device),
       selection_(StreamLayout{}, options_.schedules, options_.calm_ticks) {
   assert(options_.chunk_gaussians > 0 && options_.chunk_gaussians <= kMaxChunkGaussians);
   held_.epoch = stream_epoch;
@@ -53,20 +52,20 @@ std::vector<std::uint32_t> StreamModel::slots_of(std::span<const std::uint64_t> 
 }
 
 bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid) {
-  if (gaussians.count > kMaxGaussians) {
-    throw StreamError(fmt::format("model: {} Gaussians, at most {} can be streamed", gaussians.count, kMaxGaussians));
+  if (gaussians.count > kMaxModelGaussians) {
+    throw StreamError(fmt::format("model: {} Gaussians, at most {} can be read", gaussians.count, kMaxModelGaussians));
   }
   const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
   const StreamLayout layout =
-      another || !ready_ ? StreamLayout(gaussians.layout, observer_->choose_mean_step(gaussians)) : *target_layout_;
+      another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
   const bool mirrored = ready_ && !another;
-  const std::span<const std::uint64_t> ids = observer_->ids(gaussians);
+  const std::span<const std::uint64_t> ids = quantizer_.ids(gaussians);
   const std::vector<std::uint32_t> slots = mirrored ? slots_of(ids) : std::vector<std::uint32_t>(ids.size(), kNotHeld);
-  observer_->quantise(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
+  quantizer_.quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
   if (still_valid && !still_valid()) return false;
 
   if (another) ready_ = false;
-  observer_->commit(target_, usable_);
+  quantizer_.commit(target_, usable_);
   target_layout_ = layout;
   if (ready_) map_columns();
   return true;
@@ -103,13 +102,14 @@ void StreamModel::map_columns() {
   std::erase_if(fresh_, [&](std::uint32_t column) { return !seen.insert(target_.gaussian_id[column]).second; });
 }
 
-void StreamModel::jump() {
+void StreamModel::reset_to_target() {
   assert(observed());
   std::vector<std::uint32_t> usable;
   std::unordered_set<std::uint64_t> seen;
   for (std::uint32_t column = 0; column < target_.count(); ++column) {
     if (usable_[column] && seen.insert(target_.gaussian_id[column]).second) usable.push_back(column);
   }
+  if (usable.size() > options_.max_gaussians) usable.resize(options_.max_gaussians);
   held_.layout = *target_layout_;
   held_.gaussians = target_.gather(morton_order(target_, *target_layout_, usable));
   held_.scene = scene_;
@@ -121,6 +121,10 @@ void StreamModel::jump() {
   index_ids();
   map_columns();
   ready_ = true;
+}
+
+std::size_t StreamModel::room() const {
+  return options_.max_gaussians - std::min(options_.max_gaussians, held_.gaussians.count());
 }
 
 std::vector<std::size_t> StreamModel::chunk_order(const std::optional<Camera>& camera) const {

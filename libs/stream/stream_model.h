@@ -2,7 +2,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <span>
 #include <unordered_map>
@@ -10,13 +9,14 @@
 
 #include "gaussians/camera.h"
 #include "stream/delta_selection.h"
-#include "stream/held_state.h"
-#include "stream/observer.h"
+#include "stream/model_quantizer.h"
+#include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 
 struct StreamOptions {
-  std::size_t chunk_gaussians = 4096;  ///< a Snapshot packet at most
+  std::size_t chunk_gaussians = 4096;         ///< a Snapshot packet at most
+  std::size_t max_gaussians = kMaxGaussians;  ///< that viewers hold; of a larger model a part is served
   Schedules schedules = default_schedules();
   std::uint32_t calm_ticks = 8;
 };
@@ -33,11 +33,11 @@ struct EncodedSnapshot {
 /// model. The mirror changes only by the very bytes that are sent. Not thread-safe.
 class StreamModel {
  public:
-  /// `observer` decides in which memory the views lie that observe() is given.
+  /// `device`: in whose memory the views lie that observe() is given.
   StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options = {},
-              std::unique_ptr<Observer> observer = make_host_observer());
+              Device device = Device::Cpu);
 
-  /// Quantises what is published now into memory of its own; `still_valid` says afterwards whether what was read was
+  /// Quantizes what is published now into memory of its own; `still_valid` says afterwards whether what was read was
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
   /// is false.
   bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
@@ -47,29 +47,33 @@ class StreamModel {
 
   /// What was observed becomes what is held, without packets: for when nobody holds anything, or everybody gets a
   /// snapshot. Takes one sequence number, so that whoever held something before notices.
-  void jump();
-  /// Nobody holds anything any more: the next jump() may choose other quantisers.
+  void reset_to_target();
+  /// Nobody holds anything any more: the next reset_to_target() may choose other quantizers.
   void release() { ready_ = false; }
-  /// False before the first jump(), after release(), and when the observed layout is another one: only jump() helps.
+  /// False before the first reset_to_target(), after release(), and when the observed layout is another one: only
+  /// reset_to_target() helps.
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
   /// Broadcast packets of one tick: scene, removals, object ids, visibility, new Gaussians, deltas. What viewers see
-  /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready().
+  /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready(). When it throws,
+  /// packets are lost that the mirror has taken: ready() is then false.
   [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
 
-  /// Only the scene's: for when the model could not be observed.
+  /// Only the scene's: for when the model could not be observed. As tick() otherwise.
   [[nodiscard]] std::vector<EncodedPacket> tick_scene_only();
 
   [[nodiscard]] EncodedSnapshot snapshot();
   /// Chunks of a snapshot of what is held now, most visible from `camera` first. Without a camera: as they come.
   [[nodiscard]] std::vector<std::size_t> chunk_order(const std::optional<Camera>& camera) const;
 
-  [[nodiscard]] const HeldState& held() const { return held_; }
+  [[nodiscard]] const ReplicatedState& held() const { return held_; }
   [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
-  [[nodiscard]] const QuantisedGaussians& observed_gaussians() const { return target_; }
-  [[nodiscard]] const Observer& observer() const { return *observer_; }
+  [[nodiscard]] const QuantizedGaussians& observed_gaussians() const { return target_; }
+  [[nodiscard]] const ModelQuantizer& quantizer() const { return quantizer_; }
   [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }  ///< observed, not held, after the last tick
+  /// Viewers hold as many Gaussians as they take, and the model has more.
+  [[nodiscard]] bool full() const { return room() == 0 && !fresh_.empty(); }
   [[nodiscard]] std::size_t pending_deltas() const { return selection_.pending(); }
 
  private:
@@ -78,6 +82,7 @@ class StreamModel {
   [[nodiscard]] std::vector<std::uint32_t> slots_of(std::span<const std::uint64_t> ids) const;
   void map_columns();
   void index_ids();
+  [[nodiscard]] std::size_t room() const;
   void tick_scene(std::vector<EncodedPacket>& out);
   void tick_removals(std::vector<EncodedPacket>& out);
   void tick_objects(std::vector<EncodedPacket>& out);
@@ -88,8 +93,8 @@ class StreamModel {
 
   PacketWriter writer_;
   StreamOptions options_;
-  std::unique_ptr<Observer> observer_;
-  HeldState held_;
+  ModelQuantizer quantizer_;
+  ReplicatedState held_;
   DeltaSelection selection_;
   bool ready_ = false;
 
@@ -98,7 +103,7 @@ class StreamModel {
   bool light_changed_ = false, objects_changed_ = false;
 
   std::optional<StreamLayout> target_layout_;
-  QuantisedGaussians target_;
+  QuantizedGaussians target_;
   std::vector<std::uint8_t> usable_;
   std::vector<std::uint32_t> slot_of_column_;  ///< kNotHeld: not held
   std::vector<std::uint32_t> column_of_slot_;  ///< kNotHeld: not in the target, or not usable

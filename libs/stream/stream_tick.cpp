@@ -3,8 +3,8 @@
 #include <cmath>
 #include <numeric>
 
-#include "stream/chunk_codec.h"
-#include "stream/importance.h"
+#include "stream/codecs.h"
+#include "stream/delta_selection.h"
 #include "stream/stream_model.h"
 #include "wire/convert.h"
 
@@ -12,7 +12,7 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr std::size_t kSmallestChunk = 256;      // below that Draco's tables cost more than the Gaussians
+constexpr std::size_t kMinChunk = 256;           // below that Draco's tables cost more than the Gaussians
 constexpr double kAppendShare = 0.8;             // of the budget, while deltas wait
 constexpr std::int32_t kVisibilityDeadZone = 3;  // of 255
 
@@ -30,12 +30,13 @@ template <class Build>
 void StreamModel::emit(std::vector<EncodedPacket>& out, wire::Body body, Build&& build, Payload payload) {
   const std::uint64_t sequence = held_.sequence + 1;
   out.push_back(writer_.write(held_.epoch, sequence, body, build, std::move(payload.bytes)));
-  apply(held_, ParsedPacket::parse(out.back().packet, out.back().payload));
+  apply(held_, ParsedPacket::parse(out.back().packet, out.back().payload), options_.max_gaussians);
   held_.sequence = sequence;
 }
 
 std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<const Camera> viewers) {
   assert(ready_);
+  ready_ = false;  // an exception loses the packets that the mirror has taken
   std::vector<EncodedPacket> out;
   tick_scene(out);
   tick_removals(out);
@@ -47,12 +48,16 @@ std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<cons
   tick_appends(out, selection_.pending() > 0 ? kAppendShare * left : left, viewers);
   for (std::size_t i = before; i < out.size(); ++i) left -= static_cast<double>(out[i].bytes());
   tick_deltas(out, left, viewers);
+  ready_ = true;
   return out;
 }
 
 std::vector<EncodedPacket> StreamModel::tick_scene_only() {
+  assert(ready_);
+  ready_ = false;
   std::vector<EncodedPacket> out;
   tick_scene(out);
+  ready_ = true;
   return out;
 }
 
@@ -103,7 +108,7 @@ void StreamModel::tick_objects(std::vector<EncodedPacket>& out) {
 void StreamModel::tick_visibility(std::vector<EncodedPacket>& out) {
   const AttributeChannels* a = held_.layout.find(Attribute::Visibility);
   if (!a) return;
-  const std::vector<std::int32_t>&held = held_.gaussians.planes[a->first], &target = target_.planes[a->first];
+  const std::vector<std::int32_t>&held = held_.gaussians.channels[a->first], &target = target_.channels[a->first];
   Bytes residuals(held.size());
   std::size_t first = held.size(), last = 0;
   for (std::size_t slot = 0; slot < held.size(); ++slot) {
@@ -121,7 +126,7 @@ void StreamModel::tick_visibility(std::vector<EncodedPacket>& out) {
 }
 
 void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns) {
-  const QuantisedGaussians chunk = target_.gather(columns);
+  const QuantizedGaussians chunk = target_.gather(columns);
   const std::size_t first = held_.gaussians.count();
   const std::size_t before = out.size();
   emit(out, wire::Body::Snapshot,
@@ -144,8 +149,9 @@ void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const 
 }
 
 void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers) {
-  if (fresh_.empty() || budget_bytes <= 0) return;
-  const double affordable = std::max(budget_bytes / chunk_bytes_per_gaussian_, static_cast<double>(kSmallestChunk));
+  std::size_t room_left = room();
+  if (fresh_.empty() || budget_bytes <= 0 || room_left == 0) return;
+  const double affordable = std::max(budget_bytes / chunk_bytes_per_gaussian_, static_cast<double>(kMinChunk));
   const auto order = morton_order(target_, held_.layout, fresh_);
   const std::size_t size = std::min(options_.chunk_gaussians, static_cast<std::size_t>(affordable));
   std::vector<std::pair<double, std::size_t>> chunks;  // mean share, first in `order`
@@ -160,12 +166,13 @@ void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_by
   std::vector<std::uint8_t> sent(target_.count());
   double left = budget_bytes;
   for (const auto& [mean_share, first] : chunks) {
-    const std::size_t count = std::min(size, order.size() - first);
+    const std::size_t count = std::min({size, order.size() - first, room_left});
     const double cost = static_cast<double>(count) * chunk_bytes_per_gaussian_;
-    if (left < budget_bytes && cost > left) break;  // at least one
+    if (count == 0 || (left < budget_bytes && cost > left)) break;  // at least one
     append_chunk(out, std::span(order).subspan(first, count));
     for (std::size_t i = first; i < first + count; ++i) sent[order[i]] = 1;
     left -= cost;
+    room_left -= count;
   }
   std::erase_if(fresh_, [&](std::uint32_t column) { return sent[column] != 0; });
 }
@@ -198,9 +205,9 @@ EncodedSnapshot StreamModel::snapshot() {
   snapshot.head.push_back(unicast(wire::Body::SnapshotBegin, [&](auto& builder) {
     std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
     for (const AttributeChannels& a : held_.layout.attributes()) {
-      const wire::Quantiser quantiser(a.quantiser.offset, a.quantiser.step);
+      const wire::Quantizer quantizer(a.quantizer.offset, a.quantizer.step);
       attributes.push_back(
-          wire::CreateTensorMetadata(builder, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
+          wire::CreateTensorMetadata(builder, a.attribute, static_cast<std::uint32_t>(a.channels), &quantizer));
     }
     const ParameterLayout& parameters = held_.layout.parameters();
     const bool transfer = parameters.appearance == Appearance::Transfer;
@@ -219,7 +226,7 @@ EncodedSnapshot StreamModel::snapshot() {
   for (std::size_t first = 0; first < total; first += size) {
     std::vector<std::uint32_t> slots(std::min(size, total - first));
     std::iota(slots.begin(), slots.end(), static_cast<std::uint32_t>(first));
-    const QuantisedGaussians chunk = held_.gaussians.gather(slots);
+    const QuantizedGaussians chunk = held_.gaussians.gather(slots);
     snapshot.chunks.push_back(unicast(
         wire::Body::Snapshot,
         [&](auto& builder) {

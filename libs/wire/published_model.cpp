@@ -46,8 +46,8 @@ std::optional<bus::TensorView> find_plane(const bus::Message& message, const cha
 
 }  // namespace
 
-std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, bus::MemoryKind kind, Need need) {
-  const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
+std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, Device kind, Need need) {
+  const auto& published = message.root<wire::ModelPublished>();
   if (published.capacity() == 0 || published.capacity() > kCapacityLimit) {
     reject(message, "capacity " + std::to_string(published.capacity()) + " is not within 1 and " +
                         std::to_string(kCapacityLimit));

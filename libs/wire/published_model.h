@@ -26,7 +26,7 @@ class PublishedModel {
   /// of other sizes than count and capacity say, or not all in one slot of one slab; that values are finite is not
   /// checked).
   [[nodiscard]] static std::optional<PublishedModel> open(const bus::Message& message,
-                                                          bus::MemoryKind kind = bus::MemoryKind::Host,
+                                                          Device kind = Device::Cpu,
                                                           Need need = Need::Both);
 
   /// Brings copied planes up to date; false when the structure has moved on. Planes that are read in place always are.
@@ -53,7 +53,7 @@ class PublishedModel {
   std::uint64_t generation_ = 0, step_ = 0, copied_bytes_ = 0;
   GaussiansView live_, average_;
   std::vector<Plane> planes_;
-  bus::MemoryKind kind_ = bus::MemoryKind::Host;
+  Device kind_ = Device::Cpu;
   std::shared_ptr<std::byte> copies_;  // null when planes are read in place
 };
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "bus/clock.h"
+#include "wire/topics.h"
 
 namespace splatbus::bus_service {
 namespace {
@@ -23,7 +24,7 @@ bus::Frames make_frames(std::string_view topic, const flatbuffers::FlatBufferBui
 
 OwnMessages::OwnMessages() : epoch_(static_cast<std::uint64_t>(bus::now_ns())) {}
 
-flatbuffers::Offset<wire::Header> OwnMessages::header(flatbuffers::FlatBufferBuilder& builder, const char* schema,
+flatbuffers::Offset<wire::Header> OwnMessages::header(flatbuffers::FlatBufferBuilder& builder, std::string_view schema,
                                                       std::uint64_t sequence) const {
   const auto schema_text = builder.CreateString(schema);
   const auto source = builder.CreateString(own_source);
@@ -36,7 +37,7 @@ flatbuffers::Offset<wire::Header> OwnMessages::header(flatbuffers::FlatBufferBui
 
 bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::ServiceState state) {
   flatbuffers::FlatBufferBuilder builder;
-  const auto head = header(builder, "Heartbeat/1", ++heartbeats_);
+  const auto head = header(builder, topics::kHeartbeat.schema, ++heartbeats_);
   const std::pair<const char*, std::uint64_t> counters[] = {
       {"relayed", statistics.relayed}, {"malformed", statistics.malformed},
       {"inlined", statistics.inlined}, {"inline_dropped", statistics.inline_dropped},
@@ -48,12 +49,12 @@ bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::Ser
   }
   builder.Finish(wire::CreateHeartbeatDirect(builder, head, own_source, static_cast<std::uint32_t>(::getpid()), state,
                                              nullptr, &offsets, nullptr));
-  return make_frames("sys/heartbeat", builder);
+  return make_frames(topics::kHeartbeat.name, builder);
 }
 
 bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& nodes) {
   flatbuffers::FlatBufferBuilder builder;
-  const auto head = header(builder, "Liveness/1", ++liveness_messages_);
+  const auto head = header(builder, topics::kLiveness.schema, ++liveness_messages_);
   const std::int64_t now = bus::now_ns();
   std::vector<flatbuffers::Offset<wire::Node>> offsets;
   offsets.reserve(nodes.size());
@@ -62,7 +63,7 @@ bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& n
                                              node.state, node.alive, static_cast<double>(now - node.heard_ns) * 1e-9));
   }
   builder.Finish(wire::CreateLivenessDirect(builder, head, &offsets));
-  return make_frames("sys/liveness", builder);
+  return make_frames(topics::kLiveness.name, builder);
 }
 
 }  // namespace splatbus::bus_service

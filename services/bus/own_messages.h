@@ -19,7 +19,7 @@ class OwnMessages {
   bus::Frames liveness(const std::map<std::string, Liveness::Node>& nodes);
 
  private:
-  flatbuffers::Offset<wire::Header> header(flatbuffers::FlatBufferBuilder& builder, const char* schema,
+  flatbuffers::Offset<wire::Header> header(flatbuffers::FlatBufferBuilder& builder, std::string_view schema,
                                            std::uint64_t sequence) const;
 
   const std::uint64_t epoch_;

@@ -10,6 +10,7 @@
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/sockets.h"
+#include "wire/topics.h"
 
 namespace splatbus::bus_service {
 namespace {
@@ -152,7 +153,7 @@ void Relay::relay(const bus::Frames& frames, bool local) {
   const auto* const header = bus::verified_header(frames.body, why);
   if (header == nullptr) return refuse(frames, why);
   if (!local && has_slab_tensors(*header)) return refuse(frames, "a tensor in a slab cannot come over tcp");
-  if (frames.topic_text() == "sys/heartbeat") {
+  if (frames.topic_text() == topics::kHeartbeat.name) {
     flatbuffers::Verifier verifier(frames.body.data<std::uint8_t>(), frames.body.size(), 8, 4096);
     if (!verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) return refuse(frames, "it does not verify as a Heartbeat");
     liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), bus::now_ns());
@@ -190,7 +191,7 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
 }
 
 void Relay::warn_of_namesakes(const std::string& topic, const wire::Header& header, const wire::Header& known) {
-  if (topic != "sys/heartbeat" || header.epoch() >= known.epoch() || !limiter_.allow()) return;
+  if (topic != topics::kHeartbeat.name || header.epoch() >= known.epoch() || !limiter_.allow()) return;
   spdlog::warn("two processes call themselves '{}'; the one that started first is not heard",
                bus::printable(header.source()->string_view()));
 }
@@ -242,7 +243,7 @@ void Relay::tick() {
   if (now < next_beat_ns_) return;
   next_beat_ns_ = now + beat_ns;
   relay(own_.heartbeat(statistics(), wire::ServiceState::Running), true);
-  for (const auto& source : liveness_.update(now)) held_.erase("sys/heartbeat", source);
+  for (const auto& source : liveness_.update(now)) held_.erase(std::string(topics::kHeartbeat.name), source);
   if (!liveness_.take_changed() && now < next_liveness_ns_) return;
   next_liveness_ns_ = now + liveness_ns;
   relay(own_.liveness(liveness_.nodes()), true);

@@ -10,7 +10,6 @@
 #include "bus/clock.h"
 #include "bus/memory.h"
 #include "capture-bridge/engine_frame.h"
-#include "capture-bridge/parameters.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/viewer_generated.h"
@@ -25,7 +24,7 @@ constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is as
 constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
 constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
 constexpr std::size_t kMostProbes = 64;
-constexpr int kMostMessagesAStep = 256;
+constexpr int kMaxMessagesAStep = 256;
 
 std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(seconds * 1e9);
@@ -33,87 +32,69 @@ std::int64_t nanoseconds(double seconds) {
 
 }  // namespace
 
-CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-                             bus::Backend backend)
+CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend)
     : context_(std::move(context)),
-      parameters_(parameters),
-      subscriber_(context_, {"engine/frame", "viewer/pose", "viewer/probe", "trainer/stats", "grid/state"}),
-      cameras_publisher_(context_, "engine/cameras"),
-      forwarder_(context_, bus::memory_of(backend)),
+      options_(parameters),
+      subscriber_(context_),
+      publisher_(context_),
+      forwarder_(context_, backend),
       // A restarted bridge must not repeat ids of the one before: the engine has answered those.
       rigs_(parameters, context_->epoch()),
       probes_(kMostProbes),
-      input_pictures_(bus::memory_of(backend)),
-      worker_(context_, backend, round_sizes(parameters)) {
-  const RoundSizes expected = round_sizes(parameters);
+      input_pictures_(backend),
+      worker_(context_, backend, options_->round_sizes()) {
+  const RoundSizes expected = options_->round_sizes();
+  subscribe();
   input_pictures_.reserve(expected.views, input_view_bytes(expected.pixels));
 }
 
 void CaptureBridge::step(std::chrono::milliseconds timeout) {
+  options_.refresh();
   update_rigs(bus::now_ns());
   publish_cameras();
-  auto message = subscriber_.receive(timeout);
-  for (int taken = 0; message && taken < kMostMessagesAStep; ++taken) {
-    bus::guarded(*message, [&] { handle(*message); });
-    message = subscriber_.receive(std::chrono::milliseconds(0));
-  }
-  if (message) bus::guarded(*message, [&] { handle(*message); });
-  const bool failed = worker_.take_failure();
-  if (std::exchange(frame_failed_, false) || failed) bus::require_usable(input_pictures_.kind());
+  subscriber_.dispatch_all(timeout, kMaxMessagesAStep);
+  const bool refused = std::exchange(counters_.refused, subscriber_.refused()) != subscriber_.refused();
+  if (worker_.take_failure() || refused) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
   update_round(now);
   update_probes(now);
   publish_cameras();
 }
 
-void CaptureBridge::handle(const bus::Message& message) {
-  const std::string& topic = message.topic();
-  if (topic == "engine/frame") {
-    handle_frame(message);
-  } else if (topic == "viewer/pose") {
-    handle_pose(message);
-  } else if (topic == "viewer/probe") {
-    handle_probe(message);
-  } else if (topic == "trainer/stats") {
-    handle_trainer_stats(message);
-  } else {
-    handle_grid_state(message);
-  }
+void CaptureBridge::subscribe() {
+  subscriber_
+      .on(topics::kEngineFrame,
+          [this](const wire::EngineFrame& frame, const bus::Message& message) { handle_frame(frame, message); })
+      .on(topics::kViewerPose, [this](const wire::ViewerPose& pose, const bus::Message&) { handle_pose(pose); })
+      .on(topics::kViewerProbe,
+          [this](const wire::ViewerProbe& asked, const bus::Message& message) { handle_probe(asked, message); })
+      .on(topics::kTrainerStats, [this](const wire::TrainerStats& stats,
+                                        const bus::Message& message) { handle_trainer_stats(stats, message); })
+      .on(topics::kGridState, [this](const wire::GridState& state, const bus::Message&) { handle_grid_state(state); });
 }
 
-void CaptureBridge::handle_frame(const bus::Message& message) {
+void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Message& message) {
   ++counters_.frames;
-  try {
-    const auto& frame = message.root<wire::EngineFrame>("EngineFrame/1");
-    forwarder_.scene(frame);
-    switch (frame.camera()->role()) {
-      case wire::CameraRole::Input:
-        handle_input(message, frame);
-        break;
-      case wire::CameraRole::Reference: {
-        const bool sent = forwarder_.reference(message, frame);
-        sent ? ++counters_.references : ++counters_.frames_lost;
-        if (sent) references_published_.insert(frame.camera()->id());
-        if (sent) view_published_ns_ = bus::now_ns();
-        break;
-      }
-      case wire::CameraRole::Probe:
-        handle_probe_frame(message, frame);
-        break;
-      case wire::CameraRole::Light:
-        forwarder_.light_depth(message, frame, host_copied_bytes_) ? ++counters_.light_depths : ++counters_.frames_lost;
-        break;
-      default:
-        throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
+  forwarder_.scene(frame);
+  switch (frame.camera()->role()) {
+    case wire::CameraRole::Input:
+      handle_input(message, frame);
+      break;
+    case wire::CameraRole::Reference: {
+      const bool sent = forwarder_.reference(message, frame);
+      sent ? ++counters_.references : ++counters_.frames_lost;
+      if (sent) references_published_.insert(frame.camera()->id());
+      if (sent) view_published_ns_ = bus::now_ns();
+      break;
     }
-  } catch (const std::exception& error) {
-    ++counters_.frames_refused;
-    frame_failed_ = true;
-    // An engine that errs does so in every frame.
-    const std::string source = message.header().source()->str();
-    if (complained_.size() < 256 && complained_.insert(source).second) {
-      spdlog::error("engine/frame from {} refused: {} (said once; counted as frames_refused)", source, error.what());
-    }
+    case wire::CameraRole::Probe:
+      handle_probe_frame(message, frame);
+      break;
+    case wire::CameraRole::Light:
+      forwarder_.light_depth(message, frame, host_copied_bytes_) ? ++counters_.light_depths : ++counters_.frames_lost;
+      break;
+    default:
+      throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
   }
 }
 
@@ -129,7 +110,7 @@ void CaptureBridge::handle_input(const bus::Message& message, const wire::Engine
   ++counters_.inputs;
   input_asked_ns_ = now;
   input_patience_ns_ = 0;
-  if (parameters_.boolean("input_views") && forwarder_.reference(message, frame)) {
+  if (options_->input_views && forwarder_.reference(message, frame)) {
     inputs_published_.insert(frame.camera()->id());
     view_published_ns_ = now;
   }
@@ -142,8 +123,7 @@ void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::
   forwarder_.probe(message, frame, *probe) ? ++counters_.probes : ++counters_.probes_dropped;
 }
 
-void CaptureBridge::handle_pose(const bus::Message& message) {
-  const auto& pose = message.root<wire::ViewerPose>("ViewerPose/1");
+void CaptureBridge::handle_pose(const wire::ViewerPose& pose) {
   const Camera camera = from_wire(*pose.camera());
   const std::string viewer = pose.viewer()->str();
   const std::int64_t now = bus::now_ns();
@@ -153,8 +133,7 @@ void CaptureBridge::handle_pose(const bus::Message& message) {
   viewer_seen_ns_ = now;
 }
 
-void CaptureBridge::handle_probe(const bus::Message& message) {
-  const auto& asked = message.root<wire::ViewerProbe>("ViewerProbe/1");
+void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Message& message) {
   const Camera camera = from_wire(*asked.camera());
   std::optional<Probe> evicted;
   Probe* probe = probes_.add(asked.probe_id(), message.header().source()->str(), camera, bus::now_ns(), evicted);
@@ -166,19 +145,17 @@ void CaptureBridge::handle_probe(const bus::Message& message) {
   if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, wire::EngineBuffer::Color, 0);
 }
 
-void CaptureBridge::handle_trainer_stats(const bus::Message& message) {
-  const auto& stats = message.root<wire::TrainerStats>("TrainerStats/1");
+void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message) {
   const std::uint64_t held = std::uint64_t{stats.ready_references()} + stats.ready_inputs();
   const std::uint64_t published = references_published_.size() + inputs_published_.size();
   if (!trainer_watch_.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
   spdlog::info("{} holds {} of {} views: asking the engine for all again", message.header().source()->str(), held,
                published);
-  if (parameters_.boolean("input_views")) rigs_.reissue_inputs();
+  if (options_->input_views) rigs_.reissue_inputs();
   rigs_.cameras().reissue_all(CameraRole::Reference);
 }
 
-void CaptureBridge::handle_grid_state(const bus::Message& message) {
-  const auto& state = message.root<wire::GridState>("GridState/1");
+void CaptureBridge::handle_grid_state(const wire::GridState& state) {
   const std::int64_t now = bus::now_ns();
   // An expander that has seen no round has missed ours: it started later, or again.
   if (state.rounds() > 0 || rigs_.round().empty() || worker_.statistics().rounds == 0) return;
@@ -188,8 +165,8 @@ void CaptureBridge::handle_grid_state(const bus::Message& message) {
 void CaptureBridge::update_rigs(std::int64_t now_ns) {
   InputRound& round = rigs_.round();
   // A rig whose pictures are arriving stays until they are there, or a viewer on the move would never see one complete.
-  const bool hold = !round.empty() && !round.missing().empty() &&
-                    now_ns - input_asked_ns_ < nanoseconds(parameters_.number("input_deadline_s"));
+  const bool hold =
+      !round.empty() && !round.missing().empty() && now_ns - input_asked_ns_ < nanoseconds(options_->input_deadline_s);
   const std::uint64_t generation = round.rig_generation();
   const auto left = rigs_.update(viewer_camera_ ? &*viewer_camera_ : nullptr, worker_.statistics().heights, hold);
   for (const Camera& camera : left) {
@@ -203,7 +180,7 @@ void CaptureBridge::update_rigs(std::int64_t now_ns) {
 }
 
 void CaptureBridge::update_round(std::int64_t now_ns) {
-  const std::int64_t deadline = nanoseconds(parameters_.number("input_deadline_s"));
+  const std::int64_t deadline = nanoseconds(options_->input_deadline_s);
   InputRound& round = rigs_.round();
   if (round.ready(now_ns, deadline)) submit_round();
   input_patience_ns_ = std::max(input_patience_ns_, deadline);
@@ -217,12 +194,11 @@ void CaptureBridge::update_round(std::int64_t now_ns) {
 void CaptureBridge::submit_round() {
   round_submitted_ns_ = bus::now_ns();
   InputRound& round = rigs_.round();
-  worker_.submit(
-      {.views = round.take(), .rig_generation = round.rig_generation(), .options = sampling_options(parameters_)});
+  worker_.submit({.views = round.take(), .rig_generation = round.rig_generation(), .options = options_->sampling});
 }
 
 void CaptureBridge::update_probes(std::int64_t now_ns) {
-  for (const Probe& probe : probes_.expire(now_ns - nanoseconds(parameters_.number("probe_timeout_s")))) {
+  for (const Probe& probe : probes_.expire(now_ns - nanoseconds(options_->probe_timeout_s))) {
     rigs_.cameras().remove(CameraRole::Probe, probe.camera.id);
     ++counters_.probes_dropped;
     spdlog::warn("probe {} of {} dropped: the engine did not answer", probe.probe_id, probe.asker);
@@ -235,17 +211,16 @@ void CaptureBridge::update_probes(std::int64_t now_ns) {
 
 void CaptureBridge::publish_cameras() {
   if (!rigs_.cameras().take_changed()) return;
-  cameras_publisher_.publish(
-      {.schema = "EngineCameras/1", .latch = true}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-        std::vector<flatbuffers::Offset<wire::CameraRequest>> requests;
-        requests.reserve(rigs_.cameras().requests().size());
-        for (const CameraRequest& request : rigs_.cameras().requests()) {
-          const wire::Camera camera = to_wire(request.camera);
-          requests.push_back(
-              wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.request_id));
-        }
-        return wire::CreateEngineCameras(builder, header, builder.CreateVector(requests));
-      });
+  publisher_.publish(topics::kEngineCameras, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    std::vector<flatbuffers::Offset<wire::CameraRequest>> requests;
+    requests.reserve(rigs_.cameras().requests().size());
+    for (const CameraRequest& request : rigs_.cameras().requests()) {
+      const wire::Camera camera = to_wire(request.camera);
+      requests.push_back(
+          wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.request_id));
+    }
+    return wire::CreateEngineCameras(builder, header, builder.CreateVector(requests));
+  });
 }
 
 void run(bus::ServiceContext& service) {
@@ -257,7 +232,7 @@ void run(bus::ServiceContext& service) {
     service.detail(counters.frames == 0 ? "waiting for the engine's first frame" : "");
     service.counter("frames", static_cast<double>(counters.frames));
     service.counter("frames_lost", static_cast<double>(counters.frames_lost + bridge.subscriber().lost()));
-    service.counter("frames_refused", static_cast<double>(counters.frames_refused));
+    service.counter("refused", static_cast<double>(counters.refused));
     service.counter("references", static_cast<double>(counters.references));
     service.counter("inputs", static_cast<double>(counters.inputs));
     service.counter("probes", static_cast<double>(counters.probes));

@@ -24,7 +24,8 @@ namespace splatbus::capture_bridge {
 
 /// Counters of the bridge, as heartbeats show them.
 struct BridgeCounters {
-  std::uint64_t frames = 0, frames_lost = 0, frames_refused = 0;
+  std::uint64_t frames = 0, frames_lost = 0;
+  std::uint64_t refused = 0;  ///< messages that make no sense
   std::uint64_t inputs = 0, references = 0, probes = 0, probes_dropped = 0, light_depths = 0;
 };
 
@@ -33,8 +34,7 @@ class CaptureBridge {
  public:
   /// `parameters` outlive the bridge. Input frames are kept and sampled where `backend` says. Throws std::runtime_error
   /// when it cannot be had.
-  CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-                bus::Backend backend = bus::Backend::Cpu);
+  CaptureBridge(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend = Device::Cpu);
 
   /// Handles what arrives within `timeout`, then what is due. Throws bus::Error when the device has failed for good.
   void step(std::chrono::milliseconds timeout);
@@ -47,14 +47,14 @@ class CaptureBridge {
   [[nodiscard]] std::size_t cameras() { return rigs_.cameras().requests().size(); }
 
  private:
-  void handle(const bus::Message& message);
-  void handle_frame(const bus::Message& message);
+  void subscribe();
+  void handle_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame);
-  void handle_pose(const bus::Message& message);
-  void handle_probe(const bus::Message& message);
-  void handle_trainer_stats(const bus::Message& message);
-  void handle_grid_state(const bus::Message& message);
+  void handle_pose(const wire::ViewerPose& pose);
+  void handle_probe(const wire::ViewerProbe& asked, const bus::Message& message);
+  void handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message);
+  void handle_grid_state(const wire::GridState& state);
 
   void update_rigs(std::int64_t now_ns);
   void update_round(std::int64_t now_ns);
@@ -63,9 +63,9 @@ class CaptureBridge {
   void publish_cameras();
 
   std::shared_ptr<bus::Context> context_;
-  const bus::Parameters& parameters_;
+  bus::LiveOptions<Options> options_;
   bus::Subscriber subscriber_;
-  bus::Publisher cameras_publisher_;
+  bus::Publisher publisher_;
   Forwarder forwarder_;
   RigControl rigs_;
   ProbeTable probes_;
@@ -83,8 +83,6 @@ class CaptureBridge {
   std::int64_t view_published_ns_ = 0;
   std::int64_t round_submitted_ns_ = 0;
   std::set<std::uint32_t> references_published_, inputs_published_;  // camera ids
-  std::set<std::string> complained_;                                 // sources whose bad frames were logged
-  bool frame_failed_ = false;                                        // since the device was asked for last
 
   InputWorker worker_;  // last: its thread uses the context
 };

@@ -106,7 +106,7 @@ class Sight {
     return texel.footprint_m < 0 ? options_.edge_penalty : 1;
   }
 
-  SPLATBUS_PORTABLE static void apply(const Motion& motion, Texel& point) {
+  SPLATBUS_PORTABLE static void apply(const math::Rigid& motion, Texel& point) {
     point.position = transformed(motion, point.position);
     point.normal = motion.rotation * point.normal;
   }

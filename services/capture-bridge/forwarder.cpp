@@ -35,18 +35,13 @@ std::vector<std::uint8_t> light_bytes(const Light& light) {
 
 }  // namespace
 
-Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind)
-    : context_(context),
-      reference_(context, "capture/reference"),
-      probe_(context, "capture/probe"),
-      light_depth_(context, "scene/light_depth"),
-      objects_(context, "scene/objects"),
-      light_(context, "scene/light"),
+Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind)
+    : publisher_(context),
       light_depth_copies_(kind),
       light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {}
 
 bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
-  bus::MessageInfo info{.schema = "CaptureReference/1", .capture_ns = frame.header()->capture_ns()};
+  bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
   auto color = message.forward_tensor("color");
   if (!color) return false;
   info.tensors.push_back(std::move(*color));
@@ -56,7 +51,7 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
   const Camera camera = from_wire(*frame.camera());
   const ObjectTransforms transforms = from_wire(frame.objects());
   const Light state = from_wire(*frame.light());
-  reference_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+  publisher_.publish(topics::kCaptureReference, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto objects = to_wire(builder, transforms);
     const auto light = to_wire(builder, state);
     const wire::Camera out = to_wire(camera);
@@ -66,7 +61,7 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
 }
 
 void Forwarder::retire(const Camera& camera) {
-  reference_.publish({.schema = "CaptureReference/1"}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+  publisher_.publish(topics::kCaptureReference, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto objects = to_wire(builder, ObjectTransforms{});
     const auto light = to_wire(builder, last_light_);
     const wire::Camera out = to_wire(camera);
@@ -81,15 +76,15 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   camera.id = probe.camera.id;
   const ObjectTransforms transforms = from_wire(frame.objects());
   const Light state = from_wire(*frame.light());
-  probe_.publish(
-      {.schema = "CaptureProbe/1", .capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
-      [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-        const auto objects = to_wire(builder, transforms);
-        const auto light = to_wire(builder, state);
-        const wire::Camera out = to_wire(camera);
-        return wire::CreateCaptureProbe(builder, header, probe.probe_id, frame.frame(), frame.time_s(), &out, objects,
-                                        light);
-      });
+  publisher_.publish(topics::kCaptureProbe,
+                     {.capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
+                     [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+                       const auto objects = to_wire(builder, transforms);
+                       const auto light = to_wire(builder, state);
+                       const wire::Camera out = to_wire(camera);
+                       return wire::CreateCaptureProbe(builder, header, probe.probe_id, frame.frame(), frame.time_s(),
+                                                       &out, objects, light);
+                     });
   return true;
 }
 
@@ -99,17 +94,15 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth) return false;
   // Through a copy, so that a depth that is gone costs no slot of the ring.
-  const bus::MemoryKind kind = light_depth_copies_.kind();
+  const Device kind = light_depth_copies_.kind();
   const auto copy = light_depth_copies_.take(depth->bytes());
   if (!bus::copy_tensor(*depth, copy.get(), kind, host_bytes)) return false;
   const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.get(), kind};
   const ObjectTransforms transforms = from_wire(frame.objects());
   const Light state = from_wire(*frame.light());
-  const bus::MessageInfo info{.schema = "SceneLightDepth/1",
-                              .capture_ns = frame.header()->capture_ns(),
-                              .latch = true,
+  const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns(),
                               .tensors = light_depth_ring_.write(std::span(&source, 1))};
-  light_depth_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+  publisher_.publish(topics::kSceneLightDepth, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto light = to_wire(builder, state);
     const auto objects = to_wire(builder, transforms);
     const wire::Camera out = to_wire(camera);
@@ -131,20 +124,20 @@ void Forwarder::scene(const wire::EngineFrame& frame) {
   auto objects_now = object_bytes(frame);
   if (first || objects_now != said_objects_) {
     said_objects_ = std::move(objects_now);
-    const bus::MessageInfo info{.schema = "SceneObjects/1", .capture_ns = frame.header()->capture_ns(), .latch = true};
-    objects_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-      const auto objects = to_wire(builder, transforms);
-      return wire::CreateSceneObjects(builder, header, frame.frame(), frame.time_s(), objects);
-    });
+    publisher_.publish(topics::kSceneObjects, {.capture_ns = frame.header()->capture_ns()},
+                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+                         const auto objects = to_wire(builder, transforms);
+                         return wire::CreateSceneObjects(builder, header, frame.frame(), frame.time_s(), objects);
+                       });
   }
   auto light_now = light_bytes(state);
   if (first || light_now != said_light_) {
     said_light_ = std::move(light_now);
-    const bus::MessageInfo info{.schema = "SceneLight/1", .capture_ns = frame.header()->capture_ns(), .latch = true};
-    light_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-      const auto light = to_wire(builder, state);
-      return wire::CreateSceneLight(builder, header, frame.frame(), frame.time_s(), light);
-    });
+    publisher_.publish(topics::kSceneLight, {.capture_ns = frame.header()->capture_ns()},
+                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+                         const auto light = to_wire(builder, state);
+                         return wire::CreateSceneLight(builder, header, frame.frame(), frame.time_s(), light);
+                       });
   }
 }
 

@@ -21,7 +21,7 @@ namespace splatbus::capture_bridge {
 class Forwarder {
  public:
   /// The light's depth is kept in memory of `kind`.
-  Forwarder(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind);
+  Forwarder(const std::shared_ptr<bus::Context>& context, Device kind);
 
   /// capture/reference: colour, albedo, and depth where there is one. False when the colour is gone already.
   bool reference(const bus::Message& message, const wire::EngineFrame& frame);
@@ -35,8 +35,7 @@ class Forwarder {
   void scene(const wire::EngineFrame& frame);
 
  private:
-  std::shared_ptr<bus::Context> context_;
-  bus::Publisher reference_, probe_, light_depth_, objects_, light_;
+  bus::Publisher publisher_;
   bus::MemoryPool light_depth_copies_;
   bus::TensorRing light_depth_ring_;
   std::uint64_t engine_epoch_ = 0;

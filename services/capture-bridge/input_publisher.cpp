@@ -13,9 +13,8 @@ constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 
 }  // namespace
 
-InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind,
-                               const RoundSizes& expected)
-    : publisher_(context, "capture/input"),
+InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind, const RoundSizes& expected)
+    : publisher_(context),
       ring_(context, "input", kRingSlots,
             expected.samples * kBytesASample + expected.views * expected.pixels * sizeof(float) + kRingSlack, kind) {}
 
@@ -40,8 +39,8 @@ void InputPublisher::publish(std::span<const InputViewPointer> views, const Inpu
        round.depth_m},
   };
   for (bus::TensorSource& source : sources) source.memory = round.memory;
-  bus::MessageInfo info{.schema = "CaptureInput/1", .capture_ns = newest.capture_ns, .tensors = ring_.write(sources)};
-  publisher_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+  const bus::MessageInfo info{.capture_ns = newest.capture_ns, .tensors = ring_.write(sources)};
+  publisher_.publish(topics::kCaptureInput, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     std::vector<wire::Camera> cameras;
     cameras.reserve(views.size());
     for (const InputViewPointer& view : views) cameras.push_back(to_wire(view->camera));

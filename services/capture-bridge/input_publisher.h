@@ -16,7 +16,7 @@ namespace splatbus::capture_bridge {
 class InputPublisher {
  public:
   /// The ring lies in memory of `kind`, with room for what is to be expected of a round.
-  InputPublisher(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind, const RoundSizes& expected);
+  InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind, const RoundSizes& expected);
 
   /// `views` are those that `round` was sampled from; all have pictures of one size. `newest` is the round's frame.
   void publish(std::span<const InputViewPointer> views, const InputView& newest, std::uint64_t rig_generation,

@@ -29,7 +29,7 @@ struct InputView {
   std::int64_t capture_ns = 0;
   ObjectTransforms objects;
   Light light;
-  bus::MemoryKind memory = bus::MemoryKind::Host;  ///< of the pictures
+  Device memory = Device::Cpu;  ///< of the pictures
   std::span<glm::vec4> position;                   ///< world, metres; w: object id, 0 where there is no surface
   std::span<glm::vec4> normal;                     ///< world
   std::span<Rgba8> color, albedo;

@@ -30,9 +30,9 @@ std::vector<InputViewPointer> of_one_size(const std::vector<InputViewPointer>& v
 
 }  // namespace
 
-InputWorker::InputWorker(const std::shared_ptr<bus::Context>& context, bus::Backend backend, const RoundSizes& expected)
+InputWorker::InputWorker(const std::shared_ptr<bus::Context>& context, Device backend, const RoundSizes& expected)
     : sampler_(make_sampler(backend, expected)),
-      publisher_(context, bus::memory_of(backend), expected),
+      publisher_(context, backend, expected),
       thread_([this](const std::stop_token& stop) { run(stop); }) {}
 
 InputWorker::~InputWorker() {

@@ -36,7 +36,7 @@ class InputWorker {
  public:
   /// `expected` is what is to be expected of a round. Returns when sampling is ready. Throws std::runtime_error when
   /// the backend cannot be had.
-  InputWorker(const std::shared_ptr<bus::Context>& context, bus::Backend backend, const RoundSizes& expected);
+  InputWorker(const std::shared_ptr<bus::Context>& context, Device backend, const RoundSizes& expected);
   ~InputWorker();
 
   /// Queues a round. One of the same rig that still waits is replaced; others wait their turn, the oldest of more than

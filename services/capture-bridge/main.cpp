@@ -8,6 +8,6 @@ int main(int argc, char** argv) {
       {.kind = "capture-bridge",
        .summary =
            "Asks the engine for input, reference and light cameras, and turns its frames into samples and views.",
-       .parameters = splatbus::capture_bridge::parameter_specs()},
+       .parameters = splatbus::bus::Parameters::declare<splatbus::capture_bridge::Options>()},
       splatbus::capture_bridge::run);
 }

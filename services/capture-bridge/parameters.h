@@ -1,6 +1,6 @@
 #pragma once
 
-#include <vector>
+#include <string>
 
 #include "bus/parameters.h"
 #include "capture-bridge/rig.h"
@@ -8,14 +8,31 @@
 
 namespace splatbus::capture_bridge {
 
-[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+/// The capture-bridge's parameters.
+struct Options {
+  float near_m = 0.05F, far_m = 100;  ///< of input and reference cameras
+  DomeOptions dome;
+  InputRigTracker::Options tracker;
+  std::string input_center;  ///< fixed centre of the dome; empty: it follows the viewer
+  float input_rate_hz = 0;
+  double input_deadline_s = 1.5;
+  bool input_views = true;  ///< input pictures are training views too
+  SamplingOptions sampling;
 
-/// The parameters as the parts take them.
-[[nodiscard]] DomeOptions dome_options(const bus::Parameters& parameters);
-[[nodiscard]] InputRigTracker::Options tracker_options(const bus::Parameters& parameters);
-[[nodiscard]] RingOptions ring_options(const bus::Parameters& parameters);
-[[nodiscard]] FollowOptions follow_options(const bus::Parameters& parameters);
-[[nodiscard]] SamplingOptions sampling_options(const bus::Parameters& parameters);
-[[nodiscard]] RoundSizes round_sizes(const bus::Parameters& parameters);
+  bool follow = false;  ///< the reference cameras, or they stand on a ring
+  RingOptions ring;
+  std::string ring_target = "0,0.25,0";
+  FollowOptions follow_rig;
+  float follow_move_m = 0.05F, follow_turn_radians = 0.034906585F;  ///< smallest that are followed
+  float reference_rate_hz = 1;
+  bool reference_depth = false;
+  std::uint32_t light_depth_size = 1024;  ///< pixels
+  double probe_timeout_s = 10;
+
+  void bind(bus::ParameterBinder& parameters);
+
+  /// What is to be expected of a round.
+  [[nodiscard]] RoundSizes round_sizes() const;
+};
 
 }  // namespace splatbus::capture_bridge

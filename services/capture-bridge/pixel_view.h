@@ -2,14 +2,17 @@
 
 #include <cstdint>
 
-#include "capture-bridge/portable_math.h"
+#include "math/portable.h"
 
 namespace splatbus::capture_bridge {
+
+using math::clamped, math::cross, math::dot, math::is_finite, math::larger, math::length, math::load3, math::load4,
+    math::Mat3, math::normalized, math::smaller, math::transformed, math::transposed, math::Vec3, math::Vec4;
 
 /// An object that stands elsewhere in the round's frame than in a view's.
 struct MovedObject {
   std::uint32_t id = 0;
-  Motion round_from_view, view_from_round;
+  math::Rigid round_from_view, view_from_round;
 };
 
 /// An input view as the per-pixel functions read it. The pointers are of one kind of memory, and owned elsewhere.

@@ -20,7 +20,7 @@ Mat3 portable(const glm::quat& rotation) {
   return {portable(columns[0]), portable(columns[1]), portable(columns[2])};
 }
 
-Motion portable(const Rigid& rigid) {
+math::Rigid portable(const Rigid& rigid) {
   return {portable(rigid.rotation), portable(rigid.translation)};
 }
 

@@ -50,9 +50,9 @@ struct FollowOptions {
   int cameras = 4;
   int size = 160;
   float fov_radians = 1.0471976F;
-  float side_m = 0.6F;           ///< how far the side cameras stand from the viewer, the first pair
-  float above_m = 0.6F;          ///< how far above the viewer the upper camera stands
-  float toe_in_radians = 0.12F;  ///< side cameras turn towards the viewer's axis, the upper one down
+  float side_m = 0.6F;                 ///< how far the side cameras stand from the viewer, the first pair
+  float above_m = 0.6F;                ///< how far above the viewer the upper camera stands
+  float toe_in_radians = 0.12217305F;  ///< side cameras turn towards the viewer's axis, the upper one down
 };
 
 /// Cameras that follow the viewer (paper, "Moving cameras"): 0 is aligned with it, 1 and 2 stand at its left and right,
@@ -70,7 +70,7 @@ class InputRigTracker {
   struct Options {
     float focus_m = 3.4F;             ///< distance of the focus in front of the viewer
     float move_m = 0.5F;              ///< the rig stays until the focus has moved farther than this ...
-    float turn_radians = 0.5235988F;  ///< ... or the heading has turned by more than this
+    float turn_radians = 1.0471976F;  ///< ... or the heading has turned by more than this
     bool fixed_centre = false;
     glm::vec3 centre{0, 0.25F, 0};  ///< the centre when fixed, and until a viewer is known
   };

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <glm/trigonometric.hpp>
 
-#include "capture-bridge/parameters.h"
-
 namespace splatbus::capture_bridge {
 
 namespace {
@@ -20,34 +18,31 @@ constexpr float kLightHeightMetres = 20.0F;
 
 std::vector<Camera> RigControl::update(const Camera* viewer, const ContentHeights& content, bool hold_input) {
   std::vector<Camera> left;
-  const std::uint64_t version = parameters_.version();
-  const bool changed = !placed_ || version != parameters_version_;
+  const bool changed = options_.refresh() || !placed_;
   placed_ = true;
-  parameters_version_ = version;
   std::optional<ViewerState> state;
   if (viewer != nullptr) state = ViewerState::of(*viewer);
   if (changed || !hold_input) {
-    const bool moved = tracker_.update(tracker_options(parameters_), state ? &*state : nullptr, content);
+    const bool moved = tracker_.update(options_->tracker, state ? &*state : nullptr, content);
     if (changed || moved) place_inputs(left);
   }
-  const bool follow = parameters_.text("reference_rig") == "follow" && viewer != nullptr;
+  const bool follow = options_->follow && viewer != nullptr;
   if (changed || (follow && viewer_moved(*viewer))) place_references(follow ? viewer : nullptr, left);
   if (changed) place_light();
   return left;
 }
 
 void RigControl::place_inputs(std::vector<Camera>& left) {
-  std::vector<Camera> cameras =
-      dome_cameras(dome_options(parameters_), tracker_.pose().centre, tracker_.pose().heading_radians);
+  std::vector<Camera> cameras = dome_cameras(options_->dome, tracker_.pose().centre, tracker_.pose().heading_radians);
   for (Camera& camera : cameras) {
-    camera.near_m = static_cast<float>(parameters_.number("near_m"));
-    camera.far_m = static_cast<float>(parameters_.number("far_m"));
+    camera.near_m = options_->near_m;
+    camera.far_m = options_->far_m;
   }
   const auto before = cameras_.of_role(CameraRole::Input);
   const auto gone =
       cameras_.replace(CameraRole::Input, cameras,
                        EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition | EngineBuffer::Normal,
-                       static_cast<float>(parameters_.number("input_rate_hz")));
+                       options_->input_rate_hz);
   left.insert(left.end(), gone.begin(), gone.end());
   const auto now = cameras_.of_role(CameraRole::Input);
   const bool same = std::equal(before.begin(), before.end(), now.begin(), now.end(),
@@ -57,21 +52,20 @@ void RigControl::place_inputs(std::vector<Camera>& left) {
 
 void RigControl::place_references(const Camera* viewer, std::vector<Camera>& left) {
   followed_ = viewer != nullptr ? std::optional(*viewer) : std::nullopt;
-  std::vector<Camera> cameras = viewer != nullptr ? follow_cameras(follow_options(parameters_), *viewer)
-                                                  : ring_cameras(ring_options(parameters_));
+  std::vector<Camera> cameras =
+      viewer != nullptr ? follow_cameras(options_->follow_rig, *viewer) : ring_cameras(options_->ring);
   for (Camera& camera : cameras) {
-    camera.near_m = static_cast<float>(parameters_.number("near_m"));
-    camera.far_m = static_cast<float>(parameters_.number("far_m"));
+    camera.near_m = options_->near_m;
+    camera.far_m = options_->far_m;
   }
   EngineBuffer buffers = EngineBuffer::Color | EngineBuffer::Albedo;
-  if (parameters_.boolean("reference_depth")) buffers |= EngineBuffer::Depth;
-  const auto gone = cameras_.replace(CameraRole::Reference, cameras, buffers,
-                                     static_cast<float>(parameters_.number("reference_rate_hz")));
+  if (options_->reference_depth) buffers |= EngineBuffer::Depth;
+  const auto gone = cameras_.replace(CameraRole::Reference, cameras, buffers, options_->reference_rate_hz);
   left.insert(left.end(), gone.begin(), gone.end());
 }
 
 void RigControl::place_light() {
-  const auto size = static_cast<std::uint32_t>(parameters_.integer("light_depth_size"));
+  const auto size = options_->light_depth_size;
   Camera camera = look_at({0, kLightHeightMetres, 0}, {0, 0, 0}, size, size, 1);
   camera.role = CameraRole::Light;
   camera.fx = camera.fy = static_cast<float>(size) / kLightExtentMetres;
@@ -84,8 +78,8 @@ bool RigControl::viewer_moved(const Camera& viewer) const {
   const Rigid& a = followed_->world_from_camera;
   const Rigid& b = viewer.world_from_camera;
   const float turned = 2 * std::acos(std::min(1.0F, std::abs(glm::dot(a.rotation, b.rotation))));
-  return glm::distance(a.translation, b.translation) > static_cast<float>(parameters_.number("follow_move_m")) ||
-         turned > glm::radians(static_cast<float>(parameters_.number("follow_turn_deg")));
+  return glm::distance(a.translation, b.translation) > options_->follow_move_m ||
+         turned > options_->follow_turn_radians;
 }
 
 void RigControl::reissue_missing_inputs() {

@@ -4,9 +4,9 @@
 #include <optional>
 #include <vector>
 
-#include "bus/parameters.h"
 #include "capture-bridge/camera_set.h"
 #include "capture-bridge/input_round.h"
+#include "capture-bridge/parameters.h"
 #include "capture-bridge/rig.h"
 
 namespace splatbus::capture_bridge {
@@ -15,7 +15,7 @@ namespace splatbus::capture_bridge {
 class RigControl {
  public:
   RigControl(const bus::Parameters& parameters, std::uint64_t first_request_id)
-      : parameters_(parameters), cameras_(first_request_id) {}
+      : options_(parameters), cameras_(first_request_id) {}
 
   /// Places the rigs; `viewer` is null until one is known. With `hold_input` the input rig stays, whatever the viewer
   /// does. Returns the input and reference cameras that have left for good.
@@ -34,12 +34,11 @@ class RigControl {
   void place_light();
   [[nodiscard]] bool viewer_moved(const Camera& viewer) const;
 
-  const bus::Parameters& parameters_;
+  bus::LiveOptions<Options> options_;
   CameraSet cameras_;
   InputRound round_;
   InputRigTracker tracker_;
   std::optional<Camera> followed_;  // the viewer that the follow rig was placed for
-  std::uint64_t parameters_version_ = 0;
   bool placed_ = false;
 };
 

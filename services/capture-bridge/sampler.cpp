@@ -42,8 +42,8 @@ class CpuSampler final : public Sampler {
 
 }  // namespace
 
-std::unique_ptr<Sampler> make_sampler(bus::Backend backend, const RoundSizes& expected) {
-  if (backend == bus::Backend::Cpu) return std::make_unique<CpuSampler>();
+std::unique_ptr<Sampler> make_sampler(Device backend, const RoundSizes& expected) {
+  if (backend == Device::Cpu) return std::make_unique<CpuSampler>();
 #ifdef SPLATBUS_HAVE_CUDA
   return make_cuda_sampler(expected);
 #else

@@ -14,7 +14,7 @@ namespace splatbus::capture_bridge {
 /// What a round of input views comes to, as arrays in one kind of memory, written to the end. Meanings and shapes:
 /// schemas/capture.fbs, CaptureInput; position and normal are in the round's frame.
 struct RoundSamples : RoundCounts {
-  bus::MemoryKind memory = bus::MemoryKind::Host;
+  Device memory = Device::Cpu;
   std::size_t size = 0;
   const float *position = nullptr, *normal = nullptr, *albedo = nullptr, *color = nullptr;
   const float *footprint_m = nullptr, *spacing_m = nullptr, *cosine = nullptr;
@@ -37,7 +37,7 @@ class Sampler {
 };
 
 /// A sampler whose first round takes no longer than the others, up to the sizes that are expected. Its memory and that
-/// of its views is bus::memory_of(backend). Throws std::runtime_error.
-[[nodiscard]] std::unique_ptr<Sampler> make_sampler(bus::Backend backend, const RoundSizes& expected);
+/// of its views is backend. Throws std::runtime_error.
+[[nodiscard]] std::unique_ptr<Sampler> make_sampler(Device backend, const RoundSizes& expected);
 
 }  // namespace splatbus::capture_bridge

@@ -1,8 +1,11 @@
 #pragma once
 
-#include "capture-bridge/portable_math.h"
+#include "math/portable.h"
 
 namespace splatbus::capture_bridge {
+
+using math::clamped, math::cross, math::dot, math::is_finite, math::larger, math::length, math::load3, math::load4,
+    math::Mat3, math::normalized, math::smaller, math::transformed, math::transposed, math::Vec3, math::Vec4;
 
 /// The cube that Morton codes divide.
 struct MortonCube {

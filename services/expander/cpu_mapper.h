@@ -10,7 +10,7 @@ class CpuMapper final : public Mapper {
  public:
   explicit CpuMapper(float cell_size_m);
 
-  [[nodiscard]] bus::MemoryKind memory() const override { return bus::MemoryKind::Host; }
+  [[nodiscard]] Device memory() const override { return Device::Cpu; }
   [[nodiscard]] std::unique_ptr<Round> take(const IncomingRound& round) override;
   [[nodiscard]] Growth grow(const Round& round, const GrowOptions& options) override;
   void add(const InsertBatch& batch) override;

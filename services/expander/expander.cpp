@@ -8,7 +8,7 @@
 
 #include "bus/clock.h"
 #include "bus/memory.h"
-#include "expander/parameters.h"
+#include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/published_model.h"
@@ -29,26 +29,37 @@ constexpr std::size_t kRingSlots = BatchLedger::Options{}.in_flight + 2;
 
 }  // namespace
 
-Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, bus::Backend backend)
-    : parameters_(parameters),
+Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend)
+    : options_(parameters),
       context_(std::move(context)),
-      mapper_(make_mapper(backend, mapper_options(parameters))),
-      subscriber_(context_, {"capture/input", "viewer/pose", "model/published"}),
-      insert_publisher_(context_, "model/insert"),
-      state_publisher_(context_, "grid/state"),
-      ring_(context_, "insert", kRingSlots,
-            static_cast<std::size_t>(parameters.integer("batch_size")) * kInsertBytes + kRingSlack, mapper_->memory()),
-      ledger_(ledger_options(parameters)),
-      follower_(context_->epoch()) {}
+      mapper_(make_mapper(backend, options_->mapper)),
+      subscriber_(context_),
+      publisher_(context_),
+      ring_(context_, "insert", kRingSlots, options_->grow.batch_size * kInsertBytes + kRingSlack, mapper_->memory()),
+      ledger_(options_->ledger),
+      follower_(context_->epoch()) {
+  subscribe();
+}
+
+void Expander::subscribe() {
+  subscriber_
+      .on(topics::kCaptureInput,
+          [this](const wire::CaptureInput&, const bus::Message& message) { handle_input(message); })
+      .on(topics::kViewerPose, [this](const wire::ViewerPose& pose, const bus::Message&) { handle_pose(pose); })
+      .on(topics::kModelPublished, [this](const wire::ModelPublished& published, const bus::Message& message) {
+        handle_published(published, message);
+      });
+}
 
 void Expander::step(std::chrono::milliseconds timeout) {
-  mapper_->limit_device_memory(device_bytes(parameters_));
+  options_.refresh();
+  mapper_->limit_device_memory(options_->device_bytes);
   auto message = subscriber_.receive(timeout);
   for (int taken = 1; message; ++taken) {
     prepare_ring();
-    if (!bus::guarded(*message, [&] { handle(*message); })) {
+    if (!subscriber_.dispatch(*message)) {
       bus::require_usable(mapper_->memory());
-      if (message->topic() == "capture/input") ++counters_.rounds_lost;
+      if (message->topic() == topics::kCaptureInput.name) ++counters_.rounds_lost;
     }
     if (taken >= kMostMessagesAStep) break;
     message = subscriber_.receive(std::chrono::milliseconds(0));
@@ -58,28 +69,16 @@ void Expander::step(std::chrono::milliseconds timeout) {
   publish_state();
 }
 
-void Expander::handle(const bus::Message& message) {
-  if (message.topic() == "capture/input") {
-    handle_input(message);
-  } else if (message.topic() == "model/published") {
-    handle_published(message);
-  } else {
-    handle_pose(message);
-  }
-}
-
 void Expander::handle_input(const bus::Message& message) {
   auto incoming = open_round(message);
   if (!incoming || !waiting_.add(std::move(*incoming), bus::now_ns())) ++counters_.rounds_lost;
 }
 
-void Expander::handle_pose(const bus::Message& message) {
-  const auto& pose = message.root<wire::ViewerPose>("ViewerPose/1");
+void Expander::handle_pose(const wire::ViewerPose& pose) {
   viewer_ = from_wire(*pose.camera()).world_from_camera.translation;
 }
 
-void Expander::handle_published(const bus::Message& message) {
-  const auto& published = message.root<wire::ModelPublished>("ModelPublished/1");
+void Expander::handle_published(const wire::ModelPublished& published, const bus::Message& message) {
   ModelReport report{.trainer_epoch = message.header().epoch(),
                      .count = published.count(),
                      .insert_epoch = published.insert_epoch(),
@@ -97,7 +96,7 @@ void Expander::handle_published(const bus::Message& message) {
 void Expander::process_waiting() {
   if (waiting_.empty()) return;
   const std::int64_t now = bus::now_ns();
-  const auto wait_ns = static_cast<std::int64_t>(parameters_.number("adopt_wait_s") * 1e9);
+  const auto wait_ns = static_cast<std::int64_t>(options_->adopt_wait_s * 1e9);
   const bool grows = follower_.settled() || now - waiting_.since_ns() >= wait_ns;
   WaitingRounds::Work work{
       .take = [&](const IncomingRound& incoming) { return take(incoming); },
@@ -133,14 +132,12 @@ void Expander::grow(const Round& round) {
   for (const Camera& camera : info.cameras) middle += camera.world_from_camera.translation;
   if (!info.cameras.empty()) middle /= static_cast<float>(info.cameras.size());
 
-  const auto limit = static_cast<std::size_t>(parameters_.integer("max_gaussians"));
+  const std::size_t limit = options_->max_gaussians;
   const std::size_t room = limit - std::min(limit, mapper_->modelled_points());
-  Growth growth = mapper_->grow(round, {.grid = grid_options(parameters_),
-                                        .visibility = visibility_options(parameters_),
-                                        .initial = initial_options(parameters_),
-                                        .viewer = viewer_.value_or(middle),
-                                        .room = room,
-                                        .batch_size = static_cast<std::size_t>(parameters_.integer("batch_size"))});
+  GrowOptions options = options_->grow;
+  options.viewer = viewer_.value_or(middle);
+  options.room = room;
+  Growth growth = mapper_->grow(round, options);
   ++counters_.rounds;
   counters_.samples += round.size();
   counters_.samples_dropped += round.dropped();
@@ -187,9 +184,8 @@ void Expander::publish(const InsertBatch& batch) {
       source("object_id", {n}, ElementType::U32, planes.object_id),
       source("cell", {n}, ElementType::U64, planes.cell),
   };
-  const bus::MessageInfo info{
-      .schema = "ModelInsert/1", .capture_ns = batch.capture_ns, .tensors = ring_.write(sources)};
-  insert_publisher_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+  const bus::MessageInfo info{.capture_ns = batch.capture_ns, .tensors = ring_.write(sources)};
+  publisher_.publish(topics::kModelInsert, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto objects = to_wire(builder, batch.objects);
     const auto light = to_wire(builder, batch.light);
     return wire::CreateModelInsert(builder, header, batch.batch, objects, light);
@@ -214,7 +210,6 @@ void Expander::publish_state() {
 }
 
 void Expander::send_state() {
-  const auto cell_size_m = static_cast<float>(parameters_.number("cell_size_m"));
   std::vector<wire::CellState> cells;
   std::uint64_t seen = 0, modelled = 0;
   for (const CellCounts& cell : mapper_->cells()) {
@@ -223,12 +218,11 @@ void Expander::send_state() {
     modelled += cell.points > 0 ? 1 : 0;
   }
   counters_.cells = cells.size();
-  state_publisher_.publish(
-      {.schema = "GridState/1", .latch = true}, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-        const auto cells_offset = builder.CreateVectorOfStructs(cells);
-        return wire::CreateGridState(builder, header, cell_size_m, counters_.rounds, seen, modelled, ledger_.pending(),
-                                     ledger_.gaussians(), cells_offset);
-      });
+  publisher_.publish(topics::kGridState, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const auto cells_offset = builder.CreateVectorOfStructs(cells);
+    return wire::CreateGridState(builder, header, options_->mapper.cell_size_m, counters_.rounds, seen, modelled,
+                                 ledger_.pending(), ledger_.gaussians(), cells_offset);
+  });
 }
 
 void Expander::prepare_ring() {
@@ -238,7 +232,7 @@ void Expander::prepare_ring() {
 }
 
 std::int64_t Expander::retry_ns() const {
-  return static_cast<std::int64_t>(parameters_.number("retry_s") * 1e9);
+  return static_cast<std::int64_t>(options_->retry_s * 1e9);
 }
 
 bool Expander::attempt(const char* what, const std::function<void()>& part) try {

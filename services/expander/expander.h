@@ -14,6 +14,7 @@
 #include "expander/batch_ledger.h"
 #include "expander/mapper.h"
 #include "expander/model_follower.h"
+#include "expander/parameters.h"
 #include "expander/waiting_rounds.h"
 
 namespace splatbus::expander {
@@ -34,8 +35,7 @@ struct ExpanderCounters {
 class Expander {
  public:
   /// `parameters` outlive the expander. Throws when the backend cannot be had.
-  Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters,
-           bus::Backend backend = bus::Backend::Cpu);
+  Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend = Device::Cpu);
 
   /// Handles what arrives within `timeout`, then what is due. What there is no memory for is logged and tried again
   /// after `retry_s`. Throws when the backend has failed for good.
@@ -47,10 +47,10 @@ class Expander {
   [[nodiscard]] const ModelFollower& follower() const { return follower_; }
 
  private:
-  void handle(const bus::Message& message);
+  void subscribe();
   void handle_input(const bus::Message& message);
-  void handle_pose(const bus::Message& message);
-  void handle_published(const bus::Message& message);
+  void handle_pose(const wire::ViewerPose& pose);
+  void handle_published(const wire::ModelPublished& published, const bus::Message& message);
 
   void process_waiting();
   [[nodiscard]] std::unique_ptr<Round> take(const IncomingRound& incoming);
@@ -65,11 +65,11 @@ class Expander {
   bool attempt(const char* what, const std::function<void()>& part);
   void live_through(const std::string& failure);
 
-  const bus::Parameters& parameters_;
+  bus::LiveOptions<Options> options_;
   std::shared_ptr<bus::Context> context_;
   std::unique_ptr<Mapper> mapper_;  // before what holds its rounds and batches
   bus::Subscriber subscriber_;
-  bus::Publisher insert_publisher_, state_publisher_;
+  bus::Publisher publisher_;
   bus::TensorRing ring_;
   BatchLedger ledger_;
   ModelFollower follower_;

@@ -15,7 +15,7 @@ bool finite(const glm::vec3& v) {
 template <class Row>
 bool copy_rows(const bus::TensorView& tensor, std::vector<Row>& rows, std::atomic<std::uint64_t>& host_bytes) {
   rows.resize(tensor.bytes() / sizeof(Row));
-  return bus::copy_tensor(tensor, rows.data(), bus::MemoryKind::Host, host_bytes);
+  return bus::copy_tensor(tensor, rows.data(), Device::Cpu, host_bytes);
 }
 
 bool sound(const InputSamples& samples, std::size_t i) {

@@ -41,8 +41,8 @@ InsertBatch initial_gaussians(const InputSamples& samples, std::span<const Chose
                     .objects = samples.objects,
                     .light = samples.light,
                     .count = n,
-                    .memory = bus::MemoryKind::Host,
-                    .data = bus::allocate_memory(bus::MemoryKind::Host, n * kInsertBytes)};
+                    .memory = Device::Cpu,
+                    .data = bus::allocate_memory(Device::Cpu, n * kInsertBytes)};
   const InsertPlanes planes = batch.planes();
   std::fill_n(planes.opacity_logit, n, std::log(options.opacity / (1 - options.opacity)));
   for (std::size_t i = 0; i < n; ++i) {

@@ -20,7 +20,7 @@ struct InsertBatch {
   ObjectTransforms objects;
   Light light;
   std::size_t count = 0;
-  bus::MemoryKind memory = bus::MemoryKind::Host;
+  Device memory = Device::Cpu;
   std::shared_ptr<std::byte> data;  ///< insert_planes(data.get(), count) says what lies where
 
   [[nodiscard]] std::size_t size() const { return count; }

@@ -7,6 +7,6 @@ int main(int argc, char** argv) {
       argc, argv,
       {.kind = "expander",
        .summary = "Grows the model: inserts Gaussians where input samples show what is not modelled yet.",
-       .parameters = splatbus::expander::parameter_specs()},
+       .parameters = splatbus::bus::Parameters::declare<splatbus::expander::Options>()},
       splatbus::expander::run);
 }

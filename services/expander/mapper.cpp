@@ -8,8 +8,8 @@
 
 namespace splatbus::expander {
 
-std::unique_ptr<Mapper> make_mapper(bus::Backend backend, const MapperOptions& options) {
-  if (backend == bus::Backend::Cpu) return std::make_unique<CpuMapper>(options.cell_size_m);
+std::unique_ptr<Mapper> make_mapper(Device backend, const MapperOptions& options) {
+  if (backend == Device::Cpu) return std::make_unique<CpuMapper>(options.cell_size_m);
 #ifdef SPLATBUS_HAVE_CUDA
   return std::make_unique<cuda::CudaMapper>(options);
 #else

@@ -53,7 +53,7 @@ class Mapper {
  public:
   virtual ~Mapper() = default;
 
-  [[nodiscard]] virtual bus::MemoryKind memory() const = 0;
+  [[nodiscard]] virtual Device memory() const = 0;
 
   /// Copies a round from wherever it lies and leaves out samples that are garbage. Null when a slab has moved on
   /// meanwhile.
@@ -88,6 +88,6 @@ class Mapper {
 };
 
 /// Throws when the backend cannot be had.
-[[nodiscard]] std::unique_ptr<Mapper> make_mapper(bus::Backend backend, const MapperOptions& options);
+[[nodiscard]] std::unique_ptr<Mapper> make_mapper(Device backend, const MapperOptions& options);
 
 }  // namespace splatbus::expander

@@ -1,25 +1,25 @@
 #pragma once
 
-#include <vector>
+#include <cstddef>
+#include <cstdint>
 
 #include "bus/parameters.h"
 #include "expander/batch_ledger.h"
-#include "expander/grid.h"
-#include "expander/insert_batch.h"
 #include "expander/mapper.h"
-#include "expander/visibility.h"
+#include "wire/model_limits.h"
 
 namespace splatbus::expander {
 
-[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+/// The expander's parameters.
+struct Options {
+  MapperOptions mapper;
+  GrowOptions grow;  ///< without viewer and room
+  BatchLedger::Options ledger;
+  std::size_t max_gaussians = kDefaultMaxGaussians;
+  double adopt_wait_s = 3, retry_s = 1, resend_s = 1;
+  std::size_t device_bytes = 0;  ///< most memory that the mapper may hold; SIZE_MAX: all
 
-/// The parameters as the parts take them.
-[[nodiscard]] GridOptions grid_options(const bus::Parameters& parameters);
-[[nodiscard]] VisibilityOptions visibility_options(const bus::Parameters& parameters);
-[[nodiscard]] InitialOptions initial_options(const bus::Parameters& parameters);
-[[nodiscard]] MapperOptions mapper_options(const bus::Parameters& parameters);
-/// The most device memory that the mapper may hold.
-[[nodiscard]] std::size_t device_bytes(const bus::Parameters& parameters);
-[[nodiscard]] BatchLedger::Options ledger_options(const bus::Parameters& parameters);
+  void bind(bus::ParameterBinder& parameters);
+};
 
 }  // namespace splatbus::expander

@@ -17,7 +17,7 @@ constexpr std::size_t kMostCameras = 4096;
 
 std::optional<IncomingRound> open_round(const bus::Message& message) {
   using bus::ElementType;
-  const auto& input = message.root<wire::CaptureInput>("CaptureInput/1");
+  const auto& input = message.root<wire::CaptureInput>();
   auto position = message.tensor("position", ElementType::F32, {0, 3});
   auto depth = message.tensor("depth", ElementType::F32, {0, 0, 0});
   if (!position || !depth) return std::nullopt;

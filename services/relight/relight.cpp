@@ -30,27 +30,14 @@ bool same_projection(const Camera& a, const Camera& b) {
 
 }  // namespace
 
-std::vector<bus::ParameterSpec> parameter_specs() {
-  return {
-      {.name = "softness_m",
-       .default_value = 0.012,
-       .description = "radius in metres of the shadow's filter, as the engine's own",
-       .minimum = 0,
-       .maximum = 10},
-      {.name = "footprint",
-       .default_value = 0.5,
-       .description = "added to that radius, in standard deviations of the Gaussian",
-       .minimum = 0,
-       .maximum = 10},
-      {.name = "lift_texels",
-       .default_value = 1.0,
-       .description = "by which a tested point is raised along its normal, in texels of the depth map",
-       .minimum = 0,
-       .maximum = 100},
-  };
+void VisibilityOptions::bind(bus::ParameterBinder& p) {
+  p.add("softness_m", softness_m, "radius in metres of the shadow's filter, as the engine's own", {0, 10});
+  p.add("footprint", footprint, "added to that radius, in standard deviations of the Gaussian", {0, 10});
+  p.add("lift_texels", lift_texels, "by which a tested point is raised along its normal, in texels of the depth map",
+        {0, 100});
 }
 
-float* Relight::Memory::floats(std::size_t count, bus::MemoryKind kind) {
+float* Relight::Memory::floats(std::size_t count, Device kind) {
   const std::size_t needed = count * sizeof(float);
   if (size < needed || !bytes) {
     bytes = bus::allocate_memory(kind, needed);
@@ -61,23 +48,24 @@ float* Relight::Memory::floats(std::size_t count, bus::MemoryKind kind) {
 
 Relight::Relight(bus::ServiceContext& service)
     : service_(service),
-      memory_(bus::memory_of(service.backend)),
+      memory_(service.backend),
       backend_(make_visibility_backend(service.backend)),
-      publisher_(service.bus, "relight/visibility"),
-      ring_(service.bus, "visibility", kRingSlots, 0, memory_) {}
-
-VisibilityOptions Relight::options() const {
-  return {.softness_m = static_cast<float>(service_.parameters.number("softness_m")),
-          .footprint = static_cast<float>(service_.parameters.number("footprint")),
-          .lift_texels = static_cast<float>(service_.parameters.number("lift_texels"))};
-}
+      publisher_(service.bus),
+      ring_(service.bus, "visibility", kRingSlots, 0, memory_),
+      options_(service.parameters) {}
 
 void Relight::run() {
-  bus::Subscriber subscriber(service_.bus, {"model/published", "scene/light_depth", "scene/objects"});
+  bus::Subscriber subscriber(service_.bus);
+  subscriber
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished&, const bus::Message& message) { model_ = message; })
+      .on(topics::kSceneLightDepth,
+          [this](const wire::SceneLightDepth& depth, const bus::Message& message) { take_depth(depth, message); })
+      .on(topics::kSceneObjects, [this](const wire::SceneObjects& body, const bus::Message&) { take_objects(body); });
   while (!service_.stop.stop_requested()) {
-    for (const auto& message : subscriber.receive_newest(kReceiveTimeout)) {
-      if (!bus::guarded(message, [&] { handle(message); })) bus::require_usable(memory_);
-    }
+    const std::uint64_t refused = subscriber.refused();
+    subscriber.dispatch_newest(kReceiveTimeout);
+    if (subscriber.refused() != refused) bus::require_usable(memory_);
     // A model that makes no sense is reported once.
     if (model_ && !bus::guarded(*model_, [&] { update(); })) {
       bus::require_usable(memory_);
@@ -94,22 +82,14 @@ void Relight::report() {
   service_.detail(!map_ ? "waits for scene/light_depth" : !model_ ? "waits for model/published" : "follows the light");
 }
 
-void Relight::handle(const bus::Message& message) {
-  if (message.topic() == "model/published") {
-    static_cast<void>(message.root<wire::ModelPublished>("ModelPublished/1"));  // throws when it is malformed
-    model_ = message;
-  } else if (message.topic() == "scene/light_depth") {
-    take_depth(message);
-  } else if (message.topic() == "scene/objects") {
-    auto objects = from_wire(message.root<wire::SceneObjects>("SceneObjects/1").objects());
-    // With transforms of its own, the depth map is what the visibility follows: both are of one frame.
-    scene_changed_ |= map_ && map_->objects.empty() && (objects_ != objects);
-    objects_ = std::move(objects);
-  }
+void Relight::take_objects(const wire::SceneObjects& body) {
+  auto objects = from_wire(body.objects());
+  // With transforms of its own, the depth map is what the visibility follows: both are of one frame.
+  scene_changed_ |= map_ && map_->objects.empty() && (objects_ != objects);
+  objects_ = std::move(objects);
 }
 
-void Relight::take_depth(const bus::Message& message) {
-  const auto& depth = message.root<wire::SceneLightDepth>("SceneLightDepth/1");
+void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message& message) {
   DepthMap map{.camera = from_wire(*depth.camera()),
                .light_generation = depth.light()->generation(),
                .objects = from_wire(depth.objects()),
@@ -136,9 +116,9 @@ void Relight::take_depth(const bus::Message& message) {
 
 void Relight::update() {
   if (!map_) return;
-  const auto& published = model_->root<wire::ModelPublished>("ModelPublished/1");
-  const std::uint64_t version = service_.parameters.version();
-  if (!scene_changed_ && published.generation() == computed_generation_ && version == parameters_version_) return;
+  const auto& published = model_->root<wire::ModelPublished>();
+  scene_changed_ |= options_.refresh();
+  if (!scene_changed_ && published.generation() == computed_generation_) return;
   if (published.count() == 0) return;
   const auto model = PublishedModel::open(*model_, memory_, PublishedModel::Need::Average);
   if (!model) {
@@ -150,7 +130,7 @@ void Relight::update() {
   float* const visibility = visibility_.floats(gaussians.count, memory_);
   const ObjectTransforms& objects = map_->objects.empty() && objects_ ? *objects_ : map_->objects;
   const auto* const depth_m = reinterpret_cast<const float*>(map_->depth_m.bytes.get());
-  backend_->compute(gaussians, objects, {.camera = map_->camera, .depth_m = depth_m}, options(), visibility);
+  backend_->compute(gaussians, objects, {.camera = map_->camera, .depth_m = depth_m}, *options_, visibility);
   host_copied_bytes_ += model->copied_bytes();
   if (!model->still_valid()) {
     model_.reset();
@@ -159,7 +139,6 @@ void Relight::update() {
   const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - start;
   service_.counter("compute_ms", spent.count());
   computed_generation_ = model->generation();
-  parameters_version_ = version;
   scene_changed_ = false;
   publish(model->generation(), gaussians.count, visibility);
 }
@@ -167,11 +146,10 @@ void Relight::update() {
 void Relight::publish(std::uint64_t model_generation, std::size_t count, const float* visibility) {
   const bus::TensorSource source{
       .name = "visibility", .shape = {1, static_cast<std::uint32_t>(count)}, .data = visibility, .memory = memory_};
-  const bus::MessageInfo info{
-      .schema = "RelightVisibility/1", .latch = true, .tensors = ring_.write(std::span(&source, 1))};
-  publisher_.publish(info, [&](auto& builder, auto header) {
-    return wire::CreateRelightVisibility(builder, header, model_generation, map_->light_generation, count);
-  });
+  publisher_.publish(
+      topics::kRelightVisibility, {.tensors = ring_.write(std::span(&source, 1))}, [&](auto& builder, auto header) {
+        return wire::CreateRelightVisibility(builder, header, model_generation, map_->light_generation, count);
+      });
   ++published_;
 }
 

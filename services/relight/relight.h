@@ -15,8 +15,6 @@
 
 namespace splatbus::relight {
 
-[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
-
 /// The relight service: keeps relight/visibility in step with the model's structure, the light and the objects.
 class Relight {
  public:
@@ -30,7 +28,7 @@ class Relight {
   struct Memory {
     std::shared_ptr<std::byte> bytes;
     std::size_t size = 0;
-    [[nodiscard]] float* floats(std::size_t count, bus::MemoryKind kind);
+    [[nodiscard]] float* floats(std::size_t count, Device kind);
   };
   /// The newest light-space depth, in memory of our own, with the light and the transforms of its frame.
   struct DepthMap {
@@ -40,24 +38,24 @@ class Relight {
     Memory depth_m;
   };
 
-  void handle(const bus::Message& message);
-  void take_depth(const bus::Message& message);
+  void take_depth(const wire::SceneLightDepth& depth, const bus::Message& message);
+  void take_objects(const wire::SceneObjects& body);
   void update();
   void publish(std::uint64_t model_generation, std::size_t count, const float* visibility);
   void report();
-  [[nodiscard]] VisibilityOptions options() const;
 
   bus::ServiceContext& service_;
-  const bus::MemoryKind memory_;
+  const Device memory_;
   const std::unique_ptr<VisibilityBackend> backend_;
   bus::Publisher publisher_;
   bus::TensorRing ring_;
+  bus::LiveOptions<VisibilityOptions> options_;
   std::optional<bus::Message> model_;
   std::optional<ObjectTransforms> objects_;
   std::optional<DepthMap> map_;
   Memory spare_depth_, visibility_;
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;  ///< bulk that came from, or went through, host memory
-  std::uint64_t computed_generation_ = 0, parameters_version_ = 0, lost_tensors_ = 0, published_ = 0;
+  std::uint64_t computed_generation_ = 0, lost_tensors_ = 0, published_ = 0;
   bool scene_changed_ = false;
 };
 

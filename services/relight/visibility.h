@@ -2,6 +2,7 @@
 
 #include <span>
 
+#include "bus/parameters.h"
 #include "gaussians/model.h"
 
 namespace splatbus::relight {
@@ -16,6 +17,8 @@ struct VisibilityOptions {
   float softness_m = 0.012F;  ///< radius of the filter on the light's image plane
   float footprint = 0.5F;     ///< added to the radius, in standard deviations of the Gaussian
   float lift_texels = 1.0F;   ///< the tested point is raised along the normal, against what the map cannot resolve
+
+  void bind(bus::ParameterBinder& parameters);
 };
 
 /// Share of the sun's disc that each Gaussian's surface point sees, in [0, 1]: percentage-closer filtering (Reeves et

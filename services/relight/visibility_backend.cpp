@@ -20,11 +20,11 @@ class CpuVisibility final : public VisibilityBackend {
 
 }  // namespace
 
-std::unique_ptr<VisibilityBackend> make_visibility_backend([[maybe_unused]] bus::Backend backend) {
+std::unique_ptr<VisibilityBackend> make_visibility_backend([[maybe_unused]] Device backend) {
 #ifdef SPLATBUS_HAVE_CUDA
-  if (backend == bus::Backend::Cuda) return make_cuda_visibility();
+  if (backend == Device::Cuda) return make_cuda_visibility();
 #endif
-  assert(backend == bus::Backend::Cpu);
+  assert(backend == Device::Cpu);
   return std::make_unique<CpuVisibility>();
 }
 

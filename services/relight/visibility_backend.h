@@ -19,6 +19,6 @@ class VisibilityBackend {
 };
 
 /// Asserts that the build has `backend`, as choose_backend has found.
-[[nodiscard]] std::unique_ptr<VisibilityBackend> make_visibility_backend(bus::Backend backend);
+[[nodiscard]] std::unique_ptr<VisibilityBackend> make_visibility_backend(Device backend);
 
 }  // namespace splatbus::relight

@@ -11,7 +11,7 @@
 #include <utility>
 
 #include "bus/error.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
 #include "stream/layout.h"
 
 namespace splatbus::streamer {

@@ -6,7 +6,7 @@ int main(int argc, char** argv) {
   const splatbus::bus::ServiceDescription description{
       .kind = "streamer",
       .summary = "Sends the Gaussian model to viewers and keeps them up to date",
-      .parameters = splatbus::streamer::parameter_specs(),
+      .parameters = splatbus::bus::Parameters::declare<splatbus::streamer::Options>(),
   };
   return splatbus::bus::service_main(argc, argv, description, [](splatbus::bus::ServiceContext& service) {
     splatbus::streamer::Streamer(service).run();

@@ -27,32 +27,32 @@ void PacketFeed::clear() {
   snapshot_.reset();
 }
 
-void PacketFeed::start_over(FeedPlace& place) {
-  place.waits_for_snapshot = true;
-  place.snapshot.reset();
-  place.queue.clear();
-  place.queue_at = 0;
-  place.resend.clear();
+void PacketFeed::start_over(StreamCursor& cursor) {
+  cursor.waits_for_snapshot = true;
+  cursor.snapshot.reset();
+  cursor.queue.clear();
+  cursor.queue_at = 0;
+  cursor.resend.clear();
 }
 
-bool PacketFeed::resume(FeedPlace& place, std::uint64_t epoch, std::uint64_t holds) {
+bool PacketFeed::resume(StreamCursor& cursor, std::uint64_t epoch, std::uint64_t holds) {
   const bool kept = model_.ready() && epoch == model_.held().epoch && holds > 0 &&
                     (holds == model_.held().sequence || history_.find(holds + 1));
   if (!kept) return false;
-  place.waits_for_snapshot = false;
-  place.next = holds + 1;
+  cursor.waits_for_snapshot = false;
+  cursor.next = holds + 1;
   return true;
 }
 
-void PacketFeed::resend(FeedPlace& place, std::uint64_t first, std::uint64_t last) {
-  if (place.waits_for_snapshot || place.snapshot) return;
+void PacketFeed::resend(StreamCursor& cursor, std::uint64_t first, std::uint64_t last) {
+  if (cursor.waits_for_snapshot || cursor.snapshot) return;
   last = std::min(last, model_.held().sequence);
   if (first == 0 || first > last) return;
-  if (first >= place.next) return;  // on its way
-  last = std::min(last, place.next - 1);
+  if (first >= cursor.next) return;  // on its way
+  last = std::min(last, cursor.next - 1);
   ++resends_;
-  if (!history_.find(first) || !history_.find(last)) return start_over(place);
-  if (place.resend.size() < kMaxResends) place.resend.push_back({first, last});
+  if (!history_.find(first) || !history_.find(last)) return start_over(cursor);
+  if (cursor.resend.size() < kMaxResends) cursor.resend.push_back({first, last});
 }
 
 std::shared_ptr<const SnapshotPackets> PacketFeed::current_snapshot() {
@@ -67,46 +67,51 @@ std::shared_ptr<const SnapshotPackets> PacketFeed::current_snapshot() {
   return snapshot_;
 }
 
-void PacketFeed::begin_snapshot(FeedPlace& place, const std::optional<Camera>& camera) {
+bool PacketFeed::begin_snapshot(StreamCursor& cursor, const std::optional<Camera>& camera, std::int64_t now_ns) {
+  if (cursor.snapshot_ns && now_ns - *cursor.snapshot_ns < kSnapshotEveryNs) return false;
+  cursor.snapshot_ns = now_ns;
   ++snapshots_;
-  place.snapshot = current_snapshot();
-  place.queue = place.snapshot->head;
-  if (place.snapshot->as_of == model_.held().sequence) {
-    for (const std::size_t chunk : model_.chunk_order(camera)) place.queue.push_back(place.snapshot->chunks[chunk]);
+  cursor.snapshot = current_snapshot();
+  cursor.queue = cursor.snapshot->head;
+  if (cursor.snapshot->as_of == model_.held().sequence) {
+    for (const std::size_t chunk : model_.chunk_order(camera)) cursor.queue.push_back(cursor.snapshot->chunks[chunk]);
   } else {
-    place.queue.insert(place.queue.end(), place.snapshot->chunks.begin(), place.snapshot->chunks.end());
+    cursor.queue.insert(cursor.queue.end(), cursor.snapshot->chunks.begin(), cursor.snapshot->chunks.end());
   }
-  place.queue.insert(place.queue.end(), place.snapshot->tail.begin(), place.snapshot->tail.end());
-  place.queue_at = 0;
-  place.next = place.snapshot->as_of + 1;
-  place.waits_for_snapshot = false;
+  cursor.queue.insert(cursor.queue.end(), cursor.snapshot->tail.begin(), cursor.snapshot->tail.end());
+  cursor.queue_at = 0;
+  cursor.next = cursor.snapshot->as_of + 1;
+  cursor.waits_for_snapshot = false;
+  return true;
 }
 
-SharedPacket PacketFeed::next(FeedPlace& place, const std::optional<Camera>& camera, bool& lagged) {
+SharedPacket PacketFeed::next(StreamCursor& cursor, const std::optional<Camera>& camera, std::int64_t now_ns,
+                              bool& lagged) {
   if (!model_.ready()) return {};
-  while (!place.resend.empty()) {
-    if (SharedPacket packet = history_.find(place.resend.front().first)) return packet;
-    start_over(place);
+  while (!cursor.resend.empty()) {
+    if (SharedPacket packet = history_.find(cursor.resend.front().first)) return packet;
+    start_over(cursor);
   }
-  if (place.waits_for_snapshot) begin_snapshot(place, camera);
-  if (place.snapshot) return place.queue[place.queue_at];
-  if (place.next > model_.held().sequence) return {};
-  if (SharedPacket packet = history_.find(place.next)) return packet;
-  lagged = true;  // the history has moved on
-  begin_snapshot(place, camera);
-  return place.queue[place.queue_at];
+  if (!cursor.waits_for_snapshot && !cursor.snapshot) {
+    if (cursor.next > model_.held().sequence) return {};
+    if (SharedPacket packet = history_.find(cursor.next)) return packet;
+    lagged = true;  // the history has moved on
+    start_over(cursor);
+  }
+  if (cursor.waits_for_snapshot && !begin_snapshot(cursor, camera, now_ns)) return {};
+  return cursor.queue[cursor.queue_at];
 }
 
-void PacketFeed::advance(FeedPlace& place) {
-  if (!place.resend.empty()) {
-    if (++place.resend.front().first > place.resend.front().last) place.resend.pop_front();
-  } else if (place.snapshot) {
-    if (++place.queue_at == place.queue.size()) {
-      place.snapshot.reset();
-      place.queue.clear();
+void PacketFeed::advance(StreamCursor& cursor) {
+  if (!cursor.resend.empty()) {
+    if (++cursor.resend.front().first > cursor.resend.front().last) cursor.resend.pop_front();
+  } else if (cursor.snapshot) {
+    if (++cursor.queue_at == cursor.queue.size()) {
+      cursor.snapshot.reset();
+      cursor.queue.clear();
     }
   } else {
-    ++place.next;
+    ++cursor.next;
   }
 }
 

@@ -6,15 +6,22 @@
 #include "bus/context.h"
 #include "bus/parameters.h"
 #include "stream/stream_model.h"
+#include "streamer/viewer_hub.h"
 
 namespace splatbus::streamer {
 
-[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+/// The streamer's parameters.
+struct Options {
+  std::string endpoint, tcp;
+  double budget_kbps = 6000;
+  HubOptions hub;
+  stream::StreamOptions stream;
+
+  void bind(bus::ParameterBinder& parameters);
+};
 
 /// Where to bind: `endpoint` (empty: ipc, "streamer" in the bus's folder, when the bus is local) and `tcp`. Throws
 /// bus::Error when that is nowhere.
-[[nodiscard]] std::vector<std::string> endpoints(const bus::Parameters& parameters, const bus::Address& address);
-
-[[nodiscard]] stream::Schedules schedules(const bus::Parameters& parameters);
+[[nodiscard]] std::vector<std::string> endpoints(const Options& options, const bus::Address& address);
 
 }  // namespace splatbus::streamer

@@ -10,8 +10,7 @@
 
 #include "bus/clock.h"
 #include "bus/memory.h"
-#include "stream/error.h"
-#include "streamer/parameters.h"
+#include "stream/bytes.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -26,56 +25,40 @@ using namespace std::chrono_literals;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
-constexpr std::int64_t kFullNs = 5'000'000;  // between tries while a viewer's queue is full
-constexpr int kPictureZstdLevel = 1;         // probe pictures are for measurements on the same machine
-
-HubOptions hub_options(const bus::Parameters& parameters) {
-  return {.max_viewers = static_cast<std::size_t>(parameters.integer("max_viewers")),
-          .history_bytes = static_cast<std::size_t>(parameters.integer("history_mb")) << 20,
-          .viewer_timeout_s = parameters.number("viewer_timeout_s"),
-          .tick_hz = static_cast<float>(parameters.number("tick_hz"))};
-}
-
-stream::StreamOptions stream_options(const bus::Parameters& parameters) {
-  return {.chunk_gaussians = static_cast<std::size_t>(parameters.integer("chunk_gaussians")),
-          .schedules = schedules(parameters),
-          .calm_ticks = static_cast<std::uint32_t>(parameters.integer("calm_ticks"))};
-}
+constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
+constexpr int kPictureZstdLevel = 1;            // probe pictures are for measurements on the same machine
 
 }  // namespace
 
 Streamer::Streamer(bus::ServiceContext& service)
     : service_(service),
-      subscriber_(service.bus, {"model/published", "scene/objects", "scene/light", "capture/probe"}),
-      pose_(service.bus, "viewer/pose"),
-      probe_(service.bus, "viewer/probe"),
-      quality_(service.bus, "viewer/quality"),
-      stats_(service.bus, "stream/stats"),
-      endpoint_(streamer::endpoints(service.parameters, service.bus->address())),
+      options_(service.parameters),
+      subscriber_(service.bus),
+      publisher_(service.bus),
+      endpoint_(streamer::endpoints(*options_, service.bus->address())),
       writer_(service.bus->source(), service.bus->epoch()),
-      model_(writer_, service.bus->epoch(), stream_options(service.parameters),
-             stream::make_observer(service.backend == bus::Backend::Cuda ? stream::ModelMemory::Device
-                                                                         : stream::ModelMemory::Host)),
-      hub_(endpoint_, model_, writer_, hub_options(service.parameters), events()) {
+      model_(writer_, service.bus->epoch(), options_->stream, service.backend),
+      hub_(endpoint_, model_, writer_, options_->hub, events()) {
+  subscribe();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
 
 HubEvents Streamer::events() {
   return {.pose =
               [this](const std::string& viewer, const wire::Pose& body) {
-                pose_.publish({.schema = "ViewerPose/1"}, [&](auto& builder, auto header) {
+                publisher_.publish(topics::kViewerPose, [&](auto& builder, auto header) {
                   return wire::CreateViewerPoseDirect(builder, header, viewer.c_str(), body.camera());
                 });
               },
           .probe =
               [this](const std::string&, const wire::Probe& body) {
-                probe_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
+                publisher_.publish(topics::kViewerProbe, [&](auto& builder, auto header) {
                   return wire::CreateViewerProbe(builder, header, body.probe_id(), body.camera());
                 });
               },
           .quality =
               [this](const std::string& viewer, const wire::Quality& body) {
-                quality_.publish({.schema = "ViewerQuality/1"}, [&](auto& builder, auto header) {
+                publisher_.publish(topics::kViewerQuality, [&](auto& builder, auto header) {
                   return wire::CreateViewerQualityDirect(builder, header, viewer.c_str(), body.probe_id(),
                                                          body.psnr_db(), body.ssim(), body.flip(), body.gaussians(),
                                                          body.first_picture_ns());
@@ -84,55 +67,55 @@ HubEvents Streamer::events() {
 }
 
 void Streamer::run() {
-  const auto period_ns = static_cast<std::int64_t>(1e9 / service_.parameters.number("tick_hz"));
-  std::int64_t next_tick_ns = bus::now_ns(), next_stats_ns = next_tick_ns + kSecondNs;
-  bool full = false;
   while (!service_.stop.stop_requested()) {
-    const std::int64_t wait_ns =
-        std::clamp<std::int64_t>(std::min(next_tick_ns, next_stats_ns) - bus::now_ns(), 0, full ? kFullNs : kIdleNs);
+    const std::int64_t wait_ns = std::clamp<std::int64_t>(std::min(next_tick_ns_, next_stats_ns_) - bus::now_ns(), 0,
+                                                          blocked_ ? kBlockedNs : kIdleNs);
     zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0}, {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0}};
     zmq::poll(items, 2, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
-    while (auto message = subscriber_.receive(0ms)) {
-      bus::guarded(*message, [&] { take(*message); });
-    }
-    const std::int64_t now_ns = bus::now_ns();
-    hub_.receive(now_ns);
-    hub_.expire(now_ns);
-    // The first Gaussians do not wait for the tick.
-    const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
-    if (now_ns >= next_tick_ns || first) {
-      tick(now_ns);
-      next_tick_ns = std::max(next_tick_ns + period_ns, now_ns);
-    }
-    full = hub_.pump(bus::now_ns());
-    if (now_ns >= next_stats_ns) {
-      hub_.send_alive();
-      publish_statistics(now_ns);
-      next_stats_ns = std::max(next_stats_ns + kSecondNs, now_ns);
-    }
+    turn(bus::now_ns());
   }
 }
 
-void Streamer::take(const bus::Message& message) {
-  const std::string& topic = message.topic();
-  if (topic == "model/published") {
-    static_cast<void>(message.root<wire::ModelPublished>("ModelPublished/1"));
-    announcement_ = message;
-  } else if (topic == "scene/objects") {
-    const auto& body = message.root<wire::SceneObjects>("SceneObjects/1");
-    scene_.objects = from_wire(body.objects());
-    scene_frame_ = body.frame();
-    model_.set_scene(scene_, scene_frame_);
-  } else if (topic == "scene/light") {
-    scene_.light = from_wire(*message.root<wire::SceneLight>("SceneLight/1").light());
-    model_.set_scene(scene_, scene_frame_);
-  } else if (topic == "capture/probe") {
-    forward_probe(message);
+void Streamer::turn(std::int64_t now_ns) {
+  subscriber_.dispatch_all(0ms);
+  hub_.receive(now_ns);
+  // The first Gaussians do not wait for the tick.
+  const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
+  if (now_ns >= next_tick_ns_ || first) {
+    tick();
+    const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
+    next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
+  }
+  blocked_ = hub_.pump(now_ns);
+  hub_.expire(now_ns);
+  if (next_stats_ns_ == 0) next_stats_ns_ = now_ns + kSecondNs;
+  if (now_ns >= next_stats_ns_) {
+    hub_.send_keepalive();
+    publish_statistics(now_ns);
+    next_stats_ns_ = std::max(next_stats_ns_ + kSecondNs, now_ns);
   }
 }
 
-void Streamer::forward_probe(const bus::Message& message) {
-  const auto& body = message.root<wire::CaptureProbe>("CaptureProbe/1");
+void Streamer::subscribe() {
+  subscriber_
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
+      .on(topics::kSceneObjects,
+          [this](const wire::SceneObjects& body, const bus::Message&) {
+            scene_.objects = from_wire(body.objects());
+            scene_frame_ = body.frame();
+            model_.set_scene(scene_, scene_frame_);
+          })
+      .on(topics::kSceneLight,
+          [this](const wire::SceneLight& body, const bus::Message&) {
+            scene_.light = from_wire(*body.light());
+            model_.set_scene(scene_, scene_frame_);
+          })
+      .on(topics::kCaptureProbe,
+          [this](const wire::CaptureProbe& body, const bus::Message& message) { forward_probe(body, message); });
+}
+
+void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message& message) {
   if (hub_.viewers() == 0) return;
   const Camera camera = from_wire(*body.camera());
   const Light light = from_wire(*body.light());
@@ -159,7 +142,7 @@ bool Streamer::observe() {
     const bus::Message message = *announcement_;
     announcement_.reset();
     bus::guarded(message, [&] {
-      auto opened = PublishedModel::open(message, bus::memory_of(service_.backend), PublishedModel::Need::Average);
+      auto opened = PublishedModel::open(message, service_.backend, PublishedModel::Need::Average);
       if (!opened) return;
       if (published_) host_copied_bytes_ += published_->copied_bytes();
       published_ = std::move(*opened);
@@ -174,32 +157,30 @@ bool Streamer::observe() {
   } catch (const std::exception& error) {
     // What could not be observed has changed nothing: viewers keep what they have until there is memory again.
     spdlog::error("observing the model: {}", error.what());
-    bus::require_usable(bus::memory_of(service_.backend));
+    bus::require_usable(service_.backend);
     return false;
   }
 }
 
-void Streamer::tick(std::int64_t now_ns) {
+void Streamer::tick() {
+  const std::int64_t begin_ns = bus::now_ns();
   if (!hub_.anybody_follows()) model_.release();
   if (hub_.viewers() == 0) {
     service_.detail(published_ ? "waits for viewers" : "waits for model/published");
     return;
   }
-  if (parameters_version_ != service_.parameters.version()) {
-    parameters_version_ = service_.parameters.version();
-    model_.set_schedules(schedules(service_.parameters));
-  }
-  const double per_tick = service_.parameters.number("budget_kbps") * 125 / service_.parameters.number("tick_hz");
+  if (options_.refresh()) model_.set_schedules(options_->stream.schedules);
+  const double per_tick = options_->budget_kbps * 125 / static_cast<double>(options_->hub.tick_hz);
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   try {
     const bool fresh = observe();
     if (!model_.ready()) {
-      // An empty model is not worth a snapshot: the first Gaussians choose the quantisers.
+      // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
       if (!fresh || model_.observed_count() == 0) {
         service_.detail("waits for Gaussians");
         return;
       }
-      model_.jump();
+      model_.reset_to_target();
       hub_.restart_all();
     } else if (fresh) {
       const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
@@ -208,17 +189,25 @@ void Streamer::tick(std::int64_t now_ns) {
     } else {
       hub_.broadcast(model_.tick_scene_only());
     }
-    service_.detail(fmt::format("streams to {} viewers", hub_.viewers()));
+    say_what_is_served();
   } catch (const stream::StreamError& error) {
-    spdlog::error("{}", error.what());
+    if (log_limiter_.allow()) spdlog::error("{}", error.what());
   }
-  tick_ms_ = static_cast<double>(bus::now_ns() - now_ns) / 1e6;
+  tick_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+}
+
+void Streamer::say_what_is_served() {
+  const std::size_t held = model_.held().gaussians.count(), observed = model_.observed_count();
+  if (model_.full() && !full_) spdlog::warn("{} of {} Gaussians are served: viewers take no more", held, observed);
+  full_ = model_.full();
+  service_.detail(full_ ? fmt::format("streams {} of {} Gaussians to {} viewers", held, observed, hub_.viewers())
+                        : fmt::format("streams to {} viewers", hub_.viewers()));
 }
 
 void Streamer::publish_statistics(std::int64_t now_ns) {
   const auto window = hub_.statistics().close_window(now_ns);
-  const stream::HeldState& held = model_.held();
-  stats_.publish({.schema = "StreamStats/1"}, [&](auto& builder, auto header) {
+  const stream::ReplicatedState& held = model_.held();
+  publisher_.publish(topics::kStreamStats, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::PacketBytes>> types;
     for (std::size_t i = 0; i < window.types.size(); ++i) {
       const auto& type = window.types[i];
@@ -238,7 +227,7 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("tick_ms", tick_ms_);
   const std::uint64_t copying = published_ ? published_->copied_bytes() : 0;
   service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_ + copying));
-  service_.counter("observed_bytes", static_cast<double>(model_.observer().copied_bytes()));
+  service_.counter("observed_bytes", static_cast<double>(model_.quantizer().copied_bytes()));
   service_.counter("wire_mbps", window.mbps);
   service_.counter("wire_mbps_mean", window.mbps_mean);
   service_.counter("wire_mbps_peak", window.mbps_peak);

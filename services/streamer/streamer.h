@@ -4,11 +4,13 @@
 #include <memory>
 #include <optional>
 
+#include "bus/log_limiter.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
+#include "streamer/parameters.h"
 #include "streamer/viewer_hub.h"
 #include "wire/published_model.h"
 
@@ -22,20 +24,25 @@ class Streamer {
 
   /// Until `service.stop`.
   void run();
+  /// One turn of run() at `now_ns` (CLOCK_MONOTONIC), without waiting: takes what has come, ticks and reports when that
+  /// is due, sends what the sockets take.
+  void turn(std::int64_t now_ns);
 
   [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoint_.bound(); }
 
  private:
-  void take(const bus::Message& message);
-  void forward_probe(const bus::Message& message);
-  void tick(std::int64_t now_ns);
+  void subscribe();
+  void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
+  void tick();
   [[nodiscard]] bool observe();
   void publish_statistics(std::int64_t now_ns);
+  void say_what_is_served();
   [[nodiscard]] HubEvents events();
 
   bus::ServiceContext& service_;
+  bus::LiveOptions<Options> options_;
   bus::Subscriber subscriber_;
-  bus::Publisher pose_, probe_, quality_, stats_;
+  bus::Publisher publisher_;
   Endpoint endpoint_;
   stream::PacketWriter writer_;
   stream::StreamModel model_;
@@ -45,9 +52,12 @@ class Streamer {
   std::optional<PublishedModel> published_;
   SceneState scene_;
   std::uint64_t scene_frame_ = 0;
+  std::int64_t next_tick_ns_ = 0, next_stats_ns_ = 0;
+  bool blocked_ = false;      ///< somebody's queue is full
+  bool full_ = false;         ///< viewers take no more of the model
   double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it
-  std::uint64_t parameters_version_ = 0;
   double tick_ms_ = 0;
+  bus::LogLimiter log_limiter_;
   std::uint64_t host_copied_bytes_ = 0;  ///< of models that were open before; planes, not what leaves the machine
 };
 

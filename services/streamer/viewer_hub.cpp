@@ -81,11 +81,17 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
       events_.quality(viewer.name, *root.body_as_Quality());
       break;
     case wire::Body::Resend:
-      if (same_epoch) feed_.resend(viewer.place, root.body_as_Resend()->first(), root.body_as_Resend()->last());
+      if (same_epoch) feed_.resend(viewer.cursor, root.body_as_Resend()->first(), root.body_as_Resend()->last());
       break;
-    case wire::Body::NeedSnapshot:
-      PacketFeed::start_over(viewer.place);
+    case wire::Body::NeedSnapshot: {
+      const auto* reason = root.body_as_NeedSnapshot()->reason();
+      if (log_limiter_.allow()) {
+        spdlog::info("viewer {} needs a snapshot: {}", viewer.name,
+                     bus::printable(reason ? reason->string_view() : ""));
+      }
+      PacketFeed::start_over(viewer.cursor);
       break;
+    }
     case wire::Body::Bye:
       spdlog::info("viewer {} left", viewer.name);
       viewers_.erase(found);
@@ -114,7 +120,7 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
   viewer.wants_probes = body.probes();
   viewer.heard_ns = viewer.sent_ns = now_ns;
   if (body.camera()) viewer.camera = from_wire(*body.camera());
-  const bool resumes = feed_.resume(viewer.place, packet.stream_epoch(), body.holds());
+  const bool resumes = feed_.resume(viewer.cursor, packet.stream_epoch(), body.holds());
   spdlog::info("viewer {} {}", viewer.name, resumes ? "is back" : "joined");
   statistics_.begin(now_ns);
   viewers_[peer] = std::move(viewer);
@@ -127,12 +133,12 @@ void ViewerHub::broadcast(const std::vector<stream::EncodedPacket>& packets) {
 
 void ViewerHub::restart_all() {
   feed_.clear();
-  for (auto& [peer, viewer] : viewers_) PacketFeed::start_over(viewer.place);
+  for (auto& [peer, viewer] : viewers_) PacketFeed::start_over(viewer.cursor);
 }
 
-SharedPacket ViewerHub::next_packet(Viewer& viewer) {
+SharedPacket ViewerHub::next_packet(Viewer& viewer, std::int64_t now_ns) {
   bool lagged = false;
-  SharedPacket packet = feed_.next(viewer.place, viewer.camera, lagged);
+  SharedPacket packet = feed_.next(viewer.cursor, viewer.camera, now_ns, lagged);
   if (lagged) {
     ++lost_viewers_;
     spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
@@ -145,7 +151,7 @@ void ViewerHub::advance(Viewer& viewer, const SharedPacket& sent) {
   if (sent->body() == wire::Body::ProbePicture) {
     viewer.pictures.pop_front();
   } else {
-    PacketFeed::advance(viewer.place);
+    PacketFeed::advance(viewer.cursor);
   }
 }
 
@@ -156,7 +162,7 @@ bool ViewerHub::pump(std::int64_t now_ns) {
     auto sent = Endpoint::Sent::Yes;
     bool idle = false;
     while (sent == Endpoint::Sent::Yes) {
-      const SharedPacket packet = next_packet(viewer);
+      const SharedPacket packet = next_packet(viewer, now_ns);
       idle = !packet;
       if (idle) break;
       sent = send(at->first, *packet);
@@ -182,14 +188,14 @@ Endpoint::Sent ViewerHub::send(const Endpoint::Peer& peer, const WirePacket& pac
   return sent;
 }
 
-void ViewerHub::send_alive() {
+void ViewerHub::send_keepalive() {
   for (const auto& [peer, viewer] : viewers_) {
     // Only what has been sent can have been lost.
-    const bool follows = !viewer.place.waits_for_snapshot && !viewer.place.snapshot;
-    const std::uint64_t last_sent = follows ? viewer.place.next - 1 : 0;
-    send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Alive, [&](auto& builder) {
-           return wire::CreateAlive(builder, last_sent, model_.held().gaussians.count(),
-                                    static_cast<std::uint32_t>(viewers_.size()));
+    const bool follows = !viewer.cursor.waits_for_snapshot && !viewer.cursor.snapshot;
+    const std::uint64_t last_sent = follows ? viewer.cursor.next - 1 : 0;
+    send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
+           return wire::CreateKeepalive(builder, last_sent, model_.held().gaussians.count(),
+                                        static_cast<std::uint32_t>(viewers_.size()));
          })));
   }
 }
@@ -224,7 +230,7 @@ void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::Encoded
 }
 
 bool ViewerHub::anybody_follows() const {
-  return std::ranges::any_of(viewers_, [](const auto& entry) { return !entry.second.place.waits_for_snapshot; });
+  return std::ranges::any_of(viewers_, [](const auto& entry) { return !entry.second.cursor.waits_for_snapshot; });
 }
 
 std::vector<Camera> ViewerHub::cameras() const {

@@ -31,9 +31,10 @@ struct HubEvents {
   std::function<void(const std::string& viewer, const wire::Quality&)> quality;
 };
 
-/// Every viewer's place in the stream. Each is sent, in this order and as fast as it reads: what it asked to be resent,
-/// the chunks of its snapshot, the broadcast packets that follow it, the newest few probe pictures. Nothing is queued
-/// for a viewer but numbers and shared packets: memory does not grow with a viewer that does not read. One thread.
+/// Where every viewer is in the stream. Each is sent, in this order and as fast as it reads: what it asked to be
+/// resent, the chunks of its snapshot, the broadcast packets that follow it, the newest few probe pictures. Nothing is
+/// queued for a viewer but numbers and shared packets: memory does not grow with a viewer that does not read. One
+/// thread.
 class ViewerHub {
  public:
   ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::PacketWriter writer, HubOptions options,
@@ -43,19 +44,19 @@ class ViewerHub {
   void receive(std::int64_t now_ns);
   /// After a tick of the model.
   void broadcast(const std::vector<stream::EncodedPacket>& packets);
-  /// After the model jumped: everybody starts over with a snapshot.
+  /// After the model was reset: everybody starts over with a snapshot.
   void restart_all();
   /// Sends as much as sockets take. True when somebody's is full.
   bool pump(std::int64_t now_ns);
-  /// Once a second: Alive to all.
-  void send_alive();
+  /// Once a second: Keepalive to all.
+  void send_keepalive();
   /// Forgets viewers that fell silent.
   void expire(std::int64_t now_ns);
   /// To every viewer that wants probe pictures, and to the one that asked for this probe: by pump(), behind the model.
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
 
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
-  /// False while nobody holds or awaits anything of the current epoch: then the model may jump.
+  /// False while nobody holds or awaits anything of the current epoch: then the model may be reset.
   [[nodiscard]] bool anybody_follows() const;
   [[nodiscard]] std::vector<Camera> cameras() const;
 
@@ -70,14 +71,14 @@ class ViewerHub {
     std::optional<Camera> camera;
     bool wants_probes = false;
     std::int64_t heard_ns = 0, sent_ns = 0;
-    FeedPlace place;
+    StreamCursor cursor;
     std::deque<SharedPacket> pictures;
   };
 
   void handle(const Endpoint::Received& received, std::int64_t now_ns);
   void hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns);
   /// Next packet to send to a viewer, null when there is none; and what to do when it is sent.
-  [[nodiscard]] SharedPacket next_packet(Viewer& viewer);
+  [[nodiscard]] SharedPacket next_packet(Viewer& viewer, std::int64_t now_ns);
   void advance(Viewer& viewer, const SharedPacket& sent);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet);
   [[nodiscard]] stream::EncodedPacket welcome(bool asks) const;

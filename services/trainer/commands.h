@@ -22,7 +22,7 @@ struct CellsCommand {
 struct VisibilityCommand {
   std::uint64_t model_generation = 0;
   std::size_t count = 0;
-  bus::MemoryKind memory = bus::MemoryKind::Host;
+  Device memory = Device::Cpu;
   std::shared_ptr<const std::byte> visibility;  ///< floats, as they came
 };
 

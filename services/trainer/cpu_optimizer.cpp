@@ -33,15 +33,15 @@ CpuOptimizer::CpuOptimizer(ModelStore& store, const Options& options)
 void CpuOptimizer::set_options(const Options& options) {
   options_ = options;
   options_.batch = std::max(1, options.batch);
-  if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
+  if (options.lr_half_life_steps < 0) options_.lr_half_life_steps = kDefaultHalfRateSteps;
   active_channels_ = active_channels(options);
   learning_rates_ = channel_learning_rates(options);
-  adam_.half_rate_steps = options_.half_rate_steps;
-  adam_.least_rate = options.least_rate;
+  adam_.half_rate_steps = options_.lr_half_life_steps;
+  adam_.least_rate = options.lr_min_factor;
 }
 
 void CpuOptimizer::follow_growth() {
-  adam_.resize(store_.layout(), store_.count(), store_.capacity());
+  adam_.resize(store_.layout(), store_.count());
   birth_.resize(store_.count(), store_.step());
   densifier_.resize(store_.count());
   cells_.recount(store_.planes().cell, store_.count());
@@ -63,7 +63,7 @@ StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
       loss += render_loss(*view, 1.0F / static_cast<float>(views.size()));
       rasterizer_->backward(render_gradient_, gradient_);
     }
-    adam_.step(parameters, store_.planes().flags, gradient_, learning_rates_, options_.threads);
+    adam_.step(store_.view(), parameters, gradient_, learning_rates_, options_.threads);
   }
   if (options_.layout.appearance == Appearance::Transfer) clamp_albedo();
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
@@ -148,8 +148,12 @@ void CpuOptimizer::maintain_density() {
 
 void CpuOptimizer::remove(const std::vector<std::uint8_t>& dead) {
   std::vector<std::uint32_t> keep;
-  store_.change([&] { keep = kept_columns(store_.remove(dead.data())); });
-  adam_.permute(keep);
+  store_.change([&] {
+    const ColumnMoves moves = store_.remove(dead.data());
+    adam_.move({moves.from, moves.moved}, {moves.to, moves.moved});
+    keep = kept_columns(moves);
+  });
+  adam_.resize(store_.layout(), store_.count());
   densifier_.permute(keep);
   std::vector<std::uint64_t> birth(keep.size());
   for (std::size_t i = 0; i < keep.size(); ++i) birth[i] = birth_[keep[i]];

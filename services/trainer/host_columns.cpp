@@ -46,7 +46,7 @@ bool finite_column(const ModelPlanes& planes, std::size_t column) {
 
 void HostColumns::append(const ModelPlanes& planes, const InsertBatch& batch, std::size_t first, std::size_t count,
                          std::uint64_t first_id) {
-  assert(batch.memory() == bus::MemoryKind::Host);
+  assert(batch.memory() == Device::Cpu);
   const InsertRows rows = batch.rows();
   const std::size_t stride = planes.capacity;
   const auto fill = [&](float* to, int channel, const float* from, std::size_t channels) {
@@ -128,10 +128,10 @@ std::size_t HostColumns::set_frozen(const ModelPlanes& planes, std::size_t count
   return changed;
 }
 
-void HostColumns::set_visibility(const ModelPlanes& planes, const float* values, bus::MemoryKind memory,
+void HostColumns::set_visibility(const ModelPlanes& planes, const float* values, Device memory,
                                  std::size_t count) {
-  bus::copy_memory(planes.visibility, bus::MemoryKind::Host, values, memory, count * sizeof(float));
-  if (memory != bus::MemoryKind::Host) bus::finish_copies();
+  bus::copy_memory(planes.visibility, Device::Cpu, values, memory, count * sizeof(float));
+  if (memory != Device::Cpu) bus::finish_copies();
   std::transform(planes.visibility, planes.visibility + count, planes.visibility,
                  [](float value) { return value >= 0 ? std::min(value, 1.0F) : 0.0F; });
 }

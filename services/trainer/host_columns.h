@@ -17,7 +17,7 @@ class HostColumns final : public ModelColumns {
   std::size_t count_frozen(const ModelPlanes& planes, std::size_t count) override;
   std::size_t set_frozen(const ModelPlanes& planes, std::size_t count, const std::unordered_set<std::uint64_t>& cells,
                          bool frozen) override;
-  void set_visibility(const ModelPlanes& planes, const float* values, bus::MemoryKind memory,
+  void set_visibility(const ModelPlanes& planes, const float* values, Device memory,
                       std::size_t count) override;
   Inspection inspect(const ModelPlanes& planes, std::size_t count) override;
 

@@ -36,7 +36,7 @@ struct InsertBatch {
 
   [[nodiscard]] InsertRows rows() const;
   /// Where they lie.
-  [[nodiscard]] bus::MemoryKind memory() const { return device_memory ? bus::MemoryKind::Cuda : bus::MemoryKind::Host; }
+  [[nodiscard]] Device memory() const { return device_memory ? Device::Cuda : Device::Cpu; }
 };
 
 /// Keeps the rows in host memory that can be Gaussians, normalised and clamped; counts the others in `dropped`.

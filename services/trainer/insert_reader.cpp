@@ -32,7 +32,7 @@ class HostInsertReader final : public InsertReader {
       if (reading.lost) return;
       const bus::TensorView& tensor = tensors->planes[next++];
       to.resize(tensor.elements());
-      reading.lost = !bus::copy_tensor(tensor, to.data(), bus::MemoryKind::Host, host_bytes_);
+      reading.lost = !bus::copy_tensor(tensor, to.data(), Device::Cpu, host_bytes_);
     });
     if (reading.lost) return reading;
     batch.count = tensors->rows;
@@ -47,7 +47,7 @@ class HostInsertReader final : public InsertReader {
 }  // namespace
 
 std::optional<InsertTensors> find_insert_tensors(const bus::Message& message, InsertBatch& batch) {
-  const auto& insert = message.root<wire::ModelInsert>("ModelInsert/1");
+  const auto& insert = message.root<wire::ModelInsert>();
   batch.epoch = message.header().epoch();
   batch.batch = insert.batch();
   batch.light = from_wire(*insert.light());
@@ -80,8 +80,8 @@ std::optional<InsertTensors> find_insert_tensors(const bus::Message& message, In
   return tensors;
 }
 
-std::unique_ptr<InsertReader> make_insert_reader(bus::MemoryKind memory, std::atomic<std::uint64_t>& host_bytes) {
-  if (memory == bus::MemoryKind::Host) return std::make_unique<HostInsertReader>(host_bytes);
+std::unique_ptr<InsertReader> make_insert_reader(Device memory, std::atomic<std::uint64_t>& host_bytes) {
+  if (memory == Device::Cpu) return std::make_unique<HostInsertReader>(host_bytes);
 #ifdef SPLATBUS_HAVE_CUDA
   return std::make_unique<cuda::DeviceInsertReader>(host_bytes);
 #else

@@ -29,7 +29,7 @@ class InsertReader {
 
 /// Reads into memory of a kind; what passes through the host is added to `host_bytes`. Throws bus::Error when this
 /// build or machine has no such memory.
-[[nodiscard]] std::unique_ptr<InsertReader> make_insert_reader(bus::MemoryKind memory,
+[[nodiscard]] std::unique_ptr<InsertReader> make_insert_reader(Device memory,
                                                                std::atomic<std::uint64_t>& host_bytes);
 
 /// The tensors of a message, in the order in which insert_rows_at lays them out, of `rows` rows each, which is within

@@ -6,7 +6,7 @@ int main(int argc, char** argv) {
   const splatbus::bus::ServiceDescription description{
       .kind = "trainer",
       .summary = "Holds the Gaussian model and refines it on the engine's renders",
-      .parameters = splatbus::trainer::parameter_specs(),
+      .parameters = splatbus::bus::Parameters::declare<splatbus::trainer::Options>(),
   };
   return splatbus::bus::service_main(argc, argv, description, [](splatbus::bus::ServiceContext& service) {
     splatbus::trainer::Trainer(service).run();

@@ -23,7 +23,7 @@ constexpr std::array<const char*, 2> kPlanesRoles = {"model", "model-grown"};
 
 /// What is wrong with a header as that of a model of this layout; empty when nothing is.
 std::string header_fault(const bus::Slab& slab, const ParameterLayout& layout) {
-  if (slab.descriptor().kind != bus::MemoryKind::Host || slab.slots() != 1 || slab.slot_bytes() < sizeof(SlabHeader)) {
+  if (slab.descriptor().kind != Device::Cpu || slab.slots() != 1 || slab.slot_bytes() < sizeof(SlabHeader)) {
     return "it is too small for a model's header";
   }
   const auto& header = *reinterpret_cast<const SlabHeader*>(slab.slot_data(kSlot));
@@ -50,7 +50,7 @@ std::string header_fault(const bus::Slab& slab, const ParameterLayout& layout) {
 }  // namespace
 
 ModelStore::ModelStore(std::shared_ptr<bus::Context> bus, const ParameterLayout& layout, std::size_t capacity,
-                       std::size_t max_gaussians, bus::MemoryKind memory)
+                       std::size_t max_gaussians, Device memory)
     : bus_(std::move(bus)), max_gaussians_(max_gaussians), memory_(memory), columns_(make_model_columns(memory)) {
   planes_.layout = layout;
   // Registering anything waits for the broker; asked before that, it would seem to hold no model.
@@ -131,7 +131,7 @@ void ModelStore::repair() {
     structure_.next_gaussian_id = std::max(structure_.next_gaussian_id, ids[by_id.back()] + 1);
   }
   const auto marks = bus::allocate_memory(memory_, count());
-  bus::copy_memory(marks.get(), memory_, dead.data(), bus::MemoryKind::Host, count());
+  bus::copy_memory(marks.get(), memory_, dead.data(), Device::Cpu, count());
   bus::finish_copies();
   change([&] { remove(reinterpret_cast<const std::uint8_t*>(marks.get())); });
 }

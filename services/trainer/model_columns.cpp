@@ -8,8 +8,8 @@
 
 namespace splatbus::trainer {
 
-std::unique_ptr<ModelColumns> make_model_columns(bus::MemoryKind memory) {
-  if (memory == bus::MemoryKind::Host) return std::make_unique<HostColumns>();
+std::unique_ptr<ModelColumns> make_model_columns(Device memory) {
+  if (memory == Device::Cpu) return std::make_unique<HostColumns>();
 #ifdef SPLATBUS_HAVE_CUDA
   return std::make_unique<cuda::DeviceColumns>();
 #else

@@ -51,7 +51,7 @@ class ModelColumns {
                                  const std::unordered_set<std::uint64_t>& cells, bool frozen) = 0;
 
   /// Values of either memory, clamped to [0, 1], to the first columns; what is not a number becomes 0.
-  virtual void set_visibility(const ModelPlanes& planes, const float* values, bus::MemoryKind memory,
+  virtual void set_visibility(const ModelPlanes& planes, const float* values, Device memory,
                               std::size_t count) = 0;
 
   /// What adoption wants to know, in host memory.
@@ -63,6 +63,6 @@ class ModelColumns {
 };
 
 /// Throws bus::Error when this build or machine has no such memory.
-[[nodiscard]] std::unique_ptr<ModelColumns> make_model_columns(bus::MemoryKind memory);
+[[nodiscard]] std::unique_ptr<ModelColumns> make_model_columns(Device memory);
 
 }  // namespace splatbus::trainer

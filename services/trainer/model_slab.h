@@ -66,7 +66,7 @@ struct SlabLayout {
 [[nodiscard]] std::size_t rounded_capacity(std::size_t capacity);
 
 /// Copies the first `count` columns between planes of one layout in any two kinds of memory, and waits for it.
-void copy_columns(const ModelPlanes& to, bus::MemoryKind to_memory, const ModelPlanes& from,
-                  bus::MemoryKind from_memory, std::size_t count);
+void copy_columns(const ModelPlanes& to, Device to_memory, const ModelPlanes& from,
+                  Device from_memory, std::size_t count);
 
 }  // namespace splatbus::trainer

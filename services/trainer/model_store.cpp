@@ -38,8 +38,7 @@ void ModelStore::add_step(std::size_t views, double seconds) {
   header_->optimizer_s += seconds;
 }
 
-bool ModelStore::set_visibility(std::uint64_t generation, const float* values, bus::MemoryKind memory,
-                                std::size_t count) {
+bool ModelStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
   const bool moved = generation < structure_.removal_generation || generation > structure_.generation;
   if (moved || count > structure_.count) return false;
   columns_->set_visibility(planes_, values, memory, count);
@@ -108,10 +107,10 @@ std::size_t ModelStore::set_frozen(const std::unordered_set<std::uint64_t>& cell
   return changed;
 }
 
-void ModelStore::publish(bus::Publisher& publisher) const {
+void ModelStore::publish(const bus::Publisher& publisher) const {
   const auto stride = static_cast<std::uint32_t>(planes_.capacity);
   const std::byte* const start = planes_slab_->slot_data(kSlot);
-  bus::MessageInfo info{.schema = "ModelPublished/1", .latch = true};
+  bus::MessageInfo info;
   const auto add = [&](const char* name, const auto* plane, std::uint32_t channels) {
     using Element = std::remove_const_t<std::remove_pointer_t<decltype(plane)>>;
     std::vector<std::uint32_t> shape{stride};
@@ -133,13 +132,15 @@ void ModelStore::publish(bus::Publisher& publisher) const {
   add("flags", planes_.flags, 0);
   add("cell", planes_.cell, 0);
   add("gaussian_id", planes_.gaussian_id, 0);
-  publisher.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<wire::Header> header) {
-    const auto batches = builder.CreateVector(structure_.batches.data(), structure_.batch_count);
-    return wire::CreateModelPublished(
-        builder, header, structure_.generation, structure_.count, planes_.capacity,
-        layout().appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-        static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches, structure_.frozen);
-  });
+  publisher.publish(
+      topics::kModelPublished, info,
+      [&](flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<wire::Header> header) {
+        const auto batches = builder.CreateVector(structure_.batches.data(), structure_.batch_count);
+        return wire::CreateModelPublished(
+            builder, header, structure_.generation, structure_.count, planes_.capacity,
+            layout().appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
+            static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches, structure_.frozen);
+      });
 }
 
 }  // namespace splatbus::trainer

@@ -33,13 +33,13 @@ class ModelStore {
 
   /// Waits for the broker (bus::Error when it does not come). `max_gaussians` bounds growth.
   ModelStore(std::shared_ptr<bus::Context> bus, const ParameterLayout& layout, std::size_t capacity,
-             std::size_t max_gaussians, bus::MemoryKind memory = bus::MemoryKind::Host);
+             std::size_t max_gaussians, Device memory = Device::Cpu);
 
   /// How the store began, in words: "empty", "adopted ...", or why what was found was of no use.
   [[nodiscard]] const std::string& origin() const { return origin_; }
 
   /// Where the planes lie.
-  [[nodiscard]] bus::MemoryKind memory() const { return memory_; }
+  [[nodiscard]] Device memory() const { return memory_; }
   [[nodiscard]] const ParameterLayout& layout() const { return planes_.layout; }
   [[nodiscard]] std::size_t count() const { return structure_.count; }
   [[nodiscard]] std::size_t capacity() const { return planes_.capacity; }
@@ -61,7 +61,7 @@ class ModelStore {
 
   /// Takes over the sun's visibility of the first `count` columns, in place, from values in either memory, when columns
   /// have not moved since `generation`.
-  bool set_visibility(std::uint64_t generation, const float* values, bus::MemoryKind memory, std::size_t count);
+  bool set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count);
 
   /// Runs `work`, which may call the four functions below, as one change of structure with one new generation. When it
   /// throws, the structure stays as it was.
@@ -79,7 +79,7 @@ class ModelStore {
   std::size_t set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen);
 
   /// Publishes model/published with the slab as it is now.
-  void publish(bus::Publisher& publisher) const;
+  void publish(const bus::Publisher& publisher) const;
 
  private:
   void begin_empty(std::size_t capacity);
@@ -95,7 +95,7 @@ class ModelStore {
 
   std::shared_ptr<bus::Context> bus_;
   std::size_t max_gaussians_;
-  bus::MemoryKind memory_;
+  Device memory_;
   std::unique_ptr<ModelColumns> columns_;
   std::string origin_;
   std::shared_ptr<bus::Slab> header_slab_, planes_slab_;

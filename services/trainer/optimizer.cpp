@@ -35,9 +35,9 @@ void Optimizer::change(const std::function<void()>& work) {
 
 float Optimizer::average_decay() const {
   const double covered_steps =
-      store_.optimizer_s() > 0 ? options_.average_s * static_cast<double>(store_.step()) / store_.optimizer_s() : 0;
+      store_.optimizer_s() > 0 ? options_.ema_s * static_cast<double>(store_.step()) / store_.optimizer_s() : 0;
   const double of_time = covered_steps > 1 ? 1 - 1 / covered_steps : 0;
-  return std::max(options_.average_decay, static_cast<float>(of_time));
+  return std::max(options_.ema_decay, static_cast<float>(of_time));
 }
 
 std::vector<const InsertBatch*> Optimizer::admitted(const std::vector<InsertBatch>& inserts) {
@@ -81,7 +81,7 @@ bool Optimizer::apply(const Commands& commands) {
 }
 
 std::unique_ptr<Optimizer> make_optimizer(ModelStore& store, const Options& options) {
-  if (store.memory() == bus::MemoryKind::Host) return std::make_unique<CpuOptimizer>(store, options);
+  if (store.memory() == Device::Cpu) return std::make_unique<CpuOptimizer>(store, options);
 #ifdef SPLATBUS_HAVE_CUDA
   return make_cuda_optimizer(store, options);
 #else

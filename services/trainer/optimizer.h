@@ -72,7 +72,7 @@ class Optimizer {
   /// A change of structure that adds or freezes. What is kept here for each Gaussian follows the model even when it
   /// throws: it may have moved to a larger slab before.
   void change(const std::function<void()>& work);
-  /// Of the average over time, a step: options().average_decay, or as much more as average_s of optimizer time takes at
+  /// Of the average over time, a step: options().ema_decay, or as much more as ema_s of optimizer time takes at
   /// the pace of the steps so far.
   [[nodiscard]] float average_decay() const;
   /// Ends what is under way, so that nothing of this optimizer's own works on the planes; the structure may change.

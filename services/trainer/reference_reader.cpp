@@ -17,7 +17,7 @@ constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch togethe
 
 }  // namespace
 
-ReferenceReader::ReferenceReader(bus::MemoryKind memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes)
+ReferenceReader::ReferenceReader(Device memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes)
     : memory_(memory), max_bytes_(max_bytes), host_bytes_(host_bytes), pool_(memory) {}
 
 /// Copies a tensor of the camera's size. False when its slot was overwritten.
@@ -33,12 +33,12 @@ bool ReferenceReader::read_picture(const bus::Message& message, const char* name
 }
 
 ViewKey reference_key(const bus::Message& message) {
-  const auto& camera = *message.root<wire::CaptureReference>("CaptureReference/1").camera();
+  const auto& camera = *message.root<wire::CaptureReference>().camera();
   return {.role = static_cast<CameraRole>(camera.role()), .id = camera.id()};
 }
 
 ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_depth) {
-  const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
+  const auto& reference = message.root<wire::CaptureReference>();
   ReferenceReading reading;
   reading.key = reference_key(message);
   if (reading.key.role != CameraRole::Reference && reading.key.role != CameraRole::Input) {
@@ -55,7 +55,7 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
                      std::to_string(view.camera.height) + " is larger than " + std::to_string(kMaxSide));
   }
   view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
-  if (memory_ == bus::MemoryKind::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
+  if (memory_ == Device::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
     throw bus::Error(message.topic() + ": " + std::to_string(view.scene.objects.size()) +
                      " moving objects are more than the CUDA backend takes (" + std::to_string(kMaxDeviceObjects) +
                      ")");

@@ -26,7 +26,7 @@ struct ReferenceReading {
 class ReferenceReader {
  public:
   /// No camera's pictures may take more than `max_bytes`. What passes through the host is added to `host_bytes`.
-  ReferenceReader(bus::MemoryKind memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes);
+  ReferenceReader(Device memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes);
 
   /// Throws bus::Error or std::runtime_error when the message lies.
   [[nodiscard]] ReferenceReading read(const bus::Message& message, bool with_depth);
@@ -36,7 +36,7 @@ class ReferenceReader {
   [[nodiscard]] bool read_picture(const bus::Message& message, const char* name, std::vector<std::uint32_t> shape,
                                   Pixels<T>& out);
 
-  bus::MemoryKind memory_;
+  Device memory_;
   std::size_t max_bytes_;
   std::atomic<std::uint64_t>& host_bytes_;
   bus::MemoryPool pool_;

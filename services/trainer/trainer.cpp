@@ -21,7 +21,7 @@ constexpr int kMaxDrained = 512;
 constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
 /// What pictures may take: most of the memory is the model's.
-std::size_t picture_bytes(bus::MemoryKind memory) {
+std::size_t picture_bytes(Device memory) {
   return std::min(ViewStore::kMaxBytes, bus::free_memory(memory) / 4);
 }
 
@@ -29,48 +29,59 @@ std::size_t picture_bytes(bus::MemoryKind memory) {
 
 Trainer::Trainer(bus::ServiceContext& service)
     : service_(service),
-      views_(ViewStore::kMaxViews, picture_bytes(bus::memory_of(service.backend))),
-      references_(bus::memory_of(service.backend), views_.max_bytes(), host_copied_bytes_),
-      inserts_(make_insert_reader(bus::memory_of(service.backend), host_copied_bytes_)),
-      visibilities_(bus::memory_of(service.backend)),
-      schedule_(read_options(service.parameters).seed) {}
+      publisher_(service.bus),
+      subscriber_(service.bus),
+      views_(ViewStore::kMaxViews, picture_bytes(service.backend)),
+      references_(service.backend, views_.max_bytes(), host_copied_bytes_),
+      inserts_(make_insert_reader(service.backend, host_copied_bytes_)),
+      visibilities_(service.backend),
+      schedule_(service.parameters.read<Options>().seed),
+      options_(service.parameters) {}
 
 void Trainer::run() {
-  const Options options = read_options(service_.parameters);
+  const Options& options = *options_;
   with_depth_ = options.depth_weight > 0;
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
-                                        bus::memory_of(service_.backend));
+                                        service_.backend);
   spdlog::info("model: {}", store_->origin());
   optimizer_ = make_optimizer(*store_, options);
-  options_version_ = service_.parameters.version();
-  model_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "model/published");
-  stats_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/stats");
-  cells_publisher_ = std::make_unique<bus::Publisher>(service_.bus, "trainer/cells");
 
   const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
   receive();
   commands_.wake();
 }
 
+void Trainer::subscribe() {
+  subscriber_
+      .on(topics::kCaptureReference,
+          [this](const wire::CaptureReference&, const bus::Message& message) { take_reference(message); })
+      .on(topics::kModelInsert, [this](const wire::ModelInsert&, const bus::Message& message) { take_insert(message); })
+      .on(topics::kModelFreeze,
+          [this](const wire::ModelCells& body, const bus::Message& message) { take_cells(body, message, true); })
+      .on(topics::kModelUnfreeze,
+          [this](const wire::ModelCells& body, const bus::Message& message) { take_cells(body, message, false); })
+      .on(topics::kRelightVisibility,
+          [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); });
+}
+
 void Trainer::receive() {
-  bus::Subscriber subscriber(
-      service_.bus, {"capture/reference", "model/insert", "model/freeze", "model/unfreeze", "relight/visibility"});
+  subscribe();
   while (!service_.stop.stop_requested()) {
-    auto message = subscriber.receive(kReceiveTimeout);
+    auto message = subscriber_.receive(kReceiveTimeout);
     // Pictures that are outdated by others in the queue are not copied.
     std::vector<bus::Message> references;
     for (int n = 0; message && n < kMaxDrained; ++n) {
-      if (message->topic() == "capture/reference") {
+      if (message->topic() == topics::kCaptureReference.name) {
         references.push_back(std::move(*message));
-      } else if (!bus::guarded(*message, [&] { handle(*message); })) {
+      } else if (!subscriber_.dispatch(*message)) {
         failed_ = true;
       }
-      message = subscriber.receive(0ms);
+      message = subscriber_.receive(0ms);
     }
-    if (message && !bus::guarded(*message, [&] { handle(*message); })) failed_ = true;
+    if (message && !subscriber_.dispatch(*message)) failed_ = true;
     take_references(references);
-    if (failed_.exchange(false)) bus::require_usable(bus::memory_of(service_.backend));
-    service_.counter("lost_messages", static_cast<double>(subscriber.lost()));
+    if (failed_.exchange(false)) bus::require_usable(service_.backend);
+    service_.counter("lost_messages", static_cast<double>(subscriber_.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
   }
@@ -82,16 +93,8 @@ void Trainer::take_references(const std::vector<bus::Message>& messages) {
     bus::guarded(message, [&] { newest[reference_key(message)] = &message; });
   }
   for (const auto& [key, message] : newest) {
-    if (!bus::guarded(*message, [&, m = message] { take_reference(*m); })) failed_ = true;
+    if (!subscriber_.dispatch(*message)) failed_ = true;
   }
-}
-
-void Trainer::handle(const bus::Message& message) {
-  if (message.topic() == "capture/reference") return take_reference(message);
-  if (message.topic() == "model/insert") return take_insert(message);
-  if (message.topic() == "model/freeze") return take_cells(message, true);
-  if (message.topic() == "model/unfreeze") return take_cells(message, false);
-  if (message.topic() == "relight/visibility") return take_visibility(message);
 }
 
 void Trainer::take_reference(const bus::Message& message) {
@@ -123,8 +126,8 @@ void Trainer::take_insert(const bus::Message& message) {
   if (!taken) refuse(message);
 }
 
-void Trainer::take_cells(const bus::Message& message, bool freeze) {
-  const auto* cells = message.root<wire::ModelCells>("ModelCells/1").cells();
+void Trainer::take_cells(const wire::ModelCells& body, const bus::Message& message, bool freeze) {
+  const auto* cells = body.cells();
   if (cells == nullptr || cells->size() == 0) return;
   CellsCommand command{.cells = {cells->begin(), cells->end()}, .freeze = freeze};
   bool taken = false;
@@ -140,8 +143,7 @@ void Trainer::refuse(const bus::Message& message) {
   service_.counter("refused_commands", static_cast<double>(refused_commands_));
 }
 
-void Trainer::take_visibility(const bus::Message& message) {
-  const auto& relit = message.root<wire::RelightVisibility>("RelightVisibility/1");
+void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::Message& message) {
   if (relit.count() > kMaxVisibilities) {
     throw bus::Error(message.topic() + ": a count of " + std::to_string(relit.count()) + " makes no sense");
   }
@@ -152,7 +154,7 @@ void Trainer::take_visibility(const bus::Message& message) {
     ++lost_tensors_;
     return;
   }
-  const bus::MemoryKind memory = bus::memory_of(service_.backend);
+  const Device memory = service_.backend;
   auto values = visibilities_.take(tensor->bytes());
   if (!bus::copy_tensor(*tensor, values.get(), memory, host_copied_bytes_)) {
     ++lost_tensors_;

@@ -50,11 +50,11 @@ class Trainer {
  private:
   // Message thread.
   void receive();
-  void handle(const bus::Message& message);
+  void subscribe();
   void take_references(const std::vector<bus::Message>& messages);
   void take_reference(const bus::Message& message);
-  void take_cells(const bus::Message& message, bool freeze);
-  void take_visibility(const bus::Message& message);
+  void take_cells(const wire::ModelCells& body, const bus::Message& message, bool freeze);
+  void take_visibility(const wire::RelightVisibility& relit, const bus::Message& message);
   void take_insert(const bus::Message& message);
   /// Counts a command that the queue has no room for, and says so once: the expander repeats a batch.
   void refuse(const bus::Message& message);
@@ -73,6 +73,8 @@ class Trainer {
   void publish_cells();
 
   bus::ServiceContext& service_;
+  bus::Publisher publisher_;
+  bus::Subscriber subscriber_;
   ViewStore views_;
   CommandQueue commands_;
   std::atomic<bool> with_depth_{false};
@@ -87,7 +89,7 @@ class Trainer {
   std::unique_ptr<Optimizer> optimizer_;
   Schedule schedule_;
   Progress progress_;
-  std::uint64_t options_version_ = 0;
+  bus::LiveOptions<Options> options_;
 
   /// What is announced at once when it changes.
   struct State {
@@ -99,7 +101,6 @@ class Trainer {
   State announced_;
   using Clock = std::chrono::steady_clock;
   Clock::time_point model_published_{}, stats_published_{};
-  std::unique_ptr<bus::Publisher> model_publisher_, stats_publisher_, cells_publisher_;
 };
 
 }  // namespace splatbus::trainer

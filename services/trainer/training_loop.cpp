@@ -64,10 +64,8 @@ bool Trainer::finish_steps() {
 }
 
 void Trainer::refresh_options() {
-  const std::uint64_t version = service_.parameters.version();
-  if (version == options_version_) return;
-  options_version_ = version;
-  optimizer_->set_options(read_options(service_.parameters));
+  if (!options_.refresh()) return;
+  optimizer_->set_options(*options_);
   with_depth_ = optimizer_->options().depth_weight > 0;
 }
 
@@ -108,7 +106,7 @@ void Trainer::publish_due(bool structure_changed) {
   const bool newly_finished = finished && state.finished_at != announced_.finished_at;
   const auto model_period = service_.bus->address().is_local() ? Clock::duration(kModelPeriod) : kRemoteModelPeriod;
   if (structure_changed || newly_finished || now - model_published_ >= model_period) {
-    store_->publish(*model_publisher_);
+    store_->publish(publisher_);
     model_published_ = now;
   }
   const auto stats_period = state == announced_ ? Clock::duration(kStatsPeriod) : kChangedStatsPeriod;
@@ -137,7 +135,7 @@ void Trainer::publish_stats(bool stopped) {
   } else {
     service_.detail("trains");
   }
-  stats_publisher_->publish({.schema = "TrainerStats/1"}, [&](auto& builder, auto header) {
+  publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
     return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
                                     progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
                                     store_->count() - store_->structure().frozen, references, inputs, stopped,
@@ -151,7 +149,7 @@ void Trainer::publish_cells() {
     if (cell.seen) cells.emplace_back(id, cell.count, cell.loss, cell.movement);
   }
   if (cells.empty()) return;
-  cells_publisher_->publish({.schema = "TrainerCells/1"}, [&](auto& builder, auto header) {
+  publisher_.publish(topics::kTrainerCells, [&](auto& builder, auto header) {
     const auto list = builder.CreateVectorOfStructs(cells);
     return wire::CreateTrainerCells(builder, header, store_->step(), list);
   });

@@ -20,7 +20,7 @@ struct TrainingView {
   Camera camera;
   SceneState scene;  ///< light and object transforms of that very frame
   std::uint64_t frame = 0;
-  bus::MemoryKind memory = bus::MemoryKind::Host;  ///< where the pictures lie
+  Device memory = Device::Cpu;  ///< where the pictures lie
   Pixels<std::uint8_t> color;                      ///< [h][w][4], display space
   Pixels<std::uint8_t> albedo;                     ///< the same, or empty
   Pixels<float> depth;                             ///< [h][w] metres along z, 0 where there is no surface; or empty

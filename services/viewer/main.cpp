@@ -1,17 +1,23 @@
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
 
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <exception>
+#include <string>
 #include <string_view>
 #include <vector>
 
 #include "bus/error.h"
 #include "bus/service.h"
-#include "viewer/standalone.h"
+#include "bus/signals.h"
 #include "viewer/viewer.h"
 
 namespace {
 
 void run_on_bus(splatbus::bus::ServiceContext& service) {
-  std::string endpoint = service.parameters.text("endpoint");
+  std::string endpoint = service.parameters.read<splatbus::viewer::Options>().endpoint;
   const splatbus::bus::Address& address = service.bus->address();
   if (endpoint.empty()) {
     if (!address.is_local()) {
@@ -23,11 +29,58 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
   splatbus::viewer::Viewer(service.parameters,
                            {.name = service.bus->source(),
                             .endpoint = endpoint,
-                            .device = splatbus::viewer::device_of(service.backend),
+                            .device = service.backend,
                             .stop = service.stop,
                             .counter = [&](const std::string& name, double value) { service.counter(name, value); },
                             .detail = [&](const std::string& text) { service.detail(text); }})
       .run();
+}
+
+/// The viewer without a bus, beside a streamer on another machine: --connect ENDPOINT, --name, --backend, --set,
+/// --log-level. Returns the exit status.
+int standalone_main(int argc, char** argv) {
+  CLI::App app("Shows a stream without any bus", "splatbus-viewer");
+  std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info", backend = "auto";
+  std::vector<std::string> changes;
+  app.add_option("--connect", endpoint, "the streamer's endpoint, such as tcp://host:7600")->required();
+  app.add_option("--name", name, "told to the streamer")->capture_default_str();
+  app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
+  app.add_option("--backend", backend, "what draws: cpu, cuda or auto")
+      ->envname("SPLATBUS_BACKEND")
+      ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
+      ->capture_default_str();
+  app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  try {
+    spdlog::set_level(spdlog::level::from_str(log_level));
+    splatbus::bus::Parameters parameters(splatbus::bus::Parameters::declare<splatbus::viewer::Options>());
+    for (const std::string& change : changes) {
+      const auto equals = change.find('=');
+      if (equals == std::string::npos)
+        throw splatbus::bus::Error(fmt::format("--set '{}': expected name=value", change));
+      const std::string problem = parameters.set(change.substr(0, equals), change.substr(equals + 1), false);
+      if (!problem.empty()) throw splatbus::bus::Error("--set: " + problem);
+    }
+    std::stop_source stop;
+    const splatbus::bus::StopSignals signals(stop);
+    std::string detail;
+    splatbus::viewer::Viewer(parameters, {.name = name,
+                                          .endpoint = endpoint,
+                                          .device = splatbus::bus::choose_backend(backend),
+                                          .stop = stop.get_token(),
+                                          .counter = [](const std::string& counter,
+                                                        double value) { spdlog::debug("{} {}", counter, value); },
+                                          .detail =
+                                              [&](const std::string& text) {
+                                                if (text != detail) spdlog::info("{}", text);
+                                                detail = text;
+                                              }})
+        .run();
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "splatbus-viewer: {}\n", error.what());
+    return 1;
+  }
+  return 0;
 }
 
 }  // namespace
@@ -48,13 +101,13 @@ int main(int argc, char** argv) {
     }
   }
   const auto count = static_cast<int>(arguments.size());
-  if (standalone) return splatbus::viewer::standalone_main(count, arguments.data());
+  if (standalone) return standalone_main(count, arguments.data());
   const splatbus::bus::ServiceDescription description{
       .kind = "viewer",
       .summary =
           "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window; and --connect ENDPOINT to "
           "view a streamer elsewhere without any bus",
-      .parameters = splatbus::viewer::parameter_specs(),
+      .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
   };
   return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);
 }

@@ -3,12 +3,13 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <span>
 #include <utility>
 
 #include "bus/clock.h"
 #include "bus/error.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
 #include "stream/layout.h"
 #include "wire/convert.h"
 
@@ -19,6 +20,7 @@ namespace {
 constexpr int kQueuedMessages = 64;
 constexpr int kMessagesACall = 256;
 constexpr std::int64_t kAskAgainNs = 250'000'000;
+constexpr std::int64_t kMinSnapshotWaitNs = 2'000'000'000, kMaxSnapshotWaitNs = 64'000'000'000;
 constexpr std::int64_t kSnapshotStalledNs = 3'000'000'000;
 constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;
 
@@ -31,7 +33,8 @@ std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
 StreamClient::StreamClient(ClientOptions options)
     : options_(std::move(options)),
       socket_(context_, zmq::socket_type::dealer),
-      writer_(options_.name, static_cast<std::uint64_t>(bus::now_ns())) {
+      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())),
+      replica_(stream::kMaxGaussians, options_.device) {
   socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::linger, 100);
@@ -60,7 +63,7 @@ void StreamClient::send(wire::Body body, Build&& build) {
 }
 
 bool StreamClient::poll(std::chrono::milliseconds timeout) {
-  maintain(bus::now_ns());
+  maintain(options_.now_ns());
   zmq::pollitem_t items[]{{socket_.handle(), 0, ZMQ_POLLIN, 0}};
   try {
     zmq::poll(items, 1, timeout);
@@ -68,7 +71,7 @@ bool StreamClient::poll(std::chrono::milliseconds timeout) {
     if (error.num() != EINTR) throw;
   }
   const bool changed = receive_all();
-  maintain(bus::now_ns());
+  maintain(options_.now_ns());
   return changed;
 }
 
@@ -84,12 +87,16 @@ bool StreamClient::receive_all() {
     }
     for (zmq::message_t rest; more; more = rest.more()) (void)socket_.recv(rest);
     received_bytes_ += packet.size() + payload.size();
-    heard_ns_ = bus::now_ns();
+    heard_ns_ = options_.now_ns();
     try {
       changed = take(stream::ParsedPacket::parse(bytes_of(packet), bytes_of(payload))) || changed;
     } catch (const std::runtime_error& error) {
       ++refused_;
-      if (log_limiter_.allow()) spdlog::warn("{}: {}", options_.endpoint, error.what());
+      // The same again is no news.
+      if (last_refusal_ != error.what() && log_limiter_.allow()) {
+        last_refusal_ = error.what();
+        spdlog::warn("{}: {}", options_.endpoint, error.what());
+      }
     }
   }
   return changed;
@@ -117,7 +124,7 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
     case wire::Body::Snapshot:
     case wire::Body::SnapshotBegin:
     case wire::Body::GaussianOrder:
-      progress_ns_ = bus::now_ns();
+      progress_ns_ = options_.now_ns();
       break;
     default:
       break;
@@ -156,7 +163,7 @@ std::optional<ProbeAnswer> StreamClient::take_probe_answer() {
 
 void StreamClient::hello(std::int64_t now_ns) {
   hello_ns_ = now_ns;
-  const stream::HeldState* held = replica_.held();
+  const stream::ReplicatedState* held = replica_.held();
   const bool follows = held && !replica_.loading() && !replica_.needs_snapshot();
   send(wire::Body::Hello, [&](auto& builder) {
     const wire::Camera camera = camera_ ? to_wire(*camera_) : wire::Camera();
@@ -171,19 +178,29 @@ void StreamClient::maintain(std::int64_t now_ns) {
     if (now_ns - hello_ns_ > options_.hello_every_ns) hello(now_ns);
     return;
   }
+  if (const bool stalled = replica_.loading() && now_ns - progress_ns_ > kSnapshotStalledNs;
+      stalled || replica_.needs_snapshot()) {
+    ask_for_snapshot(now_ns, stalled ? "chunks are missing" : replica_.refusal());
+    return;
+  }
+  if (!replica_.loading()) next_snapshot_ns_ = snapshot_wait_ns_ = 0;
   if (now_ns - asked_ns_ < kAskAgainNs) return;
-  const bool stalled = replica_.loading() && now_ns - progress_ns_ > kSnapshotStalledNs;
-  if (replica_.needs_snapshot() || stalled) {
-    asked_ns_ = progress_ns_ = now_ns;
-    ++snapshot_requests_;
-    send(wire::Body::NeedSnapshot, [&](auto& builder) {
-      return wire::CreateNeedSnapshotDirect(builder, stalled ? "chunks are missing" : "a packet did not apply");
-    });
-  } else if (const auto missing = replica_.missing()) {
+  if (const auto missing = replica_.missing()) {
     asked_ns_ = now_ns;
     ++resends_;
     send(wire::Body::Resend, [&](auto& builder) { return wire::CreateResend(builder, missing->first, missing->last); });
   }
+}
+
+// Snapshots are dear, and one that was refused will mostly be refused again: ever more seldom, until one is held.
+void StreamClient::ask_for_snapshot(std::int64_t now_ns, const std::string& reason) {
+  if (now_ns < next_snapshot_ns_) return;
+  snapshot_wait_ns_ = std::clamp(2 * snapshot_wait_ns_, kMinSnapshotWaitNs, kMaxSnapshotWaitNs);
+  next_snapshot_ns_ = now_ns + snapshot_wait_ns_;
+  progress_ns_ = now_ns;
+  ++snapshot_requests_;
+  send(wire::Body::NeedSnapshot,
+       [&](auto& builder) { return wire::CreateNeedSnapshotDirect(builder, reason.c_str()); });
 }
 
 void StreamClient::send_pose(const Camera& camera) {

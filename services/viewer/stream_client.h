@@ -9,6 +9,7 @@
 #include <vector>
 #include <zmq.hpp>
 
+#include "bus/clock.h"
 #include "bus/log_limiter.h"
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
@@ -21,9 +22,11 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
-  bool probes = false;  ///< wants ProbePictures; else they are ignored
+  bool probes = false;          ///< wants ProbePictures; else they are ignored
+  Device device = Device::Cpu;  ///< where the replica's Gaussians lie
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
+  std::function<std::int64_t()> now_ns = bus::now_ns;
   std::size_t held_picture_bytes = std::size_t{1} << 28;  ///< of answers that nobody took yet; more are not kept
 };
 
@@ -72,6 +75,7 @@ class StreamClient {
   bool take(const stream::ParsedPacket& packet);
   void take_probe_picture(const stream::ParsedPacket& packet);
   void maintain(std::int64_t now_ns);
+  void ask_for_snapshot(std::int64_t now_ns, const std::string& reason);
   void hello(std::int64_t now_ns);
   template <class Build>
   void send(wire::Body body, Build&& build);
@@ -88,6 +92,8 @@ class StreamClient {
 
   bool welcomed_ = false;
   std::int64_t heard_ns_ = 0, hello_ns_ = 0, asked_ns_ = 0, progress_ns_ = 0;
+  std::int64_t next_snapshot_ns_ = 0, snapshot_wait_ns_ = 0;
+  std::string last_refusal_;
   std::uint64_t received_bytes_ = 0, refused_ = 0, resends_ = 0, snapshot_requests_ = 0;
   bus::LogLimiter log_limiter_;
 };

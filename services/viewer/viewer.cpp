@@ -12,7 +12,6 @@
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "metrics/image_io.h"
-#include "viewer/camera_path.h"
 
 namespace splatbus::viewer {
 
@@ -22,8 +21,8 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 
-ClientOptions client_options(const bus::Parameters& parameters, const ViewerHost& host) {
-  return {.endpoint = host.endpoint, .name = host.name, .probes = parameters.boolean("probe")};
+ClientOptions client_options(const Options& options, const ViewerHost& host) {
+  return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe, .device = host.device};
 }
 
 // Viewers choose their ids without asking each other.
@@ -33,58 +32,33 @@ std::uint64_t first_probe_id() {
 
 }  // namespace
 
-std::vector<bus::ParameterSpec> parameter_specs() {
-  std::vector<bus::ParameterSpec> specs{
-      {.name = "endpoint",
-       .default_value = std::string(),
-       .description = "of the streamer; empty: 'streamer' in the folder of the bus",
-       .runtime = false},
-      {.name = "rate_hz",
-       .default_value = 5.0,
-       .description = "pictures and poses a second",
-       .minimum = 0.1,
-       .maximum = 240},
-      {.name = "threads",
-       .default_value = std::int64_t{0},
-       .description = "that draw, on the CPU; 0: one a core",
-       .minimum = 0,
-       .maximum = 1024,
-       .runtime = false},
-      {.name = "out", .default_value = std::string(), .description = "folder for pictures; empty: none are written"},
-      {.name = "frames",
-       .default_value = std::int64_t{0},
-       .description = "every n-th picture is written there as frame_<number>.png; 0: none",
-       .minimum = 0,
-       .maximum = 1e9},
-      {.name = "probe",
-       .default_value = false,
-       .description =
-           "compare with the engine's own picture whenever one arrives: quality, and probe_<id>_viewer.png in 'out'",
-       .runtime = false},
-      {.name = "probe_period_s",
-       .default_value = 5.0,
-       .description = "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: "
-                      "only what others ask for",
-       .minimum = 0,
-       .maximum = 1e6},
-      {.name = "window",
-       .default_value = false,
-       .description = "show a window, steered with mouse and keys",
-       .runtime = false},
-  };
-  std::ranges::move(path_parameter_specs(), std::back_inserter(specs));
-  return specs;
+void Options::bind(bus::ParameterBinder& p) {
+  using bus::kFixed;
+  p.add("endpoint", endpoint, "of the streamer; empty: 'streamer' in the folder of the bus", kFixed);
+  p.add("rate_hz", rate_hz, "pictures and poses a second", {0.1, 240});
+  p.add("threads", threads, "that draw, on the CPU; 0: one a core", {0, 1024}, kFixed);
+  p.add("out", out, "folder for pictures; empty: none are written");
+  p.add("frames", frames, "every n-th picture is written there as frame_<number>.png; 0: none", {0, 1e9});
+  p.add("probe", probe,
+        "compare with the engine's own picture whenever one arrives: quality, and probe_<id>_viewer.png in 'out'",
+        kFixed);
+  p.add("probe_period_s", probe_period_s,
+        "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: only what others "
+        "ask for",
+        {0, 1e6});
+  p.add("window", window, "show a window, steered with mouse and keys", kFixed);
+  path.bind(p);
 }
 
 Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
-    : parameters_(parameters),
+    : options_(parameters),
       host_(std::move(host)),
-      client_(client_options(parameters, host_)),
-      renderer_(raster::make_model_renderer(host_.device, static_cast<int>(parameters.integer("threads")))),
-      camera_(path_camera(parameters, 0)),
+      client_(client_options(*options_, host_)),
+      renderer_(raster::make_model_renderer(host_.device, options_->threads)),
+      camera_(options_->path.at(0)),
       begin_ns_(bus::now_ns()),
       next_probe_id_(first_probe_id()) {
-  if (parameters.boolean("window")) window_ = std::make_unique<Window>(camera_, "splatbus: " + host_.name);
+  if (options_->window) window_ = std::make_unique<Window>(camera_, "splatbus: " + host_.name);
 }
 
 void Viewer::run() {
@@ -94,12 +68,13 @@ void Viewer::run() {
     const std::int64_t wait_ms = std::clamp<std::int64_t>((next_ns - bus::now_ns()) / 1'000'000, 0, 50);
     changed = client_.poll(std::chrono::milliseconds(wait_ms)) || changed;
     if (window_) window_->poll_events();
+    options_.refresh();
     const std::int64_t now_ns = bus::now_ns();
     const bool first = first_picture_ns_ == 0 && client_.replica().view().count > 0;
     if (now_ns >= next_ns || first) {
       show(changed);
       changed = false;
-      const auto period_ns = static_cast<std::int64_t>(1e9 / parameters_.number("rate_hz"));
+      const auto period_ns = static_cast<std::int64_t>(1e9 / options_->rate_hz);
       next_ns = std::max(next_ns + period_ns, bus::now_ns() - period_ns);
     }
     ask_probe(now_ns);
@@ -116,7 +91,7 @@ cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const stream::Replica& replica = client_.replica();
   const GaussiansView view = replica.view();
   if (drawn_version_ != replica.version()) {
-    renderer_->take(view);
+    renderer_->read_in_place(view);
     drawn_version_ = replica.version();
   }
   renderer_->draw(camera, scene, {}, render_);
@@ -128,7 +103,7 @@ cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
 void Viewer::show(bool changed) {
   const double seconds = static_cast<double>(bus::now_ns() - begin_ns_) / 1e9;
   const Camera before = camera_;
-  camera_ = window_ ? window_->camera() : path_camera(parameters_, seconds);
+  camera_ = window_ ? window_->camera() : options_->path.at(seconds);
   client_.send_pose(camera_);
   const bool empty = client_.replica().view().count == 0;
   if (empty || (!changed && frames_ > 0 && before == camera_)) return;
@@ -139,16 +114,16 @@ void Viewer::show(bool changed) {
   }
   ++frames_;
   if (window_) window_->show(picture);
-  const std::string out = parameters_.text("out");
-  const auto every = static_cast<std::uint64_t>(parameters_.integer("frames"));
+  const std::string& out = options_->out;
+  const std::uint64_t every = options_->frames;
   if (out.empty() || every == 0 || (frames_ - 1) % every != 0) return;
   fs::create_directories(out);
   metrics::write_png(fs::path(out) / fmt::format("frame_{:06}.png", frames_ - 1), picture);
 }
 
 void Viewer::ask_probe(std::int64_t now_ns) {
-  const double period_s = parameters_.number("probe_period_s");
-  if (!parameters_.boolean("probe") || period_s <= 0 || first_picture_ns_ == 0 || now_ns < next_probe_ns_) return;
+  const double period_s = options_->probe_period_s;
+  if (!options_->probe || period_s <= 0 || first_picture_ns_ == 0 || now_ns < next_probe_ns_) return;
   next_probe_ns_ = now_ns + static_cast<std::int64_t>(period_s * 1e9);
   client_.send_probe(next_probe_id_++, camera_);
 }
@@ -162,7 +137,7 @@ void Viewer::answer_probes() {
   const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
   last_quality_ = metrics::compare(picture, reference);
   ++compared_;
-  if (const std::string out = parameters_.text("out"); !out.empty()) {
+  if (const std::string& out = options_->out; !out.empty()) {
     fs::create_directories(out);
     metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
   }

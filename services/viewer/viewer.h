@@ -12,23 +12,32 @@
 #include "bus/backend.h"
 #include "bus/parameters.h"
 #include "raster/model_renderer.h"
+#include "viewer/camera_path.h"
 #include "viewer/stream_client.h"
 #include "viewer/window.h"
 
 namespace splatbus::viewer {
 
-[[nodiscard]] std::vector<bus::ParameterSpec> parameter_specs();
+/// The viewer's parameters.
+struct Options {
+  std::string endpoint;
+  double rate_hz = 5;
+  int threads = 0;
+  std::string out;
+  std::uint64_t frames = 0;
+  bool probe = false;
+  double probe_period_s = 5;
+  bool window = false;
+  CameraPath path;
 
-/// What a backend draws with.
-[[nodiscard]] constexpr raster::Device device_of(bus::Backend backend) {
-  return backend == bus::Backend::Cuda ? raster::Device::Cuda : raster::Device::Cpu;
-}
+  void bind(bus::ParameterBinder& parameters);
+};
 
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
 struct ViewerHost {
   std::string name;
   std::string endpoint;  ///< of the streamer
-  raster::Device device = raster::Device::Cpu;
+  Device device = Device::Cpu;
   std::stop_token stop;
   std::function<void(const std::string& name, double value)> counter;
   std::function<void(const std::string& text)> detail;
@@ -54,7 +63,7 @@ class Viewer {
   void ask_probe(std::int64_t now_ns);
   void report();
 
-  const bus::Parameters& parameters_;
+  bus::LiveOptions<Options> options_;
   ViewerHost host_;
   StreamClient client_;
   std::unique_ptr<raster::ModelRenderer> renderer_;

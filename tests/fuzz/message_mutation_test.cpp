@@ -172,7 +172,7 @@ class Mutation : public testing::Test {
   template <class T>
   void read(const bus::Message& message, const std::string& schema) {
     try {
-      const auto& root = message.root<T>(schema.c_str());
+      const auto& root = message.root<T>(schema);
       sum_ += root.header()->sequence();
       if (message.header().tensors() == nullptr) return;
       for (const auto* tensor : *message.header().tensors()) {

@@ -174,7 +174,7 @@ TEST_F(Garbage, OnEveryTopicDisturbsNobody) {
 
 TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
   const auto stranger = bus::Context::create(pipeline_.address(), "stranger");
-  std::vector<bus::Publisher> publishers;  // live until everything has arrived
+  const bus::Publisher publisher(stranger);
   for (const auto& [topic, schema] :
        std::vector<std::pair<std::string, std::string>>{{"engine/cameras", "EngineCameras/1"},
                                                         {"engine/frame", "EngineFrame/1"},
@@ -196,13 +196,13 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                                                         {"sys/heartbeat", "Heartbeat/1"},
                                                         {"control/trainer", "Control/1"},
                                                         {"control/capture-bridge", "Control/1"}}) {
-    bus::Publisher& publisher = publishers.emplace_back(stranger, topic);
     const auto log = [](auto& builder, auto header) {
       return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "not what this topic is for");
     };
-    publisher.publish({.schema = "Log/1"}, log);  // another schema, honestly
-    publisher.publish({.schema = schema}, log);   // the right name over another table
-    publisher.publish({.schema = schema + "2"}, log);
+    const std::string other = schema + "2";
+    publisher.publish(Topic<wire::Log>{topic}, log);                 // another schema, honestly
+    publisher.publish(Topic<wire::Log>{topic, false, schema}, log);  // the right name over another table
+    publisher.publish(Topic<wire::Log>{topic, false, other}, log);
   }
 
   // Well-formed messages with values that make no sense.
@@ -217,10 +217,9 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
         .inline_data = type == bus::ElementType::F32 ? static_cast<const void*>(nan.data()) : zeros.data()};
   };
   using bus::ElementType;
-  bus::Publisher& insert = publishers.emplace_back(stranger, "model/insert");
-  insert.publish(
-      {.schema = "ModelInsert/1",
-       .tensors = {tensor("mean", {3, kCount}, ElementType::F32), tensor("log_scale", {3, kCount}, ElementType::F32),
+  publisher.publish(
+      topics::kModelInsert,
+      {.tensors = {tensor("mean", {3, kCount}, ElementType::F32), tensor("log_scale", {3, kCount}, ElementType::F32),
                    tensor("rotation", {4, kCount}, ElementType::F32),
                    tensor("opacity_logit", {1, kCount}, ElementType::F32),
                    tensor("albedo", {3, kCount}, ElementType::F32), tensor("normal", {3, kCount}, ElementType::F32),
@@ -230,10 +229,9 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
         const auto light = to_wire(builder, Light{});
         return wire::CreateModelInsert(builder, header, 1, 0, light);
       });
-  bus::Publisher& input = publishers.emplace_back(stranger, "capture/input");
-  input.publish(
-      {.schema = "CaptureInput/1",
-       .tensors = {tensor("position", {kCount, 3}, ElementType::F32), tensor("normal", {kCount, 3}, ElementType::F32),
+  publisher.publish(
+      topics::kCaptureInput,
+      {.tensors = {tensor("position", {kCount, 3}, ElementType::F32), tensor("normal", {kCount, 3}, ElementType::F32),
                    tensor("albedo", {kCount, 3}, ElementType::F32), tensor("color", {kCount, 3}, ElementType::F32),
                    tensor("footprint", {kCount}, ElementType::F32), tensor("spacing", {kCount}, ElementType::F32),
                    tensor("cosine", {kCount}, ElementType::F32), tensor("object_id", {kCount}, ElementType::U32),
@@ -242,8 +240,7 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
         const auto light = to_wire(builder, Light{});
         return wire::CreateCaptureInput(builder, header, 1, 0.0, 1, 0, 0, light);
       });
-  bus::Publisher& pose = publishers.emplace_back(stranger, "viewer/pose");
-  pose.publish({.schema = "ViewerPose/1"}, [](auto& builder, auto header) {
+  publisher.publish(topics::kViewerPose, [](auto& builder, auto header) {
     wire::Camera camera = to_wire(Camera{.width = 8, .height = 8, .fx = 1, .fy = 1});
     camera.mutate_fx(std::numeric_limits<float>::quiet_NaN());
     camera.mutate_width(0xFFFFFFFF);

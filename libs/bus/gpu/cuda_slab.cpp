@@ -96,7 +96,7 @@ std::shared_ptr<CudaSlab> CudaSlab::create(const SlabDescriptor& descriptor, boo
   const std::size_t bytes = allocation_bytes(driver, descriptor);
   driver.check(driver.create(&slab->allocation_, bytes, &properties, 0),
                in_slab(descriptor.name, fmt::format("allocating {} bytes on the device", bytes)));
-  if (shared) slab->data_fd_ = export_allocation(driver, slab->allocation_, descriptor.name);
+  slab->data_fd_ = export_allocation(driver, slab->allocation_, descriptor.name);
   slab->map_allocation();
   slab->clear();
   return slab;

@@ -2,18 +2,21 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
+#include <functional>
 #include <numeric>
 #include <stdexcept>
 
 #include "raster/adam.h"
 #include "raster/adam_kernel.h"
 #include "raster/cpu/kernels.h"
+#include "raster/cpu/pieces.h"
 
 namespace splatbus::raster {
 namespace cpu {
 namespace {
 
-constexpr std::size_t kGaussianPiece = 2048;  // a multiple of any vector's lanes
+constexpr std::uint32_t kGaussianPiece = 2048;  // a multiple of any vector's lanes
 constexpr std::size_t kTilePiece = 8, kWideTilePiece = 4;
 
 void resize(Image& image, const Camera& camera, std::uint32_t channels) {
@@ -33,7 +36,8 @@ void timed(std::vector<StageTime>& times, const char* name, const Body& body) {
 
 void check(const GaussiansView& gaussians, const Camera& camera) {
   if (gaussians.count > kGaussianMask) throw std::invalid_argument("rasterizer: more than 2^28 Gaussians");
-  if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+  if (!gaussians.has_pages() && gaussians.count > gaussians.stride)
+    throw std::invalid_argument("rasterizer: stride is below count");
   if (gaussians.count > 0 && gaussians.parameters == nullptr) throw std::invalid_argument("rasterizer: no parameters");
   if (camera.role == CameraRole::Light) throw std::invalid_argument("rasterizer: light cameras are orthographic");
   constexpr std::uint32_t kMaxSide = 1U << 15U;
@@ -42,25 +46,50 @@ void check(const GaussiansView& gaussians, const Camera& camera) {
 
 }  // namespace
 
+void CpuRasterizer::list_pieces(const SceneState& scene) {
+  GaussiansView shown = frame_.gaussians;
+  if (!shown.bounds.empty()) {
+    const Camera& camera = frame_.camera;
+    const auto max_tan = [](float low, float high) { return std::max(std::abs(low), std::abs(high)); };
+    const FrustumCamera pinhole{.fx = camera.fx,
+                                .fy = camera.fy,
+                                .cx = camera.cx,
+                                .cy = camera.cy,
+                                .width = static_cast<float>(camera.width),
+                                .height = static_cast<float>(camera.height),
+                                .near_m = camera.near_m,
+                                .blur_px2 = frame_.options.blur_px2,
+                                .max_tan_x = max_tan(frame_.tan_limit_x_low, frame_.tan_limit_x_high),
+                                .max_tan_y = max_tan(frame_.tan_limit_y_low, frame_.tan_limit_y_high)};
+    shown_ranges_ = select_ranges(shown, pinhole, camera.world_from_camera, scene.objects);
+    shown.ranges = shown_ranges_;
+  }
+  cut_pieces(shown, kGaussianPiece, frame_.pieces);
+}
+
 void CpuRasterizer::project() {
   const std::size_t count = frame_.gaussians.count;
-  const std::size_t pieces = (count + kGaussianPiece - 1) / kGaussianPiece;
+  const std::size_t pieces = frame_.pieces.size();
   frame_.splats.reserve(count);
   frame_.reaches.reserve(count);
   if (frame_.keep) frame_.pair_ranges.reserve(count);
-  frame_.order.reserve(count);
-  spare_keys_.reserve(count);
+  room_of_piece_.resize(pieces);
+  std::transform_exclusive_scan(frame_.pieces.begin(), frame_.pieces.end(), room_of_piece_.begin(), std::size_t{0},
+                                std::plus<>(), [](const IndexRange& piece) { return std::size_t{piece.count}; });
+  const std::size_t listed = pieces == 0 ? 0 : room_of_piece_.back() + frame_.pieces.back().count;
+  frame_.order.reserve(listed);
+  spare_keys_.reserve(listed);
   visible_of_piece_.assign(pieces, 0);
   // Every piece leaves its keys at its own place; they are then closed up.
-  workers_.for_pieces(count, kGaussianPiece, [&](std::size_t begin, std::size_t end) {
-    visible_of_piece_[begin / kGaussianPiece] = project_range(frame_, begin, end, spare_keys_.data() + begin);
+  workers_.for_pieces(pieces, 1, [&](std::size_t piece, std::size_t) {
+    visible_of_piece_[piece] = project_range(frame_, frame_.pieces[piece], spare_keys_.data() + room_of_piece_[piece]);
   });
   first_of_piece_.resize(pieces);
   std::exclusive_scan(visible_of_piece_.begin(), visible_of_piece_.end(), first_of_piece_.begin(), std::size_t{0});
   frame_.visible = pieces == 0 ? 0 : first_of_piece_.back() + visible_of_piece_.back();
-  workers_.for_pieces(count, kGaussianPiece, [&](std::size_t begin, std::size_t) {
-    const std::size_t piece = begin / kGaussianPiece;
-    std::copy_n(spare_keys_.data() + begin, visible_of_piece_[piece], frame_.order.data() + first_of_piece_[piece]);
+  workers_.for_pieces(pieces, 1, [&](std::size_t piece, std::size_t) {
+    std::copy_n(spare_keys_.data() + room_of_piece_[piece], visible_of_piece_[piece],
+                frame_.order.data() + first_of_piece_[piece]);
   });
 }
 
@@ -95,7 +124,10 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   resize(out.depth, camera, options.depth ? 1 : 0);
 
   forward_times_.clear();
-  timed(forward_times_, "project", [&] { project(); });
+  timed(forward_times_, "project", [&] {
+    list_pieces(scene);
+    project();
+  });
   timed(forward_times_, "sort", [&] { sorter_.sort(frame_.order, spare_keys_, frame_.visible, workers_); });
   timed(forward_times_, "bin", [&] { binner_.bin(frame_, workers_); });
   const std::size_t tiles = frame_.tile_count();
@@ -147,7 +179,7 @@ void CpuRasterizer::blend_backward(const RenderGradient& gradient) {
 GradientTarget CpuRasterizer::target_of(ParameterGradient& out) const {
   if (!frame_.keep) throw std::invalid_argument("rasterizer: backward() without forward()");
   const GaussiansView& gaussians = frame_.gaussians;
-  if (out.count != gaussians.count || out.stride != gaussians.stride || out.layout != gaussians.layout) {
+  if (out.count != gaussians.count || out.layout != gaussians.layout) {
     throw std::invalid_argument("rasterizer: the gradient was not cleared for these Gaussians");
   }
   const int channels = out.layout.channels();
@@ -164,8 +196,8 @@ void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& 
   backward_times_.clear();
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward", [&] {
-    workers_.for_pieces(frame_.gaussians.count, kGaussianPiece, [&](std::size_t begin, std::size_t end) {
-      project_range_backward(frame_, begin, end, target);
+    workers_.for_pieces(frame_.pieces.size(), 1, [&](std::size_t piece, std::size_t) {
+      project_range_backward(frame_, frame_.pieces[piece], target);
     });
   });
 }
@@ -174,26 +206,28 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
                                   float* parameters, ParameterGradient& statistics) {
   const GradientTarget target = target_of(statistics);
   const GaussiansView& gaussians = frame_.gaussians;
-  AdamStep step = adam.prepare(statistics, learning_rate);
-  step.parameters = parameters;
-  step.flags = gaussians.flags;
+  adam.check(statistics, learning_rate);
+  adam_pieces_.clear();
+  GaussiansView shown = gaussians;
+  if (gaussians.has_pages()) shown.ranges = frame_.pieces;
+  cut_pieces(shown, kAdamPiece, adam_pieces_);
   backward_times_.clear();
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward_adam", [&] {
-    workers_.for_pieces(gaussians.count, kAdamPiece, [&](std::size_t begin, std::size_t end) {
+    workers_.for_pieces(adam_pieces_.size(), 1, [&](std::size_t k, std::size_t) {
+      const IndexRange& piece = adam_pieces_[k];
       thread_local Scratch<float> values;
       values.reserve(static_cast<std::size_t>(target.active_channels) * kAdamPiece);
-      GradientTarget piece = target;
-      piece.values = values.data();
-      piece.stride = kAdamPiece;
-      piece.origin = begin;
-      piece.zeroed = false;
-      project_range_backward(frame_, begin, end, piece);
-      AdamStep piece_step = step;
-      piece_step.gradient = values.data();
-      piece_step.gradient_stride = kAdamPiece;
-      piece_step.gradient_origin = begin;
-      adam_range(piece_step, begin, end);
+      GradientTarget piece_target = target;
+      piece_target.values = values.data();
+      piece_target.stride = kAdamPiece;
+      piece_target.origin = piece.first;
+      piece_target.zeroed = false;
+      project_range_backward(frame_, piece, piece_target);
+      AdamStep step = adam.piece(gaussians, parameters, statistics, learning_rate, piece.first);
+      step.gradient = values.data();
+      step.gradient_stride = kAdamPiece;
+      adam_range(step, piece.count);
     });
   });
 }

@@ -25,6 +25,8 @@ class CpuRasterizer : public Rasterizer {
  private:
   void run_forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                    const RenderOptions& options, bool keep, Render& out);
+  /// Cuts the Gaussians of pages that may show into Frame::pieces.
+  void list_pieces(const SceneState& scene);
   void project();
   [[nodiscard]] GradientTarget target_of(ParameterGradient& out) const;
   void blend_backward(const RenderGradient& gradient);
@@ -32,7 +34,8 @@ class CpuRasterizer : public Rasterizer {
   Workers workers_;
   Frame frame_;
   Scratch<DepthKey> spare_keys_;
-  std::vector<std::size_t> visible_of_piece_, first_of_piece_;
+  std::vector<IndexRange> shown_ranges_, adam_pieces_;
+  std::vector<std::size_t> room_of_piece_, visible_of_piece_, first_of_piece_;
   DepthSorter sorter_;
   TileBinner binner_;
   std::vector<StageTime> forward_times_, backward_times_;

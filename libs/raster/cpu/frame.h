@@ -43,7 +43,9 @@ struct ObjectFrame {
 class ObjectTable {
  public:
   void build(const Camera& camera, const SceneState& scene);
-  /// Index of the frame of an object id; an unknown id is static.
+  /// What find() says of an object that the scene does not have: its Gaussians do not show.
+  static constexpr std::uint32_t kHidden = UINT32_MAX;
+  /// Index of the frame of an object id; that of kWorldFrame is 0.
   [[nodiscard]] std::uint32_t find(std::uint32_t object_id) const;
   [[nodiscard]] const ObjectFrame& operator[](std::uint32_t index) const { return frames_[index]; }
 
@@ -114,9 +116,10 @@ struct Frame {
   std::uint32_t tiles_x = 0, tiles_y = 0;
   [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
 
+  std::vector<IndexRange> pieces;         ///< Gaussians that may show, as they are worked on
   Scratch<Splat> splats;                  ///< [count], valid where visible
   Scratch<TileReach> reaches;             ///< [count], valid where visible
-  Scratch<PairRange> pair_ranges;         ///< [count], kept
+  Scratch<PairRange> pair_ranges;         ///< [count], kept, valid in pieces
   std::vector<std::uint32_t> piece_slot;  ///< first slot of every binning piece
   Scratch<DepthKey> order;                ///< visible Gaussians, near to far
   std::size_t visible = 0;

@@ -22,10 +22,10 @@ struct PixelSums {
 };
 
 /// Fetches ahead: slots of neighbouring Gaussians lie apart, in depth order, and lead to entries in many tiles.
-HWY_INLINE void PrefetchPairs(const Frame& frame, const Columns& in) {
+HWY_INLINE void PrefetchPairs(const Frame& frame, const GaussianLanes& in) {
   const auto each_of = [&](std::size_t vectors_ahead, auto&& fetch) {
     const std::size_t begin = in.i + vectors_ahead * hn::Lanes(F());
-    const std::size_t end = std::min(begin + hn::Lanes(F()), in.gaussians.count);
+    const std::size_t end = std::min(begin + hn::Lanes(F()), in.end);
     for (std::size_t i = begin; i < end; ++i) {
       const PairRange& range = frame.pair_ranges[i];
       if (range.count != 0) fetch(&frame.entry_of_slot[frame.piece_slot[range.piece] + range.first], range.count);
@@ -40,7 +40,7 @@ HWY_INLINE void PrefetchPairs(const Frame& frame, const Columns& in) {
 }
 
 /// Sums the pairs of the Gaussians of `in`, for lanes that blended into a pixel; returns those lanes.
-HWY_INLINE M SumPairs(const Frame& frame, const Columns& in, PixelSums& out) {
+HWY_INLINE M SumPairs(const Frame& frame, const GaussianLanes& in, PixelSums& out) {
   const F f;
   const hn::CappedTag<float, 16> record_tag;
   HWY_ALIGN float sums[hn::MaxLanes(F()) * 16];
@@ -189,7 +189,7 @@ HWY_INLINE ShapeGradient ShapeBackward(const Frame& frame, const ObjectFrame& ob
 }
 
 /// The colour's gradient where its channel was not clamped.
-HWY_INLINE Vec3 UnclampedColourGradient(const Frame& frame, const Columns& in, const Vec3& gradient) {
+HWY_INLINE Vec3 UnclampedColourGradient(const Frame& frame, const GaussianLanes& in, const Vec3& gradient) {
   const F f;
   HWY_ALIGN float colour[3][hn::MaxLanes(F())] = {};
   for (std::size_t lane = 0; lane < in.n; ++lane) {
@@ -207,7 +207,7 @@ HWY_INLINE Vec3 UnclampedColourGradient(const Frame& frame, const Columns& in, c
 
 /// Calls emit(channel, gradient) for the SH channels; returns the gradient of the mean through the view direction.
 template <class Emit>
-HWY_INLINE Vec3 RadianceBackward(const ObjectFrame& object, const Columns& in, const Vec3& mean, const Vec3& g,
+HWY_INLINE Vec3 RadianceBackward(const ObjectFrame& object, const GaussianLanes& in, const Vec3& mean, const Vec3& g,
                                  Emit&& emit) {
   const int degree = in.gaussians.layout.sh_degree;
   const ViewDirection direction = DirectionFromCamera(object, mean);
@@ -230,8 +230,8 @@ HWY_INLINE Vec3 RadianceBackward(const ObjectFrame& object, const Columns& in, c
 }
 
 template <class Emit>
-HWY_INLINE void TransferBackward(const ObjectFrame& object, const Columns& in, const Vec3& g, const Vec3& g_albedo,
-                                 bool residual, Emit&& emit) {
+HWY_INLINE void TransferBackward(const ObjectFrame& object, const GaussianLanes& in, const Vec3& g,
+                                 const Vec3& g_albedo, bool residual, Emit&& emit) {
   const TransferLight light = LightTransfer(object, in);
   emit(ParameterLayout::kAlbedo, hn::MulAdd(g.x, light.diffuse.x, g_albedo.x));
   emit(ParameterLayout::kAlbedo + 1, hn::MulAdd(g.y, light.diffuse.y, g_albedo.y));
@@ -248,8 +248,8 @@ HWY_INLINE void TransferBackward(const ObjectFrame& object, const Columns& in, c
 /// All of it for the lanes of one object; emit(channel, gradient) once a channel. Returns |dL/d(projected mean)| in
 /// NDC.
 template <class Emit>
-HWY_INLINE V GaussianBackward(const Frame& frame, const ObjectFrame& object, const Columns& in, const PixelSums& sums,
-                              int active_channels, Emit&& emit) {
+HWY_INLINE V GaussianBackward(const Frame& frame, const ObjectFrame& object, const GaussianLanes& in,
+                              const PixelSums& sums, int active_channels, Emit&& emit) {
   const Projection p = Project(frame, object, in);
   ShapeGradient shape = ShapeBackward(frame, object, p, sums);
   const Vec3 colour = UnclampedColourGradient(frame, in, sums.colour);

@@ -7,9 +7,9 @@
 // so ranges may run on different threads.
 namespace splatbus::raster::cpu {
 
-/// Projects Gaussians [begin, end): writes Frame::splats, reaches, empty pair_ranges if kept, and the keys of those
-/// that may be visible, whose number it returns. Non-finite parameters make a Gaussian invisible.
-std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, DepthKey* visible);
+/// Projects the Gaussians of a piece (cut_pieces()): writes Frame::splats, reaches, empty pair_ranges if kept, and the
+/// keys of those that may be visible, whose number it returns. Non-finite parameters make a Gaussian invisible.
+std::size_t project_range(Frame& frame, const IndexRange& piece, DepthKey* visible);
 
 /// Tiles and blocks that the Gaussians [begin, end) of Frame::order reach, in that order; sets their pair_ranges and
 /// adds to the counts of the tiles. Gaussians after the first `most` pairs reach nothing.
@@ -38,7 +38,7 @@ struct GradientTarget {
   float* contribution;
 };
 
-/// Sums the pair gradients of Gaussians [begin, end) and adds their parameters' gradients.
-void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out);
+/// Sums the pair gradients of a piece's Gaussians and adds their parameters' gradients.
+void project_range_backward(const Frame& frame, const IndexRange& piece, const GradientTarget& out);
 
 }  // namespace splatbus::raster::cpu

@@ -48,8 +48,9 @@ void ObjectTable::build(const Camera& camera, const SceneState& scene) {
 }
 
 std::uint32_t ObjectTable::find(std::uint32_t object_id) const {
+  if (object_id == kWorldFrame) return 0;
   const auto found = std::lower_bound(ids_.begin(), ids_.end(), object_id);
-  if (found == ids_.end() || *found != object_id) return 0;
+  if (found == ids_.end() || *found != object_id) return kHidden;
   return static_cast<std::uint32_t>(found - ids_.begin()) + 1;
 }
 

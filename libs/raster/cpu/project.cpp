@@ -43,7 +43,7 @@ HWY_INLINE M Bounded(V value) {
 
 /// Gaussians whose geometry is known and whose colour is on its way from memory.
 struct Placed {
-  std::size_t i, n;
+  std::size_t i, n, end;
   const ObjectFrame* object;
   M visible;
   SplatPlanes planes;
@@ -51,8 +51,8 @@ struct Placed {
 constexpr std::size_t kBatch = 16;
 
 /// Which of `lanes` may be seen, with all but the colours of their Splats in `planes`. Fetches meanwhile.
-HWY_INLINE M PlaceLanes(const Frame& frame, const ObjectFrame& object, const Columns& in, M lanes, PlaneFetch& fetch,
-                        SplatPlanes& planes) {
+HWY_INLINE M PlaceLanes(const Frame& frame, const ObjectFrame& object, const GaussianLanes& in, M lanes,
+                        ChannelFetch& fetch, SplatPlanes& planes) {
   const F f;
   const Vec3 mean{in.Load(0), in.Load(1), in.Load(2)};
   const V z = CameraPoint(object, mean).z;
@@ -124,7 +124,7 @@ HWY_INLINE DepthKey* FinishBatch(Frame& frame, Placed* batch, std::size_t count,
   RadianceBatch<kBatch> radiance;
   if (!transfer) {
     radiance.Shade(count, gaussians.layout.sh_degree, [&](std::size_t e) {
-      return ObjectColumns{batch[e].object, {gaussians, batch[e].i, batch[e].n}};
+      return ObjectLanes{batch[e].object, {gaussians, batch[e].i, batch[e].n, batch[e].end}};
     });
   }
   for (std::size_t e = 0; e < count; ++e) {
@@ -134,7 +134,7 @@ HWY_INLINE DepthKey* FinishBatch(Frame& frame, Placed* batch, std::size_t count,
     M visible = placed.visible;
     if (transfer) {
       constexpr int kAlbedo = ParameterLayout::kAlbedo;
-      const Columns in{gaussians, placed.i, placed.n};
+      const GaussianLanes in{gaussians, placed.i, placed.n, placed.end};
       albedo = {in.Load(kAlbedo), in.Load(kAlbedo + 1), in.Load(kAlbedo + 2)};
       colour = ShadeTransfer(*placed.object, in, albedo);
       visible = hn::And(visible, hn::And(Bounded(albedo.x), hn::And(Bounded(albedo.y), Bounded(albedo.z))));
@@ -153,19 +153,20 @@ HWY_INLINE DepthKey* FinishBatch(Frame& frame, Placed* batch, std::size_t count,
   return out;
 }
 
-std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, DepthKey* keys) {
+std::size_t ProjectRange(Frame& frame, const IndexRange& piece, DepthKey* keys) {
   const F f;
-  const std::size_t step = hn::Lanes(f);
+  const std::size_t step = hn::Lanes(f), begin = piece.first, end = begin + piece.count;
   const GaussiansView& gaussians = frame.gaussians;
   DepthKey* out = keys;
   // While one vector's geometry is worked out, the appearance of the one before comes from memory.
   Placed batch[kBatch];
   std::size_t placed_count = 0;
-  PlaneFetch fetch;
-  std::uint32_t cached_id = 0, cached_frame = gaussians.object_id == nullptr ? 0 : frame.objects.find(0);
+  ChannelFetch fetch;
+  std::uint32_t cached_id = piece.frame_id, cached_frame = frame.objects.find(cached_id);
+  if (gaussians.object_id == nullptr && cached_frame == ObjectTable::kHidden) return 0;
   for (std::size_t i = begin; i < end; i += step) {
-    const Columns in{gaussians, i, std::min(step, end - i)};
-    if (i + 2 * step < end) PrefetchPlanes(gaussians, i + 2 * step, 0, ParameterLayout::kAppearance);
+    const GaussianLanes in{gaussians, i, std::min(step, end - i), end};
+    if (i + 2 * step < end) PrefetchChannels(gaussians, i + 2 * step, end, 0, ParameterLayout::kAppearance);
     for (std::size_t k = 0; k < in.n && frame.keep; ++k) frame.pair_ranges[i + k].count = 0;
     M remaining = hn::FirstN(f, in.n);
     std::uint32_t remaining_bits = LaneBits(remaining);
@@ -173,25 +174,28 @@ std::size_t ProjectRange(Frame& frame, std::size_t begin, std::size_t end, Depth
     while (remaining_bits != 0) {
       M lanes = remaining;
       if (gaussians.object_id != nullptr) {
-        const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(remaining_bits))];
+        const std::uint32_t* const id_of = gaussians.object_id + in.offset;
+        const std::uint32_t id = id_of[std::countr_zero(remaining_bits)];
         if (id != cached_id) {
           cached_id = id;
           cached_frame = frame.objects.find(id);
         }
-        const auto ids = LoadFirst(U(), gaussians.object_id + i, in.n);
+        const auto ids = LoadFirst(U(), id_of, in.n);
         lanes = hn::And(remaining, hn::RebindMask(f, hn::Eq(ids, hn::Set(U(), id))));
       }
       const std::uint32_t lane_bits = LaneBits(lanes);
       remaining_bits &= ~lane_bits;
       remaining = hn::AndNot(lanes, remaining);
+      if (cached_frame == ObjectTable::kHidden) continue;
       Placed& placed = batch[placed_count];
       placed.i = i;
       placed.n = in.n;
+      placed.end = end;
       placed.object = &frame.objects[cached_frame];
       placed.visible = PlaceLanes(frame, *placed.object, in, lanes, fetch, placed.planes);
       if (hn::AllFalse(f, placed.visible)) continue;
       fetch.Rest();
-      fetch = PlaneFetch(gaussians, i, ParameterLayout::kAppearance, gaussians.layout.channels());
+      fetch = ChannelFetch(in, ParameterLayout::kAppearance, gaussians.layout.channels());
       if (++placed_count < kBatch) continue;
       out = FinishBatch(frame, batch, placed_count, out);
       placed_count = 0;
@@ -207,8 +211,8 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace splatbus::raster::cpu {
 HWY_EXPORT(ProjectRange);
-std::size_t project_range(Frame& frame, std::size_t begin, std::size_t end, DepthKey* visible) {
-  return HWY_DYNAMIC_DISPATCH(ProjectRange)(frame, begin, end, visible);
+std::size_t project_range(Frame& frame, const IndexRange& piece, DepthKey* visible) {
+  return HWY_DYNAMIC_DISPATCH(ProjectRange)(frame, piece, visible);
 }
 }  // namespace splatbus::raster::cpu
 #endif

@@ -15,11 +15,11 @@ HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
 /// Lanes that are not frozen.
-HWY_INLINE M ActiveLanes(const Columns& in) {
+HWY_INLINE M ActiveLanes(const GaussianLanes& in) {
   const F f;
   if (in.gaussians.flags == nullptr) return hn::FirstN(f, in.n);
   const U u;
-  const auto frozen = hn::And(LoadFirst(u, in.gaussians.flags + in.i, in.n), hn::Set(u, std::uint32_t{kFrozen}));
+  const auto frozen = hn::And(LoadFirst(u, in.gaussians.flags + in.offset, in.n), hn::Set(u, std::uint32_t{kFrozen}));
   return hn::And(hn::FirstN(f, in.n), hn::RebindMask(f, hn::Eq(frozen, hn::Zero(u))));
 }
 
@@ -29,8 +29,8 @@ HWY_INLINE void AddTo(float* to, V value, std::size_t n) {
 }
 
 /// Adds the gradients of a vector's Gaussians that blended into a pixel.
-HWY_INLINE void AddGradients(const Frame& frame, const Columns& in, const PixelSums& sums, M touched,
-                             const GradientTarget& out) {
+HWY_INLINE void AddGradients(const Frame& frame, const GaussianLanes& in, const PixelSums& sums, M touched,
+                             std::uint32_t piece_object, const GradientTarget& out) {
   const F f;
   const GaussiansView& gaussians = frame.gaussians;
   const std::size_t i = in.i;
@@ -39,12 +39,12 @@ HWY_INLINE void AddGradients(const Frame& frame, const Columns& in, const PixelS
   bool add = out.zeroed;
   while (bits != 0) {
     M lanes = remaining;
-    std::uint32_t object = 0;
+    std::uint32_t object = piece_object;
     if (gaussians.object_id != nullptr) {
-      const std::uint32_t id = gaussians.object_id[i + static_cast<std::size_t>(std::countr_zero(bits))];
+      const std::uint32_t* const id_of = gaussians.object_id + in.offset;
+      const std::uint32_t id = id_of[std::countr_zero(bits)];
       object = frame.objects.find(id);
-      lanes = hn::And(remaining,
-                      hn::RebindMask(f, hn::Eq(LoadFirst(U(), gaussians.object_id + i, in.n), hn::Set(U(), id))));
+      lanes = hn::And(remaining, hn::RebindMask(f, hn::Eq(LoadFirst(U(), id_of, in.n), hn::Set(U(), id))));
     }
     const auto emit = [&](int channel, V gradient) {
       if (channel >= out.active_channels) return;
@@ -60,8 +60,11 @@ HWY_INLINE void AddGradients(const Frame& frame, const Columns& in, const PixelS
   }
 }
 
-void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out) {
+void ProjectRangeBackward(const Frame& frame, const IndexRange& piece, const GradientTarget& out) {
   const F f;
+  const std::size_t begin = piece.first, end = begin + piece.count;
+  const std::uint32_t object = frame.objects.find(piece.frame_id);
+  if (frame.gaussians.object_id == nullptr && object == ObjectTable::kHidden) return;
   const GaussiansView& gaussians = frame.gaussians;
   // While the pairs of one vector are summed, the parameters of the one before come from memory.
   struct Waiting {
@@ -71,18 +74,18 @@ void ProjectRangeBackward(const Frame& frame, std::size_t begin, std::size_t end
   } waiting{end, {}, {}};
   const auto finish = [&] {
     if (waiting.i < end) {
-      AddGradients(frame, {gaussians, waiting.i, std::min(hn::Lanes(f), end - waiting.i)}, waiting.sums,
-                   waiting.touched, out);
+      AddGradients(frame, {gaussians, waiting.i, std::min(hn::Lanes(f), end - waiting.i), end}, waiting.sums,
+                   waiting.touched, object, out);
     }
     waiting.i = end;
   };
   for (std::size_t i = begin; i < end; i += hn::Lanes(f)) {
-    const Columns in{gaussians, i, std::min(hn::Lanes(f), end - i)};
+    const GaussianLanes in{gaussians, i, std::min(hn::Lanes(f), end - i), end};
     PixelSums sums;
     const M touched = SumPairs(frame, in, sums);
     const std::uint32_t bits = LaneBits(touched);
     if (bits == 0) continue;
-    PrefetchPlanes(gaussians, i, 0, std::min(out.active_channels, gaussians.layout.channels()));
+    PrefetchChannels(gaussians, i, end, 0, std::min(out.active_channels, gaussians.layout.channels()));
     for (std::uint32_t rest = bits; rest != 0; rest &= rest - 1) {
       out.touched[i + static_cast<std::size_t>(std::countr_zero(rest))] = 1;
     }
@@ -101,8 +104,8 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace splatbus::raster::cpu {
 HWY_EXPORT(ProjectRangeBackward);
-void project_range_backward(const Frame& frame, std::size_t begin, std::size_t end, const GradientTarget& out) {
-  HWY_DYNAMIC_DISPATCH(ProjectRangeBackward)(frame, begin, end, out);
+void project_range_backward(const Frame& frame, const IndexRange& piece, const GradientTarget& out) {
+  HWY_DYNAMIC_DISPATCH(ProjectRangeBackward)(frame, piece, out);
 }
 }  // namespace splatbus::raster::cpu
 #endif

@@ -16,40 +16,43 @@
 HWY_BEFORE_NAMESPACE();
 namespace splatbus::raster::cpu::HWY_NAMESPACE {
 
-/// Columns of the parameter planes: Gaussians i .. i + n - 1.
-struct Columns {
+/// Gaussians i .. i + n - 1, which lie in one page.
+struct GaussianLanes {
   const GaussiansView& gaussians;
   std::size_t i, n;
+  std::size_t end;     ///< of the piece that is worked on
+  std::size_t offset;  ///< of Gaussian i in every channel
 
-  [[nodiscard]] HWY_INLINE V Load(int channel) const { return LoadFirst(F(), gaussians.plane(channel) + i, n); }
+  HWY_INLINE GaussianLanes(const GaussiansView& view, std::size_t first, std::size_t count, std::size_t piece_end)
+      : gaussians(view), i(first), n(count), end(piece_end), offset(view.offset(first)) {}
+
+  [[nodiscard]] HWY_INLINE V Load(int channel) const { return LoadFirst(F(), gaussians.plane(channel) + offset, n); }
 };
 
-/// Fetches a vector's columns of channels [begin, end): the planes are more streams than a core follows by itself.
-/// Where planes are not aligned a vector's first line is the last of the vector before.
-HWY_INLINE void PrefetchPlanes(const GaussiansView& gaussians, std::size_t i, int begin, int end) {
-  const std::size_t last = std::min(i + hn::Lanes(F()), gaussians.count) - 1;
+/// Fetches a vector's Gaussians of channels [begin, end): they are more streams than a core follows by itself. Where
+/// channels are not aligned a vector's first line is the last of the vector before.
+HWY_INLINE void PrefetchChannels(const GaussiansView& gaussians, std::size_t i, std::size_t piece_end, int begin,
+                                 int end) {
+  const std::size_t last = gaussians.offset(std::min(i + hn::Lanes(F()), piece_end) - 1);
   for (int channel = begin; channel < end; ++channel) hwy::Prefetch(gaussians.plane(channel) + last);
 }
 
-/// The same, a few planes at a time between other work: a core has room for a dozen or so lines on their way, and waits
-/// when it asks for more.
-class PlaneFetch {
+/// The same, a few channels at a time between other work: a core has room for a dozen or so lines on their way, and
+/// waits when it asks for more.
+class ChannelFetch {
  public:
-  PlaneFetch() = default;
-  PlaneFetch(const GaussiansView& gaussians, std::size_t i, int begin, int end)
-      : gaussians_(&gaussians),
-        column_(std::min(i + hn::Lanes(F()), gaussians.count) - 1),
-        channel_(begin),
-        end_(end) {}
+  ChannelFetch() = default;
+  ChannelFetch(const GaussianLanes& in, int begin, int end)
+      : gaussians_(&in.gaussians), last_(in.offset + in.n - 1), channel_(begin), end_(end) {}
   HWY_INLINE void Some(int most) {
     const int stop = std::min(channel_ + most, end_);
-    for (; channel_ < stop; ++channel_) hwy::Prefetch(gaussians_->plane(channel_) + column_);
+    for (; channel_ < stop; ++channel_) hwy::Prefetch(gaussians_->plane(channel_) + last_);
   }
   HWY_INLINE void Rest() { Some(end_ - channel_); }
 
  private:
   const GaussiansView* gaussians_ = nullptr;
-  std::size_t column_ = 0;
+  std::size_t last_ = 0;
   int channel_ = 0, end_ = 0;
 };
 
@@ -98,7 +101,7 @@ struct Projection {
   V x, y;  // pixels
 };
 
-HWY_INLINE Projection Project(const Frame& frame, const ObjectFrame& object, const Columns& in) {
+HWY_INLINE Projection Project(const Frame& frame, const ObjectFrame& object, const GaussianLanes& in) {
   const F f;
   const Camera& camera = frame.camera;
   Projection p;

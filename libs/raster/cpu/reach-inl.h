@@ -48,7 +48,7 @@ HWY_INLINE hn::Vec<I> SpreadNibbles(hn::Vec<I> bits) {
 /// in a square of 8x8 blocks that begins at a tile's corner, or are large.
 template <bool kKeep>
 HWY_INLINE void SetReach(const Frame& frame, const Projection& p, V extent_x, V extent_y, V rightmost_dy,
-                         PlaneFetch& fetch, SplatPlanes& out) {
+                         ChannelFetch& fetch, SplatPlanes& out) {
   constexpr int kTileShift = kKeep ? 3 : 4;
   constexpr std::int32_t kTiles = kKeep ? TileReach::kSide : TileReach::kWideTiles;  // along a side of the square
   static_assert(tile_side(kKeep) == 1U << kTileShift && (kTiles << kTileShift) == 8 * kBlockSide);

@@ -4,7 +4,7 @@
 #include <cstdlib>
 #include <memory>
 
-#include "raster/large_pages.h"
+#include "device/large_pages.h"
 
 namespace splatbus::raster::cpu {
 
@@ -19,7 +19,7 @@ class Scratch {
     storage_.reset();
     capacity_ = 0;
     const std::size_t room = count + count / 4 + 64;
-    storage_.reset(static_cast<T*>(allocate_large(room * sizeof(T))));  // not initialised
+    storage_.reset(static_cast<T*>(device::allocate_large(room * sizeof(T))));  // not initialised
     capacity_ = room;
   }
   [[nodiscard]] T* data() { return storage_.get(); }

@@ -106,9 +106,9 @@ HWY_INLINE ViewDirection DirectionFromCamera(const ObjectFrame& object, const Ve
 }
 
 /// A vector of Gaussians of one object.
-struct ObjectColumns {
+struct ObjectLanes {
   const ObjectFrame* object;
-  Columns in;
+  GaussianLanes in;
 };
 
 /// 0.5 + sum_k c_k Y_k of several vectors of Gaussians, a band of coefficients at a time: runs of a few planes, one
@@ -116,7 +116,7 @@ struct ObjectColumns {
 template <std::size_t kMost>
 class RadianceBatch {
  public:
-  /// input_of(e) is the ObjectColumns of vector e.
+  /// input_of(e) is the ObjectLanes of vector e.
   template <class InputOf>
   HWY_INLINE void Shade(std::size_t count, int degree, const InputOf& input_of) {
     ShadeBand<0>(count, input_of);
@@ -140,8 +140,8 @@ class RadianceBatch {
   template <int kBand, class InputOf>
   HWY_INLINE void ShadeBand(std::size_t count, const InputOf& input_of) {
     for (std::size_t e = 0; e < count; ++e) {
-      const ObjectColumns input = input_of(e);
-      const Columns& in = input.in;
+      const ObjectLanes input = input_of(e);
+      const GaussianLanes& in = input.in;
       Vec3 unit, sum{Splat1(0.5F), Splat1(0.5F), Splat1(0.5F)};
       if constexpr (kBand == 0) {
         unit = DirectionFromCamera(*input.object, {in.Load(0), in.Load(1), in.Load(2)}).unit;
@@ -170,18 +170,18 @@ struct TransferLight {
   V visibility;
 };
 
-HWY_INLINE V LoadVisibility(const Columns& in) {
+HWY_INLINE V LoadVisibility(const GaussianLanes& in) {
   const float* visibility = in.gaussians.visibility;
-  return visibility == nullptr ? Splat1(1.0F) : LoadFirst(F(), visibility + in.i, in.n);
+  return visibility == nullptr ? Splat1(1.0F) : LoadFirst(F(), visibility + in.offset, in.n);
 }
 
-HWY_INLINE TransferLight LightTransfer(const ObjectFrame& object, const Columns& in) {
+HWY_INLINE TransferLight LightTransfer(const ObjectFrame& object, const GaussianLanes& in) {
   const float* normals = in.gaussians.normal;
   const std::size_t stride = in.gaussians.stride;
   Vec3 n{hn::Zero(F()), hn::Zero(F()), hn::Zero(F())};
   if (normals != nullptr) {
-    n = {LoadFirst(F(), normals + in.i, in.n), LoadFirst(F(), normals + stride + in.i, in.n),
-         LoadFirst(F(), normals + 2 * stride + in.i, in.n)};
+    n = {LoadFirst(F(), normals + in.offset, in.n), LoadFirst(F(), normals + stride + in.offset, in.n),
+         LoadFirst(F(), normals + 2 * stride + in.offset, in.n)};
   }
   TransferLight out;
   out.visibility = LoadVisibility(in);
@@ -204,7 +204,7 @@ HWY_INLINE V ResidualLight(const ObjectFrame& object, V visibility, int entry) {
 }
 
 /// The transfer model's colour before the max with 0.
-HWY_INLINE Vec3 ShadeTransfer(const ObjectFrame& object, const Columns& in, const Vec3& albedo) {
+HWY_INLINE Vec3 ShadeTransfer(const ObjectFrame& object, const GaussianLanes& in, const Vec3& albedo) {
   const TransferLight light = LightTransfer(object, in);
   Vec3 colour{hn::Mul(albedo.x, light.diffuse.x), hn::Mul(albedo.y, light.diffuse.y),
               hn::Mul(albedo.z, light.diffuse.z)};

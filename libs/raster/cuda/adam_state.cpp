@@ -14,27 +14,18 @@ void AdamState::reset(const ParameterLayout& layout, int count, std::int64_t str
 }
 
 void AdamState::resize(int count, std::int64_t stride, cudaStream_t stream) {
-  if (stride != stride_) {
-    // All of them or, when memory runs out, none.
-    auto first = first_.restrided(count, stride, stream);
-    auto second = second_.restrided(count, stride, stream);
-    auto steps = steps_.restrided(count, stride, stream);
-    auto norm = mean2d_norm_.restrided(count, stride, stream);
-    auto norm_steps = mean2d_steps_.restrided(count, stride, stream);
-    check(cudaStreamSynchronize(stream), "moving Adam's moments");
-    first_ = std::move(first);
-    second_ = std::move(second);
-    steps_ = std::move(steps);
-    mean2d_norm_ = std::move(norm);
-    mean2d_steps_ = std::move(norm_steps);
-    stride_ = stride;
-  } else {
-    first_.resize(count, stream);
-    second_.resize(count, stream);
-    steps_.resize(count, stream);
-    mean2d_norm_.resize(count, stream);
-    mean2d_steps_.resize(count, stream);
-  }
+  const auto follow = [&](auto& planes) {
+    if (stride == stride_) return planes.resize(count, stream);
+    auto moved = planes.restrided(count, stride, stream);
+    check(cudaStreamSynchronize(stream), "moving what training keeps");
+    planes = std::move(moved);
+  };
+  follow(first_);
+  follow(second_);
+  follow(steps_);
+  follow(mean2d_norm_);
+  follow(mean2d_steps_);
+  stride_ = stride;
   count_ = count;
 }
 

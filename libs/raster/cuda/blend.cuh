@@ -69,23 +69,22 @@ struct Staged {
   std::uint32_t positions[kPositions ? 256 : 1];
 };
 
-/// Streams the Gaussians that reach a warp's patch out of its tile's list. Entries are looked at 128 at a time, records
-/// fetched 32 at a time; both are on their way while what came before is blended.
+/// Streams the Gaussians that reach a warp's patch out of its tile's list. Entries are looked at 128 at a time,
+/// projected Gaussians fetched 32 at a time; both are on their way while what came before is blended.
 template <bool kAlbedo, bool kDepth = false, bool kPositions = false>
 class PatchStream {
  public:
   /// From entry `begin` on, where that lies behind the first one of the tile.
   __device__ PatchStream(const DeviceGaussians& gaussians, const WorkspaceView& w, const Pixel& pixel,
                          Staged<kAlbedo || kDepth, kPositions>& staged, std::uint32_t begin = 0)
-      : entries_(reinterpret_cast<const uint4*>(w.pair_entries[1])),
-        shapes_(w.record_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
-        tails_(w.record_tail + static_cast<std::size_t>(pixel.view) * w.count),
-        albedo_(gaussians.parameters + ParameterLayout::kAlbedo * gaussians.stride),
-        stride_(gaussians.stride),
+      : entries_(reinterpret_cast<const uint4*>(w.flatten_ids[1])),
+        shapes_(w.projected_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
+        tails_(w.projected_tail + static_cast<std::size_t>(pixel.view) * w.count),
+        parameters_(parameters_of(gaussians)),
         staged_(staged),
         bit_(1U << (kPatchShift + pixel.patch)),
         lane_(threadIdx.x & (kLanes - 1)) {
-    const uint2 range = w.tile_range[pixel.tile];
+    const uint2 range = w.tile_offsets[pixel.tile];
     first_ = max(range.x, begin);
     end_ = range.y;
     // Vectors of four entries are aligned, so the first may hold some of the tile before.
@@ -114,9 +113,6 @@ class PatchStream {
 
   /// Where the entry of the first staged Gaussian is.
   [[nodiscard]] __device__ std::uint32_t position() const { return position_; }
-
-  /// Depth of a staged Gaussian.
-  [[nodiscard]] __device__ float depth(int slot) const { return tails_[__float_as_uint(staged_.tail[slot].y)].y; }
 
  private:
   __device__ void load() {
@@ -148,7 +144,7 @@ class PatchStream {
     }
   }
 
-  /// Begins to load the next 32 records.
+  /// Begins to load the next 32 projected Gaussians.
   __device__ void fetch() {
     while (queued_ < kLanes && at_ < end_) scan();
     __syncwarp();
@@ -168,7 +164,7 @@ class PatchStream {
       if constexpr (kAlbedo) {
         // Of those that are not to be seen it may not be finite.
         const bool seen = shape_.z > -INFINITY;
-        for (int c = 0; c < 3; ++c) a_[c] = seen ? albedo_[c * stride_ + gaussian_] : 0.0F;
+        for (int c = 0; c < 3; ++c) a_[c] = seen ? parameters_(ParameterLayout::kAlbedo + c, gaussian_) : 0.0F;
       }
     }
     head_ += fetched_;
@@ -178,8 +174,7 @@ class PatchStream {
   const uint4* __restrict__ entries_;
   const float4* __restrict__ shapes_;
   const float2* __restrict__ tails_;
-  const float* __restrict__ albedo_;
-  std::int64_t stride_;
+  Channels<float> parameters_;
   Staged<kAlbedo || kDepth, kPositions>& staged_;
   std::uint32_t bit_, at_, first_, end_, gaussian_, head_ = 0, position_ = 0, fetched_position_ = 0;
   int lane_, queued_ = 0, fetched_ = 0;

@@ -99,7 +99,7 @@ struct Owner {
   std::uint32_t gaussian;
 };
 
-/// Sums the first `count` columns and adds them to their Gaussians' records.
+/// Sums the first `count` columns and adds them to their projected Gaussians.
 template <bool kDepth>
 __device__ void flush(Columns& columns, int count, const Owner& c, const Factors& factors, const WorkspaceView& w,
                       int view) {
@@ -127,7 +127,7 @@ __device__ void flush(Columns& columns, int count, const Owner& c, const Factors
   __syncwarp();
   if (column < count) {
     const float* m = sums + column * kStride;
-    const std::size_t record = static_cast<std::size_t>(view) * w.count + c.gaussian;
+    const std::size_t at = static_cast<std::size_t>(view) * w.count + c.gaussian;
     float4 out;
     if (quad == 0) {
       const float s_x = m[1] - c.x * m[0], s_y = m[2] - c.y * m[0];
@@ -139,11 +139,11 @@ __device__ void flush(Columns& columns, int count, const Owner& c, const Factors
       out = make_float4(m[10], m[11], m[12], m[13]);
     }
     if (quad < 3) {
-      atomicAdd(reinterpret_cast<float4*>(w.record_gradient + record * kGradientFloats) + quad, out);
+      atomicAdd(reinterpret_cast<float4*>(w.projected_gradient + at * kGradientFloats) + quad, out);
     } else {
-      w.record_touched[record] = 1;
+      w.projected_visible[at] = 1;
       if constexpr (kDepth) {
-        if (w.record_depth_gradient != nullptr) atomicAdd(w.record_depth_gradient + record, m[14]);
+        if (w.projected_depth_gradient != nullptr) atomicAdd(w.projected_depth_gradient + at, m[14]);
       }
     }
   }
@@ -267,9 +267,9 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
 template <bool kAlbedo, bool kDepth>
 __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
   __shared__ Scratch<kAlbedo || kDepth> scratch[kBlendWarps];
-  if (*w.pair_count > w.pair_capacity) return;
+  if (w.counts->isects > w.isect_capacity) return;
   const std::uint32_t patches = w.tiles_x * w.tiles_y * w.batch * kPatches;
-  const std::uint32_t count = patches + min(*w.segment_count, w.segment_capacity);
+  const std::uint32_t count = patches + min(w.counts->segments, w.segment_capacity);
   const unsigned warp = threadIdx.x / kLanes;
   for (std::uint32_t k = blockIdx.x * kBlendWarps + warp; k < count; k += gridDim.x * kBlendWarps) {
     blend_segment<kAlbedo, kDepth>(gaussians, w, start_of<kAlbedo, kDepth>(w, k, patches), scratch[warp]);

@@ -9,7 +9,7 @@ __device__ void begin_segment(const WorkspaceView& w, const Pixel& pixel, std::u
                               float4 extra) {
   const int lane = threadIdx.x & (kLanes - 1);
   std::uint32_t slot = 0;
-  if (lane == 0) slot = atomicAdd(w.segment_count, 1U);
+  if (lane == 0) slot = atomicAdd(&w.counts->segments, 1U);
   slot = __shfl_sync(kAllLanes, slot, 0);
   if (slot >= w.segment_capacity) return;
   if (lane == 0) w.segments[slot] = make_uint2(static_cast<unsigned>(kPatches * pixel.tile + pixel.patch), position);
@@ -27,8 +27,6 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
   int group = 0;
   float transmittance = pixel.inside ? 1.0F : 0.0F, red = 0.0F, green = 0.0F, blue = 0.0F;
   float albedo[3] = {0.0F, 0.0F, 0.0F}, depth = 0.0F;
-  // Behind its limit nothing of a patch can be seen; one that never becomes opaque has none.
-  float limit = INFINITY;
   for (int count = stream.advance(); count > 0; count = stream.advance()) {
     if constexpr (kSegments) {
       if (group > 0 && group % kSegmentGroups == 0) {
@@ -56,12 +54,8 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
       }
       if constexpr (kDepth) depth += weight * staged.extra[j].w;
     }
-    if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) {
-      limit = stream.depth(count - 1);
-      break;
-    }
+    if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;
   }
-  if (threadIdx.x % kLanes == 0) w.patch_depth_limit[kPatches * pixel.tile + pixel.patch] = limit;
   if (!pixel.inside) return;
   const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
   const float* background = w.views[pixel.view].background;
@@ -88,7 +82,6 @@ void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView&
     });
   };
   if (workspace.segments != nullptr) {
-    check(cudaMemsetAsync(workspace.segment_count, 0, sizeof(std::uint32_t), stream), "clearing the segments");
     launch(std::true_type{});
   } else {
     launch(std::false_type{});

@@ -1,6 +1,8 @@
 #include <algorithm>
 
+#include "device/check.h"
 #include "raster/cuda/column_planes.h"
+#include "raster/cuda/gaussian_channels.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -15,8 +17,9 @@ __global__ void move_columns_kernel(T* planes, std::int64_t stride, const std::u
                                     int count) {
   const int k = blockIdx.x * kThreads + threadIdx.x;
   if (k >= count) return;
-  T* const plane = planes + blockIdx.y * stride;
-  plane[to[k]] = plane[from[k]];
+  const Channels<T> channels{planes, stride};
+  const auto channel = static_cast<int>(blockIdx.y);
+  channels(channel, static_cast<int>(to[k])) = channels(channel, static_cast<int>(from[k]));
 }
 
 }  // namespace

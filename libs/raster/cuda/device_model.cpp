@@ -1,5 +1,7 @@
 #include "raster/cuda/device_model.h"
 
+#include "device/check.h"
+
 namespace splatbus::raster::cuda {
 namespace {
 

@@ -10,6 +10,8 @@ namespace splatbus::raster::cuda {
 constexpr int kMaxBatch = 16;
 /// Objects that move, the world itself included (slot 0): a slot has 16 bits.
 constexpr int kMaxObjects = 1 << 16;
+/// Intersections of a Gaussian with a tile that one sort takes.
+constexpr std::uint32_t kMaxIsects = (1U << 31U) - 1024;
 /// Pixels of a tile's side. A tile has one list of Gaussians; each of its patches is blended by one warp.
 constexpr int kTileSize = 16;
 constexpr int kPatchWidth = 8, kPatchHeight = 4;
@@ -33,7 +35,7 @@ struct DeviceView {
   float background[3];                                         ///< in the space that is blended in
 };
 
-/// Device pointers to a model; planes as in GaussiansView.
+/// Device pointers to a model; channels as in GaussiansView. Kernels reach them through gaussian_channels.cuh.
 struct DeviceGaussians {
   ParameterLayout layout;
   int count = 0;

@@ -8,35 +8,34 @@ namespace splatbus::raster::cuda {
 constexpr float kAlphaMin = 1.0F / 255.0F;
 constexpr float kAlphaMax = 0.999F;
 constexpr float kTransmittanceMin = 1e-4F;
+constexpr float kMargin = 1e-2F;  // pixels, for rounding
 constexpr float kLog2AlphaMin = -7.994353436858858F;
 
-/// The ellipse u^2 + v^2 <= level in which a Gaussian's alpha reaches 1/255, widened by a margin, and the patches of
-/// tiles that have a pixel centre in it.
+/// The ellipse u^2 + v^2 <= level in which a Gaussian's alpha reaches 1/255, and the patches of tiles that have a pixel
+/// centre in it.
 struct Footprint {
   float x, y;  // centre, pixels
-  Whitening white;
+  ConicFactor conic;
   float level, inv_uxx;
-  float half_y;        // of its bounding box
-  float rightmost_dy;  // of its rightmost point
-  float margin;
+  float half_y;           // of its bounding box
+  float rightmost_dy;     // of its rightmost point
   int row_low, row_high;  // tile rows, half open
 
   /// False when it holds no pixel centre of the image.
-  __device__ bool set(float center_x, float center_y, const Projection& p, const Whitening& u, float log2_alpha,
-                      float margin_px, const WorkspaceView& w) {
+  __device__ bool set(float center_x, float center_y, const Projection& p, const ConicFactor& u, float log2_alpha,
+                      const WorkspaceView& w) {
     x = center_x;
     y = center_y;
-    white = u;
+    conic = u;
     level = log2_alpha - kLog2AlphaMin + 1e-3F;
     inv_uxx = 1.0F / u.uxx;
     // Of the box: reach sigma, with room for rounding.
-    const float reach = sqrtf(level) * (1.0F / kWhiteScale), root_a = sqrtf(p.a);
+    const float reach = sqrtf(level) * (1.0F / kConicScale), root_a = sqrtf(p.a);
     const float half_x = reach * root_a;
     half_y = reach * sqrtf(p.c);
     rightmost_dy = reach * p.b / root_a;
-    margin = margin_px + 1e-2F;
-    if (!(x + half_x + margin >= 0.5F && x - half_x - margin <= w.width - 0.5F)) return false;
-    const float low = y - half_y - margin - 0.5F, high = y + half_y + margin - 0.5F;
+    if (!(x + half_x + kMargin >= 0.5F && x - half_x - kMargin <= w.width - 0.5F)) return false;
+    const float low = y - half_y - kMargin - 0.5F, high = y + half_y + kMargin - 0.5F;
     if (!(high >= 0.0F && low <= w.height - 1)) return false;
     // Rows of the first and the last pixel centre within.
     row_low = static_cast<int>(fmaxf(ceilf(low), 0.0F)) / kTileSize;
@@ -50,13 +49,13 @@ struct Footprint {
     first = 1;
     last = 0;
     const float top = y0 + 0.5F - y, bottom = fminf(y0 + kPatchHeight, w.height) - 0.5F - y;
-    const float low = fmaxf(top - margin, -half_y), high = fminf(bottom + margin, half_y);
+    const float low = fmaxf(top - kMargin, -half_y), high = fminf(bottom + kMargin, half_y);
     if (low > high) return;
     // Within a band of dy the right end lies at the dy of the rightmost point, clamped to the band.
     const float dy_right = fminf(fmaxf(rightmost_dy, low), high), dy_left = fminf(fmaxf(-rightmost_dy, low), high);
-    const float v_right = white.uyy * dy_right, v_left = white.uyy * dy_left;
-    const float right = x + margin + inv_uxx * (sqrtf(fmaxf(level - v_right * v_right, 0.0F)) - white.uxy * dy_right);
-    const float left = x - margin - inv_uxx * (sqrtf(fmaxf(level - v_left * v_left, 0.0F)) + white.uxy * dy_left);
+    const float v_right = conic.uyy * dy_right, v_left = conic.uyy * dy_left;
+    const float right = x + kMargin + inv_uxx * (sqrtf(fmaxf(level - v_right * v_right, 0.0F)) - conic.uxy * dy_right);
+    const float left = x - kMargin - inv_uxx * (sqrtf(fmaxf(level - v_left * v_left, 0.0F)) + conic.uxy * dy_left);
     const float first_pixel = fmaxf(ceilf(left - 0.5F), 0.0F);
     const float last_pixel = fminf(floorf(right - 0.5F), w.width - 1.0F);
     if (!(first_pixel <= last_pixel)) return;
@@ -65,9 +64,9 @@ struct Footprint {
   }
 
   /// Calls `visit(tile, patches)` for the tiles of this view that it meets, with a bit for each patch, and returns how
-  /// many. `limits`, when not null: patches whose limit lies before `depth` are left out.
+  /// many.
   template <class Visit>
-  __device__ std::uint32_t for_each_tile(const WorkspaceView& w, const float* limits, float depth, Visit visit) const {
+  __device__ std::uint32_t for_each_tile(const WorkspaceView& w, Visit visit) const {
     std::uint32_t count = 0;
     for (int row = row_low; row < row_high; ++row) {
       int first[kPatchRows], last[kPatchRows];
@@ -90,11 +89,6 @@ struct Footprint {
           }
         }
         const int tile = row * w.tiles_x + column;
-        if (limits != nullptr) {
-          for (int patch = 0; patch < kPatches; ++patch) {
-            if (depth > limits[kPatches * tile + patch]) patches &= ~(1U << patch);
-          }
-        }
         if (patches == 0) continue;
         visit(tile, patches);
         ++count;

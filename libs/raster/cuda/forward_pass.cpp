@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "raster/cuda/pair_limit.h"
-
 namespace splatbus::raster::cuda {
 namespace {
 
@@ -31,23 +29,23 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
                            .albedo = options.albedo && gaussians.layout.appearance == Appearance::Transfer,
                            .depth = options.depth,
                            .training = training,
-                           .pair_capacity = pair_capacity_};
+                           .isect_capacity = isect_capacity_};
   project_ = {.blur_px2 = options.blur_px2, .antialias = options.antialias};
   for (;;) {
     workspace_.reserve(request);
     const WorkspaceView& w = workspace_.view();
     copy_tables(tables, gaussians, w);
+    launch_clear_counts(w, stream());
     launch_project(gaussians, w, project_, stream());
-    std::uint32_t pairs = 0;
-    check(cudaMemcpyAsync(&pairs, w.pair_count, sizeof(pairs), cudaMemcpyDeviceToHost, stream()),
-          "reading the pair count");
+    std::uint32_t isects = 0;
+    check(cudaMemcpyAsync(&isects, &w.counts->isects, sizeof(isects), cudaMemcpyDeviceToHost, stream()),
+          "reading the number of intersections");
     stream_.wait();
-    if (pairs <= w.pair_capacity) break;
-    if (pairs > kMostPairs)
-      throw std::runtime_error("rasterizer: more pairs of Gaussians and tiles than can be sorted");
-    request.pair_capacity = std::min(pairs + pairs / 4, kMostPairs);
+    if (isects <= w.isect_capacity) break;
+    if (isects > kMaxIsects) throw std::runtime_error("rasterizer: Gaussians meet more tiles than can be sorted");
+    request.isect_capacity = std::min(isects + isects / 4, kMaxIsects);
   }
-  pair_capacity_ = request.pair_capacity;
+  isect_capacity_ = request.isect_capacity;
   launch_sort(workspace_.view(), stream());
   launch_blend_forward(gaussians, workspace_.view(), stream());
   stream_.wait();

@@ -16,7 +16,7 @@ namespace splatbus::raster::cuda {
 class ForwardPass {
  public:
   /// Draws; `training` makes room for a backward pass. `gaussians` is read until this returns. Throws
-  /// std::invalid_argument for what the CUDA rasteriser cannot draw, StepTooLarge for what there is no memory for.
+  /// std::invalid_argument for what the CUDA rasteriser cannot draw.
   void draw(const DeviceGaussians& gaussians, const Camera& camera, const SceneState& scene,
             const RenderOptions& options, bool training);
 
@@ -35,7 +35,7 @@ class ForwardPass {
   Workspace workspace_;
   ProjectOptions project_;
   device::Buffer<std::uint32_t> object_ids_;
-  std::uint32_t pair_capacity_ = 1U << 16U;
+  std::uint32_t isect_capacity_ = 1U << 16U;
 };
 
 }  // namespace splatbus::raster::cuda

@@ -10,17 +10,17 @@ struct GeometryGradient {
   float log_alpha = 0.0F;                                   // of ln(opacity)
 };
 
-/// Adds the gradient through one view; `r` is what blending summed for the record: s dx, s dy, s dx^2, s dx dy, s dy^2
-/// and s. Returns that of the projected mean, a pixel.
+/// Adds the gradient through one view; `r` is what blending summed for the projected Gaussian: s dx, s dy, s dx^2, s dx
+/// dy, s dy^2 and s. Returns that of the projected mean, a pixel.
 __device__ inline float2 add_view(const Projection& p, const ObjectView& object, const DeviceView& view, const float* r,
                                   bool antialias, GeometryGradient& out) {
-  constexpr float kUnwhite = 1.3862943611198906F;  // kWhiteScale^-2
-  constexpr float kHalf = 0.5F * kUnwhite * kUnwhite;
-  const Whitening q = whitening(p);
+  constexpr float kInverseScale2 = 1.3862943611198906F;  // kConicScale^-2
+  constexpr float kHalf = 0.5F * kInverseScale2 * kInverseScale2;
+  const ConicFactor q = conic_factor(p);
   // dL/d(x, y) = U^T sum s (u, v); dL/dcovariance = 1/2 sum s (Q d)(Q d)^T with Q the inverse covariance, Q d = U^T
   // (u, v).
   const float su = q.uxx * r[0] + q.uxy * r[1], sv = q.uyy * r[1];
-  const float g_x = kUnwhite * q.uxx * su, g_y = kUnwhite * (q.uxy * su + q.uyy * sv);
+  const float g_x = kInverseScale2 * q.uxx * su, g_y = kInverseScale2 * (q.uxy * su + q.uyy * sv);
   const float suu = q.uxx * (q.uxx * r[2] + 2.0F * q.uxy * r[3]) + q.uxy * q.uxy * r[4];
   const float suv = q.uyy * (q.uxx * r[3] + q.uxy * r[4]), svv = q.uyy * q.uyy * r[4];
   float d_a = kHalf * q.uxx * q.uxx * suu, d_b = 2.0F * kHalf * q.uxx * (q.uxy * suu + q.uyy * suv);

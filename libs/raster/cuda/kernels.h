@@ -11,27 +11,33 @@ namespace splatbus::raster::cuda {
 struct ProjectOptions {
   float blur_px2 = 0.3F;
   bool antialias = true;
-  bool emit_pairs = true;        ///< also rebuild the (tile, Gaussian) pairs
-  bool use_depth_limit = false;  ///< leave out pairs behind their patches' depth limits
-  float pair_margin_px = 0.0F;   ///< widens footprints, so that lists serve several steps
 };
+
+/// Copies `bytes`, a multiple of 16, from slot `turn % slots` of `ring`, pinned host memory, to `tables`, and adds 1 to
+/// `turn`, a device word: a launch that stays the same, in a graph too, while the host fills the slots in turn. Clears
+/// `counts`.
+void launch_copy_tables(const std::byte* ring, int slots, std::byte* tables, std::size_t bytes, std::uint32_t* turn,
+                        StepCounts* counts, cudaStream_t stream);
+
+void launch_clear_counts(const WorkspaceView& workspace, cudaStream_t stream);
 
 /// [count] rows of object_views: 1 + the index of a Gaussian's object in the ascending `object_ids`, 0 when it is none
 /// of them.
 void launch_object_slots(const std::uint32_t* object_id, int count, const std::uint32_t* object_ids, int id_count,
                          std::uint16_t* slots, cudaStream_t stream);
 
-/// Projects and shades every Gaussian for every view; fills record_*, and the unsorted pairs.
+/// Projects and shades every Gaussian for every view; fills projected_shape and projected_tail, and lists which tiles
+/// they meet, unsorted. The caller has cleared the counts.
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
                     cudaStream_t stream);
 
-/// Sorts the pairs and finds each tile's range.
+/// Sorts the intersections and finds those of each tile.
 void launch_sort(const WorkspaceView& workspace, cudaStream_t stream);
 
 /// Scratch that launch_sort needs.
-[[nodiscard]] std::size_t sort_scratch_bytes(std::uint32_t pair_capacity);
+[[nodiscard]] std::size_t sort_scratch_bytes(std::uint32_t isect_capacity);
 
-/// Blends front to back. Writes color, transmittance, patch_depth_limit and, when they are there, albedo and depth.
+/// Blends front to back. Writes color, transmittance and, when they are there, albedo and depth.
 void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 /// Largest blending weight of each Gaussian in any pixel of one view, [count], which the caller has cleared: what
@@ -39,9 +45,9 @@ void launch_blend_forward(const DeviceGaussians& gaussians, const WorkspaceView&
 void launch_contribution(const DeviceGaussians& gaussians, const WorkspaceView& workspace, int view,
                          float* contribution, cudaStream_t stream);
 
-/// Adds to record_gradient and record_depth_gradient what the pictures' gradients imply (of albedo, alpha and depth
-/// where there are any; depth's only with alpha's), and marks record_touched. Nothing happens when pairs are missing,
-/// so that a step whose lists did not fit changes no Gaussian.
+/// Adds to projected_gradient and projected_depth_gradient what the pictures' gradients imply (of albedo, alpha and
+/// depth where there are any; depth's only with alpha's), and marks projected_visible. Nothing happens when
+/// intersections are missing, so that a step whose lists did not fit changes no Gaussian.
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 struct LossKernelOptions {
@@ -84,8 +90,8 @@ struct ScreenStatistics {
 };
 
 /// Projection and shading backward, summed over the views, and Adam, in one pass over the Gaussians that were blended
-/// into some pixel and are not frozen, which it adds to the statistics. Leaves record_gradient, record_depth_gradient
-/// and record_touched zeroed.
+/// into some pixel and are not frozen, which it adds to the statistics. Leaves projected_gradient,
+/// projected_depth_gradient and projected_visible zeroed.
 void launch_update(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
                    const OptimizerState& state, const AdamOptions& adam, const ScreenStatistics& statistics,
                    cudaStream_t stream);

@@ -10,9 +10,8 @@ namespace {
 constexpr int kThreads = 128;
 
 struct Shading {
-  const float* parameters;
-  std::int64_t stride;
-  const float* normal;
+  Channels<float> parameters;
+  Channels<const float> normals;
   const float* visibility;
 };
 
@@ -25,30 +24,30 @@ __device__ float3 radiance_color(const Shading& s, int i, const float3 mean, con
   float y[kCoefficients];
   sh_basis<kCoefficients>(d, y);
   float color[3] = {0.5F, 0.5F, 0.5F};
-  const float* p = recomputed(s.parameters + ParameterLayout::kAppearance * s.stride + i);
+  const ChannelsOfOne<float> p = s.parameters.of(i, ParameterLayout::kAppearance).recomputed();
 #pragma unroll
   for (int k = 0; k < kCoefficients; ++k) {
 #pragma unroll
-    for (int c = 0; c < 3; ++c) color[c] += y[k] * p[(3 * k + c) * s.stride];
+    for (int c = 0; c < 3; ++c) color[c] += y[k] * p[3 * k + c];
   }
   return make_float3(color[0], color[1], color[2]);
 }
 
 __device__ float3 transfer_color(const Shading& s, int i, const ObjectView& object) {
-  const float3 n = load_normal(s.normal, s.stride, i);
+  const float3 n = load_normal(s.normals, i);
   const float visibility = s.visibility != nullptr ? s.visibility[i] : 1.0F;
-  const float* p = s.parameters + ParameterLayout::kAlbedo * s.stride + i;
+  const ChannelsOfOne<float> p = s.parameters.of(i, ParameterLayout::kAlbedo);
   const float3 response = diffuse_response(object, n, visibility);
-  float3 color = make_float3(p[0] * response.x, p[s.stride] * response.y, p[2 * s.stride] * response.z);
+  float3 color = make_float3(p[0] * response.x, p[1] * response.y, p[2] * response.z);
   float sun[9];
   sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
-  const float* r = recomputed(s.parameters + ParameterLayout::kResidual * s.stride + i);
+  const ChannelsOfOne<float> r = s.parameters.of(i, ParameterLayout::kResidual).recomputed();
 #pragma unroll
   for (int k = 0; k < 9; ++k) {
     const float3 light = residual_light(object, k, sun[k], visibility);
-    color.x += r[(3 * k) * s.stride] * light.x;
-    color.y += r[(3 * k + 1) * s.stride] * light.y;
-    color.z += r[(3 * k + 2) * s.stride] * light.z;
+    color.x += r[3 * k] * light.x;
+    color.y += r[3 * k + 1] * light.y;
+    color.z += r[3 * k + 2] * light.z;
   }
   return color;
 }
@@ -65,7 +64,7 @@ __device__ bool bounded(float value) {
 /// What projection knows of a Gaussian in one view.
 struct Seen {
   Projection p;
-  Whitening white;
+  ConicFactor conic;
   float x, y, log2_alpha;
 
   /// False when it cannot be seen.
@@ -75,7 +74,7 @@ struct Seen {
     const float alpha = options.antialias ? opacity * sqrtf(p.det_sharp / p.det) : opacity;
     if (!(alpha >= kAlphaMin)) return false;
     log2_alpha = log2f(alpha);
-    white = whitening(p);
+    conic = conic_factor(p);
     x = view.fx * p.view.x / p.view.z + view.cx;
     y = view.fy * p.view.y / p.view.z + view.cy;
     return true;
@@ -89,19 +88,17 @@ __device__ bool shade(const Shading& s, int i, const float3 mean, const ObjectVi
     color = radiance_color<kCoefficients>(s, i, mean, object);
   } else {
     color = transfer_color(s, i, object);
-    const float* albedo = s.parameters + ParameterLayout::kAlbedo * s.stride + i;
-    if (!(bounded(albedo[0]) && bounded(albedo[s.stride]) && bounded(albedo[2 * s.stride]))) return false;
+    const ChannelsOfOne<float> albedo = s.parameters.of(i, ParameterLayout::kAlbedo);
+    if (!(bounded(albedo[0]) && bounded(albedo[1]) && bounded(albedo[2]))) return false;
   }
   return bounded(color.x) && bounded(color.y) && bounded(color.z);
 }
 
-/// Appends the pairs of a warp's Gaussians in one view; true for those that have any.
-__device__ bool emit(const Footprint& footprint, bool visible, int i, int b, float depth, const ProjectOptions& options,
-                     const WorkspaceView& w) {
+/// Appends the intersections of a warp's Gaussians with the tiles of one view; true for those that have any.
+__device__ bool emit(const Footprint& footprint, bool visible, int i, int b, float depth, const WorkspaceView& w) {
   const int tiles = w.tiles_x * w.tiles_y, lane = threadIdx.x & 31;
-  const float* limits = options.use_depth_limit ? w.patch_depth_limit + b * tiles * kPatches : nullptr;
   std::uint32_t count = 0;
-  if (visible) count = footprint.for_each_tile(w, limits, depth, [](int, std::uint32_t) {});
+  if (visible) count = footprint.for_each_tile(w, [](int, std::uint32_t) {});
   // One atomic a warp: an inclusive scan gives each lane its place.
   std::uint32_t end = count;
   for (int step = 1; step < 32; step *= 2) {
@@ -109,42 +106,37 @@ __device__ bool emit(const Footprint& footprint, bool visible, int i, int b, flo
     if (lane >= step) end += other;
   }
   std::uint32_t at = 0;
-  if (lane == 31 && end > 0) at = atomicAdd(w.pair_count, end);
+  if (lane == 31 && end > 0) at = atomicAdd(&w.counts->isects, end);
   at = __shfl_sync(0xFFFFFFFFU, at, 31) + end - count;
   if (count == 0) return false;
   const SortKey key(w);
-  footprint.for_each_tile(w, limits, depth, [&](int tile, std::uint32_t patches) {
-    if (at < w.pair_capacity) {
-      w.pair_keys[0][at] = key.of(b * tiles + tile, depth, w.views[b].near_m);
-      w.pair_entries[0][at] = static_cast<std::uint32_t>(i) | patches << kPatchShift;
+  footprint.for_each_tile(w, [&](int tile, std::uint32_t patches) {
+    if (at < w.isect_capacity) {
+      w.isect_ids[0][at] = key.of(b * tiles + tile, depth, w.views[b].near_m);
+      w.flatten_ids[0][at] = static_cast<std::uint32_t>(i) | patches << kPatchShift;
     }
     ++at;
   });
   return true;
 }
 
-/// With kEmit, lists are built and w.listed says for each Gaussian in which views it is in a list; without, only what
-/// is in a list is projected. Shading comes last, for what was listed, when little else is held in registers.
-template <int kCoefficients, bool kEmit>
+/// Shading comes last, for what meets a tile, when little else is held in registers.
+template <int kCoefficients>
 __global__ void __launch_bounds__(kThreads, 6)
     project_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
   const bool present = i < w.count;
-  const std::uint32_t candidates = kEmit ? (1U << w.batch) - 1 : (present ? w.listed[i] : 0U);
-  if (!kEmit && candidates == 0) return;
   GaussianGeometry g;
   float opacity = 0.0F;
-  const Shading shading{gaussians.parameters, gaussians.stride, gaussians.normal, gaussians.visibility};
+  const Shading shading{parameters_of(gaussians), normals_of(gaussians), gaussians.visibility};
   int slot = 0;
   if (present) {
-    g = load_geometry(gaussians.parameters, gaussians.stride, i);
+    g = load_geometry(shading.parameters, i);
     opacity = sigmoid(g.opacity_logit);
     if (w.object_slot != nullptr) slot = w.object_slot[i];
   }
-  std::uint32_t listed = 0;
   for (int b = 0; b < w.batch; ++b) {
-    if (!kEmit && (candidates >> b & 1U) == 0) continue;
-    const std::size_t record = static_cast<std::size_t>(b) * w.count + i;
+    const std::size_t at = static_cast<std::size_t>(b) * w.count + i;
     const ObjectView& object = w.object_views[b * w.object_count + slot];
     float depth = 0.0F;
     bool visible = false;
@@ -152,50 +144,38 @@ __global__ void __launch_bounds__(kThreads, 6)
       Seen seen;
       visible = present && seen.set(g, opacity, object, w.views[b], options);
       if (visible) depth = seen.p.view.z;
-      if constexpr (kEmit) {
-        Footprint footprint;
-        visible =
-            visible && footprint.set(seen.x, seen.y, seen.p, seen.white, seen.log2_alpha, options.pair_margin_px, w);
-        visible = emit(footprint, visible, i, b, depth, options, w);
-      }
+      Footprint footprint;
+      visible = visible && footprint.set(seen.x, seen.y, seen.p, seen.conic, seen.log2_alpha, w);
+      visible = emit(footprint, visible, i, b, depth, w);
       if (visible) {
-        listed |= 1U << b;
-        w.record_shape[2 * record] = make_float4(seen.x, seen.y, seen.log2_alpha, seen.white.uxx);
-        *reinterpret_cast<float2*>(w.record_shape + 2 * record + 1) = make_float2(seen.white.uxy, seen.white.uyy);
+        w.projected_shape[2 * at] = make_float4(seen.x, seen.y, seen.log2_alpha, seen.conic.uxx);
+        *reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1) = make_float2(seen.conic.uxy, seen.conic.uyy);
       }
     }
     float3 color;
     if (visible && shade<kCoefficients>(shading, i, g.mean, object, color)) {
-      reinterpret_cast<float2*>(w.record_shape + 2 * record + 1)[1] =
+      reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1)[1] =
           make_float2(clamp_color(color.x), clamp_color(color.y));
-      w.record_tail[record] = make_float2(clamp_color(color.z), depth);
-    } else if (present && (visible || !kEmit)) {
-      // It is in a list, but not to be seen: what is blended with a weight of 0 must be finite, too.
-      w.record_shape[2 * record] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
-      w.record_shape[2 * record + 1] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
-      w.record_tail[record] = make_float2(0.0F, 0.0F);
+      w.projected_tail[at] = make_float2(clamp_color(color.z), depth);
+    } else if (visible) {
+      // It meets a tile, but is not to be seen: what is blended with a weight of 0 must be finite, too.
+      w.projected_shape[2 * at] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
+      w.projected_shape[2 * at + 1] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
+      w.projected_tail[at] = make_float2(0.0F, 0.0F);
     }
   }
-  if (kEmit && present) w.listed[i] = static_cast<std::uint16_t>(listed);
 }
 
 }  // namespace
 
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
                     cudaStream_t stream) {
-  if (options.emit_pairs) {
-    check(cudaMemsetAsync(workspace.pair_count, 0, sizeof(std::uint32_t), stream), "clearing the pair count");
-    check(cudaMemsetAsync(workspace.pair_keys[0], 0xFF, sizeof(std::uint64_t) * workspace.pair_capacity, stream),
-          "clearing the pairs");
-  }
+  check(cudaMemsetAsync(workspace.isect_ids[0], 0xFF, sizeof(std::uint64_t) * workspace.isect_capacity, stream),
+        "clearing the intersections");
   const int blocks = (workspace.count + kThreads - 1) / kThreads;
   if (blocks == 0) return;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
-    if (options.emit_pairs) {
-      project_kernel<coefficients(), true><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
-    } else {
-      project_kernel<coefficients(), false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
-    }
+    project_kernel<coefficients()><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
   });
   check(cudaGetLastError(), "projection");
 }

@@ -1,20 +1,8 @@
 #pragma once
 
-#include "raster/cuda/device_scene.h"
+#include "raster/cuda/gaussian_channels.cuh"
 
 namespace splatbus::raster::cuda {
-
-/// The same value, but the compiler does not know: it then computes the addresses of a Gaussian's many planes where
-/// they are used, instead of keeping them all in registers, and spilling them.
-template <class T>
-__device__ inline T recomputed(T value) {
-  if constexpr (sizeof(T) == 8) {
-    asm volatile("" : "+l"(value));
-  } else {
-    asm volatile("" : "+r"(value));
-  }
-  return value;
-}
 
 /// A Gaussian's parameters in registers.
 struct GaussianGeometry {
@@ -24,12 +12,13 @@ struct GaussianGeometry {
   float opacity_logit;
 };
 
-__device__ inline GaussianGeometry load_geometry(const float* __restrict__ p, std::int64_t stride, int i) {
+__device__ inline GaussianGeometry load_geometry(const Channels<float>& parameters, int i) {
+  const ChannelsOfOne<float> p = parameters.of(i);
   GaussianGeometry g;
-  g.mean = make_float3(p[i], p[stride + i], p[2 * stride + i]);
-  g.log_scale = make_float3(p[3 * stride + i], p[4 * stride + i], p[5 * stride + i]);
-  g.rotation = make_float4(p[6 * stride + i], p[7 * stride + i], p[8 * stride + i], p[9 * stride + i]);
-  g.opacity_logit = p[10 * stride + i];
+  g.mean = make_float3(p[0], p[1], p[2]);
+  g.log_scale = make_float3(p[3], p[4], p[5]);
+  g.rotation = make_float4(p[6], p[7], p[8], p[9]);
+  g.opacity_logit = p[10];
   return g;
 }
 
@@ -50,18 +39,18 @@ struct Projection {
 };
 
 /// Squared distances are in units in which alpha = 2^(log2_alpha - u^2 - v^2): (x / this)^2 = 2 ln 2 x^2.
-constexpr float kWhiteScale = 0.8493218002880191F;  // sqrt(log2(e) / 2)
+constexpr float kConicScale = 0.8493218002880191F;  // sqrt(log2(e) / 2)
 
-/// The factor U of the inverse covariance, U^T U, times kWhiteScale: u = uxx dx + uxy dy, v = uyy dy. It comes from
+/// The factor U of the inverse covariance, U^T U, times kConicScale: u = uxx dx + uxy dy, v = uyy dy. It comes from
 /// the Schur complement, without cancellation.
-struct Whitening {
+struct ConicFactor {
   float uxx, uxy, uyy;
 };
 
-__device__ inline Whitening whitening(const Projection& p) {
+__device__ inline ConicFactor conic_factor(const Projection& p) {
   const float inv_root_c = 1.0F / sqrtf(p.c), inv_root_det = 1.0F / sqrtf(p.det);
-  return {kWhiteScale * sqrtf(p.c) * inv_root_det, -kWhiteScale * p.b * inv_root_c * inv_root_det,
-          kWhiteScale * inv_root_c};
+  return {kConicScale * sqrtf(p.c) * inv_root_det, -kConicScale * p.b * inv_root_c * inv_root_det,
+          kConicScale * inv_root_c};
 }
 
 __device__ inline void rotation_matrix(const float4 q, float* r) {
@@ -196,9 +185,10 @@ __device__ inline float3 sh_direction_gradient(const float3 d, const float* f) {
 }
 
 /// Without normals, only what does not depend on them lights a Gaussian.
-__device__ inline float3 load_normal(const float* normal, std::int64_t stride, int i) {
-  if (normal == nullptr) return make_float3(0.0F, 0.0F, 0.0F);
-  return make_float3(normal[i], normal[stride + i], normal[2 * stride + i]);
+__device__ inline float3 load_normal(const Channels<const float>& normals, int i) {
+  if (normals.data == nullptr) return make_float3(0.0F, 0.0F, 0.0F);
+  const ChannelsOfOne<const float> n = normals.of(i);
+  return make_float3(n[0], n[1], n[2]);
 }
 
 /// Transfer shading without the residual: colour = albedo * this (model.h).

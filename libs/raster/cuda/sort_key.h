@@ -7,8 +7,8 @@
 
 namespace splatbus::raster::cuda {
 
-/// A pair's key: tile, then depth as the bits of its float above those of the near plane, which order alike. 28 bits
-/// hold 32 octaves; many tiles leave room for fewer, so that a radix sort needs five passes of 8 bits.
+/// An intersection's key: tile, then depth as the bits of its float above those of the near plane, which order alike.
+/// 28 bits hold 32 octaves; many tiles leave room for fewer, so that a radix sort needs five passes of 8 bits.
 struct SortKey {
   int depth_bits, shift, tile_bits;
 
@@ -24,7 +24,7 @@ struct SortKey {
     const std::uint32_t most = (1U << depth_bits) - 1;
     return static_cast<std::uint64_t>(tile) << depth_bits | min(above >> shift, most);
   }
-  /// Of a key; for keys that no pair filled, all ones, it lies above every tile.
+  /// Of a key; for keys that no intersection filled, all ones, it lies above every tile.
   __device__ std::uint64_t tile(std::uint64_t key) const { return key >> depth_bits; }
 };
 

@@ -1,132 +1,212 @@
 #include "raster/cuda/train_step.h"
 
+#include <algorithm>
+#include <numeric>
 #include <stdexcept>
 #include <utility>
 
-#include "raster/cuda/train_step_impl.h"
-
 namespace splatbus::raster::cuda {
+namespace {
 
-TrainStep::Impl::~Impl() {
-  cudaStreamSynchronize(stream);
+// Numbers of views and sizes of pictures that are known at once.
+constexpr std::size_t kMaxBatches = 32;
+
+}  // namespace
+
+TrainStep::TrainStep(const TrainStepOptions& options) : options_(options) {
+  for (cudaEvent_t& done : done_) check(cudaEventCreateWithFlags(&done, cudaEventDisableTiming), "making an event");
 }
 
-TrainStep::TrainStep(TrainStepOptions options) : impl_(std::make_unique<Impl>(options)) {}
-TrainStep::~TrainStep() = default;
+TrainStep::~TrainStep() {
+  cudaStreamSynchronize(stream());
+  for (cudaEvent_t done : done_) {
+    if (done != nullptr) cudaEventDestroy(done);
+  }
+}
 
 void TrainStep::set_options(const TrainStepOptions& options) {
-  const bool training = impl_->options.training;
-  const int rebuild_interval = impl_->options.rebuild_interval;
-  impl_->options = options;
-  impl_->options.training = training;
-  impl_->options.rebuild_interval = rebuild_interval;
-  impl_->adam.gather_statistics(options.statistics && training, impl_->stream);
-  for (const auto& group : impl_->groups) {
-    group->lists_built = false;
-    group->invalidate_graphs();
-  }
+  const bool training = options_.training;
+  options_ = options;
+  options_.training = training;
+  adam_.gather_statistics(options.statistics && training, stream());
+  invalidate_graphs();
+}
+
+void TrainStep::invalidate_graphs() {
+  for (auto& [size, batch] : batches_) batch.graph.invalidate();
 }
 
 void TrainStep::set_model(const DeviceGaussians& gaussians) {
-  clear_groups();
-  impl_->gaussians = gaussians;
-  if (!impl_->options.training) return;
-  impl_->adam.reset(gaussians.layout, gaussians.count, gaussians.stride, impl_->stream);
-  impl_->adam.gather_statistics(impl_->options.statistics, impl_->stream);
+  retire(true);
+  repeats_.clear();
+  batches_.clear();
+  last_views_.clear();
+  last_workspace_ = {};
+  gaussians_ = gaussians;
+  if (!options_.training) return;
+  adam_.reset(gaussians.layout, gaussians.count, gaussians.stride, stream());
+  adam_.gather_statistics(options_.statistics, stream());
 }
 
 void TrainStep::follow_model(const DeviceGaussians& gaussians) {
-  if (gaussians.layout != impl_->gaussians.layout) throw std::invalid_argument("TrainStep: a model keeps its layout");
-  if (impl_->options.training) impl_->adam.resize(gaussians.count, gaussians.stride, impl_->stream);
-  const int count_before = std::exchange(impl_->gaussians, gaussians).count;
-  for (const auto& group : impl_->groups) group->model_changed(gaussians.count, count_before);
+  if (gaussians.layout != gaussians_.layout) throw std::invalid_argument("TrainStep: a model keeps its layout");
+  if (options_.training) adam_.resize(gaussians.count, gaussians.stride, stream());
+  const int count_before = std::exchange(gaussians_, gaussians).count;
+  for (auto& [size, batch] : batches_) batch.model_changed(gaussians.count, count_before);
 }
 
 void TrainStep::move_columns(const std::uint32_t* from, const std::uint32_t* to, int count) {
-  impl_->adam.move(from, to, count, impl_->stream);
+  adam_.move(from, to, count, stream());
 }
 
 void TrainStep::set_learning_rates(const std::vector<float>& rates) {
-  if (rates.size() != static_cast<std::size_t>(impl_->gaussians.layout.channels())) {
+  if (rates.size() != static_cast<std::size_t>(gaussians_.layout.channels())) {
     throw std::invalid_argument("TrainStep: one learning rate a channel is needed");
   }
-  impl_->learning_rate.resize(rates.size());
-  impl_->staging.copy(impl_->learning_rate.data(), std::as_bytes(std::span(rates)), impl_->stream);
+  learning_rate_.upload(rates.data(), rates.size(), stream());
 }
 
-std::size_t TrainStep::add_group(std::span<const TrainView> views) {
-  if (!views.empty()) {
-    const Camera& camera = views[0].view.camera;
-    impl_->workspace.require(impl_->request_for(static_cast<int>(camera.width), static_cast<int>(camera.height),
-                                                static_cast<int>(views.size()), Targets(views),
-                                                ViewGroup::kFirstPairs));
+std::vector<TrainStep::Part> TrainStep::split(std::span<const TrainView> views) {
+  std::map<std::pair<std::uint32_t, std::uint32_t>, std::vector<TrainView>> by_size;  // seldom more than one
+  for (const TrainView& view : views) by_size[{view.view.camera.width, view.view.camera.height}].push_back(view);
+  std::vector<Part> parts;
+  for (auto& [size, of_size] : by_size) {
+    const std::size_t pixels = std::max<std::size_t>(std::size_t{size.first} * size.second, 1);
+    const std::size_t at_once = std::clamp<std::size_t>(kMaxPixels / pixels, 1, kMaxBatch);
+    for (std::size_t first = 0; first < of_size.size(); first += at_once) {
+      const auto begin = of_size.begin() + static_cast<std::ptrdiff_t>(first);
+      const std::size_t count = std::min(at_once, of_size.size() - first);
+      parts.push_back({.views = {begin, begin + static_cast<std::ptrdiff_t>(count)}});
+    }
   }
-  auto group = std::make_unique<ViewGroup>(views);
-  group->set_views(views, impl_->gaussians.layout.appearance, impl_->options.use_depth_limit, impl_->staging,
-                   impl_->stream);
-  impl_->groups.push_back(std::move(group));
-  return impl_->groups.size() - 1;
+  return parts;
 }
 
-void TrainStep::renew_group(std::size_t index, std::span<const TrainView> views) {
-  ViewGroup& group = *impl_->groups.at(index);
-  group.renewed = true;
-  group.set_views(views, impl_->gaussians.layout.appearance, impl_->options.use_depth_limit, impl_->staging,
-                  impl_->stream);
+void TrainStep::step(std::span<const TrainView> views) {
+  if (!options_.training) throw std::logic_error("TrainStep: made for forward() only");
+  enqueue_repeats();
+  std::vector<Part> parts = split(views);
+  if (!parts.empty()) parts.back().ends_step = true;
+  for (Part& part : parts) launch(std::move(part));
 }
 
-void TrainStep::clear_groups() {
-  impl_->retire(true);
-  check(cudaStreamSynchronize(impl_->stream), "dropping groups");
-  impl_->groups.clear();
-  impl_->last = nullptr;
-  impl_->last_view = {};
+void TrainStep::forward(std::span<const TrainView> views) {
+  for (Part& part : split(views)) {
+    part.training = false;
+    launch(std::move(part));
+  }
 }
 
-void TrainStep::step(std::size_t group) {
-  if (!impl_->options.training) throw std::logic_error("TrainStep: made for forward() only");
-  impl_->run(group, true);
-}
-void TrainStep::forward(std::size_t group) {
-  impl_->run(group, false);
+ViewBatch& TrainStep::batch_for(std::span<const TrainView> views) {
+  const Camera& camera = views[0].view.camera;
+  const int width = static_cast<int>(camera.width), height = static_cast<int>(camera.height);
+  const int count = static_cast<int>(views.size());
+  if (batches_.size() >= kMaxBatches && !batches_.contains({width, height, count})) {
+    retire(true);
+    batches_.clear();
+  }
+  return batches_.try_emplace({width, height, count}, count, width, height).first->second;
 }
 
-std::vector<TrainStep::Report> TrainStep::finished(bool wait) {
-  impl_->retire(wait);
-  std::vector<Report> reports(impl_->reports.begin(), impl_->reports.end());
-  impl_->reports.clear();
-  return reports;
+void TrainStep::launch(Part part) {
+  retire(false);
+  if (in_flight_.size() == ViewBatch::kStepsInFlight) retire_one(true);
+  ViewBatch& batch = batch_for(part.views);
+  batch.set_views(part.views, gaussians_.layout.appearance, stream());
+  if (!batch.sized()) {
+    size_isects(batch);
+    batch.set_views(part.views, gaussians_.layout.appearance, stream());
+  }
+  const WorkspaceView w = workspace_for(batch);
+  if (part.training) {
+    batch.graph.launch(stream(), [&] {
+      enqueue_forward(batch, w);
+      losses(batch, w);
+      launch_blend_backward(gaussians_, w, stream());
+      update(w);
+    });
+  } else {
+    enqueue_forward(batch, w);
+  }
+  const std::size_t slot = launched_++ % done_.size();
+  check(cudaMemcpyAsync(host_counts_.data() + slot, w.counts, sizeof(StepCounts), cudaMemcpyDeviceToHost, stream()),
+        "reading a step's figures");
+  check(cudaEventRecord(done_[slot], stream()), "recording an event");
+  if (in_flight_.empty()) busy_since_ = Clock::now();
+  part.batch = &batch;
+  part.isect_capacity = batch.isect_capacity();
+  last_views_ = part.views;
+  last_workspace_ = w;
+  in_flight_.push_back(std::move(part));
+}
+
+void TrainStep::enqueue_repeats() {
+  while (!repeats_.empty()) {
+    Part part = std::move(repeats_.front());
+    repeats_.pop_front();
+    launch(std::move(part));
+  }
+}
+
+bool TrainStep::retire_one(bool wait) {
+  if (in_flight_.empty()) return false;
+  const std::size_t slot = retired_ % done_.size();
+  if (wait) {
+    check(cudaEventSynchronize(done_[slot]), "waiting for a step");
+  } else {
+    const cudaError_t status = cudaEventQuery(done_[slot]);
+    if (status == cudaErrorNotReady) return false;
+    check(status, "asking for a step");
+  }
+  Part part = std::move(in_flight_.front());
+  in_flight_.pop_front();
+  ++retired_;
+  const StepCounts& counts = host_counts_[slot];
+  part.batch->note_isects(counts.isects);
+  if (!part.training) return true;
+  if (counts.isects > part.isect_capacity) {
+    repeats_.push_back(std::move(part));
+    return true;
+  }
+  const std::size_t views = part.views.size();
+  const double loss = std::accumulate(counts.loss, counts.loss + views, 0.0);
+  const std::size_t all = report_.views + views;
+  report_.loss = (report_.loss * static_cast<double>(report_.views) + loss * static_cast<double>(views)) /
+                 static_cast<double>(all);
+  report_.views = all;
+  report_.steps += part.ends_step ? 1 : 0;
+  const Clock::time_point now = Clock::now();
+  report_.seconds += std::chrono::duration<double>(now - std::exchange(busy_since_, now)).count();
+  return true;
+}
+
+void TrainStep::retire(bool wait) {
+  while (retire_one(wait)) {
+  }
+}
+
+TrainStep::Report TrainStep::finished(bool wait) {
+  retire(wait);
+  while (wait && !repeats_.empty()) {
+    enqueue_repeats();
+    retire(true);
+  }
+  return std::exchange(report_, {});
 }
 
 std::vector<float> TrainStep::losses() {
-  if (impl_->last == nullptr) return {};
-  std::vector<float> host(static_cast<std::size_t>(impl_->last->batch));
-  check(cudaMemcpyAsync(host.data(), impl_->last->figures()->loss, sizeof(float) * host.size(), cudaMemcpyDeviceToHost,
-                        impl_->stream),
-        "reading losses");
-  check(cudaStreamSynchronize(impl_->stream), "reading losses");
+  if (last_workspace_.counts == nullptr) return {};
+  std::vector<float> host(last_views_.size());
+  check(
+      cudaMemcpyAsync(host.data(), last_workspace_.loss, sizeof(float) * host.size(), cudaMemcpyDeviceToHost, stream()),
+      "reading losses");
+  check(cudaStreamSynchronize(stream()), "reading losses");
   return host;
 }
 
-const float* TrainStep::color() const {
-  return impl_->last_view.color;
-}
-ScreenStatistics TrainStep::statistics() const {
-  return impl_->adam.statistics();
-}
-void TrainStep::clear_statistics() {
-  impl_->adam.clear_statistics(impl_->stream);
-}
-const WorkspaceView& TrainStep::workspace() const {
-  return impl_->last_view;
-}
-cudaStream_t TrainStep::stream() const {
-  return impl_->stream;
-}
-
 std::size_t TrainStep::bytes() const {
-  std::size_t total = impl_->workspace.bytes() + impl_->adam.bytes();
-  for (const auto& group : impl_->groups) total += group->bytes();
+  std::size_t total = workspace_.bytes() + adam_.bytes();
+  for (const auto& [size, batch] : batches_) total += batch.bytes();
   return total;
 }
 

@@ -1,12 +1,21 @@
 #pragma once
 
+#include <array>
+#include <chrono>
+#include <cstddef>
 #include <cstdint>
-#include <memory>
+#include <deque>
+#include <map>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "device/buffer.h"
+#include "device/pinned.h"
+#include "device/stream.h"
+#include "raster/cuda/adam_state.h"
 #include "raster/cuda/kernels.h"
-#include "raster/cuda/view_tables.h"
+#include "raster/cuda/view_batch.h"
 
 namespace splatbus::raster::cuda {
 
@@ -20,50 +29,32 @@ struct TrainStepOptions {
   int active_channels = 0;
   bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
   float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
-  int rebuild_interval = 1;                   ///< steps of a group that share one set of sorted tile lists
-  bool use_depth_limit = false;               ///< leave hidden Gaussians out of the lists
-  bool use_graph = true;
-  bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
+  bool training = true;                       ///< false: forward() only, and no memory for more; pictures may be null
 };
 
-/// A training view: camera, scene and pictures on the device (u8 RGBA; depth float), which must stay there until the
-/// steps that were given them are done. `view.scene` is read during the call only.
-struct TrainView {
-  SceneView view;
-  const std::uint8_t* color = nullptr;
-  const std::uint8_t* albedo = nullptr;  ///< null: this view has no albedo loss
-  const float* depth = nullptr;          ///< metres along z, 0 where there is no surface; null: it has no depth loss
-};
-
-/// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. Views are trained in
-/// groups of one size of picture. A group keeps its sorted tile lists from step to step (cameras stand still, Gaussians
-/// move little) and renews them every rebuild_interval steps; or its views are renewed before every step.
+/// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. A few steps may be on
+/// their way at once; step() waits for the oldest when they are too many. A step that finds more intersections of
+/// Gaussians with tiles than there is room for changes nothing; the room grows as soon as that is known, and the step
+/// comes again.
 ///
-/// A few steps may be on their way at once; step() waits for the oldest when they are too many. A step whose lists turn
-/// out not to fit their memory changes nothing; the memory grows as soon as that is known.
+/// The arrays of a step grow with its pictures (64 bytes a pixel, 24 more with albedo, 12 with depth), with its
+/// intersections (24 bytes each, 16 more with albedo or depth) and with views times Gaussians (85 bytes). Pictures of
+/// all sizes take turns in them.
 ///
-/// The arrays of a step grow with its pictures (64 bytes a pixel, 24 more with albedo, 12 with depth), with its lists
-/// (24 bytes a pair of a Gaussian and a tile, 16 more with albedo or depth) and with views times Gaussians (89 bytes).
-/// add_group(), step() and forward() throw StepTooLarge when a step would take more than kMostPixels or more memory
-/// than the device has free, kMemoryLeftFree aside. Nothing is allocated then and nothing lost: the model, Adam's
-/// moments and all groups stay as they are, steps under way come to their end, and what fits trains on, the same group
-/// with other views too.
-///
-/// One thread at a time. Throws std::runtime_error naming the CUDA error.
+/// One thread at a time. Throws std::runtime_error naming the CUDA error; what is here is of no use after that.
 class TrainStep {
  public:
-  explicit TrainStep(TrainStepOptions options);
+  explicit TrainStep(const TrainStepOptions& options);
   ~TrainStep();
   TrainStep(const TrainStep&) = delete;
   TrainStep& operator=(const TrainStep&) = delete;
 
-  /// `training` and `rebuild_interval` stay as they were made.
+  /// `training` stays as it was made.
   void set_options(const TrainStepOptions& options);
-  /// The model to train in place, device memory, object_id too (null: all static). Groups are dropped and Adam's
-  /// moments begin anew.
+  /// The model to train in place, device memory, object_id too (null: all static). Adam's moments begin anew.
   void set_model(const DeviceGaussians& gaussians);
-  /// The same model after a change of its structure, of the same layout, planes perhaps elsewhere and with another
-  /// stride. Groups stay. Columns below both counts keep their moments and statistics, others begin without.
+  /// The same model after a change of its structure, of the same layout, channels perhaps elsewhere and with another
+  /// stride. Columns below both counts keep their moments and statistics, others begin without.
   void follow_model(const DeviceGaussians& gaussians);
   /// Moves Adam's moments and the statistics as columns were moved, from[k] to to[k], before follow_model(): device
   /// arrays, read by stream().
@@ -71,51 +62,90 @@ class TrainStep {
   /// One rate a channel.
   void set_learning_rates(const std::vector<float>& rates);
 
-  /// All views of one size, at most kMaxBatch. Returns the group's index.
-  std::size_t add_group(std::span<const TrainView> views);
-  /// Puts other views, of the same number and size, in the place of a group's: no allocation and no wait, unless more
-  /// objects move.
-  void renew_group(std::size_t group, std::span<const TrainView> views);
-  void clear_groups();
+  /// Enqueues one step on stream(). Views that differ in size, and more of them than fit a launch (kMaxBatch and
+  /// kMaxPixels), are trained one part after the other, small pictures first. Throws std::invalid_argument for a
+  /// picture of more than kMaxPixels.
+  void step(std::span<const TrainView> views);
+  /// Only draws them. A picture for whose intersections there was no room is not complete.
+  void forward(std::span<const TrainView> views);
 
-  /// Enqueues one step on stream().
-  void step(std::size_t group);
-  /// Forward only: fills color() and, when rendered, albedo.
-  void forward(std::size_t group);
-
-  /// A step that is done.
+  /// Steps that came to their end.
   struct Report {
-    float loss = 0;        ///< mean over its views
-    bool changed = false;  ///< false: its lists did not fit
+    std::size_t steps = 0, views = 0;
+    double loss = 0;     ///< mean over the views
+    double seconds = 0;  ///< in which they were on their way
   };
-  /// Steps that are done and were not reported yet, in order; after waiting for all of them when `wait` is set.
-  [[nodiscard]] std::vector<Report> finished(bool wait);
+  /// Those since the last call; all there are, after waiting for them, with `wait`.
+  [[nodiscard]] Report finished(bool wait);
 
-  /// Loss of each view of the last step; synchronises.
+  /// Loss of each view of the last launch; synchronises.
   [[nodiscard]] std::vector<float> losses();
-  /// [batch][3][h][w] of the last step or forward(); null where workspace() is empty.
-  [[nodiscard]] const float* color() const;
+  /// The views of the last launch of step() or forward(), whose pictures workspace() holds, and its arrays, for more
+  /// work on stream() before the next one. Nothing and null before the first.
+  [[nodiscard]] const std::vector<TrainView>& last_views() const { return last_views_; }
+  [[nodiscard]] const WorkspaceView& workspace() const { return last_workspace_; }
   /// Of the steps since set_model() or clear_statistics(), for work on stream(); null where they are not gathered, or
   /// where the model is empty.
-  [[nodiscard]] ScreenStatistics statistics() const;
-  void clear_statistics();
-  /// The arrays of the last step or forward(), for more work on stream() before the next one. All null when that one
-  /// was refused or failed, and after clear_groups().
-  [[nodiscard]] const WorkspaceView& workspace() const;
-  [[nodiscard]] cudaStream_t stream() const;
+  [[nodiscard]] ScreenStatistics statistics() const { return adam_.statistics(); }
+  void clear_statistics() { adam_.clear_statistics(stream()); }
+  [[nodiscard]] cudaStream_t stream() const { return stream_.get(); }
   [[nodiscard]] std::size_t bytes() const;  ///< device memory that it owns
 
   /// The stages of whole steps that are trained to this end, each between two events (median of `repeats`), for
-  /// benchmarks. A step that reuses its lists has "project" instead of "project_and_list" and "sort".
+  /// benchmarks. The views fit one launch.
   struct StageTime {
     const char* name;
     float milliseconds;
   };
-  [[nodiscard]] std::vector<StageTime> time_stages(std::size_t group, int repeats);
+  [[nodiscard]] std::vector<StageTime> time_stages(std::span<const TrainView> views, int repeats);
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  using Clock = std::chrono::steady_clock;
+
+  /// Views of one launch: a whole step, or one of several parts of it.
+  struct Part {
+    std::vector<TrainView> views;
+    bool training = true, ends_step = false;
+    ViewBatch* batch = nullptr;
+    std::uint32_t isect_capacity = 0;  // of its launch
+  };
+
+  [[nodiscard]] static std::vector<Part> split(std::span<const TrainView> views);
+  ViewBatch& batch_for(std::span<const TrainView> views);
+  WorkspaceView workspace_for(ViewBatch& batch);
+  void size_isects(ViewBatch& batch);
+  void invalidate_graphs();
+
+  void enqueue_forward(const ViewBatch& batch, const WorkspaceView& w);
+  void picture_loss(const float* rendered, const ViewBatch& batch, bool of_albedo, float* gradient,
+                    const WorkspaceView& w);
+  void losses(const ViewBatch& batch, const WorkspaceView& w);
+  void update(const WorkspaceView& w);
+
+  void launch(Part part);
+  void enqueue_repeats();
+  bool retire_one(bool wait);
+  void retire(bool wait);
+
+  TrainStepOptions options_;
+  device::Stream stream_;
+  DeviceGaussians gaussians_;
+  AdamState adam_;
+  device::Buffer<float> learning_rate_;
+  Workspace workspace_;
+  std::map<std::tuple<int, int, int>, ViewBatch> batches_;  // by width, height, views
+
+  // Launches on their way, oldest first; what they leave for the host is in a ring.
+  std::deque<Part> in_flight_;
+  std::array<cudaEvent_t, ViewBatch::kStepsInFlight> done_{};
+  device::Pinned<StepCounts> host_counts_{ViewBatch::kStepsInFlight};
+  std::size_t launched_ = 0, retired_ = 0;
+  std::deque<Part> repeats_;  // for whose intersections there was no room
+  Report report_;
+  Clock::time_point busy_since_{};
+
+  std::vector<TrainView> last_views_;
+  WorkspaceView last_workspace_;
 };
 
 }  // namespace splatbus::raster::cuda

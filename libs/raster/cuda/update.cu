@@ -39,7 +39,7 @@ struct AdamSink {
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
-      const std::int64_t at = channel * gaussians.stride + i;
+      const std::int64_t at = parameters_of(gaussians).offset(channel, i);
       const bool active = channel < active_channels;
       m[k] = active ? state.first[at] : 0.0F;
       v[k] = active ? state.second[at] : 0.0F;
@@ -48,7 +48,7 @@ struct AdamSink {
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
-      const std::int64_t at = channel * gaussians.stride + same_i;
+      const std::int64_t at = parameters_of(gaussians).offset(channel, same_i);
       if (channel >= active_channels) continue;
       m[k] = options.beta1 * m[k] + (1.0F - options.beta1) * gradient[k];
       v[k] = options.beta2 * v[k] + (1.0F - options.beta2) * gradient[k] * gradient[k];
@@ -64,9 +64,8 @@ struct AdamSink {
 
 /// Plain gradients, for checks.
 struct GradientSink {
-  float* gradient;
+  Channels<float> gradient;
   std::uint8_t* touched;
-  std::int64_t stride;
   int active_channels;
 
   __device__ void begin(int) const {}
@@ -74,7 +73,7 @@ struct GradientSink {
   __device__ void put(int first, int spacing, int i, const float*, const float* values) const {
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
-      if (channel < active_channels) gradient[channel * stride + i] += values[k];
+      if (channel < active_channels) gradient(channel, i) += values[k];
     }
   }
 };
@@ -86,15 +85,15 @@ struct Item {
   int i, slot;
   std::uint32_t views;  // bit b: blended into view b
 
-  [[nodiscard]] __device__ std::size_t record(int b) const { return static_cast<std::size_t>(b) * w.count + i; }
+  [[nodiscard]] __device__ std::size_t projected(int b) const { return static_cast<std::size_t>(b) * w.count + i; }
   [[nodiscard]] __device__ const ObjectView& object(int b) const { return w.object_views[b * w.object_count + slot]; }
   [[nodiscard]] __device__ const float* gradient(int b) const {
-    return w.record_gradient + record(b) * kGradientFloats;
+    return w.projected_gradient + projected(b) * kGradientFloats;
   }
   /// Of colour c, zero where shading was clamped.
   [[nodiscard]] __device__ float color_gradient(int b, int c) const {
-    const float4 shape = w.record_shape[2 * record(b) + 1];
-    const float value = c == 0 ? shape.z : (c == 1 ? shape.w : w.record_tail[record(b)].x);
+    const float4 shape = w.projected_shape[2 * projected(b) + 1];
+    const float value = c == 0 ? shape.z : (c == 1 ? shape.w : w.projected_tail[projected(b)].x);
     return signbit(value) ? 0.0F : gradient(b)[6 + c];
   }
 };
@@ -102,14 +101,13 @@ struct Item {
 /// SH coefficients; adds to mean_gradient what comes through the view direction.
 template <int kCoefficients, class Sink>
 __device__ void update_radiance(const Item& item, const float3 mean, const Sink& sink, float* mean_gradient) {
-  const std::int64_t stride = item.gaussians.stride;
 #pragma unroll 1
   for (int c = 0; c < 3; ++c) {
     const int first = ParameterLayout::kAppearance + c;
-    const float* p = item.gaussians.parameters + first * stride + item.i;
+    const ChannelsOfOne<float> p = parameters_of(item.gaussians).of(item.i, first);
     float f[kCoefficients], sums[kCoefficients] = {};
 #pragma unroll
-    for (int k = 0; k < kCoefficients; ++k) f[k] = p[3 * k * stride];
+    for (int k = 0; k < kCoefficients; ++k) f[k] = p[3 * k];
 #pragma unroll 1
     for (int b = 0; b < item.w.batch; ++b) {
       if ((item.views >> b & 1U) == 0) continue;
@@ -136,18 +134,18 @@ __device__ void update_radiance(const Item& item, const float3 mean, const Sink&
 }
 
 template <int kChannels, bool kUnit = false, class Sink>
-__device__ void put_planes(const Item& item, const Sink& sink, int first, const float* gradient) {
+__device__ void put_channels(const Item& item, const Sink& sink, int first, const float* gradient) {
   float value[kChannels];
 #pragma unroll
   for (int k = 0; k < kChannels; ++k) {
-    value[k] = item.gaussians.parameters[(first + k) * item.gaussians.stride + item.i];
+    value[k] = parameters_of(item.gaussians)(first + k, item.i);
   }
   sink.template put<kChannels, kUnit>(first, 1, item.i, value, gradient);
 }
 
 template <class Sink>
 __device__ void update_transfer(const Item& item, const Sink& sink, bool residual) {
-  const float3 n = load_normal(item.gaussians.normal, item.gaussians.stride, item.i);
+  const float3 n = load_normal(normals_of(item.gaussians), item.i);
   const float visibility = item.gaussians.visibility != nullptr ? item.gaussians.visibility[item.i] : 1.0F;
   float albedo[3] = {0.0F, 0.0F, 0.0F}, sums[27] = {};
   for (int b = 0; b < item.w.batch; ++b) {
@@ -168,10 +166,10 @@ __device__ void update_transfer(const Item& item, const Sink& sink, bool residua
       sums[3 * k + 2] += g[2] * light.z;
     }
   }
-  put_planes<3, true>(item, sink, ParameterLayout::kAlbedo, albedo);
+  put_channels<3, true>(item, sink, ParameterLayout::kAlbedo, albedo);
   if (!residual) return;
 #pragma unroll
-  for (int k = 0; k < 27; k += 9) put_planes<9>(item, sink, ParameterLayout::kResidual + k, sums + k);
+  for (int k = 0; k < 27; k += 9) put_channels<9>(item, sink, ParameterLayout::kResidual + k, sums + k);
 }
 
 /// With kExtra also what comes through depth, and the statistics.
@@ -191,8 +189,8 @@ __device__ void update_geometry(const Item& item, const GaussianGeometry& g, con
     if constexpr (kExtra) {
       const float x = 0.5F * item.w.width * of_center.x, y = 0.5F * item.w.height * of_center.y;
       norm2d += sqrtf(x * x + y * y);
-      if (item.w.record_depth_gradient == nullptr) continue;
-      const float of_depth = item.w.record_depth_gradient[item.record(b)];
+      if (item.w.projected_depth_gradient == nullptr) continue;
+      const float of_depth = item.w.projected_depth_gradient[item.projected(b)];
       for (int k = 0; k < 3; ++k) sums.mean[k] += item.object(b).view_from_object[8 + k] * of_depth;
     }
   }
@@ -223,14 +221,14 @@ __device__ void update_geometry(const Item& item, const GaussianGeometry& g, con
 
 /// For the next step.
 template <bool kExtra>
-__device__ void clear_records(const Item& item) {
+__device__ void clear_gradients(const Item& item) {
   for (int b = 0; b < item.w.batch; ++b) {
     if ((item.views >> b & 1U) == 0) continue;
-    auto* gradient = reinterpret_cast<float4*>(item.w.record_gradient + item.record(b) * kGradientFloats);
+    auto* gradient = reinterpret_cast<float4*>(item.w.projected_gradient + item.projected(b) * kGradientFloats);
     for (int k = 0; k < kGradientFloats / 4; ++k) gradient[k] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
-    item.w.record_touched[item.record(b)] = 0;
+    item.w.projected_visible[item.projected(b)] = 0;
     if constexpr (kExtra) {
-      if (item.w.record_depth_gradient != nullptr) item.w.record_depth_gradient[item.record(b)] = 0.0F;
+      if (item.w.projected_depth_gradient != nullptr) item.w.projected_depth_gradient[item.projected(b)] = 0.0F;
     }
   }
 }
@@ -243,13 +241,13 @@ __global__ void __launch_bounds__(kThreads, 4)
   if (i >= w.count) return;
   std::uint32_t views = 0;
   for (int b = 0; b < w.batch; ++b) {
-    views |= static_cast<std::uint32_t>(w.record_touched[static_cast<std::size_t>(b) * w.count + i]) << b;
+    views |= static_cast<std::uint32_t>(w.projected_visible[static_cast<std::size_t>(b) * w.count + i]) << b;
   }
   if (views == 0) return;
   const Item item{gaussians, w, i, w.object_slot != nullptr ? w.object_slot[i] : 0, views};
   if constexpr (std::is_same_v<Sink, GradientSink>) sink.touched[i] = 1;
   if (gaussians.flags == nullptr || (gaussians.flags[i] & kFrozen) == 0) {
-    const GaussianGeometry g = load_geometry(gaussians.parameters, gaussians.stride, i);
+    const GaussianGeometry g = load_geometry(parameters_of(gaussians), i);
     sink.begin(i);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};
     if constexpr (kCoefficients == 0) {
@@ -259,7 +257,7 @@ __global__ void __launch_bounds__(kThreads, 4)
     }
     update_geometry<kExtra>(item, g, options, sink, mean_gradient, statistics);
   }
-  clear_records<kExtra>(item);
+  clear_gradients<kExtra>(item);
 }
 
 template <class Sink>
@@ -273,7 +271,7 @@ void launch_with(const DeviceGaussians& gaussians, const WorkspaceView& workspac
       update_kernel<Sink, coefficients(), extra()>
           <<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual, statistics);
     };
-    const bool extra = workspace.record_depth_gradient != nullptr || statistics.mean2d_norm != nullptr;
+    const bool extra = workspace.projected_depth_gradient != nullptr || statistics.mean2d_norm != nullptr;
     extra ? launch(std::true_type{}) : launch(std::false_type{});
   });
   check(cudaGetLastError(), "update");
@@ -300,9 +298,8 @@ void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& work
                      float* gradient, std::uint8_t* touched, const ScreenStatistics& statistics, int active_channels,
                      cudaStream_t stream) {
   launch_with(gaussians, workspace, project,
-              GradientSink{.gradient = gradient,
+              GradientSink{.gradient = {gradient, gaussians.stride},
                            .touched = touched,
-                           .stride = gaussians.stride,
                            .active_channels = active(gaussians, active_channels)},
               statistics, stream);
 }

@@ -2,10 +2,11 @@
 
 #include <cuda_runtime.h>
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
-#include <stdexcept>
 
+#include "device/buffer.h"
 #include "device/check.h"
 #include "raster/cuda/device_scene.h"
 
@@ -13,40 +14,42 @@ namespace splatbus::raster::cuda {
 
 using device::check;
 
-/// Device memory of the kernels, all of it allocated by Workspace::reserve and owned by it. `batch * count` records,
-/// one a view and Gaussian: record = view * count + Gaussian.
+/// What a step leaves for the host to read.
+struct StepCounts {
+  float loss[kMaxBatch];
+  std::uint32_t isects;    ///< intersections that there are; above isect_capacity the rest is missing
+  std::uint32_t segments;  ///< in `segments`
+};
+
+/// Device memory of the kernels. `batch * count` projected Gaussians, that of view v and Gaussian i at v * count + i.
 struct WorkspaceView {
   int count = 0, batch = 0, width = 0, height = 0;
   int tiles_x = 0, tiles_y = 0;
-  std::uint32_t pair_capacity = 0;
+  std::uint32_t isect_capacity = 0;
 
   // Projected Gaussians: alpha = 2^(log2_alpha - u^2 - v^2) with u = uxx dx + uxy dy, v = uyy dy.
-  float4* record_shape = nullptr;    ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
-  float2* record_tail = nullptr;     ///< blue, depth (metres); a colour that was clamped to 0 is -0
-  float* record_gradient = nullptr;  ///< [batch * count][kGradientFloats]; zero but between blending and update
-  float* record_depth_gradient = nullptr;  ///< [batch * count] of the depth; zero but between them, too
-  std::uint8_t* record_touched = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
+  float4* projected_shape = nullptr;    ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
+  float2* projected_tail = nullptr;     ///< blue, depth (metres); a colour that was clamped to 0 is -0
+  float* projected_gradient = nullptr;  ///< [batch * count][kGradientFloats]; zero but between blending and update
+  float* projected_depth_gradient = nullptr;  ///< [batch * count] of the depth; zero but between them, too
+  std::uint8_t* projected_visible = nullptr;  ///< [batch * count] blended into a pixel; zero but between them, too
 
-  std::uint16_t* listed = nullptr;  ///< [count] bit b: in a tile's list of view b
+  StepCounts* counts = nullptr;  ///< cleared before every projection
 
-  // (tile, Gaussian) pairs, sorted by view, tile and depth.
-  std::uint64_t* pair_keys[2] = {nullptr, nullptr};     ///< SortKey
-  std::uint32_t* pair_entries[2] = {nullptr, nullptr};  ///< Gaussian | patches that it may reach << kPatchShift
-  std::uint32_t* pair_count = nullptr;  ///< pairs that the last build wanted; above pair_capacity the rest is missing
-  uint2* tile_range = nullptr;          ///< [batch * tiles], into the sorted pairs
-  float* patch_depth_limit =
-      nullptr;  ///< [batch * tiles][kPatches], beyond it every pixel was opaque when last blended
+  // Intersections of Gaussians with tiles; [1] is sorted by view, tile and depth.
+  std::uint64_t* isect_ids[2] = {nullptr, nullptr};    ///< SortKey
+  std::uint32_t* flatten_ids[2] = {nullptr, nullptr};  ///< Gaussian | patches that it may reach << kPatchShift
+  uint2* tile_offsets = nullptr;                       ///< [batch * tiles], begin and end of its intersections
   void* sort_scratch = nullptr;
   std::size_t sort_scratch_bytes = 0;
 
   // A patch's Gaussians are taken in segments of kSegmentGroups * 32 by the backward pass, all of them at once. The
   // first segment of each patch is known; of the others the forward pass leaves where they begin, and each pixel's
   // state there. Null without training.
-  uint2* segments = nullptr;  ///< [segment_capacity], in no order: patch of the batch, position in pair_entries[1]
+  uint2* segments = nullptr;        ///< [segment_capacity], in no order: patch of the batch, position in flatten_ids[1]
   float4* segment_color = nullptr;  ///< [segment_capacity][32] transmittance, red, green, blue blended so far; it lies
-                                    ///< in pair_keys, which nothing reads after the sort
+                                    ///< in isect_ids, which nothing reads after the sort
   float4* segment_extra = nullptr;  ///< [segment_capacity][32] albedo and depth blended so far
-  std::uint32_t* segment_count = nullptr;
   std::uint32_t segment_capacity = 0;  ///< as many as there can be
 
   // Pictures, [batch][channel][height][width].
@@ -59,7 +62,7 @@ struct WorkspaceView {
   float* depth_gradient = nullptr;
   float* alpha_gradient = nullptr;  ///< of alpha = 1 - transmittance
   float* ssim_partials = nullptr;   ///< [3][batch][3][height][width]
-  float* loss = nullptr;            ///< [batch]
+  float* loss = nullptr;            ///< [batch], in `counts` but for those who only want a loss
 
   // Small tables, written before a step.
   DeviceView* views = nullptr;           ///< [kMaxBatch]
@@ -76,73 +79,41 @@ constexpr int kSegmentGroups = 8;
 constexpr int kPatchShift = 24;
 constexpr std::uint32_t kGaussianMask = (1U << kPatchShift) - 1;
 
+/// What a workspace has to hold.
 struct WorkspaceRequest {
   int count = 0;     ///< Gaussians
   int capacity = 0;  ///< to make room for, where that is more than `count`
   int batch = 1, width = 0, height = 0;
-  int object_count = 1;
+  int object_count = 0;  ///< rows of object_views; 0: the caller brings views, object_views and object_slot
   bool albedo = false;
   bool depth = false;  ///< the depth plane; in training also gradients through it and through alpha
   bool training = true;
-  bool lists = true;  ///< room for sorted entries; false: the caller has its own
-  std::uint32_t pair_capacity = 0;
+  std::uint32_t isect_capacity = 0;
+
+  bool operator==(const WorkspaceRequest&) const = default;
 };
 
 /// Pixels of all pictures that are drawn at once.
-constexpr std::size_t kMostPixels = std::size_t{1} << 30;
-/// Of the device's memory, what a workspace leaves to others when it grows.
-constexpr std::size_t kMemoryLeftFree = std::size_t{256} << 20;
-
-/// Pictures or lists want more memory than there is to have. It is thrown before anything is allocated, so that what is
-/// held stays as it is, and work that fits goes on.
-class StepTooLarge : public std::runtime_error {
- public:
-  using std::runtime_error::runtime_error;
-};
+constexpr std::size_t kMaxPixels = std::size_t{1} << 30;
 
 /// Owner of a WorkspaceView's memory. It never shrinks, so that pictures of several sizes can take turns. Throws
-/// StepTooLarge, or std::runtime_error naming the CUDA error.
+/// std::invalid_argument for more than kMaxPixels or 2^24 Gaussians, std::runtime_error naming the CUDA error.
 class Workspace {
  public:
-  Workspace() = default;
-  ~Workspace();
-  Workspace(const Workspace&) = delete;
-  Workspace& operator=(const Workspace&) = delete;
-
-  /// Throws StepTooLarge when reserve() would: more than kMostPixels, or memory that would not leave kMemoryLeftFree.
-  void require(const WorkspaceRequest& request) const;
-  /// Grows to hold what is asked for; contents are lost when anything grows. True when pointers changed.
+  /// Makes view() one for what is asked for; arrays that it does not need are null. True when it had to grow: contents
+  /// are lost then, and earlier views no longer count.
   bool reserve(const WorkspaceRequest& request);
   [[nodiscard]] const WorkspaceView& view() const { return view_; }
-  [[nodiscard]] std::size_t bytes() const { return bytes_; }
+  [[nodiscard]] std::size_t bytes() const { return memory_.size(); }
 
  private:
-  /// What the arrays' sizes follow from.
-  struct Sizes {
-    std::size_t count = 0, records = 0, training_records = 0, tiles = 0, pairs = 0, list_pairs = 0;
-    std::size_t pixels = 0, albedo_pixels = 0, depth_pixels = 0, objects = 0;
-    std::size_t training_pixels = 0, training_albedo_pixels = 0, training_depth_pixels = 0, depth_records = 0;
-    std::size_t segments = 0, extra_segments = 0;
+  static constexpr std::size_t kMaxArrays = 32;
+  using Sizes = std::array<std::size_t, kMaxArrays>;  ///< bytes of each array
 
-    explicit Sizes(const WorkspaceRequest& request);
-    Sizes() = default;
-    [[nodiscard]] bool hold(const Sizes& other) const;
-    void grow_to(const Sizes& other);
-  };
-
-  /// Calls `take(pointer, elements)` for every array.
-  template <class Take>
-  static void for_each_array(WorkspaceView& memory, const Sizes& sizes, Take take);
-  /// Sizes to grow to; as they are when the request fits.
-  [[nodiscard]] Sizes sizes_for(const WorkspaceRequest& request) const;
-  void require(const Sizes& grown, const WorkspaceRequest& request) const;
-  void release();
-  void allocate_all();
-  WorkspaceView memory_, view_;
-  Sizes sizes_;
-  std::size_t bytes_ = 0;
-  void* blocks_[32] = {};
-  int block_count_ = 0;
+  WorkspaceRequest request_;
+  WorkspaceView view_;
+  Sizes room_{};
+  device::Buffer<std::byte> memory_;
 };
 
 }  // namespace splatbus::raster::cuda

@@ -25,7 +25,7 @@ class IdleRasterizers {
   }
   void give_back(std::unique_ptr<Rasterizer> rasterizer) {
     const std::lock_guard lock(mutex_);
-    if (idle_.size() < kMostCameras) idle_.push_back(std::move(rasterizer));
+    if (idle_.size() < kMaxCameras) idle_.push_back(std::move(rasterizer));
   }
   static IdleRasterizers& instance() {
     static auto* const rasterizers = new IdleRasterizers;  // outlives what threads and graphs hold at exit
@@ -179,8 +179,16 @@ void cpu_adam_step(const AdamTensors& adam) {
   step.epsilon = adam.epsilon;
   step.half_rate_steps = adam.half_rate_steps;
   step.least_rate = adam.least_rate;
-  cpu::Workers(0).for_pieces(count, kAdamPiece,
-                             [&](std::size_t begin, std::size_t end) { adam_range(step, begin, end); });
+  cpu::Workers(0).for_pieces(count, kAdamPiece, [&](std::size_t begin, std::size_t end) {
+    AdamStep piece = step;
+    piece.parameters += begin;
+    piece.gradient += begin;
+    piece.touched += begin;
+    piece.first += begin;
+    piece.second += begin;
+    piece.steps += begin;
+    adam_range(piece, end - begin);
+  });
 }
 
 }  // namespace splatbus::raster

@@ -12,7 +12,7 @@ using torch::Tensor;
 using torch::autograd::AutogradContext;
 using torch::autograd::variable_list;
 
-constexpr std::int64_t kMostPictures = 1024, kMostSide = 1 << 15, kMostPixels = std::int64_t{1} << 30;
+constexpr std::int64_t kMaxPictures = 1024, kMaxSide = 1 << 15, kMaxPixels = std::int64_t{1} << 30;
 
 LossAndGradient loss_and_gradient(const Tensor& rendered, const Tensor& targets, const LossOptions& options) {
 #ifdef SPLATBUS_TORCH_HAS_CUDA
@@ -44,10 +44,10 @@ class ImageLossFunction : public torch::autograd::Function<ImageLossFunction> {
 Tensor image_loss(const Tensor& rendered, const Tensor& targets, const LossOptions& options) {
   TORCH_CHECK(rendered.defined() && rendered.dim() == 4, "image_loss: rendered is not [pictures, 3, height, width]");
   const std::int64_t pictures = rendered.size(0), height = rendered.size(2), width = rendered.size(3);
-  TORCH_CHECK(pictures <= kMostPictures && height <= kMostSide && width <= kMostSide &&
-                  pictures * height * width <= kMostPixels,
-              "image_loss: rendered is ", rendered.sizes(), "; at most ", kMostPictures, " pictures, sides of ",
-              kMostSide, " and 2^30 pixels are compared at once");
+  TORCH_CHECK(
+      pictures <= kMaxPictures && height <= kMaxSide && width <= kMaxSide && pictures * height * width <= kMaxPixels,
+      "image_loss: rendered is ", rendered.sizes(), "; at most ", kMaxPictures, " pictures, sides of ", kMaxSide,
+      " and 2^30 pixels are compared at once");
   TORCH_CHECK(options.ssim_weight >= 0 && options.ssim_weight <= 1, "image_loss: ssim_weight is ", options.ssim_weight,
               ", not within [0, 1]");
   check_tensor(rendered, "image_loss", "rendered", at::kFloat, {pictures, 3, height, width}, rendered.device());

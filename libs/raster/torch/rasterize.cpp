@@ -15,9 +15,9 @@ using torch::Tensor;
 using torch::autograd::AutogradContext;
 using torch::autograd::variable_list;
 
-constexpr std::int64_t kMostGaussians = (std::int64_t{1} << 24) - 1;  // what both backends take
-constexpr std::uint32_t kMostSide = 1U << 15U;
-constexpr std::size_t kMostPixels = std::size_t{1} << 30;
+constexpr std::int64_t kMaxGaussians = (std::int64_t{1} << 24) - 1;  // what both backends take
+constexpr std::uint32_t kMaxSide = 1U << 15U;
+constexpr std::size_t kMaxPixels = std::size_t{1} << 30;
 
 ParameterLayout layout_of(std::int64_t channels) {
   ParameterLayout layout;
@@ -55,16 +55,16 @@ void check_statistics(const Tensor& parameters, const GaussianStatistics& statis
 }
 
 void check_cameras(const std::vector<Camera>& cameras, const std::vector<SceneState>& scenes) {
-  TORCH_CHECK(!cameras.empty() && cameras.size() <= kMostCameras, "rasterize: ", cameras.size(),
-              " cameras; a call takes 1 to ", kMostCameras);
+  TORCH_CHECK(!cameras.empty() && cameras.size() <= kMaxCameras, "rasterize: ", cameras.size(),
+              " cameras; a call takes 1 to ", kMaxCameras);
   TORCH_CHECK(scenes.size() == 1 || scenes.size() == cameras.size(), "rasterize: ", scenes.size(), " scenes for ",
               cameras.size(), " cameras; one is needed, or one a camera");
   for (std::size_t k = 0; k < cameras.size(); ++k) {
     const Camera& camera = cameras[k];
     TORCH_CHECK(camera.role != CameraRole::Light, "rasterize: camera ", k, " is a light's, which is orthographic");
-    TORCH_CHECK(camera.width > 0 && camera.height > 0 && camera.width <= kMostSide && camera.height <= kMostSide,
+    TORCH_CHECK(camera.width > 0 && camera.height > 0 && camera.width <= kMaxSide && camera.height <= kMaxSide,
                 "rasterize: camera ", k, " has ", camera.width, " x ", camera.height, " pixels; a side has 1 to ",
-                kMostSide);
+                kMaxSide);
     TORCH_CHECK(camera.width == cameras[0].width && camera.height == cameras[0].height, "rasterize: camera ", k,
                 " has ", camera.width, " x ", camera.height, " pixels, camera 0 ", cameras[0].width, " x ",
                 cameras[0].height, "; the cameras of a call have one size");
@@ -72,7 +72,7 @@ void check_cameras(const std::vector<Camera>& cameras, const std::vector<SceneSt
                 "rasterize: camera ", k, " has focal lengths of ", camera.fx, " and ", camera.fy, " pixels");
   }
   const std::size_t pixels = std::size_t{cameras[0].width} * cameras[0].height;
-  TORCH_CHECK(pixels <= kMostPixels / cameras.size(), "rasterize: ", cameras.size(), " pictures of ", cameras[0].width,
+  TORCH_CHECK(pixels <= kMaxPixels / cameras.size(), "rasterize: ", cameras.size(), " pictures of ", cameras[0].width,
               " x ", cameras[0].height, " pixels are more than 2^30 pixels");
 }
 
@@ -119,7 +119,7 @@ RasterizedViews rasterize(const Tensor& parameters, const GaussianPlanes& planes
                           const GaussianStatistics& statistics) {
   TORCH_CHECK(parameters.defined() && parameters.dim() == 2, "rasterize: parameters is not [channels, count]");
   const std::int64_t count = parameters.size(1);
-  TORCH_CHECK(count <= kMostGaussians, "rasterize: ", count, " Gaussians; at most ", kMostGaussians, " are drawn");
+  TORCH_CHECK(count <= kMaxGaussians, "rasterize: ", count, " Gaussians; at most ", kMaxGaussians, " are drawn");
   RasterCall call{layout_of(parameters.size(0)), planes, cameras, scenes, options, statistics};
   check_tensor(parameters, "rasterize", "parameters", at::kFloat, parameters.sizes(), parameters.device());
   check_planes(parameters, planes);

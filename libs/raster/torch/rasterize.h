@@ -8,7 +8,7 @@
 namespace splatbus::raster {
 
 /// Cameras of one call.
-constexpr std::size_t kMostCameras = 16;
+constexpr std::size_t kMaxCameras = 16;
 
 /// What of a model is not trained, planes as in GaussiansView. An undefined tensor stands for a plane that is not
 /// there. The 32-bit planes are int32, whose bits are those of the unsigned values.
@@ -48,7 +48,7 @@ struct GaussianStatistics {
 /// second derivative. Parameters that were changed in place between the pictures and backward() are refused there, as
 /// LibTorch does for its own operations.
 ///
-/// The host waits at one place: on CUDA, for the number of pairs of Gaussians and tiles, while the device goes on to
+/// The host waits at one place: on CUDA, for the number of intersections with tiles, while the device goes on to
 /// blend. Any thread may call it, several at once too. Throws c10::Error or std::invalid_argument for arguments that do
 /// not fit, naming them, and std::runtime_error naming the CUDA error.
 [[nodiscard]] RasterizedViews rasterize(const torch::Tensor& parameters, const GaussianPlanes& planes,

@@ -104,10 +104,10 @@ class CudaSampler final : public Sampler {
   }
 
   RoundSamples sample(Views views, const ObjectTransforms& round_objects, const SamplingOptions& options) override {
-    RoundSamples round{.memory = bus::MemoryKind::Cuda};
+    RoundSamples round{.memory = Device::Cuda};
     if (views.empty()) return round;
     assert(std::all_of(views.begin(), views.end(), [&](const InputView* view) {
-      return view->memory == bus::MemoryKind::Cuda && view->camera.width == views.front()->camera.width &&
+      return view->memory == Device::Cuda && view->camera.width == views.front()->camera.width &&
              view->camera.height == views.front()->camera.height;
     }));
     cudaStream_t stream = stream_.get();

@@ -16,7 +16,7 @@ constexpr std::size_t kMostPixels = std::size_t{1} << 20;
 InputView wall(const Camera& camera, bus::MemoryPool& pool) {
   InputView view;
   view.camera = camera;
-  bus::MemoryPool host_pool(bus::MemoryKind::Host);
+  bus::MemoryPool host_pool(Device::Cpu);
   InputView host = view;
   host.allocate(host_pool);
   for (std::uint32_t y = 0; y < camera.height; ++y) {
@@ -38,7 +38,7 @@ InputView wall(const Camera& camera, bus::MemoryPool& pool) {
 void warm_up(Sampler& sampler, const RoundSizes& expected) {
   const std::size_t pixels = std::clamp(expected.views * expected.pixels, kLeastPixels, kMostPixels) / 2;
   const auto size = static_cast<std::uint32_t>(std::sqrt(static_cast<double>(pixels)));
-  bus::MemoryPool pool(bus::MemoryKind::Cuda);
+  bus::MemoryPool pool(Device::Cuda);
   const InputView left = wall(look_at({-0.2F, 0, 2}, {-0.2F, 0, 0}, size, size, 1), pool);
   const InputView right = wall(look_at({0.2F, 0, 2}, {0.2F, 0, 0}, size, size, 1), pool);
   const std::vector<const InputView*> views{&left, &right};

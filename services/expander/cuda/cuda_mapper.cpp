@@ -126,7 +126,7 @@ std::vector<InsertBatch> CudaMapper::make_batches(const DeviceRound& round, std:
                .objects = round.info().objects,
                .light = round.info().light,
                .count = std::min(batch_size, count - b * batch_size),
-               .memory = bus::MemoryKind::Cuda,
+               .memory = Device::Cuda,
                .data = {memory, memory.get() + b * stride}};
   }
   return made;

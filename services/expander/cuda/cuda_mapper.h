@@ -19,7 +19,7 @@ class CudaMapper final : public Mapper {
   /// Takes memory for usual rounds and loads all kernels, which takes a while, so that the first round does not.
   explicit CudaMapper(const MapperOptions& options);
 
-  [[nodiscard]] bus::MemoryKind memory() const override { return bus::MemoryKind::Cuda; }
+  [[nodiscard]] Device memory() const override { return Device::Cuda; }
   [[nodiscard]] std::unique_ptr<Round> take(const IncomingRound& round) override;
   [[nodiscard]] Growth grow(const Round& round, const GrowOptions& options) override;
   void add(const InsertBatch& batch) override;

@@ -58,15 +58,15 @@ class Readable {
   /// In place where it lies on the device.
   template <class T>
   const T* get(const bus::TensorView& tensor) {
-    if (tensor.memory() == bus::MemoryKind::Cuda) return reinterpret_cast<const T*>(tensor.data());
+    if (tensor.memory() == Device::Cuda) return reinterpret_cast<const T*>(tensor.data());
     staged_.push_back(pool_.take(tensor.bytes(), "samples from the host"));
     copy(tensor, staged_.back().get());
     return reinterpret_cast<const T*>(staged_.back().get());
   }
 
   void copy(const bus::TensorView& tensor, std::byte* destination) {
-    bus::copy_memory(destination, bus::MemoryKind::Cuda, tensor.data(), tensor.memory(), tensor.bytes());
-    if (tensor.memory() == bus::MemoryKind::Host) host_bytes_ += tensor.bytes();
+    bus::copy_memory(destination, Device::Cuda, tensor.data(), tensor.memory(), tensor.bytes());
+    if (tensor.memory() == Device::Cpu) host_bytes_ += tensor.bytes();
   }
 
  private:

@@ -30,7 +30,7 @@ __global__ void cell_samples_kernel(Columns c, const std::uint64_t* cell, Observ
   const int i = static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
   if (i >= c.count || !(o.contribution[i] >= o.min_contribution)) return;
   const float4 shape =
-      o.workspace.record_shape[2 * (static_cast<std::size_t>(o.view) * static_cast<std::size_t>(o.workspace.count) +
+      o.workspace.projected_shape[2 * (static_cast<std::size_t>(o.view) * static_cast<std::size_t>(o.workspace.count) +
                                     static_cast<std::size_t>(i))];
   const auto width = static_cast<float>(o.workspace.width), height = static_cast<float>(o.workspace.height);
   if (!(shape.x >= 0.0F && shape.y >= 0.0F && shape.x < width && shape.y < height)) return;

@@ -1,15 +1,13 @@
 #include "trainer/cuda/cuda_optimizer.h"
 
-#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cstdint>
-#include <string>
+#include <stdexcept>
 #include <utility>
 #include <vector>
 
-#include "bus/memory.h"
 #include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 #include "trainer/average.h"
@@ -17,8 +15,6 @@
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/cuda/prune_check.h"
 #include "trainer/cuda/step_kernels.h"
-#include "trainer/cuda/step_queue.h"
-#include "trainer/cuda/warm_up.h"
 
 namespace splatbus::trainer {
 
@@ -38,8 +34,21 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .statistics = options.densify.enabled,
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
-          .half_rate_steps = options.half_rate_steps,
-          .least_rate = options.least_rate};
+          .half_rate_steps = options.lr_half_life_steps,
+          .least_rate = options.lr_min_factor};
+}
+
+std::vector<raster::cuda::TrainView> train_views(std::span<const TrainingViewPtr> views) {
+  std::vector<raster::cuda::TrainView> out;
+  for (const TrainingViewPtr& view : views) {
+    if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
+    out.push_back({.view = {.camera = view->camera, .scene = &view->scene},
+                   .color = view->color.data(),
+                   .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
+                   .depth = view->depth.empty() ? nullptr : view->depth.data(),
+                   .keep = view});
+  }
+  return out;
 }
 
 class CudaOptimizer final : public Optimizer {
@@ -49,7 +58,6 @@ class CudaOptimizer final : public Optimizer {
         train_(train_options(options)),
         pruning_(train_.stream()),
         densifier_(options.seed, train_.stream()) {
-    warm_up(options.layout);
     train_.set_model(gaussians());
     set_options(options);
     // An adopted model is taken for old: its average is settled.
@@ -65,7 +73,7 @@ class CudaOptimizer final : public Optimizer {
   void set_options(const Options& options) override {
     options_ = options;
     if (options.batch == 0) options_.batch = kDefaultBatch;
-    if (options.half_rate_steps < 0) options_.half_rate_steps = kDefaultHalfRateSteps;
+    if (options.lr_half_life_steps < 0) options_.lr_half_life_steps = kDefaultHalfRateSteps;
     train_.set_options(train_options(options_));
     train_.set_learning_rates(channel_learning_rates(options));
   }
@@ -77,12 +85,9 @@ class CudaOptimizer final : public Optimizer {
       settle();
       if (store_.count() == 0) return take_report();
     }
-    if (!followed_) follow_growth();
-    steps_.enqueue_repeats();
-    if (const std::size_t enqueued = steps_.enqueue(views); enqueued > 0) {
-      store_.add_step(enqueued, std::exchange(unbooked_s_, 0.0));
-      after_step(steps_.last());
-    }
+    train_.step(train_views(views));
+    store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));
+    after_step();
     collect(false);
     return take_report();
   }
@@ -92,8 +97,6 @@ class CudaOptimizer final : public Optimizer {
     store_.add_time(std::exchange(unbooked_s_, 0.0));
     return take_report();
   }
-
-  std::vector<LeftOut> take_left_out() override { return steps_.take_left_out(); }
 
  private:
   /// Steps between the search for Gaussians to remove and the look at what it found, which is there by then.
@@ -123,8 +126,8 @@ class CudaOptimizer final : public Optimizer {
   }
 
   /// What follows a step on the device: the average over time, and now and then a look at cells and for Gaussians to
-  /// remove, to clone and to split. `last` is the last view that was enqueued, whose pictures the workspace holds.
-  void after_step(const TrainingViewPtr& last) {
+  /// remove, to clone and to split.
+  void after_step() {
     const std::uint64_t step = store_.step();
     const std::size_t stripe = step % TimeAverage::kStripes;
     cuda::launch_average(columns(),
@@ -135,20 +138,15 @@ class CudaOptimizer final : public Optimizer {
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
     const raster::cuda::WorkspaceView& w = train_.workspace();
-    // The workspace is empty when the last part of the step was left out: the pictures of those before are gone.
-    if (observer_.due() && w.batch > 0) {
-      observed_ = last;
-      try {
-        observer_.observe(gaussians(), columns(), store_.planes().cell,
-                          {.workspace = w,
-                           .view = w.batch - 1,
-                           .target = last->color.data(),
-                           .display_space = options_.layout.appearance == Appearance::Radiance},
-                          train_.stream());
-      } catch (...) {
-        cudaStreamSynchronize(train_.stream());  // a piece of it may be on its way, and reads the picture
-        throw;
-      }
+    if (observer_.due()) {
+      const raster::cuda::TrainView& last = train_.last_views().back();
+      observed_ = last.keep;
+      observer_.observe(gaussians(), columns(), store_.planes().cell,
+                        {.workspace = w,
+                         .view = w.batch - 1,
+                         .target = last.color,
+                         .display_space = options_.layout.appearance == Appearance::Radiance},
+                        train_.stream());
     }
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {
       pruning_.search(columns(), options_.prune, step);
@@ -162,27 +160,21 @@ class CudaOptimizer final : public Optimizer {
     train_.clear_statistics();
     const std::size_t added = std::min(chosen.size(), store_.room(store_.count()));
     if (added == 0) return;  // a change of structure costs every reader: not for nothing
-    const std::string lacking = lacks_memory_for(store_.capacity_for(store_.count() + added));
-    if (lacking.empty()) return change([&] { densifier_.densify(store_, chosen, options_.densify); });
-    if (!std::exchange(warned_densify_, true)) spdlog::error("optimizer: no Gaussian is cloned or split: {}", lacking);
+    change([&] { densifier_.densify(store_, chosen, options_.densify); });
   }
 
   /// Takes in the figures of steps that are done; of all of them, after waiting, with `wait`.
   void collect(bool wait) {
-    const StepReport done = steps_.collect(wait);
+    const auto done = train_.finished(wait);
     unbooked_s_ += done.seconds;
-    report_ += done;
+    report_ += {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss};
     observer_.collect(wait, cells_);
   }
 
   /// Waits for all that is under way, and ends it.
   void settle() {
-    if (!followed_) follow_growth();
-    do {
-      check(cudaStreamSynchronize(train_.stream()), "waiting for the steps");
-      collect(true);
-      steps_.enqueue_repeats();
-    } while (!steps_.empty());
+    collect(true);
+    check(cudaStreamSynchronize(train_.stream()), "waiting for the steps");
     if (!pruning_.since()) return;
     const bool removal = pruning_.wants_removal(store_.count());
     pruning_.forget();
@@ -207,27 +199,7 @@ class CudaOptimizer final : public Optimizer {
 
   void before_change() override { settle(); }
 
-  [[nodiscard]] std::string lacks_memory_for(std::size_t capacity) const override {
-    if (capacity <= store_.capacity()) return {};
-    // The model moves to planes beside its own, and what is kept here for each Gaussian likewise.
-    const std::size_t wanted = SlabLayout(store_.layout(), capacity).bytes + capacity * bytes_a_gaussian();
-    const std::size_t free = bus::free_memory(bus::MemoryKind::Cuda);
-    if (wanted + raster::cuda::kMemoryLeftFree <= free) return {};
-    return fmt::format(
-        "{} Gaussians take {} MiB of device memory more, of which {} MiB are free, and {} MiB are left so", capacity,
-        wanted >> 20U, free >> 20U, raster::cuda::kMemoryLeftFree >> 20U);
-  }
-
-  /// What training keeps for a Gaussian of its own, about.
-  [[nodiscard]] std::size_t bytes_a_gaussian() const {
-    constexpr std::size_t kOfAView = 100;  // records of the projection, and their gradients
-    constexpr std::size_t kOfAStep = 100;  // ages, statistics, the observation of cells
-    const auto channels = static_cast<std::size_t>(store_.layout().channels());
-    return 2 * channels * sizeof(float) + kOfAStep + static_cast<std::size_t>(options_.batch) * kOfAView;
-  }
-
   void follow_growth() override {
-    followed_ = false;
     cudaStream_t stream = train_.stream();
     if (birth_.size() != store_.capacity()) {
       device::Buffer<std::uint64_t> birth(store_.capacity());
@@ -242,23 +214,19 @@ class CudaOptimizer final : public Optimizer {
     count_ = store_.count();
     train_.follow_model(gaussians());
     observer_.structure_changed();
-    followed_ = true;
   }
 
   StepReport take_report() { return std::exchange(report_, {}); }
 
   raster::cuda::TrainStep train_;
-  StepQueue steps_{train_};
   device::Buffer<std::uint64_t> birth_;
   std::size_t count_ = 0;  // of Gaussians whose birth is known
-  bool followed_ = true;   // the model's last change; else there was no memory for that, and it is tried again
   CellObserver observer_;
-  TrainingViewPtr observed_;  // kept until the device has looked at it
+  std::shared_ptr<const void> observed_;  // kept until the device has looked at it
   PruneCheck pruning_;
   DeviceDensifier densifier_;
   StepReport report_;
   double unbooked_s_ = 0;  // of optimizer time that the model's figures do not have yet
-  bool warned_densify_ = false;
 };
 
 }  // namespace

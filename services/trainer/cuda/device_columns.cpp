@@ -66,7 +66,7 @@ void DeviceColumns::append(const ModelPlanes& planes, const InsertBatch& batch, 
                            std::uint64_t first_id) {
   if (count == 0) return;
   InsertRows rows = batch.rows();
-  if (batch.memory() == bus::MemoryKind::Host) rows = upload(rows, count);
+  if (batch.memory() == Device::Cpu) rows = upload(rows, count);
   const std::vector<ObjectRotation> objects = object_rotations(batch.objects);
   objects_.upload(objects.data(), objects.size(), stream_.get());
   launch_append(planes, rows, u32(first), u32(count), first_id, insert_light(batch.light), objects_.data(),
@@ -121,9 +121,9 @@ std::size_t DeviceColumns::set_frozen(const ModelPlanes& planes, std::size_t cou
   });
 }
 
-void DeviceColumns::set_visibility(const ModelPlanes& planes, const float* values, bus::MemoryKind memory,
+void DeviceColumns::set_visibility(const ModelPlanes& planes, const float* values, Device memory,
                                    std::size_t count) {
-  if (memory == bus::MemoryKind::Host) {
+  if (memory == Device::Cpu) {
     values_.upload(values, count, stream_.get());
     values = values_.data();
   }

@@ -24,9 +24,9 @@ bool DeviceInsertReader::copy(const InsertTensors& tensors) {
   std::byte* to = announced_.data();
   std::uint64_t from_host = 0;
   for (const bus::TensorView& plane : tensors.planes) {
-    bus::copy_memory(to, bus::MemoryKind::Cuda, plane.data(), plane.memory(), plane.bytes());
+    bus::copy_memory(to, Device::Cuda, plane.data(), plane.memory(), plane.bytes());
     to += plane.bytes();
-    if (plane.memory() == bus::MemoryKind::Host) from_host += plane.bytes();
+    if (plane.memory() == Device::Cpu) from_host += plane.bytes();
   }
   bus::finish_copies();
   host_bytes_ += from_host;

@@ -21,7 +21,7 @@ class DeviceInsertReader final : public InsertReader {
 
   std::atomic<std::uint64_t>& host_bytes_;
   device::Stream stream_;
-  bus::MemoryPool pool_{bus::MemoryKind::Cuda};
+  bus::MemoryPool pool_{Device::Cuda};
   device::Buffer<std::byte> announced_, scratch_;
   device::Buffer<std::uint8_t> valid_;
   device::Buffer<std::uint32_t> keep_, kept_;

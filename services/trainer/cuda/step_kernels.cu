@@ -1,11 +1,13 @@
 #include "device/check.h"
-#include "gaussians/layout.h"
+#include "raster/cuda/gaussian_channels.cuh"
 #include "trainer/cuda/step_kernels.h"
 
 namespace splatbus::trainer::cuda {
 namespace {
 
 using device::check;
+using raster::cuda::Channels;
+using raster::cuda::ChannelsOfOne;
 
 constexpr int kThreads = 256;
 
@@ -25,18 +27,18 @@ __global__ void average_kernel(Columns c, AverageOptions options) {
     share = fmaxf(options.settled_share, fminf(1.0F, 4.0F * options.stripes / static_cast<float>(age)));
   }
   const int first = static_cast<int>(blockIdx.y) * kChannels;
+  const Channels<float> parameters{c.parameters, c.stride}, averages{c.average, c.stride};
   float live[kChannels], average[kChannels];
 #pragma unroll
   for (int k = 0; k < kChannels; ++k) {
-    const std::int64_t at = (first + k) * c.stride + i;
     const bool active = first + k < c.active_channels;
-    live[k] = active ? c.parameters[at] : 0.0F;
-    average[k] = active ? c.average[at] : 0.0F;
+    live[k] = active ? parameters(first + k, i) : 0.0F;
+    average[k] = active ? averages(first + k, i) : 0.0F;
   }
 #pragma unroll
   for (int k = 0; k < kChannels; ++k) {
     if (first + k >= c.active_channels) continue;
-    c.average[(first + k) * c.stride + i] = average[k] + share * (live[k] - average[k]);
+    averages(first + k, i) = average[k] + share * (live[k] - average[k]);
   }
 }
 
@@ -44,14 +46,15 @@ __global__ void find_dead_kernel(Columns c, FindDeadOptions options, std::uint8_
   const int i = static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
   bool finite = true, gone = false;
   if (i < c.count) {
+    const ChannelsOfOne<float> parameters = Channels<float>{c.parameters, c.stride}.of(i);
     for (int channel = 0; channel < c.active_channels; ++channel) {
-      finite = finite && isfinite(c.parameters[channel * c.stride + i]);
+      finite = finite && isfinite(parameters[channel]);
     }
     const std::uint64_t born = c.birth[i], age = options.step > born ? options.step - born : 0;
-    const float* scale = c.parameters + ParameterLayout::kLogScale * c.stride + i;
-    const float largest = fmaxf(scale[0], fmaxf(scale[c.stride], scale[2 * c.stride]));
-    const bool useless = c.parameters[ParameterLayout::kOpacityLogit * c.stride + i] < options.min_opacity_logit ||
-                         largest > options.max_log_scale;
+    constexpr int kScale = ParameterLayout::kLogScale;
+    const float largest = fmaxf(parameters[kScale], fmaxf(parameters[kScale + 1], parameters[kScale + 2]));
+    const bool useless =
+        parameters[ParameterLayout::kOpacityLogit] < options.min_opacity_logit || largest > options.max_log_scale;
     gone = !finite || (age >= options.min_age_steps && useless);
     dead[i] = gone ? 1 : 0;
   }

@@ -21,7 +21,7 @@ TEST_F(CudaStages, OfTrainingHaveFloors) {
   expect_lines(result);
   // Lists are cut for footprints a little wider than what is counted, and one step earlier.
   const double pairs = result.at("work").at("pairs");
-  EXPECT_NEAR(result.at("pairs_in_lists"), pairs, 0.1 * pairs);
+  EXPECT_NEAR(result.at("isects"), pairs, 0.1 * pairs);
 }
 
 TEST_F(CudaStages, OfTransferWithAlbedoHaveFloors) {

@@ -39,8 +39,8 @@ TEST(Floors, ProjectionReadsAllMeansButTheRestOfWhatIsSeen) {
 }
 
 TEST(Floors, TransferReadsNormalsAndVisibility) {
-  const Floor floor = floor_of(cuda_floors(job_of(kTransfer)), "project");
-  EXPECT_DOUBLE_EQ(floor.bytes, (41 + 4) * 4 * 800 + 36 * 1200);
+  const Floor floor = floor_of(cuda_floors(job_of(kTransfer)), "project_and_list");
+  EXPECT_DOUBLE_EQ(floor.bytes, 12 * 1000 + (38 + 4) * 4 * 800 + 36 * 1200 + 12 * 3000);
 }
 
 TEST(Floors, EveryPairIsSortedInOnePass) {

@@ -78,19 +78,34 @@ class BusTest : public testing::Test {
   std::unique_ptr<bus_service::Broker> broker_;
 };
 
-/// A small message with a number in it, "ViewerProbe/1".
-inline void publish_number(bus::Publisher& publisher, std::uint64_t number, bool latch = false,
+/// Publishes numbers, each in a ViewerProbe, on a topic of any name.
+class NumberPublisher : public bus::Publisher {
+ public:
+  NumberPublisher(std::shared_ptr<bus::Context> context, std::string topic)
+      : bus::Publisher(std::move(context)), topic_(std::move(topic)) {}
+
+  void publish_number(std::uint64_t number, bool latch, const std::string& key,
+                      const std::vector<bus::OutgoingTensor>& tensors) {
+    const bus::MessageInfo info{.capture_ns = 0, .latch_key = key, .tensors = tensors};
+    sequence_ = publish(Topic<wire::ViewerProbe>{topic_, latch}, info, [&](auto& builder, auto header) {
+      const wire::Camera camera;
+      return wire::CreateViewerProbe(builder, header, number, &camera);
+    });
+  }
+  [[nodiscard]] std::uint64_t sequence() const { return sequence_; }  ///< of the last message
+
+ private:
+  std::string topic_;
+  std::uint64_t sequence_ = 0;
+};
+
+inline void publish_number(NumberPublisher& publisher, std::uint64_t number, bool latch = false,
                            const std::string& key = "", const std::vector<bus::OutgoingTensor>& tensors = {}) {
-  const bus::MessageInfo info{
-      .schema = "ViewerProbe/1", .capture_ns = 0, .latch = latch, .latch_key = key, .tensors = tensors};
-  publisher.publish(info, [&](auto& builder, auto header) {
-    const wire::Camera camera;
-    return wire::CreateViewerProbe(builder, header, number, &camera);
-  });
+  publisher.publish_number(number, latch, key, tensors);
 }
 
 inline std::uint64_t number_of(const bus::Message& message) {
-  return message.root<wire::ViewerProbe>("ViewerProbe/1").probe_id();
+  return message.root<wire::ViewerProbe>().probe_id();
 }
 
 /// The next message that carries a number (another sequence of the same topic may be under way).

@@ -156,7 +156,7 @@ TEST_F(HostileMessage, SlabThatCannotBeReachedIsALostFrame) {
 class HostileToBroker : public BusTest {};
 
 TEST_F(HostileToBroker, GarbageGoesNoFurtherAndNothingElseIsDisturbed) {
-  bus::Publisher publisher(connect("maker"), "viewer/probe");
+  NumberPublisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
   zmq::context_t context;

@@ -12,7 +12,7 @@ namespace splatbus::bus {
 namespace {
 
 TEST(MemoryPool, LendsWhatCameBackAgain) {
-  MemoryPool pool(MemoryKind::Host);
+  MemoryPool pool(Device::Cpu);
   auto first = pool.take(5000);
   const std::byte* const address = first.get();
   const auto second = pool.take(5000);
@@ -25,7 +25,7 @@ TEST(MemoryPool, LendsWhatCameBackAgain) {
 }
 
 TEST(MemoryPool, WhatIsReservedIsLent) {
-  MemoryPool pool(MemoryKind::Host);
+  MemoryPool pool(Device::Cpu);
   pool.reserve(2, 1000);
   std::set<const std::byte*> first;
   {
@@ -38,7 +38,7 @@ TEST(MemoryPool, WhatIsReservedIsLent) {
 }
 
 TEST(MemoryPool, FreesWhatCameBackLongestAgo) {
-  MemoryPool pool(MemoryKind::Host, 1 << 20);
+  MemoryPool pool(Device::Cpu, 1 << 20);
   const auto idle_after = [&](std::size_t bytes) {
     static_cast<void>(pool.take(bytes));
     return pool.idle_bytes();
@@ -52,7 +52,7 @@ TEST(MemoryPool, FreesWhatCameBackLongestAgo) {
 }
 
 TEST(MemoryPool, WhatItLendsOutlivesItAndComesBackOnAnyThread) {
-  std::optional<MemoryPool> pool(MemoryKind::Host);
+  std::optional<MemoryPool> pool(Device::Cpu);
   auto lent = pool->take(10);
   std::thread([&, other = pool->take(10)]() mutable { other.reset(); }).join();
   pool.reset();

@@ -14,19 +14,18 @@
 namespace splatbus::bus_test {
 namespace {
 
-using bus::MemoryKind;
 using testing::HasSubstr;
 using testing::ThrowsMessage;
 
 bool has_device() {
-  return bus::choose_backend("auto") == bus::Backend::Cuda;
+  return bus::choose_backend("auto") == Device::Cuda;
 }
 
 TEST(Backends, AreChosenByName) {
-  EXPECT_EQ(bus::choose_backend("cpu"), bus::Backend::Cpu);
+  EXPECT_EQ(bus::choose_backend("cpu"), Device::Cpu);
   EXPECT_THAT([] { (void)bus::choose_backend("vulkan"); }, ThrowsMessage<bus::Error>(HasSubstr("vulkan")));
   if (has_device()) {
-    EXPECT_EQ(bus::choose_backend("cuda"), bus::Backend::Cuda);
+    EXPECT_EQ(bus::choose_backend("cuda"), Device::Cuda);
   } else {
     EXPECT_THAT([] { (void)bus::choose_backend("cuda"); }, ThrowsMessage<bus::Error>(HasSubstr("no backend cuda: ")));
   }
@@ -34,32 +33,32 @@ TEST(Backends, AreChosenByName) {
 
 TEST(Memory, OnAMachineWithoutADeviceIsOnlyTheHosts) {
   if (has_device()) GTEST_SKIP() << "there is a device";
-  EXPECT_THROW((void)bus::allocate_memory(MemoryKind::Cuda, 16), bus::Error);
-  const auto memory = bus::allocate_memory(MemoryKind::Host, 3);
+  EXPECT_THROW((void)bus::allocate_memory(Device::Cuda, 16), bus::Error);
+  const auto memory = bus::allocate_memory(Device::Cpu, 3);
   EXPECT_EQ(memory.get()[2], std::byte{0});
 }
 
 /// Where the ring's slab lies, where what is written to it lies, and where a reader wants it.
-using Kinds = std::tuple<MemoryKind, MemoryKind, MemoryKind>;
+using Kinds = std::tuple<Device, Device, Device>;
 
 class TensorsInAnyMemory : public BusTest, public testing::WithParamInterface<Kinds> {
  protected:
   void SetUp() override {
     const auto [ring, source, reader] = GetParam();
-    const bool device = ring == MemoryKind::Cuda || source == MemoryKind::Cuda || reader == MemoryKind::Cuda;
+    const bool device = ring == Device::Cuda || source == Device::Cuda || reader == Device::Cuda;
     if (device && !has_device()) GTEST_SKIP() << "no CUDA device";
   }
 
   /// A copy of values in memory of a kind, and back.
-  static std::shared_ptr<std::byte> place(MemoryKind kind, const std::vector<float>& values) {
+  static std::shared_ptr<std::byte> place(Device kind, const std::vector<float>& values) {
     auto memory = bus::allocate_memory(kind, values.size() * sizeof(float));
-    bus::copy_memory(memory.get(), kind, values.data(), MemoryKind::Host, values.size() * sizeof(float));
+    bus::copy_memory(memory.get(), kind, values.data(), Device::Cpu, values.size() * sizeof(float));
     bus::finish_copies();
     return memory;
   }
-  static std::vector<float> fetch(MemoryKind kind, const std::byte* memory, std::size_t count) {
+  static std::vector<float> fetch(Device kind, const std::byte* memory, std::size_t count) {
     std::vector<float> values(count);
-    bus::copy_memory(values.data(), MemoryKind::Host, memory, kind, count * sizeof(float));
+    bus::copy_memory(values.data(), Device::Cpu, memory, kind, count * sizeof(float));
     bus::finish_copies();
     return values;
   }
@@ -87,7 +86,7 @@ TEST_P(TensorsInAnyMemory, ArriveWholeAndAreCounted) {
   std::atomic<std::uint64_t> host_bytes{0};
   ASSERT_TRUE(bus::copy_tensor(view, destination.get(), reader_kind, host_bytes));
   EXPECT_EQ(fetch(reader_kind, destination.get(), 77), second);
-  const bool stayed = ring_kind == MemoryKind::Cuda && reader_kind == MemoryKind::Cuda;
+  const bool stayed = ring_kind == Device::Cuda && reader_kind == Device::Cuda;
   EXPECT_EQ(host_bytes.load(), stayed ? 0 : view.bytes());
 
   (void)ring.write(sources);
@@ -96,7 +95,7 @@ TEST_P(TensorsInAnyMemory, ArriveWholeAndAreCounted) {
   EXPECT_FALSE(bus::copy_tensor(view, destination.get(), reader_kind, host_bytes));
 }
 
-constexpr auto kAnyKind = {MemoryKind::Host, MemoryKind::Cuda};
+constexpr auto kAnyKind = {Device::Cpu, Device::Cuda};
 INSTANTIATE_TEST_SUITE_P(AllKinds, TensorsInAnyMemory,
                          testing::Combine(testing::ValuesIn(kAnyKind), testing::ValuesIn(kAnyKind),
                                           testing::ValuesIn(kAnyKind)));

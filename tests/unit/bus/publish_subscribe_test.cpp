@@ -1,3 +1,11 @@
+#include <gmock/gmock.h>
+#include <spdlog/sinks/ostream_sink.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <sstream>
+#include <stdexcept>
+
 #include "bus_fixture.h"
 
 namespace splatbus::bus_test {
@@ -15,7 +23,7 @@ bool read_until(bus::Subscriber& subscriber, std::uint64_t wanted) {
 
 TEST_F(PublishSubscribe, DeliversWhatWasPublishedInOrder) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
   const auto first = publisher.sequence() + 1;
@@ -37,8 +45,8 @@ TEST_F(PublishSubscribe, DeliversWhatWasPublishedInOrder) {
 
 TEST_F(PublishSubscribe, TwoPublishersOfATopicShareItsSequence) {
   const auto context = connect("maker");
-  bus::Publisher first(context, "viewer/probe");
-  bus::Publisher second(context, "viewer/probe");
+  NumberPublisher first(context, "viewer/probe");
+  NumberPublisher second(context, "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(first, subscriber);
   for (int i = 0; i < 10; ++i) publish_number(i % 2 == 0 ? first : second, 1);
@@ -49,8 +57,8 @@ TEST_F(PublishSubscribe, TwoPublishersOfATopicShareItsSequence) {
 
 TEST_F(PublishSubscribe, ExactNamesDoNotMatchLongerOnesAndPrefixesDo) {
   const auto context = connect("maker");
-  bus::Publisher other(context, "viewer/probe2");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher other(context, "viewer/probe2");
+  NumberPublisher publisher(context, "viewer/probe");
   bus::Subscriber exact(connect("reader"), {"viewer/probe"});
   bus::Subscriber prefix(connect("reader-2"), {"viewer/*"});
   meet(publisher, exact);
@@ -64,7 +72,7 @@ TEST_F(PublishSubscribe, ExactNamesDoNotMatchLongerOnesAndPrefixesDo) {
 
 TEST_F(PublishSubscribe, LatchedMessagesReachALateSubscriberOnceAKey) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "grid/state");
+  NumberPublisher publisher(context, "grid/state");
   bus::Subscriber witness(connect("witness"), {"grid/state"});
   publish_number(publisher, 1, true, "a");
   publish_number(publisher, 2, true, "b");
@@ -91,7 +99,7 @@ TEST_F(PublishSubscribe, LatchedMessagesReachALateSubscriberOnceAKey) {
 
 TEST_F(PublishSubscribe, LatchedMessageOutlivesItsPublisher) {
   {
-    bus::Publisher publisher(connect("maker"), "grid/state");
+    NumberPublisher publisher(connect("maker"), "grid/state");
     publish_number(publisher, 5, true);
   }
   bus::Subscriber late(connect("reader"), {"grid/state"});
@@ -101,11 +109,11 @@ TEST_F(PublishSubscribe, LatchedMessageOutlivesItsPublisher) {
 TEST_F(PublishSubscribe, ARestartedSourceReplacesItsLatchedMessage) {
   bus::Subscriber witness(connect("witness"), {"grid/state"});
   {
-    bus::Publisher publisher(connect("maker"), "grid/state");
+    NumberPublisher publisher(connect("maker"), "grid/state");
     for (int i = 0; i < 5; ++i) publish_number(publisher, 5, true);
     ASSERT_TRUE(read_until(witness, 5));
   }
-  bus::Publisher publisher(connect("maker"), "grid/state");
+  NumberPublisher publisher(connect("maker"), "grid/state");
   publish_number(publisher, 6, true);  // its sequence is lower, its epoch later
   ASSERT_TRUE(read_until(witness, 6));
   bus::Subscriber late(connect("reader"), {"grid/state"});
@@ -115,7 +123,7 @@ TEST_F(PublishSubscribe, ARestartedSourceReplacesItsLatchedMessage) {
 TEST_F(PublishSubscribe, LastMessageOfAnEndingPublisherLeaves) {
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   {
-    bus::Publisher publisher(connect("maker"), "viewer/probe");
+    NumberPublisher publisher(connect("maker"), "viewer/probe");
     meet(publisher, subscriber);
     publish_number(publisher, 9);
   }
@@ -124,15 +132,15 @@ TEST_F(PublishSubscribe, LastMessageOfAnEndingPublisherLeaves) {
 
 TEST_F(PublishSubscribe, NewestOfEachTopicSourceAndKeyIsKept) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
-  bus::Publisher other_topic(context, "viewer/probe2");
-  bus::Publisher other_source(connect("other"), "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
+  NumberPublisher other_topic(context, "viewer/probe2");
+  NumberPublisher other_source(connect("other"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/*"});
   meet(publisher, subscriber);
   meet(other_topic, subscriber);
   meet(other_source, subscriber);
   std::vector<bus::Message> messages;
-  const auto send = [&](bus::Publisher& from, std::uint64_t number, const std::string& key) {
+  const auto send = [&](NumberPublisher& from, std::uint64_t number, const std::string& key) {
     publish_number(from, number, false, key);
     messages.push_back(subscriber.receive(patience).value());
   };
@@ -150,12 +158,12 @@ TEST_F(PublishSubscribe, NewestOfEachTopicSourceAndKeyIsKept) {
 
 TEST_F(PublishSubscribe, WaitingForTheSubscriptionKeepsWhatComesMeanwhile) {
   const auto context = connect("maker");
-  bus::Publisher latched(context, "grid/state");
+  NumberPublisher latched(context, "grid/state");
   publish_number(latched, 4, true);
   ASSERT_TRUE(context->wait_connected(patience));
   bus::Subscriber subscriber(connect("reader"), {"grid/state", "viewer/probe"});
   ASSERT_TRUE(subscriber.wait_connected(patience));
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   publish_number(publisher, 5);
   EXPECT_EQ(receive_number(subscriber), 4u);
   EXPECT_EQ(receive_number(subscriber), 5u);
@@ -165,7 +173,7 @@ TEST_F(PublishSubscribe, WaitingForTheSubscriptionKeepsWhatComesMeanwhile) {
 }
 
 TEST_F(PublishSubscribe, ReceiveNewestEndsWithTheLast) {
-  bus::Publisher publisher(connect("maker"), "viewer/probe");
+  NumberPublisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
   EXPECT_TRUE(subscriber.receive_newest(0ms).empty());
@@ -182,8 +190,8 @@ TEST_F(PublishSubscribe, ReceiveNewestEndsWithTheLast) {
 TEST(PublishSubscribeStart, MessagesWaitForTheBroker) {
   const TemporaryDirectory directory;
   const auto context = bus::Context::create(directory.address(), "maker");
-  bus::Publisher publisher(context, "viewer/probe");
-  bus::Publisher latched(context, "grid/state");
+  NumberPublisher publisher(context, "viewer/probe");
+  NumberPublisher latched(context, "grid/state");
   EXPECT_FALSE(context->wait_connected(0ms));
   publish_number(latched, 1, true);
   publish_number(latched, 2, true);
@@ -193,6 +201,69 @@ TEST(PublishSubscribeStart, MessagesWaitForTheBroker) {
   broker.start();
   EXPECT_TRUE(context->wait_connected(patience));
   EXPECT_EQ(receive_number(subscriber), 2u);  // whether it came live or was held by the broker
+}
+
+TEST_F(PublishSubscribe, HandlersGetVerifiedRootsAndTheRestIsRefused) {
+  const auto context = connect("maker");
+  NumberPublisher publisher(context, "viewer/probe");
+  std::vector<std::uint64_t> numbers, poses;
+  bus::Subscriber subscriber(connect("reader"));
+  subscriber
+      .on(topics::kViewerProbe,
+          [&](const wire::ViewerProbe& probe, const bus::Message& message) {
+            EXPECT_EQ(message.header().source()->str(), "maker");
+            numbers.push_back(probe.probe_id());
+            if (probe.probe_id() == 13) throw std::runtime_error("thirteen");
+          })
+      .on(topics::kViewerPose,
+          [&](const wire::ViewerPose&, const bus::Message& message) { poses.push_back(message.header().sequence()); });
+  meet(publisher, subscriber);
+  const auto probe = [](auto& builder, auto header) {
+    const wire::Camera camera;
+    return wire::CreateViewerProbe(builder, header, 99, &camera);
+  };
+  publish_number(publisher, 12);
+  publisher.publish(Topic<wire::ViewerProbe>{"viewer/probe", false, "ViewerProbe/99"}, probe);
+  publisher.publish(Topic<wire::ViewerProbe>{"viewer/pose", false, kSchema<wire::ViewerPose>}, probe);
+  publish_number(publisher, 13);
+  publisher.publish(Topic<wire::ViewerProbe>{"viewer/probe2"}, probe);  // a longer name, subscribed to by nobody
+  publish_number(publisher, 14);
+  std::size_t taken = 0;
+  while (taken < 5) {
+    const std::size_t more = subscriber.dispatch_all(patience, 2);
+    ASSERT_GT(more, 0u);
+    ASSERT_LE(more, 2u);
+    taken += more;
+  }
+  EXPECT_EQ(numbers, (std::vector<std::uint64_t>{12, 13, 14}));
+  EXPECT_TRUE(poses.empty());
+  EXPECT_EQ(subscriber.refused(), 3u);
+  EXPECT_EQ(subscriber.dispatch_all(0ms), 0u);
+}
+
+TEST_F(PublishSubscribe, RefusalsOfASourceAreLoggedOnceASecond) {
+  NumberPublisher publisher(connect("maker"), "viewer/probe"), other(connect("other"), "viewer/probe");
+  bus::Subscriber subscriber(connect("reader"));
+  subscriber.on(topics::kViewerProbe,
+                [](const wire::ViewerProbe&, const bus::Message&) { throw std::runtime_error("never good enough"); });
+  meet(publisher, subscriber);
+  meet(other, subscriber);
+  std::ostringstream lines;
+  const auto before = spdlog::default_logger();
+  spdlog::set_default_logger(
+      std::make_shared<spdlog::logger>("test", std::make_shared<spdlog::sinks::ostream_sink_mt>(lines)));
+  for (int i = 0; i < 50; ++i) {
+    publish_number(publisher, 1);
+    publish_number(other, 1);
+  }
+  for (std::size_t taken = 0; taken < 100;) taken += subscriber.dispatch_all(patience);
+  spdlog::set_default_logger(before);
+  EXPECT_EQ(subscriber.refused(), 100u);
+  const std::string text = lines.str();
+  EXPECT_THAT(text, testing::HasSubstr("viewer/probe from maker"));
+  EXPECT_THAT(text, testing::HasSubstr("viewer/probe from other"));
+  EXPECT_THAT(text, testing::HasSubstr("never good enough"));
+  EXPECT_LT(std::count(text.begin(), text.end(), '\n'), 50);
 }
 
 }  // namespace

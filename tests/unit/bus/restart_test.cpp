@@ -31,8 +31,8 @@ TEST_F(Restart, EverythingGoesOnAfterTheBrokerWasKilled) {
   auto broker = start_broker();
   const auto maker = connect("maker");
   const auto slab = maker->create_slab("model", 1, 1000);
-  bus::Publisher model(maker, "grid/state");
-  bus::Publisher publisher(maker, "viewer/probe");
+  NumberPublisher model(maker, "grid/state");
+  NumberPublisher publisher(maker, "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
   publish_number(model, 5, true, "", {write_floats(*slab, {1, 2, 3})});
@@ -61,7 +61,7 @@ TEST_F(Restart, EverythingGoesOnAfterTheBrokerWasKilled) {
 TEST_F(Restart, WhatIsPublishedWhileTheBrokerIsAwayWaits) {
   auto broker = start_broker();
   const auto maker = connect("maker");
-  bus::Publisher publisher(maker, "viewer/probe");
+  NumberPublisher publisher(maker, "viewer/probe");
   {
     bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
     meet(publisher, subscriber);
@@ -69,7 +69,7 @@ TEST_F(Restart, WhatIsPublishedWhileTheBrokerIsAwayWaits) {
   broker->send(SIGKILL);
   broker->wait();
   ASSERT_TRUE(eventually([&] { return !maker->wait_connected(0ms); }));
-  bus::Publisher latched(maker, "grid/state");
+  NumberPublisher latched(maker, "grid/state");
   publish_number(latched, 8, true);
   broker = start_broker();
   bus::Subscriber subscriber(connect("reader"), {"grid/state"});
@@ -114,7 +114,7 @@ TEST_F(Restart, ASecondBrokerIsRefused) {
   EXPECT_EQ(process->wait(), 1);
   EXPECT_THAT(read_text(output_path()), HasSubstr("a broker runs there already"));
   // The first was not disturbed.
-  bus::Publisher publisher(connect("maker"), "viewer/probe");
+  NumberPublisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
   publish_number(publisher, 1);

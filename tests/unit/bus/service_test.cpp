@@ -24,8 +24,7 @@ class Service : public BusTest {
   bool await_heartbeat(const std::string& source, const std::function<bool(const wire::Heartbeat&)>& wanted) {
     return eventually([&] {
       const auto message = heartbeats_.receive(100ms);
-      return message && message->header().source()->str() == source &&
-             wanted(message->root<wire::Heartbeat>("Heartbeat/1"));
+      return message && message->header().source()->str() == source && wanted(message->root<wire::Heartbeat>());
     });
   }
 
@@ -33,19 +32,18 @@ class Service : public BusTest {
     return eventually([&] {
       const auto message = logs_.receive(100ms);
       if (!message) return false;
-      const auto& log = message->root<wire::Log>("Log/1");
+      const auto& log = message->root<wire::Log>();
       return log.level() == level && log.text()->str().find(text) != std::string::npos;
     });
   }
 
   void control(const std::string& topic, const std::string& name, const std::string& value) {
-    bus::Publisher publisher(context_, topic);
-    publisher.publish({.schema = "Control/1", .capture_ns = 0, .latch = false, .latch_key = {}, .tensors = {}},
-                      [&](auto& builder, auto header) {
-                        const std::vector<flatbuffers::Offset<wire::KeyValue>> changes{
-                            wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str())};
-                        return wire::CreateControlDirect(builder, header, &changes);
-                      });
+    const bus::Publisher publisher(context_);
+    publisher.publish(topics::control(topic), [&](auto& builder, auto header) {
+      const std::vector<flatbuffers::Offset<wire::KeyValue>> changes{
+          wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str())};
+      return wire::CreateControlDirect(builder, header, &changes);
+    });
   }
 
   std::shared_ptr<bus::Context> context_;
@@ -136,7 +134,7 @@ TEST_F(Service, TheBrokerTellsWhoIsAlive) {
     return eventually([&] {
       const auto message = subscriber.receive(100ms);
       if (!message) return false;
-      const auto* nodes = message->root<wire::Liveness>("Liveness/1").nodes();
+      const auto* nodes = message->root<wire::Liveness>().nodes();
       return std::any_of(nodes->begin(), nodes->end(), [&](const wire::Node* node) {
         return node->source()->str() == source && node->alive() == alive && node->service()->str() == "test";
       });

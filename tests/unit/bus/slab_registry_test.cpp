@@ -97,7 +97,7 @@ TEST_F(SlabRegistry, RegistrationsWithoutSenseAreRefused) {
   const auto slab = bus::create_slab_memory(descriptor_of(7, "maker/good", 4096), true);
   expect_refused(slab->descriptor(), -1, -1, "without");
   auto other_kind = slab->descriptor();
-  other_kind.kind = static_cast<bus::MemoryKind>(9);
+  other_kind.kind = static_cast<Device>(9);
   expect_refused(other_kind, slab->control_fd(), slab->data_fd(), "kind 9");
   auto nothing = slab->descriptor();
   nothing.slots = 0;

@@ -18,7 +18,7 @@ class Slabs : public BusTest {};
 
 TEST_F(Slabs, TensorArrivesByReference) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 3, 1000);
   EXPECT_EQ(slab->name(), "maker/frames");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
@@ -99,7 +99,7 @@ TEST_F(Slabs, SizesBeyondTheLimitsAreRefused) {
 }
 
 TEST_F(Slabs, AKindWithoutMemoryIsRefused) {
-  EXPECT_THAT([&] { (void)connect("maker")->create_slab("frames", 1, 1, 10000, static_cast<bus::MemoryKind>(9)); },
+  EXPECT_THAT([&] { (void)connect("maker")->create_slab("frames", 1, 1, 10000, static_cast<Device>(9)); },
               ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr("maker/frames"), HasSubstr("kind 9"))));
 }
 

@@ -26,7 +26,7 @@ bus::OutgoingTensor inline_floats(const std::string& name, const std::vector<flo
 
 TEST_F(Tcp, SlabAndInlineTensorsOfOneMessageReachBothKindsOfReader) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 2, 1000);
   bus::Subscriber local(connect("local"), {"viewer/probe"});
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
@@ -50,7 +50,7 @@ TEST_F(Tcp, SlabAndInlineTensorsOfOneMessageReachBothKindsOfReader) {
 
 TEST_F(Tcp, APublisherOverTcpSendsItsSlabsInline) {
   const auto context = connect_tcp("far");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 2, 1000);
   bus::Subscriber local(connect("local"), {"viewer/probe"});
   meet(publisher, local);
@@ -69,7 +69,7 @@ TEST_F(Tcp, APublisherOverTcpSendsItsSlabsInline) {
 
 TEST_F(Tcp, WhatWasOverwrittenIsDroppedForTcpReadersAndCounted) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 1, 1000);
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
   meet(publisher, remote);
@@ -89,7 +89,7 @@ TEST_F(Tcp, WhatWasOverwrittenIsDroppedForTcpReadersAndCounted) {
 
 TEST_F(Tcp, ASpanOutsideItsSlabIsMalformedForTcpReaders) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = context->create_slab("frames", 1, 1000);
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
   meet(publisher, remote);
@@ -117,7 +117,7 @@ TEST_F(Tcp, ASlabTensorFromElsewhereGoesNoFurther) {
 
 TEST_F(Tcp, LatchedSlabMessageReachesALateTcpReader) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "grid/state");
+  NumberPublisher publisher(context, "grid/state");
   const auto slab = context->create_slab("frames", 1, 1000);
   bus::Subscriber witness(connect("witness"), {"grid/state"});
   publish_number(publisher, 5, true, "", {write_floats(*slab, {1, 2, 3})});

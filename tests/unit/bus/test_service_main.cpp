@@ -14,26 +14,36 @@ namespace {
 
 using namespace splatbus;
 
+struct Options {
+  std::uint64_t number = 7;
+  bool fail = false;
+  double rate_hz = 5;
+  std::string fixed = "a";
+
+  void bind(bus::ParameterBinder& p) {
+    p.add("number", number, "what it publishes, a count");
+    p.add("fail", fail, "makes it fail");
+    p.add("rate_hz", rate_hz, "hertz", {1, 10});
+    p.add("fixed", fixed, "a name", bus::kFixed);
+  }
+};
+
 void publish_model(bus::ServiceContext& service, bus::Publisher& publisher, bus::Slab& slab) {
-  const bus::MessageInfo info{.schema = "ViewerProbe/1",
-                              .capture_ns = 0,
-                              .latch = true,
-                              .latch_key = {},
-                              .tensors = {bus_test::write_floats(slab, {1, 2, 3})}};
-  publisher.publish(info, [&](auto& builder, auto header) {
+  const bus::MessageInfo info{.capture_ns = 0, .latch_key = {}, .tensors = {bus_test::write_floats(slab, {1, 2, 3})}};
+  publisher.publish(Topic<wire::ViewerProbe>{"test/model", topics::kLatched}, info, [&](auto& builder, auto header) {
     const wire::Camera camera;
-    return wire::CreateViewerProbe(builder, header, service.parameters.integer("number"), &camera);
+    return wire::CreateViewerProbe(builder, header, service.parameters.read<Options>().number, &camera);
   });
 }
 
 void run(bus::ServiceContext& service) {
   service.detail("counting");
   const auto slab = service.bus->create_slab("model", 1, 4096);
-  bus::Publisher publisher(service.bus, "test/model");
+  bus::Publisher publisher(service.bus);
   publish_model(service, publisher, *slab);
   for (int turns = 0; !service.stop.stop_requested(); ++turns) {
     service.counter("turns", turns);
-    if (service.parameters.boolean("fail")) throw bus::Error("told to fail");
+    if (service.parameters.read<Options>().fail) throw bus::Error("told to fail");
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
   }
 }
@@ -41,13 +51,6 @@ void run(bus::ServiceContext& service) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  using bus::ParameterSpec;
-  const bus::ServiceDescription description{
-      "test",
-      "A service for tests",
-      {ParameterSpec{.name = "number", .default_value = std::int64_t{7}, .description = "what it publishes, a count"},
-       ParameterSpec{.name = "fail", .default_value = false, .description = "makes it fail"},
-       ParameterSpec{.name = "rate_hz", .default_value = 5.0, .description = "hertz", .minimum = 1, .maximum = 10},
-       ParameterSpec{.name = "fixed", .default_value = std::string("a"), .description = "a name", .runtime = false}}};
+  const bus::ServiceDescription description{"test", "A service for tests", bus::Parameters::declare<Options>()};
   return bus::service_main(argc, argv, description, run);
 }

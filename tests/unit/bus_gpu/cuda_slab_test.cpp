@@ -25,7 +25,7 @@ bool has_device() {
   return cudaGetDeviceCount(&count) == cudaSuccess && count > 0;
 }
 
-bus::SlabDescriptor descriptor_of(std::size_t slot_bytes, bus::MemoryKind kind = bus::MemoryKind::Cuda) {
+bus::SlabDescriptor descriptor_of(std::size_t slot_bytes, Device kind = Device::Cuda) {
   return {.id = 7, .name = "maker/frames", .kind = kind, .slots = 1, .slot_bytes = slot_bytes};
 }
 
@@ -71,12 +71,12 @@ TEST(CudaSlabsWithoutADevice, OnlyDeviceMemoryIsRefused) {
   if (has_device()) GTEST_SKIP() << "there is a device";
   EXPECT_THAT([] { (void)bus::create_slab_memory(descriptor_of(100), true); },
               ThrowsMessage<bus::Error>(AllOf(HasSubstr("maker/frames"), HasSubstr("CUDA"))));
-  EXPECT_NE(bus::create_slab_memory(descriptor_of(100, bus::MemoryKind::Host), true), nullptr);
+  EXPECT_NE(bus::create_slab_memory(descriptor_of(100, Device::Cpu), true), nullptr);
 }
 
 TEST_F(CudaSlabs, AnotherProcessReadsTheSameBytesOnTheDevice) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 3);
   (void)write_to_device(*slab, std::vector<float>(value_count, -1.0F));
   publish_number(publisher, 1, true, "", {write_to_device(*slab, make_values())});
@@ -139,7 +139,7 @@ TEST_F(CudaSlabs, HostReadersCopyAndCannotTakeADeviceAddressForTheirs) {
   const auto slab = create_cuda_slab(*context, 1);
   const bus::TensorView view("values", {value_count}, bus::ElementType::F32, slab,
                              write_to_device(*slab, make_values()).span);
-  EXPECT_EQ(view.memory(), bus::MemoryKind::Cuda);
+  EXPECT_EQ(view.memory(), Device::Cuda);
   EXPECT_THAT([&] { (void)view.as<float>(); },
               ThrowsMessage<bus::Error>(AllOf(HasSubstr("values"), HasSubstr("not in host memory"))));
   std::vector<float> copied;
@@ -168,7 +168,7 @@ TEST_F(CudaSlabs, ASlabSmallerThanItClaimsIsRefused) {
 
 TEST_F(CudaSlabs, ATensorThatClaimsMoreThanItsSlabHasIsRefused) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
   bus::Subscriber reader(connect("reader"), {"viewer/probe"});
   meet(publisher, reader);
@@ -191,7 +191,7 @@ TEST_F(CudaSlabs, ATensorThatClaimsMoreThanItsSlabHasIsRefused) {
 }
 
 TEST_F(CudaSlabs, MemoryOfAnotherKindIsRefused) {
-  const auto host = bus::create_slab_memory(descriptor_of(4096, bus::MemoryKind::Host), true);
+  const auto host = bus::create_slab_memory(descriptor_of(4096, Device::Cpu), true);
   const auto cuda = bus::create_slab_memory(descriptor_of(4096), true);
   EXPECT_THAT([&] { map_as(*cuda, *host); },
               ThrowsMessage<bus::Error>(AllOf(HasSubstr("maker/frames"), HasSubstr("not CUDA memory"))));
@@ -234,7 +234,7 @@ TEST_F(CudaSlabs, OnlyAFaultIsTheEndOfAProcess) {
 
 TEST_F(CudaSlabs, ReadersOverTcpGetTheBytes) {
   const auto context = connect("maker");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
   bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
   meet(publisher, remote);
@@ -243,16 +243,16 @@ TEST_F(CudaSlabs, ReadersOverTcpGetTheBytes) {
   ASSERT_TRUE(message.has_value());
   const auto view = message->tensor("values");
   ASSERT_TRUE(view.has_value());
-  EXPECT_EQ(view->memory(), bus::MemoryKind::Host);
+  EXPECT_EQ(view->memory(), Device::Cpu);
   EXPECT_EQ(host_copy(*view), make_values());
   EXPECT_EQ(broker_->statistics().inlined, 1u);
 }
 
 TEST_F(CudaSlabs, APublisherOverTcpInlinesItsOwn) {
   const auto context = connect_tcp("far");
-  bus::Publisher publisher(context, "viewer/probe");
+  NumberPublisher publisher(context, "viewer/probe");
   const auto slab = create_cuda_slab(*context, 1);
-  EXPECT_EQ(slab->data_fd(), -1);
+  EXPECT_EQ(slab->control_fd(), -1);
   bus::Subscriber local(connect("local"), {"viewer/probe"});
   meet(publisher, local);
   publish_number(publisher, 5, false, "", {write_to_device(*slab, make_values())});

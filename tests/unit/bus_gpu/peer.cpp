@@ -33,7 +33,7 @@ int read(const bus::Address& address) {
   const auto message = subscriber.receive(patience);
   const auto view = message ? message->tensor("values", bus::ElementType::F32, {0}) : std::nullopt;
   if (!view) throw bus::Error("no tensor came");
-  if (view->memory() != bus::MemoryKind::Cuda) throw bus::Error("the tensor is not in device memory");
+  if (view->memory() != Device::Cuda) throw bus::Error("the tensor is not in device memory");
   if (read_on_device(view->data(), view->elements()) != make_values()) throw bus::Error("other values came");
   if (!view->still_valid()) throw bus::Error("the slot was overwritten");
   return 0;
@@ -43,18 +43,18 @@ int read(const bus::Address& address) {
 int fault() {
   constexpr std::size_t far_too_much = std::size_t{1} << 50;
   try {
-    (void)bus::allocate_memory(bus::MemoryKind::Cuda, far_too_much);
+    (void)bus::allocate_memory(Device::Cuda, far_too_much);
     throw std::logic_error("memory that does not exist was given");
   } catch (const bus::Error& error) {
     if (std::string(error.what()).find(std::to_string(far_too_much)) == std::string::npos) {
       throw std::logic_error(fmt::format("it is not said how much was asked for: {}", error.what()));
     }
-    bus::require_usable(bus::MemoryKind::Cuda);
+    bus::require_usable(Device::Cuda);
   }
-  (void)bus::allocate_memory(bus::MemoryKind::Cuda, 4096);
+  (void)bus::allocate_memory(Device::Cuda, 4096);
   launch_fault();
   try {
-    bus::require_usable(bus::MemoryKind::Cuda);
+    bus::require_usable(Device::Cuda);
   } catch (const bus::Error& error) {
     fmt::print("{}\n", error.what());
     return 0;
@@ -76,7 +76,7 @@ void require_cuda(int status, const char* what) {
 }
 
 std::shared_ptr<bus::Slab> create_cuda_slab(bus::Context& context, std::size_t slots) {
-  return context.create_slab("frames", slots, value_bytes, 10000, bus::MemoryKind::Cuda);
+  return context.create_slab("frames", slots, value_bytes, 10000, Device::Cuda);
 }
 
 bus::OutgoingTensor write_to_device(bus::Slab& slab, const std::vector<float>& values) {

@@ -28,7 +28,7 @@ class SchemaJsonTest : public testing::Test {
     broker_.emplace(bus_service::BrokerOptions{.address = bus::Address::parse("ipc://" + folder_)});
     broker_->start();
     context_ = bus::Context::create(broker_->address(), "tester");
-    publisher_.emplace(context_, "test/topic");
+    publisher_.emplace(context_);
     subscriber_.emplace(context_, std::vector<std::string>{"test/*"});
   }
   ~SchemaJsonTest() override {
@@ -40,10 +40,9 @@ class SchemaJsonTest : public testing::Test {
   }
 
   /// Latched, so that it comes whenever the subscription does.
-  template <class Build>
-  bus::Message round_trip(bus::MessageInfo info, Build build) {
-    info.latch = true;
-    publisher_->publish(info, build);
+  template <class Table, class Build>
+  bus::Message round_trip(Build build, std::string_view schema = kSchema<Table>, const bus::MessageInfo& info = {}) {
+    publisher_->publish(Topic<Table>{"test/topic", topics::kLatched, schema}, info, build);
     auto message = subscriber_->receive(60s);
     EXPECT_TRUE(message.has_value());
     return std::move(*message);
@@ -58,7 +57,7 @@ class SchemaJsonTest : public testing::Test {
 };
 
 TEST_F(SchemaJsonTest, EveryFieldUnderItsName) {
-  const bus::Message message = round_trip({.schema = "Heartbeat/1"}, [](auto& builder, auto header) {
+  const bus::Message message = round_trip<wire::Heartbeat>([](auto& builder, auto header) {
     const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.5)};
     const std::vector parameters{wire::CreateKeyValueDirect(builder, "inf", "a \"quoted\" nan")};
     return wire::CreateHeartbeatDirect(builder, header, "fake", 7, wire::ServiceState::Running, "d\xc3\xa9tail",
@@ -78,7 +77,7 @@ TEST_F(SchemaJsonTest, EveryFieldUnderItsName) {
 
 TEST_F(SchemaJsonTest, NumbersThatJsonLacksBecomeNull) {
   const float inf = std::numeric_limits<float>::infinity();
-  const bus::Message message = round_trip({.schema = "ViewerQuality/1"}, [&](auto& builder, auto header) {
+  const bus::Message message = round_trip<wire::ViewerQuality>([&](auto& builder, auto header) {
     return wire::CreateViewerQualityDirect(builder, header, "inf nan", 1, -inf, std::numeric_limits<float>::quiet_NaN(),
                                            0.5F);
   });
@@ -92,15 +91,16 @@ TEST_F(SchemaJsonTest, NumbersThatJsonLacksBecomeNull) {
 TEST_F(SchemaJsonTest, TensorsAreSummarised) {
   const std::array<float, 6> values{1, -2.5F, 3, 0, 8, 4};
   const std::array<std::uint16_t, 3> halves{0x3C00, 0xC000, 0x0001};  // 1, -2, 2^-24
-  bus::MessageInfo info{.schema = "Log/1"};
+  bus::MessageInfo info;
   info.tensors = {
       {.name = "values", .shape = {2, 3}, .type = bus::ElementType::F32, .inline_data = values.data()},
       {.name = "halves", .shape = {3}, .type = bus::ElementType::F16, .inline_data = halves.data()},
       {.name = "none", .shape = {0}, .type = bus::ElementType::U8, .inline_data = values.data()},
   };
-  const bus::Message message = round_trip(info, [](auto& builder, auto header) {
+  const auto log = [](auto& builder, auto header) {
     return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "text");
-  });
+  };
+  const bus::Message message = round_trip<wire::Log>(log, kSchema<wire::Log>, info);
   const Json tensors = json_.to_json(message)["header"]["tensors"];
   ASSERT_EQ(tensors.size(), 3U);
   EXPECT_EQ(tensors[0], Json({{"name", "values"}, {"shape", {2, 3}}, {"type", "F32"}, {"min", -2.5}, {"max", 8.0}}));
@@ -122,9 +122,9 @@ TEST_F(SchemaJsonTest, UnknownAndWrongSchemasAreRefused) {
   const auto log = [](auto& builder, auto header) {
     return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "text");
   };
-  EXPECT_EQ(error_of(round_trip({.schema = "Nonsense/1"}, log)), "test/topic: unknown schema 'Nonsense/1'");
-  EXPECT_EQ(error_of(round_trip({.schema = "Vec3/1"}, log)), "test/topic: unknown schema 'Vec3/1'");
-  EXPECT_EQ(error_of(round_trip({.schema = "EngineFrame/1"}, log)), "test/topic: is no valid EngineFrame/1");
+  EXPECT_EQ(error_of(round_trip<wire::Log>(log, "Nonsense/1")), "test/topic: unknown schema 'Nonsense/1'");
+  EXPECT_EQ(error_of(round_trip<wire::Log>(log, "Vec3/1")), "test/topic: unknown schema 'Vec3/1'");
+  EXPECT_EQ(error_of(round_trip<wire::Log>(log, "EngineFrame/1")), "test/topic: is no valid EngineFrame/1");
 }
 
 TEST_F(SchemaJsonTest, StatisticsCountRateAndBytes) {
@@ -137,7 +137,7 @@ TEST_F(SchemaJsonTest, StatisticsCountRateAndBytes) {
   // The broker may see the subscription after the first message, which then comes from its store.
   int fresh = 0;
   for (std::int64_t i = 0; i < 3; ++i) {
-    const bus::Message message = round_trip({.schema = "Log/1"}, log);
+    const bus::Message message = round_trip<wire::Log>(log);
     seen.add(message);
     bytes += message.size();
     if (!message.header().resent()) ++fresh;

@@ -266,9 +266,9 @@ class HeartbeatTest : public SupervisorTest {
     auto found = publishers_.find(source);
     if (found == publishers_.end()) {
       const auto context = bus::Context::create(bus::Address::parse("ipc://" + folder_), source);
-      found = publishers_.emplace(source, std::make_unique<bus::Publisher>(context, "sys/heartbeat")).first;
+      found = publishers_.emplace(source, std::make_unique<bus::Publisher>(context)).first;
     }
-    found->second->publish({.schema = "Heartbeat/1"}, [&](auto& builder, auto header) {
+    found->second->publish(Topic<wire::Heartbeat>{"sys/heartbeat"}, [&](auto& builder, auto header) {
       const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.0)};
       return wire::CreateHeartbeatDirect(builder, header, "fake", static_cast<std::uint32_t>(pid),
                                          wire::ServiceState::Running, "fine", &counters);

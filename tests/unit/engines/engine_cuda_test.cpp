@@ -65,7 +65,7 @@ TEST_P(CudaSdk, ImagesOfEitherMemoryReachTheReaders) {
 
   const auto message = frames.receive(patience);
   ASSERT_TRUE(message.has_value());
-  const auto kind = GetParam() == SPLATBUS_MEMORY_CUDA ? bus::MemoryKind::Cuda : bus::MemoryKind::Host;
+  const auto kind = GetParam() == SPLATBUS_MEMORY_CUDA ? Device::Cuda : Device::Cpu;
   const auto pixels = [&](const char* name) {
     std::vector<std::uint8_t> bytes(owned.color.size());
     const auto tensor = message->tensor(name, bus::ElementType::U8, {6, 8, 4});
@@ -192,7 +192,7 @@ std::vector<Request> burst(std::uint32_t first_id) {
 
 TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   std::atomic<bool> stop = false;
@@ -218,8 +218,8 @@ TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
       const auto message = frames.receive(patience);
       ASSERT_TRUE(message.has_value()) << answered.size();
       const auto color = message->tensor("color");
-      ASSERT_TRUE(color && color->memory() == bus::MemoryKind::Cuda);
-      answered.insert(message->root<wire::EngineFrame>("EngineFrame/1").request_id());
+      ASSERT_TRUE(color && color->memory() == Device::Cuda);
+      answered.insert(message->root<wire::EngineFrame>().request_id());
     }
   }
   stop = true;

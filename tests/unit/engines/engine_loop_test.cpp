@@ -55,7 +55,7 @@ class EngineLoopTest : public SdkTest {
 
 TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {request(1, EngineBuffer::Color | EngineBuffer::WorldPosition, 0, 11), light_request()});
@@ -65,7 +65,7 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   while (answers.size() < 2) {
     auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
-    const std::uint64_t id = message->root<wire::EngineFrame>("EngineFrame/1").request_id();
+    const std::uint64_t id = message->root<wire::EngineFrame>().request_id();
     answers.emplace(id, std::move(*message));
   }
   const bus::Message& picture = answers.at(11);
@@ -74,7 +74,7 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   ASSERT_TRUE(position.has_value());
   EXPECT_EQ(position->as<float>()[4 * (7 * 24 + 12) + 3], 2.0F);
   EXPECT_FALSE(picture.tensor("normal").has_value());
-  const auto& light = answers.at(1).root<wire::EngineFrame>("EngineFrame/1");
+  const auto& light = answers.at(1).root<wire::EngineFrame>();
   EXPECT_EQ(light.camera()->role(), wire::CameraRole::Light);
   EXPECT_GT(light.camera()->fx(), 0);
   EXPECT_TRUE(answers.at(1).tensor("light_depth", bus::ElementType::F32, {32, 32}).has_value());
@@ -84,14 +84,14 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
                    {request(1, EngineBuffer::Color, 0, 11), request(2, EngineBuffer::Albedo, 0, 12), light_request()});
   const auto message = frames.receive(patience);
   ASSERT_TRUE(message.has_value());
-  EXPECT_EQ(message->root<wire::EngineFrame>("EngineFrame/1").request_id(), 12U);
+  EXPECT_EQ(message->root<wire::EngineFrame>().request_id(), 12U);
   EXPECT_TRUE(message->tensor("albedo").has_value());
   EXPECT_FALSE(frames.receive(std::chrono::milliseconds(100)).has_value());
 }
 
 TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {request(1, EngineBuffer::Depth, 25), light_request()});
@@ -102,7 +102,7 @@ TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
   while (pictures < 4 || lights < 4) {
     const auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
-    const auto& frame = message->root<wire::EngineFrame>("EngineFrame/1");
+    const auto& frame = message->root<wire::EngineFrame>();
     EXPECT_NEAR(frame.time_s(), static_cast<double>(frame.frame()) / 50, 1e-9);
     ASSERT_EQ(frame.objects()->size(), 1U);
     EXPECT_EQ(frame.objects()->Get(0)->id(), 2U);
@@ -119,7 +119,7 @@ TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
 
 TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {request(1, EngineBuffer::Color, 0, 1)});
@@ -132,14 +132,13 @@ TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {
   for (std::size_t i = 0; i < requests.size(); ++i) {
     const auto message = frames.receive(std::chrono::seconds(5));
     ASSERT_TRUE(message.has_value()) << i;
-    EXPECT_EQ(message->root<wire::EngineFrame>("EngineFrame/1").frame(),
-              first->root<wire::EngineFrame>("EngineFrame/1").frame());
+    EXPECT_EQ(message->root<wire::EngineFrame>().frame(), first->root<wire::EngineFrame>().frame());
   }
 }
 
 TEST_F(EngineLoopTest, ACameraThatCannotBeRenderedDisturbsNoOther) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   Request huge = request(1, EngineBuffer::Color, 0, 5);
@@ -148,7 +147,7 @@ TEST_F(EngineLoopTest, ACameraThatCannotBeRenderedDisturbsNoOther) {
   start(0, false);
   const auto message = frames.receive(patience);
   ASSERT_TRUE(message.has_value());
-  EXPECT_EQ(message->root<wire::EngineFrame>("EngineFrame/1").request_id(), 6U);
+  EXPECT_EQ(message->root<wire::EngineFrame>().request_id(), 6U);
 }
 
 }  // namespace

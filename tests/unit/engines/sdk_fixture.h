@@ -66,11 +66,8 @@ struct Request {
   std::uint64_t id = 1;
 };
 
-inline void publish_requests(bus::Publisher& publisher, const std::vector<Request>& requests) {
-  bus::MessageInfo info;
-  info.schema = "EngineCameras/1";
-  info.latch = true;
-  publisher.publish(info, [&](auto& builder, auto header) {
+inline void publish_requests(const bus::Publisher& publisher, const std::vector<Request>& requests) {
+  publisher.publish(topics::kEngineCameras, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::CameraRequest>> offsets;
     for (const Request& request : requests) {
       const splatbus_camera& c = request.camera;

@@ -15,7 +15,7 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
 TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {{.camera = small_camera(3), .id = 99}});
@@ -26,7 +26,7 @@ TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
   engine.join();
   EXPECT_EQ(failed, 0);
 
-  const auto& frame = message->root<wire::EngineFrame>("EngineFrame/1");
+  const auto& frame = message->root<wire::EngineFrame>();
   EXPECT_EQ(message->header().source()->str(), "c-engine");
   EXPECT_GT(message->header().capture_ns(), 0);
   EXPECT_EQ(frame.frame(), 42U);
@@ -46,7 +46,7 @@ TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
 
 TEST_F(SdkTest, RequestsArriveAndAreReplaced) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   const Engine engine = open();
   publish_requests(cameras, {{.camera = small_camera(1), .rate_hz = 2}, {.camera = small_camera(2), .id = 8}});
   auto requests = wait_for_change(engine.get());
@@ -63,7 +63,7 @@ TEST_F(SdkTest, RequestsArriveAndAreReplaced) {
 
 TEST_F(SdkTest, RequestsThatMakeNoSenseAreLeftOut) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   const Engine engine = open();
   std::vector<Request> requests(6, Request{.camera = small_camera(1)});
   requests[0].camera.world_from_camera.translation[0] = kNan;
@@ -80,7 +80,7 @@ TEST_F(SdkTest, RequestsThatMakeNoSenseAreLeftOut) {
 
 TEST_F(SdkTest, LightRequestsNeedOnlyASize) {
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   const Engine engine = open();
   Request request{.camera = {}, .buffers = wire::EngineBuffer::LightDepth};
   request.camera.role = SPLATBUS_ROLE_LIGHT;
@@ -162,7 +162,7 @@ TEST_F(SdkTest, HeartbeatsCarryCounters) {
   const auto beat = [&] {
     const auto message = heartbeats.receive(std::chrono::milliseconds(500));
     if (!message || message->header().source()->str() != "engine-7") return false;
-    const auto& root = message->root<wire::Heartbeat>("Heartbeat/1");
+    const auto& root = message->root<wire::Heartbeat>();
     return root.service()->str() == "engine" && root.counters() != nullptr && root.counters()->size() == 1 &&
            root.counters()->Get(0)->value() == 12.5;
   };
@@ -183,7 +183,7 @@ TEST_F(SdkTest, TheLightsGenerationFollowsTheLight) {
         << splatbus_engine_last_error(engine.get());
     const auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
-    generations.push_back(message->root<wire::EngineFrame>("EngineFrame/1").light()->generation());
+    generations.push_back(message->root<wire::EngineFrame>().light()->generation());
   }
   EXPECT_EQ(generations[0], generations[1]);
   EXPECT_NE(generations[1], generations[2]);
@@ -221,7 +221,7 @@ TEST_F(SdkTest, TheEngineOutlivesTheBroker) {
   broker_->start();
 
   const auto context = connect("tester");
-  bus::Publisher cameras(context, "engine/cameras");
+  const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {{.camera = small_camera(21)}});

@@ -20,9 +20,9 @@ struct Fixture {
     gradient.clear(scene.view());
     std::fill(gradient.values.begin(), gradient.values.end(), 2.0F);
     std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
-    adam.resize(scene.layout, scene.count, scene.stride);
+    adam.resize(scene.layout, scene.count);
   }
-  void step() { adam.step(scene.parameters.data(), scene.flags.data(), gradient, rates, 1); }
+  void step() { adam.step(scene.view(), scene.parameters.data(), gradient, rates, 1); }
   /// How far a value has moved, in learning rates.
   float moved(int channel, std::size_t i) {
     return (before[static_cast<std::size_t>(channel) * scene.stride + i] - scene.at(channel, i)) / 0.1F;
@@ -79,24 +79,31 @@ TEST(Adam, ActiveChannelsOnly) {
   EXPECT_EQ(fixture.moved(11, 0), 0);
 }
 
-TEST(Adam, MomentsFollowPermutationAndGrowth) {
+TEST(Adam, MomentsFollowMovesAndGrowth) {
   Fixture fixture, reference;
   fixture.step();
   reference.step();
   // Reverse the columns, then let the model grow into a larger stride.
   TestScene larger(fixture.scene.layout, 60);
-  std::vector<std::uint32_t> keep;
-  for (std::uint32_t i = 0; i < 40; ++i) keep.push_back(39 - i);
+  std::vector<std::uint32_t> all, aside, reversed;
+  for (std::uint32_t i = 0; i < 40; ++i) {
+    all.push_back(i);
+    aside.push_back(40 + i);
+    reversed.push_back(39 - i);
+  }
   for (int c = 0; c < 14; ++c) {
     for (std::size_t i = 0; i < 40; ++i) larger.at(c, i) = fixture.scene.at(c, 39 - i);
   }
-  fixture.adam.permute(keep);
-  fixture.adam.resize(larger.layout, 60, larger.stride);
+  fixture.adam.resize(larger.layout, 80);
+  fixture.adam.move(all, aside);
+  fixture.adam.move(aside, reversed);
+  fixture.adam.resize(larger.layout, 40);
+  fixture.adam.resize(larger.layout, 60);
   ParameterGradient gradient;
   gradient.clear(larger.view());
   std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
   std::fill(gradient.values.begin(), gradient.values.end(), 0.5F);
-  fixture.adam.step(larger.parameters.data(), larger.flags.data(), gradient, fixture.rates, 2);
+  fixture.adam.step(larger.view(), larger.parameters.data(), gradient, fixture.rates, 2);
   std::fill(reference.gradient.values.begin(), reference.gradient.values.end(), 0.5F);
   reference.step();
   for (int c = 0; c < 14; ++c) {
@@ -108,8 +115,8 @@ TEST(Adam, MomentsFollowPermutationAndGrowth) {
 TEST(Adam, ShrinkingForgets) {
   Fixture fixture;
   fixture.step();
-  fixture.adam.resize(fixture.scene.layout, 10, fixture.scene.stride);
-  fixture.adam.resize(fixture.scene.layout, 40, fixture.scene.stride);
+  fixture.adam.resize(fixture.scene.layout, 10);
+  fixture.adam.resize(fixture.scene.layout, 40);
   fixture.before = fixture.scene.parameters;
   std::fill(fixture.gradient.values.begin(), fixture.gradient.values.end(), -1.0F);
   fixture.step();
@@ -126,8 +133,8 @@ TEST(Adam, FusedStepIsBackwardThenStep) {
       const Camera camera = testing::test_camera(40, 40);
       const std::vector<float> rates(static_cast<std::size_t>(layout.channels()), 0.01F);
       Adam separate_adam, fused_adam;
-      separate_adam.resize(layout, separate.count, separate.stride);
-      fused_adam.resize(layout, separate.count, separate.stride);
+      separate_adam.resize(layout, separate.count);
+      fused_adam.resize(layout, separate.count);
       const auto rasterizer = make_cpu_rasterizer(2);
       ParameterGradient gradient, statistics;
       gradient.active_channels = statistics.active_channels = active_channels;
@@ -138,7 +145,7 @@ TEST(Adam, FusedStepIsBackwardThenStep) {
         render_gradient.color = render.color;
         gradient.clear(separate.view());
         rasterizer->backward(render_gradient, gradient);
-        separate_adam.step(separate.parameters.data(), separate.flags.data(), gradient, rates, 2);
+        separate_adam.step(separate.view(), separate.parameters.data(), gradient, rates, 2);
 
         rasterizer->forward(fused.view(), camera, fused.state, {}, render);
         render_gradient.color = render.color;

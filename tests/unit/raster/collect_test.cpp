@@ -58,7 +58,7 @@ cpu::Frame projected(const TestScene& scene, const Camera& camera, bool keep = t
   frame.reaches.reserve(scene.count);
   frame.pair_ranges.reserve(scene.count);
   frame.order.reserve(scene.count);
-  frame.visible = cpu::project_range(frame, 0, scene.count, frame.order.data());
+  frame.visible = cpu::project_range(frame, {0, static_cast<std::uint32_t>(scene.count)}, frame.order.data());
   return frame;
 }
 

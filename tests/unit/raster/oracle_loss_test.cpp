@@ -64,7 +64,7 @@ TEST(OracleAdam, StepsMatchTorch) {
   }
   torch::optim::Adam torch_adam(groups, torch::optim::AdamOptions(0.01).eps(1e-15));
   Adam adam;
-  adam.resize(scene.layout, scene.count, scene.stride);
+  adam.resize(scene.layout, scene.count);
   std::mt19937 generator(5);
   for (int step = 0; step < 12; ++step) {
     for (std::size_t c = 0; c < channels; ++c) {
@@ -73,7 +73,7 @@ TEST(OracleAdam, StepsMatchTorch) {
       tensors[c].mutable_grad() = torch::from_blob(row, {37}, torch::kFloat32).clone();
     }
     torch_adam.step();
-    adam.step(ours.data(), scene.flags.data(), gradient, rates, 2);
+    adam.step(scene.view(), ours.data(), gradient, rates, 2);
   }
   for (std::size_t c = 0; c < channels; ++c) {
     const torch::Tensor row = torch::from_blob(ours.data() + c * scene.stride, {37}, torch::kFloat32);

@@ -132,7 +132,7 @@ TEST(Robustness, MisuseIsNamed) {
   EXPECT_THROW(rasterizer->backward({}, out), std::invalid_argument);
   Adam adam;
   std::vector<float> parameters = scene.parameters;
-  EXPECT_THROW(adam.step(parameters.data(), nullptr, out, std::vector<float>(41, 0.1F), 1), std::invalid_argument);
+  EXPECT_THROW(adam.step(scene.view(), parameters.data(), out, std::vector<float>(41, 0.1F), 1), std::invalid_argument);
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 // The CUDA backend against the CPU one, whose gradients are checked against autograd: same pictures, same gradients.
+#include "cuda_rasterizer.h"
 #include "cuda_scenes.h"
-#include "raster/cuda/cuda_rasterizer.h"
 
 namespace splatbus::raster::testing {
 namespace {

@@ -47,7 +47,7 @@ Trained train_on_cpu(const Scene& scene, GaussiansBuffer model, const std::vecto
   const std::size_t pixels = std::size_t{scene.c.width} * scene.c.height, count = model.count();
   Trained out{.mean2d_norm = std::vector<float>(count), .steps = std::vector<float>(count)};
   Adam adam;
-  adam.resize(scene.c.layout, count, model.stride());
+  adam.resize(scene.c.layout, count);
   const LossOptions options{.encode_srgb = scene.transfer()};
   for (std::size_t step = 0; step < kSteps; ++step) {
     ParameterGradient gradient;
@@ -78,7 +78,7 @@ Trained train_on_cpu(const Scene& scene, GaussiansBuffer model, const std::vecto
       }
       cpu->backward(g, gradient);
     }
-    adam.step(model.parameters.data(), model.flags.data(), gradient, rates, 2);
+    adam.step(model.view(), model.parameters.data(), gradient, rates, 2);
     for (std::size_t i = 0; i < count; ++i) {
       out.mean2d_norm[i] += gradient.mean2d_norm[i];
       out.steps[i] += gradient.touched[i] != 0 && (model.flags[i] & kFrozen) == 0 ? 1.0F : 0.0F;
@@ -124,7 +124,7 @@ class OnDevice {
                 .mean2d_norm = std::vector<float>(count)};
     for (const float loss : train_.losses()) out.loss += double{loss};
     device_.download_parameters(out.parameters.data(), train_.stream());
-    cudaMemcpyAsync(&out.segments, train_.workspace().segment_count, sizeof(out.segments), cudaMemcpyDefault,
+    cudaMemcpyAsync(&out.segments, &train_.workspace().counts->segments, sizeof(out.segments), cudaMemcpyDefault,
                     train_.stream());
     const cuda::ScreenStatistics statistics = train_.statistics();
     if (statistics.steps != nullptr) {
@@ -160,8 +160,7 @@ TEST_P(DepthTraining, FollowsTheCpuOptimizer) {
   const Trained expected = train_on_cpu(scene, model, rates);
   OnDevice on_device(scene, model, rates,
                      {.albedo_weight = kAlbedoWeight, .depth_weight = kDepthWeight, .statistics = true});
-  const std::size_t group = on_device.train().add_group(on_device.views(true));
-  for (std::size_t k = 0; k < kSteps; ++k) on_device.train().step(group);
+  for (std::size_t k = 0; k < kSteps; ++k) on_device.train().step(on_device.views(true));
   const Trained actual = on_device.result();
   if (scene.c.opacity_logit < 0) {
     EXPECT_GT(actual.segments, 0U);
@@ -182,7 +181,7 @@ TEST_F(CudaTest, DepthAndStatisticsComeAndGo) {
     cuda::TrainStepOptions options{.depth_weight = kDepthWeight};
     OnDevice on_device(scene, model, rates, options);
     cuda::TrainStep& step = on_device.train();
-    const std::size_t with = step.add_group(on_device.views(true)), without = step.add_group(on_device.views(false));
+    const std::vector<cuda::TrainView> with = on_device.views(true), without = on_device.views(false);
     for (int k = 0; k < 2; ++k) step.step(with);
     if (detour) {  // which forward() alone takes: nothing is learned
       step.forward(without);
@@ -209,8 +208,7 @@ TEST_F(CudaTest, StatisticsFollowTheColumns) {
   const auto channels = static_cast<std::size_t>(scene.c.layout.channels());
   OnDevice on_device(scene, model, std::vector<float>(channels, 0.0F), {.statistics = true});
   cuda::TrainStep& train = on_device.train();
-  const std::size_t group = train.add_group(on_device.views(false));
-  train.step(group);
+  train.step(on_device.views(false));
   const Trained before = on_device.result();
   std::uint32_t last = 0;
   for (std::uint32_t i = 1; i < before.steps.size(); ++i) last = before.mean2d_norm[i] > 0 ? i : last;

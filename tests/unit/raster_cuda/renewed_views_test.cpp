@@ -1,4 +1,7 @@
 // A training step whose views and model change between steps.
+#include <memory>
+#include <utility>
+
 #include "cuda_scenes.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/train_step.h"
@@ -55,48 +58,70 @@ class RenewedViews : public CudaTest {
   device::Buffer<std::uint8_t> picture_;
 };
 
-TEST_F(RenewedViews, TrainAsGroupsOfTheirOwnDo) {
+TEST_F(RenewedViews, EveryStepHasTheTablesOfItsOwnViews) {
+  // Far more steps than may be on their way, against as many that are waited for one by one.
   std::vector<float> trained[2];
-  for (const bool renew : {false, true}) {
+  double losses[2] = {};
+  for (const bool wait : {false, true}) {
     cuda::DeviceModel device;
     cuda::TrainStep train({.albedo_weight = 0.5F});
     start(train, device);
-    std::vector<std::size_t> groups;
-    for (int k = 0; k < 9; ++k) {
+    cuda::TrainStep::Report sum;
+    for (int k = 0; k < 24; ++k) {
       const cuda::TrainView now = view(2.0F * static_cast<float>(k % 3));
-      if (renew && k > 0) {
-        train.renew_group(0, {&now, 1});
-      } else if (k < 3) {
-        groups.push_back(train.add_group({&now, 1}));
-      }
-      train.step(renew ? 0 : groups[static_cast<std::size_t>(k % 3)]);
+      train.step({&now, 1});
+      if (!wait) continue;
+      const auto done = train.finished(true);
+      EXPECT_EQ(done.steps, 1U);
+      EXPECT_NEAR(done.loss, train.losses()[0], 1e-6F);
+      losses[1] += done.loss / 24;
     }
-    const auto reports = train.finished(true);
-    EXPECT_EQ(reports.size(), 9U);
-    for (const auto& report : reports) EXPECT_TRUE(report.changed);
-    EXPECT_NEAR(reports.back().loss, train.losses()[0], 1e-6F);
-    trained[renew ? 1 : 0] = parameters(device, train);
+    if (!wait) {
+      const auto done = train.finished(true);
+      EXPECT_EQ(done.steps, 24U);
+      EXPECT_EQ(done.views, 24U);
+      EXPECT_GT(done.seconds, 0);
+      losses[0] = done.loss;
+    }
+    trained[wait ? 1 : 0] = parameters(device, train);
   }
+  EXPECT_NEAR(losses[0], losses[1], 1e-4);
   EXPECT_LT(difference(trained[1], trained[0]), 1e-4);
 }
 
-TEST_F(RenewedViews, AStepWhoseListsDoNotFitChangesNothing) {
+TEST_F(RenewedViews, AStepWithoutRoomForItsIntersectionsComesAgain) {
   cuda::DeviceModel device;
   cuda::TrainStep train({});
   start(train, device);
   const cuda::TrainView far = view(0.0F, 400.0F), near = view(0.0F);
-  train.add_group({&far, 1});
-  train.renew_group(0, {&far, 1});
-  train.step(0);
-  ASSERT_TRUE(train.finished(true).at(0).changed);
+  train.step({&far, 1});
+  EXPECT_EQ(train.finished(true).steps, 1U);
   const std::vector<float> before = parameters(device, train);
-  train.renew_group(0, {&near, 1});
-  train.step(0);
-  EXPECT_FALSE(train.finished(true).at(0).changed);
+  train.step({&near, 1});
+  cudaStreamSynchronize(train.stream());
   EXPECT_EQ(parameters(device, train), before);
-  train.step(0);
-  EXPECT_TRUE(train.finished(true).at(0).changed);
+  const auto none = train.finished(false);
+  EXPECT_EQ(none.steps, 0U);
+  const auto done = train.finished(true);
+  EXPECT_EQ(done.steps, 1U);
+  EXPECT_EQ(done.views, 1U);
   EXPECT_NE(parameters(device, train), before);
+}
+
+TEST_F(RenewedViews, PicturesAreKeptUntilTheirStepIsDone) {
+  cuda::DeviceModel device;
+  cuda::TrainStep train({});
+  start(train, device);
+  auto kept = std::make_shared<int>(0);
+  const std::weak_ptr<int> watched = kept;
+  cuda::TrainView now = view(0.0F);
+  now.keep = std::exchange(kept, nullptr);
+  train.step({&now, 1});
+  now = view(1.0F);
+  EXPECT_FALSE(watched.expired());
+  train.step({&now, 1});
+  EXPECT_EQ(train.finished(true).steps, 2U);
+  EXPECT_TRUE(watched.expired());
 }
 
 TEST_F(RenewedViews, PicturesOfSeveralSizesTakeTurns) {
@@ -107,16 +132,29 @@ TEST_F(RenewedViews, PicturesOfSeveralSizesTakeTurns) {
   cuda::TrainView small = view(2.0F);
   small.view.camera = look_at({0, 2, 5}, {0, 0, 0}, 24, 40, 1.0F);
   small.albedo = nullptr;
-  const std::size_t of_large = train.add_group({&large, 1}), of_small = train.add_group({&small, 1});
-  train.step(of_large);
-  train.step(of_small);
+  const std::vector<cuda::TrainView> both = {large, small};
+  train.step(both);
+  EXPECT_EQ(train.last_views().back().view.camera.width, kCase.width) << "small pictures come first";
+  const auto first = train.finished(true);
+  EXPECT_EQ(first.steps, 1U);
+  EXPECT_EQ(first.views, 2U);
   const std::size_t bytes = train.bytes();
-  for (int k = 0; k < 6; ++k) train.step(k % 2 == 0 ? of_large : of_small);
+  for (int k = 0; k < 6; ++k) train.step({k % 2 == 0 ? &large : &small, 1});
+  const auto done = train.finished(true);
   EXPECT_EQ(train.bytes(), bytes);
-  for (const auto& report : train.finished(true)) {
-    EXPECT_TRUE(report.changed);
-    EXPECT_TRUE(std::isfinite(report.loss));
-  }
+  EXPECT_EQ(done.steps, 6U);
+  EXPECT_TRUE(std::isfinite(done.loss));
+}
+
+TEST_F(RenewedViews, MoreViewsThanALaunchTakesAreOneStep) {
+  cuda::DeviceModel device;
+  cuda::TrainStep train({});
+  start(train, device);
+  const std::vector<cuda::TrainView> views(cuda::kMaxBatch + 3, view(1.0F));
+  train.step(views);
+  const auto done = train.finished(true);
+  EXPECT_EQ(done.steps, 1U);
+  EXPECT_EQ(done.views, views.size());
 }
 
 TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
@@ -145,8 +183,7 @@ TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
     train.set_model(device.view());
     train.set_learning_rates(std::vector<float>(41, 1e-3F));
     const cuda::TrainView now = view(1.0F);
-    train.add_group({&now, 1});
-    for (int k = 0; k < 4; ++k) train.step(0);
+    for (int k = 0; k < 4; ++k) train.step({&now, 1});
     static_cast<void>(train.finished(true));
     cudaStreamSynchronize(train.stream());
     cuda::DeviceGaussians smaller = device.view();
@@ -174,7 +211,7 @@ TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
       cudaStreamSynchronize(train.stream());
     }
     train.follow_model(smaller);
-    for (int k = 0; k < 4; ++k) train.step(0);
+    for (int k = 0; k < 4; ++k) train.step({&now, 1});
     trained[moves ? 1 : 0] = parameters(device, train);
   }
   for (auto& values : trained) {  // the dead column's place holds whatever was left there
@@ -188,8 +225,7 @@ TEST_F(RenewedViews, ContributionsAreTheCpuBackends) {
   cuda::TrainStep train({});
   start(train, device);
   const std::vector<cuda::TrainView> views = {view(0.0F), view(2.0F)};
-  train.add_group(views);
-  train.forward(0);
+  train.forward(views);
   device::Buffer<float> contribution(model_.count());
   for (int v = 0; v < 2; ++v) {
     contribution.clear(train.stream());

@@ -38,8 +38,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
     views.push_back({{cameras[k], &scene}, pictures[k].data(), pictures[k].data()});
   }
   cudaDeviceSynchronize();
-  const std::size_t group = trainer.add_group(views);
-  for (int k = 0; k < kSteps; ++k) trainer.step(group);
+  for (int k = 0; k < kSteps; ++k) trainer.step(views);
   const std::vector<float> gpu_losses = trainer.losses();
   std::vector<float> trained(41 * model.count());
   device.download_parameters(trained.data(), trainer.stream());
@@ -48,7 +47,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   const auto cpu = make_cpu_rasterizer(2);
   Adam adam;
   adam.half_rate_steps = 3;
-  adam.resize(c.layout, model.count(), model.stride());
+  adam.resize(c.layout, model.count());
   float loss = 0;
   for (int step = 0; step < kSteps; ++step) {
     ParameterGradient gradient;
@@ -64,7 +63,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
       for (float& value : g.albedo.data) value *= 0.5F / 3;
       cpu->backward(g, gradient);
     }
-    adam.step(model.parameters.data(), model.flags.data(), gradient, rates, 2);
+    adam.step(model.view(), model.parameters.data(), gradient, rates, 2);
   }
   double gpu_loss = 0;
   for (const float value : gpu_losses) gpu_loss += value;
@@ -80,7 +79,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   EXPECT_LT(std::sqrt(difference / norm), 1e-3);
 }
 
-TEST_F(CudaTest, GroupsMayMoveDifferentObjects) {
+TEST_F(CudaTest, ViewsMayMoveDifferentObjects) {
   const Case c{"", {Appearance::Radiance, 0}, 500, 48, 48, true, true, -2.0F};
   GaussiansBuffer model = random_model(c, 31);
   for (std::size_t i = 0; i < model.count(); ++i) model.object_id[i] = static_cast<std::uint32_t>(i % 4);
@@ -99,64 +98,17 @@ TEST_F(CudaTest, GroupsMayMoveDifferentObjects) {
   const std::size_t pixels = std::size_t{c.width} * c.height;
   const device::Buffer<std::uint8_t> picture(4 * pixels);
   cudaDeviceSynchronize();
-  std::vector<std::size_t> groups;
-  for (const SceneState& scene : scenes) {
-    const cuda::TrainView view{{camera, &scene}, picture.data(), nullptr};
-    groups.push_back(trainer.add_group({&view, 1}));
-  }
   const auto cpu = make_cpu_rasterizer(1);
   for (const std::size_t k : {1U, 0U, 2U, 1U}) {
-    trainer.forward(groups[k]);
+    const cuda::TrainView view{{camera, &scenes[k]}, picture.data(), nullptr};
+    trainer.forward({&view, 1});
     cudaStreamSynchronize(trainer.stream());
     Image actual(c.width, c.height, 3);
-    cudaMemcpy(actual.data.data(), trainer.color(), 3 * pixels * sizeof(float), cudaMemcpyDeviceToHost);
+    cudaMemcpy(actual.data.data(), trainer.workspace().color, 3 * pixels * sizeof(float), cudaMemcpyDeviceToHost);
     Render expected;
     cpu->render(model.view(), camera, scenes[k], {}, expected);
-    EXPECT_LT(largest_difference(actual, expected.color), 1e-3) << "group " << k;
+    EXPECT_LT(largest_difference(actual, expected.color), 1e-3) << "scene " << k;
   }
-}
-
-TEST_F(CudaTest, ReusedListsTrainAlike) {
-  const Case c{"", {Appearance::Radiance, 1}, 1200, 64, 56, true, true, -2.5F};
-  const GaussiansBuffer model = random_model(c, 41);
-  const SceneState scene = random_scene(true);
-  std::mt19937 random(7);
-  std::vector<std::uint8_t> target(std::size_t{4} * c.width * c.height);
-  for (auto& value : target) value = static_cast<std::uint8_t>(random() % 256);
-  device::Buffer<std::uint8_t> picture;
-  picture.upload(target.data(), target.size(), nullptr);
-  std::vector<cuda::TrainView> views;
-  for (int k = 0; k < 2; ++k) {
-    const float angle = 2.0F * static_cast<float>(k);
-    const Camera camera = look_at({5 * std::cos(angle), 1.5F, 5 * std::sin(angle)}, {0, 0, 0}, c.width, c.height, 1.0F);
-    views.push_back({{camera, &scene}, picture.data(), nullptr});
-  }
-  const auto train = [&](const cuda::TrainStepOptions& options) {
-    cuda::DeviceModel device;
-    device.upload(model.view(), nullptr);
-    cudaDeviceSynchronize();
-    cuda::TrainStep trainer(options);
-    trainer.set_model(device.view());
-    trainer.set_learning_rates(std::vector<float>(static_cast<std::size_t>(c.layout.channels()), 1e-3F));
-    const std::size_t group = trainer.add_group(views);
-    for (int k = 0; k < 8; ++k) trainer.step(group);
-    std::vector<float> trained(static_cast<std::size_t>(c.layout.channels()) * model.count());
-    device.download_parameters(trained.data(), trainer.stream());
-    cudaStreamSynchronize(trainer.stream());
-    return trained;
-  };
-  cuda::TrainStepOptions reuse;
-  reuse.rebuild_interval = 3;
-  reuse.use_depth_limit = true;
-  reuse.project.pair_margin_px = 0.5F;
-  const std::vector<float> expected = train({}), actual = train(reuse);
-  double difference = 0, norm = 0;
-  for (std::size_t k = 0; k < expected.size(); ++k) {
-    difference += std::pow(actual[k] - expected[k], 2);
-    norm += std::pow(expected[k], 2);
-  }
-  EXPECT_GT(norm, 0);
-  EXPECT_LT(std::sqrt(difference / norm), 1e-3);
 }
 
 TEST_F(CudaTest, HiddenGaussiansRest) {
@@ -179,15 +131,14 @@ TEST_F(CudaTest, HiddenGaussiansRest) {
   const std::vector<std::uint8_t> target(std::size_t{4} * 24 * 24, 17);
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
-  cuda::TrainStep trainer({.rebuild_interval = 2});
+  cuda::TrainStep trainer({});
   trainer.set_model(device.view());
   trainer.set_learning_rates(std::vector<float>(14, 1e-2F));
   device::Buffer<std::uint8_t> picture;
   picture.upload(target.data(), target.size(), nullptr);
   cudaDeviceSynchronize();
   const cuda::TrainView view{{camera, &scene}, picture.data(), nullptr};
-  const std::size_t group = trainer.add_group({&view, 1});
-  for (int k = 0; k < 5; ++k) trainer.step(group);
+  for (int k = 0; k < 5; ++k) trainer.step({&view, 1});
   std::vector<float> trained(14 * kCount);
   device.download_parameters(trained.data(), trainer.stream());
   cudaStreamSynchronize(trainer.stream());

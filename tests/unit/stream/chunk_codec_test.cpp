@@ -1,11 +1,10 @@
-#include "stream/chunk_codec.h"
-
 #include <gtest/gtest.h>
 
 #include <numeric>
 #include <random>
 
-#include "stream/error.h"
+#include "quantize_once.h"
+#include "stream/codecs.h"
 #include "toy_model.h"
 
 namespace splatbus::stream {
@@ -13,14 +12,13 @@ namespace {
 
 struct Chunk {
   StreamLayout layout;
-  QuantisedGaussians gaussians;
+  QuantizedGaussians gaussians;
 };
 
 Chunk toy_chunk(std::size_t count, Appearance appearance = Appearance::Transfer, int degree = 1) {
   const GaussiansBuffer model = test::toy_model(count, 3, 1, appearance, degree);
-  Chunk chunk{StreamLayout(model.layout(), choose_mean_step(model.view())), {}};
-  std::vector<std::uint8_t> usable;
-  quantise(model.view(), chunk.layout, chunk.gaussians, usable);
+  Chunk chunk{StreamLayout(model.layout(), test::choose_mean_step(model.view())), {}};
+  chunk.gaussians = test::quantize_once(model.view(), chunk.layout).gaussians;
   std::vector<std::uint32_t> all(count);
   std::iota(all.begin(), all.end(), 0U);
   chunk.gaussians = chunk.gaussians.gather(morton_order(chunk.gaussians, chunk.layout, all));
@@ -54,8 +52,8 @@ TEST(ChunkCodecHostile, ExtremesOfEveryAttributeSurvive) {
   Chunk chunk = toy_chunk(64);
   for (const AttributeChannels& a : chunk.layout.attributes()) {
     for (int c = 0; c < a.channels; ++c) {
-      chunk.gaussians.planes[a.first + c][0] = a.minimum;
-      chunk.gaussians.planes[a.first + c][1] = a.maximum;
+      chunk.gaussians.channels[a.first + c][0] = a.minimum;
+      chunk.gaussians.channels[a.first + c][1] = a.maximum;
     }
   }
   chunk.gaussians.object_id[0] = 0xFFFFFFFFU;
@@ -72,7 +70,7 @@ TEST(ChunkCodecHostile, RefusesOtherCountsLayoutsAndValues) {
   ParameterLayout radiance;
   radiance.appearance = Appearance::Radiance;
   EXPECT_THROW((void)decode_chunk(payload, StreamLayout(radiance, 0.001F), 64), StreamError);
-  chunk.gaussians.planes[chunk.layout.at(Attribute::Opacity).first][5] = 256;
+  chunk.gaussians.channels[chunk.layout.at(Attribute::Opacity).first][5] = 256;
   EXPECT_THROW((void)decode_chunk(encode_chunk(chunk.gaussians, chunk.layout), chunk.layout, 64), StreamError);
 }
 
@@ -95,10 +93,10 @@ TEST(ChunkCodecHostile, MutationsThrowOrDecodeWithinTheLimits) {
     const std::size_t changes = 1 + random() % 4;
     for (std::size_t k = 0; k < changes; ++k) mutated[random() % mutated.size()] = static_cast<std::uint8_t>(random());
     try {
-      const QuantisedGaussians decoded = decode_chunk(mutated, chunk.layout, 200);
+      const QuantizedGaussians decoded = decode_chunk(mutated, chunk.layout, 200);
       ASSERT_EQ(decoded.count(), 200U);
       for (const AttributeChannels& a : chunk.layout.attributes()) {
-        for (const std::int32_t q : decoded.planes[a.first]) ASSERT_TRUE(q >= a.minimum && q <= a.maximum);
+        for (const std::int32_t q : decoded.channels[a.first]) ASSERT_TRUE(q >= a.minimum && q <= a.maximum);
       }
     } catch (const StreamError&) {
       ++thrown;

@@ -1,11 +1,10 @@
-#include "stream/delta_codec.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 #include <random>
 
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 
 namespace splatbus::stream {
 namespace {

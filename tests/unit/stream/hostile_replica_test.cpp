@@ -6,9 +6,8 @@
 #include <set>
 
 #include "expectations.h"
-#include "stream/chunk_codec.h"
-#include "stream/delta_codec.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 #include "stream/replica.h"
 #include "toy_server.h"
 
@@ -44,9 +43,9 @@ TEST(Hostile, SnapshotBeginOfImpossibleSizesIsRefused) {
     return writer.write(77, 0, wire::Body::SnapshotBegin, [&](auto& b) {
       std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
       for (const AttributeChannels& a : server.stream.held().layout.attributes()) {
-        const wire::Quantiser quantiser(0, step);
+        const wire::Quantizer quantizer(0, step);
         attributes.push_back(
-            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
+            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantizer));
       }
       return wire::CreateSnapshotBegin(b, 5, 1, total, chunks,
                                        degree ? wire::Appearance::Radiance : wire::Appearance::Transfer, degree,
@@ -61,6 +60,7 @@ TEST(Hostile, SnapshotBeginOfImpossibleSizesIsRefused) {
   EXPECT_THROW(replica.receive(parse(begin(100, 1, std::nanf(""), 0))), StreamError);
   EXPECT_THROW(replica.receive(parse(begin(100, 1, 1, 200))), StreamError);
   EXPECT_THROW(replica.receive(parse(begin(100, 1, 1, 2))), StreamError);
+  EXPECT_TRUE(replica.needs_snapshot());
   expect_exact(server.stream, replica);
 }
 
@@ -71,9 +71,9 @@ class ForgedSnapshot : public testing::Test {
     receive(writer_.write(77, 0, wire::Body::SnapshotBegin, [&](auto& b) {
       std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
       for (const AttributeChannels& a : layout().attributes()) {
-        const wire::Quantiser quantiser(a.quantiser.offset, a.quantiser.step);
+        const wire::Quantizer quantizer(a.quantizer.offset, a.quantizer.step);
         attributes.push_back(
-            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantiser));
+            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantizer));
       }
       return wire::CreateSnapshotBegin(b, 9, 1, 20, chunks, wire::Appearance::Transfer, 0, b.CreateVector(attributes));
     }));
@@ -157,7 +157,7 @@ TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
   std::set<wire::Body> kinds;
   std::mt19937 random(21);
   int thrown = 0, quiet = 0;
-  HeldState state = *good.held();
+  ReplicatedState state = *good.held();
   for (const EncodedPacket& packet : tick) {
     kinds.insert(packet.body);
     for (int round = 0; round < 300; ++round) {
@@ -166,7 +166,7 @@ TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
       if (round % 5 == 0) bytes.resize(random() % bytes.size());
       for (int k = 0; k < 2 && !bytes.empty(); ++k)
         bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
-      HeldState victim = state;
+      ReplicatedState victim = state;
       try {
         const ParsedPacket parsed = parse(mutated);
         try {
@@ -174,8 +174,8 @@ TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
           ++quiet;
           for (const AttributeChannels& a : victim.layout.attributes()) {
             for (int c = 0; c < a.channels; ++c) {
-              ASSERT_EQ(victim.gaussians.planes[a.first + c].size(), victim.gaussians.count());
-              for (const std::int32_t q : victim.gaussians.planes[a.first + c]) {
+              ASSERT_EQ(victim.gaussians.channels[a.first + c].size(), victim.gaussians.count());
+              for (const std::int32_t q : victim.gaussians.channels[a.first + c]) {
                 ASSERT_TRUE(q >= a.minimum && q <= a.maximum);
               }
             }

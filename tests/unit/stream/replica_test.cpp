@@ -8,9 +8,8 @@
 #include <set>
 
 #include "expectations.h"
-#include "stream/chunk_codec.h"
-#include "stream/delta_codec.h"
-#include "stream/error.h"
+#include "stream/bytes.h"
+#include "stream/codecs.h"
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -72,7 +71,7 @@ TEST(ClosedLoop, EveryGaussianKeepsItsIdAndObject) {
   for (std::size_t i = 0; i < server.model().count(); ++i) {
     object_of[server.model().gaussian_id[i]] = server.model().object_id[i];
   }
-  const QuantisedGaussians& held = replica.held()->gaussians;
+  const QuantizedGaussians& held = replica.held()->gaussians;
   ASSERT_EQ(held.count(), object_of.size());
   for (std::size_t i = 0; i < held.count(); ++i) {
     ASSERT_TRUE(object_of.contains(held.gaussian_id[i]));
@@ -107,10 +106,11 @@ TEST(Loss, ResendOfWhatIsMissingHeals) {
     ASSERT_LT(asked++, 1000);
     for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
   }
-  // A loss at the very end shows only in an Alive.
+  // A loss at the very end shows only in an Keepalive.
   const PacketWriter writer("streamer", 1);
-  replica.receive(parse(writer.write(
-      77, 0, wire::Body::Alive, [&](auto& b) { return wire::CreateAlive(b, server.stream.held().sequence, 0, 1); })));
+  replica.receive(parse(writer.write(77, 0, wire::Body::Keepalive, [&](auto& b) {
+    return wire::CreateKeepalive(b, server.stream.held().sequence, 0, 1);
+  })));
   for (auto gap = replica.missing(); gap; gap = replica.missing()) {
     for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
   }
@@ -132,6 +132,65 @@ TEST(Loss, PacketsTwiceAndInAnyOrderChangeNothing) {
   std::ranges::shuffle(packets, random);
   send(packets, replica);
   expect_exact(server.stream, replica);
+}
+
+TEST(Loss, WhatIsMissingEndsWhereTheNextPacketIsHeld) {
+  ToyServer server(26);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  const std::uint64_t first = replica.held()->sequence + 1;
+  std::vector<EncodedPacket> packets;
+  while (packets.size() < 7) {
+    server.train(0.1F);
+    for (EncodedPacket& packet : server.tick()) packets.push_back(std::move(packet));
+  }
+  for (const std::size_t arrives : {0U, 3U, 4U, 6U}) replica.receive(parse(packets[arrives]));
+  EXPECT_EQ(replica.missing(), (MissingPackets{first + 1, first + 2}));
+  for (const std::size_t arrives : {1U, 2U}) replica.receive(parse(packets[arrives]));
+  EXPECT_EQ(replica.missing(), (MissingPackets{first + 5, first + 5}));
+}
+
+TEST(Loss, AfterAPacketThatWasCutASnapshotIsFollowedOn) {
+  ToyServer server(27);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  const std::uint64_t before = replica.held()->sequence;
+  server.train(0.1F);
+  EncodedPacket cut = server.tick().front();
+  ASSERT_FALSE(cut.payload.empty());
+  cut.payload.resize(cut.payload.size() / 2);
+  EXPECT_THROW(replica.receive(parse(cut)), StreamError);
+  EXPECT_TRUE(replica.needs_snapshot());
+  EXPECT_FALSE(replica.refusal().empty());
+  EXPECT_FALSE(replica.missing());
+  server.train(0.1F);
+  send(server.tick(), replica);
+  EXPECT_EQ(replica.held()->sequence, before) << "what was cut is not skipped";
+  send(server.stream.snapshot(), replica);
+  EXPECT_FALSE(replica.needs_snapshot());
+  server.train(0.1F);
+  send(server.tick(), replica);
+  expect_exact(server.stream, replica);
+  expect_shown(replica);
+}
+
+TEST(Loss, NothingOfAnEpochIsWaitedForOrAppliedInTheNext) {
+  ToyServer old(28);
+  Replica replica;
+  send(old.stream.snapshot(), replica);
+  for (int tick = 0; tick < 4; ++tick) {
+    old.train(0.1F);
+    const auto packets = old.tick();
+    send({packets.begin() + 1, packets.end()}, replica);  // these wait for the first
+  }
+  ASSERT_TRUE(replica.missing());
+  // Its numbers follow on where the old ones wait.
+  ToyServer restarted(29, 300, Appearance::Transfer, {.chunk_gaussians = 256}, 78);
+  while (restarted.stream.held().sequence < replica.missing()->last) restarted.stream.reset_to_target();
+  send(restarted.stream.snapshot(), replica);
+  EXPECT_FALSE(replica.missing());
+  expect_exact(restarted.stream, replica);
+  EXPECT_EQ(replica.epoch(), 78U);
 }
 
 TEST(Snapshot, FirstChunkIsShownAtOnceAndInAnyOrderTheWholeIsExact) {
@@ -200,7 +259,7 @@ TEST(Snapshot, JumpIsNoticedByWhoeverHeldSomething) {
   ToyServer server(14);
   Replica replica;
   send(server.stream.snapshot(), replica);
-  server.stream.jump();
+  server.stream.reset_to_target();
   server.train(0.1F);
   send(server.tick(), replica);
   ASSERT_TRUE(replica.missing());

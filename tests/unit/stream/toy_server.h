@@ -16,8 +16,9 @@ inline ParsedPacket parse(const EncodedPacket& packet) {
 /// A model that grows, shrinks and moves like a trained one, and its stream.
 class ToyServer {
  public:
-  explicit ToyServer(std::uint32_t seed, std::size_t count = 600, Appearance appearance = Appearance::Transfer)
-      : stream(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256}),
+  explicit ToyServer(std::uint32_t seed, std::size_t count = 600, Appearance appearance = Appearance::Transfer,
+                     const StreamOptions& options = {.chunk_gaussians = 256}, std::uint64_t epoch = 77)
+      : stream(PacketWriter("streamer", 1), epoch, options),
         random_(seed),
         model_(toy_model(count, seed, 1, appearance)),
         next_id_(count + 1) {
@@ -25,7 +26,7 @@ class ToyServer {
     scene.light.generation = 1;
     stream.set_scene(scene, 0);
     stream.observe(model_.view());
-    stream.jump();
+    stream.reset_to_target();
   }
 
   void insert(std::size_t count) {

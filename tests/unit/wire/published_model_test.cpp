@@ -18,22 +18,19 @@
 namespace splatbus {
 namespace {
 
-using bus::MemoryKind;
-
 constexpr std::uint32_t kCapacity = 32, kCount = 20, kChannels = 11 + 3;
 
 /// Publishes a radiance model of degree 0 whose planes hold their own index, and reads it back.
-class PublishedModels : public bus_test::BusTest,
-                        public testing::WithParamInterface<std::tuple<MemoryKind, MemoryKind>> {
+class PublishedModels : public bus_test::BusTest, public testing::WithParamInterface<std::tuple<Device, Device>> {
  protected:
   void SetUp() override {
     const auto [published, wanted] = GetParam();
-    const bool device = published == MemoryKind::Cuda || wanted == MemoryKind::Cuda;
-    if (device && bus::choose_backend("auto") != bus::Backend::Cuda) GTEST_SKIP() << "no CUDA device";
+    const bool device = published == Device::Cuda || wanted == Device::Cuda;
+    if (device && bus::choose_backend("auto") != Device::Cuda) GTEST_SKIP() << "no CUDA device";
   }
 
   /// The planes beyond `together` lie in a slab of their own.
-  bus::Message publish(MemoryKind kind, float first_value, std::size_t together = SIZE_MAX) {
+  bus::Message publish(Device kind, float first_value, std::size_t together = SIZE_MAX) {
     std::vector<float> floats(std::size_t{kChannels} * kCapacity);
     std::iota(floats.begin(), floats.end(), first_value);
     std::vector<std::uint64_t> ids(kCapacity);
@@ -61,25 +58,24 @@ class PublishedModels : public bus_test::BusTest,
       const auto others = apart_->write(all.subspan(together));
       planes.insert(planes.end(), others.begin(), others.end());
     }
-    publisher_.publish(
-        {.schema = "ModelPublished/1", .latch = true, .tensors = planes}, [&](auto& builder, auto header) {
-          return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
-        });
+    publisher_.publish(topics::kModelPublished, {.tensors = planes}, [&](auto& builder, auto header) {
+      return wire::CreateModelPublished(builder, header, 1, kCount, kCapacity, wire::Appearance::Radiance, 0);
+    });
     auto message = subscriber_.receive(bus_test::patience);
     if (!message) throw std::runtime_error("nothing arrived");
     return *message;
   }
 
   template <class T>
-  static std::vector<T> fetch(MemoryKind kind, const T* from, std::size_t count) {
+  static std::vector<T> fetch(Device kind, const T* from, std::size_t count) {
     std::vector<T> values(count);
-    bus::copy_memory(values.data(), MemoryKind::Host, from, kind, count * sizeof(T));
+    bus::copy_memory(values.data(), Device::Cpu, from, kind, count * sizeof(T));
     bus::finish_copies();
     return values;
   }
 
   std::shared_ptr<bus::Context> maker_ = connect("trainer"), reader_ = connect("reader");
-  bus::Publisher publisher_{maker_, "model/published"};
+  bus::Publisher publisher_{maker_};
   bus::Subscriber subscriber_{reader_, {"model/published"}};
   std::optional<bus::TensorRing> ring_, apart_;
 };
@@ -127,7 +123,7 @@ TEST_P(PublishedModels, PlanesThatOneLockDoesNotGuardAreRefused) {
   EXPECT_TRUE(PublishedModel::open(publish(published, 0), wanted)) << "the next one is read";
 }
 
-constexpr auto kAnyKind = {MemoryKind::Host, MemoryKind::Cuda};
+constexpr auto kAnyKind = {Device::Cpu, Device::Cuda};
 INSTANTIATE_TEST_SUITE_P(AllKinds, PublishedModels,
                          testing::Combine(testing::ValuesIn(kAnyKind), testing::ValuesIn(kAnyKind)));
 

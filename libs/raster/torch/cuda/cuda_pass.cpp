@@ -9,7 +9,7 @@
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/view_tables.h"
 #include "raster/torch/backend.h"
-#include "raster/torch/cuda/pair_guesses.h"
+#include "raster/torch/cuda/isect_guesses.h"
 #include "raster/torch/cuda/tensor_arena.h"
 
 namespace splatbus::raster {
@@ -23,8 +23,8 @@ T* data_or_null(const Tensor& plane) {
   return plane.defined() ? static_cast<T*>(plane.data_ptr()) : nullptr;
 }
 
-std::uint32_t even(std::uint32_t pairs) {
-  return (std::max<std::uint32_t>(pairs, 32) + 1) / 2 * 2;
+std::uint32_t even(std::uint32_t isects) {
+  return (std::max<std::uint32_t>(isects, 32) + 1) / 2 * 2;
 }
 
 /// A word of the device that the host reads while the device goes on.
@@ -37,11 +37,11 @@ class WordToHost {
 
   void copy(const std::uint32_t* device, cudaStream_t stream) {
     check(cudaMemcpyAsync(word_.data_ptr(), device, sizeof(std::uint32_t), cudaMemcpyDeviceToHost, stream),
-          "reading the pair count");
+          "reading the number of intersections");
     check(cudaEventRecord(copied_, stream), "recording an event");
   }
   [[nodiscard]] std::uint32_t wait() const {
-    check(cudaEventSynchronize(copied_), "waiting for the pair count");
+    check(cudaEventSynchronize(copied_), "waiting for the number of intersections");
     return *static_cast<const std::uint32_t*>(word_.data_ptr());
   }
 
@@ -72,24 +72,25 @@ class CudaPass final : public RasterPass {
     kept = {views.color, views.albedo, views.depth, transmittance};
     copy_tables(gaussians, type, kept, stream);
 
-    static cuda::PairGuesses guesses;
-    const cuda::PairGuesses::Kind kind{parameters.device().index(), w_.batch, w_.width, w_.height};
-    WordToHost pairs_to_host;
+    static cuda::IsectGuesses guesses;
+    const cuda::IsectGuesses::Kind kind{parameters.device().index(), w_.batch, w_.width, w_.height};
+    WordToHost isects_to_host;
     Tensor lists;
-    for (w_.pair_capacity = guesses.guess(kind, gaussians.count);;) {
+    for (w_.isect_capacity = guesses.guess(kind, gaussians.count);;) {
       const Tensor scratch = allocate_lists(type, differentiable, lists);
+      cuda::launch_clear_counts(w_, stream);
       cuda::launch_project(gaussians, w_, project_, stream);
-      pairs_to_host.copy(w_.pair_count, stream);
+      isects_to_host.copy(&w_.counts->isects, stream);
       // Lists that do not fit are drawn for nothing; to wait before it is known would cost every call.
       cuda::launch_sort(w_, stream);
       cuda::launch_blend_forward(gaussians, w_, stream);
-      const std::uint32_t pairs = pairs_to_host.wait();
-      guesses.note(kind, std::min(pairs, cuda::kMostPairs));
-      if (pairs <= w_.pair_capacity) break;
-      if (pairs > cuda::kMostPairs) {
-        throw std::runtime_error("rasterize: more pairs of Gaussians and tiles than can be sorted");
+      const std::uint32_t isects = isects_to_host.wait();
+      guesses.note(kind, std::min(isects, cuda::kMaxIsects));
+      if (isects <= w_.isect_capacity) break;
+      if (isects > cuda::kMaxIsects) {
+        throw std::runtime_error("rasterize: Gaussians meet more tiles than can be sorted");
       }
-      w_.pair_capacity = cuda::PairGuesses::with_room(pairs);
+      w_.isect_capacity = cuda::IsectGuesses::with_room(isects);
     }
     kept.push_back(lists);
     views.alpha = 1 - transmittance;
@@ -106,14 +107,14 @@ class CudaPass final : public RasterPass {
     if (gaussians.count == 0) return gradient;
 
     cuda::WorkspaceView w = w_;
-    const auto count = static_cast<std::size_t>(w.count), records = count * static_cast<std::size_t>(w.batch);
+    const auto count = static_cast<std::size_t>(w.count), projected = count * static_cast<std::size_t>(w.batch);
     const GaussianStatistics& statistics = call.statistics;
     std::uint8_t* touched = nullptr;
     cuda::ScreenStatistics screen{.mean2d_norm = data_or_null<float>(statistics.mean2d_norm)};
     cuda::TensorArena arena;
-    arena.add(w.record_gradient, records * cuda::kGradientFloats);
-    arena.add(w.record_depth_gradient, views.depth.defined() ? records : 0);
-    arena.add(w.record_touched, records);
+    arena.add(w.projected_gradient, projected * cuda::kGradientFloats);
+    arena.add(w.projected_depth_gradient, views.depth.defined() ? projected : 0);
+    arena.add(w.projected_visible, projected);
     arena.add(touched, statistics.touched.defined() ? 0 : count);
     arena.add(screen.steps, screen.mean2d_norm != nullptr ? count : 0);
     const Tensor sums = arena.allocate(type).zero_();
@@ -207,41 +208,38 @@ class CudaPass final : public RasterPass {
                               static_cast<int>(tables.object_ids.size()), w_.object_slot, stream);
   }
 
-  /// Records and lists, as Workspace lays them out, for w_.pair_capacity pairs: `lists` is what backward() reads.
-  /// Returns the rest, to be held until the forward pass is enqueued.
+  /// Projected Gaussians and lists, as Workspace lays them out, for w_.isect_capacity intersections: `lists` is what
+  /// backward() reads. Returns the rest, to be held until the forward pass is enqueued.
   Tensor allocate_lists(const torch::TensorOptions& type, bool differentiable, Tensor& lists) {
     const auto batch = static_cast<std::size_t>(w_.batch), count = static_cast<std::size_t>(w_.count);
     const std::size_t tiles = static_cast<std::size_t>(w_.tiles_x) * static_cast<std::size_t>(w_.tiles_y) * batch;
-    const std::size_t records = std::max<std::size_t>(count * batch, 1), pairs = even(w_.pair_capacity);
+    const std::size_t projected = std::max<std::size_t>(count * batch, 1), isects = even(w_.isect_capacity);
     cuda::TensorArena kept, scratch;
-    kept.add(w_.record_shape, 2 * records);
-    kept.add(w_.record_tail, records);
-    kept.add(w_.pair_entries[1], pairs + 3);  // read four at a time
-    kept.add(w_.pair_count, 1);
-    kept.add(w_.tile_range, tiles);
+    kept.add(w_.projected_shape, 2 * projected);
+    kept.add(w_.projected_tail, projected);
+    kept.add(w_.flatten_ids[1], isects + 3);  // read four at a time
+    kept.add(w_.counts, 1);
+    kept.add(w_.tile_offsets, tiles);
     // The backward pass finds the colours of segments where the keys were.
-    (differentiable ? kept : scratch).add(w_.pair_keys[0], 2 * pairs);
-    scratch.add(w_.pair_entries[0], pairs);
-    scratch.add(w_.listed, count);
-    scratch.add(w_.patch_depth_limit, tiles * cuda::kPatches);
-    w_.sort_scratch_bytes = cuda::sort_scratch_bytes(static_cast<std::uint32_t>(pairs));
+    (differentiable ? kept : scratch).add(w_.isect_ids[0], 2 * isects);
+    scratch.add(w_.flatten_ids[0], isects);
+    w_.sort_scratch_bytes = cuda::sort_scratch_bytes(static_cast<std::uint32_t>(isects));
     std::byte* sort_scratch = nullptr;
     scratch.add(sort_scratch, w_.sort_scratch_bytes);
     w_.segments = nullptr;
     if (differentiable) {
       constexpr std::size_t kLanes = 32;
-      const std::size_t segments = std::max<std::size_t>(pairs * cuda::kPatches / (kLanes * cuda::kSegmentGroups), 1);
+      const std::size_t segments = std::max<std::size_t>(isects * cuda::kPatches / (kLanes * cuda::kSegmentGroups), 1);
       w_.segment_capacity = static_cast<std::uint32_t>(segments);
       kept.add(w_.segments, segments);
       kept.add(w_.segment_extra, w_.albedo != nullptr || w_.depth != nullptr ? kLanes * segments : 0);
-      kept.add(w_.segment_count, 1);
     }
     lists = Tensor();
     lists = kept.allocate(type);
     Tensor rest = scratch.allocate(type);
-    w_.pair_keys[1] = w_.pair_keys[0] + pairs;
+    w_.isect_ids[1] = w_.isect_ids[0] + isects;
     w_.sort_scratch = sort_scratch;
-    w_.segment_color = reinterpret_cast<float4*>(w_.pair_keys[0]);
+    w_.segment_color = reinterpret_cast<float4*>(w_.isect_ids[0]);
     return rest;
   }
 

@@ -55,7 +55,7 @@ struct AnalyticScene {
   [[nodiscard]] InputView render(const Camera& camera) const {
     InputView view;
     view.camera = camera;
-    bus::MemoryPool own(bus::MemoryKind::Host);  // so that views share nothing
+    bus::MemoryPool own(Device::Cpu);  // so that views share nothing
     view.allocate(own);
     std::size_t i = 0;
     for (std::uint32_t y = 0; y < camera.height; ++y) {

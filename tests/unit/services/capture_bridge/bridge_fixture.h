@@ -24,12 +24,11 @@ using namespace std::chrono_literals;
 class CaptureBridgeTest : public bus_test::BusTest {
  protected:
   CaptureBridgeTest()
-      : parameters_(parameter_specs()),
+      : parameters_(bus::Parameters::declare<Options>()),
         peer_(connect("peer")),
         reader_(peer_, {"capture/*", "scene/*"}),
         engine_(connect("engine")),
-        pose_(peer_, "viewer/pose"),
-        probe_(peer_, "viewer/probe") {
+        publisher_(peer_) {
     set("input_cameras", "4");
     set("input_size", "32");
     set("reference_cameras", "2");
@@ -66,25 +65,23 @@ class CaptureBridgeTest : public bus_test::BusTest {
   std::vector<const wire::CaptureReference*> references(CameraRole role) {
     std::vector<const wire::CaptureReference*> found;
     for (const bus::Message& message : received_["capture/reference"]) {
-      const auto& reference = message.root<wire::CaptureReference>("CaptureReference/1");
+      const auto& reference = message.root<wire::CaptureReference>();
       if (reference.camera()->role() == static_cast<wire::CameraRole>(role)) found.push_back(&reference);
     }
     return found;
   }
 
-  const wire::CaptureInput& last_input() {
-    return received_["capture/input"].back().root<wire::CaptureInput>("CaptureInput/1");
-  }
+  const wire::CaptureInput& last_input() { return received_["capture/input"].back().root<wire::CaptureInput>(); }
 
   void look_from(const Camera& camera) {
-    pose_.publish({.schema = "ViewerPose/1"}, [&](auto& builder, auto header) {
+    publisher_.publish(topics::kViewerPose, [&](auto& builder, auto header) {
       const wire::Camera out = to_wire(camera);
       return wire::CreateViewerPose(builder, header, builder.CreateString("viewer-1"), &out);
     });
   }
 
   void ask_probe(std::uint64_t id, const Camera& camera) {
-    probe_.publish({.schema = "ViewerProbe/1"}, [&](auto& builder, auto header) {
+    publisher_.publish(topics::kViewerProbe, [&](auto& builder, auto header) {
       const wire::Camera out = to_wire(camera);
       return wire::CreateViewerProbe(builder, header, id, &out);
     });
@@ -94,7 +91,7 @@ class CaptureBridgeTest : public bus_test::BusTest {
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber reader_;
   FakeEngine engine_;
-  bus::Publisher pose_, probe_;
+  bus::Publisher publisher_;
   std::map<std::string, std::vector<bus::Message>> received_;
   std::unique_ptr<CaptureBridge> bridge_;
 };

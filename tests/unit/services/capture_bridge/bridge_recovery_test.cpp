@@ -43,12 +43,13 @@ TEST_F(CaptureBridgeTest, BrokenFramesAreRefusedAndNothingElseDisturbed) {
   start();
   // Wrong schema, a camera with NaN, pictures smaller than the camera says, a role that does not exist, no pictures.
   ASSERT_TRUE(until([&] { return engine_.requested(CameraRole::Input) == 4; }));
-  bus::Publisher garbage(peer_, "engine/frame");
-  const auto publish = [&](const char* schema, wire::Camera camera, std::vector<bus::OutgoingTensor> tensors) {
-    garbage.publish({.schema = schema, .tensors = std::move(tensors)}, [&](auto& builder, auto header) {
-      const auto light = to_wire(builder, Light{});
-      return wire::CreateEngineFrame(builder, header, 1, 0, 1, &camera, 0, light);
-    });
+  bus::Publisher garbage(peer_);
+  const auto publish = [&](std::string_view schema, wire::Camera camera, std::vector<bus::OutgoingTensor> tensors) {
+    garbage.publish(Topic<wire::EngineFrame>{"engine/frame", false, schema}, {.tensors = std::move(tensors)},
+                    [&](auto& builder, auto header) {
+                      const auto light = to_wire(builder, Light{});
+                      return wire::CreateEngineFrame(builder, header, 1, 0, 1, &camera, 0, light);
+                    });
   };
   Camera nan = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
   nan.fx = std::numeric_limits<float>::quiet_NaN();
@@ -61,10 +62,10 @@ TEST_F(CaptureBridgeTest, BrokenFramesAreRefusedAndNothingElseDisturbed) {
       {.name = "world_position", .shape = {4, 4, 4}, .type = bus::ElementType::U8, .inline_data = few.data()}};
   ASSERT_TRUE(until([&] {
     publish("EngineFrames/7", to_wire(input), {});
-    publish("EngineFrame/1", to_wire(nan), {});
-    publish("EngineFrame/1", to_wire(role), {});
-    publish("EngineFrame/1", to_wire(input), small);
-    return bridge_->counters().frames_refused >= 20;
+    publish(kSchema<wire::EngineFrame>, to_wire(nan), {});
+    publish(kSchema<wire::EngineFrame>, to_wire(role), {});
+    publish(kSchema<wire::EngineFrame>, to_wire(input), small);
+    return bridge_->counters().refused >= 20;
   }));
   const auto before = received_["capture/input"].size();
   set("input_radius_m", "3.0");
@@ -75,9 +76,9 @@ TEST_F(CaptureBridgeTest, AnExpanderThatMissedTheRoundGetsItAgain) {
   settle();
   const auto rounds = received_["capture/input"].size();
   const auto submitted = engine_.submitted;
-  bus::Publisher state(peer_, "grid/state");
+  bus::Publisher state(peer_);
   ASSERT_TRUE(until([&] {
-    state.publish({.schema = "GridState/1"},
+    state.publish(topics::kGridState,
                   [](auto& builder, auto header) { return wire::CreateGridState(builder, header); });
     return received_["capture/input"].size() > rounds;
   }));
@@ -86,10 +87,10 @@ TEST_F(CaptureBridgeTest, AnExpanderThatMissedTheRoundGetsItAgain) {
 
 TEST_F(CaptureBridgeTest, ATrainerThatMissedTheViewsGetsThemAgain) {
   settle();
-  bus::Publisher stats(peer_, "trainer/stats");
+  bus::Publisher stats(peer_);
   const auto inputs = references(CameraRole::Input).size();
   ASSERT_TRUE(until([&] {
-    stats.publish({.schema = "TrainerStats/1"},
+    stats.publish(topics::kTrainerStats,
                   [](auto& builder, auto header) { return wire::CreateTrainerStats(builder, header); });
     return references(CameraRole::Input).size() >= inputs + 4 && references(CameraRole::Reference).size() >= 4;
   }));

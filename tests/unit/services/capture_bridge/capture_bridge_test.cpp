@@ -9,7 +9,7 @@ TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
   engine_.objects[AnalyticScene::kBall] = {.translation = {1, 2, 3}};
   settle();
   const bus::Message& message = received_["capture/input"].front();
-  const auto& input = message.root<wire::CaptureInput>("CaptureInput/1");
+  const auto& input = message.root<wire::CaptureInput>();
   ASSERT_EQ(input.cameras()->size(), 4U);
   EXPECT_EQ(input.objects()->size(), 1U);
   EXPECT_GT(input.rig_generation(), 0U);
@@ -26,7 +26,7 @@ TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
   EXPECT_TRUE(message.tensor("depth", bus::ElementType::F32, {4, 32, 32}));
 
   const bus::Message& view = received_["capture/reference"].front();
-  const auto& reference = view.root<wire::CaptureReference>("CaptureReference/1");
+  const auto& reference = view.root<wire::CaptureReference>();
   const std::uint32_t size = reference.camera()->width();
   EXPECT_TRUE(view.tensor("color", bus::ElementType::U8, {size, size, 4}));
   EXPECT_TRUE(view.tensor("albedo", bus::ElementType::U8, {size, size, 4}));
@@ -65,7 +65,7 @@ TEST_F(CaptureBridgeTest, ProbesAreEachAnsweredOnce) {
   ASSERT_TRUE(until([&] { return received_["capture/probe"].size() >= 5 && bridge_->cameras() == 7; }));
   std::multiset<std::uint64_t> answered;
   for (const bus::Message& message : received_["capture/probe"]) {
-    answered.insert(message.root<wire::CaptureProbe>("CaptureProbe/1").probe_id());
+    answered.insert(message.root<wire::CaptureProbe>().probe_id());
     EXPECT_TRUE(message.tensor("color", bus::ElementType::U8, {20, 24, 4}));
   }
   for (std::uint64_t id = 10; id < 15; ++id) EXPECT_GE(answered.count(id), 1U) << id;
@@ -95,7 +95,7 @@ TEST_F(CaptureBridgeTest, LatchedSceneStateReachesALateReaderWithItsPixels) {
   ASSERT_TRUE(until([&] {
     while (auto message = late.receive(0ms)) {
       topics.insert(message->topic());
-      if (message->topic() != "scene/light_depth") continue;
+      if (message->topic() != topics::kSceneLightDepth.name) continue;
       const auto depth = message->tensor("light_depth", bus::ElementType::F32, {16, 16});
       EXPECT_TRUE(depth && depth->as<float>()[0] == 7.0F);
       EXPECT_NE(message->header().tensors()->Get(0)->span()->slab(),

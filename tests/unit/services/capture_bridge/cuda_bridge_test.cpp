@@ -24,7 +24,7 @@ class CudaBridgeTest : public bus_test::BusTest {
   }
 
   /// One round of an engine whose pictures lie in `engine_memory`, through a bridge: its input and its light's depth.
-  void capture(bus::MemoryKind engine_memory, bus::Backend backend, std::uint32_t claimed_rows = 1) {
+  void capture(Device engine_memory, Device backend, std::uint32_t claimed_rows = 1) {
     const auto peer = connect("peer");
     bus::Subscriber reader(peer, {"capture/*", "scene/*"});
     FakeEngine engine(connect("engine"), engine_memory);
@@ -42,18 +42,18 @@ class CudaBridgeTest : public bus_test::BusTest {
              received_.contains("capture/reference");
     }));
     host_copied_bytes_ = bridge.host_copied_bytes();
-    frames_refused_ = bridge.counters().frames_refused;
+    refused_ = bridge.counters().refused;
     for (const char* name : {"position", "normal", "albedo", "color", "footprint", "spacing", "cosine", "depth"}) {
       const auto tensor = received_.at("capture/input").tensor(name);
       ASSERT_TRUE(tensor) << name;
-      EXPECT_EQ(tensor->memory(), bus::memory_of(backend)) << name;
+      EXPECT_EQ(tensor->memory(), backend) << name;
       auto& values = tensors_[backend][name];
       values.resize(tensor->elements());
       ASSERT_TRUE(tensor->copy(values.data())) << name;
     }
     const auto light_depth = received_.at("scene/light_depth").tensor("light_depth", bus::ElementType::F32, {16, 16});
     ASSERT_TRUE(light_depth);
-    EXPECT_EQ(light_depth->memory(), bus::memory_of(backend));
+    EXPECT_EQ(light_depth->memory(), backend);
     std::vector<float> depth(light_depth->elements());
     ASSERT_TRUE(light_depth->copy(depth.data()));
     EXPECT_EQ(depth, std::vector<float>(256, 7.0F));
@@ -63,39 +63,39 @@ class CudaBridgeTest : public bus_test::BusTest {
     received_.clear();
   }
 
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   std::map<std::string, bus::Message> received_;
-  std::map<bus::Backend, std::map<std::string, std::vector<float>>> tensors_;
-  std::uint64_t host_copied_bytes_ = 0, frames_refused_ = 0;
+  std::map<Device, std::map<std::string, std::vector<float>>> tensors_;
+  std::uint64_t host_copied_bytes_ = 0, refused_ = 0;
 };
 
 constexpr std::uint64_t kInputBytes = std::uint64_t{4} * 32 * 32 * (16 + 16 + 4 + 4);
 constexpr std::uint64_t kLightBytes = std::uint64_t{16} * 16 * 4;
 
 TEST_F(CudaBridgeTest, KeepsADevicesPicturesOnTheDevice) {
-  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);
+  capture(Device::Cuda, Device::Cuda);
   EXPECT_EQ(host_copied_bytes_, 0U);
 }
 
 TEST_F(CudaBridgeTest, UploadsAndCountsAHostsPictures) {
-  capture(bus::MemoryKind::Host, bus::Backend::Cuda);
+  capture(Device::Cpu, Device::Cuda);
   EXPECT_EQ(host_copied_bytes_, kInputBytes + kLightBytes);
 }
 
 TEST_F(CudaBridgeTest, OnTheCpuReadsADevicesPictures) {
-  capture(bus::MemoryKind::Cuda, bus::Backend::Cpu);
+  capture(Device::Cuda, Device::Cpu);
   EXPECT_EQ(host_copied_bytes_, kInputBytes + kLightBytes);
-  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);
-  EXPECT_EQ(tensors_[bus::Backend::Cuda], tensors_[bus::Backend::Cpu]);
+  capture(Device::Cuda, Device::Cuda);
+  EXPECT_EQ(tensors_[Device::Cuda], tensors_[Device::Cpu]);
 }
 
 TEST_F(CudaBridgeTest, FramesThatClaimMoreMemoryThanThereIsAreRefused) {
-  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda);
-  EXPECT_EQ(frames_refused_, 0U);
+  capture(Device::Cuda, Device::Cuda);
+  EXPECT_EQ(refused_, 0U);
   const auto sound = tensors_;
   // Each good frame comes behind one whose pictures would reach far beyond the slab.
-  capture(bus::MemoryKind::Cuda, bus::Backend::Cuda, 128);
-  EXPECT_GE(frames_refused_, 6U) << "4 input cameras, a reference camera and a light";
+  capture(Device::Cuda, Device::Cuda, 128);
+  EXPECT_GE(refused_, 6U) << "4 input cameras, a reference camera and a light";
   EXPECT_EQ(tensors_, sound);
 }
 

@@ -40,7 +40,7 @@ inline std::vector<const InputView*> pointers_to(const std::vector<InputView>& v
 inline std::vector<InputView> on_device(const std::vector<InputView>& views) {
   std::vector<InputView> copies;
   for (const InputView& view : views) {
-    bus::MemoryPool own(bus::MemoryKind::Cuda);
+    bus::MemoryPool own(Device::Cuda);
     InputView& copy = copies.emplace_back(view);
     copy.allocate(own);
     copy.copy_pictures(view);
@@ -50,9 +50,9 @@ inline std::vector<InputView> on_device(const std::vector<InputView>& views) {
 
 /// An array of either kind of memory, on the host.
 template <class T>
-std::vector<T> on_host(const T* array, std::size_t count, bus::MemoryKind kind) {
+std::vector<T> on_host(const T* array, std::size_t count, Device kind) {
   std::vector<T> copy(count);
-  bus::copy_memory(copy.data(), bus::MemoryKind::Host, array, kind, count * sizeof(T));
+  bus::copy_memory(copy.data(), Device::Cpu, array, kind, count * sizeof(T));
   bus::finish_copies();
   return copy;
 }

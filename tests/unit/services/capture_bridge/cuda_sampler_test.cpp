@@ -57,7 +57,7 @@ class CudaSamplerTest : public CudaTest, public testing::WithParamInterface<Name
  protected:
   void SetUp() override {
     CudaTest::SetUp();
-    if (!IsSkipped() && !gpu_) gpu_ = make_sampler(bus::Backend::Cuda, {});
+    if (!IsSkipped() && !gpu_) gpu_ = make_sampler(Device::Cuda, {});
   }
   static void TearDownTestSuite() { gpu_.reset(); }
 
@@ -68,11 +68,11 @@ std::unique_ptr<Sampler> CudaSamplerTest::gpu_;
 TEST_P(CudaSamplerTest, GivesTheSamplesOfTheCpu) {
   const RoundCase round = GetParam().make();
   const auto device_views = on_device(round.views);
-  const auto cpu = make_sampler(bus::Backend::Cpu, {});
+  const auto cpu = make_sampler(Device::Cpu, {});
   const RoundSamples expected = cpu->sample(pointers_to(round.views), round.objects, round.options);
   for (int repeat = 0; repeat < 2; ++repeat) {
     const RoundSamples actual = gpu_->sample(pointers_to(device_views), round.objects, round.options);
-    EXPECT_EQ(actual.memory, bus::MemoryKind::Cuda);
+    EXPECT_EQ(actual.memory, Device::Cuda);
     Comparison{expected, actual}.check(round.views.size() * round.views.front().pixels());
   }
 }
@@ -99,7 +99,7 @@ INSTANTIATE_TEST_SUITE_P(Rounds, CudaSamplerTest,
 class CudaSampling : public CudaTest {};
 
 TEST_F(CudaSampling, OfNothingIsNothing) {
-  const auto gpu = make_sampler(bus::Backend::Cuda, {});
+  const auto gpu = make_sampler(Device::Cuda, {});
   EXPECT_EQ(gpu->sample({}, {}, {}).size, 0U);
 }
 

@@ -22,16 +22,14 @@ namespace splatbus::capture_bridge::test {
 class FakeEngine {
  public:
   /// Its pictures lie in memory of `kind`.
-  explicit FakeEngine(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind = bus::MemoryKind::Host)
-      : subscriber_(context, {"engine/cameras"}),
-        frames_(context, "engine/frame"),
-        ring_(context, "frames", 512, 0, kind) {}
+  explicit FakeEngine(const std::shared_ptr<bus::Context>& context, Device kind = Device::Cpu)
+      : subscriber_(context, {"engine/cameras"}), publisher_(context), ring_(context, "frames", 512, 0, kind) {}
 
   /// Takes in the newest camera set and renders what is new in it.
   void serve() {
     while (auto message = subscriber_.receive(std::chrono::milliseconds(0))) {
       requests_.clear();
-      for (const wire::CameraRequest* request : *message->root<wire::EngineCameras>("EngineCameras/1").cameras()) {
+      for (const wire::CameraRequest* request : *message->root<wire::EngineCameras>().cameras()) {
         requests_.push_back({from_wire(*request->camera()), request->buffers(), request->request_id()});
       }
     }
@@ -86,7 +84,7 @@ class FakeEngine {
     return static_cast<std::size_t>(std::count_if(requests_.begin(), requests_.end(),
                                                   [&](const Request& request) { return request.camera.role == role; }));
   }
-  bus::Publisher& frames() { return frames_; }
+  bus::Publisher& publisher() { return publisher_; }
 
   AnalyticScene scene;
   ObjectTransforms objects;
@@ -99,8 +97,8 @@ class FakeEngine {
 
  private:
   void publish(const Camera& camera, std::uint64_t request_id, std::vector<bus::OutgoingTensor> tensors) {
-    const bus::MessageInfo info{.schema = "EngineFrame/1", .capture_ns = 1234, .tensors = std::move(tensors)};
-    frames_.publish(info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const bus::MessageInfo info{.capture_ns = 1234, .tensors = std::move(tensors)};
+    publisher_.publish(topics::kEngineFrame, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
       const auto objects_offset = to_wire(builder, objects);
       const auto light_offset = to_wire(builder, light);
       const wire::Camera out = to_wire(camera);
@@ -110,7 +108,7 @@ class FakeEngine {
   }
 
   bus::Subscriber subscriber_;
-  bus::Publisher frames_;
+  bus::Publisher publisher_;
   bus::TensorRing ring_;
   std::vector<Request> requests_;
   std::set<std::uint64_t> answered_;

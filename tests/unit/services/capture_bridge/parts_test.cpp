@@ -166,7 +166,7 @@ TEST(TrainerWatch, AsksAgainForANewTrainerButNotForEver) {
 }
 
 TEST(RigControl, FollowsParametersAndViewer) {
-  bus::Parameters parameters(parameter_specs());
+  bus::Parameters parameters(bus::Parameters::declare<Options>());
   const auto set = [&](const char* name, const char* value) { ASSERT_EQ(parameters.set(name, value, true), ""); };
   set("input_cameras", "5");
   set("reference_cameras", "4");

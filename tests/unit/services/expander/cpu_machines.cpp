@@ -2,7 +2,7 @@
 
 namespace splatbus::expander::test {
 
-INSTANTIATE_TEST_SUITE_P(Machines, ExpanderTest, testing::Values(Machine{bus::Backend::Cpu, bus::MemoryKind::Host}),
+INSTANTIATE_TEST_SUITE_P(Machines, ExpanderTest, testing::Values(Machine{Device::Cpu, Device::Cpu}),
                          machine_name);
 
 }  // namespace splatbus::expander::test

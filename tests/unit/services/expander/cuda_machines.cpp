@@ -3,9 +3,9 @@
 namespace splatbus::expander::test {
 
 INSTANTIATE_TEST_SUITE_P(Machines, ExpanderTest,
-                         testing::Values(Machine{bus::Backend::Cuda, bus::MemoryKind::Cuda},
-                                         Machine{bus::Backend::Cuda, bus::MemoryKind::Host},
-                                         Machine{bus::Backend::Cpu, bus::MemoryKind::Cuda}),
+                         testing::Values(Machine{Device::Cuda, Device::Cuda},
+                                         Machine{Device::Cuda, Device::Cpu},
+                                         Machine{Device::Cpu, Device::Cuda}),
                          machine_name);
 
 }  // namespace splatbus::expander::test

@@ -19,12 +19,11 @@ namespace splatbus::expander {
 namespace {
 
 using bus::ElementType;
-using bus::MemoryKind;
 
 /// A round's tensors one after the other in one slot of a slab, as a capture-bridge leaves them.
 class SentRound {
  public:
-  SentRound(const InputSamples& samples, MemoryKind kind) {
+  SentRound(const InputSamples& samples, Device kind) {
     const auto n = static_cast<std::uint32_t>(samples.size());
     const auto c = static_cast<std::uint32_t>(samples.cameras.size());
     const bus::SlabDescriptor descriptor{.id = 1,
@@ -38,7 +37,7 @@ class SentRound {
     std::vector<std::pair<std::size_t, std::size_t>> parts;  // offset, bytes
     const auto write = [&](const auto& values) {
       const std::size_t bytes = values.size() * sizeof(values[0]);
-      bus::copy_memory(slab_->slot_data(0) + offset, kind, values.data(), MemoryKind::Host, bytes);
+      bus::copy_memory(slab_->slot_data(0) + offset, kind, values.data(), Device::Cpu, bytes);
       parts.emplace_back(offset, bytes);
       offset += (bytes + 63) / 64 * 64;
     };
@@ -46,7 +45,7 @@ class SentRound {
     for (const auto* scalars : {&samples.spacing_m, &samples.cosine}) write(*scalars);
     for (const auto* ids : {&samples.object_id, &samples.camera}) write(*ids);
     write(samples.depth_m);
-    if (kind == MemoryKind::Cuda) bus::finish_copies();
+    if (kind == Device::Cuda) bus::finish_copies();
     const std::uint64_t generation = slab_->end_write(0);
     const auto view = [&](std::size_t part, std::vector<std::uint32_t> shape, ElementType type) {
       const auto [at, bytes] = parts[part];
@@ -70,10 +69,10 @@ class SentRound {
 /// A batch's planes on the host.
 InsertBatch on_host(const InsertBatch& batch) {
   InsertBatch copy = batch;
-  copy.memory = MemoryKind::Host;
-  copy.data = bus::allocate_memory(MemoryKind::Host, batch.bytes());
-  bus::copy_memory(copy.data.get(), MemoryKind::Host, batch.data.get(), batch.memory, batch.bytes());
-  if (batch.memory == MemoryKind::Cuda) bus::finish_copies();
+  copy.memory = Device::Cpu;
+  copy.data = bus::allocate_memory(Device::Cpu, batch.bytes());
+  bus::copy_memory(copy.data.get(), Device::Cpu, batch.data.get(), batch.memory, batch.bytes());
+  if (batch.memory == Device::Cuda) bus::finish_copies();
   return copy;
 }
 
@@ -140,13 +139,13 @@ class CudaMapperTest : public testing::Test {
       GTEST_SKIP() << error.what();
     }
     const MapperOptions options{.cell_size_m = kCellSize_m, .usual_samples = 4096};
-    cpu_ = make_mapper(bus::Backend::Cpu, options);
-    cuda_ = make_mapper(bus::Backend::Cuda, options);
+    cpu_ = make_mapper(Device::Cpu, options);
+    cuda_ = make_mapper(Device::Cuda, options);
   }
 
   /// One round through both; returns how many Gaussians it gave.
   std::size_t compare(const InputSamples& samples, const GrowOptions& options = {}) {
-    const SentRound on_host(samples, MemoryKind::Host), on_device(samples, MemoryKind::Cuda);
+    const SentRound on_host(samples, Device::Cpu), on_device(samples, Device::Cuda);
     const auto expected = cpu_->take(on_host.round());
     const auto got = cuda_->take(on_device.round());
     if (expected == nullptr || got == nullptr) {
@@ -228,7 +227,7 @@ TEST_F(CudaMapperTest, CellsAtTheBorderOfWhatIdsName) {
 
 TEST_F(CudaMapperTest, RoundsOfTheHostAreTaken) {
   const InputSamples samples = test::room_round({}, 2, 64);
-  const SentRound sent(samples, MemoryKind::Host);
+  const SentRound sent(samples, Device::Cpu);
   const auto round = cuda_->take(sent.round());
   ASSERT_NE(round, nullptr);
   EXPECT_EQ(cuda_->grow(*round, {}).chosen, cpu_->grow(*cpu_->take(sent.round()), {}).chosen);
@@ -236,7 +235,7 @@ TEST_F(CudaMapperTest, RoundsOfTheHostAreTaken) {
 }
 
 TEST_F(CudaMapperTest, ARoundThatIsOverwrittenIsLost) {
-  SentRound sent(test::room_round({}, 2, 32), MemoryKind::Cuda);
+  SentRound sent(test::room_round({}, 2, 32), Device::Cuda);
   sent.overwrite();
   EXPECT_EQ(cuda_->take(sent.round()), nullptr);
 }
@@ -267,7 +266,7 @@ TEST_F(CudaMapperTest, WithoutMemoryWhatIsModelledStays) {
     const InputSamples samples = test::room_round({}, 4, size, 0.3F);
     const auto cells = cell_map(*cuda_);
     const std::size_t points = cuda_->modelled_points();
-    const SentRound sent(samples, MemoryKind::Cuda);
+    const SentRound sent(samples, Device::Cuda);
     const auto round = cuda_->take(sent.round());
     ASSERT_NE(round, nullptr);
     cuda_->limit_device_memory(1);

@@ -47,7 +47,7 @@ TEST_P(ExpanderShortOfMemory, SetsARoundAsideInTheEnd) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Machines, ExpanderShortOfMemory,
-                         testing::Values(Machine{bus::Backend::Cuda, bus::MemoryKind::Cuda}), machine_name);
+                         testing::Values(Machine{Device::Cuda, Device::Cuda}), machine_name);
 
 }  // namespace
 }  // namespace splatbus::expander::test

@@ -26,35 +26,34 @@ template <class T>
 std::vector<T> host_copy(const bus::TensorView& tensor) {
   std::vector<T> values(tensor.elements());
   std::atomic<std::uint64_t> bytes{0};
-  EXPECT_TRUE(bus::copy_tensor(tensor, values.data(), bus::MemoryKind::Host, bytes));
+  EXPECT_TRUE(bus::copy_tensor(tensor, values.data(), Device::Cpu, bytes));
   return values;
 }
 
 /// Where the expander works, and where its peers keep what they publish.
 struct Machine {
-  bus::Backend backend;
-  bus::MemoryKind peers;
+  Device backend;
+  Device peers;
 };
 
 inline std::string machine_name(const testing::TestParamInfo<Machine>& info) {
-  return std::string(bus::name_of(info.param.backend)) + "_among_" +
-         (info.param.peers == bus::MemoryKind::Cuda ? "cuda" : "cpu");
+  return std::string(name_of(info.param.backend)) + "_among_" + (info.param.peers == Device::Cuda ? "cuda" : "cpu");
 }
 
 /// Says model/published as a trainer would: a slab with the planes of the Gaussians that it took.
 class FakeTrainer {
  public:
-  FakeTrainer(std::shared_ptr<bus::Context> context, bus::MemoryKind memory)
+  FakeTrainer(std::shared_ptr<bus::Context> context, Device memory)
       : context_(std::move(context)),
         subscriber_(context_, {"model/insert"}),
-        publisher_(context_, "model/published"),
+        publisher_(context_),
         ring_(context_, "model", 4, 0, memory) {}
 
   /// Takes batches in; acknowledges them unless told not to.
   void serve() {
     while (auto message = subscriber_.receive(0ms)) {
       ++received;
-      const auto& insert = message->root<wire::ModelInsert>("ModelInsert/1");
+      const auto& insert = message->root<wire::ModelInsert>();
       const auto mean = message->tensor("mean", bus::ElementType::F32, {3, 0});
       if (!mean || deaf) continue;
       const std::uint32_t n = mean->dim(1);
@@ -110,7 +109,7 @@ class FakeTrainer {
         {"flags", {capacity}, ElementType::U32, flags.data()},
         {"cell", {capacity}, ElementType::U64, cells.data()},
         {"gaussian_id", {capacity}, ElementType::U64, gaussians.data()}};
-    publisher_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = ring_.write(sources)},
+    publisher_.publish(topics::kModelPublished, {.tensors = ring_.write(sources)},
                        [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
                          const auto list =
                              builder.CreateVector(std::vector<std::uint64_t>(batches.begin(), batches.end()));
@@ -138,10 +137,10 @@ class FakeTrainer {
 class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterface<Machine> {
  protected:
   ExpanderTest()
-      : parameters_(parameter_specs()),
+      : parameters_(bus::Parameters::declare<Options>()),
         peer_(connect("capture-bridge")),
         reader_(peer_, {"grid/state"}),
-        input_(peer_, "capture/input"),
+        publisher_(peer_),
         ring_(peer_, "input", 8, 1 << 20, GetParam().peers) {
     set("batch_size", "500");
     set("resend_s", "0.05");
@@ -149,7 +148,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
   }
 
   void SetUp() override {
-    if (GetParam().backend == bus::Backend::Cuda || GetParam().peers == bus::MemoryKind::Cuda) {
+    if (GetParam().backend == Device::Cuda || GetParam().peers == Device::Cuda) {
       try {
         (void)bus::choose_backend("cuda");
       } catch (const bus::Error& error) {
@@ -181,7 +180,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
     });
   }
 
-  const wire::GridState& state() { return state_->root<wire::GridState>("GridState/1"); }
+  const wire::GridState& state() { return state_->root<wire::GridState>(); }
   std::uint64_t rounds() { return state().rounds(); }
   /// The state that eval waits for.
   bool settled_after(std::uint64_t round_count) {
@@ -202,16 +201,16 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
         {"object_id", {n}, ElementType::U32, samples.object_id.data()},
         {"camera", {n}, ElementType::U32, samples.camera.data()},
         {"depth", {c, samples.height, samples.width}, ElementType::F32, samples.depth_m.data()}};
-    input_.publish({.schema = "CaptureInput/1", .tensors = ring_.write(sources)},
-                   [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                     std::vector<wire::Camera> cameras;
-                     for (const Camera& camera : samples.cameras) cameras.push_back(to_wire(camera));
-                     const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
-                     const auto objects = to_wire(builder, samples.objects);
-                     const auto light = to_wire(builder, samples.light);
-                     return wire::CreateCaptureInput(builder, header, 1, 0, samples.rig_generation, cameras_offset,
-                                                     objects, light);
-                   });
+    publisher_.publish(topics::kCaptureInput, {.tensors = ring_.write(sources)},
+                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+                         std::vector<wire::Camera> cameras;
+                         for (const Camera& camera : samples.cameras) cameras.push_back(to_wire(camera));
+                         const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
+                         const auto objects = to_wire(builder, samples.objects);
+                         const auto light = to_wire(builder, samples.light);
+                         return wire::CreateCaptureInput(builder, header, 1, 0, samples.rig_generation, cameras_offset,
+                                                         objects, light);
+                       });
   }
 
   [[nodiscard]] std::size_t distinct_points() const {
@@ -223,7 +222,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
   bus::Parameters parameters_;
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber reader_;
-  bus::Publisher input_;
+  bus::Publisher publisher_;
   bus::TensorRing ring_;
   std::unique_ptr<FakeTrainer> trainer_;
   std::unique_ptr<Expander> expander_;

@@ -100,19 +100,19 @@ TEST_P(ExpanderTest, BrokenInputIsRefusedAndNothingElseDisturbed) {
   for (auto& index : cameras.camera) index = 7;
   publish_input(cameras);
   // A wrong schema; tensors that disagree; no tensors at all.
-  input_.publish({.schema = "ViewerPose/1"}, [&](auto& builder, auto header) {
-    return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
-  });
-  input_.publish({.schema = "CaptureInput/1"}, [&](auto& builder, auto header) {
+  publisher_.publish(Topic<wire::CaptureInput>{"capture/input", false, kSchema<wire::ViewerPose>},
+                     [&](auto& builder, auto header) {
+                       return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
+                     });
+  publisher_.publish(topics::kCaptureInput, [&](auto& builder, auto header) {
     return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
   });
   const std::vector<float> few(30);
   const std::vector<bus::OutgoingTensor> lying{{.name = "position", .shape = {10, 3}, .inline_data = few.data()}};
-  input_.publish({.schema = "CaptureInput/1", .tensors = lying}, [&](auto& builder, auto header) {
+  publisher_.publish(topics::kCaptureInput, {.tensors = lying}, [&](auto& builder, auto header) {
     return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
   });
-  bus::Publisher published(peer_, "model/published");
-  published.publish({.schema = "ModelPublished/1"}, [&](auto& builder, auto header) {
+  publisher_.publish(Topic<wire::ModelPublished>{"model/published"}, [&](auto& builder, auto header) {
     return wire::CreateModelPublished(builder, header, 5, 1000, 2000);
   });
   const InputSamples round = floor_round(-1, 1);
@@ -129,7 +129,7 @@ TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
   start();  // which adopts the model
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
-  const bool on_device = GetParam().backend == bus::Backend::Cuda && GetParam().peers == bus::MemoryKind::Cuda;
+  const bool on_device = GetParam().backend == Device::Cuda && GetParam().peers == Device::Cuda;
   EXPECT_EQ(expander_->mapper().host_copied_bytes() == 0, on_device);
 }
 

@@ -15,7 +15,7 @@ using test::BallOverFloor;
 using test::RelightTest;
 
 bool no_device() {
-  return bus::choose_backend("auto") != bus::Backend::Cuda;
+  return bus::choose_backend("auto") != Device::Cuda;
 }
 
 /// Arrays in device memory for as long as this lives.
@@ -23,8 +23,8 @@ class OnDevice {
  public:
   template <class T>
   const T* copy(const T* host, std::size_t elements) {
-    const auto memory = bus::allocate_memory(bus::MemoryKind::Cuda, elements * sizeof(T));
-    bus::copy_memory(memory.get(), bus::MemoryKind::Cuda, host, bus::MemoryKind::Host, elements * sizeof(T));
+    const auto memory = bus::allocate_memory(Device::Cuda, elements * sizeof(T));
+    bus::copy_memory(memory.get(), Device::Cuda, host, Device::Cpu, elements * sizeof(T));
     bus::finish_copies();
     owned_.push_back(memory);
     return reinterpret_cast<const T*>(memory.get());
@@ -87,11 +87,11 @@ TEST(CudaVisibility, IsThatOfTheCpu) {
   const GaussiansView view = device.copy(gaussians);
   LightDepthMap map = scene.map();
   map.depth_m = device.copy(map.depth_m, std::size_t{map.camera.width} * map.camera.height);
-  const auto memory = bus::allocate_memory(bus::MemoryKind::Cuda, count * sizeof(float));
+  const auto memory = bus::allocate_memory(Device::Cuda, count * sizeof(float));
   auto* const visibility = reinterpret_cast<float*>(memory.get());
-  const auto backend = make_visibility_backend(bus::Backend::Cuda);
+  const auto backend = make_visibility_backend(Device::Cuda);
   backend->compute(view, objects, map, {}, visibility);
-  bus::copy_memory(actual.data(), bus::MemoryKind::Host, visibility, bus::MemoryKind::Cuda, count * sizeof(float));
+  bus::copy_memory(actual.data(), Device::Cpu, visibility, Device::Cuda, count * sizeof(float));
   bus::finish_copies();
 
   std::size_t apart = 0, partly = 0;
@@ -107,8 +107,8 @@ TEST(CudaVisibility, IsThatOfTheCpu) {
 }
 
 struct Memories {
-  bus::Backend backend;
-  bus::MemoryKind peers;
+  Device backend;
+  Device peers;
 };
 
 /// Starts only where there is a device.
@@ -138,9 +138,9 @@ TEST_P(RelightOnDevice, FollowsModelLightAndObjects) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Memories, RelightOnDevice,
-                         testing::Values(Memories{bus::Backend::Cuda, bus::MemoryKind::Cuda},
-                                         Memories{bus::Backend::Cuda, bus::MemoryKind::Host},
-                                         Memories{bus::Backend::Cpu, bus::MemoryKind::Cuda}));
+                         testing::Values(Memories{Device::Cuda, Device::Cuda},
+                                         Memories{Device::Cuda, Device::Cpu},
+                                         Memories{Device::Cpu, Device::Cuda}));
 
 }  // namespace
 }  // namespace splatbus::relight

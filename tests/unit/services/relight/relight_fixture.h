@@ -17,11 +17,10 @@ class RelightTest : public bus_test::BusTest {
   static constexpr std::uint32_t kTexels = 64;
   static constexpr std::uint32_t kCapacity = 32;
 
-  explicit RelightTest(bus::Backend backend = bus::Backend::Cpu, bus::MemoryKind peers = bus::MemoryKind::Host)
+  explicit RelightTest(Device backend = Device::Cpu, Device peers = Device::Cpu)
       : peer_(connect("peer")),
         subscriber_(peer_, {"relight/visibility"}),
-        model_(peer_, "model/published"),
-        depth_(peer_, "scene/light_depth"),
+        publisher_(peer_),
         planes_(peer_, "planes", 8, 0, peers),
         maps_(peer_, "maps", 8, 0, peers),
         service_(connect("relight"), parameters_, stop_.get_token(), backend),
@@ -55,10 +54,9 @@ class RelightTest : public bus_test::BusTest {
         {.name = "flags", .shape = {kCapacity}, .type = bus::ElementType::U32, .data = flags.data()},
         {.name = "cell", .shape = {kCapacity}, .type = bus::ElementType::U64, .data = ids.data()},
         {.name = "gaussian_id", .shape = {kCapacity}, .type = bus::ElementType::U64, .data = ids.data()}};
-    model_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = planes_.write(sources)},
-                   [&](auto& builder, auto header) {
-                     return wire::CreateModelPublished(builder, header, generation, count, kCapacity);
-                   });
+    publisher_.publish(topics::kModelPublished, {.tensors = planes_.write(sources)}, [&](auto& builder, auto header) {
+      return wire::CreateModelPublished(builder, header, generation, count, kCapacity);
+    });
   }
 
   void publish_depth(std::uint64_t light_generation, float object_x, bool as_light = true) {
@@ -74,15 +72,14 @@ class RelightTest : public bus_test::BusTest {
     }
     const bus::TensorSource source{.name = "light_depth", .shape = {kTexels, kTexels}, .data = depth.data()};
     const ObjectTransforms objects{{7, {.translation = {object_x, 0, 0}}}};
-    depth_.publish({.schema = "SceneLightDepth/1", .latch = true, .tensors = maps_.write({&source, 1})},
-                   [&](auto& builder, auto header) {
-                     const Light light{.generation = light_generation};
-                     const auto light_offset = to_wire(builder, light);
-                     const auto wire_camera = to_wire(camera);
-                     const auto objects_offset = to_wire(builder, objects);
-                     return wire::CreateSceneLightDepth(builder, header, 1, 0.0, &wire_camera, light_offset,
-                                                        objects_offset);
-                   });
+    publisher_.publish(
+        topics::kSceneLightDepth, {.tensors = maps_.write({&source, 1})}, [&](auto& builder, auto header) {
+          const Light light{.generation = light_generation};
+          const auto light_offset = to_wire(builder, light);
+          const auto wire_camera = to_wire(camera);
+          const auto objects_offset = to_wire(builder, objects);
+          return wire::CreateSceneLightDepth(builder, header, 1, 0.0, &wire_camera, light_offset, objects_offset);
+        });
   }
 
   /// The next visibility of that model and light.
@@ -91,7 +88,7 @@ class RelightTest : public bus_test::BusTest {
     EXPECT_TRUE(bus_test::eventually([&] {
       const auto message = subscriber_.receive(5ms);
       if (!message) return false;
-      const auto& relit = message->root<wire::RelightVisibility>("RelightVisibility/1");
+      const auto& relit = message->root<wire::RelightVisibility>();
       if (relit.model_generation() != model_generation || relit.light_generation() != light_generation) return false;
       const auto tensor = message->tensor("visibility", bus::ElementType::F32, {1, 0});
       values.resize(tensor.value().elements());
@@ -100,10 +97,10 @@ class RelightTest : public bus_test::BusTest {
     return values;
   }
 
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<VisibilityOptions>()};
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber subscriber_;
-  bus::Publisher model_, depth_;
+  bus::Publisher publisher_;
   bus::TensorRing planes_, maps_;
   std::stop_source stop_;
   bus::ServiceContext service_;

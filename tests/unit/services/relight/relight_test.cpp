@@ -23,8 +23,9 @@ TEST_F(RelightTest, BadMessagesHarmNobody) {
   publish_depth(1, 0, false);  // not the sun's camera
   publish_model(1, kCapacity + 1);
   publish_model(2, 3, 7);
-  depth_.publish({.schema = "SceneLight/1"},
-                 [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, 1, 1, 1); });
+  publisher_.publish(
+      Topic<wire::RelightVisibility>{"scene/light_depth", false, kSchema<wire::SceneLight>},
+      [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, 1, 1, 1); });
   publish_model(3);
   publish_depth(4, -2.0F);
   EXPECT_EQ(visibility(3, 4), (std::vector<float>{1, 0, 1}));

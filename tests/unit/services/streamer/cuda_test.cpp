@@ -14,8 +14,8 @@ namespace {
 using viewer::StreamClient;
 
 struct Memories {
-  bus::Backend backend;
-  bus::MemoryKind peers;
+  Device backend;
+  Device peers;
 };
 
 class Pipeline : public StreamTest {
@@ -46,7 +46,7 @@ void Pipeline::follow() {
     for (float& value : model.parameters) value += normal(random);
     trainer_.publish(model);
     const auto near = [&] {
-      const stream::HeldState* held = client.replica().held();
+      const stream::ReplicatedState* held = client.replica().held();
       if (held == nullptr) return false;
       std::map<std::uint64_t, std::size_t> column;
       for (std::size_t i = 0; i < model.count(); ++i) column[model.gaussian_id[i]] = i;
@@ -73,14 +73,14 @@ void Pipeline::answer_probe() {
   const Camera camera = look_at({0, 1, 2}, {0, 0, 0}, 32, 16, 1.0F);
   std::vector<std::uint8_t> rgba(std::size_t{32} * 16 * 4);
   std::iota(rgba.begin(), rgba.end(), std::uint8_t{0});
-  bus::Publisher answers(bridge_, "capture/probe");
+  bus::Publisher answers(bridge_);
   const bus::TensorSource source{
       .name = "color", .shape = {16, 32, 4}, .type = bus::ElementType::U8, .data = rgba.data()};
   std::optional<viewer::ProbeAnswer> answer;
   EXPECT_TRUE(poll_until(
       [&] {
         answers.publish(
-            {.schema = "CaptureProbe/1", .tensors = pictures_.write({&source, 1})}, [&](auto& builder, auto header) {
+            topics::kCaptureProbe, {.tensors = pictures_.write({&source, 1})}, [&](auto& builder, auto header) {
               const auto wire_camera = to_wire(camera);
               return wire::CreateCaptureProbe(builder, header, 9, 1, 0, &wire_camera, 0, to_wire(builder, Light{}));
             });
@@ -94,7 +94,7 @@ void Pipeline::answer_probe() {
 class StreamerOnDevice : public testing::TestWithParam<Memories> {
  protected:
   void SetUp() override {
-    if (bus::choose_backend("auto") != bus::Backend::Cuda) GTEST_SKIP() << "no CUDA device";
+    if (bus::choose_backend("auto") != Device::Cuda) GTEST_SKIP() << "no CUDA device";
   }
 };
 
@@ -107,9 +107,8 @@ TEST_P(StreamerOnDevice, PicturesOfProbesLeaveTheMachine) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Memories, StreamerOnDevice,
-                         testing::Values(Memories{bus::Backend::Cuda, bus::MemoryKind::Cuda},
-                                         Memories{bus::Backend::Cuda, bus::MemoryKind::Host},
-                                         Memories{bus::Backend::Cpu, bus::MemoryKind::Cuda}));
+                         testing::Values(Memories{Device::Cuda, Device::Cuda}, Memories{Device::Cuda, Device::Cpu},
+                                         Memories{Device::Cpu, Device::Cuda}));
 
 }  // namespace
 }  // namespace splatbus::stream_test

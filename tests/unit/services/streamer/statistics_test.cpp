@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
-#include "streamer/packet_history.h"
+#include "../../stream/toy_server.h"
+#include "streamer/packet_feed.h"
 #include "streamer/wire_statistics.h"
 
 namespace splatbus::streamer {
@@ -53,6 +54,50 @@ TEST(PacketHistory, KeepsTheNewestWithinItsBytes) {
   }
   history.clear();
   EXPECT_FALSE(history.find(20));
+}
+
+TEST(PacketHistory, BeginsAnewAfterAGap) {
+  PacketHistory history(1000);
+  for (const std::uint64_t sequence : {5U, 6U, 9U, 10U}) {
+    stream::EncodedPacket packet;
+    packet.sequence = sequence;
+    history.add(std::make_shared<WirePacket>(packet));
+  }
+  for (const std::uint64_t lost : {5U, 6U, 7U, 8U}) EXPECT_FALSE(history.find(lost)) << lost;
+  for (const std::uint64_t kept : {9U, 10U}) {
+    ASSERT_TRUE(history.find(kept));
+    EXPECT_EQ(history.find(kept)->sequence(), kept);
+  }
+}
+
+TEST(PacketFeed, WhatWasNotSentYetIsNotResentButSentInItsTurn) {
+  stream::test::ToyServer server(3, 200);
+  PacketFeed feed(server.stream, 1 << 24);
+  StreamCursor cursor;
+  const std::uint64_t held = server.stream.held().sequence;
+  ASSERT_TRUE(feed.resume(cursor, server.stream.held().epoch, held));
+  for (int tick = 0; tick < 4; ++tick) {
+    server.train(0.1F);
+    feed.add(server.tick());
+  }
+  const std::uint64_t last = server.stream.held().sequence;
+  ASSERT_GT(last, held + 6);
+  bool lagged = false;
+  const auto next = [&]() -> std::uint64_t {
+    const SharedPacket packet = feed.next(cursor, std::nullopt, kSecond, lagged);
+    if (!packet) return 0;
+    PacketFeed::advance(cursor);
+    return packet->sequence();
+  };
+  for (std::uint64_t sequence = held + 1; sequence <= held + 4; ++sequence) ASSERT_EQ(next(), sequence);
+  feed.resend(cursor, held + 2, ~std::uint64_t{0});
+  for (std::uint64_t sequence = held + 2; sequence <= last; ++sequence) ASSERT_EQ(next(), sequence);
+  EXPECT_EQ(next(), 0U);
+  feed.resend(cursor, held + 3, held + 3);
+  EXPECT_EQ(next(), held + 3);
+  EXPECT_EQ(next(), 0U);
+  EXPECT_FALSE(lagged);
+  EXPECT_EQ(feed.snapshots(), 0U);
 }
 
 }  // namespace

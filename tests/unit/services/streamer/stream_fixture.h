@@ -27,8 +27,8 @@ namespace splatbus::stream_test {
 /// Publishes models as the trainer does, each in a slot of its own, in memory of some kind.
 class FakeTrainer {
  public:
-  explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, bus::MemoryKind kind = bus::MemoryKind::Host)
-      : publisher_(context, "model/published"), light_(context, "scene/light"), ring_(context, "model", 16, 0, kind) {}
+  explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, Device kind = Device::Cpu)
+      : publisher_(context), ring_(context, "model", 16, 0, kind) {}
 
   void publish(const GaussiansBuffer& model) {
     const auto capacity = static_cast<std::uint32_t>(std::max<std::size_t>(model.stride(), 1));
@@ -45,20 +45,19 @@ class FakeTrainer {
         {.name = "flags", .shape = {capacity}, .type = bus::ElementType::U32, .data = some.flags.data()},
         {.name = "cell", .shape = {capacity}, .type = bus::ElementType::U64, .data = some.cell.data()},
         {.name = "gaussian_id", .shape = {capacity}, .type = bus::ElementType::U64, .data = some.gaussian_id.data()}};
-    publisher_.publish({.schema = "ModelPublished/1", .latch = true, .tensors = ring_.write(sources)},
-                       [&](auto& builder, auto header) {
-                         return wire::CreateModelPublished(builder, header, ++generation_, model.count(), capacity);
-                       });
+    publisher_.publish(topics::kModelPublished, {.tensors = ring_.write(sources)}, [&](auto& builder, auto header) {
+      return wire::CreateModelPublished(builder, header, ++generation_, model.count(), capacity);
+    });
   }
 
   void publish_light(const Light& light) {
-    light_.publish({.schema = "SceneLight/1", .latch = true}, [&](auto& builder, auto header) {
+    publisher_.publish(topics::kSceneLight, [&](auto& builder, auto header) {
       return wire::CreateSceneLight(builder, header, 0, 0, to_wire(builder, light));
     });
   }
 
  private:
-  bus::Publisher publisher_, light_;
+  bus::Publisher publisher_;
   bus::TensorRing ring_;
   std::uint64_t generation_ = 0;
 };
@@ -67,9 +66,8 @@ class FakeTrainer {
 class RunningStreamer {
  public:
   RunningStreamer(std::shared_ptr<bus::Context> context,
-                  const std::vector<std::pair<std::string, std::string>>& changes,
-                  bus::Backend backend = bus::Backend::Cpu)
-      : parameters_(streamer::parameter_specs()) {
+                  const std::vector<std::pair<std::string, std::string>>& changes, Device backend = Device::Cpu)
+      : parameters_(bus::Parameters::declare<streamer::Options>()) {
     for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
     service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token(), backend);
     streamer_ = std::make_unique<streamer::Streamer>(*service_);
@@ -94,13 +92,38 @@ class RunningStreamer {
   std::thread thread_;
 };
 
+/// A streamer under the test's own clock, which moves only in turns.
+class SteppedStreamer {
+ public:
+  SteppedStreamer(std::shared_ptr<bus::Context> context,
+                  const std::vector<std::pair<std::string, std::string>>& changes)
+      : parameters_(bus::Parameters::declare<streamer::Options>()) {
+    for (const auto& [name, value] : changes) EXPECT_EQ(parameters_.set(name, value, false), "");
+    service_ = std::make_unique<bus::ServiceContext>(std::move(context), parameters_, stop_.get_token(), Device::Cpu);
+    streamer_ = std::make_unique<streamer::Streamer>(*service_);
+  }
+
+  /// A turn after `passed_s` seconds.
+  void turn(double passed_s) {
+    now_ns_ += static_cast<std::int64_t>(passed_s * 1e9);
+    streamer_->turn(now_ns_);
+  }
+  [[nodiscard]] const std::string& endpoint() const { return streamer_->endpoints().front(); }
+
+ private:
+  bus::Parameters parameters_;
+  std::stop_source stop_;
+  std::unique_ptr<bus::ServiceContext> service_;
+  std::unique_ptr<streamer::Streamer> streamer_;
+  std::int64_t now_ns_ = 1'000'000'000'000;
+};
+
 /// Broker, fake trainer and streamer.
 class StreamTest : public bus_test::BusTest {
  protected:
-  explicit StreamTest(bus::MemoryKind trainer = bus::MemoryKind::Host) : trainer_(connect("trainer"), trainer) {}
+  explicit StreamTest(Device trainer = Device::Cpu) : trainer_(connect("trainer"), trainer) {}
 
-  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {},
-                      bus::Backend backend = bus::Backend::Cpu) {
+  void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {}, Device backend = Device::Cpu) {
     changes.insert(changes.begin(), {"tick_hz", "50"});
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
     streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);

@@ -1,5 +1,8 @@
 // Losses, restarts, garbage and viewers that do not read.
-#include "bus/clock.h"
+#include <unistd.h>
+
+#include <fstream>
+
 #include "bus/error.h"
 #include "streamer_fixture.h"
 
@@ -86,74 +89,182 @@ TEST_F(StreamerTest, GarbageFromAViewerDisturbsNobody) {
   StreamClient client(client_options("good"));
   EXPECT_TRUE(poll_until([&] { return client.replica().view().count == 100; }, client));
   EXPECT_EQ(client.refused(), 0U);
+  // All of it was counted or refused: nobody joined by it, and nobody else was served anything for it.
+  bus::Subscriber stats(observer_, {"stream/stats"});
+  EXPECT_TRUE(wait_message<wire::StreamStats>(
+      stats, "StreamStats/1",
+      [&](const auto& body) {
+        return body.viewers() == 1 && body.snapshots() == 1 && body.resends() == 0 && body.lost_viewers() == 0;
+      },
+      [&] { client.poll(1ms); }));
 }
 
-TEST_F(StreamerTest, AViewerThatDoesNotReadIsForgottenAndTheOthersGoOn) {
-  start_streamer({{"viewer_timeout_s", "0.5"}, {"history_mb", "1"}});
+/// The streamer in turns under the test's clock, and what it says of itself.
+class SteppedStreamerTest : public StreamerTest {
+ protected:
+  void start(const std::vector<std::pair<std::string, std::string>>& changes) {
+    stepped_ = std::make_unique<SteppedStreamer>(connect("streamer"), changes);
+  }
+  [[nodiscard]] viewer::ClientOptions options(const std::string& name) const {
+    return {.endpoint = stepped_->endpoint(), .name = name, .hello_every_ns = 20'000'000};
+  }
+  /// Turns without time passing until the condition holds.
+  template <class... Clients>
+  bool settle(const std::function<bool()>& condition, Clients&... clients) {
+    return poll_until([&] { return stepped_->turn(0), condition(); }, clients...);
+  }
+  /// The statistics of the `count`-th second from the first one asked for.
+  struct Statistics {
+    std::uint64_t total_bytes = 0, viewers = 0, snapshots = 0, lost_viewers = 0;
+  };
+  Statistics statistics(std::uint64_t sequence) {
+    Statistics found;
+    EXPECT_TRUE(wait_message<wire::StreamStats>(stats_, "StreamStats/1", [&](const auto& body) {
+      found = {body.total_bytes(), body.viewers(), body.snapshots(), body.lost_viewers()};
+      return body.header()->sequence() >= sequence;
+    }));
+    return found;
+  }
+
+  bus::Subscriber stats_{observer_, {"stream/stats"}};
+  std::unique_ptr<SteppedStreamer> stepped_;
+};
+
+TEST_F(SteppedStreamerTest, OverTheSecondsTheBudgetHoldsHoweverLargeAChunkIs) {
+  start({{"budget_kbps", "200"}, {"tick_hz", "5"}});
+  GaussiansBuffer model = stream::test::toy_model(300, 1);
+  trainer_.publish(model);
+  StreamClient client(options("one"));
+  const auto follows = [&] { return client.replica().view().count == 300 && !client.replica().loading(); };
+  ASSERT_TRUE(settle(follows, client));
+  // What was not used while nothing moved is not saved up.
+  for (int tick = 0; tick < 50; ++tick) {
+    stepped_->turn(0.2);
+    client.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
+    client.poll(1ms);
+  }
+  const std::uint64_t before = statistics(9).total_bytes;
+  grow(model, 20'000, 3);
+  trainer_.publish(model);
+  ASSERT_TRUE(settle([&] { return client.replica().view().count > 300 || (stepped_->turn(0.2), false); }, client));
+  const std::uint64_t begun = client.replica().view().count;
+  for (int tick = 0; tick < 50; ++tick) {
+    stepped_->turn(0.2);
+    client.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
+    client.poll(2ms);
+  }
+  std::uint64_t last = 0;
+  while (const auto message = stats_.receive(200ms)) {
+    last = message->root<wire::StreamStats>("StreamStats/1").total_bytes();
+  }
+  EXPECT_GT(client.replica().view().count, begun + 1000);
+  EXPECT_LT(client.replica().view().count, 15'000U) << "all of it went out: the budget was not needed";
+  // 25 kB a second for ten seconds, the tick that found the model and one chunk that was begun.
+  EXPECT_LT(last - before, 250'000U + 20'000U);
+  EXPECT_GT(last - before, 200'000U) << "the budget was not used";
+}
+
+TEST_F(SteppedStreamerTest, AViewerThatFellSilentGoesOnWhereItWas) {
+  start({{"viewer_timeout_s", "2"}, {"tick_hz", "5"}, {"budget_kbps", "1000000"}});
+  std::mt19937 random(17);
+  GaussiansBuffer model = stream::test::toy_model(300, 1);
+  trainer_.publish(model);
+  StreamClient awake(options("awake")), sleeper(options("sleeper"));
+  const Camera camera = look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1);
+  const auto holds = [](const StreamClient& client) {
+    return client.replica().view().count == 300 && !client.replica().loading();
+  };
+  ASSERT_TRUE(settle([&] { return holds(awake) && holds(sleeper); }, awake, sleeper));
+  bus::Subscriber poses(observer_, {"viewer/pose"});
+  const auto pose_arrives = [&](StreamClient& client) {
+    return settle([&] { return client.send_pose(camera), poses.receive(1ms).has_value(); }, client);
+  };
+  ASSERT_TRUE(pose_arrives(awake));
+  for (int tenth = 0; tenth < 30; ++tenth) {  // the sleeper says nothing for three seconds
+    stepped_->turn(0.1);
+    if (tenth % 10 == 9) {
+      ASSERT_TRUE(pose_arrives(awake));
+    }
+  }
+  const Statistics alone = statistics(3);
+  EXPECT_EQ(alone.viewers, 1U);
+  EXPECT_EQ(alone.lost_viewers, 1U);
+  disturb(model, random);
+  trainer_.publish(model);
+  ASSERT_TRUE(settle([&] { return awake.replica().held()->sequence > 1 || (stepped_->turn(0.01), false); }, awake));
+  ASSERT_TRUE(settle(
+      [&] {
+        sleeper.send_pose(camera);
+        return sleeper.replica().held()->sequence == awake.replica().held()->sequence;
+      },
+      awake, sleeper));
+  EXPECT_TRUE(sleeper.replica().held()->gaussians == awake.replica().held()->gaussians);
+  stepped_->turn(1);
+  const Statistics both = statistics(4);
+  EXPECT_EQ(both.viewers, 2U);
+  EXPECT_EQ(both.snapshots, alone.snapshots) << "it went on where it was";
+}
+
+std::size_t resident_bytes() {
+  std::ifstream statm("/proc/self/statm");
+  std::size_t pages = 0, resident = 0;
+  statm >> pages >> resident;
+  return resident * static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+}
+
+TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
+  start({{"viewer_timeout_s", "5"}, {"tick_hz", "100"}, {"history_mb", "1"}, {"budget_kbps", "1000000"}});
   std::mt19937 random(13);
   GaussiansBuffer model = stream::test::toy_model(3000, 1);
   trainer_.publish(model);
-  StreamClient good(client_options("good"));
+  StreamClient good(options("good"));
   zmq::context_t context;
   zmq::socket_t deaf(context, zmq::socket_type::dealer);
   deaf.set(zmq::sockopt::linger, 0);
   deaf.set(zmq::sockopt::rcvhwm, 1);
   deaf.set(zmq::sockopt::rcvbuf, 4096);
-  deaf.connect(endpoint());
+  deaf.connect(stepped_->endpoint());
   const stream::PacketWriter writer("deaf", 1);
   const auto say = [&](wire::Body body, auto build) {
     (void)deaf.send(zmq::buffer(writer.write(0, 0, body, build).packet), zmq::send_flags::dontwait);
   };
   say(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "deaf"); });
-  bus::Subscriber stats(observer_, {"stream/stats"});
-  std::int64_t published_ns = 0;
-  const bool forgotten = wait_message<wire::StreamStats>(
-      stats, "StreamStats/1", [](const auto& body) { return body.lost_viewers() > 0; },
-      [&] {
-        // It talks, so that only its not reading gives it away.
-        say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
-        good.poll(1ms);
-        good.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
-        if (bus::now_ns() - published_ns < 20'000'000) return;
-        published_ns = bus::now_ns();
-        disturb(model, random);
-        trainer_.publish(model);
-      });
-  EXPECT_TRUE(forgotten);
+  ASSERT_TRUE(settle([&] { return good.replica().view().count == 3000 && !good.replica().loading(); }, good));
+  bus::Subscriber qualities(observer_, {"viewer/quality"}), poses(observer_, {"viewer/pose"});
+  // The model never rests. What the deaf viewer's sockets hold of it is full before memory is looked at.
+  constexpr std::uint64_t kWarmUpBytes = 6'000'000, kStreamedBytes = 18'000'000;
+  std::size_t resident_before = 0;
+  while (good.received_bytes() < kStreamedBytes) {
+    disturb(model, random);
+    trainer_.publish(model);
+    const std::uint64_t sequence = good.replica().held()->sequence;
+    ASSERT_TRUE(
+        settle([&] { return good.replica().held()->sequence > sequence || (stepped_->turn(0.001), false); }, good));
+    if (resident_before == 0 && good.received_bytes() > kWarmUpBytes) resident_before = resident_bytes();
+  }
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+  EXPECT_LT(resident_bytes(), resident_before + (kStreamedBytes - kWarmUpBytes) / 2) << "with 1 MB of history";
+#endif
+  std::uint64_t viewers = 2;
+  for (int second = 0; second < 20 && viewers == 2; ++second) {
+    ASSERT_TRUE(settle(
+        [&] {
+          say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
+          return qualities.receive(1ms).has_value();
+        },
+        good));
+    ASSERT_TRUE(settle(
+        [&] {
+          return good.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), poses.receive(1ms).has_value();
+        },
+        good));
+    stepped_->turn(1);
+    while (const auto message = stats_.receive(20ms))
+      viewers = message->root<wire::StreamStats>("StreamStats/1").viewers();
+  }
   EXPECT_EQ(good.replica().view().count, 3000U);
   EXPECT_FALSE(good.replica().needs_snapshot());
-}
-
-TEST_F(StreamerTest, AViewerThatFellSilentGoesOnWhereItWas) {
-  start_streamer({{"viewer_timeout_s", "0.2"}});
-  std::mt19937 random(17);
-  GaussiansBuffer model = stream::test::toy_model(300, 1);
-  trainer_.publish(model);
-  StreamClient awake(client_options("awake")), sleeper(client_options("sleeper"));
-  const auto keep_awake = [&] { awake.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), awake.poll(1ms); };
-  ASSERT_TRUE(poll_until(
-      [&] { return keep_awake(), awake.replica().view().count == 300 && sleeper.replica().view().count == 300; },
-      sleeper));
-  bus::Subscriber stats(observer_, {"stream/stats"});
-  std::uint64_t snapshots = 0;
-  ASSERT_TRUE(wait_message<wire::StreamStats>(
-      stats, "StreamStats/1", [&](const auto& body) { return snapshots = body.snapshots(), body.viewers() == 1; },
-      keep_awake));
-  disturb(model, random);
-  trainer_.publish(model);
-  const auto caught_up = [&] {
-    keep_awake();
-    sleeper.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
-    return sleeper.replica().held()->sequence > 1 &&
-           sleeper.replica().held()->sequence == awake.replica().held()->sequence;
-  };
-  EXPECT_TRUE(poll_until(caught_up, sleeper));
-  EXPECT_TRUE(sleeper.replica().held()->gaussians == awake.replica().held()->gaussians);
-  EXPECT_TRUE(wait_message<wire::StreamStats>(
-      stats, "StreamStats/1", [&](const auto& body) { return body.viewers() == 2 && body.snapshots() == snapshots; },
-      [&] {
-        keep_awake(), sleeper.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), sleeper.poll(1ms);
-      }));
+  EXPECT_EQ(viewers, 1U);
 }
 
 TEST_F(StreamerTest, ASecondStreamerOnTheSamePathIsRefused) {

@@ -20,7 +20,7 @@ TEST_F(StreamerTest, AViewerGetsTheModelAndFollowsIt) {
   ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 800; }, client));
   EXPECT_EQ(client.refused(), 0U);
   EXPECT_EQ(client.snapshot_requests(), 0U);
-  // What it shows is what was published, to within the quantisers.
+  // What it shows is what was published, to within the quantizers.
   const auto& held = *client.replica().held();
   ASSERT_TRUE(poll_until([&] { return held.gaussians.gaussian_id[799] != 0; }, client));
   std::map<std::uint64_t, std::size_t> column;
@@ -96,14 +96,14 @@ TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
   const wire::Camera wired = to_wire(camera);
   std::vector<std::uint8_t> pixels(std::size_t{16} * 8 * 4);
   for (std::size_t i = 0; i < pixels.size(); ++i) pixels[i] = static_cast<std::uint8_t>(i);
-  bus::Publisher publisher(observer_, "capture/probe");
+  bus::Publisher publisher(observer_);
   std::optional<viewer::ProbeAnswer> answer;
   Light light;
   light.generation = 3;
   const auto publish = [&](std::uint32_t width) {
     const bus::OutgoingTensor color{
         .name = "color", .shape = {8, width, 4}, .type = bus::ElementType::U8, .inline_data = pixels.data()};
-    publisher.publish({.schema = "CaptureProbe/1", .tensors = {color}}, [&](auto& builder, auto header) {
+    publisher.publish(topics::kCaptureProbe, {.tensors = {color}}, [&](auto& builder, auto header) {
       return wire::CreateCaptureProbe(builder, header, 9, 1, 0.5, &wired, to_wire(builder, ObjectTransforms{{3, {}}}),
                                       to_wire(builder, light));
     });

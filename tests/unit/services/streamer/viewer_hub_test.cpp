@@ -58,7 +58,7 @@ class ViewerHubTest : public testing::Test {
 TEST_F(ViewerHubTest, AViewerThatReadsSlowlyIsNotForgotten) {
   const GaussiansBuffer model = stream::test::toy_model(20'000, 1);
   ASSERT_TRUE(model_.observe(model.view()));
-  model_.jump();
+  model_.reset_to_target();
   join();
   ASSERT_TRUE(hub_.pump(now_ns_)) << "the whole snapshot went out at once";
   for (int second = 0; second < 12; ++second) {
@@ -84,10 +84,61 @@ TEST_F(ViewerHubTest, AViewerThatReadsSlowlyIsNotForgotten) {
   EXPECT_EQ(hub_.viewers(), 0U);
 }
 
+TEST_F(ViewerHubTest, AViewerThatTalksAndDoesNotReadIsRemoved) {
+  ASSERT_TRUE(model_.observe(stream::test::toy_model(20'000, 1).view()));
+  model_.reset_to_target();
+  join();
+  ASSERT_TRUE(hub_.pump(now_ns_)) << "the whole snapshot went out at once";
+  // Until the sockets' own buffers are full, something still goes out in each second.
+  for (int second = 0; second < 30 && hub_.viewers() == 1; ++second) {
+    now_ns_ += kSecond;
+    const std::uint64_t heard = qualities_;
+    say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
+    ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_), qualities_ > heard; }));
+    hub_.pump(now_ns_);
+    hub_.expire(now_ns_);
+  }
+  EXPECT_EQ(hub_.viewers(), 0U);
+  EXPECT_EQ(hub_.lost_viewers(), 1U);
+  // Nothing is queued for it any more, however much it reads.
+  while (read()) {
+  }
+  const std::uint64_t sent = sent_packets();
+  EXPECT_FALSE(hub_.pump(now_ns_));
+  hub_.send_keepalive();
+  EXPECT_EQ(sent_packets(), sent);
+}
+
+TEST_F(ViewerHubTest, HoweverOftenAViewerAsksSnapshotsBeginSecondsApart) {
+  ASSERT_TRUE(model_.observe(stream::test::toy_model(50, 1).view()));
+  model_.reset_to_target();
+  join();
+  constexpr int kAsked = 400, kSeconds = 8;
+  for (int k = 1; k <= kAsked; ++k) {
+    hub_.pump(now_ns_);
+    now_ns_ += kSeconds * kSecond / kAsked;
+    const std::uint64_t heard = qualities_;
+    say(wire::Body::NeedSnapshot, [](auto& b) { return wire::CreateNeedSnapshotDirect(b, "greed"); });
+    say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
+    ASSERT_TRUE(bus_test::eventually([&] {
+      while (read()) {
+      }
+      return hub_.receive(now_ns_), qualities_ > heard;
+    }));
+  }
+  EXPECT_GE(hub_.snapshots(), 3U);
+  EXPECT_LE(hub_.snapshots(), 5U) << kAsked << " were asked for in " << kSeconds << " s";
+  // The last one that was asked for is not forgotten.
+  const std::uint64_t before = hub_.snapshots();
+  now_ns_ += 3 * kSecond;
+  hub_.pump(now_ns_);
+  EXPECT_EQ(hub_.snapshots(), before + 1);
+}
+
 TEST_F(ViewerHubTest, AProbePictureWaitsForAFullViewer) {
   const GaussiansBuffer model = stream::test::toy_model(20'000, 1);
   ASSERT_TRUE(model_.observe(model.view()));
-  model_.jump();
+  model_.reset_to_target();
   join();
   ASSERT_TRUE(hub_.pump(now_ns_));
   for (std::uint64_t id = 1; id <= 20; ++id) {

@@ -9,9 +9,8 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
-
-constexpr DensifyOptions kOptions{.enabled = true, .gradient_threshold = 0.5F, .clone_max_scale_m = 0.1F};
+constexpr DensifyOptions kOptions{
+    .enabled = true, .interval_steps = 100, .gradient_threshold = 0.5F, .clone_max_scale_m = 0.1F};
 
 /// Statistics as a few steps leave them.
 struct Gathered {
@@ -45,9 +44,8 @@ class CudaDensify : public bus_test::BusTest {
         rows.log_scale[axis * count + i] = std::log(size / static_cast<float>(axis + 1));
       }
     }
-    host_ = std::make_unique<ModelStore>(connect("host"), ParameterLayout{}, count, max_gaussians, MemoryKind::Host);
-    device_ =
-        std::make_unique<ModelStore>(connect("device"), ParameterLayout{}, count, max_gaussians, MemoryKind::Cuda);
+    host_ = std::make_unique<ModelStore>(connect("host"), ParameterLayout{}, count, max_gaussians, Device::Cpu);
+    device_ = std::make_unique<ModelStore>(connect("device"), ParameterLayout{}, count, max_gaussians, Device::Cuda);
     for (ModelStore* store : {host_.get(), device_.get()}) {
       store->change([&] {
         store->append(rows);
@@ -189,8 +187,8 @@ TEST_F(CudaOptimizerTest, ClonesAndSplitsWhenAsked) {
                              {"densify_gradient", "4e-3"},
                              {"densify_scale", "0.03"},
                              {"prune_interval", "7"}};
-  Trial cuda = trial(MemoryKind::Cuda, settings, 112);
-  Trial cpu = trial(MemoryKind::Host, settings, 112);
+  Trial cuda = trial(Device::Cuda, settings, 112);
+  Trial cpu = trial(Device::Cpu, settings, 112);
   const std::size_t before = cuda.store().count();
   cuda.train(6);
   cpu.train(6);
@@ -205,7 +203,7 @@ TEST_F(CudaOptimizerTest, ClonesAndSplitsWhenAsked) {
 }
 
 TEST_F(CudaOptimizerTest, DensifiesUpToTheMostThereMayBe) {
-  Trial cuda = trial(MemoryKind::Cuda, {{"densify", "true"}, {"densify_interval", "2"}, {"densify_gradient", "1e-9"}});
+  Trial cuda = trial(Device::Cuda, {{"densify", "true"}, {"densify_interval", "2"}, {"densify_gradient", "1e-9"}});
   cuda.train(12);
   EXPECT_LE(cuda.store().count(), 4096U);
   EXPECT_GT(cuda.store().count(), 1000U);

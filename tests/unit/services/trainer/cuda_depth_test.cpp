@@ -6,7 +6,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
 
 /// A scene's views with depths that are off, as by an engine whose surfaces lie elsewhere, and without some of them.
 std::vector<TrainingView> with_other_depth(const SyntheticScene& scene) {
@@ -26,9 +25,9 @@ std::vector<TrainingView> with_other_depth(const SyntheticScene& scene) {
 TEST_F(CudaOptimizerTest, LossOnDepthIsTheCpus) {
   for (const char* appearance : {"transfer", "radiance"}) {
     const Settings settings = {{"appearance", appearance}, {"sh_degree", "1"}, {"depth_weight", "0.8"}, {"batch", "3"}};
-    Trial cuda = trial(MemoryKind::Cuda, settings);
-    Trial cpu = trial(MemoryKind::Host, settings);
-    Trial without = trial(MemoryKind::Cuda, {{"appearance", appearance}, {"sh_degree", "1"}, {"batch", "3"}});
+    Trial cuda = trial(Device::Cuda, settings);
+    Trial cpu = trial(Device::Cpu, settings);
+    Trial without = trial(Device::Cuda, {{"appearance", appearance}, {"sh_degree", "1"}, {"batch", "3"}});
     for (Trial* s : {&cuda, &cpu, &without}) {
       for (const TrainingView& view : with_other_depth(scene_)) s->put(view);
     }
@@ -43,8 +42,8 @@ TEST_F(CudaOptimizerTest, LossOnDepthIsTheCpus) {
 }
 
 TEST_F(CudaOptimizerTest, DepthWeightMayChangeWhileItTrains) {
-  Trial cuda = trial(MemoryKind::Cuda);
-  Trial cpu = trial(MemoryKind::Host);
+  Trial cuda = trial(Device::Cuda);
+  Trial cpu = trial(Device::Cpu);
   for (Trial* s : {&cuda, &cpu}) {
     s->train(2);
     s->set("depth_weight", "0.5");

@@ -11,8 +11,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
-
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
 class CudaInsert : public bus_test::BusTest {
@@ -22,10 +20,10 @@ class CudaInsert : public bus_test::BusTest {
     bus_test::meet(publisher_, subscriber_);
   }
 
-  bus::Message publish(const InsertBatch& batch, MemoryKind memory) {
+  bus::Message publish(const InsertBatch& batch, Device memory) {
     const std::vector<bus::TensorSource> sources = insert_sources(batch);
-    bus::TensorRing& ring = memory == MemoryKind::Host ? host_ring_ : device_ring_;
-    publisher_.publish({.schema = "ModelInsert/1", .tensors = ring.write(sources)}, [&](auto& builder, auto header) {
+    bus::TensorRing& ring = memory == Device::Cpu ? host_ring_ : device_ring_;
+    publisher_.publish(topics::kModelInsert, {.tensors = ring.write(sources)}, [&](auto& builder, auto header) {
       const auto light = to_wire(builder, batch.light);
       return wire::CreateModelInsert(builder, header, batch.batch, 0, light);
     });
@@ -58,10 +56,10 @@ class CudaInsert : public bus_test::BusTest {
     ASSERT_EQ(host.count, device.count);
     EXPECT_EQ(host.dropped, device.dropped);
     const InsertRows rows = device.rows();
-    ASSERT_EQ(device.memory(), MemoryKind::Cuda);
+    ASSERT_EQ(device.memory(), Device::Cuda);
     const auto compare = [&](const char* name, const auto* on_host, const auto* on_device, int channels) {
       const auto copied =
-          host_copy(on_device, MemoryKind::Cuda, rows.stride * static_cast<std::size_t>(channels - 1) + device.count);
+          host_copy(on_device, Device::Cuda, rows.stride * static_cast<std::size_t>(channels - 1) + device.count);
       expect_same_planes(name, on_host, host.count, copied.data(), rows.stride, channels, host.count, 1e-6);
     };
     const InsertRows expected = host.rows();
@@ -77,18 +75,18 @@ class CudaInsert : public bus_test::BusTest {
   }
 
   std::shared_ptr<bus::Context> context_ = connect("expander");
-  bus::Publisher publisher_{context_, "model/insert"};
+  bus::Publisher publisher_{context_};
   bus::Subscriber subscriber_{connect("reader"), {"model/insert"}};
   bus::TensorRing host_ring_{context_, "host", 2};
-  bus::TensorRing device_ring_{context_, "device", 2, 0, MemoryKind::Cuda};
+  bus::TensorRing device_ring_{context_, "device", 2, 0, Device::Cuda};
   std::atomic<std::uint64_t> host_bytes_{0}, device_bytes_{0};
 };
 
 TEST_F(CudaInsert, KeepsTheSameRowsFromEitherMemory) {
-  const auto on_host = make_insert_reader(MemoryKind::Host, host_bytes_);
-  const auto on_device = make_insert_reader(MemoryKind::Cuda, device_bytes_);
+  const auto on_host = make_insert_reader(Device::Cpu, host_bytes_);
+  const auto on_device = make_insert_reader(Device::Cuda, device_bytes_);
   for (const std::size_t count : {std::size_t{20}, std::size_t{5000}}) {
-    for (const MemoryKind producer : {MemoryKind::Cuda, MemoryKind::Host}) {
+    for (const Device producer : {Device::Cuda, Device::Cpu}) {
       const bus::Message message = publish(damaged_batch(count), producer);
       const InsertReading expected = on_host->read(message);
       const std::uint64_t before = device_bytes_;
@@ -97,20 +95,20 @@ TEST_F(CudaInsert, KeepsTheSameRowsFromEitherMemory) {
       ASSERT_FALSE(reading.lost);
       EXPECT_EQ(expected.batch.dropped, 10U);
       expect_same_rows(expected.batch, reading.batch);
-      EXPECT_EQ(device_bytes_ - before, producer == MemoryKind::Cuda ? 0 : insert_rows_bytes(count));
+      EXPECT_EQ(device_bytes_ - before, producer == Device::Cuda ? 0 : insert_rows_bytes(count));
     }
   }
   EXPECT_EQ(host_bytes_, 2 * insert_rows_bytes(20) + 2 * insert_rows_bytes(5000));
 }
 
 TEST_F(CudaInsert, WhatWasOverwrittenIsLostAndRowsOfOldBatchesStay) {
-  const auto reader = make_insert_reader(MemoryKind::Cuda, device_bytes_);
-  const auto on_host = make_insert_reader(MemoryKind::Host, host_bytes_);
-  const bus::Message first = publish(sample_batch(1, 1, 100, 1), MemoryKind::Cuda);
+  const auto reader = make_insert_reader(Device::Cuda, device_bytes_);
+  const auto on_host = make_insert_reader(Device::Cpu, host_bytes_);
+  const bus::Message first = publish(sample_batch(1, 1, 100, 1), Device::Cuda);
   const InsertReading expected = on_host->read(first);
   const InsertReading held = reader->read(first);
   for (unsigned seed = 2; seed < 6; ++seed) {
-    const bus::Message next = publish(sample_batch(1, seed, 100, seed), MemoryKind::Cuda);
+    const bus::Message next = publish(sample_batch(1, seed, 100, seed), Device::Cuda);
     EXPECT_FALSE(reader->read(next).lost);
   }
   EXPECT_TRUE(reader->read(first).lost);
@@ -118,26 +116,26 @@ TEST_F(CudaInsert, WhatWasOverwrittenIsLostAndRowsOfOldBatchesStay) {
 }
 
 TEST_F(CudaInsert, NothingValidAndNothingAtAll) {
-  const auto reader = make_insert_reader(MemoryKind::Cuda, device_bytes_);
+  const auto reader = make_insert_reader(Device::Cuda, device_bytes_);
   InsertBatch batch = sample_batch(1, 1, 10);
   std::fill(batch.mean.begin(), batch.mean.end(), kNan);
-  const InsertReading reading = reader->read(publish(batch, MemoryKind::Cuda));
+  const InsertReading reading = reader->read(publish(batch, Device::Cuda));
   EXPECT_FALSE(reading.lost);
   EXPECT_EQ(reading.batch.count, 0U);
   EXPECT_EQ(reading.batch.dropped, 10U);
-  ModelStore store(connect("trainer"), {}, 64, 1000, MemoryKind::Cuda);
+  ModelStore store(connect("trainer"), {}, 64, 1000, Device::Cuda);
   store.change([&] { store.append(reading.batch); });
   EXPECT_TRUE(store.holds(reading.batch.epoch, 1));
   EXPECT_EQ(store.count(), 0U);
 }
 
 TEST_F(CudaInsert, ABatchOfDeviceRowsIsAppendedAsTheHostsIs) {
-  const auto reader = make_insert_reader(MemoryKind::Cuda, device_bytes_);
-  const auto on_host = make_insert_reader(MemoryKind::Host, host_bytes_);
+  const auto reader = make_insert_reader(Device::Cuda, device_bytes_);
+  const auto on_host = make_insert_reader(Device::Cpu, host_bytes_);
   const std::size_t count = 200000;
-  const bus::Message message = publish(damaged_batch(count), MemoryKind::Cuda);
-  ModelStore host(connect("host"), {}, count, count, MemoryKind::Host);
-  ModelStore device(connect("device"), {}, count, count, MemoryKind::Cuda);
+  const bus::Message message = publish(damaged_batch(count), Device::Cuda);
+  ModelStore host(connect("host"), {}, count, count, Device::Cpu);
+  ModelStore device(connect("device"), {}, count, count, Device::Cuda);
   host.change([&] { host.append(on_host->read(message).batch); });
   device.change([&] { device.append(reader->read(message).batch); });
   EXPECT_EQ(device_bytes_, 0U);

@@ -11,7 +11,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
 using namespace std::chrono_literals;
 
 class CudaKill : public bus_test::BusTest {
@@ -33,7 +32,7 @@ class CudaKill : public bus_test::BusTest {
     ASSERT_EQ(trainer.wait(), -SIGKILL) << bus_test::read_text(output_path());
   }
 
-  std::unique_ptr<ModelStore> start(MemoryKind memory) {
+  std::unique_ptr<ModelStore> start(Device memory) {
     context_ = connect("trainer");
     return std::make_unique<ModelStore>(context_, ParameterLayout{}, 64, peer_max_gaussians, memory);
   }
@@ -58,12 +57,12 @@ void expect_sound(const ModelStore& store) {
 TEST_F(CudaKill, TheModelGoesOnInEitherMemory) {
   run_and_kill("--hold", 0ms);
   std::vector<std::uint64_t> ids;
-  for (const MemoryKind memory : {MemoryKind::Cuda, MemoryKind::Host, MemoryKind::Host, MemoryKind::Cuda}) {
+  for (const Device memory : {Device::Cuda, Device::Cpu, Device::Cpu, Device::Cuda}) {
     const auto store = start(memory);
     EXPECT_EQ(store->origin(), "adopted 2700 Gaussians at step 7");
     EXPECT_EQ(store->memory(), memory);
     EXPECT_TRUE(store->holds(1, 1));
-    EXPECT_EQ(context_->adopt_slab("trainer/model-header")->descriptor().kind, MemoryKind::Host);
+    EXPECT_EQ(context_->adopt_slab("trainer/model-header")->descriptor().kind, Device::Cpu);
     EXPECT_EQ(broker_->statistics().slabs, 2U) << "what it was carried over from is dropped";
     expect_sound(*store);
     if (ids.empty()) ids = HostPlanes(*store).ids();
@@ -75,7 +74,7 @@ TEST_F(CudaKill, WhereverItIsKilledTheModelIsWhole) {
   std::mt19937 random(7);
   for (int round = 0; round < 6; ++round) {
     run_and_kill("--churn", std::chrono::milliseconds(random() % 120));
-    const auto store = start(round % 3 == 2 ? MemoryKind::Host : MemoryKind::Cuda);
+    const auto store = start(round % 3 == 2 ? Device::Cpu : Device::Cuda);
     EXPECT_GT(store->count(), peer_max_gaussians / 2) << store->origin();
     EXPECT_THAT(store->origin(), testing::HasSubstr("adopted"));
     expect_sound(*store);
@@ -83,11 +82,11 @@ TEST_F(CudaKill, WhereverItIsKilledTheModelIsWhole) {
 }
 
 TEST_F(CudaKill, ATrainerOfTheHostIsFollowedByOneOfTheDevice) {
-  auto store = start(MemoryKind::Host);
+  auto store = start(Device::Cpu);
   store->change([&] { store->append(sample_batch(1, 1, 500)); });
   const HostPlanes before(*store);
   store.reset();
-  store = start(MemoryKind::Cuda);
+  store = start(Device::Cuda);
   EXPECT_EQ(store->count(), 500U) << store->origin();
   expect_same(before, HostPlanes(*store));
 }

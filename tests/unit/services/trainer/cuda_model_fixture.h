@@ -21,18 +21,18 @@ inline bool has_device() {
   return cudaGetDeviceCount(&count) == cudaSuccess && count > 0;
 }
 
-inline const char* name_of(bus::MemoryKind memory) {
-  return memory == bus::MemoryKind::Host ? "host" : "cuda";
+inline const char* name_of(Device memory) {
+  return memory == Device::Cpu ? "host" : "cuda";
 }
 
 /// The first columns of a store's planes, in host memory.
 class HostPlanes {
  public:
   explicit HostPlanes(const ModelStore& store)
-      : memory_(bus::allocate_memory(bus::MemoryKind::Host, SlabLayout(store.layout(), store.capacity()).bytes)),
+      : memory_(bus::allocate_memory(Device::Cpu, SlabLayout(store.layout(), store.capacity()).bytes)),
         planes_(store.layout(), store.capacity(), memory_.get()),
         count_(store.count()) {
-    copy_columns(planes_, bus::MemoryKind::Host, store.planes(), store.memory(), count_);
+    copy_columns(planes_, Device::Cpu, store.planes(), store.memory(), count_);
   }
   [[nodiscard]] const ModelPlanes* operator->() const { return &planes_; }
   [[nodiscard]] const ModelPlanes& operator*() const { return planes_; }
@@ -80,9 +80,9 @@ inline void expect_same(const HostPlanes& a, const HostPlanes& b, double toleran
 template <class T>
 class Placed {
  public:
-  Placed(const std::vector<T>& values, bus::MemoryKind memory)
+  Placed(const std::vector<T>& values, Device memory)
       : memory_(bus::allocate_memory(memory, values.size() * sizeof(T))) {
-    bus::copy_memory(memory_.get(), memory, values.data(), bus::MemoryKind::Host, values.size() * sizeof(T));
+    bus::copy_memory(memory_.get(), memory, values.data(), Device::Cpu, values.size() * sizeof(T));
     bus::finish_copies();
   }
   [[nodiscard]] const T* data() const { return reinterpret_cast<const T*>(memory_.get()); }
@@ -92,9 +92,9 @@ class Placed {
 };
 
 template <class T>
-std::vector<T> host_copy(const T* from, bus::MemoryKind memory, std::size_t count) {
+std::vector<T> host_copy(const T* from, Device memory, std::size_t count) {
   std::vector<T> values(count);
-  bus::copy_memory(values.data(), bus::MemoryKind::Host, from, memory, count * sizeof(T));
+  bus::copy_memory(values.data(), Device::Cpu, from, memory, count * sizeof(T));
   bus::finish_copies();
   return values;
 }

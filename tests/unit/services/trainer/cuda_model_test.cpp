@@ -8,7 +8,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
 
 constexpr std::uint64_t kEpoch = 10;
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -21,8 +20,8 @@ class CudaModel : public bus_test::BusTest {
   }
 
   void start(const ParameterLayout& layout, std::size_t capacity = 64) {
-    host_ = std::make_unique<ModelStore>(connect("host"), layout, capacity, 100000, MemoryKind::Host);
-    device_ = std::make_unique<ModelStore>(connect("device"), layout, capacity, 100000, MemoryKind::Cuda);
+    host_ = std::make_unique<ModelStore>(connect("host"), layout, capacity, 100000, Device::Cpu);
+    device_ = std::make_unique<ModelStore>(connect("device"), layout, capacity, 100000, Device::Cuda);
   }
 
   template <class Work>
@@ -61,7 +60,7 @@ class CudaModel : public bus_test::BusTest {
 
 TEST_F(CudaModel, LiesOnTheDevice) {
   append(1, 40);
-  EXPECT_EQ(device_->memory(), MemoryKind::Cuda);
+  EXPECT_EQ(device_->memory(), Device::Cuda);
   cudaPointerAttributes attributes{};
   ASSERT_EQ(cudaPointerGetAttributes(&attributes, device_->planes().parameters), cudaSuccess);
   EXPECT_EQ(attributes.type, cudaMemoryTypeDevice);
@@ -112,10 +111,10 @@ TEST_F(CudaModel, RemovesTheSame) {
     const ColumnMoves on_device = remove(*device_, dead);
     EXPECT_EQ(on_host.new_count, on_device.new_count);
     ASSERT_EQ(on_host.moved, on_device.moved);
-    EXPECT_EQ(host_copy(on_host.from, MemoryKind::Host, on_host.moved),
-              host_copy(on_device.from, MemoryKind::Cuda, on_host.moved));
-    EXPECT_EQ(host_copy(on_host.to, MemoryKind::Host, on_host.moved),
-              host_copy(on_device.to, MemoryKind::Cuda, on_host.moved));
+    EXPECT_EQ(host_copy(on_host.from, Device::Cpu, on_host.moved),
+              host_copy(on_device.from, Device::Cuda, on_host.moved));
+    EXPECT_EQ(host_copy(on_host.to, Device::Cpu, on_host.moved),
+              host_copy(on_device.to, Device::Cuda, on_host.moved));
     expect_same_stores();
   }
   std::vector<std::uint8_t> tail(host_->count(), 0);
@@ -137,7 +136,7 @@ TEST_F(CudaModel, FreezesAndThawsTheSame) {
   append(1, 400);
   const std::vector<float> shifted(400, 7.5F);
   for (ModelStore* store : {host_.get(), device_.get()}) {
-    bus::copy_memory(store->planes().average, store->memory(), shifted.data(), MemoryKind::Host,
+    bus::copy_memory(store->planes().average, store->memory(), shifted.data(), Device::Cpu,
                      shifted.size() * sizeof(float));
     bus::finish_copies();
   }
@@ -162,7 +161,7 @@ TEST_F(CudaModel, TakesVisibilityFromEitherMemory) {
   values[7] = kNan;
   values[8] = std::numeric_limits<float>::infinity();
   const auto generation = device_->structure().generation;
-  for (const MemoryKind memory : {MemoryKind::Host, MemoryKind::Cuda}) {
+  for (const Device memory : {Device::Cpu, Device::Cuda}) {
     const Placed<float> placed(values, memory);
     EXPECT_TRUE(host_->set_visibility(generation, placed.data(), memory, 290));
     EXPECT_TRUE(device_->set_visibility(generation, placed.data(), memory, 290));
@@ -200,7 +199,7 @@ TEST_F(CudaModel, WhatARemovalCutShortLeavesIsRepairedTheSame) {
   append(1, 60);
   for (ModelStore* store : {host_.get(), device_.get()}) {
     const auto set = [&](auto* plane, std::size_t column, auto value) {
-      bus::copy_memory(plane + column, store->memory(), &value, MemoryKind::Host, sizeof(value));
+      bus::copy_memory(plane + column, store->memory(), &value, Device::Cpu, sizeof(value));
     };
     const ModelPlanes& planes = store->planes();
     set(planes.gaussian_id, 4, std::uint64_t{60});  // column 59 once more

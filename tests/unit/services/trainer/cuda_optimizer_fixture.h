@@ -15,15 +15,15 @@
 namespace splatbus::trainer {
 
 template <class T>
-Pixels<T> placed(const Pixels<T>& pixels, bus::MemoryKind memory) {
+Pixels<T> placed(const Pixels<T>& pixels, Device memory) {
   if (pixels.empty()) return {};
   auto copy = bus::allocate_memory(memory, pixels.bytes());
-  bus::copy_memory(copy.get(), memory, pixels.data(), bus::MemoryKind::Host, pixels.bytes());
+  bus::copy_memory(copy.get(), memory, pixels.data(), Device::Cpu, pixels.bytes());
   bus::finish_copies();
   return {std::shared_ptr<const T>(copy, reinterpret_cast<const T*>(copy.get())), pixels.size()};
 }
 
-inline TrainingViewPtr placed(const TrainingView& view, bus::MemoryKind memory) {
+inline TrainingViewPtr placed(const TrainingView& view, Device memory) {
   TrainingView copy = view;
   copy.memory = memory;
   copy.color = placed(view.color, memory);
@@ -37,23 +37,23 @@ using Settings = std::vector<std::pair<std::string, std::string>>;
 /// A model of its own in one kind of memory, trained on the synthetic scene.
 class Trial {
  public:
-  Trial(std::shared_ptr<bus::Context> context, bus::MemoryKind memory, const SyntheticScene& scene,
-        const Settings& settings, std::size_t capacity = 512)
+  Trial(std::shared_ptr<bus::Context> context, Device memory, const SyntheticScene& scene, const Settings& settings,
+        std::size_t capacity = 512)
       : Trial(std::move(context), memory, scene.perturbed(), settings, capacity) {
     for (const auto& view : scene.views()) put(*view);
   }
 
   /// Without views.
-  Trial(std::shared_ptr<bus::Context> context, bus::MemoryKind memory, InsertBatch batch, const Settings& settings,
+  Trial(std::shared_ptr<bus::Context> context, Device memory, InsertBatch batch, const Settings& settings,
         std::size_t capacity = 512)
       : context_(std::move(context)) {
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
     EXPECT_EQ(parameters_.set("batch", "1", true), "");
-    EXPECT_EQ(parameters_.set("average_s", "0", true), "");          // it depends on the pace
-    EXPECT_EQ(parameters_.set("half_rate_steps", "200", true), "");  // each backend has one of its own
+    EXPECT_EQ(parameters_.set("ema_s", "0", true), "");                 // it depends on the pace
+    EXPECT_EQ(parameters_.set("lr_half_life_steps", "200", true), "");  // each backend has one of its own
     for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");
-    const Options options = read_options(parameters_);
+    const Options options = parameters_.read<Options>();
     store_ = std::make_unique<ModelStore>(context_, options.layout, capacity, 4096, memory);
     optimizer_ = make_optimizer(*store_, options);
     insert(std::move(batch));
@@ -87,7 +87,7 @@ class Trial {
 
   void set(const std::string& name, const std::string& value) {
     EXPECT_EQ(parameters_.set(name, value, true), "");
-    optimizer_->set_options(read_options(parameters_));
+    optimizer_->set_options(parameters_.read<Options>());
   }
 
   void put(const TrainingView& view) { views_.put(placed(view, store_->memory())); }
@@ -95,7 +95,7 @@ class Trial {
   /// Writes one value of a plane of parameters.
   void poke(int channel, std::size_t column, float value) {
     float* const to = store_->planes().parameters + static_cast<std::size_t>(channel) * store_->capacity() + column;
-    bus::copy_memory(to, store_->memory(), &value, bus::MemoryKind::Host, sizeof(value));
+    bus::copy_memory(to, store_->memory(), &value, Device::Cpu, sizeof(value));
     bus::finish_copies();
   }
 
@@ -106,7 +106,7 @@ class Trial {
 
  private:
   std::shared_ptr<bus::Context> context_;
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   ViewStore views_;
   Schedule schedule_{1};
   std::unique_ptr<ModelStore> store_;
@@ -137,7 +137,7 @@ class CudaOptimizerTest : public bus_test::BusTest {
     bus_test::BusTest::SetUp();
   }
 
-  Trial trial(bus::MemoryKind memory, const Settings& settings = {}, std::size_t capacity = 512) {
+  Trial trial(Device memory, const Settings& settings = {}, std::size_t capacity = 512) {
     // A name of its own: a second trial must not adopt the first one's model.
     const std::string name = "trainer-" + std::to_string(++trials_);
     return {connect(name), memory, scene_, settings, capacity};

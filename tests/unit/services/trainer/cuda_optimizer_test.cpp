@@ -6,7 +6,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
 
 /// The same picture without its lower half.
 TrainingView upper_half(const TrainingView& view) {
@@ -23,8 +22,8 @@ TrainingView upper_half(const TrainingView& view) {
 
 TEST_F(CudaOptimizerTest, StepsAsTheCpuDoes) {
   for (const char* batch : {"1", "3"}) {
-    Trial cuda = trial(MemoryKind::Cuda, {{"batch", batch}});
-    Trial cpu = trial(MemoryKind::Host, {{"batch", batch}});
+    Trial cuda = trial(Device::Cuda, {{"batch", batch}});
+    Trial cpu = trial(Device::Cpu, {{"batch", batch}});
     const double of_cuda = cuda.train(5);
     const double of_cpu = cpu.train(5);
     EXPECT_NEAR(of_cuda, of_cpu, 2e-3 * of_cpu) << batch;
@@ -37,8 +36,8 @@ TEST_F(CudaOptimizerTest, StepsAsTheCpuDoes) {
 }
 
 TEST_F(CudaOptimizerTest, FindsASceneAgainAsWellAsTheCpuDoes) {
-  Trial cuda = trial(MemoryKind::Cuda);
-  Trial cpu = trial(MemoryKind::Host);
+  Trial cuda = trial(Device::Cuda);
+  Trial cpu = trial(Device::Cpu);
   const double before = psnr(cuda, false);
   const double loss_cuda = (cuda.train(18), cuda.train(6));
   const double loss_cpu = (cpu.train(18), cpu.train(6));
@@ -51,16 +50,16 @@ TEST_F(CudaOptimizerTest, TrainsRadianceAndWithoutResidual) {
   const Settings radiance = {{"appearance", "radiance"}, {"sh_degree", "1"}};
   const Settings stiff = {{"residual", "false"}, {"albedo_weight", "0"}};
   for (const Settings& settings : {radiance, stiff}) {
-    Trial cuda = trial(MemoryKind::Cuda, settings);
-    Trial cpu = trial(MemoryKind::Host, settings);
+    Trial cuda = trial(Device::Cuda, settings);
+    Trial cpu = trial(Device::Cpu, settings);
     EXPECT_NEAR(cuda.train(5), cpu.train(5), 1e-3);
     expect_close(cuda, cpu, 5e-3);
   }
 }
 
 TEST_F(CudaOptimizerTest, MomentsFollowInsertsIntoLargerSlabs) {
-  Trial cuda = trial(MemoryKind::Cuda, {}, 112);
-  Trial cpu = trial(MemoryKind::Host, {}, 112);
+  Trial cuda = trial(Device::Cuda, {}, 112);
+  Trial cpu = trial(Device::Cpu, {}, 112);
   for (Trial* s : {&cuda, &cpu}) {
     s->train(3);
     s->insert(sample_batch(1, 2, 150, 7));
@@ -74,8 +73,8 @@ TEST_F(CudaOptimizerTest, MomentsFollowInsertsIntoLargerSlabs) {
 }
 
 TEST_F(CudaOptimizerTest, RenewsPicturesAndTrainsSeveralSizesInABatch) {
-  Trial cuda = trial(MemoryKind::Cuda, {{"batch", "4"}});
-  Trial cpu = trial(MemoryKind::Host, {{"batch", "4"}});
+  Trial cuda = trial(Device::Cuda, {{"batch", "4"}});
+  Trial cpu = trial(Device::Cpu, {{"batch", "4"}});
   const SyntheticScene other(60, 3, 32);
   for (Trial* s : {&cuda, &cpu}) {
     s->train(4);
@@ -90,7 +89,7 @@ TEST_F(CudaOptimizerTest, RenewsPicturesAndTrainsSeveralSizesInABatch) {
 }
 
 TEST_F(CudaOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
-  for (const MemoryKind memory : {MemoryKind::Cuda, MemoryKind::Host}) {
+  for (const Device memory : {Device::Cuda, Device::Cpu}) {
     Trial s = trial(memory, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
     const std::size_t before = s.store().count();
     const std::vector<std::uint64_t> ids = s.planes().ids();
@@ -109,12 +108,12 @@ TEST_F(CudaOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
 }
 
 TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
-  Trial s = trial(MemoryKind::Cuda, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
+  Trial s = trial(Device::Cuda, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
   const std::size_t before = s.store().count();
   s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
   s.poke(ParameterLayout::kOpacityLogit, 7, -9.0F);
   ViewStore views;
-  for (const auto& view : scene_.views()) views.put(placed(*view, MemoryKind::Cuda));
+  for (const auto& view : scene_.views()) views.put(placed(*view, Device::Cuda));
   Schedule schedule(3);
   for (int i = 0; i < 12; ++i) s.optimizer().step(schedule.next_batch(views, 1, 0));
   EXPECT_EQ(s.store().count(), before - 2);
@@ -122,7 +121,7 @@ TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
 }
 
 TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
-  Trial s = trial(MemoryKind::Cuda);
+  Trial s = trial(Device::Cuda);
   s.train(2);
   Commands commands;
   commands.cells.push_back({.cells = {1}, .freeze = true});
@@ -144,8 +143,8 @@ TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
 
 TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
   const SyntheticScene scene(150, 3, 16);
-  Trial cuda(connect("cuda"), MemoryKind::Cuda, scene, {});
-  Trial cpu(connect("cpu"), MemoryKind::Host, scene, {});
+  Trial cuda(connect("cuda"), Device::Cuda, scene, {});
+  Trial cpu(connect("cpu"), Device::Cpu, scene, {});
   cuda.train(12);
   cpu.train(12);
   const auto early = cuda.optimizer().cells().cells();
@@ -184,8 +183,8 @@ TEST_F(CudaOptimizerTest, ObservesCellsWithThePictureThatWasDrawnLast) {
   const TrainingView& wide = *scene_.views()[0];
   const TrainingView low = upper_half(*scene_.views()[3]);
   // Sizes are trained in ascending order on the device: the last picture drawn is the wide one, whichever comes last.
-  Trial cuda(connect("cuda"), MemoryKind::Cuda, batch, still);
-  Trial cpu(connect("cpu"), MemoryKind::Host, batch, still);
+  Trial cuda(connect("cuda"), Device::Cuda, batch, still);
+  Trial cpu(connect("cpu"), Device::Cpu, batch, still);
   for (int i = 0; i < 8; ++i) {
     cuda.step({&wide, &low});
     cpu.step({&low, &wide});
@@ -207,7 +206,7 @@ TEST_F(CudaOptimizerTest, ObservesCellsWithThePictureThatWasDrawnLast) {
 }
 
 TEST_F(CudaOptimizerTest, TakesOtherOptionsWhileItTrains) {
-  Trial s = trial(MemoryKind::Cuda);
+  Trial s = trial(Device::Cuda);
   EXPECT_LT(s.train(6), 1.0);
   s.set("albedo_weight", "0");
   s.set("lr_mean", "0");
@@ -217,12 +216,12 @@ TEST_F(CudaOptimizerTest, TakesOtherOptionsWhileItTrains) {
 }
 
 TEST_F(CudaOptimizerTest, ChoosesABatchOfItsOwn) {
-  EXPECT_EQ(trial(MemoryKind::Cuda, {{"batch", "0"}}).optimizer().options().batch, 2);
-  EXPECT_EQ(trial(MemoryKind::Host, {{"batch", "0"}}).optimizer().options().batch, 1);
+  EXPECT_EQ(trial(Device::Cuda, {{"batch", "0"}}).optimizer().options().batch, 2);
+  EXPECT_EQ(trial(Device::Cpu, {{"batch", "0"}}).optimizer().options().batch, 1);
 }
 
 TEST_F(CudaOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
-  Trial s = trial(MemoryKind::Cuda);
+  Trial s = trial(Device::Cuda);
   EXPECT_EQ(s.optimizer().step({}).steps, 0U);
   EXPECT_EQ(s.optimizer().finish().steps, 0U);
   EXPECT_EQ(s.store().step(), 0U);

@@ -43,7 +43,7 @@ void hold(ModelStore& store) {
 
 int run_peer(const std::string& role, const std::string& folder) {
   const auto context = bus::Context::create(bus::Address::parse("ipc://" + folder), "trainer");
-  ModelStore store(context, {}, 64, peer_max_gaussians, bus::MemoryKind::Cuda);
+  ModelStore store(context, {}, 64, peer_max_gaussians, Device::Cuda);
   if (role == "--churn") churn(store, context->epoch());
   hold(store);
   std::cout << "ready" << std::endl;

@@ -8,7 +8,6 @@
 namespace splatbus::trainer {
 namespace {
 
-using bus::MemoryKind;
 
 class CudaTrainer : public TrainerTest {
  protected:
@@ -16,17 +15,17 @@ class CudaTrainer : public TrainerTest {
     if (!has_device()) GTEST_SKIP() << "no CUDA device";
   }
 
-  std::optional<PublishedModel> open(MemoryKind memory) {
+  std::optional<PublishedModel> open(Device memory) {
     return PublishedModel::open(newest_.at("model/published"), memory);
   }
 };
 
-class CudaTrainerFedFrom : public CudaTrainer, public testing::WithParamInterface<MemoryKind> {};
+class CudaTrainerFedFrom : public CudaTrainer, public testing::WithParamInterface<Device> {};
 
 TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
-  const bool on_device = GetParam() == MemoryKind::Cuda;
+  const bool on_device = GetParam() == Device::Cuda;
   const SyntheticScene scene(100, 4, 32);
-  place(bus::Backend::Cuda, GetParam());
+  place(Device::Cuda, GetParam());
   set("batch", "1");
   set("run_until", "8");
   start();
@@ -35,10 +34,10 @@ TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   ASSERT_TRUE(until([&] { return stats()->step() == 8 && stats()->paused(); }));
   ASSERT_TRUE(until([&] { return published()->step() == 8; }));
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
-  const auto in_place = open(MemoryKind::Cuda);
+  const auto in_place = open(Device::Cuda);
   ASSERT_TRUE(in_place);
   EXPECT_EQ(in_place->copied_bytes(), 0U);
-  auto copied = open(MemoryKind::Host);
+  auto copied = open(Device::Cpu);
   ASSERT_TRUE(copied);
   const double psnr = scene.psnr(copied->average());
   set("run_until", "24");
@@ -49,11 +48,11 @@ TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   ASSERT_TRUE(until([&] { return newest_.contains("trainer/cells"); }));
 }
 
-INSTANTIATE_TEST_SUITE_P(Memory, CudaTrainerFedFrom, testing::Values(MemoryKind::Cuda, MemoryKind::Host),
+INSTANTIATE_TEST_SUITE_P(Memory, CudaTrainerFedFrom, testing::Values(Device::Cuda, Device::Cpu),
                          [](const auto& param) { return std::string(name_of(param.param)); });
 
 TEST_F(CudaTrainer, TakesVisibilityFromTheDevice) {
-  place(bus::Backend::Cuda, MemoryKind::Cuda);
+  place(Device::Cuda, Device::Cuda);
   start();
   insert(sample_batch(0, 1, 40));
   std::vector<float> seen(40, 0.25F);
@@ -62,7 +61,7 @@ TEST_F(CudaTrainer, TakesVisibilityFromTheDevice) {
   std::optional<PublishedModel> model;
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation());
-    model = open(MemoryKind::Host);
+    model = open(Device::Cpu);
     return model && model->live().visibility[0] == 0.25F;
   }));
   EXPECT_EQ(model->live().visibility[1], 0.0F);
@@ -75,18 +74,18 @@ TEST_F(CudaTrainer, GoesOnOnTheHostAndBack) {
   const SyntheticScene scene(100, 4, 32);
   set("batch", "1");
   set("run_until", "4");
-  place(bus::Backend::Cuda, MemoryKind::Cuda);
+  place(Device::Cuda, Device::Cuda);
   start();
   insert(scene.perturbed());
   show(scene);
   std::uint64_t step = 4;
-  for (const bus::Backend backend : {bus::Backend::Cpu, bus::Backend::Cuda, bus::Backend::Cuda}) {
+  for (const Device backend : {Device::Cpu, Device::Cuda, Device::Cuda}) {
     ASSERT_TRUE(until([&] { return stats()->step() == step && stats()->paused(); }));
     const auto generation = published()->generation();
     stop();
     step += 4;
     set("run_until", std::to_string(step));
-    place(backend, MemoryKind::Cuda);
+    place(backend, Device::Cuda);
     start();
     ASSERT_TRUE(until([&] { return published()->generation() > generation; }));
     EXPECT_EQ(published()->count(), 100U);

@@ -30,7 +30,7 @@ class ModelStoreTest : public bus_test::BusTest {
     store_.reset();
     context_ = connect("trainer");
     store_ = std::make_unique<ModelStore>(context_, layout, capacity, max_gaussians);
-    publisher_ = std::make_unique<bus::Publisher>(context_, "model/published");
+    publisher_ = std::make_unique<bus::Publisher>(context_);
   }
 
   void append(std::uint64_t batch, std::size_t count, std::uint64_t epoch = kEpoch) {
@@ -54,14 +54,14 @@ class ModelStoreTest : public bus_test::BusTest {
     std::optional<bus::Message> newest;
     bus_test::eventually([&] {
       if (auto message = subscriber_.receive(std::chrono::milliseconds(20))) newest = std::move(message);
-      return newest && newest->root<wire::ModelPublished>("ModelPublished/1").generation() == generation &&
+      return newest && newest->root<wire::ModelPublished>().generation() == generation &&
              newest->header().epoch() == context_->epoch();
     });
     return newest;
   }
 
   bool set_visibility(std::uint64_t generation, const std::vector<float>& values) {
-    return store_->set_visibility(generation, values.data(), bus::MemoryKind::Host, values.size());
+    return store_->set_visibility(generation, values.data(), Device::Cpu, values.size());
   }
 
   /// What the present trainer's header slab holds, for damage.

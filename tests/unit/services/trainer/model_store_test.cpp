@@ -66,7 +66,7 @@ TEST_F(ModelStoreTest, AcknowledgesTheLast4096Batches) {
   store_->publish(*publisher_);
   const auto message = last_published();
   ASSERT_TRUE(message);
-  const auto& published = message->root<wire::ModelPublished>("ModelPublished/1");
+  const auto& published = message->root<wire::ModelPublished>();
   ASSERT_EQ(published.inserted_batches()->size(), 4096U);
   EXPECT_EQ(published.inserted_batches()->Get(4095), 5000U);
   EXPECT_EQ(published.insert_epoch(), kEpoch);
@@ -211,7 +211,7 @@ TEST_F(ModelStoreTest, LyingAnnouncementsAreRefused) {
     std::optional<bus::Message> message;
     bus_test::eventually([&] {
       if (auto next = subscriber_.receive(std::chrono::milliseconds(20))) message = std::move(next);
-      return message && message->root<wire::ModelPublished>("ModelPublished/1").generation() == 77;
+      return message && message->root<wire::ModelPublished>().generation() == 77;
     });
     return PublishedModel::open(message.value());
   };

@@ -21,7 +21,7 @@ class OptimizerTest : public bus_test::BusTest {
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
     if (configure) configure(parameters_);
-    const Options options = read_options(parameters_);
+    const Options options = parameters_.read<Options>();
     context_ = connect("trainer");
     store_ = std::make_unique<ModelStore>(context_, options.layout, 1024, 4096);
     optimizer_ = make_optimizer(*store_, options);
@@ -31,7 +31,7 @@ class OptimizerTest : public bus_test::BusTest {
 
   void set(const std::string& name, const std::string& value) {
     EXPECT_EQ(parameters_.set(name, value, true), "");
-    if (optimizer_) optimizer_->set_options(read_options(parameters_));
+    if (optimizer_) optimizer_->set_options(parameters_.read<Options>());
   }
 
   bool insert(InsertBatch batch) {
@@ -57,7 +57,7 @@ class OptimizerTest : public bus_test::BusTest {
     return view;
   }
 
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   ViewStore views_;
   std::shared_ptr<bus::Context> context_;
   std::unique_ptr<ModelStore> store_;
@@ -169,8 +169,8 @@ TEST_F(OptimizerTest, ABatchThatCannotBeTakenHarmsNoOther) {
   const SyntheticScene scene;
   start(scene);
   store_ = nullptr;
-  store_ = std::make_unique<ModelStore>(context_, read_options(parameters_).layout, 1024, std::size_t{1} << 44);
-  optimizer_ = make_optimizer(*store_, read_options(parameters_));
+  store_ = std::make_unique<ModelStore>(context_, parameters_.read<Options>().layout, 1024, std::size_t{1} << 44);
+  optimizer_ = make_optimizer(*store_, parameters_.read<Options>());
   const std::size_t before = store_->count();
   ASSERT_GT(before, 0U);
   Commands commands;

@@ -34,11 +34,7 @@ class TrainerTest : public bus_test::BusTest {
   TrainerTest()
       : peer_(connect("peer")),
         subscriber_(peer_, {"model/published", "trainer/stats", "trainer/cells"}),
-        insert_(peer_, "model/insert"),
-        reference_(peer_, "capture/reference"),
-        freeze_(peer_, "model/freeze"),
-        unfreeze_(peer_, "model/unfreeze"),
-        visibility_(peer_, "relight/visibility"),
+        publisher_(peer_),
         ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
     set("threads", "1", false);
     set("capacity", "1024", false);
@@ -48,7 +44,7 @@ class TrainerTest : public bus_test::BusTest {
   ~TrainerTest() override { stop(); }
 
   /// Before start(): where the trainer's model lies, and where the slabs of those that feed it.
-  void place(bus::Backend trainer, bus::MemoryKind producers) {
+  void place(Device trainer, Device producers) {
     backend_ = trainer;
     ring_ = std::make_unique<bus::TensorRing>(peer_, "pictures", 32, 0, producers);
   }
@@ -83,11 +79,11 @@ class TrainerTest : public bus_test::BusTest {
 
   const wire::ModelPublished* published() {
     const auto found = newest_.find("model/published");
-    return found == newest_.end() ? nullptr : &found->second.root<wire::ModelPublished>("ModelPublished/1");
+    return found == newest_.end() ? nullptr : &found->second.root<wire::ModelPublished>();
   }
   const wire::TrainerStats* stats() {
     const auto found = newest_.find("trainer/stats");
-    return found == newest_.end() ? nullptr : &found->second.root<wire::TrainerStats>("TrainerStats/1");
+    return found == newest_.end() ? nullptr : &found->second.root<wire::TrainerStats>();
   }
   bool holds(std::uint64_t batch) {
     const auto* model = published();
@@ -99,7 +95,7 @@ class TrainerTest : public bus_test::BusTest {
   void publish_insert(const InsertBatch& batch, const std::string& without = {}) {
     std::vector<bus::TensorSource> sources = insert_sources(batch);
     std::erase_if(sources, [&](const bus::TensorSource& source) { return source.name == without; });
-    insert_.publish({.schema = "ModelInsert/1", .tensors = ring_->write(sources)}, [&](auto& builder, auto header) {
+    publisher_.publish(topics::kModelInsert, {.tensors = ring_->write(sources)}, [&](auto& builder, auto header) {
       const auto light = to_wire(builder, batch.light);
       return wire::CreateModelInsert(builder, header, batch.batch, 0, light);
     });
@@ -125,9 +121,9 @@ class TrainerTest : public bus_test::BusTest {
                   .type = bus::ElementType::U8,
                   .data = view.color.data()}};
     }
-    bus::MessageInfo info{.schema = "CaptureReference/1"};
+    bus::MessageInfo info;
     if (!sources.empty()) info.tensors = ring_->write(sources);
-    reference_.publish(info, [&](auto& builder, auto header) {
+    publisher_.publish(topics::kCaptureReference, info, [&](auto& builder, auto header) {
       const auto light = to_wire(builder, view.scene.light);
       const auto camera = to_wire(view.camera);
       return wire::CreateCaptureReference(builder, header, 1, 0.0, &camera, 0, light, retire);
@@ -137,8 +133,8 @@ class TrainerTest : public bus_test::BusTest {
   void publish_visibility(const std::vector<float>& values, std::uint64_t generation) {
     const auto n = static_cast<std::uint32_t>(values.size());
     const bus::TensorSource source{.name = "visibility", .shape = {1, n}, .data = values.data()};
-    visibility_.publish(
-        {.schema = "RelightVisibility/1", .tensors = ring_->write({&source, 1})},
+    publisher_.publish(
+        topics::kRelightVisibility, {.tensors = ring_->write({&source, 1})},
         [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, generation, 1, n); });
   }
 
@@ -149,12 +145,12 @@ class TrainerTest : public bus_test::BusTest {
     }));
   }
 
-  bus::Parameters parameters_{parameter_specs()};
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber subscriber_;
-  bus::Publisher insert_, reference_, freeze_, unfreeze_, visibility_;
+  bus::Publisher publisher_;
   std::unique_ptr<bus::TensorRing> ring_;
-  bus::Backend backend_ = bus::Backend::Cpu;
+  Device backend_ = Device::Cpu;
   std::stop_source stop_;
   std::unique_ptr<bus::ServiceContext> service_;
   std::thread thread_;

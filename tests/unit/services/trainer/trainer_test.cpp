@@ -62,13 +62,15 @@ TEST_F(TrainerTest, BadInsertsHarmNobody) {
   damaged.mean[4] = std::numeric_limits<float>::quiet_NaN();
   publish_insert(sample_batch(0, 3, 10), "albedo");  // a plane is missing
   InsertBatch short_plane = sample_batch(0, 4, 10);
-  insert_.publish({.schema = "ModelInsert/2"}, [&](auto& builder, auto header) {
-    const auto light = to_wire(builder, Light{});
-    return wire::CreateModelInsert(builder, header, 5, 0, light);
-  });
-  insert_.publish({.schema = "ModelInsert/1"}, [&](auto& builder, auto header) {
-    return wire::CreateTrainerCells(builder, header, 6);  // another table under that name
-  });
+  publisher_.publish(Topic<wire::ModelInsert>{"model/insert", false, "ModelInsert/99"},
+                     [&](auto& builder, auto header) {
+                       const auto light = to_wire(builder, Light{});
+                       return wire::CreateModelInsert(builder, header, 5, 0, light);
+                     });
+  publisher_.publish(Topic<wire::TrainerCells>{"model/insert", false, kSchema<wire::ModelInsert>},
+                     [&](auto& builder, auto header) {
+                       return wire::CreateTrainerCells(builder, header, 6);  // another table under that name
+                     });
   insert(damaged);
   EXPECT_EQ(published()->count(), 19U) << "all but the row that was not finite";
   EXPECT_FALSE(holds(3));
@@ -94,17 +96,17 @@ TEST_F(TrainerTest, FreezesThawsAndTakesVisibility) {
   std::uint64_t in_cell = 0;
   for (const auto cell : batch.cell) in_cell += cell == 1 ? 1 : 0;
   const std::vector<std::uint64_t> cells{1};
-  const auto send = [&](bus::Publisher& publisher) {
-    publisher.publish({.schema = "ModelCells/1"}, [&](auto& builder, auto header) {
+  const auto send = [&](const Topic<wire::ModelCells>& topic) {
+    publisher_.publish(topic, [&](auto& builder, auto header) {
       return wire::CreateModelCells(builder, header, builder.CreateVector(cells));
     });
   };
   ASSERT_TRUE(until([&] {
-    send(freeze_);
+    send(topics::kModelFreeze);
     return published()->frozen() == in_cell;
   }));
   ASSERT_TRUE(until([&] {
-    send(unfreeze_);
+    send(topics::kModelUnfreeze);
     return published()->frozen() == 0;
   }));
 
@@ -124,15 +126,15 @@ TEST_F(TrainerTest, FreezesThawsAndTakesVisibility) {
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   const SyntheticScene scene(20, 1);
   bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
-  bus_test::meet(reference_, subscriber);
+  bus_test::meet(publisher_, subscriber);
   publish_view(*scene.views()[0]);
   const auto message = subscriber.receive(bus_test::patience);
   ASSERT_TRUE(message);
   std::atomic<std::uint64_t> host_bytes{0};
   const std::size_t bytes = scene.views()[0]->color.bytes() + scene.views()[0]->albedo.bytes();
-  ReferenceReader small(bus::MemoryKind::Host, bytes - 1, host_bytes);
+  ReferenceReader small(Device::Cpu, bytes - 1, host_bytes);
   EXPECT_THROW(static_cast<void>(small.read(*message, false)), bus::Error);
-  ReferenceReader large(bus::MemoryKind::Host, bytes, host_bytes);
+  ReferenceReader large(Device::Cpu, bytes, host_bytes);
   EXPECT_NE(large.read(*message, false).view, nullptr);
 }
 

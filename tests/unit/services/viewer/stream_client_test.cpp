@@ -32,6 +32,9 @@ class StreamClientTest : public testing::Test {
       (void)router_.recv(packet);
       const auto parsed = stream::ParsedPacket::parse({packet.data<std::uint8_t>(), packet.size()}, {});
       if (parsed.body() == wire::Body::Hello) ++hellos_;
+      if (parsed.body() == wire::Body::NeedSnapshot) {
+        reasons_.push_back(parsed.root().body_as_NeedSnapshot()->reason()->str());
+      }
     }
   }
   void send(const stream::EncodedPacket& packet) {
@@ -63,8 +66,55 @@ class StreamClientTest : public testing::Test {
   stream::PacketWriter writer_{"streamer", 1};
   std::string peer_;
   int hellos_ = 0;
+  std::vector<std::string> reasons_;  ///< of NeedSnapshots
   std::size_t sent_bytes_ = 0;
 };
+
+TEST_F(StreamClientTest, AModelThatIsTooLargeIsRefusedWithItsReasonAndAskedForEverMoreSeldom) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  std::int64_t now_ns = 1000 * kSecond;
+  ClientOptions stepped = options();
+  stepped.now_ns = [&] { return now_ns; };
+  stepped.silence_ns = 1000 * kSecond;
+  StreamClient client(stepped);
+  ASSERT_TRUE(poll_until(client, [&] { return now_ns += kSecond, hellos_ >= 1; }));
+  welcome(false);
+  const auto begin = [&](std::uint64_t total) {
+    const stream::StreamLayout layout;
+    send(writer_.write(5, 0, wire::Body::SnapshotBegin, [&](auto& b) {
+      std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
+      for (const stream::AttributeChannels& a : layout.attributes()) {
+        const wire::Quantizer quantizer(a.quantizer.offset, a.quantizer.step);
+        attributes.push_back(
+            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantizer));
+      }
+      return wire::CreateSnapshotBegin(b, 1, 1, static_cast<std::uint32_t>(total), total > 0 ? 1 : 0,
+                                       wire::Appearance::Transfer, 0, b.CreateVector(attributes));
+    }));
+  };
+  begin(stream::kMaxGaussians + 1);
+  ASSERT_TRUE(all_received(client));
+  for (int step = 0; step < 60 * 4; ++step) {
+    now_ns += kSecond / 4;
+    const std::uint64_t asked = client.snapshot_requests();
+    client.poll(0ms);
+    if (client.snapshot_requests() == asked) continue;
+    begin(stream::kMaxGaussians + 1);  // a streamer that knows no bound
+    ASSERT_TRUE(all_received(client));
+  }
+  EXPECT_GE(client.snapshot_requests(), 3U);
+  EXPECT_LE(client.snapshot_requests(), 6U) << "in a minute";
+  ASSERT_TRUE(poll_until(client, [&] { return reasons_.size() == client.snapshot_requests(); }));
+  EXPECT_NE(reasons_.front().find("4194305 Gaussians"), std::string::npos) << reasons_.front();
+  // A smaller one is taken, and ends it.
+  begin(0);
+  ASSERT_TRUE(all_received(client));
+  EXPECT_FALSE(client.replica().needs_snapshot());
+  const std::uint64_t asked = client.snapshot_requests();
+  now_ns += 500 * kSecond;
+  client.poll(0ms);
+  EXPECT_EQ(client.snapshot_requests(), asked);
+}
 
 // A long way off, a second Hello leaves before the first one's answer is there.
 TEST_F(StreamClientTest, TwoAnswersAreOneWelcome) {

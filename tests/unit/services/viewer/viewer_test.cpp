@@ -23,7 +23,7 @@ class ViewerTest : public StreamTest {
   ~ViewerTest() override { stop_viewer(); }
 
   void start_viewer(const std::vector<std::pair<std::string, std::string>>& changes) {
-    parameters_ = std::make_unique<bus::Parameters>(viewer::parameter_specs());
+    parameters_ = std::make_unique<bus::Parameters>(bus::Parameters::declare<viewer::Options>());
     for (const auto& [name, value] : changes) ASSERT_EQ(parameters_->set(name, value, false), "");
     viewer_ = std::make_unique<viewer::Viewer>(*parameters_, viewer::ViewerHost{.name = "viewer",
                                                                                 .endpoint = endpoint(),
@@ -82,7 +82,7 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
   trainer_.publish(model);
   start_streamer();
   bus::Subscriber probes(peer_, {"viewer/probe"}), qualities(peer_, {"viewer/quality"});
-  bus::Publisher answers(peer_, "capture/probe");
+  bus::Publisher answers(peer_);
   start_viewer({{"out", out_},
                 {"probe", "true"},
                 {"probe_period_s", "0.1"},
@@ -96,7 +96,7 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
   std::int64_t first_picture_ns = 0;
   const bool answered = bus_test::eventually([&] {
     while (const auto message = probes.receive(1ms)) {
-      const auto& body = message->root<wire::ViewerProbe>("ViewerProbe/1");
+      const auto& body = message->root<wire::ViewerProbe>();
       const Camera camera = from_wire(*body.camera());
       raster::Render render;
       rasterizer->render(model.view(), camera, {light, {}}, {}, render);
@@ -109,13 +109,13 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
                                       .shape = {camera.height, camera.width, 4},
                                       .type = bus::ElementType::U8,
                                       .inline_data = rgba.data()};
-      answers.publish({.schema = "CaptureProbe/1", .tensors = {color}}, [&](auto& builder, auto header) {
+      answers.publish(topics::kCaptureProbe, {.tensors = {color}}, [&](auto& builder, auto header) {
         return wire::CreateCaptureProbe(builder, header, body.probe_id(), 1, 0, body.camera(), 0,
                                         to_wire(builder, light));
       });
     }
     while (const auto message = qualities.receive(1ms)) {
-      const auto& body = message->root<wire::ViewerQuality>("ViewerQuality/1");
+      const auto& body = message->root<wire::ViewerQuality>();
       compared = body.probe_id();
       psnr = body.psnr_db();
       ssim = body.ssim();

@@ -1,0 +1,92 @@
+#include "bus/heartbeat_thread.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "bus/clock.h"
+
+namespace splatbus::bus {
+namespace {
+
+constexpr std::int64_t beat_ns = 200'000'000;
+
+}  // namespace
+
+HeartbeatThread::HeartbeatThread(ServiceContext& service, std::string kind)
+    : service_(service), kind_(std::move(kind)), publisher_(service.bus), control_(service.bus) {
+  for (const std::string& name : {kind_, service.bus->source()}) {
+    control_.on(topics::control("control/" + name),
+                [this](const wire::Control& control, const Message& message) { apply(control, message); });
+  }
+  beat(wire::ServiceState::Starting);
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
+
+HeartbeatThread::~HeartbeatThread() = default;
+
+void HeartbeatThread::finish(wire::ServiceState state, const std::string& reason) {
+  thread_.request_stop();
+  thread_.join();
+  if (!reason.empty()) service_.detail(reason);
+  beat(state);
+}
+
+void HeartbeatThread::run(const std::stop_token& stop) {
+  std::int64_t next_beat = now_ns() + beat_ns;
+  while (!stop.stop_requested()) {
+    const std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat - now_ns()) / 1'000'000);
+    // A short wait, so that finish() does not wait long for us.
+    control_.dispatch_all(std::chrono::milliseconds(std::min<std::int64_t>(left_ms, 50)));
+    if (now_ns() < next_beat) continue;
+    next_beat = std::max(next_beat + beat_ns, now_ns());
+    beat(wire::ServiceState::Running);
+  }
+}
+
+void HeartbeatThread::apply(const wire::Control& control, const Message& message) {
+  if (control.changes() == nullptr) return;
+  for (const auto* change : *control.changes()) {
+    const auto name = change->key()->str();
+    const auto value = change->value()->str();
+    const auto problem = service_.parameters.set(name, value, true);
+    if (problem.empty()) {
+      spdlog::info("{} set to {} by {}", name, value, message.header().source()->str());
+    } else {
+      spdlog::error("{} (asked for by {})", problem, message.header().source()->str());
+    }
+  }
+  beat(wire::ServiceState::Running);
+}
+
+void HeartbeatThread::beat(wire::ServiceState state) {
+  std::map<std::string, double> counters;
+  std::string detail;
+  {
+    const std::scoped_lock lock(service_.mutex_);
+    counters = service_.counters_;
+    detail = service_.detail_;
+  }
+  const MessageInfo info{.capture_ns = 0, .latch_key = service_.bus->source(), .tensors = {}};
+  publisher_.publish(topics::kHeartbeat, info, [&](auto& builder, auto header) {
+    std::vector<flatbuffers::Offset<wire::Counter>> counter_offsets;
+    counter_offsets.reserve(counters.size());
+    for (const auto& [name, value] : counters) {
+      counter_offsets.push_back(wire::CreateCounterDirect(builder, name.c_str(), value));
+    }
+    std::vector<flatbuffers::Offset<wire::KeyValue>> parameter_offsets;
+    const auto parameters = service_.parameters.list();
+    parameter_offsets.reserve(parameters.size());
+    for (const auto& [name, value] : parameters) {
+      parameter_offsets.push_back(wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str()));
+    }
+    return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
+                                       detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend));
+  });
+}
+
+}  // namespace splatbus::bus

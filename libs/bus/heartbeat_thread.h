@@ -1,0 +1,37 @@
+#pragma once
+
+#include <atomic>
+#include <string>
+#include <thread>
+
+#include "bus/publisher.h"
+#include "bus/service.h"
+#include "bus/subscriber.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::bus {
+
+/// The thread beside a service's own: heartbeats, and parameters changed through control/<kind> and control/<source>.
+class HeartbeatThread {
+ public:
+  HeartbeatThread(ServiceContext& service, std::string kind);
+  ~HeartbeatThread();
+  HeartbeatThread(const HeartbeatThread&) = delete;
+  HeartbeatThread& operator=(const HeartbeatThread&) = delete;
+
+  /// Ends the thread and sends the last heartbeat. `reason` goes into its detail when not empty.
+  void finish(wire::ServiceState state, const std::string& reason);
+
+ private:
+  void run(const std::stop_token& stop);
+  void beat(wire::ServiceState state);
+  void apply(const wire::Control& control, const Message& message);
+
+  ServiceContext& service_;
+  const std::string kind_;
+  Publisher publisher_;
+  Subscriber control_;
+  std::jthread thread_;
+};
+
+}  // namespace splatbus::bus

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstdint>
+
+#include "raster/cuda/device_scene.h"
+
+// How the channels of Gaussians lie in device memory, [channels][stride]. Kernels reach every channel through these, so
+// that this header alone knows.
+namespace splatbus::raster::cuda {
+
+/// The same value, but the compiler does not know: it then computes the addresses of a Gaussian's many channels where
+/// they are used, instead of keeping them all in registers, and spilling them.
+template <class T>
+__device__ inline T recomputed(T value) {
+  if constexpr (sizeof(T) == 8) {
+    asm volatile("" : "+l"(value));
+  } else {
+    asm volatile("" : "+r"(value));
+  }
+  return value;
+}
+
+/// Some neighbouring channels of one Gaussian.
+template <class T>
+struct ChannelsOfOne {
+  T* first;
+  std::int64_t pitch;
+
+  __device__ T& operator[](int channel) const { return first[channel * pitch]; }
+  [[nodiscard]] __device__ ChannelsOfOne recomputed() const { return {cuda::recomputed(first), pitch}; }
+};
+
+/// Channels of all Gaussians: a model's parameters, or what is kept beside them.
+template <class T>
+struct Channels {
+  T* data;
+  std::int64_t stride;
+
+  /// In elements from `data`; the same in every array that lies beside the model's.
+  [[nodiscard]] __device__ std::int64_t offset(int channel, int i) const { return channel * stride + i; }
+  __device__ T& operator()(int channel, int i) const { return data[offset(channel, i)]; }
+  /// Of Gaussian `i`, from channel `first` on.
+  [[nodiscard]] __device__ ChannelsOfOne<T> of(int i, int first = 0) const { return {data + offset(first, i), stride}; }
+};
+
+__device__ inline Channels<float> parameters_of(const DeviceGaussians& g) {
+  return {g.parameters, g.stride};
+}
+__device__ inline Channels<const float> normals_of(const DeviceGaussians& g) {
+  return {g.normal, g.stride};
+}
+
+}  // namespace splatbus::raster::cuda

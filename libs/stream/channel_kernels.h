@@ -1,0 +1,106 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "device/stream.h"
+#include "stream/coding.h"
+
+// What is done for each value between a model's floats and the integers that travel, on either device in the order of a
+// stream. Pointers are to memory of the stream's device. Throws std::runtime_error.
+namespace splatbus::stream::kernels {
+
+struct ModelChannels {
+  std::uint32_t count = 0;
+  std::size_t stride = 0;
+  int channels = 0;                   ///< of `parameters`
+  const float* parameters = nullptr;  ///< [channels][stride]
+  const float* normal = nullptr;      ///< [3][stride]; null: up, or of no use
+  const float* visibility = nullptr;  ///< [stride]; null: 1, or of no use
+  const std::uint32_t* object_id = nullptr;
+  const std::uint64_t* gaussian_id = nullptr;
+};
+
+/// One channel of integers; with Rotation and Normal its two neighbours and its one neighbour as well.
+struct ChannelPlan {
+  coding::Step step{};
+  float unit = 0;  ///< the quantizer's step
+  coding::Kind kind{};
+  std::int16_t source = 0;   ///< first parameter channel
+  std::int16_t first = 0;    ///< among the stream's channels
+  std::int16_t storage = 0;  ///< row of `wide` or `narrow`
+  bool is_wide = false;
+};
+
+constexpr int kMaxPlans = 64;
+struct Plans {
+  ChannelPlan plan[kMaxPlans];
+  std::uint32_t count = 0;
+};
+
+/// The rotation that viewers hold of a column, in quantizer steps.
+struct HeldRotation {
+  std::int16_t x, y, z;
+  std::int16_t held;  ///< 0: none is
+};
+
+/// Of one value: the stream's channel << kChannelShift | column.
+struct ValueChange {
+  std::uint32_t where;
+  std::int32_t value;
+};
+constexpr int kChannelShift = 24;
+
+struct ObservedCounts {
+  std::uint32_t values;                   ///< that changed; those beyond the list's capacity are missing in it
+  std::uint32_t usable, object_ids, ids;  ///< not 0: some have changed
+};
+
+/// What is kept between observations, `count` columns.
+struct Integers {
+  std::int32_t* wide = nullptr;    ///< [..][count]
+  std::int16_t* narrow = nullptr;  ///< [..][count]
+  std::uint8_t* usable = nullptr;
+  std::uint32_t* object_id = nullptr;
+  std::uint64_t* gaussian_id = nullptr;
+};
+
+/// Without capacity nothing is counted either.
+struct ChangeList {
+  ValueChange* changes = nullptr;
+  std::uint32_t capacity = 0;
+  ObservedCounts* counts = nullptr;
+};
+
+/// Takes the ids over.
+void take_ids(const ModelChannels& model, const Integers& integers, ObservedCounts* counts, device::StreamView stream);
+
+/// Takes the object ids over, marks the usable columns, quantizes, and lists the values that have changed. `held` may
+/// be null.
+void quantize(const ModelChannels& model, const Plans& plans, const HeldRotation* held, const Integers& integers,
+              const ChangeList& list, device::StreamView stream);
+
+/// Sorts the logs of the extents into `extents` ([count]), and returns how many are finite: those are the first. Waits.
+[[nodiscard]] std::uint32_t sort_extents(const ModelChannels& model, float* extents, device::StreamView stream);
+
+/// An attribute on its way back to floats, and the first of its rows among those that are shown.
+struct DisplayPlan {
+  float offset = 0, step = 1;
+  coding::Kind kind{};
+  int channels = 0, row = 0;
+};
+
+/// Writes `values` ([plan.channels][count]) of `columns` ([count]) into `rows` ([..][stride]).
+void dequantize(const DisplayPlan& plan, const std::int32_t* values, const std::uint32_t* columns, std::uint32_t count,
+                float* rows, std::size_t stride, device::StreamView stream);
+
+/// to[i] = from[order[i]] for i below `count`; `to` lies elsewhere.
+void gather(const float* from, const std::uint32_t* order, std::uint32_t count, float* to, device::StreamView stream);
+void gather(const std::uint32_t* from, const std::uint32_t* order, std::uint32_t count, std::uint32_t* to,
+            device::StreamView stream);
+
+/// to[columns[i]] = values[i] for i below `count`.
+void scatter(const std::uint32_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint32_t* to,
+             device::StreamView stream);
+
+}  // namespace splatbus::stream::kernels

@@ -1,0 +1,146 @@
+#include "stream/replicated_state.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <numeric>
+
+#include "stream/bytes.h"
+#include "stream/codecs.h"
+#include "wire/convert.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+void require_range(std::string_view what, std::size_t first, std::size_t count, std::size_t held) {
+  if (first > held || count > held - first) {
+    throw StreamError(fmt::format("{}: slots {} to {} of {} held", what, first, first + count, held));
+  }
+}
+
+std::vector<std::uint32_t> slot_range(std::size_t first, std::size_t count) {
+  std::vector<std::uint32_t> slots(count);
+  std::iota(slots.begin(), slots.end(), static_cast<std::uint32_t>(first));
+  return slots;
+}
+
+Change append(ReplicatedState& state, const wire::Snapshot& body, std::span<const std::uint8_t> payload,
+              std::size_t max_gaussians) {
+  const std::size_t held = state.gaussians.count();
+  if (body.first_slot() != held) {
+    throw StreamError(fmt::format("Snapshot: appends at slot {} where {} are held", body.first_slot(), held));
+  }
+  if (body.count() > max_gaussians || held > max_gaussians - body.count()) {
+    throw StreamError(
+        fmt::format("Snapshot: {} more Gaussians than {} exceed the limit of {}", body.count(), held, max_gaussians));
+  }
+  state.gaussians.append(decode_chunk(payload, state.layout, body.count()));
+  return {Change::Kind::Appended, {}, slot_range(held, body.count())};
+}
+
+Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std::span<const std::uint8_t> payload) {
+  const AttributeChannels* a = state.layout.find(body.attribute());
+  if (!a) {
+    throw StreamError(
+        fmt::format("TensorDelta: attribute {} is not in this stream", static_cast<int>(body.attribute())));
+  }
+  if (body.channels() != static_cast<std::uint32_t>(a->channels)) {
+    throw StreamError(fmt::format("TensorDelta: {} channels of {} where it has {}", body.channels(),
+                                  wire::EnumNameAttribute(a->attribute), a->channels));
+  }
+  Delta delta = decode_delta(payload, body.raw_bytes(), body.count(), body.channels(), state.gaussians.count());
+  for (int c = 0; c < a->channels; ++c) {
+    const auto& plane = state.gaussians.channels[a->first + c];
+    for (std::size_t i = 0; i < delta.slots.size(); ++i) {
+      const std::int64_t sum = std::int64_t{plane[delta.slots[i]]} + delta.residuals[c][i];
+      if (sum < a->minimum || sum > a->maximum) {
+        throw StreamError(fmt::format("TensorDelta: {} of slot {} would be {}", wire::EnumNameAttribute(a->attribute),
+                                      delta.slots[i], sum));
+      }
+      delta.residuals[c][i] = static_cast<std::int32_t>(sum);
+    }
+  }
+  for (int c = 0; c < a->channels; ++c) {
+    auto& plane = state.gaussians.channels[a->first + c];
+    for (std::size_t i = 0; i < delta.slots.size(); ++i) plane[delta.slots[i]] = delta.residuals[c][i];
+  }
+  return {Change::Kind::Values, a->attribute, std::move(delta.slots)};
+}
+
+Change add_visibility(ReplicatedState& state, const wire::LightVisibility& body,
+                      std::span<const std::uint8_t> payload) {
+  const AttributeChannels* a = state.layout.find(Attribute::Visibility);
+  if (!a) throw StreamError("LightVisibility: this stream has no visibility");
+  require_range("LightVisibility", body.first_slot(), body.count(), state.gaussians.count());
+  const Bytes residuals = decode_bytes(payload, body.raw_bytes(), body.count(), "LightVisibility");
+  auto& plane = state.gaussians.channels[a->first];
+  Change change{Change::Kind::Values, Attribute::Visibility, {}};
+  for (std::size_t i = 0; i < residuals.size(); ++i) {
+    if (residuals[i] == 0) continue;
+    std::int32_t& value = plane[body.first_slot() + i];
+    value = (value + residuals[i]) & 0xFF;
+    change.slots.push_back(static_cast<std::uint32_t>(body.first_slot() + i));
+  }
+  return change;
+}
+
+// libs/wire refuses with std::runtime_error what makes no sense.
+template <class Convert>
+auto converted(std::string_view what, Convert&& convert) {
+  try {
+    return convert();
+  } catch (const std::runtime_error& error) {
+    throw StreamError(fmt::format("{}: {}", what, error.what()));
+  }
+}
+
+}  // namespace
+
+Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max_gaussians) {
+  const auto payload = packet.payload();
+  const wire::Packet& root = packet.root();
+  switch (packet.body()) {
+    case wire::Body::Snapshot:
+      return append(state, *root.body_as_Snapshot(), payload, max_gaussians);
+    case wire::Body::TensorDelta:
+      return add_residuals(state, *root.body_as_TensorDelta(), payload);
+    case wire::Body::LightVisibility:
+      return add_visibility(state, *root.body_as_LightVisibility(), payload);
+    case wire::Body::Remove: {
+      const wire::Remove& body = *root.body_as_Remove();
+      auto slots = decode_slots(payload, body.raw_bytes(), body.count(), state.gaussians.count());
+      state.gaussians.remove(slots);
+      return {Change::Kind::Removed, {}, std::move(slots)};
+    }
+    case wire::Body::GaussianOrder: {
+      const wire::GaussianOrder& body = *root.body_as_GaussianOrder();
+      require_range("GaussianOrder", body.first_slot(), body.count(), state.gaussians.count());
+      const auto ids = decode_ids(payload, body.raw_bytes(), body.count());
+      std::ranges::copy(ids, state.gaussians.gaussian_id.begin() + body.first_slot());
+      return {};
+    }
+    case wire::Body::ObjectIds: {
+      const wire::ObjectIds& body = *root.body_as_ObjectIds();
+      require_range("ObjectIds", body.first_slot(), body.count(), state.gaussians.count());
+      const auto ids = decode_runs(payload, body.raw_bytes(), body.count());
+      std::ranges::copy(ids, state.gaussians.object_id.begin() + body.first_slot());
+      return {Change::Kind::Objects, {}, slot_range(body.first_slot(), body.count())};
+    }
+    case wire::Body::ObjectTransforms: {
+      const auto* objects = root.body_as_ObjectTransforms()->objects();
+      if (objects && objects->size() > kMaxObjects) {
+        throw StreamError(fmt::format("ObjectTransforms: {} objects, at most {}", objects->size(), kMaxObjects));
+      }
+      state.scene.objects = converted("ObjectTransforms", [&] { return from_wire(objects); });
+      return {Change::Kind::Scene, {}, {}};
+    }
+    case wire::Body::LightState:
+      state.scene.light = converted("LightState", [&] { return from_wire(*root.body_as_LightState()->light()); });
+      return {Change::Kind::Scene, {}, {}};
+    default:
+      throw StreamError(fmt::format("{}: not a packet that changes what is held", wire::EnumNameBody(packet.body())));
+  }
+}
+
+}  // namespace splatbus::stream

@@ -1,0 +1,35 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "gaussians/light.h"
+#include "stream/packets.h"
+#include "stream/quantized.h"
+
+namespace splatbus::stream {
+
+/// What every viewer holds after broadcast packet `sequence` of `epoch`. The streamer keeps the same: both change it
+/// only by apply(), so that they agree bit for bit.
+struct ReplicatedState {
+  StreamLayout layout;
+  QuantizedGaussians gaussians;
+  SceneState scene;
+  std::uint64_t epoch = 0;
+  std::uint64_t sequence = 0;
+};
+
+/// What apply() changed.
+struct Change {
+  enum class Kind : std::uint8_t { Nothing, Appended, Values, Removed, Objects, Scene };
+  Kind kind = Kind::Nothing;
+  Attribute attribute{};             ///< Values
+  std::vector<std::uint32_t> slots;  ///< Values, Removed: ascending
+};
+
+/// Applies Snapshot (appending), TensorDelta, Remove, GaussianOrder, ObjectIds, ObjectTransforms, LightState or
+/// LightVisibility. Throws StreamError, with the state as it was, when anything in the packet cannot be. Does not look
+/// at epoch and does not change `sequence`. `max_gaussians` bounds what is held.
+Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max_gaussians = kMaxGaussians);
+
+}  // namespace splatbus::stream

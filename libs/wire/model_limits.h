@@ -1,0 +1,11 @@
+#pragma once
+
+#include <cstddef>
+
+namespace splatbus {
+
+/// How many Gaussians a model holds unless somebody says otherwise, and how many any may hold.
+inline constexpr std::size_t kDefaultMaxGaussians = 2'000'000;
+inline constexpr std::size_t kGaussianLimit = std::size_t{1} << 24;
+
+}  // namespace splatbus
