@@ -53,7 +53,7 @@ void ProbeRounds::poll(std::chrono::milliseconds timeout,
       if (pictures_.contains(index)) return;
       ProbePicture picture{.probe_id = probe.probe_id(),
                            .camera = from_wire(*probe.camera()),
-                           .scene = {.light = from_wire(*probe.light()), .objects = from_wire(probe.objects())},
+                           .scene = from_wire(*probe.scene()),
                            .picture = {}};
       const auto color =
           message->tensor("color", bus::ElementType::U8, {picture.camera.height, picture.camera.width, 4});

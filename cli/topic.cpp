@@ -1,10 +1,14 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <CLI/CLI.hpp>
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
+#include <functional>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "schema_json.h"
@@ -18,7 +22,6 @@ namespace {
 
 using Json = nlohmann::json;
 constexpr std::chrono::milliseconds kPatience(50);
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 struct TopicOptions {
   std::string bus;
@@ -44,31 +47,45 @@ void print(const std::string& text) {
   std::fflush(stdout);
 }
 
-int list(const TopicOptions& options) {
+/// Follows sys/topics for as long as the options say: `each(before, after)` for each one and the one before it. Returns
+/// the first and the last. No message of another topic comes here.
+std::pair<TopicSnapshot, TopicSnapshot> follow_topics(
+    const TopicOptions& options, const std::function<void(const TopicSnapshot&, const TopicSnapshot&)>& each) {
   const StopSignals signals;
-  bus::Subscriber subscriber(connect(bus_address(options.bus)), {"*"});
-  TopicTable table;
-  const std::int64_t start_ns = bus::now_ns();
+  bus::Subscriber subscriber(connect(bus_address(options.bus)));
+  std::optional<TopicSnapshot> first;
+  TopicSnapshot last;
+  subscriber.on(topics::kTopics, [&](const wire::Topics& topics, const bus::Message&) {
+    TopicSnapshot next = read_topics(topics);
+    if (first) each(last, next);
+    if (!first) first = next;
+    last = std::move(next);
+  });
   for (const Deadline deadline(options.seconds); !deadline.passed() && !signals.stop().stop_requested();) {
-    if (const auto message = subscriber.receive(kPatience)) table[message->topic()].add(*message);
+    subscriber.dispatch_all(kPatience);
   }
-  const std::int64_t window_ns = bus::now_ns() - start_ns;
+  return {first.value_or(TopicSnapshot()), std::move(last)};
+}
+
+int list(const TopicOptions& options) {
+  const auto [first, last] = follow_topics(options, [](const TopicSnapshot&, const TopicSnapshot&) {});
   if (!options.json) print(fmt::format("{:<24} {:>8} {:>8}  {:<22} {}", "TOPIC", "MESSAGES", "HZ", "SCHEMA", "SOURCE"));
-  for (const auto& [topic, seen] : table) {
+  for (const auto& [topic, seen] : last.topics) {
+    const double rate_hz = traffic_between(first, last, topic).rate_hz;
     if (options.json) {
       print(json_text({{"topic", topic},
                        {"messages", seen.messages},
-                       {"rate_hz", seen.rate_hz(window_ns)},
+                       {"rate_hz", rate_hz},
                        {"schemas", seen.schemas},
                        {"sources", seen.sources},
                        {"latched", seen.latched}}));
     } else {
-      print(fmt::format("{:<24} {:>8} {:>8.2f}  {:<22} {}{}", topic, seen.messages, seen.rate_hz(window_ns),
+      print(fmt::format("{:<24} {:>8} {:>8.2f}  {:<22} {}{}", topic, seen.messages, rate_hz,
                         fmt::join(seen.schemas, ","), fmt::join(seen.sources, ","), seen.latched ? " (latched)" : ""));
     }
   }
-  if (table.empty()) fmt::print(stderr, "splatbus topic list: nothing arrived within {} s\n", options.seconds);
-  return table.empty() ? 1 : 0;
+  if (last.topics.empty()) fmt::print(stderr, "splatbus topic list: nothing arrived within {} s\n", options.seconds);
+  return last.topics.empty() ? 1 : 0;
 }
 
 int echo(const TopicOptions& options) {
@@ -92,32 +109,29 @@ int echo(const TopicOptions& options) {
   return options.count > 0 ? 1 : 0;
 }
 
-/// Once a second: rate and bandwidth of every topic that was heard in that second.
+bool is_asked_for(const TopicOptions& options, const std::string& topic) {
+  return std::any_of(options.topics.begin(), options.topics.end(), [&](const std::string& asked) {
+    return asked.ends_with('*') ? topic.starts_with(asked.substr(0, asked.size() - 1)) : topic == asked;
+  });
+}
+
+/// Once a second: rate or bandwidth of every topic that was heard in that second.
 int meter(const TopicOptions& options, bool bandwidth) {
-  const StopSignals signals;
-  bus::Subscriber subscriber(connect(bus_address(options.bus)), options.topics);
   bool heard = false;
-  TopicTable table;
-  std::int64_t window_start = bus::now_ns();
-  for (const Deadline deadline(options.seconds); !deadline.passed() && !signals.stop().stop_requested();) {
-    if (const auto message = subscriber.receive(kPatience)) table[message->topic()].add(*message);
-    const std::int64_t window_ns = bus::now_ns() - window_start;
-    if (window_ns < kSecond) continue;
-    for (const auto& [topic, seen] : table) {
-      const double rate_hz = seen.rate_hz(window_ns);
-      const double megabits = seen.megabits_per_s(window_ns);
+  follow_topics(options, [&](const TopicSnapshot& before, const TopicSnapshot& after) {
+    for (const auto& [topic, seen] : after.topics) {
+      const TopicTraffic traffic = traffic_between(before, after, topic);
+      if (traffic.messages == 0 || !is_asked_for(options, topic)) continue;
       if (options.json) {
-        print(json_text({{"topic", topic}, {"rate_hz", rate_hz}, {"mbps", megabits}}));
+        print(json_text({{"topic", topic}, {"rate_hz", traffic.rate_hz}, {"mbps", traffic.megabits_per_s}}));
       } else if (bandwidth) {
-        print(fmt::format("{:<24} {:>10.3f} Mbit/s", topic, megabits));
+        print(fmt::format("{:<24} {:>10.3f} Mbit/s", topic, traffic.megabits_per_s));
       } else {
-        print(fmt::format("{:<24} {:>10.2f} Hz", topic, rate_hz));
+        print(fmt::format("{:<24} {:>10.2f} Hz", topic, traffic.rate_hz));
       }
       heard = true;
     }
-    table.clear();
-    window_start += window_ns;
-  }
+  });
   return heard ? 0 : 1;
 }
 
@@ -140,8 +154,8 @@ void add_topic_verb(CLI::App& app, Action& action) {
 
   auto list_options = std::make_shared<TopicOptions>();
   list_options->seconds = 2;
-  CLI::App* list_verb = add_verb(*topic, "list", "Topics seen, with schema, source and rate", list_options,
-                                 "how long to listen (default 2)");
+  CLI::App* list_verb = add_verb(*topic, "list", "Topics since the broker started, with schema, source and rate",
+                                 list_options, "how long to listen (default 2)");
   list_verb->callback([list_options, &action] { action = [list_options] { return list(*list_options); }; });
 
   auto echo_options = std::make_shared<TopicOptions>();

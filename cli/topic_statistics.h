@@ -5,27 +5,35 @@
 #include <set>
 #include <string>
 
-#include "bus/subscriber.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::cli {
 
-/// What was seen of one topic.
-struct TopicStatistics {
+/// What the broker has said of one topic.
+struct TopicSeen {
   std::set<std::string> schemas, sources;
-  std::uint64_t messages = 0;
-  std::uint64_t resent = 0;  ///< of those, last values that the broker held
-  std::uint64_t bytes = 0;   ///< messages and the tensors that they announce, wherever those lie
   bool latched = false;
-
-  void add(const bus::Message& message);
-  /// New messages a second, over `window_ns` of listening.
-  [[nodiscard]] double rate_hz(std::int64_t window_ns) const;
-  [[nodiscard]] double megabits_per_s(std::int64_t window_ns) const;
+  std::uint64_t messages = 0;  ///< since the broker started
+  std::uint64_t bytes = 0;     ///< messages and the tensors that they announce, wherever those lie
 };
 
-using TopicTable = std::map<std::string, TopicStatistics>;
+/// One sys/topics.
+struct TopicSnapshot {
+  std::int64_t published_ns = 0;
+  std::map<std::string, TopicSeen> topics;
+};
 
-/// Bytes of a message and of its tensors.
-[[nodiscard]] std::uint64_t message_bytes(const bus::Message& message);
+[[nodiscard]] TopicSnapshot read_topics(const wire::Topics& topics);
+
+/// What came of a topic between two snapshots.
+struct TopicTraffic {
+  std::uint64_t messages = 0;
+  double rate_hz = 0;
+  double megabits_per_s = 0;
+};
+
+/// All zero when no time lies between them, and when the broker has started again.
+[[nodiscard]] TopicTraffic traffic_between(const TopicSnapshot& before, const TopicSnapshot& after,
+                                           const std::string& topic);
 
 }  // namespace splatbus::cli

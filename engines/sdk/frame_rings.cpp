@@ -6,8 +6,8 @@
 #include <bit>
 #include <span>
 
-#include "bus/alignment.h"
 #include "bus/memory.h"
+#include "bus/tensor.h"
 #include "sdk/validate.h"
 
 namespace splatbus::engine_sdk {

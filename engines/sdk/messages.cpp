@@ -102,8 +102,8 @@ flatbuffers::Offset<wire::EngineFrame> build_frame(flatbuffers::FlatBufferBuilde
   }
   const auto objects_offset = builder.CreateVectorOfStructs(objects);
   const wire::Camera camera = to_wire(frame.camera);
-  return wire::CreateEngineFrame(builder, header, frame.frame, frame.time_s, frame.request_id, &camera, objects_offset,
-                                 light_offset);
+  const auto scene = wire::CreateSceneState(builder, frame.frame, frame.time_s, objects_offset, light_offset);
+  return wire::CreateEngineFrame(builder, header, frame.request_id, &camera, scene);
 }
 
 }  // namespace splatbus::engine_sdk

@@ -1,10 +1,16 @@
 #pragma once
 
+#include <time.h>
+
 #include <cstdint>
 
 namespace splatbus::bus {
 
 /// CLOCK_MONOTONIC, nanoseconds.
-[[nodiscard]] std::int64_t now_ns();
+[[nodiscard]] inline std::int64_t now_ns() {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
+}
 
 }  // namespace splatbus::bus

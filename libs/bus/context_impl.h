@@ -9,8 +9,10 @@
 #include <zmq.hpp>
 
 #include "bus/context.h"
+#include "bus/frames.h"
 #include "bus/outbox.h"
 #include "bus/slab_client.h"
+#include "bus/subscriber.h"
 
 namespace splatbus::bus {
 
@@ -32,6 +34,10 @@ struct Context::Impl {
   std::mutex mutex;
   std::unordered_map<std::uint64_t, CachedSlab> cache;                   // opened, read-only
   std::unordered_map<std::uint64_t, std::weak_ptr<Slab>> private_slabs;  // over tcp
+};
+
+struct Message::Content {
+  Frames frames;
 };
 
 }  // namespace splatbus::bus

@@ -37,9 +37,9 @@ Frames Frames::share() const {
   return {share_frame(topic), share_frame(body), share_frame(payload), has_payload};
 }
 
-Receipt receive_frames(zmq::socket_ref socket, Frames& frames, std::string& why) {
+RecvResult receive_frames(zmq::socket_ref socket, Frames& frames, std::string& why) {
   frames = Frames();
-  if (!socket.recv(frames.topic, zmq::recv_flags::dontwait)) return Receipt::Nothing;
+  if (!socket.recv(frames.topic, zmq::recv_flags::dontwait)) return RecvResult::Nothing;
   // The parts of a message arrive together or not at all, so the others are there.
   std::size_t count = 1;
   bool more = frames.topic.more();
@@ -53,15 +53,15 @@ Receipt receive_frames(zmq::socket_ref socket, Frames& frames, std::string& why)
   }
   if (count < 2 || count > 3) {
     why = fmt::format("{} frames instead of 2 or 3", count);
-    return Receipt::Malformed;
+    return RecvResult::Malformed;
   }
   if (frames.topic.empty() || frames.topic.size() > max_topic_bytes || frames.body.size() > max_body_bytes) {
     why = fmt::format("a topic of {} bytes and a body of {}", frames.topic.size(), frames.body.size());
-    return Receipt::Malformed;
+    return RecvResult::Malformed;
   }
   align(frames.body);
   align(frames.payload);
-  return Receipt::Complete;
+  return RecvResult::Complete;
 }
 
 void send_frames(zmq::socket_ref socket, Frames frames) {
@@ -97,6 +97,32 @@ std::string printable(std::string_view text, std::size_t limit) {
   }
   if (text.size() > limit) result += "...";
   return result;
+}
+
+namespace {
+
+// Bulk data rides in slabs on this machine, so that many small messages may wait; over tcp they carry it.
+constexpr int local_high_water_mark = 4096;
+constexpr int remote_high_water_mark = 256;
+constexpr int linger_ms = 500;
+constexpr int reconnect_ms = 50;
+constexpr int reconnect_max_ms = 500;
+constexpr int heartbeat_ms = 1000;
+constexpr int heartbeat_timeout_ms = 5000;
+
+}  // namespace
+
+void configure_socket(zmq::socket_t& socket, bool local) {
+  const int high_water_mark = local ? local_high_water_mark : remote_high_water_mark;
+  socket.set(zmq::sockopt::sndhwm, high_water_mark);
+  socket.set(zmq::sockopt::rcvhwm, high_water_mark);
+  socket.set(zmq::sockopt::linger, linger_ms);
+  socket.set(zmq::sockopt::maxmsgsize, max_frame_bytes);
+  socket.set(zmq::sockopt::reconnect_ivl, reconnect_ms);
+  socket.set(zmq::sockopt::reconnect_ivl_max, reconnect_max_ms);
+  if (local) return;
+  socket.set(zmq::sockopt::heartbeat_ivl, heartbeat_ms);
+  socket.set(zmq::sockopt::heartbeat_timeout, heartbeat_timeout_ms);
 }
 
 }  // namespace splatbus::bus

@@ -26,11 +26,11 @@ struct Frames {
   [[nodiscard]] std::string_view topic_text() const { return topic.to_string_view(); }
 };
 
-enum class Receipt { Nothing, Complete, Malformed };
+enum class RecvResult { Nothing, Complete, Malformed };
 
 /// Takes the next message, if there is one, without waiting. Body and payload of a complete one are aligned to 8 bytes.
 /// Malformed: fewer than two or more than three frames, or one too large; `why` says so, and the message is gone.
-Receipt receive_frames(zmq::socket_ref socket, Frames& frames, std::string& why);
+RecvResult receive_frames(zmq::socket_ref socket, Frames& frames, std::string& why);
 
 /// Never waits: a message that the socket has no room for is dropped by ZeroMQ.
 void send_frames(zmq::socket_ref socket, Frames frames);
@@ -41,5 +41,9 @@ const wire::Header* verified_header(const zmq::message_t& body, std::string& why
 
 /// A text from a peer, shortened and with control characters replaced, fit for a log line.
 std::string printable(std::string_view text, std::size_t limit = 64);
+
+/// What every socket of the bus is set to: high-water marks, how long the last messages linger, the size limit of a frame,
+/// reconnection, and heartbeats on connections that leave the machine.
+void configure_socket(zmq::socket_t& socket, bool local);
 
 }  // namespace splatbus::bus

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "bus/clock.h"
+#include "bus/service.h"
 
 namespace splatbus::bus {
 namespace {
@@ -87,6 +88,20 @@ void HeartbeatThread::beat(wire::ServiceState state) {
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
                                        detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend));
   });
+}
+
+ServiceContext::ServiceContext(std::shared_ptr<Context> context, Parameters& service_parameters,
+                               std::stop_token stop_token, Device service_backend)
+    : bus(std::move(context)), parameters(service_parameters), stop(std::move(stop_token)), backend(service_backend) {}
+
+void ServiceContext::counter(const std::string& name, double value) {
+  const std::scoped_lock lock(mutex_);
+  counters_[name] = value;
+}
+
+void ServiceContext::detail(const std::string& text) {
+  const std::scoped_lock lock(mutex_);
+  detail_ = text;
 }
 
 }  // namespace splatbus::bus

@@ -1,7 +1,9 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 
+#include "bus/clock.h"
 #include "bus/context.h"
 
 namespace splatbus::bus {
@@ -12,5 +14,19 @@ void install_logger(const std::shared_ptr<Context>& context, const std::string& 
 
 /// Takes sys/log away again, so that the context can go.
 void uninstall_logger();
+
+/// Keeps a flood of bad input from becoming a flood of log lines: one a second.
+class LogLimiter {
+ public:
+  [[nodiscard]] bool allow() {
+    const std::int64_t now = now_ns();
+    if (last_ns_ != 0 && now - last_ns_ < 1'000'000'000) return false;
+    last_ns_ = now;
+    return true;
+  }
+
+ private:
+  std::int64_t last_ns_ = 0;
+};
 
 }  // namespace splatbus::bus

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "bus/message_content.h"
+#include "bus/context_impl.h"
 #include "bus/subscriber.h"
 
 namespace splatbus::bus {

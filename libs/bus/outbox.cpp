@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "bus/error.h"
-#include "bus/sockets.h"
+#include "bus/frames.h"
 
 namespace splatbus::bus {
 namespace {
@@ -17,7 +17,7 @@ constexpr std::size_t max_latched_bytes = std::size_t{256} << 20;
 constexpr std::size_t max_pending_messages = 512;
 constexpr std::size_t max_pending_bytes = std::size_t{32} << 20;
 constexpr int poll_ms = 100;  // a net below the edge-triggered ZMQ_FD
-constexpr std::chrono::milliseconds farewell{500};
+constexpr std::chrono::milliseconds linger{500};
 
 }  // namespace
 
@@ -37,7 +37,7 @@ Outbox::~Outbox() {
   {
     // A program that publishes one message and ends: give the broker that long to take it.
     std::unique_lock lock(mutex_);
-    if (waiting_) connected_changed_.wait_for(lock, farewell, [this] { return connected_; });
+    if (waiting_) connected_changed_.wait_for(lock, linger, [this] { return connected_; });
   }
   thread_.request_stop();
   ::eventfd_write(wake_.get(), 1);

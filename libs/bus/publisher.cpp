@@ -5,10 +5,10 @@
 #include <cstring>
 #include <utility>
 
-#include "bus/alignment.h"
 #include "bus/context_impl.h"
 #include "bus/error.h"
 #include "bus/frames.h"
+#include "bus/tensor.h"
 
 namespace splatbus::bus {
 

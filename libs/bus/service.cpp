@@ -1,7 +1,10 @@
 #include "bus/service.h"
 
 #include <fmt/format.h>
+#include <pthread.h>
+#include <signal.h>
 #include <spdlog/spdlog.h>
+#include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <cmath>
@@ -12,7 +15,6 @@
 #include "bus/error.h"
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
-#include "bus/signals.h"
 
 namespace splatbus::bus {
 namespace {
@@ -114,6 +116,22 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
     fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
     return 1;
   }
+}
+
+StopSignals::StopSignals(std::stop_source& source) {
+  sigset_t signals;
+  ::sigemptyset(&signals);
+  ::sigaddset(&signals, SIGINT);
+  ::sigaddset(&signals, SIGTERM);
+  ::pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  thread_ = std::jthread([signals, &source](const std::stop_token& end) {
+    const timespec wait{0, 100'000'000};  // how soon `end` is seen; a signal is seen at once
+    while (!end.stop_requested()) {
+      if (::sigtimedwait(&signals, nullptr, &wait) < 0) continue;
+      if (source.stop_requested()) ::_exit(130);
+      source.request_stop();
+    }
+  });
 }
 
 }  // namespace splatbus::bus

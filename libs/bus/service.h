@@ -6,6 +6,7 @@
 #include <mutex>
 #include <stop_token>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "bus/backend.h"
@@ -49,5 +50,15 @@ struct ServiceDescription {
 /// asked for, 1 with a logged reason when `run` throws.
 int service_main(int argc, char** argv, const ServiceDescription& description,
                  const std::function<void(ServiceContext&)>& run);
+
+/// Turns SIGINT and SIGTERM into a stop request; a second one ends the process at once with status 130. Make it before
+/// any other thread: it blocks the signals in the calling thread, and threads inherit that.
+class StopSignals {
+ public:
+  explicit StopSignals(std::stop_source& source);
+
+ private:
+  std::jthread thread_;
+};
 
 }  // namespace splatbus::bus

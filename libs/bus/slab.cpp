@@ -10,10 +10,25 @@
 #include <utility>
 
 #include "bus/error.h"
-#include "bus/fence.h"
-#include "bus/memfd.h"
+#include "bus/file_descriptor.h"
 
 namespace splatbus::bus {
+
+#if defined(__SANITIZE_THREAD__)
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wtsan"  // ThreadSanitizer does not model fences; what they order crosses processes
+#endif
+
+inline void acquire_fence() {
+  std::atomic_thread_fence(std::memory_order_acquire);
+}
+inline void release_fence() {
+  std::atomic_thread_fence(std::memory_order_release);
+}
+
+#if defined(__SANITIZE_THREAD__)
+#pragma GCC diagnostic pop
+#endif
 namespace {
 
 constexpr std::uint64_t control_magic = 0x3142534c53554253;  // "SBUSLSB1"

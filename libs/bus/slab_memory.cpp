@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "bus/error.h"
-#include "bus/memfd.h"
+#include "bus/file_descriptor.h"
 #ifdef SPLATBUS_HAVE_CUDA
 #include "bus/gpu/cuda_slab.h"
 #endif

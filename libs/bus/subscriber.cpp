@@ -11,9 +11,8 @@
 
 #include "bus/clock.h"
 #include "bus/context_impl.h"
-#include "bus/log_limiter.h"
-#include "bus/message_content.h"
-#include "bus/sockets.h"
+#include "bus/frames.h"
+#include "bus/log_sink.h"
 
 namespace splatbus::bus {
 namespace {
@@ -103,10 +102,10 @@ struct Subscriber::Impl {
     while (!connected) {
       auto content = std::make_shared<Message::Content>();
       std::string why;
-      const Receipt receipt = receive_frames(socket, content->frames, why);
-      if (receipt == Receipt::Nothing) {
+      const RecvResult result = receive_frames(socket, content->frames, why);
+      if (result == RecvResult::Nothing) {
         if (!wait_readable(deadline)) break;
-      } else if (receipt == Receipt::Malformed) {
+      } else if (result == RecvResult::Malformed) {
         refuse(content->frames, why);
       } else {
         connected = content->frames.topic_text() == broker_topic;
@@ -134,9 +133,9 @@ struct Subscriber::Impl {
       }
       auto content = std::make_shared<Message::Content>();
       std::string why;
-      const Receipt receipt = receive_frames(socket, content->frames, why);
-      if (receipt == Receipt::Complete) return content;
-      if (receipt == Receipt::Nothing) return nullptr;
+      const RecvResult result = receive_frames(socket, content->frames, why);
+      if (result == RecvResult::Complete) return content;
+      if (result == RecvResult::Nothing) return nullptr;
       refuse(content->frames, why);
     }
   }

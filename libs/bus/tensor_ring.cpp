@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <utility>
 
-#include "bus/alignment.h"
 #include "bus/memory.h"
+#include "bus/tensor.h"
 
 namespace splatbus::bus {
 

@@ -98,6 +98,17 @@ flatbuffers::Offset<flatbuffers::Vector<const wire::ObjectTransform*>> to_wire(f
   return builder.CreateVectorOfStructs(structs);
 }
 
+flatbuffers::Offset<wire::SceneState> to_wire(flatbuffers::FlatBufferBuilder& builder, const SceneState& scene,
+                                              std::uint64_t frame, double time_s) {
+  const auto objects = to_wire(builder, scene.objects);
+  const auto light = to_wire(builder, scene.light);
+  return wire::CreateSceneState(builder, frame, time_s, objects, light);
+}
+
+SceneState from_wire(const wire::SceneState& scene) {
+  return {.light = from_wire(*scene.light()), .objects = from_wire(scene.objects())};
+}
+
 glm::vec3 from_wire(const wire::Vec3& v, const char* field) {
   check_finite(v.x(), field, "x");
   check_finite(v.y(), field, "y");

@@ -24,12 +24,17 @@ inline constexpr std::uint32_t kMaxPictureSide = 16384;
 [[nodiscard]] flatbuffers::Offset<flatbuffers::Vector<const wire::ObjectTransform*>> to_wire(
     flatbuffers::FlatBufferBuilder& builder, const ObjectTransforms& objects);
 
+[[nodiscard]] flatbuffers::Offset<wire::SceneState> to_wire(flatbuffers::FlatBufferBuilder& builder,
+                                                            const SceneState& scene, std::uint64_t frame = 0,
+                                                            double time_s = 0);
+
 /// `field` is how a message about a bad value calls it.
 [[nodiscard]] glm::vec3 from_wire(const wire::Vec3& v, const char* field = "vector");
 [[nodiscard]] Rigid from_wire(const wire::Rigid& rigid, const char* field = "transform");
 [[nodiscard]] Camera from_wire(const wire::Camera& camera);
 /// A field that is absent is zero; the sun's direction may be absent, or zero, where its irradiance is zero.
 [[nodiscard]] Light from_wire(const wire::Light& light);
+[[nodiscard]] SceneState from_wire(const wire::SceneState& scene);
 /// Null is no objects.
 [[nodiscard]] ObjectTransforms from_wire(const flatbuffers::Vector<const wire::ObjectTransform*>* objects);
 

@@ -4,9 +4,9 @@
 #include <string>
 #include <utility>
 
-#include "bus/alignment.h"
 #include "bus/error.h"
 #include "bus/memory.h"
+#include "bus/tensor.h"
 #include "wire/model_generated.h"
 
 namespace splatbus {

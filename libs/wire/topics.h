@@ -15,7 +15,6 @@ struct GridState;
 struct Heartbeat;
 struct Liveness;
 struct Log;
-struct ModelCells;
 struct ModelInsert;
 struct ModelPublished;
 struct RelightVisibility;
@@ -23,7 +22,7 @@ struct SceneLight;
 struct SceneLightDepth;
 struct SceneObjects;
 struct StreamStats;
-struct TrainerCells;
+struct Topics;
 struct TrainerStats;
 struct ViewerPose;
 struct ViewerProbe;
@@ -34,17 +33,17 @@ struct ViewerQuality;
 template <class Table>
 inline constexpr std::string_view kSchema{};
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureInput> = "CaptureInput/1";
+inline constexpr std::string_view kSchema<wire::CaptureInput> = "CaptureInput/2";
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureProbe> = "CaptureProbe/1";
+inline constexpr std::string_view kSchema<wire::CaptureProbe> = "CaptureProbe/2";
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureReference> = "CaptureReference/1";
+inline constexpr std::string_view kSchema<wire::CaptureReference> = "CaptureReference/2";
 template <>
 inline constexpr std::string_view kSchema<wire::Control> = "Control/1";
 template <>
 inline constexpr std::string_view kSchema<wire::EngineCameras> = "EngineCameras/1";
 template <>
-inline constexpr std::string_view kSchema<wire::EngineFrame> = "EngineFrame/1";
+inline constexpr std::string_view kSchema<wire::EngineFrame> = "EngineFrame/2";
 template <>
 inline constexpr std::string_view kSchema<wire::GridState> = "GridState/1";
 template <>
@@ -54,8 +53,6 @@ inline constexpr std::string_view kSchema<wire::Liveness> = "Liveness/1";
 template <>
 inline constexpr std::string_view kSchema<wire::Log> = "Log/1";
 template <>
-inline constexpr std::string_view kSchema<wire::ModelCells> = "ModelCells/1";
-template <>
 inline constexpr std::string_view kSchema<wire::ModelInsert> = "ModelInsert/1";
 template <>
 inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/1";
@@ -64,13 +61,13 @@ inline constexpr std::string_view kSchema<wire::RelightVisibility> = "RelightVis
 template <>
 inline constexpr std::string_view kSchema<wire::SceneLight> = "SceneLight/1";
 template <>
-inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDepth/1";
+inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDepth/2";
 template <>
 inline constexpr std::string_view kSchema<wire::SceneObjects> = "SceneObjects/1";
 template <>
 inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/1";
 template <>
-inline constexpr std::string_view kSchema<wire::TrainerCells> = "TrainerCells/1";
+inline constexpr std::string_view kSchema<wire::Topics> = "Topics/1";
 template <>
 inline constexpr std::string_view kSchema<wire::TrainerStats> = "TrainerStats/1";
 template <>
@@ -100,10 +97,7 @@ inline constexpr Topic<wire::SceneObjects> kSceneObjects{"scene/objects", kLatch
 inline constexpr Topic<wire::SceneLight> kSceneLight{"scene/light", kLatched};
 inline constexpr Topic<wire::SceneLightDepth> kSceneLightDepth{"scene/light_depth", kLatched};
 inline constexpr Topic<wire::ModelInsert> kModelInsert{"model/insert"};
-inline constexpr Topic<wire::ModelCells> kModelFreeze{"model/freeze"};
-inline constexpr Topic<wire::ModelCells> kModelUnfreeze{"model/unfreeze"};
 inline constexpr Topic<wire::ModelPublished> kModelPublished{"model/published", kLatched};
-inline constexpr Topic<wire::TrainerCells> kTrainerCells{"trainer/cells"};
 inline constexpr Topic<wire::TrainerStats> kTrainerStats{"trainer/stats"};
 inline constexpr Topic<wire::GridState> kGridState{"grid/state", kLatched};
 inline constexpr Topic<wire::RelightVisibility> kRelightVisibility{"relight/visibility", kLatched};
@@ -113,6 +107,7 @@ inline constexpr Topic<wire::ViewerQuality> kViewerQuality{"viewer/quality"};
 inline constexpr Topic<wire::StreamStats> kStreamStats{"stream/stats"};
 inline constexpr Topic<wire::Heartbeat> kHeartbeat{"sys/heartbeat", kLatched};  ///< keyed by source
 inline constexpr Topic<wire::Liveness> kLiveness{"sys/liveness", kLatched};
+inline constexpr Topic<wire::Topics> kTopics{"sys/topics", kLatched};
 inline constexpr Topic<wire::Log> kLog{"sys/log"};
 
 /// `name` is "control/" and a service's kind or source; it outlives the topic.

@@ -6,8 +6,8 @@
 #include <algorithm>
 #include <cstring>
 
-#include "bus/alignment.h"
 #include "bus/error.h"
+#include "bus/tensor.h"
 
 namespace splatbus::bus_service {
 

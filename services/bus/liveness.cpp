@@ -8,6 +8,12 @@ namespace {
 constexpr std::int64_t silent_ns = 2'000'000'000;
 constexpr std::int64_t forgotten_ns = 60'000'000'000;
 constexpr std::size_t max_nodes = 1024;
+constexpr std::size_t max_topics = 1024;
+constexpr std::size_t max_names = 16;  // of sources and of schemas of a topic
+
+void remember(std::set<std::string>& names, const flatbuffers::String& name) {
+  if (names.size() < max_names) names.insert(name.str());
+}
 
 }  // namespace
 
@@ -17,8 +23,8 @@ void Liveness::note(const wire::Heartbeat& heartbeat, std::int64_t now) {
   auto& node = nodes_[source];
   const bool alive =
       heartbeat.state() == wire::ServiceState::Starting || heartbeat.state() == wire::ServiceState::Running;
-  changed_ = changed_ || node.alive != alive || node.state != heartbeat.state() ||
-             node.epoch != heartbeat.header()->epoch() || node.heard_ns == 0;
+  changed_ =
+      changed_ || node.alive != alive || node.state != heartbeat.state() || node.epoch != heartbeat.header()->epoch();
   node = {heartbeat.service()->str(), heartbeat.pid(), heartbeat.header()->epoch(), heartbeat.state(), now, alive};
 }
 
@@ -43,6 +49,22 @@ std::vector<std::string> Liveness::update(std::int64_t now) {
 
 bool Liveness::take_changed() {
   return std::exchange(changed_, false);
+}
+
+void TopicTable::note(std::string_view name, const wire::Header& header, std::size_t body_bytes) {
+  auto found = topics_.find(name);
+  if (found == topics_.end()) {
+    if (topics_.size() >= max_topics) return;
+    found = topics_.emplace(name, Topic()).first;
+  }
+  Topic& topic = found->second;
+  remember(topic.schemas, *header.schema());
+  remember(topic.sources, *header.source());
+  topic.latched = topic.latched || header.latch();
+  ++topic.messages;
+  topic.bytes += body_bytes;
+  if (header.tensors() == nullptr) return;
+  for (const wire::Tensor* tensor : *header.tensors()) topic.bytes += tensor->span()->bytes();
 }
 
 }  // namespace splatbus::bus_service

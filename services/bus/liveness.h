@@ -2,7 +2,9 @@
 
 #include <cstdint>
 #include <map>
+#include <set>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "wire/system_generated.h"
@@ -34,6 +36,25 @@ class Liveness {
  private:
   std::map<std::string, Node> nodes_;
   bool changed_ = false;
+};
+
+/// What has passed of each topic, for sys/topics.
+class TopicTable {
+ public:
+  struct Topic {
+    std::set<std::string> schemas, sources;
+    bool latched = false;
+    std::uint64_t messages = 0;
+    std::uint64_t bytes = 0;  ///< with the tensors that they announce
+  };
+
+  /// A message whose body has `body_bytes`. What goes beyond the bounds that schemas/system.fbs names is left out.
+  void note(std::string_view topic, const wire::Header& header, std::size_t body_bytes);
+
+  [[nodiscard]] const std::map<std::string, Topic, std::less<>>& topics() const { return topics_; }
+
+ private:
+  std::map<std::string, Topic, std::less<>> topics_;
 };
 
 }  // namespace splatbus::bus_service

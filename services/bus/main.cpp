@@ -10,7 +10,7 @@
 
 #include "bus/broker.h"
 #include "bus/error.h"
-#include "bus/signals.h"
+#include "bus/service.h"
 
 namespace {
 

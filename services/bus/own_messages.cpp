@@ -37,7 +37,7 @@ flatbuffers::Offset<wire::Header> OwnMessages::header(flatbuffers::FlatBufferBui
 
 bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::ServiceState state) {
   flatbuffers::FlatBufferBuilder builder;
-  const auto head = header(builder, topics::kHeartbeat.schema, ++heartbeats_);
+  const auto head = header(builder, splatbus::topics::kHeartbeat.schema, ++heartbeats_);
   const std::pair<const char*, std::uint64_t> counters[] = {
       {"relayed", statistics.relayed}, {"malformed", statistics.malformed},
       {"inlined", statistics.inlined}, {"inline_dropped", statistics.inline_dropped},
@@ -49,12 +49,12 @@ bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::Ser
   }
   builder.Finish(wire::CreateHeartbeatDirect(builder, head, own_source, static_cast<std::uint32_t>(::getpid()), state,
                                              nullptr, &offsets, nullptr));
-  return make_frames(topics::kHeartbeat.name, builder);
+  return make_frames(splatbus::topics::kHeartbeat.name, builder);
 }
 
 bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& nodes) {
   flatbuffers::FlatBufferBuilder builder;
-  const auto head = header(builder, topics::kLiveness.schema, ++liveness_messages_);
+  const auto head = header(builder, splatbus::topics::kLiveness.schema, ++liveness_messages_);
   const std::int64_t now = bus::now_ns();
   std::vector<flatbuffers::Offset<wire::Node>> offsets;
   offsets.reserve(nodes.size());
@@ -63,7 +63,25 @@ bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& n
                                              node.state, node.alive, static_cast<double>(now - node.heard_ns) * 1e-9));
   }
   builder.Finish(wire::CreateLivenessDirect(builder, head, &offsets));
-  return make_frames(topics::kLiveness.name, builder);
+  return make_frames(splatbus::topics::kLiveness.name, builder);
+}
+
+bus::Frames OwnMessages::topics(const TopicTable& table) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto head = header(builder, splatbus::topics::kTopics.schema, ++topics_messages_);
+  const auto strings = [&](const std::set<std::string>& names) {
+    return builder.CreateVectorOfStrings(std::vector<std::string>(names.begin(), names.end()));
+  };
+  std::vector<flatbuffers::Offset<wire::TopicInfo>> offsets;
+  for (const auto& [name, topic] : table.topics()) {
+    const auto name_offset = builder.CreateString(name);
+    const auto schemas = strings(topic.schemas);
+    const auto sources = strings(topic.sources);
+    offsets.push_back(
+        wire::CreateTopicInfo(builder, name_offset, schemas, sources, topic.latched, topic.messages, topic.bytes));
+  }
+  builder.Finish(wire::CreateTopicsDirect(builder, head, &offsets));
+  return make_frames(splatbus::topics::kTopics.name, builder);
 }
 
 }  // namespace splatbus::bus_service

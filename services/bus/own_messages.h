@@ -10,13 +10,14 @@
 
 namespace splatbus::bus_service {
 
-/// What the broker itself says, as source "bus": its heartbeat and sys/liveness.
+/// What the broker itself says, as source "bus": its heartbeat, sys/liveness and sys/topics.
 class OwnMessages {
  public:
   OwnMessages();
 
   bus::Frames heartbeat(const BrokerStatistics& statistics, wire::ServiceState state);
   bus::Frames liveness(const std::map<std::string, Liveness::Node>& nodes);
+  bus::Frames topics(const TopicTable& table);
 
  private:
   flatbuffers::Offset<wire::Header> header(flatbuffers::FlatBufferBuilder& builder, std::string_view schema,
@@ -25,6 +26,7 @@ class OwnMessages {
   const std::uint64_t epoch_;
   std::uint64_t heartbeats_ = 0;
   std::uint64_t liveness_messages_ = 0;
+  std::uint64_t topics_messages_ = 0;
 };
 
 }  // namespace splatbus::bus_service

@@ -9,7 +9,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
-#include "bus/sockets.h"
+#include "bus/frames.h"
 #include "wire/topics.h"
 
 namespace splatbus::bus_service {
@@ -17,7 +17,7 @@ namespace {
 
 constexpr int messages_a_turn = 512;  // before the other sockets get theirs
 constexpr std::int64_t beat_ns = 200'000'000;
-constexpr std::int64_t liveness_ns = 1'000'000'000;
+constexpr std::int64_t report_ns = 1'000'000'000;
 constexpr int port_attempts = 50;
 
 std::string latch_key_of(const wire::Header& header) {
@@ -138,9 +138,9 @@ void Relay::relay_from(Side& side) {
   for (int i = 0; i < messages_a_turn; ++i) {
     bus::Frames frames;
     std::string why;
-    const auto receipt = bus::receive_frames(side.xsub, frames, why);
-    if (receipt == bus::Receipt::Nothing) return;
-    if (receipt == bus::Receipt::Malformed) {
+    const auto result = bus::receive_frames(side.xsub, frames, why);
+    if (result == bus::RecvResult::Nothing) return;
+    if (result == bus::RecvResult::Malformed) {
       refuse(frames, why);
     } else {
       relay(frames, side.local);
@@ -160,6 +160,7 @@ void Relay::relay(const bus::Frames& frames, bool local) {
   }
   if (header->latch() && !hold(frames, *header, local)) return;
   ++relayed_;
+  topics_.note(frames.topic_text(), *header, frames.body.size());
   send(local_, frames, *header);
   send(remote_, frames, *header);
 }
@@ -244,9 +245,11 @@ void Relay::tick() {
   next_beat_ns_ = now + beat_ns;
   relay(own_.heartbeat(statistics(), wire::ServiceState::Running), true);
   for (const auto& source : liveness_.update(now)) held_.erase(std::string(topics::kHeartbeat.name), source);
-  if (!liveness_.take_changed() && now < next_liveness_ns_) return;
-  next_liveness_ns_ = now + liveness_ns;
-  relay(own_.liveness(liveness_.nodes()), true);
+  const bool due = now >= next_report_ns_;
+  if (liveness_.take_changed() || due) relay(own_.liveness(liveness_.nodes()), true);
+  if (!due) return;
+  next_report_ns_ = now + report_ns;
+  relay(own_.topics(topics_), true);
 }
 
 void Relay::refuse(const bus::Frames& frames, const std::string& why) {

@@ -14,7 +14,7 @@
 #include "bus/inliner.h"
 #include "bus/latch_store.h"
 #include "bus/liveness.h"
-#include "bus/log_limiter.h"
+#include "bus/log_sink.h"
 #include "bus/own_messages.h"
 
 namespace splatbus::bus_service {
@@ -62,9 +62,10 @@ class Relay {
   std::uint64_t next_order_ = 1;
   std::set<std::string> remote_prefixes_;
   Liveness liveness_;
+  TopicTable topics_;
   OwnMessages own_;
   std::int64_t next_beat_ns_ = 0;
-  std::int64_t next_liveness_ns_ = 0;
+  std::int64_t next_report_ns_ = 0;
   bus::LogLimiter limiter_;
   std::atomic<std::uint64_t> relayed_ = 0;
   std::atomic<std::uint64_t> malformed_ = 0;

@@ -9,11 +9,11 @@ std::optional<InputView> decode_input_frame(const bus::Message& message, const w
                                             bus::MemoryPool& pool, std::atomic<std::uint64_t>& host_bytes) {
   InputView view;
   view.camera = from_wire(*frame.camera());
-  view.frame = frame.frame();
-  view.time_s = frame.time_s();
+  view.frame = frame.scene()->frame();
+  view.time_s = frame.scene()->time_s();
   view.capture_ns = frame.header()->capture_ns();
-  view.objects = from_wire(frame.objects());
-  view.light = from_wire(*frame.light());
+  view.objects = from_wire(frame.scene()->objects());
+  view.light = from_wire(*frame.scene()->light());
   const auto picture = [&](const char* name, bus::ElementType type) {
     return message.tensor(name, type, {view.camera.height, view.camera.width, 4});
   };

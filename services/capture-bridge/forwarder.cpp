@@ -12,7 +12,7 @@ namespace {
 constexpr std::size_t kLightDepthSlots = 3;
 
 std::vector<std::uint8_t> object_bytes(const wire::EngineFrame& frame) {
-  const auto* objects = frame.objects();
+  const auto* objects = frame.scene()->objects();
   if (objects == nullptr || objects->size() == 0) return {};
   const auto* begin = reinterpret_cast<const std::uint8_t*>(objects->Get(0));
   return {begin, begin + objects->size() * sizeof(wire::ObjectTransform)};
@@ -49,23 +49,20 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
     if (auto tensor = message.forward_tensor(name)) info.tensors.push_back(std::move(*tensor));
   }
   const Camera camera = from_wire(*frame.camera());
-  const ObjectTransforms transforms = from_wire(frame.objects());
-  const Light state = from_wire(*frame.light());
+  const SceneState scene = from_wire(*frame.scene());
   publisher_.publish(topics::kCaptureReference, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto objects = to_wire(builder, transforms);
-    const auto light = to_wire(builder, state);
+    const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
     const wire::Camera out = to_wire(camera);
-    return wire::CreateCaptureReference(builder, header, frame.frame(), frame.time_s(), &out, objects, light, false);
+    return wire::CreateCaptureReference(builder, header, &out, scene_offset, false);
   });
   return true;
 }
 
 void Forwarder::retire(const Camera& camera) {
   publisher_.publish(topics::kCaptureReference, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto objects = to_wire(builder, ObjectTransforms{});
-    const auto light = to_wire(builder, last_light_);
+    const auto scene = to_wire(builder, SceneState{.light = last_light_, .objects = {}});
     const wire::Camera out = to_wire(camera);
-    return wire::CreateCaptureReference(builder, header, 0, 0, &out, objects, light, true);
+    return wire::CreateCaptureReference(builder, header, &out, scene, true);
   });
 }
 
@@ -74,17 +71,14 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   if (!color) return false;
   Camera camera = from_wire(*frame.camera());
   camera.id = probe.camera.id;
-  const ObjectTransforms transforms = from_wire(frame.objects());
-  const Light state = from_wire(*frame.light());
-  publisher_.publish(topics::kCaptureProbe,
-                     {.capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
-                     [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                       const auto objects = to_wire(builder, transforms);
-                       const auto light = to_wire(builder, state);
-                       const wire::Camera out = to_wire(camera);
-                       return wire::CreateCaptureProbe(builder, header, probe.probe_id, frame.frame(), frame.time_s(),
-                                                       &out, objects, light);
-                     });
+  const SceneState scene = from_wire(*frame.scene());
+  publisher_.publish(
+      topics::kCaptureProbe, {.capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
+      [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+        const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
+        const wire::Camera out = to_wire(camera);
+        return wire::CreateCaptureProbe(builder, header, probe.probe_id, &out, scene_offset);
+      });
   return true;
 }
 
@@ -98,45 +92,44 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   const auto copy = light_depth_copies_.take(depth->bytes());
   if (!bus::copy_tensor(*depth, copy.get(), kind, host_bytes)) return false;
   const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.get(), kind};
-  const ObjectTransforms transforms = from_wire(frame.objects());
-  const Light state = from_wire(*frame.light());
+  const SceneState scene = from_wire(*frame.scene());
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns(),
                               .tensors = light_depth_ring_.write(std::span(&source, 1))};
   publisher_.publish(topics::kSceneLightDepth, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto light = to_wire(builder, state);
-    const auto objects = to_wire(builder, transforms);
+    const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
     const wire::Camera out = to_wire(camera);
-    return wire::CreateSceneLightDepth(builder, header, frame.frame(), frame.time_s(), &out, light, objects);
+    return wire::CreateSceneLightDepth(builder, header, &out, scene_offset);
   });
   return true;
 }
 
 void Forwarder::scene(const wire::EngineFrame& frame) {
   const bool restarted = frame.header()->epoch() != engine_epoch_;
-  if (!restarted && newest_frame_ && frame.frame() < *newest_frame_) return;
-  const ObjectTransforms transforms = from_wire(frame.objects());
-  const Light state = from_wire(*frame.light());
+  if (!restarted && newest_frame_ && frame.scene()->frame() < *newest_frame_) return;
+  const SceneState scene = from_wire(*frame.scene());
   engine_epoch_ = frame.header()->epoch();
   const bool first = !newest_frame_;
-  newest_frame_ = frame.frame();
-  last_light_ = state;
+  newest_frame_ = frame.scene()->frame();
+  last_light_ = scene.light;
 
   auto objects_now = object_bytes(frame);
   if (first || objects_now != said_objects_) {
     said_objects_ = std::move(objects_now);
     publisher_.publish(topics::kSceneObjects, {.capture_ns = frame.header()->capture_ns()},
                        [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                         const auto objects = to_wire(builder, transforms);
-                         return wire::CreateSceneObjects(builder, header, frame.frame(), frame.time_s(), objects);
+                         const auto objects = to_wire(builder, scene.objects);
+                         return wire::CreateSceneObjects(builder, header, frame.scene()->frame(),
+                                                         frame.scene()->time_s(), objects);
                        });
   }
-  auto light_now = light_bytes(state);
+  auto light_now = light_bytes(scene.light);
   if (first || light_now != said_light_) {
     said_light_ = std::move(light_now);
     publisher_.publish(topics::kSceneLight, {.capture_ns = frame.header()->capture_ns()},
                        [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                         const auto light = to_wire(builder, state);
-                         return wire::CreateSceneLight(builder, header, frame.frame(), frame.time_s(), light);
+                         const auto light = to_wire(builder, scene.light);
+                         return wire::CreateSceneLight(builder, header, frame.scene()->frame(), frame.scene()->time_s(),
+                                                       light);
                        });
   }
 }

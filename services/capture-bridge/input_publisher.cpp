@@ -45,10 +45,9 @@ void InputPublisher::publish(std::span<const InputViewPointer> views, const Inpu
     cameras.reserve(views.size());
     for (const InputViewPointer& view : views) cameras.push_back(to_wire(view->camera));
     const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
-    const auto objects = to_wire(builder, newest.objects);
-    const auto light = to_wire(builder, newest.light);
-    return wire::CreateCaptureInput(builder, header, newest.frame, newest.time_s, rig_generation, cameras_offset,
-                                    objects, light);
+    const auto scene =
+        to_wire(builder, SceneState{.light = newest.light, .objects = newest.objects}, newest.frame, newest.time_s);
+    return wire::CreateCaptureInput(builder, header, rig_generation, cameras_offset, scene);
   });
 }
 

@@ -213,7 +213,7 @@ void Expander::send_state() {
   std::vector<wire::CellState> cells;
   std::uint64_t seen = 0, modelled = 0;
   for (const CellCounts& cell : mapper_->cells()) {
-    cells.emplace_back(cell.cell, cell.samples, cell.points, false);
+    cells.emplace_back(cell.cell, cell.samples, cell.points);
     seen += cell.samples > 0 ? 1 : 0;
     modelled += cell.points > 0 ? 1 : 0;
   }

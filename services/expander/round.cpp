@@ -38,13 +38,13 @@ std::optional<IncomingRound> open_round(const bus::Message& message) {
   if (!normal || !albedo || !color || !spacing || !cosine || !object_id || !camera) return std::nullopt;
 
   RoundInfo info;
-  info.frame = input.frame();
+  info.frame = input.scene()->frame();
   info.rig_generation = input.rig_generation();
-  info.time_s = input.time_s();
+  info.time_s = input.scene()->time_s();
   info.capture_ns = input.header()->capture_ns();
   info.publish_ns = input.header()->publish_ns();
-  info.objects = from_wire(input.objects());
-  info.light = from_wire(*input.light());
+  info.objects = from_wire(input.scene()->objects());
+  info.light = from_wire(*input.scene()->light());
   info.cameras.reserve(input.cameras()->size());
   for (const wire::Camera* one : *input.cameras()) info.cameras.push_back(from_wire(*one));
   info.height = depth->dim(1);

@@ -91,8 +91,8 @@ void Relight::take_objects(const wire::SceneObjects& body) {
 
 void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message& message) {
   DepthMap map{.camera = from_wire(*depth.camera()),
-               .light_generation = depth.light()->generation(),
-               .objects = from_wire(depth.objects()),
+               .light_generation = depth.scene()->light()->generation(),
+               .objects = from_wire(depth.scene()->objects()),
                .depth_m = {}};
   if (map.camera.role != CameraRole::Light || map.camera.width > kMaxSide || map.camera.height > kMaxSide) {
     throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +

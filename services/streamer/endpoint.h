@@ -9,7 +9,7 @@
 #include <zmq.hpp>
 
 #include "bus/file_descriptor.h"
-#include "bus/log_limiter.h"
+#include "bus/log_sink.h"
 #include "stream/packets.h"
 
 namespace splatbus::streamer {

@@ -118,8 +118,7 @@ void Streamer::subscribe() {
 void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message& message) {
   if (hub_.viewers() == 0) return;
   const Camera camera = from_wire(*body.camera());
-  const Light light = from_wire(*body.light());
-  const ObjectTransforms objects = from_wire(body.objects());
+  const SceneState scene = from_wire(*body.scene());
   const auto color = message.tensor("color", bus::ElementType::U8, {camera.height, camera.width, 4});
   if (!color) return;
   stream::Bytes rgba(color->bytes());
@@ -127,8 +126,8 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
   hub_.send_probe_picture(body.probe_id(), writer_.write(
                                                model_.held().epoch, 0, wire::Body::ProbePicture,
                                                [&](auto& builder) {
-                                                 const auto objects_offset = to_wire(builder, objects);
-                                                 const auto light_offset = to_wire(builder, light);
+                                                 const auto objects_offset = to_wire(builder, scene.objects);
+                                                 const auto light_offset = to_wire(builder, scene.light);
                                                  return wire::CreateProbePicture(
                                                      builder, body.probe_id(), body.camera(),
                                                      static_cast<std::uint32_t>(rgba.size()), objects_offset,

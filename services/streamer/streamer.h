@@ -4,7 +4,7 @@
 #include <memory>
 #include <optional>
 
-#include "bus/log_limiter.h"
+#include "bus/log_sink.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"

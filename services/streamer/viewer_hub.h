@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "bus/log_limiter.h"
+#include "bus/log_sink.h"
 #include "gaussians/camera.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"

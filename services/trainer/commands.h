@@ -6,18 +6,12 @@
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <unordered_set>
 #include <utility>
 #include <vector>
 
 #include "trainer/insert_batch.h"
 
 namespace splatbus::trainer {
-
-struct CellsCommand {
-  std::unordered_set<std::uint64_t> cells;
-  bool freeze = false;
-};
 
 struct VisibilityCommand {
   std::uint64_t model_generation = 0;
@@ -31,17 +25,23 @@ struct VisibilityCommand {
 struct Commands {
   static constexpr std::size_t kMaxRows = std::size_t{1} << 22;  ///< of all inserts together
   static constexpr std::size_t kMaxInserts = 4096;
-  static constexpr std::size_t kMaxCells = std::size_t{1} << 20;  ///< of all cell commands together
 
   std::vector<InsertBatch> inserts;
-  std::vector<CellsCommand> cells;
   std::optional<VisibilityCommand> visibility;  ///< the newest
 
   /// False when there is no room for it. A batch that waits here already is not taken twice.
-  [[nodiscard]] bool add(InsertBatch&& batch);
-  [[nodiscard]] bool add(CellsCommand&& command);
+  [[nodiscard]] bool add(InsertBatch&& batch) {
+    std::size_t rows = batch.count;
+    for (const InsertBatch& waiting : inserts) {
+      if (waiting.epoch == batch.epoch && waiting.batch == batch.batch) return true;
+      rows += waiting.count;
+    }
+    if (rows > kMaxRows || inserts.size() >= kMaxInserts) return false;
+    inserts.push_back(std::move(batch));
+    return true;
+  }
 
-  [[nodiscard]] bool empty() const { return inserts.empty() && cells.empty() && !visibility; }
+  [[nodiscard]] bool empty() const { return inserts.empty() && !visibility; }
 };
 
 /// Hands commands from the message thread to the optimizer's, which takes them between two steps.
@@ -66,10 +66,6 @@ class CommandQueue {
     const std::scoped_lock lock(mutex_);
     return std::exchange(commands_, {});
   }
-
-  /// For commands that were taken and could not be obeyed: those that nobody sends again come first the next time.
-  /// Inserts are sent again until they are acknowledged.
-  void give_back(Commands&& commands);
 
   /// Until something is posted or `timeout` has passed.
   void wait(std::chrono::milliseconds timeout) {

@@ -26,7 +26,7 @@ CpuOptimizer::CpuOptimizer(ModelStore& store, const Options& options)
     : Optimizer(store), rasterizer_(raster::make_cpu_rasterizer(options.threads)), densifier_(options.seed) {
   CpuOptimizer::set_options(options);
   // An adopted model is taken for old: its average is settled.
-  birth_.assign(store.count(), 0);
+  created_step_.assign(store.count(), 0);
   CpuOptimizer::follow_growth();
 }
 
@@ -42,9 +42,13 @@ void CpuOptimizer::set_options(const Options& options) {
 
 void CpuOptimizer::follow_growth() {
   adam_.resize(store_.layout(), store_.count());
-  birth_.resize(store_.count(), store_.step());
+  created_step_.resize(store_.count(), store_.step());
   densifier_.resize(store_.count());
-  cells_.recount(store_.planes().cell, store_.count());
+}
+
+void CpuOptimizer::set_visibility(const VisibilityCommand& relit) {
+  store_.set_visibility(relit.model_generation, reinterpret_cast<const float*>(relit.visibility.get()), relit.memory,
+                        relit.count);
 }
 
 StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
@@ -69,10 +73,7 @@ StepReport CpuOptimizer::step(std::span<const TrainingViewPtr> views) {
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
   store_.add_step(views.size(), spent.count());
 
-  average_.update(store_.planes(), store_.count(), active_channels_, birth_, store_.step(), average_decay());
-  const bool display_space = options_.layout.appearance == Appearance::Radiance;
-  cell_sampler_.observe(store_.planes(), store_.count(), *views.back(), render_.color, display_space,
-                        gradient_.contribution, cells_);
+  average_.update(store_.planes(), store_.count(), active_channels_, created_step_, store_.step(), ema_decay());
   maintain_density();
   return {.steps = 1, .views = views.size(), .seconds = spent.count(), .loss = loss};
 }
@@ -139,26 +140,25 @@ void CpuOptimizer::maintain_density() {
     }
   }
   if (options_.prune.enabled && step % options_.prune.interval_steps == 0) {
-    const Pruning pruning = find_dead(store_.view(), options_.prune, active_channels_, birth_, step);
+    const Pruning pruning = find_prunable(store_.view(), options_.prune, active_channels_, created_step_, step);
     // A change of structure costs every reader: not for a handful that nobody sees anyway.
-    if (pruning.not_finite || pruning.removed * 500 >= store_.count()) remove(pruning.dead);
+    if (pruning.not_finite || pruning.removed * 500 >= store_.count()) remove(pruning.mask);
     if (pruning.not_finite) spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", step);
   }
 }
 
-void CpuOptimizer::remove(const std::vector<std::uint8_t>& dead) {
+void CpuOptimizer::remove(const std::vector<std::uint8_t>& prune_mask) {
   std::vector<std::uint32_t> keep;
   store_.change([&] {
-    const ColumnMoves moves = store_.remove(dead.data());
+    const ColumnMoves moves = store_.remove(prune_mask.data());
     adam_.move({moves.from, moves.moved}, {moves.to, moves.moved});
     keep = kept_columns(moves);
   });
   adam_.resize(store_.layout(), store_.count());
   densifier_.permute(keep);
-  std::vector<std::uint64_t> birth(keep.size());
-  for (std::size_t i = 0; i < keep.size(); ++i) birth[i] = birth_[keep[i]];
-  birth_ = std::move(birth);
-  cells_.recount(store_.planes().cell, store_.count());
+  std::vector<std::uint64_t> created_step(keep.size());
+  for (std::size_t i = 0; i < keep.size(); ++i) created_step[i] = created_step_[keep[i]];
+  created_step_ = std::move(created_step);
 }
 
 }  // namespace splatbus::trainer

@@ -7,7 +7,6 @@
 #include "raster/adam.h"
 #include "raster/rasterizer.h"
 #include "trainer/average.h"
-#include "trainer/cell_stats.h"
 #include "trainer/density.h"
 #include "trainer/optimizer.h"
 
@@ -25,12 +24,13 @@ class CpuOptimizer final : public Optimizer {
  private:
   void before_change() override {}
   void follow_growth() override;
+  void set_visibility(const VisibilityCommand& relit) override;
   /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
   double render_loss(const TrainingView& view, float scale);
   float depth_loss(const TrainingView& view, float scale);
   void clamp_albedo() const;
   void maintain_density();
-  void remove(const std::vector<std::uint8_t>& dead);
+  void remove(const std::vector<std::uint8_t>& prune_mask);
 
   int active_channels_ = 0;
   std::vector<float> learning_rates_;
@@ -40,9 +40,8 @@ class CpuOptimizer final : public Optimizer {
   raster::Render render_;
   raster::RenderGradient render_gradient_;
   TimeAverage average_;
-  CellSampler cell_sampler_;
   Densifier densifier_;
-  std::vector<std::uint64_t> birth_;  ///< step at which each column was inserted
+  std::vector<std::uint64_t> created_step_;  ///< step at which each column was inserted
 };
 
 }  // namespace splatbus::trainer

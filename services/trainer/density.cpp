@@ -5,8 +5,6 @@
 #include <glm/glm.hpp>
 #include <glm/gtc/quaternion.hpp>
 
-#include "trainer/split_factor.h"
-
 namespace splatbus::trainer {
 
 namespace {
@@ -22,9 +20,9 @@ float largest_log_scale(const GaussiansView& gaussians, std::size_t i) {
 
 }  // namespace
 
-Pruning find_dead(const GaussiansView& gaussians, const PruneOptions& options, int active_channels,
-                  const std::vector<std::uint64_t>& birth, std::uint64_t step) {
-  Pruning pruning{.dead = std::vector<std::uint8_t>(gaussians.count, 0)};
+Pruning find_prunable(const GaussiansView& gaussians, const PruneOptions& options, int active_channels,
+                      const std::vector<std::uint64_t>& created_step, std::uint64_t step) {
+  Pruning pruning{.mask = std::vector<std::uint8_t>(gaussians.count, 0)};
   std::vector<float> sum(gaussians.count, 0.0F);  // not finite as soon as one channel is not
   for (int channel = 0; channel < active_channels; ++channel) {
     const float* const plane = gaussians.plane(channel);
@@ -35,10 +33,10 @@ Pruning find_dead(const GaussiansView& gaussians, const PruneOptions& options, i
   const float* const opacity_logit = gaussians.plane(ParameterLayout::kOpacityLogit);
   for (std::size_t i = 0; i < gaussians.count; ++i) {
     const bool finite = std::isfinite(sum[i]);
-    const bool old = step - std::min(step, birth[i]) >= options.min_age_steps;
+    const bool old = step - std::min(step, created_step[i]) >= options.min_age_steps;
     const bool useless = opacity_logit[i] < min_logit || largest_log_scale(gaussians, i) > max_log_scale;
     if (finite && !(old && useless)) continue;
-    pruning.dead[i] = 1;
+    pruning.mask[i] = 1;
     pruning.removed += 1;
     pruning.not_finite |= !finite;
   }
@@ -49,27 +47,27 @@ void Densifier::observe(const raster::ParameterGradient& gradient) {
   for (std::size_t i = 0; i < gradient.count; ++i) {
     if (gradient.touched[i] == 0) continue;
     sum_[i] += gradient.mean2d_norm[i];
-    views_[i] += 1;
+    steps_[i] += 1;
   }
 }
 
 void Densifier::resize(std::size_t count) {
   sum_.resize(count, 0.0F);
-  views_.resize(count, 0U);
+  steps_.resize(count, 0U);
 }
 
 void Densifier::permute(const std::vector<std::uint32_t>& keep) {
   std::vector<float> sum(keep.size());
-  std::vector<std::uint32_t> views(keep.size());
+  std::vector<std::uint32_t> steps(keep.size());
   for (std::size_t i = 0; i < keep.size(); ++i) {
     sum[i] = sum_[keep[i]];
-    views[i] = views_[keep[i]];
+    steps[i] = steps_[keep[i]];
   }
   sum_ = std::move(sum);
-  views_ = std::move(views);
+  steps_ = std::move(steps);
 }
 
-void Densifier::scatter(const ModelPlanes& planes, std::size_t column) {
+void Densifier::sample_split(const ModelPlanes& planes, std::size_t column) {
   const auto at = [&](int channel) -> float& {
     return planes.parameters[static_cast<std::size_t>(channel) * planes.capacity + column];
   };
@@ -89,18 +87,17 @@ ModelStore::Columns Densifier::densify(ModelStore& store, const DensifyOptions& 
   const float max_clone_log_scale = std::log(options.clone_max_scale_m);
   std::vector<std::uint32_t> chosen;
   for (std::size_t i = 0; i < gaussians.count; ++i) {
-    const bool frozen = (gaussians.flags[i] & kFrozen) != 0;
-    if (frozen || views_[i] == 0 || sum_[i] / static_cast<float>(views_[i]) < options.gradient_threshold) continue;
+    if (steps_[i] == 0 || sum_[i] / static_cast<float>(steps_[i]) < options.gradient_threshold) continue;
     chosen.push_back(static_cast<std::uint32_t>(i));
   }
   const auto added = store.duplicate(chosen);
   for (std::size_t k = 0; k < added.count; ++k) {
     if (largest_log_scale(store.view(), chosen[k]) <= max_clone_log_scale) continue;
-    scatter(store.planes(), chosen[k]);
-    scatter(store.planes(), added.first + k);
+    sample_split(store.planes(), chosen[k]);
+    sample_split(store.planes(), added.first + k);
   }
   std::fill(sum_.begin(), sum_.end(), 0.0F);
-  std::fill(views_.begin(), views_.end(), 0U);
+  std::fill(steps_.begin(), steps_.end(), 0U);
   return added;
 }
 

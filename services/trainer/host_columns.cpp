@@ -107,29 +107,7 @@ ColumnMoves HostColumns::remove(const ModelPlanes& planes, std::size_t count, co
   return {.moved = from_.size(), .from = from_.data(), .to = to_.data(), .new_count = new_count};
 }
 
-std::size_t HostColumns::count_frozen(const ModelPlanes& planes, std::size_t count) {
-  return static_cast<std::size_t>(
-      std::count_if(planes.flags, planes.flags + count, [](std::uint32_t flags) { return (flags & kFrozen) != 0; }));
-}
-
-std::size_t HostColumns::set_frozen(const ModelPlanes& planes, std::size_t count,
-                                    const std::unordered_set<std::uint64_t>& cells, bool frozen) {
-  std::size_t changed = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    const bool is_frozen = (planes.flags[i] & kFrozen) != 0;
-    if (is_frozen == frozen || !cells.contains(planes.cell[i])) continue;
-    planes.flags[i] ^= kFrozen;
-    ++changed;
-    if (!frozen) continue;
-    for (std::size_t c = 0; c < static_cast<std::size_t>(planes.layout.channels()); ++c) {
-      planes.parameters[c * planes.capacity + i] = planes.average[c * planes.capacity + i];
-    }
-  }
-  return changed;
-}
-
-void HostColumns::set_visibility(const ModelPlanes& planes, const float* values, Device memory,
-                                 std::size_t count) {
+void HostColumns::set_visibility(const ModelPlanes& planes, const float* values, Device memory, std::size_t count) {
   bus::copy_memory(planes.visibility, Device::Cpu, values, memory, count * sizeof(float));
   if (memory != Device::Cpu) bus::finish_copies();
   std::transform(planes.visibility, planes.visibility + count, planes.visibility,

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "trainer/insert_limits.h"
-
 namespace splatbus::trainer {
 
 namespace {

@@ -6,7 +6,7 @@
 
 #include "bus/error.h"
 #include "bus/memory.h"
-#include "trainer/insert_limits.h"
+#include "trainer/memory_failure.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #ifdef SPLATBUS_HAVE_CUDA
@@ -31,8 +31,10 @@ class HostInsertReader final : public InsertReader {
     for_each_plane(batch, [&](const char* /*name*/, auto& to, std::size_t /*channels*/) {
       if (reading.lost) return;
       const bus::TensorView& tensor = tensors->planes[next++];
-      to.resize(tensor.elements());
-      reading.lost = !bus::copy_tensor(tensor, to.data(), Device::Cpu, host_bytes_);
+      in_own_memory([&] {
+        to.resize(tensor.elements());
+        reading.lost = !bus::copy_tensor(tensor, to.data(), Device::Cpu, host_bytes_);
+      });
     });
     if (reading.lost) return reading;
     batch.count = tensors->rows;

@@ -40,8 +40,7 @@ std::string header_fault(const bus::Slab& slab, const ParameterLayout& layout) {
   if (structure.capacity == 0 || structure.capacity > (1U << 26) || structure.capacity % 16 != 0) {
     return "it claims a capacity of " + std::to_string(structure.capacity);
   }
-  if (structure.count > structure.capacity || structure.batch_count > kRememberedBatches ||
-      structure.frozen > structure.count) {
+  if (structure.count > structure.capacity || structure.batch_count > kRememberedBatches) {
     return "its counts contradict each other";
   }
   return {};

@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <memory>
 #include <span>
-#include <unordered_set>
 #include <vector>
 
 #include "trainer/insert_batch.h"
@@ -43,16 +42,8 @@ class ModelColumns {
   /// leaves columns that do not show, and columns twice, of which the later one is whole.
   virtual ColumnMoves remove(const ModelPlanes& planes, std::size_t count, const std::uint8_t* dead) = 0;
 
-  [[nodiscard]] virtual std::size_t count_frozen(const ModelPlanes& planes, std::size_t count) = 0;
-
-  /// Sets or clears kFrozen of every Gaussian of the cells; one that freezes takes its average as its value. Returns
-  /// how many changed.
-  virtual std::size_t set_frozen(const ModelPlanes& planes, std::size_t count,
-                                 const std::unordered_set<std::uint64_t>& cells, bool frozen) = 0;
-
   /// Values of either memory, clamped to [0, 1], to the first columns; what is not a number becomes 0.
-  virtual void set_visibility(const ModelPlanes& planes, const float* values, Device memory,
-                              std::size_t count) = 0;
+  virtual void set_visibility(const ModelPlanes& planes, const float* values, Device memory, std::size_t count) = 0;
 
   /// What adoption wants to know, in host memory.
   struct Inspection {

@@ -90,8 +90,8 @@ void ModelPlanes::move_column(std::size_t from, std::size_t to) const {
   logits[to] = logit;
 }
 
-void copy_columns(const ModelPlanes& to, Device to_memory, const ModelPlanes& from,
-                  Device from_memory, std::size_t count) {
+void copy_columns(const ModelPlanes& to, Device to_memory, const ModelPlanes& from, Device from_memory,
+                  std::size_t count) {
   const auto copy = [&](auto* to_planes, const auto* from_planes, std::size_t channels) {
     for (std::size_t c = 0; c < channels; ++c) {
       bus::copy_memory(to_planes + c * to.capacity, to_memory, from_planes + c * from.capacity, from_memory,

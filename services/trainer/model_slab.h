@@ -27,7 +27,6 @@ struct Structure {
   std::uint64_t generation = 0;          ///< grows with every change of structure, across slabs and restarts
   std::uint64_t removal_generation = 0;  ///< of the last change that moved columns
   std::uint64_t next_gaussian_id = 1;
-  std::uint64_t frozen = 0;
   std::uint64_t insert_epoch = 0;
   std::uint64_t batch_count = 0;
   std::array<std::uint64_t, kRememberedBatches> batches{};  ///< in order of insertion
@@ -36,7 +35,7 @@ struct Structure {
 /// What lies in the model's header slab, in host memory.
 struct SlabHeader {
   static constexpr std::uint64_t kMagic = 0x6c65646f6d627073;  // "spbmodel"
-  static constexpr std::uint32_t kVersion = 2;
+  static constexpr std::uint32_t kVersion = 3;
 
   std::uint64_t magic;
   std::uint32_t version;
@@ -66,7 +65,7 @@ struct SlabLayout {
 [[nodiscard]] std::size_t rounded_capacity(std::size_t capacity);
 
 /// Copies the first `count` columns between planes of one layout in any two kinds of memory, and waits for it.
-void copy_columns(const ModelPlanes& to, Device to_memory, const ModelPlanes& from,
-                  Device from_memory, std::size_t count);
+void copy_columns(const ModelPlanes& to, Device to_memory, const ModelPlanes& from, Device from_memory,
+                  std::size_t count);
 
 }  // namespace splatbus::trainer

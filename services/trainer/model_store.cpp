@@ -38,28 +38,23 @@ void ModelStore::add_step(std::size_t views, double seconds) {
   header_->optimizer_s += seconds;
 }
 
-bool ModelStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
+bool ModelStore::accepts_visibility(std::uint64_t generation, std::size_t count) const {
   const bool moved = generation < structure_.removal_generation || generation > structure_.generation;
-  if (moved || count > structure_.count) return false;
+  return !moved && count <= structure_.count;
+}
+
+bool ModelStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
+  if (!accepts_visibility(generation, count)) return false;
   columns_->set_visibility(planes_, values, memory, count);
   return true;
 }
 
 void ModelStore::change(const std::function<void()>& work) {
   planes_slab_->begin_write(kSlot);
-  const auto finish = [&] {
-    structure_.generation += 1;
-    commit();
-    slot_generation_ = planes_slab_->end_write(kSlot);
-  };
-  try {
-    work();
-  } catch (...) {
-    structure_ = header_->structure.at(header_->current.load());
-    finish();
-    throw;
-  }
-  finish();
+  work();
+  structure_.generation += 1;
+  commit();
+  slot_generation_ = planes_slab_->end_write(kSlot);
 }
 
 void ModelStore::commit() {
@@ -97,14 +92,7 @@ ColumnMoves ModelStore::remove(const std::uint8_t* dead) {
   if (moves.new_count == count()) return moves;
   structure_.count = moves.new_count;
   structure_.removal_generation = structure_.generation + 1;
-  structure_.frozen = columns_->count_frozen(planes_, structure_.count);
   return moves;
-}
-
-std::size_t ModelStore::set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen) {
-  const std::size_t changed = columns_->set_frozen(planes_, count(), cells, frozen);
-  structure_.frozen = frozen ? structure_.frozen + changed : structure_.frozen - changed;
-  return changed;
 }
 
 void ModelStore::publish(const bus::Publisher& publisher) const {
@@ -139,7 +127,7 @@ void ModelStore::publish(const bus::Publisher& publisher) const {
         return wire::CreateModelPublished(
             builder, header, structure_.generation, structure_.count, planes_.capacity,
             layout().appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-            static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches, structure_.frozen);
+            static_cast<std::uint8_t>(layout().sh_degree), step(), structure_.insert_epoch, batches);
       });
 }
 

@@ -6,7 +6,6 @@
 #include <functional>
 #include <memory>
 #include <string>
-#include <unordered_set>
 #include <vector>
 
 #include "bus/context.h"
@@ -59,12 +58,14 @@ class ModelStore {
   /// Time of steps that were added without it.
   void add_time(double seconds) { header_->optimizer_s += seconds; }
 
+  /// Whether no column has moved since that generation, and there are as many.
+  [[nodiscard]] bool accepts_visibility(std::uint64_t generation, std::size_t count) const;
   /// Takes over the sun's visibility of the first `count` columns, in place, from values in either memory, when columns
   /// have not moved since `generation`.
   bool set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count);
 
   /// Runs `work`, which may call the four functions below, as one change of structure with one new generation. When it
-  /// throws, the structure stays as it was.
+  /// throws, the planes stay locked: only another store can go on, with the structure as it was.
   void change(const std::function<void()>& work);
 
   /// Adds a batch's Gaussians and remembers the batch. None are added when the batch is held already, or belongs to an
@@ -74,9 +75,6 @@ class ModelStore {
   Columns duplicate(const std::vector<std::uint32_t>& columns);
   /// Removes the columns with a non-zero entry; `dead` is [count()], in memory().
   ColumnMoves remove(const std::uint8_t* dead);
-  /// Sets or clears kFrozen of every Gaussian of the cells; one that freezes takes its average as its value. Returns
-  /// how many changed.
-  std::size_t set_frozen(const std::unordered_set<std::uint64_t>& cells, bool frozen);
 
   /// Publishes model/published with the slab as it is now.
   void publish(const bus::Publisher& publisher) const;

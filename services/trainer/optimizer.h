@@ -5,11 +5,8 @@
 #include <functional>
 #include <memory>
 #include <span>
-#include <string>
-#include <utility>
 #include <vector>
 
-#include "trainer/cell_stats.h"
 #include "trainer/commands.h"
 #include "trainer/model_store.h"
 #include "trainer/options.h"
@@ -24,12 +21,6 @@ struct StepReport {
   double loss = 0;     ///< mean over the views
 
   StepReport& operator+=(const StepReport& later);
-};
-
-/// A view that was left out of a step, for there is no memory for a step of such pictures.
-struct LeftOut {
-  TrainingViewPtr view;
-  std::string why;
 };
 
 /// Trains the model of a ModelStore: applies what others ask of it between steps, and steps. Belongs to one thread.
@@ -47,10 +38,9 @@ class Optimizer {
   /// Those that were set, with the batch that this optimizer chooses where they leave it open.
   [[nodiscard]] const Options& options() const { return options_; }
 
-  /// One change of structure for all of them; visibility is taken over in place. Inserts that there is no memory for
-  /// are refused, and the model stays as it is. Returns whether the structure changed.
+  /// One change of structure for all of them; visibility is taken over in place, behind the steps under way. Returns
+  /// whether the structure changed.
   bool apply(const Commands& commands);
-  [[nodiscard]] std::uint64_t refused_inserts() const { return refused_inserts_; }
 
   /// Render, loss, backward pass and Adam on a mini-batch, then the average over time, and pruning when it is due. The
   /// loss is (1 - lambda) L1 + lambda (1 - SSIM) of the lit picture, plus the weighted terms of albedo and depth. The
@@ -61,37 +51,23 @@ class Optimizer {
   /// Waits for all that is under way; the structure may have changed.
   virtual StepReport finish() = 0;
 
-  /// The views of the steps since the last call that were left out. Others of the same steps were trained.
-  [[nodiscard]] virtual std::vector<LeftOut> take_left_out() { return {}; }
-
-  [[nodiscard]] const CellTable& cells() const { return cells_; }
-
  protected:
   explicit Optimizer(ModelStore& store) : store_(store) {}
 
-  /// A change of structure that adds or freezes. What is kept here for each Gaussian follows the model even when it
-  /// throws: it may have moved to a larger slab before.
+  /// A change of structure that adds; what is kept here for each Gaussian follows.
   void change(const std::function<void()>& work);
   /// Of the average over time, a step: options().ema_decay, or as much more as ema_s of optimizer time takes at
   /// the pace of the steps so far.
-  [[nodiscard]] float average_decay() const;
+  [[nodiscard]] float ema_decay() const;
   /// Ends what is under way, so that nothing of this optimizer's own works on the planes; the structure may change.
   virtual void before_change() = 0;
-  /// Columns were added or frozen, and perhaps moved to other planes.
+  /// Columns were added, and perhaps moved to other planes.
   virtual void follow_growth() = 0;
-  /// Why there is no memory for a model of that capacity; empty when there is, or when that cannot be said before.
-  [[nodiscard]] virtual std::string lacks_memory_for(std::size_t /*capacity*/) const { return {}; }
+  /// Writes visibility that the store accepts.
+  virtual void set_visibility(const VisibilityCommand& relit) = 0;
 
   ModelStore& store_;
   Options options_;
-  CellTable cells_;
-
- private:
-  /// Those that the model does not hold yet, and that there is memory for.
-  [[nodiscard]] std::vector<const InsertBatch*> admitted(const std::vector<InsertBatch>& inserts);
-
-  std::uint64_t refused_inserts_ = 0;
-  bool warned_insert_ = false;
 };
 
 /// The one for the memory in which the model lies. Throws bus::Error or std::runtime_error when it cannot be had.

@@ -7,6 +7,7 @@ namespace splatbus::trainer {
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
   constexpr double kMaxSteps = 1e15;
+  constexpr double kMebipixels = 1 << 20;
   p.add("appearance", layout.appearance, "appearance model",
         {{"transfer", Appearance::Transfer}, {"radiance", Appearance::Radiance}}, kFixed);
   p.add("sh_degree", layout.sh_degree, "degree of the spherical harmonics, radiance only", {0, 3}, kFixed);
@@ -14,6 +15,8 @@ void Options::bind(bus::ParameterBinder& p) {
         {16, static_cast<double>(kGaussianLimit)}, kFixed);
   p.add("max_gaussians", max_gaussians, "Gaussians beyond which nothing is inserted",
         {1, static_cast<double>(kGaussianLimit)}, kFixed);
+  p.add("max_picture_mpixels", max_picture_pixels, "2^20 pixels of the largest picture that is trained", {1, 64},
+        kFixed, kMebipixels);
   p.add("seed", seed, "of the order of views", {0, kMaxSteps}, kFixed);
   p.add("threads", threads, "of the rasterizer, 0: one a core", {0, 256}, kFixed);
 

@@ -5,6 +5,7 @@
 
 #include "bus/error.h"
 #include "bus/memory.h"
+#include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -12,13 +13,13 @@ namespace splatbus::trainer {
 
 namespace {
 
-constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch together have a place for 65535
 
 }  // namespace
 
-ReferenceReader::ReferenceReader(Device memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes)
-    : memory_(memory), max_bytes_(max_bytes), host_bytes_(host_bytes), pool_(memory) {}
+ReferenceReader::ReferenceReader(Device memory, std::size_t max_pixels, std::size_t max_bytes,
+                                 std::atomic<std::uint64_t>& host_bytes)
+    : memory_(memory), max_pixels_(max_pixels), max_bytes_(max_bytes), host_bytes_(host_bytes), pool_(memory) {}
 
 /// Copies a tensor of the camera's size. False when its slot was overwritten.
 template <class T>
@@ -26,10 +27,12 @@ bool ReferenceReader::read_picture(const bus::Message& message, const char* name
                                    Pixels<T>& out) {
   const auto tensor = message.tensor(name, bus::ElementTypeOf<T>::value, std::move(shape));
   if (!tensor) return false;
-  const auto buffer = pool_.take(tensor->bytes());
-  if (!bus::copy_tensor(*tensor, buffer.get(), memory_, host_bytes_)) return false;
-  out = Pixels<T>(std::shared_ptr<const T>(buffer, reinterpret_cast<const T*>(buffer.get())), tensor->elements());
-  return true;
+  return in_own_memory([&] {
+    const auto buffer = pool_.take(tensor->bytes());
+    if (!bus::copy_tensor(*tensor, buffer.get(), memory_, host_bytes_)) return false;
+    out = Pixels<T>(std::shared_ptr<const T>(buffer, reinterpret_cast<const T*>(buffer.get())), tensor->elements());
+    return true;
+  });
 }
 
 ViewKey reference_key(const bus::Message& message) {
@@ -50,17 +53,17 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
 
   TrainingView view;
   view.camera = from_wire(*reference.camera());
-  if (view.camera.width > kMaxSide || view.camera.height > kMaxSide) {
+  if (std::size_t{view.camera.width} * view.camera.height > max_pixels_) {
     throw bus::Error(message.topic() + ": a picture of " + std::to_string(view.camera.width) + " x " +
-                     std::to_string(view.camera.height) + " is larger than " + std::to_string(kMaxSide));
+                     std::to_string(view.camera.height) + " has more pixels than max_picture_mpixels allows");
   }
-  view.scene = {.light = from_wire(*reference.light()), .objects = from_wire(reference.objects())};
+  view.scene = from_wire(*reference.scene());
   if (memory_ == Device::Cuda && view.scene.objects.size() > kMaxDeviceObjects) {
     throw bus::Error(message.topic() + ": " + std::to_string(view.scene.objects.size()) +
                      " moving objects are more than the CUDA backend takes (" + std::to_string(kMaxDeviceObjects) +
                      ")");
   }
-  view.frame = reference.frame();
+  view.frame = reference.scene()->frame();
   view.memory = memory_;
   const std::uint32_t h = view.camera.height;
   const std::uint32_t w = view.camera.width;

@@ -25,10 +25,11 @@ struct ReferenceReading {
 /// One thread; what it read may outlive it.
 class ReferenceReader {
  public:
-  /// No camera's pictures may take more than `max_bytes`. What passes through the host is added to `host_bytes`.
-  ReferenceReader(Device memory, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes);
+  /// No picture may have more than `max_pixels`, and no camera's pictures may take more than `max_bytes`. What passes
+  /// through the host is added to `host_bytes`.
+  ReferenceReader(Device memory, std::size_t max_pixels, std::size_t max_bytes, std::atomic<std::uint64_t>& host_bytes);
 
-  /// Throws bus::Error or std::runtime_error when the message lies.
+  /// Throws bus::Error or std::runtime_error when the message lies or is beyond a bound, MemoryFailure.
   [[nodiscard]] ReferenceReading read(const bus::Message& message, bool with_depth);
 
  private:
@@ -37,7 +38,7 @@ class ReferenceReader {
                                   Pixels<T>& out);
 
   Device memory_;
-  std::size_t max_bytes_;
+  std::size_t max_pixels_, max_bytes_;
   std::atomic<std::uint64_t>& host_bytes_;
   bus::MemoryPool pool_;
 };

@@ -7,6 +7,7 @@
 #include <map>
 
 #include "bus/memory.h"
+#include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
 #include "wire/model_generated.h"
 
@@ -27,15 +28,17 @@ std::size_t picture_bytes(Device memory) {
 
 }  // namespace
 
-Trainer::Trainer(bus::ServiceContext& service)
+Trainer::Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer)
     : service_(service),
       publisher_(service.bus),
       subscriber_(service.bus),
       views_(ViewStore::kMaxViews, picture_bytes(service.backend)),
-      references_(service.backend, views_.max_bytes(), host_copied_bytes_),
+      references_(service.backend, service.parameters.read<Options>().max_picture_pixels, views_.max_bytes(),
+                  host_copied_bytes_),
       inserts_(make_insert_reader(service.backend, host_copied_bytes_)),
       visibilities_(service.backend),
-      schedule_(service.parameters.read<Options>().seed),
+      make_optimizer_(std::move(make_optimizer)),
+      sampler_(service.parameters.read<Options>().seed),
       options_(service.parameters) {}
 
 void Trainer::run() {
@@ -44,11 +47,16 @@ void Trainer::run() {
   store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
                                         service_.backend);
   spdlog::info("model: {}", store_->origin());
-  optimizer_ = make_optimizer(*store_, options);
+  optimizer_ = make_optimizer_(*store_, options);
 
-  const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
-  receive();
-  commands_.wake();
+  try {
+    const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
+    receive();
+    commands_.wake();
+  } catch (const MemoryFailure& failure) {
+    throw std::runtime_error(failure.what());
+  }
+  if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
 }
 
 void Trainer::subscribe() {
@@ -56,31 +64,26 @@ void Trainer::subscribe() {
       .on(topics::kCaptureReference,
           [this](const wire::CaptureReference&, const bus::Message& message) { take_reference(message); })
       .on(topics::kModelInsert, [this](const wire::ModelInsert&, const bus::Message& message) { take_insert(message); })
-      .on(topics::kModelFreeze,
-          [this](const wire::ModelCells& body, const bus::Message& message) { take_cells(body, message, true); })
-      .on(topics::kModelUnfreeze,
-          [this](const wire::ModelCells& body, const bus::Message& message) { take_cells(body, message, false); })
       .on(topics::kRelightVisibility,
           [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); });
 }
 
 void Trainer::receive() {
   subscribe();
-  while (!service_.stop.stop_requested()) {
+  while (!service_.stop.stop_requested() && !optimizer_failed_) {
     auto message = subscriber_.receive(kReceiveTimeout);
     // Pictures that are outdated by others in the queue are not copied.
     std::vector<bus::Message> references;
     for (int n = 0; message && n < kMaxDrained; ++n) {
       if (message->topic() == topics::kCaptureReference.name) {
         references.push_back(std::move(*message));
-      } else if (!subscriber_.dispatch(*message)) {
-        failed_ = true;
+      } else {
+        subscriber_.dispatch(*message);
       }
       message = subscriber_.receive(0ms);
     }
-    if (message && !subscriber_.dispatch(*message)) failed_ = true;
+    if (message) subscriber_.dispatch(*message);
     take_references(references);
-    if (failed_.exchange(false)) bus::require_usable(service_.backend);
     service_.counter("lost_messages", static_cast<double>(subscriber_.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
@@ -93,7 +96,7 @@ void Trainer::take_references(const std::vector<bus::Message>& messages) {
     bus::guarded(message, [&] { newest[reference_key(message)] = &message; });
   }
   for (const auto& [key, message] : newest) {
-    if (!subscriber_.dispatch(*message)) failed_ = true;
+    subscriber_.dispatch(*message);
   }
 }
 
@@ -126,15 +129,6 @@ void Trainer::take_insert(const bus::Message& message) {
   if (!taken) refuse(message);
 }
 
-void Trainer::take_cells(const wire::ModelCells& body, const bus::Message& message, bool freeze) {
-  const auto* cells = body.cells();
-  if (cells == nullptr || cells->size() == 0) return;
-  CellsCommand command{.cells = {cells->begin(), cells->end()}, .freeze = freeze};
-  bool taken = false;
-  commands_.post([&](Commands& commands) { taken = commands.add(std::move(command)); });
-  if (!taken) refuse(message);
-}
-
 void Trainer::refuse(const bus::Message& message) {
   if (refused_commands_++ == 0) {
     spdlog::warn("{} from {}: too much waits for the optimizer already; this is left out, and counted from now on",
@@ -155,15 +149,17 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
     return;
   }
   const Device memory = service_.backend;
-  auto values = visibilities_.take(tensor->bytes());
-  if (!bus::copy_tensor(*tensor, values.get(), memory, host_copied_bytes_)) {
+  const auto values = in_own_memory([&] {
+    auto buffer = visibilities_.take(tensor->bytes());
+    const bool whole = bus::copy_tensor(*tensor, buffer.get(), memory, host_copied_bytes_);
+    return whole ? std::move(buffer) : nullptr;
+  });
+  if (!values) {
     ++lost_tensors_;
     return;
   }
-  VisibilityCommand command{.model_generation = relit.model_generation(),
-                            .count = relit.count(),
-                            .memory = memory,
-                            .visibility = std::move(values)};
+  VisibilityCommand command{
+      .model_generation = relit.model_generation(), .count = relit.count(), .memory = memory, .visibility = values};
   commands_.post([&](Commands& commands) { commands.visibility = std::move(command); });
 }
 

@@ -4,6 +4,8 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
+#include <exception>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <stop_token>
@@ -18,7 +20,7 @@
 #include "trainer/insert_reader.h"
 #include "trainer/optimizer.h"
 #include "trainer/reference_reader.h"
-#include "trainer/schedule.h"
+#include "trainer/view_sampler.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
@@ -41,10 +43,12 @@ class Progress {
 /// The trainer service: one thread takes messages, another one owns the model and steps without end.
 class Trainer {
  public:
-  explicit Trainer(bus::ServiceContext& service);
+  using OptimizerMaker = std::function<std::unique_ptr<Optimizer>(ModelStore&, const Options&)>;
 
-  /// Until `service.stop`. Throws bus::Error when no broker comes, and when the device fails for good: the model stays
-  /// with the bus for the next trainer.
+  explicit Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer = trainer::make_optimizer);
+
+  /// Until `service.stop`. Throws bus::Error when no broker comes, and whatever memory, the device or the optimizer
+  /// fail with: the model stays with the bus for the next trainer.
   void run();
 
  private:
@@ -53,7 +57,6 @@ class Trainer {
   void subscribe();
   void take_references(const std::vector<bus::Message>& messages);
   void take_reference(const bus::Message& message);
-  void take_cells(const wire::ModelCells& body, const bus::Message& message, bool freeze);
   void take_visibility(const wire::RelightVisibility& relit, const bus::Message& message);
   void take_insert(const bus::Message& message);
   /// Counts a command that the queue has no room for, and says so once: the expander repeats a batch.
@@ -65,12 +68,10 @@ class Trainer {
   void refresh_options();
   [[nodiscard]] bool may_step() const;
   void train_step();
-  void set_aside(const std::vector<LeftOut>& views);
   /// Waits for what is under way. Returns whether the structure changed.
   bool finish_steps();
   void publish_due(bool structure_changed);
   void publish_stats(bool stopped);
-  void publish_cells();
 
   bus::ServiceContext& service_;
   bus::Publisher publisher_;
@@ -78,7 +79,8 @@ class Trainer {
   ViewStore views_;
   CommandQueue commands_;
   std::atomic<bool> with_depth_{false};
-  std::atomic<bool> failed_{false};                  ///< something has: does the device still work?
+  std::atomic<bool> optimizer_failed_{false};
+  std::exception_ptr optimizer_failure_;             ///< once its thread has ended
   std::atomic<std::uint64_t> host_copied_bytes_{0};  ///< bulk data that passed through host memory
   ReferenceReader references_;
   std::unique_ptr<InsertReader> inserts_;
@@ -86,8 +88,9 @@ class Trainer {
   std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
   std::unique_ptr<ModelStore> store_;
+  OptimizerMaker make_optimizer_;
   std::unique_ptr<Optimizer> optimizer_;
-  Schedule schedule_;
+  ViewSampler sampler_;
   Progress progress_;
   bus::LiveOptions<Options> options_;
 

@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <cmath>
 #include <exception>
 #include <optional>
 #include <vector>
@@ -16,36 +17,53 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kIdleWait = 20ms;
-constexpr auto kAfterError = 500ms;
 constexpr auto kModelPeriod = 250ms;
 constexpr auto kRemoteModelPeriod = 5s;  // over tcp the planes ride in every message
 constexpr auto kStatsPeriod = 1s;
 constexpr auto kChangedStatsPeriod = 100ms;  // when cameras came or went, or the trainer stopped or goes on
 
+constexpr double kWindow_s = 1.0;     // of optimizer time, for the pace
+constexpr double kLossMemory = 0.95;  // a step
+
 }  // namespace
 
+void Progress::add(const StepReport& report) {
+  if (report.steps == 0) return;
+  recent_.push_back(report);
+  recent_s_ += report.seconds;
+  recent_steps_ += report.steps;
+  recent_views_ += report.views;
+  while (recent_.size() > 1 && recent_s_ - recent_.front().seconds >= kWindow_s) {
+    recent_s_ -= recent_.front().seconds;
+    recent_steps_ -= recent_.front().steps;
+    recent_views_ -= recent_.front().views;
+    recent_.pop_front();
+  }
+  const double memory = any_ ? std::pow(kLossMemory, static_cast<double>(report.steps)) : 0.0;
+  loss_ = memory * loss_ + (1 - memory) * report.loss;
+  any_ = true;
+}
+
+double Progress::steps_per_s() const {
+  return recent_s_ > 0 ? static_cast<double>(recent_steps_) / recent_s_ : 0;
+}
+
+double Progress::views_per_s() const {
+  return recent_s_ > 0 ? static_cast<double>(recent_views_) / recent_s_ : 0;
+}
+
 void Trainer::optimize(const std::stop_token& stop) {
-  while (!stop.stop_requested()) {
-    try {
-      optimize_once();
-    } catch (const std::exception& error) {
-      spdlog::error("optimizer: {}", error.what());
-      failed_ = true;
-      commands_.wait(kAfterError);
-    }
+  try {
+    while (!stop.stop_requested()) optimize_once();
+  } catch (...) {
+    optimizer_failure_ = std::current_exception();
+    optimizer_failed_ = true;
   }
 }
 
 void Trainer::optimize_once() {
   refresh_options();
-  Commands commands = commands_.take();
-  bool structure_changed = false;
-  try {
-    structure_changed = optimizer_->apply(commands);
-  } catch (...) {
-    commands_.give_back(std::move(commands));
-    throw;
-  }
+  bool structure_changed = optimizer_->apply(commands_.take());
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
   if (!steps) structure_changed |= finish_steps();
@@ -79,24 +97,13 @@ bool Trainer::may_step() const {
 
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
-  const auto batch = schedule_.next_batch(views_, options.batch, options.input_view_interval);
+  const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->structure().generation;
   progress_.add(optimizer_->step(batch));
-  set_aside(optimizer_->take_left_out());
   if (store_->structure().generation != generation) publish_due(true);
 }
 
-void Trainer::set_aside(const std::vector<LeftOut>& views) {
-  for (const auto& [view, why] : views) {
-    const Camera& camera = view->camera;
-    if (!views_.set_aside(*view)) continue;
-    spdlog::warn("{} camera {}: pictures of {} x {} are left out of training, for there is no memory for them: {}",
-                 camera.role == CameraRole::Input ? "input" : "reference", camera.id, camera.width, camera.height, why);
-  }
-}
-
 void Trainer::publish_due(bool structure_changed) {
-  if (structure_changed) views_.take_up();
   const auto now = Clock::now();
   const Options& options = optimizer_->options();
   const bool finished = options.run_until != 0 && store_->step() >= options.run_until;
@@ -112,7 +119,6 @@ void Trainer::publish_due(bool structure_changed) {
   const auto stats_period = state == announced_ ? Clock::duration(kStatsPeriod) : kChangedStatsPeriod;
   if (newly_finished || now - stats_published_ >= stats_period) {
     publish_stats(finished || options.paused);
-    publish_cells();
     stats_published_ = now;
     announced_ = state;
   }
@@ -125,7 +131,6 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("gaussians", static_cast<double>(store_->count()));
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
-  service_.counter("refused_inserts", static_cast<double>(optimizer_->refused_inserts()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));
   } else if (store_->count() == 0) {
@@ -138,20 +143,7 @@ void Trainer::publish_stats(bool stopped) {
   publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
     return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
                                     progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
-                                    store_->count() - store_->structure().frozen, references, inputs, stopped,
-                                    host_copied_bytes_.load());
-  });
-}
-
-void Trainer::publish_cells() {
-  std::vector<wire::CellStats> cells;
-  for (const auto& [id, cell] : optimizer_->cells().cells()) {
-    if (cell.seen) cells.emplace_back(id, cell.count, cell.loss, cell.movement);
-  }
-  if (cells.empty()) return;
-  publisher_.publish(topics::kTrainerCells, [&](auto& builder, auto header) {
-    const auto list = builder.CreateVectorOfStructs(cells);
-    return wire::CreateTrainerCells(builder, header, store_->step(), list);
+                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load());
   });
 }
 

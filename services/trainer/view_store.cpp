@@ -7,10 +7,6 @@ namespace splatbus::trainer {
 
 namespace {
 
-bool same_size(const Camera& a, const Camera& b) {
-  return a.width == b.width && a.height == b.height;
-}
-
 ViewKey key_of(const TrainingView& view) {
   return {.role = view.camera.role, .id = view.camera.id};
 }
@@ -28,26 +24,12 @@ void ViewStore::put(TrainingViewPtr view) {
     ++cameras_version_;
   } else {
     bytes_ -= entry.view->bytes();
-    if (!same_size(entry.view->camera, view->camera)) entry.aside = entry.told = false;
   }
   bytes_ += view->bytes();
   newest_light_ = view->scene.light.generation;
   entry.view = std::move(view);
   entry.updated = ++updates_;
   evict(key);
-}
-
-bool ViewStore::set_aside(const TrainingView& view) {
-  const std::scoped_lock lock(mutex_);
-  const auto found = views_.find(key_of(view));
-  if (found == views_.end() || !same_size(found->second.view->camera, view.camera)) return false;
-  found->second.aside = true;
-  return !std::exchange(found->second.told, true);
-}
-
-void ViewStore::take_up() {
-  const std::scoped_lock lock(mutex_);
-  for (auto& [key, entry] : views_) entry.aside = false;
 }
 
 void ViewStore::evict(const ViewKey& newest) {
@@ -75,22 +57,21 @@ void ViewStore::retire(const ViewKey& key) {
 TrainingViewPtr ViewStore::find(const ViewKey& key) const {
   const std::scoped_lock lock(mutex_);
   const auto found = views_.find(key);
-  return found == views_.end() || found->second.aside ? nullptr : found->second.view;
+  return found == views_.end() ? nullptr : found->second.view;
 }
 
 std::vector<ViewKey> ViewStore::keys(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
   std::vector<ViewKey> keys;
   for (const auto& [key, entry] : views_) {
-    if (key.role == role && !entry.aside) keys.push_back(key);
+    if (key.role == role) keys.push_back(key);
   }
   return keys;
 }
 
 bool ViewStore::any_to_train(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
-  return std::any_of(views_.begin(), views_.end(),
-                     [&](const auto& view) { return view.first.role == role && !view.second.aside; });
+  return std::any_of(views_.begin(), views_.end(), [&](const auto& view) { return view.first.role == role; });
 }
 
 std::size_t ViewStore::count(CameraRole role) const {
@@ -103,8 +84,7 @@ std::optional<std::uint64_t> ViewStore::reference_light() const {
   const std::scoped_lock lock(mutex_);
   const bool ready = std::any_of(views_.begin(), views_.end(), [&](const auto& view) {
     const Entry& entry = view.second;
-    return view.first.role == CameraRole::Reference && !entry.aside &&
-           entry.view->scene.light.generation == newest_light_;
+    return view.first.role == CameraRole::Reference && entry.view->scene.light.generation == newest_light_;
   });
   return ready ? std::optional(newest_light_) : std::nullopt;
 }

@@ -11,9 +11,32 @@
 
 #include "bus/slab.h"
 #include "gaussians/light.h"
-#include "trainer/pixels.h"
 
 namespace splatbus::trainer {
+
+/// An array that never changes and that several own, in either kind of memory; whoever holds it knows which.
+template <class T>
+class Pixels {
+ public:
+  Pixels() = default;
+  Pixels(std::shared_ptr<const T> data, std::size_t size) : data_(std::move(data)), size_(size) {}
+  /// In host memory.
+  explicit Pixels(std::vector<T> values) : size_(values.size()) {
+    auto owner = std::make_shared<const std::vector<T>>(std::move(values));
+    data_ = {owner, owner->data()};
+  }
+
+  [[nodiscard]] const T* data() const { return data_.get(); }
+  [[nodiscard]] std::size_t size() const { return size_; }
+  [[nodiscard]] bool empty() const { return size_ == 0; }
+  [[nodiscard]] std::size_t bytes() const { return size_ * sizeof(T); }
+  /// Host memory only.
+  const T& operator[](std::size_t i) const { return data_.get()[i]; }
+
+ private:
+  std::shared_ptr<const T> data_;
+  std::size_t size_ = 0;
+};
 
 /// An engine render to train on, in memory of our own. Immutable once it is in the store.
 struct TrainingView {
@@ -21,9 +44,9 @@ struct TrainingView {
   SceneState scene;  ///< light and object transforms of that very frame
   std::uint64_t frame = 0;
   Device memory = Device::Cpu;  ///< where the pictures lie
-  Pixels<std::uint8_t> color;                      ///< [h][w][4], display space
-  Pixels<std::uint8_t> albedo;                     ///< the same, or empty
-  Pixels<float> depth;                             ///< [h][w] metres along z, 0 where there is no surface; or empty
+  Pixels<std::uint8_t> color;   ///< [h][w][4], display space
+  Pixels<std::uint8_t> albedo;  ///< the same, or empty
+  Pixels<float> depth;          ///< [h][w] metres along z, 0 where there is no surface; or empty
 
   [[nodiscard]] std::size_t bytes() const { return color.bytes() + albedo.bytes() + depth.bytes(); }
 };
@@ -38,8 +61,8 @@ struct ViewKey {
   auto operator<=>(const ViewKey&) const = default;
 };
 
-/// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room. A
-/// view that cannot be trained is set aside: it is held, and nobody draws it. Thread-safe.
+/// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room.
+/// Thread-safe.
 class ViewStore {
  public:
   static constexpr std::size_t kMaxViews = 1024;
@@ -50,21 +73,13 @@ class ViewStore {
   void put(TrainingViewPtr view);
   void retire(const ViewKey& key);
 
-  /// There is no memory for a step of such pictures: the camera's views are set aside until its pictures have another
-  /// size, or take_up(). False when that was said of them before.
-  bool set_aside(const TrainingView& view);
-  /// Perhaps there is memory now: nothing is set aside any more.
-  void take_up();
-
-  /// Null too when it is set aside.
   [[nodiscard]] TrainingViewPtr find(const ViewKey& key) const;
-  /// Without those that are set aside.
   [[nodiscard]] std::vector<ViewKey> keys(CameraRole role) const;
   [[nodiscard]] bool any_to_train(CameraRole role) const;
   [[nodiscard]] std::size_t count(CameraRole role) const;
   [[nodiscard]] std::size_t bytes() const;
   [[nodiscard]] std::size_t max_bytes() const { return max_bytes_; }
-  /// Generation of the newest view's light, when a reference view under it is here and not set aside.
+  /// Generation of the newest view's light, when a reference view under it is here.
   [[nodiscard]] std::optional<std::uint64_t> reference_light() const;
   /// Grows whenever a camera comes or goes.
   [[nodiscard]] std::uint64_t cameras_version() const;
@@ -73,8 +88,6 @@ class ViewStore {
   struct Entry {
     TrainingViewPtr view;
     std::uint64_t updated = 0;
-    bool aside = false;
-    bool told = false;  // that pictures of this size were set aside
   };
   void evict(const ViewKey& newest);
 

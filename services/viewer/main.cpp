@@ -11,7 +11,6 @@
 
 #include "bus/error.h"
 #include "bus/service.h"
-#include "bus/signals.h"
 #include "viewer/viewer.h"
 
 namespace {

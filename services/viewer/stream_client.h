@@ -10,7 +10,7 @@
 #include <zmq.hpp>
 
 #include "bus/clock.h"
-#include "bus/log_limiter.h"
+#include "bus/log_sink.h"
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
 #include "metrics/metrics.h"

@@ -4,7 +4,9 @@
 #include <fmt/ranges.h>
 
 #include <cstdint>
+#include <map>
 #include <stdexcept>
+#include <string>
 
 namespace splatbus::golden {
 namespace {
@@ -15,6 +17,14 @@ using flatbuffers::StructDef;
 using flatbuffers::Type;
 
 constexpr int vector_length = 2;
+
+// Of those that are no longer at their first.
+int version_of(const std::string& root) {
+  static const std::map<std::string, int> changed{
+      {"CaptureInput", 2}, {"CaptureProbe", 2}, {"CaptureReference", 2}, {"EngineFrame", 2}, {"SceneLightDepth", 2}};
+  const auto found = changed.find(root);
+  return found == changed.end() ? 1 : found->second;
+}
 
 /// Writes values that differ from field to field, and from every default.
 class Filler {
@@ -41,7 +51,7 @@ class Filler {
       case flatbuffers::BASE_TYPE_STRUCT:
         return table(*type.struct_def);
       case flatbuffers::BASE_TYPE_STRING:
-        return field.name == "schema" ? fmt::format("\"{}/1\"", root_.name)
+        return field.name == "schema" ? fmt::format("\"{}/{}\"", root_.name, version_of(root_.name))
                                       : fmt::format("\"{} {}\"", field.name, ++next_);
       case flatbuffers::BASE_TYPE_VECTOR:
         return elements(field, type.VectorType(), vector_length);

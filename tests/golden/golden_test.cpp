@@ -141,9 +141,7 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
       {"CaptureReference", verify<wire::CaptureReference>},
       {"CaptureProbe", verify<wire::CaptureProbe>},
       {"ModelInsert", verify<wire::ModelInsert>},
-      {"ModelCells", verify<wire::ModelCells>},
       {"ModelPublished", verify<wire::ModelPublished>},
-      {"TrainerCells", verify<wire::TrainerCells>},
       {"TrainerStats", verify<wire::TrainerStats>},
       {"GridState", verify<wire::GridState>},
       {"RelightVisibility", verify<wire::RelightVisibility>},
@@ -160,7 +158,7 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
     EXPECT_TRUE(reads(bytes)) << name;
     ASSERT_TRUE(verify<wire::Envelope>(bytes)) << name;
     const auto* header = flatbuffers::GetRoot<wire::Envelope>(bytes.data())->header();
-    EXPECT_EQ(header->schema()->str(), name.substr(0, name.find('.')) + "/1");
+    EXPECT_TRUE(header->schema()->str().starts_with(name.substr(0, name.find('.')) + "/")) << name;
     EXPECT_EQ(header->source()->str(), "source 1");
     ASSERT_EQ(header->tensors()->size(), 2u) << name;
     EXPECT_EQ(header->tensors()->Get(0)->span()->storage(), wire::Storage::Inline);
@@ -168,12 +166,12 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
   }
   const auto bytes = load(golden_dir / "EngineFrame.bin", true);
   const auto* frame = flatbuffers::GetRoot<wire::EngineFrame>(bytes.data());
-  EXPECT_GT(frame->frame(), 1'000'000'000'000u);
+  EXPECT_GT(frame->scene()->frame(), 1'000'000'000'000u);
   EXPECT_EQ(frame->camera()->role(), wire::CameraRole::Light);
   EXPECT_EQ(frame->camera()->cx(), frame->camera()->fy() + 1);
   EXPECT_EQ(frame->camera()->world_from_camera().rotation().x(),
             frame->camera()->world_from_camera().rotation().w() + 1);
-  EXPECT_EQ(frame->objects()->size(), 2u);
+  EXPECT_EQ(frame->scene()->objects()->size(), 2u);
 }
 
 }  // namespace

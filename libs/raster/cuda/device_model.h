@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "device/buffer.h"
+#include "device/check.h"
 #include "gaussians/model.h"
 #include "raster/cuda/device_scene.h"
 

@@ -3,7 +3,6 @@
 #include <cub/device/device_select.cuh>
 
 #include "device/check.h"
-#include "device/sorted.cuh"
 #include "trainer/cuda/column_kernels.h"
 
 namespace splatbus::trainer::cuda {
@@ -79,25 +78,6 @@ __global__ void count_marks(const std::uint8_t* marks, std::uint32_t count, std:
   count_in(counter, i < count && marks[i] != 0);
 }
 
-__global__ void count_frozen(ModelPlanes p, std::uint32_t count, std::uint32_t* counter) {
-  const std::uint32_t i = thread_index();
-  count_in(counter, i < count && (p.flags[i] & kFrozen) != 0);
-}
-
-__global__ void set_frozen(ModelPlanes p, std::uint32_t count, const std::uint64_t* cells, std::uint32_t cell_count,
-                           bool frozen, std::uint32_t* counter) {
-  const std::uint32_t i = thread_index();
-  const bool changes =
-      i < count && ((p.flags[i] & kFrozen) != 0) != frozen && device::find_sorted(cells, cell_count, p.cell[i]) >= 0;
-  if (changes) {
-    p.flags[i] ^= kFrozen;
-    for (int c = 0; frozen && c < p.layout.channels(); ++c) {
-      p.parameters[c * p.capacity + i] = p.average[c * p.capacity + i];
-    }
-  }
-  count_in(counter, changes);
-}
-
 __global__ void set_visibility(ModelPlanes p, const float* values, std::uint32_t count) {
   const std::uint32_t i = thread_index();
   if (i < count) p.visibility[i] = values[i] >= 0 ? fminf(values[i], 1.0F) : 0.0F;  // 0 for what is not a number
@@ -156,12 +136,6 @@ void launch_count_marks(const std::uint8_t* marks, std::uint32_t count, std::uin
   launched("counting marks");
 }
 
-void launch_count_frozen(const ModelPlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream) {
-  if (count == 0) return;
-  count_frozen<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, counter);
-  launched("counting frozen columns");
-}
-
 std::size_t list_columns_scratch_bytes(std::uint32_t count) {
   std::size_t bytes = 0;
   device::check(cub::DeviceSelect::If(nullptr, bytes, thrust::counting_iterator<std::uint32_t>(0),
@@ -178,13 +152,6 @@ void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begi
       cub::DeviceSelect::If(scratch, scratch_bytes, thrust::counting_iterator<std::uint32_t>(begin), columns, listed,
                             static_cast<int>(end - begin), HasMark{.marks = marks, .set = set}, stream),
       "listing columns");
-}
-
-void launch_set_frozen(const ModelPlanes& planes, std::uint32_t count, const std::uint64_t* cells,
-                       std::uint32_t cell_count, bool frozen, std::uint32_t* counter, cudaStream_t stream) {
-  if (count == 0) return;
-  set_frozen<<<blocks_for(count), kThreads, 0, stream>>>(planes, count, cells, cell_count, frozen, counter);
-  launched("freezing columns");
 }
 
 void launch_set_visibility(const ModelPlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream) {

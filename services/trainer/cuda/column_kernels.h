@@ -35,17 +35,12 @@ void launch_number_columns(const ModelPlanes& planes, std::uint32_t first, std::
                            cudaStream_t stream);
 
 void launch_count_marks(const std::uint8_t* marks, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
-void launch_count_frozen(const ModelPlanes& planes, std::uint32_t count, std::uint32_t* counter, cudaStream_t stream);
 
 /// Lists the columns from `begin` to `end` whose mark is set, or is not set, ascending; *listed becomes their number.
 void launch_list_columns(const std::uint8_t* marks, bool set, std::uint32_t begin, std::uint32_t end,
                          std::uint32_t* columns, std::uint32_t* listed, void* scratch, std::size_t scratch_bytes,
                          cudaStream_t stream);
 [[nodiscard]] std::size_t list_columns_scratch_bytes(std::uint32_t count);
-
-/// `cells` ascending.
-void launch_set_frozen(const ModelPlanes& planes, std::uint32_t count, const std::uint64_t* cells,
-                       std::uint32_t cell_count, bool frozen, std::uint32_t* counter, cudaStream_t stream);
 
 void launch_set_visibility(const ModelPlanes& planes, const float* values, std::uint32_t count, cudaStream_t stream);
 

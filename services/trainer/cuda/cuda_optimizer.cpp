@@ -3,7 +3,9 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -11,7 +13,7 @@
 #include "device/buffer.h"
 #include "raster/cuda/train_step.h"
 #include "trainer/average.h"
-#include "trainer/cuda/cell_observer.h"
+#include "trainer/cuda/column_kernels.h"
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/cuda/prune_check.h"
 #include "trainer/cuda/step_kernels.h"
@@ -58,6 +60,7 @@ class CudaOptimizer final : public Optimizer {
         train_(train_options(options)),
         pruning_(train_.stream()),
         densifier_(options.seed, train_.stream()) {
+    check(cudaEventCreateWithFlags(&visibility_read_, cudaEventDisableTiming), "making an event");
     train_.set_model(gaussians());
     set_options(options);
     // An adopted model is taken for old: its average is settled.
@@ -66,7 +69,10 @@ class CudaOptimizer final : public Optimizer {
     count_ = store.count();
   }
 
-  ~CudaOptimizer() override { cudaStreamSynchronize(train_.stream()); }
+  ~CudaOptimizer() override {
+    cudaStreamSynchronize(train_.stream());
+    cudaEventDestroy(visibility_read_);
+  }
   CudaOptimizer(const CudaOptimizer&) = delete;
   CudaOptimizer& operator=(const CudaOptimizer&) = delete;
 
@@ -125,7 +131,7 @@ class CudaOptimizer final : public Optimizer {
             .active_channels = active_channels(options_)};
   }
 
-  /// What follows a step on the device: the average over time, and now and then a look at cells and for Gaussians to
+  /// What follows a step on the device: the average over time, and now and then a look for Gaussians to
   /// remove, to clone and to split.
   void after_step() {
     const std::uint64_t step = store_.step();
@@ -134,20 +140,9 @@ class CudaOptimizer final : public Optimizer {
                          {.begin = static_cast<int>(store_.count() * stripe / TimeAverage::kStripes),
                           .end = static_cast<int>(store_.count() * (stripe + 1) / TimeAverage::kStripes),
                           .step = step,
-                          .settled_share = average_share(average_decay(), TimeAverage::kStripes, ~0ULL),
+                          .settled_share = ema_weight(ema_decay(), TimeAverage::kStripes, ~0ULL),
                           .stripes = static_cast<float>(TimeAverage::kStripes)},
                          train_.stream());
-    const raster::cuda::WorkspaceView& w = train_.workspace();
-    if (observer_.due()) {
-      const raster::cuda::TrainView& last = train_.last_views().back();
-      observed_ = last.keep;
-      observer_.observe(gaussians(), columns(), store_.planes().cell,
-                        {.workspace = w,
-                         .view = w.batch - 1,
-                         .target = last.color,
-                         .display_space = options_.layout.appearance == Appearance::Radiance},
-                        train_.stream());
-    }
     if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !pruning_.since()) {
       pruning_.search(columns(), options_.prune, step);
     }
@@ -168,7 +163,6 @@ class CudaOptimizer final : public Optimizer {
     const auto done = train_.finished(wait);
     unbooked_s_ += done.seconds;
     report_ += {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss};
-    observer_.collect(wait, cells_);
   }
 
   /// Waits for all that is under way, and ends it.
@@ -191,13 +185,21 @@ class CudaOptimizer final : public Optimizer {
     // The moves are gone with the next change.
     check(cudaStreamSynchronize(train_.stream()), "removing Gaussians");
     count_ = store_.count();
-    observer_.structure_changed();
     if (pruning_.found_not_finite()) {
       spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", store_.step());
     }
   }
 
   void before_change() override { settle(); }
+
+  void set_visibility(const VisibilityCommand& relit) override {
+    if (relit.memory != Device::Cuda) throw std::invalid_argument("visibility is not in device memory");
+    check(cudaEventSynchronize(visibility_read_), "waiting for the visibility before");
+    cuda::launch_set_visibility(store_.planes(), reinterpret_cast<const float*>(relit.visibility.get()),
+                                static_cast<std::uint32_t>(relit.count), train_.stream());
+    check(cudaEventRecord(visibility_read_, train_.stream()), "recording an event");
+    visibility_ = relit.visibility;
+  }
 
   void follow_growth() override {
     cudaStream_t stream = train_.stream();
@@ -213,7 +215,6 @@ class CudaOptimizer final : public Optimizer {
                            stream);
     count_ = store_.count();
     train_.follow_model(gaussians());
-    observer_.structure_changed();
   }
 
   StepReport take_report() { return std::exchange(report_, {}); }
@@ -221,10 +222,10 @@ class CudaOptimizer final : public Optimizer {
   raster::cuda::TrainStep train_;
   device::Buffer<std::uint64_t> birth_;
   std::size_t count_ = 0;  // of Gaussians whose birth is known
-  CellObserver observer_;
-  std::shared_ptr<const void> observed_;  // kept until the device has looked at it
   PruneCheck pruning_;
   DeviceDensifier densifier_;
+  cudaEvent_t visibility_read_ = nullptr;
+  std::shared_ptr<const std::byte> visibility_;  // kept until the device has read it
   StepReport report_;
   double unbooked_s_ = 0;  // of optimizer time that the model's figures do not have yet
 };

@@ -3,7 +3,6 @@
 #include "device/check.h"
 #include "gaussians/layout.h"
 #include "trainer/cuda/densify_kernels.h"
-#include "trainer/split_factor.h"
 
 namespace splatbus::trainer::cuda {
 
@@ -20,8 +19,7 @@ __global__ void choose_dense(ModelPlanes p, raster::cuda::ScreenStatistics stati
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= count) return;
   const std::uint32_t steps = statistics.steps[i];
-  const bool frozen = (p.flags[i] & kFrozen) != 0;
-  chosen[i] = !frozen && steps > 0 && statistics.mean2d_norm[i] / static_cast<float>(steps) >= threshold ? 1 : 0;
+  chosen[i] = steps > 0 && statistics.mean2d_norm[i] / static_cast<float>(steps) >= threshold ? 1 : 0;
 }
 
 /// Rotates by a unit quaternion.
@@ -35,7 +33,8 @@ __device__ float3 rotated(float4 q, float3 v) {  // w x y z
 }
 
 /// Moves a Gaussian to a place drawn from it, and makes it smaller.
-__device__ void scatter(const ModelPlanes& p, std::uint32_t column, thrust::minstd_rand& random) {
+__device__ void sample_split(const ModelPlanes& p, std::uint32_t column, float log_split_factor,
+                             thrust::minstd_rand& random) {
   thrust::normal_distribution<float> normal;
 
   float* const at = p.parameters + column;
@@ -44,7 +43,7 @@ __device__ void scatter(const ModelPlanes& p, std::uint32_t column, thrust::mins
   float local[3];
   for (int axis = 0; axis < 3; ++axis) {
     local[axis] = normal(random) * expf(scale[axis * p.capacity]);
-    scale[axis * p.capacity] -= logf(kSplitFactor);
+    scale[axis * p.capacity] -= log_split_factor;
   }
   const float4 stored = make_float4(q[0], q[p.capacity], q[2 * p.capacity], q[3 * p.capacity]);
   const float inv = rsqrtf(stored.x * stored.x + stored.y * stored.y + stored.z * stored.z + stored.w * stored.w);
@@ -64,8 +63,8 @@ __global__ void split(ModelPlanes p, const std::uint32_t* columns, std::uint32_t
   if (largest <= options.max_clone_log_scale) return;
   thrust::minstd_rand random(options.seed);
   random.discard(6ULL * k);
-  scatter(p, columns[k], random);
-  scatter(p, first + k, random);
+  sample_split(p, columns[k], options.log_split_factor, random);
+  sample_split(p, first + k, options.log_split_factor, random);
 }
 
 }  // namespace

@@ -106,23 +106,7 @@ ColumnMoves DeviceColumns::remove(const ModelPlanes& planes, std::size_t count, 
   return {.moved = moved, .from = from_.data(), .to = to_.data(), .new_count = new_count};
 }
 
-std::size_t DeviceColumns::count_frozen(const ModelPlanes& planes, std::size_t count) {
-  return counted([&](std::uint32_t* counter) { launch_count_frozen(planes, u32(count), counter, stream_.get()); });
-}
-
-std::size_t DeviceColumns::set_frozen(const ModelPlanes& planes, std::size_t count,
-                                      const std::unordered_set<std::uint64_t>& cells, bool frozen) {
-  if (cells.empty()) return 0;
-  std::vector<std::uint64_t> sorted(cells.begin(), cells.end());
-  std::sort(sorted.begin(), sorted.end());
-  cells_.upload(sorted.data(), sorted.size(), stream_.get());
-  return counted([&](std::uint32_t* counter) {
-    launch_set_frozen(planes, u32(count), cells_.data(), u32(sorted.size()), frozen, counter, stream_.get());
-  });
-}
-
-void DeviceColumns::set_visibility(const ModelPlanes& planes, const float* values, Device memory,
-                                   std::size_t count) {
+void DeviceColumns::set_visibility(const ModelPlanes& planes, const float* values, Device memory, std::size_t count) {
   if (memory == Device::Cpu) {
     values_.upload(values, count, stream_.get());
     values = values_.data();

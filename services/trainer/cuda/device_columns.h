@@ -19,11 +19,7 @@ class DeviceColumns final : public ModelColumns {
   void duplicate(const ModelPlanes& planes, std::span<const std::uint32_t> columns, std::size_t first,
                  std::uint64_t first_id) override;
   ColumnMoves remove(const ModelPlanes& planes, std::size_t count, const std::uint8_t* dead) override;
-  std::size_t count_frozen(const ModelPlanes& planes, std::size_t count) override;
-  std::size_t set_frozen(const ModelPlanes& planes, std::size_t count, const std::unordered_set<std::uint64_t>& cells,
-                         bool frozen) override;
-  void set_visibility(const ModelPlanes& planes, const float* values, Device memory,
-                      std::size_t count) override;
+  void set_visibility(const ModelPlanes& planes, const float* values, Device memory, std::size_t count) override;
   Inspection inspect(const ModelPlanes& planes, std::size_t count) override;
 
  private:
@@ -36,7 +32,6 @@ class DeviceColumns final : public ModelColumns {
   device::Buffer<std::byte> rows_, scratch_;
   device::Buffer<std::uint8_t> marks_;
   device::Buffer<std::uint32_t> from_, to_, counter_;
-  device::Buffer<std::uint64_t> cells_;
   device::Buffer<ObjectRotation> objects_;
   device::Buffer<float> values_;
   device::Pinned<std::uint32_t> host_counter_;

@@ -4,6 +4,7 @@
 
 #include "trainer/cuda/densify_kernels.h"
 #include "trainer/cuda/device_columns.h"
+#include "trainer/density.h"
 
 namespace splatbus::trainer {
 
@@ -42,9 +43,12 @@ ModelStore::Columns DeviceDensifier::densify(ModelStore& store, const std::vecto
   const ModelStore::Columns added = store.duplicate(columns);
   columns_.upload(columns.data(), columns.size(), stream_);
   // The planes may have moved.
-  cuda::launch_split(
-      store.planes(), columns_.data(), static_cast<std::uint32_t>(added.first), static_cast<std::uint32_t>(added.count),
-      {.max_clone_log_scale = std::log(options.clone_max_scale_m), .seed = seed_of(seed_, store.step())}, stream_);
+  cuda::launch_split(store.planes(), columns_.data(), static_cast<std::uint32_t>(added.first),
+                     static_cast<std::uint32_t>(added.count),
+                     {.max_clone_log_scale = std::log(options.clone_max_scale_m),
+                      .log_split_factor = std::log(kSplitFactor),
+                      .seed = seed_of(seed_, store.step())},
+                     stream_);
   check(cudaStreamSynchronize(stream_), "splitting Gaussians");
   return added;
 }

@@ -5,6 +5,7 @@
 
 #include "bus/memory.h"
 #include "trainer/cuda/insert_kernels.h"
+#include "trainer/memory_failure.h"
 
 namespace splatbus::trainer::cuda {
 
@@ -14,8 +15,12 @@ DeviceInsertReader::DeviceInsertReader(std::atomic<std::uint64_t>& host_bytes)
 InsertReading DeviceInsertReader::read(const bus::Message& message) {
   InsertReading reading;
   const auto tensors = find_insert_tensors(message, reading.batch);
-  reading.lost = !tensors || (tensors->rows > 0 && !copy(*tensors));
-  if (!reading.lost && tensors->rows > 0) keep_valid_rows(reading.batch, tensors->rows);
+  reading.lost = !tensors;
+  if (!tensors || tensors->rows == 0) return reading;
+  in_own_memory([&] {
+    reading.lost = !copy(*tensors);
+    if (!reading.lost) keep_valid_rows(reading.batch, tensors->rows);
+  });
   return reading;
 }
 

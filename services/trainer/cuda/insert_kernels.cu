@@ -4,7 +4,7 @@
 
 #include "device/check.h"
 #include "trainer/cuda/insert_kernels.h"
-#include "trainer/insert_limits.h"
+#include "trainer/insert_rows.h"
 
 namespace splatbus::trainer::cuda {
 

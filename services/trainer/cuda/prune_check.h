@@ -13,7 +13,7 @@
 
 namespace splatbus::trainer {
 
-/// find_dead() on the device: the search is enqueued, and what it found is looked at some steps later. One thread.
+/// find_prunable() on the device: the search is enqueued, and what it found is looked at some steps later. One thread.
 /// Throws std::runtime_error naming the CUDA error.
 class PruneCheck {
  public:

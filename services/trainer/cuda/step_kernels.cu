@@ -20,7 +20,7 @@ constexpr int kChannels = 8;
 
 __global__ void average_kernel(Columns c, AverageOptions options) {
   const int i = options.begin + static_cast<int>(blockIdx.x) * kThreads + static_cast<int>(threadIdx.x);
-  if (i >= options.end || (c.flags[i] & kFrozen) != 0) return;
+  if (i >= options.end) return;
   const std::uint64_t born = c.birth[i], age = options.step > born ? options.step - born : 0;
   float share = 1.0F;
   if (age > 0) {

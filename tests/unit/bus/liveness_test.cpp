@@ -35,6 +35,37 @@ TEST(LivenessTest, SilenceIsDeathAndAHeartbeatIsLife) {
   EXPECT_TRUE(liveness.take_changed());
 }
 
+TEST(LivenessTest, ANewSourceIsAChangeWhateverItSays) {
+  for (const auto state : {wire::ServiceState::Starting, wire::ServiceState::Running, wire::ServiceState::Stopping}) {
+    Liveness liveness;
+    beat(liveness, 10 * second, state, 0);
+    EXPECT_TRUE(liveness.take_changed()) << wire::EnumNameServiceState(state);
+    EXPECT_FALSE(liveness.take_changed());
+  }
+}
+
+TEST(LivenessTest, NodesAndTopicsAreBounded) {
+  Liveness liveness;
+  TopicTable table;
+  for (int i = 0; i < 1100; ++i) {
+    const std::string name = "source" + std::to_string(i);
+    flatbuffers::FlatBufferBuilder builder;
+    const auto header = wire::CreateHeaderDirect(builder, ("Schema/" + std::to_string(i)).c_str(), name.c_str(), 1, 1);
+    builder.Finish(wire::CreateHeartbeatDirect(builder, header, "service"));
+    const auto& heartbeat = *flatbuffers::GetRoot<wire::Heartbeat>(builder.GetBufferPointer());
+    liveness.note(heartbeat, second);
+    table.note("one", *heartbeat.header(), 10);
+    table.note("topic" + std::to_string(i), *heartbeat.header(), 10);
+  }
+  EXPECT_EQ(liveness.nodes().size(), 1024u);
+  EXPECT_EQ(table.topics().size(), 1024u);
+  const auto& one = table.topics().find("one")->second;
+  EXPECT_EQ(one.sources.size(), 16u);
+  EXPECT_EQ(one.schemas.size(), 16u);
+  EXPECT_EQ(one.messages, 1100u);
+  EXPECT_EQ(one.bytes, 11000u);
+}
+
 TEST(LivenessTest, AStoppedServiceIsNotAlive) {
   Liveness liveness;
   beat(liveness, 10 * second);

@@ -5,11 +5,13 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <cstring>
 #include <future>
 
 #include "bus/error.h"
-#include "bus/memfd.h"
+#include "bus/file_descriptor.h"
+#include "bus/slab_client.h"
 #include "bus/slab_memory.h"
 #include "bus/slab_protocol.h"
 #include "bus_fixture.h"
@@ -152,6 +154,23 @@ TEST(SlabClient, ASlabSmallerThanItClaimsIsAClearError) {
   }));
   EXPECT_THAT(problem, testing::AllOf(HasSubstr("maker/small"), HasSubstr("4096 bytes, less than the 1048576")));
   EXPECT_TRUE(server.get());
+}
+
+TEST(SlabClient, ABrokerThatAcceptsNobodyHoldsNobodyUp) {
+  const TemporaryDirectory directory;
+  const std::string path = directory.address().slab_socket();
+  const bus::FileDescriptor listener(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
+  const auto address = socket_address(path);
+  const auto* raw = reinterpret_cast<const sockaddr*>(&address);
+  ASSERT_EQ(::bind(listener.get(), raw, sizeof(address)), 0);
+  ASSERT_EQ(::listen(listener.get(), 0), 0);
+  std::vector<bus::FileDescriptor> waiting;  // until the listener's queue is full
+  do {
+    waiting.emplace_back(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  } while (::connect(waiting.back().get(), raw, sizeof(address)) == 0);
+  ASSERT_EQ(errno, EAGAIN);
+  bus::SlabClient client(path);  // once never came back
+  EXPECT_FALSE(client.open(1, "", 0ms).has_value());
 }
 
 }  // namespace

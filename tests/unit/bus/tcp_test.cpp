@@ -1,7 +1,11 @@
+#include <map>
+#include <utility>
+
 #include "bus/error.h"
 #include "bus_fixture.h"
 #include "fake_broker.h"
 #include "slab_helpers.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::bus_test {
 namespace {
@@ -126,6 +130,38 @@ TEST_F(Tcp, LatchedSlabMessageReachesALateTcpReader) {
   const auto message = late.receive(patience);
   ASSERT_TRUE(message.has_value());
   EXPECT_EQ(floats_of(*message, "values"), (std::vector<float>{1, 2, 3}));
+}
+
+TEST_F(Tcp, WhoOnlyWantsToKnowTheTopicsIsSentNoTensor) {
+  const auto context = connect("maker");
+  NumberPublisher publisher(context, "viewer/probe");
+  const auto slab = context->create_slab("frames", 2, 1000);
+  bus::Subscriber local(connect("local"), {"viewer/probe"});
+  meet(publisher, local);
+  std::map<std::string, std::pair<std::uint64_t, std::uint64_t>> seen;  // messages, bytes
+  bus::Subscriber remote(connect_tcp("remote"));
+  remote.on(topics::kTopics, [&](const wire::Topics& topics, const bus::Message&) {
+    for (const auto* topic : *topics.topics()) {
+      seen[topic->name()->str()] = {topic->messages(), topic->bytes()};
+      if (topic->name()->str() != "viewer/probe") continue;
+      EXPECT_EQ(topic->schemas()->Get(0)->str(), "ViewerProbe/1");
+      EXPECT_EQ(topic->sources()->Get(0)->str(), "maker");
+    }
+  });
+  std::uint64_t bytes = 0;
+  for (int i = 0; i < 3; ++i) {
+    publish_number(publisher, 5, false, "", {write_floats(*slab, {1, 2, 3})});
+    const auto message = local.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    bytes += message->size() + 12;
+  }
+  ASSERT_TRUE(eventually([&] {
+    remote.dispatch_all(1ms);
+    return seen["viewer/probe"].first == 3;
+  }));
+  EXPECT_EQ(seen["viewer/probe"].second, bytes);
+  EXPECT_TRUE(seen.contains("sys/heartbeat"));
+  EXPECT_EQ(broker_->statistics().inlined, 0u);
 }
 
 }  // namespace

@@ -103,14 +103,15 @@ TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
     const auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
     const auto& frame = message->root<wire::EngineFrame>();
-    EXPECT_NEAR(frame.time_s(), static_cast<double>(frame.frame()) / 50, 1e-9);
-    ASSERT_EQ(frame.objects()->size(), 1U);
-    EXPECT_EQ(frame.objects()->Get(0)->id(), 2U);
-    EXPECT_NEAR(frame.objects()->Get(0)->world_from_object().translation().x(), 0.1 * frame.time_s(), 1e-5);
+    EXPECT_NEAR(frame.scene()->time_s(), static_cast<double>(frame.scene()->frame()) / 50, 1e-9);
+    ASSERT_EQ(frame.scene()->objects()->size(), 1U);
+    EXPECT_EQ(frame.scene()->objects()->Get(0)->id(), 2U);
+    EXPECT_NEAR(frame.scene()->objects()->Get(0)->world_from_object().translation().x(), 0.1 * frame.scene()->time_s(),
+                1e-5);
     if (frame.camera()->role() == wire::CameraRole::Light) {
       ++lights;
-      EXPECT_NE(last_generation, frame.light()->generation());
-      last_generation = frame.light()->generation();
+      EXPECT_NE(last_generation, frame.scene()->light()->generation());
+      last_generation = frame.scene()->light()->generation();
     } else {
       ++pictures;
     }
@@ -132,7 +133,7 @@ TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {
   for (std::size_t i = 0; i < requests.size(); ++i) {
     const auto message = frames.receive(std::chrono::seconds(5));
     ASSERT_TRUE(message.has_value()) << i;
-    EXPECT_EQ(message->root<wire::EngineFrame>().frame(), first->root<wire::EngineFrame>().frame());
+    EXPECT_EQ(message->root<wire::EngineFrame>().scene()->frame(), first->root<wire::EngineFrame>().scene()->frame());
   }
 }
 

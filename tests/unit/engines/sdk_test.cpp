@@ -29,12 +29,12 @@ TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
   const auto& frame = message->root<wire::EngineFrame>();
   EXPECT_EQ(message->header().source()->str(), "c-engine");
   EXPECT_GT(message->header().capture_ns(), 0);
-  EXPECT_EQ(frame.frame(), 42U);
+  EXPECT_EQ(frame.scene()->frame(), 42U);
   EXPECT_EQ(frame.request_id(), 99U);
   EXPECT_EQ(frame.camera()->id(), 3U);
-  ASSERT_EQ(frame.objects()->size(), 1U);
-  EXPECT_EQ(frame.objects()->Get(0)->id(), 7U);
-  EXPECT_FLOAT_EQ(frame.objects()->Get(0)->world_from_object().translation().z(), 3);
+  ASSERT_EQ(frame.scene()->objects()->size(), 1U);
+  EXPECT_EQ(frame.scene()->objects()->Get(0)->id(), 7U);
+  EXPECT_FLOAT_EQ(frame.scene()->objects()->Get(0)->world_from_object().translation().z(), 3);
   const auto color = message->tensor("color", bus::ElementType::U8, {6, 8, 4});
   ASSERT_TRUE(color.has_value());
   EXPECT_EQ(color->as<std::uint8_t>()[17], 200);
@@ -183,7 +183,7 @@ TEST_F(SdkTest, TheLightsGenerationFollowsTheLight) {
         << splatbus_engine_last_error(engine.get());
     const auto message = frames.receive(patience);
     ASSERT_TRUE(message.has_value());
-    generations.push_back(message->root<wire::EngineFrame>().light()->generation());
+    generations.push_back(message->root<wire::EngineFrame>().scene()->light()->generation());
   }
   EXPECT_EQ(generations[0], generations[1]);
   EXPECT_NE(generations[1], generations[2]);

@@ -47,8 +47,8 @@ TEST_F(CaptureBridgeTest, BrokenFramesAreRefusedAndNothingElseDisturbed) {
   const auto publish = [&](std::string_view schema, wire::Camera camera, std::vector<bus::OutgoingTensor> tensors) {
     garbage.publish(Topic<wire::EngineFrame>{"engine/frame", false, schema}, {.tensors = std::move(tensors)},
                     [&](auto& builder, auto header) {
-                      const auto light = to_wire(builder, Light{});
-                      return wire::CreateEngineFrame(builder, header, 1, 0, 1, &camera, 0, light);
+                      const auto scene = to_wire(builder, SceneState{}, 1);
+                      return wire::CreateEngineFrame(builder, header, 1, &camera, scene);
                     });
   };
   Camera nan = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);

@@ -11,7 +11,7 @@ TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
   const bus::Message& message = received_["capture/input"].front();
   const auto& input = message.root<wire::CaptureInput>();
   ASSERT_EQ(input.cameras()->size(), 4U);
-  EXPECT_EQ(input.objects()->size(), 1U);
+  EXPECT_EQ(input.scene()->objects()->size(), 1U);
   EXPECT_GT(input.rig_generation(), 0U);
   EXPECT_EQ(message.header().capture_ns(), 1234);
   const auto position = message.tensor("position", bus::ElementType::F32, {0, 3});

@@ -102,8 +102,9 @@ class FakeEngine {
       const auto objects_offset = to_wire(builder, objects);
       const auto light_offset = to_wire(builder, light);
       const wire::Camera out = to_wire(camera);
-      return wire::CreateEngineFrame(builder, header, frame, 0.1 * static_cast<double>(frame), request_id, &out,
-                                     objects_offset, light_offset);
+      const auto scene_offset =
+          wire::CreateSceneState(builder, frame, 0.1 * static_cast<double>(frame), objects_offset, light_offset);
+      return wire::CreateEngineFrame(builder, header, request_id, &out, scene_offset);
     });
   }
 

@@ -208,8 +208,8 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
                          const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
                          const auto objects = to_wire(builder, samples.objects);
                          const auto light = to_wire(builder, samples.light);
-                         return wire::CreateCaptureInput(builder, header, 1, 0, samples.rig_generation, cameras_offset,
-                                                         objects, light);
+                         return wire::CreateCaptureInput(builder, header, samples.rig_generation, cameras_offset,
+                                                         wire::CreateSceneState(builder, 1, 0, objects, light));
                        });
   }
 

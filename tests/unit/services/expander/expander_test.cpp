@@ -102,15 +102,15 @@ TEST_P(ExpanderTest, BrokenInputIsRefusedAndNothingElseDisturbed) {
   // A wrong schema; tensors that disagree; no tensors at all.
   publisher_.publish(Topic<wire::CaptureInput>{"capture/input", false, kSchema<wire::ViewerPose>},
                      [&](auto& builder, auto header) {
-                       return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
+                       return wire::CreateCaptureInput(builder, header, 0, 0, to_wire(builder, SceneState{}));
                      });
   publisher_.publish(topics::kCaptureInput, [&](auto& builder, auto header) {
-    return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
+    return wire::CreateCaptureInput(builder, header, 0, 0, to_wire(builder, SceneState{}));
   });
   const std::vector<float> few(30);
   const std::vector<bus::OutgoingTensor> lying{{.name = "position", .shape = {10, 3}, .inline_data = few.data()}};
   publisher_.publish(topics::kCaptureInput, {.tensors = lying}, [&](auto& builder, auto header) {
-    return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
+    return wire::CreateCaptureInput(builder, header, 0, 0, to_wire(builder, SceneState{}));
   });
   publisher_.publish(Topic<wire::ModelPublished>{"model/published"}, [&](auto& builder, auto header) {
     return wire::CreateModelPublished(builder, header, 5, 1000, 2000);

@@ -78,7 +78,8 @@ class RelightTest : public bus_test::BusTest {
           const auto light_offset = to_wire(builder, light);
           const auto wire_camera = to_wire(camera);
           const auto objects_offset = to_wire(builder, objects);
-          return wire::CreateSceneLightDepth(builder, header, 1, 0.0, &wire_camera, light_offset, objects_offset);
+          return wire::CreateSceneLightDepth(builder, header, &wire_camera,
+                                             wire::CreateSceneState(builder, 1, 0.0, objects_offset, light_offset));
         });
   }
 

@@ -82,7 +82,7 @@ void Pipeline::answer_probe() {
         answers.publish(
             topics::kCaptureProbe, {.tensors = pictures_.write({&source, 1})}, [&](auto& builder, auto header) {
               const auto wire_camera = to_wire(camera);
-              return wire::CreateCaptureProbe(builder, header, 9, 1, 0, &wire_camera, 0, to_wire(builder, Light{}));
+              return wire::CreateCaptureProbe(builder, header, 9, &wire_camera, to_wire(builder, SceneState{}, 1));
             });
         return (answer = client.take_probe_answer()).has_value();
       },

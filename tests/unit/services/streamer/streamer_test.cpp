@@ -104,8 +104,8 @@ TEST_F(StreamerTest, ProbePicturesReachThoseWhoWantThem) {
     const bus::OutgoingTensor color{
         .name = "color", .shape = {8, width, 4}, .type = bus::ElementType::U8, .inline_data = pixels.data()};
     publisher.publish(topics::kCaptureProbe, {.tensors = {color}}, [&](auto& builder, auto header) {
-      return wire::CreateCaptureProbe(builder, header, 9, 1, 0.5, &wired, to_wire(builder, ObjectTransforms{{3, {}}}),
-                                      to_wire(builder, light));
+      return wire::CreateCaptureProbe(builder, header, 9, &wired,
+                                      to_wire(builder, SceneState{.light = light, .objects = {{3, {}}}}, 1, 0.5));
     });
   };
   publish(15);  // a tensor that is not the camera's size is refused

@@ -16,18 +16,18 @@ struct Columns {
   ModelPlanes planes;
 };
 
-TEST(AverageShare, TakesTheValueAtFirstAndSettlesAtTheDecay) {
-  EXPECT_FLOAT_EQ(average_share(0.98F, 8, 0), 1.0F);
-  EXPECT_FLOAT_EQ(average_share(0.98F, 8, 8), 1.0F);
-  EXPECT_NEAR(average_share(0.98F, 8, 64), 0.5F, 1e-6F);
-  EXPECT_NEAR(average_share(0.98F, 8, 100000), 1.0F - std::pow(0.98F, 8.0F), 1e-6F);
-  EXPECT_FLOAT_EQ(average_share(0.0F, 8, 100000), 1.0F);
+TEST(EmaWeight, TakesTheValueAtFirstAndSettlesAtTheDecay) {
+  EXPECT_FLOAT_EQ(ema_weight(0.98F, 8, 0), 1.0F);
+  EXPECT_FLOAT_EQ(ema_weight(0.98F, 8, 8), 1.0F);
+  EXPECT_NEAR(ema_weight(0.98F, 8, 64), 0.5F, 1e-6F);
+  EXPECT_NEAR(ema_weight(0.98F, 8, 100000), 1.0F - std::pow(0.98F, 8.0F), 1e-6F);
+  EXPECT_FLOAT_EQ(ema_weight(0.0F, 8, 100000), 1.0F);
 }
 
-TEST(AverageShare, NeverGrowsWithAge) {
+TEST(EmaWeight, NeverGrowsWithAge) {
   float last = 1.0F;
   for (std::uint64_t age = 0; age < 2000; ++age) {
-    const float share = average_share(0.98F, 8, age);
+    const float share = ema_weight(0.98F, 8, age);
     EXPECT_LE(share, last);
     last = share;
   }
@@ -43,6 +43,19 @@ TEST(TimeAverage, ReachesEveryColumnOnceInEightSteps) {
   EXPECT_FLOAT_EQ(columns.planes.average[21], 0.0F) << "beyond the count";
 }
 
+TEST(TimeAverage, CountsAgeFromWhenTheGaussianWasMade) {
+  Columns columns(32);
+  std::vector<std::uint64_t> made_at(24, 0);
+  made_at[0] = 990;
+  made_at[1] = 872;
+  for (std::size_t i = 0; i < 24; ++i) columns.planes.parameters[i] = 1.0F;
+  TimeAverage().update(columns.planes, 24, 41, made_at, 1000, 0.98F);  // the first three columns' turn
+  EXPECT_FLOAT_EQ(columns.planes.average[0], 1.0F) << "10 steps old";
+  EXPECT_FLOAT_EQ(columns.planes.average[1], 0.25F) << "8 of a quarter of 128 steps";
+  EXPECT_NEAR(columns.planes.average[2], 1.0F - std::pow(0.98F, 8.0F), 1e-6F) << "old";
+  EXPECT_EQ(columns.planes.average[3], 0.0F) << "its turn comes later";
+}
+
 TEST(TimeAverage, SmoothsJitterOfAnOldGaussian) {
   Columns columns(16);
   const std::vector<std::uint64_t> birth(1, 0);
@@ -54,17 +67,15 @@ TEST(TimeAverage, SmoothsJitterOfAnOldGaussian) {
   EXPECT_NEAR(columns.planes.average[0], 3.0F, 0.1F);
 }
 
-TEST(TimeAverage, LeavesFrozenGaussiansAndInactiveChannelsAlone) {
+TEST(TimeAverage, LeavesInactiveChannelsAlone) {
   Columns columns(16);
   const std::vector<std::uint64_t> birth(8, 0);
-  columns.planes.flags[2] = kFrozen;
   for (std::size_t i = 0; i < 8; ++i) {
     columns.planes.parameters[i] = 1.0F;
     columns.planes.parameters[std::size_t{14} * 16 + i] = 1.0F;
   }
   TimeAverage average;
   for (std::uint64_t step = 1; step <= 8; ++step) average.update(columns.planes, 8, 14, birth, step, 0.98F);
-  EXPECT_FLOAT_EQ(columns.planes.average[2], 0.0F);
   EXPECT_FLOAT_EQ(columns.planes.average[3], 1.0F);
   EXPECT_FLOAT_EQ(columns.planes.average[14 * 16 + 3], 0.0F);
 }

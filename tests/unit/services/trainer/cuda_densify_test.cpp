@@ -4,7 +4,6 @@
 #include "cuda_optimizer_fixture.h"
 #include "trainer/cuda/device_densifier.h"
 #include "trainer/density.h"
-#include "trainer/split_factor.h"
 
 namespace splatbus::trainer {
 namespace {
@@ -47,10 +46,7 @@ class CudaDensify : public bus_test::BusTest {
     host_ = std::make_unique<ModelStore>(connect("host"), ParameterLayout{}, count, max_gaussians, Device::Cpu);
     device_ = std::make_unique<ModelStore>(connect("device"), ParameterLayout{}, count, max_gaussians, Device::Cuda);
     for (ModelStore* store : {host_.get(), device_.get()}) {
-      store->change([&] {
-        store->append(rows);
-        store->set_frozen({rows.cell[0]}, true);
-      });
+      store->change([&] { store->append(rows); });
     }
   }
 
@@ -116,7 +112,6 @@ TEST_F(CudaDensify, ChoosesTheColumnsThatTheCpuDoes) {
     const bool splits = is_chosen && from % 2 == 0;
     EXPECT_EQ(a->parameters[i] != before->parameters[from], splits) << i;
     EXPECT_EQ(a->parameters[i] != b->parameters[i], splits) << i;
-    EXPECT_TRUE(!is_chosen || (before->flags[from] & kFrozen) == 0);
   }
 }
 

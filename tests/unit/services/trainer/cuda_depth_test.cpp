@@ -6,7 +6,6 @@
 namespace splatbus::trainer {
 namespace {
 
-
 /// A scene's views with depths that are off, as by an engine whose surfaces lie elsewhere, and without some of them.
 std::vector<TrainingView> with_other_depth(const SyntheticScene& scene) {
   std::vector<TrainingView> views;

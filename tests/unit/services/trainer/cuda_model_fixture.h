@@ -21,10 +21,6 @@ inline bool has_device() {
   return cudaGetDeviceCount(&count) == cudaSuccess && count > 0;
 }
 
-inline const char* name_of(Device memory) {
-  return memory == Device::Cpu ? "host" : "cuda";
-}
-
 /// The first columns of a store's planes, in host memory.
 class HostPlanes {
  public:

@@ -8,7 +8,6 @@
 namespace splatbus::trainer {
 namespace {
 
-
 constexpr std::uint64_t kEpoch = 10;
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
@@ -50,7 +49,6 @@ class CudaModel : public bus_test::BusTest {
     EXPECT_EQ(a.generation, b.generation);
     EXPECT_EQ(a.removal_generation, b.removal_generation);
     EXPECT_EQ(a.next_gaussian_id, b.next_gaussian_id);
-    EXPECT_EQ(a.frozen, b.frozen);
     EXPECT_EQ(host_->capacity(), device_->capacity());
     expect_same(HostPlanes(*host_), HostPlanes(*device_), tolerance);
   }
@@ -103,7 +101,6 @@ TEST_F(CudaModel, RadianceBeginsWithTheLitColour) {
 TEST_F(CudaModel, RemovesTheSame) {
   std::mt19937 random(5);
   append(1, 3000);
-  on_both([](ModelStore& store) { store.set_frozen({1, 3}, true); });
   for (const double share : {0.0, 0.001, 0.3, 0.9}) {
     std::vector<std::uint8_t> dead(host_->count());
     for (auto& mark : dead) mark = std::generate_canonical<double, 32>(random) < share ? 1 : 0;
@@ -113,8 +110,7 @@ TEST_F(CudaModel, RemovesTheSame) {
     ASSERT_EQ(on_host.moved, on_device.moved);
     EXPECT_EQ(host_copy(on_host.from, Device::Cpu, on_host.moved),
               host_copy(on_device.from, Device::Cuda, on_host.moved));
-    EXPECT_EQ(host_copy(on_host.to, Device::Cpu, on_host.moved),
-              host_copy(on_device.to, Device::Cuda, on_host.moved));
+    EXPECT_EQ(host_copy(on_host.to, Device::Cpu, on_host.moved), host_copy(on_device.to, Device::Cuda, on_host.moved));
     expect_same_stores();
   }
   std::vector<std::uint8_t> tail(host_->count(), 0);
@@ -130,28 +126,6 @@ TEST_F(CudaModel, RemovesTheSame) {
   remove(*device_, {});
   append(2, 10);
   expect_same_stores();
-}
-
-TEST_F(CudaModel, FreezesAndThawsTheSame) {
-  append(1, 400);
-  const std::vector<float> shifted(400, 7.5F);
-  for (ModelStore* store : {host_.get(), device_.get()}) {
-    bus::copy_memory(store->planes().average, store->memory(), shifted.data(), Device::Cpu,
-                     shifted.size() * sizeof(float));
-    bus::finish_copies();
-  }
-  const auto set = [&](const std::unordered_set<std::uint64_t>& cells, bool frozen) {
-    std::vector<std::size_t> changed;
-    on_both([&](ModelStore& store) { changed.push_back(store.set_frozen(cells, frozen)); });
-    EXPECT_EQ(changed[0], changed[1]);
-    expect_same_stores();
-    return changed[0];
-  };
-  EXPECT_GT(set({2, 3, 77}, true), 0U);
-  EXPECT_EQ(HostPlanes(*device_)->flags[0], HostPlanes(*device_)->cell[0] == 2 || HostPlanes(*device_)->cell[0] == 3);
-  EXPECT_EQ(set({2}, true), 0U);
-  EXPECT_GT(set({0, 3}, false), 0U);
-  EXPECT_EQ(set({}, true), 0U);
 }
 
 TEST_F(CudaModel, TakesVisibilityFromEitherMemory) {
@@ -178,21 +152,6 @@ TEST_F(CudaModel, DuplicatesTheSame) {
   expect_same_stores();
   const auto ids = HostPlanes(*device_).ids();
   EXPECT_EQ(std::set<std::uint64_t>(ids.begin(), ids.end()).size(), 65U);
-}
-
-TEST_F(CudaModel, AChangeThatThrowsLeavesTheStructure) {
-  append(1, 40);
-  on_both([](ModelStore& store) { store.append(sample_batch(kEpoch, 2, 10)); });
-  for (ModelStore* store : {host_.get(), device_.get()}) {
-    EXPECT_THROW(store->change([&] {
-      store->append(sample_batch(kEpoch, 3, 100));
-      throw std::runtime_error("no");
-    }),
-                 std::runtime_error);
-  }
-  EXPECT_EQ(device_->count(), 50U);
-  EXPECT_FALSE(device_->holds(kEpoch, 3));
-  expect_same_stores();
 }
 
 TEST_F(CudaModel, WhatARemovalCutShortLeavesIsRepairedTheSame) {

@@ -10,7 +10,7 @@
 #include "cuda_model_fixture.h"
 #include "synthetic_scene.h"
 #include "trainer/optimizer.h"
-#include "trainer/schedule.h"
+#include "trainer/view_sampler.h"
 
 namespace splatbus::trainer {
 
@@ -69,7 +69,7 @@ class Trial {
   double train(int steps) {
     StepReport sum;
     for (int i = 0; i < steps; ++i) {
-      sum += optimizer_->step(schedule_.next_batch(views_, optimizer_->options().batch, 0));
+      sum += optimizer_->step(sampler_.next_batch(views_, optimizer_->options().batch, 0));
     }
     sum += optimizer_->finish();
     EXPECT_EQ(sum.steps, static_cast<std::size_t>(steps));
@@ -108,7 +108,7 @@ class Trial {
   std::shared_ptr<bus::Context> context_;
   bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   ViewStore views_;
-  Schedule schedule_{1};
+  ViewSampler sampler_{1};
   std::unique_ptr<ModelStore> store_;
   std::unique_ptr<Optimizer> optimizer_;
   double seconds_ = 0;

@@ -6,7 +6,6 @@
 namespace splatbus::trainer {
 namespace {
 
-
 /// The same picture without its lower half.
 TrainingView upper_half(const TrainingView& view) {
   TrainingView half = view;
@@ -114,95 +113,10 @@ TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
   s.poke(ParameterLayout::kOpacityLogit, 7, -9.0F);
   ViewStore views;
   for (const auto& view : scene_.views()) views.put(placed(*view, Device::Cuda));
-  Schedule schedule(3);
-  for (int i = 0; i < 12; ++i) s.optimizer().step(schedule.next_batch(views, 1, 0));
+  ViewSampler sampler(3);
+  for (int i = 0; i < 12; ++i) s.optimizer().step(sampler.next_batch(views, 1, 0));
   EXPECT_EQ(s.store().count(), before - 2);
   s.optimizer().finish();
-}
-
-TEST_F(CudaOptimizerTest, FrozenGaussiansStay) {
-  Trial s = trial(Device::Cuda);
-  s.train(2);
-  Commands commands;
-  commands.cells.push_back({.cells = {1}, .freeze = true});
-  EXPECT_TRUE(s.optimizer().apply(commands));
-  const HostPlanes before = s.planes();
-  s.train(4);
-  const HostPlanes after = s.planes();
-  std::size_t moved = 0;
-  for (std::size_t i = 0; i < after.count(); ++i) {
-    if (after->cell[i] == 1) {
-      EXPECT_EQ(after->parameters[i], before->parameters[i]);
-      EXPECT_EQ(after->average[i], before->average[i]);
-    } else {
-      moved += after->parameters[i] != before->parameters[i] ? 1 : 0;
-    }
-  }
-  EXPECT_GT(moved, before.count() / 2);
-}
-
-TEST_F(CudaOptimizerTest, KnowsHowWellCellsAreTrained) {
-  const SyntheticScene scene(150, 3, 16);
-  Trial cuda(connect("cuda"), Device::Cuda, scene, {});
-  Trial cpu(connect("cpu"), Device::Cpu, scene, {});
-  cuda.train(12);
-  cpu.train(12);
-  const auto early = cuda.optimizer().cells().cells();
-  ASSERT_EQ(early.size(), 4U);
-  for (const auto& [id, cell] : cpu.optimizer().cells().cells()) {
-    EXPECT_EQ(early.at(id).count, cell.count);
-    EXPECT_TRUE(early.at(id).seen);
-    // Of one view, and of twelve.
-    EXPECT_GT(early.at(id).loss, 0.25F * cell.loss);
-    EXPECT_LT(early.at(id).loss, 4 * cell.loss);
-    EXPECT_GT(early.at(id).movement, 0.0F);
-  }
-  // A change of structure, of nothing here, and the cells are looked at again.
-  cuda.train(19);
-  Commands commands;
-  commands.cells.push_back({.cells = {77}, .freeze = false});
-  EXPECT_TRUE(cuda.optimizer().apply(commands));
-  cuda.train(1);
-  float loss_before = 0;
-  float loss_after = 0;
-  for (const auto& [id, cell] : cuda.optimizer().cells().cells()) {
-    loss_before += early.at(id).loss;
-    loss_after += cell.loss;
-  }
-  EXPECT_LT(loss_after, 0.9F * loss_before);
-}
-
-TEST_F(CudaOptimizerTest, ObservesCellsWithThePictureThatWasDrawnLast) {
-  // Every Gaussian is a cell of its own and none of them learns, so that a cell's figures are those of one pixel.
-  Settings still;
-  for (const char* rate : {"lr_mean", "lr_log_scale", "lr_rotation", "lr_opacity", "lr_albedo", "lr_residual"}) {
-    still.emplace_back(rate, "0");
-  }
-  InsertBatch batch = scene_.perturbed();
-  std::iota(batch.cell.begin(), batch.cell.end(), 0U);
-  const TrainingView& wide = *scene_.views()[0];
-  const TrainingView low = upper_half(*scene_.views()[3]);
-  // Sizes are trained in ascending order on the device: the last picture drawn is the wide one, whichever comes last.
-  Trial cuda(connect("cuda"), Device::Cuda, batch, still);
-  Trial cpu(connect("cpu"), Device::Cpu, batch, still);
-  for (int i = 0; i < 8; ++i) {
-    cuda.step({&wide, &low});
-    cpu.step({&low, &wide});
-  }
-  cuda.optimizer().finish();
-  const auto& expected = cpu.optimizer().cells().cells();
-  const auto& observed = cuda.optimizer().cells().cells();
-  ASSERT_EQ(observed.size(), expected.size());
-  std::size_t seen = 0;
-  std::size_t same = 0;
-  for (const auto& [id, cell] : expected) {
-    const CellTable::Cell& other = observed.at(id);
-    EXPECT_EQ(other.count, 1U);
-    seen += cell.seen ? 1 : 0;
-    same += cell.seen && other.seen && std::abs(other.loss - cell.loss) < 2e-3F && other.movement == 0 ? 1 : 0;
-  }
-  EXPECT_GT(seen, expected.size() / 3);
-  EXPECT_GE(same + 2, seen) << "a mean beside the border of a pixel may be taken for its neighbour's";
 }
 
 TEST_F(CudaOptimizerTest, TakesOtherOptionsWhileItTrains) {

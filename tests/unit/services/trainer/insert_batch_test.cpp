@@ -84,39 +84,12 @@ TEST(Commands, HoldNoMoreRowsThanTheirBound) {
   EXPECT_EQ(commands.inserts.size(), 2U);
 }
 
-TEST(Commands, ThatNobodySendsAgainAreGivenBack) {
-  CommandQueue queue;
-  queue.post([](Commands& commands) {
-    EXPECT_TRUE(commands.add(CellsCommand{.cells = {1}, .freeze = true}));
-    EXPECT_TRUE(commands.add(sample_batch(1, 1, 0)));
-    commands.visibility = VisibilityCommand{.model_generation = 5};
-  });
-  Commands taken = queue.take();
-  queue.post([](Commands& commands) {
-    EXPECT_TRUE(commands.add(CellsCommand{.cells = {1}, .freeze = false}));
-    commands.visibility = VisibilityCommand{.model_generation = 6};
-  });
-  queue.give_back(std::move(taken));
-  const Commands again = queue.take();
-  ASSERT_EQ(again.cells.size(), 2U);
-  EXPECT_TRUE(again.cells[0].freeze);  // in the order of their coming
-  EXPECT_FALSE(again.cells[1].freeze);
-  EXPECT_EQ(again.visibility->model_generation, 6U);  // the newest
-  EXPECT_TRUE(again.inserts.empty());                 // its expander sends it again
-}
-
-TEST(Commands, HoldNoMoreBatchesAndCellsThanTheirBound) {
+TEST(Commands, HoldNoMoreBatchesThanTheirBound) {
   Commands commands;
   for (std::uint64_t batch = 0; batch < Commands::kMaxInserts; ++batch) {
     ASSERT_TRUE(commands.add(sample_batch(1, batch, 0)));
   }
   EXPECT_FALSE(commands.add(sample_batch(1, Commands::kMaxInserts, 0)));
-  CellsCommand many;
-  for (std::uint64_t cell = 0; cell + 2 < Commands::kMaxCells; ++cell) many.cells.insert(cell);
-  EXPECT_TRUE(commands.add(std::move(many)));
-  EXPECT_TRUE(commands.add(CellsCommand{.cells = {1}}));
-  EXPECT_FALSE(commands.add(CellsCommand{.cells = {1}}));
-  EXPECT_EQ(commands.cells.size(), 2U);
 }
 
 }  // namespace

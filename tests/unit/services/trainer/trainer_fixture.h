@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <exception>
 #include <functional>
 #include <map>
 #include <memory>
@@ -33,7 +34,7 @@ class TrainerTest : public bus_test::BusTest {
  protected:
   TrainerTest()
       : peer_(connect("peer")),
-        subscriber_(peer_, {"model/published", "trainer/stats", "trainer/cells"}),
+        subscriber_(peer_, {"model/published", "trainer/stats"}),
         publisher_(peer_),
         ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
     set("threads", "1", false);
@@ -53,16 +54,29 @@ class TrainerTest : public bus_test::BusTest {
     EXPECT_EQ(parameters_.set(name, value, at_runtime), "");
   }
 
-  void start() {
+  /// With an optimizer that `make` makes, where given. Whatever ends the trainer is kept in `ended_with_`.
+  void start(const Trainer::OptimizerMaker& make = make_optimizer) {
     stop_ = std::stop_source();
     service_ = std::make_unique<bus::ServiceContext>(connect("trainer"), parameters_, stop_.get_token(), backend_);
-    thread_ = std::thread([this] { Trainer(*service_).run(); });
+    ended_with_ = nullptr;
+    thread_ = std::thread([this, make] {
+      try {
+        Trainer(*service_, make).run();
+      } catch (...) {
+        ended_with_ = std::current_exception();
+      }
+    });
     ASSERT_TRUE(until([&] { return published(); }));
+  }
+
+  /// Waits for a trainer that ends by itself.
+  void join() {
+    if (thread_.joinable()) thread_.join();
   }
 
   void stop() {
     stop_.request_stop();
-    if (thread_.joinable()) thread_.join();
+    join();
     service_.reset();
     newest_.clear();
   }
@@ -124,9 +138,9 @@ class TrainerTest : public bus_test::BusTest {
     bus::MessageInfo info;
     if (!sources.empty()) info.tensors = ring_->write(sources);
     publisher_.publish(topics::kCaptureReference, info, [&](auto& builder, auto header) {
-      const auto light = to_wire(builder, view.scene.light);
+      const auto scene = to_wire(builder, SceneState{.light = view.scene.light, .objects = {}}, 1);
       const auto camera = to_wire(view.camera);
-      return wire::CreateCaptureReference(builder, header, 1, 0.0, &camera, 0, light, retire);
+      return wire::CreateCaptureReference(builder, header, &camera, scene, retire);
     });
   }
 
@@ -154,6 +168,7 @@ class TrainerTest : public bus_test::BusTest {
   std::stop_source stop_;
   std::unique_ptr<bus::ServiceContext> service_;
   std::thread thread_;
+  std::exception_ptr ended_with_;  // after join()
   std::map<std::string, bus::Message> newest_;
 };
 

@@ -4,9 +4,13 @@
 
 #include <atomic>
 #include <limits>
+#include <memory>
+#include <new>
 #include <optional>
 
 #include "bus/error.h"
+#include "bus/memory.h"
+#include "trainer/memory_failure.h"
 #include "trainer_fixture.h"
 #include "wire/published_model.h"
 
@@ -31,7 +35,6 @@ TEST_F(TrainerTest, TrainsToTheStepAskedForAndNoFurther) {
   set("run_until", "120");
   ASSERT_TRUE(until([&] { return stats()->step() == 120 && stats()->paused(); }));
   EXPECT_GT(scene.psnr(model->average()), psnr + 1) << "the model is read live";
-  ASSERT_TRUE(until([&] { return newest_.contains("trainer/cells"); }));
 }
 
 TEST_F(TrainerTest, RestsWhilePaused) {
@@ -67,9 +70,9 @@ TEST_F(TrainerTest, BadInsertsHarmNobody) {
                        const auto light = to_wire(builder, Light{});
                        return wire::CreateModelInsert(builder, header, 5, 0, light);
                      });
-  publisher_.publish(Topic<wire::TrainerCells>{"model/insert", false, kSchema<wire::ModelInsert>},
+  publisher_.publish(Topic<wire::TrainerStats>{"model/insert", false, kSchema<wire::ModelInsert>},
                      [&](auto& builder, auto header) {
-                       return wire::CreateTrainerCells(builder, header, 6);  // another table under that name
+                       return wire::CreateTrainerStats(builder, header, 6);  // another table under that name
                      });
   insert(damaged);
   EXPECT_EQ(published()->count(), 19U) << "all but the row that was not finite";
@@ -89,27 +92,9 @@ TEST_F(TrainerTest, BadViewsAreRefusedAndRetiredOnesForgotten) {
   }));
 }
 
-TEST_F(TrainerTest, FreezesThawsAndTakesVisibility) {
+TEST_F(TrainerTest, TakesVisibility) {
   start();
-  const InsertBatch batch = sample_batch(0, 1, 40);
-  insert(batch);
-  std::uint64_t in_cell = 0;
-  for (const auto cell : batch.cell) in_cell += cell == 1 ? 1 : 0;
-  const std::vector<std::uint64_t> cells{1};
-  const auto send = [&](const Topic<wire::ModelCells>& topic) {
-    publisher_.publish(topic, [&](auto& builder, auto header) {
-      return wire::CreateModelCells(builder, header, builder.CreateVector(cells));
-    });
-  };
-  ASSERT_TRUE(until([&] {
-    send(topics::kModelFreeze);
-    return published()->frozen() == in_cell;
-  }));
-  ASSERT_TRUE(until([&] {
-    send(topics::kModelUnfreeze);
-    return published()->frozen() == 0;
-  }));
-
+  insert(sample_batch(0, 1, 40));
   std::vector<float> seen(40, 0.25F);
   seen[1] = std::numeric_limits<float>::quiet_NaN();
   seen[2] = 7.0F;
@@ -132,10 +117,85 @@ TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   ASSERT_TRUE(message);
   std::atomic<std::uint64_t> host_bytes{0};
   const std::size_t bytes = scene.views()[0]->color.bytes() + scene.views()[0]->albedo.bytes();
-  ReferenceReader small(Device::Cpu, bytes - 1, host_bytes);
-  EXPECT_THROW(static_cast<void>(small.read(*message, false)), bus::Error);
-  ReferenceReader large(Device::Cpu, bytes, host_bytes);
-  EXPECT_NE(large.read(*message, false).view, nullptr);
+  const std::size_t pixels = bytes / 8;
+  ReferenceReader few_bytes(Device::Cpu, pixels, bytes - 1, host_bytes);
+  EXPECT_THROW(static_cast<void>(few_bytes.read(*message, false)), bus::Error);
+  ReferenceReader few_pixels(Device::Cpu, pixels - 1, bytes, host_bytes);
+  EXPECT_THROW(static_cast<void>(few_pixels.read(*message, false)), bus::Error);
+  ReferenceReader enough(Device::Cpu, pixels, bytes, host_bytes);
+  EXPECT_NE(enough.read(*message, false).view, nullptr);
+}
+
+/// Trains as the true one does, and fails at a step.
+class FailingOptimizer final : public Optimizer {
+ public:
+  FailingOptimizer(ModelStore& store, const Options& options, std::uint64_t at_step)
+      : Optimizer(store), true_(make_optimizer(store, options)), at_step_(at_step) {
+    options_ = true_->options();
+  }
+  void set_options(const Options& options) override { true_->set_options(options); }
+  StepReport step(std::span<const TrainingViewPtr> views) override {
+    if (store_.step() >= at_step_) throw std::bad_alloc();
+    return true_->step(views);
+  }
+  StepReport finish() override { return true_->finish(); }
+
+ private:
+  void before_change() override {}
+  void follow_growth() override { true_ = make_optimizer(store_, options_); }
+  void set_visibility(const VisibilityCommand& /*relit*/) override {}
+
+  std::unique_ptr<Optimizer> true_;
+  std::uint64_t at_step_;
+};
+
+TEST_F(TrainerTest, AFailureEndsItAndTheNextOneAdoptsTheModel) {
+  const SyntheticScene scene;
+  set("run_until", "20");
+  start(
+      [](ModelStore& store, const Options& options) { return std::make_unique<FailingOptimizer>(store, options, 10); });
+  insert(scene.perturbed());
+  for (const auto& view : scene.views()) publish_view(*view);
+  join();
+  ASSERT_NE(ended_with_, nullptr);
+  EXPECT_THROW(std::rethrow_exception(ended_with_), std::bad_alloc);
+
+  newest_.clear();
+  start();
+  ASSERT_TRUE(until([&] { return published()->header()->epoch() == service_->bus->epoch(); }));
+  EXPECT_EQ(published()->count(), 300U);
+  EXPECT_EQ(published()->step(), 10U);
+  EXPECT_TRUE(holds(scene.truth().batch));
+  show(scene);
+  ASSERT_TRUE(until([&] { return stats()->step() == 20 && stats()->paused(); }));
+}
+
+TEST_F(TrainerTest, MemoryThatIsNotThereIsNoFaultOfTheMessage) {
+  try {
+    (void)bus::allocate_memory(Device::Cuda, 1);
+    GTEST_SKIP() << "this machine has such memory";
+  } catch (const bus::Error&) {  // as it should be
+  }
+  const SyntheticScene scene(20, 1);
+  bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
+  bus_test::meet(publisher_, subscriber);
+  publish_view(*scene.views()[0]);
+  const auto message = subscriber.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  std::atomic<std::uint64_t> host_bytes{0};
+  ReferenceReader reader(Device::Cuda, 1 << 20, 1 << 20, host_bytes);
+  EXPECT_THROW(static_cast<void>(reader.read(*message, false)), MemoryFailure);
+}
+
+TEST_F(TrainerTest, OnlyAFailureOfMemoryPassesTheGuardOfAMessage) {
+  bus::Subscriber subscriber(connect("reader"), {"model/insert"});
+  bus_test::meet(publisher_, subscriber);
+  publish_insert(sample_batch(0, 1, 1));
+  const auto message = subscriber.receive(bus_test::patience);
+  ASSERT_TRUE(message);
+  EXPECT_NO_THROW(bus::guarded(*message, [] { throw std::runtime_error("it lies"); }));
+  const auto allocate = [] { in_own_memory([] { throw bus::Error("there is no memory"); }); };
+  EXPECT_THROW(bus::guarded(*message, allocate), MemoryFailure);
 }
 
 TEST_F(TrainerTest, GoesOnAfterARestart) {

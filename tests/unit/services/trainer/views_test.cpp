@@ -5,7 +5,7 @@
 #include <set>
 #include <string>
 
-#include "trainer/schedule.h"
+#include "trainer/view_sampler.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
@@ -57,88 +57,53 @@ TEST(ViewStore, MakesRoomByTheViewUpdatedLongestAgo) {
   EXPECT_EQ(store.count(CameraRole::Reference), 1U) << "bounded in bytes too";
 }
 
-TEST(ViewStore, SetsAsideWhatCannotBeTrainedUntilItsSizeChanges) {
-  const auto sized = [](std::uint32_t id, std::uint32_t width) {
-    TrainingView view = *make_view(CameraRole::Reference, id);
-    view.camera.width = width;
-    return std::make_shared<const TrainingView>(std::move(view));
-  };
-  ViewStore store;
-  store.put(sized(1, 8192));
-  store.put(sized(2, 512));
-  Schedule schedule(1);
-  const auto drawn = [&] {
-    std::set<std::uint32_t> ids;
-    for (const auto& view : schedule.next_batch(store, 4, 0)) ids.insert(view->camera.id);
-    return ids;
-  };
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{1, 2}));
-  EXPECT_TRUE(store.set_aside(*sized(1, 8192)));
-  EXPECT_EQ(drawn(), std::set<std::uint32_t>{2});
-  EXPECT_EQ(store.count(CameraRole::Reference), 2U) << "it is held";
-  store.put(sized(1, 8192));
-  EXPECT_EQ(drawn(), std::set<std::uint32_t>{2}) << "a new picture of the same size";
-  store.take_up();
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{1, 2}));
-  EXPECT_FALSE(store.set_aside(*sized(1, 8192))) << "said before";
-  store.put(sized(1, 1024));
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{1, 2}));
-  EXPECT_FALSE(store.set_aside(*sized(1, 8192))) << "a picture that is no longer there";
-  EXPECT_FALSE(store.set_aside(*sized(3, 8192)));
-  EXPECT_TRUE(store.set_aside(*sized(1, 1024)));
-  EXPECT_TRUE(store.set_aside(*sized(2, 512)));
-  EXPECT_FALSE(store.any_to_train(CameraRole::Reference));
-  EXPECT_TRUE(drawn().empty());
-  EXPECT_EQ(store.reference_light(), std::nullopt);
-}
-
-TEST(Schedule, TakesOneInputViewAfterThreeReferences) {
+TEST(ViewSampler, TakesOneInputViewAfterThreeReferences) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 8; ++id) store.put(make_view(CameraRole::Reference, id));
   for (std::uint32_t id = 0; id < 40; ++id) store.put(make_view(CameraRole::Input, id));
-  Schedule schedule(7);
+  ViewSampler sampler(7);
   std::map<CameraRole, int> drawn;
-  for (int i = 0; i < 400; ++i) ++drawn[schedule.next(store, 3)->camera.role];
+  for (int i = 0; i < 400; ++i) ++drawn[sampler.next(store, 3)->camera.role];
   EXPECT_EQ(drawn[CameraRole::Reference], 300);
   EXPECT_EQ(drawn[CameraRole::Input], 100);
 }
 
-TEST(Schedule, BatchesAreOfOneKind) {
+TEST(ViewSampler, BatchesAreOfOneKind) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 8; ++id) store.put(make_view(CameraRole::Reference, id));
   for (std::uint32_t id = 0; id < 3; ++id) store.put(make_view(CameraRole::Input, id));
-  Schedule schedule(7);
+  ViewSampler sampler(7);
   std::string kinds;
   for (int i = 0; i < 8; ++i) {
-    const auto batch = schedule.next_batch(store, 4, 3);
+    const auto batch = sampler.next_batch(store, 4, 3);
     ASSERT_EQ(batch.size(), 4U);
     for (const auto& view : batch) EXPECT_EQ(view->camera.role, batch.front()->camera.role);
     kinds += batch.front()->camera.role == CameraRole::Input ? 'i' : 'r';
   }
   EXPECT_EQ(kinds, "rrrirrri");
-  EXPECT_TRUE(schedule.next_batch(ViewStore(), 4, 3).empty());
+  EXPECT_TRUE(sampler.next_batch(ViewStore(), 4, 3).empty());
 }
 
-TEST(Schedule, VisitsEveryReferenceOnceAnEpochInChangingOrder) {
+TEST(ViewSampler, VisitsEveryReferenceOnceAnEpochInChangingOrder) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 10; ++id) store.put(make_view(CameraRole::Reference, id));
-  Schedule schedule(7);
+  ViewSampler sampler(7);
   std::set<std::vector<std::uint32_t>> orders;
   for (int epoch = 0; epoch < 5; ++epoch) {
     std::vector<std::uint32_t> order;
-    for (int i = 0; i < 10; ++i) order.push_back(schedule.next(store, 0)->camera.id);
+    for (int i = 0; i < 10; ++i) order.push_back(sampler.next(store, 0)->camera.id);
     orders.insert(order);
     EXPECT_EQ(std::set<std::uint32_t>(order.begin(), order.end()).size(), 10U);
   }
   EXPECT_GT(orders.size(), 1U);
 }
 
-TEST(Schedule, IsTheSameForTheSameSeed) {
+TEST(ViewSampler, IsTheSameForTheSameSeed) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 10; ++id) store.put(make_view(CameraRole::Reference, id));
-  Schedule a(3);
-  Schedule b(3);
-  Schedule c(4);
+  ViewSampler a(3);
+  ViewSampler b(3);
+  ViewSampler c(4);
   int differing = 0;
   for (int i = 0; i < 50; ++i) {
     const auto id = a.next(store, 0)->camera.id;
@@ -148,28 +113,28 @@ TEST(Schedule, IsTheSameForTheSameSeed) {
   EXPECT_GT(differing, 10);
 }
 
-TEST(Schedule, MakesDoWithWhatIsThere) {
+TEST(ViewSampler, MakesDoWithWhatIsThere) {
   ViewStore store;
-  Schedule schedule(1);
-  EXPECT_EQ(schedule.next(store, 3), nullptr);
+  ViewSampler sampler(1);
+  EXPECT_EQ(sampler.next(store, 3), nullptr);
   store.put(make_view(CameraRole::Input, 5));
-  EXPECT_EQ(schedule.next(store, 0), nullptr);
-  EXPECT_EQ(schedule.next(store, 3)->camera.id, 5U);
+  EXPECT_EQ(sampler.next(store, 0), nullptr);
+  EXPECT_EQ(sampler.next(store, 3)->camera.id, 5U);
   store.put(make_view(CameraRole::Reference, 6));
   store.retire({.role = CameraRole::Input, .id = 5});
-  for (int i = 0; i < 8; ++i) EXPECT_EQ(schedule.next(store, 3)->camera.id, 6U);
+  for (int i = 0; i < 8; ++i) EXPECT_EQ(sampler.next(store, 3)->camera.id, 6U);
 }
 
-TEST(Schedule, LeavesOutInputViewsOfAnOlderLight) {
+TEST(ViewSampler, LeavesOutInputViewsOfAnOlderLight) {
   const auto input = [](std::uint32_t id, std::uint64_t light) {
     return make_view(CameraRole::Input, id, 0, 16, light);
   };
   const auto reference = [](std::uint64_t light) { return make_view(CameraRole::Reference, 9, 0, 16, light); };
   ViewStore store;
-  Schedule schedule(1);
+  ViewSampler sampler(1);
   const auto drawn = [&] {
     std::set<std::uint32_t> ids;
-    for (int i = 0; i < 40; ++i) ids.insert(schedule.next(store, 1)->camera.id);
+    for (int i = 0; i < 40; ++i) ids.insert(sampler.next(store, 1)->camera.id);
     return ids;
   };
   for (std::uint32_t id = 0; id < 3; ++id) store.put(input(id, 70));
@@ -185,15 +150,15 @@ TEST(Schedule, LeavesOutInputViewsOfAnOlderLight) {
   EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2}));
 }
 
-TEST(Schedule, SkipsCamerasThatRetiredWithinAnEpoch) {
+TEST(ViewSampler, SkipsCamerasThatRetiredWithinAnEpoch) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 4; ++id) store.put(make_view(CameraRole::Reference, id));
-  Schedule schedule(1);
-  const auto first = schedule.next(store, 0)->camera.id;
+  ViewSampler sampler(1);
+  const auto first = sampler.next(store, 0)->camera.id;
   for (std::uint32_t id = 0; id < 4; ++id) {
     if (id != first) store.retire({.role = CameraRole::Reference, .id = id});
   }
-  EXPECT_EQ(schedule.next(store, 0)->camera.id, first);
+  EXPECT_EQ(sampler.next(store, 0)->camera.id, first);
 }
 
 }  // namespace

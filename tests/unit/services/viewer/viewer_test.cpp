@@ -110,8 +110,8 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
                                       .type = bus::ElementType::U8,
                                       .inline_data = rgba.data()};
       answers.publish(topics::kCaptureProbe, {.tensors = {color}}, [&](auto& builder, auto header) {
-        return wire::CreateCaptureProbe(builder, header, body.probe_id(), 1, 0, body.camera(), 0,
-                                        to_wire(builder, light));
+        return wire::CreateCaptureProbe(builder, header, body.probe_id(), body.camera(),
+                                        to_wire(builder, SceneState{.light = light, .objects = {}}, 1));
       });
     }
     while (const auto message = qualities.receive(1ms)) {

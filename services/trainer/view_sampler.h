@@ -15,9 +15,9 @@ namespace splatbus::trainer {
 /// one of input cameras then comes after every `input_interval` batches of reference views. An input view rests while
 /// its light is not the newest one and a reference view has that: input pictures may be rendered once, and the model's
 /// visibility of the sun follows the newest light. The same seed, cameras and calls give the same choice.
-class Schedule {
+class ViewSampler {
  public:
-  explicit Schedule(std::uint64_t seed);
+  explicit ViewSampler(std::uint64_t seed);
 
   /// The next views, at most `size`; none when there are none. `input_interval` 0: no input cameras.
   [[nodiscard]] std::vector<TrainingViewPtr> next_batch(const ViewStore& views, int size, int input_interval);

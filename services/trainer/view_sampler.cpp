@@ -1,4 +1,4 @@
-#include "trainer/schedule.h"
+#include "trainer/view_sampler.h"
 
 #include <utility>
 
@@ -13,9 +13,9 @@ void shuffle(std::vector<ViewKey>& keys, std::mt19937_64& random) {
 
 }  // namespace
 
-Schedule::Schedule(std::uint64_t seed) : random_(seed) {}
+ViewSampler::ViewSampler(std::uint64_t seed) : random_(seed) {}
 
-TrainingViewPtr Schedule::draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light) {
+TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light) {
   for (bool refilled = false;;) {
     while (!epoch.left.empty()) {
       const ViewKey key = epoch.left.back();
@@ -30,8 +30,8 @@ TrainingViewPtr Schedule::draw(const ViewStore& views, Epoch& epoch, std::option
   }
 }
 
-std::vector<TrainingViewPtr> Schedule::draw_batch(const ViewStore& views, int size, Epoch& epoch,
-                                                  std::optional<std::uint64_t> light) {
+std::vector<TrainingViewPtr> ViewSampler::draw_batch(const ViewStore& views, int size, Epoch& epoch,
+                                                     std::optional<std::uint64_t> light) {
   std::vector<TrainingViewPtr> batch;
   while (static_cast<int>(batch.size()) < size) {
     auto view = draw(views, epoch, light);
@@ -41,7 +41,7 @@ std::vector<TrainingViewPtr> Schedule::draw_batch(const ViewStore& views, int si
   return batch;
 }
 
-std::vector<TrainingViewPtr> Schedule::next_batch(const ViewStore& views, int size, int input_interval) {
+std::vector<TrainingViewPtr> ViewSampler::next_batch(const ViewStore& views, int size, int input_interval) {
   const bool input_is_due = input_interval > 0 && references_since_input_ >= input_interval;
   if (!input_is_due) {
     if (auto batch = draw_batch(views, size, references_); !batch.empty()) {
@@ -56,7 +56,7 @@ std::vector<TrainingViewPtr> Schedule::next_batch(const ViewStore& views, int si
   return draw_batch(views, size, references_);
 }
 
-TrainingViewPtr Schedule::next(const ViewStore& views, int input_interval) {
+TrainingViewPtr ViewSampler::next(const ViewStore& views, int input_interval) {
   auto batch = next_batch(views, 1, input_interval);
   return batch.empty() ? nullptr : std::move(batch.front());
 }

@@ -1,0 +1,150 @@
+// What the broker holds, and for whom it inlines, seen by publishers that say what they like about themselves.
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+#include "bus/clock.h"
+#include "bus/latch_store.h"
+#include "bus_fixture.h"
+#include "slab_helpers.h"
+
+namespace splatbus::bus_test {
+namespace {
+
+constexpr std::int64_t second = 1'000'000'000;
+
+struct Claim {
+  std::string source = "a";
+  std::uint64_t sequence = 1;
+  std::uint64_t epoch = 1;
+  std::int64_t publish_ns = 0;
+};
+
+class Relay : public BusTest {
+ protected:
+  Relay() : raw_(zmq_, zmq::socket_type::xpub), witness_(connect("witness"), {"grid/state", "viewer/probe"}) {
+    raw_.set(zmq::sockopt::rcvtimeo, 10000);
+    raw_.connect(directory_.address().publish_endpoint());
+    zmq::message_t subscription;
+    EXPECT_TRUE(raw_.recv(subscription).has_value());
+    EXPECT_TRUE(witness_.wait_connected(patience));
+  }
+
+  void send(const std::string& topic, const Claim& claim, std::uint64_t number, bool latch) {
+    flatbuffers::FlatBufferBuilder builder;
+    builder.ForceDefaults(true);
+    const auto header = wire::CreateHeaderDirect(builder, "ViewerProbe/1", claim.source.c_str(), claim.sequence,
+                                                 claim.epoch, 0, claim.publish_ns, 0, latch, "key");
+    const wire::Camera camera;
+    builder.Finish(wire::CreateViewerProbe(builder, header, number, &camera));
+    raw_.send(zmq::buffer(topic), zmq::send_flags::sndmore);
+    raw_.send(zmq::buffer(builder.GetBufferPointer(), builder.GetSize()), zmq::send_flags::none);
+  }
+
+  /// Sends latched messages numbered from 1, and says which came through, and which the broker holds at the end.
+  void expect_held(const std::vector<Claim>& claims, const std::vector<std::uint64_t>& relayed, std::uint64_t held) {
+    for (std::size_t i = 0; i < claims.size(); ++i) send("grid/state", claims[i], i + 1, true);
+    send("viewer/probe", {}, 99, false);
+    std::vector<std::uint64_t> came;
+    for (auto number = receive_number(witness_); number && *number != 99; number = receive_number(witness_)) {
+      came.push_back(*number);
+    }
+    EXPECT_EQ(came, relayed);
+    bus::Subscriber late(connect("late"), {"grid/state"});
+    const auto message = late.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    EXPECT_EQ(number_of(*message), held);
+    EXPECT_TRUE(message->header().resent());
+  }
+
+  zmq::context_t zmq_;
+  zmq::socket_t raw_;
+  bus::Subscriber witness_;
+};
+
+TEST_F(Relay, TheLaterStampOfTwoSourcesIsHeld) {
+  const std::int64_t now = bus::now_ns();
+  expect_held({{.source = "a", .publish_ns = now - 1 * second},
+               {.source = "b", .publish_ns = now - 2 * second},
+               {.source = "c", .publish_ns = now - second / 2}},
+              {1, 3}, 3);
+}
+
+TEST_F(Relay, ALowerSequenceOfASourceIsARepeat) {
+  expect_held({{.sequence = 1}, {.sequence = 3}, {.sequence = 2}, {.sequence = 3}, {.sequence = 1}}, {1, 2}, 2);
+}
+
+TEST_F(Relay, AnEarlierStartOfASourceIsNotHeard) {
+  expect_held({{.sequence = 5, .epoch = 2}, {.sequence = 9, .epoch = 1}, {.sequence = 1, .epoch = 3}}, {1, 3}, 3);
+}
+
+TEST_F(Relay, AClockThatIsAheadKeepsNobodyOut) {
+  const std::int64_t now = bus::now_ns();
+  expect_held({{.source = "a", .publish_ns = now + 3600 * second}, {.source = "b", .publish_ns = now + 1800 * second}},
+              {1, 2}, 2);
+}
+
+TEST_F(Relay, AReaderThatHasLeftIsInlinedForNoMore) {
+  const auto context = connect("maker");
+  NumberPublisher publisher(context, "viewer/probe");
+  const auto slab = context->create_slab("frames", 1, 1000);
+  {
+    bus::Subscriber remote(connect_tcp("remote"), {"viewer/probe"});
+    meet(publisher, remote);
+    publish_number(publisher, 5, false, "", {write_floats(*slab, {1})});
+    ASSERT_EQ(receive_number(remote), 5u);
+  }
+  EXPECT_EQ(broker_->statistics().inlined, 1u);
+  // The broker hears of it in its own time; then it stops.
+  ASSERT_TRUE(eventually([&] {
+    const auto before = broker_->statistics();
+    publish_number(publisher, 6, false, "", {write_floats(*slab, {1})});
+    EXPECT_TRUE(eventually([&] { return broker_->statistics().relayed > before.relayed; }));
+    const auto sequence = publisher.sequence();
+    for (auto message = witness_.receive(patience); message; message = witness_.receive(patience)) {
+      if (message->header().sequence() == sequence) break;
+    }
+    return broker_->statistics().inlined == before.inlined;
+  }));
+}
+
+bus::Frames frames_of(std::size_t bytes) {
+  bus::Frames frames;
+  frames.body.rebuild(bytes);
+  return frames;
+}
+
+TEST(LatchStore, IsBoundedByMessagesAndBytesAndLosesTheOldest) {
+  bus::LatchStore by_count(2, 1000);
+  EXPECT_EQ(by_count.put("b", "", 1, frames_of(10)), 0u);
+  EXPECT_EQ(by_count.put("a", "", 2, frames_of(10)), 0u);
+  EXPECT_EQ(by_count.put("b", "", 3, frames_of(10)), 0u) << "replaced, and so newer than a";
+  EXPECT_EQ(by_count.put("c", "", 4, frames_of(10)), 1u);
+  EXPECT_EQ(by_count.find("a", ""), nullptr);
+  EXPECT_NE(by_count.find("b", ""), nullptr);
+  EXPECT_EQ(by_count.bytes(), 20u);
+
+  bus::LatchStore by_bytes(100, 50);
+  EXPECT_EQ(by_bytes.put("a", "", 1, frames_of(30)), 0u);
+  EXPECT_EQ(by_bytes.put("b", "", 2, frames_of(20)), 0u);
+  EXPECT_EQ(by_bytes.put("a", "", 3, frames_of(20)), 0u);
+  EXPECT_EQ(by_bytes.bytes(), 40u);
+  EXPECT_EQ(by_bytes.put("c", "", 4, frames_of(11)), 1u);
+  EXPECT_EQ(by_bytes.find("b", ""), nullptr);
+  EXPECT_EQ(by_bytes.size(), 2u);
+}
+
+TEST(LatchStore, MatchesAPrefixOldestFirst) {
+  bus::LatchStore store(10, 1000);
+  store.put("x/b", "1", 1, frames_of(1), 11);
+  store.put("x/a", "1", 2, frames_of(1), 12);
+  store.put("y/a", "1", 3, frames_of(1), 13);
+  store.put("x/b", "0", 4, frames_of(1), 14);
+  std::vector<std::int64_t> stamps;
+  for (const auto& held : store.matching("x/")) stamps.push_back(held.stamp);
+  EXPECT_EQ(stamps, (std::vector<std::int64_t>{11, 12, 14}));
+}
+
+}  // namespace
+}  // namespace splatbus::bus_test
