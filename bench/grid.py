@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Every row of docs/benchmarks.md: writes the scenes, runs bench_raster once a row, prints the tables as markdown.
+"""Every row of docs/experiments.md: writes the scenes, runs bench_raster once a row, prints the tables as markdown.
 
     bench/grid.py --bench build/cuda/bin/bench_raster --scene-writer scene.py --backend cuda --json rows.json
     bench/grid.py --bench build/release/bin/bench_raster --scene-writer scene.py --backend cpu --threads 2 \\

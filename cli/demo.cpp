@@ -1,11 +1,12 @@
 #include <fmt/format.h>
 
+#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
-#include "default_launch_file.h"
 #include "demo_run.h"
-#include "json_text.h"
+#include "launch_plan.h"
+#include "schema_json.h"
 #include "terminal.h"
 #include "verbs.h"
 

@@ -7,9 +7,9 @@
 #include <utility>
 
 #include "figures.h"
-#include "json_text.h"
 #include "metrics/contact_sheet.h"
 #include "metrics/image_io.h"
+#include "schema_json.h"
 
 namespace splatbus::cli {
 

@@ -8,12 +8,11 @@
 
 #include "demo_results.h"
 #include "gaussians/model.h"
-#include "json_text.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
-#include "server_view.h"
+#include "schema_json.h"
 #include "supervised_run.h"
 #include "verbs.h"
 

@@ -8,7 +8,7 @@
 #include <string>
 
 #include "figures.h"
-#include "stop_signals.h"
+#include "supervised_run.h"
 
 namespace splatbus::cli {
 

@@ -1,10 +1,11 @@
 #include <fmt/format.h>
 
+#include <CLI/CLI.hpp>
 #include <cstdio>
 
-#include "default_launch_file.h"
 #include "fixed_evaluation.h"
-#include "json_text.h"
+#include "launch_plan.h"
+#include "schema_json.h"
 #include "start_evaluation.h"
 #include "terminal.h"
 #include "verbs.h"

@@ -1,11 +1,12 @@
 #include <fmt/format.h>
 
+#include <CLI/CLI.hpp>
 #include <chrono>
 #include <stdexcept>
 
 #include "gaussians/model.h"
-#include "json_text.h"
 #include "live_scene.h"
+#include "schema_json.h"
 #include "verbs.h"
 
 namespace splatbus::cli {

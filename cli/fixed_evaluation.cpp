@@ -6,15 +6,13 @@
 #include <vector>
 
 #include "bus/publisher.h"
-#include "json_text.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "metrics/contact_sheet.h"
 #include "metrics/image_io.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
-#include "server_view.h"
-#include "start_watch.h"
+#include "schema_json.h"
 #include "supervised_run.h"
 #include "verbs.h"
 #include "wire/system_generated.h"

@@ -7,7 +7,7 @@
 
 #include "evaluation_setup.h"
 #include "figures.h"
-#include "stop_signals.h"
+#include "supervised_run.h"
 
 namespace splatbus::cli {
 

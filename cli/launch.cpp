@@ -1,14 +1,15 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <CLI/CLI.hpp>
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
 
-#include "json_text.h"
 #include "launch_file.h"
 #include "launch_plan.h"
-#include "stop_signals.h"
+#include "schema_json.h"
+#include "supervised_run.h"
 #include "supervisor.h"
 #include "terminal.h"
 #include "verbs.h"

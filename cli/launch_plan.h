@@ -50,4 +50,7 @@ void check_backends(const LaunchFile& file);
 /// with the place of the first that it does not.
 void check_parameters(const LaunchFile& file, const LaunchPlan& plan);
 
+/// launch/NAME under the working folder, or under a folder above the program's. Throws std::runtime_error.
+[[nodiscard]] std::filesystem::path default_launch_file(const std::string& name);
+
 }  // namespace splatbus::cli

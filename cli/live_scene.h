@@ -3,11 +3,14 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <opencv2/core.hpp>
 #include <optional>
 
+#include "bus/backend.h"
 #include "bus/subscriber.h"
 #include "gaussians/light.h"
 #include "model/published_model.h"
+#include "raster/model_renderer.h"
 
 namespace splatbus::cli {
 
@@ -44,6 +47,22 @@ class LiveScene {
   Device model_kind_ = Device::Cpu;
   SceneState scene_;
   bool has_light_ = false, has_objects_ = false;
+};
+
+/// Renders the averaged model straight from the trainer's memory, where that is the backend's: what the server would
+/// show.
+class ServerView {
+ public:
+  /// `threads` of the CPU, 0: all cores.
+  ServerView(Device backend, int threads);
+
+  /// CV_8UC3 BGR in display space; nullopt when there is no model, or its structure changed while it was drawn.
+  [[nodiscard]] std::optional<cv::Mat> render(LiveScene& live, const Camera& camera, const SceneState& scene);
+
+ private:
+  const Device memory_;
+  std::unique_ptr<raster::ModelRenderer> renderer_;
+  raster::Render render_;
 };
 
 }  // namespace splatbus::cli

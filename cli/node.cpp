@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <iterator>
@@ -13,9 +14,9 @@
 #include <vector>
 
 #include "bus/subscriber.h"
-#include "json_text.h"
 #include "launch_plan.h"
-#include "stop_signals.h"
+#include "schema_json.h"
+#include "supervised_run.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
 

@@ -1,7 +1,10 @@
 #include "pipeline_watch.h"
 
+#include <algorithm>
 #include <utility>
 
+#include "figures.h"
+#include "wire/engine_generated.h"
 #include "wire/model_generated.h"
 #include "wire/stream_generated.h"
 #include "wire/viewer_generated.h"
@@ -51,6 +54,44 @@ PipelineWatch::PipelineWatch(std::shared_ptr<bus::Context> context) : subscriber
 
 void PipelineWatch::poll(std::chrono::milliseconds timeout) {
   subscriber_.dispatch_all(timeout);
+}
+
+StartWatch::StartWatch(std::shared_ptr<bus::Context> context, std::uint64_t gaussians)
+    : subscriber_(std::move(context)), gaussians_(gaussians) {
+  subscriber_
+      .on(topics::kEngineFrame,
+          [this](const wire::EngineFrame&, const bus::Message& message) {
+            const std::int64_t captured_ns = message.header().capture_ns();
+            first_frame_ns_ = std::min(first_frame_ns_.value_or(captured_ns), captured_ns);
+          })
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished& published, const bus::Message& message) { take(published, message); });
+}
+
+void StartWatch::poll(std::chrono::milliseconds timeout) {
+  subscriber_.dispatch_all(timeout);
+}
+
+void StartWatch::take(const wire::ModelPublished& published, const bus::Message& message) {
+  if (published.count() < gaussians_) return;
+  const std::int64_t now_ns = message.header().publish_ns();
+  if (!inserted_ns_) {
+    inserted_ns_ = now_ns;
+    inserted_at_step_ = published.step();
+  }
+  if (!ready_ns_ && published.step() >= 1) ready_ns_ = now_ns;
+  if (!optimised_ns_ && published.step() > inserted_at_step_) optimised_ns_ = now_ns;
+}
+
+nlohmann::json StartWatch::summary() const {
+  const auto since_first_frame = [&](const std::optional<std::int64_t>& at_ns) {
+    if (!at_ns || !first_frame_ns_) return nlohmann::json();
+    return nlohmann::json(rounded(static_cast<double>(*at_ns - *first_frame_ns_) / 1e9));
+  };
+  return {{"enough_gaussians", gaussians_},
+          {"inserted_s", since_first_frame(inserted_ns_)},
+          {"ready_s", since_first_frame(ready_ns_)},
+          {"optimised_s", since_first_frame(optimised_ns_)}};
 }
 
 }  // namespace splatbus::cli

@@ -12,8 +12,6 @@
 #include <string>
 #include <vector>
 
-#include "embedded_schemas.h"
-
 namespace splatbus::cli {
 
 namespace {

@@ -2,6 +2,8 @@
 
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <span>
+#include <string>
 
 #include "bus/subscriber.h"
 
@@ -23,5 +25,19 @@ class SchemaJson {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+/// JSON as text. Names and texts come from other processes: bytes that are not UTF-8 become U+FFFD instead of an
+/// exception. `indent` < 0: one line.
+[[nodiscard]] inline std::string json_text(const nlohmann::json& json, int indent = -1) {
+  return json.dump(indent, ' ', false, nlohmann::json::error_handler_t::replace);
+}
+
+struct EmbeddedSchema {
+  const char* name;  ///< "common.fbs"
+  const char* text;
+};
+
+/// The files of schemas/ as they were at build time, each after those that it includes.
+[[nodiscard]] std::span<const EmbeddedSchema> embedded_schemas();
 
 }  // namespace splatbus::cli

@@ -5,9 +5,8 @@
 #include <stdexcept>
 
 #include "figures.h"
-#include "json_text.h"
 #include "pipeline_watch.h"
-#include "start_watch.h"
+#include "schema_json.h"
 #include "supervised_run.h"
 #include "verbs.h"
 

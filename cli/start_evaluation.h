@@ -5,7 +5,7 @@
 #include <string>
 
 #include "evaluation_setup.h"
-#include "stop_signals.h"
+#include "supervised_run.h"
 
 namespace splatbus::cli {
 

@@ -5,8 +5,10 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <csignal>
 #include <cstdlib>
 #include <cstring>
+#include <ctime>
 #include <stdexcept>
 #include <utility>
 
@@ -76,6 +78,20 @@ void SupervisedRun::log_line(const std::string& process, const std::string& line
   auto& lines = last_lines_[process];
   lines.push_back(line);
   if (lines.size() > kLinesKept) lines.pop_front();
+}
+
+StopSignals::StopSignals() {
+  sigset_t signals;
+  sigemptyset(&signals);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&signals, signal);
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  thread_ = std::jthread([this, signals](const std::stop_token& end) {
+    const timespec patience{.tv_sec = 0, .tv_nsec = 100'000'000};
+    while (!end.stop_requested()) {
+      if (sigtimedwait(&signals, nullptr, &patience) < 0) continue;
+      if (!stop_.request_stop()) kill_.request_stop();
+    }
+  });
 }
 
 }  // namespace splatbus::cli

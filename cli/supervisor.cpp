@@ -5,6 +5,7 @@
 #include <zmq.h>
 
 #include <algorithm>
+#include <cmath>
 #include <csignal>
 #include <utility>
 
@@ -16,23 +17,22 @@ namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr int kPollMs = 50;
-constexpr std::int64_t kFirstBackOff = kSecond / 10;
-constexpr std::int64_t kLongestBackOff = 8 * kSecond;
+constexpr const char* kBrokerSource = "bus";
+constexpr double kFirstBackOffS = 0.1;
+constexpr double kMaxBackOffS = 8;
 constexpr std::int64_t kHealthy = 10 * kSecond;  ///< ready for that long: earlier ends are forgotten
-constexpr int kMostAttempts = 8;
+constexpr int kMaxAttempts = 8;
 constexpr std::int64_t kTerminateTimeout = 3 * kSecond;
 
 std::int64_t from_seconds(double seconds) {
   return static_cast<std::int64_t>(seconds * static_cast<double>(kSecond));
 }
 
-std::int64_t back_off(int attempts) {
-  std::int64_t delay = kFirstBackOff;
-  for (int i = 1; i < attempts && delay < kLongestBackOff; ++i) delay *= 2;
-  return std::min(delay, kLongestBackOff);
-}
-
 }  // namespace
+
+double back_off_s(int attempts) {
+  return std::min(std::ldexp(kFirstBackOffS, attempts - 1), kMaxBackOffS);
+}
 
 const char* to_string(ProcessState state) {
   switch (state) {
@@ -52,10 +52,13 @@ const char* to_string(ProcessState state) {
   return "?";
 }
 
-Supervisor::Supervisor(LaunchPlan plan, Output output)
-    : output_(std::move(output)), heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid()))) {
-  heartbeats_.on(topics::kHeartbeat,
-                 [this](const wire::Heartbeat& heartbeat, const bus::Message&) { take(heartbeat); });
+Supervisor::Supervisor(LaunchPlan plan, Output output, Clock now_ns)
+    : output_(std::move(output)),
+      now_ns_(std::move(now_ns)),
+      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid()))) {
+  heartbeats_.on(topics::kHeartbeat, [this](const wire::Heartbeat& heartbeat, const bus::Message& message) {
+    take(heartbeat, message.header().source()->string_view());
+  });
   for (ProcessPlan& process_plan : plan.processes) {
     Process process;
     process.status.name = process_plan.name;
@@ -111,26 +114,34 @@ void Supervisor::pass_output(Process& process, bool rest) {
   for (const std::string& line : process.child->read_lines(rest)) output_(process.plan.name, line, false);
 }
 
-void Supervisor::take(const wire::Heartbeat& heartbeat) {
-  for (Process& process : processes_) {
-    // By process id, since the broker also hands out the last heartbeat of those that are gone.
-    if (!process.child || process.child->pid() != static_cast<pid_t>(heartbeat.pid())) continue;
-    process.last_sign_ns = bus::now_ns();
-    process.status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
-    process.status.counters.clear();
-    if (heartbeat.counters() != nullptr) {
-      for (const auto* counter : *heartbeat.counters()) {
-        process.status.counters[counter->name()->str()] = counter->value();
-      }
+void Supervisor::take(const wire::Heartbeat& heartbeat, std::string_view source) {
+  Process* const process = sender(source, static_cast<pid_t>(heartbeat.pid()));
+  if (process == nullptr) return;
+  process->last_sign_ns = now_ns_();
+  process->status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
+  process->status.counters.clear();
+  if (heartbeat.counters() != nullptr) {
+    for (const auto* counter : *heartbeat.counters()) {
+      process->status.counters[counter->name()->str()] = counter->value();
     }
-    if (process.status.state == ProcessState::Starting) ready(process);
   }
+  if (process->status.state == ProcessState::Starting) ready(*process);
+}
+
+/// By name, since another machine's process may have the same id; and by id, since the broker also hands out the last
+/// heartbeat of those that are gone. The broker's name on the bus is its own, whatever the launch file calls it.
+Supervisor::Process* Supervisor::sender(std::string_view source, pid_t pid) {
+  const auto found = std::find_if(processes_.begin(), processes_.end(), [&](const Process& process) {
+    return process.child && process.child->pid() == pid &&
+           source == (process.plan.broker ? kBrokerSource : process.plan.name);
+  });
+  return found == processes_.end() ? nullptr : &*found;
 }
 
 void Supervisor::ready(Process& process) {
   process.status.state = ProcessState::Running;
   process.was_ready = true;
-  process.ready_ns = bus::now_ns();
+  process.ready_ns = now_ns_();
   process.last_sign_ns = process.ready_ns;
   if (!process.plan.broker) return;
   for (Process& other : processes_) other.last_sign_ns = process.ready_ns;
@@ -151,7 +162,7 @@ void Supervisor::reap(Process& process, bool stopping) {
 }
 
 void Supervisor::ended(Process& process, const ExitStatus& status) {
-  const std::int64_t now = bus::now_ns();
+  const std::int64_t now = now_ns_();
   if (process.status.state == ProcessState::Running && now - process.ready_ns > kHealthy) process.attempts = 0;
   const RestartPolicy policy = process.plan.restart;
   if (status.success() && policy != RestartPolicy::Always) {
@@ -161,18 +172,18 @@ void Supervisor::ended(Process& process, const ExitStatus& status) {
     return;
   }
   if (policy == RestartPolicy::Never) return fail(process, status.text());
-  if (++process.attempts >= kMostAttempts) {
+  if (++process.attempts >= kMaxAttempts) {
     return fail(process, fmt::format("{}, {} times in a row", status.text(), process.attempts));
   }
-  const std::int64_t delay = back_off(process.attempts);
-  process.next_start_ns = now + delay;
+  const double delay_s = back_off_s(process.attempts);
+  process.next_start_ns = now + from_seconds(delay_s);
   process.status.state = ProcessState::BackOff;
   process.status.detail = status.text();
-  say(process, fmt::format("{}; starting it again in {:.1f} s", status.text(), static_cast<double>(delay) / 1e9));
+  say(process, fmt::format("{}; starting it again in {:.1f} s", status.text(), delay_s));
 }
 
 void Supervisor::start_what_is_due() {
-  const std::int64_t now = bus::now_ns();
+  const std::int64_t now = now_ns_();
   for (Process& process : processes_) {
     if (process.status.state == ProcessState::BackOff && now >= process.next_start_ns) {
       ++process.status.restarts;
@@ -191,7 +202,7 @@ void Supervisor::start_what_is_due() {
 }
 
 void Supervisor::start(Process& process) {
-  process.started_ns = bus::now_ns();
+  process.started_ns = now_ns_();
   process.last_sign_ns = process.started_ns;
   process.terminate_ns = 0;
   process.status.state = ProcessState::Starting;
@@ -207,7 +218,7 @@ void Supervisor::start(Process& process) {
 }
 
 void Supervisor::check_signs_of_life() {
-  const std::int64_t now = bus::now_ns();
+  const std::int64_t now = now_ns_();
   const std::int64_t heard_until = bus_heard_until();
   for (Process& process : processes_) {
     if (!process.child || process.plan.heartbeat_timeout_s <= 0 || process.terminate_ns != 0) continue;
@@ -222,7 +233,7 @@ void Supervisor::check_signs_of_life() {
 }
 
 std::int64_t Supervisor::bus_heard_until() const {
-  std::int64_t until = bus::now_ns();
+  std::int64_t until = now_ns_();
   for (const Process& process : processes_) {
     if (!process.plan.broker) continue;
     until = process.status.state == ProcessState::Running ? std::min(until, process.last_sign_ns) : 0;
@@ -237,7 +248,7 @@ bool Supervisor::anything_to_do() const {
 }
 
 void Supervisor::terminate_in_order(bool kill) {
-  const std::int64_t now = bus::now_ns();
+  const std::int64_t now = now_ns_();
   for (std::size_t i = 0; i < processes_.size(); ++i) {
     Process& process = processes_[i];
     if (!process.child) continue;

@@ -8,8 +8,10 @@
 #include <optional>
 #include <stop_token>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "bus/clock.h"
 #include "bus/subscriber.h"
 #include "child_process.h"
 #include "launch_plan.h"
@@ -29,6 +31,9 @@ struct ProcessStatus {
   std::map<std::string, double> counters;  ///< of its last heartbeat
 };
 
+/// Seconds until a process is started again that ended `attempts` times in a row, at least once.
+[[nodiscard]] double back_off_s(int attempts);
+
 /// Runs a launch plan: starts each process when those before it are ready (first heartbeat), passes its output on, and
 /// starts it again with back-off when it ends, when it sends no heartbeat any more, or never became ready. A bus that
 /// is away stops nobody: heartbeats are only missed while the broker's own arrive.
@@ -36,8 +41,10 @@ class Supervisor {
  public:
   /// A line that a process wrote, or, with `own`, that the supervisor says about it.
   using Output = std::function<void(const std::string& process, const std::string& line, bool own)>;
+  /// CLOCK_MONOTONIC nanoseconds, or what a test takes for them.
+  using Clock = std::function<std::int64_t()>;
 
-  Supervisor(LaunchPlan plan, Output output);
+  Supervisor(LaunchPlan plan, Output output, Clock now_ns = bus::now_ns);
   ~Supervisor();  ///< kills what still runs
   Supervisor(const Supervisor&) = delete;
   Supervisor& operator=(const Supervisor&) = delete;
@@ -68,7 +75,8 @@ class Supervisor {
 
   void wait_for_events();
   void pass_output(Process& process, bool rest);
-  void take(const wire::Heartbeat& heartbeat);
+  void take(const wire::Heartbeat& heartbeat, std::string_view source);
+  [[nodiscard]] Process* sender(std::string_view source, pid_t pid);
   void reap(Process& process, bool stopping);
   void ended(Process& process, const ExitStatus& status);
   void start_what_is_due();
@@ -85,6 +93,7 @@ class Supervisor {
 
   std::vector<Process> processes_;
   Output output_;
+  Clock now_ns_;
   bus::Subscriber heartbeats_;
 
   mutable std::mutex mutex_;

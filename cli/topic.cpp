@@ -1,3 +1,4 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
@@ -10,9 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "json_text.h"
 #include "schema_json.h"
-#include "stop_signals.h"
+#include "supervised_run.h"
 #include "topic_statistics.h"
 #include "verbs.h"
 

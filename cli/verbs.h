@@ -1,12 +1,16 @@
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <functional>
 #include <memory>
 #include <string>
 
 #include "bus/backend.h"
 #include "bus/context.h"
+
+// Declared here only: its header takes seconds to compile.
+namespace CLI {
+class App;
+}
 
 namespace splatbus::cli {
 

@@ -17,7 +17,7 @@ sanitizer="$(PATH="$PATH:/usr/local/cuda/bin" command -v compute-sanitizer)" ||
   { echo "compute_sanitizer.sh: no compute-sanitizer on the path or in /usr/local/cuda/bin" >&2; exit 2; }
 export sanitizer
 
-# Those that take longest go first. test_bus and test_wire_model use a device where there is one.
+# Those that take longest go first. test_bus and test_model use a device where there is one.
 programs=("$@")
 if [ ${#programs[@]} -eq 0 ]; then
   for program in trainer_cuda_model trainer_cuda_optimizer raster_cuda; do
@@ -25,7 +25,7 @@ if [ ${#programs[@]} -eq 0 ]; then
   done
   # The operations of LibTorch use a device where LibTorch itself does.
   if ldd "$bin/test_raster_torch" 2>/dev/null | grep torch_cuda >/dev/null; then programs+=("test_raster_torch"); fi
-  for program in "$bin"/test_*cuda* "$bin"/test_bus_gpu "$bin"/test_bus "$bin"/test_wire_model; do
+  for program in "$bin"/test_*cuda* "$bin"/test_bus_gpu "$bin"/test_bus "$bin"/test_model; do
     program="$(basename "$program")"
     [ -x "$bin/$program" ] && [[ " ${programs[*]} " != *" $program "* ]] && programs+=("$program")
   done

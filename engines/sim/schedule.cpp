@@ -48,7 +48,8 @@ std::vector<splatbus_camera_request> Schedule::serve(double time_s, std::uint64_
     entry.scene_version = scene_version;
     due.push_back(request);
   }
-  std::ranges::stable_partition(due, [](const auto& request) { return request.camera.role == SPLATBUS_ROLE_PROBE; });
+  std::stable_partition(due.begin(), due.end(),
+                        [](const auto& request) { return request.camera.role == SPLATBUS_ROLE_PROBE; });
   return due;
 }
 

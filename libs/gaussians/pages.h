@@ -26,6 +26,7 @@ inline constexpr std::uint32_t kWorldFrame = 0;
 struct IndexRange {
   std::uint32_t first = 0, count = 0;
   std::uint32_t frame_id = kWorldFrame;  ///< object whose frame they are in
+  bool operator==(const IndexRange&) const = default;
 };
 
 /// What a page's Gaussians keep within, in its frame of reference, metres.

@@ -10,9 +10,6 @@
 namespace splatbus::stream::kernels {
 namespace {
 
-// Columns that one thread takes: of a GPU's threads each one, of a CPU's a block whose channels stay in its cache.
-constexpr std::uint32_t kDeviceBlock = 1, kHostBlock = 512;
-
 template <class T>
 SPLATBUS_PORTABLE bool replace(T& kept, T value) {
   const bool changed = kept != value;
@@ -33,19 +30,16 @@ struct TakeId {
   Integers integers;
   ObservedCounts* counts;
 
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const std::uint64_t id = model.gaussian_id != nullptr ? model.gaussian_id[i] : std::uint64_t{i} + 1;
-    if (replace(integers.gaussian_id[i], id)) raise(&counts->ids);
-  }
-};
-
-/// Columns [first, first + size) of the item.
-template <std::uint32_t kBlock>
-struct Block {
-  std::uint32_t first, size;
-
-  SPLATBUS_PORTABLE_MEMBER Block(std::uint32_t block, std::uint32_t count) : first(block * kBlock), size(kBlock) {
-    if (size > count - first) size = count - first;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const ColumnBlock block = model.blocks[item];
+    const std::size_t offset = model.wide_offset(block.index);
+    bool changed = false;
+    for (std::uint32_t k = 0; k < block.size; ++k) {
+      const std::uint64_t id =
+          model.gaussian_id != nullptr ? model.gaussian_id[offset + k] : std::uint64_t{block.first} + k + 1;
+      changed |= replace(integers.gaussian_id[block.first + k], id);
+    }
+    if (changed) raise(&counts->ids);
   }
 };
 
@@ -56,12 +50,13 @@ struct MarkUsable {
   ObservedCounts* counts;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
-    const Block<kBlock> block(item, model.count);
+    const ColumnBlock block = model.blocks[item];
+    const std::size_t offset = model.offset(block.index);
     // What is not finite makes a sum of products with zero no number; unlike a test, that vectorizes.
     float sum[kBlock] = {};
     const auto add = [&](const float* rows, int channels) {
       for (int c = 0; c < channels; ++c) {
-        const float* row = rows + static_cast<std::size_t>(c) * model.stride + block.first;
+        const float* row = rows + static_cast<std::size_t>(c) * model.stride + offset;
         for (std::uint32_t k = 0; k < block.size; ++k) sum[k] += 0.0F * row[k];
       }
     };
@@ -72,7 +67,8 @@ struct MarkUsable {
     for (std::uint32_t k = 0; k < block.size; ++k) {
       const std::uint32_t i = block.first + k;
       usable_changed |= replace(integers.usable[i], static_cast<std::uint8_t>(sum[k] == 0.0F ? 1 : 0));
-      object_changed |= replace(integers.object_id[i], model.object_id != nullptr ? model.object_id[i] : 0U);
+      object_changed |=
+          replace(integers.object_id[i], model.object_id != nullptr ? model.object_id[offset + k] : block.frame_id);
     }
     if (usable_changed) raise(&counts->usable);
     if (object_changed) raise(&counts->object_ids);
@@ -87,24 +83,24 @@ struct Quantize {
   const HeldRotation* held;
   Integers integers;
   ChangeList list;
-  std::uint32_t blocks;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
-    const ChannelPlan& plan = plans.plan[item / blocks];
-    const Block<kBlock> block(item % blocks, model.count);
+    const ChannelPlan& plan = plans.plan[item / model.block_count];
+    const ColumnBlock block = model.blocks[item % model.block_count];
     if (plan.kind == coding::Kind::Rotation) {
       rotation(plan, block);
     } else if (plan.kind == coding::Kind::Normal) {
       normal(plan, block);
     } else {
-      const float* row = model.parameters + static_cast<std::size_t>(plan.source) * model.stride;
+      const std::size_t offset = model.offset(block.index);
+      const float* row = model.parameters + static_cast<std::size_t>(plan.source) * model.stride + offset;
       switch (plan.kind) {
         case coding::Kind::Opacity:
           return map(plan, block, row, [](float x) { return coding::sigmoid(x); });
         case coding::Kind::Albedo:
           return map(plan, block, row, [](float x) { return coding::srgb_odd(x); });
         case coding::Kind::Visibility:
-          row = model.visibility;
+          row = model.visibility != nullptr ? model.visibility + offset : nullptr;
           break;
         default:
           break;
@@ -115,18 +111,19 @@ struct Quantize {
 
  private:
   template <class Map>
-  SPLATBUS_PORTABLE_MEMBER void map(const ChannelPlan& plan, const Block<kBlock>& block, const float* row,
+  SPLATBUS_PORTABLE_MEMBER void map(const ChannelPlan& plan, const ColumnBlock& block, const float* row,
                                     Map to_coding_space) const {
     std::int32_t values[kBlock];
     for (std::uint32_t k = 0; k < block.size; ++k) {
-      values[k] = plan.step(row != nullptr ? to_coding_space(row[block.first + k]) : 1.0F);
+      values[k] = plan.step(row != nullptr ? to_coding_space(row[k]) : 1.0F);
     }
     keep(plan, 0, block, values);
   }
 
-  SPLATBUS_PORTABLE_MEMBER void rotation(const ChannelPlan& plan, const Block<kBlock>& block) const {
+  SPLATBUS_PORTABLE_MEMBER void rotation(const ChannelPlan& plan, const ColumnBlock& block) const {
     std::int32_t x[kBlock], y[kBlock], z[kBlock];
-    const float* w = model.parameters + static_cast<std::size_t>(plan.source) * model.stride;
+    const float* w =
+        model.parameters + static_cast<std::size_t>(plan.source) * model.stride + model.offset(block.index);
     for (std::uint32_t k = 0; k < block.size; ++k) {
       const std::uint32_t i = block.first + k;
       coding::Quaternion reference;
@@ -136,7 +133,7 @@ struct Quantize {
                                                   static_cast<float>(held[i].z) * plan.unit});
       }
       const coding::Quaternion q =
-          coding::normalized({w[i], w[model.stride + i], w[2 * model.stride + i], w[3 * model.stride + i]});
+          coding::normalized({w[k], w[model.stride + k], w[2 * model.stride + k], w[3 * model.stride + k]});
       const coding::Vector v = coding::to_rotation_vector(coding::nearest_equivalent(q, reference));
       x[k] = plan.step(v.x);
       y[k] = plan.step(v.y);
@@ -147,12 +144,11 @@ struct Quantize {
     keep(plan, 2, block, z);
   }
 
-  SPLATBUS_PORTABLE_MEMBER void normal(const ChannelPlan& plan, const Block<kBlock>& block) const {
+  SPLATBUS_PORTABLE_MEMBER void normal(const ChannelPlan& plan, const ColumnBlock& block) const {
     std::int32_t x[kBlock], y[kBlock];
-    const float* n = model.normal;
+    const float* n = model.normal != nullptr ? model.normal + model.offset(block.index) : nullptr;
     for (std::uint32_t k = 0; k < block.size; ++k) {
-      const std::uint32_t i = block.first + k;
-      const coding::Octahedral e = n != nullptr ? coding::octahedral(n[i], n[model.stride + i], n[2 * model.stride + i])
+      const coding::Octahedral e = n != nullptr ? coding::octahedral(n[k], n[model.stride + k], n[2 * model.stride + k])
                                                 : coding::octahedral(0.0F, 1.0F, 0.0F);
       x[k] = plan.step(e.x);
       y[k] = plan.step(e.y);
@@ -161,7 +157,7 @@ struct Quantize {
     keep(plan, 1, block, y);
   }
 
-  SPLATBUS_PORTABLE_MEMBER void keep(const ChannelPlan& plan, int neighbour, const Block<kBlock>& block,
+  SPLATBUS_PORTABLE_MEMBER void keep(const ChannelPlan& plan, int neighbour, const ColumnBlock& block,
                                      const std::int32_t* values) const {
     const std::size_t row = static_cast<std::size_t>(plan.storage + neighbour) * model.count + block.first;
     std::uint32_t changed[kBlock], changes = 0;
@@ -184,13 +180,17 @@ struct Quantize {
 };
 
 struct Extent {
-  const float* scales;  ///< [3][stride]
-  std::size_t stride;
+  ModelChannels model;
   float* extents;
 
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const float extent = coding::middle_of(scales[i], scales[stride + i], scales[2 * stride + i]);
-    extents[i] = math::is_finite(extent) ? extent : INFINITY;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const ColumnBlock block = model.blocks[item];
+    const float* scales = model.parameters + static_cast<std::size_t>(ParameterLayout::kLogScale) * model.stride +
+                          model.offset(block.index);
+    for (std::uint32_t k = 0; k < block.size; ++k) {
+      const float extent = coding::middle_of(scales[k], scales[model.stride + k], scales[2 * model.stride + k]);
+      extents[block.first + k] = math::is_finite(extent) ? extent : INFINITY;
+    }
   }
 };
 
@@ -249,15 +249,14 @@ struct Scatter {
 template <std::uint32_t kBlock>
 void quantize_in_blocks(const ModelChannels& model, const Plans& plans, const HeldRotation* held,
                         const Integers& integers, const ChangeList& list, device::StreamView stream) {
-  const std::uint32_t blocks = (model.count + kBlock - 1) / kBlock;
-  device::for_each_index(stream, blocks, MarkUsable<kBlock>{model, integers, list.counts});
-  device::for_each_index(stream, plans.count * blocks, Quantize<kBlock>{model, plans, held, integers, list, blocks});
+  device::for_each_index(stream, model.block_count, MarkUsable<kBlock>{model, integers, list.counts});
+  device::for_each_index(stream, plans.count * model.block_count, Quantize<kBlock>{model, plans, held, integers, list});
 }
 
 }  // namespace
 
 void take_ids(const ModelChannels& model, const Integers& integers, ObservedCounts* counts, device::StreamView stream) {
-  device::for_each_index(stream, model.count, TakeId{model, integers, counts});
+  device::for_each_index(stream, model.block_count, TakeId{model, integers, counts});
 }
 
 void quantize(const ModelChannels& model, const Plans& plans, const HeldRotation* held, const Integers& integers,
@@ -271,8 +270,7 @@ void quantize(const ModelChannels& model, const Plans& plans, const HeldRotation
 
 std::uint32_t sort_extents(const ModelChannels& model, float* extents, device::StreamView stream) {
   if (model.count == 0) return 0;
-  const float* scales = model.parameters + static_cast<std::size_t>(ParameterLayout::kLogScale) * model.stride;
-  device::for_each_index(stream, model.count, Extent{scales, model.stride, extents});
+  device::for_each_index(stream, model.block_count, Extent{model, extents});
   float* const end = extents + model.count;
   return device::with_policy(stream, [&](auto&& policy) {
     thrust::sort(policy, extents, end);

@@ -4,21 +4,44 @@
 #include <cstdint>
 
 #include "device/stream.h"
+#include "gaussians/pages.h"
 #include "stream/coding.h"
 
 // What is done for each value between a model's floats and the integers that travel, on either device in the order of a
 // stream. Pointers are to memory of the stream's device. Throws std::runtime_error.
 namespace splatbus::stream::kernels {
 
+/// Columns of the stream first, first + 1, ...: Gaussians index, index + 1, ... of the model, which lie in one page.
+struct ColumnBlock {
+  std::uint32_t first = 0, size = 0;
+  std::uint32_t index = 0;
+  std::uint32_t frame_id = 0;  ///< of all of them, where the model has no object ids
+};
+/// The most columns of a block: of a GPU's threads each takes one, of a CPU's a block whose channels stay in its cache.
+constexpr std::uint32_t kDeviceBlock = 1, kHostBlock = 512;
+
+/// A model's channels as in GaussiansView, and `count` columns in blocks.
 struct ModelChannels {
   std::uint32_t count = 0;
+  const ColumnBlock* blocks = nullptr;
+  std::uint32_t block_count = 0;
   std::size_t stride = 0;
+  std::uint32_t page_shift = kNoPages;
+  std::size_t page_stride = 0;
   int channels = 0;                   ///< of `parameters`
-  const float* parameters = nullptr;  ///< [channels][stride]
-  const float* normal = nullptr;      ///< [3][stride]; null: up, or of no use
-  const float* visibility = nullptr;  ///< [stride]; null: 1, or of no use
+  const float* parameters = nullptr;  ///< [channels]
+  const float* normal = nullptr;      ///< [3]; null: up, or of no use
+  const float* visibility = nullptr;  ///< null: 1, or of no use
   const std::uint32_t* object_id = nullptr;
   const std::uint64_t* gaussian_id = nullptr;
+
+  /// Of an index, in elements of 4 and of 8 bytes.
+  SPLATBUS_PORTABLE_MEMBER std::size_t offset(std::uint32_t index) const {
+    return (index >> page_shift) * page_stride + (index & ((1U << page_shift) - 1));
+  }
+  SPLATBUS_PORTABLE_MEMBER std::size_t wide_offset(std::uint32_t index) const {
+    return (index >> page_shift) * (page_stride / 2) + (index & ((1U << page_shift) - 1));
+  }
 };
 
 /// One channel of integers; with Rotation and Normal its two neighbours and its one neighbour as well.

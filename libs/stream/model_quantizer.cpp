@@ -54,18 +54,6 @@ struct Storage {
   int wide = 0, narrow = 0;
 };
 
-kernels::ModelChannels channels_of(const GaussiansView& view) {
-  const bool transfer = view.layout.appearance == Appearance::Transfer;
-  return {.count = static_cast<std::uint32_t>(view.count),
-          .stride = view.stride,
-          .channels = view.layout.channels(),
-          .parameters = view.parameters,
-          .normal = transfer ? view.normal : nullptr,
-          .visibility = transfer ? view.visibility : nullptr,
-          .object_id = view.object_id,
-          .gaussian_id = view.gaussian_id};
-}
-
 /// With room to spare: models grow in small steps, and making memory is slow.
 template <class Array>
 void make_room(Array& array, std::size_t elements) {
@@ -117,8 +105,9 @@ class ModelQuantizer::Impl {
   explicit Impl(Device device) : stream_(device) {}
 
   float choose_mean_step(const GaussiansView& gaussians) {
-    make_room(extents_, gaussians.count);
-    const std::uint32_t finite = kernels::sort_extents(channels_of(gaussians), extents_.data(), stream_);
+    const kernels::ModelChannels channels = channels_of(gaussians);
+    make_room(extents_, channels.count);
+    const std::uint32_t finite = kernels::sort_extents(channels, extents_.data(), stream_);
     if (finite == 0) return kDefaultMeanStep_m;
     float median = 0;
     device::copy(stream_, &median, extents_.data() + finite / 2, sizeof(median));
@@ -127,11 +116,12 @@ class ModelQuantizer::Impl {
   }
 
   std::span<const std::uint64_t> ids(const GaussiansView& gaussians) {
-    const std::size_t count = gaussians.count;
+    const kernels::ModelChannels channels = channels_of(gaussians);
+    const std::size_t count = channels.count;
     const bool another_count = count != ids_.size();
     make_room(gaussian_id_, count);
     counts_.clear();
-    kernels::take_ids(channels_of(gaussians), integers(), counts_.data(), stream_);
+    kernels::take_ids(channels, integers(), counts_.data(), stream_);
     if (read_counts().ids > 0 || another_count) {
       const std::uint64_t* ids = host_ids_.bring(gaussian_id_.data(), count);
       stream_.wait();
@@ -143,11 +133,12 @@ class ModelQuantizer::Impl {
 
   void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const QuantizedGaussians* held,
                 std::span<const std::uint32_t> held_column) {
-    assert(ids_.size() == gaussians.count && layout.carries(gaussians.layout));
+    const kernels::ModelChannels channels = channels_of(gaussians);
+    assert(ids_.size() == channels.count && layout.carries(gaussians.layout));
     // What an observation that was not committed has written over is in nobody's memory.
-    const bool whole = pending_ || !storage_ || storage_->layout != layout || count_ != gaussians.count;
+    const bool whole = pending_ || !storage_ || storage_->layout != layout || count_ != channels.count;
     if (!storage_ || storage_->layout != layout) storage_.emplace(layout);
-    count_ = gaussians.count;
+    count_ = channels.count;
     const std::size_t capacity = whole ? 0 : storage_->row_of_channel.size() * count_ / kListedShare;
     make_room(wide_, static_cast<std::size_t>(storage_->wide) * count_);
     make_room(narrow_, static_cast<std::size_t>(storage_->narrow) * count_);
@@ -157,7 +148,7 @@ class ModelQuantizer::Impl {
     pending_ = true;
 
     counts_.clear();
-    kernels::quantize(channels_of(gaussians), storage_->plans, upload_held(layout, held, held_column), integers(),
+    kernels::quantize(channels, storage_->plans, upload_held(layout, held, held_column), integers(),
                       {changes_.data(), static_cast<std::uint32_t>(capacity), counts_.data()}, stream_);
     read_ = read_counts();
     all_ = capacity == 0 || read_.values > capacity;
@@ -188,6 +179,43 @@ class ModelQuantizer::Impl {
   }
 
  private:
+  kernels::ModelChannels channels_of(const GaussiansView& view) {
+    list_blocks(view);
+    const bool transfer = view.layout.appearance == Appearance::Transfer;
+    return {.count = columns_,
+            .blocks = blocks_.data(),
+            .block_count = static_cast<std::uint32_t>(blocks_.size()),
+            .stride = view.stride,
+            .page_shift = view.page_shift,
+            .page_stride = view.page_stride,
+            .channels = view.layout.channels(),
+            .parameters = view.parameters,
+            .normal = transfer ? view.normal : nullptr,
+            .visibility = transfer ? view.visibility : nullptr,
+            .object_id = view.object_id,
+            .gaussian_id = view.gaussian_id};
+  }
+
+  /// The columns are the Gaussians in the order of their indices.
+  void list_blocks(const GaussiansView& view) {
+    const IndexRange all{.first = 0, .count = static_cast<std::uint32_t>(view.count)};
+    const std::span<const IndexRange> ranges = view.has_pages() ? view.ranges : std::span(&all, 1);
+    if (std::ranges::equal(ranges, ranges_)) return;
+    ranges_.assign(ranges.begin(), ranges.end());
+    host_blocks_.clear();
+    columns_ = 0;
+    const std::uint32_t most = stream_.view().on_cuda() ? kernels::kDeviceBlock : kernels::kHostBlock;
+    for (const IndexRange& range : ranges_) {
+      for (std::uint32_t k = 0; k < range.count; k += most) {
+        const std::uint32_t size = std::min(most, range.count - k);
+        host_blocks_.push_back({.first = columns_, .size = size, .index = range.first + k, .frame_id = range.frame_id});
+        columns_ += size;
+      }
+    }
+    blocks_.assign(host_blocks_);
+    stream_.wait();
+  }
+
   [[nodiscard]] kernels::Integers integers() const {
     return {.wide = wide_.data(),
             .narrow = narrow_.data(),
@@ -259,6 +287,11 @@ class ModelQuantizer::Impl {
   std::vector<std::uint64_t> ids_;
   std::vector<kernels::HeldRotation> host_held_;
 
+  std::vector<IndexRange> ranges_;  ///< that the blocks are of
+  std::vector<kernels::ColumnBlock> host_blocks_;
+  std::uint32_t columns_ = 0;
+
+  device::Buffer<kernels::ColumnBlock> blocks_{stream_};
   device::Buffer<float> extents_{stream_};
   device::Buffer<kernels::ObservedCounts> counts_{stream_, 1};
   device::Buffer<std::int32_t> wide_{stream_};

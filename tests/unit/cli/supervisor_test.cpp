@@ -9,6 +9,8 @@
 #include <condition_variable>
 #include <csignal>
 #include <filesystem>
+#include <map>
+#include <memory>
 #include <thread>
 
 #include "bus/broker.h"
@@ -52,11 +54,17 @@ class SupervisorTest : public testing::Test {
 
   void launch(std::vector<ProcessPlan> processes) {
     LaunchPlan plan{bus::Address::parse("ipc://" + folder_), std::move(processes)};
-    supervisor_.emplace(plan, [this](const std::string& process, const std::string& line, bool own) {
-      const std::scoped_lock lock(mutex_);
-      lines_.push_back(process + (own ? " * " : " | ") + line);
-      changed_.notify_all();
-    });
+    supervisor_.emplace(
+        plan,
+        [this](const std::string& process, const std::string& line, bool own) {
+          const std::scoped_lock lock(mutex_);
+          lines_.push_back(process + (own ? " * " : " | ") + line);
+          changed_.notify_all();
+        },
+        [this] {
+          ++clock_reads_;
+          return clock_stopped_ ? stopped_at_ns_.load() : bus::now_ns();
+        });
     thread_ = std::jthread([this] { success_ = supervisor_->run(stop_.get_token(), kill_.get_token()); });
   }
 
@@ -98,8 +106,24 @@ class SupervisorTest : public testing::Test {
     return true;
   }
 
+  /// The supervisor's clock stands still, but for pass(). Before launch().
+  void stop_clock() {
+    stopped_at_ns_ = bus::now_ns();
+    clock_stopped_ = true;
+  }
+  /// Moves a clock that was stopped, and returns when the supervisor has judged everything by the new time.
+  void pass(double seconds) {
+    stopped_at_ns_ += static_cast<std::int64_t>(seconds * 1e9);
+    constexpr std::uint64_t kReadsInTwoRounds = 6;  // at least two are in each
+    const std::uint64_t enough = clock_reads_ + kReadsInTwoRounds;
+    while (clock_reads_ < enough) std::this_thread::yield();
+  }
+
   std::string folder_;
   std::optional<bus_service::Broker> broker_;
+  std::atomic<bool> clock_stopped_ = false;
+  std::atomic<std::int64_t> stopped_at_ns_ = 0;
+  std::atomic<std::uint64_t> clock_reads_ = 0;
   std::mutex mutex_;
   std::condition_variable changed_;
   std::vector<std::string> lines_;
@@ -123,6 +147,46 @@ TEST_F(SupervisorTest, RestartsWithBackOffUntilItFailsForGood) {
   ASSERT_TRUE(wait_for_line("a * exited with status 7; starting it again in 0.2 s"));
   EXPECT_TRUE(wait_for_line("a * started", 3));
   EXPECT_FALSE(supervisor_->failure().has_value());
+}
+
+TEST(BackOff, DoublesUpToEightSeconds) {
+  std::vector<double> delays;
+  for (int attempts = 1; attempts <= 9; ++attempts) delays.push_back(back_off_s(attempts));
+  EXPECT_THAT(delays, ElementsAre(0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 8, 8));
+}
+
+TEST_F(SupervisorTest, FailsForGoodAtTheEighthEndInARow) {
+  stop_clock();
+  launch({shell("a", "exit 7")});
+  for (std::size_t attempt = 1; attempt <= 7; ++attempt) {
+    ASSERT_TRUE(wait_for_line("starting it again in", attempt)) << attempt;
+    pass(8.001);
+  }
+  ASSERT_TRUE(wait_for_line("a * failed: exited with status 7, 8 times in a row"));
+  wait_for_end();
+  EXPECT_FALSE(success_);
+}
+
+TEST_F(SupervisorTest, ForgetsEarlierEndsAfterTenHealthySeconds) {
+  stop_clock();
+  launch({shell("a", "exec sleep 100")});
+  const auto kill_after = [&](double seconds, const std::string& said, std::size_t lives) {
+    ASSERT_TRUE(wait_for_line("a * started", lives));
+    ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
+    pass(seconds);
+    kill(status("a").pid, SIGKILL);
+    ASSERT_TRUE(wait_for_line("a * killed by signal 9 (Killed); starting it again in " + said));
+    ASSERT_TRUE(wait_for_state("a", ProcessState::BackOff));
+    pass(1);
+  };
+  ASSERT_NO_FATAL_FAILURE(kill_after(0, "0.1 s", 1));
+  ASSERT_NO_FATAL_FAILURE(kill_after(9.9, "0.2 s", 2));
+  ASSERT_NO_FATAL_FAILURE(kill_after(0, "0.4 s", 3));
+  ASSERT_TRUE(wait_for_line("a * started", 4));
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
+  pass(10.1);
+  kill(status("a").pid, SIGKILL);
+  EXPECT_TRUE(wait_for_line("a * killed by signal 9 (Killed); starting it again in 0.1 s", 2));
 }
 
 TEST_F(SupervisorTest, NeverMeansNever) {
@@ -192,30 +256,40 @@ TEST_F(SupervisorTest, ProgramThatCannotStartFails) {
   EXPECT_EQ(status("b").detail, "waits for a, which failed");
 }
 
-/// Sends heartbeats as if it were the process.
+/// Sends heartbeats as if it were the processes, by a clock that stands still.
 class HeartbeatTest : public SupervisorTest {
  protected:
-  HeartbeatTest()
-      : context_(bus::Context::create(bus::Address::parse("ipc://" + folder_), "faker")), publisher_(context_) {}
+  HeartbeatTest() { stop_clock(); }
 
-  void beat(pid_t pid) {
-    publisher_.publish(Topic<wire::Heartbeat>{"sys/heartbeat"}, [&](auto& builder, auto header) {
+  /// A heartbeat of `source`, of a process `pid` as it says.
+  void beat(const std::string& source, pid_t pid) {
+    auto found = publishers_.find(source);
+    if (found == publishers_.end()) {
+      const auto context = bus::Context::create(bus::Address::parse("ipc://" + folder_), source);
+      found = publishers_.emplace(source, std::make_unique<bus::Publisher>(context)).first;
+    }
+    found->second->publish(Topic<wire::Heartbeat>{"sys/heartbeat"}, [&](auto& builder, auto header) {
       const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.0)};
       return wire::CreateHeartbeatDirect(builder, header, "fake", static_cast<std::uint32_t>(pid),
                                          wire::ServiceState::Running, "fine", &counters);
     });
   }
 
-  /// Until `condition` holds, beating for `name` all the while when it runs.
+  /// Until `condition` holds, `source` sending the heartbeats of process `name` all the while when that runs.
   template <class Condition>
-  [[nodiscard]] bool beat_until(const std::string& name, Condition condition) {
+  [[nodiscard]] bool beat_until(const std::string& source, const std::string& name, Condition condition) {
     const auto end = std::chrono::steady_clock::now() + kPatience;
     while (!condition()) {
       if (std::chrono::steady_clock::now() > end) return false;
-      if (const pid_t pid = status(name).pid; pid != 0) beat(pid);
-      std::this_thread::sleep_for(20ms);
+      if (const pid_t pid = status(name).pid; pid != 0) beat(source, pid);
+      pass(0);
     }
     return true;
+  }
+
+  [[nodiscard]] bool was_said(const std::string& line) {
+    const auto said = lines();
+    return std::find(said.begin(), said.end(), line) != said.end();
   }
 
   static ProcessPlan beating(const std::string& name, std::vector<std::size_t> after = {}) {
@@ -224,16 +298,14 @@ class HeartbeatTest : public SupervisorTest {
     return plan;
   }
 
-  std::shared_ptr<bus::Context> context_;
-  bus::Publisher publisher_;
+  std::map<std::string, std::unique_ptr<bus::Publisher>> publishers_;
 };
 
 TEST_F(HeartbeatTest, ReadyWithTheFirstHeartbeatAndThenOthersStart) {
   launch({beating("a"), shell("b", "exec sleep 100", {0})});
   ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
   EXPECT_EQ(status("b").state, ProcessState::Waiting);
-  beat(1);  // somebody else's
-  ASSERT_TRUE(beat_until("a", [&] { return status("b").state == ProcessState::Running; }));
+  ASSERT_TRUE(beat_until("a", "a", [&] { return status("b").state == ProcessState::Running; }));
   EXPECT_EQ(status("a").state, ProcessState::Running);
   EXPECT_EQ(status("a").detail, "fine");
   EXPECT_EQ(status("a").counters.at("frames"), 42.0);
@@ -241,33 +313,58 @@ TEST_F(HeartbeatTest, ReadyWithTheFirstHeartbeatAndThenOthersStart) {
 
 TEST_F(HeartbeatTest, SilentProcessIsKilledAndStartedAgain) {
   launch({beating("a")});
-  ASSERT_TRUE(beat_until("a", [&] { return status("a").state == ProcessState::Running; }));
+  ASSERT_TRUE(beat_until("a", "a", [&] { return status("a").state == ProcessState::Running; }));
+  pass(1.9);
+  EXPECT_EQ(status("a").state, ProcessState::Running);
+  pass(0.2);
   EXPECT_TRUE(wait_for_line("a * no heartbeat for 2 s, killing it"));
   EXPECT_TRUE(wait_for_line("a * killed by signal 9"));
+  ASSERT_TRUE(wait_for_state("a", ProcessState::BackOff));
+  pass(0.2);
   EXPECT_TRUE(wait_for_line("a * started", 2));
+}
+
+TEST_F(HeartbeatTest, NobodyElseSpeaksForASilentProcess) {
+  launch({beating("a")});
+  ASSERT_TRUE(beat_until("a", "a", [&] { return status("a").state == ProcessState::Running; }));
+  // A process of another machine that happens to have the same id goes on.
+  EXPECT_TRUE(beat_until("remote", "a", [&] {
+    pass(0.25);
+    return was_said("a * no heartbeat for 2 s, killing it");
+  }));
+}
+
+TEST_F(HeartbeatTest, EarlierLifeDoesNotMakeReady) {
+  launch({beating("a"), shell("b", "exec sleep 100", {0})});
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
+  const pid_t earlier = status("a").pid + 1;
+  for (int i = 0; i < 20; ++i) {
+    beat("a", earlier);
+    pass(0);
+  }
+  EXPECT_EQ(status("a").state, ProcessState::Starting);
 }
 
 TEST_F(HeartbeatTest, NeverReadyIsKilledToo) {
   ProcessPlan plan = beating("a");
   plan.start_timeout_s = 0.2;
   launch({plan});
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
+  pass(0.3);
   EXPECT_TRUE(wait_for_line("a * no heartbeat for 0.2 s, killing it"));
 }
 
 TEST_F(HeartbeatTest, SilenceIsForgivenWhileTheBrokerIsSilent) {
-  ProcessPlan broker = beating("bus");
+  ProcessPlan broker = beating("the-broker");
   broker.broker = true;
   broker.heartbeat_timeout_s = 1000;
   launch({broker, beating("a", {0})});
-  ASSERT_TRUE(beat_until("bus", [&] { return status("a").state == ProcessState::Starting; }));
-  ASSERT_TRUE(beat_until("a", [&] { return status("a").state == ProcessState::Running; }));
+  ASSERT_TRUE(beat_until("bus", "the-broker", [&] { return status("a").state == ProcessState::Starting; }));
+  ASSERT_TRUE(beat_until("a", "a", [&] { return status("a").state == ProcessState::Running; }));
   // Nobody beats for longer than is allowed, and nobody is killed; then only the broker beats.
-  std::this_thread::sleep_for(3000ms);
-  EXPECT_THAT(lines(), testing::Not(testing::Contains(HasSubstr("no heartbeat"))));
-  EXPECT_TRUE(beat_until("bus", [&] {
-    const auto said = lines();
-    return std::find(said.begin(), said.end(), "a * no heartbeat for 2 s, killing it") != said.end();
-  }));
+  pass(3);
+  EXPECT_FALSE(was_said("a * no heartbeat for 2 s, killing it"));
+  EXPECT_TRUE(beat_until("bus", "the-broker", [&] { return was_said("a * no heartbeat for 2 s, killing it"); }));
 }
 
 }  // namespace

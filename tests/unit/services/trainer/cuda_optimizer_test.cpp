@@ -91,7 +91,9 @@ TEST_F(CudaOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
   for (const Device memory : {Device::Cuda, Device::Cpu}) {
     Trial s = trial(memory, {{"prune_interval", "5"}, {"prune_min_age", "5"}});
     const std::size_t before = s.store().count();
-    const std::uint64_t last = s.planes().ids().back();
+    const std::vector<std::uint64_t> ids = s.planes().ids();
+    ASSERT_EQ(ids.size(), before);
+    const std::uint64_t last = ids.back();
     s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
     s.poke(ParameterLayout::kLogScale, 4, 3.0F);
     s.poke(20, 5, std::numeric_limits<float>::quiet_NaN());

@@ -1,9 +1,10 @@
+#include "verbs.h"
+
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <CLI/CLI.hpp>
 #include <cstdlib>
-
-#include "verbs.h"
 
 namespace splatbus::cli {
 
