@@ -146,8 +146,8 @@ void PageStore::publish(const bus::Publisher& publisher) const {
       [&](flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<wire::Header> header) {
         const auto batches = builder.CreateVector(table_.batches());
         return wire::CreateModelPublished(
-            builder, header, generation(), count_, table_.page_capacity(), arena, kPageLanes,
-            static_cast<std::uint32_t>(memory_.page_words),
+            builder, header, generation(), count_, table_.page_capacity(), arena,
+            static_cast<std::uint32_t>(directory_.size()), kPageLanes, static_cast<std::uint32_t>(memory_.page_words),
             layout_.appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
             static_cast<std::uint8_t>(layout_.sh_degree), step(), table_.header().insert_epoch, batches);
       });
