@@ -125,6 +125,21 @@ TEST(Culling, FillsTheBudgetWithAsManyCamerasAsItHasRoomFor) {
   EXPECT_EQ(sample(views, {}, {.budget = 10'000'000}).culled, 0U);
 }
 
+TEST(Culling, RanksEveryPixelOfPicturesOfAnySize) {
+  for (const auto& [width, height] : {std::pair{37U, 53U}, {8U, 9U}, {300U, 1U}, {1U, 1U}, {7U, 64U}}) {
+    const auto views = AnalyticScene{}.render_all({look_at({0, 2, 2}, {0, 0, 0}, width, height, 1)});
+    const ViewSurface surface = analyse_surface(views[0]);
+    std::set<std::uint32_t> valid;
+    for (std::uint32_t i = 0; i < views[0].pixels(); ++i) {
+      if (surface.footprint_m[i] > 0) valid.insert(i);
+    }
+    const SampledRound round = sample(views, {}, unlimited());
+    EXPECT_EQ(std::set(round.samples.pixel.begin(), round.samples.pixel.end()), valid) << width << " x " << height;
+    EXPECT_EQ(round.samples.size(), valid.size());
+    EXPECT_FALSE(valid.empty());
+  }
+}
+
 TEST(Culling, GivesEachSurfaceTheCamerasThatTheBudgetAndAnEighthHaveRoomFor) {
   std::array<std::uint32_t, kRanks> of_rank{};
   of_rank[1] = 1000;
