@@ -37,11 +37,11 @@ struct GaussiansView {
 
   [[nodiscard]] bool has_pages() const { return page_shift != kNoPages; }
   /// Of 4-byte elements.
-  [[nodiscard]] std::size_t offset(std::size_t i) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::size_t offset(std::size_t i) const {
     return (i >> page_shift) * page_stride + (i & ((std::size_t{1} << page_shift) - 1));
   }
   /// Gaussian i of a channel, a parameter's or of one of the pointers below.
-  [[nodiscard]] const float* at(int channel, std::size_t i) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER const float* at(int channel, std::size_t i) const {
     return parameters + offset(i) + static_cast<std::size_t>(channel) * stride;
   }
   /// Without pages only.
