@@ -13,19 +13,19 @@
 namespace splatbus::engine_sdk {
 namespace {
 
-constexpr std::size_t kLeastSlot = std::size_t{64} << 10;
+constexpr std::size_t kMinSlot = std::size_t{64} << 10;
 constexpr std::size_t kRingBytes = std::size_t{256} << 20;
-constexpr std::size_t kLeastSlots = 8;
-constexpr std::size_t kMostSlots = 128;
+constexpr std::size_t kMinSlots = 8;
+constexpr std::size_t kMaxSlots = 128;
 constexpr int kBrokerTimeout_ms = 2000;
 
 }  // namespace
 
 bus::Slab& FrameRings::ring_for(std::size_t bytes) {
-  const std::size_t slot_bytes = std::bit_ceil(std::max(bytes, kLeastSlot));
+  const std::size_t slot_bytes = std::bit_ceil(std::max(bytes, kMinSlot));
   std::shared_ptr<bus::Slab>& ring = rings_[slot_bytes];
   if (!ring) {
-    const std::size_t slots = std::clamp(kRingBytes / slot_bytes, kLeastSlots, kMostSlots);
+    const std::size_t slots = std::clamp(kRingBytes / slot_bytes, kMinSlots, kMaxSlots);
     ring =
         context_->create_slab(fmt::format("frames-{}k", slot_bytes >> 10), slots, slot_bytes, kBrokerTimeout_ms, kind_);
   }
@@ -59,7 +59,7 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
     tensor.shape = {frame.camera.height, frame.camera.width};
     if (buffer_channels(image.buffer) > 1)
       tensor.shape.push_back(static_cast<std::uint32_t>(buffer_channels(image.buffer)));
-    tensor.type = buffer_element_bytes(image.buffer) == 1 ? bus::ElementType::U8 : bus::ElementType::F32;
+    tensor.type = buffer_type(image.buffer);
     tensor.span = ring.span(slot, offset, image.bytes, generation);
     tensors.push_back(std::move(tensor));
     offset += bus::aligned(image.bytes);

@@ -11,7 +11,7 @@
 namespace splatbus::engine_sdk {
 namespace {
 
-constexpr std::size_t kMostCameras = 4096;
+constexpr std::size_t kMaxCameras = 4096;
 
 splatbus_rigid from_wire(const wire::Rigid& rigid) {
   const wire::Quat& q = rigid.rotation();
@@ -77,9 +77,9 @@ std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& ro
       spdlog::warn("{} from {}: {}", message.topic(), message.header().source()->str(), wrong);
       continue;
     }
-    if (requests.size() == kMostCameras) {
+    if (requests.size() == kMaxCameras) {
       spdlog::warn("{} from {}: more than {} cameras; the rest is left out", message.topic(),
-                   message.header().source()->str(), kMostCameras);
+                   message.header().source()->str(), kMaxCameras);
       break;
     }
     requests.push_back(request);

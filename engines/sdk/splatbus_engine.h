@@ -19,18 +19,19 @@
 extern "C" {
 #endif
 
-#define SPLATBUS_ENGINE_ABI 2
+#define SPLATBUS_ENGINE_ABI 3
 
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;
 
 typedef enum {
   SPLATBUS_BUFFER_COLOR = 1,          /* u8 RGBA, linear light under the sRGB curve, anti-aliased, over the background;
                                          alpha is coverage by surfaces */
-  SPLATBUS_BUFFER_WORLD_POSITION = 2, /* f32 x 4: metres; w = object id, 0 where there is no surface */
+  SPLATBUS_BUFFER_WORLD_POSITION = 2, /* f32 x 4: metres; w counts for nothing */
   SPLATBUS_BUFFER_NORMAL = 4,         /* f32 x 4: unit, world */
   SPLATBUS_BUFFER_ALBEDO = 8,         /* u8 RGBA, diffuse albedo, as colour but over black: alpha is in it */
   SPLATBUS_BUFFER_DEPTH = 16,         /* f32: metres along the camera's z, 0 where there is no surface */
-  SPLATBUS_BUFFER_LIGHT_DEPTH = 32    /* f32: role light; metres along z, far_m where there is no surface */
+  SPLATBUS_BUFFER_LIGHT_DEPTH = 32,   /* f32: role light; metres along z, far_m where there is no surface */
+  SPLATBUS_BUFFER_OBJECT_ID = 64      /* u32: any 32 bits (an R32UI target, say), 0 where there is no surface */
 } splatbus_buffer;
 
 typedef enum { SPLATBUS_ROLE_INPUT, SPLATBUS_ROLE_REFERENCE, SPLATBUS_ROLE_PROBE, SPLATBUS_ROLE_LIGHT } splatbus_role;

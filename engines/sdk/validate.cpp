@@ -13,9 +13,9 @@
 namespace splatbus::engine_sdk {
 namespace {
 
-constexpr std::uint32_t kGreatestSide = 8192;
-constexpr std::uint32_t kAllBuffers = 63;
-constexpr std::size_t kMostObjects = 65536;
+constexpr std::uint32_t kMaxSide = 8192;
+constexpr std::uint32_t kAllBuffers = 127;
+constexpr std::size_t kMaxObjects = 65536;
 constexpr float kUnitTolerance = 1e-2F;
 
 bool finite(std::span<const float> values) {
@@ -56,7 +56,7 @@ std::string problem(const splatbus_image& image, const splatbus_camera& camera) 
     return fmt::format("{}: only a camera of role light has one", name);
   }
   const std::size_t pixels = std::size_t{camera.width} * camera.height;
-  const std::size_t expected = pixels * buffer_channels(image.buffer) * buffer_element_bytes(image.buffer);
+  const std::size_t expected = pixels * buffer_channels(image.buffer) * bus::element_bytes(buffer_type(image.buffer));
   if (image.bytes != expected) {
     return fmt::format("{}: {} bytes, where {} x {} pixels take {}", name, image.bytes, camera.width, camera.height,
                        expected);
@@ -81,17 +81,22 @@ const char* buffer_name(std::uint32_t buffer) {
       return "depth";
     case SPLATBUS_BUFFER_LIGHT_DEPTH:
       return "light_depth";
+    case SPLATBUS_BUFFER_OBJECT_ID:
+      return "object_id";
     default:
       return nullptr;
   }
 }
 
 std::size_t buffer_channels(std::uint32_t buffer) {
-  return buffer == SPLATBUS_BUFFER_DEPTH || buffer == SPLATBUS_BUFFER_LIGHT_DEPTH ? 1 : 4;
+  const bool single =
+      buffer == SPLATBUS_BUFFER_DEPTH || buffer == SPLATBUS_BUFFER_LIGHT_DEPTH || buffer == SPLATBUS_BUFFER_OBJECT_ID;
+  return single ? 1 : 4;
 }
 
-std::size_t buffer_element_bytes(std::uint32_t buffer) {
-  return buffer == SPLATBUS_BUFFER_COLOR || buffer == SPLATBUS_BUFFER_ALBEDO ? 1 : 4;
+bus::ElementType buffer_type(std::uint32_t buffer) {
+  if (buffer == SPLATBUS_BUFFER_COLOR || buffer == SPLATBUS_BUFFER_ALBEDO) return bus::ElementType::U8;
+  return buffer == SPLATBUS_BUFFER_OBJECT_ID ? bus::ElementType::U32 : bus::ElementType::F32;
 }
 
 std::string problem(const splatbus_camera& camera) {
@@ -99,9 +104,8 @@ std::string problem(const splatbus_camera& camera) {
     return fmt::format("camera {} (role {}): {}", camera.id, camera.role, what);
   };
   if (camera.role > SPLATBUS_ROLE_LIGHT) return named("there is no such role");
-  if (camera.width == 0 || camera.height == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide) {
-    return named(
-        fmt::format("{} x {} pixels, where each side has 1 to {}", camera.width, camera.height, kGreatestSide));
+  if (camera.width == 0 || camera.height == 0 || camera.width > kMaxSide || camera.height > kMaxSide) {
+    return named(fmt::format("{} x {} pixels, where each side has 1 to {}", camera.width, camera.height, kMaxSide));
   }
   if (!finite(std::array{camera.fx, camera.fy, camera.cx, camera.cy}))
     return named("fx, fy, cx, cy are not all finite");
@@ -115,9 +119,9 @@ std::string problem(const splatbus_camera& camera) {
 std::string problem(const splatbus_camera_request& request) {
   const splatbus_camera& camera = request.camera;
   if (camera.role == SPLATBUS_ROLE_LIGHT) {
-    if (camera.width == 0 || camera.height == 0 || camera.width > kGreatestSide || camera.height > kGreatestSide) {
+    if (camera.width == 0 || camera.height == 0 || camera.width > kMaxSide || camera.height > kMaxSide) {
       return fmt::format("light camera {}: {} x {} pixels, where each side has 1 to {}", camera.id, camera.width,
-                         camera.height, kGreatestSide);
+                         camera.height, kMaxSide);
     }
   } else if (std::string wrong = problem(camera); !wrong.empty()) {
     return wrong;
@@ -143,8 +147,8 @@ std::string problem(const splatbus_frame& frame) {
     seen |= image.buffer;
   }
   if (frame.object_count > 0 && frame.objects == nullptr) return "objects is NULL";
-  if (frame.object_count > kMostObjects)
-    return fmt::format("{} moving objects, where {} are the most", frame.object_count, kMostObjects);
+  if (frame.object_count > kMaxObjects)
+    return fmt::format("{} moving objects, where {} are the most", frame.object_count, kMaxObjects);
   std::set<std::uint32_t> ids;
   for (const splatbus_object& object : std::span(frame.objects, frame.object_count)) {
     if (object.id == 0) return "object 0: 0 means no surface";

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <string>
 
+#include "bus/tensor.h"
 #include "sdk/splatbus_engine.h"
 
 namespace splatbus::engine_sdk {
@@ -15,8 +16,8 @@ namespace splatbus::engine_sdk {
 
 /// Name of the buffer's tensor; null unless it is exactly one known bit.
 [[nodiscard]] const char* buffer_name(std::uint32_t buffer);
-/// Channels of one pixel, and bytes of one channel.
+/// Channels of one pixel, and the type of one.
 [[nodiscard]] std::size_t buffer_channels(std::uint32_t buffer);
-[[nodiscard]] std::size_t buffer_element_bytes(std::uint32_t buffer);
+[[nodiscard]] bus::ElementType buffer_type(std::uint32_t buffer);
 
 }  // namespace splatbus::engine_sdk

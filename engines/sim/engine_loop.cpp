@@ -42,6 +42,7 @@ std::vector<splatbus_image> images_of(const Pictures& pictures) {
   add_image(images, SPLATBUS_BUFFER_COLOR, pictures.color);
   add_image(images, SPLATBUS_BUFFER_WORLD_POSITION, pictures.world_position);
   add_image(images, SPLATBUS_BUFFER_NORMAL, pictures.normal);
+  add_image(images, SPLATBUS_BUFFER_OBJECT_ID, pictures.object_id);
   add_image(images, SPLATBUS_BUFFER_ALBEDO, pictures.albedo);
   add_image(images, SPLATBUS_BUFFER_DEPTH, pictures.depth);
   add_image(images, SPLATBUS_BUFFER_LIGHT_DEPTH, pictures.light_depth);

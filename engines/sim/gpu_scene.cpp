@@ -148,7 +148,7 @@ void GpuScene::draw_part(const Part& part, const ShaderVariant& variant, GLuint 
   if (variant.kind == ShaderVariant::Kind::Geometry || variant.lit) {
     glUniformMatrix3fv(kNormalMatrix, 1, GL_FALSE, glm::value_ptr(object.normal_matrix));
   }
-  if (variant.kind == ShaderVariant::Kind::Geometry) glUniform1f(kObjectId, static_cast<float>(object.id));
+  if (variant.kind == ShaderVariant::Kind::Geometry) glUniform1ui(kObjectId, object.id);
   if (shade) glUniform3fv(kBaseColor, 1, glm::value_ptr(part.base_color));
   if (variant.holes) glUniform1f(kAlphaCutoff, part.alpha_cutoff);
   if (shade || variant.holes) glBindTextureUnit(0, textures_[part.texture].get());

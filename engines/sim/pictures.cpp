@@ -17,6 +17,7 @@ void HostReadback::begin(std::uint32_t width, std::uint32_t height) {
   for (auto* bytes : {&pictures_.color, &pictures_.albedo}) bytes->clear();
   for (auto* floats : {&pictures_.world_position, &pictures_.normal, &pictures_.depth, &pictures_.light_depth})
     floats->clear();
+  pictures_.object_id.clear();
 }
 
 void HostReadback::take(const DrawnPicture& drawn) {
@@ -33,6 +34,8 @@ void HostReadback::take(const DrawnPicture& drawn) {
       return read(drawn, pictures_.depth);
     case SPLATBUS_BUFFER_LIGHT_DEPTH:
       return read(drawn, pictures_.light_depth);
+    case SPLATBUS_BUFFER_OBJECT_ID:
+      return read(drawn, pictures_.object_id);
   }
 }
 

@@ -13,6 +13,7 @@ struct Pictures {
   std::vector<std::uint8_t> color, albedo;    ///< [h, w, 4]; albedo is over black
   std::vector<float> world_position, normal;  ///< [h, w, 4]
   std::vector<float> depth, light_depth;      ///< [h, w]
+  std::vector<std::uint32_t> object_id;       ///< [h, w]
 };
 
 /// Takes pictures into the host's memory.

@@ -20,7 +20,7 @@ namespace {
 
 constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_ALBEDO;
 constexpr std::uint32_t kGeometryBuffers =
-    SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH;
+    SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
 
 /// Coefficients of the SH polynomials in n, with the basis constants and the clamped-cosine factors over pi (1, 2/3,
 /// 1/4) in.
@@ -166,20 +166,22 @@ void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffe
   const glm::mat4 view = camera_from_world(camera);
   const glm::mat4 clip_from_world = clip_from_camera(camera) * view;
   const bool light_depth = (buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0;
-  const std::array<bool, 3> wanted{(buffers & SPLATBUS_BUFFER_WORLD_POSITION) != 0,
-                                   (buffers & SPLATBUS_BUFFER_NORMAL) != 0,
-                                   (buffers & SPLATBUS_BUFFER_DEPTH) != 0 || light_depth};
+  const std::array<bool, 4> wanted{
+      (buffers & SPLATBUS_BUFFER_WORLD_POSITION) != 0, (buffers & SPLATBUS_BUFFER_NORMAL) != 0,
+      (buffers & SPLATBUS_BUFFER_DEPTH) != 0 || light_depth, (buffers & SPLATBUS_BUFFER_OBJECT_ID) != 0};
   set_draw_buffers(target.geometry, wanted);
   glBindFramebuffer(GL_FRAMEBUFFER, target.geometry.get());
   glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
   constexpr std::array<float, 4> kNothing{};
   const std::array<float, 4> no_surface{light_depth ? camera.far_m : 0, 0, 0, 0};
   constexpr float kFar = 1;
-  for (std::size_t i = 0; i < wanted.size(); ++i) {
+  for (std::size_t i = 0; i < 3; ++i) {
     if (!wanted.at(i)) continue;
     glClearNamedFramebufferfv(target.geometry.get(), GL_COLOR, static_cast<GLint>(i),
                               i == 2 ? no_surface.data() : kNothing.data());
   }
+  constexpr std::array<GLuint, 4> kNoObject{};
+  if (wanted[3]) glClearNamedFramebufferuiv(target.geometry.get(), GL_COLOR, 3, kNoObject.data());
   glClearNamedFramebufferfv(target.geometry.get(), GL_DEPTH, 0, &kFar);
   const glm::vec4 view_z{view[0][2], view[1][2], view[2][2], view[3][2]};
   gpu.draw(clip_from_world, {.kind = ShaderVariant::Kind::Geometry}, false, [&](const ShaderVariant& variant) {
@@ -189,12 +191,13 @@ void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffe
     return made;
   });
 
-  const auto take = [&](splatbus_buffer buffer, GLenum attachment, GLenum format, std::size_t channels) {
+  const auto take = [&](splatbus_buffer buffer, GLenum attachment, GLenum format, std::size_t channels,
+                        GLenum type = GL_FLOAT) {
     readback.take({.buffer = buffer,
                    .framebuffer = target.geometry.get(),
                    .attachment = attachment,
                    .format = format,
-                   .type = GL_FLOAT,
+                   .type = type,
                    .width = camera.width,
                    .height = camera.height,
                    .bytes = sizeof(float) * channels * camera.width * camera.height});
@@ -204,6 +207,7 @@ void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffe
   if (wanted[2]) {
     take(light_depth ? SPLATBUS_BUFFER_LIGHT_DEPTH : SPLATBUS_BUFFER_DEPTH, GL_COLOR_ATTACHMENT2, GL_RED, 1);
   }
+  if (wanted[3]) take(SPLATBUS_BUFFER_OBJECT_ID, GL_COLOR_ATTACHMENT3, GL_RED_INTEGER, 1, GL_UNSIGNED_INT);
 }
 
 Renderer::Renderer(std::shared_ptr<GlContext> context, Scene scene, const RendererOptions& options) {

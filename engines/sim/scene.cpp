@@ -12,8 +12,6 @@ glm::mat4 matrix(const Pose& world_from_object) {
 }
 
 Bounds Scene::bounds(bool shadow_casters_only) const {
-  constexpr int kWaySamples = 200;
-  constexpr double kWaySeconds = 20;
   Bounds result;
   for (const Object& object : objects) {
     if (shadow_casters_only && !object.casts_shadow) continue;
@@ -23,9 +21,10 @@ Bounds Scene::bounds(bool shadow_casters_only) const {
       result.add(transformed(local, object.world_from_object));
       continue;
     }
-    for (int i = 0; i < kWaySamples; ++i) {
-      result.add(transformed(local, matrix(object.motion(kWaySeconds * i / kWaySamples))));
-    }
+    // Turned in any way, it keeps within a ball.
+    const glm::vec3 reach(glm::length(glm::max(glm::abs(local.low), glm::abs(local.high))));
+    result.add(object.motion_origins.low - reach);
+    result.add(object.motion_origins.high + reach);
   }
   return result;
 }

@@ -43,6 +43,7 @@ struct Object {
   std::vector<Part> parts;
   glm::mat4 world_from_object{1};      ///< of an object that rests
   std::function<Pose(double)> motion;  ///< world_from_object at a time in seconds; empty: the object rests
+  Bounds motion_origins;               ///< where the motion takes the object's origin, at whatever time
   bool casts_shadow = true;
 };
 

@@ -105,10 +105,11 @@ layout(location = OUT_ALBEDO) out vec4 out_albedo;
 
 #ifdef GEOMETRY
 in vec4 v_world_and_depth;
-layout(location = 5) uniform float object_id;
+layout(location = 5) uniform uint object_id;
 layout(location = 0) out vec4 out_position;
 layout(location = 1) out vec4 out_normal;
 layout(location = 2) out float out_depth;
+layout(location = 3) out uint out_object_id;
 #endif
 
 void main() {
@@ -132,9 +133,10 @@ void main() {
   out_albedo = vec4(base, 1);
 #endif
 #ifdef GEOMETRY
-  out_position = vec4(v_world_and_depth.xyz, object_id);
+  out_position = vec4(v_world_and_depth.xyz, 1);
   out_normal = vec4(n, 0);
   out_depth = v_world_and_depth.w;
+  out_object_id = object_id;
 #endif
 }
 )";

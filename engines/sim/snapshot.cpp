@@ -85,12 +85,13 @@ void write_snapshot(Renderer& renderer, const splatbus_camera& camera, const std
       return cv::Vec3b(axis(0), axis(1), axis(2));
     });
   } else if (buffer == "position" || buffer == "id") {
-    const Pictures& p = renderer.render(camera, SPLATBUS_BUFFER_WORLD_POSITION);
+    const Pictures& p = renderer.render(camera, SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_OBJECT_ID);
     rgb = map_pixels(p, [&](std::size_t i) {
       const float* at = &p.world_position[4 * i];
-      if (at[3] == 0) return cv::Vec3b(0, 0, 0);
+      const std::uint32_t id = p.object_id[i];
+      if (id == 0) return cv::Vec3b(0, 0, 0);
       const auto channel = [&](std::uint32_t c) {
-        if (buffer == "id") return byte(0.2F + 0.8F * random01(7, static_cast<std::uint32_t>(at[3]), c));
+        if (buffer == "id") return byte(0.2F + 0.8F * random01(7, id, c));
         return byte(at[c] / 2 - std::floor(at[c] / 2));
       };
       return cv::Vec3b(channel(0), channel(1), channel(2));

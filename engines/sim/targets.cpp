@@ -30,7 +30,7 @@ std::size_t Targets::bytes(int supersample, int samples) const {
   const auto pixels = static_cast<std::size_t>(width) * height;
   std::size_t a_pixel = 0;
   if (shade) a_pixel += static_cast<std::size_t>(supersample * supersample * samples) * (8 + 8 + 4) + 4 + 4;
-  if (geometry) a_pixel += 16 + 16 + 4 + 4;
+  if (geometry) a_pixel += 16 + 16 + 4 + 4 + 4;
   return pixels * a_pixel;
 }
 
@@ -91,11 +91,13 @@ void TargetCache::add_geometry(Targets& targets) {
   targets.position = texture_2d(GL_RGBA32F, width, height);
   targets.normal = texture_2d(GL_RGBA32F, width, height);
   targets.view_depth = texture_2d(GL_R32F, width, height);
+  targets.object_id = texture_2d(GL_R32UI, width, height);
   targets.geometry_depth = texture_2d(GL_DEPTH_COMPONENT32F, width, height);
   GlFramebuffer geometry = make_framebuffer();
   glNamedFramebufferTexture(geometry.get(), GL_COLOR_ATTACHMENT0, targets.position.get(), 0);
   glNamedFramebufferTexture(geometry.get(), GL_COLOR_ATTACHMENT1, targets.normal.get(), 0);
   glNamedFramebufferTexture(geometry.get(), GL_COLOR_ATTACHMENT2, targets.view_depth.get(), 0);
+  glNamedFramebufferTexture(geometry.get(), GL_COLOR_ATTACHMENT3, targets.object_id.get(), 0);
   glNamedFramebufferTexture(geometry.get(), GL_DEPTH_ATTACHMENT, targets.geometry_depth.get(), 0);
   require_complete(geometry, targets);
   targets.geometry = std::move(geometry);

@@ -18,8 +18,8 @@ struct Targets {
   GlTexture color, albedo;
   GlFramebuffer resolve;
 
-  // World position and object id, normal, depth along the camera's z.
-  GlTexture position, normal, view_depth, geometry_depth;
+  // World position, normal, depth along the camera's z, object id.
+  GlTexture position, normal, view_depth, object_id, geometry_depth;
   GlFramebuffer geometry;
 
   [[nodiscard]] std::size_t bytes(int supersample, int samples) const;

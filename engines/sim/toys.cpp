@@ -186,28 +186,32 @@ void add_outer_toys(Builder& toys, std::uint32_t seed) {
 }
 
 void add_dynamics(Builder& toys) {
-  constexpr float kRadius = 0.16F;
+  constexpr float kRadius = 0.16F, kCircle_m = 0.10F;
+  constexpr double kHeight_m = 0.7;
+  constexpr glm::vec3 kMiddle{0.05F, kRadius, 0.31F};
   toys.add_placed("bouncing ball", sphere(kRadius, 32, 2), checker(6, color("#e8e2d4"), color("#c2267a")),
                   glm::mat4(1));
-  toys.scene.objects.back().motion = [](double time_s) {
-    // A parabola a bounce, under 9.8 m/s^2 from 0.7 m, while it wanders on a small circle and spins.
-    constexpr double kHeight_m = 0.7;
+  toys.scene.objects.back().motion_origins.add(kMiddle - glm::vec3(kCircle_m, 0, kCircle_m));
+  toys.scene.objects.back().motion_origins.add(kMiddle + glm::vec3(kCircle_m, kHeight_m, kCircle_m));
+  toys.scene.objects.back().motion = [=](double time_s) {
+    // A parabola a bounce, under 9.8 m/s^2 from kHeight_m, while it wanders on a small circle and spins.
     const double bounce_s = 2 * std::sqrt(2 * kHeight_m / 9.8);
     const double phase = time_s / bounce_s - std::floor(time_s / bounce_s);
     const double angle = 0.6 * time_s;
     Pose pose;
-    pose.translation = {static_cast<float>(0.05 + 0.10 * std::cos(angle)),
-                        static_cast<float>(kRadius + 4 * kHeight_m * phase * (1 - phase)),
-                        static_cast<float>(0.33 + 0.10 * std::sin(angle)) - 0.02F};
+    pose.translation = kMiddle + glm::vec3(kCircle_m * std::cos(angle), 4 * kHeight_m * phase * (1 - phase),
+                                           kCircle_m * std::sin(angle));
     pose.rotation = glm::angleAxis(static_cast<float>(std::remainder(1.7 * time_s, 2 * glm::pi<double>())),
                                    glm::normalize(glm::vec3{0.3F, 1, 0.2F}));
     return pose;
   };
   toys.add_placed("turning cube", box({0.26F, 0.26F, 0.26F}), letter("GO", color("#3fa7a0"), color("#f0e6c8")),
                   glm::mat4(1));
-  toys.scene.objects.back().motion = [](double time_s) {
+  constexpr glm::vec3 kCube{-0.72F, 0.13F, 0.22F};
+  toys.scene.objects.back().motion_origins.add(kCube);
+  toys.scene.objects.back().motion = [=](double time_s) {
     Pose pose;
-    pose.translation = {-0.72F, 0.13F, 0.22F};
+    pose.translation = kCube;
     pose.rotation = glm::angleAxis(static_cast<float>(std::remainder(0.8 * time_s, 2 * glm::pi<double>())), kUp);
     return pose;
   };

@@ -9,7 +9,6 @@
 
 #include "bus/clock.h"
 #include "bus/memory.h"
-#include "capture-bridge/engine_frame.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/viewer_generated.h"
@@ -23,7 +22,7 @@ constexpr std::int64_t kViewerSilenceNs = 2 * kSecond;  // then another viewer i
 constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is asked again
 constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
 constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
-constexpr std::size_t kMostProbes = 64;
+constexpr std::size_t kMaxProbes = 64;
 constexpr int kMaxMessagesAStep = 256;
 
 std::int64_t nanoseconds(double seconds) {
@@ -40,7 +39,7 @@ CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::P
       forwarder_(context_, backend),
       // A restarted bridge must not repeat ids of the one before: the engine has answered those.
       rigs_(parameters, context_->epoch()),
-      probes_(kMostProbes),
+      probes_(kMaxProbes),
       input_pictures_(backend),
       worker_(context_, backend, options_->round_sizes()) {
   const RoundSizes expected = options_->round_sizes();
@@ -99,6 +98,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
 }
 
 void CaptureBridge::handle_input(const bus::Message& message, const wire::EngineFrame& frame) {
+  if (!rigs_.round().awaits(frame.camera()->id(), frame.request_id())) return;
   auto view = decode_input_frame(message, frame, input_pictures_, host_copied_bytes_);
   if (!view) {
     ++counters_.frames_lost;
@@ -140,7 +140,7 @@ void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Mess
   if (evicted) {
     rigs_.cameras().remove(CameraRole::Probe, evicted->camera.id);
     ++counters_.probes_dropped;
-    spdlog::warn("probe {} of {} dropped: {} wait already", evicted->probe_id, evicted->asker, kMostProbes);
+    spdlog::warn("probe {} of {} dropped: {} wait already", evicted->probe_id, evicted->asker, kMaxProbes);
   }
   if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, wire::EngineBuffer::Color, 0);
 }

@@ -18,27 +18,27 @@ std::vector<std::uint8_t> object_bytes(const wire::EngineFrame& frame) {
   return {begin, begin + objects->size() * sizeof(wire::ObjectTransform)};
 }
 
-/// A light as bytes, without padding, to compare.
-std::vector<std::uint8_t> light_bytes(const Light& light) {
+/// A light as it came, to compare.
+std::vector<std::uint8_t> light_bytes(const wire::Light& light) {
   std::vector<std::uint8_t> bytes;
-  const auto append = [&bytes](const auto& value) {
-    const auto* begin = reinterpret_cast<const std::uint8_t*>(&value);
-    bytes.insert(bytes.end(), begin, begin + sizeof(value));
+  const auto append = [&bytes](const void* data, std::size_t size) {
+    const auto* begin = static_cast<const std::uint8_t*>(data);
+    bytes.insert(bytes.end(), begin, begin + size);
   };
-  append(light.generation);
-  append(light.ambient_sh);
-  append(light.sun_direction);
-  append(light.sun_irradiance);
-  append(light.background);
+  const std::uint64_t generation = light.generation();
+  append(&generation, sizeof(generation));
+  for (const wire::Vec3* vector : {light.sun_direction(), light.sun_irradiance(), light.background()}) {
+    bytes.push_back(vector != nullptr ? 1 : 0);
+    if (vector != nullptr) append(vector, sizeof(*vector));
+  }
+  if (const auto* ambient = light.ambient_sh()) append(ambient->data(), ambient->size() * sizeof(float));
   return bytes;
 }
 
 }  // namespace
 
 Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind)
-    : publisher_(context),
-      light_depth_copies_(kind),
-      light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {}
+    : publisher_(context), kind_(kind), light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {}
 
 bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
   bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
@@ -86,15 +86,14 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
                             std::atomic<std::uint64_t>& host_bytes) {
   const Camera camera = from_wire(*frame.camera());
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
-  if (!depth) return false;
-  // Through a copy, so that a depth that is gone costs no slot of the ring.
-  const Device kind = light_depth_copies_.kind();
-  const auto copy = light_depth_copies_.take(depth->bytes());
-  if (!bus::copy_tensor(*depth, copy.get(), kind, host_bytes)) return false;
-  const bus::TensorSource source{"light_depth", {camera.height, camera.width}, bus::ElementType::F32, copy.get(), kind};
+  if (!depth || !depth->still_valid()) return false;
   const SceneState scene = from_wire(*frame.scene());
+  const bus::TensorSource source{
+      "light_depth", {camera.height, camera.width}, bus::ElementType::F32, depth->data(), depth->memory()};
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns(),
                               .tensors = light_depth_ring_.write(std::span(&source, 1))};
+  if (kind_ == Device::Cpu || depth->memory() == Device::Cpu) host_bytes += depth->bytes();
+  if (!depth->still_valid()) return false;
   publisher_.publish(topics::kSceneLightDepth, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
     const wire::Camera out = to_wire(camera);
@@ -104,33 +103,33 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
 }
 
 void Forwarder::scene(const wire::EngineFrame& frame) {
+  const wire::SceneState& scene = *frame.scene();
   const bool restarted = frame.header()->epoch() != engine_epoch_;
-  if (!restarted && newest_frame_ && frame.scene()->frame() < *newest_frame_) return;
-  const SceneState scene = from_wire(*frame.scene());
-  engine_epoch_ = frame.header()->epoch();
+  if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return;
   const bool first = !newest_frame_;
-  newest_frame_ = frame.scene()->frame();
-  last_light_ = scene.light;
-
   auto objects_now = object_bytes(frame);
-  if (first || objects_now != said_objects_) {
+  auto light_now = light_bytes(*scene.light());
+  const bool new_objects = first || objects_now != said_objects_;
+  const bool new_light = first || light_now != said_light_;
+  // Both are decoded, which may fail, before anything is said or kept.
+  const ObjectTransforms transforms = new_objects ? from_wire(scene.objects()) : ObjectTransforms{};
+  if (new_light) last_light_ = from_wire(*scene.light());
+  engine_epoch_ = frame.header()->epoch();
+  newest_frame_ = scene.frame();
+  const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
+  if (new_objects) {
     said_objects_ = std::move(objects_now);
-    publisher_.publish(topics::kSceneObjects, {.capture_ns = frame.header()->capture_ns()},
-                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                         const auto objects = to_wire(builder, scene.objects);
-                         return wire::CreateSceneObjects(builder, header, frame.scene()->frame(),
-                                                         frame.scene()->time_s(), objects);
-                       });
+    publisher_.publish(topics::kSceneObjects, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      const auto objects = to_wire(builder, transforms);
+      return wire::CreateSceneObjects(builder, header, scene.frame(), scene.time_s(), objects);
+    });
   }
-  auto light_now = light_bytes(scene.light);
-  if (first || light_now != said_light_) {
+  if (new_light) {
     said_light_ = std::move(light_now);
-    publisher_.publish(topics::kSceneLight, {.capture_ns = frame.header()->capture_ns()},
-                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                         const auto light = to_wire(builder, scene.light);
-                         return wire::CreateSceneLight(builder, header, frame.scene()->frame(), frame.scene()->time_s(),
-                                                       light);
-                       });
+    publisher_.publish(topics::kSceneLight, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      const auto light = to_wire(builder, last_light_);
+      return wire::CreateSceneLight(builder, header, scene.frame(), scene.time_s(), light);
+    });
   }
 }
 

@@ -5,7 +5,6 @@
 #include <memory>
 #include <optional>
 
-#include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
@@ -36,11 +35,11 @@ class Forwarder {
 
  private:
   bus::Publisher publisher_;
-  bus::MemoryPool light_depth_copies_;
+  Device kind_;  // of the light's depth
   bus::TensorRing light_depth_ring_;
   std::uint64_t engine_epoch_ = 0;
   std::optional<std::uint64_t> newest_frame_;
-  std::vector<std::uint8_t> said_objects_, said_light_;  // bytes of what was published last
+  std::vector<std::uint8_t> said_objects_, said_light_;  // bytes of the frame's that were published last
   Light last_light_;
 };
 

@@ -1,15 +1,18 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <glm/glm.hpp>
 #include <memory>
+#include <optional>
 #include <span>
-#include <vector>
 
 #include "bus/memory_pool.h"
+#include "bus/subscriber.h"
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
+#include "wire/engine_generated.h"
 
 namespace splatbus::capture_bridge {
 
@@ -17,7 +20,7 @@ using Rgba8 = std::array<std::uint8_t, 4>;
 
 /// Bytes of an input view's pictures.
 [[nodiscard]] constexpr std::size_t input_view_bytes(std::size_t pixels) {
-  return pixels * 2 * (sizeof(glm::vec4) + sizeof(Rgba8));
+  return pixels * (2 * (sizeof(glm::vec4) + sizeof(Rgba8)) + sizeof(std::uint32_t));
 }
 
 /// One input camera's buffers of one engine frame, row 0 on top; every picture has width * height pixels. Values are
@@ -29,9 +32,10 @@ struct InputView {
   std::int64_t capture_ns = 0;
   ObjectTransforms objects;
   Light light;
-  Device memory = Device::Cpu;  ///< of the pictures
-  std::span<glm::vec4> position;                   ///< world, metres; w: object id, 0 where there is no surface
-  std::span<glm::vec4> normal;                     ///< world
+  Device memory = Device::Cpu;         ///< of the pictures
+  std::span<glm::vec4> position;       ///< world, metres
+  std::span<glm::vec4> normal;         ///< world
+  std::span<std::uint32_t> object_id;  ///< 0 where there is no surface
   std::span<Rgba8> color, albedo;
 
   [[nodiscard]] std::size_t pixels() const {
@@ -50,14 +54,18 @@ struct InputView {
 /// The views of a round. None is null; they are owned elsewhere.
 using Views = std::span<const InputView* const>;
 
-/// Samples of a round as structure of arrays; meanings in schemas/capture.fbs, CaptureInput.
-struct SampleSet {
-  std::vector<glm::vec3> position, normal, albedo, color;
-  std::vector<float> footprint_m, spacing_m, cosine;
-  std::vector<std::uint32_t> object_id, camera;
-
-  [[nodiscard]] std::size_t size() const { return position.size(); }
-  void resize(std::size_t count);
+/// What is to be expected of a round.
+struct RoundSizes {
+  std::size_t views = 0;
+  std::size_t pixels = 0;  ///< of each view
+  std::size_t samples = 0;
 };
+
+/// Copies an input camera's frame out of the engine's slab into memory of the pool; the copies are done when this
+/// returns. Adds to `host_bytes` what did not stay on the device. Nullopt when a buffer is gone or overwritten already
+/// (a lost frame). Throws bus::Error or std::runtime_error, naming what is wrong, when the message lies.
+[[nodiscard]] std::optional<InputView> decode_input_frame(const bus::Message& message, const wire::EngineFrame& frame,
+                                                          bus::MemoryPool& pool,
+                                                          std::atomic<std::uint64_t>& host_bytes);
 
 }  // namespace splatbus::capture_bridge

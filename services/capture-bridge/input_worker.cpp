@@ -6,11 +6,17 @@
 #include <chrono>
 #include <exception>
 
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+
 namespace splatbus::capture_bridge {
 
 namespace {
 
-constexpr std::size_t kQueuedJobs = 4;
+constexpr std::size_t kMaxQueuedJobs = 4;
+constexpr std::size_t kRingSlots = 4;
+constexpr std::size_t kBytesASample = 13 * sizeof(float) + sizeof(std::uint32_t);
+constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 
 std::vector<const InputView*> pointers(const std::vector<InputViewPointer>& views) {
   std::vector<const InputView*> plain;
@@ -30,8 +36,33 @@ std::vector<InputViewPointer> of_one_size(const std::vector<InputViewPointer>& v
 
 }  // namespace
 
+InputPublisher::InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind, const RoundSizes& expected)
+    : publisher_(context), ring_(context, "input", kRingSlots, expected.samples * kBytesASample + kRingSlack, kind) {}
+
+void InputPublisher::publish(std::span<const InputViewPointer> views, const InputView& newest,
+                             std::uint64_t rig_generation, const RoundSamples& round) {
+  using bus::ElementType;
+  const auto n = static_cast<std::uint32_t>(round.size);
+  std::vector<bus::TensorSource> sources{
+      {"position", {n, 3}, ElementType::F32, round.position}, {"normal", {n, 3}, ElementType::F32, round.normal},
+      {"albedo", {n, 3}, ElementType::F32, round.albedo},     {"color", {n, 3}, ElementType::F32, round.color},
+      {"spacing", {n}, ElementType::F32, round.spacing_m},    {"object_id", {n}, ElementType::U32, round.object_id},
+  };
+  for (bus::TensorSource& source : sources) source.memory = round.memory;
+  const bus::MessageInfo info{.capture_ns = newest.capture_ns, .tensors = ring_.write(sources)};
+  publisher_.publish(topics::kCaptureInput, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    std::vector<wire::Camera> cameras;
+    cameras.reserve(views.size());
+    for (const InputViewPointer& view : views) cameras.push_back(to_wire(view->camera));
+    const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
+    const auto scene =
+        to_wire(builder, SceneState{.light = newest.light, .objects = newest.objects}, newest.frame, newest.time_s);
+    return wire::CreateCaptureInput(builder, header, rig_generation, cameras_offset, scene);
+  });
+}
+
 InputWorker::InputWorker(const std::shared_ptr<bus::Context>& context, Device backend, const RoundSizes& expected)
-    : sampler_(make_sampler(backend, expected)),
+    : sampler_(backend),
       publisher_(context, backend, expected),
       thread_([this](const std::stop_token& stop) { run(stop); }) {}
 
@@ -45,7 +76,7 @@ void InputWorker::submit(InputJob job) {
   {
     const std::scoped_lock lock(mutex_);
     std::erase_if(jobs_, [&](const InputJob& waiting) { return waiting.rig_generation == job.rig_generation; });
-    if (jobs_.size() >= kQueuedJobs) {
+    if (jobs_.size() >= kMaxQueuedJobs) {
       spdlog::warn("input round of rig generation {} dropped: sampling is behind", jobs_.front().rig_generation);
       jobs_.pop_front();
     }
@@ -83,7 +114,7 @@ void InputWorker::process(const InputJob& job) {
   });
   const auto views = of_one_size(job.views, newest.camera);
   const auto start = std::chrono::steady_clock::now();
-  const RoundSamples round = sampler_->sample(pointers(views), newest.objects, job.options);
+  const RoundSamples round = sampler_.sample(pointers(views), newest.objects, job.options);
   const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - start;
   publisher_.publish(views, newest, job.rig_generation, round);
 

@@ -5,16 +5,33 @@
 #include <deque>
 #include <memory>
 #include <mutex>
+#include <span>
 #include <thread>
 #include <vector>
 
 #include "bus/context.h"
-#include "capture-bridge/input_publisher.h"
-#include "capture-bridge/input_round.h"
+#include "bus/publisher.h"
+#include "bus/tensor_ring.h"
+#include "capture-bridge/requests.h"
 #include "capture-bridge/rig.h"
 #include "capture-bridge/sampler.h"
 
 namespace splatbus::capture_bridge {
+
+/// Publishes capture/input. Not thread-safe.
+class InputPublisher {
+ public:
+  /// The ring lies in memory of `kind`, with room for what is to be expected of a round.
+  InputPublisher(const std::shared_ptr<bus::Context>& context, Device kind, const RoundSizes& expected);
+
+  /// `views` are those that `round` was sampled from; all have pictures of one size. `newest` is the round's frame.
+  void publish(std::span<const InputViewPointer> views, const InputView& newest, std::uint64_t rig_generation,
+               const RoundSamples& round);
+
+ private:
+  bus::Publisher publisher_;
+  bus::TensorRing ring_;
+};
 
 struct InputJob {
   std::vector<InputViewPointer> views;
@@ -50,7 +67,7 @@ class InputWorker {
   void run(const std::stop_token& stop);
   void process(const InputJob& job);
 
-  std::unique_ptr<Sampler> sampler_;
+  Sampler sampler_;
   InputPublisher publisher_;
   mutable std::mutex mutex_;
   std::condition_variable_any wake_;

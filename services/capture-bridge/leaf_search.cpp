@@ -1,5 +1,8 @@
 #include "capture-bridge/leaf_search.h"
 
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 
 namespace splatbus::capture_bridge {
@@ -101,6 +104,21 @@ class LeafSearch::Query {
 
 LeafSearch::Found LeafSearch::nearest(std::uint32_t leaf) const {
   return Query(*this, leaf).run();
+}
+
+void measure_spacing_on_host(const NeighbourTree& tree, const float* normal, float* spacing_m) {
+  const LeafSearch search(tree);
+  const std::uint32_t leaves = (tree.count + LeafSearch::kPoints - 1) / LeafSearch::kPoints;
+  using Range = tbb::blocked_range<std::uint32_t>;
+  tbb::parallel_for(Range(0, leaves, 128), [&](const Range& range) {
+    for (std::uint32_t leaf = range.begin(); leaf < range.end(); ++leaf) {
+      const LeafSearch::Found nearest = search.nearest(leaf);
+      const std::uint32_t first = leaf * LeafSearch::kPoints;
+      for (std::uint32_t i = first; i < std::min(first + LeafSearch::kPoints, tree.count); ++i) {
+        spacing_m[i] = spacing_of(nearest[i - first], normal, i, spacing_m[i]);
+      }
+    }
+  });
 }
 
 }  // namespace splatbus::capture_bridge

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "capture-bridge/spacing_math.h"
+#include "capture-bridge/neighbour_tree.h"
 
 namespace splatbus::capture_bridge {
 
@@ -32,5 +32,8 @@ class LeafSearch {
   const NeighbourTree& tree_;
   std::vector<LeafPoints> leaves_;
 };
+
+/// estimate_spacing (stages.h) over a tree that has been built, on the host. Uses all TBB workers.
+void measure_spacing_on_host(const NeighbourTree& tree, const float* normal, float* spacing_m);
 
 }  // namespace splatbus::capture_bridge

@@ -37,8 +37,7 @@ void Options::bind(bus::ParameterBinder& p) {
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");
   p.add("sample_budget", sampling.budget, "most samples of one input round", {100, 4e6});
-  p.add("min_cosine", sampling.surface.min_cosine, "samples seen at a smaller cosine to the normal are dropped",
-        {0.01, 1});
+  p.add("min_cosine", sampling.min_cosine, "samples seen at a smaller cosine to the normal are dropped", {0.01, 1});
   p.add("cameras_per_surface", sampling.cameras_per_surface,
         "how many input cameras keep their samples of the same surface, the best ones; 0: as many as sample_budget has "
         "room for",

@@ -4,7 +4,7 @@
 
 #include "bus/parameters.h"
 #include "capture-bridge/rig.h"
-#include "capture-bridge/round_plan.h"
+#include "capture-bridge/sampler.h"
 
 namespace splatbus::capture_bridge {
 

@@ -39,10 +39,10 @@ void RigControl::place_inputs(std::vector<Camera>& left) {
     camera.far_m = options_->far_m;
   }
   const auto before = cameras_.of_role(CameraRole::Input);
-  const auto gone =
-      cameras_.replace(CameraRole::Input, cameras,
-                       EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition | EngineBuffer::Normal,
-                       options_->input_rate_hz);
+  const auto gone = cameras_.replace(CameraRole::Input, cameras,
+                                     EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition |
+                                         EngineBuffer::Normal | EngineBuffer::ObjectId,
+                                     options_->input_rate_hz);
   left.insert(left.end(), gone.begin(), gone.end());
   const auto now = cameras_.of_role(CameraRole::Input);
   const bool same = std::equal(before.begin(), before.end(), now.begin(), now.end(),

@@ -4,9 +4,8 @@
 #include <optional>
 #include <vector>
 
-#include "capture-bridge/camera_set.h"
-#include "capture-bridge/input_round.h"
 #include "capture-bridge/parameters.h"
+#include "capture-bridge/requests.h"
 #include "capture-bridge/rig.h"
 
 namespace splatbus::capture_bridge {

@@ -1,55 +1,269 @@
 #include "capture-bridge/sampler.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
 #include <stdexcept>
 
-#include "capture-bridge/sampling.h"
-#ifdef SPLATBUS_HAVE_CUDA
-#include "capture-bridge/cuda/cuda_sampler.h"
-#endif
+#include "capture-bridge/stages.h"
 
 namespace splatbus::capture_bridge {
 
 namespace {
 
-class CpuSampler final : public Sampler {
- public:
-  RoundSamples sample(Views views, const ObjectTransforms& round_objects, const SamplingOptions& options) override {
-    round_ = sample_views(views, round_objects, options);
-    const SampleSet& samples = round_.samples;
-    const auto floats = [](const std::vector<glm::vec3>& vectors) {
-      return reinterpret_cast<const float*>(vectors.data());
-    };
-    RoundSamples out;
-    static_cast<RoundCounts&>(out) = round_;
-    out.size = samples.size();
-    out.position = floats(samples.position);
-    out.normal = floats(samples.normal);
-    out.albedo = floats(samples.albedo);
-    out.color = floats(samples.color);
-    out.footprint_m = samples.footprint_m.data();
-    out.spacing_m = samples.spacing_m.data();
-    out.cosine = samples.cosine.data();
-    out.object_id = samples.object_id.data();
-    out.camera = samples.camera.data();
-    out.depth_m = round_.depth_m.data();
-    out.heights = content_heights(samples);
-    return out;
-  }
+constexpr std::size_t kMaxPixels = std::size_t{1} << 30;
 
- private:
-  SampledRound round_;
-};
+Vec3 portable(const glm::vec3& v) {
+  return {v.x, v.y, v.z};
+}
+
+Mat3 portable(const glm::quat& rotation) {
+  const glm::mat3 columns = glm::mat3_cast(rotation);
+  return {portable(columns[0]), portable(columns[1]), portable(columns[2])};
+}
+
+math::Rigid portable(const Rigid& rigid) {
+  return {portable(rigid.rotation), portable(rigid.translation)};
+}
+
+PixelView portable(const InputView& view) {
+  const Camera& camera = view.camera;
+  const Mat3 world_from_camera = portable(camera.world_from_camera.rotation);
+  return {.width = camera.width,
+          .height = camera.height,
+          .fx = camera.fx,
+          .fy = camera.fy,
+          .cx = camera.cx,
+          .cy = camera.cy,
+          .near_m = camera.near_m,
+          .far_m = camera.far_m,
+          .centre = portable(camera.world_from_camera.translation),
+          .world_from_camera = world_from_camera,
+          .camera_from_world = transposed(world_from_camera),
+          .background = portable(view.light.background),
+          .position = reinterpret_cast<const float*>(view.position.data()),
+          .normal = reinterpret_cast<const float*>(view.normal.data()),
+          .object_id = view.object_id.data(),
+          .color = reinterpret_cast<const std::uint8_t*>(view.color.data()),
+          .albedo = reinterpret_cast<const std::uint8_t*>(view.albedo.data())};
+}
+
+/// Appends the objects of a view that stand elsewhere in the round's frame.
+void add_moved(const ObjectTransforms& view_objects, const ObjectTransforms& round_objects,
+               std::vector<MovedObject>& moved) {
+  for (const auto& [id, world_from_object] : view_objects) {
+    const auto found = round_objects.find(id);
+    if (found == round_objects.end() || found->second == world_from_object) continue;
+    const Rigid round_from_view = found->second * inverse(world_from_object);
+    moved.push_back({id, portable(round_from_view), portable(inverse(round_from_view))});
+  }
+}
+
+/// Samples of the ranks up to the most cameras a surface that the budget has room for.
+int cameras_within_budget(std::span<const std::uint32_t, kRanks> of_rank, std::size_t budget) {
+  const std::size_t most = budget + budget / 8;
+  int cameras = 1;
+  std::size_t samples = of_rank[1];
+  for (std::size_t rank = 2; rank < kRanks && of_rank[rank] > 0; ++rank) {
+    samples += of_rank[rank];
+    if (samples > most) break;
+    ++cameras;
+  }
+  return cameras;
+}
+
+/// By how much the distance between samples grows when `kept` of `survived` are kept: the mean area that one stands for
+/// has grown by what thinning took away.
+float spacing_growth(std::size_t survived, std::size_t kept) {
+  return kept == 0 ? 1.0F : std::sqrt(static_cast<float>(survived) / static_cast<float>(kept));
+}
+
+LinearTable linear_table() {
+  LinearTable table{};
+  for (std::size_t i = 0; i < 256; ++i) table.value[i] = linear_from_srgb(static_cast<float>(i) / 255.0F);
+  return table;
+}
 
 }  // namespace
 
-std::unique_ptr<Sampler> make_sampler(Device backend, const RoundSizes& expected) {
-  if (backend == Device::Cpu) return std::make_unique<CpuSampler>();
-#ifdef SPLATBUS_HAVE_CUDA
-  return make_cuda_sampler(expected);
-#else
-  static_cast<void>(expected);
-  throw std::runtime_error("this build samples on the CPU alone");
-#endif
+DropCounts& DropCounts::operator+=(const DropCounts& other) {
+  not_finite += other.not_finite;
+  bad_normal += other.bad_normal;
+  off_ray += other.off_ray;
+  return *this;
+}
+
+DropCounts dropped_of(std::span<const std::uint32_t, kFaults> faults) {
+  const auto of = [&](PixelFault fault) { return std::size_t{faults[static_cast<std::size_t>(fault)]}; };
+  return {.not_finite = of(PixelFault::NotFinite),
+          .bad_normal = of(PixelFault::BadNormal),
+          .off_ray = of(PixelFault::OffRay)};
+}
+
+std::string DropCounts::text() const {
+  return fmt::format("{} not finite, {} with a normal that is not unit, {} that do not project to their pixel",
+                     not_finite, bad_normal, off_ray);
+}
+
+std::size_t select_by_budget(std::span<const std::uint32_t, kRanks> of_rank, const SamplingOptions& options,
+                             RoundCounts& counts) {
+  counts.cameras_per_surface =
+      options.cameras_per_surface > 0 ? options.cameras_per_surface : cameras_within_budget(of_rank, options.budget);
+  const auto most = static_cast<std::size_t>(counts.cameras_per_surface);
+  std::size_t survived = 0;
+  counts.valid = 0;
+  for (std::size_t rank = 1; rank < kRanks; ++rank) {
+    counts.valid += of_rank[rank];
+    if (rank <= most) survived += of_rank[rank];
+  }
+  counts.culled = counts.valid - survived;
+  return survived;
+}
+
+Sampler::Sampler(Device device)
+    : stream_(device),
+      views_(stream_),
+      moved_(stream_),
+      depth_m_(stream_),
+      cosine_(stream_),
+      surfels_(stream_),
+      edges_(stream_),
+      ranks_(stream_),
+      tally_(stream_, 1),
+      linear_(stream_),
+      candidate_pixel_(stream_),
+      kept_(stream_),
+      candidate_position_(stream_),
+      candidate_area_m2_(stream_),
+      position_(stream_),
+      normal_(stream_),
+      albedo_(stream_),
+      color_(stream_),
+      spacing_m_(stream_),
+      heights_(stream_),
+      object_id_(stream_),
+      pixel_(stream_) {
+  const LinearTable table = linear_table();
+  linear_.assign(&table, 1);
+  stream_.wait();
+}
+
+RoundSamples Sampler::sample(Views views, const ObjectTransforms& round_objects, const SamplingOptions& options) {
+  RoundSamples round{.memory = stream_.view().device};
+  if (views.empty()) return round;
+  const RoundPixels pixels = measure(views, round_objects, options);
+  const RoundTally tally = tally_.to_host().front();
+  for (std::uint32_t v = 0; v < pixels.view_count; ++v) round.dropped.push_back(dropped_of(tally.faults[v]));
+  const std::size_t survived = select_by_budget(tally.of_rank, options, round);
+  const Candidates candidates = make_candidates(survived);
+  select_candidates(stream_, pixels, round.cameras_per_surface, candidates);
+  const Samples samples = make_samples(
+      thin_to_budget(stream_, candidates.position, candidates.area_m2, candidates.count, options.budget, kept_));
+  round.thinned = survived - samples.count;
+  write_samples(stream_, pixels, candidates, kept_.data(), spacing_growth(survived, samples.count), linear_.data(),
+                samples);
+  estimate_spacing(stream_, samples.position, samples.normal, samples.count, samples.spacing_m);
+  round.heights = heights_of(samples);
+  stream_.wait();
+  round.size = samples.count;
+  round.position = samples.position;
+  round.normal = samples.normal;
+  round.albedo = samples.albedo;
+  round.color = samples.color;
+  round.spacing_m = samples.spacing_m;
+  round.object_id = samples.object_id;
+  round.pixel = samples.pixel;
+  round.depth_m = pixels.depth_m;
+  return round;
+}
+
+RoundPixels Sampler::measure(Views views, const ObjectTransforms& round_objects, const SamplingOptions& options) {
+  const RoundPixels pixels = upload(views, round_objects);
+  measure_surfels(stream_, pixels, options.min_cosine);
+  rank_across_cameras(stream_, pixels, options.culling);
+  return pixels;
+}
+
+RoundPixels Sampler::upload(Views views, const ObjectTransforms& round_objects) {
+  const Camera& camera = views.front()->camera;
+  const std::size_t count = views.size() * views.front()->pixels();
+  if (views.size() > kMaxViews || count > kMaxPixels) {
+    throw std::runtime_error(fmt::format("{} input views of {} x {} pixels; at most {} views and {} pixels are sampled",
+                                         views.size(), camera.width, camera.height, kMaxViews, kMaxPixels));
+  }
+  std::vector<PixelView> tables;
+  std::vector<MovedObject> moved;
+  for (const InputView* view : views) {
+    assert(view->camera.width == camera.width && view->camera.height == camera.height);
+    assert(view->memory == stream_.view().device);
+    const std::size_t first = moved.size();
+    add_moved(view->objects, round_objects, moved);
+    tables.push_back(portable(*view));
+    tables.back().moved_count = static_cast<std::uint32_t>(moved.size() - first);
+  }
+  moved_.assign(moved);
+  const MovedObject* next = moved_.data();
+  for (PixelView& table : tables) {
+    table.moved = next;
+    next += table.moved_count;
+  }
+  views_.assign(tables);
+  depth_m_.resize(count);
+  cosine_.resize(count);
+  surfels_.resize(count);
+  edges_.resize(count);
+  ranks_.resize(count);
+  tally_.clear();
+  stream_.wait();  // for the tables
+  return {.views = views_.data(),
+          .view_count = static_cast<std::uint32_t>(views.size()),
+          .view_pixels = static_cast<std::uint32_t>(views.front()->pixels()),
+          .movement = !moved.empty(),
+          .depth_m = depth_m_.data(),
+          .cosine = cosine_.data(),
+          .surfels = surfels_.data(),
+          .edges = edges_.data(),
+          .ranks = ranks_.data(),
+          .tally = tally_.data()};
+}
+
+Candidates Sampler::make_candidates(std::size_t count) {
+  candidate_pixel_.resize(count);
+  candidate_position_.resize(3 * count);
+  candidate_area_m2_.resize(count);
+  return {static_cast<std::uint32_t>(count), candidate_pixel_.data(), candidate_position_.data(),
+          candidate_area_m2_.data()};
+}
+
+Samples Sampler::make_samples(std::size_t count) {
+  for (auto* vectors : {&position_, &normal_, &albedo_, &color_}) vectors->resize(3 * count);
+  spacing_m_.resize(count);
+  object_id_.resize(count);
+  pixel_.resize(count);
+  return {.count = static_cast<std::uint32_t>(count),
+          .position = position_.data(),
+          .normal = normal_.data(),
+          .albedo = albedo_.data(),
+          .color = color_.data(),
+          .spacing_m = spacing_m_.data(),
+          .object_id = object_id_.data(),
+          .pixel = pixel_.data()};
+}
+
+ContentHeights Sampler::heights_of(const Samples& samples) {
+  ContentHeights heights;
+  if (samples.count == 0) return heights;
+  sort_heights(stream_, samples.position, samples.count, heights_);
+  const auto at = [&](double share, float& height_m) {
+    const auto rank = static_cast<std::size_t>(share * static_cast<double>(samples.count - 1));
+    device::copy(stream_, &height_m, heights_.data() + rank, sizeof(float));
+  };
+  at(0.02, heights.low_m);
+  at(0.98, heights.high_m);
+  stream_.wait();
+  return heights;
 }
 
 }  // namespace splatbus::capture_bridge

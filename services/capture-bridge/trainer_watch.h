@@ -19,7 +19,7 @@ class TrainerWatch {
       epoch_ = epoch;
       demands_ = 0;
     }
-    if (demands_ >= kMostDemands) return false;
+    if (demands_ >= kMaxDemands) return false;
     ++demands_;
     last_demand_ns_ = now_ns;
     return true;
@@ -27,7 +27,7 @@ class TrainerWatch {
 
  private:
   static constexpr std::int64_t kPatienceNs = 2'000'000'000;
-  static constexpr int kMostDemands = 4;
+  static constexpr int kMaxDemands = 4;
   std::uint64_t epoch_ = 0;
   int demands_ = 0;
   std::int64_t last_demand_ns_ = 0;

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "bus/memory.h"
+#include "bus/parameters.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "model/published_model.h"
@@ -49,7 +50,7 @@ float* Relight::Memory::floats(std::size_t count, Device kind) {
 Relight::Relight(bus::ServiceContext& service)
     : service_(service),
       memory_(service.backend),
-      backend_(make_visibility_backend(service.backend)),
+      stream_(service.backend),
       publisher_(service.bus),
       ring_(service.bus, "visibility", kRingSlots, 0, memory_),
       options_(service.parameters) {}
@@ -130,7 +131,7 @@ void Relight::update() {
   float* const visibility = visibility_.floats(gaussians.count, memory_);
   const ObjectTransforms& objects = map_->objects.empty() && objects_ ? *objects_ : map_->objects;
   const auto* const depth_m = reinterpret_cast<const float*>(map_->depth_m.bytes.get());
-  backend_->compute(gaussians, objects, {.camera = map_->camera, .depth_m = depth_m}, *options_, visibility);
+  compute_visibility(stream_, gaussians, objects, {.camera = map_->camera, .depth_m = depth_m}, *options_, visibility);
   host_copied_bytes_ += model->copied_bytes();
   if (!model->still_valid()) {
     model_.reset();

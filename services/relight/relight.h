@@ -7,11 +7,13 @@
 #include <optional>
 #include <vector>
 
+#include "bus/backend.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
-#include "relight/visibility_backend.h"
+#include "device/stream.h"
+#include "relight/visibility.h"
 
 namespace splatbus::relight {
 
@@ -46,7 +48,7 @@ class Relight {
 
   bus::ServiceContext& service_;
   const Device memory_;
-  const std::unique_ptr<VisibilityBackend> backend_;
+  const device::Stream stream_;
   bus::Publisher publisher_;
   bus::TensorRing ring_;
   bus::LiveOptions<VisibilityOptions> options_;

@@ -1,9 +1,11 @@
 #pragma once
 
-#include <span>
-
-#include "bus/parameters.h"
+#include "device/stream.h"
 #include "gaussians/model.h"
+
+namespace splatbus::bus {
+class ParameterBinder;
+}  // namespace splatbus::bus
 
 namespace splatbus::relight {
 
@@ -26,8 +28,11 @@ struct VisibilityOptions {
 /// bias, Isidoro 2006), so that slanted surfaces do not shade themselves. What faces away from the light is 0, what
 /// lies outside of the map 1.
 ///
-/// Reads surface_point, normal, object_id and the scales; `visibility` has gaussians.count entries. Runs in parallel.
-void compute_visibility(const GaussiansView& gaussians, const ObjectTransforms& objects, const LightDepthMap& map,
-                        const VisibilityOptions& options, std::span<float> visibility);
+/// Reads surface_point, normal, the scales, and object_id or, of a model in pages, the ranges' frame_id. `visibility`
+/// has gaussians.count entries, one an index; those that are no Gaussian's hold anything. What Gaussians and map point
+/// to, and `visibility`, lie in memory of the stream's device; the ranges on the host. Waits for the result. Throws
+/// std::runtime_error when the device fails.
+void compute_visibility(device::StreamView stream, const GaussiansView& gaussians, const ObjectTransforms& objects,
+                        const LightDepthMap& map, const VisibilityOptions& options, float* visibility);
 
 }  // namespace splatbus::relight

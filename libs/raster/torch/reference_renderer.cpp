@@ -17,6 +17,7 @@ struct ObjectTensors {
   Tensor translation, camera_position;  // [N, 3]
   Tensor ambient, sun_sh;               // [N, 9, 3]
   Tensor sun_direction;                 // [N, 3]
+  Tensor shown;                         // [N] bool: the scene has the object
 };
 
 Tensor tensor_of(const std::vector<double>& values, at::IntArrayRef shape, const torch::TensorOptions& type) {
@@ -26,13 +27,13 @@ Tensor tensor_of(const std::vector<double>& values, at::IntArrayRef shape, const
 ObjectTensors gather_objects(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                              const torch::TensorOptions& type) {
   const Rigid camera_from_world = inverse(camera.world_from_camera);
-  std::vector<double> rotation, translation, position, ambient, sun_sh, sun_direction;
+  std::vector<double> rotation, translation, position, ambient, sun_sh, sun_direction, shown;
   for (std::size_t i = 0; i < gaussians.count; ++i) {
     Rigid world_from_object;
-    if (gaussians.object_id != nullptr) {
-      const auto found = scene.objects.find(gaussians.object_id[i]);
-      if (found != scene.objects.end()) world_from_object = found->second;
-    }
+    const std::uint32_t frame_id = gaussians.object_id != nullptr ? gaussians.object_id[i] : kWorldFrame;
+    const auto found = scene.objects.find(frame_id);
+    if (frame_id != kWorldFrame && found != scene.objects.end()) world_from_object = found->second;
+    shown.push_back(frame_id == kWorldFrame || found != scene.objects.end() ? 1 : 0);
     const Rigid camera_from_object = camera_from_world * world_from_object;
     const glm::mat3 r = glm::mat3_cast(glm::normalize(camera_from_object.rotation));
     const glm::vec3 eye = inverse(camera_from_object).translation;
@@ -54,7 +55,8 @@ ObjectTensors gather_objects(const GaussiansView& gaussians, const Camera& camer
   const auto n = static_cast<std::int64_t>(gaussians.count);
   return {tensor_of(rotation, {n, 3, 3}, type), tensor_of(translation, {n, 3}, type),
           tensor_of(position, {n, 3}, type),    tensor_of(ambient, {n, 9, 3}, type),
-          tensor_of(sun_sh, {n, 9, 3}, type),   tensor_of(sun_direction, {n, 3}, type)};
+          tensor_of(sun_sh, {n, 9, 3}, type),   tensor_of(sun_direction, {n, 3}, type),
+          tensor_of(shown, {n}, type) > 0};
 }
 
 /// The 3DGS basis (Kerbl et al. 2023, eval_sh) of unit directions [N, 3], as [N, (degree + 1)^2].
@@ -135,7 +137,7 @@ ReferenceRender reference_render(const Tensor& parameters, const GaussiansView& 
   const Tensor mean_all = parameters.slice(0, 0, 3).t();
   const Tensor camera_all =
       torch::matmul(objects.camera_from_object, mean_all.unsqueeze(2)).squeeze(2) + objects.translation;
-  const Tensor seen = (camera_all.select(1, 2) > camera.near_m).nonzero().squeeze(1);
+  const Tensor seen = ((camera_all.select(1, 2) > camera.near_m) & objects.shown).nonzero().squeeze(1);
   const Tensor colour_all = colours(parameters, mean_all, gaussians, objects, scene, type);
 
   const Tensor p = parameters.index_select(1, seen), point = camera_all.index_select(0, seen);

@@ -20,7 +20,7 @@ namespace {
 using testing::HasSubstr;
 
 constexpr std::uint32_t kAll = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL |
-                               SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_DEPTH;
+                               SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
 
 bool has_device() {
   int count = 0;
@@ -143,6 +143,7 @@ void expect_same(const sim::Pictures& host, const std::vector<splatbus_image>& i
   EXPECT_TRUE(host.world_position == host_copy<float>(images, SPLATBUS_BUFFER_WORLD_POSITION));
   EXPECT_TRUE(host.normal == host_copy<float>(images, SPLATBUS_BUFFER_NORMAL));
   EXPECT_TRUE(host.depth == host_copy<float>(images, SPLATBUS_BUFFER_DEPTH));
+  EXPECT_TRUE(host.object_id == host_copy<std::uint32_t>(images, SPLATBUS_BUFFER_OBJECT_ID));
   EXPECT_TRUE(host.light_depth == host_copy<float>(images, SPLATBUS_BUFFER_LIGHT_DEPTH));
 }
 
@@ -156,7 +157,7 @@ TEST_F(CudaEngine, SharedPicturesAreThoseOfTheHost) {
     const splatbus_camera camera = sim::look_at({2.4F, 1.6F, 2.1F}, {0, 0.25F, 0}, width, height, 60);
     const sim::Pictures host = renderer.render(camera, kAll);
     renderer.render(camera, kAll, *readback);
-    ASSERT_EQ(readback->images().size(), 5U);
+    ASSERT_EQ(readback->images().size(), 6U);
     expect_same(host, readback->images());
     EXPECT_EQ(host.depth.size(), std::size_t{width} * height);
   }
@@ -182,7 +183,8 @@ std::vector<Request> burst(std::uint32_t first_id) {
         .buffers = wire::EngineBuffer::Color | wire::EngineBuffer::Albedo,
         .rate_hz = 0,
         .id = first_id + i + 1};
-    if (input) request.buffers |= wire::EngineBuffer::WorldPosition | wire::EngineBuffer::Normal;
+    if (input)
+      request.buffers |= wire::EngineBuffer::WorldPosition | wire::EngineBuffer::Normal | wire::EngineBuffer::ObjectId;
     request.camera.id = first_id + i;
     request.camera.role = input ? SPLATBUS_ROLE_INPUT : SPLATBUS_ROLE_REFERENCE;
     requests.push_back(request);

@@ -22,6 +22,8 @@ class EngineLoopTest : public SdkTest {
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
       if (moving) {
+        scene.objects.back().motion_origins.add(glm::vec3(0));
+        scene.objects.back().motion_origins.add(glm::vec3(2, 0, 0));
         scene.objects.back().motion = [](double time_s) {
           return sim::Pose{.translation = {static_cast<float>(0.1 * time_s), 0.5F, 0}};
         };
@@ -58,7 +60,7 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
-  publish_requests(cameras, {request(1, EngineBuffer::Color | EngineBuffer::WorldPosition, 0, 11), light_request()});
+  publish_requests(cameras, {request(1, EngineBuffer::Color | EngineBuffer::ObjectId, 0, 11), light_request()});
   start(0, false);
 
   std::map<std::uint64_t, bus::Message> answers;
@@ -70,9 +72,9 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   }
   const bus::Message& picture = answers.at(11);
   EXPECT_TRUE(picture.tensor("color", bus::ElementType::U8, {16, 24, 4}).has_value());
-  const auto position = picture.tensor("world_position", bus::ElementType::F32, {16, 24, 4});
-  ASSERT_TRUE(position.has_value());
-  EXPECT_EQ(position->as<float>()[4 * (7 * 24 + 12) + 3], 2.0F);
+  const auto object_id = picture.tensor("object_id", bus::ElementType::U32, {16, 24});
+  ASSERT_TRUE(object_id.has_value());
+  EXPECT_EQ(object_id->as<std::uint32_t>()[7 * 24 + 12], 2U);
   EXPECT_FALSE(picture.tensor("normal").has_value());
   const auto& light = answers.at(1).root<wire::EngineFrame>();
   EXPECT_EQ(light.camera()->role(), wire::CameraRole::Light);

@@ -93,9 +93,10 @@ TEST_F(Gltf, NodesWithAMeshAreObjectsInTheirPlaces) {
 
   Renderer renderer(shared_context(), std::move(scene));
   const splatbus_camera camera = look_at({0, 1, 5}, {0, 1, 0}, 33, 33, 40);
-  const Pictures& pictures = renderer.render(camera, SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_WORLD_POSITION);
+  const Pictures& pictures =
+      renderer.render(camera, SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_OBJECT_ID);
   const std::size_t middle = 16 * 33 + 16;
-  EXPECT_EQ(pictures.world_position[4 * middle + 3], 1.0F);
+  EXPECT_EQ(pictures.object_id[middle], 1U);
   EXPECT_NEAR(pictures.world_position[4 * middle + 2], 2, 1e-4F);
   EXPECT_NEAR(pictures.albedo[4 * middle], 255 * srgb_from_linear(0.5F), 0.75F);
   EXPECT_NEAR(pictures.albedo[4 * middle + 2], 255 * srgb_from_linear(0.125F), 0.75F);

@@ -57,7 +57,8 @@ TEST(Renderer, ShadowsFallWhereTheSunIsHidden) {
   for (std::uint32_t y = 0; y < 129; ++y) {
     for (std::uint32_t x = 0; x < 129; ++x) {
       const float* p = &pictures.world_position[4 * (std::size_t{y} * 129 + x)];
-      if (p[3] != 1.0F || p[1] < -0.001F || p[0] < -1.9F || p[0] > -0.1F) continue;  // away from rims
+      if (pictures.object_id[std::size_t{y} * 129 + x] != 1 || p[1] < -0.001F || p[0] < -1.9F || p[0] > -0.1F)
+        continue;  // away from rims
       // The box's shadow: its own width across, and from its upper to its lower edge along the sun.
       const float along = std::abs(p[0] + 1.0F);
       const float across = std::abs(p[2]);
@@ -104,7 +105,7 @@ TEST(Renderer, TheLightCameraSeesTheWholeScene) {
   int agree = 0;
   for (std::size_t i = 0; i < pictures.depth.size(); ++i) {
     const float* p = &pictures.world_position[4 * i];
-    if (p[3] == 0) continue;
+    if (pictures.object_id[i] == 0) continue;
     const glm::vec3 c = view * glm::vec4(p[0], p[1], p[2], 1);
     const auto x = static_cast<int>(camera.fx * c.x + camera.cx);
     const auto y = static_cast<int>(camera.fy * c.y + camera.cy);

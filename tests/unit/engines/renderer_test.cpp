@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 
+#include <array>
 #include <cmath>
 #include <glm/gtc/matrix_transform.hpp>
 #include <set>
@@ -24,6 +25,7 @@ TEST(Renderer, SameCameraSameBytes) {
   EXPECT_EQ(first.world_position, again.world_position);
   EXPECT_EQ(first.normal, again.normal);
   EXPECT_EQ(first.depth, again.depth);
+  EXPECT_EQ(first.object_id, again.object_id);
 }
 
 TEST(Renderer, OnlyWhatIsAskedForIsThere) {
@@ -33,6 +35,7 @@ TEST(Renderer, OnlyWhatIsAskedForIsThere) {
   EXPECT_EQ(pictures.normal.size(), 4U * 32 * 32);
   EXPECT_TRUE(pictures.world_position.empty());
   EXPECT_TRUE(pictures.depth.empty());
+  EXPECT_TRUE(pictures.object_id.empty());
   EXPECT_TRUE(pictures.light_depth.empty());
 }
 
@@ -43,16 +46,16 @@ TEST(Renderer, PositionsLieOnTheRaysOfTheirPixelCentres) {
     camera.fy *= 1.2F;
     const Pictures& pictures = toys().render(camera, kAll);
     const glm::mat4 view = camera_from_world(camera);
-    std::set<float> ids;
+    std::set<std::uint32_t> ids;
     for (std::uint32_t y = 0; y < camera.height; ++y) {
       for (std::uint32_t x = 0; x < camera.width; ++x) {
         const std::size_t i = std::size_t{y} * camera.width + x;
         const float* p = &pictures.world_position[4 * i];
-        if (p[3] == 0) {
+        if (pictures.object_id[i] == 0) {
           EXPECT_EQ(pictures.depth[i], 0);
           continue;
         }
-        ids.insert(p[3]);
+        ids.insert(pictures.object_id[i]);
         const glm::vec3 c = view * glm::vec4(p[0], p[1], p[2], 1);
         ASSERT_NEAR(camera.fx * c.x / c.z + camera.cx, static_cast<float>(x) + 0.5F, 0.02F);
         ASSERT_NEAR(camera.fy * c.y / c.z + camera.cy, static_cast<float>(y) + 0.5F, 0.02F);
@@ -60,7 +63,7 @@ TEST(Renderer, PositionsLieOnTheRaysOfTheirPixelCentres) {
       }
     }
     EXPECT_GE(ids.size(), 12U);
-    EXPECT_EQ(*ids.begin(), 1.0F);
+    EXPECT_EQ(*ids.begin(), 1U);
   }
 }
 
@@ -95,12 +98,31 @@ TEST(Renderer, MovingObjectsAreListedWhereTheyAre) {
   int seen = 0;
   for (std::size_t i = 0; i < pictures.depth.size(); ++i) {
     const float* p = &pictures.world_position[4 * i];
-    if (p[3] != static_cast<float>(ball.id)) continue;
+    if (pictures.object_id[i] != ball.id) continue;
     ++seen;
     ASSERT_NEAR(glm::distance(glm::vec3(p[0], p[1], p[2]), glm::vec3(t[0], t[1], t[2])), 0.16F, 0.004F);
   }
   EXPECT_GT(seen, 20);
   toys().set_time(0);
+}
+
+TEST(Renderer, ObjectIdsKeepAllTheirBits) {
+  Scene scene;
+  const std::array<std::uint32_t, 4> ids{(1U << 24U) + 1, 0x7F800001, 0x80000000, 0xFFFFFFFF};
+  for (std::size_t k = 0; k < ids.size(); ++k) {
+    add_plain(scene, box({0.4F, 0.4F, 0.4F}), {0.5F, 0.5F, 0.5F},
+              glm::translate(glm::mat4(1), {static_cast<float>(k) - 1.5F, 0, 0}));
+    scene.objects.back().id = ids.at(k);
+  }
+  Renderer renderer(shared_context(), std::move(scene));
+  const Pictures& pictures =
+      renderer.render(look_at({0, 6, 0}, {0, 0, 0}, 64, 64, 60), SPLATBUS_BUFFER_OBJECT_ID | SPLATBUS_BUFFER_DEPTH);
+  std::set<std::uint32_t> seen;
+  for (std::size_t i = 0; i < pictures.object_id.size(); ++i) {
+    EXPECT_EQ(pictures.object_id[i] == 0, pictures.depth[i] == 0);
+    if (pictures.object_id[i] != 0) seen.insert(pictures.object_id[i]);
+  }
+  EXPECT_EQ(seen, std::set<std::uint32_t>(ids.begin(), ids.end()));
 }
 
 TEST(Renderer, AlphaIsCoverage) {

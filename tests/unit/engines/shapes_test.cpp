@@ -83,5 +83,27 @@ TEST(Toys, FollowTheirSeedAndMoveOnlyWithDynamics) {
   EXPECT_EQ(moving(other), 2);
 }
 
+TEST(Toys, BoundsHoldWhatMovesAtAnyTime) {
+  const Scene scene = make_toys(1, true);
+  for (const bool casters : {true, false}) {
+    const Bounds bounds = scene.bounds(casters);
+    for (const Object& object : scene.objects) {
+      if (!object.motion) continue;
+      Bounds local;
+      for (const Part& part : object.parts) local.add(bounds_of(part.mesh));
+      for (int i = 0; i < 20000; ++i) {
+        // Steps that share no period with bounce, circle or spin: 5 hours of places, also long after a restart.
+        const Bounds there = transformed(local, matrix(object.motion(0.917 * i)));
+        ASSERT_TRUE(glm::all(glm::lessThanEqual(bounds.low, there.low + 1e-5F))) << object.name << " at " << 0.917 * i;
+        ASSERT_TRUE(glm::all(glm::greaterThanEqual(bounds.high, there.high - 1e-5F))) << object.name;
+      }
+    }
+  }
+  // The ball's highest place, which no sample of the time need meet.
+  Scene ball = make_toys(1, true);
+  std::erase_if(ball.objects, [](const Object& object) { return object.name != "bouncing ball"; });
+  EXPECT_NEAR(ball.bounds(true).high.y, 0.16F + 0.7F + 0.16F * std::sqrt(3.0F), 0.01F);
+}
+
 }  // namespace
 }  // namespace splatbus::sim

@@ -10,7 +10,7 @@
 namespace splatbus::sim {
 
 inline constexpr std::uint32_t kAll = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL |
-                                      SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_DEPTH;
+                                      SPLATBUS_BUFFER_ALBEDO | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
 
 inline Renderer& toys() {
   static Renderer renderer(shared_context(), make_toys(1, true));

@@ -84,7 +84,7 @@ class Rasterize(unittest.TestCase):
             return (draw(parameters, eyes=(0.0, 0.1))[0] * weights.to(parameters.device)).sum()
 
         for device in DEVICES:
-            parameters = model.to(device).requires_grad_()
+            parameters = model.detach().clone().to(device).requires_grad_()
             value(parameters).backward()
             for channel in (0, 1, 2, 3, 10, 12):
                 step = torch.zeros_like(model)

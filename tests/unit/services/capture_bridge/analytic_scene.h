@@ -17,6 +17,7 @@ namespace splatbus::capture_bridge::test {
 struct AnalyticScene {
   static constexpr float kFloorHalf = 2.5F;
   static constexpr std::uint32_t kFloor = 1, kBall = 2, kSheet = 3;
+  std::uint32_t first_object_id = 0;  ///< added to the objects' numbers
   glm::vec3 ball_centre{0.6F, 0.5F, 0.1F};
   float ball_radius = 0.5F;
   glm::vec3 sheet_centre{-0.9F, 0.6F, -0.2F};  // in the plane z = const, seen from both sides
@@ -63,7 +64,8 @@ struct AnalyticScene {
         const glm::vec3 origin = camera.world_from_camera.translation;
         const glm::vec3 through = unproject(camera, static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F, 1);
         const auto hit = cast(origin, glm::normalize(through - origin));
-        view.position[i] = hit ? glm::vec4(hit->position, static_cast<float>(hit->object)) : glm::vec4(0);
+        view.position[i] = hit ? glm::vec4(hit->position, 0) : glm::vec4(0);
+        view.object_id[i] = hit ? first_object_id + hit->object : 0;
         view.normal[i] = hit ? glm::vec4(hit->normal, 0) : glm::vec4(0);
         view.color[i] = hit ? Rgba8{128, 64, 32, 255} : Rgba8{0, 0, 0, 0};
         view.albedo[i] = hit ? Rgba8{200, 100, 50, 255} : Rgba8{0, 0, 0, 0};

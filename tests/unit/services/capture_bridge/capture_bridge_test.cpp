@@ -20,10 +20,8 @@ TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
   EXPECT_GT(n, 200U);
   for (const char* name : {"normal", "albedo", "color"})
     EXPECT_TRUE(message.tensor(name, bus::ElementType::F32, {n, 3}));
-  for (const char* name : {"footprint", "spacing", "cosine"})
-    EXPECT_TRUE(message.tensor(name, bus::ElementType::F32, {n}));
-  for (const char* name : {"object_id", "camera"}) EXPECT_TRUE(message.tensor(name, bus::ElementType::U32, {n}));
-  EXPECT_TRUE(message.tensor("depth", bus::ElementType::F32, {4, 32, 32}));
+  EXPECT_TRUE(message.tensor("spacing", bus::ElementType::F32, {n}));
+  EXPECT_TRUE(message.tensor("object_id", bus::ElementType::U32, {n}));
 
   const bus::Message& view = received_["capture/reference"].front();
   const auto& reference = view.root<wire::CaptureReference>();
@@ -33,6 +31,17 @@ TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
   EXPECT_EQ(view.header().tensors()->Get(0)->span()->slab(), view.header().tensors()->Get(1)->span()->slab());
   EXPECT_FALSE(received_["scene/light"].empty());
   EXPECT_FALSE(received_["scene/objects"].empty());
+}
+
+TEST_F(CaptureBridgeTest, ObjectIdsPassWithAllTheirBits) {
+  engine_.scene.first_object_id = 0xFF000000;
+  settle();
+  const auto ids = received_["capture/input"].front().tensor("object_id", bus::ElementType::U32, {0});
+  ASSERT_TRUE(ids);
+  std::set<std::uint32_t> seen(ids->as<std::uint32_t>().begin(), ids->as<std::uint32_t>().end());
+  const std::uint32_t first = engine_.scene.first_object_id;
+  EXPECT_EQ(seen,
+            (std::set{first + AnalyticScene::kFloor, first + AnalyticScene::kBall, first + AnalyticScene::kSheet}));
 }
 
 TEST_F(CaptureBridgeTest, AStillSceneIsCapturedOnce) {

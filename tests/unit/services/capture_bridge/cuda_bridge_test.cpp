@@ -43,7 +43,7 @@ class CudaBridgeTest : public bus_test::BusTest {
     }));
     host_copied_bytes_ = bridge.host_copied_bytes();
     refused_ = bridge.counters().refused;
-    for (const char* name : {"position", "normal", "albedo", "color", "footprint", "spacing", "cosine", "depth"}) {
+    for (const char* name : {"position", "normal", "albedo", "color", "spacing"}) {
       const auto tensor = received_.at("capture/input").tensor(name);
       ASSERT_TRUE(tensor) << name;
       EXPECT_EQ(tensor->memory(), backend) << name;
@@ -69,7 +69,7 @@ class CudaBridgeTest : public bus_test::BusTest {
   std::uint64_t host_copied_bytes_ = 0, refused_ = 0;
 };
 
-constexpr std::uint64_t kInputBytes = std::uint64_t{4} * 32 * 32 * (16 + 16 + 4 + 4);
+constexpr std::uint64_t kInputBytes = std::uint64_t{4} * 32 * 32 * (16 + 16 + 4 + 4 + 4);
 constexpr std::uint64_t kLightBytes = std::uint64_t{16} * 16 * 4;
 
 TEST_F(CudaBridgeTest, KeepsADevicesPicturesOnTheDevice) {

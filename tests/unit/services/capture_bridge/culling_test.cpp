@@ -1,8 +1,7 @@
-#include "capture-bridge/culling.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <set>
 
@@ -40,18 +39,25 @@ TEST(Culling, CoversNothingTwiceAndLeavesNoHoles) {
   const SampledRound round = sample(views, {}, unlimited());
   EXPECT_LT(round.samples.size(), round.valid / 2);
 
+  std::vector<ViewSurface> surfaces;
+  for (const InputView& view : views) surfaces.push_back(analyse_surface(view));
+  const auto footprint_m = [&](std::size_t sample) {
+    return surfaces[round.samples.camera[sample]].footprint_m[round.samples.pixel[sample]];
+  };
+
   // Holes: whatever any camera saw has a sample nearby. Oblique pixels are long; the winner's spacing is what counts.
   std::size_t seen = 0;
   std::size_t holes = 0;
-  for (const InputView& view : views) {
-    const ViewSurface surface = analyse_surface(view);
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    const InputView& view = views[v];
+    const ViewSurface& surface = surfaces[v];
     for (std::size_t i = 0; i < view.pixels(); i += 7) {
       if (surface.footprint_m[i] == 0) continue;
       std::size_t which = 0;
       const float distance =
           nearest_sample(round.samples, glm::vec3(view.position[i]), glm::vec3(view.normal[i]), &which);
       ++seen;
-      holes += distance > 1.5F * std::max(round.samples.spacing_m[which], round.samples.footprint_m[which]) ? 1 : 0;
+      holes += distance > 1.5F * std::max(round.samples.spacing_m[which], footprint_m(which)) ? 1 : 0;
     }
   }
   EXPECT_LT(static_cast<double>(holes), 0.002 * static_cast<double>(seen)) << holes << " of " << seen;
@@ -62,7 +68,7 @@ TEST(Culling, CoversNothingTwiceAndLeavesNoHoles) {
     for (std::size_t j = 0; j < round.samples.size(); ++j) {
       if (round.samples.camera[i] == round.samples.camera[j]) continue;
       if (glm::dot(round.samples.normal[i], round.samples.normal[j]) < 0.5F) continue;
-      if (glm::distance(round.samples.position[i], round.samples.position[j]) < 0.5F * round.samples.footprint_m[i]) {
+      if (glm::distance(round.samples.position[i], round.samples.position[j]) < 0.5F * footprint_m(i)) {
         ++doubled;
         break;
       }
@@ -102,7 +108,7 @@ TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
   const ViewSurface alone = analyse_surface(views[0]);
   std::size_t pixels = 0;
   for (std::size_t i = 0; i < views[0].pixels(); ++i)
-    pixels += alone.footprint_m[i] > 0 && alone.pixels.object_id[i] == AnalyticScene::kBall;
+    pixels += alone.footprint_m[i] > 0 && alone.object_id[i] == AnalyticScene::kBall;
   EXPECT_GT(ball, pixels * 9 / 10);
   EXPECT_LT(ball, pixels * 14 / 10);
 }
@@ -117,6 +123,56 @@ TEST(Culling, FillsTheBudgetWithAsManyCamerasAsItHasRoomFor) {
   EXPECT_GT(wide.samples.size(), 2 * one.samples.size());
   EXPECT_LE(wide.samples.size(), 4 * one.samples.size());
   EXPECT_EQ(sample(views, {}, {.budget = 10'000'000}).culled, 0U);
+}
+
+TEST(Culling, RanksEveryPixelOfPicturesOfAnySize) {
+  for (const auto& [width, height] : {std::pair{37U, 53U}, {8U, 9U}, {300U, 1U}, {1U, 1U}, {7U, 64U}}) {
+    const auto views = AnalyticScene{}.render_all({look_at({0, 2, 2}, {0, 0, 0}, width, height, 1)});
+    const ViewSurface surface = analyse_surface(views[0]);
+    std::set<std::uint32_t> valid;
+    for (std::uint32_t i = 0; i < views[0].pixels(); ++i) {
+      if (surface.footprint_m[i] > 0) valid.insert(i);
+    }
+    const SampledRound round = sample(views, {}, unlimited());
+    EXPECT_EQ(std::set(round.samples.pixel.begin(), round.samples.pixel.end()), valid) << width << " x " << height;
+    EXPECT_EQ(round.samples.size(), valid.size());
+    EXPECT_FALSE(valid.empty());
+  }
+}
+
+TEST(Culling, GivesEachSurfaceTheCamerasThatTheBudgetAndAnEighthHaveRoomFor) {
+  std::array<std::uint32_t, kRanks> of_rank{};
+  of_rank[1] = 1000;
+  const auto cameras_with = [&](std::uint32_t of_second_rank, int cameras_per_surface = 0) {
+    of_rank[2] = of_second_rank;
+    RoundCounts counts;
+    const std::size_t survived =
+        select_by_budget(of_rank, {.budget = 1000, .cameras_per_surface = cameras_per_surface}, counts);
+    EXPECT_EQ(counts.valid, 1000 + of_second_rank);
+    EXPECT_EQ(counts.culled, counts.valid - survived);
+    EXPECT_EQ(survived, counts.cameras_per_surface == 1 ? 1000U : 1000 + of_second_rank);
+    return counts.cameras_per_surface;
+  };
+  EXPECT_EQ(cameras_with(120), 2) << "1.12 times the budget";
+  EXPECT_EQ(cameras_with(130), 1) << "1.13 times the budget";
+  EXPECT_EQ(cameras_with(130, 2), 2) << "as was asked for";
+  EXPECT_EQ(cameras_with(0), 1) << "no camera is second anywhere";
+}
+
+/// Ids are integers of 32 bits: those beyond 2^24 that a float would round together are different objects.
+TEST(Culling, TellsObjectsApartByAllBitsOfTheirIds) {
+  for (const std::uint32_t first : {0U, 1U << 24U, 0xFFFFFFF0U}) {
+    AnalyticScene scene;
+    scene.first_object_id = first;
+    const auto views = scene.render_all(small_dome(6, 48));
+    const SampledRound round = sample(views, {}, unlimited());
+    std::map<std::uint32_t, std::size_t> counts;
+    for (const std::uint32_t id : round.samples.object_id) ++counts[id];
+    ASSERT_EQ(counts.size(), 3U) << first;
+    for (const std::uint32_t object : {AnalyticScene::kFloor, AnalyticScene::kBall, AnalyticScene::kSheet}) {
+      EXPECT_GT(counts[first + object], 50U) << first << " + " << object;
+    }
+  }
 }
 
 }  // namespace

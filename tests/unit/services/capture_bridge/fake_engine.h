@@ -53,6 +53,9 @@ class FakeEngine {
     if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());
     if (has(wire::EngineBuffer::WorldPosition)) add("world_position", bus::ElementType::F32, position.data());
     if (has(wire::EngineBuffer::Normal)) add("normal", bus::ElementType::F32, view.normal.data());
+    if (has(wire::EngineBuffer::ObjectId)) {
+      sources.push_back({"object_id", {camera.height, camera.width}, bus::ElementType::U32, view.object_id.data()});
+    }
     if (has(wire::EngineBuffer::LightDepth)) {
       sources.push_back({"light_depth", {camera.height, camera.width}, bus::ElementType::F32, light_depth.data()});
     }

@@ -3,13 +3,12 @@
 
 #include <glm/gtc/constants.hpp>
 
-#include "capture-bridge/camera_set.h"
-#include "capture-bridge/input_round.h"
 #include "capture-bridge/input_worker.h"
 #include "capture-bridge/parameters.h"
 #include "capture-bridge/probe_table.h"
+#include "capture-bridge/requests.h"
 #include "capture-bridge/rig_control.h"
-#include "capture-bridge/sampling.h"
+#include "capture-bridge/sampler.h"
 #include "capture-bridge/trainer_watch.h"
 
 namespace splatbus::capture_bridge {
@@ -100,6 +99,8 @@ TEST_F(InputRoundTest, ALostFrameDelaysItAndComesAfter) {
 }
 
 TEST_F(InputRoundTest, RefusesFramesOfAnotherRig) {
+  EXPECT_FALSE(round_.awaits(0, 999));
+  EXPECT_TRUE(round_.awaits(0, set_.of_role(CameraRole::Input)[0].request_id));
   EXPECT_FALSE(round_.add(0, 999, std::make_shared<InputView>(), 0));
   EXPECT_FALSE(round_.add(77, set_.of_role(CameraRole::Input)[0].request_id, std::make_shared<InputView>(), 0));
   EXPECT_TRUE(round_.empty());
@@ -195,16 +196,6 @@ TEST(RigControl, FollowsParametersAndViewer) {
   const auto left = control.update(&viewer, {}, false);
   ASSERT_EQ(left.size(), 2U);
   EXPECT_EQ(left[0].id, 2U);
-}
-
-TEST(ContentHeights, LeaveOutliersOut) {
-  SampleSet samples;
-  for (int i = 0; i < 100; ++i) samples.position.emplace_back(0, 0.01F * static_cast<float>(i), 0);
-  samples.position[0].y = -50;
-  samples.position[99].y = 50;
-  const ContentHeights heights = content_heights(samples);
-  EXPECT_NEAR(heights.low_m, 0.01F, 0.02F);
-  EXPECT_NEAR(heights.high_m, 0.97F, 0.02F);
 }
 
 }  // namespace

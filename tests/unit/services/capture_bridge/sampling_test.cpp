@@ -1,23 +1,36 @@
-#include "capture-bridge/sampling.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <limits>
 #include <map>
+#include <random>
 #include <set>
 
-#include "capture-bridge/spacing.h"
-#include "capture-bridge/thinning.h"
 #include "sampled_views.h"
 
 namespace splatbus::capture_bridge::test {
 namespace {
 
+std::vector<float> spacing_of(const std::vector<glm::vec3>& position, const std::vector<glm::vec3>& normal,
+                              std::vector<float> fallback_m) {
+  estimate_spacing({}, position.empty() ? nullptr : &position[0].x, normal.empty() ? nullptr : &normal[0].x,
+                   static_cast<std::uint32_t>(position.size()), fallback_m.data());
+  return fallback_m;
+}
+
+std::vector<std::uint32_t> thinned(const std::vector<glm::vec3>& position, const std::vector<float>& area_m2,
+                                   std::size_t budget) {
+  device::Buffer<std::uint32_t> kept{device::StreamView()};
+  const std::uint32_t count =
+      thin_to_budget({}, &position[0].x, area_m2.data(), static_cast<std::uint32_t>(position.size()), budget, kept);
+  return {kept.data(), kept.data() + count};
+}
+
 TEST(Sampling, NothingThatIsNotFiniteGetsThrough) {
   const AnalyticScene scene;
   auto views = scene.render_all(small_dome(4, 48));
   for (auto& position : views[1].position) position = glm::vec4(std::numeric_limits<float>::quiet_NaN());
+  std::ranges::fill(views[1].object_id, 1U);
   for (auto& normal : views[2].normal) normal = glm::vec4(std::numeric_limits<float>::quiet_NaN());
   const SampledRound round = sample(views, {}, unlimited());
   ASSERT_GT(round.samples.size(), 500U);
@@ -43,7 +56,7 @@ TEST(Spacing, OfASquareGridIsItsStep) {
       }
     }
   }
-  const auto spacing = estimate_spacing(position, normal, std::vector<float>(position.size(), 0.03F));
+  const auto spacing = spacing_of(position, normal, std::vector<float>(position.size(), 0.03F));
   for (std::size_t i = 0; i < spacing.size(); ++i) {
     // At a border the fourth neighbour is a diagonal one, at a corner the third and the fourth are farther still.
     ASSERT_NEAR(spacing[i], 0.02F, inside[i] ? 1e-5F : 0.36F * 0.02F);
@@ -53,8 +66,8 @@ TEST(Spacing, OfASquareGridIsItsStep) {
 TEST(Spacing, OfALoneSampleIsItsFallback) {
   const std::vector<glm::vec3> position{{0, 0, 0}, {5, 0, 0}};
   const std::vector<glm::vec3> normal(2, {0, 1, 0});
-  EXPECT_EQ(estimate_spacing(position, normal, std::vector<float>{0.1F, 0.2F}), (std::vector<float>{0.1F, 0.2F}));
-  EXPECT_TRUE(estimate_spacing({}, {}, {}).empty());
+  EXPECT_EQ(spacing_of(position, normal, std::vector<float>{0.1F, 0.2F}), (std::vector<float>{0.1F, 0.2F}));
+  EXPECT_TRUE(spacing_of({}, {}, {}).empty());
 }
 
 TEST(Spacing, MatchesTheDensityAfterCullingAndBudget) {
@@ -112,13 +125,32 @@ TEST(Budget, ThinsDenseSurfacesFirst) {
     position.emplace_back(10 + static_cast<float>(i), 0, 0);
     area.push_back(1);
   }
-  const auto kept = thin_to_budget(position, area, 100);
+  const auto kept = thinned(position, area, 100);
   EXPECT_EQ(kept.size(), 100U);
   EXPECT_EQ(std::count_if(kept.begin(), kept.end(), [](auto i) { return i >= 1000; }), 10);
   EXPECT_EQ(std::set<std::uint32_t>(kept.begin(), kept.end()).size(), kept.size());
-  EXPECT_EQ(thin_to_budget(position, area, 100), kept);
-  EXPECT_EQ(thin_to_budget(position, area, 5000).size(), position.size());
-  EXPECT_TRUE(thin_to_budget(position, area, 0).empty());
+  EXPECT_EQ(thinned(position, area, 100), kept);
+  EXPECT_EQ(thinned(position, area, 5000).size(), position.size());
+  EXPECT_TRUE(thinned(position, area, 0).empty());
+}
+
+TEST(Budget, KeepsAsManyAsItSaysOfAnyAreas) {
+  // Areas over eight orders of magnitude, and equal ones: the choice is by shares that add up to the budget.
+  std::vector<glm::vec3> position;
+  std::vector<float> varied, equal;
+  std::mt19937 random(5);
+  for (int i = 0; i < 20000; ++i) {
+    position.emplace_back(random() % 1000, random() % 1000, random() % 1000);
+    varied.push_back(std::pow(10.0F, static_cast<float>(random() % 8000) / 1000 - 8));
+    equal.push_back(0.25F);
+  }
+  for (const std::size_t budget : {1U, 100U, 7777U, 19999U}) {
+    for (const auto& area_m2 : {varied, equal}) {
+      const auto kept = thinned(position, area_m2, budget);
+      EXPECT_LE(kept.size(), budget);
+      EXPECT_GE(kept.size() + 1, budget);
+    }
+  }
 }
 
 TEST(Sampling, ColoursAreLinearAndFreeOfBackground) {
@@ -131,6 +163,21 @@ TEST(Sampling, ColoursAreLinearAndFreeOfBackground) {
   ASSERT_GT(round.samples.size(), 100U);
   EXPECT_NEAR(round.samples.color[0].x, 0, 0.02F);
   EXPECT_NEAR(round.samples.albedo[0].x, linear_from_srgb(200.0F / 255), 1e-4F);
+}
+
+TEST(Sampling, HeightsLeaveOutliersOut) {
+  const AnalyticScene scene;
+  auto views = scene.render_all({look_at({0, 2, 3}, {0, 0.4F, 0}, 64, 64, 1)});
+  SampledRound round = sample(views, {}, unlimited());
+  std::vector<float> heights;
+  for (const glm::vec3& position : round.samples.position) heights.push_back(position.y);
+  std::ranges::sort(heights);
+  const auto at = [&](double share) {
+    return heights[static_cast<std::size_t>(share * static_cast<double>(heights.size() - 1))];
+  };
+  EXPECT_EQ(round.heights.low_m, at(0.02));
+  EXPECT_EQ(round.heights.high_m, at(0.98));
+  EXPECT_GT(heights.back(), round.heights.high_m);
 }
 
 TEST(Sampling, OfNothingIsNothing) {

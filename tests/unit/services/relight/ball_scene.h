@@ -68,7 +68,7 @@ class BallOverFloor {
                                               const VisibilityOptions& options = {}) const {
     const GaussiansBuffer model = gaussians(points, normals, object);
     std::vector<float> out(points.size(), -1.0F);
-    compute_visibility(model.view(), objects, map(), options, out);
+    compute_visibility({}, model.view(), objects, map(), options, out.data());
     return out;
   }
 

@@ -5,6 +5,7 @@
 #include <random>
 
 #include "ball_scene.h"
+#include "bus/backend.h"
 #include "bus/memory.h"
 #include "relight_fixture.h"
 
@@ -81,7 +82,7 @@ TEST(CudaVisibility, IsThatOfTheCpu) {
                                  {3, {.translation = {0.5F, 0.01F, -0.2F}}}};
   const std::size_t count = gaussians.count();
   std::vector<float> expected(count), actual(count);
-  compute_visibility(gaussians.view(), objects, scene.map(), {}, expected);
+  compute_visibility({}, gaussians.view(), objects, scene.map(), {}, expected.data());
 
   OnDevice device;
   const GaussiansView view = device.copy(gaussians);
@@ -89,8 +90,7 @@ TEST(CudaVisibility, IsThatOfTheCpu) {
   map.depth_m = device.copy(map.depth_m, std::size_t{map.camera.width} * map.camera.height);
   const auto memory = bus::allocate_memory(Device::Cuda, count * sizeof(float));
   auto* const visibility = reinterpret_cast<float*>(memory.get());
-  const auto backend = make_visibility_backend(Device::Cuda);
-  backend->compute(view, objects, map, {}, visibility);
+  compute_visibility(device::thread_stream(Device::Cuda), view, objects, map, {}, visibility);
   bus::copy_memory(actual.data(), Device::Cpu, visibility, Device::Cuda, count * sizeof(float));
   bus::finish_copies();
 
@@ -138,8 +138,7 @@ TEST_P(RelightOnDevice, FollowsModelLightAndObjects) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Memories, RelightOnDevice,
-                         testing::Values(Memories{Device::Cuda, Device::Cuda},
-                                         Memories{Device::Cuda, Device::Cpu},
+                         testing::Values(Memories{Device::Cuda, Device::Cuda}, Memories{Device::Cuda, Device::Cpu},
                                          Memories{Device::Cpu, Device::Cuda}));
 
 }  // namespace

@@ -1,11 +1,10 @@
+#include "relight/filter.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <random>
 #include <vector>
-
-#include "relight/filter_kernel.h"
-#include "relight/visibility_limits.h"
 
 namespace splatbus::relight {
 namespace {
@@ -36,12 +35,13 @@ TEST(Filter, WeighsEveryTexelAlsoAtTheMapsBorders) {
   int partly = 0;
   for (int k = 0; k < 500; ++k) {
     FilterWindow w{.depth_m = uniform(5, 6), .slope_x = uniform(-0.2F, 0.2F), .slope_y = uniform(-0.2F, 0.2F)};
-    w.radius_x = uniform(kLeastRadius_texels, kGreatestRadius_texels);
-    w.radius_y = uniform(kLeastRadius_texels, kGreatestRadius_texels);
+    w.radius_x = uniform(kMinRadius_texels, kMaxRadius_texels);
+    w.radius_y = uniform(kMinRadius_texels, kMaxRadius_texels);
     w.x = uniform(-w.radius_x, kWidth + w.radius_x);
     w.y = uniform(-w.radius_y, kHeight + w.radius_y);
     const double expected = expected_share(w, depth_m);
     ASSERT_NEAR(lit_share(w, depth_m.data(), kWidth, kHeight), expected, 2e-3) << w.x << ", " << w.y;
+    ASSERT_NEAR(lit_share_on_host(w, depth_m.data(), kWidth, kHeight), expected, 2e-3) << w.x << ", " << w.y;
     partly += expected > 0.1 && expected < 0.9 ? 1 : 0;
   }
   EXPECT_GT(partly, 200);

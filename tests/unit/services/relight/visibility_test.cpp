@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <glm/glm.hpp>
 #include <limits>
@@ -71,6 +73,75 @@ TEST(Visibility, PenumbraRisesMonotonouslyAcrossTheEdge) {
     between += visibility[i] > 0.05F && visibility[i] < 0.95F ? 1 : 0;
   }
   EXPECT_GT(between, 5);
+}
+
+TEST(Visibility, PenumbraIsAsWideAsTheGaussian) {
+  const BallOverFloor scene(glm::vec3(0.001F, 1, 0));
+  std::vector<glm::vec3> points;
+  for (int i = 0; i < 400; ++i) points.emplace_back(0.3F + 0.001F * static_cast<float>(i), 0, 0);
+  GaussiansBuffer model = BallOverFloor::gaussians(points, std::vector<glm::vec3>(points.size(), glm::vec3(0, 1, 0)));
+  // A filter of radius r widens an edge to 2 r: r is sqrt(1.5) times softness plus the share of the two larger
+  // deviations' mean, (0.06 + 0.02) / 2.
+  const auto penumbra_m = [&](float footprint) {
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      const std::array<float, 3> deviation_m{0.001F, 0.06F, 0.02F};
+      for (std::size_t c = 0; c < 3; ++c) {
+        model.parameters[(ParameterLayout::kLogScale + c) * model.stride() + i] = std::log(deviation_m.at(c));
+      }
+    }
+    std::vector<float> visibility(points.size());
+    compute_visibility({}, model.view(), {}, scene.map(), {.softness_m = 0.03F, .footprint = footprint},
+                       visibility.data());
+    return 0.001F * static_cast<float>(std::ranges::count_if(visibility, [](float v) { return v > 0 && v < 1; }));
+  };
+  const float texel_m = 6.0F / 512;
+  EXPECT_NEAR(penumbra_m(0), 2 * 1.2247F * 0.03F, 2 * texel_m);
+  EXPECT_NEAR(penumbra_m(2), 2 * 1.2247F * (0.03F + 2 * 0.04F), 2 * texel_m);
+}
+
+/// The same Gaussians page by page, those of a second page in an object's frame.
+TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
+  const BallOverFloor scene(glm::vec3(0.001F, 1, 0));
+  std::vector<glm::vec3> points;
+  for (int i = 0; i < 40; ++i) points.emplace_back(0.02F * static_cast<float>(i), 0, 0);
+  const std::vector<glm::vec3> normals(points.size(), glm::vec3(0, 1, 0));
+  const GaussiansBuffer plain = BallOverFloor::gaussians(points, normals, 7);
+  const ObjectTransforms objects{{7, {.translation = {-0.3F, 0, 0}}}};
+  const auto still = scene.visibility(points, normals, objects, 0);
+  const auto moved = scene.visibility(points, normals, objects, 7);
+
+  constexpr std::size_t kRows = ParameterLayout::kLogScale + 3 + 6;  // log scales at their place, then point and normal
+  std::vector<float> pages(2 * kRows * kPageLanes, std::numeric_limits<float>::quiet_NaN());
+  for (std::size_t page = 0; page < 2; ++page) {
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      float* const lane = pages.data() + page * kRows * kPageLanes + i;
+      for (std::size_t c = 0; c < 3; ++c) {
+        lane[(ParameterLayout::kLogScale + c) * kPageLanes] = std::log(0.01F);
+        lane[(kRows - 6 + c) * kPageLanes] = points[i][static_cast<int>(c)];
+        lane[(kRows - 3 + c) * kPageLanes] = normals[i][static_cast<int>(c)];
+      }
+    }
+  }
+  const auto count = static_cast<std::uint32_t>(points.size());
+  const std::vector<IndexRange> ranges{{.first = 0, .count = count},
+                                       {.first = kPageLanes, .count = count, .frame_id = 7}};
+  GaussiansView view = plain.view();
+  view.object_id = nullptr;
+  view.count = kPageLanes + count;
+  view.stride = kPageLanes;
+  view.page_shift = kPageShift;
+  view.page_stride = kRows * kPageLanes;
+  view.ranges = ranges;
+  view.parameters = pages.data();
+  view.surface_point = pages.data() + (kRows - 6) * kPageLanes;
+  view.normal = pages.data() + (kRows - 3) * kPageLanes;
+  std::vector<float> visibility(view.count);
+  compute_visibility({}, view, objects, scene.map(), {}, visibility.data());
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    EXPECT_EQ(visibility[i], still[i]) << i;
+    EXPECT_EQ(visibility[kPageLanes + i], moved[i]) << i;
+  }
+  EXPECT_NE(still, moved);
 }
 
 TEST(Visibility, AppliesTheObjectsTransform) {

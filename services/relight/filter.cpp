@@ -1,4 +1,4 @@
-#include "relight/filter_kernel.h"
+#include "relight/filter.h"
 
 #include <array>
 #include <cmath>
@@ -8,7 +8,7 @@
 // Highway needs this order.
 // clang-format off
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "relight/filter_kernel.cpp"
+#define HWY_TARGET_INCLUDE "relight/filter.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 // clang-format on
@@ -73,7 +73,7 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace splatbus::relight {
 HWY_EXPORT(LitShare);
-float lit_share(const FilterWindow& window, const float* depth_m, int width, int height) {
+float lit_share_on_host(const FilterWindow& window, const float* depth_m, int width, int height) {
   return HWY_DYNAMIC_DISPATCH(LitShare)(window, depth_m, width, height);
 }
 }  // namespace splatbus::relight
