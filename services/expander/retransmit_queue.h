@@ -8,13 +8,13 @@
 #include <unordered_set>
 #include <vector>
 
-#include "expander/insert_batch.h"
+#include "expander/gaussian_inserter.h"
 
 namespace splatbus::expander {
 
 /// The batches that were handed to the trainer: repeated until model/published lists them, and kept for a trainer that
 /// loses its model. Times are CLOCK_MONOTONIC nanoseconds.
-class BatchLedger {
+class RetransmitQueue {
  public:
   struct Options {
     std::size_t in_flight = 6;  ///< at most this many are published and not acknowledged
@@ -22,7 +22,7 @@ class BatchLedger {
     std::size_t kept_bytes = std::size_t{256} << 20;  ///< of acknowledged batches, for a trainer that loses its model
   };
 
-  explicit BatchLedger(const Options& options) : options_(options) {}
+  explicit RetransmitQueue(const Options& options) : options_(options) {}
 
   /// Takes a batch over and numbers it.
   void add(InsertBatch batch);

@@ -1,17 +1,17 @@
-#include "expander/batch_ledger.h"
+#include "expander/retransmit_queue.h"
 
 #include <algorithm>
 #include <utility>
 
 namespace splatbus::expander {
 
-void BatchLedger::add(InsertBatch batch) {
+void RetransmitQueue::add(InsertBatch batch) {
   batch.batch = ++last_batch_;
   gaussians_ += batch.size();
   pending_.push_back({.batch = std::move(batch)});
 }
 
-std::vector<const InsertBatch*> BatchLedger::due(std::int64_t now_ns) {
+std::vector<const InsertBatch*> RetransmitQueue::due(std::int64_t now_ns) {
   std::vector<const InsertBatch*> batches;
   std::size_t in_flight = 0;
   for (Entry& entry : pending_) {
@@ -23,18 +23,18 @@ std::vector<const InsertBatch*> BatchLedger::due(std::int64_t now_ns) {
   return batches;
 }
 
-bool BatchLedger::all_sent() const {
+bool RetransmitQueue::all_sent() const {
   return std::all_of(pending_.begin(), pending_.end(), [](const Entry& entry) { return entry.sent_ns != 0; });
 }
 
-std::size_t BatchLedger::acknowledge(std::span<const std::uint64_t> batches) {
+std::size_t RetransmitQueue::acknowledge(std::span<const std::uint64_t> batches) {
   const std::unordered_set<std::uint64_t> listed(batches.begin(), batches.end());
   const std::size_t before = pending_.size();
   acknowledge_if([&](const InsertBatch& batch) { return listed.contains(batch.batch); });
   return before - pending_.size();
 }
 
-void BatchLedger::acknowledge_if(const std::function<bool(const InsertBatch&)>& in_model) {
+void RetransmitQueue::acknowledge_if(const std::function<bool(const InsertBatch&)>& in_model) {
   std::deque<Entry> still;
   for (Entry& entry : pending_) {
     if (in_model(entry.batch)) {
@@ -46,7 +46,7 @@ void BatchLedger::acknowledge_if(const std::function<bool(const InsertBatch&)>& 
   pending_ = std::move(still);
 }
 
-void BatchLedger::keep(Entry entry) {
+void RetransmitQueue::keep(Entry entry) {
   ++acknowledged_;
   kept_bytes_ += entry.batch.bytes();
   kept_.push_back(std::move(entry.batch));
@@ -57,7 +57,7 @@ void BatchLedger::keep(Entry entry) {
   }
 }
 
-void BatchLedger::restart() {
+void RetransmitQueue::restart() {
   std::deque<Entry> all;
   for (InsertBatch& batch : kept_) all.push_back({.batch = std::move(batch)});
   for (Entry& entry : pending_) all.push_back({.batch = std::move(entry.batch)});
@@ -68,7 +68,7 @@ void BatchLedger::restart() {
   acknowledged_ = 0;
 }
 
-std::vector<const InsertBatch*> BatchLedger::pending_batches() const {
+std::vector<const InsertBatch*> RetransmitQueue::pending_batches() const {
   std::vector<const InsertBatch*> batches;
   batches.reserve(pending_.size());
   for (const Entry& entry : pending_) batches.push_back(&entry.batch);
