@@ -9,9 +9,9 @@
 #include "expander/cell.h"
 #include "gaussians/pages.h"
 
-// The expander's bulk work, written once for both devices (insertion.cu). Pointers are to memory of the stream's
-// device unless they are spans. Both devices give the same cells and select the same samples. Everything throws
-// std::runtime_error or std::bad_alloc when memory or the device fails.
+// The expander's bulk work, written once for both devices (point_grid.cu, sample_selector.cu). Pointers are to memory
+// of the stream's device unless they are spans. Both devices give the same cells and select the same samples.
+// Everything throws std::runtime_error or std::bad_alloc when memory or the device fails.
 namespace splatbus::expander {
 
 /// The samples of a round: surface points from input pictures, world frame, linear colours.
