@@ -114,7 +114,7 @@ class FakeTrainer {
                          const auto list =
                              builder.CreateVector(std::vector<std::uint64_t>(batches.begin(), batches.end()));
                          return wire::CreateModelPublished(builder, header, generation, n, capacity,
-                                                           wire::Appearance::Transfer, 0, 0, insert_epoch, list, 0);
+                                                           wire::Appearance::Transfer, 0, 0, insert_epoch, list);
                        });
   }
 

@@ -259,7 +259,7 @@ TEST_P(ExpanderTest, AFailureOfMemoryEndsTheStepAndTheNextProcessGoesOn) {
   const std::vector<bus::TensorSource> sources{
       {"position", {static_cast<std::uint32_t>(padding.size()), 3}, bus::ElementType::F32, padding.data()}};
   publisher_.publish(topics::kCaptureInput, {.tensors = ring_.write(sources)}, [&](auto& builder, auto header) {
-    return wire::CreateCaptureInput(builder, header, 0, 0, 0, 0, 0, to_wire(builder, Light{}));
+    return wire::CreateCaptureInput(builder, header, 0, 0, to_wire(builder, SceneState{}));
   });
   ASSERT_TRUE(until([&] { return expander_->counters().rounds_lost == 1; })) << "the slab of input is mapped now";
   publish_input(large);
