@@ -216,8 +216,8 @@ void Expander::publish(const InsertBatch& batch) {
   };
   const bus::MessageInfo info{.capture_ns = batch.capture_ns, .tensors = ring_.write(sources)};
   publisher_.publish(topics::kModelInsert, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto objects = to_wire(builder, batch.objects);
-    const auto light = to_wire(builder, batch.light);
+    const auto objects = to_wire(builder, batch.scene.objects);
+    const auto light = to_wire(builder, batch.scene.light);
     return wire::CreateModelInsert(builder, header, batch.batch, objects, light);
   });
   ++counters_.batches_sent;

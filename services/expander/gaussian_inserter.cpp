@@ -52,16 +52,16 @@ GaussianInserter::GaussianInserter(Device device, float cell_size_m)
 
 InsertResult GaussianInserter::insert(const Round& round, const InsertOptions& options) {
   InsertResult result;
-  const std::uint32_t selected = selector_.select(round.samples, frames_of(round.objects), modelled_, options.select);
+  const std::uint32_t selected =
+      selector_.select(round.samples, frames_of(round.scene.objects), modelled_, options.select);
   result.selected = selected;
   result.cells = selector_.cells();
-  const LightTerms light = terms_of(round.light);
+  const LightTerms light = terms_of(round.scene.light);
   const auto batch_size = static_cast<std::uint32_t>(std::min<std::size_t>(options.batch_size, UINT32_MAX));
   for (std::uint32_t first = 0; first < selected; first += std::min(batch_size, selected - first)) {
     InsertBatch batch = allocate_batch(stream_, std::min(batch_size, selected - first));
     batch.capture_ns = round.capture_ns;
-    batch.objects = round.objects;
-    batch.light = round.light;
+    batch.scene = round.scene;
     selector_.write(round.samples, first, options.initial, light, batch.channels());
     if (!stream_.on_cuda()) host_bytes_ += batch.bytes();
     result.batches.push_back(std::move(batch));

@@ -15,8 +15,7 @@ namespace splatbus::expander {
 struct InsertBatch {
   std::uint64_t batch = 0;  ///< unique within this process
   std::int64_t capture_ns = 0;
-  ObjectTransforms objects;
-  Light light;
+  SceneState scene;  ///< of the samples
   std::uint32_t count = 0;
   Device memory = Device::Cpu;      ///< of `data`
   std::shared_ptr<std::byte> data;  ///< insert_channels_at(data, count) says what lies where

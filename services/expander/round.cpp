@@ -43,13 +43,10 @@ std::optional<IncomingRound> open_round(const bus::Message& message, std::size_t
   add("object_id", ElementType::U32, {count});
   if (round.tensors.size() != 6) return std::nullopt;
 
-  round.frame = input.scene()->frame();
   round.rig_generation = input.rig_generation();
-  round.time_s = input.scene()->time_s();
   round.capture_ns = input.header()->capture_ns();
   round.publish_ns = input.header()->publish_ns();
-  round.objects = from_wire(input.scene()->objects());
-  round.light = from_wire(*input.scene()->light());
+  round.scene = from_wire(*input.scene());
   round.cameras.reserve(cameras);
   for (std::size_t i = 0; i < cameras; ++i) {
     round.cameras.push_back(from_wire(*input.cameras()->Get(static_cast<flatbuffers::uoffset_t>(i))));

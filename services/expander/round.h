@@ -16,12 +16,10 @@ namespace splatbus::expander {
 
 /// What a round of capture/input says beside its samples. Meanings: schemas/capture.fbs, CaptureInput.
 struct RoundInfo {
-  std::uint64_t frame = 0, rig_generation = 0;
-  double time_s = 0;
+  std::uint64_t rig_generation = 0;
   std::int64_t capture_ns = 0, publish_ns = 0;
   std::vector<Camera> cameras;
-  ObjectTransforms objects;
-  Light light;
+  SceneState scene;
 };
 
 /// A round whose samples still lie where its sender put them, in either kind of memory; sizes and types agree, values

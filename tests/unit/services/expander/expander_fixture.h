@@ -220,8 +220,8 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
                          std::vector<wire::Camera> cameras;
                          for (const Camera& camera : samples.cameras) cameras.push_back(to_wire(camera));
                          const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
-                         const auto objects = to_wire(builder, samples.objects);
-                         const auto light = to_wire(builder, samples.light);
+                         const auto objects = to_wire(builder, samples.scene.objects);
+                         const auto light = to_wire(builder, samples.scene.light);
                          return wire::CreateCaptureInput(builder, header, samples.rig_generation, cameras_offset,
                                                          wire::CreateSceneState(builder, 1, 0, objects, light));
                        });

@@ -86,7 +86,7 @@ TEST_P(InsertionTest, SamplesOfMovingObjectsLiveInTheObjectsFrame) {
   HostRound round = empty_round();
   for (int i = 0; i < 6; ++i) add_sample(round, {2 + 0.02F * static_cast<float>(i), 0, 0}, 7, {1, 0, 0});
   // The object stands at (2, 0, 0), turned a quarter about y.
-  round.objects[7] = {.rotation = glm::angleAxis(1.5707963F, glm::vec3(0, 1, 0)), .translation = {2, 0, 0}};
+  round.scene.objects[7] = {.rotation = glm::angleAxis(1.5707963F, glm::vec3(0, 1, 0)), .translation = {2, 0, 0}};
   const HostGaussians inserted = insert(round);
   ASSERT_EQ(inserted.size(), 6U);
   EXPECT_LT(glm::distance(inserted.mean[2], glm::vec3(0, 0, 0.04F)), 1e-5F);
@@ -94,14 +94,14 @@ TEST_P(InsertionTest, SamplesOfMovingObjectsLiveInTheObjectsFrame) {
   EXPECT_EQ(inserted.object_id[2], 7U);
   // It moves on: the same surface is not inserted again.
   for (auto& position : round.position) position.x += 1;
-  round.objects[7].translation.x += 1;
+  round.scene.objects[7].translation.x += 1;
   EXPECT_EQ(insert(round).size(), 0U);
 }
 
 TEST_P(InsertionTest, WhatStandsStillBelongsToTheWorld) {
   HostRound round = empty_round();
   for (int i = 0; i < 6; ++i) add_sample(round, {2 + 0.02F * static_cast<float>(i), 0, 0}, 9);
-  round.objects[0] = {.translation = {5, 5, 5}};  // the world does not move
+  round.scene.objects[0] = {.translation = {5, 5, 5}};  // the world does not move
   HostGaussians inserted = insert(round);
   ASSERT_EQ(inserted.size(), 6U);
   // Under its id it would be moved as soon as there is a transform, although it is in the world's frame.
@@ -115,7 +115,7 @@ TEST_P(InsertionTest, ObjectsWhoseIdsAgreeInManyBitsShareNoCells) {
   for (const std::uint32_t id : {5U, 5U + (1U << 18U), 5U + (1U << 24U), 5U + (1U << 31U)}) {
     HostRound round = empty_round();
     for (int i = 0; i < 6; ++i) add_sample(round, {0.02F * static_cast<float>(i), 0, 0}, id);
-    round.objects[id] = {};
+    round.scene.objects[id] = {};
     const HostGaussians inserted = insert(round);
     EXPECT_EQ(inserted.object_id, std::vector<std::uint32_t>(6, id));
   }
@@ -214,7 +214,7 @@ TEST_P(InsertionTest, GaussiansAreFlatAlongTheNormalAndOfTheSpacing) {
 
 TEST_P(InsertionTest, TellsSunFromShadow) {
   HostRound round = empty_round();
-  Light& light = round.light;
+  Light& light = round.scene.light;
   for (std::size_t k = 0; k < 9; ++k) {
     light.ambient_sh[k] = glm::vec3(0.5F, 0.4F, 0.3F) / (1.0F + static_cast<float>(k));
   }
@@ -235,7 +235,7 @@ TEST_P(InsertionTest, TellsSunFromShadow) {
   add(glm::vec3(0), albedo, -up);       // turned away from the sun
   add(glm::vec3(0), glm::vec3(0), up);  // black
   // An object that is turned: its light is the world's.
-  round.objects[7] = {.rotation = glm::angleAxis(1.2F, glm::normalize(glm::vec3(1, 2, 3)))};
+  round.scene.objects[7] = {.rotation = glm::angleAxis(1.2F, glm::normalize(glm::vec3(1, 2, 3)))};
   options_.select.min_samples = 1;
   const HostGaussians inserted = insert(round);
   const std::vector<float> expected = {1, 0, 0.3F, 1, 1, 1};
@@ -320,7 +320,7 @@ TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
   const RoomScene scene;
   const auto still = [&](std::uint32_t cameras, std::uint32_t size, float turn) {
     HostRound round = room_round(scene, cameras, size, turn);
-    round.objects.clear();
+    round.scene.objects.clear();
     return round;
   };
   for (const SelectOptions& options :

@@ -53,11 +53,11 @@ struct RoomScene {
 inline HostRound room_round(const RoomScene& scene, std::uint32_t cameras, std::uint32_t size, float turn = 0) {
   HostRound samples;
   samples.rig_generation = 1;
-  samples.objects[RoomScene::kBall] = scene.world_from_ball;
-  samples.light.sun_direction = glm::normalize(glm::vec3(0.3F, 0.9F, 0.2F));
-  samples.light.sun_irradiance = {2.0F, 1.8F, 1.5F};
+  samples.scene.objects[RoomScene::kBall] = scene.world_from_ball;
+  samples.scene.light.sun_direction = glm::normalize(glm::vec3(0.3F, 0.9F, 0.2F));
+  samples.scene.light.sun_irradiance = {2.0F, 1.8F, 1.5F};
   for (std::size_t k = 0; k < 9; ++k)
-    samples.light.ambient_sh[k] = glm::vec3(0.5F, 0.4F, 0.3F) / (1.0F + static_cast<float>(k));
+    samples.scene.light.ambient_sh[k] = glm::vec3(0.5F, 0.4F, 0.3F) / (1.0F + static_cast<float>(k));
   std::mt19937 random(42);
   std::uniform_real_distribution<float> uniform(0, 1);
   for (std::uint32_t c = 0; c < cameras; ++c) {

@@ -103,8 +103,8 @@ inline HostRound empty_round() {
   HostRound round;
   round.rig_generation = 1;
   round.cameras = {look_at({0, 3, 0.001F}, {0, 0, 0}, 64, 64, 1.2F)};
-  round.light.sun_direction = {0, 1, 0};
-  round.light.sun_irradiance = {2, 2, 2};
+  round.scene.light.sun_direction = {0, 1, 0};
+  round.scene.light.sun_irradiance = {2, 2, 2};
   return round;
 }
 
