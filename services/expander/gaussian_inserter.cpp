@@ -66,9 +66,18 @@ InsertResult GaussianInserter::insert(const Round& round, const InsertOptions& o
     if (!stream_.on_cuda()) host_bytes_ += batch.bytes();
     result.batches.push_back(std::move(batch));
   }
-  for (const InsertBatch& batch : result.batches) add(batch);
+  std::vector<const InsertBatch*> batches;
+  for (const InsertBatch& batch : result.batches) batches.push_back(&batch);
+  add(batches);
   stream_.wait();
   return result;
+}
+
+void GaussianInserter::add(std::span<const InsertBatch* const> batches) {
+  std::vector<InsertChannels> channels;
+  channels.reserve(batches.size());
+  for (const InsertBatch* batch : batches) channels.push_back(batch->channels());
+  modelled_.add(channels);
 }
 
 bool GaussianInserter::adopt(const PublishedModel& model) {

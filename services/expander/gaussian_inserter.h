@@ -58,8 +58,8 @@ class GaussianInserter {
   /// them as modelled. The batches are complete: no stream writes them any more.
   [[nodiscard]] InsertResult insert(const Round& round, const InsertOptions& options);
 
-  /// Marks a batch's points as modelled.
-  void add(const InsertBatch& batch) { modelled_.add(batch.channels()); }
+  /// Marks the batches' points as modelled.
+  void add(std::span<const InsertBatch* const> batches);
   /// True when any point of the batch is modelled, to the last bit.
   [[nodiscard]] bool holds_any(const InsertBatch& batch) const { return modelled_.holds_any(batch.channels()); }
   /// Marks a live model's points as modelled, and nothing else. False, and nothing is changed, when its structure moved

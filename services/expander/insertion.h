@@ -72,7 +72,7 @@ class PointGrid {
   PointGrid(device::StreamView stream, float cell_size_m);
 
   void clear() { count_ = 0; }
-  void add(const InsertChannels& gaussians);
+  void add(std::span<const InsertChannels> batches);
   /// The model's points and no others; those that no cell holds are left out.
   void assign(const ModelPoints& model);
 

@@ -23,7 +23,7 @@ void ModelSync::follow(const ModelReport& report, const AdoptModel& adopt_model,
     // A batch that went in whole or not at all: pruning may have taken some of it since. The trainer keeps where a
     // Gaussian was inserted to the last bit, so that equality finds it again.
     queue.acknowledge_if([&](const InsertBatch& batch) { return inserter.holds_any(batch); });
-    for (const InsertBatch* batch : queue.pending_batches()) inserter.add(*batch);
+    inserter.add(queue.pending_batches());
   }
   trainer_epoch_ = report.trainer_epoch;
   settled_ = true;
@@ -32,7 +32,7 @@ void ModelSync::follow(const ModelReport& report, const AdoptModel& adopt_model,
 bool ModelSync::refresh(const AdoptModel& adopt_model, GaussianInserter& inserter, RetransmitQueue& queue) {
   if (!settled_ || !stale_ || !adopt_model()) return false;
   stale_ = false;
-  for (const InsertBatch* batch : queue.pending_batches()) inserter.add(*batch);
+  inserter.add(queue.pending_batches());
   return true;
 }
 
@@ -42,7 +42,7 @@ void ModelSync::restart(GaussianInserter& inserter, RetransmitQueue& queue) {
   ++restarts_;
   queue.restart();
   inserter.clear();
-  for (const InsertBatch* batch : queue.pending_batches()) inserter.add(*batch);
+  inserter.add(queue.pending_batches());
   spdlog::info("the trainer has an empty model: inserting {} batches again", queue.pending());
 }
 

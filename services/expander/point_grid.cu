@@ -127,13 +127,20 @@ PointGrid::PointGrid(StreamView stream, float cell_size_m)
       new_points_(stream),
       merged_points_(stream) {}
 
-void PointGrid::add(const InsertChannels& gaussians) {
-  const std::uint32_t count = gaussians.count, all = count_ + count;
+void PointGrid::add(std::span<const InsertChannels> batches) {
+  std::uint32_t count = 0;
+  for (const InsertChannels& batch : batches) count += batch.count;
+  if (count == 0) return;
+  const std::uint32_t all = count_ + count;
   reserve(new_keys_, count);
   reserve(new_points_, count);
   reserve(merged_keys_, all);
   reserve(merged_points_, all);
-  for_each_index(stream_, count, ReadGaussian{gaussians, new_keys_.data(), new_points_.data()});
+  std::uint32_t first = 0;
+  for (const InsertChannels& batch : batches) {
+    for_each_index(stream_, batch.count, ReadGaussian{batch, new_keys_.data() + first, new_points_.data() + first});
+    first += batch.count;
+  }
   with_policy(stream_, [&](auto&& policy) {
     thrust::sort_by_key(policy, new_keys_.data(), new_keys_.data() + count, new_points_.data(), KeyBelow());
     thrust::merge_by_key(policy, keys_.data(), keys_.data() + count_, new_keys_.data(), new_keys_.data() + count,

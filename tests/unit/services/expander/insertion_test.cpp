@@ -102,6 +102,7 @@ TEST_P(InsertionTest, WhatStandsStillBelongsToTheWorld) {
   HostRound round = empty_round();
   for (int i = 0; i < 6; ++i) add_sample(round, {2 + 0.02F * static_cast<float>(i), 0, 0}, 9);
   round.scene.objects[0] = {.translation = {5, 5, 5}};  // the world does not move
+  for (const std::uint32_t mover : {4U, 12U}) round.scene.objects[mover] = {.translation = {1, 1, 1}};
   HostGaussians inserted = insert(round);
   ASSERT_EQ(inserted.size(), 6U);
   // Under its id it would be moved as soon as there is a transform, although it is in the world's frame.
@@ -144,7 +145,7 @@ TEST_P(InsertionTest, BatchesAreFoundAndAddedAgain) {
   EXPECT_TRUE(inserter_->cells().empty());
   insert(floor_round(2, 3));
   EXPECT_FALSE(inserter_->holds_any(batch));
-  inserter_->add(batch);
+  inserter_->add(std::vector{&batch});
   EXPECT_TRUE(inserter_->holds_any(batch));
   EXPECT_EQ(insert(floor_round(-1, 1)).size(), 0U) << "modelled again";
 }

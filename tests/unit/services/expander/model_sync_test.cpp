@@ -53,16 +53,17 @@ TEST(RetransmitQueue, KeepsBatchesForATrainerThatLosesThem) {
 class ModelSyncTest : public testing::Test {
  protected:
   static constexpr std::uint64_t kOwn = 500, kTrainer = 1000;
+  void add(const InsertBatch& batch) { inserter_.add(std::vector{&batch}); }
   void insert(float x) {
     queue_.add(batch_at(x));
-    inserter_.add(*queue_.pending_batches().back());
+    add(*queue_.pending_batches().back());
   }
   /// The live model has the points of `live`, or cannot be read.
   void report(const ModelReport& report, const InsertBatch* live = nullptr) {
     const auto adopt_model = [&] {
       if (live == nullptr) return false;
       inserter_.clear();
-      inserter_.add(*live);
+      add(*live);
       return true;
     };
     sync_.follow(report, adopt_model, inserter_, queue_);
@@ -145,7 +146,7 @@ TEST_F(ModelSyncTest, WhatTheModelHasNoLongerIsNotModelled) {
   const InsertBatch left = batch_at(5, 4);
   const auto adopt_model = [&] {
     inserter_.clear();
-    inserter_.add(left);
+    add(left);
     return true;
   };
   EXPECT_FALSE(sync_.refresh([] { return false; }, inserter_, queue_)) << "its points cannot be read now";
