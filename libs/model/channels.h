@@ -14,8 +14,9 @@ enum class ChannelType : std::uint8_t { F32, U64 };
 
 /// The trained parameters come first, so that a GaussiansView's channels are a page's rows.
 enum class Channel : std::uint8_t { Parameters, Average, Normal, SurfacePoint, Visibility, GaussianId, Cell };
-inline constexpr Channel kChannels[] = {Channel::Parameters, Channel::Average,    Channel::Normal, Channel::SurfacePoint,
-                                        Channel::Visibility, Channel::GaussianId, Channel::Cell};
+inline constexpr Channel kChannels[] = {Channel::Parameters,   Channel::Average,    Channel::Normal,
+                                        Channel::SurfacePoint, Channel::Visibility, Channel::GaussianId,
+                                        Channel::Cell};
 
 struct ChannelRows {
   const char* name;
@@ -27,13 +28,20 @@ struct ChannelRows {
 [[nodiscard]] constexpr ChannelRows rows_of(Channel channel, const ParameterLayout& layout) {
   const auto parameters = static_cast<std::uint32_t>(layout.channels());
   switch (channel) {
-    case Channel::Parameters: return {"parameters", ChannelType::F32, 0, parameters};
-    case Channel::Average: return {"average", ChannelType::F32, parameters, parameters};
-    case Channel::Normal: return {"normal", ChannelType::F32, 2 * parameters, 3};
-    case Channel::SurfacePoint: return {"surface_point", ChannelType::F32, 2 * parameters + 3, 3};
-    case Channel::Visibility: return {"visibility", ChannelType::F32, 2 * parameters + 6, 1};
-    case Channel::GaussianId: return {"gaussian_id", ChannelType::U64, 2 * parameters + 7, 2};
-    case Channel::Cell: return {"cell", ChannelType::U64, 2 * parameters + 9, 2};
+    case Channel::Parameters:
+      return {"parameters", ChannelType::F32, 0, parameters};
+    case Channel::Average:
+      return {"average", ChannelType::F32, parameters, parameters};
+    case Channel::Normal:
+      return {"normal", ChannelType::F32, 2 * parameters, 3};
+    case Channel::SurfacePoint:
+      return {"surface_point", ChannelType::F32, 2 * parameters + 3, 3};
+    case Channel::Visibility:
+      return {"visibility", ChannelType::F32, 2 * parameters + 6, 1};
+    case Channel::GaussianId:
+      return {"gaussian_id", ChannelType::U64, 2 * parameters + 7, 2};
+    case Channel::Cell:
+      return {"cell", ChannelType::U64, 2 * parameters + 9, 2};
   }
   return {"", ChannelType::F32};
 }
@@ -55,8 +63,7 @@ struct ChannelRows {
 }
 
 /// The most rows that any layout has.
-inline constexpr std::uint32_t kMaxPageRows =
-    page_rows({.appearance = Appearance::Radiance, .sh_degree = 3});
+inline constexpr std::uint32_t kMaxPageRows = page_rows({.appearance = Appearance::Radiance, .sh_degree = 3});
 
 /// Pages one behind the other, wherever their arenas lie. Kernels take it as it is.
 struct PageMemory {

@@ -6,8 +6,8 @@
 namespace splatbus::model {
 
 /// What becomes Gaussians: planes [channels][stride] in either kind of memory, everything finite, rotations (w x y z)
-/// and normals unit, albedo (linear) and visibility in [0, 1]; positions in metres in the frame of their object. Kernels
-/// take it as it is.
+/// and normals unit, albedo (linear) and visibility in [0, 1]; positions in metres in the frame of their object.
+/// Kernels take it as it is.
 struct InsertRows {
   std::size_t stride = 0;
   const float* mean = nullptr;           ///< [3]
@@ -45,8 +45,8 @@ struct Moves {
 };
 
 struct InsertResult {
-  std::size_t count = 0;     ///< rows that were taken in order, of which
-  std::size_t left_out = 0;  ///< so many found no page
+  std::size_t count = 0;                 ///< rows that were taken in order, of which
+  std::size_t left_out = 0;              ///< so many found no page
   const std::uint32_t* added = nullptr;  ///< [count] index of each row's Gaussian or kNotInserted; memory as Moves
   Moves moves;
 };

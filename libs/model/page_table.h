@@ -16,7 +16,8 @@
 namespace splatbus::model {
 
 inline constexpr std::uint32_t kArenaPages = 128;
-inline constexpr std::uint32_t kMaxArenas = 4096;
+/// As many as one message can name.
+inline constexpr std::uint32_t kMaxArenas = 240;
 /// Most recent batches that the model remembers, as model/published carries them.
 inline constexpr std::size_t kRememberedBatches = 4096;
 
@@ -114,8 +115,8 @@ class PageTable {
   [[nodiscard]] bool holds(const BatchKey& batch) const;
   [[nodiscard]] std::vector<std::uint64_t> batches() const;  ///< most recent last
 
-  // A change: open() each page before anything that readers see of it is touched, propose() what each becomes, commit(),
-  // fold() each page, close(). What was proposed and not committed is as if it had never been.
+  // A change: open() each page before anything that readers see of it is touched, propose() what each becomes,
+  // commit(), fold() each page, close(). What was proposed and not committed is as if it had never been.
   void open(std::uint32_t page) const;
   void propose(std::uint32_t page, const PageStructure& next) const;
   void commit(std::uint64_t next_gaussian_id, const std::optional<BatchKey>& batch) const;
@@ -123,8 +124,8 @@ class PageTable {
   void fold(std::uint32_t page, const PageBounds& bounds) const;
   void close() const;
 
-  /// Brings an adopted table to the last commit. Returns the active pages that were open: of those, Gaussians may lie in
-  /// two lanes, or carry the id 0, which is nobody's.
+  /// Brings an adopted table to the last commit. Returns the active pages that were open: of those, Gaussians may lie
+  /// in two lanes, or carry the id 0, which is nobody's.
   [[nodiscard]] std::vector<std::uint32_t> recover() const;
 
  private:
