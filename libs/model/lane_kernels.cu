@@ -66,6 +66,14 @@ struct RowSources {
   const float* plane[kMaxPageRows];
 };
 
+/// What writes and copies channels does a Gaussian and this many rows at a time: neighbours do neighbouring lanes, and
+/// a division pays for several words.
+constexpr std::uint32_t kRowsAtOnce = 4;
+
+std::uint32_t items_for(std::uint32_t count, std::uint32_t rows) {
+  return count * ((rows + kRowsAtOnce - 1) / kRowsAtOnce);
+}
+
 struct WriteRow {
   PageMemory memory;
   RowSources sources;
@@ -74,12 +82,12 @@ struct WriteRow {
   std::uint32_t count, float_rows;
   const std::uint32_t* to;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const std::uint32_t row = i / count, k = items[i % count].source;
-    if (to[k] == kNotInserted) return;
-    if (row == float_rows) {
-      *memory.wide(memory.cell, to[k]) = cell[k];
-    } else {
-      *memory.value(row, to[k]) = sources.plane[row] == nullptr ? 0.0F : sources.plane[row][k];
+    const std::uint32_t chunk = i / count, k = items[i - chunk * count].source, index = to[k];
+    if (index == kNotInserted) return;
+    if (chunk == 0) *memory.wide(memory.cell, index) = cell[k];
+    const std::uint32_t end = (chunk + 1) * kRowsAtOnce < float_rows ? (chunk + 1) * kRowsAtOnce : float_rows;
+    for (std::uint32_t row = chunk * kRowsAtOnce; row < end; ++row) {
+      *memory.value(row, index) = sources.plane[row] == nullptr ? 0.0F : sources.plane[row][k];
     }
   }
 };
@@ -93,17 +101,17 @@ struct Number {
   }
 };
 
-struct CopyWord {
+struct CopyRows {
   PageMemory memory;
   const std::uint32_t *from, *to;
   std::uint32_t count, float_rows;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const std::uint32_t row = i / count, k = i % count;
-    if (to[k] == kNotInserted) return;
-    if (row == float_rows) {
-      *memory.wide(memory.cell, to[k]) = *memory.wide(memory.cell, from[k]);
-    } else {
-      *memory.word(row, to[k]) = *memory.word(row, from[k]);
+    const std::uint32_t chunk = i / count, k = i - chunk * count, source = from[k], index = to[k];
+    if (index == kNotInserted) return;
+    if (chunk == 0) *memory.wide(memory.cell, index) = *memory.wide(memory.cell, source);
+    const std::uint32_t end = (chunk + 1) * kRowsAtOnce < float_rows ? (chunk + 1) * kRowsAtOnce : float_rows;
+    for (std::uint32_t row = chunk * kRowsAtOnce; row < end; ++row) {
+      *memory.word(row, index) = *memory.word(row, source);
     }
   }
 };
@@ -256,7 +264,8 @@ void write_rows(StreamView stream, const PageMemory& memory, const ParameterLayo
   from(memory.surface_point, rows.mean, rows.stride, 3);
   from(memory.visibility, rows.visibility, rows.stride, 1);
   const std::uint32_t float_rows = memory.gaussian_id;
-  for_each_index(stream, count * (float_rows + 1), WriteRow{memory, sources, rows.cell, items, count, float_rows, to});
+  for_each_index(stream, items_for(count, float_rows),
+                 WriteRow{memory, sources, rows.cell, items, count, float_rows, to});
 }
 
 void number(StreamView stream, const PageMemory& memory, const std::uint32_t* to, std::uint32_t count,
@@ -270,7 +279,7 @@ void copy_lanes(StreamView stream, const PageMemory& memory, const std::uint32_t
   const std::uint32_t float_rows = memory.gaussian_id;
   for (std::size_t first = 0; first < count; first += kAtOnce) {
     const auto some = static_cast<std::uint32_t>(std::min(kAtOnce, count - first));
-    for_each_index(stream, some * (float_rows + 1), CopyWord{memory, from + first, to + first, some, float_rows});
+    for_each_index(stream, items_for(some, float_rows), CopyRows{memory, from + first, to + first, some, float_rows});
   }
 }
 
