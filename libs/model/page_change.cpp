@@ -59,6 +59,10 @@ std::uint32_t PageStore::taken(std::size_t count) {
   return static_cast<std::uint32_t>(taken);
 }
 
+std::uint32_t PageStore::fill_target() const {
+  return std::max(1U, static_cast<std::uint32_t>(options_.fill * kPageLanes));
+}
+
 void PageStore::reserve_pages(std::size_t pages) {
   const std::uint32_t list = table_.header().arena_list;
   while (free_.size() < pages && range_->slabs().size() * kArenaPages < table_.page_capacity()) {
@@ -98,7 +102,7 @@ void PageStore::plan_page(Plan& plan, const Page& page, std::uint32_t first_item
   }
   const bool exists = page.page != kNoPage;
   if (!exists || page.count + items > kPageLanes) {
-    const auto target = std::max(1U, static_cast<std::uint32_t>(options_.fill * kPageLanes));
+    const std::uint32_t target = fill_target();
     const std::uint32_t new_pages = (page.count + items + target - 1) / target;
     reserve_pages(new_pages);
     if (new_pages <= free_.size()) return plan_split(plan, page, first_item, items, new_pages);
@@ -289,6 +293,44 @@ RemoveResult PageStore::remove(const std::uint8_t* dead, const std::vector<std::
   apply(changes, next_gaussian_id(), std::nullopt);
   said_full_ = false;
   return result;
+}
+
+Moves PageStore::merge() {
+  std::vector<Page> kept;
+  std::vector<LaneMove> lanes;
+  std::vector<PageChange> changes;
+  std::uint32_t moved = 0;
+  bool grows = false;  // the last that is kept
+  for (const Page& page : directory_) {
+    Page* const into = kept.empty() ? nullptr : &kept.back();
+    if (into == nullptr || into->frame_id != page.frame_id || into->count + page.count > fill_target()) {
+      kept.push_back(page);
+      grows = false;
+      continue;
+    }
+    if (!grows)
+      changes.push_back({.page = into->page, .next = table_.entry(into->page).now, .bounds = {}, .fresh = {}});
+    grows = true;
+    lanes.push_back({page.page * kPageLanes, into->page * kPageLanes + into->count, page.count, moved});
+    moved += page.count;
+    into->count += page.count;
+    changes.back().next.count = into->count;
+    changes.back().fresh = {into->page * kPageLanes, into->count};
+  }
+  if (moved == 0) return {};
+  for (const LaneMove& gone : lanes) {
+    changes.push_back({.page = gone.from / kPageLanes, .next = {}, .bounds = {}, .fresh = {}});
+  }
+  moved_from_.resize(moved);
+  moved_to_.resize(moved);
+  list_moves(stream_, lanes, moved_from_.data(), moved_to_.data());
+  copy_moved(moved);
+  at(ChangePoint::Written);
+  bound(changes);
+  directory_ = std::move(kept);
+  apply(changes, next_gaussian_id(), std::nullopt);
+  said_full_ = false;
+  return {moved, moved_from_.data(), moved_to_.data()};
 }
 
 void PageStore::apply(const std::vector<PageChange>& changes, std::uint64_t next_gaussian_id,

@@ -67,6 +67,11 @@ struct LaneRange {
   std::uint32_t first = 0, count = 0;  ///< indices, of one page
 };
 
+/// Lanes that move together; `first` of them move before.
+struct LaneMove {
+  std::uint32_t from, to, count, first;
+};
+
 struct PageRemoval {
   std::uint32_t dead = 0, holes = 0;  ///< holes: dead lanes below those that stay
 };
@@ -117,6 +122,8 @@ void clear_dead_ids(StreamView stream, const PageMemory& memory, const std::uint
 /// Of page p, moves [first_move[p], first_move[p] + holes): the last that stay, into the holes.
 void list_moves(StreamView stream, const std::uint8_t* dead, std::span<const LaneRange> pages,
                 std::span<const std::uint32_t> first_move, std::uint32_t* from, std::uint32_t* to);
+
+void list_moves(StreamView stream, std::span<const LaneMove> lanes, std::uint32_t* from, std::uint32_t* to);
 
 /// Of each range of lanes.
 [[nodiscard]] std::vector<PageBounds> bounds_of_lanes(StreamView stream, const PageMemory& memory,

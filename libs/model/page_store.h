@@ -35,9 +35,9 @@ struct PageStoreOptions {
 
 /// The live model: pages in slabs of either kind of memory, "<source>/pages-0" and so on, which come one by one as it
 /// grows and are never moved, and a table of them in host memory, "<source>/page-table". Values change in place at any
-/// time; structure changes only inside insert(), duplicate() and remove(), each of which is wholly done or not at all
-/// for whoever adopts the slabs after a death (page_table.h). A store that is made where a killed process's slabs still
-/// lie goes on with them, whichever kind of memory they are in.
+/// time; structure changes only inside insert(), duplicate(), remove() and merge(), each of which is wholly done or not
+/// at all for whoever adopts the slabs after a death (page_table.h). A store that is made where a killed process's
+/// slabs still lie goes on with them, whichever kind of memory they are in.
 ///
 /// Not thread-safe. Whoever works on pages on a stream of his own waits for it before he calls a function that is not
 /// const, and finds its work done when it returns. Throws bus::Error and std::runtime_error; a change that throws may
@@ -93,6 +93,9 @@ class PageStore {
   /// Removes the Gaussians with a non-zero entry: `dead` is [view().count] on the device. The last of a page fill its
   /// holes; a page that is empty is free.
   RemoveResult remove(const std::uint8_t* dead);
+  /// Puts neighbouring pages together that fill no more of one than a split leaves, so that what removals have emptied
+  /// is free for insertions. Costs nothing but a look at the directory where there are none.
+  Moves merge();
 
   /// Takes over the sun's visibility, in place, for the pages whose structure is what it was at `generation`, from
   /// values by index in either memory. Returns how many pages took it.
@@ -143,6 +146,7 @@ class PageStore {
   void apply(const std::vector<PageChange>& changes, std::uint64_t next_gaussian_id,
              const std::optional<BatchKey>& batch);
   [[nodiscard]] std::uint32_t taken(std::size_t count);
+  [[nodiscard]] std::uint32_t fill_target() const;
   void at(ChangePoint point) const {
     if (options_.at_point) options_.at_point(point);
   }

@@ -173,6 +173,18 @@ struct PlaceSplit {
   }
 };
 
+struct ListLaneMove {
+  const LaneMove* lanes;
+  std::uint32_t lane_count;
+  std::uint32_t *from, *to;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
+    const LaneMove* const all = lanes;
+    const LaneMove& move = all[count_up_to(i, lane_count, [all](std::uint32_t m) { return all[m].first; }) - 1];
+    from[i] = move.from + (i - move.first);
+    to[i] = move.to + (i - move.first);
+  }
+};
+
 template <class T>
 Buffer<T> uploaded(StreamView stream, std::span<const T> values) {
   Buffer<T> buffer(stream);
@@ -219,6 +231,14 @@ void place_appends(StreamView stream, const Item* items, std::uint32_t count, st
                    std::uint32_t* to) {
   const Buffer<Append> on_device = uploaded(stream, appends);
   for_each_index(stream, count, PlaceAppend{items, on_device.data(), static_cast<std::uint32_t>(appends.size()), to});
+  stream.wait();
+}
+
+void list_moves(StreamView stream, std::span<const LaneMove> lanes, std::uint32_t* from, std::uint32_t* to) {
+  if (lanes.empty()) return;
+  const Buffer<LaneMove> on_device = uploaded(stream, lanes);
+  for_each_index(stream, lanes.back().first + lanes.back().count,
+                 ListLaneMove{on_device.data(), static_cast<std::uint32_t>(lanes.size()), from, to});
   stream.wait();
 }
 

@@ -15,7 +15,8 @@ int main(int argc, char** argv) {
   if (argc != 5) return 2;
   const auto context = bus::Context::create(bus::Address::parse("ipc://" + std::string(argv[1])), "trainer");
   const auto point = static_cast<ChangePoint>(std::atoi(argv[4]));
-  bool armed = false;
+  const int killed_in = std::atoi(argv[3]);
+  bool armed = killed_in < 0;
   PageStoreOptions options{.max_gaussians = kScriptGaussians};
   options.at_point = [&](ChangePoint at) {
     if (armed && at == point) ::kill(::getpid(), SIGKILL);
@@ -23,7 +24,7 @@ int main(int argc, char** argv) {
   PageStore store(context, {}, options, static_cast<Device>(std::atoi(argv[2])));
   Truth truth;
   for (std::size_t change = 0; change < kScriptChanges; ++change) {
-    armed = change == static_cast<std::size_t>(std::atoi(argv[3]));
+    armed = static_cast<int>(change) == killed_in;
     make_change(change, &store, truth);
   }
   return 0;

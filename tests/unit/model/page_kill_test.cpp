@@ -19,21 +19,26 @@ class PageKillTest : public bus_test::BusTest, public testing::WithParamInterfac
     }
   }
 
-  /// Kills at that point of that change; whoever comes next finds the model as it was before or as it is after.
-  void kill_and_adopt(std::size_t change, ChangePoint point, Device next) {
-    SCOPED_TRACE("change " + std::to_string(change) + ", point " + std::to_string(static_cast<int>(point)));
-    const std::string output = directory_.path() + "/output";
+  [[nodiscard]] std::string output() const { return directory_.path() + "/output"; }
+
+  int run_and_kill(int change, ChangePoint point) {
     bus_test::ChildProcess killed("test-model-killed",
                                   {directory_.path(), std::to_string(static_cast<int>(GetParam())),
                                    std::to_string(change), std::to_string(static_cast<int>(point))},
-                                  output);
-    const int status = killed.wait();
-    const bool removal = change == 4 || change == 6;
+                                  output());
+    return killed.wait();
+  }
+
+  /// Kills at that point of that change; whoever comes next finds the model as it was before or as it is after.
+  void kill_and_adopt(std::size_t change, ChangePoint point, Device next) {
+    SCOPED_TRACE("change " + std::to_string(change) + ", point " + std::to_string(static_cast<int>(point)));
+    const int status = run_and_kill(static_cast<int>(change), point);
+    const bool removal = change == 4 || change == 6 || change == 7;
     if (status == 0) {
       EXPECT_TRUE(!removal && (point == ChangePoint::Opened || point == ChangePoint::Cleared))
           << "this change never came to that point";
     } else {
-      ASSERT_EQ(status, -SIGKILL) << bus_test::read_text(output);
+      ASSERT_EQ(status, -SIGKILL) << bus_test::read_text(output());
     }
     Truth truth;
     const bool lost = point < (removal ? ChangePoint::Cleared : ChangePoint::Committed);
@@ -43,7 +48,8 @@ class PageKillTest : public bus_test::BusTest, public testing::WithParamInterfac
       const auto context = connect("trainer");
       PageStore store(context, {}, {.max_gaussians = kScriptGaussians}, next);
       expect_holds(store, truth);
-      EXPECT_EQ(store.holds(1, change), truth.next_id != before(change) && !removal && change != 3) << "remembered";
+      EXPECT_EQ(store.holds(1, change), truth.next_id != before(change) && !removal && change != 3 && change != 8)
+          << "remembered";
       // And it goes on from there.
       for (std::size_t c = made; c < kScriptChanges; ++c) make_change(c, &store, truth);
       expect_holds(store, truth);
@@ -70,8 +76,8 @@ class PageKillTest : public bus_test::BusTest, public testing::WithParamInterfac
   }
 };
 
-TEST_P(PageKillTest, WhereverAnInsertionIsKilledItIsWhollyThereOrNotAtAll) {
-  for (const std::size_t change : {0, 1, 2, 3}) {
+TEST_P(PageKillTest, WhereverAnInsertionOrAMergeIsKilledItIsWhollyThereOrNotAtAll) {
+  for (const std::size_t change : {0, 1, 2, 3, 8}) {
     for (const ChangePoint point :
          {ChangePoint::Copied, ChangePoint::Numbered, ChangePoint::Written, ChangePoint::Proposed,
           ChangePoint::Committed, ChangePoint::FoldedOne, ChangePoint::Folded}) {
@@ -90,6 +96,17 @@ TEST_P(PageKillTest, WhereverARemovalIsKilledNobodyElseIsLostOrThereTwice) {
       if (HasFatalFailure() || HasNonfatalFailure()) return;
     }
   }
+}
+
+TEST_P(PageKillTest, WhoeverAdoptsMayBeKilledOverItToo) {
+  ASSERT_EQ(run_and_kill(4, ChangePoint::Numbered), -SIGKILL);
+  for (const ChangePoint point : {ChangePoint::Opened, ChangePoint::Cleared, ChangePoint::Copied, ChangePoint::Numbered,
+                                  ChangePoint::Proposed, ChangePoint::FoldedOne}) {
+    ASSERT_EQ(run_and_kill(-1, point), -SIGKILL) << bus_test::read_text(output());
+  }
+  Truth truth;
+  for (std::size_t c = 0; c < 5; ++c) make_change(c, nullptr, truth);
+  expect_holds(PageStore(connect("trainer"), {}, {.max_gaussians = kScriptGaussians}, GetParam()), truth);
 }
 
 TEST_P(PageKillTest, TheNextOneMayHaveTheOtherKindOfMemory) {

@@ -161,6 +161,10 @@ class PageStoreTest : public bus_test::BusTest, public testing::WithParamInterfa
         EXPECT_EQ(result.removed, ids.size());
         truth_.remove(ids);
         expect_moves(before, result.moves);
+        if (random_() % 4 == 0) {
+          const Where removed = where();
+          expect_moves(removed, within_touched([&] { return store_->merge(); }));
+        }
       } else if (dice < 5) {
         const auto ids = some_ids(random_() % (truth_.gaussians.size() / 20 + 2));
         const auto indices = indices_of(ids);
@@ -190,7 +194,7 @@ class PageStoreTest : public bus_test::BusTest, public testing::WithParamInterfa
 };
 
 TEST_P(PageStoreTest, ThroughHundredsOfChangesEachGaussianStaysWholeAndInItsPage) {
-  churn(300, 6000, 12000);
+  churn(200, 6000, 8000);
 }
 
 TEST_P(PageStoreTest, ThroughLargeChangesToo) {
@@ -207,6 +211,25 @@ TEST_P(PageStoreTest, MoreOfOneKeyThanAPageHoldsAreSpreadByTheirIds) {
     expect_sound();
   }
   EXPECT_GT(store_->page_count(), 5U);
+}
+
+TEST_P(PageStoreTest, PagesThatRemovalsLeftSparseAreMerged) {
+  start(60000);
+  const Batch batch = make_batch(random_, 40000, false, 3);
+  insert(*store_, batch, 1);
+  truth_.insert(batch, batch.count);
+  EXPECT_EQ(store_->merge().count, 0U) << "what a split leaves is not sparse";
+  const std::size_t pages = store_->page_count();
+  const auto ids = some_ids(38000);
+  remove(*store_, indices_of(ids));
+  truth_.remove(ids);
+  EXPECT_EQ(store_->page_count(), pages);
+  const Where before = where();
+  expect_moves(before, store_->merge());
+  EXPECT_LE(store_->page_count(), 2U * (2000 / (kPageLanes * 3 / 4)) + 3);
+  expect_sound();
+  start(60000);
+  expect_sound();
 }
 
 TEST_P(PageStoreTest, ABatchIsTakenOnce) {
