@@ -148,7 +148,7 @@ void PageStore::publish(const bus::Publisher& publisher) const {
         return wire::CreateModelPublished(
             builder, header, generation(), count_, std::uint64_t{table_.page_capacity()} * kPageLanes,
             layout_.appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-            static_cast<std::uint8_t>(layout_.sh_degree), step(), table_.header().insert_epoch, batches, 0, kPageLanes,
+            static_cast<std::uint8_t>(layout_.sh_degree), step(), table_.header().insert_epoch, batches, kPageLanes,
             static_cast<std::uint32_t>(memory_.page_words), static_cast<std::uint32_t>(directory_.size()));
       });
 }
