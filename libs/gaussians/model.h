@@ -40,6 +40,10 @@ struct GaussiansView {
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::size_t offset(std::size_t i) const {
     return (i >> page_shift) * page_stride + (i & ((std::size_t{1} << page_shift) - 1));
   }
+  /// Of 8-byte elements: gaussian_id and cell.
+  [[nodiscard]] std::size_t wide_offset(std::size_t i) const {
+    return (i >> page_shift) * (page_stride / 2) + (i & ((std::size_t{1} << page_shift) - 1));
+  }
   /// Gaussian i of a channel, a parameter's or of one of the pointers below.
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER const float* at(int channel, std::size_t i) const {
     return parameters + offset(i) + static_cast<std::size_t>(channel) * stride;

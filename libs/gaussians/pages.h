@@ -10,7 +10,10 @@
 // that kernels take as they are. docs/decisions/0085-pages.md says why they are of this size.
 namespace splatbus {
 
-inline constexpr std::uint32_t kPageShift = 10;
+#ifndef SPLATBUS_PAGE_SHIFT  // for measurements of other sizes
+#define SPLATBUS_PAGE_SHIFT 10
+#endif
+inline constexpr std::uint32_t kPageShift = SPLATBUS_PAGE_SHIFT;
 inline constexpr std::uint32_t kPageLanes = 1U << kPageShift;
 inline constexpr std::uint32_t kTierLanes = 256;
 /// `page_shift` of Gaussians that do not lie in pages: all indices are of page 0.

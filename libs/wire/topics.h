@@ -55,7 +55,7 @@ inline constexpr std::string_view kSchema<wire::Log> = "Log/1";
 template <>
 inline constexpr std::string_view kSchema<wire::ModelInsert> = "ModelInsert/1";
 template <>
-inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/1";
+inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/2";
 template <>
 inline constexpr std::string_view kSchema<wire::RelightVisibility> = "RelightVisibility/1";
 template <>

@@ -184,7 +184,7 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                                                         {"scene/light", "SceneLight/1"},
                                                         {"scene/light_depth", "SceneLightDepth/2"},
                                                         {"model/insert", "ModelInsert/1"},
-                                                        {"model/published", "ModelPublished/1"},
+                                                        {"model/published", "ModelPublished/2"},
                                                         {"grid/state", "GridState/1"},
                                                         {"relight/visibility", "RelightVisibility/1"},
                                                         {"viewer/pose", "ViewerPose/1"},
@@ -246,7 +246,7 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
   for (const auto& [topic, schema] :
        std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/2"},
                                                         {"model/insert", "ModelInsert/1"},
-                                                        {"model/published", "ModelPublished/1"},
+                                                        {"model/published", "ModelPublished/2"},
                                                         {"viewer/pose", "ViewerPose/1"}}) {
     EXPECT_TRUE(pipeline_.wait_until([&, &name = topic, &type = schema] { return log_names(name, type); }))
         << topic << ", " << schema << "\n"

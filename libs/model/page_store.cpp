@@ -1,0 +1,156 @@
+#include "model/page_store.h"
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "wire/model_generated.h"
+
+namespace splatbus::model {
+
+namespace {
+
+constexpr std::size_t kSlot = 0;
+
+GaussiansView view_of(const PageMemory& memory, const ParameterLayout& layout, Channel parameters) {
+  GaussiansView view{
+      .layout = layout, .stride = kPageLanes, .page_shift = kPageShift, .page_stride = memory.page_words};
+  view.parameters = memory.value(rows_of(parameters, layout).first, 0);
+  view.normal = memory.value(memory.normal, 0);
+  view.surface_point = memory.value(memory.surface_point, 0);
+  view.visibility = memory.value(memory.visibility, 0);
+  view.gaussian_id = memory.wide(memory.gaussian_id, 0);
+  view.cell = memory.wide(memory.cell, 0);
+  return view;
+}
+
+}  // namespace
+
+std::size_t PageStore::room() const {
+  return options_.max_gaussians - std::min(options_.max_gaussians, count_);
+}
+
+GaussiansView PageStore::view() const {
+  GaussiansView view = view_of(memory_, layout_, Channel::Parameters);
+  view.count = ranges_.empty() ? 0 : ranges_.back().first + ranges_.back().count;
+  view.ranges = ranges_;
+  view.bounds = bounds_;
+  return view;
+}
+
+GaussiansView PageStore::average_view() const {
+  GaussiansView result = view();
+  result.parameters = average();
+  return result;
+}
+
+void PageStore::add_step(std::size_t views, double seconds) {
+  PageTableHeader& header = table_.header();
+  header.step += 1;
+  header.views += views;
+  header.optimizer_s += seconds;
+}
+
+std::size_t PageStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
+  std::vector<LaneRange> unchanged;
+  for (const IndexRange& range : ranges_) {
+    const PageEntry& entry = table_.entry(range.first >> kPageShift);
+    if (entry.generation.load(std::memory_order_relaxed) > 2 * generation || range.first + range.count > count)
+      continue;
+    unchanged.push_back({range.first, range.count});
+  }
+  if (unchanged.empty()) return 0;
+  if (memory != device_) {
+    const std::size_t end = unchanged.back().first + unchanged.back().count;
+    scratch_.resize(end);
+    // Of the two kinds of memory one is CUDA's, whose stream copies either way.
+    const device::StreamView stream = device_ == Device::Cuda ? stream_.view() : device::thread_stream(memory);
+    device::copy(stream, scratch_.data(), values, end * sizeof(float));
+    stream.wait();
+    values = scratch_.data();
+  }
+  write_visibility(stream_, memory_, values, unchanged);
+  return unchanged.size();
+}
+
+void PageStore::bound(std::vector<PageChange>& changes) const {
+  std::vector<LaneRange> lanes;
+  std::vector<std::size_t> owner;
+  for (std::size_t c = 0; c < changes.size(); ++c) {
+    const LaneRange& fresh = changes[c].fresh;
+    for (std::uint32_t first = 0; first < fresh.count; first += kTierLanes) {
+      lanes.push_back({fresh.first + first, std::min(kTierLanes, fresh.count - first)});
+      owner.push_back(c);
+    }
+  }
+  if (lanes.empty()) return;
+  const std::vector<PageBounds> bounds = bounds_of_lanes(stream_, memory_, lanes);
+  for (std::size_t k = 0; k < bounds.size(); ++k) {
+    PageBounds& whole = changes[owner[k]].bounds;
+    const PageBounds& part = bounds[k];
+    whole.low = {std::min(whole.low.x, part.low.x), std::min(whole.low.y, part.low.y),
+                 std::min(whole.low.z, part.low.z)};
+    whole.high = {std::max(whole.high.x, part.high.x), std::max(whole.high.y, part.high.y),
+                  std::max(whole.high.z, part.high.z)};
+    whole.max_scale_m = std::max(whole.max_scale_m, part.max_scale_m);
+  }
+}
+
+void PageStore::refresh_bounds() {
+  std::vector<PageChange> pages(ranges_.size());
+  for (std::size_t r = 0; r < pages.size(); ++r) pages[r].fresh = {ranges_[r].first, ranges_[r].count};
+  bound(pages);
+  for (std::size_t r = 0; r < pages.size(); ++r) {
+    bounds_[r] = pages[r].bounds;
+    table_.entry(ranges_[r].first >> kPageShift).bounds = pages[r].bounds;
+  }
+  device_bounds_.assign(bounds_);
+  stream_.wait();
+}
+
+void PageStore::refresh_ranges() {
+  ranges_.clear();
+  bounds_.clear();
+  count_ = 0;
+  const auto pages = static_cast<std::uint32_t>(range_->slabs().size()) * kArenaPages;
+  for (std::uint32_t page = 0; page < std::min(pages, table_.page_capacity()); ++page) {
+    const PageEntry& entry = table_.entry(page);
+    if (entry.now.state != PageState::Active || entry.now.count == 0) continue;
+    ranges_.push_back({page * kPageLanes, entry.now.count, entry.now.frame_id});
+    bounds_.push_back(entry.bounds);
+    count_ += entry.now.count;
+  }
+  device_ranges_.assign(ranges_);
+  device_bounds_.assign(bounds_);
+  stream_.wait();
+}
+
+void PageStore::publish(const bus::Publisher& publisher) const {
+  bus::MessageInfo info;
+  const auto add = [&](const std::string& name, const bus::Slab& slab, std::vector<std::uint32_t> shape,
+                       bus::ElementType type) {
+    const std::size_t bytes = bus::tensor_bytes(shape, type);
+    info.tensors.push_back({.name = name,
+                            .shape = std::move(shape),
+                            .type = type,
+                            .span = slab.span(kSlot, 0, bytes, slab.sequence(kSlot))});
+  };
+  add("page_table", *table_slab_, {static_cast<std::uint32_t>(page_table_bytes(table_.page_capacity()))},
+      bus::ElementType::U8);
+  std::uint32_t arena = 0;
+  for (const auto& slab : range_->slabs()) {
+    add("pages-" + std::to_string(arena++), *slab, {kArenaPages, page_rows(layout_), kPageLanes},
+        bus::ElementType::U32);
+  }
+  publisher.publish(
+      topics::kModelPublished, info,
+      [&](flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<wire::Header> header) {
+        const auto batches = builder.CreateVector(table_.batches());
+        return wire::CreateModelPublished(
+            builder, header, generation(), count_, std::uint64_t{table_.page_capacity()} * kPageLanes,
+            layout_.appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
+            static_cast<std::uint8_t>(layout_.sh_degree), step(), table_.header().insert_epoch, batches, kPageLanes,
+            static_cast<std::uint32_t>(memory_.page_words), static_cast<std::uint32_t>(directory_.size()));
+      });
+}
+
+}  // namespace splatbus::model
