@@ -31,7 +31,7 @@ struct DropCounts {
 [[nodiscard]] DropCounts dropped_of(std::span<const std::uint32_t, kFaults> faults);
 
 struct SamplingOptions {
-  float min_cosine = 0.1F;  ///< between the normal and the direction to the camera
+  float min_cosine = 0.15F;  ///< between the normal and the direction to the camera
   CullOptions culling{};
   std::size_t budget = 60000;  ///< samples a round
   /// How many cameras keep their samples of the same surface, the best ones; 0: as many as the budget has room for.

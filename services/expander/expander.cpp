@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "bus/clock.h"
+#include "bus/error.h"
 #include "bus/memory.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -22,172 +23,201 @@ constexpr std::int64_t kStatePeriodNs = 100'000'000;
 constexpr std::int64_t kSettledStatePeriodNs =
     10'000'000;  // all that was inserted is acknowledged: somebody waits for it
 constexpr std::int64_t kWaitingStatePeriodNs = 200'000'000;
-constexpr int kMostMessagesAStep = 64;
+constexpr std::int64_t kAllCellsPeriodNs = 30'000'000'000;
+constexpr std::size_t kMaxCellsAMessage = 4096;
+constexpr int kMaxMessagesAStep = 64;
+constexpr std::size_t kMaxWaitingRounds = 8;
 // Published batches that are not acknowledged must stay readable: more slots than batches in flight.
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
-constexpr std::size_t kRingSlots = BatchLedger::Options{}.in_flight + 2;
+constexpr std::size_t kRingSlots = RetransmitQueue::Options{}.in_flight + 2;
 
 }  // namespace
 
 Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend)
     : options_(parameters),
       context_(std::move(context)),
-      mapper_(make_mapper(backend, options_->mapper)),
+      inserter_(backend, options_->cell_size_m),
       subscriber_(context_),
       publisher_(context_),
-      ring_(context_, "insert", kRingSlots, options_->grow.batch_size * kInsertBytes + kRingSlack, mapper_->memory()),
-      ledger_(options_->ledger),
-      follower_(context_->epoch()) {
+      ring_(context_, "insert", kRingSlots, options_->insert.batch_size * kInsertBytes + kRingSlack,
+            inserter_.memory()),
+      queue_(options_->queue),
+      model_sync_(context_->epoch()),
+      cells_(options_->max_cells) {
   subscribe();
 }
 
 void Expander::subscribe() {
   subscriber_
       .on(topics::kCaptureInput,
-          [this](const wire::CaptureInput&, const bus::Message& message) { handle_input(message); })
-      .on(topics::kViewerPose, [this](const wire::ViewerPose& pose, const bus::Message&) { handle_pose(pose); })
+          [this](const wire::CaptureInput&, const bus::Message& message) {
+            auto incoming = open_round(message, options_->max_samples);
+            if (!incoming) {
+              ++counters_.rounds_lost;
+              return;
+            }
+            incoming_.push_back(std::move(*incoming));
+          })
+      .on(topics::kViewerPose,
+          [this](const wire::ViewerPose& pose, const bus::Message&) {
+            viewer_ = from_wire(*pose.camera()).world_from_camera.translation;
+          })
       .on(topics::kModelPublished, [this](const wire::ModelPublished& published, const bus::Message& message) {
         handle_published(published, message);
       });
 }
 
+void Expander::handle_published(const wire::ModelPublished& published, const bus::Message& message) {
+  Report report{.report = {.trainer_epoch = message.header().epoch(),
+                           .generation = published.generation(),
+                           .count = published.count(),
+                           .insert_epoch = published.insert_epoch(),
+                           .batches = {}},
+                .message = message};
+  if (const auto* batches = published.inserted_batches())
+    report.report.batches.assign(batches->begin(), batches->end());
+  reports_.push_back(std::move(report));
+}
+
 void Expander::step(std::chrono::milliseconds timeout) {
   options_.refresh();
-  mapper_->limit_device_memory(options_->device_bytes);
-  auto message = subscriber_.receive(timeout);
-  for (int taken = 1; message; ++taken) {
-    prepare_ring();
-    if (!subscriber_.dispatch(*message)) {
-      bus::require_usable(mapper_->memory());
-      if (message->topic() == topics::kCaptureInput.name) ++counters_.rounds_lost;
-    }
-    if (taken >= kMostMessagesAStep) break;
-    message = subscriber_.receive(std::chrono::milliseconds(0));
-  }
-  process_waiting();
+  receive(timeout);
+  follow_model();
+  take_rounds();
+  insert_rounds();
   publish_batches();
   publish_state();
 }
 
-void Expander::handle_input(const bus::Message& message) {
-  auto incoming = open_round(message);
-  if (!incoming || !waiting_.add(std::move(*incoming), bus::now_ns())) ++counters_.rounds_lost;
+void Expander::receive(std::chrono::milliseconds timeout) {
+  auto message = subscriber_.receive(timeout);
+  for (int taken = 1; message; ++taken) {
+    prepare_ring();
+    if (!subscriber_.dispatch(*message) && message->topic() == topics::kCaptureInput.name) ++counters_.rounds_lost;
+    if (taken >= kMaxMessagesAStep) break;
+    message = subscriber_.receive(std::chrono::milliseconds(0));
+  }
 }
 
-void Expander::handle_pose(const wire::ViewerPose& pose) {
-  viewer_ = from_wire(*pose.camera()).world_from_camera.translation;
+void Expander::follow_model() {
+  for (; !reports_.empty(); reports_.pop_front()) {
+    Report& next = reports_.front();
+    model_ = std::move(next.message);
+    const std::size_t pending = queue_.pending();
+    const std::uint64_t changes = model_sync_.adoptions() + model_sync_.restarts();
+    model_sync_.follow(
+        next.report, [this] { return adopt_model(); }, inserter_, queue_);
+    const bool replaced = changes != model_sync_.adoptions() + model_sync_.restarts();
+    modelled_changed_ = modelled_changed_ || replaced;
+    state_changed_ = state_changed_ || replaced || pending != queue_.pending();
+  }
 }
 
-void Expander::handle_published(const wire::ModelPublished& published, const bus::Message& message) {
-  ModelReport report{.trainer_epoch = message.header().epoch(),
-                     .count = published.count(),
-                     .insert_epoch = published.insert_epoch(),
-                     .batches = {}};
-  if (const auto* batches = published.inserted_batches()) report.batches.assign(batches->begin(), batches->end());
-  const std::size_t pending = ledger_.pending();
-  const auto adopt_model = [&] {
-    const auto model = PublishedModel::open(message, mapper_->memory(), PublishedModel::Need::Average);
-    return model && mapper_->adopt(*model);
-  };
-  follower_.follow(report, adopt_model, *mapper_, ledger_);
-  state_changed_ = state_changed_ || pending != ledger_.pending();
+bool Expander::adopt_model() try {
+  const auto model = PublishedModel::open(*model_, inserter_.memory(), PublishedModel::Need::Average);
+  if (!model || !inserter_.adopt(*model)) return false;
+  model_read_ns_ = bus::now_ns();
+  modelled_changed_ = state_changed_ = true;
+  return true;
+} catch (const bus::Error& error) {
+  bus::require_usable(inserter_.memory());
+  spdlog::warn("model/published is refused: {}", error.what());
+  return false;
 }
 
-void Expander::process_waiting() {
+void Expander::take_rounds() {
+  for (; !incoming_.empty(); incoming_.pop_front()) {
+    auto round = inserter_.take(incoming_.front());
+    if (!round) {
+      ++counters_.rounds_lost;
+      continue;
+    }
+    if (round->invalid > 0) {
+      spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
+                   round->rig_generation, round->invalid);
+    }
+    if (waiting_.size() >= kMaxWaitingRounds) {
+      waiting_.pop_front();
+      ++counters_.rounds_lost;
+    }
+    waiting_.push_back({.round = std::move(round), .arrived_ns = bus::now_ns()});
+  }
+}
+
+void Expander::insert_rounds() {
   if (waiting_.empty()) return;
   const std::int64_t now = bus::now_ns();
   const auto wait_ns = static_cast<std::int64_t>(options_->adopt_wait_s * 1e9);
-  const bool grows = follower_.settled() || now - waiting_.since_ns() >= wait_ns;
-  WaitingRounds::Work work{
-      .take = [&](const IncomingRound& incoming) { return take(incoming); },
-      .grow = {},
-      .failed =
-          [&](const RoundInfo& info, const std::exception& error, bool again) {
-            live_through(fmt::format("input round of rig generation {}: {}; it is {}", info.rig_generation,
-                                     error.what(), again ? "tried again" : "set aside"));
-          }};
-  if (grows) {
-    work.grow = [&](const Round& round) {
-      grow(round);
-      publish_batches();
-    };
+  if (!model_sync_.settled() && now - waiting_.front().arrived_ns < wait_ns) return;
+  if (model_ && now - model_read_ns_ >= static_cast<std::int64_t>(options_->refresh_s * 1e9)) {
+    (void)model_sync_.refresh([this] { return adopt_model(); }, inserter_, queue_);
   }
-  counters_.rounds_lost += waiting_.run(work, now, retry_ns());
+  for (; !waiting_.empty(); waiting_.pop_front()) {
+    insert(*waiting_.front().round);
+    publish_batches();
+  }
 }
 
-std::unique_ptr<Round> Expander::take(const IncomingRound& incoming) {
-  auto round = mapper_->take(incoming);
-  if (round && round->dropped() > 0) {
-    spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
-                 incoming.rig_generation, round->dropped());
-  }
-  return round;
-}
-
-void Expander::grow(const Round& round) {
+void Expander::insert(const Round& round) {
   const std::int64_t start = bus::now_ns();
-  const RoundInfo& info = round.info();
   // Before a viewer is known, the rig stands about the place of interest.
   glm::vec3 middle(0);
-  for (const Camera& camera : info.cameras) middle += camera.world_from_camera.translation;
-  if (!info.cameras.empty()) middle /= static_cast<float>(info.cameras.size());
+  for (const Camera& camera : round.cameras) middle += camera.world_from_camera.translation;
+  if (!round.cameras.empty()) middle /= static_cast<float>(round.cameras.size());
+  const glm::vec3 viewer = viewer_.value_or(middle);
 
   const std::size_t limit = options_->max_gaussians;
-  const std::size_t room = limit - std::min(limit, mapper_->modelled_points());
-  GrowOptions options = options_->grow;
-  options.viewer = viewer_.value_or(middle);
-  options.room = room;
-  Growth growth = mapper_->grow(round, options);
+  InsertOptions options = options_->insert;
+  options.select.viewer = {viewer.x, viewer.y, viewer.z};
+  options.select.room = static_cast<std::uint32_t>(limit - std::min(limit, inserter_.modelled_points()));
+  InsertResult result = inserter_.insert(round, options);
   ++counters_.rounds;
-  counters_.samples += round.size();
-  counters_.samples_dropped += round.dropped();
-  counters_.samples_unseen += growth.unseen;
-  state_changed_ = true;
-  if (growth.chosen == room && gaussian_limit_logged_ != limit) {
+  counters_.samples += round.samples.count - round.invalid;
+  counters_.samples_invalid += round.invalid;
+  cells_.set_samples(result.cells);
+  state_changed_ = modelled_changed_ = true;
+  if (result.selected == options.select.room && gaussian_limit_logged_ != limit) {
     gaussian_limit_logged_ = limit;
     spdlog::warn("the model has reached max_gaussians = {}: nothing more is inserted", limit);
   }
-  if (!growth.batches.empty() && unsent_since_ns_ == 0) unsent_since_ns_ = info.publish_ns;
-  for (InsertBatch& batch : growth.batches) ledger_.add(std::move(batch));
+  if (!result.batches.empty() && unsent_since_ns_ == 0) unsent_since_ns_ = round.publish_ns;
+  for (InsertBatch& batch : result.batches) queue_.add(std::move(batch));
   counters_.milliseconds = static_cast<double>(bus::now_ns() - start) * 1e-6;
-  spdlog::log(growth.chosen == 0 ? spdlog::level::debug : spdlog::level::info,
-              "input round of rig generation {}: {} of {} samples inserted, {:.1f} ms", info.rig_generation,
-              growth.chosen, round.size(), counters_.milliseconds);
+  spdlog::log(result.selected == 0 ? spdlog::level::debug : spdlog::level::info,
+              "input round of rig generation {}: {} of {} samples inserted, {:.1f} ms", round.rig_generation,
+              result.selected, round.samples.count, counters_.milliseconds);
 }
 
 void Expander::publish_batches() {
-  for (const InsertBatch* batch : ledger_.due(bus::now_ns())) {
-    // One that fails counts as published: it is repeated, like all that nobody acknowledges.
-    if (!attempt("publishing a batch", [&] { publish(*batch); })) break;
-  }
-  if (unsent_since_ns_ == 0 || !ledger_.all_sent()) return;
+  for (const InsertBatch* batch : queue_.due(bus::now_ns())) publish(*batch);
+  if (unsent_since_ns_ == 0 || !queue_.all_sent()) return;
   counters_.latency_milliseconds = static_cast<double>(bus::now_ns() - unsent_since_ns_) * 1e-6;
   unsent_since_ns_ = 0;
 }
 
 void Expander::publish(const InsertBatch& batch) {
   using bus::ElementType;
-  const auto n = static_cast<std::uint32_t>(batch.size());
-  const InsertPlanes planes = batch.planes();
+  const std::uint32_t n = batch.count;
+  const InsertChannels channels = batch.channels();
   const auto source = [&](const char* name, std::vector<std::uint32_t> shape, ElementType type, const void* data) {
     return bus::TensorSource{
         .name = name, .shape = std::move(shape), .type = type, .data = data, .memory = batch.memory};
   };
   const std::vector<bus::TensorSource> sources{
-      source("mean", {3, n}, ElementType::F32, planes.mean),
-      source("log_scale", {3, n}, ElementType::F32, planes.log_scale),
-      source("rotation", {4, n}, ElementType::F32, planes.rotation),
-      source("opacity_logit", {1, n}, ElementType::F32, planes.opacity_logit),
-      source("albedo", {3, n}, ElementType::F32, planes.albedo),
-      source("normal", {3, n}, ElementType::F32, planes.normal),
-      source("visibility", {1, n}, ElementType::F32, planes.visibility),
-      source("object_id", {n}, ElementType::U32, planes.object_id),
-      source("cell", {n}, ElementType::U64, planes.cell),
+      source("mean", {3, n}, ElementType::F32, channels.mean),
+      source("log_scale", {3, n}, ElementType::F32, channels.log_scale),
+      source("rotation", {4, n}, ElementType::F32, channels.rotation),
+      source("opacity_logit", {1, n}, ElementType::F32, channels.opacity_logit),
+      source("albedo", {3, n}, ElementType::F32, channels.albedo),
+      source("normal", {3, n}, ElementType::F32, channels.normal),
+      source("visibility", {1, n}, ElementType::F32, channels.visibility),
+      source("object_id", {n}, ElementType::U32, channels.object_id),
+      source("cell", {n}, ElementType::U64, channels.cell),
   };
   const bus::MessageInfo info{.capture_ns = batch.capture_ns, .tensors = ring_.write(sources)};
   publisher_.publish(topics::kModelInsert, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto objects = to_wire(builder, batch.objects);
-    const auto light = to_wire(builder, batch.light);
+    const auto objects = to_wire(builder, batch.scene.objects);
+    const auto light = to_wire(builder, batch.scene.light);
     return wire::CreateModelInsert(builder, header, batch.batch, objects, light);
   });
   ++counters_.batches_sent;
@@ -198,55 +228,32 @@ void Expander::publish_state() {
   const std::int64_t since = now - state_published_ns_;
   // Said again while no round has come: the capture-bridge then repeats the one that this process has missed.
   const bool waits = counters_.rounds == 0 && waiting_.empty() && since > kWaitingStatePeriodNs;
-  const bool due = since >= (ledger_.pending() == 0 ? kSettledStatePeriodNs : kStatePeriodNs);
-  if (!waits && !(state_changed_ && due)) return;
-  if (now < state_retry_ns_) return;
-  if (!attempt("publishing grid/state", [&] { send_state(); })) {
-    state_retry_ns_ = now + retry_ns();
-    return;
+  const bool due = since >= (queue_.pending() == 0 ? kSettledStatePeriodNs : kStatePeriodNs);
+  if (!waits && !(due && (state_changed_ || cells_.changed()))) return;
+  if (std::exchange(modelled_changed_, false)) cells_.set_modelled(inserter_.cells());
+  if (cells_.full() && !std::exchange(cell_limit_logged_, true)) {
+    spdlog::warn("grid/state tells of max_cells = {} cells: further ones are left out", options_->max_cells);
   }
+  if (state_changed_ && now - cells_repeated_ns_ >= kAllCellsPeriodNs) {
+    cells_repeated_ns_ = now;
+    cells_.touch_all();
+  }
+  std::vector<wire::CellState> cells;
+  for (const CellReport& cell : cells_.take_changed(kMaxCellsAMessage)) {
+    cells.emplace_back(cell.key.cell, cell.key.object_id, cell.samples, cell.modelled);
+  }
+  publisher_.publish(topics::kGridState, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const auto cells_offset = builder.CreateVectorOfStructs(cells);
+    return wire::CreateGridState(builder, header, options_->cell_size_m, counters_.rounds, cells_.seen(),
+                                 cells_.modelled(), queue_.pending(), queue_.gaussians(), cells_offset);
+  });
   state_changed_ = false;
   state_published_ns_ = now;
 }
 
-void Expander::send_state() {
-  std::vector<wire::CellState> cells;
-  std::uint64_t seen = 0, modelled = 0;
-  for (const CellCounts& cell : mapper_->cells()) {
-    cells.emplace_back(cell.cell, cell.samples, cell.points);
-    seen += cell.samples > 0 ? 1 : 0;
-    modelled += cell.points > 0 ? 1 : 0;
-  }
-  counters_.cells = cells.size();
-  publisher_.publish(topics::kGridState, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto cells_offset = builder.CreateVectorOfStructs(cells);
-    return wire::CreateGridState(builder, header, options_->mapper.cell_size_m, counters_.rounds, seen, modelled,
-                                 ledger_.pending(), ledger_.gaussians(), cells_offset);
-  });
-}
-
 void Expander::prepare_ring() {
   // The slab is made while nothing waits for it: a message has come, so the broker is there.
-  if (std::exchange(ring_prepared_, true)) return;
-  attempt("making the slab of inserts", [&] { (void)ring_.write({}); });
-}
-
-std::int64_t Expander::retry_ns() const {
-  return static_cast<std::int64_t>(options_->retry_s * 1e9);
-}
-
-bool Expander::attempt(const char* what, const std::function<void()>& part) try {
-  part();
-  return true;
-} catch (const std::exception& error) {
-  live_through(fmt::format("{}: {}; it is tried again", what, error.what()));
-  return false;
-}
-
-void Expander::live_through(const std::string& failure) {
-  spdlog::error("{}", failure);
-  ++counters_.failures;
-  bus::require_usable(mapper_->memory());
+  if (!std::exchange(ring_prepared_, true)) (void)ring_.write({});
 }
 
 void run(bus::ServiceContext& service) {
@@ -254,22 +261,20 @@ void run(bus::ServiceContext& service) {
   while (!service.stop.stop_requested()) {
     expander.step(std::chrono::milliseconds(20));
     const ExpanderCounters& counters = expander.counters();
-    const bool waits = !expander.follower().settled();
+    const bool waits = !expander.model_sync().settled();
     service.detail(waits ? "waiting for the trainer's model/published" : "");
     service.counter("rounds", static_cast<double>(counters.rounds));
     service.counter("rounds_lost", static_cast<double>(counters.rounds_lost));
     service.counter("samples", static_cast<double>(counters.samples));
-    service.counter("samples_dropped", static_cast<double>(counters.samples_dropped));
-    service.counter("samples_unseen", static_cast<double>(counters.samples_unseen));
+    service.counter("samples_invalid", static_cast<double>(counters.samples_invalid));
     service.counter("batches_sent", static_cast<double>(counters.batches_sent));
-    service.counter("batches_pending", static_cast<double>(expander.ledger().pending()));
-    service.counter("gaussians_inserted", static_cast<double>(expander.ledger().gaussians()));
-    service.counter("cells", static_cast<double>(counters.cells));
-    service.counter("failures", static_cast<double>(counters.failures));
-    service.counter("adoptions", static_cast<double>(expander.follower().adoptions()));
+    service.counter("batches_pending", static_cast<double>(expander.queue().pending()));
+    service.counter("gaussians_inserted", static_cast<double>(expander.queue().gaussians()));
+    service.counter("cells", static_cast<double>(expander.cells().size()));
+    service.counter("adoptions", static_cast<double>(expander.model_sync().adoptions()));
     service.counter("round_ms", counters.milliseconds);
     service.counter("latency_ms", counters.latency_milliseconds);
-    service.counter("host_copied_bytes", static_cast<double>(expander.mapper().host_copied_bytes()));
+    service.counter("host_copied_bytes", static_cast<double>(expander.inserter().host_copied_bytes()));
   }
 }
 

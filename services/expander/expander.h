@@ -2,30 +2,27 @@
 
 #include <chrono>
 #include <cstdint>
-#include <functional>
+#include <deque>
 #include <memory>
 #include <optional>
-#include <string>
 
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
-#include "expander/batch_ledger.h"
-#include "expander/mapper.h"
-#include "expander/model_follower.h"
+#include "expander/cell_table.h"
+#include "expander/gaussian_inserter.h"
+#include "expander/model_sync.h"
 #include "expander/parameters.h"
-#include "expander/waiting_rounds.h"
+#include "expander/retransmit_queue.h"
 
 namespace splatbus::expander {
 
 /// Counters of the expander, as heartbeats show them.
 struct ExpanderCounters {
   std::uint64_t rounds = 0, rounds_lost = 0;
-  std::uint64_t samples = 0, samples_dropped = 0, samples_unseen = 0;
+  std::uint64_t samples = 0, samples_invalid = 0;
   std::uint64_t batches_sent = 0;
-  std::uint64_t failures = 0;       ///< of memory or the device, that this process has lived through
-  std::uint64_t cells = 0;          ///< as published last
   double milliseconds = 0;          ///< the last round's
   double latency_milliseconds = 0;  ///< from a round's publication until its last batch was published
 };
@@ -34,54 +31,67 @@ struct ExpanderCounters {
 /// to it that they reach the trainer. One thread calls step().
 class Expander {
  public:
-  /// `parameters` outlive the expander. Throws when the backend cannot be had.
+  /// `parameters` outlive the expander.
   Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend = Device::Cpu);
 
-  /// Handles what arrives within `timeout`, then what is due. What there is no memory for is logged and tried again
-  /// after `retry_s`. Throws when the backend has failed for good.
+  /// Handles what arrives within `timeout`, then what is due. Throws when memory or the device fails: the process is
+  /// then to end, and the next one adopts what the trainer has.
   void step(std::chrono::milliseconds timeout);
 
   [[nodiscard]] const ExpanderCounters& counters() const { return counters_; }
-  [[nodiscard]] Mapper& mapper() { return *mapper_; }
-  [[nodiscard]] const BatchLedger& ledger() const { return ledger_; }
-  [[nodiscard]] const ModelFollower& follower() const { return follower_; }
+  [[nodiscard]] const GaussianInserter& inserter() const { return inserter_; }
+  [[nodiscard]] const RetransmitQueue& queue() const { return queue_; }
+  [[nodiscard]] const ModelSync& model_sync() const { return model_sync_; }
+  [[nodiscard]] const CellTable& cells() const { return cells_; }
 
  private:
+  struct Report {
+    ModelReport report;
+    bus::Message message;
+  };
+  struct Waiting {
+    std::unique_ptr<Round> round;
+    std::int64_t arrived_ns = 0;
+  };
+
   void subscribe();
-  void handle_input(const bus::Message& message);
-  void handle_pose(const wire::ViewerPose& pose);
+  void receive(std::chrono::milliseconds timeout);
   void handle_published(const wire::ModelPublished& published, const bus::Message& message);
 
-  void process_waiting();
-  [[nodiscard]] std::unique_ptr<Round> take(const IncomingRound& incoming);
-  void grow(const Round& round);
+  void follow_model();
+  [[nodiscard]] bool adopt_model();
+  void take_rounds();
+  void insert_rounds();
+  void insert(const Round& round);
   void publish_batches();
   void publish(const InsertBatch& batch);
   void publish_state();
-  void send_state();
   void prepare_ring();
-  [[nodiscard]] std::int64_t retry_ns() const;
-  /// Does a part of a step whose failure another try can mend; false when it failed. Throws when none can.
-  bool attempt(const char* what, const std::function<void()>& part);
-  void live_through(const std::string& failure);
 
   bus::LiveOptions<Options> options_;
   std::shared_ptr<bus::Context> context_;
-  std::unique_ptr<Mapper> mapper_;  // before what holds its rounds and batches
+  GaussianInserter inserter_;  // before what holds its rounds and batches
   bus::Subscriber subscriber_;
   bus::Publisher publisher_;
   bus::TensorRing ring_;
-  BatchLedger ledger_;
-  ModelFollower follower_;
+  RetransmitQueue queue_;
+  ModelSync model_sync_;
+  CellTable cells_;
   ExpanderCounters counters_;
 
-  WaitingRounds waiting_;
+  // What handlers have left for the rest of the step, where failures are not taken for a message's.
+  std::deque<IncomingRound> incoming_;
+  std::deque<Report> reports_;
+  std::optional<bus::Message> model_;  // the newest model/published
+  std::deque<Waiting> waiting_;        // rounds that are not in the model yet, oldest first
   std::optional<glm::vec3> viewer_;
   std::size_t gaussian_limit_logged_ = 0;
+  bool cell_limit_logged_ = false;
   bool ring_prepared_ = false;
+  std::int64_t model_read_ns_ = 0;
   std::int64_t unsent_since_ns_ = 0;  // publication of the round whose batches are not all published yet; 0: none
-  bool state_changed_ = true;
-  std::int64_t state_published_ns_ = 0, state_retry_ns_ = 0;
+  bool state_changed_ = true, modelled_changed_ = false;
+  std::int64_t state_published_ns_ = 0, cells_repeated_ns_ = 0;
 };
 
 /// The service's main loop, until a stop is asked for.

@@ -4,20 +4,20 @@
 #include <cstdint>
 
 #include "bus/parameters.h"
-#include "expander/batch_ledger.h"
-#include "expander/mapper.h"
+#include "expander/gaussian_inserter.h"
+#include "expander/retransmit_queue.h"
 #include "wire/model_limits.h"
 
 namespace splatbus::expander {
 
-/// The expander's parameters.
+/// The expander's parameters. What bounds its memory is fixed at the start.
 struct Options {
-  MapperOptions mapper;
-  GrowOptions grow;  ///< without viewer and room
-  BatchLedger::Options ledger;
+  float cell_size_m = 0.25F;
+  std::size_t max_samples = std::size_t{4} << 20, max_cells = std::size_t{1} << 20;
+  InsertOptions insert;  ///< without viewer and room
+  RetransmitQueue::Options queue;
   std::size_t max_gaussians = kDefaultMaxGaussians;
-  double adopt_wait_s = 3, retry_s = 1, resend_s = 1;
-  std::size_t device_bytes = 0;  ///< most memory that the mapper may hold; SIZE_MAX: all
+  double adopt_wait_s = 3, refresh_s = 2, resend_s = 1;
 
   void bind(bus::ParameterBinder& parameters);
 };

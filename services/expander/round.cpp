@@ -2,6 +2,10 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <array>
+#include <utility>
+
 #include "bus/error.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -10,51 +14,64 @@ namespace splatbus::expander {
 
 namespace {
 
-constexpr std::size_t kMostSamples = 8U << 20U;
-constexpr std::size_t kMostCameras = 4096;
+constexpr std::size_t kMaxCameras = 4096;
 
 }  // namespace
 
-std::optional<IncomingRound> open_round(const bus::Message& message) {
+std::optional<IncomingRound> open_round(const bus::Message& message, std::size_t max_samples) {
   using bus::ElementType;
   const auto& input = message.root<wire::CaptureInput>();
-  auto position = message.tensor("position", ElementType::F32, {0, 3});
-  auto depth = message.tensor("depth", ElementType::F32, {0, 0, 0});
-  if (!position || !depth) return std::nullopt;
-  const std::uint32_t count = position->dim(0);
-  if (count > kMostSamples)
-    throw bus::Error(fmt::format("capture/input: {} samples, more than {}", count, kMostSamples));
-  if (input.cameras() == nullptr || input.cameras()->size() != depth->dim(0) || depth->dim(0) > kMostCameras) {
-    throw bus::Error(fmt::format("capture/input: {} cameras with {} depth maps",
-                                 input.cameras() == nullptr ? 0 : input.cameras()->size(), depth->dim(0)));
+  const auto position = message.tensor("position", ElementType::F32, {0, 3});
+  if (!position) {
+    if (!message.announces("position")) throw bus::Error("capture/input: no tensor \"position\"");
+    return std::nullopt;
   }
-  auto normal = message.tensor("normal", ElementType::F32, {count, 3});
-  auto albedo = message.tensor("albedo", ElementType::F32, {count, 3});
-  auto color = message.tensor("color", ElementType::F32, {count, 3});
-  auto spacing = message.tensor("spacing", ElementType::F32, {count});
-  auto cosine = message.tensor("cosine", ElementType::F32, {count});
-  auto object_id = message.tensor("object_id", ElementType::U32, {count});
-  auto camera = message.tensor("camera", ElementType::U32, {count});
-  if (!normal || !albedo || !color || !spacing || !cosine || !object_id || !camera) return std::nullopt;
+  const std::uint32_t count = position->dim(0);
+  if (count > max_samples) {
+    throw bus::Error(fmt::format("capture/input: {} samples, more than max_samples = {}", count, max_samples));
+  }
+  const std::size_t cameras = input.cameras() == nullptr ? 0 : input.cameras()->size();
+  if (cameras > kMaxCameras) throw bus::Error(fmt::format("capture/input: {} cameras", cameras));
 
-  RoundInfo info;
-  info.frame = input.scene()->frame();
-  info.rig_generation = input.rig_generation();
-  info.time_s = input.scene()->time_s();
-  info.capture_ns = input.header()->capture_ns();
-  info.publish_ns = input.header()->publish_ns();
-  info.objects = from_wire(input.scene()->objects());
-  info.light = from_wire(*input.scene()->light());
-  info.cameras.reserve(input.cameras()->size());
-  for (const wire::Camera* one : *input.cameras()) info.cameras.push_back(from_wire(*one));
-  info.height = depth->dim(1);
-  info.width = depth->dim(2);
-  return IncomingRound{std::move(info),       count,
-                       std::move(*position),  std::move(*normal),
-                       std::move(*albedo),    std::move(*color),
-                       std::move(*spacing),   std::move(*cosine),
-                       std::move(*object_id), std::move(*camera),
-                       std::move(*depth)};
+  IncomingRound round;
+  round.count = count;
+  const auto add = [&](const char* name, ElementType type, const std::vector<std::uint32_t>& shape) {
+    if (auto tensor = message.tensor(name, type, shape)) round.tensors.push_back(std::move(*tensor));
+  };
+  for (const char* name : {"position", "normal", "albedo", "color"}) add(name, ElementType::F32, {count, 3});
+  add("spacing", ElementType::F32, {count});
+  add("object_id", ElementType::U32, {count});
+  if (round.tensors.size() != 6) return std::nullopt;
+
+  round.rig_generation = input.rig_generation();
+  round.capture_ns = input.header()->capture_ns();
+  round.publish_ns = input.header()->publish_ns();
+  round.scene = from_wire(*input.scene());
+  round.cameras.reserve(cameras);
+  for (std::size_t i = 0; i < cameras; ++i) {
+    round.cameras.push_back(from_wire(*input.cameras()->Get(static_cast<flatbuffers::uoffset_t>(i))));
+  }
+  return round;
+}
+
+std::unique_ptr<Round> take_round(const IncomingRound& incoming, device::StreamView stream,
+                                  std::atomic<std::uint64_t>& host_bytes) {
+  auto round = std::make_unique<Round>();
+  static_cast<RoundInfo&>(*round) = incoming;
+  round->memory = device::Buffer<std::byte>(stream, std::size_t{incoming.count} * kSampleBytes);
+  round->samples = samples_at(round->memory.data(), incoming.count);
+  const Samples& samples = round->samples;
+  const std::array<void*, 6> to = {samples.position, samples.normal,    samples.albedo,
+                                   samples.color,    samples.spacing_m, samples.object_id};
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    const bus::TensorView& tensor = incoming.tensors[i];
+    device::copy(stream, to[i], tensor.data(), tensor.bytes());
+    if (!stream.on_cuda() || tensor.memory() == Device::Cpu) host_bytes += tensor.bytes();
+  }
+  round->invalid = validate(stream, samples);
+  const bool whole = std::all_of(incoming.tensors.begin(), incoming.tensors.end(),
+                                 [](const bus::TensorView& tensor) { return tensor.still_valid(); });
+  return whole ? std::move(round) : nullptr;
 }
 
 }  // namespace splatbus::expander

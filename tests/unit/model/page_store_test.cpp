@@ -232,6 +232,27 @@ TEST_P(PageStoreTest, PagesThatRemovalsLeftSparseAreMerged) {
   expect_sound();
 }
 
+TEST_P(PageStoreTest, WhereTheFirstPageOfAFrameIsGoneTheNextTakesWhatComesBeforeIt) {
+  start(60000);
+  for (std::uint64_t round = 0; round < 2; ++round) {
+    const Batch batch = make_batch(random_, 8000, false, 2);
+    insert(*store_, batch, round);
+    truth_.insert(batch, batch.count);
+    std::vector<std::uint64_t> ids;
+    for (const auto& [id, place] : Found(*store_).by_id) {
+      const PageStructure& page = store_->table().entry(place.index / kPageLanes).now;
+      if (page.morton_first == 0 && page.id_first == 0) ids.push_back(id);
+    }
+    EXPECT_GT(ids.size(), 500U);
+    remove(*store_, indices_of(ids));
+    truth_.remove(ids);
+  }
+  const Batch batch = make_batch(random_, 8000, false, 2);
+  insert(*store_, batch, 2);
+  truth_.insert(batch, batch.count);
+  expect_sound();
+}
+
 TEST_P(PageStoreTest, ABatchIsTakenOnce) {
   start(10000);
   const Batch batch = make_batch(random_, 50, false, 2);

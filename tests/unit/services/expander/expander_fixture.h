@@ -114,8 +114,17 @@ class FakeTrainer {
                          const auto list =
                              builder.CreateVector(std::vector<std::uint64_t>(batches.begin(), batches.end()));
                          return wire::CreateModelPublished(builder, header, generation, n, capacity,
-                                                           wire::Appearance::Transfer, 0, 0, insert_epoch, list, 0);
+                                                           wire::Appearance::Transfer, 0, 0, insert_epoch, list);
                        });
+  }
+
+  /// As pruning does: from `first` on they are gone.
+  void remove_from(std::size_t first) {
+    points.resize(first);
+    normal.resize(first);
+    cell.resize(first);
+    object_id.resize(first);
+    publish();
   }
 
   int received = 0;
@@ -144,7 +153,7 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
         ring_(peer_, "input", 8, 1 << 20, GetParam().peers) {
     set("batch_size", "500");
     set("resend_s", "0.05");
-    EXPECT_EQ(parameters_.set("usual_samples", "4096", false), "");
+    set("refresh_s", "0");
   }
 
   void SetUp() override {
@@ -168,16 +177,26 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
   /// Starts an expander that hears what is published from now on.
   void start() {
     expander_ = std::make_unique<Expander>(connect("expander"), parameters_, GetParam().backend);
-    ASSERT_TRUE(until([&] { return expander_->follower().settled() && state_.has_value() && rounds() == 0; }));
+    ASSERT_TRUE(until([&] { return expander_->model_sync().settled() && state_.has_value() && rounds() == 0; }));
   }
 
   bool until(const std::function<bool()>& condition) {
     return bus_test::eventually([&] {
       if (expander_) expander_->step(1ms);
       if (trainer_) trainer_->serve();
-      while (auto message = reader_.receive(0ms)) state_ = *message;
+      while (auto message = reader_.receive(0ms)) hear(*message);
       return condition();
     });
+  }
+
+  void hear(const bus::Message& message) {
+    state_ = message;
+    if (state().cells() == nullptr) return;
+    largest_state_ = std::max<std::size_t>(largest_state_, state().cells()->size());
+    for (const wire::CellState* cell : *state().cells()) {
+      told_[{cell->object_id(), cell->cell()}] = {cell->samples(), cell->modelled()};
+      ++cells_told_;
+    }
   }
 
   const wire::GridState& state() { return state_->root<wire::GridState>(); }
@@ -187,30 +206,31 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
     return until([&] { return state_ && rounds() >= round_count && state().batches_pending() == 0; });
   }
 
-  void publish_input(const InputSamples& samples) {
+  void publish_input(const HostRound& samples) {
     using bus::ElementType;
     const auto n = static_cast<std::uint32_t>(samples.size());
-    const auto c = static_cast<std::uint32_t>(samples.cameras.size());
-    const std::vector<bus::TensorSource> sources{
-        {"position", {n, 3}, ElementType::F32, samples.position.data()},
-        {"normal", {n, 3}, ElementType::F32, samples.normal.data()},
-        {"albedo", {n, 3}, ElementType::F32, samples.albedo.data()},
-        {"color", {n, 3}, ElementType::F32, samples.color.data()},
-        {"spacing", {n}, ElementType::F32, samples.spacing_m.data()},
-        {"cosine", {n}, ElementType::F32, samples.cosine.data()},
-        {"object_id", {n}, ElementType::U32, samples.object_id.data()},
-        {"camera", {n}, ElementType::U32, samples.camera.data()},
-        {"depth", {c, samples.height, samples.width}, ElementType::F32, samples.depth_m.data()}};
+    const std::vector<bus::TensorSource> sources{{"position", {n, 3}, ElementType::F32, samples.position.data()},
+                                                 {"normal", {n, 3}, ElementType::F32, samples.normal.data()},
+                                                 {"albedo", {n, 3}, ElementType::F32, samples.albedo.data()},
+                                                 {"color", {n, 3}, ElementType::F32, samples.color.data()},
+                                                 {"spacing", {n}, ElementType::F32, samples.spacing_m.data()},
+                                                 {"object_id", {n}, ElementType::U32, samples.object_id.data()}};
     publisher_.publish(topics::kCaptureInput, {.tensors = ring_.write(sources)},
                        [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
                          std::vector<wire::Camera> cameras;
                          for (const Camera& camera : samples.cameras) cameras.push_back(to_wire(camera));
                          const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
-                         const auto objects = to_wire(builder, samples.objects);
-                         const auto light = to_wire(builder, samples.light);
+                         const auto objects = to_wire(builder, samples.scene.objects);
+                         const auto light = to_wire(builder, samples.scene.light);
                          return wire::CreateCaptureInput(builder, header, samples.rig_generation, cameras_offset,
                                                          wire::CreateSceneState(builder, 1, 0, objects, light));
                        });
+  }
+
+  /// The trainer removes Gaussians from `first` on, and the expander has heard of it.
+  void remove_from(std::size_t first) {
+    trainer_->remove_from(first);
+    ASSERT_TRUE(until([&] { return expander_->model_sync().generation() == trainer_->generation; }));
   }
 
   [[nodiscard]] std::size_t distinct_points() const {
@@ -227,6 +247,9 @@ class ExpanderTest : public bus_test::BusTest, public testing::WithParamInterfac
   std::unique_ptr<FakeTrainer> trainer_;
   std::unique_ptr<Expander> expander_;
   std::optional<bus::Message> state_;
+  // What all states together have said: of (object, cell), its samples and points.
+  std::map<std::pair<std::uint32_t, std::uint64_t>, std::pair<std::uint32_t, std::uint32_t>> told_;
+  std::size_t largest_state_ = 0, cells_told_ = 0;
 };
 
 }  // namespace splatbus::expander::test

@@ -1,4 +1,8 @@
 // The service against a trainer and a capture-bridge of the test's own.
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <fstream>
 #include <limits>
 
 #include "expander_fixture.h"
@@ -9,7 +13,7 @@ namespace {
 
 TEST_P(ExpanderTest, InsertsARoundOnceInBoundedBatches) {
   start();
-  const InputSamples round = floor_round(-1, 1);
+  const HostRound round = floor_round(-1, 1);
   publish_input(round);
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(trainer_->points.size(), round.size());
@@ -17,7 +21,7 @@ TEST_P(ExpanderTest, InsertsARoundOnceInBoundedBatches) {
   EXPECT_EQ(trainer_->batches.size(), (round.size() + 499) / 500);
   EXPECT_EQ(state().gaussians_inserted(), round.size());
   EXPECT_EQ(state().cells_seen(), state().cells_modelled());
-  EXPECT_EQ(state().cells()->size(), state().cells_modelled());
+  EXPECT_EQ(told_.size(), state().cells_modelled());
   publish_input(round);
   ASSERT_TRUE(settled_after(2));
   EXPECT_EQ(trainer_->points.size(), round.size());
@@ -28,7 +32,7 @@ TEST_P(ExpanderTest, RepeatsWhatIsNotAcknowledged) {
   trainer_->deaf = true;
   publish_input(floor_round(-1, 1));
   ASSERT_TRUE(until([&] { return trainer_->received >= 12; })) << "4 batches, three times";
-  EXPECT_EQ(expander_->ledger().pending(), 4U);
+  EXPECT_EQ(expander_->queue().pending(), 4U);
   trainer_->deaf = false;
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(trainer_->points.size(), 1600U);
@@ -36,13 +40,13 @@ TEST_P(ExpanderTest, RepeatsWhatIsNotAcknowledged) {
 
 TEST_P(ExpanderTest, ARestartedExpanderDoesNotDoubleTheModel) {
   start();
-  const InputSamples round = floor_round(-1, 1);
+  const HostRound round = floor_round(-1, 1);
   publish_input(round);
   ASSERT_TRUE(settled_after(1));
   expander_.reset();
   start();
-  EXPECT_EQ(expander_->follower().adoptions(), 1U);
-  EXPECT_EQ(expander_->mapper().modelled_points(), round.size());
+  EXPECT_EQ(expander_->model_sync().adoptions(), 1U);
+  EXPECT_EQ(expander_->inserter().modelled_points(), round.size());
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(trainer_->points.size(), 2500U);
@@ -65,11 +69,11 @@ TEST_P(ExpanderTest, ARestartedExpanderKnowsMovingObjectsAndLeavesOutGarbage) {
   trainer_->publish();
   expander_.reset();
   start();
-  EXPECT_EQ(expander_->follower().adoptions(), 1U);
-  EXPECT_EQ(expander_->mapper().modelled_points(), inserted);
+  EXPECT_EQ(expander_->model_sync().adoptions(), 1U);
+  EXPECT_EQ(expander_->inserter().modelled_points(), inserted);
   publish_input(room_round(scene, 3, 32));
   ASSERT_TRUE(settled_after(1));
-  EXPECT_EQ(expander_->ledger().gaussians(), 0U) << "all of it is there";
+  EXPECT_EQ(expander_->queue().gaussians(), 0U) << "all of it is there";
 }
 
 TEST_P(ExpanderTest, ATrainerThatLostItsModelGetsItAgain) {
@@ -86,19 +90,14 @@ TEST_P(ExpanderTest, WaitsForTheTrainerToSayWhatItHas) {
   trainer_.reset();
   expander_ = std::make_unique<Expander>(connect("another-bus-name"), parameters_, GetParam().backend);
   // The broker holds what the first trainer said: the expander is settled by it without any trainer alive.
-  ASSERT_TRUE(until([&] { return expander_->follower().settled(); }));
+  ASSERT_TRUE(until([&] { return expander_->model_sync().settled(); }));
 }
 
 TEST_P(ExpanderTest, BrokenInputIsRefusedAndNothingElseDisturbed) {
   start();
-  InputSamples nan = floor_round(-1, 0);
+  HostRound nan = floor_round(-1, 0);
   for (auto& position : nan.position) position.x = std::numeric_limits<float>::quiet_NaN();
   publish_input(nan);
-  InputSamples cameras = floor_round(-1, 0);
-  cameras.cameras.push_back(cameras.cameras[0]);
-  cameras.depth_m.resize(cameras.depth_m.size() * 2);
-  for (auto& index : cameras.camera) index = 7;
-  publish_input(cameras);
   // A wrong schema; tensors that disagree; no tensors at all.
   publisher_.publish(Topic<wire::CaptureInput>{"capture/input", false, kSchema<wire::ViewerPose>},
                      [&](auto& builder, auto header) {
@@ -115,10 +114,10 @@ TEST_P(ExpanderTest, BrokenInputIsRefusedAndNothingElseDisturbed) {
   publisher_.publish(Topic<wire::ModelPublished>{"model/published"}, [&](auto& builder, auto header) {
     return wire::CreateModelPublished(builder, header, 5, 1000, 2000);
   });
-  const InputSamples round = floor_round(-1, 1);
+  const HostRound round = floor_round(-1, 1);
   publish_input(round);
   ASSERT_TRUE(until([&] { return trainer_->points.size() == round.size(); }));
-  EXPECT_EQ(expander_->counters().samples_dropped, nan.size() + cameras.size());
+  EXPECT_EQ(expander_->counters().samples_invalid, nan.size());
 }
 
 TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
@@ -130,7 +129,7 @@ TEST_P(ExpanderTest, CountsWhatPassesThroughTheHost) {
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
   const bool on_device = GetParam().backend == Device::Cuda && GetParam().peers == Device::Cuda;
-  EXPECT_EQ(expander_->mapper().host_copied_bytes() == 0, on_device);
+  EXPECT_EQ(expander_->inserter().host_copied_bytes() == 0, on_device);
 }
 
 TEST_P(ExpanderTest, AFullRoundIsInsertedAtOnce) {
@@ -145,7 +144,7 @@ TEST_P(ExpanderTest, AFullRoundIsInsertedAtOnce) {
   ASSERT_TRUE(bus_test::eventually([&] {
     expander_->step(0ms);
     while (auto message = inserts.receive(0ms)) inserted += message->tensor("cell")->dim(0);
-    return inserted > 0 && inserted == expander_->ledger().gaussians();
+    return inserted > 0 && inserted == expander_->queue().gaussians();
   }));
   EXPECT_GT(inserted, 10000U);
   EXPECT_GT(expander_->counters().latency_milliseconds, 0);
@@ -159,14 +158,128 @@ TEST_P(ExpanderTest, StopsAtTheMostGaussians) {
   EXPECT_EQ(trainer_->points.size(), 700U);
 }
 
-TEST_P(ExpanderTest, IsReadyForRoundsThatMakeACellSeen) {
-  // The least that may be asked for: a device is made ready with a round of so many samples, which must insert.
-  EXPECT_NE(parameters_.set("usual_samples", "63", false), "");
-  ASSERT_EQ(parameters_.set("usual_samples", "64", false), "");
+TEST_P(ExpanderTest, WhatTheTrainerHasRemovedIsFilledAgain) {
+  start();
+  const HostRound round = floor_round(-1, 1);
+  publish_input(round);
+  ASSERT_TRUE(settled_after(1));
+  ASSERT_EQ(trainer_->points.size(), 1600U);
+  remove_from(1200);
+  publish_input(round);
+  ASSERT_TRUE(settled_after(2));
+  EXPECT_EQ(trainer_->points.size(), 1600U);
+  EXPECT_EQ(distinct_points(), 1600U);
+  std::size_t modelled = 0;
+  for (const auto& [cell, counts] : told_) modelled += counts.second;
+  EXPECT_EQ(modelled, 1600U);
+  EXPECT_EQ(expander_->model_sync().adoptions(), 0U) << "the trainer is the same";
+}
+
+TEST_P(ExpanderTest, WhatHasBeenRemovedMakesRoomBelowTheLimit) {
+  set("max_gaussians", "1600");
   start();
   publish_input(floor_round(-1, 1));
   ASSERT_TRUE(settled_after(1));
-  EXPECT_EQ(trainer_->points.size(), 1600U);
+  remove_from(1000);
+  publish_input(floor_round(2, 3));
+  ASSERT_TRUE(settled_after(2));
+  EXPECT_EQ(trainer_->points.size(), 1400U);
+}
+
+TEST_P(ExpanderTest, AStateTellsOfTheCellsThatHaveChanged) {
+  start();
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  ASSERT_TRUE(until([&] { return told_.size() == state().cells_modelled(); }));
+  const auto before = told_;
+  const std::size_t told = cells_told_;
+  publish_input(floor_round(2, 2.5F));
+  ASSERT_TRUE(settled_after(2));
+  ASSERT_TRUE(until([&] { return told_.size() == state().cells_modelled(); }));
+  EXPECT_GT(told_.size(), before.size());
+  EXPECT_EQ(cells_told_ - told, told_.size() - before.size()) << "the others are not said again";
+  for (const auto& [cell, counts] : before) EXPECT_EQ(told_.at(cell), counts);
+}
+
+TEST_P(ExpanderTest, AStateIsBoundedAndTheRestFollows) {
+  set("candidate_radius_m", "1000");
+  set("min_samples", "1");
+  start();
+  HostRound round = empty_round();
+  for (int x = 0; x < 100; ++x) {
+    for (int z = 0; z < 100; ++z) add_sample(round, {0.25F * static_cast<float>(x), 0, 0.25F * static_cast<float>(z)});
+  }
+  publish_input(round);
+  ASSERT_TRUE(until([&] { return told_.size() == 10000; }));
+  EXPECT_LE(largest_state_, 4096U);
+  for (const auto& [cell, counts] : told_) ASSERT_EQ(counts, std::pair(1U, 1U));
+}
+
+TEST_P(ExpanderTest, RefusesARoundBeyondItsBound) {
+  ASSERT_EQ(parameters_.set("max_samples", "1599", false), "");
+  start();
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(until([&] { return expander_->counters().rounds_lost == 1; }));
+  HostRound smaller = floor_round(-1, 1);
+  smaller.resize(1599);
+  publish_input(smaller);
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(trainer_->points.size(), 1599U);
+}
+
+/// No more memory than the process has now, and a little for what goes on beside the expander.
+class NoMoreMemory {
+ public:
+  NoMoreMemory() {
+    getrlimit(RLIMIT_AS, &before_);
+    std::size_t pages = 0;
+    std::ifstream("/proc/self/statm") >> pages;
+    rlimit limit = before_;
+    limit.rlim_cur = pages * static_cast<std::size_t>(sysconf(_SC_PAGESIZE)) + (std::size_t{1} << 20U);
+    setrlimit(RLIMIT_AS, &limit);
+  }
+  ~NoMoreMemory() { setrlimit(RLIMIT_AS, &before_); }
+  NoMoreMemory(const NoMoreMemory&) = delete;
+  NoMoreMemory& operator=(const NoMoreMemory&) = delete;
+
+ private:
+  rlimit before_{};
+};
+
+TEST_P(ExpanderTest, AFailureOfMemoryEndsTheStepAndTheNextProcessGoesOn) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "a sanitizer has more address space than it may lose";
+#endif
+  if (GetParam().backend == Device::Cuda) GTEST_SKIP() << "the limit is the host's";
+  start();
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  const HostRound large = floor_round(-22, 22);  // of more bytes than malloc() ever keeps
+  const std::vector<glm::vec3> padding(large.size() * 5);
+  const std::vector<bus::TensorSource> sources{
+      {"position", {static_cast<std::uint32_t>(padding.size()), 3}, bus::ElementType::F32, padding.data()}};
+  publisher_.publish(topics::kCaptureInput, {.tensors = ring_.write(sources)}, [&](auto& builder, auto header) {
+    return wire::CreateCaptureInput(builder, header, 0, 0, to_wire(builder, SceneState{}));
+  });
+  ASSERT_TRUE(until([&] { return expander_->counters().rounds_lost == 1; })) << "the slab of input is mapped now";
+  publish_input(large);
+  std::string failure;
+  {
+    const NoMoreMemory limit;
+    try {
+      for (int i = 0; i < 1000 && failure.empty(); ++i) expander_->step(5ms);
+    } catch (const std::exception& error) {
+      failure = error.what();
+    }
+  }
+  EXPECT_NE(failure, "") << "the process ends with these words";
+  expander_.reset();
+  start();
+  EXPECT_EQ(expander_->inserter().modelled_points(), 1600U) << "the trainer's";
+  publish_input(floor_round(-1, 1.5F));
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(trainer_->points.size(), 2500U);
+  EXPECT_EQ(distinct_points(), 2500U);
 }
 
 }  // namespace

@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-#include "expander/input_samples.h"
+#include "sample_scene.h"
 
 namespace splatbus::expander::test {
 
@@ -50,15 +50,14 @@ struct RoomScene {
 };
 
 /// Every pixel of `cameras` cameras of size x size pixels that stand about the room's middle, turned by `turn` radians.
-inline InputSamples room_round(const RoomScene& scene, std::uint32_t cameras, std::uint32_t size, float turn = 0) {
-  InputSamples samples;
+inline HostRound room_round(const RoomScene& scene, std::uint32_t cameras, std::uint32_t size, float turn = 0) {
+  HostRound samples;
   samples.rig_generation = 1;
-  samples.width = samples.height = size;
-  samples.objects[RoomScene::kBall] = scene.world_from_ball;
-  samples.light.sun_direction = glm::normalize(glm::vec3(0.3F, 0.9F, 0.2F));
-  samples.light.sun_irradiance = {2.0F, 1.8F, 1.5F};
+  samples.scene.objects[RoomScene::kBall] = scene.world_from_ball;
+  samples.scene.light.sun_direction = glm::normalize(glm::vec3(0.3F, 0.9F, 0.2F));
+  samples.scene.light.sun_irradiance = {2.0F, 1.8F, 1.5F};
   for (std::size_t k = 0; k < 9; ++k)
-    samples.light.ambient_sh[k] = glm::vec3(0.5F, 0.4F, 0.3F) / (1.0F + static_cast<float>(k));
+    samples.scene.light.ambient_sh[k] = glm::vec3(0.5F, 0.4F, 0.3F) / (1.0F + static_cast<float>(k));
   std::mt19937 random(42);
   std::uniform_real_distribution<float> uniform(0, 1);
   for (std::uint32_t c = 0; c < cameras; ++c) {
@@ -72,16 +71,13 @@ inline InputSamples room_round(const RoomScene& scene, std::uint32_t cameras, st
         const glm::vec3 direction =
             unproject(camera, static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F, 1) - eye;
         const RoomScene::Hit hit = scene.trace(eye, direction);
-        samples.depth_m.push_back(hit.along);
         samples.position.push_back(eye + hit.along * direction);
         samples.normal.push_back(hit.normal);
         samples.albedo.emplace_back(uniform(random), uniform(random), uniform(random));
         samples.color.emplace_back(uniform(random), uniform(random), uniform(random));
         const float cosine = -glm::dot(hit.normal, glm::normalize(direction));
-        samples.cosine.push_back(cosine);
         samples.spacing_m.push_back(hit.along / camera.fx / std::sqrt(std::max(cosine, 0.05F)));
         samples.object_id.push_back(hit.object_id);
-        samples.camera.push_back(c);
       }
     }
   }

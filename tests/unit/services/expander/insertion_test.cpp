@@ -1,0 +1,377 @@
+// Which samples become Gaussians, and which Gaussians they become.
+#include <cmath>
+#include <glm/gtc/constants.hpp>
+#include <limits>
+#include <map>
+#include <tuple>
+
+#include "gaussians/light.h"
+#include "insertion_fixture.h"
+#include "room_scene.h"
+
+namespace splatbus::expander::test {
+namespace {
+
+TEST_P(InsertionTest, InsertsEverySampleOnce) {
+  const HostRound round = floor_round(-1, 1);
+  EXPECT_EQ(insert(round).size(), round.size());
+  EXPECT_EQ(inserter_->modelled_points(), round.size());
+  EXPECT_EQ(inserter_->cells().size(), result_.cells.size());
+  EXPECT_EQ(insert(round).size(), 0U) << "the same round again";
+  EXPECT_EQ(insert(floor_round(-1, 1, 0.9F)).size(), 0U) << "the same floor, sampled elsewhere";
+  EXPECT_EQ(inserter_->modelled_points(), round.size());
+}
+
+TEST_P(InsertionTest, ANewRegionJoinsWithoutGapOrDouble) {
+  const HostRound left = floor_round(-1, 0);
+  insert(left);
+  const HostRound all = floor_round(-1, 1);
+  EXPECT_EQ(insert(all).size(), all.size() - left.size());
+}
+
+TEST_P(InsertionTest, ACellSeenAtItsBorderIsToppedUp) {
+  use_cells_of(1);
+  HostRound strip = empty_round();
+  for (int z = 0; z < 16; ++z) add_sample(strip, {-0.4F, 0, -0.4F + kSpacing * static_cast<float>(z)});
+  EXPECT_EQ(insert(strip).size(), 16U);
+  const HostRound whole = floor_round(-0.425F, 0.425F);
+  const HostGaussians topped_up = insert(whole);
+  EXPECT_EQ(topped_up.size(), whole.size() - 16) << "all but those that are there";
+  for (const glm::vec3& mean : topped_up.mean) {
+    for (const glm::vec3& there : strip.position) EXPECT_GT(glm::distance(mean, there), 0.5F * kSpacing);
+  }
+  EXPECT_EQ(insert(whole).size(), 0U);
+}
+
+TEST_P(InsertionTest, ALittleThatIsNewIsNotWorthATopUp) {
+  use_cells_of(1);
+  options_.select.top_up_fraction = 0.1F;
+  HostRound almost = empty_round();
+  add_floor(almost, -0.4F, 0.4F);
+  HostRound without = almost;
+  without.resize(250);
+  EXPECT_EQ(insert(without).size(), 250U);
+  EXPECT_EQ(insert(almost).size(), 0U) << "6 of 256 are missing";
+  options_.select.top_up_fraction = 6.0F / 250.0F;
+  EXPECT_EQ(insert(almost).size(), 6U);
+}
+
+TEST_P(InsertionTest, BothSidesOfAThinSheetAreModelled) {
+  HostRound round = empty_round();
+  for (int i = 0; i < 8; ++i) add_sample(round, {0.02F * static_cast<float>(i), 0, 0});
+  EXPECT_EQ(insert(round).size(), 8U);
+  for (auto& normal : round.normal) normal = -normal;
+  EXPECT_EQ(insert(round).size(), 8U);
+}
+
+TEST_P(InsertionTest, WhatLiesAloneIsNotSeenButSliversBesideASurfaceAre) {
+  HostRound round = floor_round(-0.5F, 0.5F);
+  const std::size_t floor = round.size();
+  add_sample(round, {0.6F, 0, 0});       // in the next cell, which it has for itself
+  add_sample(round, {-1.2F, 0, -1.2F});  // far from all
+  EXPECT_EQ(insert(round).size(), floor + 1);
+}
+
+TEST_P(InsertionTest, OnlyCandidatesAboutTheViewerAreTaken) {
+  options_.select.candidate_radius_m = 1;
+  options_.select.viewer = {1, 0, 1};
+  const HostRound round = floor_round(-1, 1);
+  for (const glm::vec3& mean : insert(round).mean) EXPECT_LE(glm::distance(mean, glm::vec3(1, 0, 1)), 1);
+  EXPECT_GT(inserter_->modelled_points(), 50U);
+  options_.select.viewer = {-1, 0, -1};
+  EXPECT_GT(insert(round).size(), 50U) << "when the viewer has come there";
+}
+
+TEST_P(InsertionTest, SamplesOfMovingObjectsLiveInTheObjectsFrame) {
+  HostRound round = empty_round();
+  for (int i = 0; i < 6; ++i) add_sample(round, {2 + 0.02F * static_cast<float>(i), 0, 0}, 7, {1, 0, 0});
+  // The object stands at (2, 0, 0), turned a quarter about y.
+  round.scene.objects[7] = {.rotation = glm::angleAxis(1.5707963F, glm::vec3(0, 1, 0)), .translation = {2, 0, 0}};
+  const HostGaussians inserted = insert(round);
+  ASSERT_EQ(inserted.size(), 6U);
+  EXPECT_LT(glm::distance(inserted.mean[2], glm::vec3(0, 0, 0.04F)), 1e-5F);
+  EXPECT_LT(glm::distance(inserted.normal[2], glm::vec3(0, 0, 1)), 1e-5F);
+  EXPECT_EQ(inserted.object_id[2], 7U);
+  // It moves on: the same surface is not inserted again.
+  for (auto& position : round.position) position.x += 1;
+  round.scene.objects[7].translation.x += 1;
+  EXPECT_EQ(insert(round).size(), 0U);
+}
+
+TEST_P(InsertionTest, WhatStandsStillBelongsToTheWorld) {
+  HostRound round = empty_round();
+  for (int i = 0; i < 6; ++i) add_sample(round, {2 + 0.02F * static_cast<float>(i), 0, 0}, 9);
+  round.scene.objects[0] = {.translation = {5, 5, 5}};  // the world does not move
+  for (const std::uint32_t mover : {4U, 12U}) round.scene.objects[mover] = {.translation = {1, 1, 1}};
+  HostGaussians inserted = insert(round);
+  ASSERT_EQ(inserted.size(), 6U);
+  // Under its id it would be moved as soon as there is a transform, although it is in the world's frame.
+  EXPECT_EQ(inserted.object_id, std::vector<std::uint32_t>(6, kWorldFrame));
+  EXPECT_EQ(inserted.mean, round.position);
+  for (auto& id : round.object_id) id = 0;
+  EXPECT_EQ(insert(round).size(), 0U) << "the world, whatever its id";
+}
+
+TEST_P(InsertionTest, ObjectsWhoseIdsAgreeInManyBitsShareNoCells) {
+  for (const std::uint32_t id : {5U, 5U + (1U << 18U), 5U + (1U << 24U), 5U + (1U << 31U)}) {
+    HostRound round = empty_round();
+    for (int i = 0; i < 6; ++i) add_sample(round, {0.02F * static_cast<float>(i), 0, 0}, id);
+    round.scene.objects[id] = {};
+    const HostGaussians inserted = insert(round);
+    EXPECT_EQ(inserted.object_id, std::vector<std::uint32_t>(6, id));
+  }
+  EXPECT_EQ(inserter_->cells().size(), 4U);
+}
+
+TEST_P(InsertionTest, StopsWhereThereIsNoRoom) {
+  options_.select.room = 100;
+  options_.batch_size = 30;
+  const HostRound round = floor_round(-1, 1);
+  const HostGaussians inserted = insert(round);
+  EXPECT_EQ(result_.batches.size(), 4U);
+  EXPECT_EQ(result_.batches.back().size(), 10U);
+  EXPECT_EQ(inserted.mean, std::vector<glm::vec3>(round.position.begin(), round.position.begin() + 100));
+  EXPECT_EQ(inserter_->modelled_points(), 100U);
+  options_.select.room = 0;
+  EXPECT_EQ(insert(round).size(), 0U);
+}
+
+TEST_P(InsertionTest, BatchesAreFoundAndAddedAgain) {
+  insert(floor_round(-1, 1));
+  const InsertBatch batch = result_.batches.front();
+  EXPECT_TRUE(inserter_->holds_any(batch));
+  inserter_->clear();
+  EXPECT_FALSE(inserter_->holds_any(batch));
+  EXPECT_TRUE(inserter_->cells().empty());
+  insert(floor_round(2, 3));
+  EXPECT_FALSE(inserter_->holds_any(batch));
+  inserter_->add(std::vector{&batch});
+  EXPECT_TRUE(inserter_->holds_any(batch));
+  EXPECT_EQ(insert(floor_round(-1, 1)).size(), 0U) << "modelled again";
+}
+
+TEST_P(InsertionTest, NothingIsNothing) {
+  EXPECT_EQ(insert(empty_round()).size(), 0U);
+  HostRound garbage = floor_round(-1, 1);
+  for (float& spacing : garbage.spacing_m) spacing = -1;
+  EXPECT_EQ(insert(garbage).size(), 0U);
+  EXPECT_TRUE(result_.cells.empty());
+}
+
+TEST_P(InsertionTest, GarbageIsLeftOut) {
+  HostRound round = floor_round(0, 0.5F);
+  const std::size_t valid = round.size();
+  const float nan = std::numeric_limits<float>::quiet_NaN(), infinity = std::numeric_limits<float>::infinity();
+  for (int i = 0; i < 9; ++i) add_sample(round, {0.01F * static_cast<float>(i), 1, 0});
+  round.position[valid].y = nan;
+  round.position[valid + 1].x = infinity;
+  round.normal[valid + 2] = {0, 0, 0};
+  round.normal[valid + 3] *= 1.06F;
+  round.albedo[valid + 4].z = infinity;
+  round.color[valid + 5].x = -infinity;
+  round.spacing_m[valid + 6] = 0;
+  round.spacing_m[valid + 7] = nan;
+  round.spacing_m[valid + 8] = 1e9F;
+  round.normal[3] *= 1.04F;
+  round.albedo[3] = {-1, 0.5F, 2};
+  EXPECT_EQ(inserter_->take(incoming(round))->invalid, 9U);
+  const HostGaussians inserted = insert(round);
+  EXPECT_EQ(inserted.mean, std::vector<glm::vec3>(round.position.begin(), round.position.begin() + 100));
+  EXPECT_NEAR(glm::length(inserted.normal[3]), 1, 1e-6F);
+  EXPECT_EQ(inserted.albedo[3], glm::vec3(0, 0.5F, 1));
+}
+
+TEST_P(InsertionTest, ARoundThatIsOverwrittenIsLost) {
+  for (const Device memory : {Device::Cpu, GetParam()}) {
+    const HostRound round = room_round({}, 2, 32);
+    SentRound sent(round, memory);
+    const std::uint64_t copied = inserter_->host_copied_bytes();
+    EXPECT_NE(inserter_->take(sent.round()), nullptr);
+    EXPECT_EQ(inserter_->host_copied_bytes() - copied, memory == Device::Cpu ? round.size() * kSampleBytes : 0U);
+    sent.overwrite();
+    EXPECT_EQ(inserter_->take(sent.round()), nullptr);
+  }
+}
+
+TEST_P(InsertionTest, GaussiansAreFlatAlongTheNormalAndOfTheSpacing) {
+  options_.initial = {.scale = 0.4F, .flatness = 0.25F, .opacity = 0.9F};
+  options_.select.min_samples = 1;
+  for (const glm::vec3& direction : {glm::vec3(1, 2, -0.5F), glm::vec3(0, 0, 1), glm::vec3(0, 0, -1),
+                                     glm::vec3(1e-4F, 0, -1), glm::vec3(0.01F, 0.02F, -1), glm::vec3(-1, 2, -3)}) {
+    use_cells_of(kCellSize_m);
+    HostRound round = empty_round();
+    const glm::vec3 normal = glm::normalize(direction);
+    add_sample(round, {1, 2, 3}, 9, normal);
+    const HostGaussians inserted = insert(round);
+    ASSERT_EQ(inserted.size(), 1U);
+    EXPECT_EQ(inserted.mean[0], glm::vec3(1, 2, 3));
+    EXPECT_LT(glm::distance(glm::exp(inserted.log_scale[0]), glm::vec3(0.4F, 0.4F, 0.1F) * kSpacing), 1e-6F);
+    EXPECT_NEAR(glm::length(inserted.rotation[0]), 1, 1e-5F);
+    EXPECT_LT(glm::distance(inserted.rotation[0] * glm::vec3(0, 0, 1), normal), 2e-2F);
+    EXPECT_NEAR(1 / (1 + std::exp(-inserted.opacity_logit[0])), 0.9F, 1e-5F);
+    EXPECT_EQ(inserted.cell[0], cell_at({1, 2, 3}, 0, kCellSize_m).cell);
+  }
+}
+
+TEST_P(InsertionTest, TellsSunFromShadow) {
+  HostRound round = empty_round();
+  Light& light = round.scene.light;
+  for (std::size_t k = 0; k < 9; ++k) {
+    light.ambient_sh[k] = glm::vec3(0.5F, 0.4F, 0.3F) / (1.0F + static_cast<float>(k));
+  }
+  light.sun_direction = glm::normalize(glm::vec3(0.3F, 0.9F, 0.2F));
+  const glm::vec3 albedo(0.6F, 0.5F, 0.4F);
+  const glm::vec3 up = glm::normalize(glm::vec3(0.2F, 1, -0.4F));
+  const glm::vec3 ambient = albedo * ambient_reflected(light, up);
+  const glm::vec3 sun = albedo * light.sun_irradiance * glm::dot(up, light.sun_direction) / glm::pi<float>();
+  const auto add = [&](const glm::vec3& color, const glm::vec3& surface_albedo, const glm::vec3& normal) {
+    add_sample(round, {0.02F * static_cast<float>(round.size()), 0, 0}, 7, normal);
+    round.color.back() = color;
+    round.albedo.back() = surface_albedo;
+  };
+  add(ambient + sun, albedo, up);
+  add(ambient, albedo, up);
+  add(ambient + 0.3F * sun, albedo, up);
+  add(ambient + 9.0F * sun, albedo, up);
+  add(glm::vec3(0), albedo, -up);       // turned away from the sun
+  add(glm::vec3(0), glm::vec3(0), up);  // black
+  // An object that is turned: its light is the world's.
+  round.scene.objects[7] = {.rotation = glm::angleAxis(1.2F, glm::normalize(glm::vec3(1, 2, 3)))};
+  options_.select.min_samples = 1;
+  const HostGaussians inserted = insert(round);
+  const std::vector<float> expected = {1, 0, 0.3F, 1, 1, 1};
+  ASSERT_EQ(inserted.size(), expected.size());
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(inserted.visibility[i], expected[i], 1e-4F) << i;
+}
+
+/// The rules of selection in the plainest way, for what stands still.
+class PlainSelection {
+ public:
+  explicit PlainSelection(const SelectOptions& options) : options_(options) {}
+
+  std::vector<glm::vec3> insert(const HostRound& round) {
+    std::map<Cell, std::vector<std::size_t>> by_cell;
+    for (std::size_t i = 0; i < round.size(); ++i) {
+      const glm::vec3 viewer(options_.viewer.x, options_.viewer.y, options_.viewer.z);
+      if (glm::distance(round.position[i], viewer) <= options_.candidate_radius_m) {
+        by_cell[cell_of(round.position[i])].push_back(i);
+      }
+    }
+    std::set<std::size_t> selected;
+    for (const auto& [cell, samples] : by_cell) {
+      if (!seen(cell, by_cell)) continue;
+      const std::size_t held = points_[cell].size();
+      const float distance = held == 0 ? options_.new_distance : options_.top_up_distance;
+      std::vector<std::size_t> lacking;
+      for (const std::size_t i : samples) {
+        const float apart = std::min(distance * round.spacing_m[i], kCellSize_m);
+        if (!covered(cell, round.position[i], round.normal[i], apart)) lacking.push_back(i);
+      }
+      if (static_cast<float>(lacking.size()) >= std::ceil(options_.top_up_fraction * static_cast<float>(held))) {
+        selected.insert(lacking.begin(), lacking.end());
+      }
+    }
+    std::vector<glm::vec3> positions;
+    for (const std::size_t i : selected) {
+      if (positions.size() == options_.room) break;
+      positions.push_back(round.position[i]);
+      points_[cell_of(round.position[i])].emplace_back(round.position[i], round.normal[i]);
+    }
+    return positions;
+  }
+
+ private:
+  using Cell = std::tuple<int, int, int>;
+
+  static Cell cell_of(const glm::vec3& p) {
+    const glm::ivec3 at(glm::floor(p / kCellSize_m + 0.5F));
+    return {at.x, at.y, at.z};
+  }
+  template <class Test>
+  static bool any_about(const Cell& cell, const Test& test) {
+    const auto [x, y, z] = cell;
+    for (int k = 0; k < 27; ++k) {
+      if (test(Cell{x + k / 9 - 1, y + k / 3 % 3 - 1, z + k % 3 - 1})) return true;
+    }
+    return false;
+  }
+  [[nodiscard]] bool seen(const Cell& cell, const std::map<Cell, std::vector<std::size_t>>& by_cell) const {
+    return any_about(cell, [&](const Cell& at) {
+      const auto found = by_cell.find(at);
+      return found != by_cell.end() && found->second.size() >= options_.min_samples;
+    });
+  }
+  [[nodiscard]] bool covered(const Cell& cell, const glm::vec3& position, const glm::vec3& normal, float apart) const {
+    return any_about(cell, [&](const Cell& at) {
+      const auto found = points_.find(at);
+      if (found == points_.end()) return false;
+      for (const auto& [point, its_normal] : found->second) {
+        const glm::vec3 offset = point - position;
+        if (glm::dot(offset, offset) < apart * apart && glm::dot(its_normal, normal) > 0.5F) return true;
+      }
+      return false;
+    });
+  }
+
+  SelectOptions options_;
+  std::map<Cell, std::vector<std::pair<glm::vec3, glm::vec3>>> points_;
+};
+
+TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
+  const RoomScene scene;
+  const auto still = [&](std::uint32_t cameras, std::uint32_t size, float turn) {
+    HostRound round = room_round(scene, cameras, size, turn);
+    round.scene.objects.clear();
+    return round;
+  };
+  for (const SelectOptions& options :
+       {SelectOptions{}, SelectOptions{.candidate_radius_m = 3, .viewer = {1, 1, 1}, .room = 4000},
+        SelectOptions{.min_samples = 20, .new_distance = 5, .top_up_distance = 8, .top_up_fraction = 0.3F}}) {
+    use_cells_of(kCellSize_m);
+    options_.select = options;
+    PlainSelection plain(options);
+    for (const HostRound& round : {still(4, 40, 0), still(5, 48, 0.3F), still(3, 40, 0.9F)}) {
+      const auto expected = plain.insert(round);
+      EXPECT_EQ(insert(round).mean, expected);
+      EXPECT_GT(expected.size(), 10U);
+    }
+  }
+}
+
+/// The points of `batch` as the trainer's pages: page-major, with room left over in each.
+TEST_P(InsertionTest, ModelsInPagesAreReadAsPlainOnes) {
+  const device::StreamView stream = device::thread_stream(GetParam());
+  constexpr std::uint32_t kShift = 4, kLanes = 1U << kShift, kChannels = 7, kPages = 5;
+  const std::vector<IndexRange> ranges = {{.first = 0, .count = 9, .frame_id = 0},
+                                          {.first = kLanes, .count = 16, .frame_id = 7},
+                                          {.first = 3 * kLanes, .count = 0, .frame_id = 0},
+                                          {.first = 4 * kLanes, .count = 5, .frame_id = 1U << 20U}};
+  std::vector<float> pages(std::size_t{kPages} * kChannels * kLanes, 1e6F);
+  std::map<CellKey, std::uint32_t> expected;
+  for (const IndexRange& range : ranges) {
+    for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+      float* const lane = pages.data() + std::size_t{i / kLanes} * kChannels * kLanes + i % kLanes;
+      const math::Vec3 point{0.03F * static_cast<float>(i), 1, 2};
+      for (std::size_t c = 0; c < 3; ++c) lane[c * kLanes] = c == 0 ? point.x : c == 1 ? point.y : point.z;
+      for (std::size_t c = 3; c < 6; ++c) lane[c * kLanes] = c == 4 ? 1.0F : 0.0F;
+      ++expected[cell_at(point, range.frame_id, kCellSize_m)];
+    }
+  }
+  device::Buffer<float> there(stream);
+  there.assign(pages);
+  PointGrid grid(stream, kCellSize_m);
+  grid.assign({.surface_point = there.data(),
+               .normal = there.data() + 3 * kLanes,
+               .object_id = nullptr,
+               .stride = kLanes,
+               .page_shift = kShift,
+               .page_stride = std::size_t{kChannels} * kLanes,
+               .ranges = ranges});
+  std::map<CellKey, std::uint32_t> cells;
+  for (const CellCount& cell : grid.cells()) cells[cell.key] = cell.count;
+  EXPECT_EQ(cells, expected);
+  EXPECT_EQ(grid.size(), 30U);
+}
+
+}  // namespace
+}  // namespace splatbus::expander::test
