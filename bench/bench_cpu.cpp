@@ -45,7 +45,7 @@ class Stages {
 
 nlohmann::json run_cpu(const Arguments& arguments) {
   Workload workload(arguments);
-  GaussiansBuffer& model = workload.model;
+  const GaussiansBuffer& model = workload.model;
   const std::vector<Camera>& cameras = workload.cameras;
   const SceneState& scene = workload.scene;
   const auto rasterizer = raster::make_cpu_rasterizer(arguments.threads);
@@ -55,17 +55,18 @@ nlohmann::json run_cpu(const Arguments& arguments) {
   std::vector<std::vector<std::uint8_t>> targets;
   double mean_image = 0;
   for (const Camera& camera : cameras) {
-    rasterizer->render(model.view(), camera, scene, {}, render);
+    rasterizer->render(workload.view(), camera, scene, {}, render);
     if (targets.empty()) mean_image = mean_of(render.color);
     targets.push_back(to_target(render.color, transfer));
   }
   if (arguments.mode == "train") workload.disturb();
+  const GaussiansView gaussians = workload.view();
 
   raster::ParameterGradient gradient;
   gradient.active_channels = arguments.active_channels;
   raster::RenderGradient render_gradient;
   raster::Adam adam;
-  adam.resize(model.layout(), model.count());
+  adam.resize(model.layout(), gaussians.count);
   const std::vector<float> rates = learning_rates(model.layout());
   const raster::LossOptions loss_options{.encode_srgb = transfer, .threads = arguments.threads};
 
@@ -78,29 +79,27 @@ nlohmann::json run_cpu(const Arguments& arguments) {
   for (int step = -arguments.warmup; step < arguments.iterations; ++step) {
     const auto begin = Clock::now();
     if (arguments.mode == "train") {
-      stages.time("clear", [&] {
-        fused ? gradient.clear_statistics(model.view()) : gradient.clear(model.view(), arguments.threads);
-      });
+      stages.time("clear",
+                  [&] { fused ? gradient.clear_statistics(gaussians) : gradient.clear(gaussians, arguments.threads); });
     }
     for (int b = 0; b < arguments.batch; ++b, view = (view + 1) % cameras.size()) {
       if (arguments.mode == "train") {
-        rasterizer->forward(model.view(), cameras[view], scene, {}, render);
+        rasterizer->forward(gaussians, cameras[view], scene, {}, render);
         stages.time("loss", [&] {
           loss = image_loss(render.color, targets[view].data(), loss_options, render_gradient.color);
         });
         if (fused) {
-          rasterizer->backward_step(render_gradient, rates, adam, model.parameters.data(), gradient);
+          rasterizer->backward_step(render_gradient, rates, adam, workload.parameters(), gradient);
         } else {
           rasterizer->backward(render_gradient, gradient);
         }
       } else {
-        rasterizer->render(model.view(), cameras[view], scene, {}, render);
+        rasterizer->render(gaussians, cameras[view], scene, {}, render);
       }
       for (const raster::StageTime& stage : rasterizer->stage_times()) stages.add(stage.name, stage.milliseconds);
     }
     if (arguments.mode == "train" && !fused) {
-      stages.time("adam",
-                  [&] { adam.step(model.view(), model.parameters.data(), gradient, rates, arguments.threads); });
+      stages.time("adam", [&] { adam.step(gaussians, workload.parameters(), gradient, rates, arguments.threads); });
     }
     const double elapsed = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
     stages.end_step(step >= 0);

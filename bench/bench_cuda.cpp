@@ -50,14 +50,16 @@ double free_mib() {
 
 /// What there is to do for the views of one batch, with the model as it has become.
 Census census_of(const raster::cuda::DeviceModel& model, const Workload& workload, std::size_t batch) {
+  std::vector<Camera> views;
+  for (std::size_t k = 0; k < batch; ++k) views.push_back(workload.cameras[k % workload.cameras.size()]);
+  // Parameters in pages come back in pages: they are counted as they were.
+  if (model.view().has_pages()) return take_census(workload.model.view(), views, raster::cuda::kTileSize);
   std::vector<float> parameters(static_cast<std::size_t>(workload.model.layout().channels()) * workload.model.count());
   model.download_parameters(parameters.data(), nullptr);
   check(cudaDeviceSynchronize(), "copying the model");
   GaussiansView trained = workload.model.view();
   trained.parameters = parameters.data();
   trained.stride = trained.count;
-  std::vector<Camera> views;
-  for (std::size_t k = 0; k < batch; ++k) views.push_back(workload.cameras[k % workload.cameras.size()]);
   return take_census(trained, views, raster::cuda::kTileSize);
 }
 
@@ -67,6 +69,14 @@ std::uint32_t isects_of(const raster::cuda::TrainStep& trainer) {
   check(cudaMemcpy(&isects, &trainer.workspace().counts->isects, sizeof(isects), cudaMemcpyDeviceToHost),
         "counting intersections");
   return isects;
+}
+
+/// Of the pages, in the last launch.
+double listed_share(const raster::cuda::TrainStep& trainer, const raster::cuda::DeviceGaussians& gaussians) {
+  std::uint32_t listed = 0;
+  check(cudaMemcpy(&listed, &trainer.workspace().counts->listed, sizeof(listed), cudaMemcpyDeviceToHost),
+        "counting pages");
+  return static_cast<double>(listed) / gaussians.range_count;
 }
 
 }  // namespace
@@ -81,7 +91,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   std::vector<std::vector<std::uint8_t>> targets;
   {
     const auto renderer = raster::cuda::make_cuda_model_renderer();
-    renderer->take(workload.model.view());
+    renderer->take(workload.view());
     raster::Render render;
     for (const Camera& camera : workload.cameras) {
       renderer->draw(camera, workload.scene, {}, render);
@@ -97,7 +107,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   options.active_channels = arguments.active_channels;
   options.albedo_weight = arguments.albedo_weight;
   raster::cuda::DeviceModel model;
-  model.upload(workload.model.view(), nullptr);
+  model.upload(workload.view(), nullptr);
   std::vector<device::Buffer<std::uint8_t>> pictures(targets.size());
   for (std::size_t k = 0; k < targets.size() && train; ++k)
     pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
@@ -140,6 +150,7 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   for (const auto& [name, stage_ms] : trainer.time_stages(batches[0], arguments.iterations))
     out["stages"][name] = stage_ms;
   out["isects"] = isects_of(trainer);
+  if (model.view().has_pages()) out["pages_listed"] = listed_share(trainer, model.view());
   const Job job{.layout = layout,
                 .active_channels = arguments.active_channels,
                 .albedo = arguments.albedo_weight > 0,

@@ -63,10 +63,14 @@ GaussiansBuffer convert(const GaussiansBuffer& from, const Arguments& arguments)
 }  // namespace
 
 Workload::Workload(const Arguments& arguments)
-    : model(convert(read_ply(arguments.scene), arguments)), cameras(read_cameras(arguments.cameras)) {
+    : model(convert(read_ply(arguments.scene), arguments)),
+      cameras(read_cameras(arguments.cameras)),
+      pages_(arguments.pages) {
   if (cameras.empty()) throw std::runtime_error(arguments.cameras + ": no cameras");
   for (int c = 0; c < 3; ++c) scene.light.ambient_sh[0][c] = 1 / 0.2820948F;
   scene.light.sun_irradiance = glm::vec3(1);
+  if (arguments.copies > 1) model = stacked(model, cameras, arguments.copies);
+  if (pages_ != "none") paged = PagedScene(model.view());
 }
 
 void Workload::disturb() {
@@ -78,6 +82,15 @@ void Workload::disturb() {
       model.parameters[(11 + c) * model.stride() + i] += 0.1F * noise();
     }
   }
+  if (pages_ != "none") paged = PagedScene(model.view());
+}
+
+GaussiansView Workload::view() const {
+  return pages_ == "none" ? model.view() : paged.view(pages_ == "seen");
+}
+
+float* Workload::parameters() {
+  return pages_ == "none" ? model.parameters.data() : paged.parameters();
 }
 
 std::vector<std::uint8_t> to_target(const raster::Image& image, bool linear) {
@@ -124,6 +137,8 @@ nlohmann::json report(const Arguments& arguments, const Workload& workload, cons
           {"sh", workload.transfer() ? -1 : arguments.sh},
           {"active_channels", arguments.active_channels},
           {"batch", arguments.batch},
+          {"pages", arguments.pages},
+          {"page_lanes", arguments.pages == "none" ? 0 : kPageLanes},
           {"ms_median", step_ms},
           {"ms_min", *std::min_element(milliseconds.begin(), milliseconds.end())},
           {"views_per_s", 1000.0 * arguments.batch / step_ms}};

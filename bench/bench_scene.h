@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "bench/paged_scene.h"
 #include "gaussians/model.h"
 #include "raster/rasterizer.h"
 
@@ -14,7 +15,9 @@ struct Arguments {
   int sh = 3, batch = 1, threads = 0, active_channels = 0;
   int iterations = 100, warmup = 20;
   bool separate_adam = false;
-  float albedo_weight = 0;  ///< CUDA, transfer: above 0 the pictures are albedo pictures, too
+  std::string pages = "none";  ///< none; all: in pages, every one listed; seen: those that a camera sees
+  int copies = 1;              ///< of the scene, of which the cameras see one
+  float albedo_weight = 0;     ///< CUDA, transfer: above 0 the pictures are albedo pictures, too
 };
 
 /// The model in the layout asked for, and what looks at it.
@@ -22,12 +25,19 @@ struct Workload {
   GaussiansBuffer model;
   std::vector<Camera> cameras;
   SceneState scene;
+  PagedScene paged;
 
   /// Throws std::runtime_error, naming the file.
   explicit Workload(const Arguments& arguments);
   [[nodiscard]] bool transfer() const { return model.layout().appearance == Appearance::Transfer; }
   /// Training starts from disturbed means and colours; the targets are the model's own pictures.
   void disturb();
+  /// What is drawn and trained: the model, or the same Gaussians in pages.
+  [[nodiscard]] GaussiansView view() const;
+  [[nodiscard]] float* parameters();
+
+ private:
+  std::string pages_;
 };
 
 /// A picture as u8 RGBA in display space.

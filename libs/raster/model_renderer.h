@@ -17,7 +17,8 @@ class ModelRenderer {
   /// the Gaussians have changed.
   virtual void take(const GaussiansView& gaussians) = 0;
 
-  /// The model, in the memory of the device that draws: read by every draw(), in place.
+  /// The model, in the memory of the device that draws: read by every draw(), in place. Its ranges and bounds are in
+  /// host memory; a device copies them now. Call it again when they have changed.
   virtual void read_in_place(const GaussiansView& gaussians) = 0;
 
   /// One picture, ready when this returns. Reads what Rasterizer::render reads.

@@ -10,7 +10,8 @@ namespace {
 class CudaModelRenderer final : public ModelRenderer {
  public:
   void take(const GaussiansView& gaussians) override {
-    if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+    if (!gaussians.has_pages() && gaussians.count > gaussians.stride)
+      throw std::invalid_argument("rasterizer: stride is below count");
     copy_.upload(gaussians, pass_.stream());
     // The caller's planes may change as soon as this returns.
     check(cudaStreamSynchronize(pass_.stream()), "copying a model to the device");
@@ -18,14 +19,9 @@ class CudaModelRenderer final : public ModelRenderer {
   }
 
   void read_in_place(const GaussiansView& gaussians) override {
-    gaussians_ = {.layout = gaussians.layout,
-                  .count = static_cast<int>(gaussians.count),
-                  .stride = static_cast<std::int64_t>(gaussians.stride),
-                  .parameters = const_cast<float*>(gaussians.parameters),  // written by training only
-                  .normal = gaussians.normal,
-                  .visibility = gaussians.visibility,
-                  .object_id = gaussians.object_id,
-                  .flags = gaussians.flags};
+    gaussians_ = device_gaussians(gaussians);
+    ranges_.upload(gaussians, pass_.stream());
+    ranges_.bind(gaussians_);
   }
 
   void draw(const Camera& camera, const SceneState& scene, const RenderOptions& options, Render& out) override {
@@ -36,6 +32,7 @@ class CudaModelRenderer final : public ModelRenderer {
  private:
   ForwardPass pass_;
   DeviceModel copy_;
+  DeviceRanges ranges_;  // of a model that is read in place
   DeviceGaussians gaussians_;
 };
 

@@ -1,15 +1,19 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 #include "gaussians/layout.h"
+#include "gaussians/pages.h"
 
 namespace splatbus::raster::cuda {
 
 /// Views trained or rendered in one launch.
 constexpr int kMaxBatch = 16;
-/// Objects that move, the world itself included (slot 0): a slot has 16 bits.
-constexpr int kMaxObjects = 1 << 16;
+/// The slot of Gaussians whose object no view has: nothing draws them.
+constexpr std::uint16_t kHiddenSlot = 0xFFFF;
+/// Objects that move, the world itself included (slot 0).
+constexpr int kMaxObjects = kHiddenSlot;
 /// Intersections of a Gaussian with a tile that one sort takes.
 constexpr std::uint32_t kMaxIsects = (1U << 31U) - 1024;
 /// Pixels of a tile's side. A tile has one list of Gaussians; each of its patches is blended by one warp.
@@ -27,6 +31,16 @@ struct ObjectView {
   float sun_irradiance[3];
 };
 
+/// What an object looks like to a view whose scene does not have it: behind every camera.
+inline ObjectView hidden_object() {
+  ObjectView out{};
+  out.view_from_object[11] = -INFINITY;
+  return out;
+}
+SPLATBUS_PORTABLE bool is_hidden(const ObjectView& object) {
+  return object.view_from_object[11] == -INFINITY;
+}
+
 /// One camera of a batch. All cameras of a batch have one size.
 struct DeviceView {
   float fx, fy, cx, cy;  ///< pixels
@@ -35,16 +49,24 @@ struct DeviceView {
   float background[3];                                         ///< in the space that is blended in
 };
 
-/// Device pointers to a model; channels as in GaussiansView. Kernels reach them through gaussian_channels.cuh.
+/// Device pointers to a model; channels, pages and ranges as in GaussiansView. Kernels reach channels through
+/// gaussian_channels.cuh.
 struct DeviceGaussians {
   ParameterLayout layout;
-  int count = 0;
-  std::int64_t stride = 0;
+  int count = 0;                        ///< indices below it may be Gaussians
+  std::int64_t stride = 0;              ///< elements from one channel to the next
+  std::uint32_t page_shift = kNoPages;  ///< index >> page_shift is the page
+  std::int64_t page_stride = 0;         ///< 4-byte words from one page to the next
+  const IndexRange* ranges = nullptr;   ///< [range_count]; null: all indices are Gaussians
+  PageBounds* bounds = nullptr;         ///< [range_count]; a training step keeps them true; null: unknown
+  int range_count = 0;
   float* parameters = nullptr;
   const float* normal = nullptr;
   const float* visibility = nullptr;
   const std::uint32_t* object_id = nullptr;
   const std::uint32_t* flags = nullptr;
+
+  [[nodiscard]] bool has_pages() const { return page_shift != kNoPages; }
 };
 
 }  // namespace splatbus::raster::cuda

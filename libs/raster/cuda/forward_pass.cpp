@@ -7,7 +7,8 @@ namespace splatbus::raster::cuda {
 namespace {
 
 void check_arguments(const DeviceGaussians& gaussians, const Camera& camera) {
-  if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+  if (!gaussians.has_pages() && gaussians.count > gaussians.stride)
+    throw std::invalid_argument("rasterizer: stride is below count");
   if (gaussians.count > 0 && gaussians.parameters == nullptr) throw std::invalid_argument("rasterizer: no parameters");
   if (camera.role == CameraRole::Light) throw std::invalid_argument("rasterizer: light cameras are orthographic");
   constexpr std::uint32_t kMaxSide = 1U << 15U;
@@ -25,7 +26,9 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
                            .batch = 1,
                            .width = static_cast<int>(camera.width),
                            .height = static_cast<int>(camera.height),
+                           .range_count = gaussians.range_count,
                            .object_count = tables.object_count,
+                           .object_slots = gaussians.object_id != nullptr,
                            .albedo = options.albedo && gaussians.layout.appearance == Appearance::Transfer,
                            .depth = options.depth,
                            .training = training,
@@ -57,14 +60,11 @@ void ForwardPass::copy_tables(const ViewTables& tables, const DeviceGaussians& g
   check(cudaMemcpyAsync(w.object_views, tables.object_views.data(), sizeof(ObjectView) * tables.object_views.size(),
                         cudaMemcpyHostToDevice, stream()),
         "copying object views");
-  if (gaussians.object_id == nullptr || tables.object_ids.empty()) {
-    const auto count = static_cast<std::size_t>(gaussians.count);
-    check(cudaMemsetAsync(w.object_slot, 0, sizeof(std::uint16_t) * count, stream()), "clearing object slots");
-    return;
-  }
-  object_ids_.upload(tables.object_ids.data(), tables.object_ids.size(), stream());
-  launch_object_slots(gaussians.object_id, gaussians.count, object_ids_.data(),
-                      static_cast<int>(tables.object_ids.size()), w.object_slot, stream());
+  check(cudaMemcpyAsync(w.object_ids, tables.object_ids.data(), sizeof(std::uint32_t) * tables.object_ids.size(),
+                        cudaMemcpyHostToDevice, stream()),
+        "copying object ids");
+  if (w.object_slot == nullptr) return;
+  launch_object_slots(gaussians, w.object_ids, static_cast<int>(tables.object_ids.size()), w.object_slot, stream());
 }
 
 void ForwardPass::download(Render& out) const {

@@ -34,7 +34,6 @@ class ForwardPass {
   device::Stream stream_;
   Workspace workspace_;
   ProjectOptions project_;
-  device::Buffer<std::uint32_t> object_ids_;
   std::uint32_t isect_capacity_ = 1U << 16U;
 };
 

@@ -4,8 +4,8 @@
 
 #include "raster/cuda/device_scene.h"
 
-// How the channels of Gaussians lie in device memory, [channels][stride]. Kernels reach every channel through these, so
-// that this header alone knows.
+// How the channels of Gaussians lie in device memory, [channels][stride], for all Gaussians or page by page. Kernels
+// reach every channel through these, so that this header alone knows.
 namespace splatbus::raster::cuda {
 
 /// The same value, but the compiler does not know: it then computes the addresses of a Gaussian's many channels where
@@ -30,24 +30,44 @@ struct ChannelsOfOne {
   [[nodiscard]] __device__ ChannelsOfOne recomputed() const { return {cuda::recomputed(first), pitch}; }
 };
 
+/// Of Gaussian `i` from where a channel of 4-byte elements begins.
+__device__ inline std::int64_t index_offset(int i, std::uint32_t page_shift, std::int64_t page_stride) {
+  const auto index = static_cast<std::uint32_t>(i);
+  return (index >> page_shift) * page_stride + (index & ((1U << page_shift) - 1));
+}
+__device__ inline std::int64_t index_offset(int i, const DeviceGaussians& g) {
+  return index_offset(i, g.page_shift, g.page_stride);
+}
+
 /// Channels of all Gaussians: a model's parameters, or what is kept beside them.
 template <class T>
 struct Channels {
   T* data;
   std::int64_t stride;
+  std::uint32_t page_shift = kNoPages;
+  std::int64_t page_stride = 0;
 
   /// In elements from `data`; the same in every array that lies beside the model's.
-  [[nodiscard]] __device__ std::int64_t offset(int channel, int i) const { return channel * stride + i; }
+  [[nodiscard]] __device__ std::int64_t offset(int channel, int i) const {
+    return channel * stride + index_offset(i, page_shift, page_stride);
+  }
   __device__ T& operator()(int channel, int i) const { return data[offset(channel, i)]; }
   /// Of Gaussian `i`, from channel `first` on.
   [[nodiscard]] __device__ ChannelsOfOne<T> of(int i, int first = 0) const { return {data + offset(first, i), stride}; }
 };
 
 __device__ inline Channels<float> parameters_of(const DeviceGaussians& g) {
-  return {g.parameters, g.stride};
+  return {g.parameters, g.stride, g.page_shift, g.page_stride};
 }
 __device__ inline Channels<const float> normals_of(const DeviceGaussians& g) {
-  return {g.normal, g.stride};
+  return {g.normal, g.stride, g.page_shift, g.page_stride};
+}
+/// Sun visibility, 1 where the model has none.
+__device__ inline float visibility_of(const DeviceGaussians& g, int i) {
+  return g.visibility != nullptr ? g.visibility[index_offset(i, g)] : 1.0F;
+}
+__device__ inline bool is_frozen(const DeviceGaussians& g, int i) {
+  return g.flags != nullptr && (g.flags[index_offset(i, g)] & kFrozen) != 0;
 }
 
 }  // namespace splatbus::raster::cuda

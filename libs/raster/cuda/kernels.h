@@ -21,13 +21,22 @@ void launch_copy_tables(const std::byte* ring, int slots, std::byte* tables, std
 
 void launch_clear_counts(const WorkspaceView& workspace, cudaStream_t stream);
 
-/// [count] rows of object_views: 1 + the index of a Gaussian's object in the ascending `object_ids`, 0 when it is none
-/// of them.
-void launch_object_slots(const std::uint32_t* object_id, int count, const std::uint32_t* object_ids, int id_count,
+/// [count] rows of object_views: 0 for the world's frame, else 1 + the index of a Gaussian's object in the ascending
+/// `object_ids`, kHiddenSlot when it is none of them. `gaussians` has object_id.
+void launch_object_slots(const DeviceGaussians& gaussians, const std::uint32_t* object_ids, int id_count,
                          std::uint16_t* slots, cudaStream_t stream);
 
-/// Projects and shades every Gaussian for every view; fills projected_shape and projected_tail, and lists which tiles
-/// they meet, unsorted. The caller has cleared the counts.
+/// Lists the ranges that any view sees, as select_ranges() does, in their order; all whose object a view has, where
+/// bounds are unknown. Nothing without ranges.
+void launch_list_ranges(const DeviceGaussians& gaussians, const WorkspaceView& workspace, float blur_px2,
+                        cudaStream_t stream);
+
+/// Makes the bounds of the listed ranges true again. Nothing without bounds.
+void launch_bounds(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
+
+/// Lists the ranges, projects and shades their Gaussians for the views that see them (all for every view, without
+/// ranges); fills projected_shape and projected_tail, and lists which tiles they meet, unsorted. The caller has cleared
+/// the counts.
 void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& options,
                     cudaStream_t stream);
 
@@ -76,11 +85,11 @@ struct AdamOptions {
   float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
 };
 
-/// Adam's state. Planes [channels][stride].
+/// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + 1][kPageLanes], first moments,
+/// second moments, steps as integers.
 struct OptimizerState {
-  float* first = nullptr;
-  float* second = nullptr;
-  std::uint32_t* steps = nullptr;  ///< [stride]
+  float* blocks = nullptr;
+  int channels = 0;
 };
 
 /// For clone and split, [count]; null: not gathered. `steps` only with `mean2d_norm`.
@@ -96,8 +105,8 @@ void launch_update(const DeviceGaussians& gaussians, const WorkspaceView& worksp
                    const OptimizerState& state, const AdamOptions& adam, const ScreenStatistics& statistics,
                    cudaStream_t stream);
 
-/// The same gradients, added to planes [channels][stride] instead, and [count] marks of who was blended: for the checks
-/// against the reference renderer.
+/// The same gradients, added to planes [channels][stride] instead (of a model in pages [channels][count]), and [count]
+/// marks of who was blended: for the checks against the reference renderer.
 void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
                      float* gradient, std::uint8_t* touched, const ScreenStatistics& statistics, int active_channels,
                      cudaStream_t stream);

@@ -2,6 +2,7 @@
 #include "raster/cuda/footprint.cuh"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/projection_math.cuh"
+#include "raster/cuda/range_lanes.cuh"
 #include "raster/cuda/sort_key.h"
 
 namespace splatbus::raster::cuda {
@@ -9,14 +10,8 @@ namespace {
 
 constexpr int kThreads = 128;
 
-struct Shading {
-  Channels<float> parameters;
-  Channels<const float> normals;
-  const float* visibility;
-};
-
 template <int kCoefficients>
-__device__ float3 radiance_color(const Shading& s, int i, const float3 mean, const ObjectView& object) {
+__device__ float3 radiance_color(const DeviceGaussians& gaussians, int i, const float3 mean, const ObjectView& object) {
   float3 d = make_float3(mean.x - object.camera_in_object[0], mean.y - object.camera_in_object[1],
                          mean.z - object.camera_in_object[2]);
   const float inv = rsqrtf(fmaxf(d.x * d.x + d.y * d.y + d.z * d.z, 1e-20F));
@@ -24,7 +19,7 @@ __device__ float3 radiance_color(const Shading& s, int i, const float3 mean, con
   float y[kCoefficients];
   sh_basis<kCoefficients>(d, y);
   float color[3] = {0.5F, 0.5F, 0.5F};
-  const ChannelsOfOne<float> p = s.parameters.of(i, ParameterLayout::kAppearance).recomputed();
+  const ChannelsOfOne<float> p = parameters_of(gaussians).of(i, ParameterLayout::kAppearance).recomputed();
 #pragma unroll
   for (int k = 0; k < kCoefficients; ++k) {
 #pragma unroll
@@ -33,15 +28,15 @@ __device__ float3 radiance_color(const Shading& s, int i, const float3 mean, con
   return make_float3(color[0], color[1], color[2]);
 }
 
-__device__ float3 transfer_color(const Shading& s, int i, const ObjectView& object) {
-  const float3 n = load_normal(s.normals, i);
-  const float visibility = s.visibility != nullptr ? s.visibility[i] : 1.0F;
-  const ChannelsOfOne<float> p = s.parameters.of(i, ParameterLayout::kAlbedo);
+__device__ float3 transfer_color(const DeviceGaussians& gaussians, int i, const ObjectView& object) {
+  const float3 n = load_normal(normals_of(gaussians), i);
+  const float visibility = visibility_of(gaussians, i);
+  const ChannelsOfOne<float> p = parameters_of(gaussians).of(i, ParameterLayout::kAlbedo);
   const float3 response = diffuse_response(object, n, visibility);
   float3 color = make_float3(p[0] * response.x, p[1] * response.y, p[2] * response.z);
   float sun[9];
   sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
-  const ChannelsOfOne<float> r = s.parameters.of(i, ParameterLayout::kResidual).recomputed();
+  const ChannelsOfOne<float> r = parameters_of(gaussians).of(i, ParameterLayout::kResidual).recomputed();
 #pragma unroll
   for (int k = 0; k < 9; ++k) {
     const float3 light = residual_light(object, k, sun[k], visibility);
@@ -83,12 +78,13 @@ struct Seen {
 
 /// False when the colour is not finite.
 template <int kCoefficients>
-__device__ bool shade(const Shading& s, int i, const float3 mean, const ObjectView& object, float3& color) {
+__device__ bool shade(const DeviceGaussians& gaussians, int i, const float3 mean, const ObjectView& object,
+                      float3& color) {
   if constexpr (kCoefficients > 0) {
-    color = radiance_color<kCoefficients>(s, i, mean, object);
+    color = radiance_color<kCoefficients>(gaussians, i, mean, object);
   } else {
-    color = transfer_color(s, i, object);
-    const ChannelsOfOne<float> albedo = s.parameters.of(i, ParameterLayout::kAlbedo);
+    color = transfer_color(gaussians, i, object);
+    const ChannelsOfOne<float> albedo = parameters_of(gaussians).of(i, ParameterLayout::kAlbedo);
     if (!(bounded(albedo[0]) && bounded(albedo[1]) && bounded(albedo[2]))) return false;
   }
   return bounded(color.x) && bounded(color.y) && bounded(color.z);
@@ -124,20 +120,20 @@ __device__ bool emit(const Footprint& footprint, bool visible, int i, int b, flo
 template <int kCoefficients>
 __global__ void __launch_bounds__(kThreads, 6)
     project_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options) {
-  const int i = blockIdx.x * kThreads + threadIdx.x;
-  const bool present = i < w.count;
+  Lane<kThreads> lane;
+  if (!lane.find(w)) return;
+  const int i = lane.i;
+  const bool present = lane.present();
   GaussianGeometry g;
   float opacity = 0.0F;
-  const Shading shading{parameters_of(gaussians), normals_of(gaussians), gaussians.visibility};
-  int slot = 0;
   if (present) {
-    g = load_geometry(shading.parameters, i);
+    g = load_geometry(parameters_of(gaussians), i);
     opacity = sigmoid(g.opacity_logit);
-    if (w.object_slot != nullptr) slot = w.object_slot[i];
   }
   for (int b = 0; b < w.batch; ++b) {
+    if (!lane.seen_by(b)) continue;
     const std::size_t at = static_cast<std::size_t>(b) * w.count + i;
-    const ObjectView& object = w.object_views[b * w.object_count + slot];
+    const ObjectView& object = w.object_views[b * w.object_count + lane.slot()];
     float depth = 0.0F;
     bool visible = false;
     {
@@ -153,7 +149,7 @@ __global__ void __launch_bounds__(kThreads, 6)
       }
     }
     float3 color;
-    if (visible && shade<kCoefficients>(shading, i, g.mean, object, color)) {
+    if (visible && shade<kCoefficients>(gaussians, recomputed(i), g.mean, object, color)) {
       reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1)[1] =
           make_float2(clamp_color(color.x), clamp_color(color.y));
       w.projected_tail[at] = make_float2(clamp_color(color.z), depth);
@@ -172,7 +168,8 @@ void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& works
                     cudaStream_t stream) {
   check(cudaMemsetAsync(workspace.isect_ids[0], 0xFF, sizeof(std::uint64_t) * workspace.isect_capacity, stream),
         "clearing the intersections");
-  const int blocks = (workspace.count + kThreads - 1) / kThreads;
+  launch_list_ranges(gaussians, workspace, options.blur_px2, stream);
+  const unsigned blocks = Lane<kThreads>::blocks(workspace);
   if (blocks == 0) return;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
     project_kernel<coefficients()><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);

@@ -1,4 +1,6 @@
+#include "raster/cuda/gaussian_channels.cuh"
 #include "raster/cuda/kernels.h"
+#include "raster/cuda/object_slot.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -17,21 +19,10 @@ __global__ void copy_tables_kernel(const uint4* ring, int slots, uint4* tables, 
   if (threadIdx.x == 0) *turn += 1;
 }
 
-__global__ void object_slots_kernel(const std::uint32_t* object_id, int count, const std::uint32_t* ids, int id_count,
+__global__ void object_slots_kernel(DeviceGaussians gaussians, const std::uint32_t* ids, int id_count,
                                     std::uint16_t* slots) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
-  if (i >= count) return;
-  const std::uint32_t id = object_id[i];
-  int low = 0, high = id_count;
-  while (low < high) {
-    const int middle = (low + high) / 2;
-    if (ids[middle] < id) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  slots[i] = low < id_count && ids[low] == id ? static_cast<std::uint16_t>(1 + low) : 0;
+  if (i < gaussians.count) slots[i] = object_slot(gaussians.object_id[index_offset(i, gaussians)], ids, id_count);
 }
 
 }  // namespace
@@ -48,11 +39,11 @@ void launch_clear_counts(const WorkspaceView& workspace, cudaStream_t stream) {
   check(cudaMemsetAsync(workspace.counts, 0, sizeof(StepCounts), stream), "clearing the counts");
 }
 
-void launch_object_slots(const std::uint32_t* object_id, int count, const std::uint32_t* object_ids, int id_count,
+void launch_object_slots(const DeviceGaussians& gaussians, const std::uint32_t* object_ids, int id_count,
                          std::uint16_t* slots, cudaStream_t stream) {
-  if (count == 0) return;
-  object_slots_kernel<<<(count + kThreads - 1) / kThreads, kThreads, 0, stream>>>(object_id, count, object_ids,
-                                                                                  id_count, slots);
+  if (gaussians.count == 0) return;
+  const auto blocks = static_cast<unsigned>((gaussians.count + kThreads - 1) / kThreads);
+  object_slots_kernel<<<blocks, kThreads, 0, stream>>>(gaussians, object_ids, id_count, slots);
   check(cudaGetLastError(), "object slots");
 }
 

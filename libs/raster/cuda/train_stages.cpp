@@ -8,17 +8,28 @@
 
 namespace splatbus::raster::cuda {
 
+/// Pages come one by one; all arrays grow a quarter at a time.
+int TrainStep::index_capacity() {
+  if (!gaussians_.has_pages()) return static_cast<int>(gaussians_.stride);
+  if (gaussians_.count > page_indices_) page_indices_ = gaussians_.count + gaussians_.count / 4;
+  return page_indices_;
+}
+
 WorkspaceView TrainStep::workspace_for(ViewBatch& batch) {
   const bool transfer = gaussians_.layout.appearance == Appearance::Transfer;
-  const bool grown = workspace_.reserve({.count = gaussians_.count,
-                                         .capacity = static_cast<int>(gaussians_.stride),
-                                         .batch = batch.batch,
-                                         .width = batch.width,
-                                         .height = batch.height,
-                                         .albedo = options_.albedo_weight > 0.0F && transfer && batch.targets().albedo,
-                                         .depth = options_.depth_weight > 0.0F && batch.targets().depth,
-                                         .training = options_.training,
-                                         .isect_capacity = batch.isect_capacity()});
+  const int capacity = index_capacity();
+  const bool grown =
+      workspace_.reserve({.count = gaussians_.count,
+                          .capacity = capacity,
+                          .batch = batch.batch,
+                          .width = batch.width,
+                          .height = batch.height,
+                          .range_count = gaussians_.range_count,
+                          .range_capacity = static_cast<int>(static_cast<unsigned>(capacity) >> kPageShift),
+                          .albedo = options_.albedo_weight > 0.0F && transfer && batch.targets().albedo,
+                          .depth = options_.depth_weight > 0.0F && batch.targets().depth,
+                          .training = options_.training,
+                          .isect_capacity = batch.isect_capacity()});
   if (grown) invalidate_graphs();
   batch.follow_model(gaussians_, stream());
   WorkspaceView w = workspace_.view();
@@ -71,6 +82,7 @@ void TrainStep::update(const WorkspaceView& w) {
                                  .half_rate_steps = options_.half_rate_steps,
                                  .least_rate = options_.least_rate};
   launch_update(gaussians_, w, options_.project, adam_.view(), adam_options, adam_.statistics(), stream());
+  launch_bounds(gaussians_, w, stream());
 }
 
 std::vector<TrainStep::StageTime> TrainStep::time_stages(std::span<const TrainView> views, int repeats) {

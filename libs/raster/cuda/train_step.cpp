@@ -44,19 +44,23 @@ void TrainStep::set_model(const DeviceGaussians& gaussians) {
   last_workspace_ = {};
   gaussians_ = gaussians;
   if (!options_.training) return;
-  adam_.reset(gaussians.layout, gaussians.count, gaussians.stride, stream());
+  adam_.reset(gaussians.layout, gaussians.count, stream());
   adam_.gather_statistics(options_.statistics, stream());
 }
 
 void TrainStep::follow_model(const DeviceGaussians& gaussians) {
   if (gaussians.layout != gaussians_.layout) throw std::invalid_argument("TrainStep: a model keeps its layout");
-  if (options_.training) adam_.resize(gaussians.count, gaussians.stride, stream());
+  if (options_.training) adam_.resize(gaussians.count, stream());
   const int count_before = std::exchange(gaussians_, gaussians).count;
   for (auto& [size, batch] : batches_) batch.model_changed(gaussians.count, count_before);
 }
 
 void TrainStep::move_columns(const std::uint32_t* from, const std::uint32_t* to, int count) {
   adam_.move(from, to, count, stream());
+}
+
+void TrainStep::forget_columns(int first, int count) {
+  adam_.forget(first, count, stream());
 }
 
 void TrainStep::set_learning_rates(const std::vector<float>& rates) {

@@ -56,6 +56,8 @@ class TrainStep {
   /// The same model after a change of its structure, of the same layout, channels perhaps elsewhere and with another
   /// stride. Columns below both counts keep their moments and statistics, others begin without.
   void follow_model(const DeviceGaussians& gaussians);
+  /// Gaussians first, first + 1, ... begin without moments and statistics: where others were before them in a page.
+  void forget_columns(int first, int count);
   /// Moves Adam's moments and the statistics as columns were moved, from[k] to to[k], before follow_model(): device
   /// arrays, read by stream().
   void move_columns(const std::uint32_t* from, const std::uint32_t* to, int count);
@@ -113,6 +115,7 @@ class TrainStep {
   [[nodiscard]] static std::vector<Part> split(std::span<const TrainView> views);
   ViewBatch& batch_for(std::span<const TrainView> views);
   WorkspaceView workspace_for(ViewBatch& batch);
+  [[nodiscard]] int index_capacity();
   void size_isects(ViewBatch& batch);
   void invalidate_graphs();
 
@@ -133,6 +136,7 @@ class TrainStep {
   AdamState adam_;
   device::Buffer<float> learning_rate_;
   Workspace workspace_;
+  int page_indices_ = 0;                                    // that there is room for, of a model in pages
   std::map<std::tuple<int, int, int>, ViewBatch> batches_;  // by width, height, views
 
   // Launches on their way, oldest first; what they leave for the host is in a ring.

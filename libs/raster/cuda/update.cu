@@ -1,6 +1,7 @@
 #include "raster/cuda/appearance_dispatch.h"
 #include "raster/cuda/gradient_math.cuh"
 #include "raster/cuda/kernels.h"
+#include "raster/cuda/range_lanes.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -15,15 +16,26 @@ __device__ inline float square_root(float x) {
 
 /// Where gradients go: Adam in place (Kingma and Ba 2015), each Gaussian with a step count of its own.
 struct AdamSink {
+  static constexpr int kLanes = static_cast<int>(kPageLanes);
+
   DeviceGaussians gaussians;
   OptimizerState state;
   AdamOptions options;
   int active_channels;
   float correction1 = 1.0F, correction2 = 1.0F;
 
+  /// Of channel 0: the first moment. The second one of a channel lies `second()` behind its first.
+  [[nodiscard]] __device__ float* moments(int i) const {
+    const auto index = static_cast<std::uint32_t>(i);
+    return state.blocks + (index >> kPageShift) * static_cast<std::size_t>((2 * state.channels + 1) * kLanes) +
+           (index & (kPageLanes - 1));
+  }
+  [[nodiscard]] __device__ int second() const { return state.channels * kLanes; }
+
   __device__ void begin(int i) {
-    const std::uint32_t taken = state.steps[i] + 1;
-    state.steps[i] = taken;
+    std::uint32_t& steps = *reinterpret_cast<std::uint32_t*>(moments(i) + 2 * second());
+    const std::uint32_t taken = steps + 1;
+    steps = taken;
     const auto step = static_cast<float>(taken);
     const float half = options.half_rate_steps;
     const float rate = half > 0.0F ? fmaxf(options.least_rate, half / (half + step)) : 1.0F;
@@ -36,28 +48,27 @@ struct AdamSink {
   template <int kChannels, bool kUnit = false>
   __device__ void put(int first, int spacing, int i, const float* value, const float* gradient) const {
     float m[kChannels], v[kChannels];
+    float* const first_moments = moments(i) + first * kLanes;
+    float* const second_moments = first_moments + second();
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
-      const int channel = first + k * spacing;
-      const std::int64_t at = parameters_of(gaussians).offset(channel, i);
-      const bool active = channel < active_channels;
-      m[k] = active ? state.first[at] : 0.0F;
-      v[k] = active ? state.second[at] : 0.0F;
+      const bool active = first + k * spacing < active_channels;
+      m[k] = active ? first_moments[k * spacing * kLanes] : 0.0F;
+      v[k] = active ? second_moments[k * spacing * kLanes] : 0.0F;
     }
-    const int same_i = recomputed(i);
+    const ChannelsOfOne<float> parameters = parameters_of(gaussians).of(recomputed(i), first);
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
       const int channel = first + k * spacing;
-      const std::int64_t at = parameters_of(gaussians).offset(channel, same_i);
       if (channel >= active_channels) continue;
       m[k] = options.beta1 * m[k] + (1.0F - options.beta1) * gradient[k];
       v[k] = options.beta2 * v[k] + (1.0F - options.beta2) * gradient[k] * gradient[k];
-      state.first[at] = m[k];
-      state.second[at] = v[k];
+      first_moments[k * spacing * kLanes] = m[k];
+      second_moments[k * spacing * kLanes] = v[k];
       const float scale = square_root(v[k] * correction2) + options.epsilon;
       float next = value[k] - __fdividef(options.learning_rate[channel] * m[k] * correction1, scale);
       if (kUnit && options.unit_albedo) next = fminf(fmaxf(next, 0.0F), 1.0F);
-      gaussians.parameters[at] = next;
+      parameters[k * spacing] = next;
     }
   }
 };
@@ -146,7 +157,7 @@ __device__ void put_channels(const Item& item, const Sink& sink, int first, cons
 template <class Sink>
 __device__ void update_transfer(const Item& item, const Sink& sink, bool residual) {
   const float3 n = load_normal(normals_of(item.gaussians), item.i);
-  const float visibility = item.gaussians.visibility != nullptr ? item.gaussians.visibility[item.i] : 1.0F;
+  const float visibility = visibility_of(item.gaussians, item.i);
   float albedo[3] = {0.0F, 0.0F, 0.0F}, sums[27] = {};
   for (int b = 0; b < item.w.batch; ++b) {
     if ((item.views >> b & 1U) == 0) continue;
@@ -237,16 +248,17 @@ template <class Sink, int kCoefficients, bool kExtra>
 __global__ void __launch_bounds__(kThreads, 4)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual,
                   ScreenStatistics statistics) {
-  const int i = blockIdx.x * kThreads + threadIdx.x;
-  if (i >= w.count) return;
+  Lane<kThreads> lane;
+  if (!lane.find(w) || !lane.present()) return;
+  const int i = lane.i;
   std::uint32_t views = 0;
   for (int b = 0; b < w.batch; ++b) {
     views |= static_cast<std::uint32_t>(w.projected_visible[static_cast<std::size_t>(b) * w.count + i]) << b;
   }
   if (views == 0) return;
-  const Item item{gaussians, w, i, w.object_slot != nullptr ? w.object_slot[i] : 0, views};
+  const Item item{gaussians, w, i, lane.slot(), views};
   if constexpr (std::is_same_v<Sink, GradientSink>) sink.touched[i] = 1;
-  if (gaussians.flags == nullptr || (gaussians.flags[i] & kFrozen) == 0) {
+  if (!is_frozen(gaussians, i)) {
     const GaussianGeometry g = load_geometry(parameters_of(gaussians), i);
     sink.begin(i);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};
@@ -263,7 +275,7 @@ __global__ void __launch_bounds__(kThreads, 4)
 template <class Sink>
 void launch_with(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const ProjectOptions& project,
                  const Sink& sink, const ScreenStatistics& statistics, cudaStream_t stream) {
-  const auto blocks = static_cast<unsigned>((workspace.count + kThreads - 1) / kThreads);
+  const unsigned blocks = Lane<kThreads>::blocks(workspace);
   if (blocks == 0) return;
   const bool residual = sink.active_channels > ParameterLayout::kResidual;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
@@ -298,7 +310,7 @@ void launch_gradient(const DeviceGaussians& gaussians, const WorkspaceView& work
                      float* gradient, std::uint8_t* touched, const ScreenStatistics& statistics, int active_channels,
                      cudaStream_t stream) {
   launch_with(gaussians, workspace, project,
-              GradientSink{.gradient = {gradient, gaussians.stride},
+              GradientSink{.gradient = {gradient, gaussians.has_pages() ? gaussians.count : gaussians.stride},
                            .touched = touched,
                            .active_channels = active(gaussians, active_channels)},
               statistics, stream);

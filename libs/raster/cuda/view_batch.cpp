@@ -89,12 +89,12 @@ void ViewBatch::copy_tables(StepCounts* counts, cudaStream_t stream) const {
 void ViewBatch::follow_model(const DeviceGaussians& gaussians, cudaStream_t stream) {
   if (!slots_stale_) return;
   slots_stale_ = false;
-  slotted_ = !object_ids_.empty() && gaussians.object_id != nullptr;
-  if (!slotted_) return;
-  object_slot_.resize(static_cast<std::size_t>(std::max<std::int64_t>(gaussians.stride, 1)));
   device_object_ids_.upload(object_ids_.data(), object_ids_.size(), stream);
-  launch_object_slots(gaussians.object_id, gaussians.count, device_object_ids_.data(),
-                      static_cast<int>(object_ids_.size()), object_slot_.data(), stream);
+  slotted_ = gaussians.object_id != nullptr;
+  if (!slotted_) return;
+  object_slot_.resize(static_cast<std::size_t>(std::max<std::int64_t>({gaussians.stride, gaussians.count, 1})));
+  launch_object_slots(gaussians, device_object_ids_.data(), static_cast<int>(object_ids_.size()), object_slot_.data(),
+                      stream);
 }
 
 void ViewBatch::model_changed(int count, int count_before) {
@@ -108,6 +108,7 @@ void ViewBatch::bind(WorkspaceView& w) const {
   w.views = at<DeviceView>(0);
   w.object_views = at<ObjectView>(object_offset_);
   w.object_count = 1 + static_cast<int>(object_ids_.size());
+  w.object_ids = device_object_ids_.data();
   w.object_slot = slotted_ ? object_slot_.data() : nullptr;
 }
 

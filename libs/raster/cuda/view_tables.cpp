@@ -1,6 +1,5 @@
 #include "raster/cuda/view_tables.h"
 
-#include <algorithm>
 #include <cmath>
 #include <set>
 #include <stdexcept>
@@ -58,6 +57,7 @@ std::vector<std::uint32_t> moving_objects(std::span<const SceneView> views) {
   for (const SceneView& view : views) {
     for (const auto& [id, transform] : view.scene->objects) ids.insert(id);
   }
+  ids.erase(kWorldFrame);  // which nothing moves
   if (ids.size() >= static_cast<std::size_t>(kMaxObjects)) {
     throw std::invalid_argument("CUDA rasteriser: more than " + std::to_string(kMaxObjects - 1) + " moving objects");
   }
@@ -78,24 +78,12 @@ ViewTables make_view_tables(std::span<const SceneView> views, Appearance appeara
     tables.object_views.push_back(object_view(view.camera, view.scene->light, Rigid{}));
     for (const std::uint32_t id : tables.object_ids) {
       const auto found = view.scene->objects.find(id);
-      const Rigid transform = found == view.scene->objects.end() ? Rigid{} : found->second;
-      tables.object_views.push_back(object_view(view.camera, view.scene->light, transform));
+      tables.object_views.push_back(found == view.scene->objects.end()
+                                        ? hidden_object()
+                                        : object_view(view.camera, view.scene->light, found->second));
     }
   }
   return tables;
-}
-
-std::vector<std::uint16_t> object_slots(const std::uint32_t* object_id, std::size_t count,
-                                        const std::vector<std::uint32_t>& object_ids) {
-  std::vector<std::uint16_t> slots(count, 0);
-  if (object_id == nullptr || object_ids.empty()) return slots;
-  for (std::size_t i = 0; i < count; ++i) {
-    const auto found = std::lower_bound(object_ids.begin(), object_ids.end(), object_id[i]);
-    if (found != object_ids.end() && *found == object_id[i]) {
-      slots[i] = static_cast<std::uint16_t>(1 + (found - object_ids.begin()));
-    }
-  }
-  return slots;
 }
 
 }  // namespace splatbus::raster::cuda

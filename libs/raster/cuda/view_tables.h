@@ -23,20 +23,15 @@ struct ViewTables {
   int object_count = 1;
 };
 
-/// Folds cameras, object transforms and light together. Every view knows the union of the views' objects; an object
-/// that a view lacks stands at the world's origin there, as in the CPU backend. Throws std::invalid_argument when there
-/// are too many.
+/// Folds cameras, object transforms and light together. Every view knows the union of the views' objects; one that its
+/// own scene lacks is hidden there. Throws std::invalid_argument when there are too many.
 [[nodiscard]] ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance);
 
-/// The same for objects chosen by the caller, ids ascending; an object that is none of them counts as standing still.
+/// The same for objects chosen by the caller, ids ascending; an object that is none of them is hidden.
 [[nodiscard]] ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance,
                                           std::vector<std::uint32_t> object_ids);
 
 /// Ids of the objects that any of the views moves, ascending. Throws std::invalid_argument when there are too many.
 [[nodiscard]] std::vector<std::uint32_t> moving_objects(std::span<const SceneView> views);
-
-/// Rows of object_views for each Gaussian.
-[[nodiscard]] std::vector<std::uint16_t> object_slots(const std::uint32_t* object_id, std::size_t count,
-                                                      const std::vector<std::uint32_t>& object_ids);
 
 }  // namespace splatbus::raster::cuda

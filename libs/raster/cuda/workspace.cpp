@@ -35,6 +35,7 @@ WorkspaceView shape_of(const WorkspaceRequest& r) {
   w.tiles_x = (r.width + kTileSize - 1) / kTileSize;
   w.tiles_y = (r.height + kTileSize - 1) / kTileSize;
   w.isect_capacity = r.isect_capacity;
+  w.range_count = r.range_count;
   w.object_count = std::max(r.object_count, 1);
   return w;
 }
@@ -48,6 +49,7 @@ template <class Take>
 void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   const auto batch = static_cast<std::size_t>(r.batch), objects = static_cast<std::size_t>(r.object_count);
   const auto count = static_cast<std::size_t>(std::max({1, r.count, r.capacity}));
+  const auto ranges = static_cast<std::size_t>(r.range_count > 0 ? std::max(r.range_count, r.range_capacity) : 0);
   const std::size_t pixels = static_cast<std::size_t>(r.width) * static_cast<std::size_t>(r.height) * batch;
   const std::size_t tiles = static_cast<std::size_t>(w.tiles_x) * static_cast<std::size_t>(w.tiles_y) * batch;
   const std::size_t isects = isects_of(r), projected = count * batch, trained = r.training ? projected : 0;
@@ -63,6 +65,8 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   take(w.projected_visible, trained);
   take(w.projected_depth_gradient, r.depth ? trained : 0);
   take(w.counts, 1);
+  take(w.range_marks, ranges);
+  take(w.listed, ranges);
   take(w.isect_ids[0], 2 * isects);
   take(w.flatten_ids[0], isects);
   take(w.flatten_ids[1], isects + 3);  // read four at a time
@@ -83,7 +87,8 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   take(w.ssim_partials, 9 * pixels * training);
   take(w.views, objects > 0 ? batch : 0);
   take(w.object_views, batch * objects);
-  take(w.object_slot, objects > 0 ? count : 0);
+  take(w.object_ids, objects);
+  take(w.object_slot, r.object_slots ? count : 0);
 }
 
 }  // namespace

@@ -19,6 +19,14 @@ struct StepCounts {
   float loss[kMaxBatch];
   std::uint32_t isects;    ///< intersections that there are; above isect_capacity the rest is missing
   std::uint32_t segments;  ///< in `segments`
+  std::uint32_t listed;    ///< ranges in `listed`
+};
+
+/// Gaussians of a model in pages that some view may see.
+struct ListedRange {
+  std::uint32_t first, count;
+  std::uint32_t range;  ///< index into DeviceGaussians::ranges
+  std::uint32_t mark;   ///< slot, the row of object_views, << 16 | views; bit b: view b may see it
 };
 
 /// Device memory of the kernels. `batch * count` projected Gaussians, that of view v and Gaussian i at v * count + i.
@@ -26,6 +34,11 @@ struct WorkspaceView {
   int count = 0, batch = 0, width = 0, height = 0;
   int tiles_x = 0, tiles_y = 0;
   std::uint32_t isect_capacity = 0;
+
+  // Of a model with ranges; else null. Gaussians that are not listed are not projected.
+  int range_count = 0;
+  std::uint32_t* range_marks = nullptr;  ///< [range_count] slot << 16 | views
+  ListedRange* listed = nullptr;         ///< [counts->listed], ascending
 
   // Projected Gaussians: alpha = 2^(log2_alpha - u^2 - v^2) with u = uxx dx + uxy dy, v = uyy dy.
   float4* projected_shape = nullptr;    ///< [batch * count][2]: x, y (pixels), log2_alpha, uxx | uxy, uyy, red, green
@@ -67,7 +80,8 @@ struct WorkspaceView {
   // Small tables, written before a step.
   DeviceView* views = nullptr;           ///< [kMaxBatch]
   ObjectView* object_views = nullptr;    ///< [kMaxBatch][object_count]
-  std::uint16_t* object_slot = nullptr;  ///< [count], row of object_views; null: all 0
+  std::uint32_t* object_ids = nullptr;   ///< [object_count - 1], ascending, of the rows behind the first
+  std::uint16_t* object_slot = nullptr;  ///< [count], row of object_views or kHiddenSlot; null: as the range says, or 0
   int object_count = 1;
 };
 
@@ -84,7 +98,9 @@ struct WorkspaceRequest {
   int count = 0;     ///< Gaussians
   int capacity = 0;  ///< to make room for, where that is more than `count`
   int batch = 1, width = 0, height = 0;
-  int object_count = 0;  ///< rows of object_views; 0: the caller brings views, object_views and object_slot
+  int range_count = 0, range_capacity = 0;  ///< as count and capacity
+  int object_count = 0;  ///< rows of object_views; 0: the caller brings views, object_views, object_ids and object_slot
+  bool object_slots = false;  ///< room for object_slot, with object_count
   bool albedo = false;
   bool depth = false;  ///< the depth plane; in training also gradients through it and through alpha
   bool training = true;

@@ -67,7 +67,8 @@ class CudaRasterizer final : public Rasterizer {
  private:
   void draw(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene, const RenderOptions& options,
             bool training, Render& out) {
-    if (gaussians.count > gaussians.stride) throw std::invalid_argument("rasterizer: stride is below count");
+    if (!gaussians.has_pages() && gaussians.count > gaussians.stride)
+      throw std::invalid_argument("rasterizer: stride is below count");
     gaussians_ = gaussians;
     model_.upload(gaussians, pass_.stream());
     pass_.draw(model_.view(), camera, scene, options, training);

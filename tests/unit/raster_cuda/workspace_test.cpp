@@ -36,6 +36,8 @@ TEST_F(CudaTest, AWorkspaceGrowsOnceAndServesAllSizes) {
 TEST_F(CudaTest, AWorkspacesArraysDoNotOverlap) {
   cuda::WorkspaceRequest all = kSmall;
   all.object_count = 3;
+  all.object_slots = true;
+  all.range_count = 5;
   all.albedo = all.depth = true;
   cuda::Workspace workspace;
   workspace.reserve(all);
@@ -52,6 +54,8 @@ TEST_F(CudaTest, AWorkspacesArraysDoNotOverlap) {
       span(w.projected_visible, projected),
       span(w.projected_depth_gradient, projected),
       span(w.counts, 1),
+      span(w.range_marks, 5),
+      span(w.listed, 5),
       span(w.isect_ids[0], isects),
       span(w.isect_ids[1], isects),
       span(w.flatten_ids[0], isects),
@@ -71,6 +75,7 @@ TEST_F(CudaTest, AWorkspacesArraysDoNotOverlap) {
       span(w.ssim_partials, 9 * pixels),
       span(w.views, 2),
       span(w.object_views, 6),
+      span(w.object_ids, 3),
       span(w.object_slot, 100)};
   std::sort(arrays.begin(), arrays.end());
   for (std::size_t k = 1; k < arrays.size(); ++k) EXPECT_GE(arrays[k].first, arrays[k - 1].second) << k;

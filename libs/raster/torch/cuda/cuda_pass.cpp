@@ -180,7 +180,7 @@ class CudaPass final : public RasterPass {
     std::vector<cuda::SceneView> scenes;
     for (std::size_t k = 0; k < call.cameras.size(); ++k) scenes.push_back({call.cameras[k], &call.scene(k)});
     const cuda::ViewTables tables = cuda::make_view_tables(scenes, call.layout.appearance);
-    const bool slotted = gaussians.object_id != nullptr && !tables.object_ids.empty();
+    const bool slotted = gaussians.object_id != nullptr;
     w_.object_count = tables.object_count;
 
     // The host's copy has the layout of the device's, so that one copy takes all.
@@ -195,7 +195,8 @@ class CudaPass final : public RasterPass {
     const Tensor host = on_host.allocate(torch::TensorOptions().pinned_memory(true));
     std::memcpy(w_.views, tables.views.data(), std::span(tables.views).size_bytes());
     std::memcpy(w_.object_views, tables.object_views.data(), std::span(tables.object_views).size_bytes());
-    if (slotted) std::memcpy(object_ids, tables.object_ids.data(), std::span(tables.object_ids).size_bytes());
+    if (object_ids != nullptr)
+      std::memcpy(object_ids, tables.object_ids.data(), std::span(tables.object_ids).size_bytes());
     add_tables(on_device);
     kept.push_back(on_device.allocate(type).copy_(host, /*non_blocking=*/true));
 
@@ -204,8 +205,8 @@ class CudaPass final : public RasterPass {
     cuda::TensorArena slots;
     slots.add(w_.object_slot, static_cast<std::size_t>(gaussians.count));
     kept.push_back(slots.allocate(type));
-    cuda::launch_object_slots(gaussians.object_id, gaussians.count, object_ids,
-                              static_cast<int>(tables.object_ids.size()), w_.object_slot, stream);
+    cuda::launch_object_slots(gaussians, object_ids, static_cast<int>(tables.object_ids.size()), w_.object_slot,
+                              stream);
   }
 
   /// Projected Gaussians and lists, as Workspace lays them out, for w_.isect_capacity intersections: `lists` is what

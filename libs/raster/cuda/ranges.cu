@@ -1,0 +1,122 @@
+#include <cub/block/block_reduce.cuh>
+#include <cub/block/block_scan.cuh>
+
+#include "raster/cuda/gaussian_channels.cuh"
+#include "raster/cuda/kernels.h"
+#include "raster/cuda/object_slot.cuh"
+
+namespace splatbus::raster::cuda {
+namespace {
+
+constexpr int kTestThreads = 128, kListThreads = 1024, kBoundsThreads = 256;
+static_assert(kMaxBatch <= 16, "a mark has 16 bits for views");
+
+__device__ FrustumCamera frustum_camera(const DeviceView& view, const WorkspaceView& w, float blur_px2) {
+  return {.fx = view.fx,
+          .fy = view.fy,
+          .cx = view.cx,
+          .cy = view.cy,
+          .width = static_cast<float>(w.width),
+          .height = static_cast<float>(w.height),
+          .near_m = view.near_m,
+          .blur_px2 = blur_px2,
+          .max_tan_x = fmaxf(fabsf(view.limit_x_low), fabsf(view.limit_x_high)),
+          .max_tan_y = fmaxf(fabsf(view.limit_y_low), fabsf(view.limit_y_high))};
+}
+
+__device__ math::Rigid camera_from(const ObjectView& object) {
+  const float* v = object.view_from_object;
+  return {{{v[0], v[4], v[8]}, {v[1], v[5], v[9]}, {v[2], v[6], v[10]}}, {v[3], v[7], v[11]}};
+}
+
+/// The views that a range may show in.
+__device__ std::uint32_t views_of(const DeviceGaussians& g, const WorkspaceView& w, int k, std::uint16_t slot,
+                                  float blur_px2) {
+  // Where each Gaussian has an object of its own, the range's says only where its bounds are.
+  if (g.bounds == nullptr && w.object_slot != nullptr) return (1U << w.batch) - 1;
+  if (slot == kHiddenSlot) return 0;
+  std::uint32_t views = 0;
+  for (int b = 0; b < w.batch; ++b) {
+    const ObjectView& object = w.object_views[b * w.object_count + slot];
+    if (is_hidden(object)) continue;
+    const bool shows =
+        g.bounds == nullptr ||
+        may_show(page_frustum(frustum_camera(w.views[b], w, blur_px2), camera_from(object)), g.bounds[k]);
+    if (shows) views |= 1U << b;
+  }
+  return views;
+}
+
+__global__ void __launch_bounds__(kTestThreads)
+    test_ranges_kernel(DeviceGaussians gaussians, WorkspaceView w, float blur_px2) {
+  const int k = blockIdx.x * kTestThreads + threadIdx.x;
+  if (k >= gaussians.range_count) return;
+  const IndexRange range = gaussians.ranges[k];
+  const std::uint16_t slot = object_slot(range.frame_id, w.object_ids, w.object_count - 1);
+  const std::uint32_t views = range.count > 0 ? views_of(gaussians, w, k, slot, blur_px2) : 0;
+  w.range_marks[k] = static_cast<std::uint32_t>(slot) << 16 | views;
+}
+
+/// One block, so that the list keeps the ranges' order.
+__global__ void __launch_bounds__(kListThreads) list_ranges_kernel(DeviceGaussians gaussians, WorkspaceView w) {
+  using Scan = cub::BlockScan<std::uint32_t, kListThreads>;
+  __shared__ typename Scan::TempStorage scratch;
+  std::uint32_t listed = 0;
+  for (int begin = 0; begin < gaussians.range_count; begin += kListThreads) {
+    const int k = begin + static_cast<int>(threadIdx.x);
+    const std::uint32_t mark = k < gaussians.range_count ? w.range_marks[k] : 0;
+    const bool seen = (mark & 0xFFFFU) != 0;
+    std::uint32_t before = 0, all = 0;
+    Scan(scratch).ExclusiveSum(seen ? 1U : 0U, before, all);
+    __syncthreads();
+    if (seen) {
+      const IndexRange range = gaussians.ranges[k];
+      w.listed[listed + before] = {
+          .first = range.first, .count = range.count, .range = static_cast<std::uint32_t>(k), .mark = mark};
+    }
+    listed += all;
+  }
+  if (threadIdx.x == 0) w.counts->listed = listed;
+}
+
+struct Union {
+  __device__ PageBounds operator()(const PageBounds& a, const PageBounds& b) const {
+    return {{fminf(a.low.x, b.low.x), fminf(a.low.y, b.low.y), fminf(a.low.z, b.low.z)},
+            {fmaxf(a.high.x, b.high.x), fmaxf(a.high.y, b.high.y), fmaxf(a.high.z, b.high.z)},
+            fmaxf(a.max_scale_m, b.max_scale_m)};
+  }
+};
+
+__global__ void __launch_bounds__(kBoundsThreads) bounds_kernel(DeviceGaussians gaussians, WorkspaceView w) {
+  if (blockIdx.x >= w.counts->listed) return;
+  const ListedRange range = w.listed[blockIdx.x];
+  PageBounds bounds;
+  for (std::uint32_t k = threadIdx.x; k < range.count; k += kBoundsThreads) {
+    const ChannelsOfOne<float> p = parameters_of(gaussians).of(static_cast<int>(range.first + k));
+    constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
+    include(bounds, {p[kMean], p[kMean + 1], p[kMean + 2]}, fmaxf(p[kScale], fmaxf(p[kScale + 1], p[kScale + 2])));
+  }
+  using Reduce = cub::BlockReduce<PageBounds, kBoundsThreads>;
+  __shared__ typename Reduce::TempStorage scratch;
+  bounds = Reduce(scratch).Reduce(bounds, Union());
+  if (threadIdx.x == 0) gaussians.bounds[range.range] = bounds;
+}
+
+}  // namespace
+
+void launch_list_ranges(const DeviceGaussians& gaussians, const WorkspaceView& workspace, float blur_px2,
+                        cudaStream_t stream) {
+  if (gaussians.range_count == 0) return;
+  const auto blocks = static_cast<unsigned>((gaussians.range_count + kTestThreads - 1) / kTestThreads);
+  test_ranges_kernel<<<blocks, kTestThreads, 0, stream>>>(gaussians, workspace, blur_px2);
+  list_ranges_kernel<<<1, kListThreads, 0, stream>>>(gaussians, workspace);
+  check(cudaGetLastError(), "listing the ranges that views see");
+}
+
+void launch_bounds(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream) {
+  if (gaussians.range_count == 0 || gaussians.bounds == nullptr) return;
+  bounds_kernel<<<static_cast<unsigned>(gaussians.range_count), kBoundsThreads, 0, stream>>>(gaussians, workspace);
+  check(cudaGetLastError(), "bounds");
+}
+
+}  // namespace splatbus::raster::cuda
