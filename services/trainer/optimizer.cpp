@@ -192,6 +192,7 @@ void Optimizer::prune_found(bool waited) {
   collect(true);
   wait_for_values();
   follow(store_.remove(dead_.data()).moves);
+  follow(store_.merge());
   if (counts.not_finite > 0) {
     spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", store_.step());
   }
