@@ -73,7 +73,7 @@ class PageStore {
   [[nodiscard]] float* average() const { return memory_.value(rows_of(Channel::Average, layout_).first, 0); }
   /// The view's ranges and bounds in the device's memory, [view().ranges.size()].
   [[nodiscard]] const IndexRange* device_ranges() const { return device_ranges_.data(); }
-  [[nodiscard]] const PageBounds* device_bounds() const { return device_bounds_.data(); }
+  [[nodiscard]] PageBounds* device_bounds() const { return device_bounds_.data(); }
 
   [[nodiscard]] std::uint64_t step() const { return table_.header().step; }
   [[nodiscard]] std::uint64_t views() const { return table_.header().views; }

@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "trainer/insert_batch.h"
+#include "trainer/insert_reader.h"
 
 namespace splatbus::trainer {
 

@@ -1,26 +1,16 @@
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
+
+#include "device/memory.h"
+#include "model/insert_rows.h"
 
 namespace splatbus::trainer {
 
-/// Where the rows of a batch lie, in either kind of memory: planes [channels][stride]. Kernels take it as it is.
-struct InsertRows {
-  std::size_t stride = 0;
-  const float* mean = nullptr;
-  const float* log_scale = nullptr;
-  const float* rotation = nullptr;
-  const float* opacity_logit = nullptr;
-  const float* albedo = nullptr;
-  const float* normal = nullptr;
-  const float* visibility = nullptr;
-  const std::uint32_t* object_id = nullptr;
-  const std::uint64_t* cell = nullptr;
-};
+using model::InsertRows;
 
-/// Calls visit(name, planes, channels) for the planes of InsertRows or InsertBatch, in the order in which they lie in
-/// one piece. The names are those of model/insert's tensors.
+/// Calls visit(name, planes, channels) for the planes of InsertRows, in the order in which they lie in one piece. The
+/// names are those of model/insert's tensors.
 template <class Rows, class Visit>
 void for_each_plane(Rows& rows, Visit&& visit) {
   visit("cell", rows.cell, 1U);
@@ -34,7 +24,7 @@ void for_each_plane(Rows& rows, Visit&& visit) {
   visit("visibility", rows.visibility, 1U);
 }
 
-// What a row of model/insert may be, for the checks in host memory and on the device.
+// What a row of model/insert may be.
 inline constexpr std::uint32_t kMaxInsertRows = 1U << 22;
 inline constexpr float kMaxDistance_m = 1e6F;
 inline constexpr float kMinLogScale = -16.0F, kMaxLogScale = 8.0F;  // a tenth of a micrometre to three kilometres
@@ -46,5 +36,10 @@ inline constexpr float kMaxAnyLogScale = 100.0F;
 inline constexpr float kMaxAnyNormal = 2.0F;
 inline constexpr float kMaxAny = 1e3F;
 inline constexpr float kMinRotationLength = 1e-3F;
+
+/// Writes the rows that can be Gaussians, normalised and clamped, in their order, to `kept`, which has room for all of
+/// them. Returns their number. All planes are in memory of the stream's device, `kept` to be written.
+[[nodiscard]] std::uint32_t keep_valid_rows(device::StreamView stream, const InsertRows& announced, std::uint32_t rows,
+                                            const InsertRows& kept);
 
 }  // namespace splatbus::trainer

@@ -1,14 +1,38 @@
 #include "trainer/optimizer.h"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
+#include <cmath>
+#include <utility>
 
 #include "bus/error.h"
-#include "trainer/cpu_optimizer.h"
-#ifdef SPLATBUS_HAVE_CUDA
-#include "trainer/cuda/cuda_optimizer.h"
-#endif
 
 namespace splatbus::trainer {
+
+namespace {
+
+using model::InsertResult;
+using model::Moves;
+
+/// Indices that were nobody's, or somebody else's, under the ranges before: the end of pages that grew, and new pages.
+std::vector<IndexRange> fresh_ranges(std::span<const IndexRange> before, std::span<const IndexRange> now) {
+  std::vector<IndexRange> fresh;
+  auto old = before.begin();
+  for (const IndexRange& range : now) {
+    while (old != before.end() && old->first < range.first) ++old;
+    const std::uint32_t kept = old != before.end() && old->first == range.first ? old->count : 0;
+    if (range.count > kept) fresh.push_back({range.first + kept, range.count - kept, range.frame_id});
+  }
+  return fresh;
+}
+
+/// Far apart for neighbouring steps.
+std::uint64_t seed_of(std::uint64_t seed, std::uint64_t step) {
+  return (seed << 32U) + step + 1;
+}
+
+}  // namespace
 
 StepReport& StepReport::operator+=(const StepReport& later) {
   const std::size_t all = views + later.views;
@@ -21,9 +45,41 @@ StepReport& StepReport::operator+=(const StepReport& later) {
   return *this;
 }
 
-void Optimizer::change(const std::function<void()>& work) {
-  store_.change(work);
-  follow_growth();
+std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const Options& options) {
+  if (store.device() == Device::Cpu) return make_cpu_step(store, options);
+#ifdef SPLATBUS_HAVE_CUDA
+  return make_cuda_step(store, options);
+#else
+  throw bus::Error("this build cannot train a model in device memory");
+#endif
+}
+
+Optimizer::Optimizer(model::PageStore& store, const Options& options, const StepMaker& make_step)
+    : store_(store),
+      step_(make_step(store, options)),
+      created_step_(step_->stream()),
+      dead_(step_->stream()),
+      dead_counts_(step_->stream(), 1) {
+  set_options(options);
+  // An adopted model is taken for old: its average is settled.
+  const GaussiansView view = store.view();
+  created_step_.grow(view.count);
+  ranges_.assign(view.ranges.begin(), view.ranges.end());
+}
+
+Optimizer::~Optimizer() = default;
+
+void Optimizer::set_options(const Options& options) {
+  options_ = options;
+  step_->set_options(options_);
+}
+
+kernels::PagedGaussians Optimizer::gaussians() const {
+  return {.memory = store_.memory(),
+          .channels = static_cast<std::uint32_t>(store_.layout().channels()),
+          .active_channels = static_cast<std::uint32_t>(active_channels(options_)),
+          .ranges = store_.device_ranges(),
+          .range_count = static_cast<std::uint32_t>(store_.view().ranges.size())};
 }
 
 float Optimizer::ema_decay() const {
@@ -34,24 +90,139 @@ float Optimizer::ema_decay() const {
 }
 
 bool Optimizer::apply(const Commands& commands) {
-  const auto& relit = commands.visibility;
-  if (relit && store_.accepts_visibility(relit->model_generation, relit->count)) set_visibility(*relit);
-  const auto is_new = [&](const InsertBatch& batch) { return !store_.holds(batch.epoch, batch.batch); };
-  if (std::none_of(commands.inserts.begin(), commands.inserts.end(), is_new)) return false;
-  before_change();
-  change([&] {
-    for (const InsertBatch& batch : commands.inserts) store_.append(batch);
-  });
-  return true;
+  if (const auto& relit = commands.visibility) {
+    wait_for_values();
+    store_.set_visibility(relit->model_generation, reinterpret_cast<const float*>(relit->visibility.get()),
+                          relit->memory, relit->count);
+  }
+  bool changed = false;
+  for (const InsertBatch& batch : commands.inserts) {
+    if (store_.holds(batch.epoch, batch.batch)) continue;
+    if (!changed) settle();
+    follow(store_.insert(batch.rows, batch.count, batch.scene, batch.epoch, batch.batch).moves);
+    changed = true;
+  }
+  return changed;
 }
 
-std::unique_ptr<Optimizer> make_optimizer(ModelStore& store, const Options& options) {
-  if (store.memory() == Device::Cpu) return std::make_unique<CpuOptimizer>(store, options);
-#ifdef SPLATBUS_HAVE_CUDA
-  return make_cuda_optimizer(store, options);
-#else
-  throw bus::Error("this build cannot train a model in device memory");
-#endif
+void Optimizer::follow(const Moves& moves) {
+  const GaussiansView view = store_.view();
+  const std::vector<IndexRange> fresh = fresh_ranges(ranges_, view.ranges);
+  ranges_.assign(view.ranges.begin(), view.ranges.end());
+  created_step_.grow(view.count);
+  for (const IndexRange& range : fresh) {
+    kernels::fill_values(step_->stream(), created_step_.data() + range.first, range.count, store_.step());
+  }
+  kernels::move_values(step_->stream(), created_step_.data(), moves);
+  step_->follow(fresh, moves);
+  wait_for_values();  // the moves are gone with the next change
+}
+
+StepReport Optimizer::step(std::span<const TrainingViewPtr> views) {
+  if (views.empty() || store_.count() == 0) return std::exchange(report_, {});
+  step_->step(views);
+  launched_ += 1;
+  collect(false);
+  store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));
+  average();
+  const std::uint64_t step = store_.step();
+  if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !searched_after_) search_prunable();
+  prune_found(false);
+  if (options_.densify.enabled && step % options_.densify.interval_steps == 0) densify();
+  return std::exchange(report_, {});
+}
+
+StepReport Optimizer::finish() {
+  settle();
+  store_.add_time(std::exchange(unbooked_s_, 0.0));
+  return std::exchange(report_, {});
+}
+
+void Optimizer::publish(const bus::Publisher& publisher) {
+  if (store_.device() != Device::Cpu) {
+    wait_for_values();
+    store_.refresh_bounds();
+  }
+  store_.publish(publisher);
+}
+
+void Optimizer::collect(bool wait) {
+  const StepReport done = step_->finished(wait);
+  done_ += done.steps;
+  unbooked_s_ += done.seconds;
+  report_ += done;
+}
+
+void Optimizer::settle() {
+  collect(true);
+  wait_for_values();
+  prune_found(true);
+}
+
+void Optimizer::average() {
+  const float settled = 1.0F - std::pow(ema_decay(), static_cast<float>(kernels::kStripes));
+  kernels::update_average(step_->stream(), gaussians(), created_step_.data(), store_.step(), settled);
+}
+
+void Optimizer::search_prunable() {
+  const PruneOptions& options = options_.prune;
+  dead_.resize(store_.view().count);
+  dead_counts_.clear();
+  kernels::mark_prunable(
+      step_->stream(), gaussians(), created_step_.data(),
+      {.step = store_.step(),
+       .min_age_steps = options.min_age_steps,
+       .min_opacity_logit =
+           options.min_opacity > 0 ? std::log(options.min_opacity / (1.0F - options.min_opacity)) : -1e30F,
+       .max_log_scale = std::log(options.max_scale_m)},
+      dead_.data(), dead_counts_.data());
+  searched_after_ = launched_;
+}
+
+void Optimizer::prune_found(bool waited) {
+  if (!searched_after_ || !(waited || store_.device() == Device::Cpu || done_ > *searched_after_)) return;
+  searched_after_.reset();
+  // Not on the steps' stream, where more of them are under way.
+  const device::StreamView stream = device::thread_stream(store_.device());
+  kernels::PruneCounts counts;
+  device::copy(stream, &counts, dead_counts_.data(), sizeof(counts));
+  stream.wait();
+  // A change of structure costs every reader: not for a handful that nobody sees anyway.
+  if (counts.not_finite == 0 && std::size_t{counts.removed} * 500 < store_.count()) return;
+  collect(true);
+  wait_for_values();
+  follow(store_.remove(dead_.data()).moves);
+  follow(store_.merge());
+  if (counts.not_finite > 0) {
+    spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", store_.step());
+  }
+}
+
+void Optimizer::densify() {
+  settle();
+  const kernels::ScreenStatistics statistics = step_->statistics();
+  if (statistics.steps == nullptr || store_.count() == 0) return;
+  const device::StreamView stream = step_->stream();
+  const kernels::PagedGaussians before = gaussians();
+  device::Buffer<std::uint32_t> chosen(stream, std::size_t{before.range_count} * kPageLanes);
+  const std::size_t dense =
+      kernels::list_dense(stream, before, statistics, options_.densify.gradient_threshold, chosen.data());
+  step_->clear_statistics();
+  const std::size_t count = std::min(dense, store_.room());
+  if (count == 0) return;
+  // The originals may move: who they are follows them.
+  PerIndex<std::uint32_t> copy_of(stream);
+  copy_of.grow(store_.view().count);
+  kernels::number_originals(stream, chosen.data(), static_cast<std::uint32_t>(count), copy_of.data());
+  stream.wait();
+  const InsertResult copies = store_.duplicate(chosen.data(), count);
+  copy_of.grow(store_.view().count);
+  kernels::move_values(stream, copy_of.data(), copies.moves);
+  kernels::split(stream, gaussians(), copy_of.data(), copies.added,
+                 {.max_clone_log_scale = std::log(options_.densify.clone_max_scale_m),
+                  .seed = seed_of(options_.seed, store_.step())});
+  follow(copies.moves);
+  store_.refresh_bounds();
 }
 
 }  // namespace splatbus::trainer

@@ -1,76 +1,100 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <memory>
+#include <optional>
 #include <span>
+#include <utility>
 #include <vector>
 
+#include "bus/publisher.h"
+#include "device/buffer.h"
+#include "model/page_store.h"
 #include "trainer/commands.h"
-#include "trainer/model_store.h"
+#include "trainer/gradient_step.h"
 #include "trainer/options.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
 
-/// Steps that came to their end since the last report.
-struct StepReport {
-  std::size_t steps = 0, views = 0;
-  double seconds = 0;  ///< of optimizer time
-  double loss = 0;     ///< mean over the views
+/// One value for each index of a model, 0 at first; what there was stays as it grows. In the order of a stream.
+template <class T>
+class PerIndex {
+ public:
+  explicit PerIndex(device::StreamView stream) : values_(stream) {}
+  void grow(std::size_t count) {
+    if (count <= values_.size()) return;
+    device::Buffer<T> larger(values_.stream(), std::max(count, 2 * values_.size()));
+    larger.clear();
+    device::copy(values_.stream(), larger.data(), values_.data(), values_.bytes());
+    values_ = std::move(larger);
+  }
+  [[nodiscard]] T* data() const { return values_.data(); }
 
-  StepReport& operator+=(const StepReport& later);
+ private:
+  device::Buffer<T> values_;
 };
 
-/// Trains the model of a ModelStore: applies what others ask of it between steps, and steps. Belongs to one thread.
+/// Trains the model of a PageStore: applies what others ask of it between steps, and steps. Belongs to one thread.
 /// What it keeps of its own for each Gaussian (Adam's moments, age) begins anew with a new Optimizer.
 ///
-/// In device memory a few steps may still be under way when step() returns. They count in ModelStore::step() already,
-/// in its optimizer_s() once they are done.
+/// On CUDA a few steps may still be under way when step() returns. They count in PageStore::step() already, in its
+/// optimizer_s() once they are done.
 class Optimizer {
  public:
-  virtual ~Optimizer() = default;
+  /// Throws what the maker throws.
+  Optimizer(model::PageStore& store, const Options& options, const StepMaker& make_step = make_gradient_step);
+  ~Optimizer();
   Optimizer(const Optimizer&) = delete;
   Optimizer& operator=(const Optimizer&) = delete;
 
-  virtual void set_options(const Options& options) = 0;
-  /// Those that were set, with the batch that this optimizer chooses where they leave it open.
+  void set_options(const Options& options);
+  /// Those that were set, with what the device's step chooses where they leave it open.
   [[nodiscard]] const Options& options() const { return options_; }
 
-  /// One change of structure for all of them; visibility is taken over in place, behind the steps under way. Returns
-  /// whether the structure changed.
+  /// Returns whether the structure changed.
   bool apply(const Commands& commands);
 
-  /// Render, loss, backward pass and Adam on a mini-batch, then the average over time, and pruning when it is due. The
-  /// loss is (1 - lambda) L1 + lambda (1 - SSIM) of the lit picture, plus the weighted terms of albedo and depth. The
-  /// structure may have changed. Nothing happens to an empty model or batch. The views' pictures lie in the model's
-  /// kind of memory.
-  virtual StepReport step(std::span<const TrainingViewPtr> views) = 0;
+  /// Render, loss, backward pass and Adam on a mini-batch, then the average over time, and pruning and densification
+  /// when they are due. The loss is (1 - lambda) L1 + lambda (1 - SSIM) of the lit picture, plus the weighted terms of
+  /// albedo and depth. The structure may have changed. Nothing happens to an empty model or batch. The views' pictures
+  /// lie on the store's device.
+  StepReport step(std::span<const TrainingViewPtr> views);
 
   /// Waits for all that is under way; the structure may have changed.
-  virtual StepReport finish() = 0;
+  StepReport finish();
 
- protected:
-  explicit Optimizer(ModelStore& store) : store_(store) {}
+  /// PageStore::publish(), with bounds that hold for the values as they are.
+  void publish(const bus::Publisher& publisher);
 
-  /// A change of structure that adds; what is kept here for each Gaussian follows.
-  void change(const std::function<void()>& work);
+ private:
+  [[nodiscard]] kernels::PagedGaussians gaussians() const;
   /// Of the average over time, a step: options().ema_decay, or as much more as ema_s of optimizer time takes at
   /// the pace of the steps so far.
   [[nodiscard]] float ema_decay() const;
-  /// Ends what is under way, so that nothing of this optimizer's own works on the planes; the structure may change.
-  virtual void before_change() = 0;
-  /// Columns were added, and perhaps moved to other planes.
-  virtual void follow_growth() = 0;
-  /// Writes visibility that the store accepts.
-  virtual void set_visibility(const VisibilityCommand& relit) = 0;
+  void collect(bool wait);
+  void settle();
+  void wait_for_values() const { step_->stream().wait(); }
+  void follow(const model::Moves& moves);
+  void average();
+  void search_prunable();
+  void prune_found(bool waited);
+  void densify();
 
-  ModelStore& store_;
+  model::PageStore& store_;
   Options options_;
+  std::unique_ptr<GradientStep> step_;
+  std::vector<IndexRange> ranges_;  ///< as they were when everything last followed the store
+  PerIndex<std::uint64_t> created_step_;
+  device::Buffer<std::uint8_t> dead_;
+  device::Buffer<kernels::PruneCounts> dead_counts_;
+  std::uint64_t launched_ = 0, done_ = 0;  ///< steps
+  /// Steps that were launched before a search for Gaussians to remove: it has ended when a later one is done.
+  std::optional<std::uint64_t> searched_after_;
+  StepReport report_;
+  double unbooked_s_ = 0;  ///< of optimizer time that the model's figures do not have yet
 };
-
-/// The one for the memory in which the model lies. Throws bus::Error or std::runtime_error when it cannot be had.
-[[nodiscard]] std::unique_ptr<Optimizer> make_optimizer(ModelStore& store, const Options& options);
 
 }  // namespace splatbus::trainer

@@ -11,8 +11,6 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("appearance", layout.appearance, "appearance model",
         {{"transfer", Appearance::Transfer}, {"radiance", Appearance::Radiance}}, kFixed);
   p.add("sh_degree", layout.sh_degree, "degree of the spherical harmonics, radiance only", {0, 3}, kFixed);
-  p.add("capacity", capacity, "Gaussians that the model's memory has room for before it is moved to one twice as large",
-        {16, static_cast<double>(kGaussianLimit)}, kFixed);
   p.add("max_gaussians", max_gaussians, "Gaussians beyond which nothing is inserted",
         {1, static_cast<double>(kGaussianLimit)}, kFixed);
   p.add("max_picture_mpixels", max_picture_pixels, "2^20 pixels of the largest picture that is trained", {1, 64},

@@ -37,7 +37,6 @@ struct DensifyOptions {
 struct Options {
   // Fixed once started.
   ParameterLayout layout;
-  std::size_t capacity = 400'000;                    ///< Gaussians that the first slab has room for
   std::size_t max_gaussians = kDefaultMaxGaussians;  ///< beyond it nothing is inserted
   std::size_t max_picture_pixels = 1U << 24U;        ///< larger pictures are refused
   std::uint64_t seed = 1;

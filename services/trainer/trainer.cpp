@@ -28,26 +28,26 @@ std::size_t picture_bytes(Device memory) {
 
 }  // namespace
 
-Trainer::Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer)
+Trainer::Trainer(bus::ServiceContext& service, StepMaker make_step)
     : service_(service),
       publisher_(service.bus),
       subscriber_(service.bus),
       views_(ViewStore::kMaxViews, picture_bytes(service.backend)),
       references_(service.backend, service.parameters.read<Options>().max_picture_pixels, views_.max_bytes(),
                   host_copied_bytes_),
-      inserts_(make_insert_reader(service.backend, host_copied_bytes_)),
+      inserts_(service.backend, host_copied_bytes_),
       visibilities_(service.backend),
-      make_optimizer_(std::move(make_optimizer)),
+      make_step_(std::move(make_step)),
       sampler_(service.parameters.read<Options>().seed),
       options_(service.parameters) {}
 
 void Trainer::run() {
   const Options& options = *options_;
   with_depth_ = options.depth_weight > 0;
-  store_ = std::make_unique<ModelStore>(service_.bus, options.layout, options.capacity, options.max_gaussians,
-                                        service_.backend);
+  store_ = std::make_unique<model::PageStore>(
+      service_.bus, options.layout, model::PageStoreOptions{.max_gaussians = options.max_gaussians}, service_.backend);
   spdlog::info("model: {}", store_->origin());
-  optimizer_ = make_optimizer_(*store_, options);
+  optimizer_ = std::make_unique<Optimizer>(*store_, options, make_step_);
 
   try {
     const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
@@ -112,7 +112,7 @@ void Trainer::take_reference(const bus::Message& message) {
 }
 
 void Trainer::take_insert(const bus::Message& message) {
-  auto reading = inserts_->read(message);
+  auto reading = inserts_.read(message);
   if (reading.lost) {
     ++lost_tensors_;
     return;

@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <deque>
 #include <exception>
-#include <functional>
 #include <memory>
 #include <optional>
 #include <stop_token>
@@ -43,9 +42,7 @@ class Progress {
 /// The trainer service: one thread takes messages, another one owns the model and steps without end.
 class Trainer {
  public:
-  using OptimizerMaker = std::function<std::unique_ptr<Optimizer>(ModelStore&, const Options&)>;
-
-  explicit Trainer(bus::ServiceContext& service, OptimizerMaker make_optimizer = trainer::make_optimizer);
+  explicit Trainer(bus::ServiceContext& service, StepMaker make_step = make_gradient_step);
 
   /// Until `service.stop`. Throws bus::Error when no broker comes, and whatever memory, the device or the optimizer
   /// fail with: the model stays with the bus for the next trainer.
@@ -83,12 +80,12 @@ class Trainer {
   std::exception_ptr optimizer_failure_;             ///< once its thread has ended
   std::atomic<std::uint64_t> host_copied_bytes_{0};  ///< bulk data that passed through host memory
   ReferenceReader references_;
-  std::unique_ptr<InsertReader> inserts_;
+  InsertReader inserts_;
   bus::MemoryPool visibilities_;
   std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
-  std::unique_ptr<ModelStore> store_;
-  OptimizerMaker make_optimizer_;
+  std::unique_ptr<model::PageStore> store_;
+  StepMaker make_step_;
   std::unique_ptr<Optimizer> optimizer_;
   ViewSampler sampler_;
   Progress progress_;

@@ -76,9 +76,9 @@ void Trainer::optimize_once() {
 }
 
 bool Trainer::finish_steps() {
-  const std::uint64_t generation = store_->structure().generation;
+  const std::uint64_t generation = store_->generation();
   progress_.add(optimizer_->finish());
-  return store_->structure().generation != generation;
+  return store_->generation() != generation;
 }
 
 void Trainer::refresh_options() {
@@ -98,9 +98,9 @@ bool Trainer::may_step() const {
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
   const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
-  const std::uint64_t generation = store_->structure().generation;
+  const std::uint64_t generation = store_->generation();
   progress_.add(optimizer_->step(batch));
-  if (store_->structure().generation != generation) publish_due(true);
+  if (store_->generation() != generation) publish_due(true);
 }
 
 void Trainer::publish_due(bool structure_changed) {
@@ -113,7 +113,7 @@ void Trainer::publish_due(bool structure_changed) {
   const bool newly_finished = finished && state.finished_at != announced_.finished_at;
   const auto model_period = service_.bus->address().is_local() ? Clock::duration(kModelPeriod) : kRemoteModelPeriod;
   if (structure_changed || newly_finished || now - model_published_ >= model_period) {
-    store_->publish(publisher_);
+    optimizer_->publish(publisher_);
     model_published_ = now;
   }
   const auto stats_period = state == announced_ ? Clock::duration(kStatsPeriod) : kChangedStatsPeriod;

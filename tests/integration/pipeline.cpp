@@ -37,7 +37,7 @@ services:
       light_depth_size: 128
   - name: expander
   - name: trainer
-    parameters: {threads: 1, capacity: 8192}
+    parameters: {threads: 1, max_gaussians: 8192}
   - name: relight
   - name: streamer
   - name: viewer

@@ -1,9 +1,7 @@
 // The trainer on the device, fed from slabs of the device and from slabs of the host.
 #include <limits>
 
-#include "cuda_model_fixture.h"
 #include "trainer_fixture.h"
-#include "model/published_model.h"
 
 namespace splatbus::trainer {
 namespace {
@@ -11,11 +9,7 @@ namespace {
 class CudaTrainer : public TrainerTest {
  protected:
   void SetUp() override {
-    if (!has_device()) GTEST_SKIP() << "no CUDA device";
-  }
-
-  std::optional<PublishedModel> open(Device memory) {
-    return PublishedModel::open(newest_.at("model/published"), memory);
+    if (!has_device(Device::Cuda)) GTEST_SKIP() << "no CUDA device";
   }
 };
 
@@ -33,16 +27,10 @@ TEST_P(CudaTrainerFedFrom, TrainsAndCountsWhatPassedThroughTheHost) {
   ASSERT_TRUE(until([&] { return stats()->step() == 8 && stats()->paused(); }));
   ASSERT_TRUE(until([&] { return published()->step() == 8; }));
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
-  const auto in_place = open(Device::Cuda);
-  ASSERT_TRUE(in_place);
-  EXPECT_EQ(in_place->copied_bytes(), 0U);
-  auto copied = open(Device::Cpu);
-  ASSERT_TRUE(copied);
-  const double psnr = scene.psnr(copied->average());
+  const double psnr = scene.psnr(read_model().value().average());
   set("run_until", "24");
   ASSERT_TRUE(until([&] { return stats()->step() == 24 && stats()->paused(); }));
-  ASSERT_TRUE(copied->refresh());
-  EXPECT_GT(scene.psnr(copied->average()), psnr + 1);
+  EXPECT_GT(scene.psnr(read_model().value().average()), psnr + 1);
   EXPECT_EQ(stats()->host_copied_bytes() == 0, on_device) << stats()->host_copied_bytes();
 }
 
@@ -53,17 +41,17 @@ TEST_F(CudaTrainer, TakesVisibilityFromTheDevice) {
   place(Device::Cuda, Device::Cuda);
   start();
   insert(sample_batch(0, 1, 40));
-  std::vector<float> seen(40, 0.25F);
-  seen[1] = std::numeric_limits<float>::quiet_NaN();
-  seen[2] = 7.0F;
-  std::optional<PublishedModel> model;
+  std::vector<float> seen(kPageLanes, 0.25F);  // by index
+  const HostModel before = read_model().value();
+  seen[before.index(1)] = std::numeric_limits<float>::quiet_NaN();
+  seen[before.index(2)] = 7.0F;
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation());
-    model = open(Device::Cpu);
-    return model && model->live().visibility[0] == 0.25F;
+    return read_model()->live().visibility[0] == 0.25F;
   }));
-  EXPECT_EQ(model->live().visibility[1], 0.0F);
-  EXPECT_EQ(model->live().visibility[2], 1.0F);
+  const HostModel model = read_model().value();
+  EXPECT_EQ(model.live().visibility[1], 0.0F);
+  EXPECT_EQ(model.live().visibility[2], 1.0F);
   ASSERT_TRUE(until([&] { return stats() != nullptr; }));
   EXPECT_EQ(stats()->host_copied_bytes(), 0U);
 }

@@ -1,301 +1,254 @@
-#include "trainer/optimizer.h"
-
-#include <gtest/gtest.h>
+// The optimizer on the CPU: what it finds again, and what becomes of Gaussians between its steps.
+#include <sys/resource.h>
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <set>
 
-#include "../../bus/bus_fixture.h"
-#include "bus/error.h"
-#include "synthetic_scene.h"
-#include "trainer/view_sampler.h"
+#include "optimizer_fixture.h"
 
 namespace splatbus::trainer {
 namespace {
 
-class OptimizerTest : public bus_test::BusTest {
+class CpuOptimizerTest : public OptimizerTest {
  protected:
-  void start(const SyntheticScene& scene, const std::function<void(bus::Parameters&)>& configure = {}) {
-    for (const auto& view : scene.views()) views_.put(view);
-    EXPECT_EQ(parameters_.set("threads", "1", false), "");
-    EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
-    if (configure) configure(parameters_);
-    const Options options = parameters_.read<Options>();
-    context_ = connect("trainer");
-    store_ = std::make_unique<ModelStore>(context_, options.layout, 1024, 4096);
-    optimizer_ = make_optimizer(*store_, options);
-    sampler_ = std::make_unique<ViewSampler>(options.seed);
-    insert(scene.perturbed());
-  }
-
-  void set(const std::string& name, const std::string& value) {
-    EXPECT_EQ(parameters_.set(name, value, true), "");
-    if (optimizer_) optimizer_->set_options(parameters_.read<Options>());
-  }
-
-  bool insert(InsertBatch batch) {
-    Commands commands;
-    commands.inserts.push_back(std::move(batch));
-    return optimizer_->apply(commands);
-  }
-
-  /// Mean loss of the steps.
-  double train(int steps) {
-    double loss = 0;
-    for (int i = 0; i < steps; ++i) {
-      std::vector<TrainingViewPtr> batch;
-      for (int b = 0; b < optimizer_->options().batch; ++b) batch.push_back(sampler_->next(views_, 0));
-      loss += optimizer_->step(batch).loss;
-    }
-    return loss / steps;
-  }
-
-  [[nodiscard]] GaussiansView average() const {
-    GaussiansView view = store_->view();
-    view.parameters = store_->planes().average;
-    return view;
-  }
-
-  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
-  ViewStore views_;
-  std::shared_ptr<bus::Context> context_;
-  std::unique_ptr<ModelStore> store_;
-  std::unique_ptr<Optimizer> optimizer_;
-  std::unique_ptr<ViewSampler> sampler_;
+  CpuOptimizerTest() { scene_ = SyntheticScene(300, 6, 48); }
+  Trial trial(const Settings& settings = {}) { return OptimizerTest::trial(Device::Cpu, settings); }
 };
 
-TEST_F(OptimizerTest, FindsASceneAgain) {
-  const SyntheticScene scene;
-  start(scene);
-  const double psnr_before = scene.psnr(store_->view());
-  const double loss_before = train(6);
-  train(228);
-  const double loss_after = train(6);
-  EXPECT_LT(loss_after, 0.3 * loss_before);
-  EXPECT_GT(scene.psnr(store_->view()), psnr_before + 8);
-  EXPECT_GT(scene.psnr(average()), psnr_before + 8);
-  EXPECT_EQ(store_->step(), 240U);
-  EXPECT_EQ(store_->views(), 240U);
+TEST_F(CpuOptimizerTest, FindsASceneAgain) {
+  Trial s = trial();
+  const double before = psnr(s);
+  const double loss_before = s.train(6);
+  s.train(228);
+  EXPECT_LT(s.train(6), 0.3 * loss_before);
+  EXPECT_GT(psnr(s), before + 8);
+  EXPECT_GT(average_psnr(s), before + 8);
+  EXPECT_EQ(s.store().step(), 240U);
+  EXPECT_EQ(s.store().views(), 240U);
+  const HostModel model = s.model();
   for (int c = ParameterLayout::kAlbedo; c < ParameterLayout::kResidual; ++c) {
-    for (std::size_t i = 0; i < store_->count(); ++i) {
-      EXPECT_GE(store_->view().plane(c)[i], 0.0F);
-      EXPECT_LE(store_->view().plane(c)[i], 1.0F);
+    for (std::size_t k = 0; k < model.count(); ++k) {
+      EXPECT_GE(model.at(c, k), 0.0F);
+      EXPECT_LE(model.at(c, k), 1.0F);
     }
   }
 }
 
-TEST_F(OptimizerTest, TheAverageIsGoodAfterTwentySteps) {
-  const SyntheticScene scene;
-  start(scene);
-  const double before = scene.psnr(average());
-  train(20);
-  EXPECT_GT(scene.psnr(average()), before + 1);
-  EXPECT_GT(scene.psnr(average()), scene.psnr(store_->view()) - 2);
+TEST_F(CpuOptimizerTest, TheAverageIsGoodAfterTwentySteps) {
+  Trial s = trial();
+  const double before = average_psnr(s);
+  s.train(20);
+  EXPECT_GT(average_psnr(s), before + 1);
+  EXPECT_GT(average_psnr(s), psnr(s) - 2);
 }
 
-TEST_F(OptimizerTest, TrainsInBatchesWithDepthAndWithoutResidual) {
-  const SyntheticScene scene;
-  start(scene, [](bus::Parameters& parameters) {
-    EXPECT_EQ(parameters.set("batch", "3", true), "");
-    EXPECT_EQ(parameters.set("depth_weight", "0.5", true), "");
-    EXPECT_EQ(parameters.set("residual", "false", true), "");
-  });
-  const double before = scene.psnr(store_->view());
-  train(80);
-  EXPECT_GT(scene.psnr(store_->view()), before + 13);  // 15 dB when all terms are right
-  EXPECT_EQ(store_->views(), 240U);
-  for (int c = ParameterLayout::kResidual; c < store_->layout().channels(); ++c) {
-    for (std::size_t i = 0; i < store_->count(); ++i) ASSERT_EQ(store_->view().plane(c)[i], 0.0F);
+TEST_F(CpuOptimizerTest, TrainsInBatchesWithDepthAndWithoutResidual) {
+  Trial s = trial({{"batch", "3"}, {"depth_weight", "0.5"}, {"residual", "false"}});
+  const double before = psnr(s);
+  s.train(80);
+  EXPECT_GT(psnr(s), before + 13);  // 15 dB when all terms are right
+  EXPECT_EQ(s.store().views(), 240U);
+  const HostModel model = s.model();
+  for (int c = ParameterLayout::kResidual; c < model.live().layout.channels(); ++c) {
+    for (std::size_t k = 0; k < model.count(); ++k) ASSERT_EQ(model.at(c, k), 0.0F);
   }
 }
 
-TEST_F(OptimizerTest, DepthLossHasTheSlopeOfItsFiniteDifferences) {
-  const SyntheticScene scene(40, 1);
-  start(scene, [](bus::Parameters& parameters) {
-    for (const char* off : {"lr_mean", "lr_log_scale", "lr_rotation", "lr_albedo", "lr_residual", "albedo_weight"}) {
-      EXPECT_EQ(parameters.set(off, "0", true), "");
-    }
-    EXPECT_EQ(parameters.set("lr_opacity", "1e-3", true), "");
-    EXPECT_EQ(parameters.set("depth_weight", "100", true), "");  // the picture's loss is nothing beside it
-    EXPECT_EQ(parameters.set("prune", "false", true), "");
-  });
-  TrainingView view = *scene.views().front();
+TEST_F(CpuOptimizerTest, DepthLossHasTheSlopeOfItsFiniteDifferences) {
+  scene_ = SyntheticScene(40, 1);
+  Trial s = trial({{"lr_mean", "0"},
+                   {"lr_log_scale", "0"},
+                   {"lr_rotation", "0"},
+                   {"lr_albedo", "0"},
+                   {"lr_residual", "0"},
+                   {"albedo_weight", "0"},
+                   {"lr_opacity", "1e-3"},
+                   {"depth_weight", "100"},  // the picture's loss is nothing beside it
+                   {"prune", "false"}});
+  TrainingView view = *scene_.views().front();
   std::vector<float> depth(view.depth.data(), view.depth.data() + view.depth.size());
   for (float& metres : depth) metres *= 1.2F;  // surfaces lie behind the Gaussians, which should give way
   view.depth = Pixels<float>(std::move(depth));
-  const std::vector<TrainingViewPtr> batch{std::make_shared<const TrainingView>(std::move(view))};
-  const std::size_t count = store_->count();
-  float* const logits = store_->planes().parameters + ParameterLayout::kOpacityLogit * store_->capacity();
-  const std::vector<float> before(logits, logits + count);
-  optimizer_->step(batch);
-  const std::vector<float> after(logits, logits + count);
-  std::copy(before.begin(), before.end(), logits);
-
-  set("lr_opacity", "0");
+  constexpr int kLogit = ParameterLayout::kOpacityLogit;
+  const HostModel before = s.model();
+  s.step({&view});
+  const HostModel after = s.model();
+  s.set("lr_opacity", "0");
+  for (std::size_t k = 0; k < before.count(); ++k) s.poke(kLogit, k, before.at(kLogit, k));
   constexpr float kStep = 0.05F;
   std::size_t steep = 0;
-  for (std::size_t i = 0; i < count; ++i) {
+  for (std::size_t k = 0; k < before.count(); ++k) {
     const auto loss_at = [&](float logit) {
-      logits[i] = logit;
-      const double loss = optimizer_->step(batch).loss;
-      logits[i] = before[i];
+      s.poke(kLogit, k, logit);
+      const double loss = s.step({&view}).loss;
+      s.poke(kLogit, k, before.at(kLogit, k));
       return loss;
     };
-    const double slope = (loss_at(before[i] + kStep) - loss_at(before[i] - kStep)) / (2 * kStep);
+    const double slope = (loss_at(before.at(kLogit, k) + kStep) - loss_at(before.at(kLogit, k) - kStep)) / (2 * kStep);
     if (std::abs(slope) < 1e-3) continue;
     ++steep;
-    EXPECT_EQ(after[i]<before[i], slope> 0) << "Adam's first step goes down the slope " << slope << " of " << i;
+    EXPECT_EQ(after.at(kLogit, k) < before.at(kLogit, k), slope > 0)
+        << "Adam's first step goes down the slope " << slope << " of " << k;
   }
-  EXPECT_GT(steep, count / 2);
+  EXPECT_GT(steep, before.count() / 2);
 }
 
-TEST_F(OptimizerTest, TrainsRadiance) {
-  const SyntheticScene scene;
-  start(scene, [](bus::Parameters& parameters) {
-    EXPECT_EQ(parameters.set("appearance", "radiance", false), "");
-    EXPECT_EQ(parameters.set("sh_degree", "1", false), "");
-  });
-  const double loss_before = train(6);
-  train(228);
-  EXPECT_LT(train(6), 0.5 * loss_before);
+TEST_F(CpuOptimizerTest, TrainsRadiance) {
+  Trial s = trial({{"appearance", "radiance"}, {"sh_degree", "1"}});
+  const double loss_before = s.train(6);
+  s.train(228);
+  EXPECT_LT(s.train(6), 0.5 * loss_before);
 }
 
-TEST_F(OptimizerTest, IsTheSameEveryTime) {
-  const SyntheticScene scene;
-  std::vector<float> first;
-  for (int run = 0; run < 2; ++run) {
-    if (context_) context_->drop_slab("model");
-    start(scene);
-    train(20);
-    const float* const plane = store_->view().parameters;
-    if (run == 0) first.assign(plane, plane + store_->count());
-    if (run == 1) {
-      EXPECT_EQ(first, std::vector<float>(plane, plane + store_->count()));
+TEST_F(CpuOptimizerTest, IsTheSameEveryTime) {
+  Trial one = trial();
+  Trial other = trial();
+  one.train(20);
+  other.train(20);
+  expect_close(one, other, 1e-30);
+}
+
+TEST_F(CpuOptimizerTest, RepeatedBatchesChangeNothing) {
+  Trial s = trial();
+  const auto generation = s.store().generation();
+  EXPECT_FALSE(s.insert(scene_.perturbed()));
+  EXPECT_EQ(s.store().generation(), generation);
+  EXPECT_TRUE(s.insert(sample_batch(1, 2, 10)));
+  s.train(1);
+}
+
+TEST_F(CpuOptimizerTest, ABatchThatThereIsNoMemoryForLeavesTheModelToTheNextTrainer) {
+  Commands commands;
+  commands.inserts.push_back(sample_batch(1, 2, 1500).on(Device::Cpu));
+  commands.inserts.push_back(sample_batch(1, 3, 10).on(Device::Cpu));
+  commands.inserts.back().count = std::size_t{1} << 30;  // nobody has memory to sort as many
+  {
+    Trial s(connect("trainer"), Device::Cpu, scene_, {}, std::size_t{1} << 23);
+    ::rlimit limit{};
+    ASSERT_EQ(::getrlimit(RLIMIT_AS, &limit), 0);
+    const ::rlimit none{.rlim_cur = 0, .rlim_max = limit.rlim_max};
+    s.train(1);
+    ASSERT_EQ(::setrlimit(RLIMIT_AS, &none), 0);
+    EXPECT_THROW(s.optimizer().apply(commands), std::exception);
+    ASSERT_EQ(::setrlimit(RLIMIT_AS, &limit), 0);
+  }
+  Trial next(connect("trainer"), Device::Cpu, scene_, {});
+  EXPECT_EQ(next.model().listed(), next.store().count());
+  EXPECT_TRUE(next.store().count() == 300 || next.store().count() == 1800) << next.store().count();
+  EXPECT_LT(next.train(3), 1.0);
+  const std::size_t before = next.store().count();
+  EXPECT_TRUE(next.insert(sample_batch(1, 4, 700)));
+  next.train(3);
+  EXPECT_EQ(next.store().count(), before + 700);
+}
+
+TEST_F(CpuOptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
+  Trial s = trial({{"prune_interval", "5"}, {"prune_min_age", "5"}});
+  const HostModel before = s.model();
+  s.poke(ParameterLayout::kOpacityLogit, 3, -9.0F);
+  s.poke(ParameterLayout::kLogScale, 4, 3.0F);
+  s.poke(20, 5, std::numeric_limits<float>::quiet_NaN());
+  s.train(5);
+  auto expected = before.ids();
+  expected.erase(expected.begin() + 3, expected.begin() + 6);
+  EXPECT_EQ(s.model().ids(), expected);
+  s.train(5);
+}
+
+TEST_F(CpuOptimizerTest, SparesYoungGaussians) {
+  Trial s = trial({{"prune_interval", "5"}, {"prune_min_age", "50"}});
+  const std::size_t before = s.store().count();
+  for (std::size_t k = 0; k < 30; ++k) s.poke(ParameterLayout::kOpacityLogit, k, -9.0F);
+  s.train(5);
+  EXPECT_EQ(s.store().count(), before);
+  s.train(45);
+  EXPECT_LE(s.store().count(), before - 25);
+}
+
+/// The average of a new Gaussian follows a jump of its value at once, that of an old one slowly: so it tells whose age
+/// is kept where.
+TEST_F(CpuOptimizerTest, AgeStaysWithAGaussianThatMoves) {
+  const Settings settings = {{"prune", "false"},  {"lr_mean", "0"},   {"lr_log_scale", "0"}, {"lr_rotation", "0"},
+                             {"lr_opacity", "0"}, {"lr_albedo", "0"}, {"lr_residual", "0"},  {"ema_decay", "0.999"}};
+  Trial s = trial(settings);
+  s.train(120);
+  const HostModel before = s.model();
+  // Over a page's room: all 300 move to new pages, among the new ones.
+  s.insert(sample_batch(1, 2, 1500, 5));
+  const HostModel after = s.model();
+  std::size_t moved = 0;
+  for (std::size_t k = 0; k < 300; ++k) moved += before.index(k) != after.index(k) ? 1 : 0;
+  ASSERT_GT(moved, 200U);
+  for (std::size_t k = 0; k < after.count(); ++k) *s.store().memory().value(0, after.index(k)) += 1;
+  s.store().refresh_bounds();
+  s.train(8);
+  const HostModel now = s.model();
+  for (std::size_t k = 0; k < now.count(); ++k) {
+    const float share = now.average().plane(0)[k] - after.average().plane(0)[k];
+    if (k < 300) {
+      ASSERT_NEAR(share, 32.0F / 125, 0.01F) << k;  // 121 to 128 steps old
+    } else {
+      ASSERT_NEAR(share, 1, 1e-3F) << k;
     }
   }
 }
 
-TEST_F(OptimizerTest, RepeatedBatchesChangeNothing) {
-  const SyntheticScene scene;
-  start(scene);
-  const auto generation = store_->structure().generation;
-  EXPECT_FALSE(insert(scene.perturbed()));
-  EXPECT_EQ(store_->structure().generation, generation);
-  EXPECT_TRUE(insert(sample_batch(1, 2, 10)));
-  train(1);
-}
-
-TEST_F(OptimizerTest, ABatchThatThereIsNoMemoryForLeavesTheModelToTheNextTrainer) {
-  const SyntheticScene scene;
-  start(scene);
-  store_ = nullptr;
-  store_ = std::make_unique<ModelStore>(context_, parameters_.read<Options>().layout, 1024, std::size_t{1} << 44);
-  optimizer_ = make_optimizer(*store_, parameters_.read<Options>());
-  const std::size_t before = store_->count();
-  ASSERT_GT(before, 0U);
-  Commands commands;
-  commands.inserts.push_back(sample_batch(1, 2, 1500));  // moves the model to a larger slab
-  InsertBatch endless = sample_batch(1, 3, 0);
-  endless.count = std::size_t{1} << 40;  // no slab is that large
-  commands.inserts.push_back(std::move(endless));
-  EXPECT_THROW(optimizer_->apply(commands), bus::Error);
-
-  optimizer_ = nullptr;
-  store_ = nullptr;
-  context_ = connect("trainer");
-  const Options options = parameters_.read<Options>();
-  store_ = std::make_unique<ModelStore>(context_, options.layout, 1024, 4096);
-  optimizer_ = make_optimizer(*store_, options);
-  EXPECT_EQ(store_->count(), before);
-  EXPECT_GT(store_->capacity(), 1024U);
-  EXPECT_LT(train(3), 1.0);
-  EXPECT_TRUE(insert(sample_batch(1, 4, 700)));
-  train(3);
-  EXPECT_EQ(store_->count(), before + 700);
-}
-
-TEST_F(OptimizerTest, PrunesWhatIsTransparentHugeOrNotFinite) {
-  const SyntheticScene scene;
-  start(scene);
-  set("prune_interval", "5");
-  set("prune_min_age", "5");
-  const std::size_t before = store_->count();
-  float* const parameters = store_->planes().parameters;
-  const std::size_t stride = store_->capacity();
-  parameters[ParameterLayout::kOpacityLogit * stride + 3] = -9.0F;
-  parameters[ParameterLayout::kLogScale * stride + 4] = 3.0F;
-  parameters[20 * stride + 5] = std::numeric_limits<float>::quiet_NaN();
-  const auto id = store_->view().gaussian_id[before - 1];
-  train(5);
-  EXPECT_EQ(store_->count(), before - 3);
-  EXPECT_NE(std::find(store_->view().gaussian_id, store_->view().gaussian_id + store_->count(), id),
-            store_->view().gaussian_id + store_->count());
-  train(5);
-}
-
-TEST_F(OptimizerTest, SparesYoungGaussians) {
-  const SyntheticScene scene;
-  start(scene);
-  set("prune_interval", "5");
-  set("prune_min_age", "50");
-  const std::size_t before = store_->count();
-  for (std::size_t i = 0; i < 30; ++i) {
-    store_->planes().parameters[ParameterLayout::kOpacityLogit * store_->capacity() + i] = -9.0F;
-  }
-  train(5);
-  EXPECT_EQ(store_->count(), before);
-  train(45);
-  EXPECT_LE(store_->count(), before - 25);
-}
-
-TEST_F(OptimizerTest, DensifiesAllThatWasSeenWhereAnyGradientIsEnough) {
-  const SyntheticScene scene;
-  start(scene, [](bus::Parameters& parameters) {
-    EXPECT_EQ(parameters.set("densify", "true", true), "");
-    EXPECT_EQ(parameters.set("densify_interval", "10", true), "");
-    EXPECT_EQ(parameters.set("densify_gradient", "0", true), "");
-    EXPECT_EQ(parameters.set("prune", "false", true), "");
-  });
-  const std::size_t before = store_->count();
+TEST_F(CpuOptimizerTest, DensifiesAllThatWasSeenWhereAnyGradientIsEnough) {
+  Trial s = trial({{"densify", "true"}, {"densify_interval", "10"}, {"densify_gradient", "0"}, {"prune", "false"}});
+  const std::size_t before = s.store().count();
   constexpr std::size_t kHidden = 40;
-  for (std::size_t i = 0; i < kHidden; ++i) store_->planes().parameters[i] = 1e4F;
-  train(9);
-  EXPECT_EQ(store_->count(), before);
-  train(1);
-  EXPECT_EQ(store_->count(), 2 * before - kHidden);
-  const std::set<std::uint64_t> ids(store_->view().gaussian_id, store_->view().gaussian_id + store_->count());
-  EXPECT_EQ(ids.size(), store_->count());
+  for (std::size_t k = 0; k < kHidden; ++k) s.poke(ParameterLayout::kMean, k, 1e4F);
+  s.train(9);
+  EXPECT_EQ(s.store().count(), before);
+  s.train(1);
+  EXPECT_EQ(s.store().count(), 2 * before - kHidden);
+  EXPECT_EQ(s.model().listed(), s.store().count());
+  EXPECT_EQ(s.model().count(), s.store().count());
 }
 
-TEST_F(OptimizerTest, APruningLeavesTheOthersWhatTheyGathered) {
-  const SyntheticScene scene;
-  start(scene, [](bus::Parameters& parameters) {
-    EXPECT_EQ(parameters.set("densify", "true", true), "");
-    EXPECT_EQ(parameters.set("densify_interval", "6", true), "");
-    EXPECT_EQ(parameters.set("densify_gradient", "0", true), "");
-    EXPECT_EQ(parameters.set("densify_scale", "1000", true), "");  // clones only
-    EXPECT_EQ(parameters.set("prune_interval", "5", true), "");
-    EXPECT_EQ(parameters.set("prune_min_age", "5", true), "");
-  });
-  const std::size_t last = store_->count() - 1;
-  float* const parameters = store_->planes().parameters;
-  parameters[ParameterLayout::kLogScale * store_->capacity() + 3] = 3.0F;  // seen, and pruned
-  parameters[last] = 1e4F;                                                 // never seen, and moved to its place
-  train(5);
-  ASSERT_EQ(store_->count(), last);
-  EXPECT_EQ(parameters[3], 1e4F);
-  train(1);
-  EXPECT_EQ(store_->count(), 2 * last - 1) << "all but one were cloned";
-  EXPECT_EQ(std::count(parameters, parameters + store_->count(), 1e4F), 1);
+TEST_F(CpuOptimizerTest, APruningLeavesTheOthersWhatTheyGathered) {
+  Trial s = trial({{"densify", "true"},
+                   {"densify_interval", "6"},
+                   {"densify_gradient", "0"},
+                   {"densify_scale", "1000"},  // clones only
+                   {"prune_interval", "5"},
+                   {"prune_min_age", "5"}});
+  const HostModel before = s.model();
+  const std::uint32_t end = s.store().view().count;
+  std::size_t last = 0, first = 0;  // by place in the page
+  for (std::size_t k = 0; k < before.count(); ++k) {
+    if (before.index(k) + 1 == end) last = k;
+    if (before.index(k) == 3) first = k;
+  }
+  s.poke(ParameterLayout::kLogScale, first, 3.0F);  // seen, and pruned
+  s.poke(ParameterLayout::kMean, last, 1e4F);       // never seen, and moved to its place
+  s.train(5);
+  ASSERT_EQ(s.store().count(), before.count() - 1);
+  s.train(1);
+  const HostModel after = s.model();
+  EXPECT_EQ(after.count(), 2 * (before.count() - 1) - 1) << "all but one were cloned";
+  const float* const x = after.live().plane(ParameterLayout::kMean);
+  EXPECT_EQ(std::count(x, x + after.count(), 1e4F), 1);
 }
 
-TEST_F(OptimizerTest, AnEmptyModelOrBatchIsNoStep) {
-  const SyntheticScene scene;
-  start(scene);
-  EXPECT_EQ(optimizer_->step({}).steps, 0U);
-  EXPECT_EQ(store_->step(), 0U);
+TEST_F(CpuOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
+  Trial s = trial();
+  EXPECT_EQ(s.optimizer().step({}).steps, 0U);
+  EXPECT_EQ(s.store().step(), 0U);
+}
+
+TEST_F(CpuOptimizerTest, BoundsHoldAfterEveryStep) {
+  Trial s = trial({{"lr_mean", "0.01"}});
+  for (int i = 0; i < 3; ++i) {
+    s.train(1);
+    const GaussiansView view = s.store().view();
+    for (std::size_t r = 0; r < view.ranges.size(); ++r) {
+      const PageBounds expected = bounds_of(view, view.ranges[r]);
+      EXPECT_EQ(view.bounds[r].low.x, expected.low.x);
+      EXPECT_EQ(view.bounds[r].high.z, expected.high.z);
+    }
+  }
 }
 
 }  // namespace

@@ -6,9 +6,9 @@
 #include <numbers>
 #include <vector>
 
+#include "gaussians/model.h"
 #include "raster/rasterizer.h"
 #include "sample_batch.h"
-#include "trainer/model_slab.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
@@ -20,11 +20,9 @@ class SyntheticScene {
   explicit SyntheticScene(std::size_t gaussians = 300, int cameras = 6, std::uint32_t size = 48)
       : truth_(sample_batch(1, 1, gaussians)), size_(size) {
     for (std::size_t i = 0; i < 3 * gaussians; ++i) truth_.log_scale[i] = std::log(i / gaussians == 1 ? 0.03F : 0.18F);
-    scene_.light = truth_.light;
+    scene_.light = truth_.scene.light;
     scene_.light.background = glm::vec3(0.2F);
-    std::vector<std::byte> memory(SlabLayout(ParameterLayout{}, rounded_capacity(gaussians)).bytes);
-    const ModelPlanes planes(ParameterLayout{}, rounded_capacity(gaussians), memory.data());
-    fill(planes);
+    const GaussiansBuffer truth = gaussians_of(truth_);
     const auto rasterizer = raster::make_cpu_rasterizer(1);
     for (int c = 0; c < cameras; ++c) {
       const float angle = 2.0F * std::numbers::pi_v<float> * static_cast<float>(c) / static_cast<float>(cameras);
@@ -33,7 +31,7 @@ class SyntheticScene {
       view.camera.id = static_cast<std::uint32_t>(c);
       view.scene = scene_;
       raster::Render render;
-      rasterizer->render(planes.view(gaussians), view.camera, scene_, {.albedo = true, .depth = true}, render);
+      rasterizer->render(truth.view(), view.camera, scene_, {.albedo = true, .depth = true}, render);
       view.color = Pixels<std::uint8_t>(to_rgba(render.color));
       view.albedo = Pixels<std::uint8_t>(to_rgba(render.albedo));
       std::vector<float> depth(std::size_t{size} * size);
@@ -47,11 +45,11 @@ class SyntheticScene {
 
   [[nodiscard]] const std::vector<TrainingViewPtr>& views() const { return views_; }
   [[nodiscard]] const SceneState& scene() const { return scene_; }
-  [[nodiscard]] const InsertBatch& truth() const { return truth_; }
+  [[nodiscard]] const SampleBatch& truth() const { return truth_; }
 
   /// The truth with means, scales and albedo astray.
-  [[nodiscard]] InsertBatch perturbed() const {
-    InsertBatch batch = truth_;
+  [[nodiscard]] SampleBatch perturbed() const {
+    SampleBatch batch = truth_;
     std::mt19937 random(99);
     std::uniform_real_distribution<float> astray(-1.0F, 1.0F);
     for (float& value : batch.mean) value += 0.03F * astray(random);
@@ -86,23 +84,23 @@ class SyntheticScene {
   }
 
  private:
-  void fill(const ModelPlanes& planes) const {
-    const std::size_t n = truth_.count;
-    const auto copy = [&](const std::vector<float>& from, float* to, int channel, std::size_t channels) {
-      for (std::size_t c = 0; c < channels; ++c) {
-        std::copy_n(from.data() + c * n, n, to + (static_cast<std::size_t>(channel) + c) * planes.capacity);
-      }
+  static GaussiansBuffer gaussians_of(const SampleBatch& batch) {
+    GaussiansBuffer gaussians({}, batch.count);
+    const auto copy = [&](const std::vector<float>& from, std::vector<float>& to, int channel) {
+      std::copy(from.begin(), from.end(),
+                to.begin() + static_cast<std::ptrdiff_t>(channel) * static_cast<std::ptrdiff_t>(batch.count));
     };
-    copy(truth_.mean, planes.parameters, ParameterLayout::kMean, 3);
-    copy(truth_.log_scale, planes.parameters, ParameterLayout::kLogScale, 3);
-    copy(truth_.rotation, planes.parameters, ParameterLayout::kRotation, 4);
-    copy(truth_.opacity_logit, planes.parameters, ParameterLayout::kOpacityLogit, 1);
-    copy(truth_.albedo, planes.parameters, ParameterLayout::kAlbedo, 3);
-    copy(truth_.normal, planes.normal, 0, 3);
-    copy(truth_.visibility, planes.visibility, 0, 1);
+    copy(batch.mean, gaussians.parameters, ParameterLayout::kMean);
+    copy(batch.log_scale, gaussians.parameters, ParameterLayout::kLogScale);
+    copy(batch.rotation, gaussians.parameters, ParameterLayout::kRotation);
+    copy(batch.opacity_logit, gaussians.parameters, ParameterLayout::kOpacityLogit);
+    copy(batch.albedo, gaussians.parameters, ParameterLayout::kAlbedo);
+    copy(batch.normal, gaussians.normal, 0);
+    copy(batch.visibility, gaussians.visibility, 0);
+    return gaussians;
   }
 
-  InsertBatch truth_;
+  SampleBatch truth_;
   std::uint32_t size_;
   SceneState scene_;
   std::vector<TrainingViewPtr> views_;

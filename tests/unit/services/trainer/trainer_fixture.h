@@ -14,7 +14,7 @@
 
 #include "../../bus/bus_fixture.h"
 #include "bus/tensor_ring.h"
-#include "insert_sources.h"
+#include "host_model.h"
 #include "synthetic_scene.h"
 #include "trainer/trainer.h"
 #include "wire/capture_generated.h"
@@ -38,7 +38,6 @@ class TrainerTest : public bus_test::BusTest {
         publisher_(peer_),
         ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
     set("threads", "1", false);
-    set("capacity", "1024", false);
     set("input_view_interval", "0", false);
   }
 
@@ -54,8 +53,8 @@ class TrainerTest : public bus_test::BusTest {
     EXPECT_EQ(parameters_.set(name, value, at_runtime), "");
   }
 
-  /// With an optimizer that `make` makes, where given. Whatever ends the trainer is kept in `ended_with_`.
-  void start(const Trainer::OptimizerMaker& make = make_optimizer) {
+  /// With steps that `make` makes, where given. Whatever ends the trainer is kept in `ended_with_`.
+  void start(const StepMaker& make = make_gradient_step) {
     stop_ = std::stop_source();
     service_ = std::make_unique<bus::ServiceContext>(connect("trainer"), parameters_, stop_.get_token(), backend_);
     ended_with_ = nullptr;
@@ -106,16 +105,42 @@ class TrainerTest : public bus_test::BusTest {
     return std::find(batches->begin(), batches->end(), batch) != batches->end();
   }
 
-  void publish_insert(const InsertBatch& batch, const std::string& without = {}) {
-    std::vector<bus::TensorSource> sources = insert_sources(batch);
+  /// What the newest model/published names, as it is now.
+  std::optional<HostModel> read_model() {
+    const bus::Message& message = newest_.at("model/published");
+    const auto& model = *published();
+    const ParameterLayout layout{};
+    const auto capacity = static_cast<std::uint32_t>(model.capacity() / model.page_lanes());
+    const auto table = message.tensor("page_table", bus::ElementType::U8,
+                                      {static_cast<std::uint32_t>(model::page_table_bytes(capacity))});
+    if (!table) return std::nullopt;
+    const auto* const entries = model::page_entries(*reinterpret_cast<const model::PageTableHeader*>(table->data()));
+    std::vector<IndexRange> ranges;
+    for (std::uint32_t page = 0; page < capacity; ++page) {
+      const model::PageStructure& now = entries[page].now;
+      if (now.state == model::PageState::Active) ranges.push_back({page * kPageLanes, now.count, now.frame_id});
+    }
+    std::vector<std::uint32_t> words;
+    for (int arena = 0; message.announces("pages-" + std::to_string(arena)); ++arena) {
+      const auto pages = message.tensor("pages-" + std::to_string(arena), bus::ElementType::U32,
+                                        {model::kArenaPages, model::page_rows(layout), kPageLanes});
+      if (!pages) return std::nullopt;
+      words.resize(words.size() + pages->elements());
+      if (!pages->copy(words.data() + words.size() - pages->elements())) return std::nullopt;
+    }
+    return HostModel(layout, ranges, std::move(words));
+  }
+
+  void publish_insert(const SampleBatch& batch, const std::string& without = {}) {
+    std::vector<bus::TensorSource> sources = batch.tensors();
     std::erase_if(sources, [&](const bus::TensorSource& source) { return source.name == without; });
     publisher_.publish(topics::kModelInsert, {.tensors = ring_->write(sources)}, [&](auto& builder, auto header) {
-      const auto light = to_wire(builder, batch.light);
+      const auto light = to_wire(builder, batch.scene.light);
       return wire::CreateModelInsert(builder, header, batch.batch, 0, light);
     });
   }
 
-  void insert(const InsertBatch& batch) {
+  void insert(const SampleBatch& batch) {
     ASSERT_TRUE(until([&] {
       publish_insert(batch);  // as the expander does, until it is acknowledged
       return holds(batch.batch);

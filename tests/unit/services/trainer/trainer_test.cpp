@@ -6,13 +6,11 @@
 #include <limits>
 #include <memory>
 #include <new>
-#include <optional>
 
 #include "bus/error.h"
 #include "bus/memory.h"
 #include "trainer/memory_failure.h"
 #include "trainer_fixture.h"
-#include "model/published_model.h"
 
 namespace splatbus::trainer {
 namespace {
@@ -28,13 +26,13 @@ TEST_F(TrainerTest, TrainsToTheStepAskedForAndNoFurther) {
   EXPECT_EQ(stats()->views(), 25U);
   EXPECT_GT(stats()->optimizer_s(), 0.0);
   EXPECT_GT(stats()->steps_per_s(), 0.0);
-  const auto model = PublishedModel::open(newest_.at("model/published"));
+  const auto model = read_model();
   ASSERT_TRUE(model);
   const double psnr = scene.psnr(model->average());
 
   set("run_until", "120");
   ASSERT_TRUE(until([&] { return stats()->step() == 120 && stats()->paused(); }));
-  EXPECT_GT(scene.psnr(model->average()), psnr + 1) << "the model is read live";
+  EXPECT_GT(scene.psnr(read_model()->average()), psnr + 1) << "the same message, whose pages are read live";
 }
 
 TEST_F(TrainerTest, RestsWhilePaused) {
@@ -51,7 +49,7 @@ TEST_F(TrainerTest, RestsWhilePaused) {
 
 TEST_F(TrainerTest, TakesABatchOnceHoweverOftenItIsSent) {
   start();
-  const InsertBatch batch = sample_batch(0, 7, 50);
+  const SampleBatch batch = sample_batch(0, 7, 50);
   insert(batch);
   for (int i = 0; i < 5; ++i) publish_insert(batch);
   insert(sample_batch(0, 8, 20));
@@ -61,10 +59,10 @@ TEST_F(TrainerTest, TakesABatchOnceHoweverOftenItIsSent) {
 TEST_F(TrainerTest, BadInsertsHarmNobody) {
   start();
   insert(sample_batch(0, 1, 10));
-  InsertBatch damaged = sample_batch(0, 2, 10);
+  SampleBatch damaged = sample_batch(0, 2, 10);
   damaged.mean[4] = std::numeric_limits<float>::quiet_NaN();
   publish_insert(sample_batch(0, 3, 10), "albedo");  // a plane is missing
-  InsertBatch short_plane = sample_batch(0, 4, 10);
+  SampleBatch short_plane = sample_batch(0, 4, 10);
   publisher_.publish(Topic<wire::ModelInsert>{"model/insert", false, "ModelInsert/99"},
                      [&](auto& builder, auto header) {
                        const auto light = to_wire(builder, Light{});
@@ -95,17 +93,17 @@ TEST_F(TrainerTest, BadViewsAreRefusedAndRetiredOnesForgotten) {
 TEST_F(TrainerTest, TakesVisibility) {
   start();
   insert(sample_batch(0, 1, 40));
-  std::vector<float> seen(40, 0.25F);
-  seen[1] = std::numeric_limits<float>::quiet_NaN();
-  seen[2] = 7.0F;
-  std::optional<PublishedModel> model;
+  std::vector<float> seen(kPageLanes, 0.25F);  // by index
+  const HostModel before = read_model().value();
+  seen[before.index(1)] = std::numeric_limits<float>::quiet_NaN();
+  seen[before.index(2)] = 7.0F;
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation());
-    model = PublishedModel::open(newest_.at("model/published"));
-    return model && model->live().visibility[0] == 0.25F;
+    return read_model()->live().visibility[0] == 0.25F;
   }));
-  EXPECT_EQ(model->live().visibility[1], 0.0F);
-  EXPECT_EQ(model->live().visibility[2], 1.0F);
+  const HostModel model = read_model().value();
+  EXPECT_EQ(model.live().visibility[1], 0.0F);
+  EXPECT_EQ(model.live().visibility[2], 1.0F);
 }
 
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
@@ -126,34 +124,34 @@ TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   EXPECT_NE(enough.read(*message, false).view, nullptr);
 }
 
-/// Trains as the true one does, and fails at a step.
-class FailingOptimizer final : public Optimizer {
+/// Does what the true one does, and fails at a step.
+class FailingStep final : public GradientStep {
  public:
-  FailingOptimizer(ModelStore& store, const Options& options, std::uint64_t at_step)
-      : Optimizer(store), true_(make_optimizer(store, options)), at_step_(at_step) {
-    options_ = true_->options();
-  }
-  void set_options(const Options& options) override { true_->set_options(options); }
-  StepReport step(std::span<const TrainingViewPtr> views) override {
+  FailingStep(model::PageStore& store, const Options& options, std::uint64_t at_step)
+      : store_(store), true_(make_gradient_step(store, options)), at_step_(at_step) {}
+  void set_options(Options& options) override { true_->set_options(options); }
+  void step(std::span<const TrainingViewPtr> views) override {
     if (store_.step() >= at_step_) throw std::bad_alloc();
-    return true_->step(views);
+    true_->step(views);
   }
-  StepReport finish() override { return true_->finish(); }
+  StepReport finished(bool wait) override { return true_->finished(wait); }
+  void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override { true_->follow(fresh, moves); }
+  [[nodiscard]] kernels::ScreenStatistics statistics() const override { return true_->statistics(); }
+  void clear_statistics() override { true_->clear_statistics(); }
+  [[nodiscard]] device::StreamView stream() const override { return true_->stream(); }
 
  private:
-  void before_change() override {}
-  void follow_growth() override { true_ = make_optimizer(store_, options_); }
-  void set_visibility(const VisibilityCommand& /*relit*/) override {}
-
-  std::unique_ptr<Optimizer> true_;
+  model::PageStore& store_;
+  std::unique_ptr<GradientStep> true_;
   std::uint64_t at_step_;
 };
 
 TEST_F(TrainerTest, AFailureEndsItAndTheNextOneAdoptsTheModel) {
   const SyntheticScene scene;
   set("run_until", "20");
-  start(
-      [](ModelStore& store, const Options& options) { return std::make_unique<FailingOptimizer>(store, options, 10); });
+  start([](model::PageStore& store, const Options& options) {
+    return std::make_unique<FailingStep>(store, options, 10);
+  });
   insert(scene.perturbed());
   for (const auto& view : scene.views()) publish_view(*view);
   join();

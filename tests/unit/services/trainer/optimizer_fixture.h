@@ -1,13 +1,16 @@
 #pragma once
 
+#include <gmock/gmock.h>
+
 #include <cmath>
 #include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "../../bus/bus_fixture.h"
 #include "bus/error.h"
-#include "cuda_model_fixture.h"
+#include "host_model.h"
 #include "synthetic_scene.h"
 #include "trainer/optimizer.h"
 #include "trainer/view_sampler.h"
@@ -38,14 +41,14 @@ using Settings = std::vector<std::pair<std::string, std::string>>;
 class Trial {
  public:
   Trial(std::shared_ptr<bus::Context> context, Device memory, const SyntheticScene& scene, const Settings& settings,
-        std::size_t capacity = 512)
-      : Trial(std::move(context), memory, scene.perturbed(), settings, capacity) {
+        std::size_t max_gaussians = 4096)
+      : Trial(std::move(context), memory, scene.perturbed(), settings, max_gaussians) {
     for (const auto& view : scene.views()) put(*view);
   }
 
   /// Without views.
-  Trial(std::shared_ptr<bus::Context> context, Device memory, InsertBatch batch, const Settings& settings,
-        std::size_t capacity = 512)
+  Trial(std::shared_ptr<bus::Context> context, Device memory, SampleBatch batch, const Settings& settings,
+        std::size_t max_gaussians = 4096)
       : context_(std::move(context)) {
     EXPECT_EQ(parameters_.set("input_view_interval", "0", true), "");
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
@@ -54,15 +57,16 @@ class Trial {
     EXPECT_EQ(parameters_.set("lr_half_life_steps", "200", true), "");  // each backend has one of its own
     for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");
     const Options options = parameters_.read<Options>();
-    store_ = std::make_unique<ModelStore>(context_, options.layout, capacity, 4096, memory);
-    optimizer_ = make_optimizer(*store_, options);
-    insert(std::move(batch));
+    store_ = std::make_unique<model::PageStore>(context_, options.layout,
+                                                model::PageStoreOptions{.max_gaussians = max_gaussians}, memory);
+    optimizer_ = std::make_unique<Optimizer>(*store_, options);
+    insert(batch);
   }
 
-  void insert(InsertBatch batch) {
+  bool insert(const SampleBatch& batch) {
     Commands commands;
-    commands.inserts.push_back(std::move(batch));
-    optimizer_->apply(commands);
+    commands.inserts.push_back(batch.on(store_->device()));
+    return optimizer_->apply(commands);
   }
 
   /// Mean loss of the steps, all of them at their end.
@@ -81,7 +85,7 @@ class Trial {
   StepReport step(const std::vector<const TrainingView*>& views) {
     std::vector<TrainingViewPtr> batch;
     batch.reserve(views.size());
-    for (const TrainingView* view : views) batch.push_back(placed(*view, store_->memory()));
+    for (const TrainingView* view : views) batch.push_back(placed(*view, store_->device()));
     return optimizer_->step(batch);
   }
 
@@ -90,17 +94,16 @@ class Trial {
     optimizer_->set_options(parameters_.read<Options>());
   }
 
-  void put(const TrainingView& view) { views_.put(placed(view, store_->memory())); }
+  void put(const TrainingView& view) { views_.put(placed(view, store_->device())); }
 
-  /// Writes one value of a plane of parameters.
-  void poke(int channel, std::size_t column, float value) {
-    float* const to = store_->planes().parameters + static_cast<std::size_t>(channel) * store_->capacity() + column;
-    bus::copy_memory(to, store_->memory(), &value, Device::Cpu, sizeof(value));
-    bus::finish_copies();
+  /// Writes one parameter of Gaussian number k.
+  void poke(int channel, std::size_t k, float value) {
+    optimizer_->finish();
+    trainer::poke(*store_, channel, model().index(k), value);
   }
 
-  [[nodiscard]] HostPlanes planes() const { return HostPlanes(*store_); }
-  [[nodiscard]] ModelStore& store() { return *store_; }
+  [[nodiscard]] HostModel model() const { return HostModel(*store_); }
+  [[nodiscard]] model::PageStore& store() { return *store_; }
   [[nodiscard]] Optimizer& optimizer() { return *optimizer_; }
   [[nodiscard]] double seconds() const { return seconds_; }
 
@@ -109,20 +112,19 @@ class Trial {
   bus::Parameters parameters_{bus::Parameters::declare<Options>()};
   ViewStore views_;
   ViewSampler sampler_{1};
-  std::unique_ptr<ModelStore> store_;
+  std::unique_ptr<model::PageStore> store_;
   std::unique_ptr<Optimizer> optimizer_;
   double seconds_ = 0;
 };
 
-/// Relative, over the first `channels` planes.
-inline double distance(const float* a, std::size_t a_stride, const float* b, std::size_t b_stride, std::size_t count,
-                       int channels) {
+/// Relative, over the first `channels` channels.
+inline double distance(const GaussiansView& a, const GaussiansView& b, int channels) {
   double off = 0;
   double norm = 0;
-  for (std::size_t c = 0; c < static_cast<std::size_t>(channels); ++c) {
-    for (std::size_t i = 0; i < count; ++i) {
-      const double left = a[c * a_stride + i];
-      const double right = b[c * b_stride + i];
+  for (int c = 0; c < channels; ++c) {
+    for (std::size_t i = 0; i < a.count; ++i) {
+      const double left = a.plane(c)[i];
+      const double right = b.plane(c)[i];
       off += (left - right) * (left - right);
       norm += right * right;
     }
@@ -130,35 +132,26 @@ inline double distance(const float* a, std::size_t a_stride, const float* b, std
   return std::sqrt(off / norm);
 }
 
-class CudaOptimizerTest : public bus_test::BusTest {
+/// Trials on a bus.
+class OptimizerTest : public bus_test::BusTest {
  protected:
-  void SetUp() override {
-    if (!has_device()) GTEST_SKIP() << "no CUDA device";
-    bus_test::BusTest::SetUp();
-  }
-
-  Trial trial(Device memory, const Settings& settings = {}, std::size_t capacity = 512) {
+  Trial trial(Device memory, const Settings& settings = {}, std::size_t max_gaussians = 4096) {
     // A name of its own: a second trial must not adopt the first one's model.
     const std::string name = "trainer-" + std::to_string(++trials_);
-    return {connect(name), memory, scene_, settings, capacity};
+    return {connect(name), memory, scene_, settings, max_gaussians};
   }
 
-  static void expect_close(Trial& cuda, Trial& cpu, double tolerance) {
-    const HostPlanes a = cuda.planes();
-    const HostPlanes b = cpu.planes();
-    ASSERT_EQ(a.count(), b.count());
-    EXPECT_EQ(a.ids(), b.ids());
+  static void expect_close(const Trial& one, const Trial& other, double tolerance) {
+    const HostModel a = one.model();
+    const HostModel b = other.model();
+    ASSERT_EQ(a.ids(), b.ids());
     const int channels = ParameterLayout::kResidual;
-    EXPECT_LT(distance(a->parameters, a->capacity, b->parameters, b->capacity, a.count(), channels), tolerance);
-    EXPECT_LT(distance(a->average, a->capacity, b->average, b->capacity, a.count(), channels), tolerance);
+    EXPECT_LT(distance(a.live(), b.live(), channels), tolerance);
+    EXPECT_LT(distance(a.average(), b.average(), channels), tolerance);
   }
 
-  [[nodiscard]] double psnr(Trial& trial, bool average) const {
-    const HostPlanes planes = trial.planes();
-    GaussiansView view = planes->view(planes.count());
-    if (average) view.parameters = planes->average;
-    return scene_.psnr(view);
-  }
+  [[nodiscard]] double psnr(const Trial& trial) const { return scene_.psnr(trial.model().live()); }
+  [[nodiscard]] double average_psnr(const Trial& trial) const { return scene_.psnr(trial.model().average()); }
 
   // Small: a step takes a second when every access to shared memory is checked.
   SyntheticScene scene_{100, 4, 32};

@@ -1,0 +1,189 @@
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include "raster/adam.h"
+#include "raster/loss.h"
+#include "raster/rasterizer.h"
+#include "trainer/gradient_step.h"
+
+namespace splatbus::trainer {
+
+namespace {
+
+// At tens of steps a second a live scene is learned all the while.
+constexpr float kDefaultHalfRateSteps = 1000;
+
+void scale_image(raster::Image& image, float factor) {
+  if (factor == 1.0F) return;
+  for (float& value : image.data) value *= factor;
+}
+
+class CpuStep final : public GradientStep {
+ public:
+  CpuStep(model::PageStore& store, const Options& options)
+      : store_(store), rasterizer_(raster::make_cpu_rasterizer(options.threads)) {
+    resize(store.view().count);
+  }
+
+  void set_options(Options& options) override;
+  void step(std::span<const TrainingViewPtr> views) override;
+  StepReport finished(bool /*wait*/) override { return std::exchange(report_, {}); }
+  void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override;
+  [[nodiscard]] kernels::ScreenStatistics statistics() const override {
+    return {.mean2d_norm = mean2d_norm_.data(), .steps = seen_steps_.data()};
+  }
+  void clear_statistics() override;
+  [[nodiscard]] device::StreamView stream() const override { return {}; }
+
+ private:
+  void resize(std::size_t count);
+  /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
+  double render_loss(const TrainingView& view, float scale);
+  float depth_loss(const TrainingView& view, float scale);
+  void clamp_albedo() const;
+  void observe();
+
+  model::PageStore& store_;
+  Options options_;
+  std::vector<float> learning_rates_;
+  std::unique_ptr<raster::Rasterizer> rasterizer_;
+  raster::Adam adam_;
+  raster::ParameterGradient gradient_;
+  raster::Render render_;
+  raster::RenderGradient render_gradient_;
+  std::vector<float> mean2d_norm_;
+  std::vector<std::uint32_t> seen_steps_;
+  StepReport report_;
+};
+
+void CpuStep::set_options(Options& options) {
+  options.batch = std::max(1, options.batch);
+  if (options.lr_half_life_steps < 0) options.lr_half_life_steps = kDefaultHalfRateSteps;
+  options_ = options;
+  learning_rates_ = channel_learning_rates(options);
+  gradient_.active_channels = active_channels(options);
+  adam_.half_rate_steps = options.lr_half_life_steps;
+  adam_.least_rate = options.lr_min_factor;
+}
+
+void CpuStep::step(std::span<const TrainingViewPtr> views) {
+  const auto start = std::chrono::steady_clock::now();
+  double loss = 0;
+  if (views.size() == 1) {
+    gradient_.clear_statistics(store_.view());
+    loss = render_loss(*views.front(), 1.0F);
+    rasterizer_->backward_step(render_gradient_, learning_rates_, adam_, store_.parameters(), gradient_);
+  } else {
+    gradient_.clear(store_.view(), options_.threads);
+    for (const auto& view : views) {
+      loss += render_loss(*view, 1.0F / static_cast<float>(views.size()));
+      rasterizer_->backward(render_gradient_, gradient_);
+    }
+    adam_.step(store_.view(), store_.parameters(), gradient_, learning_rates_, options_.threads);
+  }
+  if (options_.layout.appearance == Appearance::Transfer) clamp_albedo();
+  store_.refresh_bounds();
+  const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
+  if (options_.densify.enabled) observe();
+  report_ += {.steps = 1, .views = views.size(), .seconds = spent.count(), .loss = loss};
+}
+
+void CpuStep::follow(std::span<const IndexRange> fresh, const model::Moves& moves) {
+  const std::size_t count = store_.view().count;
+  resize(std::max(count, seen_steps_.size()));  // what moves may come from beyond the new end
+  for (const IndexRange& range : fresh) {
+    adam_.reset(range.first, range.count);
+    std::fill_n(mean2d_norm_.begin() + range.first, range.count, 0.0F);
+    std::fill_n(seen_steps_.begin() + range.first, range.count, 0U);
+  }
+  adam_.move({moves.from, moves.count}, {moves.to, moves.count});
+  for (std::size_t k = 0; k < moves.count; ++k) {
+    mean2d_norm_[moves.to[k]] = mean2d_norm_[moves.from[k]];
+    seen_steps_[moves.to[k]] = seen_steps_[moves.from[k]];
+  }
+  resize(count);
+}
+
+void CpuStep::resize(std::size_t count) {
+  adam_.resize(store_.layout(), count);
+  mean2d_norm_.resize(count, 0.0F);
+  seen_steps_.resize(count, 0U);
+}
+
+void CpuStep::clear_statistics() {
+  std::fill(mean2d_norm_.begin(), mean2d_norm_.end(), 0.0F);
+  std::fill(seen_steps_.begin(), seen_steps_.end(), 0U);
+}
+
+void CpuStep::observe() {
+  for (std::size_t i = 0; i < gradient_.count; ++i) {
+    if (gradient_.touched[i] == 0) continue;
+    mean2d_norm_[i] += gradient_.mean2d_norm[i];
+    seen_steps_[i] += 1;
+  }
+}
+
+double CpuStep::render_loss(const TrainingView& view, float scale) {
+  const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
+  const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
+  const raster::RenderOptions render_options{
+      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
+  rasterizer_->forward(store_.view(), view.camera, view.scene, render_options, render_);
+
+  render_gradient_.alpha = {};
+  render_gradient_.albedo = {};
+  render_gradient_.depth = {};
+  raster::LossOptions loss_options{.ssim_weight = options_.ssim_weight,
+                                   .encode_srgb = options_.layout.appearance == Appearance::Transfer,
+                                   .threads = options_.threads};
+  float loss = image_loss(render_.color, view.color.data(), loss_options, render_gradient_.color);
+  scale_image(render_gradient_.color, scale);
+  if (with_albedo) {
+    loss +=
+        options_.albedo_weight * image_loss(render_.albedo, view.albedo.data(), loss_options, render_gradient_.albedo);
+    scale_image(render_gradient_.albedo, scale * options_.albedo_weight);
+  }
+  if (with_depth) loss += depth_loss(view, scale);
+  return loss * scale;
+}
+
+float CpuStep::depth_loss(const TrainingView& view, float scale) {
+  // mean |sum w (z - z_engine)| / extent over pixels with a surface: linear in depth and alpha, and 0 only where every
+  // Gaussian in front balances about the surface.
+  const std::uint32_t w = view.camera.width;
+  const std::uint32_t h = view.camera.height;
+  render_gradient_.depth = raster::Image(w, h, 1);
+  render_gradient_.alpha = raster::Image(w, h, 1);
+  const float weight = options_.depth_weight / (options_.scene_extent_m * static_cast<float>(view.depth.size()));
+  double loss = 0;
+  for (std::size_t i = 0; i < view.depth.size(); ++i) {
+    const float expected = view.depth[i];
+    if (!(expected > 0) || std::isinf(expected)) continue;
+    const float difference = render_.depth.data[i] - render_.alpha.data[i] * expected;
+    loss += std::abs(difference) * weight;
+    const float slope = std::copysign(weight * scale, difference);
+    render_gradient_.depth.data[i] = slope;
+    render_gradient_.alpha.data[i] = -slope * expected;
+  }
+  return static_cast<float>(loss);
+}
+
+void CpuStep::clamp_albedo() const {
+  for (const IndexRange& range : store_.view().ranges) {
+    for (std::uint32_t c = ParameterLayout::kAlbedo; c < ParameterLayout::kResidual; ++c) {
+      float* const row = store_.memory().value(c, range.first);
+      for (std::uint32_t k = 0; k < range.count; ++k) row[k] = std::clamp(row[k], 0.0F, 1.0F);
+    }
+  }
+}
+
+}  // namespace
+
+std::unique_ptr<GradientStep> make_cpu_step(model::PageStore& store, const Options& options) {
+  return std::make_unique<CpuStep>(store, options);
+}
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,109 @@
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+#include "raster/cuda/train_step.h"
+#include "trainer/gradient_step.h"
+
+namespace splatbus::trainer {
+
+namespace {
+
+// At more than a thousand steps a second, held-out views get worse after a while unless rates fall early.
+constexpr float kDefaultHalfRateSteps = 200;
+constexpr int kDefaultBatch = 2;  // takes a quarter longer than one view, and 200 steps of it are worth 300
+
+raster::cuda::TrainStepOptions train_options(const Options& options) {
+  return {.project = {.antialias = options.antialias},
+          .ssim_weight = options.ssim_weight,
+          .albedo_weight = options.albedo_weight,
+          .depth_weight = options.depth_weight / options.scene_extent_m,
+          .statistics = options.densify.enabled,
+          .active_channels = active_channels(options),
+          .unit_albedo = options.layout.appearance == Appearance::Transfer,
+          .half_rate_steps = options.lr_half_life_steps,
+          .least_rate = options.lr_min_factor};
+}
+
+std::vector<raster::cuda::TrainView> train_views(std::span<const TrainingViewPtr> views) {
+  std::vector<raster::cuda::TrainView> out;
+  for (const TrainingViewPtr& view : views) {
+    if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
+    out.push_back({.view = {.camera = view->camera, .scene = &view->scene},
+                   .color = view->color.data(),
+                   .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
+                   .depth = view->depth.empty() ? nullptr : view->depth.data(),
+                   .keep = view});
+  }
+  return out;
+}
+
+class CudaStep final : public GradientStep {
+ public:
+  CudaStep(model::PageStore& store, const Options& options) : store_(store), train_(train_options(options)) {
+    train_.set_model(gaussians());
+    count_ = static_cast<int>(store.view().count);
+  }
+  ~CudaStep() override { cudaStreamSynchronize(train_.stream()); }
+
+  void set_options(Options& options) override {
+    if (options.batch == 0) options.batch = kDefaultBatch;
+    if (options.lr_half_life_steps < 0) options.lr_half_life_steps = kDefaultHalfRateSteps;
+    train_.set_options(train_options(options));
+    train_.set_learning_rates(channel_learning_rates(options));
+  }
+
+  void step(std::span<const TrainingViewPtr> views) override { train_.step(train_views(views)); }
+
+  StepReport finished(bool wait) override {
+    const auto done = train_.finished(wait);
+    return {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss};
+  }
+
+  void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override {
+    const raster::cuda::DeviceGaussians now = gaussians();
+    const bool grows = now.count >= count_;  // else moves may come from beyond the new end
+    if (grows) train_.follow_model(now);
+    for (const IndexRange& range : fresh) {
+      train_.forget_columns(static_cast<int>(range.first), static_cast<int>(range.count));
+    }
+    train_.move_columns(moves.from, moves.to, static_cast<int>(moves.count));
+    if (!grows) train_.follow_model(now);
+    count_ = now.count;
+  }
+
+  [[nodiscard]] kernels::ScreenStatistics statistics() const override {
+    const raster::cuda::ScreenStatistics gathered = train_.statistics();
+    return {.mean2d_norm = gathered.mean2d_norm, .steps = gathered.steps};
+  }
+  void clear_statistics() override { train_.clear_statistics(); }
+  [[nodiscard]] device::StreamView stream() const override { return {Device::Cuda, train_.stream()}; }
+
+ private:
+  [[nodiscard]] raster::cuda::DeviceGaussians gaussians() const {
+    const GaussiansView view = store_.view();
+    return {.layout = view.layout,
+            .count = static_cast<int>(view.count),
+            .stride = static_cast<std::int64_t>(view.stride),
+            .page_shift = view.page_shift,
+            .page_stride = static_cast<std::int64_t>(view.page_stride),
+            .ranges = store_.device_ranges(),
+            .bounds = store_.device_bounds(),
+            .range_count = static_cast<int>(view.ranges.size()),
+            .parameters = store_.parameters(),
+            .normal = view.normal,
+            .visibility = view.visibility};
+  }
+
+  model::PageStore& store_;
+  raster::cuda::TrainStep train_;
+  int count_ = 0;  ///< indices that train_ knows
+};
+
+}  // namespace
+
+std::unique_ptr<GradientStep> make_cuda_step(model::PageStore& store, const Options& options) {
+  return std::make_unique<CudaStep>(store, options);
+}
+
+}  // namespace splatbus::trainer

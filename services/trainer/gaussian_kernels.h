@@ -1,0 +1,81 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "device/buffer.h"
+#include "model/channels.h"
+#include "model/insert_rows.h"
+
+// What is done to the model's Gaussians between optimizer steps, and to what is kept for each of them beside the model,
+// by index; written once for both devices. Pointers are to memory of the stream's device; what returns a value has
+// waited for it.
+namespace splatbus::trainer::kernels {
+
+using device::StreamView;
+
+/// Which indices are Gaussians, and where their channels lie.
+struct PagedGaussians {
+  model::PageMemory memory;
+  std::uint32_t channels = 0;         ///< of parameters; as many averages follow them
+  std::uint32_t active_channels = 0;  ///< that train
+  const IndexRange* ranges = nullptr;
+  std::uint32_t range_count = 0;
+};
+
+/// Weight of the present value in an average that was last updated `steps` ago, `age` steps after it began: `settled`
+/// once the Gaussian is old; before that 4 steps / age, so that the average covers the last quarter of a short life and
+/// follows what still moves fast. 1 at the beginning.
+SPLATBUS_PORTABLE float average_weight(float settled, std::uint64_t steps, std::uint64_t age) {
+  if (age == 0) return 1;
+  return math::larger(settled, math::smaller(1, 4 * static_cast<float>(steps) / static_cast<float>(age)));
+}
+
+/// To spread the memory traffic, each step averages one stripe of the model: all of it once in so many steps.
+inline constexpr std::uint64_t kStripes = 8;
+
+/// After step `step`: takes the parameters into the averages of the stripe whose turn it is. `created_step` by index;
+/// `settled`: of an old Gaussian's present value, after kStripes steps.
+void update_average(StreamView stream, const PagedGaussians& gaussians, const std::uint64_t* created_step,
+                    std::uint64_t step, float settled);
+
+struct PruneLimits {
+  std::uint64_t step = 0, min_age_steps = 0;
+  float min_opacity_logit = 0, max_log_scale = 0;
+};
+struct PruneCounts {
+  std::uint32_t removed = 0, not_finite = 0;
+};
+/// dead[index] = 1 for the transparent, the huge and those not finite in an active channel, the young only when they
+/// are not finite; 0 for others. Adds to *counts.
+void mark_prunable(StreamView stream, const PagedGaussians& gaussians, const std::uint64_t* created_step,
+                   const PruneLimits& limits, std::uint8_t* dead, PruneCounts* counts);
+
+/// By index, of the steps that saw a Gaussian: the sum of |dL/d(projected mean)| in NDC, and their number.
+struct ScreenStatistics {
+  const float* mean2d_norm = nullptr;
+  const std::uint32_t* steps = nullptr;
+};
+/// Lists the indices whose mean gradient is at least `threshold`, ascending; room for range_count * kPageLanes.
+[[nodiscard]] std::uint32_t list_dense(StreamView stream, const PagedGaussians& gaussians,
+                                       const ScreenStatistics& statistics, float threshold, std::uint32_t* indices);
+/// copy_of[indices[k]] = k + 1.
+void number_originals(StreamView stream, const std::uint32_t* indices, std::uint32_t count, std::uint32_t* copy_of);
+
+struct SplitOptions {
+  float max_clone_log_scale = 0;  ///< larger ones are split
+  std::uint64_t seed = 0;
+};
+/// How much smaller than a Gaussian the two are into which it is split (Kerbl et al. 2023).
+inline constexpr float kSplitFactor = 1.6F;
+/// Of each original i (copy_of[i] != 0) that is too large for a clone, and that has a copy, at copies[copy_of[i] - 1]:
+/// both are moved to places drawn from it, and become smaller.
+void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32_t* copy_of,
+           const std::uint32_t* copies, const SplitOptions& options);
+
+void fill_values(StreamView stream, std::uint64_t* values, std::uint32_t count, std::uint64_t value);
+/// What is kept for an index, as Gaussians were moved.
+void move_values(StreamView stream, std::uint64_t* values, const model::Moves& moves);
+void move_values(StreamView stream, std::uint32_t* values, const model::Moves& moves);
+
+}  // namespace splatbus::trainer::kernels

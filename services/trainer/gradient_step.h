@@ -1,0 +1,61 @@
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <span>
+
+#include "device/stream.h"
+#include "model/page_store.h"
+#include "trainer/gaussian_kernels.h"
+#include "trainer/options.h"
+#include "trainer/view_store.h"
+
+namespace splatbus::trainer {
+
+/// Steps that came to their end since the last report.
+struct StepReport {
+  std::size_t steps = 0, views = 0;
+  double seconds = 0;  ///< of optimizer time
+  double loss = 0;     ///< mean over the views
+
+  StepReport& operator+=(const StepReport& later);
+};
+
+/// Render, loss, backward pass and Adam on the parameters of a PageStore, in place: what each device does in a way of
+/// its own. Belongs to one thread.
+class GradientStep {
+ public:
+  virtual ~GradientStep() = default;
+  GradientStep(const GradientStep&) = delete;
+  GradientStep& operator=(const GradientStep&) = delete;
+
+  /// Chooses the batch and the half life of the rates where they are left open.
+  virtual void set_options(Options& options) = 0;
+  /// Of a mini-batch whose pictures lie in the store's memory. Bounds of the store's view() hold afterwards on the
+  /// device; on CUDA the step is only enqueued, and PageStore::refresh_bounds() makes those on the host hold.
+  virtual void step(std::span<const TrainingViewPtr> views) = 0;
+  /// Steps that are done since the last call; with `wait`, all there are, after waiting for them.
+  virtual StepReport finished(bool wait) = 0;
+
+  /// The store's structure has changed: `fresh` begin anew, then what was kept of moves.from[k] is that of moves.to[k].
+  virtual void follow(std::span<const IndexRange> fresh, const model::Moves& moves) = 0;
+  /// Of the steps since clear_statistics(), gathered with Options::densify; null where they are not.
+  [[nodiscard]] virtual kernels::ScreenStatistics statistics() const = 0;
+  virtual void clear_statistics() = 0;
+  /// Behind which more work on the parameters is enqueued.
+  [[nodiscard]] virtual device::StreamView stream() const = 0;
+
+ protected:
+  GradientStep() = default;
+};
+
+using StepMaker = std::function<std::unique_ptr<GradientStep>(model::PageStore&, const Options&)>;
+
+/// The one for the store's device. Throws bus::Error or std::runtime_error when it cannot be had.
+[[nodiscard]] std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const Options& options);
+[[nodiscard]] std::unique_ptr<GradientStep> make_cpu_step(model::PageStore& store, const Options& options);
+/// raster::cuda::TrainStep: nothing but small figures leaves the device.
+[[nodiscard]] std::unique_ptr<GradientStep> make_cuda_step(model::PageStore& store, const Options& options);
+
+}  // namespace splatbus::trainer

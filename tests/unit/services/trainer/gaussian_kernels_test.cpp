@@ -1,0 +1,226 @@
+// What happens to Gaussians between steps, on either device.
+#include "trainer/gaussian_kernels.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+#include <random>
+
+#include "sample_batch.h"
+
+namespace splatbus::trainer::kernels {
+namespace {
+
+TEST(AverageWeight, TakesTheValueAtFirstAndSettles) {
+  const float settled = 1.0F - std::pow(0.98F, 8.0F);
+  EXPECT_FLOAT_EQ(average_weight(settled, 8, 0), 1.0F);
+  EXPECT_FLOAT_EQ(average_weight(settled, 8, 8), 1.0F);
+  EXPECT_NEAR(average_weight(settled, 8, 64), 0.5F, 1e-6F);
+  EXPECT_FLOAT_EQ(average_weight(settled, 8, 100000), settled);
+  float last = 1;
+  for (std::uint64_t age = 0; age < 2000; ++age) {
+    EXPECT_LE(average_weight(settled, 8, age), last);
+    last = average_weight(settled, 8, age);
+  }
+}
+
+/// Pages of a Transfer model in host memory, on which kernels run on a device.
+class Pages {
+ public:
+  Pages(Device device, std::vector<IndexRange> of)
+      : ranges(std::move(of)), words((ranges.back().first / kPageLanes + 1) * model::page_words({})), stream_(device) {}
+
+  float& at(std::uint32_t row, std::uint32_t i) { return *memory().value(row, i); }
+  [[nodiscard]] model::PageMemory memory() { return {reinterpret_cast<std::byte*>(words.data()), {}}; }
+  [[nodiscard]] std::uint32_t indices() const { return ranges.back().first + kPageLanes; }
+
+  /// Calls run(stream, gaussians) with the pages on the device.
+  template <class Run>
+  void run(Run&& run, std::uint32_t active_channels = 41) {
+    device::Buffer<std::uint32_t> on_device(stream_);
+    device::Buffer<IndexRange> device_ranges(stream_);
+    on_device.assign(std::span(std::as_const(words)));
+    device_ranges.assign(std::span(std::as_const(ranges)));
+    run(stream_.view(), PagedGaussians{.memory = {reinterpret_cast<std::byte*>(on_device.data()), {}},
+                                       .channels = 41,
+                                       .active_channels = active_channels,
+                                       .ranges = device_ranges.data(),
+                                       .range_count = static_cast<std::uint32_t>(ranges.size())});
+    words = on_device.to_host();
+  }
+  template <class T>
+  device::Buffer<T> place(const std::vector<T>& values) {
+    device::Buffer<T> buffer(stream_);
+    buffer.assign(std::span(values));
+    stream_.wait();
+    return buffer;
+  }
+
+  std::vector<IndexRange> ranges;
+  std::vector<std::uint32_t> words;
+
+ private:
+  device::Stream stream_;
+};
+
+class KernelsOn : public testing::TestWithParam<Device> {
+ protected:
+  void SetUp() override {
+    if (!has_device(GetParam())) GTEST_SKIP() << "no such device";
+  }
+  Pages make_pages(std::vector<IndexRange> ranges) { return {GetParam(), std::move(ranges)}; }
+};
+
+constexpr std::uint32_t kAverage = 41;  // first row
+
+TEST_P(KernelsOn, EveryGaussianIsAveragedOnceInEightSteps) {
+  Pages pages = make_pages({{0, 300}, {2 * kPageLanes, kPageLanes}, {5 * kPageLanes, 1}});
+  for (std::uint32_t i = 0; i < pages.indices(); ++i) {
+    pages.at(0, i) = 1;
+    pages.at(20, i) = 2;
+    pages.at(40, i) = 4;
+  }
+  const auto created = pages.place(std::vector<std::uint64_t>(pages.indices()));
+  for (std::uint64_t step = 100000; step < 100008; ++step) {
+    pages.run([&](auto stream, const auto& g) { update_average(stream, g, created.data(), step, 0.25F); }, 40);
+  }
+  for (std::uint32_t i = 0; i < pages.indices(); ++i) {
+    const bool there = i < 300 || i / kPageLanes == 2 || i == 5 * kPageLanes;
+    ASSERT_EQ(pages.at(kAverage, i), there ? 0.25F : 0) << i;
+    ASSERT_EQ(pages.at(kAverage + 20, i), there ? 0.5F : 0) << i;
+    ASSERT_EQ(pages.at(kAverage + 40, i), 0) << "does not train";
+    ASSERT_EQ(pages.at(40, i), 4);
+  }
+}
+
+TEST_P(KernelsOn, AgeCountsFromWhenTheGaussianWasMade) {
+  Pages pages = make_pages({{0, 3}});
+  for (std::uint32_t i = 0; i < 3; ++i) pages.at(0, i) = 1;
+  const auto created = pages.place(std::vector<std::uint64_t>{991, 873, 0});
+  pages.run([&](auto stream, const auto& g) { update_average(stream, g, created.data(), 1001, 0.125F); });
+  EXPECT_FLOAT_EQ(pages.at(kAverage, 0), 1.0F) << "10 steps old";
+  EXPECT_FLOAT_EQ(pages.at(kAverage, 1), 0.25F) << "8 of a quarter of 128 steps";
+  EXPECT_FLOAT_EQ(pages.at(kAverage, 2), 0.125F) << "old";
+}
+
+TEST_P(KernelsOn, MarksWhatIsTransparentHugeOrNotFinite) {
+  Pages pages = make_pages({{0, 20}, {kPageLanes, 10}});
+  std::vector<std::uint64_t> created_step(pages.indices(), 0);
+  created_step[6] = created_step[7] = 950;
+  pages.at(ParameterLayout::kOpacityLogit, 5) = -9;
+  pages.at(ParameterLayout::kOpacityLogit, 6) = -9;  // young
+  pages.at(33, 7) = NAN;                             // young
+  pages.at(ParameterLayout::kLogScale + 2, kPageLanes + 3) = 2;
+  pages.at(ParameterLayout::kMean, kPageLanes + 4) = INFINITY;
+  pages.at(40, kPageLanes + 5) = NAN;                 // does not train
+  pages.at(ParameterLayout::kOpacityLogit, 20) = -9;  // nobody
+  const auto created = pages.place(created_step);
+  auto dead = pages.place(std::vector<std::uint8_t>(pages.indices(), 3));
+  auto counts = pages.place(std::vector<PruneCounts>(1));
+  pages.run(
+      [&](auto stream, const auto& g) {
+        mark_prunable(stream, g, created.data(),
+                      {.step = 1000, .min_age_steps = 51, .min_opacity_logit = -5, .max_log_scale = 1}, dead.data(),
+                      counts.data());
+      },
+      40);
+  const std::vector<std::uint8_t> marks = dead.to_host();
+  for (std::uint32_t i = 0; i < pages.indices(); ++i) {
+    const bool gone = i == 5 || i == 7 || i == kPageLanes + 3 || i == kPageLanes + 4;
+    const bool there = i < 20 || (i >= kPageLanes && i < kPageLanes + 10);
+    ASSERT_EQ(marks[i], there ? (gone ? 1 : 0) : 3) << i;
+  }
+  EXPECT_EQ(counts.to_host()[0].removed, 4U);
+  EXPECT_EQ(counts.to_host()[0].not_finite, 2U);
+}
+
+TEST_P(KernelsOn, ListsThoseWhoseMeanGradientIsLarge) {
+  Pages pages = make_pages({{0, 700}, {3 * kPageLanes, 900}});
+  std::mt19937 random(4);
+  std::vector<float> sum(pages.indices());
+  std::vector<std::uint32_t> steps(pages.indices()), expected;
+  for (std::uint32_t i = 0; i < pages.indices(); ++i) {
+    steps[i] = random() % 4;
+    sum[i] = static_cast<float>(random() % 100) / 50;
+    const bool there = i < 700 || (i >= 3 * kPageLanes && i < 3 * kPageLanes + 900);
+    if (there && steps[i] > 0 && sum[i] / static_cast<float>(steps[i]) >= 0.5F) expected.push_back(i);
+  }
+  const auto norm = pages.place(sum);
+  const auto seen = pages.place(steps);
+  device::Buffer<std::uint32_t> listed = pages.place(std::vector<std::uint32_t>(2 * kPageLanes));
+  std::uint32_t count = 0;
+  pages.run([&](auto stream, const auto& g) {
+    count = list_dense(stream, g, {.mean2d_norm = norm.data(), .steps = seen.data()}, 0.5F, listed.data());
+  });
+  std::vector<std::uint32_t> indices = listed.to_host();
+  indices.resize(count);
+  EXPECT_EQ(indices, expected);
+}
+
+TEST_P(KernelsOn, ChildrenOfASplitAreDrawnFromIt) {
+  constexpr std::uint32_t kCount = 3 * kPageLanes;  // and as many copies behind them
+  std::vector<IndexRange> ranges;
+  for (std::uint32_t page = 0; page < 6; ++page) ranges.push_back({page * kPageLanes, kPageLanes});
+  Pages pages = make_pages(ranges);
+  std::vector<std::uint32_t> copy_of(pages.indices(), 0), copies(kCount);
+  const glm::quat rotation = glm::normalize(glm::quat(0.7F, 0.3F, -0.4F, 0.1F));
+  for (std::uint32_t i = 0; i < 2 * kCount; ++i) {
+    for (std::uint32_t axis = 0; axis < 3; ++axis) {
+      const float size = (i % 2 == 0 ? 0.2F : 0.05F) / static_cast<float>(axis + 1);  // every other one is split
+      pages.at(ParameterLayout::kLogScale + axis, i) = std::log(size);
+    }
+    const float scaled[4] = {3 * rotation.w, 3 * rotation.x, 3 * rotation.y, 3 * rotation.z};
+    for (std::uint32_t c = 0; c < 4; ++c) pages.at(ParameterLayout::kRotation + c, i) = scaled[c];
+  }
+  for (std::uint32_t k = 0; k < kCount; ++k) {
+    copy_of[k] = k + 1;
+    copies[k] = kCount + k;
+  }
+  copies[10] = model::kNotInserted;
+  const auto of = pages.place(copy_of);
+  const auto to = pages.place(copies);
+  pages.run([&](auto stream, const auto& g) {
+    split(stream, g, of.data(), to.data(), {.max_clone_log_scale = std::log(0.1F), .seed = 5});
+    stream.wait();
+  });
+  double sum[3] = {}, squares[3] = {}, products[3] = {};  // products: of the two children of one
+  std::size_t children = 0;
+  for (std::uint32_t k = 0; k < kCount; ++k) {
+    const bool splits = k % 2 == 0 && k != 10;
+    float first[3] = {};
+    for (const std::uint32_t child : {k, kCount + k}) {
+      const glm::vec3 moved(pages.at(0, child), pages.at(1, child), pages.at(2, child));
+      if (!splits) {
+        ASSERT_EQ(moved, glm::vec3(0)) << k;
+        continue;
+      }
+      const glm::vec3 local = glm::inverse(rotation) * moved;
+      for (int axis = 0; axis < 3; ++axis) {
+        const float size = 0.2F / static_cast<float>(axis + 1), sigmas = local[axis] / size;
+        ASSERT_LT(std::abs(sigmas), 6.0F);
+        ASSERT_NEAR(pages.at(ParameterLayout::kLogScale + static_cast<std::uint32_t>(axis), child),
+                    std::log(size / 1.6F), 1e-5F);
+        sum[axis] += sigmas;
+        squares[axis] += sigmas * sigmas;
+        if (child == k) first[axis] = sigmas;
+        if (child != k) products[axis] += first[axis] * sigmas;
+      }
+      ++children;
+    }
+  }
+  // Of standard normal draws, to five standard errors.
+  const auto n = static_cast<double>(children);
+  ASSERT_GT(children, kCount / 2);
+  for (int axis = 0; axis < 3; ++axis) {
+    EXPECT_NEAR(sum[axis] / n, 0.0, 5 / std::sqrt(n)) << axis;
+    EXPECT_NEAR(squares[axis] / n, 1.0, 5 * std::sqrt(2 / n)) << axis;
+    EXPECT_NEAR(2 * products[axis] / n, 0.0, 5 / std::sqrt(n / 2)) << axis;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Devices, KernelsOn, testing::Values(Device::Cpu, Device::Cuda),
+                         [](const auto& device) { return std::string(name_of(device.param)); });
+
+}  // namespace
+}  // namespace splatbus::trainer::kernels
