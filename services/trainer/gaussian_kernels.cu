@@ -12,25 +12,55 @@ using device::for_each_index;
 
 constexpr std::uint32_t kPageTiers = kPageLanes / kTierLanes;
 
-/// Consecutive items are consecutive in memory: tiers of pages, each of them channel by channel.
-struct UpdateAverage {
+/// A stripe of the model's tiers.
+struct Stripe {
   PagedGaussians gaussians;
   const std::uint64_t* created_step;
   std::uint64_t step;
   float settled;
   std::uint32_t first_tier;
 
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float weight(std::uint32_t i) const {
+    const std::uint64_t created = created_step[i];
+    return average_weight(settled, kStripes, step > created ? step - created : 0);
+  }
+};
+
+/// On a GPU an item is one value: consecutive ones are consecutive in memory.
+struct AverageValue {
+  Stripe stripe;
+
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
-    const std::uint32_t row = item / kTierLanes;
-    const std::uint32_t tier = first_tier + row / gaussians.active_channels, channel = row % gaussians.active_channels;
+    const PagedGaussians& gaussians = stripe.gaussians;
+    const std::uint32_t row = item / kTierLanes, channel = row % gaussians.active_channels;
+    const std::uint32_t tier = stripe.first_tier + row / gaussians.active_channels;
     const IndexRange range = gaussians.ranges[tier / kPageTiers];
     const std::uint32_t lane = tier % kPageTiers * kTierLanes + item % kTierLanes;
     if (lane >= range.count) return;
     const std::uint32_t i = range.first + lane;
-    const std::uint64_t created = created_step[i];
-    const float weight = average_weight(settled, kStripes, step > created ? step - created : 0);
     float& average = *gaussians.memory.value(gaussians.channels + channel, i);
-    average += weight * (*gaussians.memory.value(channel, i) - average);
+    average += stripe.weight(i) * (*gaussians.memory.value(channel, i) - average);
+  }
+};
+
+/// On a CPU it is a tier, whose channels share their weights.
+struct AverageTier {
+  Stripe stripe;
+
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const PagedGaussians& gaussians = stripe.gaussians;
+    const std::uint32_t tier = stripe.first_tier + item, lane = tier % kPageTiers * kTierLanes;
+    const IndexRange range = gaussians.ranges[tier / kPageTiers];
+    if (lane >= range.count) return;
+    const std::uint32_t first = range.first + lane;
+    const std::uint32_t count = range.count - lane < kTierLanes ? range.count - lane : kTierLanes;
+    float weight[kTierLanes];
+    for (std::uint32_t k = 0; k < count; ++k) weight[k] = stripe.weight(first + k);
+    for (std::uint32_t c = 0; c < gaussians.active_channels; ++c) {
+      const float* const live = gaussians.memory.value(c, first);
+      float* const average = gaussians.memory.value(gaussians.channels + c, first);
+      for (std::uint32_t k = 0; k < count; ++k) average[k] += weight[k] * (live[k] - average[k]);
+    }
   }
 };
 
@@ -173,8 +203,12 @@ void update_average(StreamView stream, const PagedGaussians& gaussians, const st
   const std::uint64_t tiers = std::uint64_t{gaussians.range_count} * kPageTiers, stripe = step % kStripes;
   const auto first = static_cast<std::uint32_t>(tiers * stripe / kStripes);
   const auto end = static_cast<std::uint32_t>(tiers * (stripe + 1) / kStripes);
-  for_each_index(stream, (end - first) * gaussians.active_channels * kTierLanes,
-                 UpdateAverage{gaussians, created_step, step, settled, first});
+  const Stripe turn{gaussians, created_step, step, settled, first};
+  if (stream.on_cuda()) {
+    for_each_index(stream, (end - first) * gaussians.active_channels * kTierLanes, AverageValue{turn});
+  } else {
+    for_each_index(stream, end - first, AverageTier{turn});
+  }
 }
 
 void mark_prunable(StreamView stream, const PagedGaussians& gaussians, const std::uint64_t* created_step,

@@ -194,6 +194,48 @@ TEST_F(CpuOptimizerTest, AgeStaysWithAGaussianThatMoves) {
   }
 }
 
+TEST_F(CpuOptimizerTest, MomentsStayWithAGaussianThatMoves) {
+  Trial moved = trial({{"prune", "false"}});
+  Trial stayed = trial({{"prune", "false"}});
+  SampleBatch unseen = sample_batch(1, 2, 1500, 5);
+  std::fill(unseen.opacity_logit.begin(), unseen.opacity_logit.end(), -12.0F);
+  moved.train(30);
+  const HostModel before = moved.model();
+  moved.insert(unseen);
+  ASSERT_NE(moved.model().index(0), before.index(0));
+  moved.train(3);
+  stayed.train(33);
+  const HostModel a = moved.model();
+  const HostModel b = stayed.model();
+  for (int c = 0; c < ParameterLayout::kResidual; ++c) {
+    for (std::size_t k = 0; k < b.count(); ++k) ASSERT_NEAR(a.at(c, k), b.at(c, k), 1e-5F) << c << ", " << k;
+  }
+}
+
+TEST_F(CpuOptimizerTest, APlaceThatWasSomebodyElsesBeginsAnew) {
+  const Settings settings = {{"prune_interval", "5"}, {"prune_min_age", "5"}};
+  Trial used = trial(settings);
+  for (std::size_t k = 0; k < 300; ++k) used.poke(ParameterLayout::kLogScale, k, 3.0F);
+  used.train(5);  // all are seen, and pruned
+  ASSERT_EQ(used.store().count(), 0U);
+  SampleBatch again = scene_.perturbed();
+  again.batch = 2;
+  used.insert(again);
+  ASSERT_EQ(used.model().index(0) / kPageLanes, 0U);
+  Trial never(connect("never"), Device::Cpu, scene_, settings);
+  for (int i = 0; i < 4; ++i) {
+    const TrainingView& view = *scene_.views()[static_cast<std::size_t>(i)];
+    used.step({&view});
+    never.step({&view});
+  }
+  const HostModel a = used.model();
+  const HostModel b = never.model();
+  ASSERT_EQ(a.count(), b.count());
+  for (int c = 0; c < ParameterLayout::kResidual; ++c) {
+    for (std::size_t k = 0; k < b.count(); ++k) ASSERT_NEAR(a.at(c, k), b.at(c, k), 1e-5F) << c << ", " << k;
+  }
+}
+
 TEST_F(CpuOptimizerTest, DensifiesAllThatWasSeenWhereAnyGradientIsEnough) {
   Trial s = trial({{"densify", "true"}, {"densify_interval", "10"}, {"densify_gradient", "0"}, {"prune", "false"}});
   const std::size_t before = s.store().count();
