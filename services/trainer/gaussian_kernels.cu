@@ -1,5 +1,4 @@
 #include <thrust/copy.h>
-#include <thrust/fill.h>
 
 #include "device/parallel.h"
 #include "trainer/gaussian_kernels.h"
@@ -184,6 +183,17 @@ struct Split {
   }
 };
 
+struct SetValue {
+  std::uint64_t* values;
+  const IndexRange* ranges;
+  std::uint64_t value;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const IndexRange range = ranges[item / kPageLanes];
+    const std::uint32_t lane = item % kPageLanes;
+    if (lane < range.count) values[range.first + lane] = value;
+  }
+};
+
 template <class T>
 struct MoveValue {
   T* values;
@@ -238,8 +248,9 @@ void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32
   for_each_index(stream, items_of(gaussians), Split{gaussians, copy_of, copies, options, logf(kSplitFactor)});
 }
 
-void fill_values(StreamView stream, std::uint64_t* values, std::uint32_t count, std::uint64_t value) {
-  device::with_policy(stream, [&](auto&& policy) { thrust::fill_n(policy, values, count, value); });
+void set_values(StreamView stream, std::uint64_t* values, const IndexRange* ranges, std::uint32_t range_count,
+                std::uint64_t value) {
+  for_each_index(stream, range_count * kPageLanes, SetValue{values, ranges, value});
 }
 
 void move_values(StreamView stream, std::uint64_t* values, const model::Moves& moves) {

@@ -73,7 +73,9 @@ inline constexpr float kSplitFactor = 1.6F;
 void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32_t* copy_of,
            const std::uint32_t* copies, const SplitOptions& options);
 
-void fill_values(StreamView stream, std::uint64_t* values, std::uint32_t count, std::uint64_t value);
+/// For the indices of ranges, each within one page.
+void set_values(StreamView stream, std::uint64_t* values, const IndexRange* ranges, std::uint32_t range_count,
+                std::uint64_t value);
 /// What is kept for an index, as Gaussians were moved.
 void move_values(StreamView stream, std::uint64_t* values, const model::Moves& moves);
 void move_values(StreamView stream, std::uint32_t* values, const model::Moves& moves);

@@ -57,6 +57,7 @@ std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const 
 Optimizer::Optimizer(model::PageStore& store, const Options& options, const StepMaker& make_step)
     : store_(store),
       step_(make_step(store, options)),
+      fresh_(step_->stream()),
       created_step_(step_->stream()),
       dead_(step_->stream()),
       dead_counts_(step_->stream(), 1) {
@@ -110,9 +111,9 @@ void Optimizer::follow(const Moves& moves) {
   const std::vector<IndexRange> fresh = fresh_ranges(ranges_, view.ranges);
   ranges_.assign(view.ranges.begin(), view.ranges.end());
   created_step_.grow(view.count);
-  for (const IndexRange& range : fresh) {
-    kernels::fill_values(step_->stream(), created_step_.data() + range.first, range.count, store_.step());
-  }
+  fresh_.assign(std::span(fresh));
+  kernels::set_values(step_->stream(), created_step_.data(), fresh_.data(), static_cast<std::uint32_t>(fresh.size()),
+                      store_.step());
   kernels::move_values(step_->stream(), created_step_.data(), moves);
   step_->follow(fresh, moves);
   wait_for_values();  // the moves are gone with the next change

@@ -87,6 +87,7 @@ class Optimizer {
   Options options_;
   std::unique_ptr<GradientStep> step_;
   std::vector<IndexRange> ranges_;  ///< as they were when everything last followed the store
+  device::Buffer<IndexRange> fresh_;
   PerIndex<std::uint64_t> created_step_;
   device::Buffer<std::uint8_t> dead_;
   device::Buffer<kernels::PruneCounts> dead_counts_;

@@ -197,11 +197,17 @@ TEST_F(CpuOptimizerTest, AgeStaysWithAGaussianThatMoves) {
 TEST_F(CpuOptimizerTest, MomentsStayWithAGaussianThatMoves) {
   Trial moved = trial({{"prune", "false"}});
   Trial stayed = trial({{"prune", "false"}});
-  SampleBatch unseen = sample_batch(1, 2, 1500, 5);
-  std::fill(unseen.opacity_logit.begin(), unseen.opacity_logit.end(), -12.0F);
-  moved.train(30);
+  const auto unseen = [](std::uint64_t batch, std::size_t count) {
+    SampleBatch rows = sample_batch(1, batch, count, 5);
+    std::fill(rows.opacity_logit.begin(), rows.opacity_logit.end(), -12.0F);
+    return rows;
+  };
+  moved.train(10);
   const HostModel before = moved.model();
-  moved.insert(unseen);
+  moved.insert(unseen(2, 100));
+  ASSERT_EQ(moved.model().index(0), before.index(0)) << "the page has room for them";
+  moved.train(20);
+  moved.insert(unseen(3, 1500));
   ASSERT_NE(moved.model().index(0), before.index(0));
   moved.train(3);
   stayed.train(33);
@@ -272,6 +278,47 @@ TEST_F(CpuOptimizerTest, APruningLeavesTheOthersWhatTheyGathered) {
   EXPECT_EQ(after.count(), 2 * (before.count() - 1) - 1) << "all but one were cloned";
   const float* const x = after.live().plane(ParameterLayout::kMean);
   EXPECT_EQ(std::count(x, x + after.count(), 1e4F), 1);
+}
+
+TEST_F(CpuOptimizerTest, OriginalsThatMoveAwayAreSplitAllTheSame) {
+  scene_ = SyntheticScene(900, 2, 48);
+  Trial s = trial({{"densify", "true"},
+                   {"densify_interval", "1"},
+                   {"densify_gradient", "0"},
+                   {"densify_scale", "1e-6"},
+                   {"prune", "false"},
+                   {"lr_log_scale", "0"}});
+  const HostModel before = s.model();
+  s.train(1);
+  const HostModel after = s.model();
+  ASSERT_GT(s.store().page_count(), 1U);
+  std::size_t split = 0;
+  for (std::size_t k = 0; k < after.count(); ++k) {
+    const float y = after.at(ParameterLayout::kLogScale + 1, k);
+    if (k >= before.count()) {
+      // A copy's original has become smaller too, and has been one of the scene's: about log 0.03.
+      ASSERT_NEAR(y, std::log(0.03F / 1.6F), 0.21F) << k;
+      continue;
+    }
+    const float smaller = before.at(ParameterLayout::kLogScale + 1, k) - y;
+    if (smaller == 0) continue;
+    ASSERT_NEAR(smaller, std::log(1.6F), 1e-5F) << k;
+    ++split;
+  }
+  EXPECT_GT(split, 600U);
+  EXPECT_EQ(after.count(), before.count() + split);
+}
+
+TEST_F(CpuOptimizerTest, AHandfulIsNotWorthAChangeOfStructure) {
+  scene_ = SyntheticScene(1100, 1, 32);
+  Trial s = trial({{"prune_interval", "5"}, {"prune_min_age", "5"}});
+  s.poke(ParameterLayout::kLogScale, 3, 3.0F);
+  s.poke(ParameterLayout::kLogScale, 4, 3.0F);
+  s.train(5);
+  EXPECT_EQ(s.store().count(), 1100U);
+  s.poke(ParameterLayout::kLogScale, 5, 3.0F);
+  s.train(5);
+  EXPECT_EQ(s.store().count(), 1097U);
 }
 
 TEST_F(CpuOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
