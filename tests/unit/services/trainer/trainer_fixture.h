@@ -110,7 +110,7 @@ class TrainerTest : public bus_test::BusTest {
     const bus::Message& message = newest_.at("model/published");
     const auto& model = *published();
     const ParameterLayout layout{};
-    const auto capacity = static_cast<std::uint32_t>(model.capacity() / model.page_lanes());
+    const std::uint32_t capacity = model.page_capacity();
     const auto table = message.tensor("page_table", bus::ElementType::U8,
                                       {static_cast<std::uint32_t>(model::page_table_bytes(capacity))});
     if (!table) return std::nullopt;
