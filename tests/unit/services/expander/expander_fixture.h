@@ -8,8 +8,10 @@
 #include <tuple>
 
 #include "../../bus/bus_fixture.h"
+#include "../../model/paged_publisher.h"
 #include "bus/error.h"
 #include "bus/memory.h"
+#include "bus/tensor_ring.h"
 #include "expander/expander.h"
 #include "expander/parameters.h"
 #include "gaussians/model.h"
@@ -40,14 +42,14 @@ inline std::string machine_name(const testing::TestParamInfo<Machine>& info) {
   return std::string(name_of(info.param.backend)) + "_among_" + (info.param.peers == Device::Cuda ? "cuda" : "cpu");
 }
 
-/// Says model/published as a trainer would: a slab with the planes of the Gaussians that it took.
+/// Says model/published as a trainer would: pages of the Gaussians that it took.
 class FakeTrainer {
  public:
   FakeTrainer(std::shared_ptr<bus::Context> context, Device memory)
       : context_(std::move(context)),
         subscriber_(context_, {"model/insert"}),
         publisher_(context_),
-        ring_(context_, "model", 4, 0, memory) {}
+        pages_(context_, memory) {}
 
   /// Takes batches in; acknowledges them unless told not to.
   void serve() {
@@ -82,40 +84,16 @@ class FakeTrainer {
 
   void publish() {
     ++generation;
-    const auto n = static_cast<std::uint32_t>(points.size());
-    const std::uint32_t capacity = n + 16;
-    const std::uint32_t channels = ParameterLayout{}.channels();
-    std::vector<float> parameters(std::size_t{channels} * capacity), normals(std::size_t{3} * capacity),
-        surface(std::size_t{3} * capacity);
-    std::vector<float> visibility(capacity);
-    std::vector<std::uint32_t> ids(capacity), flags(capacity);
-    std::vector<std::uint64_t> cells(capacity), gaussians(capacity);
-    for (std::uint32_t i = 0; i < n; ++i) {
+    GaussiansBuffer model(ParameterLayout{}, points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
       for (int c = 0; c < 3; ++c) {
-        surface[static_cast<std::size_t>(c) * capacity + i] = points[i][c];
-        normals[static_cast<std::size_t>(c) * capacity + i] = normal[i][c];
+        model.surface_point[static_cast<std::size_t>(c) * model.stride() + i] = points[i][c];
+        model.normal[static_cast<std::size_t>(c) * model.stride() + i] = normal[i][c];
       }
-      ids[i] = object_id[i];
-      cells[i] = cell[i];
+      model.object_id[i] = object_id[i];
+      model.cell[i] = cell[i];
     }
-    using bus::ElementType;
-    const std::vector<bus::TensorSource> sources{
-        {"parameters", {channels, capacity}, ElementType::F32, parameters.data()},
-        {"average", {channels, capacity}, ElementType::F32, parameters.data()},
-        {"normal", {3, capacity}, ElementType::F32, normals.data()},
-        {"surface_point", {3, capacity}, ElementType::F32, surface.data()},
-        {"visibility", {capacity}, ElementType::F32, visibility.data()},
-        {"object_id", {capacity}, ElementType::U32, ids.data()},
-        {"flags", {capacity}, ElementType::U32, flags.data()},
-        {"cell", {capacity}, ElementType::U64, cells.data()},
-        {"gaussian_id", {capacity}, ElementType::U64, gaussians.data()}};
-    publisher_.publish(topics::kModelPublished, {.tensors = ring_.write(sources)},
-                       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-                         const auto list =
-                             builder.CreateVector(std::vector<std::uint64_t>(batches.begin(), batches.end()));
-                         return wire::CreateModelPublished(builder, header, generation, n, capacity,
-                                                           wire::Appearance::Transfer, 0, 0, insert_epoch, list);
-                       });
+    pages_.publish(publisher_, model, generation, insert_epoch, {batches.begin(), batches.end()});
   }
 
   /// As pruning does: from `first` on they are gone.
@@ -139,7 +117,7 @@ class FakeTrainer {
   std::shared_ptr<bus::Context> context_;
   bus::Subscriber subscriber_;
   bus::Publisher publisher_;
-  bus::TensorRing ring_;
+  model::PagedPublisher pages_;
 };
 
 /// Skipped where the machine is not to be had.

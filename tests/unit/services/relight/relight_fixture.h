@@ -1,6 +1,8 @@
 #pragma once
 
 #include "../../bus/bus_fixture.h"
+#include "../../model/paged_publisher.h"
+#include "bus/tensor_ring.h"
 #include "relight/relight.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -15,13 +17,12 @@ using namespace std::chrono_literals;
 class RelightTest : public bus_test::BusTest {
  protected:
   static constexpr std::uint32_t kTexels = 64;
-  static constexpr std::uint32_t kCapacity = 32;
 
   explicit RelightTest(Device backend = Device::Cpu, Device peers = Device::Cpu)
       : peer_(connect("peer")),
         subscriber_(peer_, {"relight/visibility"}),
         publisher_(peer_),
-        planes_(peer_, "planes", 8, 0, peers),
+        pages_(peer_, peers),
         maps_(peer_, "maps", 8, 0, peers),
         service_(connect("relight"), parameters_, stop_.get_token(), backend),
         thread_([this] { Relight(service_).run(); }) {}
@@ -32,30 +33,21 @@ class RelightTest : public bus_test::BusTest {
   }
 
   /// Two Gaussians on the floor, at x = -1 and x = 1, and a third one of object 7 at its origin.
-  void publish_model(std::uint64_t generation, std::uint64_t count = 3, std::uint32_t parameter_rows = 41) {
-    const std::vector<float> parameters(std::size_t{41} * kCapacity, -4.0F);
-    std::vector<float> normal(std::size_t{3} * kCapacity, 0.0F);
-    std::vector<float> point(std::size_t{3} * kCapacity, 0.0F);
-    const std::vector<float> ones(kCapacity, 1.0F);
-    std::vector<std::uint32_t> object(kCapacity, 0);
-    const std::vector<std::uint32_t> flags(kCapacity, 0);
-    const std::vector<std::uint64_t> ids(kCapacity, 0);
-    std::fill_n(normal.begin() + kCapacity, kCapacity, 1.0F);
-    point[0] = -1.0F;
-    point[1] = 1.0F;
-    object[2] = 7;
-    const std::vector<bus::TensorSource> sources = {
-        {.name = "parameters", .shape = {parameter_rows, kCapacity}, .data = parameters.data()},
-        {.name = "average", .shape = {41, kCapacity}, .data = parameters.data()},
-        {.name = "normal", .shape = {3, kCapacity}, .data = normal.data()},
-        {.name = "surface_point", .shape = {3, kCapacity}, .data = point.data()},
-        {.name = "visibility", .shape = {kCapacity}, .data = ones.data()},
-        {.name = "object_id", .shape = {kCapacity}, .type = bus::ElementType::U32, .data = object.data()},
-        {.name = "flags", .shape = {kCapacity}, .type = bus::ElementType::U32, .data = flags.data()},
-        {.name = "cell", .shape = {kCapacity}, .type = bus::ElementType::U64, .data = ids.data()},
-        {.name = "gaussian_id", .shape = {kCapacity}, .type = bus::ElementType::U64, .data = ids.data()}};
-    publisher_.publish(topics::kModelPublished, {.tensors = planes_.write(sources)}, [&](auto& builder, auto header) {
-      return wire::CreateModelPublished(builder, header, generation, count, kCapacity);
+  void publish_model(std::uint64_t generation, std::size_t count = 3) {
+    GaussiansBuffer model(ParameterLayout{}, count);
+    std::fill(model.parameters.begin(), model.parameters.end(), -4.0F);
+    std::fill_n(model.normal.begin() + static_cast<std::ptrdiff_t>(model.stride()), count, 1.0F);
+    model.surface_point[0] = -1.0F;
+    model.surface_point[1] = 1.0F;
+    if (count > 2) model.object_id[2] = 7;
+    index_ = pages_.publish(publisher_, model, generation);
+  }
+
+  /// Of pages that nobody has.
+  void publish_lie(std::uint64_t generation, std::uint32_t page_lanes = kPageLanes) {
+    publisher_.publish(topics::kModelPublished, [&](auto& builder, auto header) {
+      return wire::CreateModelPublished(builder, header, generation, 3, 1, 1, 1, page_lanes,
+                                        model::page_words(ParameterLayout{}));
     });
   }
 
@@ -83,7 +75,7 @@ class RelightTest : public bus_test::BusTest {
         });
   }
 
-  /// The next visibility of that model and light.
+  /// The next visibility of that model and light, of each Gaussian.
   std::vector<float> visibility(std::uint64_t model_generation, std::uint64_t light_generation) {
     std::vector<float> values;
     EXPECT_TRUE(bus_test::eventually([&] {
@@ -95,14 +87,18 @@ class RelightTest : public bus_test::BusTest {
       values.resize(tensor.value().elements());
       return tensor->copy(values.data()) && values.size() == relit.count();
     }));
-    return values;
+    std::vector<float> of_gaussian;
+    for (const std::uint32_t index : index_) of_gaussian.push_back(values.at(index));
+    return of_gaussian;
   }
 
   bus::Parameters parameters_{bus::Parameters::declare<VisibilityOptions>()};
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber subscriber_;
   bus::Publisher publisher_;
-  bus::TensorRing planes_, maps_;
+  model::PagedPublisher pages_;
+  std::vector<std::uint32_t> index_;  ///< of each Gaussian
+  bus::TensorRing maps_;
   std::stop_source stop_;
   bus::ServiceContext service_;
   std::thread thread_;

@@ -21,8 +21,8 @@ TEST_F(RelightTest, FollowsModelLightAndObjects) {
 
 TEST_F(RelightTest, BadMessagesHarmNobody) {
   publish_depth(1, 0, false);  // not the sun's camera
-  publish_model(1, kCapacity + 1);
-  publish_model(2, 3, 7);
+  publish_lie(1, 7);
+  publish_lie(2);
   publisher_.publish(
       Topic<wire::RelightVisibility>{"scene/light_depth", false, kSchema<wire::SceneLight>},
       [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, 1, 1, 1); });

@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "../../bus/bus_fixture.h"
+#include "../../model/paged_publisher.h"
 #include "../../stream/toy_model.h"
 #include "bus/service.h"
-#include "bus/tensor_ring.h"
 #include "streamer/parameters.h"
 #include "streamer/streamer.h"
 #include "viewer/stream_client.h"
@@ -24,31 +24,13 @@
 
 namespace splatbus::stream_test {
 
-/// Publishes models as the trainer does, each in a slot of its own, in memory of some kind.
+/// Publishes models as the trainer does, in memory of some kind.
 class FakeTrainer {
  public:
   explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, Device kind = Device::Cpu)
-      : publisher_(context), ring_(context, "model", 16, 0, kind) {}
+      : publisher_(context), pages_(context, kind) {}
 
-  void publish(const GaussiansBuffer& model) {
-    const auto capacity = static_cast<std::uint32_t>(std::max<std::size_t>(model.stride(), 1));
-    GaussiansBuffer some = GaussiansBuffer::copy_of(model.view());
-    if (model.stride() == 0) some.resize(1);
-    const auto channels = static_cast<std::uint32_t>(model.layout().channels());
-    const std::vector<bus::TensorSource> sources = {
-        {.name = "parameters", .shape = {channels, capacity}, .data = some.parameters.data()},
-        {.name = "average", .shape = {channels, capacity}, .data = some.parameters.data()},
-        {.name = "normal", .shape = {3, capacity}, .data = some.normal.data()},
-        {.name = "surface_point", .shape = {3, capacity}, .data = some.surface_point.data()},
-        {.name = "visibility", .shape = {capacity}, .data = some.visibility.data()},
-        {.name = "object_id", .shape = {capacity}, .type = bus::ElementType::U32, .data = some.object_id.data()},
-        {.name = "flags", .shape = {capacity}, .type = bus::ElementType::U32, .data = some.flags.data()},
-        {.name = "cell", .shape = {capacity}, .type = bus::ElementType::U64, .data = some.cell.data()},
-        {.name = "gaussian_id", .shape = {capacity}, .type = bus::ElementType::U64, .data = some.gaussian_id.data()}};
-    publisher_.publish(topics::kModelPublished, {.tensors = ring_.write(sources)}, [&](auto& builder, auto header) {
-      return wire::CreateModelPublished(builder, header, ++generation_, model.count(), capacity);
-    });
-  }
+  void publish(const GaussiansBuffer& model) { pages_.publish(publisher_, model, ++generation_); }
 
   void publish_light(const Light& light) {
     publisher_.publish(topics::kSceneLight, [&](auto& builder, auto header) {
@@ -58,7 +40,7 @@ class FakeTrainer {
 
  private:
   bus::Publisher publisher_;
-  bus::TensorRing ring_;
+  model::PagedPublisher pages_;
   std::uint64_t generation_ = 0;
 };
 
