@@ -17,15 +17,15 @@ sanitizer="$(PATH="$PATH:/usr/local/cuda/bin" command -v compute-sanitizer)" ||
   { echo "compute_sanitizer.sh: no compute-sanitizer on the path or in /usr/local/cuda/bin" >&2; exit 2; }
 export sanitizer
 
-# Those that take longest go first. test_bus and test_model use a device where there is one.
+# Those that take longest go first. test_bus, test_model and test_trainer use a device where there is one.
 programs=("$@")
 if [ ${#programs[@]} -eq 0 ]; then
-  for program in trainer_cuda_model trainer_cuda_optimizer raster_cuda; do
+  for program in model trainer_cuda raster_cuda; do
     [ -x "$bin/test_$program" ] && programs+=("test_$program")
   done
   # The operations of LibTorch use a device where LibTorch itself does.
   if ldd "$bin/test_raster_torch" 2>/dev/null | grep torch_cuda >/dev/null; then programs+=("test_raster_torch"); fi
-  for program in "$bin"/test_*cuda* "$bin"/test_bus_gpu "$bin"/test_bus "$bin"/test_model; do
+  for program in "$bin"/test_*cuda* "$bin"/test_bus_gpu "$bin"/test_bus "$bin"/test_trainer; do
     program="$(basename "$program")"
     [ -x "$bin/$program" ] && [[ " ${programs[*]} " != *" $program "* ]] && programs+=("$program")
   done
@@ -39,9 +39,9 @@ check() {
   # A call that the driver refuses is not an access to memory. Every status is looked at, and some tests want to see one:
   # only the driver can tell that memory is smaller than a peer says, or none of its own.
   [ "$tool" = memcheck ] && options=(--report-api-errors no)
-  # Processes that a test starts are tests of their own; some of them are killed on purpose. The trainers of
-  # test_trainer_cuda_model are checked too: in one that is not, the sanitizer's library waits for ever.
-  [ "$program" = test_trainer_cuda_model ] && processes=all
+  # Processes that a test starts are tests of their own; some of them are killed on purpose. The writers
+  # that test_model kills are checked too: in one that is not, the sanitizer's library waits for ever.
+  [ "$program" = test_model ] && processes=all
   timeout "$limit_s" "$sanitizer" --tool "$tool" "${options[@]}" --error-exitcode 97 \
     --target-processes "$processes" "./$program" >"$log" 2>&1
   status=$?
