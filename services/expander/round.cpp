@@ -7,6 +7,8 @@
 #include <utility>
 
 #include "bus/error.h"
+#include "bus/memory.h"
+#include "bus/memory.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -65,9 +67,14 @@ std::unique_ptr<Round> take_round(const IncomingRound& incoming, device::StreamV
                                    samples.color,    samples.spacing_m, samples.object_id};
   for (std::size_t i = 0; i < to.size(); ++i) {
     const bus::TensorView& tensor = incoming.tensors[i];
-    device::copy(stream, to[i], tensor.data(), tensor.bytes());
+    if (stream.on_cuda()) {
+      device::copy(stream, to[i], tensor.data(), tensor.bytes());
+    } else {
+      bus::copy_memory(to[i], Device::Cpu, tensor.data(), tensor.memory(), tensor.bytes());
+    }
     if (!stream.on_cuda() || tensor.memory() == Device::Cpu) host_bytes += tensor.bytes();
   }
+  bus::finish_copies();  // what came from a device to the host
   round->invalid = validate(stream, samples);
   const bool whole = std::all_of(incoming.tensors.begin(), incoming.tensors.end(),
                                  [](const bus::TensorView& tensor) { return tensor.still_valid(); });

@@ -32,11 +32,10 @@ class PagedPublisher {
                                      std::uint64_t generation, std::uint64_t insert_epoch = 0,
                                      const std::vector<std::uint64_t>& batches = {}) {
     const ParameterLayout& layout = model.layout();
-    const std::string suffix = "-" + std::to_string(turn_++ % 8);
     const auto table_bytes = static_cast<std::uint32_t>(page_table_bytes(kArenaPages));
-    const auto table_slab = context_->create_slab("page-table" + suffix, 1, table_bytes);
-    const auto pages_slab =
-        context_->create_slab("pages" + suffix, 1, kArenaPages * page_bytes(layout), 10000, device_);
+    const auto& [table_slab, pages_slab] = next_slabs(layout);
+    // Whoever still reads what lay there sees that it has gone.
+    std::memset(table_slab->slot_data(0), 0, table_bytes);
     const PageTable table = PageTable::begin(table_slab->slot_data(0), layout, kArenaPages);
     table.header().generation = generation;
 
@@ -73,13 +72,27 @@ class PagedPublisher {
           layout.appearance == Appearance::Transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
           static_cast<std::uint8_t>(layout.sh_degree), 0, insert_epoch, list);
     });
-    // As long as a reader may come for them.
-    kept_.push_back({table_slab, pages_slab});
-    if (kept_.size() > 8) kept_.erase(kept_.begin());
     return index;
   }
 
  private:
+  using Slabs = std::pair<std::shared_ptr<bus::Slab>, std::shared_ptr<bus::Slab>>;
+
+  const Slabs& next_slabs(const ParameterLayout& layout) {
+    if (layout != layout_) {
+      slabs_.clear();
+      turn_ = 0;
+    }
+    layout_ = layout;
+    const std::size_t turn = turn_++ % 8;
+    if (turn == slabs_.size()) {
+      const std::string suffix = "-" + std::to_string(turn);
+      slabs_.emplace_back(context_->create_slab("page-table" + suffix, 1, page_table_bytes(kArenaPages)),
+                          context_->create_slab("pages" + suffix, 1, kArenaPages * page_bytes(layout), 10000, device_));
+    }
+    return slabs_[turn];
+  }
+
   void write_page(const bus::Slab& slab, std::uint32_t page, const GaussiansBuffer& model,
                   std::span<const std::size_t> members) const {
     const ParameterLayout& layout = model.layout();
@@ -109,8 +122,9 @@ class PagedPublisher {
 
   std::shared_ptr<bus::Context> context_;
   Device device_;
+  ParameterLayout layout_;
   std::size_t turn_ = 0;
-  std::vector<std::pair<std::shared_ptr<bus::Slab>, std::shared_ptr<bus::Slab>>> kept_;
+  std::vector<Slabs> slabs_;
 };
 
 }  // namespace splatbus::model

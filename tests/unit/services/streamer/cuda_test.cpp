@@ -5,6 +5,7 @@
 #include <numeric>
 #include <random>
 
+#include "bus/tensor_ring.h"
 #include "stream_fixture.h"
 #include "wire/capture_generated.h"
 

@@ -194,13 +194,13 @@ TEST_F(CudaOptimizerTest, DepthWeightMayChangeWhileItTrains) {
   expect_close(cuda, cpu, 5e-3);
 }
 
-TEST_F(CudaOptimizerTest, AStepWithoutMemoryFailsAndTheNextTrainerAdoptsTheModel) {
+TEST_F(CudaOptimizerTest, AStepBeyondAllBoundsFailsAndTheNextTrainerAdoptsTheModel) {
   {
     Trial s(connect("trainer"), Device::Cuda, scene_, {});
     s.train(3);
     TrainingView giant = *scene_.views()[1];
     giant.camera.width = giant.camera.height = 40000;
-    EXPECT_THROW(s.step({&giant}), std::runtime_error);
+    EXPECT_THROW(s.step({&giant}), std::invalid_argument);
   }
   Trial next(connect("trainer"), Device::Cuda, scene_, {});
   EXPECT_EQ(next.store().origin(), "adopted 100 Gaussians at step 3");
