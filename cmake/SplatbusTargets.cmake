@@ -87,9 +87,13 @@ function(splatbus_single_source target)
     target_compile_options(${target}
                            PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr -Xcompiler=-Wall,-Wextra>)
   else()
-    # Debian's headers of Thrust; with CUDA they are the toolkit's own.
+    # Debian's headers of Thrust, which bind references to null; with CUDA they are the toolkit's own.
+    set(options -x c++ -ffp-contract=off -Wno-shadow -Wno-pedantic)
+    if(SPLATBUS_SANITIZE MATCHES undefined)
+      list(APPEND options -fno-sanitize=null)
+    endif()
     set_source_files_properties(
-      ${ARGN} PROPERTIES LANGUAGE CXX COMPILE_OPTIONS "-x;c++;-ffp-contract=off;-Wno-shadow;-Wno-pedantic"
+      ${ARGN} PROPERTIES LANGUAGE CXX COMPILE_OPTIONS "${options}"
                          COMPILE_DEFINITIONS THRUST_DEVICE_SYSTEM=THRUST_DEVICE_SYSTEM_TBB)
   endif()
 endfunction()

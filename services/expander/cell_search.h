@@ -21,9 +21,7 @@ void reserve(device::Buffer<T>& buffer, std::size_t count) {
 struct KeyBelow {
   SPLATBUS_PORTABLE_MEMBER bool operator()(const CellKey& a, const CellKey& b) const { return a < b; }
 };
-struct SameKey {
-  SPLATBUS_PORTABLE_MEMBER bool operator()(const CellKey& a, const CellKey& b) const { return a == b; }
-};
+
 /// First of ascending elements that does not lie below `value`; `count` when all do.
 template <class T>
 SPLATBUS_PORTABLE std::uint32_t lower_bound(const T* elements, std::uint32_t count, const T& value) {

@@ -1,8 +1,9 @@
 #include <thrust/binary_search.h>
+#include <thrust/copy.h>
+#include <thrust/gather.h>
 #include <thrust/iterator/counting_iterator.h>
 #include <thrust/merge.h>
 #include <thrust/sort.h>
-#include <thrust/unique.h>
 
 #include <utility>
 
@@ -65,14 +66,23 @@ struct FindExact {
   }
 };
 
+/// Of sorted keys.
+struct IsFirstOfCell {
+  const CellKey* keys;
+
+  SPLATBUS_PORTABLE_MEMBER bool operator()(std::uint32_t i) const { return i == 0 || !(keys[i] == keys[i - 1]); }
+};
+
 }  // namespace
 
 std::uint32_t list_cells(StreamView stream, const CellKey* keys, std::uint32_t count, CellKey* cells,
                          std::uint32_t* start) {
+  // Not unique_by_key_copy(): on the host it reads the key before the first.
   return with_policy(stream, [&](auto&& policy) {
-    const auto ends = thrust::unique_by_key_copy(
-        policy, keys, keys + count, thrust::make_counting_iterator(std::uint32_t{0}), cells, start, SameKey());
-    return static_cast<std::uint32_t>(ends.first - cells);
+    const auto all = thrust::make_counting_iterator(std::uint32_t{0});
+    std::uint32_t* const end = thrust::copy_if(policy, all, all + count, start, IsFirstOfCell{keys});
+    thrust::gather(policy, start, end, keys, cells);
+    return static_cast<std::uint32_t>(end - start);
   });
 }
 
