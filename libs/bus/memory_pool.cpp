@@ -71,8 +71,7 @@ class MemoryPool::Idle {
   std::size_t bytes_ = 0, bound_;
 };
 
-MemoryPool::MemoryPool(Device kind, std::size_t idle_bytes)
-    : kind_(kind), idle_(std::make_shared<Idle>(idle_bytes)) {}
+MemoryPool::MemoryPool(Device kind, std::size_t idle_bytes) : kind_(kind), idle_(std::make_shared<Idle>(idle_bytes)) {}
 
 std::size_t MemoryPool::idle_bytes() const {
   return idle_->bytes();

@@ -15,8 +15,8 @@ namespace splatbus::device {
 /// Behind what has been enqueued on the stream.
 void deallocate(StreamView stream, void* memory) noexcept;
 
-/// In the stream's order. With CUDA's stream: between any two devices' memory, enqueued, and pageable host memory must stay
-/// until it is done. With the CPU's: within host memory.
+/// In the stream's order. With CUDA's stream: between any two devices' memory, enqueued, and pageable host memory must
+/// stay until it is done. With the CPU's: within host memory.
 void copy(StreamView stream, void* destination, const void* source, std::size_t bytes);
 /// Sets every byte.
 void fill(StreamView stream, void* memory, int value, std::size_t bytes);

@@ -48,8 +48,8 @@ struct RenderGradient {
   Image depth;
 };
 
-/// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians get none
-/// (their entries are zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
+/// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians get
+/// none (their entries are zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
 struct ParameterGradient {
   ParameterLayout layout;
   int active_channels =

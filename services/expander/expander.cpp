@@ -9,10 +9,10 @@
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/memory.h"
+#include "model/published_model.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
-#include "model/published_model.h"
 #include "wire/viewer_generated.h"
 
 namespace splatbus::expander {

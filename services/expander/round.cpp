@@ -8,7 +8,6 @@
 
 #include "bus/error.h"
 #include "bus/memory.h"
-#include "bus/memory.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 

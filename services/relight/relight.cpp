@@ -8,9 +8,9 @@
 
 #include "bus/memory.h"
 #include "bus/parameters.h"
+#include "model/published_model.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
-#include "model/published_model.h"
 #include "wire/scene_generated.h"
 
 namespace splatbus::relight {

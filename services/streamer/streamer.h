@@ -8,11 +8,11 @@
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "model/published_model.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
 #include "streamer/parameters.h"
 #include "streamer/viewer_hub.h"
-#include "model/published_model.h"
 
 namespace splatbus::streamer {
 
