@@ -46,7 +46,7 @@ PagedScene::PagedScene(const GaussiansView& planar) : layout_(planar.layout) {
   std::vector<std::pair<std::uint64_t, std::uint32_t>> order(planar.count);
   for (std::uint32_t i = 0; i < order.size(); ++i) order[i] = {morton_key(mean_of(planar, i)), i};
   std::sort(order.begin(), order.end());
-  page_floats_ = (channels + 4) * kPageLanes;
+  page_floats_ = (channels + 4) * kRowWords;
   const std::size_t pages = (order.size() + kFill - 1) / kFill;
   memory_.resize(pages * page_floats_);
   for (std::size_t page = 0; page < pages; ++page) {
@@ -54,9 +54,9 @@ PagedScene::PagedScene(const GaussiansView& planar) : layout_(planar.layout) {
     for (std::uint32_t lane = 0; lane < count; ++lane) {
       const std::size_t i = order[page * kFill + lane].second;
       float* const to = memory_.data() + page * page_floats_ + lane;
-      for (std::size_t c = 0; c < channels; ++c) to[c * kPageLanes] = planar.plane(static_cast<int>(c))[i];
-      for (std::size_t c = 0; c < 3; ++c) to[(channels + c) * kPageLanes] = planar.normal[c * planar.stride + i];
-      to[(channels + 3) * kPageLanes] = planar.visibility[i];
+      for (std::size_t c = 0; c < channels; ++c) to[c * kRowWords] = planar.plane(static_cast<int>(c))[i];
+      for (std::size_t c = 0; c < 3; ++c) to[(channels + c) * kRowWords] = planar.normal[c * planar.stride + i];
+      to[(channels + 3) * kRowWords] = planar.visibility[i];
     }
     ranges_.push_back({static_cast<std::uint32_t>(page) * kPageLanes, count});
   }
@@ -68,14 +68,14 @@ GaussiansView PagedScene::view(bool with_bounds) const {
   GaussiansView out;
   out.layout = layout_;
   out.count = ranges_.size() * kPageLanes;
-  out.stride = kPageLanes;
+  out.stride = kRowWords;
   out.page_shift = kPageShift;
   out.page_stride = page_floats_;
   out.ranges = ranges_;
   if (with_bounds) out.bounds = bounds_;
   out.parameters = memory_.data();
-  out.normal = memory_.data() + channels * kPageLanes;
-  out.visibility = memory_.data() + (channels + 3) * kPageLanes;
+  out.normal = memory_.data() + channels * kRowWords;
+  out.visibility = memory_.data() + (channels + 3) * kRowWords;
   return out;
 }
 

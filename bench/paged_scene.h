@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "device/large_pages.h"
 #include "gaussians/model.h"
 
 namespace splatbus::bench {
@@ -18,7 +19,8 @@ class PagedScene {
  private:
   ParameterLayout layout_;
   std::size_t page_floats_ = 0;
-  std::vector<float> memory_;  // [pages][channels + 4][kPageLanes]: parameters, normal, visibility
+  std::vector<float, device::LargePageAllocator<float>>
+      memory_;  // [pages][channels + 4][kRowWords]: parameters, normal, visibility
   std::vector<IndexRange> ranges_;
   std::vector<PageBounds> bounds_;
 };

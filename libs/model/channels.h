@@ -6,7 +6,8 @@
 #include "gaussians/layout.h"
 #include "gaussians/pages.h"
 
-// The channels of a page and where they lie in its block: [rows][kPageLanes] words of 4 bytes, page after page. Whoever
+// The channels of a page and where they lie in its block: [rows][kRowWords] words of 4 bytes, of which kPageLanes are
+// used, page after page. Whoever
 // reads, writes or copies a page takes this list; a channel is added here and nowhere else.
 namespace splatbus::model {
 
@@ -51,19 +52,17 @@ struct ChannelRows {
   const ChannelRows last = rows_of(Channel::Cell, layout);
   return last.first + last.rows;
 }
-/// Padded to a multiple of 4, so that a page of 1,024 lanes is a multiple of 16 KiB and an arena one of 2 MiB.
-[[nodiscard]] constexpr std::uint32_t page_rows(const ParameterLayout& layout) {
-  return (used_rows(layout) + 3) / 4 * 4;
-}
+/// A multiple of 4 rows' lanes, so that a page of 1,024 lanes is a multiple of 16 KiB and an arena one of 2 MiB.
 [[nodiscard]] constexpr std::uint32_t page_words(const ParameterLayout& layout) {
-  return page_rows(layout) * kPageLanes;
+  constexpr std::uint32_t kUnit = 4 * kPageLanes;
+  return (used_rows(layout) * kRowWords + kUnit - 1) / kUnit * kUnit;
 }
 [[nodiscard]] constexpr std::size_t page_bytes(const ParameterLayout& layout) {
   return std::size_t{page_words(layout)} * sizeof(std::uint32_t);
 }
 
 /// The most rows that any layout has.
-inline constexpr std::uint32_t kMaxPageRows = page_rows({.appearance = Appearance::Radiance, .sh_degree = 3});
+inline constexpr std::uint32_t kMaxPageRows = used_rows({.appearance = Appearance::Radiance, .sh_degree = 3});
 
 /// Pages one behind the other, wherever their arenas lie. Kernels take it as it is.
 struct PageMemory {
@@ -84,14 +83,14 @@ struct PageMemory {
         cell(rows_of(Channel::Cell, layout).first) {}
 
   SPLATBUS_PORTABLE_MEMBER std::uint32_t* word(std::uint32_t row, std::uint32_t index) const {
-    return words + (index >> kPageShift) * page_words + std::size_t{row} * kPageLanes + (index & (kPageLanes - 1));
+    return words + (index >> kPageShift) * page_words + std::size_t{row} * kRowWords + (index & (kPageLanes - 1));
   }
   SPLATBUS_PORTABLE_MEMBER float* value(std::uint32_t row, std::uint32_t index) const {
     return reinterpret_cast<float*>(word(row, index));
   }
   /// Of a U64 channel that begins at `row`.
   SPLATBUS_PORTABLE_MEMBER std::uint64_t* wide(std::uint32_t row, std::uint32_t index) const {
-    std::uint32_t* const channel = words + (index >> kPageShift) * page_words + std::size_t{row} * kPageLanes;
+    std::uint32_t* const channel = words + (index >> kPageShift) * page_words + std::size_t{row} * kRowWords;
     return reinterpret_cast<std::uint64_t*>(channel) + (index & (kPageLanes - 1));
   }
 };

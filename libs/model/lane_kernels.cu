@@ -174,16 +174,16 @@ struct BoundLanes {
   PageBounds* bounds;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t r) const {
     PageBounds result;
+    float max_log_scale = -INFINITY;
     const LaneRange range = lanes[r];
     const float* const first = memory.value(0, range.first);
     for (std::uint32_t k = 0; k < range.count; ++k) {
-      const auto at = [&](int channel) { return first[std::size_t{kPageLanes} * channel + k]; };
-      const float scale =
-          math::larger(at(ParameterLayout::kLogScale + 2),
-                       math::larger(at(ParameterLayout::kLogScale + 1), at(ParameterLayout::kLogScale)));
-      include(result, {at(ParameterLayout::kMean), at(ParameterLayout::kMean + 1), at(ParameterLayout::kMean + 2)},
-              scale);
+      const auto at = [&](int channel) { return first[std::size_t{kRowWords} * channel + k]; };
+      const math::Vec3 mean{at(ParameterLayout::kMean), at(ParameterLayout::kMean + 1), at(ParameterLayout::kMean + 2)};
+      if (!include(result, mean)) continue;
+      for (int c = 0; c < 3; ++c) max_log_scale = math::larger(at(ParameterLayout::kLogScale + c), max_log_scale);
     }
+    result.max_scale_m = expf(max_log_scale);
     bounds[r] = result;
   }
 };

@@ -12,8 +12,7 @@ namespace {
 constexpr std::size_t kSlot = 0;
 
 GaussiansView view_of(const PageMemory& memory, const ParameterLayout& layout, Channel parameters) {
-  GaussiansView view{
-      .layout = layout, .stride = kPageLanes, .page_shift = kPageShift, .page_stride = memory.page_words};
+  GaussiansView view{.layout = layout, .stride = kRowWords, .page_shift = kPageShift, .page_stride = memory.page_words};
   view.parameters = memory.value(rows_of(parameters, layout).first, 0);
   view.normal = memory.value(memory.normal, 0);
   view.surface_point = memory.value(memory.surface_point, 0);
@@ -95,13 +94,15 @@ void PageStore::bound(std::vector<PageChange>& changes) const {
   }
 }
 
-void PageStore::refresh_bounds() {
+void PageStore::refresh_bounds(float move_m, float growth) {
   std::vector<PageChange> pages(ranges_.size());
   for (std::size_t r = 0; r < pages.size(); ++r) pages[r].fresh = {ranges_[r].first, ranges_[r].count};
   bound(pages);
+  const math::Vec3 move{move_m, move_m, move_m};
   for (std::size_t r = 0; r < pages.size(); ++r) {
-    bounds_[r] = pages[r].bounds;
-    table_.entry(ranges_[r].first >> kPageShift).bounds = pages[r].bounds;
+    const PageBounds& now = pages[r].bounds;
+    bounds_[r] = {now.low - move, now.high + move, now.max_scale_m * growth};
+    table_.entry(ranges_[r].first >> kPageShift).bounds = bounds_[r];
   }
   device_bounds_.assign(bounds_);
   stream_.wait();
@@ -138,8 +139,7 @@ void PageStore::publish(const bus::Publisher& publisher) const {
       bus::ElementType::U8);
   std::uint32_t arena = 0;
   for (const auto& slab : range_->slabs()) {
-    add("pages-" + std::to_string(arena++), *slab, {kArenaPages, page_rows(layout_), kPageLanes},
-        bus::ElementType::U32);
+    add("pages-" + std::to_string(arena++), *slab, {kArenaPages, page_words(layout_)}, bus::ElementType::U32);
   }
   publisher.publish(
       topics::kModelPublished, info,

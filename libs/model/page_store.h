@@ -100,8 +100,9 @@ class PageStore {
   /// Takes over the sun's visibility, in place, for the pages whose structure is what it was at `generation`, from
   /// values by index in either memory. Returns how many pages took it.
   std::size_t set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count);
-  /// Makes bounds what the parameters say now, on the host, on the device and in the table.
-  void refresh_bounds();
+  /// Makes bounds what the parameters say now, on the host, on the device and in the table; with slack, so that they
+  /// hold while no mean moves farther than `move_m` and no scale grows by more than `growth`.
+  void refresh_bounds(float move_m = 0, float growth = 1);
 
   /// Publishes model/published with the pages as they are now.
   void publish(const bus::Publisher& publisher) const;

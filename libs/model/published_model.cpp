@@ -75,7 +75,7 @@ std::optional<PublishedModel> PublishedModel::open(const bus::Message& message, 
   opened.tensors_.push_back(std::move(*table));
   for (std::uint32_t arena = 0; arena < published.arenas(); ++arena) {
     auto pages = find_tensor(message, fmt::format("pages-{}", arena), bus::ElementType::U32,
-                             {model::kArenaPages, model::page_rows(layout), kPageLanes});
+                             {model::kArenaPages, model::page_words(layout)});
     if (!pages) return std::nullopt;
     opened.tensors_.push_back(std::move(*pages));
   }
@@ -154,7 +154,7 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
   const model::PageMemory memory(pages, live_.layout);
   const auto row = [&](model::Channel channel) { return model::rows_of(channel, live_.layout).first; };
   live_.count = ranges_.empty() ? 0 : ranges_.back().first + ranges_.back().count;
-  live_.stride = kPageLanes;
+  live_.stride = kRowWords;
   live_.page_shift = kPageShift;
   live_.page_stride = memory.page_words;
   live_.ranges = ranges_;
@@ -172,8 +172,8 @@ bool PublishedModel::refresh() {
   if (!copies_) return still_valid();
   const std::size_t page_bytes = model::page_bytes(live_.layout);
   const std::uint32_t first_row = need_ == Need::Both ? 0 : model::rows_of(model::Channel::Average, live_.layout).first;
-  const std::size_t begin = std::size_t{first_row} * kPageLanes * sizeof(float);
-  const std::size_t bytes = std::size_t{model::used_rows(live_.layout)} * kPageLanes * sizeof(float) - begin;
+  const std::size_t begin = std::size_t{first_row} * kRowWords * sizeof(float);
+  const std::size_t bytes = std::size_t{model::used_rows(live_.layout)} * kRowWords * sizeof(float) - begin;
   for (const IndexRange& range : ranges_) {
     const std::size_t page = range.first >> kPageShift;
     const bus::TensorView& arena = tensors_[1 + page / model::kArenaPages];

@@ -17,7 +17,7 @@ constexpr std::size_t kArenaPages = 16;
 }  // namespace
 
 std::size_t Adam::block_floats() const {
-  return (2 * static_cast<std::size_t>(layout_.channels()) + 1) * kPageLanes;
+  return (2 * static_cast<std::size_t>(layout_.channels()) + 1) * kRowWords;
 }
 
 float* Adam::block(std::size_t page) const {
@@ -45,7 +45,7 @@ void Adam::reset(std::size_t first, std::size_t count) {
   for (std::size_t i = first; i < first + count;) {
     const std::size_t lane = i % kPageLanes;
     const std::size_t lanes = std::min<std::size_t>(kPageLanes - lane, first + count - i);
-    for (std::size_t c = 0; c < channels; ++c) std::fill_n(block(i >> kPageShift) + c * kPageLanes + lane, lanes, 0.0F);
+    for (std::size_t c = 0; c < channels; ++c) std::fill_n(block(i >> kPageShift) + c * kRowWords + lane, lanes, 0.0F);
     i += lanes;
   }
 }
@@ -57,7 +57,7 @@ void Adam::move(std::span<const std::uint32_t> from, std::span<const std::uint32
     if (from[k] >= count_ || to[k] >= count_) throw std::invalid_argument("Adam: a Gaussian that moves does not exist");
     const float* const source = block(from[k] >> kPageShift) + from[k] % kPageLanes;
     float* const target = block(to[k] >> kPageShift) + to[k] % kPageLanes;
-    for (std::size_t c = 0; c < channels; ++c) target[c * kPageLanes] = source[c * kPageLanes];
+    for (std::size_t c = 0; c < channels; ++c) target[c * kRowWords] = source[c * kRowWords];
   }
 }
 
@@ -77,20 +77,22 @@ AdamStep Adam::piece(const GaussiansView& gaussians, float* parameters, const Pa
   return {.channels = gradient.active_channels > 0 ? std::min(gradient.active_channels, channels) : channels,
           .stride = gaussians.stride,
           .gradient_stride = gradient.stride,
-          .moment_stride = kPageLanes,
+          .moment_stride = kRowWords,
           .parameters = parameters + gaussians.offset(begin),
           .gradient = gradient.values.empty() ? nullptr : gradient.values.data() + begin,
           .touched = gradient.touched.data() + begin,
           .flags = gaussians.flags == nullptr ? nullptr : gaussians.flags + gaussians.offset(begin),
           .learning_rate = learning_rate.data(),
           .first = moments,
-          .second = moments + static_cast<std::size_t>(channels) * kPageLanes,
-          .steps = reinterpret_cast<std::uint32_t*>(moments + 2 * static_cast<std::size_t>(channels) * kPageLanes),
+          .second = moments + static_cast<std::size_t>(channels) * kRowWords,
+          .steps = reinterpret_cast<std::uint32_t*>(moments + 2 * static_cast<std::size_t>(channels) * kRowWords),
           .beta1 = beta1,
           .beta2 = beta2,
           .epsilon = epsilon,
-          .half_rate_steps = half_rate_steps,
-          .least_rate = least_rate};
+          .lr_half_life_steps = lr_half_life_steps,
+          .lr_min_factor = lr_min_factor,
+          .unit_begin = unit_albedo ? ParameterLayout::kAlbedo : 0,
+          .unit_end = unit_albedo ? ParameterLayout::kAlbedo + 3 : 0};
 }
 
 void Adam::step(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,

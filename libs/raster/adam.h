@@ -20,7 +20,8 @@ class Adam {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   /// h and l: the rates of a Gaussian fall with its own steps t to max(l, h / (h + t)) of what they are; h 0: they
   /// stay.
-  float half_rate_steps = 0, least_rate = 0;
+  float lr_half_life_steps = 0, lr_min_factor = 0;
+  bool unit_albedo = false;  ///< Transfer: albedo stays within [0, 1]
 
   /// Room for indices below `count`; what is new is 0, what leaves is forgotten, as is everything when the layout
   /// changes.
@@ -46,7 +47,7 @@ class Adam {
   struct Free {
     void operator()(float* memory) const { std::free(memory); }
   };
-  /// [2 channels + 1][kPageLanes]: first moments, second moments, steps as integers.
+  /// [2 channels + 1][kRowWords]: first moments, second moments, steps as integers.
   [[nodiscard]] float* block(std::size_t page) const;
   [[nodiscard]] std::size_t block_floats() const;
 

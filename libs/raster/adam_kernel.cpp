@@ -35,7 +35,7 @@ void AdamRange(const AdamStep& step, std::size_t count) {
     any = true;
   }
   if (!any) return;
-  const V half = Splat1(step.half_rate_steps);
+  const V half = Splat1(step.lr_half_life_steps);
   const float log_beta1 = std::log(step.beta1), log_beta2 = std::log(step.beta2);
   for (std::size_t k = 0; k < count; k += lanes) {
     const V t = hn::Load(f, steps.data() + k);
@@ -43,8 +43,8 @@ void AdamRange(const AdamStep& step, std::size_t count) {
     busy[k / lanes] = hn::AllFalse(f, moving) ? 0 : 1;
     const V bias1 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta1))),
             bias2 = hn::Neg(hn::Expm1(f, MulScalar(t, log_beta2)));
-    const V rate =
-        step.half_rate_steps > 0 ? hn::Max(Splat1(step.least_rate), hn::Div(half, hn::Add(half, t))) : Splat1(1.0F);
+    const V rate = step.lr_half_life_steps > 0 ? hn::Max(Splat1(step.lr_min_factor), hn::Div(half, hn::Add(half, t)))
+                                               : Splat1(1.0F);
     hn::Store(hn::IfThenElseZero(moving, hn::Div(rate, bias1)), f, first_correction.data() + k);
     hn::Store(hn::IfThenElse(moving, hn::Div(Splat1(1.0F), bias2), Splat1(1.0F)), f, second_correction.data() + k);
   }
@@ -58,6 +58,8 @@ void AdamRange(const AdamStep& step, std::size_t count) {
     float* first = step.first + plane * step.moment_stride;
     float* second = step.second + plane * step.moment_stride;
     const V rate = Splat1(step.learning_rate[channel]);
+    const bool unit = channel >= step.unit_begin && channel < step.unit_end;
+    const V low = Splat1(unit ? 0.0F : -HUGE_VALF), high = Splat1(unit ? 1.0F : HUGE_VALF);
     // The next channel's columns come from memory meanwhile.
     const bool more = channel + 1 < step.channels;
     const std::size_t next = more ? step.stride : 0, next_moment = more ? step.moment_stride : 0;
@@ -80,7 +82,7 @@ void AdamRange(const AdamStep& step, std::size_t count) {
       V r = hn::ApproximateReciprocalSqrt(s);
       r = hn::Mul(r, hn::NegMulAdd(hn::Mul(MulScalar(s, 0.5F), r), r, Splat1(1.5F)));
       const V inverse = hn::Mul(r, Reciprocal(hn::MulAdd(epsilon, r, one)));
-      const V p = hn::NegMulAdd(hn::Mul(hn::Mul(rate, correction), m), inverse, p_old);
+      const V p = hn::Min(high, hn::Max(low, hn::NegMulAdd(hn::Mul(hn::Mul(rate, correction), m), inverse, p_old)));
       StoreFirst(f, hn::IfThenElse(moving, m, m_old), first + k, n);
       StoreFirst(f, hn::IfThenElse(moving, v, v_old), second + k, n);
       StoreFirst(f, hn::IfThenElse(moving, p, p_old), parameters + k, n);

@@ -19,9 +19,10 @@ struct AdamStep {
   float* second = nullptr;
   std::uint32_t* steps = nullptr;
   float beta1 = 0, beta2 = 0, epsilon = 0;
-  float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
+  float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
+  int unit_begin = 0, unit_end = 0;                 ///< channels that stay within [0, 1]
 };
-constexpr std::size_t kAdamPiece = 512;
+constexpr std::size_t kAdamPiece = 256;
 void adam_range(const AdamStep& step, std::size_t count);
 
 }  // namespace splatbus::raster

@@ -40,10 +40,10 @@ class CpuStep final : public GradientStep {
 
  private:
   void resize(std::size_t count);
+  void renew_bounds();
   /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
   double render_loss(const TrainingView& view, float scale);
   float depth_loss(const TrainingView& view, float scale);
-  void clamp_albedo() const;
   void observe();
 
   model::PageStore& store_;
@@ -57,16 +57,19 @@ class CpuStep final : public GradientStep {
   std::vector<float> mean2d_norm_;
   std::vector<std::uint32_t> seen_steps_;
   StepReport report_;
+  int bounded_steps_ = 0;  ///< steps that the store's bounds have held for
 };
 
 void CpuStep::set_options(Options& options) {
   options.batch = std::max(1, options.batch);
   if (options.lr_half_life_steps < 0) options.lr_half_life_steps = kDefaultHalfRateSteps;
   options_ = options;
+  bounded_steps_ = 0;
   learning_rates_ = channel_learning_rates(options);
   gradient_.active_channels = active_channels(options);
-  adam_.half_rate_steps = options.lr_half_life_steps;
-  adam_.least_rate = options.lr_min_factor;
+  adam_.lr_half_life_steps = options.lr_half_life_steps;
+  adam_.lr_min_factor = options.lr_min_factor;
+  adam_.unit_albedo = options.layout.appearance == Appearance::Transfer;
 }
 
 void CpuStep::step(std::span<const TrainingViewPtr> views) {
@@ -84,14 +87,24 @@ void CpuStep::step(std::span<const TrainingViewPtr> views) {
     }
     adam_.step(store_.view(), store_.parameters(), gradient_, learning_rates_, options_.threads);
   }
-  if (options_.layout.appearance == Appearance::Transfer) clamp_albedo();
-  store_.refresh_bounds();
+  renew_bounds();
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
   if (options_.densify.enabled) observe();
   report_ += {.steps = 1, .views = views.size(), .seconds = spent.count(), .loss = loss};
 }
 
+void CpuStep::renew_bounds() {
+  constexpr int kHoldSteps = 8;
+  if (bounded_steps_++ % kHoldSteps != 0) return;
+  bounded_steps_ = 1;
+  // Adam moves a parameter by at most its rate times (1 - beta1) / sqrt(1 - beta2) (Kingma and Ba 2015, 2.1).
+  const float most = kHoldSteps * std::max(1.0F, (1 - adam_.beta1) / std::sqrt(1 - adam_.beta2));
+  store_.refresh_bounds(most * learning_rates_[ParameterLayout::kMean],
+                        std::exp(most * learning_rates_[ParameterLayout::kLogScale]));
+}
+
 void CpuStep::follow(std::span<const IndexRange> fresh, const model::Moves& moves) {
+  bounded_steps_ = 0;
   const std::size_t count = store_.view().count;
   resize(std::max(count, seen_steps_.size()));  // what moves may come from beyond the new end
   for (const IndexRange& range : fresh) {
@@ -169,15 +182,6 @@ float CpuStep::depth_loss(const TrainingView& view, float scale) {
     render_gradient_.alpha.data[i] = -slope * expected;
   }
   return static_cast<float>(loss);
-}
-
-void CpuStep::clamp_albedo() const {
-  for (const IndexRange& range : store_.view().ranges) {
-    for (std::uint32_t c = ParameterLayout::kAlbedo; c < ParameterLayout::kResidual; ++c) {
-      float* const row = store_.memory().value(c, range.first);
-      for (std::uint32_t k = 0; k < range.count; ++k) row[k] = std::clamp(row[k], 0.0F, 1.0F);
-    }
-  }
 }
 
 }  // namespace

@@ -17,6 +17,8 @@ namespace cpu {
 namespace {
 
 constexpr std::uint32_t kGaussianPiece = 2048;  // a multiple of any vector's lanes
+// A line more than a piece: as kRowWords.
+constexpr std::size_t kGradientStride = kAdamPiece + 16;
 constexpr std::size_t kTilePiece = 8, kWideTilePiece = 4;
 
 void resize(Image& image, const Camera& camera, std::uint32_t channels) {
@@ -217,16 +219,16 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
     workers_.for_pieces(adam_pieces_.size(), 1, [&](std::size_t k, std::size_t) {
       const IndexRange& piece = adam_pieces_[k];
       thread_local Scratch<float> values;
-      values.reserve(static_cast<std::size_t>(target.active_channels) * kAdamPiece);
+      values.reserve(static_cast<std::size_t>(target.active_channels) * kGradientStride);
       GradientTarget piece_target = target;
       piece_target.values = values.data();
-      piece_target.stride = kAdamPiece;
+      piece_target.stride = kGradientStride;
       piece_target.origin = piece.first;
       piece_target.zeroed = false;
       project_range_backward(frame_, piece, piece_target);
       AdamStep step = adam.piece(gaussians, parameters, statistics, learning_rate, piece.first);
       step.gradient = values.data();
-      step.gradient_stride = kAdamPiece;
+      step.gradient_stride = kGradientStride;
       adam_range(step, piece.count);
     });
   });

@@ -21,22 +21,35 @@ struct PixelSums {
   V largest_weight;
 };
 
-/// Fetches ahead: slots of neighbouring Gaussians lie apart, in depth order, and lead to entries in many tiles.
-HWY_INLINE void PrefetchPairs(const Frame& frame, const GaussianLanes& in) {
-  const auto each_of = [&](std::size_t vectors_ahead, auto&& fetch) {
-    const std::size_t begin = in.i + vectors_ahead * hn::Lanes(F());
-    const std::size_t end = std::min(begin + hn::Lanes(F()), in.end);
-    for (std::size_t i = begin; i < end; ++i) {
-      const PairRange& range = frame.pair_ranges[i];
-      if (range.count != 0) fetch(&frame.entry_of_slot[frame.piece_slot[range.piece] + range.first], range.count);
-    }
-  };
-  each_of(2, [](const std::uint32_t* entries, std::uint32_t) { hwy::Prefetch(entries); });
-  each_of(1, [&](const std::uint32_t* entries, std::uint32_t count) {
+/// Slots of neighbouring Gaussians lie apart, in depth order, and lead to entries in many tiles: both are fetched
+/// ahead.
+template <class Fetch>
+HWY_INLINE void ForPairs(const Frame& frame, std::size_t begin, std::size_t piece_end, Fetch&& fetch) {
+  const std::size_t end = std::min(begin + hn::Lanes(F()), piece_end);
+  for (std::size_t i = begin; i < end; ++i) {
+    const PairRange& range = frame.pair_ranges[i];
+    if (range.count != 0) fetch(&frame.entry_of_slot[frame.piece_slot[range.piece] + range.first], range.count);
+  }
+}
+HWY_INLINE void PrefetchSlots(const Frame& frame, std::size_t begin, std::size_t piece_end) {
+  ForPairs(frame, begin, piece_end, [](const std::uint32_t* entries, std::uint32_t) { hwy::Prefetch(entries); });
+}
+HWY_INLINE void PrefetchPairGradients(const Frame& frame, std::size_t begin, std::size_t piece_end) {
+  ForPairs(frame, begin, piece_end, [&](const std::uint32_t* entries, std::uint32_t count) {
     for (std::uint32_t k = 0; k < std::min(count, 8U); ++k) {
       if (frame.pair_written[entries[k]] != 0) hwy::Prefetch(&frame.pair_gradients[entries[k]]);
     }
   });
+}
+/// Before the first vector of a piece.
+HWY_INLINE void PrefetchFirstPairs(const Frame& frame, std::size_t begin, std::size_t piece_end) {
+  PrefetchSlots(frame, begin, piece_end);
+  PrefetchSlots(frame, begin + hn::Lanes(F()), piece_end);
+  PrefetchPairGradients(frame, begin, piece_end);
+}
+HWY_INLINE void PrefetchPairs(const Frame& frame, const GaussianLanes& in) {
+  PrefetchSlots(frame, in.i + 2 * hn::Lanes(F()), in.end);
+  PrefetchPairGradients(frame, in.i + hn::Lanes(F()), in.end);
 }
 
 /// Sums the pairs of the Gaussians of `in`, for lanes that blended into a pixel; returns those lanes.

@@ -37,9 +37,13 @@ HWY_INLINE V MulAddScalar(V a, float s, V b) {
 template <class D>
 HWY_INLINE hn::Vec<D> LoadFirst(D d, const hn::TFromD<D>* from, std::size_t n) {
   if (HWY_LIKELY(n >= hn::Lanes(d))) return hn::LoadU(d, from);
+#if HWY_MEM_OPS_MIGHT_FAULT
   HWY_ALIGN hn::TFromD<D> lanes[hn::MaxLanes(d)] = {};
   for (std::size_t k = 0; k < n; ++k) lanes[k] = from[k];
   return hn::Load(d, lanes);
+#else
+  return hn::MaskedLoad(hn::FirstN(d, n), d, from);
+#endif
 }
 
 template <class D>
@@ -48,9 +52,13 @@ HWY_INLINE void StoreFirst(D d, hn::Vec<D> value, hn::TFromD<D>* to, std::size_t
     hn::StoreU(value, d, to);
     return;
   }
+#if HWY_MEM_OPS_MIGHT_FAULT
   HWY_ALIGN hn::TFromD<D> lanes[hn::MaxLanes(d)];
   hn::Store(value, d, lanes);
   for (std::size_t k = 0; k < n; ++k) to[k] = lanes[k];
+#else
+  hn::BlendedStore(value, hn::FirstN(d, n), d, to);
+#endif
 }
 
 /// One bit a lane.

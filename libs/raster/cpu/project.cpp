@@ -164,6 +164,9 @@ std::size_t ProjectRange(Frame& frame, const IndexRange& piece, DepthKey* keys) 
   ChannelFetch fetch;
   std::uint32_t cached_id = piece.frame_id, cached_frame = frame.objects.find(cached_id);
   if (gaussians.object_id == nullptr && cached_frame == ObjectTable::kHidden) return 0;
+  for (std::size_t i = begin; i < std::min(end, begin + 2 * step); i += step) {
+    PrefetchChannels(gaussians, i, end, 0, ParameterLayout::kAppearance);
+  }
   for (std::size_t i = begin; i < end; i += step) {
     const GaussianLanes in{gaussians, i, std::min(step, end - i), end};
     if (i + 2 * step < end) PrefetchChannels(gaussians, i + 2 * step, end, 0, ParameterLayout::kAppearance);

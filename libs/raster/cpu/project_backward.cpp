@@ -79,6 +79,7 @@ void ProjectRangeBackward(const Frame& frame, const IndexRange& piece, const Gra
     }
     waiting.i = end;
   };
+  PrefetchFirstPairs(frame, begin, end);
   for (std::size_t i = begin; i < end; i += hn::Lanes(f)) {
     const GaussianLanes in{gaussians, i, std::min(hn::Lanes(f), end - i), end};
     PixelSums sums;

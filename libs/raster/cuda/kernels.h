@@ -82,7 +82,7 @@ struct AdamOptions {
   const float* learning_rate = nullptr;       ///< [channels]
   int active_channels = 0;                    ///< 0: all
   bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
-  float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
+  float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
 };
 
 /// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + 1][kPageLanes], first moments,

@@ -79,8 +79,8 @@ void TrainStep::update(const WorkspaceView& w) {
                                  .learning_rate = learning_rate_.data(),
                                  .active_channels = options_.active_channels,
                                  .unit_albedo = options_.unit_albedo,
-                                 .half_rate_steps = options_.half_rate_steps,
-                                 .least_rate = options_.least_rate};
+                                 .lr_half_life_steps = options_.lr_half_life_steps,
+                                 .lr_min_factor = options_.lr_min_factor};
   launch_update(gaussians_, w, options_.project, adam_.view(), adam_options, adam_.statistics(), stream());
   launch_bounds(gaussians_, w, stream());
 }

@@ -28,7 +28,7 @@ struct TrainStepOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   int active_channels = 0;
   bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
-  float half_rate_steps = 0, least_rate = 0;  ///< as in Adam
+  float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
   bool training = true;                       ///< false: forward() only, and no memory for more; pictures may be null
 };
 

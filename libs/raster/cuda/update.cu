@@ -37,8 +37,8 @@ struct AdamSink {
     const std::uint32_t taken = steps + 1;
     steps = taken;
     const auto step = static_cast<float>(taken);
-    const float half = options.half_rate_steps;
-    const float rate = half > 0.0F ? fmaxf(options.least_rate, half / (half + step)) : 1.0F;
+    const float half = options.lr_half_life_steps;
+    const float rate = half > 0.0F ? fmaxf(options.lr_min_factor, half / (half + step)) : 1.0F;
     correction1 = rate / (1.0F - exp2f(step * log2f(options.beta1)));
     correction2 = 1.0F / (1.0F - exp2f(step * log2f(options.beta2)));
   }

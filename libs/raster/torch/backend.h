@@ -57,7 +57,7 @@ struct LossAndGradient {
 /// `touched` [count] uint8.
 struct AdamTensors {
   torch::Tensor parameters, gradient, touched, rates, first, second, steps;
-  float beta1 = 0, beta2 = 0, epsilon = 0, half_rate_steps = 0, least_rate = 0;
+  float beta1 = 0, beta2 = 0, epsilon = 0, lr_half_life_steps = 0, lr_min_factor = 0;
 };
 
 void cpu_adam_step(const AdamTensors& adam);

@@ -177,8 +177,8 @@ void cpu_adam_step(const AdamTensors& adam) {
   step.beta1 = adam.beta1;
   step.beta2 = adam.beta2;
   step.epsilon = adam.epsilon;
-  step.half_rate_steps = adam.half_rate_steps;
-  step.least_rate = adam.least_rate;
+  step.lr_half_life_steps = adam.lr_half_life_steps;
+  step.lr_min_factor = adam.lr_min_factor;
   cpu::Workers(0).for_pieces(count, kAdamPiece, [&](std::size_t begin, std::size_t end) {
     AdamStep piece = step;
     piece.parameters += begin;

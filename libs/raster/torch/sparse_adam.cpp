@@ -51,8 +51,8 @@ void SparseAdam::step() {
                    .beta1 = static_cast<float>(options_.beta1),
                    .beta2 = static_cast<float>(options_.beta2),
                    .epsilon = static_cast<float>(options_.epsilon),
-                   .half_rate_steps = static_cast<float>(options_.half_rate_steps),
-                   .least_rate = static_cast<float>(options_.least_rate)};
+                   .lr_half_life_steps = static_cast<float>(options_.lr_half_life_steps),
+                   .lr_min_factor = static_cast<float>(options_.lr_min_factor)};
 #ifdef SPLATBUS_TORCH_HAS_CUDA
   if (parameters_.is_cuda()) {
     cuda_adam_step(adam);

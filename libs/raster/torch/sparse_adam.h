@@ -8,9 +8,9 @@ namespace splatbus::raster {
 
 struct SparseAdamOptions {
   double beta1 = 0.9, beta2 = 0.999, epsilon = 1e-15;
-  /// The rates of a Gaussian fall with its own steps t to max(least_rate, h / (h + t)) of what they are; h 0: they
+  /// The rates of a Gaussian fall with its own steps t to max(lr_min_factor, h / (h + t)) of what they are; h 0: they
   /// stay.
-  double half_rate_steps = 0, least_rate = 0;
+  double lr_half_life_steps = 0, lr_min_factor = 0;
 };
 
 /// Adam (raster/adam.h) on a parameter tensor of rasterize(): one pass over gradient, moments and parameters, with one

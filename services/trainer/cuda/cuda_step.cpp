@@ -21,8 +21,8 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .statistics = options.densify.enabled,
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
-          .half_rate_steps = options.lr_half_life_steps,
-          .least_rate = options.lr_min_factor};
+          .lr_half_life_steps = options.lr_half_life_steps,
+          .lr_min_factor = options.lr_min_factor};
 }
 
 std::vector<raster::cuda::TrainView> train_views(std::span<const TrainingViewPtr> views) {

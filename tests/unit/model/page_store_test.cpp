@@ -438,7 +438,7 @@ TEST_P(PageStoreTest, WhatIsPublishedIsWhereThePagesAre) {
   EXPECT_EQ(published.inserted_batches()->Get(0), 9U);
   const auto table = message->tensor("page_table", bus::ElementType::U8,
                                      {static_cast<std::uint32_t>(page_table_bytes(store_->table().page_capacity()))});
-  const auto arena = message->tensor("pages-1", bus::ElementType::U32, {kArenaPages, page_rows({}), kPageLanes});
+  const auto arena = message->tensor("pages-1", bus::ElementType::U32, {kArenaPages, page_words({})});
   ASSERT_TRUE(table && arena);
   const auto& header = *reinterpret_cast<const PageTableHeader*>(table->data());
   EXPECT_EQ(header.generation, published.generation());

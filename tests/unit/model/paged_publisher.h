@@ -64,7 +64,7 @@ class PagedPublisher {
     const bus::MessageInfo info{
         .tensors = {
             announce("page_table", *table_slab, {table_bytes}, bus::ElementType::U8),
-            announce("pages-0", *pages_slab, {kArenaPages, page_rows(layout), kPageLanes}, bus::ElementType::U32)}};
+            announce("pages-0", *pages_slab, {kArenaPages, page_words(layout)}, bus::ElementType::U32)}};
     publisher.publish(topics::kModelPublished, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
       const auto list = builder.CreateVector(batches);
       return wire::CreateModelPublished(
@@ -100,10 +100,10 @@ class PagedPublisher {
     const auto put = [&](Channel channel, const auto& planes, std::size_t channels) {
       using Element = std::decay_t<decltype(planes[0])>;
       auto* const row =
-          reinterpret_cast<Element*>(words.data() + std::size_t{rows_of(channel, layout).first} * kPageLanes);
+          reinterpret_cast<Element*>(words.data() + std::size_t{rows_of(channel, layout).first} * kRowWords);
       for (std::size_t c = 0; c < channels; ++c) {
         for (std::size_t lane = 0; lane < members.size(); ++lane) {
-          row[c * kPageLanes + lane] = planes[c * model.stride() + members[lane]];
+          row[c * kRowWords + lane] = planes[c * model.stride() + members[lane]];
         }
       }
     };

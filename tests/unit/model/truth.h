@@ -114,13 +114,13 @@ struct Found {
       if (entry.now.count == 0) throw std::logic_error("page " + std::to_string(page) + " is active and empty");
       device::copy(stream, page_words_read.data(), store.memory().words + page * words, words * 4);
       stream.wait();
-      const auto* const ids = reinterpret_cast<const std::uint64_t*>(page_words_read.data() + id_row * kPageLanes);
+      const auto* const ids = reinterpret_cast<const std::uint64_t*>(page_words_read.data() + id_row * kRowWords);
       const auto* const values = reinterpret_cast<const float*>(page_words_read.data());
       for (std::uint32_t lane = 0; lane < entry.now.count; ++lane) {
         Place place{page * kPageLanes + lane, {.frame_id = entry.now.frame_id, .values = {}, .cell = 0}};
         for (std::uint32_t row = 0; row < id_row; ++row)
-          place.gaussian.values.push_back(values[row * kPageLanes + lane]);
-        place.gaussian.cell = ids[kPageLanes + lane];
+          place.gaussian.values.push_back(values[row * kRowWords + lane]);
+        place.gaussian.cell = ids[kRowWords + lane];
         if (!by_id.emplace(ids[lane], std::move(place)).second) {
           throw std::logic_error("Gaussian " + std::to_string(ids[lane]) + " is there twice");
         }

@@ -40,8 +40,8 @@ TEST(Adam, FirstStepIsOneLearningRate) {
 TEST(Adam, RatesFallWithAGaussiansOwnSteps) {
   // The gradient is always the same, so that every step is as long as the rate.
   Fixture fixture;
-  fixture.adam.half_rate_steps = 2;
-  fixture.adam.least_rate = 0.05F;
+  fixture.adam.lr_half_life_steps = 2;
+  fixture.adam.lr_min_factor = 0.05F;
   fixture.step();
   EXPECT_NEAR(fixture.moved(3, 7), 2.0F / 3, 1e-3F);
   fixture.gradient.touched[8] = 0;

@@ -28,7 +28,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
 
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
-  cuda::TrainStep trainer({.albedo_weight = 0.5F, .half_rate_steps = 3});
+  cuda::TrainStep trainer({.albedo_weight = 0.5F, .lr_half_life_steps = 3});
   trainer.set_model(device.view());
   trainer.set_learning_rates(rates);
   std::vector<device::Buffer<std::uint8_t>> pictures(3);
@@ -46,7 +46,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
 
   const auto cpu = make_cpu_rasterizer(2);
   Adam adam;
-  adam.half_rate_steps = 3;
+  adam.lr_half_life_steps = 3;
   adam.resize(c.layout, model.count());
   float loss = 0;
   for (int step = 0; step < kSteps; ++step) {

@@ -13,7 +13,7 @@ __global__ void adam_planes_kernel(AdamPlanes a) {
   a.steps[i] = taken;
   const auto step = static_cast<float>(taken);
   const float rate =
-      a.half_rate_steps > 0.0F ? fmaxf(a.least_rate, a.half_rate_steps / (a.half_rate_steps + step)) : 1.0F;
+      a.lr_half_life_steps > 0.0F ? fmaxf(a.lr_min_factor, a.lr_half_life_steps / (a.lr_half_life_steps + step)) : 1.0F;
   const float correction1 = rate / -expm1f(step * logf(a.beta1)), correction2 = 1.0F / -expm1f(step * logf(a.beta2));
 #pragma unroll 4
   for (int c = 0; c < a.channels; ++c) {

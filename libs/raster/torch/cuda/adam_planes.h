@@ -18,7 +18,7 @@ struct AdamPlanes {
   std::uint32_t* steps = nullptr;  ///< [count]
   int channels = 0;
   std::int64_t count = 0;
-  float beta1 = 0, beta2 = 0, epsilon = 0, half_rate_steps = 0, least_rate = 0;
+  float beta1 = 0, beta2 = 0, epsilon = 0, lr_half_life_steps = 0, lr_min_factor = 0;
 };
 
 /// One launch on `stream`, with no synchronisation.

@@ -45,8 +45,8 @@ void cuda_adam_step(const AdamTensors& adam) {
                             .beta1 = adam.beta1,
                             .beta2 = adam.beta2,
                             .epsilon = adam.epsilon,
-                            .half_rate_steps = adam.half_rate_steps,
-                            .least_rate = adam.least_rate},
+                            .lr_half_life_steps = adam.lr_half_life_steps,
+                            .lr_min_factor = adam.lr_min_factor},
                            c10::cuda::getCurrentCUDAStream().stream());
 }
 

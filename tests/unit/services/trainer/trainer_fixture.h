@@ -123,7 +123,7 @@ class TrainerTest : public bus_test::BusTest {
     std::vector<std::uint32_t> words;
     for (int arena = 0; message.announces("pages-" + std::to_string(arena)); ++arena) {
       const auto pages = message.tensor("pages-" + std::to_string(arena), bus::ElementType::U32,
-                                        {model::kArenaPages, model::page_rows(layout), kPageLanes});
+                                        {model::kArenaPages, model::page_words(layout)});
       if (!pages) return std::nullopt;
       words.resize(words.size() + pages->elements());
       if (!pages->copy(words.data() + words.size() - pages->elements())) return std::nullopt;
