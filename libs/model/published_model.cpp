@@ -162,7 +162,6 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
   live_.surface_point = memory.value(memory.surface_point, 0);
   live_.visibility = memory.value(memory.visibility, 0);
   live_.gaussian_id = memory.wide(memory.gaussian_id, 0);
-  live_.cell = memory.wide(memory.cell, 0);
   average_ = live_;
   average_.parameters = memory.value(row(model::Channel::Average), 0);
   if (need == Need::Both) live_.parameters = memory.value(row(model::Channel::Parameters), 0);
