@@ -78,14 +78,14 @@ struct PageMemory {
         visibility(rows_of(Channel::Visibility, layout).first),
         gaussian_id(rows_of(Channel::GaussianId, layout).first) {}
 
-  SPLATBUS_PORTABLE_MEMBER std::uint32_t* word(std::uint32_t row, std::uint32_t index) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint32_t* word(std::uint32_t row, std::uint32_t index) const {
     return words + (index >> kPageShift) * page_words + std::size_t{row} * kRowWords + (index & (kPageLanes - 1));
   }
-  SPLATBUS_PORTABLE_MEMBER float* value(std::uint32_t row, std::uint32_t index) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float* value(std::uint32_t row, std::uint32_t index) const {
     return reinterpret_cast<float*>(word(row, index));
   }
   /// Of a U64 channel that begins at `row`.
-  SPLATBUS_PORTABLE_MEMBER std::uint64_t* wide(std::uint32_t row, std::uint32_t index) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint64_t* wide(std::uint32_t row, std::uint32_t index) const {
     std::uint32_t* const channel = words + (index >> kPageShift) * page_words + std::size_t{row} * kRowWords;
     return reinterpret_cast<std::uint64_t*>(channel) + (index & (kPageLanes - 1));
   }
