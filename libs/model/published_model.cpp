@@ -42,8 +42,8 @@ ParameterLayout layout_of(const bus::Message& message, const wire::ModelPublishe
 /// Nullopt when the tensor lies in a slab that is gone.
 std::optional<bus::TensorView> find_tensor(const bus::Message& message, const std::string& name, bus::ElementType type,
                                            const std::vector<std::uint32_t>& shape) {
-  auto view = message.tensor(name.c_str(), type, shape);
-  if (!view && !message.announces(name.c_str())) reject(message, fmt::format("tensor \"{}\" is missing", name));
+  auto view = message.tensor(name, type, shape);
+  if (!view && !message.announces(name)) reject(message, fmt::format("tensor \"{}\" is missing", name));
   return view;
 }
 
