@@ -182,8 +182,8 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                                                         {"capture/probe", "CaptureProbe/2"},
                                                         {"scene/state", "SceneUpdate/1"},
                                                         {"scene/light_depth", "SceneLightDepth/3"},
-                                                        {"model/insert", "ModelInsert/1"},
-                                                        {"model/published", "ModelPublished/2"},
+                                                        {"model/insert", "ModelInsert/2"},
+                                                        {"model/published", "ModelPublished/3"},
                                                         {"grid/state", "GridState/1"},
                                                         {"relight/visibility", "RelightVisibility/1"},
                                                         {"viewer/pose", "ViewerPose/1"},
@@ -218,8 +218,8 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                    tensor("rotation", {4, kCount}, ElementType::F32),
                    tensor("opacity_logit", {1, kCount}, ElementType::F32),
                    tensor("albedo", {3, kCount}, ElementType::F32), tensor("normal", {3, kCount}, ElementType::F32),
-                   tensor("visibility", {1, kCount}, ElementType::F32), tensor("object_id", {kCount}, ElementType::U32),
-                   tensor("cell", {kCount}, ElementType::U64)}},
+                   tensor("visibility", {1, kCount}, ElementType::F32),
+                   tensor("object_id", {kCount}, ElementType::U32)}},
       [](auto& builder, auto header) {
         const auto light = to_wire(builder, Light{});
         return wire::CreateModelInsert(builder, header, 1, 0, light);
@@ -244,8 +244,8 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
   expect_unharmed();
   for (const auto& [topic, schema] :
        std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/2"},
-                                                        {"model/insert", "ModelInsert/1"},
-                                                        {"model/published", "ModelPublished/2"},
+                                                        {"model/insert", "ModelInsert/2"},
+                                                        {"model/published", "ModelPublished/3"},
                                                         {"viewer/pose", "ViewerPose/1"}}) {
     EXPECT_TRUE(pipeline_.wait_until([&, &name = topic, &type = schema] { return log_names(name, type); }))
         << topic << ", " << schema << "\n"
