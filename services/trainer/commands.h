@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include "trainer/insert_reader.h"
+#include "trainer/view_store.h"
 
 namespace splatbus::trainer {
 
@@ -27,6 +29,7 @@ struct Commands {
   static constexpr std::size_t kMaxInserts = 4096;
 
   std::vector<InsertBatch> inserts;
+  std::vector<TrainingViewPtr> pictures;        ///< that bring depth: the newest of each camera
   std::optional<VisibilityCommand> visibility;  ///< the newest
 
   /// False when there is no room for it. A batch that waits here already is not taken twice.
@@ -41,7 +44,19 @@ struct Commands {
     return true;
   }
 
-  [[nodiscard]] bool empty() const { return inserts.empty() && !visibility; }
+  /// Takes a picture that has arrived, if it brings depth.
+  void look(TrainingViewPtr view) {
+    if (view->depth.empty()) return;
+    const auto same = [&](const TrainingViewPtr& other) { return key_of(*other) == key_of(*view); };
+    const auto found = std::find_if(pictures.begin(), pictures.end(), same);
+    if (found == pictures.end()) {
+      pictures.push_back(std::move(view));
+    } else {
+      *found = std::move(view);
+    }
+  }
+
+  [[nodiscard]] bool empty() const { return inserts.empty() && pictures.empty() && !visibility; }
 };
 
 /// Hands commands from the message thread to the optimizer's, which takes them between two steps.

@@ -84,7 +84,7 @@ bool Trainer::finish_steps() {
 void Trainer::refresh_options() {
   if (!options_.refresh()) return;
   optimizer_->set_options(*options_);
-  with_depth_ = optimizer_->options().depth_weight > 0;
+  with_depth_ = wants_depth(optimizer_->options());
 }
 
 bool Trainer::may_step() const {
@@ -131,6 +131,7 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("gaussians", static_cast<double>(store_->count()));
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
+  service_.counter("carved", static_cast<double>(optimizer_->carved()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));
   } else if (store_->count() == 0) {

@@ -5,14 +5,6 @@
 
 namespace splatbus::trainer {
 
-namespace {
-
-ViewKey key_of(const TrainingView& view) {
-  return {.role = view.camera.role, .id = view.camera.id};
-}
-
-}  // namespace
-
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
 void ViewStore::put(TrainingViewPtr view) {

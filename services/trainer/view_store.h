@@ -61,6 +61,10 @@ struct ViewKey {
   auto operator<=>(const ViewKey&) const = default;
 };
 
+[[nodiscard]] inline ViewKey key_of(const TrainingView& view) {
+  return {.role = view.camera.role, .id = view.camera.id};
+}
+
 /// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room.
 /// Thread-safe.
 class ViewStore {
