@@ -53,10 +53,7 @@ struct JudgeLanes {
     constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
     const math::Vec3 at = transformed(camera_from_frame, {value(kMean, i), value(kMean + 1, i), value(kMean + 2, i)});
     if (!(at.z > picture.near_m)) return;
-    const float a = value(kScale, i), b = value(kScale + 1, i), c = value(kScale + 2, i);
-    const float largest = math::larger(a, math::larger(b, c));
-    const float second = math::larger(math::smaller(a, b), math::smaller(math::larger(a, b), c));
-    const Verdict verdict = judge(picture, at, expf(largest), expf(second));
+    const Verdict verdict = judge(picture, at, {value(kScale, i), value(kScale + 1, i), value(kScale + 2, i)});
     if (verdict == Verdict::Supported) standing[i] = picture.instant;
     if (verdict == Verdict::Free && value(ParameterLayout::kOpacityLogit, i) >= limits.min_opacity_logit) vote(i);
   }

@@ -43,13 +43,13 @@ enum class Verdict : std::uint8_t {
 
 /// How near to a surface a Gaussian stands on it: so many of its largest standard deviations, and a part of its depth.
 inline constexpr float kSupportDeviations = 3, kSupportDepthPart = 0.015F;
-/// A Gaussian that is narrower than a pixel can fall between what an engine samples: its width, of which this is half,
-/// in standard deviations of its second largest axis.
-inline constexpr float kHalfWidthDeviations = 2;
+/// Half of a Gaussian's width in standard deviations. One that is far narrower than a pixel, by its second largest
+/// axis, can fall between what an engine samples. (Trained surfaces consist of Gaussians half a pixel wide.)
+inline constexpr float kHalfWidthDeviations = 2, kLeastWidth_px = 0.125F;
 
-/// Of a Gaussian with its mean at `at` (camera's frame, metres) and the two largest of its standard deviations.
-[[nodiscard]] SPLATBUS_PORTABLE Verdict judge(const DepthPicture& picture, const math::Vec3& at, float largest_m,
-                                              float second_m) {
+/// Of a Gaussian with its mean at `at` (camera's frame, metres) and these logarithms of its standard deviations.
+[[nodiscard]] SPLATBUS_PORTABLE Verdict judge(const DepthPicture& picture, const math::Vec3& at,
+                                              const math::Vec3& log_scale) {
   if (!(at.z > picture.near_m && at.z < picture.far_m)) return Verdict::None;
   const float u = picture.fx * at.x / at.z + picture.cx, v = picture.fy * at.y / at.z + picture.cy;
   if (!(u >= 0 && u < static_cast<float>(picture.width) && v >= 0 && v < static_cast<float>(picture.height))) {
@@ -62,6 +62,10 @@ inline constexpr float kHalfWidthDeviations = 2;
                                       static_cast<std::size_t>(column)];
     return depth > 0 ? depth : (depth == 0 ? INFINITY : 0);  // what makes no sense hides everything
   };
+  // Most stand here, and it is told without their size.
+  if (fabsf(depth_at(u, v) - at.z) <= kSupportDepthPart * at.z) return Verdict::Supported;
+  const float a = log_scale.x, b = log_scale.y, c = log_scale.z;
+  const float largest_m = expf(math::larger(a, math::larger(b, c)));
   const float margin = kSupportDeviations * largest_m + kSupportDepthPart * at.z;
   float least = INFINITY;
   for (int k = 0; k < 9; ++k) {
@@ -70,8 +74,9 @@ inline constexpr float kHalfWidthDeviations = 2;
     least = math::smaller(depth, least);
   }
   if (!(at.z + margin < least)) return Verdict::None;
+  const float second_m = expf(math::larger(math::smaller(a, b), math::smaller(math::larger(a, b), c)));
   const float px_per_m = math::smaller(picture.fx, picture.fy) / at.z;
-  if (!(2 * kHalfWidthDeviations * second_m * px_per_m >= 1)) return Verdict::None;
+  if (!(2 * kHalfWidthDeviations * second_m * px_per_m >= kLeastWidth_px)) return Verdict::None;
   const float reach_px = kHalfWidthDeviations * largest_m * math::larger(picture.fx, picture.fy) / at.z;
   for (int k = 0; k < 9 && reach_px > 1; ++k) {
     const float depth =

@@ -50,7 +50,13 @@ Verdict verdict(const std::vector<float>& depth, float u, float v, float z, floa
                              .width = static_cast<int>(c.width),
                              .height = static_cast<int>(c.height),
                              .depth = depth.data()};
-  return judge(picture, {(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z}, largest_m, second_m);
+  const float thin_m = 0.1F * second_m;
+  const math::Vec3 at{(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z};
+  // Whichever axes they lie along.
+  const Verdict verdict = judge(picture, at, {std::log(largest_m), std::log(second_m), std::log(thin_m)});
+  EXPECT_EQ(judge(picture, at, {std::log(thin_m), std::log(largest_m), std::log(second_m)}), verdict);
+  EXPECT_EQ(judge(picture, at, {std::log(second_m), std::log(thin_m), std::log(largest_m)}), verdict);
+  return verdict;
 }
 
 TEST(Carving, FreeInFrontSupportedAtAndHiddenBehindASurface) {
@@ -87,9 +93,9 @@ TEST(Carving, WhatThePictureCannotShowIsNotJudged) {
   EXPECT_EQ(verdict(sky, 63.5F, 0.5F, 2, 0.1F, 0.1F), Verdict::Free);
   EXPECT_EQ(verdict(sky, 32, 32, NAN, 0.1F, 0.1F), Verdict::None);
   EXPECT_EQ(verdict(sky, 32, 32, 2, NAN, NAN), Verdict::None);
-  // At 2 m a pixel is 31 mm wide.
-  EXPECT_EQ(verdict(sky, 32, 32, 2, 0.2F, 0.007F), Verdict::None) << "a wire falls between pixel centres";
-  EXPECT_EQ(verdict(sky, 32, 32, 2, 0.2F, 0.009F), Verdict::Free);
+  // At 2 m a pixel is 31 mm wide; a wire of a tenth of that falls between pixel centres.
+  EXPECT_EQ(verdict(sky, 32, 32, 2, 0.2F, 0.0008F), Verdict::None);
+  EXPECT_EQ(verdict(sky, 32, 32, 2, 0.2F, 0.0011F), Verdict::Free);
 }
 
 TEST(Carving, SilhouettesStay) {
