@@ -113,6 +113,21 @@ TEST(Carving, SilhouettesStay) {
   EXPECT_EQ(verdict(depth, 44, 32, 2, 0.15F, 0.15F), Verdict::Free);
 }
 
+TEST(Carving, CornersStay) {
+  // An object at 2 m covers a quarter of the picture.
+  for (const bool right : {false, true}) {
+    for (const bool low : {false, true}) {
+      const auto depth = depth_picture(
+          [&](auto column, auto row) { return (column >= 32) == right && (row >= 32) == low ? 2.0F : 6.0F; });
+      const float x = right ? -1 : 1, y = low ? -1 : 1;  // away from it
+      EXPECT_EQ(verdict(depth, 32 + 0.5F * x, 32 + 0.5F * y, 2, 0.02F, 0.02F), Verdict::Supported);
+      EXPECT_EQ(verdict(depth, 32 + 1.5F * x, 32 + 1.5F * y, 2, 0.02F, 0.02F), Verdict::Free);
+      EXPECT_EQ(verdict(depth, 32 + 8 * x, 32 + 8 * y, 2, 0.15F, 0.15F), Verdict::None) << "reaches over it";
+      EXPECT_EQ(verdict(depth, 32 + 12 * x, 32 + 12 * y, 2, 0.15F, 0.15F), Verdict::Free);
+    }
+  }
+}
+
 class CarvingOn : public KernelsOn {
  protected:
   static void put(Pages& pages, std::uint32_t i, float x, float y, float z, float opacity_logit = 2) {
