@@ -24,7 +24,7 @@ int export_model(const ExportOptions& options) {
   const bus::Address address = bus_address(options.bus);
   LiveScene live(connect(address));
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.timeout_s * 1e9);
-  while (bus::now_ns() < end_ns && (!live.published() || !live.has_light() || !live.has_objects())) {
+  while (bus::now_ns() < end_ns && (!live.published() || !live.has_scene())) {
     live.poll(std::chrono::milliseconds(50));
   }
   const auto model = live.copy_average(std::chrono::milliseconds(1000));
@@ -32,8 +32,8 @@ int export_model(const ExportOptions& options) {
     throw std::runtime_error(
         fmt::format("no model/published within {} s on {}: is a trainer running?", options.timeout_s, address.text()));
   }
-  if (model->layout().appearance == Appearance::Transfer && !live.has_light()) {
-    throw std::runtime_error(fmt::format("no scene/light within {} s on {}, which this model is shaded with",
+  if (model->layout().appearance == Appearance::Transfer && !live.has_scene()) {
+    throw std::runtime_error(fmt::format("no scene/state within {} s on {}, which this model is shaded with",
                                          options.timeout_s, address.text()));
   }
   write_ply(options.path, model->view(), live.scene());

@@ -17,14 +17,9 @@ LiveScene::LiveScene(std::shared_ptr<bus::Context> context) : subscriber_(std::m
             message_ = message;
             model_.reset();
           })
-      .on(topics::kSceneLight,
-          [this](const wire::SceneLight& body, const bus::Message&) {
-            scene_.light = from_wire(*body.light());
-            has_light_ = true;
-          })
-      .on(topics::kSceneObjects, [this](const wire::SceneObjects& body, const bus::Message&) {
-        scene_.objects = from_wire(body.objects());
-        has_objects_ = true;
+      .on(topics::kSceneState, [this](const wire::SceneUpdate& body, const bus::Message&) {
+        scene_ = from_wire(*body.scene());
+        has_scene_ = true;
       });
 }
 

@@ -33,8 +33,7 @@ class LiveScene {
   /// Valid until the next call.
   [[nodiscard]] const PublishedModel* model(Device kind = Device::Cpu);
   [[nodiscard]] const SceneState& scene() const { return scene_; }
-  [[nodiscard]] bool has_light() const { return has_light_; }
-  [[nodiscard]] bool has_objects() const { return has_objects_; }
+  [[nodiscard]] bool has_scene() const { return has_scene_; }
 
   /// A whole copy of the averaged model; waits up to `timeout` for one whose structure held still meanwhile.
   [[nodiscard]] std::optional<GaussiansBuffer> copy_average(std::chrono::milliseconds timeout);
@@ -46,7 +45,7 @@ class LiveScene {
   std::optional<PublishedModel> model_;
   Device model_kind_ = Device::Cpu;
   SceneState scene_;
-  bool has_light_ = false, has_objects_ = false;
+  bool has_scene_ = false;
 };
 
 /// Renders the averaged model straight from the trainer's memory, where that is the backend's: what the server would

@@ -42,6 +42,7 @@ using ObjectTransforms = std::map<std::uint32_t, Rigid>;  // world_from_object
 struct SceneState {
   Light light;
   ObjectTransforms objects;
+  std::uint64_t version = 0;  ///< the capture-bridge's number of this light and these objects
 };
 
 /// The sRGB transfer function (IEC 61966-2-1), on [0, 1].

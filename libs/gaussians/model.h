@@ -30,6 +30,9 @@ struct GaussiansView {
   const float* normal = nullptr;             ///< [3][stride], unit, object's frame (Transfer)
   const float* surface_point = nullptr;      ///< [3][stride], where the sample was, object's frame
   const float* visibility = nullptr;         ///< [stride], sun visibility in [0, 1] (Transfer)
+  /// [count], by index, not at an offset: 255 sees all of the sun. Where given it is read instead of `visibility`, by
+  /// the CPU's rasteriser; a TrainView of the CUDA one brings its own.
+  const std::uint8_t* visibility_u8 = nullptr;
   const std::uint32_t* object_id = nullptr;  ///< [stride]; null: all static
   const std::uint32_t* flags = nullptr;      ///< [stride]; null: all active
   const std::uint64_t* gaussian_id = nullptr;

@@ -190,13 +190,13 @@ struct BoundLanes {
 
 struct WriteVisibility {
   PageMemory memory;
-  const float* values;
+  const std::uint8_t* values;
   const LaneRange* pages;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const LaneRange page = pages[i / kPageLanes];
     const std::uint32_t lane = i % kPageLanes, index = page.first + lane;
     if (lane >= page.count) return;
-    *memory.value(memory.visibility, index) = values[index] >= 0 ? math::smaller(values[index], 1.0F) : 0.0F;
+    *memory.value(memory.visibility, index) = (1.0F / 255) * static_cast<float>(values[index]);
   }
 };
 
@@ -316,7 +316,7 @@ std::vector<PageBounds> bounds_of_lanes(StreamView stream, const PageMemory& mem
   return bounds.to_host();
 }
 
-void write_visibility(StreamView stream, const PageMemory& memory, const float* values,
+void write_visibility(StreamView stream, const PageMemory& memory, const std::uint8_t* values,
                       std::span<const LaneRange> pages) {
   by_lane(stream, pages, [&](const LaneRange* some) { return WriteVisibility{memory, values, some}; });
 }

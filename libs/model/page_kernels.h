@@ -129,7 +129,7 @@ void list_moves(StreamView stream, std::span<const LaneMove> lanes, std::uint32_
 [[nodiscard]] std::vector<PageBounds> bounds_of_lanes(StreamView stream, const PageMemory& memory,
                                                       std::span<const LaneRange> lanes);
 /// Clamped to [0, 1]; what is no number becomes 0.
-void write_visibility(StreamView stream, const PageMemory& memory, const float* values,
+void write_visibility(StreamView stream, const PageMemory& memory, const std::uint8_t* values,
                       std::span<const LaneRange> pages);
 /// dead[i] = 1 where the Gaussian is not finite or has no id; `dead` is zero before.
 void mark_broken(StreamView stream, const PageMemory& memory, std::span<const LaneRange> pages, std::uint8_t* dead);

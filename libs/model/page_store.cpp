@@ -49,26 +49,18 @@ void PageStore::add_step(std::size_t views, double seconds) {
   header.optimizer_s += seconds;
 }
 
-std::size_t PageStore::set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count) {
+std::vector<LaneRange> PageStore::unchanged_since(std::uint64_t generation, std::size_t count) const {
   std::vector<LaneRange> unchanged;
   for (const IndexRange& range : ranges_) {
     const PageEntry& entry = table_.entry(range.first >> kPageShift);
-    if (entry.generation.load(std::memory_order_relaxed) > 2 * generation || range.first + range.count > count)
-      continue;
-    unchanged.push_back({range.first, range.count});
+    const bool later = entry.generation.load(std::memory_order_relaxed) > 2 * generation;
+    if (!later && range.first + range.count <= count) unchanged.push_back({range.first, range.count});
   }
-  if (unchanged.empty()) return 0;
-  if (memory != device_) {
-    const std::size_t end = unchanged.back().first + unchanged.back().count;
-    scratch_.resize(end);
-    // Of the two kinds of memory one is CUDA's, whose stream copies either way.
-    const device::StreamView stream = device_ == Device::Cuda ? stream_.view() : device::thread_stream(memory);
-    device::copy(stream, scratch_.data(), values, end * sizeof(float));
-    stream.wait();
-    values = scratch_.data();
-  }
-  write_visibility(stream_, memory_, values, unchanged);
-  return unchanged.size();
+  return unchanged;
+}
+
+void PageStore::set_visibility(const std::uint8_t* values, std::span<const LaneRange> pages) {
+  if (!pages.empty()) write_visibility(stream_, memory_, values, pages);
 }
 
 void PageStore::bound(std::vector<PageChange>& changes) const {

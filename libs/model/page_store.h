@@ -97,9 +97,10 @@ class PageStore {
   /// is free for insertions. Costs nothing but a look at the directory where there are none.
   Moves merge();
 
-  /// Takes over the sun's visibility, in place, for the pages whose structure is what it was at `generation`, from
-  /// values by index in either memory. Returns how many pages took it.
-  std::size_t set_visibility(std::uint64_t generation, const float* values, Device memory, std::size_t count);
+  /// The pages whose structure is what it was at `generation`, and whose indices are below `count`.
+  [[nodiscard]] std::vector<LaneRange> unchanged_since(std::uint64_t generation, std::size_t count) const;
+  /// Takes over the sun's visibility of those pages, in place: `values` by index on the device, 255 sees all of it.
+  void set_visibility(const std::uint8_t* values, std::span<const LaneRange> pages);
   /// Makes bounds what the parameters say now, on the host, on the device and in the table; with slack, so that they
   /// hold while no mean moves farther than `move_m` and no scale grows by more than `growth`.
   void refresh_bounds(float move_m = 0, float growth = 1);

@@ -102,11 +102,11 @@ flatbuffers::Offset<wire::SceneState> to_wire(flatbuffers::FlatBufferBuilder& bu
                                               std::uint64_t frame, double time_s) {
   const auto objects = to_wire(builder, scene.objects);
   const auto light = to_wire(builder, scene.light);
-  return wire::CreateSceneState(builder, frame, time_s, objects, light);
+  return wire::CreateSceneState(builder, frame, time_s, objects, light, scene.version);
 }
 
 SceneState from_wire(const wire::SceneState& scene) {
-  return {.light = from_wire(*scene.light()), .objects = from_wire(scene.objects())};
+  return {.light = from_wire(*scene.light()), .objects = from_wire(scene.objects()), .version = scene.version()};
 }
 
 glm::vec3 from_wire(const wire::Vec3& v, const char* field) {

@@ -18,9 +18,8 @@ struct Log;
 struct ModelInsert;
 struct ModelPublished;
 struct RelightVisibility;
-struct SceneLight;
 struct SceneLightDepth;
-struct SceneObjects;
+struct SceneUpdate;
 struct StreamStats;
 struct Topics;
 struct TrainerStats;
@@ -33,17 +32,17 @@ struct ViewerQuality;
 template <class Table>
 inline constexpr std::string_view kSchema{};
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureInput> = "CaptureInput/2";
+inline constexpr std::string_view kSchema<wire::CaptureInput> = "CaptureInput/3";
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureProbe> = "CaptureProbe/2";
+inline constexpr std::string_view kSchema<wire::CaptureProbe> = "CaptureProbe/3";
 template <>
-inline constexpr std::string_view kSchema<wire::CaptureReference> = "CaptureReference/2";
+inline constexpr std::string_view kSchema<wire::CaptureReference> = "CaptureReference/3";
 template <>
 inline constexpr std::string_view kSchema<wire::Control> = "Control/1";
 template <>
 inline constexpr std::string_view kSchema<wire::EngineCameras> = "EngineCameras/1";
 template <>
-inline constexpr std::string_view kSchema<wire::EngineFrame> = "EngineFrame/2";
+inline constexpr std::string_view kSchema<wire::EngineFrame> = "EngineFrame/3";
 template <>
 inline constexpr std::string_view kSchema<wire::GridState> = "GridState/1";
 template <>
@@ -57,19 +56,17 @@ inline constexpr std::string_view kSchema<wire::ModelInsert> = "ModelInsert/1";
 template <>
 inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/2";
 template <>
-inline constexpr std::string_view kSchema<wire::RelightVisibility> = "RelightVisibility/1";
+inline constexpr std::string_view kSchema<wire::RelightVisibility> = "RelightVisibility/2";
 template <>
-inline constexpr std::string_view kSchema<wire::SceneLight> = "SceneLight/1";
+inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDepth/3";
 template <>
-inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDepth/2";
-template <>
-inline constexpr std::string_view kSchema<wire::SceneObjects> = "SceneObjects/1";
+inline constexpr std::string_view kSchema<wire::SceneUpdate> = "SceneUpdate/1";
 template <>
 inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/1";
 template <>
 inline constexpr std::string_view kSchema<wire::Topics> = "Topics/1";
 template <>
-inline constexpr std::string_view kSchema<wire::TrainerStats> = "TrainerStats/1";
+inline constexpr std::string_view kSchema<wire::TrainerStats> = "TrainerStats/2";
 template <>
 inline constexpr std::string_view kSchema<wire::ViewerPose> = "ViewerPose/1";
 template <>
@@ -93,8 +90,7 @@ inline constexpr Topic<wire::EngineFrame> kEngineFrame{"engine/frame"};
 inline constexpr Topic<wire::CaptureInput> kCaptureInput{"capture/input"};
 inline constexpr Topic<wire::CaptureReference> kCaptureReference{"capture/reference"};
 inline constexpr Topic<wire::CaptureProbe> kCaptureProbe{"capture/probe"};
-inline constexpr Topic<wire::SceneObjects> kSceneObjects{"scene/objects", kLatched};
-inline constexpr Topic<wire::SceneLight> kSceneLight{"scene/light", kLatched};
+inline constexpr Topic<wire::SceneUpdate> kSceneState{"scene/state", kLatched};
 inline constexpr Topic<wire::SceneLightDepth> kSceneLightDepth{"scene/light_depth", kLatched};
 inline constexpr Topic<wire::ModelInsert> kModelInsert{"model/insert"};
 inline constexpr Topic<wire::ModelPublished> kModelPublished{"model/published", kLatched};

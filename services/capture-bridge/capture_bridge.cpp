@@ -74,7 +74,10 @@ void CaptureBridge::subscribe() {
 
 void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Message& message) {
   ++counters_.frames;
-  forwarder_.scene(frame);
+  if (!forwarder_.scene(frame)) {
+    ++counters_.frames_lost;
+    return;
+  }
   switch (frame.camera()->role()) {
     case wire::CameraRole::Input:
       handle_input(message, frame);
@@ -104,6 +107,7 @@ void CaptureBridge::handle_input(const bus::Message& message, const wire::Engine
     ++counters_.frames_lost;
     return;
   }
+  view->scene_version = forwarder_.scene_version();
   const std::int64_t now = bus::now_ns();
   const auto shared = std::make_shared<const InputView>(std::move(*view));
   if (!rigs_.round().add(frame.camera()->id(), frame.request_id(), shared, now)) return;

@@ -38,7 +38,10 @@ std::vector<std::uint8_t> light_bytes(const wire::Light& light) {
 }  // namespace
 
 Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind)
-    : publisher_(context), kind_(kind), light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {}
+    : publisher_(context), kind_(kind), light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {
+  // In nanoseconds since the machine started: a bridge that comes later counts on from a larger number.
+  scene_.version = context->epoch();
+}
 
 bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
   bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
@@ -49,9 +52,8 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
     if (auto tensor = message.forward_tensor(name)) info.tensors.push_back(std::move(*tensor));
   }
   const Camera camera = from_wire(*frame.camera());
-  const SceneState scene = from_wire(*frame.scene());
   publisher_.publish(topics::kCaptureReference, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
+    const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
     const wire::Camera out = to_wire(camera);
     return wire::CreateCaptureReference(builder, header, &out, scene_offset, false);
   });
@@ -60,7 +62,7 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
 
 void Forwarder::retire(const Camera& camera) {
   publisher_.publish(topics::kCaptureReference, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene = to_wire(builder, SceneState{.light = last_light_, .objects = {}});
+    const auto scene = to_wire(builder, SceneState{.light = scene_.light, .objects = {}});
     const wire::Camera out = to_wire(camera);
     return wire::CreateCaptureReference(builder, header, &out, scene, true);
   });
@@ -71,11 +73,10 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   if (!color) return false;
   Camera camera = from_wire(*frame.camera());
   camera.id = probe.camera.id;
-  const SceneState scene = from_wire(*frame.scene());
   publisher_.publish(
       topics::kCaptureProbe, {.capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
       [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-        const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
+        const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
         const wire::Camera out = to_wire(camera);
         return wire::CreateCaptureProbe(builder, header, probe.probe_id, &out, scene_offset);
       });
@@ -87,7 +88,6 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   const Camera camera = from_wire(*frame.camera());
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth || !depth->still_valid()) return false;
-  const SceneState scene = from_wire(*frame.scene());
   const bus::TensorSource source{
       "light_depth", {camera.height, camera.width}, bus::ElementType::F32, depth->data(), depth->memory()};
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns(),
@@ -95,42 +95,35 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   if (kind_ == Device::Cpu || depth->memory() == Device::Cpu) host_bytes += depth->bytes();
   if (!depth->still_valid()) return false;
   publisher_.publish(topics::kSceneLightDepth, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-    const auto scene_offset = to_wire(builder, scene, frame.scene()->frame(), frame.scene()->time_s());
+    const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
     const wire::Camera out = to_wire(camera);
     return wire::CreateSceneLightDepth(builder, header, &out, scene_offset);
   });
   return true;
 }
 
-void Forwarder::scene(const wire::EngineFrame& frame) {
+bool Forwarder::scene(const wire::EngineFrame& frame) {
   const wire::SceneState& scene = *frame.scene();
   const bool restarted = frame.header()->epoch() != engine_epoch_;
-  if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return;
-  const bool first = !newest_frame_;
   auto objects_now = object_bytes(frame);
   auto light_now = light_bytes(*scene.light());
-  const bool new_objects = first || objects_now != said_objects_;
-  const bool new_light = first || light_now != said_light_;
-  // Both are decoded, which may fail, before anything is said or kept.
-  const ObjectTransforms transforms = new_objects ? from_wire(scene.objects()) : ObjectTransforms{};
-  if (new_light) last_light_ = from_wire(*scene.light());
+  const bool unchanged = newest_frame_ && objects_now == said_objects_ && light_now == said_light_;
+  if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return unchanged;
+  if (!unchanged) {
+    SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
+    now.version = scene_.version + 1;
+    scene_ = std::move(now);
+    said_objects_ = std::move(objects_now);
+    said_light_ = std::move(light_now);
+  }
   engine_epoch_ = frame.header()->epoch();
   newest_frame_ = scene.frame();
+  if (unchanged) return true;
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
-  if (new_objects) {
-    said_objects_ = std::move(objects_now);
-    publisher_.publish(topics::kSceneObjects, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-      const auto objects = to_wire(builder, transforms);
-      return wire::CreateSceneObjects(builder, header, scene.frame(), scene.time_s(), objects);
-    });
-  }
-  if (new_light) {
-    said_light_ = std::move(light_now);
-    publisher_.publish(topics::kSceneLight, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-      const auto light = to_wire(builder, last_light_);
-      return wire::CreateSceneLight(builder, header, scene.frame(), scene.time_s(), light);
-    });
-  }
+  publisher_.publish(topics::kSceneState, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    return wire::CreateSceneUpdate(builder, header, to_wire(builder, scene_, scene.frame(), scene.time_s()));
+  });
+  return true;
 }
 
 }  // namespace splatbus::capture_bridge

@@ -32,6 +32,7 @@ struct InputView {
   std::int64_t capture_ns = 0;
   ObjectTransforms objects;
   Light light;
+  std::uint64_t scene_version = 0;
   Device memory = Device::Cpu;         ///< of the pictures
   std::span<glm::vec4> position;       ///< world, metres
   std::span<glm::vec4> normal;         ///< world

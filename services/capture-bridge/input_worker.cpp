@@ -56,7 +56,8 @@ void InputPublisher::publish(std::span<const InputViewPointer> views, const Inpu
     for (const InputViewPointer& view : views) cameras.push_back(to_wire(view->camera));
     const auto cameras_offset = builder.CreateVectorOfStructs(cameras);
     const auto scene =
-        to_wire(builder, SceneState{.light = newest.light, .objects = newest.objects}, newest.frame, newest.time_s);
+        to_wire(builder, SceneState{.light = newest.light, .objects = newest.objects, .version = newest.scene_version},
+                newest.frame, newest.time_s);
     return wire::CreateCaptureInput(builder, header, rig_generation, cameras_offset, scene);
   });
 }

@@ -3,21 +3,33 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <optional>
-#include <vector>
+#include <set>
 
 #include "bus/backend.h"
+#include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
+#include "device/buffer.h"
 #include "device/stream.h"
+#include "model/published_model.h"
 #include "relight/visibility.h"
 
 namespace splatbus::relight {
 
-/// The relight service: keeps relight/visibility in step with the model's structure, the light and the objects.
+struct RelightOptions {
+  VisibilityOptions visibility;
+  float newest_rate_hz = 10;  ///< at which visibility of the newest scene is computed where no picture asks for it
+
+  void bind(bus::ParameterBinder& parameters);
+};
+
+/// The relight service: computes relight/visibility for every scene version that training pictures are of, and for the
+/// newest one, and again when the model's structure changes.
 class Relight {
  public:
   explicit Relight(bus::ServiceContext& service);
@@ -26,24 +38,23 @@ class Relight {
   void run();
 
  private:
-  /// Memory of the backend's kind that is used again and again; contents are lost when it grows.
-  struct Memory {
-    std::shared_ptr<std::byte> bytes;
-    std::size_t size = 0;
-    [[nodiscard]] float* floats(std::size_t count, Device kind);
-  };
-  /// The newest light-space depth, in memory of our own, with the light and the transforms of its frame.
+  /// The light-space depth of a scene version, in memory of our own.
   struct DepthMap {
     Camera camera;
-    std::uint64_t light_generation = 0;
-    ObjectTransforms objects;
-    Memory depth_m;
+    SceneState scene;
+    std::shared_ptr<std::byte> depth_m;
+    bool pictured = false;                            ///< a training picture of this version has come
+    std::optional<std::uint64_t> computed_generation;  ///< of the model that its visibility was computed for
   };
 
   void take_depth(const wire::SceneLightDepth& depth, const bus::Message& message);
-  void take_objects(const wire::SceneObjects& body);
+  void take_picture(std::uint64_t scene_version);
   void update();
-  void publish(std::uint64_t model_generation, std::size_t count, const float* visibility);
+  [[nodiscard]] bool is_due(const DepthMap& map, std::int64_t now_ns) const;
+  /// False when the model has moved on meanwhile.
+  bool compute(DepthMap& map, const PublishedModel& model);
+  void publish(std::uint64_t model_generation, std::uint64_t scene_version, std::size_t count,
+               const std::uint8_t* visibility);
   void report();
 
   bus::ServiceContext& service_;
@@ -51,14 +62,15 @@ class Relight {
   const device::Stream stream_;
   bus::Publisher publisher_;
   bus::TensorRing ring_;
-  bus::LiveOptions<VisibilityOptions> options_;
+  bus::MemoryPool depths_;
+  bus::LiveOptions<RelightOptions> options_;
   std::optional<bus::Message> model_;
-  std::optional<ObjectTransforms> objects_;
-  std::optional<DepthMap> map_;
-  Memory spare_depth_, visibility_;
+  std::deque<DepthMap> maps_;                ///< by ascending version
+  std::set<std::uint64_t> pictured_ahead_;  ///< versions whose picture came before their map
+  device::Buffer<std::uint8_t> visibility_;
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;  ///< bulk that came from, or went through, host memory
-  std::uint64_t computed_generation_ = 0, lost_tensors_ = 0, published_ = 0;
-  bool scene_changed_ = false;
+  std::uint64_t lost_tensors_ = 0, published_ = 0, unmapped_ = 0;
+  std::int64_t newest_computed_ns_ = 0;
 };
 
 }  // namespace splatbus::relight

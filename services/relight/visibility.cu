@@ -38,7 +38,7 @@ struct VisibilityTest {
   int width, height;
   const float* depth_m;
   VisibilityOptions options;
-  float* visibility;
+  std::uint8_t* visibility;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     Vec3 point = vector_at(gaussians.surface_point, i);
@@ -47,7 +47,7 @@ struct VisibilityTest {
       point = transformed(object->world_from_object, point);
       normal = object->world_from_object.rotation * normal;
     }
-    visibility[i] = test(point, normal, i);
+    visibility[i] = static_cast<std::uint8_t>(test(point, normal, i) * 255.0F + 0.5F);
   }
 
  private:
@@ -132,7 +132,7 @@ std::vector<std::uint32_t> frames_of_pages(const GaussiansView& gaussians) {
 }  // namespace
 
 void compute_visibility(device::StreamView stream, const GaussiansView& gaussians, const ObjectTransforms& objects,
-                        const LightDepthMap& map, const VisibilityOptions& options, float* visibility) {
+                        const LightDepthMap& map, const VisibilityOptions& options, std::uint8_t* visibility) {
   std::vector<MovingObject> moving;
   moving.reserve(objects.size());
   for (const auto& [id, world_from_object] : objects) moving.push_back({id, portable(world_from_object)});

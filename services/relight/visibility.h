@@ -23,7 +23,7 @@ struct VisibilityOptions {
   void bind(bus::ParameterBinder& parameters);
 };
 
-/// Share of the sun's disc that each Gaussian's surface point sees, in [0, 1]: percentage-closer filtering (Reeves et
+/// Share of the sun's disc that each Gaussian's surface point sees, 255 for all of it: percentage-closer filtering (Reeves et
 /// al. 1987) under a paraboloid, every texel compared with the depth of the surface's own plane there (receiver plane
 /// bias, Isidoro 2006), so that slanted surfaces do not shade themselves. What faces away from the light is 0, what
 /// lies outside of the map 1.
@@ -33,6 +33,6 @@ struct VisibilityOptions {
 /// to, and `visibility`, lie in memory of the stream's device; the ranges on the host. Waits for the result. Throws
 /// std::runtime_error when the device fails.
 void compute_visibility(device::StreamView stream, const GaussiansView& gaussians, const ObjectTransforms& objects,
-                        const LightDepthMap& map, const VisibilityOptions& options, float* visibility);
+                        const LightDepthMap& map, const VisibilityOptions& options, std::uint8_t* visibility);
 
 }  // namespace splatbus::relight

@@ -100,15 +100,10 @@ void Streamer::subscribe() {
   subscriber_
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
-      .on(topics::kSceneObjects,
-          [this](const wire::SceneObjects& body, const bus::Message&) {
-            scene_.objects = from_wire(body.objects());
-            scene_frame_ = body.frame();
-            model_.set_scene(scene_, scene_frame_);
-          })
-      .on(topics::kSceneLight,
-          [this](const wire::SceneLight& body, const bus::Message&) {
-            scene_.light = from_wire(*body.light());
+      .on(topics::kSceneState,
+          [this](const wire::SceneUpdate& body, const bus::Message&) {
+            scene_ = from_wire(*body.scene());
+            scene_frame_ = body.scene()->frame();
             model_.set_scene(scene_, scene_frame_);
           })
       .on(topics::kCaptureProbe,

@@ -15,11 +15,11 @@
 
 namespace splatbus::trainer {
 
+/// Of one scene version, by index of a structure's generation, in memory of the model's kind: 255 sees all of the sun.
 struct VisibilityCommand {
-  std::uint64_t model_generation = 0;
+  std::uint64_t model_generation = 0, scene_version = 0;
   std::size_t count = 0;
-  Device memory = Device::Cpu;
-  std::shared_ptr<const std::byte> visibility;  ///< floats, as they came
+  std::shared_ptr<std::byte> visibility;  ///< whoever takes the command may write to it
 };
 
 /// What others ask of the model, in order of arrival within each kind. Bounded: the optimizer takes all of it between
@@ -27,10 +27,11 @@ struct VisibilityCommand {
 struct Commands {
   static constexpr std::size_t kMaxRows = std::size_t{1} << 22;  ///< of all inserts together
   static constexpr std::size_t kMaxInserts = 4096;
+  static constexpr std::size_t kMaxVisibilities = 64;
 
   std::vector<InsertBatch> inserts;
   std::vector<TrainingViewPtr> pictures;        ///< that bring depth: the newest of each camera
-  std::optional<VisibilityCommand> visibility;  ///< the newest
+  std::vector<VisibilityCommand> visibilities;  ///< one a scene version
 
   /// False when there is no room for it. A batch that waits here already is not taken twice.
   [[nodiscard]] bool add(InsertBatch&& batch) {
@@ -56,7 +57,14 @@ struct Commands {
     }
   }
 
-  [[nodiscard]] bool empty() const { return inserts.empty() && pictures.empty() && !visibility; }
+  /// Takes the place of what waits for the same version, or, where too many wait, of the oldest.
+  void add(VisibilityCommand&& visibility) {
+    std::erase_if(visibilities, [&](const auto& waiting) { return waiting.scene_version == visibility.scene_version; });
+    if (visibilities.size() >= kMaxVisibilities) visibilities.erase(visibilities.begin());
+    visibilities.push_back(std::move(visibility));
+  }
+
+  [[nodiscard]] bool empty() const { return inserts.empty() && pictures.empty() && visibilities.empty(); }
 };
 
 /// Hands commands from the message thread to the optimizer's, which takes them between two steps.

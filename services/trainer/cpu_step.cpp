@@ -29,7 +29,7 @@ class CpuStep final : public GradientStep {
   }
 
   void set_options(Options& options) override;
-  void step(std::span<const TrainingViewPtr> views) override;
+  void step(std::span<const PairedView> views) override;
   StepReport finished(bool /*wait*/) override { return std::exchange(report_, {}); }
   void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override;
   [[nodiscard]] kernels::ScreenStatistics statistics() const override {
@@ -42,7 +42,7 @@ class CpuStep final : public GradientStep {
   void resize(std::size_t count);
   void renew_bounds();
   /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
-  double render_loss(const TrainingView& view, float scale);
+  double render_loss(const PairedView& paired, float scale);
   float depth_loss(const TrainingView& view, float scale);
   void observe();
 
@@ -72,17 +72,17 @@ void CpuStep::set_options(Options& options) {
   adam_.unit_albedo = options.layout.appearance == Appearance::Transfer;
 }
 
-void CpuStep::step(std::span<const TrainingViewPtr> views) {
+void CpuStep::step(std::span<const PairedView> views) {
   const auto start = std::chrono::steady_clock::now();
   double loss = 0;
   if (views.size() == 1) {
     gradient_.clear_statistics(store_.view());
-    loss = render_loss(*views.front(), 1.0F);
+    loss = render_loss(views.front(), 1.0F);
     rasterizer_->backward_step(render_gradient_, learning_rates_, adam_, store_.parameters(), gradient_);
   } else {
     gradient_.clear(store_.view(), options_.threads);
-    for (const auto& view : views) {
-      loss += render_loss(*view, 1.0F / static_cast<float>(views.size()));
+    for (const PairedView& view : views) {
+      loss += render_loss(view, 1.0F / static_cast<float>(views.size()));
       rasterizer_->backward(render_gradient_, gradient_);
     }
     adam_.step(store_.view(), store_.parameters(), gradient_, learning_rates_, options_.threads);
@@ -139,12 +139,15 @@ void CpuStep::observe() {
   }
 }
 
-double CpuStep::render_loss(const TrainingView& view, float scale) {
+double CpuStep::render_loss(const PairedView& paired, float scale) {
+  const TrainingView& view = *paired.view;
   const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
   const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
   const raster::RenderOptions render_options{
       .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
-  rasterizer_->forward(store_.view(), view.camera, view.scene, render_options, render_);
+  GaussiansView gaussians = store_.view();
+  gaussians.visibility_u8 = paired.visibility.get();
+  rasterizer_->forward(gaussians, view.camera, view.scene, render_options, render_);
 
   render_gradient_.alpha = {};
   render_gradient_.albedo = {};

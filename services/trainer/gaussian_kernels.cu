@@ -195,6 +195,30 @@ struct SetValue {
   }
 };
 
+struct ReadVisibility {
+  model::PageMemory memory;
+  const IndexRange* ranges;
+  std::uint8_t* of_index;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const IndexRange range = ranges[item / kPageLanes];
+    const std::uint32_t index = range.first + item % kPageLanes;
+    if (item % kPageLanes >= range.count) return;
+    const float share = math::clamped(*memory.value(memory.visibility, index), 0.0F, 1.0F);
+    of_index[index] = static_cast<std::uint8_t>(share * 255.0F + 0.5F);
+  }
+};
+
+struct CopyVisibility {
+  const std::uint8_t* values;
+  const model::LaneRange* pages;
+  std::uint8_t* of_index;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const model::LaneRange page = pages[item / kPageLanes];
+    const std::uint32_t index = page.first + item % kPageLanes;
+    if (item % kPageLanes < page.count) of_index[index] = values[index];
+  }
+};
+
 template <class T>
 struct MoveValue {
   T* values;
@@ -266,6 +290,20 @@ void move_values(StreamView stream, std::uint32_t* values, const model::Moves& m
 }
 void move_values(StreamView stream, std::uint8_t* values, const model::Moves& moves) {
   move(stream, values, moves);
+}
+
+void read_visibility(StreamView stream, const model::PageMemory& memory, const IndexRange* ranges,
+                     std::uint32_t range_count, std::uint8_t* of_index) {
+  for_each_index(stream, range_count * kPageLanes, ReadVisibility{memory, ranges, of_index});
+}
+
+void copy_visibility(StreamView stream, const std::uint8_t* values, std::span<const model::LaneRange> pages,
+                     std::uint8_t* of_index) {
+  device::Buffer<model::LaneRange> on_device(stream);
+  on_device.assign(pages);
+  for_each_index(stream, static_cast<std::uint32_t>(pages.size()) * kPageLanes,
+                 CopyVisibility{values, on_device.data(), of_index});
+  stream.wait();
 }
 
 }  // namespace splatbus::trainer::kernels

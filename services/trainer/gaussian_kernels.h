@@ -2,10 +2,12 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 
 #include "device/buffer.h"
 #include "model/channels.h"
 #include "model/insert_rows.h"
+#include "model/page_kernels.h"
 
 // What is done to the model's Gaussians between optimizer steps, and to what is kept for each of them beside the model,
 // by index; written once for both devices. Pointers are to memory of the stream's device; what returns a value has
@@ -82,5 +84,12 @@ void set_values(StreamView stream, std::uint8_t* values, const IndexRange* range
 void move_values(StreamView stream, std::uint64_t* values, const model::Moves& moves);
 void move_values(StreamView stream, std::uint32_t* values, const model::Moves& moves);
 void move_values(StreamView stream, std::uint8_t* values, const model::Moves& moves);
+
+/// The model's own visibility of those indices: of_index[index] = 255 v, rounded.
+void read_visibility(StreamView stream, const model::PageMemory& memory, const IndexRange* ranges,
+                     std::uint32_t range_count, std::uint8_t* of_index);
+/// of_index[i] = values[i] for the indices of pages, which lie on the host; waits.
+void copy_visibility(StreamView stream, const std::uint8_t* values, std::span<const model::LaneRange> pages,
+                     std::uint8_t* of_index);
 
 }  // namespace splatbus::trainer::kernels

@@ -22,6 +22,12 @@ struct StepReport {
   StepReport& operator+=(const StepReport& later);
 };
 
+/// A view and the sun's visibility under its own scene, by index on the model's device; null: the model's own.
+struct PairedView {
+  TrainingViewPtr view;
+  std::shared_ptr<const std::uint8_t> visibility;
+};
+
 /// Render, loss, backward pass and Adam on the parameters of a PageStore, in place: what each device does in a way of
 /// its own. Belongs to one thread.
 class GradientStep {
@@ -34,7 +40,7 @@ class GradientStep {
   virtual void set_options(Options& options) = 0;
   /// Of a mini-batch whose pictures lie in the store's memory. Bounds of the store's view() hold afterwards on the
   /// device; on CUDA the step is only enqueued, and PageStore::refresh_bounds() makes those on the host hold.
-  virtual void step(std::span<const TrainingViewPtr> views) = 0;
+  virtual void step(std::span<const PairedView> views) = 0;
   /// Steps that are done since the last call; with `wait`, all there are, after waiting for them.
   virtual StepReport finished(bool wait) = 0;
 

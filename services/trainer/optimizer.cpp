@@ -67,6 +67,7 @@ std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const 
 Optimizer::Optimizer(model::PageStore& store, const Options& options, const StepMaker& make_step)
     : store_(store),
       step_(make_step(store, options)),
+      visibilities_(store, step_->stream()),
       fresh_(step_->stream()),
       created_step_(step_->stream()),
       dead_(step_->stream()),
@@ -102,12 +103,8 @@ float Optimizer::ema_decay() const {
   return std::max(options_.ema_decay, static_cast<float>(of_time));
 }
 
-bool Optimizer::apply(const Commands& commands) {
-  if (const auto& relit = commands.visibility) {
-    wait_for_values();
-    store_.set_visibility(relit->model_generation, reinterpret_cast<const float*>(relit->visibility.get()),
-                          relit->memory, relit->count);
-  }
+bool Optimizer::apply(const Commands& commands, std::span<const std::uint64_t> needed) {
+  for (const VisibilityCommand& relit : commands.visibilities) visibilities_.take(relit, needed);
   bool changed = false;
   for (const InsertBatch& batch : commands.inserts) {
     if (store_.holds(batch.epoch, batch.batch)) continue;
@@ -129,13 +126,19 @@ void Optimizer::follow(const Moves& moves) {
                       store_.step());
   kernels::move_values(step_->stream(), created_step_.data(), moves);
   carver_.follow(view.count, fresh_, moves);
+  visibilities_.follow(
+      {.memory = store_.memory(), .ranges = fresh_.data(), .range_count = static_cast<std::uint32_t>(fresh.size())},
+      moves);
   step_->follow(fresh, moves);
   wait_for_values();  // the moves are gone with the next change
 }
 
 StepReport Optimizer::step(std::span<const TrainingViewPtr> views) {
   if (views.empty() || store_.count() == 0) return std::exchange(report_, {});
-  step_->step(views);
+  std::vector<PairedView> paired;
+  paired.reserve(views.size());
+  for (const TrainingViewPtr& view : views) paired.push_back({view, visibilities_.find(view->scene.version)});
+  step_->step(paired);
   launched_ += 1;
   collect(false);
   store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));

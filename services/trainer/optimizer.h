@@ -17,6 +17,7 @@
 #include "trainer/options.h"
 #include "trainer/per_index.h"
 #include "trainer/view_store.h"
+#include "trainer/visibility_ring.h"
 
 namespace splatbus::trainer {
 
@@ -37,14 +38,16 @@ class Optimizer {
   /// Those that were set, with what the device's step chooses where they leave it open.
   [[nodiscard]] const Options& options() const { return options_; }
 
-  /// Returns whether the structure changed.
-  bool apply(const Commands& commands);
+  /// Returns whether the structure changed. `needed`: scene versions of the views there are, ascending.
+  bool apply(const Commands& commands, std::span<const std::uint64_t> needed = {});
 
   /// Render, loss, backward pass and Adam on a mini-batch, then the average over time, and pruning and densification
   /// when they are due. The loss is (1 - lambda) L1 + lambda (1 - SSIM) of the lit picture, plus the weighted terms of
   /// albedo and depth. The structure may have changed. Nothing happens to an empty model or batch. The views' pictures
-  /// lie on the store's device.
+  /// lie on the store's device. A view is lit by the visibility of its own scene version where that is here.
   StepReport step(std::span<const TrainingViewPtr> views);
+  /// Scene versions whose visibility is here, ascending.
+  [[nodiscard]] std::vector<std::uint64_t> paired_versions() const { return visibilities_.versions(); }
 
   /// Waits for all that is under way; the structure may have changed.
   StepReport finish();
@@ -77,6 +80,7 @@ class Optimizer {
   Options options_;
   std::unique_ptr<GradientStep> step_;
   std::vector<IndexRange> ranges_;  ///< as they were when everything last followed the store
+  VisibilityRing visibilities_;
   device::Buffer<IndexRange> fresh_;
   PerIndex<std::uint64_t> created_step_;
   device::Buffer<std::uint8_t> dead_;

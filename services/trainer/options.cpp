@@ -25,6 +25,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("batch", batch, "views an optimizer step, 0: one on the CPU, two on a GPU", {0, 256});
   p.add("input_view_interval", input_view_interval,
         "one input picture is trained after that many reference views, 0: none", {0, 1e6});
+  p.add(
+      "pair_visibility", pair_visibility,
+      "transfer: a view trains with the visibility of its own scene version, or waits for it; false: with the newest");
   p.add("antialias", antialias, "opacity compensation for the pixel filter");
   p.add("residual", residual, "transfer: train the residual beside albedo and normal");
   p.add("ssim_weight", ssim_weight, "of 1 - SSIM in the loss, the rest is L1", {0, 1});

@@ -53,6 +53,7 @@ struct Options {
   std::uint64_t run_until = 0;  ///< step at which to stop, 0: none
   int batch = 0;                ///< views a step, 0: as suits the optimizer
   int input_view_interval = 3;  ///< one input view after that many reference views, 0: none
+  bool pair_visibility = true;  ///< Transfer: a view trains with its own scene version's visibility, or not at all
   bool antialias = true;
   bool residual = true;  ///< Transfer: the residual transfer trains
   float ssim_weight = 0.2F, albedo_weight = 0.3F, depth_weight = 0;

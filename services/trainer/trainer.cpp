@@ -48,6 +48,7 @@ void Trainer::run() {
       service_.bus, options.layout, model::PageStoreOptions{.max_gaussians = options.max_gaussians}, service_.backend);
   spdlog::info("model: {}", store_->origin());
   optimizer_ = std::make_unique<Optimizer>(*store_, options, make_step_);
+  pair_views();
 
   try {
     const std::jthread optimizer_thread([this](const std::stop_token& stop) { optimize(stop); });
@@ -143,7 +144,7 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
   }
   if (relit.count() == 0) return;
   const auto tensor =
-      message.tensor("visibility", bus::ElementType::F32, {1, static_cast<std::uint32_t>(relit.count())});
+      message.tensor("visibility", bus::ElementType::U8, {1, static_cast<std::uint32_t>(relit.count())});
   if (!tensor) {
     ++lost_tensors_;
     return;
@@ -158,9 +159,11 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
     ++lost_tensors_;
     return;
   }
-  VisibilityCommand command{
-      .model_generation = relit.model_generation(), .count = relit.count(), .memory = memory, .visibility = values};
-  commands_.post([&](Commands& commands) { commands.visibility = std::move(command); });
+  VisibilityCommand command{.model_generation = relit.model_generation(),
+                            .scene_version = relit.scene_version(),
+                            .count = relit.count(),
+                            .visibility = values};
+  commands_.post([&](Commands& commands) { commands.add(std::move(command)); });
 }
 
 }  // namespace splatbus::trainer

@@ -63,6 +63,8 @@ class Trainer {
   void optimize(const std::stop_token& stop);
   void optimize_once();
   void refresh_options();
+  /// Tells the views which of them may train.
+  void pair_views();
   [[nodiscard]] bool may_step() const;
   void train_step();
   /// Waits for what is under way. Returns whether the structure changed.

@@ -63,7 +63,9 @@ void Trainer::optimize(const std::stop_token& stop) {
 
 void Trainer::optimize_once() {
   refresh_options();
-  bool structure_changed = optimizer_->apply(commands_.take());
+  const Commands commands = commands_.take();
+  bool structure_changed = optimizer_->apply(commands, views_.versions());
+  if (!commands.visibilities.empty()) pair_views();
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
   if (!steps) structure_changed |= finish_steps();
@@ -84,7 +86,14 @@ bool Trainer::finish_steps() {
 void Trainer::refresh_options() {
   if (!options_.refresh()) return;
   optimizer_->set_options(*options_);
+  pair_views();
   with_depth_ = wants_depth(optimizer_->options());
+}
+
+void Trainer::pair_views() {
+  const Options& options = optimizer_->options();
+  const bool lit = options.pair_visibility && options.layout.appearance == Appearance::Transfer;
+  views_.set_paired(lit ? std::optional(optimizer_->paired_versions()) : std::nullopt);
 }
 
 bool Trainer::may_step() const {
@@ -132,19 +141,23 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
   service_.counter("carved", static_cast<double>(optimizer_->carved()));
+  service_.counter("unpaired_views", static_cast<double>(views_.unpaired()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));
   } else if (store_->count() == 0) {
     service_.detail("waits for Gaussians");
   } else if (references + inputs == 0) {
     service_.detail("waits for training views");
+  } else if (!views_.any_to_train(CameraRole::Reference) && !views_.any_to_train(CameraRole::Input)) {
+    service_.detail("waits for the visibility of its views");
   } else {
     service_.detail("trains");
   }
   publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
     return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
                                     progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
-                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load());
+                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load(),
+                                    views_.unpaired());
   });
 }
 

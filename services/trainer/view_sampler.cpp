@@ -15,13 +15,13 @@ void shuffle(std::vector<ViewKey>& keys, std::mt19937_64& random) {
 
 ViewSampler::ViewSampler(std::uint64_t seed) : random_(seed) {}
 
-TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light) {
+TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch) {
   for (bool refilled = false;;) {
     while (!epoch.left.empty()) {
       const ViewKey key = epoch.left.back();
       epoch.left.pop_back();
       auto view = views.find(key);
-      if (view && (!light || view->scene.light.generation == *light)) return view;
+      if (view) return view;
     }
     if (refilled) return nullptr;
     epoch.left = views.keys(epoch.role);
@@ -30,11 +30,10 @@ TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch, std::opt
   }
 }
 
-std::vector<TrainingViewPtr> ViewSampler::draw_batch(const ViewStore& views, int size, Epoch& epoch,
-                                                     std::optional<std::uint64_t> light) {
+std::vector<TrainingViewPtr> ViewSampler::draw_batch(const ViewStore& views, int size, Epoch& epoch) {
   std::vector<TrainingViewPtr> batch;
   while (static_cast<int>(batch.size()) < size) {
-    auto view = draw(views, epoch, light);
+    auto view = draw(views, epoch);
     if (!view) break;
     batch.push_back(std::move(view));
   }
@@ -51,7 +50,7 @@ std::vector<TrainingViewPtr> ViewSampler::next_batch(const ViewStore& views, int
   }
   references_since_input_ = 0;
   if (input_interval > 0) {
-    if (auto batch = draw_batch(views, size, inputs_, views.reference_light()); !batch.empty()) return batch;
+    if (auto batch = draw_batch(views, size, inputs_); !batch.empty()) return batch;
   }
   return draw_batch(views, size, references_);
 }

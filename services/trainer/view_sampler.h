@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
 #include <random>
 #include <vector>
 
@@ -12,9 +11,8 @@ namespace splatbus::trainer {
 /// Which views are trained when: epochs over the reference cameras, each in an order of its own, and one input camera
 /// after every `input_interval` reference views (docs/decisions/0073-training-defaults.md). Without reference
 /// cameras, input cameras only. A batch of several views is of one kind, for pictures of one size are trained at once;
-/// one of input cameras then comes after every `input_interval` batches of reference views. An input view rests while
-/// its light is not the newest one and a reference view has that: input pictures may be rendered once, and the model's
-/// visibility of the sun follows the newest light. The same seed, cameras and calls give the same choice.
+/// one of input cameras then comes after every `input_interval` batches of reference views. The same seed, cameras and
+/// calls give the same choice.
 class ViewSampler {
  public:
   explicit ViewSampler(std::uint64_t seed);
@@ -29,10 +27,8 @@ class ViewSampler {
     CameraRole role;
     std::vector<ViewKey> left;
   };
-  /// `light` (generation), where given, is the only one whose views are drawn.
-  TrainingViewPtr draw(const ViewStore& views, Epoch& epoch, std::optional<std::uint64_t> light = std::nullopt);
-  std::vector<TrainingViewPtr> draw_batch(const ViewStore& views, int size, Epoch& epoch,
-                                          std::optional<std::uint64_t> light = std::nullopt);
+  TrainingViewPtr draw(const ViewStore& views, Epoch& epoch);
+  std::vector<TrainingViewPtr> draw_batch(const ViewStore& views, int size, Epoch& epoch);
 
   std::mt19937_64 random_;
   Epoch references_{.role = CameraRole::Reference, .left = {}};

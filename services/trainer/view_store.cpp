@@ -7,21 +7,58 @@ namespace splatbus::trainer {
 
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
+bool ViewStore::is_paired(const TrainingView& view) const {
+  return !paired_ || std::binary_search(paired_->begin(), paired_->end(), view.scene.version);
+}
+
+void ViewStore::replace(TrainingViewPtr& old, TrainingViewPtr view) {
+  if (old) bytes_ -= old->bytes();
+  if (view) bytes_ += view->bytes();
+  old = std::move(view);
+}
+
 void ViewStore::put(TrainingViewPtr view) {
   const ViewKey key = key_of(*view);
   const std::scoped_lock lock(mutex_);
   const auto [place, is_new] = views_.try_emplace(key);
   Entry& entry = place->second;
-  if (is_new) {
-    ++cameras_version_;
-  } else {
-    bytes_ -= entry.view->bytes();
-  }
-  bytes_ += view->bytes();
-  newest_light_ = view->scene.light.generation;
-  entry.view = std::move(view);
+  if (is_new) ++cameras_version_;
+  if (entry.waiting) ++unpaired_;
+  const bool paired = is_paired(*view);
+  replace(entry.waiting, paired ? nullptr : view);
+  if (paired) replace(entry.view, std::move(view));
   entry.updated = ++updates_;
   evict(key);
+}
+
+void ViewStore::set_paired(std::optional<std::vector<std::uint64_t>> versions) {
+  const std::scoped_lock lock(mutex_);
+  paired_ = std::move(versions);
+  for (auto& [key, entry] : views_) {
+    // The visibility of a view that has trained may have had to go.
+    if (entry.view && !is_paired(*entry.view)) replace(entry.view, nullptr);
+    if (!entry.waiting || !is_paired(*entry.waiting)) continue;
+    replace(entry.view, nullptr);
+    entry.view = std::exchange(entry.waiting, nullptr);
+  }
+}
+
+std::vector<std::uint64_t> ViewStore::versions() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<std::uint64_t> all;
+  for (const auto& [key, entry] : views_) {
+    for (const TrainingViewPtr& view : {entry.view, entry.waiting}) {
+      if (view) all.push_back(view->scene.version);
+    }
+  }
+  std::sort(all.begin(), all.end());
+  all.erase(std::unique(all.begin(), all.end()), all.end());
+  return all;
+}
+
+std::uint64_t ViewStore::unpaired() const {
+  const std::scoped_lock lock(mutex_);
+  return unpaired_;
 }
 
 void ViewStore::evict(const ViewKey& newest) {
@@ -31,7 +68,8 @@ void ViewStore::evict(const ViewKey& newest) {
       const bool older = oldest == views_.end() || it->second.updated < oldest->second.updated;
       if (it->first != newest && older) oldest = it;
     }
-    bytes_ -= oldest->second.view->bytes();
+    replace(oldest->second.view, nullptr);
+    replace(oldest->second.waiting, nullptr);
     views_.erase(oldest);
     ++cameras_version_;
   }
@@ -41,7 +79,8 @@ void ViewStore::retire(const ViewKey& key) {
   const std::scoped_lock lock(mutex_);
   const auto found = views_.find(key);
   if (found == views_.end()) return;
-  bytes_ -= found->second.view->bytes();
+  replace(found->second.view, nullptr);
+  replace(found->second.waiting, nullptr);
   views_.erase(found);
   ++cameras_version_;
 }
@@ -63,22 +102,14 @@ std::vector<ViewKey> ViewStore::keys(CameraRole role) const {
 
 bool ViewStore::any_to_train(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
-  return std::any_of(views_.begin(), views_.end(), [&](const auto& view) { return view.first.role == role; });
+  return std::any_of(views_.begin(), views_.end(),
+                     [&](const auto& view) { return view.first.role == role && view.second.view; });
 }
 
 std::size_t ViewStore::count(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
   return static_cast<std::size_t>(
       std::count_if(views_.begin(), views_.end(), [&](const auto& view) { return view.first.role == role; }));
-}
-
-std::optional<std::uint64_t> ViewStore::reference_light() const {
-  const std::scoped_lock lock(mutex_);
-  const bool ready = std::any_of(views_.begin(), views_.end(), [&](const auto& view) {
-    const Entry& entry = view.second;
-    return view.first.role == CameraRole::Reference && entry.view->scene.light.generation == newest_light_;
-  });
-  return ready ? std::optional(newest_light_) : std::nullopt;
 }
 
 std::size_t ViewStore::bytes() const {

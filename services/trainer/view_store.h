@@ -65,8 +65,8 @@ struct ViewKey {
   return {.role = view.camera.role, .id = view.camera.id};
 }
 
-/// The newest view of each camera. Bounded in number and bytes: the view that was updated longest ago makes room.
-/// Thread-safe.
+/// The newest view of each camera that can be trained on: one whose scene version has its visibility. A newer one waits
+/// beside it for its own. Bounded in number and bytes: the camera that was updated longest ago makes room. Thread-safe.
 class ViewStore {
  public:
   static constexpr std::size_t kMaxViews = 1024;
@@ -74,34 +74,42 @@ class ViewStore {
 
   explicit ViewStore(std::size_t max_views = kMaxViews, std::size_t max_bytes = kMaxBytes);
 
+  /// It replaces the camera's view when its version is paired, else whichever waited for that before.
   void put(TrainingViewPtr view);
+  /// The scene versions whose visibility is there, ascending; nullopt, as in the beginning: no view needs any.
+  void set_paired(std::optional<std::vector<std::uint64_t>> versions);
+  /// Scene versions of all views, those that wait too, ascending.
+  [[nodiscard]] std::vector<std::uint64_t> versions() const;
+  /// Views that were replaced before they were paired.
+  [[nodiscard]] std::uint64_t unpaired() const;
   void retire(const ViewKey& key);
 
+  /// To train on; null when there is none.
   [[nodiscard]] TrainingViewPtr find(const ViewKey& key) const;
+  /// Of cameras, whether they have a view to train on or wait for it.
   [[nodiscard]] std::vector<ViewKey> keys(CameraRole role) const;
   [[nodiscard]] bool any_to_train(CameraRole role) const;
   [[nodiscard]] std::size_t count(CameraRole role) const;
   [[nodiscard]] std::size_t bytes() const;
   [[nodiscard]] std::size_t max_bytes() const { return max_bytes_; }
-  /// Generation of the newest view's light, when a reference view under it is here.
-  [[nodiscard]] std::optional<std::uint64_t> reference_light() const;
   /// Grows whenever a camera comes or goes.
   [[nodiscard]] std::uint64_t cameras_version() const;
 
  private:
   struct Entry {
-    TrainingViewPtr view;
+    TrainingViewPtr view, waiting;  ///< null where there is none
     std::uint64_t updated = 0;
   };
+  [[nodiscard]] bool is_paired(const TrainingView& view) const;
+  void replace(TrainingViewPtr& old, TrainingViewPtr view);
   void evict(const ViewKey& newest);
 
   const std::size_t max_views_, max_bytes_;
   mutable std::mutex mutex_;
   std::map<ViewKey, Entry> views_;
+  std::optional<std::vector<std::uint64_t>> paired_;
   std::size_t bytes_ = 0;
-  std::uint64_t updates_ = 0, cameras_version_ = 0;
-  std::uint64_t newest_light_ =
-      0;  ///< generation; views arrive in the engine's order, and its frames count anew with it
+  std::uint64_t updates_ = 0, cameras_version_ = 0, unpaired_ = 0;
 };
 
 }  // namespace splatbus::trainer

@@ -78,7 +78,7 @@ std::map<std::string, Bytes> collect_messages(Pipeline& pipeline) {
     while (const auto message = subscriber.receive(std::chrono::milliseconds(0))) {
       messages.emplace(message->topic(), Bytes(message->bytes(), message->bytes() + message->size()));
     }
-    for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/objects", "scene/light",
+    for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state",
                               "scene/light_depth", "model/published", "trainer/stats", "grid/state",
                               "relight/visibility", "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
       if (!messages.contains(topic)) return false;
@@ -180,9 +180,8 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                                                         {"capture/input", "CaptureInput/2"},
                                                         {"capture/reference", "CaptureReference/2"},
                                                         {"capture/probe", "CaptureProbe/2"},
-                                                        {"scene/objects", "SceneObjects/1"},
-                                                        {"scene/light", "SceneLight/1"},
-                                                        {"scene/light_depth", "SceneLightDepth/2"},
+                                                        {"scene/state", "SceneUpdate/1"},
+                                                        {"scene/light_depth", "SceneLightDepth/3"},
                                                         {"model/insert", "ModelInsert/1"},
                                                         {"model/published", "ModelPublished/2"},
                                                         {"grid/state", "GridState/1"},

@@ -171,6 +171,12 @@ struct TransferLight {
 };
 
 HWY_INLINE V LoadVisibility(const GaussianLanes& in) {
+  if (const std::uint8_t* of_index = in.gaussians.visibility_u8) {
+    const hn::Rebind<std::uint8_t, F> bytes;
+    HWY_ALIGN std::uint8_t lanes[hn::MaxLanes(F())] = {};
+    for (std::size_t k = 0; k < in.n; ++k) lanes[k] = of_index[in.i + k];
+    return MulScalar(hn::ConvertTo(F(), hn::PromoteTo(I(), hn::Load(bytes, lanes))), 1.0F / 255);
+  }
   const float* visibility = in.gaussians.visibility;
   return visibility == nullptr ? Splat1(1.0F) : LoadFirst(F(), visibility + in.offset, in.n);
 }

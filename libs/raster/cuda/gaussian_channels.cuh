@@ -62,8 +62,9 @@ __device__ inline Channels<float> parameters_of(const DeviceGaussians& g) {
 __device__ inline Channels<const float> normals_of(const DeviceGaussians& g) {
   return {g.normal, g.stride, g.page_shift, g.page_stride};
 }
-/// Sun visibility, 1 where the model has none.
-__device__ inline float visibility_of(const DeviceGaussians& g, int i) {
+/// Sun visibility in a view, 1 where neither view nor model has any.
+__device__ inline float visibility_of(const DeviceGaussians& g, const DeviceView& view, int i) {
+  if (view.visibility != nullptr) return (1.0F / 255) * static_cast<float>(view.visibility[i]);
   return g.visibility != nullptr ? g.visibility[index_offset(i, g)] : 1.0F;
 }
 __device__ inline bool is_frozen(const DeviceGaussians& g, int i) {

@@ -28,9 +28,10 @@ __device__ float3 radiance_color(const DeviceGaussians& gaussians, int i, const 
   return make_float3(color[0], color[1], color[2]);
 }
 
-__device__ float3 transfer_color(const DeviceGaussians& gaussians, int i, const ObjectView& object) {
+__device__ float3 transfer_color(const DeviceGaussians& gaussians, int i, const ObjectView& object,
+                                 const DeviceView& view) {
   const float3 n = load_normal(normals_of(gaussians), i);
-  const float visibility = visibility_of(gaussians, i);
+  const float visibility = visibility_of(gaussians, view, i);
   const ChannelsOfOne<float> p = parameters_of(gaussians).of(i, ParameterLayout::kAlbedo);
   const float3 response = diffuse_response(object, n, visibility);
   float3 color = make_float3(p[0] * response.x, p[1] * response.y, p[2] * response.z);
@@ -79,11 +80,11 @@ struct Seen {
 /// False when the colour is not finite.
 template <int kCoefficients>
 __device__ bool shade(const DeviceGaussians& gaussians, int i, const float3 mean, const ObjectView& object,
-                      float3& color) {
+                      const DeviceView& view, float3& color) {
   if constexpr (kCoefficients > 0) {
     color = radiance_color<kCoefficients>(gaussians, i, mean, object);
   } else {
-    color = transfer_color(gaussians, i, object);
+    color = transfer_color(gaussians, i, object, view);
     const ChannelsOfOne<float> albedo = parameters_of(gaussians).of(i, ParameterLayout::kAlbedo);
     if (!(bounded(albedo[0]) && bounded(albedo[1]) && bounded(albedo[2]))) return false;
   }
@@ -149,7 +150,7 @@ __global__ void __launch_bounds__(kThreads, 6)
       }
     }
     float3 color;
-    if (visible && shade<kCoefficients>(gaussians, recomputed(i), g.mean, object, color)) {
+    if (visible && shade<kCoefficients>(gaussians, recomputed(i), g.mean, object, w.views[b], color)) {
       reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1)[1] =
           make_float2(clamp_color(color.x), clamp_color(color.y));
       w.projected_tail[at] = make_float2(clamp_color(color.z), depth);

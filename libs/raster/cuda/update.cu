@@ -157,12 +157,12 @@ __device__ void put_channels(const Item& item, const Sink& sink, int first, cons
 template <class Sink>
 __device__ void update_transfer(const Item& item, const Sink& sink, bool residual) {
   const float3 n = load_normal(normals_of(item.gaussians), item.i);
-  const float visibility = visibility_of(item.gaussians, item.i);
   float albedo[3] = {0.0F, 0.0F, 0.0F}, sums[27] = {};
   for (int b = 0; b < item.w.batch; ++b) {
     if ((item.views >> b & 1U) == 0) continue;
     const float g[3] = {item.color_gradient(b, 0), item.color_gradient(b, 1), item.color_gradient(b, 2)};
     const ObjectView& object = item.object(b);
+    const float visibility = visibility_of(item.gaussians, item.w.views[b], item.i);
     const float3 response = diffuse_response(object, n, visibility);
     const float direct[3] = {response.x, response.y, response.z};
     for (int c = 0; c < 3; ++c) albedo[c] += g[c] * direct[c] + item.gradient(b)[9 + c];

@@ -9,8 +9,11 @@
 namespace splatbus::raster::cuda {
 namespace {
 
-DeviceView device_view(const Camera& camera, const Light& light, Appearance appearance) {
+DeviceView device_view(const SceneView& of, Appearance appearance) {
+  const Camera& camera = of.camera;
+  const Light& light = of.scene->light;
   DeviceView view{};
+  view.visibility = of.visibility;
   view.fx = camera.fx;
   view.fy = camera.fy;
   view.cx = camera.cx;
@@ -74,7 +77,7 @@ ViewTables make_view_tables(std::span<const SceneView> views, Appearance appeara
   tables.object_ids = std::move(object_ids);
   tables.object_count = 1 + static_cast<int>(tables.object_ids.size());
   for (const SceneView& view : views) {
-    tables.views.push_back(device_view(view.camera, view.scene->light, appearance));
+    tables.views.push_back(device_view(view, appearance));
     tables.object_views.push_back(object_view(view.camera, view.scene->light, Rigid{}));
     for (const std::uint32_t id : tables.object_ids) {
       const auto found = view.scene->objects.find(id);

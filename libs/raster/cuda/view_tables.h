@@ -13,6 +13,7 @@ namespace splatbus::raster::cuda {
 struct SceneView {
   Camera camera;
   const SceneState* scene = nullptr;
+  const std::uint8_t* visibility = nullptr;  ///< under that scene, as in DeviceView
 };
 
 /// The small tables of a batch, in host memory, ready to be copied to the device.

@@ -25,15 +25,16 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .lr_min_factor = options.lr_min_factor};
 }
 
-std::vector<raster::cuda::TrainView> train_views(std::span<const TrainingViewPtr> views) {
+std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> views) {
   std::vector<raster::cuda::TrainView> out;
-  for (const TrainingViewPtr& view : views) {
+  for (const PairedView& paired : views) {
+    const TrainingViewPtr& view = paired.view;
     if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
-    out.push_back({.view = {.camera = view->camera, .scene = &view->scene},
+    out.push_back({.view = {.camera = view->camera, .scene = &view->scene, .visibility = paired.visibility.get()},
                    .color = view->color.data(),
                    .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
                    .depth = view->depth.empty() ? nullptr : view->depth.data(),
-                   .keep = view});
+                   .keep = std::make_shared<const PairedView>(paired)});
   }
   return out;
 }
@@ -53,7 +54,7 @@ class CudaStep final : public GradientStep {
     train_.set_learning_rates(channel_learning_rates(options));
   }
 
-  void step(std::span<const TrainingViewPtr> views) override { train_.step(train_views(views)); }
+  void step(std::span<const PairedView> views) override { train_.step(train_views(views)); }
 
   StepReport finished(bool wait) override {
     const auto done = train_.finished(wait);

@@ -379,24 +379,30 @@ TEST_P(PageStoreTest, VisibilityReachesThePagesThatAreAsTheyWere) {
   truth_.insert(batch, batch.count);
   const std::uint64_t generation = store_->generation();
   const std::size_t pages = store_->page_count();
-  std::vector<float> values(store_->view().count);
-  for (std::size_t i = 0; i < values.size(); ++i) values[i] = static_cast<float>(i % 5) * 0.5F - 0.5F;
-  values[where().at(1)] = NAN;
-  EXPECT_EQ(store_->set_visibility(generation, values.data(), Device::Cpu, values.size()), pages);
+  device::Buffer<std::uint8_t> values(device::thread_stream(GetParam()));
+  std::vector<std::uint8_t> bytes(store_->view().count);
+  for (std::size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<std::uint8_t>(i % 5 * 51);
+  const auto set = [&] {
+    values.assign(std::span<const std::uint8_t>(bytes));
+    values.stream().wait();
+    const auto unchanged = store_->unchanged_since(generation, bytes.size());
+    store_->set_visibility(values.data(), unchanged);
+    return unchanged.size();
+  };
+  EXPECT_EQ(set(), pages);
   for (auto& [id, place] : Found(*store_).by_id) {
-    const float value = values[place.index];
-    truth_.gaussians[id].values.back() = value >= 0 ? std::min(value, 1.0F) : 0.0F;
+    truth_.gaussians[id].values.back() = static_cast<float>(place.index % 5) * 51 * (1.0F / 255);
   }
   expect_sound();
   const Batch one = make_batch(random_, 1, false, 1);
   insert(*store_, one, 2);
   truth_.insert(one, 1);
-  std::fill(values.begin(), values.end(), 0.25F);
-  EXPECT_EQ(store_->set_visibility(generation, values.data(), Device::Cpu, values.size()), pages - 1);
+  std::fill(bytes.begin(), bytes.end(), 51);
+  EXPECT_EQ(set(), pages - 1);
   const Found found(*store_);
   const std::uint32_t changed = found.by_id.at(truth_.next_id - 1).index / kPageLanes;
   for (const auto& [id, place] : found.by_id) {
-    if (place.index / kPageLanes != changed) truth_.gaussians[id].values.back() = 0.25F;
+    if (place.index / kPageLanes != changed) truth_.gaussians[id].values.back() = 51 * (1.0F / 255);
   }
   expect_sound();
 }

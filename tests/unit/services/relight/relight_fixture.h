@@ -1,9 +1,12 @@
 #pragma once
 
+#include <functional>
+
 #include "../../bus/bus_fixture.h"
 #include "../../model/paged_publisher.h"
 #include "bus/tensor_ring.h"
 #include "relight/relight.h"
+#include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/scene_generated.h"
@@ -51,7 +54,7 @@ class RelightTest : public bus_test::BusTest {
     });
   }
 
-  void publish_depth(std::uint64_t light_generation, float object_x, bool as_light = true) {
+  void publish_depth(std::uint64_t scene_version, float object_x, bool as_light = true) {
     Camera camera = look_at({0, 10, 0}, {0, 0, 0}, kTexels, kTexels, 1.0F);
     camera.role = as_light ? CameraRole::Light : CameraRole::Reference;
     camera.fx = camera.fy = kTexels / 6.0F;
@@ -66,33 +69,54 @@ class RelightTest : public bus_test::BusTest {
     const ObjectTransforms objects{{7, {.translation = {object_x, 0, 0}}}};
     publisher_.publish(
         topics::kSceneLightDepth, {.tensors = maps_.write({&source, 1})}, [&](auto& builder, auto header) {
-          const Light light{.generation = light_generation};
-          const auto light_offset = to_wire(builder, light);
           const auto wire_camera = to_wire(camera);
-          const auto objects_offset = to_wire(builder, objects);
-          return wire::CreateSceneLightDepth(builder, header, &wire_camera,
-                                             wire::CreateSceneState(builder, 1, 0.0, objects_offset, light_offset));
+          const auto scene = to_wire(builder, SceneState{.light = {}, .objects = objects, .version = scene_version});
+          return wire::CreateSceneLightDepth(builder, header, &wire_camera, scene);
         });
   }
 
-  /// The next visibility of that model and light, of each Gaussian.
-  std::vector<float> visibility(std::uint64_t model_generation, std::uint64_t light_generation) {
-    std::vector<float> values;
+  /// A training picture of that version, of which only the announcement counts here.
+  void publish_picture(std::uint64_t scene_version) {
+    publisher_.publish(topics::kCaptureReference, [&](auto& builder, auto header) {
+      const wire::Camera camera = to_wire(look_at({0, 1, 3}, {0, 0, 0}, 8, 8, 1.0F));
+      const auto scene = to_wire(builder, SceneState{.light = {}, .objects = {}, .version = scene_version});
+      return wire::CreateCaptureReference(builder, header, &camera, scene, false);
+    });
+  }
+
+  struct Relit {
+    std::uint64_t scene_version = 0;
+    std::vector<float> of_gaussian;  ///< 1 for all of the sun
+  };
+  /// The next visibility, for which `accept` is true.
+  Relit next_visibility(const std::function<bool(const wire::RelightVisibility&)>& accept = [](const auto&) {
+    return true;
+  }) {
+    std::vector<std::uint8_t> values;
+    Relit relit;
     EXPECT_TRUE(bus_test::eventually([&] {
       const auto message = subscriber_.receive(5ms);
       if (!message) return false;
-      const auto& relit = message->root<wire::RelightVisibility>();
-      if (relit.model_generation() != model_generation || relit.light_generation() != light_generation) return false;
-      const auto tensor = message->tensor("visibility", bus::ElementType::F32, {1, 0});
+      const auto& body = message->root<wire::RelightVisibility>();
+      if (!accept(body)) return false;
+      const auto tensor = message->tensor("visibility", bus::ElementType::U8, {1, 0});
       values.resize(tensor.value().elements());
-      return tensor->copy(values.data()) && values.size() == relit.count();
+      relit.scene_version = body.scene_version();
+      return tensor->copy(values.data()) && values.size() == body.count();
     }));
-    std::vector<float> of_gaussian;
-    for (const std::uint32_t index : index_) of_gaussian.push_back(values.at(index));
-    return of_gaussian;
+    for (const std::uint32_t index : index_) {
+      relit.of_gaussian.push_back(static_cast<float>(values.at(index)) / 255);
+    }
+    return relit;
+  }
+  std::vector<float> visibility(std::uint64_t model_generation, std::uint64_t scene_version) {
+    return next_visibility([&](const wire::RelightVisibility& body) {
+             return body.model_generation() == model_generation && body.scene_version() == scene_version;
+           })
+        .of_gaussian;
   }
 
-  bus::Parameters parameters_{bus::Parameters::declare<VisibilityOptions>()};
+  bus::Parameters parameters_{bus::Parameters::declare<RelightOptions>()};
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber subscriber_;
   bus::Publisher publisher_;

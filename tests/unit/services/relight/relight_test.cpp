@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
+
 #include "relight_fixture.h"
 
 namespace splatbus::relight {
@@ -19,12 +21,30 @@ TEST_F(RelightTest, FollowsModelLightAndObjects) {
   EXPECT_EQ(visibility(2, 2), (std::vector<float>{1, 0}));
 }
 
+/// A picture's version is answered with its own map and transforms, though a newer one has come meanwhile.
+TEST_F(RelightTest, EveryPicturedVersionIsComputed) {
+  publish_depth(10, -2.0F);
+  publish_depth(11, 2.0F);
+  publish_depth(12, -2.0F);
+  publish_picture(11);
+  publish_picture(10);
+  publish_model(1);
+  std::map<std::uint64_t, std::vector<float>> found;
+  for (int n = 0; n < 3; ++n) {
+    const auto [version, values] = next_visibility();
+    found[version] = values;
+  }
+  EXPECT_EQ(found[10], (std::vector<float>{1, 0, 1}));
+  EXPECT_EQ(found[11], (std::vector<float>{1, 0, 0}));
+  EXPECT_EQ(found[12], (std::vector<float>{1, 0, 1}));
+}
+
 TEST_F(RelightTest, BadMessagesHarmNobody) {
   publish_depth(1, 0, false);  // not the sun's camera
   publish_lie(1, 7);
   publish_lie(2);
   publisher_.publish(
-      Topic<wire::RelightVisibility>{"scene/light_depth", false, kSchema<wire::SceneLight>},
+      Topic<wire::RelightVisibility>{"scene/light_depth", false, kSchema<wire::SceneUpdate>},
       [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, 1, 1, 1); });
   publish_model(3);
   publish_depth(4, -2.0F);

@@ -33,8 +33,8 @@ class FakeTrainer {
   void publish(const GaussiansBuffer& model) { pages_.publish(publisher_, model, ++generation_); }
 
   void publish_light(const Light& light) {
-    publisher_.publish(topics::kSceneLight, [&](auto& builder, auto header) {
-      return wire::CreateSceneLight(builder, header, 0, 0, to_wire(builder, light));
+    publisher_.publish(topics::kSceneState, [&](auto& builder, auto header) {
+      return wire::CreateSceneUpdate(builder, header, to_wire(builder, SceneState{.light = light}));
     });
   }
 

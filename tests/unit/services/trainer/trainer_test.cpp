@@ -93,13 +93,13 @@ TEST_F(TrainerTest, BadViewsAreRefusedAndRetiredOnesForgotten) {
 TEST_F(TrainerTest, TakesVisibility) {
   start();
   insert(sample_batch(0, 1, 40));
-  std::vector<float> seen(kPageLanes, 0.25F);  // by index
+  std::vector<std::uint8_t> seen(kPageLanes, 51);  // by index
   const HostModel before = read_model().value();
-  seen[before.index(1)] = std::numeric_limits<float>::quiet_NaN();
-  seen[before.index(2)] = 7.0F;
+  seen[before.index(1)] = 0;
+  seen[before.index(2)] = 255;
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation());
-    return read_model()->live().visibility[0] == 0.25F;
+    return std::abs(read_model()->live().visibility[0] - 0.2F) < 1e-6F;
   }));
   const HostModel model = read_model().value();
   EXPECT_EQ(model.live().visibility[1], 0.0F);
@@ -135,6 +135,26 @@ TEST_F(TrainerTest, CarvesWhatPicturesShowFree) {
   EXPECT_EQ(model.ids().back(), 300U) << "those of the first batch";
 }
 
+TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfItsOwnScene) {
+  set("pair_visibility", "true");
+  start();
+  insert(sample_batch(0, 1, 40));
+  const SyntheticScene scene(20, 1);
+  TrainingView view = *scene.views()[0];
+  view.scene.version = 7;
+  const std::vector<std::uint8_t> seen(kPageLanes, 255);
+  ASSERT_TRUE(until([&] {
+    publish_view(view);
+    publish_visibility(seen, published()->generation(), 6);
+    return stats() != nullptr && stats()->unpaired_views() > 0;
+  }));
+  EXPECT_EQ(stats()->step(), 0U) << "another version's visibility is no pair";
+  ASSERT_TRUE(until([&] {
+    publish_visibility(seen, published()->generation(), 7);
+    return stats()->step() > 0;
+  }));
+}
+
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   const SyntheticScene scene(20, 1);
   bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
@@ -159,7 +179,7 @@ class FailingStep final : public GradientStep {
   FailingStep(model::PageStore& store, const Options& options, std::uint64_t at_step)
       : store_(store), true_(make_gradient_step(store, options)), at_step_(at_step) {}
   void set_options(Options& options) override { true_->set_options(options); }
-  void step(std::span<const TrainingViewPtr> views) override {
+  void step(std::span<const PairedView> views) override {
     if (store_.step() >= at_step_) throw std::bad_alloc();
     true_->step(views);
   }
