@@ -147,8 +147,8 @@ class CarvingOn : public KernelsOn {
     }
     return bounds;
   }
-  static TrainingViewPtr view(Pages& pages, const device::Buffer<float>& depth, std::uint64_t frame,
-                              ObjectTransforms objects = {}, const Rigid& world_from_camera = {}) {
+  static TrainingViewPtr view(const device::Buffer<float>& depth, std::uint64_t frame, ObjectTransforms objects = {},
+                              const Rigid& world_from_camera = {}) {
     TrainingView view;
     view.camera = camera();
     view.camera.world_from_camera = world_from_camera;
@@ -156,7 +156,6 @@ class CarvingOn : public KernelsOn {
     view.frame = frame;
     view.memory = GetParam();
     view.depth = Pixels<float>(std::shared_ptr<const float>(std::shared_ptr<void>(), depth.data()), depth.size());
-    static_cast<void>(pages);
     return std::make_shared<const TrainingView>(std::move(view));
   }
 };
@@ -184,8 +183,7 @@ class CarverOn : public CarvingOn {
       Carver carver(stream);
       carver.follow(pages.indices(), device::Buffer<IndexRange>(stream), {});
       for (const Picture& p : pictures) {
-        carver.look(view(pages, *p.depth, p.frame, p.objects, p.world_from_camera), gaussians, bounds.data(), kLimits,
-                    0);
+        carver.look(view(*p.depth, p.frame, p.objects, p.world_from_camera), gaussians, bounds.data(), kLimits, 0);
       }
       const std::size_t waiting = carver.carvable(1);
       const std::size_t count = carver.mark(gaussians, kLimits.votes, dead.data());
@@ -274,6 +272,11 @@ TEST_P(CarverOn, ObjectsAreJudgedWhereTheyAreInThatVeryPicture) {
   back[9] = {};
   EXPECT_EQ(marked(pages, {{&free, 30, back}, {&free, 60, back}, {&free, 90, back}}),
             (std::vector<std::uint32_t>{0, 1, p2, p2 + 1}));
+  // From x = 6, looking along -x at the same surface 4 m away, everything of the world's frame is hidden.
+  const Rigid pose{.rotation = glm::angleAxis(glm::radians(-90.0F), glm::vec3(0, 1, 0)), .translation = {6, 0, 0}};
+  objects.at(7).translation = {4, 0, -1};
+  EXPECT_EQ(marked(pages, {{&free, 30, objects, pose}, {&free, 60, objects, pose}, {&free, 90, objects, pose}}),
+            (std::vector<std::uint32_t>{p1, p1 + 1}));
 }
 
 TEST_P(CarverOn, TheCamerasPoseCounts) {
@@ -300,7 +303,7 @@ TEST_P(CarverOn, StandingFollowsTheModelsChanges) {
     Carver carver(stream);
     carver.follow(pages.indices(), device::Buffer<IndexRange>(stream), {});
     const auto look = [&](std::uint64_t frame) {
-      carver.look(view(pages, free, frame), gaussians, bounds.data(), kLimits, 0);
+      carver.look(view(free, frame), gaussians, bounds.data(), kLimits, 0);
     };
     look(30);
     look(60);
