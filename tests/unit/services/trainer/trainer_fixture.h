@@ -154,7 +154,8 @@ class TrainerTest : public bus_test::BusTest {
     std::vector<bus::TensorSource> sources;
     if (!retire && height_off == 0) {
       sources = {{.name = "color", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.color.data()},
-                 {.name = "albedo", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.albedo.data()}};
+                 {.name = "albedo", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.albedo.data()},
+                 {.name = "depth", .shape = {h, w}, .type = bus::ElementType::F32, .data = view.depth.data()}};
     } else if (!retire) {
       sources = {{.name = "color",
                   .shape = {h - 2 * height_off, w, 4},
@@ -164,7 +165,8 @@ class TrainerTest : public bus_test::BusTest {
     bus::MessageInfo info;
     if (!sources.empty()) info.tensors = ring_->write(sources);
     publisher_.publish(topics::kCaptureReference, info, [&](auto& builder, auto header) {
-      const auto scene = to_wire(builder, SceneState{.light = view.scene.light, .objects = {}, .version = view.scene.version}, 1);
+      const auto scene = to_wire(
+          builder, SceneState{.light = view.scene.light, .objects = {}, .version = view.scene.version}, view.frame);
       const auto camera = to_wire(view.camera);
       return wire::CreateCaptureReference(builder, header, &camera, scene, retire);
     });

@@ -106,6 +106,35 @@ TEST_F(TrainerTest, TakesVisibility) {
   EXPECT_EQ(model.live().visibility[2], 1.0F);
 }
 
+TEST_F(TrainerTest, CarvesWhatPicturesShowFree) {
+  const SyntheticScene scene;
+  set("paused", "true");
+  start();
+  SampleBatch before_cameras = sample_batch(1, 2, 40);  // a metre before each in turn
+  std::fill(before_cameras.log_scale.begin(), before_cameras.log_scale.end(), std::log(0.02F));
+  for (std::size_t i = 0; i < 40; ++i) {
+    const Camera& camera = scene.views()[i % scene.views().size()]->camera;
+    const glm::vec3 at = unproject(camera, 20 + static_cast<float>(i % 8), 24, 1);
+    for (int axis = 0; axis < 3; ++axis) before_cameras.mean[static_cast<std::size_t>(axis) * 40 + i] = at[axis];
+  }
+  insert(scene.truth());
+  insert(before_cameras);
+  ASSERT_EQ(published()->count(), 340U);
+  std::uint64_t frame = 10;
+  ASSERT_TRUE(until([&] {
+    ++frame;
+    for (const auto& view : scene.views()) {
+      TrainingView newer = *view;
+      newer.frame = frame;
+      publish_view(newer);
+    }
+    return published()->count() < 340;
+  }));
+  const HostModel model = read_model().value();
+  EXPECT_EQ(model.count(), 300U);
+  EXPECT_EQ(model.ids().back(), 300U) << "those of the first batch";
+}
+
 TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfItsOwnScene) {
   set("pair_visibility", "true");
   start();
