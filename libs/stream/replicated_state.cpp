@@ -7,7 +7,7 @@
 
 #include "stream/bytes.h"
 #include "stream/codecs.h"
-#include "wire/convert.h"
+#include "stream/scene_codec.h"
 
 namespace splatbus::stream {
 
@@ -85,14 +85,18 @@ Change add_visibility(ReplicatedState& state, const wire::LightVisibility& body,
   return change;
 }
 
-// libs/wire refuses with std::runtime_error what makes no sense.
-template <class Convert>
-auto converted(std::string_view what, Convert&& convert) {
-  try {
-    return convert();
-  } catch (const std::runtime_error& error) {
-    throw StreamError(fmt::format("{}: {}", what, error.what()));
+Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
+  const wire::Scene& body = *packet.root().body_as_Scene();
+  const bool broadcast = packet.sequence() != 0;
+  if (broadcast && body.version() <= state.quantized_scene.version) {
+    throw StreamError(fmt::format("Scene: version {} where {} is held", body.version(), state.quantized_scene.version));
   }
+  if (!broadcast && !body.whole()) throw StreamError("Scene: a snapshot's is not whole");
+  state.quantized_scene = decode_scene({body.state()->data(), body.state()->size()},
+                                       body.whole() ? nullptr : &state.quantized_scene, body.version());
+  state.scene = dequantize_scene(state.quantized_scene);
+  state.instant = {.frame = body.frame(), .capture_ns = packet.capture_ns()};
+  return {Change::Kind::Scene, {}, {}};
 }
 
 }  // namespace
@@ -127,17 +131,8 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
       std::ranges::copy(ids, state.gaussians.object_id.begin() + body.first_slot());
       return {Change::Kind::Objects, {}, slot_range(body.first_slot(), body.count())};
     }
-    case wire::Body::ObjectTransforms: {
-      const auto* objects = root.body_as_ObjectTransforms()->objects();
-      if (objects && objects->size() > kMaxObjects) {
-        throw StreamError(fmt::format("ObjectTransforms: {} objects, at most {}", objects->size(), kMaxObjects));
-      }
-      state.scene.objects = converted("ObjectTransforms", [&] { return from_wire(objects); });
-      return {Change::Kind::Scene, {}, {}};
-    }
-    case wire::Body::LightState:
-      state.scene.light = converted("LightState", [&] { return from_wire(*root.body_as_LightState()->light()); });
-      return {Change::Kind::Scene, {}, {}};
+    case wire::Body::Scene:
+      return take_scene(state, packet);
     default:
       throw StreamError(fmt::format("{}: not a packet that changes what is held", wire::EnumNameBody(packet.body())));
   }

@@ -76,13 +76,18 @@ void Streamer::run() {
   }
 }
 
-void Streamer::turn(std::int64_t now_ns) {
+void Streamer::take_messages(std::int64_t now_ns) {
   subscriber_.dispatch_all(0ms);
+  blocked_ = hub_.pump(now_ns);
+}
+
+void Streamer::turn(std::int64_t now_ns) {
+  take_messages(now_ns);
   hub_.receive(now_ns);
   // The first Gaussians do not wait for the tick.
   const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
   if (now_ns >= next_tick_ns_ || first) {
-    tick();
+    tick(now_ns);
     const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
     next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
   }
@@ -100,14 +105,15 @@ void Streamer::subscribe() {
   subscriber_
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
-      .on(topics::kSceneState,
-          [this](const wire::SceneUpdate& body, const bus::Message&) {
-            scene_ = from_wire(*body.scene());
-            scene_frame_ = body.scene()->frame();
-            model_.set_scene(scene_, scene_frame_);
-          })
+      .on(topics::kSceneState, [this](const wire::SceneUpdate& body, const bus::Message&) { take_scene(body); })
       .on(topics::kCaptureProbe,
           [this](const wire::CaptureProbe& body, const bus::Message& message) { forward_probe(body, message); });
+}
+
+void Streamer::take_scene(const wire::SceneUpdate& body) {
+  const wire::SceneState& scene = *body.scene();
+  hub_.broadcast(
+      model_.take_scene(from_wire(scene), {.frame = scene.frame(), .capture_ns = body.header()->capture_ns()}));
 }
 
 void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message& message) {
@@ -157,7 +163,7 @@ bool Streamer::observe() {
   }
 }
 
-void Streamer::tick() {
+void Streamer::tick(std::int64_t now_ns) {
   const std::int64_t begin_ns = bus::now_ns();
   if (!hub_.anybody_follows()) model_.release();
   if (hub_.viewers() == 0) {
@@ -169,6 +175,7 @@ void Streamer::tick() {
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   try {
     const bool fresh = observe();
+    take_messages(now_ns);  // the scene does not wait for the model
     if (!model_.ready()) {
       // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
       if (!fresh || model_.observed_count() == 0) {
@@ -181,8 +188,6 @@ void Streamer::tick() {
       const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
       for (const auto& packet : packets) balance_bytes_ -= static_cast<double>(packet.bytes());
       hub_.broadcast(packets);
-    } else {
-      hub_.broadcast(model_.tick_scene_only());
     }
     say_what_is_served();
   } catch (const stream::StreamError& error) {

@@ -32,8 +32,11 @@ class Streamer {
 
  private:
   void subscribe();
+  void take_scene(const wire::SceneUpdate& body);
+  /// Takes what has come on the bus, and sends what of it viewers are waiting for.
+  void take_messages(std::int64_t now_ns);
   void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
-  void tick();
+  void tick(std::int64_t now_ns);
   [[nodiscard]] bool observe();
   void publish_statistics(std::int64_t now_ns);
   void say_what_is_served();
@@ -50,8 +53,6 @@ class Streamer {
 
   std::optional<bus::Message> announcement_;  ///< model/published that is not open yet
   std::optional<PublishedModel> published_;
-  SceneState scene_;
-  std::uint64_t scene_frame_ = 0;
   std::int64_t next_tick_ns_ = 0, next_stats_ns_ = 0;
   bool blocked_ = false;      ///< somebody's queue is full
   bool full_ = false;         ///< viewers take no more of the model

@@ -61,7 +61,7 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
     twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
                                           Device::Cuda);
-    twin_->set_scene(server_->scene, 0);
+    EXPECT_TRUE(twin_->take_scene(server_->scene, {}).empty());
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->reset_to_target();
     expect_same();
@@ -70,7 +70,6 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
   /// One tick of both.
   void tick(double budget = 1e9) {
     const std::vector<EncodedPacket> expected = server_->tick(budget);
-    twin_->set_scene(server_->scene, ++frame_);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     const std::vector<EncodedPacket> actual = twin_->tick(budget, {});
     ASSERT_EQ(actual.size(), expected.size());
@@ -103,7 +102,6 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
   std::unique_ptr<test::ToyServer> server_;
   std::unique_ptr<StreamModel> twin_;
   std::optional<DeviceModel> device_;
-  std::uint64_t frame_ = 0;
 };
 
 TEST_P(CudaQuantizer, FollowsATrainedModelBitForBit) {

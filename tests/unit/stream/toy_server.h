@@ -1,5 +1,7 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <deque>
 #include <random>
 
@@ -24,7 +26,9 @@ class ToyServer {
         next_id_(count + 1) {
     scene.light.sun_direction = {0, 1, 0};
     scene.light.generation = 1;
-    stream.set_scene(scene, 0);
+    scene.version = 1;
+    sent_ = scene;
+    EXPECT_TRUE(stream.take_scene(scene, {}).empty()) << "nobody holds anything yet";
     stream.observe(model_.view());
     stream.reset_to_target();
   }
@@ -59,9 +63,18 @@ class ToyServer {
   }
 
   std::vector<EncodedPacket> tick(double budget = 1e9) {
-    stream.set_scene(scene, ++frame_);
+    std::vector<EncodedPacket> packets;
+    if (scene.light != sent_.light || scene.objects != sent_.objects) packets = change_scene();
     EXPECT_TRUE(stream.observe(model_.view()));
-    return stream.tick(budget, {});
+    for (EncodedPacket& packet : stream.tick(budget, {})) packets.push_back(std::move(packet));
+    return packets;
+  }
+
+  /// `scene` as the next version.
+  std::vector<EncodedPacket> change_scene() {
+    ++scene.version;
+    sent_ = scene;
+    return stream.take_scene(scene, {.frame = scene.version, .capture_ns = 5});
   }
 
   GaussiansBuffer& model() { return model_; }
@@ -84,7 +97,7 @@ class ToyServer {
   std::mt19937 random_;
   GaussiansBuffer model_;
   std::uint64_t next_id_;
-  std::uint64_t frame_ = 0;
+  SceneState sent_;
 };
 
 inline void send(const std::vector<EncodedPacket>& packets, Replica& replica) {

@@ -32,16 +32,18 @@ class FakeTrainer {
 
   void publish(const GaussiansBuffer& model) { pages_.publish(publisher_, model, ++generation_); }
 
-  void publish_light(const Light& light) {
-    publisher_.publish(topics::kSceneState, [&](auto& builder, auto header) {
-      return wire::CreateSceneUpdate(builder, header, to_wire(builder, SceneState{.light = light}));
+  void publish_light(const Light& light) { publish_scene({.light = light, .objects = {}, .version = ++version_}); }
+
+  void publish_scene(const SceneState& scene, std::int64_t capture_ns = 0) {
+    publisher_.publish(topics::kSceneState, {.capture_ns = capture_ns}, [&](auto& builder, auto header) {
+      return wire::CreateSceneUpdate(builder, header, to_wire(builder, scene));
     });
   }
 
  private:
   bus::Publisher publisher_;
   model::PagedPublisher pages_;
-  std::uint64_t generation_ = 0;
+  std::uint64_t generation_ = 0, version_ = 0;
 };
 
 /// A streamer on a thread of its own.
