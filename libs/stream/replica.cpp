@@ -76,6 +76,7 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   state.gaussians = QuantizedGaussians(state.layout);
   state.epoch = epoch;
   state.sequence = body.as_of();
+  state.visibility_version = body.visibility_version();
   if (const Shown* before = shown()) {  // until the snapshot's own arrives
     state.quantized_scene = before->state.quantized_scene;
     state.scene = before->state.scene;

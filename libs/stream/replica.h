@@ -40,6 +40,8 @@ class Replica {
   /// What view() is lit by and where its objects are.
   [[nodiscard]] const SceneState& scene() const { return shown_state().scene; }
   [[nodiscard]] std::uint64_t scene_version() const { return scene().version; }
+  /// Scene version that view()'s visibility is of; 0 where it is the model's own.
+  [[nodiscard]] std::uint64_t visibility_version() const { return shown_state().visibility_version; }
   [[nodiscard]] const SceneInstant& scene_instant() const { return shown_state().instant; }
 
   /// Epoch that is followed, 0 before the first SnapshotBegin.

@@ -68,21 +68,19 @@ Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std:
   return {Change::Kind::Values, a->attribute, std::move(delta.slots)};
 }
 
-Change add_visibility(ReplicatedState& state, const wire::LightVisibility& body,
-                      std::span<const std::uint8_t> payload) {
+Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body,
+                       std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(Attribute::Visibility);
   if (!a) throw StreamError("LightVisibility: this stream has no visibility");
-  require_range("LightVisibility", body.first_slot(), body.count(), state.gaussians.count());
-  const Bytes residuals = decode_bytes(payload, body.raw_bytes(), body.count(), "LightVisibility");
-  auto& plane = state.gaussians.channels[a->first];
-  Change change{Change::Kind::Values, Attribute::Visibility, {}};
-  for (std::size_t i = 0; i < residuals.size(); ++i) {
-    if (residuals[i] == 0) continue;
-    std::int32_t& value = plane[body.first_slot() + i];
-    value = (value + residuals[i]) & 0xFF;
-    change.slots.push_back(static_cast<std::uint32_t>(body.first_slot() + i));
+  if (body.scene_version() < state.visibility_version) {
+    throw StreamError(fmt::format("LightVisibility: of scene version {} where {} is held", body.scene_version(),
+                                  state.visibility_version));
   }
-  return change;
+  SlotValues change = decode_slot_values(payload, body.raw_bytes(), body.count(), state.gaussians.count());
+  auto& plane = state.gaussians.channels[a->first];
+  for (std::size_t i = 0; i < change.slots.size(); ++i) plane[change.slots[i]] = change.values[i];
+  state.visibility_version = body.scene_version();
+  return {Change::Kind::Values, Attribute::Visibility, std::move(change.slots)};
 }
 
 Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
@@ -110,7 +108,7 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
     case wire::Body::TensorDelta:
       return add_residuals(state, *root.body_as_TensorDelta(), payload);
     case wire::Body::LightVisibility:
-      return add_visibility(state, *root.body_as_LightVisibility(), payload);
+      return take_visibility(state, *root.body_as_LightVisibility(), payload);
     case wire::Body::Remove: {
       const wire::Remove& body = *root.body_as_Remove();
       auto slots = decode_slots(payload, body.raw_bytes(), body.count(), state.gaussians.count());

@@ -18,6 +18,7 @@ struct ReplicatedState {
   QuantizedScene quantized_scene;
   SceneState scene;  ///< of quantized_scene
   SceneInstant instant;
+  std::uint64_t visibility_version = 0;  ///< scene version of the Gaussians' visibility; 0: the model's own
   std::uint64_t epoch = 0;
   std::uint64_t sequence = 0;
 };

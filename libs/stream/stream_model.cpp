@@ -57,6 +57,11 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   if (another) ready_ = false;
   quantizer_.commit(target_, usable_);
   target_layout_ = layout;
+  if (gaussians.has_pages()) {
+    target_ranges_.assign(gaussians.ranges.begin(), gaussians.ranges.end());
+  } else {
+    target_ranges_ = {{.first = 0, .count = static_cast<std::uint32_t>(gaussians.count)}};
+  }
   if (ready_) map_columns();
   return true;
 }
@@ -103,6 +108,7 @@ void StreamModel::reset_to_target() {
   held_.layout = *target_layout_;
   held_.gaussians = target_.gather(morton_order(target_, *target_layout_, usable));
   hold_scene();
+  held_.visibility_version = 0;
   ++held_.sequence;
   selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
   selection_.append(held_.gaussians);

@@ -57,7 +57,15 @@ class StreamModel {
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
-  /// Broadcast packets of one tick: removals, object ids, visibility, new Gaussians, deltas. What viewers see
+  /// The broadcast packet with what has changed of the sun's visibility: none when it is older than what is held, or
+  /// nobody holds anything. `of_index`: by index of the model that was observed last, 255 sees the whole sun. Throws
+  /// StreamError when it is too short. What is held is afterwards within kMaxVisibilityError of it, and exact where it
+  /// is 0 or 255.
+  [[nodiscard]] std::vector<EncodedPacket> take_visibility(std::span<const std::uint8_t> of_index,
+                                                           std::uint64_t scene_version);
+  static constexpr int kMaxVisibilityError = 6;
+
+  /// Broadcast packets of one tick: removals, object ids, new Gaussians, deltas. What viewers see
   /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready(). When it throws,
   /// packets are lost that the mirror has taken: ready() is then false.
   [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
@@ -87,7 +95,6 @@ class StreamModel {
   [[nodiscard]] std::size_t room() const;
   void tick_removals(std::vector<EncodedPacket>& out);
   void tick_objects(std::vector<EncodedPacket>& out);
-  void tick_visibility(std::vector<EncodedPacket>& out);
   void tick_appends(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
   void append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns);
   void tick_deltas(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
@@ -104,6 +111,7 @@ class StreamModel {
 
   std::optional<StreamLayout> target_layout_;
   QuantizedGaussians target_;
+  std::vector<IndexRange> target_ranges_;  ///< indices of its columns
   std::vector<std::uint8_t> usable_;
   std::vector<std::uint32_t> slot_of_column_;  ///< kNotHeld: not held
   std::vector<std::uint32_t> column_of_slot_;  ///< kNotHeld: not in the target, or not usable

@@ -11,9 +11,8 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr std::size_t kMinChunk = 256;           // below that Draco's tables cost more than the Gaussians
-constexpr double kAppendShare = 0.8;             // of the budget, while deltas wait
-constexpr std::int32_t kVisibilityDeadZone = 3;  // of 255
+constexpr std::size_t kMinChunk = 256;  // below that Draco's tables cost more than the Gaussians
+constexpr double kAppendShare = 0.8;    // of the budget, while deltas wait
 
 template <class Body>
 auto packet_with_slots(std::size_t first, std::size_t count, std::uint32_t raw_bytes, Body&& create) {
@@ -43,7 +42,6 @@ std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<cons
   std::vector<EncodedPacket> out;
   tick_removals(out);
   tick_objects(out);
-  tick_visibility(out);
   double left = budget_bytes;
   for (const EncodedPacket& packet : out) left -= static_cast<double>(packet.bytes());
   const std::size_t before = out.size();
@@ -83,26 +81,6 @@ void StreamModel::tick_objects(std::vector<EncodedPacket>& out) {
   Payload payload = encode_runs(ids);
   const auto build = packet_with_slots(first, ids.size(), payload.raw_bytes, wire::CreateObjectIds);
   emit(out, wire::Body::ObjectIds, build, std::move(payload));
-}
-
-void StreamModel::tick_visibility(std::vector<EncodedPacket>& out) {
-  const AttributeChannels* a = held_.layout.find(Attribute::Visibility);
-  if (!a) return;
-  const std::vector<std::int32_t>&held = held_.gaussians.channels[a->first], &target = target_.channels[a->first];
-  Bytes residuals(held.size());
-  std::size_t first = held.size(), last = 0;
-  for (std::size_t slot = 0; slot < held.size(); ++slot) {
-    if (column_of_slot_[slot] == kNotHeld) continue;
-    const std::int32_t change = target[column_of_slot_[slot]] - held[slot];
-    if (std::abs(change) <= kVisibilityDeadZone) continue;
-    residuals[slot] = static_cast<std::uint8_t>(change);
-    first = std::min(first, slot);
-    last = slot;
-  }
-  if (first == held.size()) return;
-  Payload payload = encode_bytes(std::span(residuals).subspan(first, last - first + 1));
-  const auto build = packet_with_slots(first, payload.raw_bytes, payload.raw_bytes, wire::CreateLightVisibility);
-  emit(out, wire::Body::LightVisibility, build, std::move(payload));
 }
 
 void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns) {
@@ -195,7 +173,7 @@ EncodedSnapshot StreamModel::snapshot() {
                                      static_cast<std::uint32_t>((total + size - 1) / size),
                                      transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
                                      static_cast<std::uint8_t>(transfer ? 0 : parameters.sh_degree),
-                                     builder.CreateVector(attributes));
+                                     builder.CreateVector(attributes), held_.visibility_version);
   }));
   snapshot.head.push_back(scene_packet(0, nullptr));
   for (std::size_t first = 0; first < total; first += size) {

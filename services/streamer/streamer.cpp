@@ -25,6 +25,7 @@ using namespace std::chrono_literals;
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
 constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
+constexpr std::size_t kMaxRelit = 4;            // generations of the model
 constexpr int kPictureZstdLevel = 1;            // probe pictures are for measurements on the same machine
 
 }  // namespace
@@ -77,6 +78,7 @@ void Streamer::run() {
 
 void Streamer::take_messages(std::int64_t now_ns) {
   subscriber_.dispatch_all(0ms);
+  send_visibility(now_ns);
   blocked_ = hub_.pump(now_ns);
 }
 
@@ -105,6 +107,8 @@ void Streamer::subscribe() {
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
       .on(topics::kSceneState, [this](const wire::SceneUpdate& body, const bus::Message&) { take_scene(body); })
+      .on(topics::kRelightVisibility,
+          [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); })
       .on(topics::kCaptureProbe,
           [this](const wire::CaptureProbe& body, const bus::Message& message) { forward_probe(body, message); });
 }
@@ -113,6 +117,45 @@ void Streamer::take_scene(const wire::SceneUpdate& body) {
   const wire::SceneState& scene = *body.scene();
   hub_.broadcast(
       model_.take_scene(from_wire(scene), {.frame = scene.frame(), .capture_ns = body.header()->capture_ns()}));
+}
+
+// Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
+void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::Message& message) {
+  const std::uint64_t generation = body.model_generation(), version = body.scene_version();
+  if (generation < observed_generation_ || version < model_.held().visibility_version) return;
+  if (const auto newest = relit_.find(generation); newest != relit_.end() && newest->second.scene_version > version) {
+    return;
+  }
+  if (body.count() > stream::kMaxModelGaussians) {
+    throw bus::Error(fmt::format("relight/visibility: of {} Gaussians, at most {} can be read", body.count(),
+                                 stream::kMaxModelGaussians));
+  }
+  const auto tensor = message.tensor("visibility", bus::ElementType::U8, {1, static_cast<std::uint32_t>(body.count())});
+  if (!tensor) return;
+  Visibility relit{.scene_version = version, .of_index = std::vector<std::uint8_t>(tensor->bytes())};
+  if (!tensor->copy(relit.of_index.data())) return;
+  relit_[generation] = std::move(relit);
+  if (relit_.size() > kMaxRelit) relit_.erase(relit_.begin());
+}
+
+void Streamer::send_visibility(std::int64_t now_ns) {
+  const double bytes_per_s = options_->visibility_kbps * 125;
+  visibility_balance_bytes_ = std::min(
+      visibility_balance_bytes_ + bytes_per_s * static_cast<double>(now_ns - visibility_ns_) / 1e9, bytes_per_s / 2);
+  visibility_ns_ = now_ns;
+  relit_.erase(relit_.begin(), relit_.lower_bound(observed_generation_));
+  const auto relit = relit_.find(observed_generation_);
+  if (relit == relit_.end() || relit->second.sent || !model_.ready()) return;
+  if (now_ns < next_visibility_ns_ || visibility_balance_bytes_ < 0) return;
+  next_visibility_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_->visibility_hz);
+  relit->second.sent = true;
+  try {
+    const auto packets = model_.take_visibility(relit->second.of_index, relit->second.scene_version);
+    for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.bytes());
+    hub_.broadcast(packets);
+  } catch (const stream::StreamError& error) {
+    if (log_limiter_.allow()) spdlog::error("{}", error.what());
+  }
 }
 
 void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message& message) {
@@ -165,6 +208,7 @@ void Streamer::tick(std::int64_t now_ns) {
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   try {
     const bool fresh = observe();
+    if (fresh) observed_generation_ = published_->generation();
     take_messages(now_ns);  // the scene does not wait for the model
     if (!model_.ready()) {
       // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
@@ -174,6 +218,7 @@ void Streamer::tick(std::int64_t now_ns) {
       }
       model_.reset_to_target();
       hub_.restart_all();
+      for (auto& [generation, relit] : relit_) relit.sent = false;
     } else if (fresh) {
       const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
       for (const auto& packet : packets) balance_bytes_ -= static_cast<double>(packet.bytes());

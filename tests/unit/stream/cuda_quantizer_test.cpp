@@ -64,6 +64,7 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     EXPECT_TRUE(twin_->take_scene(server_->scene, {}).empty());
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->reset_to_target();
+    (void)twin_->take_visibility(server_->relit(), server_->scene.version);
     expect_same();
   }
 
@@ -71,7 +72,10 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
   void tick(double budget = 1e9) {
     const std::vector<EncodedPacket> expected = server_->tick(budget);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
-    const std::vector<EncodedPacket> actual = twin_->tick(budget, {});
+    std::vector<EncodedPacket> actual = twin_->tick(budget, {});
+    for (auto& packet : twin_->take_visibility(server_->relit(), server_->scene.version)) {
+      actual.push_back(std::move(packet));
+    }
     ASSERT_EQ(actual.size(), expected.size());
     for (std::size_t i = 0; i < actual.size(); ++i) {
       // The rest of a packet's header is the time.

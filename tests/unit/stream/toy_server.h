@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <deque>
 #include <random>
 
@@ -31,6 +32,7 @@ class ToyServer {
     EXPECT_TRUE(stream.take_scene(scene, {}).empty()) << "nobody holds anything yet";
     stream.observe(model_.view());
     stream.reset_to_target();
+    (void)stream.take_visibility(relit(), scene.version);
   }
 
   void insert(std::size_t count) {
@@ -67,7 +69,16 @@ class ToyServer {
     if (scene.light != sent_.light || scene.objects != sent_.objects) packets = change_scene();
     EXPECT_TRUE(stream.observe(model_.view()));
     for (EncodedPacket& packet : stream.tick(budget, {})) packets.push_back(std::move(packet));
+    for (EncodedPacket& packet : stream.take_visibility(relit(), scene.version)) packets.push_back(std::move(packet));
     return packets;
+  }
+
+  /// As relight says it: by index.
+  [[nodiscard]] std::vector<std::uint8_t> relit() const {
+    std::vector<std::uint8_t> visibility;
+    for (const float v : model_.visibility) visibility.push_back(static_cast<std::uint8_t>(std::lround(255 * v)));
+    visibility.resize(model_.count());
+    return visibility;
   }
 
   /// `scene` as the next version.

@@ -189,6 +189,38 @@ TEST_F(StreamerTest, ASceneThatIsNoneIsRefusedAndTheNextOneComes) {
   EXPECT_EQ(client.refused(), 0U);
 }
 
+TEST_F(StreamerTest, VisibilityReachesTheGaussiansThatItIsOf) {
+  start_streamer({{"visibility_hz", "100"}});
+  const GaussiansBuffer model = stream::test::toy_model(1500, 1);
+  const std::vector<std::uint32_t> index = trainer_.publish(model);
+  StreamClient client(client_options("one"));
+  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 1500; }, client));
+  const auto of_index = [&](std::uint64_t salt) {
+    std::vector<std::uint8_t> visibility(*std::ranges::max_element(index) + 1);
+    for (std::size_t i = 0; i < index.size(); ++i) visibility[index[i]] = (model.gaussian_id[i] + salt) % 3 ? 0 : 255;
+    return visibility;
+  };
+  const std::uint64_t generation = trainer_.generation();
+  for (std::uint64_t version = 5; version < 10; ++version) {
+    trainer_.publish_visibility(of_index(77), generation - 1, version + 1);  // of another structure
+    trainer_.publish_visibility(of_index(version), generation, version);
+    trainer_.publish_visibility(of_index(78), generation, version - 1);  // of a picture's scene, which has passed
+    ASSERT_TRUE(poll_until([&] { return client.replica().visibility_version() == version; }, client));
+    const auto& ids = client.replica().held()->gaussians.gaussian_id;
+    for (std::size_t slot = 0; slot < ids.size(); ++slot) {
+      ASSERT_EQ(client.replica().view().visibility[slot], (ids[slot] + version) % 3 ? 0.0F : 1.0F) << slot;
+    }
+  }
+  // What is said of a structure that the streamer has not seen yet waits for it.
+  trainer_.publish_visibility(of_index(20), generation + 1, 20);
+  trainer_.publish(model);
+  EXPECT_TRUE(poll_until([&] { return client.replica().visibility_version() == 20; }, client));
+  trainer_.publish_visibility({1, 2, 3}, generation + 1, 21);
+  trainer_.publish_visibility(of_index(22), generation + 1, 22);
+  EXPECT_TRUE(poll_until([&] { return client.replica().visibility_version() == 22; }, client));
+  EXPECT_EQ(client.refused(), 0U);
+}
+
 TEST_F(StreamerTest, StatisticsAddUp) {
   start_streamer();
   trainer_.publish(stream::test::toy_model(500, 1));
