@@ -176,10 +176,10 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
   const bus::Publisher publisher(stranger);
   for (const auto& [topic, schema] :
        std::vector<std::pair<std::string, std::string>>{{"engine/cameras", "EngineCameras/1"},
-                                                        {"engine/frame", "EngineFrame/2"},
-                                                        {"capture/input", "CaptureInput/2"},
-                                                        {"capture/reference", "CaptureReference/2"},
-                                                        {"capture/probe", "CaptureProbe/2"},
+                                                        {"engine/frame", "EngineFrame/3"},
+                                                        {"capture/input", "CaptureInput/3"},
+                                                        {"capture/reference", "CaptureReference/3"},
+                                                        {"capture/probe", "CaptureProbe/3"},
                                                         {"scene/state", "SceneUpdate/1"},
                                                         {"scene/light_depth", "SceneLightDepth/3"},
                                                         {"model/insert", "ModelInsert/2"},
@@ -243,7 +243,7 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
 
   expect_unharmed();
   for (const auto& [topic, schema] :
-       std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/2"},
+       std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/3"},
                                                         {"model/insert", "ModelInsert/2"},
                                                         {"model/published", "ModelPublished/3"},
                                                         {"viewer/pose", "ViewerPose/1"}}) {

@@ -54,7 +54,7 @@ TEST_F(RunningPipeline, TopicListKnowsEveryTopic) {
                             "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
     EXPECT_TRUE(topics.contains(topic)) << topic;
   }
-  EXPECT_EQ(topics["engine/frame"]["schemas"], Json::array({"EngineFrame/2"}));
+  EXPECT_EQ(topics["engine/frame"]["schemas"], Json::array({"EngineFrame/3"}));
   EXPECT_EQ(topics["engine/frame"]["sources"], Json::array({"engine"}));
   EXPECT_GT(topics["engine/frame"]["rate_hz"], 0.5);
   EXPECT_TRUE(topics["model/published"]["latched"]);
