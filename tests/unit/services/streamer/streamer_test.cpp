@@ -201,8 +201,12 @@ TEST_F(StreamerTest, VisibilityReachesTheGaussiansThatItIsOf) {
     return visibility;
   };
   const std::uint64_t generation = trainer_.generation();
+  // What is said of a structure that the streamer has not seen yet waits for it.
+  trainer_.publish_visibility(of_index(20), generation + 1, 20);
+  trainer_.publish_light({.generation = 1});
+  ASSERT_TRUE(poll_until([&] { return client.replica().scene_version() != 0; }, client));
   for (std::uint64_t version = 5; version < 10; ++version) {
-    trainer_.publish_visibility(of_index(77), generation - 1, version + 1);  // of another structure
+    trainer_.publish_visibility(of_index(77), generation - 1, version + 1);  // of a structure that was
     trainer_.publish_visibility(of_index(version), generation, version);
     trainer_.publish_visibility(of_index(78), generation, version - 1);  // of a picture's scene, which has passed
     ASSERT_TRUE(poll_until([&] { return client.replica().visibility_version() == version; }, client));
@@ -211,8 +215,6 @@ TEST_F(StreamerTest, VisibilityReachesTheGaussiansThatItIsOf) {
       ASSERT_EQ(client.replica().view().visibility[slot], (ids[slot] + version) % 3 ? 0.0F : 1.0F) << slot;
     }
   }
-  // What is said of a structure that the streamer has not seen yet waits for it.
-  trainer_.publish_visibility(of_index(20), generation + 1, 20);
   trainer_.publish(model);
   EXPECT_TRUE(poll_until([&] { return client.replica().visibility_version() == 20; }, client));
   trainer_.publish_visibility({1, 2, 3}, generation + 1, 21);
