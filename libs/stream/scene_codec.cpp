@@ -18,8 +18,9 @@ constexpr std::string_view kWhat = "Scene";
 constexpr int kRotationBytes = 6;
 
 // Parts of a light, and of an object.
-enum LightPart : std::uint8_t { kSunDirection = 1, kSunIrradiance = 2, kBackground = 4, kAmbient = 8, kAllLight = 15 };
-enum ObjectPart : std::uint8_t { kAppears = 1, kPosition = 2, kRotation = 4 };
+constexpr unsigned kSunDirection = 1, kSunIrradiance = 2, kBackground = 4, kAmbient = 8,
+                   kAllLight = 15;                              // of the light
+constexpr unsigned kAppears = 1, kPosition = 2, kRotation = 4;  // of an object
 
 [[noreturn]] void refuse(const std::string& why) {
   throw StreamError(fmt::format("{}: {}", kWhat, why));
