@@ -54,13 +54,21 @@ void ProbeRounds::poll(std::chrono::milliseconds timeout,
       ProbePicture picture{.probe_id = probe.probe_id(),
                            .camera = from_wire(*probe.camera()),
                            .scene = from_wire(*probe.scene()),
-                           .picture = {}};
+                           .time_s = probe.scene()->time_s(),
+                           .picture = {},
+                           .object_id = {}};
       const auto color =
           message->tensor("color", bus::ElementType::U8, {picture.camera.height, picture.camera.width, 4});
       if (!color) return;
       std::vector<std::uint8_t> rgba(color->bytes());
       if (!color->copy(rgba.data())) return;
       picture.picture = metrics::from_rgba(rgba.data(), picture.camera.width, picture.camera.height);
+      const auto ids =
+          message->tensor("object_id", bus::ElementType::U32, {picture.camera.height, picture.camera.width});
+      if (ids) {
+        cv::Mat object_id(picture.picture.rows, picture.picture.cols, CV_32SC1);
+        if (ids->copy(object_id.data)) picture.object_id = object_id;
+      }
       handle(index, pictures_.emplace(index, std::move(picture)).first->second);
     });
   }

@@ -47,6 +47,9 @@ class Renderer {
   /// Sets the time. The shadow map is drawn again only when the sun or an object has moved and a lit picture is asked
   /// for.
   void set_time(double time_s);
+  /// Puts the sun at an azimuth as of the current time; from there it turns at the lighting's rate. Seen at the next
+  /// set_time().
+  void turn_sun(double azimuth_deg);
   /// Grows whenever set_time() has moved the sun or an object.
   [[nodiscard]] std::uint64_t scene_version() const;
   [[nodiscard]] const Instant& instant() const;
