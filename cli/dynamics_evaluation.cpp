@@ -14,7 +14,8 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
-constexpr const char* kHeader = "run,time_s,camera,picture,ssim,psnr,flip,masked_ssim,still_masked_ssim\n";
+constexpr const char* kHeader =
+    "run,time_s,camera,picture,ssim,psnr,flip,masked_ssim,shadow_ssim,still_masked_ssim,still_shadow_ssim\n";
 
 Json figure(const std::optional<double>& value) {
   return value ? Json(rounded(*value)) : Json();
@@ -43,10 +44,12 @@ auto of_drawn(std::optional<DrawnFigures> DynamicsSample::*drawn, double metrics
   };
 }
 
-auto of_mask(std::optional<DrawnFigures> DynamicsSample::*drawn) {
+using Part = std::optional<double> MaskedFigures::*;
+
+auto of_part(std::optional<DrawnFigures> DynamicsSample::*drawn, Part part) {
   return [=](const DynamicsSample& sample) -> std::optional<double> {
     if (!(sample.*drawn)) return {};
-    return (sample.*drawn)->masked_ssim;
+    return (sample.*drawn)->masked.*part;
   };
 }
 
@@ -55,10 +58,12 @@ std::optional<double> viewer_ssim(const DynamicsSample& sample) {
   return sample.viewer->ssim;
 }
 
-/// Of the pictures that have both.
-std::optional<double> masked_drop(const DynamicsSample& sample) {
-  if (!sample.on || !sample.on->masked_ssim || !sample.still_masked_ssim) return {};
-  return *sample.still_masked_ssim - *sample.on->masked_ssim;
+/// By how much the same pixels are better in the still scene, of the pictures that have both.
+auto drop_of(Part part) {
+  return [=](const DynamicsSample& sample) -> std::optional<double> {
+    if (!sample.on || !(sample.on->masked.*part) || !(sample.still.*part)) return {};
+    return *(sample.still.*part) - *(sample.on->masked.*part);
+  };
 }
 
 std::string csv_rows(const char* run, const DynamicsResults& results) {
@@ -67,14 +72,14 @@ std::string csv_rows(const char* run, const DynamicsResults& results) {
     return value ? fmt::format("{:.5f}", *value) : std::string();
   };
   const auto add = [&](const DynamicsSample& sample, const char* picture, const metrics::Quality& quality,
-                       const std::optional<double>& masked) {
-    rows += fmt::format("{},{:.3f},{},{},{:.5f},{:.3f},{:.5f},{},{}\n", run, sample.time_s, sample.camera, picture,
-                        quality.ssim, finite_psnr(quality.psnr_db), quality.flip, number(masked),
-                        number(sample.still_masked_ssim));
+                       const MaskedFigures& masked) {
+    rows += fmt::format("{},{:.3f},{},{},{:.5f},{:.3f},{:.5f},{},{},{},{}\n", run, sample.time_s, sample.camera,
+                        picture, quality.ssim, finite_psnr(quality.psnr_db), quality.flip, number(masked.moving),
+                        number(masked.shadow), number(sample.still.moving), number(sample.still.shadow));
   };
   for (const DynamicsSample& sample : results.samples) {
-    if (sample.on) add(sample, "on", sample.on->whole, sample.on->masked_ssim);
-    if (sample.off) add(sample, "off", sample.off->whole, sample.off->masked_ssim);
+    if (sample.on) add(sample, "on", sample.on->whole, sample.on->masked);
+    if (sample.off) add(sample, "off", sample.off->whole, sample.off->masked);
     if (sample.viewer) add(sample, "viewer", *sample.viewer, {});
   }
   return rows;
@@ -123,9 +128,12 @@ Json summarize_dynamics(const DynamicsResults* still, const DynamicsResults* liv
       {"on_ssim_worst_second", figure(worst_second(series(*living, of_drawn(on, ssim)), living->window))},
       {"off_ssim", mean(*living, of_drawn(off, ssim))},
       {"off_flip", mean(*living, of_drawn(off, flip))},
-      {"masked_ssim", mean(*living, of_mask(on))},
-      {"masked_ssim_off", mean(*living, of_mask(off))},
-      {"masked_ssim_drop", mean(*living, masked_drop)},
+      {"masked_ssim", mean(*living, of_part(on, &MaskedFigures::moving))},
+      {"masked_ssim_off", mean(*living, of_part(off, &MaskedFigures::moving))},
+      {"masked_ssim_drop", mean(*living, drop_of(&MaskedFigures::moving))},
+      {"shadow_ssim", mean(*living, of_part(on, &MaskedFigures::shadow))},
+      {"shadow_ssim_off", mean(*living, of_part(off, &MaskedFigures::shadow))},
+      {"shadow_ssim_drop", mean(*living, drop_of(&MaskedFigures::shadow))},
       {"ssim_viewer", mean(*living, viewer_ssim)},
       {"ssim_viewer_worst_second", figure(worst_second(series(*living, viewer_ssim), living->window))},
       {"state_delay_ms_median", figure(living->state_delay_ms_median)},

@@ -55,7 +55,16 @@ std::optional<double> kilobits_per_s(std::uint64_t bytes_before, std::uint64_t b
   return static_cast<double>(bytes_after - bytes_before) * 8e-3 / seconds;
 }
 
-cv::Mat mask_of(const cv::Mat& object_id, const std::set<std::uint32_t>& objects, int grow) {
+cv::Mat grown(const cv::Mat& mask, int pixels) {
+  cv::Mat out;
+  cv::dilate(mask, out, cv::getStructuringElement(cv::MORPH_RECT, {2 * pixels + 1, 2 * pixels + 1}));
+  for (int inset = 0; inset < kSsimRadius; ++inset) {
+    cv::rectangle(out, {inset, inset}, {out.cols - 1 - inset, out.rows - 1 - inset}, 0, 1);
+  }
+  return out;
+}
+
+cv::Mat mask_of(const cv::Mat& object_id, const std::set<std::uint32_t>& objects) {
   assert(object_id.type() == CV_32SC1);
   cv::Mat mask = cv::Mat::zeros(object_id.size(), CV_8UC1);
   for (int row = 0; row < mask.rows; ++row) {
@@ -64,11 +73,6 @@ cv::Mat mask_of(const cv::Mat& object_id, const std::set<std::uint32_t>& objects
     for (int column = 0; column < mask.cols; ++column) {
       if (objects.contains(static_cast<std::uint32_t>(ids[column]))) out[column] = 255;
     }
-  }
-  const cv::Mat square = cv::getStructuringElement(cv::MORPH_RECT, {2 * grow + 1, 2 * grow + 1});
-  cv::dilate(mask, mask, square);
-  for (int inset = 0; inset < kSsimRadius; ++inset) {
-    cv::rectangle(mask, {inset, inset}, {mask.cols - 1 - inset, mask.rows - 1 - inset}, 0, 1);
   }
   return mask;
 }

@@ -35,9 +35,12 @@ struct TimeWindow {
 [[nodiscard]] std::optional<double> kilobits_per_s(std::uint64_t bytes_before, std::uint64_t bytes_after,
                                                    double seconds);
 
-/// Where a picture shows one of `objects`, grown by `grow` pixels (a square): CV_8UC1, 255 or 0. `object_id` is
-/// CV_32SC1. Pixels nearer to the border than SSIM's window is wide count as outside, as in metrics::ssim().
-[[nodiscard]] cv::Mat mask_of(const cv::Mat& object_id, const std::set<std::uint32_t>& objects, int grow);
+/// A mask, CV_8UC1, grown by so many pixels (a square). Pixels nearer to the border than SSIM's window is wide count as
+/// outside, as in metrics::ssim().
+[[nodiscard]] cv::Mat grown(const cv::Mat& mask, int pixels);
+
+/// Where a picture shows one of `objects`: CV_8UC1, 255 or 0. `object_id` is CV_32SC1.
+[[nodiscard]] cv::Mat mask_of(const cv::Mat& object_id, const std::set<std::uint32_t>& objects);
 
 /// Mean of a CV_32FC1 map where `mask` is not 0; nullopt where it is 0 everywhere. Both have one size.
 [[nodiscard]] std::optional<double> masked_mean(const cv::Mat& map, const cv::Mat& mask);

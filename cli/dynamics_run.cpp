@@ -12,6 +12,7 @@
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "scene_view.h"
+#include "shadow_mask.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -25,7 +26,8 @@ constexpr std::int64_t kMapPatienceNs = kSecond / 4;     // the light's depth co
 constexpr std::int64_t kViewerPatienceNs = 3 * kSecond;  // for the last answers
 constexpr std::int64_t kShowNs = kSecond;
 constexpr std::size_t kMostShots = 512;  // pictures are compared when the run is over, or when there are so many
-constexpr int kMaskGrow = 5;             // pixels, as far as a window of SSIM reaches
+constexpr int kMovingReach = 5;          // pixels, as far as a window of SSIM does
+constexpr int kShadowReach = 10;
 constexpr int kSheetInstants = 6;
 
 /// Bytes of the packets that carry the scene, or its visibility.
@@ -98,7 +100,13 @@ class DynamicsRun {
   /// Drawn, and not yet compared.
   struct Shot {
     std::size_t sample = 0;
-    cv::Mat engine, on, off, mask;
+    cv::Mat engine, on, off;
+    cv::Mat moving, shadow;  ///< masks; empty where they could not be had
+  };
+
+  /// Masks of a camera's last picture: where something moves, and what the sun lights.
+  struct Before {
+    cv::Mat moving, lit;
   };
 
   void step(bool new_rounds) {
@@ -139,7 +147,8 @@ class DynamicsRun {
       frozen_ = probe.scene;
       frozen_map_ = map;
     }
-    Shot shot{.sample = results_.samples.size(), .engine = probe.picture, .on = {}, .off = {}, .mask = {}};
+    Shot shot{
+        .sample = results_.samples.size(), .engine = probe.picture, .on = {}, .off = {}, .moving = {}, .shadow = {}};
     if (options_.support != Support::Off) {
       const auto on = view_.render(live_, probe.camera, probe.scene, map.get());
       if (!on) return false;
@@ -150,22 +159,34 @@ class DynamicsRun {
       if (!off) return false;
       shot.off = *off;
     }
-    if (!probe.object_id.empty()) {
-      std::set<std::uint32_t> moving;
-      for (const auto& [id, transform] : probe.scene.objects) moving.insert(id);
-      shot.mask = mask_of(probe.object_id, moving, kMaskGrow);
-    }
+    make_masks(waiting, map.get(), shot);
     results_.samples.push_back({.time_s = probe.time_s,
                                 .camera = waiting.camera,
                                 .probe_id = probe.probe_id,
                                 .paired = map != nullptr,
                                 .on = {},
                                 .off = {},
-                                .still_masked_ssim = {},
+                                .still = {},
                                 .viewer = {}});
     keep_for_sheets(shot, probe.time_s, waiting.camera);
     shots_.push_back(std::move(shot));
     return true;
+  }
+
+  void make_masks(const Waiting& waiting, const LightDepths::Map* map, Shot& shot) {
+    const ProbePicture& probe = waiting.probe;
+    if (probe.object_id.empty()) return;
+    std::set<std::uint32_t> can_move;
+    for (const auto& [id, transform] : probe.scene.objects) can_move.insert(id);
+    Before now{.moving = mask_of(probe.object_id, can_move), .lit = {}};
+    shot.moving = grown(now.moving, kMovingReach);
+    if (map == nullptr || probe.depth.empty()) return;
+    now.lit = lit_surfaces(probe.depth, probe.camera, *map);
+    const auto before = before_.find(waiting.camera);
+    if (before != before_.end()) {
+      shot.shadow = moving_shadow_edges(before->second.lit, now.lit, now.moving | before->second.moving, kShadowReach);
+    }
+    before_[waiting.camera] = std::move(now);
   }
 
   void keep_for_sheets(const Shot& shot, double time_s, std::size_t camera) {
@@ -174,25 +195,33 @@ class DynamicsRun {
     results_.pictures.push_back({.sample = shot.sample, .engine = shot.engine, .on = shot.on, .off = shot.off});
   }
 
+  static MaskedFigures masked_figures(const cv::Mat& ssim_map, const Shot& shot) {
+    MaskedFigures figures;
+    if (!shot.moving.empty()) figures.moving = masked_mean(ssim_map, shot.moving);
+    if (!shot.shadow.empty()) figures.shadow = masked_mean(ssim_map, shot.shadow);
+    return figures;
+  }
+
   void compare_shots() {
     for (const Shot& shot : shots_) {
       DynamicsSample& sample = results_.samples[shot.sample];
       const auto figures = [&](const cv::Mat& drawn) -> std::optional<DrawnFigures> {
         if (drawn.empty()) return {};
         cv::Mat map;
+        const double ssim = metrics::ssim(drawn, shot.engine, &map);
         DrawnFigures result{.whole = {.psnr_db = metrics::psnr(drawn, shot.engine),
-                                      .ssim = metrics::ssim(drawn, shot.engine, &map),
+                                      .ssim = ssim,
                                       .flip = metrics::flip(drawn, shot.engine)},
-                            .masked_ssim = {}};
-        if (!shot.mask.empty()) result.masked_ssim = masked_mean(map, shot.mask);
+                            .masked = masked_figures(map, shot)};
         if (&drawn == &shot.on && results_.window.contains(sample.time_s)) ssim_maps_[sample.camera].add(map);
         return result;
       };
       sample.on = figures(shot.on);
       sample.off = figures(shot.off);
-      if (still_ == nullptr || shot.mask.empty()) continue;
-      const auto map = still_->find(sample.camera);
-      if (map != still_->end()) sample.still_masked_ssim = masked_mean(map->second, shot.mask);
+      if (still_ == nullptr) continue;
+      if (const auto map = still_->find(sample.camera); map != still_->end()) {
+        sample.still = masked_figures(map->second, shot);
+      }
     }
     shots_.clear();
   }
@@ -251,6 +280,7 @@ class DynamicsRun {
   std::deque<Waiting> waiting_;
   std::optional<SceneState> frozen_;
   std::shared_ptr<const LightDepths::Map> frozen_map_;
+  std::map<std::size_t, Before> before_;  ///< by camera
   std::vector<Shot> shots_;
   std::set<std::pair<int, std::size_t>> kept_;
   std::map<std::size_t, MeanMap> ssim_maps_;

@@ -19,10 +19,16 @@ namespace splatbus::cli {
 
 enum class Support { On, Off, Both };
 
-/// Figures of a drawn picture against the engine's, over all of it and over what moves.
+/// SSIM over parts of a picture; nullopt where there is no such part.
+struct MaskedFigures {
+  std::optional<double> moving;  ///< objects that can move, and 5 pixels around them
+  std::optional<double> shadow;  ///< within 10 pixels of a shadow's edge that has moved since the camera's last picture
+};
+
+/// Figures of a drawn picture against the engine's.
 struct DrawnFigures {
   metrics::Quality whole;
-  std::optional<double> masked_ssim;  ///< nullopt where nothing moves in the picture
+  MaskedFigures masked;
 };
 
 /// A held-out camera at one instant.
@@ -32,7 +38,7 @@ struct DynamicsSample {
   std::uint64_t probe_id = 0;
   bool paired = false;  ///< drawn with visibility of its own scene version
   std::optional<DrawnFigures> on, off;
-  std::optional<double> still_masked_ssim;  ///< the still scene's at the same pixels
+  MaskedFigures still;  ///< the still scene's at the same pixels
   std::optional<metrics::Quality> viewer;
 };
 

@@ -23,8 +23,9 @@ constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is as
 constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
 constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
 constexpr std::size_t kMaxProbes = 64;
-// What moves can be told from its ids.
-const wire::EngineBuffer kProbeBuffers = wire::EngineBuffer::Color | wire::EngineBuffer::ObjectId;
+// By ids and depth those who judge pictures tell what moves, and what lies in shadow.
+const wire::EngineBuffer kProbeBuffers =
+    wire::EngineBuffer::Color | wire::EngineBuffer::ObjectId | wire::EngineBuffer::Depth;
 constexpr int kMaxMessagesAStep = 256;
 
 std::int64_t nanoseconds(double seconds) {

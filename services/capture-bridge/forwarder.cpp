@@ -73,7 +73,9 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   if (!color) return false;
   bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
   info.tensors.push_back(std::move(*color));
-  if (auto ids = message.forward_tensor("object_id")) info.tensors.push_back(std::move(*ids));
+  for (const char* name : {"object_id", "depth"}) {
+    if (auto tensor = message.forward_tensor(name)) info.tensors.push_back(std::move(*tensor));
+  }
   Camera camera = from_wire(*frame.camera());
   camera.id = probe.camera.id;
   publisher_.publish(topics::kCaptureProbe, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {

@@ -45,7 +45,7 @@ TEST(DynamicsFigures, MaskGrowsRoundTheObjectsAndLeavesTheBorder) {
   ids.at<std::int32_t>(16, 20) = 7;
   ids.at<std::int32_t>(10, 10) = 3;                                      // does not move
   ids.at<std::int32_t>(6, 33) = static_cast<std::int32_t>(0xFFFFFFF0U);  // ids have 32 bits
-  const cv::Mat mask = mask_of(ids, {7, 0xFFFFFFF0U}, 3);
+  const cv::Mat mask = grown(mask_of(ids, {7, 0xFFFFFFF0U}), 3);
   for (int row = 0; row < mask.rows; ++row) {
     for (int column = 0; column < mask.cols; ++column) {
       const bool near_seven = std::abs(row - 16) <= 3 && std::abs(column - 20) <= 3;
@@ -76,9 +76,10 @@ TEST(DynamicsFigures, MeanMapIsTheMeanOfEachPixel) {
 DynamicsSample sample(double time_s, double on, double off) {
   return {.time_s = time_s,
           .paired = true,
-          .on = DrawnFigures{.whole = {.psnr_db = 30, .ssim = on, .flip = 1 - on}, .masked_ssim = on - 0.1},
-          .off = DrawnFigures{.whole = {.psnr_db = 20, .ssim = off, .flip = 1 - off}, .masked_ssim = {}},
-          .still_masked_ssim = {},
+          .on = DrawnFigures{.whole = {.psnr_db = 30, .ssim = on, .flip = 1 - on},
+                             .masked = {.moving = on - 0.1, .shadow = on - 0.2}},
+          .off = DrawnFigures{.whole = {.psnr_db = 20, .ssim = off, .flip = 1 - off}, .masked = {}},
+          .still = {},
           .viewer = {}};
 }
 
@@ -88,7 +89,8 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   still.samples = {sample(5, 0, 0), sample(11, 0.98, 0), sample(12, 0.96, 0)};
   living.window = {.from_s = 20, .to_s = 60};
   living.samples = {sample(10, 0.2, 0.1), sample(20, 0.9, 0.5), sample(21, 0.94, 0.7)};
-  living.samples[1].still_masked_ssim = 0.83;  // 0.03 above its 0.8
+  living.samples[1].still = {.moving = 0.83, .shadow = {}};  // 0.03 above its 0.8
+  living.samples[2].still = {.moving = {}, .shadow = 0.75};  // 0.01 above its 0.74
   living.samples[2].viewer = metrics::Quality{.psnr_db = 30, .ssim = 0.91, .flip = 0.1};
   living.samples[2].paired = false;
   living.state_delay_ms_median = 12;
@@ -101,6 +103,9 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   EXPECT_NEAR(summary["on_ssim_worst_second"], 0.9, 1e-6);
   EXPECT_NEAR(summary["masked_ssim"], 0.82, 1e-6);
   EXPECT_NEAR(summary["masked_ssim_drop"], 0.03, 1e-6) << "only of pictures that have both";
+  EXPECT_NEAR(summary["shadow_ssim"], 0.72, 1e-6);
+  EXPECT_NEAR(summary["shadow_ssim_drop"], 0.01, 1e-6);
+  EXPECT_TRUE(summary["shadow_ssim_off"].is_null());
   EXPECT_NEAR(summary["ssim_viewer"], 0.91, 1e-6);
   EXPECT_EQ(summary["state_delay_ms_median"], 12);
   EXPECT_TRUE(summary["state_delay_ms_p99"].is_null());
