@@ -33,12 +33,9 @@ double now_ms(clockid_t clock) {
 /// same.
 class Rows {
  public:
-  Rows(const Options& options)
-      : options_(options), stream_(options.device), floats_(stream_), cell_(stream_), object_id_(stream_) {
+  Rows(const Options& options) : options_(options), stream_(options.device), floats_(stream_), object_id_(stream_) {
     host_.resize(kPlanes * options.batch, 0.5F);
     floats_.resize(host_.size());
-    cell_.resize(options.batch);
-    cell_.clear();
     object_id_.resize(options.batch);
     object_id_.clear();
   }
@@ -73,7 +70,6 @@ class Rows {
     rows.normal = take(3);
     rows.visibility = take(1);
     rows.object_id = object_id_.data();
-    rows.cell = cell_.data();
     return rows;
   }
 
@@ -84,7 +80,6 @@ class Rows {
   std::vector<float> host_;
   device::Stream stream_;
   device::Buffer<float> floats_;
-  device::Buffer<std::uint64_t> cell_;
   device::Buffer<std::uint32_t> object_id_;
 };
 

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <exception>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -68,8 +69,8 @@ struct splatbus_engine {
 
   std::vector<splatbus_camera_request> requests;
   bool requests_changed = false;  ///< since the last poll
-  std::uint64_t last_frame = 0;
-  std::int64_t last_frame_ns = 0;  ///< when the first camera of last_frame was submitted; 0: none was
+  std::optional<engine_sdk::EngineClock> last;
+  std::int64_t capture_ns = 0;  ///< when the first camera of the last frame was submitted
   std::string error;
 };
 
@@ -147,17 +148,17 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
   if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
   return guarded_call(engine->error, [&] {
     require(frame != nullptr, "splatbus_engine_submit: frame is NULL");
-    if (const std::string wrong = engine_sdk::problem(*frame); !wrong.empty()) {
-      throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame->frame, wrong));
-    }
-    if (engine->last_frame_ns == 0 || frame->frame != engine->last_frame) {
-      engine->last_frame = frame->frame;
-      engine->last_frame_ns = bus::now_ns();
-    }
-    const bus::MessageInfo info{.capture_ns = engine->last_frame_ns, .tensors = engine->rings.write(*frame)};
+    std::string wrong = engine_sdk::problem(*frame);
+    if (wrong.empty() && engine->last) wrong = engine_sdk::problem(*frame, *engine->last);
+    if (!wrong.empty()) throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame->frame, wrong));
+    const bool same_frame = engine->last && engine->last->frame == frame->frame;
+    const std::int64_t capture_ns = same_frame ? engine->capture_ns : bus::now_ns();
+    const bus::MessageInfo info{.capture_ns = capture_ns, .tensors = engine->rings.write(*frame)};
     engine->publisher.publish(topics::kEngineFrame, info, [&](auto& builder, auto header) {
       return engine_sdk::build_frame(builder, header, *frame);
     });
+    engine->last = {.frame = frame->frame, .time_s = frame->time_s};
+    engine->capture_ns = capture_ns;
     engine->service.counter("host_copied_bytes", static_cast<double>(engine->rings.host_copied_bytes()));
   });
 }

@@ -20,6 +20,7 @@ extern "C" {
 #endif
 
 #define SPLATBUS_ENGINE_ABI 3
+#define SPLATBUS_MAX_OBJECTS 32768 /* of one frame */
 
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;
 
@@ -64,16 +65,25 @@ typedef struct {
   uint64_t request_id;
 } splatbus_camera_request;
 
+/* What can move, come or go is an object: it has an id, any but 0, that its surfaces have in the picture OBJECT_ID, and
+ * a rigid frame. An object exists in the frames that list it. One that is no longer listed is hidden, keeps what was
+ * learned of it, and is whole again when it returns under its id; surfaces with ids that were never listed stand still.
+ *
+ * Characters: each bone of a skinned mesh is an object with an id of its own, whose frame is the bone's rigid one. A
+ * surface has the id of the bone that has the greatest weight there, the dominant bone, so write ids by vertex weights,
+ * not by mesh. Where several bones share the weight, the surface bends a little against its frame; scale and shear of a
+ * bone have no place in it. An id stays with its bone for as long as the character lives. */
 typedef struct {
   uint32_t id;
   splatbus_rigid world_from_object;
 } splatbus_object;
 
 typedef struct {
-  float ambient_sh[27];    /* incident radiance: 9 real SH coefficients for R, 9 for G, 9 for B, signs as in 3DGS */
+  float ambient_sh[27];    /* incident radiance: 9 real SH coefficients for R, 9 for G, 9 for B, signs as in 3DGS; the
+                              first of each channel is not below 0 */
   float sun_direction[3];  /* unit, towards the sun */
-  float sun_irradiance[3]; /* on a surface that faces the sun */
-  float background[3];     /* linear colour behind everything */
+  float sun_irradiance[3]; /* on a surface that faces the sun, not below 0 */
+  float background[3];     /* linear colour behind everything, not below 0 */
 } splatbus_light;
 
 typedef struct {
@@ -84,14 +94,14 @@ typedef struct {
 } splatbus_image;
 
 typedef struct {
-  uint64_t frame;
-  double time_s; /* engine time */
+  uint64_t frame; /* never less than that of the frame before, on one handle; the same for all cameras of one frame */
+  double time_s;  /* engine time, never less either: an engine whose clock starts anew opens another handle */
   uint64_t request_id;
   splatbus_camera camera;
   const splatbus_image* images;
   size_t image_count;
-  const splatbus_object* objects; /* every object that can move; ids are unique */
-  size_t object_count;
+  const splatbus_object* objects; /* every one that exists now; ids are unique */
+  size_t object_count;            /* at most SPLATBUS_MAX_OBJECTS */
   splatbus_light light;
 } splatbus_frame;
 
@@ -113,7 +123,8 @@ splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, co
                                      size_t* count, int* changed);
 
 /* Publishes one camera of one frame; copies the images into a slab ring in which readers have about a second. Checks
- * everything but the pixels.
+ * everything but the pixels: transforms, ids, light, camera, sizes, and that frame and time do not run backwards. What
+ * is wrong is refused with SPLATBUS_ERROR_ARGUMENT and words that name it, and nothing of the call is published.
  *
  * An image in CUDA memory is complete before the call: its writer has waited for its stream, or for the graphics API
  * that it is shared with. The copy runs on a stream of the calling thread's own, from device to device when the frames

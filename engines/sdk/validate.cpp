@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <set>
 #include <span>
+#include <vector>
 
 #include "sdk/image_memory.h"
 
@@ -15,7 +15,6 @@ namespace {
 
 constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::uint32_t kAllBuffers = 127;
-constexpr std::size_t kMaxObjects = 65536;
 constexpr float kUnitTolerance = 1e-2F;
 
 bool finite(std::span<const float> values) {
@@ -28,24 +27,50 @@ float norm(std::span<const float> values) {
   return std::sqrt(sum);
 }
 
-std::string problem(const splatbus_rigid& pose) {
-  if (!finite(pose.translation)) return "its translation is not finite";
-  if (!finite(pose.rotation_wxyz)) return "its rotation is not finite";
+std::string problem(const splatbus_rigid& pose, const char* name) {
+  if (!finite(pose.translation)) return fmt::format("{}.translation is not finite", name);
+  if (!finite(pose.rotation_wxyz)) return fmt::format("{}.rotation_wxyz is not finite", name);
   const float length = norm(pose.rotation_wxyz);
   if (std::abs(length - 1) > kUnitTolerance)
-    return fmt::format("its rotation is no unit quaternion (norm {:.4g})", length);
+    return fmt::format("{}.rotation_wxyz is no unit quaternion (norm {:.4g})", name, length);
   return {};
+}
+
+std::string problem_of_radiance(std::span<const float> values, const char* name) {
+  if (!finite(values)) return fmt::format("light: {} is not finite", name);
+  const auto negative = std::ranges::find_if(values, [](float value) { return value < 0; });
+  if (negative == values.end()) return {};
+  return fmt::format("light: {}[{}] is {:.4g}, below 0", name, negative - values.begin(), *negative);
 }
 
 std::string problem(const splatbus_light& light) {
   if (!finite(light.ambient_sh)) return "light: ambient_sh is not finite";
+  for (const std::size_t mean : {0U, 9U, 18U}) {
+    if (light.ambient_sh[mean] < 0) {
+      return fmt::format("light: ambient_sh[{}], a mean over all directions, is {:.4g}, below 0", mean,
+                         light.ambient_sh[mean]);
+    }
+  }
   if (!finite(light.sun_direction)) return "light: sun_direction is not finite";
-  if (!finite(light.sun_irradiance)) return "light: sun_irradiance is not finite";
-  if (!finite(light.background)) return "light: background is not finite";
   const float length = norm(light.sun_direction);
   if (std::abs(length - 1) > kUnitTolerance)
     return fmt::format("light: sun_direction is not unit (norm {:.4g})", length);
-  return {};
+  if (std::string wrong = problem_of_radiance(light.sun_irradiance, "sun_irradiance"); !wrong.empty()) return wrong;
+  return problem_of_radiance(light.background, "background");
+}
+
+std::string problem(std::span<const splatbus_object> objects) {
+  std::vector<std::uint32_t> ids;
+  ids.reserve(objects.size());
+  for (const splatbus_object& object : objects) {
+    if (object.id == 0) return "object 0: 0 means no surface";
+    if (std::string wrong = problem(object.world_from_object, "world_from_object"); !wrong.empty())
+      return fmt::format("object {}: {}", object.id, wrong);
+    ids.push_back(object.id);
+  }
+  if (!std::ranges::is_sorted(ids)) std::ranges::sort(ids);
+  const auto twice = std::ranges::adjacent_find(ids);
+  return twice == ids.end() ? std::string() : fmt::format("object {}: it is there twice", *twice);
 }
 
 std::string problem(const splatbus_image& image, const splatbus_camera& camera) {
@@ -112,7 +137,7 @@ std::string problem(const splatbus_camera& camera) {
   if (camera.fx <= 0 || camera.fy <= 0) return named("fx and fy must be above 0");
   if (!finite(std::array{camera.near_m, camera.far_m})) return named("near_m and far_m are not both finite");
   if (camera.near_m < 0 || camera.far_m <= camera.near_m) return named("it must be 0 <= near_m < far_m");
-  const std::string pose = problem(camera.world_from_camera);
+  const std::string pose = problem(camera.world_from_camera, "world_from_camera");
   return pose.empty() ? pose : named(pose);
 }
 
@@ -147,15 +172,14 @@ std::string problem(const splatbus_frame& frame) {
     seen |= image.buffer;
   }
   if (frame.object_count > 0 && frame.objects == nullptr) return "objects is NULL";
-  if (frame.object_count > kMaxObjects)
-    return fmt::format("{} moving objects, where {} are the most", frame.object_count, kMaxObjects);
-  std::set<std::uint32_t> ids;
-  for (const splatbus_object& object : std::span(frame.objects, frame.object_count)) {
-    if (object.id == 0) return "object 0: 0 means no surface";
-    if (!ids.insert(object.id).second) return fmt::format("object {}: it is there twice", object.id);
-    if (std::string wrong = problem(object.world_from_object); !wrong.empty())
-      return fmt::format("object {}: {}", object.id, wrong);
-  }
+  if (frame.object_count > SPLATBUS_MAX_OBJECTS)
+    return fmt::format("{} objects, where {} are the most", frame.object_count, SPLATBUS_MAX_OBJECTS);
+  return problem(std::span(frame.objects, frame.object_count));
+}
+
+std::string problem(const splatbus_frame& frame, const EngineClock& last) {
+  if (frame.frame < last.frame) return fmt::format("frame runs backwards: the last one was {}", last.frame);
+  if (frame.time_s < last.time_s) return fmt::format("time_s runs backwards: {} after {}", frame.time_s, last.time_s);
   return {};
 }
 

@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <glm/gtc/matrix_inverse.hpp>
 #include <glm/gtc/type_ptr.hpp>
+#include <optional>
+#include <utility>
 
 #include "sim/projection.h"
 
@@ -41,6 +43,7 @@ GpuScene::GpuScene(const Scene& scene, float anisotropy) {
     const Object& object = scene.objects[i];
     objects_.push_back({.id = object.id,
                         .casts_shadow = object.casts_shadow,
+                        .exists = true,
                         .world_from_object = glm::mat4(1),
                         .normal_matrix = glm::mat3(1)});
     for (const sim::Part& part : object.parts) {
@@ -101,31 +104,35 @@ void GpuScene::place(std::size_t object, const glm::mat4& world_from_object) {
 }
 
 bool GpuScene::set_time(const Scene& scene, double time_s) {
-  bool moved = false;
+  bool changed = false;
   std::vector<splatbus_object> moving;
   for (std::size_t i = 0; i < scene.objects.size(); ++i) {
     const Object& object = scene.objects[i];
     if (!object.motion) continue;
-    const Pose pose = object.motion(time_s);
+    const std::optional<Pose> pose = object.motion(time_s);
+    changed |= std::exchange(objects_[i].exists, pose.has_value()) != pose.has_value();
+    if (!pose) continue;
     splatbus_object listed{};
     listed.id = object.id;
-    listed.world_from_object = {{pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z},
-                                {pose.translation.x, pose.translation.y, pose.translation.z}};
+    const glm::quat& q = pose->rotation;
+    const glm::vec3& t = pose->translation;
+    listed.world_from_object = {{q.w, q.x, q.y, q.z}, {t.x, t.y, t.z}};
     moving.push_back(listed);
-    const glm::mat4 world_from_object = matrix(pose);
+    const glm::mat4 world_from_object = matrix(*pose);
     if (world_from_object == objects_[i].world_from_object) continue;
     place(i, world_from_object);
-    moved = true;
+    changed = true;
   }
   moving_ = std::move(moving);
-  return moved;
+  return changed;
 }
 
 std::vector<const GpuScene::Part*> GpuScene::visible_parts(const glm::mat4& clip_from_world,
                                                            bool shadow_casters_only) const {
   std::vector<std::pair<float, const Part*>> visible;
   for (const Part& part : parts_) {
-    if (part.index_count == 0 || (shadow_casters_only && !objects_[part.object].casts_shadow)) continue;
+    const ObjectState& object = objects_[part.object];
+    if (part.index_count == 0 || !object.exists || (shadow_casters_only && !object.casts_shadow)) continue;
     if (!may_be_visible(part.bounds_world, clip_from_world)) continue;
     float farthest = -1e30F;
     for (int i = 0; i < 8; ++i) {

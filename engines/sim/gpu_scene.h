@@ -15,8 +15,9 @@ class GpuScene {
  public:
   GpuScene(const Scene& scene, float anisotropy);
 
-  /// Sets the transforms for a time. True when a shadow caster or anything else has moved.
+  /// Sets transforms and existence for a time. True when an object has moved, come or gone.
   bool set_time(const Scene& scene, double time_s);
+  /// Whatever has a motion and exists, in the scene's order.
   [[nodiscard]] const std::vector<splatbus_object>& moving() const { return moving_; }
 
   /// Draws what may be seen, nearest first, with the program that `program_for` gives for parts with and without holes.
@@ -45,6 +46,7 @@ class GpuScene {
   struct ObjectState {
     std::uint32_t id;
     bool casts_shadow;
+    bool exists;
     glm::mat4 world_from_object;
     glm::mat3 normal_matrix;
   };

@@ -49,7 +49,8 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
   app.add_option("--scene", flags.scene, "toys, or a glTF file (.glb, .gltf)")->capture_default_str();
   app.add_option("--seed", flags.seed, "shifts, turns and tones of the toys")->capture_default_str();
-  app.add_flag("--dynamics", flags.dynamics, "a ball that bounces and a cube that turns (toys only)");
+  app.add_flag("--dynamics", flags.dynamics,
+               "toys that live: one walks, one bounces, one turns, some come and go (toys only)");
   app.add_option("--sun-azimuth", flags.lighting.sun_azimuth_deg, "degrees about the vertical, from +x towards +z")
       ->capture_default_str();
   app.add_option("--sun-zenith", flags.lighting.sun_zenith_deg, "degrees from the vertical")

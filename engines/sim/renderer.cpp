@@ -230,10 +230,10 @@ Renderer::~Renderer() = default;
 
 void Renderer::set_time(double time_s) {
   const splatbus_light light = impl_->scene.lighting.at(time_s);
-  const bool moved = impl_->gpu.set_time(impl_->scene, time_s);
+  const bool changed = impl_->gpu.set_time(impl_->scene, time_s);
   const bool turned = !same_sun(light, impl_->instant.light);
   impl_->instant = {.time_s = time_s, .light = light, .moving = impl_->gpu.moving()};
-  if (moved || turned || impl_->scene_version == 0) ++impl_->scene_version;
+  if (changed || turned || impl_->scene_version == 0) ++impl_->scene_version;
 }
 
 void Renderer::turn_sun(double azimuth_deg) {

@@ -44,13 +44,12 @@ class Renderer {
   Renderer(const Renderer&) = delete;
   Renderer& operator=(const Renderer&) = delete;
 
-  /// Sets the time. The shadow map is drawn again only when the sun or an object has moved and a lit picture is asked
-  /// for.
+  /// Sets the time. The shadow map is drawn again only when the scene has changed and a lit picture is asked for.
   void set_time(double time_s);
   /// Puts the sun at an azimuth as of the current time; from there it turns at the lighting's rate. Seen at the next
   /// set_time().
   void turn_sun(double azimuth_deg);
-  /// Grows whenever set_time() has moved the sun or an object.
+  /// Grows whenever set_time() has changed the scene: sun or an object have moved, an object has come or gone.
   [[nodiscard]] std::uint64_t scene_version() const;
   [[nodiscard]] const Instant& instant() const;
 

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <glm/gtc/constants.hpp>
+#include <utility>
 
 namespace splatbus::sim {
 
@@ -9,6 +10,18 @@ glm::mat4 matrix(const Pose& world_from_object) {
   glm::mat4 result = glm::mat4_cast(world_from_object.rotation);
   result[3] = glm::vec4(world_from_object.translation, 1);
   return result;
+}
+
+Object& Scene::add(std::string name, Mesh mesh, Image image, const glm::mat4& world_from_object) {
+  Object object;
+  object.id = static_cast<std::uint32_t>(objects.size() + 1);
+  object.name = std::move(name);
+  object.world_from_object = world_from_object;
+  object.parts.push_back({.mesh = std::move(mesh), .material = static_cast<int>(materials.size())});
+  materials.push_back({.image = static_cast<int>(images.size())});
+  images.push_back(std::move(image));
+  objects.push_back(std::move(object));
+  return objects.back();
 }
 
 Bounds Scene::bounds(bool shadow_casters_only) const {

@@ -4,6 +4,7 @@
 #include <functional>
 #include <glm/glm.hpp>
 #include <glm/gtc/quaternion.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -41,9 +42,10 @@ struct Object {
   std::uint32_t id = 0;  ///< unique, from 1
   std::string name;
   std::vector<Part> parts;
-  glm::mat4 world_from_object{1};      ///< of an object that rests
-  std::function<Pose(double)> motion;  ///< world_from_object at a time in seconds; empty: the object rests
-  Bounds motion_origins;               ///< where the motion takes the object's origin, at whatever time
+  glm::mat4 world_from_object{1};  ///< of an object that rests
+  /// world_from_object at a time in seconds, or nothing while the object does not exist. Empty: it rests for ever.
+  std::function<std::optional<Pose>(double)> motion;
+  Bounds motion_origins;  ///< where the motion takes the object's origin, at whatever time
   bool casts_shadow = true;
 };
 
@@ -64,6 +66,9 @@ struct Scene {
   std::vector<Material> materials;
   std::vector<Image> images;
   Lighting lighting;
+
+  /// Appends an object of one part under the next free id. The reference is good until the next one is added.
+  Object& add(std::string name, Mesh mesh, Image image, const glm::mat4& world_from_object = glm::mat4(1));
 
   /// World bounds of everything, over the whole way of what moves.
   [[nodiscard]] Bounds bounds(bool shadow_casters_only) const;

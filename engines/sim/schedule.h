@@ -17,7 +17,7 @@ class Schedule {
   /// The whole set of requests; what was known under the same role, id, request_id and rate keeps its rhythm.
   void replace(std::span<const splatbus_camera_request> requests);
 
-  /// Requests that are due, probes first; they count as served. `scene_version` changes when sun or objects move.
+  /// Requests that are due, probes first; they count as served. `scene_version` changes when the scene does.
   [[nodiscard]] std::vector<splatbus_camera_request> due(double time_s, std::uint64_t scene_version);
 
   /// Of these only what was asked for of cameras that no set had before the last: few, and someone waits for them. A

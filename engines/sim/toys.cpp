@@ -1,11 +1,10 @@
 #include "sim/toys.h"
 
 #include <array>
-#include <cmath>
-#include <glm/gtc/constants.hpp>
 #include <glm/gtc/matrix_transform.hpp>
 #include <utility>
 
+#include "sim/living_toys.h"
 #include "sim/patterns.h"
 #include "sim/random.h"
 
@@ -107,22 +106,11 @@ class Builder {
     glm::mat4 jitter = glm::translate(glm::mat4(1), shift + origin);
     jitter = glm::translate(glm::rotate(jitter, turn, kUp), -origin);
     last_jitter_ = jitter;
-    add_placed(name, std::move(mesh), std::move(image), jitter * place);
+    scene.add(name, std::move(mesh), std::move(image), jitter * place);
   }
   void add_with_last(const char* name, Mesh mesh, Image image, const glm::mat4& place) {
-    add_placed(name, std::move(mesh), std::move(image), last_jitter_ * place);
+    scene.add(name, std::move(mesh), std::move(image), last_jitter_ * place);
   }
-  void add_placed(const char* name, Mesh mesh, Image image, const glm::mat4& world_from_object) {
-    Object object;
-    object.id = static_cast<std::uint32_t>(scene.objects.size() + 1);
-    object.name = name;
-    object.world_from_object = world_from_object;
-    object.parts.push_back({.mesh = std::move(mesh), .material = static_cast<int>(scene.materials.size())});
-    scene.materials.push_back({.image = static_cast<int>(scene.images.size())});
-    scene.images.push_back(std::move(image));
-    scene.objects.push_back(std::move(object));
-  }
-
   Scene scene;
 
  private:
@@ -185,48 +173,15 @@ void add_outer_toys(Builder& toys, std::uint32_t seed) {
            at(0.45F, 0.05F, -1.55F, -14));
 }
 
-void add_dynamics(Builder& toys) {
-  constexpr float kRadius = 0.16F, kCircle_m = 0.10F;
-  constexpr double kHeight_m = 0.7;
-  constexpr glm::vec3 kMiddle{0.05F, kRadius, 0.31F};
-  toys.add_placed("bouncing ball", sphere(kRadius, 32, 2), checker(6, color("#e8e2d4"), color("#c2267a")),
-                  glm::mat4(1));
-  toys.scene.objects.back().motion_origins.add(kMiddle - glm::vec3(kCircle_m, 0, kCircle_m));
-  toys.scene.objects.back().motion_origins.add(kMiddle + glm::vec3(kCircle_m, kHeight_m, kCircle_m));
-  toys.scene.objects.back().motion = [=](double time_s) {
-    // A parabola a bounce, under 9.8 m/s^2 from kHeight_m, while it wanders on a small circle and spins.
-    const double bounce_s = 2 * std::sqrt(2 * kHeight_m / 9.8);
-    const double phase = time_s / bounce_s - std::floor(time_s / bounce_s);
-    const double angle = 0.6 * time_s;
-    Pose pose;
-    pose.translation = kMiddle + glm::vec3(kCircle_m * std::cos(angle), 4 * kHeight_m * phase * (1 - phase),
-                                           kCircle_m * std::sin(angle));
-    pose.rotation = glm::angleAxis(static_cast<float>(std::remainder(1.7 * time_s, 2 * glm::pi<double>())),
-                                   glm::normalize(glm::vec3{0.3F, 1, 0.2F}));
-    return pose;
-  };
-  toys.add_placed("turning cube", box({0.26F, 0.26F, 0.26F}), letter("GO", color("#3fa7a0"), color("#f0e6c8")),
-                  glm::mat4(1));
-  constexpr glm::vec3 kCube{-0.72F, 0.13F, 0.22F};
-  toys.scene.objects.back().motion_origins.add(kCube);
-  toys.scene.objects.back().motion = [=](double time_s) {
-    Pose pose;
-    pose.translation = kCube;
-    pose.rotation = glm::angleAxis(static_cast<float>(std::remainder(0.8 * time_s, 2 * glm::pi<double>())), kUp);
-    return pose;
-  };
-}
-
 }  // namespace
 
 Scene make_toys(std::uint32_t seed, bool dynamics) {
   Builder toys(seed);
-  toys.add_placed("floor", box({5, 0.04F, 5}), floor_with_rug(seed), at(0, -0.02F, 0));
-  toys.scene.objects.back().casts_shadow = false;
+  toys.scene.add("floor", box({5, 0.04F, 5}), floor_with_rug(seed), at(0, -0.02F, 0)).casts_shadow = false;
   toys.scene.materials.back().repeat = false;
   add_inner_toys(toys, seed);
   add_outer_toys(toys, seed);
-  if (dynamics) add_dynamics(toys);
+  if (dynamics) add_living_toys(toys.scene);
   return std::move(toys.scene);
 }
 

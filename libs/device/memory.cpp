@@ -47,13 +47,15 @@ Stream::Stream(Device device) : view_{.device = device} {
 #endif
 }
 
-Stream::~Stream() {
-#ifdef SPLATBUS_HAVE_CUDA
-  if (view_.cuda != nullptr) cudaStreamDestroy(view_.cuda);
-#endif
-}
+#ifndef SPLATBUS_HAVE_CUDA
 
-#ifdef SPLATBUS_HAVE_CUDA
+Stream::~Stream() = default;
+
+#else
+
+Stream::~Stream() {
+  if (view_.cuda != nullptr) cudaStreamDestroy(view_.cuda);
+}
 
 namespace {
 

@@ -46,7 +46,6 @@ void GaussiansBuffer::resize(std::size_t count) {
     apply(object_id, 1);
     apply(flags, 1);
     apply(gaussian_id, 1);
-    apply(cell, 1);
   };
   if (count > stride_) {
     // Geometric growth, so that appending one at a time stays linear.
@@ -73,7 +72,6 @@ GaussiansView GaussiansBuffer::view() const {
   view.object_id = object_id.data();
   view.flags = flags.data();
   view.gaussian_id = gaussian_id.data();
-  view.cell = cell.data();
   return view;
 }
 
@@ -99,7 +97,6 @@ GaussiansBuffer GaussiansBuffer::copy_of(const GaussiansView& view) {
     copy(view.object_id, 1, out.object_id);
     copy(view.flags, 1, out.flags);
     copy(view.gaussian_id, 1, out.gaussian_id);
-    copy(view.cell, 1, out.cell);
     if (view.has_pages())
       std::fill_n(out.object_id.begin() + static_cast<std::ptrdiff_t>(first), range.count, range.frame_id);
     first += range.count;

@@ -36,14 +36,13 @@ struct GaussiansView {
   const std::uint32_t* object_id = nullptr;  ///< [stride]; null: all static
   const std::uint32_t* flags = nullptr;      ///< [stride]; null: all active
   const std::uint64_t* gaussian_id = nullptr;
-  const std::uint64_t* cell = nullptr;
 
   [[nodiscard]] bool has_pages() const { return page_shift != kNoPages; }
   /// Of 4-byte elements.
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::size_t offset(std::size_t i) const {
     return (i >> page_shift) * page_stride + (i & ((std::size_t{1} << page_shift) - 1));
   }
-  /// Of 8-byte elements: gaussian_id and cell.
+  /// Of 8-byte elements: gaussian_id.
   [[nodiscard]] std::size_t wide_offset(std::size_t i) const {
     return (i >> page_shift) * (page_stride / 2) + (i & ((std::size_t{1} << page_shift) - 1));
   }
@@ -79,7 +78,7 @@ class GaussiansBuffer {
 
   std::vector<float> parameters, normal, surface_point, visibility;
   std::vector<std::uint32_t> object_id, flags;
-  std::vector<std::uint64_t> gaussian_id, cell;
+  std::vector<std::uint64_t> gaussian_id;
 
  private:
   ParameterLayout layout_;

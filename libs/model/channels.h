@@ -7,17 +7,16 @@
 #include "gaussians/pages.h"
 
 // The channels of a page and where they lie in its block: [rows][kRowWords] words of 4 bytes, of which kPageLanes are
-// used, page after page. Whoever
-// reads, writes or copies a page takes this list; a channel is added here and nowhere else.
+// used, page after page. Whoever reads, writes or copies a page takes this list; a channel is added here and nowhere
+// else.
 namespace splatbus::model {
 
 enum class ChannelType : std::uint8_t { F32, U64 };
 
 /// The trained parameters come first, so that a GaussiansView's channels are a page's rows.
-enum class Channel : std::uint8_t { Parameters, Average, Normal, SurfacePoint, Visibility, GaussianId, Cell };
+enum class Channel : std::uint8_t { Parameters, Average, Normal, SurfacePoint, Visibility, GaussianId };
 inline constexpr Channel kChannels[] = {Channel::Parameters,   Channel::Average,    Channel::Normal,
-                                        Channel::SurfacePoint, Channel::Visibility, Channel::GaussianId,
-                                        Channel::Cell};
+                                        Channel::SurfacePoint, Channel::Visibility, Channel::GaussianId};
 
 struct ChannelRows {
   const char* name;
@@ -41,15 +40,13 @@ struct ChannelRows {
       return {"visibility", ChannelType::F32, 2 * parameters + 6, 1};
     case Channel::GaussianId:
       return {"gaussian_id", ChannelType::U64, 2 * parameters + 7, 2};
-    case Channel::Cell:
-      return {"cell", ChannelType::U64, 2 * parameters + 9, 2};
   }
   return {"", ChannelType::F32};
 }
 
 /// Rows that hold something.
 [[nodiscard]] constexpr std::uint32_t used_rows(const ParameterLayout& layout) {
-  const ChannelRows last = rows_of(Channel::Cell, layout);
+  const ChannelRows last = rows_of(Channel::GaussianId, layout);
   return last.first + last.rows;
 }
 /// A multiple of 4 rows' lanes, so that a page of 1,024 lanes is a multiple of 16 KiB and an arena one of 2 MiB.
@@ -69,7 +66,7 @@ struct PageMemory {
   std::uint32_t* words = nullptr;
   std::size_t page_words = 0;
   std::uint32_t used_rows = 0;
-  std::uint32_t normal = 0, surface_point = 0, visibility = 0, gaussian_id = 0, cell = 0;  ///< first rows
+  std::uint32_t normal = 0, surface_point = 0, visibility = 0, gaussian_id = 0;  ///< first rows
 
   PageMemory() = default;
   PageMemory(std::byte* pages, const ParameterLayout& layout)
@@ -79,17 +76,16 @@ struct PageMemory {
         normal(rows_of(Channel::Normal, layout).first),
         surface_point(rows_of(Channel::SurfacePoint, layout).first),
         visibility(rows_of(Channel::Visibility, layout).first),
-        gaussian_id(rows_of(Channel::GaussianId, layout).first),
-        cell(rows_of(Channel::Cell, layout).first) {}
+        gaussian_id(rows_of(Channel::GaussianId, layout).first) {}
 
-  SPLATBUS_PORTABLE_MEMBER std::uint32_t* word(std::uint32_t row, std::uint32_t index) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint32_t* word(std::uint32_t row, std::uint32_t index) const {
     return words + (index >> kPageShift) * page_words + std::size_t{row} * kRowWords + (index & (kPageLanes - 1));
   }
-  SPLATBUS_PORTABLE_MEMBER float* value(std::uint32_t row, std::uint32_t index) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float* value(std::uint32_t row, std::uint32_t index) const {
     return reinterpret_cast<float*>(word(row, index));
   }
   /// Of a U64 channel that begins at `row`.
-  SPLATBUS_PORTABLE_MEMBER std::uint64_t* wide(std::uint32_t row, std::uint32_t index) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint64_t* wide(std::uint32_t row, std::uint32_t index) const {
     std::uint32_t* const channel = words + (index >> kPageShift) * page_words + std::size_t{row} * kRowWords;
     return reinterpret_cast<std::uint64_t*>(channel) + (index & (kPageLanes - 1));
   }

@@ -18,7 +18,6 @@ struct InsertRows {
   const float* normal = nullptr;         ///< [3]
   const float* visibility = nullptr;     ///< [1]
   const std::uint32_t* object_id = nullptr;
-  const std::uint64_t* cell = nullptr;
 };
 
 /// Light of an insert, world frame, and how its objects are turned: world from object, ascending ids.

@@ -77,14 +77,12 @@ std::uint32_t items_for(std::uint32_t count, std::uint32_t rows) {
 struct WriteRow {
   PageMemory memory;
   RowSources sources;
-  const std::uint64_t* cell;
   const Item* items;
   std::uint32_t count, float_rows;
   const std::uint32_t* to;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t chunk = i / count, k = items[i - chunk * count].source, index = to[k];
     if (index == kNotInserted) return;
-    if (chunk == 0) *memory.wide(memory.cell, index) = cell[k];
     const std::uint32_t end = (chunk + 1) * kRowsAtOnce < float_rows ? (chunk + 1) * kRowsAtOnce : float_rows;
     for (std::uint32_t row = chunk * kRowsAtOnce; row < end; ++row) {
       *memory.value(row, index) = sources.plane[row] == nullptr ? 0.0F : sources.plane[row][k];
@@ -108,7 +106,6 @@ struct CopyRows {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t chunk = i / count, k = i - chunk * count, source = from[k], index = to[k];
     if (index == kNotInserted) return;
-    if (chunk == 0) *memory.wide(memory.cell, index) = *memory.wide(memory.cell, source);
     const std::uint32_t end = (chunk + 1) * kRowsAtOnce < float_rows ? (chunk + 1) * kRowsAtOnce : float_rows;
     for (std::uint32_t row = chunk * kRowsAtOnce; row < end; ++row) {
       *memory.word(row, index) = *memory.word(row, source);
@@ -264,8 +261,7 @@ void write_rows(StreamView stream, const PageMemory& memory, const ParameterLayo
   from(memory.surface_point, rows.mean, rows.stride, 3);
   from(memory.visibility, rows.visibility, rows.stride, 1);
   const std::uint32_t float_rows = memory.gaussian_id;
-  for_each_index(stream, items_for(count, float_rows),
-                 WriteRow{memory, sources, rows.cell, items, count, float_rows, to});
+  for_each_index(stream, items_for(count, float_rows), WriteRow{memory, sources, items, count, float_rows, to});
 }
 
 void number(StreamView stream, const PageMemory& memory, const std::uint32_t* to, std::uint32_t count,

@@ -1,5 +1,7 @@
 // How a PageStore comes by its slabs: made, adopted from a process that was killed, or moved to.
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -25,7 +27,7 @@ std::uint32_t page_capacity_for(std::size_t max_gaussians) {
   constexpr std::size_t kSlack = 256;
   const std::size_t pages = 2 * ((max_gaussians + kPageLanes - 1) / kPageLanes) + kSlack;
   const std::size_t capacity = (pages + kArenaPages - 1) / kArenaPages * kArenaPages;
-  if (max_gaussians == 0 || capacity > kMaxArenas * kArenaPages || capacity * kPageLanes > kFromPage) {
+  if (max_gaussians == 0 || capacity > std::size_t{kMaxArenas} * kArenaPages || capacity * kPageLanes > kFromPage) {
     throw std::invalid_argument("max_gaussians is " + std::to_string(max_gaussians) + ", which no page table holds");
   }
   return static_cast<std::uint32_t>(capacity);
@@ -100,7 +102,7 @@ bool PageStore::adopt_table() {
     const auto table =
         host ? PageTable::adopt(slab->slot_data(kSlot), slab->slot_bytes(), layout_, why_not) : std::nullopt;
     if (!table) {
-      if (!table_slab_) origin_ = "empty, for " + name + " is of no use: " + why_not;
+      if (!table_slab_) origin_ = fmt::format("empty, for {} is of no use: {}", name, why_not);
       continue;
     }
     // Two of them are left when a move was cut short; the later one is whole, for its magic came last.

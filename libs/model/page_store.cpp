@@ -18,7 +18,6 @@ GaussiansView view_of(const PageMemory& memory, const ParameterLayout& layout, C
   view.surface_point = memory.value(memory.surface_point, 0);
   view.visibility = memory.value(memory.visibility, 0);
   view.gaussian_id = memory.wide(memory.gaussian_id, 0);
-  view.cell = memory.wide(memory.cell, 0);
   return view;
 }
 

@@ -42,8 +42,8 @@ ParameterLayout layout_of(const bus::Message& message, const wire::ModelPublishe
 /// Nullopt when the tensor lies in a slab that is gone.
 std::optional<bus::TensorView> find_tensor(const bus::Message& message, const std::string& name, bus::ElementType type,
                                            const std::vector<std::uint32_t>& shape) {
-  auto view = message.tensor(name.c_str(), type, shape);
-  if (!view && !message.announces(name.c_str())) reject(message, fmt::format("tensor \"{}\" is missing", name));
+  auto view = message.tensor(name, type, shape);
+  if (!view && !message.announces(name)) reject(message, fmt::format("tensor \"{}\" is missing", name));
   return view;
 }
 
@@ -162,7 +162,6 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
   live_.surface_point = memory.value(memory.surface_point, 0);
   live_.visibility = memory.value(memory.visibility, 0);
   live_.gaussian_id = memory.wide(memory.gaussian_id, 0);
-  live_.cell = memory.wide(memory.cell, 0);
   average_ = live_;
   average_.parameters = memory.value(row(model::Channel::Average), 0);
   if (need == Need::Both) live_.parameters = memory.value(row(model::Channel::Parameters), 0);

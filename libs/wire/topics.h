@@ -52,9 +52,9 @@ inline constexpr std::string_view kSchema<wire::Liveness> = "Liveness/1";
 template <>
 inline constexpr std::string_view kSchema<wire::Log> = "Log/1";
 template <>
-inline constexpr std::string_view kSchema<wire::ModelInsert> = "ModelInsert/1";
+inline constexpr std::string_view kSchema<wire::ModelInsert> = "ModelInsert/2";
 template <>
-inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/2";
+inline constexpr std::string_view kSchema<wire::ModelPublished> = "ModelPublished/3";
 template <>
 inline constexpr std::string_view kSchema<wire::RelightVisibility> = "RelightVisibility/2";
 template <>

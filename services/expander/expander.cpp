@@ -212,7 +212,6 @@ void Expander::publish(const InsertBatch& batch) {
       source("normal", {3, n}, ElementType::F32, channels.normal),
       source("visibility", {1, n}, ElementType::F32, channels.visibility),
       source("object_id", {n}, ElementType::U32, channels.object_id),
-      source("cell", {n}, ElementType::U64, channels.cell),
   };
   const bus::MessageInfo info{.capture_ns = batch.capture_ns, .tensors = ring_.write(sources)};
   publisher_.publish(topics::kModelInsert, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {

@@ -34,17 +34,16 @@ inline constexpr float kUnitTolerance = 0.05F;  ///< of a normal's length
 /// and returns how many those are.
 [[nodiscard]] std::uint32_t validate(device::StreamView stream, const Samples& samples);
 
-/// New Gaussians as model/insert carries them, channel by channel ([channels][count]) in one block, widest elements
-/// first. Frames and units: schemas/model.fbs, ModelInsert.
+/// New Gaussians as model/insert carries them, channel by channel ([channels][count]) in one block. Frames and units:
+/// schemas/model.fbs, ModelInsert.
 struct InsertChannels {
-  std::uint64_t* cell;
   float *mean, *log_scale, *rotation, *opacity_logit, *albedo, *normal, *visibility;
   std::uint32_t* object_id;
   std::uint32_t count;
 };
-inline constexpr std::size_t kInsertBytes = sizeof(std::uint64_t) + 18 * sizeof(float) + sizeof(std::uint32_t);
+inline constexpr std::size_t kInsertBytes = 18 * sizeof(float) + sizeof(std::uint32_t);
 
-/// `memory` is aligned to 8 bytes and has count * kInsertBytes of room.
+/// `memory` is aligned to 4 bytes and has count * kInsertBytes of room.
 [[nodiscard]] InsertChannels insert_channels_at(std::byte* memory, std::uint32_t count);
 
 /// Where somebody's model keeps what is needed of it: GaussiansView's layout. Values may be anything.

@@ -18,13 +18,19 @@ using device::with_policy;
 
 namespace {
 
+/// Where an inserted Gaussian counts.
+SPLATBUS_PORTABLE CellKey cell_of(const InsertChannels& gaussians, std::uint32_t i, float cell_size_m) {
+  return cell_at(get(gaussians.mean, gaussians.count, i), gaussians.object_id[i], cell_size_m);
+}
+
 struct ReadGaussian {
   InsertChannels from;
+  float cell_size_m;
   CellKey* keys;
   ModelledPoint* points;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    keys[i] = {from.object_id[i], from.cell[i]};
+    keys[i] = cell_of(from, i, cell_size_m);
     points[i] = {get(from.mean, from.count, i), get(from.normal, from.count, i)};
   }
 };
@@ -51,13 +57,14 @@ struct ReadModelPoint {
 
 struct FindExact {
   InsertChannels gaussians;
+  float cell_size_m;
   const CellKey* keys;
   const ModelledPoint* points;
   std::uint32_t count;
   std::uint32_t* found;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const CellKey key{gaussians.object_id[i], gaussians.cell[i]};
+    const CellKey key = cell_of(gaussians, i, cell_size_m);
     const math::Vec3 position = get(gaussians.mean, gaussians.count, i);
     for (std::uint32_t p = lower_bound(keys, count, key); p < count && keys[p] == key; ++p) {
       const math::Vec3 there = points[p].position;
@@ -106,15 +113,13 @@ std::uint32_t named_count(StreamView stream, const CellKey* keys, std::uint32_t 
 }
 
 InsertChannels insert_channels_at(std::byte* memory, std::uint32_t count) {
-  auto* const cell = reinterpret_cast<std::uint64_t*>(memory);
-  auto* next = reinterpret_cast<float*>(cell + count);
+  auto* next = reinterpret_cast<float*>(memory);
   const auto take = [&](std::size_t channels) {
     float* const channel = next;
     next += channels * count;
     return channel;
   };
   InsertChannels out{};
-  out.cell = cell;
   out.mean = take(3);
   out.log_scale = take(3);
   out.rotation = take(4);
@@ -148,7 +153,8 @@ void PointGrid::add(std::span<const InsertChannels> batches) {
   reserve(merged_points_, all);
   std::uint32_t first = 0;
   for (const InsertChannels& batch : batches) {
-    for_each_index(stream_, batch.count, ReadGaussian{batch, new_keys_.data() + first, new_points_.data() + first});
+    for_each_index(stream_, batch.count,
+                   ReadGaussian{batch, cell_size_m_, new_keys_.data() + first, new_points_.data() + first});
     first += batch.count;
   }
   with_policy(stream_, [&](auto&& policy) {
@@ -191,7 +197,8 @@ void PointGrid::assign(const ModelPoints& model) {
 bool PointGrid::holds_any(const InsertChannels& gaussians) const {
   Buffer<std::uint32_t> found(stream_, 1);
   found.clear();
-  for_each_index(stream_, gaussians.count, FindExact{gaussians, keys_.data(), points_.data(), count_, found.data()});
+  for_each_index(stream_, gaussians.count,
+                 FindExact{gaussians, cell_size_m_, keys_.data(), points_.data(), count_, found.data()});
   return found.to_host().front() != 0;
 }
 

@@ -235,7 +235,6 @@ struct WriteGaussian {
     put(out.normal, n, i, local.normal);
     out.visibility[i] = guess_visibility(samples.color[s], samples.albedo[s], samples.normal[s], light);
     out.object_id[i] = local.cell.object_id;
-    out.cell[i] = local.cell.cell;
   }
 };
 

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <exception>
 #include <zmq.hpp>
 
 #include "bus/clock.h"
@@ -135,26 +134,17 @@ bool Streamer::observe() {
   if (announcement_) {
     const bus::Message message = *announcement_;
     announcement_.reset();
-    bus::guarded(message, [&] {
+    const bool sensible = bus::guarded(message, [&] {
       auto opened = PublishedModel::open(message, service_.backend, PublishedModel::Need::Average,
                                          published_ ? &*published_ : nullptr);
       if (!opened) return;
       if (published_) host_copied_bytes_ += published_->copied_bytes();
       published_ = std::move(*opened);
     });
+    if (!sensible) bus::require_usable(service_.backend);
   }
-  if (!published_) return false;
-  try {
-    if (!published_->refresh()) return false;
-    return model_.observe(published_->average(), [&] { return published_->still_valid(); });
-  } catch (const stream::StreamError&) {
-    throw;
-  } catch (const std::exception& error) {
-    // What could not be observed has changed nothing: viewers keep what they have until there is memory again.
-    spdlog::error("observing the model: {}", error.what());
-    bus::require_usable(service_.backend);
-    return false;
-  }
+  if (!published_ || !published_->refresh()) return false;
+  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
 }
 
 void Streamer::tick() {

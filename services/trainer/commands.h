@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include "trainer/insert_reader.h"
+#include "trainer/view_store.h"
 
 namespace splatbus::trainer {
 
@@ -28,6 +30,7 @@ struct Commands {
   static constexpr std::size_t kMaxVisibilities = 64;
 
   std::vector<InsertBatch> inserts;
+  std::vector<TrainingViewPtr> pictures;        ///< that bring depth: the newest of each camera
   std::vector<VisibilityCommand> visibilities;  ///< one a scene version
 
   /// False when there is no room for it. A batch that waits here already is not taken twice.
@@ -42,6 +45,18 @@ struct Commands {
     return true;
   }
 
+  /// Takes a picture that has arrived, if it brings depth.
+  void look(TrainingViewPtr view) {
+    if (view->depth.empty()) return;
+    const auto same = [&](const TrainingViewPtr& other) { return key_of(*other) == key_of(*view); };
+    const auto found = std::find_if(pictures.begin(), pictures.end(), same);
+    if (found == pictures.end()) {
+      pictures.push_back(std::move(view));
+    } else {
+      *found = std::move(view);
+    }
+  }
+
   /// Takes the place of what waits for the same version, or, where too many wait, of the oldest.
   void add(VisibilityCommand&& visibility) {
     std::erase_if(visibilities, [&](const auto& waiting) { return waiting.scene_version == visibility.scene_version; });
@@ -49,7 +64,7 @@ struct Commands {
     visibilities.push_back(std::move(visibility));
   }
 
-  [[nodiscard]] bool empty() const { return inserts.empty() && visibilities.empty(); }
+  [[nodiscard]] bool empty() const { return inserts.empty() && pictures.empty() && visibilities.empty(); }
 };
 
 /// Hands commands from the message thread to the optimizer's, which takes them between two steps.

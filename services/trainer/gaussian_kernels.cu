@@ -183,10 +183,11 @@ struct Split {
   }
 };
 
+template <class T>
 struct SetValue {
-  std::uint64_t* values;
+  T* values;
   const IndexRange* ranges;
-  std::uint64_t value;
+  T value;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
     const IndexRange range = ranges[item / kPageLanes];
     const std::uint32_t lane = item % kPageLanes;
@@ -274,7 +275,11 @@ void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32
 
 void set_values(StreamView stream, std::uint64_t* values, const IndexRange* ranges, std::uint32_t range_count,
                 std::uint64_t value) {
-  for_each_index(stream, range_count * kPageLanes, SetValue{values, ranges, value});
+  for_each_index(stream, range_count * kPageLanes, SetValue<std::uint64_t>{values, ranges, value});
+}
+void set_values(StreamView stream, std::uint8_t* values, const IndexRange* ranges, std::uint32_t range_count,
+                std::uint8_t value) {
+  for_each_index(stream, range_count * kPageLanes, SetValue<std::uint8_t>{values, ranges, value});
 }
 
 void move_values(StreamView stream, std::uint64_t* values, const model::Moves& moves) {

@@ -78,6 +78,8 @@ void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32
 /// For the indices of ranges, each within one page.
 void set_values(StreamView stream, std::uint64_t* values, const IndexRange* ranges, std::uint32_t range_count,
                 std::uint64_t value);
+void set_values(StreamView stream, std::uint8_t* values, const IndexRange* ranges, std::uint32_t range_count,
+                std::uint8_t value);
 /// What is kept for an index, as Gaussians were moved.
 void move_values(StreamView stream, std::uint64_t* values, const model::Moves& moves);
 void move_values(StreamView stream, std::uint32_t* values, const model::Moves& moves);

@@ -71,7 +71,6 @@ struct Gather {
     Row<3>(from.normal, s, row).normalise().store(to.normal, t, i);
     Row<1>(from.visibility, s, row).clamp(0, 1).store(to.visibility, t, i);
     const_cast<std::uint32_t*>(to.object_id)[i] = from.object_id[row];
-    const_cast<std::uint64_t*>(to.cell)[i] = from.cell[row];
   }
 };
 

@@ -13,7 +13,6 @@ using model::InsertRows;
 /// names are those of model/insert's tensors.
 template <class Rows, class Visit>
 void for_each_plane(Rows& rows, Visit&& visit) {
-  visit("cell", rows.cell, 1U);
   visit("object_id", rows.object_id, 1U);
   visit("mean", rows.mean, 3U);
   visit("log_scale", rows.log_scale, 3U);

@@ -12,8 +12,18 @@ namespace splatbus::trainer {
 
 namespace {
 
+using namespace std::chrono_literals;
 using model::InsertResult;
 using model::Moves;
+
+// A change of structure costs every reader: not for a handful that makes no difference ...
+constexpr std::size_t kWorthwhilePart = 500;  // of the model
+// ... or that can wait a little.
+constexpr auto kCarvePeriod = 500ms;
+
+float logit(float opacity) {
+  return opacity > 0 ? std::log(opacity / (1.0F - opacity)) : -1e30F;
+}
 
 /// Indices that were nobody's, or somebody else's, under the ranges before: the end of pages that grew, and new pages.
 std::vector<IndexRange> fresh_ranges(std::span<const IndexRange> before, std::span<const IndexRange> now) {
@@ -61,11 +71,13 @@ Optimizer::Optimizer(model::PageStore& store, const Options& options, const Step
       fresh_(step_->stream()),
       created_step_(step_->stream()),
       dead_(step_->stream()),
-      dead_counts_(step_->stream(), 1) {
+      dead_counts_(step_->stream(), 1),
+      carver_(step_->stream()) {
   set_options(options);
   // An adopted model is taken for old: its average is settled.
   const GaussiansView view = store.view();
   created_step_.grow(view.count);
+  carver_.follow(view.count, fresh_, {});
   ranges_.assign(view.ranges.begin(), view.ranges.end());
 }
 
@@ -100,7 +112,8 @@ bool Optimizer::apply(const Commands& commands, std::span<const std::uint64_t> n
     follow(store_.insert(batch.rows, batch.count, batch.scene, batch.epoch, batch.batch).moves);
     changed = true;
   }
-  return changed;
+  if (options_.carve.enabled) look_at(commands.pictures);
+  return carve() || changed;
 }
 
 void Optimizer::follow(const Moves& moves) {
@@ -112,10 +125,10 @@ void Optimizer::follow(const Moves& moves) {
   kernels::set_values(step_->stream(), created_step_.data(), fresh_.data(), static_cast<std::uint32_t>(fresh.size()),
                       store_.step());
   kernels::move_values(step_->stream(), created_step_.data(), moves);
-  visibilities_.follow({.memory = store_.memory(),
-                        .ranges = fresh_.data(),
-                        .range_count = static_cast<std::uint32_t>(fresh.size())},
-                       moves);
+  carver_.follow(view.count, fresh_, moves);
+  visibilities_.follow(
+      {.memory = store_.memory(), .ranges = fresh_.data(), .range_count = static_cast<std::uint32_t>(fresh.size())},
+      moves);
   step_->follow(fresh, moves);
   wait_for_values();  // the moves are gone with the next change
 }
@@ -161,6 +174,7 @@ void Optimizer::collect(bool wait) {
 void Optimizer::settle() {
   collect(true);
   wait_for_values();
+  carver_.settled();
   prune_found(true);
 }
 
@@ -173,14 +187,12 @@ void Optimizer::search_prunable() {
   const PruneOptions& options = options_.prune;
   dead_.resize(store_.view().count);
   dead_counts_.clear();
-  kernels::mark_prunable(
-      step_->stream(), gaussians(), created_step_.data(),
-      {.step = store_.step(),
-       .min_age_steps = options.min_age_steps,
-       .min_opacity_logit =
-           options.min_opacity > 0 ? std::log(options.min_opacity / (1.0F - options.min_opacity)) : -1e30F,
-       .max_log_scale = std::log(options.max_scale_m)},
-      dead_.data(), dead_counts_.data());
+  kernels::mark_prunable(step_->stream(), gaussians(), created_step_.data(),
+                         {.step = store_.step(),
+                          .min_age_steps = options.min_age_steps,
+                          .min_opacity_logit = logit(options.min_opacity),
+                          .max_log_scale = std::log(options.max_scale_m)},
+                         dead_.data(), dead_counts_.data());
   searched_after_ = launched_;
 }
 
@@ -192,15 +204,42 @@ void Optimizer::prune_found(bool waited) {
   kernels::PruneCounts counts;
   device::copy(stream, &counts, dead_counts_.data(), sizeof(counts));
   stream.wait();
-  // A change of structure costs every reader: not for a handful that nobody sees anyway.
-  if (counts.not_finite == 0 && std::size_t{counts.removed} * 500 < store_.count()) return;
+  if (counts.not_finite == 0 && std::size_t{counts.removed} * kWorthwhilePart < store_.count()) return;
   collect(true);
   wait_for_values();
-  follow(store_.remove(dead_.data()).moves);
-  follow(store_.merge());
+  remove_dead();
   if (counts.not_finite > 0) {
     spdlog::warn("optimizer: Gaussians that were not finite were removed at step {}", store_.step());
   }
+}
+
+void Optimizer::remove_dead() {
+  follow(store_.remove(dead_.data()).moves);
+  follow(store_.merge());
+}
+
+void Optimizer::look_at(std::span<const TrainingViewPtr> pictures) {
+  const kernels::CarveLimits limits{.votes = options_.carve.votes,
+                                    .min_opacity_logit = logit(options_.prune.min_opacity)};
+  for (const TrainingViewPtr& view : pictures) {
+    carver_.look(view, gaussians(), store_.device_bounds(), limits, launched_);
+  }
+}
+
+bool Optimizer::carve() {
+  const std::size_t found = carver_.carvable(done_);
+  const auto now = std::chrono::steady_clock::now();
+  const bool wait = found * kWorthwhilePart < store_.count() && now - last_carved_ < kCarvePeriod;
+  if (found == 0 || wait) return false;
+  settle();
+  dead_.resize(store_.view().count);
+  const std::size_t gone = carver_.mark(gaussians(), options_.carve.votes, dead_.data());
+  if (gone == 0) return false;
+  remove_dead();
+  carved_ += gone;
+  last_carved_ = now;
+  spdlog::debug("optimizer: {} Gaussians stood in free space at step {}", gone, store_.step());
+  return true;
 }
 
 void Optimizer::densify() {

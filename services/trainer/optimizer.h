@@ -1,42 +1,25 @@
 #pragma once
 
-#include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
 #include <span>
-#include <utility>
 #include <vector>
 
 #include "bus/publisher.h"
 #include "device/buffer.h"
 #include "model/page_store.h"
+#include "trainer/carving.h"
 #include "trainer/commands.h"
 #include "trainer/gradient_step.h"
 #include "trainer/options.h"
+#include "trainer/per_index.h"
 #include "trainer/view_store.h"
 #include "trainer/visibility_ring.h"
 
 namespace splatbus::trainer {
-
-/// One value for each index of a model, 0 at first; what there was stays as it grows. In the order of a stream.
-template <class T>
-class PerIndex {
- public:
-  explicit PerIndex(device::StreamView stream) : values_(stream) {}
-  void grow(std::size_t count) {
-    if (count <= values_.size()) return;
-    device::Buffer<T> larger(values_.stream(), std::max(count, 2 * values_.size()));
-    larger.clear();
-    device::copy(values_.stream(), larger.data(), values_.data(), values_.bytes());
-    values_ = std::move(larger);
-  }
-  [[nodiscard]] T* data() const { return values_.data(); }
-
- private:
-  device::Buffer<T> values_;
-};
 
 /// Trains the model of a PageStore: applies what others ask of it between steps, and steps. Belongs to one thread.
 /// What it keeps of its own for each Gaussian (Adam's moments, age) begins anew with a new Optimizer.
@@ -72,6 +55,9 @@ class Optimizer {
   /// PageStore::publish(), with bounds that hold for the values as they are.
   void publish(const bus::Publisher& publisher);
 
+  /// Gaussians that were removed because they stood where pictures show free space.
+  [[nodiscard]] std::uint64_t carved() const { return carved_; }
+
  private:
   [[nodiscard]] kernels::PagedGaussians gaussians() const;
   /// Of the average over time, a step: options().ema_decay, or as much more as ema_s of optimizer time takes at
@@ -84,6 +70,10 @@ class Optimizer {
   void average();
   void search_prunable();
   void prune_found(bool waited);
+  void look_at(std::span<const TrainingViewPtr> pictures);
+  /// Returns whether the structure changed.
+  bool carve();
+  void remove_dead();
   void densify();
 
   model::PageStore& store_;
@@ -98,6 +88,9 @@ class Optimizer {
   std::uint64_t launched_ = 0, done_ = 0;  ///< steps
   /// Steps that were launched before a search for Gaussians to remove: it has ended when a later one is done.
   std::optional<std::uint64_t> searched_after_;
+  Carver carver_;
+  std::uint64_t carved_ = 0;
+  std::chrono::steady_clock::time_point last_carved_{};
   StepReport report_;
   double unbooked_s_ = 0;  ///< of optimizer time that the model's figures do not have yet
 };

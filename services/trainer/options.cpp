@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "trainer/carving.h"
+
 namespace splatbus::trainer {
 
 void Options::bind(bus::ParameterBinder& p) {
@@ -23,8 +25,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("batch", batch, "views an optimizer step, 0: one on the CPU, two on a GPU", {0, 256});
   p.add("input_view_interval", input_view_interval,
         "one input picture is trained after that many reference views, 0: none", {0, 1e6});
-  p.add("pair_visibility", pair_visibility,
-        "transfer: a view trains with the visibility of its own scene version, or waits for it; false: with the newest");
+  p.add(
+      "pair_visibility", pair_visibility,
+      "transfer: a view trains with the visibility of its own scene version, or waits for it; false: with the newest");
   p.add("antialias", antialias, "opacity compensation for the pixel filter");
   p.add("residual", residual, "transfer: train the residual beside albedo and normal");
   p.add("ssim_weight", ssim_weight, "of 1 - SSIM in the loss, the rest is L1", {0, 1});
@@ -53,6 +56,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("prune_min_age", prune.min_age_steps, "steps for which a new Gaussian is spared", {0, 1e9});
   p.add("prune_opacity", prune.min_opacity, "opacity below which a Gaussian goes", {0, 1});
   p.add("prune_scale", prune_scale_extents, "largest standard deviation that may stay, in scene extents", {1e-6, 1e6});
+  p.add("carve", carve.enabled, "remove Gaussians where pictures with depth show free space");
+  p.add("carve_votes", carve.votes, "engine frames that have to show the space free, with none between that does not",
+        {1, kernels::kMaxCarveVotes});
   p.add("densify", densify.enabled, "clone and split where the projected means' gradient is large");
   p.add("densify_interval", densify.interval_steps, "steps between densifications", {1, 1e9});
   p.add("densify_gradient", densify.gradient_threshold,
@@ -63,6 +69,10 @@ void Options::bind(bus::ParameterBinder& p) {
   if (layout.appearance == Appearance::Radiance) albedo_weight = 0;
   prune.max_scale_m = prune_scale_extents * scene_extent_m;
   densify.clone_max_scale_m = densify_scale_extents * scene_extent_m;
+}
+
+bool wants_depth(const Options& options) {
+  return options.depth_weight > 0 || options.carve.enabled;
 }
 
 int active_channels(const Options& options) {

@@ -26,6 +26,12 @@ struct PruneOptions {
   float max_scale_m = 0;  ///< largest standard deviation
 };
 
+/// Of what the engine's depth shows to be free.
+struct CarveOptions {
+  bool enabled = true;
+  std::uint32_t votes = 2;  ///< of different engine frames
+};
+
 struct DensifyOptions {
   bool enabled = false;
   std::uint64_t interval_steps = 100;
@@ -58,10 +64,14 @@ struct Options {
   float prune_scale_extents = 0.5F, densify_scale_extents = 0.01F;
   LearningRates learning_rates;
   PruneOptions prune;
+  CarveOptions carve;
   DensifyOptions densify;
 
   void bind(bus::ParameterBinder& parameters);
 };
+
+/// Whether the depth of pictures is of use.
+[[nodiscard]] bool wants_depth(const Options& options);
 
 /// Channels that train; those above are constants of the model.
 [[nodiscard]] int active_channels(const Options& options);

@@ -43,7 +43,7 @@ Trainer::Trainer(bus::ServiceContext& service, StepMaker make_step)
 
 void Trainer::run() {
   const Options& options = *options_;
-  with_depth_ = options.depth_weight > 0;
+  with_depth_ = wants_depth(options);
   store_ = std::make_unique<model::PageStore>(
       service_.bus, options.layout, model::PageStoreOptions{.max_gaussians = options.max_gaussians}, service_.backend);
   spdlog::info("model: {}", store_->origin());
@@ -108,8 +108,8 @@ void Trainer::take_reference(const bus::Message& message) {
     ++lost_tensors_;
     return;
   }
-  views_.put(std::move(reading.view));
-  commands_.wake();
+  views_.put(reading.view);
+  commands_.post([&](Commands& commands) { commands.look(std::move(reading.view)); });
 }
 
 void Trainer::take_insert(const bus::Message& message) {

@@ -87,7 +87,7 @@ void Trainer::refresh_options() {
   if (!options_.refresh()) return;
   optimizer_->set_options(*options_);
   pair_views();
-  with_depth_ = optimizer_->options().depth_weight > 0;
+  with_depth_ = wants_depth(optimizer_->options());
 }
 
 void Trainer::pair_views() {
@@ -140,6 +140,7 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("gaussians", static_cast<double>(store_->count()));
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
+  service_.counter("carved", static_cast<double>(optimizer_->carved()));
   service_.counter("unpaired_views", static_cast<double>(views_.unpaired()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));
@@ -155,7 +156,8 @@ void Trainer::publish_stats(bool stopped) {
   publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
     return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
                                     progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
-                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load(), views_.unpaired());
+                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load(),
+                                    views_.unpaired());
   });
 }
 

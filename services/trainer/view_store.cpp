@@ -5,14 +5,6 @@
 
 namespace splatbus::trainer {
 
-namespace {
-
-ViewKey key_of(const TrainingView& view) {
-  return {.role = view.camera.role, .id = view.camera.id};
-}
-
-}  // namespace
-
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
 bool ViewStore::is_paired(const TrainingView& view) const {
@@ -110,7 +102,8 @@ std::vector<ViewKey> ViewStore::keys(CameraRole role) const {
 
 bool ViewStore::any_to_train(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
-  return std::any_of(views_.begin(), views_.end(), [&](const auto& view) { return view.first.role == role && view.second.view; });
+  return std::any_of(views_.begin(), views_.end(),
+                     [&](const auto& view) { return view.first.role == role && view.second.view; });
 }
 
 std::size_t ViewStore::count(CameraRole role) const {

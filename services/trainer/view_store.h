@@ -61,6 +61,10 @@ struct ViewKey {
   auto operator<=>(const ViewKey&) const = default;
 };
 
+[[nodiscard]] inline ViewKey key_of(const TrainingView& view) {
+  return {.role = view.camera.role, .id = view.camera.id};
+}
+
 /// The newest view of each camera that can be trained on: one whose scene version has its visibility. A newer one waits
 /// beside it for its own. Bounded in number and bytes: the camera that was updated longest ago makes room. Thread-safe.
 class ViewStore {

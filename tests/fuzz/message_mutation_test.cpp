@@ -12,8 +12,9 @@
 #include <random>
 #include <string>
 #include <vector>
-#include <zmq.hpp>
 
+#include "../unit/bus/bus_fixture.h"
+#include "../unit/bus/fake_broker.h"
 #include "bus/error.h"
 #include "bus/frames.h"
 #include "bus/inliner.h"
@@ -75,13 +76,8 @@ std::string mutate(std::string bytes, std::mt19937_64& random) {
 class Mutation : public testing::Test {
  protected:
   Mutation()
-      : address_(bus::Address::parse("ipc://" + make_directory())),
-        socket_(context_, zmq::socket_type::xpub),
-        subscriber_(bus::Context::create(address_, "reader"), {"fuzz"}) {
-    socket_.bind(address_.subscribe_endpoint());
-    socket_.set(zmq::sockopt::rcvtimeo, 10000);
-    zmq::message_t subscription;
-    EXPECT_TRUE(socket_.recv(subscription).has_value());
+      : broker_(directory_.address()), subscriber_(bus::Context::create(directory_.address(), "reader"), {"fuzz"}) {
+    broker_.await_subscription();
     bus::SlabDescriptor descriptor;
     descriptor.id = slab_id;
     descriptor.name = "maker/frames";
@@ -89,21 +85,10 @@ class Mutation : public testing::Test {
     descriptor.slot_bytes = 5000;
     slab_ = bus::create_slab_memory(descriptor, false);
   }
-  ~Mutation() override { std::filesystem::remove_all(*address_.directory); }
-
-  static std::string make_directory() {
-    std::string name = (std::filesystem::temp_directory_path() / "splatbus-fuzz-XXXXXX").string();
-    if (::mkdtemp(name.data()) == nullptr) throw std::runtime_error("mkdtemp");
-    return name;
-  }
-
   // What comes of a body, if anything: a message with another schema, sent after it, marks its end.
   std::optional<bus::Message> pass(const std::string& body, const std::string& payload) {
-    socket_.send(zmq::buffer(std::string("fuzz")), zmq::send_flags::sndmore);
-    socket_.send(zmq::buffer(body), zmq::send_flags::sndmore);
-    socket_.send(zmq::buffer(payload), zmq::send_flags::none);
-    socket_.send(zmq::buffer(std::string("fuzz")), zmq::send_flags::sndmore);
-    socket_.send(zmq::buffer(end_), zmq::send_flags::none);
+    broker_.send({"fuzz", body, payload});
+    broker_.send({"fuzz", end_});
     std::optional<bus::Message> result;
     while (auto message = subscriber_.receive(std::chrono::seconds(10))) {
       if (message->header().schema()->string_view() == end_schema) return result;
@@ -193,9 +178,8 @@ class Mutation : public testing::Test {
   }
 
   const std::string end_ = make_end();
-  bus::Address address_;
-  zmq::context_t context_;
-  zmq::socket_t socket_;
+  bus_test::TemporaryDirectory directory_;
+  bus_test::FakeBroker broker_;
   bus::Subscriber subscriber_;
   std::shared_ptr<bus::Slab> slab_;
   mutable std::size_t refused_ = 0;

@@ -21,7 +21,8 @@ constexpr int vector_length = 2;
 // Of those that are no longer at their first.
 int version_of(const std::string& root) {
   static const std::map<std::string, int> changed{
-      {"CaptureInput", 2}, {"CaptureProbe", 2}, {"CaptureReference", 2}, {"EngineFrame", 2}, {"SceneLightDepth", 2}};
+      {"CaptureInput", 3},    {"CaptureProbe", 3}, {"CaptureReference", 3}, {"EngineFrame", 3},
+      {"SceneLightDepth", 3}, {"TrainerStats", 2}, {"RelightVisibility", 2}};
   const auto found = changed.find(root);
   return found == changed.end() ? 1 : found->second;
 }

@@ -134,8 +134,7 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
   const std::map<std::string, std::function<bool(const std::string&)>> readers = {
       {"EngineCameras", verify<wire::EngineCameras>},
       {"EngineFrame", verify<wire::EngineFrame>},
-      {"SceneObjects", verify<wire::SceneObjects>},
-      {"SceneLight", verify<wire::SceneLight>},
+      {"SceneUpdate", verify<wire::SceneUpdate>},
       {"SceneLightDepth", verify<wire::SceneLightDepth>},
       {"CaptureInput", verify<wire::CaptureInput>},
       {"CaptureReference", verify<wire::CaptureReference>},

@@ -78,7 +78,7 @@ std::map<std::string, Bytes> collect_messages(Pipeline& pipeline) {
     while (const auto message = subscriber.receive(std::chrono::milliseconds(0))) {
       messages.emplace(message->topic(), Bytes(message->bytes(), message->bytes() + message->size()));
     }
-    for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/objects", "scene/light",
+    for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state",
                               "scene/light_depth", "model/published", "trainer/stats", "grid/state",
                               "relight/visibility", "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
       if (!messages.contains(topic)) return false;
@@ -176,15 +176,14 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
   const bus::Publisher publisher(stranger);
   for (const auto& [topic, schema] :
        std::vector<std::pair<std::string, std::string>>{{"engine/cameras", "EngineCameras/1"},
-                                                        {"engine/frame", "EngineFrame/2"},
-                                                        {"capture/input", "CaptureInput/2"},
-                                                        {"capture/reference", "CaptureReference/2"},
-                                                        {"capture/probe", "CaptureProbe/2"},
-                                                        {"scene/objects", "SceneObjects/1"},
-                                                        {"scene/light", "SceneLight/1"},
-                                                        {"scene/light_depth", "SceneLightDepth/2"},
-                                                        {"model/insert", "ModelInsert/1"},
-                                                        {"model/published", "ModelPublished/2"},
+                                                        {"engine/frame", "EngineFrame/3"},
+                                                        {"capture/input", "CaptureInput/3"},
+                                                        {"capture/reference", "CaptureReference/3"},
+                                                        {"capture/probe", "CaptureProbe/3"},
+                                                        {"scene/state", "SceneUpdate/1"},
+                                                        {"scene/light_depth", "SceneLightDepth/3"},
+                                                        {"model/insert", "ModelInsert/2"},
+                                                        {"model/published", "ModelPublished/3"},
                                                         {"grid/state", "GridState/1"},
                                                         {"relight/visibility", "RelightVisibility/1"},
                                                         {"viewer/pose", "ViewerPose/1"},
@@ -219,8 +218,8 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
                    tensor("rotation", {4, kCount}, ElementType::F32),
                    tensor("opacity_logit", {1, kCount}, ElementType::F32),
                    tensor("albedo", {3, kCount}, ElementType::F32), tensor("normal", {3, kCount}, ElementType::F32),
-                   tensor("visibility", {1, kCount}, ElementType::F32), tensor("object_id", {kCount}, ElementType::U32),
-                   tensor("cell", {kCount}, ElementType::U64)}},
+                   tensor("visibility", {1, kCount}, ElementType::F32),
+                   tensor("object_id", {kCount}, ElementType::U32)}},
       [](auto& builder, auto header) {
         const auto light = to_wire(builder, Light{});
         return wire::CreateModelInsert(builder, header, 1, 0, light);
@@ -244,9 +243,9 @@ TEST_F(Garbage, WrongSchemasAndValuesDisturbNobody) {
 
   expect_unharmed();
   for (const auto& [topic, schema] :
-       std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/2"},
-                                                        {"model/insert", "ModelInsert/1"},
-                                                        {"model/published", "ModelPublished/2"},
+       std::vector<std::pair<std::string, std::string>>{{"capture/input", "CaptureInput/3"},
+                                                        {"model/insert", "ModelInsert/2"},
+                                                        {"model/published", "ModelPublished/3"},
                                                         {"viewer/pose", "ViewerPose/1"}}) {
     EXPECT_TRUE(pipeline_.wait_until([&, &name = topic, &type = schema] { return log_names(name, type); }))
         << topic << ", " << schema << "\n"

@@ -49,12 +49,12 @@ TEST_F(RunningPipeline, TopicListKnowsEveryTopic) {
   EXPECT_TRUE(answer.status.success());
   std::map<std::string, Json> topics;
   for (const Json& line : answer.json()) topics[line.at("topic")] = line;
-  for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/objects", "scene/light",
+  for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state",
                             "scene/light_depth", "model/published", "trainer/stats", "grid/state", "relight/visibility",
                             "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
     EXPECT_TRUE(topics.contains(topic)) << topic;
   }
-  EXPECT_EQ(topics["engine/frame"]["schemas"], Json::array({"EngineFrame/2"}));
+  EXPECT_EQ(topics["engine/frame"]["schemas"], Json::array({"EngineFrame/3"}));
   EXPECT_EQ(topics["engine/frame"]["sources"], Json::array({"engine"}));
   EXPECT_GT(topics["engine/frame"]["rate_hz"], 0.5);
   EXPECT_TRUE(topics["model/published"]["latched"]);
@@ -62,7 +62,7 @@ TEST_F(RunningPipeline, TopicListKnowsEveryTopic) {
 
 TEST_F(RunningPipeline, TopicEchoDecodesEveryTopic) {
   for (const char* topic :
-       {"engine/cameras", "engine/frame", "capture/reference", "scene/objects", "scene/light_depth", "model/published",
+       {"engine/cameras", "engine/frame", "capture/reference", "scene/state", "scene/light_depth", "model/published",
         "trainer/stats", "grid/state", "stream/stats", "sys/heartbeat", "viewer/pose"}) {
     const Answer answer =
         splatbus_command({"topic", "echo", topic, "-n", "1", "--seconds", "30", "--json", "--bus", bus_});

@@ -7,6 +7,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <exception>
+#include <string>
 #include <tuple>
 #include <utility>
 
@@ -110,6 +112,24 @@ SceneState scene_of(const OptionalTensor& ambient_sh, at::ArrayRef<double> sun_d
   return scene;
 }
 
+/// Calls an operation. What it throws leaves the library as a c10::Error that was made here: PyTorch then says
+/// RuntimeError, and the message is ours alone, without the frames that an error carries from where it was thrown.
+/// Being out of memory keeps its type, which programs catch.
+template <class Operation>
+auto run(const Operation& operation) -> decltype(operation()) {
+  std::string message;
+  try {
+    return operation();
+  } catch (const c10::OutOfMemoryError&) {
+    throw;
+  } catch (const c10::Error& error) {
+    message = error.what_without_backtrace();
+  } catch (const std::exception& error) {
+    message = error.what();
+  }
+  throw c10::Error(std::move(message), {}, nullptr);
+}
+
 std::tuple<Tensor, Tensor, OptionalTensor, OptionalTensor> rasterize_operation(
     const Tensor& parameters, const Tensor& camera_from_world, const Tensor& intrinsics, std::int64_t width,
     std::int64_t height, const OptionalTensor& normal, const OptionalTensor& visibility,
@@ -125,10 +145,14 @@ std::tuple<Tensor, Tensor, OptionalTensor, OptionalTensor> rasterize_operation(
   options.blur_px2 = static_cast<float>(blur_px2);
   options.albedo = albedo;
   options.depth = depth;
-  const RasterizedViews views =
-      rasterize(parameters, planes, cameras_of(camera_from_world, intrinsics, width, height),
-                {scene_of(ambient_sh, sun_direction, sun_irradiance, background, objects, world_from_object)}, options,
-                {or_undefined(mean2d_norm), or_undefined(contribution), or_undefined(visible)});
+  const GaussianStatistics statistics{or_undefined(mean2d_norm), or_undefined(contribution), or_undefined(visible)};
+  const RasterizedViews views = run([&] {
+    // One by one, not in the list of arguments: each may throw, and then nothing is half made.
+    const std::vector<Camera> cameras = cameras_of(camera_from_world, intrinsics, width, height);
+    const std::vector<SceneState> scenes(
+        1, scene_of(ambient_sh, sun_direction, sun_irradiance, background, objects, world_from_object));
+    return rasterize(parameters, planes, cameras, scenes, options, statistics);
+  });
   const auto optional = [](const Tensor& picture) {
     return picture.defined() ? OptionalTensor(picture) : OptionalTensor();
   };
@@ -139,13 +163,11 @@ Tensor image_loss_operation(const Tensor& rendered, const Tensor& targets, doubl
   LossOptions options;
   options.ssim_weight = static_cast<float>(ssim_weight);
   options.encode_srgb = encode_srgb;
-  return image_loss(rendered, targets, options);
+  return run([&] { return image_loss(rendered, targets, options); });
 }
 
 struct SparseAdamObject final : torch::CustomClassHolder, SparseAdam {
-  SparseAdamObject(Tensor parameters, const std::vector<double>& rates, double beta1, double beta2, double epsilon,
-                   double lr_half_life, double lr_min_factor)
-      : SparseAdam(std::move(parameters), rates, {beta1, beta2, epsilon, lr_half_life, lr_min_factor}) {}
+  using SparseAdam::SparseAdam;
 };
 
 TORCH_LIBRARY(splatbus, library) {
@@ -161,13 +183,20 @@ TORCH_LIBRARY(splatbus, library) {
   library.def("image_loss(Tensor rendered, Tensor targets, float ssim_weight=0.2, bool encode_srgb=True) -> Tensor",
               image_loss_operation);
   library.class_<SparseAdamObject>("SparseAdam")
-      .def(torch::init<Tensor, const std::vector<double>&, double, double, double, double, double>(), "",
+      .def(torch::init([](Tensor parameters, const std::vector<double>& rates, double beta1, double beta2,
+                          double epsilon, double lr_half_life, double lr_min_factor) {
+             return run([&] {
+               return c10::make_intrusive<SparseAdamObject>(
+                   std::move(parameters), rates, SparseAdamOptions{beta1, beta2, epsilon, lr_half_life, lr_min_factor});
+             });
+           }),
+           "",
            {torch::arg("parameters"), torch::arg("rates"), torch::arg("beta1") = 0.9, torch::arg("beta2") = 0.999,
             torch::arg("epsilon") = 1e-15, torch::arg("lr_half_life") = 0.0, torch::arg("lr_min_factor") = 0.0})
-      .def("step", [](const c10::intrusive_ptr<SparseAdamObject>& adam) { adam->step(); })
-      .def("zero_grad", [](const c10::intrusive_ptr<SparseAdamObject>& adam) { adam->zero_grad(); })
+      .def("step", [](const c10::intrusive_ptr<SparseAdamObject>& adam) { run([&] { adam->step(); }); })
+      .def("zero_grad", [](const c10::intrusive_ptr<SparseAdamObject>& adam) { run([&] { adam->zero_grad(); }); })
       .def("set_rates", [](const c10::intrusive_ptr<SparseAdamObject>& adam, const std::vector<double>& rates) {
-        adam->set_rates(rates);
+        run([&] { adam->set_rates(rates); });
       });
 }
 

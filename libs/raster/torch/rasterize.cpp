@@ -120,11 +120,12 @@ RasterizedViews rasterize(const Tensor& parameters, const GaussianPlanes& planes
   TORCH_CHECK(parameters.defined() && parameters.dim() == 2, "rasterize: parameters is not [channels, count]");
   const std::int64_t count = parameters.size(1);
   TORCH_CHECK(count <= kMaxGaussians, "rasterize: ", count, " Gaussians; at most ", kMaxGaussians, " are drawn");
-  RasterCall call{layout_of(parameters.size(0)), planes, cameras, scenes, options, statistics};
+  const ParameterLayout layout = layout_of(parameters.size(0));
   check_tensor(parameters, "rasterize", "parameters", at::kFloat, parameters.sizes(), parameters.device());
   check_planes(parameters, planes);
   check_statistics(parameters, statistics);
   check_cameras(cameras, scenes);
+  RasterCall call{layout, planes, cameras, scenes, options, statistics};
 
   const bool albedo = has_albedo(call), depth = options.depth;
   const c10::intrusive_ptr<RasterPass> pass = make_pass(std::move(call), parameters.device());

@@ -11,6 +11,12 @@
 
 namespace splatbus::bus_test {
 
+inline void send_frames(zmq::socket_t& socket, const std::vector<std::string>& frames) {
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    socket.send(zmq::buffer(frames[i]), i + 1 < frames.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
+  }
+}
+
 /// The XPUB side of a broker that sends whatever a test wants, to see what a Subscriber makes of it.
 class FakeBroker {
  public:
@@ -24,11 +30,26 @@ class FakeBroker {
     ASSERT_TRUE(socket_.recv(event).has_value());
   }
 
-  void send(const std::vector<std::string>& frames) {
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-      socket_.send(zmq::buffer(frames[i]), i + 1 < frames.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);
-    }
+  void send(const std::vector<std::string>& frames) { send_frames(socket_, frames); }
+
+ private:
+  zmq::context_t context_;
+  zmq::socket_t socket_;
+};
+
+/// A publisher at a broker that sends whatever a test wants: zmq frames, as they are.
+class RawPublisher {
+ public:
+  /// Has been subscribed to when it returns.
+  explicit RawPublisher(const std::string& endpoint) : socket_(context_, zmq::socket_type::xpub) {
+    socket_.set(zmq::sockopt::rcvtimeo, 10000);
+    socket_.set(zmq::sockopt::linger, 1000);
+    socket_.connect(endpoint);
+    zmq::message_t subscription;
+    EXPECT_TRUE(socket_.recv(subscription).has_value());
   }
+
+  void send(const std::vector<std::string>& frames) { send_frames(socket_, frames); }
 
  private:
   zmq::context_t context_;

@@ -159,21 +159,11 @@ TEST_F(HostileToBroker, GarbageGoesNoFurtherAndNothingElseIsDisturbed) {
   NumberPublisher publisher(connect("maker"), "viewer/probe");
   bus::Subscriber subscriber(connect("reader"), {"viewer/probe"});
   meet(publisher, subscriber);
-  zmq::context_t context;
-  zmq::socket_t raw(context, zmq::socket_type::xpub);
-  raw.set(zmq::sockopt::linger, 1000);
-  raw.connect(directory_.address().publish_endpoint());
-  zmq::message_t subscription;
-  ASSERT_TRUE(raw.recv(subscription).has_value());
-  const std::string topic = "viewer/probe";
-  for (int i = 0; i < 100; ++i) {
-    raw.send(zmq::buffer(topic), zmq::send_flags::sndmore);
-    raw.send(zmq::buffer(std::string(i, '\xff')), zmq::send_flags::none);
-  }
-  raw.send(zmq::buffer(topic), zmq::send_flags::none);
+  RawPublisher raw(directory_.address().publish_endpoint());
+  for (int i = 0; i < 100; ++i) raw.send({"viewer/probe", std::string(i, '\xff')});
+  raw.send({"viewer/probe"});
   // A heartbeat that is none.
-  raw.send(zmq::buffer(std::string("sys/heartbeat")), zmq::send_flags::sndmore);
-  raw.send(zmq::buffer(probe_body(1, 1)), zmq::send_flags::none);
+  raw.send({"sys/heartbeat", probe_body(1, 1)});
   EXPECT_TRUE(eventually([&] { return broker_->statistics().malformed == 102; })) << broker_->statistics().malformed;
   publish_number(publisher, 5);
   EXPECT_EQ(receive_number(subscriber), 5u);

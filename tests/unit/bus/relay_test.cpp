@@ -7,6 +7,7 @@
 #include "bus/clock.h"
 #include "bus/latch_store.h"
 #include "bus_fixture.h"
+#include "fake_broker.h"
 #include "slab_helpers.h"
 
 namespace splatbus::bus_test {
@@ -23,11 +24,8 @@ struct Claim {
 
 class Relay : public BusTest {
  protected:
-  Relay() : raw_(zmq_, zmq::socket_type::xpub), witness_(connect("witness"), {"grid/state", "viewer/probe"}) {
-    raw_.set(zmq::sockopt::rcvtimeo, 10000);
-    raw_.connect(directory_.address().publish_endpoint());
-    zmq::message_t subscription;
-    EXPECT_TRUE(raw_.recv(subscription).has_value());
+  Relay()
+      : witness_(connect("witness"), {"grid/state", "viewer/probe"}), raw_(directory_.address().publish_endpoint()) {
     EXPECT_TRUE(witness_.wait_connected(patience));
   }
 
@@ -38,8 +36,7 @@ class Relay : public BusTest {
                                                  claim.epoch, 0, claim.publish_ns, 0, latch, "key");
     const wire::Camera camera;
     builder.Finish(wire::CreateViewerProbe(builder, header, number, &camera));
-    raw_.send(zmq::buffer(topic), zmq::send_flags::sndmore);
-    raw_.send(zmq::buffer(builder.GetBufferPointer(), builder.GetSize()), zmq::send_flags::none);
+    raw_.send({topic, {reinterpret_cast<const char*>(builder.GetBufferPointer()), builder.GetSize()}});
   }
 
   /// Sends latched messages numbered from 1, and says which came through, and which the broker holds at the end.
@@ -58,9 +55,8 @@ class Relay : public BusTest {
     EXPECT_TRUE(message->header().resent());
   }
 
-  zmq::context_t zmq_;
-  zmq::socket_t raw_;
   bus::Subscriber witness_;
+  RawPublisher raw_;
 };
 
 TEST_F(Relay, TheLaterStampOfTwoSourcesIsHeld) {

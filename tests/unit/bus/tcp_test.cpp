@@ -108,14 +108,9 @@ TEST_F(Tcp, ASpanOutsideItsSlabIsMalformedForTcpReaders) {
 TEST_F(Tcp, ASlabTensorFromElsewhereGoesNoFurther) {
   const auto context = connect("maker");
   const auto slab = context->create_slab("frames", 1, 1000);
-  zmq::context_t zmq;
-  zmq::socket_t raw(zmq, zmq::socket_type::xpub);
-  raw.connect(broker_->tcp_address()->publish_endpoint());
-  zmq::message_t subscription;
-  ASSERT_TRUE(raw.recv(subscription).has_value());
+  RawPublisher raw(broker_->tcp_address()->publish_endpoint());
   const RawTensor stolen{"values", write_floats(*slab, {1}).span, {1}, wire::ElementType::F32};
-  raw.send(zmq::buffer(std::string("viewer/probe")), zmq::send_flags::sndmore);
-  raw.send(zmq::buffer(probe_body(1, 1, {stolen})), zmq::send_flags::none);
+  raw.send({"viewer/probe", probe_body(1, 1, {stolen})});
   EXPECT_TRUE(eventually([&] { return broker_->statistics().malformed == 1; }));
 }
 

@@ -1,6 +1,8 @@
 #include "sim/engine_loop.h"
 
 #include <atomic>
+#include <cmath>
+#include <functional>
 #include <map>
 #include <optional>
 #include <thread>
@@ -16,18 +18,17 @@ using wire::EngineBuffer;
 /// The engine with a small scene, on a thread of its own.
 class EngineLoopTest : public SdkTest {
  protected:
-  void start(double sun_rate_deg_s, bool moving, double fps = 50) {
-    thread_ = std::jthread([this, sun_rate_deg_s, moving, fps] {
+  using Motion = std::function<std::optional<sim::Pose>(double)>;
+
+  /// `motion` is that of the scene's object 2, within 2 m along x.
+  void start(double sun_rate_deg_s, const Motion& motion = {}, double fps = 50) {
+    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps] {
       sim::Scene scene;
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
-      if (moving) {
-        scene.objects.back().motion_origins.add(glm::vec3(0));
-        scene.objects.back().motion_origins.add(glm::vec3(2, 0, 0));
-        scene.objects.back().motion = [](double time_s) {
-          return sim::Pose{.translation = {static_cast<float>(0.1 * time_s), 0.5F, 0}};
-        };
-      }
+      scene.objects.back().motion_origins.add(glm::vec3(0));
+      scene.objects.back().motion_origins.add(glm::vec3(2, 0, 0));
+      scene.objects.back().motion = motion;
       scene.lighting.sun_rate_deg_s = sun_rate_deg_s;
       sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
       const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
@@ -61,7 +62,7 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {request(1, EngineBuffer::Color | EngineBuffer::ObjectId, 0, 11), light_request()});
-  start(0, false);
+  start(0);
 
   std::map<std::uint64_t, bus::Message> answers;
   while (answers.size() < 2) {
@@ -97,7 +98,7 @@ TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {request(1, EngineBuffer::Depth, 25), light_request()});
-  start(90, true);
+  start(90, [](double time_s) { return sim::Pose{.translation = {static_cast<float>(0.1 * time_s), 0.5F, 0}}; });
   int pictures = 0;
   int lights = 0;
   std::optional<std::uint64_t> last_generation;
@@ -120,13 +121,34 @@ TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
   }
 }
 
+TEST_F(EngineLoopTest, LightDepthFollowsWhatComesAndGoes) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {light_request()});
+  // There in every other tenth of a second, at one place.
+  const auto exists = [](double time_s) { return std::fmod(time_s + 1e-6, 0.2) < 0.1; };
+  start(0, [exists](double time_s) { return exists(time_s) ? std::optional(sim::Pose{}) : std::nullopt; });
+  std::optional<bool> before;
+  for (int i = 0; i < 6; ++i) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& scene = *message->root<wire::EngineFrame>().scene();
+    const bool listed = scene.objects() != nullptr && scene.objects()->size() == 1;
+    EXPECT_EQ(listed, exists(scene.time_s())) << scene.time_s();
+    EXPECT_NE(before, listed) << "rendered again for no change";
+    before = listed;
+  }
+}
+
 TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {
   const auto context = connect("tester");
   const bus::Publisher cameras(context);
   bus::Subscriber frames(context, {"engine/frame"});
   bus_test::meet(cameras, frames);
   publish_requests(cameras, {request(1, EngineBuffer::Color, 0, 1)});
-  start(0, false, 0.1);  // ten seconds a frame
+  start(0, {}, 0.1);  // ten seconds a frame
   const auto first = frames.receive(patience);
   ASSERT_TRUE(first.has_value());
   std::vector<Request> requests;
@@ -147,7 +169,7 @@ TEST_F(EngineLoopTest, ACameraThatCannotBeRenderedDisturbsNoOther) {
   Request huge = request(1, EngineBuffer::Color, 0, 5);
   huge.camera.width = huge.camera.height = 8000;
   publish_requests(cameras, {huge, request(2, EngineBuffer::Color, 0, 6)});
-  start(0, false);
+  start(0);
   const auto message = frames.receive(patience);
   ASSERT_TRUE(message.has_value());
   EXPECT_EQ(message->root<wire::EngineFrame>().request_id(), 6U);

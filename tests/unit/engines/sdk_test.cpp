@@ -89,49 +89,6 @@ TEST_F(SdkTest, LightRequestsNeedOnlyASize) {
   EXPECT_EQ(wait_for_change(engine.get()).size(), 1U);
 }
 
-TEST_F(SdkTest, WhatAnEngineGetsWrongIsToldInWords) {
-  const Engine engine = open();
-  const auto words = [&](const std::function<void(OwnedFrame&)>& spoil) {
-    OwnedFrame owned(small_camera());
-    spoil(owned);
-    EXPECT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_ERROR_ARGUMENT);
-    return std::string(splatbus_engine_last_error(engine.get()));
-  };
-  EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.translation[1] = kNan; }),
-              HasSubstr("translation is not finite"));
-  EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.rotation_wxyz[0] = 2; }),
-              HasSubstr("no unit quaternion"));
-  EXPECT_THAT(words([](auto& f) { f.frame.camera.width = 0; }), HasSubstr("0 x 6 pixels"));
-  EXPECT_THAT(words([](auto& f) { f.frame.camera.role = 9; }), HasSubstr("no such role"));
-  EXPECT_THAT(words([](auto& f) { f.frame.camera.far_m = 0; }), HasSubstr("near_m < far_m"));
-  EXPECT_THAT(words([](auto& f) { f.images[0].bytes -= 4; }),
-              HasSubstr("color: 188 bytes, where 8 x 6 pixels take 192"));
-  EXPECT_THAT(words([](auto& f) { f.images[0].data = nullptr; }), HasSubstr("color: data is NULL"));
-  EXPECT_THAT(words([](auto& f) { f.images[0].memory = 2; }),
-              HasSubstr("color: its memory is 2, which does not exist"));
-  EXPECT_THAT(words([](auto& f) { f.images[0].memory = SPLATBUS_MEMORY_CUDA; }), HasSubstr("CUDA"));
-  EXPECT_THAT(words([](auto& f) { f.images[0].buffer = 3; }), HasSubstr("0x3 is not one known buffer"));
-  EXPECT_THAT(words([](auto& f) {
-                f.images.push_back(f.images[0]);
-                f.refresh();
-              }),
-              HasSubstr("color: it is there twice"));
-  EXPECT_THAT(words([](auto& f) { f.frame.image_count = 0; }), HasSubstr("no image"));
-  EXPECT_THAT(words([](auto& f) { f.images[0].buffer = SPLATBUS_BUFFER_LIGHT_DEPTH; }),
-              HasSubstr("only a camera of role light"));
-  EXPECT_THAT(words([](auto& f) { f.frame.light.ambient_sh[20] = kNan; }), HasSubstr("ambient_sh"));
-  EXPECT_THAT(words([](auto& f) { f.frame.light.sun_direction[1] = 0; }), HasSubstr("sun_direction is not unit"));
-  EXPECT_THAT(words([](auto& f) { f.frame.time_s = kNan; }), HasSubstr("time_s"));
-  const auto with_objects = [&](std::uint32_t first, std::uint32_t second) {
-    return words([&](auto& f) {
-      f.objects = {{first, {{1, 0, 0, 0}, {0, 0, 0}}}, {second, {{1, 0, 0, 0}, {0, 0, 0}}}};
-      f.refresh();
-    });
-  };
-  EXPECT_THAT(with_objects(4, 4), HasSubstr("object 4: it is there twice"));
-  EXPECT_THAT(with_objects(4, 0), HasSubstr("object 0"));
-}
-
 TEST_F(SdkTest, NullPointersAreArgumentErrors) {
   const auto refused = [](const char* address, const char* source, std::uint32_t abi, std::uint32_t memory,
                           splatbus_engine** out) {

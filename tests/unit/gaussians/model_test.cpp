@@ -32,8 +32,8 @@ TEST(GaussiansBuffer, ResizeKeepsValuesAndClearsNewOnes) {
       EXPECT_EQ(last, 0) << "channel " << c << ", Gaussian " << count - 1;
       last = static_cast<float>(1000 * c + count);
     }
-    EXPECT_EQ(buffer.cell[count - 1], 0U);
-    buffer.cell[count - 1] = count;
+    EXPECT_EQ(buffer.gaussian_id[count - 1], 0U);
+    buffer.gaussian_id[count - 1] = count;
   }
   buffer.resize(10);
   buffer.resize(40);
@@ -41,7 +41,7 @@ TEST(GaussiansBuffer, ResizeKeepsValuesAndClearsNewOnes) {
     for (std::size_t c = 0; c < channels; ++c) {
       EXPECT_EQ(buffer.parameters[c * buffer.stride() + i], i < 10 ? static_cast<float>(1000 * c + i + 1) : 0.0F);
     }
-    EXPECT_EQ(buffer.cell[i], i < 10 ? i + 1 : 0U);
+    EXPECT_EQ(buffer.gaussian_id[i], i < 10 ? i + 1 : 0U);
   }
   EXPECT_GE(buffer.stride(), buffer.count());
   EXPECT_EQ(buffer.normal.size(), 3 * buffer.stride());
@@ -64,7 +64,6 @@ TEST(GaussiansBuffer, CopiesAViewWithAWiderStride) {
     EXPECT_EQ(copy.object_id[i], wide.object_id[i]);
     EXPECT_EQ(copy.flags[i], wide.flags[i]);
     EXPECT_EQ(copy.gaussian_id[i], wide.gaussian_id[i]);
-    EXPECT_EQ(copy.cell[i], wide.cell[i]);
   }
 }
 

@@ -49,7 +49,6 @@ class Random {
       out.object_id[i] = engine_() % 4;
       out.flags[i] = engine_() % 2;
       out.gaussian_id[i] = 1000 + i;
-      out.cell[i] = engine_();
     }
     return out;
   }

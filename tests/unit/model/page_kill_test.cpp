@@ -2,23 +2,15 @@
 #include <signal.h>
 
 #include "../bus/child_process.h"
+#include "device_test.h"
 #include "kill_script.h"
 
 namespace splatbus::model {
 
 namespace {
 
-class PageKillTest : public bus_test::BusTest, public testing::WithParamInterface<Device> {
+class PageKillTest : public DeviceTest {
  protected:
-  void SetUp() override {
-    if (GetParam() == Device::Cpu) return;
-    try {
-      static_cast<void>(device::Stream(Device::Cuda));
-    } catch (const std::runtime_error& error) {
-      GTEST_SKIP() << error.what();
-    }
-  }
-
   [[nodiscard]] std::string output() const { return directory_.path() + "/output"; }
 
   int run_and_kill(int change, ChangePoint point) {
@@ -65,12 +57,8 @@ class PageKillTest : public bus_test::BusTest, public testing::WithParamInterfac
 
   static void expect_holds(const PageStore& store, const Truth& truth) {
     const Found found(store);
-    ASSERT_EQ(found.by_id.size(), truth.gaussians.size()) << store.origin();
-    for (const auto& [id, gaussian] : truth.gaussians) {
-      const auto place = found.by_id.find(id);
-      ASSERT_NE(place, found.by_id.end()) << "Gaussian " << id << " is lost";
-      ASSERT_EQ(place->second.gaussian, gaussian) << "Gaussian " << id;
-    }
+    SCOPED_TRACE(store.origin());
+    expect_whole(found, truth);
     ASSERT_EQ(store.count(), truth.gaussians.size());
     ASSERT_EQ(store.next_gaussian_id(), truth.next_id);
   }
@@ -116,8 +104,7 @@ TEST_P(PageKillTest, TheNextOneMayHaveTheOtherKindOfMemory) {
   kill_and_adopt(4, ChangePoint::Numbered, Device::Cpu);
 }
 
-INSTANTIATE_TEST_SUITE_P(Devices, PageKillTest, testing::Values(Device::Cpu, Device::Cuda),
-                         [](const auto& device) { return std::string(name_of(device.param)); });
+INSTANTIATE_TEST_SUITE_P(Devices, PageKillTest, testing::Values(Device::Cpu, Device::Cuda), device_name);
 
 }  // namespace
 

@@ -62,9 +62,8 @@ class PagedPublisher {
           .name = name, .shape = std::move(shape), .type = type, .span = slab.span(0, 0, bytes, slab.sequence(0))};
     };
     const bus::MessageInfo info{
-        .tensors = {
-            announce("page_table", *table_slab, {table_bytes}, bus::ElementType::U8),
-            announce("pages-0", *pages_slab, {kArenaPages, page_words(layout)}, bus::ElementType::U32)}};
+        .tensors = {announce("page_table", *table_slab, {table_bytes}, bus::ElementType::U8),
+                    announce("pages-0", *pages_slab, {kArenaPages, page_words(layout)}, bus::ElementType::U32)}};
     publisher.publish(topics::kModelPublished, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
       const auto list = builder.CreateVector(batches);
       return wire::CreateModelPublished(
@@ -114,7 +113,6 @@ class PagedPublisher {
     put(Channel::SurfacePoint, model.surface_point, 3);
     put(Channel::Visibility, model.visibility, 1);
     put(Channel::GaussianId, model.gaussian_id, 1);
-    put(Channel::Cell, model.cell, 1);
     const device::StreamView stream = device::thread_stream(device_);
     device::copy(stream, slab.slot_data(0) + page * page_bytes(layout), words.data(), words.size() * sizeof(words[0]));
     stream.wait();

@@ -19,7 +19,6 @@ struct Batch {
   std::size_t count = 0;
   std::vector<float> mean, log_scale, rotation, opacity_logit, albedo, normal, visibility;
   std::vector<std::uint32_t> object_id;
-  std::vector<std::uint64_t> cell;
 };
 
 /// Around one point, or all over, in one of `frames`.
@@ -47,16 +46,14 @@ inline Batch make_batch(std::mt19937& random, std::size_t count, bool clustered,
   fill(batch.visibility, 1);
   for (std::size_t k = 0; k < count; ++k) {
     batch.object_id.push_back(clustered ? frame : static_cast<std::uint32_t>(random() % frames));
-    batch.cell.push_back((std::uint64_t{random()} << 32U) | random());
   }
   return batch;
 }
 
-/// A Gaussian by itself: what is in the rows of floats, in their order, and in those of integers.
+/// A Gaussian by itself: what is in the rows of floats, in their order.
 struct Gaussian {
   std::uint32_t frame_id = 0;
   std::vector<float> values;
-  std::uint64_t cell = 0;
   bool operator==(const Gaussian&) const = default;
 };
 
@@ -75,7 +72,7 @@ class Truth {
       take(parameters, batch.opacity_logit, 1);
       take(parameters, batch.albedo, 3);
       parameters.resize(41, 0.0F);
-      Gaussian gaussian{.frame_id = batch.object_id[k], .values = parameters, .cell = batch.cell[k]};
+      Gaussian gaussian{.frame_id = batch.object_id[k], .values = parameters};
       gaussian.values.insert(gaussian.values.end(), parameters.begin(), parameters.end());
       take(gaussian.values, batch.normal, 3);
       take(gaussian.values, batch.mean, 3);
@@ -117,10 +114,9 @@ struct Found {
       const auto* const ids = reinterpret_cast<const std::uint64_t*>(page_words_read.data() + id_row * kRowWords);
       const auto* const values = reinterpret_cast<const float*>(page_words_read.data());
       for (std::uint32_t lane = 0; lane < entry.now.count; ++lane) {
-        Place place{page * kPageLanes + lane, {.frame_id = entry.now.frame_id, .values = {}, .cell = 0}};
+        Place place{page * kPageLanes + lane, {.frame_id = entry.now.frame_id, .values = {}}};
         for (std::uint32_t row = 0; row < id_row; ++row)
           place.gaussian.values.push_back(values[row * kRowWords + lane]);
-        place.gaussian.cell = ids[kRowWords + lane];
         if (!by_id.emplace(ids[lane], std::move(place)).second) {
           throw std::logic_error("Gaussian " + std::to_string(ids[lane]) + " is there twice");
         }
@@ -151,7 +147,7 @@ std::vector<T> to_host(Device device, const T* from, std::size_t count) {
 /// A batch's rows where a store wants them.
 class RowsOnDevice {
  public:
-  RowsOnDevice(Device device, const Batch& batch) : stream_(device), cell_(stream_), object_id_(stream_) {
+  RowsOnDevice(Device device, const Batch& batch) : stream_(device), object_id_(stream_) {
     rows.stride = batch.count;
     rows.mean = put(batch.mean);
     rows.log_scale = put(batch.log_scale);
@@ -160,11 +156,9 @@ class RowsOnDevice {
     rows.albedo = put(batch.albedo);
     rows.normal = put(batch.normal);
     rows.visibility = put(batch.visibility);
-    cell_.assign(std::span(batch.cell));
     object_id_.assign(std::span(batch.object_id));
     stream_.wait();
     rows.object_id = object_id_.data();
-    rows.cell = cell_.data();
   }
   InsertRows rows;
 
@@ -175,7 +169,6 @@ class RowsOnDevice {
   }
   device::Stream stream_;
   std::vector<device::Buffer<float>> floats_;
-  device::Buffer<std::uint64_t> cell_;
   device::Buffer<std::uint32_t> object_id_;
 };
 

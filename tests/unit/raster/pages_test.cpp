@@ -2,107 +2,23 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
-#include <numeric>
-#include <tuple>
 
+#include "../gaussians/paged_model.h"
 #include "raster/adam.h"
 #include "scenes.h"
 
 namespace splatbus::raster {
 namespace {
 
+using test::PagedModel;
 using testing::TestScene;
-
-/// The Gaussians of a scene in pages: those of one object together, cube by cube, some pages full and some not. What
-/// lies beyond a page's Gaussians is garbage.
-struct PagedScene {
-  ParameterLayout layout;
-  std::size_t page_floats = 0;
-  std::vector<float> memory;
-  std::vector<IndexRange> ranges;
-  std::vector<PageBounds> bounds;
-  std::vector<std::uint32_t> source;  ///< of each index in `ranges`, in order: the scene's Gaussian
-
-  /// Cubes of 2 m one after the other, so that pages are compact.
-  static int cell(TestScene& scene, std::uint32_t i) {
-    const auto along = [&](int axis) { return static_cast<int>(std::floor(scene.at(axis, i) / 2)) + 8; };
-    return (along(0) * 16 + along(1)) * 16 + along(2);
-  }
-
-  PagedScene(TestScene& scene, std::size_t fill) : layout(scene.layout) {
-    source.resize(scene.count);
-    std::iota(source.begin(), source.end(), 0U);
-    std::sort(source.begin(), source.end(), [&](std::uint32_t a, std::uint32_t b) {
-      return std::tuple(scene.object_id[a], cell(scene, a), a) < std::tuple(scene.object_id[b], cell(scene, b), b);
-    });
-    const auto channels = static_cast<std::size_t>(layout.channels());
-    page_floats = (channels + 4) * kPageLanes;  // parameters, normal, visibility
-    for (std::size_t k = 0; k < source.size();) {
-      const std::uint32_t frame_id = scene.object_id[source[k]];
-      const auto page = static_cast<std::uint32_t>(memory.size() / page_floats);
-      memory.resize(memory.size() + page_floats, std::numeric_limits<float>::quiet_NaN());
-      IndexRange range{page * kPageLanes, 0, frame_id};
-      float* const block = memory.data() + page * page_floats;
-      for (; k < source.size() && range.count < fill && scene.object_id[source[k]] == frame_id; ++k, ++range.count) {
-        const auto put = [&](std::size_t channel, float value) { block[channel * kPageLanes + range.count] = value; };
-        for (std::size_t c = 0; c < channels; ++c) put(c, scene.at(static_cast<int>(c), source[k]));
-        for (std::size_t c = 0; c < 3; ++c) put(channels + c, scene.normal[c * scene.stride + source[k]]);
-        put(channels + 3, scene.visibility[source[k]]);
-      }
-      ranges.push_back(range);
-    }
-    for (const IndexRange& range : ranges) bounds.push_back(bounds_of(view(), range));
-  }
-
-  [[nodiscard]] GaussiansView view() const {
-    const auto channels = static_cast<std::size_t>(layout.channels());
-    GaussiansView out;
-    out.layout = layout;
-    out.count = memory.size() / page_floats * kPageLanes;
-    out.stride = kPageLanes;
-    out.page_shift = kPageShift;
-    out.page_stride = page_floats;
-    out.ranges = ranges;
-    out.parameters = memory.data();
-    out.normal = memory.data() + channels * kPageLanes;
-    out.visibility = memory.data() + (channels + 3) * kPageLanes;
-    return out;
-  }
-  [[nodiscard]] GaussiansView bounded_view() const {
-    GaussiansView out = view();
-    out.bounds = bounds;
-    return out;
-  }
-  /// The same Gaussians without pages, in the order of their indices.
-  [[nodiscard]] TestScene in_order(const TestScene& scene) const {
-    TestScene out(layout, source.size());
-    out.state = scene.state;
-    TestScene from = scene;
-    for (std::size_t k = 0; k < source.size(); ++k) {
-      for (int c = 0; c < layout.channels(); ++c) out.at(c, k) = from.at(c, source[k]);
-      for (std::size_t c = 0; c < 3; ++c) out.normal[c * out.stride + k] = scene.normal[c * scene.stride + source[k]];
-      out.visibility[k] = scene.visibility[source[k]];
-      out.object_id[k] = scene.object_id[source[k]];
-    }
-    return out;
-  }
-  /// Calls visit(index, k) for each Gaussian, k as in `source`.
-  template <class Visit>
-  void for_each(const Visit& visit) const {
-    std::size_t k = 0;
-    for (const IndexRange& range : ranges) {
-      for (std::uint32_t i = range.first; i < range.first + range.count; ++i) visit(i, k++);
-    }
-  }
-};
 
 class PagesTest : public ::testing::TestWithParam<ParameterLayout> {};
 
 TEST_P(PagesTest, PictureGradientsAndStepAreThoseWithoutPages) {
   TestScene scene = testing::random_scene(GetParam(), 3000, {.scale_high = 0.15F}, 5);
-  PagedScene paged(scene, 700);
-  TestScene flat = paged.in_order(scene);
+  PagedModel paged(scene.view(), 700);
+  GaussiansBuffer& flat = paged.planar;
   ASSERT_GE(paged.ranges.size(), 6U);
   const Camera camera = testing::test_camera(70, 50);
   const auto rasterizer = make_cpu_rasterizer(2);
@@ -134,7 +50,7 @@ TEST_P(PagesTest, PictureGradientsAndStepAreThoseWithoutPages) {
   const std::vector<float> rates(static_cast<std::size_t>(channels), 0.01F);
   Adam adam, flat_adam;
   adam.resize(GetParam(), paged.view().count);
-  flat_adam.resize(GetParam(), flat.count);
+  flat_adam.resize(GetParam(), flat.count());
   ours.clear_statistics(paged.view());
   rasterizer->backward_step(gradient, rates, adam, paged.memory.data(), ours);
   flat_adam.step(flat.view(), flat.parameters.data(), theirs, rates, 2);
@@ -143,7 +59,7 @@ TEST_P(PagesTest, PictureGradientsAndStepAreThoseWithoutPages) {
     for (int c = 0; c < channels; ++c) {
       const float before = scene.at(c, paged.source[k]);
       const float stepped = *paged.view().at(c, i);
-      ASSERT_NEAR(stepped, flat.at(c, k), 1e-4F) << c;
+      ASSERT_NEAR(stepped, flat.view().plane(c)[k], 1e-4F) << c;
       furthest = std::max(furthest, std::abs(stepped - before));
     }
   });
@@ -152,7 +68,7 @@ TEST_P(PagesTest, PictureGradientsAndStepAreThoseWithoutPages) {
 
 TEST_P(PagesTest, PagesOutsideOfTheFrustumAreLeftOutAndThePictureIsTheSame) {
   TestScene scene = testing::random_scene(GetParam(), 9000, {.spread = 6, .scale_low = 0.01F, .scale_high = 0.1F}, 8);
-  PagedScene paged(scene, 12);
+  PagedModel paged(scene.view(), 12, 2);
   const auto rasterizer = make_cpu_rasterizer(2);
   for (const float height : {0.4F, 3.0F}) {
     Camera camera = look_at({0.3F, height, 3.0F}, {0.05F, -0.1F, 0}, 80, 60, 0.5F);
@@ -177,7 +93,7 @@ TEST_P(PagesTest, AnObjectThatTheSceneDoesNotHaveIsHidden) {
   for (std::size_t i = 0; i < without.count; ++i) {
     if (without.object_id[i] == 14) without.at(ParameterLayout::kOpacityLogit, i) = -30;
   }
-  PagedScene paged(scene, 1000);
+  PagedModel paged(scene.view(), 1000);
   Render hidden, paged_hidden, transparent;
   rasterizer->render(scene.view(), camera, scene.state, {}, hidden);
   rasterizer->render(paged.view(), camera, scene.state, {}, paged_hidden);

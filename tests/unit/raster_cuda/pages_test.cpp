@@ -1,7 +1,7 @@
 // A model in pages is drawn and trained as the same Gaussians without pages; pages that no view sees are left out.
+#include "../gaussians/paged_model.h"
 #include "cuda_rasterizer.h"
 #include "cuda_scenes.h"
-#include "paged_model.h"
 #include "raster/cuda/train_step.h"
 
 namespace splatbus::raster::testing {
@@ -27,7 +27,7 @@ class CudaPages : public CudaTest, public ::testing::WithParamInterface<Case> {}
 
 TEST_P(CudaPages, PicturesAndGradientsAreThoseWithoutPages) {
   const Case& c = GetParam();
-  const PagedModel paged(random_model(c, 19), 700);
+  const test::PagedModel paged(random_model(c, 19).view(), 700);
   ASSERT_GE(paged.ranges.size(), 6U);
   const SceneState scene = random_scene(true);
   const Camera camera = look_at({0.5F, 1.5F, 5.0F}, {0, 0, 0}, c.width, c.height, 1.0F);
@@ -67,7 +67,7 @@ TEST_P(CudaPages, PicturesAndGradientsAreThoseWithoutPages) {
 
 TEST_P(CudaPages, PagesOutsideOfTheFrustumAreLeftOutAndThePictureIsTheSame) {
   const Case& c = GetParam();
-  const PagedModel paged(spread_model(c, 4), 12);
+  const test::PagedModel paged(spread_model(c, 4).view(), 12);
   const SceneState scene = random_scene(true);
   cuda::DeviceModel all, bounded;
   all.upload(paged.view(), nullptr);
@@ -145,7 +145,7 @@ struct TrainedOnDevice {
 
 TEST_P(CudaPages, StepsAreThoseWithoutPagesAndBoundsHoldAfterThem) {
   const Case& c = GetParam();
-  const PagedModel paged(spread_model(c, 3), 25);
+  const test::PagedModel paged(spread_model(c, 3).view(), 25);
   const SceneState scene = random_scene(true);
   TrainedOnDevice ours(c, paged.bounded_view(), scene), theirs(c, paged.planar.view(), scene);
   ours.steps(3);
@@ -183,7 +183,7 @@ TEST_P(CudaPages, StepsAreThoseWithoutPagesAndBoundsHoldAfterThem) {
 
 TEST_P(CudaPages, AnObjectThatTheSceneDoesNotHaveIsHidden) {
   const Case& c = GetParam();
-  const PagedModel paged(random_model(c, 19), 700);
+  const test::PagedModel paged(random_model(c, 19).view(), 700);
   const SceneState scene = random_scene(false);
   const Camera camera = look_at({0.5F, 1.5F, 5.0F}, {0, 0, 0}, c.width, c.height, 1.0F);
   GaussiansBuffer transparent = paged.planar;

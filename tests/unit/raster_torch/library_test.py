@@ -128,6 +128,18 @@ class Rasterize(unittest.TestCase):
             with self.assertRaisesRegex(RuntimeError, said):
                 torch.ops.splatbus.rasterize(*arguments)
 
+    def test_an_error_is_its_message_and_nothing_else(self):
+        # The variable makes PyTorch append the frames that an error was thrown from, which is for its own operations.
+        code = ('import sys, torch\ntorch.ops.load_library(sys.argv[1])\n'
+                'for call in (lambda: torch.ops.splatbus.image_loss(torch.zeros(3), torch.zeros(3)),\n'
+                '             lambda: torch.classes.splatbus.SparseAdam(torch.zeros(3), [0.1])):\n'
+                '    try:\n        call()\n    except RuntimeError as error:\n        print(str(error).strip())\n')
+        run = subprocess.run([sys.executable, '-c', code, LIBRARY], capture_output=True, text=True, check=False,
+                             env={**os.environ, 'TORCH_SHOW_CPP_STACKTRACES': '1'})
+        self.assertEqual(run.returncode, 0, run.stderr)
+        self.assertEqual(run.stdout.splitlines(), ['image_loss: rendered is not [pictures, 3, height, width]',
+                                                   'SparseAdam: parameters is not [channels, count]'])
+
 
 class Training(unittest.TestCase):
     def test_loss_of_equal_pictures_is_zero(self):

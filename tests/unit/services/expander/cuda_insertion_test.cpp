@@ -26,7 +26,6 @@ double largest_difference(const std::vector<Vector>& a, const std::vector<Vector
 
 void expect_equal(const HostGaussians& host, const HostGaussians& device) {
   ASSERT_EQ(device.size(), host.size());
-  EXPECT_EQ(device.cell, host.cell);
   EXPECT_EQ(device.object_id, host.object_id);
   EXPECT_EQ(device.mean, host.mean);
   EXPECT_EQ(device.albedo, host.albedo);

@@ -69,13 +69,11 @@ class FakeTrainer {
       if (message->header().epoch() != insert_epoch) batches.clear();
       insert_epoch = message->header().epoch();
       batches.insert(insert.batch());
-      const auto cells = host_copy<std::uint64_t>(message->tensor("cell", bus::ElementType::U64, {n}).value());
       const auto ids = host_copy<std::uint32_t>(message->tensor("object_id", bus::ElementType::U32, {n}).value());
       const auto planes = host_copy<float>(*mean);
       for (std::uint32_t i = 0; i < n; ++i) {
         points.emplace_back(planes[i], planes[n + i], planes[2 * n + i]);
         normal.emplace_back(normals[i], normals[n + i], normals[2 * n + i]);
-        cell.push_back(cells[i]);
         object_id.push_back(ids[i]);
       }
       publish();
@@ -91,7 +89,6 @@ class FakeTrainer {
         model.normal[static_cast<std::size_t>(c) * model.stride() + i] = normal[i][c];
       }
       model.object_id[i] = object_id[i];
-      model.cell[i] = cell[i];
     }
     pages_.publish(publisher_, model, generation, insert_epoch, {batches.begin(), batches.end()});
   }
@@ -100,7 +97,6 @@ class FakeTrainer {
   void remove_from(std::size_t first) {
     points.resize(first);
     normal.resize(first);
-    cell.resize(first);
     object_id.resize(first);
     publish();
   }
@@ -110,7 +106,6 @@ class FakeTrainer {
   std::uint64_t generation = 0, insert_epoch = 0;
   std::set<std::uint64_t> batches;
   std::vector<glm::vec3> points, normal;
-  std::vector<std::uint64_t> cell;
   std::vector<std::uint32_t> object_id;
 
  private:

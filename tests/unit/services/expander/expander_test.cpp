@@ -63,7 +63,6 @@ TEST_P(ExpanderTest, ARestartedExpanderKnowsMovingObjectsAndLeavesOutGarbage) {
   for (const float x : {std::numeric_limits<float>::quiet_NaN(), 1e30F}) {
     trainer_->points.emplace_back(x, 0, 0);
     trainer_->normal.emplace_back(0, 1, 0);
-    trainer_->cell.push_back(~0ULL);
     trainer_->object_id.push_back(RoomScene::kBall);
   }
   trainer_->publish();
@@ -143,7 +142,7 @@ TEST_P(ExpanderTest, AFullRoundIsInsertedAtOnce) {
   std::size_t inserted = 0;
   ASSERT_TRUE(bus_test::eventually([&] {
     expander_->step(0ms);
-    while (auto message = inserts.receive(0ms)) inserted += message->tensor("cell")->dim(0);
+    while (auto message = inserts.receive(0ms)) inserted += message->tensor("object_id")->dim(0);
     return inserted > 0 && inserted == expander_->queue().gaussians();
   }));
   EXPECT_GT(inserted, 10000U);

@@ -209,7 +209,7 @@ TEST_P(InsertionTest, GaussiansAreFlatAlongTheNormalAndOfTheSpacing) {
     EXPECT_NEAR(glm::length(inserted.rotation[0]), 1, 1e-5F);
     EXPECT_LT(glm::distance(inserted.rotation[0] * glm::vec3(0, 0, 1), normal), 2e-2F);
     EXPECT_NEAR(1 / (1 + std::exp(-inserted.opacity_logit[0])), 0.9F, 1e-5F);
-    EXPECT_EQ(inserted.cell[0], cell_at({1, 2, 3}, 0, kCellSize_m).cell);
+    EXPECT_EQ(inserted.object_id[0], 0U);
   }
 }
 

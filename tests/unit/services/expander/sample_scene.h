@@ -50,7 +50,6 @@ struct HostGaussians {
   std::vector<glm::quat> rotation;
   std::vector<float> opacity_logit, visibility;
   std::vector<std::uint32_t> object_id;
-  std::vector<std::uint64_t> cell;
   [[nodiscard]] std::size_t size() const { return mean.size(); }
 
   void append(const InsertBatch& batch) {
@@ -70,7 +69,6 @@ struct HostGaussians {
       opacity_logit.push_back(from.opacity_logit[i]);
       visibility.push_back(from.visibility[i]);
       object_id.push_back(from.object_id[i]);
-      cell.push_back(from.cell[i]);
     }
   }
 };
@@ -93,7 +91,6 @@ inline InsertBatch batch_of(const std::vector<glm::vec3>& positions, const glm::
       channels.mean[static_cast<std::size_t>(c) * n + i] = p[c];
       channels.normal[static_cast<std::size_t>(c) * n + i] = normal[c];
     }
-    channels.cell[i] = cell_at({p.x, p.y, p.z}, kWorldFrame, kCellSize_m).cell;
   }
   return batch;
 }

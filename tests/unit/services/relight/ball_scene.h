@@ -62,13 +62,16 @@ class BallOverFloor {
 
   [[nodiscard]] LightDepthMap map() const { return {.camera = camera_, .depth_m = depth_m_.data()}; }
 
+  /// 1 for all of the sun.
   [[nodiscard]] std::vector<float> visibility(const std::vector<glm::vec3>& points,
                                               const std::vector<glm::vec3>& normals,
                                               const ObjectTransforms& objects = {}, std::uint32_t object = 0,
                                               const VisibilityOptions& options = {}) const {
     const GaussiansBuffer model = gaussians(points, normals, object);
-    std::vector<float> out(points.size(), -1.0F);
-    compute_visibility({}, model.view(), objects, map(), options, out.data());
+    std::vector<std::uint8_t> bytes(points.size());
+    compute_visibility({}, model.view(), objects, map(), options, bytes.data());
+    std::vector<float> out;
+    for (const std::uint8_t byte : bytes) out.push_back(static_cast<float>(byte) / 255);
     return out;
   }
 

@@ -23,14 +23,16 @@ TEST_F(RelightTest, FollowsModelLightAndObjects) {
 
 /// A picture's version is answered with its own map and transforms, though a newer one has come meanwhile.
 TEST_F(RelightTest, EveryPicturedVersionIsComputed) {
+  publish_model(1);
+  publish_depth(9, -2.0F);
+  ASSERT_EQ(visibility(1, 9), (std::vector<float>{1, 0, 1}));
   publish_depth(10, -2.0F);
   publish_depth(11, 2.0F);
   publish_depth(12, -2.0F);
   publish_picture(11);
   publish_picture(10);
-  publish_model(1);
   std::map<std::uint64_t, std::vector<float>> found;
-  for (int n = 0; n < 3; ++n) {
+  while (found.size() < 3 && !HasFailure()) {
     const auto [version, values] = next_visibility();
     found[version] = values;
   }

@@ -89,10 +89,10 @@ TEST(Visibility, PenumbraIsAsWideAsTheGaussian) {
         model.parameters[(ParameterLayout::kLogScale + c) * model.stride() + i] = std::log(deviation_m.at(c));
       }
     }
-    std::vector<float> visibility(points.size());
+    std::vector<std::uint8_t> visibility(points.size());
     compute_visibility({}, model.view(), {}, scene.map(), {.softness_m = 0.03F, .footprint = footprint},
                        visibility.data());
-    return 0.001F * static_cast<float>(std::ranges::count_if(visibility, [](float v) { return v > 0 && v < 1; }));
+    return 0.001F * static_cast<float>(std::ranges::count_if(visibility, [](std::uint8_t v) { return v > 0 && v < 255; }));
   };
   const float texel_m = 6.0F / 512;
   EXPECT_NEAR(penumbra_m(0), 2 * 1.2247F * 0.03F, 2 * texel_m);
@@ -135,11 +135,11 @@ TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
   view.parameters = pages.data();
   view.surface_point = pages.data() + (kRows - 6) * kPageLanes;
   view.normal = pages.data() + (kRows - 3) * kPageLanes;
-  std::vector<float> visibility(view.count);
+  std::vector<std::uint8_t> visibility(view.count);
   compute_visibility({}, view, objects, scene.map(), {}, visibility.data());
   for (std::size_t i = 0; i < points.size(); ++i) {
-    EXPECT_EQ(visibility[i], still[i]) << i;
-    EXPECT_EQ(visibility[kPageLanes + i], moved[i]) << i;
+    EXPECT_EQ(static_cast<float>(visibility[i]) / 255, still[i]) << i;
+    EXPECT_EQ(static_cast<float>(visibility[kPageLanes + i]) / 255, moved[i]) << i;
   }
   EXPECT_NE(still, moved);
 }

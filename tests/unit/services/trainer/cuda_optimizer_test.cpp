@@ -210,21 +210,24 @@ TEST_F(CudaOptimizerTest, AStepBeyondAllBoundsFailsAndTheNextTrainerAdoptsTheMod
 
 TEST_F(CudaOptimizerTest, TakesVisibilityBehindTheStepsUnderWay) {
   Trial s = trial(Device::Cuda);
-  for (const float value : {0.25F, 0.75F}) {
+  std::uint64_t version = 0;
+  for (const std::uint8_t value : {51, 153}) {
     s.step({scene_.views()[0].get()});
-    const std::vector<float> seen(s.store().view().count, value);
-    const std::size_t bytes = seen.size() * sizeof(float);
+    const std::vector<std::uint8_t> seen(s.store().view().count, value);
+    const std::size_t bytes = seen.size();
     const std::shared_ptr<std::byte> values = bus::allocate_memory(Device::Cuda, bytes);
     bus::copy_memory(values.get(), Device::Cuda, seen.data(), Device::Cpu, bytes);
     bus::finish_copies();
     Commands commands;
-    commands.visibility = VisibilityCommand{
-        .model_generation = s.store().generation(), .count = seen.size(), .memory = Device::Cuda, .visibility = values};
+    commands.add(VisibilityCommand{.model_generation = s.store().generation(),
+                                   .scene_version = ++version,
+                                   .count = seen.size(),
+                                   .visibility = values});
     EXPECT_FALSE(s.optimizer().apply(commands));
   }
   s.optimizer().finish();
   const HostModel model = s.model();
-  for (std::size_t k = 0; k < model.count(); ++k) ASSERT_EQ(model.live().visibility[k], 0.75F);
+  for (std::size_t k = 0; k < model.count(); ++k) ASSERT_NEAR(model.live().visibility[k], 0.6F, 1e-6F);
 }
 
 TEST_F(CudaOptimizerTest, ClonesAndSplitsWhenAsked) {

@@ -41,13 +41,13 @@ TEST_F(CudaTrainer, TakesVisibilityFromTheDevice) {
   place(Device::Cuda, Device::Cuda);
   start();
   insert(sample_batch(0, 1, 40));
-  std::vector<float> seen(kPageLanes, 0.25F);  // by index
+  std::vector<std::uint8_t> seen(kPageLanes, 51);  // by index
   const HostModel before = read_model().value();
-  seen[before.index(1)] = std::numeric_limits<float>::quiet_NaN();
-  seen[before.index(2)] = 7.0F;
+  seen[before.index(1)] = 0;
+  seen[before.index(2)] = 255;
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation());
-    return read_model()->live().visibility[0] == 0.25F;
+    return std::abs(read_model()->live().visibility[0] - 0.2F) < 1e-6F;
   }));
   const HostModel model = read_model().value();
   EXPECT_EQ(model.live().visibility[1], 0.0F);

@@ -58,7 +58,6 @@ class HostModel {
       take(to.visibility, memory.visibility, 1);
       to.object_id[k] = frame_of_.at(i);
       to.gaussian_id[k] = id;
-      to.cell[k] = *memory.wide(memory.cell, i);
       ++k;
     }
   }

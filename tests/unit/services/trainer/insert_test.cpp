@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <numeric>
 
 #include "../../bus/bus_fixture.h"
 #include "bus/tensor_ring.h"
@@ -35,11 +36,12 @@ class InsertRowsOn : public testing::TestWithParam<Device> {
 };
 
 TEST_P(InsertRowsOn, KeepsWhatIsSound) {
-  const SampleBatch before = sample_batch(1, 1, 10);
+  SampleBatch before = sample_batch(1, 1, 10);
+  std::iota(before.object_id.begin(), before.object_id.end(), 1U);
   const SampleBatch batch = checked(before);
   EXPECT_EQ(batch.count, 10U);
   EXPECT_EQ(batch.mean, before.mean);
-  EXPECT_EQ(batch.cell, before.cell);
+  EXPECT_EQ(batch.object_id, before.object_id);
 }
 
 TEST_P(InsertRowsOn, DropsTheRowThatIsNotAGaussianAndNoOther) {
@@ -62,6 +64,7 @@ TEST_P(InsertRowsOn, DropsTheRowThatIsNotAGaussianAndNoOther) {
   };
   for (std::size_t d = 0; d < damages.size(); ++d) {
     SampleBatch batch = sample_batch(1, 1, 10);
+    std::iota(batch.object_id.begin(), batch.object_id.end(), 1U);
     const SampleBatch before = batch;
     damages[d](batch);
     batch = checked(batch);
@@ -69,8 +72,8 @@ TEST_P(InsertRowsOn, DropsTheRowThatIsNotAGaussianAndNoOther) {
     ASSERT_EQ(batch.mean.size(), 27U);
     EXPECT_EQ(batch.mean[2], before.mean[2]);
     EXPECT_EQ(batch.mean[9 + 3], before.mean[10 + 4]) << "rows after it move up, in every plane";
-    EXPECT_EQ(batch.cell[3], before.cell[4]);
-    EXPECT_EQ(batch.object_id.size(), 9U);
+    ASSERT_EQ(batch.object_id.size(), 9U);
+    EXPECT_EQ(batch.object_id[3], before.object_id[4]);
   }
 }
 
@@ -126,6 +129,7 @@ TEST_P(InsertReaderOn, TakesTheSoundRowsOfAMessage) {
     for (const Device producer : {Device::Cpu, Device::Cuda}) {
       if (!has_device(producer)) continue;
       SampleBatch sent = sample_batch(1, 7, count);
+      std::iota(sent.object_id.begin(), sent.object_id.end(), 1U);
       sent.mean[3] = kNan;
       sent.albedo[count + 5] = kInfinity;
       const std::uint64_t before = host_bytes_;
@@ -136,7 +140,7 @@ TEST_P(InsertReaderOn, TakesTheSoundRowsOfAMessage) {
       const SampleBatch taken = SampleBatch::of(reading.batch, GetParam());
       ASSERT_EQ(taken.count, count - 2);
       EXPECT_EQ(taken.mean[3], sent.mean[4]);
-      EXPECT_EQ(taken.cell[4], sent.cell[6]);
+      EXPECT_EQ(taken.object_id[4], sent.object_id[6]);
       EXPECT_EQ(taken.mean.back(), sent.mean.back());
       EXPECT_EQ(reading.batch.scene.light.sun_irradiance, sent.scene.light.sun_irradiance);
       const bool stays = producer == Device::Cuda && GetParam() == Device::Cuda;

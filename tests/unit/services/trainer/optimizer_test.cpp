@@ -337,13 +337,16 @@ TEST_F(CpuOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
 
 TEST_F(CpuOptimizerTest, BoundsHoldAfterEveryStep) {
   Trial s = trial({{"lr_mean", "0.01"}});
-  for (int i = 0; i < 3; ++i) {
+  for (int i = 0; i < 20; ++i) {
     s.train(1);
     const GaussiansView view = s.store().view();
     for (std::size_t r = 0; r < view.ranges.size(); ++r) {
-      const PageBounds expected = bounds_of(view, view.ranges[r]);
-      EXPECT_EQ(view.bounds[r].low.x, expected.low.x);
-      EXPECT_EQ(view.bounds[r].high.z, expected.high.z);
+      const PageBounds exact = bounds_of(view, view.ranges[r]), &held = view.bounds[r];
+      EXPECT_TRUE(held.low.x <= exact.low.x && held.low.y <= exact.low.y && held.low.z <= exact.low.z) << i;
+      EXPECT_TRUE(held.high.x >= exact.high.x && held.high.y >= exact.high.y && held.high.z >= exact.high.z) << i;
+      EXPECT_GE(held.max_scale_m, exact.max_scale_m) << i;
+      // Adam's rate here is 5 cm a step: what is held for eight steps is within as many of the truth, on either side.
+      EXPECT_LT(exact.low.x - held.low.x, 2 * 8 * 3.2F * 0.05F);
     }
   }
 }

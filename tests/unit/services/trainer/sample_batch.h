@@ -37,7 +37,6 @@ struct SampleBatch {
   std::size_t count = 0;
   std::vector<float> mean, log_scale, rotation, opacity_logit, albedo, normal, visibility;
   std::vector<std::uint32_t> object_id;
-  std::vector<std::uint64_t> cell;
   SceneState scene;
 
   /// The same on a device, not checked.
@@ -75,7 +74,6 @@ struct SampleBatch {
     take(sample.normal, batch.rows.normal, 3);
     take(sample.visibility, batch.rows.visibility, 1);
     take(sample.object_id, batch.rows.object_id, 1);
-    take(sample.cell, batch.rows.cell, 1);
     return sample;
   }
 
@@ -91,7 +89,7 @@ struct SampleBatch {
   }
 };
 
-/// Valid Gaussians scattered over a 4 m square of floor, flat, in cells of one metre.
+/// Valid Gaussians scattered over a 4 m square of floor, flat.
 inline SampleBatch sample_batch(std::uint64_t epoch, std::uint64_t batch_id, std::size_t count, unsigned seed = 1) {
   SampleBatch batch;
   batch.epoch = epoch;
@@ -114,9 +112,6 @@ inline SampleBatch sample_batch(std::uint64_t epoch, std::uint64_t batch_id, std
   batch.normal = plane(3, [](std::size_t c) { return c == 1 ? 1.0F : 0.0F; });
   batch.visibility = plane(1, [](std::size_t) { return 1.0F; });
   batch.object_id.assign(count, 0);
-  for (std::size_t i = 0; i < count; ++i) {
-    batch.cell.push_back(static_cast<std::uint64_t>(std::floor(batch.mean[i]) + 2.0F));
-  }
   batch.scene.light.sun_irradiance = glm::vec3(2.0F);
   batch.scene.light.ambient_sh[0] = glm::vec3(1.0F);
   return batch;

@@ -39,6 +39,7 @@ class TrainerTest : public bus_test::BusTest {
         ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
     set("threads", "1", false);
     set("input_view_interval", "0", false);
+    set("pair_visibility", "false", false);  // there is no relight
   }
 
   ~TrainerTest() override { stop(); }
@@ -153,7 +154,8 @@ class TrainerTest : public bus_test::BusTest {
     std::vector<bus::TensorSource> sources;
     if (!retire && height_off == 0) {
       sources = {{.name = "color", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.color.data()},
-                 {.name = "albedo", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.albedo.data()}};
+                 {.name = "albedo", .shape = {h, w, 4}, .type = bus::ElementType::U8, .data = view.albedo.data()},
+                 {.name = "depth", .shape = {h, w}, .type = bus::ElementType::F32, .data = view.depth.data()}};
     } else if (!retire) {
       sources = {{.name = "color",
                   .shape = {h - 2 * height_off, w, 4},
@@ -163,18 +165,22 @@ class TrainerTest : public bus_test::BusTest {
     bus::MessageInfo info;
     if (!sources.empty()) info.tensors = ring_->write(sources);
     publisher_.publish(topics::kCaptureReference, info, [&](auto& builder, auto header) {
-      const auto scene = to_wire(builder, SceneState{.light = view.scene.light, .objects = {}}, 1);
+      const auto scene = to_wire(
+          builder, SceneState{.light = view.scene.light, .objects = {}, .version = view.scene.version}, view.frame);
       const auto camera = to_wire(view.camera);
       return wire::CreateCaptureReference(builder, header, &camera, scene, retire);
     });
   }
 
-  void publish_visibility(const std::vector<float>& values, std::uint64_t generation) {
+  void publish_visibility(const std::vector<std::uint8_t>& values, std::uint64_t generation,
+                          std::uint64_t scene_version = 1) {
     const auto n = static_cast<std::uint32_t>(values.size());
-    const bus::TensorSource source{.name = "visibility", .shape = {1, n}, .data = values.data()};
-    publisher_.publish(
-        topics::kRelightVisibility, {.tensors = ring_->write({&source, 1})},
-        [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, generation, 1, n); });
+    const bus::TensorSource source{
+        .name = "visibility", .shape = {1, n}, .type = bus::ElementType::U8, .data = values.data()};
+    publisher_.publish(topics::kRelightVisibility, {.tensors = ring_->write({&source, 1})},
+                       [&](auto& builder, auto header) {
+                         return wire::CreateRelightVisibility(builder, header, generation, scene_version, n);
+                       });
   }
 
   void show(const SyntheticScene& scene) {

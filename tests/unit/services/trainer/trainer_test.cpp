@@ -93,17 +93,66 @@ TEST_F(TrainerTest, BadViewsAreRefusedAndRetiredOnesForgotten) {
 TEST_F(TrainerTest, TakesVisibility) {
   start();
   insert(sample_batch(0, 1, 40));
-  std::vector<float> seen(kPageLanes, 0.25F);  // by index
+  std::vector<std::uint8_t> seen(kPageLanes, 51);  // by index
   const HostModel before = read_model().value();
-  seen[before.index(1)] = std::numeric_limits<float>::quiet_NaN();
-  seen[before.index(2)] = 7.0F;
+  seen[before.index(1)] = 0;
+  seen[before.index(2)] = 255;
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation());
-    return read_model()->live().visibility[0] == 0.25F;
+    return std::abs(read_model()->live().visibility[0] - 0.2F) < 1e-6F;
   }));
   const HostModel model = read_model().value();
   EXPECT_EQ(model.live().visibility[1], 0.0F);
   EXPECT_EQ(model.live().visibility[2], 1.0F);
+}
+
+TEST_F(TrainerTest, CarvesWhatPicturesShowFree) {
+  const SyntheticScene scene;
+  set("paused", "true");
+  start();
+  SampleBatch before_cameras = sample_batch(1, 2, 40);  // a metre before each in turn
+  std::fill(before_cameras.log_scale.begin(), before_cameras.log_scale.end(), std::log(0.02F));
+  for (std::size_t i = 0; i < 40; ++i) {
+    const Camera& camera = scene.views()[i % scene.views().size()]->camera;
+    const glm::vec3 at = unproject(camera, 20 + static_cast<float>(i % 8), 24, 1);
+    for (int axis = 0; axis < 3; ++axis) before_cameras.mean[static_cast<std::size_t>(axis) * 40 + i] = at[axis];
+  }
+  insert(scene.truth());
+  insert(before_cameras);
+  ASSERT_EQ(published()->count(), 340U);
+  std::uint64_t frame = 10;
+  ASSERT_TRUE(until([&] {
+    ++frame;
+    for (const auto& view : scene.views()) {
+      TrainingView newer = *view;
+      newer.frame = frame;
+      publish_view(newer);
+    }
+    return published()->count() < 340;
+  }));
+  const HostModel model = read_model().value();
+  EXPECT_EQ(model.count(), 300U);
+  EXPECT_EQ(model.ids().back(), 300U) << "those of the first batch";
+}
+
+TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfItsOwnScene) {
+  set("pair_visibility", "true");
+  start();
+  insert(sample_batch(0, 1, 40));
+  const SyntheticScene scene(20, 1);
+  TrainingView view = *scene.views()[0];
+  view.scene.version = 7;
+  const std::vector<std::uint8_t> seen(kPageLanes, 255);
+  ASSERT_TRUE(until([&] {
+    publish_view(view);
+    publish_visibility(seen, published()->generation(), 6);
+    return stats() != nullptr && stats()->unpaired_views() > 0;
+  }));
+  EXPECT_EQ(stats()->step(), 0U) << "another version's visibility is no pair";
+  ASSERT_TRUE(until([&] {
+    publish_visibility(seen, published()->generation(), 7);
+    return stats()->step() > 0;
+  }));
 }
 
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
@@ -130,7 +179,7 @@ class FailingStep final : public GradientStep {
   FailingStep(model::PageStore& store, const Options& options, std::uint64_t at_step)
       : store_(store), true_(make_gradient_step(store, options)), at_step_(at_step) {}
   void set_options(Options& options) override { true_->set_options(options); }
-  void step(std::span<const TrainingViewPtr> views) override {
+  void step(std::span<const PairedView> views) override {
     if (store_.step() >= at_step_) throw std::bad_alloc();
     true_->step(views);
   }

@@ -12,12 +12,12 @@ namespace splatbus::trainer {
 namespace {
 
 TrainingViewPtr make_view(CameraRole role, std::uint32_t id, std::uint64_t frame = 0, std::size_t bytes = 16,
-                          std::uint64_t light = 0) {
+                          std::uint64_t version = 0) {
   TrainingView view;
   view.camera.role = role;
   view.camera.id = id;
   view.frame = frame;
-  view.scene.light.generation = light;
+  view.scene.version = version;
   view.color = Pixels<std::uint8_t>(std::vector<std::uint8_t>(bytes));
   return std::make_shared<const TrainingView>(std::move(view));
 }
@@ -125,29 +125,32 @@ TEST(ViewSampler, MakesDoWithWhatIsThere) {
   for (int i = 0; i < 8; ++i) EXPECT_EQ(sampler.next(store, 3)->camera.id, 6U);
 }
 
-TEST(ViewSampler, LeavesOutInputViewsOfAnOlderLight) {
-  const auto input = [](std::uint32_t id, std::uint64_t light) {
-    return make_view(CameraRole::Input, id, 0, 16, light);
+TEST(ViewStore, AViewTrainsOnceItsOwnVersionIsThere) {
+  const ViewKey key{.role = CameraRole::Reference, .id = 1};
+  const auto picture = [](std::uint64_t frame, std::uint64_t version) {
+    return make_view(CameraRole::Reference, 1, frame, 16, version);
   };
-  const auto reference = [](std::uint64_t light) { return make_view(CameraRole::Reference, 9, 0, 16, light); };
   ViewStore store;
-  ViewSampler sampler(1);
-  const auto drawn = [&] {
-    std::set<std::uint32_t> ids;
-    for (int i = 0; i < 40; ++i) ids.insert(sampler.next(store, 1)->camera.id);
-    return ids;
-  };
-  for (std::uint32_t id = 0; id < 3; ++id) store.put(input(id, 70));
-  store.put(reference(70));
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2, 9}));
-  store.put(input(2, 50));
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2, 9})) << "no reference view is under the newest light yet";
-  store.put(reference(50));
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{2, 9})) << "the others wait for pictures under the newest light";
-  store.put(input(0, 50));
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 2, 9}));
-  store.retire({.role = CameraRole::Reference, .id = 9});
-  EXPECT_EQ(drawn(), (std::set<std::uint32_t>{0, 1, 2}));
+  store.set_paired(std::vector<std::uint64_t>{});
+  store.put(picture(1, 10));
+  EXPECT_EQ(store.find(key), nullptr);
+  EXPECT_FALSE(store.any_to_train(CameraRole::Reference));
+  store.set_paired(std::vector<std::uint64_t>{10});
+  EXPECT_EQ(store.find(key)->frame, 1U);
+  store.put(picture(2, 11));
+  EXPECT_EQ(store.find(key)->frame, 1U) << "the older picture trains with its own until the newer one's is there";
+  EXPECT_EQ(store.versions(), (std::vector<std::uint64_t>{10, 11}));
+  EXPECT_EQ(store.bytes(), 32U);
+  store.put(picture(3, 12));
+  EXPECT_EQ(store.unpaired(), 1U) << "frame 2 went without its version";
+  store.set_paired(std::vector<std::uint64_t>{10, 11, 12});
+  EXPECT_EQ(store.find(key)->frame, 3U);
+  EXPECT_EQ(store.bytes(), 16U);
+  store.set_paired(std::vector<std::uint64_t>{13});
+  EXPECT_EQ(store.find(key), nullptr) << "its version has gone";
+  store.put(picture(4, 13));
+  EXPECT_EQ(store.find(key)->frame, 4U);
+  EXPECT_EQ(store.unpaired(), 1U);
 }
 
 TEST(ViewSampler, SkipsCamerasThatRetiredWithinAnEpoch) {

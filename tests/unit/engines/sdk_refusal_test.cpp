@@ -1,0 +1,192 @@
+// What an engine gets wrong is refused in words that name it, and the rest goes on.
+#include <gmock/gmock.h>
+
+#include <functional>
+#include <limits>
+
+#include "sdk_fixture.h"
+
+namespace splatbus::engine_test {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+splatbus_object object(std::uint32_t id) {
+  return {id, {{1, 0, 0, 0}, {0, 0, 0}}};
+}
+
+class SdkRefusal : public SdkTest {
+ protected:
+  SdkRefusal() : frames_(connect("tester"), {"engine/frame"}), engine_(open()) {
+    EXPECT_TRUE(frames_.wait_connected(patience));
+  }
+
+  /// The words for a frame of two objects, 4 and 7, that `spoil` makes wrong. It is not published, and the next frame
+  /// is.
+  std::string words(const std::function<void(OwnedFrame&)>& spoil, const splatbus_camera& camera = small_camera()) {
+    OwnedFrame bad = next_frame(camera);
+    spoil(bad);
+    bad.refresh();
+    return refused(bad.frame);
+  }
+  std::string refused(const splatbus_frame& frame) {
+    EXPECT_EQ(splatbus_engine_submit(engine_.get(), &frame), SPLATBUS_ERROR_ARGUMENT);
+    std::string error = splatbus_engine_last_error(engine_.get());
+    EXPECT_THAT(error, HasSubstr("frame " + std::to_string(frame.frame)));
+    expect_published(next_frame(small_camera()).frame);
+    return error;
+  }
+
+  OwnedFrame next_frame(const splatbus_camera& camera) {
+    OwnedFrame owned(camera);
+    owned.frame.frame = ++frame_;
+    owned.frame.time_s = 0.1 * static_cast<double>(frame_);
+    owned.objects = {object(4), object(7)};
+    owned.refresh();
+    return owned;
+  }
+
+  void expect_published(const splatbus_frame& frame) {
+    ASSERT_EQ(splatbus_engine_submit(engine_.get(), &frame), SPLATBUS_OK) << splatbus_engine_last_error(engine_.get());
+    const auto message = frames_.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    EXPECT_EQ(message->root<wire::EngineFrame>().scene()->frame(), frame.frame);
+  }
+
+  bus::Subscriber frames_;
+  Engine engine_;
+  std::uint64_t frame_ = 10;
+};
+
+TEST_F(SdkRefusal, Cameras) {
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.translation[1] = kNan; }),
+              AllOf(HasSubstr("camera 3"), HasSubstr("world_from_camera.translation is not finite")));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.rotation_wxyz[0] = 2; }),
+              HasSubstr("world_from_camera.rotation_wxyz is no unit quaternion (norm 2)"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.width = 0; }), HasSubstr("0 x 6 pixels"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.role = 9; }), HasSubstr("no such role"));
+  EXPECT_THAT(words([](auto& f) { f.frame.camera.far_m = 0; }), HasSubstr("near_m < far_m"));
+}
+
+TEST_F(SdkRefusal, LightCameras) {
+  const auto light = [&](const std::function<void(splatbus_camera&)>& spoil) {
+    splatbus_camera camera = small_camera(6, SPLATBUS_ROLE_LIGHT);
+    spoil(camera);
+    return words([](OwnedFrame& f) { f.images[0].buffer = SPLATBUS_BUFFER_LIGHT_DEPTH; }, camera);
+  };
+  EXPECT_THAT(light([](auto& c) { c.fx = 0; }), AllOf(HasSubstr("camera 6 (role 3)"), HasSubstr("fx and fy")));
+  EXPECT_THAT(light([](auto& c) { c.fy = -4; }), HasSubstr("fx and fy must be above 0"));
+  EXPECT_THAT(light([](auto& c) { c.fx = kNan; }), HasSubstr("fx, fy, cx, cy are not all finite"));
+  EXPECT_THAT(light([](auto& c) { c.near_m = c.far_m; }), HasSubstr("0 <= near_m < far_m"));
+  EXPECT_THAT(light([](auto& c) { c.far_m = kInfinity; }), HasSubstr("near_m and far_m are not both finite"));
+  EXPECT_THAT(light([](auto& c) { c.world_from_camera.rotation_wxyz[3] = kNan; }),
+              HasSubstr("world_from_camera.rotation_wxyz is not finite"));
+}
+
+TEST_F(SdkRefusal, Images) {
+  EXPECT_THAT(words([](auto& f) { f.images[0].bytes -= 4; }),
+              HasSubstr("color: 188 bytes, where 8 x 6 pixels take 192"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].data = nullptr; }), HasSubstr("color: data is NULL"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].memory = 2; }),
+              HasSubstr("color: its memory is 2, which does not exist"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].memory = SPLATBUS_MEMORY_CUDA; }), HasSubstr("CUDA"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].buffer = 3; }), HasSubstr("0x3 is not one known buffer"));
+  EXPECT_THAT(words([](auto& f) { f.images.push_back(f.images[0]); }), HasSubstr("color: it is there twice"));
+  EXPECT_THAT(words([](auto& f) { f.images.clear(); }), HasSubstr("no image"));
+  EXPECT_THAT(words([](auto& f) { f.images[0].buffer = SPLATBUS_BUFFER_LIGHT_DEPTH; }),
+              HasSubstr("only a camera of role light"));
+}
+
+TEST_F(SdkRefusal, Lights) {
+  EXPECT_THAT(words([](auto& f) { f.frame.light.ambient_sh[20] = kNan; }),
+              HasSubstr("light: ambient_sh is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.ambient_sh[9] = -0.1F; }),
+              AllOf(HasSubstr("light: ambient_sh[9]"), HasSubstr("-0.1, below 0")));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.sun_direction[1] = 0; }),
+              HasSubstr("light: sun_direction is not unit (norm 0)"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.sun_direction[0] = kInfinity; }),
+              HasSubstr("light: sun_direction is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.sun_irradiance[2] = kInfinity; }),
+              HasSubstr("light: sun_irradiance is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.sun_irradiance[2] = -1; }),
+              HasSubstr("light: sun_irradiance[2] is -1, below 0"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.background[0] = kNan; }), HasSubstr("light: background is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.background[1] = -0.5F; }),
+              HasSubstr("light: background[1] is -0.5, below 0"));
+
+  // Higher coefficients have either sign.
+  OwnedFrame dark = next_frame(small_camera());
+  dark.frame.light.ambient_sh[0] = dark.frame.light.ambient_sh[9] = dark.frame.light.ambient_sh[18] = 1;
+  dark.frame.light.ambient_sh[1] = dark.frame.light.ambient_sh[26] = -0.3F;
+  expect_published(dark.frame);
+}
+
+TEST_F(SdkRefusal, Objects) {
+  EXPECT_THAT(words([](auto& f) { f.objects[1].world_from_object.translation[2] = kInfinity; }),
+              HasSubstr("object 7: world_from_object.translation is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.objects[1].world_from_object.rotation_wxyz[1] = kNan; }),
+              HasSubstr("object 7: world_from_object.rotation_wxyz is not finite"));
+  EXPECT_THAT(words([](auto& f) { f.objects[0].world_from_object.rotation_wxyz[0] = 0; }),
+              HasSubstr("object 4: world_from_object.rotation_wxyz is no unit quaternion (norm 0)"));
+  EXPECT_THAT(words([](auto& f) { f.objects[0].world_from_object.rotation_wxyz[2] = 3e38F; }),
+              HasSubstr("object 4: world_from_object.rotation_wxyz is no unit quaternion (norm inf)"));
+  EXPECT_THAT(words([](auto& f) { f.objects[0].id = 0; }), HasSubstr("object 0"));
+  EXPECT_THAT(words([](auto& f) { f.objects[1].id = 4; }), HasSubstr("object 4: it is there twice"));
+  EXPECT_THAT(words([](auto& f) {
+                f.objects = {object(0xFFFFFFFF), object(2), object(9), object(0xFFFFFFFF)};
+              }),
+              HasSubstr("object 4294967295: it is there twice"));
+  OwnedFrame nowhere = next_frame(small_camera());
+  nowhere.frame.objects = nullptr;
+  EXPECT_THAT(refused(nowhere.frame), HasSubstr("objects is NULL"));
+}
+
+TEST_F(SdkRefusal, MoreObjectsThanTheBound) {
+  const auto fill = [](OwnedFrame& f, std::uint32_t count) {
+    f.objects.clear();
+    for (std::uint32_t i = 0; i < count; ++i) f.objects.push_back(object(count - i));
+    f.refresh();
+  };
+  EXPECT_THAT(words([&](auto& f) { fill(f, SPLATBUS_MAX_OBJECTS + 1); }),
+              HasSubstr(std::to_string(SPLATBUS_MAX_OBJECTS + 1) + " objects, where " +
+                        std::to_string(SPLATBUS_MAX_OBJECTS) + " are the most"));
+  OwnedFrame most = next_frame(small_camera());
+  fill(most, SPLATBUS_MAX_OBJECTS);
+  expect_published(most.frame);
+}
+
+TEST_F(SdkRefusal, WhatRunsBackwards) {
+  const OwnedFrame first = next_frame(small_camera());
+  expect_published(first.frame);
+
+  OwnedFrame earlier = next_frame(small_camera());
+  earlier.frame.frame = first.frame.frame - 1;
+  EXPECT_THAT(refused(earlier.frame), HasSubstr("frame runs backwards: the last one was 11"));
+
+  EXPECT_THAT(words([](auto& f) { f.frame.time_s = 0.25; }), HasSubstr("time_s runs backwards: 0.25 after "));
+  EXPECT_THAT(words([](auto& f) { f.frame.time_s = kNan; }), HasSubstr("time_s is not finite"));
+
+  // Many cameras of one frame, and what was refused counts for nothing.
+  const OwnedFrame again = next_frame(small_camera());
+  expect_published(again.frame);
+  expect_published(again.frame);
+  OwnedFrame far = next_frame(small_camera());
+  far.frame.frame = 1'000'000;
+  far.frame.time_s = 1e9;
+  far.frame.light.background[0] = -1;
+  EXPECT_THAT(refused(far.frame), HasSubstr("background"));
+
+  // Another handle has a clock of its own.
+  const Engine other = open("other");
+  OwnedFrame start(small_camera());
+  start.frame.frame = 0;
+  start.frame.time_s = 0;
+  EXPECT_EQ(splatbus_engine_submit(other.get(), &start.frame), SPLATBUS_OK);
+}
+
+}  // namespace
+}  // namespace splatbus::engine_test
