@@ -46,11 +46,22 @@ void ByteReader::require(std::size_t bytes) const {
   }
 }
 
-std::uint32_t ByteReader::u32() {
-  require(4);
-  std::uint32_t value = 0;
-  for (int i = 0; i < 4; ++i) value |= static_cast<std::uint32_t>(bytes_[at_++]) << (8 * i);
+std::uint64_t ByteReader::low_bytes(std::size_t count) {
+  require(count);
+  std::uint64_t value = 0;
+  for (std::size_t i = 0; i < count; ++i) value |= static_cast<std::uint64_t>(bytes_[at_++]) << (8 * i);
   return value;
+}
+
+std::uint64_t ByteReader::varint() {
+  std::uint64_t value = 0;
+  for (int shift = 0; shift < 64; shift += 7) {
+    const std::uint64_t byte = low_bytes(1);
+    if (shift == 63 && byte > 1) break;
+    value |= (byte & 0x7F) << shift;
+    if (byte < 0x80) return value;
+  }
+  throw StreamError(fmt::format("{}: a number of more than 64 bits", what_));
 }
 
 std::vector<std::uint64_t> ByteReader::byte_planes(std::size_t count, std::size_t max_width) {

@@ -51,7 +51,11 @@ class ByteReader {
  public:
   ByteReader(std::span<const std::uint8_t> bytes, std::string_view what) : bytes_(bytes), what_(what) {}
 
-  [[nodiscard]] std::uint32_t u32();
+  [[nodiscard]] std::uint32_t u32() { return static_cast<std::uint32_t>(low_bytes(4)); }
+  /// The `count` (up to 8) lowest bytes of a number, lowest first.
+  [[nodiscard]] std::uint64_t low_bytes(std::size_t count);
+  /// Seven bits a byte, lowest first, the eighth set in all but the last (LEB128).
+  [[nodiscard]] std::uint64_t varint();
   /// `count` values of at most `max_width` bytes; the count is checked against what is left before anything is
   /// allocated.
   [[nodiscard]] std::vector<std::uint64_t> byte_planes(std::size_t count, std::size_t max_width);

@@ -57,9 +57,13 @@ struct Delta {
 [[nodiscard]] std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
                                                      std::size_t count);
 
-/// One byte a value.
-[[nodiscard]] Payload encode_bytes(std::span<const std::uint8_t> values);
-[[nodiscard]] Bytes decode_bytes(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
-                                 std::string_view what);
+/// Slots as a Delta's, then one byte each.
+struct SlotValues {
+  std::vector<std::uint32_t> slots;
+  Bytes values;
+};
+[[nodiscard]] Payload encode_slot_values(const SlotValues& change);
+[[nodiscard]] SlotValues decode_slot_values(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
+                                            std::size_t count, std::size_t held);
 
 }  // namespace splatbus::stream

@@ -163,14 +163,26 @@ std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, st
   return ids;
 }
 
-Payload encode_bytes(std::span<const std::uint8_t> values) {
-  return {zstd_compress(values), static_cast<std::uint32_t>(values.size())};
+Payload encode_slot_values(const SlotValues& change) {
+  Bytes raw;
+  put_slots(raw, change.slots);
+  raw.insert(raw.end(), change.values.begin(), change.values.end());
+  return finish(raw);
 }
 
-Bytes decode_bytes(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
-                   std::string_view what) {
-  if (raw_bytes != count) throw StreamError(fmt::format("{}: {} bytes for {} values", what, raw_bytes, count));
-  return zstd_decompress(payload, raw_bytes, what);
+SlotValues decode_slot_values(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
+                              std::size_t held) {
+  constexpr std::string_view what = "LightVisibility";
+  require_count(what, count, held);
+  require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 4) + count);
+  const Bytes raw = zstd_decompress(payload, raw_bytes, what);
+  ByteReader reader(raw, what);
+  SlotValues change;
+  change.slots = read_slots(reader, count, held, what);
+  change.values.reserve(count);
+  for (std::size_t i = 0; i < count; ++i) change.values.push_back(static_cast<std::uint8_t>(reader.low_bytes(1)));
+  reader.finish();
+  return change;
 }
 
 }  // namespace splatbus::stream

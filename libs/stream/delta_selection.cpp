@@ -60,11 +60,16 @@ std::vector<float> picture_share(const QuantizedGaussians& gaussians, const Stre
     const float sigma2 = std::exp(std::min(a + b + c - std::min({a, b, c}), 10.0F));
     float area = views.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
     glm::vec3 p(value(mean, 0, i), value(mean, 1, i), value(mean, 2, i));
+    float shown = 1;
     if (gaussians.object_id[i] != 0) {
-      if (const auto object = objects.find(gaussians.object_id[i]); object != objects.end()) p = object->second * p;
+      if (const auto object = objects.find(gaussians.object_id[i]); object != objects.end()) {
+        p = object->second * p;
+      } else {
+        shown = kOutsideShare;  // it is hidden, and may come back
+      }
     }
     for (const View& view : views) area = std::max(area, area_px2(view, p, sigma2));
-    share[i] = area * value(opacity, 0, i);
+    share[i] = shown * area * value(opacity, 0, i);
   }
   return share;
 }

@@ -12,8 +12,9 @@
 namespace splatbus::stream {
 
 /// How much of the pictures each Gaussian makes up, an estimate without occlusion: opacity times the area in pixels of
-/// its one-sigma ellipse's two largest axes, the largest over the viewers' cameras. Outside all pictures a tenth of
-/// what it would be inside: viewers turn. Without cameras the area is in square centimetres.
+/// its one-sigma ellipse's two largest axes, the largest over the viewers' cameras. Outside all pictures, and of an
+/// object that is not there, a tenth of what it would be inside: viewers turn, objects come back. Without cameras the
+/// area is in square centimetres.
 [[nodiscard]] std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
                                                std::span<const Camera> cameras, const ObjectTransforms& objects);
 

@@ -12,7 +12,7 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr const char* kSchema = "Packet/1";
+constexpr const char* kSchema = "Packet/2";
 
 std::int64_t now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
@@ -23,7 +23,7 @@ std::int64_t now_ns() {
 
 EncodedPacket PacketWriter::finish(flatbuffers::FlatBufferBuilder& builder, std::uint64_t stream_epoch,
                                    std::uint64_t sequence, wire::Body body, flatbuffers::Offset<void> content,
-                                   Bytes payload) const {
+                                   Bytes payload, std::int64_t capture_ns) const {
   const auto schema = builder.CreateString(kSchema);
   const auto source = builder.CreateString(source_);
   wire::HeaderBuilder header(builder);
@@ -31,7 +31,8 @@ EncodedPacket PacketWriter::finish(flatbuffers::FlatBufferBuilder& builder, std:
   header.add_source(source);
   header.add_sequence(sequence);
   header.add_epoch(epoch_);
-  header.add_publish_ns(now_ns());
+  header.add_capture_ns(capture_ns);
+  if (epoch_ != 0) header.add_publish_ns(now_ns());
   const auto header_offset = header.Finish();
   builder.Finish(wire::CreatePacket(builder, header_offset, stream_epoch, body, content));
   return {

@@ -28,18 +28,23 @@ class PacketWriter {
   /// `source_epoch`: CLOCK_MONOTONIC ns at which the source started.
   PacketWriter(std::string source, std::uint64_t source_epoch) : source_(std::move(source)), epoch_(source_epoch) {}
 
-  /// `build` receives the builder and returns the body's offset, whose type is `body`.
+  /// One without source, epoch and publish_ns in its headers, for what is sent often: stream_epoch says whose it is.
+  [[nodiscard]] static PacketWriter brief() { return {"", 0}; }
+
+  /// `build` receives the builder and returns the body's offset, whose type is `body`. `capture_ns`: CLOCK_MONOTONIC of
+  /// the engine's frame, 0 when there is none.
   template <class Build>
   [[nodiscard]] EncodedPacket write(std::uint64_t stream_epoch, std::uint64_t sequence, wire::Body body, Build&& build,
-                                    Bytes payload = {}) const {
+                                    Bytes payload = {}, std::int64_t capture_ns = 0) const {
     flatbuffers::FlatBufferBuilder builder(256);
     const flatbuffers::Offset<void> content = build(builder).Union();
-    return finish(builder, stream_epoch, sequence, body, content, std::move(payload));
+    return finish(builder, stream_epoch, sequence, body, content, std::move(payload), capture_ns);
   }
 
  private:
   EncodedPacket finish(flatbuffers::FlatBufferBuilder& builder, std::uint64_t stream_epoch, std::uint64_t sequence,
-                       wire::Body body, flatbuffers::Offset<void> content, Bytes payload) const;
+                       wire::Body body, flatbuffers::Offset<void> content, Bytes payload,
+                       std::int64_t capture_ns) const;
   std::string source_;
   std::uint64_t epoch_;
 };
@@ -48,12 +53,13 @@ class PacketWriter {
 class ParsedPacket {
  public:
   /// Copies both (they may be unaligned in a message's memory). Throws StreamError when a size is above its limit, the
-  /// buffer does not verify, or its schema is not Packet/1.
+  /// buffer does not verify, or its schema is not Packet/2.
   static ParsedPacket parse(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload);
 
   [[nodiscard]] const wire::Packet& root() const { return *root_; }
   [[nodiscard]] wire::Body body() const { return root_->body_type(); }
   [[nodiscard]] std::uint64_t sequence() const { return root_->header()->sequence(); }
+  [[nodiscard]] std::int64_t capture_ns() const { return root_->header()->capture_ns(); }
   [[nodiscard]] std::uint64_t stream_epoch() const { return root_->stream_epoch(); }
   [[nodiscard]] std::span<const std::uint8_t> payload() const { return content_->payload; }
   [[nodiscard]] std::size_t bytes() const { return content_->packet.size() * 8 + content_->payload.size(); }

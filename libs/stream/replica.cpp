@@ -15,9 +15,9 @@ namespace {
 constexpr std::size_t kMaxEarlyBytes = std::size_t{1} << 25;
 constexpr std::size_t kMaxEarlyPackets = 4096;
 
-const SceneState& no_scene() {
-  static const SceneState scene;
-  return scene;
+const ReplicatedState& nothing() {
+  static const ReplicatedState state;
+  return state;
 }
 
 bool is_numbered_content(wire::Body body) {
@@ -27,8 +27,7 @@ bool is_numbered_content(wire::Body body) {
     case wire::Body::Remove:
     case wire::Body::GaussianOrder:
     case wire::Body::ObjectIds:
-    case wire::Body::ObjectTransforms:
-    case wire::Body::LightState:
+    case wire::Body::Scene:
     case wire::Body::LightVisibility:
       return true;
     default:
@@ -77,7 +76,12 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   state.gaussians = QuantizedGaussians(state.layout);
   state.epoch = epoch;
   state.sequence = body.as_of();
-  state.scene = scene();  // until the snapshot's own arrives
+  state.visibility_version = body.visibility_version();
+  if (const Shown* before = shown()) {  // until the snapshot's own arrives
+    state.quantized_scene = before->state.quantized_scene;
+    state.scene = before->state.scene;
+    state.instant = before->state.instant;
+  }
   if (epoch != this->epoch()) {
     last_known_ = 0;
     early_.clear();
@@ -96,8 +100,7 @@ bool Replica::load(const ParsedPacket& packet) {
       return load_chunk(packet);
     case wire::Body::GaussianOrder:
       return load_ids(packet);
-    case wire::Body::LightState:
-    case wire::Body::ObjectTransforms:
+    case wire::Body::Scene:
       if (loading_) return apply_to(loading_->shown, packet) && shown() == &loading_->shown;
       return held_ && apply_to(*held_, packet);
     default:
@@ -237,9 +240,9 @@ GaussiansView Replica::view() const {
   return s ? s->display.view() : GaussiansView{};
 }
 
-const SceneState& Replica::scene() const {
+const ReplicatedState& Replica::shown_state() const {
   const Shown* s = shown();
-  return s ? s->state.scene : no_scene();
+  return s ? s->state : nothing();
 }
 
 std::uint64_t Replica::epoch() const {

@@ -37,7 +37,12 @@ class Replica {
   [[nodiscard]] GaussiansView view() const;
   /// Another number whenever view() is another, or its planes hold other values.
   [[nodiscard]] std::uint64_t version() const { return version_; }
-  [[nodiscard]] const SceneState& scene() const;
+  /// What view() is lit by and where its objects are.
+  [[nodiscard]] const SceneState& scene() const { return shown_state().scene; }
+  [[nodiscard]] std::uint64_t scene_version() const { return scene().version; }
+  /// Scene version that view()'s visibility is of; 0 where it is the model's own.
+  [[nodiscard]] std::uint64_t visibility_version() const { return shown_state().visibility_version; }
+  [[nodiscard]] const SceneInstant& scene_instant() const { return shown_state().instant; }
 
   /// Epoch that is followed, 0 before the first SnapshotBegin.
   [[nodiscard]] std::uint64_t epoch() const;
@@ -84,6 +89,7 @@ class Replica {
   bool drain();
   void keep(const ParsedPacket& packet);
   [[nodiscard]] const Shown* shown() const;
+  [[nodiscard]] const ReplicatedState& shown_state() const;
   [[nodiscard]] std::uint64_t base() const;
 
   std::size_t max_gaussians_;

@@ -7,7 +7,7 @@
 
 #include "stream/bytes.h"
 #include "stream/codecs.h"
-#include "wire/convert.h"
+#include "stream/scene_codec.h"
 
 namespace splatbus::stream {
 
@@ -68,31 +68,33 @@ Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std:
   return {Change::Kind::Values, a->attribute, std::move(delta.slots)};
 }
 
-Change add_visibility(ReplicatedState& state, const wire::LightVisibility& body,
-                      std::span<const std::uint8_t> payload) {
+Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body,
+                       std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(Attribute::Visibility);
   if (!a) throw StreamError("LightVisibility: this stream has no visibility");
-  require_range("LightVisibility", body.first_slot(), body.count(), state.gaussians.count());
-  const Bytes residuals = decode_bytes(payload, body.raw_bytes(), body.count(), "LightVisibility");
-  auto& plane = state.gaussians.channels[a->first];
-  Change change{Change::Kind::Values, Attribute::Visibility, {}};
-  for (std::size_t i = 0; i < residuals.size(); ++i) {
-    if (residuals[i] == 0) continue;
-    std::int32_t& value = plane[body.first_slot() + i];
-    value = (value + residuals[i]) & 0xFF;
-    change.slots.push_back(static_cast<std::uint32_t>(body.first_slot() + i));
+  if (body.scene_version() < state.visibility_version) {
+    throw StreamError(fmt::format("LightVisibility: of scene version {} where {} is held", body.scene_version(),
+                                  state.visibility_version));
   }
-  return change;
+  SlotValues change = decode_slot_values(payload, body.raw_bytes(), body.count(), state.gaussians.count());
+  auto& plane = state.gaussians.channels[a->first];
+  for (std::size_t i = 0; i < change.slots.size(); ++i) plane[change.slots[i]] = change.values[i];
+  state.visibility_version = body.scene_version();
+  return {Change::Kind::Values, Attribute::Visibility, std::move(change.slots)};
 }
 
-// libs/wire refuses with std::runtime_error what makes no sense.
-template <class Convert>
-auto converted(std::string_view what, Convert&& convert) {
-  try {
-    return convert();
-  } catch (const std::runtime_error& error) {
-    throw StreamError(fmt::format("{}: {}", what, error.what()));
+Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
+  const wire::Scene& body = *packet.root().body_as_Scene();
+  const bool broadcast = packet.sequence() != 0;
+  if (broadcast && body.version() <= state.quantized_scene.version) {
+    throw StreamError(fmt::format("Scene: version {} where {} is held", body.version(), state.quantized_scene.version));
   }
+  if (!broadcast && !body.whole()) throw StreamError("Scene: a snapshot's is not whole");
+  state.quantized_scene = decode_scene({body.state()->data(), body.state()->size()},
+                                       body.whole() ? nullptr : &state.quantized_scene, body.version());
+  state.scene = dequantize_scene(state.quantized_scene);
+  state.instant = {.frame = body.frame(), .capture_ns = packet.capture_ns()};
+  return {Change::Kind::Scene, {}, {}};
 }
 
 }  // namespace
@@ -106,7 +108,7 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
     case wire::Body::TensorDelta:
       return add_residuals(state, *root.body_as_TensorDelta(), payload);
     case wire::Body::LightVisibility:
-      return add_visibility(state, *root.body_as_LightVisibility(), payload);
+      return take_visibility(state, *root.body_as_LightVisibility(), payload);
     case wire::Body::Remove: {
       const wire::Remove& body = *root.body_as_Remove();
       auto slots = decode_slots(payload, body.raw_bytes(), body.count(), state.gaussians.count());
@@ -127,17 +129,8 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
       std::ranges::copy(ids, state.gaussians.object_id.begin() + body.first_slot());
       return {Change::Kind::Objects, {}, slot_range(body.first_slot(), body.count())};
     }
-    case wire::Body::ObjectTransforms: {
-      const auto* objects = root.body_as_ObjectTransforms()->objects();
-      if (objects && objects->size() > kMaxObjects) {
-        throw StreamError(fmt::format("ObjectTransforms: {} objects, at most {}", objects->size(), kMaxObjects));
-      }
-      state.scene.objects = converted("ObjectTransforms", [&] { return from_wire(objects); });
-      return {Change::Kind::Scene, {}, {}};
-    }
-    case wire::Body::LightState:
-      state.scene.light = converted("LightState", [&] { return from_wire(*root.body_as_LightState()->light()); });
-      return {Change::Kind::Scene, {}, {}};
+    case wire::Body::Scene:
+      return take_scene(state, packet);
     default:
       throw StreamError(fmt::format("{}: not a packet that changes what is held", wire::EnumNameBody(packet.body())));
   }

@@ -6,6 +6,7 @@
 #include "gaussians/light.h"
 #include "stream/packets.h"
 #include "stream/quantized.h"
+#include "stream/quantized_scene.h"
 
 namespace splatbus::stream {
 
@@ -14,7 +15,10 @@ namespace splatbus::stream {
 struct ReplicatedState {
   StreamLayout layout;
   QuantizedGaussians gaussians;
-  SceneState scene;
+  QuantizedScene quantized_scene;
+  SceneState scene;  ///< of quantized_scene
+  SceneInstant instant;
+  std::uint64_t visibility_version = 0;  ///< scene version of the Gaussians' visibility; 0: the model's own
   std::uint64_t epoch = 0;
   std::uint64_t sequence = 0;
 };
@@ -27,9 +31,9 @@ struct Change {
   std::vector<std::uint32_t> slots;  ///< Values, Removed: ascending
 };
 
-/// Applies Snapshot (appending), TensorDelta, Remove, GaussianOrder, ObjectIds, ObjectTransforms, LightState or
-/// LightVisibility. Throws StreamError, with the state as it was, when anything in the packet cannot be. Does not look
-/// at epoch and does not change `sequence`. `max_gaussians` bounds what is held.
+/// Applies Snapshot (appending), TensorDelta, Remove, GaussianOrder, ObjectIds, Scene or LightVisibility. Throws
+/// StreamError, with the state as it was, when anything in the packet cannot be. Does not look at epoch and does not
+/// change `sequence`. `max_gaussians` bounds what is held.
 Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max_gaussians = kMaxGaussians);
 
 }  // namespace splatbus::stream

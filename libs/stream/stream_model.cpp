@@ -27,16 +27,6 @@ void StreamModel::set_schedules(const Schedules& schedules) {
   selection_.set_schedules(schedules);
 }
 
-void StreamModel::set_scene(const SceneState& scene, std::uint64_t frame) {
-  if (scene.objects.size() > kMaxObjects) {
-    throw StreamError(fmt::format("scene: {} objects, at most {} can be streamed", scene.objects.size(), kMaxObjects));
-  }
-  light_changed_ = light_changed_ || scene.light != scene_.light;
-  objects_changed_ = objects_changed_ || scene.objects != scene_.objects;
-  scene_ = scene;
-  scene_frame_ = frame;
-}
-
 std::vector<std::uint32_t> StreamModel::slots_of(std::span<const std::uint64_t> ids) const {
   std::vector<std::uint32_t> slots(ids.size(), kNotHeld);
   for (std::size_t i = 0; i < ids.size(); ++i) {
@@ -67,6 +57,11 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   if (another) ready_ = false;
   quantizer_.commit(target_, usable_);
   target_layout_ = layout;
+  if (gaussians.has_pages()) {
+    target_ranges_.assign(gaussians.ranges.begin(), gaussians.ranges.end());
+  } else {
+    target_ranges_ = {{.first = 0, .count = static_cast<std::uint32_t>(gaussians.count)}};
+  }
   if (ready_) map_columns();
   return true;
 }
@@ -112,9 +107,9 @@ void StreamModel::reset_to_target() {
   if (usable.size() > options_.max_gaussians) usable.resize(options_.max_gaussians);
   held_.layout = *target_layout_;
   held_.gaussians = target_.gather(morton_order(target_, *target_layout_, usable));
-  held_.scene = scene_;
+  hold_scene();
+  held_.visibility_version = 0;
   ++held_.sequence;
-  light_changed_ = objects_changed_ = false;
   selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
   selection_.append(held_.gaussians);
   slot_of_column_.clear();

@@ -24,7 +24,7 @@ struct StreamOptions {
 /// A snapshot of the held state, encoded once for however many viewers join.
 struct EncodedSnapshot {
   std::uint64_t as_of = 0;
-  std::vector<EncodedPacket> head;    ///< SnapshotBegin, LightState, ObjectTransforms
+  std::vector<EncodedPacket> head;    ///< SnapshotBegin, Scene
   std::vector<EncodedPacket> chunks;  ///< by slot
   std::vector<EncodedPacket> tail;    ///< GaussianOrder
 };
@@ -41,8 +41,10 @@ class StreamModel {
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
   /// is false.
   bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
-  /// Throws StreamError when there are more than kMaxObjects.
-  void set_scene(const SceneState& scene, std::uint64_t frame);
+  /// The broadcast packet that brings a newer scene to viewers: none where its version is the one that is held, or
+  /// while nobody holds anything. Throws StreamError, naming what is wrong, when its version is 0 or runs backwards, or
+  /// the scene is none that travels (quantize_scene); all is then as before.
+  [[nodiscard]] std::vector<EncodedPacket> take_scene(const SceneState& scene, const SceneInstant& instant);
   void set_schedules(const Schedules& schedules);
 
   /// What was observed becomes what is held, without packets: for when nobody holds anything, or everybody gets a
@@ -55,13 +57,18 @@ class StreamModel {
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
-  /// Broadcast packets of one tick: scene, removals, object ids, visibility, new Gaussians, deltas. What viewers see
+  /// The broadcast packet with what has changed of the sun's visibility: none when it is older than what is held, or
+  /// nobody holds anything. `of_index`: by index of the model that was observed last, 255 sees the whole sun. Throws
+  /// StreamError when it is too short. What is held is afterwards within kMaxVisibilityError of it, and exact where it
+  /// is 0 or 255.
+  [[nodiscard]] std::vector<EncodedPacket> take_visibility(std::span<const std::uint8_t> of_index,
+                                                           std::uint64_t scene_version);
+  static constexpr int kMaxVisibilityError = 6;
+
+  /// Broadcast packets of one tick: removals, object ids, new Gaussians, deltas. What viewers see
   /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready(). When it throws,
   /// packets are lost that the mirror has taken: ready() is then false.
   [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
-
-  /// Only the scene's: for when the model could not be observed. As tick() otherwise.
-  [[nodiscard]] std::vector<EncodedPacket> tick_scene_only();
 
   [[nodiscard]] EncodedSnapshot snapshot();
   /// Chunks of a snapshot of what is held now, most visible from `camera` first. Without a camera: as they come.
@@ -79,31 +86,32 @@ class StreamModel {
  private:
   template <class Build>
   void emit(std::vector<EncodedPacket>& out, wire::Body body, Build&& build, Payload payload = {});
+  void take_packet(const EncodedPacket& packet);
+  [[nodiscard]] EncodedPacket scene_packet(std::uint64_t sequence, const QuantizedScene* base) const;
+  void hold_scene();
   [[nodiscard]] std::vector<std::uint32_t> slots_of(std::span<const std::uint64_t> ids) const;
   void map_columns();
   void index_ids();
   [[nodiscard]] std::size_t room() const;
-  void tick_scene(std::vector<EncodedPacket>& out);
   void tick_removals(std::vector<EncodedPacket>& out);
   void tick_objects(std::vector<EncodedPacket>& out);
-  void tick_visibility(std::vector<EncodedPacket>& out);
   void tick_appends(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
   void append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns);
   void tick_deltas(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
 
-  PacketWriter writer_;
+  PacketWriter writer_, brief_writer_ = PacketWriter::brief();
   StreamOptions options_;
   ModelQuantizer quantizer_;
   ReplicatedState held_;
   DeltaSelection selection_;
   bool ready_ = false;
 
-  SceneState scene_;
-  std::uint64_t scene_frame_ = 0;
-  bool light_changed_ = false, objects_changed_ = false;
+  QuantizedScene scene_;  ///< newest; held, where anything is
+  SceneInstant instant_;
 
   std::optional<StreamLayout> target_layout_;
   QuantizedGaussians target_;
+  std::vector<IndexRange> target_ranges_;  ///< indices of its columns
   std::vector<std::uint8_t> usable_;
   std::vector<std::uint32_t> slot_of_column_;  ///< kNotHeld: not held
   std::vector<std::uint32_t> column_of_slot_;  ///< kNotHeld: not in the target, or not usable

@@ -6,15 +6,13 @@
 #include "stream/codecs.h"
 #include "stream/delta_selection.h"
 #include "stream/stream_model.h"
-#include "wire/convert.h"
 
 namespace splatbus::stream {
 
 namespace {
 
-constexpr std::size_t kMinChunk = 256;           // below that Draco's tables cost more than the Gaussians
-constexpr double kAppendShare = 0.8;             // of the budget, while deltas wait
-constexpr std::int32_t kVisibilityDeadZone = 3;  // of 255
+constexpr std::size_t kMinChunk = 256;  // below that Draco's tables cost more than the Gaussians
+constexpr double kAppendShare = 0.8;    // of the budget, while deltas wait
 
 template <class Body>
 auto packet_with_slots(std::size_t first, std::size_t count, std::uint32_t raw_bytes, Body&& create) {
@@ -30,18 +28,20 @@ template <class Build>
 void StreamModel::emit(std::vector<EncodedPacket>& out, wire::Body body, Build&& build, Payload payload) {
   const std::uint64_t sequence = held_.sequence + 1;
   out.push_back(writer_.write(held_.epoch, sequence, body, build, std::move(payload.bytes)));
-  apply(held_, ParsedPacket::parse(out.back().packet, out.back().payload), options_.max_gaussians);
-  held_.sequence = sequence;
+  take_packet(out.back());
+}
+
+void StreamModel::take_packet(const EncodedPacket& packet) {
+  apply(held_, ParsedPacket::parse(packet.packet, packet.payload), options_.max_gaussians);
+  held_.sequence = packet.sequence;
 }
 
 std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<const Camera> viewers) {
   assert(ready_);
   ready_ = false;  // an exception loses the packets that the mirror has taken
   std::vector<EncodedPacket> out;
-  tick_scene(out);
   tick_removals(out);
   tick_objects(out);
-  tick_visibility(out);
   double left = budget_bytes;
   for (const EncodedPacket& packet : out) left -= static_cast<double>(packet.bytes());
   const std::size_t before = out.size();
@@ -50,28 +50,6 @@ std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<cons
   tick_deltas(out, left, viewers);
   ready_ = true;
   return out;
-}
-
-std::vector<EncodedPacket> StreamModel::tick_scene_only() {
-  assert(ready_);
-  ready_ = false;
-  std::vector<EncodedPacket> out;
-  tick_scene(out);
-  ready_ = true;
-  return out;
-}
-
-void StreamModel::tick_scene(std::vector<EncodedPacket>& out) {
-  if (light_changed_) {
-    emit(out, wire::Body::LightState,
-         [&](auto& builder) { return wire::CreateLightState(builder, to_wire(builder, scene_.light)); });
-  }
-  if (objects_changed_) {
-    emit(out, wire::Body::ObjectTransforms, [&](auto& builder) {
-      return wire::CreateObjectTransforms(builder, scene_frame_, to_wire(builder, scene_.objects));
-    });
-  }
-  light_changed_ = objects_changed_ = false;
 }
 
 void StreamModel::tick_removals(std::vector<EncodedPacket>& out) {
@@ -105,26 +83,6 @@ void StreamModel::tick_objects(std::vector<EncodedPacket>& out) {
   emit(out, wire::Body::ObjectIds, build, std::move(payload));
 }
 
-void StreamModel::tick_visibility(std::vector<EncodedPacket>& out) {
-  const AttributeChannels* a = held_.layout.find(Attribute::Visibility);
-  if (!a) return;
-  const std::vector<std::int32_t>&held = held_.gaussians.channels[a->first], &target = target_.channels[a->first];
-  Bytes residuals(held.size());
-  std::size_t first = held.size(), last = 0;
-  for (std::size_t slot = 0; slot < held.size(); ++slot) {
-    if (column_of_slot_[slot] == kNotHeld) continue;
-    const std::int32_t change = target[column_of_slot_[slot]] - held[slot];
-    if (std::abs(change) <= kVisibilityDeadZone) continue;
-    residuals[slot] = static_cast<std::uint8_t>(change);
-    first = std::min(first, slot);
-    last = slot;
-  }
-  if (first == held.size()) return;
-  Payload payload = encode_bytes(std::span(residuals).subspan(first, last - first + 1));
-  const auto build = packet_with_slots(first, payload.raw_bytes, payload.raw_bytes, wire::CreateLightVisibility);
-  emit(out, wire::Body::LightVisibility, build, std::move(payload));
-}
-
 void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns) {
   const QuantizedGaussians chunk = target_.gather(columns);
   const std::size_t first = held_.gaussians.count();
@@ -155,7 +113,7 @@ void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_by
   const auto order = morton_order(target_, held_.layout, fresh_);
   const std::size_t size = std::min(options_.chunk_gaussians, static_cast<std::size_t>(affordable));
   std::vector<std::pair<double, std::size_t>> chunks;  // mean share, first in `order`
-  const auto share = picture_share(target_.gather(order), held_.layout, viewers, scene_.objects);
+  const auto share = picture_share(target_.gather(order), held_.layout, viewers, held_.scene.objects);
   for (std::size_t first = 0; first < order.size(); first += size) {
     double sum = 0;
     const std::size_t end = std::min(first + size, order.size());
@@ -179,7 +137,7 @@ void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_by
 
 void StreamModel::tick_deltas(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers) {
   if (budget_bytes <= 0) return;
-  const auto share = picture_share(held_.gaussians, held_.layout, viewers, scene_.objects);
+  const auto share = picture_share(held_.gaussians, held_.layout, viewers, held_.scene.objects);
   for (const SelectedDelta& selected :
        selection_.select(held_.gaussians, target_, column_of_slot_, share, budget_bytes)) {
     Payload payload = encode_delta(selected.delta);
@@ -215,14 +173,9 @@ EncodedSnapshot StreamModel::snapshot() {
                                      static_cast<std::uint32_t>((total + size - 1) / size),
                                      transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
                                      static_cast<std::uint8_t>(transfer ? 0 : parameters.sh_degree),
-                                     builder.CreateVector(attributes));
+                                     builder.CreateVector(attributes), held_.visibility_version);
   }));
-  snapshot.head.push_back(unicast(wire::Body::LightState, [&](auto& builder) {
-    return wire::CreateLightState(builder, to_wire(builder, held_.scene.light));
-  }));
-  snapshot.head.push_back(unicast(wire::Body::ObjectTransforms, [&](auto& builder) {
-    return wire::CreateObjectTransforms(builder, scene_frame_, to_wire(builder, held_.scene.objects));
-  }));
+  snapshot.head.push_back(scene_packet(0, nullptr));
   for (std::size_t first = 0; first < total; first += size) {
     std::vector<std::uint32_t> slots(std::min(size, total - first));
     std::iota(slots.begin(), slots.end(), static_cast<std::uint32_t>(first));

@@ -59,6 +59,7 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
   if (worker_.take_failure() || refused) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
   update_round(now);
+  refresh_inputs(now);
   update_probes(now);
   publish_cameras();
 }
@@ -196,6 +197,12 @@ void CaptureBridge::update_round(std::int64_t now_ns) {
   rigs_.reissue_missing_inputs();
   input_asked_ns_ = now_ns;
   input_patience_ns_ = std::min(2 * input_patience_ns_, kInputPatienceMaxNs);
+}
+
+void CaptureBridge::refresh_inputs(std::int64_t now_ns) {
+  if (options_->input_refresh_hz <= 0 || options_->input_rate_hz > 0 || now_ns < next_refresh_ns_) return;
+  next_refresh_ns_ = now_ns + nanoseconds(1 / options_->input_refresh_hz);
+  rigs_.refresh_input(forwarder_.scene_version(), now_ns);
 }
 
 void CaptureBridge::submit_round() {

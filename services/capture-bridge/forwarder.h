@@ -22,7 +22,8 @@ class Forwarder {
   /// The light's depth is kept in memory of `kind`.
   Forwarder(const std::shared_ptr<bus::Context>& context, Device kind);
 
-  /// Of the scene last taken, as the three below. capture/reference: colour, albedo, and depth where there is one. False when the colour is gone already.
+  /// Of the scene last taken, as the three below. capture/reference: colour, albedo, and depth where there is one.
+  /// False when the colour is gone already.
   bool reference(const bus::Message& message, const wire::EngineFrame& frame);
   /// capture/reference with `retire`.
   void retire(const Camera& camera);
@@ -30,9 +31,9 @@ class Forwarder {
   bool probe(const bus::Message& message, const wire::EngineFrame& frame, const Probe& probe);
   /// scene/light_depth. False when the depth is gone already. Adds to `host_bytes` what did not stay on the device.
   bool light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::atomic<std::uint64_t>& host_bytes);
-  /// Takes the frame's scene as the one that all that is said belongs to, and publishes scene/state when it differs from
-  /// the one before. False for a frame that is older than that scene and of another: its pictures have no version. Throws
-  /// std::runtime_error, and changes nothing, when the scene makes no sense.
+  /// Takes the frame's scene as the one that all that is said belongs to, and publishes scene/state when it differs
+  /// from the one before. False for a frame that is older than that scene and of another: its pictures have no version.
+  /// Throws std::runtime_error, and changes nothing, when the scene makes no sense.
   [[nodiscard]] bool scene(const wire::EngineFrame& frame);
   [[nodiscard]] std::uint64_t scene_version() const { return scene_.version; }
 

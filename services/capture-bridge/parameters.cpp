@@ -33,6 +33,11 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("input_turn_deg", tracker.turn_radians, "the dome follows when its heading is off by more, degrees", {0, 360},
         kRuntime, kDegrees);
   p.add("input_rate_hz", input_rate_hz, "rate of input pictures, Hz; 0: once for each place of the dome", {0, 240});
+  p.add("input_refresh_hz", input_refresh_hz,
+        "input pictures a second, of all cameras together, that are rendered anew because the scene has changed since, "
+        "the "
+        "oldest first; 0: none",
+        {0, 1000});
   p.add("input_deadline_s", input_deadline_s, "an incomplete round of input pictures goes on after this time, seconds",
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");

@@ -15,6 +15,7 @@ struct Options {
   InputRigTracker::Options tracker;
   std::string input_center;  ///< fixed centre of the dome; empty: it follows the viewer
   float input_rate_hz = 0;
+  double input_refresh_hz = 8;  ///< pictures of all input cameras together, while the scene changes
   double input_deadline_s = 1.5;
   bool input_views = true;  ///< input pictures are training views too
   SamplingOptions sampling;

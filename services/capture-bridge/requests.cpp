@@ -114,6 +114,7 @@ bool InputRound::add(std::uint32_t camera_id, std::uint64_t request_id, InputVie
   if (slot == slots_.end()) return false;
   slot->view = std::move(view);
   slot->fresh = true;
+  slot->asked_anew_ns.reset();
   if (!first_fresh_ns_) first_fresh_ns_ = now_ns;
   return true;
 }
@@ -131,6 +132,19 @@ std::vector<InputViewPointer> InputRound::take() {
   first_fresh_ns_.reset();
   handed_on_incomplete_ = !missing().empty();
   return views();
+}
+
+std::optional<std::uint32_t> InputRound::take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
+                                                      std::int64_t patience_ns) {
+  Slot* stalest = nullptr;
+  for (Slot& slot : slots_) {
+    if (!slot.view || slot.view->scene_version >= scene_version) continue;
+    if (slot.asked_anew_ns && now_ns - *slot.asked_anew_ns < patience_ns) continue;
+    if (stalest == nullptr || slot.view->scene_version < stalest->view->scene_version) stalest = &slot;
+  }
+  if (stalest == nullptr) return std::nullopt;
+  stalest->asked_anew_ns = now_ns;
+  return stalest->camera_id;
 }
 
 std::vector<std::uint32_t> InputRound::missing() const {

@@ -72,6 +72,11 @@ class InputRound {
   /// All frames of the rig so far, by camera id; the next round starts.
   [[nodiscard]] std::vector<InputViewPointer> take();
 
+  /// The camera whose frame is of the oldest scene version before `scene_version`, and for which no newer one is on its
+  /// way (asked for less than `patience_ns` ago); notes that it will be asked for now.
+  [[nodiscard]] std::optional<std::uint32_t> take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
+                                                          std::int64_t patience_ns);
+
   /// Cameras without any frame.
   [[nodiscard]] std::vector<std::uint32_t> missing() const;
   [[nodiscard]] bool empty() const;  ///< no camera has delivered yet
@@ -83,7 +88,8 @@ class InputRound {
     std::uint32_t camera_id = 0;
     std::uint64_t request_id = 0;
     InputViewPointer view;
-    bool fresh = false;  // arrived since the last round
+    bool fresh = false;                         // arrived since the last round
+    std::optional<std::int64_t> asked_anew_ns;  // for a newer frame, which has not come
   };
   std::vector<Slot> slots_;
   std::optional<std::int64_t> first_fresh_ns_;

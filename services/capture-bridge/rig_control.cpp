@@ -87,6 +87,14 @@ void RigControl::reissue_missing_inputs() {
   round_.renew(cameras_.of_role(CameraRole::Input));
 }
 
+void RigControl::refresh_input(std::uint64_t scene_version, std::int64_t now_ns) {
+  constexpr std::int64_t kPatienceNs = 2'000'000'000;
+  const auto stalest = round_.take_stalest(scene_version, now_ns, kPatienceNs);
+  if (!stalest) return;
+  cameras_.reissue(CameraRole::Input, std::span(&*stalest, 1));
+  round_.renew(cameras_.of_role(CameraRole::Input));
+}
+
 void RigControl::reissue_inputs() {
   cameras_.reissue_all(CameraRole::Input);
   round_.renew(cameras_.of_role(CameraRole::Input));

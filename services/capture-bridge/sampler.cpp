@@ -50,14 +50,30 @@ PixelView portable(const InputView& view) {
           .albedo = reinterpret_cast<const std::uint8_t*>(view.albedo.data())};
 }
 
-/// Appends the objects of a view that stand elsewhere in the round's frame.
+/// Appends the objects of a view that stand elsewhere in the round's frame, by ascending id. Gone is what the round
+/// does not have any more, and what was no object yet as the view was taken.
 void add_moved(const ObjectTransforms& view_objects, const ObjectTransforms& round_objects,
                std::vector<MovedObject>& moved) {
-  for (const auto& [id, world_from_object] : view_objects) {
-    const auto found = round_objects.find(id);
-    if (found == round_objects.end() || found->second == world_from_object) continue;
-    const Rigid round_from_view = found->second * inverse(world_from_object);
-    moved.push_back({id, portable(round_from_view), portable(inverse(round_from_view))});
+  auto then = view_objects.begin();
+  auto now = round_objects.begin();
+  while (then != view_objects.end() || now != round_objects.end()) {
+    const bool of_view = now == round_objects.end() || (then != view_objects.end() && then->first <= now->first);
+    const bool of_round = then == view_objects.end() || (now != round_objects.end() && now->first <= then->first);
+    if (of_view && of_round) {
+      if (now->second != then->second) {
+        const Rigid round_from_view = now->second * inverse(then->second);
+        moved.push_back({.id = now->first,
+                         .round_from_view = portable(round_from_view),
+                         .view_from_round = portable(inverse(round_from_view))});
+      }
+    } else {
+      moved.push_back({.id = of_view ? then->first : now->first,
+                       .gone = true,
+                       .round_from_view = portable(Rigid{}),
+                       .view_from_round = portable(Rigid{})});
+    }
+    if (of_view) ++then;
+    if (of_round) ++now;
   }
 }
 

@@ -10,9 +10,10 @@ namespace splatbus::capture_bridge {
 using math::clamped, math::cross, math::dot, math::is_finite, math::larger, math::length, math::load3, math::load4,
     math::Mat3, math::normalized, math::smaller, math::transformed, math::transposed, math::Vec3, math::Vec4;
 
-/// An object that stands elsewhere in the round's frame than in a view's.
+/// An object that stands elsewhere in the round's frame than in a view's, or whose place is not known in one of them.
 struct MovedObject {
   std::uint32_t id = 0;
+  bool gone = false;  ///< it has no place in one of the frames: what the view shows of it is no sample
   math::Rigid round_from_view, view_from_round;
 };
 

@@ -30,6 +30,8 @@ struct MeasurePixel {
     if (round.depth_m[i] != 0 && !(round.cosine[i] < min_cosine)) {
       const float* const depth_m = round.depth_m + static_cast<std::size_t>(v) * round.view_pixels;
       surfel = measured_surfel(view, depth_m, in_view % view.width, in_view / view.width, edge);
+      const MovedObject* const moved = find_moved(view, surfel.object_id);
+      if (moved != nullptr && moved->gone) surfel = {};
     }
     round.surfels[i] = surfel;
     round.edges[i] = edge;

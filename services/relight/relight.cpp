@@ -179,10 +179,10 @@ void Relight::publish(std::uint64_t model_generation, std::uint64_t scene_versio
                                  .type = bus::ElementType::U8,
                                  .data = visibility,
                                  .memory = memory_};
-  publisher_.publish(
-      topics::kRelightVisibility, {.tensors = ring_.write(std::span(&source, 1))}, [&](auto& builder, auto header) {
-        return wire::CreateRelightVisibility(builder, header, model_generation, scene_version, count);
-      });
+  publisher_.publish(topics::kRelightVisibility, {.tensors = ring_.write(std::span(&source, 1))},
+                     [&](auto& builder, auto header) {
+                       return wire::CreateRelightVisibility(builder, header, model_generation, scene_version, count);
+                     });
   ++published_;
 }
 

@@ -43,7 +43,7 @@ class Relight {
     Camera camera;
     SceneState scene;
     std::shared_ptr<std::byte> depth_m;
-    bool pictured = false;                            ///< a training picture of this version has come
+    bool pictured = false;                             ///< a training picture of this version has come
     std::optional<std::uint64_t> computed_generation;  ///< of the model that its visibility was computed for
   };
 
@@ -65,7 +65,7 @@ class Relight {
   bus::MemoryPool depths_;
   bus::LiveOptions<RelightOptions> options_;
   std::optional<bus::Message> model_;
-  std::deque<DepthMap> maps_;                ///< by ascending version
+  std::deque<DepthMap> maps_;               ///< by ascending version
   std::set<std::uint64_t> pictured_ahead_;  ///< versions whose picture came before their map
   device::Buffer<std::uint8_t> visibility_;
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;  ///< bulk that came from, or went through, host memory

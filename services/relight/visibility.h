@@ -23,10 +23,10 @@ struct VisibilityOptions {
   void bind(bus::ParameterBinder& parameters);
 };
 
-/// Share of the sun's disc that each Gaussian's surface point sees, 255 for all of it: percentage-closer filtering (Reeves et
-/// al. 1987) under a paraboloid, every texel compared with the depth of the surface's own plane there (receiver plane
-/// bias, Isidoro 2006), so that slanted surfaces do not shade themselves. What faces away from the light is 0, what
-/// lies outside of the map 1.
+/// Share of the sun's disc that each Gaussian's surface point sees, 255 for all of it: percentage-closer filtering
+/// (Reeves et al. 1987) under a paraboloid, every texel compared with the depth of the surface's own plane there
+/// (receiver plane bias, Isidoro 2006), so that slanted surfaces do not shade themselves. What faces away from the
+/// light is 0, what lies outside of the map 1.
 ///
 /// Reads surface_point, normal, the scales, and object_id or, of a model in pages, the ranges' frame_id. `visibility`
 /// has gaussians.count entries, one an index; those that are no Gaussian's hold anything. What Gaussians and map point

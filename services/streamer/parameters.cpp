@@ -31,6 +31,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("tick_hz", hub.tick_hz, "updates a second", {0.1, 120}, kFixed);
   p.add("budget_kbps", budget_kbps,
         "kbit/s to one viewer for new Gaussians and deltas; snapshots of those who join come on top", {10, 1e7});
+  p.add("visibility_hz", visibility_hz, "updates a second, at most, of which Gaussians see the sun", {0.1, 240});
+  p.add("visibility_kbps", visibility_kbps,
+        "kbit/s to one viewer for these; a viewer's shadows lag where it is too low", {10, 1e7});
   p.add("calm_ticks", stream.calm_ticks,
         "ticks after which a value that rests is sent to within a step of its quantizer", {1, 255}, kFixed);
   p.add("chunk_gaussians", stream.chunk_gaussians, "Gaussians in one packet of a snapshot, at most",

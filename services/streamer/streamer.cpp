@@ -25,6 +25,7 @@ using namespace std::chrono_literals;
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
 constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
+constexpr std::size_t kMaxRelit = 4;            // generations of the model
 constexpr int kPictureZstdLevel = 1;            // probe pictures are for measurements on the same machine
 
 }  // namespace
@@ -75,13 +76,19 @@ void Streamer::run() {
   }
 }
 
-void Streamer::turn(std::int64_t now_ns) {
+void Streamer::take_messages(std::int64_t now_ns) {
   subscriber_.dispatch_all(0ms);
+  send_visibility(now_ns);
+  blocked_ = hub_.pump(now_ns);
+}
+
+void Streamer::turn(std::int64_t now_ns) {
+  take_messages(now_ns);
   hub_.receive(now_ns);
   // The first Gaussians do not wait for the tick.
   const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
   if (now_ns >= next_tick_ns_ || first) {
-    tick();
+    tick(now_ns);
     const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
     next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
   }
@@ -99,14 +106,56 @@ void Streamer::subscribe() {
   subscriber_
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
-      .on(topics::kSceneState,
-          [this](const wire::SceneUpdate& body, const bus::Message&) {
-            scene_ = from_wire(*body.scene());
-            scene_frame_ = body.scene()->frame();
-            model_.set_scene(scene_, scene_frame_);
-          })
+      .on(topics::kSceneState, [this](const wire::SceneUpdate& body, const bus::Message&) { take_scene(body); })
+      .on(topics::kRelightVisibility,
+          [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); })
       .on(topics::kCaptureProbe,
           [this](const wire::CaptureProbe& body, const bus::Message& message) { forward_probe(body, message); });
+}
+
+void Streamer::take_scene(const wire::SceneUpdate& body) {
+  const wire::SceneState& scene = *body.scene();
+  hub_.broadcast(
+      model_.take_scene(from_wire(scene), {.frame = scene.frame(), .capture_ns = body.header()->capture_ns()}));
+}
+
+// Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
+void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::Message& message) {
+  const std::uint64_t generation = body.model_generation(), version = body.scene_version();
+  if (generation < observed_generation_ || version < model_.held().visibility_version) return;
+  if (const auto newest = relit_.find(generation); newest != relit_.end() && newest->second.scene_version > version) {
+    return;
+  }
+  if (body.count() > stream::kMaxModelGaussians) {
+    throw bus::Error(fmt::format("relight/visibility: of {} Gaussians, at most {} can be read", body.count(),
+                                 stream::kMaxModelGaussians));
+  }
+  const auto tensor = message.tensor("visibility", bus::ElementType::U8, {1, static_cast<std::uint32_t>(body.count())});
+  if (!tensor) return;
+  Visibility relit{.scene_version = version, .of_index = std::vector<std::uint8_t>(tensor->bytes())};
+  if (!tensor->copy(relit.of_index.data())) return;
+  relit_[generation] = std::move(relit);
+  if (relit_.size() > kMaxRelit) relit_.erase(relit_.begin());
+}
+
+void Streamer::send_visibility(std::int64_t now_ns) {
+  const double bytes_per_s = options_->visibility_kbps * 125;
+  visibility_balance_bytes_ = std::min(
+      visibility_balance_bytes_ + bytes_per_s * static_cast<double>(now_ns - visibility_ns_) / 1e9, bytes_per_s / 2);
+  visibility_ns_ = now_ns;
+  relit_.erase(relit_.begin(), relit_.lower_bound(observed_generation_));
+  const auto relit = relit_.find(observed_generation_);
+  if (relit == relit_.end() || relit->second.sent || !model_.ready()) return;
+  if (now_ns < next_visibility_ns_ || visibility_balance_bytes_ < 0) return;
+  next_visibility_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_->visibility_hz);
+  relit->second.sent = true;
+  try {
+    const auto packets = model_.take_visibility(relit->second.of_index, relit->second.scene_version);
+    for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.bytes());
+    hub_.broadcast(packets);
+  } catch (const stream::StreamError& error) {
+    if (log_limiter_.allow()) spdlog::error("{}", error.what());
+  }
 }
 
 void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message& message) {
@@ -147,7 +196,7 @@ bool Streamer::observe() {
   return model_.observe(published_->average(), [&] { return published_->still_valid(); });
 }
 
-void Streamer::tick() {
+void Streamer::tick(std::int64_t now_ns) {
   const std::int64_t begin_ns = bus::now_ns();
   if (!hub_.anybody_follows()) model_.release();
   if (hub_.viewers() == 0) {
@@ -159,6 +208,8 @@ void Streamer::tick() {
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   try {
     const bool fresh = observe();
+    if (fresh) observed_generation_ = published_->generation();
+    take_messages(now_ns);  // the scene does not wait for the model
     if (!model_.ready()) {
       // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
       if (!fresh || model_.observed_count() == 0) {
@@ -167,12 +218,11 @@ void Streamer::tick() {
       }
       model_.reset_to_target();
       hub_.restart_all();
+      for (auto& [generation, relit] : relit_) relit.sent = false;
     } else if (fresh) {
       const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
       for (const auto& packet : packets) balance_bytes_ -= static_cast<double>(packet.bytes());
       hub_.broadcast(packets);
-    } else {
-      hub_.broadcast(model_.tick_scene_only());
     }
     say_what_is_served();
   } catch (const stream::StreamError& error) {

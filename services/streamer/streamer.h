@@ -1,8 +1,10 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "bus/log_sink.h"
 #include "bus/publisher.h"
@@ -31,10 +33,21 @@ class Streamer {
   [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoint_.bound(); }
 
  private:
+  struct Visibility {
+    std::uint64_t scene_version = 0;
+    std::vector<std::uint8_t> of_index;
+    bool sent = false;
+  };
+
   void subscribe();
+  void take_scene(const wire::SceneUpdate& body);
+  /// Takes what has come on the bus, and sends what of it viewers are waiting for.
+  void take_messages(std::int64_t now_ns);
   void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
-  void tick();
+  void tick(std::int64_t now_ns);
   [[nodiscard]] bool observe();
+  void take_visibility(const wire::RelightVisibility& body, const bus::Message& message);
+  void send_visibility(std::int64_t now_ns);
   void publish_statistics(std::int64_t now_ns);
   void say_what_is_served();
   [[nodiscard]] HubEvents events();
@@ -50,9 +63,11 @@ class Streamer {
 
   std::optional<bus::Message> announcement_;  ///< model/published that is not open yet
   std::optional<PublishedModel> published_;
-  SceneState scene_;
-  std::uint64_t scene_frame_ = 0;
-  std::int64_t next_tick_ns_ = 0, next_stats_ns_ = 0;
+  std::uint64_t observed_generation_ = 0;      ///< of the model that model_ has observed
+  std::map<std::uint64_t, Visibility> relit_;  ///< by generation: the newest of each
+  std::int64_t visibility_ns_ = 0;             ///< when its balance was renewed
+  double visibility_balance_bytes_ = 0;
+  std::int64_t next_visibility_ns_ = 0, next_tick_ns_ = 0, next_stats_ns_ = 0;
   bool blocked_ = false;      ///< somebody's queue is full
   bool full_ = false;         ///< viewers take no more of the model
   double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it

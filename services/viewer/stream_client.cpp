@@ -129,7 +129,13 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
     default:
       break;
   }
-  return replica_.receive(packet);
+  const std::uint64_t version = replica_.scene_version();
+  const bool changed = replica_.receive(packet);
+  if (const std::int64_t captured_ns = replica_.scene_instant().capture_ns;
+      packet.sequence() != 0 && replica_.scene_version() != version && captured_ns != 0) {
+    scene_delays_.add(static_cast<double>(options_.now_ns() - captured_ns) / 1e6);
+  }
+  return changed;
 }
 
 void StreamClient::take_probe_picture(const stream::ParsedPacket& packet) {

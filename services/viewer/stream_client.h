@@ -16,6 +16,7 @@
 #include "metrics/metrics.h"
 #include "stream/packets.h"
 #include "stream/replica.h"
+#include "viewer/scene_delay.h"
 
 namespace splatbus::viewer {
 
@@ -63,6 +64,10 @@ class StreamClient {
   [[nodiscard]] std::uint64_t resends() const { return resends_; }
   [[nodiscard]] std::uint64_t snapshot_requests() const { return snapshot_requests_; }
 
+  /// From header.capture_ns to the replica, of the scenes that were broadcast and carry one. Means something on the
+  /// engine's machine only.
+  [[nodiscard]] const SceneDelays& scene_delays() const { return scene_delays_; }
+
   /// For tests: a packet for which it returns true is lost on the way.
   void lose_packets(std::function<bool(const stream::ParsedPacket&)> lose) { lose_ = std::move(lose); }
 
@@ -85,6 +90,7 @@ class StreamClient {
   zmq::socket_t socket_;
   stream::PacketWriter writer_;
   stream::Replica replica_;
+  SceneDelays scene_delays_;
   std::optional<Camera> camera_;
   std::deque<ProbeAnswer> answers_;
   std::size_t answer_bytes_ = 0;

@@ -20,6 +20,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
+constexpr std::int64_t kLongestWaitNs = 50'000'000;
+constexpr std::int64_t kPoseEveryNs = 100'000'000;  // while the camera moves; else once a second
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
   return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe, .device = host.device};
@@ -35,7 +37,7 @@ std::uint64_t first_probe_id() {
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
   p.add("endpoint", endpoint, "of the streamer; empty: 'streamer' in the folder of the bus", kFixed);
-  p.add("rate_hz", rate_hz, "pictures and poses a second", {0.1, 240});
+  p.add("fps", fps, "pictures a second, at most: one is drawn when scene, model or camera have changed", {0.1, 240});
   p.add("threads", threads, "that draw, on the CPU; 0: one a core", {0, 1024}, kFixed);
   p.add("out", out, "folder for pictures; empty: none are written");
   p.add("frames", frames, "every n-th picture is written there as frame_<number>.png; 0: none", {0, 1e9});
@@ -62,20 +64,20 @@ Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
 }
 
 void Viewer::run() {
-  std::int64_t next_ns = bus::now_ns();
   bool changed = true;
   while (!host_.stop.stop_requested() && !(window_ && window_->closed())) {
-    const std::int64_t wait_ms = std::clamp<std::int64_t>((next_ns - bus::now_ns()) / 1'000'000, 0, 50);
-    changed = client_.poll(std::chrono::milliseconds(wait_ms)) || changed;
-    if (window_) window_->poll_events();
     options_.refresh();
+    const auto period_ns = static_cast<std::int64_t>(1e9 / options_->fps);
+    // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
+    const std::int64_t left_ns = drawn_ns_ + period_ns - bus::now_ns();
+    const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed ? 0 : period_ns, kLongestWaitNs);
+    changed = client_.poll(std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000)) || changed;
+    if (window_) window_->poll_events();
     const std::int64_t now_ns = bus::now_ns();
     const bool first = first_picture_ns_ == 0 && client_.replica().view().count > 0;
-    if (now_ns >= next_ns || first) {
-      show(changed);
+    if (now_ns >= drawn_ns_ + period_ns || first) {
+      if (show(changed)) drawn_ns_ = now_ns;
       changed = false;
-      const auto period_ns = static_cast<std::int64_t>(1e9 / options_->rate_hz);
-      next_ns = std::max(next_ns + period_ns, bus::now_ns() - period_ns);
     }
     ask_probe(now_ns);
     answer_probes();
@@ -84,6 +86,14 @@ void Viewer::run() {
       report();
     }
   }
+}
+
+void Viewer::send_pose(std::int64_t now_ns) {
+  const std::int64_t since_ns = now_ns - posed_ns_;
+  if (since_ns < kPoseEveryNs || (posed_ == camera_ && since_ns < kSecondNs)) return;
+  posed_ = camera_;
+  posed_ns_ = now_ns;
+  client_.send_pose(camera_);
 }
 
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
@@ -100,13 +110,13 @@ cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, linear);
 }
 
-void Viewer::show(bool changed) {
+bool Viewer::show(bool changed) {
   const double seconds = static_cast<double>(bus::now_ns() - begin_ns_) / 1e9;
   const Camera before = camera_;
   camera_ = window_ ? window_->camera() : options_->path.at(seconds);
-  client_.send_pose(camera_);
+  send_pose(bus::now_ns());
   const bool empty = client_.replica().view().count == 0;
-  if (empty || (!changed && frames_ > 0 && before == camera_)) return;
+  if (empty || (!changed && frames_ > 0 && before == camera_)) return false;
   const cv::Mat picture = draw(camera_, client_.replica().scene());
   if (first_picture_ns_ == 0) {
     first_picture_ns_ = bus::now_ns();
@@ -116,9 +126,10 @@ void Viewer::show(bool changed) {
   if (window_) window_->show(picture);
   const std::string& out = options_->out;
   const std::uint64_t every = options_->frames;
-  if (out.empty() || every == 0 || (frames_ - 1) % every != 0) return;
+  if (out.empty() || every == 0 || (frames_ - 1) % every != 0) return true;
   fs::create_directories(out);
   metrics::write_png(fs::path(out) / fmt::format("frame_{:06}.png", frames_ - 1), picture);
+  return true;
 }
 
 void Viewer::ask_probe(std::int64_t now_ns) {
@@ -152,6 +163,10 @@ void Viewer::report() {
   host_.counter("received_bytes", static_cast<double>(client_.received_bytes()));
   host_.counter("resends", static_cast<double>(client_.resends()));
   host_.counter("refused", static_cast<double>(client_.refused()));
+  if (client_.scene_delays().count() > 0) {
+    host_.counter("scene_delay_ms_p50", client_.scene_delays().quantile(0.5));
+    host_.counter("scene_delay_ms_p99", client_.scene_delays().quantile(0.99));
+  }
   if (compared_ > 0) {
     host_.counter("psnr_db", last_quality_.psnr_db);
     host_.counter("ssim", last_quality_.ssim);

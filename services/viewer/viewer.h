@@ -21,7 +21,7 @@ namespace splatbus::viewer {
 /// The viewer's parameters.
 struct Options {
   std::string endpoint;
-  double rate_hz = 5;
+  double fps = 30;
   int threads = 0;
   std::string out;
   std::uint64_t frames = 0;
@@ -58,7 +58,9 @@ class Viewer {
 
  private:
   [[nodiscard]] cv::Mat draw(const Camera& camera, const SceneState& scene);
-  void show(bool changed);
+  /// False when there is nothing new to show.
+  bool show(bool changed);
+  void send_pose(std::int64_t now_ns);
   void answer_probes();
   void ask_probe(std::int64_t now_ns);
   void report();
@@ -71,6 +73,8 @@ class Viewer {
   raster::Render render_;
   Camera camera_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
+  std::int64_t drawn_ns_ = 0, posed_ns_ = 0;
+  Camera posed_;
   std::uint64_t drawn_version_ = 0;  ///< of the replica's Gaussians, as the renderer has them
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;
   metrics::Quality last_quality_;

@@ -61,18 +61,21 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
     twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
                                           Device::Cuda);
-    twin_->set_scene(server_->scene, 0);
+    EXPECT_TRUE(twin_->take_scene(server_->scene, {}).empty());
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->reset_to_target();
+    (void)twin_->take_visibility(server_->relit(), server_->scene.version);
     expect_same();
   }
 
   /// One tick of both.
   void tick(double budget = 1e9) {
     const std::vector<EncodedPacket> expected = server_->tick(budget);
-    twin_->set_scene(server_->scene, ++frame_);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
-    const std::vector<EncodedPacket> actual = twin_->tick(budget, {});
+    std::vector<EncodedPacket> actual = twin_->tick(budget, {});
+    for (auto& packet : twin_->take_visibility(server_->relit(), server_->scene.version)) {
+      actual.push_back(std::move(packet));
+    }
     ASSERT_EQ(actual.size(), expected.size());
     for (std::size_t i = 0; i < actual.size(); ++i) {
       // The rest of a packet's header is the time.
@@ -103,7 +106,6 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
   std::unique_ptr<test::ToyServer> server_;
   std::unique_ptr<StreamModel> twin_;
   std::optional<DeviceModel> device_;
-  std::uint64_t frame_ = 0;
 };
 
 TEST_P(CudaQuantizer, FollowsATrainedModelBitForBit) {

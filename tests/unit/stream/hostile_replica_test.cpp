@@ -28,8 +28,8 @@ TEST(Hostile, NothingIsHeldBeforeASnapshotAndForeignEpochsAreIgnored) {
   EXPECT_EQ(replica.view().count, 0U);
   send(server.stream.snapshot(), replica);
   const PacketWriter writer("other", 1);
-  const auto foreign = writer.write(78, replica.held()->sequence + 1, wire::Body::ObjectTransforms,
-                                    [](auto& b) { return wire::CreateObjectTransforms(b, 1); });
+  const auto foreign = writer.write(78, replica.held()->sequence + 1, wire::Body::Remove,
+                                    [](auto& b) { return wire::CreateRemove(b, 1, 1); });
   EXPECT_FALSE(replica.receive(parse(foreign)));
   expect_exact(server.stream, replica);
 }
@@ -194,7 +194,7 @@ TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
   EXPECT_GT(thrown, 100);
   for (const wire::Body body :
        {wire::Body::Snapshot, wire::Body::TensorDelta, wire::Body::Remove, wire::Body::GaussianOrder,
-        wire::Body::ObjectIds, wire::Body::ObjectTransforms, wire::Body::LightState, wire::Body::LightVisibility}) {
+        wire::Body::ObjectIds, wire::Body::Scene, wire::Body::LightVisibility}) {
     EXPECT_TRUE(kinds.contains(body)) << wire::EnumNameBody(body) << " was not exercised";
   }
 }

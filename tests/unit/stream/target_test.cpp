@@ -79,7 +79,8 @@ class Differences {
     if (want_.layout.appearance == Appearance::Transfer) {
       channels("albedo", 11, 3, (t.color + 0.5F) / 255, display);
       channels("residual", 14, last - 14, (t.coefficients + 0.5F) / 128, same);
-      note("visibility", got_.visibility[slot_] - want_.visibility[i_], 3.5F / 255);
+      note("visibility", got_.visibility[slot_] - want_.visibility[i_],
+           (StreamModel::kMaxVisibilityError + 0.5F) / 255);
       for (std::size_t c = 0; c < 3; ++c) {
         note("normal", got_.normal[c * got_.stride + slot_] - want_.normal[c * want_.stride + i_], 0.004F);
       }

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
+#include <cmath>
 #include <deque>
 #include <random>
 
@@ -24,9 +27,12 @@ class ToyServer {
         next_id_(count + 1) {
     scene.light.sun_direction = {0, 1, 0};
     scene.light.generation = 1;
-    stream.set_scene(scene, 0);
+    scene.version = 1;
+    sent_ = scene;
+    EXPECT_TRUE(stream.take_scene(scene, {}).empty()) << "nobody holds anything yet";
     stream.observe(model_.view());
     stream.reset_to_target();
+    (void)stream.take_visibility(relit(), scene.version);
   }
 
   void insert(std::size_t count) {
@@ -59,9 +65,27 @@ class ToyServer {
   }
 
   std::vector<EncodedPacket> tick(double budget = 1e9) {
-    stream.set_scene(scene, ++frame_);
+    std::vector<EncodedPacket> packets;
+    if (scene.light != sent_.light || scene.objects != sent_.objects) packets = change_scene();
     EXPECT_TRUE(stream.observe(model_.view()));
-    return stream.tick(budget, {});
+    for (EncodedPacket& packet : stream.tick(budget, {})) packets.push_back(std::move(packet));
+    for (EncodedPacket& packet : stream.take_visibility(relit(), scene.version)) packets.push_back(std::move(packet));
+    return packets;
+  }
+
+  /// As relight says it: by index.
+  [[nodiscard]] std::vector<std::uint8_t> relit() const {
+    std::vector<std::uint8_t> visibility;
+    for (const float v : model_.visibility) visibility.push_back(static_cast<std::uint8_t>(std::lround(255 * v)));
+    visibility.resize(model_.count());
+    return visibility;
+  }
+
+  /// `scene` as the next version.
+  std::vector<EncodedPacket> change_scene() {
+    ++scene.version;
+    sent_ = scene;
+    return stream.take_scene(scene, {.frame = scene.version, .capture_ns = 5});
   }
 
   GaussiansBuffer& model() { return model_; }
@@ -84,7 +108,7 @@ class ToyServer {
   std::mt19937 random_;
   GaussiansBuffer model_;
   std::uint64_t next_id_;
-  std::uint64_t frame_ = 0;
+  SceneState sent_;
 };
 
 inline void send(const std::vector<EncodedPacket>& packets, Replica& replica) {

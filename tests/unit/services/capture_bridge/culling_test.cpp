@@ -113,6 +113,22 @@ TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
   EXPECT_LT(ball, pixels * 14 / 10);
 }
 
+TEST(Culling, WhatIsGoneFromTheRoundOrWasNoObjectYetIsNoSample) {
+  const AnalyticScene scene;
+  std::vector<InputView> views{scene.render(look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1))};
+  const auto samples_of_ball = [&](const ObjectTransforms& of_view, const ObjectTransforms& of_round) {
+    views[0].objects = of_view;
+    const SampledRound round = sample(views, of_round, unlimited());
+    EXPECT_GT(round.samples.size(), 500U);
+    return std::ranges::count(round.samples.object_id, AnalyticScene::kBall);
+  };
+  const ObjectTransforms ball{{AnalyticScene::kBall, {.translation = scene.ball_centre}}};
+  EXPECT_GT(samples_of_ball(ball, ball), 100);
+  EXPECT_GT(samples_of_ball({}, {}), 100);
+  EXPECT_EQ(samples_of_ball(ball, {}), 0);
+  EXPECT_EQ(samples_of_ball({}, ball), 0);
+}
+
 TEST(Culling, FillsTheBudgetWithAsManyCamerasAsItHasRoomFor) {
   const auto views = AnalyticScene{}.render_all(small_dome());
   const SampledRound one = sample(views, {}, unlimited());

@@ -121,6 +121,24 @@ TEST_F(InputRoundTest, AtARateEveryCameraMustBringANewFrame) {
   EXPECT_TRUE(round_.ready(kSecond, kSecond));
 }
 
+TEST_F(InputRoundTest, TheStalestFrameIsAskedForAnewWhenTheSceneHasChanged) {
+  const auto frame = [&](std::uint32_t camera, std::uint64_t version) {
+    auto view = std::make_shared<InputView>();
+    view->scene_version = version;
+    return round_.add(camera, set_.of_role(CameraRole::Input)[camera].request_id, std::move(view), 0);
+  };
+  EXPECT_FALSE(round_.take_stalest(9, 0, kSecond)) << "what was never there is missing, not stale";
+  ASSERT_TRUE(frame(0, 5) && frame(1, 3) && frame(2, 4));
+  EXPECT_FALSE(round_.take_stalest(3, 0, kSecond));
+  EXPECT_EQ(round_.take_stalest(5, 0, kSecond), 1U);
+  EXPECT_EQ(round_.take_stalest(5, 0, kSecond), 2U) << "camera 1's is on its way";
+  EXPECT_FALSE(round_.take_stalest(5, 0, kSecond));
+  EXPECT_EQ(round_.take_stalest(5, kSecond, kSecond), 1U) << "it never came";
+  ASSERT_TRUE(frame(1, 5));
+  EXPECT_EQ(round_.take_stalest(6, kSecond, kSecond), 2U);
+  EXPECT_EQ(round_.take_stalest(6, kSecond, kSecond), 0U);
+}
+
 TEST(ProbeTable, AnswersEachOnce) {
   ProbeTable table(4);
   std::optional<Probe> evicted;

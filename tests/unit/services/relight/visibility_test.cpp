@@ -92,7 +92,8 @@ TEST(Visibility, PenumbraIsAsWideAsTheGaussian) {
     std::vector<std::uint8_t> visibility(points.size());
     compute_visibility({}, model.view(), {}, scene.map(), {.softness_m = 0.03F, .footprint = footprint},
                        visibility.data());
-    return 0.001F * static_cast<float>(std::ranges::count_if(visibility, [](std::uint8_t v) { return v > 0 && v < 255; }));
+    return 0.001F *
+           static_cast<float>(std::ranges::count_if(visibility, [](std::uint8_t v) { return v > 0 && v < 255; }));
   };
   const float texel_m = 6.0F / 512;
   EXPECT_NEAR(penumbra_m(0), 2 * 1.2247F * 0.03F, 2 * texel_m);

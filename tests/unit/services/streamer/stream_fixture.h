@@ -30,18 +30,35 @@ class FakeTrainer {
   explicit FakeTrainer(const std::shared_ptr<bus::Context>& context, Device kind = Device::Cpu)
       : publisher_(context), pages_(context, kind) {}
 
-  void publish(const GaussiansBuffer& model) { pages_.publish(publisher_, model, ++generation_); }
+  /// Returns the index of each Gaussian.
+  std::vector<std::uint32_t> publish(const GaussiansBuffer& model) {
+    return pages_.publish(publisher_, model, ++generation_);
+  }
+  [[nodiscard]] std::uint64_t generation() const { return generation_; }
 
-  void publish_light(const Light& light) {
-    publisher_.publish(topics::kSceneState, [&](auto& builder, auto header) {
-      return wire::CreateSceneUpdate(builder, header, to_wire(builder, SceneState{.light = light}));
+  /// As relight does, by index.
+  void publish_visibility(const std::vector<std::uint8_t>& of_index, std::uint64_t generation, std::uint64_t version) {
+    const bus::OutgoingTensor visibility{.name = "visibility",
+                                         .shape = {1, static_cast<std::uint32_t>(of_index.size())},
+                                         .type = bus::ElementType::U8,
+                                         .inline_data = of_index.data()};
+    publisher_.publish(topics::kRelightVisibility, {.tensors = {visibility}}, [&](auto& builder, auto header) {
+      return wire::CreateRelightVisibility(builder, header, generation, version, of_index.size());
+    });
+  }
+
+  void publish_light(const Light& light) { publish_scene({.light = light, .objects = {}, .version = ++version_}); }
+
+  void publish_scene(const SceneState& scene, std::int64_t capture_ns = 0) {
+    publisher_.publish(topics::kSceneState, {.capture_ns = capture_ns}, [&](auto& builder, auto header) {
+      return wire::CreateSceneUpdate(builder, header, to_wire(builder, scene));
     });
   }
 
  private:
   bus::Publisher publisher_;
   model::PagedPublisher pages_;
-  std::uint64_t generation_ = 0;
+  std::uint64_t generation_ = 0, version_ = 0;
 };
 
 /// A streamer on a thread of its own.

@@ -1,6 +1,8 @@
 // What viewers and the bus get from the streamer.
+#include <cmath>
 #include <map>
 
+#include "../../stream/scene_expectations.h"
 #include "bus/clock.h"
 #include "streamer_fixture.h"
 #include "wire/capture_generated.h"
@@ -129,6 +131,96 @@ TEST_F(StreamerTest, LightReachesTheViewer) {
   trainer_.publish_light(light);
   EXPECT_TRUE(poll_until([&] { return client.replica().scene().light.generation == 12; }, client));
   EXPECT_EQ(client.replica().scene().light.sun_irradiance, light.sun_irradiance);
+}
+
+TEST_F(StreamerTest, TheSceneIsTheSameAtAViewerAtEachVersion) {
+  start_streamer({{"tick_hz", "0.1"}});
+  trainer_.publish(stream::test::toy_model(300, 1));
+  StreamClient client(client_options("one"));
+  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 300; }, client));
+  SceneState scene;
+  for (std::uint64_t version = 1; version <= 60; ++version) {
+    const float t = static_cast<float>(version) / 30;
+    scene.version = version * 1'000'000'007;
+    scene.light.generation = version;
+    scene.light.sun_irradiance = glm::vec3(3, 2, 1);
+    scene.light.sun_direction = glm::normalize(glm::vec3(std::cos(t), 1, std::sin(t)));
+    scene.objects[7] = {glm::angleAxis(t, glm::vec3(0, 1, 0)), {std::sin(t), 0.5F, 1 / t}};
+    if (version == 20) scene.objects[0xFFFFFFFEU] = {glm::angleAxis(t, glm::vec3(1, 0, 0)), {1, 2, 3}};
+    if (version == 40) scene.objects.erase(0xFFFFFFFEU);
+    trainer_.publish_scene(scene, static_cast<std::int64_t>(version));
+    ASSERT_TRUE(poll_until([&] { return client.replica().scene_version() == scene.version; }, client)) << version;
+    stream::test::expect_scene_near(client.replica().scene(), scene);
+    EXPECT_EQ(client.replica().scene_instant().capture_ns, static_cast<std::int64_t>(version));
+  }
+  EXPECT_EQ(client.refused(), 0U);
+  EXPECT_EQ(client.snapshot_requests(), 0U);
+  StreamClient late(client_options("late"));
+  ASSERT_TRUE(poll_until([&] { return late.replica().scene_version() == scene.version; }, client, late));
+  stream::test::expect_scene_near(late.replica().scene(), scene);
+}
+
+TEST_F(StreamerTest, ASceneThatIsNoneIsRefusedAndTheNextOneComes) {
+  start_streamer();
+  trainer_.publish(stream::test::toy_model(50, 1));
+  StreamClient client(client_options("one"));
+  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 50; }, client));
+  SceneState scene;
+  scene.version = 5;
+  trainer_.publish_scene(scene);
+  scene.version = 4;
+  scene.objects[1];
+  trainer_.publish_scene(scene);
+  scene.version = 6;
+  scene.objects[1].translation.x = std::nanf("");
+  trainer_.publish_scene(scene);
+  scene.objects[1].translation.x = 1;
+  scene.version = 7;
+  trainer_.publish_scene(scene);
+  std::vector<std::uint64_t> seen;
+  EXPECT_TRUE(poll_until(
+      [&] {
+        const std::uint64_t version = client.replica().scene_version();
+        if (version != 0 && (seen.empty() || seen.back() != version)) seen.push_back(version);
+        return version == 7;
+      },
+      client));
+  for (const std::uint64_t version : seen) EXPECT_TRUE(version == 5 || version == 7) << version;
+  EXPECT_EQ(client.refused(), 0U);
+}
+
+TEST_F(StreamerTest, VisibilityReachesTheGaussiansThatItIsOf) {
+  start_streamer({{"visibility_hz", "100"}});
+  const GaussiansBuffer model = stream::test::toy_model(1500, 1);
+  const std::vector<std::uint32_t> index = trainer_.publish(model);
+  StreamClient client(client_options("one"));
+  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 1500; }, client));
+  const auto of_index = [&](std::uint64_t salt) {
+    std::vector<std::uint8_t> visibility(*std::ranges::max_element(index) + 1);
+    for (std::size_t i = 0; i < index.size(); ++i) visibility[index[i]] = (model.gaussian_id[i] + salt) % 3 ? 0 : 255;
+    return visibility;
+  };
+  const std::uint64_t generation = trainer_.generation();
+  // What is said of a structure that the streamer has not seen yet waits for it.
+  trainer_.publish_visibility(of_index(20), generation + 1, 20);
+  trainer_.publish_light({.generation = 1});
+  ASSERT_TRUE(poll_until([&] { return client.replica().scene_version() != 0; }, client));
+  for (std::uint64_t version = 5; version < 10; ++version) {
+    trainer_.publish_visibility(of_index(77), generation - 1, version + 1);  // of a structure that was
+    trainer_.publish_visibility(of_index(version), generation, version);
+    trainer_.publish_visibility(of_index(78), generation, version - 1);  // of a picture's scene, which has passed
+    ASSERT_TRUE(poll_until([&] { return client.replica().visibility_version() == version; }, client));
+    const auto& ids = client.replica().held()->gaussians.gaussian_id;
+    for (std::size_t slot = 0; slot < ids.size(); ++slot) {
+      ASSERT_EQ(client.replica().view().visibility[slot], (ids[slot] + version) % 3 ? 0.0F : 1.0F) << slot;
+    }
+  }
+  trainer_.publish(model);
+  EXPECT_TRUE(poll_until([&] { return client.replica().visibility_version() == 20; }, client));
+  trainer_.publish_visibility({1, 2, 3}, generation + 1, 21);
+  trainer_.publish_visibility(of_index(22), generation + 1, 22);
+  EXPECT_TRUE(poll_until([&] { return client.replica().visibility_version() == 22; }, client));
+  EXPECT_EQ(client.refused(), 0U);
 }
 
 TEST_F(StreamerTest, StatisticsAddUp) {

@@ -4,6 +4,7 @@
 
 #include "../../bus/bus_fixture.h"
 #include "stream/bytes.h"
+#include "stream/stream_model.h"
 #include "wire/convert.h"
 
 namespace splatbus::viewer {
@@ -155,6 +156,35 @@ TEST_F(StreamClientTest, PicturesThatNobodyTakesAreBoundedInBytes) {
   EXPECT_EQ(client.take_probe_answer()->probe_id, 2U);
   EXPECT_EQ(client.take_probe_answer()->probe_id, 6U);
   EXPECT_FALSE(client.take_probe_answer());
+  EXPECT_EQ(client.refused(), 0U);
+}
+
+TEST_F(StreamClientTest, MeasuresHowLongScenesTook) {
+  constexpr std::int64_t kMillisecond = 1'000'000;
+  std::int64_t now_ns = 1'000'000 * kMillisecond;
+  ClientOptions stepped = options();
+  stepped.now_ns = [&] { return now_ns; };
+  StreamClient client(stepped);
+  ASSERT_TRUE(poll_until(client, [&] { return now_ns += kMillisecond, hellos_ >= 1; }));
+  welcome(false);
+  stream::StreamModel model(writer_, 5);
+  ASSERT_TRUE(model.observe(GaussiansBuffer(ParameterLayout{}).view()));
+  SceneState scene{.light = {}, .objects = {}, .version = 1};
+  EXPECT_TRUE(model.take_scene(scene, {.capture_ns = 1}).empty());
+  model.reset_to_target();
+  for (const auto& packet : model.snapshot().head) send(packet);
+  ASSERT_TRUE(all_received(client));
+  EXPECT_EQ(client.scene_delays().count(), 0U) << "a snapshot's scene is old";
+  for (int k = 1; k <= 200; ++k) {
+    ++scene.version;
+    const std::int64_t delay_ns = (k % 2 ? k : 201 - k) * kMillisecond;
+    for (const auto& packet : model.take_scene(scene, {.capture_ns = now_ns - delay_ns})) send(packet);
+    ASSERT_TRUE(all_received(client));
+  }
+  EXPECT_EQ(client.replica().scene_version(), 201U);
+  EXPECT_EQ(client.scene_delays().count(), 200U);
+  EXPECT_DOUBLE_EQ(client.scene_delays().quantile(0.5), 99);
+  EXPECT_DOUBLE_EQ(client.scene_delays().quantile(0.99), 197);
   EXPECT_EQ(client.refused(), 0U);
 }
 

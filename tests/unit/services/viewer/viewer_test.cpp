@@ -60,7 +60,7 @@ TEST_F(ViewerTest, WritesFramesThatShowTheModel) {
   start_streamer();
   start_viewer({{"out", out_},
                 {"frames", "1"},
-                {"rate_hz", "50"},
+                {"fps", "50"},
                 {"width", "48"},
                 {"height", "32"},
                 {"path", "still"},

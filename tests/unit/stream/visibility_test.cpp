@@ -1,0 +1,155 @@
+// The sun's visibility on its way to viewers.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <string>
+#include <unordered_map>
+
+#include "expectations.h"
+#include "stream/codecs.h"
+#include "toy_server.h"
+
+namespace splatbus::stream {
+namespace {
+
+using test::parse;
+using test::send;
+using test::ToyServer;
+
+/// Posts 1 m high and 0.3 m wide, a metre apart, throw shadows on a floor with a penumbra of a degree. The sun stands
+/// 40 degrees high and turns by 15 degrees a second.
+std::vector<std::uint8_t> shadows(const GaussiansBuffer& model, double time_s) {
+  const double azimuth = 15 * time_s * std::acos(-1.0) / 180;
+  const double cx = std::cos(azimuth), cz = std::sin(azimuth);
+  std::vector<std::uint8_t> seen(model.count(), 255);
+  for (std::size_t i = 0; i < model.count(); ++i) {
+    const double x = model.parameters[i], z = model.parameters[2 * model.stride() + i];
+    double visible = 1;
+    for (int px = -3; px <= 3; ++px) {
+      for (int pz = -3; pz <= 3; ++pz) {
+        const double along = (px - x) * cx + (pz - z) * cz, across = std::abs((px - x) * cz - (pz - z) * cx);
+        if (along < 0 || along > 1.19) continue;
+        visible = std::min(visible, std::clamp((across - 0.15) / (0.017 * along + 1e-6) + 0.5, 0.0, 1.0));
+      }
+    }
+    seen[i] = static_cast<std::uint8_t>(std::lround(255 * visible));
+  }
+  return seen;
+}
+
+void expect_seen(const Replica& replica, const GaussiansBuffer& model, const std::vector<std::uint8_t>& truth) {
+  std::unordered_map<std::uint64_t, std::size_t> index;
+  for (std::size_t i = 0; i < model.count(); ++i) index[model.gaussian_id[i]] = i;
+  ASSERT_EQ(replica.view().count, model.count());
+  for (std::size_t slot = 0; slot < model.count(); ++slot) {
+    const int want = truth[index.at(replica.held()->gaussians.gaussian_id[slot])];
+    const double got = 255.0 * replica.view().visibility[slot];
+    ASSERT_NEAR(got, want, want == 0 || want == 255 ? 1e-3 : StreamModel::kMaxVisibilityError + 1e-3) << slot;
+  }
+}
+
+TEST(Visibility, OfATurningSunIsTheSameAtAViewerAtEachVersion) {
+  ToyServer server(31, 2000);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  std::size_t moved = 0;
+  for (std::uint64_t version = 10; version < 60; ++version) {
+    const auto truth = shadows(server.model(), 0.1 * static_cast<double>(version));
+    const auto packets = server.stream.take_visibility(truth, version);
+    ASSERT_EQ(packets.size(), 1U);
+    send(packets, replica);
+    EXPECT_EQ(replica.visibility_version(), version);
+    expect_seen(replica, server.model(), truth);
+    moved += packets[0].payload.size() > 100;
+    if (version % 10 == 5) {
+      Replica late;
+      send(server.stream.snapshot(), late);
+      EXPECT_EQ(late.visibility_version(), version);
+      expect_seen(late, server.model(), truth);
+    }
+    EXPECT_TRUE(server.stream.take_visibility(truth, version).empty()) << "the same again";
+    EXPECT_TRUE(server.stream.take_visibility(truth, version - 1).empty()) << "an older one";
+    if (HasFailure()) return;
+  }
+  EXPECT_GT(moved, 40U) << "the sun does not turn";
+}
+
+TEST(Visibility, UntilTheFirstOneComesASnapshotHasTheModelsOwn) {
+  const GaussiansBuffer model = test::toy_model(500, 1);
+  StreamModel stream(PacketWriter("streamer", 1), 5, {.chunk_gaussians = 256});
+  ASSERT_TRUE(stream.observe(model.view()));
+  stream.reset_to_target();
+  Replica replica;
+  send(stream.snapshot(), replica);
+  EXPECT_EQ(replica.visibility_version(), 0U);
+  std::vector<std::uint8_t> own;
+  for (const float v : model.visibility) own.push_back(static_cast<std::uint8_t>(255 * v));
+  expect_seen(replica, model, own);
+}
+
+TEST(Visibility, FollowsGaussiansThatComeAndGo) {
+  ToyServer server(32, 800);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  for (int round = 0; round < 10; ++round) {
+    server.insert(50);
+    server.remove(40);
+    ++server.scene.version;
+    const auto truth = shadows(server.model(), round);
+    for (std::size_t i = 0; i < truth.size(); ++i) server.model().visibility[i] = static_cast<float>(truth[i]) / 255;
+    send(server.tick(), replica);
+    expect_seen(replica, server.model(), truth);
+    if (HasFailure()) return;
+  }
+}
+
+TEST(Visibility, TenTimesASecondOf90000GaussiansStaysWithinAMegabitASecond) {
+  ToyServer server(33, 90'000, Appearance::Transfer, {.chunk_gaussians = 4096});
+  std::size_t bytes = 0, first = 0;
+  constexpr int kSeconds = 6;
+  for (int frame = 0; frame <= 10 * kSeconds; ++frame) {
+    const auto packets =
+        server.stream.take_visibility(shadows(server.model(), 0.1 * frame), static_cast<std::uint64_t>(frame) + 10);
+    ASSERT_EQ(packets.size(), 1U);
+    (frame == 0 ? first : bytes) += packets[0].bytes() + 9;
+  }
+  const double kbps = static_cast<double>(bytes) * 8e-3 / kSeconds;
+  RecordProperty("kbps", std::to_string(kbps));
+  RecordProperty("first_bytes", std::to_string(first));
+  EXPECT_LE(kbps, 1000);
+  EXPECT_GT(kbps, 50) << "the sun does not turn";
+}
+
+TEST(Visibility, IsRefusedByName) {
+  ToyServer server(34, 100);
+  Replica replica;
+  send(server.stream.snapshot(), replica);
+  const auto truth = shadows(server.model(), 0);
+  EXPECT_THROW((void)server.stream.take_visibility(std::span(truth).first(99), 7), StreamError);
+  send(server.stream.take_visibility(truth, 7), replica);
+  const PacketWriter writer("streamer", 1);
+  const auto refusal = [&](std::uint64_t version, const SlotValues& change, std::uint32_t count) -> std::string {
+    Payload payload = encode_slot_values(change);
+    ReplicatedState held = *replica.held();
+    const auto packet = writer.write(
+        77, held.sequence + 1, wire::Body::LightVisibility,
+        [&](auto& b) { return wire::CreateLightVisibility(b, version, count, payload.raw_bytes); }, payload.bytes);
+    try {
+      apply(held, parse(packet));
+    } catch (const StreamError& error) {
+      EXPECT_TRUE(held.gaussians == replica.held()->gaussians);
+      EXPECT_EQ(held.visibility_version, 7U);
+      return error.what();
+    }
+    return "nothing";
+  };
+  EXPECT_EQ(refusal(7, {{99}, {3}}, 1), "nothing");
+  EXPECT_EQ(refusal(6, {{99}, {3}}, 1), "LightVisibility: of scene version 6 where 7 is held");
+  EXPECT_EQ(refusal(8, {{100}, {3}}, 1), "LightVisibility: slot 100 of 100 held");
+  EXPECT_NE(refusal(8, {{9}, {3}}, 2).find("LightVisibility: ends"), std::string::npos);
+  EXPECT_NE(refusal(8, {{99}, {3, 3}}, 1).find("too many"), std::string::npos);
+  EXPECT_NE(refusal(8, {{99}, {3}}, 101).find("101 Gaussians"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace splatbus::stream
