@@ -40,7 +40,7 @@ SceneBytes scene_bytes(const PipelineState::Stream& stream) {
   for (const auto& [type, total] : stream.total_bytes) {
     if (type == "LightVisibility") {
       bytes.visibility += total;
-    } else if (type == "ObjectTransforms" || type == "LightState" || type.starts_with("Scene")) {
+    } else if (type == "Scene") {
       bytes.scene += total;
     }
   }
