@@ -82,6 +82,7 @@ void add_demo_verb(CLI::App& app, Action& action) {
   CLI::App* verb = app.add_subcommand("demo", "The whole pipeline on a built-in scene, with true figures beside it");
   verb->option_defaults()->always_capture_default();
   verb->add_option("--seconds", options->demo.seconds, "how long it runs")->check(CLI::Range(5.0, 86400.0));
+  verb->add_flag("--still", options->demo.still, "sun and objects rest");
   verb->add_option("--seed", options->demo.seed, "of everything random: the scene and the trainer's choices")
       ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{0xFFFFFFFF}));
   verb->add_option("--out", options->out, "folder for contact_sheet.png, model.ply and summary.json");

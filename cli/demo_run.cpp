@@ -7,11 +7,13 @@
 #include <vector>
 
 #include "demo_results.h"
+#include "engine_scene.h"
 #include "gaussians/model.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
+#include "scene_view.h"
 #include "schema_json.h"
 #include "supervised_run.h"
 #include "verbs.h"
@@ -30,7 +32,9 @@ constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kRoundNs = 5 * kSecond;
 constexpr std::int64_t kRepeatNs = 2 * kSecond;
 constexpr std::int64_t kShowNs = 3 * kSecond / 2;
+constexpr std::int64_t kMapPatienceNs = kSecond;  ///< the light's depth comes a moment after the probe's picture
 constexpr double kFinalTimeoutS = 20;
+constexpr double kStillReferenceRate_hz = 0.5;
 
 /// Held-out views half-way between reference cameras.
 std::vector<Camera> held_out_cameras() {
@@ -51,6 +55,7 @@ LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, co
   if (LaunchService* engine = file.find("engine")) {
     engine->args.insert(engine->args.end(), {"--seed", std::to_string(options.seed)});
   }
+  if (options.still) apply({.reference_rate_hz = kStillReferenceRate_hz}, file);
   set_backend(file, options.backend);
   check_backends(file);
   LaunchPlan plan = plan_launch(file, address, program_directory());
@@ -69,8 +74,9 @@ class Demo {
         context_(connect(address_)),
         watch_(context_),
         live_(context_),
+        depths_(context_),
         probes_(context_, held_out_cameras()),
-        view_(own_backend(options.backend), 1),
+        view_(1),
         start_ns_(bus::now_ns()),
         run_(plan_, options.out / "services.log") {}
 
@@ -98,8 +104,9 @@ class Demo {
     run_.check();
     if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
     // Nothing can be compared before there is a model.
-    if (new_round && live_.published()) {
+    if (new_round && live_.published() && live_.published()->count > 0) {
       server_.clear();
+      depths_.keep(true);
       probes_.begin();
       asked_ns_ = bus::now_ns();
     }
@@ -121,11 +128,14 @@ class Demo {
   void draw_what_has_come() {
     for (const auto& [index, probe] : probes_.pictures()) {
       if (server_.contains(index)) continue;
-      const auto picture = view_.render(live_, probe.camera, probe.scene);
+      const auto map = depths_.find(probe.scene.version);
+      if (map == nullptr && bus::now_ns() - asked_ns_ < kMapPatienceNs) return;
+      const auto picture = view_.render(live_, probe.camera, probe.scene, map.get());
       if (!picture) return;
       server_[index] = metrics::compare(*picture, probe.picture);
       results_.compared[index] = {.engine = probe.picture, .drawn = *picture, .server = server_[index]};
     }
+    if (server_.size() == kHeldOutCameras) depths_.keep(false);
   }
 
   /// Figures of the newest round of which all views came back, for the live line.
@@ -225,8 +235,9 @@ class Demo {
   std::shared_ptr<bus::Context> context_;
   PipelineWatch watch_;
   LiveScene live_;
+  LightDepths depths_;
   ProbeRounds probes_;
-  ServerView view_;
+  SceneView view_;
   ViewFigures server_;  ///< of this round
   DemoResults results_;
   std::optional<double> shown_server_, shown_viewer_;

@@ -14,6 +14,7 @@ namespace splatbus::cli {
 
 struct DemoOptions {
   double seconds = 60;
+  bool still = false;  ///< sun and objects rest, whatever the launch file says
   std::uint64_t seed = 0;
   std::filesystem::path out = "out/demo";
   std::filesystem::path launch_file;

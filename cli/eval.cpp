@@ -2,9 +2,12 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <map>
 
+#include "dynamics_evaluation.h"
 #include "fixed_evaluation.h"
 #include "launch_plan.h"
+#include "relight_evaluation.h"
 #include "schema_json.h"
 #include "start_evaluation.h"
 #include "terminal.h"
@@ -14,23 +17,37 @@ namespace splatbus::cli {
 
 namespace {
 
-struct EvalOptions {
-  FixedEvaluationOptions fixed;
+/// What every evaluation has, as the command line gives it.
+struct CommonOptions {
+  std::string default_launch = "eval_fixed.yaml";  ///< under launch/
   std::string launch_file;
   std::string out = "out/eval";
   bool json = false;
 
-  [[nodiscard]] EvaluationSetup setup() const {
-    EvaluationSetup setup = fixed.setup;
-    setup.launch_file =
-        launch_file.empty() ? default_launch_file("eval_fixed.yaml") : std::filesystem::path(launch_file);
+  void complete(EvaluationSetup& setup) const {
+    setup.launch_file = launch_file.empty() ? default_launch_file(default_launch) : std::filesystem::path(launch_file);
     setup.out = out;
-    return setup;
   }
 };
 
-int evaluate_fixed(EvalOptions options) {
-  options.fixed.setup = options.setup();
+struct FixedVerbOptions : CommonOptions {
+  FixedEvaluationOptions fixed;
+};
+
+struct StartVerbOptions : CommonOptions {
+  EvaluationSetup setup;
+};
+
+struct DynamicsVerbOptions : CommonOptions {
+  DynamicsOptions dynamics;
+};
+
+struct RelightVerbOptions : CommonOptions {
+  RelightEvaluationOptions relight;
+};
+
+int evaluate_fixed(FixedVerbOptions options) {
+  options.complete(options.fixed.setup);
   const StopSignals signals;
   ProgressLine line;
   const auto show_progress = [&](const FixedEvaluationProgress& progress) {
@@ -63,19 +80,43 @@ int evaluate_fixed(EvalOptions options) {
   return 0;
 }
 
-int evaluate_start(const EvalOptions& options) {
+/// Runs an evaluation that tells only its state on the way; `evaluate` is given the signals and what shows a state.
+template <class Evaluate>
+int evaluate(const CommonOptions& options, const char* files, Evaluate evaluate) {
   const StopSignals signals;
   ProgressLine line;
-  const nlohmann::json summary = run_start_evaluation(options.setup(), signals, [&](const std::string& state) {
+  const nlohmann::json summary = evaluate(signals, [&](const std::string& state) {
     if (!options.json) line.show(state);
   });
   line.finish();
   fmt::print("{}\n", json_text(summary, options.json ? -1 : 2));
+  if (!options.json) fmt::print("{}: {}\n", options.out, files);
   return 0;
 }
 
-void add_setup_options(CLI::App& verb, EvalOptions& options) {
-  EvaluationSetup& setup = options.fixed.setup;
+int evaluate_start(StartVerbOptions options) {
+  options.complete(options.setup);
+  return evaluate(options, "summary.json", [&](const StopSignals& signals, const auto& show) {
+    return run_start_evaluation(options.setup, signals, show);
+  });
+}
+
+int evaluate_dynamics(DynamicsVerbOptions options) {
+  options.complete(options.dynamics.setup);
+  return evaluate(options, "figures.csv, summary.json, camera_0.png ...",
+                  [&](const StopSignals& signals, const auto& show) {
+                    return run_dynamics_evaluation(options.dynamics, signals, show);
+                  });
+}
+
+int evaluate_relight(RelightVerbOptions options) {
+  options.complete(options.relight.setup);
+  return evaluate(options, "summary.json, contact_sheet.png", [&](const StopSignals& signals, const auto& show) {
+    return run_relight_evaluation(options.relight, signals, show);
+  });
+}
+
+void add_setup_options(CLI::App& verb, CommonOptions& options, EvaluationSetup& setup) {
   verb.option_defaults()->always_capture_default();
   verb.add_option("--cameras", setup.cameras, "reference cameras")->check(CLI::Range(1, 64));
   verb.add_option("--size", setup.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
@@ -87,9 +128,66 @@ void add_setup_options(CLI::App& verb, EvalOptions& options) {
   verb.add_option("--seed", setup.seed, "of the trainer's random choices; the scene is the launch file's");
   verb.add_option("--timeout", setup.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
   verb.add_option("--out", options.out, "folder for what is written");
-  verb.add_option("--launch", options.launch_file, "launch file (default: launch/eval_fixed.yaml of this build)");
+  verb.add_option("--launch", options.launch_file,
+                  fmt::format("launch file (default: launch/{} of this build)", options.default_launch));
   verb.add_flag("--json", options.json, "progress and summary as JSON, one object a line");
   add_backend_option(verb, setup.backend);
+}
+
+void add_fixed_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<FixedVerbOptions>();
+  CLI::App* verb = eval.add_subcommand(
+      "fixed", "Fixed cameras in a circle, held-out views between them; SSIM, PSNR and FLIP over the iterations");
+  FixedEvaluationOptions& fixed = options->fixed;
+  add_setup_options(*verb, *options, fixed.setup);
+  verb->add_option("--iterations", fixed.iterations, "optimizer steps")->check(CLI::Range(1, 1000000));
+  verb->add_option("--every", fixed.every, "steps between evaluations")->check(CLI::Range(1, 1000000));
+  verb->add_option("--views", fixed.views, "held-out views")->check(CLI::Range(1, 64));
+  verb->callback([options, &action] { action = [options] { return evaluate_fixed(*options); }; });
+}
+
+void add_start_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<StartVerbOptions>();
+  CLI::App* verb = eval.add_subcommand("start", "How soon after the engine's first frame there is a trained model");
+  add_setup_options(*verb, *options, options->setup);
+  verb->callback([options, &action] { action = [options] { return evaluate_start(*options); }; });
+}
+
+void add_dynamics_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<DynamicsVerbOptions>();
+  options->default_launch = "eval_dynamics.yaml";
+  CLI::App* verb = eval.add_subcommand(
+      "dynamics", "Sun and objects that move: held-out views through time, beside the still scene and a frozen state");
+  DynamicsOptions& dynamics = options->dynamics;
+  add_setup_options(*verb, *options, dynamics.setup);
+  verb->add_option("--seconds", dynamics.seconds, "how long the living scene runs")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--still-seconds", dynamics.still_seconds,
+                   "how long the same scene stands still before that; 0: not at all")
+      ->check(CLI::Range(0.0, 86400.0));
+  verb->add_flag("--still", dynamics.still_only, "the still scene alone, for --seconds");
+  verb->add_option("--sun", dynamics.turning_sun, "fixed, or turning")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, bool>{{"fixed", false}, {"turning", true}}));
+  verb->add_option("--sun-rate", dynamics.sun_rate_deg_s, "degrees a second of a turning sun");
+  verb->add_option("--support", dynamics.support,
+                   "what is drawn: on (the scene's state of each picture), off (its state at the start), or both")
+      ->transform(CLI::CheckedTransformer(
+          std::map<std::string, Support>{{"on", Support::On}, {"off", Support::Off}, {"both", Support::Both}}));
+  verb->add_option("--fps", dynamics.fps, "engine frames a second")->check(CLI::Range(1.0, 240.0));
+  verb->add_option("--reference-rate", dynamics.reference_rate_hz, "pictures a second of each reference camera")
+      ->check(CLI::Range(0.1, 240.0));
+  verb->callback([options, &action] { action = [options] { return evaluate_dynamics(*options); }; });
+}
+
+void add_relight_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<RelightVerbOptions>();
+  CLI::App* verb =
+      eval.add_subcommand("relight", "Train under one sun, pause, and show suns 60 to 180 degrees away from it");
+  RelightEvaluationOptions& relight = options->relight;
+  add_setup_options(*verb, *options, relight.setup);
+  verb->add_option("--iterations", relight.iterations, "optimizer steps under the first sun")
+      ->check(CLI::Range(1, 1000000));
+  verb->add_option("--views", relight.views, "held-out views")->check(CLI::Range(1, 64));
+  verb->callback([options, &action] { action = [options] { return evaluate_relight(*options); }; });
 }
 
 }  // namespace
@@ -97,20 +195,10 @@ void add_setup_options(CLI::App& verb, EvalOptions& options) {
 void add_eval_verb(CLI::App& app, Action& action) {
   CLI::App* eval = app.add_subcommand("eval", "Measure the quality that the real services reach");
   eval->require_subcommand(1);
-  auto options = std::make_shared<EvalOptions>();
-  CLI::App* verb = eval->add_subcommand(
-      "fixed", "Fixed cameras in a circle, held-out views between them; SSIM, PSNR and FLIP over the iterations");
-  add_setup_options(*verb, *options);
-  FixedEvaluationOptions& fixed = options->fixed;
-  verb->add_option("--iterations", fixed.iterations, "optimizer steps")->check(CLI::Range(1, 1000000));
-  verb->add_option("--every", fixed.every, "steps between evaluations")->check(CLI::Range(1, 1000000));
-  verb->add_option("--views", fixed.views, "held-out views")->check(CLI::Range(1, 64));
-  verb->callback([options, &action] { action = [options] { return evaluate_fixed(*options); }; });
-
-  auto start_options = std::make_shared<EvalOptions>();
-  CLI::App* start = eval->add_subcommand("start", "How soon after the engine's first frame there is a trained model");
-  add_setup_options(*start, *start_options);
-  start->callback([start_options, &action] { action = [start_options] { return evaluate_start(*start_options); }; });
+  add_fixed_verb(*eval, action);
+  add_start_verb(*eval, action);
+  add_dynamics_verb(*eval, action);
+  add_relight_verb(*eval, action);
 }
 
 }  // namespace splatbus::cli

@@ -12,7 +12,8 @@ std::uint64_t EvaluationSetup::enough_gaussians() const {
   return ready_gaussians > 0 ? ready_gaussians : static_cast<std::uint64_t>(budget) * 95 / 100;
 }
 
-LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused) {
+LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused,
+                           const std::optional<EngineScene>& scene) {
   LaunchFile file = read_launch_file(setup.launch_file);
   for (const auto& [name, value] : ring_parameters({.count = setup.cameras, .size = setup.size})) {
     apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
@@ -25,6 +26,7 @@ LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& add
       {"trainer.paused", paused ? "true" : "false"},
   };
   for (const auto& [name, value] : settings) apply_override(file, fmt::format("{}={}", name, value));
+  if (scene) apply(*scene, file);
   set_backend(file, setup.backend);
   check_backends(file);
   LaunchPlan plan = plan_launch(file, address, program_directory());

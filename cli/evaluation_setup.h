@@ -3,15 +3,17 @@
 #include <cstdint>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "engine_scene.h"
 #include "launch_plan.h"
 #include "supervisor.h"
 
 namespace splatbus::cli {
 
-/// What an evaluation launches: fixed cameras around a still scene.
+/// What an evaluation launches: fixed cameras around a scene.
 struct EvaluationSetup {
   int cameras = 10;  ///< reference cameras, on a circle
   int size = 256;    ///< their pixels, square
@@ -28,8 +30,10 @@ struct EvaluationSetup {
   [[nodiscard]] std::uint64_t enough_gaussians() const;
 };
 
-/// The launch file with the setup's cameras; `paused` is whether the trainer waits to be told. Throws LaunchError.
-[[nodiscard]] LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused);
+/// The launch file with the setup's cameras, and with `scene` where one is given; `paused` is whether the trainer waits
+/// to be told. Throws LaunchError.
+[[nodiscard]] LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused,
+                                         const std::optional<EngineScene>& scene = {});
 
 /// Bytes of bulk data that each process says passed through host memory; without those that do not count them.
 [[nodiscard]] nlohmann::json host_copied_bytes(const std::vector<ProcessStatus>& processes);

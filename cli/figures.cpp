@@ -23,7 +23,7 @@ FigureSummary summarize(const ViewFigures& figures) {
   summary.ssim_min = figures.begin()->second.ssim;
   for (const auto& [view, quality] : figures) {
     summary.mean.ssim += quality.ssim;
-    summary.mean.psnr_db += std::min(quality.psnr_db, kHighestPsnr);
+    summary.mean.psnr_db += finite_psnr(quality.psnr_db);
     summary.mean.flip += quality.flip;
     summary.ssim_min = std::min(summary.ssim_min, quality.ssim);
     summary.flip_max = std::max(summary.flip_max, quality.flip);
@@ -39,7 +39,7 @@ std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigu
   std::string rows;
   for (const auto& [view, quality] : figures) {
     rows += fmt::format("{},{},{:.5f},{:.3f},{:.5f},{:.4f}\n", iteration, view, quality.ssim,
-                        std::min(quality.psnr_db, kHighestPsnr), quality.flip, optimizer_s);
+                        finite_psnr(quality.psnr_db), quality.flip, optimizer_s);
   }
   return rows;
 }
@@ -47,6 +47,10 @@ std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigu
 void write_text(const std::string& path, const std::string& text) {
   std::ofstream file(path);
   if (!(file << text) || !file.flush()) throw std::runtime_error(path + ": cannot be written");
+}
+
+double finite_psnr(double psnr_db) {
+  return std::min(psnr_db, kHighestPsnr);
 }
 
 double rounded(double value) {

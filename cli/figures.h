@@ -17,7 +17,7 @@ struct FigureSummary {
   double ssim_min = 0, flip_max = 0;
 };
 
-/// Of at least one view; an infinite PSNR (equal pictures) counts as 100 dB, so that means stay finite.
+/// Of at least one view.
 [[nodiscard]] FigureSummary summarize(const ViewFigures& figures);
 
 /// Lines of one iteration under kCsvHeader; `optimizer_s` is what training has taken so far.
@@ -26,6 +26,9 @@ inline constexpr const char* kCsvHeader = "iteration,view,ssim,psnr,flip,optimiz
 
 /// Writes text to a file; throws std::runtime_error that names it.
 void write_text(const std::string& path, const std::string& text);
+
+/// An infinite PSNR (equal pictures) counts as 100 dB, so that means stay finite.
+[[nodiscard]] double finite_psnr(double psnr_db);
 
 /// Six significant digits: what a figure in a summary is worth.
 [[nodiscard]] double rounded(double value);

@@ -26,7 +26,8 @@ PipelineWatch::PipelineWatch(std::shared_ptr<bus::Context> context) : subscriber
                               .ready_references = stats.ready_references(),
                               .ready_inputs = stats.ready_inputs(),
                               .paused = stats.paused(),
-                              .host_copied_bytes = stats.host_copied_bytes()};
+                              .host_copied_bytes = stats.host_copied_bytes(),
+                              .unpaired_views = stats.unpaired_views()};
           })
       .on(topics::kGridState,
           [this](const wire::GridState& grid, const Message&) {
@@ -39,7 +40,11 @@ PipelineWatch::PipelineWatch(std::shared_ptr<bus::Context> context) : subscriber
             state_.stream = {.viewers = stats.viewers(),
                              .wire_mbps = stats.wire_mbps(),
                              .wire_mbps_mean = stats.wire_mbps_mean(),
-                             .wire_mbps_peak = stats.wire_mbps_peak()};
+                             .wire_mbps_peak = stats.wire_mbps_peak(),
+                             .total_bytes = {}};
+            if (stats.by_type() == nullptr) return;
+            for (const auto* type : *stats.by_type())
+              state_.stream.total_bytes[type->body()->str()] = type->total_bytes();
           })
       .on(topics::kRelightVisibility,
           [this](const wire::RelightVisibility& visibility, const Message&) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <string>
 
 #include "bus/subscriber.h"
 #include "metrics/metrics.h"
@@ -20,7 +21,7 @@ struct PipelineState {
     double optimizer_s = 0, steps_per_s = 0, loss = 0;
     std::uint32_t ready_references = 0, ready_inputs = 0;
     bool paused = false;
-    std::uint64_t host_copied_bytes = 0;
+    std::uint64_t host_copied_bytes = 0, unpaired_views = 0;
   };
   struct Grid {
     std::uint64_t rounds = 0, batches_pending = 0, gaussians_inserted = 0;
@@ -28,6 +29,7 @@ struct PipelineState {
   struct Stream {
     std::uint32_t viewers = 0;
     double wire_mbps = 0, wire_mbps_mean = 0, wire_mbps_peak = 0;
+    std::map<std::string, std::uint64_t> total_bytes;  ///< to all viewers since the streamer started, by packet type
   };
   Trainer trainer;
   Grid grid;

@@ -12,6 +12,20 @@
 
 namespace splatbus::cli {
 
+namespace {
+
+/// A tensor [height][width] of 4-byte elements, as CV_32SC1 or CV_32FC1; empty where it is not there any more.
+cv::Mat optional_plane(const bus::Message& message, const char* name, bus::ElementType type, const cv::Size& size) {
+  const auto tensor =
+      message.tensor(name, type, {static_cast<std::uint32_t>(size.height), static_cast<std::uint32_t>(size.width)});
+  if (!tensor) return {};
+  cv::Mat plane(size, type == bus::ElementType::F32 ? CV_32FC1 : CV_32SC1);
+  if (!tensor->copy(plane.data)) return {};
+  return plane;
+}
+
+}  // namespace
+
 ProbeRounds::ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras)
     : cameras_(std::move(cameras)),
       publisher_(context),
@@ -54,13 +68,18 @@ void ProbeRounds::poll(std::chrono::milliseconds timeout,
       ProbePicture picture{.probe_id = probe.probe_id(),
                            .camera = from_wire(*probe.camera()),
                            .scene = from_wire(*probe.scene()),
-                           .picture = {}};
+                           .time_s = probe.scene()->time_s(),
+                           .picture = {},
+                           .object_id = {},
+                           .depth = {}};
       const auto color =
           message->tensor("color", bus::ElementType::U8, {picture.camera.height, picture.camera.width, 4});
       if (!color) return;
       std::vector<std::uint8_t> rgba(color->bytes());
       if (!color->copy(rgba.data())) return;
       picture.picture = metrics::from_rgba(rgba.data(), picture.camera.width, picture.camera.height);
+      picture.object_id = optional_plane(*message, "object_id", bus::ElementType::U32, picture.picture.size());
+      picture.depth = optional_plane(*message, "depth", bus::ElementType::F32, picture.picture.size());
       handle(index, pictures_.emplace(index, std::move(picture)).first->second);
     });
   }

@@ -22,7 +22,10 @@ struct ProbePicture {
   std::uint64_t probe_id = 0;
   Camera camera;
   SceneState scene;
-  cv::Mat picture;  ///< CV_8UC3 BGR
+  double time_s = 0;  ///< engine time
+  cv::Mat picture;    ///< CV_8UC3 BGR
+  cv::Mat object_id;  ///< CV_32SC1, the ids' bits; empty where the engine gave none
+  cv::Mat depth;      ///< CV_32FC1, metres, 0 where there is no surface; empty where the engine gave none
 };
 
 /// Held-out cameras: asks the engine for their pictures by viewer/probe, and gathers capture/probe. Each round has new

@@ -103,6 +103,7 @@ void EngineLoop::wait_until(std::int64_t deadline_ns, const std::atomic<bool>& s
 }
 
 void EngineLoop::render_frame(std::uint64_t frame) {
+  options_.before_frame();
   standing_frame_ = frame;
   // Whether light depth is due depends on what has moved by now.
   if (schedule_.watches_scene()) renderer_.set_time(time_of(frame));

@@ -2,6 +2,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -17,8 +18,9 @@
 namespace splatbus::sim {
 
 struct EngineLoopOptions {
-  double fps = 10;           ///< frame n is at engine time n / fps
-  std::uint64_t frames = 0;  ///< ends after so many; 0: never
+  double fps = 10;                             ///< frame n is at engine time n / fps
+  std::uint64_t frames = 0;                    ///< ends after so many; 0: never
+  std::function<void()> before_frame = [] {};  ///< may change the renderer's scene
 };
 
 struct CloseEngine {

@@ -12,6 +12,7 @@
 #include "sim/engine_loop.h"
 #include "sim/gltf_scene.h"
 #include "sim/snapshot.h"
+#include "sim/sun_control.h"
 #include "sim/toys.h"
 
 namespace {
@@ -100,7 +101,12 @@ void run(const Flags& flags) {
   const splatbus_memory memory = readback ? SPLATBUS_MEMORY_CUDA : SPLATBUS_MEMORY_HOST;
   const EngineHandle engine = open_engine(flags.bus, flags.name, memory);
   spdlog::info("frames in {} memory", readback ? "CUDA" : "host");
-  EngineLoop(*engine, renderer, readback.get(), flags.loop).run(stop_requested);
+  SunControl sun(flags.bus, flags.name);
+  EngineLoopOptions options = flags.loop;
+  options.before_frame = [&] {
+    if (const auto azimuth_deg = sun.take_azimuth_deg()) renderer.turn_sun(*azimuth_deg);
+  };
+  EngineLoop(*engine, renderer, readback.get(), options).run(stop_requested);
 }
 
 }  // namespace

@@ -236,6 +236,11 @@ void Renderer::set_time(double time_s) {
   if (changed || turned || impl_->scene_version == 0) ++impl_->scene_version;
 }
 
+void Renderer::turn_sun(double azimuth_deg) {
+  Lighting& lighting = impl_->scene.lighting;
+  lighting.sun_azimuth_deg = azimuth_deg - lighting.sun_rate_deg_s * impl_->instant.time_s;
+}
+
 std::uint64_t Renderer::scene_version() const {
   return impl_->scene_version;
 }

@@ -46,6 +46,9 @@ class Renderer {
 
   /// Sets the time. The shadow map is drawn again only when the scene has changed and a lit picture is asked for.
   void set_time(double time_s);
+  /// Puts the sun at an azimuth as of the current time; from there it turns at the lighting's rate. Seen at the next
+  /// set_time().
+  void turn_sun(double azimuth_deg);
   /// Grows whenever set_time() has changed the scene: sun or an object have moved, an object has come or gone.
   [[nodiscard]] std::uint64_t scene_version() const;
   [[nodiscard]] const Instant& instant() const;

@@ -23,6 +23,9 @@ constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is as
 constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
 constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
 constexpr std::size_t kMaxProbes = 64;
+// By ids and depth those who judge pictures tell what moves, and what lies in shadow.
+const wire::EngineBuffer kProbeBuffers =
+    wire::EngineBuffer::Color | wire::EngineBuffer::ObjectId | wire::EngineBuffer::Depth;
 constexpr int kMaxMessagesAStep = 256;
 
 std::int64_t nanoseconds(double seconds) {
@@ -147,7 +150,7 @@ void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Mess
     ++counters_.probes_dropped;
     spdlog::warn("probe {} of {} dropped: {} wait already", evicted->probe_id, evicted->asker, kMaxProbes);
   }
-  if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, wire::EngineBuffer::Color, 0);
+  if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);
 }
 
 void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message) {
@@ -215,7 +218,7 @@ void CaptureBridge::update_probes(std::int64_t now_ns) {
     spdlog::warn("probe {} of {} dropped: the engine did not answer", probe.probe_id, probe.asker);
   }
   for (Probe* probe : probes_.overdue(now_ns - kProbePatienceNs)) {
-    probe->request_id = rigs_.cameras().add(probe->camera, wire::EngineBuffer::Color, 0);
+    probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);
     probe->requested_ns = now_ns;
   }
 }

@@ -71,15 +71,18 @@ void Forwarder::retire(const Camera& camera) {
 bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& frame, const Probe& probe) {
   auto color = message.forward_tensor("color");
   if (!color) return false;
+  bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
+  info.tensors.push_back(std::move(*color));
+  for (const char* name : {"object_id", "depth"}) {
+    if (auto tensor = message.forward_tensor(name)) info.tensors.push_back(std::move(*tensor));
+  }
   Camera camera = from_wire(*frame.camera());
   camera.id = probe.camera.id;
-  publisher_.publish(
-      topics::kCaptureProbe, {.capture_ns = frame.header()->capture_ns(), .tensors = {std::move(*color)}},
-      [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
-        const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
-        const wire::Camera out = to_wire(camera);
-        return wire::CreateCaptureProbe(builder, header, probe.probe_id, &out, scene_offset);
-      });
+  publisher_.publish(topics::kCaptureProbe, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+    const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
+    const wire::Camera out = to_wire(camera);
+    return wire::CreateCaptureProbe(builder, header, probe.probe_id, &out, scene_offset);
+  });
   return true;
 }
 

@@ -157,6 +157,8 @@ TEST(Commands, HelpAndVersionEverywhere) {
                                                                                     {"eval"},
                                                                                     {"eval", "fixed"},
                                                                                     {"eval", "start"},
+                                                                                    {"eval", "dynamics"},
+                                                                                    {"eval", "relight"},
                                                                                     {"demo"}}) {
     std::vector<std::string> arguments = verb;
     arguments.emplace_back("--help");

@@ -147,5 +147,24 @@ TEST(Renderer, TheSunTurnsAboutTheVertical) {
   EXPECT_NEAR(later.sun_direction[1], std::cos(glm::radians(45.0)), 1e-6);
 }
 
+TEST(Renderer, TheSunGoesWhereItIsTurned) {
+  Scene scene;
+  add_plain(scene, box({1, 1, 1}), glm::vec3(0.5F));
+  scene.lighting.sun_rate_deg_s = 15;
+  Renderer renderer(shared_context(), scene);
+  const auto azimuth_deg = [&] {
+    const float* sun = renderer.instant().light.sun_direction;
+    return glm::degrees(std::atan2(sun[2], sun[0]));
+  };
+  renderer.set_time(4);
+  const std::uint64_t version = renderer.scene_version();
+  renderer.turn_sun(-20);
+  renderer.set_time(4);
+  EXPECT_NEAR(azimuth_deg(), -20, 1e-4);
+  EXPECT_GT(renderer.scene_version(), version);
+  renderer.set_time(6);
+  EXPECT_NEAR(azimuth_deg(), 10, 1e-4) << "from there it goes on";
+}
+
 }  // namespace
 }  // namespace splatbus::sim

@@ -80,6 +80,8 @@ TEST_F(CaptureBridgeTest, ProbesAreEachAnsweredOnce) {
   for (const bus::Message& message : received_["capture/probe"]) {
     answered.insert(message.root<wire::CaptureProbe>().probe_id());
     EXPECT_TRUE(message.tensor("color", bus::ElementType::U8, {20, 24, 4}));
+    EXPECT_TRUE(message.tensor("object_id", bus::ElementType::U32, {20, 24}));
+    EXPECT_TRUE(message.tensor("depth", bus::ElementType::F32, {20, 24}));
   }
   for (std::uint64_t id = 10; id < 15; ++id) EXPECT_GE(answered.count(id), 1U) << id;
   EXPECT_LE(answered.size(), 6U) << "12 may be asked again once it was answered";

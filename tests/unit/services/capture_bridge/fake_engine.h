@@ -49,12 +49,19 @@ class FakeEngine {
     };
     std::vector<glm::vec4> position(view.position.begin(), view.position.end());
     if (spoil) spoil(position);
+    std::vector<float> depth;
+    for (const glm::vec4& point : view.position) {
+      depth.push_back(project(camera, glm::vec3(point)).z);
+    }
     if (has(wire::EngineBuffer::Color)) add("color", bus::ElementType::U8, view.color.data());
     if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());
     if (has(wire::EngineBuffer::WorldPosition)) add("world_position", bus::ElementType::F32, position.data());
     if (has(wire::EngineBuffer::Normal)) add("normal", bus::ElementType::F32, view.normal.data());
     if (has(wire::EngineBuffer::ObjectId)) {
       sources.push_back({"object_id", {camera.height, camera.width}, bus::ElementType::U32, view.object_id.data()});
+    }
+    if (has(wire::EngineBuffer::Depth)) {
+      sources.push_back({"depth", {camera.height, camera.width}, bus::ElementType::F32, depth.data()});
     }
     if (has(wire::EngineBuffer::LightDepth)) {
       sources.push_back({"light_depth", {camera.height, camera.width}, bus::ElementType::F32, light_depth.data()});

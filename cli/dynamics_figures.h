@@ -1,0 +1,59 @@
+#pragma once
+
+#include <cstdint>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <set>
+#include <span>
+#include <vector>
+
+namespace splatbus::cli {
+
+/// A figure of one picture at a time of its own, seconds.
+struct TimedFigure {
+  double time_s = 0;
+  double value = 0;
+};
+
+/// [from_s, to_s)
+struct TimeWindow {
+  double from_s = 0, to_s = 0;
+  [[nodiscard]] bool contains(double time_s) const { return time_s >= from_s && time_s < to_s; }
+};
+
+/// The last 40 s of a run, or its last two thirds where it is shorter than a minute.
+[[nodiscard]] TimeWindow judged_window(double run_s);
+
+/// Of the figures within the window; nullopt without any.
+[[nodiscard]] std::optional<double> mean_within(std::span<const TimedFigure> figures, const TimeWindow& window);
+
+/// The least mean of a second, seconds counted from the window's start; seconds without a figure do not count, and one
+/// that the window cuts off counts with what is in it.
+[[nodiscard]] std::optional<double> worst_second(std::span<const TimedFigure> figures, const TimeWindow& window);
+
+/// Rate of a counter of bytes between two readings of it; nullopt when no time passed or it began anew.
+[[nodiscard]] std::optional<double> kilobits_per_s(std::uint64_t bytes_before, std::uint64_t bytes_after,
+                                                   double seconds);
+
+/// A mask, CV_8UC1, grown by so many pixels (a square). Pixels nearer to the border than SSIM's window is wide count as
+/// outside, as in metrics::ssim().
+[[nodiscard]] cv::Mat grown(const cv::Mat& mask, int pixels);
+
+/// Where a picture shows one of `objects`: CV_8UC1, 255 or 0. `object_id` is CV_32SC1.
+[[nodiscard]] cv::Mat mask_of(const cv::Mat& object_id, const std::set<std::uint32_t>& objects);
+
+/// Mean of a CV_32FC1 map where `mask` is not 0; nullopt where it is 0 everywhere. Both have one size.
+[[nodiscard]] std::optional<double> masked_mean(const cv::Mat& map, const cv::Mat& mask);
+
+/// The mean of maps of one size, CV_32FC1, taken in one by one.
+class MeanMap {
+ public:
+  void add(const cv::Mat& map);
+  [[nodiscard]] cv::Mat mean() const;  ///< empty before the first add()
+
+ private:
+  cv::Mat sum_;  ///< CV_64FC1
+  int count_ = 0;
+};
+
+}  // namespace splatbus::cli

@@ -1,0 +1,33 @@
+#include "engine_scene.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iterator>
+
+namespace splatbus::cli {
+
+namespace {
+
+/// A flag with a value, which may be given once.
+void set_flag(std::vector<std::string>& args, const std::string& flag, double value) {
+  const auto found = std::ranges::find(args, flag);
+  if (found != args.end()) args.erase(found, found + std::min<std::ptrdiff_t>(2, args.end() - found));
+  args.insert(args.end(), {flag, fmt::format("{}", value)});
+}
+
+}  // namespace
+
+void apply(const EngineScene& scene, LaunchFile& file) {
+  LaunchService* engine = file.find("engine");
+  if (engine == nullptr) throw LaunchError(file.path + ": there is no service 'engine'");
+  // The engine's flags are its own.
+  std::vector<std::string>& args = engine->args;
+  if (scene.fps) set_flag(args, "--fps", *scene.fps);
+  set_flag(args, "--sun-rate", scene.sun_rate_deg_s);
+  std::erase(args, "--dynamics");
+  if (scene.moving_objects) args.emplace_back("--dynamics");
+  apply_override(file, fmt::format("capture-bridge.reference_rate_hz={}", scene.reference_rate_hz));
+}
+
+}  // namespace splatbus::cli

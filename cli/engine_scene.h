@@ -1,0 +1,21 @@
+#pragma once
+
+#include <optional>
+
+#include "launch_file.h"
+
+namespace splatbus::cli {
+
+/// What the built-in engine shows, and how often references are taken of it.
+struct EngineScene {
+  bool moving_objects = false;
+  double sun_rate_deg_s = 0;
+  std::optional<double> fps;     ///< nullopt: what the launch file says
+  double reference_rate_hz = 0;  ///< 0: each camera once
+};
+
+/// Writes it into the services `engine` and `capture-bridge` of a launch file, in place of what that says. Throws
+/// LaunchError where one of them is missing.
+void apply(const EngineScene& scene, LaunchFile& file);
+
+}  // namespace splatbus::cli

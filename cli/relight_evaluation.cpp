@@ -1,0 +1,150 @@
+#include "relight_evaluation.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "figures.h"
+#include "metrics/contact_sheet.h"
+#include "metrics/image_io.h"
+#include "scene_view.h"
+#include "schema_json.h"
+#include "staged_training.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+constexpr float kSameDirection = 1e-4F;  ///< distance of unit vectors
+constexpr std::int64_t kAskNs = 1'000'000'000;
+
+class RelightEvaluation {
+ public:
+  RelightEvaluation(const RelightEvaluationOptions& options, const StopSignals& signals,
+                    const std::function<void(const std::string&)>& show_state)
+      : options_(options),
+        training_(options.setup,
+                  circle_cameras({.count = options.views,
+                                  .size = options.setup.size,
+                                  .phase_degrees = 180.0F / static_cast<float>(options.setup.cameras)}),
+                  signals, show_state),
+        depths_(training_.context()),
+        view_(0) {
+    sheet_.title = fmt::format("held-out camera 0 after {} steps under the first sun", options.iterations);
+    sheet_.columns = {"engine", "server", "FLIP"};
+  }
+
+  Json run() {
+    depths_.keep(true);
+    training_.prepare();
+    first_sun_ = training_.held_out().pictures().begin()->second.scene.light.sun_direction;
+    training_.train_until(static_cast<std::uint64_t>(options_.iterations));
+    send_control(training_.publisher(), "trainer", {{"paused", "true"}});
+    Json suns = Json::array();
+    const double own = show_sun(0, suns);
+    std::vector<double> others;
+    for (const double turn_deg : options_.turns_deg) others.push_back(show_sun(turn_deg, suns));
+    const auto& trainer = training_.state().trainer;
+    if (trainer.step != static_cast<std::uint64_t>(options_.iterations)) {
+      throw std::runtime_error(fmt::format("the trainer went on to step {}", trainer.step));
+    }
+    double sum = 0;
+    for (const double ssim : others) sum += ssim;
+    Json summary{{"ssim_own", rounded(own)},
+                 {"ssim_mean", others.empty() ? Json() : Json(rounded(sum / static_cast<double>(others.size())))},
+                 {"ssim_min", others.empty() ? Json() : Json(rounded(*std::ranges::min_element(others)))},
+                 {"suns", suns},
+                 {"gaussians", trainer.gaussians},
+                 {"iterations", trainer.step},
+                 {"views", options_.views}};
+    write_text(options_.setup.out / "summary.json", json_text(summary, 2) + "\n");
+    metrics::write_png(options_.setup.out / "contact_sheet.png", metrics::draw(sheet_));
+    training_.stop();
+    return summary;
+  }
+
+ private:
+  /// Mean SSIM over the held-out views under a sun that is so far from the first one.
+  double show_sun(double turn_deg, Json& suns) {
+    const glm::vec3 wanted = turned(first_sun_, turn_deg);
+    std::int64_t asked_ns = 0;
+    const auto there = [&] {
+      if (lit_by(wanted)) return true;
+      if (bus::now_ns() - asked_ns > kAskNs) {
+        send_control(training_.publisher(), "engine-sim",
+                     {{"sun_azimuth_deg", fmt::format("{}", azimuth_deg(first_sun_) + turn_deg)}});
+        training_.ask_held_out();
+        asked_ns = bus::now_ns();
+      }
+      return false;
+    };
+    training_.wait_until(fmt::format("the sun {} degrees away", turn_deg), there,
+                         [&] { return fmt::format("the sun goes {} degrees away", turn_deg); });
+    ViewFigures figures;
+    for (const auto& [camera, probe] : training_.held_out().pictures()) {
+      const auto map = depths_.find(probe.scene.version);
+      const auto picture = view_.render(training_.live(), probe.camera, probe.scene, map.get());
+      if (!picture) throw std::runtime_error("the model changed although its training is paused");
+      figures[camera] = metrics::compare(*picture, probe.picture);
+      if (camera == 0) add_to_sheet(turn_deg, probe.picture, *picture, figures[camera]);
+    }
+    const FigureSummary summary = summarize(figures);
+    suns.push_back({{"turn_deg", turn_deg},
+                    {"ssim", rounded(summary.mean.ssim)},
+                    {"psnr", rounded(summary.mean.psnr_db)},
+                    {"flip", rounded(summary.mean.flip)}});
+    return summary.mean.ssim;
+  }
+
+  /// Whether every held-out picture has come with that sun, and the depth that the sun sees as well.
+  [[nodiscard]] bool lit_by(const glm::vec3& sun) {
+    return training_.held_out().complete() &&
+           std::ranges::all_of(training_.held_out().pictures(), [&](const auto& entry) {
+             const SceneState& scene = entry.second.scene;
+             return glm::distance(scene.light.sun_direction, sun) < kSameDirection &&
+                    depths_.find(scene.version) != nullptr;
+           });
+  }
+
+  void add_to_sheet(double turn_deg, const cv::Mat& engine, const cv::Mat& drawn, const metrics::Quality& quality) {
+    cv::Mat map;
+    static_cast<void>(metrics::flip(drawn, engine, 67.0, &map));
+    sheet_.rows.push_back(
+        {.caption = turn_deg == 0 ? std::string("its own sun") : fmt::format("{:.0f} degrees", turn_deg),
+         .figures = {fmt::format("SSIM {:.3f}", quality.ssim), fmt::format("PSNR {:.1f}", quality.psnr_db),
+                     fmt::format("FLIP {:.3f}", quality.flip)},
+         .pictures = {engine, drawn, metrics::colorize(map)}});
+  }
+
+  const RelightEvaluationOptions& options_;
+  StagedTraining training_;
+  LightDepths depths_;
+  SceneView view_;
+  glm::vec3 first_sun_{0};
+  metrics::ContactSheet sheet_;
+};
+
+}  // namespace
+
+Json run_relight_evaluation(const RelightEvaluationOptions& options, const StopSignals& signals,
+                            const std::function<void(const std::string&)>& show_state) {
+  fs::create_directories(options.setup.out);
+  return RelightEvaluation(options, signals, show_state).run();
+}
+
+double azimuth_deg(const glm::vec3& direction) {
+  return glm::degrees(std::atan2(static_cast<double>(direction.z), static_cast<double>(direction.x)));
+}
+
+glm::vec3 turned(const glm::vec3& direction, double degrees) {
+  const double cosine = std::cos(glm::radians(degrees)), sine = std::sin(glm::radians(degrees));
+  return {static_cast<float>(direction.x * cosine - direction.z * sine), direction.y,
+          static_cast<float>(direction.x * sine + direction.z * cosine)};
+}
+
+}  // namespace splatbus::cli

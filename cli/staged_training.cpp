@@ -1,0 +1,119 @@
+#include "staged_training.h"
+
+#include <fmt/format.h>
+
+#include <stdexcept>
+#include <utility>
+
+#include "verbs.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+constexpr std::int64_t kRepeatNs = 3'000'000'000;  ///< what was asked for and has not come is asked for again
+constexpr std::int64_t kShowNs = 1'000'000'000;
+
+}  // namespace
+
+StagedTraining::StagedTraining(const EvaluationSetup& setup, std::vector<Camera> held_out, const StopSignals& signals,
+                               const std::function<void(const std::string&)>& show_state)
+    : setup_(setup),
+      signals_(signals),
+      show_state_(show_state),
+      plan_(plan_evaluation(setup, folder_.address(), true)),
+      context_(connect(folder_.address())),
+      watch_(context_),
+      live_(context_),
+      start_(context_, setup.enough_gaussians()),
+      probes_(context_, std::move(held_out)),
+      publisher_(context_),
+      run_(plan_, setup.out / "services.log") {}
+
+void StagedTraining::prepare() {
+  ask_held_out();
+  const auto ready = [&] {
+    const PipelineState& state = watch_.state();
+    return probes_.complete() && state.trainer.ready_references >= static_cast<std::uint32_t>(setup_.cameras) &&
+           state.trainer.ready_inputs >= static_cast<std::uint32_t>(setup_.input_cameras) && state.grid.rounds >= 1 &&
+           state.grid.batches_pending == 0 && live_.published() && live_.published()->count > 0 &&
+           state.visibility_generation == live_.published()->generation;
+  };
+  wait_until("the services and their first pictures", ready, [&] {
+    const PipelineState& state = watch_.state();
+    return fmt::format("references {}/{}, inputs {}/{}, held-out views {}/{}, {} Gaussians, {} batches pending{}",
+                       state.trainer.ready_references, setup_.cameras, state.trainer.ready_inputs, setup_.input_cameras,
+                       probes_.pictures().size(), probes_.cameras().size(), state.trainer.gaussians,
+                       state.grid.batches_pending, state.visibility_generation == 0 ? ", no light visibility" : "");
+  });
+}
+
+void StagedTraining::train_until(std::uint64_t step) {
+  std::int64_t told_ns = 0;
+  const auto ready = [&] {
+    if (bus::now_ns() - told_ns > kRepeatNs) {
+      send_control(publisher_, "trainer", {{"run_until", std::to_string(step)}, {"paused", "false"}});
+      told_ns = bus::now_ns();
+    }
+    return watch_.state().trainer.step >= step;
+  };
+  wait_until(fmt::format("step {}", step), ready, [&] {
+    const auto& trainer = watch_.state().trainer;
+    return fmt::format("step {}/{}, {:.1f} steps/s, {} Gaussians, loss {:.4f}", trainer.step, step, trainer.steps_per_s,
+                       trainer.gaussians, trainer.loss);
+  });
+  if (watch_.state().trainer.step != step) {
+    throw std::runtime_error(
+        fmt::format("the trainer stopped at step {} instead of {}", watch_.state().trainer.step, step));
+  }
+}
+
+void StagedTraining::ask_held_out() {
+  probes_.begin();
+  asked_ns_ = bus::now_ns();
+}
+
+void StagedTraining::ask_again_for_missing() {
+  if (probes_.complete() || bus::now_ns() - asked_ns_ <= kRepeatNs) return;
+  for (std::size_t i = 0; i < probes_.cameras().size(); ++i) {
+    if (!probes_.pictures().contains(i)) probes_.ask_again(i);
+  }
+  asked_ns_ = bus::now_ns();
+}
+
+void StagedTraining::wait_until(const std::string& what, const std::function<bool()>& condition,
+                                const std::function<std::string()>& describe) {
+  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(setup_.timeout_s * 1e9);
+  std::int64_t shown_ns = 0;
+  while (!condition()) {
+    run_.check();
+    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted while waiting for " + what);
+    if (bus::now_ns() > end_ns) {
+      throw std::runtime_error(fmt::format("{} did not come within {} s ({}); see {}", what, setup_.timeout_s,
+                                           describe(), (setup_.out / "services.log").string()));
+    }
+    watch_.poll(std::chrono::milliseconds(20));
+    live_.poll(std::chrono::milliseconds(0));
+    start_.poll(std::chrono::milliseconds(0));
+    probes_.poll(std::chrono::milliseconds(0), [](std::size_t, const ProbePicture&) {});
+    ask_again_for_missing();
+    if (bus::now_ns() - shown_ns > kShowNs) {
+      show_state_(describe());
+      shown_ns = bus::now_ns();
+    }
+  }
+}
+
+void send_control(bus::Publisher& publisher, const std::string& receiver,
+                  const std::vector<std::pair<std::string, std::string>>& changes) {
+  publisher.publish(topics::control("control/" + receiver), [&](auto& builder, auto header) {
+    std::vector<flatbuffers::Offset<wire::KeyValue>> entries;
+    for (const auto& [key, value] : changes) {
+      entries.push_back(wire::CreateKeyValueDirect(builder, key.c_str(), value.c_str()));
+    }
+    return wire::CreateControl(builder, header, builder.CreateVector(entries));
+  });
+}
+
+}  // namespace splatbus::cli

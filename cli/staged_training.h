@@ -1,0 +1,73 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bus/publisher.h"
+#include "evaluation_setup.h"
+#include "live_scene.h"
+#include "pipeline_watch.h"
+#include "probe_round.h"
+#include "supervised_run.h"
+
+namespace splatbus::cli {
+
+/// A pipeline on a bus of its own whose trainer goes on only as far as it is told, and held-out cameras beside it. Not
+/// thread-safe.
+class StagedTraining {
+ public:
+  /// Starts the services. What is passed by reference lives longer.
+  StagedTraining(const EvaluationSetup& setup, std::vector<Camera> held_out, const StopSignals& signals,
+                 const std::function<void(const std::string&)>& show_state);
+
+  /// Until every camera's picture is at the trainer, every sample in the model, and the engine's held-out pictures
+  /// here.
+  void prepare();
+
+  /// Until the trainer has stopped at `step`. Throws when it went past.
+  void train_until(std::uint64_t step);
+
+  /// A new round of held-out pictures; asks again for those that do not come.
+  void ask_held_out();
+
+  /// Polls until `condition` holds. Throws std::runtime_error that says what did not come in the setup's time, that a
+  /// service has failed, or that the user interrupts.
+  void wait_until(const std::string& what, const std::function<bool()>& condition,
+                  const std::function<std::string()>& describe);
+
+  [[nodiscard]] const PipelineState& state() const { return watch_.state(); }
+  [[nodiscard]] LiveScene& live() { return live_; }
+  [[nodiscard]] const ProbeRounds& held_out() const { return probes_; }
+  [[nodiscard]] const StartWatch& start() const { return start_; }
+  [[nodiscard]] std::vector<ProcessStatus> processes() const { return run_.status(); }
+  void stop() { run_.stop(); }  ///< every service
+  [[nodiscard]] bus::Publisher& publisher() { return publisher_; }
+  [[nodiscard]] const std::shared_ptr<bus::Context>& context() const { return context_; }
+
+ private:
+  void ask_again_for_missing();
+
+  const EvaluationSetup& setup_;
+  const StopSignals& signals_;
+  const std::function<void(const std::string&)>& show_state_;
+  PrivateBusFolder folder_;
+  LaunchPlan plan_;
+  std::shared_ptr<bus::Context> context_;
+  PipelineWatch watch_;
+  LiveScene live_;
+  StartWatch start_;
+  ProbeRounds probes_;
+  bus::Publisher publisher_;
+  std::int64_t asked_ns_ = 0;
+  SupervisedRun run_;
+};
+
+/// Publishes control/<receiver> with these changes.
+void send_control(bus::Publisher& publisher, const std::string& receiver,
+                  const std::vector<std::pair<std::string, std::string>>& changes);
+
+}  // namespace splatbus::cli

@@ -1,0 +1,120 @@
+#include "dynamics_figures.h"
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+#include "dynamics_evaluation.h"
+
+namespace splatbus::cli {
+namespace {
+
+const std::vector<TimedFigure> kFigures{{9.9, 0.1}, {10, 0.9},     {10.5, 0.7},   {11.2, 0.95},
+                                        {12, 0.75}, {12.99, 0.79}, {14.999, 0.8}, {15, 0.2}};
+constexpr TimeWindow kWindow{.from_s = 10, .to_s = 15};
+
+TEST(DynamicsFigures, TheLastFortySecondsAreJudged) {
+  EXPECT_DOUBLE_EQ(judged_window(60).from_s, 20);
+  EXPECT_DOUBLE_EQ(judged_window(60).to_s, 60);
+  EXPECT_DOUBLE_EQ(judged_window(600).from_s, 560);
+  EXPECT_DOUBLE_EQ(judged_window(30).from_s, 10) << "of a short run its last two thirds";
+}
+
+TEST(DynamicsFigures, MeanWithinCountsOnlyTheWindow) {
+  EXPECT_NEAR(*mean_within(kFigures, kWindow), (0.9 + 0.7 + 0.95 + 0.75 + 0.79 + 0.8) / 6, 1e-12);
+  EXPECT_FALSE(mean_within(kFigures, {.from_s = 20, .to_s = 30}));
+}
+
+TEST(DynamicsFigures, WorstSecondIsALeastMeanNotALeastFigure) {
+  // Seconds from 10: (0.9, 0.7), (0.95), (0.75, 0.79), none, (0.8). The least figure, 0.7, is in another second than
+  // the least mean, 0.77.
+  EXPECT_NEAR(*worst_second(kFigures, kWindow), 0.77, 1e-12);
+  // Seconds are the window's: from 9.5 on 0.1 and 0.9 are one.
+  EXPECT_NEAR(*worst_second(kFigures, {.from_s = 9.5, .to_s = 12.5}), 0.5, 1e-12);
+  EXPECT_FALSE(worst_second(kFigures, {.from_s = 0, .to_s = 5}));
+}
+
+TEST(DynamicsFigures, RatesAreInKilobits) {
+  EXPECT_NEAR(*kilobits_per_s(1000, 26000, 10), 20, 1e-12);
+  EXPECT_FALSE(kilobits_per_s(1000, 26000, 0));
+  EXPECT_FALSE(kilobits_per_s(1000, 10, 10)) << "a streamer that began anew";
+}
+
+TEST(DynamicsFigures, MaskGrowsRoundTheObjectsAndLeavesTheBorder) {
+  cv::Mat ids = cv::Mat::zeros(32, 40, CV_32SC1);
+  ids.at<std::int32_t>(16, 20) = 7;
+  ids.at<std::int32_t>(10, 10) = 3;                                      // does not move
+  ids.at<std::int32_t>(6, 33) = static_cast<std::int32_t>(0xFFFFFFF0U);  // ids have 32 bits
+  const cv::Mat mask = grown(mask_of(ids, {7, 0xFFFFFFF0U}), 3);
+  for (int row = 0; row < mask.rows; ++row) {
+    for (int column = 0; column < mask.cols; ++column) {
+      const bool near_seven = std::abs(row - 16) <= 3 && std::abs(column - 20) <= 3;
+      const bool near_large = std::abs(row - 6) <= 3 && std::abs(column - 33) <= 3;
+      const bool inside = row >= 5 && row < 32 - 5 && column >= 5 && column < 40 - 5;
+      EXPECT_EQ(mask.at<std::uint8_t>(row, column) != 0, (near_seven || near_large) && inside) << row << ", " << column;
+    }
+  }
+}
+
+TEST(DynamicsFigures, MaskedMeanIsOfTheMaskAlone) {
+  const cv::Mat map = (cv::Mat_<float>(2, 3) << 0.5F, 0.25F, 1, 0.75F, 0, 0.125F);
+  const cv::Mat mask = (cv::Mat_<std::uint8_t>(2, 3) << 255, 0, 0, 255, 1, 0);
+  EXPECT_NEAR(*masked_mean(map, mask), (0.5 + 0.75 + 0) / 3, 1e-7);
+  EXPECT_FALSE(masked_mean(map, cv::Mat::zeros(2, 3, CV_8UC1)));
+}
+
+TEST(DynamicsFigures, MeanMapIsTheMeanOfEachPixel) {
+  MeanMap maps;
+  EXPECT_TRUE(maps.mean().empty());
+  maps.add((cv::Mat_<float>(1, 2) << 0.5F, 1));
+  maps.add((cv::Mat_<float>(1, 2) << 0.25F, 0));
+  maps.add((cv::Mat_<float>(1, 2) << 0, 0.5F));
+  EXPECT_FLOAT_EQ(maps.mean().at<float>(0, 0), 0.25F);
+  EXPECT_FLOAT_EQ(maps.mean().at<float>(0, 1), 0.5F);
+}
+
+DynamicsSample sample(double time_s, double on, double off) {
+  return {.time_s = time_s,
+          .paired = true,
+          .on = DrawnFigures{.whole = {.psnr_db = 30, .ssim = on, .flip = 1 - on},
+                             .masked = {.moving = on - 0.1, .shadow = on - 0.2}},
+          .off = DrawnFigures{.whole = {.psnr_db = 20, .ssim = off, .flip = 1 - off}, .masked = {}},
+          .still = {},
+          .viewer = {}};
+}
+
+TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
+  DynamicsResults still, living;
+  still.window = {.from_s = 10, .to_s = 40};
+  still.samples = {sample(5, 0, 0), sample(11, 0.98, 0), sample(12, 0.96, 0)};
+  living.window = {.from_s = 20, .to_s = 60};
+  living.samples = {sample(10, 0.2, 0.1), sample(20, 0.9, 0.5), sample(21, 0.94, 0.7)};
+  living.samples[1].still = {.moving = 0.83, .shadow = {}};  // 0.03 above its 0.8
+  living.samples[2].still = {.moving = {}, .shadow = 0.75};  // 0.01 above its 0.74
+  living.samples[2].viewer = metrics::Quality{.psnr_db = 30, .ssim = 0.91, .flip = 0.1};
+  living.samples[2].paired = false;
+  living.state_delay_ms_median = 12;
+  living.scene_kbps = 55;
+  const nlohmann::json summary = summarize_dynamics(&still, &living);
+  EXPECT_NEAR(summary["still_ssim"], 0.97, 1e-6);
+  EXPECT_NEAR(summary["on_ssim"], 0.92, 1e-6);
+  EXPECT_NEAR(summary["on_flip"], 0.08, 1e-6);
+  EXPECT_NEAR(summary["off_ssim"], 0.6, 1e-6);
+  EXPECT_NEAR(summary["on_ssim_worst_second"], 0.9, 1e-6);
+  EXPECT_NEAR(summary["masked_ssim"], 0.82, 1e-6);
+  EXPECT_NEAR(summary["masked_ssim_drop"], 0.03, 1e-6) << "only of pictures that have both";
+  EXPECT_NEAR(summary["shadow_ssim"], 0.72, 1e-6);
+  EXPECT_NEAR(summary["shadow_ssim_drop"], 0.01, 1e-6);
+  EXPECT_TRUE(summary["shadow_ssim_off"].is_null());
+  EXPECT_NEAR(summary["ssim_viewer"], 0.91, 1e-6);
+  EXPECT_EQ(summary["state_delay_ms_median"], 12);
+  EXPECT_TRUE(summary["state_delay_ms_p99"].is_null());
+  EXPECT_EQ(summary["scene_kbps"], 55);
+  EXPECT_TRUE(summary["visibility_kbps"].is_null());
+  EXPECT_EQ(summary["pictures"], 3);
+  EXPECT_EQ(summary["pictures_paired"], 2);
+  EXPECT_FALSE(summarize_dynamics(nullptr, &living).contains("still_ssim"));
+}
+
+}  // namespace
+}  // namespace splatbus::cli
