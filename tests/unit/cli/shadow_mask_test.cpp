@@ -53,8 +53,12 @@ TEST(ShadowMask, WhatLiesUnderTheLidIsInShadow) {
       }
       const glm::vec3 point = eye + ray * (-eye.y / ray.y);
       const float reach = std::max(std::abs(point.x), std::abs(point.z));
-      if (reach < 0.48F) EXPECT_FALSE(lit_here) << point.x << ", " << point.z;
-      if (reach > 0.52F) EXPECT_TRUE(lit_here) << point.x << ", " << point.z;
+      if (reach < 0.48F) {
+        EXPECT_FALSE(lit_here) << point.x << ", " << point.z;
+      }
+      if (reach > 0.52F) {
+        EXPECT_TRUE(lit_here) << point.x << ", " << point.z;
+      }
       shadowed += lit_here ? 0 : 1;
     }
   }
