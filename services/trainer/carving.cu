@@ -1,7 +1,7 @@
 #include <utility>
 
 #include "device/parallel.h"
-#include "trainer/carving.h"
+#include "trainer/carving_kernels.h"
 
 namespace splatbus::trainer {
 

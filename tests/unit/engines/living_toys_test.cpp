@@ -8,6 +8,7 @@
 #include <map>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 
 #include "sim/figure.h"
 #include "sim/toys.h"
@@ -22,9 +23,9 @@ const Scene& toys_of(std::uint32_t seed) {
   return found != made.end() ? found->second : made.emplace(seed, make_toys(seed, true)).first->second;
 }
 
-const Object& named(const Scene& scene, const std::string& name) {
+const Object& named(const Scene& scene, std::string_view name) {
   const auto found = std::ranges::find(scene.objects, name, &Object::name);
-  if (found == scene.objects.end()) throw std::runtime_error("no object is named " + name);
+  if (found == scene.objects.end()) throw std::runtime_error("no object is named " + std::string(name));
   return *found;
 }
 

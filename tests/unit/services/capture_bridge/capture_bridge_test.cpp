@@ -139,6 +139,7 @@ TEST_F(CaptureBridgeTest, ChangesOfLightAndObjectsAreNumbered) {
   ASSERT_TRUE(until([&] { return received_["scene/state"].size() == 3; }));
   EXPECT_GT(state(2)->version(), state(1)->version());
   EXPECT_EQ(from_wire(*state(2)).light.sun_irradiance, glm::vec3(2));
+  ASSERT_TRUE(until([&] { return version_of(references(CameraRole::Reference).back()) == state(2)->version(); }));
   // A frame from before, late: the newest state stands, and its picture has no version.
   const std::size_t pictures = references(CameraRole::Reference).size();
   engine_.frame = 0;
