@@ -185,6 +185,7 @@ class CarverOn : public CarvingOn {
       for (const Picture& p : pictures) {
         carver.look(view(*p.depth, p.frame, p.objects, p.world_from_camera), gaussians, bounds.data(), kLimits, 0);
       }
+      stream.wait();  // all that was looked at is done
       const std::size_t waiting = carver.carvable(1);
       const std::size_t count = carver.mark(gaussians, kLimits.votes, dead.data());
       EXPECT_GE(waiting, count);
