@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "raster/loss.h"
+#include "raster/torch/checks.h"
 #include "raster/torch/rasterize.h"
 #include "raster/torch/tensor.h"
 
@@ -75,7 +76,7 @@ inline bool on_cuda(const at::Device& device, const char* operation) {
 #ifdef SPLATBUS_TORCH_HAS_CUDA
   if (device.is_cuda()) return true;
 #endif
-  TORCH_CHECK(false, operation, ": this build has no backend for tensors on ", device);
+  TORCH_CHECK(false, words(operation, ": this build has no backend for tensors on ", device));
   return false;
 }
 

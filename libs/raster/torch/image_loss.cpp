@@ -46,10 +46,10 @@ Tensor image_loss(const Tensor& rendered, const Tensor& targets, const LossOptio
   const std::int64_t pictures = rendered.size(0), height = rendered.size(2), width = rendered.size(3);
   TORCH_CHECK(
       pictures <= kMaxPictures && height <= kMaxSide && width <= kMaxSide && pictures * height * width <= kMaxPixels,
-      "image_loss: rendered is ", rendered.sizes(), "; at most ", kMaxPictures, " pictures, sides of ", kMaxSide,
-      " and 2^30 pixels are compared at once");
-  TORCH_CHECK(options.ssim_weight >= 0 && options.ssim_weight <= 1, "image_loss: ssim_weight is ", options.ssim_weight,
-              ", not within [0, 1]");
+      words("image_loss: rendered is ", rendered.sizes(), "; at most ", kMaxPictures, " pictures, sides of ", kMaxSide,
+            " and 2^30 pixels are compared at once"));
+  TORCH_CHECK(options.ssim_weight >= 0 && options.ssim_weight <= 1,
+              words("image_loss: ssim_weight is ", options.ssim_weight, ", not within [0, 1]"));
   check_tensor(rendered, "image_loss", "rendered", at::kFloat, {pictures, 3, height, width}, rendered.device());
   check_tensor(targets, "image_loss", "targets", at::kByte, {pictures, height, width, 4}, rendered.device());
   if (!at::GradMode::is_enabled() || !rendered.requires_grad()) {

@@ -29,17 +29,18 @@ Tensor or_undefined(const OptionalTensor& tensor) {
 }
 
 glm::vec3 vector_of(at::ArrayRef<double> values, const char* name) {
-  TORCH_CHECK(values.size() == 3, "rasterize: ", name, " has ", values.size(), " values, 3 are needed");
+  TORCH_CHECK(values.size() == 3, words("rasterize: ", name, " has ", values.size(), " values, 3 are needed"));
   return {static_cast<float>(values[0]), static_cast<float>(values[1]), static_cast<float>(values[2])};
 }
 
 /// Matrices [count, size, size] on the CPU, as doubles.
 Tensor matrices_of(const Tensor& matrices, std::int64_t size, const char* name) {
-  TORCH_CHECK(matrices.dim() == 3 && matrices.size(1) == size && matrices.size(2) == size, "rasterize: ", name, " is ",
-              matrices.sizes(), ", [count, ", size, ", ", size, "] is needed");
-  TORCH_CHECK(matrices.is_cpu(), "rasterize: ", name, " is on ", matrices.device(),
-              "; the host reads it: cpu is needed");
-  TORCH_CHECK(!matrices.requires_grad(), "rasterize: ", name, " requires a gradient, and only parameters have one");
+  TORCH_CHECK(matrices.dim() == 3 && matrices.size(1) == size && matrices.size(2) == size,
+              words("rasterize: ", name, " is ", matrices.sizes(), ", [count, ", size, ", ", size, "] is needed"));
+  TORCH_CHECK(matrices.is_cpu(),
+              words("rasterize: ", name, " is on ", matrices.device(), "; the host reads it: cpu is needed"));
+  TORCH_CHECK(!matrices.requires_grad(),
+              words("rasterize: ", name, " requires a gradient, and only parameters have one"));
   return matrices.to(at::kDouble).contiguous();
 }
 
@@ -57,7 +58,7 @@ Rigid rigid_of(const double* row_major, const char* name) {
   for (int i = 0; i < 3; ++i) {
     for (int k = 0; k < 3; ++k) error = std::max(error, std::abs(product[i][k] - (i == k ? 1 : 0)));
   }
-  TORCH_CHECK(error < kTolerance, "rasterize: a matrix of ", name, " is not a rotation and a translation");
+  TORCH_CHECK(error < kTolerance, words("rasterize: a matrix of ", name, " is not a rotation and a translation"));
   return {glm::quat(glm::normalize(glm::quat_cast(rotation))), glm::vec3(translation)};
 }
 
@@ -65,16 +66,16 @@ std::vector<Camera> cameras_of(const Tensor& camera_from_world, const Tensor& in
                                std::int64_t height) {
   const Tensor poses = matrices_of(camera_from_world, 4, "camera_from_world");
   const Tensor lenses = matrices_of(intrinsics, 3, "intrinsics");
-  TORCH_CHECK(poses.size(0) == lenses.size(0), "rasterize: ", poses.size(0), " matrices camera_from_world and ",
-              lenses.size(0), " of intrinsics");
+  TORCH_CHECK(poses.size(0) == lenses.size(0), words("rasterize: ", poses.size(0), " matrices camera_from_world and ",
+                                                     lenses.size(0), " of intrinsics"));
   constexpr std::int64_t kMaxSide = 1 << 15;
-  TORCH_CHECK(width > 0 && height > 0 && width <= kMaxSide && height <= kMaxSide, "rasterize: pictures of ", width,
-              " x ", height, " pixels; a side has 1 to ", kMaxSide);
+  TORCH_CHECK(width > 0 && height > 0 && width <= kMaxSide && height <= kMaxSide,
+              words("rasterize: pictures of ", width, " x ", height, " pixels; a side has 1 to ", kMaxSide));
   std::vector<Camera> cameras(static_cast<std::size_t>(poses.size(0)));
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const double* const lens = lenses.data_ptr<double>() + 9 * i;
-    TORCH_CHECK(lens[1] == 0 && lens[3] == 0 && lens[6] == 0 && lens[7] == 0 && lens[8] == 1, "rasterize: intrinsics ",
-                i, " is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]");
+    TORCH_CHECK(lens[1] == 0 && lens[3] == 0 && lens[6] == 0 && lens[7] == 0 && lens[8] == 1,
+                words("rasterize: intrinsics ", i, " is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"));
     Camera& camera = cameras[i];
     camera.width = static_cast<std::uint32_t>(width);
     camera.height = static_cast<std::uint32_t>(height);
@@ -103,8 +104,8 @@ SceneState scene_of(const OptionalTensor& ambient_sh, at::ArrayRef<double> sun_d
   }
   const Tensor poses = world_from_object ? matrices_of(*world_from_object, 4, "world_from_object") : Tensor();
   const std::size_t count = poses.defined() ? static_cast<std::size_t>(poses.size(0)) : 0;
-  TORCH_CHECK(objects.size() == count, "rasterize: ", objects.size(), " objects and ", count,
-              " matrices world_from_object");
+  TORCH_CHECK(objects.size() == count,
+              words("rasterize: ", objects.size(), " objects and ", count, " matrices world_from_object"));
   for (std::size_t i = 0; i < count; ++i) {
     scene.objects[static_cast<std::uint32_t>(objects[i])] =
         rigid_of(poses.data_ptr<double>() + 16 * i, "world_from_object");

@@ -26,8 +26,8 @@ ParameterLayout layout_of(std::int64_t channels) {
   for (layout.sh_degree = 0; layout.sh_degree <= 3; ++layout.sh_degree) {
     if (channels == layout.channels()) return layout;
   }
-  TORCH_CHECK(false, "rasterize: parameters has ", channels,
-              " channels; a Transfer model has 41, a Radiance model 14, 23, 38 or 59");
+  TORCH_CHECK(false, words("rasterize: parameters has ", channels,
+                           " channels; a Transfer model has 41, a Radiance model 14, 23, 38 or 59"));
   return layout;
 }
 
@@ -37,7 +37,8 @@ void check_planes(const Tensor& parameters, const GaussianPlanes& planes) {
   const auto check = [&](const Tensor& plane, const char* name, at::ScalarType type, at::IntArrayRef shape) {
     if (!plane.defined()) return;
     check_tensor(plane, "rasterize", name, type, shape, device);
-    TORCH_CHECK(!plane.requires_grad(), "rasterize: ", name, " requires a gradient, and only parameters have one");
+    TORCH_CHECK(!plane.requires_grad(),
+                words("rasterize: ", name, " requires a gradient, and only parameters have one"));
   };
   check(planes.normal, "normal", at::kFloat, {3, count});
   check(planes.visibility, "visibility", at::kFloat, {count});
@@ -55,25 +56,28 @@ void check_statistics(const Tensor& parameters, const GaussianStatistics& statis
 }
 
 void check_cameras(const std::vector<Camera>& cameras, const std::vector<SceneState>& scenes) {
-  TORCH_CHECK(!cameras.empty() && cameras.size() <= kMaxCameras, "rasterize: ", cameras.size(),
-              " cameras; a call takes 1 to ", kMaxCameras);
-  TORCH_CHECK(scenes.size() == 1 || scenes.size() == cameras.size(), "rasterize: ", scenes.size(), " scenes for ",
-              cameras.size(), " cameras; one is needed, or one a camera");
+  TORCH_CHECK(!cameras.empty() && cameras.size() <= kMaxCameras,
+              words("rasterize: ", cameras.size(), " cameras; a call takes 1 to ", kMaxCameras));
+  TORCH_CHECK(
+      scenes.size() == 1 || scenes.size() == cameras.size(),
+      words("rasterize: ", scenes.size(), " scenes for ", cameras.size(), " cameras; one is needed, or one a camera"));
   for (std::size_t k = 0; k < cameras.size(); ++k) {
     const Camera& camera = cameras[k];
-    TORCH_CHECK(camera.role != CameraRole::Light, "rasterize: camera ", k, " is a light's, which is orthographic");
+    TORCH_CHECK(camera.role != CameraRole::Light,
+                words("rasterize: camera ", k, " is a light's, which is orthographic"));
     TORCH_CHECK(camera.width > 0 && camera.height > 0 && camera.width <= kMaxSide && camera.height <= kMaxSide,
-                "rasterize: camera ", k, " has ", camera.width, " x ", camera.height, " pixels; a side has 1 to ",
-                kMaxSide);
-    TORCH_CHECK(camera.width == cameras[0].width && camera.height == cameras[0].height, "rasterize: camera ", k,
-                " has ", camera.width, " x ", camera.height, " pixels, camera 0 ", cameras[0].width, " x ",
-                cameras[0].height, "; the cameras of a call have one size");
+                words("rasterize: camera ", k, " has ", camera.width, " x ", camera.height, " pixels; a side has 1 to ",
+                      kMaxSide));
+    TORCH_CHECK(camera.width == cameras[0].width && camera.height == cameras[0].height,
+                words("rasterize: camera ", k, " has ", camera.width, " x ", camera.height, " pixels, camera 0 ",
+                      cameras[0].width, " x ", cameras[0].height, "; the cameras of a call have one size"));
     TORCH_CHECK(std::isfinite(camera.fx) && std::isfinite(camera.fy) && camera.fx > 0 && camera.fy > 0,
-                "rasterize: camera ", k, " has focal lengths of ", camera.fx, " and ", camera.fy, " pixels");
+                words("rasterize: camera ", k, " has focal lengths of ", camera.fx, " and ", camera.fy, " pixels"));
   }
   const std::size_t pixels = std::size_t{cameras[0].width} * cameras[0].height;
-  TORCH_CHECK(pixels <= kMaxPixels / cameras.size(), "rasterize: ", cameras.size(), " pictures of ", cameras[0].width,
-              " x ", cameras[0].height, " pixels are more than 2^30 pixels");
+  TORCH_CHECK(pixels <= kMaxPixels / cameras.size(),
+              words("rasterize: ", cameras.size(), " pictures of ", cameras[0].width, " x ", cameras[0].height,
+                    " pixels are more than 2^30 pixels"));
 }
 
 class RasterizeFunction : public torch::autograd::Function<RasterizeFunction> {
@@ -119,7 +123,7 @@ RasterizedViews rasterize(const Tensor& parameters, const GaussianPlanes& planes
                           const GaussianStatistics& statistics) {
   TORCH_CHECK(parameters.defined() && parameters.dim() == 2, "rasterize: parameters is not [channels, count]");
   const std::int64_t count = parameters.size(1);
-  TORCH_CHECK(count <= kMaxGaussians, "rasterize: ", count, " Gaussians; at most ", kMaxGaussians, " are drawn");
+  TORCH_CHECK(count <= kMaxGaussians, words("rasterize: ", count, " Gaussians; at most ", kMaxGaussians, " are drawn"));
   const ParameterLayout layout = layout_of(parameters.size(0));
   check_tensor(parameters, "rasterize", "parameters", at::kFloat, parameters.sizes(), parameters.device());
   check_planes(parameters, planes);

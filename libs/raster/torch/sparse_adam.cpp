@@ -16,9 +16,10 @@ SparseAdam::SparseAdam(Tensor parameters, const std::vector<double>& rates, cons
   TORCH_CHECK(parameters_.is_leaf() && parameters_.requires_grad(),
               "SparseAdam: parameters is not a leaf that requires a gradient");
   const auto is_decay = [](double beta) { return beta >= 0 && beta < 1; };
-  TORCH_CHECK(is_decay(options.beta1) && is_decay(options.beta2), "SparseAdam: beta1 is ", options.beta1, " and beta2 ",
-              options.beta2, ", not within [0, 1)");
-  TORCH_CHECK(static_cast<float>(options.epsilon) > 0, "SparseAdam: epsilon is ", options.epsilon, ", not above 0");
+  TORCH_CHECK(is_decay(options.beta1) && is_decay(options.beta2),
+              words("SparseAdam: beta1 is ", options.beta1, " and beta2 ", options.beta2, ", not within [0, 1)"));
+  TORCH_CHECK(static_cast<float>(options.epsilon) > 0,
+              words("SparseAdam: epsilon is ", options.epsilon, ", not above 0"));
   (void)on_cuda(parameters_.device(), "SparseAdam");
   first_ = torch::zeros_like(parameters_.detach());
   second_ = torch::zeros_like(first_);
@@ -27,8 +28,8 @@ SparseAdam::SparseAdam(Tensor parameters, const std::vector<double>& rates, cons
 }
 
 void SparseAdam::set_rates(const std::vector<double>& rates) {
-  TORCH_CHECK(static_cast<std::int64_t>(rates.size()) == parameters_.size(0), "SparseAdam: ", rates.size(),
-              " learning rates for ", parameters_.size(0), " channels");
+  TORCH_CHECK(static_cast<std::int64_t>(rates.size()) == parameters_.size(0),
+              words("SparseAdam: ", rates.size(), " learning rates for ", parameters_.size(0), " channels"));
   rates_ = torch::tensor(rates, at::kDouble).to(at::kFloat).to(parameters_.device());
 }
 
