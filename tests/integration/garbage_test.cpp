@@ -78,9 +78,9 @@ std::map<std::string, Bytes> collect_messages(Pipeline& pipeline) {
     while (const auto message = subscriber.receive(std::chrono::milliseconds(0))) {
       messages.emplace(message->topic(), Bytes(message->bytes(), message->bytes() + message->size()));
     }
-    for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state",
-                              "scene/light_depth", "model/published", "trainer/stats", "grid/state",
-                              "relight/visibility", "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
+    for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state", "scene/light_depth",
+                              "model/published", "trainer/stats", "grid/state", "relight/visibility", "stream/stats",
+                              "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
       if (!messages.contains(topic)) return false;
     }
     return true;

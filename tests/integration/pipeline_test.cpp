@@ -49,9 +49,9 @@ TEST_F(RunningPipeline, TopicListKnowsEveryTopic) {
   EXPECT_TRUE(answer.status.success());
   std::map<std::string, Json> topics;
   for (const Json& line : answer.json()) topics[line.at("topic")] = line;
-  for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state",
-                            "scene/light_depth", "model/published", "trainer/stats", "grid/state", "relight/visibility",
-                            "stream/stats", "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
+  for (const char* topic : {"engine/cameras", "engine/frame", "capture/reference", "scene/state", "scene/light_depth",
+                            "model/published", "trainer/stats", "grid/state", "relight/visibility", "stream/stats",
+                            "sys/heartbeat", "sys/liveness", "viewer/pose"}) {
     EXPECT_TRUE(topics.contains(topic)) << topic;
   }
   EXPECT_EQ(topics["engine/frame"]["schemas"], Json::array({"EngineFrame/3"}));

@@ -79,9 +79,9 @@ void launch_depth_loss(const float* const* targets, const WorkspaceView& workspa
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
-  const float* learning_rate = nullptr;       ///< [channels]
-  int active_channels = 0;                    ///< 0: all
-  bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
+  const float* learning_rate = nullptr;             ///< [channels]
+  int active_channels = 0;                          ///< 0: all
+  bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
 };
 

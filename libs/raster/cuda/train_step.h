@@ -27,9 +27,9 @@ struct TrainStepOptions {
   bool statistics = false;     ///< statistics() are gathered
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
   int active_channels = 0;
-  bool unit_albedo = false;                   ///< Transfer: albedo stays within [0, 1]
+  bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
-  bool training = true;                       ///< false: forward() only, and no memory for more; pictures may be null
+  bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
 };
 
 /// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. A few steps may be on
