@@ -73,7 +73,7 @@ class InputRound {
   [[nodiscard]] std::vector<InputViewPointer> take();
 
   /// The camera whose frame is of the oldest scene version before `scene_version`, and for which no newer one is on its
-  /// way (asked for less than `patience_ns` ago); notes that it will be asked for now.
+  /// way (asked for less than `patience_ns` ago). It counts as asked for at `now_ns`.
   [[nodiscard]] std::optional<std::uint32_t> take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
                                                           std::int64_t patience_ns);
 

@@ -22,6 +22,12 @@ namespace {
 
 using namespace std::chrono_literals;
 
+/// Whether a map through b shows what one through a shows: the planes only say how far it reaches.
+bool same_projection(const Camera& a, const Camera& b) {
+  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
+         a.world_from_camera == b.world_from_camera;
+}
+
 constexpr auto kReceiveTimeout = 50ms;
 constexpr std::size_t kRingSlots = 8;
 constexpr std::uint32_t kMaxSide = 16384;
@@ -113,15 +119,18 @@ void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message&
     throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +
                      " texels a side");
   }
-  // A map that comes again, and one that runs behind, change nothing.
-  if (!maps_.empty() && map.scene.version <= maps_.back().scene.version) return;
+  // A map that runs behind changes nothing, nor does one that comes again, unless it is another, of another size say.
+  const bool again = !maps_.empty() && map.scene.version == maps_.back().scene.version;
+  if (again && same_projection(map.camera, maps_.back().camera)) return;
+  if (!maps_.empty() && map.scene.version < maps_.back().scene.version) return;
   const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {map.camera.height, map.camera.width});
   if (tensor) map.depth_m = depths_.take(tensor->bytes());
   if (!tensor || !bus::copy_tensor(*tensor, map.depth_m.get(), memory_, host_copied_bytes_)) {
     ++lost_tensors_;
     return;
   }
-  map.pictured = pictured_ahead_.erase(map.scene.version) > 0;
+  map.pictured = pictured_ahead_.erase(map.scene.version) > 0 || (again && maps_.back().pictured);
+  if (again) maps_.pop_back();
   const auto passed = pictured_ahead_.lower_bound(map.scene.version);
   unmapped_ += static_cast<std::uint64_t>(std::distance(pictured_ahead_.begin(), passed));
   pictured_ahead_.erase(pictured_ahead_.begin(), passed);
@@ -131,10 +140,13 @@ void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message&
 
 bool Relight::is_due(const DepthMap& map, std::int64_t now_ns) const {
   const auto& published = model_->root<wire::ModelPublished>();
-  if (map.computed_generation && *map.computed_generation >= published.generation()) return false;
-  if (map.pictured || map.computed_generation) return true;
+  if (map.computed_generation == published.generation()) return false;
+  if (map.pictured) return true;
+  if (&map != &maps_.back()) return false;
+  // Of a model whose structure has changed nobody has the visibility yet.
+  if (map.computed_generation) return true;
   const auto period_ns = static_cast<std::int64_t>(1e9 / options_->newest_rate_hz);
-  return &map == &maps_.back() && now_ns - newest_computed_ns_ >= period_ns;
+  return now_ns - newest_computed_ns_ >= period_ns;
 }
 
 void Relight::update() {

@@ -54,15 +54,15 @@ class RelightTest : public bus_test::BusTest {
     });
   }
 
-  void publish_depth(std::uint64_t scene_version, float object_x, bool as_light = true) {
+  void publish_depth(std::uint64_t scene_version, float object_x, bool as_light = true, float roof_from_x = 0) {
     Camera camera = look_at({0, 10, 0}, {0, 0, 0}, kTexels, kTexels, 1.0F);
     camera.role = as_light ? CameraRole::Light : CameraRole::Reference;
-    camera.fx = camera.fy = kTexels / 6.0F;
+    camera.fx = camera.fy = kTexels / (roof_from_x == 0 ? 6.0F : 6.5F);
     std::vector<float> depth(std::size_t{kTexels} * kTexels);
     for (std::uint32_t y = 0; y < kTexels; ++y) {
       for (std::uint32_t x = 0; x < kTexels; ++x) {
         const glm::vec3 floor = unproject(camera, static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F, 10.0F);
-        depth[std::size_t{y} * kTexels + x] = floor.x > 0 ? 5.0F : 10.0F;
+        depth[std::size_t{y} * kTexels + x] = floor.x > roof_from_x ? 5.0F : 10.0F;
       }
     }
     const bus::TensorSource source{.name = "light_depth", .shape = {kTexels, kTexels}, .data = depth.data()};

@@ -41,6 +41,16 @@ TEST_F(RelightTest, EveryPicturedVersionIsComputed) {
   EXPECT_EQ(found[12], (std::vector<float>{1, 0, 1}));
 }
 
+TEST_F(RelightTest, AnotherMapOfTheSameSceneAndAModelThatBeginsAnewAreFollowed) {
+  publish_model(5);
+  publish_depth(1, -2.0F);
+  ASSERT_EQ(visibility(5, 1), (std::vector<float>{1, 0, 1}));
+  publish_depth(1, -2.0F, true, 2.0F);  // the roof is beyond x = 2 in it
+  EXPECT_EQ(visibility(5, 1), (std::vector<float>{1, 1, 1}));
+  publish_model(2);
+  EXPECT_EQ(visibility(2, 1), (std::vector<float>{1, 1, 1})) << "a trainer without the model before it";
+}
+
 TEST_F(RelightTest, BadMessagesHarmNobody) {
   publish_depth(1, 0, false);  // not the sun's camera
   publish_lie(1, 7);
