@@ -2,6 +2,8 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
+#include <bit>
 #include <cstring>
 #include <span>
 
@@ -47,7 +49,27 @@ std::uint64_t light_hash(const splatbus_light& light) {
   mix(light.sun_direction);
   mix(light.sun_irradiance);
   mix(light.background);
+  for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
+    mix(source.position);
+    mix(source.direction);
+    mix(source.intensity);
+    mix({{source.range_m, source.cos_inner, source.cos_outer}});
+    mix({{std::bit_cast<float>(source.id), std::bit_cast<float>(source.kind),
+          std::bit_cast<float>(source.casts_shadow)}});
+  }
   return hash;
+}
+
+/// By ascending id, as they travel.
+std::vector<wire::LightSource> light_sources(const splatbus_light& light) {
+  std::vector<wire::LightSource> sources;
+  for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
+    sources.emplace_back(source.id, static_cast<wire::LightKind>(source.kind), source.casts_shadow != 0,
+                         to_wire(source.position), to_wire(source.direction), to_wire(source.intensity), source.range_m,
+                         source.cos_inner, source.cos_outer, source.depth_version);
+  }
+  std::ranges::sort(sources, {}, [](const wire::LightSource& source) { return source.id(); });
+  return sources;
 }
 
 }  // namespace
@@ -73,6 +95,9 @@ std::vector<splatbus_camera_request> read_requests(const wire::EngineCameras& ro
     request.buffers = static_cast<std::uint32_t>(entry->buffers());
     request.rate_hz = entry->rate_hz();
     request.request_id = entry->request_id();
+    request.light_id = entry->light_id();
+    request.light_map = entry->light_map();
+    request.extent_m = entry->extent_m();
     if (const std::string wrong = problem(request); !wrong.empty()) {
       spdlog::warn("{} from {}: {}", message.topic(), message.header().source()->str(), wrong);
       continue;
@@ -94,16 +119,20 @@ flatbuffers::Offset<wire::EngineFrame> build_frame(flatbuffers::FlatBufferBuilde
   const wire::Vec3 sun_direction = to_wire(light.sun_direction);
   const wire::Vec3 sun_irradiance = to_wire(light.sun_irradiance);
   const wire::Vec3 background = to_wire(light.background);
-  const auto light_offset = wire::CreateLight(builder, light_hash(light), builder.CreateVector(light.ambient_sh, 27),
-                                              &sun_direction, &sun_irradiance, &background);
+  const auto ambient = builder.CreateVector(light.ambient_sh, 27);
+  const auto sources = builder.CreateVectorOfStructs(light_sources(light));
+  const auto light_offset = wire::CreateLight(builder, light_hash(light), ambient, &sun_direction, &sun_irradiance,
+                                              &background, sources, light.sun_depth_version);
   std::vector<wire::ObjectTransform> objects;
   for (const splatbus_object& object : std::span(frame.objects, frame.object_count)) {
-    objects.emplace_back(object.id, to_wire(object.world_from_object));
+    objects.emplace_back(object.id, to_wire(object.world_from_object), object.scale,
+                         static_cast<wire::ObjectFlags>(object.flags));
   }
   const auto objects_offset = builder.CreateVectorOfStructs(objects);
   const wire::Camera camera = to_wire(frame.camera);
   const auto scene = wire::CreateSceneState(builder, frame.frame, frame.time_s, objects_offset, light_offset);
-  return wire::CreateEngineFrame(builder, header, frame.request_id, &camera, scene);
+  return wire::CreateEngineFrame(builder, header, frame.request_id, &camera, scene, frame.light_id,
+                                 static_cast<std::uint8_t>(frame.light_map));
 }
 
 }  // namespace splatbus::engine_sdk

@@ -21,6 +21,7 @@ extern "C" {
 
 #define SPLATBUS_ENGINE_ABI 3
 #define SPLATBUS_MAX_OBJECTS 32768 /* of one frame */
+#define SPLATBUS_MAX_LIGHTS 32     /* of one frame, besides the sun */
 
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;
 
@@ -46,7 +47,7 @@ typedef struct {
   float translation[3];
 } splatbus_rigid;
 
-/* Pinhole, in pixels; role light: orthographic, fx and fy in pixels a metre. */
+/* Pinhole, in pixels; role light, of the sun and directional lights: orthographic, fx and fy in pixels a metre. */
 typedef struct {
   uint32_t id;
   uint32_t role; /* splatbus_role */
@@ -56,14 +57,30 @@ typedef struct {
   splatbus_rigid world_from_camera;
 } splatbus_camera;
 
-/* For role light only id and size count: the engine sets pose, fx, fy, near and far so that the scene fits, and submits
- * again whenever sun or objects have moved. */
+/* For role light only id, size, the translation of world_from_camera and the last three fields count: the engine sets
+ * pose, fx, fy, near and far, and submits a map anew whenever it would show anything else. All maps of one
+ * depth_version have been submitted before a picture is that shows it.
+ *
+ * The sun (light_id 0) and directional lights have cascades, orthographic, that look along the light: one over a square
+ * with sides of extent_m around world_from_camera.translation, or over the whole scene where extent_m is 0; near and
+ * far take in everything that casts a shadow there. Its pose moves by whole texels, so that a rest of the light is a
+ * rest of its shadows. A point light has the maps 0 to 5, pinhole pictures that together see everything around it, a
+ * spot light the map 0, a pinhole picture of its cone. */
 typedef struct {
   splatbus_camera camera;
   uint32_t buffers; /* bits of splatbus_buffer */
   float rate_hz;    /* of engine time; 0: once for each new request_id */
   uint64_t request_id;
+  uint32_t light_id; /* of splatbus_light_source; 0: the sun */
+  uint32_t light_map;
+  float extent_m; /* of a cascade */
 } splatbus_camera_request;
+
+typedef enum {
+  SPLATBUS_OBJECT_EMISSIVE = 1,    /* its surfaces shine with what the picture ALBEDO shows of them, and are not lit */
+  SPLATBUS_OBJECT_NOT_MODELLED = 2 /* no Gaussians are made of it, and nothing is learned where it shows: what is drawn
+                                      otherwise, a weapon in the hand, say */
+} splatbus_object_flags;
 
 /* What can move, come or go is an object: it has an id, any but 0, that its surfaces have in the picture OBJECT_ID, and
  * a rigid frame. An object exists in the frames that list it. One that is no longer listed is hidden, keeps what was
@@ -71,12 +88,36 @@ typedef struct {
  *
  * Characters: each bone of a skinned mesh is an object with an id of its own, whose frame is the bone's rigid one. A
  * surface has the id of the bone that has the greatest weight there, the dominant bone, so write ids by vertex weights,
- * not by mesh. Where several bones share the weight, the surface bends a little against its frame; scale and shear of a
- * bone have no place in it. An id stays with its bone for as long as the character lives. */
+ * not by mesh. Where several bones share the weight, the surface bends a little against its frame; shear of a bone has
+ * no place in it. An id stays with its bone for as long as the character lives.
+ *
+ * p_world = world_from_object.rotation * (scale * p_object) + world_from_object.translation. */
 typedef struct {
   uint32_t id;
   splatbus_rigid world_from_object;
+  float scale;    /* above 0, the same along all axes; 1 for most */
+  uint32_t flags; /* bits of splatbus_object_flags */
 } splatbus_object;
+
+typedef enum { SPLATBUS_LIGHT_DIRECTIONAL, SPLATBUS_LIGHT_POINT, SPLATBUS_LIGHT_SPOT } splatbus_light_kind;
+
+/* A light besides the sun. Irradiance on a surface that faces it: of a directional light `intensity`; of the others, at
+ * d metres, intensity * clamp(1 - (d / range_m)^4, 0, 1)^2 / max(d, 0.01)^2 (Karis 2013), a spot's times
+ * clamp((cos - cos_outer) / (cos_inner - cos_outer), 0, 1)^2, cos of the angle from its axis (glTF,
+ * KHR_lights_punctual). */
+typedef struct {
+  uint32_t id; /* not 0; stays with the light for as long as it exists */
+  uint32_t kind;
+  uint32_t casts_shadow;      /* 0: it shines through everything, and has no depth maps */
+  float position[3];          /* point, spot: metres */
+  float direction[3];         /* unit; directional: towards the light; spot: its axis, away from it */
+  float intensity[3];         /* linear, not below 0 */
+  float range_m;              /* point, spot: above 0 */
+  float cos_inner, cos_outer; /* spot: -1 <= outer < inner <= 1 */
+  /* Another one whenever its depth maps would show anything else; 0: with every change of the scene, which is right and
+   * costs more. */
+  uint64_t depth_version;
+} splatbus_light_source;
 
 typedef struct {
   float ambient_sh[27];    /* incident radiance: 9 real SH coefficients for R, 9 for G, 9 for B, signs as in 3DGS; the
@@ -84,6 +125,9 @@ typedef struct {
   float sun_direction[3];  /* unit, towards the sun */
   float sun_irradiance[3]; /* on a surface that faces the sun, not below 0 */
   float background[3];     /* linear colour behind everything, not below 0 */
+  const splatbus_light_source* sources; /* besides the sun; ids are unique */
+  size_t source_count;                  /* at most SPLATBUS_MAX_LIGHTS */
+  uint64_t sun_depth_version;           /* as a source's depth_version */
 } splatbus_light;
 
 typedef struct {
@@ -98,6 +142,7 @@ typedef struct {
   double time_s;  /* engine time, never less either: an engine whose clock starts anew opens another handle */
   uint64_t request_id;
   splatbus_camera camera;
+  uint32_t light_id, light_map; /* role light: of the request */
   const splatbus_image* images;
   size_t image_count;
   const splatbus_object* objects; /* every one that exists now; ids are unique */

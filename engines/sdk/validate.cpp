@@ -15,6 +15,7 @@ namespace {
 
 constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::uint32_t kAllBuffers = 127;
+constexpr std::uint32_t kAllObjectFlags = SPLATBUS_OBJECT_EMISSIVE | SPLATBUS_OBJECT_NOT_MODELLED;
 constexpr float kUnitTolerance = 1e-2F;
 
 bool finite(std::span<const float> values) {
@@ -43,6 +44,27 @@ std::string problem_of_radiance(std::span<const float> values, const char* name)
   return fmt::format("light: {}[{}] is {:.4g}, below 0", name, negative - values.begin(), *negative);
 }
 
+std::string problem(const splatbus_light_source& source) {
+  if (source.id == 0) return "0 is the sun";
+  if (source.kind > SPLATBUS_LIGHT_SPOT) return fmt::format("{} is no kind of light", source.kind);
+  if (!finite(source.intensity)) return "intensity is not finite";
+  if (std::ranges::any_of(source.intensity, [](float value) { return value < 0; })) return "intensity is below 0";
+  const bool directional = source.kind == SPLATBUS_LIGHT_DIRECTIONAL, spot = source.kind == SPLATBUS_LIGHT_SPOT;
+  if (directional || spot) {
+    if (!finite(source.direction)) return "direction is not finite";
+    const float length = norm(source.direction);
+    if (std::abs(length - 1) > kUnitTolerance) return fmt::format("direction is not unit (norm {:.4g})", length);
+  }
+  if (directional) return {};
+  if (!finite(source.position)) return "position is not finite";
+  if (!std::isfinite(source.range_m) || source.range_m <= 0)
+    return fmt::format("range_m is {}, not above 0", source.range_m);
+  if (spot && !(source.cos_outer >= -1 && source.cos_outer < source.cos_inner && source.cos_inner <= 1)) {
+    return fmt::format("cos_outer {} and cos_inner {} are no cone", source.cos_outer, source.cos_inner);
+  }
+  return {};
+}
+
 std::string problem(const splatbus_light& light) {
   if (!finite(light.ambient_sh)) return "light: ambient_sh is not finite";
   for (const std::size_t mean : {0U, 9U, 18U}) {
@@ -56,7 +78,17 @@ std::string problem(const splatbus_light& light) {
   if (std::abs(length - 1) > kUnitTolerance)
     return fmt::format("light: sun_direction is not unit (norm {:.4g})", length);
   if (std::string wrong = problem_of_radiance(light.sun_irradiance, "sun_irradiance"); !wrong.empty()) return wrong;
-  return problem_of_radiance(light.background, "background");
+  if (std::string wrong = problem_of_radiance(light.background, "background"); !wrong.empty()) return wrong;
+  if (light.source_count > 0 && light.sources == nullptr) return "light: sources is NULL";
+  if (light.source_count > SPLATBUS_MAX_LIGHTS)
+    return fmt::format("light: {} sources, where {} are the most", light.source_count, SPLATBUS_MAX_LIGHTS);
+  std::vector<std::uint32_t> ids;
+  for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
+    if (std::string wrong = problem(source); !wrong.empty()) return fmt::format("light {}: {}", source.id, wrong);
+    if (std::ranges::count(ids, source.id) > 0) return fmt::format("light {}: it is there twice", source.id);
+    ids.push_back(source.id);
+  }
+  return {};
 }
 
 std::string problem(std::span<const splatbus_object> objects) {
@@ -66,6 +98,10 @@ std::string problem(std::span<const splatbus_object> objects) {
     if (object.id == 0) return "object 0: 0 means no surface";
     if (std::string wrong = problem(object.world_from_object, "world_from_object"); !wrong.empty())
       return fmt::format("object {}: {}", object.id, wrong);
+    if (!std::isfinite(object.scale) || object.scale <= 0)
+      return fmt::format("object {}: scale is {}, not above 0", object.id, object.scale);
+    if ((object.flags & ~kAllObjectFlags) != 0)
+      return fmt::format("object {}: {:#x} are no flags of an object", object.id, object.flags);
     ids.push_back(object.id);
   }
   if (!std::ranges::is_sorted(ids)) std::ranges::sort(ids);

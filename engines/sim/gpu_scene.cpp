@@ -113,6 +113,7 @@ bool GpuScene::set_time(const Scene& scene, double time_s) {
     changed |= std::exchange(objects_[i].exists, pose.has_value()) != pose.has_value();
     if (!pose) continue;
     splatbus_object listed{};
+    listed.scale = 1;
     listed.id = object.id;
     const glm::quat& q = pose->rotation;
     const glm::vec3& t = pose->translation;

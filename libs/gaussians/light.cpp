@@ -55,10 +55,49 @@ std::array<glm::vec3, 9> rotate_sh9(const std::array<glm::vec3, 9>& coefficients
   return out;
 }
 
-Light rotate_light(const Light& light, const glm::quat& object_from_world) {
+Incident incident(const LightSource& source, const glm::vec3& point) {
+  if (source.kind == LightKind::Directional) return {source.direction, source.intensity};
+  constexpr float kLeastDistance_m = 0.01F;
+  const glm::vec3 way = source.position - point;
+  const float distance_m = std::max(glm::length(way), kLeastDistance_m);
+  const glm::vec3 to_light = way / distance_m;
+  const float share = distance_m / source.range_m;
+  const float window = std::clamp(1 - share * share * share * share, 0.0F, 1.0F);
+  float factor = window * window / (distance_m * distance_m);
+  if (source.kind == LightKind::Spot) {
+    const float cosine = -glm::dot(to_light, source.direction);
+    const float cone = std::clamp((cosine - source.cos_outer) / (source.cos_inner - source.cos_outer), 0.0F, 1.0F);
+    factor *= cone * cone;
+  }
+  return {to_light, factor * source.intensity};
+}
+
+glm::vec3 operator*(const ObjectTransform& world_from_object, const glm::vec3& point_object) {
+  return world_from_object.rigid * (world_from_object.scale * point_object);
+}
+
+glm::vec3 object_point(const ObjectTransform& world_from_object, const glm::vec3& point_world) {
+  return inverse(world_from_object.rigid) * point_world / world_from_object.scale;
+}
+
+Light light_in_object(const Light& light, const ObjectTransform& world_from_object) {
+  if (world_from_object.emissive) {
+    Light white{.generation = light.generation, .background = light.background, .sources = {}};
+    white.ambient_sh[0] = glm::vec3(1 / kShC0);
+    return white;
+  }
+  const glm::quat object_from_world = glm::conjugate(world_from_object.rigid.rotation);
   Light out = light;
   out.ambient_sh = rotate_sh9(light.ambient_sh, object_from_world);
   out.sun_direction = object_from_world * light.sun_direction;
+  const float scale = world_from_object.scale;
+  for (LightSource& source : out.sources) {
+    source.position = object_point(world_from_object, source.position);
+    source.direction = object_from_world * source.direction;
+    if (source.kind == LightKind::Directional) continue;
+    source.range_m /= scale;
+    source.intensity /= scale * scale;
+  }
   return out;
 }
 

@@ -20,7 +20,7 @@ static_assert(std::endian::native == std::endian::little, "rows are written as t
 
 /// What all Gaussians of one object share.
 struct ObjectFrame {
-  Rigid world_from_object;
+  ObjectTransform world_from_object;
   bool moved = false;
   Light light;               // in the object's frame
   ShRotation sh_rotation{};  // world from object
@@ -30,9 +30,8 @@ class ObjectFrames {
  public:
   explicit ObjectFrames(const SceneState& scene) : still_{{}, false, scene.light, {}} {
     for (const auto& [id, world_from_object] : scene.objects) {
-      frames_.emplace(id, ObjectFrame{world_from_object, true,
-                                      rotate_light(scene.light, glm::conjugate(world_from_object.rotation)),
-                                      sh_rotation(world_from_object.rotation)});
+      frames_.emplace(id, ObjectFrame{world_from_object, true, light_in_object(scene.light, world_from_object),
+                                      sh_rotation(world_from_object.rigid.rotation)});
     }
   }
   [[nodiscard]] const ObjectFrame& operator[](std::uint32_t id) const {
@@ -107,16 +106,16 @@ void append_appearance(const GaussiansView& gaussians, std::size_t i, const Obje
 
 void append_row(const GaussiansView& gaussians, std::size_t i, const ObjectFrame& frame, std::vector<float>& row) {
   const auto append = [&row](const glm::vec3& v) { row.insert(row.end(), {v.x, v.y, v.z}); };
-  const Rigid& world_from_object = frame.world_from_object;
+  const ObjectTransform& world_from_object = frame.world_from_object;
   append(world_from_object * triple(gaussians.plane(ParameterLayout::kMean), gaussians.stride, i));
   const glm::vec3 normal = gaussians.normal != nullptr ? triple(gaussians.normal, gaussians.stride, i) : glm::vec3(0);
-  append(world_from_object.rotation * normal);
+  append(world_from_object.rigid.rotation * normal);
   append_appearance(gaussians, i, frame, row);
   row.push_back(gaussians.plane(ParameterLayout::kOpacityLogit)[i]);
-  append(triple(gaussians.plane(ParameterLayout::kLogScale), gaussians.stride, i));
+  append(triple(gaussians.plane(ParameterLayout::kLogScale), gaussians.stride, i) + std::log(world_from_object.scale));
   const auto component = [&](int k) { return gaussians.plane(ParameterLayout::kRotation + k)[i]; };
   const glm::quat local(component(0), component(1), component(2), component(3));
-  const glm::quat world = world_from_object.rotation * glm::normalize(local);
+  const glm::quat world = world_from_object.rigid.rotation * glm::normalize(local);
   row.insert(row.end(), {world.w, world.x, world.y, world.z});
 }
 

@@ -150,7 +150,7 @@ QuantizedScene quantize_scene(const SceneState& scene) {
                      .light = quantize(scene.light),
                      .objects = {}};
   for (const auto& [id, world_from_object] : scene.objects) {
-    out.objects.emplace_hint(out.objects.end(), id, quantize(world_from_object, id));
+    out.objects.emplace_hint(out.objects.end(), id, quantize(world_from_object.rigid, id));
   }
   return out;
 }

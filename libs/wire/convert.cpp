@@ -31,6 +31,26 @@ void check_side(std::uint32_t side, const char* member) {
   }
 }
 
+wire::LightSource source_to_wire(const LightSource& source) {
+  return {source.id,
+          static_cast<wire::LightKind>(source.kind),
+          source.casts_shadow,
+          to_wire(source.position),
+          to_wire(source.direction),
+          to_wire(source.intensity),
+          source.range_m,
+          source.cos_inner,
+          source.cos_outer,
+          source.depth_version};
+}
+
+wire::ObjectFlags flags_of(const ObjectTransform& object) {
+  auto flags = static_cast<wire::ObjectFlags>(0);
+  if (object.emissive) flags |= wire::ObjectFlags::Emissive;
+  if (!object.modelled) flags |= wire::ObjectFlags::NotModelled;
+  return flags;
+}
+
 wire::Quat quat_to_wire(const glm::quat& q) {
   return {q.w, q.x, q.y, q.z};
 }
@@ -64,6 +84,38 @@ glm::vec3 sun_direction_from_wire(const wire::Light& light, const glm::vec3& sun
                      length));
 }
 
+LightSource source_from_wire(const wire::LightSource& source) {
+  const std::string field = fmt::format("light.sources, {}", source.id());
+  const auto require = [&field](bool holds, const char* what) {
+    if (!holds) refuse(fmt::format("{}: {}", field, what));
+  };
+  require(source.id() != 0, "0 is the sun");
+  require(source.kind() <= wire::LightKind::MAX, "an unknown kind");
+  LightSource out{.id = source.id(),
+                  .kind = static_cast<LightKind>(source.kind()),
+                  .casts_shadow = source.casts_shadow(),
+                  .position = from_wire(source.position(), (field + ".position").c_str()),
+                  .direction = from_wire(source.direction(), (field + ".direction").c_str()),
+                  .intensity = light_from_wire(&source.intensity(), (field + ".intensity").c_str()),
+                  .range_m = source.range_m(),
+                  .cos_inner = source.cos_inner(),
+                  .cos_outer = source.cos_outer(),
+                  .depth_version = source.depth_version()};
+  const float length = glm::length(out.direction);
+  if (out.kind != LightKind::Point) {
+    require(std::abs(length - 1) <= kUnitTolerance, "direction is not of length 1");
+    out.direction /= length;
+  }
+  if (out.kind != LightKind::Directional) {
+    require(std::isfinite(out.range_m) && out.range_m > 0, "range_m is not above 0");
+  }
+  if (out.kind == LightKind::Spot) {
+    require(out.cos_outer >= -1 && out.cos_outer < out.cos_inner && out.cos_inner <= 1,
+            "cos_outer and cos_inner are no cone");
+  }
+  return out;
+}
+
 }  // namespace
 
 wire::Vec3 to_wire(const glm::vec3& v) {
@@ -87,14 +139,21 @@ flatbuffers::Offset<wire::Light> to_wire(flatbuffers::FlatBufferBuilder& builder
   const auto ambient = builder.CreateVector(planar.data(), planar.size());
   const wire::Vec3 direction = to_wire(light.sun_direction), irradiance = to_wire(light.sun_irradiance),
                    background = to_wire(light.background);
-  return wire::CreateLight(builder, light.generation, ambient, &direction, &irradiance, &background);
+  std::vector<wire::LightSource> sources;
+  sources.reserve(light.sources.size());
+  for (const LightSource& source : light.sources) sources.push_back(source_to_wire(source));
+  const auto sources_offset = builder.CreateVectorOfStructs(sources);
+  return wire::CreateLight(builder, light.generation, ambient, &direction, &irradiance, &background, sources_offset,
+                           light.sun_depth_version);
 }
 
 flatbuffers::Offset<flatbuffers::Vector<const wire::ObjectTransform*>> to_wire(flatbuffers::FlatBufferBuilder& builder,
                                                                                const ObjectTransforms& objects) {
   std::vector<wire::ObjectTransform> structs;
   structs.reserve(objects.size());
-  for (const auto& [id, world_from_object] : objects) structs.emplace_back(id, to_wire(world_from_object));
+  for (const auto& [id, world_from_object] : objects) {
+    structs.emplace_back(id, to_wire(world_from_object.rigid), world_from_object.scale, flags_of(world_from_object));
+  }
   return builder.CreateVectorOfStructs(structs);
 }
 
@@ -174,6 +233,17 @@ Light from_wire(const wire::Light& light) {
   out.sun_irradiance = light_from_wire(light.sun_irradiance(), "light.sun_irradiance");
   out.background = light_from_wire(light.background(), "light.background");
   out.sun_direction = sun_direction_from_wire(light, out.sun_irradiance);
+  out.sun_depth_version = light.sun_depth_version();
+  if (light.sources() == nullptr) return out;
+  if (light.sources()->size() > kMaxLightSources) {
+    refuse(fmt::format("light.sources has {} lights, at most {}", light.sources()->size(), kMaxLightSources));
+  }
+  for (const wire::LightSource* source : *light.sources()) {
+    out.sources.push_back(source_from_wire(*source));
+    if (out.sources.size() > 1 && out.sources[out.sources.size() - 2].id >= source->id()) {
+      refuse(fmt::format("light.sources: {} after {}", source->id(), out.sources[out.sources.size() - 2].id));
+    }
+  }
   return out;
 }
 
@@ -182,7 +252,14 @@ ObjectTransforms from_wire(const flatbuffers::Vector<const wire::ObjectTransform
   if (objects == nullptr) return out;
   for (const wire::ObjectTransform* object : *objects) {
     const std::string field = fmt::format("object {}", object->id());
-    if (!out.emplace(object->id(), from_wire(object->world_from_object(), field.c_str())).second) {
+    ObjectTransform transform = from_wire(object->world_from_object(), field.c_str());
+    transform.scale = object->scale();
+    if (!(std::isfinite(transform.scale) && transform.scale > 0)) {
+      refuse(fmt::format("{}.scale is {}, not above 0", field, transform.scale));
+    }
+    transform.emissive = (object->flags() & wire::ObjectFlags::Emissive) != wire::ObjectFlags{};
+    transform.modelled = (object->flags() & wire::ObjectFlags::NotModelled) == wire::ObjectFlags{};
+    if (!out.emplace(object->id(), transform).second) {
       refuse(fmt::format("{} has two transforms", field));
     }
   }

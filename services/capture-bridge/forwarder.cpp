@@ -32,7 +32,20 @@ std::vector<std::uint8_t> light_bytes(const wire::Light& light) {
     if (vector != nullptr) append(vector, sizeof(*vector));
   }
   if (const auto* ambient = light.ambient_sh()) append(ambient->data(), ambient->size() * sizeof(float));
+  const std::uint64_t sun_depth_version = light.sun_depth_version();
+  append(&sun_depth_version, sizeof(sun_depth_version));
+  if (const auto* sources = light.sources(); sources != nullptr && sources->size() > 0) {
+    append(sources->Get(0), sources->size() * sizeof(wire::LightSource));
+  }
   return bytes;
+}
+
+/// An engine that does not say which depth maps show the same has others with every version.
+void name_depths(SceneState& scene) {
+  if (scene.light.sun_depth_version == 0) scene.light.sun_depth_version = scene.version;
+  for (LightSource& source : scene.light.sources) {
+    if (source.depth_version == 0) source.depth_version = scene.version;
+  }
 }
 
 }  // namespace
@@ -115,6 +128,7 @@ bool Forwarder::scene(const wire::EngineFrame& frame) {
   if (!unchanged) {
     SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
     now.version = scene_.version + 1;
+    name_depths(now);
     scene_ = std::move(now);
     said_objects_ = std::move(objects_now);
     said_light_ = std::move(light_now);

@@ -61,7 +61,7 @@ void add_moved(const ObjectTransforms& view_objects, const ObjectTransforms& rou
     const bool of_round = then == view_objects.end() || (now != round_objects.end() && now->first <= then->first);
     if (of_view && of_round) {
       if (now->second != then->second) {
-        const Rigid round_from_view = now->second * inverse(then->second);
+        const Rigid round_from_view = now->second.rigid * inverse(then->second.rigid);
         moved.push_back({.id = now->first,
                          .round_from_view = portable(round_from_view),
                          .view_from_round = portable(inverse(round_from_view))});

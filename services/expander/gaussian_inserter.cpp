@@ -32,7 +32,7 @@ std::vector<ObjectFrame> frames_of(const ObjectTransforms& objects) {
   std::vector<ObjectFrame> frames;
   frames.reserve(objects.size());
   for (const auto& [id, world_from_object] : objects) {
-    if (id != kWorldFrame) frames.push_back({id, portable(inverse(world_from_object))});
+    if (id != kWorldFrame) frames.push_back({id, portable(inverse(world_from_object.rigid))});
   }
   return frames;
 }

@@ -193,7 +193,9 @@ void Relight::publish(std::uint64_t model_generation, std::uint64_t scene_versio
                                  .memory = memory_};
   publisher_.publish(topics::kRelightVisibility, {.tensors = ring_.write(std::span(&source, 1))},
                      [&](auto& builder, auto header) {
-                       return wire::CreateRelightVisibility(builder, header, model_generation, scene_version, count);
+                       const std::uint32_t sun = 0;
+                       return wire::CreateRelightVisibility(builder, header, model_generation, scene_version, count,
+                                                            builder.CreateVector(&sun, 1));
                      });
   ++published_;
 }

@@ -135,7 +135,7 @@ void compute_visibility(device::StreamView stream, const GaussiansView& gaussian
                         const LightDepthMap& map, const VisibilityOptions& options, std::uint8_t* visibility) {
   std::vector<MovingObject> moving;
   moving.reserve(objects.size());
-  for (const auto& [id, world_from_object] : objects) moving.push_back({id, portable(world_from_object)});
+  for (const auto& [id, world_from_object] : objects) moving.push_back({id, portable(world_from_object.rigid)});
   const std::vector<std::uint32_t> frames = frames_of_pages(gaussians);
   device::Buffer<MovingObject> object_table(stream);
   object_table.assign(moving);

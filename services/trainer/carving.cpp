@@ -39,7 +39,7 @@ std::vector<CameraOfFrame> cameras_of(const Camera& camera, const ObjectTransfor
   static_assert(kWorldFrame == 0, "comes first");
   add(kWorldFrame, camera_from_world);
   for (const auto& [id, world_from_object] : objects) {
-    if (id != kWorldFrame) add(id, camera_from_world * world_from_object);
+    if (id != kWorldFrame) add(id, camera_from_world * world_from_object.rigid);
   }
   return cameras;
 }

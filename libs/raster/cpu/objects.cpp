@@ -11,16 +11,16 @@ constexpr float kInversePi = std::numbers::inv_pi_v<float>;
 constexpr std::array<float, 9> kClampedCosineOverPi = {1,     2.0F / 3, 2.0F / 3, 2.0F / 3, 0.25F,
                                                        0.25F, 0.25F,    0.25F,    0.25F};
 
-ObjectFrame make_frame(const Rigid& world_from_object, const Rigid& camera_from_world, const Light& light_world) {
+ObjectFrame make_frame(const ObjectTransform& object, const Rigid& camera_from_world, const Light& light_world) {
   ObjectFrame frame;
-  const Rigid camera_from_object = camera_from_world * world_from_object;
+  const Rigid camera_from_object = camera_from_world * object.rigid;
   const glm::mat3 rotation = glm::mat3_cast(glm::normalize(camera_from_object.rotation));
   for (int row = 0; row < 3; ++row) {
     for (int column = 0; column < 3; ++column) frame.camera_from_object[3 * row + column] = rotation[column][row];
     frame.translation[row] = camera_from_object.translation[row];
   }
   const glm::vec3 camera_position = -(glm::transpose(rotation) * camera_from_object.translation);
-  const Light light = rotate_light(light_world, glm::conjugate(world_from_object.rotation));
+  const Light light = light_in_object(light_world, object);
   const Sh9 sun_basis = sh9_basis(light.sun_direction);
   for (int c = 0; c < 3; ++c) {
     frame.camera_position[c] = camera_position[c];

@@ -33,17 +33,17 @@ DeviceView device_view(const SceneView& of, Appearance appearance) {
   return view;
 }
 
-ObjectView object_view(const Camera& camera, const Light& light, const Rigid& world_from_object) {
+ObjectView object_view(const Camera& camera, const Light& light, const ObjectTransform& object) {
   ObjectView out{};
-  const Rigid object_from_world = inverse(world_from_object);
-  const Rigid view_from_object = inverse(camera.world_from_camera) * world_from_object;
+  const Rigid object_from_world = inverse(object.rigid);
+  const Rigid view_from_object = inverse(camera.world_from_camera) * object.rigid;
   const glm::mat3 rotation = glm::mat3_cast(view_from_object.rotation);
   for (int row = 0; row < 3; ++row) {
     for (int column = 0; column < 3; ++column) out.view_from_object[4 * row + column] = rotation[column][row];
     out.view_from_object[4 * row + 3] = view_from_object.translation[row];
   }
   const glm::vec3 eye = object_from_world * camera.world_from_camera.translation;
-  const Light local = rotate_light(light, object_from_world.rotation);
+  const Light local = light_in_object(light, object);
   for (int c = 0; c < 3; ++c) {
     out.camera_in_object[c] = eye[c];
     out.sun_direction[c] = local.sun_direction[c];

@@ -29,15 +29,15 @@ ObjectTensors gather_objects(const GaussiansView& gaussians, const Camera& camer
   const Rigid camera_from_world = inverse(camera.world_from_camera);
   std::vector<double> rotation, translation, position, ambient, sun_sh, sun_direction, shown;
   for (std::size_t i = 0; i < gaussians.count; ++i) {
-    Rigid world_from_object;
+    ObjectTransform object;
     const std::uint32_t frame_id = gaussians.object_id != nullptr ? gaussians.object_id[i] : kWorldFrame;
     const auto found = scene.objects.find(frame_id);
-    if (frame_id != kWorldFrame && found != scene.objects.end()) world_from_object = found->second;
+    if (frame_id != kWorldFrame && found != scene.objects.end()) object = found->second;
     shown.push_back(frame_id == kWorldFrame || found != scene.objects.end() ? 1 : 0);
-    const Rigid camera_from_object = camera_from_world * world_from_object;
+    const Rigid camera_from_object = camera_from_world * object.rigid;
     const glm::mat3 r = glm::mat3_cast(glm::normalize(camera_from_object.rotation));
     const glm::vec3 eye = inverse(camera_from_object).translation;
-    const Light light = rotate_light(scene.light, glm::conjugate(world_from_object.rotation));
+    const Light light = light_in_object(scene.light, object);
     const Sh9 basis = sh9_basis(light.sun_direction);
     for (int row = 0; row < 3; ++row) {
       for (int column = 0; column < 3; ++column) rotation.push_back(r[column][row]);

@@ -41,7 +41,7 @@ TEST(Light, RotatesWithItsSun) {
   test::Random random(5);
   const Light light = random.light();
   const glm::quat object_from_world = random.rotation();
-  const Light local = rotate_light(light, object_from_world);
+  const Light local = light_in_object(light, Rigid{.rotation = glm::conjugate(object_from_world), .translation = {}});
   const glm::vec3 n = random.direction();
   EXPECT_LE(glm::distance(ambient_reflected(light, n), ambient_reflected(local, object_from_world * n)), 3e-6F);
   EXPECT_NEAR(glm::dot(light.sun_direction, n), glm::dot(local.sun_direction, object_from_world * n), 1e-6F);

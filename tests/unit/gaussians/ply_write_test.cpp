@@ -124,7 +124,7 @@ TEST(WritePly, BakesTransferUnderTheLight) {
   for (std::size_t i = 0; i < model.count(); ++i) {
     const bool moved = model.object_id[i] == 2;
     const glm::quat world_from_object = moved ? scene.objects.at(2).rotation : glm::quat(1, 0, 0, 0);
-    const Light local = rotate_light(scene.light, glm::conjugate(world_from_object));
+    const Light local = light_in_object(scene.light, Rigid{.rotation = world_from_object, .translation = {}});
     const glm::vec3 linear = shade_transfer(model.view(), i, local);
     const glm::vec3 normal(model.normal[i], model.normal[model.stride() + i], model.normal[2 * model.stride() + i]);
     const glm::vec3 in_world(back.normal[i], back.normal[back.stride() + i], back.normal[2 * back.stride() + i]);

@@ -55,9 +55,11 @@ TEST_F(RelightTest, BadMessagesHarmNobody) {
   publish_depth(1, 0, false);  // not the sun's camera
   publish_lie(1, 7);
   publish_lie(2);
-  publisher_.publish(
-      Topic<wire::RelightVisibility>{"scene/light_depth", false, kSchema<wire::SceneUpdate>},
-      [&](auto& builder, auto header) { return wire::CreateRelightVisibility(builder, header, 1, 1, 1); });
+  publisher_.publish(Topic<wire::RelightVisibility>{"scene/light_depth", false, kSchema<wire::SceneUpdate>},
+                     [&](auto& builder, auto header) {
+                       const std::uint32_t sun = 0;
+                       return wire::CreateRelightVisibility(builder, header, 1, 1, 1, builder.CreateVector(&sun, 1));
+                     });
   publish_model(3);
   publish_depth(4, -2.0F);
   EXPECT_EQ(visibility(3, 4), (std::vector<float>{1, 0, 1}));

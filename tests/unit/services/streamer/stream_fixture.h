@@ -43,7 +43,9 @@ class FakeTrainer {
                                          .type = bus::ElementType::U8,
                                          .inline_data = of_index.data()};
     publisher_.publish(topics::kRelightVisibility, {.tensors = {visibility}}, [&](auto& builder, auto header) {
-      return wire::CreateRelightVisibility(builder, header, generation, version, of_index.size());
+      const std::uint32_t sun = 0;
+      return wire::CreateRelightVisibility(builder, header, generation, version, of_index.size(),
+                                           builder.CreateVector(&sun, 1));
     });
   }
 

@@ -179,7 +179,9 @@ class TrainerTest : public bus_test::BusTest {
         .name = "visibility", .shape = {1, n}, .type = bus::ElementType::U8, .data = values.data()};
     publisher_.publish(topics::kRelightVisibility, {.tensors = ring_->write({&source, 1})},
                        [&](auto& builder, auto header) {
-                         return wire::CreateRelightVisibility(builder, header, generation, scene_version, n);
+                         const std::uint32_t sun = 0;
+                         return wire::CreateRelightVisibility(builder, header, generation, scene_version, n,
+                                                              builder.CreateVector(&sun, 1));
                        });
   }
 
