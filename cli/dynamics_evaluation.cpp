@@ -140,12 +140,55 @@ void write_sheet(const DynamicsResults& results, std::size_t camera, const fs::p
   if (!sheet.columns.empty()) metrics::write_png(path, metrics::draw(sheet));
 }
 
+/// Of neighbouring instants that are both there.
+std::vector<cv::Mat> motion_residuals(const std::vector<DynamicsPictures>& motion) {
+  std::vector<cv::Mat> residuals;
+  for (std::size_t k = 1; k < motion.size(); ++k) {
+    residuals.push_back(motion_residual(motion[k - 1].engine, motion[k].engine, motion[k - 1].on, motion[k].on));
+  }
+  return residuals;
+}
+
+/// Mean over pixels and instants, of 255; nullopt without any.
+std::optional<double> mean_residual(const std::vector<DynamicsPictures>& motion) {
+  const std::vector<cv::Mat> residuals = motion_residuals(motion);
+  if (residuals.empty()) return {};
+  double sum = 0;
+  for (const cv::Mat& residual : residuals) {
+    const cv::Scalar mean = cv::mean(residual);
+    sum += (mean[0] + mean[1] + mean[2]) / 3;
+  }
+  return sum / static_cast<double>(residuals.size());
+}
+
+void write_motion_sheet(const DynamicsResults& results, const fs::path& path) {
+  constexpr std::size_t kMost = 12;
+  const std::vector<cv::Mat> residuals = motion_residuals(results.motion);
+  if (residuals.empty()) return;
+  metrics::ContactSheet sheet{
+      .title = "camera 0, instant by instant",
+      .columns = {},
+      .rows = {{.caption = "engine", .figures = {}, .pictures = {}},
+               {.caption = "on", .figures = {}, .pictures = {}},
+               {.caption = "residual", .figures = {"of the change", "8 times"}, .pictures = {}}},
+      .picture_height = 192};
+  for (std::size_t k = 1; k < std::min(results.motion.size(), kMost + 1); ++k) {
+    const DynamicsPictures& now = results.motion[k];
+    sheet.columns.push_back(fmt::format("{:.2f} s", results.samples[now.sample].time_s));
+    sheet.rows[0].pictures.push_back(now.engine);
+    sheet.rows[1].pictures.push_back(now.on);
+    sheet.rows[2].pictures.push_back(residuals[k - 1] * 8);
+  }
+  metrics::write_png(path, metrics::draw(sheet));
+}
+
 }  // namespace
 
 Json summarize_still(const DynamicsResults& still) {
   return {{"still_ssim", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::ssim))},
           {"still_flip", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::flip))},
-          {"still_ssim_viewer", mean(still, viewer_ssim)}};
+          {"still_ssim_viewer", mean(still, viewer_ssim)},
+          {"still_motion_residual", figure(mean_residual(still.motion))}};
 }
 
 Json summarize_living(const DynamicsResults& living) {
@@ -182,6 +225,7 @@ Json summarize_living(const DynamicsResults& living) {
       {"pictures_paired", paired},
       {"ghost_flip", mean(living, ghost_flip)},
       {"ghost_flip_still", mean(living, still_ghost_flip)},
+      {"motion_residual", figure(mean_residual(living.motion))},
       {"on_ssim_by_minute", by_minute(series(living, of_drawn(on, ssim)))},
   };
 }
@@ -202,6 +246,7 @@ Json run_dynamics_evaluation(const DynamicsOptions& options, const StopSignals& 
     for (std::size_t camera = 0; camera < kDynamicsCameras; ++camera) {
       write_sheet(results, camera, out / fmt::format("{}_{}.png", name, camera));
     }
+    write_motion_sheet(results, out / fmt::format("{}_motion.png", name));
     return results;
   };
   const EngineScene still_scene{.fps = options.fps, .reference_rate_hz = options.reference_rate_hz};

@@ -20,6 +20,9 @@ namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kRoundNs = kSecond / 2;
+constexpr std::int64_t kMotionRoundNs = kSecond / 10;
+constexpr double kMotionBefore_s = 8;  // the end of the run, and from there for so long:
+constexpr double kMotion_s = 2;
 constexpr std::int64_t kRoundPatienceNs = 2 * kSecond;
 constexpr std::int64_t kMapPatienceNs = kSecond / 4;     // the light's depth comes a moment after the probe's picture
 constexpr std::int64_t kViewerPatienceNs = 3 * kSecond;  // for the last answers
@@ -99,7 +102,7 @@ class DynamicsRun {
     const std::int64_t since_round_ns = bus::now_ns() - asked_ns_;
     const bool done = probes_.first_id() == 0 || probes_.complete();
     if (new_rounds && live_.published() && live_.published()->count > 0 &&
-        since_round_ns > (done ? kRoundNs : kRoundPatienceNs)) {
+        since_round_ns > (done ? round_ns() : kRoundPatienceNs)) {
       depths_.keep(true);
       probes_.begin();
       asked_ns_ = bus::now_ns();
@@ -119,6 +122,15 @@ class DynamicsRun {
                               static_cast<double>(shown_ns_ - start_ns_) / 1e9, options_.seconds, trainer.gaussians,
                               trainer.steps_per_s, results_.samples.size()));
     }
+  }
+
+  [[nodiscard]] bool in_motion(double time_s) const {
+    const double since_s = time_s - (options_.seconds - kMotionBefore_s);
+    return since_s >= 0 && since_s < kMotion_s;
+  }
+
+  [[nodiscard]] std::int64_t round_ns() const {
+    return in_motion(static_cast<double>(bus::now_ns() - start_ns_) / 1e9) ? kMotionRoundNs : kRoundNs;
   }
 
   /// False while there is hope for the light's depth of that very instant, or no model to draw.
@@ -157,10 +169,11 @@ class DynamicsRun {
   }
 
   void keep_for_sheets(const DynamicsShots::Drawn& drawn, double time_s, std::size_t camera) {
+    const DynamicsPictures pictures{
+        .sample = results_.samples.size(), .engine = drawn.engine, .on = drawn.on, .off = drawn.off};
+    if (camera == 0 && !drawn.on.empty() && in_motion(time_s)) results_.motion.push_back(pictures);
     const int instant = static_cast<int>(time_s * kSheetInstants / options_.seconds);
-    if (!kept_.insert({instant, camera}).second) return;
-    results_.pictures.push_back(
-        {.sample = results_.samples.size(), .engine = drawn.engine, .on = drawn.on, .off = drawn.off});
+    if (kept_.insert({instant, camera}).second) results_.pictures.push_back(pictures);
   }
 
   [[nodiscard]] bool viewer_answered() const {

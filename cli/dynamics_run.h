@@ -35,6 +35,7 @@ struct DynamicsRunOptions {
 struct DynamicsResults {
   std::vector<DynamicsSample> samples;
   std::vector<DynamicsPictures> pictures;  ///< some instants of every camera
+  std::vector<DynamicsPictures> motion;    ///< of camera 0, ten a second for a while
   MapsOfCameras mean_maps;                 ///< of the judged window
   TimeWindow window;                       ///< engine seconds that are judged
   std::optional<double> state_delay_ms_median, state_delay_ms_p99, scene_kbps, visibility_kbps;

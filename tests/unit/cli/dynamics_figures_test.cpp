@@ -56,6 +56,19 @@ TEST(DynamicsFigures, MaskGrowsRoundTheObjectsAndLeavesTheBorder) {
   }
 }
 
+TEST(DynamicsFigures, MotionResidualIsWhatOnlyOneOfThemChanges) {
+  const auto picture = [](std::uint8_t left, std::uint8_t right) {
+    cv::Mat of_two(1, 2, CV_8UC3);
+    of_two.at<cv::Vec3b>(0, 0) = cv::Vec3b::all(left);
+    of_two.at<cv::Vec3b>(0, 1) = cv::Vec3b::all(right);
+    return of_two;
+  };
+  // On the left both darken by 30, one of them from a wrong level; on the right the drawn one pops by 200.
+  const cv::Mat residual = motion_residual(picture(100, 50), picture(70, 50), picture(40, 220), picture(10, 20));
+  EXPECT_EQ(residual.at<cv::Vec3b>(0, 0), cv::Vec3b::all(0));
+  EXPECT_EQ(residual.at<cv::Vec3b>(0, 1), cv::Vec3b::all(200));
+}
+
 TEST(DynamicsFigures, MaskedMeanIsOfTheMaskAlone) {
   const cv::Mat map = (cv::Mat_<float>(2, 3) << 0.5F, 0.25F, 1, 0.75F, 0, 0.125F);
   const cv::Mat mask = (cv::Mat_<std::uint8_t>(2, 3) << 255, 0, 0, 255, 1, 0);
