@@ -59,7 +59,7 @@ class DynamicsRun {
         watch_(context_),
         live_(context_),
         depths_(context_),
-        probes_(context_, circle_cameras({.count = kDynamicsCameras,
+        probes_(context_, circle_cameras({.count = static_cast<int>(kDynamicsCameras),
                                           .size = options.setup.size,
                                           .phase_degrees = 180.0F / static_cast<float>(options.setup.cameras)})),
         view_(own_backend(options.setup.backend) == Device::Cpu ? 1 : 4),
@@ -96,6 +96,7 @@ class DynamicsRun {
     std::size_t camera = 0;
     std::int64_t since_ns = 0;
   };
+
   void step(bool new_rounds) {
     run_.check();
     if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
@@ -104,7 +105,7 @@ class DynamicsRun {
     if (new_rounds && live_.published() && live_.published()->count > 0 &&
         since_round_ns > (done ? round_ns() : kRoundPatienceNs)) {
       depths_.keep(true);
-      probes_.begin();
+      probes_.begin(round_ns() == kRoundNs ? kDynamicsCameras : 1);
       asked_ns_ = bus::now_ns();
     }
     probes_.poll(std::chrono::milliseconds(10), [this](std::size_t camera, const ProbePicture& picture) {

@@ -43,7 +43,7 @@ struct DynamicsResults {
   std::uint64_t gaussians = 0, unpaired_views = 0;
 };
 
-inline constexpr int kDynamicsCameras = 4;  ///< held out, half-way between references
+inline constexpr std::size_t kDynamicsCameras = 4;  ///< held out, half-way between references
 
 /// Runs the services for so long, compares held-out cameras twice a second. `still`: where it is given, maps of the
 /// still scene by camera, for the same pixels' SSIM. Throws std::runtime_error.
