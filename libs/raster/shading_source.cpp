@@ -4,6 +4,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "gaussians/light.h"
+
 namespace splatbus::raster {
 
 std::vector<ShadingSource> shading_sources(const Light& light, const Rigid& camera_from_world,

@@ -1,9 +1,13 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
-#include "gaussians/light.h"
+namespace splatbus {
+struct Light;
+struct Rigid;
+}  // namespace splatbus
 
 namespace splatbus::raster {
 
