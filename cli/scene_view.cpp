@@ -79,6 +79,7 @@ std::optional<cv::Mat> SceneView::render(LiveScene& live, const Camera& camera, 
     relight::compute_visibility(stream_, gaussians, scene.objects,
                                 {.camera = map->camera, .depth_m = map->depth_m.data()}, {}, visibility_.data());
     gaussians.visibility_u8 = visibility_.data();
+    gaussians.visibility_stride = gaussians.count;
   }
   renderer_->read_in_place(gaussians);
   renderer_->draw(camera, scene, {}, render_);

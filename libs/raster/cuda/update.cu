@@ -2,6 +2,7 @@
 #include "raster/cuda/gradient_math.cuh"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/range_lanes.cuh"
+#include "raster/cuda/source_light.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -154,8 +155,9 @@ __device__ void put_channels(const Item& item, const Sink& sink, int first, cons
   sink.template put<kChannels, kUnit>(first, 1, item.i, value, gradient);
 }
 
-template <class Sink>
-__device__ void update_transfer(const Item& item, const Sink& sink, bool residual) {
+/// The mean gets nothing through a light: geometry is not to move in order to explain brightness.
+template <bool kSources, class Sink>
+__device__ void update_transfer(const Item& item, const float3 mean, const Sink& sink, bool residual) {
   const float3 n = load_normal(normals_of(item.gaussians), item.i);
   float albedo[3] = {0.0F, 0.0F, 0.0F}, sums[27] = {};
   for (int b = 0; b < item.w.batch; ++b) {
@@ -166,6 +168,19 @@ __device__ void update_transfer(const Item& item, const Sink& sink, bool residua
     const float3 response = diffuse_response(object, n, visibility);
     const float direct[3] = {response.x, response.y, response.z};
     for (int c = 0; c < 3; ++c) albedo[c] += g[c] * direct[c] + item.gradient(b)[9 + c];
+    if constexpr (kSources) {
+      for_each_source(item.w, b, object, mean, item.i, [&](const float3 irradiance, const float3 to_light) {
+        const float of_light[3] = {g[0] * irradiance.x, g[1] * irradiance.y, g[2] * irradiance.z};
+        const float cosine = facing(n, to_light);
+#pragma unroll
+        for (int c = 0; c < 3; ++c) albedo[c] += cosine * of_light[c];
+        if (!residual) return;
+        float y[9];
+        sh_basis<9>(to_light, y);
+#pragma unroll
+        for (int k = 0; k < 27; ++k) sums[k] += y[k / 3] * of_light[k % 3];
+      });
+    }
     if (!residual) continue;
     float sun[9];
     sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
@@ -244,7 +259,7 @@ __device__ void clear_gradients(const Item& item) {
   }
 }
 
-template <class Sink, int kCoefficients, bool kExtra>
+template <class Sink, int kCoefficients, bool kExtra, bool kSources>
 __global__ void __launch_bounds__(kThreads, 4)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual,
                   ScreenStatistics statistics) {
@@ -263,7 +278,7 @@ __global__ void __launch_bounds__(kThreads, 4)
     sink.begin(i);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};
     if constexpr (kCoefficients == 0) {
-      update_transfer(item, sink, residual);
+      update_transfer<kSources>(item, g.mean, sink, residual);
     } else {
       update_radiance<kCoefficients>(item, g.mean, sink, mean_gradient);
     }
@@ -279,12 +294,17 @@ void launch_with(const DeviceGaussians& gaussians, const WorkspaceView& workspac
   if (blocks == 0) return;
   const bool residual = sink.active_channels > ParameterLayout::kResidual;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
-    const auto launch = [&](auto extra) {
-      update_kernel<Sink, coefficients(), extra()>
+    constexpr bool kTransfer = coefficients() == 0;
+    const auto launch = [&](auto extra, auto sources) {
+      update_kernel<Sink, coefficients(), extra(), sources()>
           <<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual, statistics);
     };
+    const auto launch_lit = [&](auto extra) {
+      kTransfer&& workspace.source_room > 0 ? launch(extra, std::bool_constant<kTransfer>{})
+                                            : launch(extra, std::false_type{});
+    };
     const bool extra = workspace.projected_depth_gradient != nullptr || statistics.mean2d_norm != nullptr;
-    extra ? launch(std::true_type{}) : launch(std::false_type{});
+    extra ? launch_lit(std::true_type{}) : launch_lit(std::false_type{});
   });
   check(cudaGetLastError(), "update");
 }

@@ -77,12 +77,15 @@ class ViewBatch {
     return reinterpret_cast<T*>(tables_.data() + offset);
   }
   void choose_objects(std::span<const SceneView> views);
+  void choose_source_room(int needed);
   void lay_out_tables(cudaStream_t stream);
   void set_capacity(std::uint32_t isects);
 
-  // One table: views, targets of colour, albedo and depth, views of objects. The host fills a ring of them.
+  // One table: views, targets of colour, albedo and depth, views of objects, light sources. The host fills a ring of
+  // them.
   static constexpr int kSlots = kStepsInFlight + 1;
-  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, object_offset_ = 0, table_bytes_ = 0;
+  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, object_offset_ = 0;
+  std::size_t source_offset_ = 0, table_bytes_ = 0;
   device::Pinned<std::byte> ring_;
   device::Buffer<std::byte> tables_;
   device::Buffer<std::uint32_t> device_turn_{1};
@@ -93,6 +96,9 @@ class ViewBatch {
   device::Buffer<std::uint32_t> device_object_ids_;
   device::Buffer<std::uint16_t> object_slot_;
   bool slots_stale_ = true, slotted_ = false;
+
+  int source_room_ = 0;  // a view
+  int steps_without_sources_ = 0;
 
   std::uint32_t isect_capacity_ = 1U << 20U;
   bool sized_ = false;            // by views' own intersections
