@@ -147,6 +147,7 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
       .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
   GaussiansView gaussians = store_.view();
   gaussians.visibility_u8 = paired.visibility.get();
+  gaussians.visibility_stride = gaussians.count;
   rasterizer_->forward(gaussians, view.camera, view.scene, render_options, render_);
 
   render_gradient_.alpha = {};

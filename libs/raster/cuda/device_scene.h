@@ -43,7 +43,7 @@ SPLATBUS_PORTABLE bool is_hidden(const ObjectView& object) {
 
 /// One camera of a batch. All cameras of a batch have one size.
 struct DeviceView {
-  const std::uint8_t* visibility;  ///< by index, as GaussiansView::visibility_u8; null: the Gaussians' own
+  const std::uint8_t* visibility;  ///< of the sun, by index; null: the Gaussians' own
   float fx, fy, cx, cy;            ///< pixels
   float near_m;
   float limit_x_low, limit_x_high, limit_y_low, limit_y_high;  ///< clamp of x/z and y/z in the Jacobian
@@ -64,6 +64,10 @@ struct DeviceGaussians {
   float* parameters = nullptr;
   const float* normal = nullptr;
   const float* visibility = nullptr;
+  /// As GaussiansView's. Kernels read a view's own: whoever draws takes it from here.
+  const std::uint8_t* visibility_u8 = nullptr;
+  std::size_t visibility_stride = 0;
+  std::uint32_t visibility_rows = 1;
   const std::uint32_t* object_id = nullptr;
   const std::uint32_t* flags = nullptr;
 

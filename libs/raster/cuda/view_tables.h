@@ -13,7 +13,10 @@ namespace splatbus::raster::cuda {
 struct SceneView {
   Camera camera;
   const SceneState* scene = nullptr;
-  const std::uint8_t* visibility = nullptr;  ///< under that scene, as in DeviceView
+  /// Under that scene, as GaussiansView's, on the device; null: the Gaussians' own.
+  const std::uint8_t* visibility = nullptr;
+  std::size_t visibility_stride = 0;  ///< elements from one light's row to the next
+  std::uint32_t visibility_rows = 1;
 };
 
 /// The small tables of a batch, in host memory, ready to be copied to the device.
