@@ -23,12 +23,12 @@ inline void expect_scene_near(const SceneState& got, const SceneState& want) {
   ASSERT_EQ(got.objects.size(), want.objects.size());
   for (const auto& [id, transform] : want.objects) {
     ASSERT_TRUE(got.objects.contains(id)) << id;
-    const Rigid& object = got.objects.at(id);
+    const Rigid& object = got.objects.at(id).rigid;
     for (int axis = 0; axis < 3; ++axis) {
-      const float position = transform.translation[axis];
+      const float position = transform.rigid.translation[axis];
       EXPECT_NEAR(object.translation[axis], position, kMaxPositionError_m + 1e-7F * std::abs(position));
     }
-    EXPECT_LE(angle_between(object.rotation, transform.rotation), kMaxRotationError_rad);
+    EXPECT_LE(angle_between(object.rotation, transform.rigid.rotation), kMaxRotationError_rad);
   }
   const glm::dvec3 sun(got.light.sun_direction), true_sun(want.light.sun_direction);
   EXPECT_LE(glm::length(glm::cross(sun, true_sun)), kMaxSunError_rad);
