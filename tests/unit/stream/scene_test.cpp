@@ -199,14 +199,14 @@ TEST(Scene, AStreamerRefusesByNameWhatIsNoScene) {
   expect_refused("background", [&](SceneState& s) { s.light.background.x = nan; });
   expect_refused("version 1 after 2", [&](SceneState& s) { s.version = 1; });
   expect_refused("version 0", [&](SceneState& s) { s.version = 0; });
-  expect_refused("4099 objects", [&](SceneState& s) {
+  expect_refused("32771 objects", [&](SceneState& s) {
     for (std::uint32_t i = 0; i < kMaxObjects + 3; ++i) s.objects[i];
   });
   // The stream goes on, and what lies too far away for any picture is brought nearer.
   server.scene.objects[1].rigid.translation.x = -3e30F;
   send(server.change_scene(), replica);
   EXPECT_FALSE(replica.missing());
-  EXPECT_EQ(replica.scene().objects.at(1).rigid.translation.x, -268'435'456.0F);
+  EXPECT_EQ(replica.scene().objects.at(1).rigid.translation.x, -2'097'152.0F);
 }
 
 /// A viewer that holds objects 1 and 2, and forged bytes.
@@ -246,7 +246,7 @@ TEST_F(ForgedScene, IsRefusedByName) {
   EXPECT_EQ(apply({0, 0, 0, 0}, 2), "Scene: version 2 where 2 is held");
   EXPECT_NE(apply({0, 0, 0, 0}, 9, true).find("parts"), std::string::npos) << "a whole scene has a whole light";
   expect_refused("ends after", {});
-  expect_refused("parts 16 of a light", {16, 0, 0, 0});
+  expect_refused("parts 32 of a light", {32, 0, 0, 0});
   expect_refused("more than 64 bits", {0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0});
   expect_refused("sun_irradiance is negative", {2, 0, 0, 0, 1, 0, 0, 0});
   expect_refused("sun_irradiance is out of bounds", {2, 0, 0, 0x80, 0x80, 4, 0, 0, 0, 0});
@@ -254,11 +254,15 @@ TEST_F(ForgedScene, IsRefusedByName) {
   // Objects: how many vanish, their ids, how many change, and for each its id and parts.
   expect_refused("3 objects vanish of 2", {0, 0, 3, 0, 0, 0, 0});
   expect_refused("object 5 vanishes", {0, 0, 1, 5, 0});
-  expect_refused("at most 4096", {0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0x0F});
+  expect_refused("at most 32768", {0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0x0F});
   expect_refused("ends after", {0, 0, 0, 0x80, 0x10});
   expect_refused("above 32 bits", {0, 0, 0, 1, 0x80, 0x80, 0x80, 0x80, 0x10, 1});
   expect_refused("object 1: parts 0", {0, 0, 0, 1, 1, 0});
-  expect_refused("object 1: parts 8", {0, 0, 0, 1, 1, 8});
+  expect_refused("object 1: parts 32", {0, 0, 0, 1, 1, 32});
+  expect_refused("object 3: parts 3", {0, 0, 0, 1, 3, 3});
+  expect_refused("object 1: its scale", {0, 0, 0, 1, 1, 8, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 1});
+  expect_refused("object 1: its scale", {0, 0, 0, 1, 1, 8, 0x82, 0x80, 0x40});
+  expect_refused("object 1: flags 4", {0, 0, 0, 1, 1, 16, 4});
   expect_refused("object 1 appears and is there", {0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0});
   expect_refused("object 3 changes and is not there", {0, 0, 0, 1, 3, 2, 0, 0, 0});
   expect_refused("object 1: its position",
@@ -278,7 +282,7 @@ TEST_F(ForgedScene, MoreObjectsThanAreTakenAreRefusedOverManyPackets) {
                     return wire::CreateScene(b, 9, 1, false, b.CreateVector(state));
                   })));
   });
-  EXPECT_NE(why.find("4097 objects"), std::string::npos) << why;
+  EXPECT_NE(why.find("32769 objects"), std::string::npos) << why;
 }
 
 }  // namespace
