@@ -154,6 +154,7 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   render_gradient_.depth = {};
   raster::LossOptions loss_options{.ssim_weight = options_.ssim_weight,
                                    .encode_srgb = options_.layout.appearance == Appearance::Transfer,
+                                   .mask = view.mask.data(),
                                    .threads = options_.threads};
   float loss = image_loss(render_.color, view.color.data(), loss_options, render_gradient_.color);
   scale_image(render_gradient_.color, scale);
@@ -177,7 +178,7 @@ float CpuStep::depth_loss(const TrainingView& view, float scale) {
   double loss = 0;
   for (std::size_t i = 0; i < view.depth.size(); ++i) {
     const float expected = view.depth[i];
-    if (!(expected > 0) || std::isinf(expected)) continue;
+    if (!(expected > 0) || std::isinf(expected) || (!view.mask.empty() && view.mask[i] != 0)) continue;
     const float difference = render_.depth.data[i] - render_.alpha.data[i] * expected;
     loss += std::abs(difference) * weight;
     const float slope = std::copysign(weight * scale, difference);

@@ -58,7 +58,8 @@ void TrainStep::enqueue_forward(const ViewBatch& batch, const WorkspaceView& w) 
 
 void TrainStep::picture_loss(const float* rendered, const ViewBatch& batch, bool of_albedo, float* gradient,
                              const WorkspaceView& w) {
-  const LossKernelOptions loss{.ssim_weight = options_.ssim_weight,
+  const LossKernelOptions loss{.masks = batch.masks(),
+                               .ssim_weight = options_.ssim_weight,
                                .weight = (of_albedo ? options_.albedo_weight : 1.0F) / static_cast<float>(batch.batch),
                                .encode_srgb = gaussians_.layout.appearance == Appearance::Transfer};
   launch_loss(rendered, of_albedo ? batch.albedo_targets() : batch.color_targets(), gradient, w, loss, stream());
@@ -69,7 +70,7 @@ void TrainStep::losses(const ViewBatch& batch, const WorkspaceView& w) {
   if (w.albedo != nullptr) picture_loss(w.albedo, batch, true, w.albedo_gradient, w);
   if (w.depth == nullptr) return;
   const float values = static_cast<float>(batch.batch) * static_cast<float>(w.width) * static_cast<float>(w.height);
-  launch_depth_loss(batch.depth_targets(), w, options_.depth_weight / values, stream());
+  launch_depth_loss(batch.depth_targets(), batch.masks(), w, options_.depth_weight / values, stream());
 }
 
 void TrainStep::update(const WorkspaceView& w) {

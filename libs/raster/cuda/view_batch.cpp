@@ -24,6 +24,7 @@ Targets::Targets(std::span<const TrainView> views) {
   for (const TrainView& view : views) {
     albedo |= view.albedo != nullptr;
     depth |= view.depth != nullptr;
+    mask |= view.mask != nullptr;
   }
 }
 
@@ -43,7 +44,8 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
   color_offset_ = aligned(views * sizeof(DeviceView));
   albedo_offset_ = color_offset_ + pointers;
   depth_offset_ = albedo_offset_ + pointers;
-  object_offset_ = depth_offset_ + pointers;
+  mask_offset_ = depth_offset_ + pointers;
+  object_offset_ = mask_offset_ + pointers;
   const std::size_t bytes = object_offset_ + aligned(views * (1 + object_ids_.size()) * sizeof(ObjectView));
   if (bytes == table_bytes_) return;
   device::check(cudaStreamSynchronize(stream), "laying out tables");
@@ -57,13 +59,14 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
 
 void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearance, cudaStream_t stream) {
   std::vector<SceneView> scenes;
-  std::vector<const std::uint8_t*> colors, albedos;
+  std::vector<const std::uint8_t*> colors, albedos, masks;
   std::vector<const float*> depths;
   for (const TrainView& view : views) {
     scenes.push_back(view.view);
     colors.push_back(view.color);
     albedos.push_back(view.albedo);
     depths.push_back(view.depth);
+    masks.push_back(view.mask);
   }
   choose_objects(scenes);
   lay_out_tables(stream);
@@ -76,6 +79,7 @@ void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearanc
   put(color_offset_, colors);
   put(albedo_offset_, albedos);
   put(depth_offset_, depths);
+  put(mask_offset_, masks);
   put(object_offset_, tables.object_views);
   const Targets targets(views);
   if (targets != targets_) graph.invalidate();

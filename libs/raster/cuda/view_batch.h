@@ -21,12 +21,13 @@ struct TrainView {
   const std::uint8_t* color = nullptr;
   const std::uint8_t* albedo = nullptr;  ///< null: this view has no albedo loss
   const float* depth = nullptr;          ///< metres along z, 0 where there is no surface; null: it has no depth loss
+  const std::uint8_t* mask = nullptr;    ///< [h][w], as in raster::LossOptions; null: none
   std::shared_ptr<const void> keep = nullptr;  ///< owner of the scene and the pictures, held until the step is done
 };
 
 /// Which pictures beside the lit one any view has to be compared with.
 struct Targets {
-  bool albedo = false, depth = false;
+  bool albedo = false, depth = false, mask = false;
 
   Targets() = default;
   explicit Targets(std::span<const TrainView> views);
@@ -57,6 +58,10 @@ class ViewBatch {
   [[nodiscard]] const std::uint8_t* const* color_targets() const { return at<const std::uint8_t*>(color_offset_); }
   [[nodiscard]] const std::uint8_t* const* albedo_targets() const { return at<const std::uint8_t*>(albedo_offset_); }
   [[nodiscard]] const float* const* depth_targets() const { return at<const float*>(depth_offset_); }
+  /// Null when no view has a mask.
+  [[nodiscard]] const std::uint8_t* const* masks() const {
+    return targets_.mask ? at<const std::uint8_t*>(mask_offset_) : nullptr;
+  }
   [[nodiscard]] const Targets& targets() const { return targets_; }
 
   /// How many intersections a step found. Throws when they are more than can be sorted.
@@ -80,9 +85,10 @@ class ViewBatch {
   void lay_out_tables(cudaStream_t stream);
   void set_capacity(std::uint32_t isects);
 
-  // One table: views, targets of colour, albedo and depth, views of objects. The host fills a ring of them.
+  // One table: views, targets of colour, albedo and depth, masks, views of objects. The host fills a ring of them.
   static constexpr int kSlots = kStepsInFlight + 1;
-  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, object_offset_ = 0, table_bytes_ = 0;
+  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, mask_offset_ = 0, object_offset_ = 0;
+  std::size_t table_bytes_ = 0;
   device::Pinned<std::byte> ring_;
   device::Buffer<std::byte> tables_;
   device::Buffer<std::uint32_t> device_turn_{1};

@@ -34,6 +34,7 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
                    .color = view->color.data(),
                    .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
                    .depth = view->depth.empty() ? nullptr : view->depth.data(),
+                   .mask = view->mask.data(),
                    .keep = std::make_shared<const PairedView>(paired)});
   }
   return out;

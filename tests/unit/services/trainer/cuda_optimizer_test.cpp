@@ -181,6 +181,10 @@ TEST_F(CudaOptimizerTest, LossOnDepthIsTheCpus) {
   }
 }
 
+TEST_F(CudaOptimizerTest, MaskedPixelsTeachNothing) {
+  masked_pixels_teach_nothing(Device::Cuda, 1e-3);
+}
+
 TEST_F(CudaOptimizerTest, DepthWeightMayChangeWhileItTrains) {
   Trial cuda = trial(Device::Cuda);
   Trial cpu = trial(Device::Cpu);

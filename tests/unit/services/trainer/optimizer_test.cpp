@@ -94,6 +94,10 @@ TEST_F(CpuOptimizerTest, DepthLossHasTheSlopeOfItsFiniteDifferences) {
   EXPECT_GT(steep, before.count() / 2);
 }
 
+TEST_F(CpuOptimizerTest, MaskedPixelsTeachNothing) {
+  masked_pixels_teach_nothing(Device::Cpu, 1e-30);
+}
+
 TEST_F(CpuOptimizerTest, TrainsRadiance) {
   Trial s = trial({{"appearance", "radiance"}, {"sh_degree", "1"}});
   const double loss_before = s.train(6);
