@@ -86,11 +86,14 @@ struct AdamOptions {
   int active_channels = 0;                          ///< 0: all
   bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
+  /// Device array of what each view's loss is at most before it has risen (LossHistory); null: rates do not recover.
+  const float* loss_limits = nullptr;
 };
 
-/// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + 1][kPageLanes], first moments,
-/// second moments, steps as integers.
+/// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + kCounters][kPageLanes], first
+/// moments, second moments, steps as integers, LearningAge's two.
 struct OptimizerState {
+  static constexpr int kCounters = 3;
   float* blocks = nullptr;
   int channels = 0;
 };

@@ -45,7 +45,8 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
   albedo_offset_ = color_offset_ + pointers;
   depth_offset_ = albedo_offset_ + pointers;
   mask_offset_ = depth_offset_ + pointers;
-  object_offset_ = mask_offset_ + pointers;
+  limit_offset_ = mask_offset_ + pointers;
+  object_offset_ = limit_offset_ + aligned(views * sizeof(float));
   const std::size_t bytes = object_offset_ + aligned(views * (1 + object_ids_.size()) * sizeof(ObjectView));
   if (bytes == table_bytes_) return;
   device::check(cudaStreamSynchronize(stream), "laying out tables");
@@ -57,7 +58,8 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
   graph.invalidate();
 }
 
-void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearance, cudaStream_t stream) {
+void ViewBatch::set_views(std::span<const TrainView> views, std::span<const float> loss_limits, Appearance appearance,
+                          cudaStream_t stream) {
   std::vector<SceneView> scenes;
   std::vector<const std::uint8_t*> colors, albedos, masks;
   std::vector<const float*> depths;
@@ -80,6 +82,7 @@ void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearanc
   put(albedo_offset_, albedos);
   put(depth_offset_, depths);
   put(mask_offset_, masks);
+  put(limit_offset_, loss_limits);
   put(object_offset_, tables.object_views);
   const Targets targets(views);
   if (targets != targets_) graph.invalidate();

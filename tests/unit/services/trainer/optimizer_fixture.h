@@ -189,6 +189,36 @@ class OptimizerTest : public bus_test::BusTest {
     EXPECT_GT(psnr(dark), psnr(plain) - 6) << "every place is in some picture's other half";
   }
 
+  /// The scene's views with every surface of another colour.
+  [[nodiscard]] std::vector<TrainingView> repainted() const {
+    std::vector<TrainingView> views;
+    for (const TrainingViewPtr& view : scene_.views()) {
+      TrainingView& painted = views.emplace_back(*view);
+      for (Pixels<std::uint8_t>* picture : {&painted.color, &painted.albedo}) {
+        std::vector<std::uint8_t> rgba(picture->data(), picture->data() + picture->size());
+        for (std::size_t i = 0; i < rgba.size(); i += 4) std::swap(rgba[i], rgba[i + 2]);
+        *picture = Pixels<std::uint8_t>(std::move(rgba));
+      }
+    }
+    return views;
+  }
+
+  /// Mean loss of the last of `steps` steps after everything was repainted, of a model whose rates had fallen.
+  double loss_after_repainting(Device memory, const std::string& recovery, int steps) {
+    Trial s = trial(memory, {{"lr_half_life_steps", "20"}, {"lr_recovery", recovery}, {"prune", "false"}});
+    s.train(800);
+    for (const TrainingView& view : repainted()) s.put(view);
+    s.train(steps - 12);
+    return s.train(12);
+  }
+  /// The same of a model that begins with these views.
+  double loss_of_a_fresh_model(Device memory, int steps) {
+    Trial s = trial(memory, {{"lr_half_life_steps", "20"}, {"prune", "false"}});
+    for (const TrainingView& view : repainted()) s.put(view);
+    s.train(steps - 12);
+    return s.train(12);
+  }
+
   // Small: a step takes a second when every access to shared memory is checked.
   SyntheticScene scene_{100, 4, 32};
   int trials_ = 0;
