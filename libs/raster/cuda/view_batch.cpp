@@ -24,6 +24,7 @@ Targets::Targets(std::span<const TrainView> views) {
   for (const TrainView& view : views) {
     albedo |= view.albedo != nullptr;
     depth |= view.depth != nullptr;
+    mask |= view.mask != nullptr;
   }
 }
 
@@ -52,7 +53,9 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
   color_offset_ = aligned(views * sizeof(DeviceView));
   albedo_offset_ = color_offset_ + pointers;
   depth_offset_ = albedo_offset_ + pointers;
-  object_offset_ = depth_offset_ + pointers;
+  mask_offset_ = depth_offset_ + pointers;
+  limit_offset_ = mask_offset_ + pointers;
+  object_offset_ = limit_offset_ + aligned(views * sizeof(float));
   source_offset_ = object_offset_ + aligned(views * (1 + object_ids_.size()) * sizeof(ObjectView));
   const std::size_t bytes =
       source_offset_ + aligned(views * static_cast<std::size_t>(source_room_) * sizeof(ShadingSource));
@@ -66,15 +69,17 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
   graph.invalidate();
 }
 
-void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearance, cudaStream_t stream) {
+void ViewBatch::set_views(std::span<const TrainView> views, std::span<const float> loss_limits, Appearance appearance,
+                          cudaStream_t stream) {
   std::vector<SceneView> scenes;
-  std::vector<const std::uint8_t*> colors, albedos;
+  std::vector<const std::uint8_t*> colors, albedos, masks;
   std::vector<const float*> depths;
   for (const TrainView& view : views) {
     scenes.push_back(view.view);
     colors.push_back(view.color);
     albedos.push_back(view.albedo);
     depths.push_back(view.depth);
+    masks.push_back(view.mask);
   }
   choose_objects(scenes);
   choose_source_room(max_sources(scenes, appearance));
@@ -88,6 +93,8 @@ void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearanc
   put(color_offset_, colors);
   put(albedo_offset_, albedos);
   put(depth_offset_, depths);
+  put(mask_offset_, masks);
+  put(limit_offset_, loss_limits);
   put(object_offset_, tables.object_views);
   put(source_offset_, tables.sources);
   const Targets targets(views);
