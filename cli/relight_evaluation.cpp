@@ -87,8 +87,8 @@ class RelightEvaluation {
                          [&] { return fmt::format("the sun goes {} degrees away", turn_deg); });
     ViewFigures figures;
     for (const auto& [camera, probe] : training_.held_out().pictures()) {
-      const auto map = depths_.find(probe.scene.version);
-      const auto picture = view_.render(training_.live(), probe.camera, probe.scene, map.get());
+      const auto lights = depths_.find(probe.scene);
+      const auto picture = view_.render(training_.live(), probe.camera, probe.scene, lights ? &*lights : nullptr);
       if (!picture) throw std::runtime_error("the model changed although its training is paused");
       figures[camera] = metrics::compare(*picture, probe.picture);
       if (camera == 0) add_to_sheet(turn_deg, probe.picture, *picture, figures[camera]);
@@ -106,8 +106,7 @@ class RelightEvaluation {
     return training_.held_out().complete() &&
            std::ranges::all_of(training_.held_out().pictures(), [&](const auto& entry) {
              const SceneState& scene = entry.second.scene;
-             return glm::distance(scene.light.sun_direction, sun) < kSameDirection &&
-                    depths_.find(scene.version) != nullptr;
+             return glm::distance(scene.light.sun_direction, sun) < kSameDirection && depths_.find(scene).has_value();
            });
   }
 
