@@ -1,10 +1,13 @@
-// How long the sun's visibility of a whole model takes, beside the least that its bytes take.
+// How long visibility of a whole model takes, of the sun alone and with 16 point lights, beside what its bytes take at
+// the speed of a copy.
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <glm/gtc/constants.hpp>
+#include <span>
 #include <vector>
 
 #include "device/buffer.h"
@@ -21,13 +24,53 @@ struct Options {
   Device device = Device::Cpu;
 };
 
-constexpr float kSide_m = 10, kBallRadius_m = 0.35F, kBallSpacing_m = 1;
+constexpr float kSide_m = 10, kBallRadius_m = 0.35F, kBallHeight_m = 0.6F;
+constexpr int kBalls = 9;  // across, a metre apart
+constexpr int kLamps = 4;  // across
+constexpr std::uint32_t kLampTexels = 256;
 
-/// A floor of 10 m under a grid of balls, Gaussians on the floor in rows, as many as asked for; the sun stands aslant.
-struct Scene {
-  GaussiansBuffer gaussians;
+/// To the nearest ball or to the floor, along a ray whose direction has any length, in lengths of it; `far` for
+/// neither.
+float hit(const glm::vec3& from, const glm::vec3& direction, float far) {
+  float nearest = direction.y < 0 ? std::min(far, -from.y / direction.y) : far;
+  const float length2 = glm::dot(direction, direction);
+  for (int ball = 0; ball < kBalls * kBalls; ++ball) {
+    const glm::vec3 centre(static_cast<float>(ball % kBalls - kBalls / 2), kBallHeight_m,
+                           static_cast<float>(ball / kBalls - kBalls / 2));
+    const glm::vec3 to = centre - from;
+    const float middle = glm::dot(to, direction) / length2;
+    const float reach = kBallRadius_m * kBallRadius_m - glm::dot(to, to) + middle * middle * length2;
+    if (reach <= 0) continue;
+    const float entry = middle - std::sqrt(reach / length2);
+    if (entry > 0) nearest = std::min(nearest, entry);
+  }
+  return nearest;
+}
+
+struct HostMap {
   Camera camera;
   std::vector<float> depth_m;
+
+  HostMap(const Camera& of, bool pinhole) : camera(of), depth_m(std::size_t{of.width} * of.height) {
+    for (std::uint32_t y = 0; y < camera.height; ++y) {
+      for (std::uint32_t x = 0; x < camera.width; ++x) {
+        const glm::vec3 texel((static_cast<float>(x) + 0.5F - camera.cx) / camera.fx,
+                              (static_cast<float>(y) + 0.5F - camera.cy) / camera.fy, pinhole ? 1 : 0);
+        const Rigid& pose = camera.world_from_camera;
+        depth_m[std::size_t{y} * camera.width + x] =
+            pinhole ? hit(pose.translation, pose.rotation * texel, camera.far_m)
+                    : hit(pose * texel, pose.rotation * glm::vec3(0, 0, 1), camera.far_m);
+      }
+    }
+  }
+};
+
+/// A floor of 10 m under a grid of balls, Gaussians on the floor in rows, as many as asked for; the sun stands aslant,
+/// and lamps hang between the balls.
+struct Scene {
+  GaussiansBuffer gaussians;
+  std::vector<LightSource> sources;
+  std::vector<std::vector<HostMap>> maps;
 
   explicit Scene(const Options& options) : gaussians(ParameterLayout{}, options.gaussians) {
     const auto across = static_cast<std::size_t>(std::ceil(std::sqrt(static_cast<double>(options.gaussians))));
@@ -41,34 +84,80 @@ struct Scene {
         gaussians.parameters[(ParameterLayout::kLogScale + c) * stride + i] = std::log(c == 1 ? 0.1F * step_m : step_m);
       }
     }
-    camera = look_at({6, 10, 4}, {0, 0, 0}, options.texels, options.texels, 1);
+    Camera camera = look_at({6, 10, 4}, {0, 0, 0}, options.texels, options.texels, 1);
     camera.role = CameraRole::Light;
     camera.fx = camera.fy = static_cast<float>(options.texels) / 15.0F;
-    depth_m.resize(std::size_t{options.texels} * options.texels);
-    const glm::vec3 along = camera.world_from_camera.rotation * glm::vec3(0, 0, 1);
-    for (std::uint32_t y = 0; y < options.texels; ++y) {
-      for (std::uint32_t x = 0; x < options.texels; ++x) {
-        const glm::vec3 from = unproject(camera, static_cast<float>(x) + 0.5F, static_cast<float>(y) + 0.5F, 0.0F);
-        depth_m[std::size_t{y} * options.texels + x] = hit_m(from, along);
-      }
-    }
+    sources.push_back({.kind = LightKind::Directional, .direction = glm::normalize(glm::vec3(6, 10, 4))});
+    maps.push_back({HostMap(camera, false)});
+    for (int lamp = 0; lamp < kLamps * kLamps; ++lamp) add_lamp(lamp);
   }
 
-  /// To the nearest ball, 0.6 m above the floor, or to the floor.
-  static float hit_m(const glm::vec3& from, const glm::vec3& along) {
-    float nearest = -from.y / along.y;
-    for (float z = -4; z <= 4; z += kBallSpacing_m) {
-      for (float x = -4; x <= 4; x += kBallSpacing_m) {
-        const glm::vec3 to = glm::vec3(x, 0.6F, z) - from;
-        const float middle = glm::dot(to, along), off2 = glm::dot(to, to) - middle * middle;
-        if (off2 < kBallRadius_m * kBallRadius_m) {
-          nearest = std::min(nearest, middle - std::sqrt(kBallRadius_m * kBallRadius_m - off2));
-        }
-      }
+ private:
+  void add_lamp(int lamp) {
+    const glm::vec3 position(2.0F * static_cast<float>(lamp % kLamps) - 2.5F, 1.8F,
+                             2.0F * static_cast<float>(lamp / kLamps) - 2.5F);
+    sources.push_back({.id = static_cast<std::uint32_t>(lamp + 1), .position = position, .range_m = 4});
+    const glm::quat down = glm::angleAxis(glm::half_pi<float>(), glm::vec3(1, 0, 0));
+    std::vector<HostMap>& faces = maps.emplace_back();
+    for (int face = 0; face < 6; ++face) {
+      Camera camera{.role = CameraRole::Light, .width = kLampTexels, .height = kLampTexels, .far_m = 8};
+      camera.fx = camera.fy = camera.cx = camera.cy = kLampTexels / 2.0F;
+      const float angle = glm::half_pi<float>() * static_cast<float>(face);
+      const glm::quat turn = glm::angleAxis(angle, glm::vec3(0, 1, 0));
+      camera.world_from_camera = {.rotation = face < 4    ? turn
+                                              : face == 4 ? down
+                                                          : glm::conjugate(down),
+                                  .translation = position};
+      faces.emplace_back(camera, true);
     }
-    return nearest;
   }
 };
+
+/// Bytes a second of a copy that is much larger than any cache, of what it reads and writes together.
+double copy_rate(const device::Stream& stream) {
+  constexpr std::size_t kBytes = std::size_t{256} << 20;
+  device::Buffer<std::uint8_t> from(stream, kBytes), to(stream, kBytes);
+  from.clear();
+  double least_s = 1e9;
+  for (int k = 0; k < 5; ++k) {
+    stream.view().wait();
+    const auto begin = std::chrono::steady_clock::now();
+    device::copy(stream, to.data(), from.data(), kBytes);
+    stream.view().wait();
+    least_s = std::min(least_s, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+  }
+  return 2.0 * kBytes / least_s;
+}
+
+void measure(const char* name, const Options& options, const device::Stream& stream, const GaussiansView& view,
+             std::span<const MappedLight> lights, double bytes_a_second) {
+  device::Buffer<std::uint8_t> visibility(stream, options.gaussians * lights.size());
+  std::vector<double> samples_ms;
+  for (int k = 0; k < options.repeats + 3; ++k) {
+    const auto begin = std::chrono::steady_clock::now();
+    compute_visibility(stream, view, {}, lights, {}, visibility.data());
+    const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - begin;
+    if (k >= 3) samples_ms.push_back(spent.count());
+  }
+  std::sort(samples_ms.begin(), samples_ms.end());
+  std::size_t lit = 0, partly = 0;
+  for (const std::uint8_t v : visibility.to_host()) {
+    lit += v == 255 ? 1 : 0;
+    partly += v > 0 && v < 255 ? 1 : 0;
+  }
+  // Three vectors of three floats in, a byte out for each light; the maps once.
+  double bytes = static_cast<double>(options.gaussians) * (36 + static_cast<double>(lights.size()));
+  for (const MappedLight& light : lights) {
+    for (const LightDepthMap& map : light.maps) bytes += 4.0 * map.camera.width * map.camera.height;
+  }
+  const double share = 100.0 / static_cast<double>(visibility.size());
+  fmt::print(
+      "{} Gaussians, {}, {}: median {:.2f} ms, least {:.2f} ms; floor {:.3f} ms ({:.1f} MB at {:.0f} GB/s); {:.1f} % "
+      "lit, {:.1f} % partly\n",
+      options.gaussians, name, name_of(options.device), samples_ms[samples_ms.size() / 2], samples_ms.front(),
+      1e3 * bytes / bytes_a_second, bytes / 1e6, bytes_a_second / 1e9, share * static_cast<double>(lit),
+      share * static_cast<double>(partly));
+}
 
 int run(const Options& options) {
   const Scene scene(options);
@@ -80,34 +169,24 @@ int run(const Options& options) {
     return buffer;
   };
   const auto parameters = placed(scene.gaussians.parameters), point = placed(scene.gaussians.surface_point),
-             normal = placed(scene.gaussians.normal), depth_m = placed(scene.depth_m);
-  device::Buffer<std::uint8_t> visibility(stream, options.gaussians);
+             normal = placed(scene.gaussians.normal);
+  std::vector<device::Buffer<float>> depths;
+  std::vector<MappedLight> lights;
+  for (std::size_t k = 0; k < scene.sources.size(); ++k) {
+    MappedLight& light = lights.emplace_back(MappedLight{.source = scene.sources[k], .maps = {}});
+    for (const HostMap& map : scene.maps[k]) {
+      light.maps.push_back({.camera = map.camera, .depth_m = depths.emplace_back(placed(map.depth_m)).data()});
+    }
+  }
   GaussiansView view;
   view.count = options.gaussians;
   view.stride = scene.gaussians.stride();
   view.parameters = parameters.data();
   view.surface_point = point.data();
   view.normal = normal.data();
-  std::vector<double> samples_ms;
-  for (int k = 0; k < options.repeats + 3; ++k) {
-    const auto begin = std::chrono::steady_clock::now();
-    compute_visibility(stream, view, {}, {.camera = scene.camera, .depth_m = depth_m.data()}, {}, visibility.data());
-    const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - begin;
-    if (k >= 3) samples_ms.push_back(spent.count());
-  }
-  std::sort(samples_ms.begin(), samples_ms.end());
-  std::size_t lit = 0, partly = 0;
-  for (const std::uint8_t v : visibility.to_host()) {
-    lit += v == 255 ? 1 : 0;
-    partly += v > 0 && v < 255 ? 1 : 0;
-  }
-  // Three vectors of three floats in, a byte out; the map once.
-  const double bytes = static_cast<double>(options.gaussians) * 37 + static_cast<double>(depth_m.bytes());
-  fmt::print(
-      "{} Gaussians, {}^2 texels, {}: median {:.2f} ms, least {:.2f} ms; {:.1f} MB; {:.1f} % lit, {:.1f} % partly\n",
-      options.gaussians, options.texels, name_of(options.device), samples_ms[samples_ms.size() / 2], samples_ms.front(),
-      bytes / 1e6, 100.0 * static_cast<double>(lit) / static_cast<double>(options.gaussians),
-      100.0 * static_cast<double>(partly) / static_cast<double>(options.gaussians));
+  const double rate = copy_rate(stream);
+  measure("the sun", options, stream, view, std::span(lights).first(1), rate);
+  measure("the sun and 16 lights", options, stream, view, lights, rate);
   return 0;
 }
 
@@ -118,9 +197,9 @@ int run(const Options& options) {
 int main(int argc, char** argv) {
   splatbus::relight::Options options;
   bool cuda = false;
-  CLI::App app("Times relight's visibility of one light.");
+  CLI::App app("Times relight's visibility of the sun, and of the sun and 16 point lights.");
   app.add_option("--gaussians", options.gaussians)->capture_default_str();
-  app.add_option("--texels", options.texels, "a side of the light's depth map")->capture_default_str();
+  app.add_option("--texels", options.texels, "a side of the sun's depth map")->capture_default_str();
   app.add_option("--repeats", options.repeats)->capture_default_str();
   app.add_flag("--cuda", cuda);
   CLI11_PARSE(app, argc, argv);

@@ -76,9 +76,11 @@ std::optional<cv::Mat> SceneView::render(LiveScene& live, const Camera& camera, 
   GaussiansView gaussians = model->average();
   if (map != nullptr) {
     visibility_.resize(gaussians.count);
-    relight::compute_visibility(stream_, gaussians, scene.objects,
-                                {.camera = map->camera, .depth_m = map->depth_m.data()}, {}, visibility_.data());
+    const relight::MappedLight sun{.source = relight::sun_source(scene.light),
+                                   .maps = {{.camera = map->camera, .depth_m = map->depth_m.data()}}};
+    relight::compute_visibility(stream_, gaussians, scene.objects, {{sun}}, {}, visibility_.data());
     gaussians.visibility_u8 = visibility_.data();
+    gaussians.visibility_stride = gaussians.count;
   }
   renderer_->read_in_place(gaussians);
   renderer_->draw(camera, scene, {}, render_);

@@ -30,9 +30,12 @@ struct GaussiansView {
   const float* normal = nullptr;         ///< [3][stride], unit, object's frame (Transfer)
   const float* surface_point = nullptr;  ///< [3][stride], where the sample was, object's frame
   const float* visibility = nullptr;     ///< [stride], sun visibility in [0, 1] (Transfer)
-  /// [count], by index, not at an offset: 255 sees all of the sun. Where given it is read instead of `visibility`, by
-  /// the CPU's rasteriser; a TrainView of the CUDA one brings its own.
+  /// [visibility_rows][visibility_stride], a row a light, by index, not at an offset: 255 sees all of the light. The
+  /// sun's row, read instead of `visibility`, then those of Light::sources in their order; a source that has no row is
+  /// not shadowed. Null: no light has one. A TrainView of the CUDA rasteriser brings its own.
   const std::uint8_t* visibility_u8 = nullptr;
+  std::size_t visibility_stride = 0;  ///< elements from one light's row to the next
+  std::uint32_t visibility_rows = 1;
   const std::uint32_t* object_id = nullptr;  ///< [stride]; null: all static
   const std::uint32_t* flags = nullptr;      ///< [stride]; null: all active
   const std::uint64_t* gaussian_id = nullptr;

@@ -49,6 +49,8 @@ class PublishedModel {
   [[nodiscard]] const GaussiansView& live() const { return live_; }
   /// Averaged over time: what is shown and streamed.
   [[nodiscard]] const GaussiansView& average() const { return average_; }
+  /// Of each range's page: another one whenever its structure changes.
+  [[nodiscard]] const std::vector<std::uint64_t>& page_generations() const { return page_generations_; }
   [[nodiscard]] bool still_valid() const;
   /// Bytes that open() and refresh() have copied out of, or into, device memory.
   [[nodiscard]] std::uint64_t copied_bytes() const { return copied_bytes_; }

@@ -1,11 +1,12 @@
 #include "relight/relight.h"
 
-#include <spdlog/spdlog.h>
+#include <fmt/format.h>
 
 #include <algorithm>
 #include <chrono>
 #include <iterator>
 #include <span>
+#include <string>
 #include <utility>
 
 #include "bus/clock.h"
@@ -22,17 +23,17 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// Whether a map through b shows what one through a shows: the planes only say how far it reaches.
-bool same_projection(const Camera& a, const Camera& b) {
-  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
-         a.world_from_camera == b.world_from_camera;
-}
-
 constexpr auto kReceiveTimeout = 50ms;
 constexpr std::size_t kRingSlots = 8;
 constexpr std::uint32_t kMaxSide = 16384;
-constexpr std::size_t kMaxMaps = 8;        // pictures of a version come within a frame or two of its map
-constexpr std::size_t kMaxPictured = 256;  // versions whose map has not come
+constexpr std::uint32_t kMaxMaps = 8;     // of one light
+constexpr std::size_t kMaxReady = 8;      // versions that are kept for a model whose structure changes
+constexpr std::size_t kMaxWaiting = 256;  // versions whose maps have not come
+
+const LightSource* find_source(const Light& light, std::uint32_t id) {
+  const auto found = std::ranges::find_if(light.sources, [id](const LightSource& source) { return source.id == id; });
+  return found == light.sources.end() ? nullptr : &*found;
+}
 
 }  // namespace
 
@@ -57,22 +58,23 @@ Relight::Relight(bus::ServiceContext& service)
       ring_(service.bus, "visibility", kRingSlots, 0, memory_),
       depths_(memory_),
       options_(service.parameters),
-      visibility_(stream_) {}
+      rows_(stream_) {}
 
 void Relight::run() {
   bus::Subscriber subscriber(service_.bus);
-  subscriber
-      .on(topics::kModelPublished,
-          [this](const wire::ModelPublished&, const bus::Message& message) { model_ = message; })
+  subscriber.on(topics::kModelPublished, [this](const wire::ModelPublished&, const bus::Message& m) { take_model(m); })
+      .on(topics::kSceneState,
+          [this](const wire::SceneUpdate& update, const bus::Message&) { take_scene(*update.scene(), false); })
       .on(topics::kSceneLightDepth,
           [this](const wire::SceneLightDepth& depth, const bus::Message& message) { take_depth(depth, message); })
       .on(topics::kCaptureReference, [this](const wire::CaptureReference& picture, const bus::Message&) {
-        if (!picture.retire()) take_picture(picture.scene()->version());
+        if (!picture.retire()) take_scene(*picture.scene(), true);
       });
   while (!service_.stop.stop_requested()) {
     const std::uint64_t refused = subscriber.refused();
     subscriber.dispatch_all(kReceiveTimeout);
     if (subscriber.refused() != refused) bus::require_usable(memory_);
+    resolve();
     // A model that makes no sense is reported once.
     if (model_ && !bus::guarded(*model_, [&] { update(); })) {
       bus::require_usable(memory_);
@@ -86,116 +88,180 @@ void Relight::report() {
   service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
   service_.counter("published", static_cast<double>(published_));
   service_.counter("unmapped_versions", static_cast<double>(unmapped_));
+  service_.counter("pages_computed", static_cast<double>(rows_.computed()));
+  service_.counter("pages_skipped", static_cast<double>(rows_.skipped()));
   service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
-  service_.detail(maps_.empty() ? "waits for scene/light_depth"
-                  : !model_     ? "waits for model/published"
-                                : "follows the light");
+  service_.detail(newest() == versions_.end() ? "waits for scene/light_depth"
+                  : !model_                   ? "waits for model/published"
+                                              : "follows the light");
 }
 
-void Relight::take_picture(std::uint64_t scene_version) {
-  const auto map = std::find_if(maps_.begin(), maps_.end(),
-                                [&](const DepthMap& candidate) { return candidate.scene.version == scene_version; });
-  if (map != maps_.end()) {
-    map->pictured = true;
+void Relight::take_model(const bus::Message& message) {
+  if (message.header().epoch() != model_epoch_) rows_.forget();
+  model_epoch_ = message.header().epoch();
+  model_ = message;
+}
+
+void Relight::take_scene(const wire::SceneState& scene, bool pictured) {
+  const auto known = versions_.find(scene.version());
+  if (known != versions_.end()) {
+    known->second.pictured |= pictured;
     return;
   }
-  if (!maps_.empty() && scene_version < maps_.front().scene.version) {
-    ++unmapped_;  // its map has gone already
-    return;
-  }
-  pictured_ahead_.insert(scene_version);
-  if (pictured_ahead_.size() > kMaxPictured) {
-    pictured_ahead_.erase(pictured_ahead_.begin());
-    ++unmapped_;
-  }
+  if (!pictured && !versions_.empty() && scene.version() < versions_.rbegin()->first) return;
+  Version version{.scene = from_wire(scene), .pictured = pictured, .lights = {}, .computed_generation = std::nullopt};
+  if (versions_.empty() || scene.version() > versions_.rbegin()->first) maps_.keep(version.scene.light);
+  const auto added = versions_.emplace(scene.version(), std::move(version)).first;
+  if (is_hopeless(added->second)) drop(added);
 }
 
 void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message& message) {
-  DepthMap map{.camera = from_wire(*depth.camera()),
-               .scene = from_wire(*depth.scene()),
-               .depth_m = nullptr,
-               .computed_generation = std::nullopt};
-  if (map.camera.role != CameraRole::Light || map.camera.width > kMaxSide || map.camera.height > kMaxSide) {
+  const Camera camera = from_wire(*depth.camera());
+  if (camera.role != CameraRole::Light || camera.width > kMaxSide || camera.height > kMaxSide) {
     throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +
                      " texels a side");
   }
-  // A map that runs behind changes nothing, nor does one that comes again, unless it is another, of another size say.
-  const bool again = !maps_.empty() && map.scene.version == maps_.back().scene.version;
-  if (again && same_projection(map.camera, maps_.back().camera)) return;
-  if (!maps_.empty() && map.scene.version < maps_.back().scene.version) return;
-  const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {map.camera.height, map.camera.width});
-  if (tensor) map.depth_m = depths_.take(tensor->bytes());
-  if (!tensor || !bus::copy_tensor(*tensor, map.depth_m.get(), memory_, host_copied_bytes_)) {
+  const Light light = from_wire(*depth.scene()->light());
+  const LightSource* const source = find_source(light, depth.light_id());
+  if (depth.light_id() != 0 && (source == nullptr || !source->casts_shadow)) {
+    throw bus::Error(fmt::format("{}: light {} is none that casts a shadow", message.topic(), depth.light_id()));
+  }
+  if (depth.light_map() >= depth.light_maps() || depth.light_maps() > kMaxMaps) {
+    throw bus::Error(fmt::format("{}: map {} of {}", message.topic(), depth.light_map(), depth.light_maps()));
+  }
+  take_scene(*depth.scene(), false);
+  const MapRing::Key key{.light_id = depth.light_id(),
+                         .depth_version = source != nullptr ? source->depth_version : light.sun_depth_version,
+                         .light_map = depth.light_map(),
+                         .light_maps = depth.light_maps()};
+  if (maps_.holds(key, camera)) return;
+  const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
+  auto values = tensor ? depths_.take(tensor->bytes()) : nullptr;
+  if (!tensor || !bus::copy_tensor(*tensor, values.get(), memory_, host_copied_bytes_)) {
     ++lost_tensors_;
     return;
   }
-  map.pictured = pictured_ahead_.erase(map.scene.version) > 0 || (again && maps_.back().pictured);
-  if (again) maps_.pop_back();
-  const auto passed = pictured_ahead_.lower_bound(map.scene.version);
-  unmapped_ += static_cast<std::uint64_t>(std::distance(pictured_ahead_.begin(), passed));
-  pictured_ahead_.erase(pictured_ahead_.begin(), passed);
-  maps_.push_back(std::move(map));
-  if (maps_.size() > kMaxMaps) maps_.pop_front();
+  maps_.put(key, {.camera = camera, .depth_m = std::move(values)}, depth.scene()->version());
 }
 
-bool Relight::is_due(const DepthMap& map, std::int64_t now_ns) const {
+bool Relight::find_maps(Version& version) const {
+  std::vector<LightOfScene> lights{{sun_source(version.scene.light), nullptr}};
+  for (const LightSource& source : version.scene.light.sources) lights.push_back({source, nullptr});
+  bool same = lights.size() == version.lights.size();
+  for (std::size_t k = 0; k < lights.size(); ++k) {
+    LightOfScene& light = lights[k];
+    if (!light.source.casts_shadow) continue;
+    light.maps = maps_.find(light.source.id, light.source.depth_version);
+    if (!light.maps) return !version.lights.empty();  // with those that it has had
+    same = same && version.lights[k].maps == light.maps;
+  }
+  if (!same) version.computed_generation.reset();
+  version.lights = std::move(lights);
+  return true;
+}
+
+bool Relight::is_hopeless(const Version& version) const {
+  const auto is_past = [&](const LightSource& source) {
+    return source.casts_shadow && !maps_.find(source.id, source.depth_version) &&
+           maps_.is_past(source.id, version.scene.version);
+  };
+  return version.lights.empty() &&
+         (is_past(sun_source(version.scene.light)) || std::ranges::any_of(version.scene.light.sources, is_past));
+}
+
+void Relight::drop(Versions::iterator version) {
+  if (version->second.pictured && version->second.lights.empty()) ++unmapped_;
+  versions_.erase(version);
+}
+
+Relight::Versions::iterator Relight::newest() {
+  auto found = versions_.end();
+  while (found != versions_.begin()) {
+    if (!(--found)->second.lights.empty()) return found;
+  }
+  return versions_.end();
+}
+
+void Relight::resolve() {
+  std::size_t ready = 0;
+  for (auto& [number, version] : versions_) ready += find_maps(version) ? 1 : 0;
+  const auto newest_ready = newest();
+  std::size_t waiting = versions_.size() - ready;
+  for (auto version = versions_.begin(); version != versions_.end();) {
+    const auto next = std::next(version);
+    const bool is_ready = !version->second.lights.empty();
+    const bool superseded =
+        newest_ready != versions_.end() && version->first < newest_ready->first && !version->second.pictured;
+    const bool too_many = is_ready ? ready > kMaxReady : waiting > kMaxWaiting;
+    if (superseded || too_many || is_hopeless(version->second)) {
+      --(is_ready ? ready : waiting);
+      drop(version);
+    }
+    version = next;
+  }
+}
+
+bool Relight::is_due(const Version& version, std::int64_t now_ns) {
   const auto& published = model_->root<wire::ModelPublished>();
-  if (map.computed_generation == published.generation()) return false;
-  if (map.pictured) return true;
-  if (&map != &maps_.back()) return false;
+  if (version.lights.empty() || version.computed_generation == published.generation()) return false;
+  if (version.pictured) return true;
   // Of a model whose structure has changed nobody has the visibility yet.
-  if (map.computed_generation) return true;
+  if (version.computed_generation) return true;
   const auto period_ns = static_cast<std::int64_t>(1e9 / options_->newest_rate_hz);
   return now_ns - newest_computed_ns_ >= period_ns;
 }
 
 void Relight::update() {
   if (options_.refresh()) {
-    for (DepthMap& map : maps_) map.computed_generation.reset();
+    for (auto& [number, version] : versions_) version.computed_generation.reset();
   }
   if (model_->root<wire::ModelPublished>().count() == 0) return;
   const std::int64_t now_ns = bus::now_ns();
+  const auto newest_ready = newest();
   std::optional<PublishedModel> model;
   // The newest first: viewers and most pictures wait for it.
-  for (auto map = maps_.rbegin(); map != maps_.rend(); ++map) {
-    if (!is_due(*map, now_ns)) continue;
+  for (auto version = versions_.rbegin(); version != versions_.rend(); ++version) {
+    if (!is_due(version->second, now_ns)) continue;
     if (!model) model = PublishedModel::open(*model_, memory_, PublishedModel::Need::Average);
-    if (!model || !compute(*map, *model)) {
+    if (!model || !compute(version->second, *model)) {
       model_.reset();  // its structure has moved on: the next message is on its way
       return;
     }
-    if (map == maps_.rbegin()) newest_computed_ns_ = now_ns;
+    if (version->first == newest_ready->first) newest_computed_ns_ = now_ns;
   }
 }
 
-bool Relight::compute(DepthMap& map, const PublishedModel& model) {
+bool Relight::compute(Version& version, const PublishedModel& model) {
   const auto start = std::chrono::steady_clock::now();
   const GaussiansView& gaussians = model.average();
-  visibility_.resize(gaussians.count);
-  compute_visibility(stream_, gaussians, map.scene.objects,
-                     {.camera = map.camera, .depth_m = reinterpret_cast<const float*>(map.depth_m.get())},
-                     options_->visibility, visibility_.data());
+  const std::uint8_t* const visibility =
+      rows_.compute({.gaussians = gaussians, .page_generations = model.page_generations(), .step = model.step()},
+                    version.scene.objects, version.lights, options_->visibility);
   host_copied_bytes_ += model.copied_bytes();
-  if (!model.still_valid()) return false;
+  if (!model.still_valid()) {
+    rows_.forget();
+    return false;
+  }
   const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - start;
   service_.counter("compute_ms", spent.count());
-  map.computed_generation = model.generation();
-  publish(model.generation(), map.scene.version, gaussians.count, visibility_.data());
+  version.computed_generation = model.generation();
+  publish(model.generation(), version.scene, gaussians.count, visibility);
   return true;
 }
 
-void Relight::publish(std::uint64_t model_generation, std::uint64_t scene_version, std::size_t count,
+void Relight::publish(std::uint64_t model_generation, const SceneState& scene, std::size_t count,
                       const std::uint8_t* visibility) {
+  std::vector<std::uint32_t> ids{0};
+  for (const LightSource& source : scene.light.sources) ids.push_back(source.id);
   const bus::TensorSource source{.name = "visibility",
-                                 .shape = {1, static_cast<std::uint32_t>(count)},
+                                 .shape = {static_cast<std::uint32_t>(ids.size()), static_cast<std::uint32_t>(count)},
                                  .type = bus::ElementType::U8,
                                  .data = visibility,
                                  .memory = memory_};
   publisher_.publish(topics::kRelightVisibility, {.tensors = ring_.write(std::span(&source, 1))},
                      [&](auto& builder, auto header) {
-                       const std::uint32_t sun = 0;
-                       return wire::CreateRelightVisibility(builder, header, model_generation, scene_version, count,
-                                                            builder.CreateVector(&sun, 1));
+                       return wire::CreateRelightVisibility(builder, header, model_generation, scene.version, count,
+                                                            builder.CreateVector(ids));
                      });
   ++published_;
 }

@@ -3,10 +3,9 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <deque>
-#include <memory>
+#include <map>
 #include <optional>
-#include <set>
+#include <vector>
 
 #include "bus/backend.h"
 #include "bus/memory_pool.h"
@@ -14,9 +13,10 @@
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
-#include "device/buffer.h"
 #include "device/stream.h"
 #include "model/published_model.h"
+#include "relight/light_rows.h"
+#include "relight/map_ring.h"
 #include "relight/visibility.h"
 
 namespace splatbus::relight {
@@ -29,7 +29,8 @@ struct RelightOptions {
 };
 
 /// The relight service: computes relight/visibility for every scene version that training pictures are of, and for the
-/// newest one, and again when the model's structure changes.
+/// newest one, and again when the model's structure changes. A version waits until all maps of all its lights that cast
+/// shadows are there.
 class Relight {
  public:
   explicit Relight(bus::ServiceContext& service);
@@ -38,22 +39,31 @@ class Relight {
   void run();
 
  private:
-  /// The light-space depth of a scene version, in memory of our own.
-  struct DepthMap {
-    Camera camera;
+  struct Version {
     SceneState scene;
-    std::shared_ptr<std::byte> depth_m;
-    bool pictured = false;                             ///< a training picture of this version has come
+    bool pictured = false;  ///< a training picture of this version has come
+    std::vector<LightOfScene>
+        lights;  ///< the sun, then the others by ascending id; empty until all their maps are there
     std::optional<std::uint64_t> computed_generation;  ///< of the model that its visibility was computed for
   };
+  using Versions = std::map<std::uint64_t, Version>;
 
   void take_depth(const wire::SceneLightDepth& depth, const bus::Message& message);
-  void take_picture(std::uint64_t scene_version);
+  void take_scene(const wire::SceneState& scene, bool pictured);
+  void take_model(const bus::Message& message);
   void update();
-  [[nodiscard]] bool is_due(const DepthMap& map, std::int64_t now_ns) const;
+  /// Gives versions the maps that have come, and drops those whose maps will not come or that are of no use.
+  void resolve();
+  /// False while a map is missing.
+  [[nodiscard]] bool find_maps(Version& version) const;
+  [[nodiscard]] bool is_hopeless(const Version& version) const;
+  void drop(Versions::iterator version);
+  /// The newest whose maps are there; end() before there is one.
+  [[nodiscard]] Versions::iterator newest();
+  [[nodiscard]] bool is_due(const Version& version, std::int64_t now_ns);
   /// False when the model has moved on meanwhile.
-  bool compute(DepthMap& map, const PublishedModel& model);
-  void publish(std::uint64_t model_generation, std::uint64_t scene_version, std::size_t count,
+  bool compute(Version& version, const PublishedModel& model);
+  void publish(std::uint64_t model_generation, const SceneState& scene, std::size_t count,
                const std::uint8_t* visibility);
   void report();
 
@@ -65,9 +75,10 @@ class Relight {
   bus::MemoryPool depths_;
   bus::LiveOptions<RelightOptions> options_;
   std::optional<bus::Message> model_;
-  std::deque<DepthMap> maps_;               ///< by ascending version
-  std::set<std::uint64_t> pictured_ahead_;  ///< versions whose picture came before their map
-  device::Buffer<std::uint8_t> visibility_;
+  MapRing maps_;
+  Versions versions_;
+  LightRows rows_;
+  std::uint64_t model_epoch_ = 0;                     ///< of the trainer whose model rows_ are of
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;  ///< bulk that came from, or went through, host memory
   std::uint64_t lost_tensors_ = 0, published_ = 0, unmapped_ = 0;
   std::int64_t newest_computed_ns_ = 0;

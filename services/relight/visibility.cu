@@ -1,8 +1,9 @@
+#include <algorithm>
 #include <vector>
 
 #include "device/buffer.h"
 #include "device/parallel.h"
-#include "relight/filter.h"
+#include "relight/light_test.h"
 #include "relight/visibility.h"
 
 namespace splatbus::relight {
@@ -11,43 +12,64 @@ namespace {
 
 using math::Vec3;
 
-constexpr float kMaxSlope = 8.0F;     // metres of depth a metre across: beyond it the normal is no guide
-constexpr float kMinFacing = 0.02F;   // cosine below which no light arrives
-constexpr float kMaxDeviation_m = 1;  // of a Gaussian
-// A paraboloid has the spread of a uniform disc that is smaller by this.
-constexpr float kParaboloidOverDisc = 1.2247449F;
+constexpr std::int32_t kStill = -1, kOfGaussian = -2;
 
-struct MovingObject {
-  std::uint32_t id = 0;
-  math::Rigid world_from_object;
+/// p_world = rotation * (scale * p_object) + translation.
+struct Frame {
+  math::Rigid rigid;
+  float scale;
+};
+
+/// Neighbouring indices, within one page.
+struct Tier {
+  std::uint32_t first, count;
+  std::int32_t frame;  ///< of `frames`, or kStill, or kOfGaussian: each has its own
+  std::uint64_t kept;  ///< lights whose earlier values hold
 };
 
 math::Rigid portable(const Rigid& rigid) {
   const glm::quat& q = rigid.rotation;
   return {math::rotation_matrix(q.w, q.x, q.y, q.z), {rigid.translation.x, rigid.translation.y, rigid.translation.z}};
 }
+Vec3 portable(const glm::vec3& v) {
+  return {v.x, v.y, v.z};
+}
 
-/// Tests one Gaussian.
+/// Tests Gaussians against all lights.
 struct VisibilityTest {
   GaussiansView gaussians;
-  const MovingObject* objects;  ///< by ascending id
-  std::uint32_t object_count;
-  const std::uint32_t* frame_of_page;  ///< null without pages
-  math::Rigid light_from_world;
-  float fx, fy, cx, cy;  ///< texels a metre, texels
-  int width, height;
-  const float* depth_m;
+  const Tier* tiers;
+  const Frame* frames;
+  const std::uint32_t* frame_ids;  ///< of `frames`, ascending
+  std::uint32_t frame_count;
+  const LightView* lights;
+  std::uint32_t light_count;
   VisibilityOptions options;
+  const std::uint8_t* before;
+  std::size_t before_stride;
+  const std::int32_t* before_row;  ///< of each light
   std::uint8_t* visibility;
 
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    Vec3 point = vector_at(gaussians.surface_point, i);
-    Vec3 normal = vector_at(gaussians.normal, i);
-    if (const MovingObject* object = moving_object(frame_of(i))) {
-      point = transformed(object->world_from_object, point);
-      normal = object->world_from_object.rotation * normal;
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Surface surface(const Tier& tier, std::uint32_t i) const {
+    Surface out{vector_at(gaussians.surface_point, i), vector_at(gaussians.normal, i), 0};
+    float deviation_m = surface_deviation_m(i);
+    const std::int32_t index = tier.frame == kOfGaussian ? frame_of(gaussians.object_id[i]) : tier.frame;
+    if (index != kStill) {
+      const Frame& frame = frames[index];
+      out.point = transformed(frame.rigid, out.point * frame.scale);
+      out.normal = frame.rigid.rotation * out.normal;
+      deviation_m *= frame.scale;
     }
-    visibility[i] = static_cast<std::uint8_t>(test(point, normal, i) * 255.0F + 0.5F);
+    const float footprint_m = options.footprint * math::smaller(deviation_m, kMaxDeviation_m);
+    out.radius_m = kParaboloidOverDisc * (options.softness_m + footprint_m);
+    return out;
+  }
+
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint8_t kept_value(std::uint32_t light, std::uint32_t i) const {
+    return before[static_cast<std::size_t>(before_row[light]) * before_stride + i];
+  }
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint8_t& value(std::uint32_t light, std::uint32_t i) const {
+    return visibility[light * gaussians.count + i];
   }
 
  private:
@@ -56,19 +78,13 @@ struct VisibilityTest {
     return {first[0], first[gaussians.stride], first[2 * gaussians.stride]};
   }
 
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint32_t frame_of(std::uint32_t i) const {
-    if (frame_of_page != nullptr) return frame_of_page[i >> gaussians.page_shift];
-    return gaussians.object_id != nullptr ? gaussians.object_id[i] : kWorldFrame;
-  }
-
-  /// Null when the object stands where its frame is the world's.
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER const MovingObject* moving_object(std::uint32_t id) const {
-    std::uint32_t low = 0, high = object_count;
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::int32_t frame_of(std::uint32_t id) const {
+    std::uint32_t low = 0, high = frame_count;
     while (low < high) {
       const std::uint32_t middle = (low + high) / 2;
-      objects[middle].id < id ? low = middle + 1 : high = middle;
+      frame_ids[middle] < id ? low = middle + 1 : high = middle;
     }
-    return low < object_count && objects[low].id == id ? objects + low : nullptr;
+    return low < frame_count && frame_ids[low] == id ? static_cast<std::int32_t>(low) : kStill;
   }
 
   /// Mean of the two larger standard deviations: a flat Gaussian's extent on its surface.
@@ -79,84 +95,157 @@ struct VisibilityTest {
     if (a + b + c != a + b + c) return kMaxDeviation_m;
     const float largest = math::larger(math::larger(a, b), c);
     const float middle = math::larger(math::smaller(a, b), math::smaller(math::larger(a, b), c));
-    return math::smaller(0.5F * (expf(middle) + expf(largest)), kMaxDeviation_m);
-  }
-
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER static float bounded_radius(float texels) {
-    return math::clamped(texels, kMinRadius_texels, kMaxRadius_texels);
-  }
-
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float test(const Vec3& point_world, const Vec3& normal_world,
-                                                    std::uint32_t i) const {
-    const Vec3 normal = light_from_world.rotation * normal_world;
-    const float facing = -normal.z;
-    if (!(facing > kMinFacing)) return 0;
-    const float texel_m = 1.0F / math::smaller(fx, fy);
-    const Vec3 point = transformed(light_from_world, point_world + normal_world * (options.lift_texels * texel_m));
-    float slope_x = normal.x / facing, slope_y = normal.y / facing;
-    const float steepness = sqrtf(slope_x * slope_x + slope_y * slope_y);
-    if (steepness > kMaxSlope) {
-      slope_x *= kMaxSlope / steepness;
-      slope_y *= kMaxSlope / steepness;
-    }
-    const float radius_m = kParaboloidOverDisc * (options.softness_m + options.footprint * surface_deviation_m(i));
-    const FilterWindow window{fx * point.x + cx,
-                              fy * point.y + cy,
-                              point.z,
-                              slope_x / fx,
-                              slope_y / fy,
-                              bounded_radius(radius_m * fx),
-                              bounded_radius(radius_m * fy)};
-    if (!math::is_finite(window.depth_m + window.x + window.y)) return 0;
-    const bool apart = window.x + window.radius_x < 0 || window.y + window.radius_y < 0 ||
-                       window.x - window.radius_x > static_cast<float>(width) ||
-                       window.y - window.radius_y > static_cast<float>(height);
-    if (apart) return 1;
-#ifdef __CUDA_ARCH__
-    return lit_share(window, depth_m, width, height);
-#else
-    return lit_share_on_host(window, depth_m, width, height);
-#endif
+    return 0.5F * (quick_exp(middle) + quick_exp(largest));
   }
 };
 
-/// Empty without pages.
-std::vector<std::uint32_t> frames_of_pages(const GaussiansView& gaussians) {
-  std::vector<std::uint32_t> frames;
-  if (!gaussians.has_pages() || gaussians.count == 0) return frames;
-  frames.resize(((gaussians.count - 1) >> gaussians.page_shift) + 1, kWorldFrame);
-  for (const IndexRange& range : gaussians.ranges) frames[range.first >> gaussians.page_shift] = range.frame_id;
-  return frames;
+/// On a GPU an item is a Gaussian.
+struct OneGaussian {
+  VisibilityTest test;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const Tier& tier = test.tiers[item / kTierLanes];
+    if (item % kTierLanes >= tier.count) return;
+    const std::uint32_t i = tier.first + item % kTierLanes;
+    const Surface surface = test.surface(tier, i);
+    for (std::uint32_t light = 0; light < test.light_count; ++light) {
+      const bool kept = (tier.kept >> light & 1U) != 0;
+      test.value(light, i) =
+          kept ? test.kept_value(light, i) : seen_share(test.lights[light], surface, test.options.lift_texels);
+    }
+  }
+};
+
+/// On a CPU it is a tier, light by light: a light's code and its part of the map stay in the cache.
+struct OneTier {
+  VisibilityTest test;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const Tier& tier = test.tiers[item];
+    Surface surfaces[kTierLanes];
+    const bool all_kept = (~tier.kept & ((std::uint64_t{1} << (test.light_count - 1) << 1) - 1)) == 0;
+    for (std::uint32_t k = 0; !all_kept && k < tier.count; ++k) surfaces[k] = test.surface(tier, tier.first + k);
+    for (std::uint32_t light = 0; light < test.light_count; ++light) {
+      const LightView& view = test.lights[light];
+      const bool kept = (tier.kept >> light & 1U) != 0;
+      for (std::uint32_t k = 0; k < tier.count; ++k) {
+        const std::uint32_t i = tier.first + k;
+        test.value(light, i) =
+            kept ? test.kept_value(light, i) : seen_share(view, surfaces[k], test.options.lift_texels);
+      }
+    }
+  }
+};
+
+void append_tiers(const IndexRange& range, std::int32_t frame, std::uint64_t kept, std::vector<Tier>& tiers) {
+  for (std::uint32_t k = 0; k < range.count; k += kTierLanes) {
+    tiers.push_back({range.first + k, std::min(kTierLanes, range.count - k), frame, kept});
+  }
+}
+
+std::vector<Tier> tiers_of(const GaussiansView& gaussians, const std::vector<std::uint32_t>& frame_ids,
+                           const KeptRows& kept) {
+  const auto kept_of = [&](std::size_t page) { return kept.lights_of_page.empty() ? 0 : kept.lights_of_page[page]; };
+  std::vector<Tier> tiers;
+  if (!gaussians.has_pages()) {
+    const std::int32_t frame = gaussians.object_id != nullptr ? kOfGaussian : kStill;
+    append_tiers({0, static_cast<std::uint32_t>(gaussians.count)}, frame, kept_of(0), tiers);
+    return tiers;
+  }
+  for (const IndexRange& range : gaussians.ranges) {
+    const auto found = std::lower_bound(frame_ids.begin(), frame_ids.end(), range.frame_id);
+    const bool moved = found != frame_ids.end() && *found == range.frame_id;
+    const auto frame = moved ? static_cast<std::int32_t>(found - frame_ids.begin()) : kStill;
+    append_tiers(range, frame, kept_of(range.first >> gaussians.page_shift), tiers);
+  }
+  return tiers;
+}
+
+MapView view_of(const LightDepthMap& map) {
+  const Camera& camera = map.camera;
+  return {.camera_from_world = portable(inverse(camera.world_from_camera)),
+          .fx = camera.fx,
+          .fy = camera.fy,
+          .cx = camera.cx,
+          .cy = camera.cy,
+          .texel = 1.0F / math::smaller(camera.fx, camera.fy),
+          .width = static_cast<int>(camera.width),
+          .height = static_cast<int>(camera.height),
+          .depth_m = map.depth_m};
+}
+
+LightView view_of(const LightSource& source, const MapView* maps, std::size_t map_count) {
+  return {.kind = source.kind,
+          .casts_shadow = source.casts_shadow,
+          .position = portable(source.position),
+          .axis = portable(source.direction),
+          .range2_m2 = source.range_m * source.range_m,
+          .cos_outer = source.cos_outer,
+          .maps = maps,
+          .map_count = static_cast<std::uint32_t>(map_count)};
+}
+
+template <class T>
+device::Buffer<T> placed(device::StreamView stream, std::span<const T> values) {
+  device::Buffer<T> buffer(stream);
+  buffer.assign(values);
+  return buffer;
 }
 
 }  // namespace
 
+LightSource sun_source(const Light& light) {
+  return {.id = 0,
+          .kind = LightKind::Directional,
+          .casts_shadow = light.sun_irradiance != glm::vec3(0),
+          .direction = light.sun_direction,
+          .intensity = light.sun_irradiance,
+          .depth_version = light.sun_depth_version};
+}
+
 void compute_visibility(device::StreamView stream, const GaussiansView& gaussians, const ObjectTransforms& objects,
-                        const LightDepthMap& map, const VisibilityOptions& options, std::uint8_t* visibility) {
-  std::vector<MovingObject> moving;
-  moving.reserve(objects.size());
-  for (const auto& [id, world_from_object] : objects) moving.push_back({id, portable(world_from_object.rigid)});
-  const std::vector<std::uint32_t> frames = frames_of_pages(gaussians);
-  device::Buffer<MovingObject> object_table(stream);
-  object_table.assign(moving);
-  device::Buffer<std::uint32_t> frame_table(stream);
-  frame_table.assign(frames);
-  const Camera& camera = map.camera;
+                        std::span<const MappedLight> lights, const VisibilityOptions& options, std::uint8_t* visibility,
+                        const KeptRows& kept) {
+  if (lights.empty() || gaussians.count == 0) return;
+  std::vector<Frame> frames;
+  std::vector<std::uint32_t> frame_ids;
+  for (const auto& [id, world_from_object] : objects) {
+    frames.push_back({portable(world_from_object.rigid), world_from_object.scale});
+    frame_ids.push_back(id);
+  }
+  std::vector<MapView> maps;
+  for (const MappedLight& light : lights) {
+    for (const LightDepthMap& map : light.maps) maps.push_back(view_of(map));
+  }
+  const std::vector<Tier> tiers = tiers_of(gaussians, frame_ids, kept);
+  const auto map_table = placed<MapView>(stream, maps);
+  std::vector<LightView> views;
+  std::size_t first_map = 0;
+  for (const MappedLight& light : lights) {
+    views.push_back(view_of(light.source, map_table.data() + first_map, light.maps.size()));
+    first_map += light.maps.size();
+  }
+  const auto tier_table = placed<Tier>(stream, tiers);
+  const auto frame_table = placed<Frame>(stream, frames);
+  const auto id_table = placed<std::uint32_t>(stream, frame_ids);
+  const auto light_table = placed<LightView>(stream, views);
+  const auto row_table = placed<std::int32_t>(stream, kept.row);
   const VisibilityTest test{.gaussians = gaussians,
-                            .objects = object_table.data(),
-                            .object_count = static_cast<std::uint32_t>(moving.size()),
-                            .frame_of_page = frame_table.data(),
-                            .light_from_world = portable(inverse(camera.world_from_camera)),
-                            .fx = camera.fx,
-                            .fy = camera.fy,
-                            .cx = camera.cx,
-                            .cy = camera.cy,
-                            .width = static_cast<int>(camera.width),
-                            .height = static_cast<int>(camera.height),
-                            .depth_m = map.depth_m,
+                            .tiers = tier_table.data(),
+                            .frames = frame_table.data(),
+                            .frame_ids = id_table.data(),
+                            .frame_count = static_cast<std::uint32_t>(frames.size()),
+                            .lights = light_table.data(),
+                            .light_count = static_cast<std::uint32_t>(lights.size()),
                             .options = options,
+                            .before = kept.values,
+                            .before_stride = kept.stride,
+                            .before_row = row_table.data(),
                             .visibility = visibility};
-  device::for_each_index(stream, static_cast<std::uint32_t>(gaussians.count), test);
+  const auto tier_count = static_cast<std::uint32_t>(tiers.size());
+  if (stream.on_cuda()) {
+    device::for_each_index(stream, tier_count * kTierLanes, OneGaussian{test});
+  } else {
+    device::for_each_index(stream, tier_count, OneTier{test});
+  }
   stream.wait();
 }
 

@@ -1,5 +1,7 @@
 #include "raster/cuda/device_model.h"
 
+#include <algorithm>
+
 #include "device/check.h"
 
 namespace splatbus::raster::cuda {
@@ -42,6 +44,9 @@ DeviceGaussians device_gaussians(const GaussiansView& view) {
           .parameters = const_cast<float*>(view.parameters),  // written by training only
           .normal = view.normal,
           .visibility = view.visibility,
+          .visibility_u8 = view.visibility_u8,
+          .visibility_stride = view.visibility_stride,
+          .visibility_rows = view.visibility_rows,
           .object_id = view.object_id,
           .flags = view.flags};
 }
@@ -53,6 +58,9 @@ void DeviceModel::upload(const GaussiansView& host, cudaStream_t stream) {
   } else {
     upload_planes(host, stream);
   }
+  view_.visibility_u8 = upload_rows(visibility_u8_, host.visibility_u8, host.visibility_rows, host.count,
+                                    std::max(host.visibility_stride, host.count), stream);
+  view_.visibility_stride = host.count;
   ranges_.upload(host, stream);
   ranges_.bind(view_);
 }

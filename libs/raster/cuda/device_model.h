@@ -41,6 +41,7 @@ class DeviceModel {
 
   DeviceGaussians view_;
   device::Buffer<float> parameters_, normal_, visibility_;
+  device::Buffer<std::uint8_t> visibility_u8_;
   device::Buffer<std::uint32_t> object_id_, flags_;
   DeviceRanges ranges_;
 };

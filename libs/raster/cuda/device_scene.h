@@ -5,6 +5,7 @@
 
 #include "gaussians/layout.h"
 #include "gaussians/pages.h"
+#include "raster/shading_source.h"
 
 namespace splatbus::raster::cuda {
 
@@ -24,11 +25,13 @@ constexpr int kPatches = kPatchColumns * kPatchRows;  // of a tile
 
 /// What a view needs of one object: everything is folded into the object's frame, so that kernels never see the world.
 struct ObjectView {
-  float view_from_object[12];  ///< row-major 3x4
+  float view_from_object[12];  ///< row-major 3x4, rotation times scale
   float camera_in_object[3];   ///< camera centre, for view-dependent SH
   float sun_direction[3];      ///< Transfer, in the object's frame
   float ambient_sh[27];        ///< Transfer, [9][3], incident radiance in the object's frame
   float sun_irradiance[3];
+  float scale;
+  int source_count;  ///< of the view's sources that light it: all, or none where it is emissive
 };
 
 /// What an object looks like to a view whose scene does not have it: behind every camera.
@@ -43,7 +46,7 @@ SPLATBUS_PORTABLE bool is_hidden(const ObjectView& object) {
 
 /// One camera of a batch. All cameras of a batch have one size.
 struct DeviceView {
-  const std::uint8_t* visibility;  ///< by index, as GaussiansView::visibility_u8; null: the Gaussians' own
+  const std::uint8_t* visibility;  ///< of the sun, by index; null: the Gaussians' own
   float fx, fy, cx, cy;            ///< pixels
   float near_m;
   float limit_x_low, limit_x_high, limit_y_low, limit_y_high;  ///< clamp of x/z and y/z in the Jacobian
@@ -64,6 +67,10 @@ struct DeviceGaussians {
   float* parameters = nullptr;
   const float* normal = nullptr;
   const float* visibility = nullptr;
+  /// As GaussiansView's. Kernels read a view's own: whoever draws takes it from here.
+  const std::uint8_t* visibility_u8 = nullptr;
+  std::size_t visibility_stride = 0;
+  std::uint32_t visibility_rows = 1;
   const std::uint32_t* object_id = nullptr;
   const std::uint32_t* flags = nullptr;
 

@@ -74,36 +74,55 @@ GaussiansBuffer random_gaussians(std::size_t count) {
   return gaussians;
 }
 
+/// The sun, a lamp, a light without shadow, and one whose earlier row is kept.
 TEST(CudaVisibility, IsThatOfTheCpu) {
   if (no_device()) GTEST_SKIP() << "no CUDA device";
   const BallOverFloor scene(glm::vec3(0.5F, 1, 0.3F), 1024);
+  const glm::vec3 position(0.9F, 1.7F, 0.2F);
+  const auto faces = scene.faces(position, 256);
   const GaussiansBuffer gaussians = random_gaussians(200'000);
-  const ObjectTransforms objects{{2, {.rotation = glm::normalize(glm::quat(1, 0.1F, 0.2F, -0.1F))}},
-                                 {3, {.translation = {0.5F, 0.01F, -0.2F}}}};
+  ObjectTransform scaled(Rigid{.translation = {0.5F, 0.01F, -0.2F}});
+  scaled.scale = 1.3F;
+  const ObjectTransforms objects{{2, Rigid{.rotation = glm::normalize(glm::quat(1, 0.1F, 0.2F, -0.1F))}}, {3, scaled}};
   const std::size_t count = gaussians.count();
-  std::vector<std::uint8_t> expected(count), actual(count);
-  compute_visibility({}, gaussians.view(), objects, scene.map(), {}, expected.data());
+  std::vector<MappedLight> lights{scene.sun(), {.source = {.id = 4, .position = position, .range_m = 4}, .maps = {}}};
+  for (const test::HostMap& face : faces) lights[1].maps.push_back(face.view());
+  lights.push_back({.source = {.id = 5, .casts_shadow = false}, .maps = {}});
+  lights.push_back({.source = {.id = 6}, .maps = {}});
+  const std::vector<std::uint8_t> earlier(count, 77);
+  const std::vector<std::int32_t> row{-1, -1, -1, 0};
+  const std::vector<std::uint64_t> kept_of_page{8};
+  KeptRows kept{.values = earlier.data(), .stride = count, .row = row, .lights_of_page = kept_of_page};
+  std::vector<std::uint8_t> expected(lights.size() * count), actual(expected.size());
+  compute_visibility({}, gaussians.view(), objects, lights, {}, expected.data(), kept);
 
   OnDevice device;
   const GaussiansView view = device.copy(gaussians);
-  LightDepthMap map = scene.map();
-  map.depth_m = device.copy(map.depth_m, std::size_t{map.camera.width} * map.camera.height);
-  const auto memory = bus::allocate_memory(Device::Cuda, count);
+  for (MappedLight& light : lights) {
+    for (LightDepthMap& map : light.maps) {
+      map.depth_m = device.copy(map.depth_m, std::size_t{map.camera.width} * map.camera.height);
+    }
+  }
+  kept.values = device.copy(earlier.data(), count);
+  const auto memory = bus::allocate_memory(Device::Cuda, actual.size());
   auto* const visibility = reinterpret_cast<std::uint8_t*>(memory.get());
-  compute_visibility(device::thread_stream(Device::Cuda), view, objects, map, {}, visibility);
-  bus::copy_memory(actual.data(), Device::Cpu, visibility, Device::Cuda, count);
+  compute_visibility(device::thread_stream(Device::Cuda), view, objects, lights, {}, visibility, kept);
+  bus::copy_memory(actual.data(), Device::Cpu, visibility, Device::Cuda, actual.size());
   bus::finish_copies();
 
-  std::size_t apart = 0, partly = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    const int difference = std::abs(actual[i] - expected[i]);
-    ASSERT_LE(difference, 77) << "Gaussian " << i << ": " << actual[i] << ", not " << expected[i];
-    apart += difference > 1 ? 1 : 0;
-    partly += expected[i] > 0 && expected[i] < 255 ? 1 : 0;
+  for (std::size_t light = 0; light < lights.size(); ++light) {
+    std::size_t apart = 0, partly = 0;
+    for (std::size_t i = light * count; i < (light + 1) * count; ++i) {
+      const int difference = std::abs(actual[i] - expected[i]);
+      ASSERT_LE(difference, 77) << "light " << light << ", " << i << ": " << actual[i] << ", not " << expected[i];
+      apart += difference > 1 ? 1 : 0;
+      partly += expected[i] > 0 && expected[i] < 255 ? 1 : 0;
+    }
+    // Where the surface's plane meets the depth of a texel exactly, rounding decides.
+    EXPECT_LE(apart, count / 2000) << light;
+    if (light < 2) EXPECT_GT(partly, count / 200) << light;
   }
-  // Where the surface's plane meets the depth of a texel exactly, rounding decides.
-  EXPECT_LE(apart, count / 2000);
-  EXPECT_GT(partly, count / 100);
+  EXPECT_EQ(actual[3 * count], 77);
 }
 
 struct Memories {

@@ -26,7 +26,7 @@ class RelightTest : public bus_test::BusTest {
         subscriber_(peer_, {"relight/visibility"}),
         publisher_(peer_),
         pages_(peer_, peers),
-        maps_(peer_, "maps", 8, 0, peers),
+        maps_(peer_, "maps", 64, 0, peers),
         service_(connect("relight"), parameters_, stop_.get_token(), backend),
         thread_([this] { Relight(service_).run(); }) {}
 
@@ -54,6 +54,15 @@ class RelightTest : public bus_test::BusTest {
     });
   }
 
+  /// Object 7 at x, the sun's depth of that version, and `sources`.
+  [[nodiscard]] SceneState scene(std::uint64_t version, float object_x) const {
+    SceneState scene{.light = {.sun_irradiance = glm::vec3(1)}, .objects = {}, .version = version};
+    scene.light.sun_depth_version = version;
+    scene.light.sources = sources;
+    scene.objects = {{7, Rigid{.translation = {object_x, 0, 0}}}};
+    return scene;
+  }
+
   void publish_depth(std::uint64_t scene_version, float object_x, bool as_light = true, float roof_from_x = 0) {
     Camera camera = look_at({0, 10, 0}, {0, 0, 0}, kTexels, kTexels, 1.0F);
     camera.role = as_light ? CameraRole::Light : CameraRole::Reference;
@@ -65,28 +74,49 @@ class RelightTest : public bus_test::BusTest {
         depth[std::size_t{y} * kTexels + x] = floor.x > roof_from_x ? 5.0F : 10.0F;
       }
     }
-    const bus::TensorSource source{.name = "light_depth", .shape = {kTexels, kTexels}, .data = depth.data()};
-    const ObjectTransforms objects{{7, {.translation = {object_x, 0, 0}}}};
-    publisher_.publish(
-        topics::kSceneLightDepth, {.tensors = maps_.write({&source, 1})}, [&](auto& builder, auto header) {
-          const auto wire_camera = to_wire(camera);
-          const auto scene = to_wire(builder, SceneState{.light = {}, .objects = objects, .version = scene_version});
-          return wire::CreateSceneLightDepth(builder, header, &wire_camera, scene);
-        });
+    publish_map(scene(scene_version, object_x), 0, 0, 1, camera, depth);
   }
 
-  /// A training picture of that version, of which only the announcement counts here.
-  void publish_picture(std::uint64_t scene_version) {
+  /// Face of a point light at (0, 2, 0), on which everything is `depth_m` away.
+  void publish_face(const SceneState& scene, std::uint32_t light_id, std::uint8_t face, float depth_m) {
+    const glm::vec3 axis = face < 4 ? glm::vec3(0, 1, 0) : glm::vec3(1, 0, 0);
+    const float angle = 1.5707964F * (face == 5 ? 3.0F : static_cast<float>(face) - (face == 4 ? 3.0F : 0.0F));
+    Camera camera{.role = CameraRole::Light, .width = kTexels, .height = kTexels};
+    camera.fx = camera.fy = camera.cx = camera.cy = kTexels / 2.0F;
+    camera.world_from_camera = {.rotation = glm::angleAxis(angle, axis), .translation = {0, 2, 0}};
+    publish_map(scene, light_id, face, 6, camera, std::vector<float>(std::size_t{kTexels} * kTexels, depth_m));
+  }
+
+  void publish_map(const SceneState& state, std::uint32_t light_id, std::uint8_t light_map, std::uint8_t light_maps,
+                   const Camera& camera, const std::vector<float>& depth) {
+    const bus::TensorSource source{.name = "light_depth", .shape = {kTexels, kTexels}, .data = depth.data()};
+    publisher_.publish(topics::kSceneLightDepth, {.tensors = maps_.write({&source, 1})},
+                       [&](auto& builder, auto header) {
+                         const auto wire_camera = to_wire(camera);
+                         return wire::CreateSceneLightDepth(builder, header, &wire_camera, to_wire(builder, state),
+                                                            light_id, light_map, light_maps);
+                       });
+  }
+
+  void publish_scene(const SceneState& state) {
+    publisher_.publish(topics::kSceneState, [&](auto& builder, auto header) {
+      return wire::CreateSceneUpdate(builder, header, to_wire(builder, state));
+    });
+  }
+
+  /// A training picture of that scene, of which only the announcement counts here.
+  void publish_picture(const SceneState& state) {
     publisher_.publish(topics::kCaptureReference, [&](auto& builder, auto header) {
       const wire::Camera camera = to_wire(look_at({0, 1, 3}, {0, 0, 0}, 8, 8, 1.0F));
-      const auto scene = to_wire(builder, SceneState{.light = {}, .objects = {}, .version = scene_version});
-      return wire::CreateCaptureReference(builder, header, &camera, scene, false);
+      return wire::CreateCaptureReference(builder, header, &camera, to_wire(builder, state), false);
     });
   }
 
   struct Relit {
     std::uint64_t scene_version = 0;
-    std::vector<float> of_gaussian;  ///< 1 for all of the sun
+    std::vector<std::uint32_t> light_ids;
+    std::vector<float> of_gaussian;              ///< 1 for all of the sun
+    std::vector<std::vector<float>> of_sources;  ///< the same for each other light
   };
   /// The next visibility, for which `accept` is true.
   Relit next_visibility(const std::function<bool(const wire::RelightVisibility&)>& accept = [](const auto&) {
@@ -99,13 +129,18 @@ class RelightTest : public bus_test::BusTest {
       if (!message) return false;
       const auto& body = message->root<wire::RelightVisibility>();
       if (!accept(body)) return false;
-      const auto tensor = message->tensor("visibility", bus::ElementType::U8, {1, 0});
+      relit.light_ids.assign(body.light_ids()->begin(), body.light_ids()->end());
+      const auto count = static_cast<std::uint32_t>(body.count());
+      const auto tensor = message->tensor("visibility", bus::ElementType::U8, {body.light_ids()->size(), count});
       values.resize(tensor.value().elements());
       relit.scene_version = body.scene_version();
-      return tensor->copy(values.data()) && values.size() == body.count();
+      return tensor->copy(values.data());
     }));
-    for (const std::uint32_t index : index_) {
-      relit.of_gaussian.push_back(static_cast<float>(values.at(index)) / 255);
+    for (std::size_t row = 0; row < relit.light_ids.size(); ++row) {
+      std::vector<float> seen;
+      const std::size_t first = row * (values.size() / relit.light_ids.size());
+      for (const std::uint32_t index : index_) seen.push_back(static_cast<float>(values.at(first + index)) / 255);
+      row == 0 ? relit.of_gaussian = std::move(seen) : relit.of_sources.emplace_back(std::move(seen));
     }
     return relit;
   }
@@ -115,6 +150,8 @@ class RelightTest : public bus_test::BusTest {
            })
         .of_gaussian;
   }
+
+  std::vector<LightSource> sources;
 
   bus::Parameters parameters_{bus::Parameters::declare<RelightOptions>()};
   std::shared_ptr<bus::Context> peer_;

@@ -90,7 +90,7 @@ TEST(Visibility, PenumbraIsAsWideAsTheGaussian) {
       }
     }
     std::vector<std::uint8_t> visibility(points.size());
-    compute_visibility({}, model.view(), {}, scene.map(), {.softness_m = 0.03F, .footprint = footprint},
+    compute_visibility({}, model.view(), {}, {{scene.sun()}}, {.softness_m = 0.03F, .footprint = footprint},
                        visibility.data());
     return 0.001F *
            static_cast<float>(std::ranges::count_if(visibility, [](std::uint8_t v) { return v > 0 && v < 255; }));
@@ -107,7 +107,7 @@ TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
   for (int i = 0; i < 40; ++i) points.emplace_back(0.02F * static_cast<float>(i), 0, 0);
   const std::vector<glm::vec3> normals(points.size(), glm::vec3(0, 1, 0));
   const GaussiansBuffer plain = BallOverFloor::gaussians(points, normals, 7);
-  const ObjectTransforms objects{{7, {.translation = {-0.3F, 0, 0}}}};
+  const ObjectTransforms objects{{7, Rigid{.translation = {-0.3F, 0, 0}}}};
   const auto still = scene.visibility(points, normals, objects, 0);
   const auto moved = scene.visibility(points, normals, objects, 7);
 
@@ -137,7 +137,7 @@ TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
   view.surface_point = pages.data() + (kRows - 6) * kPageLanes;
   view.normal = pages.data() + (kRows - 3) * kPageLanes;
   std::vector<std::uint8_t> visibility(view.count);
-  compute_visibility({}, view, objects, scene.map(), {}, visibility.data());
+  compute_visibility({}, view, objects, {{scene.sun()}}, {}, visibility.data());
   for (std::size_t i = 0; i < points.size(); ++i) {
     EXPECT_EQ(static_cast<float>(visibility[i]) / 255, still[i]) << i;
     EXPECT_EQ(static_cast<float>(visibility[kPageLanes + i]) / 255, moved[i]) << i;
@@ -150,10 +150,10 @@ TEST(Visibility, AppliesTheObjectsTransform) {
   // In its own frame the point is under the ball; the transform takes it 2 m aside, and back.
   const std::vector<glm::vec3> points{{0, 0, 0}, {2, 0, 0}};
   const std::vector<glm::vec3> normals(2, glm::vec3(0, 1, 0));
-  const ObjectTransforms objects{{7, {.translation = {2, 0, 0}}}};
+  const ObjectTransforms objects{{7, Rigid{.translation = {2, 0, 0}}}};
   EXPECT_EQ(scene.visibility(points, normals, objects, 7)[0], 1.0F);
   EXPECT_EQ(scene.visibility(points, normals, objects, 8)[0], 0.0F) << "not a moving object";
-  const ObjectTransforms back{{7, {.translation = {-2, 0, 0}}}};
+  const ObjectTransforms back{{7, Rigid{.translation = {-2, 0, 0}}}};
   EXPECT_EQ(scene.visibility(points, normals, back, 7)[1], 0.0F);
 }
 
