@@ -51,7 +51,7 @@ metrics::ContactSheetRow sheet_row(const DemoResults& results, std::size_t camer
     row.figures.emplace_back("viewer: no answer");
   }
   cv::Mat map;
-  if (!picture.empty()) static_cast<void>(metrics::flip(picture, compared.engine, 67.0, &map));
+  if (!picture.empty()) static_cast<void>(metrics::flip(picture, compared.engine, metrics::kFlipPixelsPerDegree, &map));
   row.pictures.push_back(picture);
   row.pictures.push_back(map.empty() ? map : metrics::colorize(map));
   return row;

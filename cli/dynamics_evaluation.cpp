@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "figures.h"
 #include "metrics/contact_sheet.h"
 #include "metrics/image_io.h"
@@ -14,6 +16,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
+constexpr int kPointLights = 3;
 constexpr const char* kHeader =
     "run,time_s,camera,picture,ssim,psnr,flip,masked_ssim,shadow_ssim,still_masked_ssim,still_shadow_ssim\n";
 
@@ -85,6 +88,37 @@ std::string csv_rows(const char* run, const DynamicsResults& results) {
   return rows;
 }
 
+std::optional<double> ghost_flip(const DynamicsSample& sample) {
+  return sample.on && sample.still_ghost_flip ? sample.on->ghost_flip : std::nullopt;
+}
+
+std::optional<double> still_ghost_flip(const DynamicsSample& sample) {
+  return sample.on && sample.on->ghost_flip ? sample.still_ghost_flip : std::nullopt;
+}
+
+/// Over the whole run: whether there is a drift.
+Json by_minute(const std::vector<TimedFigure>& figures) {
+  Json minutes = Json::array();
+  double end_s = 0;
+  for (const TimedFigure& figure : figures) end_s = std::max(end_s, figure.time_s);
+  for (double from_s = 0; from_s < end_s; from_s += 60) {
+    minutes.push_back(cli::figure(mean_within(figures, {.from_s = from_s, .to_s = from_s + 60})));
+  }
+  return minutes;
+}
+
+const char* name_of(SceneLight light) {
+  switch (light) {
+    case SceneLight::FixedSun:
+      return "fixed";
+    case SceneLight::TurningSun:
+      return "turning";
+    case SceneLight::PointLights:
+      return "points";
+  }
+  return "";
+}
+
 void write_sheet(const DynamicsResults& results, std::size_t camera, const fs::path& path) {
   metrics::ContactSheet sheet{.title = fmt::format("held-out camera {} through time", camera),
                               .columns = {},
@@ -106,86 +140,141 @@ void write_sheet(const DynamicsResults& results, std::size_t camera, const fs::p
   if (!sheet.columns.empty()) metrics::write_png(path, metrics::draw(sheet));
 }
 
+/// Of neighbouring instants that are both there.
+std::vector<cv::Mat> motion_residuals(const std::vector<DynamicsPictures>& motion) {
+  std::vector<cv::Mat> residuals;
+  for (std::size_t k = 1; k < motion.size(); ++k) {
+    residuals.push_back(motion_residual(motion[k - 1].engine, motion[k].engine, motion[k - 1].on, motion[k].on));
+  }
+  return residuals;
+}
+
+/// Mean over pixels and instants, of 255; nullopt without any.
+std::optional<double> mean_residual(const std::vector<DynamicsPictures>& motion) {
+  const std::vector<cv::Mat> residuals = motion_residuals(motion);
+  if (residuals.empty()) return {};
+  double sum = 0;
+  for (const cv::Mat& residual : residuals) {
+    const cv::Scalar mean = cv::mean(residual);
+    sum += (mean[0] + mean[1] + mean[2]) / 3;
+  }
+  return sum / static_cast<double>(residuals.size());
+}
+
+void write_motion_sheet(const DynamicsResults& results, const fs::path& path) {
+  constexpr std::size_t kMost = 12;
+  const std::vector<cv::Mat> residuals = motion_residuals(results.motion);
+  if (residuals.empty()) return;
+  metrics::ContactSheet sheet{
+      .title = "camera 0, instant by instant",
+      .columns = {},
+      .rows = {{.caption = "engine", .figures = {}, .pictures = {}},
+               {.caption = "on", .figures = {}, .pictures = {}},
+               {.caption = "residual", .figures = {"of the change", "8 times"}, .pictures = {}}},
+      .picture_height = 192};
+  for (std::size_t k = 1; k < std::min(results.motion.size(), kMost + 1); ++k) {
+    const DynamicsPictures& now = results.motion[k];
+    sheet.columns.push_back(fmt::format("{:.2f} s", results.samples[now.sample].time_s));
+    sheet.rows[0].pictures.push_back(now.engine);
+    sheet.rows[1].pictures.push_back(now.on);
+    sheet.rows[2].pictures.push_back(residuals[k - 1] * 8);
+  }
+  metrics::write_png(path, metrics::draw(sheet));
+}
+
 }  // namespace
 
-Json summarize_dynamics(const DynamicsResults* still, const DynamicsResults* living) {
+Json summarize_still(const DynamicsResults& still) {
+  return {{"still_ssim", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::ssim))},
+          {"still_flip", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::flip))},
+          {"still_ssim_viewer", mean(still, viewer_ssim)},
+          {"still_motion_residual", figure(mean_residual(still.motion))}};
+}
+
+Json summarize_living(const DynamicsResults& living) {
   const auto on = &DynamicsSample::on;
   const auto off = &DynamicsSample::off;
   const auto ssim = &metrics::Quality::ssim;
   const auto flip = &metrics::Quality::flip;
-  Json summary = Json::object();
-  if (still != nullptr) {
-    summary["still_ssim"] = mean(*still, of_drawn(on, ssim));
-    summary["still_flip"] = mean(*still, of_drawn(on, flip));
-    summary["still_ssim_viewer"] = mean(*still, viewer_ssim);
-  }
-  if (living == nullptr) return summary;
   std::size_t paired = 0;
-  for (const DynamicsSample& sample : living->samples) paired += sample.paired ? 1 : 0;
-  summary.update({
-      {"on_ssim", mean(*living, of_drawn(on, ssim))},
-      {"on_flip", mean(*living, of_drawn(on, flip))},
-      {"on_ssim_worst_second", figure(worst_second(series(*living, of_drawn(on, ssim)), living->window))},
-      {"off_ssim", mean(*living, of_drawn(off, ssim))},
-      {"off_flip", mean(*living, of_drawn(off, flip))},
-      {"masked_ssim", mean(*living, of_part(on, &MaskedFigures::moving))},
-      {"masked_ssim_off", mean(*living, of_part(off, &MaskedFigures::moving))},
-      {"masked_ssim_drop", mean(*living, drop_of(&MaskedFigures::moving))},
-      {"shadow_ssim", mean(*living, of_part(on, &MaskedFigures::shadow))},
-      {"shadow_ssim_off", mean(*living, of_part(off, &MaskedFigures::shadow))},
-      {"shadow_ssim_drop", mean(*living, drop_of(&MaskedFigures::shadow))},
-      {"ssim_viewer", mean(*living, viewer_ssim)},
-      {"ssim_viewer_worst_second", figure(worst_second(series(*living, viewer_ssim), living->window))},
-      {"state_delay_ms_median", figure(living->state_delay_ms_median)},
-      {"state_delay_ms_p99", figure(living->state_delay_ms_p99)},
-      {"scene_kbps", figure(living->scene_kbps)},
-      {"visibility_kbps", figure(living->visibility_kbps)},
-      {"wire_mbps_mean", rounded(living->wire_mbps_mean)},
-      {"gaussians", living->gaussians},
-      {"steps_per_s", rounded(living->steps_per_s)},
-      {"engine_frames_per_s", rounded(living->engine_frames_per_s)},
-      {"unpaired_views", living->unpaired_views},
-      {"pictures", living->samples.size()},
+  for (const DynamicsSample& sample : living.samples) paired += sample.paired ? 1 : 0;
+  return {
+      {"on_ssim", mean(living, of_drawn(on, ssim))},
+      {"on_flip", mean(living, of_drawn(on, flip))},
+      {"on_ssim_worst_second", figure(worst_second(series(living, of_drawn(on, ssim)), living.window))},
+      {"off_ssim", mean(living, of_drawn(off, ssim))},
+      {"off_flip", mean(living, of_drawn(off, flip))},
+      {"masked_ssim", mean(living, of_part(on, &MaskedFigures::moving))},
+      {"masked_ssim_off", mean(living, of_part(off, &MaskedFigures::moving))},
+      {"masked_ssim_drop", mean(living, drop_of(&MaskedFigures::moving))},
+      {"shadow_ssim", mean(living, of_part(on, &MaskedFigures::shadow))},
+      {"shadow_ssim_off", mean(living, of_part(off, &MaskedFigures::shadow))},
+      {"shadow_ssim_drop", mean(living, drop_of(&MaskedFigures::shadow))},
+      {"ssim_viewer", mean(living, viewer_ssim)},
+      {"ssim_viewer_worst_second", figure(worst_second(series(living, viewer_ssim), living.window))},
+      {"state_delay_ms_median", figure(living.state_delay_ms_median)},
+      {"state_delay_ms_p99", figure(living.state_delay_ms_p99)},
+      {"scene_kbps", figure(living.scene_kbps)},
+      {"visibility_kbps", figure(living.visibility_kbps)},
+      {"wire_mbps_mean", rounded(living.wire_mbps_mean)},
+      {"gaussians", living.gaussians},
+      {"steps_per_s", rounded(living.steps_per_s)},
+      {"engine_frames_per_s", rounded(living.engine_frames_per_s)},
+      {"unpaired_views", living.unpaired_views},
+      {"pictures", living.samples.size()},
       {"pictures_paired", paired},
-  });
-  return summary;
+      {"ghost_flip", mean(living, ghost_flip)},
+      {"ghost_flip_still", mean(living, still_ghost_flip)},
+      {"motion_residual", figure(mean_residual(living.motion))},
+      {"on_ssim_by_minute", by_minute(series(living, of_drawn(on, ssim)))},
+  };
 }
 
 Json run_dynamics_evaluation(const DynamicsOptions& options, const StopSignals& signals,
                              const std::function<void(const std::string&)>& show_state) {
   const fs::path& out = options.setup.out;
   fs::create_directories(out);
-  const auto run = [&](bool living, const std::map<std::size_t, cv::Mat>* still) {
-    DynamicsRunOptions run_options{.setup = options.setup,
-                                   .scene = {.fps = options.fps, .reference_rate_hz = options.reference_rate_hz},
-                                   .seconds = living || options.still_only ? options.seconds : options.still_seconds,
-                                   .support = living ? options.support : Support::On,
-                                   .log = out / (living ? "services.log" : "services_still.log")};
-    if (living) {
-      run_options.scene.moving_objects = true;
-      run_options.scene.sun_rate_deg_s = options.turning_sun ? options.sun_rate_deg_s : 0;
+  const auto run = [&](const std::string& name, const EngineScene& scene, double seconds, Support support,
+                       const MapsOfCameras* still) {
+    const DynamicsRunOptions run_options{.setup = options.setup,
+                                         .scene = scene,
+                                         .seconds = seconds,
+                                         .support = support,
+                                         .log = out / fmt::format("services_{}.log", name)};
+    DynamicsResults results =
+        run_dynamics(run_options, signals, still, [&](const std::string& state) { show_state(name + ": " + state); });
+    for (std::size_t camera = 0; camera < kDynamicsCameras; ++camera) {
+      write_sheet(results, camera, out / fmt::format("{}_{}.png", name, camera));
     }
-    return run_dynamics(run_options, signals, still,
-                        [&](const std::string& state) { show_state((living ? "living: " : "still: ") + state); });
+    write_motion_sheet(results, out / fmt::format("{}_motion.png", name));
+    return results;
   };
-  std::optional<DynamicsResults> still, living;
+  const EngineScene still_scene{.fps = options.fps, .reference_rate_hz = options.reference_rate_hz};
+  Json summary = {{"seconds", options.seconds}};
   std::string csv = kHeader;
+  std::optional<MapsOfCameras> still_maps;
   if (options.still_only || options.still_seconds > 0) {
-    still = run(false, nullptr);
-    csv += csv_rows("still", *still);
+    const DynamicsResults still =
+        run("still", still_scene, options.still_only ? options.seconds : options.still_seconds, Support::On, nullptr);
+    csv += csv_rows("still", still);
+    summary.update(summarize_still(still));
+    still_maps = still.mean_maps;
   }
-  if (!options.still_only) {
-    living = run(true, still ? &still->mean_ssim : nullptr);
-    csv += csv_rows("living", *living);
-  }
-  const DynamicsResults& shown = living ? *living : *still;
-  for (std::size_t camera = 0; camera < kDynamicsCameras; ++camera) {
-    write_sheet(shown, camera, out / fmt::format("camera_{}.png", camera));
+  for (const SceneLight light : options.still_only ? std::vector<SceneLight>() : options.lights) {
+    EngineScene scene = still_scene;
+    scene.moving_objects = true;
+    if (light == SceneLight::TurningSun) scene.sun_rate_deg_s = options.sun_rate_deg_s;
+    if (light == SceneLight::PointLights) scene.point_lights = kPointLights;
+    // What stood under the sun says nothing of pixels at night.
+    const bool comparable = still_maps && light != SceneLight::PointLights;
+    const DynamicsResults living =
+        run(name_of(light), scene, options.seconds, options.support, comparable ? &*still_maps : nullptr);
+    csv += csv_rows(name_of(light), living);
+    const Json figures = summarize_living(living);
+    if (light == options.lights.front()) summary.update(figures);
+    summary[name_of(light)] = figures;
   }
   write_text(out / "figures.csv", csv);
-  Json summary = summarize_dynamics(still ? &*still : nullptr, living ? &*living : nullptr);
-  summary["seconds"] = options.seconds;
-  summary["sun"] = options.turning_sun && !options.still_only ? "turning" : "fixed";
   write_text(out / "summary.json", json_text(summary, 2) + "\n");
   return summary;
 }

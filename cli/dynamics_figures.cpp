@@ -55,6 +55,18 @@ std::optional<double> kilobits_per_s(std::uint64_t bytes_before, std::uint64_t b
   return static_cast<double>(bytes_after - bytes_before) * 8e-3 / seconds;
 }
 
+cv::Mat motion_residual(const cv::Mat& engine_before, const cv::Mat& engine, const cv::Mat& drawn_before,
+                        const cv::Mat& drawn) {
+  const auto change = [](const cv::Mat& before, const cv::Mat& now) {
+    cv::Mat difference;
+    cv::subtract(now, before, difference, cv::noArray(), CV_16S);
+    return difference;
+  };
+  cv::Mat residual = cv::abs(change(drawn_before, drawn) - change(engine_before, engine));
+  residual.convertTo(residual, CV_8U);
+  return residual;
+}
+
 cv::Mat grown(const cv::Mat& mask, int pixels) {
   cv::Mat out;
   cv::dilate(mask, out, cv::getStructuringElement(cv::MORPH_RECT, {2 * pixels + 1, 2 * pixels + 1}));

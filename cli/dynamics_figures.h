@@ -35,6 +35,12 @@ struct TimeWindow {
 [[nodiscard]] std::optional<double> kilobits_per_s(std::uint64_t bytes_before, std::uint64_t bytes_after,
                                                    double seconds);
 
+/// What a drawn picture changes by where the engine's does not, or the other way round, between two instants:
+/// |(drawn - drawn before) - (engine - engine before)|, CV_8UC3. Popping and crawling show in it, what is merely off in
+/// both does not.
+[[nodiscard]] cv::Mat motion_residual(const cv::Mat& engine_before, const cv::Mat& engine, const cv::Mat& drawn_before,
+                                      const cv::Mat& drawn);
+
 /// A mask, CV_8UC1, grown by so many pixels (a square). Pixels nearer to the border than SSIM's window is wide count as
 /// outside, as in metrics::ssim().
 [[nodiscard]] cv::Mat grown(const cv::Mat& mask, int pixels);

@@ -12,7 +12,6 @@
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "scene_view.h"
-#include "shadow_mask.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -21,13 +20,14 @@ namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kRoundNs = kSecond / 2;
+constexpr std::int64_t kMotionRoundNs = kSecond / 10;
+constexpr double kMotionBefore_s = 8;  // the end of the run, and from there for so long:
+constexpr double kMotion_s = 2;
 constexpr std::int64_t kRoundPatienceNs = 2 * kSecond;
 constexpr std::int64_t kMapPatienceNs = kSecond / 4;     // the light's depth comes a moment after the probe's picture
 constexpr std::int64_t kViewerPatienceNs = 3 * kSecond;  // for the last answers
 constexpr std::int64_t kShowNs = kSecond;
 constexpr std::size_t kMostShots = 512;  // pictures are compared when the run is over, or when there are so many
-constexpr int kMovingReach = 5;          // pixels, as far as a window of SSIM does
-constexpr int kShadowReach = 10;
 constexpr int kSheetInstants = 6;
 
 /// Bytes of the packets that carry the scene, or its visibility.
@@ -49,25 +49,24 @@ SceneBytes scene_bytes(const PipelineState::Stream& stream) {
 
 class DynamicsRun {
  public:
-  DynamicsRun(const DynamicsRunOptions& options, const StopSignals& signals,
-              const std::map<std::size_t, cv::Mat>* still, const std::function<void(const std::string&)>& show_state)
+  DynamicsRun(const DynamicsRunOptions& options, const StopSignals& signals, const MapsOfCameras* still,
+              const std::function<void(const std::string&)>& show_state)
       : options_(options),
         signals_(signals),
-        still_(still),
         show_state_(show_state),
         plan_(plan_evaluation(options.setup, folder_.address(), false, options.scene)),
         context_(connect(folder_.address())),
         watch_(context_),
         live_(context_),
         depths_(context_),
-        probes_(context_, circle_cameras({.count = kDynamicsCameras,
+        probes_(context_, circle_cameras({.count = static_cast<int>(kDynamicsCameras),
                                           .size = options.setup.size,
                                           .phase_degrees = 180.0F / static_cast<float>(options.setup.cameras)})),
         view_(own_backend(options.setup.backend) == Device::Cpu ? 1 : 4),
+        results_{.window = judged_window(options.seconds)},
+        shots_(results_.window, still),
         start_ns_(bus::now_ns()),
-        run_(plan_, options.log) {
-    results_.window = judged_window(options.seconds);
-  }
+        run_(plan_, options.log) {}
 
   DynamicsResults run() {
     const auto end_ns = start_ns_ + static_cast<std::int64_t>(options_.seconds * 1e9);
@@ -82,9 +81,9 @@ class DynamicsRun {
     note_pipeline();
     while (bus::now_ns() < end_ns + kViewerPatienceNs && (!waiting_.empty() || !viewer_answered())) step(false);
     run_.stop();
-    compare_shots();
+    shots_.compare(results_.samples);
     take_viewer_figures();
-    for (auto& [camera, maps] : ssim_maps_) results_.mean_ssim[camera] = maps.mean();
+    results_.mean_maps = shots_.mean_maps();
     if (results_.samples.empty()) {
       throw std::runtime_error("no held-out picture was compared; see " + options_.log.string());
     }
@@ -97,17 +96,6 @@ class DynamicsRun {
     std::size_t camera = 0;
     std::int64_t since_ns = 0;
   };
-  /// Drawn, and not yet compared.
-  struct Shot {
-    std::size_t sample = 0;
-    cv::Mat engine, on, off;
-    cv::Mat moving, shadow;  ///< masks; empty where they could not be had
-  };
-
-  /// Masks of a camera's last picture: where something moves, and what the sun lights.
-  struct Before {
-    cv::Mat moving, lit;
-  };
 
   void step(bool new_rounds) {
     run_.check();
@@ -115,9 +103,9 @@ class DynamicsRun {
     const std::int64_t since_round_ns = bus::now_ns() - asked_ns_;
     const bool done = probes_.first_id() == 0 || probes_.complete();
     if (new_rounds && live_.published() && live_.published()->count > 0 &&
-        since_round_ns > (done ? kRoundNs : kRoundPatienceNs)) {
+        since_round_ns > (done ? round_ns() : kRoundPatienceNs)) {
       depths_.keep(true);
-      probes_.begin();
+      probes_.begin(round_ns() == kRoundNs ? kDynamicsCameras : 1);
       asked_ns_ = bus::now_ns();
     }
     probes_.poll(std::chrono::milliseconds(10), [this](std::size_t camera, const ProbePicture& picture) {
@@ -127,7 +115,7 @@ class DynamicsRun {
     live_.poll(std::chrono::milliseconds(0));
     while (!waiting_.empty() && draw(waiting_.front())) waiting_.pop_front();
     if (waiting_.empty() && probes_.complete()) depths_.keep(false);
-    if (shots_.size() >= kMostShots) compare_shots();
+    if (shots_.waiting() >= kMostShots) shots_.compare(results_.samples);
     if (bus::now_ns() - shown_ns_ > kShowNs) {
       shown_ns_ = bus::now_ns();
       const auto& trainer = watch_.state().trainer;
@@ -135,6 +123,15 @@ class DynamicsRun {
                               static_cast<double>(shown_ns_ - start_ns_) / 1e9, options_.seconds, trainer.gaussians,
                               trainer.steps_per_s, results_.samples.size()));
     }
+  }
+
+  [[nodiscard]] bool in_motion(double time_s) const {
+    const double since_s = time_s - (options_.seconds - kMotionBefore_s);
+    return since_s >= 0 && since_s < kMotion_s;
+  }
+
+  [[nodiscard]] std::int64_t round_ns() const {
+    return in_motion(static_cast<double>(bus::now_ns() - start_ns_) / 1e9) ? kMotionRoundNs : kRoundNs;
   }
 
   /// False while there is hope for the light's depth of that very instant, or no model to draw.
@@ -147,19 +144,19 @@ class DynamicsRun {
       frozen_ = probe.scene;
       frozen_map_ = map;
     }
-    Shot shot{
-        .sample = results_.samples.size(), .engine = probe.picture, .on = {}, .off = {}, .moving = {}, .shadow = {}};
+    DynamicsShots::Drawn drawn{.engine = probe.picture, .on = {}, .off = {}};
     if (options_.support != Support::Off) {
       const auto on = view_.render(live_, probe.camera, probe.scene, map.get());
       if (!on) return false;
-      shot.on = *on;
+      drawn.on = *on;
     }
     if (options_.support != Support::On) {
       const auto off = view_.render(live_, probe.camera, *frozen_, frozen_map_.get());
       if (!off) return false;
-      shot.off = *off;
+      drawn.off = *off;
     }
-    make_masks(waiting, map.get(), shot);
+    shots_.add(results_.samples.size(), waiting.camera, probe, map.get(), drawn);
+    keep_for_sheets(drawn, probe.time_s, waiting.camera);
     results_.samples.push_back({.time_s = probe.time_s,
                                 .camera = waiting.camera,
                                 .probe_id = probe.probe_id,
@@ -167,63 +164,17 @@ class DynamicsRun {
                                 .on = {},
                                 .off = {},
                                 .still = {},
+                                .still_ghost_flip = {},
                                 .viewer = {}});
-    keep_for_sheets(shot, probe.time_s, waiting.camera);
-    shots_.push_back(std::move(shot));
     return true;
   }
 
-  void make_masks(const Waiting& waiting, const LightDepths::Map* map, Shot& shot) {
-    const ProbePicture& probe = waiting.probe;
-    if (probe.object_id.empty()) return;
-    std::set<std::uint32_t> can_move;
-    for (const auto& [id, transform] : probe.scene.objects) can_move.insert(id);
-    Before now{.moving = mask_of(probe.object_id, can_move), .lit = {}};
-    shot.moving = grown(now.moving, kMovingReach);
-    if (map == nullptr || probe.depth.empty()) return;
-    now.lit = lit_surfaces(probe.depth, probe.camera, *map);
-    const auto before = before_.find(waiting.camera);
-    if (before != before_.end()) {
-      shot.shadow = moving_shadow_edges(before->second.lit, now.lit, now.moving | before->second.moving, kShadowReach);
-    }
-    before_[waiting.camera] = std::move(now);
-  }
-
-  void keep_for_sheets(const Shot& shot, double time_s, std::size_t camera) {
+  void keep_for_sheets(const DynamicsShots::Drawn& drawn, double time_s, std::size_t camera) {
+    const DynamicsPictures pictures{
+        .sample = results_.samples.size(), .engine = drawn.engine, .on = drawn.on, .off = drawn.off};
+    if (camera == 0 && !drawn.on.empty() && in_motion(time_s)) results_.motion.push_back(pictures);
     const int instant = static_cast<int>(time_s * kSheetInstants / options_.seconds);
-    if (!kept_.insert({instant, camera}).second) return;
-    results_.pictures.push_back({.sample = shot.sample, .engine = shot.engine, .on = shot.on, .off = shot.off});
-  }
-
-  static MaskedFigures masked_figures(const cv::Mat& ssim_map, const Shot& shot) {
-    MaskedFigures figures;
-    if (!shot.moving.empty()) figures.moving = masked_mean(ssim_map, shot.moving);
-    if (!shot.shadow.empty()) figures.shadow = masked_mean(ssim_map, shot.shadow);
-    return figures;
-  }
-
-  void compare_shots() {
-    for (const Shot& shot : shots_) {
-      DynamicsSample& sample = results_.samples[shot.sample];
-      const auto figures = [&](const cv::Mat& drawn) -> std::optional<DrawnFigures> {
-        if (drawn.empty()) return {};
-        cv::Mat map;
-        const double ssim = metrics::ssim(drawn, shot.engine, &map);
-        DrawnFigures result{.whole = {.psnr_db = metrics::psnr(drawn, shot.engine),
-                                      .ssim = ssim,
-                                      .flip = metrics::flip(drawn, shot.engine)},
-                            .masked = masked_figures(map, shot)};
-        if (&drawn == &shot.on && results_.window.contains(sample.time_s)) ssim_maps_[sample.camera].add(map);
-        return result;
-      };
-      sample.on = figures(shot.on);
-      sample.off = figures(shot.off);
-      if (still_ == nullptr) continue;
-      if (const auto map = still_->find(sample.camera); map != still_->end()) {
-        sample.still = masked_figures(map->second, shot);
-      }
-    }
-    shots_.clear();
+    if (kept_.insert({instant, camera}).second) results_.pictures.push_back(pictures);
   }
 
   [[nodiscard]] bool viewer_answered() const {
@@ -267,7 +218,6 @@ class DynamicsRun {
 
   const DynamicsRunOptions& options_;
   const StopSignals& signals_;
-  const std::map<std::size_t, cv::Mat>* still_;
   const std::function<void(const std::string&)>& show_state_;
   PrivateBusFolder folder_;
   LaunchPlan plan_;
@@ -280,11 +230,9 @@ class DynamicsRun {
   std::deque<Waiting> waiting_;
   std::optional<SceneState> frozen_;
   std::shared_ptr<const LightDepths::Map> frozen_map_;
-  std::map<std::size_t, Before> before_;  ///< by camera
-  std::vector<Shot> shots_;
   std::set<std::pair<int, std::size_t>> kept_;
-  std::map<std::size_t, MeanMap> ssim_maps_;
   DynamicsResults results_;
+  DynamicsShots shots_;
   std::optional<SceneBytes> bytes_before_;
   std::int64_t bytes_before_ns_ = 0, asked_ns_ = 0, shown_ns_ = 0;
   std::int64_t start_ns_;
@@ -293,8 +241,7 @@ class DynamicsRun {
 
 }  // namespace
 
-DynamicsResults run_dynamics(const DynamicsRunOptions& options, const StopSignals& signals,
-                             const std::map<std::size_t, cv::Mat>* still,
+DynamicsResults run_dynamics(const DynamicsRunOptions& options, const StopSignals& signals, const MapsOfCameras* still,
                              const std::function<void(const std::string&)>& show_state) {
   return DynamicsRun(options, signals, still, show_state).run();
 }

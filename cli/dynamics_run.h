@@ -3,44 +3,19 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "dynamics_figures.h"
+#include "dynamics_shots.h"
 #include "evaluation_setup.h"
-#include "metrics/metrics.h"
 #include "supervised_run.h"
 
 namespace splatbus::cli {
 
 enum class Support { On, Off, Both };
-
-/// SSIM over parts of a picture; nullopt where there is no such part.
-struct MaskedFigures {
-  std::optional<double> moving;  ///< objects that can move, and 5 pixels around them
-  std::optional<double> shadow;  ///< within 10 pixels of a shadow's edge that has moved since the camera's last picture
-};
-
-/// Figures of a drawn picture against the engine's.
-struct DrawnFigures {
-  metrics::Quality whole;
-  MaskedFigures masked;
-};
-
-/// A held-out camera at one instant.
-struct DynamicsSample {
-  double time_s = 0;  ///< of the engine
-  std::size_t camera = 0;
-  std::uint64_t probe_id = 0;
-  bool paired = false;  ///< drawn with visibility of its own scene version
-  std::optional<DrawnFigures> on, off;
-  MaskedFigures still;  ///< the still scene's at the same pixels
-  std::optional<metrics::Quality> viewer;
-};
 
 /// Pictures of a sample for the contact sheets.
 struct DynamicsPictures {
@@ -59,20 +34,21 @@ struct DynamicsRunOptions {
 /// What one run of the pipeline came to.
 struct DynamicsResults {
   std::vector<DynamicsSample> samples;
-  std::vector<DynamicsPictures> pictures;    ///< some instants of every camera
-  std::map<std::size_t, cv::Mat> mean_ssim;  ///< of the judged window, a map a camera
-  TimeWindow window;                         ///< engine seconds that are judged
+  std::vector<DynamicsPictures> pictures;  ///< some instants of every camera
+  std::vector<DynamicsPictures> motion;    ///< of camera 0, ten a second for a while
+  MapsOfCameras mean_maps;                 ///< of the judged window
+  TimeWindow window;                       ///< engine seconds that are judged
   std::optional<double> state_delay_ms_median, state_delay_ms_p99, scene_kbps, visibility_kbps;
   double wire_mbps_mean = 0, steps_per_s = 0, engine_frames_per_s = 0;
   std::uint64_t gaussians = 0, unpaired_views = 0;
 };
 
-inline constexpr int kDynamicsCameras = 4;  ///< held out, half-way between references
+inline constexpr std::size_t kDynamicsCameras = 4;  ///< held out, half-way between references
 
 /// Runs the services for so long, compares held-out cameras twice a second. `still`: where it is given, maps of the
 /// still scene by camera, for the same pixels' SSIM. Throws std::runtime_error.
 [[nodiscard]] DynamicsResults run_dynamics(const DynamicsRunOptions& options, const StopSignals& signals,
-                                           const std::map<std::size_t, cv::Mat>* still,
+                                           const MapsOfCameras* still,
                                            const std::function<void(const std::string&)>& show_state);
 
 }  // namespace splatbus::cli

@@ -10,6 +10,7 @@ namespace splatbus::cli {
 struct EngineScene {
   bool moving_objects = false;
   double sun_rate_deg_s = 0;
+  int point_lights = 0;          ///< that move; above 0 it is night
   std::optional<double> fps;     ///< nullopt: what the launch file says
   double reference_rate_hz = 0;  ///< 0: each camera once
 };

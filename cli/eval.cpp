@@ -103,7 +103,7 @@ int evaluate_start(StartVerbOptions options) {
 
 int evaluate_dynamics(DynamicsVerbOptions options) {
   options.complete(options.dynamics.setup);
-  return evaluate(options, "figures.csv, summary.json, camera_0.png ...",
+  return evaluate(options, "figures.csv, summary.json, turning_0.png ...",
                   [&](const StopSignals& signals, const auto& show) {
                     return run_dynamics_evaluation(options.dynamics, signals, show);
                   });
@@ -165,8 +165,11 @@ void add_dynamics_verb(CLI::App& eval, Action& action) {
                    "how long the same scene stands still before that; 0: not at all")
       ->check(CLI::Range(0.0, 86400.0));
   verb->add_flag("--still", dynamics.still_only, "the still scene alone, for --seconds");
-  verb->add_option("--sun", dynamics.turning_sun, "fixed, or turning")
-      ->transform(CLI::CheckedTransformer(std::map<std::string, bool>{{"fixed", false}, {"turning", true}}));
+  verb->add_option("--lights", dynamics.lights,
+                   "of the living scene, a run each: turning (the sun), fixed (the sun), points (a night with three)")
+      ->delimiter(',')
+      ->transform(CLI::CheckedTransformer(std::map<std::string, SceneLight>{
+          {"turning", SceneLight::TurningSun}, {"fixed", SceneLight::FixedSun}, {"points", SceneLight::PointLights}}));
   verb->add_option("--sun-rate", dynamics.sun_rate_deg_s, "degrees a second of a turning sun");
   verb->add_option("--support", dynamics.support,
                    "what is drawn: on (the scene's state of each picture), off (its state at the start), or both")

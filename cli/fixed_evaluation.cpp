@@ -87,7 +87,7 @@ class FixedEvaluation {
     for (const auto& [index, probe] : training_.held_out().pictures()) {
       const metrics::Quality& quality = figures.at(index);
       cv::Mat map;
-      static_cast<void>(metrics::flip(drawn_.at(index), probe.picture, 67.0, &map));
+      static_cast<void>(metrics::flip(drawn_.at(index), probe.picture, metrics::kFlipPixelsPerDegree, &map));
       sheet.rows.push_back(
           {.caption = fmt::format("view {}", index),
            .figures = {fmt::format("SSIM {:.3f}", quality.ssim), fmt::format("PSNR {:.1f}", quality.psnr_db),

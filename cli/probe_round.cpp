@@ -35,10 +35,15 @@ ProbeRounds::ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vect
       oldest_id_(next_id_) {}
 
 void ProbeRounds::begin() {
+  begin(cameras_.size());
+}
+
+void ProbeRounds::begin(std::size_t count) {
   first_id_ = next_id_;
   next_id_ += cameras_.size();
   pictures_.clear();
-  for (std::size_t i = 0; i < cameras_.size(); ++i) ask(i);
+  asked_ = count;
+  for (std::size_t i = 0; i < asked_; ++i) ask(i);
 }
 
 void ProbeRounds::ask_again(std::size_t camera) {

@@ -35,6 +35,8 @@ class ProbeRounds {
   ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras);
 
   void begin();  ///< the next round: asks for every camera
+  /// A round of the first `count` of them alone.
+  void begin(std::size_t count);
   void ask_again(std::size_t camera);
 
   /// Takes in pictures that have arrived; `handle(index, picture)` for each camera's first of this round.
@@ -44,7 +46,7 @@ class ProbeRounds {
   /// The camera that a probe of this or an earlier round was of; nullopt for somebody else's.
   [[nodiscard]] std::optional<std::size_t> camera_of(std::uint64_t probe_id) const;
   [[nodiscard]] const std::map<std::size_t, ProbePicture>& pictures() const { return pictures_; }
-  [[nodiscard]] bool complete() const { return first_id_ != 0 && pictures_.size() == cameras_.size(); }
+  [[nodiscard]] bool complete() const { return first_id_ != 0 && pictures_.size() == asked_; }
   [[nodiscard]] const std::vector<Camera>& cameras() const { return cameras_; }
 
  private:
@@ -55,6 +57,7 @@ class ProbeRounds {
   bus::Subscriber answers_;
   std::uint64_t first_id_ = 0, next_id_;
   const std::uint64_t oldest_id_;
+  std::size_t asked_ = 0;  ///< cameras of this round
   std::map<std::size_t, ProbePicture> pictures_;
 };
 

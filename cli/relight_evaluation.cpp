@@ -113,7 +113,7 @@ class RelightEvaluation {
 
   void add_to_sheet(double turn_deg, const cv::Mat& engine, const cv::Mat& drawn, const metrics::Quality& quality) {
     cv::Mat map;
-    static_cast<void>(metrics::flip(drawn, engine, 67.0, &map));
+    static_cast<void>(metrics::flip(drawn, engine, metrics::kFlipPixelsPerDegree, &map));
     sheet_.rows.push_back(
         {.caption = turn_deg == 0 ? std::string("its own sun") : fmt::format("{:.0f} degrees", turn_deg),
          .figures = {fmt::format("SSIM {:.3f}", quality.ssim), fmt::format("PSNR {:.1f}", quality.psnr_db),

@@ -15,6 +15,7 @@ namespace {
 
 constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::uint32_t kAllBuffers = 127;
+constexpr std::uint32_t kLastLightMap = 255;  // a byte on the bus
 constexpr std::uint32_t kAllObjectFlags = SPLATBUS_OBJECT_EMISSIVE | SPLATBUS_OBJECT_NOT_MODELLED;
 constexpr float kUnitTolerance = 1e-2F;
 
@@ -89,6 +90,21 @@ std::string problem(const splatbus_light& light) {
     ids.push_back(source.id);
   }
   return {};
+}
+
+/// Of a frame whose light makes sense: whether the light has such a depth map.
+std::string problem_of_light_map(const splatbus_frame& frame) {
+  if (frame.light_map > kLastLightMap)
+    return fmt::format("light_map is {}, where {} is the last", frame.light_map, kLastLightMap);
+  if (frame.light_id == 0) return {};
+  const std::span sources(frame.light.sources, frame.light.source_count);
+  const auto source = std::ranges::find(sources, frame.light_id, &splatbus_light_source::id);
+  if (source == sources.end()) return fmt::format("light_id is {}, which is no light of the frame", frame.light_id);
+  if (source->casts_shadow == 0) return fmt::format("light {} casts no shadow: it has no depth maps", frame.light_id);
+  if (source->kind == SPLATBUS_LIGHT_DIRECTIONAL) return {};
+  const std::uint32_t last = source->kind == SPLATBUS_LIGHT_POINT ? 5 : 0;
+  if (frame.light_map <= last) return {};
+  return fmt::format("light_map is {}, where light {} has 0 to {}", frame.light_map, frame.light_id, last);
 }
 
 std::string problem(std::span<const splatbus_object> objects) {
@@ -184,6 +200,10 @@ std::string problem(const splatbus_camera_request& request) {
       return fmt::format("light camera {}: {} x {} pixels, where each side has 1 to {}", camera.id, camera.width,
                          camera.height, kMaxSide);
     }
+    if (!std::isfinite(request.extent_m) || request.extent_m < 0)
+      return fmt::format("light camera {}: extent_m is {}", camera.id, request.extent_m);
+    if (request.extent_m > 0 && !finite(camera.world_from_camera.translation))
+      return fmt::format("light camera {}: world_from_camera.translation is not finite", camera.id);
   } else if (std::string wrong = problem(camera); !wrong.empty()) {
     return wrong;
   }
@@ -200,6 +220,10 @@ std::string problem(const splatbus_frame& frame) {
   if (!std::isfinite(frame.time_s)) return "time_s is not finite";
   if (std::string wrong = problem(frame.camera); !wrong.empty()) return wrong;
   if (std::string wrong = problem(frame.light); !wrong.empty()) return wrong;
+  if (frame.camera.role == SPLATBUS_ROLE_LIGHT) {
+    if (std::string wrong = problem_of_light_map(frame); !wrong.empty())
+      return fmt::format("camera {} (role {}): {}", frame.camera.id, frame.camera.role, wrong);
+  }
   if (frame.image_count == 0 || frame.images == nullptr) return "the frame has no image";
   std::uint32_t seen = 0;
   for (const splatbus_image& image : std::span(frame.images, frame.image_count)) {

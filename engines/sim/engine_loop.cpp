@@ -107,14 +107,18 @@ void EngineLoop::render_frame(std::uint64_t frame) {
   standing_frame_ = frame;
   // Whether light depth is due depends on what has moved by now.
   if (schedule_.watches_scene()) renderer_.set_time(time_of(frame));
-  render_cameras(frame, schedule_.due(time_of(frame), renderer_.scene_version()));
+  render_cameras(frame, schedule_.due(time_of(frame), depth_versions()));
+}
+
+Schedule::DepthVersion EngineLoop::depth_versions() const {
+  return [this](const splatbus_camera_request& request) { return renderer_.depth_version(request); };
 }
 
 void EngineLoop::render_newcomers() {
   if (!standing_frame_) return;
   const double time_s = time_of(*standing_frame_);
   if (schedule_.watches_scene()) renderer_.set_time(time_s);
-  render_cameras(*standing_frame_, schedule_.newcomers(time_s, renderer_.scene_version()));
+  render_cameras(*standing_frame_, schedule_.newcomers(time_s, depth_versions()));
 }
 
 void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests) {
@@ -133,8 +137,7 @@ void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_
   count("render_ms", render_ms_);
 }
 
-std::vector<splatbus_image> EngineLoop::images_for(const splatbus_camera_request& request,
-                                                   const splatbus_camera& camera) {
+std::vector<splatbus_image> EngineLoop::images_for(const splatbus_camera_request& request, const LightCamera& camera) {
   if (readback_ == nullptr) return images_of(pictures_for(request, camera));
   const std::int64_t begin_ns = now_ns();
   renderer_.render(camera, request.buffers, *readback_);
@@ -149,7 +152,8 @@ void EngineLoop::count_render(std::int64_t begin_ns) {
   render_ms_ = cameras_rendered_ == 1 ? took_ms : 0.95 * render_ms_ + 0.05 * took_ms;
 }
 
-const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request, const splatbus_camera& camera) {
+const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request, const LightCamera& view) {
+  const splatbus_camera& camera = view.camera;
   const std::pair key{camera.role, camera.id};
   const auto known = rendered_.find(key);
   if (known != rendered_.end() && known->second.scene_version == renderer_.scene_version() &&
@@ -157,30 +161,36 @@ const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request,
     return known->second.pictures;
   }
   const std::int64_t begin_ns = now_ns();
-  const Pictures& pictures = renderer_.render(camera, request.buffers);
+  const Pictures& pictures = renderer_.render(view, request.buffers);
   count_render(begin_ns);
   const bool room = known != rendered_.end() || rendered_.size() < kMostRemembered;
-  if (request.rate_hz > 0 && room && std::uint64_t{camera.width} * camera.height <= kMostRememberedPixels) {
+  if (schedule_.repeats(key) && room && std::uint64_t{camera.width} * camera.height <= kMostRememberedPixels) {
     rendered_.insert_or_assign(key, Rendered{camera, request.buffers, renderer_.scene_version(), pictures});
   }
   return pictures;
 }
 
 void EngineLoop::render_camera(std::uint64_t frame, const splatbus_camera_request& request) {
-  splatbus_camera camera = request.camera;
-  if (camera.role == SPLATBUS_ROLE_LIGHT) camera = renderer_.light_camera(camera.id, camera.width, camera.height);
-  const std::vector<splatbus_image> images = images_for(request, camera);
+  LightCamera view{request.camera, Projection::Pinhole};
+  if (request.camera.role == SPLATBUS_ROLE_LIGHT) {
+    const std::optional<LightCamera> light = renderer_.light_camera(request);
+    if (!light) return;
+    view = *light;
+  }
+  const std::vector<splatbus_image> images = images_for(request, view);
   const Instant& instant = renderer_.instant();
   splatbus_frame out{};
   out.frame = frame;
   out.time_s = instant.time_s;
   out.request_id = request.request_id;
-  out.camera = camera;
+  out.camera = view.camera;
+  out.light_id = request.light_id;
+  out.light_map = request.light_map;
   out.images = images.data();
   out.image_count = images.size();
-  out.objects = instant.moving.data();
-  out.object_count = instant.moving.size();
-  out.light = instant.light;
+  out.objects = instant.objects.data();
+  out.object_count = instant.objects.size();
+  out.light = instant.whole_light();
   if (splatbus_engine_submit(&engine_, &out) != SPLATBUS_OK) {
     throw std::runtime_error(splatbus_engine_last_error(&engine_));
   }

@@ -50,8 +50,9 @@ class EngineLoop {
   void render_newcomers();
   void render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests);
   void render_camera(std::uint64_t frame, const splatbus_camera_request& request);
-  std::vector<splatbus_image> images_for(const splatbus_camera_request& request, const splatbus_camera& camera);
-  const Pictures& pictures_for(const splatbus_camera_request& request, const splatbus_camera& camera);
+  std::vector<splatbus_image> images_for(const splatbus_camera_request& request, const LightCamera& camera);
+  const Pictures& pictures_for(const splatbus_camera_request& request, const LightCamera& view);
+  [[nodiscard]] Schedule::DepthVersion depth_versions() const;
   void count_render(std::int64_t begin_ns);
   void count(const char* name, double value);
   [[nodiscard]] double time_of(std::uint64_t frame) const { return static_cast<double>(frame) / options_.fps; }

@@ -32,6 +32,12 @@ GlTexture upload(const Image& image, bool repeat, float anisotropy) {
   return texture;
 }
 
+splatbus_object to_listed(std::uint32_t id, const Pose& pose, std::uint32_t flags) {
+  const glm::quat& q = pose.rotation;
+  const glm::vec3& t = pose.translation;
+  return {.id = id, .world_from_object = {{q.w, q.x, q.y, q.z}, {t.x, t.y, t.z}}, .scale = pose.scale, .flags = flags};
+}
+
 }  // namespace
 
 GpuScene::GpuScene(const Scene& scene, float anisotropy) {
@@ -43,9 +49,12 @@ GpuScene::GpuScene(const Scene& scene, float anisotropy) {
     const Object& object = scene.objects[i];
     objects_.push_back({.id = object.id,
                         .casts_shadow = object.casts_shadow,
+                        .in_light_depth = object.in_light_depth(),
+                        .emissive = object.emissive,
                         .exists = true,
                         .world_from_object = glm::mat4(1),
-                        .normal_matrix = glm::mat3(1)});
+                        .normal_matrix = glm::mat3(1),
+                        .bounds_world = {}});
     for (const sim::Part& part : object.parts) {
       const auto index = static_cast<std::size_t>(part.material);
       const Material& material = scene.materials.at(index);
@@ -98,42 +107,56 @@ void GpuScene::place(std::size_t object, const glm::mat4& world_from_object) {
   ObjectState& state = objects_[object];
   state.world_from_object = world_from_object;
   state.normal_matrix = glm::inverseTranspose(glm::mat3(world_from_object));
+  state.bounds_world = {};
   for (Part& part : parts_) {
-    if (part.object == object) part.bounds_world = transformed(part.bounds_local, world_from_object);
+    if (part.object != object) continue;
+    part.bounds_world = transformed(part.bounds_local, world_from_object);
+    state.bounds_world.add(part.bounds_world);
   }
 }
 
-bool GpuScene::set_time(const Scene& scene, double time_s) {
-  bool changed = false;
-  std::vector<splatbus_object> moving;
+ObjectChanges GpuScene::set_time(const Scene& scene, double time_s, std::span<const splatbus_light_source> sources) {
+  ObjectChanges changes;
+  std::vector<splatbus_object> listed;
   for (std::size_t i = 0; i < scene.objects.size(); ++i) {
     const Object& object = scene.objects[i];
-    if (!object.motion) continue;
-    const std::optional<Pose> pose = object.motion(time_s);
-    changed |= std::exchange(objects_[i].exists, pose.has_value()) != pose.has_value();
-    if (!pose) continue;
-    splatbus_object listed{};
-    listed.scale = 1;
-    listed.id = object.id;
-    const glm::quat& q = pose->rotation;
-    const glm::vec3& t = pose->translation;
-    listed.world_from_object = {{q.w, q.x, q.y, q.z}, {t.x, t.y, t.z}};
-    moving.push_back(listed);
-    const glm::mat4 world_from_object = matrix(*pose);
-    if (world_from_object == objects_[i].world_from_object) continue;
-    place(i, world_from_object);
-    changed = true;
+    std::uint32_t flags = 0;
+    if (object.emissive) flags |= SPLATBUS_OBJECT_EMISSIVE;
+    if (!object.modelled) flags |= SPLATBUS_OBJECT_NOT_MODELLED;
+    if (!object.motion && object.light_id == 0 && flags == 0) continue;
+    ObjectState& state = objects_[i];
+    const bool dark =
+        object.light_id != 0 && std::ranges::count(sources, object.light_id, &splatbus_light_source::id) == 0;
+    // What rests keeps the frame that it has unlisted: the world's.
+    std::optional<Pose> pose = dark ? std::nullopt : object.motion ? object.motion(time_s) : Pose{};
+    const bool was = std::exchange(state.exists, pose.has_value());
+    const Bounds before = state.bounds_world;
+    bool moved = was != state.exists;
+    if (pose) {
+      listed.push_back(to_listed(object.id, *pose, flags));
+      const glm::mat4 world_from_object = object.motion ? matrix(*pose) : object.world_from_object;
+      if (world_from_object != state.world_from_object) {
+        place(i, world_from_object);
+        moved = true;
+      }
+    }
+    if (!moved) continue;
+    changes.any = true;
+    if (!state.in_light_depth) continue;
+    if (was) changes.moved.push_back(before);
+    if (state.exists) changes.moved.push_back(state.bounds_world);
   }
-  moving_ = std::move(moving);
-  return changed;
+  listed_ = std::move(listed);
+  return changes;
 }
 
-std::vector<const GpuScene::Part*> GpuScene::visible_parts(const glm::mat4& clip_from_world,
-                                                           bool shadow_casters_only) const {
+std::vector<const GpuScene::Part*> GpuScene::visible_parts(const glm::mat4& clip_from_world, Shown shown) const {
   std::vector<std::pair<float, const Part*>> visible;
   for (const Part& part : parts_) {
     const ObjectState& object = objects_[part.object];
-    if (part.index_count == 0 || !object.exists || (shadow_casters_only && !object.casts_shadow)) continue;
+    if (part.index_count == 0 || !object.exists) continue;
+    if (shown == Shown::ShadowCasters && !object.casts_shadow) continue;
+    if (shown == Shown::InLightDepth && !object.in_light_depth) continue;
     if (!may_be_visible(part.bounds_world, clip_from_world)) continue;
     float farthest = -1e30F;
     for (int i = 0; i < 8; ++i) {
@@ -153,7 +176,7 @@ void GpuScene::draw_part(const Part& part, const ShaderVariant& variant, GLuint 
   glUseProgram(program);
   glUniformMatrix4fv(kWorldFromObject, 1, GL_FALSE, glm::value_ptr(object.world_from_object));
   const bool shade = variant.kind == ShaderVariant::Kind::Shade;
-  if (variant.kind == ShaderVariant::Kind::Geometry || variant.lit) {
+  if (variant.kind == ShaderVariant::Kind::Geometry || (variant.lit && !variant.emissive)) {
     glUniformMatrix3fv(kNormalMatrix, 1, GL_FALSE, glm::value_ptr(object.normal_matrix));
   }
   if (variant.kind == ShaderVariant::Kind::Geometry) glUniform1ui(kObjectId, object.id);

@@ -6,7 +6,9 @@
 #include <glm/gtc/quaternion.hpp>
 
 namespace splatbus::sim {
-namespace {
+Projection projection_by_role(const splatbus_camera& camera) {
+  return camera.role == SPLATBUS_ROLE_LIGHT ? Projection::Orthographic : Projection::Pinhole;
+}
 
 void set_pose(splatbus_camera& camera, const glm::mat3& world_from_camera, const glm::vec3& eye) {
   const glm::quat rotation = glm::normalize(glm::quat_cast(world_from_camera));
@@ -18,8 +20,6 @@ void set_pose(splatbus_camera& camera, const glm::mat3& world_from_camera, const
   for (int i = 0; i < 3; ++i) camera.world_from_camera.translation[i] = eye[i];
 }
 
-}  // namespace
-
 glm::mat4 camera_from_world(const splatbus_camera& camera) {
   const float* q = camera.world_from_camera.rotation_wxyz;
   const float* t = camera.world_from_camera.translation;
@@ -29,7 +29,7 @@ glm::mat4 camera_from_world(const splatbus_camera& camera) {
   return result;
 }
 
-glm::mat4 clip_from_camera(const splatbus_camera& camera) {
+glm::mat4 clip_from_camera(const splatbus_camera& camera, Projection projection) {
   const auto width = static_cast<float>(camera.width);
   const auto height = static_cast<float>(camera.height);
   const float near_m = camera.near_m;
@@ -39,7 +39,7 @@ glm::mat4 clip_from_camera(const splatbus_camera& camera) {
   clip[1][1] = 2 * camera.fy / height;
   const float x = 2 * camera.cx / width - 1;
   const float y = 2 * camera.cy / height - 1;
-  if (camera.role == SPLATBUS_ROLE_LIGHT) {
+  if (projection == Projection::Orthographic) {
     clip[2][2] = 2 / (far_m - near_m);
     clip[3] = {x, y, -(far_m + near_m) / (far_m - near_m), 1};
   } else {

@@ -11,9 +11,18 @@ namespace splatbus::sim {
 /// camera_from_world of the camera's pose.
 [[nodiscard]] glm::mat4 camera_from_world(const splatbus_camera& camera);
 
-/// Clip space whose window rows run downwards as the picture's do (so front faces become clockwise). Pinhole, or
-/// orthographic for role Light.
-[[nodiscard]] glm::mat4 clip_from_camera(const splatbus_camera& camera);
+enum class Projection { Pinhole, Orthographic };
+/// Of role light, the sun's.
+[[nodiscard]] Projection projection_by_role(const splatbus_camera& camera);
+
+/// Clip space whose window rows run downwards as the picture's do (so front faces become clockwise).
+[[nodiscard]] glm::mat4 clip_from_camera(const splatbus_camera& camera, Projection projection);
+[[nodiscard]] inline glm::mat4 clip_from_camera(const splatbus_camera& camera) {
+  return clip_from_camera(camera, projection_by_role(camera));
+}
+
+/// `world_from_camera` is a rotation.
+void set_pose(splatbus_camera& camera, const glm::mat3& world_from_camera, const glm::vec3& eye);
 
 /// A camera at `eye` towards `target`, world y up.
 [[nodiscard]] splatbus_camera look_at(const glm::vec3& eye, const glm::vec3& target, std::uint32_t width,

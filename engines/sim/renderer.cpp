@@ -8,11 +8,12 @@
 #include <stdexcept>
 
 #include "sim/camera_check.h"
+#include "sim/depth_versions.h"
 #include "sim/gl_objects.h"
 #include "sim/gpu_scene.h"
+#include "sim/lit_shading.h"
 #include "sim/projection.h"
 #include "sim/shaders.h"
-#include "sim/shadow_map.h"
 #include "sim/targets.h"
 
 namespace splatbus::sim {
@@ -22,23 +23,16 @@ constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_
 constexpr std::uint32_t kGeometryBuffers =
     SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
 
-/// Coefficients of the SH polynomials in n, with the basis constants and the clamped-cosine factors over pi (1, 2/3,
-/// 1/4) in.
-std::array<glm::vec3, 9> ambient_polynomial(const splatbus_light& light) {
-  constexpr std::array<float, 9> kFactors{0.28209479F,         0.48860251F * 2 / 3, 0.48860251F * 2 / 3,
-                                          0.48860251F * 2 / 3, 1.0925484F / 4,      1.0925484F / 4,
-                                          0.31539157F / 4,     1.0925484F / 4,      0.54627422F / 4};
-  std::array<glm::vec3, 9> result{};
-  for (std::size_t k = 0; k < 9; ++k) {
-    for (std::size_t c = 0; c < 3; ++c) {
-      result.at(k)[static_cast<int>(c)] = kFactors.at(k) * light.ambient_sh[9 * c + k];
-    }
-  }
-  return result;
-}
-
-bool same_sun(const splatbus_light& a, const splatbus_light& b) {
-  return std::equal(std::begin(a.sun_direction), std::end(a.sun_direction), std::begin(b.sun_direction));
+bool same_light(const Instant& a, const Instant& b) {
+  const auto values = [](const splatbus_light& light) {
+    const float *d = light.sun_direction, *s = light.sun_irradiance;
+    return std::array{d[0], d[1], d[2], s[0], s[1], s[2]};
+  };
+  const auto same = [](const splatbus_light_source& x, const splatbus_light_source& y) {
+    return x.id == y.id && x.depth_version == y.depth_version && x.cos_inner == y.cos_inner &&
+           std::ranges::equal(x.intensity, y.intensity);
+  };
+  return values(a.light) == values(b.light) && std::ranges::equal(a.sources, b.sources, same);
 }
 
 }  // namespace
@@ -50,7 +44,7 @@ struct Renderer::Impl {
         options(the_options),
         gpu(scene, options.anisotropy),
         targets(options.supersample, options.samples),
-        shadow(options.shadow_map_size, scene.bounds(true), scene.bounds(false)),
+        lighting({options.shadow_map_size, options.source_map_size, options.shadow_softness_m}, scene),
         bounds(scene.bounds(false)) {}
 
   std::shared_ptr<GlContext> context;
@@ -58,14 +52,14 @@ struct Renderer::Impl {
   RendererOptions options;
   GpuScene gpu;
   TargetCache targets;
-  ShadowMap shadow;
+  LitShading lighting;
   Bounds bounds;
   std::map<ShaderVariant, GlProgram> programs;
   std::map<std::pair<bool, bool>, GlProgram> resolve_programs;
   GlVertexArray no_vertices = make_vertex_array();
   Instant instant;
   std::uint64_t scene_version = 0;
-  std::uint64_t shadow_version = 0;
+  DepthVersions depth_versions;
   Pictures pictures;
 
   GLuint program(const ShaderVariant& variant) {
@@ -74,9 +68,8 @@ struct Renderer::Impl {
     return made.get();
   }
 
-  void update_shadow();
-  void shade(const splatbus_camera& camera, bool lit, bool albedo, Readback& readback);
-  void geometry(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback);
+  void shade(const LightCamera& view, bool lit, bool albedo, Readback& readback);
+  void geometry(const LightCamera& view, std::uint32_t buffers, Readback& readback);
 };
 
 namespace {
@@ -91,17 +84,17 @@ void set_draw_buffers(const GlFramebuffer& framebuffer, std::span<const bool> wa
 
 }  // namespace
 
-void Renderer::Impl::update_shadow() {
-  if (shadow_version == scene_version) return;
-  shadow_version = scene_version;
-  const float* sun = instant.light.sun_direction;
-  shadow.draw(gpu, {sun[0], sun[1], sun[2]}, [&](const ShaderVariant& variant) { return program(variant); });
-}
-
-void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo, Readback& readback) {
-  if (lit) update_shadow();
+void Renderer::Impl::shade(const LightCamera& view, bool lit, bool albedo, Readback& readback) {
+  const splatbus_camera& camera = view.camera;
+  const splatbus_light light = instant.whole_light();
+  ShaderVariant variant_of_all{.lit = lit, .albedo = albedo, .supersample = options.supersample};
+  if (lit) {
+    const float* eye = camera.world_from_camera.translation;
+    lighting.update(gpu, light, {eye[0], eye[1], eye[2]}, [&](const ShaderVariant& v) { return program(v); });
+    variant_of_all = lighting.variant(variant_of_all);
+  }
   Targets& target = targets.get(camera.width, camera.height, true, false);
-  const glm::mat4 clip_from_world = clip_from_camera(camera) * camera_from_world(camera);
+  const glm::mat4 clip_from_world = clip_from_camera(camera, view.projection) * camera_from_world(camera);
   const std::array<bool, 2> wanted{lit, albedo};
   set_draw_buffers(target.shade, wanted);
   glBindFramebuffer(GL_FRAMEBUFFER, target.shade.get());
@@ -115,23 +108,14 @@ void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo,
   if (albedo) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 1, kNothing.data());
   glClearNamedFramebufferfv(target.shade.get(), GL_DEPTH, 0, &kFar);
 
-  const splatbus_light& light = instant.light;
   std::map<GLuint, bool> prepared;
-  gpu.draw(clip_from_world, {.lit = lit, .albedo = albedo, .supersample = options.supersample}, false,
-           [&](const ShaderVariant& variant) {
-             const GLuint made = program(variant);
-             if (std::exchange(prepared[made], true)) return made;
-             glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
-             if (lit) {
-               glm::vec3 sun_over_pi{light.sun_irradiance[0], light.sun_irradiance[1], light.sun_irradiance[2]};
-               sun_over_pi /= glm::pi<float>();
-               glProgramUniform3fv(made, kSunDirection, 1, light.sun_direction);
-               glProgramUniform3fv(made, kSunOverPi, 1, glm::value_ptr(sun_over_pi));
-               glProgramUniform3fv(made, kAmbientReflected, 9, glm::value_ptr(ambient_polynomial(light).front()));
-               shadow.bind(made, options.shadow_softness_m);
-             }
-             return made;
-           });
+  gpu.draw(clip_from_world, variant_of_all, Shown::All, [&](const ShaderVariant& variant) {
+    const GLuint made = program(variant);
+    if (std::exchange(prepared[made], true)) return made;
+    glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
+    if (lit && !variant.emissive) lighting.bind(made, light);
+    return made;
+  });
 
   GlProgram& resolve = resolve_programs[{lit, albedo}];
   if (!resolve) resolve = build_resolve_program(options.supersample, options.samples, lit, albedo);
@@ -161,10 +145,11 @@ void Renderer::Impl::shade(const splatbus_camera& camera, bool lit, bool albedo,
 }
 
 /// Light depth comes alone: where there is no surface it is another value than depth.
-void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback) {
+void Renderer::Impl::geometry(const LightCamera& of, std::uint32_t buffers, Readback& readback) {
+  const splatbus_camera& camera = of.camera;
   Targets& target = targets.get(camera.width, camera.height, false, true);
   const glm::mat4 view = camera_from_world(camera);
-  const glm::mat4 clip_from_world = clip_from_camera(camera) * view;
+  const glm::mat4 clip_from_world = clip_from_camera(camera, of.projection) * view;
   const bool light_depth = (buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0;
   const std::array<bool, 4> wanted{
       (buffers & SPLATBUS_BUFFER_WORLD_POSITION) != 0, (buffers & SPLATBUS_BUFFER_NORMAL) != 0,
@@ -184,7 +169,8 @@ void Renderer::Impl::geometry(const splatbus_camera& camera, std::uint32_t buffe
   if (wanted[3]) glClearNamedFramebufferuiv(target.geometry.get(), GL_COLOR, 3, kNoObject.data());
   glClearNamedFramebufferfv(target.geometry.get(), GL_DEPTH, 0, &kFar);
   const glm::vec4 view_z{view[0][2], view[1][2], view[2][2], view[3][2]};
-  gpu.draw(clip_from_world, {.kind = ShaderVariant::Kind::Geometry}, false, [&](const ShaderVariant& variant) {
+  const Shown shown = light_depth ? Shown::InLightDepth : Shown::All;
+  gpu.draw(clip_from_world, {.kind = ShaderVariant::Kind::Geometry}, shown, [&](const ShaderVariant& variant) {
     const GLuint made = program(variant);
     glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
     glProgramUniform4fv(made, kViewZ, 1, glm::value_ptr(view_z));
@@ -229,16 +215,29 @@ Renderer::Renderer(std::shared_ptr<GlContext> context, Scene scene, const Render
 Renderer::~Renderer() = default;
 
 void Renderer::set_time(double time_s) {
-  const splatbus_light light = impl_->scene.lighting.at(time_s);
-  const bool changed = impl_->gpu.set_time(impl_->scene, time_s);
-  const bool turned = !same_sun(light, impl_->instant.light);
-  impl_->instant = {.time_s = time_s, .light = light, .moving = impl_->gpu.moving()};
-  if (changed || turned || impl_->scene_version == 0) ++impl_->scene_version;
+  Instant next{.time_s = time_s,
+               .light = impl_->scene.lighting.at(time_s),
+               .sources = impl_->scene.lighting.sources_at(time_s),
+               .objects = {}};
+  const ObjectChanges changes = impl_->gpu.set_time(impl_->scene, time_s, next.sources);
+  impl_->depth_versions.update(next.light, next.sources, changes.moved);
+  next.objects = impl_->gpu.listed();
+  const bool relit = !same_light(next, impl_->instant);
+  impl_->instant = std::move(next);
+  if (changes.any || relit || impl_->scene_version == 0) ++impl_->scene_version;
 }
 
 void Renderer::turn_sun(double azimuth_deg) {
   Lighting& lighting = impl_->scene.lighting;
   lighting.sun_azimuth_deg = azimuth_deg - lighting.sun_rate_deg_s * impl_->instant.time_s;
+}
+
+void Renderer::set_night(bool night) {
+  impl_->scene.lighting.night = night;
+}
+
+void Renderer::set_sources_on(std::size_t count) {
+  impl_->scene.lighting.sources_on = count;
 }
 
 std::uint64_t Renderer::scene_version() const {
@@ -251,23 +250,34 @@ const Scene& Renderer::scene() const {
   return impl_->scene;
 }
 std::uint64_t Renderer::shadow_maps_drawn() const {
-  return impl_->shadow.times_drawn();
+  return impl_->lighting.sun_maps_drawn();
+}
+std::uint64_t Renderer::source_maps_drawn() const {
+  return impl_->lighting.source_maps_drawn();
 }
 
 const Pictures& Renderer::render(const splatbus_camera& camera, std::uint32_t buffers) {
+  return render(LightCamera{camera, projection_by_role(camera)}, buffers);
+}
+
+const Pictures& Renderer::render(const LightCamera& camera, std::uint32_t buffers) {
   HostReadback readback(impl_->pictures);
   render(camera, buffers, readback);
   return impl_->pictures;
 }
 
 void Renderer::render(const splatbus_camera& camera, std::uint32_t buffers, Readback& readback) {
-  if (const std::string wrong = camera_problem(camera); !wrong.empty()) throw std::runtime_error(wrong);
-  readback.begin(camera.width, camera.height);
+  render(LightCamera{camera, projection_by_role(camera)}, buffers, readback);
+}
+
+void Renderer::render(const LightCamera& view, std::uint32_t buffers, Readback& readback) {
+  if (const std::string wrong = camera_problem(view.camera); !wrong.empty()) throw std::runtime_error(wrong);
+  readback.begin(view.camera.width, view.camera.height);
   if ((buffers & kShadeBuffers) != 0) {
-    impl_->shade(camera, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0, readback);
+    impl_->shade(view, (buffers & SPLATBUS_BUFFER_COLOR) != 0, (buffers & SPLATBUS_BUFFER_ALBEDO) != 0, readback);
   }
-  if ((buffers & kGeometryBuffers) != 0) impl_->geometry(camera, buffers & kGeometryBuffers, readback);
-  if ((buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0) impl_->geometry(camera, SPLATBUS_BUFFER_LIGHT_DEPTH, readback);
+  if ((buffers & kGeometryBuffers) != 0) impl_->geometry(view, buffers & kGeometryBuffers, readback);
+  if ((buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0) impl_->geometry(view, SPLATBUS_BUFFER_LIGHT_DEPTH, readback);
 }
 
 void Renderer::warm_up(Readback* readback) {
@@ -285,6 +295,25 @@ splatbus_camera Renderer::light_camera(std::uint32_t id, std::uint32_t width, st
   splatbus_camera camera = fit_light_camera(impl_->bounds, {sun[0], sun[1], sun[2]}, width, height);
   camera.id = id;
   return camera;
+}
+
+std::optional<LightCamera> Renderer::light_camera(const splatbus_camera_request& request) const {
+  const splatbus_light light = impl_->instant.whole_light();
+  return sim::light_camera(request, {light, impl_->bounds});
+}
+
+std::optional<std::uint64_t> Renderer::depth_version(const splatbus_camera_request& request) const {
+  if (!light_camera(request)) return std::nullopt;
+  const Instant& instant = impl_->instant;
+  if (request.light_id == 0) return instant.light.sun_depth_version;
+  return std::ranges::find(instant.sources, request.light_id, &splatbus_light_source::id)->depth_version;
+}
+
+splatbus_light Instant::whole_light() const {
+  splatbus_light result = light;
+  result.sources = sources.data();
+  result.source_count = sources.size();
+  return result;
 }
 
 }  // namespace splatbus::sim

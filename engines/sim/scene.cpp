@@ -1,5 +1,6 @@
 #include "sim/scene.h"
 
+#include <algorithm>
 #include <cmath>
 #include <glm/gtc/constants.hpp>
 #include <utility>
@@ -7,7 +8,7 @@
 namespace splatbus::sim {
 
 glm::mat4 matrix(const Pose& world_from_object) {
-  glm::mat4 result = glm::mat4_cast(world_from_object.rotation);
+  glm::mat4 result(world_from_object.scale * glm::mat3_cast(world_from_object.rotation));
   result[3] = glm::vec4(world_from_object.translation, 1);
   return result;
 }
@@ -27,7 +28,7 @@ Object& Scene::add(std::string name, Mesh mesh, Image image, const glm::mat4& wo
 Bounds Scene::bounds(bool shadow_casters_only) const {
   Bounds result;
   for (const Object& object : objects) {
-    if (shadow_casters_only && !object.casts_shadow) continue;
+    if (!(shadow_casters_only ? object.casts_shadow : object.in_light_depth())) continue;
     Bounds local;
     for (const Part& part : object.parts) local.add(bounds_of(part.mesh));
     if (!object.motion) {
@@ -35,7 +36,7 @@ Bounds Scene::bounds(bool shadow_casters_only) const {
       continue;
     }
     // Turned in any way, it keeps within a ball.
-    const glm::vec3 reach(glm::length(glm::max(glm::abs(local.low), glm::abs(local.high))));
+    const glm::vec3 reach(object.greatest_scale * glm::length(glm::max(glm::abs(local.low), glm::abs(local.high))));
     result.add(object.motion_origins.low - reach);
     result.add(object.motion_origins.high + reach);
   }
@@ -49,8 +50,25 @@ splatbus_light Lighting::at(double time_s) const {
   light.sun_direction[0] = static_cast<float>(std::sin(zenith) * std::cos(azimuth));
   light.sun_direction[1] = static_cast<float>(std::cos(zenith));
   light.sun_direction[2] = static_cast<float>(std::sin(zenith) * std::sin(azimuth));
-  for (int c = 0; c < 3; ++c) light.sun_irradiance[c] = sun_irradiance[c];
+  for (int c = 0; c < 3; ++c) light.sun_irradiance[c] = night ? 0 : sun_irradiance[c];
+  if (!night) return light;
+  constexpr float kFaint = 0.03F;
+  for (float& coefficient : light.ambient_sh) coefficient *= kFaint;
+  for (float& channel : light.background) channel *= kFaint;
   return light;
+}
+
+std::vector<splatbus_light_source> Lighting::sources_at(double time_s) const {
+  std::vector<splatbus_light_source> result;
+  for (std::size_t i = 0; i < std::min(sources.size(), sources_on); ++i) {
+    std::optional<splatbus_light_source> source = sources[i].at(time_s);
+    if (!source) continue;
+    source->id = sources[i].id;
+    source->depth_version = 0;
+    result.push_back(*source);
+  }
+  std::ranges::sort(result, {}, &splatbus_light_source::id);
+  return result;
 }
 
 splatbus_light Lighting::sky() {

@@ -32,9 +32,11 @@ struct Part {
   int material = 0;
 };
 
+/// a_from_b: p_a = rotation * (scale * p_b) + translation.
 struct Pose {
   glm::quat rotation{1, 0, 0, 0};
   glm::vec3 translation{0};
+  float scale = 1;
   bool operator==(const Pose&) const = default;
 };
 
@@ -45,8 +47,24 @@ struct Object {
   glm::mat4 world_from_object{1};  ///< of an object that rests
   /// world_from_object at a time in seconds, or nothing while the object does not exist. Empty: it rests for ever.
   std::function<std::optional<Pose>(double)> motion;
-  Bounds motion_origins;  ///< where the motion takes the object's origin, at whatever time
+  Bounds motion_origins;       ///< where the motion takes the object's origin, at whatever time
+  float greatest_scale = 1;    ///< of the motion
+  std::uint32_t light_id = 0;  ///< of a lamp: it exists only while this light does; 0: it is none
   bool casts_shadow = true;
+  bool emissive = false;  ///< it shines with its albedo, and is not lit
+  bool modelled = true;   ///< SPLATBUS_OBJECT_NOT_MODELLED where false
+
+  /// Whether the depth maps that are handed out show it. A lamp's glass is neither a thing that hides its light nor one
+  /// on which light falls.
+  [[nodiscard]] bool in_light_depth() const { return casts_shadow || !emissive; }
+};
+
+/// A light besides the sun.
+struct LightSource {
+  std::uint32_t id = 0;  ///< unique, from 1
+  /// The light at a time in seconds, or nothing while there is none. Its id and depth_version do not count. A spot's
+  /// cone is at most 80 degrees from its axis, so that one depth map holds it.
+  std::function<std::optional<splatbus_light_source>(double)> at;
 };
 
 /// The sun's way, and all other light of a scene. Linear radiometric units.
@@ -56,8 +74,14 @@ struct Lighting {
   double sun_rate_deg_s = 0;  ///< azimuth's
   glm::vec3 sun_irradiance{2.75F, 2.6F, 2.3F};
   splatbus_light ambient = sky();  ///< ambient_sh and background count
+  bool night = false;              ///< no sun, and a faint sky
+  std::vector<LightSource> sources;
+  std::size_t sources_on = SPLATBUS_MAX_LIGHTS;  ///< so many of them, from the first
 
+  /// Without the sources, and with no depth version.
   [[nodiscard]] splatbus_light at(double time_s) const;
+  /// By ascending id, with no depth version.
+  [[nodiscard]] std::vector<splatbus_light_source> sources_at(double time_s) const;
   static splatbus_light sky();
 };
 
@@ -70,7 +94,7 @@ struct Scene {
   /// Appends an object of one part under the next free id. The reference is good until the next one is added.
   Object& add(std::string name, Mesh mesh, Image image, const glm::mat4& world_from_object = glm::mat4(1));
 
-  /// World bounds of everything, over the whole way of what moves.
+  /// World bounds of what depth maps show, over the whole way of what moves.
   [[nodiscard]] Bounds bounds(bool shadow_casters_only) const;
 };
 

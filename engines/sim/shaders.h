@@ -1,18 +1,28 @@
 #pragma once
 
+#include <cstddef>
 #include <string>
 
+#include "sdk/splatbus_engine.h"
 #include "sim/gl_objects.h"
 
 namespace splatbus::sim {
 
+/// Depth maps of the sun in a wide scene, the finest first.
+inline constexpr int kCascades = 3;
+/// A receiver is lifted by so many texels along its normal before it is compared with a depth map.
+inline constexpr float kLiftTexels = 1.5F;
+
 /// What a fragment shader computes.
 struct ShaderVariant {
   enum class Kind { Depth, Geometry, Shade } kind = Kind::Shade;
-  bool lit = false;     ///< Shade only
-  bool albedo = false;  ///< Shade only
-  bool holes = false;   ///< texels under an alpha cutoff are discarded
-  int supersample = 2;  ///< Shade only: shadow taps are shared out among a pixel's supersamples
+  bool lit = false;       ///< Shade only
+  bool albedo = false;    ///< Shade only
+  bool emissive = false;  ///< lit only: colour is albedo
+  bool cascades = false;  ///< lit only: the sun has kCascades depth maps, not one
+  bool sources = false;   ///< lit only: there are lights besides the sun
+  bool holes = false;     ///< texels under an alpha cutoff are discarded
+  int supersample = 2;    ///< Shade only: shadow taps are shared out among a pixel's supersamples
 
   auto operator<=>(const ShaderVariant&) const = default;  // NOLINT(modernize-use-nullptr): the check misreads <=>
 };
@@ -32,8 +42,17 @@ enum UniformLocation : GLint {
   kShadowNormal = 10,  ///< mat3: a world normal to the plane that it stands for in shadow coordinates
   kShadowFilter =
       11,  ///< vec4: radius in texture coordinates (2), greatest depth slope, lift along the normal in metres
-  kAmbientReflected = 12  ///< vec3[9]
+  kAmbientReflected = 12,  ///< vec3[9]
+  kSoftness = 21,          ///< with cascades or sources: radius of the filter in metres
+  kCascadeFromWorld = 22,  ///< mat4[kCascades], as kShadowFromWorld
+  kCascadeUvAMetre = 22 + kCascades
 };
+
+/// Texture units; 0 is the part's texture.
+enum TextureUnit : GLuint { kSunMaps = 1, kLocalMaps = 2, kDirectionalMaps = 3 };
+/// Of the uniform block that lists the lights besides the sun.
+inline constexpr GLuint kSourcesBinding = 0;
+inline constexpr std::size_t kMostSourceMaps = 6 * SPLATBUS_MAX_LIGHTS;
 
 /// Vertex attribute locations.
 enum AttributeLocation : GLuint { kPosition = 0, kNormal = 1, kUv = 2 };

@@ -15,9 +15,11 @@ enum class Appearance : std::uint8_t { Transfer, Radiance };
 ///   Radiance: 11 + 3 k + c, SH coefficient k of colour c, (degree + 1)^2 coefficients; colour = 0.5 + sum, display
 ///   space
 ///
-/// Transfer shading, linear: colour_c = albedo_c (E_c(n) + v s_c max(0, n.l) / pi) + sum_k R_kc (A_kc + v S_kc), at
-/// least 0, with E = ambient_reflected, s the sun's irradiance, v the visibility, A the ambient SH, S = sun irradiance
-/// * Y(l) / pi; n, A, l in the object's frame.
+/// Transfer shading, linear, at least 0, with a sum over the lights j, the sun and Light::sources:
+/// colour_c = albedo_c (E_c(n) + sum_j v_j e_jc max(0, n.l_j) / pi) + sum_k R_kc (A_kc + sum_j v_j e_jc Y_k(l_j) / pi),
+/// with E = ambient_reflected, A the ambient SH, v_j the visibility, and l_j, e_j where the light is and its
+/// irradiance: of a source incident() at the mean, which counts as fixed there (no gradient leads through a light to
+/// it). n, A, l in the object's frame.
 struct ParameterLayout {
   static constexpr int kMean = 0, kLogScale = 3, kRotation = 6, kOpacityLogit = 10, kAppearance = 11;
   static constexpr int kAlbedo = 11, kResidual = 14;

@@ -27,7 +27,7 @@ std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const Frus
     if (frame_id == kWorldFrame) {
       entry->second = page_frustum(camera, portable(camera_from_world));
     } else if (const auto object = objects.find(frame_id); object != objects.end()) {
-      entry->second = page_frustum(camera, portable(camera_from_world * object->second.rigid));
+      entry->second = page_frustum(camera, portable(camera_from_world * object->second.rigid), object->second.scale);
     }
     return entry->second;
   };

@@ -1,10 +1,23 @@
 #include "gaussians/transfer.h"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <glm/gtc/constants.hpp>
 
 namespace splatbus {
+
+namespace {
+
+/// Of the sun, 0, and the sources, 1 and on.
+float visibility_of(const GaussiansView& gaussians, std::size_t light, std::size_t i) {
+  if (gaussians.visibility_u8 != nullptr && light < gaussians.visibility_rows) {
+    return static_cast<float>(gaussians.visibility_u8[light * gaussians.visibility_stride + i]) / 255;
+  }
+  return light == 0 && gaussians.visibility != nullptr ? gaussians.visibility[i] : 1.0F;
+}
+
+}  // namespace
 
 glm::vec3 shade_transfer(const GaussiansView& gaussians, std::size_t i, const Light& light_object) {
   assert(gaussians.layout.appearance == Appearance::Transfer && i < gaussians.count);
@@ -14,15 +27,23 @@ glm::vec3 shade_transfer(const GaussiansView& gaussians, std::size_t i, const Li
   };
   const glm::vec3 normal = triple(gaussians.normal);
   const glm::vec3 albedo = triple(gaussians.plane(ParameterLayout::kAlbedo));
-  const float visibility = gaussians.visibility != nullptr ? gaussians.visibility[i] : 1.0F;
-  const glm::vec3 sun = visibility * kInversePi * light_object.sun_irradiance;
-  const float cosine = std::max(0.0F, glm::dot(normal, light_object.sun_direction));
-  glm::vec3 color = albedo * (ambient_reflected(light_object, normal) + cosine * sun);
-  const Sh9 sun_basis = sh9_basis(light_object.sun_direction);
+  glm::vec3 reflected = ambient_reflected(light_object, normal);
+  std::array<glm::vec3, 9> arriving = light_object.ambient_sh;
+  const auto add = [&](const glm::vec3& to_light, const glm::vec3& irradiance, float visibility) {
+    const glm::vec3 light = visibility * kInversePi * irradiance;
+    reflected += std::max(0.0F, glm::dot(normal, to_light)) * light;
+    const Sh9 basis = sh9_basis(to_light);
+    for (std::size_t k = 0; k < 9; ++k) arriving[k] += basis[k] * light;
+  };
+  add(light_object.sun_direction, light_object.sun_irradiance, visibility_of(gaussians, 0, i));
+  const glm::vec3 mean = triple(gaussians.plane(ParameterLayout::kMean));
+  for (std::size_t j = 0; j < light_object.sources.size(); ++j) {
+    const Incident source = incident(light_object.sources[j], mean);
+    add(source.to_light, source.irradiance, visibility_of(gaussians, 1 + j, i));
+  }
+  glm::vec3 color = albedo * reflected;
   for (int k = 0; k < 9; ++k) {
-    const auto coefficient = static_cast<std::size_t>(k);
-    color += triple(gaussians.plane(ParameterLayout::kResidual + 3 * k)) *
-             (light_object.ambient_sh[coefficient] + sun_basis[coefficient] * sun);
+    color += triple(gaussians.plane(ParameterLayout::kResidual + 3 * k)) * arriving[static_cast<std::size_t>(k)];
   }
   return glm::max(color, glm::vec3(0));
 }

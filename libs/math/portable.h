@@ -65,6 +65,25 @@ SPLATBUS_PORTABLE Vec3 transformed(const Rigid& a_from_b, const Vec3& point_b) {
   return a_from_b.rotation * point_b + a_from_b.translation;
 }
 
+/// a_from_b of two frames whose units of length differ: p_a = rotation * (scale * p_b) + translation.
+struct Similarity {
+  Mat3 rotation;
+  Vec3 translation;
+  float scale = 1;
+};
+
+SPLATBUS_PORTABLE Vec3 transformed(const Similarity& a_from_b, const Vec3& point_b) {
+  return a_from_b.rotation * (point_b * a_from_b.scale) + a_from_b.translation;
+}
+SPLATBUS_PORTABLE Similarity operator*(const Similarity& a_from_b, const Similarity& b_from_c) {
+  const Mat3 &a = a_from_b.rotation, &b = b_from_c.rotation;
+  return {{a * b.x, a * b.y, a * b.z}, transformed(a_from_b, b_from_c.translation), a_from_b.scale * b_from_c.scale};
+}
+SPLATBUS_PORTABLE Similarity inverse(const Similarity& a_from_b) {
+  const Mat3 b_from_a = transposed(a_from_b.rotation);
+  return {b_from_a, b_from_a * a_from_b.translation * (-1.0F / a_from_b.scale), 1.0F / a_from_b.scale};
+}
+
 /// Of a unit quaternion.
 SPLATBUS_PORTABLE Mat3 rotation_matrix(float w, float x, float y, float z) {
   return {{1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},

@@ -24,8 +24,9 @@ void check_images(const char* who, const cv::Mat& image, const cv::Mat& referenc
 
 /// Mean LDR-FLIP (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020), 0 is best. 67
 /// pixels a degree is a 0.7 m wide 4K monitor seen from 0.7 m. `map`, when not null, receives CV_32FC1 in [0, 1].
-[[nodiscard]] double flip(const cv::Mat& image, const cv::Mat& reference, double pixels_per_degree = 67.0,
-                          cv::Mat* map = nullptr);
+inline constexpr double kFlipPixelsPerDegree = 67;
+[[nodiscard]] double flip(const cv::Mat& image, const cv::Mat& reference,
+                          double pixels_per_degree = kFlipPixelsPerDegree, cv::Mat* map = nullptr);
 
 /// A CV_32FC1 map in [0, 1] in false colors (magma), CV_8UC3 BGR. Values outside are clamped, NaN is 0.
 [[nodiscard]] cv::Mat colorize(const cv::Mat& map);

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cstring>
+#include <iterator>
 #include <stdexcept>
 
 #include "device/large_pages.h"
+#include "gaussians/portable.h"
 #include "raster/adam_kernel.h"
 #include "raster/cpu/pieces.h"
 
@@ -17,7 +19,7 @@ constexpr std::size_t kArenaPages = 16;
 }  // namespace
 
 std::size_t Adam::block_floats() const {
-  return (2 * static_cast<std::size_t>(layout_.channels()) + 1) * kRowWords;
+  return rows() * kRowWords;
 }
 
 float* Adam::block(std::size_t page) const {
@@ -41,23 +43,21 @@ void Adam::resize(const ParameterLayout& layout, std::size_t count) {
 }
 
 void Adam::reset(std::size_t first, std::size_t count) {
-  const std::size_t channels = 2 * static_cast<std::size_t>(layout_.channels()) + 1;
   for (std::size_t i = first; i < first + count;) {
     const std::size_t lane = i % kPageLanes;
     const std::size_t lanes = std::min<std::size_t>(kPageLanes - lane, first + count - i);
-    for (std::size_t c = 0; c < channels; ++c) std::fill_n(block(i >> kPageShift) + c * kRowWords + lane, lanes, 0.0F);
+    for (std::size_t c = 0; c < rows(); ++c) std::fill_n(block(i >> kPageShift) + c * kRowWords + lane, lanes, 0.0F);
     i += lanes;
   }
 }
 
 void Adam::move(std::span<const std::uint32_t> from, std::span<const std::uint32_t> to) {
   if (from.size() != to.size()) throw std::invalid_argument("Adam: a move needs as many targets as sources");
-  const std::size_t channels = 2 * static_cast<std::size_t>(layout_.channels()) + 1;
   for (std::size_t k = 0; k < from.size(); ++k) {
     if (from[k] >= count_ || to[k] >= count_) throw std::invalid_argument("Adam: a Gaussian that moves does not exist");
     const float* const source = block(from[k] >> kPageShift) + from[k] % kPageLanes;
     float* const target = block(to[k] >> kPageShift) + to[k] % kPageLanes;
-    for (std::size_t c = 0; c < channels; ++c) target[c * kRowWords] = source[c * kRowWords];
+    for (std::size_t c = 0; c < rows(); ++c) target[c * kRowWords] = source[c * kRowWords];
   }
 }
 
@@ -70,29 +70,61 @@ void Adam::check(const ParameterGradient& gradient, const std::vector<float>& le
   }
 }
 
+void Adam::look(const GaussiansView& gaussians, std::size_t begin, AdamStep& step) const {
+  std::uint32_t frame_id = kWorldFrame;
+  if (gaussians.has_pages()) {
+    const auto after = std::upper_bound(gaussians.ranges.begin(), gaussians.ranges.end(), begin,
+                                        [](std::size_t i, const IndexRange& range) { return i < range.first; });
+    if (after != gaussians.ranges.begin()) frame_id = std::prev(after)->frame_id;
+  }
+  for (const AdamView& view : views) {
+    step.loss_has_risen = step.loss_has_risen || view.loss_has_risen;
+    if (step.distance_count == kMaxDistances) continue;
+    math::Similarity world_from_frame = portable(ObjectTransform());
+    if (frame_id != kWorldFrame) {
+      const auto object = view.objects->find(frame_id);
+      if (object == view.objects->end()) continue;
+      world_from_frame = portable(object->second);
+    }
+    const Rigid camera_from_world = inverse(view.camera.world_from_camera);
+    const math::Rigid rigid = portable(camera_from_world);
+    const math::Similarity camera_from_frame =
+        math::Similarity{rigid.rotation, rigid.translation, 1} * world_from_frame;
+    const math::Mat3& r = camera_from_frame.rotation;
+    const float scale = camera_from_frame.scale;
+    step.distances[step.distance_count++] = {scale * r.x.z, scale * r.y.z, scale * r.z.z,
+                                             camera_from_frame.translation.z, view.camera.fx};
+  }
+}
+
 AdamStep Adam::piece(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,
                      const std::vector<float>& learning_rate, std::size_t begin) const {
   const int channels = layout_.channels();
   float* const moments = block(begin >> kPageShift) + begin % kPageLanes;
-  return {.channels = gradient.active_channels > 0 ? std::min(gradient.active_channels, channels) : channels,
-          .stride = gaussians.stride,
-          .gradient_stride = gradient.stride,
-          .moment_stride = kRowWords,
-          .parameters = parameters + gaussians.offset(begin),
-          .gradient = gradient.values.empty() ? nullptr : gradient.values.data() + begin,
-          .touched = gradient.touched.data() + begin,
-          .flags = gaussians.flags == nullptr ? nullptr : gaussians.flags + gaussians.offset(begin),
-          .learning_rate = learning_rate.data(),
-          .first = moments,
-          .second = moments + static_cast<std::size_t>(channels) * kRowWords,
-          .steps = reinterpret_cast<std::uint32_t*>(moments + 2 * static_cast<std::size_t>(channels) * kRowWords),
-          .beta1 = beta1,
-          .beta2 = beta2,
-          .epsilon = epsilon,
-          .lr_half_life_steps = lr_half_life_steps,
-          .lr_min_factor = lr_min_factor,
-          .unit_begin = unit_albedo ? ParameterLayout::kAlbedo : 0,
-          .unit_end = unit_albedo ? ParameterLayout::kAlbedo + 3 : 0};
+  float* const counters = moments + 2 * static_cast<std::size_t>(channels) * kRowWords;
+  AdamStep step{.channels = gradient.active_channels > 0 ? std::min(gradient.active_channels, channels) : channels,
+                .stride = gaussians.stride,
+                .gradient_stride = gradient.stride,
+                .moment_stride = kRowWords,
+                .parameters = parameters + gaussians.offset(begin),
+                .gradient = gradient.values.empty() ? nullptr : gradient.values.data() + begin,
+                .touched = gradient.touched.data() + begin,
+                .flags = gaussians.flags == nullptr ? nullptr : gaussians.flags + gaussians.offset(begin),
+                .learning_rate = learning_rate.data(),
+                .first = moments,
+                .second = moments + static_cast<std::size_t>(channels) * kRowWords,
+                .steps = reinterpret_cast<std::uint32_t*>(counters),
+                .near_steps = counters + kRowWords,
+                .detail = counters + 2 * kRowWords,
+                .beta1 = beta1,
+                .beta2 = beta2,
+                .epsilon = epsilon,
+                .lr_half_life_steps = lr_half_life_steps,
+                .lr_min_factor = lr_min_factor,
+                .unit_begin = unit_albedo ? ParameterLayout::kAlbedo : 0,
+                .unit_end = unit_albedo ? ParameterLayout::kAlbedo + 3 : 0};
+  look(gaussians, begin, step);
+  return step;
 }
 
 void Adam::step(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,

@@ -6,11 +6,19 @@
 #include <span>
 #include <vector>
 
+#include "gaussians/light.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster {
 
 struct AdamStep;
+
+/// A view of a step, as far as Adam looks at it.
+struct AdamView {
+  Camera camera;
+  const ObjectTransforms* objects = nullptr;  ///< of its scene
+  bool loss_has_risen = false;                ///< as LossHistory says
+};
 
 /// Adam (Kingma and Ba 2015), only on Gaussians touched and not frozen (sparse, as Taming-3DGS and gsplat's
 /// SelectiveAdam: untouched moments rest). One learning rate a channel. Moments lie in pages (gaussians/pages.h) in
@@ -18,10 +26,12 @@ struct AdamStep;
 class Adam {
  public:
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
-  /// h and l: the rates of a Gaussian fall with its own steps t to max(l, h / (h + t)) of what they are; h 0: they
-  /// stay.
+  /// h and l: the rates of a Gaussian fall with its own age t (LearningAge), in steps, to max(l, h / (h + t)) of what
+  /// they are; h 0: they stay.
   float lr_half_life_steps = 0, lr_min_factor = 0;
   bool unit_albedo = false;  ///< Transfer: albedo stays within [0, 1]
+  /// Of the next step. Without any, every step ages by one.
+  std::vector<AdamView> views;
 
   /// Room for indices below `count`; what is new is 0, what leaves is forgotten, as is everything when the layout
   /// changes.
@@ -47,8 +57,12 @@ class Adam {
   struct Free {
     void operator()(float* memory) const { std::free(memory); }
   };
-  /// [2 channels + 1][kRowWords]: first moments, second moments, steps as integers.
+  /// [2 channels + kCounters][kRowWords]: first moments, second moments; steps as integers, LearningAge's two.
   [[nodiscard]] float* block(std::size_t page) const;
+  [[nodiscard]] std::size_t rows() const { return 2 * static_cast<std::size_t>(layout_.channels()) + kCounters; }
+  static constexpr std::size_t kCounters = 3;
+  /// Where the views stand from the piece that begins there.
+  void look(const GaussiansView& gaussians, std::size_t begin, AdamStep& step) const;
   [[nodiscard]] std::size_t block_floats() const;
 
   ParameterLayout layout_;

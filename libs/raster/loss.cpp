@@ -38,6 +38,7 @@ float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const L
     channel.l1_scale = (1 - options.ssim_weight) * inverse_count;
     channel.rendered = rendered.plane(channel.channel);
     channel.target_rgba = target_rgba;
+    channel.mask = options.mask;
     channel.gradient = gradient.plane(channel.channel);
     const std::uint32_t begin = static_cast<std::uint32_t>(k % bands) * kBandRows;
     thread_local cpu::Scratch<float> scratch;

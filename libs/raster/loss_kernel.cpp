@@ -93,6 +93,13 @@ HWY_INLINE V EncodeSrgb(V x) {
                         hn::MulAdd(power, Splat1(1.055F), Splat1(-0.055F)));
 }
 
+/// Targets below 0 stand for what is rendered.
+void MarkMasked(const std::uint8_t* mask, std::uint32_t width, float* target) {
+  for (std::uint32_t x = 0; x < width; ++x) {
+    if (mask[x] != 0) target[x] = -1.0F;
+  }
+}
+
 /// Reads a row of picture and target, and blurs its products along it.
 void BlurProducts(const LossChannel& in, std::int64_t row, const RowRing& ring) {
   const F f;
@@ -107,11 +114,16 @@ void BlurProducts(const LossChannel& in, std::int64_t row, const RowRing& ring) 
   for (std::uint32_t x = 0; x < in.width; ++x) {
     y_row[x] = static_cast<float>(in.target_rgba[4 * (offset + x) + in.channel]) * (1.0F / 255.0F);
   }
+  if (in.mask != nullptr) MarkMasked(in.mask + offset, in.width, y_row);
   for (std::size_t x = 0; x < in.width; x += lanes) {
     const V raw = LoadFirst(f, in.rendered + offset + x, in.width - x);  // zero beyond the picture, as is what follows
     V shown = hn::Min(hn::Max(raw, hn::Zero(f)), Splat1(1.0F));
     if (in.encode_srgb) shown = EncodeSrgb(shown);
-    const V target = hn::Load(f, y_row + x);
+    V target = hn::Load(f, y_row + x);
+    if (in.mask != nullptr) {
+      target = hn::IfThenElse(hn::Lt(target, hn::Zero(f)), shown, target);
+      hn::Store(target, f, y_row + x);
+    }
     hn::Store(shown, f, ring.shown(row) + x);
     hn::Store(target, f, ring.target(row) + x);
     hn::Store(shown, f, ring.padded(0) + x);
@@ -199,6 +211,10 @@ void Gradient(const LossChannel& in, std::int64_t row, const RowRing& ring) {
     // Outside [0, 1] only what leads back inside: a step goes against the gradient.
     const M stuck = hn::Or(hn::And(hn::Lt(raw, zero), hn::Gt(g, zero)), hn::And(hn::Gt(raw, one), hn::Lt(g, zero)));
     StoreFirst(f, hn::IfThenZeroElse(stuck, g), in.gradient + offset + x, n);
+  }
+  if (in.mask == nullptr) return;
+  for (std::uint32_t x = 0; x < in.width; ++x) {
+    if (in.mask[offset + x] != 0) in.gradient[offset + x] = 0.0F;
   }
 }
 

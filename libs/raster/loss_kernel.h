@@ -12,7 +12,8 @@ struct LossChannel {
   float ssim_scale = 0, l1_scale = 0;  ///< gradient of the loss by a pixel's SSIM (negated) and by |x - y|
   const float* rendered = nullptr;     ///< [height][width]
   const std::uint8_t* target_rgba = nullptr;
-  float* gradient = nullptr;  ///< out, [height][width]
+  const std::uint8_t* mask = nullptr;  ///< as in LossOptions
+  float* gradient = nullptr;           ///< out, [height][width]
 };
 
 struct LossSums {

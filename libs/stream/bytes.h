@@ -59,6 +59,7 @@ class ByteReader {
   /// `count` values of at most `max_width` bytes; the count is checked against what is left before anything is
   /// allocated.
   [[nodiscard]] std::vector<std::uint64_t> byte_planes(std::size_t count, std::size_t max_width);
+  [[nodiscard]] std::size_t left() const { return bytes_.size() - at_; }
   /// Throws unless everything was read.
   void finish() const;
 

@@ -57,17 +57,18 @@ std::vector<float> picture_share(const QuantizedGaussians& gaussians, const Stre
   std::vector<float> share(gaussians.count());
   for (std::size_t i = 0; i < share.size(); ++i) {
     const float a = value(scale, 0, i), b = value(scale, 1, i), c = value(scale, 2, i);
-    const float sigma2 = std::exp(std::min(a + b + c - std::min({a, b, c}), 10.0F));
-    float area = views.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
+    float sigma2 = std::exp(std::min(a + b + c - std::min({a, b, c}), 10.0F));
     glm::vec3 p(value(mean, 0, i), value(mean, 1, i), value(mean, 2, i));
     float shown = 1;
     if (gaussians.object_id[i] != 0) {
       if (const auto object = objects.find(gaussians.object_id[i]); object != objects.end()) {
         p = object->second * p;
+        sigma2 *= object->second.scale * object->second.scale;
       } else {
         shown = kOutsideShare;  // it is hidden, and may come back
       }
     }
+    float area = views.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
     for (const View& view : views) area = std::max(area, area_px2(view, p, sigma2));
     share[i] = shown * area * value(opacity, 0, i);
   }

@@ -1,6 +1,7 @@
 #include "stream/display_gaussians.h"
 
 #include <algorithm>
+#include <cassert>
 #include <numeric>
 
 #include "stream/channel_kernels.h"
@@ -50,60 +51,67 @@ void DisplayGaussians::reserve(std::size_t columns) {
   stride_ = stride;
 }
 
-void DisplayGaussians::extend(const QuantizedGaussians& gaussians) {
-  const std::size_t first = count_;
-  reserve(gaussians.count());
-  count_ = gaussians.count();
-  std::vector<std::uint32_t> columns(count_ - first);
-  std::iota(columns.begin(), columns.end(), static_cast<std::uint32_t>(first));
-  update_objects(gaussians, columns);
-  for (const AttributeChannels& a : layout_.attributes()) update(gaussians, a.attribute, columns);
+void DisplayGaussians::apply(const DisplayChanges& changes) {
+  for (const DisplayChange& change : changes.list()) {
+    std::visit([this](const auto& c) { apply(c); }, change);
+  }
 }
 
-void DisplayGaussians::update(const QuantizedGaussians& gaussians, Attribute attribute,
-                              std::span<const std::uint32_t> columns) {
-  const AttributeChannels& a = layout_.at(attribute);
-  std::vector<std::int32_t> values;
-  values.reserve(static_cast<std::size_t>(a.channels) * columns.size());
-  for (int c = a.first; c < a.first + a.channels; ++c) {
-    for (const std::uint32_t i : columns) values.push_back(gaussians.channels[c][i]);
+void DisplayGaussians::apply(const DisplayReset& change) {
+  *this = DisplayGaussians(change.layout, stream_);
+}
+
+void DisplayGaussians::apply(const DisplayAppend& change) {
+  const std::size_t first = count_, added = change.gaussians.count();
+  reserve(first + added);
+  count_ = first + added;
+  std::vector<std::uint32_t> columns(added);
+  std::iota(columns.begin(), columns.end(), static_cast<std::uint32_t>(first));
+  apply(DisplayObjects{columns, change.gaussians.object_id});
+  for (const AttributeChannels& a : layout_.attributes()) {
+    DisplayValues values{.attribute = a.attribute, .columns = columns, .values = {}};
+    for (int c = a.first; c < a.first + a.channels; ++c) {
+      const std::vector<std::int32_t>& plane = change.gaussians.channels[c];
+      values.values.insert(values.values.end(), plane.begin(), plane.end());
+    }
+    apply(values);
   }
-  const std::vector<std::uint32_t> where(columns.begin(), columns.end());
+}
+
+void DisplayGaussians::apply(const DisplayValues& change) {
+  const AttributeChannels& a = layout_.at(change.attribute);
+  assert(change.values.size() == static_cast<std::size_t>(a.channels) * change.columns.size());
   kernels::dequantize({.offset = a.quantizer.offset,
                        .step = a.quantizer.step,
-                       .kind = coding_of(attribute),
+                       .kind = coding_of(change.attribute),
                        .channels = a.channels,
-                       .row = row_of(attribute)},
-                      on_device(values_, values), on_device(columns_, where), static_cast<std::uint32_t>(where.size()),
-                      rows_.data(), stride_, stream_);
+                       .row = row_of(change.attribute)},
+                      on_device(values_, change.values), on_device(columns_, change.columns),
+                      static_cast<std::uint32_t>(change.columns.size()), rows_.data(), stride_, stream_);
   stream_.wait();
 }
 
-void DisplayGaussians::update_objects(const QuantizedGaussians& gaussians, std::span<const std::uint32_t> columns) {
-  std::vector<std::uint32_t> values;
-  values.reserve(columns.size());
-  for (const std::uint32_t i : columns) values.push_back(gaussians.object_id[i]);
-  const std::vector<std::uint32_t> where(columns.begin(), columns.end());
-  kernels::scatter(on_device(moved_ids_, values), on_device(columns_, where), static_cast<std::uint32_t>(where.size()),
-                   object_id_.data(), stream_);
+void DisplayGaussians::apply(const DisplayObjects& change) {
+  kernels::scatter(on_device(moved_ids_, change.object_ids), on_device(columns_, change.columns),
+                   static_cast<std::uint32_t>(change.columns.size()), object_id_.data(), stream_);
   stream_.wait();
 }
 
-void DisplayGaussians::remove(std::span<const std::uint32_t> ascending) {
+void DisplayGaussians::apply(const DisplayRemoval& change) {
+  const std::vector<std::uint32_t>& ascending = change.ascending;
   if (ascending.empty()) return;
   std::vector<std::uint32_t> order(count_ - ascending[0]);
   std::iota(order.begin(), order.end(), ascending[0]);
-  std::vector<std::uint32_t> gone(ascending.begin(), ascending.end());
+  std::vector<std::uint32_t> gone(ascending);
   for (std::uint32_t& i : gone) i -= ascending[0];
   remove_at(order, gone);
   gather(order, ascending[0]);
   count_ -= ascending.size();
 }
 
-void DisplayGaussians::gather(std::span<const std::uint32_t> order, std::size_t first) {
+void DisplayGaussians::gather(const std::vector<std::uint32_t>& order, std::size_t first) {
   if (order.empty()) return;
-  const std::vector<std::uint32_t> host(order.begin(), order.end());
-  const std::uint32_t* from = on_device(columns_, host);
+  const std::uint32_t* from = on_device(columns_, order);
   const auto count = static_cast<std::uint32_t>(order.size());
   moved_.resize(count);
   moved_ids_.resize(count);

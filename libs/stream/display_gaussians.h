@@ -1,30 +1,23 @@
 #pragma once
 
 #include <cstdint>
-#include <span>
 #include <vector>
 
 #include "device/buffer.h"
 #include "gaussians/model.h"
-#include "stream/quantized.h"
+#include "stream/display_changes.h"
 
 namespace splatbus::stream {
 
-/// The floats that a rasterizer reads, beside the integers, in the memory of a stream's device: only what changes goes
-/// there. Columns grow by doubling, so that a model which arrives chunk by chunk is not copied once a chunk. Each call
-/// has been done when it returns. Throws std::runtime_error when the device fails.
+/// The floats that a rasterizer reads, in the memory of a stream's device: only what changes goes there. Columns grow
+/// by doubling, so that a model which arrives chunk by chunk is not copied once a chunk. One thread, any. Each call has
+/// been done when it returns. Throws std::runtime_error when the device fails.
 class DisplayGaussians {
  public:
-  explicit DisplayGaussians(const StreamLayout& layout, device::StreamView stream = {});
+  explicit DisplayGaussians(device::StreamView stream = {}) : DisplayGaussians(StreamLayout{}, stream) {}
 
-  /// Adds the columns [count(), gaussians.count()).
-  void extend(const QuantizedGaussians& gaussians);
-  /// Writes the attribute of these columns anew.
-  void update(const QuantizedGaussians& gaussians, Attribute attribute, std::span<const std::uint32_t> columns);
-  void update_objects(const QuantizedGaussians& gaussians, std::span<const std::uint32_t> columns);
-  void remove(std::span<const std::uint32_t> ascending);
-  /// Column i becomes what column order[i] was; a permutation of all columns.
-  void reorder(std::span<const std::uint32_t> order) { gather(order, 0); }
+  /// Asserts that they follow on what was applied before, from a DisplayReset on.
+  void apply(const DisplayChanges& changes);
 
   [[nodiscard]] std::size_t count() const { return count_; }
   /// Valid until the next change. gaussian_id, surface_point, flags and cell are null; without Transfer normal and
@@ -32,9 +25,17 @@ class DisplayGaussians {
   [[nodiscard]] GaussiansView view() const;
 
  private:
+  DisplayGaussians(const StreamLayout& layout, device::StreamView stream);
+
+  void apply(const DisplayReset& change);
+  void apply(const DisplayAppend& change);
+  void apply(const DisplayValues& change);
+  void apply(const DisplayObjects& change);
+  void apply(const DisplayRemoval& change);
+  void apply(const DisplayOrder& change) { gather(change.order, 0); }
   void reserve(std::size_t columns);
   /// Columns from `first` on become order's, of which there may be fewer.
-  void gather(std::span<const std::uint32_t> order, std::size_t first);
+  void gather(const std::vector<std::uint32_t>& order, std::size_t first);
   [[nodiscard]] int row_of(Attribute attribute) const;
   [[nodiscard]] float* row(int index) const { return rows_.data() + static_cast<std::size_t>(index) * stride_; }
 

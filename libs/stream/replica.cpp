@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <utility>
 
 #include "stream/bytes.h"
 #include "stream/codecs.h"
@@ -14,6 +15,7 @@ namespace {
 
 constexpr std::size_t kMaxEarlyBytes = std::size_t{1} << 25;
 constexpr std::size_t kMaxEarlyPackets = 4096;
+constexpr std::size_t kMinChanges = std::size_t{1} << 20;  // bytes; below that a whole is not worth its while
 
 const ReplicatedState& nothing() {
   static const ReplicatedState state;
@@ -67,20 +69,20 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
                                 body.total(), body.chunk_count(), max_gaussians_));
   }
   const StreamLayout layout = layout_of(body);
-  Loading loading(layout, stream_);
+  Loading loading;
   loading.snapshot = body.snapshot();
   loading.total = body.total();
   loading.chunk_count = body.chunk_count();
-  ReplicatedState& state = loading.shown.state;
+  ReplicatedState& state = loading.state;
   state.layout = layout;
   state.gaussians = QuantizedGaussians(state.layout);
   state.epoch = epoch;
   state.sequence = body.as_of();
   state.visibility_version = body.visibility_version();
-  if (const Shown* before = shown()) {  // until the snapshot's own arrives
-    state.quantized_scene = before->state.quantized_scene;
-    state.scene = before->state.scene;
-    state.instant = before->state.instant;
+  if (const ReplicatedState* before = shown()) {  // until the snapshot's own arrives
+    state.quantized_scene = before->quantized_scene;
+    state.scene = before->scene;
+    state.instant = before->instant;
   }
   if (epoch != this->epoch()) {
     last_known_ = 0;
@@ -89,8 +91,8 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   }
   last_known_ = std::max(last_known_, body.as_of());
   loading_ = std::move(loading);
-  ++version_;
   refusal_.clear();
+  if (shown() == &loading_->state) show_whole();
   if (loading_->total == 0) finish_loading();
 }
 
@@ -101,7 +103,7 @@ bool Replica::load(const ParsedPacket& packet) {
     case wire::Body::GaussianOrder:
       return load_ids(packet);
     case wire::Body::Scene:
-      if (loading_) return apply_to(loading_->shown, packet) && shown() == &loading_->shown;
+      if (loading_) return apply_to(loading_->state, packet) && shown() == &loading_->state;
       return held_ && apply_to(*held_, packet);
     default:
       throw StreamError(fmt::format("{}: is no part of a snapshot", wire::EnumNameBody(packet.body())));
@@ -115,15 +117,15 @@ bool Replica::load_chunk(const ParsedPacket& packet) {
     throw StreamError(fmt::format("Snapshot: slots {} to {} of {}", body.first_slot(),
                                   std::uint64_t{body.first_slot()} + body.count(), loading_->total));
   }
-  Shown& part = loading_->shown;
-  const std::size_t column = part.state.gaussians.count();
+  ReplicatedState& part = loading_->state;
+  const std::size_t column = part.gaussians.count();
   if (column + body.count() > loading_->total) refuse_snapshot("Snapshot: chunks overlap");
-  part.state.gaussians.append(decode_chunk(packet.payload(), part.state.layout, body.count()));
-  part.display.extend(part.state.gaussians);
-  ++version_;
+  QuantizedGaussians chunk = decode_chunk(packet.payload(), part.layout, body.count());
+  part.gaussians.append(chunk);
+  if (shown() == &part) note(DisplayAppend{std::move(chunk)});
   loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
   const bool visible = shown() == &part;
-  if (part.state.gaussians.count() < loading_->total) return visible;
+  if (part.gaussians.count() < loading_->total) return visible;
   finish_loading();
   return true;
 }
@@ -132,7 +134,7 @@ bool Replica::load_chunk(const ParsedPacket& packet) {
 bool Replica::load_ids(const ParsedPacket& packet) {
   if (loading_ || missing_ids_ == 0) return false;
   const wire::GaussianOrder& body = *packet.root().body_as_GaussianOrder();
-  const std::size_t next = held_->state.gaussians.count() - missing_ids_;
+  const std::size_t next = held_->gaussians.count() - missing_ids_;
   if (body.first_slot() != next) {
     throw StreamError(fmt::format("GaussianOrder: ids from slot {} on where {} is next", body.first_slot(), next));
   }
@@ -142,8 +144,9 @@ bool Replica::load_ids(const ParsedPacket& packet) {
 }
 
 void Replica::refuse_snapshot(const std::string& why) {
+  const bool was_shown = loading_ && shown() == &loading_->state;
   loading_.reset();
-  ++version_;
+  if (was_shown) show_whole();
   refusal_ = why;
   throw StreamError(why);
 }
@@ -165,43 +168,79 @@ void Replica::finish_loading() {
     for (std::size_t i = 0; i < chunk.count; ++i) order.push_back(static_cast<std::uint32_t>(chunk.column + i));
   }
   assert(order.size() == loading.total);  // the counts add up to it
-  held_ = std::make_unique<Shown>(std::move(loading.shown));
-  ++version_;
-  held_->state.gaussians = held_->state.gaussians.gather(order);
-  held_->display.reorder(order);
+  const bool was_shown = shown() == &loading.state;
+  held_ = std::make_unique<ReplicatedState>(std::move(loading.state));
+  held_->gaussians = held_->gaussians.gather(order);
   missing_ids_ = loading.total;
   loading_.reset();
+  if (was_shown) {
+    note(DisplayOrder{std::move(order)});
+  } else {
+    show_whole();
+  }
 }
 
-bool Replica::apply_to(Shown& shown, const ParsedPacket& packet) {
-  const Change change = apply(shown.state, packet, max_gaussians_);
-  if (change.kind != Change::Kind::Scene && change.kind != Change::Kind::Nothing) ++version_;
-  const QuantizedGaussians& gaussians = shown.state.gaussians;
+bool Replica::apply_to(ReplicatedState& state, const ParsedPacket& packet) {
+  const Change change = apply(state, packet, max_gaussians_);
+  if (shown() == &state) note(state, change);
+  return change.kind != Change::Kind::Nothing;
+}
+
+void Replica::note(const ReplicatedState& state, const Change& change) {
   switch (change.kind) {
     case Change::Kind::Appended:
-      shown.display.extend(gaussians);
+      note(DisplayAppend{state.gaussians.gather(change.slots)});
       break;
-    case Change::Kind::Values:
-      shown.display.update(gaussians, change.attribute, change.slots);
+    case Change::Kind::Values: {
+      const AttributeChannels& a = state.layout.at(change.attribute);
+      DisplayValues values{.attribute = change.attribute, .columns = change.slots, .values = {}};
+      values.values.reserve(static_cast<std::size_t>(a.channels) * change.slots.size());
+      for (int c = a.first; c < a.first + a.channels; ++c) {
+        for (const std::uint32_t slot : change.slots) values.values.push_back(state.gaussians.channels[c][slot]);
+      }
+      note(std::move(values));
       break;
+    }
     case Change::Kind::Removed:
-      shown.display.remove(change.slots);
+      note(DisplayRemoval{change.slots});
       break;
-    case Change::Kind::Objects:
-      shown.display.update_objects(gaussians, change.slots);
+    case Change::Kind::Objects: {
+      DisplayObjects objects{.columns = change.slots, .object_ids = {}};
+      for (const std::uint32_t slot : change.slots) objects.object_ids.push_back(state.gaussians.object_id[slot]);
+      note(std::move(objects));
       break;
+    }
     case Change::Kind::Scene:
-      break;
     case Change::Kind::Nothing:
-      return false;
+      break;
   }
-  return true;
+}
+
+void Replica::note(DisplayChange change) {
+  changes_.add(std::move(change));
+  if (exceeds_whole(changes_)) show_whole();
+}
+
+bool Replica::exceeds_whole(const DisplayChanges& changes) const {
+  return changes.bytes() > kMinChanges + 2 * display_bytes(shown_state().gaussians);
+}
+
+DisplayChanges Replica::take_changes() {
+  return std::exchange(changes_, {});
+}
+
+DisplayChanges Replica::whole() const {
+  const ReplicatedState& state = shown_state();
+  DisplayChanges out;
+  out.add(DisplayReset{state.layout});
+  if (state.gaussians.count() > 0) out.add(DisplayAppend{state.gaussians});
+  return out;
 }
 
 bool Replica::apply_in_order(const ParsedPacket& packet) {
   try {
     const bool changed = apply_to(*held_, packet);
-    held_->state.sequence = packet.sequence();
+    held_->sequence = packet.sequence();
     return changed;
   } catch (const StreamError& error) {
     refusal_ = error.what();
@@ -225,29 +264,24 @@ void Replica::keep(const ParsedPacket& packet) {
   if (early_.emplace(packet.sequence(), packet).second) early_bytes_ += packet.bytes();
 }
 
-const Replica::Shown* Replica::shown() const {
-  if (held_ && (held_->display.count() > 0 || !loading_)) return held_.get();
-  return loading_ ? &loading_->shown : nullptr;
+const ReplicatedState* Replica::shown() const {
+  if (held_ && (held_->gaussians.count() > 0 || !loading_)) return held_.get();
+  return loading_ ? &loading_->state : nullptr;
 }
 
 std::uint64_t Replica::base() const {
-  if (loading_) return loading_->shown.state.sequence;
-  return held_ ? held_->state.sequence : 0;
-}
-
-GaussiansView Replica::view() const {
-  const Shown* s = shown();
-  return s ? s->display.view() : GaussiansView{};
+  if (loading_) return loading_->state.sequence;
+  return held_ ? held_->sequence : 0;
 }
 
 const ReplicatedState& Replica::shown_state() const {
-  const Shown* s = shown();
-  return s ? s->state : nothing();
+  const ReplicatedState* s = shown();
+  return s ? *s : nothing();
 }
 
 std::uint64_t Replica::epoch() const {
-  if (loading_) return loading_->shown.state.epoch;
-  return held_ ? held_->state.epoch : 0;
+  if (loading_) return loading_->state.epoch;
+  return held_ ? held_->epoch : 0;
 }
 
 std::uint32_t Replica::missing_chunks() const {

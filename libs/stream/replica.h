@@ -6,7 +6,7 @@
 #include <optional>
 #include <string>
 
-#include "stream/display_gaussians.h"
+#include "stream/display_changes.h"
 #include "stream/replicated_state.h"
 
 namespace splatbus::stream {
@@ -17,30 +17,35 @@ struct MissingPackets {
   bool operator==(const MissingPackets&) const = default;
 };
 
-/// What a viewer holds. Packets go in, Gaussians and scene come out. Not thread-safe. All of it throws
-/// std::runtime_error when the device fails.
+/// What a viewer holds. Packets go in; scene, and what changes of the Gaussians, come out. Not thread-safe.
 ///
 /// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before,
 /// else the old picture stays until the new one is whole. Broadcast packets that arrive early wait (up to a bound) for
 /// those missing before them, and for the end of a snapshot: the ids that close it are those of its slots.
 class Replica {
  public:
-  /// `device`: where view() lies.
-  explicit Replica(std::size_t max_gaussians = kMaxGaussians, Device device = Device::Cpu)
-      : max_gaussians_(max_gaussians), stream_(device) {}
+  explicit Replica(std::size_t max_gaussians = kMaxGaussians) : max_gaussians_(max_gaussians) {}
 
   /// Takes any packet of the stream; those that are not about the model (Welcome, ProbePicture, ...) change nothing.
   /// True when the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was,
   /// and needs_snapshot() says whether the stream can be followed any further.
   bool receive(const ParsedPacket& packet);
 
-  [[nodiscard]] GaussiansView view() const;
-  /// Another number whenever view() is another, or its planes hold other values.
-  [[nodiscard]] std::uint64_t version() const { return version_; }
-  /// What view() is lit by and where its objects are.
+  /// What a DisplayGaussians does, after all that was taken before, to show what is shown now. Few bytes more than
+  /// twice those of whole(), however long nobody takes them.
+  [[nodiscard]] DisplayChanges take_changes();
+  /// What a DisplayGaussians does to show it, whatever it has shown before.
+  [[nodiscard]] DisplayChanges whole() const;
+  /// Whether it is better to take whole() than changes of that size.
+  [[nodiscard]] bool exceeds_whole(const DisplayChanges& changes) const;
+
+  /// Gaussians that are shown.
+  [[nodiscard]] std::size_t count() const { return shown_state().gaussians.count(); }
+  [[nodiscard]] const ParameterLayout& layout() const { return shown_state().layout.parameters(); }
+  /// What they are lit by and where their objects are.
   [[nodiscard]] const SceneState& scene() const { return shown_state().scene; }
   [[nodiscard]] std::uint64_t scene_version() const { return scene().version; }
-  /// Scene version that view()'s visibility is of; 0 where it is the model's own.
+  /// Scene version that the Gaussians' visibility is of; 0 where it is the model's own.
   [[nodiscard]] std::uint64_t visibility_version() const { return shown_state().visibility_version; }
   [[nodiscard]] const SceneInstant& scene_instant() const { return shown_state().instant; }
 
@@ -58,23 +63,17 @@ class Replica {
   [[nodiscard]] const std::string& refusal() const { return refusal_; }
 
   /// Exactly what is held, null before the first whole snapshot. For tests and statistics.
-  [[nodiscard]] const ReplicatedState* held() const { return held_ ? &held_->state : nullptr; }
+  [[nodiscard]] const ReplicatedState* held() const { return held_.get(); }
 
  private:
-  struct Shown {
-    Shown(const StreamLayout& layout, device::StreamView stream) : display(layout, stream) {}
-    ReplicatedState state;
-    DisplayGaussians display;
-  };
   struct Chunk {
-    std::size_t column = 0, count = 0;  ///< where it lies in `Loading::shown`
+    std::size_t column = 0, count = 0;  ///< where it lies in `Loading::state`
   };
   struct Loading {
-    Loading(const StreamLayout& layout, device::StreamView stream) : shown(layout, stream) {}
     std::uint64_t snapshot = 0;
     std::size_t total = 0, chunk_count = 0;
     std::map<std::size_t, Chunk> chunks;  ///< by first slot
-    Shown shown;                          ///< chunks in the order of their arrival
+    ReplicatedState state;                ///< chunks in the order of their arrival
   };
 
   void begin(const wire::SnapshotBegin& body, std::uint64_t epoch);
@@ -85,21 +84,25 @@ class Replica {
   void finish_loading();
   [[noreturn]] void refuse_snapshot(const std::string& why);
   bool apply_in_order(const ParsedPacket& packet);
-  bool apply_to(Shown& shown, const ParsedPacket& packet);
+  bool apply_to(ReplicatedState& state, const ParsedPacket& packet);
+  void note(const ReplicatedState& state, const Change& change);
+  void note(DisplayChange change);
+  /// After another state is shown, or what is shown has become another.
+  void show_whole() { changes_ = whole(); }
   bool drain();
   void keep(const ParsedPacket& packet);
-  [[nodiscard]] const Shown* shown() const;
+  [[nodiscard]] const ReplicatedState* shown() const;
   [[nodiscard]] const ReplicatedState& shown_state() const;
   [[nodiscard]] std::uint64_t base() const;
 
   std::size_t max_gaussians_;
-  device::Stream stream_;
-  std::unique_ptr<Shown> held_;
+  std::unique_ptr<ReplicatedState> held_;
   std::optional<Loading> loading_;
   std::size_t missing_ids_ = 0;  ///< of the snapshot whose chunks are all held
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
-  std::uint64_t last_known_ = 0, version_ = 0;
+  std::uint64_t last_known_ = 0;
+  DisplayChanges changes_;  ///< that nobody has taken yet
   std::string refusal_;
 };
 

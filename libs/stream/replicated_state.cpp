@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
 
 #include "stream/bytes.h"
 #include "stream/codecs.h"
@@ -90,9 +91,10 @@ Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
     throw StreamError(fmt::format("Scene: version {} where {} is held", body.version(), state.quantized_scene.version));
   }
   if (!broadcast && !body.whole()) throw StreamError("Scene: a snapshot's is not whole");
-  state.quantized_scene = decode_scene({body.state()->data(), body.state()->size()},
-                                       body.whole() ? nullptr : &state.quantized_scene, body.version());
-  state.scene = dequantize_scene(state.quantized_scene);
+  QuantizedScene scene = decode_scene({body.state()->data(), body.state()->size()},
+                                      body.whole() ? nullptr : &state.quantized_scene, body.version());
+  dequantize_changes(state.quantized_scene, scene, state.scene);
+  state.quantized_scene = std::move(scene);
   state.instant = {.frame = body.frame(), .capture_ns = packet.capture_ns()};
   return {Change::Kind::Scene, {}, {}};
 }

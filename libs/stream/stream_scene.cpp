@@ -10,6 +10,7 @@ namespace splatbus::stream {
 
 namespace {
 
+constexpr std::size_t kLargeScene = std::size_t{1} << 16;  // bytes
 constexpr int kVisibilityLevels = 31;  // between none and all: a 31st of the sun's light does not show
 
 /// What is sent of it.
@@ -42,10 +43,18 @@ std::vector<EncodedPacket> StreamModel::take_scene(const SceneState& scene, cons
 }
 
 EncodedPacket StreamModel::scene_packet(std::uint64_t sequence, const QuantizedScene* base) const {
+  Bytes encoded = encode_scene(scene_, base);
+  if (base && encoded.size() > kLargeScene) {
+    // Where everything goes and something else comes, what comes is less, and it always fits a packet.
+    if (Bytes whole = encode_scene(scene_, nullptr); whole.size() < encoded.size()) {
+      base = nullptr;
+      encoded = std::move(whole);
+    }
+  }
   return brief_writer_.write(
       held_.epoch, sequence, wire::Body::Scene,
       [&](auto& builder) {
-        const auto state = builder.CreateVector(encode_scene(scene_, base));
+        const auto state = builder.CreateVector(encoded);
         return wire::CreateScene(builder, scene_.version, instant_.frame, base == nullptr, state);
       },
       {}, instant_.capture_ns);

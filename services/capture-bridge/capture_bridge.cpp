@@ -82,6 +82,8 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
     ++counters_.frames_lost;
     return;
   }
+  // It goes on: an object that comes and goes would have all references rendered anew each time.
+  if (forwarder_.masks_objects()) rigs_.ask_for_ids();
   switch (frame.camera()->role()) {
     case wire::CameraRole::Input:
       handle_input(message, frame);

@@ -57,14 +57,15 @@ class CovisibilityTest {
         movement_(movement),
         options_(options) {}
 
-  /// Of a camera's own sample: the longest extent of its pixel on the surface, metres; more beside an edge. Smaller is
-  /// better.
+  /// Of a camera's own sample: the longest extent of its pixel on the surface, metres of the round; more beside an
+  /// edge. Smaller is better.
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float own_extent(std::uint32_t own, std::size_t pixel) const {
     const PixelView& camera = views_[own];
     const Surfel point = surfels_[pixel];
     const Vec3 to_camera = camera.centre - point.position;
     const float depth_m = -(camera.camera_from_world * to_camera).z;
-    return extent(camera, depth_m, to_camera, dot(point.normal, to_camera)) * penalty(pixel);
+    return extent(camera, depth_m, to_camera, dot(point.normal, to_camera)) * penalty(pixel) *
+           growth(own, point.object_id);
   }
 
   /// True when the camera faces a sample of view `own`, and its own pixel there holds a sample of the same surface;
@@ -92,7 +93,7 @@ class CovisibilityTest {
     const Vec3 offset = surfel.position - point.position;
     if (fabsf(dot(offset, point.normal)) > kPlaneTolerance * pixel_m) return false;
     if (dot(offset, offset) > kLateralTolerance * kLateralTolerance * pixel_m * pixel_m) return false;
-    pixel_extent = pixel_m * penalty(pixel);
+    pixel_extent = pixel_m * penalty(pixel) * growth(index, point.object_id);
     return true;
   }
 
@@ -110,7 +111,14 @@ class CovisibilityTest {
     return edges_[pixel] ? options_.edge_penalty : 1;
   }
 
-  SPLATBUS_PORTABLE_MEMBER static void apply(const math::Rigid& motion, Surfel& point) {
+  /// Of an object, from a view to the round.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float growth(std::uint32_t view, std::uint32_t object_id) const {
+    if (!movement_) return 1;
+    const MovedObject* const object = find_moved(views_[view], object_id);
+    return object == nullptr ? 1 : object->round_from_view.scale;
+  }
+
+  SPLATBUS_PORTABLE_MEMBER static void apply(const math::Similarity& motion, Surfel& point) {
     point.position = transformed(motion, point.position);
     point.normal = motion.rotation * point.normal;
   }

@@ -1,5 +1,7 @@
 #include "capture-bridge/forwarder.h"
 
+#include <algorithm>
+
 #include "bus/memory.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -63,6 +65,11 @@ bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& 
   info.tensors.push_back(std::move(*color));
   for (const char* name : {"albedo", "depth"}) {
     if (auto tensor = message.forward_tensor(name)) info.tensors.push_back(std::move(*tensor));
+  }
+  if (masks_objects_) {
+    auto object_id = message.forward_tensor("object_id");
+    if (!object_id) return false;
+    info.tensors.push_back(std::move(*object_id));
   }
   const Camera camera = from_wire(*frame.camera());
   publisher_.publish(topics::kCaptureReference, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
@@ -130,6 +137,7 @@ bool Forwarder::scene(const wire::EngineFrame& frame) {
     now.version = scene_.version + 1;
     name_depths(now);
     scene_ = std::move(now);
+    masks_objects_ = std::ranges::any_of(scene_.objects, [](const auto& object) { return !object.second.modelled; });
     said_objects_ = std::move(objects_now);
     said_light_ = std::move(light_now);
   }

@@ -22,8 +22,8 @@ class Forwarder {
   /// The light's depth is kept in memory of `kind`.
   Forwarder(const std::shared_ptr<bus::Context>& context, Device kind);
 
-  /// Of the scene last taken, as the three below. capture/reference: colour, albedo, and depth where there is one.
-  /// False when the colour is gone already.
+  /// Of the scene last taken, as the three below. capture/reference: colour, albedo, and depth where there is one, and
+  /// who shows where while it masks objects. False when the colour, or that, is not there.
   bool reference(const bus::Message& message, const wire::EngineFrame& frame);
   /// capture/reference with `retire`.
   void retire(const Camera& camera);
@@ -36,6 +36,8 @@ class Forwarder {
   /// Throws std::runtime_error, and changes nothing, when the scene makes no sense.
   [[nodiscard]] bool scene(const wire::EngineFrame& frame);
   [[nodiscard]] std::uint64_t scene_version() const { return scene_.version; }
+  /// Whether that scene has objects that are not to be modelled: references then need to say where they show.
+  [[nodiscard]] bool masks_objects() const { return masks_objects_; }
 
  private:
   bus::Publisher publisher_;
@@ -45,6 +47,7 @@ class Forwarder {
   std::optional<std::uint64_t> newest_frame_;
   std::vector<std::uint8_t> said_objects_, said_light_;  // bytes of the frame's that were published last
   SceneState scene_;
+  bool masks_objects_ = false;
 };
 
 }  // namespace splatbus::capture_bridge

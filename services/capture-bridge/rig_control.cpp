@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/trigonometric.hpp>
+#include <utility>
 
 namespace splatbus::capture_bridge {
 
@@ -27,7 +28,8 @@ std::vector<Camera> RigControl::update(const Camera* viewer, const ContentHeight
     if (changed || moved) place_inputs(left);
   }
   const bool follow = options_->follow && viewer != nullptr;
-  if (changed || (follow && viewer_moved(*viewer))) place_references(follow ? viewer : nullptr, left);
+  const bool asks_anew = std::exchange(asks_for_ids_, wants_ids_) != wants_ids_;
+  if (changed || asks_anew || (follow && viewer_moved(*viewer))) place_references(follow ? viewer : nullptr, left);
   if (changed) place_light();
   return left;
 }
@@ -60,6 +62,7 @@ void RigControl::place_references(const Camera* viewer, std::vector<Camera>& lef
   }
   EngineBuffer buffers = EngineBuffer::Color | EngineBuffer::Albedo;
   if (options_->reference_depth) buffers |= EngineBuffer::Depth;
+  if (asks_for_ids_) buffers |= EngineBuffer::ObjectId;
   const auto gone = cameras_.replace(CameraRole::Reference, cameras, buffers, options_->reference_rate_hz);
   left.insert(left.end(), gone.begin(), gone.end());
 }

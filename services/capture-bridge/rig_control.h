@@ -19,6 +19,8 @@ class RigControl {
   /// Places the rigs; `viewer` is null until one is known. With `hold_input` the input rig stays, whatever the viewer
   /// does. Returns the input and reference cameras that have left for good.
   std::vector<Camera> update(const Camera* viewer, const ContentHeights& content, bool hold_input);
+  /// From the next update() on references show who is where, too.
+  void ask_for_ids() { wants_ids_ = true; }
 
   /// Asks for input frames that are missing, or for all of them, again.
   void reissue_missing_inputs();
@@ -41,6 +43,7 @@ class RigControl {
   InputRigTracker tracker_;
   std::optional<Camera> followed_;  // the viewer that the follow rig was placed for
   bool placed_ = false;
+  bool wants_ids_ = false, asks_for_ids_ = false;  ///< of references
 };
 
 }  // namespace splatbus::capture_bridge

@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "capture-bridge/stages.h"
+#include "gaussians/portable.h"
 
 namespace splatbus::capture_bridge {
 
@@ -15,20 +16,7 @@ namespace {
 
 constexpr std::size_t kMaxPixels = std::size_t{1} << 30;
 
-Vec3 portable(const glm::vec3& v) {
-  return {v.x, v.y, v.z};
-}
-
-Mat3 portable(const glm::quat& rotation) {
-  const glm::mat3 columns = glm::mat3_cast(rotation);
-  return {portable(columns[0]), portable(columns[1]), portable(columns[2])};
-}
-
-math::Rigid portable(const Rigid& rigid) {
-  return {portable(rigid.rotation), portable(rigid.translation)};
-}
-
-PixelView portable(const InputView& view) {
+PixelView pixel_view(const InputView& view) {
   const Camera& camera = view.camera;
   const Mat3 world_from_camera = portable(camera.world_from_camera.rotation);
   return {.width = camera.width,
@@ -50,8 +38,9 @@ PixelView portable(const InputView& view) {
           .albedo = reinterpret_cast<const std::uint8_t*>(view.albedo.data())};
 }
 
-/// Appends the objects of a view that stand elsewhere in the round's frame, by ascending id. Gone is what the round
-/// does not have any more, and what was no object yet as the view was taken.
+/// Appends the objects of a view that stand elsewhere in the round's frame, or whose pixels are no samples, by
+/// ascending id. Gone is what the round does not have any more, what was no object yet as the view was taken, and what
+/// is not to be modelled.
 void add_moved(const ObjectTransforms& view_objects, const ObjectTransforms& round_objects,
                std::vector<MovedObject>& moved) {
   auto then = view_objects.begin();
@@ -59,18 +48,15 @@ void add_moved(const ObjectTransforms& view_objects, const ObjectTransforms& rou
   while (then != view_objects.end() || now != round_objects.end()) {
     const bool of_view = now == round_objects.end() || (then != view_objects.end() && then->first <= now->first);
     const bool of_round = then == view_objects.end() || (now != round_objects.end() && now->first <= then->first);
-    if (of_view && of_round) {
-      if (now->second != then->second) {
-        const Rigid round_from_view = now->second.rigid * inverse(then->second.rigid);
-        moved.push_back({.id = now->first,
-                         .round_from_view = portable(round_from_view),
-                         .view_from_round = portable(inverse(round_from_view))});
+    if (of_view && of_round && now->second.modelled && then->second.modelled) {
+      if (now->second.rigid != then->second.rigid || now->second.scale != then->second.scale) {
+        const math::Similarity round_from_view = portable(now->second) * inverse(portable(then->second));
+        moved.push_back(
+            {.id = now->first, .round_from_view = round_from_view, .view_from_round = inverse(round_from_view)});
       }
     } else {
-      moved.push_back({.id = of_view ? then->first : now->first,
-                       .gone = true,
-                       .round_from_view = portable(Rigid{}),
-                       .view_from_round = portable(Rigid{})});
+      moved.push_back(
+          {.id = of_view ? then->first : now->first, .gone = true, .round_from_view = {}, .view_from_round = {}});
     }
     if (of_view) ++then;
     if (of_round) ++now;
@@ -216,7 +202,7 @@ RoundPixels Sampler::upload(Views views, const ObjectTransforms& round_objects) 
     assert(view->memory == stream_.view().device);
     const std::size_t first = moved.size();
     add_moved(view->objects, round_objects, moved);
-    tables.push_back(portable(*view));
+    tables.push_back(pixel_view(*view));
     tables.back().moved_count = static_cast<std::uint32_t>(moved.size() - first);
   }
   moved_.assign(moved);

@@ -10,11 +10,11 @@ namespace splatbus::capture_bridge {
 using math::clamped, math::cross, math::dot, math::is_finite, math::larger, math::length, math::load3, math::load4,
     math::Mat3, math::normalized, math::smaller, math::transformed, math::transposed, math::Vec3, math::Vec4;
 
-/// An object that stands elsewhere in the round's frame than in a view's, or whose place is not known in one of them.
+/// An object that stands elsewhere in the round's frame than in a view's, or of which there are no samples.
 struct MovedObject {
   std::uint32_t id = 0;
-  bool gone = false;  ///< it has no place in one of the frames: what the view shows of it is no sample
-  math::Rigid round_from_view, view_from_round;
+  bool gone = false;  ///< it has no place in one of the frames, or is not modelled: what the view shows is no sample
+  math::Similarity round_from_view, view_from_round;
 };
 
 /// An input view as the per-pixel functions read it. The pointers are of one kind of memory, and owned elsewhere.

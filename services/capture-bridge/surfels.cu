@@ -115,13 +115,14 @@ struct GatherCandidate {
     const Surfel surfel = round.surfels[pixel];
     const MovedObject* moved = find_moved(round.views[pixel / round.view_pixels], surfel.object_id);
     const Vec3 position = moved == nullptr ? surfel.position : transformed(moved->round_from_view, surfel.position);
+    const float footprint_m = moved == nullptr ? surfel.footprint_m : surfel.footprint_m * moved->round_from_view.scale;
     candidates.position[3 * std::size_t{c}] = position.x;
     candidates.position[3 * std::size_t{c} + 1] = position.y;
     candidates.position[3 * std::size_t{c} + 2] = position.z;
     // The cameras that keep theirs have about the same footprint, and share the surface.
     const int seen_by = round.ranks[pixel].seen_by;
-    candidates.area_m2[c] = surfel.footprint_m * surfel.footprint_m /
-                            static_cast<float>(cameras_per_surface < seen_by ? cameras_per_surface : seen_by);
+    candidates.area_m2[c] =
+        footprint_m * footprint_m / static_cast<float>(cameras_per_surface < seen_by ? cameras_per_surface : seen_by);
   }
 };
 

@@ -4,20 +4,12 @@
 #include <array>
 #include <utility>
 
+#include "gaussians/portable.h"
 #include "gaussians/sh.h"
 
 namespace splatbus::expander {
 
 namespace {
-
-math::Vec3 portable(const glm::vec3& v) {
-  return {v.x, v.y, v.z};
-}
-
-math::Rigid portable(const Rigid& rigid) {
-  return {math::rotation_matrix(rigid.rotation.w, rigid.rotation.x, rigid.rotation.y, rigid.rotation.z),
-          portable(rigid.translation)};
-}
 
 /// ambient_reflected() as coefficients of products of the normal's components.
 LightTerms terms_of(const Light& light) {
@@ -32,7 +24,7 @@ std::vector<ObjectFrame> frames_of(const ObjectTransforms& objects) {
   std::vector<ObjectFrame> frames;
   frames.reserve(objects.size());
   for (const auto& [id, world_from_object] : objects) {
-    if (id != kWorldFrame) frames.push_back({id, portable(inverse(world_from_object.rigid))});
+    if (id != kWorldFrame) frames.push_back({id, inverse(portable(world_from_object))});
   }
   return frames;
 }

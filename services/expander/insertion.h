@@ -96,7 +96,7 @@ class PointGrid {
 /// A moving object at the time of the round.
 struct ObjectFrame {
   std::uint32_t id = 0;
-  math::Rigid object_from_world;
+  math::Similarity object_from_world;
 };
 
 inline constexpr float kSameSurfaceCosine = 0.5F;  ///< between normals of points that can cover one another

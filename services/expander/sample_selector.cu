@@ -45,10 +45,11 @@ struct ValidateSample {
   }
 };
 
-/// A sample in the frame that its Gaussian is to live in.
+/// A sample in the frame that its Gaussian is to live in, and in that frame's lengths.
 struct LocalSample {
   CellKey cell;
   Vec3 position, normal;
+  float spacing;
 };
 
 struct Frames {
@@ -57,7 +58,7 @@ struct Frames {
   float cell_size_m;
 
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER LocalSample localised(const Samples& samples, std::uint32_t i) const {
-    LocalSample local{{}, samples.position[i], samples.normal[i]};
+    LocalSample local{{}, samples.position[i], samples.normal[i], samples.spacing_m[i]};
     std::uint32_t frame_id = kWorldFrame;
     const std::uint32_t id = samples.object_id[i];
     std::uint32_t first = 0, end = count;
@@ -71,8 +72,10 @@ struct Frames {
     }
     if (first < count && objects[first].id == id) {
       frame_id = id;
-      local.position = transformed(objects[first].object_from_world, local.position);
-      local.normal = objects[first].object_from_world.rotation * local.normal;
+      const math::Similarity& object_from_world = objects[first].object_from_world;
+      local.position = transformed(object_from_world, local.position);
+      local.normal = object_from_world.rotation * local.normal;
+      local.spacing *= object_from_world.scale;
     }
     local.cell = cell_at(local.position, frame_id, cell_size_m);
     return local;
@@ -156,12 +159,12 @@ struct TestSample {
   std::uint8_t* uncovered;
   std::uint32_t* new_samples;  ///< [cells]
 
-  /// True when something modelled within `distance_m`, at most the cell size, faces the same way.
+  /// True when something modelled within `distance`, at most the cell size, faces the same way.
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool covered(std::uint32_t cell, const LocalSample& local,
-                                                      float distance_m) const {
+                                                      float distance) const {
     // Which neighbours the sphere about the position reaches into.
     const Vec3 within = local.position - cell_centre(local.cell, frames.cell_size_m);
-    const float inner = 0.5F * frames.cell_size_m - distance_m;
+    const float inner = 0.5F * frames.cell_size_m - distance;
     const auto reaches = [&](float along, int side) {
       return side == 0 || (side < 0 ? along < -inner : along > inner);
     };
@@ -173,7 +176,7 @@ struct TestSample {
       const std::uint32_t* const range = neighbours + 2 * (std::size_t{cell} * kNeighbours + k);
       for (std::uint32_t p = range[0]; p < range[1]; ++p) {
         const Vec3 apart = points[p].position - local.position;
-        if (dot(apart, apart) < distance_m * distance_m && dot(points[p].normal, local.normal) > kSameSurfaceCosine) {
+        if (dot(apart, apart) < distance * distance && dot(points[p].normal, local.normal) > kSameSurfaceCosine) {
           return true;
         }
       }
@@ -186,8 +189,8 @@ struct TestSample {
     const std::uint32_t sample = order[i];
     uncovered[i] = 0;
     if (distance[cell] < 0) return;
-    const float distance_m = math::smaller(distance[cell] * samples.spacing_m[sample], frames.cell_size_m);
-    if (covered(cell, frames.localised(samples, sample), distance_m)) return;
+    const LocalSample local = frames.localised(samples, sample);
+    if (covered(cell, local, math::smaller(distance[cell] * local.spacing, frames.cell_size_m))) return;
     uncovered[i] = 1;
     device::atomic_add(new_samples + cell, 1U);
   }
@@ -224,7 +227,7 @@ struct WriteGaussian {
     const std::size_t n = out.count;
     const std::uint32_t s = selected[i];
     const LocalSample local = frames.localised(samples, s);
-    const float along = logf(math::larger(samples.spacing_m[s], kMinSpacing_m) * scale);
+    const float along = logf(math::larger(local.spacing, kMinSpacing_m) * scale);
     const math::Vec4 rotation = rotation_to_normal(local.normal);
     put(out.mean, n, i, local.position);
     put(out.log_scale, n, i, {along, along, along + log_flatness});

@@ -1,7 +1,10 @@
 #include "trainer/carving.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
+
+#include "gaussians/portable.h"
 
 namespace splatbus::trainer {
 
@@ -11,11 +14,6 @@ using kernels::CameraOfFrame;
 
 /// Pictures that may wait for the device before the caller does.
 constexpr std::size_t kMaxLooks = 256;
-
-math::Rigid portable(const Rigid& rigid) {
-  const glm::quat& q = rigid.rotation;
-  return {math::rotation_matrix(q.w, q.x, q.y, q.z), {rigid.translation.x, rigid.translation.y, rigid.translation.z}};
-}
 
 /// Of the world and every object of the scene.
 std::vector<CameraOfFrame> cameras_of(const Camera& camera, const ObjectTransforms& objects) {
@@ -32,14 +30,20 @@ std::vector<CameraOfFrame> cameras_of(const Camera& camera, const ObjectTransfor
                               .max_tan_y = 0};
   const Rigid camera_from_world = inverse(camera.world_from_camera);
   std::vector<CameraOfFrame> cameras;
-  const auto add = [&](std::uint32_t frame_id, const Rigid& camera_from_frame) {
+  cameras.reserve(1 + objects.size());
+  const auto add = [&](std::uint32_t frame_id, const Rigid& camera_from_frame, float scale) {
     const math::Rigid rigid = portable(camera_from_frame);
-    cameras.push_back({frame_id, rigid, page_frustum(pyramid, rigid)});
+    PageFrustum frustum = page_frustum(pyramid, rigid);
+    for (PageFrustum::HalfSpace& side : frustum.sides) {
+      side.normal = side.normal * scale;
+      side.per_scale *= scale;
+    }
+    cameras.push_back({frame_id, {rigid.rotation, rigid.translation, scale}, std::log(scale), frustum});
   };
   static_assert(kWorldFrame == 0, "comes first");
-  add(kWorldFrame, camera_from_world);
+  add(kWorldFrame, camera_from_world, 1);
   for (const auto& [id, world_from_object] : objects) {
-    if (id != kWorldFrame) add(id, camera_from_world * world_from_object.rigid);
+    if (id != kWorldFrame) add(id, camera_from_world * world_from_object.rigid, world_from_object.scale);
   }
   return cameras;
 }

@@ -29,7 +29,7 @@ struct JudgeLanes {
     const CameraOfFrame* const camera = find(range.frame_id);
     if (camera == nullptr || !may_show(camera->frustum, bounds[page])) return;
     const std::uint32_t end = first + lanes < range.count ? first + lanes : range.count;
-    for (std::uint32_t lane = first; lane < end; ++lane) take(range.first + lane, camera->camera_from_frame);
+    for (std::uint32_t lane = first; lane < end; ++lane) take(range.first + lane, *camera);
   }
 
  private:
@@ -49,11 +49,14 @@ struct JudgeLanes {
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float value(int channel, std::uint32_t i) const {
     return *gaussians.memory.value(static_cast<std::uint32_t>(channel), i);
   }
-  SPLATBUS_PORTABLE_MEMBER void take(std::uint32_t i, const math::Rigid& camera_from_frame) const {
+  SPLATBUS_PORTABLE_MEMBER void take(std::uint32_t i, const CameraOfFrame& camera) const {
     constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
-    const math::Vec3 at = transformed(camera_from_frame, {value(kMean, i), value(kMean + 1, i), value(kMean + 2, i)});
+    const math::Vec3 at =
+        transformed(camera.camera_from_frame, {value(kMean, i), value(kMean + 1, i), value(kMean + 2, i)});
     if (!(at.z > picture.near_m)) return;
-    const Verdict verdict = judge(picture, at, {value(kScale, i), value(kScale + 1, i), value(kScale + 2, i)});
+    const float growth = camera.log_scale;
+    const Verdict verdict =
+        judge(picture, at, {value(kScale, i) + growth, value(kScale + 1, i) + growth, value(kScale + 2, i) + growth});
     if (verdict == Verdict::Supported) standing[i] = picture.instant;
     if (verdict == Verdict::Free && value(ParameterLayout::kOpacityLogit, i) >= limits.min_opacity_logit) vote(i);
   }

@@ -12,7 +12,8 @@ namespace kernels {
 /// Where a picture was taken from, as seen by one frame of reference.
 struct CameraOfFrame {
   std::uint32_t frame_id = kWorldFrame;
-  math::Rigid camera_from_frame;
+  math::Similarity camera_from_frame;
+  float log_scale = 0;  ///< of the frame
   PageFrustum frustum;  ///< of the frame
 };
 

@@ -6,6 +6,7 @@
 
 #include "raster/adam.h"
 #include "raster/loss.h"
+#include "raster/loss_history.h"
 #include "raster/rasterizer.h"
 #include "trainer/gradient_step.h"
 
@@ -54,6 +55,7 @@ class CpuStep final : public GradientStep {
   raster::ParameterGradient gradient_;
   raster::Render render_;
   raster::RenderGradient render_gradient_;
+  raster::LossHistory losses_;
   std::vector<float> mean2d_norm_;
   std::vector<std::uint32_t> seen_steps_;
   StepReport report_;
@@ -75,6 +77,7 @@ void CpuStep::set_options(Options& options) {
 void CpuStep::step(std::span<const PairedView> views) {
   const auto start = std::chrono::steady_clock::now();
   double loss = 0;
+  adam_.views.clear();
   if (views.size() == 1) {
     gradient_.clear_statistics(store_.view());
     loss = render_loss(views.front(), 1.0F);
@@ -156,6 +159,7 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   render_gradient_.depth = {};
   raster::LossOptions loss_options{.ssim_weight = options_.ssim_weight,
                                    .encode_srgb = options_.layout.appearance == Appearance::Transfer,
+                                   .mask = view.mask.data(),
                                    .threads = options_.threads};
   float loss = image_loss(render_.color, view.color.data(), loss_options, render_gradient_.color);
   scale_image(render_gradient_.color, scale);
@@ -165,6 +169,10 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
     scale_image(render_gradient_.albedo, scale * options_.albedo_weight);
   }
   if (with_depth) loss += depth_loss(view, scale);
+  adam_.views.push_back({.camera = view.camera,
+                         .objects = &view.scene.objects,
+                         .loss_has_risen = options_.lr_recovery && loss > losses_.limit(view.camera)});
+  losses_.add(view.camera, loss);
   return loss * scale;
 }
 
@@ -179,7 +187,7 @@ float CpuStep::depth_loss(const TrainingView& view, float scale) {
   double loss = 0;
   for (std::size_t i = 0; i < view.depth.size(); ++i) {
     const float expected = view.depth[i];
-    if (!(expected > 0) || std::isinf(expected)) continue;
+    if (!(expected > 0) || std::isinf(expected) || (!view.mask.empty() && view.mask[i] != 0)) continue;
     const float difference = render_.depth.data[i] - render_.alpha.data[i] * expected;
     loss += std::abs(difference) * weight;
     const float slope = std::copysign(weight * scale, difference);

@@ -43,6 +43,7 @@ void Options::bind(bus::ParameterBinder& p) {
         "GPU",
         {-1, 1e9});
   p.add("lr_min_factor", lr_min_factor, "what a Gaussian's learning rates keep at least, of themselves", {0, 1});
+  p.add("lr_recovery", lr_recovery, "learning rates rise again where the loss of a view does");
   p.add("lr_mean", learning_rates.mean_extents, "learning rate of means, in scene extents", {0, 1});
   p.add("lr_log_scale", learning_rates.log_scale, "learning rate of log-scales", {0, 1});
   p.add("lr_rotation", learning_rates.rotation, "learning rate of quaternions", {0, 1});

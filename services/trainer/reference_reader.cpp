@@ -5,7 +5,9 @@
 
 #include "bus/error.h"
 #include "bus/memory.h"
+#include "device/buffer.h"
 #include "trainer/memory_failure.h"
+#include "trainer/object_mask.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -33,6 +35,33 @@ bool ReferenceReader::read_picture(const bus::Message& message, const char* name
     out = Pixels<T>(std::shared_ptr<const T>(buffer, reinterpret_cast<const T*>(buffer.get())), tensor->elements());
     return true;
   });
+}
+
+bool ReferenceReader::read_mask(const bus::Message& message, TrainingView& view) {
+  std::vector<std::uint32_t> ids;
+  for (const auto& [id, object] : view.scene.objects) {
+    if (!object.modelled) ids.push_back(id);
+  }
+  if (ids.empty()) return true;
+  if (!message.announces("object_id")) {
+    throw bus::Error(
+        message.topic() + " from " + message.header().source()->str() +
+        ": objects are not to be modelled, and tensor \"object_id\" is missing, which says where they show");
+  }
+  Pixels<std::uint32_t> object_id;
+  if (!read_picture(message, "object_id", {view.camera.height, view.camera.width}, object_id)) return false;
+  in_own_memory([&] {
+    const auto buffer = pool_.take(object_id.size());
+    auto* const mask = reinterpret_cast<std::uint8_t*>(buffer.get());
+    const device::StreamView stream = device::thread_stream(memory_);
+    device::Buffer<std::uint32_t> unmodelled(stream);
+    unmodelled.assign(ids);
+    mask_objects(stream, object_id.data(), static_cast<std::uint32_t>(object_id.size()), unmodelled.data(),
+                 static_cast<std::uint32_t>(ids.size()), mask);
+    stream.wait();
+    view.mask = Pixels<std::uint8_t>({buffer, mask}, object_id.size());
+  });
+  return true;
 }
 
 ViewKey reference_key(const bus::Message& message) {
@@ -80,6 +109,7 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
   bool whole = read_picture(message, "color", {h, w, 4}, view.color);
   if (whole && with_albedo) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
   if (whole && with_depth) whole = read_picture(message, "depth", {h, w}, view.depth);
+  whole = whole && read_mask(message, view);
   reading.lost = !whole;
   if (whole) reading.view = std::make_shared<const TrainingView>(std::move(view));
   return reading;

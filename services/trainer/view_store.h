@@ -47,8 +47,9 @@ struct TrainingView {
   Pixels<std::uint8_t> color;   ///< [h][w][4], display space
   Pixels<std::uint8_t> albedo;  ///< the same, or empty
   Pixels<float> depth;          ///< [h][w] metres along z, 0 where there is no surface; or empty
+  Pixels<std::uint8_t> mask;    ///< [h][w] not 0 where nothing is to be learned; or empty
 
-  [[nodiscard]] std::size_t bytes() const { return color.bytes() + albedo.bytes() + depth.bytes(); }
+  [[nodiscard]] std::size_t bytes() const { return color.bytes() + albedo.bytes() + depth.bytes() + mask.bytes(); }
 };
 
 using TrainingViewPtr = std::shared_ptr<const TrainingView>;

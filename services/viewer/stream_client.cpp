@@ -33,8 +33,7 @@ std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
 StreamClient::StreamClient(ClientOptions options)
     : options_(std::move(options)),
       socket_(context_, zmq::socket_type::dealer),
-      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())),
-      replica_(stream::kMaxGaussians, options_.device) {
+      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())) {
   socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::linger, 100);
@@ -62,11 +61,11 @@ void StreamClient::send(wire::Body body, Build&& build) {
   (void)socket_.send(zmq::buffer(packet.packet), zmq::send_flags::dontwait);
 }
 
-bool StreamClient::poll(std::chrono::milliseconds timeout) {
+bool StreamClient::poll(std::chrono::milliseconds timeout, int wake) {
   maintain(options_.now_ns());
-  zmq::pollitem_t items[]{{socket_.handle(), 0, ZMQ_POLLIN, 0}};
+  zmq::pollitem_t items[]{{socket_.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, wake, ZMQ_POLLIN, 0}};
   try {
-    zmq::poll(items, 1, timeout);
+    zmq::poll(items, wake >= 0 ? 2 : 1, timeout);
   } catch (const zmq::error_t& error) {
     if (error.num() != EINTR) throw;
   }
@@ -228,7 +227,7 @@ void StreamClient::send_quality(std::uint64_t probe_id, const metrics::Quality& 
                                 std::int64_t first_picture_ns) {
   send(wire::Body::Quality, [&](auto& builder) {
     return wire::CreateQuality(builder, probe_id, static_cast<float>(quality.psnr_db), static_cast<float>(quality.ssim),
-                               static_cast<float>(quality.flip), replica_.view().count, first_picture_ns);
+                               static_cast<float>(quality.flip), replica_.count(), first_picture_ns);
   });
 }
 

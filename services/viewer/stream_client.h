@@ -23,8 +23,7 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
-  bool probes = false;          ///< wants ProbePictures; else they are ignored
-  Device device = Device::Cpu;  ///< where the replica's Gaussians lie
+  bool probes = false;  ///< wants ProbePictures; else they are ignored
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
   std::function<std::int64_t()> now_ns = bus::now_ns;
@@ -46,9 +45,9 @@ class StreamClient {
   /// Connects; the streamer may start later. Throws bus::Error naming the endpoint.
   explicit StreamClient(ClientOptions options);
 
-  /// Waits up to `timeout` for packets, takes all that are there, and sends what is due. True when the picture may have
-  /// changed.
-  bool poll(std::chrono::milliseconds timeout);
+  /// Waits up to `timeout` for packets, or until the descriptor `wake` (-1: none) can be read; takes all that are
+  /// there, and sends what is due. True when the picture may have changed.
+  bool poll(std::chrono::milliseconds timeout, int wake = -1);
 
   void send_pose(const Camera& camera);
   void send_probe(std::uint64_t probe_id, const Camera& camera);
@@ -58,6 +57,8 @@ class StreamClient {
   [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer();
 
   [[nodiscard]] const stream::Replica& replica() const { return replica_; }
+  /// The replica's.
+  [[nodiscard]] stream::DisplayChanges take_changes() { return replica_.take_changes(); }
   [[nodiscard]] bool connected() const { return welcomed_; }
   [[nodiscard]] std::uint64_t received_bytes() const { return received_bytes_; }
   [[nodiscard]] std::uint64_t refused() const { return refused_; }  ///< packets that were wrong

@@ -24,7 +24,7 @@ constexpr std::int64_t kLongestWaitNs = 50'000'000;
 constexpr std::int64_t kPoseEveryNs = 100'000'000;  // while the camera moves; else once a second
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
-  return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe, .device = host.device};
+  return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe};
 }
 
 // Viewers choose their ids without asking each other.
@@ -55,7 +55,9 @@ void Options::bind(bus::ParameterBinder& p) {
 Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : options_(parameters),
       host_(std::move(host)),
-      client_(client_options(*options_, host_)),
+      receiver_(client_options(*options_, host_)),
+      stream_(host_.device),
+      display_(stream_),
       renderer_(raster::make_model_renderer(host_.device, options_->threads)),
       camera_(options_->path.at(0)),
       begin_ns_(bus::now_ns()),
@@ -71,10 +73,11 @@ void Viewer::run() {
     // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
     const std::int64_t left_ns = drawn_ns_ + period_ns - bus::now_ns();
     const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed ? 0 : period_ns, kLongestWaitNs);
-    changed = client_.poll(std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000)) || changed;
+    receiver_.wait_for(std::chrono::nanoseconds(wait_ns));
+    changed = take() || changed;
     if (window_) window_->poll_events();
     const std::int64_t now_ns = bus::now_ns();
-    const bool first = first_picture_ns_ == 0 && client_.replica().view().count > 0;
+    const bool first = first_picture_ns_ == 0 && display_.count() > 0;
     if (now_ns >= drawn_ns_ + period_ns || first) {
       if (show(changed)) drawn_ns_ = now_ns;
       changed = false;
@@ -88,22 +91,28 @@ void Viewer::run() {
   }
 }
 
+bool Viewer::take() {
+  const bool changed = receiver_.take(shown_);
+  if (shown_.changes.empty()) return changed;
+  display_.apply(shown_.changes);
+  shown_.changes.clear();
+  model_changed_ = true;
+  return true;
+}
+
 void Viewer::send_pose(std::int64_t now_ns) {
   const std::int64_t since_ns = now_ns - posed_ns_;
   if (since_ns < kPoseEveryNs || (posed_ == camera_ && since_ns < kSecondNs)) return;
   posed_ = camera_;
   posed_ns_ = now_ns;
-  client_.send_pose(camera_);
+  receiver_.send_pose(camera_);
 }
 
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const std::int64_t begin_ns = bus::now_ns();
-  const stream::Replica& replica = client_.replica();
-  const GaussiansView view = replica.view();
-  if (drawn_version_ != replica.version()) {
-    renderer_->read_in_place(view);
-    drawn_version_ = replica.version();
-  }
+  const GaussiansView view = display_.view();
+  if (model_changed_) renderer_->read_in_place(view);
+  model_changed_ = false;
   renderer_->draw(camera, scene, {}, render_);
   draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
   const bool linear = view.layout.appearance == Appearance::Transfer;
@@ -115,12 +124,12 @@ bool Viewer::show(bool changed) {
   const Camera before = camera_;
   camera_ = window_ ? window_->camera() : options_->path.at(seconds);
   send_pose(bus::now_ns());
-  const bool empty = client_.replica().view().count == 0;
+  const bool empty = display_.count() == 0;
   if (empty || (!changed && frames_ > 0 && before == camera_)) return false;
-  const cv::Mat picture = draw(camera_, client_.replica().scene());
+  const cv::Mat picture = draw(camera_, *shown_.scene);
   if (first_picture_ns_ == 0) {
     first_picture_ns_ = bus::now_ns();
-    spdlog::info("first picture, {} Gaussians", client_.replica().view().count);
+    spdlog::info("first picture, {} Gaussians", display_.count());
   }
   ++frames_;
   if (window_) window_->show(picture);
@@ -136,13 +145,13 @@ void Viewer::ask_probe(std::int64_t now_ns) {
   const double period_s = options_->probe_period_s;
   if (!options_->probe || period_s <= 0 || first_picture_ns_ == 0 || now_ns < next_probe_ns_) return;
   next_probe_ns_ = now_ns + static_cast<std::int64_t>(period_s * 1e9);
-  client_.send_probe(next_probe_id_++, camera_);
+  receiver_.send_probe(next_probe_id_++, camera_);
 }
 
 void Viewer::answer_probes() {
-  if (client_.replica().view().count == 0) return;
+  if (display_.count() == 0) return;
   // One a turn: packets are taken in between.
-  const std::optional<ProbeAnswer> probe = client_.take_probe_answer();
+  const std::optional<ProbeAnswer> probe = receiver_.take_probe_answer();
   if (!probe) return;
   const cv::Mat picture = draw(probe->camera, probe->scene);
   const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
@@ -152,30 +161,30 @@ void Viewer::answer_probes() {
     fs::create_directories(out);
     metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
   }
-  client_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
+  receiver_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }
 
 void Viewer::report() {
-  const stream::Replica& replica = client_.replica();
-  host_.counter("gaussians", static_cast<double>(replica.view().count));
+  const ReceiverStatus status = receiver_.status();
+  host_.counter("gaussians", static_cast<double>(display_.count()));
   host_.counter("frames", static_cast<double>(frames_));
   host_.counter("draw_ms", draw_ms_);
-  host_.counter("received_bytes", static_cast<double>(client_.received_bytes()));
-  host_.counter("resends", static_cast<double>(client_.resends()));
-  host_.counter("refused", static_cast<double>(client_.refused()));
-  if (client_.scene_delays().count() > 0) {
-    host_.counter("scene_delay_ms_p50", client_.scene_delays().quantile(0.5));
-    host_.counter("scene_delay_ms_p99", client_.scene_delays().quantile(0.99));
+  host_.counter("received_bytes", static_cast<double>(status.received_bytes));
+  host_.counter("resends", static_cast<double>(status.resends));
+  host_.counter("refused", static_cast<double>(status.refused));
+  if (status.scene_delays > 0) {
+    host_.counter("scene_delay_ms_p50", status.scene_delay_ms_p50);
+    host_.counter("scene_delay_ms_p99", status.scene_delay_ms_p99);
   }
   if (compared_ > 0) {
     host_.counter("psnr_db", last_quality_.psnr_db);
     host_.counter("ssim", last_quality_.ssim);
     host_.counter("flip", last_quality_.flip);
   }
-  host_.detail(!client_.connected()        ? fmt::format("waits for the streamer at {}", host_.endpoint)
-               : replica.view().count == 0 ? "waits for Gaussians"
-               : replica.loading()         ? fmt::format("waits for {} chunks", replica.missing_chunks())
-                                           : "shows the stream");
+  host_.detail(!status.connected       ? fmt::format("waits for the streamer at {}", host_.endpoint)
+               : display_.count() == 0 ? "waits for Gaussians"
+               : status.loading        ? fmt::format("waits for {} chunks", status.missing_chunks)
+                                       : "shows the stream");
 }
 
 }  // namespace splatbus::viewer

@@ -12,8 +12,9 @@
 #include "bus/backend.h"
 #include "bus/parameters.h"
 #include "raster/model_renderer.h"
+#include "stream/display_gaussians.h"
 #include "viewer/camera_path.h"
-#include "viewer/stream_client.h"
+#include "viewer/stream_receiver.h"
 #include "viewer/window.h"
 
 namespace splatbus::viewer {
@@ -52,12 +53,13 @@ class Viewer {
   /// Until the host says stop or the window is closed.
   void run();
 
-  [[nodiscard]] const StreamClient& client() const { return client_; }
   /// CLOCK_MONOTONIC when the first picture with a Gaussian in it was ready; 0 before.
   [[nodiscard]] std::int64_t first_picture_ns() const { return first_picture_ns_; }
 
  private:
   [[nodiscard]] cv::Mat draw(const Camera& camera, const SceneState& scene);
+  /// What has arrived; true when it shows.
+  bool take();
   /// False when there is nothing new to show.
   bool show(bool changed);
   void send_pose(std::int64_t now_ns);
@@ -67,7 +69,10 @@ class Viewer {
 
   bus::LiveOptions<Options> options_;
   ViewerHost host_;
-  StreamClient client_;
+  StreamReceiver receiver_;
+  StreamReceiver::Shown shown_;
+  device::Stream stream_;
+  stream::DisplayGaussians display_;
   std::unique_ptr<raster::ModelRenderer> renderer_;
   std::unique_ptr<Window> window_;
   raster::Render render_;
@@ -75,7 +80,7 @@ class Viewer {
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
   std::int64_t drawn_ns_ = 0, posed_ns_ = 0;
   Camera posed_;
-  std::uint64_t drawn_version_ = 0;  ///< of the replica's Gaussians, as the renderer has them
+  bool model_changed_ = true;  ///< since the renderer read it
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;

@@ -139,5 +139,47 @@ TEST(Measure, EvalStartSaysWhenThereIsAModel) {
   EXPECT_GE(summary["optimised_s"], summary["inserted_s"]);
 }
 
+TEST(Measure, EvalDynamicsTellsOnFromOff) {
+  const PrivateBusFolder folder;
+  const fs::path out = folder.path() / "eval";
+  // The sun is so fast that a state of the start is wrong for most of the time, and what follows it is not.
+  const Answer answer =
+      splatbus_command({"eval",         "dynamics", "--cameras",  "4",     "--size",    "64",    "--input-cameras", "8",
+                        "--input-size", "64",       "--budget",   "12000", "--seconds", "15",    "--still-seconds", "8",
+                        "--lights",     "turning",  "--sun-rate", "40",    "--json",    "--out", out.string()});
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+  const Json summary = read_json(out / "summary.json");
+  EXPECT_EQ(answer.json().back(), summary);
+  expect_finite(summary, {"still_ssim", "on_ssim", "off_ssim", "on_ssim_worst_second", "on_flip", "masked_ssim_drop",
+                          "ssim_viewer", "state_delay_ms_median", "state_delay_ms_p99", "scene_kbps", "visibility_kbps",
+                          "gaussians", "pictures", "motion_residual"});
+  EXPECT_GT(summary["still_ssim"], 0.85);
+  EXPECT_GT(summary["on_ssim"], summary["off_ssim"].get<double>() + 0.02);
+  EXPECT_GT(summary["on_ssim"], 0.8);
+  EXPECT_LE(summary["on_ssim_worst_second"], summary["on_ssim"]);
+  EXPECT_GT(summary["scene_kbps"], 0);
+  EXPECT_GE(summary["state_delay_ms_p99"], summary["state_delay_ms_median"]);
+  EXPECT_EQ(summary["turning"]["on_ssim"], summary["on_ssim"]);
+  EXPECT_FALSE(metrics::read_png((out / "turning_0.png").string()).empty());
+}
+
+TEST(Measure, EvalRelightShowsSunsThatItWasNotTrainedWith) {
+  const PrivateBusFolder folder;
+  const fs::path out = folder.path() / "eval";
+  const Answer answer = splatbus_command({"eval", "relight", "--cameras", "4", "--size", "64", "--input-cameras", "8",
+                                          "--input-size", "64", "--budget", "12000", "--iterations", "60", "--timeout",
+                                          "90", "--json", "--out", out.string()});
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+  const Json summary = read_json(out / "summary.json");
+  expect_finite(summary, {"ssim_own", "ssim_mean", "ssim_min", "gaussians", "iterations"});
+  EXPECT_EQ(summary["iterations"], 60) << "not one step under another sun";
+  ASSERT_EQ(summary["suns"].size(), 6U);
+  EXPECT_EQ(summary["suns"][5]["turn_deg"], 180);
+  EXPECT_GT(summary["ssim_own"], 0.8);
+  EXPECT_GT(summary["ssim_min"], summary["ssim_own"].get<double>() - 0.1);
+  EXPECT_LE(summary["ssim_min"], summary["ssim_mean"]);
+  EXPECT_FALSE(metrics::read_png((out / "contact_sheet.png").string()).empty());
+}
+
 }  // namespace
 }  // namespace splatbus::cli

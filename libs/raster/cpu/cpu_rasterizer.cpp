@@ -104,6 +104,11 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   frame_.options = options;
   if (gaussians.layout.appearance != Appearance::Transfer) frame_.options.albedo = false;
   frame_.objects.build(camera, scene);
+  frame_.sources.clear();
+  if (gaussians.layout.appearance == Appearance::Transfer) {
+    frame_.sources = shading_sources(scene.light, inverse(camera.world_from_camera),
+                                     {gaussians.visibility_u8, gaussians.visibility_stride, gaussians.visibility_rows});
+  }
   for (int c = 0; c < 3; ++c) {
     const float background = scene.light.background[c];
     frame_.background[c] =

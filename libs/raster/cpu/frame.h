@@ -7,6 +7,7 @@
 
 #include "raster/cpu/scratch.h"
 #include "raster/rasterizer.h"
+#include "raster/shading_source.h"
 
 namespace splatbus::raster::cpu {
 
@@ -29,7 +30,7 @@ constexpr float kWhiteScale = 0.8493218002880191F;  // sqrt(log2(e) / 2)
 /// What a render needs of one object's frame: all Gaussians of an object share it, so that light and camera are brought
 /// to the Gaussians instead of Gaussians to the world.
 struct ObjectFrame {
-  std::array<float, 9> camera_from_object{};  ///< row-major rotation
+  std::array<float, 9> camera_from_object{};  ///< row-major rotation times scale
   std::array<float, 3> translation{};         ///< of camera_from_object
   std::array<float, 3> camera_position{};     ///< in the object's frame
   std::array<float, 3> sun_direction{};
@@ -37,6 +38,8 @@ struct ObjectFrame {
   std::array<float, 27> ambient{};       ///< 3 k + c: incident ambient light
   std::array<float, 27> ambient_lobe{};  ///< ambient times the clamped cosine's factor over pi
   std::array<float, 27> sun_sh{};        ///< sun irradiance Y_k(l) / pi
+  float scale = 1;
+  bool emissive = false;  ///< no source lights it
 };
 
 /// The frames of every object of a scene; index 0 is the world.
@@ -110,7 +113,8 @@ struct Frame {
   Camera camera;
   RenderOptions options;
   ObjectTable objects;
-  std::array<float, 3> background{};  ///< in the colour plane's space
+  std::vector<ShadingSource> sources;  ///< besides the sun; Transfer only
+  std::array<float, 3> background{};   ///< in the colour plane's space
   float tan_limit_x_low = 0, tan_limit_x_high = 0, tan_limit_y_low = 0, tan_limit_y_high = 0;
 
   std::uint32_t tiles_x = 0, tiles_y = 0;

@@ -242,19 +242,30 @@ HWY_INLINE Vec3 RadianceBackward(const ObjectFrame& object, const GaussianLanes&
           hn::Mul(hn::NegMulAdd(radial, direction.unit.z, g_unit.z), direction.inverse_length)};
 }
 
-template <class Emit>
-HWY_INLINE void TransferBackward(const ObjectFrame& object, const GaussianLanes& in, const Vec3& g,
+/// The mean gets nothing through a light: geometry is not to move in order to explain brightness.
+template <bool kSources, class Emit>
+HWY_INLINE void TransferBackward(const Frame& frame, const ObjectFrame& object, const GaussianLanes& in, const Vec3& g,
                                  const Vec3& g_albedo, bool residual, Emit&& emit) {
-  const TransferLight light = LightTransfer(object, in);
+  TransferLight light = LightTransfer(object, in);
+  SourceLight sources;
+  if constexpr (kSources) {
+    SumSources(frame, object, in, residual, sources);
+    light.diffuse = Add3(light.diffuse, sources.diffuse);
+  }
+  const auto incident = [&](int entry) {
+    const V of_sun = ResidualLight(object, light.visibility, entry);
+    if constexpr (kSources) return hn::Add(of_sun, sources.residual[entry]);
+    return of_sun;
+  };
   emit(ParameterLayout::kAlbedo, hn::MulAdd(g.x, light.diffuse.x, g_albedo.x));
   emit(ParameterLayout::kAlbedo + 1, hn::MulAdd(g.y, light.diffuse.y, g_albedo.y));
   emit(ParameterLayout::kAlbedo + 2, hn::MulAdd(g.z, light.diffuse.z, g_albedo.z));
   if (!residual) return;
   for (int k = 0; k < 9; ++k) {
     const int channel = ParameterLayout::kResidual + 3 * k;
-    emit(channel, hn::Mul(g.x, ResidualLight(object, light.visibility, 3 * k)));
-    emit(channel + 1, hn::Mul(g.y, ResidualLight(object, light.visibility, 3 * k + 1)));
-    emit(channel + 2, hn::Mul(g.z, ResidualLight(object, light.visibility, 3 * k + 2)));
+    emit(channel, hn::Mul(g.x, incident(3 * k)));
+    emit(channel + 1, hn::Mul(g.y, incident(3 * k + 1)));
+    emit(channel + 2, hn::Mul(g.z, incident(3 * k + 2)));
   }
 }
 
@@ -267,7 +278,9 @@ HWY_INLINE V GaussianBackward(const Frame& frame, const ObjectFrame& object, con
   ShapeGradient shape = ShapeBackward(frame, object, p, sums);
   const Vec3 colour = UnclampedColourGradient(frame, in, sums.colour);
   if (in.gaussians.layout.appearance == Appearance::Transfer) {
-    TransferBackward(object, in, colour, sums.albedo, active_channels > ParameterLayout::kResidual, emit);
+    const bool residual = active_channels > ParameterLayout::kResidual;
+    (HasSources(frame, object) ? TransferBackward<true, Emit>
+                               : TransferBackward<false, Emit>)(frame, object, in, colour, sums.albedo, residual, emit);
   } else {
     shape.mean = Add3(shape.mean, RadianceBackward(object, in, p.mean, colour, emit));
   }

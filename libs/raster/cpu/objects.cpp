@@ -16,10 +16,14 @@ ObjectFrame make_frame(const ObjectTransform& object, const Rigid& camera_from_w
   const Rigid camera_from_object = camera_from_world * object.rigid;
   const glm::mat3 rotation = glm::mat3_cast(glm::normalize(camera_from_object.rotation));
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) frame.camera_from_object[3 * row + column] = rotation[column][row];
+    for (int column = 0; column < 3; ++column) {
+      frame.camera_from_object[3 * row + column] = object.scale * rotation[column][row];
+    }
     frame.translation[row] = camera_from_object.translation[row];
   }
-  const glm::vec3 camera_position = -(glm::transpose(rotation) * camera_from_object.translation);
+  frame.scale = object.scale;
+  frame.emissive = object.emissive;
+  const glm::vec3 camera_position = -(glm::transpose(rotation) * camera_from_object.translation) / object.scale;
   const Light light = light_in_object(light_world, object);
   const Sh9 sun_basis = sh9_basis(light.sun_direction);
   for (int c = 0; c < 3; ++c) {
@@ -39,11 +43,13 @@ ObjectFrame make_frame(const ObjectTransform& object, const Rigid& camera_from_w
 
 void ObjectTable::build(const Camera& camera, const SceneState& scene) {
   const Rigid camera_from_world = inverse(camera.world_from_camera);
+  Light light = scene.light;
+  light.sources.clear();  // which Frame::sources has
   ids_.clear();
-  frames_.assign(1, make_frame(Rigid{}, camera_from_world, scene.light));
+  frames_.assign(1, make_frame(Rigid{}, camera_from_world, light));
   for (const auto& [id, world_from_object] : scene.objects) {
     ids_.push_back(id);
-    frames_.push_back(make_frame(world_from_object, camera_from_world, scene.light));
+    frames_.push_back(make_frame(world_from_object, camera_from_world, light));
   }
 }
 

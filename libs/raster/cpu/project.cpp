@@ -137,6 +137,7 @@ HWY_INLINE DepthKey* FinishBatch(Frame& frame, Placed* batch, std::size_t count,
       const GaussianLanes in{gaussians, placed.i, placed.n, placed.end};
       albedo = {in.Load(kAlbedo), in.Load(kAlbedo + 1), in.Load(kAlbedo + 2)};
       colour = ShadeTransfer(*placed.object, in, albedo);
+      if (HasSources(frame, *placed.object)) AddSources(frame, *placed.object, in, albedo, colour);
       visible = hn::And(visible, hn::And(Bounded(albedo.x), hn::And(Bounded(albedo.y), Bounded(albedo.z))));
     } else {
       colour = radiance.Colour(e);

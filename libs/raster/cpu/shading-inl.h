@@ -170,25 +170,32 @@ struct TransferLight {
   V visibility;
 };
 
+/// Of a light's row.
+HWY_INLINE V LoadVisibility(const std::uint8_t* of_index, const GaussianLanes& in) {
+  const hn::Rebind<std::uint8_t, F> bytes;
+  HWY_ALIGN std::uint8_t lanes[hn::MaxLanes(F())] = {};
+  for (std::size_t k = 0; k < in.n; ++k) lanes[k] = of_index[in.i + k];
+  return MulScalar(hn::ConvertTo(F(), hn::PromoteTo(I(), hn::Load(bytes, lanes))), 1.0F / 255);
+}
+
+/// The sun's.
 HWY_INLINE V LoadVisibility(const GaussianLanes& in) {
-  if (const std::uint8_t* of_index = in.gaussians.visibility_u8) {
-    const hn::Rebind<std::uint8_t, F> bytes;
-    HWY_ALIGN std::uint8_t lanes[hn::MaxLanes(F())] = {};
-    for (std::size_t k = 0; k < in.n; ++k) lanes[k] = of_index[in.i + k];
-    return MulScalar(hn::ConvertTo(F(), hn::PromoteTo(I(), hn::Load(bytes, lanes))), 1.0F / 255);
-  }
+  if (const std::uint8_t* of_index = in.gaussians.visibility_u8) return LoadVisibility(of_index, in);
   const float* visibility = in.gaussians.visibility;
   return visibility == nullptr ? Splat1(1.0F) : LoadFirst(F(), visibility + in.offset, in.n);
 }
 
-HWY_INLINE TransferLight LightTransfer(const ObjectFrame& object, const GaussianLanes& in) {
+/// Without normals, only what does not depend on them lights a Gaussian.
+HWY_INLINE Vec3 LoadNormal(const GaussianLanes& in) {
   const float* normals = in.gaussians.normal;
   const std::size_t stride = in.gaussians.stride;
-  Vec3 n{hn::Zero(F()), hn::Zero(F()), hn::Zero(F())};
-  if (normals != nullptr) {
-    n = {LoadFirst(F(), normals + in.offset, in.n), LoadFirst(F(), normals + stride + in.offset, in.n),
-         LoadFirst(F(), normals + 2 * stride + in.offset, in.n)};
-  }
+  if (normals == nullptr) return {hn::Zero(F()), hn::Zero(F()), hn::Zero(F())};
+  return {LoadFirst(F(), normals + in.offset, in.n), LoadFirst(F(), normals + stride + in.offset, in.n),
+          LoadFirst(F(), normals + 2 * stride + in.offset, in.n)};
+}
+
+HWY_INLINE TransferLight LightTransfer(const ObjectFrame& object, const GaussianLanes& in) {
+  const Vec3 n = LoadNormal(in);
   TransferLight out;
   out.visibility = LoadVisibility(in);
   const auto& l = object.sun_direction;
@@ -221,6 +228,86 @@ HWY_INLINE Vec3 ShadeTransfer(const ObjectFrame& object, const GaussianLanes& in
     colour.z = hn::MulAdd(in.Load(channel + 2), ResidualLight(object, light.visibility, 3 * k + 2), colour.z);
   }
   return colour;
+}
+
+/// What the sources besides the sun add to what multiplies the albedo, and to what multiplies each residual channel.
+struct SourceLight {
+  Vec3 diffuse;
+  V residual[27];  ///< 3 k + c
+};
+
+HWY_INLINE bool HasSources(const Frame& frame, const ObjectFrame& object) {
+  return !frame.sources.empty() && !object.emissive;
+}
+
+/// Light is summed over the sources before it meets a Gaussian's channels, so that those are read once. Not inlined: a
+/// scene without sources is not to pay for it.
+inline HWY_NOINLINE void SumSources(const Frame& frame, const ObjectFrame& object, const GaussianLanes& in,
+                                    bool residual, SourceLight& out) {
+  const F f;
+  const V zero = hn::Zero(f), one = Splat1(1.0F);
+  out.diffuse = {zero, zero, zero};
+  for (V& sum : out.residual) sum = zero;
+  const Vec3 n = LoadNormal(in);
+  const Vec3 point = CameraPoint(object, {in.Load(0), in.Load(1), in.Load(2)});
+  const auto& w = object.camera_from_object;
+  const V min_distance = Splat1(kMinSourceDistance_m * object.scale);
+  const float inverse_scale = 1 / object.scale;
+  for (const ShadingSource& source : frame.sources) {
+    Vec3 to_light{Splat1(source.direction[0]), Splat1(source.direction[1]), Splat1(source.direction[2])};
+    V weight = one;
+    if (!source.directional) {
+      const Vec3 axis = to_light;
+      const Vec3 way{hn::Sub(Splat1(source.position[0]), point.x), hn::Sub(Splat1(source.position[1]), point.y),
+                     hn::Sub(Splat1(source.position[2]), point.z)};
+      const V distance = hn::Max(hn::Sqrt(Dot(way, way)), min_distance);
+      const V share = MulScalar(distance, source.inverse_range), share2 = hn::Mul(share, share);
+      const V window = hn::Max(hn::NegMulAdd(share2, share2, one), zero);
+      const V inverse_distance = hn::Div(one, distance);
+      to_light = Scale(way, inverse_distance);
+      const V from_edge = hn::Neg(hn::Add(Dot(to_light, axis), Splat1(source.cos_outer)));
+      const V cone = hn::Min(hn::Max(MulScalar(from_edge, source.inverse_cone), zero), one);
+      const V root = hn::Mul(hn::Mul(window, inverse_distance), cone);
+      weight = hn::Mul(root, root);
+      if (hn::AllFalse(f, hn::Gt(weight, zero))) continue;
+    }
+    if (source.visibility != nullptr) {
+      weight = hn::Mul(weight, LoadVisibility(source.visibility, in));
+      if (hn::AllFalse(f, hn::Gt(weight, zero))) continue;
+    }
+    const auto to_object = [&](std::size_t column) {
+      const V scaled = MulAddScalar(to_light.x, w[column],
+                                    MulAddScalar(to_light.y, w[3 + column], MulScalar(to_light.z, w[6 + column])));
+      return MulScalar(scaled, inverse_scale);
+    };
+    const Vec3 l{to_object(0), to_object(1), to_object(2)};
+    const V facing = hn::Mul(hn::Max(Dot(n, l), zero), weight);
+    out.diffuse.x = MulAddScalar(facing, source.intensity_over_pi[0], out.diffuse.x);
+    out.diffuse.y = MulAddScalar(facing, source.intensity_over_pi[1], out.diffuse.y);
+    out.diffuse.z = MulAddScalar(facing, source.intensity_over_pi[2], out.diffuse.z);
+    if (!residual) continue;
+    ShBasis(l, 2, [&](int k, V basis) {
+      const V weighted = hn::Mul(basis, weight);
+      V* const sum = out.residual + 3 * k;
+      for (int c = 0; c < 3; ++c) sum[c] = MulAddScalar(weighted, source.intensity_over_pi[c], sum[c]);
+    });
+  }
+}
+
+/// ShadeTransfer()'s colour under the sources, too.
+HWY_INLINE void AddSources(const Frame& frame, const ObjectFrame& object, const GaussianLanes& in, const Vec3& albedo,
+                           Vec3& colour) {
+  SourceLight light;
+  SumSources(frame, object, in, true, light);
+  colour.x = hn::MulAdd(albedo.x, light.diffuse.x, colour.x);
+  colour.y = hn::MulAdd(albedo.y, light.diffuse.y, colour.y);
+  colour.z = hn::MulAdd(albedo.z, light.diffuse.z, colour.z);
+  for (int k = 0; k < 9; ++k) {
+    const int channel = ParameterLayout::kResidual + 3 * k;
+    colour.x = hn::MulAdd(in.Load(channel), light.residual[3 * k], colour.x);
+    colour.y = hn::MulAdd(in.Load(channel + 1), light.residual[3 * k + 1], colour.y);
+    colour.z = hn::MulAdd(in.Load(channel + 2), light.residual[3 * k + 2], colour.z);
+  }
 }
 
 }  // namespace splatbus::raster::cpu::HWY_NAMESPACE

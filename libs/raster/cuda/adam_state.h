@@ -36,9 +36,12 @@ class AdamState {
 
  private:
   static constexpr std::size_t kMaxIndices = std::size_t{1} << kPatchShift;
-  static constexpr std::size_t kMaxRows = 2 * ParameterLayout{Appearance::Radiance, 3}.channels() + 1;
+  static constexpr std::size_t kMaxRows =
+      2 * ParameterLayout{Appearance::Radiance, 3}.channels() + OptimizerState::kCounters;
 
-  [[nodiscard]] std::size_t rows() const { return 2 * static_cast<std::size_t>(layout_.channels()) + 1; }
+  [[nodiscard]] std::size_t rows() const {
+    return 2 * static_cast<std::size_t>(layout_.channels()) + OptimizerState::kCounters;
+  }
   void grow(cudaStream_t stream);
 
   ParameterLayout layout_;

@@ -6,9 +6,10 @@ namespace {
 constexpr int kThreads = 256, kPixelsEach = 4;
 
 __global__ void __launch_bounds__(kThreads)
-    depth_loss_kernel(WorkspaceView w, const float* const* targets, float weight) {
+    depth_loss_kernel(WorkspaceView w, const float* const* targets, const std::uint8_t* const* masks, float weight) {
   const int view = blockIdx.y;
   const float* target = targets[view];
+  const std::uint8_t* mask = masks == nullptr ? nullptr : masks[view];
   const auto pixels = static_cast<std::size_t>(w.width) * w.height;
   const std::size_t plane = view * pixels;
   float loss = 0.0F;
@@ -18,7 +19,7 @@ __global__ void __launch_bounds__(kThreads)
     if (at >= pixels) break;
     const float expected = target != nullptr ? target[at] : 0.0F;
     float slope = 0.0F;
-    const bool surface = expected > 0.0F && expected < INFINITY;
+    const bool surface = expected > 0.0F && expected < INFINITY && (mask == nullptr || mask[at] == 0);
     if (surface) {
       const float difference = w.depth[plane + at] - (1.0F - w.transmittance[plane + at]) * expected;
       slope = copysignf(weight, difference);
@@ -39,12 +40,13 @@ __global__ void __launch_bounds__(kThreads)
 
 }  // namespace
 
-void launch_depth_loss(const float* const* targets, const WorkspaceView& workspace, float weight, cudaStream_t stream) {
+void launch_depth_loss(const float* const* targets, const std::uint8_t* const* masks, const WorkspaceView& workspace,
+                       float weight, cudaStream_t stream) {
   const auto pixels = static_cast<std::size_t>(workspace.width) * static_cast<std::size_t>(workspace.height);
   constexpr std::size_t kEach = std::size_t{kThreads} * kPixelsEach;
   const dim3 blocks(static_cast<unsigned>((pixels + kEach - 1) / kEach), static_cast<unsigned>(workspace.batch));
   if (pixels == 0) return;
-  depth_loss_kernel<<<blocks, kThreads, 0, stream>>>(workspace, targets, weight);
+  depth_loss_kernel<<<blocks, kThreads, 0, stream>>>(workspace, targets, masks, weight);
   check(cudaGetLastError(), "depth loss");
 }
 

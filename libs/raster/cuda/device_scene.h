@@ -5,6 +5,7 @@
 
 #include "gaussians/layout.h"
 #include "gaussians/pages.h"
+#include "raster/shading_source.h"
 
 namespace splatbus::raster::cuda {
 
@@ -24,11 +25,13 @@ constexpr int kPatches = kPatchColumns * kPatchRows;  // of a tile
 
 /// What a view needs of one object: everything is folded into the object's frame, so that kernels never see the world.
 struct ObjectView {
-  float view_from_object[12];  ///< row-major 3x4
+  float view_from_object[12];  ///< row-major 3x4, rotation times scale
   float camera_in_object[3];   ///< camera centre, for view-dependent SH
   float sun_direction[3];      ///< Transfer, in the object's frame
   float ambient_sh[27];        ///< Transfer, [9][3], incident radiance in the object's frame
   float sun_irradiance[3];
+  float scale;
+  int source_count;  ///< of the view's sources that light it: all, or none where it is emissive
 };
 
 /// What an object looks like to a view whose scene does not have it: behind every camera.

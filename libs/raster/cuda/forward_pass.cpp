@@ -28,6 +28,7 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
                            .height = static_cast<int>(camera.height),
                            .range_count = gaussians.range_count,
                            .object_count = tables.object_count,
+                           .source_room = tables.source_room,
                            .object_slots = gaussians.object_id != nullptr,
                            .albedo = options.albedo && gaussians.layout.appearance == Appearance::Transfer,
                            .depth = options.depth,
@@ -63,6 +64,9 @@ void ForwardPass::copy_tables(const ViewTables& tables, const DeviceGaussians& g
   check(cudaMemcpyAsync(w.object_ids, tables.object_ids.data(), sizeof(std::uint32_t) * tables.object_ids.size(),
                         cudaMemcpyHostToDevice, stream()),
         "copying object ids");
+  check(cudaMemcpyAsync(w.sources, tables.sources.data(), sizeof(ShadingSource) * tables.sources.size(),
+                        cudaMemcpyHostToDevice, stream()),
+        "copying light sources");
   if (w.object_slot == nullptr) return;
   launch_object_slots(gaussians, w.object_ids, static_cast<int>(tables.object_ids.size()), w.object_slot, stream());
 }

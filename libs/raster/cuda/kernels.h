@@ -60,6 +60,8 @@ void launch_contribution(const DeviceGaussians& gaussians, const WorkspaceView& 
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
 struct LossKernelOptions {
+  /// Device array of a view's mask each, [h][w], as in raster::LossOptions, or null; null: none has any.
+  const std::uint8_t* const* masks = nullptr;
   float ssim_weight = 0.2F;
   float weight = 1.0F;  ///< of this picture in the step, divided by the batch by the caller
   bool encode_srgb = true;
@@ -73,9 +75,10 @@ void launch_loss(const float* rendered, const std::uint8_t* const* targets, floa
 
 /// `weight` * |depth - alpha * reference| summed over the pixels that have a surface, where the reference, metres, is
 /// above 0: linear in depth and alpha, and 0 only where what is blended balances about the surface. `targets` is a
-/// device array of `batch` pointers to [h][w]. Writes depth_gradient and alpha_gradient, adds to loss. A view whose
-/// pointer is null has no loss and gradients of zero.
-void launch_depth_loss(const float* const* targets, const WorkspaceView& workspace, float weight, cudaStream_t stream);
+/// device array of `batch` pointers to [h][w], `masks` as in LossKernelOptions: what it masks has no surface. Writes
+/// depth_gradient and alpha_gradient, adds to loss. A view whose pointer is null has no loss and gradients of zero.
+void launch_depth_loss(const float* const* targets, const std::uint8_t* const* masks, const WorkspaceView& workspace,
+                       float weight, cudaStream_t stream);
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
@@ -83,11 +86,14 @@ struct AdamOptions {
   int active_channels = 0;                          ///< 0: all
   bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
+  /// Device array of what each view's loss is at most before it has risen (LossHistory); null: rates do not recover.
+  const float* loss_limits = nullptr;
 };
 
-/// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + 1][kPageLanes], first moments,
-/// second moments, steps as integers.
+/// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + kCounters][kPageLanes], first
+/// moments, second moments, steps as integers, LearningAge's two.
 struct OptimizerState {
+  static constexpr int kCounters = 3;
   float* blocks = nullptr;
   int channels = 0;
 };

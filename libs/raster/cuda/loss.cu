@@ -40,6 +40,11 @@ struct Place {
   std::size_t plane;  // first element of this view's channel
 };
 
+/// Of a view; null: it has none.
+__device__ inline const std::uint8_t* mask_of(const LossPicture& picture, int view) {
+  return picture.options.masks == nullptr ? nullptr : picture.options.masks[view];
+}
+
 __device__ inline Place place(const WorkspaceView& w) {
   Place p;
   p.view = blockIdx.z / 3;
@@ -104,6 +109,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) ssim_kernel(WorkspaceView w, 
   const int t = threadIdx.x;
   const std::uint8_t* target = picture.targets[p.view];
   if (target == nullptr) return;
+  const std::uint8_t* const mask = mask_of(picture, p.view);
   if (t == 0) block_loss = 0.0F;
   for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
     const int ly = k / kHaloX, lx = k - ly * kHaloX;
@@ -112,6 +118,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) ssim_kernel(WorkspaceView w, 
     const std::size_t at = static_cast<std::size_t>(gy) * w.width + gx;
     x[ly][lx] = inside ? display(picture.rendered[p.plane + at], picture.options.encode_srgb) : 0.0F;
     y[ly][lx] = inside ? target[4 * at + p.channel] * (1.0F / 255.0F) : 0.0F;
+    if (mask != nullptr && inside && mask[at] != 0) y[ly][lx] = x[ly][lx];
   }
   __syncthreads();
   blur_rows<5>(rows, [&](int ly, int lx, float(&v)[5]) {
@@ -172,6 +179,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) loss_gradient_kernel(Workspac
   const int t = threadIdx.x;
   const std::uint8_t* target = picture.targets[p.view];
   if (target == nullptr) return clear_gradient(w, picture, p);
+  const std::uint8_t* const mask = mask_of(picture, p.view);
   const std::size_t planes = static_cast<std::size_t>(3) * w.batch * w.width * w.height;
   for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
     const int ly = k / kHaloX, lx = k - ly * kHaloX;
@@ -205,6 +213,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) loss_gradient_kernel(Workspac
       if ((raw < 0.0F && d > 0.0F) || (raw > 1.0F && d < 0.0F)) d = 0.0F;
       d *= srgb_slope(raw);
     }
+    if (mask != nullptr && mask[at] != 0) d = 0.0F;
     picture.gradient[p.plane + at] = d;
   }
 }

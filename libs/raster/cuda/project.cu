@@ -4,6 +4,7 @@
 #include "raster/cuda/projection_math.cuh"
 #include "raster/cuda/range_lanes.cuh"
 #include "raster/cuda/sort_key.h"
+#include "raster/cuda/source_light.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -28,19 +29,41 @@ __device__ float3 radiance_color(const DeviceGaussians& gaussians, int i, const 
   return make_float3(color[0], color[1], color[2]);
 }
 
-__device__ float3 transfer_color(const DeviceGaussians& gaussians, int i, const ObjectView& object,
-                                 const DeviceView& view) {
+template <bool kSources>
+__device__ float3 transfer_color(const DeviceGaussians& gaussians, int i, const float3 mean, const ObjectView& object,
+                                 const WorkspaceView& w, int b) {
   const float3 n = load_normal(normals_of(gaussians), i);
-  const float visibility = visibility_of(gaussians, view, i);
+  const float visibility = visibility_of(gaussians, w.views[b], i);
   const ChannelsOfOne<float> p = parameters_of(gaussians).of(i, ParameterLayout::kAlbedo);
-  const float3 response = diffuse_response(object, n, visibility);
+  float3 response = diffuse_response(object, n, visibility);
+  // Light is summed over the sources before it meets the residual, whose channels are read once.
+  float from_sources[27] = {};
+  if constexpr (kSources) {
+    for_each_source(w, b, object, mean, i, [&](const float3 irradiance, const float3 to_light) {
+      const float cosine = facing(n, to_light);
+      response = make_float3(response.x + cosine * irradiance.x, response.y + cosine * irradiance.y,
+                             response.z + cosine * irradiance.z);
+      float y[9];
+      sh_basis<9>(to_light, y);
+#pragma unroll
+      for (int k = 0; k < 9; ++k) {
+        from_sources[3 * k] += y[k] * irradiance.x;
+        from_sources[3 * k + 1] += y[k] * irradiance.y;
+        from_sources[3 * k + 2] += y[k] * irradiance.z;
+      }
+    });
+  }
   float3 color = make_float3(p[0] * response.x, p[1] * response.y, p[2] * response.z);
   float sun[9];
   sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
   const ChannelsOfOne<float> r = parameters_of(gaussians).of(i, ParameterLayout::kResidual).recomputed();
 #pragma unroll
   for (int k = 0; k < 9; ++k) {
-    const float3 light = residual_light(object, k, sun[k], visibility);
+    float3 light = residual_light(object, k, sun[k], visibility);
+    if constexpr (kSources) {
+      light = make_float3(light.x + from_sources[3 * k], light.y + from_sources[3 * k + 1],
+                          light.z + from_sources[3 * k + 2]);
+    }
     color.x += r[3 * k] * light.x;
     color.y += r[3 * k + 1] * light.y;
     color.z += r[3 * k + 2] * light.z;
@@ -78,13 +101,13 @@ struct Seen {
 };
 
 /// False when the colour is not finite.
-template <int kCoefficients>
+template <int kCoefficients, bool kSources>
 __device__ bool shade(const DeviceGaussians& gaussians, int i, const float3 mean, const ObjectView& object,
-                      const DeviceView& view, float3& color) {
+                      const WorkspaceView& w, int b, float3& color) {
   if constexpr (kCoefficients > 0) {
     color = radiance_color<kCoefficients>(gaussians, i, mean, object);
   } else {
-    color = transfer_color(gaussians, i, object, view);
+    color = transfer_color<kSources>(gaussians, i, mean, object, w, b);
     const ChannelsOfOne<float> albedo = parameters_of(gaussians).of(i, ParameterLayout::kAlbedo);
     if (!(bounded(albedo[0]) && bounded(albedo[1]) && bounded(albedo[2]))) return false;
   }
@@ -118,8 +141,8 @@ __device__ bool emit(const Footprint& footprint, bool visible, int i, int b, flo
 }
 
 /// Shading comes last, for what meets a tile, when little else is held in registers.
-template <int kCoefficients>
-__global__ void __launch_bounds__(kThreads, 6)
+template <int kCoefficients, bool kSources>
+__global__ void __launch_bounds__(kThreads, kSources ? 4 : 6)
     project_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options) {
   Lane<kThreads> lane;
   if (!lane.find(w)) return;
@@ -150,7 +173,7 @@ __global__ void __launch_bounds__(kThreads, 6)
       }
     }
     float3 color;
-    if (visible && shade<kCoefficients>(gaussians, recomputed(i), g.mean, object, w.views[b], color)) {
+    if (visible && shade<kCoefficients, kSources>(gaussians, recomputed(i), g.mean, object, w, b, color)) {
       reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1)[1] =
           make_float2(clamp_color(color.x), clamp_color(color.y));
       w.projected_tail[at] = make_float2(clamp_color(color.z), depth);
@@ -173,7 +196,12 @@ void launch_project(const DeviceGaussians& gaussians, const WorkspaceView& works
   const unsigned blocks = Lane<kThreads>::blocks(workspace);
   if (blocks == 0) return;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
-    project_kernel<coefficients()><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    constexpr bool kTransfer = coefficients() == 0;
+    if (kTransfer && workspace.source_room > 0) {
+      project_kernel<coefficients(), kTransfer><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    } else {
+      project_kernel<coefficients(), false><<<blocks, kThreads, 0, stream>>>(gaussians, workspace, options);
+    }
   });
   check(cudaGetLastError(), "projection");
 }

@@ -24,9 +24,12 @@ __device__ FrustumCamera frustum_camera(const DeviceView& view, const WorkspaceV
           .max_tan_y = fmaxf(fabsf(view.limit_y_low), fabsf(view.limit_y_high))};
 }
 
-__device__ math::Rigid camera_from(const ObjectView& object) {
+__device__ PageFrustum frustum_of(const ObjectView& object, const FrustumCamera& camera) {
   const float* v = object.view_from_object;
-  return {{{v[0], v[4], v[8]}, {v[1], v[5], v[9]}, {v[2], v[6], v[10]}}, {v[3], v[7], v[11]}};
+  const float s = 1.0F / object.scale;
+  const math::Mat3 rotation{
+      {s * v[0], s * v[4], s * v[8]}, {s * v[1], s * v[5], s * v[9]}, {s * v[2], s * v[6], s * v[10]}};
+  return page_frustum(camera, {rotation, {v[3], v[7], v[11]}}, object.scale);
 }
 
 /// The views that a range may show in.
@@ -40,8 +43,7 @@ __device__ std::uint32_t views_of(const DeviceGaussians& g, const WorkspaceView&
     const ObjectView& object = w.object_views[b * w.object_count + slot];
     if (is_hidden(object)) continue;
     const bool shows =
-        g.bounds == nullptr ||
-        may_show(page_frustum(frustum_camera(w.views[b], w, blur_px2), camera_from(object)), g.bounds[k]);
+        g.bounds == nullptr || may_show(frustum_of(object, frustum_camera(w.views[b], w, blur_px2)), g.bounds[k]);
     if (shows) views |= 1U << b;
   }
   return views;

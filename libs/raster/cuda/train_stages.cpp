@@ -58,7 +58,8 @@ void TrainStep::enqueue_forward(const ViewBatch& batch, const WorkspaceView& w) 
 
 void TrainStep::picture_loss(const float* rendered, const ViewBatch& batch, bool of_albedo, float* gradient,
                              const WorkspaceView& w) {
-  const LossKernelOptions loss{.ssim_weight = options_.ssim_weight,
+  const LossKernelOptions loss{.masks = batch.masks(),
+                               .ssim_weight = options_.ssim_weight,
                                .weight = (of_albedo ? options_.albedo_weight : 1.0F) / static_cast<float>(batch.batch),
                                .encode_srgb = gaussians_.layout.appearance == Appearance::Transfer};
   launch_loss(rendered, of_albedo ? batch.albedo_targets() : batch.color_targets(), gradient, w, loss, stream());
@@ -69,10 +70,10 @@ void TrainStep::losses(const ViewBatch& batch, const WorkspaceView& w) {
   if (w.albedo != nullptr) picture_loss(w.albedo, batch, true, w.albedo_gradient, w);
   if (w.depth == nullptr) return;
   const float values = static_cast<float>(batch.batch) * static_cast<float>(w.width) * static_cast<float>(w.height);
-  launch_depth_loss(batch.depth_targets(), w, options_.depth_weight / values, stream());
+  launch_depth_loss(batch.depth_targets(), batch.masks(), w, options_.depth_weight / values, stream());
 }
 
-void TrainStep::update(const WorkspaceView& w) {
+void TrainStep::update(const ViewBatch& batch, const WorkspaceView& w) {
   const AdamOptions adam_options{.beta1 = options_.beta1,
                                  .beta2 = options_.beta2,
                                  .epsilon = options_.epsilon,
@@ -80,7 +81,8 @@ void TrainStep::update(const WorkspaceView& w) {
                                  .active_channels = options_.active_channels,
                                  .unit_albedo = options_.unit_albedo,
                                  .lr_half_life_steps = options_.lr_half_life_steps,
-                                 .lr_min_factor = options_.lr_min_factor};
+                                 .lr_min_factor = options_.lr_min_factor,
+                                 .loss_limits = options_.lr_recovery ? batch.loss_limits() : nullptr};
   launch_update(gaussians_, w, options_.project, adam_.view(), adam_options, adam_.statistics(), stream());
   launch_bounds(gaussians_, w, stream());
 }
@@ -100,7 +102,7 @@ std::vector<TrainStep::StageTime> TrainStep::time_stages(std::span<const TrainVi
       {"blend_forward", [&] { launch_blend_forward(gaussians_, w, stream()); }},
       {"loss", [&] { losses(batch, w); }},
       {"blend_backward", [&] { launch_blend_backward(gaussians_, w, stream()); }},
-      {"update", [&] { update(w); }},
+      {"update", [&] { update(batch, w); }},
   }};
   constexpr std::size_t kForwardStages = 3;
   const std::size_t count = options_.training ? stages.size() : kForwardStages;

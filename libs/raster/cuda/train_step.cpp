@@ -116,10 +116,11 @@ void TrainStep::launch(Part part) {
   retire(false);
   if (in_flight_.size() == ViewBatch::kStepsInFlight) retire_one(true);
   ViewBatch& batch = batch_for(part.views);
-  batch.set_views(part.views, gaussians_.layout.appearance, stream());
+  const std::vector<float> limits = loss_limits(part.views);
+  batch.set_views(part.views, limits, gaussians_.layout.appearance, stream());
   if (!batch.sized()) {
     size_isects(batch);
-    batch.set_views(part.views, gaussians_.layout.appearance, stream());
+    batch.set_views(part.views, limits, gaussians_.layout.appearance, stream());
   }
   const WorkspaceView w = workspace_for(batch);
   if (part.training) {
@@ -127,7 +128,7 @@ void TrainStep::launch(Part part) {
       enqueue_forward(batch, w);
       losses(batch, w);
       launch_blend_backward(gaussians_, w, stream());
-      update(w);
+      update(batch, w);
     });
   } else {
     enqueue_forward(batch, w);
@@ -142,6 +143,15 @@ void TrainStep::launch(Part part) {
   last_views_ = part.views;
   last_workspace_ = w;
   in_flight_.push_back(std::move(part));
+}
+
+std::vector<float> TrainStep::loss_limits(std::span<const TrainView> views) const {
+  std::vector<float> limits;
+  for (const TrainView& view : views) {
+    // A step's losses are each view's part of their mean.
+    limits.push_back(loss_history_.limit(view.view.camera) / static_cast<float>(views.size()));
+  }
+  return limits;
 }
 
 void TrainStep::enqueue_repeats() {
@@ -173,6 +183,9 @@ bool TrainStep::retire_one(bool wait) {
     return true;
   }
   const std::size_t views = part.views.size();
+  for (std::size_t k = 0; k < views; ++k) {
+    loss_history_.add(part.views[k].view.camera, counts.loss[k] * static_cast<float>(views));
+  }
   const double loss = std::accumulate(counts.loss, counts.loss + views, 0.0);
   const std::size_t all = report_.views + views;
   report_.loss = (report_.loss * static_cast<double>(report_.views) + loss * static_cast<double>(views)) /

@@ -16,6 +16,7 @@
 #include "raster/cuda/adam_state.h"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/view_batch.h"
+#include "raster/loss_history.h"
 
 namespace splatbus::raster::cuda {
 
@@ -29,7 +30,8 @@ struct TrainStepOptions {
   int active_channels = 0;
   bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
-  bool training = true;  ///< false: forward() only, and no memory for more; pictures may be null
+  bool lr_recovery = false;  ///< rates rise again where the loss of a view (of one camera id) does
+  bool training = true;      ///< false: forward() only, and no memory for more; pictures may be null
 };
 
 /// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. A few steps may be on
@@ -123,7 +125,9 @@ class TrainStep {
   void picture_loss(const float* rendered, const ViewBatch& batch, bool of_albedo, float* gradient,
                     const WorkspaceView& w);
   void losses(const ViewBatch& batch, const WorkspaceView& w);
-  void update(const WorkspaceView& w);
+  void update(const ViewBatch& batch, const WorkspaceView& w);
+  /// Of a launch's views.
+  [[nodiscard]] std::vector<float> loss_limits(std::span<const TrainView> views) const;
 
   void launch(Part part);
   void enqueue_repeats();
@@ -145,6 +149,7 @@ class TrainStep {
   device::Pinned<StepCounts> host_counts_{ViewBatch::kStepsInFlight};
   std::size_t launched_ = 0, retired_ = 0;
   std::deque<Part> repeats_;  // for whose intersections there was no room
+  LossHistory loss_history_;
   Report report_;
   Clock::time_point busy_since_{};
 

@@ -2,6 +2,8 @@
 #include "raster/cuda/gradient_math.cuh"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/range_lanes.cuh"
+#include "raster/cuda/source_light.cuh"
+#include "raster/learning_age.h"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -27,20 +29,58 @@ struct AdamSink {
   /// Of channel 0: the first moment. The second one of a channel lies `second()` behind its first.
   [[nodiscard]] __device__ float* moments(int i) const {
     const auto index = static_cast<std::uint32_t>(i);
-    return state.blocks + (index >> kPageShift) * static_cast<std::size_t>((2 * state.channels + 1) * kLanes) +
+    return state.blocks +
+           (index >> kPageShift) * static_cast<std::size_t>((2 * state.channels + OptimizerState::kCounters) * kLanes) +
            (index & (kPageLanes - 1));
   }
   [[nodiscard]] __device__ int second() const { return state.channels * kLanes; }
 
-  __device__ void begin(int i) {
-    std::uint32_t& steps = *reinterpret_cast<std::uint32_t*>(moments(i) + 2 * second());
+  /// Of a Gaussian that is blended into `item.views`.
+  template <class Item>
+  __device__ void begin(const Item& item, const float3 mean) {
+    float* const counters = moments(item.i) + 2 * second();
+    std::uint32_t& steps = *reinterpret_cast<std::uint32_t*>(counters);
     const std::uint32_t taken = steps + 1;
     steps = taken;
     const auto step = static_cast<float>(taken);
     const float half = options.lr_half_life_steps;
-    const float rate = half > 0.0F ? fmaxf(options.lr_min_factor, half / (half + step)) : 1.0F;
+    const float rate = half > 0.0F ? fmaxf(options.lr_min_factor, half / (half + age(item, mean, step))) : 1.0F;
     correction1 = rate / (1.0F - exp2f(step * log2f(options.beta1)));
     correction2 = 1.0F / (1.0F - exp2f(step * log2f(options.beta2)));
+  }
+
+  /// Takes the step's views into its age, and returns that.
+  template <class Item>
+  __device__ float age(const Item& item, const float3 mean, float step) const {
+    float detail = 0.0F;
+    bool risen = false;
+    for (int b = 0; b < item.w.batch; ++b) {
+      if ((item.views >> b & 1U) == 0) continue;
+      const float* row = item.object(b).view_from_object + 8;
+      const float depth_m = row[0] * mean.x + row[1] * mean.y + row[2] * mean.z + row[3];
+      const float px_per_m = __fdividef(item.w.views[b].fx, fmaxf(depth_m, kNearestDepth_m));
+      detail = fmaxf(detail, px_per_m * px_per_m);
+      risen = risen || (options.loss_limits != nullptr && item.w.loss[b] > options.loss_limits[b]);
+    }
+    float* const counters = moments(item.i) + 2 * second();
+    LearningAge so_far{counters[kLanes], counters[2 * kLanes]};
+    if (risen && gradients_agree(item.i, step)) so_far.near_steps *= kRecovery;
+    so_far.advance(detail);
+    counters[kLanes] = so_far.near_steps;
+    counters[2 * kLanes] = so_far.detail;
+    return so_far.of(step);
+  }
+
+  /// Of colour, over the last steps.
+  [[nodiscard]] __device__ bool gradients_agree(int i, float step) const {
+    const float* const first = moments(i) + ParameterLayout::kAppearance * kLanes;
+    float mean2 = 0.0F, square = 0.0F;
+    for (int c = 0; c < 3; ++c) {
+      mean2 += first[c * kLanes] * first[c * kLanes];
+      square += first[c * kLanes + second()];
+    }
+    const float bias1 = 1.0F - exp2f(step * log2f(options.beta1)), bias2 = 1.0F - exp2f(step * log2f(options.beta2));
+    return mean2 * bias2 > kAgreement * square * bias1 * bias1;
   }
 
   /// Channels first, first + spacing, ... with their present values; all loads come before the first store, so that
@@ -79,7 +119,8 @@ struct GradientSink {
   std::uint8_t* touched;
   int active_channels;
 
-  __device__ void begin(int) const {}
+  template <class Item>
+  __device__ void begin(const Item&, const float3) const {}
   template <int kChannels, bool kUnit = false>
   __device__ void put(int first, int spacing, int i, const float*, const float* values) const {
     for (int k = 0; k < kChannels; ++k) {
@@ -154,8 +195,9 @@ __device__ void put_channels(const Item& item, const Sink& sink, int first, cons
   sink.template put<kChannels, kUnit>(first, 1, item.i, value, gradient);
 }
 
-template <class Sink>
-__device__ void update_transfer(const Item& item, const Sink& sink, bool residual) {
+/// The mean gets nothing through a light: geometry is not to move in order to explain brightness.
+template <bool kSources, class Sink>
+__device__ void update_transfer(const Item& item, const float3 mean, const Sink& sink, bool residual) {
   const float3 n = load_normal(normals_of(item.gaussians), item.i);
   float albedo[3] = {0.0F, 0.0F, 0.0F}, sums[27] = {};
   for (int b = 0; b < item.w.batch; ++b) {
@@ -166,6 +208,19 @@ __device__ void update_transfer(const Item& item, const Sink& sink, bool residua
     const float3 response = diffuse_response(object, n, visibility);
     const float direct[3] = {response.x, response.y, response.z};
     for (int c = 0; c < 3; ++c) albedo[c] += g[c] * direct[c] + item.gradient(b)[9 + c];
+    if constexpr (kSources) {
+      for_each_source(item.w, b, object, mean, item.i, [&](const float3 irradiance, const float3 to_light) {
+        const float of_light[3] = {g[0] * irradiance.x, g[1] * irradiance.y, g[2] * irradiance.z};
+        const float cosine = facing(n, to_light);
+#pragma unroll
+        for (int c = 0; c < 3; ++c) albedo[c] += cosine * of_light[c];
+        if (!residual) return;
+        float y[9];
+        sh_basis<9>(to_light, y);
+#pragma unroll
+        for (int k = 0; k < 27; ++k) sums[k] += y[k / 3] * of_light[k % 3];
+      });
+    }
     if (!residual) continue;
     float sun[9];
     sh_basis<9>(make_float3(object.sun_direction[0], object.sun_direction[1], object.sun_direction[2]), sun);
@@ -244,7 +299,7 @@ __device__ void clear_gradients(const Item& item) {
   }
 }
 
-template <class Sink, int kCoefficients, bool kExtra>
+template <class Sink, int kCoefficients, bool kExtra, bool kSources>
 __global__ void __launch_bounds__(kThreads, 4)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual,
                   ScreenStatistics statistics) {
@@ -260,10 +315,10 @@ __global__ void __launch_bounds__(kThreads, 4)
   if constexpr (std::is_same_v<Sink, GradientSink>) sink.touched[i] = 1;
   if (!is_frozen(gaussians, i)) {
     const GaussianGeometry g = load_geometry(parameters_of(gaussians), i);
-    sink.begin(i);
+    sink.begin(item, g.mean);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};
     if constexpr (kCoefficients == 0) {
-      update_transfer(item, sink, residual);
+      update_transfer<kSources>(item, g.mean, sink, residual);
     } else {
       update_radiance<kCoefficients>(item, g.mean, sink, mean_gradient);
     }
@@ -279,12 +334,17 @@ void launch_with(const DeviceGaussians& gaussians, const WorkspaceView& workspac
   if (blocks == 0) return;
   const bool residual = sink.active_channels > ParameterLayout::kResidual;
   with_coefficients(gaussians.layout, [&](auto coefficients) {
-    const auto launch = [&](auto extra) {
-      update_kernel<Sink, coefficients(), extra()>
+    constexpr bool kTransfer = coefficients() == 0;
+    const auto launch = [&](auto extra, auto sources) {
+      update_kernel<Sink, coefficients(), extra(), sources()>
           <<<blocks, kThreads, 0, stream>>>(gaussians, workspace, project, sink, residual, statistics);
     };
+    const auto launch_lit = [&](auto extra) {
+      kTransfer&& workspace.source_room > 0 ? launch(extra, std::bool_constant<kTransfer>{})
+                                            : launch(extra, std::false_type{});
+    };
     const bool extra = workspace.projected_depth_gradient != nullptr || statistics.mean2d_norm != nullptr;
-    extra ? launch(std::true_type{}) : launch(std::false_type{});
+    extra ? launch_lit(std::true_type{}) : launch_lit(std::false_type{});
   });
   check(cudaGetLastError(), "update");
 }

@@ -24,6 +24,7 @@ Targets::Targets(std::span<const TrainView> views) {
   for (const TrainView& view : views) {
     albedo |= view.albedo != nullptr;
     depth |= view.depth != nullptr;
+    mask |= view.mask != nullptr;
   }
 }
 
@@ -37,14 +38,27 @@ void ViewBatch::choose_objects(std::span<const SceneView> views) {
   graph.invalidate();
 }
 
+/// Room stays while sources come and go; without any for a while, the kernels are those that know none again.
+void ViewBatch::choose_source_room(int needed) {
+  steps_without_sources_ = needed > 0 ? 0 : steps_without_sources_ + 1;
+  const int room = steps_without_sources_ > kStepsToShrink ? 0 : std::max(needed, source_room_);
+  if (room == source_room_) return;
+  source_room_ = room;
+  graph.invalidate();
+}
+
 void ViewBatch::lay_out_tables(cudaStream_t stream) {
   const auto views = static_cast<std::size_t>(batch);
   const std::size_t pointers = aligned(views * sizeof(void*));
   color_offset_ = aligned(views * sizeof(DeviceView));
   albedo_offset_ = color_offset_ + pointers;
   depth_offset_ = albedo_offset_ + pointers;
-  object_offset_ = depth_offset_ + pointers;
-  const std::size_t bytes = object_offset_ + aligned(views * (1 + object_ids_.size()) * sizeof(ObjectView));
+  mask_offset_ = depth_offset_ + pointers;
+  limit_offset_ = mask_offset_ + pointers;
+  object_offset_ = limit_offset_ + aligned(views * sizeof(float));
+  source_offset_ = object_offset_ + aligned(views * (1 + object_ids_.size()) * sizeof(ObjectView));
+  const std::size_t bytes =
+      source_offset_ + aligned(views * static_cast<std::size_t>(source_room_) * sizeof(ShadingSource));
   if (bytes == table_bytes_) return;
   device::check(cudaStreamSynchronize(stream), "laying out tables");
   table_bytes_ = bytes;
@@ -55,19 +69,22 @@ void ViewBatch::lay_out_tables(cudaStream_t stream) {
   graph.invalidate();
 }
 
-void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearance, cudaStream_t stream) {
+void ViewBatch::set_views(std::span<const TrainView> views, std::span<const float> loss_limits, Appearance appearance,
+                          cudaStream_t stream) {
   std::vector<SceneView> scenes;
-  std::vector<const std::uint8_t*> colors, albedos;
+  std::vector<const std::uint8_t*> colors, albedos, masks;
   std::vector<const float*> depths;
   for (const TrainView& view : views) {
     scenes.push_back(view.view);
     colors.push_back(view.color);
     albedos.push_back(view.albedo);
     depths.push_back(view.depth);
+    masks.push_back(view.mask);
   }
   choose_objects(scenes);
+  choose_source_room(max_sources(scenes, appearance));
   lay_out_tables(stream);
-  const ViewTables tables = make_view_tables(scenes, appearance, object_ids_);
+  const ViewTables tables = make_view_tables(scenes, appearance, object_ids_, source_room_);
   std::byte* const slot = ring_.data() + turn_++ % kSlots * table_bytes_;
   const auto put = [&](std::size_t offset, const auto& values) {
     std::memcpy(slot + offset, values.data(), values.size() * sizeof(values[0]));
@@ -76,7 +93,10 @@ void ViewBatch::set_views(std::span<const TrainView> views, Appearance appearanc
   put(color_offset_, colors);
   put(albedo_offset_, albedos);
   put(depth_offset_, depths);
+  put(mask_offset_, masks);
+  put(limit_offset_, loss_limits);
   put(object_offset_, tables.object_views);
+  put(source_offset_, tables.sources);
   const Targets targets(views);
   if (targets != targets_) graph.invalidate();
   targets_ = targets;
@@ -108,6 +128,8 @@ void ViewBatch::bind(WorkspaceView& w) const {
   w.views = at<DeviceView>(0);
   w.object_views = at<ObjectView>(object_offset_);
   w.object_count = 1 + static_cast<int>(object_ids_.size());
+  w.sources = at<ShadingSource>(source_offset_);
+  w.source_room = source_room_;
   w.object_ids = device_object_ids_.data();
   w.object_slot = slotted_ ? object_slot_.data() : nullptr;
 }

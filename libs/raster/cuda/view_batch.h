@@ -21,12 +21,13 @@ struct TrainView {
   const std::uint8_t* color = nullptr;
   const std::uint8_t* albedo = nullptr;  ///< null: this view has no albedo loss
   const float* depth = nullptr;          ///< metres along z, 0 where there is no surface; null: it has no depth loss
+  const std::uint8_t* mask = nullptr;    ///< [h][w], as in raster::LossOptions; null: none
   std::shared_ptr<const void> keep = nullptr;  ///< owner of the scene and the pictures, held until the step is done
 };
 
 /// Which pictures beside the lit one any view has to be compared with.
 struct Targets {
-  bool albedo = false, depth = false;
+  bool albedo = false, depth = false, mask = false;
 
   Targets() = default;
   explicit Targets(std::span<const TrainView> views);
@@ -44,7 +45,9 @@ class ViewBatch {
 
   /// Writes the tables that the next copy_tables() takes, where no step on its way reads them. Waits for the stream
   /// when more objects move than before.
-  void set_views(std::span<const TrainView> views, Appearance appearance, cudaStream_t stream);
+  /// `loss_limits`: of each view, as in AdamOptions.
+  void set_views(std::span<const TrainView> views, std::span<const float> loss_limits, Appearance appearance,
+                 cudaStream_t stream);
   /// The first stage of a step, the same for all of them: takes the tables and clears the counts.
   void copy_tables(StepCounts* counts, cudaStream_t stream) const;
   /// Finds each Gaussian's object again where the model or the objects have changed.
@@ -57,6 +60,11 @@ class ViewBatch {
   [[nodiscard]] const std::uint8_t* const* color_targets() const { return at<const std::uint8_t*>(color_offset_); }
   [[nodiscard]] const std::uint8_t* const* albedo_targets() const { return at<const std::uint8_t*>(albedo_offset_); }
   [[nodiscard]] const float* const* depth_targets() const { return at<const float*>(depth_offset_); }
+  /// Null when no view has a mask.
+  [[nodiscard]] const std::uint8_t* const* masks() const {
+    return targets_.mask ? at<const std::uint8_t*>(mask_offset_) : nullptr;
+  }
+  [[nodiscard]] const float* loss_limits() const { return at<float>(limit_offset_); }
   [[nodiscard]] const Targets& targets() const { return targets_; }
 
   /// How many intersections a step found. Throws when they are more than can be sorted.
@@ -77,12 +85,15 @@ class ViewBatch {
     return reinterpret_cast<T*>(tables_.data() + offset);
   }
   void choose_objects(std::span<const SceneView> views);
+  void choose_source_room(int needed);
   void lay_out_tables(cudaStream_t stream);
   void set_capacity(std::uint32_t isects);
 
-  // One table: views, targets of colour, albedo and depth, views of objects. The host fills a ring of them.
+  // One table: views, targets of colour, albedo and depth, masks, limits of losses, views of objects, light sources. The
+  // host fills a ring of them.
   static constexpr int kSlots = kStepsInFlight + 1;
-  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, object_offset_ = 0, table_bytes_ = 0;
+  std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, mask_offset_ = 0;
+  std::size_t limit_offset_ = 0, object_offset_ = 0, source_offset_ = 0, table_bytes_ = 0;
   device::Pinned<std::byte> ring_;
   device::Buffer<std::byte> tables_;
   device::Buffer<std::uint32_t> device_turn_{1};
@@ -93,6 +104,9 @@ class ViewBatch {
   device::Buffer<std::uint32_t> device_object_ids_;
   device::Buffer<std::uint16_t> object_slot_;
   bool slots_stale_ = true, slotted_ = false;
+
+  int source_room_ = 0;  // a view
+  int steps_without_sources_ = 0;
 
   std::uint32_t isect_capacity_ = 1U << 20U;
   bool sized_ = false;            // by views' own intersections

@@ -24,18 +24,23 @@ struct ViewTables {
   std::vector<DeviceView> views;          ///< [batch]
   std::vector<ObjectView> object_views;   ///< [batch][object_count]
   std::vector<std::uint32_t> object_ids;  ///< id of each slot but 0, ascending
-  int object_count = 1;
+  std::vector<ShadingSource> sources;     ///< [batch][source_room]
+  int object_count = 1, source_room = 0;
 };
 
 /// Folds cameras, object transforms and light together. Every view knows the union of the views' objects; one that its
 /// own scene lacks is hidden there. Throws std::invalid_argument when there are too many.
 [[nodiscard]] ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance);
 
-/// The same for objects chosen by the caller, ids ascending; an object that is none of them is hidden.
+/// The same for objects chosen by the caller, ids ascending, and room for as many light sources a view as any has, or
+/// more; an object that is none of them is hidden.
 [[nodiscard]] ViewTables make_view_tables(std::span<const SceneView> views, Appearance appearance,
-                                          std::vector<std::uint32_t> object_ids);
+                                          std::vector<std::uint32_t> object_ids, int source_room);
 
 /// Ids of the objects that any of the views moves, ascending. Throws std::invalid_argument when there are too many.
 [[nodiscard]] std::vector<std::uint32_t> moving_objects(std::span<const SceneView> views);
+
+/// The most light sources that shading needs of a view; 0 for Radiance, whose colours have light in them.
+[[nodiscard]] int max_sources(std::span<const SceneView> views, Appearance appearance);
 
 }  // namespace splatbus::raster::cuda

@@ -37,6 +37,7 @@ WorkspaceView shape_of(const WorkspaceRequest& r) {
   w.isect_capacity = r.isect_capacity;
   w.range_count = r.range_count;
   w.object_count = std::max(r.object_count, 1);
+  w.source_room = r.source_room;
   return w;
 }
 
@@ -88,6 +89,7 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   take(w.views, objects > 0 ? batch : 0);
   take(w.object_views, batch * objects);
   take(w.object_ids, objects);
+  take(w.sources, batch * static_cast<std::size_t>(r.source_room));
   take(w.object_slot, r.object_slots ? count : 0);
 }
 

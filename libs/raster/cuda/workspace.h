@@ -82,7 +82,9 @@ struct WorkspaceView {
   ObjectView* object_views = nullptr;    ///< [kMaxBatch][object_count]
   std::uint32_t* object_ids = nullptr;   ///< [object_count - 1], ascending, of the rows behind the first
   std::uint16_t* object_slot = nullptr;  ///< [count], row of object_views or kHiddenSlot; null: as the range says, or 0
+  ShadingSource* sources = nullptr;      ///< [kMaxBatch][source_room], the views' light sources; null: none
   int object_count = 1;
+  int source_room = 0;  ///< 0: kernels are those that know no sources
 };
 
 /// With s = dL/d(ln alpha) and d the offset of a pixel from the Gaussian, sums over pixels: s dx, s dy, s dx^2, s dx
@@ -100,6 +102,7 @@ struct WorkspaceRequest {
   int batch = 1, width = 0, height = 0;
   int range_count = 0, range_capacity = 0;  ///< as count and capacity
   int object_count = 0;  ///< rows of object_views; 0: the caller brings views, object_views, object_ids and object_slot
+  int source_room = 0;   ///< with object_count
   bool object_slots = false;  ///< room for object_slot, with object_count
   bool albedo = false;
   bool depth = false;  ///< the depth plane; in training also gradients through it and through alpha

@@ -2,6 +2,8 @@
 
 #include <torch/nn/functional/conv.h>
 
+#include <algorithm>
+#include <cmath>
 #include <glm/glm.hpp>
 #include <numbers>
 #include <vector>
@@ -11,58 +13,121 @@ namespace {
 
 using torch::Tensor;
 
+constexpr double kConstantSh = 0.28209479177387814;
+
 /// Values that every Gaussian takes from its object: [count, ...] tensors gathered from small tables.
 struct ObjectTensors {
-  Tensor camera_from_object;            // [N, 3, 3]
+  Tensor camera_from_object;            // [N, 3, 3], rotation times scale
   Tensor translation, camera_position;  // [N, 3]
-  Tensor ambient, sun_sh;               // [N, 9, 3]
-  Tensor sun_direction;                 // [N, 3]
+  Tensor ambient;                       // [N, 9, 3]
   Tensor shown;                         // [N] bool: the scene has the object
+};
+
+/// What arrives of one light at every Gaussian, in its object's frame.
+struct ArrivingLight {
+  Tensor direction;   // [N, 3], towards the light
+  Tensor irradiance;  // [N, 3], on a surface that faces it, of what is visible
 };
 
 Tensor tensor_of(const std::vector<double>& values, at::IntArrayRef shape, const torch::TensorOptions& type) {
   return torch::tensor(values, torch::kFloat64).reshape(shape).to(type);
 }
 
+/// Of Gaussian i; null when the scene does not have it.
+const ObjectTransform* object_of(const GaussiansView& gaussians, const SceneState& scene, std::size_t i) {
+  static const ObjectTransform world;
+  const std::uint32_t frame_id = gaussians.object_id != nullptr ? gaussians.object_id[i] : kWorldFrame;
+  if (frame_id == kWorldFrame) return &world;
+  const auto found = scene.objects.find(frame_id);
+  return found != scene.objects.end() ? &found->second : nullptr;
+}
+
 ObjectTensors gather_objects(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                              const torch::TensorOptions& type) {
   const Rigid camera_from_world = inverse(camera.world_from_camera);
-  std::vector<double> rotation, translation, position, ambient, sun_sh, sun_direction, shown;
+  std::vector<double> linear, translation, position, ambient, shown;
   for (std::size_t i = 0; i < gaussians.count; ++i) {
-    ObjectTransform object;
-    const std::uint32_t frame_id = gaussians.object_id != nullptr ? gaussians.object_id[i] : kWorldFrame;
-    const auto found = scene.objects.find(frame_id);
-    if (frame_id != kWorldFrame && found != scene.objects.end()) object = found->second;
-    shown.push_back(frame_id == kWorldFrame || found != scene.objects.end() ? 1 : 0);
+    const ObjectTransform* const found = object_of(gaussians, scene, i);
+    const ObjectTransform object = found != nullptr ? *found : ObjectTransform();
+    shown.push_back(found != nullptr ? 1 : 0);
     const Rigid camera_from_object = camera_from_world * object.rigid;
     const glm::mat3 r = glm::mat3_cast(glm::normalize(camera_from_object.rotation));
     const glm::vec3 eye = inverse(camera_from_object).translation;
-    const Light light = light_in_object(scene.light, object);
-    const Sh9 basis = sh9_basis(light.sun_direction);
     for (int row = 0; row < 3; ++row) {
-      for (int column = 0; column < 3; ++column) rotation.push_back(r[column][row]);
+      for (int column = 0; column < 3; ++column) linear.push_back(double{object.scale} * r[column][row]);
       translation.push_back(camera_from_object.translation[row]);
-      position.push_back(eye[row]);
-      sun_direction.push_back(light.sun_direction[row]);
+      position.push_back(double{eye[row]} / object.scale);
     }
+    const auto rotated = rotate_sh9(scene.light.ambient_sh, glm::conjugate(object.rigid.rotation));
     for (std::size_t k = 0; k < 9; ++k) {
-      for (int c = 0; c < 3; ++c) {
-        ambient.push_back(light.ambient_sh[k][c]);
-        sun_sh.push_back(light.sun_irradiance[c] * basis[k] * std::numbers::inv_pi);
-      }
+      // What is emissive sees the same of all sides, so much that it shows its albedo.
+      const double white = k == 0 ? 1 / kConstantSh : 0;
+      for (int c = 0; c < 3; ++c) ambient.push_back(object.emissive ? white : double{rotated[k][c]});
     }
   }
   const auto n = static_cast<std::int64_t>(gaussians.count);
-  return {tensor_of(rotation, {n, 3, 3}, type), tensor_of(translation, {n, 3}, type),
-          tensor_of(position, {n, 3}, type),    tensor_of(ambient, {n, 9, 3}, type),
-          tensor_of(sun_sh, {n, 9, 3}, type),   tensor_of(sun_direction, {n, 3}, type),
-          tensor_of(shown, {n}, type) > 0};
+  return {tensor_of(linear, {n, 3, 3}, type), tensor_of(translation, {n, 3}, type), tensor_of(position, {n, 3}, type),
+          tensor_of(ambient, {n, 9, 3}, type), tensor_of(shown, {n}, type) > 0};
+}
+
+struct WorldIncident {
+  glm::dvec3 to_light, irradiance;
+};
+
+/// schemas/common.fbs has the formulas.
+WorldIncident arriving(const LightSource& source, const glm::dvec3& point, double min_distance) {
+  const glm::dvec3 intensity(source.intensity), direction(source.direction);
+  if (source.kind == LightKind::Directional) return {direction, intensity};
+  const glm::dvec3 way = glm::dvec3(source.position) - point;
+  const double distance = std::max(glm::length(way), min_distance);
+  const double window = std::max(0.0, 1 - std::pow(distance / source.range_m, 4));
+  double factor = std::pow(window / distance, 2);
+  if (source.kind == LightKind::Spot) {
+    const double cosine = glm::dot(-way / distance, direction), outer = source.cos_outer;
+    factor *= std::pow(std::clamp((cosine - outer) / (source.cos_inner - outer), 0.0, 1.0), 2);
+  }
+  return {way / distance, factor * intensity};
+}
+
+/// The sun, then the sources, worked out in the world; light 0 is the sun. Means are values: no gradient leads to them.
+std::vector<ArrivingLight> arriving_lights(const Tensor& parameters, const GaussiansView& gaussians,
+                                           const SceneState& scene, const torch::TensorOptions& type) {
+  const auto n = static_cast<std::int64_t>(gaussians.count);
+  const Tensor means = parameters.detach().slice(0, 0, 3).to(torch::kFloat64).contiguous();
+  const double* const mean = means.data_ptr<double>();
+  const auto visibility_of = [&](std::size_t light, std::size_t i) -> double {
+    if (gaussians.visibility_u8 != nullptr && light < gaussians.visibility_rows) {
+      return gaussians.visibility_u8[light * gaussians.visibility_stride + i] / 255.0;
+    }
+    return light == 0 && gaussians.visibility != nullptr ? gaussians.visibility[i] : 1;
+  };
+  std::vector<ArrivingLight> lights;
+  for (std::size_t light = 0; light <= scene.light.sources.size(); ++light) {
+    std::vector<double> directions, irradiances;
+    for (std::size_t i = 0; i < gaussians.count; ++i) {
+      const ObjectTransform* const found = object_of(gaussians, scene, i);
+      const ObjectTransform object = found != nullptr ? *found : ObjectTransform();
+      const glm::dquat rotation(object.rigid.rotation);
+      const glm::dvec3 of_object(mean[i], mean[gaussians.count + i], mean[2 * gaussians.count + i]);
+      const glm::dvec3 point = rotation * (double{object.scale} * of_object) + glm::dvec3(object.rigid.translation);
+      WorldIncident incident{glm::dvec3(scene.light.sun_direction), glm::dvec3(scene.light.sun_irradiance)};
+      if (light > 0) incident = arriving(scene.light.sources[light - 1], point, 0.01 * object.scale);
+      const glm::dvec3 direction = glm::conjugate(rotation) * incident.to_light;
+      const double share = object.emissive ? 0 : visibility_of(light, i);
+      for (int c = 0; c < 3; ++c) {
+        directions.push_back(direction[c]);
+        irradiances.push_back(share * incident.irradiance[c]);
+      }
+    }
+    lights.push_back({tensor_of(directions, {n, 3}, type), tensor_of(irradiances, {n, 3}, type)});
+  }
+  return lights;
 }
 
 /// The 3DGS basis (Kerbl et al. 2023, eval_sh) of unit directions [N, 3], as [N, (degree + 1)^2].
 Tensor sh_basis(const Tensor& direction, int degree) {
   const Tensor x = direction.select(1, 0), y = direction.select(1, 1), z = direction.select(1, 2);
-  std::vector<Tensor> b{torch::full_like(x, 0.28209479177387814)};
+  std::vector<Tensor> b{torch::full_like(x, kConstantSh)};
   if (degree > 0) {
     constexpr double kC1 = 0.4886025119029199;
     b.insert(b.end(), {-kC1 * y, kC1 * z, -kC1 * x});
@@ -113,16 +178,17 @@ Tensor colours(const Tensor& p, const Tensor& mean, const GaussiansView& gaussia
     return torch::clamp_min(0.5 + (basis.unsqueeze(2) * coefficients).sum(1), 0);
   }
   const Tensor normal = plane_tensor(gaussians.normal, 3, gaussians, 0, type);
-  const Tensor visibility = plane_tensor(gaussians.visibility, 1, gaussians, 1, type);  // [N, 1]
   const Tensor factors = tensor_of({1, 2.0 / 3, 2.0 / 3, 2.0 / 3, 0.25, 0.25, 0.25, 0.25, 0.25}, {1, 9}, type);
-  const Tensor ambient = ((sh_basis(normal, 2) * factors).unsqueeze(2) * objects.ambient).sum(1);
-  const glm::vec3 s = scene.light.sun_irradiance;
-  const Tensor sun = tensor_of({s.x, s.y, s.z}, {1, 3}, type) * std::numbers::inv_pi;
-  const Tensor cosine = torch::clamp_min((normal * objects.sun_direction).sum(1, true), 0);
+  Tensor reflected = ((sh_basis(normal, 2) * factors).unsqueeze(2) * objects.ambient).sum(1);  // [N, 3]
+  Tensor incident = objects.ambient;                                                           // [N, 9, 3]
+  for (const ArrivingLight& light : arriving_lights(p, gaussians, scene, type)) {
+    const Tensor over_pi = light.irradiance * std::numbers::inv_pi;
+    reflected = reflected + torch::clamp_min((normal * light.direction).sum(1, true), 0) * over_pi;
+    incident = incident + sh_basis(light.direction, 2).unsqueeze(2) * over_pi.unsqueeze(1);
+  }
   const Tensor albedo = p.slice(0, ParameterLayout::kAlbedo, ParameterLayout::kResidual).t();
   const Tensor residual = p.slice(0, ParameterLayout::kResidual).t().reshape({p.size(1), 9, 3});
-  const Tensor incident = objects.ambient + visibility.unsqueeze(2) * objects.sun_sh;
-  return torch::clamp_min(albedo * (ambient + visibility * cosine * sun) + (residual * incident).sum(1), 0);
+  return torch::clamp_min(albedo * reflected + (residual * incident).sum(1), 0);
 }
 
 }  // namespace

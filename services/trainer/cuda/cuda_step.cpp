@@ -22,7 +22,8 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .active_channels = active_channels(options),
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
           .lr_half_life_steps = options.lr_half_life_steps,
-          .lr_min_factor = options.lr_min_factor};
+          .lr_min_factor = options.lr_min_factor,
+          .lr_recovery = options.lr_recovery};
 }
 
 std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> views) {
@@ -38,6 +39,7 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
                    .color = view->color.data(),
                    .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
                    .depth = view->depth.empty() ? nullptr : view->depth.data(),
+                   .mask = view->mask.data(),
                    .keep = std::make_shared<const PairedView>(paired)});
   }
   return out;

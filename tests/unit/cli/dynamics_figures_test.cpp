@@ -56,6 +56,19 @@ TEST(DynamicsFigures, MaskGrowsRoundTheObjectsAndLeavesTheBorder) {
   }
 }
 
+TEST(DynamicsFigures, MotionResidualIsWhatOnlyOneOfThemChanges) {
+  const auto picture = [](std::uint8_t left, std::uint8_t right) {
+    cv::Mat of_two(1, 2, CV_8UC3);
+    of_two.at<cv::Vec3b>(0, 0) = cv::Vec3b::all(left);
+    of_two.at<cv::Vec3b>(0, 1) = cv::Vec3b::all(right);
+    return of_two;
+  };
+  // On the left both darken by 30, one of them from a wrong level; on the right the drawn one pops by 200.
+  const cv::Mat residual = motion_residual(picture(100, 50), picture(70, 50), picture(40, 220), picture(10, 20));
+  EXPECT_EQ(residual.at<cv::Vec3b>(0, 0), cv::Vec3b::all(0));
+  EXPECT_EQ(residual.at<cv::Vec3b>(0, 1), cv::Vec3b::all(200));
+}
+
 TEST(DynamicsFigures, MaskedMeanIsOfTheMaskAlone) {
   const cv::Mat map = (cv::Mat_<float>(2, 3) << 0.5F, 0.25F, 1, 0.75F, 0, 0.125F);
   const cv::Mat mask = (cv::Mat_<std::uint8_t>(2, 3) << 255, 0, 0, 255, 1, 0);
@@ -83,6 +96,41 @@ DynamicsSample sample(double time_s, double on, double off) {
           .viewer = {}};
 }
 
+ObjectTransforms objects(std::initializer_list<std::uint32_t> ids) {
+  ObjectTransforms transforms;
+  for (const std::uint32_t id : ids) transforms[id] = {};
+  return transforms;
+}
+
+TEST(GhostMasks, ShowWhereAnObjectWasFromTwoToFourSecondsAfterItVanished) {
+  cv::Mat with = cv::Mat::zeros(32, 32, CV_32SC1);
+  with(cv::Rect(10, 10, 8, 8)) = 7;
+  with(cv::Rect(24, 24, 2, 2)) = 5;
+  cv::Mat without = with.clone();
+  without(cv::Rect(10, 10, 8, 8)) = 0;
+  GhostMasks ghosts;
+  EXPECT_TRUE(ghosts.take(0, 1, objects({5, 7}), with).empty());
+  EXPECT_TRUE(ghosts.take(0, 1.5, objects({5}), without).empty()) << "it has only just gone";
+  EXPECT_TRUE(ghosts.take(1, 4, objects({5}), without).empty()) << "another camera never saw it";
+  const cv::Mat mask = ghosts.take(0, 3.6, objects({5}), without);
+  ASSERT_FALSE(mask.empty());
+  EXPECT_EQ(cv::countNonZero(mask), 64);
+  EXPECT_EQ(cv::countNonZero(mask(cv::Rect(10, 10, 8, 8))), 64);
+  cv::Mat covered = without.clone();
+  covered(cv::Rect(0, 10, 10, 8)) = 5;
+  EXPECT_EQ(cv::countNonZero(ghosts.take(0, 4, objects({5}), covered)), 24) << "beside what moves now";
+  EXPECT_TRUE(ghosts.take(0, 5.6, objects({5}), without).empty()) << "4 s are over";
+}
+
+TEST(GhostMasks, AnObjectThatReturnsLeavesNone) {
+  const cv::Mat ids(32, 32, CV_32SC1, cv::Scalar(7)), nothing = cv::Mat::zeros(32, 32, CV_32SC1);
+  GhostMasks ghosts;
+  EXPECT_TRUE(ghosts.take(0, 0, objects({7}), ids).empty());
+  EXPECT_TRUE(ghosts.take(0, 1, objects({}), nothing).empty());
+  EXPECT_TRUE(ghosts.take(0, 2, objects({7}), ids).empty());
+  EXPECT_TRUE(ghosts.take(0, 3.5, objects({7}), ids).empty());
+}
+
 TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   DynamicsResults still, living;
   still.window = {.from_s = 10, .to_s = 40};
@@ -93,9 +141,14 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   living.samples[2].still = {.moving = {}, .shadow = 0.75};  // 0.01 above its 0.74
   living.samples[2].viewer = metrics::Quality{.psnr_db = 30, .ssim = 0.91, .flip = 0.1};
   living.samples[2].paired = false;
+  living.samples[1].on->ghost_flip = 0.07;
+  living.samples[1].still_ghost_flip = 0.05;
+  living.samples[2].on->ghost_flip = 0.5;
+  living.samples.push_back(sample(61, 0.5, 0.5));
   living.state_delay_ms_median = 12;
   living.scene_kbps = 55;
-  const nlohmann::json summary = summarize_dynamics(&still, &living);
+  nlohmann::json summary = summarize_still(still);
+  summary.update(summarize_living(living));
   EXPECT_NEAR(summary["still_ssim"], 0.97, 1e-6);
   EXPECT_NEAR(summary["on_ssim"], 0.92, 1e-6);
   EXPECT_NEAR(summary["on_flip"], 0.08, 1e-6);
@@ -111,9 +164,13 @@ TEST(DynamicsFigures, SummaryHasEachFigureOfItsOwnRunAndWindow) {
   EXPECT_TRUE(summary["state_delay_ms_p99"].is_null());
   EXPECT_EQ(summary["scene_kbps"], 55);
   EXPECT_TRUE(summary["visibility_kbps"].is_null());
-  EXPECT_EQ(summary["pictures"], 3);
-  EXPECT_EQ(summary["pictures_paired"], 2);
-  EXPECT_FALSE(summarize_dynamics(nullptr, &living).contains("still_ssim"));
+  EXPECT_EQ(summary["pictures"], 4);
+  EXPECT_EQ(summary["pictures_paired"], 3);
+  EXPECT_NEAR(summary["ghost_flip"], 0.07, 1e-6) << "only of pictures that have both";
+  EXPECT_NEAR(summary["ghost_flip_still"], 0.05, 1e-6);
+  ASSERT_EQ(summary["on_ssim_by_minute"].size(), 2U);
+  EXPECT_NEAR(summary["on_ssim_by_minute"][0], (0.2 + 0.9 + 0.94) / 3, 1e-6) << "of the whole run";
+  EXPECT_NEAR(summary["on_ssim_by_minute"][1], 0.5, 1e-6);
 }
 
 }  // namespace

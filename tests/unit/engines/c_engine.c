@@ -26,7 +26,7 @@ int run_c_engine(const char* address, int patience_ms) {
   for (size_t i = 0; i < pixels; ++i) depth[i] = 1.5f;
   splatbus_image images[2] = {{SPLATBUS_BUFFER_COLOR, color, 4 * pixels, SPLATBUS_MEMORY_HOST},
                               {SPLATBUS_BUFFER_DEPTH, depth, sizeof(float) * pixels, SPLATBUS_MEMORY_HOST}};
-  splatbus_object object = {7, {{1, 0, 0, 0}, {1, 2, 3}}};
+  splatbus_object object = {7, {{1, 0, 0, 0}, {1, 2, 3}}, 1, 0};
   splatbus_frame frame;
   memset(&frame, 0, sizeof(frame));
   frame.frame = 42;

@@ -34,7 +34,7 @@ TEST(Existence, WhatDoesNotExistIsNeitherListedNorSeenNorShades) {
     EXPECT_EQ(pictures.color, empty.color) << "its shadow is there";
     EXPECT_EQ(pictures.albedo, empty.albedo);
     EXPECT_EQ(pictures.object_id, empty.object_id);
-    EXPECT_TRUE(renderer.instant().moving.empty());
+    EXPECT_TRUE(renderer.instant().objects.empty());
   };
   // The cameras of light depth are the same with and without it.
   const splatbus_camera light = renderer.light_camera(0, 64, 64);
@@ -43,8 +43,8 @@ TEST(Existence, WhatDoesNotExistIsNeitherListedNorSeenNorShades) {
   expect_empty();
   EXPECT_EQ(renderer.render(light, SPLATBUS_BUFFER_LIGHT_DEPTH).light_depth, empty_light);
   renderer.set_time(1.2);
-  ASSERT_EQ(renderer.instant().moving.size(), 1U);
-  EXPECT_EQ(renderer.instant().moving[0].id, 2U);
+  ASSERT_EQ(renderer.instant().objects.size(), 1U);
+  EXPECT_EQ(renderer.instant().objects[0].id, 2U);
   const Pictures& seen = renderer.render(camera, kAll);
   EXPECT_GT(std::ranges::count(seen.object_id, 2U), 100);
   EXPECT_NE(renderer.render(light, SPLATBUS_BUFFER_LIGHT_DEPTH).light_depth, empty_light);
@@ -79,7 +79,7 @@ TEST(Existence, TheListOfTheLivingToysFollowsTheirTimes) {
       const Pictures& pictures = toys().render(look_at({0, 6, 0.01F}, {0, 0, 0}, 128, 128, 60), kAll);
       return std::ranges::find(pictures.object_id, object->id) != pictures.object_id.end();
     }();
-    const bool in_list = std::ranges::count(toys().instant().moving, object->id, &splatbus_object::id) == 1;
+    const bool in_list = std::ranges::count(toys().instant().objects, object->id, &splatbus_object::id) == 1;
     EXPECT_EQ(drawn, in_list) << name << " at " << time_s;
     return in_list;
   };

@@ -91,8 +91,8 @@ TEST(Renderer, NormalsAreUnitAndFaceTheCamera) {
 TEST(Renderer, MovingObjectsAreListedWhereTheyAre) {
   toys().set_time(0.35);
   const Instant instant = toys().instant();
-  ASSERT_EQ(instant.moving.size(), 14U) << "all that live but the crate, which comes later";
-  const splatbus_object& ball = instant.moving[0];
+  ASSERT_EQ(instant.objects.size(), 14U) << "all that live but the crate, which comes later";
+  const splatbus_object& ball = instant.objects[0];
   const float* t = ball.world_from_object.translation;
   const Pictures& pictures = toys().render(ring_camera(1.2F), kAll);
   int seen = 0;

@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
+#include <optional>
+
 namespace splatbus::sim {
 namespace {
 
@@ -15,6 +18,11 @@ splatbus_camera_request request(std::uint32_t id, float rate_hz, std::uint64_t r
   return result;
 }
 
+/// Every light has every map, of this version.
+Schedule::DepthVersion at_version(std::uint64_t version) {
+  return [version](const splatbus_camera_request&) { return std::optional(version); };
+}
+
 std::vector<std::uint32_t> ids(const std::vector<splatbus_camera_request>& requests) {
   std::vector<std::uint32_t> result;
   for (const auto& entry : requests) result.push_back(entry.camera.id);
@@ -26,7 +34,7 @@ TEST(Schedule, ARateGivesThatManyFramesASecond) {
   schedule.replace(std::vector{request(1, 10), request(2, 4), request(3, 100)});
   std::map<std::uint32_t, int> rendered;
   for (int frame = 0; frame < 100; ++frame) {
-    for (const std::uint32_t id : ids(schedule.due(frame / 10.0, 0))) ++rendered[id];
+    for (const std::uint32_t id : ids(schedule.due(frame / 10.0, at_version(0)))) ++rendered[id];
   }
   EXPECT_EQ(rendered[1], 100);
   EXPECT_EQ(rendered[2], 40);
@@ -36,50 +44,90 @@ TEST(Schedule, ARateGivesThatManyFramesASecond) {
 TEST(Schedule, WithoutARateOnceForEachRequest) {
   Schedule schedule;
   schedule.replace(std::vector{request(1, 0, 5)});
-  EXPECT_EQ(schedule.due(0, 0).size(), 1U);
-  EXPECT_EQ(schedule.due(1, 0).size(), 0U);
+  EXPECT_EQ(schedule.due(0, at_version(0)).size(), 1U);
+  EXPECT_EQ(schedule.due(1, at_version(0)).size(), 0U);
   schedule.replace(std::vector{request(1, 0, 5), request(2, 0, 6)});
-  EXPECT_EQ(ids(schedule.due(2, 0)), std::vector{2U});
+  EXPECT_EQ(ids(schedule.due(2, at_version(0))), std::vector{2U});
   schedule.replace(std::vector{request(1, 0, 7), request(2, 0, 6)});
-  EXPECT_EQ(ids(schedule.due(3, 0)), std::vector{1U});
+  EXPECT_EQ(ids(schedule.due(3, at_version(0))), std::vector{1U});
 }
 
 TEST(Schedule, AReplacedSetKeepsItsRhythm) {
   Schedule schedule;
   schedule.replace(std::vector{request(1, 1)});
-  EXPECT_EQ(schedule.due(0, 0).size(), 1U);
+  EXPECT_EQ(schedule.due(0, at_version(0)).size(), 1U);
   schedule.replace(std::vector{request(1, 1), request(9, 0)});
-  EXPECT_EQ(ids(schedule.due(0.5, 0)), std::vector{9U});
-  EXPECT_EQ(ids(schedule.due(1.0, 0)), std::vector{1U});
+  EXPECT_EQ(ids(schedule.due(0.5, at_version(0))), std::vector{9U});
+  EXPECT_EQ(ids(schedule.due(1.0, at_version(0))), std::vector{1U});
 }
 
 TEST(Schedule, OnlyNewCamerasAreNewcomers) {
   Schedule schedule;
   schedule.replace(std::vector{request(1, 0, 5), request(2, 2)});
-  EXPECT_EQ(ids(schedule.newcomers(0, 0)), (std::vector{1U, 2U}));
-  EXPECT_EQ(schedule.due(0, 0).size(), 0U) << "they are served";
+  EXPECT_EQ(ids(schedule.newcomers(0, at_version(0))), (std::vector{1U, 2U}));
+  EXPECT_EQ(schedule.due(0, at_version(0)).size(), 0U) << "they are served";
   schedule.replace(std::vector{request(1, 0, 6), request(2, 2), request(3, 0)});
-  EXPECT_EQ(ids(schedule.newcomers(0.1, 0)), std::vector{3U}) << "the first is known, and waits";
-  EXPECT_EQ(ids(schedule.due(0.2, 0)), std::vector{1U});
-  EXPECT_EQ(ids(schedule.due(0.5, 0)), std::vector{2U}) << "half a second after it was served";
+  EXPECT_EQ(ids(schedule.newcomers(0.1, at_version(0))), std::vector{3U}) << "the first is known, and waits";
+  EXPECT_EQ(ids(schedule.due(0.2, at_version(0))), std::vector{1U});
+  EXPECT_EQ(ids(schedule.due(0.5, at_version(0))), std::vector{2U}) << "half a second after it was served";
 }
 
-TEST(Schedule, LightDepthFollowsTheScene) {
+splatbus_camera_request map_request(std::uint32_t id, std::uint32_t light_id, std::uint32_t light_map = 0) {
+  splatbus_camera_request result = request(id, 0, 1, SPLATBUS_ROLE_LIGHT);
+  result.light_id = light_id;
+  result.light_map = light_map;
+  return result;
+}
+
+TEST(Schedule, ADepthMapFollowsItsOwnLight) {
   Schedule schedule;
-  schedule.replace(std::vector{request(1, 0, 1, SPLATBUS_ROLE_LIGHT), request(2, 0)});
+  EXPECT_FALSE(schedule.watches_scene());
+  schedule.replace(std::vector{map_request(1, 0), map_request(2, 7), map_request(3, 7, 1), request(4, 0)});
   EXPECT_TRUE(schedule.watches_scene());
-  EXPECT_EQ(schedule.due(0, 1).size(), 2U);
-  EXPECT_EQ(schedule.due(1, 1).size(), 0U);
-  EXPECT_EQ(ids(schedule.due(2, 2)), std::vector{1U});
+  std::map<std::uint32_t, std::uint64_t> versions{{0, 5}, {7, 3}};
+  const auto due_at = [&](double time_s) {
+    return ids(schedule.due(time_s, [&](const auto& r) -> std::optional<std::uint64_t> {
+      const auto found = versions.find(r.light_id);
+      return found == versions.end() ? std::nullopt : std::optional(found->second);
+    }));
+  };
+  EXPECT_EQ(due_at(0), (std::vector{1U, 2U, 3U, 4U}));
+  EXPECT_EQ(due_at(1), std::vector<std::uint32_t>{});
+  versions[7] = 4;
+  EXPECT_EQ(due_at(2), (std::vector{2U, 3U}));
+  versions[0] = 6;
+  EXPECT_EQ(due_at(3), std::vector{1U});
+
+  // Another map under the same id, and a rate, which does not count.
+  std::vector next{map_request(1, 0), map_request(2, 7), map_request(3, 7, 2)};
+  next[0].rate_hz = 50;
+  schedule.replace(next);
+  EXPECT_FALSE(schedule.repeats({SPLATBUS_ROLE_LIGHT, 1}));
+  EXPECT_EQ(due_at(4), std::vector{3U});
+  next[1].extent_m = 2;
+  schedule.replace(next);
+  EXPECT_EQ(due_at(5), std::vector{2U});
 }
 
-TEST(Schedule, ProbesComeFirstAndALateEngineDoesNotCatchUp) {
+TEST(Schedule, ADepthMapWaitsForItsLight) {
   Schedule schedule;
-  schedule.replace(std::vector{request(1, 10), request(2, 0, 1, SPLATBUS_ROLE_PROBE)});
-  EXPECT_EQ(ids(schedule.due(0, 0)), (std::vector{2U, 1U}));
-  EXPECT_EQ(schedule.due(5.0, 0).size(), 1U);
-  EXPECT_EQ(schedule.due(5.05, 0).size(), 0U);
-  EXPECT_EQ(schedule.due(5.1, 0).size(), 1U);
+  schedule.replace(std::vector{map_request(1, 9)});
+  const auto none = [](const splatbus_camera_request&) { return std::optional<std::uint64_t>(); };
+  EXPECT_EQ(schedule.newcomers(0, none).size(), 0U);
+  EXPECT_EQ(schedule.due(0, none).size(), 0U);
+  EXPECT_EQ(ids(schedule.due(1, at_version(1))), std::vector{1U});
+  EXPECT_EQ(schedule.due(2, none).size(), 0U);
+  EXPECT_EQ(schedule.due(3, at_version(1)).size(), 0U);
+  EXPECT_EQ(schedule.due(4, at_version(2)).size(), 1U);
+}
+
+TEST(Schedule, LightsAndProbesComeFirstAndALateEngineDoesNotCatchUp) {
+  Schedule schedule;
+  schedule.replace(std::vector{request(1, 10), request(2, 0, 1, SPLATBUS_ROLE_PROBE), map_request(3, 0)});
+  EXPECT_EQ(ids(schedule.due(0, at_version(0))), (std::vector{3U, 2U, 1U}));
+  EXPECT_EQ(schedule.due(5.0, at_version(0)).size(), 1U);
+  EXPECT_EQ(schedule.due(5.05, at_version(0)).size(), 0U);
+  EXPECT_EQ(schedule.due(5.1, at_version(0)).size(), 1U);
 }
 
 }  // namespace

@@ -64,6 +64,9 @@ struct Request {
   wire::EngineBuffer buffers = wire::EngineBuffer::Color;
   float rate_hz = 0;
   std::uint64_t id = 1;
+  std::uint32_t light_id = 0;
+  std::uint8_t light_map = 0;
+  float extent_m = 0;
 };
 
 inline void publish_requests(const bus::Publisher& publisher, const std::vector<Request>& requests) {
@@ -76,7 +79,8 @@ inline void publish_requests(const bus::Publisher& publisher, const std::vector<
       const wire::Camera camera(c.id, static_cast<wire::CameraRole>(c.role), c.width, c.height, c.fx, c.fy, c.cx, c.cy,
                                 c.near_m, c.far_m,
                                 wire::Rigid(wire::Quat(q[0], q[1], q[2], q[3]), wire::Vec3(t[0], t[1], t[2])));
-      offsets.push_back(wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.id));
+      offsets.push_back(wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.id,
+                                                  request.light_id, request.light_map, request.extent_m));
     }
     return wire::CreateEngineCamerasDirect(builder, header, &offsets);
   });

@@ -16,7 +16,20 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 splatbus_object object(std::uint32_t id) {
-  return {id, {{1, 0, 0, 0}, {0, 0, 0}}};
+  return {id, {{1, 0, 0, 0}, {0, 0, 0}}, 1, 0};
+}
+
+splatbus_light_source light_source(std::uint32_t id, std::uint32_t kind) {
+  return {.id = id,
+          .kind = kind,
+          .casts_shadow = 1,
+          .position = {1, 2, 3},
+          .direction = {0, -1, 0},
+          .intensity = {4, 5, 6},
+          .range_m = 7,
+          .cos_inner = 0.9F,
+          .cos_outer = 0.7F,
+          .depth_version = 8};
 }
 
 class SdkRefusal : public SdkTest {
@@ -125,6 +138,81 @@ TEST_F(SdkRefusal, Lights) {
   expect_published(dark.frame);
 }
 
+/// Of a directional light 2, a point light 3 and a spot light 5.
+TEST_F(SdkRefusal, LightsBesidesTheSun) {
+  using Sources = std::vector<splatbus_light_source>;
+  const Sources good{light_source(2, SPLATBUS_LIGHT_DIRECTIONAL), light_source(3, SPLATBUS_LIGHT_POINT),
+                     light_source(5, SPLATBUS_LIGHT_SPOT)};
+  const auto spoilt = [&](const std::function<void(Sources&)>& spoil) {
+    Sources sources = good;
+    spoil(sources);
+    return words([&](auto& f) {
+      f.frame.light.sources = sources.data();
+      f.frame.light.source_count = sources.size();
+    });
+  };
+  EXPECT_THAT(spoilt([](auto& s) { s[1].id = 0; }), HasSubstr("light 0: 0 is the sun"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].id = 2; }), HasSubstr("light 2: it is there twice"));
+  EXPECT_THAT(spoilt([](auto& s) { s[1].kind = 3; }), HasSubstr("light 3: 3 is no kind of light"));
+  EXPECT_THAT(spoilt([](auto& s) { s[1].intensity[2] = kNan; }), HasSubstr("light 3: intensity is not finite"));
+  EXPECT_THAT(spoilt([](auto& s) { s[0].intensity[0] = -1e-3F; }), HasSubstr("light 2: intensity is below 0"));
+  EXPECT_THAT(spoilt([](auto& s) { s[0].direction[1] = -2; }), HasSubstr("light 2: direction is not unit (norm 2)"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].direction[1] = 0; }), HasSubstr("light 5: direction is not unit (norm 0)"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].direction[0] = kInfinity; }), HasSubstr("light 5: direction is not finite"));
+  EXPECT_THAT(spoilt([](auto& s) { s[1].position[0] = kNan; }), HasSubstr("light 3: position is not finite"));
+  EXPECT_THAT(spoilt([](auto& s) { s[1].range_m = 0; }), HasSubstr("light 3: range_m is 0, not above 0"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].range_m = kNan; }), HasSubstr("light 5: range_m is nan, not above 0"));
+  EXPECT_THAT(spoilt([](auto& s) { s[1].range_m = kInfinity; }), HasSubstr("light 3: range_m is inf"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].cos_inner = 0.7F; }),
+              HasSubstr("light 5: cos_outer 0.7 and cos_inner 0.7 are no cone"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].cos_inner = 1.5F; }), HasSubstr("light 5: cos_outer 0.7 and cos_inner 1.5"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].cos_outer = -1.5F; }), HasSubstr("light 5: cos_outer -1.5"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].cos_outer = kNan; }), HasSubstr("light 5: cos_outer nan"));
+  const auto crowd = [](std::uint32_t count) {
+    Sources sources;
+    for (std::uint32_t id = count; id > 0; --id) sources.push_back(light_source(id, SPLATBUS_LIGHT_POINT));
+    return sources;
+  };
+  EXPECT_THAT(spoilt([&](auto& s) { s = crowd(SPLATBUS_MAX_LIGHTS + 1); }),
+              HasSubstr("light: 33 sources, where 32 are the most"));
+  EXPECT_THAT(words([](auto& f) { f.frame.light.source_count = 1; }), HasSubstr("light: sources is NULL"));
+
+  // What does not count for a kind may be anything.
+  Sources most = crowd(SPLATBUS_MAX_LIGHTS);
+  most[0].kind = SPLATBUS_LIGHT_DIRECTIONAL;
+  most[0].range_m = most[0].position[2] = most[0].cos_inner = kNan;
+  most[1].direction[1] = most[1].cos_outer = kNan;
+  OwnedFrame bright = next_frame(small_camera());
+  bright.frame.light.sources = most.data();
+  bright.frame.light.source_count = most.size();
+  expect_published(bright.frame);
+}
+
+TEST_F(SdkRefusal, MapsThatNoLightHas) {
+  std::vector<splatbus_light_source> sources{
+      light_source(2, SPLATBUS_LIGHT_DIRECTIONAL), light_source(3, SPLATBUS_LIGHT_POINT),
+      light_source(5, SPLATBUS_LIGHT_SPOT), light_source(6, SPLATBUS_LIGHT_POINT)};
+  sources[3].casts_shadow = 0;
+  const std::vector<float> depth(48, 1);
+  const auto map_of = [&](std::uint32_t light_id, std::uint32_t light_map) {
+    OwnedFrame map = next_frame(small_camera(6, SPLATBUS_ROLE_LIGHT));
+    map.images = {{SPLATBUS_BUFFER_LIGHT_DEPTH, depth.data(), 192, SPLATBUS_MEMORY_HOST}};
+    map.refresh();
+    map.frame.light.sources = sources.data();
+    map.frame.light.source_count = sources.size();
+    map.frame.light_id = light_id;
+    map.frame.light_map = light_map;
+    return map;
+  };
+  EXPECT_THAT(refused(map_of(4, 0).frame), HasSubstr("camera 6 (role 3): light_id is 4, which is no light of the"));
+  EXPECT_THAT(refused(map_of(6, 0).frame), HasSubstr("light 6 casts no shadow: it has no depth maps"));
+  EXPECT_THAT(refused(map_of(3, 6).frame), HasSubstr("light_map is 6, where light 3 has 0 to 5"));
+  EXPECT_THAT(refused(map_of(5, 1).frame), HasSubstr("light_map is 1, where light 5 has 0 to 0"));
+  EXPECT_THAT(refused(map_of(0, 256).frame), HasSubstr("light_map is 256, where 255 is the last"));
+  for (const auto& [light_id, light_map] : {std::pair{0U, 3U}, {2U, 255U}, {3U, 5U}, {5U, 0U}})
+    expect_published(map_of(light_id, light_map).frame);
+}
+
 TEST_F(SdkRefusal, Objects) {
   EXPECT_THAT(words([](auto& f) { f.objects[1].world_from_object.translation[2] = kInfinity; }),
               HasSubstr("object 7: world_from_object.translation is not finite"));
@@ -134,6 +222,10 @@ TEST_F(SdkRefusal, Objects) {
               HasSubstr("object 4: world_from_object.rotation_wxyz is no unit quaternion (norm 0)"));
   EXPECT_THAT(words([](auto& f) { f.objects[0].world_from_object.rotation_wxyz[2] = 3e38F; }),
               HasSubstr("object 4: world_from_object.rotation_wxyz is no unit quaternion (norm inf)"));
+  for (const float scale : {0.0F, -1.0F, kNan, kInfinity}) {
+    EXPECT_THAT(words([&](auto& f) { f.objects[1].scale = scale; }), HasSubstr("object 7: scale is ")) << scale;
+  }
+  EXPECT_THAT(words([](auto& f) { f.objects[1].flags = 5; }), HasSubstr("object 7: 0x5 are no flags of an object"));
   EXPECT_THAT(words([](auto& f) { f.objects[0].id = 0; }), HasSubstr("object 0"));
   EXPECT_THAT(words([](auto& f) { f.objects[1].id = 4; }), HasSubstr("object 4: it is there twice"));
   EXPECT_THAT(words([](auto& f) {

@@ -1,5 +1,6 @@
 #include <gmock/gmock.h>
 
+#include <array>
 #include <set>
 #include <thread>
 
@@ -89,6 +90,28 @@ TEST_F(SdkTest, LightRequestsNeedOnlyASize) {
   EXPECT_EQ(wait_for_change(engine.get()).size(), 1U);
 }
 
+TEST_F(SdkTest, LightRequestsNameTheirMap) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  const Engine engine = open();
+  splatbus_camera camera = small_camera(1, SPLATBUS_ROLE_LIGHT);
+  camera.world_from_camera.translation[0] = 4.5F;
+  std::vector<Request> requests(
+      4, Request{.camera = camera, .buffers = wire::EngineBuffer::LightDepth, .light_id = 70000, .light_map = 3});
+  requests[0].extent_m = kNan;
+  requests[1].extent_m = -1;
+  requests[2].extent_m = 1;
+  requests[2].camera.world_from_camera.translation[2] = kNan;
+  requests[3].extent_m = 12.5F;
+  publish_requests(cameras, requests);
+  const auto taken = wait_for_change(engine.get());
+  ASSERT_EQ(taken.size(), 1U);
+  EXPECT_EQ(taken[0].light_id, 70000U);
+  EXPECT_EQ(taken[0].light_map, 3U);
+  EXPECT_EQ(taken[0].extent_m, 12.5F);
+  EXPECT_EQ(taken[0].camera.world_from_camera.translation[0], 4.5F);
+}
+
 TEST_F(SdkTest, NullPointersAreArgumentErrors) {
   const auto refused = [](const char* address, const char* source, std::uint32_t abi, std::uint32_t memory,
                           splatbus_engine** out) {
@@ -144,6 +167,85 @@ TEST_F(SdkTest, TheLightsGenerationFollowsTheLight) {
   }
   EXPECT_EQ(generations[0], generations[1]);
   EXPECT_NE(generations[1], generations[2]);
+}
+
+TEST_F(SdkTest, LightsObjectsAndMapsArriveAsTheyWere) {
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open();
+  const splatbus_light_source spot{.id = 0xFFFFFFFF,
+                                   .kind = SPLATBUS_LIGHT_SPOT,
+                                   .casts_shadow = 1,
+                                   .position = {1.1F, -2.2F, 3.3F},
+                                   .direction = {0.6F, 0, -0.8F},
+                                   .intensity = {0.1F, 20, 3e5F},
+                                   .range_m = 12.25F,
+                                   .cos_inner = 0.95F,
+                                   .cos_outer = 0.55F,
+                                   .depth_version = 0x1234567890ABCDEF};
+  splatbus_light_source directional = spot, point = spot;
+  directional.id = 9;
+  directional.kind = SPLATBUS_LIGHT_DIRECTIONAL;
+  directional.casts_shadow = 0;
+  point.id = 3;
+  point.kind = SPLATBUS_LIGHT_POINT;
+  point.depth_version = 5;
+  std::vector<splatbus_light_source> sources{spot, point, directional};
+  OwnedFrame owned(small_camera(6, SPLATBUS_ROLE_LIGHT));
+  owned.objects = {{8, {{1, 0, 0, 0}, {1, 2, 3}}, 0.75F, SPLATBUS_OBJECT_EMISSIVE},
+                   {4, {{0, 1, 0, 0}, {4, 5, 6}}, 1.25F, SPLATBUS_OBJECT_EMISSIVE | SPLATBUS_OBJECT_NOT_MODELLED}};
+  owned.refresh();
+  owned.frame.light_id = 3;
+  owned.frame.light_map = 5;
+  owned.frame.light.sources = sources.data();
+  owned.frame.light.source_count = sources.size();
+  owned.frame.light.sun_depth_version = 0xFEDCBA0987654321;
+  const auto submitted = [&] {
+    EXPECT_EQ(splatbus_engine_submit(engine.get(), &owned.frame), SPLATBUS_OK)
+        << splatbus_engine_last_error(engine.get());
+    auto message = frames.receive(patience);
+    EXPECT_TRUE(message.has_value());
+    return std::move(message).value();
+  };
+  const bus::Message message = submitted();
+  const auto& frame = message.root<wire::EngineFrame>();
+  EXPECT_EQ(frame.light_id(), 3U);
+  EXPECT_EQ(frame.light_map(), 5U);
+  const wire::Light& light = *frame.scene()->light();
+  EXPECT_EQ(light.sun_depth_version(), 0xFEDCBA0987654321U);
+  const std::array<splatbus_light_source, 3> by_id{point, directional, spot};
+  ASSERT_EQ(light.sources()->size(), by_id.size());
+  for (std::uint32_t i = 0; i < by_id.size(); ++i) {
+    const wire::LightSource& found = *light.sources()->Get(i);
+    const splatbus_light_source& sent = by_id.at(i);
+    const auto same = [](const wire::Vec3& a, const float(&b)[3]) {
+      return a.x() == b[0] && a.y() == b[1] && a.z() == b[2];
+    };
+    EXPECT_EQ(found.id(), sent.id);
+    EXPECT_EQ(static_cast<std::uint32_t>(found.kind()), sent.kind);
+    EXPECT_EQ(found.casts_shadow(), sent.casts_shadow != 0);
+    EXPECT_TRUE(same(found.position(), sent.position)) << i;
+    EXPECT_TRUE(same(found.direction(), sent.direction)) << i;
+    EXPECT_TRUE(same(found.intensity(), sent.intensity)) << i;
+    EXPECT_EQ(found.range_m(), sent.range_m);
+    EXPECT_EQ(found.cos_inner(), sent.cos_inner);
+    EXPECT_EQ(found.cos_outer(), sent.cos_outer);
+    EXPECT_EQ(found.depth_version(), sent.depth_version);
+  }
+  const auto& objects = *frame.scene()->objects();
+  ASSERT_EQ(objects.size(), 2U);
+  EXPECT_EQ(objects.Get(0)->scale(), 0.75F);
+  EXPECT_EQ(objects.Get(0)->flags(), wire::ObjectFlags::Emissive);
+  EXPECT_EQ(objects.Get(1)->scale(), 1.25F);
+  EXPECT_EQ(objects.Get(1)->flags(), wire::ObjectFlags::Emissive | wire::ObjectFlags::NotModelled);
+
+  // The light's generation follows what its sources shine, not their maps.
+  const auto generation = [&] { return submitted().root<wire::EngineFrame>().scene()->light()->generation(); };
+  sources[1].depth_version = 6;
+  EXPECT_EQ(generation(), light.generation());
+  sources[1].intensity[1] = 21;
+  EXPECT_NE(generation(), light.generation());
 }
 
 TEST_F(SdkTest, ReadersHaveRoomForManyFrames) {

@@ -49,6 +49,84 @@ TEST(Light, RotatesWithItsSun) {
   EXPECT_EQ(local.background, light.background);
 }
 
+TEST(Light, APointLightFallsOffWithTheSquareOfTheDistanceUpToItsRange) {
+  const LightSource lamp{.id = 1, .position = {1, 0, 0}, .intensity = {8, 4, 0}, .range_m = 4};
+  const Incident near = incident(lamp, {1, 2, 0});
+  EXPECT_EQ(near.to_light, glm::vec3(0, -1, 0));
+  const float window = 1 - 1.0F / 16;  // (2 / 4)^4
+  EXPECT_LE(glm::distance(near.irradiance, window * window * glm::vec3(2, 1, 0)), 1e-6F);
+  EXPECT_EQ(incident(lamp, {1, 4, 0}).irradiance, glm::vec3(0));
+  EXPECT_EQ(incident(lamp, {1, 40, 0}).irradiance, glm::vec3(0));
+  EXPECT_TRUE(glm::all(glm::lessThanEqual(incident(lamp, {1, 0, 0}).irradiance, glm::vec3(80001, 40001, 0))));
+}
+
+TEST(Light, ASpotFadesFromItsInnerToItsOuterCone) {
+  const LightSource spot{.id = 1,
+                         .kind = LightKind::Spot,
+                         .position = {0, 0, 0},
+                         .direction = {0, 0, 1},
+                         .intensity = glm::vec3(1),
+                         .range_m = 1e6F,
+                         .cos_inner = 0.9F,
+                         .cos_outer = 0.7F};
+  const auto at_cosine = [&](float cosine) {
+    return incident(spot, {std::sqrt(1 - cosine * cosine), 0, cosine}).irradiance.x;
+  };
+  EXPECT_NEAR(at_cosine(0.95F), 1, 1e-5F);
+  EXPECT_NEAR(at_cosine(0.8F), 0.25F, 1e-5F);
+  EXPECT_EQ(at_cosine(0.69F), 0);
+  EXPECT_EQ(at_cosine(-0.95F), 0);
+}
+
+TEST(Light, ADirectionalLightIsTheSameEverywhere) {
+  const LightSource moon{.id = 1, .kind = LightKind::Directional, .direction = {0, 0.6F, 0.8F}, .intensity = {1, 2, 3}};
+  for (const glm::vec3 point : {glm::vec3(0), glm::vec3(1e4F, -3, 2)}) {
+    EXPECT_EQ(incident(moon, point).to_light, moon.direction);
+    EXPECT_EQ(incident(moon, point).irradiance, moon.intensity);
+  }
+}
+
+TEST(Light, SourcesShineOnAnObjectAsTheyDoInTheWorld) {
+  test::Random random(7);
+  Light light = random.light();
+  light.sources = {{.id = 1, .position = {2, 1, 0}, .intensity = {3, 2, 1}, .range_m = 9},
+                   {.id = 2,
+                    .kind = LightKind::Spot,
+                    .position = {-1, 3, 0},
+                    .direction = glm::normalize(glm::vec3(0.2F, -1, 0.1F)),
+                    .intensity = {5, 5, 5},
+                    .range_m = 12,
+                    .cos_inner = 0.8F,
+                    .cos_outer = -0.5F},
+                   {.id = 3, .kind = LightKind::Directional, .direction = {0, 1, 0}, .intensity = {1, 1, 0}}};
+  ObjectTransform object = random.rigid();
+  object.scale = 2.5F;
+  const Light local = light_in_object(light, object);
+  const glm::vec3 point(0.3F, -0.2F, 0.4F);
+  for (std::size_t k = 0; k < light.sources.size(); ++k) {
+    const Incident expected = incident(light.sources[k], object * point), seen = incident(local.sources[k], point);
+    EXPECT_GT(expected.irradiance.x, 0);
+    EXPECT_LE(glm::distance(object.rigid.rotation * seen.to_light, expected.to_light), 1e-5F);
+    EXPECT_LE(glm::distance(seen.irradiance, expected.irradiance), 1e-4F * glm::length(expected.irradiance));
+  }
+  EXPECT_LE(glm::distance(object_point(object, object * point), point), 1e-5F);
+}
+
+TEST(Light, WhatIsEmissiveIsNotLit) {
+  test::Random random(8);
+  Light light = random.light();
+  light.sources = {{.id = 1, .intensity = {3, 2, 1}}};
+  ObjectTransform lamp = random.rigid();
+  lamp.emissive = true;
+  const Light local = light_in_object(light, lamp);
+  for (int i = 0; i < 10; ++i) {
+    EXPECT_LE(glm::distance(ambient_reflected(local, random.direction()), glm::vec3(1)), 1e-6F);
+  }
+  EXPECT_EQ(local.sun_irradiance, glm::vec3(0));
+  EXPECT_TRUE(local.sources.empty());
+  EXPECT_EQ(local.background, light.background);
+}
+
 TEST(Light, AmbientReflectedIsTheIntegralOfTheClampedCosine) {
   test::Random random(6);
   for (int i = 0; i < 4; ++i) {

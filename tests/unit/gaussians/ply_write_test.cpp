@@ -91,16 +91,22 @@ TEST(WritePly, MovesObjectsIntoTheWorld) {
   const GaussiansBuffer model = random.gaussians({Appearance::Radiance, 3}, 40);
   SceneState scene;
   scene.objects = {{1, random.rigid()}, {3, random.rigid()}};
+  scene.objects.at(3).scale = 2;
   write_ply(folder.file("model.ply"), model.view(), scene);
   const GaussiansBuffer back = read_ply(folder.file("model.ply"));
   for (std::size_t i = 0; i < model.count(); ++i) {
     const auto found = scene.objects.find(model.object_id[i]);
-    const Rigid world_from_object = found == scene.objects.end() ? Rigid{} : found->second;
-    EXPECT_LE(glm::distance(mean(back, i), world_from_object * mean(model, i)), 1e-5F);
-    EXPECT_NEAR(std::abs(glm::dot(rotation(back, i), world_from_object.rotation * rotation(model, i))), 1, 1e-6F);
+    const ObjectTransform world_from_object = found == scene.objects.end() ? ObjectTransform{} : found->second;
+    EXPECT_LE(glm::distance(mean(back, i), world_from_object.rigid.rotation * mean(model, i) * world_from_object.scale +
+                                               world_from_object.rigid.translation),
+              1e-5F);
+    for (int axis = 3; axis < 6; ++axis) {
+      EXPECT_NEAR(std::exp(at(back, axis, i) - at(model, axis, i)), world_from_object.scale, 1e-5F);
+    }
+    EXPECT_NEAR(std::abs(glm::dot(rotation(back, i), world_from_object.rigid.rotation * rotation(model, i))), 1, 1e-6F);
     // The same radiance leaves in the same direction.
     const glm::vec3 d = random.direction();
-    const Sh16 world = sh16_basis(d), local = sh16_basis(glm::conjugate(world_from_object.rotation) * d);
+    const Sh16 world = sh16_basis(d), local = sh16_basis(glm::conjugate(world_from_object.rigid.rotation) * d);
     float seen = 0, expected = 0;
     for (int k = 0; k < 16; ++k) {
       seen += world[static_cast<std::size_t>(k)] * at(back, 11 + 3 * k + 1, i);
@@ -123,7 +129,7 @@ TEST(WritePly, BakesTransferUnderTheLight) {
   ASSERT_EQ(back.layout(), (ParameterLayout{Appearance::Radiance, 0}));
   for (std::size_t i = 0; i < model.count(); ++i) {
     const bool moved = model.object_id[i] == 2;
-    const glm::quat world_from_object = moved ? scene.objects.at(2).rotation : glm::quat(1, 0, 0, 0);
+    const glm::quat world_from_object = moved ? scene.objects.at(2).rigid.rotation : glm::quat(1, 0, 0, 0);
     const Light local = light_in_object(scene.light, Rigid{.rotation = world_from_object, .translation = {}});
     const glm::vec3 linear = shade_transfer(model.view(), i, local);
     const glm::vec3 normal(model.normal[i], model.normal[model.stride() + i], model.normal[2 * model.stride() + i]);

@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
+#include "raster/loss_history.h"
 #include "scenes.h"
 
 namespace splatbus::raster {
@@ -55,6 +58,156 @@ TEST(Adam, RatesFallWithAGaussiansOwnSteps) {
   const float before = fixture.moved(3, 7);
   fixture.step();
   EXPECT_NEAR(fixture.moved(3, 7) - before, 0.05F, 1e-3F);
+}
+
+/// With means at the origin, looked at along z.
+struct AgeFixture : Fixture {
+  ObjectTransforms objects;
+
+  AgeFixture() {
+    adam.lr_half_life_steps = 10;
+    adam.lr_min_factor = 0;
+    rates[0] = rates[1] = rates[2] = 0;
+    for (int c = 0; c < 3; ++c) {
+      for (std::size_t i = 0; i < 40; ++i) scene.parameters[static_cast<std::size_t>(c) * scene.stride + i] = 0;
+    }
+  }
+  void look_from(std::initializer_list<float> distances) {
+    adam.views.clear();
+    for (const float distance : distances) {
+      AdamView& view = adam.views.emplace_back();
+      view.camera.fx = 100;
+      view.camera.world_from_camera.translation = {0, 0, -distance};
+      view.objects = &objects;
+    }
+  }
+  void steps(int count) {
+    for (int k = 0; k < count; ++k) step();
+  }
+  /// Of the next step; the gradient is always the same.
+  float rate() {
+    const float moved_before = moved(3, 7);
+    step();
+    return moved(3, 7) - moved_before;
+  }
+  static float rate_at(float age) { return 10 / (10 + age); }
+};
+
+TEST(Adam, ADistantViewDoesNotAge) {
+  AgeFixture fixture;
+  fixture.look_from({1});
+  fixture.steps(2);
+  fixture.look_from({20});  // a pixel takes 400 times the area
+  fixture.steps(400);
+  EXPECT_NEAR(fixture.rate(), AgeFixture::rate_at(4 * (2 + 401.0F / 400)), 2e-3F);
+  // One at less than twice the distance does, all of it.
+  AgeFixture about;
+  about.look_from({1});
+  about.steps(1);
+  about.look_from({1.9F});
+  about.steps(100);
+  EXPECT_NEAR(about.rate(), AgeFixture::rate_at(102), 2e-3F);
+}
+
+TEST(Adam, WhatDistantViewsTaughtIsLittleWhenOneComesNear) {
+  AgeFixture fixture;
+  fixture.look_from({20});
+  fixture.steps(400);
+  EXPECT_NEAR(fixture.rate(), AgeFixture::rate_at(401), 2e-3F);
+  fixture.look_from({1});
+  EXPECT_NEAR(fixture.rate(), AgeFixture::rate_at(4 * (401.0F / 400 + 1)), 2e-3F);
+  // However slowly it came.
+  AgeFixture slow;
+  for (int k = 400; k > 0; --k) {
+    slow.look_from({1 + 19 * static_cast<float>(k) / 400});
+    slow.step();
+  }
+  slow.look_from({1});
+  EXPECT_GT(slow.rate(), AgeFixture::rate_at(100));
+}
+
+TEST(Adam, TheNearestOfAStepsViewsCountsAndNoneThatLooksAway) {
+  AgeFixture fixture;
+  fixture.look_from({1});
+  fixture.steps(1);
+  fixture.look_from({20, 1, 20});
+  fixture.steps(50);
+  EXPECT_NEAR(fixture.rate(), AgeFixture::rate_at(52), 2e-3F);
+  AgeFixture behind;
+  behind.look_from({2});
+  behind.steps(50);
+  behind.look_from({2, -0.1F});  // it stands beyond them, and looks on
+  EXPECT_NEAR(behind.rate(), AgeFixture::rate_at(51), 2e-3F);
+}
+
+TEST(Adam, DistanceIsThatOfTheObjectAsItStands) {
+  AgeFixture fixture;
+  const IndexRange page{.first = 0, .count = 40, .frame_id = 7};
+  GaussiansView paged = fixture.scene.view();
+  paged.page_shift = kPageShift;
+  paged.ranges = std::span(&page, 1);
+  const auto step = [&] {
+    fixture.adam.step(paged, fixture.scene.parameters.data(), fixture.gradient, fixture.rates, 1);
+  };
+  const auto rate = [&] {
+    const float before = fixture.moved(3, 7);
+    step();
+    return fixture.moved(3, 7) - before;
+  };
+  fixture.objects[7] = Rigid{.translation = {0, 0, -19}};
+  fixture.look_from({20});
+  step();
+  fixture.objects[7] = ObjectTransform();
+  for (int k = 0; k < 400; ++k) step();
+  EXPECT_NEAR(rate(), AgeFixture::rate_at(4 * (1 + 401.0F / 400)), 2e-3F);
+  // Twenty times as large it shows as much as near by.
+  for (std::size_t i = 0; i < 40; ++i) fixture.scene.parameters[2 * fixture.scene.stride + i] = -0.95F;
+  fixture.objects[7].scale = 20;
+  for (int k = 0; k < 50; ++k) step();
+  EXPECT_LT(rate(), AgeFixture::rate_at(52));
+}
+
+TEST(Adam, RatesRecoverWhereLossHasRisenAndGradientsAgree) {
+  const auto rate_after = [](bool risen, bool agree) {
+    AgeFixture fixture;
+    auto& gradient = fixture.gradient.values;
+    double mean = 0, square = 0;
+    const auto step = [&](bool turn) {
+      if (turn) {
+        for (float& value : gradient) value = -value;
+      }
+      mean = 0.9 * mean + 0.1 * gradient[0];
+      square = 0.999 * square + 0.001 * gradient[0] * gradient[0];
+      fixture.step();
+    };
+    fixture.look_from({1});
+    for (int k = 0; k < 400; ++k) step(true);
+    fixture.adam.views[0].loss_has_risen = risen;
+    for (int k = 0; k < 30; ++k) step(!agree);
+    const float before = fixture.moved(11, 7);
+    step(!agree);
+    return (fixture.moved(11, 7) - before) / static_cast<float>(mean / std::sqrt(square / (1 - std::pow(0.999, 431))));
+  };
+  EXPECT_NEAR(rate_after(false, true), AgeFixture::rate_at(431), 2e-3F);
+  EXPECT_NEAR(rate_after(true, false), AgeFixture::rate_at(431), 2e-3F) << "it is noise";
+  EXPECT_GT(rate_after(true, true), AgeFixture::rate_at(9));
+}
+
+TEST(LossHistory, ALossHasRisenOverItsOwnCamerasSlowMean) {
+  LossHistory history;
+  Camera camera{.id = 3}, other{.id = 4}, input{.id = 3, .role = CameraRole::Input};
+  for (int k = 0; k < 7; ++k) history.add(camera, 0.1F);
+  EXPECT_EQ(history.limit(camera), INFINITY) << "not known yet";
+  history.add(camera, 0.1F);
+  EXPECT_NEAR(history.limit(camera), 0.12F, 1e-4F);
+  EXPECT_EQ(history.limit(other), INFINITY);
+  EXPECT_EQ(history.limit(input), INFINITY);
+  for (int k = 0; k < 100; ++k) history.add(camera, 0.1F);
+  history.add(camera, NAN);
+  for (int k = 0; k < 10; ++k) history.add(camera, 0.2F);
+  EXPECT_LT(history.limit(camera), 0.2F) << "it stays risen for a while";
+  for (int k = 0; k < 100; ++k) history.add(camera, 0.2F);
+  EXPECT_GT(history.limit(camera), 0.2F) << "and then that is how it is";
 }
 
 TEST(Adam, UntouchedAndFrozenRest) {

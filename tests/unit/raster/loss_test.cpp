@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 
@@ -48,6 +49,40 @@ TEST_P(LossGradient, IsTheSlope) {
     rendered.data[i] = kept;
     EXPECT_NEAR((above - below) / (2 * h), gradient.data[i], 1e-4F);
   }
+}
+
+TEST_P(LossGradient, OfMaskedPixelsIsZeroAndTheyAreInNobodysWindow) {
+  const std::uint32_t width = 23, height = GetParam();
+  const std::size_t pixels = std::size_t{width} * height;
+  std::vector<std::uint8_t> target = random_target(pixels), mask(pixels);
+  std::mt19937 generator(3);
+  Image rendered(width, height, 3), gradient, scratch;
+  for (float& value : rendered.data) value = 0.05F + 0.9F * static_cast<float>(generator() >> 8U) / 16777216.0F;
+  for (std::size_t i = 0; i < pixels; ++i) mask[i] = i % width > 9 && i % width < 17 ? 1 + i % 255 : 0;
+  const LossOptions options{.mask = mask.data()};
+  const float loss = image_loss(rendered, target.data(), options, gradient);
+  for (std::size_t i = 0; i < gradient.data.size(); i += 7) {
+    if (mask[i % pixels] != 0) {
+      EXPECT_EQ(gradient.data[i], 0);
+      continue;
+    }
+    const float kept = rendered.data[i], h = 1e-3F;
+    const float off = srgb_from_linear(kept) - static_cast<float>(target[4 * (i % pixels) + i / pixels]) / 255;
+    if (std::abs(off) < 0.02F) continue;  // |x - y| has no slope at 0
+    rendered.data[i] = kept + h;
+    const float above = image_loss(rendered, target.data(), options, scratch);
+    rendered.data[i] = kept - h;
+    const float below = image_loss(rendered, target.data(), options, scratch);
+    rendered.data[i] = kept;
+    EXPECT_NEAR((above - below) / (2 * h), gradient.data[i], 1e-4F);
+  }
+  // Whatever the target shows there.
+  for (std::size_t i = 0; i < pixels; ++i) {
+    if (mask[i] != 0) std::fill_n(target.begin() + static_cast<std::ptrdiff_t>(4 * i), 4, std::uint8_t{255});
+  }
+  EXPECT_EQ(image_loss(rendered, target.data(), options, scratch), loss);
+  EXPECT_EQ(scratch.data, gradient.data);
+  EXPECT_GT(image_loss(rendered, target.data(), {}, scratch), loss);
 }
 
 TEST(Loss, OutsideTheRangeOnlyWhatLeadsBackInside) {

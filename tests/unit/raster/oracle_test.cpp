@@ -174,6 +174,54 @@ TEST(Oracle, NegativeColourIsClampedInBoth) {
   expect_like_oracle(scene, testing::test_camera(40, 30), {});
 }
 
+/// Sources of every kind in the frames of objects that are turned, scaled and emissive; the last source has no row.
+TestScene scene_of_lights(std::size_t count, std::uint32_t seed) {
+  TestScene scene = testing::random_scene(testing::transfer_layout(), count, {}, seed);
+  testing::add_sources(scene.state.light);
+  testing::add_visibility(scene, 4, seed);
+  scene.state.objects.at(7).scale = 1.7F;
+  scene.state.objects.at(14).emissive = true;
+  return scene;
+}
+
+TEST(Oracle, LightsOfEveryKind) {
+  for (std::uint32_t seed = 1; seed <= 3; ++seed) {
+    SCOPED_TRACE(seed);
+    RenderOptions options;
+    options.albedo = options.depth = true;
+    expect_like_oracle(scene_of_lights(150, seed), testing::test_camera(43, 37), options);
+  }
+}
+
+TEST(Oracle, EachSourceAlone) {
+  const TestScene all = scene_of_lights(150, 21);
+  const std::size_t count = all.state.light.sources.size();
+  for (std::size_t j = 0; j < count; ++j) {
+    SCOPED_TRACE(j);
+    TestScene scene = all;
+    Light& light = scene.state.light;
+    light.sources = {all.state.light.sources[j]};
+    light.sun_irradiance = glm::vec3(0);
+    light.ambient_sh = {};
+    expect_like_oracle(scene, testing::test_camera(43, 37), {});
+  }
+}
+
+TEST(Oracle, SourcesWithoutVisibilityAreNotShadowed) {
+  TestScene scene = scene_of_lights(120, 22);
+  scene.light_visibility.clear();
+  expect_like_oracle(scene, testing::test_camera(40, 30), {});
+}
+
+TEST(Oracle, ScaledObjects) {
+  TestScene scene = testing::random_scene(testing::radiance_layout(3), 120, {.scale_low = 0.02F}, 23);
+  scene.state.objects.at(7).scale = 0.4F;
+  scene.state.objects.at(14).scale = 2.5F;
+  RenderOptions options;
+  options.depth = true;
+  expect_like_oracle(scene, testing::test_camera(43, 37), options);
+}
+
 TEST(Oracle, EveryInstructionSetAgrees) {
   // Those that libs/raster is compiled for; the chosen one is forgotten so that the next call chooses again.
   for (const std::int64_t target : {std::int64_t{HWY_AVX3}, std::int64_t{HWY_AVX2}, std::int64_t{HWY_SCALAR}}) {
@@ -186,6 +234,7 @@ TEST(Oracle, EveryInstructionSetAgrees) {
     expect_like_oracle(testing::random_scene(testing::transfer_layout(), 70, {}, 9), testing::test_camera(29, 31),
                        options);
     expect_like_oracle(testing::random_scene(testing::radiance_layout(3), 70, {}, 9), testing::test_camera(29, 31), {});
+    expect_like_oracle(scene_of_lights(70, 9), testing::test_camera(29, 31), options);
     hwy::SetSupportedTargetsForTest(0);
     hwy::GetChosenTarget().DeInit();
   }

@@ -16,6 +16,9 @@ struct TestScene {
   ParameterLayout layout;
   std::size_t count = 0, stride = 0;
   std::vector<float> parameters, normal, visibility;
+  std::vector<std::uint8_t> light_visibility;  ///< [visibility_rows][visibility_stride]; empty: none
+  std::size_t visibility_stride = 0;
+  std::uint32_t visibility_rows = 1;
   std::vector<std::uint32_t> object_id, flags;
   SceneState state;
 
@@ -35,6 +38,9 @@ struct TestScene {
     out.parameters = parameters.data();
     out.normal = normal.data();
     out.visibility = visibility.data();
+    out.visibility_u8 = light_visibility.empty() ? nullptr : light_visibility.data();
+    out.visibility_stride = visibility_stride;
+    out.visibility_rows = visibility_rows;
     out.object_id = object_id.data();
     out.flags = flags.data();
     return out;
@@ -88,10 +94,47 @@ inline TestScene random_scene(const ParameterLayout& layout, std::size_t count, 
   light.sun_irradiance = {2.5F, 2.2F, 1.9F};
   light.background = {0.1F, 0.2F, 0.35F};
   if (recipe.objects) {
-    scene.state.objects[7] = {glm::normalize(glm::quat(0.8F, 0.3F, -0.4F, 0.2F)), {0.2F, -0.1F, 0.3F}};
-    scene.state.objects[14] = {glm::normalize(glm::quat(-0.2F, 0.5F, 0.7F, -0.1F)), {-0.3F, 0.2F, -0.2F}};
+    scene.state.objects[7] = Rigid{glm::normalize(glm::quat(0.8F, 0.3F, -0.4F, 0.2F)), {0.2F, -0.1F, 0.3F}};
+    scene.state.objects[14] = Rigid{glm::normalize(glm::quat(-0.2F, 0.5F, 0.7F, -0.1F)), {-0.3F, 0.2F, -0.2F}};
   }
   return scene;
+}
+
+/// Lights of every kind besides the sun: a directional one, a point light amid the Gaussians, a spot whose cone holds
+/// some of them, and a point light that only the nearest see.
+inline void add_sources(Light& light) {
+  light.sources = {{.id = 2,
+                    .kind = LightKind::Directional,
+                    .direction = glm::normalize(glm::vec3(-0.5F, 0.3F, 0.8F)),
+                    .intensity = {0.9F, 0.4F, 1.5F}},
+                   {.id = 5,
+                    .kind = LightKind::Point,
+                    .position = {0.2F, 0.3F, 0.9F},
+                    .intensity = {1.5F, 2.5F, 0.7F},
+                    .range_m = 4},
+                   {.id = 6,
+                    .kind = LightKind::Spot,
+                    .position = {-0.8F, 1.5F, 1.2F},
+                    .direction = glm::normalize(glm::vec3(0.5F, -0.9F, -0.7F)),
+                    .intensity = {9, 7, 12},
+                    .range_m = 5,
+                    .cos_inner = 0.97F,
+                    .cos_outer = 0.8F},
+                   {.id = 9,
+                    .kind = LightKind::Point,
+                    .casts_shadow = false,
+                    .position = {0.5F, -0.4F, 0.1F},
+                    .intensity = {0.5F, 0.2F, 0.9F},
+                    .range_m = 0.6F}};
+}
+
+/// Visibility of the sun and the first `rows` - 1 sources, by chance.
+inline void add_visibility(TestScene& scene, std::uint32_t rows, std::uint32_t seed) {
+  std::mt19937 generator(seed);
+  scene.visibility_rows = rows;
+  scene.visibility_stride = scene.count + 3;
+  scene.light_visibility.resize(rows * scene.visibility_stride);
+  for (std::uint8_t& value : scene.light_visibility) value = static_cast<std::uint8_t>(generator() >> 24U);
 }
 
 inline ParameterLayout transfer_layout() {

@@ -67,7 +67,7 @@ inline SceneState random_scene(bool objects) {
   scene.light.sun_irradiance = {2.0F, 1.8F, 1.5F};
   scene.light.background = {0.2F, 0.3F, 0.5F};
   if (objects) {
-    scene.objects[7] = {glm::angleAxis(0.7F, glm::normalize(glm::vec3(1, 2, 3))), {0.3F, -0.2F, 0.4F}};
+    scene.objects[7] = Rigid{glm::angleAxis(0.7F, glm::normalize(glm::vec3(1, 2, 3))), {0.3F, -0.2F, 0.4F}};
   }
   return scene;
 }

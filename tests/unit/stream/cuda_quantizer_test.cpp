@@ -8,6 +8,7 @@
 
 #include "device/buffer.h"
 #include "device/stream.h"
+#include "shown_replica.h"
 #include "stream/model_quantizer.h"
 #include "stream/replica.h"
 #include "toy_server.h"
@@ -171,7 +172,7 @@ void expect_rows_near(const float* device, const float* host, std::size_t count,
 }
 
 TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
-  Replica host, device(kMaxGaussians, Device::Cuda);
+  test::ShownReplica host, device(kMaxGaussians, Device::Cuda);
   const auto both = [&](const auto& packets) {
     test::send(packets, host);
     test::send(packets, device);

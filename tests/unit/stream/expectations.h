@@ -4,8 +4,7 @@
 
 #include <algorithm>
 
-#include "stream/display_gaussians.h"
-#include "stream/replica.h"
+#include "shown_replica.h"
 #include "stream/stream_model.h"
 
 namespace splatbus::stream::test {
@@ -15,13 +14,13 @@ inline void expect_exact(const StreamModel& server, const Replica& replica) {
   EXPECT_EQ(replica.held()->sequence, server.held().sequence);
   EXPECT_TRUE(replica.held()->gaussians == server.held().gaussians) << "server's mirror and replica differ";
   EXPECT_TRUE(replica.held()->layout == server.held().layout);
-  EXPECT_EQ(replica.view().count, server.held().gaussians.count());
+  EXPECT_EQ(replica.count(), server.held().gaussians.count());
 }
 
 /// The floats that are shown equal those made afresh from the integers.
-inline void expect_shown(const Replica& replica) {
-  DisplayGaussians fresh(replica.held()->layout);
-  fresh.extend(replica.held()->gaussians);
+inline void expect_shown(ShownReplica& replica) {
+  DisplayGaussians fresh;
+  fresh.apply(replica.whole());
   const GaussiansView want = fresh.view(), got = replica.view();
   ASSERT_EQ(got.count, want.count);
   for (int c = 0; c < want.layout.channels(); ++c) {

@@ -22,10 +22,10 @@ using test::ToyServer;
 
 TEST(Hostile, NothingIsHeldBeforeASnapshotAndForeignEpochsAreIgnored) {
   ToyServer server(15);
-  Replica replica;
+  test::ShownReplica replica;
   server.train(0.1F);
   send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, 0U);
+  EXPECT_EQ(replica.count(), 0U);
   send(server.stream.snapshot(), replica);
   const PacketWriter writer("other", 1);
   const auto foreign = writer.write(78, replica.held()->sequence + 1, wire::Body::Remove,
@@ -36,7 +36,7 @@ TEST(Hostile, NothingIsHeldBeforeASnapshotAndForeignEpochsAreIgnored) {
 
 TEST(Hostile, SnapshotBeginOfImpossibleSizesIsRefused) {
   ToyServer server(16);
-  Replica replica(1000);
+  test::ShownReplica replica(1000);
   send(server.stream.snapshot(), replica);
   const PacketWriter writer("streamer", 1);
   const auto begin = [&](std::uint32_t total, std::uint32_t chunks, float step, std::uint8_t degree) {
@@ -90,7 +90,7 @@ class ForgedSnapshot : public testing::Test {
 
   ToyServer server_{19, 300};
   PacketWriter writer_{"streamer", 1};
-  Replica replica_;
+  test::ShownReplica replica_;
 };
 
 TEST_F(ForgedSnapshot, OverlappingChunksWhoseCountsAddUpAreRefused) {
@@ -124,9 +124,9 @@ TEST_F(ForgedSnapshot, AChunkTwiceCountsOnce) {
   begin(2);
   EXPECT_TRUE(chunk(0, 10));
   EXPECT_FALSE(chunk(0, 10));
-  EXPECT_EQ(replica_.view().count, 10U);
+  EXPECT_EQ(replica_.count(), 10U);
   EXPECT_TRUE(chunk(10, 10));
-  EXPECT_EQ(replica_.view().count, 20U);
+  EXPECT_EQ(replica_.count(), 20U);
   expect_shown(replica_);
 }
 
@@ -139,15 +139,15 @@ TEST_F(ForgedSnapshot, WhatIsNoPartOfASnapshotIsNotAppliedToIt) {
                    77, 0, wire::Body::Remove, [&](auto& b) { return wire::CreateRemove(b, 3, payload.raw_bytes); },
                    std::move(payload.bytes))),
                StreamError);
-  EXPECT_EQ(replica_.view().count, 10U);
+  EXPECT_EQ(replica_.count(), 10U);
 }
 
 // Every packet of a history, mutated and truncated in FlatBuffer and payload, against a replica at that very point.
 TEST(Hostile, MutatedPacketsThrowOrApplyWithinBoundsAndNeverHalf) {
   ToyServer server(17, 300);
-  Replica good;
+  test::ShownReplica good;
   send(server.stream.snapshot(), good);
-  server.scene.objects[3].translation = {1, 2, 3};
+  server.scene.objects[3].rigid.translation = {1, 2, 3};
   server.scene.light.generation = 9;
   server.insert(100);
   server.remove(20);
@@ -203,7 +203,7 @@ TEST(Hostile, ReplicaSurvivesMutatedPacketsAndASnapshotHealsIt) {
   ToyServer server(18, 300);
   std::mt19937 random(22);
   for (int round = 0; round < 200; ++round) {
-    Replica replica(5000);
+    test::ShownReplica replica(5000);
     EncodedSnapshot snapshot = server.stream.snapshot();
     const auto damage = [&](EncodedPacket& packet) {
       Bytes& bytes = random() % 2 && !packet.payload.empty() ? packet.payload : packet.packet;

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "raster/rasterizer.h"
+#include "shown_replica.h"
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -32,7 +33,7 @@ class SnapshotQuality : public testing::TestWithParam<Appearance> {};
 
 TEST_P(SnapshotQuality, ThePictureOfWhatArrivesIsThatOfWhatWasSent) {
   test::ToyServer server(31, 6000, GetParam());
-  Replica replica;
+  test::ShownReplica replica;
   test::send(server.stream.snapshot(), replica);
   const auto rasterizer = raster::make_cpu_rasterizer(1);
   const SceneState scene{daylight(), {}};

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "expectations.h"
+#include "shown_replica.h"
 #include "stream/bytes.h"
 #include "stream/codecs.h"
 #include "toy_server.h"
@@ -25,7 +26,7 @@ TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
   for (std::uint32_t seed = 1; seed <= 6; ++seed) {
     std::mt19937 random(seed);
     ToyServer server(seed, 500, seed % 2 ? Appearance::Transfer : Appearance::Radiance);
-    Replica replica;
+    test::ShownReplica replica;
     send(server.stream.snapshot(), replica);
     for (int tick = 0; tick < 40; ++tick) {
       switch (random() % 5) {
@@ -39,7 +40,7 @@ TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
           server.scene.light.sun_irradiance.x += 1, ++server.scene.light.generation;
           break;
         case 3:
-          server.scene.objects[random() % 3].translation.y += 0.1F;
+          server.scene.objects[random() % 3].rigid.translation.y += 0.1F;
           break;
         default:
           break;
@@ -53,7 +54,7 @@ TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
     expect_shown(replica);
     EXPECT_EQ(replica.scene().light.sun_irradiance, server.scene.light.sun_irradiance);
     EXPECT_EQ(replica.scene().objects.size(), server.scene.objects.size());
-    Replica late;
+    test::ShownReplica late;
     send(server.stream.snapshot(), late);
     expect_exact(server.stream, late);
   }
@@ -61,7 +62,7 @@ TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
 
 TEST(ClosedLoop, EveryGaussianKeepsItsIdAndObject) {
   ToyServer server(4);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   server.insert(300);
   server.remove(100);
@@ -81,7 +82,7 @@ TEST(ClosedLoop, EveryGaussianKeepsItsIdAndObject) {
 
 TEST(Loss, ResendOfWhatIsMissingHeals) {
   ToyServer server(9);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   std::map<std::uint64_t, EncodedPacket> history;
   std::mt19937 random(3);
@@ -120,7 +121,7 @@ TEST(Loss, ResendOfWhatIsMissingHeals) {
 
 TEST(Loss, PacketsTwiceAndInAnyOrderChangeNothing) {
   ToyServer server(10);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   std::vector<EncodedPacket> packets;
   for (int tick = 0; tick < 10; ++tick) {
@@ -136,7 +137,7 @@ TEST(Loss, PacketsTwiceAndInAnyOrderChangeNothing) {
 
 TEST(Loss, WhatIsMissingEndsWhereTheNextPacketIsHeld) {
   ToyServer server(26);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   const std::uint64_t first = replica.held()->sequence + 1;
   std::vector<EncodedPacket> packets;
@@ -152,7 +153,7 @@ TEST(Loss, WhatIsMissingEndsWhereTheNextPacketIsHeld) {
 
 TEST(Loss, AfterAPacketThatWasCutASnapshotIsFollowedOn) {
   ToyServer server(27);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   const std::uint64_t before = replica.held()->sequence;
   server.train(0.1F);
@@ -176,7 +177,7 @@ TEST(Loss, AfterAPacketThatWasCutASnapshotIsFollowedOn) {
 
 TEST(Loss, NothingOfAnEpochIsWaitedForOrAppliedInTheNext) {
   ToyServer old(28);
-  Replica replica;
+  test::ShownReplica replica;
   send(old.stream.snapshot(), replica);
   for (int tick = 0; tick < 4; ++tick) {
     old.train(0.1F);
@@ -198,11 +199,11 @@ TEST(Snapshot, FirstChunkIsShownAtOnceAndInAnyOrderTheWholeIsExact) {
   EncodedSnapshot snapshot = server.stream.snapshot();
   ASSERT_GE(snapshot.chunks.size(), 5U);
   std::ranges::reverse(snapshot.chunks);
-  Replica replica;
+  test::ShownReplica replica;
   send(snapshot.head, replica);
-  EXPECT_EQ(replica.view().count, 0U);
+  EXPECT_EQ(replica.count(), 0U);
   EXPECT_TRUE(replica.receive(parse(snapshot.chunks[0])));
-  EXPECT_GT(replica.view().count, 0U);
+  EXPECT_GT(replica.count(), 0U);
   EXPECT_TRUE(replica.loading());
   // Broadcast packets wait for the rest.
   server.train(0.05F);
@@ -218,7 +219,7 @@ TEST(Snapshot, FirstChunkIsShownAtOnceAndInAnyOrderTheWholeIsExact) {
 // The streamer keeps a snapshot for a while: the viewer may hold early packets that are newer.
 TEST(Snapshot, WhatWasBroadcastSinceWaitsForItsIds) {
   ToyServer server(24);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   const EncodedSnapshot cached = server.stream.snapshot();
   server.remove(60);
@@ -230,11 +231,11 @@ TEST(Snapshot, WhatWasBroadcastSinceWaitsForItsIds) {
   send(cached.head, replica);
   send(packets, replica);  // early
   send(cached.chunks, replica);
-  EXPECT_EQ(replica.view().count, 600U);
+  EXPECT_EQ(replica.count(), 600U);
   EXPECT_TRUE(replica.loading());
   EXPECT_FALSE(replica.missing());
   send({cached.tail.begin(), halfway}, replica);
-  EXPECT_EQ(replica.view().count, 600U);
+  EXPECT_EQ(replica.count(), 600U);
   send({halfway, cached.tail.end()}, replica);
   EXPECT_FALSE(replica.loading());
   expect_exact(server.stream, replica);
@@ -243,21 +244,21 @@ TEST(Snapshot, WhatWasBroadcastSinceWaitsForItsIds) {
 
 TEST(Snapshot, OldPictureStaysUntilTheNewOneIsWhole) {
   ToyServer first(12, 700), second(13, 900);
-  Replica replica;
+  test::ShownReplica replica;
   send(first.stream.snapshot(), replica);
   const EncodedSnapshot snapshot = second.stream.snapshot();
   send(snapshot.head, replica);
   for (std::size_t i = 0; i + 1 < snapshot.chunks.size(); ++i) {
     EXPECT_FALSE(replica.receive(parse(snapshot.chunks[i])));
-    EXPECT_EQ(replica.view().count, 700U);
+    EXPECT_EQ(replica.count(), 700U);
   }
   EXPECT_TRUE(replica.receive(parse(snapshot.chunks.back())));
-  EXPECT_EQ(replica.view().count, 900U);
+  EXPECT_EQ(replica.count(), 900U);
 }
 
 TEST(Snapshot, JumpIsNoticedByWhoeverHeldSomething) {
   ToyServer server(14);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   server.stream.reset_to_target();
   server.train(0.1F);

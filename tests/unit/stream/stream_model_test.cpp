@@ -6,6 +6,7 @@
 #include <map>
 #include <set>
 
+#include "shown_replica.h"
 #include "stream/delta_selection.h"
 #include "toy_server.h"
 
@@ -52,7 +53,7 @@ TEST(StreamModel, JitterBelowTheDeadZoneIsNeverSent) {
 
 TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
   ToyServer server(3);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   Schedules schedules = default_schedules();
   schedules[static_cast<std::size_t>(Attribute::Albedo)].dead_zone = 2;
@@ -74,7 +75,7 @@ TEST(StreamModel, WhatHasConvergedIsSentToWithinAStepAndThenRests) {
   for (int tick = 0; tick < 20; ++tick) later += server.tick().size();
   EXPECT_EQ(later, 0U);
   const AttributeChannels& albedo = replica.held()->layout.at(Attribute::Albedo);
-  for (std::size_t i = 0; i < replica.view().count; ++i) {
+  for (std::size_t i = 0; i < replica.count(); ++i) {
     const std::uint64_t id = replica.held()->gaussians.gaussian_id[i];
     const float want = srgb_from_linear(
         server.model()
@@ -103,7 +104,7 @@ TEST(StreamModel, WhatRestsKeepsItsRestWhenOthersAreRemoved) {
 
 TEST(StreamModel, BudgetBoundsEveryTickAndEverythingArrivesInTheEnd) {
   ToyServer server(5, 3000);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   server.insert(3000);
   server.train(0.05F);
@@ -117,7 +118,7 @@ TEST(StreamModel, BudgetBoundsEveryTickAndEverythingArrivesInTheEnd) {
   }
   EXPECT_GT(ticks, 5U);
   EXPECT_LT(ticks, 200U);
-  EXPECT_EQ(replica.view().count, 6000U);
+  EXPECT_EQ(replica.count(), 6000U);
 }
 
 TEST(StreamModel, VisibleGaussiansComeFirst) {
@@ -176,53 +177,53 @@ TEST(StreamModel, DeltasOfWhatIsSeenComeFirst) {
 TEST(StreamModel, OfAModelThatIsLargerThanViewersTakeAPartIsServed) {
   const StreamOptions options{.chunk_gaussians = 256, .max_gaussians = 1000};
   ToyServer server(17, 600, Appearance::Transfer, options);
-  Replica replica(1000);
+  test::ShownReplica replica(1000);
   send(server.stream.snapshot(), replica);
   server.insert(900);
   for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, 1000U);
+  EXPECT_EQ(replica.count(), 1000U);
   EXPECT_TRUE(server.stream.full());
   EXPECT_EQ(server.stream.unsent(), 500U);
   server.remove(300);
   for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, 1000U);
+  EXPECT_EQ(replica.count(), 1000U);
   server.remove(600);
   for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, server.model().count());
+  EXPECT_EQ(replica.count(), server.model().count());
   EXPECT_FALSE(server.stream.full());
   EXPECT_FALSE(replica.needs_snapshot());
 
   ToyServer large(18, 1500, Appearance::Transfer, options);
-  Replica another(1000);
+  test::ShownReplica another(1000);
   send(large.stream.snapshot(), another);
   EXPECT_EQ(another.view().count, 1000U);
 }
 
 TEST(StreamModel, GaussiansThatAreNotFiniteAreLeftOut) {
   ToyServer server(7, 100);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   server.insert(10);
   server.model().parameters[105] = std::numeric_limits<float>::quiet_NaN();
   const float held = server.model().parameters[3];
   server.model().parameters[3] = std::numeric_limits<float>::infinity();
   send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, 109U);
+  EXPECT_EQ(replica.count(), 109U);
   server.model().parameters[105] = 0.25F;
   server.model().parameters[3] = held;
   send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, 110U);
+  EXPECT_EQ(replica.count(), 110U);
 }
 
 TEST(StreamModel, DuplicateIdsAreStreamedOnce) {
   ToyServer server(8, 50);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   server.insert(4);
   server.model().gaussian_id[52] = server.model().gaussian_id[51];
   server.model().gaussian_id[53] = server.model().gaussian_id[2];
   for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
-  EXPECT_EQ(replica.view().count, 52U);
+  EXPECT_EQ(replica.count(), 52U);
 }
 
 TEST(StreamModel, AnObservationThatWasTornIsThrownAway) {
@@ -239,9 +240,9 @@ TEST(StreamModel, AnotherLayoutNeedsAJump) {
   EXPECT_TRUE(server.stream.observe(other.view()));
   EXPECT_FALSE(server.stream.ready());
   server.stream.reset_to_target();
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
-  EXPECT_EQ(replica.view().count, 80U);
+  EXPECT_EQ(replica.count(), 80U);
   EXPECT_EQ(replica.view().layout, other.layout());
 }
 
@@ -250,15 +251,15 @@ TEST(StreamModel, AnEmptyModelGrows) {
   const GaussiansBuffer none(ParameterLayout{}, 0);
   ASSERT_TRUE(stream.observe(none.view()));
   stream.reset_to_target();
-  Replica replica;
+  test::ShownReplica replica;
   send(stream.snapshot(), replica);
   EXPECT_EQ(replica.epoch(), 5U);
   ASSERT_TRUE(stream.observe(test::toy_model(100, 1).view()));
   send(stream.tick(1e9, {}), replica);
-  EXPECT_EQ(replica.view().count, 100U);
+  EXPECT_EQ(replica.count(), 100U);
   ASSERT_TRUE(stream.observe(none.view()));
   send(stream.tick(1e9, {}), replica);
-  EXPECT_EQ(replica.view().count, 0U);
+  EXPECT_EQ(replica.count(), 0U);
 }
 
 TEST(StreamModel, ChunkOrderBeginsWithWhatTheCameraSees) {
@@ -269,13 +270,13 @@ TEST(StreamModel, ChunkOrderBeginsWithWhatTheCameraSees) {
   const auto order = server.stream.chunk_order(camera);
   EXPECT_EQ(std::set<std::size_t>(order.begin(), order.end()).size(), order.size());
   EXPECT_EQ(order.size(), (4000U + 255) / 256);
-  Replica replica;
+  test::ShownReplica replica;
   const EncodedSnapshot snapshot = server.stream.snapshot();
   send(snapshot.head, replica);
   replica.receive(parse(snapshot.chunks[order[0]]));
   glm::vec3 centre(0);
-  for (std::size_t i = 0; i < replica.view().count; ++i) {
-    for (int c = 0; c < 3; ++c) centre[c] += replica.view().plane(c)[i] / static_cast<float>(replica.view().count);
+  for (std::size_t i = 0; i < replica.count(); ++i) {
+    for (int c = 0; c < 3; ++c) centre[c] += replica.view().plane(c)[i] / static_cast<float>(replica.count());
   }
   EXPECT_GT(centre.x, 0.8F);
   EXPECT_GT(centre.z, 0.8F);

@@ -6,6 +6,7 @@
 #include <random>
 
 #include "expectations.h"
+#include "shown_replica.h"
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -43,7 +44,7 @@ float angle_between(const glm::quat& a, const glm::quat& b) {
 /// The largest difference between what is shown and what was published, as a part of what is allowed.
 class Differences {
  public:
-  Differences(const GaussiansBuffer& model, const Replica& replica, const Tolerance& allowed)
+  Differences(const GaussiansBuffer& model, test::ShownReplica& replica, const Tolerance& allowed)
       : want_(model.view()), got_(replica.view()) {
     EXPECT_EQ(got_.count, want_.count);
     std::map<std::uint64_t, std::size_t> column;
@@ -100,7 +101,7 @@ class Differences {
   std::map<std::string, float> largest_;
 };
 
-void expect_near(const GaussiansBuffer& model, const Replica& replica, const Tolerance& allowed, int tick) {
+void expect_near(const GaussiansBuffer& model, test::ShownReplica& replica, const Tolerance& allowed, int tick) {
   const Differences differences(model, replica, allowed);
   for (const auto& [name, part] : differences.largest()) {
     EXPECT_LE(part, 1) << name << " after tick " << tick;
@@ -120,7 +121,7 @@ class Target : public testing::TestWithParam<Appearance> {
   [[nodiscard]] static bool transfer() { return GetParam() == Appearance::Transfer; }
 
   ToyServer server_{41, 500, GetParam()};
-  Replica replica_;
+  test::ShownReplica replica_;
 };
 
 TEST_P(Target, WhatMovesIsHeldToWithinTheDeadZones) {

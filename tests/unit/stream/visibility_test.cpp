@@ -6,6 +6,7 @@
 #include <unordered_map>
 
 #include "expectations.h"
+#include "shown_replica.h"
 #include "stream/codecs.h"
 #include "toy_server.h"
 
@@ -37,10 +38,10 @@ std::vector<std::uint8_t> shadows(const GaussiansBuffer& model, double time_s) {
   return seen;
 }
 
-void expect_seen(const Replica& replica, const GaussiansBuffer& model, const std::vector<std::uint8_t>& truth) {
+void expect_seen(test::ShownReplica& replica, const GaussiansBuffer& model, const std::vector<std::uint8_t>& truth) {
   std::unordered_map<std::uint64_t, std::size_t> index;
   for (std::size_t i = 0; i < model.count(); ++i) index[model.gaussian_id[i]] = i;
-  ASSERT_EQ(replica.view().count, model.count());
+  ASSERT_EQ(replica.count(), model.count());
   for (std::size_t slot = 0; slot < model.count(); ++slot) {
     const int want = truth[index.at(replica.held()->gaussians.gaussian_id[slot])];
     const double got = 255.0 * replica.view().visibility[slot];
@@ -50,7 +51,7 @@ void expect_seen(const Replica& replica, const GaussiansBuffer& model, const std
 
 TEST(Visibility, OfATurningSunIsTheSameAtAViewerAtEachVersion) {
   ToyServer server(31, 2000);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   std::size_t moved = 0;
   for (std::uint64_t version = 10; version < 60; ++version) {
@@ -62,7 +63,7 @@ TEST(Visibility, OfATurningSunIsTheSameAtAViewerAtEachVersion) {
     expect_seen(replica, server.model(), truth);
     moved += packets[0].payload.size() > 100;
     if (version % 10 == 5) {
-      Replica late;
+      test::ShownReplica late;
       send(server.stream.snapshot(), late);
       EXPECT_EQ(late.visibility_version(), version);
       expect_seen(late, server.model(), truth);
@@ -79,7 +80,7 @@ TEST(Visibility, UntilTheFirstOneComesASnapshotHasTheModelsOwn) {
   StreamModel stream(PacketWriter("streamer", 1), 5, {.chunk_gaussians = 256});
   ASSERT_TRUE(stream.observe(model.view()));
   stream.reset_to_target();
-  Replica replica;
+  test::ShownReplica replica;
   send(stream.snapshot(), replica);
   EXPECT_EQ(replica.visibility_version(), 0U);
   std::vector<std::uint8_t> own;
@@ -89,7 +90,7 @@ TEST(Visibility, UntilTheFirstOneComesASnapshotHasTheModelsOwn) {
 
 TEST(Visibility, FollowsGaussiansThatComeAndGo) {
   ToyServer server(32, 800);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   for (int round = 0; round < 10; ++round) {
     server.insert(50);
@@ -122,7 +123,7 @@ TEST(Visibility, TenTimesASecondOf90000GaussiansStaysWithinAMegabitASecond) {
 
 TEST(Visibility, IsRefusedByName) {
   ToyServer server(34, 100);
-  Replica replica;
+  test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   const auto truth = shadows(server.model(), 0);
   EXPECT_THROW((void)server.stream.take_visibility(std::span(truth).first(99), 7), StreamError);

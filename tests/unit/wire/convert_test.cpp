@@ -155,16 +155,68 @@ TEST(Convert, LightsThatCannotBeAreRefused) {
   }
 }
 
+Light light_of(std::vector<LightSource> sources) {
+  flatbuffers::FlatBufferBuilder builder;
+  Light light{.sun_irradiance = glm::vec3(1), .sources = std::move(sources), .sun_depth_version = 77};
+  builder.Finish(to_wire(builder, light));
+  return from_wire(*flatbuffers::GetRoot<wire::Light>(builder.GetBufferPointer()));
+}
+
+const LightSource kSpot{.id = 4,
+                        .kind = LightKind::Spot,
+                        .casts_shadow = false,
+                        .position = {1, 2, 3},
+                        .direction = {0, -1, 0},
+                        .intensity = {4, 5, 6},
+                        .range_m = 7,
+                        .cos_inner = 0.9F,
+                        .cos_outer = 0.8F,
+                        .depth_version = 1ULL << 60U};
+
+TEST(Convert, LightSourcesComeBack) {
+  const LightSource point{.id = 0xFFFFFFFF, .position = {-1, 0, 2}, .intensity = {1, 0, 0}, .range_m = 3};
+  const LightSource directional{
+      .id = 1, .kind = LightKind::Directional, .direction = {0.6F, 0.8F, 0}, .intensity = {0, 1, 0}, .range_m = 0};
+  const std::vector<LightSource> sources = {directional, kSpot, point};
+  const Light back = light_of(sources);
+  EXPECT_EQ(back.sources, sources);
+  EXPECT_EQ(back.sun_depth_version, 77U);
+}
+
+TEST(Convert, LightSourcesThatCannotBeAreRefused) {
+  const auto spoilt = [](auto&& spoil) {
+    return [spoil] {
+      LightSource source = kSpot;
+      spoil(source);
+      (void)light_of({source});
+    };
+  };
+  EXPECT_THAT(spoilt([](LightSource& s) { s.id = 0; }), refused("light.sources, 0: 0 is the sun"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.kind = static_cast<LightKind>(3); }), refused("an unknown kind"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.position.y = kNan; }), refused("light.sources, 4.position.y"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.intensity.z = -1; }), refused("light.sources, 4.intensity"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.direction = {0, -2, 0}; }), refused("direction is not of length 1"));
+  for (const float range_m : {0.0F, -1.0F, kNan, kInfinity}) {
+    EXPECT_THAT(spoilt([=](LightSource& s) { s.range_m = range_m; }), refused("range_m is not above 0"));
+  }
+  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_outer = s.cos_inner; }), refused("are no cone"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_inner = 1.5F; }), refused("are no cone"));
+  EXPECT_THAT(spoilt([](LightSource& s) { s.cos_outer = kNan; }), refused("are no cone"));
+  EXPECT_THAT([] { (void)light_of({kSpot, kSpot}); }, refused("light.sources: 4 after 4"));
+  EXPECT_THAT([] { (void)light_of(std::vector<LightSource>(33, kSpot)); }, refused("33 lights, at most 32"));
+}
+
 TEST(Convert, ObjectsComeBack) {
   flatbuffers::FlatBufferBuilder builder;
-  const ObjectTransforms objects = {{3, {glm::quat(0, 1, 0, 0), {1, 2, 3}}}, {9, {}}};
+  ObjectTransforms objects = {{3, Rigid{glm::quat(0, 1, 0, 0), {1, 2, 3}}}, {9, {}}, {0xFFFFFFFF, {}}};
+  objects.at(9).scale = 2.5F;
+  objects.at(9).emissive = true;
+  objects.at(0xFFFFFFFF).modelled = false;
   builder.Finish(to_wire(builder, objects));
   const auto* on_wire =
       flatbuffers::GetRoot<flatbuffers::Vector<const wire::ObjectTransform*>>(builder.GetBufferPointer());
   const ObjectTransforms back = from_wire(on_wire);
-  ASSERT_EQ(back.size(), 2U);
-  EXPECT_EQ(back.at(3).rotation.x, 1);
-  EXPECT_EQ(back.at(3).translation, glm::vec3(1, 2, 3));
+  EXPECT_EQ(back, objects);
   EXPECT_TRUE(from_wire(static_cast<decltype(on_wire)>(nullptr)).empty());
 }
 
@@ -177,8 +229,12 @@ TEST(Convert, ObjectsThatCannotBeAreRefused) {
         flatbuffers::GetRoot<flatbuffers::Vector<const wire::ObjectTransform*>>(builder.GetBufferPointer()));
   };
   const wire::Rigid good({1, 0, 0, 0}, {0, 0, 0}), bad({0, 0, 0, 0}, {0, 0, 0});
-  EXPECT_THAT([&] { (void)objects({{5, good}, {5, good}}); }, refused("object 5 has two transforms"));
-  EXPECT_THAT([&] { (void)objects({{5, good}, {6, bad}}); }, refused("object 6.rotation"));
+  constexpr auto none = static_cast<wire::ObjectFlags>(0);
+  EXPECT_THAT([&] { (void)objects({{5, good, 1, none}, {5, good, 1, none}}); }, refused("object 5 has two transforms"));
+  EXPECT_THAT([&] { (void)objects({{5, good, 1, none}, {6, bad, 1, none}}); }, refused("object 6.rotation"));
+  for (const float scale : {0.0F, -1.0F, kNan, kInfinity}) {
+    EXPECT_THAT([&] { (void)objects({{7, good, scale, none}}); }, refused("object 7.scale is"));
+  }
 }
 
 }  // namespace

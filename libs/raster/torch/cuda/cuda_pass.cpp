@@ -182,12 +182,14 @@ class CudaPass final : public RasterPass {
     const cuda::ViewTables tables = cuda::make_view_tables(scenes, call.layout.appearance);
     const bool slotted = gaussians.object_id != nullptr;
     w_.object_count = tables.object_count;
+    w_.source_room = tables.source_room;
 
     // The host's copy has the layout of the device's, so that one copy takes all.
     std::uint32_t* object_ids = nullptr;
     const auto add_tables = [&](cuda::TensorArena& arena) {
       arena.add(w_.views, tables.views.size());
       arena.add(w_.object_views, tables.object_views.size());
+      arena.add(w_.sources, tables.sources.size());
       arena.add(object_ids, slotted ? tables.object_ids.size() : 0);
     };
     cuda::TensorArena on_host, on_device;
@@ -195,6 +197,7 @@ class CudaPass final : public RasterPass {
     const Tensor host = on_host.allocate(torch::TensorOptions().pinned_memory(true));
     std::memcpy(w_.views, tables.views.data(), std::span(tables.views).size_bytes());
     std::memcpy(w_.object_views, tables.object_views.data(), std::span(tables.object_views).size_bytes());
+    if (w_.sources != nullptr) std::memcpy(w_.sources, tables.sources.data(), std::span(tables.sources).size_bytes());
     if (object_ids != nullptr)
       std::memcpy(object_ids, tables.object_ids.data(), std::span(tables.object_ids).size_bytes());
     add_tables(on_device);

@@ -6,7 +6,7 @@ namespace splatbus::capture_bridge::test {
 namespace {
 
 TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
-  engine_.objects[AnalyticScene::kBall] = {.translation = {1, 2, 3}};
+  engine_.objects[AnalyticScene::kBall] = Rigid{.translation = {1, 2, 3}};
   settle();
   const bus::Message& message = received_["capture/input"].front();
   const auto& input = message.root<wire::CaptureInput>();
@@ -47,6 +47,28 @@ TEST_F(CaptureBridgeTest, ObjectIdsPassWithAllTheirBits) {
   const std::uint32_t first = engine_.scene.first_object_id;
   EXPECT_EQ(seen,
             (std::set{first + AnalyticScene::kFloor, first + AnalyticScene::kBall, first + AnalyticScene::kSheet}));
+}
+
+TEST_F(CaptureBridgeTest, ReferencesSayWhoShowsWhereOnceSomethingIsNotToBeModelled) {
+  engine_.objects[AnalyticScene::kBall] = Rigid{.translation = {1, 2, 3}};
+  settle();
+  for (const bus::Message& picture : received_["capture/reference"]) EXPECT_FALSE(picture.announces("object_id"));
+  engine_.objects[AnalyticScene::kBall].modelled = false;
+  received_.clear();
+  look_from(look_at({2, 1.6F, 3.4F}, {2, 0.25F, 0}, 64, 64, 1));  // inputs come anew, and tell
+  ASSERT_TRUE(until([&] {
+    return references(CameraRole::Reference).size() >= 2 && references(CameraRole::Input).size() >= 4 &&
+           !received_["capture/input"].empty();
+  }));
+  for (const bus::Message& picture : received_["capture/reference"]) {
+    const auto& reference = picture.root<wire::CaptureReference>();
+    if (reference.retire()) continue;
+    const std::uint32_t size = reference.camera()->width();
+    EXPECT_TRUE(picture.tensor("object_id", bus::ElementType::U32, {size, size}));
+  }
+  const auto ids = received_["capture/input"].back().tensor("object_id", bus::ElementType::U32, {0});
+  ASSERT_TRUE(ids);
+  EXPECT_EQ(std::ranges::count(ids->as<std::uint32_t>(), AnalyticScene::kBall), 0);
 }
 
 TEST_F(CaptureBridgeTest, AStillSceneIsCapturedOnce) {
@@ -127,11 +149,11 @@ TEST_F(CaptureBridgeTest, ChangesOfLightAndObjectsAreNumbered) {
   camera.id = 77;
   const auto version_of = [](const auto* body) { return body->scene()->version(); };
   const auto state = [&](std::size_t n) { return received_["scene/state"].at(n).root<wire::SceneUpdate>().scene(); };
-  engine_.objects[5] = {.translation = {1, 1, 1}};
+  engine_.objects[5] = Rigid{.translation = {1, 1, 1}};
   engine_.submit(camera, wire::EngineBuffer::Color, 0);
   ASSERT_TRUE(until([&] { return received_["scene/state"].size() == 2; }));
   EXPECT_GT(state(1)->version(), state(0)->version());
-  EXPECT_EQ(from_wire(*state(1)).objects.at(5).translation, glm::vec3(1));
+  EXPECT_EQ(from_wire(*state(1)).objects.at(5).rigid.translation, glm::vec3(1));
   ASSERT_TRUE(until([&] { return version_of(references(CameraRole::Reference).back()) == state(1)->version(); }));
   engine_.light.generation = 2;
   engine_.light.sun_irradiance = {2, 2, 2};

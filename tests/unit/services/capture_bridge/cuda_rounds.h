@@ -71,8 +71,8 @@ inline RoundCase moving_round() {
     AnalyticScene scene;
     scene.ball_centre += glm::vec3(0.04F * step, 0.01F * step, 0);
     InputView view = scene.render(cameras[v]);
-    view.objects[AnalyticScene::kBall] = {glm::angleAxis(0.2F * step, glm::vec3(0, 0, 1)), scene.ball_centre};
-    view.objects[AnalyticScene::kSheet] = {.translation = scene.sheet_centre};
+    view.objects[AnalyticScene::kBall] = Rigid{glm::angleAxis(0.2F * step, glm::vec3(0, 0, 1)), scene.ball_centre};
+    view.objects[AnalyticScene::kSheet] = Rigid{.translation = scene.sheet_centre};
     view.objects[77 + static_cast<std::uint32_t>(v)] = {};  // in no other view
     round.objects = view.objects;
     round.views.push_back(view);

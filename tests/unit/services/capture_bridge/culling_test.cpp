@@ -95,8 +95,8 @@ TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
   const auto cameras = std::vector<Camera>{look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1),
                                            look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1)};
   std::vector<InputView> views{before.render(cameras[0]), after.render(cameras[1])};
-  views[0].objects[AnalyticScene::kBall] = {.translation = before.ball_centre};
-  views[1].objects[AnalyticScene::kBall] = {.translation = after.ball_centre};
+  views[0].objects[AnalyticScene::kBall] = Rigid{.translation = before.ball_centre};
+  views[1].objects[AnalyticScene::kBall] = Rigid{.translation = after.ball_centre};
   const SampledRound round = sample(views, views[1].objects, unlimited());
   std::size_t ball = 0;
   for (std::size_t i = 0; i < round.samples.size(); ++i) {
@@ -113,6 +113,59 @@ TEST(Culling, ComparesMovingObjectsAtTheirOwnPlaces) {
   EXPECT_LT(ball, pixels * 14 / 10);
 }
 
+/// A ball of radius 0.25 m in its own frame.
+ObjectTransform ball_of(const AnalyticScene& scene) {
+  ObjectTransform ball = Rigid{.translation = scene.ball_centre};
+  ball.scale = scene.ball_radius / 0.25F;
+  return ball;
+}
+
+TEST(Culling, WhatHasGrownIsSampledAsItIsNow) {
+  AnalyticScene small, large;
+  large.ball_radius = 2 * small.ball_radius;
+  const Camera camera = look_at({0, 2.5F, 2.5F}, {0.6F, 0.3F, 0}, 64, 64, 1);
+  std::vector<InputView> views{small.render(camera), large.render(camera)};
+  views[0].objects[AnalyticScene::kBall] = ball_of(small);
+  views[1].objects[AnalyticScene::kBall] = ball_of(large);
+  const SampledRound round = sample(views, views[1].objects, unlimited());
+  std::size_t ball = 0, of_large = 0;
+  for (std::size_t i = 0; i < round.samples.size(); ++i) {
+    if (round.samples.object_id[i] != AnalyticScene::kBall) continue;
+    ++ball;
+    of_large += round.samples.camera[i];
+    EXPECT_NEAR(glm::distance(round.samples.position[i], large.ball_centre), large.ball_radius, 1e-3F);
+    EXPECT_NEAR(glm::length(round.samples.normal[i]), 1, 1e-4F);
+  }
+  EXPECT_GT(of_large, 200U);
+  EXPECT_GT(of_large, ball * 9 / 10) << "it shows more of it";
+  // A share of the budget by the area as it is now.
+  views.pop_back();
+  SamplingOptions tight = unlimited();
+  tight.budget = 300;
+  const auto balls = [&](const AnalyticScene& now) {
+    const ObjectTransforms objects{{AnalyticScene::kBall, ball_of(now)}};
+    return std::ranges::count(sample(views, objects, tight).samples.object_id, AnalyticScene::kBall);
+  };
+  EXPECT_GT(balls(large), balls(small) * 3 / 2);
+}
+
+TEST(Culling, WhatIsNotToBeModelledIsNoSample) {
+  const AnalyticScene scene;
+  std::vector<InputView> views{scene.render(look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1))};
+  views[0].objects[AnalyticScene::kBall] = Rigid{.translation = scene.ball_centre};
+  ObjectTransforms round = views[0].objects;
+  const auto balls = [&] {
+    return std::ranges::count(sample(views, round, unlimited()).samples.object_id, AnalyticScene::kBall);
+  };
+  EXPECT_GT(balls(), 100);
+  round[AnalyticScene::kBall].modelled = false;
+  EXPECT_EQ(balls(), 0) << "from now on";
+  views[0].objects[AnalyticScene::kBall].modelled = false;
+  EXPECT_EQ(balls(), 0);
+  round[AnalyticScene::kBall].modelled = true;
+  EXPECT_EQ(balls(), 0) << "of before";
+}
+
 TEST(Culling, WhatIsGoneFromTheRoundOrWasNoObjectYetIsNoSample) {
   const AnalyticScene scene;
   std::vector<InputView> views{scene.render(look_at({0, 2, 2}, {0.6F, 0.3F, 0}, 64, 64, 1))};
@@ -122,7 +175,7 @@ TEST(Culling, WhatIsGoneFromTheRoundOrWasNoObjectYetIsNoSample) {
     EXPECT_GT(round.samples.size(), 500U);
     return std::ranges::count(round.samples.object_id, AnalyticScene::kBall);
   };
-  const ObjectTransforms ball{{AnalyticScene::kBall, {.translation = scene.ball_centre}}};
+  const ObjectTransforms ball{{AnalyticScene::kBall, Rigid{.translation = scene.ball_centre}}};
   EXPECT_GT(samples_of_ball(ball, ball), 100);
   EXPECT_GT(samples_of_ball({}, {}), 100);
   EXPECT_EQ(samples_of_ball(ball, {}), 0);

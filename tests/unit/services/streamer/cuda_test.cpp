@@ -40,7 +40,7 @@ void Pipeline::follow() {
   GaussiansBuffer model = stream::test::toy_model(700, 1);
   trainer_.publish(model);
   StreamClient client(client_options("one"));
-  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 700; }, client));
+  ASSERT_TRUE(poll_until([&] { return client.replica().count() == 700; }, client));
   std::mt19937 random(3);
   std::normal_distribution<float> normal(0, 0.05F);
   for (int round = 0; round < 5; ++round) {
@@ -54,7 +54,8 @@ void Pipeline::follow() {
       for (std::size_t slot = 0; slot < held->gaussians.count(); ++slot) {
         const auto found = column.find(held->gaussians.gaussian_id[slot]);
         if (found == column.end()) return false;
-        const float shown = client.replica().view().plane(0)[slot];
+        const stream::Quantizer& mean = held->layout.at(stream::Attribute::Mean).quantizer;
+        const float shown = mean.offset + mean.step * static_cast<float>(held->gaussians.channels[0][slot]);
         if (std::abs(shown - model.parameters[found->second]) > 0.01F) return false;
       }
       return true;
@@ -70,7 +71,7 @@ void Pipeline::answer_probe() {
   viewer::ClientOptions options = client_options("one");
   options.probes = true;
   StreamClient client(options);
-  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 100; }, client));
+  ASSERT_TRUE(poll_until([&] { return client.replica().count() == 100; }, client));
   const Camera camera = look_at({0, 1, 2}, {0, 0, 0}, 32, 16, 1.0F);
   std::vector<std::uint8_t> rgba(std::size_t{32} * 16 * 4);
   std::iota(rgba.begin(), rgba.end(), std::uint8_t{0});

@@ -15,8 +15,7 @@ TEST_F(StreamerTest, WhatWasLostIsSentAgainAndNothingElse) {
   GaussiansBuffer model = stream::test::toy_model(400, 1);
   trainer_.publish(model);
   StreamClient good(client_options("good")), lossy(client_options("lossy"));
-  ASSERT_TRUE(poll_until([&] { return good.replica().view().count == 400 && lossy.replica().view().count == 400; },
-                         good, lossy));
+  ASSERT_TRUE(poll_until([&] { return good.replica().count() == 400 && lossy.replica().count() == 400; }, good, lossy));
   std::mt19937 dice(7);
   int lost = 0;
   lossy.lose_packets([&](const stream::ParsedPacket& packet) {
@@ -42,17 +41,17 @@ TEST_F(StreamerTest, ThePictureStaysWhenTheStreamerIsRestarted) {
   start_streamer();
   trainer_.publish(stream::test::toy_model(300, 1));
   StreamClient client(client_options("one"));
-  ASSERT_TRUE(poll_until([&] { return client.replica().view().count == 300; }, client));
+  ASSERT_TRUE(poll_until([&] { return client.replica().count() == 300; }, client));
   const std::uint64_t epoch = client.replica().epoch();
   streamer_.reset();
   bool vanished = false;
-  const auto watch = [&] { vanished = vanished || client.replica().view().count == 0; };
+  const auto watch = [&] { vanished = vanished || client.replica().count() == 0; };
   start_streamer();
   GaussiansBuffer model = stream::test::toy_model(300, 1);
   grow(model, 50, 9);
   trainer_.publish(model);
-  EXPECT_TRUE(poll_until(
-      [&] { return watch(), client.replica().epoch() != epoch && client.replica().view().count == 350; }, client));
+  EXPECT_TRUE(poll_until([&] { return watch(), client.replica().epoch() != epoch && client.replica().count() == 350; },
+                         client));
   EXPECT_FALSE(vanished);
 }
 
@@ -87,7 +86,7 @@ TEST_F(StreamerTest, GarbageFromAViewerDisturbsNobody) {
   const auto resend = writer.write(1, 0, wire::Body::Resend, [](auto& b) { return wire::CreateResend(b, 0, ~0ULL); });
   (void)hostile.send(zmq::buffer(resend.packet), zmq::send_flags::none);
   StreamClient client(client_options("good"));
-  EXPECT_TRUE(poll_until([&] { return client.replica().view().count == 100; }, client));
+  EXPECT_TRUE(poll_until([&] { return client.replica().count() == 100; }, client));
   EXPECT_EQ(client.refused(), 0U);
   // All of it was counted or refused: nobody joined by it, and nobody else was served anything for it.
   bus::Subscriber stats(observer_, {"stream/stats"});
@@ -145,7 +144,7 @@ TEST_F(SteppedStreamerTest, OverTheSecondsTheBudgetHoldsHoweverLargeAChunkIs) {
   GaussiansBuffer model = stream::test::toy_model(300, 1);
   trainer_.publish(model);
   StreamClient client(options("one"));
-  const auto follows = [&] { return client.replica().view().count == 300 && !client.replica().loading(); };
+  const auto follows = [&] { return client.replica().count() == 300 && !client.replica().loading(); };
   ASSERT_TRUE(settle(follows, client));
   // What was not used while nothing moved is not saved up.
   for (int tick = 0; tick < 50; ++tick) {
@@ -156,8 +155,8 @@ TEST_F(SteppedStreamerTest, OverTheSecondsTheBudgetHoldsHoweverLargeAChunkIs) {
   const std::uint64_t before = statistics(9).total_bytes;
   grow(model, 20'000, 3);
   trainer_.publish(model);
-  ASSERT_TRUE(settle([&] { return client.replica().view().count > 300 || (stepped_->turn(0.2), false); }, client));
-  const std::uint64_t begun = client.replica().view().count;
+  ASSERT_TRUE(settle([&] { return client.replica().count() > 300 || (stepped_->turn(0.2), false); }, client));
+  const std::uint64_t begun = client.replica().count();
   for (int tick = 0; tick < 50; ++tick) {
     stepped_->turn(0.2);
     client.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
@@ -167,8 +166,8 @@ TEST_F(SteppedStreamerTest, OverTheSecondsTheBudgetHoldsHoweverLargeAChunkIs) {
   while (const auto message = stats_.receive(200ms)) {
     last = message->root<wire::StreamStats>("StreamStats/1").total_bytes();
   }
-  EXPECT_GT(client.replica().view().count, begun + 1000);
-  EXPECT_LT(client.replica().view().count, 15'000U) << "all of it went out: the budget was not needed";
+  EXPECT_GT(client.replica().count(), begun + 1000);
+  EXPECT_LT(client.replica().count(), 15'000U) << "all of it went out: the budget was not needed";
   // 25 kB a second for ten seconds, the tick that found the model and one chunk that was begun.
   EXPECT_LT(last - before, 250'000U + 20'000U);
   EXPECT_GT(last - before, 200'000U) << "the budget was not used";
@@ -182,7 +181,7 @@ TEST_F(SteppedStreamerTest, AViewerThatFellSilentGoesOnWhereItWas) {
   StreamClient awake(options("awake")), sleeper(options("sleeper"));
   const Camera camera = look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1);
   const auto holds = [](const StreamClient& client) {
-    return client.replica().view().count == 300 && !client.replica().loading();
+    return client.replica().count() == 300 && !client.replica().loading();
   };
   ASSERT_TRUE(settle([&] { return holds(awake) && holds(sleeper); }, awake, sleeper));
   bus::Subscriber poses(observer_, {"viewer/pose"});
@@ -237,7 +236,7 @@ TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
     (void)deaf.send(zmq::buffer(writer.write(0, 0, body, build).packet), zmq::send_flags::dontwait);
   };
   say(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "deaf"); });
-  ASSERT_TRUE(settle([&] { return good.replica().view().count == 3000 && !good.replica().loading(); }, good));
+  ASSERT_TRUE(settle([&] { return good.replica().count() == 3000 && !good.replica().loading(); }, good));
   bus::Subscriber qualities(observer_, {"viewer/quality"}), poses(observer_, {"viewer/pose"});
   // The model never rests. What the deaf viewer's sockets hold of it is full before memory is looked at.
   constexpr std::uint64_t kWarmUpBytes = 6'000'000, kStreamedBytes = 18'000'000;
@@ -276,7 +275,7 @@ TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
     stepped_->turn(1);
     read_viewers(20ms);
   }
-  EXPECT_EQ(good.replica().view().count, 3000U);
+  EXPECT_EQ(good.replica().count(), 3000U);
   EXPECT_FALSE(good.replica().needs_snapshot());
   EXPECT_EQ(viewers, 1U);
 }
@@ -297,10 +296,10 @@ TEST_F(StreamerTest, ServesOverTcpTooAndRefusesMoreThanMaxViewers) {
   viewer::ClientOptions options = client_options("remote");
   options.endpoint = streamer_->endpoints().at(1);
   StreamClient remote(options);
-  ASSERT_TRUE(poll_until([&] { return remote.replica().view().count == 100; }, remote));
+  ASSERT_TRUE(poll_until([&] { return remote.replica().count() == 100; }, remote));
   StreamClient second(client_options("second"));
   ASSERT_TRUE(poll_until([&] { return second.received_bytes() > 0; }, remote, second));
-  EXPECT_EQ(second.replica().view().count, 0U);
+  EXPECT_EQ(second.replica().count(), 0U);
   EXPECT_FALSE(second.connected());
 }
 

@@ -257,16 +257,16 @@ TEST_P(CarverOn, ObjectsAreJudgedWhereTheyAreInThatVeryPicture) {
   const auto free = pages.place(plane(4));
   const std::uint32_t p1 = kPageLanes, p2 = 2 * kPageLanes;
   // Object 7 stands on the surface at 4 m with its second Gaussian; 9 is in no scene.
-  ObjectTransforms objects{{3, {}}, {7, {.translation = {0, 0, 2.5F}}}};
+  ObjectTransforms objects{{3, {}}, {7, Rigid{.translation = {0, 0, 2.5F}}}};
   const std::vector<std::uint32_t> expected{0, 1, p1};
   EXPECT_EQ(marked(pages, {{&free, 30, objects}, {&free, 60, objects}, {&free, 90, objects}}), expected);
   // It moves: never in front of the surface, and once out of the picture.
-  objects.at(7).translation = {0, 0, 3};
+  objects.at(7).rigid.translation = {0, 0, 3};
   ObjectTransforms aside = objects;
-  aside.at(7).translation = {40, 0, 0};
+  aside.at(7).rigid.translation = {40, 0, 0};
   // Turned by 180 degrees about y, what lies at z = 1 lies at -1: on the surface from 5 m.
   ObjectTransforms turned = objects;
-  turned.at(7) = {.rotation = {0, 0, 1, 0}, .translation = {0, 0, 5}};
+  turned.at(7) = Rigid{.rotation = {0, 0, 1, 0}, .translation = {0, 0, 5}};
   EXPECT_EQ(marked(pages, {{&free, 30, objects}, {&free, 60, aside}, {&free, 90, turned}, {&free, 120, aside}}),
             (std::vector<std::uint32_t>{0, 1}));
   ObjectTransforms back = objects;
@@ -275,9 +275,33 @@ TEST_P(CarverOn, ObjectsAreJudgedWhereTheyAreInThatVeryPicture) {
             (std::vector<std::uint32_t>{0, 1, p2, p2 + 1}));
   // From x = 6, looking along -x at the same surface 4 m away, everything of the world's frame is hidden.
   const Rigid pose{.rotation = glm::angleAxis(glm::radians(-90.0F), glm::vec3(0, 1, 0)), .translation = {6, 0, 0}};
-  objects.at(7).translation = {4, 0, -1};
+  objects.at(7).rigid.translation = {4, 0, -1};
   EXPECT_EQ(marked(pages, {{&free, 30, objects, pose}, {&free, 60, objects, pose}, {&free, 90, objects, pose}}),
             (std::vector<std::uint32_t>{p1, p1 + 1}));
+}
+
+TEST_P(CarverOn, AnObjectsScaleGoesForPlacesAndSizes) {
+  Pages pages = make_pages({{0, 2, 7}});
+  put(pages, 0, 0, 0, 0.2F);   // ten times as large: 2 m before the camera, 0.3 m of standard deviation
+  put(pages, 1, 0, 0, 0.32F);  // reaches the surface
+  const auto free = pages.place(plane(4));
+  ObjectTransforms objects{{7, {}}};
+  objects.at(7).scale = 10;
+  EXPECT_EQ(marked(pages, {{&free, 30, objects}, {&free, 60, objects}, {&free, 90, objects}}),
+            std::vector<std::uint32_t>{0});
+  // As they are, both are nearer than the camera sees.
+  objects.at(7).scale = 1;
+  EXPECT_TRUE(marked(pages, {{&free, 30, objects}, {&free, 60, objects}, {&free, 90, objects}}).empty());
+  // Beside the picture's axis a page is passed over by its bounds alone: 40 m to the side, 8 m away.
+  put(pages, 0, 4, 0, 0.2F);
+  put(pages, 1, 4, 0, 0.2F);
+  objects.at(7).scale = 10;
+  EXPECT_TRUE(marked(pages, {{&free, 30, objects}, {&free, 60, objects}, {&free, 90, objects}}).empty());
+  put(pages, 0, 0.9F, 0, 2.9F);
+  objects.at(7) = Rigid{.translation = {0, 0, 0}};
+  objects.at(7).scale = 1.2F;
+  put(pages, 1, 0.9F, 0, 2.9F);
+  EXPECT_EQ(marked(pages, {{&free, 30, objects}, {&free, 60, objects}, {&free, 90, objects}}).size(), 2U);
 }
 
 TEST_P(CarverOn, TheCamerasPoseCounts) {

@@ -181,6 +181,17 @@ TEST_F(CudaOptimizerTest, LossOnDepthIsTheCpus) {
   }
 }
 
+TEST_F(CudaOptimizerTest, AfterAChangeLossFallsAsFastAsWithAFreshModel) {
+  constexpr int kSteps = 150;
+  const double fresh = loss_of_a_fresh_model(Device::Cuda, kSteps);
+  EXPECT_LT(loss_after_repainting(Device::Cuda, "true", kSteps), 1.25 * fresh);
+  EXPECT_GT(loss_after_repainting(Device::Cuda, "false", kSteps), 1.5 * fresh);
+}
+
+TEST_F(CudaOptimizerTest, MaskedPixelsTeachNothing) {
+  masked_pixels_teach_nothing(Device::Cuda, 1e-3);
+}
+
 TEST_F(CudaOptimizerTest, DepthWeightMayChangeWhileItTrains) {
   Trial cuda = trial(Device::Cuda);
   Trial cpu = trial(Device::Cpu);

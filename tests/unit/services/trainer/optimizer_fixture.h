@@ -32,6 +32,7 @@ inline TrainingViewPtr placed(const TrainingView& view, Device memory) {
   copy.color = placed(view.color, memory);
   copy.albedo = placed(view.albedo, memory);
   copy.depth = placed(view.depth, memory);
+  copy.mask = placed(view.mask, memory);
   return std::make_shared<const TrainingView>(std::move(copy));
 }
 
@@ -152,6 +153,71 @@ class OptimizerTest : public bus_test::BusTest {
 
   [[nodiscard]] double psnr(const Trial& trial) const { return scene_.psnr(trial.model().live()); }
   [[nodiscard]] double average_psnr(const Trial& trial) const { return scene_.psnr(trial.model().average()); }
+
+  /// A view in whose left half, which is masked, something else shows.
+  static TrainingView half_hidden(const TrainingView& view, std::uint8_t shows) {
+    TrainingView hidden = view;
+    std::vector<std::uint8_t> color(view.color.data(), view.color.data() + view.color.size());
+    std::vector<std::uint8_t> albedo(view.albedo.data(), view.albedo.data() + view.albedo.size());
+    std::vector<float> depth(view.depth.data(), view.depth.data() + view.depth.size());
+    std::vector<std::uint8_t> mask(depth.size());
+    for (std::size_t i = 0; i < mask.size(); ++i) {
+      if (i % view.camera.width >= view.camera.width / 2) continue;
+      mask[i] = 255;
+      depth[i] = 0.5F;
+      std::fill_n(color.begin() + static_cast<std::ptrdiff_t>(4 * i), 4, shows);
+      std::fill_n(albedo.begin() + static_cast<std::ptrdiff_t>(4 * i), 4, shows);
+    }
+    hidden.color = Pixels<std::uint8_t>(std::move(color));
+    hidden.albedo = Pixels<std::uint8_t>(std::move(albedo));
+    hidden.depth = Pixels<float>(std::move(depth));
+    hidden.mask = Pixels<std::uint8_t>(std::move(mask));
+    return hidden;
+  }
+
+  /// Nothing of what is masked reaches the model.
+  void masked_pixels_teach_nothing(Device memory, double tolerance) {
+    const Settings settings{{"depth_weight", "0.5"}};
+    Trial dark = trial(memory, settings), bright = trial(memory, settings), plain = trial(memory, settings);
+    for (const auto& view : scene_.views()) {
+      dark.put(half_hidden(*view, 0));
+      bright.put(half_hidden(*view, 255));
+    }
+    for (Trial* s : {&dark, &bright, &plain}) s->train(40);
+    expect_close(dark, bright, tolerance);
+    EXPECT_GT(distance(dark.model().live(), plain.model().live(), ParameterLayout::kResidual), 100 * tolerance);
+    EXPECT_GT(psnr(dark), psnr(plain) - 6) << "every place is in some picture's other half";
+  }
+
+  /// The scene's views with every surface of another colour.
+  [[nodiscard]] std::vector<TrainingView> repainted() const {
+    std::vector<TrainingView> views;
+    for (const TrainingViewPtr& view : scene_.views()) {
+      TrainingView& painted = views.emplace_back(*view);
+      for (Pixels<std::uint8_t>* picture : {&painted.color, &painted.albedo}) {
+        std::vector<std::uint8_t> rgba(picture->data(), picture->data() + picture->size());
+        for (std::size_t i = 0; i < rgba.size(); i += 4) std::swap(rgba[i], rgba[i + 2]);
+        *picture = Pixels<std::uint8_t>(std::move(rgba));
+      }
+    }
+    return views;
+  }
+
+  /// Mean loss of the last of `steps` steps after everything was repainted, of a model whose rates had fallen.
+  double loss_after_repainting(Device memory, const std::string& recovery, int steps) {
+    Trial s = trial(memory, {{"lr_half_life_steps", "20"}, {"lr_recovery", recovery}, {"prune", "false"}});
+    s.train(800);
+    for (const TrainingView& view : repainted()) s.put(view);
+    s.train(steps - 12);
+    return s.train(12);
+  }
+  /// The same of a model that begins with these views.
+  double loss_of_a_fresh_model(Device memory, int steps) {
+    Trial s = trial(memory, {{"lr_half_life_steps", "20"}, {"prune", "false"}});
+    for (const TrainingView& view : repainted()) s.put(view);
+    s.train(steps - 12);
+    return s.train(12);
+  }
 
   // Small: a step takes a second when every access to shared memory is checked.
   SyntheticScene scene_{100, 4, 32};

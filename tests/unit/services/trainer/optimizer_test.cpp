@@ -94,6 +94,19 @@ TEST_F(CpuOptimizerTest, DepthLossHasTheSlopeOfItsFiniteDifferences) {
   EXPECT_GT(steep, before.count() / 2);
 }
 
+TEST_F(CpuOptimizerTest, MaskedPixelsTeachNothing) {
+  masked_pixels_teach_nothing(Device::Cpu, 1e-30);
+}
+
+TEST_F(CpuOptimizerTest, AfterAChangeLossFallsAsFastAsWithAFreshModel) {
+  constexpr int kSteps = 150;
+  const double fresh = loss_of_a_fresh_model(Device::Cpu, kSteps);
+  const double with = loss_after_repainting(Device::Cpu, "true", kSteps);
+  const double without = loss_after_repainting(Device::Cpu, "false", kSteps);
+  EXPECT_LT(with, 1.15 * fresh);
+  EXPECT_GT(without, 1.5 * fresh);
+}
+
 TEST_F(CpuOptimizerTest, TrainsRadiance) {
   Trial s = trial({{"appearance", "radiance"}, {"sh_degree", "1"}});
   const double loss_before = s.train(6);

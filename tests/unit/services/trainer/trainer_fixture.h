@@ -148,7 +148,9 @@ class TrainerTest : public bus_test::BusTest {
     }));
   }
 
-  void publish_view(const TrainingView& view, bool retire = false, std::uint32_t height_off = 0) {
+  /// `object_id`: where there is one, a picture of who shows where.
+  void publish_view(const TrainingView& view, bool retire = false, std::uint32_t height_off = 0,
+                    const std::vector<std::uint32_t>& object_id = {}) {
     const std::uint32_t h = view.camera.height + height_off;
     const std::uint32_t w = view.camera.width;
     std::vector<bus::TensorSource> sources;
@@ -162,11 +164,14 @@ class TrainerTest : public bus_test::BusTest {
                   .type = bus::ElementType::U8,
                   .data = view.color.data()}};
     }
+    if (!object_id.empty()) {
+      sources.push_back(
+          {.name = "object_id", .shape = {h, w}, .type = bus::ElementType::U32, .data = object_id.data()});
+    }
     bus::MessageInfo info;
     if (!sources.empty()) info.tensors = ring_->write(sources);
     publisher_.publish(topics::kCaptureReference, info, [&](auto& builder, auto header) {
-      const auto scene = to_wire(
-          builder, SceneState{.light = view.scene.light, .objects = {}, .version = view.scene.version}, view.frame);
+      const auto scene = to_wire(builder, view.scene, view.frame);
       const auto camera = to_wire(view.camera);
       return wire::CreateCaptureReference(builder, header, &camera, scene, retire);
     });

@@ -184,6 +184,37 @@ TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfAllItsLights) {
   }));
 }
 
+TEST_F(TrainerTest, WhatIsNotToBeModelledIsMaskedInPictures) {
+  TrainingView view = *SyntheticScene(10, 1).views().front();
+  view.scene.objects[0xFFFFFFFF].modelled = false;
+  view.scene.objects[0x80000000].modelled = false;
+  view.scene.objects[5];
+  std::vector<std::uint32_t> ids(view.depth.size());
+  std::vector<std::uint8_t> expected(ids.size());
+  const std::uint32_t of[] = {0, 5, 0x80000000, 0x7FFFFFFF, 0xFFFFFFFF, 0xFFFFFFFE};
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    ids[i] = of[i * i % 6];
+    expected[i] = ids[i] == 0x80000000 || ids[i] == 0xFFFFFFFF ? 255 : 0;
+  }
+  std::atomic<std::uint64_t> host_bytes{0};
+  ReferenceReader reader(Device::Cpu, 1 << 20, 1 << 20, host_bytes);
+  bus::Subscriber references(connect("reader"), {"capture/reference"});
+  const auto next = [&] {
+    std::optional<bus::Message> message;
+    EXPECT_TRUE(bus_test::eventually([&] { return (message = references.receive(5ms)).has_value(); }));
+    return *message;
+  };
+  publish_view(view, false, 0, ids);
+  const auto masked = reader.read(next(), true).view;
+  EXPECT_EQ(std::vector<std::uint8_t>(masked->mask.data(), masked->mask.data() + masked->mask.size()), expected);
+  publish_view(view);
+  EXPECT_THROW((void)reader.read(next(), true), bus::Error) << "it does not say where they show";
+  view.scene.objects.erase(0xFFFFFFFF);
+  view.scene.objects.erase(0x80000000);
+  publish_view(view, false, 0, ids);
+  EXPECT_TRUE(reader.read(next(), true).view->mask.empty());
+}
+
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   const SyntheticScene scene(20, 1);
   bus::Subscriber subscriber(connect("reader"), {"capture/reference"});

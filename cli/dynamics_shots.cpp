@@ -1,0 +1,109 @@
+#include "dynamics_shots.h"
+
+#include <utility>
+
+#include "shadow_mask.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+constexpr int kMovingReach = 5;  // pixels, as far as a window of SSIM does
+constexpr int kShadowReach = 10;
+constexpr double kGhostFrom_s = 2, kGhostTo_s = 4;  // after the object has vanished
+
+std::set<std::uint32_t> ids_of(const ObjectTransforms& objects) {
+  std::set<std::uint32_t> ids;
+  for (const auto& [id, transform] : objects) ids.insert(id);
+  return ids;
+}
+
+}  // namespace
+
+cv::Mat GhostMasks::take(std::size_t camera, double time_s, const ObjectTransforms& objects, const cv::Mat& object_id) {
+  Seen& seen = cameras_[camera];
+  for (const auto& [id, transform] : seen.objects) {
+    if (!objects.contains(id)) seen.ghosts[id] = {.mask = mask_of(seen.object_id, {id}), .since_s = time_s};
+  }
+  std::erase_if(seen.ghosts, [&](const auto& ghost) {
+    return objects.contains(ghost.first) || time_s - ghost.second.since_s > kGhostTo_s;
+  });
+  seen.objects = objects;
+  seen.object_id = object_id;
+  cv::Mat mask;
+  for (const auto& [id, ghost] : seen.ghosts) {
+    if (time_s - ghost.since_s < kGhostFrom_s) continue;
+    mask.empty() ? ghost.mask.copyTo(mask) : cv::bitwise_or(mask, ghost.mask, mask);
+  }
+  if (mask.empty()) return mask;
+  mask.setTo(0, grown(mask_of(object_id, ids_of(objects)), kMovingReach));
+  return grown(mask, 0);
+}
+
+void DynamicsShots::add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map,
+                        const Drawn& drawn) {
+  Shot shot{.sample = sample, .drawn = drawn, .moving = {}, .shadow = {}, .ghost = {}};
+  make_masks(camera, probe, map, shot);
+  shots_.push_back(std::move(shot));
+}
+
+void DynamicsShots::make_masks(std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map, Shot& shot) {
+  if (probe.object_id.empty()) return;
+  Before now{.moving = mask_of(probe.object_id, ids_of(probe.scene.objects)), .lit = {}};
+  shot.moving = grown(now.moving, kMovingReach);
+  shot.ghost = ghosts_.take(camera, probe.time_s, probe.scene.objects, probe.object_id);
+  if (map == nullptr || probe.depth.empty()) return;
+  now.lit = lit_surfaces(probe.depth, probe.camera, *map);
+  const auto before = before_.find(camera);
+  if (before != before_.end()) {
+    shot.shadow = moving_shadow_edges(before->second.lit, now.lit, now.moving | before->second.moving, kShadowReach);
+  }
+  before_[camera] = std::move(now);
+}
+
+MaskedFigures DynamicsShots::masked_figures(const cv::Mat& ssim_map, const Shot& shot) {
+  MaskedFigures figures;
+  if (!shot.moving.empty()) figures.moving = masked_mean(ssim_map, shot.moving);
+  if (!shot.shadow.empty()) figures.shadow = masked_mean(ssim_map, shot.shadow);
+  return figures;
+}
+
+std::optional<DrawnFigures> DynamicsShots::figures(const Shot& shot, const cv::Mat& drawn, const DynamicsSample& sample,
+                                                   bool is_on) {
+  if (drawn.empty()) return {};
+  cv::Mat ssim_map, flip_map;
+  const cv::Mat& engine = shot.drawn.engine;
+  const double ssim = metrics::ssim(drawn, engine, &ssim_map);
+  const double flip = metrics::flip(drawn, engine, metrics::kFlipPixelsPerDegree, &flip_map);
+  DrawnFigures result{.whole = {.psnr_db = metrics::psnr(drawn, engine), .ssim = ssim, .flip = flip},
+                      .masked = masked_figures(ssim_map, shot),
+                      .ghost_flip = {}};
+  if (!shot.ghost.empty()) result.ghost_flip = masked_mean(flip_map, shot.ghost);
+  if (is_on && window_.contains(sample.time_s)) {
+    maps_[sample.camera].ssim.add(ssim_map);
+    maps_[sample.camera].flip.add(flip_map);
+  }
+  return result;
+}
+
+void DynamicsShots::compare(std::vector<DynamicsSample>& samples) {
+  for (const Shot& shot : shots_) {
+    DynamicsSample& sample = samples[shot.sample];
+    sample.on = figures(shot, shot.drawn.on, sample, true);
+    sample.off = figures(shot, shot.drawn.off, sample, false);
+    if (still_ == nullptr) continue;
+    const auto maps = still_->find(sample.camera);
+    if (maps == still_->end()) continue;
+    sample.still = masked_figures(maps->second.ssim, shot);
+    if (!shot.ghost.empty()) sample.still_ghost_flip = masked_mean(maps->second.flip, shot.ghost);
+  }
+  shots_.clear();
+}
+
+MapsOfCameras DynamicsShots::mean_maps() const {
+  MapsOfCameras means;
+  for (const auto& [camera, maps] : maps_) means[camera] = {.ssim = maps.ssim.mean(), .flip = maps.flip.mean()};
+  return means;
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,117 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <set>
+#include <vector>
+
+#include "dynamics_figures.h"
+#include "metrics/metrics.h"
+#include "probe_round.h"
+#include "scene_view.h"
+
+namespace splatbus::cli {
+
+/// SSIM over parts of a picture; nullopt where there is no such part.
+struct MaskedFigures {
+  std::optional<double> moving;  ///< objects that can move, and 5 pixels around them
+  std::optional<double> shadow;  ///< within 10 pixels of a shadow's edge that has moved since the camera's last picture
+};
+
+/// Figures of a drawn picture against the engine's.
+struct DrawnFigures {
+  metrics::Quality whole;
+  MaskedFigures masked;
+  /// FLIP where an object was seen that vanished 2 to 4 s ago and nothing that can move is now.
+  std::optional<double> ghost_flip;
+};
+
+/// A held-out camera at one instant.
+struct DynamicsSample {
+  double time_s = 0;  ///< of the engine
+  std::size_t camera = 0;
+  std::uint64_t probe_id = 0;
+  bool paired = false;  ///< drawn with visibility of its own scene version
+  std::optional<DrawnFigures> on, off;
+  MaskedFigures still;                     ///< the still scene's at the same pixels
+  std::optional<double> still_ghost_flip;  ///< likewise
+  std::optional<metrics::Quality> viewer;
+};
+
+/// Mean SSIM and FLIP of every pixel of a camera's pictures, CV_32FC1.
+struct CameraMaps {
+  cv::Mat ssim, flip;
+};
+using MapsOfCameras = std::map<std::size_t, CameraMaps>;
+
+/// Where objects were that have vanished, by camera.
+class GhostMasks {
+ public:
+  /// The mask of a picture's ghosts, those between 2 and 4 s old; empty where there are none. Pictures of a camera come
+  /// by ascending time.
+  [[nodiscard]] cv::Mat take(std::size_t camera, double time_s, const ObjectTransforms& objects,
+                             const cv::Mat& object_id);
+
+ private:
+  struct Ghost {
+    cv::Mat mask;
+    double since_s = 0;
+  };
+  struct Seen {
+    cv::Mat object_id;
+    ObjectTransforms objects;
+    std::map<std::uint32_t, Ghost> ghosts;
+  };
+  std::map<std::size_t, Seen> cameras_;
+};
+
+/// Drawn pictures that wait to be compared with the engine's: comparing takes longer than drawing.
+class DynamicsShots {
+ public:
+  /// `still`: where it is given, the still scene's maps, for the same pixels' figures.
+  DynamicsShots(const TimeWindow& window, const MapsOfCameras* still) : window_(window), still_(still) {}
+
+  struct Drawn {
+    cv::Mat engine, on, off;  ///< CV_8UC3 BGR; empty when it was not drawn
+  };
+  /// Of sample `sample`. `map`: the sun's depth of the same instant; may be null.
+  void add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map,
+           const Drawn& drawn);
+
+  /// Fills in the figures of the samples whose pictures wait.
+  void compare(std::vector<DynamicsSample>& samples);
+  [[nodiscard]] std::size_t waiting() const { return shots_.size(); }
+  /// Of the pictures drawn "on" within the window.
+  [[nodiscard]] MapsOfCameras mean_maps() const;
+
+ private:
+  struct Shot {
+    std::size_t sample = 0;
+    Drawn drawn;
+    cv::Mat moving, shadow, ghost;  ///< masks; empty where they could not be had
+  };
+  /// Masks of a camera's last picture: where something moves, and what the sun lights.
+  struct Before {
+    cv::Mat moving, lit;
+  };
+  struct Maps {
+    MeanMap ssim, flip;
+  };
+
+  void make_masks(std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map, Shot& shot);
+  [[nodiscard]] static MaskedFigures masked_figures(const cv::Mat& ssim_map, const Shot& shot);
+  [[nodiscard]] std::optional<DrawnFigures> figures(const Shot& shot, const cv::Mat& drawn,
+                                                    const DynamicsSample& sample, bool is_on);
+
+  TimeWindow window_;
+  const MapsOfCameras* still_;
+  GhostMasks ghosts_;
+  std::map<std::size_t, Before> before_;  ///< by camera
+  std::vector<Shot> shots_;
+  std::map<std::size_t, Maps> maps_;
+};
+
+}  // namespace splatbus::cli

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <functional>
+#include <glm/glm.hpp>
+
+#include "sim/gl_objects.h"
+#include "sim/gpu_scene.h"
+#include "sim/light_maps.h"
+
+namespace splatbus::sim {
+
+/// The Depth program of a variant.
+using DepthPrograms = std::function<GLuint(const ShaderVariant&)>;
+
+/// A light's camera as shaders see it: u, v and depth in [0, 1], times w.
+[[nodiscard]] glm::mat4 map_from_world(const LightCamera& camera);
+
+/// Square depth maps of one size, layers of one texture that shaders compare with. What lies outside of a map is lit.
+class DepthMaps {
+ public:
+  /// Forgets what was drawn unless size and number of layers (1 at least) are as before.
+  void resize(int size, int layers);
+
+  /// Draws what casts shadows, as the light's camera sees it.
+  void draw(int layer, GpuScene& scene, const LightCamera& camera, const DepthPrograms& program_for);
+
+  [[nodiscard]] int size() const { return size_; }
+  /// GL_TEXTURE_2D_ARRAY.
+  [[nodiscard]] GLuint layers() const { return layers_.get(); }
+  /// The first layer, GL_TEXTURE_2D.
+  [[nodiscard]] GLuint first() const { return first_.get(); }
+
+ private:
+  int size_ = 0, count_ = 0;
+  GlTexture layers_, first_;
+  GlFramebuffer framebuffer_;
+};
+
+}  // namespace splatbus::sim

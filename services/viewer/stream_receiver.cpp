@@ -1,0 +1,160 @@
+#include "viewer/stream_receiver.h"
+
+#include <sys/eventfd.h>
+
+#include <utility>
+
+#include "bus/clock.h"
+#include "bus/error.h"
+
+namespace splatbus::viewer {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::chrono::milliseconds kLongestPoll = 50ms;  // a client has more to do than to receive
+constexpr std::int64_t kMeasureEveryNs = 250'000'000;
+
+}  // namespace
+
+StreamReceiver::StreamReceiver(ClientOptions options)
+    : client_(std::move(options)), wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  if (!wake_.valid()) throw bus::Error("cannot make an eventfd");
+  shown_.scene = std::make_shared<const SceneState>();
+  thread_ = std::thread([this] { run(); });
+}
+
+StreamReceiver::~StreamReceiver() {
+  {
+    const std::scoped_lock lock(mutex_);
+    stop_ = true;
+  }
+  wake();
+  thread_.join();
+}
+
+void StreamReceiver::run() {
+  try {
+    while (true) {
+      const bool changed = client_.poll(kLongestPoll, wake_.get());
+      eventfd_t count = 0;
+      (void)::eventfd_read(wake_.get(), &count);
+      do_posted();
+      hand_over(changed);
+      const std::scoped_lock lock(mutex_);
+      if (stop_) return;
+    }
+  } catch (...) {
+    const std::scoped_lock lock(mutex_);
+    failure_ = std::current_exception();
+    arrived_.notify_all();
+  }
+}
+
+void StreamReceiver::do_posted() {
+  std::vector<std::function<void(StreamClient&)>> posted;
+  {
+    const std::scoped_lock lock(mutex_);
+    posted.swap(posted_);
+  }
+  for (const auto& action : posted) action(client_);
+}
+
+ReceiverStatus StreamReceiver::measure() {
+  const stream::Replica& replica = client_.replica();
+  const SceneDelays& delays = client_.scene_delays();
+  return {.connected = client_.connected(),
+          .loading = replica.loading(),
+          .missing_chunks = replica.missing_chunks(),
+          .received_bytes = client_.received_bytes(),
+          .refused = client_.refused(),
+          .resends = client_.resends(),
+          .scene_delays = delays.count(),
+          .scene_delay_ms_p50 = delays.quantile(0.5),
+          .scene_delay_ms_p99 = delays.quantile(0.99)};
+}
+
+void StreamReceiver::hand_over(bool changed) {
+  const stream::Replica& replica = client_.replica();
+  stream::DisplayChanges changes = client_.take_changes();
+  changed = changed || !changes.empty();
+  const SceneKey key{replica.epoch(), replica.scene_version(), replica.scene_instant().frame};
+  std::shared_ptr<const SceneState> scene;
+  if (changed && key != scene_key_) {
+    scene = std::make_shared<const SceneState>(replica.scene());
+    scene_key_ = key;
+  }
+  std::optional<ReceiverStatus> status;
+  if (const std::int64_t now_ns = bus::now_ns(); now_ns - measured_ns_ > kMeasureEveryNs) {
+    measured_ns_ = now_ns;
+    status = measure();
+  }
+  const std::scoped_lock lock(mutex_);
+  shown_.changes.append(std::move(changes));
+  // Whoever draws no more does not make this grow.
+  if (replica.exceeds_whole(shown_.changes)) shown_.changes = replica.whole();
+  if (scene) shown_.scene = std::move(scene);
+  if (status) status_ = *status;
+  changed_ = changed_ || changed;
+  if (!answer_) answer_ = client_.take_probe_answer();
+  if (changed_ || answer_) arrived_.notify_all();
+}
+
+bool StreamReceiver::take(Shown& shown) {
+  const std::scoped_lock lock(mutex_);
+  if (failure_) std::rethrow_exception(failure_);
+  shown.changes.clear();
+  shown.scene = shown_.scene;
+  std::swap(shown.changes, shown_.changes);
+  return std::exchange(changed_, false);
+}
+
+void StreamReceiver::wait_for(std::chrono::nanoseconds timeout) {
+  std::unique_lock lock(mutex_);
+  arrived_.wait_for(lock, timeout, [this] { return changed_ || answer_ || failure_; });
+}
+
+std::optional<ProbeAnswer> StreamReceiver::take_probe_answer() {
+  std::optional<ProbeAnswer> answer;
+  {
+    const std::scoped_lock lock(mutex_);
+    answer = std::exchange(answer_, std::nullopt);
+  }
+  if (answer) wake();  // the next one
+  return answer;
+}
+
+ReceiverStatus StreamReceiver::status() const {
+  const std::scoped_lock lock(mutex_);
+  return status_;
+}
+
+void StreamReceiver::wake() {
+  ::eventfd_write(wake_.get(), 1);
+}
+
+void StreamReceiver::post(std::function<void(StreamClient&)> action) {
+  {
+    const std::scoped_lock lock(mutex_);
+    posted_.push_back(std::move(action));
+  }
+  wake();
+}
+
+void StreamReceiver::send_pose(const Camera& camera) {
+  post([camera](StreamClient& client) { client.send_pose(camera); });
+}
+
+void StreamReceiver::send_probe(std::uint64_t probe_id, const Camera& camera) {
+  post([probe_id, camera](StreamClient& client) { client.send_probe(probe_id, camera); });
+}
+
+void StreamReceiver::send_quality(std::uint64_t probe_id, const metrics::Quality& quality,
+                                  std::int64_t first_picture_ns) {
+  post([probe_id, quality, first_picture_ns](StreamClient& client) {
+    client.send_quality(probe_id, quality, first_picture_ns);
+  });
+}
+
+}  // namespace splatbus::viewer

@@ -1,0 +1,81 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <exception>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <tuple>
+#include <vector>
+
+#include "bus/file_descriptor.h"
+#include "viewer/stream_client.h"
+
+namespace splatbus::viewer {
+
+/// Of a client, a moment ago.
+struct ReceiverStatus {
+  bool connected = false, loading = false;
+  std::uint32_t missing_chunks = 0;
+  std::uint64_t received_bytes = 0, refused = 0, resends = 0;
+  std::size_t scene_delays = 0;  ///< that were measured
+  double scene_delay_ms_p50 = 0, scene_delay_ms_p99 = 0;
+};
+
+/// A StreamClient on a thread of its own, so that what arrives is held, and what is missing asked for, however long a
+/// picture takes. Another thread shows it: all that take() gives at once is of one state of the replica. No call waits
+/// for a packet to be decoded.
+class StreamReceiver {
+ public:
+  /// Throws as StreamClient.
+  explicit StreamReceiver(ClientOptions options);
+  ~StreamReceiver();
+  StreamReceiver(const StreamReceiver&) = delete;
+  StreamReceiver& operator=(const StreamReceiver&) = delete;
+
+  struct Shown {
+    stream::DisplayChanges changes;           ///< since the last call
+    std::shared_ptr<const SceneState> scene;  ///< under which they are shown; not null
+  };
+  /// False, with nothing in it, when the picture is as it was. Throws what has ended the thread.
+  [[nodiscard]] bool take(Shown& shown);
+  /// Until take() or take_probe_answer() has something.
+  void wait_for(std::chrono::nanoseconds timeout);
+
+  void send_pose(const Camera& camera);
+  void send_probe(std::uint64_t probe_id, const Camera& camera);
+  void send_quality(std::uint64_t probe_id, const metrics::Quality& quality, std::int64_t first_picture_ns);
+  [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer();
+  [[nodiscard]] ReceiverStatus status() const;
+
+ private:
+  void run();
+  void post(std::function<void(StreamClient&)> action);
+  void wake();
+  void do_posted();
+  void hand_over(bool changed);
+  [[nodiscard]] ReceiverStatus measure();
+
+  using SceneKey = std::tuple<std::uint64_t, std::uint64_t, std::uint64_t>;  // epoch, version, frame
+  StreamClient client_;                                                      // the thread's own
+  SceneKey scene_key_{};                                                     // too
+  std::int64_t measured_ns_ = 0;                                             // too
+  bus::FileDescriptor wake_;
+
+  mutable std::mutex mutex_;  // of all below
+  std::condition_variable arrived_;
+  bool stop_ = false, changed_ = false;
+  Shown shown_;
+  std::optional<ProbeAnswer> answer_;
+  std::vector<std::function<void(StreamClient&)>> posted_;
+  ReceiverStatus status_;
+  std::exception_ptr failure_;
+
+  std::thread thread_;  // last: it uses all of it
+};
+
+}  // namespace splatbus::viewer

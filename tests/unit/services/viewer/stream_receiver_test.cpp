@@ -1,0 +1,105 @@
+// What a thread that draws gets from the one that receives.
+#include "viewer/stream_receiver.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "../../stream/scene_expectations.h"
+#include "../streamer/stream_fixture.h"
+#include "stream/display_gaussians.h"
+
+namespace splatbus::stream_test {
+namespace {
+
+using namespace std::chrono_literals;
+using viewer::StreamReceiver;
+
+class StreamReceiverTest : public StreamTest {
+ protected:
+  /// Takes, as a viewer does, until the condition holds.
+  bool take_until(StreamReceiver& receiver, const std::function<bool()>& condition) {
+    return bus_test::eventually([&] {
+      receiver.wait_for(1ms);
+      (void)receiver.take(shown_);
+      display_.apply(shown_.changes);
+      return condition();
+    });
+  }
+
+  StreamReceiver::Shown shown_;
+  stream::DisplayGaussians display_;
+};
+
+TEST_F(StreamReceiverTest, WhatIsDrawnFollowsWhatIsPublished) {
+  start_streamer({{"visibility_hz", "100"}});
+  GaussiansBuffer model = stream::test::toy_model(500, 1);
+  trainer_.publish(model);
+  StreamReceiver receiver(client_options("one"));
+  ASSERT_TRUE(take_until(receiver, [&] { return display_.count() == 500; }));
+  std::mt19937 random(2);
+  std::normal_distribution<float> normal(0, 0.05F);
+  for (int round = 0; round < 5; ++round) {
+    for (float& value : model.parameters) value += normal(random);
+    trainer_.publish(model);
+    SceneState scene{.light = {.generation = 3}, .objects = {}, .version = static_cast<std::uint64_t>(round) + 1};
+    scene.objects[7].rigid.translation.y = static_cast<float>(round);
+    trainer_.publish_scene(scene);
+    // Of each Gaussian the nearest mean that is shown is its own.
+    const auto near = [&] {
+      std::vector<float> want(model.parameters.begin(), model.parameters.begin() + 500);
+      std::vector<float> got(display_.view().plane(0), display_.view().plane(0) + 500);
+      std::ranges::sort(want);
+      std::ranges::sort(got);
+      for (std::size_t i = 0; i < want.size(); ++i) {
+        if (std::abs(want[i] - got[i]) > 0.01F) return false;
+      }
+      return shown_.scene->version == scene.version;
+    };
+    ASSERT_TRUE(take_until(receiver, near)) << round;
+    stream::test::expect_scene_near(*shown_.scene, scene);
+  }
+}
+
+// A picture may take as long as it likes.
+TEST_F(StreamReceiverTest, ReceivesWhileNobodyTakes) {
+  start_streamer();
+  GaussiansBuffer model = stream::test::toy_model(3000, 1);
+  trainer_.publish(model);
+  StreamReceiver receiver(client_options("one"));
+  ASSERT_TRUE(take_until(receiver, [&] { return display_.count() == 3000; }));
+  const std::uint64_t received = receiver.status().received_bytes;
+  std::mt19937 random(2);
+  std::normal_distribution<float> normal(0, 0.5F);
+  SceneState scene;
+  const bool came = bus_test::eventually([&] {
+    for (float& value : model.parameters) value += normal(random);
+    trainer_.publish(model);
+    ++scene.version;
+    trainer_.publish_scene(scene, bus::now_ns());
+    return receiver.status().received_bytes > received + 3'000'000 && receiver.status().scene_delays > 10;
+  });
+  ASSERT_TRUE(came);
+  // Three megabytes of changes to a model of one are that model.
+  ASSERT_TRUE(receiver.take(shown_));
+  EXPECT_LT(shown_.changes.bytes(), std::size_t{4} << 20);
+  display_.apply(shown_.changes);
+  EXPECT_EQ(display_.count(), 3000U);
+  EXPECT_GT(shown_.scene->version, 0U);
+  EXPECT_EQ(receiver.status().refused, 0U);
+}
+
+TEST_F(StreamReceiverTest, WhatIsSentLeavesWhileNothingArrives) {
+  start_streamer();
+  const auto observer = connect("observer");
+  bus::Subscriber poses(observer, {"viewer/pose"});
+  StreamReceiver receiver(client_options("eye"));
+  ASSERT_TRUE(bus_test::eventually([&] { return receiver.status().connected; }));
+  EXPECT_TRUE(bus_test::eventually([&] {
+    receiver.send_pose(look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1));
+    return poses.receive(1ms).has_value();
+  }));
+}
+
+}  // namespace
+}  // namespace splatbus::stream_test
