@@ -121,7 +121,7 @@ TEST(LightRig, EveryLightThatCastsAShadowHasItsMaps) {
 }
 
 TEST(FaultOf, NamesLightCamerasThatAreNotTheLights) {
-  Light light{.sun_direction = glm::normalize(glm::vec3(1, 2, 0))};
+  Light light{.sun_direction = glm::normalize(glm::vec3(1, 2, 0)), .sun_irradiance = glm::vec3(1)};
   light.sources = {{.id = 4, .kind = LightKind::Point, .position = {1, 2, 3}},
                    {.id = 5, .kind = LightKind::Spot, .position = {1, 2, 3}, .direction = {0, -1, 0}},
                    {.id = 6, .casts_shadow = false}};
@@ -136,6 +136,9 @@ TEST(FaultOf, NamesLightCamerasThatAreNotTheLights) {
   bad = sun;
   bad.world_from_camera.rotation = glm::quat(1, 0, 0, 0);
   EXPECT_NE(fault_of(light, 0, 0, bad).find("degenerate"), std::string::npos) << "it looks elsewhere";
+  Light night = light;
+  night.sun_irradiance = {};
+  EXPECT_EQ(fault_of(night, 0, 0, bad), "") << "a sun that is out has no direction";
 
   Camera face = over(2);
   face.near_m = 0.1F;
