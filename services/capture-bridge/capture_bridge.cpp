@@ -99,7 +99,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
       handle_probe_frame(message, frame);
       break;
     case wire::CameraRole::Light:
-      forwarder_.light_depth(message, frame, host_copied_bytes_) ? ++counters_.light_depths : ++counters_.frames_lost;
+      handle_light_depth(message, frame);
       break;
     default:
       throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
@@ -131,6 +131,20 @@ void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::
   if (!probe) return;
   rigs_.cameras().remove(CameraRole::Probe, probe->camera.id);
   forwarder_.probe(message, frame, *probe) ? ++counters_.probes : ++counters_.probes_dropped;
+}
+
+void CaptureBridge::handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame) {
+  const Camera camera = from_wire(*frame.camera());
+  const std::string fault = fault_of(forwarder_.light(), frame.light_id(), frame.light_map(), camera);
+  if (!fault.empty()) throw bus::Error(message.topic() + ": " + fault);
+  const std::uint32_t maps = rigs_.lights().maps_with(frame.light_id(), frame.light_map(), camera.id);
+  if (maps == 0) return;  // of a request that is no more
+  if (!forwarder_.light_depth(message, frame, maps, host_copied_bytes_)) {
+    ++counters_.frames_lost;
+    return;
+  }
+  ++counters_.light_depths;
+  rigs_.lights().saw(frame.light_id(), frame.light_map(), camera);
 }
 
 void CaptureBridge::handle_pose(const wire::ViewerPose& pose) {
@@ -179,6 +193,7 @@ void CaptureBridge::update_rigs(std::int64_t now_ns) {
       !round.empty() && !round.missing().empty() && now_ns - input_asked_ns_ < nanoseconds(options_->input_deadline_s);
   const std::uint64_t generation = round.rig_generation();
   const auto left = rigs_.update(viewer_camera_ ? &*viewer_camera_ : nullptr, worker_.statistics().heights, hold);
+  rigs_.update_lights(forwarder_.light());
   for (const Camera& camera : left) {
     (camera.role == CameraRole::Reference ? references_published_ : inputs_published_).erase(camera.id);
     forwarder_.retire(camera);
@@ -232,8 +247,9 @@ void CaptureBridge::publish_cameras() {
     requests.reserve(rigs_.cameras().requests().size());
     for (const CameraRequest& request : rigs_.cameras().requests()) {
       const wire::Camera camera = to_wire(request.camera);
-      requests.push_back(
-          wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.request_id));
+      requests.push_back(wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz,
+                                                   request.request_id, request.light_id,
+                                                   static_cast<std::uint8_t>(request.light_map), request.extent_m));
     }
     return wire::CreateEngineCameras(builder, header, builder.CreateVector(requests));
   });

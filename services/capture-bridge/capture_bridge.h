@@ -50,6 +50,7 @@ class CaptureBridge {
   void subscribe();
   void handle_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
+  void handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_pose(const wire::ViewerPose& pose);
   void handle_probe(const wire::ViewerProbe& asked, const bus::Message& message);

@@ -65,7 +65,16 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("follow_move_m", follow_move_m, "follow rig: smallest move that is followed, metres", {.minimum = 0});
   p.add("follow_turn_deg", follow_turn_radians, "follow rig: smallest turn that is followed, degrees", {.minimum = 0},
         kRuntime, kDegrees);
-  p.add("light_depth_size", light_depth_size, "width and height of the sun's depth map, pixels", {16, 8192});
+  p.add("light_depth_size", light.depth_size,
+        "width and height of a depth map of the sun or a directional light, pixels", {16, 8192});
+  p.add("light_source_size", light.source_size,
+        "width and height of a spot light's depth map, and of each of a point light's six, pixels", {16, 4096});
+  p.add("light_cascades", light.cascades,
+        "most depth maps of the sun or a directional light: the whole scene's, and finer ones about the input dome's "
+        "centre where the scene is large",
+        {1, 8});
+  p.add("light_extent_m", light.extent_m, "side of the finest cascade, metres; each further one is four times as large",
+        {.minimum = 0.1});
   p.add("probe_timeout_s", probe_timeout_s,
         "a probe that the engine does not answer is dropped after this time, seconds", {.minimum = 0.1});
 

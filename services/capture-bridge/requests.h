@@ -17,6 +17,8 @@ struct CameraRequest {
   wire::EngineBuffer buffers = wire::EngineBuffer::Color;
   float rate_hz = 0;  ///< 0: once for each request_id
   std::uint64_t request_id = 0;
+  std::uint32_t light_id = 0, light_map = 0;  ///< role Light
+  float extent_m = 0;                         ///< of a cascade; 0: the scene
 };
 
 /// What engine/cameras says: all cameras that the engine shall render. Request ids grow and are never used twice.
@@ -29,6 +31,8 @@ class CameraSet {
   /// Returns the cameras that have left (their ids are in the set no longer).
   std::vector<Camera> replace(CameraRole role, std::span<const Camera> cameras, wire::EngineBuffer buffers,
                               float rate_hz);
+  /// The same; the request ids are this set's.
+  std::vector<Camera> replace(CameraRole role, std::span<const CameraRequest> wanted);
 
   /// New request ids for these cameras of a role: render them again.
   void reissue(CameraRole role, std::span<const std::uint32_t> ids);
@@ -36,6 +40,7 @@ class CameraSet {
 
   /// Adds or replaces one camera; returns its request id.
   std::uint64_t add(const Camera& camera, wire::EngineBuffer buffers, float rate_hz);
+  std::uint64_t add(CameraRequest request);
   void remove(CameraRole role, std::uint32_t id);
 
   [[nodiscard]] std::vector<CameraRequest> of_role(CameraRole role) const;

@@ -31,7 +31,11 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
   for (const PairedView& paired : views) {
     const TrainingViewPtr& view = paired.view;
     if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
-    out.push_back({.view = {.camera = view->camera, .scene = &view->scene, .visibility = paired.visibility.get()},
+    out.push_back({.view = {.camera = view->camera,
+                            .scene = &view->scene,
+                            .visibility = paired.visibility.values.get(),
+                            .visibility_stride = paired.visibility.stride,
+                            .visibility_rows = paired.visibility.rows},
                    .color = view->color.data(),
                    .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
                    .depth = view->depth.empty() ? nullptr : view->depth.data(),

@@ -193,11 +193,13 @@ TEST(RigControl, FollowsParametersAndViewer) {
   EXPECT_TRUE(control.update(nullptr, {}, false).empty());
   EXPECT_EQ(control.cameras().of_role(CameraRole::Input).size(), 5U);
   EXPECT_EQ(control.cameras().of_role(CameraRole::Reference).size(), 4U);
+  control.update_lights(Light{});
   ASSERT_EQ(control.cameras().of_role(CameraRole::Light).size(), 1U);
   EXPECT_EQ(control.cameras().of_role(CameraRole::Light)[0].camera.width, 1024U);
   const auto generation = control.round().rig_generation();
   control.cameras().take_changed();
   control.update(nullptr, {}, false);
+  control.update_lights(Light{});
   EXPECT_FALSE(control.cameras().take_changed()) << "nothing moved, nothing is asked for again";
 
   const Camera viewer = look_at({8, 1.6F, 0}, {5, 0.25F, 0}, 64, 64, 1);
