@@ -109,6 +109,7 @@ void StreamModel::reset_to_target() {
   held_.gaussians = target_.gather(morton_order(target_, *target_layout_, usable));
   hold_scene();
   held_.visibility_version = 0;
+  visibility_waits_.clear();
   ++held_.sequence;
   selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
   selection_.append(held_.gaussians);

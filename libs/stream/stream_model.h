@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <optional>
 #include <span>
 #include <unordered_map>
@@ -21,12 +22,20 @@ struct StreamOptions {
   std::uint32_t calm_ticks = 8;
 };
 
+/// As relight says it.
+struct LightsVisibility {
+  std::span<const std::uint32_t>
+      light_ids;                           ///< ascending, 0 is the sun; those that the scene does not have are left out
+  std::span<const std::uint8_t> of_index;  ///< [light_ids][indices of the model], 255 sees all of the light
+  std::uint64_t scene_version = 0;
+};
+
 /// A snapshot of the held state, encoded once for however many viewers join.
 struct EncodedSnapshot {
   std::uint64_t as_of = 0;
   std::vector<EncodedPacket> head;    ///< SnapshotBegin, Scene
   std::vector<EncodedPacket> chunks;  ///< by slot
-  std::vector<EncodedPacket> tail;    ///< GaussianOrder
+  std::vector<EncodedPacket> tail;    ///< LightVisibility, GaussianOrder
 };
 
 /// The streamer's side: a mirror of what every viewer holds, and the packets that bring it nearer to the published
@@ -57,12 +66,15 @@ class StreamModel {
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
-  /// The broadcast packet with what has changed of the sun's visibility: none when it is older than what is held, or
-  /// nobody holds anything. `of_index`: by index of the model that was observed last, 255 sees the whole sun. Throws
-  /// StreamError when it is too short. What is held is afterwards within kMaxVisibilityError of it, and exact where it
-  /// is 0 or 255.
-  [[nodiscard]] std::vector<EncodedPacket> take_visibility(std::span<const std::uint8_t> of_index,
-                                                           std::uint64_t scene_version);
+  /// Broadcast packets with what has changed of the lights' visibility, one a light: none when it is older than what is
+  /// held, or nobody holds anything. Light by light, what changes the pictures most first, until their bytes exceed
+  /// `budget_bytes`; visibility_rests() says whether that was all, and a light that has waited comes sooner. Of a light
+  /// that was sent what is held is within kMaxVisibilityError, and exact where it is 0 or 255. Throws StreamError when
+  /// `visibility` is too short for the model that was observed last.
+  [[nodiscard]] std::vector<EncodedPacket> take_visibility(const LightsVisibility& visibility,
+                                                           double budget_bytes = kNoBudget);
+  [[nodiscard]] bool visibility_rests() const { return visibility_waits_.empty(); }
+  static constexpr double kNoBudget = 1e300;
   static constexpr int kMaxVisibilityError = 6;
 
   /// Broadcast packets of one tick: removals, object ids, new Gaussians, deltas. What viewers see
@@ -89,6 +101,14 @@ class StreamModel {
   void take_packet(const EncodedPacket& packet);
   [[nodiscard]] EncodedPacket scene_packet(std::uint64_t sequence, const QuantizedScene* base) const;
   void hold_scene();
+  struct LightChange {
+    std::uint32_t light_id = 0;
+    SlotValues change;
+    double weight = 0;  ///< in the pictures
+  };
+  [[nodiscard]] LightChange change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const;
+  [[nodiscard]] EncodedPacket light_packet(std::uint64_t sequence, const LightChange& light) const;
+  [[nodiscard]] std::vector<EncodedPacket> light_rows() const;
   [[nodiscard]] std::vector<std::uint32_t> slots_of(std::span<const std::uint64_t> ids) const;
   void map_columns();
   void index_ids();
@@ -118,6 +138,7 @@ class StreamModel {
   std::vector<std::uint32_t> gone_;            ///< slots that the target has no more, ascending
   std::vector<std::uint32_t> fresh_;           ///< columns that are usable and not held
   std::unordered_map<std::uint64_t, std::uint32_t> slot_of_id_;
+  std::map<std::uint32_t, std::uint32_t> visibility_waits_;  ///< times that a light was left for later
   double chunk_bytes_per_gaussian_ = 24;
   std::uint64_t snapshots_ = 0;
 };

@@ -156,6 +156,8 @@ EncodedSnapshot StreamModel::snapshot() {
   EncodedSnapshot snapshot;
   snapshot.as_of = held_.sequence;
   const std::uint64_t id = ++snapshots_;
+  snapshot.tail = light_rows();
+  const auto rows = static_cast<std::uint32_t>(snapshot.tail.size());
   const std::size_t total = held_.gaussians.count(), size = options_.chunk_gaussians;
   const auto unicast = [&](wire::Body body, auto&& build, Bytes payload = {}) {
     return writer_.write(held_.epoch, 0, body, build, std::move(payload));
@@ -173,7 +175,7 @@ EncodedSnapshot StreamModel::snapshot() {
                                      static_cast<std::uint32_t>((total + size - 1) / size),
                                      transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
                                      static_cast<std::uint8_t>(transfer ? 0 : parameters.sh_degree),
-                                     builder.CreateVector(attributes), held_.visibility_version);
+                                     builder.CreateVector(attributes), held_.visibility_version, rows);
   }));
   snapshot.head.push_back(scene_packet(0, nullptr));
   for (std::size_t first = 0; first < total; first += size) {

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <functional>
 #include <zmq.hpp>
 
 #include "bus/clock.h"
@@ -130,9 +131,17 @@ void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::M
     throw bus::Error(fmt::format("relight/visibility: of {} Gaussians, at most {} can be read", body.count(),
                                  stream::kMaxModelGaussians));
   }
-  const auto tensor = message.tensor("visibility", bus::ElementType::U8, {1, static_cast<std::uint32_t>(body.count())});
+  const auto& lights = *body.light_ids();
+  if (lights.size() == 0 || lights.size() > 1 + kMaxLightSources || lights.Get(0) != 0 ||
+      std::ranges::adjacent_find(lights, std::greater_equal<>{}) != lights.end()) {
+    throw bus::Error(fmt::format("relight/visibility: its {} light_ids are not 0 and ascending", lights.size()));
+  }
+  const auto tensor =
+      message.tensor("visibility", bus::ElementType::U8, {lights.size(), static_cast<std::uint32_t>(body.count())});
   if (!tensor) return;
-  Visibility relit{.scene_version = version, .of_index = std::vector<std::uint8_t>(tensor->bytes())};
+  Visibility relit{.scene_version = version,
+                   .light_ids = {lights.begin(), lights.end()},
+                   .of_index = std::vector<std::uint8_t>(tensor->bytes())};
   if (!tensor->copy(relit.of_index.data())) return;
   relit_[generation] = std::move(relit);
   if (relit_.size() > kMaxRelit) relit_.erase(relit_.begin());
@@ -150,7 +159,11 @@ void Streamer::send_visibility(std::int64_t now_ns) {
   next_visibility_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_->visibility_hz);
   relit->second.sent = true;
   try {
-    const auto packets = model_.take_visibility(relit->second.of_index, relit->second.scene_version);
+    const auto packets = model_.take_visibility({.light_ids = relit->second.light_ids,
+                                                 .of_index = relit->second.of_index,
+                                                 .scene_version = relit->second.scene_version},
+                                                visibility_balance_bytes_);
+    relit->second.sent = model_.visibility_rests();
     for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.bytes());
     hub_.broadcast(packets);
   } catch (const stream::StreamError& error) {

@@ -35,7 +35,8 @@ class Streamer {
  private:
   struct Visibility {
     std::uint64_t scene_version = 0;
-    std::vector<std::uint8_t> of_index;
+    std::vector<std::uint32_t> light_ids;
+    std::vector<std::uint8_t> of_index;  ///< [light_ids][indices]
     bool sent = false;
   };
 

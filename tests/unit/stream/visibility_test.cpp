@@ -56,7 +56,7 @@ TEST(Visibility, OfATurningSunIsTheSameAtAViewerAtEachVersion) {
   std::size_t moved = 0;
   for (std::uint64_t version = 10; version < 60; ++version) {
     const auto truth = shadows(server.model(), 0.1 * static_cast<double>(version));
-    const auto packets = server.stream.take_visibility(truth, version);
+    const auto packets = server.take_visibility(truth, version);
     ASSERT_EQ(packets.size(), 1U);
     send(packets, replica);
     EXPECT_EQ(replica.visibility_version(), version);
@@ -68,8 +68,8 @@ TEST(Visibility, OfATurningSunIsTheSameAtAViewerAtEachVersion) {
       EXPECT_EQ(late.visibility_version(), version);
       expect_seen(late, server.model(), truth);
     }
-    EXPECT_TRUE(server.stream.take_visibility(truth, version).empty()) << "the same again";
-    EXPECT_TRUE(server.stream.take_visibility(truth, version - 1).empty()) << "an older one";
+    EXPECT_TRUE(server.take_visibility(truth, version).empty()) << "the same again";
+    EXPECT_TRUE(server.take_visibility(truth, version - 1).empty()) << "an older one";
     if (HasFailure()) return;
   }
   EXPECT_GT(moved, 40U) << "the sun does not turn";
@@ -110,7 +110,7 @@ TEST(Visibility, TenTimesASecondOf90000GaussiansStaysWithinAMegabitASecond) {
   constexpr int kSeconds = 6;
   for (int frame = 0; frame <= 10 * kSeconds; ++frame) {
     const auto packets =
-        server.stream.take_visibility(shadows(server.model(), 0.1 * frame), static_cast<std::uint64_t>(frame) + 10);
+        server.take_visibility(shadows(server.model(), 0.1 * frame), static_cast<std::uint64_t>(frame) + 10);
     ASSERT_EQ(packets.size(), 1U);
     (frame == 0 ? first : bytes) += packets[0].bytes() + 9;
   }
@@ -126,8 +126,8 @@ TEST(Visibility, IsRefusedByName) {
   test::ShownReplica replica;
   send(server.stream.snapshot(), replica);
   const auto truth = shadows(server.model(), 0);
-  EXPECT_THROW((void)server.stream.take_visibility(std::span(truth).first(99), 7), StreamError);
-  send(server.stream.take_visibility(truth, 7), replica);
+  EXPECT_THROW((void)server.take_visibility(std::span(truth).first(99), 7), StreamError);
+  send(server.take_visibility(truth, 7), replica);
   const PacketWriter writer("streamer", 1);
   const auto refusal = [&](std::uint64_t version, const SlotValues& change, std::uint32_t count) -> std::string {
     Payload payload = encode_slot_values(change);
