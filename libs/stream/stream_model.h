@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <unordered_map>
@@ -39,7 +40,10 @@ struct EncodedSnapshot {
 };
 
 /// The streamer's side: a mirror of what every viewer holds, and the packets that bring it nearer to the published
-/// model. The mirror changes only by the very bytes that are sent. Not thread-safe.
+/// model. The mirror changes only by the very bytes that are sent, and packets are numbered as they are made.
+///
+/// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_packets() and
+/// status(), which wait for one packet at most (a reset for longer), and nothing else.
 class StreamModel {
  public:
   /// `device`: in whose memory the views lie that observe() is given.
@@ -51,8 +55,9 @@ class StreamModel {
   /// is false.
   bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
   /// The broadcast packet that brings a newer scene to viewers: none where its version is the one that is held, or
-  /// while nobody holds anything. Throws StreamError, naming what is wrong, when its version is 0 or runs backwards, or
-  /// the scene is none that travels (quantize_scene); all is then as before.
+  /// while nobody holds anything. It is the last of take_packets(), which are returned. Throws StreamError, naming what
+  /// is wrong, when its version is 0 or runs backwards, or the scene is none that travels (quantize_scene); all is then
+  /// as before.
   [[nodiscard]] std::vector<EncodedPacket> take_scene(const SceneState& scene, const SceneInstant& instant);
   void set_schedules(const Schedules& schedules);
 
@@ -60,11 +65,22 @@ class StreamModel {
   /// snapshot. Takes one sequence number, so that whoever held something before notices.
   void reset_to_target();
   /// Nobody holds anything any more: the next reset_to_target() may choose other quantizers.
-  void release() { ready_ = false; }
+  void release() { set_ready(false); }
   /// False before the first reset_to_target(), after release(), and when the observed layout is another one: only
   /// reset_to_target() helps.
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
+
+  struct Status {
+    bool ready = false;
+    std::uint64_t epoch = 0, sequence = 0, visibility_version = 0;
+    std::size_t gaussians = 0;
+    ParameterLayout layout;
+  };
+  /// Of what is held.
+  [[nodiscard]] Status status() const;
+  /// Broadcast packets, by sequence, that were not taken yet.
+  [[nodiscard]] std::vector<EncodedPacket> take_packets();
 
   /// Broadcast packets with what has changed of the lights' visibility, one a light: none when it is older than what is
   /// held, or nobody holds anything. Light by light, what changes the pictures most first, until their bytes exceed
@@ -79,8 +95,10 @@ class StreamModel {
 
   /// Broadcast packets of one tick: removals, object ids, new Gaussians, deltas. What viewers see
   /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready(). When it throws,
-  /// packets are lost that the mirror has taken: ready() is then false.
+  /// ready() is then false.
   [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
+  /// The same, for take_packets(). Returns the packets' bytes.
+  double make_tick(double budget_bytes, std::span<const Camera> viewers);
 
   [[nodiscard]] EncodedSnapshot snapshot();
   /// Chunks of a snapshot of what is held now, most visible from `camera` first. Without a camera: as they come.
@@ -97,10 +115,15 @@ class StreamModel {
 
  private:
   template <class Build>
-  void emit(std::vector<EncodedPacket>& out, wire::Body body, Build&& build, Payload payload = {});
-  void take_packet(const EncodedPacket& packet);
+  void emit(wire::Body body, Build&& build, Payload payload = {});
+  /// Into the mirror and, if that takes it, to those that wait to be sent. Under mutex_.
+  void take_packet(EncodedPacket packet);
   [[nodiscard]] EncodedPacket scene_packet(std::uint64_t sequence, const QuantizedScene* base) const;
   void hold_scene();
+  void set_ready(bool ready) {
+    const std::scoped_lock lock(mutex_);
+    ready_ = ready;
+  }
   struct LightChange {
     std::uint32_t light_id = 0;
     SlotValues change;
@@ -113,21 +136,26 @@ class StreamModel {
   void map_columns();
   void index_ids();
   [[nodiscard]] std::size_t room() const;
-  void tick_removals(std::vector<EncodedPacket>& out);
-  void tick_objects(std::vector<EncodedPacket>& out);
-  void tick_appends(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
-  void append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns);
-  void tick_deltas(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers);
+  void tick_removals();
+  void tick_objects();
+  void tick_appends(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
+  void append_chunk(std::span<const std::uint32_t> columns);
+  void tick_deltas(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
 
   PacketWriter writer_, brief_writer_ = PacketWriter::brief();
   StreamOptions options_;
   ModelQuantizer quantizer_;
-  ReplicatedState held_;
   DeltaSelection selection_;
-  bool ready_ = false;
+  double tick_bytes_ = 0;  ///< of this tick's packets
 
+  // What two threads touch. Who observes and ticks reads the Gaussians, their layout and ready_ without it: nobody else
+  // writes them.
+  mutable std::mutex mutex_;
+  ReplicatedState held_;
+  bool ready_ = false;
   QuantizedScene scene_;  ///< newest; held, where anything is
   SceneInstant instant_;
+  std::vector<EncodedPacket> made_;  ///< that nobody has taken
 
   std::optional<StreamLayout> target_layout_;
   QuantizedGaussians target_;

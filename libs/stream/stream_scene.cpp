@@ -67,18 +67,18 @@ class Illumination {
 }  // namespace
 
 std::vector<EncodedPacket> StreamModel::take_scene(const SceneState& scene, const SceneInstant& instant) {
+  QuantizedScene quantized;
+  if (scene.version > scene_.version) quantized = quantize_scene(scene);
+  const std::scoped_lock lock(mutex_);
   if (scene.version == 0 || scene.version < scene_.version) {
     throw StreamError(fmt::format("scene: version {} after {}", scene.version, scene_.version));
   }
   if (scene.version == scene_.version) return {};
-  scene_ = quantize_scene(scene);
+  scene_ = std::move(quantized);
   instant_ = instant;
   if (!ready_) return {};
-  ready_ = false;  // until the mirror has it too
-  std::vector<EncodedPacket> out{scene_packet(held_.sequence + 1, &held_.quantized_scene)};
-  take_packet(out.back());
-  ready_ = true;
-  return out;
+  take_packet(scene_packet(held_.sequence + 1, &held_.quantized_scene));
+  return std::exchange(made_, {});
 }
 
 EncodedPacket StreamModel::scene_packet(std::uint64_t sequence, const QuantizedScene* base) const {
@@ -168,21 +168,19 @@ std::vector<EncodedPacket> StreamModel::take_visibility(const LightsVisibility& 
   if (changes.empty() && visibility.scene_version != held_.visibility_version) changes.emplace_back();
   std::ranges::stable_sort(changes, std::greater<>{}, &LightChange::weight);
   std::map<std::uint32_t, std::uint32_t> waits;
-  std::vector<EncodedPacket> out;
+  const std::scoped_lock lock(mutex_);
   held_.visibility_version = visibility.scene_version;
-  ready_ = false;  // until the mirror has them too
+  bool any = false;
   for (const LightChange& light : changes) {
-    if (!out.empty() && budget_bytes <= 0) {
+    if (std::exchange(any, true) && budget_bytes <= 0) {
       waits[light.light_id] = visibility_waits_[light.light_id] + 1;
       continue;
     }
-    out.push_back(light_packet(held_.sequence + 1, light));
-    take_packet(out.back());
-    budget_bytes -= static_cast<double>(out.back().bytes());
+    take_packet(light_packet(held_.sequence + 1, light));
+    budget_bytes -= static_cast<double>(made_.back().bytes());
   }
-  ready_ = true;
   visibility_waits_ = std::move(waits);
-  return out;
+  return std::exchange(made_, {});
 }
 
 std::vector<EncodedPacket> StreamModel::light_rows() const {
