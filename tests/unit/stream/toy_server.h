@@ -83,8 +83,11 @@ class ToyServer {
 
   /// The sun's alone.
   std::vector<EncodedPacket> take_visibility(std::span<const std::uint8_t> of_index, std::uint64_t version) {
+    return stream.take_visibility(of_sun(of_index, version));
+  }
+  static LightsVisibility of_sun(std::span<const std::uint8_t> of_index, std::uint64_t version) {
     static constexpr std::uint32_t kSun = 0;
-    return stream.take_visibility({.light_ids = {&kSun, 1}, .of_index = of_index, .scene_version = version});
+    return {.light_ids = {&kSun, 1}, .of_index = of_index, .scene_version = version};
   }
 
   /// `scene` as the next version.
