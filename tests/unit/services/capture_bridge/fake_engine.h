@@ -50,8 +50,8 @@ class FakeEngine {
     std::vector<glm::vec4> position(view.position.begin(), view.position.end());
     if (spoil) spoil(position);
     std::vector<float> depth;
-    for (const glm::vec4& point : view.position) {
-      depth.push_back(project(camera, glm::vec3(point)).z);
+    for (std::size_t i = 0; i < view.position.size(); ++i) {
+      depth.push_back(view.object_id[i] == 0 ? 0 : project(camera, glm::vec3(view.position[i])).z);
     }
     if (has(wire::EngineBuffer::Color)) add("color", bus::ElementType::U8, view.color.data());
     if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());
