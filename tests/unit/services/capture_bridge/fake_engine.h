@@ -41,6 +41,7 @@ class FakeEngine {
 
   void submit(const Camera& camera, wire::EngineBuffer buffers, std::uint64_t request_id) {
     const InputView view = camera.role == CameraRole::Light ? InputView{} : scene.render(camera);
+    if (relabel) relabel(view);
     const std::vector<float> light_depth(std::size_t{camera.width} * camera.height, 7.0F);
     const auto has = [&](wire::EngineBuffer buffer) { return (buffers & buffer) != wire::EngineBuffer::NONE; };
     std::vector<bus::TensorSource> sources;
@@ -102,6 +103,7 @@ class FakeEngine {
   std::uint64_t frame = 0;
   std::function<bool(const Camera&)> lose;             ///< true: this camera's frame never comes
   std::function<void(std::vector<glm::vec4>&)> spoil;  ///< changes positions before they go out
+  std::function<void(const InputView&)> relabel;       ///< changes who shows where
   std::uint32_t claimed_rows = 1;  ///< more: before each frame comes one that says to have so many times the rows
   std::map<CameraRole, int> submitted;
 
