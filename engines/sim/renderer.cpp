@@ -117,11 +117,23 @@ void Renderer::render(const LightCamera& view, std::uint32_t buffers, Readback& 
 void Renderer::warm_up(Readback* readback) {
   constexpr std::uint32_t kSize = 64;
   HostReadback host(impl_->pictures);
-  // The light's camera has every object in view, and so every program in use.
-  const splatbus_camera camera = light_camera(0, kSize, kSize);
-  for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
-    render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? *readback : host);
-  }
+  const auto draw = [&] {
+    // The light's camera has every object in view, and so every program in use.
+    const splatbus_camera camera = light_camera(0, kSize, kSize);
+    for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
+      render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? *readback : host);
+    }
+  };
+  draw();
+  Lighting& lighting = impl_->scene.lighting;
+  if (lighting.sources.empty() || lighting.sources_on > 0) return;
+  // Lights may be turned on later: their programs are others.
+  const double time_s = impl_->instant.time_s;
+  lighting.sources_on = 1;
+  set_time(time_s);
+  draw();
+  lighting.sources_on = 0;
+  set_time(time_s);
 }
 
 splatbus_camera Renderer::light_camera(std::uint32_t id, std::uint32_t width, std::uint32_t height) const {
