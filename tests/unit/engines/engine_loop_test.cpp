@@ -25,8 +25,8 @@ class EngineLoopTest : public SdkTest {
 
   /// `motion` is that of the scene's object 2, within 2 m along x.
   void start(double sun_rate_deg_s, const Motion& motion = {}, double fps = 50,
-             const std::vector<sim::LightSource>& sources = {}) {
-    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps, sources] {
+             const std::vector<sim::LightSource>& sources = {}, double picture_frames = 1000) {
+    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps, sources, picture_frames] {
       sim::Scene scene;
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
@@ -37,7 +37,7 @@ class EngineLoopTest : public SdkTest {
       scene.lighting.sources = sources;
       sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
       const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
-      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps}).run(stop_);
+      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .picture_frames = picture_frames}).run(stop_);
     });
   }
   ~EngineLoopTest() override { stop_ = true; }
@@ -96,6 +96,35 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   EXPECT_EQ(message->root<wire::EngineFrame>().request_id(), 12U);
   EXPECT_TRUE(message->tensor("albedo").has_value());
   EXPECT_FALSE(frames.receive(std::chrono::milliseconds(100)).has_value());
+}
+
+TEST_F(EngineLoopTest, AFrameWithoutTimeHasItsDepthMapAndOnePictureAndCamerasTakeTurns) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {request(1, EngineBuffer::Color, 50), request(2, EngineBuffer::Color, 50),
+                             request(3, EngineBuffer::Color, 50), light_request()});
+  start(20, {}, 50, {}, 0);
+  std::map<std::uint64_t, std::vector<std::uint32_t>> pictures_of_frame;
+  std::map<std::uint64_t, int> maps_of_frame;
+  std::map<std::uint32_t, int> pictures_of_camera;
+  while (pictures_of_frame.size() < 22) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& frame = message->root<wire::EngineFrame>();
+    if (frame.camera()->role() == wire::CameraRole::Light) {
+      ++maps_of_frame[frame.scene()->frame()];
+    } else {
+      pictures_of_frame[frame.scene()->frame()].push_back(frame.camera()->id());
+      if (pictures_of_frame.size() <= 21) ++pictures_of_camera[frame.camera()->id()];
+    }
+  }
+  for (const auto& [frame, pictures] : pictures_of_frame) {
+    EXPECT_EQ(pictures.size(), 1U) << frame;
+    EXPECT_EQ(maps_of_frame[frame], 1) << frame;
+  }
+  for (const std::uint32_t id : {1U, 2U, 3U}) EXPECT_NEAR(pictures_of_camera[id], 7, 1) << id;
 }
 
 TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
