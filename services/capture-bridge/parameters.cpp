@@ -51,7 +51,12 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("reference_cameras", ring.cameras, "reference cameras", {0, 255});
   p.add("reference_size", ring.size, "width and height of reference pictures, pixels", {8, 4096});
   p.add("reference_rate_hz", reference_rate_hz,
-        "rate of reference pictures, Hz of engine time; 0: once for each change of the rig", {0, 240});
+        "rate of reference pictures, Hz of engine time; 0: for each change of the rig, and as the scene changes",
+        {0, 240});
+  p.add("reference_refresh_hz", reference_refresh_hz,
+        "reference pictures a second, of all cameras together, that are rendered anew because the scene has changed "
+        "since, the oldest first, where reference_rate_hz is 0; 0: none",
+        {0, 1000});
   p.add("reference_depth", reference_depth, "ask the engine for depth with reference pictures");
   p.add("ring_radius_m", ring.radius_m, "radius of the reference ring, metres", {.minimum = 0.01});
   p.add("ring_height_m", ring.height_m, "height of the reference ring above y = 0, metres");

@@ -27,6 +27,7 @@ struct Options {
   FollowOptions follow_rig;
   float follow_move_m = 0.05F, follow_turn_radians = 0.034906585F;  ///< smallest that are followed
   float reference_rate_hz = 1;
+  double reference_refresh_hz = 8;  ///< as input_refresh_hz, of reference cameras, where they have no rate
   bool reference_depth = true;
   LightRigOptions light;
   double probe_timeout_s = 10;

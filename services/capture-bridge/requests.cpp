@@ -96,6 +96,19 @@ bool CameraSet::take_changed() {
   return std::exchange(changed_, false);
 }
 
+std::optional<std::uint32_t> StalestFirst::take(std::uint64_t scene_version, std::int64_t now_ns) {
+  auto stalest = pictures_.end();
+  for (auto it = pictures_.begin(); it != pictures_.end(); ++it) {
+    const Picture& picture = it->second;
+    if (picture.scene_version >= scene_version) continue;
+    if (picture.asked_anew_ns && now_ns - *picture.asked_anew_ns < kPatienceNs) continue;
+    if (stalest == pictures_.end() || picture.scene_version < stalest->second.scene_version) stalest = it;
+  }
+  if (stalest == pictures_.end()) return std::nullopt;
+  stalest->second.asked_anew_ns = now_ns;
+  return stalest->first;
+}
+
 void InputRound::begin(std::span<const CameraRequest> requests) {
   slots_.clear();
   for (const CameraRequest& request : requests) {
@@ -127,7 +140,6 @@ bool InputRound::add(std::uint32_t camera_id, std::uint64_t request_id, InputVie
   if (slot == slots_.end()) return false;
   slot->view = std::move(view);
   slot->fresh = true;
-  slot->asked_anew_ns.reset();
   if (!first_fresh_ns_) first_fresh_ns_ = now_ns;
   return true;
 }
@@ -145,19 +157,6 @@ std::vector<InputViewPointer> InputRound::take() {
   first_fresh_ns_.reset();
   handed_on_incomplete_ = !missing().empty();
   return views();
-}
-
-std::optional<std::uint32_t> InputRound::take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
-                                                      std::int64_t patience_ns) {
-  Slot* stalest = nullptr;
-  for (Slot& slot : slots_) {
-    if (!slot.view || slot.view->scene_version >= scene_version) continue;
-    if (slot.asked_anew_ns && now_ns - *slot.asked_anew_ns < patience_ns) continue;
-    if (stalest == nullptr || slot.view->scene_version < stalest->view->scene_version) stalest = &slot;
-  }
-  if (stalest == nullptr) return std::nullopt;
-  stalest->asked_anew_ns = now_ns;
-  return stalest->camera_id;
 }
 
 std::vector<std::uint32_t> InputRound::missing() const {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -55,6 +56,29 @@ class CameraSet {
   bool changed_ = true;
 };
 
+/// Says which camera's picture to render anew because the scene has changed since. Times are CLOCK_MONOTONIC
+/// nanoseconds.
+class StalestFirst {
+ public:
+  /// A camera's picture has come, which shows this version of the scene.
+  void arrived(std::uint32_t camera_id, std::uint64_t scene_version) { pictures_[camera_id] = {scene_version, {}}; }
+  void forget(std::uint32_t camera_id) { pictures_.erase(camera_id); }
+  void clear() { pictures_.clear(); }
+
+  /// The camera whose picture is of the oldest scene version before `scene_version`, and for which no newer one is on
+  /// its way (asked for less than kPatienceNs ago). It counts as asked for at `now_ns`.
+  [[nodiscard]] std::optional<std::uint32_t> take(std::uint64_t scene_version, std::int64_t now_ns);
+
+  static constexpr std::int64_t kPatienceNs = 2'000'000'000;
+
+ private:
+  struct Picture {
+    std::uint64_t scene_version = 0;
+    std::optional<std::int64_t> asked_anew_ns;
+  };
+  std::map<std::uint32_t, Picture> pictures_;  // by camera id
+};
+
 using InputViewPointer = std::shared_ptr<const InputView>;
 
 /// Collects the frames of one input rig into rounds. A round is ready when every camera has delivered a frame since the
@@ -77,11 +101,6 @@ class InputRound {
   /// All frames of the rig so far, by camera id; the next round starts.
   [[nodiscard]] std::vector<InputViewPointer> take();
 
-  /// The camera whose frame is of the oldest scene version before `scene_version`, and for which no newer one is on its
-  /// way (asked for less than `patience_ns` ago). It counts as asked for at `now_ns`.
-  [[nodiscard]] std::optional<std::uint32_t> take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
-                                                          std::int64_t patience_ns);
-
   /// Cameras without any frame.
   [[nodiscard]] std::vector<std::uint32_t> missing() const;
   [[nodiscard]] bool empty() const;  ///< no camera has delivered yet
@@ -93,8 +112,7 @@ class InputRound {
     std::uint32_t camera_id = 0;
     std::uint64_t request_id = 0;
     InputViewPointer view;
-    bool fresh = false;                         // arrived since the last round
-    std::optional<std::int64_t> asked_anew_ns;  // for a newer frame, which has not come
+    bool fresh = false;  // arrived since the last round
   };
   std::vector<Slot> slots_;
   std::optional<std::int64_t> first_fresh_ns_;

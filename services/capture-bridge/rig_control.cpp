@@ -80,12 +80,9 @@ void RigControl::reissue_missing_inputs() {
   round_.renew(cameras_.of_role(CameraRole::Input));
 }
 
-void RigControl::refresh_input(std::uint64_t scene_version, std::int64_t now_ns) {
-  constexpr std::int64_t kPatienceNs = 2'000'000'000;
-  const auto stalest = round_.take_stalest(scene_version, now_ns, kPatienceNs);
-  if (!stalest) return;
-  cameras_.reissue(CameraRole::Input, std::span(&*stalest, 1));
-  round_.renew(cameras_.of_role(CameraRole::Input));
+void RigControl::reissue(CameraRole role, std::uint32_t camera_id) {
+  cameras_.reissue(role, std::span(&camera_id, 1));
+  if (role == CameraRole::Input) round_.renew(cameras_.of_role(CameraRole::Input));
 }
 
 void RigControl::reissue_inputs() {

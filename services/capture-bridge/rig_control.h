@@ -28,8 +28,8 @@ class RigControl {
   /// Asks for input frames that are missing, or for all of them, again.
   void reissue_missing_inputs();
   void reissue_inputs();
-  /// Asks for the input frame of the oldest scene version again, when there is one before `scene_version`.
-  void refresh_input(std::uint64_t scene_version, std::int64_t now_ns);
+  /// Asks for a camera's picture again.
+  void reissue(CameraRole role, std::uint32_t camera_id);
 
   [[nodiscard]] CameraSet& cameras() { return cameras_; }
   [[nodiscard]] InputRound& round() { return round_; }

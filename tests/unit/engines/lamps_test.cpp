@@ -60,7 +60,6 @@ TEST(Lamps, ExistWithTheirLightsAndAreNothingWithoutThem) {
     const splatbus_object& glass = renderer.instant().objects[i];
     EXPECT_EQ(glass.flags, std::uint32_t{SPLATBUS_OBJECT_EMISSIVE});
     EXPECT_TRUE(std::ranges::equal(glass.world_from_object.translation, renderer.instant().sources[i].position));
-    // The lamp's own glass is not in its depth maps.
     splatbus_camera_request request{};
     request.camera.width = request.camera.height = 32;
     request.light_id = renderer.instant().sources[i].id;
@@ -69,6 +68,10 @@ TEST(Lamps, ExistWithTheirLightsAndAreNothingWithoutThem) {
       EXPECT_GT(std::ranges::min(depth), 0.2F);
     }
   }
+  // The sun's map has no lamp in it.
+  const splatbus_camera sun = renderer.light_camera(0, 256, 256);
+  EXPECT_EQ(renderer.render(sun, SPLATBUS_BUFFER_LIGHT_DEPTH).light_depth,
+            bare.render(sun, SPLATBUS_BUFFER_LIGHT_DEPTH).light_depth);
   const auto lit = renderer.render(camera, kAll).color;
   EXPECT_NE(lit, empty);
 

@@ -47,6 +47,7 @@ class FakeEngine {
   void submit(const Camera& camera, wire::EngineBuffer buffers, std::uint64_t request_id, std::uint32_t light_id = 0,
               std::uint32_t light_map = 0) {
     const InputView view = camera.role == CameraRole::Light ? InputView{} : scene.render(camera);
+    if (relabel) relabel(view);
     const std::vector<float> light_depth(std::size_t{camera.width} * camera.height, 7.0F);
     const auto has = [&](wire::EngineBuffer buffer) { return (buffers & buffer) != wire::EngineBuffer::NONE; };
     std::vector<bus::TensorSource> sources;
@@ -56,8 +57,8 @@ class FakeEngine {
     std::vector<glm::vec4> position(view.position.begin(), view.position.end());
     if (spoil) spoil(position);
     std::vector<float> depth;
-    for (const glm::vec4& point : view.position) {
-      depth.push_back(project(camera, glm::vec3(point)).z);
+    for (std::size_t i = 0; i < view.position.size(); ++i) {
+      depth.push_back(view.object_id[i] == 0 ? 0 : project(camera, glm::vec3(view.position[i])).z);
     }
     if (has(wire::EngineBuffer::Color)) add("color", bus::ElementType::U8, view.color.data());
     if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());
@@ -133,6 +134,7 @@ class FakeEngine {
   std::function<void(Camera&)> turn_light_camera;      ///< changes light cameras before they go out
   std::function<bool(const Camera&)> lose;             ///< true: this camera's frame never comes
   std::function<void(std::vector<glm::vec4>&)> spoil;  ///< changes positions before they go out
+  std::function<void(const InputView&)> relabel;       ///< changes who shows where
   std::uint32_t claimed_rows = 1;  ///< more: before each frame comes one that says to have so many times the rows
   std::map<CameraRole, int> submitted;
 
