@@ -44,12 +44,14 @@ std::vector<std::uint8_t> light_bytes(const wire::Light& light) {
   return bytes;
 }
 
-/// An engine that does not say which depth maps show the same has others with every version.
-void name_depths(SceneState& scene) {
-  if (scene.light.sun_depth_version == 0) scene.light.sun_depth_version = scene.version;
-  for (LightSource& source : scene.light.sources) {
-    if (source.depth_version == 0) source.depth_version = scene.version;
-  }
+/// An engine that does not say which depth maps show the same has others with every version; one that is started again
+/// begins to count anew, while readers still have the maps of the one before.
+void name_depths(SceneState& scene, std::uint64_t engine_epoch) {
+  const auto named = [&](std::uint64_t depth_version) {
+    return depth_version == 0 ? scene.version : depth_version + engine_epoch;
+  };
+  scene.light.sun_depth_version = named(scene.light.sun_depth_version);
+  for (LightSource& source : scene.light.sources) source.depth_version = named(source.depth_version);
 }
 
 }  // namespace
@@ -139,12 +141,12 @@ bool Forwarder::scene(const wire::EngineFrame& frame) {
   const bool restarted = frame.header()->epoch() != engine_epoch_;
   auto objects_now = object_bytes(frame);
   auto light_now = light_bytes(*scene.light());
-  const bool unchanged = newest_frame_ && objects_now == said_objects_ && light_now == said_light_;
+  const bool unchanged = !restarted && newest_frame_ && objects_now == said_objects_ && light_now == said_light_;
   if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return unchanged;
   if (!unchanged) {
     SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
     now.version = scene_.version + 1;
-    name_depths(now);
+    name_depths(now, frame.header()->epoch());
     scene_ = std::move(now);
     std::erase_if(light_depth_rings_, [&](const auto& ring) {
       return ring.first.first != 0 && std::ranges::none_of(scene_.light.sources, [&](const LightSource& source) {

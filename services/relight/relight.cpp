@@ -170,7 +170,7 @@ bool Relight::is_hopeless(const Version& version) const {
 }
 
 void Relight::drop(Versions::iterator version) {
-  if (version->second.pictured && version->second.lights.empty()) ++unmapped_;
+  if (version->second.pictured && !version->second.computed_generation) ++unmapped_;
   versions_.erase(version);
 }
 

@@ -124,6 +124,7 @@ class FakeEngine {
                                                   [&](const Request& request) { return request.camera.role == role; }));
   }
   bus::Publisher& publisher() { return publisher_; }
+  [[nodiscard]] std::uint64_t epoch() const { return publisher_.context()->epoch(); }
 
   AnalyticScene scene;
   ObjectTransforms objects;

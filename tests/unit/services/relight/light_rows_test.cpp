@@ -110,6 +110,9 @@ TEST_F(LightRowsTest, ALightsOwnRowIsComputedWhenItsMapsOrItsPlaceChange) {
   computed();
   take_sun(BallOverFloor(glm::vec3(-0.4F, 1, 0.2F)));
   EXPECT_EQ(computed(), 3U);
+  const Camera camera = lights_[0].maps->maps[0].camera;
+  lights_[0].maps = maps_of({{camera, owned(std::vector<float>(std::size_t{camera.width} * camera.height, 1.0F))}});
+  EXPECT_EQ(computed(), 3U) << "something stands between it and all";
   lights_[1].source.range_m = 1.9F;
   EXPECT_EQ(computed(), 3U);
   lights_[1].source.intensity = glm::vec3(7);

@@ -91,6 +91,21 @@ TEST(Lamp, ReachesAsFarAsItsRange) {
   EXPECT_EQ(BallOverFloor::visibility(lamp(position, faces, 2), model), (std::vector<float>{1, 1, 0}));
 }
 
+/// A texel at 4 m is 12.5 cm wide: what stands less before the floor than that is the floor itself.
+TEST(Lamp, RaisesAPointByATexelAtItsDistance) {
+  const glm::vec3 position(0.1F, 4, 0.1F);
+  const BallOverFloor scene(glm::vec3(0, 1, 0));
+  const GaussiansBuffer model = BallOverFloor::gaussians({{0, 0, 0}}, {{0, 1, 0}});
+  const Rigid down{.rotation = glm::angleAxis(1.5707964F, glm::vec3(1, 0, 0)), .translation = position};
+  const auto seen = [&](float blocker_m) {
+    HostMap map = scene.pinhole(down, 1.0F, 64);
+    std::ranges::fill(map.depth_m, blocker_m);
+    return BallOverFloor::visibility(lamp(position, {map}), model)[0];
+  };
+  EXPECT_EQ(seen(3.9F), 1.0F);
+  EXPECT_EQ(seen(3.85F), 0.0F);
+}
+
 TEST(Lamp, WithoutShadowIsSeenEverywhereAndNeedsNoMap) {
   const BallOverFloor scene(glm::vec3(0, 1, 0));
   const Points points = floor_points();

@@ -140,6 +140,8 @@ TEST_F(VisibilityRingTest, RowsFollowGaussiansThatMoveAndTheNewSeeAllOfTheLights
   const std::uint32_t place = HostModel(*store_).index(0);
   insert(2, 3000);  // they share no page any more
   ASSERT_NE(HostModel(*store_).index(0), place);
+  insert(3, 300);  // some of them where others were before
+  insert(4, 2000);
   const SceneVisibility visibility = stepped(1, {0, 4, 9});
   expect_own(visibility, 1, {0, 4, 9}, 100);
   expect_fresh(visibility, 100);
