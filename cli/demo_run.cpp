@@ -128,9 +128,9 @@ class Demo {
   void draw_what_has_come() {
     for (const auto& [index, probe] : probes_.pictures()) {
       if (server_.contains(index)) continue;
-      const auto map = depths_.find(probe.scene.version);
-      if (map == nullptr && bus::now_ns() - asked_ns_ < kMapPatienceNs) return;
-      const auto picture = view_.render(live_, probe.camera, probe.scene, map.get());
+      const auto lights = depths_.find(probe.scene);
+      if (!lights && bus::now_ns() - asked_ns_ < kMapPatienceNs) return;
+      const auto picture = view_.render(live_, probe.camera, probe.scene, lights ? &*lights : nullptr);
       if (!picture) return;
       server_[index] = metrics::compare(*picture, probe.picture);
       results_.compared[index] = {.engine = probe.picture, .drawn = *picture, .server = server_[index]};

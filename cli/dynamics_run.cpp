@@ -137,30 +137,30 @@ class DynamicsRun {
   /// False while there is hope for the light's depth of that very instant, or no model to draw.
   bool draw(const Waiting& waiting) {
     const ProbePicture& probe = waiting.probe;
-    const auto map = depths_.find(probe.scene.version);
-    if (map == nullptr && bus::now_ns() - waiting.since_ns < kMapPatienceNs) return false;
+    const auto lights = depths_.find(probe.scene);
+    if (!lights && bus::now_ns() - waiting.since_ns < kMapPatienceNs) return false;
     if (!frozen_) {
-      if (map == nullptr) return true;  // what it was like at the start has to be known whole
+      if (!lights) return true;  // what it was like at the start has to be known whole
       frozen_ = probe.scene;
-      frozen_map_ = map;
+      frozen_lights_ = lights;
     }
     DynamicsShots::Drawn drawn{.engine = probe.picture, .on = {}, .off = {}};
     if (options_.support != Support::Off) {
-      const auto on = view_.render(live_, probe.camera, probe.scene, map.get());
+      const auto on = view_.render(live_, probe.camera, probe.scene, lights ? &*lights : nullptr);
       if (!on) return false;
       drawn.on = *on;
     }
     if (options_.support != Support::On) {
-      const auto off = view_.render(live_, probe.camera, *frozen_, frozen_map_.get());
+      const auto off = view_.render(live_, probe.camera, *frozen_, &*frozen_lights_);
       if (!off) return false;
       drawn.off = *off;
     }
-    shots_.add(results_.samples.size(), waiting.camera, probe, map.get(), drawn);
+    shots_.add(results_.samples.size(), waiting.camera, probe, lights ? &*lights : nullptr, drawn);
     keep_for_sheets(drawn, probe.time_s, waiting.camera);
     results_.samples.push_back({.time_s = probe.time_s,
                                 .camera = waiting.camera,
                                 .probe_id = probe.probe_id,
-                                .paired = map != nullptr,
+                                .paired = lights.has_value(),
                                 .on = {},
                                 .off = {},
                                 .still = {},
@@ -229,7 +229,7 @@ class DynamicsRun {
   SceneView view_;
   std::deque<Waiting> waiting_;
   std::optional<SceneState> frozen_;
-  std::shared_ptr<const LightDepths::Map> frozen_map_;
+  std::optional<SceneLights> frozen_lights_;
   std::set<std::pair<int, std::size_t>> kept_;
   DynamicsResults results_;
   DynamicsShots shots_;

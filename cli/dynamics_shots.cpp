@@ -40,20 +40,21 @@ cv::Mat GhostMasks::take(std::size_t camera, double time_s, const ObjectTransfor
   return grown(mask, 0);
 }
 
-void DynamicsShots::add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map,
+void DynamicsShots::add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const SceneLights* lights,
                         const Drawn& drawn) {
   Shot shot{.sample = sample, .drawn = drawn, .moving = {}, .shadow = {}, .ghost = {}};
-  make_masks(camera, probe, map, shot);
+  make_masks(camera, probe, lights, shot);
   shots_.push_back(std::move(shot));
 }
 
-void DynamicsShots::make_masks(std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map, Shot& shot) {
+void DynamicsShots::make_masks(std::size_t camera, const ProbePicture& probe, const SceneLights* lights, Shot& shot) {
   if (probe.object_id.empty()) return;
   Before now{.moving = mask_of(probe.object_id, ids_of(probe.scene.objects)), .lit = {}};
   shot.moving = grown(now.moving, kMovingReach);
   shot.ghost = ghosts_.take(camera, probe.time_s, probe.scene.objects, probe.object_id);
-  if (map == nullptr || probe.depth.empty()) return;
-  now.lit = lit_surfaces(probe.depth, probe.camera, *map);
+  const relight::LightMaps* const sun = lights != nullptr ? lights->front().maps.get() : nullptr;
+  if (sun == nullptr || probe.depth.empty()) return;
+  now.lit = lit_surfaces(probe.depth, probe.camera, *sun);
   const auto before = before_.find(camera);
   if (before != before_.end()) {
     shot.shadow = moving_shadow_edges(before->second.lit, now.lit, now.moving | before->second.moving, kShadowReach);

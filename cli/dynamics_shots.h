@@ -77,8 +77,8 @@ class DynamicsShots {
   struct Drawn {
     cv::Mat engine, on, off;  ///< CV_8UC3 BGR; empty when it was not drawn
   };
-  /// Of sample `sample`. `map`: the sun's depth of the same instant; may be null.
-  void add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map,
+  /// Of sample `sample`. `lights` are those of the same instant; may be null.
+  void add(std::size_t sample, std::size_t camera, const ProbePicture& probe, const SceneLights* lights,
            const Drawn& drawn);
 
   /// Fills in the figures of the samples whose pictures wait.
@@ -101,7 +101,7 @@ class DynamicsShots {
     MeanMap ssim, flip;
   };
 
-  void make_masks(std::size_t camera, const ProbePicture& probe, const LightDepths::Map* map, Shot& shot);
+  void make_masks(std::size_t camera, const ProbePicture& probe, const SceneLights* lights, Shot& shot);
   [[nodiscard]] static MaskedFigures masked_figures(const cv::Mat& ssim_map, const Shot& shot);
   [[nodiscard]] std::optional<DrawnFigures> figures(const Shot& shot, const cv::Mat& drawn,
                                                     const DynamicsSample& sample, bool is_on);

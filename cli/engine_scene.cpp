@@ -25,6 +25,9 @@ void apply(const EngineScene& scene, LaunchFile& file) {
   std::vector<std::string>& args = engine->args;
   if (scene.fps) set_flag(args, "--fps", *scene.fps);
   set_flag(args, "--sun-rate", scene.sun_rate_deg_s);
+  set_flag(args, "--point-lights", scene.point_lights);
+  std::erase(args, "--night");
+  if (scene.point_lights > 0) args.emplace_back("--night");
   std::erase(args, "--dynamics");
   if (scene.moving_objects) args.emplace_back("--dynamics");
   apply_override(file, fmt::format("capture-bridge.reference_rate_hz={}", scene.reference_rate_hz));

@@ -183,8 +183,8 @@ void add_dynamics_verb(CLI::App& eval, Action& action) {
 
 void add_relight_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<RelightVerbOptions>();
-  CLI::App* verb =
-      eval.add_subcommand("relight", "Train under one sun, pause, and show suns 60 to 180 degrees away from it");
+  CLI::App* verb = eval.add_subcommand(
+      "relight", "Train under one sun, pause, and show suns 60 to 180 degrees away, and point lights at night");
   RelightEvaluationOptions& relight = options->relight;
   add_setup_options(*verb, *options, relight.setup);
   verb->add_option("--iterations", relight.iterations, "optimizer steps under the first sun")

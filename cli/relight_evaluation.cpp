@@ -4,7 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "figures.h"
 #include "metrics/contact_sheet.h"
@@ -49,6 +53,7 @@ class RelightEvaluation {
     const double own = show_sun(0, suns);
     std::vector<double> others;
     for (const double turn_deg : options_.turns_deg) others.push_back(show_sun(turn_deg, suns));
+    const FigureSummary night = show_night();
     const auto& trainer = training_.state().trainer;
     if (trainer.step != static_cast<std::uint64_t>(options_.iterations)) {
       throw std::runtime_error(fmt::format("the trainer went on to step {}", trainer.step));
@@ -58,6 +63,8 @@ class RelightEvaluation {
     Json summary{{"ssim_own", rounded(own)},
                  {"ssim_mean", others.empty() ? Json() : Json(rounded(sum / static_cast<double>(others.size())))},
                  {"ssim_min", others.empty() ? Json() : Json(rounded(*std::ranges::min_element(others)))},
+                 {"ssim_point_lights", rounded(night.mean.ssim)},
+                 {"flip_point_lights", rounded(night.mean.flip)},
                  {"suns", suns},
                  {"gaussians", trainer.gaussians},
                  {"iterations", trainer.step},
@@ -72,28 +79,11 @@ class RelightEvaluation {
   /// Mean SSIM over the held-out views under a sun that is so far from the first one.
   double show_sun(double turn_deg, Json& suns) {
     const glm::vec3 wanted = turned(first_sun_, turn_deg);
-    std::int64_t asked_ns = 0;
-    const auto there = [&] {
-      if (lit_by(wanted)) return true;
-      if (bus::now_ns() - asked_ns > kAskNs) {
-        send_control(training_.publisher(), "engine-sim",
-                     {{"sun_azimuth_deg", fmt::format("{}", azimuth_deg(first_sun_) + turn_deg)}});
-        training_.ask_held_out();
-        asked_ns = bus::now_ns();
-      }
-      return false;
-    };
-    training_.wait_until(fmt::format("the sun {} degrees away", turn_deg), there,
-                         [&] { return fmt::format("the sun goes {} degrees away", turn_deg); });
-    ViewFigures figures;
-    for (const auto& [camera, probe] : training_.held_out().pictures()) {
-      const auto map = depths_.find(probe.scene.version);
-      const auto picture = view_.render(training_.live(), probe.camera, probe.scene, map.get());
-      if (!picture) throw std::runtime_error("the model changed although its training is paused");
-      figures[camera] = metrics::compare(*picture, probe.picture);
-      if (camera == 0) add_to_sheet(turn_deg, probe.picture, *picture, figures[camera]);
-    }
-    const FigureSummary summary = summarize(figures);
+    wait_for(fmt::format("the sun {} degrees away", turn_deg),
+             {{"sun_azimuth_deg", fmt::format("{}", azimuth_deg(first_sun_) + turn_deg)}},
+             [&](const Light& light) { return glm::distance(light.sun_direction, wanted) < kSameDirection; });
+    const std::string caption = turn_deg == 0 ? std::string("its own sun") : fmt::format("{:.0f} degrees", turn_deg);
+    const FigureSummary summary = compare_views(caption);
     suns.push_back({{"turn_deg", turn_deg},
                     {"ssim", rounded(summary.mean.ssim)},
                     {"psnr", rounded(summary.mean.psnr_db)},
@@ -101,21 +91,56 @@ class RelightEvaluation {
     return summary.mean.ssim;
   }
 
-  /// Whether every held-out picture has come with that sun, and the depth that the sun sees as well.
-  [[nodiscard]] bool lit_by(const glm::vec3& sun) {
+  /// No sun, and two point lights that move over the scene.
+  FigureSummary show_night() {
+    wait_for("a night with two point lights", {{"night", "1"}, {"point_lights", "2"}},
+             [](const Light& light) { return light.sun_irradiance == glm::vec3(0) && light.sources.size() == 2; });
+    return compare_views("two point lights");
+  }
+
+  /// Tells the engine, and waits for held-out pictures and depth maps under a light that is as wanted.
+  void wait_for(const std::string& what, const std::vector<std::pair<std::string, std::string>>& changes,
+                const std::function<bool(const Light&)>& wanted) {
+    std::int64_t asked_ns = 0;
+    const auto there = [&] {
+      if (lit_by(wanted)) return true;
+      if (bus::now_ns() - asked_ns > kAskNs) {
+        send_control(training_.publisher(), "engine-sim", changes);
+        training_.ask_held_out();
+        asked_ns = bus::now_ns();
+      }
+      return false;
+    };
+    training_.wait_until(what, there, [&] { return "waits for " + what; });
+  }
+
+  FigureSummary compare_views(const std::string& caption) {
+    ViewFigures figures;
+    for (const auto& [camera, probe] : training_.held_out().pictures()) {
+      const auto lights = depths_.find(probe.scene);
+      const auto picture = view_.render(training_.live(), probe.camera, probe.scene, lights ? &*lights : nullptr);
+      if (!picture) throw std::runtime_error("the model changed although its training is paused");
+      figures[camera] = metrics::compare(*picture, probe.picture);
+      if (camera == 0) add_to_sheet(caption, probe.picture, *picture, figures[camera]);
+    }
+    return summarize(figures);
+  }
+
+  /// Whether every held-out picture has come under such a light, and the depth maps of it as well.
+  [[nodiscard]] bool lit_by(const std::function<bool(const Light&)>& wanted) {
     return training_.held_out().complete() &&
            std::ranges::all_of(training_.held_out().pictures(), [&](const auto& entry) {
              const SceneState& scene = entry.second.scene;
-             return glm::distance(scene.light.sun_direction, sun) < kSameDirection &&
-                    depths_.find(scene.version) != nullptr;
+             return wanted(scene.light) && depths_.find(scene).has_value();
            });
   }
 
-  void add_to_sheet(double turn_deg, const cv::Mat& engine, const cv::Mat& drawn, const metrics::Quality& quality) {
+  void add_to_sheet(const std::string& caption, const cv::Mat& engine, const cv::Mat& drawn,
+                    const metrics::Quality& quality) {
     cv::Mat map;
     static_cast<void>(metrics::flip(drawn, engine, metrics::kFlipPixelsPerDegree, &map));
     sheet_.rows.push_back(
-        {.caption = turn_deg == 0 ? std::string("its own sun") : fmt::format("{:.0f} degrees", turn_deg),
+        {.caption = caption,
          .figures = {fmt::format("SSIM {:.3f}", quality.ssim), fmt::format("PSNR {:.1f}", quality.psnr_db),
                      fmt::format("FLIP {:.3f}", quality.flip)},
          .pictures = {engine, drawn, metrics::colorize(map)}});

@@ -11,7 +11,7 @@
 
 namespace splatbus::cli {
 
-/// `splatbus eval relight`: how true the model is under suns that it was never trained with.
+/// `splatbus eval relight`: how true the model is under lights that it was never trained with.
 struct RelightEvaluationOptions {
   EvaluationSetup setup{.cameras = 8, .size = 160, .input_cameras = 24, .input_size = 128, .budget = 60000};
   int iterations = 3000;
@@ -19,9 +19,9 @@ struct RelightEvaluationOptions {
   std::vector<double> turns_deg{60, 90, 120, 150, 180};  ///< of the sun about the vertical, away from its first place
 };
 
-/// Trains under one sun, stops for good, then turns the engine's sun and compares held-out views, drawn with visibility
-/// for that sun. Writes summary.json and contact_sheet.png to `setup.out`. Returns the summary. Throws
-/// std::runtime_error that says what did not come.
+/// Trains under one sun, stops for good, then turns the engine's sun, and takes two point lights in its place, and
+/// compares held-out views, drawn with visibility for that light. Writes summary.json and contact_sheet.png to
+/// `setup.out`. Returns the summary. Throws std::runtime_error that says what did not come.
 nlohmann::json run_relight_evaluation(const RelightEvaluationOptions& options, const StopSignals& signals,
                                       const std::function<void(const std::string&)>& show_state);
 

@@ -1,7 +1,8 @@
 #include "scene_view.h"
 
+#include <algorithm>
 #include <chrono>
-#include <utility>
+#include <cstddef>
 
 #include "metrics/image_io.h"
 #include "wire/convert.h"
@@ -11,8 +12,12 @@ namespace splatbus::cli {
 
 namespace {
 
-constexpr std::size_t kMapsKept = 8;
 constexpr std::chrono::milliseconds kPatience(50);
+
+std::uint64_t depth_version(const Light& light, std::uint32_t light_id) {
+  const auto source = std::ranges::find(light.sources, light_id, &LightSource::id);
+  return source == light.sources.end() ? light.sun_depth_version : source->depth_version;
+}
 
 }  // namespace
 
@@ -24,19 +29,17 @@ void LightDepths::keep(bool all) {
   keep_all_ = all;
 }
 
-std::shared_ptr<const LightDepths::Map> LightDepths::find(std::uint64_t version) {
+std::optional<SceneLights> LightDepths::find(const SceneState& scene) {
   const std::scoped_lock lock(mutex_);
-  for (const auto& map : maps_) {
-    if (map->version == version) return map;
+  for (const auto& [key, message] : newest_) bus::guarded(message, [&] { copy(message); });
+  SceneLights lights{{relight::sun_source(scene.light), nullptr}};
+  for (const LightSource& source : scene.light.sources) lights.push_back({source, nullptr});
+  for (relight::LightOfScene& light : lights) {
+    if (!light.source.casts_shadow) continue;
+    light.maps = maps_.find(light.source.id, light.source.depth_version);
+    if (!light.maps) return {};
   }
-  std::shared_ptr<const Map> found;
-  if (newest_) {
-    bus::guarded(*newest_, [&] {
-      if (newest_->root<wire::SceneLightDepth>().scene()->version() == version) found = copy(*newest_);
-    });
-  }
-  if (found) maps_.push_back(found);
-  return found;
+  return lights;
 }
 
 void LightDepths::receive(const std::stop_token& stop) {
@@ -45,42 +48,40 @@ void LightDepths::receive(const std::stop_token& stop) {
     auto message = subscriber.receive(kPatience);
     if (!message) continue;
     const std::scoped_lock lock(mutex_);
-    if (keep_all_) {
-      bus::guarded(*message, [&] {
-        if (auto map = copy(*message)) maps_.push_back(std::move(map));
-      });
-    }
-    newest_ = std::move(message);
-    while (maps_.size() > kMapsKept) maps_.pop_front();
+    if (keep_all_) bus::guarded(*message, [&] { copy(*message); });
+    const auto& depth = message->root<wire::SceneLightDepth>();
+    newest_.insert_or_assign({depth.light_id(), depth.light_map()}, std::move(*message));
   }
 }
 
-std::shared_ptr<const LightDepths::Map> LightDepths::copy(const bus::Message& message) {
+void LightDepths::copy(const bus::Message& message) {
   const auto& depth = message.root<wire::SceneLightDepth>();
-  auto map = std::make_shared<Map>();
-  map->version = depth.scene()->version();
-  map->camera = from_wire(*depth.camera());
-  const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {map->camera.height, map->camera.width});
-  if (!tensor) return nullptr;
-  map->depth_m.resize(tensor->elements());
-  if (!tensor->copy(map->depth_m.data())) return nullptr;
-  return map;
+  const relight::MapRing::Key key{.light_id = depth.light_id(),
+                                  .depth_version = depth_version(from_wire(*depth.scene()->light()), depth.light_id()),
+                                  .light_map = depth.light_map(),
+                                  .light_maps = depth.light_maps()};
+  const Camera camera = from_wire(*depth.camera());
+  if (key.light_map >= key.light_maps || maps_.holds(key, camera)) return;
+  const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
+  if (!tensor) return;
+  const auto values = std::make_shared<std::vector<std::byte>>(tensor->bytes());
+  if (!tensor->copy(values->data())) return;
+  maps_.put(key, {.camera = camera, .depth_m = {values, values->data()}}, depth.scene()->version());
 }
 
 SceneView::SceneView(int threads) : renderer_(raster::make_model_renderer(Device::Cpu, threads)) {}
 
 std::optional<cv::Mat> SceneView::render(LiveScene& live, const Camera& camera, const SceneState& scene,
-                                         const LightDepths::Map* map) {
+                                         const SceneLights* lights) {
   const PublishedModel* model = live.model(Device::Cpu);
   if (model == nullptr || model->average().count == 0) return {};
   GaussiansView gaussians = model->average();
-  if (map != nullptr) {
-    visibility_.resize(gaussians.count);
-    const relight::MappedLight sun{.source = relight::sun_source(scene.light),
-                                   .maps = {{.camera = map->camera, .depth_m = map->depth_m.data()}}};
-    relight::compute_visibility(stream_, gaussians, scene.objects, {{sun}}, {}, visibility_.data());
+  if (lights != nullptr) {
+    visibility_.resize(lights->size() * gaussians.count);
+    relight::compute_visibility(stream_, gaussians, scene.objects, relight::mapped(*lights), {}, visibility_.data());
     gaussians.visibility_u8 = visibility_.data();
     gaussians.visibility_stride = gaussians.count;
+    gaussians.visibility_rows = static_cast<std::uint32_t>(lights->size());
   }
   renderer_->read_in_place(gaussians);
   renderer_->draw(camera, scene, {}, render_);

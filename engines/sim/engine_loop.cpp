@@ -107,7 +107,7 @@ void EngineLoop::render_frame(std::uint64_t frame) {
   standing_frame_ = frame;
   // Whether light depth is due depends on what has moved by now.
   if (schedule_.watches_scene()) renderer_.set_time(time_of(frame));
-  render_cameras(frame, schedule_.due(time_of(frame), depth_versions()));
+  render_cameras(frame, schedule_.due(time_of(frame), depth_versions()), true);
 }
 
 Schedule::DepthVersion EngineLoop::depth_versions() const {
@@ -118,13 +118,24 @@ void EngineLoop::render_newcomers() {
   if (!standing_frame_) return;
   const double time_s = time_of(*standing_frame_);
   if (schedule_.watches_scene()) renderer_.set_time(time_s);
-  render_cameras(*standing_frame_, schedule_.newcomers(time_s, depth_versions()));
+  render_cameras(*standing_frame_, schedule_.newcomers(time_s, depth_versions()), false);
 }
 
-void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests) {
+void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests,
+                                bool bounded) {
   if (requests.empty()) return;
   renderer_.set_time(time_of(frame));
+  const std::int64_t end_ns = now_ns() + std::llround(options_.picture_frames * 1e9 / options_.fps);
+  bool has_picture = false;
   for (const splatbus_camera_request& request : requests) {
+    const bool may_wait =
+        request.camera.role != SPLATBUS_ROLE_LIGHT && request.camera.role != SPLATBUS_ROLE_PROBE && has_picture;
+    if (bounded && may_wait && now_ns() > end_ns) {
+      schedule_.postpone(request);
+      count("cameras_postponed", static_cast<double>(++cameras_postponed_));
+      continue;
+    }
+    has_picture = has_picture || request.camera.role != SPLATBUS_ROLE_LIGHT;
     try {
       render_camera(frame, request);
     } catch (const std::exception& failed) {

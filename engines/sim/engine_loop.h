@@ -18,7 +18,10 @@
 namespace splatbus::sim {
 
 struct EngineLoopOptions {
-  double fps = 10;                             ///< frame n is at engine time n / fps
+  double fps = 10;  ///< frame n is at engine time n / fps
+  /// After so many frames' time of pictures the rest waits for the next frame, all but depth maps, probes and one
+  /// picture: a machine that cannot carry them all still shows a scene that moves.
+  double picture_frames = 1;
   std::uint64_t frames = 0;                    ///< ends after so many; 0: never
   std::function<void()> before_frame = [] {};  ///< may change the renderer's scene
 };
@@ -48,7 +51,8 @@ class EngineLoop {
   void wait_until(std::int64_t deadline_ns, const std::atomic<bool>& stop);
   void render_frame(std::uint64_t frame);
   void render_newcomers();
-  void render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests);
+  /// With `bounded` within the time of picture_frames.
+  void render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests, bool bounded);
   void render_camera(std::uint64_t frame, const splatbus_camera_request& request);
   std::vector<splatbus_image> images_for(const splatbus_camera_request& request, const LightCamera& camera);
   const Pictures& pictures_for(const splatbus_camera_request& request, const LightCamera& view);
@@ -71,7 +75,8 @@ class EngineLoop {
     Pictures pictures;
   };
   std::map<std::pair<std::uint32_t, std::uint32_t>, Rendered> rendered_;  ///< by role and id, of repeated requests
-  std::uint64_t cameras_submitted_ = 0, cameras_rendered_ = 0, cameras_failed_ = 0, frames_skipped_ = 0;
+  std::uint64_t cameras_submitted_ = 0, cameras_rendered_ = 0, cameras_failed_ = 0, cameras_postponed_ = 0;
+  std::uint64_t frames_skipped_ = 0;
   double render_ms_ = 0;  ///< a camera, an exponential mean
 };
 

@@ -67,6 +67,12 @@ Mesh skittle() {
                32, 2);
 }
 
+Mesh pot_mesh() {
+  return lathe(
+      std::array<glm::vec2, 6>{{{0, 0}, {0.09F, 0}, {0.125F, 0.1F}, {0.11F, 0.22F}, {0.125F, 0.26F}, {0, 0.25F}}}, 32,
+      2);
+}
+
 }  // namespace
 
 void add_living_toys(Scene& scene) {
@@ -84,6 +90,20 @@ void add_living_toys(Scene& scene) {
                 const double in_round_s = time_s - Times::kRound_s * std::floor(time_s / Times::kRound_s);
                 return in_round_s < Times::kLeave_s || in_round_s >= Times::kReturn_s;
               });
+}
+
+void add_breathing_toy(Scene& scene) {
+  constexpr double kBreath_s = 5;
+  constexpr glm::vec3 kPlace{0.68F, 0, -1.07F};
+  Object& pot = scene.add("breathing pot", pot_mesh(),
+                          stripes(std::array{color("#d9a13b"), color("#3b5f8a"), color("#e9e1cc")}, 2, false));
+  pot.motion_origins.add(kPlace);
+  pot.greatest_scale = kGreatestBreath;
+  pot.motion = [=](double time_s) {
+    // As long above 1 as below: kLeastBreath is 1 / kGreatestBreath.
+    const double phase = 2 * glm::pi<double>() * std::remainder(time_s / kBreath_s, 1.0);
+    return Pose{.translation = kPlace, .scale = static_cast<float>(std::pow(kGreatestBreath, std::sin(phase)))};
+  };
 }
 
 }  // namespace splatbus::sim

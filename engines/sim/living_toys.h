@@ -16,4 +16,8 @@ struct LivingTimes {
 /// "skittle", "appearing crate" and "drum". All cast shadows, and none passes through another toy.
 void add_living_toys(Scene& scene);
 
+/// Adds the "breathing pot", which stands among the toys and grows and shrinks about where it stands.
+void add_breathing_toy(Scene& scene);
+inline constexpr float kLeastBreath = 0.8F, kGreatestBreath = 1.25F;  ///< its scale
+
 }  // namespace splatbus::sim

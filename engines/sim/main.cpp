@@ -10,9 +10,12 @@
 
 #include "sim/device_readback.h"
 #include "sim/engine_loop.h"
+#include "sim/field.h"
 #include "sim/gltf_scene.h"
+#include "sim/lamps.h"
+#include "sim/light_control.h"
+#include "sim/living_toys.h"
 #include "sim/snapshot.h"
-#include "sim/sun_control.h"
 #include "sim/toys.h"
 
 namespace {
@@ -35,7 +38,8 @@ void handle_signals() {
 struct Flags {
   std::string bus, name = "engine", scene = "toys", log_level = "info", backend = "auto";
   std::uint32_t seed = 1;
-  bool dynamics = false;
+  bool dynamics = false, breathing = false, night = false;
+  std::size_t point_lights = 0;
   splatbus::sim::Lighting lighting;
   splatbus::sim::RendererOptions renderer;
   splatbus::sim::EngineLoopOptions loop;
@@ -47,10 +51,16 @@ struct Flags {
 void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--bus", flags.bus, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
-  app.add_option("--scene", flags.scene, "toys, or a glTF file (.glb, .gltf)")->capture_default_str();
+  app.add_option("--scene", flags.scene, "toys, field200 (posts and boxes on 200 m), or a glTF file (.glb, .gltf)")
+      ->capture_default_str();
   app.add_option("--seed", flags.seed, "shifts, turns and tones of the toys")->capture_default_str();
   app.add_flag("--dynamics", flags.dynamics,
                "toys that live: one walks, one bounces, one turns, some come and go (toys only)");
+  app.add_flag("--breathing", flags.breathing, "a toy that grows and shrinks (toys only)");
+  app.add_option("--point-lights", flags.point_lights, "lamps that move over the toys (toys only)")
+      ->capture_default_str()
+      ->check(CLI::Range(std::size_t{0}, splatbus::sim::kLamps));
+  app.add_flag("--night", flags.night, "no sun, and a faint sky");
   app.add_option("--sun-azimuth", flags.lighting.sun_azimuth_deg, "degrees about the vertical, from +x towards +z")
       ->capture_default_str();
   app.add_option("--sun-zenith", flags.lighting.sun_zenith_deg, "degrees from the vertical")
@@ -61,6 +71,10 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--fps", flags.loop.fps, "engine frames a second")
       ->capture_default_str()
       ->check(CLI::Range(0.1, 1000.0));
+  app.add_option("--picture-frames", flags.loop.picture_frames,
+                 "frames' time for pictures in one frame; more of them wait for the next")
+      ->capture_default_str()
+      ->check(CLI::Range(0.0, 1000.0));
   app.add_option("--frames", flags.loop.frames, "end after so many frames; 0: never")->capture_default_str();
   app.add_option("--supersample", flags.renderer.supersample,
                  "pixels a side shaded for one pixel, each with coverage samples")
@@ -84,10 +98,23 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--time", flags.time_s, "of the snapshot, seconds of engine time")->capture_default_str();
 }
 
+splatbus::sim::Scene make_scene(const Flags& flags) {
+  using namespace splatbus::sim;
+  const bool toys = flags.scene == "toys";
+  Scene scene = toys                        ? make_toys(flags.seed, flags.dynamics)
+                : flags.scene == "field200" ? make_field(flags.seed)
+                                            : load_gltf(flags.scene);
+  scene.lighting = flags.lighting;
+  scene.lighting.night = flags.night;
+  scene.lighting.sources_on = flags.point_lights;
+  if (toys && flags.breathing) add_breathing_toy(scene);
+  if (toys) add_lamps(scene);
+  return scene;
+}
+
 void run(const Flags& flags) {
   using namespace splatbus::sim;
-  Scene scene = flags.scene == "toys" ? make_toys(flags.seed, flags.dynamics) : load_gltf(flags.scene);
-  scene.lighting = flags.lighting;
+  Scene scene = make_scene(flags);
   const auto context = std::make_shared<GlContext>();
   spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());
   Renderer renderer(context, std::move(scene), flags.renderer);
@@ -101,10 +128,13 @@ void run(const Flags& flags) {
   const splatbus_memory memory = readback ? SPLATBUS_MEMORY_CUDA : SPLATBUS_MEMORY_HOST;
   const EngineHandle engine = open_engine(flags.bus, flags.name, memory);
   spdlog::info("frames in {} memory", readback ? "CUDA" : "host");
-  SunControl sun(flags.bus, flags.name);
+  LightControl control(flags.bus, flags.name);
   EngineLoopOptions options = flags.loop;
   options.before_frame = [&] {
-    if (const auto azimuth_deg = sun.take_azimuth_deg()) renderer.turn_sun(*azimuth_deg);
+    const LightChanges changes = control.take();
+    if (changes.sun_azimuth_deg) renderer.turn_sun(*changes.sun_azimuth_deg);
+    if (changes.night) renderer.set_night(*changes.night);
+    if (changes.point_lights) renderer.set_sources_on(*changes.point_lights);
   };
   EngineLoop(*engine, renderer, readback.get(), options).run(stop_requested);
 }

@@ -2,19 +2,11 @@
 
 #include <algorithm>
 #include <array>
-#include <glm/gtc/type_ptr.hpp>
-#include <map>
-#include <span>
 #include <stdexcept>
 
 #include "sim/camera_check.h"
-#include "sim/depth_versions.h"
-#include "sim/gl_objects.h"
-#include "sim/gpu_scene.h"
-#include "sim/lit_shading.h"
 #include "sim/projection.h"
-#include "sim/shaders.h"
-#include "sim/targets.h"
+#include "sim/renderer_impl.h"
 
 namespace splatbus::sim {
 namespace {
@@ -32,169 +24,11 @@ bool same_light(const Instant& a, const Instant& b) {
     return x.id == y.id && x.depth_version == y.depth_version && x.cos_inner == y.cos_inner &&
            std::ranges::equal(x.intensity, y.intensity);
   };
-  return values(a.light) == values(b.light) && std::ranges::equal(a.sources, b.sources, same);
+  return values(a.light) == values(b.light) && std::ranges::equal(a.light.ambient_sh, b.light.ambient_sh) &&
+         std::ranges::equal(a.light.background, b.light.background) && std::ranges::equal(a.sources, b.sources, same);
 }
 
 }  // namespace
-
-struct Renderer::Impl {
-  Impl(std::shared_ptr<GlContext> gl_context, Scene the_scene, const RendererOptions& the_options)
-      : context(std::move(gl_context)),
-        scene(std::move(the_scene)),
-        options(the_options),
-        gpu(scene, options.anisotropy),
-        targets(options.supersample, options.samples),
-        lighting({options.shadow_map_size, options.source_map_size, options.shadow_softness_m}, scene),
-        bounds(scene.bounds(false)) {}
-
-  std::shared_ptr<GlContext> context;
-  Scene scene;
-  RendererOptions options;
-  GpuScene gpu;
-  TargetCache targets;
-  LitShading lighting;
-  Bounds bounds;
-  std::map<ShaderVariant, GlProgram> programs;
-  std::map<std::pair<bool, bool>, GlProgram> resolve_programs;
-  GlVertexArray no_vertices = make_vertex_array();
-  Instant instant;
-  std::uint64_t scene_version = 0;
-  DepthVersions depth_versions;
-  Pictures pictures;
-
-  GLuint program(const ShaderVariant& variant) {
-    GlProgram& made = programs[variant];
-    if (!made) made = build_program(variant);
-    return made.get();
-  }
-
-  void shade(const LightCamera& view, bool lit, bool albedo, Readback& readback);
-  void geometry(const LightCamera& view, std::uint32_t buffers, Readback& readback);
-};
-
-namespace {
-
-void set_draw_buffers(const GlFramebuffer& framebuffer, std::span<const bool> wanted) {
-  std::vector<GLenum> buffers;
-  for (std::size_t i = 0; i < wanted.size(); ++i) {
-    buffers.push_back(wanted[i] ? GL_COLOR_ATTACHMENT0 + static_cast<GLenum>(i) : static_cast<GLenum>(GL_NONE));
-  }
-  glNamedFramebufferDrawBuffers(framebuffer.get(), static_cast<GLsizei>(buffers.size()), buffers.data());
-}
-
-}  // namespace
-
-void Renderer::Impl::shade(const LightCamera& view, bool lit, bool albedo, Readback& readback) {
-  const splatbus_camera& camera = view.camera;
-  const splatbus_light light = instant.whole_light();
-  ShaderVariant variant_of_all{.lit = lit, .albedo = albedo, .supersample = options.supersample};
-  if (lit) {
-    const float* eye = camera.world_from_camera.translation;
-    lighting.update(gpu, light, {eye[0], eye[1], eye[2]}, [&](const ShaderVariant& v) { return program(v); });
-    variant_of_all = lighting.variant(variant_of_all);
-  }
-  Targets& target = targets.get(camera.width, camera.height, true, false);
-  const glm::mat4 clip_from_world = clip_from_camera(camera, view.projection) * camera_from_world(camera);
-  const std::array<bool, 2> wanted{lit, albedo};
-  set_draw_buffers(target.shade, wanted);
-  glBindFramebuffer(GL_FRAMEBUFFER, target.shade.get());
-  glViewport(0, 0, static_cast<GLsizei>(camera.width) * options.supersample,
-             static_cast<GLsizei>(camera.height) * options.supersample);
-  const float* sky = instant.light.background;
-  const std::array<float, 4> background{sky[0], sky[1], sky[2], 0};
-  constexpr std::array<float, 4> kNothing{};
-  constexpr float kFar = 1;
-  if (lit) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 0, background.data());
-  if (albedo) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 1, kNothing.data());
-  glClearNamedFramebufferfv(target.shade.get(), GL_DEPTH, 0, &kFar);
-
-  std::map<GLuint, bool> prepared;
-  gpu.draw(clip_from_world, variant_of_all, Shown::All, [&](const ShaderVariant& variant) {
-    const GLuint made = program(variant);
-    if (std::exchange(prepared[made], true)) return made;
-    glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
-    if (lit && !variant.emissive) lighting.bind(made, light);
-    return made;
-  });
-
-  GlProgram& resolve = resolve_programs[{lit, albedo}];
-  if (!resolve) resolve = build_resolve_program(options.supersample, options.samples, lit, albedo);
-  glBindFramebuffer(GL_FRAMEBUFFER, target.resolve.get());
-  set_draw_buffers(target.resolve, wanted);
-  glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
-  glDisable(GL_DEPTH_TEST);
-  glUseProgram(resolve.get());
-  glBindTextureUnit(0, target.lit_samples.get());
-  glBindTextureUnit(1, target.albedo_samples.get());
-  glBindVertexArray(no_vertices.get());
-  glDisable(GL_CULL_FACE);
-  glDrawArrays(GL_TRIANGLES, 0, 3);
-  glEnable(GL_DEPTH_TEST);
-  const auto take = [&](splatbus_buffer buffer, GLenum attachment) {
-    readback.take({.buffer = buffer,
-                   .framebuffer = target.resolve.get(),
-                   .attachment = attachment,
-                   .format = GL_RGBA,
-                   .type = GL_UNSIGNED_BYTE,
-                   .width = camera.width,
-                   .height = camera.height,
-                   .bytes = std::size_t{4} * camera.width * camera.height});
-  };
-  if (lit) take(SPLATBUS_BUFFER_COLOR, GL_COLOR_ATTACHMENT0);
-  if (albedo) take(SPLATBUS_BUFFER_ALBEDO, GL_COLOR_ATTACHMENT1);
-}
-
-/// Light depth comes alone: where there is no surface it is another value than depth.
-void Renderer::Impl::geometry(const LightCamera& of, std::uint32_t buffers, Readback& readback) {
-  const splatbus_camera& camera = of.camera;
-  Targets& target = targets.get(camera.width, camera.height, false, true);
-  const glm::mat4 view = camera_from_world(camera);
-  const glm::mat4 clip_from_world = clip_from_camera(camera, of.projection) * view;
-  const bool light_depth = (buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0;
-  const std::array<bool, 4> wanted{
-      (buffers & SPLATBUS_BUFFER_WORLD_POSITION) != 0, (buffers & SPLATBUS_BUFFER_NORMAL) != 0,
-      (buffers & SPLATBUS_BUFFER_DEPTH) != 0 || light_depth, (buffers & SPLATBUS_BUFFER_OBJECT_ID) != 0};
-  set_draw_buffers(target.geometry, wanted);
-  glBindFramebuffer(GL_FRAMEBUFFER, target.geometry.get());
-  glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
-  constexpr std::array<float, 4> kNothing{};
-  const std::array<float, 4> no_surface{light_depth ? camera.far_m : 0, 0, 0, 0};
-  constexpr float kFar = 1;
-  for (std::size_t i = 0; i < 3; ++i) {
-    if (!wanted.at(i)) continue;
-    glClearNamedFramebufferfv(target.geometry.get(), GL_COLOR, static_cast<GLint>(i),
-                              i == 2 ? no_surface.data() : kNothing.data());
-  }
-  constexpr std::array<GLuint, 4> kNoObject{};
-  if (wanted[3]) glClearNamedFramebufferuiv(target.geometry.get(), GL_COLOR, 3, kNoObject.data());
-  glClearNamedFramebufferfv(target.geometry.get(), GL_DEPTH, 0, &kFar);
-  const glm::vec4 view_z{view[0][2], view[1][2], view[2][2], view[3][2]};
-  const Shown shown = light_depth ? Shown::InLightDepth : Shown::All;
-  gpu.draw(clip_from_world, {.kind = ShaderVariant::Kind::Geometry}, shown, [&](const ShaderVariant& variant) {
-    const GLuint made = program(variant);
-    glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
-    glProgramUniform4fv(made, kViewZ, 1, glm::value_ptr(view_z));
-    return made;
-  });
-
-  const auto take = [&](splatbus_buffer buffer, GLenum attachment, GLenum format, std::size_t channels,
-                        GLenum type = GL_FLOAT) {
-    readback.take({.buffer = buffer,
-                   .framebuffer = target.geometry.get(),
-                   .attachment = attachment,
-                   .format = format,
-                   .type = type,
-                   .width = camera.width,
-                   .height = camera.height,
-                   .bytes = sizeof(float) * channels * camera.width * camera.height});
-  };
-  if (wanted[0]) take(SPLATBUS_BUFFER_WORLD_POSITION, GL_COLOR_ATTACHMENT0, GL_RGBA, 4);
-  if (wanted[1]) take(SPLATBUS_BUFFER_NORMAL, GL_COLOR_ATTACHMENT1, GL_RGBA, 4);
-  if (wanted[2]) {
-    take(light_depth ? SPLATBUS_BUFFER_LIGHT_DEPTH : SPLATBUS_BUFFER_DEPTH, GL_COLOR_ATTACHMENT2, GL_RED, 1);
-  }
-  if (wanted[3]) take(SPLATBUS_BUFFER_OBJECT_ID, GL_COLOR_ATTACHMENT3, GL_RED_INTEGER, 1, GL_UNSIGNED_INT);
-}
 
 Renderer::Renderer(std::shared_ptr<GlContext> context, Scene scene, const RendererOptions& options) {
   RendererOptions bounded = options;
@@ -283,11 +117,23 @@ void Renderer::render(const LightCamera& view, std::uint32_t buffers, Readback& 
 void Renderer::warm_up(Readback* readback) {
   constexpr std::uint32_t kSize = 64;
   HostReadback host(impl_->pictures);
-  // The light's camera has every object in view, and so every program in use.
-  const splatbus_camera camera = light_camera(0, kSize, kSize);
-  for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
-    render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? *readback : host);
-  }
+  const auto draw = [&] {
+    // The light's camera has every object in view, and so every program in use.
+    const splatbus_camera camera = light_camera(0, kSize, kSize);
+    for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
+      render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? *readback : host);
+    }
+  };
+  draw();
+  Lighting& lighting = impl_->scene.lighting;
+  if (lighting.sources.empty() || lighting.sources_on > 0) return;
+  // Lights may be turned on later: their programs are others.
+  const double time_s = impl_->instant.time_s;
+  lighting.sources_on = 1;
+  set_time(time_s);
+  draw();
+  lighting.sources_on = 0;
+  set_time(time_s);
 }
 
 splatbus_camera Renderer::light_camera(std::uint32_t id, std::uint32_t width, std::uint32_t height) const {

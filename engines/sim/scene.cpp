@@ -14,13 +14,17 @@ glm::mat4 matrix(const Pose& world_from_object) {
 }
 
 Object& Scene::add(std::string name, Mesh mesh, Image image, const glm::mat4& world_from_object) {
+  materials.push_back({.image = static_cast<int>(images.size())});
+  images.push_back(std::move(image));
+  return add(std::move(name), std::move(mesh), static_cast<int>(materials.size()) - 1, world_from_object);
+}
+
+Object& Scene::add(std::string name, Mesh mesh, int material, const glm::mat4& world_from_object) {
   Object object;
   object.id = static_cast<std::uint32_t>(objects.size() + 1);
   object.name = std::move(name);
   object.world_from_object = world_from_object;
-  object.parts.push_back({.mesh = std::move(mesh), .material = static_cast<int>(materials.size())});
-  materials.push_back({.image = static_cast<int>(images.size())});
-  images.push_back(std::move(image));
+  object.parts.push_back({.mesh = std::move(mesh), .material = material});
   objects.push_back(std::move(object));
   return objects.back();
 }

@@ -94,6 +94,9 @@ struct Scene {
   /// Appends an object of one part under the next free id. The reference is good until the next one is added.
   Object& add(std::string name, Mesh mesh, Image image, const glm::mat4& world_from_object = glm::mat4(1));
 
+  /// The same of a material that is there, by its index.
+  Object& add(std::string name, Mesh mesh, int material, const glm::mat4& world_from_object = glm::mat4(1));
+
   /// World bounds of what depth maps show, over the whole way of what moves.
   [[nodiscard]] Bounds bounds(bool shadow_casters_only) const;
 };

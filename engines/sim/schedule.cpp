@@ -44,9 +44,13 @@ std::vector<splatbus_camera_request> Schedule::newcomers(double time_s, const De
 std::vector<splatbus_camera_request> Schedule::serve(double time_s, const DepthVersion& depth_version,
                                                      bool newcomers_only) {
   constexpr double kTolerance_s = 1e-6;
-  std::vector<splatbus_camera_request> due;
+  struct Due {
+    splatbus_camera_request request;
+    double since_s;
+  };
+  std::vector<Due> due;
   for (auto& [key, entry] : entries_) {
-    if (newcomers_only && (entry.served || !entry.newcomer)) continue;
+    if (newcomers_only && (entry.served || !entry.newcomer || entry.postponed)) continue;
     const splatbus_camera_request& request = entry.request;
     if (is_light(request)) {
       const std::optional<std::uint64_t> version = depth_version(request);
@@ -55,6 +59,8 @@ std::vector<splatbus_camera_request> Schedule::serve(double time_s, const DepthV
     } else {
       const bool repeated = request.rate_hz > 0;
       if (entry.served && !(repeated && time_s >= entry.next_due_s - kTolerance_s)) continue;
+      if (!entry.postponed) entry.due_since_s = entry.served ? entry.next_due_s : time_s;
+      entry.postponed = false;
       if (repeated) {
         const double period_s = 1.0 / request.rate_hz;
         // An engine that fell behind goes on from now; it does not catch up.
@@ -63,13 +69,23 @@ std::vector<splatbus_camera_request> Schedule::serve(double time_s, const DepthV
       }
     }
     entry.served = true;
-    due.push_back(request);
+    due.push_back({request, entry.due_since_s});
   }
-  const auto rank = [](const splatbus_camera_request& request) {
-    return is_light(request) ? 0 : request.camera.role == SPLATBUS_ROLE_PROBE ? 1 : 2;
+  const auto order = [](const Due& entry) {
+    const bool probe = entry.request.camera.role == SPLATBUS_ROLE_PROBE;
+    return is_light(entry.request) ? std::pair(0, 0.0) : probe ? std::pair(1, 0.0) : std::pair(2, entry.since_s);
   };
-  std::ranges::stable_sort(due, {}, rank);
-  return due;
+  std::ranges::stable_sort(due, {}, order);
+  std::vector<splatbus_camera_request> requests;
+  for (const Due& entry : due) requests.push_back(entry.request);
+  return requests;
+}
+
+void Schedule::postpone(const splatbus_camera_request& request) {
+  const auto entry = entries_.find({request.camera.role, request.camera.id});
+  if (entry == entries_.end()) return;
+  entry->second.served = false;
+  entry->second.postponed = true;
 }
 
 bool Schedule::repeats(const std::pair<std::uint32_t, std::uint32_t>& key) const {

@@ -25,12 +25,15 @@ class Schedule {
   void replace(std::span<const splatbus_camera_request> requests);
 
   /// Requests that are due; they count as served. Lights come first, so that a picture's depth maps are there before
-  /// it, then probes.
+  /// it, then probes, then what has been due for longest.
   [[nodiscard]] std::vector<splatbus_camera_request> due(double time_s, const DepthVersion& depth_version);
 
   /// Of these only what was asked for of cameras that no set had before the last: few, and someone waits for them. A
   /// camera that moves is asked for again and again, and waits for the next frame.
   [[nodiscard]] std::vector<splatbus_camera_request> newcomers(double time_s, const DepthVersion& depth_version);
+
+  /// Of what due() returned last: it was not rendered after all, and stays due.
+  void postpone(const splatbus_camera_request& request);
 
   /// True when due() would depend on whether the scene has changed.
   [[nodiscard]] bool watches_scene() const;
@@ -46,6 +49,8 @@ class Schedule {
     bool served = false;
     bool newcomer = true;
     double next_due_s = 0;
+    double due_since_s = 0;  ///< what was served last, or is postponed
+    bool postponed = false;
     std::uint64_t depth_version = 0;
   };
   std::map<std::pair<std::uint32_t, std::uint32_t>, Entry> entries_;  ///< by role and id

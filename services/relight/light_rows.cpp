@@ -17,6 +17,8 @@ bool is_fresh(std::uint64_t computed_step, std::uint64_t step) {
   return step >= computed_step && 4 * (step - computed_step) <= step;
 }
 
+}  // namespace
+
 std::vector<MappedLight> mapped(std::span<const LightOfScene> lights) {
   std::vector<MappedLight> out;
   out.reserve(lights.size());
@@ -29,8 +31,6 @@ std::vector<MappedLight> mapped(std::span<const LightOfScene> lights) {
   }
   return out;
 }
-
-}  // namespace
 
 std::int32_t LightRows::row_before(const Row& row) const {
   const auto found = std::ranges::find_if(before_.rows, [&](const Row& candidate) {

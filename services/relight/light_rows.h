@@ -19,6 +19,9 @@ struct LightOfScene {
   std::shared_ptr<const LightMaps> maps;
 };
 
+/// As compute_visibility() takes them; good while the maps are.
+[[nodiscard]] std::vector<MappedLight> mapped(std::span<const LightOfScene> lights);
+
 /// A model in pages as relight reads it.
 struct PagedModel {
   GaussiansView gaussians;

@@ -171,13 +171,14 @@ TEST(Measure, EvalRelightShowsSunsThatItWasNotTrainedWith) {
                                           "90", "--json", "--out", out.string()});
   ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
   const Json summary = read_json(out / "summary.json");
-  expect_finite(summary, {"ssim_own", "ssim_mean", "ssim_min", "gaussians", "iterations"});
+  expect_finite(summary, {"ssim_own", "ssim_mean", "ssim_min", "ssim_point_lights", "gaussians", "iterations"});
   EXPECT_EQ(summary["iterations"], 60) << "not one step under another sun";
   ASSERT_EQ(summary["suns"].size(), 6U);
   EXPECT_EQ(summary["suns"][5]["turn_deg"], 180);
   EXPECT_GT(summary["ssim_own"], 0.8);
   EXPECT_GT(summary["ssim_min"], summary["ssim_own"].get<double>() - 0.1);
   EXPECT_LE(summary["ssim_min"], summary["ssim_mean"]);
+  EXPECT_GT(summary["ssim_point_lights"], 0.7);
   EXPECT_FALSE(metrics::read_png((out / "contact_sheet.png").string()).empty());
 }
 

@@ -10,8 +10,9 @@ namespace {
 // A floor at y = 0 and a lid of 1 m x 1 m at y = 1 above the origin, the sun straight above.
 constexpr float kLid_m = 1, kTop_m = 5, kTexels_per_m = 100;
 
-LightDepths::Map sun_above() {
-  LightDepths::Map map;
+relight::LightMaps sun_above() {
+  relight::LightMaps::Map map;
+  const auto depth_m = std::make_shared<std::vector<float>>();
   map.camera = look_at({0, kTop_m, 0}, {0, 0, 0.001F}, 400, 400, 1);
   map.camera.role = CameraRole::Light;
   map.camera.fx = map.camera.fy = kTexels_per_m;
@@ -20,10 +21,11 @@ LightDepths::Map sun_above() {
     for (int column = 0; column < 400; ++column) {
       const bool lid =
           std::abs(static_cast<float>(row) + 0.5F - 200) < 50 && std::abs(static_cast<float>(column) + 0.5F - 200) < 50;
-      map.depth_m.push_back(lid ? kTop_m - kLid_m : kTop_m);
+      depth_m->push_back(lid ? kTop_m - kLid_m : kTop_m);
     }
   }
-  return map;
+  map.depth_m = {depth_m, reinterpret_cast<const std::byte*>(depth_m->data())};
+  return {.maps = {map}};
 }
 
 TEST(ShadowMask, WhatLiesUnderTheLidIsInShadow) {

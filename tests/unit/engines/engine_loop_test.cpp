@@ -1,14 +1,17 @@
 #include "sim/engine_loop.h"
 
+#include <array>
 #include <atomic>
 #include <cmath>
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <thread>
 
 #include "render_scenes.h"
 #include "sdk_fixture.h"
+#include "source_scenes.h"
 
 namespace splatbus::engine_test {
 namespace {
@@ -21,8 +24,9 @@ class EngineLoopTest : public SdkTest {
   using Motion = std::function<std::optional<sim::Pose>(double)>;
 
   /// `motion` is that of the scene's object 2, within 2 m along x.
-  void start(double sun_rate_deg_s, const Motion& motion = {}, double fps = 50) {
-    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps] {
+  void start(double sun_rate_deg_s, const Motion& motion = {}, double fps = 50,
+             const std::vector<sim::LightSource>& sources = {}, double picture_frames = 1000) {
+    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps, sources, picture_frames] {
       sim::Scene scene;
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
@@ -30,9 +34,10 @@ class EngineLoopTest : public SdkTest {
       scene.objects.back().motion_origins.add(glm::vec3(2, 0, 0));
       scene.objects.back().motion = motion;
       scene.lighting.sun_rate_deg_s = sun_rate_deg_s;
+      scene.lighting.sources = sources;
       sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
       const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
-      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps}).run(stop_);
+      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .picture_frames = picture_frames}).run(stop_);
     });
   }
   ~EngineLoopTest() override { stop_ = true; }
@@ -45,8 +50,9 @@ class EngineLoopTest : public SdkTest {
     result.camera.id = id;
     return result;
   }
-  static Request light_request() {
-    Request result{.camera = {}, .buffers = EngineBuffer::LightDepth};
+  static Request light_request(std::uint32_t id = 0, std::uint32_t light_id = 0, std::uint8_t light_map = 0) {
+    Request result{.camera = {}, .buffers = EngineBuffer::LightDepth, .light_id = light_id, .light_map = light_map};
+    result.camera.id = id;
     result.camera.role = SPLATBUS_ROLE_LIGHT;
     result.camera.width = result.camera.height = 32;
     return result;
@@ -90,6 +96,37 @@ TEST_F(EngineLoopTest, AnswersRequestsAndTheirUpdates) {
   EXPECT_EQ(message->root<wire::EngineFrame>().request_id(), 12U);
   EXPECT_TRUE(message->tensor("albedo").has_value());
   EXPECT_FALSE(frames.receive(std::chrono::milliseconds(100)).has_value());
+}
+
+TEST_F(EngineLoopTest, AFrameWithoutTimeHasItsDepthMapAndOnePictureAndCamerasTakeTurns) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  publish_requests(cameras, {request(1, EngineBuffer::Color, 50), request(2, EngineBuffer::Color, 50),
+                             request(3, EngineBuffer::Color, 50), light_request()});
+  start(20, {}, 50, {}, 0);
+  std::map<std::uint64_t, std::vector<std::uint32_t>> pictures_of_frame;
+  std::map<std::uint64_t, int> maps_of_frame;
+  std::map<std::uint32_t, int> pictures_of_camera;
+  while (pictures_of_frame.size() < 22) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& frame = message->root<wire::EngineFrame>();
+    if (frame.camera()->role() == wire::CameraRole::Light) {
+      ++maps_of_frame[frame.scene()->frame()];
+    } else {
+      pictures_of_frame[frame.scene()->frame()].push_back(frame.camera()->id());
+      if (pictures_of_frame.size() <= 21) ++pictures_of_camera[frame.camera()->id()];
+    }
+  }
+  // All of them are newcomers in the first frame when they reach an engine that stands in it.
+  pictures_of_frame.erase(pictures_of_frame.begin());
+  for (const auto& [frame, pictures] : pictures_of_frame) {
+    EXPECT_EQ(pictures.size(), 1U) << frame;
+    EXPECT_EQ(maps_of_frame[frame], 1) << frame;
+  }
+  for (const std::uint32_t id : {1U, 2U, 3U}) EXPECT_NEAR(pictures_of_camera[id], 7, 1) << id;
 }
 
 TEST_F(EngineLoopTest, FramesCarryTheirInstant) {
@@ -140,6 +177,63 @@ TEST_F(EngineLoopTest, LightDepthFollowsWhatComesAndGoes) {
     EXPECT_NE(before, listed) << "rendered again for no change";
     before = listed;
   }
+}
+
+/// One that moves, from second 0, and one that is there in every other fifth of a second, at one place.
+TEST_F(EngineLoopTest, AllDepthMapsOfAPictureComeBeforeIt) {
+  const auto context = connect("tester");
+  const bus::Publisher cameras(context);
+  bus::Subscriber frames(context, {"engine/frame"});
+  bus_test::meet(cameras, frames);
+  // The picture has the least id, and is a probe: neither puts it before the maps.
+  Request picture = request(0, EngineBuffer::Color, 25, 50);
+  picture.camera.role = SPLATBUS_ROLE_PROBE;
+  std::vector<Request> requests{picture, light_request(1, 0), light_request(9, 2)};
+  for (std::uint8_t face = 0; face < 6; ++face) requests.push_back(light_request(2 + face, 1, face));
+  publish_requests(cameras, requests);
+  const auto exists = [](double time_s) { return std::fmod(time_s + 1e-6, 0.4) >= 0.2; };
+  const sim::LightSource moves{.id = 1, .at = [](double time_s) {
+                                 splatbus_light_source source = sim::point_source();
+                                 source.position[0] = static_cast<float>(0.1 * time_s);
+                                 return std::optional(source);
+                               }};
+  const sim::LightSource visits{.id = 2, .at = [exists](double time_s) {
+                                  return exists(time_s) ? std::optional(sim::spot_source()) : std::nullopt;
+                                }};
+  start(0, {}, 50, {moves, visits});
+  std::set<std::array<std::uint64_t, 3>> maps;  // light, map, depth version
+  std::map<std::uint32_t, std::set<std::uint64_t>> versions;
+  for (int pictures = 0; pictures < 30;) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const auto& frame = message->root<wire::EngineFrame>();
+    const wire::Light& light = *frame.scene()->light();
+    const auto version_of = [&](std::uint32_t id) {
+      for (const wire::LightSource* source : *light.sources()) {
+        if (source->id() == id) return source->depth_version();
+      }
+      return std::uint64_t{0};
+    };
+    if (frame.camera()->role() == wire::CameraRole::Light) {
+      const std::uint32_t id = frame.light_id();
+      EXPECT_TRUE(message->tensor("light_depth", bus::ElementType::F32, {32, 32}).has_value());
+      const std::uint64_t version = id == 0 ? light.sun_depth_version() : version_of(id);
+      EXPECT_TRUE(maps.insert({id, frame.light_map(), version}).second) << "again for no change";
+      versions[id].insert(version);
+      continue;
+    }
+    ++pictures;
+    EXPECT_TRUE(maps.contains({0, 0, light.sun_depth_version()}));
+    for (std::uint64_t face = 0; face < 6; ++face) EXPECT_TRUE(maps.contains({1, face, version_of(1)})) << face;
+    const std::uint64_t visitor = version_of(2);
+    EXPECT_EQ(visitor != 0, exists(frame.scene()->time_s()));
+    if (visitor != 0) {
+      EXPECT_TRUE(maps.contains({2, 0, visitor}));
+    }
+  }
+  EXPECT_EQ(versions[0].size(), 1U);
+  EXPECT_GT(versions[1].size(), 20U);
+  EXPECT_GE(versions[2].size(), 2U);
 }
 
 TEST_F(EngineLoopTest, NewCamerasDoNotWaitForTheNextFrame) {

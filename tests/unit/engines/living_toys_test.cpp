@@ -90,29 +90,54 @@ TEST(LivingToys, ComeAndGoAtTheirTimes) {
   EXPECT_EQ(*named(scene, "drum").motion(9), *named(scene, "drum").motion(16)) << "it returns to its place";
 }
 
+/// Of an object that stands on the floor: within its greatest distance from its vertical axis there is nothing else.
+void expect_touches_no_other(const Scene& scene, const Object& visitor, double time_s) {
+  const glm::vec3 place = visitor.motion(time_s)->translation;
+  EXPECT_NEAR(lowest(visitor, time_s), 0, 1e-4F) << "it stands on the floor";
+  const glm::vec2 middle{place.x, place.z};
+  float radius = 0;
+  each_triangle(visitor, time_s, [&](const auto& corners) {
+    for (const glm::vec3& c : corners) radius = std::max(radius, glm::distance(middle, {c.x, c.z}));
+  });
+  for (const Object& other : scene.objects) {
+    if (other.name == "floor" || other.name == visitor.name) continue;
+    each_triangle(other, time_s, [&](const auto& corners) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        const glm::vec3 &a = corners.at(k), &b = corners.at((k + 1) % 3);
+        ASSERT_GT(distance_to_segment(middle, {a.x, a.z}, {b.x, b.z}), radius) << visitor.name << " in " << other.name;
+      }
+    });
+  }
+}
+
 TEST(LivingToys, TouchNoOther) {
   for (const std::uint32_t seed : {1U, 2U, 3U, 4U}) {
     const Scene& scene = toys_of(seed);
     for (const char* name : {"skittle", "appearing crate", "drum"}) {
       const Object& visitor = named(scene, name);
-      const double time_s = visitor.motion(0) ? 0 : 50;
-      const glm::vec3 place = visitor.motion(time_s)->translation;
-      EXPECT_NEAR(lowest(visitor, time_s), 0, 1e-4F) << "it stands on the floor";
-      const glm::vec2 middle{place.x, place.z};
-      float radius = 0;
-      each_triangle(visitor, time_s, [&](const auto& corners) {
-        for (const glm::vec3& c : corners) radius = std::max(radius, glm::distance(middle, {c.x, c.z}));
-      });
-      for (const Object& other : scene.objects) {
-        if (other.name == "floor" || other.name == name) continue;
-        each_triangle(other, time_s, [&](const auto& corners) {
-          for (std::size_t k = 0; k < 3; ++k) {
-            const glm::vec3 &a = corners.at(k), &b = corners.at((k + 1) % 3);
-            ASSERT_GT(distance_to_segment(middle, {a.x, a.z}, {b.x, b.z}), radius) << name << " in " << other.name;
-          }
-        });
-      }
+      expect_touches_no_other(scene, visitor, visitor.motion(0) ? 0 : 50);
     }
+  }
+}
+
+TEST(LivingToys, ThePotBreathesWhereItStands) {
+  constexpr double kLargest_s = 1.25;
+  for (const std::uint32_t seed : {1U, 2U, 3U, 4U}) {
+    Scene scene = toys_of(seed);
+    add_breathing_toy(scene);
+    const Object& pot = named(scene, "breathing pot");
+    float least = 10, greatest = 0;
+    for (int i = 0; i < 500; ++i) {
+      const Pose pose = *pot.motion(0.013 * i);
+      least = std::min(least, pose.scale);
+      greatest = std::max(greatest, pose.scale);
+      ASSERT_EQ(pose.translation, pot.motion(0)->translation);
+    }
+    EXPECT_NEAR(least, kLeastBreath, 1e-3F);
+    EXPECT_NEAR(greatest, kGreatestBreath, 1e-3F);
+    EXPECT_NEAR(pot.motion(kLargest_s)->scale, kGreatestBreath, 1e-6F);
+    EXPECT_NEAR(lowest(pot, kLargest_s), 0, 1e-6F);
+    expect_touches_no_other(scene, pot, kLargest_s);
   }
 }
 

@@ -121,6 +121,30 @@ TEST(Schedule, ADepthMapWaitsForItsLight) {
   EXPECT_EQ(schedule.due(4, at_version(2)).size(), 1U);
 }
 
+TEST(Schedule, WhatIsPostponedComesBeforeWhatIsDueLater) {
+  Schedule schedule;
+  schedule.replace(std::vector{request(1, 10), request(2, 10), request(3, 10)});
+  // One picture a frame, ten frames a second: cameras take turns, none is left behind.
+  std::map<std::uint32_t, int> rendered;
+  for (int frame = 0; frame < 30; ++frame) {
+    const auto due = schedule.due(frame / 10.0, at_version(0));
+    ASSERT_EQ(due.size(), 3U) << frame;
+    ++rendered[due.front().camera.id];
+    for (std::size_t k = 1; k < due.size(); ++k) schedule.postpone(due[k]);
+  }
+  EXPECT_EQ(rendered[1], 10);
+  EXPECT_EQ(rendered[2], 10);
+  EXPECT_EQ(rendered[3], 10);
+}
+
+TEST(Schedule, WhatIsPostponedIsNoNewcomer) {
+  Schedule schedule;
+  schedule.replace(std::vector{request(1, 0)});
+  schedule.postpone(schedule.due(0, at_version(0)).front());
+  EXPECT_TRUE(schedule.newcomers(0.1, at_version(0)).empty());
+  EXPECT_EQ(ids(schedule.due(0.2, at_version(0))), std::vector{1U});
+}
+
 TEST(Schedule, LightsAndProbesComeFirstAndALateEngineDoesNotCatchUp) {
   Schedule schedule;
   schedule.replace(std::vector{request(1, 10), request(2, 0, 1, SPLATBUS_ROLE_PROBE), map_request(3, 0)});
