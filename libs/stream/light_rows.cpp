@@ -32,15 +32,6 @@ void LightRows::remove(std::span<const std::uint32_t> ascending) {
   for (auto& [id, row] : rows_) remove_at(row, ascending);
 }
 
-void LightRows::gather(std::span<const std::uint32_t> order) {
-  for (auto& [id, row] : rows_) {
-    Bytes moved;
-    moved.reserve(order.size());
-    for (const std::uint32_t slot : order) moved.push_back(row[slot]);
-    row = std::move(moved);
-  }
-}
-
 Bytes* LightRows::find(std::uint32_t id) {
   const auto found = rows_.find(id);
   return found != rows_.end() ? &found->second : nullptr;

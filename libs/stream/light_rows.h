@@ -18,7 +18,6 @@ class LightRows {
   bool set_lights(std::span<const std::uint32_t> ids, std::size_t slots);
   void append(std::size_t slots);
   void remove(std::span<const std::uint32_t> ascending);
-  void gather(std::span<const std::uint32_t> order);
 
   /// Null for a light that is not there.
   [[nodiscard]] Bytes* find(std::uint32_t id);

@@ -200,7 +200,6 @@ void Replica::finish_loading() {
   const bool was_shown = shown() == &loading.state;
   held_ = std::make_unique<ReplicatedState>(std::move(loading.state));
   held_->gaussians = held_->gaussians.gather(order);
-  held_->light_rows.gather(order);
   missing_ids_ = loading.total;
   missing_rows_ = loading.light_rows;
   loading_.reset();
