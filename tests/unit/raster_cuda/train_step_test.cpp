@@ -24,6 +24,8 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   for (auto& target : targets) {
     for (auto& value : target) value = static_cast<std::uint8_t>(random() % 256);
   }
+  std::vector<std::uint8_t> mask(std::size_t{c.width} * c.height);  // of the second view
+  for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = i / 7 % 3 == 0 ? 1 : 0;
   const std::vector<float> rates(41, 1e-3F);
   constexpr int kSteps = 6;
 
@@ -38,6 +40,9 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
     pictures[k].upload(targets[k].data(), targets[k].size(), nullptr);
     views.push_back({{cameras[k], &scene}, pictures[k].data(), pictures[k].data()});
   }
+  device::Buffer<std::uint8_t> device_mask;
+  device_mask.upload(mask.data(), mask.size(), nullptr);
+  views[1].mask = device_mask.data();
   cudaDeviceSynchronize();
   for (int k = 0; k < kSteps; ++k) trainer.step(views);
   const std::vector<float> gpu_losses = trainer.losses();
@@ -58,8 +63,9 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
       Render out;
       cpu->forward(model.view(), cameras[k], scene, {.albedo = true}, out);
       RenderGradient g;
-      loss += image_loss(out.color, targets[k].data(), {}, g.color) / 3;
-      loss += 0.5F * image_loss(out.albedo, targets[k].data(), {}, g.albedo) / 3;
+      const LossOptions options{.mask = k == 1 ? mask.data() : nullptr};
+      loss += image_loss(out.color, targets[k].data(), options, g.color) / 3;
+      loss += 0.5F * image_loss(out.albedo, targets[k].data(), options, g.albedo) / 3;
       for (float& value : g.color.data) value /= 3;
       for (float& value : g.albedo.data) value *= 0.5F / 3;
       cpu->backward(g, gradient);
