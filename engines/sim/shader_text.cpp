@@ -174,8 +174,8 @@ struct Source {
   DepthMap map;          // of a point light only the scale counts
 };
 layout(std140, binding = 0) uniform Sources {
-  Source sources[SOURCES];
-  int source_count;
+  Source sources[SOURCES];  // point and spot lights, then directional ones
+  int local_count, source_count;
 };
 layout(binding = 2) uniform sampler2DArrayShadow local_maps;
 layout(binding = 3) uniform sampler2DArrayShadow directional_maps;
@@ -186,45 +186,39 @@ vec3 in_face(vec3 v, int axis, float side) {
   if (axis == 1) return vec3(-side * v.z, -v.x, side * v.y);
   return vec3(-side * v.x, -v.y, side * v.z);
 }
-float reached_from_point(Source source, vec3 way, vec3 n, vec3 to_light, float cosine) {
+
+// A renderer on the CPU walks through both sides of every branch, so that one call of reached() serves both kinds.
+// Irradiance as schemas/common.fbs, LightSource.
+vec3 from_local(Source source, vec3 n) {
+  bool is_point = source.direction_kind.w == 1;
+  vec3 way = v_world - source.position_range.xyz;
+  float distance_m = max(length(way), 0.01);
+  vec3 to_light = -way / distance_m;
+  float share = distance_m / source.position_range.w;
+  float window = clamp(1 - share * share * share * share, 0, 1);
+  float cone = clamp((-dot(to_light, source.direction_kind.xyz) - source.cone.x) * source.cone.y, 0, 1);
+  float cosine = dot(n, to_light);
+  float factor = window * window / (distance_m * distance_m) * max(cosine, 0) * (is_point ? 1 : cone * cone);
   vec3 size = abs(way);
   int axis = size.x >= max(size.y, size.z) ? 0 : size.y >= size.z ? 1 : 2;
   float side = (axis == 0 ? way.x : axis == 1 ? way.y : way.z) < 0 ? -1 : 1;
-  float layer = source.intensity_layer.w + float(2 * axis) + (side < 0 ? 1 : 0);
-  return reached(local_maps, layer, source.map.scale, true, in_face(way, axis, side), in_face(n, axis, side),
-                 in_face(to_light, axis, side), cosine);
+  vec3 p = is_point ? in_face(way, axis, side) : seen_by(source.map, vec4(v_world, 1));
+  vec3 normal = is_point ? in_face(n, axis, side) : seen_by(source.map, vec4(n, 0));
+  vec3 to = is_point ? in_face(to_light, axis, side) : seen_by(source.map, vec4(to_light, 0));
+  float layer = source.intensity_layer.w + (is_point ? float(2 * axis) + (side < 0 ? 1 : 0) : 0);
+  if (factor > 0 && source.intensity_layer.w >= 0)
+    factor *= reached(local_maps, layer, source.map.scale, true, p, normal, to, cosine);
+  return factor * source.intensity_layer.xyz;
 }
 
-// schemas/common.fbs, LightSource.
-vec3 from_source(Source source, vec3 n) {
-  int kind = int(source.direction_kind.w);
+vec3 from_directional(Source source, vec3 n) {
   vec3 to_light = source.direction_kind.xyz;
-  vec3 way = v_world - source.position_range.xyz;
-  float factor = 1;
-  if (kind != 0) {
-    float distance_m = max(length(way), 0.01);
-    to_light = -way / distance_m;
-    float share = distance_m / source.position_range.w;
-    float window = clamp(1 - share * share * share * share, 0, 1);
-    factor = window * window / (distance_m * distance_m);
-  }
-  if (kind == 2) {
-    float cone = clamp((-dot(to_light, source.direction_kind.xyz) - source.cone.x) * source.cone.y, 0, 1);
-    factor *= cone * cone;
-  }
   float cosine = dot(n, to_light);
-  factor *= cosine;
-  if (factor <= 0) return vec3(0);
-  if (source.intensity_layer.w >= 0) {
-    if (kind == 1) {
-      factor *= reached_from_point(source, way, n, to_light, cosine);
-    } else {
-      vec3 p = seen_by(source.map, vec4(v_world, 1));
-      vec3 normal = seen_by(source.map, vec4(n, 0)), to = seen_by(source.map, vec4(to_light, 0));
-      float layer = source.intensity_layer.w;
-      factor *= kind == 0 ? reached(directional_maps, layer, source.map.scale, false, p, normal, to, cosine)
-                          : reached(local_maps, layer, source.map.scale, true, p, normal, to, cosine);
-    }
+  float factor = max(cosine, 0);
+  if (factor > 0 && source.intensity_layer.w >= 0) {
+    factor *= reached(directional_maps, source.intensity_layer.w, source.map.scale, false,
+                      seen_by(source.map, vec4(v_world, 1)), seen_by(source.map, vec4(n, 0)),
+                      seen_by(source.map, vec4(to_light, 0)), cosine);
   }
   return factor * source.intensity_layer.xyz;
 }
@@ -260,7 +254,8 @@ void main() {
   float cosine = dot(n, sun_direction);
   if (cosine > 0 && sun_over_pi != vec3(0)) light += sun_over_pi * (cosine * sun_visibility(n));
 #ifdef SOURCES
-  for (int i = 0; i < source_count; ++i) light += from_source(sources[i], n);
+  for (int i = 0; i < local_count; ++i) light += from_local(sources[i], n);
+  for (int i = local_count; i < source_count; ++i) light += from_directional(sources[i], n);
 #endif
   out_lit = vec4(base * light, 1);
 #elif defined(OUT_LIT)

@@ -60,19 +60,22 @@ void SourceLights::draw_maps(GpuScene& scene, const splatbus_light& light, Place
 void SourceLights::update(GpuScene& scene, const splatbus_light& light, const DepthPrograms& program_for) {
   const std::span sources(light.sources, light.source_count);
   lay_out(sources);
+  const auto is_local = [](const splatbus_light_source& source) { return source.kind != SPLATBUS_LIGHT_DIRECTIONAL; };
+  std::size_t local = 0, directional = static_cast<std::size_t>(std::ranges::count_if(sources, is_local));
+  block_.count = {static_cast<std::int32_t>(directional), static_cast<std::int32_t>(sources.size())};
   for (std::size_t i = 0; i < sources.size(); ++i) {
     const splatbus_light_source& source = sources[i];
     Place& place = places_[i];
     if (place.drawn_version != source.depth_version) draw_maps(scene, light, place, program_for);
     place.drawn_version = source.depth_version;
-    block_.sources.at(i) = {.position_range = {vec(source.position), source.range_m},
-                            .direction_kind = {vec(source.direction), static_cast<float>(source.kind)},
-                            .intensity_layer = {vec(source.intensity) / glm::pi<float>(),
-                                                place.maps > 0 ? static_cast<float>(place.first_layer) : -1},
-                            .cone = {source.cos_outer, 1 / (source.cos_inner - source.cos_outer), 0, 0},
-                            .map = place.camera};
+    block_.sources.at(is_local(source) ? local++ : directional++) = {
+        .position_range = {vec(source.position), source.range_m},
+        .direction_kind = {vec(source.direction), static_cast<float>(source.kind)},
+        .intensity_layer = {vec(source.intensity) / glm::pi<float>(),
+                            place.maps > 0 ? static_cast<float>(place.first_layer) : -1},
+        .cone = {source.cos_outer, 1 / (source.cos_inner - source.cos_outer), 0, 0},
+        .map = place.camera};
   }
-  block_.count[0] = static_cast<std::int32_t>(sources.size());
   if (!buffer_) {
     buffer_ = make_buffer();
     glNamedBufferStorage(buffer_.get(), sizeof(Block), nullptr, GL_DYNAMIC_STORAGE_BIT);

@@ -40,7 +40,7 @@ class SourceLights {
   };
   struct Block {
     std::array<Source, SPLATBUS_MAX_LIGHTS> sources;
-    std::array<std::int32_t, 4> count;
+    std::array<std::int32_t, 4> count;  ///< of point and spot lights, and of all
   };
 
   void lay_out(std::span<const splatbus_light_source> sources);
