@@ -120,7 +120,11 @@ nlohmann::json run_cuda(const Arguments& arguments) {
   for (std::size_t k = 0; k < batches.size() * batch; ++k) {
     const std::size_t camera = k % cameras;
     const std::uint8_t* const picture = pictures[camera].data();
-    batches[k / batch].push_back({{workload.cameras[camera], &workload.scene}, picture, picture});
+    const raster::cuda::DeviceGaussians& rows = model.view();
+    batches[k / batch].push_back(
+        {{workload.cameras[camera], &workload.scene, rows.visibility_u8, rows.visibility_stride, rows.visibility_rows},
+         picture,
+         picture});
   }
 
   std::size_t next = 0;

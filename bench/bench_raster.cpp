@@ -41,6 +41,8 @@ int main(int argc, char** argv) {
   app.add_flag("--separate-adam", arguments.separate_adam, "backward and Adam as two passes even at a batch of 1");
   app.add_option("--pages", arguments.pages, "none; all: pages, every one listed; seen: pages that a camera sees")
       ->check(CLI::IsMember({"none", "all", "seen"}));
+  app.add_option("--sources", arguments.sources, "transfer: light sources besides the sun, each with visibility")
+      ->check(CLI::Range(std::size_t{0}, splatbus::kMaxLightSources));
   app.add_option("--copies", arguments.copies, "of the scene, of which the cameras see one")
       ->check(CLI::Range(1, 1000));
   app.add_option("--json", arguments.json, "where the result goes; standard output if absent");

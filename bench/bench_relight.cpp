@@ -8,6 +8,7 @@
 #include <cmath>
 #include <glm/gtc/constants.hpp>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "device/buffer.h"
@@ -21,6 +22,7 @@ struct Options {
   std::size_t gaussians = 1'000'000;
   std::uint32_t texels = 1024;
   int repeats = 20;
+  int lamps = 16;
   Device device = Device::Cpu;
 };
 
@@ -89,7 +91,7 @@ struct Scene {
     camera.fx = camera.fy = static_cast<float>(options.texels) / 15.0F;
     sources.push_back({.kind = LightKind::Directional, .direction = glm::normalize(glm::vec3(6, 10, 4))});
     maps.push_back({HostMap(camera, false)});
-    for (int lamp = 0; lamp < kLamps * kLamps; ++lamp) add_lamp(lamp);
+    for (int lamp = 0; lamp < options.lamps; ++lamp) add_lamp(lamp);
   }
 
  private:
@@ -129,7 +131,7 @@ double copy_rate(const device::Stream& stream) {
   return 2.0 * kBytes / least_s;
 }
 
-void measure(const char* name, const Options& options, const device::Stream& stream, const GaussiansView& view,
+void measure(const std::string& name, const Options& options, const device::Stream& stream, const GaussiansView& view,
              std::span<const MappedLight> lights, double bytes_a_second) {
   device::Buffer<std::uint8_t> visibility(stream, options.gaussians * lights.size());
   std::vector<double> samples_ms;
@@ -186,7 +188,9 @@ int run(const Options& options) {
   view.normal = normal.data();
   const double rate = copy_rate(stream);
   measure("the sun", options, stream, view, std::span(lights).first(1), rate);
-  measure("the sun and 16 lights", options, stream, view, lights, rate);
+  if (options.lamps > 0) {
+    measure(fmt::format("the sun and {} lights", options.lamps), options, stream, view, lights, rate);
+  }
   return 0;
 }
 
@@ -197,10 +201,13 @@ int run(const Options& options) {
 int main(int argc, char** argv) {
   splatbus::relight::Options options;
   bool cuda = false;
-  CLI::App app("Times relight's visibility of the sun, and of the sun and 16 point lights.");
+  CLI::App app("Times relight's visibility of the sun, and of the sun and point lights.");
   app.add_option("--gaussians", options.gaussians)->capture_default_str();
   app.add_option("--texels", options.texels, "a side of the sun's depth map")->capture_default_str();
   app.add_option("--repeats", options.repeats)->capture_default_str();
+  app.add_option("--lamps", options.lamps, "point lights with shadows")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 32));
   app.add_flag("--cuda", cuda);
   CLI11_PARSE(app, argc, argv);
   if (cuda) options.device = splatbus::Device::Cuda;

@@ -71,6 +71,33 @@ Workload::Workload(const Arguments& arguments)
   scene.light.sun_irradiance = glm::vec3(1);
   if (arguments.copies > 1) model = stacked(model, cameras, arguments.copies);
   if (pages_ != "none") paged = PagedScene(model.view());
+  add_sources(arguments.sources);
+}
+
+/// Points and spots by turns, at every so many of the Gaussians, whose light reaches all of them.
+void Workload::add_sources(std::size_t count) {
+  if (count == 0 || model.count() == 0) return;
+  const auto mean = [&](std::size_t i) {
+    return glm::vec3(model.view().plane(0)[i], model.view().plane(1)[i], model.view().plane(2)[i]);
+  };
+  glm::vec3 low(INFINITY), high(-INFINITY);
+  for (std::size_t i = 0; i < model.count(); ++i) {
+    low = glm::min(low, mean(i));
+    high = glm::max(high, mean(i));
+  }
+  const float extent_m = glm::distance(low, high);
+  for (std::size_t j = 0; j < count; ++j) {
+    const glm::vec3 at = mean(j * model.count() / count) + glm::vec3(0, 0.05F * extent_m, 0);
+    scene.light.sources.push_back({.id = static_cast<std::uint32_t>(1 + j),
+                                   .kind = j % 2 == 0 ? LightKind::Point : LightKind::Spot,
+                                   .position = at,
+                                   .direction = {0, -1, 0},
+                                   .intensity = glm::vec3(0.01F * extent_m * extent_m),
+                                   .range_m = 2 * extent_m,
+                                   .cos_inner = 0.9F,
+                                   .cos_outer = -1});
+  }
+  visibility.assign((1 + count) * view().count, 200);
 }
 
 void Workload::disturb() {
@@ -86,7 +113,12 @@ void Workload::disturb() {
 }
 
 GaussiansView Workload::view() const {
-  return pages_ == "none" ? model.view() : paged.view(pages_ == "seen");
+  GaussiansView out = pages_ == "none" ? model.view() : paged.view(pages_ == "seen");
+  if (visibility.empty()) return out;
+  out.visibility_u8 = visibility.data();
+  out.visibility_stride = out.count;
+  out.visibility_rows = static_cast<std::uint32_t>(1 + scene.light.sources.size());
+  return out;
 }
 
 float* Workload::parameters() {
@@ -138,6 +170,7 @@ nlohmann::json report(const Arguments& arguments, const Workload& workload, cons
           {"active_channels", arguments.active_channels},
           {"batch", arguments.batch},
           {"pages", arguments.pages},
+          {"sources", arguments.sources},
           {"page_lanes", arguments.pages == "none" ? 0 : kPageLanes},
           {"ms_median", step_ms},
           {"ms_min", *std::min_element(milliseconds.begin(), milliseconds.end())},

@@ -17,6 +17,7 @@ struct Arguments {
   bool separate_adam = false;
   std::string pages = "none";  ///< none; all: in pages, every one listed; seen: those that a camera sees
   int copies = 1;              ///< of the scene, of which the cameras see one
+  std::size_t sources = 0;     ///< lights besides the sun, each with its row of visibility
   float albedo_weight = 0;     ///< CUDA, transfer: above 0 the pictures are albedo pictures, too
 };
 
@@ -26,6 +27,7 @@ struct Workload {
   std::vector<Camera> cameras;
   SceneState scene;
   PagedScene paged;
+  std::vector<std::uint8_t> visibility;  ///< [1 + sources][count of view()]; empty without sources
 
   /// Throws std::runtime_error, naming the file.
   explicit Workload(const Arguments& arguments);
@@ -37,6 +39,8 @@ struct Workload {
   [[nodiscard]] float* parameters();
 
  private:
+  void add_sources(std::size_t count);
+
   std::string pages_;
 };
 

@@ -81,6 +81,7 @@ std::optional<cv::Mat> SceneView::render(LiveScene& live, const Camera& camera, 
     relight::compute_visibility(stream_, gaussians, scene.objects, relight::mapped(*lights), {}, visibility_.data());
     gaussians.visibility_u8 = visibility_.data();
     gaussians.visibility_stride = gaussians.count;
+    gaussians.visibility_rows = static_cast<std::uint32_t>(lights->size());
   }
   renderer_->read_in_place(gaussians);
   renderer_->draw(camera, scene, {}, render_);

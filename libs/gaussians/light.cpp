@@ -72,6 +72,12 @@ Incident incident(const LightSource& source, const glm::vec3& point) {
   return {to_light, factor * source.intensity};
 }
 
+std::vector<std::uint32_t> light_ids(const Light& light) {
+  std::vector<std::uint32_t> ids{0};
+  for (const LightSource& source : light.sources) ids.push_back(source.id);
+  return ids;
+}
+
 glm::vec3 operator*(const ObjectTransform& world_from_object, const glm::vec3& point_object) {
   return world_from_object.rigid * (world_from_object.scale * point_object);
 }

@@ -86,6 +86,9 @@ struct ObjectTransform {
 /// The objects that can move and exist; an id that is not here has local frame = world.
 using ObjectTransforms = std::map<std::uint32_t, ObjectTransform>;
 
+/// Of the rows of visibility under that light, ascending: 0, the sun, then every source's.
+[[nodiscard]] std::vector<std::uint32_t> light_ids(const Light& light);
+
 /// What a render needs besides Gaussians and camera.
 struct SceneState {
   Light light;

@@ -5,17 +5,9 @@
 #include <unordered_map>
 
 #include "gaussians/model.h"
+#include "gaussians/portable.h"
 
 namespace splatbus {
-
-namespace {
-
-math::Rigid portable(const Rigid& rigid) {
-  const glm::quat& q = rigid.rotation;
-  return {math::rotation_matrix(q.w, q.x, q.y, q.z), {rigid.translation.x, rigid.translation.y, rigid.translation.z}};
-}
-
-}  // namespace
 
 std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const FrustumCamera& camera,
                                       const Rigid& world_from_camera, const ObjectTransforms& objects) {

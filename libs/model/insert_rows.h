@@ -20,7 +20,8 @@ struct InsertRows {
   const std::uint32_t* object_id = nullptr;
 };
 
-/// Light of an insert, world frame, and how its objects are turned: world from object, ascending ids.
+/// Light of an insert, world frame, and what it is to its objects: how they are turned, world from object, and whether
+/// they shine with their albedo instead. Ascending ids.
 struct InsertLight {
   float ambient_sh[27];  ///< [9][3]
   float sun_direction[3];
@@ -29,6 +30,7 @@ struct InsertLight {
 struct ObjectRotation {
   std::uint32_t id;
   float w, x, y, z;
+  bool emissive;
 };
 
 /// In place of an index: the Gaussian is not in the model, for no page was left for it.

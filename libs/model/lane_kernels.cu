@@ -24,15 +24,15 @@ struct LightRow {
   std::uint32_t object_count;
   float* dc;
 
-  SPLATBUS_PORTABLE_MEMBER math::Vec3 world_normal(std::uint32_t k) const {
-    const math::Vec3 n{rows.normal[k], rows.normal[rows.stride + k], rows.normal[2 * rows.stride + k]};
+  /// Null for what stands still.
+  SPLATBUS_PORTABLE_MEMBER const ObjectRotation* object_of(std::uint32_t k) const {
     for (std::uint32_t low = 0, high = object_count; low < high;) {
       const std::uint32_t middle = (low + high) / 2;
       const ObjectRotation& q = objects[middle];
-      if (q.id == rows.object_id[k]) return math::rotation_matrix(q.w, q.x, q.y, q.z) * n;
+      if (q.id == rows.object_id[k]) return &q;
       (q.id < rows.object_id[k] ? low : high) = q.id < rows.object_id[k] ? middle + 1 : middle;
     }
-    return n;
+    return nullptr;
   }
   /// ambient_reflected() of gaussians/light.h.
   SPLATBUS_PORTABLE_MEMBER float ambient_reflected(int color, const math::Vec3& n) const {
@@ -50,12 +50,16 @@ struct LightRow {
     return sum;
   }
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t k) const {
-    const math::Vec3 n = world_normal(k);
+    const ObjectRotation* const object = object_of(k);
+    math::Vec3 n{rows.normal[k], rows.normal[rows.stride + k], rows.normal[2 * rows.stride + k]};
+    if (object != nullptr) n = math::rotation_matrix(object->w, object->x, object->y, object->z) * n;
+    const bool shines = object != nullptr && object->emissive;
     const math::Vec3 sun{light.sun_direction[0], light.sun_direction[1], light.sun_direction[2]};
     const float cosine = math::larger(0.0F, math::dot(n, sun));
     for (int c = 0; c < 3; ++c) {
       const float direct = light.sun_irradiance[c] * (rows.visibility[k] * cosine / kPi);
-      const float lit = rows.albedo[c * rows.stride + k] * (math::larger(ambient_reflected(c, n), 0.0F) + direct);
+      const float light_c = shines ? 1.0F : math::larger(ambient_reflected(c, n), 0.0F) + direct;
+      const float lit = rows.albedo[c * rows.stride + k] * light_c;
       dc[std::size_t{count} * c + k] = (math::srgb_from_linear(lit) - 0.5F) / kShC0;
     }
   }

@@ -30,7 +30,7 @@ std::vector<ObjectRotation> object_rotations(const ObjectTransforms& objects) {
   rotations.reserve(objects.size());
   for (const auto& [id, world_from_object] : objects) {
     const glm::quat& q = world_from_object.rigid.rotation;
-    rotations.push_back({.id = id, .w = q.w, .x = q.x, .y = q.y, .z = q.z});
+    rotations.push_back({.id = id, .w = q.w, .x = q.x, .y = q.y, .z = q.z, .emissive = world_from_object.emissive});
   }
   return rotations;
 }

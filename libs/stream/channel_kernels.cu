@@ -239,9 +239,11 @@ struct Gather {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const { to[i] = from[order[i]]; }
 };
 
+template <class T>
 struct Scatter {
-  const std::uint32_t *values, *columns;
-  std::uint32_t* to;
+  const T* values;
+  const std::uint32_t* columns;
+  T* to;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const { to[columns[i]] = values[i]; }
 };
@@ -292,9 +294,19 @@ void gather(const std::uint32_t* from, const std::uint32_t* order, std::uint32_t
   device::for_each_index(stream, count, Gather<std::uint32_t>{from, order, to});
 }
 
+void gather(const std::uint8_t* from, const std::uint32_t* order, std::uint32_t count, std::uint8_t* to,
+            device::StreamView stream) {
+  device::for_each_index(stream, count, Gather<std::uint8_t>{from, order, to});
+}
+
 void scatter(const std::uint32_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint32_t* to,
              device::StreamView stream) {
-  device::for_each_index(stream, count, Scatter{values, columns, to});
+  device::for_each_index(stream, count, Scatter<std::uint32_t>{values, columns, to});
+}
+
+void scatter(const std::uint8_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint8_t* to,
+             device::StreamView stream) {
+  device::for_each_index(stream, count, Scatter<std::uint8_t>{values, columns, to});
 }
 
 }  // namespace splatbus::stream::kernels

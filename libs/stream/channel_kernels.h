@@ -122,8 +122,13 @@ void gather(const float* from, const std::uint32_t* order, std::uint32_t count, 
 void gather(const std::uint32_t* from, const std::uint32_t* order, std::uint32_t count, std::uint32_t* to,
             device::StreamView stream);
 
+void gather(const std::uint8_t* from, const std::uint32_t* order, std::uint32_t count, std::uint8_t* to,
+            device::StreamView stream);
+
 /// to[columns[i]] = values[i] for i below `count`.
 void scatter(const std::uint32_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint32_t* to,
+             device::StreamView stream);
+void scatter(const std::uint8_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint8_t* to,
              device::StreamView stream);
 
 }  // namespace splatbus::stream::kernels

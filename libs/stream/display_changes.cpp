@@ -9,6 +9,8 @@ struct Bytesize {
   std::size_t operator()(const DisplayAppend& c) const { return display_bytes(c.gaussians); }
   std::size_t operator()(const DisplayValues& c) const { return 4 * (c.columns.size() + c.values.size()); }
   std::size_t operator()(const DisplayObjects& c) const { return 8 * c.columns.size(); }
+  std::size_t operator()(const DisplayLights& c) const { return 4 * c.ids.size(); }
+  std::size_t operator()(const DisplaySeen& c) const { return 5 * c.columns.size(); }
   std::size_t operator()(const DisplayRemoval& c) const { return 4 * c.ascending.size(); }
   std::size_t operator()(const DisplayOrder& c) const { return 4 * c.order.size(); }
 };

@@ -33,13 +33,23 @@ struct DisplayObjects {
 struct DisplayRemoval {
   std::vector<std::uint32_t> ascending;
 };
+/// Which lights there are besides the sun, by ascending id. New ones are seen by all; those that go are forgotten.
+struct DisplayLights {
+  std::vector<std::uint32_t> ids;
+};
+/// How much of a light is seen, of 255.
+struct DisplaySeen {
+  std::uint32_t light_id = 0;  ///< 0: the sun, beside its DisplayValues, while there are others
+  std::vector<std::uint32_t> columns;
+  Bytes values;
+};
 /// Column i becomes what column order[i] was; a permutation of all columns.
 struct DisplayOrder {
   std::vector<std::uint32_t> order;
 };
 
-using DisplayChange =
-    std::variant<DisplayReset, DisplayAppend, DisplayValues, DisplayObjects, DisplayRemoval, DisplayOrder>;
+using DisplayChange = std::variant<DisplayReset, DisplayAppend, DisplayValues, DisplayObjects, DisplayLights,
+                                   DisplaySeen, DisplayRemoval, DisplayOrder>;
 
 /// In the order in which they are to be applied.
 class DisplayChanges {
@@ -67,7 +77,7 @@ class DisplayChanges {
   std::size_t bytes_ = 0;
 };
 
-/// Of a DisplayAppend of `count` Gaussians.
+/// Of a DisplayAppend.
 [[nodiscard]] std::size_t display_bytes(const QuantizedGaussians& gaussians);
 
 }  // namespace splatbus::stream

@@ -23,6 +23,9 @@ class DisplayGaussians {
   /// Valid until the next change. gaussian_id, surface_point, flags and cell are null; without Transfer normal and
   /// visibility too.
   [[nodiscard]] GaussiansView view() const;
+  /// The same under a light with these sources, by ascending id: rows of visibility_u8 in their order, one that is not
+  /// known seen by all.
+  [[nodiscard]] GaussiansView view(const std::vector<LightSource>& sources);
 
  private:
   DisplayGaussians(const StreamLayout& layout, device::StreamView stream);
@@ -31,12 +34,17 @@ class DisplayGaussians {
   void apply(const DisplayAppend& change);
   void apply(const DisplayValues& change);
   void apply(const DisplayObjects& change);
+  void apply(const DisplayLights& change);
+  void apply(const DisplaySeen& change);
   void apply(const DisplayRemoval& change);
   void apply(const DisplayOrder& change) { gather(change.order, 0); }
   void reserve(std::size_t columns);
   /// Columns from `first` on become order's, of which there may be fewer.
   void gather(const std::vector<std::uint32_t>& order, std::size_t first);
   [[nodiscard]] int row_of(Attribute attribute) const;
+  /// Rows for `ids` in `to`, [1 + ids][stride], from what is seen now.
+  void gather_lights(const std::vector<std::uint32_t>& ids, std::size_t stride, device::Buffer<std::uint8_t>& to);
+  [[nodiscard]] std::uint8_t* seen_row(std::uint32_t light_id) const;
   [[nodiscard]] float* row(int index) const { return rows_.data() + static_cast<std::size_t>(index) * stride_; }
 
   StreamLayout layout_;
@@ -45,7 +53,11 @@ class DisplayGaussians {
   std::size_t count_ = 0, stride_ = 0;
   device::Buffer<float> rows_;               ///< [row_count_][stride_]: parameters, normal, visibility
   device::Buffer<std::uint32_t> object_id_;  ///< [stride_]
+  std::vector<std::uint32_t> lights_;
+  device::Buffer<std::uint8_t> seen_;    ///< [1 + lights][stride_], the sun's first; empty without lights
+  device::Buffer<std::uint8_t> others_;  ///< the same in the order of other lights
   device::Buffer<float> moved_;
+  device::Buffer<std::uint8_t> moved_bytes_;
   device::Buffer<std::uint32_t> moved_ids_, columns_;
   device::Buffer<std::int32_t> values_;
 };

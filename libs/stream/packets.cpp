@@ -12,7 +12,7 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr const char* kSchema = "Packet/2";
+constexpr const char* kSchema = "Packet/3";
 
 std::int64_t now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())

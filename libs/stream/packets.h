@@ -53,7 +53,7 @@ class PacketWriter {
 class ParsedPacket {
  public:
   /// Copies both (they may be unaligned in a message's memory). Throws StreamError when a size is above its limit, the
-  /// buffer does not verify, or its schema is not Packet/2.
+  /// buffer does not verify, or its schema is not Packet/3.
   static ParsedPacket parse(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload);
 
   [[nodiscard]] const wire::Packet& root() const { return *root_; }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <numeric>
 #include <utility>
 
 #include "stream/bytes.h"
@@ -35,6 +36,22 @@ bool is_numbered_content(wire::Body body) {
     default:
       return false;
   }
+}
+
+std::vector<std::uint32_t> all_slots(const ReplicatedState& state) {
+  std::vector<std::uint32_t> slots(state.gaussians.count());
+  std::iota(slots.begin(), slots.end(), 0U);
+  return slots;
+}
+
+DisplaySeen seen_of_sun(const ReplicatedState& state) {
+  DisplaySeen seen{.light_id = 0, .columns = {}, .values = {}};
+  if (const AttributeChannels* a = state.layout.find(Attribute::Visibility)) {
+    const std::vector<std::int32_t>& plane = state.gaussians.channels[a->first];
+    seen.columns = all_slots(state);
+    seen.values.assign(plane.begin(), plane.end());
+  }
+  return seen;
 }
 
 }  // namespace
@@ -73,6 +90,7 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   loading.snapshot = body.snapshot();
   loading.total = body.total();
   loading.chunk_count = body.chunk_count();
+  loading.light_rows = body.light_rows();
   ReplicatedState& state = loading.state;
   state.layout = layout;
   state.gaussians = QuantizedGaussians(state.layout);
@@ -80,6 +98,7 @@ void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
   state.sequence = body.as_of();
   state.visibility_version = body.visibility_version();
   if (const ReplicatedState* before = shown()) {  // until the snapshot's own arrives
+    state.light_rows.set_lights(before->light_rows.ids(), 0);
     state.quantized_scene = before->quantized_scene;
     state.scene = before->scene;
     state.instant = before->instant;
@@ -102,6 +121,8 @@ bool Replica::load(const ParsedPacket& packet) {
       return load_chunk(packet);
     case wire::Body::GaussianOrder:
       return load_ids(packet);
+    case wire::Body::LightVisibility:
+      return load_light_row(packet);
     case wire::Body::Scene:
       if (loading_) return apply_to(loading_->state, packet) && shown() == &loading_->state;
       return held_ && apply_to(*held_, packet);
@@ -122,6 +143,7 @@ bool Replica::load_chunk(const ParsedPacket& packet) {
   if (column + body.count() > loading_->total) refuse_snapshot("Snapshot: chunks overlap");
   QuantizedGaussians chunk = decode_chunk(packet.payload(), part.layout, body.count());
   part.gaussians.append(chunk);
+  part.light_rows.append(chunk.count());
   if (shown() == &part) note(DisplayAppend{std::move(chunk)});
   loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
   const bool visible = shown() == &part;
@@ -140,6 +162,13 @@ bool Replica::load_ids(const ParsedPacket& packet) {
   }
   const bool changed = apply_to(*held_, packet);
   missing_ids_ -= body.count();
+  return drain() || changed;
+}
+
+bool Replica::load_light_row(const ParsedPacket& packet) {
+  if (loading_ || missing_rows_ == 0) return false;
+  const bool changed = apply_to(*held_, packet);
+  --missing_rows_;
   return drain() || changed;
 }
 
@@ -171,7 +200,9 @@ void Replica::finish_loading() {
   const bool was_shown = shown() == &loading.state;
   held_ = std::make_unique<ReplicatedState>(std::move(loading.state));
   held_->gaussians = held_->gaussians.gather(order);
+  held_->light_rows.gather(order);
   missing_ids_ = loading.total;
+  missing_rows_ = loading.light_rows;
   loading_.reset();
   if (was_shown) {
     note(DisplayOrder{std::move(order)});
@@ -198,7 +229,17 @@ void Replica::note(const ReplicatedState& state, const Change& change) {
       for (int c = a.first; c < a.first + a.channels; ++c) {
         for (const std::uint32_t slot : change.slots) values.values.push_back(state.gaussians.channels[c][slot]);
       }
+      if (change.attribute == Attribute::Visibility && !state.light_rows.all().empty()) {
+        note(DisplaySeen{0, change.slots, Bytes(values.values.begin(), values.values.end())});
+      }
       note(std::move(values));
+      break;
+    }
+    case Change::Kind::Seen: {
+      DisplaySeen seen{.light_id = change.light_id, .columns = change.slots, .values = {}};
+      const Bytes& row = *state.light_rows.find(change.light_id);
+      for (const std::uint32_t slot : change.slots) seen.values.push_back(row[slot]);
+      note(std::move(seen));
       break;
     }
     case Change::Kind::Removed:
@@ -211,6 +252,11 @@ void Replica::note(const ReplicatedState& state, const Change& change) {
       break;
     }
     case Change::Kind::Scene:
+      if (change.lights_changed) {
+        note(DisplayLights{state.light_rows.ids()});
+        if (!state.light_rows.all().empty()) note(seen_of_sun(state));
+      }
+      break;
     case Change::Kind::Nothing:
       break;
   }
@@ -222,7 +268,9 @@ void Replica::note(DisplayChange change) {
 }
 
 bool Replica::exceeds_whole(const DisplayChanges& changes) const {
-  return changes.bytes() > kMinChanges + 2 * display_bytes(shown_state().gaussians);
+  const ReplicatedState& state = shown_state();
+  const std::size_t rows = 5 * state.light_rows.all().size() * state.gaussians.count();
+  return changes.bytes() > kMinChanges + 2 * (display_bytes(state.gaussians) + rows);
 }
 
 DisplayChanges Replica::take_changes() {
@@ -233,7 +281,10 @@ DisplayChanges Replica::whole() const {
   const ReplicatedState& state = shown_state();
   DisplayChanges out;
   out.add(DisplayReset{state.layout});
-  if (state.gaussians.count() > 0) out.add(DisplayAppend{state.gaussians});
+  if (!state.light_rows.all().empty()) out.add(DisplayLights{state.light_rows.ids()});
+  if (state.gaussians.count() == 0) return out;
+  out.add(DisplayAppend{state.gaussians});
+  for (const auto& [id, row] : state.light_rows.all()) out.add(DisplaySeen{id, all_slots(state), row});
   return out;
 }
 

@@ -52,7 +52,7 @@ class Replica {
   /// Epoch that is followed, 0 before the first SnapshotBegin.
   [[nodiscard]] std::uint64_t epoch() const;
   /// Until all of a snapshot has come, the ids included.
-  [[nodiscard]] bool loading() const { return loading_.has_value() || missing_ids_ > 0; }
+  [[nodiscard]] bool loading() const { return loading_.has_value() || missing_ids_ > 0 || missing_rows_ > 0; }
   [[nodiscard]] std::uint32_t missing_chunks() const;
 
   /// What to ask a Resend for; nullopt while nothing is known to be missing.
@@ -71,7 +71,7 @@ class Replica {
   };
   struct Loading {
     std::uint64_t snapshot = 0;
-    std::size_t total = 0, chunk_count = 0;
+    std::size_t total = 0, chunk_count = 0, light_rows = 0;
     std::map<std::size_t, Chunk> chunks;  ///< by first slot
     ReplicatedState state;                ///< chunks in the order of their arrival
   };
@@ -81,6 +81,7 @@ class Replica {
   bool load(const ParsedPacket& packet);
   bool load_chunk(const ParsedPacket& packet);
   bool load_ids(const ParsedPacket& packet);
+  bool load_light_row(const ParsedPacket& packet);
   void finish_loading();
   [[noreturn]] void refuse_snapshot(const std::string& why);
   bool apply_in_order(const ParsedPacket& packet);
@@ -98,7 +99,7 @@ class Replica {
   std::size_t max_gaussians_;
   std::unique_ptr<ReplicatedState> held_;
   std::optional<Loading> loading_;
-  std::size_t missing_ids_ = 0;  ///< of the snapshot whose chunks are all held
+  std::size_t missing_ids_ = 0, missing_rows_ = 0;  ///< of the snapshot whose chunks are all held
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
   std::uint64_t last_known_ = 0;

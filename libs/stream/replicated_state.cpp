@@ -37,7 +37,8 @@ Change append(ReplicatedState& state, const wire::Snapshot& body, std::span<cons
         fmt::format("Snapshot: {} more Gaussians than {} exceed the limit of {}", body.count(), held, max_gaussians));
   }
   state.gaussians.append(decode_chunk(payload, state.layout, body.count()));
-  return {Change::Kind::Appended, {}, slot_range(held, body.count())};
+  state.light_rows.append(body.count());
+  return {.kind = Change::Kind::Appended, .slots = slot_range(held, body.count())};
 }
 
 Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std::span<const std::uint8_t> payload) {
@@ -66,7 +67,7 @@ Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std:
     auto& plane = state.gaussians.channels[a->first + c];
     for (std::size_t i = 0; i < delta.slots.size(); ++i) plane[delta.slots[i]] = delta.residuals[c][i];
   }
-  return {Change::Kind::Values, a->attribute, std::move(delta.slots)};
+  return {.kind = Change::Kind::Values, .attribute = a->attribute, .slots = std::move(delta.slots)};
 }
 
 Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body,
@@ -77,11 +78,19 @@ Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body
     throw StreamError(fmt::format("LightVisibility: of scene version {} where {} is held", body.scene_version(),
                                   state.visibility_version));
   }
+  Bytes* row = body.light_id() != 0 ? state.light_rows.find(body.light_id()) : nullptr;
+  if (body.light_id() != 0 && !row) {
+    throw StreamError(fmt::format("LightVisibility: of light {}, which the scene does not have", body.light_id()));
+  }
   SlotValues change = decode_slot_values(payload, body.raw_bytes(), body.count(), state.gaussians.count());
+  state.visibility_version = body.scene_version();
+  if (row) {
+    for (std::size_t i = 0; i < change.slots.size(); ++i) (*row)[change.slots[i]] = change.values[i];
+    return {.kind = Change::Kind::Seen, .slots = std::move(change.slots), .light_id = body.light_id()};
+  }
   auto& plane = state.gaussians.channels[a->first];
   for (std::size_t i = 0; i < change.slots.size(); ++i) plane[change.slots[i]] = change.values[i];
-  state.visibility_version = body.scene_version();
-  return {Change::Kind::Values, Attribute::Visibility, std::move(change.slots)};
+  return {.kind = Change::Kind::Values, .attribute = Attribute::Visibility, .slots = std::move(change.slots)};
 }
 
 Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
@@ -96,7 +105,9 @@ Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
   dequantize_changes(state.quantized_scene, scene, state.scene);
   state.quantized_scene = std::move(scene);
   state.instant = {.frame = body.frame(), .capture_ns = packet.capture_ns()};
-  return {Change::Kind::Scene, {}, {}};
+  std::vector<std::uint32_t> lights;
+  for (const QuantizedSource& source : state.quantized_scene.sources) lights.push_back(source.id);
+  return {.kind = Change::Kind::Scene, .lights_changed = state.light_rows.set_lights(lights, state.gaussians.count())};
 }
 
 }  // namespace
@@ -115,7 +126,8 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
       const wire::Remove& body = *root.body_as_Remove();
       auto slots = decode_slots(payload, body.raw_bytes(), body.count(), state.gaussians.count());
       state.gaussians.remove(slots);
-      return {Change::Kind::Removed, {}, std::move(slots)};
+      state.light_rows.remove(slots);
+      return {.kind = Change::Kind::Removed, .slots = std::move(slots)};
     }
     case wire::Body::GaussianOrder: {
       const wire::GaussianOrder& body = *root.body_as_GaussianOrder();
@@ -129,7 +141,7 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
       require_range("ObjectIds", body.first_slot(), body.count(), state.gaussians.count());
       const auto ids = decode_runs(payload, body.raw_bytes(), body.count());
       std::ranges::copy(ids, state.gaussians.object_id.begin() + body.first_slot());
-      return {Change::Kind::Objects, {}, slot_range(body.first_slot(), body.count())};
+      return {.kind = Change::Kind::Objects, .slots = slot_range(body.first_slot(), body.count())};
     }
     case wire::Body::Scene:
       return take_scene(state, packet);

@@ -54,7 +54,7 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   quantizer_.quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
   if (still_valid && !still_valid()) return false;
 
-  if (another) ready_ = false;
+  if (another) set_ready(false);
   quantizer_.commit(target_, usable_);
   target_layout_ = layout;
   if (gaussians.has_pages()) {
@@ -105,10 +105,12 @@ void StreamModel::reset_to_target() {
     if (usable_[column] && seen.insert(target_.gaussian_id[column]).second) usable.push_back(column);
   }
   if (usable.size() > options_.max_gaussians) usable.resize(options_.max_gaussians);
+  const std::scoped_lock lock(mutex_);
   held_.layout = *target_layout_;
   held_.gaussians = target_.gather(morton_order(target_, *target_layout_, usable));
   hold_scene();
   held_.visibility_version = 0;
+  visibility_waits_.clear();
   ++held_.sequence;
   selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
   selection_.append(held_.gaussians);

@@ -25,39 +25,65 @@ auto packet_with_slots(std::size_t first, std::size_t count, std::uint32_t raw_b
 
 // The mirror takes the packet as a viewer does, from its bytes.
 template <class Build>
-void StreamModel::emit(std::vector<EncodedPacket>& out, wire::Body body, Build&& build, Payload payload) {
-  const std::uint64_t sequence = held_.sequence + 1;
-  out.push_back(writer_.write(held_.epoch, sequence, body, build, std::move(payload.bytes)));
-  take_packet(out.back());
+void StreamModel::emit(wire::Body body, Build&& build, Payload payload) {
+  const std::scoped_lock lock(mutex_);
+  take_packet(writer_.write(held_.epoch, held_.sequence + 1, body, build, std::move(payload.bytes)));
+  tick_bytes_ += static_cast<double>(made_.back().bytes());
 }
 
-void StreamModel::take_packet(const EncodedPacket& packet) {
+void StreamModel::take_packet(EncodedPacket packet) {
   apply(held_, ParsedPacket::parse(packet.packet, packet.payload), options_.max_gaussians);
   held_.sequence = packet.sequence;
+  made_.push_back(std::move(packet));
+}
+
+std::vector<EncodedPacket> StreamModel::take_packets() {
+  const std::scoped_lock lock(mutex_);
+  return std::exchange(made_, {});
+}
+
+StreamModel::Status StreamModel::status() const {
+  const std::scoped_lock lock(mutex_);
+  return {.ready = ready_,
+          .epoch = held_.epoch,
+          .sequence = held_.sequence,
+          .visibility_version = held_.visibility_version,
+          .gaussians = held_.gaussians.count(),
+          .layout = held_.layout.parameters()};
 }
 
 std::vector<EncodedPacket> StreamModel::tick(double budget_bytes, std::span<const Camera> viewers) {
-  assert(ready_);
-  ready_ = false;  // an exception loses the packets that the mirror has taken
-  std::vector<EncodedPacket> out;
-  tick_removals(out);
-  tick_objects(out);
-  double left = budget_bytes;
-  for (const EncodedPacket& packet : out) left -= static_cast<double>(packet.bytes());
-  const std::size_t before = out.size();
-  tick_appends(out, selection_.pending() > 0 ? kAppendShare * left : left, viewers);
-  for (std::size_t i = before; i < out.size(); ++i) left -= static_cast<double>(out[i].bytes());
-  tick_deltas(out, left, viewers);
-  ready_ = true;
-  return out;
+  make_tick(budget_bytes, viewers);
+  return take_packets();
 }
 
-void StreamModel::tick_removals(std::vector<EncodedPacket>& out) {
+double StreamModel::make_tick(double budget_bytes, std::span<const Camera> viewers) {
+  assert(ready_);
+  ObjectTransforms objects;
+  {
+    const std::scoped_lock lock(mutex_);
+    objects = held_.scene.objects;
+  }
+  tick_bytes_ = 0;
+  try {
+    tick_removals();
+    tick_objects();
+    const double left = budget_bytes - tick_bytes_;
+    tick_appends(selection_.pending() > 0 ? kAppendShare * left : left, viewers, objects);
+    tick_deltas(budget_bytes - tick_bytes_, viewers, objects);
+  } catch (...) {
+    set_ready(false);  // what is kept of the mirror's columns may lag behind it
+    throw;
+  }
+  return tick_bytes_;
+}
+
+void StreamModel::tick_removals() {
   if (gone_.empty()) return;
   Payload payload = encode_slots(gone_);
   const std::uint32_t raw_bytes = payload.raw_bytes;
   emit(
-      out, wire::Body::Remove,
+      wire::Body::Remove,
       [&](auto& builder) { return wire::CreateRemove(builder, static_cast<std::uint32_t>(gone_.size()), raw_bytes); },
       std::move(payload));
   selection_.remove(gone_);
@@ -65,7 +91,7 @@ void StreamModel::tick_removals(std::vector<EncodedPacket>& out) {
   map_columns();
 }
 
-void StreamModel::tick_objects(std::vector<EncodedPacket>& out) {
+void StreamModel::tick_objects() {
   const std::vector<std::uint32_t>& held = held_.gaussians.object_id;
   std::size_t first = held.size(), last = 0;
   for (std::size_t slot = 0; slot < held.size(); ++slot) {
@@ -80,23 +106,23 @@ void StreamModel::tick_objects(std::vector<EncodedPacket>& out) {
   }
   Payload payload = encode_runs(ids);
   const auto build = packet_with_slots(first, ids.size(), payload.raw_bytes, wire::CreateObjectIds);
-  emit(out, wire::Body::ObjectIds, build, std::move(payload));
+  emit(wire::Body::ObjectIds, build, std::move(payload));
 }
 
-void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const std::uint32_t> columns) {
+void StreamModel::append_chunk(std::span<const std::uint32_t> columns) {
   const QuantizedGaussians chunk = target_.gather(columns);
   const std::size_t first = held_.gaussians.count();
-  const std::size_t before = out.size();
-  emit(out, wire::Body::Snapshot,
+  const double before = tick_bytes_;
+  emit(wire::Body::Snapshot,
        packet_with_slots(
            first, columns.size(), 0,
            [](auto& builder, auto slot, auto count, auto) { return wire::CreateSnapshot(builder, 0, 0, slot, count); }),
        {encode_chunk(chunk, held_.layout), 0});
   Payload ids = encode_ids(chunk.gaussian_id);
   const auto build_ids = packet_with_slots(first, columns.size(), ids.raw_bytes, wire::CreateGaussianOrder);
-  emit(out, wire::Body::GaussianOrder, build_ids, std::move(ids));
-  const auto bytes = static_cast<double>(out[before].bytes() + out[before + 1].bytes());
-  chunk_bytes_per_gaussian_ += 0.5 * (bytes / static_cast<double>(columns.size()) - chunk_bytes_per_gaussian_);
+  emit(wire::Body::GaussianOrder, build_ids, std::move(ids));
+  chunk_bytes_per_gaussian_ +=
+      0.5 * ((tick_bytes_ - before) / static_cast<double>(columns.size()) - chunk_bytes_per_gaussian_);
   selection_.append(chunk);
   for (std::size_t i = 0; i < columns.size(); ++i) {
     const auto slot = static_cast<std::uint32_t>(first + i);
@@ -106,14 +132,14 @@ void StreamModel::append_chunk(std::vector<EncodedPacket>& out, std::span<const 
   }
 }
 
-void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers) {
+void StreamModel::tick_appends(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects) {
   std::size_t room_left = room();
   if (fresh_.empty() || budget_bytes <= 0 || room_left == 0) return;
   const double affordable = std::max(budget_bytes / chunk_bytes_per_gaussian_, static_cast<double>(kMinChunk));
   const auto order = morton_order(target_, held_.layout, fresh_);
   const std::size_t size = std::min(options_.chunk_gaussians, static_cast<std::size_t>(affordable));
   std::vector<std::pair<double, std::size_t>> chunks;  // mean share, first in `order`
-  const auto share = picture_share(target_.gather(order), held_.layout, viewers, held_.scene.objects);
+  const auto share = picture_share(target_.gather(order), held_.layout, viewers, objects);
   for (std::size_t first = 0; first < order.size(); first += size) {
     double sum = 0;
     const std::size_t end = std::min(first + size, order.size());
@@ -127,7 +153,7 @@ void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_by
     const std::size_t count = std::min({size, order.size() - first, room_left});
     const double cost = static_cast<double>(count) * chunk_bytes_per_gaussian_;
     if (count == 0 || (left < budget_bytes && cost > left)) break;  // at least one
-    append_chunk(out, std::span(order).subspan(first, count));
+    append_chunk(std::span(order).subspan(first, count));
     for (std::size_t i = first; i < first + count; ++i) sent[order[i]] = 1;
     left -= cost;
     room_left -= count;
@@ -135,9 +161,9 @@ void StreamModel::tick_appends(std::vector<EncodedPacket>& out, double budget_by
   std::erase_if(fresh_, [&](std::uint32_t column) { return sent[column] != 0; });
 }
 
-void StreamModel::tick_deltas(std::vector<EncodedPacket>& out, double budget_bytes, std::span<const Camera> viewers) {
+void StreamModel::tick_deltas(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects) {
   if (budget_bytes <= 0) return;
-  const auto share = picture_share(held_.gaussians, held_.layout, viewers, held_.scene.objects);
+  const auto share = picture_share(held_.gaussians, held_.layout, viewers, objects);
   for (const SelectedDelta& selected :
        selection_.select(held_.gaussians, target_, column_of_slot_, share, budget_bytes)) {
     Payload payload = encode_delta(selected.delta);
@@ -146,8 +172,9 @@ void StreamModel::tick_deltas(std::vector<EncodedPacket>& out, double budget_byt
     const auto build = [&, raw_bytes = payload.raw_bytes](auto& builder) {
       return wire::CreateTensorDelta(builder, selected.attribute, count, channels, raw_bytes);
     };
-    emit(out, wire::Body::TensorDelta, build, std::move(payload));
-    selection_.learn_cost(selected.attribute, count, out.back().bytes());
+    const double before = tick_bytes_;
+    emit(wire::Body::TensorDelta, build, std::move(payload));
+    selection_.learn_cost(selected.attribute, count, static_cast<std::size_t>(tick_bytes_ - before));
   }
 }
 
@@ -156,6 +183,8 @@ EncodedSnapshot StreamModel::snapshot() {
   EncodedSnapshot snapshot;
   snapshot.as_of = held_.sequence;
   const std::uint64_t id = ++snapshots_;
+  snapshot.tail = light_rows();
+  const auto rows = static_cast<std::uint32_t>(snapshot.tail.size());
   const std::size_t total = held_.gaussians.count(), size = options_.chunk_gaussians;
   const auto unicast = [&](wire::Body body, auto&& build, Bytes payload = {}) {
     return writer_.write(held_.epoch, 0, body, build, std::move(payload));
@@ -173,7 +202,7 @@ EncodedSnapshot StreamModel::snapshot() {
                                      static_cast<std::uint32_t>((total + size - 1) / size),
                                      transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
                                      static_cast<std::uint8_t>(transfer ? 0 : parameters.sh_degree),
-                                     builder.CreateVector(attributes), held_.visibility_version);
+                                     builder.CreateVector(attributes), held_.visibility_version, rows);
   }));
   snapshot.head.push_back(scene_packet(0, nullptr));
   for (std::size_t first = 0; first < total; first += size) {

@@ -59,7 +59,7 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
   if (worker_.take_failure() || refused) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
   update_round(now);
-  refresh_inputs(now);
+  refresh_pictures(now);
   update_probes(now);
   publish_cameras();
 }
@@ -92,6 +92,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
       const bool sent = forwarder_.reference(message, frame);
       sent ? ++counters_.references : ++counters_.frames_lost;
       if (sent) references_published_.insert(frame.camera()->id());
+      if (sent) refreshed_references_.pictures.arrived(frame.camera()->id(), forwarder_.scene_version());
       if (sent) view_published_ns_ = bus::now_ns();
       break;
     }
@@ -99,7 +100,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
       handle_probe_frame(message, frame);
       break;
     case wire::CameraRole::Light:
-      forwarder_.light_depth(message, frame, host_copied_bytes_) ? ++counters_.light_depths : ++counters_.frames_lost;
+      handle_light_depth(message, frame);
       break;
     default:
       throw bus::Error(fmt::format("camera role {} does not exist", static_cast<int>(frame.camera()->role())));
@@ -118,6 +119,7 @@ void CaptureBridge::handle_input(const bus::Message& message, const wire::Engine
   const auto shared = std::make_shared<const InputView>(std::move(*view));
   if (!rigs_.round().add(frame.camera()->id(), frame.request_id(), shared, now)) return;
   ++counters_.inputs;
+  refreshed_inputs_.pictures.arrived(frame.camera()->id(), forwarder_.scene_version());
   input_asked_ns_ = now;
   input_patience_ns_ = 0;
   if (options_->input_views && forwarder_.reference(message, frame)) {
@@ -131,6 +133,20 @@ void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::
   if (!probe) return;
   rigs_.cameras().remove(CameraRole::Probe, probe->camera.id);
   forwarder_.probe(message, frame, *probe) ? ++counters_.probes : ++counters_.probes_dropped;
+}
+
+void CaptureBridge::handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame) {
+  const Camera camera = from_wire(*frame.camera());
+  const std::string fault = fault_of(forwarder_.light(), frame.light_id(), frame.light_map(), camera);
+  if (!fault.empty()) throw bus::Error(message.topic() + ": " + fault);
+  const std::uint32_t maps = rigs_.lights().maps_with(frame.light_id(), frame.light_map(), camera.id);
+  if (maps == 0) return;  // of a request that is no more
+  if (!forwarder_.light_depth(message, frame, maps, host_copied_bytes_)) {
+    ++counters_.frames_lost;
+    return;
+  }
+  ++counters_.light_depths;
+  rigs_.lights().saw(frame.light_id(), frame.light_map(), camera);
 }
 
 void CaptureBridge::handle_pose(const wire::ViewerPose& pose) {
@@ -174,16 +190,21 @@ void CaptureBridge::handle_grid_state(const wire::GridState& state) {
 
 void CaptureBridge::update_rigs(std::int64_t now_ns) {
   InputRound& round = rigs_.round();
-  // A rig whose pictures are arriving stays until they are there, or a viewer on the move would never see one complete.
-  const bool hold =
-      !round.empty() && !round.missing().empty() && now_ns - input_asked_ns_ < nanoseconds(options_->input_deadline_s);
+  // A rig that an engine is rendering stays until its pictures are there, or a viewer on the move would never see one
+  // complete.
+  const bool hold = counters_.inputs > 0 && !round.missing().empty() &&
+                    now_ns - input_asked_ns_ < nanoseconds(options_->input_deadline_s);
   const std::uint64_t generation = round.rig_generation();
   const auto left = rigs_.update(viewer_camera_ ? &*viewer_camera_ : nullptr, worker_.statistics().heights, hold);
+  rigs_.update_lights(forwarder_.light());
   for (const Camera& camera : left) {
-    (camera.role == CameraRole::Reference ? references_published_ : inputs_published_).erase(camera.id);
+    const bool reference = camera.role == CameraRole::Reference;
+    (reference ? references_published_ : inputs_published_).erase(camera.id);
+    if (reference) refreshed_references_.pictures.forget(camera.id);
     forwarder_.retire(camera);
   }
   if (round.rig_generation() != generation) {
+    refreshed_inputs_.pictures.clear();
     input_asked_ns_ = now_ns;
     input_patience_ns_ = 0;
   }
@@ -201,10 +222,17 @@ void CaptureBridge::update_round(std::int64_t now_ns) {
   input_patience_ns_ = std::min(2 * input_patience_ns_, kInputPatienceMaxNs);
 }
 
-void CaptureBridge::refresh_inputs(std::int64_t now_ns) {
-  if (options_->input_refresh_hz <= 0 || options_->input_rate_hz > 0 || now_ns < next_refresh_ns_) return;
-  next_refresh_ns_ = now_ns + nanoseconds(1 / options_->input_refresh_hz);
-  rigs_.refresh_input(forwarder_.scene_version(), now_ns);
+void CaptureBridge::refresh_pictures(std::int64_t now_ns) {
+  if (options_->input_rate_hz <= 0) refresh(refreshed_inputs_, CameraRole::Input, options_->input_refresh_hz, now_ns);
+  if (options_->reference_rate_hz <= 0) {
+    refresh(refreshed_references_, CameraRole::Reference, options_->reference_refresh_hz, now_ns);
+  }
+}
+
+void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::int64_t now_ns) {
+  if (rate_hz <= 0 || now_ns < of.next_ns) return;
+  of.next_ns = now_ns + nanoseconds(1 / rate_hz);
+  if (const auto stalest = of.pictures.take(forwarder_.scene_version(), now_ns)) rigs_.reissue(role, *stalest);
 }
 
 void CaptureBridge::submit_round() {
@@ -232,8 +260,9 @@ void CaptureBridge::publish_cameras() {
     requests.reserve(rigs_.cameras().requests().size());
     for (const CameraRequest& request : rigs_.cameras().requests()) {
       const wire::Camera camera = to_wire(request.camera);
-      requests.push_back(
-          wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz, request.request_id));
+      requests.push_back(wire::CreateCameraRequest(builder, &camera, request.buffers, request.rate_hz,
+                                                   request.request_id, request.light_id,
+                                                   static_cast<std::uint8_t>(request.light_map), request.extent_m));
     }
     return wire::CreateEngineCameras(builder, header, builder.CreateVector(requests));
   });

@@ -50,6 +50,7 @@ class CaptureBridge {
   void subscribe();
   void handle_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
+  void handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_pose(const wire::ViewerPose& pose);
   void handle_probe(const wire::ViewerProbe& asked, const bus::Message& message);
@@ -58,7 +59,7 @@ class CaptureBridge {
 
   void update_rigs(std::int64_t now_ns);
   void update_round(std::int64_t now_ns);
-  void refresh_inputs(std::int64_t now_ns);
+  void refresh_pictures(std::int64_t now_ns);
   void update_probes(std::int64_t now_ns);
   void submit_round();
   void publish_cameras();
@@ -81,7 +82,13 @@ class CaptureBridge {
 
   std::int64_t input_asked_ns_ = 0;     // last request for, or arrival of, an input frame
   std::int64_t input_patience_ns_ = 0;  // before the next request for what is missing
-  std::int64_t next_refresh_ns_ = 0;
+  /// Pictures of one role, which are rendered anew as the scene changes.
+  struct Refresh {
+    StalestFirst pictures;
+    std::int64_t next_ns = 0;
+  };
+  void refresh(Refresh& of, CameraRole role, double rate_hz, std::int64_t now_ns);
+  Refresh refreshed_inputs_, refreshed_references_;
   std::int64_t view_published_ns_ = 0;
   std::int64_t round_submitted_ns_ = 0;
   std::set<std::uint32_t> references_published_, inputs_published_;  // camera ids

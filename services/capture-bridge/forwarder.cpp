@@ -1,5 +1,7 @@
 #include "capture-bridge/forwarder.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 
 #include "bus/memory.h"
@@ -52,8 +54,7 @@ void name_depths(SceneState& scene) {
 
 }  // namespace
 
-Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind)
-    : publisher_(context), kind_(kind), light_depth_ring_(context, "light_depth", kLightDepthSlots, 0, kind) {
+Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind) : publisher_(context), kind_(kind) {
   // In nanoseconds since the machine started: a bridge that comes later counts on from a larger number.
   scene_.version = context->epoch();
 }
@@ -106,21 +107,29 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
   return true;
 }
 
-bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame,
+bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::uint32_t light_maps,
                             std::atomic<std::uint64_t>& host_bytes) {
   const Camera camera = from_wire(*frame.camera());
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth || !depth->still_valid()) return false;
   const bus::TensorSource source{
       "light_depth", {camera.height, camera.width}, bus::ElementType::F32, depth->data(), depth->memory()};
+  const std::pair<std::uint32_t, std::uint32_t> key(frame.light_id(), frame.light_map());
+  bus::TensorRing& ring =
+      light_depth_rings_
+          .try_emplace(key, publisher_.context(), fmt::format("light_depth-{}-{}", key.first, key.second),
+                       kLightDepthSlots, 0, kind_)
+          .first->second;
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns(),
-                              .tensors = light_depth_ring_.write(std::span(&source, 1))};
+                              .latch_key = fmt::format("{}/{}", key.first, key.second),
+                              .tensors = ring.write(std::span(&source, 1))};
   if (kind_ == Device::Cpu || depth->memory() == Device::Cpu) host_bytes += depth->bytes();
   if (!depth->still_valid()) return false;
   publisher_.publish(topics::kSceneLightDepth, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto scene_offset = to_wire(builder, scene_, frame.scene()->frame(), frame.scene()->time_s());
     const wire::Camera out = to_wire(camera);
-    return wire::CreateSceneLightDepth(builder, header, &out, scene_offset);
+    return wire::CreateSceneLightDepth(builder, header, &out, scene_offset, key.first,
+                                       static_cast<std::uint8_t>(key.second), static_cast<std::uint8_t>(light_maps));
   });
   return true;
 }
@@ -137,6 +146,11 @@ bool Forwarder::scene(const wire::EngineFrame& frame) {
     now.version = scene_.version + 1;
     name_depths(now);
     scene_ = std::move(now);
+    std::erase_if(light_depth_rings_, [&](const auto& ring) {
+      return ring.first.first != 0 && std::ranges::none_of(scene_.light.sources, [&](const LightSource& source) {
+               return source.id == ring.first.first;
+             });
+    });
     masks_objects_ = std::ranges::any_of(scene_.objects, [](const auto& object) { return !object.second.modelled; });
     said_objects_ = std::move(objects_now);
     said_light_ = std::move(light_now);

@@ -2,8 +2,10 @@
 
 #include <atomic>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
@@ -30,19 +32,23 @@ class Forwarder {
   /// capture/probe. False when the colour is gone already.
   bool probe(const bus::Message& message, const wire::EngineFrame& frame, const Probe& probe);
   /// scene/light_depth. False when the depth is gone already. Adds to `host_bytes` what did not stay on the device.
-  bool light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::atomic<std::uint64_t>& host_bytes);
+  /// `light_maps`: how many together are the light's.
+  bool light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::uint32_t light_maps,
+                   std::atomic<std::uint64_t>& host_bytes);
   /// Takes the frame's scene as the one that all that is said belongs to, and publishes scene/state when it differs
   /// from the one before. False for a frame that is older than that scene and of another: its pictures have no version.
   /// Throws std::runtime_error, and changes nothing, when the scene makes no sense.
   [[nodiscard]] bool scene(const wire::EngineFrame& frame);
   [[nodiscard]] std::uint64_t scene_version() const { return scene_.version; }
+  [[nodiscard]] const Light& light() const { return scene_.light; }
   /// Whether that scene has objects that are not to be modelled: references then need to say where they show.
   [[nodiscard]] bool masks_objects() const { return masks_objects_; }
 
  private:
   bus::Publisher publisher_;
   Device kind_;  // of the light's depth
-  bus::TensorRing light_depth_ring_;
+  /// By light and map: what is latched of one stays while others change.
+  std::map<std::pair<std::uint32_t, std::uint32_t>, bus::TensorRing> light_depth_rings_;
   std::uint64_t engine_epoch_ = 0;
   std::optional<std::uint64_t> newest_frame_;
   std::vector<std::uint8_t> said_objects_, said_light_;  // bytes of the frame's that were published last

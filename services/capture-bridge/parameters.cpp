@@ -51,7 +51,12 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("reference_cameras", ring.cameras, "reference cameras", {0, 255});
   p.add("reference_size", ring.size, "width and height of reference pictures, pixels", {8, 4096});
   p.add("reference_rate_hz", reference_rate_hz,
-        "rate of reference pictures, Hz of engine time; 0: once for each change of the rig", {0, 240});
+        "rate of reference pictures, Hz of engine time; 0: for each change of the rig, and as the scene changes",
+        {0, 240});
+  p.add("reference_refresh_hz", reference_refresh_hz,
+        "reference pictures a second, of all cameras together, that are rendered anew because the scene has changed "
+        "since, the oldest first, where reference_rate_hz is 0; 0: none",
+        {0, 1000});
   p.add("reference_depth", reference_depth, "ask the engine for depth with reference pictures");
   p.add("ring_radius_m", ring.radius_m, "radius of the reference ring, metres", {.minimum = 0.01});
   p.add("ring_height_m", ring.height_m, "height of the reference ring above y = 0, metres");
@@ -65,7 +70,16 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("follow_move_m", follow_move_m, "follow rig: smallest move that is followed, metres", {.minimum = 0});
   p.add("follow_turn_deg", follow_turn_radians, "follow rig: smallest turn that is followed, degrees", {.minimum = 0},
         kRuntime, kDegrees);
-  p.add("light_depth_size", light_depth_size, "width and height of the sun's depth map, pixels", {16, 8192});
+  p.add("light_depth_size", light.depth_size,
+        "width and height of a depth map of the sun or a directional light, pixels", {16, 8192});
+  p.add("light_source_size", light.source_size,
+        "width and height of a spot light's depth map, and of each of a point light's six, pixels", {16, 4096});
+  p.add("light_cascades", light.cascades,
+        "most depth maps of the sun or a directional light: the whole scene's, and finer ones about the input dome's "
+        "centre where the scene is large",
+        {1, 8});
+  p.add("light_extent_m", light.extent_m, "side of the finest cascade, metres; each further one is four times as large",
+        {.minimum = 0.1});
   p.add("probe_timeout_s", probe_timeout_s,
         "a probe that the engine does not answer is dropped after this time, seconds", {.minimum = 0.1});
 

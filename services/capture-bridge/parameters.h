@@ -3,6 +3,7 @@
 #include <string>
 
 #include "bus/parameters.h"
+#include "capture-bridge/light_rig.h"
 #include "capture-bridge/rig.h"
 #include "capture-bridge/sampler.h"
 
@@ -26,8 +27,9 @@ struct Options {
   FollowOptions follow_rig;
   float follow_move_m = 0.05F, follow_turn_radians = 0.034906585F;  ///< smallest that are followed
   float reference_rate_hz = 1;
+  double reference_refresh_hz = 8;  ///< as input_refresh_hz, of reference cameras, where they have no rate
   bool reference_depth = true;
-  std::uint32_t light_depth_size = 1024;  ///< pixels
+  LightRigOptions light;
   double probe_timeout_s = 10;
 
   void bind(bus::ParameterBinder& parameters);

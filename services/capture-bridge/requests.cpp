@@ -13,6 +13,11 @@ bool same(const Camera& a, const Camera& b) {
          a.world_from_camera.translation == b.world_from_camera.translation;
 }
 
+bool same(const CameraRequest& a, const CameraRequest& b) {
+  return same(a.camera, b.camera) && a.buffers == b.buffers && a.rate_hz == b.rate_hz && a.light_id == b.light_id &&
+         a.light_map == b.light_map && a.extent_m == b.extent_m;
+}
+
 auto is(CameraRole role, std::uint32_t id) {
   return [role, id](const CameraRequest& request) { return request.camera.role == role && request.camera.id == id; };
 }
@@ -21,20 +26,25 @@ auto is(CameraRole role, std::uint32_t id) {
 
 std::vector<Camera> CameraSet::replace(CameraRole role, std::span<const Camera> cameras, wire::EngineBuffer buffers,
                                        float rate_hz) {
+  std::vector<CameraRequest> wanted;
+  wanted.reserve(cameras.size());
+  for (const Camera& camera : cameras) wanted.push_back({.camera = camera, .buffers = buffers, .rate_hz = rate_hz});
+  return replace(role, wanted);
+}
+
+std::vector<Camera> CameraSet::replace(CameraRole role, std::span<const CameraRequest> wanted) {
   std::vector<Camera> left;
   std::erase_if(requests_, [&](const CameraRequest& request) {
     if (request.camera.role != role) return false;
-    const bool stays = std::any_of(cameras.begin(), cameras.end(),
-                                   [&](const Camera& camera) { return camera.id == request.camera.id; });
+    const bool stays = std::any_of(wanted.begin(), wanted.end(),
+                                   [&](const CameraRequest& one) { return one.camera.id == request.camera.id; });
     if (!stays) left.push_back(request.camera);
     return !stays;
   });
   changed_ = changed_ || !left.empty();
-  for (const Camera& camera : cameras) {
-    const auto found = std::find_if(requests_.begin(), requests_.end(), is(role, camera.id));
-    const bool keep = found != requests_.end() && same(found->camera, camera) && found->buffers == buffers &&
-                      found->rate_hz == rate_hz;
-    if (!keep) add(camera, buffers, rate_hz);
+  for (const CameraRequest& one : wanted) {
+    const auto found = std::find_if(requests_.begin(), requests_.end(), is(role, one.camera.id));
+    if (found == requests_.end() || !same(*found, one)) add(one);
   }
   return left;
 }
@@ -56,9 +66,12 @@ void CameraSet::reissue_all(CameraRole role) {
 }
 
 std::uint64_t CameraSet::add(const Camera& camera, wire::EngineBuffer buffers, float rate_hz) {
-  const CameraRequest request{
-      .camera = camera, .buffers = buffers, .rate_hz = rate_hz, .request_id = ++last_request_id_};
-  const auto found = std::find_if(requests_.begin(), requests_.end(), is(camera.role, camera.id));
+  return add({.camera = camera, .buffers = buffers, .rate_hz = rate_hz});
+}
+
+std::uint64_t CameraSet::add(CameraRequest request) {
+  request.request_id = ++last_request_id_;
+  const auto found = std::find_if(requests_.begin(), requests_.end(), is(request.camera.role, request.camera.id));
   if (found == requests_.end()) {
     requests_.push_back(request);
   } else {
@@ -81,6 +94,19 @@ std::vector<CameraRequest> CameraSet::of_role(CameraRole role) const {
 
 bool CameraSet::take_changed() {
   return std::exchange(changed_, false);
+}
+
+std::optional<std::uint32_t> StalestFirst::take(std::uint64_t scene_version, std::int64_t now_ns) {
+  auto stalest = pictures_.end();
+  for (auto it = pictures_.begin(); it != pictures_.end(); ++it) {
+    const Picture& picture = it->second;
+    if (picture.scene_version >= scene_version) continue;
+    if (picture.asked_anew_ns && now_ns - *picture.asked_anew_ns < kPatienceNs) continue;
+    if (stalest == pictures_.end() || picture.scene_version < stalest->second.scene_version) stalest = it;
+  }
+  if (stalest == pictures_.end()) return std::nullopt;
+  stalest->second.asked_anew_ns = now_ns;
+  return stalest->first;
 }
 
 void InputRound::begin(std::span<const CameraRequest> requests) {
@@ -114,7 +140,6 @@ bool InputRound::add(std::uint32_t camera_id, std::uint64_t request_id, InputVie
   if (slot == slots_.end()) return false;
   slot->view = std::move(view);
   slot->fresh = true;
-  slot->asked_anew_ns.reset();
   if (!first_fresh_ns_) first_fresh_ns_ = now_ns;
   return true;
 }
@@ -132,19 +157,6 @@ std::vector<InputViewPointer> InputRound::take() {
   first_fresh_ns_.reset();
   handed_on_incomplete_ = !missing().empty();
   return views();
-}
-
-std::optional<std::uint32_t> InputRound::take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
-                                                      std::int64_t patience_ns) {
-  Slot* stalest = nullptr;
-  for (Slot& slot : slots_) {
-    if (!slot.view || slot.view->scene_version >= scene_version) continue;
-    if (slot.asked_anew_ns && now_ns - *slot.asked_anew_ns < patience_ns) continue;
-    if (stalest == nullptr || slot.view->scene_version < stalest->view->scene_version) stalest = &slot;
-  }
-  if (stalest == nullptr) return std::nullopt;
-  stalest->asked_anew_ns = now_ns;
-  return stalest->camera_id;
 }
 
 std::vector<std::uint32_t> InputRound::missing() const {

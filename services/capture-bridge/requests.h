@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -17,6 +18,8 @@ struct CameraRequest {
   wire::EngineBuffer buffers = wire::EngineBuffer::Color;
   float rate_hz = 0;  ///< 0: once for each request_id
   std::uint64_t request_id = 0;
+  std::uint32_t light_id = 0, light_map = 0;  ///< role Light
+  float extent_m = 0;                         ///< of a cascade; 0: the scene
 };
 
 /// What engine/cameras says: all cameras that the engine shall render. Request ids grow and are never used twice.
@@ -29,6 +32,8 @@ class CameraSet {
   /// Returns the cameras that have left (their ids are in the set no longer).
   std::vector<Camera> replace(CameraRole role, std::span<const Camera> cameras, wire::EngineBuffer buffers,
                               float rate_hz);
+  /// The same; the request ids are this set's.
+  std::vector<Camera> replace(CameraRole role, std::span<const CameraRequest> wanted);
 
   /// New request ids for these cameras of a role: render them again.
   void reissue(CameraRole role, std::span<const std::uint32_t> ids);
@@ -36,6 +41,7 @@ class CameraSet {
 
   /// Adds or replaces one camera; returns its request id.
   std::uint64_t add(const Camera& camera, wire::EngineBuffer buffers, float rate_hz);
+  std::uint64_t add(CameraRequest request);
   void remove(CameraRole role, std::uint32_t id);
 
   [[nodiscard]] std::vector<CameraRequest> of_role(CameraRole role) const;
@@ -48,6 +54,29 @@ class CameraSet {
   std::uint64_t last_request_id_;
   std::vector<CameraRequest> requests_;
   bool changed_ = true;
+};
+
+/// Says which camera's picture to render anew because the scene has changed since. Times are CLOCK_MONOTONIC
+/// nanoseconds.
+class StalestFirst {
+ public:
+  /// A camera's picture has come, which shows this version of the scene.
+  void arrived(std::uint32_t camera_id, std::uint64_t scene_version) { pictures_[camera_id] = {scene_version, {}}; }
+  void forget(std::uint32_t camera_id) { pictures_.erase(camera_id); }
+  void clear() { pictures_.clear(); }
+
+  /// The camera whose picture is of the oldest scene version before `scene_version`, and for which no newer one is on
+  /// its way (asked for less than kPatienceNs ago). It counts as asked for at `now_ns`.
+  [[nodiscard]] std::optional<std::uint32_t> take(std::uint64_t scene_version, std::int64_t now_ns);
+
+  static constexpr std::int64_t kPatienceNs = 2'000'000'000;
+
+ private:
+  struct Picture {
+    std::uint64_t scene_version = 0;
+    std::optional<std::int64_t> asked_anew_ns;
+  };
+  std::map<std::uint32_t, Picture> pictures_;  // by camera id
 };
 
 using InputViewPointer = std::shared_ptr<const InputView>;
@@ -72,11 +101,6 @@ class InputRound {
   /// All frames of the rig so far, by camera id; the next round starts.
   [[nodiscard]] std::vector<InputViewPointer> take();
 
-  /// The camera whose frame is of the oldest scene version before `scene_version`, and for which no newer one is on its
-  /// way (asked for less than `patience_ns` ago). It counts as asked for at `now_ns`.
-  [[nodiscard]] std::optional<std::uint32_t> take_stalest(std::uint64_t scene_version, std::int64_t now_ns,
-                                                          std::int64_t patience_ns);
-
   /// Cameras without any frame.
   [[nodiscard]] std::vector<std::uint32_t> missing() const;
   [[nodiscard]] bool empty() const;  ///< no camera has delivered yet
@@ -88,8 +112,7 @@ class InputRound {
     std::uint32_t camera_id = 0;
     std::uint64_t request_id = 0;
     InputViewPointer view;
-    bool fresh = false;                         // arrived since the last round
-    std::optional<std::int64_t> asked_anew_ns;  // for a newer frame, which has not come
+    bool fresh = false;  // arrived since the last round
   };
   std::vector<Slot> slots_;
   std::optional<std::int64_t> first_fresh_ns_;

@@ -11,10 +11,6 @@ namespace {
 
 using wire::EngineBuffer;
 
-// The engine puts the light camera where the sun is. What the request says besides the size only has to be sound.
-constexpr float kLightExtentMetres = 12.0F;
-constexpr float kLightHeightMetres = 20.0F;
-
 }  // namespace
 
 std::vector<Camera> RigControl::update(const Camera* viewer, const ContentHeights& content, bool hold_input) {
@@ -30,7 +26,6 @@ std::vector<Camera> RigControl::update(const Camera* viewer, const ContentHeight
   const bool follow = options_->follow && viewer != nullptr;
   const bool asks_anew = std::exchange(asks_for_ids_, wants_ids_) != wants_ids_;
   if (changed || asks_anew || (follow && viewer_moved(*viewer))) place_references(follow ? viewer : nullptr, left);
-  if (changed) place_light();
   return left;
 }
 
@@ -67,13 +62,8 @@ void RigControl::place_references(const Camera* viewer, std::vector<Camera>& lef
   left.insert(left.end(), gone.begin(), gone.end());
 }
 
-void RigControl::place_light() {
-  const auto size = options_->light_depth_size;
-  Camera camera = look_at({0, kLightHeightMetres, 0}, {0, 0, 0}, size, size, 1);
-  camera.role = CameraRole::Light;
-  camera.fx = camera.fy = static_cast<float>(size) / kLightExtentMetres;
-  camera.far_m = 2 * kLightHeightMetres;
-  cameras_.replace(CameraRole::Light, std::span(&camera, 1), EngineBuffer::LightDepth, 0);
+void RigControl::update_lights(const Light& light) {
+  cameras_.replace(CameraRole::Light, lights_.requests(options_->light, light, tracker_.pose().centre));
 }
 
 bool RigControl::viewer_moved(const Camera& viewer) const {
@@ -90,12 +80,9 @@ void RigControl::reissue_missing_inputs() {
   round_.renew(cameras_.of_role(CameraRole::Input));
 }
 
-void RigControl::refresh_input(std::uint64_t scene_version, std::int64_t now_ns) {
-  constexpr std::int64_t kPatienceNs = 2'000'000'000;
-  const auto stalest = round_.take_stalest(scene_version, now_ns, kPatienceNs);
-  if (!stalest) return;
-  cameras_.reissue(CameraRole::Input, std::span(&*stalest, 1));
-  round_.renew(cameras_.of_role(CameraRole::Input));
+void RigControl::reissue(CameraRole role, std::uint32_t camera_id) {
+  cameras_.reissue(role, std::span(&camera_id, 1));
+  if (role == CameraRole::Input) round_.renew(cameras_.of_role(CameraRole::Input));
 }
 
 void RigControl::reissue_inputs() {

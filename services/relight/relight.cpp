@@ -251,8 +251,7 @@ bool Relight::compute(Version& version, const PublishedModel& model) {
 
 void Relight::publish(std::uint64_t model_generation, const SceneState& scene, std::size_t count,
                       const std::uint8_t* visibility) {
-  std::vector<std::uint32_t> ids{0};
-  for (const LightSource& source : scene.light.sources) ids.push_back(source.id);
+  const std::vector<std::uint32_t> ids = light_ids(scene.light);
   const bus::TensorSource source{.name = "visibility",
                                  .shape = {static_cast<std::uint32_t>(ids.size()), static_cast<std::uint32_t>(count)},
                                  .type = bus::ElementType::U8,

@@ -3,6 +3,7 @@
 
 #include "device/buffer.h"
 #include "device/parallel.h"
+#include "gaussians/portable.h"
 #include "relight/light_test.h"
 #include "relight/visibility.h"
 
@@ -14,12 +15,6 @@ using math::Vec3;
 
 constexpr std::int32_t kStill = -1, kOfGaussian = -2;
 
-/// p_world = rotation * (scale * p_object) + translation.
-struct Frame {
-  math::Rigid rigid;
-  float scale;
-};
-
 /// Neighbouring indices, within one page.
 struct Tier {
   std::uint32_t first, count;
@@ -27,19 +22,11 @@ struct Tier {
   std::uint64_t kept;  ///< lights whose earlier values hold
 };
 
-math::Rigid portable(const Rigid& rigid) {
-  const glm::quat& q = rigid.rotation;
-  return {math::rotation_matrix(q.w, q.x, q.y, q.z), {rigid.translation.x, rigid.translation.y, rigid.translation.z}};
-}
-Vec3 portable(const glm::vec3& v) {
-  return {v.x, v.y, v.z};
-}
-
 /// Tests Gaussians against all lights.
 struct VisibilityTest {
   GaussiansView gaussians;
   const Tier* tiers;
-  const Frame* frames;
+  const math::Similarity* frames;  ///< world_from_object
   const std::uint32_t* frame_ids;  ///< of `frames`, ascending
   std::uint32_t frame_count;
   const LightView* lights;
@@ -55,9 +42,9 @@ struct VisibilityTest {
     float deviation_m = surface_deviation_m(i);
     const std::int32_t index = tier.frame == kOfGaussian ? frame_of(gaussians.object_id[i]) : tier.frame;
     if (index != kStill) {
-      const Frame& frame = frames[index];
-      out.point = transformed(frame.rigid, out.point * frame.scale);
-      out.normal = frame.rigid.rotation * out.normal;
+      const math::Similarity& frame = frames[index];
+      out.point = transformed(frame, out.point);
+      out.normal = frame.rotation * out.normal;
       deviation_m *= frame.scale;
     }
     const float footprint_m = options.footprint * math::smaller(deviation_m, kMaxDeviation_m);
@@ -205,10 +192,10 @@ void compute_visibility(device::StreamView stream, const GaussiansView& gaussian
                         std::span<const MappedLight> lights, const VisibilityOptions& options, std::uint8_t* visibility,
                         const KeptRows& kept) {
   if (lights.empty() || gaussians.count == 0) return;
-  std::vector<Frame> frames;
+  std::vector<math::Similarity> frames;
   std::vector<std::uint32_t> frame_ids;
   for (const auto& [id, world_from_object] : objects) {
-    frames.push_back({portable(world_from_object.rigid), world_from_object.scale});
+    frames.push_back(portable(world_from_object));
     frame_ids.push_back(id);
   }
   std::vector<MapView> maps;
@@ -224,7 +211,7 @@ void compute_visibility(device::StreamView stream, const GaussiansView& gaussian
     first_map += light.maps.size();
   }
   const auto tier_table = placed<Tier>(stream, tiers);
-  const auto frame_table = placed<Frame>(stream, frames);
+  const auto frame_table = placed<math::Similarity>(stream, frames);
   const auto id_table = placed<std::uint32_t>(stream, frame_ids);
   const auto light_table = placed<LightView>(stream, views);
   const auto row_table = placed<std::int32_t>(stream, kept.row);

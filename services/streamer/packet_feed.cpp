@@ -36,8 +36,9 @@ void PacketFeed::start_over(StreamCursor& cursor) {
 }
 
 bool PacketFeed::resume(StreamCursor& cursor, std::uint64_t epoch, std::uint64_t holds) {
-  const bool kept = model_.ready() && epoch == model_.held().epoch && holds > 0 &&
-                    (holds == model_.held().sequence || history_.find(holds + 1));
+  const stream::StreamModel::Status held = model_.status();
+  const bool kept = held.ready && epoch == held.epoch && holds > 0 &&
+                    (holds == held.sequence || holds == history_.last() || history_.find(holds + 1));
   if (!kept) return false;
   cursor.waits_for_snapshot = false;
   cursor.next = holds + 1;
@@ -46,7 +47,7 @@ bool PacketFeed::resume(StreamCursor& cursor, std::uint64_t epoch, std::uint64_t
 
 void PacketFeed::resend(StreamCursor& cursor, std::uint64_t first, std::uint64_t last) {
   if (cursor.waits_for_snapshot || cursor.snapshot) return;
-  last = std::min(last, model_.held().sequence);
+  last = std::min(last, model_.status().sequence);
   if (first == 0 || first > last) return;
   if (first >= cursor.next) return;  // on its way
   last = std::min(last, cursor.next - 1);
@@ -86,19 +87,19 @@ bool PacketFeed::begin_snapshot(StreamCursor& cursor, const std::optional<Camera
 }
 
 SharedPacket PacketFeed::next(StreamCursor& cursor, const std::optional<Camera>& camera, std::int64_t now_ns,
-                              bool& lagged) {
-  if (!model_.ready()) return {};
+                              bool settled, bool& lagged) {
+  if (!model_.status().ready) return {};
   while (!cursor.resend.empty()) {
     if (SharedPacket packet = history_.find(cursor.resend.front().first)) return packet;
     start_over(cursor);
   }
   if (!cursor.waits_for_snapshot && !cursor.snapshot) {
-    if (cursor.next > model_.held().sequence) return {};
     if (SharedPacket packet = history_.find(cursor.next)) return packet;
-    lagged = true;  // the history has moved on
+    if (history_.last() < cursor.next) return {};  // it is being made
+    lagged = true;                                 // the history has moved on
     start_over(cursor);
   }
-  if (cursor.waits_for_snapshot && !begin_snapshot(cursor, camera, now_ns)) return {};
+  if (cursor.waits_for_snapshot && (!settled || !begin_snapshot(cursor, camera, now_ns))) return {};
   return cursor.queue[cursor.queue_at];
 }
 

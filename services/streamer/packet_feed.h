@@ -40,6 +40,8 @@ class PacketHistory {
       return {};
     return packets_[sequence - packets_.front()->sequence()];
   }
+  /// Sequence of the newest; 0 when there is none.
+  [[nodiscard]] std::uint64_t last() const { return packets_.empty() ? 0 : packets_.back()->sequence(); }
   [[nodiscard]] std::size_t bytes() const { return bytes_; }
 
  private:
@@ -86,8 +88,9 @@ class PacketFeed {
   /// What is to be sent next; null when there is nothing. A cursor that has lagged behind what is kept gets a snapshot
   /// in the order that suits `camera`: `lagged` is then set. Whatever it asks for, snapshots of one cursor begin at
   /// least kSnapshotEveryNs apart.
+  /// `settled`: the model is not being ticked meanwhile; else no snapshot begins.
   [[nodiscard]] SharedPacket next(StreamCursor& cursor, const std::optional<Camera>& camera, std::int64_t now_ns,
-                                  bool& lagged);
+                                  bool settled, bool& lagged);
   /// What next() gave was sent.
   static void advance(StreamCursor& cursor);
 

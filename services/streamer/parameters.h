@@ -14,7 +14,7 @@ namespace splatbus::streamer {
 struct Options {
   std::string endpoint, tcp;
   double budget_kbps = 6000;
-  double visibility_hz = 10, visibility_kbps = 1000;
+  double visibility_hz = 20, visibility_kbps = 1000;
   HubOptions hub;
   stream::StreamOptions stream;
 

@@ -5,10 +5,11 @@
 
 #include <algorithm>
 #include <chrono>
+#include <functional>
+#include <utility>
 #include <zmq.hpp>
 
 #include "bus/clock.h"
-#include "bus/memory.h"
 #include "stream/bytes.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -38,7 +39,8 @@ Streamer::Streamer(bus::ServiceContext& service)
       endpoint_(streamer::endpoints(*options_, service.bus->address())),
       writer_(service.bus->source(), service.bus->epoch()),
       model_(writer_, service.bus->epoch(), options_->stream, service.backend),
-      hub_(endpoint_, model_, writer_, options_->hub, events()) {
+      hub_(endpoint_, model_, writer_, options_->hub, events()),
+      follower_(model_, service.backend) {
   subscribe();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
@@ -68,31 +70,44 @@ HubEvents Streamer::events() {
 
 void Streamer::run() {
   while (!service_.stop.stop_requested()) {
-    const std::int64_t wait_ns = std::clamp<std::int64_t>(std::min(next_tick_ns_, next_stats_ns_) - bus::now_ns(), 0,
-                                                          blocked_ ? kBlockedNs : kIdleNs);
-    zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0}, {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0}};
-    zmq::poll(items, 2, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
-    turn(bus::now_ns());
+    const std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
+    const std::int64_t wait_ns = std::clamp<std::int64_t>(due_ns - bus::now_ns(), 0, blocked_ ? kBlockedNs : kIdleNs);
+    zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0},
+                            {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0},
+                            {nullptr, follower_.descriptor(), ZMQ_POLLIN, 0}};
+    zmq::poll(items, 3, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
+    step(bus::now_ns());
   }
 }
 
 void Streamer::take_messages(std::int64_t now_ns) {
   subscriber_.dispatch_all(0ms);
-  send_visibility(now_ns);
-  blocked_ = hub_.pump(now_ns);
+  hub_.broadcast(model_.take_packets());
+  if (!follower_.busy()) send_visibility(now_ns);
+  blocked_ = hub_.pump(now_ns, !follower_.busy());
 }
 
 void Streamer::turn(std::int64_t now_ns) {
+  step(now_ns);
+  if (!follower_.busy()) return;
+  follower_.wait();
+  end_tick(now_ns);
+  take_messages(now_ns);
+}
+
+void Streamer::step(std::int64_t now_ns) {
+  end_tick(now_ns);
   take_messages(now_ns);
   hub_.receive(now_ns);
   // The first Gaussians do not wait for the tick.
-  const bool first = announcement_ && !model_.ready() && hub_.viewers() > 0;
-  if (now_ns >= next_tick_ns_ || first) {
-    tick(now_ns);
+  const bool first = announcement_ && !model_.status().ready && hub_.viewers() > 0;
+  if (!follower_.busy() && (now_ns >= next_tick_ns_ || first)) {
+    blocked_ = hub_.pump(now_ns, true);  // what may not be asked for meanwhile
+    begin_tick();
     const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
     next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
   }
-  blocked_ = hub_.pump(now_ns);
+  blocked_ = hub_.pump(now_ns, !follower_.busy());
   hub_.expire(now_ns);
   if (next_stats_ns_ == 0) next_stats_ns_ = now_ns + kSecondNs;
   if (now_ns >= next_stats_ns_) {
@@ -122,7 +137,7 @@ void Streamer::take_scene(const wire::SceneUpdate& body) {
 // Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
 void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::Message& message) {
   const std::uint64_t generation = body.model_generation(), version = body.scene_version();
-  if (generation < observed_generation_ || version < model_.held().visibility_version) return;
+  if (generation < observed_generation_ || version < model_.status().visibility_version) return;
   if (const auto newest = relit_.find(generation); newest != relit_.end() && newest->second.scene_version > version) {
     return;
   }
@@ -130,9 +145,17 @@ void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::M
     throw bus::Error(fmt::format("relight/visibility: of {} Gaussians, at most {} can be read", body.count(),
                                  stream::kMaxModelGaussians));
   }
-  const auto tensor = message.tensor("visibility", bus::ElementType::U8, {1, static_cast<std::uint32_t>(body.count())});
+  const auto& lights = *body.light_ids();
+  if (lights.size() == 0 || lights.size() > 1 + kMaxLightSources || lights.Get(0) != 0 ||
+      std::ranges::adjacent_find(lights, std::greater_equal<>{}) != lights.end()) {
+    throw bus::Error(fmt::format("relight/visibility: its {} light_ids are not 0 and ascending", lights.size()));
+  }
+  const auto tensor =
+      message.tensor("visibility", bus::ElementType::U8, {lights.size(), static_cast<std::uint32_t>(body.count())});
   if (!tensor) return;
-  Visibility relit{.scene_version = version, .of_index = std::vector<std::uint8_t>(tensor->bytes())};
+  Visibility relit{.scene_version = version,
+                   .light_ids = {lights.begin(), lights.end()},
+                   .of_index = std::vector<std::uint8_t>(tensor->bytes())};
   if (!tensor->copy(relit.of_index.data())) return;
   relit_[generation] = std::move(relit);
   if (relit_.size() > kMaxRelit) relit_.erase(relit_.begin());
@@ -145,12 +168,16 @@ void Streamer::send_visibility(std::int64_t now_ns) {
   visibility_ns_ = now_ns;
   relit_.erase(relit_.begin(), relit_.lower_bound(observed_generation_));
   const auto relit = relit_.find(observed_generation_);
-  if (relit == relit_.end() || relit->second.sent || !model_.ready()) return;
+  if (relit == relit_.end() || relit->second.sent || !model_.status().ready) return;
   if (now_ns < next_visibility_ns_ || visibility_balance_bytes_ < 0) return;
   next_visibility_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_->visibility_hz);
   relit->second.sent = true;
   try {
-    const auto packets = model_.take_visibility(relit->second.of_index, relit->second.scene_version);
+    const auto packets = model_.take_visibility({.light_ids = relit->second.light_ids,
+                                                 .of_index = relit->second.of_index,
+                                                 .scene_version = relit->second.scene_version},
+                                                visibility_balance_bytes_);
+    relit->second.sent = model_.visibility_rests();
     for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.bytes());
     hub_.broadcast(packets);
   } catch (const stream::StreamError& error) {
@@ -167,7 +194,7 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
   stream::Bytes rgba(color->bytes());
   if (!color->copy(rgba.data())) return;
   hub_.send_probe_picture(body.probe_id(), writer_.write(
-                                               model_.held().epoch, 0, wire::Body::ProbePicture,
+                                               model_.status().epoch, 0, wire::Body::ProbePicture,
                                                [&](auto& builder) {
                                                  const auto objects_offset = to_wire(builder, scene.objects);
                                                  const auto light_offset = to_wire(builder, scene.light);
@@ -179,69 +206,54 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
                                                stream::zstd_compress(rgba, kPictureZstdLevel)));
 }
 
-bool Streamer::observe() {
-  if (announcement_) {
-    const bus::Message message = *announcement_;
-    announcement_.reset();
-    const bool sensible = bus::guarded(message, [&] {
-      auto opened = PublishedModel::open(message, service_.backend, PublishedModel::Need::Average,
-                                         published_ ? &*published_ : nullptr);
-      if (!opened) return;
-      if (published_) host_copied_bytes_ += published_->copied_bytes();
-      published_ = std::move(*opened);
-    });
-    if (!sensible) bus::require_usable(service_.backend);
-  }
-  if (!published_ || !published_->refresh()) return false;
-  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
-}
-
-void Streamer::tick(std::int64_t now_ns) {
-  const std::int64_t begin_ns = bus::now_ns();
+void Streamer::begin_tick() {
   if (!hub_.anybody_follows()) model_.release();
   if (hub_.viewers() == 0) {
-    service_.detail(published_ ? "waits for viewers" : "waits for model/published");
+    service_.detail(ticked_.opened ? "waits for viewers" : "waits for model/published");
     return;
   }
   if (options_.refresh()) model_.set_schedules(options_->stream.schedules);
   const double per_tick = options_->budget_kbps * 125 / static_cast<double>(options_->hub.tick_hz);
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
-  try {
-    const bool fresh = observe();
-    if (fresh) observed_generation_ = published_->generation();
-    take_messages(now_ns);  // the scene does not wait for the model
-    if (!model_.ready()) {
-      // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
-      if (!fresh || model_.observed_count() == 0) {
-        service_.detail("waits for Gaussians");
-        return;
-      }
-      model_.reset_to_target();
-      hub_.restart_all();
-      for (auto& [generation, relit] : relit_) relit.sent = false;
-    } else if (fresh) {
-      const auto packets = model_.tick(std::max(balance_bytes_, 0.0), hub_.cameras());
-      for (const auto& packet : packets) balance_bytes_ -= static_cast<double>(packet.bytes());
-      hub_.broadcast(packets);
-    }
-    say_what_is_served();
-  } catch (const stream::StreamError& error) {
-    if (log_limiter_.allow()) spdlog::error("{}", error.what());
-  }
-  tick_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+  follower_.start({.announcement = std::exchange(announcement_, std::nullopt),
+                   .budget_bytes = std::max(balance_bytes_, 0.0),
+                   .cameras = hub_.cameras()});
 }
 
-void Streamer::say_what_is_served() {
-  const std::size_t held = model_.held().gaussians.count(), observed = model_.observed_count();
-  if (model_.full() && !full_) spdlog::warn("{} of {} Gaussians are served: viewers take no more", held, observed);
-  full_ = model_.full();
-  service_.detail(full_ ? fmt::format("streams {} of {} Gaussians to {} viewers", held, observed, hub_.viewers())
-                        : fmt::format("streams to {} viewers", hub_.viewers()));
+void Streamer::end_tick(std::int64_t now_ns) {
+  const std::optional<ModelFollower::Result> result = follower_.take_result();
+  if (!result) return;
+  ticked_ = *result;
+  balance_bytes_ -= result->spent_bytes;
+  if (result->fresh) observed_generation_ = result->generation;
+  if (result->restarted) {
+    (void)model_.take_packets();  // a snapshot has all that they say
+    hub_.restart_all();
+    for (auto& [generation, relit] : relit_) relit.sent = false;
+  }
+  if (!result->error.empty() && log_limiter_.allow()) spdlog::error("{}", result->error);
+  say_what_is_served(*result);
+  take_messages(now_ns);
+}
+
+void Streamer::say_what_is_served(const ModelFollower::Result& result) {
+  const stream::StreamModel::Status status = model_.status();
+  if (!status.ready) {
+    service_.detail("waits for Gaussians");
+    return;
+  }
+  if (result.full && !full_) {
+    spdlog::warn("{} of {} Gaussians are served: viewers take no more", status.gaussians, result.observed);
+  }
+  full_ = result.full;
+  service_.detail(
+      full_ ? fmt::format("streams {} of {} Gaussians to {} viewers", status.gaussians, result.observed, hub_.viewers())
+            : fmt::format("streams to {} viewers", hub_.viewers()));
 }
 
 void Streamer::publish_statistics(std::int64_t now_ns) {
   const auto window = hub_.statistics().close_window(now_ns);
-  const stream::ReplicatedState& held = model_.held();
+  const stream::StreamModel::Status held = model_.status();
   publisher_.publish(topics::kStreamStats, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::PacketBytes>> types;
     for (std::size_t i = 0; i < window.types.size(); ++i) {
@@ -251,18 +263,17 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
                                                     type.total_bytes, type.window_bytes, type.packets));
     }
     return wire::CreateStreamStatsDirect(
-        builder, header, held.epoch, held.sequence, static_cast<std::uint32_t>(hub_.viewers()), held.gaussians.count(),
-        model_.observed_count(), window.total_bytes, window.bytes, window.seconds, window.mbps, window.mbps_mean,
+        builder, header, held.epoch, held.sequence, static_cast<std::uint32_t>(hub_.viewers()), held.gaussians,
+        ticked_.observed, window.total_bytes, window.bytes, window.seconds, window.mbps, window.mbps_mean,
         window.mbps_peak, hub_.snapshots(), hub_.resends(), hub_.lost_viewers(), &types);
   });
   service_.counter("viewers", static_cast<double>(hub_.viewers()));
-  service_.counter("gaussians", static_cast<double>(held.gaussians.count()));
-  service_.counter("unsent_gaussians", static_cast<double>(model_.unsent()));
-  service_.counter("pending_deltas", static_cast<double>(model_.pending_deltas()));
-  service_.counter("tick_ms", tick_ms_);
-  const std::uint64_t copying = published_ ? published_->copied_bytes() : 0;
-  service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_ + copying));
-  service_.counter("observed_bytes", static_cast<double>(model_.quantizer().copied_bytes()));
+  service_.counter("gaussians", static_cast<double>(held.gaussians));
+  service_.counter("unsent_gaussians", static_cast<double>(ticked_.unsent));
+  service_.counter("pending_deltas", static_cast<double>(ticked_.pending_deltas));
+  service_.counter("tick_ms", ticked_.ms);
+  service_.counter("host_copied_bytes", static_cast<double>(ticked_.host_copied_bytes));
+  service_.counter("observed_bytes", static_cast<double>(ticked_.observed_bytes));
   service_.counter("wire_mbps", window.mbps);
   service_.counter("wire_mbps_mean", window.mbps_mean);
   service_.counter("wire_mbps_peak", window.mbps_peak);

@@ -10,9 +10,9 @@
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
-#include "model/published_model.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
+#include "streamer/model_follower.h"
 #include "streamer/parameters.h"
 #include "streamer/viewer_hub.h"
 
@@ -26,8 +26,8 @@ class Streamer {
 
   /// Until `service.stop`.
   void run();
-  /// One turn of run() at `now_ns` (CLOCK_MONOTONIC), without waiting: takes what has come, ticks and reports when that
-  /// is due, sends what the sockets take.
+  /// One turn of run() at `now_ns` (CLOCK_MONOTONIC): takes what has come, ticks, waits for that, reports when it is
+  /// due, sends what the sockets take.
   void turn(std::int64_t now_ns);
 
   [[nodiscard]] const std::vector<std::string>& endpoints() const { return endpoint_.bound(); }
@@ -35,7 +35,8 @@ class Streamer {
  private:
   struct Visibility {
     std::uint64_t scene_version = 0;
-    std::vector<std::uint8_t> of_index;
+    std::vector<std::uint32_t> light_ids;
+    std::vector<std::uint8_t> of_index;  ///< [light_ids][indices]
     bool sent = false;
   };
 
@@ -44,12 +45,14 @@ class Streamer {
   /// Takes what has come on the bus, and sends what of it viewers are waiting for.
   void take_messages(std::int64_t now_ns);
   void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
-  void tick(std::int64_t now_ns);
-  [[nodiscard]] bool observe();
+  /// What is due; a tick is begun, and ended by a later call.
+  void step(std::int64_t now_ns);
+  void begin_tick();
+  void end_tick(std::int64_t now_ns);
   void take_visibility(const wire::RelightVisibility& body, const bus::Message& message);
   void send_visibility(std::int64_t now_ns);
   void publish_statistics(std::int64_t now_ns);
-  void say_what_is_served();
+  void say_what_is_served(const ModelFollower::Result& result);
   [[nodiscard]] HubEvents events();
 
   bus::ServiceContext& service_;
@@ -61,19 +64,18 @@ class Streamer {
   stream::StreamModel model_;
   ViewerHub hub_;
 
-  std::optional<bus::Message> announcement_;  ///< model/published that is not open yet
-  std::optional<PublishedModel> published_;
+  std::optional<bus::Message> announcement_;   ///< model/published that is not open yet
   std::uint64_t observed_generation_ = 0;      ///< of the model that model_ has observed
   std::map<std::uint64_t, Visibility> relit_;  ///< by generation: the newest of each
   std::int64_t visibility_ns_ = 0;             ///< when its balance was renewed
   double visibility_balance_bytes_ = 0;
   std::int64_t next_visibility_ns_ = 0, next_tick_ns_ = 0, next_stats_ns_ = 0;
-  bool blocked_ = false;      ///< somebody's queue is full
-  bool full_ = false;         ///< viewers take no more of the model
-  double balance_bytes_ = 0;  ///< of the budget; negative when a tick went over it
-  double tick_ms_ = 0;
+  bool blocked_ = false;          ///< somebody's queue is full
+  bool full_ = false;             ///< viewers take no more of the model
+  double balance_bytes_ = 0;      ///< of the budget; negative when a tick went over it
+  ModelFollower::Result ticked_;  ///< by the last tick
   bus::LogLimiter log_limiter_;
-  std::uint64_t host_copied_bytes_ = 0;  ///< of models that were open before; planes, not what leaves the machine
+  ModelFollower follower_;  ///< last: its thread uses model_
 };
 
 }  // namespace splatbus::streamer

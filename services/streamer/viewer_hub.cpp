@@ -43,12 +43,13 @@ void ViewerHub::receive(std::int64_t now_ns) {
 }
 
 stream::EncodedPacket ViewerHub::welcome(bool asks) const {
-  const ParameterLayout& layout = model_.held().layout.parameters();
+  const stream::StreamModel::Status held = model_.status();
+  const ParameterLayout& layout = held.layout;
   const bool transfer = layout.appearance == Appearance::Transfer;
-  return writer_.write(model_.held().epoch, 0, wire::Body::Welcome, [&](auto& builder) {
+  return writer_.write(held.epoch, 0, wire::Body::Welcome, [&](auto& builder) {
     return wire::CreateWelcome(builder, transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-                               static_cast<std::uint8_t>(transfer ? 0 : layout.sh_degree), model_.held().epoch,
-                               options_.tick_hz, asks);
+                               static_cast<std::uint8_t>(transfer ? 0 : layout.sh_degree), held.epoch, options_.tick_hz,
+                               asks);
   });
 }
 
@@ -63,7 +64,7 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
   }
   Viewer& viewer = found->second;
   viewer.heard_ns = now_ns;
-  const bool same_epoch = packet.stream_epoch() == model_.held().epoch;
+  const bool same_epoch = packet.stream_epoch() == model_.status().epoch;
   switch (packet.body()) {
     case wire::Body::Pose:
       viewer.camera = from_wire(*root.body_as_Pose()->camera());
@@ -109,7 +110,7 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
     return;
   }
   if (viewers_.size() >= options_.max_viewers) {
-    send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Bye, [&](auto& builder) {
+    send(peer, WirePacket(writer_.write(model_.status().epoch, 0, wire::Body::Bye, [&](auto& builder) {
            return wire::CreateByeDirect(builder,
                                         fmt::format("{} viewers are all that are served", viewers_.size()).c_str());
          })));
@@ -136,9 +137,9 @@ void ViewerHub::restart_all() {
   for (auto& [peer, viewer] : viewers_) PacketFeed::start_over(viewer.cursor);
 }
 
-SharedPacket ViewerHub::next_packet(Viewer& viewer, std::int64_t now_ns) {
+SharedPacket ViewerHub::next_packet(Viewer& viewer, std::int64_t now_ns, bool settled) {
   bool lagged = false;
-  SharedPacket packet = feed_.next(viewer.cursor, viewer.camera, now_ns, lagged);
+  SharedPacket packet = feed_.next(viewer.cursor, viewer.camera, now_ns, settled, lagged);
   if (lagged) {
     ++lost_viewers_;
     spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
@@ -155,14 +156,14 @@ void ViewerHub::advance(Viewer& viewer, const SharedPacket& sent) {
   }
 }
 
-bool ViewerHub::pump(std::int64_t now_ns) {
+bool ViewerHub::pump(std::int64_t now_ns, bool settled) {
   bool full = false;
   for (auto at = viewers_.begin(); at != viewers_.end();) {
     Viewer& viewer = at->second;
     auto sent = Endpoint::Sent::Yes;
     bool idle = false;
     while (sent == Endpoint::Sent::Yes) {
-      const SharedPacket packet = next_packet(viewer, now_ns);
+      const SharedPacket packet = next_packet(viewer, now_ns, settled);
       idle = !packet;
       if (idle) break;
       sent = send(at->first, *packet);
@@ -193,8 +194,8 @@ void ViewerHub::send_keepalive() {
     // Only what has been sent can have been lost.
     const bool follows = !viewer.cursor.waits_for_snapshot && !viewer.cursor.snapshot;
     const std::uint64_t last_sent = follows ? viewer.cursor.next - 1 : 0;
-    send(peer, WirePacket(writer_.write(model_.held().epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
-           return wire::CreateKeepalive(builder, last_sent, model_.held().gaussians.count(),
+    send(peer, WirePacket(writer_.write(model_.status().epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
+           return wire::CreateKeepalive(builder, last_sent, model_.status().gaussians,
                                         static_cast<std::uint32_t>(viewers_.size()));
          })));
   }

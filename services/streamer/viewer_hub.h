@@ -47,7 +47,8 @@ class ViewerHub {
   /// After the model was reset: everybody starts over with a snapshot.
   void restart_all();
   /// Sends as much as sockets take. True when somebody's is full.
-  bool pump(std::int64_t now_ns);
+  /// `settled`: the model is not being ticked, so that snapshots may begin.
+  bool pump(std::int64_t now_ns, bool settled = true);
   /// Once a second: Keepalive to all.
   void send_keepalive();
   /// Forgets viewers that fell silent.
@@ -78,7 +79,7 @@ class ViewerHub {
   void handle(const Endpoint::Received& received, std::int64_t now_ns);
   void hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns);
   /// Next packet to send to a viewer, null when there is none; and what to do when it is sent.
-  [[nodiscard]] SharedPacket next_packet(Viewer& viewer, std::int64_t now_ns);
+  [[nodiscard]] SharedPacket next_packet(Viewer& viewer, std::int64_t now_ns, bool settled);
   void advance(Viewer& viewer, const SharedPacket& sent);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet);
   [[nodiscard]] stream::EncodedPacket welcome(bool asks) const;

@@ -33,12 +33,8 @@ std::vector<CameraOfFrame> cameras_of(const Camera& camera, const ObjectTransfor
   cameras.reserve(1 + objects.size());
   const auto add = [&](std::uint32_t frame_id, const Rigid& camera_from_frame, float scale) {
     const math::Rigid rigid = portable(camera_from_frame);
-    PageFrustum frustum = page_frustum(pyramid, rigid);
-    for (PageFrustum::HalfSpace& side : frustum.sides) {
-      side.normal = side.normal * scale;
-      side.per_scale *= scale;
-    }
-    cameras.push_back({frame_id, {rigid.rotation, rigid.translation, scale}, std::log(scale), frustum});
+    cameras.push_back(
+        {frame_id, {rigid.rotation, rigid.translation, scale}, std::log(scale), page_frustum(pyramid, rigid, scale)});
   };
   static_assert(kWorldFrame == 0, "comes first");
   add(kWorldFrame, camera_from_world, 1);

@@ -15,11 +15,13 @@
 
 namespace splatbus::trainer {
 
-/// Of one scene version, by index of a structure's generation, in memory of the model's kind: 255 sees all of the sun.
+/// Of one scene version, by index of a structure's generation, in memory of the model's kind: 255 sees all of the
+/// light.
 struct VisibilityCommand {
   std::uint64_t model_generation = 0, scene_version = 0;
   std::size_t count = 0;
-  std::shared_ptr<std::byte> visibility;  ///< whoever takes the command may write to it
+  std::vector<std::uint32_t> light_ids{0};  ///< of the rows: [light_ids.size()][count]
+  std::shared_ptr<std::byte> visibility;    ///< whoever takes the command may write to it
 };
 
 /// What others ask of the model, in order of arrival within each kind. Bounded: the optimizer takes all of it between

@@ -149,8 +149,9 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   const raster::RenderOptions render_options{
       .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
   GaussiansView gaussians = store_.view();
-  gaussians.visibility_u8 = paired.visibility.get();
-  gaussians.visibility_stride = gaussians.count;
+  gaussians.visibility_u8 = paired.visibility.values.get();
+  gaussians.visibility_stride = paired.visibility.stride;
+  gaussians.visibility_rows = paired.visibility.rows;
   rasterizer_->forward(gaussians, view.camera, view.scene, render_options, render_);
 
   render_gradient_.alpha = {};

@@ -209,13 +209,14 @@ struct ReadVisibility {
 };
 
 struct CopyVisibility {
-  const std::uint8_t* values;
+  VisibilityRows<const std::uint8_t> values;
   const model::LaneRange* pages;
-  std::uint8_t* of_index;
+  VisibilityRows<std::uint8_t> of_index;
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
     const model::LaneRange page = pages[item / kPageLanes];
     const std::uint32_t index = page.first + item % kPageLanes;
-    if (item % kPageLanes < page.count) of_index[index] = values[index];
+    if (item % kPageLanes >= page.count) return;
+    for (std::uint32_t row = 0; row < of_index.rows; ++row) *of_index.at(row, index) = *values.at(row, index);
   }
 };
 
@@ -297,8 +298,8 @@ void read_visibility(StreamView stream, const model::PageMemory& memory, const I
   for_each_index(stream, range_count * kPageLanes, ReadVisibility{memory, ranges, of_index});
 }
 
-void copy_visibility(StreamView stream, const std::uint8_t* values, std::span<const model::LaneRange> pages,
-                     std::uint8_t* of_index) {
+void copy_visibility(StreamView stream, const VisibilityRows<const std::uint8_t>& values,
+                     std::span<const model::LaneRange> pages, const VisibilityRows<std::uint8_t>& of_index) {
   device::Buffer<model::LaneRange> on_device(stream);
   on_device.assign(pages);
   for_each_index(stream, static_cast<std::uint32_t>(pages.size()) * kPageLanes,

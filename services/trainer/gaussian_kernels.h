@@ -88,8 +88,18 @@ void move_values(StreamView stream, std::uint8_t* values, const model::Moves& mo
 /// The model's own visibility of those indices: of_index[index] = 255 v, rounded.
 void read_visibility(StreamView stream, const model::PageMemory& memory, const IndexRange* ranges,
                      std::uint32_t range_count, std::uint8_t* of_index);
-/// of_index[i] = values[i] for the indices of pages, which lie on the host; waits.
-void copy_visibility(StreamView stream, const std::uint8_t* values, std::span<const model::LaneRange> pages,
-                     std::uint8_t* of_index);
+/// A row a light, by index.
+template <class Byte>
+struct VisibilityRows {
+  Byte* values = nullptr;
+  std::size_t stride = 0;
+  std::uint32_t rows = 1;
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Byte* at(std::uint32_t row, std::uint32_t index) const {
+    return values + row * stride + index;
+  }
+};
+/// All rows of of_index for the indices of pages, which lie on the host; waits.
+void copy_visibility(StreamView stream, const VisibilityRows<const std::uint8_t>& values,
+                     std::span<const model::LaneRange> pages, const VisibilityRows<std::uint8_t>& of_index);
 
 }  // namespace splatbus::trainer::kernels

@@ -22,10 +22,17 @@ struct StepReport {
   StepReport& operator+=(const StepReport& later);
 };
 
-/// A view and the sun's visibility under its own scene, by index on the model's device; null: the model's own.
+/// A row a light of a scene, by index, on the model's device.
+struct SceneVisibility {
+  std::shared_ptr<const std::uint8_t> values;
+  std::size_t stride = 0;  ///< from one row to the next
+  std::uint32_t rows = 1;
+};
+
+/// A view and what its own scene's lights see; null: the model's own, of the sun.
 struct PairedView {
   TrainingViewPtr view;
-  std::shared_ptr<const std::uint8_t> visibility;
+  SceneVisibility visibility;
 };
 
 /// Render, loss, backward pass and Adam on the parameters of a PageStore, in place: what each device does in a way of

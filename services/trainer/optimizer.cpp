@@ -137,7 +137,7 @@ StepReport Optimizer::step(std::span<const TrainingViewPtr> views) {
   if (views.empty() || store_.count() == 0) return std::exchange(report_, {});
   std::vector<PairedView> paired;
   paired.reserve(views.size());
-  for (const TrainingViewPtr& view : views) paired.push_back({view, visibilities_.find(view->scene.version)});
+  for (const TrainingViewPtr& view : views) paired.push_back({view, visibilities_.find(view->scene)});
   step_->step(paired);
   launched_ += 1;
   collect(false);

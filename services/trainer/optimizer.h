@@ -47,7 +47,7 @@ class Optimizer {
   /// lie on the store's device. A view is lit by the visibility of its own scene version where that is here.
   StepReport step(std::span<const TrainingViewPtr> views);
   /// Scene versions whose visibility is here, ascending.
-  [[nodiscard]] std::vector<std::uint64_t> paired_versions() const { return visibilities_.versions(); }
+  [[nodiscard]] std::vector<PairedVersion> paired_versions() const { return visibilities_.versions(); }
 
   /// Waits for all that is under way; the structure may have changed.
   StepReport finish();

@@ -15,7 +15,7 @@ namespace splatbus::trainer {
 
 namespace {
 
-constexpr std::size_t kMaxDeviceObjects = 4000;  // all views of a batch together have a place for 65535
+constexpr std::size_t kMaxDeviceObjects = 32768;  // SPLATBUS_MAX_OBJECTS; a batch has room for two views' of that many
 
 }  // namespace
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <functional>
 #include <map>
 
 #include "bus/memory.h"
@@ -142,9 +143,16 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
   if (relit.count() > kMaxVisibilities) {
     throw bus::Error(message.topic() + ": a count of " + std::to_string(relit.count()) + " makes no sense");
   }
+  std::vector<std::uint32_t> light_ids(relit.light_ids()->begin(), relit.light_ids()->end());
+  const bool ascending = std::ranges::adjacent_find(light_ids, std::greater_equal()) == light_ids.end();
+  if (light_ids.empty() || light_ids.size() > 1 + kMaxLightSources || light_ids.front() != 0 || !ascending) {
+    throw bus::Error(message.topic() + ": its light_ids are not 0 and at most " + std::to_string(kMaxLightSources) +
+                     " more, ascending");
+  }
   if (relit.count() == 0) return;
   const auto tensor =
-      message.tensor("visibility", bus::ElementType::U8, {1, static_cast<std::uint32_t>(relit.count())});
+      message.tensor("visibility", bus::ElementType::U8,
+                     {static_cast<std::uint32_t>(light_ids.size()), static_cast<std::uint32_t>(relit.count())});
   if (!tensor) {
     ++lost_tensors_;
     return;
@@ -162,6 +170,7 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
   VisibilityCommand command{.model_generation = relit.model_generation(),
                             .scene_version = relit.scene_version(),
                             .count = relit.count(),
+                            .light_ids = std::move(light_ids),
                             .visibility = values};
   commands_.post([&](Commands& commands) { commands.add(std::move(command)); });
 }

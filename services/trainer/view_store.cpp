@@ -8,7 +8,10 @@ namespace splatbus::trainer {
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
 bool ViewStore::is_paired(const TrainingView& view) const {
-  return !paired_ || std::binary_search(paired_->begin(), paired_->end(), view.scene.version);
+  if (!paired_) return true;
+  const auto found = std::ranges::lower_bound(*paired_, view.scene.version, {}, &PairedVersion::version);
+  return found != paired_->end() && found->version == view.scene.version &&
+         found->light_ids == light_ids(view.scene.light);
 }
 
 void ViewStore::replace(TrainingViewPtr& old, TrainingViewPtr view) {
@@ -31,7 +34,7 @@ void ViewStore::put(TrainingViewPtr view) {
   evict(key);
 }
 
-void ViewStore::set_paired(std::optional<std::vector<std::uint64_t>> versions) {
+void ViewStore::set_paired(std::optional<std::vector<PairedVersion>> versions) {
   const std::scoped_lock lock(mutex_);
   paired_ = std::move(versions);
   for (auto& [key, entry] : views_) {

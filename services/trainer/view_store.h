@@ -66,8 +66,15 @@ struct ViewKey {
   return {.role = view.camera.role, .id = view.camera.id};
 }
 
-/// The newest view of each camera that can be trained on: one whose scene version has its visibility. A newer one waits
-/// beside it for its own. Bounded in number and bytes: the camera that was updated longest ago makes room. Thread-safe.
+/// A scene version whose visibility is there, and of which lights.
+struct PairedVersion {
+  std::uint64_t version = 0;
+  std::vector<std::uint32_t> light_ids{0};
+};
+
+/// The newest view of each camera that can be trained on: one whose scene version has its visibility, of all its
+/// lights. A newer one waits beside it for its own. Bounded in number and bytes: the camera that was updated longest
+/// ago makes room. Thread-safe.
 class ViewStore {
  public:
   static constexpr std::size_t kMaxViews = 1024;
@@ -78,7 +85,7 @@ class ViewStore {
   /// It replaces the camera's view when its version is paired, else whichever waited for that before.
   void put(TrainingViewPtr view);
   /// The scene versions whose visibility is there, ascending; nullopt, as in the beginning: no view needs any.
-  void set_paired(std::optional<std::vector<std::uint64_t>> versions);
+  void set_paired(std::optional<std::vector<PairedVersion>> versions);
   /// Scene versions of all views, those that wait too, ascending.
   [[nodiscard]] std::vector<std::uint64_t> versions() const;
   /// Views that were replaced before they were paired.
@@ -108,7 +115,7 @@ class ViewStore {
   const std::size_t max_views_, max_bytes_;
   mutable std::mutex mutex_;
   std::map<ViewKey, Entry> views_;
-  std::optional<std::vector<std::uint64_t>> paired_;
+  std::optional<std::vector<PairedVersion>> paired_;
   std::size_t bytes_ = 0;
   std::uint64_t updates_ = 0, cameras_version_ = 0, unpaired_ = 0;
 };

@@ -1,15 +1,15 @@
 #include "trainer/visibility_ring.h"
 
 #include <algorithm>
-#include <iterator>
 #include <utility>
 
 namespace splatbus::trainer {
 
-VisibilityRing::OfIndex VisibilityRing::make(std::size_t size) const {
-  auto buffer = std::make_shared<device::Buffer<std::uint8_t>>(stream_, size);
+VisibilityRing::OfIndex VisibilityRing::make(std::size_t stride, const std::vector<std::uint32_t>& light_ids) const {
+  auto buffer = std::make_shared<device::Buffer<std::uint8_t>>(stream_, stride * light_ids.size());
   std::uint8_t* const values = buffer->data();
-  return {.values = {std::move(buffer), values}, .size = size};
+  device::fill(stream_, values, 255, buffer->bytes());
+  return {.values = {std::move(buffer), values}, .stride = stride, .light_ids = light_ids};
 }
 
 void VisibilityRing::take(const VisibilityCommand& relit, std::span<const std::uint64_t> needed) {
@@ -20,48 +20,58 @@ void VisibilityRing::take(const VisibilityCommand& relit, std::span<const std::u
   if (newest) store_.set_visibility(values, pages);
   OfIndex& of_index = of_version_[relit.scene_version];
   if (pages.size() == view.ranges.size() && relit.count >= view.count) {
-    of_index = {.values = {relit.visibility, values}, .size = relit.count};
+    of_index = {.values = {relit.visibility, values}, .stride = relit.count, .light_ids = relit.light_ids};
   } else {
-    of_index = make(view.count);
+    of_index = make(view.count, relit.light_ids);
     kernels::read_visibility(stream_, store_.memory(), store_.device_ranges(),
-                             static_cast<std::uint32_t>(view.ranges.size()), of_index.values.get());
-    kernels::copy_visibility(stream_, values, pages, of_index.values.get());
+                             static_cast<std::uint32_t>(view.ranges.size()), of_index.row(0));
+    kernels::copy_visibility(stream_, {values, relit.count, of_index.rows()}, pages,
+                             {of_index.values.get(), of_index.stride, of_index.rows()});
   }
   drop(needed);
 }
 
 void VisibilityRing::drop(std::span<const std::uint64_t> needed) {
-  const auto newest = std::prev(of_version_.end());
-  const std::size_t most =
-      std::clamp<std::size_t>(kMaxBytes / std::max<std::size_t>(1, newest->second.size), 1, kMaxVersions);
-  std::erase_if(of_version_, [&, version = newest->first](const auto& entry) {
-    return entry.first != version && !std::binary_search(needed.begin(), needed.end(), entry.first);
+  const std::uint64_t newest = of_version_.rbegin()->first;
+  std::erase_if(of_version_, [&](const auto& entry) {
+    return entry.first != newest && !std::binary_search(needed.begin(), needed.end(), entry.first);
   });
-  while (of_version_.size() > most) of_version_.erase(of_version_.begin());
+  std::size_t bytes = 0;
+  for (const auto& [version, of_index] : of_version_) bytes += of_index.bytes();
+  while (of_version_.size() > kMaxVersions || (of_version_.size() > 1 && bytes > kMaxBytes)) {
+    bytes -= of_version_.begin()->second.bytes();
+    of_version_.erase(of_version_.begin());
+  }
 }
 
 void VisibilityRing::follow(const kernels::PagedGaussians& fresh, const model::Moves& moves) {
   const std::size_t count = store_.view().count;
   for (auto& [version, of_index] : of_version_) {
-    if (of_index.size < count) {
-      OfIndex larger = make(count + count / 4);
-      device::copy(stream_, larger.values.get(), of_index.values.get(), of_index.size);
-      of_index = std::move(larger);
+    if (of_index.stride < count) {
+      const OfIndex larger = make(count + count / 4, of_index.light_ids);
+      for (std::uint32_t light = 0; light < of_index.rows(); ++light) {
+        device::copy(stream_, larger.row(light), of_index.row(light), of_index.stride);
+      }
+      of_index = larger;
     }
-    kernels::read_visibility(stream_, fresh.memory, fresh.ranges, fresh.range_count, of_index.values.get());
-    kernels::move_values(stream_, of_index.values.get(), moves);
+    kernels::read_visibility(stream_, fresh.memory, fresh.ranges, fresh.range_count, of_index.row(0));
+    for (std::uint32_t light = 0; light < of_index.rows(); ++light) {
+      if (light > 0) kernels::set_values(stream_, of_index.row(light), fresh.ranges, fresh.range_count, 255);
+      kernels::move_values(stream_, of_index.row(light), moves);
+    }
   }
 }
 
-std::shared_ptr<const std::uint8_t> VisibilityRing::find(std::uint64_t scene_version) const {
-  const auto found = of_version_.find(scene_version);
-  return found == of_version_.end() ? nullptr : found->second.values;
+SceneVisibility VisibilityRing::find(const SceneState& scene) const {
+  const auto found = of_version_.find(scene.version);
+  if (found == of_version_.end() || found->second.light_ids != light_ids(scene.light)) return {};
+  return {.values = found->second.values, .stride = found->second.stride, .rows = found->second.rows()};
 }
 
-std::vector<std::uint64_t> VisibilityRing::versions() const {
-  std::vector<std::uint64_t> all;
+std::vector<PairedVersion> VisibilityRing::versions() const {
+  std::vector<PairedVersion> all;
   all.reserve(of_version_.size());
-  for (const auto& [version, of_index] : of_version_) all.push_back(version);
+  for (const auto& [version, of_index] : of_version_) all.push_back({version, of_index.light_ids});
   return all;
 }
 

@@ -110,8 +110,10 @@ void Viewer::send_pose(std::int64_t now_ns) {
 
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const std::int64_t begin_ns = bus::now_ns();
-  const GaussiansView view = display_.view();
-  if (model_changed_) renderer_->read_in_place(view);
+  const GaussiansView view = display_.view(scene.light.sources);
+  // The rows of a probe's lights may be others.
+  if (model_changed_ || view.visibility_u8 != drawn_rows_) renderer_->read_in_place(view);
+  drawn_rows_ = view.visibility_u8;
   model_changed_ = false;
   renderer_->draw(camera, scene, {}, render_);
   draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;

@@ -81,6 +81,7 @@ class Viewer {
   std::int64_t drawn_ns_ = 0, posed_ns_ = 0;
   Camera posed_;
   bool model_changed_ = true;  ///< since the renderer read it
+  const std::uint8_t* drawn_rows_ = nullptr;
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;

@@ -44,14 +44,18 @@ Tensor matrices_of(const Tensor& matrices, std::int64_t size, const char* name) 
   return matrices.to(at::kDouble).contiguous();
 }
 
-/// Of a 4x4 matrix of doubles, row by row.
-Rigid rigid_of(const double* row_major, const char* name) {
-  glm::dmat3 rotation;
-  glm::dvec3 translation;
+glm::dmat3 linear_of(const double* row_major) {
+  glm::dmat3 linear;
   for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) rotation[column][row] = row_major[4 * row + column];
-    translation[row] = row_major[4 * row + 3];
+    for (int column = 0; column < 3; ++column) linear[column][row] = row_major[4 * row + column];
   }
+  return linear;
+}
+
+/// Of a 4x4 matrix of doubles, row by row, whose lengths are `scale` times as long.
+Rigid rigid_of(const double* row_major, const char* name, double scale = 1) {
+  const glm::dmat3 rotation = linear_of(row_major) / scale;
+  const glm::dvec3 translation(row_major[3], row_major[7], row_major[11]);
   constexpr double kTolerance = 1e-3;
   const glm::dmat3 product = glm::transpose(rotation) * rotation;
   double error = std::abs(glm::determinant(rotation) - 1);
@@ -88,6 +92,14 @@ std::vector<Camera> cameras_of(const Tensor& camera_from_world, const Tensor& in
   return cameras;
 }
 
+ObjectTransform object_of(const double* row_major) {
+  const double scale = std::cbrt(glm::determinant(linear_of(row_major)));
+  TORCH_CHECK(scale > 0, "rasterize: a matrix of world_from_object is not a rotation, a scale and a translation");
+  ObjectTransform object = rigid_of(row_major, "world_from_object", scale);
+  object.scale = static_cast<float>(scale);
+  return object;
+}
+
 SceneState scene_of(const OptionalTensor& ambient_sh, at::ArrayRef<double> sun_direction,
                     at::ArrayRef<double> sun_irradiance, at::ArrayRef<double> background, at::IntArrayRef objects,
                     const OptionalTensor& world_from_object) {
@@ -107,8 +119,7 @@ SceneState scene_of(const OptionalTensor& ambient_sh, at::ArrayRef<double> sun_d
   TORCH_CHECK(objects.size() == count,
               words("rasterize: ", objects.size(), " objects and ", count, " matrices world_from_object"));
   for (std::size_t i = 0; i < count; ++i) {
-    scene.objects[static_cast<std::uint32_t>(objects[i])] =
-        rigid_of(poses.data_ptr<double>() + 16 * i, "world_from_object");
+    scene.objects[static_cast<std::uint32_t>(objects[i])] = object_of(poses.data_ptr<double>() + 16 * i);
   }
   return scene;
 }

@@ -26,12 +26,26 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .lr_recovery = options.lr_recovery};
 }
 
+/// As many of the first as have a place for all their objects, be they others in each.
+std::span<const PairedView> with_room(std::span<const PairedView> views) {
+  std::size_t objects = 1, count = 0;
+  for (; count < views.size(); ++count) {
+    objects += views[count].view->scene.objects.size();
+    if (count > 0 && objects >= static_cast<std::size_t>(raster::cuda::kMaxObjects)) break;
+  }
+  return views.first(count);
+}
+
 std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> views) {
   std::vector<raster::cuda::TrainView> out;
   for (const PairedView& paired : views) {
     const TrainingViewPtr& view = paired.view;
     if (view->memory != Device::Cuda) throw std::invalid_argument("a picture is not in device memory");
-    out.push_back({.view = {.camera = view->camera, .scene = &view->scene, .visibility = paired.visibility.get()},
+    out.push_back({.view = {.camera = view->camera,
+                            .scene = &view->scene,
+                            .visibility = paired.visibility.values.get(),
+                            .visibility_stride = paired.visibility.stride,
+                            .visibility_rows = paired.visibility.rows},
                    .color = view->color.data(),
                    .albedo = view->albedo.empty() ? nullptr : view->albedo.data(),
                    .depth = view->depth.empty() ? nullptr : view->depth.data(),
@@ -56,7 +70,7 @@ class CudaStep final : public GradientStep {
     train_.set_learning_rates(channel_learning_rates(options));
   }
 
-  void step(std::span<const PairedView> views) override { train_.step(train_views(views)); }
+  void step(std::span<const PairedView> views) override { train_.step(train_views(with_room(views))); }
 
   StepReport finished(bool wait) override {
     const auto done = train_.finished(wait);

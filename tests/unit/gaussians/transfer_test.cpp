@@ -58,5 +58,29 @@ TEST(Transfer, ResidualSeesAmbientAndSun) {
   EXPECT_LE(glm::distance(shade_transfer(buffer.view(), 0, light), expected), 1e-5F);
 }
 
+TEST(Transfer, SourcesAddWithTheirOwnRowsOfVisibility) {
+  Light light;
+  light.sun_irradiance = glm::vec3(glm::pi<float>());
+  // A lamp 2 m above, and light from the side that leaves the surface alone but meets the residual.
+  light.sources = {
+      {.id = 3, .position = {0, 2, 0}, .intensity = glm::pi<float>() * glm::vec3(4, 8, 0), .range_m = 1e4F},
+      {.id = 4, .kind = LightKind::Directional, .direction = {1, 0, 0}, .intensity = {0, 0, glm::pi<float>()}}};
+  GaussiansBuffer buffer = one(glm::vec3(0.5F), {0, 1, 0}, 0.25F);
+  const auto residual = [&](std::size_t k, std::size_t c) -> float& {
+    return buffer.parameters[(ParameterLayout::kResidual + 3 * k + c) * buffer.stride()];
+  };
+  residual(3, 2) = -2;  // sees -x
+  GaussiansView view = buffer.view();
+  const float side = 2 * kShC1;
+  EXPECT_LE(glm::distance(shade_transfer(view, 0, light), {0.625F, 1.125F, 0.125F + side}), 1e-5F) << "not shadowed";
+  const std::vector<std::uint8_t> rows{0, 255, 9, 51, 9, 204};
+  view.visibility_u8 = rows.data() + 1;
+  view.visibility_stride = 2;
+  view.visibility_rows = 3;
+  EXPECT_LE(glm::distance(shade_transfer(view, 0, light), {0.6F, 0.7F, 0.5F + 0.8F * side}), 1e-5F);
+  view.visibility_rows = 2;
+  EXPECT_LE(glm::distance(shade_transfer(view, 0, light), {0.6F, 0.7F, 0.5F + side}), 1e-5F) << "has no row";
+}
+
 }  // namespace
 }  // namespace splatbus

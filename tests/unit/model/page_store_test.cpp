@@ -28,8 +28,10 @@ TEST_P(PageStoreTest, ARadianceModelBeginsWithTheColorThatTheSampleHasUnderTheLi
   for (auto& sh : scene.light.ambient_sh) sh = {0.4F, 0.3F, 0.2F};
   scene.light.sun_direction = glm::normalize(glm::vec3(1, 2, 3));
   scene.light.sun_irradiance = {2, 1.5F, 1};
-  scene.objects[1].rotation = glm::normalize(glm::quat(0.5F, 0.1F, -0.4F, 0.3F));
+  scene.objects[1].rigid.rotation = glm::normalize(glm::quat(0.5F, 0.1F, -0.4F, 0.3F));
+  scene.objects[2].emissive = true;
   for (std::size_t k = 0; k < batch.count; ++k) {
+    batch.object_id[k] = static_cast<std::uint32_t>(k % 3);
     glm::vec3 n(batch.normal[k] - 0.5F, batch.normal[batch.count + k] - 0.5F, batch.normal[2 * batch.count + k]);
     n = glm::normalize(n);
     for (std::size_t c = 0; c < 3; ++c) batch.normal[c * batch.count + k] = n[static_cast<int>(c)];
@@ -41,14 +43,15 @@ TEST_P(PageStoreTest, ARadianceModelBeginsWithTheColorThatTheSampleHasUnderTheLi
   for (std::size_t k = 0; k < batch.count; ++k) {
     const std::vector<float>& values = found.by_id.at(k + 1).gaussian.values;
     glm::vec3 n(batch.normal[k], batch.normal[batch.count + k], batch.normal[2 * batch.count + k]);
-    if (batch.object_id[k] == 1) n = scene.objects[1].rotation * n;
+    if (batch.object_id[k] == 1) n = scene.objects[1].rigid.rotation * n;
     const float cosine = std::max(0.0F, glm::dot(n, scene.light.sun_direction));
     const glm::vec3 ambient = glm::max(ambient_reflected(scene.light, n), 0.0F);
     for (std::size_t c = 0; c < 3; ++c) {
       const int color = static_cast<int>(c);
-      const float lit =
-          batch.albedo[c * batch.count + k] *
-          (ambient[color] + scene.light.sun_irradiance[color] * batch.visibility[k] * cosine / 3.14159265F);
+      const float light = batch.object_id[k] == 2 ? 1.0F
+                                                  : ambient[color] + scene.light.sun_irradiance[color] *
+                                                                         batch.visibility[k] * cosine / 3.14159265F;
+      const float lit = batch.albedo[c * batch.count + k] * light;
       const float dc = (srgb_from_linear(std::min(lit, 1.0F)) - 0.5F) / 0.28209479F;
       EXPECT_NEAR(values[11 + c], dc, 1e-4F);
       EXPECT_EQ(values[static_cast<std::size_t>(store_->layout().channels()) + 11 + c], values[11 + c]);

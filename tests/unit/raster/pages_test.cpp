@@ -17,21 +17,39 @@ class PagesTest : public ::testing::TestWithParam<ParameterLayout> {};
 
 TEST_P(PagesTest, PictureGradientsAndStepAreThoseWithoutPages) {
   TestScene scene = testing::random_scene(GetParam(), 3000, {.scale_high = 0.15F}, 5);
+  testing::add_sources(scene.state.light);
+  scene.state.objects.at(7).scale = 1.3F;
   PagedModel paged(scene.view(), 700);
   GaussiansBuffer& flat = paged.planar;
   ASSERT_GE(paged.ranges.size(), 6U);
+  // Visibility is by index, not at an offset.
+  constexpr std::uint32_t kRows = 5;
+  const std::size_t paged_count = paged.view().count, flat_count = flat.count();
+  std::vector<std::uint8_t> paged_rows(kRows * paged_count), flat_rows(kRows * flat_count);
+  paged.for_each([&](std::uint32_t i, std::size_t k) {
+    for (std::size_t row = 0; row < kRows; ++row) {
+      paged_rows[row * paged_count + i] = flat_rows[row * flat_count + k] =
+          static_cast<std::uint8_t>((k * 37 + row * 101) % 256);
+    }
+  });
+  GaussiansView in_pages = paged.view(), in_planes = flat.view();
+  in_pages.visibility_u8 = paged_rows.data();
+  in_pages.visibility_stride = paged_count;
+  in_planes.visibility_u8 = flat_rows.data();
+  in_planes.visibility_stride = flat_count;
+  in_pages.visibility_rows = in_planes.visibility_rows = kRows;
   const Camera camera = testing::test_camera(70, 50);
   const auto rasterizer = make_cpu_rasterizer(2);
   const auto flat_rasterizer = make_cpu_rasterizer(2);
   const RenderOptions options{.depth = true};
   Render picture, flat_picture;
-  rasterizer->render(paged.view(), camera, scene.state, options, picture);
-  flat_rasterizer->render(flat.view(), camera, scene.state, options, flat_picture);
+  rasterizer->render(in_pages, camera, scene.state, options, picture);
+  flat_rasterizer->render(in_planes, camera, scene.state, options, flat_picture);
   EXPECT_EQ(picture.color.data, flat_picture.color.data);
   EXPECT_EQ(picture.depth.data, flat_picture.depth.data);
 
-  rasterizer->forward(paged.view(), camera, scene.state, options, picture);
-  flat_rasterizer->forward(flat.view(), camera, scene.state, options, flat_picture);
+  rasterizer->forward(in_pages, camera, scene.state, options, picture);
+  flat_rasterizer->forward(in_planes, camera, scene.state, options, flat_picture);
   RenderGradient gradient{.color = picture.color, .alpha = {}, .albedo = {}, .depth = picture.depth};
   ParameterGradient ours, theirs;
   ours.clear(paged.view());
@@ -68,6 +86,8 @@ TEST_P(PagesTest, PictureGradientsAndStepAreThoseWithoutPages) {
 
 TEST_P(PagesTest, PagesOutsideOfTheFrustumAreLeftOutAndThePictureIsTheSame) {
   TestScene scene = testing::random_scene(GetParam(), 9000, {.spread = 6, .scale_low = 0.01F, .scale_high = 0.1F}, 8);
+  scene.state.objects.at(7).scale = 1.6F;
+  scene.state.objects.at(14).scale = 0.7F;
   PagedModel paged(scene.view(), 12, 2);
   const auto rasterizer = make_cpu_rasterizer(2);
   for (const float height : {0.4F, 3.0F}) {
@@ -107,7 +127,8 @@ INSTANTIATE_TEST_SUITE_P(Layouts, PagesTest, ::testing::Values(testing::transfer
                            return of.param.appearance == Appearance::Transfer ? "Transfer" : "Radiance";
                          });
 
-/// A Gaussian whose page the test leaves out shows in no pixel, wherever it is and however large.
+/// A Gaussian whose page the test leaves out shows in no pixel, wherever it is and however large, at any scale of its
+/// object.
 TEST(PageFrustum, IsExactForSingleGaussians) {
   TestScene scene = testing::random_scene(
       testing::radiance_layout(0), 4000,
@@ -115,37 +136,45 @@ TEST(PageFrustum, IsExactForSingleGaussians) {
   const auto rasterizer = make_cpu_rasterizer(1);
   Camera camera = testing::test_camera(48, 32);
   camera.near_m = 0.2F;
-  std::size_t left_out = 0, invisible = 0;
-  for (std::size_t i = 0; i < scene.count; ++i) {
-    TestScene one(scene.layout, 1);
-    one.state = scene.state;
-    for (int c = 0; c < scene.layout.channels(); ++c) one.at(c, 0) = scene.at(c, i);
-    Render picture;
-    rasterizer->render(one.view(), camera, one.state, {}, picture);
-    const bool shows = std::any_of(picture.alpha.data.begin(), picture.alpha.data.end(), [](float a) { return a > 0; });
-    GaussiansView view = one.view();
-    const std::vector<IndexRange> range{{0, 1}};
-    const std::vector<PageBounds> bounds{bounds_of(view, range.front())};
-    view.ranges = range;
-    view.bounds = bounds;
-    const float half_x = 0.5F * 48 / camera.fx, half_y = 0.5F * 32 / camera.fy;
-    const FrustumCamera pinhole{camera.fx,
-                                camera.fy,
-                                camera.cx,
-                                camera.cy,
-                                48,
-                                32,
-                                camera.near_m,
-                                0.3F,
-                                std::max(camera.cx, 48 - camera.cx) / camera.fx + 0.3F * half_x,
-                                std::max(camera.cy, 32 - camera.cy) / camera.fy + 0.3F * half_y};
-    const bool selected = !select_ranges(view, pinhole, camera.world_from_camera, {}).empty();
-    ASSERT_TRUE(selected || !shows) << i;
-    left_out += selected ? 0 : 1;
-    invisible += shows ? 0 : 1;
+  const float half_x = 0.5F * 48 / camera.fx, half_y = 0.5F * 32 / camera.fy;
+  const FrustumCamera pinhole{camera.fx,
+                              camera.fy,
+                              camera.cx,
+                              camera.cy,
+                              48,
+                              32,
+                              camera.near_m,
+                              0.3F,
+                              std::max(camera.cx, 48 - camera.cx) / camera.fx + 0.3F * half_x,
+                              std::max(camera.cy, 32 - camera.cy) / camera.fy + 0.3F * half_y};
+  for (const float scale : {1.0F, 0.2F, 4.0F}) {
+    SCOPED_TRACE(scale);
+    scene.state.objects[3] = Rigid{glm::normalize(glm::quat(0.8F, 0.3F, -0.4F, 0.2F)), {0.2F, -0.1F, 0.3F}};
+    scene.state.objects[3].scale = scale;
+    std::size_t left_out = 0, invisible = 0;
+    for (std::size_t i = 0; i < scene.count; ++i) {
+      TestScene one(scene.layout, 1);
+      one.object_id[0] = 3;
+      one.state = scene.state;
+      // As far about the camera as at a scale of 1.
+      for (int c = 0; c < scene.layout.channels(); ++c) one.at(c, 0) = scene.at(c, i) / (c < 3 ? scale : 1);
+      Render picture;
+      rasterizer->render(one.view(), camera, one.state, {}, picture);
+      const bool shows =
+          std::any_of(picture.alpha.data.begin(), picture.alpha.data.end(), [](float a) { return a > 0; });
+      GaussiansView view = one.view();
+      const std::vector<IndexRange> range{{0, 1, 3}};
+      const std::vector<PageBounds> bounds{bounds_of(view, range.front())};
+      view.ranges = range;
+      view.bounds = bounds;
+      const bool selected = !select_ranges(view, pinhole, camera.world_from_camera, one.state.objects).empty();
+      ASSERT_TRUE(selected || !shows) << i;
+      left_out += selected ? 0 : 1;
+      invisible += shows ? 0 : 1;
+    }
+    // It is not so careful that it leaves nothing out.
+    EXPECT_GT(left_out, invisible / 2);
   }
-  // It is not so careful that it leaves nothing out.
-  EXPECT_GT(left_out, invisible / 2);
 }
 
 }  // namespace

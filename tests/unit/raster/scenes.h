@@ -7,6 +7,7 @@
 
 #include "gaussians/camera.h"
 #include "gaussians/model.h"
+#include "lights.h"
 #include "raster/rasterizer.h"
 
 namespace splatbus::raster::testing {
@@ -100,41 +101,11 @@ inline TestScene random_scene(const ParameterLayout& layout, std::size_t count, 
   return scene;
 }
 
-/// Lights of every kind besides the sun: a directional one, a point light amid the Gaussians, a spot whose cone holds
-/// some of them, and a point light that only the nearest see.
-inline void add_sources(Light& light) {
-  light.sources = {{.id = 2,
-                    .kind = LightKind::Directional,
-                    .direction = glm::normalize(glm::vec3(-0.5F, 0.3F, 0.8F)),
-                    .intensity = {0.9F, 0.4F, 1.5F}},
-                   {.id = 5,
-                    .kind = LightKind::Point,
-                    .position = {0.2F, 0.3F, 0.9F},
-                    .intensity = {1.5F, 2.5F, 0.7F},
-                    .range_m = 4},
-                   {.id = 6,
-                    .kind = LightKind::Spot,
-                    .position = {-0.8F, 1.5F, 1.2F},
-                    .direction = glm::normalize(glm::vec3(0.5F, -0.9F, -0.7F)),
-                    .intensity = {9, 7, 12},
-                    .range_m = 5,
-                    .cos_inner = 0.97F,
-                    .cos_outer = 0.8F},
-                   {.id = 9,
-                    .kind = LightKind::Point,
-                    .casts_shadow = false,
-                    .position = {0.5F, -0.4F, 0.1F},
-                    .intensity = {0.5F, 0.2F, 0.9F},
-                    .range_m = 0.6F}};
-}
-
 /// Visibility of the sun and the first `rows` - 1 sources, by chance.
 inline void add_visibility(TestScene& scene, std::uint32_t rows, std::uint32_t seed) {
-  std::mt19937 generator(seed);
   scene.visibility_rows = rows;
   scene.visibility_stride = scene.count + 3;
-  scene.light_visibility.resize(rows * scene.visibility_stride);
-  for (std::uint8_t& value : scene.light_visibility) value = static_cast<std::uint8_t>(generator() >> 24U);
+  scene.light_visibility = random_bytes(rows * scene.visibility_stride, seed);
 }
 
 inline ParameterLayout transfer_layout() {

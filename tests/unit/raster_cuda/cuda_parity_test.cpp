@@ -1,4 +1,5 @@
 // The CUDA backend against the CPU one, whose gradients are checked against autograd: same pictures, same gradients.
+#include "../raster/lights.h"
 #include "cuda_rasterizer.h"
 #include "cuda_scenes.h"
 
@@ -9,16 +10,30 @@ class CudaParity : public CudaTest, public ::testing::WithParamInterface<Case> {
 
 TEST_P(CudaParity, PicturesAndGradientsMatchTheCpuBackend) {
   const Case& c = GetParam();
-  const GaussiansBuffer model = random_model(c, 11);
-  const SceneState scene = random_scene(c.objects);
+  GaussiansBuffer model = random_model(c, 11);
+  SceneState scene = random_scene(c.objects);
+  std::vector<std::uint8_t> rows;
+  if (c.lights) {
+    add_sources(scene.light);
+    scene.objects.at(7).scale = 1.4F;
+    scene.objects[9].emissive = true;
+    for (std::size_t i = 1; i < model.count(); i += 5) model.object_id[i] = 9;
+    rows = random_bytes(4 * (model.count() + 3), 3);
+  }
+  GaussiansView view = model.view();
+  if (c.lights) {
+    view.visibility_u8 = rows.data();
+    view.visibility_stride = model.count() + 3;
+    view.visibility_rows = 4;  // the last source has none
+  }
   const Camera camera = look_at({0.5F, 1.5F, 5.0F}, {0, 0, 0}, c.width, c.height, 1.0F);
   const bool transfer = c.layout.appearance == Appearance::Transfer;
   const RenderOptions options{.antialias = c.antialias, .albedo = transfer, .depth = c.depth};
   const auto cpu = make_cpu_rasterizer(2);
   const auto gpu = make_cuda_rasterizer();
   Render expected, actual;
-  cpu->forward(model.view(), camera, scene, options, expected);
-  gpu->forward(model.view(), camera, scene, options, actual);
+  cpu->forward(view, camera, scene, options, expected);
+  gpu->forward(view, camera, scene, options, actual);
   EXPECT_LT(largest_difference(actual.color, expected.color), 1e-3);
   EXPECT_LT(largest_difference(actual.alpha, expected.alpha), 1e-3);
   ASSERT_EQ(actual.albedo.data.size(), expected.albedo.data.size());
@@ -33,8 +48,8 @@ TEST_P(CudaParity, PicturesAndGradientsMatchTheCpuBackend) {
   if (c.depth) gradient.depth = random_image(c.width, c.height, 1, random);
   if (c.alpha) gradient.alpha = random_image(c.width, c.height, 1, random);
   ParameterGradient expected_gradient, actual_gradient;
-  expected_gradient.clear(model.view());
-  actual_gradient.clear(model.view());
+  expected_gradient.clear(view);
+  actual_gradient.clear(view);
   cpu->backward(gradient, expected_gradient);
   gpu->backward(gradient, actual_gradient);
   // A pixel on the edge of 1/255 may fall either way.
@@ -83,6 +98,14 @@ INSTANTIATE_TEST_SUITE_P(
         Case{"Radiance", {Appearance::Radiance, 2}, 400, 70, 50, true, true, -2.0F, 0.0F, true, true},
         Case{"RadianceAlphaAlone", {Appearance::Radiance, 0}, 300, 48, 40, true, false, -2.0F, 0.0F, false, true},
         Case{"RadianceFaint", {Appearance::Radiance, 0}, 3000, 24, 24, true, true, -1.5F, -4.0F, true, true}),
+    case_name);
+
+INSTANTIATE_TEST_SUITE_P(
+    Lights, CudaParity,
+    ::testing::Values(
+        Case{"Transfer", {Appearance::Transfer, 0}, 500, 96, 64, true, true, -2.0F, 0.0F, false, false, true},
+        Case{"TransferExtra", {Appearance::Transfer, 0}, 500, 70, 50, true, true, -2.0F, 0.0F, true, true, true},
+        Case{"Radiance", {Appearance::Radiance, 3}, 400, 70, 50, true, true, -2.0F, 0.0F, true, false, true}),
     case_name);
 
 TEST_F(CudaTest, StatisticsOfASharedGradientAdd) {

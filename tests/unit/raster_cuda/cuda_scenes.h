@@ -25,6 +25,7 @@ struct Case {
   float log_scale;
   float opacity_logit = 0.0F;
   bool depth = false, alpha = false;  ///< with gradients through them
+  bool lights = false;                ///< besides the sun, with visibility; object 7 is scaled, object 9 emissive
 };
 
 inline std::string case_name(const ::testing::TestParamInfo<Case>& info) {

@@ -1,6 +1,7 @@
 // Pictures of a model that lies in host memory, or on the device, against the CPU's.
 #include "raster/model_renderer.h"
 
+#include "../raster/lights.h"
 #include "cuda_scenes.h"
 #include "raster/cuda/device_model.h"
 
@@ -64,6 +65,30 @@ TEST_F(ModelRendererOnDevice, ReadsThePlanesInPlace) {
   draw();
   for (std::size_t i = 0; i < model.count(); ++i) model.parameters[i] += 0.2F;
   draw();
+}
+
+TEST_F(ModelRendererOnDevice, BringsTheRowsOfVisibility) {
+  const auto renderer = make_model_renderer(Device::Cuda);
+  GaussiansBuffer model = random_model(kTransfer, 8);
+  const GaussiansBuffer same = model;
+  SceneState scene = random_scene(true);
+  add_sources(scene.light);
+  const std::size_t stride = model.count() + 9;
+  std::vector<std::uint8_t> rows = random_bytes(5 * stride, 4);
+  const std::vector<std::uint8_t> same_rows = rows;
+  const auto with_rows = [&](const GaussiansBuffer& of, const std::vector<std::uint8_t>& values) {
+    GaussiansView view = of.view();
+    view.visibility_u8 = values.data();
+    view.visibility_stride = stride;
+    view.visibility_rows = 5;
+    return view;
+  };
+  renderer->take(with_rows(model, rows));
+  rows.assign(rows.size(), 0);  // they were copied
+  Render picture, expected;
+  renderer->draw(camera_of(kTransfer), scene, {}, picture);
+  make_cpu_rasterizer(2)->render(with_rows(same, same_rows), camera_of(kTransfer), scene, {}, expected);
+  EXPECT_LT(largest_difference(picture.color, expected.color), 1e-3);
 }
 
 TEST_F(ModelRendererOnDevice, DrawsNothingAndRefusesWhatItCannot) {

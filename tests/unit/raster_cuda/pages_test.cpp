@@ -68,7 +68,8 @@ TEST_P(CudaPages, PicturesAndGradientsAreThoseWithoutPages) {
 TEST_P(CudaPages, PagesOutsideOfTheFrustumAreLeftOutAndThePictureIsTheSame) {
   const Case& c = GetParam();
   const test::PagedModel paged(spread_model(c, 4).view(), 12);
-  const SceneState scene = random_scene(true);
+  SceneState scene = random_scene(true);
+  scene.objects.at(7).scale = 1.8F;
   cuda::DeviceModel all, bounded;
   all.upload(paged.view(), nullptr);
   bounded.upload(paged.bounded_view(), nullptr);

@@ -1,6 +1,7 @@
 // The training step on the device against the CPU backend and its Adam.
 #include "raster/cuda/train_step.h"
 
+#include "../raster/lights.h"
 #include "cuda_scenes.h"
 #include "raster/adam.h"
 #include "raster/cuda/device_model.h"
@@ -109,6 +110,58 @@ TEST_F(CudaTest, ViewsMayMoveDifferentObjects) {
     cpu->render(model.view(), camera, scenes[k], {}, expected);
     EXPECT_LT(largest_difference(actual, expected.color), 1e-3) << "scene " << k;
   }
+}
+
+TEST_F(CudaTest, ViewsMayHaveDifferentSources) {
+  const Case c{"", {Appearance::Transfer, 0}, 500, 48, 48, true, true, -2.0F};
+  const GaussiansBuffer model = random_model(c, 33);
+  const Camera camera = look_at({0.5F, 1.5F, 5.0F}, {0, 0, 0}, c.width, c.height, 1.0F);
+  std::vector<SceneState> scenes(3, random_scene(true));  // without sources, with four, with one
+  add_sources(scenes[1].light);
+  scenes[2].light.sources = {scenes[1].light.sources[1]};
+  const std::vector<std::uint8_t> host_rows = random_bytes(4 * model.count(), 7);
+  device::Buffer<std::uint8_t> rows, picture;
+  rows.upload(host_rows.data(), host_rows.size(), nullptr);
+  const std::vector<std::uint8_t> target(std::size_t{4} * c.width * c.height, 90);
+  picture.upload(target.data(), target.size(), nullptr);
+
+  std::vector<cuda::TrainView> views;
+  std::vector<float> expected;
+  for (const SceneState& scene : scenes) {
+    cuda::SceneView seen{camera, &scene};
+    GaussiansView gaussians = model.view();
+    if (&scene == &scenes[1]) {
+      seen.visibility = rows.data();
+      gaussians.visibility_u8 = host_rows.data();
+      seen.visibility_stride = gaussians.visibility_stride = model.count();
+      seen.visibility_rows = gaussians.visibility_rows = 4;
+    }
+    views.push_back({seen, picture.data(), nullptr});
+    Render out;
+    RenderGradient gradient;
+    make_cpu_rasterizer(1)->render(gaussians, camera, scene, {}, out);
+    expected.push_back(image_loss(out.color, target.data(), {}, gradient.color));
+  }
+  EXPECT_GT(std::abs(expected[1] - expected[0]), 0.01F);
+  EXPECT_GT(std::abs(expected[2] - expected[0]), 0.01F);
+
+  cuda::DeviceModel device;
+  device.upload(model.view(), nullptr);
+  cuda::TrainStep trainer({});
+  trainer.set_model(device.view());
+  trainer.set_learning_rates(std::vector<float>(41, 0.0F));
+  cudaDeviceSynchronize();
+  for (const std::size_t k : {0U, 1U, 1U, 2U, 0U, 1U, 0U}) {
+    trainer.step({&views[k], 1});
+    EXPECT_NEAR(trainer.losses()[0], expected[k], 2e-4F) << "scene " << k;
+  }
+  // Kernels that know no sources come back.
+  for (int k = 0; k < 100; ++k) trainer.step({views.data(), 1});
+  EXPECT_NEAR(trainer.losses()[0], expected[0], 2e-4F);
+  EXPECT_EQ(trainer.workspace().source_room, 0);
+  trainer.step(views);
+  const std::vector<float> together = trainer.losses();
+  for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(together[k] * 3, expected[k], 2e-4F) << "in one step, scene " << k;
 }
 
 TEST_F(CudaTest, HiddenGaussiansRest) {

@@ -37,6 +37,7 @@ TEST_F(CudaTest, AWorkspacesArraysDoNotOverlap) {
   cuda::WorkspaceRequest all = kSmall;
   all.object_count = 3;
   all.object_slots = true;
+  all.source_room = 4;
   all.range_count = 5;
   all.albedo = all.depth = true;
   cuda::Workspace workspace;
@@ -76,6 +77,7 @@ TEST_F(CudaTest, AWorkspacesArraysDoNotOverlap) {
       span(w.views, 2),
       span(w.object_views, 6),
       span(w.object_ids, 3),
+      span(w.sources, 8),
       span(w.object_slot, 100)};
   std::sort(arrays.begin(), arrays.end());
   for (std::size_t k = 1; k < arrays.size(); ++k) EXPECT_GE(arrays[k].first, arrays[k - 1].second) << k;

@@ -109,6 +109,15 @@ class Rasterize(unittest.TestCase):
                      world_from_object=pose[None])[1]
         self.assertEqual(divmod(alpha[0].argmax().item(), WIDTH), (12, 21))
 
+    def test_objects_have_a_scale(self):
+        pose = torch.eye(4)
+        pose[:3, :3] *= 2
+        alpha = draw(gaussian((0.1, 0, 1.0)), object_id=torch.tensor([7], dtype=torch.int32), objects=[7],
+                     world_from_object=pose[None])[1]
+        by_hand = gaussian((0.2, 0, 2.0))
+        by_hand[3:6] += math.log(2)
+        self.assertTrue(torch.allclose(alpha, draw(by_hand)[1], atol=1e-5))
+
     def test_statistics_are_added_to(self):
         model = gaussian((0, 0, 2.0)).requires_grad_()
         visible, contribution = torch.zeros(1, dtype=torch.uint8), torch.zeros(1)

@@ -105,7 +105,9 @@ TEST_P(Rasterize, EachCameraHasItsOwnScene) {
   const TensorScene model(testing::random_scene(testing::transfer_layout(), 90, {}, 3), device());
   std::vector<SceneState> scenes(2, model.scene.state);
   scenes[1].light.sun_direction = glm::normalize(glm::vec3(-0.5F, 0.4F, 0.6F));
-  scenes[1].objects[7].translation += glm::vec3(0.2F, 0.1F, -0.1F);
+  testing::add_sources(scenes[1].light);
+  scenes[1].objects[7].rigid.translation += glm::vec3(0.2F, 0.1F, -0.1F);
+  scenes[1].objects[7].scale = 1.5F;
   scenes[1].objects.erase(14);
   expect_like_reference(model, testing::test_cameras(2, 40, 30), scenes, {});
 }

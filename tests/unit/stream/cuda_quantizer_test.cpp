@@ -65,7 +65,8 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     EXPECT_TRUE(twin_->take_scene(server_->scene, {}).empty());
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->reset_to_target();
-    (void)twin_->take_visibility(server_->relit(), server_->scene.version);
+    const auto relit = server_->relit();
+    (void)twin_->take_visibility(test::ToyServer::of_sun(relit, server_->scene.version));
     expect_same();
   }
 
@@ -74,7 +75,8 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     const std::vector<EncodedPacket> expected = server_->tick(budget);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     std::vector<EncodedPacket> actual = twin_->tick(budget, {});
-    for (auto& packet : twin_->take_visibility(server_->relit(), server_->scene.version)) {
+    const auto relit = server_->relit();
+    for (auto& packet : twin_->take_visibility(test::ToyServer::of_sun(relit, server_->scene.version))) {
       actual.push_back(std::move(packet));
     }
     ASSERT_EQ(actual.size(), expected.size());
@@ -156,10 +158,11 @@ TEST_P(CudaQuantizer, BringsOverLittleOfWhatRests) {
 }
 
 /// A row of a view on the device.
-std::vector<float> brought(const float* row, std::size_t count) {
-  std::vector<float> host(count);
+template <class T>
+std::vector<T> brought(const T* row, std::size_t count) {
+  std::vector<T> host(count);
   const device::StreamView stream{.device = Device::Cuda};
-  device::copy(stream, host.data(), row, count * sizeof(float));
+  device::copy(stream, host.data(), row, count * sizeof(T));
   stream.wait();
   return host;
 }
@@ -182,7 +185,18 @@ TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
     if (round % 2 == 0) server_->insert(GetParam().count / 5 + 1);
     if (round % 3 == 1) server_->remove(GetParam().count / 9);
     server_->train(0.02F);
+    server_->scene.light.sources.resize(static_cast<std::size_t>(round % 3));
+    for (std::uint32_t k = 0; k < server_->scene.light.sources.size(); ++k) {
+      server_->scene.light.sources[k] = {.id = 3 + k, .intensity = {1, 1, 1}};
+    }
     both(server_->tick(round % 2 == 0 ? 1e9 : 2e4));
+    const std::vector<std::uint32_t> lights{0, 3};
+    std::vector<std::uint8_t> seen(2 * server_->model().count());
+    for (std::size_t i = 0; i < seen.size(); ++i) seen[i] = static_cast<std::uint8_t>(i * (round + 1) % 251);
+    if (GetParam().appearance == Appearance::Transfer) {
+      both(server_->stream.take_visibility(
+          {.light_ids = lights, .of_index = seen, .scene_version = server_->scene.version + round}));
+    }
     const GaussiansView want = host.view(), got = device.view();
     ASSERT_EQ(got.count, want.count);
     for (int c = 0; c < want.layout.channels(); ++c)
@@ -191,6 +205,14 @@ TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
       expect_rows_near(got.normal + c * got.stride, want.normal + c * want.stride, want.count, "the normal");
     }
     if (want.visibility != nullptr) expect_rows_near(got.visibility, want.visibility, want.count, "the visibility");
+    ASSERT_EQ(got.visibility_u8 != nullptr, want.visibility_u8 != nullptr);
+    for (std::uint32_t k = 0; want.visibility_u8 != nullptr && k < want.visibility_rows; ++k) {
+      const std::uint8_t* row = want.visibility_u8 + k * want.visibility_stride;
+      ASSERT_EQ(got.visibility_rows, want.visibility_rows);
+      ASSERT_EQ(brought(got.visibility_u8 + k * got.visibility_stride, want.count),
+                std::vector<std::uint8_t>(row, row + want.count))
+          << "row " << k;
+    }
     std::vector<std::uint32_t> objects(want.count);
     const device::StreamView stream{.device = Device::Cuda};
     device::copy(stream, objects.data(), got.object_id, objects.size() * sizeof(std::uint32_t));

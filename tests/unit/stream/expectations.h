@@ -13,6 +13,7 @@ inline void expect_exact(const StreamModel& server, const Replica& replica) {
   ASSERT_TRUE(replica.held());
   EXPECT_EQ(replica.held()->sequence, server.held().sequence);
   EXPECT_TRUE(replica.held()->gaussians == server.held().gaussians) << "server's mirror and replica differ";
+  EXPECT_TRUE(replica.held()->light_rows == server.held().light_rows) << "server's mirror and replica differ";
   EXPECT_TRUE(replica.held()->layout == server.held().layout);
   EXPECT_EQ(replica.count(), server.held().gaussians.count());
 }
@@ -28,6 +29,13 @@ inline void expect_shown(ShownReplica& replica) {
   }
   if (want.visibility != nullptr) {
     ASSERT_TRUE(std::equal(want.visibility, want.visibility + want.count, got.visibility));
+  }
+  ASSERT_EQ(got.visibility_u8 != nullptr, want.visibility_u8 != nullptr);
+  for (std::uint32_t row = 0; want.visibility_u8 != nullptr && row < want.visibility_rows; ++row) {
+    const std::uint8_t *a = want.visibility_u8 + row * want.visibility_stride,
+                       *b = got.visibility_u8 + row * got.visibility_stride;
+    ASSERT_EQ(got.visibility_rows, want.visibility_rows);
+    ASSERT_TRUE(std::equal(a, a + want.count, b)) << "row " << row;
   }
   ASSERT_TRUE(std::equal(want.object_id, want.object_id + want.count, got.object_id));
 }

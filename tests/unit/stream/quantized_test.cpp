@@ -21,11 +21,19 @@ glm::mat3 covariance(const GaussiansView& g, std::size_t i) {
   return m * glm::transpose(m);
 }
 
+DisplayGaussians shown(const StreamLayout& layout, const QuantizedGaussians& gaussians) {
+  DisplayChanges changes;
+  changes.add(DisplayReset{layout});
+  changes.add(DisplayAppend{gaussians});
+  DisplayGaussians display;
+  display.apply(changes);
+  return display;
+}
+
 struct RoundTrip {
-  explicit RoundTrip(const GaussiansBuffer& model)
-      : layout(model.layout(), test::choose_mean_step(model.view())), display(layout) {
+  explicit RoundTrip(const GaussiansBuffer& model) : layout(model.layout(), test::choose_mean_step(model.view())) {
     quantized = test::quantize_once(model.view(), layout).gaussians;
-    display.extend(quantized);
+    display = shown(layout, quantized);
   }
   StreamLayout layout;
   QuantizedGaussians quantized;
@@ -153,9 +161,10 @@ TEST(QuantizedGaussians, RemoveClosesTheGapsInOrder) {
   const QuantizedGaussians want = trip.quantized.gather(kept);
   trip.quantized.remove(gone);
   EXPECT_EQ(trip.quantized, want);
-  trip.display.remove(gone);
-  DisplayGaussians fresh(trip.layout);
-  fresh.extend(want);
+  DisplayChanges removal;
+  removal.add(DisplayRemoval{gone});
+  trip.display.apply(removal);
+  const DisplayGaussians fresh = shown(trip.layout, want);
   for (int c = 0; c < model.layout().channels(); ++c) {
     for (std::size_t i = 0; i < kept.size(); ++i) {
       EXPECT_EQ(trip.display.view().plane(c)[i], fresh.view().plane(c)[i]);

@@ -32,7 +32,7 @@ class ToyServer {
     EXPECT_TRUE(stream.take_scene(scene, {}).empty()) << "nobody holds anything yet";
     stream.observe(model_.view());
     stream.reset_to_target();
-    (void)stream.take_visibility(relit(), scene.version);
+    (void)take_visibility(relit(), scene.version);
   }
 
   void insert(std::size_t count) {
@@ -69,7 +69,7 @@ class ToyServer {
     if (scene.light != sent_.light || scene.objects != sent_.objects) packets = change_scene();
     EXPECT_TRUE(stream.observe(model_.view()));
     for (EncodedPacket& packet : stream.tick(budget, {})) packets.push_back(std::move(packet));
-    for (EncodedPacket& packet : stream.take_visibility(relit(), scene.version)) packets.push_back(std::move(packet));
+    for (EncodedPacket& packet : take_visibility(relit(), scene.version)) packets.push_back(std::move(packet));
     return packets;
   }
 
@@ -79,6 +79,15 @@ class ToyServer {
     for (const float v : model_.visibility) visibility.push_back(static_cast<std::uint8_t>(std::lround(255 * v)));
     visibility.resize(model_.count());
     return visibility;
+  }
+
+  /// The sun's alone.
+  std::vector<EncodedPacket> take_visibility(std::span<const std::uint8_t> of_index, std::uint64_t version) {
+    return stream.take_visibility(of_sun(of_index, version));
+  }
+  static LightsVisibility of_sun(std::span<const std::uint8_t> of_index, std::uint64_t version) {
+    static constexpr std::uint32_t kSun = 0;
+    return {.light_ids = {&kSun, 1}, .of_index = of_index, .scene_version = version};
   }
 
   /// `scene` as the next version.

@@ -82,6 +82,55 @@ TEST_F(CaptureBridgeTest, AStillSceneIsCapturedOnce) {
   EXPECT_EQ(received_["scene/state"].size(), 1U);
 }
 
+TEST_F(CaptureBridgeTest, NothingStarvesWhileViewerSunAndObjectsMove) {
+  set("reference_refresh_hz", "1000");
+  set("input_refresh_hz", "1000");
+  settle();
+  received_.clear();
+  // An engine that renders two pictures a frame, those that were asked for first, and takes three frames for each.
+  constexpr int kFrames = 600, kDelay = 3, kPicturesAFrame = 2;
+  std::map<std::uint64_t, int> asked;  // request ids, in which frame
+  engine_.lose = [](const Camera&) { return true; };
+  int probes = 0;
+  for (int frame = 0; frame < kFrames; ++frame) {
+    const float t = static_cast<float>(frame);
+    look_from(look_at({20 * std::sin(0.1F * t), 1.6F, 3.4F}, {20 * std::sin(0.1F * t), 0.25F, 0}, 64, 64, 1));
+    engine_.light.sun_direction = {std::sin(0.01F * t), std::cos(0.01F * t), 0};
+    engine_.objects[AnalyticScene::kBall] = Rigid{.translation = {0.01F * t, 0, 0}};
+    if (frame % 30 == 0) ask_probe(static_cast<std::uint64_t>(++probes), look_at({0, 2, 2}, {0, 0, 0}, 24, 20, 1));
+    ASSERT_TRUE(until([] { return true; }));
+    std::map<std::uint64_t, int> still;
+    int rendered = 0;
+    for (const auto& request : engine_.requests()) {
+      const auto before = asked.find(request.id);
+      const int first = before == asked.end() ? frame : before->second;
+      still[request.id] = first;
+      if (first < 0 || frame - first < kDelay || rendered >= kPicturesAFrame) continue;
+      engine_.submit(request.camera, request.buffers, request.id);
+      still[request.id] = -1;
+      ++rendered;
+    }
+    asked = std::move(still);
+  }
+  ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
+  std::map<std::uint32_t, int> of_reference;
+  std::set<std::uint64_t> rigs, answered;
+  for (const auto* picture : references(CameraRole::Reference)) ++of_reference[picture->camera()->id()];
+  for (const bus::Message& round : received_["capture/input"]) {
+    const auto& input = round.root<wire::CaptureInput>();
+    if (input.cameras()->size() == 4) rigs.insert(input.rig_generation());
+  }
+  for (const bus::Message& probe : received_["capture/probe"]) {
+    answered.insert(probe.root<wire::CaptureProbe>().probe_id());
+  }
+  EXPECT_EQ(of_reference.size(), 2U);
+  for (const auto& [camera, pictures] : of_reference) EXPECT_GE(pictures, 20) << camera;
+  EXPECT_GE(rigs.size(), 20U);
+  EXPECT_GE(answered.size(), static_cast<std::size_t>(probes - 1));
+  EXPECT_GT(references(CameraRole::Reference).back()->scene()->version(),
+            references(CameraRole::Reference).front()->scene()->version() + 100);
+}
+
 TEST_F(CaptureBridgeTest, AViewerThatMovesTakesTheInputRigAlong) {
   settle();
   const std::uint64_t generation = last_input().rig_generation();

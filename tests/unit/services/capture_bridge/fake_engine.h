@@ -30,17 +30,24 @@ class FakeEngine {
     while (auto message = subscriber_.receive(std::chrono::milliseconds(0))) {
       requests_.clear();
       for (const wire::CameraRequest* request : *message->root<wire::EngineCameras>().cameras()) {
-        requests_.push_back({from_wire(*request->camera()), request->buffers(), request->request_id()});
+        requests_.push_back({from_wire(*request->camera()), request->buffers(), request->request_id(),
+                             request->light_id(), request->light_map(), request->extent_m()});
       }
     }
     for (const Request& request : requests_) {
       if (!answered_.insert(request.id).second || (lose && lose(request.camera))) continue;
-      submit(request.camera, request.buffers, request.id);
+      if (request.camera.role == CameraRole::Light) {
+        submit_light(request);
+      } else {
+        submit(request.camera, request.buffers, request.id);
+      }
     }
   }
 
-  void submit(const Camera& camera, wire::EngineBuffer buffers, std::uint64_t request_id) {
+  void submit(const Camera& camera, wire::EngineBuffer buffers, std::uint64_t request_id, std::uint32_t light_id = 0,
+              std::uint32_t light_map = 0) {
     const InputView view = camera.role == CameraRole::Light ? InputView{} : scene.render(camera);
+    if (relabel) relabel(view);
     const std::vector<float> light_depth(std::size_t{camera.width} * camera.height, 7.0F);
     const auto has = [&](wire::EngineBuffer buffer) { return (buffers & buffer) != wire::EngineBuffer::NONE; };
     std::vector<bus::TensorSource> sources;
@@ -50,8 +57,8 @@ class FakeEngine {
     std::vector<glm::vec4> position(view.position.begin(), view.position.end());
     if (spoil) spoil(position);
     std::vector<float> depth;
-    for (const glm::vec4& point : view.position) {
-      depth.push_back(project(camera, glm::vec3(point)).z);
+    for (std::size_t i = 0; i < view.position.size(); ++i) {
+      depth.push_back(view.object_id[i] == 0 ? 0 : project(camera, glm::vec3(view.position[i])).z);
     }
     if (has(wire::EngineBuffer::Color)) add("color", bus::ElementType::U8, view.color.data());
     if (has(wire::EngineBuffer::Albedo)) add("albedo", bus::ElementType::U8, view.albedo.data());
@@ -78,9 +85,9 @@ class FakeEngine {
       }
       Camera tall = camera;
       tall.height *= claimed_rows;
-      publish(tall, request_id, std::move(lies));
+      publish(tall, request_id, std::move(lies), light_id, light_map);
     }
-    publish(camera, request_id, std::move(tensors));
+    publish(camera, request_id, std::move(tensors), light_id, light_map);
     ++submitted[camera.role];
   }
 
@@ -88,7 +95,29 @@ class FakeEngine {
     Camera camera;
     wire::EngineBuffer buffers;
     std::uint64_t id;
+    std::uint32_t light_id = 0, light_map = 0;
+    float extent_m = 0;
   };
+
+  /// By the light's own camera: cascades look along it, those of the whole scene over scene_m, faces from it.
+  void submit_light(const Request& request) {
+    Camera camera = request.camera;
+    const auto source =
+        std::ranges::find_if(light.sources, [&](const LightSource& one) { return one.id == request.light_id; });
+    const bool known = source != light.sources.end();
+    if (!known || source->kind == LightKind::Directional) {
+      const glm::vec3 to_light = known ? source->direction : light.sun_direction;
+      camera.world_from_camera = look_at(20.0F * to_light, {0, 0, 0}, 1, 1, 1).world_from_camera;
+      camera.fx = camera.fy = static_cast<float>(camera.width) / (request.extent_m > 0 ? request.extent_m : scene_m);
+    } else {
+      camera.world_from_camera.translation = source->position;
+      camera.fx = camera.fy = static_cast<float>(camera.width) / 2;
+      camera.near_m = 0.1F;
+    }
+    if (turn_light_camera) turn_light_camera(camera);
+    submit(camera, request.buffers, request.id, request.light_id, request.light_map);
+  }
+
   [[nodiscard]] const std::vector<Request>& requests() const { return requests_; }
   [[nodiscard]] std::size_t requested(CameraRole role) const {
     return static_cast<std::size_t>(std::count_if(requests_.begin(), requests_.end(),
@@ -100,13 +129,17 @@ class FakeEngine {
   ObjectTransforms objects;
   Light light{.generation = 1, .sun_irradiance = {1, 1, 1}};
   std::uint64_t frame = 0;
+  float scene_m = 12;                                  ///< side of what depth maps of the whole scene show
+  std::function<void(Camera&)> turn_light_camera;      ///< changes light cameras before they go out
   std::function<bool(const Camera&)> lose;             ///< true: this camera's frame never comes
   std::function<void(std::vector<glm::vec4>&)> spoil;  ///< changes positions before they go out
+  std::function<void(const InputView&)> relabel;       ///< changes who shows where
   std::uint32_t claimed_rows = 1;  ///< more: before each frame comes one that says to have so many times the rows
   std::map<CameraRole, int> submitted;
 
  private:
-  void publish(const Camera& camera, std::uint64_t request_id, std::vector<bus::OutgoingTensor> tensors) {
+  void publish(const Camera& camera, std::uint64_t request_id, std::vector<bus::OutgoingTensor> tensors,
+               std::uint32_t light_id, std::uint32_t light_map) {
     const bus::MessageInfo info{.capture_ns = 1234, .tensors = std::move(tensors)};
     publisher_.publish(topics::kEngineFrame, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
       const auto objects_offset = to_wire(builder, objects);
@@ -114,7 +147,8 @@ class FakeEngine {
       const wire::Camera out = to_wire(camera);
       const auto scene_offset =
           wire::CreateSceneState(builder, frame, 0.1 * static_cast<double>(frame), objects_offset, light_offset);
-      return wire::CreateEngineFrame(builder, header, request_id, &out, scene_offset);
+      return wire::CreateEngineFrame(builder, header, request_id, &out, scene_offset, light_id,
+                                     static_cast<std::uint8_t>(light_map));
     });
   }
 

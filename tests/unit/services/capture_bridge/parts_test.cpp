@@ -121,22 +121,24 @@ TEST_F(InputRoundTest, AtARateEveryCameraMustBringANewFrame) {
   EXPECT_TRUE(round_.ready(kSecond, kSecond));
 }
 
-TEST_F(InputRoundTest, TheStalestFrameIsAskedForAnewWhenTheSceneHasChanged) {
-  const auto frame = [&](std::uint32_t camera, std::uint64_t version) {
-    auto view = std::make_shared<InputView>();
-    view->scene_version = version;
-    return round_.add(camera, set_.of_role(CameraRole::Input)[camera].request_id, std::move(view), 0);
-  };
-  EXPECT_FALSE(round_.take_stalest(9, 0, kSecond)) << "what was never there is missing, not stale";
-  ASSERT_TRUE(frame(0, 5) && frame(1, 3) && frame(2, 4));
-  EXPECT_FALSE(round_.take_stalest(3, 0, kSecond));
-  EXPECT_EQ(round_.take_stalest(5, 0, kSecond), 1U);
-  EXPECT_EQ(round_.take_stalest(5, 0, kSecond), 2U) << "camera 1's is on its way";
-  EXPECT_FALSE(round_.take_stalest(5, 0, kSecond));
-  EXPECT_EQ(round_.take_stalest(5, kSecond, kSecond), 1U) << "it never came";
-  ASSERT_TRUE(frame(1, 5));
-  EXPECT_EQ(round_.take_stalest(6, kSecond, kSecond), 2U);
-  EXPECT_EQ(round_.take_stalest(6, kSecond, kSecond), 0U);
+TEST(StalestFirst, IsAskedForAnewWhenTheSceneHasChanged) {
+  StalestFirst pictures;
+  constexpr std::int64_t kLater = StalestFirst::kPatienceNs;
+  EXPECT_FALSE(pictures.take(9, 0)) << "what was never there is missing, not stale";
+  pictures.arrived(0, 5);
+  pictures.arrived(1, 3);
+  pictures.arrived(2, 4);
+  EXPECT_FALSE(pictures.take(3, 0));
+  EXPECT_EQ(pictures.take(5, 0), 1U);
+  EXPECT_EQ(pictures.take(5, 0), 2U) << "camera 1's is on its way";
+  EXPECT_FALSE(pictures.take(5, 0));
+  EXPECT_EQ(pictures.take(5, kLater), 1U) << "it never came";
+  pictures.arrived(1, 5);
+  EXPECT_EQ(pictures.take(6, kLater), 2U);
+  pictures.forget(0);
+  EXPECT_EQ(pictures.take(6, kLater), 1U);
+  pictures.clear();
+  EXPECT_FALSE(pictures.take(9, 2 * kLater));
 }
 
 TEST(ProbeTable, AnswersEachOnce) {
@@ -193,11 +195,13 @@ TEST(RigControl, FollowsParametersAndViewer) {
   EXPECT_TRUE(control.update(nullptr, {}, false).empty());
   EXPECT_EQ(control.cameras().of_role(CameraRole::Input).size(), 5U);
   EXPECT_EQ(control.cameras().of_role(CameraRole::Reference).size(), 4U);
+  control.update_lights(Light{});
   ASSERT_EQ(control.cameras().of_role(CameraRole::Light).size(), 1U);
   EXPECT_EQ(control.cameras().of_role(CameraRole::Light)[0].camera.width, 1024U);
   const auto generation = control.round().rig_generation();
   control.cameras().take_changed();
   control.update(nullptr, {}, false);
+  control.update_lights(Light{});
   EXPECT_FALSE(control.cameras().take_changed()) << "nothing moved, nothing is asked for again";
 
   const Camera viewer = look_at({8, 1.6F, 0}, {5, 0.25F, 0}, 64, 64, 1);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <string>
 
 #include "../../bus/bus_fixture.h"
 #include "../../model/paged_publisher.h"
@@ -90,7 +91,8 @@ class RelightTest : public bus_test::BusTest {
   void publish_map(const SceneState& state, std::uint32_t light_id, std::uint8_t light_map, std::uint8_t light_maps,
                    const Camera& camera, const std::vector<float>& depth) {
     const bus::TensorSource source{.name = "light_depth", .shape = {kTexels, kTexels}, .data = depth.data()};
-    publisher_.publish(topics::kSceneLightDepth, {.tensors = maps_.write({&source, 1})},
+    const std::string key = std::to_string(light_id) + "/" + std::to_string(light_map);
+    publisher_.publish(topics::kSceneLightDepth, {.latch_key = key, .tensors = maps_.write({&source, 1})},
                        [&](auto& builder, auto header) {
                          const auto wire_camera = to_wire(camera);
                          return wire::CreateSceneLightDepth(builder, header, &wire_camera, to_wire(builder, state),

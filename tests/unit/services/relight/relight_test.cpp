@@ -59,8 +59,10 @@ LightSource lamp(std::uint64_t depth_version) {
 
 /// Until the last face has come there is none of the version, though the sun's map is there; then it has a row a light.
 TEST_F(RelightTest, AVersionWaitsForAllMapsOfAllItsLights) {
-  sources = {lamp(70), {.id = 6, .casts_shadow = false, .position = {0, 1, 0}}};
   publish_model(1);
+  publish_depth(1, -2.0F);
+  ASSERT_EQ(visibility(1, 1), (std::vector<float>{1, 0, 1}));
+  sources = {lamp(70), {.id = 6, .casts_shadow = false, .position = {0, 1, 0}}};
   const SceneState state = scene(3, -2.0F);
   publish_picture(state);
   publish_depth(3, -2.0F);
@@ -81,12 +83,15 @@ TEST_F(RelightTest, AVersionWaitsForAllMapsOfAllItsLights) {
 /// A light's maps hold for as long as its depth version: another scene needs no new ones. Another depth version's are
 /// others, whichever comes first.
 TEST_F(RelightTest, MapsBelongToADepthVersion) {
-  sources = {lamp(70)};
   publish_model(1);
+  publish_depth(1, -2.0F);
+  ASSERT_EQ(visibility(1, 1), (std::vector<float>{1, 0, 1}));
+  sources = {lamp(70)};
   const SceneState first = scene(3, -2.0F);
   publish_depth(3, -2.0F);
   for (std::uint8_t face = 0; face < 6; ++face) publish_face(first, kLamp, face, 8);
-  EXPECT_EQ(next_visibility().of_sources.at(0), (std::vector<float>{1, 1, 1}));
+  EXPECT_EQ(next_visibility([](const auto& body) { return body.scene_version() == 3; }).of_sources.at(0),
+            (std::vector<float>{1, 1, 1}));
 
   SceneState brighter = scene(4, -2.0F);
   brighter.light.sun_depth_version = 3;

@@ -84,7 +84,7 @@ TEST(PacketFeed, WhatWasNotSentYetIsNotResentButSentInItsTurn) {
   ASSERT_GT(last, held + 6);
   bool lagged = false;
   const auto next = [&]() -> std::uint64_t {
-    const SharedPacket packet = feed.next(cursor, std::nullopt, kSecond, lagged);
+    const SharedPacket packet = feed.next(cursor, std::nullopt, kSecond, true, lagged);
     if (!packet) return 0;
     PacketFeed::advance(cursor);
     return packet->sequence();

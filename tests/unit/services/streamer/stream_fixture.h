@@ -37,15 +37,17 @@ class FakeTrainer {
   [[nodiscard]] std::uint64_t generation() const { return generation_; }
 
   /// As relight does, by index.
-  void publish_visibility(const std::vector<std::uint8_t>& of_index, std::uint64_t generation, std::uint64_t version) {
-    const bus::OutgoingTensor visibility{.name = "visibility",
-                                         .shape = {1, static_cast<std::uint32_t>(of_index.size())},
-                                         .type = bus::ElementType::U8,
-                                         .inline_data = of_index.data()};
+  void publish_visibility(const std::vector<std::uint8_t>& of_index, std::uint64_t generation, std::uint64_t version,
+                          const std::vector<std::uint32_t>& light_ids = {0}) {
+    const std::size_t indices = of_index.size() / light_ids.size();
+    const bus::OutgoingTensor visibility{
+        .name = "visibility",
+        .shape = {static_cast<std::uint32_t>(light_ids.size()), static_cast<std::uint32_t>(indices)},
+        .type = bus::ElementType::U8,
+        .inline_data = of_index.data()};
     publisher_.publish(topics::kRelightVisibility, {.tensors = {visibility}}, [&](auto& builder, auto header) {
-      const std::uint32_t sun = 0;
-      return wire::CreateRelightVisibility(builder, header, generation, version, of_index.size(),
-                                           builder.CreateVector(&sun, 1));
+      return wire::CreateRelightVisibility(builder, header, generation, version, indices,
+                                           builder.CreateVector(light_ids));
     });
   }
 

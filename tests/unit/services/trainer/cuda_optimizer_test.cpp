@@ -241,6 +241,10 @@ TEST_F(CudaOptimizerTest, TakesVisibilityBehindTheStepsUnderWay) {
   for (std::size_t k = 0; k < model.count(); ++k) ASSERT_NEAR(model.live().visibility[k], 0.6F, 1e-6F);
 }
 
+TEST_F(CudaOptimizerTest, TrainsWithEachLightsOwnVisibility) {
+  expect_rows_of_lights(Device::Cuda);
+}
+
 TEST_F(CudaOptimizerTest, ClonesAndSplitsWhenAsked) {
   const Settings settings = {{"densify", "true"},
                              {"densify_interval", "6"},

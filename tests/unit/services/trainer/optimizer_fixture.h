@@ -151,6 +151,39 @@ class OptimizerTest : public bus_test::BusTest {
     EXPECT_LT(distance(a.average(), b.average(), channels), tolerance);
   }
 
+  /// A view in whose scene a lamp shines trains with the lamp's own row: where no Gaussian sees it, as without it.
+  void expect_rows_of_lights(Device memory) {
+    TrainingView plain = *scene_.views()[0];
+    plain.scene.version = 3;
+    TrainingView lit = plain;
+    lit.scene.light.sources = {{.id = 4, .position = {0, 3, 0}, .intensity = glm::vec3(20), .range_m = 30},
+                               {.id = 9, .position = {1, 3, 0}, .intensity = glm::vec3(20), .range_m = 30}};
+    const auto loss = [&](const TrainingView& view, const std::vector<std::uint8_t>& of_rows) {
+      Trial one = trial(memory, {{"densify", "false"}});
+      const std::size_t count = one.store().view().count;
+      std::vector<std::uint8_t> rows;
+      for (const std::uint8_t value : of_rows) rows.insert(rows.end(), count, value);
+      const std::shared_ptr<std::byte> values = bus::allocate_memory(memory, rows.size());
+      bus::copy_memory(values.get(), memory, rows.data(), Device::Cpu, rows.size());
+      bus::finish_copies();
+      Commands commands;
+      commands.add(VisibilityCommand{.model_generation = one.store().generation(),
+                                     .scene_version = 3,
+                                     .count = count,
+                                     .light_ids = light_ids(view.scene.light),
+                                     .visibility = values});
+      one.optimizer().apply(commands, std::vector<std::uint64_t>{3});
+      StepReport report = one.step({&view});
+      report += one.optimizer().finish();
+      return report.loss;
+    };
+    const double without = loss(plain, {255});
+    EXPECT_NEAR(loss(lit, {255, 0, 0}), without, 1e-6);
+    const double first = loss(lit, {255, 255, 0}), second = loss(lit, {255, 0, 255});
+    EXPECT_GT(std::abs(first - without), 1e-3);
+    EXPECT_GT(std::abs(second - first), 1e-4) << "each light its own row";
+  }
+
   [[nodiscard]] double psnr(const Trial& trial) const { return scene_.psnr(trial.model().live()); }
   [[nodiscard]] double average_psnr(const Trial& trial) const { return scene_.psnr(trial.model().average()); }
 

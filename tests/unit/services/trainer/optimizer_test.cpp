@@ -342,6 +342,10 @@ TEST_F(CpuOptimizerTest, AHandfulIsNotWorthAChangeOfStructure) {
   EXPECT_EQ(s.store().count(), 1097U);
 }
 
+TEST_F(CpuOptimizerTest, TrainsWithEachLightsOwnVisibility) {
+  expect_rows_of_lights(Device::Cpu);
+}
+
 TEST_F(CpuOptimizerTest, AnEmptyModelOrBatchIsNoStep) {
   Trial s = trial();
   EXPECT_EQ(s.optimizer().step({}).steps, 0U);

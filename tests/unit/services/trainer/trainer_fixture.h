@@ -177,16 +177,17 @@ class TrainerTest : public bus_test::BusTest {
     });
   }
 
+  /// `values` for each light in turn.
   void publish_visibility(const std::vector<std::uint8_t>& values, std::uint64_t generation,
-                          std::uint64_t scene_version = 1) {
-    const auto n = static_cast<std::uint32_t>(values.size());
+                          std::uint64_t scene_version = 1, const std::vector<std::uint32_t>& light_ids = {0}) {
+    const auto rows = static_cast<std::uint32_t>(std::max<std::size_t>(1, light_ids.size()));
+    const auto n = static_cast<std::uint32_t>(values.size()) / rows;
     const bus::TensorSource source{
-        .name = "visibility", .shape = {1, n}, .type = bus::ElementType::U8, .data = values.data()};
+        .name = "visibility", .shape = {rows, n}, .type = bus::ElementType::U8, .data = values.data()};
     publisher_.publish(topics::kRelightVisibility, {.tensors = ring_->write({&source, 1})},
                        [&](auto& builder, auto header) {
-                         const std::uint32_t sun = 0;
                          return wire::CreateRelightVisibility(builder, header, generation, scene_version, n,
-                                                              builder.CreateVector(&sun, 1));
+                                                              builder.CreateVector(light_ids));
                        });
   }
 

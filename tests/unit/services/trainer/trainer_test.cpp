@@ -6,6 +6,7 @@
 #include <limits>
 #include <memory>
 #include <new>
+#include <numeric>
 
 #include "bus/error.h"
 #include "bus/memory.h"
@@ -151,6 +152,34 @@ TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfItsOwnScene) {
   EXPECT_EQ(stats()->step(), 0U) << "another version's visibility is no pair";
   ASSERT_TRUE(until([&] {
     publish_visibility(seen, published()->generation(), 7);
+    return stats()->step() > 0;
+  }));
+}
+
+/// Light ids that are no list of a scene's rows are refused, and a view waits until those of all its lights are there.
+TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfAllItsLights) {
+  set("pair_visibility", "true");
+  start();
+  insert(sample_batch(0, 1, 40));
+  const SyntheticScene scene(20, 1);
+  TrainingView view = *scene.views()[0];
+  view.scene.version = 7;
+  view.scene.light.sources = {{.id = 4}, {.id = 9}};
+  const std::vector<std::uint8_t> seen(3 * std::size_t{kPageLanes}, 255);
+  std::vector<std::uint32_t> too_many(34);
+  std::iota(too_many.begin(), too_many.end(), 0U);
+  const std::uint64_t generation = published()->generation();
+  ASSERT_TRUE(until([&] {
+    publish_view(view);
+    for (const std::vector<std::uint32_t>& ids :
+         {std::vector<std::uint32_t>{}, {4, 9}, {0, 9, 4}, {0, 4, 4}, {0, 4}, {0, 4, 8}, too_many}) {
+      publish_visibility(seen, generation, 7, ids);
+    }
+    return stats() != nullptr && stats()->unpaired_views() > 1;
+  }));
+  EXPECT_EQ(stats()->step(), 0U);
+  ASSERT_TRUE(until([&] {
+    publish_visibility(seen, generation, 7, {0, 4, 9});
     return stats()->step() > 0;
   }));
 }

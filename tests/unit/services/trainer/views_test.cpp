@@ -125,17 +125,24 @@ TEST(ViewSampler, MakesDoWithWhatIsThere) {
   for (int i = 0; i < 8; ++i) EXPECT_EQ(sampler.next(store, 3)->camera.id, 6U);
 }
 
+/// Of the sun alone.
+std::vector<PairedVersion> paired(std::initializer_list<std::uint64_t> versions) {
+  std::vector<PairedVersion> all;
+  for (const std::uint64_t version : versions) all.push_back({.version = version});
+  return all;
+}
+
 TEST(ViewStore, AViewTrainsOnceItsOwnVersionIsThere) {
   const ViewKey key{.role = CameraRole::Reference, .id = 1};
   const auto picture = [](std::uint64_t frame, std::uint64_t version) {
     return make_view(CameraRole::Reference, 1, frame, 16, version);
   };
   ViewStore store;
-  store.set_paired(std::vector<std::uint64_t>{});
+  store.set_paired(paired({}));
   store.put(picture(1, 10));
   EXPECT_EQ(store.find(key), nullptr);
   EXPECT_FALSE(store.any_to_train(CameraRole::Reference));
-  store.set_paired(std::vector<std::uint64_t>{10});
+  store.set_paired(paired({10}));
   EXPECT_EQ(store.find(key)->frame, 1U);
   store.put(picture(2, 11));
   EXPECT_EQ(store.find(key)->frame, 1U) << "the older picture trains with its own until the newer one's is there";
@@ -143,14 +150,33 @@ TEST(ViewStore, AViewTrainsOnceItsOwnVersionIsThere) {
   EXPECT_EQ(store.bytes(), 32U);
   store.put(picture(3, 12));
   EXPECT_EQ(store.unpaired(), 1U) << "frame 2 went without its version";
-  store.set_paired(std::vector<std::uint64_t>{10, 11, 12});
+  store.set_paired(paired({10, 11, 12}));
   EXPECT_EQ(store.find(key)->frame, 3U);
   EXPECT_EQ(store.bytes(), 16U);
-  store.set_paired(std::vector<std::uint64_t>{13});
+  store.set_paired(paired({13}));
   EXPECT_EQ(store.find(key), nullptr) << "its version has gone";
   store.put(picture(4, 13));
   EXPECT_EQ(store.find(key)->frame, 4U);
   EXPECT_EQ(store.unpaired(), 1U);
+}
+
+TEST(ViewStore, AViewWaitsForTheVisibilityOfAllItsLights) {
+  const ViewKey key{.role = CameraRole::Reference, .id = 1};
+  TrainingView view = *make_view(CameraRole::Reference, 1, 1, 16, 10);
+  view.scene.light.sources = {{.id = 4}, {.id = 9}};
+  ViewStore store;
+  store.set_paired(std::vector<PairedVersion>{{10, {0, 4}}, {11, {0, 4, 9}}});
+  store.put(std::make_shared<const TrainingView>(view));
+  EXPECT_EQ(store.find(key), nullptr);
+  store.set_paired(std::vector<PairedVersion>{{10, {0, 4, 7}}, {11, {0, 4, 9}}});
+  EXPECT_EQ(store.find(key), nullptr);
+  store.set_paired(std::vector<PairedVersion>{{10, {0, 4, 9}}});
+  EXPECT_NE(store.find(key), nullptr);
+  store.set_paired(std::vector<PairedVersion>{{10, {0, 4}}});
+  view.frame = 2;
+  store.put(std::make_shared<const TrainingView>(view));
+  store.put(std::make_shared<const TrainingView>(view));
+  EXPECT_EQ(store.unpaired(), 1U) << "it was replaced before it had its lights";
 }
 
 TEST(ViewSampler, SkipsCamerasThatRetiredWithinAnEpoch) {

@@ -1,0 +1,55 @@
+#include "stream/light_rows.h"
+
+#include <algorithm>
+
+#include "stream/quantized.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+constexpr std::uint8_t kAll = 255;
+
+}  // namespace
+
+bool LightRows::set_lights(std::span<const std::uint32_t> ids, std::size_t slots) {
+  const bool same = std::ranges::equal(ids, rows_, {}, {}, [](const auto& row) { return row.first; });
+  if (same) return false;
+  std::map<std::uint32_t, Bytes> rows;
+  for (const std::uint32_t id : ids) {
+    const auto old = rows_.find(id);
+    rows.emplace(id, old != rows_.end() ? std::move(old->second) : Bytes(slots, kAll));
+  }
+  rows_ = std::move(rows);
+  return true;
+}
+
+void LightRows::append(std::size_t slots) {
+  for (auto& [id, row] : rows_) row.resize(row.size() + slots, kAll);
+}
+
+void LightRows::remove(std::span<const std::uint32_t> ascending) {
+  for (auto& [id, row] : rows_) remove_at(row, ascending);
+}
+
+void LightRows::gather(std::span<const std::uint32_t> order) {
+  for (auto& [id, row] : rows_) {
+    Bytes moved;
+    moved.reserve(order.size());
+    for (const std::uint32_t slot : order) moved.push_back(row[slot]);
+    row = std::move(moved);
+  }
+}
+
+Bytes* LightRows::find(std::uint32_t id) {
+  const auto found = rows_.find(id);
+  return found != rows_.end() ? &found->second : nullptr;
+}
+
+std::vector<std::uint32_t> LightRows::ids() const {
+  std::vector<std::uint32_t> ids;
+  for (const auto& [id, row] : rows_) ids.push_back(id);
+  return ids;
+}
+
+}  // namespace splatbus::stream

@@ -1,0 +1,117 @@
+#include "streamer/model_follower.h"
+
+#include <sys/eventfd.h>
+
+#include <cassert>
+#include <utility>
+
+#include "bus/clock.h"
+#include "bus/error.h"
+#include "bus/memory.h"
+#include "stream/bytes.h"
+
+namespace splatbus::streamer {
+
+ModelFollower::ModelFollower(stream::StreamModel& model, Device device)
+    : model_(model), device_(device), done_event_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  if (!done_event_.valid()) throw bus::Error("cannot make an eventfd");
+  thread_ = std::thread([this] { run(); });
+}
+
+ModelFollower::~ModelFollower() {
+  {
+    const std::scoped_lock lock(mutex_);
+    stop_ = true;
+    changed_.notify_all();
+  }
+  thread_.join();
+}
+
+void ModelFollower::start(Job job) {
+  assert(!busy_);
+  busy_ = true;
+  const std::scoped_lock lock(mutex_);
+  job_ = std::move(job);
+  changed_.notify_all();
+}
+
+std::optional<ModelFollower::Result> ModelFollower::take_result() {
+  const std::scoped_lock lock(mutex_);
+  if (failure_) std::rethrow_exception(failure_);
+  if (!result_) return std::nullopt;
+  eventfd_t count = 0;
+  (void)::eventfd_read(done_event_.get(), &count);
+  busy_ = false;
+  return std::exchange(result_, std::nullopt);
+}
+
+void ModelFollower::wait() {
+  std::unique_lock lock(mutex_);
+  changed_.wait(lock, [this] { return result_ || failure_; });
+}
+
+void ModelFollower::run() {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    changed_.wait(lock, [this] { return stop_ || job_; });
+    if (stop_) return;
+    Job job = std::move(*std::exchange(job_, std::nullopt));
+    lock.unlock();
+    std::optional<Result> result;
+    std::exception_ptr failure;
+    try {
+      result = follow(job);
+    } catch (...) {
+      failure = std::current_exception();
+    }
+    lock.lock();
+    result_ = std::move(result);
+    failure_ = failure;
+    ::eventfd_write(done_event_.get(), 1);
+    changed_.notify_all();
+  }
+}
+
+bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
+  if (announcement) {
+    const bool sensible = bus::guarded(*announcement, [&] {
+      auto opened = PublishedModel::open(*announcement, device_, PublishedModel::Need::Average,
+                                         published_ ? &*published_ : nullptr);
+      if (!opened) return;
+      if (published_) copied_before_ += published_->copied_bytes();
+      published_ = std::move(*opened);
+    });
+    if (!sensible) bus::require_usable(device_);
+  }
+  if (!published_ || !published_->refresh()) return false;
+  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
+}
+
+ModelFollower::Result ModelFollower::follow(Job& job) {
+  const std::int64_t begin_ns = bus::now_ns();
+  Result result;
+  try {
+    result.fresh = observe(job.announcement);
+    if (result.fresh) result.generation = published_->generation();
+    // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
+    if (result.fresh && model_.ready()) {
+      result.spent_bytes = model_.make_tick(job.budget_bytes, job.cameras);
+    } else if (result.fresh && model_.observed_count() > 0) {
+      model_.reset_to_target();
+      result.restarted = true;
+    }
+  } catch (const stream::StreamError& error) {
+    result.error = error.what();
+  }
+  result.opened = published_.has_value();
+  result.observed = model_.observed_count();
+  result.unsent = model_.unsent();
+  result.pending_deltas = model_.pending_deltas();
+  result.full = model_.full();
+  result.host_copied_bytes = copied_before_ + (published_ ? published_->copied_bytes() : 0);
+  result.observed_bytes = model_.quantizer().copied_bytes();
+  result.ms = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+  return result;
+}
+
+}  // namespace splatbus::streamer
