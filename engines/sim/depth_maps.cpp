@@ -1,7 +1,6 @@
 #include "sim/depth_maps.h"
 
 #include <array>
-#include <glm/gtc/matrix_transform.hpp>
 #include <glm/gtc/type_ptr.hpp>
 
 #include "sim/projection.h"
@@ -22,9 +21,16 @@ void compare_linearly(GLuint texture) {
 
 }  // namespace
 
-glm::mat4 map_from_world(const LightCamera& camera) {
-  const glm::mat4 unit_from_clip = glm::scale(glm::translate(glm::mat4(1), glm::vec3(0.5F)), glm::vec3(0.5F));
-  return unit_from_clip * clip_from_camera(camera.camera, camera.projection) * camera_from_world(camera.camera);
+MapCamera map_camera(const LightCamera& light) {
+  const splatbus_camera& camera = light.camera;
+  const glm::mat4 rows = glm::transpose(camera_from_world(camera));
+  const float depth_m = camera.far_m - camera.near_m;
+  const glm::vec2 uv_a_metre{camera.fx / static_cast<float>(camera.width),
+                             camera.fy / static_cast<float>(camera.height)};
+  const glm::vec2 depth = light.projection == Projection::Pinhole
+                              ? glm::vec2(camera.far_m / depth_m, camera.far_m * camera.near_m / depth_m)
+                              : glm::vec2(-camera.near_m / depth_m, 1 / depth_m);
+  return {rows[0], rows[1], rows[2], {uv_a_metre, depth}};
 }
 
 void DepthMaps::resize(int size, int layers) {

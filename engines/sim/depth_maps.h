@@ -12,8 +12,13 @@ namespace splatbus::sim {
 /// The Depth program of a variant.
 using DepthPrograms = std::function<GLuint(const ShaderVariant&)>;
 
-/// A light's camera as shaders see it: u, v and depth in [0, 1], times w.
-[[nodiscard]] glm::mat4 map_from_world(const LightCamera& camera);
+/// A light's camera as shaders have it, `DepthMap` there: rows of camera_from_world; uv a metre (2), for a pinhole
+/// camera at 1 m, and the two numbers z, w that make depth in [0, 1] of metres d along the axis: z - w / d for a
+/// pinhole camera, z + w d for an orthographic one.
+struct MapCamera {
+  glm::vec4 right{0}, down{0}, forward{0}, scale{1};
+};
+[[nodiscard]] MapCamera map_camera(const LightCamera& camera);
 
 /// Square depth maps of one size, layers of one texture that shaders compare with. What lies outside of a map is lit.
 class DepthMaps {

@@ -93,33 +93,33 @@ vec2 disc_tap(int i, vec2 turn) {
 in vec3 v_world;
 layout(location = 21) uniform float softness_m;
 
-// A map's coordinates u, v and depth, times w.
-vec4 in_map(mat4 map_from_world, vec3 world) {
-  return map_from_world * vec4(world, 1);
+// A depth map and its camera. Rows of camera_from_world; then uv a metre (2), for a pinhole camera at 1 m, and depth in
+// [0, 1], which is z - w / (metres along the axis), or z + w (metres along the axis) where it is orthographic.
+struct DepthMap {
+  vec4 right, down, forward, scale;
+};
+vec3 seen_by(DepthMap map, vec4 world) {
+  return vec3(dot(map.right, world), dot(map.down, world), dot(map.forward, world));
 }
 
-// The share of the taps about `world`, on a surface with normal n, that the light of a map reaches. The map has
-// `uv_a_metre` at w = 1, whose w is the distance along its axis, or 1 throughout where it is orthographic.
-float reached(sampler2DArrayShadow maps, float layer, mat4 map_from_world, float uv_a_metre, vec3 world, vec3 n,
-              vec3 to_light) {
+// The share of the taps about p, on a surface with normal n, that the light of a map reaches. All three vectors are in
+// the frame of the map's camera; `cosine` is that of n and to_light.
+float reached(sampler2DArrayShadow maps, float layer, vec4 scale, bool pinhole, vec3 p, vec3 n, vec3 to_light,
+              float cosine) {
   float texel = 1 / float(textureSize(maps, 0).x);
-  vec4 at = in_map(map_from_world, world);
-  float lift_m = LIFT_TEXELS * texel * at.w / uv_a_metre;
-  at += map_from_world * vec4(lift_m * n, 0);
-  vec3 uvz = at.xyz / at.w;
+  p += (LIFT_TEXELS * texel * (pinhole ? p.z : 1) / scale.x) * n;
+  float metre = 1 / (pinhole ? p.z : 1);
+  vec2 uv = 0.5 + scale.xy * metre * p.xy;
+  float depth = pinhole ? scale.z - scale.w * metre : scale.z + scale.w * p.z;
   // Edge on, a plane's depth would change without bound within the filter.
-  vec3 facing = normalize(n + max(0, LEAST_COSINE - dot(n, to_light)) * to_light);
-  vec3 first = normalize(cross(facing, abs(facing.y) < 0.9 ? vec3(0, 1, 0) : vec3(1, 0, 0)));
-  vec4 d_first = map_from_world * vec4(first, 0);
-  vec4 d_second = map_from_world * vec4(cross(facing, first), 0);
-  vec3 plane = cross(d_first.xyz - uvz * d_first.w, d_second.xyz - uvz * d_second.w);
-  vec2 slope = -plane.xy / plane.z;
-  float radius = max(softness_m * uv_a_metre / at.w, texel);
+  vec3 facing = n + max(0, LEAST_COSINE - cosine) * to_light;
+  vec2 slope = -scale.w / (pinhole ? dot(facing, p) : facing.z) * facing.xy / scale.xy;
+  float radius = max(softness_m * scale.x * metre, texel);
   vec2 turn = disc_turn();
   float sum = 0;
   for (int i = 0; i < TAPS; ++i) {
     vec2 offset = radius * disc_tap(i, turn);
-    sum += texture(maps, vec4(uvz.xy + offset, layer, min(uvz.z + dot(offset, slope), 1)));
+    sum += texture(maps, vec4(uv + offset, layer, min(depth + dot(offset, slope), 1)));
   }
   return sum / float(TAPS);
 }
@@ -127,17 +127,24 @@ float reached(sampler2DArrayShadow maps, float layer, mat4 map_from_world, float
 
 #ifdef CASCADES
 layout(binding = 1) uniform sampler2DArrayShadow cascade_maps;
-layout(location = 22) uniform mat4 cascade_from_world[CASCADES];
-layout(location = 22 + CASCADES) uniform float cascade_uv_a_metre[CASCADES];
+layout(location = 22) uniform vec4 cascade_cameras[4 * CASCADES];
+
+DepthMap cascade_map(int i) {
+  return DepthMap(cascade_cameras[4 * i], cascade_cameras[4 * i + 1], cascade_cameras[4 * i + 2],
+                  cascade_cameras[4 * i + 3]);
+}
 
 float sun_visibility(vec3 n) {
   int cascade = 0;
+  vec4 world = vec4(v_world, 1);
   for (; cascade + 1 < CASCADES; ++cascade) {
-    vec2 uv = abs(in_map(cascade_from_world[cascade], v_world).xy - 0.5);
+    DepthMap map = cascade_map(cascade);
+    vec2 uv = abs(map.scale.xy * seen_by(map, world).xy);
     if (max(uv.x, uv.y) < 0.48) break;
   }
-  return reached(cascade_maps, float(cascade), cascade_from_world[cascade], cascade_uv_a_metre[cascade], v_world, n,
-                 sun_direction);
+  DepthMap map = cascade_map(cascade);
+  return reached(cascade_maps, float(cascade), map.scale, false, seen_by(map, world), seen_by(map, vec4(n, 0)),
+                 seen_by(map, vec4(sun_direction, 0)), dot(n, sun_direction));
 }
 #else
 in vec3 v_shadow;
@@ -161,56 +168,59 @@ float sun_visibility(vec3 n) {
 #ifdef SOURCES
 struct Source {
   vec4 position_range;
-  vec4 direction_kind;      // splatbus_light_kind
-  vec4 intensity_map;       // over pi; its first matrix, below 0: it casts no shadow
-  vec4 cone_uv_layer;       // cosine of the outer angle, 1 / (inner - outer); uv a metre; its first layer
+  vec4 direction_kind;   // splatbus_light_kind
+  vec4 intensity_layer;  // over pi; its first layer, below 0: it casts no shadow
+  vec4 cone;             // cosine of the outer angle, 1 / (inner - outer)
+  DepthMap map;          // of a point light only the scale counts
 };
 layout(std140, binding = 0) uniform Sources {
-  Source sources[SOURCES];
-  mat4 map_from_world[SOURCE_MAPS];
-  int source_count;
+  Source sources[SOURCES];  // point and spot lights, then directional ones
+  int local_count, source_count;
 };
 layout(binding = 2) uniform sampler2DArrayShadow local_maps;
 layout(binding = 3) uniform sampler2DArrayShadow directional_maps;
 
-int cube_face(vec3 way) {
-  vec3 size = abs(way);
-  if (size.x >= max(size.y, size.z)) return way.x > 0 ? 0 : 1;
-  if (size.y >= size.z) return way.y > 0 ? 2 : 3;
-  return way.z > 0 ? 4 : 5;
+// Along the camera of a point light's face: light_maps.h, point_face_camera().
+vec3 in_face(vec3 v, int axis, float side) {
+  if (axis == 0) return vec3(side * v.z, -v.y, side * v.x);
+  if (axis == 1) return vec3(-side * v.z, -v.x, side * v.y);
+  return vec3(-side * v.x, -v.y, side * v.z);
 }
 
-// schemas/common.fbs, LightSource.
-vec3 from_source(Source source, vec3 n) {
-  int kind = int(source.direction_kind.w);
+// A renderer on the CPU walks through both sides of every branch, so that one call of reached() serves both kinds.
+// Irradiance as schemas/common.fbs, LightSource.
+vec3 from_local(Source source, vec3 n) {
+  bool is_point = source.direction_kind.w == 1;
+  vec3 way = v_world - source.position_range.xyz;
+  float distance_m = max(length(way), 0.01);
+  vec3 to_light = -way / distance_m;
+  float share = distance_m / source.position_range.w;
+  float window = clamp(1 - share * share * share * share, 0, 1);
+  float cone = clamp((-dot(to_light, source.direction_kind.xyz) - source.cone.x) * source.cone.y, 0, 1);
+  float cosine = dot(n, to_light);
+  float factor = window * window / (distance_m * distance_m) * max(cosine, 0) * (is_point ? 1 : cone * cone);
+  vec3 size = abs(way);
+  int axis = size.x >= max(size.y, size.z) ? 0 : size.y >= size.z ? 1 : 2;
+  float side = (axis == 0 ? way.x : axis == 1 ? way.y : way.z) < 0 ? -1 : 1;
+  vec3 p = is_point ? in_face(way, axis, side) : seen_by(source.map, vec4(v_world, 1));
+  vec3 normal = is_point ? in_face(n, axis, side) : seen_by(source.map, vec4(n, 0));
+  vec3 to = is_point ? in_face(to_light, axis, side) : seen_by(source.map, vec4(to_light, 0));
+  float layer = source.intensity_layer.w + (is_point ? float(2 * axis) + (side < 0 ? 1 : 0) : 0);
+  if (factor > 0 && source.intensity_layer.w >= 0)
+    factor *= reached(local_maps, layer, source.map.scale, true, p, normal, to, cosine);
+  return factor * source.intensity_layer.xyz;
+}
+
+vec3 from_directional(Source source, vec3 n) {
   vec3 to_light = source.direction_kind.xyz;
-  float factor = 1;
-  int face = 0;
-  if (kind != 0) {
-    vec3 way = source.position_range.xyz - v_world;
-    float distance_m = max(length(way), 0.01);
-    to_light = way / distance_m;
-    float share = distance_m / source.position_range.w;
-    float window = clamp(1 - share * share * share * share, 0, 1);
-    factor = window * window / (distance_m * distance_m);
-    if (kind == 2) {
-      float cosine = -dot(to_light, source.direction_kind.xyz);
-      float cone = clamp((cosine - source.cone_uv_layer.x) * source.cone_uv_layer.y, 0, 1);
-      factor *= cone * cone;
-    } else {
-      face = cube_face(-way);
-    }
+  float cosine = dot(n, to_light);
+  float factor = max(cosine, 0);
+  if (factor > 0 && source.intensity_layer.w >= 0) {
+    factor *= reached(directional_maps, source.intensity_layer.w, source.map.scale, false,
+                      seen_by(source.map, vec4(v_world, 1)), seen_by(source.map, vec4(n, 0)),
+                      seen_by(source.map, vec4(to_light, 0)), cosine);
   }
-  factor *= dot(n, to_light);
-  if (factor <= 0) return vec3(0);
-  int map = int(source.intensity_map.w) + face;
-  float layer = source.cone_uv_layer.w + float(face);
-  if (source.intensity_map.w >= 0) {
-    factor *= kind == 0 ? reached(directional_maps, layer, map_from_world[map], source.cone_uv_layer.z, v_world, n,
-                                  to_light)
-                        : reached(local_maps, layer, map_from_world[map], source.cone_uv_layer.z, v_world, n, to_light);
-  }
-  return factor * source.intensity_map.xyz;
+  return factor * source.intensity_layer.xyz;
 }
 #endif
 #endif
@@ -242,9 +252,10 @@ void main() {
 #ifdef LIT
   vec3 light = ambient_reflected(n);
   float cosine = dot(n, sun_direction);
-  if (cosine > 0) light += sun_over_pi * (cosine * sun_visibility(n));
+  if (cosine > 0 && sun_over_pi != vec3(0)) light += sun_over_pi * (cosine * sun_visibility(n));
 #ifdef SOURCES
-  for (int i = 0; i < source_count; ++i) light += from_source(sources[i], n);
+  for (int i = 0; i < local_count; ++i) light += from_local(sources[i], n);
+  for (int i = local_count; i < source_count; ++i) light += from_directional(sources[i], n);
 #endif
   out_lit = vec4(base * light, 1);
 #elif defined(OUT_LIT)

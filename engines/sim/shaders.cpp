@@ -92,7 +92,7 @@ GlProgram build_program(const ShaderVariant& variant) {
     defines += fmt::format("#define LIFT_TEXELS {:.3f}\n#define LEAST_COSINE {:.3f}\n", kLiftTexels, kLeastCosine);
   }
   if (lit && variant.sources) {
-    defines += fmt::format("#define SOURCES {}\n#define SOURCE_MAPS {}\n", SPLATBUS_MAX_LIGHTS, kMostSourceMaps);
+    defines += fmt::format("#define SOURCES {}\n", SPLATBUS_MAX_LIGHTS);
   }
   if (shade && variant.albedo) defines += "#define ALBEDO\n#define OUT_ALBEDO 1\n";
   const bool fragment = variant.kind != ShaderVariant::Kind::Depth || variant.holes;

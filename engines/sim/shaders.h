@@ -44,15 +44,13 @@ enum UniformLocation : GLint {
       11,  ///< vec4: radius in texture coordinates (2), greatest depth slope, lift along the normal in metres
   kAmbientReflected = 12,  ///< vec3[9]
   kSoftness = 21,          ///< with cascades or sources: radius of the filter in metres
-  kCascadeFromWorld = 22,  ///< mat4[kCascades], as kShadowFromWorld
-  kCascadeUvAMetre = 22 + kCascades
+  kCascadeCameras = 22     ///< MapCamera[kCascades]
 };
 
 /// Texture units; 0 is the part's texture.
 enum TextureUnit : GLuint { kSunMaps = 1, kLocalMaps = 2, kDirectionalMaps = 3 };
 /// Of the uniform block that lists the lights besides the sun.
 inline constexpr GLuint kSourcesBinding = 0;
-inline constexpr std::size_t kMostSourceMaps = 6 * SPLATBUS_MAX_LIGHTS;
 
 /// Vertex attribute locations.
 enum AttributeLocation : GLuint { kPosition = 0, kNormal = 1, kUv = 2 };

@@ -29,14 +29,13 @@ void SourceLights::lay_out(std::span<const splatbus_light_source> sources) {
   });
   if (same) return;
   places_.clear();
-  int maps = 0, local = 0, directional = 0;
+  int local = 0, directional = 0;
   for (const splatbus_light_source& source : sources) {
     int& layers = source.kind == SPLATBUS_LIGHT_DIRECTIONAL ? directional : local;
-    places_.push_back({source.id, source.kind, maps_of(source), maps, layers});
-    maps += static_cast<int>(places_.back().maps);
+    places_.push_back(
+        {.id = source.id, .kind = source.kind, .maps = maps_of(source), .first_layer = layers, .camera = {}});
     layers += static_cast<int>(places_.back().maps);
   }
-  uv_a_metre_.assign(static_cast<std::size_t>(maps), 1);
   // A texture that is bound has a layer, which nothing samples where no light has one.
   local_.resize(local > 0 ? local_size_ : 1, std::max(local, 1));
   directional_.resize(directional > 0 ? directional_size_ : 1, std::max(directional, 1));
@@ -52,9 +51,7 @@ void SourceLights::draw_maps(GpuScene& scene, const splatbus_light& light, Place
     request.light_map = map;
     const std::optional<LightCamera> camera = light_camera(request, {light, bounds_});
     if (!camera) continue;
-    const auto index = static_cast<std::size_t>(place.first_map) + map;
-    block_.map_from_world.at(index) = map_from_world(*camera);
-    uv_a_metre_.at(index) = std::min(camera->camera.fx, camera->camera.fy) / static_cast<float>(depth.size());
+    if (map == 0) place.camera = map_camera(*camera);
     depth.draw(place.first_layer + static_cast<int>(map), scene, *camera, program_for);
     ++maps_drawn_;
   }
@@ -63,21 +60,22 @@ void SourceLights::draw_maps(GpuScene& scene, const splatbus_light& light, Place
 void SourceLights::update(GpuScene& scene, const splatbus_light& light, const DepthPrograms& program_for) {
   const std::span sources(light.sources, light.source_count);
   lay_out(sources);
+  const auto is_local = [](const splatbus_light_source& source) { return source.kind != SPLATBUS_LIGHT_DIRECTIONAL; };
+  std::size_t local = 0, directional = static_cast<std::size_t>(std::ranges::count_if(sources, is_local));
+  block_.count = {static_cast<std::int32_t>(directional), static_cast<std::int32_t>(sources.size())};
   for (std::size_t i = 0; i < sources.size(); ++i) {
     const splatbus_light_source& source = sources[i];
     Place& place = places_[i];
     if (place.drawn_version != source.depth_version) draw_maps(scene, light, place, program_for);
     place.drawn_version = source.depth_version;
-    const bool shades = place.maps > 0;
-    block_.sources.at(i) = {
+    block_.sources.at(is_local(source) ? local++ : directional++) = {
         .position_range = {vec(source.position), source.range_m},
         .direction_kind = {vec(source.direction), static_cast<float>(source.kind)},
-        .intensity_map = {vec(source.intensity) / glm::pi<float>(), shades ? static_cast<float>(place.first_map) : -1},
-        .cone_uv_layer = {source.cos_outer, 1 / (source.cos_inner - source.cos_outer),
-                          shades ? uv_a_metre_.at(static_cast<std::size_t>(place.first_map)) : 1,
-                          static_cast<float>(place.first_layer)}};
+        .intensity_layer = {vec(source.intensity) / glm::pi<float>(),
+                            place.maps > 0 ? static_cast<float>(place.first_layer) : -1},
+        .cone = {source.cos_outer, 1 / (source.cos_inner - source.cos_outer), 0, 0},
+        .map = place.camera};
   }
-  block_.count[0] = static_cast<std::int32_t>(sources.size());
   if (!buffer_) {
     buffer_ = make_buffer();
     glNamedBufferStorage(buffer_.get(), sizeof(Block), nullptr, GL_DYNAMIC_STORAGE_BIT);

@@ -26,20 +26,21 @@ class SourceLights {
   [[nodiscard]] std::uint64_t maps_drawn() const { return maps_drawn_; }
 
  private:
-  /// Where a source's maps are: matrices from `first_map`, layers of its texture from `first_layer`.
+  /// Where a source's maps are: layers of its texture, from the first one.
   struct Place {
     std::uint32_t id, kind, maps;
-    int first_map, first_layer;
+    int first_layer;
     std::uint64_t drawn_version = 0;
+    MapCamera camera;  ///< of its first map
   };
   /// As the shader's block is laid out, std140.
   struct Source {
-    glm::vec4 position_range, direction_kind, intensity_map, cone_uv_layer;
+    glm::vec4 position_range, direction_kind, intensity_layer, cone;
+    MapCamera map;
   };
   struct Block {
     std::array<Source, SPLATBUS_MAX_LIGHTS> sources;
-    std::array<glm::mat4, kMostSourceMaps> map_from_world;
-    std::array<std::int32_t, 4> count;
+    std::array<std::int32_t, 4> count;  ///< of point and spot lights, and of all
   };
 
   void lay_out(std::span<const splatbus_light_source> sources);
@@ -51,7 +52,6 @@ class SourceLights {
   GlBuffer buffer_;
   Block block_{};
   std::vector<Place> places_;
-  std::vector<float> uv_a_metre_;  ///< of each matrix
   std::uint64_t maps_drawn_ = 0;
 };
 

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <glm/gtc/matrix_inverse.hpp>
+#include <glm/gtc/matrix_transform.hpp>
 #include <glm/gtc/type_ptr.hpp>
 
 #include "sim/projection.h"
@@ -61,15 +62,10 @@ void SunShadow::update(GpuScene& scene, const splatbus_light& light, const glm::
 
 void SunShadow::bind(GLuint program, float softness_m) const {
   if (!cascades()) return bind_one(program, softness_m);
-  std::array<glm::mat4, kCascades> from_world{};
-  std::array<float, kCascades> uv_a_metre{};
-  for (std::size_t i = 0; i < maps_of_.size(); ++i) {
-    const splatbus_camera& camera = maps_of_[i].camera;
-    from_world.at(i) = map_from_world({camera, Projection::Orthographic});
-    uv_a_metre.at(i) = std::min(camera.fx, camera.fy) / static_cast<float>(size_);
-  }
-  glProgramUniformMatrix4fv(program, kCascadeFromWorld, kCascades, GL_FALSE, glm::value_ptr(from_world.front()));
-  glProgramUniform1fv(program, kCascadeUvAMetre, kCascades, uv_a_metre.data());
+  std::array<MapCamera, kCascades> cameras{};
+  for (std::size_t i = 0; i < maps_of_.size(); ++i)
+    cameras.at(i) = map_camera({maps_of_[i].camera, Projection::Orthographic});
+  glProgramUniform4fv(program, kCascadeCameras, 4 * kCascades, glm::value_ptr(cameras.front().right));
   glBindTextureUnit(kSunMaps, depth_.layers());
 }
 
@@ -80,7 +76,8 @@ void SunShadow::bind_one(GLuint program, float softness_m) const {
   glm::vec2 uv_a_metre(1);
   float metres_a_depth = 1;
   if (!casters_.empty()) {
-    shadow_from_world = map_from_world({camera, Projection::Orthographic});
+    const glm::mat4 unit_from_clip = glm::scale(glm::translate(glm::mat4(1), glm::vec3(0.5F)), glm::vec3(0.5F));
+    shadow_from_world = unit_from_clip * clip_from_camera(camera) * camera_from_world(camera);
     uv_a_metre = {camera.fx / static_cast<float>(size_), camera.fy / static_cast<float>(size_)};
     metres_a_depth = camera.far_m - camera.near_m;
   }

@@ -158,6 +158,41 @@ TEST(Sources, SurfacesDoNotShadeThemselves) {
   }
 }
 
+/// What the light itself sees is lit, in whichever face of its depth maps it lies. A face that were turned or mirrored
+/// would lay the plates' shadows elsewhere, for no two of them have the same place in their faces.
+TEST(Sources, APointLightsFacesFitTogether) {
+  Scene scene;
+  splatbus_light_source source = point_source();
+  make_dark(scene.lighting);
+  const glm::vec3 middle{source.position[0], source.position[1], source.position[2]};
+  for (int face = 0; face < 6; ++face) {
+    const int axis = face / 2;
+    glm::vec3 wall(0), plate(0), size(3);
+    wall[axis] = face % 2 == 0 ? 1.5F : -1.5F;
+    size[axis] = 0.02F;
+    plate = 0.5F * wall;
+    plate[(axis + 1) % 3] = 0.2F + 0.06F * static_cast<float>(face);
+    plate[(axis + 2) % 3] = -0.15F;
+    add_plain(scene, box(size), kAlbedo, glm::translate(glm::mat4(1), middle + wall));
+    add_plain(scene, box(0.1F * size), kAlbedo, glm::translate(glm::mat4(1), middle + plate));
+  }
+  const auto seen_towards = [&](const glm::vec3& direction, std::uint32_t casts_shadow) {
+    source.casts_shadow = casts_shadow;
+    scene.lighting.sources.clear();
+    add_source(scene.lighting, source);
+    Renderer renderer(shared_context(), scene);
+    return renderer.render(look_at(middle, middle + direction, 128, 128, 90), SPLATBUS_BUFFER_COLOR).color;
+  };
+  for (int face = 0; face < 6; ++face) {
+    glm::vec3 direction(0);
+    direction[face / 2] = face % 2 == 0 ? 1 : -1;
+    const auto with = seen_towards(direction, 1), without = seen_towards(direction, 0);
+    int darker = 0;
+    for (std::size_t i = 0; i < with.size(); i += 4) darker += with[i] + 8 < without[i] ? 1 : 0;
+    EXPECT_LT(darker, 150) << "but for the plates' edges, face " << face;
+  }
+}
+
 TEST(Sources, AddUp) {
   const auto color = [](bool first, bool second) {
     Scene scene = floor_under(point_source(), true);
