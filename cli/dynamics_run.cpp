@@ -109,7 +109,9 @@ class DynamicsRun {
       asked_ns_ = bus::now_ns();
     }
     probes_.poll(std::chrono::milliseconds(10), [this](std::size_t camera, const ProbePicture& picture) {
-      waiting_.push_back({.probe = picture, .camera = camera, .since_ns = bus::now_ns()});
+      newest_s_ = picture.time_s;
+      newest_ns_ = bus::now_ns();
+      waiting_.push_back({.probe = picture, .camera = camera, .since_ns = newest_ns_});
     });
     watch_.poll(std::chrono::milliseconds(0));
     live_.poll(std::chrono::milliseconds(0));
@@ -131,7 +133,8 @@ class DynamicsRun {
   }
 
   [[nodiscard]] std::int64_t round_ns() const {
-    return in_motion(static_cast<double>(bus::now_ns() - start_ns_) / 1e9) ? kMotionRoundNs : kRoundNs;
+    const double engine_s = newest_s_ + static_cast<double>(bus::now_ns() - newest_ns_) / 1e9;
+    return newest_ns_ != 0 && in_motion(engine_s) ? kMotionRoundNs : kRoundNs;
   }
 
   /// False while there is hope for the light's depth of that very instant, or no model to draw.
@@ -235,6 +238,8 @@ class DynamicsRun {
   DynamicsShots shots_;
   std::optional<SceneBytes> bytes_before_;
   std::int64_t bytes_before_ns_ = 0, asked_ns_ = 0, shown_ns_ = 0;
+  double newest_s_ = 0;         ///< engine time of the newest picture,
+  std::int64_t newest_ns_ = 0;  ///< which came then
   std::int64_t start_ns_;
   SupervisedRun run_;
 };

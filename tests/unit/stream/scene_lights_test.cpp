@@ -143,7 +143,7 @@ TEST(SceneLights, AStreamerRefusesByNameWhatIsNoLight) {
   SceneState narrow = lit();
   narrow.light.sources[2].cos_inner = 1;
   narrow.light.sources[2].cos_outer = std::nextafter(1.0F, 0.0F);
-  const LightSource& spot = dequantize_scene(quantize_scene(narrow)).light.sources[2];
+  const LightSource spot = dequantize_scene(quantize_scene(narrow)).light.sources[2];
   EXPECT_LT(spot.cos_outer, spot.cos_inner);
 }
 

@@ -42,7 +42,9 @@ class TrainerHere {
             [this](const wire::CaptureReference&, const bus::Message& message) { take_reference(message); })
         .on(topics::kModelInsert, [this](const wire::ModelInsert&, const bus::Message& message) {
           auto reading = inserts_.read(message);
-          if (!reading.lost) EXPECT_TRUE(commands_.add(std::move(reading.batch)));
+          if (!reading.lost) {
+            EXPECT_TRUE(commands_.add(std::move(reading.batch)));
+          }
         });
     optimizer_.publish(publisher_);
   }
