@@ -81,6 +81,9 @@ struct Scene {
     for (std::size_t i = 0; i < options.gaussians; ++i) {
       gaussians.surface_point[i] = (static_cast<float>(i % across) + 0.5F) * step_m - kSide_m / 2;
       gaussians.surface_point[2 * stride + i] = (static_cast<float>(i / across) + 0.5F) * step_m - kSide_m / 2;
+      for (const std::size_t axis : {0, 2}) {
+        gaussians.parameters[axis * stride + i] = gaussians.surface_point[axis * stride + i];
+      }
       gaussians.normal[stride + i] = 1;
       for (std::size_t c = 0; c < 3; ++c) {
         gaussians.parameters[(ParameterLayout::kLogScale + c) * stride + i] = std::log(c == 1 ? 0.1F * step_m : step_m);

@@ -126,7 +126,8 @@ ObjectChanges GpuScene::set_time(const Scene& scene, double time_s, std::span<co
     if (!object.motion && object.light_id == 0 && flags == 0) continue;
     ObjectState& state = objects_[i];
     const bool dark =
-        object.light_id != 0 && std::ranges::count(sources, object.light_id, &splatbus_light_source::id) == 0;
+        object.light_id != 0 &&
+        (!scene.lighting.lamps_shown || std::ranges::count(sources, object.light_id, &splatbus_light_source::id) == 0);
     // What rests keeps the frame that it has unlisted: the world's.
     std::optional<Pose> pose = dark ? std::nullopt : object.motion ? object.motion(time_s) : Pose{};
     const bool was = std::exchange(state.exists, pose.has_value());

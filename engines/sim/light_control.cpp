@@ -27,6 +27,8 @@ bool change(LightChanges& changes, const std::string& key, double value) {
     changes.sun_azimuth_deg = value;
   } else if (key == "night" && (value == 0 || value == 1)) {
     changes.night = value == 1;
+  } else if (key == "lamps_shown" && (value == 0 || value == 1)) {
+    changes.lamps_shown = value == 1;
   } else if (key == "point_lights" && whole && value >= 0 && value <= static_cast<double>(kLamps)) {
     changes.point_lights = static_cast<std::size_t>(value);
   } else {

@@ -134,6 +134,7 @@ void run(const Flags& flags) {
     const LightChanges changes = control.take();
     if (changes.sun_azimuth_deg) renderer.turn_sun(*changes.sun_azimuth_deg);
     if (changes.night) renderer.set_night(*changes.night);
+    if (changes.lamps_shown) renderer.show_lamps(*changes.lamps_shown);
     if (changes.point_lights) renderer.set_sources_on(*changes.point_lights);
   };
   EngineLoop(*engine, renderer, readback.get(), options).run(stop_requested);

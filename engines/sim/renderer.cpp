@@ -74,6 +74,10 @@ void Renderer::set_sources_on(std::size_t count) {
   impl_->scene.lighting.sources_on = count;
 }
 
+void Renderer::show_lamps(bool shown) {
+  impl_->scene.lighting.lamps_shown = shown;
+}
+
 std::uint64_t Renderer::scene_version() const {
   return impl_->scene_version;
 }

@@ -56,10 +56,11 @@ class Renderer {
   /// asked for.
   void set_time(double time_s);
   /// Puts the sun at an azimuth as of the current time; from there it turns at the lighting's rate. Seen at the next
-  /// set_time(), as what set_night() and set_sources_on() change.
+  /// set_time(), as what the three others change.
   void turn_sun(double azimuth_deg);
   void set_night(bool night);
   void set_sources_on(std::size_t count);
+  void show_lamps(bool shown);
   /// Grows whenever set_time() has changed the scene: light or an object has changed, moved, come or gone.
   [[nodiscard]] std::uint64_t scene_version() const;
   [[nodiscard]] const Instant& instant() const;

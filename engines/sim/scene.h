@@ -77,6 +77,7 @@ struct Lighting {
   bool night = false;              ///< no sun, and a faint sky
   std::vector<LightSource> sources;
   std::size_t sources_on = SPLATBUS_MAX_LIGHTS;  ///< so many of them, from the first
+  bool lamps_shown = true;                       ///< else they shine and their lamps are not there
 
   /// Without the sources, and with no depth version.
   [[nodiscard]] splatbus_light at(double time_s) const;

@@ -39,6 +39,10 @@ struct VisibilityTest {
 
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Surface surface(const Tier& tier, std::uint32_t i) const {
     Surface out{vector_at(gaussians.surface_point, i), vector_at(gaussians.normal, i), 0};
+    if (gaussians.parameters != nullptr) {
+      const Vec3 moved = vector_at(gaussians.parameters, i) - out.point;
+      out.point = out.point + moved - out.normal * math::dot(out.normal, moved);
+    }
     float deviation_m = surface_deviation_m(i);
     const std::int32_t index = tier.frame == kOfGaussian ? frame_of(gaussians.object_id[i]) : tier.frame;
     if (index != kStill) {

@@ -32,7 +32,7 @@ struct MappedLight {
 
 struct VisibilityOptions {
   float softness_m = 0.012F;  ///< radius of the filter on the light's image plane
-  float footprint = 0.5F;     ///< added to the radius, in standard deviations of the Gaussian
+  float footprint = 0.25F;     ///< added to the radius, in standard deviations of the Gaussian
   float lift_texels = 1.0F;   ///< the tested point is raised along the normal, against what the map cannot resolve
 
   void bind(bus::ParameterBinder& parameters);

@@ -14,7 +14,7 @@ namespace splatbus::trainer {
 struct LearningRates {
   float mean_extents = 0.8e-4F;  ///< metres per metre of scene extent
   float log_scale = 0.03F, rotation = 3e-3F, opacity_logit = 2.5e-2F;
-  float albedo = 5e-3F, residual = 5e-4F;
+  float albedo = 5e-3F, residual = 3e-4F;
   float sh_dc = 2.5e-3F;  ///< Radiance; the higher bands take a twentieth of it (Kerbl et al. 2023)
 };
 

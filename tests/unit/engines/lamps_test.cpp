@@ -75,6 +75,12 @@ TEST(Lamps, ExistWithTheirLightsAndAreNothingWithoutThem) {
   const auto lit = renderer.render(camera, kAll).color;
   EXPECT_NE(lit, empty);
 
+  renderer.show_lamps(false);
+  renderer.set_time(2.05);
+  EXPECT_EQ(renderer.instant().sources.size(), 3U);
+  EXPECT_TRUE(renderer.instant().objects.empty());
+  renderer.show_lamps(true);
+
   renderer.set_night(true);
   renderer.set_time(2.1);
   EXPECT_EQ(renderer.instant().light.sun_irradiance[0], 0);

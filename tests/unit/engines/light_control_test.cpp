@@ -21,13 +21,14 @@ TEST_F(LightControlTest, TakesWhatMakesSense) {
   };
   sim::LightChanges taken;
   ASSERT_TRUE(bus_test::eventually([&] {
-    send({{"sun_azimuth_deg", "-12.5"}, {"night", "1"}, {"point_lights", "16"}});
+    send({{"sun_azimuth_deg", "-12.5"}, {"night", "1"}, {"lamps_shown", "0"}, {"point_lights", "16"}});
     taken = control.take();
     return taken.night.has_value();
   }));
   EXPECT_EQ(taken.sun_azimuth_deg, -12.5);
   EXPECT_EQ(taken.night, true);
   EXPECT_EQ(taken.point_lights, 16U);
+  EXPECT_EQ(taken.lamps_shown, false);
 
   // Of several the last one that makes sense; `last` says that all have arrived.
   send({{"point_lights", "3"},
@@ -37,6 +38,7 @@ TEST_F(LightControlTest, TakesWhatMakesSense) {
         {"night", "0"},
         {"night", "2"},
         {"moon", "1"},
+        {"lamps_shown", "2"},
         {"sun_azimuth_deg", "nan"},
         {"sun_azimuth_deg", "77"},
         {"sun_azimuth_deg", "9 degrees"}});
