@@ -32,7 +32,7 @@ struct MappedLight {
 
 struct VisibilityOptions {
   float softness_m = 0.012F;  ///< radius of the filter on the light's image plane
-  float footprint = 0.25F;     ///< added to the radius, in standard deviations of the Gaussian
+  float footprint = 0.25F;    ///< added to the radius, in standard deviations of the Gaussian
   float lift_texels = 1.0F;   ///< the tested point is raised along the normal, against what the map cannot resolve
 
   void bind(bus::ParameterBinder& parameters);
@@ -56,7 +56,8 @@ struct KeptRows {
 /// everywhere. Of cascades the finest that has the whole filter is tested, outside of the last all is lit; of a point
 /// light's maps the one whose axis is nearest.
 ///
-/// Reads surface_point, normal, the scales, and object_id or, of a model in pages, the ranges' frame_id. `visibility`
+/// Tested is the mean, brought back onto the plane of surface_point. Reads mean, surface_point, normal, the scales, and
+/// object_id or, of a model in pages, the ranges' frame_id. `visibility`
 /// is [lights][gaussians.count], by index; what is no Gaussian's holds anything. What Gaussians and maps point to, and
 /// `visibility`, lie in memory of the stream's device; the ranges on the host. At most 64 lights. Waits for the result.
 /// Throws std::runtime_error when the device fails.

@@ -48,7 +48,7 @@ TEST_F(ChainTest, AnObjectThatIsListedOnlyAsItBeginsToMoveLeavesNoGhost) {
   }
   EXPECT_TRUE(until([&] { return gaussians_about(place, reach, kWorldFrame) <= before / kHandful; }))
       << gaussians_about(place, reach, kWorldFrame) << " of " << before;
-  EXPECT_TRUE(until([&] { return gaussians_about(place, reach, kBall) > before * 2 / 3; }))
+  EXPECT_TRUE(until([&] { return gaussians_about(place, reach, kBall) > before / 2; }))
       << "it is itself again: " << gaussians_about(place, reach, kBall);
 }
 

@@ -93,6 +93,7 @@ class BallOverFloor {
       for (int c = 0; c < 3; ++c) {
         const std::size_t at = static_cast<std::size_t>(c) * gaussians.stride() + i;
         gaussians.surface_point[at] = points[i][c];
+        gaussians.parameters[at] = points[i][c];
         gaussians.normal[at] = normals[i][c];
         gaussians.parameters[(ParameterLayout::kLogScale + static_cast<std::size_t>(c)) * gaussians.stride() + i] =
             std::log(0.01F);

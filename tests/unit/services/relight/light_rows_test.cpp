@@ -28,8 +28,8 @@ class LightRowsTest : public testing::Test {
       for (std::uint32_t i = 0; i < kOfPage; ++i) {
         float* const lane = pages_.data() + page * kRows * kPageLanes + i;
         for (std::size_t c = 0; c < 3; ++c) lane[(ParameterLayout::kLogScale + c) * kPageLanes] = -4.0F;
-        lane[(kRows - 6) * kPageLanes] = uniform(random);
-        lane[(kRows - 4) * kPageLanes] = uniform(random);
+        lane[(kRows - 6) * kPageLanes] = lane[0] = uniform(random);
+        lane[(kRows - 4) * kPageLanes] = lane[2 * kPageLanes] = uniform(random);
         lane[(kRows - 2) * kPageLanes] = 1;
       }
       ranges_.push_back({.first = page * kPageLanes, .count = kOfPage, .frame_id = page == 2 ? 7U : kWorldFrame});

@@ -41,8 +41,12 @@ class RelightTest : public bus_test::BusTest {
     GaussiansBuffer model(ParameterLayout{}, count);
     std::fill(model.parameters.begin(), model.parameters.end(), -4.0F);
     std::fill_n(model.normal.begin() + static_cast<std::ptrdiff_t>(model.stride()), count, 1.0F);
-    model.surface_point[0] = -1.0F;
-    model.surface_point[1] = 1.0F;
+    // At x = -1, 1 and 0; means have drifted off the floor, which changes nothing.
+    const auto stride = static_cast<std::ptrdiff_t>(model.stride());
+    std::fill_n(model.parameters.begin(), 3 * stride, 0.0F);
+    std::fill_n(model.parameters.begin() + stride, count, 0.02F);
+    model.surface_point[0] = model.parameters[0] = -1.0F;
+    model.surface_point[1] = model.parameters[1] = 1.0F;
     if (count > 2) model.object_id[2] = 7;
     index_ = pages_.publish(publisher_, model, generation);
   }

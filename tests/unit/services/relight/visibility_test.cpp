@@ -75,6 +75,18 @@ TEST(Visibility, PenumbraRisesMonotonouslyAcrossTheEdge) {
   EXPECT_GT(between, 5);
 }
 
+TEST(Visibility, IsThatOfThePlaceOnTheSurfaceWhereTheGaussianIsByNow) {
+  const BallOverFloor scene(glm::vec3(0.001F, 1, 0));
+  const glm::vec3 shaded(0, 0, 0), lit(2, 0, 0);
+  const std::vector<glm::vec3> samples{shaded, lit, shaded}, normals(3, glm::vec3(0, 1, 0));
+  GaussiansBuffer model = BallOverFloor::gaussians(samples, normals);
+  const std::vector<glm::vec3> means{lit + glm::vec3(0, 0.3F, 0), shaded - glm::vec3(0, 0.3F, 0), shaded};
+  for (std::size_t i = 0; i < means.size(); ++i) {
+    for (int c = 0; c < 3; ++c) model.parameters[static_cast<std::size_t>(c) * model.stride() + i] = means[i][c];
+  }
+  EXPECT_EQ(BallOverFloor::visibility(scene.sun(), model), (std::vector<float>{1, 0, 0}));
+}
+
 TEST(Visibility, PenumbraIsAsWideAsTheGaussian) {
   const BallOverFloor scene(glm::vec3(0.001F, 1, 0));
   std::vector<glm::vec3> points;
@@ -118,7 +130,7 @@ TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
       float* const lane = pages.data() + page * kRows * kPageLanes + i;
       for (std::size_t c = 0; c < 3; ++c) {
         lane[(ParameterLayout::kLogScale + c) * kPageLanes] = std::log(0.01F);
-        lane[(kRows - 6 + c) * kPageLanes] = points[i][static_cast<int>(c)];
+        lane[(kRows - 6 + c) * kPageLanes] = lane[c * kPageLanes] = points[i][static_cast<int>(c)];
         lane[(kRows - 3 + c) * kPageLanes] = normals[i][static_cast<int>(c)];
       }
     }
