@@ -125,7 +125,7 @@ void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_
                                 bool bounded) {
   if (requests.empty()) return;
   renderer_.set_time(time_of(frame));
-  const std::int64_t end_ns = now_ns() + std::llround(options_.picture_frames * 1e9 / options_.fps);
+  const std::int64_t end_ns = now_ns() + std::llround(options_.pictures_s * 1e9);
   bool has_picture = false;
   for (const splatbus_camera_request& request : requests) {
     const bool may_wait =

@@ -19,9 +19,9 @@ namespace splatbus::sim {
 
 struct EngineLoopOptions {
   double fps = 10;  ///< frame n is at engine time n / fps
-  /// After so many frames' time of pictures the rest waits for the next frame, all but depth maps, probes and one
-  /// picture: a machine that cannot carry them all still shows a scene that moves.
-  double picture_frames = 1;
+  /// After so long in a frame's pictures the rest waits for the next frame, all but depth maps, probes and one picture:
+  /// a machine that cannot carry them all still shows a scene that moves.
+  double pictures_s = 0.1;
   std::uint64_t frames = 0;                    ///< ends after so many; 0: never
   std::function<void()> before_frame = [] {};  ///< may change the renderer's scene
 };
@@ -51,7 +51,7 @@ class EngineLoop {
   void wait_until(std::int64_t deadline_ns, const std::atomic<bool>& stop);
   void render_frame(std::uint64_t frame);
   void render_newcomers();
-  /// With `bounded` within the time of picture_frames.
+  /// With `bounded` within pictures_s.
   void render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests, bool bounded);
   void render_camera(std::uint64_t frame, const splatbus_camera_request& request);
   std::vector<splatbus_image> images_for(const splatbus_camera_request& request, const LightCamera& camera);

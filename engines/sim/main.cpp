@@ -71,8 +71,8 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--fps", flags.loop.fps, "engine frames a second")
       ->capture_default_str()
       ->check(CLI::Range(0.1, 1000.0));
-  app.add_option("--picture-frames", flags.loop.picture_frames,
-                 "frames' time for pictures in one frame; more of them wait for the next")
+  app.add_option("--pictures-s", flags.loop.pictures_s,
+                 "seconds for the pictures of one frame; more of them wait for the next")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 1000.0));
   app.add_option("--frames", flags.loop.frames, "end after so many frames; 0: never")->capture_default_str();

@@ -25,8 +25,8 @@ class EngineLoopTest : public SdkTest {
 
   /// `motion` is that of the scene's object 2, within 2 m along x.
   void start(double sun_rate_deg_s, const Motion& motion = {}, double fps = 50,
-             const std::vector<sim::LightSource>& sources = {}, double picture_frames = 1000) {
-    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps, sources, picture_frames] {
+             const std::vector<sim::LightSource>& sources = {}, double pictures_s = 1000) {
+    thread_ = std::jthread([this, sun_rate_deg_s, motion, fps, sources, pictures_s] {
       sim::Scene scene;
       sim::add_plain(scene, sim::box({4, 0.1F, 4}), glm::vec3(0.5F));
       sim::add_plain(scene, sim::box({0.4F, 0.4F, 0.4F}), glm::vec3(0.3F, 0.5F, 0.2F));
@@ -37,7 +37,7 @@ class EngineLoopTest : public SdkTest {
       scene.lighting.sources = sources;
       sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
       const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
-      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .picture_frames = picture_frames}).run(stop_);
+      sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .pictures_s = pictures_s}).run(stop_);
     });
   }
   ~EngineLoopTest() override { stop_ = true; }
