@@ -89,8 +89,8 @@ class ViewBatch {
   void lay_out_tables(cudaStream_t stream);
   void set_capacity(std::uint32_t isects);
 
-  // One table: views, targets of colour, albedo and depth, masks, limits of losses, views of objects, light sources. The
-  // host fills a ring of them.
+  // One table: views, targets of colour, albedo and depth, masks, limits of losses, views of objects, light sources.
+  // The host fills a ring of them.
   static constexpr int kSlots = kStepsInFlight + 1;
   std::size_t color_offset_ = 0, albedo_offset_ = 0, depth_offset_ = 0, mask_offset_ = 0;
   std::size_t limit_offset_ = 0, object_offset_ = 0, source_offset_ = 0, table_bytes_ = 0;
