@@ -1,6 +1,5 @@
 #include "scene_view.h"
 
-#include <algorithm>
 #include <chrono>
 #include <cstddef>
 
@@ -13,11 +12,6 @@ namespace splatbus::cli {
 namespace {
 
 constexpr std::chrono::milliseconds kPatience(50);
-
-std::uint64_t depth_version(const Light& light, std::uint32_t light_id) {
-  const auto source = std::ranges::find(light.sources, light_id, &LightSource::id);
-  return source == light.sources.end() ? light.sun_depth_version : source->depth_version;
-}
 
 }  // namespace
 
@@ -32,14 +26,7 @@ void LightDepths::keep(bool all) {
 std::optional<SceneLights> LightDepths::find(const SceneState& scene) {
   const std::scoped_lock lock(mutex_);
   for (const auto& [key, message] : newest_) bus::guarded(message, [&] { copy(message); });
-  SceneLights lights{{relight::sun_source(scene.light), nullptr}};
-  for (const LightSource& source : scene.light.sources) lights.push_back({source, nullptr});
-  for (relight::LightOfScene& light : lights) {
-    if (!light.source.casts_shadow) continue;
-    light.maps = maps_.find(light.source.id, light.source.depth_version);
-    if (!light.maps) return {};
-  }
-  return lights;
+  return relight::find_lights(scene.light, maps_);
 }
 
 void LightDepths::receive(const std::stop_token& stop) {
@@ -56,12 +43,9 @@ void LightDepths::receive(const std::stop_token& stop) {
 
 void LightDepths::copy(const bus::Message& message) {
   const auto& depth = message.root<wire::SceneLightDepth>();
-  const relight::MapRing::Key key{.light_id = depth.light_id(),
-                                  .depth_version = depth_version(from_wire(*depth.scene()->light()), depth.light_id()),
-                                  .light_map = depth.light_map(),
-                                  .light_maps = depth.light_maps()};
+  const auto key = relight::MapRing::key_of(depth);
   const Camera camera = from_wire(*depth.camera());
-  if (key.light_map >= key.light_maps || maps_.holds(key, camera)) return;
+  if (maps_.holds(key, camera)) return;
   const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!tensor) return;
   const auto values = std::make_shared<std::vector<std::byte>>(tensor->bytes());

@@ -19,6 +19,17 @@ bool is_fresh(std::uint64_t computed_step, std::uint64_t step) {
 
 }  // namespace
 
+std::optional<std::vector<LightOfScene>> find_lights(const Light& light, const MapRing& maps) {
+  std::vector<LightOfScene> lights{{sun_source(light), nullptr}};
+  for (const LightSource& source : light.sources) lights.push_back({source, nullptr});
+  for (LightOfScene& of_scene : lights) {
+    if (!of_scene.source.casts_shadow) continue;
+    of_scene.maps = maps.find(of_scene.source.id, of_scene.source.depth_version);
+    if (!of_scene.maps) return {};
+  }
+  return lights;
+}
+
 std::vector<MappedLight> mapped(std::span<const LightOfScene> lights) {
   std::vector<MappedLight> out;
   out.reserve(lights.size());

@@ -19,6 +19,9 @@ struct LightOfScene {
   std::shared_ptr<const LightMaps> maps;
 };
 
+/// The sun, then the other lights of a scene, each that casts shadows with its maps; nullopt while one has not all.
+[[nodiscard]] std::optional<std::vector<LightOfScene>> find_lights(const Light& light, const MapRing& maps);
+
 /// As compute_visibility() takes them; good while the maps are.
 [[nodiscard]] std::vector<MappedLight> mapped(std::span<const LightOfScene> lights);
 

@@ -1,11 +1,19 @@
 #include "relight/map_ring.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
+#include <stdexcept>
 #include <utility>
+
+#include "wire/convert.h"
+#include "wire/scene_generated.h"
 
 namespace splatbus::relight {
 
 namespace {
+
+constexpr std::uint32_t kMaxMaps = 8;  // of one light
 
 /// Whether a map through b shows what one through a shows: the planes only say how far it reaches.
 bool same_projection(const Camera& a, const Camera& b) {
@@ -14,6 +22,22 @@ bool same_projection(const Camera& a, const Camera& b) {
 }
 
 }  // namespace
+
+MapRing::Key MapRing::key_of(const wire::SceneLightDepth& depth) {
+  const Light light = from_wire(*depth.scene()->light());
+  const auto source = std::ranges::find(light.sources, depth.light_id(), &LightSource::id);
+  const bool sun = depth.light_id() == 0;
+  if (!sun && (source == light.sources.end() || !source->casts_shadow)) {
+    throw std::runtime_error(fmt::format("light {} is none that casts a shadow", depth.light_id()));
+  }
+  if (depth.light_map() >= depth.light_maps() || depth.light_maps() > kMaxMaps) {
+    throw std::runtime_error(fmt::format("map {} of {}", depth.light_map(), depth.light_maps()));
+  }
+  return {.light_id = depth.light_id(),
+          .depth_version = sun ? light.sun_depth_version : source->depth_version,
+          .light_map = depth.light_map(),
+          .light_maps = depth.light_maps()};
+}
 
 bool LightMaps::complete() const {
   return std::ranges::all_of(maps, [](const Map& map) { return map.depth_m != nullptr; });

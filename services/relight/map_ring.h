@@ -10,6 +10,10 @@
 
 #include "gaussians/light.h"
 
+namespace splatbus::wire {
+struct SceneLightDepth;
+}  // namespace splatbus::wire
+
 namespace splatbus::relight {
 
 /// All depth maps of one depth_version of a light.
@@ -37,6 +41,9 @@ class MapRing {
     std::uint64_t depth_version = 0;
     std::uint32_t light_map = 0, light_maps = 1;  ///< which of how many that make the light's depth_version
   };
+  /// Of a message. Throws std::runtime_error, naming what is wrong, for a light that casts no shadow, and for a map
+  /// that is none of the light's.
+  [[nodiscard]] static Key key_of(const wire::SceneLightDepth& depth);
   /// Whether that map, through a camera with this projection, is there.
   [[nodiscard]] bool holds(const Key& key, const Camera& camera) const;
   void put(const Key& key, LightMaps::Map map, std::uint64_t scene_version);

@@ -1,6 +1,5 @@
 #include "relight/relight.h"
 
-#include <fmt/format.h>
 
 #include <algorithm>
 #include <chrono>
@@ -26,14 +25,8 @@ using namespace std::chrono_literals;
 constexpr auto kReceiveTimeout = 50ms;
 constexpr std::size_t kRingSlots = 8;
 constexpr std::uint32_t kMaxSide = 16384;
-constexpr std::uint32_t kMaxMaps = 8;     // of one light
 constexpr std::size_t kMaxReady = 8;      // versions that are kept for a model whose structure changes
 constexpr std::size_t kMaxWaiting = 256;  // versions whose maps have not come
-
-const LightSource* find_source(const Light& light, std::uint32_t id) {
-  const auto found = std::ranges::find_if(light.sources, [id](const LightSource& source) { return source.id == id; });
-  return found == light.sources.end() ? nullptr : &*found;
-}
 
 }  // namespace
 
@@ -121,19 +114,8 @@ void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message&
     throw bus::Error(message.topic() + ": its camera is no light camera of at most " + std::to_string(kMaxSide) +
                      " texels a side");
   }
-  const Light light = from_wire(*depth.scene()->light());
-  const LightSource* const source = find_source(light, depth.light_id());
-  if (depth.light_id() != 0 && (source == nullptr || !source->casts_shadow)) {
-    throw bus::Error(fmt::format("{}: light {} is none that casts a shadow", message.topic(), depth.light_id()));
-  }
-  if (depth.light_map() >= depth.light_maps() || depth.light_maps() > kMaxMaps) {
-    throw bus::Error(fmt::format("{}: map {} of {}", message.topic(), depth.light_map(), depth.light_maps()));
-  }
+  const MapRing::Key key = MapRing::key_of(depth);
   take_scene(*depth.scene(), false);
-  const MapRing::Key key{.light_id = depth.light_id(),
-                         .depth_version = source != nullptr ? source->depth_version : light.sun_depth_version,
-                         .light_map = depth.light_map(),
-                         .light_maps = depth.light_maps()};
   if (maps_.holds(key, camera)) return;
   const auto tensor = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   auto values = tensor ? depths_.take(tensor->bytes()) : nullptr;
@@ -145,18 +127,11 @@ void Relight::take_depth(const wire::SceneLightDepth& depth, const bus::Message&
 }
 
 bool Relight::find_maps(Version& version) const {
-  std::vector<LightOfScene> lights{{sun_source(version.scene.light), nullptr}};
-  for (const LightSource& source : version.scene.light.sources) lights.push_back({source, nullptr});
-  bool same = lights.size() == version.lights.size();
-  for (std::size_t k = 0; k < lights.size(); ++k) {
-    LightOfScene& light = lights[k];
-    if (!light.source.casts_shadow) continue;
-    light.maps = maps_.find(light.source.id, light.source.depth_version);
-    if (!light.maps) return !version.lights.empty();  // with those that it has had
-    same = same && version.lights[k].maps == light.maps;
-  }
+  auto lights = find_lights(version.scene.light, maps_);
+  if (!lights) return !version.lights.empty();  // with those that it has had
+  const bool same = std::ranges::equal(*lights, version.lights, {}, &LightOfScene::maps, &LightOfScene::maps);
   if (!same) version.computed_generation.reset();
-  version.lights = std::move(lights);
+  version.lights = std::move(*lights);
   return true;
 }
 
