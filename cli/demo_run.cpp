@@ -106,6 +106,7 @@ class Demo {
     // Nothing can be compared before there is a model.
     if (new_round && live_.published() && live_.published()->count > 0) {
       server_.clear();
+      lights_.clear();
       depths_.keep(true);
       probes_.begin();
       asked_ns_ = bus::now_ns();
@@ -126,9 +127,13 @@ class Demo {
   }
 
   void draw_what_has_come() {
+    // Depth maps go within a few frames of their coming.
+    for (const auto& [index, probe] : probes_.pictures()) {
+      if (auto& lights = lights_[probe.probe_id]; !lights) lights = depths_.find(probe.scene);
+    }
     for (const auto& [index, probe] : probes_.pictures()) {
       if (server_.contains(index)) continue;
-      const auto lights = depths_.find(probe.scene);
+      const auto& lights = lights_.at(probe.probe_id);
       if (!lights && bus::now_ns() - asked_ns_ < kMapPatienceNs) return;
       const auto picture = view_.render(live_, probe.camera, probe.scene, lights ? &*lights : nullptr);
       if (!picture) return;
@@ -238,7 +243,8 @@ class Demo {
   LightDepths depths_;
   ProbeRounds probes_;
   SceneView view_;
-  ViewFigures server_;  ///< of this round
+  ViewFigures server_;                                          ///< of this round
+  std::map<std::uint64_t, std::optional<SceneLights>> lights_;  ///< too, by probe
   DemoResults results_;
   std::optional<double> shown_server_, shown_viewer_;
   std::int64_t asked_ns_ = 0, shown_ns_ = 0;

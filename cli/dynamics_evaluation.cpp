@@ -24,11 +24,12 @@ Json figure(const std::optional<double>& value) {
   return value ? Json(rounded(*value)) : Json();
 }
 
-/// One figure of every sample that has it.
+/// One figure of every sample that is judged and has it.
 template <class Get>
 std::vector<TimedFigure> series(const DynamicsResults& results, Get get) {
   std::vector<TimedFigure> figures;
   for (const DynamicsSample& sample : results.samples) {
+    if (sample.extra) continue;
     if (const std::optional<double> value = get(sample)) figures.push_back({sample.time_s, *value});
   }
   return figures;
@@ -140,31 +141,41 @@ void write_sheet(const DynamicsResults& results, std::size_t camera, const fs::p
   if (!sheet.columns.empty()) metrics::write_png(path, metrics::draw(sheet));
 }
 
-/// Of neighbouring instants that are both there.
-std::vector<cv::Mat> motion_residuals(const std::vector<DynamicsPictures>& motion) {
-  std::vector<cv::Mat> residuals;
-  for (std::size_t k = 1; k < motion.size(); ++k) {
-    residuals.push_back(motion_residual(motion[k - 1].engine, motion[k].engine, motion[k - 1].on, motion[k].on));
+/// An instant, and what has changed since the one before.
+struct Motion {
+  const DynamicsPictures* pictures = nullptr;
+  cv::Mat residual;
+};
+
+/// Of neighbouring instants a tenth of a second or so apart.
+std::vector<Motion> motion_of(const DynamicsResults& results) {
+  constexpr double kNeighbours_s = 0.15;
+  std::vector<Motion> motion;
+  for (std::size_t k = 1; k < results.motion.size(); ++k) {
+    const DynamicsPictures &before = results.motion[k - 1], &now = results.motion[k];
+    const DynamicsSample &was = results.samples[before.sample], &is = results.samples[now.sample];
+    if (!was.paired || !is.paired || is.time_s - was.time_s > kNeighbours_s) continue;
+    motion.push_back({&now, motion_residual(before.engine, now.engine, before.on, now.on)});
   }
-  return residuals;
+  return motion;
 }
 
 /// Mean over pixels and instants, of 255; nullopt without any.
-std::optional<double> mean_residual(const std::vector<DynamicsPictures>& motion) {
-  const std::vector<cv::Mat> residuals = motion_residuals(motion);
-  if (residuals.empty()) return {};
+std::optional<double> mean_residual(const DynamicsResults& results) {
+  const std::vector<Motion> motion = motion_of(results);
+  if (motion.empty()) return {};
   double sum = 0;
-  for (const cv::Mat& residual : residuals) {
-    const cv::Scalar mean = cv::mean(residual);
+  for (const Motion& instant : motion) {
+    const cv::Scalar mean = cv::mean(instant.residual);
     sum += (mean[0] + mean[1] + mean[2]) / 3;
   }
-  return sum / static_cast<double>(residuals.size());
+  return sum / static_cast<double>(motion.size());
 }
 
 void write_motion_sheet(const DynamicsResults& results, const fs::path& path) {
   constexpr std::size_t kMost = 12;
-  const std::vector<cv::Mat> residuals = motion_residuals(results.motion);
-  if (residuals.empty()) return;
+  const std::vector<Motion> motion = motion_of(results);
+  if (motion.empty()) return;
   metrics::ContactSheet sheet{
       .title = "camera 0, instant by instant",
       .columns = {},
@@ -172,12 +183,12 @@ void write_motion_sheet(const DynamicsResults& results, const fs::path& path) {
                {.caption = "on", .figures = {}, .pictures = {}},
                {.caption = "residual", .figures = {"of the change", "8 times"}, .pictures = {}}},
       .picture_height = 192};
-  for (std::size_t k = 1; k < std::min(results.motion.size(), kMost + 1); ++k) {
-    const DynamicsPictures& now = results.motion[k];
+  for (std::size_t k = 0; k < std::min(motion.size(), kMost); ++k) {
+    const DynamicsPictures& now = *motion[k].pictures;
     sheet.columns.push_back(fmt::format("{:.2f} s", results.samples[now.sample].time_s));
     sheet.rows[0].pictures.push_back(now.engine);
     sheet.rows[1].pictures.push_back(now.on);
-    sheet.rows[2].pictures.push_back(residuals[k - 1] * 8);
+    sheet.rows[2].pictures.push_back(motion[k].residual * 8);
   }
   metrics::write_png(path, metrics::draw(sheet));
 }
@@ -188,7 +199,7 @@ Json summarize_still(const DynamicsResults& still) {
   return {{"still_ssim", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::ssim))},
           {"still_flip", mean(still, of_drawn(&DynamicsSample::on, &metrics::Quality::flip))},
           {"still_ssim_viewer", mean(still, viewer_ssim)},
-          {"still_motion_residual", figure(mean_residual(still.motion))}};
+          {"still_motion_residual", figure(mean_residual(still))}};
 }
 
 Json summarize_living(const DynamicsResults& living) {
@@ -225,7 +236,7 @@ Json summarize_living(const DynamicsResults& living) {
       {"pictures_paired", paired},
       {"ghost_flip", mean(living, ghost_flip)},
       {"ghost_flip_still", mean(living, still_ghost_flip)},
-      {"motion_residual", figure(mean_residual(living.motion))},
+      {"motion_residual", figure(mean_residual(living))},
       {"on_ssim_by_minute", by_minute(series(living, of_drawn(on, ssim)))},
   };
 }

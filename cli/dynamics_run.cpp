@@ -23,6 +23,7 @@ constexpr std::int64_t kRoundNs = kSecond / 2;
 constexpr std::int64_t kMotionRoundNs = kSecond / 10;
 constexpr double kMotionBefore_s = 8;  // the end of the run, and from there for so long:
 constexpr double kMotion_s = 2;
+constexpr double kMostStart_s = 60;  // until the engine's clock runs and there is a model
 constexpr std::int64_t kRoundPatienceNs = 2 * kSecond;
 constexpr std::int64_t kMapPatienceNs = kSecond / 4;     // the light's depth comes a moment after the probe's picture
 constexpr std::int64_t kViewerPatienceNs = 3 * kSecond;  // for the last answers
@@ -69,16 +70,16 @@ class DynamicsRun {
         run_(plan_, options.log) {}
 
   DynamicsResults run() {
-    const auto end_ns = start_ns_ + static_cast<std::int64_t>(options_.seconds * 1e9);
-    const auto window_ns = start_ns_ + static_cast<std::int64_t>(results_.window.from_s * 1e9);
-    while (bus::now_ns() < end_ns) {
+    const auto limit_ns = start_ns_ + static_cast<std::int64_t>((options_.seconds + kMostStart_s) * 1e9);
+    while (engine_s() < options_.seconds && bus::now_ns() < limit_ns) {
       step(true);
-      if (!bytes_before_ && bus::now_ns() >= window_ns) {
+      if (!bytes_before_ && engine_s() >= results_.window.from_s) {
         bytes_before_ = scene_bytes(watch_.state().stream);
         bytes_before_ns_ = bus::now_ns();
       }
     }
     note_pipeline();
+    const std::int64_t end_ns = bus::now_ns();
     while (bus::now_ns() < end_ns + kViewerPatienceNs && (!waiting_.empty() || !viewer_answered())) step(false);
     run_.stop();
     shots_.compare(results_.samples);
@@ -94,7 +95,9 @@ class DynamicsRun {
   struct Waiting {
     ProbePicture probe;
     std::size_t camera = 0;
+    bool extra = false;
     std::int64_t since_ns = 0;
+    std::optional<SceneLights> lights;  ///< depth maps go within a few frames of their coming
   };
 
   void step(bool new_rounds) {
@@ -105,25 +108,32 @@ class DynamicsRun {
     if (new_rounds && live_.published() && live_.published()->count > 0 &&
         since_round_ns > (done ? round_ns() : kRoundPatienceNs)) {
       depths_.keep(true);
-      probes_.begin(round_ns() == kRoundNs ? kDynamicsCameras : 1);
+      // Between two rounds of all cameras.
+      extra_round_ = round_ns() != kRoundNs && bus::now_ns() - whole_round_ns_ < kRoundNs;
+      if (!extra_round_) whole_round_ns_ = bus::now_ns();
+      probes_.begin(extra_round_ ? 1 : kDynamicsCameras);
       asked_ns_ = bus::now_ns();
     }
     probes_.poll(std::chrono::milliseconds(10), [this](std::size_t camera, const ProbePicture& picture) {
       newest_s_ = picture.time_s;
       newest_ns_ = bus::now_ns();
-      waiting_.push_back({.probe = picture, .camera = camera, .since_ns = newest_ns_});
+      waiting_.push_back(
+          {.probe = picture, .camera = camera, .extra = extra_round_, .since_ns = newest_ns_, .lights = {}});
     });
     watch_.poll(std::chrono::milliseconds(0));
     live_.poll(std::chrono::milliseconds(0));
-    while (!waiting_.empty() && draw(waiting_.front())) waiting_.pop_front();
+    find_lights();
+    while (!waiting_.empty() && draw(waiting_.front())) {
+      waiting_.pop_front();
+      find_lights();
+    }
     if (waiting_.empty() && probes_.complete()) depths_.keep(false);
     if (shots_.waiting() >= kMostShots) shots_.compare(results_.samples);
     if (bus::now_ns() - shown_ns_ > kShowNs) {
       shown_ns_ = bus::now_ns();
       const auto& trainer = watch_.state().trainer;
-      show_state_(fmt::format("{:.0f}/{:.0f} s  {} Gaussians  {:.1f} steps/s  {} held-out pictures",
-                              static_cast<double>(shown_ns_ - start_ns_) / 1e9, options_.seconds, trainer.gaussians,
-                              trainer.steps_per_s, results_.samples.size()));
+      show_state_(fmt::format("{:.0f}/{:.0f} s  {} Gaussians  {:.1f} steps/s  {} held-out pictures", engine_s(),
+                              options_.seconds, trainer.gaussians, trainer.steps_per_s, results_.samples.size()));
     }
   }
 
@@ -132,15 +142,23 @@ class DynamicsRun {
     return since_s >= 0 && since_s < kMotion_s;
   }
 
-  [[nodiscard]] std::int64_t round_ns() const {
-    const double engine_s = newest_s_ + static_cast<double>(bus::now_ns() - newest_ns_) / 1e9;
-    return newest_ns_ != 0 && in_motion(engine_s) ? kMotionRoundNs : kRoundNs;
+  /// Of now; 0 before the first picture.
+  [[nodiscard]] double engine_s() const {
+    return newest_ns_ == 0 ? 0 : newest_s_ + static_cast<double>(bus::now_ns() - newest_ns_) / 1e9;
+  }
+
+  [[nodiscard]] std::int64_t round_ns() const { return in_motion(engine_s()) ? kMotionRoundNs : kRoundNs; }
+
+  void find_lights() {
+    for (Waiting& waiting : waiting_) {
+      if (!waiting.lights) waiting.lights = depths_.find(waiting.probe.scene);
+    }
   }
 
   /// False while there is hope for the light's depth of that very instant, or no model to draw.
   bool draw(const Waiting& waiting) {
     const ProbePicture& probe = waiting.probe;
-    const auto lights = depths_.find(probe.scene);
+    const std::optional<SceneLights>& lights = waiting.lights;
     if (!lights && bus::now_ns() - waiting.since_ns < kMapPatienceNs) return false;
     if (!frozen_) {
       if (!lights) return true;  // what it was like at the start has to be known whole
@@ -164,6 +182,7 @@ class DynamicsRun {
                                 .camera = waiting.camera,
                                 .probe_id = probe.probe_id,
                                 .paired = lights.has_value(),
+                                .extra = waiting.extra,
                                 .on = {},
                                 .off = {},
                                 .still = {},
@@ -238,6 +257,8 @@ class DynamicsRun {
   DynamicsShots shots_;
   std::optional<SceneBytes> bytes_before_;
   std::int64_t bytes_before_ns_ = 0, asked_ns_ = 0, shown_ns_ = 0;
+  bool extra_round_ = false;
+  std::int64_t whole_round_ns_ = 0;
   double newest_s_ = 0;         ///< engine time of the newest picture,
   std::int64_t newest_ns_ = 0;  ///< which came then
   std::int64_t start_ns_;

@@ -80,7 +80,7 @@ std::optional<DrawnFigures> DynamicsShots::figures(const Shot& shot, const cv::M
                       .masked = masked_figures(ssim_map, shot),
                       .ghost_flip = {}};
   if (!shot.ghost.empty()) result.ghost_flip = masked_mean(flip_map, shot.ghost);
-  if (is_on && window_.contains(sample.time_s)) {
+  if (is_on && !sample.extra && window_.contains(sample.time_s)) {
     maps_[sample.camera].ssim.add(ssim_map);
     maps_[sample.camera].flip.add(flip_map);
   }

@@ -35,6 +35,7 @@ struct DynamicsSample {
   std::size_t camera = 0;
   std::uint64_t probe_id = 0;
   bool paired = false;  ///< drawn with visibility of its own scene version
+  bool extra = false;   ///< of a round of one camera alone, for motion: it is not judged
   std::optional<DrawnFigures> on, off;
   MaskedFigures still;                     ///< the still scene's at the same pixels
   std::optional<double> still_ghost_flip;  ///< likewise

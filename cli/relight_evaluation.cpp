@@ -118,13 +118,13 @@ class RelightEvaluation {
   FigureSummary compare_views(const std::string& caption) {
     ViewFigures figures;
     for (const auto& [camera, probe] : training_.held_out().pictures()) {
-      const auto lights = depths_.find(probe.scene);
+      const SceneLights& lights = lights_.at(camera).second;
       std::optional<cv::Mat> picture;
       // What appears, a lamp say, is inserted all the same: then the model is drawn again.
       training_.wait_until(
           "a model that holds still",
           [&] {
-            picture = view_.render(training_.live(), probe.camera, probe.scene, lights ? &*lights : nullptr);
+            picture = view_.render(training_.live(), probe.camera, probe.scene, &lights);
             return picture.has_value();
           },
           [] { return std::string("draws"); });
@@ -136,10 +136,18 @@ class RelightEvaluation {
 
   /// Whether every held-out picture has come under such a light, and the depth maps of it as well.
   [[nodiscard]] bool lit_by(const std::function<bool(const Light&)>& wanted) {
+    // Kept as they come: depth maps go within a few frames.
+    for (const auto& [camera, probe] : training_.held_out().pictures()) {
+      const auto known = lights_.find(camera);
+      if (known != lights_.end() && known->second.first == probe.probe_id) continue;
+      lights_.erase(camera);
+      if (auto lights = depths_.find(probe.scene)) lights_.emplace(camera, std::pair(probe.probe_id, *lights));
+    }
     return training_.held_out().complete() &&
            std::ranges::all_of(training_.held_out().pictures(), [&](const auto& entry) {
-             const SceneState& scene = entry.second.scene;
-             return wanted(scene.light) && depths_.find(scene).has_value();
+             const auto lights = lights_.find(entry.first);
+             return wanted(entry.second.scene.light) && lights != lights_.end() &&
+                    lights->second.first == entry.second.probe_id;
            });
   }
 
@@ -157,6 +165,7 @@ class RelightEvaluation {
   const RelightEvaluationOptions& options_;
   StagedTraining training_;
   LightDepths depths_;
+  std::map<std::size_t, std::pair<std::uint64_t, SceneLights>> lights_;  ///< by camera: of which probe, and its lights
   SceneView view_;
   glm::vec3 first_sun_{0};
   metrics::ContactSheet sheet_;

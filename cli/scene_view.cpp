@@ -35,9 +35,16 @@ void LightDepths::receive(const std::stop_token& stop) {
     auto message = subscriber.receive(kPatience);
     if (!message) continue;
     const std::scoped_lock lock(mutex_);
-    if (keep_all_) bus::guarded(*message, [&] { copy(*message); });
-    const auto& depth = message->root<wire::SceneLightDepth>();
-    newest_.insert_or_assign({depth.light_id(), depth.light_map()}, std::move(*message));
+    bus::guarded(*message, [&] {
+      const auto& depth = message->root<wire::SceneLightDepth>();
+      if (keep_all_) copy(*message);
+      // Maps of a request that is no more would never be whole beside those of the one that is.
+      std::erase_if(newest_, [&](const auto& entry) {
+        return entry.first.first == depth.light_id() &&
+               entry.second.template root<wire::SceneLightDepth>().light_maps() != depth.light_maps();
+      });
+      newest_.insert_or_assign({depth.light_id(), depth.light_map()}, *message);
+    });
   }
 }
 

@@ -35,8 +35,29 @@ wire::Camera to_wire(const splatbus_camera& camera) {
   return camera_struct(camera, to_wire(camera.world_from_camera));
 }
 
+/// With zero for what does not count for its kind, which may be anything.
+splatbus_light_source counted(splatbus_light_source source) {
+  const bool directional = source.kind == SPLATBUS_LIGHT_DIRECTIONAL;
+  if (directional) std::ranges::fill(source.position, 0.0F);
+  if (directional) source.range_m = 0;
+  if (source.kind == SPLATBUS_LIGHT_POINT) std::ranges::fill(source.direction, 0.0F);
+  if (source.kind != SPLATBUS_LIGHT_SPOT) source.cos_inner = source.cos_outer = 0;
+  source.casts_shadow = source.casts_shadow != 0 ? 1 : 0;
+  return source;
+}
+
+/// By ascending id.
+std::vector<splatbus_light_source> sources_of(const splatbus_light& light) {
+  std::vector<splatbus_light_source> sources;
+  for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
+    sources.push_back(counted(source));
+  }
+  std::ranges::sort(sources, {}, &splatbus_light_source::id);
+  return sources;
+}
+
 /// Fowler, Noll and Vo's FNV-1a over the light's floats.
-std::uint64_t light_hash(const splatbus_light& light) {
+std::uint64_t light_hash(const splatbus_light& light, const std::vector<splatbus_light_source>& sources) {
   std::uint64_t hash = 14695981039346656037ULL;
   const auto mix = [&](std::span<const float> values) {
     for (const float value : values) {
@@ -49,7 +70,7 @@ std::uint64_t light_hash(const splatbus_light& light) {
   mix(light.sun_direction);
   mix(light.sun_irradiance);
   mix(light.background);
-  for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
+  for (const splatbus_light_source& source : sources) {
     mix(source.position);
     mix(source.direction);
     mix(source.intensity);
@@ -60,16 +81,14 @@ std::uint64_t light_hash(const splatbus_light& light) {
   return hash;
 }
 
-/// By ascending id, as they travel.
-std::vector<wire::LightSource> light_sources(const splatbus_light& light) {
-  std::vector<wire::LightSource> sources;
-  for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
-    sources.emplace_back(source.id, static_cast<wire::LightKind>(source.kind), source.casts_shadow != 0,
+std::vector<wire::LightSource> to_wire(const std::vector<splatbus_light_source>& sources) {
+  std::vector<wire::LightSource> structs;
+  for (const splatbus_light_source& source : sources) {
+    structs.emplace_back(source.id, static_cast<wire::LightKind>(source.kind), source.casts_shadow != 0,
                          to_wire(source.position), to_wire(source.direction), to_wire(source.intensity), source.range_m,
                          source.cos_inner, source.cos_outer, source.depth_version);
   }
-  std::ranges::sort(sources, {}, [](const wire::LightSource& source) { return source.id(); });
-  return sources;
+  return structs;
 }
 
 }  // namespace
@@ -120,9 +139,10 @@ flatbuffers::Offset<wire::EngineFrame> build_frame(flatbuffers::FlatBufferBuilde
   const wire::Vec3 sun_irradiance = to_wire(light.sun_irradiance);
   const wire::Vec3 background = to_wire(light.background);
   const auto ambient = builder.CreateVector(light.ambient_sh, 27);
-  const auto sources = builder.CreateVectorOfStructs(light_sources(light));
-  const auto light_offset = wire::CreateLight(builder, light_hash(light), ambient, &sun_direction, &sun_irradiance,
-                                              &background, sources, light.sun_depth_version);
+  const std::vector<splatbus_light_source> sources_now = sources_of(light);
+  const auto sources = builder.CreateVectorOfStructs(to_wire(sources_now));
+  const auto light_offset = wire::CreateLight(builder, light_hash(light, sources_now), ambient, &sun_direction,
+                                              &sun_irradiance, &background, sources, light.sun_depth_version);
   std::vector<wire::ObjectTransform> objects;
   for (const splatbus_object& object : std::span(frame.objects, frame.object_count)) {
     objects.emplace_back(object.id, to_wire(object.world_from_object), object.scale,

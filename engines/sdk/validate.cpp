@@ -114,7 +114,7 @@ std::string problem(std::span<const splatbus_object> objects) {
     if (object.id == 0) return "object 0: 0 means no surface";
     if (std::string wrong = problem(object.world_from_object, "world_from_object"); !wrong.empty())
       return fmt::format("object {}: {}", object.id, wrong);
-    if (!std::isfinite(object.scale) || object.scale <= 0)
+    if (!std::isnormal(object.scale) || object.scale <= 0)
       return fmt::format("object {}: scale is {}, not above 0", object.id, object.scale);
     if ((object.flags & ~kAllObjectFlags) != 0)
       return fmt::format("object {}: {:#x} are no flags of an object", object.id, object.flags);

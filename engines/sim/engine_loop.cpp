@@ -128,18 +128,19 @@ void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_
   const std::int64_t end_ns = now_ns() + std::llround(options_.pictures_s * 1e9);
   bool has_picture = false;
   for (const splatbus_camera_request& request : requests) {
-    const bool may_wait =
-        request.camera.role != SPLATBUS_ROLE_LIGHT && request.camera.role != SPLATBUS_ROLE_PROBE && has_picture;
-    if (bounded && may_wait && now_ns() > end_ns) {
+    const bool is_picture = request.camera.role != SPLATBUS_ROLE_LIGHT && request.camera.role != SPLATBUS_ROLE_PROBE;
+    if (bounded && is_picture && has_picture && now_ns() > end_ns) {
       schedule_.postpone(request);
       count("cameras_postponed", static_cast<double>(++cameras_postponed_));
       continue;
     }
-    has_picture = has_picture || request.camera.role != SPLATBUS_ROLE_LIGHT;
+    has_picture = has_picture || is_picture;
     try {
       render_camera(frame, request);
     } catch (const std::exception& failed) {
       spdlog::error("frame {}: {}", frame, failed.what());
+      // Pictures wait for it; while its light rests it would not be due again.
+      if (request.camera.role == SPLATBUS_ROLE_LIGHT) schedule_.postpone(request);
       count("cameras_failed", static_cast<double>(++cameras_failed_));
     }
   }

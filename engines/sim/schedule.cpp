@@ -27,6 +27,10 @@ void Schedule::replace(std::span<const splatbus_camera_request> requests) {
     if (known != entries_.end() && same_rhythm(known->second.request, request)) {
       entry = known->second;
       entry.request = request;
+    } else if (known != entries_.end() && known->second.postponed) {
+      // Asked for anew while it waited: it keeps its turn.
+      entry.postponed = true;
+      entry.due_since_s = known->second.due_since_s;
     }
     next.insert_or_assign(key, entry);
   }

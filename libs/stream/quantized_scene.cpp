@@ -100,10 +100,10 @@ QuantizedSource quantize(const LightSource& source) {
   if (source.kind != LightKind::Point) out.direction = quantize_direction(source.direction, field + ": direction");
   if (source.kind == LightKind::Directional) return out;
   out.position = quantize_position(source.position, field);
-  if (!(std::isfinite(source.range_m) && source.range_m >= kMinRange_m)) {
+  if (!(std::isfinite(source.range_m) && source.range_m > 0)) {
     refuse(fmt::format("{}: range_m of {}", field, source.range_m));
   }
-  out.range_m = quantize(std::array{source.range_m}, "range_m");
+  out.range_m = quantize(std::array{std::max(source.range_m, kMinRange_m)}, "range_m");
   if (source.kind == LightKind::Point) return out;
   if (!(source.cos_outer >= -1 && source.cos_outer < source.cos_inner && source.cos_inner <= 1)) {
     refuse(fmt::format("{}: a cone from {} to {}", field, source.cos_inner, source.cos_outer));

@@ -254,7 +254,7 @@ ObjectTransforms from_wire(const flatbuffers::Vector<const wire::ObjectTransform
     const std::string field = fmt::format("object {}", object->id());
     ObjectTransform transform = from_wire(object->world_from_object(), field.c_str());
     transform.scale = object->scale();
-    if (!(std::isfinite(transform.scale) && transform.scale > 0)) {
+    if (!(std::isnormal(transform.scale) && transform.scale > 0)) {
       refuse(fmt::format("{}.scale is {}, not above 0", field, transform.scale));
     }
     transform.emissive = (object->flags() & wire::ObjectFlags::Emissive) != wire::ObjectFlags{};

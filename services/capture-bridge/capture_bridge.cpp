@@ -20,6 +20,7 @@ namespace {
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kViewerSilenceNs = 2 * kSecond;  // then another viewer is followed
 constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is asked again
+constexpr std::int64_t kLightMapPatienceNs = kSecond;
 constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
 constexpr std::int64_t kExpanderPatienceNs = 3 * kSecond / 2;
 constexpr std::size_t kMaxProbes = 64;
@@ -59,6 +60,7 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
   if (worker_.take_failure() || refused) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
   update_round(now);
+  update_light_maps(now);
   refresh_pictures(now);
   update_probes(now);
   publish_cameras();
@@ -143,6 +145,8 @@ void CaptureBridge::handle_light_depth(const bus::Message& message, const wire::
   if (maps == 0) return;  // of a request that is no more
   if (!forwarder_.light_depth(message, frame, maps, host_copied_bytes_)) {
     ++counters_.frames_lost;
+    // While its light rests the engine would not render it again.
+    rigs_.cameras().reissue(CameraRole::Light, std::span(&camera.id, 1));
     return;
   }
   ++counters_.light_depths;
@@ -220,6 +224,13 @@ void CaptureBridge::update_round(std::int64_t now_ns) {
   rigs_.reissue_missing_inputs();
   input_asked_ns_ = now_ns;
   input_patience_ns_ = std::min(2 * input_patience_ns_, kInputPatienceMaxNs);
+}
+
+/// A light that rests has its maps rendered once: one that was lost on its way would never come.
+void CaptureBridge::update_light_maps(std::int64_t now_ns) {
+  if (now_ns < next_light_maps_ns_) return;
+  next_light_maps_ns_ = now_ns + kLightMapPatienceNs;
+  rigs_.reissue_missing_lights();
 }
 
 void CaptureBridge::refresh_pictures(std::int64_t now_ns) {

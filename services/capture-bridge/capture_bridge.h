@@ -59,6 +59,7 @@ class CaptureBridge {
 
   void update_rigs(std::int64_t now_ns);
   void update_round(std::int64_t now_ns);
+  void update_light_maps(std::int64_t now_ns);
   void refresh_pictures(std::int64_t now_ns);
   void update_probes(std::int64_t now_ns);
   void submit_round();
@@ -82,6 +83,7 @@ class CaptureBridge {
 
   std::int64_t input_asked_ns_ = 0;     // last request for, or arrival of, an input frame
   std::int64_t input_patience_ns_ = 0;  // before the next request for what is missing
+  std::int64_t next_light_maps_ns_ = 0;     // when those that have not come are asked for again
   /// Pictures of one role, which are rendered anew as the scene changes.
   struct Refresh {
     StalestFirst pictures;

@@ -44,13 +44,28 @@ std::uint32_t LightRig::maps_with(std::uint32_t light_id, std::uint32_t light_ma
   const auto found = of_light_.find(light_id);
   if (found == of_light_.end() || light_map >= found->second.maps) return 0;
   const Known& light = found->second;
-  const std::uint32_t camera = light.orthographic ? (light_map + 1) % light.maps : light_map;
-  return camera_id == light.slot * kMaxMaps + camera ? light.maps : 0;
+  return camera_id == light.slot * kMaxMaps + camera_of(light, light_map) ? light.maps : 0;
+}
+
+std::vector<std::uint32_t> LightRig::missing() const {
+  std::vector<std::uint32_t> ids;
+  for (const auto& [light_id, light] : of_light_) {
+    for (std::uint32_t camera = 0; camera < light.maps; ++camera) {
+      if ((light.seen >> camera & 1U) == 0) ids.push_back(light.slot * kMaxMaps + camera);
+    }
+  }
+  return ids;
+}
+
+std::uint32_t LightRig::camera_of(const Known& light, std::uint32_t light_map) {
+  return light.orthographic ? (light_map + 1) % light.maps : light_map;
 }
 
 void LightRig::saw(std::uint32_t light_id, std::uint32_t light_map, const Camera& camera) {
   const auto found = of_light_.find(light_id);
-  if (found == of_light_.end() || !found->second.orthographic || light_map + 1 != found->second.maps) return;
+  if (found == of_light_.end()) return;
+  found->second.seen |= 1U << camera_of(found->second, light_map);
+  if (!found->second.orthographic || light_map + 1 != found->second.maps) return;
   found->second.scene_m =
       std::max(static_cast<float>(camera.width) / camera.fx, static_cast<float>(camera.height) / camera.fy);
 }

@@ -31,15 +31,19 @@ class LightRig {
 
   /// How many maps the light has, where that one, by the camera with that id, is among those last asked for; else 0.
   [[nodiscard]] std::uint32_t maps_with(std::uint32_t light_id, std::uint32_t light_map, std::uint32_t camera_id) const;
+  /// Camera ids of the maps last asked for that have never come.
+  [[nodiscard]] std::vector<std::uint32_t> missing() const;
 
  private:
   struct Known {
     std::uint32_t slot = 0;  ///< camera ids are kMaxMaps times this, and up
     std::uint32_t maps = 0;
+    std::uint32_t seen = 0;  ///< a bit a map, by camera
     bool orthographic = true;
     float scene_m = 0;              ///< side of its map of the whole scene; 0: not known
     std::vector<glm::vec3> centre;  ///< of each finer cascade
   };
+  [[nodiscard]] static std::uint32_t camera_of(const Known& light, std::uint32_t light_map);
   void forget_others(const Light& light);
   Known& known(std::uint32_t light_id);
   void place_cascades(const LightRigOptions& options, const glm::vec3& centre, Known& light) const;

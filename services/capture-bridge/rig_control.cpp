@@ -85,6 +85,10 @@ void RigControl::reissue(CameraRole role, std::uint32_t camera_id) {
   if (role == CameraRole::Input) round_.renew(cameras_.of_role(CameraRole::Input));
 }
 
+void RigControl::reissue_missing_lights() {
+  cameras_.reissue(CameraRole::Light, lights_.missing());
+}
+
 void RigControl::reissue_inputs() {
   cameras_.reissue_all(CameraRole::Input);
   round_.renew(cameras_.of_role(CameraRole::Input));

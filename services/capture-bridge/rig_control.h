@@ -28,6 +28,8 @@ class RigControl {
   /// Asks for input frames that are missing, or for all of them, again.
   void reissue_missing_inputs();
   void reissue_inputs();
+  /// Asks for depth maps that have never come again.
+  void reissue_missing_lights();
   /// Asks for a camera's picture again.
   void reissue(CameraRole role, std::uint32_t camera_id);
 

@@ -52,6 +52,8 @@ class MapRing {
   [[nodiscard]] std::shared_ptr<const LightMaps> find(std::uint32_t light_id, std::uint64_t depth_version) const;
   /// Whether the light has all maps of a scene after that version: maps come in the order of their scenes.
   [[nodiscard]] bool is_past(std::uint32_t light_id, std::uint64_t scene_version) const;
+  /// Whether any map of the light is there.
+  [[nodiscard]] bool knows(std::uint32_t light_id) const { return of_light_.contains(light_id); }
   /// Forgets lights that are not in a scene.
   void keep(const Light& light);
 

@@ -1,6 +1,5 @@
 #include "relight/relight.h"
 
-
 #include <algorithm>
 #include <chrono>
 #include <iterator>
@@ -27,6 +26,10 @@ constexpr std::size_t kRingSlots = 8;
 constexpr std::uint32_t kMaxSide = 16384;
 constexpr std::size_t kMaxReady = 8;      // versions that are kept for a model whose structure changes
 constexpr std::size_t kMaxWaiting = 256;  // versions whose maps have not come
+
+bool has_light(const Light& light, std::uint32_t id) {
+  return id == 0 || std::ranges::count(light.sources, id, &LightSource::id) > 0;
+}
 
 }  // namespace
 
@@ -72,6 +75,7 @@ void Relight::run() {
     if (model_ && !bus::guarded(*model_, [&] { update(); })) {
       bus::require_usable(memory_);
       model_.reset();
+      rows_.forget();  // which may be half done
     }
     report();
   }
@@ -136,9 +140,12 @@ bool Relight::find_maps(Version& version) const {
 }
 
 bool Relight::is_hopeless(const Version& version) const {
+  const bool newest = versions_.empty() || version.scene.version >= versions_.rbegin()->first;
   const auto is_past = [&](const LightSource& source) {
-    return source.casts_shadow && !maps_.find(source.id, source.depth_version) &&
-           maps_.is_past(source.id, version.scene.version);
+    if (!source.casts_shadow || maps_.find(source.id, source.depth_version)) return false;
+    // A light that has gone meanwhile took its maps with it.
+    return maps_.is_past(source.id, version.scene.version) ||
+           (!newest && !maps_.knows(source.id) && !has_light(versions_.rbegin()->second.scene.light, source.id));
   };
   return version.lights.empty() &&
          (is_past(sun_source(version.scene.light)) || std::ranges::any_of(version.scene.light.sources, is_past));

@@ -226,6 +226,10 @@ void Streamer::end_tick(std::int64_t now_ns) {
   ticked_ = *result;
   balance_bytes_ -= result->spent_bytes;
   if (result->fresh) observed_generation_ = result->generation;
+  // Gaussians that have come since do not know yet what they see.
+  if (const std::size_t gaussians = model_.status().gaussians; gaussians != std::exchange(held_gaussians_, gaussians)) {
+    for (auto& [generation, relit] : relit_) relit.sent = false;
+  }
   if (result->restarted) {
     (void)model_.take_packets();  // a snapshot has all that they say
     hub_.restart_all();

@@ -67,7 +67,8 @@ class Streamer {
   std::optional<bus::Message> announcement_;   ///< model/published that is not open yet
   std::uint64_t observed_generation_ = 0;      ///< of the model that model_ has observed
   std::map<std::uint64_t, Visibility> relit_;  ///< by generation: the newest of each
-  std::int64_t visibility_ns_ = 0;             ///< when its balance was renewed
+  std::size_t held_gaussians_ = 0;
+  std::int64_t visibility_ns_ = 0;  ///< when its balance was renewed
   double visibility_balance_bytes_ = 0;
   std::int64_t next_visibility_ns_ = 0, next_tick_ns_ = 0, next_stats_ns_ = 0;
   bool blocked_ = false;          ///< somebody's queue is full

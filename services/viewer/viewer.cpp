@@ -151,10 +151,9 @@ void Viewer::ask_probe(std::int64_t now_ns) {
 }
 
 void Viewer::answer_probes() {
-  if (display_.count() == 0) return;
-  // One a turn: packets are taken in between.
+  // One a turn: packets are taken in between. Without a model there is nothing to compare.
   const std::optional<ProbeAnswer> probe = receiver_.take_probe_answer();
-  if (!probe) return;
+  if (!probe || display_.count() == 0) return;
   const cv::Mat picture = draw(probe->camera, probe->scene);
   const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
   last_quality_ = metrics::compare(picture, reference);

@@ -152,7 +152,7 @@ TEST(Measure, EvalDynamicsTellsOnFromOff) {
   EXPECT_EQ(answer.json().back(), summary);
   expect_finite(summary, {"still_ssim", "on_ssim", "off_ssim", "on_ssim_worst_second", "on_flip", "masked_ssim_drop",
                           "ssim_viewer", "state_delay_ms_median", "state_delay_ms_p99", "scene_kbps", "visibility_kbps",
-                          "gaussians", "pictures", "motion_residual"});
+                          "gaussians", "pictures"});
   EXPECT_GT(summary["still_ssim"], 0.85);
   EXPECT_GT(summary["on_ssim"], summary["off_ssim"].get<double>() + 0.02);
   EXPECT_GT(summary["on_ssim"], 0.8);

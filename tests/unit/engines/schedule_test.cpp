@@ -137,6 +137,21 @@ TEST(Schedule, WhatIsPostponedComesBeforeWhatIsDueLater) {
   EXPECT_EQ(rendered[3], 10);
 }
 
+TEST(Schedule, ACameraThatIsAskedForAnewWhileItWaitsKeepsItsTurn) {
+  Schedule schedule;
+  std::map<std::uint32_t, int> rendered;
+  for (int frame = 0; frame < 30; ++frame) {
+    // Camera 3's request is another in every frame, as of an input that is asked for again and again.
+    schedule.replace(
+        std::vector{request(1, 10), request(2, 10), request(3, 0, 100 + static_cast<std::uint64_t>(frame))});
+    const auto due = schedule.due(frame / 10.0, at_version(0));
+    ASSERT_EQ(due.size(), 3U) << frame;
+    ++rendered[due.front().camera.id];
+    for (std::size_t k = 1; k < due.size(); ++k) schedule.postpone(due[k]);
+  }
+  EXPECT_EQ(rendered[3], 10);
+}
+
 TEST(Schedule, WhatIsPostponedIsNoNewcomer) {
   Schedule schedule;
   schedule.replace(std::vector{request(1, 0)});

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "sdk_fixture.h"
+#include "wire/convert.h"
 
 namespace splatbus::engine_test {
 namespace {
@@ -63,11 +64,13 @@ class SdkRefusal : public SdkTest {
     return owned;
   }
 
-  void expect_published(const splatbus_frame& frame) {
-    ASSERT_EQ(splatbus_engine_submit(engine_.get(), &frame), SPLATBUS_OK) << splatbus_engine_last_error(engine_.get());
+  /// What was published, as its readers take it.
+  splatbus::SceneState expect_published(const splatbus_frame& frame) {
+    EXPECT_EQ(splatbus_engine_submit(engine_.get(), &frame), SPLATBUS_OK) << splatbus_engine_last_error(engine_.get());
     const auto message = frames_.receive(patience);
-    ASSERT_TRUE(message.has_value());
+    if (!message) throw std::runtime_error("nothing was published");
     EXPECT_EQ(message->root<wire::EngineFrame>().scene()->frame(), frame.frame);
+    return from_wire(*message->root<wire::EngineFrame>().scene());
   }
 
   bus::Subscriber frames_;
@@ -185,7 +188,8 @@ TEST_F(SdkRefusal, LightsBesidesTheSun) {
   OwnedFrame bright = next_frame(small_camera());
   bright.frame.light.sources = most.data();
   bright.frame.light.source_count = most.size();
-  expect_published(bright.frame);
+  const splatbus::Light read = expect_published(bright.frame).light;
+  EXPECT_EQ(read, splatbus::Light(read)) << "nothing in it is no number";
 }
 
 TEST_F(SdkRefusal, MapsThatNoLightHas) {

@@ -214,6 +214,11 @@ TEST_F(SdkTest, LightsObjectsAndMapsArriveAsTheyWere) {
   EXPECT_EQ(frame.light_map(), 5U);
   const wire::Light& light = *frame.scene()->light();
   EXPECT_EQ(light.sun_depth_version(), 0xFEDCBA0987654321U);
+  // What does not count for its kind arrives as 0.
+  std::fill_n(directional.position, 3, 0.0F);
+  directional.range_m = 0;
+  std::fill_n(point.direction, 3, 0.0F);
+  for (splatbus_light_source* const uncut : {&point, &directional}) uncut->cos_inner = uncut->cos_outer = 0;
   const std::array<splatbus_light_source, 3> by_id{point, directional, spot};
   ASSERT_EQ(light.sources()->size(), by_id.size());
   for (std::uint32_t i = 0; i < by_id.size(); ++i) {

@@ -232,7 +232,7 @@ TEST(Convert, ObjectsThatCannotBeAreRefused) {
   constexpr auto none = static_cast<wire::ObjectFlags>(0);
   EXPECT_THAT([&] { (void)objects({{5, good, 1, none}, {5, good, 1, none}}); }, refused("object 5 has two transforms"));
   EXPECT_THAT([&] { (void)objects({{5, good, 1, none}, {6, bad, 1, none}}); }, refused("object 6.rotation"));
-  for (const float scale : {0.0F, -1.0F, kNan, kInfinity}) {
+  for (const float scale : {0.0F, -1.0F, 1e-40F, kNan, kInfinity}) {
     EXPECT_THAT([&] { (void)objects({{7, good, scale, none}}); }, refused("object 7.scale is"));
   }
 }

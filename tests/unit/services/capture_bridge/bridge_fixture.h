@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -40,7 +41,11 @@ class CaptureBridgeTest : public bus_test::BusTest {
 
   void set(const std::string& name, const std::string& value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
 
-  void start() { bridge_ = std::make_unique<CaptureBridge>(connect("capture-bridge"), parameters_); }
+  void start() {
+    bridge_ = std::make_unique<CaptureBridge>(connect("capture-bridge"), parameters_);
+    // What the bridge says once is not to be missed.
+    ASSERT_TRUE(reader_.wait_connected(bus_test::patience));
+  }
 
   /// Runs bridge and engine and reads what comes out, until the condition holds.
   bool until(const std::function<bool()>& condition, std::chrono::milliseconds timeout = bus_test::patience) {
@@ -56,10 +61,12 @@ class CaptureBridgeTest : public bus_test::BusTest {
 
   void settle() {
     start();
-    ASSERT_TRUE(until([&] {
+    const bool settled = until([&] {
       return !received_["capture/input"].empty() && references(CameraRole::Reference).size() == 2 &&
              references(CameraRole::Input).size() == 4 && !received_["scene/light_depth"].empty();
-    }));
+    });
+    if (!settled) throw std::runtime_error("the bridge has not settled");  // a test reads what came
+
   }
 
   std::vector<const wire::CaptureReference*> references(CameraRole role) {

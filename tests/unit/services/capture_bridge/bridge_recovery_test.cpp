@@ -17,6 +17,16 @@ TEST_F(CaptureBridgeTest, ALostFrameBlocksNoRoundAndIsAskedForAgain) {
   ASSERT_TRUE(until([&] { return last_input().cameras()->size() == 4; }));
 }
 
+TEST_F(CaptureBridgeTest, ALightMapThatTheEngineLosesIsAskedForAgain) {
+  bool losing = true;
+  engine_.lose = [&](const Camera& camera) { return losing && camera.role == CameraRole::Light; };
+  start();
+  ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
+  EXPECT_TRUE(received_["scene/light_depth"].empty());
+  losing = false;
+  EXPECT_TRUE(until([&] { return !received_["scene/light_depth"].empty(); }));
+}
+
 TEST_F(CaptureBridgeTest, AProbeThatTheEngineLosesIsAskedForAgainAndThenDropped) {
   set("probe_timeout_s", "0.3");
   settle();

@@ -227,6 +227,37 @@ TEST_F(StreamerTest, VisibilityReachesTheGaussiansThatItIsOf) {
   EXPECT_EQ(client.refused(), 0U);
 }
 
+/// relight has said its last word of a model that viewers have a part of: the rest is not lit through walls when it
+/// comes.
+TEST_F(StreamerTest, GaussiansThatComeLaterSeeWhatWasSaidOfThemBefore) {
+  constexpr std::size_t kAll = 6000;
+  start_streamer({{"visibility_hz", "100"}, {"budget_kbps", "2000"}});
+  trainer_.publish_scene(
+      {.light = {.generation = 1, .sources = {{.id = 4, .intensity = glm::vec3(1)}}}, .objects = {}, .version = 1});
+  trainer_.publish(stream::test::toy_model(200, 1));
+  StreamClient client(client_options("one"));
+  ASSERT_TRUE(
+      poll_until([&] { return client.replica().count() == 200 && client.replica().scene_version() == 1; }, client));
+  const GaussiansBuffer model = stream::test::toy_model(kAll, 1);
+  const std::vector<std::uint32_t> index = trainer_.publish(model);
+  const std::size_t indices = *std::ranges::max_element(index) + 1;
+  std::vector<std::uint8_t> rows(2 * indices, 255);
+  for (std::size_t i = 0; i < index.size(); ++i) rows[indices + index[i]] = model.gaussian_id[i] % 2 ? 0 : 255;
+  trainer_.publish_visibility(rows, trainer_.generation(), 1, {0, 4});
+  ASSERT_TRUE(poll_until([&] { return client.replica().visibility_version() == 1; }, client));
+  EXPECT_LT(client.replica().count(), kAll) << "the rest comes after what is said of it";
+  const auto wrong = [&] {
+    const stream::ReplicatedState& held = *client.replica().held();
+    const std::vector<std::uint8_t>* const row = held.light_rows.find(4);
+    if (row == nullptr || row->size() != kAll) return kAll;
+    std::size_t count = 0;
+    for (std::size_t slot = 0; slot < kAll; ++slot)
+      count += (*row)[slot] != (held.gaussians.gaussian_id[slot] % 2 ? 0 : 255);
+    return count;
+  };
+  EXPECT_TRUE(poll_until([&] { return client.replica().count() == kAll && wrong() == 0; }, client)) << wrong();
+}
+
 TEST_F(StreamerTest, StatisticsAddUp) {
   start_streamer();
   trainer_.publish(stream::test::toy_model(500, 1));
