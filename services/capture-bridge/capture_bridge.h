@@ -81,9 +81,9 @@ class CaptureBridge {
   std::optional<Camera> viewer_camera_;
   std::int64_t viewer_seen_ns_ = 0;
 
-  std::int64_t input_asked_ns_ = 0;     // last request for, or arrival of, an input frame
-  std::int64_t input_patience_ns_ = 0;  // before the next request for what is missing
-  std::int64_t next_light_maps_ns_ = 0;     // when those that have not come are asked for again
+  std::int64_t input_asked_ns_ = 0;      // last request for, or arrival of, an input frame
+  std::int64_t input_patience_ns_ = 0;   // before the next request for what is missing
+  std::int64_t next_light_maps_ns_ = 0;  // when those that have not come are asked for again
   /// Pictures of one role, which are rendered anew as the scene changes.
   struct Refresh {
     StalestFirst pictures;

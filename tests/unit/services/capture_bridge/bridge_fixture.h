@@ -66,7 +66,6 @@ class CaptureBridgeTest : public bus_test::BusTest {
              references(CameraRole::Input).size() == 4 && !received_["scene/light_depth"].empty();
     });
     if (!settled) throw std::runtime_error("the bridge has not settled");  // a test reads what came
-
   }
 
   std::vector<const wire::CaptureReference*> references(CameraRole role) {

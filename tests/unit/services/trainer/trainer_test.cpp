@@ -199,11 +199,8 @@ TEST_F(TrainerTest, WhatIsNotToBeModelledIsMaskedInPictures) {
   std::atomic<std::uint64_t> host_bytes{0};
   ReferenceReader reader(Device::Cpu, 1 << 20, 1 << 20, host_bytes);
   bus::Subscriber references(connect("reader"), {"capture/reference"});
-  const auto next = [&] {
-    std::optional<bus::Message> message;
-    EXPECT_TRUE(bus_test::eventually([&] { return (message = references.receive(5ms)).has_value(); }));
-    return *message;
-  };
+  bus_test::meet(publisher_, references);
+  const auto next = [&] { return references.receive(bus_test::patience).value(); };
   publish_view(view, false, 0, ids);
   const auto masked = reader.read(next(), true).view;
   EXPECT_EQ(std::vector<std::uint8_t>(masked->mask.data(), masked->mask.data() + masked->mask.size()), expected);
