@@ -112,6 +112,7 @@ std::string problem(std::span<const splatbus_object> objects) {
   ids.reserve(objects.size());
   for (const splatbus_object& object : objects) {
     if (object.id == 0) return "object 0: 0 means no surface";
+    if (object.id == SPLATBUS_RESERVED_ID) return fmt::format("object {:#x}: this id is reserved", object.id);
     if (std::string wrong = problem(object.world_from_object, "world_from_object"); !wrong.empty())
       return fmt::format("object {}: {}", object.id, wrong);
     if (!std::isnormal(object.scale) || object.scale <= 0)

@@ -10,6 +10,7 @@
 #include "sim/lit_shading.h"
 #include "sim/renderer.h"
 #include "sim/shaders.h"
+#include "sim/sky.h"
 #include "sim/targets.h"
 
 namespace splatbus::sim {
@@ -30,6 +31,7 @@ struct Renderer::Impl {
   GpuScene gpu;
   TargetCache targets;
   LitShading lighting;
+  Sky sky;
   Bounds bounds;
   std::map<ShaderVariant, GlProgram> programs;
   std::map<std::pair<bool, bool>, GlProgram> resolve_programs;

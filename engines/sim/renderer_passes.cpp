@@ -35,13 +35,19 @@ void Renderer::Impl::shade(const LightCamera& view, bool lit, bool albedo, Readb
   glBindFramebuffer(GL_FRAMEBUFFER, target.shade.get());
   glViewport(0, 0, static_cast<GLsizei>(camera.width) * options.supersample,
              static_cast<GLsizei>(camera.height) * options.supersample);
-  const float* sky = instant.light.background;
-  const std::array<float, 4> background{sky[0], sky[1], sky[2], 0};
+  const float* behind = instant.light.background;
+  const std::array<float, 4> background{behind[0], behind[1], behind[2], 0};
   constexpr std::array<float, 4> kNothing{};
   constexpr float kFar = 1;
   if (lit) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 0, background.data());
   if (albedo) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 1, kNothing.data());
   glClearNamedFramebufferfv(target.shade.get(), GL_DEPTH, 0, &kFar);
+
+  if (lit && scene.lighting.clouds && view.projection == Projection::Pinhole) {
+    set_draw_buffers(target.shade, std::array{true, false});
+    sky.draw(camera, instant.light);
+    set_draw_buffers(target.shade, wanted);
+  }
 
   std::map<GLuint, bool> prepared;
   gpu.draw(clip_from_world, variant_of_all, Shown::All, [&](const ShaderVariant& variant) {

@@ -75,6 +75,7 @@ struct Lighting {
   glm::vec3 sun_irradiance{2.75F, 2.6F, 2.3F};
   splatbus_light ambient = sky();  ///< ambient_sh and background count
   bool night = false;              ///< no sun, and a faint sky
+  bool clouds = false;             ///< behind everything a sky (sky.h), not the plain background
   std::vector<LightSource> sources;
   std::size_t sources_on = SPLATBUS_MAX_LIGHTS;  ///< so many of them, from the first
   bool lamps_shown = true;                       ///< else they shine and their lamps are not there

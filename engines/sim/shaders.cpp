@@ -99,6 +99,10 @@ GlProgram build_program(const ShaderVariant& variant) {
   return link(defines, kVertexShader, fragment ? kFragmentShader : nullptr);
 }
 
+GlProgram build_program(const char* vertex_text, const char* fragment_text) {
+  return link({}, vertex_text, fragment_text);
+}
+
 GlProgram build_resolve_program(int supersample, int samples, bool lit, bool albedo) {
   const std::string defines = fmt::format("#define SUPERSAMPLE {}\n#define SAMPLES {}\n{}{}", supersample, samples,
                                           lit ? "#define LIT\n" : "", albedo ? "#define ALBEDO\n" : "");

@@ -58,6 +58,9 @@ enum AttributeLocation : GLuint { kPosition = 0, kNormal = 1, kUv = 2 };
 /// Throws std::runtime_error with the compiler's words.
 [[nodiscard]] GlProgram build_program(const ShaderVariant& variant);
 
+/// Of two stages, without their version. Throws as above.
+[[nodiscard]] GlProgram build_program(const char* vertex_text, const char* fragment_text);
+
 /// Averages `supersample`^2 pixels of `samples` samples each from the multisampled textures at units 0 (lit) and 1
 /// (albedo), and writes both under the sRGB curve, alpha linear.
 [[nodiscard]] GlProgram build_resolve_program(int supersample, int samples, bool lit, bool albedo);

@@ -86,6 +86,21 @@ glm::vec3 object_point(const ObjectTransform& world_from_object, const glm::vec3
   return inverse(world_from_object.rigid) * point_world / world_from_object.scale;
 }
 
+ObjectTransform far_field() {
+  ObjectTransform transform;
+  transform.emissive = true;
+  return transform;
+}
+
+ObjectTransform seen_from(const glm::vec3& eye_world, std::uint32_t object_id,
+                          const ObjectTransform& world_from_object) {
+  if (object_id != kFarFieldFrame) return world_from_object;
+  ObjectTransform seen = far_field();
+  seen.scale = kFarFieldDistance_m / kFarFieldRadius;
+  seen.rigid.translation = eye_world - seen.scale * kFarFieldCentre;
+  return seen;
+}
+
 Light light_in_object(const Light& light, const ObjectTransform& world_from_object) {
   if (world_from_object.emissive) {
     Light white{.generation = light.generation, .background = light.background, .sources = {}};

@@ -83,6 +83,20 @@ struct ObjectTransform {
 /// object a light that makes every surface's colour its albedo.
 [[nodiscard]] Light light_in_object(const Light& light, const ObjectTransform& world_from_object);
 
+/// The frame of reference of the far field: what lies beyond reach, the sky among it. No engine's object has this id.
+/// Its Gaussians lie on a sphere of kFarFieldRadius about kFarFieldCentre, which is far from where an object's own
+/// points are, and emit what is seen.
+inline constexpr std::uint32_t kFarFieldFrame = 0xFA00FA00;
+inline constexpr float kFarFieldRadius = 10;
+inline constexpr glm::vec3 kFarFieldCentre{0, -1024, 0};
+/// Metres from any camera to the far field: everything else is nearer.
+inline constexpr float kFarFieldDistance_m = 1000;
+/// As scenes list it, which is how those that do not draw see it.
+[[nodiscard]] ObjectTransform far_field();
+/// Where an object is for a camera at `eye_world`: the far field goes with it, and nothing else does.
+[[nodiscard]] ObjectTransform seen_from(const glm::vec3& eye_world, std::uint32_t object_id,
+                                        const ObjectTransform& world_from_object);
+
 /// The objects that can move and exist; an id that is not here has local frame = world.
 using ObjectTransforms = std::map<std::uint32_t, ObjectTransform>;
 

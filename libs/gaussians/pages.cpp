@@ -19,7 +19,8 @@ std::vector<IndexRange> select_ranges(const GaussiansView& gaussians, const Frus
     if (frame_id == kWorldFrame) {
       entry->second = page_frustum(camera, portable(camera_from_world));
     } else if (const auto object = objects.find(frame_id); object != objects.end()) {
-      entry->second = page_frustum(camera, portable(camera_from_world * object->second.rigid), object->second.scale);
+      const ObjectTransform seen = seen_from(world_from_camera.translation, frame_id, object->second);
+      entry->second = page_frustum(camera, portable(camera_from_world * seen.rigid), seen.scale);
     }
     return entry->second;
   };

@@ -84,7 +84,7 @@ void Adam::look(const GaussiansView& gaussians, std::size_t begin, AdamStep& ste
     if (frame_id != kWorldFrame) {
       const auto object = view.objects->find(frame_id);
       if (object == view.objects->end()) continue;
-      world_from_frame = portable(object->second);
+      world_from_frame = portable(seen_from(view.camera.world_from_camera.translation, frame_id, object->second));
     }
     const Rigid camera_from_world = inverse(view.camera.world_from_camera);
     const math::Rigid rigid = portable(camera_from_world);

@@ -80,7 +80,7 @@ void CaptureBridge::subscribe() {
 
 void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Message& message) {
   ++counters_.frames;
-  if (!forwarder_.scene(frame)) {
+  if (!forwarder_.scene(frame, options_->far_field)) {
     ++counters_.frames_lost;
     return;
   }
@@ -117,6 +117,7 @@ void CaptureBridge::handle_input(const bus::Message& message, const wire::Engine
     return;
   }
   view->scene_version = forwarder_.scene_version();
+  if (options_->far_field) view->objects.insert_or_assign(kFarFieldFrame, far_field());
   const std::int64_t now = bus::now_ns();
   const auto shared = std::make_shared<const InputView>(std::move(*view));
   if (!rigs_.round().add(frame.camera()->id(), frame.request_id(), shared, now)) return;

@@ -136,7 +136,7 @@ bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame
   return true;
 }
 
-bool Forwarder::scene(const wire::EngineFrame& frame) {
+bool Forwarder::scene(const wire::EngineFrame& frame, bool with_far_field) {
   const wire::SceneState& scene = *frame.scene();
   const bool restarted = frame.header()->epoch() != engine_epoch_;
   auto objects_now = object_bytes(frame);
@@ -145,6 +145,7 @@ bool Forwarder::scene(const wire::EngineFrame& frame) {
   if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return unchanged;
   if (!unchanged) {
     SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
+    if (with_far_field) now.objects.insert_or_assign(kFarFieldFrame, far_field());
     now.version = scene_.version + 1;
     name_depths(now, frame.header()->epoch());
     scene_ = std::move(now);

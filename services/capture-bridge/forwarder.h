@@ -37,8 +37,9 @@ class Forwarder {
                    std::atomic<std::uint64_t>& host_bytes);
   /// Takes the frame's scene as the one that all that is said belongs to, and publishes scene/state when it differs
   /// from the one before. False for a frame that is older than that scene and of another: its pictures have no version.
-  /// Throws std::runtime_error, and changes nothing, when the scene makes no sense.
-  [[nodiscard]] bool scene(const wire::EngineFrame& frame);
+  /// With the far field among its objects, where asked for. Throws std::runtime_error, and changes nothing, when the
+  /// scene makes no sense.
+  [[nodiscard]] bool scene(const wire::EngineFrame& frame, bool with_far_field);
   [[nodiscard]] std::uint64_t scene_version() const { return scene_.version; }
   [[nodiscard]] const Light& light() const { return scene_.light; }
   /// Whether that scene has objects that are not to be modelled: references then need to say where they show.

@@ -42,6 +42,9 @@ void Options::bind(bus::ParameterBinder& p) {
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");
   p.add("sample_budget", sampling.budget, "most samples of one input round", {100, 4e6});
+  p.add("far_field", far_field,
+        "where input pictures show no surface, and something else than the background, they are samples of the far "
+        "field");
   p.add("min_cosine", sampling.min_cosine, "samples seen at a smaller cosine to the normal are dropped", {0.01, 1});
   p.add("cameras_per_surface", sampling.cameras_per_surface,
         "how many input cameras keep their samples of the same surface, the best ones; 0: as many as sample_budget has "

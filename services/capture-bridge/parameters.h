@@ -29,6 +29,7 @@ struct Options {
   float reference_rate_hz = 1;
   double reference_refresh_hz = 8;  ///< as input_refresh_hz, of reference cameras, where they have no rate
   bool reference_depth = true;
+  bool far_field = true;
   LightRigOptions light;
   double probe_timeout_s = 10;
 

@@ -16,26 +16,32 @@ namespace {
 
 constexpr std::size_t kMaxPixels = std::size_t{1} << 30;
 
-PixelView pixel_view(const InputView& view) {
+PixelView pixel_view(const InputView& view, bool far_field) {
   const Camera& camera = view.camera;
   const Mat3 world_from_camera = portable(camera.world_from_camera.rotation);
-  return {.width = camera.width,
-          .height = camera.height,
-          .fx = camera.fx,
-          .fy = camera.fy,
-          .cx = camera.cx,
-          .cy = camera.cy,
-          .near_m = camera.near_m,
-          .far_m = camera.far_m,
-          .centre = portable(camera.world_from_camera.translation),
-          .world_from_camera = world_from_camera,
-          .camera_from_world = transposed(world_from_camera),
-          .background = portable(view.light.background),
-          .position = reinterpret_cast<const float*>(view.position.data()),
-          .normal = reinterpret_cast<const float*>(view.normal.data()),
-          .object_id = view.object_id.data(),
-          .color = reinterpret_cast<const std::uint8_t*>(view.color.data()),
-          .albedo = reinterpret_cast<const std::uint8_t*>(view.albedo.data())};
+  PixelView pixels{.width = camera.width,
+                   .height = camera.height,
+                   .fx = camera.fx,
+                   .fy = camera.fy,
+                   .cx = camera.cx,
+                   .cy = camera.cy,
+                   .near_m = camera.near_m,
+                   .far_m = camera.far_m,
+                   .centre = portable(camera.world_from_camera.translation),
+                   .world_from_camera = world_from_camera,
+                   .camera_from_world = transposed(world_from_camera),
+                   .background = portable(view.light.background),
+                   .position = reinterpret_cast<const float*>(view.position.data()),
+                   .normal = reinterpret_cast<const float*>(view.normal.data()),
+                   .object_id = view.object_id.data(),
+                   .color = reinterpret_cast<const std::uint8_t*>(view.color.data()),
+                   .albedo = reinterpret_cast<const std::uint8_t*>(view.albedo.data()),
+                   .far_field = far_field};
+  for (int c = 0; c < 3; ++c) {
+    pixels.background_rgb8[c] = static_cast<std::uint8_t>(
+        std::lround(255 * std::clamp(srgb_from_linear(view.light.background[c]), 0.0F, 1.0F)));
+  }
+  return pixels;
 }
 
 /// Appends the objects of a view that stand elsewhere in the round's frame, or whose pixels are no samples, by
@@ -202,7 +208,8 @@ RoundPixels Sampler::upload(Views views, const ObjectTransforms& round_objects) 
     assert(view->memory == stream_.view().device);
     const std::size_t first = moved.size();
     add_moved(view->objects, round_objects, moved);
-    tables.push_back(pixel_view(*view));
+    tables.push_back(
+        pixel_view(*view, view->objects.contains(kFarFieldFrame) && round_objects.contains(kFarFieldFrame)));
     tables.back().moved_count = static_cast<std::uint32_t>(moved.size() - first);
   }
   moved_.assign(moved);
@@ -222,6 +229,7 @@ RoundPixels Sampler::upload(Views views, const ObjectTransforms& round_objects) 
   return {.views = views_.data(),
           .view_count = static_cast<std::uint32_t>(views.size()),
           .view_pixels = static_cast<std::uint32_t>(views.front()->pixels()),
+          .far_field = {kFarFieldFrame, portable(kFarFieldCentre), kFarFieldRadius},
           .movement = !moved.empty(),
           .depth_m = depth_m_.data(),
           .cosine = cosine_.data(),

@@ -147,7 +147,9 @@ struct WriteSample {
     store3(samples.position, k, load3(candidates.position, candidate));
     store3(samples.normal, k, moved == nullptr ? surfel.normal : moved->round_from_view.rotation * surfel.normal);
     store3(samples.color, k, without_background(*linear, view.color + 4 * in_view, view.background));
-    store3(samples.albedo, k, without_background(*linear, view.albedo + 4 * in_view, Vec3()));
+    const bool is_far = surfel.object_id == round.far_field.frame_id;  // what emits has the colour that is seen
+    store3(samples.albedo, k,
+           is_far ? load3(samples.color, k) : without_background(*linear, view.albedo + 4 * in_view, Vec3()));
     samples.spacing_m[k] = sqrtf(candidates.area_m2[candidate]) * spacing_growth;
     samples.object_id[k] = surfel.object_id;
     samples.pixel[k] = pixel;

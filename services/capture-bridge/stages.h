@@ -25,11 +25,12 @@ struct RoundPixels {
   const PixelView* views = nullptr;
   std::uint32_t view_count = 0;
   std::uint32_t view_pixels = 0;  ///< of each view, all of one size
-  bool movement = false;          ///< some view has objects that stand elsewhere in the round's frame
-  float* depth_m = nullptr;       ///< along the camera's z; 0: no surface
-  float* cosine = nullptr;        ///< between normal and direction to the camera
-  Surfel* surfels = nullptr;      ///< of samples that are seen at min_cosine or better
-  bool* edges = nullptr;          ///< beside a discontinuity
+  FarField far_field;
+  bool movement = false;      ///< some view has objects that stand elsewhere in the round's frame
+  float* depth_m = nullptr;   ///< along the camera's z; 0: no surface
+  float* cosine = nullptr;    ///< between normal and direction to the camera
+  Surfel* surfels = nullptr;  ///< of samples that are seen at min_cosine or better
+  bool* edges = nullptr;      ///< beside a discontinuity
   SurfaceRank* ranks = nullptr;
   RoundTally* tally = nullptr;
 

@@ -26,6 +26,7 @@ struct PixelView {
   Mat3 world_from_camera;  ///< rotation alone
   Mat3 camera_from_world;  ///< rotation alone
   Vec3 background;
+  std::uint8_t background_rgb8[3] = {};      ///< as pictures show it
   const float* position = nullptr;           ///< [h, w, 4], as in InputView
   const float* normal = nullptr;             ///< [h, w, 4]
   const std::uint32_t* object_id = nullptr;  ///< [h, w]
@@ -33,6 +34,7 @@ struct PixelView {
   const std::uint8_t* albedo = nullptr;
   const MovedObject* moved = nullptr;  ///< by ascending id
   std::uint32_t moved_count = 0;
+  bool far_field = false;  ///< what shows no surface is a sample of the far field
 };
 
 /// Null unless the object has moved.
@@ -172,6 +174,43 @@ SPLATBUS_PORTABLE Surfel measured_surfel(const PixelView& view, const float* dep
   surfel.normal = normalized(load4(view.normal, i).xyz);
   surfel.object_id = view.object_id[i];
   surfel.footprint_m = FootprintMeasure(view, depth_m).measure(x, y, surfel.normal, edge);
+  return surfel;
+}
+
+/// The sphere that samples of the far field lie on.
+struct FarField {
+  std::uint32_t frame_id = 0;
+  Vec3 centre;
+  float radius = 0;
+};
+
+/// Of a byte, that is more than the background's rounding.
+constexpr int kLeastDifference = 2;
+/// Pixels a side of which one is a sample of the far field.
+constexpr std::uint32_t kFarFieldStep = 2;
+
+/// A sample of the far field, where the pixel shows something there besides the background; else none.
+SPLATBUS_PORTABLE Surfel far_surfel(const PixelView& view, const FarField& far, std::uint32_t x, std::uint32_t y) {
+  Surfel surfel;
+  const std::size_t i = static_cast<std::size_t>(y) * view.width + x;
+  if (!view.far_field || view.object_id[i] != 0 || view.color[4 * i + 3] != 0) return surfel;
+  if (x % kFarFieldStep != 0 || y % kFarFieldStep != 0) return surfel;
+  bool shows = false;
+  for (int c = 0; c < 3; ++c) {
+    const int above = static_cast<int>(view.color[4 * i + static_cast<std::size_t>(c)]) - view.background_rgb8[c];
+    shows = shows || above > kLeastDifference || above < -kLeastDifference;
+  }
+  if (!shows) return surfel;
+  const Vec3 ray{(static_cast<float>(x) + 0.5F - view.cx) / view.fx, (static_cast<float>(y) + 0.5F - view.cy) / view.fy,
+                 1};
+  const float cosine = 1 / length(ray);  // to the camera's axis
+  const Vec3 direction = view.world_from_camera * (ray * cosine);
+  surfel.position = far.centre + direction * far.radius;
+  surfel.normal = direction * -1.0F;
+  surfel.object_id = far.frame_id;
+  // A pixel's solid angle is cosine^3 / (fx fy).
+  surfel.footprint_m =
+      static_cast<float>(kFarFieldStep) * far.radius * sqrtf(cosine * cosine * cosine / (view.fx * view.fy));
   return surfel;
 }
 

@@ -27,7 +27,9 @@ struct MeasurePixel {
     const PixelView& view = round.views[v];
     Surfel surfel;
     bool edge = false;
-    if (round.depth_m[i] != 0 && !(round.cosine[i] < min_cosine)) {
+    if (view.object_id[in_view] == 0) {
+      surfel = far_surfel(view, round.far_field, in_view % view.width, in_view / view.width);
+    } else if (round.depth_m[i] != 0 && !(round.cosine[i] < min_cosine)) {
       const float* const depth_m = round.depth_m + static_cast<std::size_t>(v) * round.view_pixels;
       surfel = measured_surfel(view, depth_m, in_view % view.width, in_view / view.width, edge);
       const MovedObject* const moved = find_moved(view, surfel.object_id);
@@ -61,7 +63,9 @@ struct RankPixel {
         own * round.view_pixels + pixel_in_tiles(view.width, view.height, i % round.view_pixels);
     const Surfel point = round.surfels[pixel];
     SurfaceRank rank;
-    if (point.footprint_m != 0) {
+    if (point.footprint_m != 0 && point.object_id == round.far_field.frame_id) {
+      rank = {.rank = 1, .seen_by = 1};  // cameras have no distance there that tells the best of them
+    } else if (point.footprint_m != 0) {
       const CovisibilityTest test(round.views, round.view_pixels, round.surfels, round.edges, round.movement, options);
       const auto sees = [&](std::uint32_t other, float& found) { return test.sees(other, own, point, found); };
       rank = rank_among(round.view_count, own, test.own_extent(own, pixel), options.similar, sees);

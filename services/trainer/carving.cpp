@@ -39,7 +39,9 @@ std::vector<CameraOfFrame> cameras_of(const Camera& camera, const ObjectTransfor
   static_assert(kWorldFrame == 0, "comes first");
   add(kWorldFrame, camera_from_world, 1);
   for (const auto& [id, world_from_object] : objects) {
-    if (id != kWorldFrame) add(id, camera_from_world * world_from_object.rigid, world_from_object.scale);
+    // No picture's depth says anything of the far field.
+    if (id != kWorldFrame && id != kFarFieldFrame)
+      add(id, camera_from_world * world_from_object.rigid, world_from_object.scale);
   }
   return cameras;
 }

@@ -49,7 +49,8 @@ void ObjectTable::build(const Camera& camera, const SceneState& scene) {
   frames_.assign(1, make_frame(Rigid{}, camera_from_world, light));
   for (const auto& [id, world_from_object] : scene.objects) {
     ids_.push_back(id);
-    frames_.push_back(make_frame(world_from_object, camera_from_world, light));
+    const ObjectTransform seen = seen_from(camera.world_from_camera.translation, id, world_from_object);
+    frames_.push_back(make_frame(seen, camera_from_world, light));
   }
 }
 

@@ -106,9 +106,11 @@ ViewTables make_view_tables(std::span<const SceneView> views, Appearance appeara
     tables.object_views.push_back(object_view(view.camera, light, Rigid{}, source_count));
     for (const std::uint32_t id : tables.object_ids) {
       const auto found = view.scene->objects.find(id);
-      tables.object_views.push_back(found == view.scene->objects.end()
-                                        ? hidden_object()
-                                        : object_view(view.camera, light, found->second, source_count));
+      tables.object_views.push_back(
+          found == view.scene->objects.end()
+              ? hidden_object()
+              : object_view(view.camera, light, seen_from(view.camera.world_from_camera.translation, id, found->second),
+                            source_count));
     }
   }
   return tables;

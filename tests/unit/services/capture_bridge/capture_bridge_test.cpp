@@ -11,7 +11,9 @@ TEST_F(CaptureBridgeTest, TurnsAnEnginesFramesIntoSamplesAndViews) {
   const bus::Message& message = received_["capture/input"].front();
   const auto& input = message.root<wire::CaptureInput>();
   ASSERT_EQ(input.cameras()->size(), 4U);
-  EXPECT_EQ(input.scene()->objects()->size(), 1U);
+  ASSERT_EQ(input.scene()->objects()->size(), 2U) << "the ball and the far field";
+  EXPECT_EQ(input.scene()->objects()->Get(1)->id(), kFarFieldFrame);
+  EXPECT_EQ(input.scene()->objects()->Get(1)->flags(), wire::ObjectFlags::Emissive);
   EXPECT_GT(input.rig_generation(), 0U);
   EXPECT_EQ(message.header().capture_ns(), 1234);
   const auto position = message.tensor("position", bus::ElementType::F32, {0, 3});
