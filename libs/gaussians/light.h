@@ -87,7 +87,7 @@ struct ObjectTransform {
 /// Its Gaussians lie on a sphere of kFarFieldRadius about kFarFieldCentre, which is far from where an object's own
 /// points are, and emit what is seen.
 inline constexpr std::uint32_t kFarFieldFrame = 0xFA00FA00;
-inline constexpr float kFarFieldRadius = 10;
+inline constexpr float kFarFieldRadius = 4;
 inline constexpr glm::vec3 kFarFieldCentre{0, -1024, 0};
 /// Metres from any camera to the far field: everything else is nearer.
 inline constexpr float kFarFieldDistance_m = 1000;

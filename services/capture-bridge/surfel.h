@@ -187,7 +187,7 @@ struct FarField {
 /// Of a byte, that is more than the background's rounding.
 constexpr int kLeastDifference = 2;
 /// Pixels a side of which one is a sample of the far field.
-constexpr std::uint32_t kFarFieldStep = 2;
+constexpr std::uint32_t kFarFieldStep = 3;
 
 /// A sample of the far field, where the pixel shows something there besides the background; else none.
 SPLATBUS_PORTABLE Surfel far_surfel(const PixelView& view, const FarField& far, std::uint32_t x, std::uint32_t y) {
