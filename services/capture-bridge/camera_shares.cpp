@@ -46,7 +46,7 @@ std::span<const std::uint32_t> CameraShares::of(const std::string& owner) const 
 void CameraShares::take_share(const std::string& owner, const Shares& shares) {
   const auto share = shares.find(owner);
   const auto wanted = static_cast<std::size_t>(share == shares.end() ? 0 : share->second);
-  if (std::vector<std::uint32_t>& ids = ids_[owner]; ids.size() > wanted) ids.resize(wanted);
+  ids_.try_emplace(owner);
   while (ids_.at(owner).size() < wanted && take_one(owner, shares)) {
   }
 }

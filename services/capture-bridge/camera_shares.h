@@ -23,8 +23,8 @@ class CameraShares {
   /// Ids of an owner, the ones that it keeps longest first; empty for one that has none.
   [[nodiscard]] std::span<const std::uint32_t> of(const std::string& owner) const;
   [[nodiscard]] const std::map<std::string, std::vector<std::uint32_t>>& all() const { return ids_; }
-  /// The owner gets its share: gives ids back, or takes those that are free, then those that others have beyond theirs.
-  /// An owner that is not in `shares` has a share of 0.
+  /// The owner gets its share, if it has less: takes ids that are free, then those that others have beyond theirs. Who
+  /// has more keeps it until somebody does so. An owner that is not in `shares` has a share of 0.
   void take_share(const std::string& owner, const Shares& shares);
   void release(const std::string& owner) { ids_.erase(owner); }
 

@@ -53,13 +53,28 @@ DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const F
   return place;
 }
 
+namespace {
+
+/// Of places ever higher over the dome's centre the first that can be seen, else the one that was wished, drawn back.
+glm::vec3 free_place(const glm::vec3& wished, const glm::vec3& centre, const FreeSpace& free, float clearance_m) {
+  const float radius_m = glm::distance(wished, centre);
+  const glm::vec3 direction = (wished - centre) / radius_m;
+  for (const float lift : {0.0F, 0.3F, 0.6F}) {
+    const glm::vec3 place = centre + radius_m * glm::normalize(glm::mix(direction, glm::vec3(0, 1, 0), lift));
+    if (free.reachable(place, clearance_m) == place) return lift == 0 ? wished : place;
+  }
+  return free.reachable(wished, clearance_m);
+}
+
+}  // namespace
+
 std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
                               float clearance_m) {
   std::vector<Camera> cameras = dome_cameras(options, place.centre, place.heading_radians);
   if (free == nullptr) return cameras;
   for (Camera& camera : cameras) {
     const glm::vec3 wished = camera.world_from_camera.translation;
-    const glm::vec3 eye = free->reachable(wished, clearance_m);
+    const glm::vec3 eye = free_place(wished, place.centre, *free, clearance_m);
     if (eye == wished) continue;
     const bool near = glm::distance(eye, place.centre) < 0.5F * options.radius_m;
     camera.world_from_camera = look_at(eye, near ? free->place() : place.centre, 1, 1, 1).world_from_camera;
@@ -121,7 +136,8 @@ std::vector<InputRigs::Wish> InputRigs::wishes(const Options& options, const Vie
 bool InputRigs::is_due(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns) const {
   const bool moved = glm::distance(wish.place.centre, rig.place.centre) > options.placement.move_m ||
                      turned(wish.place, rig.place) > options.placement.turn_radians;
-  if (rig.placed() && !moved) return false;
+  const bool can_be_tested = !rig.tested && wish.free != nullptr;
+  if (rig.placed() && !moved && !can_be_tested) return false;
   // A rig that an engine is rendering stays until its pictures are there, or a viewer on the move would never see one
   // complete. Whoever jumps is elsewhere at once, but for those that do nothing else.
   const std::int64_t deadline_ns = nanoseconds(options.input_deadline_s);
@@ -146,6 +162,7 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
     rig.jumped_ns = now_ns;
   }
   rig.place = wish.place;
+  rig.tested = wish.free != nullptr;
   rig.anchor = wish.free != nullptr     ? wish.free->place()
                : wish.viewer != nullptr ? wish.viewer->position()
                                         : wish.place.centre + glm::vec3(0, options.dome.radius_m, 0);

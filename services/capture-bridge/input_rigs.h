@@ -27,8 +27,9 @@ struct DomePlace {
 [[nodiscard]] DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const FreeSpace* free,
                                    float heading_before);
 
-/// The dome's cameras there, each where it can see: what would stand in a wall or behind one is drawn towards the place
-/// of the free space; one that comes nearer to the centre than half the radius by that looks back along its way.
+/// The dome's cameras there, each where it can see: what would stand in a wall or behind one stands higher on the dome,
+/// or is drawn towards the place of the free space; one that comes nearer to the centre than half the radius by that
+/// looks back along its way.
 [[nodiscard]] std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
                                             float clearance_m);
 
@@ -45,6 +46,7 @@ struct InputRig {
   glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
   std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
   std::map<std::uint32_t, std::uint64_t> requested;  ///< request ids, by camera id
+  bool tested = false;                               ///< it stands in free space that was known
   std::uint64_t jumps = 0;                           ///< the viewer's, when it was placed
   std::optional<std::int64_t> jumped_ns;             ///< when it was placed for a jump
   std::optional<std::int64_t> waits_since_ns;        ///< for the free space about its viewer

@@ -107,7 +107,7 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("light_cascades", light.cascades,
         "most depth maps of the sun or a directional light: the whole scene's, and finer ones about the viewers "
         "where the scene is large",
-        {1, 8});
+        {1, kMaxLightMaps});
   p.add("light_extent_m", light.extent_m, "side of the finest cascade, metres; each further one is four times as large",
         {.minimum = 0.1});
   p.add("probe_timeout_s", probe_timeout_s,

@@ -9,6 +9,7 @@ namespace splatbus::capture_bridge {
 namespace {
 
 constexpr double kMaxCredit = 2;
+constexpr double kOverdraft = 1;                     // for viewers without a cube of use
 constexpr std::int64_t kPatienceNs = 1'000'000'000;  // then a cube that has not come is given up
 constexpr float kNear_m = 0.02F, kFar_m = 200;
 
@@ -26,15 +27,11 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
   std::erase_if(ranges_, [&](const auto& entry) { return !viewers.all().contains(entry.first); });
   credit_ = std::min(kMaxCredit, credit_ + options.rate_hz * static_cast<double>(now_ns - credited_ns_) * 1e-9);
   credited_ns_ = now_ns;
-  while (options.rate_hz > 0 && credit_ >= 1) {
+  while (options.rate_hz > 0 && credit_ + kOverdraft >= 1) {
     const std::pair<const std::string, Viewer>* neediest = nullptr;
-    float most_m = options.move_m;
+    float most_m = credit_ >= 1 ? options.move_m : options.reach_m;
     for (const auto& entry : viewers.all()) {
-      const auto known = ranges_.find(entry.first);
-      if (known != ranges_.end() && known->second.pending) continue;
-      const bool useful = about(entry.first, entry.second.position()) != nullptr;
-      const float off_m = useful ? glm::distance(known->second.free->place(), entry.second.position())
-                                 : std::numeric_limits<float>::max();
+      const float off_m = off_cube(entry.first, entry.second);
       if (off_m <= most_m) continue;
       most_m = off_m;
       neediest = &entry;
@@ -43,6 +40,13 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
     ask(options, neediest->second, range_of(neediest->first), now_ns, cameras);
     credit_ -= 1;
   }
+}
+
+float RangeFinder::off_cube(const std::string& name, const Viewer& viewer) const {
+  const auto known = ranges_.find(name);
+  if (known != ranges_.end() && known->second.pending) return 0;
+  const FreeSpace* const free = about(name, viewer.position());
+  return free == nullptr ? std::numeric_limits<float>::max() : glm::distance(free->place(), viewer.position());
 }
 
 RangeFinder::Range& RangeFinder::range_of(const std::string& viewer) {

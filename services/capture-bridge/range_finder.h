@@ -20,7 +20,7 @@ struct RangeOptions {
 };
 
 /// Finds the free space about viewers: has the engine render depth cubes where they are, as probes with ids of their
-/// own. Bounded: two at once, and then so many a second. Times are CLOCK_MONOTONIC nanoseconds. Not thread-safe.
+/// own. Bounded: three at once, and then so many a second. Times are CLOCK_MONOTONIC nanoseconds. Not thread-safe.
 class RangeFinder {
  public:
   /// Asks for what is due; `cameras` are the ones the engine is told of.
@@ -51,6 +51,8 @@ class RangeFinder {
     std::optional<FreeSpace> free;
     std::optional<Cube> pending;
   };
+  /// How far the viewer is from its cube; without end where it has none of use, and 0 where one is on its way.
+  [[nodiscard]] float off_cube(const std::string& name, const Viewer& viewer) const;
   Range& range_of(const std::string& viewer);
   static void cancel(Range& range, CameraSet& cameras);
   void ask(const RangeOptions& options, const Viewer& viewer, Range& range, std::int64_t now_ns, CameraSet& cameras);

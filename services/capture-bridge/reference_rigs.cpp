@@ -31,12 +31,14 @@ std::vector<Camera> ReferenceRigs::update(const Options& options, bool anew, wir
     std::map<std::uint32_t, Standing> standing;
     for (const Camera& camera : wanted(options, viewers, ranges)) {
       const auto known = standing_.find(camera.id);
-      const bool is_new = known == standing_.end();
-      const bool waits = !is_new && known->second.pending && now_ns - known->second.asked_ns < kPatienceNs;
-      const bool moves =
-          is_new || anew || !same_picture(known->second.camera, camera) ||
-          (!waits && stands_off(options, known->second.camera.world_from_camera, camera.world_from_camera));
-      standing[camera.id] = moves ? Standing{.camera = camera, .pending = true, .asked_ns = now_ns} : known->second;
+      const Standing one = known == standing_.end() ? Standing{} : known->second;
+      const bool waits = one.pending && now_ns - one.asked_ns < kPatienceNs;
+      const glm::vec3 way = camera.world_from_camera.translation - one.camera.world_from_camera.translation;
+      const bool hurries = waits && !one.hurried && glm::length(way) > options.dome.radius_m;
+      const bool moves = known == standing_.end() || anew || !same_picture(one.camera, camera) || hurries ||
+                         (!waits && stands_off(options, one.camera.world_from_camera, camera.world_from_camera));
+      standing[camera.id] =
+          moves ? Standing{.camera = camera, .pending = true, .asked_ns = now_ns, .hurried = hurries} : one;
       changed = changed || moves;
     }
     changed = changed || standing.size() != standing_.size();

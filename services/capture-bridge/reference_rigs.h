@@ -29,6 +29,7 @@ class ReferenceRigs {
     bool pending =
         false;  ///< its picture is on its way: it stays so long, or an engine that is slow would never show it
     std::int64_t asked_ns = 0;
+    bool hurried = false;  ///< it went on without that picture, for its viewer has jumped
   };
   [[nodiscard]] std::vector<Camera> wanted(const Options& options, const Viewers& viewers, const RangeFinder& ranges);
 
