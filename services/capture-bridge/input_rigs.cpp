@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/gtc/constants.hpp>
+#include <numeric>
 #include <utility>
 
 namespace splatbus::capture_bridge {
@@ -19,11 +20,18 @@ float turned(const DomePlace& a, const DomePlace& b) {
   return std::abs(std::remainder(a.heading_radians - b.heading_radians, glm::two_pi<float>()));
 }
 
-/// Of the dome's places, which the k-th of the cameras that are kept longest takes: even ones first, so that a dome
-/// that gives cameras away thins out.
-std::size_t spread(std::size_t k, std::size_t count) {
-  const std::size_t evens = (count + 1) / 2;
-  return k < evens ? 2 * k : 2 * (k - evens) + 1;
+/// The dome's places in the order of the cameras that are kept longest, by the bits of their numbers in reverse: the
+/// first few are spread over all of the dome, whatever their number.
+std::vector<std::size_t> spread_places(std::size_t count) {
+  std::vector<std::size_t> places(count);
+  std::iota(places.begin(), places.end(), std::size_t{0});
+  const auto reversed = [](std::size_t place) {
+    std::uint32_t bits = 0;
+    for (int bit = 0; bit < 16; ++bit) bits = bits << 1U | (place >> bit & 1U);
+    return bits;
+  };
+  std::ranges::sort(places, {}, reversed);
+  return places;
 }
 
 std::int64_t nanoseconds(double seconds) {
@@ -169,9 +177,10 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   DomeOptions dome = options.dome;
   dome.cameras = static_cast<int>(ids.size());
   const std::vector<Camera> stands = free_dome(dome, wish.place, wish.free, options.clearance_m);
+  const std::vector<std::size_t> places = spread_places(ids.size());
   rig.cameras.clear();
   for (std::size_t k = 0; k < ids.size(); ++k) {
-    Camera camera = stands[spread(k, ids.size())];
+    Camera camera = stands[places[k]];
     camera.id = ids[k];
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;

@@ -348,6 +348,13 @@ TEST_F(RigControlTest, InputCamerasGoWhereTheyAreNeeded) {
     EXPECT_EQ(before.at(id), request_id) << "those that stay are not rendered again";
   }
   EXPECT_EQ(rig("a").round.views().size(), 4U);
+  float low = 10, high = 0;
+  for (const Camera& camera : rig("a").cameras) {
+    low = std::min(low, camera.world_from_camera.translation.y - 1.6F);
+    high = std::max(high, camera.world_from_camera.translation.y - 1.6F);
+  }
+  EXPECT_LT(low, 1) << "thinner, and still a dome";
+  EXPECT_GT(high, 2);
   control_.inputs().note_new_share(rig("b").round.rig_generation(), 0);
   for (int i = 1; i < 4; ++i) {
     pass(kSecond / 10);
