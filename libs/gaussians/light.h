@@ -33,6 +33,8 @@ struct LightSource {
 
 /// Of one scene, besides the sun.
 inline constexpr std::size_t kMaxLightSources = 32;
+/// Depth maps of one light: cascades, or a point light's six faces.
+inline constexpr std::uint32_t kMaxLightMaps = 8;
 
 /// What arrives of a source at a point.
 struct Incident {

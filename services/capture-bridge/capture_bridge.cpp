@@ -18,7 +18,6 @@ namespace splatbus::capture_bridge {
 namespace {
 
 constexpr std::int64_t kSecond = 1'000'000'000;
-constexpr std::int64_t kViewerSilenceNs = 2 * kSecond;  // then another viewer is followed
 constexpr std::int64_t kProbePatienceNs = 2 * kSecond;  // then the engine is asked again
 constexpr std::int64_t kLightMapPatienceNs = kSecond;
 constexpr std::int64_t kInputPatienceMaxNs = 30 * kSecond;
@@ -45,6 +44,7 @@ CaptureBridge::CaptureBridge(std::shared_ptr<bus::Context> context, const bus::P
       rigs_(parameters, context_->epoch()),
       probes_(kMaxProbes),
       input_pictures_(backend),
+      blindness_(backend),
       worker_(context_, backend, options_->round_sizes()) {
   const RoundSizes expected = options_->round_sizes();
   subscribe();
@@ -59,7 +59,7 @@ void CaptureBridge::step(std::chrono::milliseconds timeout) {
   const bool refused = std::exchange(counters_.refused, subscriber_.refused()) != subscriber_.refused();
   if (worker_.take_failure() || refused) bus::require_usable(input_pictures_.kind());
   const std::int64_t now = bus::now_ns();
-  update_round(now);
+  update_rounds(now);
   update_light_maps(now);
   refresh_pictures(now);
   update_probes(now);
@@ -75,7 +75,8 @@ void CaptureBridge::subscribe() {
           [this](const wire::ViewerProbe& asked, const bus::Message& message) { handle_probe(asked, message); })
       .on(topics::kTrainerStats, [this](const wire::TrainerStats& stats,
                                         const bus::Message& message) { handle_trainer_stats(stats, message); })
-      .on(topics::kGridState, [this](const wire::GridState& state, const bus::Message&) { handle_grid_state(state); });
+      .on(topics::kGridState,
+          [this](const wire::GridState& state, const bus::Message& message) { handle_grid_state(state, message); });
 }
 
 void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Message& message) {
@@ -91,6 +92,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
       handle_input(message, frame);
       break;
     case wire::CameraRole::Reference: {
+      rigs_.references().arrived(frame.camera()->id());
       const bool sent = forwarder_.reference(message, frame);
       sent ? ++counters_.references : ++counters_.frames_lost;
       if (sent) references_published_.insert(frame.camera()->id());
@@ -99,7 +101,7 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
       break;
     }
     case wire::CameraRole::Probe:
-      handle_probe_frame(message, frame);
+      RangeFinder::owns(frame.camera()->id()) ? handle_range(message, frame) : handle_probe_frame(message, frame);
       break;
     case wire::CameraRole::Light:
       handle_light_depth(message, frame);
@@ -110,25 +112,43 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
 }
 
 void CaptureBridge::handle_input(const bus::Message& message, const wire::EngineFrame& frame) {
-  if (!rigs_.round().awaits(frame.camera()->id(), frame.request_id())) return;
+  const std::uint32_t camera_id = frame.camera()->id();
+  InputRig* const rig = rigs_.inputs().awaiting(camera_id, frame.request_id());
+  if (rig == nullptr) return;
   auto view = decode_input_frame(message, frame, input_pictures_, host_copied_bytes_);
   if (!view) {
     ++counters_.frames_lost;
     return;
   }
+  const std::int64_t now = bus::now_ns();
+  if (options_->blind_m > 0 && blindness_.is_blind(*view, options_->blind_m)) {
+    ++counters_.inputs_blind;
+    rigs_.inputs().blind(*rig, camera_id, now, rigs_.cameras());
+    return;
+  }
   view->scene_version = forwarder_.scene_version();
   if (options_->far_field) view->objects.insert_or_assign(kFarFieldFrame, far_field());
-  const std::int64_t now = bus::now_ns();
-  const auto shared = std::make_shared<const InputView>(std::move(*view));
-  if (!rigs_.round().add(frame.camera()->id(), frame.request_id(), shared, now)) return;
+  rigs_.inputs().arrived(*rig, camera_id, frame.request_id(), std::make_shared<const InputView>(std::move(*view)), now);
   ++counters_.inputs;
-  refreshed_inputs_.pictures.arrived(frame.camera()->id(), forwarder_.scene_version());
-  input_asked_ns_ = now;
-  input_patience_ns_ = 0;
+  refreshed_inputs_.pictures.arrived(camera_id, forwarder_.scene_version());
   if (options_->input_views && forwarder_.reference(message, frame)) {
-    inputs_published_.insert(frame.camera()->id());
+    inputs_published_.insert(camera_id);
     view_published_ns_ = now;
   }
+}
+
+void CaptureBridge::handle_range(const bus::Message& message, const wire::EngineFrame& frame) {
+  const Camera* const camera = rigs_.ranges().awaited(frame.camera()->id(), frame.request_id());
+  if (camera == nullptr) return;
+  const auto depth = message.tensor("depth", bus::ElementType::F32, {camera->height, camera->width});
+  std::vector<float> depth_m(std::size_t{camera->width} * camera->height);
+  if (!depth || !depth->copy(depth_m.data())) {
+    ++counters_.frames_lost;
+    return;
+  }
+  host_copied_bytes_ += depth->bytes();
+  ++counters_.ranges;
+  rigs_.ranges().take(camera->id, std::move(depth_m), rigs_.cameras());
 }
 
 void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame) {
@@ -155,13 +175,8 @@ void CaptureBridge::handle_light_depth(const bus::Message& message, const wire::
 }
 
 void CaptureBridge::handle_pose(const wire::ViewerPose& pose) {
-  const Camera camera = from_wire(*pose.camera());
-  const std::string viewer = pose.viewer()->str();
-  const std::int64_t now = bus::now_ns();
-  if (viewer != viewer_ && viewer_camera_ && now - viewer_seen_ns_ < kViewerSilenceNs) return;
-  viewer_ = viewer;
-  viewer_camera_ = camera;
-  viewer_seen_ns_ = now;
+  if (viewers_.take(pose, bus::now_ns())) return;
+  ++counters_.poses_dropped;
 }
 
 void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Message& message) {
@@ -182,49 +197,48 @@ void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const 
   if (!trainer_watch_.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
   spdlog::info("{} holds {} of {} views: asking the engine for all again", message.header().source()->str(), held,
                published);
-  if (options_->input_views) rigs_.reissue_inputs();
+  if (options_->input_views) rigs_.inputs().reissue_all(rigs_.cameras());
   rigs_.cameras().reissue_all(CameraRole::Reference);
 }
 
-void CaptureBridge::handle_grid_state(const wire::GridState& state) {
-  const std::int64_t now = bus::now_ns();
+void CaptureBridge::handle_grid_state(const wire::GridState& state, const bus::Message& message) {
+  new_shares_.published(worker_.take_published());
+  for (const NewShareWatch::Share& share :
+       new_shares_.state(message.header().epoch(), state.rounds(), state.gaussians_inserted())) {
+    rigs_.inputs().note_new_share(share.rig_generation, share.of_samples);
+  }
+  if (state.rounds() > 0 || worker_.statistics().rounds == 0) return;
   // An expander that has seen no round has missed ours: it started later, or again.
-  if (state.rounds() > 0 || rigs_.round().empty() || worker_.statistics().rounds == 0) return;
-  if (now - round_submitted_ns_ > kExpanderPatienceNs) submit_round();
+  const std::int64_t now = bus::now_ns();
+  for (auto& [viewer, rig] : rigs_.inputs().all()) {
+    if (!rig.round.empty() && now - rig.submitted_ns > kExpanderPatienceNs) submit_round(rig);
+  }
 }
 
 void CaptureBridge::update_rigs(std::int64_t now_ns) {
-  InputRound& round = rigs_.round();
-  // A rig that an engine is rendering stays until its pictures are there, or a viewer on the move would never see one
-  // complete.
-  const bool hold = counters_.inputs > 0 && !round.missing().empty() &&
-                    now_ns - input_asked_ns_ < nanoseconds(options_->input_deadline_s);
-  const std::uint64_t generation = round.rig_generation();
-  const auto left = rigs_.update(viewer_camera_ ? &*viewer_camera_ : nullptr, worker_.statistics().heights, hold);
+  viewers_.expire(now_ns);
+  const auto left = rigs_.update(viewers_, now_ns);
   rigs_.update_lights(forwarder_.light());
   for (const Camera& camera : left) {
     const bool reference = camera.role == CameraRole::Reference;
     (reference ? references_published_ : inputs_published_).erase(camera.id);
-    if (reference) refreshed_references_.pictures.forget(camera.id);
+    (reference ? refreshed_references_ : refreshed_inputs_).pictures.forget(camera.id);
     forwarder_.retire(camera);
   }
-  if (round.rig_generation() != generation) {
-    refreshed_inputs_.pictures.clear();
-    input_asked_ns_ = now_ns;
-    input_patience_ns_ = 0;
-  }
+  for (const std::uint32_t camera_id : rigs_.inputs().take_placed()) refreshed_inputs_.pictures.forget(camera_id);
 }
 
-void CaptureBridge::update_round(std::int64_t now_ns) {
+void CaptureBridge::update_rounds(std::int64_t now_ns) {
   const std::int64_t deadline = nanoseconds(options_->input_deadline_s);
-  InputRound& round = rigs_.round();
-  if (round.ready(now_ns, deadline)) submit_round();
-  input_patience_ns_ = std::max(input_patience_ns_, deadline);
-  if (round.missing().empty() || now_ns - input_asked_ns_ < input_patience_ns_) return;
-  if (!round.empty()) spdlog::warn("{} input frames have not come: asking again", round.missing().size());
-  rigs_.reissue_missing_inputs();
-  input_asked_ns_ = now_ns;
-  input_patience_ns_ = std::min(2 * input_patience_ns_, kInputPatienceMaxNs);
+  for (auto& [viewer, rig] : rigs_.inputs().all()) {
+    const InputRound& round = rig.round;
+    if (round.ready(now_ns, deadline)) submit_round(rig);
+    rig.patience_ns = std::max(rig.patience_ns, deadline);
+    if (round.missing().empty() || now_ns - rig.asked_ns < rig.patience_ns) continue;
+    if (!round.empty()) spdlog::warn("{} input frames have not come: asking again", round.missing().size());
+    rigs_.inputs().reissue_missing(rig, now_ns, rigs_.cameras());
+    rig.patience_ns = std::min(2 * rig.patience_ns, kInputPatienceMaxNs);
+  }
 }
 
 /// A light that rests has its maps rendered once: one that was lost on its way would never come.
@@ -247,10 +261,10 @@ void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::i
   if (const auto stalest = of.pictures.take(forwarder_.scene_version(), now_ns)) rigs_.reissue(role, *stalest);
 }
 
-void CaptureBridge::submit_round() {
-  round_submitted_ns_ = bus::now_ns();
-  InputRound& round = rigs_.round();
-  worker_.submit({.views = round.take(), .rig_generation = round.rig_generation(), .options = options_->sampling});
+void CaptureBridge::submit_round(InputRig& rig) {
+  rig.submitted_ns = bus::now_ns();
+  worker_.submit(
+      {.views = rig.round.take(), .rig_generation = rig.round.rig_generation(), .options = options_->sampling});
 }
 
 void CaptureBridge::update_probes(std::int64_t now_ns) {
@@ -292,6 +306,10 @@ void run(bus::ServiceContext& service) {
     service.counter("refused", static_cast<double>(counters.refused));
     service.counter("references", static_cast<double>(counters.references));
     service.counter("inputs", static_cast<double>(counters.inputs));
+    service.counter("inputs_blind", static_cast<double>(counters.inputs_blind));
+    service.counter("ranges", static_cast<double>(counters.ranges));
+    service.counter("viewers", static_cast<double>(bridge.viewers()));
+    service.counter("poses_dropped", static_cast<double>(counters.poses_dropped));
     service.counter("probes", static_cast<double>(counters.probes));
     service.counter("probes_dropped", static_cast<double>(counters.probes_dropped));
     service.counter("light_depths", static_cast<double>(counters.light_depths));

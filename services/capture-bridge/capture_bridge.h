@@ -3,29 +3,32 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
-#include <map>
 #include <memory>
-#include <optional>
 #include <set>
-#include <string>
 
 #include "bus/memory_pool.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "capture-bridge/blindness.h"
 #include "capture-bridge/forwarder.h"
 #include "capture-bridge/input_worker.h"
+#include "capture-bridge/new_share.h"
 #include "capture-bridge/probe_table.h"
 #include "capture-bridge/rig_control.h"
 #include "capture-bridge/trainer_watch.h"
 #include "wire/engine_generated.h"
+#include "wire/viewer_poses.h"
 
 namespace splatbus::capture_bridge {
 
 /// Counters of the bridge, as heartbeats show them.
 struct BridgeCounters {
   std::uint64_t frames = 0, frames_lost = 0;
-  std::uint64_t refused = 0;  ///< messages that make no sense
+  std::uint64_t refused = 0;        ///< messages that make no sense
+  std::uint64_t inputs_blind = 0;   ///< input pictures of what is right before the camera
+  std::uint64_t ranges = 0;         ///< pictures of depth cubes
+  std::uint64_t poses_dropped = 0;  ///< of more viewers than can be followed
   std::uint64_t inputs = 0, references = 0, probes = 0, probes_dropped = 0, light_depths = 0;
 };
 
@@ -45,6 +48,7 @@ class CaptureBridge {
   [[nodiscard]] std::uint64_t host_copied_bytes() const { return host_copied_bytes_; }
   [[nodiscard]] const bus::Subscriber& subscriber() const { return subscriber_; }
   [[nodiscard]] std::size_t cameras() { return rigs_.cameras().requests().size(); }
+  [[nodiscard]] std::size_t viewers() const { return viewers_.all().size(); }
 
  private:
   void subscribe();
@@ -52,17 +56,18 @@ class CaptureBridge {
   void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_light_depth(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame);
+  void handle_range(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_pose(const wire::ViewerPose& pose);
   void handle_probe(const wire::ViewerProbe& asked, const bus::Message& message);
   void handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message);
-  void handle_grid_state(const wire::GridState& state);
+  void handle_grid_state(const wire::GridState& state, const bus::Message& message);
 
   void update_rigs(std::int64_t now_ns);
-  void update_round(std::int64_t now_ns);
+  void update_rounds(std::int64_t now_ns);
   void update_light_maps(std::int64_t now_ns);
   void refresh_pictures(std::int64_t now_ns);
   void update_probes(std::int64_t now_ns);
-  void submit_round();
+  void submit_round(InputRig& rig);
   void publish_cameras();
 
   std::shared_ptr<bus::Context> context_;
@@ -73,16 +78,13 @@ class CaptureBridge {
   RigControl rigs_;
   ProbeTable probes_;
   TrainerWatch trainer_watch_;
+  NewShareWatch new_shares_;
   BridgeCounters counters_;
   bus::MemoryPool input_pictures_;
+  BlindnessTest blindness_;
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;
 
-  std::string viewer_;  // whose pose the rigs follow
-  std::optional<Camera> viewer_camera_;
-  std::int64_t viewer_seen_ns_ = 0;
-
-  std::int64_t input_asked_ns_ = 0;      // last request for, or arrival of, an input frame
-  std::int64_t input_patience_ns_ = 0;   // before the next request for what is missing
+  ViewerPoses viewers_;
   std::int64_t next_light_maps_ns_ = 0;  // when those that have not come are asked for again
   /// Pictures of one role, which are rendered anew as the scene changes.
   struct Refresh {
@@ -92,7 +94,6 @@ class CaptureBridge {
   void refresh(Refresh& of, CameraRole role, double rate_hz, std::int64_t now_ns);
   Refresh refreshed_inputs_, refreshed_references_;
   std::int64_t view_published_ns_ = 0;
-  std::int64_t round_submitted_ns_ = 0;
   std::set<std::uint32_t> references_published_, inputs_published_;  // camera ids
 
   InputWorker worker_;  // last: its thread uses the context

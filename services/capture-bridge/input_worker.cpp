@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <exception>
+#include <utility>
 
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -13,7 +14,7 @@ namespace splatbus::capture_bridge {
 
 namespace {
 
-constexpr std::size_t kMaxQueuedJobs = 4;
+constexpr std::size_t kMaxPublished = 64;
 constexpr std::size_t kRingSlots = 4;
 constexpr std::size_t kBytesASample = 13 * sizeof(float) + sizeof(std::uint32_t);
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
@@ -77,13 +78,18 @@ void InputWorker::submit(InputJob job) {
   {
     const std::scoped_lock lock(mutex_);
     std::erase_if(jobs_, [&](const InputJob& waiting) { return waiting.rig_generation == job.rig_generation; });
-    if (jobs_.size() >= kMaxQueuedJobs) {
+    if (jobs_.size() >= kMaxQueued) {
       spdlog::warn("input round of rig generation {} dropped: sampling is behind", jobs_.front().rig_generation);
       jobs_.pop_front();
     }
     jobs_.push_back(std::move(job));
   }
   wake_.notify_all();
+}
+
+std::vector<PublishedRound> InputWorker::take_published() {
+  const std::scoped_lock lock(mutex_);
+  return std::exchange(published_, {});
 }
 
 InputStatistics InputWorker::statistics() const {
@@ -134,7 +140,8 @@ void InputWorker::process(const InputJob& job) {
   statistics_.thinned = round.thinned;
   statistics_.dropped += dropped.broken();
   statistics_.milliseconds = took.count();
-  statistics_.heights = round.heights;
+  if (published_.size() >= kMaxPublished) published_.erase(published_.begin());
+  published_.push_back({.rig_generation = job.rig_generation, .samples = round.size});
 }
 
 }  // namespace splatbus::capture_bridge

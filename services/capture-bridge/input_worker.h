@@ -13,7 +13,6 @@
 #include "bus/publisher.h"
 #include "bus/tensor_ring.h"
 #include "capture-bridge/requests.h"
-#include "capture-bridge/rig.h"
 #include "capture-bridge/sampler.h"
 
 namespace splatbus::capture_bridge {
@@ -39,13 +38,17 @@ struct InputJob {
   SamplingOptions options;
 };
 
+struct PublishedRound {
+  std::uint64_t rig_generation = 0;
+  std::size_t samples = 0;
+};
+
 /// What the worker has done so far.
 struct InputStatistics {
   std::uint64_t rounds = 0;  ///< published
   std::size_t samples = 0;   ///< of the last round
   std::size_t culled = 0, thinned = 0, dropped = 0;
   double milliseconds = 0;  ///< the last round's sampling
-  ContentHeights heights;   ///< of the last round's samples
 };
 
 /// Samples rounds and publishes them on a thread of its own, so that forwarding frames never waits for it.
@@ -56,10 +59,14 @@ class InputWorker {
   InputWorker(const std::shared_ptr<bus::Context>& context, Device backend, const RoundSizes& expected);
   ~InputWorker();
 
+  static constexpr std::size_t kMaxQueued = 16;
+
   /// Queues a round. One of the same rig that still waits is replaced; others wait their turn, the oldest of more than
-  /// four is dropped.
+  /// kMaxQueued is dropped.
   void submit(InputJob job);
   [[nodiscard]] InputStatistics statistics() const;
+  /// Rounds that were published since this was asked last, in their order; the last few, when it is never asked.
+  [[nodiscard]] std::vector<PublishedRound> take_published();
   /// Whether a round has failed since this was asked last.
   [[nodiscard]] bool take_failure() { return failed_.exchange(false); }
 
@@ -73,6 +80,7 @@ class InputWorker {
   std::condition_variable_any wake_;
   std::deque<InputJob> jobs_;
   InputStatistics statistics_;
+  std::vector<PublishedRound> published_;
   std::atomic<bool> failed_ = false;
   bool complained_ = false;
   std::jthread thread_;  // last: it uses everything above

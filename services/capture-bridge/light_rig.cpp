@@ -9,7 +9,6 @@ namespace splatbus::capture_bridge {
 
 namespace {
 
-constexpr std::uint32_t kMaxMaps = 8;
 constexpr std::uint32_t kFaces = 6;
 constexpr float kCascadeFactor = 4;
 // A cascade pays where its texels are well below the whole scene's; between the two bounds what is stays.
@@ -31,7 +30,7 @@ const LightSource* find(const Light& light, std::uint32_t id) {
 CameraRequest map_request(std::uint32_t slot, std::uint32_t camera, std::uint32_t size) {
   CameraRequest request{.camera = look_at({0, kHeight_m, 0}, {0, 0, 0}, size, size, 1),
                         .buffers = wire::EngineBuffer::LightDepth};
-  request.camera.id = slot * kMaxMaps + camera;
+  request.camera.id = slot * kMaxLightMaps + camera;
   request.camera.role = CameraRole::Light;
   request.camera.fx = request.camera.fy = static_cast<float>(size) / kSceneExtent_m;
   request.camera.far_m = 2 * kHeight_m;
@@ -44,14 +43,14 @@ std::uint32_t LightRig::maps_with(std::uint32_t light_id, std::uint32_t light_ma
   const auto found = of_light_.find(light_id);
   if (found == of_light_.end() || light_map >= found->second.maps) return 0;
   const Known& light = found->second;
-  return camera_id == light.slot * kMaxMaps + camera_of(light, light_map) ? light.maps : 0;
+  return camera_id == light.slot * kMaxLightMaps + camera_of(light, light_map) ? light.maps : 0;
 }
 
 std::vector<std::uint32_t> LightRig::missing() const {
   std::vector<std::uint32_t> ids;
   for (const auto& [light_id, light] : of_light_) {
     for (std::uint32_t camera = 0; camera < light.maps; ++camera) {
-      if ((light.seen >> camera & 1U) == 0) ids.push_back(light.slot * kMaxMaps + camera);
+      if ((light.seen >> camera & 1U) == 0) ids.push_back(light.slot * kMaxLightMaps + camera);
     }
   }
   return ids;
@@ -92,7 +91,7 @@ LightRig::Known& LightRig::known(std::uint32_t light_id) {
 void LightRig::place_cascades(const LightRigOptions& options, const glm::vec3& centre, Known& light) const {
   std::size_t finer = 0;
   float extent_m = options.extent_m;
-  for (; finer + 1 < std::min(options.cascades, kMaxMaps); ++finer, extent_m *= kCascadeFactor) {
+  for (; finer + 1 < std::min(options.cascades, kMaxLightMaps); ++finer, extent_m *= kCascadeFactor) {
     const bool there = finer < light.centre.size();
     if (!(extent_m < (there ? kUseless : kWorthwhile) * light.scene_m)) break;
     if (!there) light.centre.push_back(centre);

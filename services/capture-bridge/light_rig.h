@@ -36,7 +36,7 @@ class LightRig {
 
  private:
   struct Known {
-    std::uint32_t slot = 0;  ///< camera ids are kMaxMaps times this, and up
+    std::uint32_t slot = 0;  ///< camera ids are kMaxLightMaps times this, and up
     std::uint32_t maps = 0;
     std::uint32_t seen = 0;  ///< a bit a map, by camera
     bool orthographic = true;

@@ -4,6 +4,7 @@
 
 #include "bus/parameters.h"
 #include "capture-bridge/light_rig.h"
+#include "capture-bridge/range_finder.h"
 #include "capture-bridge/rig.h"
 #include "capture-bridge/sampler.h"
 
@@ -13,7 +14,12 @@ namespace splatbus::capture_bridge {
 struct Options {
   float near_m = 0.05F, far_m = 100;  ///< of input and reference cameras
   DomeOptions dome;
-  InputRigTracker::Options tracker;
+  std::string input_size = "128";
+  float input_fov_radians = 0;  ///< 0: the reference cameras'
+  DomePlacement placement;
+  RangeOptions range;
+  float clearance_m = 0.3F;  ///< from surfaces, of cameras that would stand in one
+  float blind_m = 0.2F;      ///< a picture that shows mostly nearer surfaces is of no use
   std::string input_center;  ///< fixed centre of the dome; empty: it follows the viewer
   float input_rate_hz = 0;
   double input_refresh_hz = 8;  ///< pictures of all input cameras together, while the scene changes
@@ -21,10 +27,11 @@ struct Options {
   bool input_views = true;  ///< input pictures are training views too
   SamplingOptions sampling;
 
-  bool follow = false;  ///< the reference cameras, or they stand on a ring
+  bool follow = true;  ///< the reference cameras, once a viewer is known; or they stand on a ring
   RingOptions ring;
+  std::string reference_size = "160";
   std::string ring_target = "0,0.25,0";
-  FollowOptions follow_rig;
+  FollowOptions follow_rig{.viewers_picture = true};
   float follow_move_m = 0.05F, follow_turn_radians = 0.034906585F;  ///< smallest that are followed
   float reference_rate_hz = 1;
   double reference_refresh_hz = 8;  ///< as input_refresh_hz, of reference cameras, where they have no rate

@@ -85,6 +85,14 @@ void CameraSet::remove(CameraRole role, std::uint32_t id) {
   changed_ = std::erase_if(requests_, is(role, id)) > 0 || changed_;
 }
 
+void CameraSet::move(CameraRole role, const Camera& camera) {
+  const auto found = std::find_if(requests_.begin(), requests_.end(), is(role, camera.id));
+  if (found == requests_.end()) return;
+  found->camera = camera;
+  found->request_id = ++last_request_id_;
+  changed_ = true;
+}
+
 std::vector<CameraRequest> CameraSet::of_role(CameraRole role) const {
   std::vector<CameraRequest> found;
   std::copy_if(requests_.begin(), requests_.end(), std::back_inserter(found),
@@ -109,14 +117,14 @@ std::optional<std::uint32_t> StalestFirst::take(std::uint64_t scene_version, std
   return stalest->first;
 }
 
-void InputRound::begin(std::span<const CameraRequest> requests) {
+void InputRound::begin(std::span<const CameraRequest> requests, std::uint64_t rig_generation) {
   slots_.clear();
   for (const CameraRequest& request : requests) {
     slots_.push_back({.camera_id = request.camera.id, .request_id = request.request_id, .view = nullptr});
   }
   first_fresh_ns_.reset();
   handed_on_incomplete_ = false;
-  ++rig_generation_;
+  rig_generation_ = rig_generation;
 }
 
 void InputRound::renew(std::span<const CameraRequest> requests) {
@@ -125,6 +133,10 @@ void InputRound::renew(std::span<const CameraRequest> requests) {
       if (slot.camera_id == request.camera.id) slot.request_id = request.request_id;
     }
   }
+}
+
+void InputRound::drop(std::uint32_t camera_id) {
+  std::erase_if(slots_, [camera_id](const Slot& slot) { return slot.camera_id == camera_id; });
 }
 
 bool InputRound::awaits(std::uint32_t camera_id, std::uint64_t request_id) const {

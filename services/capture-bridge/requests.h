@@ -43,6 +43,8 @@ class CameraSet {
   std::uint64_t add(const Camera& camera, wire::EngineBuffer buffers, float rate_hz);
   std::uint64_t add(CameraRequest request);
   void remove(CameraRole role, std::uint32_t id);
+  /// The camera of this role and id stands elsewhere now, under a new request id.
+  void move(CameraRole role, const Camera& camera);
 
   [[nodiscard]] std::vector<CameraRequest> of_role(CameraRole role) const;
   [[nodiscard]] const std::vector<CameraRequest>& requests() const { return requests_; }
@@ -86,10 +88,12 @@ using InputViewPointer = std::shared_ptr<const InputView>;
 /// another round together with those that were there. Times are CLOCK_MONOTONIC nanoseconds.
 class InputRound {
  public:
-  /// A rig in a new place: forgets all frames. A rig generation is never 0.
-  void begin(std::span<const CameraRequest> requests);
+  /// A rig in a new place: forgets all frames. A rig generation is never 0, and has one place of one rig.
+  void begin(std::span<const CameraRequest> requests, std::uint64_t rig_generation);
   /// The same rig under other request ids: keeps the frames that are there.
   void renew(std::span<const CameraRequest> requests);
+  /// A camera that the rig has no more: its frame goes, and none is waited for.
+  void drop(std::uint32_t camera_id);
 
   /// Whether a frame answers a request of this rig.
   [[nodiscard]] bool awaits(std::uint32_t camera_id, std::uint64_t request_id) const;

@@ -13,9 +13,8 @@ namespace {
 constexpr float kLowestSine = 0.08F;
 constexpr float kHighestSine = 0.98F;
 
-float wrapped(float angle) {
-  return std::remainder(angle, glm::two_pi<float>());
-}
+constexpr float kLargestTangent = 3.7320508F;  // of half of 150 degrees
+constexpr int kSmallestSide = 8;               // pixels
 
 Camera with_id(Camera camera, std::size_t id, CameraRole role) {
   camera.id = static_cast<std::uint32_t>(id);
@@ -23,22 +22,27 @@ Camera with_id(Camera camera, std::size_t id, CameraRole role) {
   return camera;
 }
 
+Camera framed(const glm::vec3& eye, const glm::vec3& target, const PictureSize& size, float fov_radians) {
+  return look_at(eye, target, static_cast<std::uint32_t>(size.width), static_cast<std::uint32_t>(size.height),
+                 fov_radians);
+}
+
+/// What the viewer's picture shows and a margin about it, in about as many square pixels as `size` has.
+Camera picture_of(const Camera& viewer, const PictureSize& size, float margin) {
+  const auto tangent = [margin](std::uint32_t pixels, float centre, float focal) {
+    return std::min(margin * std::max(centre, static_cast<float>(pixels) - centre) / focal, kLargestTangent);
+  };
+  const float x = tangent(viewer.width, viewer.cx, viewer.fx), y = tangent(viewer.height, viewer.cy, viewer.fy);
+  const float focal = std::sqrt(static_cast<float>(size.pixels()) / (4 * x * y));
+  const auto side = [&](float half) { return std::max(kSmallestSide, static_cast<int>(std::ceil(2 * half * focal))); };
+  const PictureSize shape(side(x), side(y));
+  return framed({0, 0, 0}, {0, 0, 1}, shape, 2 * std::atan(0.5F * static_cast<float>(shape.height) / focal));
+}
+
 }  // namespace
-
-ViewerState ViewerState::of(const Camera& camera) {
-  return {.position = camera.world_from_camera.translation,
-          .forward = camera.world_from_camera.rotation * glm::vec3(0, 0, 1)};
-}
-
-float ViewerState::heading(float fallback) const {
-  const glm::vec2 flat(forward.x, forward.z);
-  if (glm::length(flat) < 0.05F) return fallback;
-  return std::atan2(-flat.x, -flat.y);
-}
 
 std::vector<Camera> dome_cameras(const DomeOptions& options, const glm::vec3& centre, float heading_radians) {
   const float golden_angle = glm::pi<float>() * (3 - std::sqrt(5.0F));
-  const auto size = static_cast<std::uint32_t>(options.size);
   std::vector<Camera> cameras;
   cameras.reserve(static_cast<std::size_t>(options.cameras));
   for (int i = 0; i < options.cameras; ++i) {
@@ -48,14 +52,13 @@ std::vector<Camera> dome_cameras(const DomeOptions& options, const glm::vec3& ce
     // Minus the heading: angles about y turn -z towards -x, while (cos, sin) on (x, z) turns the other way.
     const float angle = golden_angle * static_cast<float>(i) - heading_radians;
     const glm::vec3 direction(flat * std::cos(angle), sine, flat * std::sin(angle));
-    cameras.push_back(with_id(look_at(centre + options.radius_m * direction, centre, size, size, options.fov_radians),
+    cameras.push_back(with_id(framed(centre + options.radius_m * direction, centre, options.size, options.fov_radians),
                               cameras.size(), CameraRole::Input));
   }
   return cameras;
 }
 
 std::vector<Camera> ring_cameras(const RingOptions& options) {
-  const auto size = static_cast<std::uint32_t>(options.size);
   std::vector<Camera> cameras;
   cameras.reserve(static_cast<std::size_t>(options.cameras));
   for (int i = 0; i < options.cameras; ++i) {
@@ -64,14 +67,14 @@ std::vector<Camera> ring_cameras(const RingOptions& options) {
     const glm::vec3 eye(options.target.x + options.radius_m * std::cos(angle), options.height_m,
                         options.target.z + options.radius_m * std::sin(angle));
     cameras.push_back(
-        with_id(look_at(eye, options.target, size, size, options.fov_radians), cameras.size(), CameraRole::Reference));
+        with_id(framed(eye, options.target, options.size, options.fov_radians), cameras.size(), CameraRole::Reference));
   }
   return cameras;
 }
 
 std::vector<Camera> follow_cameras(const FollowOptions& options, const Camera& viewer) {
-  const auto size = static_cast<std::uint32_t>(options.size);
-  const Camera pinhole = look_at({0, 0, 0}, {0, 0, 1}, size, size, options.fov_radians);
+  const Camera pinhole = options.viewers_picture ? picture_of(viewer, options.size, options.margin)
+                                                 : framed({0, 0, 0}, {0, 0, 1}, options.size, options.fov_radians);
   std::vector<Camera> cameras;
   cameras.reserve(static_cast<std::size_t>(options.cameras));
   for (int i = 0; i < options.cameras; ++i) {
@@ -98,20 +101,15 @@ std::vector<Camera> follow_cameras(const FollowOptions& options, const Camera& v
   return cameras;
 }
 
-bool InputRigTracker::update(const Options& options, const ViewerState* viewer, const ContentHeights& content) {
-  Pose wanted{.centre = options.centre, .heading_radians = pose_.heading_radians};
-  if (viewer != nullptr) {
-    wanted.heading_radians = viewer->heading(pose_.heading_radians);
-    if (!options.fixed_centre) {
-      wanted.centre = viewer->position + options.focus_m * viewer->forward;
-      wanted.centre.y = std::clamp(wanted.centre.y, content.low_m, std::max(content.low_m, content.high_m));
-    }
-  }
-  const bool moved = glm::distance(wanted.centre, pose_.centre) > options.move_m ||
-                     std::abs(wrapped(wanted.heading_radians - pose_.heading_radians)) > options.turn_radians;
-  if (placed_ && !moved) return false;
-  placed_ = true;
-  pose_ = wanted;
+bool parse_size(const std::string& text, int minimum, int maximum, PictureSize& size) {
+  std::istringstream in(text);
+  int width = 0;
+  char by = 0;
+  if (!(in >> width)) return false;
+  int height = width;
+  if (!(in >> std::ws).eof() && (!(in >> by >> height) || by != 'x' || !(in >> std::ws).eof())) return false;
+  if (std::min(width, height) < minimum || std::max(width, height) > maximum) return false;
+  size = {width, height};
   return true;
 }
 

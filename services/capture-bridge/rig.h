@@ -9,21 +9,25 @@
 
 namespace splatbus::capture_bridge {
 
-/// Where the viewer is and where it looks.
-struct ViewerState {
-  glm::vec3 position{0};
-  glm::vec3 forward{0, 0, -1};  ///< unit, world
+/// Of a picture, in pixels.
+struct PictureSize {
+  int width = 0, height = 0;
 
-  /// From any camera: its position and its z axis.
-  static ViewerState of(const Camera& camera);
-  /// Angle about world y, radians, 0 looking along -z. Keeps `fallback` where the viewer looks straight up or down.
-  [[nodiscard]] float heading(float fallback = 0) const;
+  constexpr PictureSize(int side = 0) : width(side), height(side) {}  // NOLINT: a number is a square's side
+  constexpr PictureSize(int columns, int rows) : width(columns), height(rows) {}
+  [[nodiscard]] std::size_t pixels() const {
+    return static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+  }
+  bool operator==(const PictureSize&) const = default;
 };
+
+/// "WxH", or one number for a square; each from `minimum` to `maximum`. False when it is anything else.
+[[nodiscard]] bool parse_size(const std::string& text, int minimum, int maximum, PictureSize& size);
 
 struct DomeOptions {
   int cameras = 24;
-  int size = 128;  ///< pixels, square
-  float fov_radians = 1.0471976F;
+  PictureSize size = 128;
+  float fov_radians = 1.0471976F;  ///< vertical
   float radius_m = 3.4F;
 };
 
@@ -34,8 +38,8 @@ struct DomeOptions {
 
 struct RingOptions {
   int cameras = 8;
-  int size = 160;
-  float fov_radians = 1.0471976F;
+  PictureSize size = 160;
+  float fov_radians = 1.0471976F;  ///< vertical
   float radius_m = 3.4F;
   float height_m = 1.6F;  ///< above world y = 0
   float phase_radians = 0;
@@ -48,46 +52,27 @@ struct RingOptions {
 
 struct FollowOptions {
   int cameras = 4;
-  int size = 160;
-  float fov_radians = 1.0471976F;
+  PictureSize size = 160;
+  float fov_radians = 1.0471976F;      ///< vertical
+  bool viewers_picture = false;        ///< shape and field of view are the viewer's, with as many pixels as `size`
+  float margin = 1.1F;                 ///< then the tangents of half its angles, times this
   float side_m = 0.6F;                 ///< how far the side cameras stand from the viewer, the first pair
   float above_m = 0.6F;                ///< how far above the viewer the upper camera stands
   float toe_in_radians = 0.12217305F;  ///< side cameras turn towards the viewer's axis, the upper one down
 };
 
 /// Cameras that follow the viewer (paper, "Moving cameras"): 0 is aligned with it, 1 and 2 stand at its left and right,
-/// 3 above; further ones continue left, right, above at growing offsets.
+/// 3 above; further ones continue left, right, above at growing offsets. Ids 0, 1, ...
 [[nodiscard]] std::vector<Camera> follow_cameras(const FollowOptions& options, const Camera& viewer);
 
-/// Heights between which most content was found; clamps the dome's centre.
-struct ContentHeights {
-  float low_m = -1e9F, high_m = 1e9F;
-};
-
-/// Decides when the input rig moves, so that a still scene is not captured again and again.
-class InputRigTracker {
- public:
-  struct Options {
-    float focus_m = 3.4F;             ///< distance of the focus in front of the viewer
-    float move_m = 0.5F;              ///< the rig stays until the focus has moved farther than this ...
-    float turn_radians = 1.0471976F;  ///< ... or the heading has turned by more than this
-    bool fixed_centre = false;
-    glm::vec3 centre{0, 0.25F, 0};  ///< the centre when fixed, and until a viewer is known
-  };
-
-  struct Pose {
-    glm::vec3 centre{0};
-    float heading_radians = 0;
-  };
-
-  /// Where the rig stands for this viewer (null: none known yet). True when it has moved, which the first call has.
-  bool update(const Options& options, const ViewerState* viewer, const ContentHeights& content);
-
-  [[nodiscard]] const Pose& pose() const { return pose_; }
-
- private:
-  bool placed_ = false;
-  Pose pose_;
+/// Where the dome stands for a viewer, and when it follows.
+struct DomePlacement {
+  float focus_m = 3.4F;             ///< distance of its centre in front of the viewer
+  float lead_s = 0.5F;              ///< it is placed for where the viewer will be after that time
+  float move_m = 0.5F;              ///< it stays until its centre is off by more ...
+  float turn_radians = 1.0471976F;  ///< ... or the heading has turned by more than this
+  bool fixed_centre = false;
+  glm::vec3 centre{0, 0.25F, 0};  ///< the place of interest: the centre when fixed, and until a viewer is known
 };
 
 /// "x,y,z" in metres. False when it is anything else.

@@ -150,7 +150,6 @@ Sampler::Sampler(Device device)
       albedo_(stream_),
       color_(stream_),
       spacing_m_(stream_),
-      heights_(stream_),
       object_id_(stream_),
       pixel_(stream_) {
   const LinearTable table = linear_table();
@@ -173,7 +172,6 @@ RoundSamples Sampler::sample(Views views, const ObjectTransforms& round_objects,
   write_samples(stream_, pixels, candidates, kept_.data(), spacing_growth(survived, samples.count), linear_.data(),
                 samples);
   estimate_spacing(stream_, samples.position, samples.normal, samples.count, samples.spacing_m);
-  round.heights = heights_of(samples);
   stream_.wait();
   round.size = samples.count;
   round.position = samples.position;
@@ -260,20 +258,6 @@ Samples Sampler::make_samples(std::size_t count) {
           .spacing_m = spacing_m_.data(),
           .object_id = object_id_.data(),
           .pixel = pixel_.data()};
-}
-
-ContentHeights Sampler::heights_of(const Samples& samples) {
-  ContentHeights heights;
-  if (samples.count == 0) return heights;
-  sort_heights(stream_, samples.position, samples.count, heights_);
-  const auto at = [&](double share, float& height_m) {
-    const auto rank = static_cast<std::size_t>(share * static_cast<double>(samples.count - 1));
-    device::copy(stream_, &height_m, heights_.data() + rank, sizeof(float));
-  };
-  at(0.02, heights.low_m);
-  at(0.98, heights.high_m);
-  stream_.wait();
-  return heights;
 }
 
 }  // namespace splatbus::capture_bridge

@@ -8,7 +8,6 @@
 
 #include "capture-bridge/covisibility.h"
 #include "capture-bridge/input_view.h"
-#include "capture-bridge/rig.h"
 #include "capture-bridge/stages.h"
 #include "device/buffer.h"
 #include "device/stream.h"
@@ -62,7 +61,6 @@ struct RoundSamples : RoundCounts {
   const float* spacing_m = nullptr;
   const std::uint32_t *object_id = nullptr, *pixel = nullptr;
   const float* depth_m = nullptr;  ///< of all views' pixels, along each camera's z, 0 where there is no surface
-  ContentHeights heights;          ///< of the middle 96 % of the samples; everything, when there are none
 };
 
 /// Turns rounds of input views into samples; one thread at a time. Its memory, and that of its views, is the device's.
@@ -84,7 +82,6 @@ class Sampler {
   RoundPixels upload(Views views, const ObjectTransforms& round_objects);
   Candidates make_candidates(std::size_t count);
   Samples make_samples(std::size_t count);
-  [[nodiscard]] ContentHeights heights_of(const Samples& samples);
 
   device::Stream stream_;
   device::Buffer<PixelView> views_;
@@ -97,7 +94,7 @@ class Sampler {
   device::Buffer<LinearTable> linear_;
   device::Buffer<std::uint32_t> candidate_pixel_, kept_;
   device::Buffer<float> candidate_position_, candidate_area_m2_;
-  device::Buffer<float> position_, normal_, albedo_, color_, spacing_m_, heights_;
+  device::Buffer<float> position_, normal_, albedo_, color_, spacing_m_;
   device::Buffer<std::uint32_t> object_id_, pixel_;
 };
 

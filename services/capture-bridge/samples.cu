@@ -156,12 +156,6 @@ struct WriteSample {
   }
 };
 
-struct HeightOf {
-  const float* position;
-  float* height;
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t k) const { height[k] = position[3 * std::size_t{k} + 1]; }
-};
-
 /// `order`: the points along the Morton curve.
 void sort_along_curve(device::StreamView stream, const float* position, std::uint32_t count,
                       device::Buffer<std::uint32_t>& order) {
@@ -222,13 +216,6 @@ std::uint32_t thin_to_budget(device::StreamView stream, const float* position, c
 void write_samples(device::StreamView stream, const RoundPixels& round, const Candidates& candidates,
                    const std::uint32_t* kept, float spacing_growth, const LinearTable* linear, const Samples& samples) {
   device::for_each_index(stream, samples.count, WriteSample{round, candidates, kept, spacing_growth, linear, samples});
-}
-
-void sort_heights(device::StreamView stream, const float* position, std::uint32_t count,
-                  device::Buffer<float>& heights) {
-  heights.resize(count);
-  device::for_each_index(stream, count, HeightOf{position, heights.data()});
-  device::with_policy(stream, [&](auto&& policy) { thrust::sort(policy, heights.data(), heights.data() + count); });
 }
 
 }  // namespace splatbus::capture_bridge

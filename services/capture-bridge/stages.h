@@ -95,8 +95,4 @@ void write_samples(device::StreamView stream, const RoundPixels& round, const Ca
 void estimate_spacing(device::StreamView stream, const float* position, const float* normal, std::uint32_t count,
                       float* spacing_m);
 
-/// The heights (y) of `position` [count, 3] in ascending order.
-void sort_heights(device::StreamView stream, const float* position, std::uint32_t count,
-                  device::Buffer<float>& heights);
-
 }  // namespace splatbus::capture_bridge

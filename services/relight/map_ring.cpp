@@ -13,8 +13,6 @@ namespace splatbus::relight {
 
 namespace {
 
-constexpr std::uint32_t kMaxMaps = 8;  // of one light
-
 /// Whether a map through b shows what one through a shows: the planes only say how far it reaches.
 bool same_projection(const Camera& a, const Camera& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy &&
@@ -30,7 +28,7 @@ MapRing::Key MapRing::key_of(const wire::SceneLightDepth& depth) {
   if (!sun && (source == light.sources.end() || !source->casts_shadow)) {
     throw std::runtime_error(fmt::format("light {} is none that casts a shadow", depth.light_id()));
   }
-  if (depth.light_map() >= depth.light_maps() || depth.light_maps() > kMaxMaps) {
+  if (depth.light_map() >= depth.light_maps() || depth.light_maps() > kMaxLightMaps) {
     throw std::runtime_error(fmt::format("map {} of {}", depth.light_map(), depth.light_maps()));
   }
   return {.light_id = depth.light_id(),

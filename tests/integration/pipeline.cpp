@@ -28,6 +28,7 @@ services:
     args: [--fps, "10"]
   - name: capture-bridge
     parameters:
+      reference_rig: ring
       reference_cameras: 4
       reference_size: 64
       reference_rate_hz: 2

@@ -16,12 +16,20 @@ namespace splatbus::capture_bridge::test {
 /// by rays: exact positions and normals to check the pipeline against.
 struct AnalyticScene {
   static constexpr float kFloorHalf = 2.5F;
-  static constexpr std::uint32_t kFloor = 1, kBall = 2, kSheet = 3;
+  static constexpr std::uint32_t kFloor = 1, kBall = 2, kSheet = 3, kBox = 4;
   std::uint32_t first_object_id = 0;  ///< added to the objects' numbers
   glm::vec3 ball_centre{0.6F, 0.5F, 0.1F};
   float ball_radius = 0.5F;
   glm::vec3 sheet_centre{-0.9F, 0.6F, -0.2F};  // in the plane z = const, seen from both sides
   float sheet_half = 0.5F;
+  /// Solid, with sides along the axes (object 4).
+  struct Box {
+    glm::vec3 low, high;
+    [[nodiscard]] bool holds(const glm::vec3& point) const {
+      return glm::all(glm::greaterThan(point, low)) && glm::all(glm::lessThan(point, high));
+    }
+  };
+  std::vector<Box> boxes;
 
   struct Hit {
     float distance;
@@ -49,6 +57,16 @@ struct AnalyticScene {
     const glm::vec3 on_sheet = origin + sheet * direction - sheet_centre;
     if (std::abs(on_sheet.x) < sheet_half && std::abs(on_sheet.y) < sheet_half) {
       take(sheet, {0, 0, direction.z > 0 ? -1.0F : 1.0F}, kSheet);
+    }
+    for (const Box& box : boxes) {
+      const glm::vec3 a = (box.low - origin) / direction, b = (box.high - origin) / direction;
+      const glm::vec3 enters = glm::min(a, b), leaves = glm::max(a, b);
+      const float enter = std::max({enters.x, enters.y, enters.z}), leave = std::min({leaves.x, leaves.y, leaves.z});
+      if (enter > leave || leave < 0) continue;
+      const float side = enter > 1e-4F ? enter : leave;  // who is inside sees the far side
+      const glm::vec3 normal = enter > 1e-4F ? -glm::vec3(glm::equal(enters, glm::vec3(enter))) * glm::sign(direction)
+                                             : -glm::vec3(glm::equal(leaves, glm::vec3(leave))) * glm::sign(direction);
+      take(side, normal, kBox);
     }
     return nearest;
   }
@@ -80,6 +98,22 @@ struct AnalyticScene {
     return views;
   }
 };
+
+/// Walls of 0.2 m and a ceiling about a room of 4 m x 4 m that is 2.6 m high, whose middle is there on the floor. In
+/// its wall towards +x is a door, 0.9 m wide, that is closed or open.
+inline std::vector<AnalyticScene::Box> room(const glm::vec3& middle, bool open_door) {
+  std::vector<AnalyticScene::Box> boxes{
+      {{-2.2F, 0, -2.2F}, {2.2F, 2.8F, -2}},   {{-2.2F, 0, 2}, {2.2F, 2.8F, 2.2F}},
+      {{-2.2F, 0, -2}, {-2, 2.8F, 2}},         {{2, 0, -2}, {2.2F, 2.8F, -0.45F}},
+      {{2, 0, 0.45F}, {2.2F, 2.8F, 2}},        {{-2.2F, 2.6F, -2.2F}, {2.2F, 2.8F, 2.2F}},
+      {{2, 2.1F, -0.45F}, {2.2F, 2.8F, 0.45F}}};
+  if (!open_door) boxes.push_back({{2, 0, -0.45F}, {2.2F, 2.1F, 0.45F}});
+  for (AnalyticScene::Box& box : boxes) {
+    box.low += middle;
+    box.high += middle;
+  }
+  return boxes;
+}
 
 inline std::vector<Camera> small_dome(int cameras = 12, int size = 64) {
   return dome_cameras({.cameras = cameras, .size = size}, {0, 0.25F, 0}, 0);

@@ -75,9 +75,16 @@ TEST_F(CaptureBridgeTest, ReferencesSayWhoShowsWhereOnceSomethingIsNotToBeModell
 
 TEST_F(CaptureBridgeTest, AStillSceneIsCapturedOnce) {
   settle();
+  const auto stand = [&] { look_from(look_at({0, 1, 3.3F}, {0, 0.25F, 0}, 64, 64, 1)); };
+  const auto generation = last_input().rig_generation();
+  ASSERT_TRUE(until([&] {
+    stand();
+    return last_input().rig_generation() > generation && last_input().cameras()->size() == 4 &&
+           references(CameraRole::Reference).size() == 4;
+  }));
   const auto submitted = engine_.submitted;
   for (int i = 0; i < 50; ++i) {
-    look_from(look_at({0, 1, 3.3F}, {0, 0.25F, 0}, 64, 64, 1));
+    stand();
     ASSERT_TRUE(until([] { return true; }));
   }
   EXPECT_EQ(engine_.submitted, submitted);

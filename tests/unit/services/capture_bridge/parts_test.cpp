@@ -4,10 +4,10 @@
 #include <glm/gtc/constants.hpp>
 
 #include "capture-bridge/input_worker.h"
-#include "capture-bridge/parameters.h"
+#include "capture-bridge/new_share.h"
 #include "capture-bridge/probe_table.h"
 #include "capture-bridge/requests.h"
-#include "capture-bridge/rig_control.h"
+#include "capture-bridge/rig.h"
 #include "capture-bridge/sampler.h"
 #include "capture-bridge/trainer_watch.h"
 
@@ -65,11 +65,12 @@ class InputRoundTest : public testing::Test {
  protected:
   InputRoundTest() {
     set_.replace(CameraRole::Input, dome_cameras({.cameras = 3}, glm::vec3(0), 0), wire::EngineBuffer::Color, 0);
-    round_.begin(set_.of_role(CameraRole::Input));
+    round_.begin(set_.of_role(CameraRole::Input), ++generations_);
   }
   bool add(std::uint32_t camera, std::int64_t now) {
     return round_.add(camera, set_.of_role(CameraRole::Input)[camera].request_id, std::make_shared<InputView>(), now);
   }
+  std::uint64_t generations_ = 0;
   CameraSet set_{0};
   InputRound round_;
 };
@@ -106,9 +107,20 @@ TEST_F(InputRoundTest, RefusesFramesOfAnotherRig) {
   EXPECT_TRUE(round_.empty());
   add(0, 0);
   const std::uint64_t generation = round_.rig_generation();
-  round_.begin(set_.of_role(CameraRole::Input));
+  round_.begin(set_.of_role(CameraRole::Input), ++generations_);
   EXPECT_GT(round_.rig_generation(), generation);
   EXPECT_TRUE(round_.empty());
+}
+
+TEST_F(InputRoundTest, WaitsForNoCameraThatIsDropped) {
+  add(0, 0);
+  add(1, 0);
+  EXPECT_FALSE(round_.ready(0, kSecond));
+  round_.drop(2);
+  EXPECT_TRUE(round_.ready(0, kSecond));
+  EXPECT_TRUE(round_.missing().empty());
+  round_.drop(0);
+  EXPECT_EQ(round_.take().size(), 1U);
 }
 
 TEST_F(InputRoundTest, AtARateEveryCameraMustBringANewFrame) {
@@ -174,6 +186,26 @@ TEST(ProbeTable, IsBoundedAndForgetsTheOld) {
   EXPECT_EQ(expired[0].probe_id, 2U);
 }
 
+TEST(NewShareWatch, LearnsWhatRoundsCameToInTheirOrder) {
+  NewShareWatch watch;
+  EXPECT_TRUE(watch.state(1, 4, 500).empty()) << "of rounds before ours";
+  watch.published({{.rig_generation = 11, .samples = 100}});
+  EXPECT_TRUE(watch.state(1, 4, 500).empty());
+  auto shares = watch.state(1, 5, 530);
+  ASSERT_EQ(shares.size(), 1U);
+  EXPECT_EQ(shares[0].rig_generation, 11U);
+  EXPECT_FLOAT_EQ(shares[0].of_samples, 0.3F);
+  watch.published({{.rig_generation = 12, .samples = 100}, {.rig_generation = 13, .samples = 300}});
+  shares = watch.state(1, 7, 630);
+  ASSERT_EQ(shares.size(), 2U);
+  EXPECT_EQ(shares[1].rig_generation, 13U);
+  EXPECT_FLOAT_EQ(shares[0].of_samples, 0.25F);
+  EXPECT_FLOAT_EQ(shares[1].of_samples, 0.25F);
+  watch.published({{.rig_generation = 14, .samples = 10}});
+  EXPECT_TRUE(watch.state(2, 3, 0).empty()) << "another expander";
+  EXPECT_TRUE(watch.state(2, 4, 100).empty()) << "who has not seen it";
+}
+
 TEST(TrainerWatch, AsksAgainForANewTrainerButNotForEver) {
   TrainerWatch watch;
   EXPECT_FALSE(watch.lacks_views(1, 8, 8, 0, 10 * kSecond));
@@ -184,40 +216,6 @@ TEST(TrainerWatch, AsksAgainForANewTrainerButNotForEver) {
   EXPECT_LE(demands, 5);
   EXPECT_FALSE(watch.lacks_views(1, 0, 8, 0, 200 * kSecond));
   EXPECT_TRUE(watch.lacks_views(2, 0, 8, 0, 200 * kSecond)) << "another trainer";
-}
-
-TEST(RigControl, FollowsParametersAndViewer) {
-  bus::Parameters parameters(bus::Parameters::declare<Options>());
-  const auto set = [&](const char* name, const char* value) { ASSERT_EQ(parameters.set(name, value, true), ""); };
-  set("input_cameras", "5");
-  set("reference_cameras", "4");
-  RigControl control(parameters, 1000);
-  EXPECT_TRUE(control.update(nullptr, {}, false).empty());
-  EXPECT_EQ(control.cameras().of_role(CameraRole::Input).size(), 5U);
-  EXPECT_EQ(control.cameras().of_role(CameraRole::Reference).size(), 4U);
-  control.update_lights(Light{});
-  ASSERT_EQ(control.cameras().of_role(CameraRole::Light).size(), 1U);
-  EXPECT_EQ(control.cameras().of_role(CameraRole::Light)[0].camera.width, 1024U);
-  const auto generation = control.round().rig_generation();
-  control.cameras().take_changed();
-  control.update(nullptr, {}, false);
-  control.update_lights(Light{});
-  EXPECT_FALSE(control.cameras().take_changed()) << "nothing moved, nothing is asked for again";
-
-  const Camera viewer = look_at({8, 1.6F, 0}, {5, 0.25F, 0}, 64, 64, 1);
-  control.update(&viewer, {}, true);
-  EXPECT_EQ(control.round().rig_generation(), generation) << "held";
-  control.update(&viewer, {}, false);
-  EXPECT_EQ(control.round().rig_generation(), generation + 1);
-
-  set("reference_rig", "follow");
-  control.update(&viewer, {}, false);
-  const auto references = control.cameras().of_role(CameraRole::Reference);
-  EXPECT_LT(glm::distance(references[0].camera.world_from_camera.translation, glm::vec3(8, 1.6F, 0)), 1e-5F);
-  set("reference_cameras", "2");
-  const auto left = control.update(&viewer, {}, false);
-  ASSERT_EQ(left.size(), 2U);
-  EXPECT_EQ(left[0].id, 2U);
 }
 
 }  // namespace

@@ -59,14 +59,6 @@ TEST(Dome, TurnsWithTheHeading) {
   }
 }
 
-TEST(Viewer, HeadingIsTheAngleAboutY) {
-  for (const float angle : {-2.0F, 0.0F, 0.4F, 3.0F}) {
-    const glm::vec3 forward = glm::angleAxis(angle, glm::vec3(0, 1, 0)) * glm::vec3(0, 0, -1);
-    EXPECT_NEAR((ViewerState{.forward = forward}.heading()), angle, 1e-5F);
-  }
-  EXPECT_EQ((ViewerState{.forward = {0, -1, 0}}.heading(1.25F)), 1.25F);
-}
-
 TEST(Ring, StandsAboutTheTarget) {
   const RingOptions options{
       .cameras = 10, .size = 256, .radius_m = 3, .height_m = 1.5F, .phase_radians = 0.1F, .target = {1, 0.25F, 2}};
@@ -103,46 +95,54 @@ TEST(Follow, OneAlignedTwoAtTheSidesOneAboveAllConverging) {
   for (std::size_t i = 0; i < cameras.size(); ++i) EXPECT_EQ(cameras[i].id, i);
 }
 
-TEST(InputRigTracker, MovesOnlyBeyondItsThresholds) {
-  InputRigTracker tracker;
-  const InputRigTracker::Options options{.focus_m = 3, .move_m = 0.5F, .turn_radians = 0.5F};
-  EXPECT_TRUE(tracker.update(options, nullptr, {}));
-  EXPECT_EQ(tracker.pose().centre, options.centre);
-  EXPECT_FALSE(tracker.update(options, nullptr, {}));
-
-  ViewerState viewer{.position = {0, 0.25F, 3}, .forward = {0, 0, -1}};
-  EXPECT_FALSE(tracker.update(options, &viewer, {})) << "the viewer looks at the default centre";
-  viewer.position.x = 0.4F;
-  EXPECT_FALSE(tracker.update(options, &viewer, {}));
-  viewer.position.x = 0.6F;
-  EXPECT_TRUE(tracker.update(options, &viewer, {}));
-  EXPECT_NEAR(tracker.pose().centre.x, 0.6F, 1e-5F);
-  EXPECT_FALSE(tracker.update(options, &viewer, {}));
-  // Turning on the spot moves the focus too; turning about the focus does not.
-  viewer.forward = glm::angleAxis(0.6F, glm::vec3(0, 1, 0)) * glm::vec3(0, 0, -1);
-  viewer.position = tracker.pose().centre - 3.0F * viewer.forward;
-  EXPECT_TRUE(tracker.update(options, &viewer, {}));
-  EXPECT_NEAR(tracker.pose().heading_radians, 0.6F, 1e-5F);
+TEST(Dome, AndRingHaveWidePictures) {
+  const auto dome = dome_cameras({.cameras = 3, .size = {96, 40}, .fov_radians = 0.8F}, glm::vec3(0), 0);
+  const auto ring = ring_cameras({.cameras = 3, .size = {96, 40}, .fov_radians = 0.8F});
+  for (const auto& cameras : {dome, ring}) {
+    for (const Camera& camera : cameras) {
+      EXPECT_EQ(camera.width, 96U);
+      EXPECT_EQ(camera.height, 40U);
+      EXPECT_NEAR(std::atan(20 / camera.fy), 0.4F, 1e-5F) << "the field of view is vertical";
+      EXPECT_EQ(camera.fx, camera.fy);
+    }
+  }
 }
 
-TEST(InputRigTracker, AHeadingThatWrapsIsNotATurn) {
-  InputRigTracker tracker;
-  const InputRigTracker::Options options{.fixed_centre = true};
-  ViewerState viewer{.forward = glm::angleAxis(3.1F, glm::vec3(0, 1, 0)) * glm::vec3(0, 0, -1)};
-  EXPECT_TRUE(tracker.update(options, &viewer, {}));
-  viewer.forward = glm::angleAxis(-3.1F, glm::vec3(0, 1, 0)) * glm::vec3(0, 0, -1);
-  EXPECT_FALSE(tracker.update(options, &viewer, {}));
+/// What stands at the edges of the viewer's picture is in the aligned camera's, with a margin.
+TEST(Follow, TakesTheViewersPictureAndAMargin) {
+  for (const auto& [width, height, fov] : {std::tuple(640, 360, 1.2F), std::tuple(300, 500, 0.5F)}) {
+    const Camera viewer =
+        look_at({2, 1.6F, 2}, {0, 0.5F, 0}, static_cast<std::uint32_t>(width), static_cast<std::uint32_t>(height), fov);
+    const FollowOptions options{.cameras = 4, .size = {128, 128}, .viewers_picture = true, .margin = 1.2F};
+    for (const Camera& camera : follow_cameras(options, viewer)) {
+      const auto pixels = static_cast<float>(camera.width * camera.height);
+      EXPECT_NEAR(pixels, 128 * 128, 0.02F * 128 * 128);
+      EXPECT_FLOAT_EQ(camera.fx, camera.fy);
+      const auto edge = [](std::uint32_t side, float focal) { return static_cast<float>(side) / 2 / focal; };
+      EXPECT_NEAR(edge(camera.width, camera.fx), 1.2F * edge(viewer.width, viewer.fx), 0.02F);
+      EXPECT_NEAR(edge(camera.height, camera.fy), 1.2F * edge(viewer.height, viewer.fy), 0.02F);
+    }
+    const Camera aligned = follow_cameras(options, viewer).front();
+    const glm::vec3 corner = project(aligned, unproject(viewer, 0, 0, 3));
+    EXPECT_GT(corner.x, 0);
+    EXPECT_GT(corner.y, 0);
+  }
+  const Camera fisheye = look_at({0, 0, 0}, {0, 0, 1}, 64, 64, 3.1F);
+  const Camera bounded = follow_cameras({.cameras = 1, .viewers_picture = true}, fisheye).front();
+  EXPECT_NEAR(2 * std::atan(80 / bounded.fy), glm::radians(150.0F), 1e-3F);
 }
 
-TEST(InputRigTracker, KeepsTheCentreAmongTheContent) {
-  InputRigTracker tracker;
-  const InputRigTracker::Options options{.focus_m = 5};
-  const ViewerState up{.position = {0, 1, 0}, .forward = {0, 0.8F, -0.6F}};
-  EXPECT_TRUE(tracker.update(options, &up, {.low_m = 0, .high_m = 2}));
-  EXPECT_FLOAT_EQ(tracker.pose().centre.y, 2);
-  const ViewerState down{.position = {0, 1, 0}, .forward = {0, -0.8F, -0.6F}};
-  EXPECT_TRUE(tracker.update(options, &down, {.low_m = 0, .high_m = 2}));
-  EXPECT_FLOAT_EQ(tracker.pose().centre.y, 0);
+TEST(ParseSize, TakesASideOrTwo) {
+  PictureSize size = 7;
+  EXPECT_TRUE(parse_size("160", 8, 4096, size));
+  EXPECT_EQ(size, PictureSize(160, 160));
+  EXPECT_TRUE(parse_size("256x144", 8, 4096, size));
+  EXPECT_EQ(size, PictureSize(256, 144));
+  for (const char* bad :
+       {"", "x", "256x", "x144", "256x144x2", "256 144", "7", "256x7", "4097x8", "-160", "1e9", "a"}) {
+    EXPECT_FALSE(parse_size(bad, 8, 4096, size)) << bad;
+    EXPECT_EQ(size, PictureSize(256, 144)) << bad;
+  }
 }
 
 TEST(ParsePoint, TakesThreeNumbersOnly) {

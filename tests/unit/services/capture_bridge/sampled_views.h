@@ -20,7 +20,6 @@ struct SampleSet {
 
 struct SampledRound : RoundCounts {
   SampleSet samples;
-  ContentHeights heights;
 };
 
 inline SampledRound sample(const std::vector<InputView>& views, const ObjectTransforms& round_objects,
@@ -29,7 +28,7 @@ inline SampledRound sample(const std::vector<InputView>& views, const ObjectTran
   for (const InputView& view : views) pointers.push_back(&view);
   Sampler sampler(Device::Cpu);
   const RoundSamples from = sampler.sample(pointers, round_objects, options);
-  SampledRound round{from, {}, from.heights};
+  SampledRound round{from, {}};
   SampleSet& to = round.samples;
   const auto vectors = [&](const float* array, std::vector<glm::vec3>& out) {
     const auto* const first = reinterpret_cast<const glm::vec3*>(array);

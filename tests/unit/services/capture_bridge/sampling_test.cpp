@@ -165,21 +165,6 @@ TEST(Sampling, ColoursAreLinearAndFreeOfBackground) {
   EXPECT_NEAR(round.samples.albedo[0].x, linear_from_srgb(200.0F / 255), 1e-4F);
 }
 
-TEST(Sampling, HeightsLeaveOutliersOut) {
-  const AnalyticScene scene;
-  auto views = scene.render_all({look_at({0, 2, 3}, {0, 0.4F, 0}, 64, 64, 1)});
-  SampledRound round = sample(views, {}, unlimited());
-  std::vector<float> heights;
-  for (const glm::vec3& position : round.samples.position) heights.push_back(position.y);
-  std::ranges::sort(heights);
-  const auto at = [&](double share) {
-    return heights[static_cast<std::size_t>(share * static_cast<double>(heights.size() - 1))];
-  };
-  EXPECT_EQ(round.heights.low_m, at(0.02));
-  EXPECT_EQ(round.heights.high_m, at(0.98));
-  EXPECT_GT(heights.back(), round.heights.high_m);
-}
-
 TEST(Sampling, OfNothingIsNothing) {
   const SampledRound none = sample({}, {}, {});
   EXPECT_EQ(none.samples.size(), 0U);

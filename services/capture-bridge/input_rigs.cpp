@@ -1,0 +1,298 @@
+#include "capture-bridge/input_rigs.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/constants.hpp>
+#include <numeric>
+#include <utility>
+
+namespace splatbus::capture_bridge {
+
+namespace {
+
+using wire::EngineBuffer;
+
+constexpr int kLeastCameras = 4;                        // a round by fewer shows too little
+constexpr int kMaxBlind = 3;                            // pictures of a camera, before it is given up
+constexpr std::int64_t kRangePatienceNs = 300'000'000;  // then a dome stands untested
+
+float turned(const DomePlace& a, const DomePlace& b) {
+  return std::abs(std::remainder(a.heading_radians - b.heading_radians, glm::two_pi<float>()));
+}
+
+/// The dome's places in the order of the cameras that are kept longest, by the bits of their numbers in reverse: the
+/// first few are spread over all of the dome, whatever their number.
+std::vector<std::size_t> spread_places(std::size_t count) {
+  std::vector<std::size_t> places(count);
+  std::iota(places.begin(), places.end(), std::size_t{0});
+  const auto reversed = [](std::size_t place) {
+    std::uint32_t bits = 0;
+    for (int bit = 0; bit < 16; ++bit) bits = bits << 1U | (place >> bit & 1U);
+    return bits;
+  };
+  std::ranges::sort(places, {}, reversed);
+  return places;
+}
+
+std::int64_t nanoseconds(double seconds) {
+  return static_cast<std::int64_t>(seconds * 1e9);
+}
+
+}  // namespace
+
+DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const FreeSpace* free, float heading_before) {
+  if (viewer == nullptr) return {.centre = options.centre, .heading_radians = heading_before};
+  DomePlace place{.centre = options.centre, .heading_radians = viewer->heading(heading_before)};
+  if (options.fixed_centre) return place;
+  glm::vec3 from = viewer->position() + options.lead_s * viewer->velocity_m_s;
+  glm::vec3 ahead = viewer->forward();
+  if (free != nullptr) {
+    from = free->reachable(from, 0);
+    // Nothing is to be seen in the sky.
+    if (std::isinf(free->distance(ahead))) ahead.y = std::min(ahead.y, 0.0F);
+  }
+  place.centre = from + options.focus_m * ahead;
+  if (free == nullptr) return place;
+  const float metres = glm::distance(place.centre, free->place());
+  if (metres > 0) {
+    const glm::vec3 way = (place.centre - free->place()) / metres;
+    place.centre = free->place() + std::min(metres, free->distance(way)) * way;
+  }
+  return place;
+}
+
+namespace {
+
+/// Of places ever higher over the dome's centre the first that can be seen, else the one that was wished, drawn back.
+glm::vec3 free_place(const glm::vec3& wished, const glm::vec3& centre, const FreeSpace& free, float clearance_m) {
+  const float radius_m = glm::distance(wished, centre);
+  const glm::vec3 direction = (wished - centre) / radius_m;
+  for (const float lift : {0.0F, 0.3F, 0.6F}) {
+    const glm::vec3 place = centre + radius_m * glm::normalize(glm::mix(direction, glm::vec3(0, 1, 0), lift));
+    if (free.reachable(place, clearance_m) == place) return lift == 0 ? wished : place;
+  }
+  return free.reachable(wished, clearance_m);
+}
+
+}  // namespace
+
+std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
+                              float clearance_m) {
+  std::vector<Camera> cameras = dome_cameras(options, place.centre, place.heading_radians);
+  if (free == nullptr) return cameras;
+  for (Camera& camera : cameras) {
+    const glm::vec3 wished = camera.world_from_camera.translation;
+    const glm::vec3 eye = free_place(wished, place.centre, *free, clearance_m);
+    if (eye == wished) continue;
+    const bool near = glm::distance(eye, place.centre) < 0.5F * options.radius_m;
+    camera.world_from_camera = look_at(eye, near ? free->place() : place.centre, 1, 1, 1).world_from_camera;
+  }
+  return cameras;
+}
+
+std::vector<Camera> InputRigs::update(const Options& options, bool anew, const Viewers& viewers,
+                                      const RangeFinder& ranges, std::int64_t now_ns, CameraSet& cameras) {
+  shares_.set_total(options.dome.cameras);
+  std::vector<Wish> wished = wishes(options, viewers, ranges);
+  std::vector<float> needs;
+  for (const Wish& wish : wished) needs.push_back(wish.need);
+  const std::vector<int> divided = divide_cameras(options.dome.cameras, needs, kLeastCameras);
+  CameraShares::Shares shares;
+  for (std::size_t i = 0; i < wished.size(); ++i) shares[wished[i].name] = divided[i];
+  std::ranges::stable_sort(wished, std::greater{}, &Wish::need);
+
+  std::vector<std::string> placed;
+  for (const Wish& wish : wished) {
+    InputRig& rig = rigs_[wish.name];
+    if (shares.at(wish.name) == 0) continue;
+    if (!anew && !is_due(options, wish, rig, now_ns)) continue;
+    place(options, wish, shares, now_ns);
+    placed.push_back(wish.name);
+  }
+  const std::size_t before = rigs_.size();
+  forget_left(wished, shares);
+  if (placed.empty() && rigs_.size() == before) return {};
+  return request(options, placed, now_ns, cameras);
+}
+
+std::vector<InputRigs::Wish> InputRigs::wishes(const Options& options, const Viewers& viewers,
+                                               const RangeFinder& ranges) {
+  std::vector<Wish> wished;
+  const auto add = [&](const std::string& name, const Viewer* viewer, const FreeSpace* free) {
+    const InputRig& rig = rigs_[name];
+    Wish wish{.name = name,
+              .viewer = viewer,
+              .free = free,
+              .place = dome_place(options.placement, viewer, free, rig.place.heading_radians)};
+    const float moved = glm::distance(wish.place.centre, rig.place.centre) / options.dome.radius_m;
+    const float most = std::max(moved, turned(wish.place, rig.place) / glm::pi<float>());
+    wish.need = rig.placed() ? std::min(1.0F, most) + rig.new_share : 2.0F;
+    wished.push_back(std::move(wish));
+  };
+  const std::vector<std::string> names = viewers.in_order();
+  if (names.empty() || options.placement.fixed_centre) {
+    add("", names.empty() ? nullptr : &viewers.all().at(names.front()), nullptr);
+    return wished;
+  }
+  for (const std::string& name : names) {
+    const Viewer& viewer = viewers.all().at(name);
+    add(name, &viewer, ranges.about(name, viewer.position()));
+  }
+  return wished;
+}
+
+bool InputRigs::is_due(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns) const {
+  const bool moved = glm::distance(wish.place.centre, rig.place.centre) > options.placement.move_m ||
+                     turned(wish.place, rig.place) > options.placement.turn_radians;
+  const bool can_be_tested = !rig.tested && wish.free != nullptr;
+  if (rig.placed() && !moved && !can_be_tested) return false;
+  // A rig that an engine is rendering stays until its pictures are there, or a viewer on the move would never see one
+  // complete. Whoever jumps is elsewhere at once, but for those that do nothing else.
+  const std::int64_t deadline_ns = nanoseconds(options.input_deadline_s);
+  const bool renders = answered_ && !rig.round.missing().empty() && now_ns - rig.asked_ns < deadline_ns;
+  const bool jumped = wish.viewer != nullptr && wish.viewer->jumps != rig.jumps;
+  const bool just_jumped = rig.jumped_ns && now_ns - *rig.jumped_ns < deadline_ns;
+  if (rig.placed() && renders && (!jumped || just_jumped)) return false;
+  if (wish.viewer == nullptr || options.placement.fixed_centre || options.range.rate_hz <= 0 || wish.free != nullptr) {
+    rig.waits_since_ns.reset();
+    return true;
+  }
+  if (!rig.waits_since_ns) rig.waits_since_ns = now_ns;
+  return now_ns - *rig.waits_since_ns >= kRangePatienceNs;
+}
+
+void InputRigs::place(const Options& options, const Wish& wish, const CameraShares::Shares& shares,
+                      std::int64_t now_ns) {
+  shares_.take_share(wish.name, shares);
+  const std::span<const std::uint32_t> ids = shares_.of(wish.name);
+  InputRig& rig = rigs_.at(wish.name);
+  if (wish.viewer != nullptr && wish.viewer->jumps != std::exchange(rig.jumps, wish.viewer->jumps)) {
+    rig.jumped_ns = now_ns;
+  }
+  rig.place = wish.place;
+  rig.tested = wish.free != nullptr;
+  rig.anchor = wish.free != nullptr     ? wish.free->place()
+               : wish.viewer != nullptr ? wish.viewer->position()
+                                        : wish.place.centre + glm::vec3(0, options.dome.radius_m, 0);
+  DomeOptions dome = options.dome;
+  dome.cameras = static_cast<int>(ids.size());
+  const std::vector<Camera> stands = free_dome(dome, wish.place, wish.free, options.clearance_m);
+  const std::vector<std::size_t> places = spread_places(ids.size());
+  rig.cameras.clear();
+  for (std::size_t k = 0; k < ids.size(); ++k) {
+    Camera camera = stands[places[k]];
+    camera.id = ids[k];
+    camera.near_m = options.near_m;
+    camera.far_m = options.far_m;
+    rig.cameras.push_back(camera);
+  }
+}
+
+/// Rigs whose viewer has left stay until those who are there have theirs: their cameras are not to be missed before.
+void InputRigs::forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares) {
+  const bool all_placed = std::ranges::all_of(
+      wishes, [&](const Wish& wish) { return shares.at(wish.name) == 0 || rigs_.at(wish.name).placed(); });
+  if (!all_placed) return;
+  std::erase_if(rigs_, [&](const auto& entry) {
+    if (shares.contains(entry.first)) return false;
+    shares_.release(entry.first);
+    return true;
+  });
+}
+
+std::vector<Camera> InputRigs::request(const Options& options, const std::vector<std::string>& placed,
+                                       std::int64_t now_ns, CameraSet& cameras) {
+  std::vector<Camera> wanted;
+  for (auto& [name, rig] : rigs_) {
+    const auto ids = shares_.of(name);
+    std::erase_if(rig.cameras, [&](const Camera& camera) {
+      const bool gone = std::ranges::find(ids, camera.id) == ids.end();
+      if (gone) rig.round.drop(camera.id);
+      return gone;
+    });
+    wanted.insert(wanted.end(), rig.cameras.begin(), rig.cameras.end());
+  }
+  auto left = cameras.replace(CameraRole::Input, wanted,
+                              EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition |
+                                  EngineBuffer::Normal | EngineBuffer::ObjectId,
+                              options.input_rate_hz);
+  for (auto& [name, rig] : rigs_) {
+    const auto before = std::exchange(rig.requested, {});
+    renew(rig, cameras);
+    if (std::ranges::find(placed, name) == placed.end()) continue;
+    if (before == rig.requested && rig.round.rig_generation() != 0) continue;
+    std::vector<CameraRequest> requests;
+    for (const CameraRequest& one : cameras.of_role(CameraRole::Input)) {
+      if (rig.requested.contains(one.camera.id)) requests.push_back(one);
+    }
+    rig.round.begin(requests, ++generations_);
+    rig.blind.clear();
+    rig.asked_ns = now_ns;
+    rig.patience_ns = 0;
+    for (const auto& [id, request_id] : rig.requested) placed_.push_back(id);
+  }
+  return left;
+}
+
+void InputRigs::renew(InputRig& rig, const CameraSet& cameras) {
+  rig.requested.clear();
+  const auto requests = cameras.of_role(CameraRole::Input);
+  for (const CameraRequest& one : requests) {
+    const bool own = std::ranges::any_of(rig.cameras, [&](const Camera& camera) { return camera.id == one.camera.id; });
+    if (own) rig.requested[one.camera.id] = one.request_id;
+  }
+  rig.round.renew(requests);
+}
+
+InputRig* InputRigs::awaiting(std::uint32_t camera_id, std::uint64_t request_id) {
+  const auto found =
+      std::ranges::find_if(rigs_, [&](const auto& entry) { return entry.second.round.awaits(camera_id, request_id); });
+  return found == rigs_.end() ? nullptr : &found->second;
+}
+
+void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view,
+                        std::int64_t now_ns) {
+  rig.round.add(camera_id, request_id, std::move(view), now_ns);
+  rig.asked_ns = now_ns;
+  rig.patience_ns = 0;
+  answered_ = true;
+}
+
+void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_ns, CameraSet& cameras) {
+  answered_ = true;
+  const auto camera = std::ranges::find(rig.cameras, camera_id, &Camera::id);
+  if (camera == rig.cameras.end()) return;
+  if (++rig.blind[camera_id] >= kMaxBlind) {
+    rig.round.drop(camera_id);
+    return;
+  }
+  const glm::vec3 eye = glm::mix(camera->world_from_camera.translation, rig.anchor, 0.5F);
+  camera->world_from_camera = look_at(eye, rig.place.centre, 1, 1, 1).world_from_camera;
+  cameras.move(CameraRole::Input, *camera);
+  renew(rig, cameras);
+  rig.asked_ns = now_ns;
+}
+
+void InputRigs::reissue(std::uint32_t camera_id, CameraSet& cameras) {
+  cameras.reissue(CameraRole::Input, std::span(&camera_id, 1));
+  for (auto& [name, rig] : rigs_) renew(rig, cameras);
+}
+
+void InputRigs::reissue_missing(InputRig& rig, std::int64_t now_ns, CameraSet& cameras) {
+  cameras.reissue(CameraRole::Input, rig.round.missing());
+  renew(rig, cameras);
+  rig.asked_ns = now_ns;
+}
+
+void InputRigs::reissue_all(CameraSet& cameras) {
+  cameras.reissue_all(CameraRole::Input);
+  for (auto& [name, rig] : rigs_) renew(rig, cameras);
+}
+
+void InputRigs::note_new_share(std::uint64_t rig_generation, float share) {
+  for (auto& [name, rig] : rigs_) {
+    if (rig.round.rig_generation() == rig_generation) rig.new_share = share;
+  }
+}
+
+}  // namespace splatbus::capture_bridge

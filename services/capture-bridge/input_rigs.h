@@ -1,0 +1,109 @@
+#pragma once
+
+#include <cstdint>
+#include <glm/glm.hpp>
+#include <map>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "capture-bridge/camera_shares.h"
+#include "capture-bridge/parameters.h"
+#include "capture-bridge/range_finder.h"
+#include "capture-bridge/requests.h"
+#include "capture-bridge/viewers.h"
+
+namespace splatbus::capture_bridge {
+
+/// Where a dome of input cameras stands.
+struct DomePlace {
+  glm::vec3 centre{0};
+  float heading_radians = 0;
+};
+
+/// Where the dome is to stand for a viewer (null: none is known yet), whose free space is known or not (null).
+[[nodiscard]] DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const FreeSpace* free,
+                                   float heading_before);
+
+/// The dome's cameras there, each where it can see: what would stand in a wall or behind one stands higher on the dome,
+/// or is drawn towards the place of the free space; one that comes nearer to the centre than half the radius by that
+/// looks back along its way.
+[[nodiscard]] std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
+                                            float clearance_m);
+
+/// The input cameras of one viewer, and the rounds of their pictures.
+struct InputRig {
+  std::vector<Camera> cameras;
+  DomePlace place;
+  InputRound round;
+  std::int64_t asked_ns = 0;      ///< last request for, or arrival of, a picture
+  std::int64_t patience_ns = 0;   ///< before the next request for what is missing
+  std::int64_t submitted_ns = 0;  ///< a round, for sampling
+  float new_share = 1;            ///< of the samples of its last round: they became Gaussians
+
+  glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
+  std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
+  std::map<std::uint32_t, std::uint64_t> requested;  ///< request ids, by camera id
+  bool tested = false;                               ///< it stands in free space that was known
+  std::uint64_t jumps = 0;                           ///< the viewer's, when it was placed
+  std::optional<std::int64_t> jumped_ns;             ///< when it was placed for a jump
+  std::optional<std::int64_t> waits_since_ns;        ///< for the free space about its viewer
+
+  /// Whether it has stood anywhere. Others may have all of its cameras by now.
+  [[nodiscard]] bool placed() const { return round.rig_generation() != 0; }
+};
+
+/// The input cameras of all viewers, who share them by need. Times are CLOCK_MONOTONIC nanoseconds. Not thread-safe.
+class InputRigs {
+ public:
+  using Rigs = std::map<std::string, InputRig>;  ///< by viewer; "" for the one about the place of interest
+
+  /// Places the rigs that are due; with `anew` all of them. Returns the cameras that have left for good.
+  std::vector<Camera> update(const Options& options, bool anew, const Viewers& viewers, const RangeFinder& ranges,
+                             std::int64_t now_ns, CameraSet& cameras);
+
+  /// The rig that waits for a picture; null when none does.
+  [[nodiscard]] InputRig* awaiting(std::uint32_t camera_id, std::uint64_t request_id);
+  /// A picture that the rig waits for has come.
+  void arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view,
+               std::int64_t now_ns);
+  /// It has come and shows hardly more than what is right before it: the camera is asked for elsewhere, or given up.
+  void blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_ns, CameraSet& cameras);
+
+  /// Has pictures rendered again: one, those of a rig that are missing, or all.
+  void reissue(std::uint32_t camera_id, CameraSet& cameras);
+  void reissue_missing(InputRig& rig, std::int64_t now_ns, CameraSet& cameras);
+  void reissue_all(CameraSet& cameras);
+
+  [[nodiscard]] Rigs& all() { return rigs_; }
+  /// What samples of the rig under that generation came to.
+  void note_new_share(std::uint64_t rig_generation, float share);
+  /// Cameras that have been placed anew since this was asked last.
+  [[nodiscard]] std::vector<std::uint32_t> take_placed() { return std::exchange(placed_, {}); }
+
+ private:
+  struct Wish {
+    std::string name;
+    const Viewer* viewer = nullptr;
+    const FreeSpace* free = nullptr;
+    DomePlace place;
+    float need = 0;
+  };
+  [[nodiscard]] std::vector<Wish> wishes(const Options& options, const Viewers& viewers, const RangeFinder& ranges);
+  [[nodiscard]] bool is_due(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns) const;
+  void place(const Options& options, const Wish& wish, const CameraShares::Shares& shares, std::int64_t now_ns);
+  void forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares);
+  std::vector<Camera> request(const Options& options, const std::vector<std::string>& placed, std::int64_t now_ns,
+                              CameraSet& cameras);
+  static void renew(InputRig& rig, const CameraSet& cameras);
+
+  Rigs rigs_;
+  CameraShares shares_;
+  std::vector<std::uint32_t> placed_;
+  std::uint64_t generations_ = 0;
+  bool answered_ = false;  // the engine has rendered an input camera
+};
+
+}  // namespace splatbus::capture_bridge

@@ -1,0 +1,133 @@
+// The bridge among viewers who walk, jump and leave, in a scene with walls.
+#include "bridge_fixture.h"
+
+namespace splatbus::capture_bridge::test {
+
+class BridgeViewersTest : public CaptureBridgeTest {
+ protected:
+  void look_as(const std::string& viewer, const Camera& camera) {
+    publisher_.publish(topics::kViewerPose, [&](auto& builder, auto header) {
+      const wire::Camera out = to_wire(camera);
+      return wire::CreateViewerPoseDirect(builder, header, viewer.c_str(), &out);
+    });
+  }
+  /// Cameras of the newest rounds, by rig generation.
+  [[nodiscard]] std::vector<glm::vec3> newest_round_about(const glm::vec3& place, float metres) {
+    for (auto message = received_["capture/input"].rbegin(); message != received_["capture/input"].rend(); ++message) {
+      std::vector<glm::vec3> stands;
+      for (const wire::Camera* camera : *message->root<wire::CaptureInput>().cameras()) {
+        stands.push_back(from_wire(*camera).world_from_camera.translation);
+      }
+      const bool near =
+          std::ranges::all_of(stands, [&](const glm::vec3& eye) { return glm::distance(eye, place) < metres; });
+      if (near) return stands;
+    }
+    return {};
+  }
+};
+
+TEST_F(BridgeViewersTest, InARoomNoInputCameraStandsInAWallOrBehindOne) {
+  set("input_cameras", "16");
+  set("input_blind_m", "0");
+  const glm::vec3 middle(20, 0, 0);
+  engine_.scene.boxes = room(middle, false);
+  start();
+  const glm::vec3 eye = middle + glm::vec3(0.5F, 1.5F, 0.4F);
+  std::vector<glm::vec3> stands;
+  ASSERT_TRUE(until([&] {
+    look_as("walker", look_at(eye, eye + glm::vec3(1, -0.1F, 0.2F), 64, 64, 1));
+    stands = newest_round_about(eye, 9);
+    return stands.size() == 16;
+  }));
+  for (const glm::vec3& place : stands) {
+    const glm::vec3 way = place - eye;
+    const auto hit = engine_.scene.cast(eye, glm::normalize(way));
+    EXPECT_TRUE(!hit || hit->distance > glm::length(way)) << place.x << " " << place.y << " " << place.z;
+  }
+  for (const FakeEngine::Request& request : engine_.requests()) {
+    if (request.camera.role != CameraRole::Reference) continue;
+    const glm::vec3 at = request.camera.world_from_camera.translation - middle;
+    EXPECT_LT(std::max(std::abs(at.x), std::abs(at.z)), 2) << "nor does a reference";
+  }
+  EXPECT_GE(bridge_->counters().ranges, 6U);
+  EXPECT_LE(bridge_->counters().ranges, 12U) << "bounded";
+  EXPECT_TRUE(until([&] { return engine_.requested(CameraRole::Probe) == 0; })) << "and asked for no longer";
+}
+
+TEST_F(BridgeViewersTest, AnEngineWithoutDepthCubesIsNotWaitedFor) {
+  engine_.lose = [](const Camera& camera) { return camera.role == CameraRole::Probe; };
+  start();
+  ASSERT_TRUE(until([&] {
+    look_as("walker", look_at({20, 1.6F, 0}, {19, 1.5F, 0}, 64, 64, 1));
+    return newest_round_about({16.6F, 1.4F, 0}, 4).size() == 4;
+  }));
+}
+
+TEST_F(BridgeViewersTest, BlindPicturesGoNowhereAndTheirPlaceIsTriedElsewhere) {
+  // A block that fills the upper part of the dome about the place of interest.
+  engine_.scene.boxes = {{{-9, 2.4F, -9}, {9, 2.6F, 9}}};
+  set("input_blind_m", "0.3");
+  set("input_cameras", "12");
+  start();
+  ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
+  EXPECT_GT(bridge_->counters().inputs_blind, 0U);
+  for (const bus::Message& message : received_["capture/reference"]) {
+    const auto& picture = message.root<wire::CaptureReference>();
+    if (picture.camera()->role() != wire::CameraRole::Input) continue;
+    const glm::vec3 eye = from_wire(*picture.camera()).world_from_camera.translation;
+    EXPECT_FALSE(engine_.scene.boxes[0].holds(eye));
+  }
+}
+
+TEST_F(BridgeViewersTest, TwoViewersAHundredMetresApartHaveTheirRoundsAndViews) {
+  set("input_cameras", "8");
+  set("input_range_hz", "10");
+  start();
+  const Camera a = look_at({0, 1.6F, 3}, {0, 0.2F, 0}, 64, 64, 1),
+               b = look_at({100, 1.6F, 3}, {100, 0.2F, 0}, 64, 64, 1);
+  engine_.scene.boxes = {{{95, -0.2F, -5}, {105, 0, 5}}};
+  ASSERT_TRUE(until([&] {
+    look_as("a", a);
+    look_as("b", b);
+    return newest_round_about(a.world_from_camera.translation, 8).size() == 4 &&
+           newest_round_about(b.world_from_camera.translation, 8).size() == 4;
+  }));
+  const auto aligned = [&](const Camera& viewer) {
+    return std::ranges::any_of(references(CameraRole::Reference), [&](const auto* picture) {
+      const glm::vec3 eye = from_wire(*picture->camera()).world_from_camera.translation;
+      return glm::distance(eye, viewer.world_from_camera.translation) < 1e-4F;
+    });
+  };
+  EXPECT_TRUE(until([&] {
+    look_as("a", a);
+    look_as("b", b);
+    return aligned(a) && aligned(b);
+  }));
+  EXPECT_EQ(bridge_->viewers(), 2U);
+  EXPECT_EQ(engine_.requested(CameraRole::Reference), 2U);
+  EXPECT_EQ(engine_.requested(CameraRole::Input), 8U);
+}
+
+TEST_F(BridgeViewersTest, WhoJumpsHasAWholeRoundThereWithoutTheOldOnes) {
+  set("input_deadline_s", "60");
+  start();
+  const auto stand = [&](float x) { look_as("v", look_at({x, 1.6F, 3}, {x, 0.2F, 0}, 64, 64, 1)); };
+  ASSERT_TRUE(until([&] {
+    stand(0);
+    return newest_round_about({0, 1.6F, 3}, 8).size() == 4 && engine_.requested(CameraRole::Probe) == 0;
+  }));
+  // Pictures of the next place never come, and nobody waits for them.
+  engine_.lose = [](const Camera& camera) {
+    return camera.role == CameraRole::Input && camera.world_from_camera.translation.x < 20;
+  };
+  for (int i = 0; i < 20; ++i) {
+    stand(0.1F * static_cast<float>(i));
+    ASSERT_TRUE(until([] { return true; }));
+  }
+  ASSERT_TRUE(until([&] {
+    stand(50);
+    return newest_round_about({50, 1.6F, 3}, 8).size() == 4;
+  }));
+}
+
+}  // namespace splatbus::capture_bridge::test
