@@ -9,7 +9,7 @@
 #include "device/parallel.h"
 #include "expander/insertion.h"
 
-// What the sources of insertion.h share.
+// What the sources of insertion.h and point_grid.h share.
 namespace splatbus::expander {
 
 /// Room for `count`, with some to spare for the next time.
@@ -38,6 +38,17 @@ SPLATBUS_PORTABLE std::uint32_t lower_bound(const T* elements, std::uint32_t cou
   return first;
 }
 
+/// The same, for one that is expected among the first.
+template <class T>
+SPLATBUS_PORTABLE std::uint32_t near_lower_bound(const T* elements, std::uint32_t count, const T& value) {
+  std::uint32_t below = 0, end = 1;
+  while (end < count && elements[end - 1] < value) {
+    below = end;
+    end = 2 * end < count ? 2 * end : count;
+  }
+  return below + lower_bound(elements + below, (end < count ? end : count) - below, value);
+}
+
 SPLATBUS_PORTABLE math::Vec3 get(const float* channel, std::size_t stride, std::size_t i) {
   return {channel[i], channel[stride + i], channel[2 * stride + i]};
 }
@@ -53,6 +64,8 @@ SPLATBUS_PORTABLE void put(float* channel, std::size_t stride, std::size_t i, co
 /// The same cells in host memory, of `points` points in all.
 [[nodiscard]] std::vector<CellCount> counts_of(device::StreamView stream, const CellKey* cells,
                                                const std::uint32_t* start, std::uint32_t count, std::uint32_t points);
+/// Sorts keys and counts those of each cell; what has none is in none.
+[[nodiscard]] std::vector<CellCount> count_cells(device::StreamView stream, CellKey* keys, std::uint32_t count);
 /// How many of ascending keys name a cell.
 [[nodiscard]] std::uint32_t named_count(device::StreamView stream, const CellKey* keys, std::uint32_t count);
 

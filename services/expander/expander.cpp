@@ -23,7 +23,6 @@ constexpr std::int64_t kStatePeriodNs = 100'000'000;
 constexpr std::int64_t kSettledStatePeriodNs =
     10'000'000;  // all that was inserted is acknowledged: somebody waits for it
 constexpr std::int64_t kWaitingStatePeriodNs = 200'000'000;
-constexpr std::int64_t kAllCellsPeriodNs = 30'000'000'000;
 constexpr std::size_t kMaxCellsAMessage = 4096;
 constexpr int kMaxMessagesAStep = 64;
 constexpr std::size_t kMaxWaitingRounds = 8;
@@ -31,19 +30,28 @@ constexpr std::size_t kMaxWaitingRounds = 8;
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
 constexpr std::size_t kRingSlots = RetransmitQueue::Options{}.in_flight + 2;
 
+/// As CellState names a cell.
+std::uint64_t packed(const CellKey& key) {
+  constexpr unsigned kBits = 21;
+  constexpr std::int64_t kHalf = std::int64_t{1} << (kBits - 1);
+  const CellCoordinates at = unpack_cell(key);
+  return static_cast<std::uint64_t>(at.x + kHalf) << (2 * kBits) | static_cast<std::uint64_t>(at.y + kHalf) << kBits |
+         static_cast<std::uint64_t>(at.z + kHalf);
+}
+
 }  // namespace
 
 Expander::Expander(std::shared_ptr<bus::Context> context, const bus::Parameters& parameters, Device backend)
     : options_(parameters),
       context_(std::move(context)),
-      inserter_(backend, options_->cell_size_m),
+      inserter_(backend, options_->cell_size_m, options_->max_cells),
       subscriber_(context_),
       publisher_(context_),
       ring_(context_, "insert", kRingSlots, options_->insert.batch_size * kInsertBytes + kRingSlack,
             inserter_.memory()),
       queue_(options_->queue),
       model_sync_(context_->epoch()),
-      cells_(options_->max_cells) {
+      cells_repeated_ns_(bus::now_ns()) {
   subscribe();
 }
 
@@ -59,8 +67,8 @@ void Expander::subscribe() {
             incoming_.push_back(std::move(*incoming));
           })
       .on(topics::kViewerPose,
-          [this](const wire::ViewerPose& pose, const bus::Message&) {
-            viewer_ = from_wire(*pose.camera()).world_from_camera.translation;
+          [this](const wire::ViewerPose& pose, const bus::Message& message) {
+            viewpoints_.take(pose, message.header().publish_ns(), bus::now_ns());
           })
       .on(topics::kModelPublished, [this](const wire::ModelPublished& published, const bus::Message& message) {
         handle_published(published, message);
@@ -108,16 +116,17 @@ void Expander::follow_model() {
     model_sync_.follow(
         next.report, [this] { return adopt_model(); }, inserter_, queue_);
     const bool replaced = changes != model_sync_.adoptions() + model_sync_.restarts();
-    modelled_changed_ = modelled_changed_ || replaced;
     state_changed_ = state_changed_ || replaced || pending != queue_.pending();
   }
 }
 
 bool Expander::adopt_model() try {
-  const auto model = PublishedModel::open(*model_, inserter_.memory(), PublishedModel::Need::Average);
-  if (!model || !inserter_.adopt(*model)) return false;
+  auto model =
+      PublishedModel::open(*model_, inserter_.memory(), PublishedModel::Need::Average, opened_ ? &*opened_ : nullptr);
+  if (!model || !inserter_.adopt(*model, model_->header().epoch())) return false;
+  opened_ = std::move(model);
   model_read_ns_ = bus::now_ns();
-  modelled_changed_ = state_changed_ = true;
+  state_changed_ = true;
   return true;
 } catch (const bus::Error& error) {
   bus::require_usable(inserter_.memory());
@@ -160,22 +169,20 @@ void Expander::insert_rounds() {
 
 void Expander::insert(const Round& round) {
   const std::int64_t start = bus::now_ns();
-  // Before a viewer is known, the rig stands about the place of interest.
-  glm::vec3 middle(0);
-  for (const Camera& camera : round.cameras) middle += camera.world_from_camera.translation;
-  if (!round.cameras.empty()) middle /= static_cast<float>(round.cameras.size());
-  const glm::vec3 viewer = viewer_.value_or(middle);
-
   const std::size_t limit = options_->max_gaussians;
   InsertOptions options = options_->insert;
-  options.select.viewer = {viewer.x, viewer.y, viewer.z};
-  options.select.room = static_cast<std::uint32_t>(limit - std::min(limit, inserter_.modelled_points()));
-  InsertResult result = inserter_.insert(round, options);
+  options.select.room = static_cast<std::uint32_t>(limit - std::min(limit, inserter_.modelled().size()));
+  InsertResult result =
+      inserter_.insert(round, viewpoints_.at(bus::now_ns(), options_->ahead_s, round.cameras), options);
   ++counters_.rounds;
   counters_.samples += round.samples.count - round.invalid;
   counters_.samples_invalid += round.invalid;
-  cells_.set_samples(result.cells);
-  state_changed_ = modelled_changed_ = true;
+  counters_.samples_beyond += result.beyond;
+  if (result.beyond > 0 && !std::exchange(beyond_logged_, true)) {
+    spdlog::warn("{} samples lie too far from the origin of their frame for cells of {} m: they are not modelled",
+                 result.beyond, options_->cell_size_m);
+  }
+  state_changed_ = true;
   if (result.selected == options.select.room && gaussian_limit_logged_ != limit) {
     gaussian_limit_logged_ = limit;
     spdlog::warn("the model has reached max_gaussians = {}: nothing more is inserted", limit);
@@ -228,23 +235,22 @@ void Expander::publish_state() {
   // Said again while no round has come: the capture-bridge then repeats the one that this process has missed.
   const bool waits = counters_.rounds == 0 && waiting_.empty() && since > kWaitingStatePeriodNs;
   const bool due = since >= (queue_.pending() == 0 ? kSettledStatePeriodNs : kStatePeriodNs);
-  if (!waits && !(due && (state_changed_ || cells_.changed()))) return;
-  if (std::exchange(modelled_changed_, false)) cells_.set_modelled(inserter_.cells());
-  if (cells_.full() && !std::exchange(cell_limit_logged_, true)) {
+  CellTable& table = inserter_.cells();
+  const bool repeats =
+      table.size() > 0 && now - cells_repeated_ns_ >= static_cast<std::int64_t>(options_->repeat_s * 1e9);
+  if (!waits && !(due && (state_changed_ || table.changed())) && !repeats) return;
+  if (table.full() && !std::exchange(cell_limit_logged_, true)) {
     spdlog::warn("grid/state tells of max_cells = {} cells: further ones are left out", options_->max_cells);
   }
-  if (state_changed_ && now - cells_repeated_ns_ >= kAllCellsPeriodNs) {
-    cells_repeated_ns_ = now;
-    cells_.touch_all();
-  }
+  if (repeats) cells_repeated_ns_ = now;
   std::vector<wire::CellState> cells;
-  for (const CellReport& cell : cells_.take_changed(kMaxCellsAMessage)) {
-    cells.emplace_back(cell.key.cell, cell.key.object_id, cell.samples, cell.modelled);
+  for (const CellReport& cell : table.take(kMaxCellsAMessage, repeats ? kMaxCellsAMessage : 0)) {
+    cells.emplace_back(packed(cell.key), cell.key.object_id, cell.samples, cell.modelled);
   }
   publisher_.publish(topics::kGridState, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     const auto cells_offset = builder.CreateVectorOfStructs(cells);
-    return wire::CreateGridState(builder, header, options_->cell_size_m, counters_.rounds, cells_.seen(),
-                                 cells_.modelled(), queue_.pending(), queue_.gaussians(), cells_offset);
+    return wire::CreateGridState(builder, header, options_->cell_size_m, counters_.rounds, table.seen(),
+                                 table.modelled(), queue_.pending(), queue_.gaussians(), cells_offset);
   });
   state_changed_ = false;
   state_published_ns_ = now;
@@ -266,10 +272,11 @@ void run(bus::ServiceContext& service) {
     service.counter("rounds_lost", static_cast<double>(counters.rounds_lost));
     service.counter("samples", static_cast<double>(counters.samples));
     service.counter("samples_invalid", static_cast<double>(counters.samples_invalid));
+    service.counter("samples_beyond", static_cast<double>(counters.samples_beyond));
     service.counter("batches_sent", static_cast<double>(counters.batches_sent));
     service.counter("batches_pending", static_cast<double>(expander.queue().pending()));
     service.counter("gaussians_inserted", static_cast<double>(expander.queue().gaussians()));
-    service.counter("cells", static_cast<double>(expander.cells().size()));
+    service.counter("cells", static_cast<double>(expander.inserter().cells().size()));
     service.counter("adoptions", static_cast<double>(expander.model_sync().adoptions()));
     service.counter("round_ms", counters.milliseconds);
     service.counter("latency_ms", counters.latency_milliseconds);

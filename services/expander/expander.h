@@ -10,11 +10,11 @@
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "bus/tensor_ring.h"
-#include "expander/cell_table.h"
 #include "expander/gaussian_inserter.h"
 #include "expander/model_sync.h"
 #include "expander/parameters.h"
 #include "expander/retransmit_queue.h"
+#include "expander/viewpoints.h"
 
 namespace splatbus::expander {
 
@@ -22,6 +22,7 @@ namespace splatbus::expander {
 struct ExpanderCounters {
   std::uint64_t rounds = 0, rounds_lost = 0;
   std::uint64_t samples = 0, samples_invalid = 0;
+  std::uint64_t samples_beyond = 0;  ///< too far from the origin of their frame
   std::uint64_t batches_sent = 0;
   double milliseconds = 0;          ///< the last round's
   double latency_milliseconds = 0;  ///< from a round's publication until its last batch was published
@@ -42,7 +43,6 @@ class Expander {
   [[nodiscard]] const GaussianInserter& inserter() const { return inserter_; }
   [[nodiscard]] const RetransmitQueue& queue() const { return queue_; }
   [[nodiscard]] const ModelSync& model_sync() const { return model_sync_; }
-  [[nodiscard]] const CellTable& cells() const { return cells_; }
 
  private:
   struct Report {
@@ -76,22 +76,22 @@ class Expander {
   bus::TensorRing ring_;
   RetransmitQueue queue_;
   ModelSync model_sync_;
-  CellTable cells_;
   ExpanderCounters counters_;
 
   // What handlers have left for the rest of the step, where failures are not taken for a message's.
   std::deque<IncomingRound> incoming_;
   std::deque<Report> reports_;
-  std::optional<bus::Message> model_;  // the newest model/published
-  std::deque<Waiting> waiting_;        // rounds that are not in the model yet, oldest first
-  std::optional<glm::vec3> viewer_;
+  std::optional<bus::Message> model_;     // the newest model/published
+  std::optional<PublishedModel> opened_;  // as it was read last: its pages stay mapped
+  std::deque<Waiting> waiting_;           // rounds that are not in the model yet, oldest first
+  Viewpoints viewpoints_;
   std::size_t gaussian_limit_logged_ = 0;
-  bool cell_limit_logged_ = false;
+  bool cell_limit_logged_ = false, beyond_logged_ = false;
   bool ring_prepared_ = false;
   std::int64_t model_read_ns_ = 0;
   std::int64_t unsent_since_ns_ = 0;  // publication of the round whose batches are not all published yet; 0: none
-  bool state_changed_ = true, modelled_changed_ = false;
-  std::int64_t state_published_ns_ = 0, cells_repeated_ns_ = 0;
+  bool state_changed_ = true;
+  std::int64_t state_published_ns_ = 0, cells_repeated_ns_;
 };
 
 /// The service's main loop, until a stop is asked for.

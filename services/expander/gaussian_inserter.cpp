@@ -20,34 +20,25 @@ LightTerms terms_of(const Light& light) {
   return terms;
 }
 
-std::vector<ObjectFrame> frames_of(const ObjectTransforms& objects) {
-  std::vector<ObjectFrame> frames;
-  frames.reserve(objects.size());
-  for (const auto& [id, world_from_object] : objects) {
-    if (id != kWorldFrame) frames.push_back({id, inverse(portable(world_from_object))});
-  }
-  return frames;
-}
-
 }  // namespace
 
-InsertBatch allocate_batch(device::StreamView stream, std::uint32_t count) {
-  const auto memory = std::make_shared<device::Buffer<std::byte>>(stream, count * kInsertBytes);
-  return {.count = count, .memory = stream.device, .data = {memory, memory->data()}};
-}
-
-GaussianInserter::GaussianInserter(Device device, float cell_size_m)
+GaussianInserter::GaussianInserter(Device device, float cell_size_m, std::size_t max_cells)
     : stream_(device::thread_stream(device)),
-      modelled_(stream_, cell_size_m),
-      adopted_(stream_, cell_size_m),
-      selector_(stream_) {}
+      cells_(max_cells),
+      modelled_(stream_, cell_size_m, cells_),
+      selector_(stream_, cell_size_m) {}
 
-InsertResult GaussianInserter::insert(const Round& round, const InsertOptions& options) {
+InsertResult GaussianInserter::insert(const Round& round, std::span<const Viewpoint> viewpoints,
+                                      const InsertOptions& options) {
   InsertResult result;
+  const std::vector<ObjectFrame> objects = frames_of(round.scene.objects);
+  selector_.bin(round.samples, objects, viewpoints, options.select);
   const std::uint32_t selected =
-      selector_.select(round.samples, frames_of(round.scene.objects), modelled_, options.select);
+      selector_.select(round.samples, modelled_.near(selector_.search_cells(), objects), options.select);
   result.selected = selected;
+  result.beyond = selector_.beyond();
   result.cells = selector_.cells();
+  cells_.set_samples(result.cells);
   const LightTerms light = terms_of(round.scene.light);
   const auto batch_size = static_cast<std::uint32_t>(std::min<std::size_t>(options.batch_size, UINT32_MAX));
   for (std::uint32_t first = 0; first < selected; first += std::min(batch_size, selected - first)) {
@@ -65,27 +56,9 @@ InsertResult GaussianInserter::insert(const Round& round, const InsertOptions& o
   return result;
 }
 
-void GaussianInserter::add(std::span<const InsertBatch* const> batches) {
-  std::vector<InsertChannels> channels;
-  channels.reserve(batches.size());
-  for (const InsertBatch* batch : batches) channels.push_back(batch->channels());
-  modelled_.add(channels);
-}
-
-bool GaussianInserter::adopt(const PublishedModel& model) {
-  const GaussiansView& view = model.live();
-  const IndexRange all{.first = 0, .count = static_cast<std::uint32_t>(view.count)};
-  adopted_.assign({.surface_point = view.surface_point,
-                   .normal = view.normal,
-                   .object_id = view.object_id,
-                   .stride = view.stride,
-                   .page_shift = view.page_shift,
-                   .page_stride = view.page_stride,
-                   .ranges = view.has_pages() ? view.ranges : std::span(&all, 1)});
+bool GaussianInserter::adopt(const PublishedModel& model, std::uint64_t trainer_epoch) {
   host_bytes_ += model.copied_bytes();
-  if (!model.still_valid()) return false;
-  std::swap(modelled_, adopted_);
-  return true;
+  return modelled_.read(model, trainer_epoch);
 }
 
 }  // namespace splatbus::expander

@@ -46,51 +46,9 @@ inline constexpr std::size_t kInsertBytes = 18 * sizeof(float) + sizeof(std::uin
 /// `memory` is aligned to 4 bytes and has count * kInsertBytes of room.
 [[nodiscard]] InsertChannels insert_channels_at(std::byte* memory, std::uint32_t count);
 
-/// Where somebody's model keeps what is needed of it: GaussiansView's layout. Values may be anything.
-struct ModelPoints {
-  const float *surface_point, *normal;
-  const std::uint32_t* object_id;  ///< null: that of the range
-  std::size_t stride;
-  std::uint32_t page_shift;
-  std::size_t page_stride;
-  std::span<const IndexRange> ranges;  ///< in host memory: which indices are Gaussians
-};
-
-struct ModelledPoint {
-  math::Vec3 position, normal;  ///< in the frame of the point's cell
-};
-
 struct CellCount {
   CellKey key;
   std::uint32_t count = 0;
-};
-
-/// The points that are modelled, in the order of their cells. Not thread-safe.
-class PointGrid {
- public:
-  PointGrid(device::StreamView stream, float cell_size_m);
-
-  void clear() { count_ = 0; }
-  void add(std::span<const InsertChannels> batches);
-  /// The model's points and no others; those that no cell holds are left out.
-  void assign(const ModelPoints& model);
-
-  /// Whether exactly the position of any of the Gaussians is modelled in its frame.
-  [[nodiscard]] bool holds_any(const InsertChannels& gaussians) const;
-  /// Cells with points, ascending.
-  [[nodiscard]] std::vector<CellCount> cells() const;
-
-  [[nodiscard]] std::uint32_t size() const { return count_; }
-  [[nodiscard]] const CellKey* keys() const { return keys_.data(); }
-  [[nodiscard]] const ModelledPoint* points() const { return points_.data(); }
-  [[nodiscard]] float cell_size_m() const { return cell_size_m_; }
-
- private:
-  device::StreamView stream_;
-  float cell_size_m_;
-  std::uint32_t count_ = 0;
-  device::Buffer<CellKey> keys_, new_keys_, merged_keys_;
-  device::Buffer<ModelledPoint> points_, new_points_, merged_points_;
 };
 
 /// A moving object at the time of the round.
@@ -99,16 +57,43 @@ struct ObjectFrame {
   math::Similarity object_from_world;
 };
 
+/// Frames of a scene's objects, ascending by id, none of id 0, in memory of the device.
+struct ObjectFrames {
+  const ObjectFrame* objects = nullptr;
+  std::uint32_t count = 0;
+
+  /// Null for what stands still.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER const ObjectFrame* find(std::uint32_t id) const {
+    std::uint32_t first = 0, end = count;
+    while (first < end) {
+      const std::uint32_t middle = first + (end - first) / 2;
+      objects[middle].id < id ? first = middle + 1 : end = middle;
+    }
+    return first < count && objects[first].id == id ? objects + first : nullptr;
+  }
+  /// Of the frame's own unit of length.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float metres_per_unit(std::uint32_t id) const {
+    const ObjectFrame* const object = find(id);
+    return object == nullptr ? 1.0F : 1.0F / object->object_from_world.scale;
+  }
+};
+
+/// Somebody for whom the model is made, world.
+struct Viewpoint {
+  math::Vec3 position, ahead;  ///< where he is now, and where he will be if he goes on as he does
+  float focal_px = 0;          ///< of his pictures
+};
+
 inline constexpr float kSameSurfaceCosine = 0.5F;  ///< between normals of points that can cover one another
 
+/// Lengths without a unit are of a sample's spacing.
 struct SelectOptions {
-  float candidate_radius_m = 12;  ///< about the viewer
-  std::uint32_t min_samples = 4;  ///< a cell counts as seen with this many, or with fewer beside a cell that has them
-  float new_distance = 0.5F;  ///< of a sample's spacing: how near to modelled neighbours a new cell's samples may come
-  float top_up_distance =
-      0.75F;  ///< the same in cells that are modelled; a full square grid leaves nothing beyond 0.71
-  float top_up_fraction = 0.02F;    ///< a modelled cell is topped up when this share of what it holds is new
-  math::Vec3 viewer{};              ///< world
+  float reach_m = 60;             ///< what lies nearer to a viewpoint is modelled, however small it is in its pictures
+  float min_pixels = 1;           ///< beyond, what is at least this large there
+  std::uint32_t min_samples = 4;  ///< a cell counts as seen with this many in it and beside it
+  float new_distance = 0.75F;     ///< how near to what is modelled a sample may come where that ends
+  float top_up_distance = 1;      ///< the same where what is modelled lies all around
+  float refine_factor = 1.5F;     ///< how far away it may be to count as all around
   std::uint32_t room = 0xFFFFFFFF;  ///< at most this many are selected, the first of the round
 };
 
@@ -128,38 +113,51 @@ struct LightTerms {
 inline constexpr float kMinSpacing_m = 1e-4F;
 inline constexpr float kMinSunPart = 0.02F;  ///< luminance; below this the sun's visibility cannot be told
 
+class PointGrid;
+
 /// Finds the samples that the model lacks and makes Gaussians of them. Keeps its memory from round to round. Not
 /// thread-safe.
 class SampleSelector {
  public:
-  explicit SampleSelector(device::StreamView stream);
+  SampleSelector(device::StreamView stream, float cell_size_m);
 
-  /// Selects the samples of cells that are near the viewer, seen, and either not modelled yet or modelled clearly less
-  /// than they are seen now. Samples of an object of `objects` (ascending by id, none of id 0) live in the object's
-  /// frame, all others stand still and live in the world's. Returns how many are selected.
-  [[nodiscard]] std::uint32_t select(const Samples& samples, std::span<const ObjectFrame> objects,
-                                     const PointGrid& modelled, const SelectOptions& options);
+  /// Takes a round up: which of its samples are candidates, and which cells they lie in, those of each spacing in cells
+  /// of a size for it. Samples of an object of `objects` (ascending by id, none of id 0) live in the object's frame,
+  /// all others stand still and live in the world's. Without viewpoints, all samples are candidates.
+  void bin(const Samples& samples, std::span<const ObjectFrame> objects, std::span<const Viewpoint> viewpoints,
+           const SelectOptions& options);
+
+  /// Of the round that was taken up, and its cells' neighbours of the same size: whatever is modelled there matters.
+  [[nodiscard]] std::vector<CellCount> search_cells() const;
+  /// The candidates by cells of kReportLevel, ascending.
+  [[nodiscard]] const std::vector<CellCount>& cells() const { return report_; }
+  /// Samples that lie too far from their frame's origin for any cell.
+  [[nodiscard]] std::uint32_t beyond() const { return beyond_; }
+
+  /// Selects candidates of cells that are seen and that what is modelled does not cover: a point that faces the same
+  /// way does so nearer than new_distance, or than top_up_distance where the sample has such points in every direction
+  /// within refine_factor. Coarser points are therefore left alone until a view is finer by about that factor, and
+  /// count among the finer ones then. `modelled` has all of search_cells(). Returns how many are selected.
+  [[nodiscard]] std::uint32_t select(const Samples& samples, const PointGrid& modelled, const SelectOptions& options);
 
   /// Flat Gaussians of selected samples first, first + 1, ...: the local z axis lies along the normal. After select()
   /// with the same samples.
   void write(const Samples& samples, std::uint32_t first, const InitialOptions& options, const LightTerms& light,
              const InsertChannels& gaussians) const;
 
-  /// Cells near the viewer that the last round has samples in, and how many; ascending.
-  [[nodiscard]] std::vector<CellCount> cells() const;
-
  private:
-  [[nodiscard]] std::uint32_t bin(const Samples& samples, std::span<const ObjectFrame> objects,
-                                  const SelectOptions& options);
+  [[nodiscard]] ObjectFrames frames() const { return {objects_.data(), static_cast<std::uint32_t>(objects_.size())}; }
 
   device::StreamView stream_;
-  float cell_size_m_ = 0;
-  std::uint32_t binned_ = 0, cells_ = 0;
+  float cell_size_m_;
+  std::uint32_t binned_ = 0, cells_ = 0, beyond_ = 0;
+  std::vector<CellCount> report_;
   device::Buffer<ObjectFrame> objects_;
+  device::Buffer<Viewpoint> viewpoints_;
   device::Buffer<CellKey> keys_, cell_keys_;
-  device::Buffer<std::uint32_t> order_, cell_start_, new_samples_, selected_;
-  device::Buffer<std::uint8_t> uncovered_, wanted_;
-  device::Buffer<float> distance_;
+  device::Buffer<std::uint32_t> order_, cell_start_, selected_, counter_;
+  device::Buffer<std::uint8_t> wanted_;
+  device::Buffer<bool> seen_;
   device::Buffer<std::uint32_t> neighbours_;
 };
 

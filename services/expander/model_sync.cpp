@@ -19,7 +19,7 @@ void ModelSync::follow(const ModelReport& report, const AdoptModel& adopt_model,
     if (!adopt_model()) return;
     ++adoptions_;
     stale_ = false;
-    spdlog::info("adopted a model: {} points", inserter.modelled_points());
+    spdlog::info("adopted a model: {} points", inserter.modelled().size());
     // A batch that went in whole or not at all: pruning may have taken some of it since. The trainer keeps where a
     // Gaussian was inserted to the last bit, so that equality finds it again.
     queue.acknowledge_if([&](const InsertBatch& batch) { return inserter.holds_any(batch); });

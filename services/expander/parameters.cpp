@@ -5,16 +5,22 @@ namespace splatbus::expander {
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
   p.add("cell_size_m", cell_size_m, "edge of a grid cell, metres", {0.01, 100}, kFixed);
-  p.add("candidate_radius_m", insert.select.candidate_radius_m,
-        "samples farther from the viewer are left for later, metres", {.minimum = 0.1});
+  p.add("reach_m", insert.select.reach_m, "samples nearer to a viewer are modelled however small they are, metres",
+        {.minimum = 0});
+  p.add("min_pixels", insert.select.min_pixels,
+        "farther ones are modelled where their spacing is as many pixels of a viewer's picture", {.minimum = 0});
+  p.add("ahead_s", ahead_s, "viewers count as where they will be in this time, too, seconds", {0, 60});
   p.add("min_samples", insert.select.min_samples,
-        "a cell counts as seen with this many samples in it or in a cell beside it", {1, 10000});
+        "a cell counts as seen with this many samples in it and in the cells beside it", {1, 10000});
   p.add("new_distance", insert.select.new_distance,
-        "samples of new cells keep this distance from what is modelled, as a fraction of their spacing", {0, 10});
+        "samples at the end of what is modelled keep this distance from it, as a fraction of their spacing", {0, 10});
   p.add("top_up_distance", insert.select.top_up_distance,
-        "samples of modelled cells keep this distance from what is modelled, as a fraction of their spacing", {0, 10});
-  p.add("top_up_fraction", insert.select.top_up_fraction,
-        "a modelled cell is topped up when this share of what it holds is new", {0, 10});
+        "samples with modelled points all around keep this distance from them, as a fraction of their spacing",
+        {0, 10});
+  p.add("refine_factor", insert.select.refine_factor,
+        "modelled points are all around within this distance, as a fraction of a sample's spacing: what is coarser by "
+        "about as much is refined",
+        {1, 10});
   p.add("initial_scale", insert.initial.scale,
         "standard deviation of a new Gaussian along the surface, as a fraction of its spacing", {0.01, 10});
   p.add("flatness", insert.initial.flatness,
@@ -23,6 +29,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("batch_size", insert.batch_size, "most Gaussians of one model/insert", {1, 1 << 20});
   p.add("max_samples", max_samples, "most samples of an input round; larger ones are refused", {64, 8 << 20}, kFixed);
   p.add("max_cells", max_cells, "most cells that grid/state tells of", {1, 1 << 24}, kFixed);
+  p.add("repeat_s", repeat_s, "grid/state tells of some cells that have not changed again this often, seconds",
+        {.minimum = 0.001});
   p.add("max_gaussians", max_gaussians, "Gaussians beyond which nothing is inserted",
         {1, static_cast<double>(kGaussianLimit)});
   p.add("resend_s", resend_s, "a batch that is not acknowledged is repeated after this time, seconds",

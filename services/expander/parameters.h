@@ -14,10 +14,11 @@ namespace splatbus::expander {
 struct Options {
   float cell_size_m = 0.25F;
   std::size_t max_samples = std::size_t{4} << 20, max_cells = std::size_t{1} << 20;
-  InsertOptions insert;  ///< without viewer and room
+  InsertOptions insert;  ///< without room
   RetransmitQueue::Options queue;
   std::size_t max_gaussians = kDefaultMaxGaussians;
   double adopt_wait_s = 3, refresh_s = 2, resend_s = 1;
+  double ahead_s = 3, repeat_s = 1;
 
   void bind(bus::ParameterBinder& parameters);
 };

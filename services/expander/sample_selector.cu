@@ -4,6 +4,7 @@
 #include <thrust/sort.h>
 
 #include "expander/cell_search.h"
+#include "expander/point_grid.h"
 
 namespace splatbus::expander {
 
@@ -16,6 +17,9 @@ using math::Vec3;
 namespace {
 
 constexpr std::uint32_t kNeighbours = 27;
+/// Edge of a search cell, of the spacing of the samples in it, at least: fewer samples a cell find the neighbours'
+/// points more often, more samples look at more points each.
+constexpr float kCellSpacings = 3;
 
 struct IsSet {
   SPLATBUS_PORTABLE_MEMBER bool operator()(std::uint8_t flag) const { return flag != 0; }
@@ -45,53 +49,66 @@ struct ValidateSample {
   }
 };
 
-/// A sample in the frame that its Gaussian is to live in, and in that frame's lengths.
+/// A sample in the frame that its Gaussian is to live in.
 struct LocalSample {
-  CellKey cell;
-  Vec3 position, normal;
-  float spacing;
+  std::uint32_t frame_id;
+  float metres_per_unit;
+  Vec3 position, normal;  ///< in the frame's units
+  float spacing_m;
+
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Vec3 position_m() const { return position * metres_per_unit; }
 };
 
-struct Frames {
-  const ObjectFrame* objects;
-  std::uint32_t count;
-  float cell_size_m;
-
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER LocalSample localised(const Samples& samples, std::uint32_t i) const {
-    LocalSample local{{}, samples.position[i], samples.normal[i], samples.spacing_m[i]};
-    std::uint32_t frame_id = kWorldFrame;
-    const std::uint32_t id = samples.object_id[i];
-    std::uint32_t first = 0, end = count;
-    while (first < end) {
-      const std::uint32_t middle = first + (end - first) / 2;
-      if (objects[middle].id < id) {
-        first = middle + 1;
-      } else {
-        end = middle;
-      }
-    }
-    if (first < count && objects[first].id == id) {
-      frame_id = id;
-      const math::Similarity& object_from_world = objects[first].object_from_world;
-      local.position = transformed(object_from_world, local.position);
-      local.normal = object_from_world.rotation * local.normal;
-      local.spacing *= object_from_world.scale;
-    }
-    local.cell = cell_at(local.position, frame_id, cell_size_m);
-    return local;
+SPLATBUS_PORTABLE LocalSample localised(const Samples& samples, const ObjectFrames& frames, std::uint32_t i) {
+  LocalSample local{kWorldFrame, 1, samples.position[i], samples.normal[i],
+                    math::larger(samples.spacing_m[i], kMinSpacing_m)};
+  if (const ObjectFrame* const object = frames.find(samples.object_id[i])) {
+    const math::Similarity& object_from_world = object->object_from_world;
+    local.frame_id = object->id;
+    local.metres_per_unit = 1.0F / object_from_world.scale;
+    local.position = transformed(object_from_world, local.position);
+    local.normal = object_from_world.rotation * local.normal;
   }
-};
+  return local;
+}
+
+SPLATBUS_PORTABLE float distance_to_path(const Vec3& point, const Viewpoint& viewpoint) {
+  const Vec3 path = viewpoint.ahead - viewpoint.position, to = point - viewpoint.position;
+  const float squared = dot(path, path);
+  const float along = squared > 0 ? math::clamped(dot(to, path) / squared, 0, 1) : 0;
+  return length(to - path * along);
+}
 
 struct BinSample {
   Samples samples;
-  Frames frames;
-  Vec3 viewer;
-  float radius_m;
-  CellKey* keys;
+  ObjectFrames frames;
+  const Viewpoint* viewpoints;
+  std::uint32_t viewpoint_count;
+  float reach_m, min_pixels;
+  float cell_size_m, search_factor;
+  CellKey *keys, *report_keys;
+  std::uint32_t* beyond;
+
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool pays(std::uint32_t i) const {
+    for (std::uint32_t v = 0; v < viewpoint_count; ++v) {
+      const float distance_m = distance_to_path(samples.position[i], viewpoints[v]);
+      if (!(distance_m > reach_m)) return true;
+      if (samples.spacing_m[i] * viewpoints[v].focal_px >= min_pixels * distance_m) return true;
+    }
+    return viewpoint_count == 0;
+  }
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const bool candidate = samples.spacing_m[i] > 0 && !(length(samples.position[i] - viewer) > radius_m);
-    keys[i] = candidate ? frames.localised(samples, i).cell : CellKey{};
+    keys[i] = report_keys[i] = {};
+    if (samples.spacing_m[i] == 0 || !pays(i)) return;
+    const LocalSample local = localised(samples, frames, i);
+    const CellKey finest = cell_at(local.position_m(), local.frame_id, cell_size_m, 0);
+    if (finest.none()) {
+      device::atomic_add(beyond, 1U);
+      return;
+    }
+    keys[i] = parent_of(finest, level_of(search_factor * local.spacing_m, cell_size_m));
+    report_keys[i] = parent_of(finest, kReportLevel);
   }
 };
 
@@ -100,12 +117,14 @@ struct Cells {
   const std::uint32_t* start;  ///< [count + 1], of their samples
   std::uint32_t count;
 
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint32_t samples(std::uint32_t cell) const {
-    return start[cell + 1] - start[cell];
-  }
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint32_t samples(const CellKey& key) const {
     const std::uint32_t cell = lower_bound(keys, count, key);
-    return cell < count && keys[cell] == key ? samples(cell) : 0;
+    return cell < count && keys[cell] == key ? start[cell + 1] - start[cell] : 0;
+  }
+  /// Of the cells of a lower level in one.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER std::uint32_t samples_in(const CellKey& key, unsigned level) const {
+    const std::uint32_t first = lower_bound(keys, count, first_in(key, level));
+    return start[first + near_lower_bound(keys + first, count - first, first_in(next_of(key), level))] - start[first];
   }
 };
 
@@ -123,101 +142,112 @@ struct TestCell {
   const CellKey* modelled;
   std::uint32_t modelled_count;
   std::uint32_t min_samples;
-  float new_distance, top_up_distance;
-  float* distance;            ///< to what is modelled, of the spacing; negative: not seen
+  bool* seen;
   std::uint32_t* neighbours;  ///< [cells][27][2]: first modelled point, one behind the last
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t cell) const {
     const CellKey key = cells.keys[cell];
-    // A surface that only cuts a cell's corner leaves few samples there; what lies alone is no surface.
-    bool seen = cells.samples(cell) >= min_samples;
+    // What lies alone is no surface. Neighbours on one may be of a spacing that has cells of the next size.
+    std::uint32_t about = key.level + 1 < kLevels ? cells.samples(parent_of(key, key.level + 1)) : 0;
     for (std::uint32_t k = 0; k < kNeighbours; ++k) {
       const CellKey at = neighbour_of(key, k);
       std::uint32_t* const range = neighbours + 2 * (std::size_t{cell} * kNeighbours + k);
       range[0] = range[1] = 0;
       if (at.none()) continue;
-      seen = seen || cells.samples(at) >= min_samples;
-      range[0] = lower_bound(modelled, modelled_count, at);
-      range[1] =
-          range[0] + lower_bound(modelled + range[0], modelled_count - range[0], CellKey{at.object_id, at.cell + 1});
+      about += cells.samples(at) + (at.level > 0 ? cells.samples_in(at, at.level - 1) : 0);
+      range[0] = lower_bound(modelled, modelled_count, first_in(at, 0));
+      range[1] = range[0] + near_lower_bound(modelled + range[0], modelled_count - range[0], first_in(next_of(at), 0));
     }
-    const std::uint32_t* const own = neighbours + 2 * (std::size_t{cell} * kNeighbours + kNeighbours / 2);
-    distance[cell] = seen ? (own[0] == own[1] ? new_distance : top_up_distance) : -1.0F;
+    seen[cell] = about >= min_samples;
   }
 };
 
-/// For each sample, in the order of the cells, whether nothing modelled covers it.
+/// In which eighths of the directions along a surface there is something.
+class Surroundings {
+ public:
+  SPLATBUS_PORTABLE_MEMBER explicit Surroundings(const Vec3& normal)
+      : along_(normalized(cross(normal, fabsf(normal.z) < 0.7F ? Vec3{0, 0, 1} : Vec3{1, 0, 0}))),
+        across_(cross(normal, along_)) {}
+
+  SPLATBUS_PORTABLE_MEMBER void add(const Vec3& offset) {
+    const float u = dot(offset, along_), v = dot(offset, across_);
+    const unsigned quadrant = u > 0 && v >= 0 ? 0U : u <= 0 && v > 0 ? 1U : u < 0 && v <= 0 ? 2U : 3U;
+    const bool second = quadrant % 2 == 0 ? fabsf(v) >= fabsf(u) : fabsf(v) <= fabsf(u);
+    filled_ |= 1U << (2 * quadrant + (second ? 1U : 0U));
+  }
+
+  /// No half of the directions is empty.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool closed() const {
+    const unsigned empty = ~(filled_ | filled_ << 8U) & 0xFFFFU;
+    return (empty & empty >> 1U & empty >> 2U & empty >> 3U) == 0;
+  }
+
+ private:
+  Vec3 along_, across_;
+  unsigned filled_ = 0;
+};
+
+/// For each candidate, in the order of the cells, whether it is seen and nothing modelled covers it.
 struct TestSample {
   Samples samples;
-  Frames frames;
+  ObjectFrames frames;
   Cells cells;
+  float cell_size_m;
+  float new_distance, top_up_distance, refine_factor;
   const CellKey* keys;
   const std::uint32_t* order;
   const ModelledPoint* points;
-  const float* distance;
+  const bool* seen;
   const std::uint32_t* neighbours;
-  std::uint8_t* uncovered;
-  std::uint32_t* new_samples;  ///< [cells]
+  std::uint8_t* wanted;  ///< [samples of the round], in its order
 
-  /// True when something modelled within `distance`, at most the cell size, faces the same way.
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool covered(std::uint32_t cell, const LocalSample& local,
-                                                      float distance) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool covered(std::uint32_t cell, const LocalSample& local) const {
+    const Vec3 position_m = local.position_m();
+    const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
+    const auto squared_of = [&](float factor) {
+      const float reach_m = math::smaller(factor * local.spacing_m, edge_m);
+      return reach_m * reach_m;
+    };
+    const float new2 = squared_of(new_distance), around2 = squared_of(refine_factor);
+    float nearest2 = squared_of(top_up_distance);
     // Which neighbours the sphere about the position reaches into.
-    const Vec3 within = local.position - cell_centre(local.cell, frames.cell_size_m);
-    const float inner = 0.5F * frames.cell_size_m - distance;
+    const Vec3 within = position_m - cell_centre(cells.keys[cell], cell_size_m);
+    const float inner = 0.5F * edge_m - sqrtf(math::larger(new2, math::larger(nearest2, around2)));
     const auto reaches = [&](float along, int side) {
       return side == 0 || (side < 0 ? along < -inner : along > inner);
     };
-    for (std::uint32_t k = 0; k < kNeighbours; ++k) {
+    const float unreached2 = nearest2;
+    Surroundings surroundings(local.normal);
+    for (std::uint32_t i = 0; i < kNeighbours; ++i) {
+      const std::uint32_t k = (i + kNeighbours / 2) % kNeighbours;  // the own cell first
       if (!reaches(within.x, offset_of(k, 9)) || !reaches(within.y, offset_of(k, 3)) ||
           !reaches(within.z, offset_of(k, 1))) {
         continue;
       }
       const std::uint32_t* const range = neighbours + 2 * (std::size_t{cell} * kNeighbours + k);
       for (std::uint32_t p = range[0]; p < range[1]; ++p) {
-        const Vec3 apart = points[p].position - local.position;
-        if (dot(apart, apart) < distance * distance && dot(points[p].normal, local.normal) > kSameSurfaceCosine) {
-          return true;
-        }
+        const Vec3 apart = points[p].position - position_m;
+        const float squared = dot(apart, apart);
+        if (!(squared < around2 || squared < nearest2 || squared < new2)) continue;
+        if (!(dot(points[p].normal, local.normal) > kSameSurfaceCosine)) continue;
+        if (squared < new2) return true;
+        nearest2 = math::smaller(squared, nearest2);
+        if (squared < around2) surroundings.add(apart);
       }
     }
-    return false;
+    return nearest2 < unreached2 && surroundings.closed();
   }
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
     const std::uint32_t sample = order[i];
-    uncovered[i] = 0;
-    if (distance[cell] < 0) return;
-    const LocalSample local = frames.localised(samples, sample);
-    if (covered(cell, local, math::smaller(distance[cell] * local.spacing, frames.cell_size_m))) return;
-    uncovered[i] = 1;
-    device::atomic_add(new_samples + cell, 1U);
-  }
-};
-
-/// A cell that lacks too little of what it holds already is left alone.
-struct WantSample {
-  Cells cells;
-  const CellKey* keys;
-  const std::uint32_t* order;
-  const std::uint32_t* neighbours;
-  const std::uint8_t* uncovered;
-  const std::uint32_t* new_samples;
-  float top_up_fraction;
-  std::uint8_t* wanted;  ///< [samples of the round], in its order
-
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
-    const std::uint32_t* const own = neighbours + 2 * (std::size_t{cell} * kNeighbours + kNeighbours / 2);
-    const float worth = ceilf(top_up_fraction * static_cast<float>(own[1] - own[0]));
-    wanted[order[i]] = uncovered[i] != 0 && static_cast<float>(new_samples[cell]) >= worth ? 1 : 0;
+    wanted[sample] = seen[cell] && !covered(cell, localised(samples, frames, sample)) ? 1 : 0;
   }
 };
 
 struct WriteGaussian {
   Samples samples;
-  Frames frames;
+  ObjectFrames frames;
   const std::uint32_t* selected;
   float scale, log_flatness, opacity_logit;
   LightTerms light;
@@ -226,8 +256,8 @@ struct WriteGaussian {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::size_t n = out.count;
     const std::uint32_t s = selected[i];
-    const LocalSample local = frames.localised(samples, s);
-    const float along = logf(math::larger(local.spacing, kMinSpacing_m) * scale);
+    const LocalSample local = localised(samples, frames, s);
+    const float along = logf(local.spacing_m / local.metres_per_unit * scale);
     const math::Vec4 rotation = rotation_to_normal(local.normal);
     put(out.mean, n, i, local.position);
     put(out.log_scale, n, i, {along, along, along + log_flatness});
@@ -237,7 +267,7 @@ struct WriteGaussian {
     put(out.albedo, n, i, samples.albedo[s]);
     put(out.normal, n, i, local.normal);
     out.visibility[i] = guess_visibility(samples.color[s], samples.albedo[s], samples.normal[s], light);
-    out.object_id[i] = local.cell.object_id;
+    out.object_id[i] = local.frame_id;
   }
 };
 
@@ -262,30 +292,42 @@ std::uint32_t validate(StreamView stream, const Samples& samples) {
   return invalid.to_host().front();
 }
 
-SampleSelector::SampleSelector(StreamView stream)
+SampleSelector::SampleSelector(StreamView stream, float cell_size_m)
     : stream_(stream),
+      cell_size_m_(cell_size_m),
       objects_(stream),
+      viewpoints_(stream),
       keys_(stream),
       cell_keys_(stream),
       order_(stream),
       cell_start_(stream),
-      new_samples_(stream),
       selected_(stream),
-      uncovered_(stream),
+      counter_(stream, 1),
       wanted_(stream),
-      distance_(stream),
+      seen_(stream),
       neighbours_(stream) {}
 
-std::uint32_t SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> objects,
-                                  const SelectOptions& options) {
+void SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> objects,
+                         std::span<const Viewpoint> viewpoints, const SelectOptions& options) {
   const std::uint32_t n = samples.count;
+  binned_ = cells_ = beyond_ = 0;
+  report_.clear();
+  if (n == 0) return;
   objects_.assign(objects);
+  viewpoints_.assign(viewpoints);
   for (auto* buffer : {&keys_, &cell_keys_}) reserve(*buffer, n);
   for (auto* buffer : {&order_, &selected_}) reserve(*buffer, n);
-  for (auto* buffer : {&uncovered_, &wanted_}) reserve(*buffer, n);
+  reserve(wanted_, n);
   reserve(cell_start_, std::size_t{n} + 1);
-  const Frames frames{objects_.data(), static_cast<std::uint32_t>(objects_.size()), cell_size_m_};
-  for_each_index(stream_, n, BinSample{samples, frames, options.viewer, options.candidate_radius_m, keys_.data()});
+  counter_.clear();
+  const float search_factor =
+      std::max({kCellSpacings, options.new_distance, options.top_up_distance, options.refine_factor});
+  for_each_index(
+      stream_, n,
+      BinSample{samples, frames(), viewpoints_.data(), static_cast<std::uint32_t>(viewpoints.size()), options.reach_m,
+                options.min_pixels, cell_size_m_, search_factor, keys_.data(), cell_keys_.data(), counter_.data()});
+  report_ = count_cells(stream_, cell_keys_.data(), n);
+  beyond_ = counter_.to_host().front();
   with_policy(stream_, [&](auto&& policy) {
     thrust::sequence(policy, order_.data(), order_.data() + n);
     thrust::sort_by_key(policy, keys_.data(), keys_.data() + n, order_.data(), KeyBelow());
@@ -293,30 +335,25 @@ std::uint32_t SampleSelector::bin(const Samples& samples, std::span<const Object
   binned_ = named_count(stream_, keys_.data(), n);
   cells_ = list_cells(stream_, keys_.data(), binned_, cell_keys_.data(), cell_start_.data());
   device::copy(stream_, cell_start_.data() + cells_, &binned_, sizeof(binned_));
-  return cells_;
 }
 
-std::uint32_t SampleSelector::select(const Samples& samples, std::span<const ObjectFrame> objects,
-                                     const PointGrid& modelled, const SelectOptions& options) {
-  cell_size_m_ = modelled.cell_size_m();
-  binned_ = cells_ = 0;
-  if (samples.count == 0 || bin(samples, objects, options) == 0) return 0;
-  reserve(distance_, cells_);
-  reserve(new_samples_, cells_);
+std::vector<CellCount> SampleSelector::search_cells() const {
+  return counts_of(stream_, cell_keys_.data(), cell_start_.data(), cells_, binned_);
+}
+
+std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& modelled, const SelectOptions& options) {
+  if (binned_ == 0) return 0;
+  reserve(seen_, cells_);
   reserve(neighbours_, std::size_t{2} * kNeighbours * cells_);
-  new_samples_.clear();
   device::fill(stream_, wanted_.data(), 0, samples.count);
-  const Frames frames{objects_.data(), static_cast<std::uint32_t>(objects_.size()), cell_size_m_};
   const Cells cells{cell_keys_.data(), cell_start_.data(), cells_};
-  for_each_index(stream_, cells_,
-                 TestCell{cells, modelled.keys(), modelled.size(), options.min_samples, options.new_distance,
-                          options.top_up_distance, distance_.data(), neighbours_.data()});
+  for_each_index(
+      stream_, cells_,
+      TestCell{cells, modelled.keys(), modelled.size(), options.min_samples, seen_.data(), neighbours_.data()});
   for_each_index(stream_, binned_,
-                 TestSample{samples, frames, cells, keys_.data(), order_.data(), modelled.points(), distance_.data(),
-                            neighbours_.data(), uncovered_.data(), new_samples_.data()});
-  for_each_index(stream_, binned_,
-                 WantSample{cells, keys_.data(), order_.data(), neighbours_.data(), uncovered_.data(),
-                            new_samples_.data(), options.top_up_fraction, wanted_.data()});
+                 TestSample{samples, frames(), cells, cell_size_m_, options.new_distance, options.top_up_distance,
+                            options.refine_factor, keys_.data(), order_.data(), modelled.points(), seen_.data(),
+                            neighbours_.data(), wanted_.data()});
   return with_policy(stream_, [&](auto&& policy) {
     const auto first = thrust::make_counting_iterator(std::uint32_t{0});
     std::uint32_t* const end =
@@ -327,14 +364,9 @@ std::uint32_t SampleSelector::select(const Samples& samples, std::span<const Obj
 
 void SampleSelector::write(const Samples& samples, std::uint32_t first, const InitialOptions& options,
                            const LightTerms& light, const InsertChannels& gaussians) const {
-  const Frames frames{objects_.data(), static_cast<std::uint32_t>(objects_.size()), cell_size_m_};
   for_each_index(stream_, gaussians.count,
-                 WriteGaussian{samples, frames, selected_.data() + first, options.scale, std::log(options.flatness),
+                 WriteGaussian{samples, frames(), selected_.data() + first, options.scale, std::log(options.flatness),
                                std::log(options.opacity / (1 - options.opacity)), light, gaussians});
-}
-
-std::vector<CellCount> SampleSelector::cells() const {
-  return counts_of(stream_, cell_keys_.data(), cell_start_.data(), cells_, binned_);
 }
 
 }  // namespace splatbus::expander

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <glm/glm.hpp>
 #include <limits>
 #include <set>
@@ -47,45 +48,99 @@ TEST(Cell, WhatIsTooFarOrNoNumberHasNone) {
   EXPECT_TRUE(cell_at({1e9F, 0, 0}, 0, 0.25F).none());
   EXPECT_TRUE(cell_at({std::numeric_limits<float>::quiet_NaN(), 0, 0}, 0, 0.25F).none());
   EXPECT_TRUE(cell_at({0, std::numeric_limits<float>::infinity(), 0}, 1, 0.25F).none());
-  const CellKey last = cell_at({((1 << 20) - 1) * 0.25F, 0, 0}, 0, 0.25F);
+  const CellKey last = cell_at({((1 << 17) - 1) * 0.25F, 0, 0}, 0, 0.25F);
   ASSERT_FALSE(last.none());
   EXPECT_TRUE(neighbour(last, 1, 0, 0).none());
-  EXPECT_TRUE(cell_at({(1 << 20) * 0.25F, 0, 0}, 0, 0.25F).none());
-  EXPECT_FALSE(cell_at({(1 << 20) * -0.25F, 0, 0}, 0, 0.25F).none());
-  EXPECT_TRUE(cell_at({(1 << 20) * -0.25F - 0.25F, 0, 0}, 0, 0.25F).none());
+  EXPECT_TRUE(cell_at({(1 << 17) * 0.25F, 0, 0}, 0, 0.25F).none());
+  EXPECT_FALSE(cell_at({(1 << 17) * -0.25F, 0, 0}, 0, 0.25F).none());
+  EXPECT_TRUE(cell_at({(1 << 17) * -0.25F - 0.25F, 0, 0}, 0, 0.25F).none());
+}
+
+/// Coordinates of the cells of a level by division, far from the origin too.
+TEST(Cell, LevelsLieInOneAnother) {
+  for (const float cell_size_m : {0.2F, 0.25F}) {
+    for (const glm::vec3& p :
+         {glm::vec3(0.01F, -0.01F, 3.01F), glm::vec3(-999.99F, 999.51F, 0.31F), glm::vec3(999.99F, -3.01F, 77.01F)}) {
+      for (unsigned level = 0; level < kLevels; ++level) {
+        const double edge_m = cell_size_m / 8.0 * std::exp2(level);
+        const glm::dvec3 expected = glm::floor((glm::dvec3(p) + 0.5 * cell_size_m) / edge_m);
+        const CellKey cell = cell_at({p.x, p.y, p.z}, 5, cell_size_m, level);
+        const CellCoordinates at = unpack_cell(cell);
+        ASSERT_EQ(glm::dvec3(at.x, at.y, at.z), expected) << p.x << " at level " << level;
+        EXPECT_TRUE(pack_cell(at, 5, level) == cell);
+        EXPECT_TRUE(parent_of(cell_at({p.x, p.y, p.z}, 5, cell_size_m, 0), level) == cell);
+        const math::Vec3 centre = cell_centre(cell, cell_size_m);
+        EXPECT_LE(std::abs(centre.x - p.x), 0.5001 * edge_m);
+        EXPECT_LE(std::abs(centre.y - p.y), 0.5001 * edge_m);
+        EXPECT_FLOAT_EQ(edge_of(level, cell_size_m), static_cast<float>(edge_m));
+        EXPECT_EQ(level_of(static_cast<float>(0.9 * edge_m), cell_size_m), level);
+      }
+    }
+  }
+}
+
+TEST(Cell, WhatLiesInACellFollowsOneAnother) {
+  const CellKey cell = cell_at({3, -2, 9}, 1, 0.25F, 5);
+  const CellKey inside = cell_at(cell_centre(cell, 0.25F), 1, 0.25F, 2);
+  const CellKey first = first_in(cell, 2), end = first_in(next_of(cell), 2);
+  EXPECT_TRUE(!(inside < first) && inside < end);
+  EXPECT_EQ(end.code - first.code, 8U * 8U * 8U);
+  for (int k = 0; k < 27; ++k) {
+    const CellKey beside = neighbour(cell, k / 9 - 1, k / 3 % 3 - 1, k % 3 - 1);
+    EXPECT_EQ(k == 13, beside == cell);
+    const CellKey within = cell_at(cell_centre(beside, 0.25F), 1, 0.25F, 2);
+    EXPECT_EQ(!(within < first) && within < end, k == 13);
+  }
 }
 
 class CellTableTest : public testing::Test {
  protected:
-  static CellCount cell(int x, std::uint32_t count) { return {pack_cell({x, 0, 0}, 0), count}; }
-  /// x, samples and points of what has changed.
-  std::set<std::tuple<std::int64_t, unsigned, unsigned>> changed(std::size_t max = 100) {
-    std::set<std::tuple<std::int64_t, unsigned, unsigned>> cells;
-    for (const CellReport& report : table_.take_changed(max)) {
+  static CellCount cell(int x, std::uint32_t count) { return {pack_cell({x, 0, 0}, 0, kReportLevel), count}; }
+  /// x, samples and points of what is told.
+  using Cells = std::multiset<std::tuple<std::int64_t, unsigned, unsigned>>;
+  Cells take(std::size_t max, std::size_t repeats) {
+    Cells cells;
+    for (const CellReport& report : table_.take(max, repeats)) {
       cells.insert({unpack_cell(report.key).x, report.samples, report.modelled});
     }
     return cells;
   }
-  using Cells = std::set<std::tuple<std::int64_t, unsigned, unsigned>>;
+  Cells changed() { return take(100, 0); }
   CellTable table_{4};
 };
 
 TEST_F(CellTableTest, TellsWhatHasChangedOnce) {
   table_.set_samples(std::vector{cell(1, 10), cell(2, 20)});
-  table_.set_modelled(std::vector{cell(2, 7), cell(3, 9)});
+  table_.add_modelled(std::vector{cell(2, 4), cell(3, 9)});
+  table_.add_modelled(std::vector{cell(2, 3)});
   EXPECT_EQ(table_.seen(), 2U);
   EXPECT_EQ(table_.modelled(), 2U);
   EXPECT_EQ(changed(), (Cells{{1, 10, 0}, {2, 20, 7}, {3, 0, 9}}));
   EXPECT_FALSE(table_.changed());
   table_.set_samples(std::vector{cell(1, 10), cell(2, 21)});
   EXPECT_EQ(changed(), (Cells{{2, 21, 7}}));
-  table_.set_modelled(std::vector{cell(2, 7)});
+  table_.remove_modelled(std::vector{cell(2, 7)});
+  table_.add_modelled(std::vector{cell(2, 7)});
+  EXPECT_EQ(changed(), Cells()) << "as it was";
+  table_.remove_modelled(std::vector{cell(2, 3), cell(3, 9)});
   EXPECT_EQ(table_.modelled(), 1U);
-  EXPECT_EQ(changed(), (Cells{{3, 0, 0}})) << "what the model has no longer";
+  EXPECT_EQ(changed(), (Cells{{2, 21, 4}, {3, 0, 0}})) << "what the model has no longer";
   EXPECT_EQ(table_.size(), 2U) << "and is forgotten";
-  table_.touch_all();
-  EXPECT_EQ(changed(1).size(), 1U);
-  EXPECT_EQ(changed().size(), 1U);
+  EXPECT_EQ(table_.modelled_of(cell(2, 0).key), 4U);
+  EXPECT_EQ(table_.modelled_of(cell(3, 0).key), 0U);
+}
+
+TEST_F(CellTableTest, TellsTheOthersAgainInTurn) {
+  table_.set_samples(std::vector{cell(1, 10), cell(2, 20), cell(3, 30)});
+  EXPECT_EQ(take(2, 2).size(), 2U) << "what has changed comes first";
+  EXPECT_EQ(take(2, 0).size(), 1U);
+  const Cells all{{1, 10, 0}, {2, 20, 0}, {3, 30, 0}};
+  for (int turn = 0; turn < 3; ++turn) {
+    Cells told;
+    for (int i = 0; i < 3; ++i) told.merge(take(5, 1));
+    EXPECT_EQ(told, all);
+  }
+  EXPECT_EQ(take(5, 5), all) << "each once a message";
 }
 
 TEST_F(CellTableTest, HoldsAsManyAsItMay) {
@@ -93,8 +148,10 @@ TEST_F(CellTableTest, HoldsAsManyAsItMay) {
   EXPECT_TRUE(table_.full());
   EXPECT_EQ(table_.size(), 4U);
   EXPECT_EQ(table_.seen(), 4U);
-  table_.set_modelled(std::vector{cell(2, 3), cell(6, 1)});
+  table_.add_modelled(std::vector{cell(2, 3), cell(6, 1)});
   EXPECT_EQ(table_.modelled(), 1U);
+  table_.remove_modelled(std::vector{cell(2, 3), cell(6, 1)});
+  EXPECT_EQ(table_.modelled(), 0U);
 }
 
 }  // namespace

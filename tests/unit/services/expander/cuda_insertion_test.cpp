@@ -9,10 +9,10 @@
 namespace splatbus::expander::test {
 namespace {
 
-std::map<CellKey, std::uint32_t> cell_map(const std::vector<CellCount>& cells) {
-  std::map<CellKey, std::uint32_t> counts;
-  for (const CellCount& cell : cells) counts[cell.key] = cell.count;
-  return counts;
+using CellMap = std::map<CellKey, std::pair<std::uint32_t, std::uint32_t>>;
+
+void tell(CellTable& table, CellMap& cells) {
+  for (const CellReport& report : table.take(UINT32_MAX, 0)) cells[report.key] = {report.samples, report.modelled};
 }
 
 template <class Vector>
@@ -47,22 +47,26 @@ class CudaInsertionTest : public testing::Test {
   }
 
   /// One round through both; returns how many Gaussians it gave.
-  std::size_t compare(const HostRound& round, const InsertOptions& options = {}) {
+  std::size_t compare(const HostRound& round, const InsertOptions& options = {},
+                      std::span<const Viewpoint> viewpoints = {}) {
     const SentRound sent(round, Device::Cuda);
     const auto expected = host_->take(incoming(round));
     const auto got = device_->take(sent.round());
     EXPECT_EQ(got->invalid, expected->invalid);
-    const InsertResult a = host_->insert(*expected, options), b = device_->insert(*got, options);
+    const InsertResult a = host_->insert(*expected, viewpoints, options),
+                       b = device_->insert(*got, viewpoints, options);
     EXPECT_EQ(b.selected, a.selected);
     EXPECT_EQ(b.batches.size(), a.batches.size());
     expect_equal(on_host(a.batches), on_host(b.batches));
-    EXPECT_EQ(cell_map(b.cells), cell_map(a.cells));
-    EXPECT_EQ(cell_map(device_->cells()), cell_map(host_->cells()));
-    EXPECT_EQ(device_->modelled_points(), host_->modelled_points());
+    tell(host_->cells(), host_cells_);
+    tell(device_->cells(), device_cells_);
+    EXPECT_EQ(device_cells_, host_cells_);
+    EXPECT_EQ(device_->modelled().size(), host_->modelled().size());
     return a.selected;
   }
 
   std::unique_ptr<GaussianInserter> host_, device_;
+  CellMap host_cells_, device_cells_;
 };
 
 TEST_F(CudaInsertionTest, RoundsGrowTheSameModel) {
@@ -77,15 +81,15 @@ TEST_F(CudaInsertionTest, RoundsGrowTheSameModel) {
 
 TEST_F(CudaInsertionTest, OptionsMeanTheSame) {
   const HostRound round = room_round({}, 4, 48);
-  InsertOptions options{.select = {.candidate_radius_m = 3, .viewer = {1, 1, 1}, .room = 777}, .batch_size = 100};
-  EXPECT_EQ(compare(round, options), 777U) << "no more room";
+  InsertOptions options{.select = {.reach_m = 3, .min_pixels = 1e6F, .room = 777}, .batch_size = 100};
+  const std::vector<Viewpoint> viewpoints{{.position = {1, 1, 1}, .ahead = {-1, 1, 2}, .focal_px = 50}};
+  EXPECT_EQ(compare(round, options, viewpoints), 777U) << "no more room";
   options.select.room = UINT32_MAX;
   options.select.min_samples = 30;
-  options.select.top_up_fraction = 0.5F;
-  EXPECT_GT(compare(round, options), 100U);
-  options.select.top_up_distance = 10;  // spheres that reach into all neighbours
-  options.select.new_distance = 10;
-  options.select.candidate_radius_m = 100;
+  options.select.top_up_distance = 2;
+  EXPECT_GT(compare(round, options, viewpoints), 100U);
+  options.select.refine_factor = 4;  // spheres that reach into all neighbours
+  options.select.new_distance = 3;
   EXPECT_GT(compare(room_round({}, 5, 56, 0.4F), options), 100U);
 }
 

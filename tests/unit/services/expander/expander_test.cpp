@@ -46,7 +46,7 @@ TEST_P(ExpanderTest, ARestartedExpanderDoesNotDoubleTheModel) {
   expander_.reset();
   start();
   EXPECT_EQ(expander_->model_sync().adoptions(), 1U);
-  EXPECT_EQ(expander_->inserter().modelled_points(), round.size());
+  EXPECT_EQ(expander_->inserter().modelled().size(), round.size());
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(trainer_->points.size(), 2500U);
@@ -69,7 +69,7 @@ TEST_P(ExpanderTest, ARestartedExpanderKnowsMovingObjectsAndLeavesOutGarbage) {
   expander_.reset();
   start();
   EXPECT_EQ(expander_->model_sync().adoptions(), 1U);
-  EXPECT_EQ(expander_->inserter().modelled_points(), inserted);
+  EXPECT_EQ(expander_->inserter().modelled().size(), inserted);
   publish_input(room_round(scene, 3, 32));
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(expander_->queue().gaussians(), 0U) << "all of it is there";
@@ -186,6 +186,7 @@ TEST_P(ExpanderTest, WhatHasBeenRemovedMakesRoomBelowTheLimit) {
 }
 
 TEST_P(ExpanderTest, AStateTellsOfTheCellsThatHaveChanged) {
+  set("repeat_s", "1000");
   start();
   publish_input(floor_round(-1, 1));
   ASSERT_TRUE(settled_after(1));
@@ -200,8 +201,18 @@ TEST_P(ExpanderTest, AStateTellsOfTheCellsThatHaveChanged) {
   for (const auto& [cell, counts] : before) EXPECT_EQ(told_.at(cell), counts);
 }
 
+TEST_P(ExpanderTest, ALateReaderIsToldOfAllCells) {
+  set("repeat_s", "0.002");
+  start();
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  ASSERT_TRUE(until([&] { return told_.size() == state().cells_modelled(); }));
+  const auto before = std::exchange(told_, {});
+  ASSERT_TRUE(until([&] { return told_.size() == before.size(); }));
+  EXPECT_EQ(told_, before);
+}
+
 TEST_P(ExpanderTest, AStateIsBoundedAndTheRestFollows) {
-  set("candidate_radius_m", "1000");
   set("min_samples", "1");
   start();
   HostRound round = empty_round();
@@ -274,7 +285,7 @@ TEST_P(ExpanderTest, AFailureOfMemoryEndsTheStepAndTheNextProcessGoesOn) {
   EXPECT_NE(failure, "") << "the process ends with these words";
   expander_.reset();
   start();
-  EXPECT_EQ(expander_->inserter().modelled_points(), 1600U) << "the trainer's";
+  EXPECT_EQ(expander_->inserter().modelled().size(), 1600U) << "the trainer's";
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(trainer_->points.size(), 2500U);

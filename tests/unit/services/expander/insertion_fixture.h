@@ -63,19 +63,19 @@ class InsertionTest : public testing::TestWithParam<Device> {
   void SetUp() override {
     if (!has_device(GetParam())) GTEST_SKIP() << "no " << name_of(GetParam());
     use_cells_of(kCellSize_m);
-    options_.select.viewer = {0, 1, 0};
   }
 
   void use_cells_of(float size_m) { inserter_ = std::make_unique<GaussianInserter>(GetParam(), size_m); }
 
   HostGaussians insert(const HostRound& round) {
     const auto taken = inserter_->take(incoming(round));
-    result_ = inserter_->insert(*taken, options_);
+    result_ = inserter_->insert(*taken, viewpoints_, options_);
     return on_host(result_.batches);
   }
 
   std::unique_ptr<GaussianInserter> inserter_;
   InsertOptions options_;
+  std::vector<Viewpoint> viewpoints_;
   InsertResult result_;  // of the last round
 };
 

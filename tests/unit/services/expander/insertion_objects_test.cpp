@@ -75,7 +75,7 @@ TEST_P(InsertionTest, ObjectsWhoseIdsAgreeInManyBitsShareNoCells) {
     const HostGaussians inserted = insert(round);
     EXPECT_EQ(inserted.object_id, std::vector<std::uint32_t>(6, id));
   }
-  EXPECT_EQ(inserter_->cells().size(), 4U);
+  EXPECT_EQ(inserter_->cells().modelled(), 4U);
 }
 
 }  // namespace

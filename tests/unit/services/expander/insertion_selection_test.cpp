@@ -1,88 +1,103 @@
 // Selection of samples beside its rules, written in the plainest way.
+#include <algorithm>
 #include <cmath>
+#include <glm/gtc/constants.hpp>
 #include <map>
-#include <set>
+#include <tuple>
 #include <utility>
 #include <vector>
 
-#include "gaussians/light.h"
 #include "insertion_fixture.h"
 #include "room_scene.h"
 
 namespace splatbus::expander::test {
 namespace {
 
-/// The rules of selection in the plainest way, for what stands still.
+/// The rules of selection in the plainest way, every sample beside every point, for what stands still.
 class PlainSelection {
  public:
   explicit PlainSelection(const SelectOptions& options) : options_(options) {}
 
-  std::vector<glm::vec3> insert(const HostRound& round) {
-    std::map<Cell, std::vector<std::size_t>> by_cell;
+  std::vector<glm::vec3> insert(const HostRound& round, const std::vector<Viewpoint>& viewpoints) {
+    std::map<Cell, std::size_t> samples;
+    const auto candidate = [&](std::size_t i) {
+      return std::any_of(viewpoints.begin(), viewpoints.end(), [&](const Viewpoint& viewpoint) {
+        const float distance_m = glm::distance(
+            round.position[i], glm::vec3(viewpoint.position.x, viewpoint.position.y, viewpoint.position.z));
+        return distance_m <= options_.reach_m ||
+               round.spacing_m[i] * viewpoint.focal_px / distance_m >= options_.min_pixels;
+      });
+    };
     for (std::size_t i = 0; i < round.size(); ++i) {
-      const glm::vec3 viewer(options_.viewer.x, options_.viewer.y, options_.viewer.z);
-      if (glm::distance(round.position[i], viewer) <= options_.candidate_radius_m) {
-        by_cell[cell_of(round.position[i])].push_back(i);
-      }
+      if (candidate(i)) ++samples[cell_of(round.position[i], round.spacing_m[i])];
     }
-    std::set<std::size_t> selected;
-    for (const auto& [cell, samples] : by_cell) {
-      if (!seen(cell, by_cell)) continue;
-      const std::size_t held = points_[cell].size();
-      const float distance = held == 0 ? options_.new_distance : options_.top_up_distance;
-      std::vector<std::size_t> lacking;
-      for (const std::size_t i : samples) {
-        const float apart = std::min(distance * round.spacing_m[i], kCellSize_m);
-        if (!covered(cell, round.position[i], round.normal[i], apart)) lacking.push_back(i);
-      }
-      if (static_cast<float>(lacking.size()) >= std::ceil(options_.top_up_fraction * static_cast<float>(held))) {
-        selected.insert(lacking.begin(), lacking.end());
+    std::vector<std::size_t> selected;
+    for (std::size_t i = 0; i < round.size() && selected.size() < options_.room; ++i) {
+      if (candidate(i) && seen(cell_of(round.position[i], round.spacing_m[i]), samples) && !covered(round, i)) {
+        selected.push_back(i);
       }
     }
     std::vector<glm::vec3> positions;
     for (const std::size_t i : selected) {
-      if (positions.size() == options_.room) break;
       positions.push_back(round.position[i]);
-      points_[cell_of(round.position[i])].emplace_back(round.position[i], round.normal[i]);
+      points_.emplace_back(round.position[i], round.normal[i]);
     }
     return positions;
   }
 
  private:
-  using Cell = std::tuple<int, int, int>;
+  using Cell = std::tuple<float, float, float, float>;  // edge, coordinates
 
-  static Cell cell_of(const glm::vec3& p) {
-    const glm::ivec3 at(glm::floor(p / kCellSize_m + 0.5F));
-    return {at.x, at.y, at.z};
+  /// Of the smallest that are at least three spacings wide, by halves and doubles of kCellSize_m, down to an eighth.
+  [[nodiscard]] Cell cell_of(const glm::vec3& p, float spacing_m) const {
+    float edge_m = kCellSize_m / 8;
+    const float factor = std::max({3.0F, options_.new_distance, options_.top_up_distance, options_.refine_factor});
+    while (edge_m < factor * spacing_m) edge_m *= 2;
+    const glm::vec3 at = glm::floor((p + 0.5F * kCellSize_m) / edge_m);
+    return {edge_m, at.x, at.y, at.z};
   }
-  template <class Test>
-  static bool any_about(const Cell& cell, const Test& test) {
-    const auto [x, y, z] = cell;
-    for (int k = 0; k < 27; ++k) {
-      if (test(Cell{x + k / 9 - 1, y + k / 3 % 3 - 1, z + k % 3 - 1})) return true;
+  [[nodiscard]] bool seen(const Cell& cell, const std::map<Cell, std::size_t>& samples) const {
+    const auto [edge_m, x, y, z] = cell;
+    std::size_t about = 0;
+    for (const auto& [other, count] : samples) {
+      const auto [its_edge_m, its_x, its_y, its_z] = other;
+      const glm::vec3 here(x, y, z), there(its_x, its_y, its_z);
+      const glm::vec3 apart = glm::abs(here - (its_edge_m < edge_m ? glm::floor(there / 2.0F) : there));
+      const bool beside =
+          std::max({apart.x, apart.y, apart.z}) <= 1 && (its_edge_m == edge_m || its_edge_m == edge_m / 2);
+      const bool about_it = its_edge_m == 2 * edge_m && glm::floor(here / 2.0F) == there;
+      if (beside || about_it) about += count;
     }
-    return false;
+    return about >= options_.min_samples;
   }
-  [[nodiscard]] bool seen(const Cell& cell, const std::map<Cell, std::vector<std::size_t>>& by_cell) const {
-    return any_about(cell, [&](const Cell& at) {
-      const auto found = by_cell.find(at);
-      return found != by_cell.end() && found->second.size() >= options_.min_samples;
-    });
-  }
-  [[nodiscard]] bool covered(const Cell& cell, const glm::vec3& position, const glm::vec3& normal, float apart) const {
-    return any_about(cell, [&](const Cell& at) {
-      const auto found = points_.find(at);
-      if (found == points_.end()) return false;
-      for (const auto& [point, its_normal] : found->second) {
-        const glm::vec3 offset = point - position;
-        if (glm::dot(offset, offset) < apart * apart && glm::dot(its_normal, normal) > 0.5F) return true;
+  [[nodiscard]] bool covered(const HostRound& round, std::size_t i) const {
+    const math::Vec3 n{round.normal[i].x, round.normal[i].y, round.normal[i].z};
+    const math::Vec3 u = normalized(cross(n, std::abs(n.z) < 0.7F ? math::Vec3{0, 0, 1} : math::Vec3{1, 0, 0}));
+    const math::Vec3 v = cross(n, u);
+    float nearest = INFINITY;
+    std::vector<double> directions;  // of points around
+    for (const auto& [point, normal] : points_) {
+      const glm::vec3 offset = point - round.position[i];
+      const float distance = glm::length(offset) / round.spacing_m[i];
+      if (distance > 5 || glm::dot(normal, round.normal[i]) <= 0.5F) continue;
+      nearest = std::min(nearest, distance);
+      const math::Vec3 to{offset.x, offset.y, offset.z};
+      const double angle = std::atan2(double{dot(to, v)}, double{dot(to, u)}) / (2 * glm::pi<double>());
+      if (distance < options_.refine_factor) directions.push_back(std::floor(8 * (angle < 0 ? angle + 1 : angle)));
+    }
+    if (nearest < options_.new_distance) return true;
+    // Any four eighths of a turn one behind the other have a point.
+    for (int first = 0; first < 8; ++first) {
+      if (std::none_of(directions.begin(), directions.end(),
+                       [&](double at) { return (static_cast<int>(at) + 8 - first) % 8 < 4; })) {
+        return false;
       }
-      return false;
-    });
+    }
+    return nearest < options_.top_up_distance;
   }
 
   SelectOptions options_;
-  std::map<Cell, std::vector<std::pair<glm::vec3, glm::vec3>>> points_;
+  std::vector<std::pair<glm::vec3, glm::vec3>> points_;
 };
 
 TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
@@ -92,14 +107,16 @@ TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
     round.scene.objects.clear();
     return round;
   };
+  viewpoints_ = {{.position = {1, 1, 1}, .ahead = {1, 1, 1}, .focal_px = 60}};
   for (const SelectOptions& options :
-       {SelectOptions{}, SelectOptions{.candidate_radius_m = 3, .viewer = {1, 1, 1}, .room = 4000},
-        SelectOptions{.min_samples = 20, .new_distance = 5, .top_up_distance = 8, .top_up_fraction = 0.3F}}) {
+       {SelectOptions{}, SelectOptions{.reach_m = 2, .min_pixels = 1.5F, .room = 4000},
+        SelectOptions{.min_samples = 20, .new_distance = 0.5F, .top_up_distance = 1.4F, .refine_factor = 2.5F},
+        SelectOptions{.new_distance = 2, .top_up_distance = 4.5F, .refine_factor = 4}}) {
     use_cells_of(kCellSize_m);
     options_.select = options;
     PlainSelection plain(options);
     for (const HostRound& round : {still(4, 40, 0), still(5, 48, 0.3F), still(3, 40, 0.9F)}) {
-      const auto expected = plain.insert(round);
+      const auto expected = plain.insert(round, viewpoints_);
       EXPECT_EQ(insert(round).mean, expected);
       EXPECT_GT(expected.size(), 10U);
     }
