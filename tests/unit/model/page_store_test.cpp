@@ -152,6 +152,10 @@ TEST_P(PageStoreTest, FrozenPagesTakeTheirAveragesAndRestUntilTheirStructureChan
     if (std::ranges::find(chosen, place.index / kPageLanes) == chosen.end()) continue;
     truth_.gaussians[id].values[0] = truth_.gaussians[id].values[channels];
   }
+  const PageBounds rests = store_->view().bounds.front(), moves = store_->view().bounds[1];
+  store_->refresh_bounds(0.5F, 2);
+  EXPECT_EQ(store_->view().bounds.front().high.x, rests.high.x);
+  EXPECT_GT(store_->view().bounds[1].high.x, moves.high.x);
   store_->refresh_bounds();
   expect_sound();
 
