@@ -20,6 +20,7 @@ class CpuRasterizer : public Rasterizer {
                      float* parameters, ParameterGradient& statistics) override;
   void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
               const RenderOptions& options, Render& out) override;
+  void look_at_pages(const Image& error, std::vector<PageLook>& looks) override;
   [[nodiscard]] std::vector<StageTime> stage_times() const override;
 
  private:
@@ -34,6 +35,7 @@ class CpuRasterizer : public Rasterizer {
   Workers workers_;
   Frame frame_;
   Scratch<DepthKey> spare_keys_;
+  std::vector<PageLook> page_sums_;
   std::vector<IndexRange> shown_ranges_, adam_pieces_;
   std::vector<std::size_t> room_of_piece_, visible_of_piece_, first_of_piece_;
   DepthSorter sorter_;

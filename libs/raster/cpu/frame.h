@@ -121,6 +121,7 @@ struct Frame {
   [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
 
   std::vector<IndexRange> pieces;         ///< Gaussians that may show, as they are worked on
+  std::vector<std::uint8_t> frozen_page;  ///< by page, where any of `pieces` is frozen; else empty
   Scratch<Splat> splats;                  ///< [count], valid where visible
   Scratch<TileReach> reaches;             ///< [count], valid where visible
   Scratch<PairRange> pair_ranges;         ///< [count], kept, valid in pieces
