@@ -207,7 +207,14 @@ void CpuStep::look(const TrainingViewPtr& view, float loss) {
   report_.looks.push_back({.view = view, .loss = loss, .pages = {}});
   if (!options_.freeze.enabled) return;
   l1_error(render_.color, view->color.data(), options_.layout.appearance == Appearance::Transfer, view_mask_, error_);
-  rasterizer_->look_at_pages(error_, report_.looks.back().pages);
+  ViewLook& look = report_.looks.back();
+  rasterizer_->look_at_pages(error_, look.pages);
+  double pairs = 0, active = 0;
+  for (const raster::PageLook& page : look.pages) {
+    pairs += page.pairs;
+    if (store_.table().entry(page.page).now.state != model::PageState::Frozen) active += page.pairs;
+  }
+  look.active_share = pairs > 0 ? static_cast<float>(active / pairs) : 1.0F;
 }
 
 float CpuStep::depth_loss(const TrainingView& view, float scale) {

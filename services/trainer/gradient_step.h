@@ -20,6 +20,7 @@ struct ViewLook {
   TrainingViewPtr view;
   float loss = 0;
   std::vector<raster::PageLook> pages;  ///< L1 error in display space
+  float active_share = 1;               ///< of what shows (PageLook::pairs), where pages train
 };
 
 /// Steps that came to their end since the last report.

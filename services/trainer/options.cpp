@@ -25,6 +25,7 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("batch", batch, "views an optimizer step, 0: one on the CPU, two on a GPU", {0, 256});
   p.add("input_view_interval", input_view_interval,
         "one input picture is trained after that many reference views, 0: none", {0, 1e6});
+  p.add("views_by_loss", views_by_loss, "views of less loss than others are left out now and then; on the CPU");
   p.add(
       "pair_visibility", pair_visibility,
       "transfer: a view trains with the visibility of its own scene version, or waits for it; false: with the newest");

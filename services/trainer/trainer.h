@@ -69,6 +69,8 @@ class Trainer {
   void pair_views();
   [[nodiscard]] bool may_step() const;
   void train_step();
+  /// Books what steps came to.
+  void take(const StepReport& report);
   /// Waits for what is under way. Returns whether the structure changed.
   bool finish_steps();
   void publish_due(bool structure_changed);

@@ -88,7 +88,7 @@ void Trainer::optimize_once() {
 
 bool Trainer::finish_steps() {
   const std::uint64_t generation = store_->generation();
-  progress_.add(optimizer_->finish());
+  take(optimizer_->finish());
   return store_->generation() != generation;
 }
 
@@ -113,11 +113,17 @@ bool Trainer::may_step() const {
          (views_.any_to_train(CameraRole::Reference) || (inputs_count && views_.any_to_train(CameraRole::Input)));
 }
 
+void Trainer::take(const StepReport& report) {
+  progress_.add(report);
+  if (!optimizer_->options().views_by_loss) return sampler_.forget();
+  for (const ViewLook& look : report.looks) sampler_.learn(key_of(*look.view), look.loss, look.active_share);
+}
+
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
   const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->generation();
-  progress_.add(optimizer_->step(batch));
+  take(optimizer_->step(batch));
   if (store_->generation() != generation) publish_due(true);
 }
 
