@@ -35,10 +35,10 @@ struct CarveOptions {
 /// When a page rests: docs/decisions/0103-freezing.md.
 struct FreezeOptions {
   bool enabled = true;
-  double after_s = 5;           ///< of optimizer time, twice: the time over which its loss is compared
-  float least_gain = 0.05F;     ///< part of its loss that a page which trains on loses in that time
-  float most_movement = 0.05F;  ///< as page_movements()
-  float thaw_rise = 1.3F;       ///< of its loss as it froze, above which it trains again
+  double after_s = 5;          ///< of optimizer time, twice: the time over which its loss is compared
+  float least_gain = 0.05F;    ///< part of its loss that a page which trains on loses in that time
+  float most_movement = 0.1F;  ///< as page_movements()
+  float thaw_rise = 1.3F;      ///< of its loss as it froze, above which it trains again
 };
 
 struct DensifyOptions {
@@ -64,6 +64,7 @@ struct Options {
   int input_view_interval = 3;  ///< one input view after that many reference views, 0: none
   bool views_by_loss = true;    ///< views that have less to teach than others have fewer turns
   bool pair_visibility = true;  ///< Transfer: a view trains with its own scene version's visibility, or not at all
+  bool cull_hidden = true;      ///< pages that a view's last step found hidden are left out; on the CPU
   bool antialias = true;
   bool residual = true;  ///< Transfer: the residual transfer trains
   float ssim_weight = 0.2F, albedo_weight = 0.3F, depth_weight = 0;
