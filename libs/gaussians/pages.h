@@ -29,6 +29,7 @@ inline constexpr std::uint32_t kWorldFrame = 0;
 struct IndexRange {
   std::uint32_t first = 0, count = 0;
   std::uint32_t frame_id = kWorldFrame;  ///< object whose frame they are in
+  std::uint32_t frozen = 0;              ///< 1: they are drawn, and a training step leaves them as they are
   bool operator==(const IndexRange&) const = default;
 };
 

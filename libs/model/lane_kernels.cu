@@ -201,6 +201,18 @@ struct WriteVisibility {
   }
 };
 
+struct TakeAverage {
+  PageMemory memory;
+  const LaneRange* pages;
+  std::uint32_t channels;
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
+    const LaneRange page = pages[i / kPageLanes];
+    const std::uint32_t lane = i % kPageLanes, index = page.first + lane;
+    if (lane >= page.count) return;
+    for (std::uint32_t c = 0; c < channels; ++c) *memory.value(c, index) = *memory.value(channels + c, index);
+  }
+};
+
 struct MarkBroken {
   PageMemory memory;
   const LaneRange* pages;
@@ -319,6 +331,11 @@ std::vector<PageBounds> bounds_of_lanes(StreamView stream, const PageMemory& mem
 void write_visibility(StreamView stream, const PageMemory& memory, const std::uint8_t* values,
                       std::span<const LaneRange> pages) {
   by_lane(stream, pages, [&](const LaneRange* some) { return WriteVisibility{memory, values, some}; });
+}
+
+void take_averages(StreamView stream, const PageMemory& memory, std::uint32_t channels,
+                   std::span<const LaneRange> pages) {
+  by_lane(stream, pages, [&](const LaneRange* some) { return TakeAverage{memory, some, channels}; });
 }
 
 void mark_broken(StreamView stream, const PageMemory& memory, std::span<const LaneRange> pages, std::uint8_t* dead) {

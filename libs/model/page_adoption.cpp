@@ -171,7 +171,7 @@ void PageStore::move_arenas(Device from, const bus::SlabRange& old_range) {
   while (range_->slabs().size() < old_range.slabs().size()) add_arena(arenas, list);
   const std::size_t bytes = page_bytes(layout_);
   for (std::uint32_t page = 0; page < old_range.slabs().size() * kArenaPages; ++page) {
-    if (table_.entry(page).now.state != PageState::Active) continue;
+    if (!is_present(table_.entry(page).now.state)) continue;
     bus::copy_memory(range_->data() + page * bytes, device_, old_range.data() + page * bytes, from, bytes);
   }
   bus::finish_copies();
@@ -212,7 +212,7 @@ void PageStore::list_pages() {
   for (std::uint32_t page = pages; page-- > 0;) {
     const PageStructure& now = table_.entry(page).now;
     if (now.state == PageState::Free) free_.push_back(page);
-    if (now.state == PageState::Active) {
+    if (is_present(now.state)) {
       directory_.push_back({now.frame_id, page, now.count, now.morton_first, now.id_first});
     }
   }

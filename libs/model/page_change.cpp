@@ -267,6 +267,7 @@ RemoveResult PageStore::remove(const std::uint8_t* dead, const std::vector<std::
     result.moves.count += removals[p].holes;
     PageChange change{.page = page, .next = table_.entry(page).now, .bounds = {}, .fresh = {}};
     change.next.count -= removals[p].dead;
+    change.next.state = PageState::Active;
     change.fresh = {pages[p].first, change.next.count};
     if (change.next.count == 0) change.next = {};
     changes.push_back(change);
@@ -301,9 +302,11 @@ Moves PageStore::merge() {
   std::vector<PageChange> changes;
   std::uint32_t moved = 0;
   bool grows = false;  // the last that is kept
+  const auto rests = [&](const Page& page) { return table_.entry(page.page).now.state == PageState::Frozen; };
   for (const Page& page : directory_) {
     Page* const into = kept.empty() ? nullptr : &kept.back();
-    if (into == nullptr || into->frame_id != page.frame_id || into->count + page.count > fill_target()) {
+    if (into == nullptr || rests(page) || rests(*into) || into->frame_id != page.frame_id ||
+        into->count + page.count > fill_target()) {
       kept.push_back(page);
       grows = false;
       continue;

@@ -131,6 +131,9 @@ void list_moves(StreamView stream, std::span<const LaneMove> lanes, std::uint32_
 /// Clamped to [0, 1]; what is no number becomes 0.
 void write_visibility(StreamView stream, const PageMemory& memory, const std::uint8_t* values,
                       std::span<const LaneRange> pages);
+/// The parameters, of which there are `channels`, become what their averages are.
+void take_averages(StreamView stream, const PageMemory& memory, std::uint32_t channels,
+                   std::span<const LaneRange> pages);
 /// dead[i] = 1 where the Gaussian is not finite or has no id; `dead` is zero before.
 void mark_broken(StreamView stream, const PageMemory& memory, std::span<const LaneRange> pages, std::uint8_t* dead);
 

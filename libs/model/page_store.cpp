@@ -86,12 +86,18 @@ void PageStore::bound(std::vector<PageChange>& changes) const {
 }
 
 void PageStore::refresh_bounds(float move_m, float growth) {
-  std::vector<PageChange> pages(ranges_.size());
-  for (std::size_t r = 0; r < pages.size(); ++r) pages[r].fresh = {ranges_[r].first, ranges_[r].count};
+  std::vector<PageChange> pages;
+  std::vector<std::size_t> place;
+  for (std::size_t r = 0; r < ranges_.size(); ++r) {
+    if (ranges_[r].frozen != 0) continue;  // bounded as it froze
+    pages.push_back({.page = 0, .next = {}, .bounds = {}, .fresh = {ranges_[r].first, ranges_[r].count}});
+    place.push_back(r);
+  }
   bound(pages);
   const math::Vec3 move{move_m, move_m, move_m};
-  for (std::size_t r = 0; r < pages.size(); ++r) {
-    const PageBounds& now = pages[r].bounds;
+  for (std::size_t k = 0; k < pages.size(); ++k) {
+    const PageBounds& now = pages[k].bounds;
+    const std::size_t r = place[k];
     bounds_[r] = {now.low - move, now.high + move, now.max_scale_m * growth};
     table_.entry(ranges_[r].first >> kPageShift).bounds = bounds_[r];
   }
@@ -99,17 +105,48 @@ void PageStore::refresh_bounds(float move_m, float growth) {
   stream_.wait();
 }
 
+void PageStore::freeze(std::span<const std::uint32_t> pages) {
+  std::vector<LaneRange> lanes;
+  std::vector<PageChange> changes;
+  for (const std::uint32_t page : pages) {
+    const PageStructure& now = table_.entry(page).now;
+    if (now.state != PageState::Active || now.count == 0) continue;
+    lanes.push_back({page * kPageLanes, now.count});
+    changes.push_back({.page = page, .next = now, .bounds = {}, .fresh = lanes.back()});
+    changes.back().next.state = PageState::Frozen;
+  }
+  if (lanes.empty()) return;
+  take_averages(stream_, memory_, static_cast<std::uint32_t>(layout_.channels()), lanes);
+  bound(changes);
+  apply(changes, next_gaussian_id(), std::nullopt);
+}
+
+void PageStore::thaw(std::span<const std::uint32_t> pages) {
+  std::vector<PageChange> changes;
+  for (const std::uint32_t page : pages) {
+    const PageEntry& entry = table_.entry(page);
+    if (entry.now.state != PageState::Frozen) continue;
+    changes.push_back({.page = page, .next = entry.now, .bounds = entry.bounds, .fresh = {}});
+    changes.back().next.state = PageState::Active;
+  }
+  if (!changes.empty()) apply(changes, next_gaussian_id(), std::nullopt);
+}
+
 void PageStore::refresh_ranges() {
   ranges_.clear();
   bounds_.clear();
-  count_ = 0;
+  count_ = frozen_count_ = frozen_pages_ = 0;
   const auto pages = static_cast<std::uint32_t>(range_->slabs().size()) * kArenaPages;
   for (std::uint32_t page = 0; page < std::min(pages, table_.page_capacity()); ++page) {
     const PageEntry& entry = table_.entry(page);
-    if (entry.now.state != PageState::Active || entry.now.count == 0) continue;
-    ranges_.push_back({page * kPageLanes, entry.now.count, entry.now.frame_id});
+    if (!is_present(entry.now.state) || entry.now.count == 0) continue;
+    const bool frozen = entry.now.state == PageState::Frozen;
+    ranges_.push_back({page * kPageLanes, entry.now.count, entry.now.frame_id, frozen ? 1U : 0U});
     bounds_.push_back(entry.bounds);
     count_ += entry.now.count;
+    if (!frozen) continue;
+    frozen_pages_ += 1;
+    frozen_count_ += entry.now.count;
   }
   device_ranges_.assign(ranges_);
   device_bounds_.assign(bounds_);

@@ -64,6 +64,10 @@ class PageStore {
   /// Bytes of channels that insertions and removals have written.
   [[nodiscard]] std::uint64_t written_bytes() const { return written_bytes_; }
 
+  /// Pages whose values rest, and the Gaussians in them.
+  [[nodiscard]] std::size_t frozen_pages() const { return frozen_pages_; }
+  [[nodiscard]] std::size_t frozen_count() const { return frozen_count_; }
+
   /// Pointers to the device's memory, ranges and bounds in the host's; good until the next change.
   [[nodiscard]] GaussiansView view() const;
   /// The same, with the averages over time for parameters.
@@ -96,13 +100,18 @@ class PageStore {
   /// Puts neighbouring pages together that fill no more of one than a split leaves, so that what removals have emptied
   /// is free for insertions. Costs nothing but a look at the directory where there are none.
   Moves merge();
+  /// The values of these active pages become their averages and rest: IndexRange::frozen of the view says so. A page
+  /// that is not active is left as it is.
+  void freeze(std::span<const std::uint32_t> pages);
+  /// Frozen pages become active, as do those that anything is put into or removed from.
+  void thaw(std::span<const std::uint32_t> pages);
 
   /// The pages whose structure is what it was at `generation`, and whose indices are below `count`.
   [[nodiscard]] std::vector<LaneRange> unchanged_since(std::uint64_t generation, std::size_t count) const;
   /// Takes over the sun's visibility of those pages, in place: `values` by index on the device, 255 sees all of it.
   void set_visibility(const std::uint8_t* values, std::span<const LaneRange> pages);
   /// Makes bounds what the parameters say now, on the host, on the device and in the table; with slack, so that they
-  /// hold while no mean moves farther than `move_m` and no scale grows by more than `growth`.
+  /// hold while no mean moves farther than `move_m` and no scale grows by more than `growth`. Frozen pages keep theirs.
   void refresh_bounds(float move_m = 0, float growth = 1);
 
   /// Publishes model/published with the pages as they are now.
@@ -167,10 +176,10 @@ class PageStore {
   PageMemory memory_;
   bool said_full_ = false;
 
-  // The table's active pages by frame and first key, and its free ones, the lowest last.
+  // The table's pages with Gaussians by frame and first key, and its free ones, the lowest last.
   std::vector<Page> directory_;
   std::vector<std::uint32_t> free_;
-  std::size_t count_ = 0;
+  std::size_t count_ = 0, frozen_count_ = 0, frozen_pages_ = 0;
   std::uint64_t written_bytes_ = 0;
 
   std::vector<IndexRange> ranges_;

@@ -149,7 +149,7 @@ std::vector<std::uint32_t> PageTable::recover() const {
     entry.change.store(0, std::memory_order_release);
     if (entry.generation.load(std::memory_order_acquire) % 2 == 0) continue;
     // Stays open until the page has been looked through.
-    if (entry.now.state == PageState::Active) {
+    if (is_present(entry.now.state)) {
       open.push_back(page);
     } else {
       entry.generation.store(2 * (generation() + 1), std::memory_order_release);

@@ -21,7 +21,13 @@ inline constexpr std::uint32_t kMaxArenas = 240;
 /// Most recent batches that the model remembers, as model/published carries them.
 inline constexpr std::size_t kRememberedBatches = 4096;
 
+/// A frozen page is there as an active one is, but its values rest: whatever changes its structure makes it active.
 enum class PageState : std::uint32_t { Free, Active, Frozen, Spilled };
+
+/// Whether its block holds the page's Gaussians.
+[[nodiscard]] constexpr bool is_present(PageState state) {
+  return state == PageState::Active || state == PageState::Frozen;
+}
 
 /// Structure of a page. Its Gaussians' keys (Morton, id) are at least (morton_first, id_first) and below those of the
 /// frame's next page; the first page of a frame begins at (0, 0).
@@ -124,8 +130,8 @@ class PageTable {
   void fold(std::uint32_t page, const PageBounds& bounds) const;
   void close() const;
 
-  /// Brings an adopted table to the last commit. Returns the active pages that were open: of those, Gaussians may lie
-  /// in two lanes, or carry the id 0, which is nobody's.
+  /// Brings an adopted table to the last commit. Returns the pages with Gaussians that were open: of those, Gaussians
+  /// may lie in two lanes, or carry the id 0, which is nobody's.
   [[nodiscard]] std::vector<std::uint32_t> recover() const;
 
  private:

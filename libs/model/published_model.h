@@ -59,7 +59,7 @@ class PublishedModel {
   PublishedModel() = default;
   /// The table that the message names, in memory that is aligned for it.
   void take_table(const bus::Message& message, const bus::TensorView& tensor);
-  /// Ranges, bounds and generations of the active pages; false while one of them changes.
+  /// Ranges, bounds and generations of the pages that hold Gaussians; false while one of them changes.
   [[nodiscard]] bool read_pages(const bus::Message& message, std::size_t arenas);
   void map_arenas(const PublishedModel* before);
   void make_views(std::byte* pages, Need need);

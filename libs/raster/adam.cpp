@@ -1,9 +1,11 @@
 #include "raster/adam.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <iterator>
 #include <stdexcept>
+#include <utility>
 
 #include "device/large_pages.h"
 #include "gaussians/portable.h"
@@ -22,31 +24,98 @@ std::size_t Adam::block_floats() const {
   return rows() * kRowWords;
 }
 
-float* Adam::block(std::size_t page) const {
-  return arenas_[page / kArenaPages].get() + page % kArenaPages * block_floats();
+float Adam::second_bias(const float* counters, std::size_t lane) const {
+  return 1 - std::pow(beta2, static_cast<float>(reinterpret_cast<const std::uint32_t*>(counters)[lane]));
+}
+
+float* Adam::own_block(std::size_t page) {
+  Page& of = pages_[page];
+  if (of.block != nullptr) return of.block;
+  if (free_blocks_.empty()) {
+    arenas_.emplace_back(static_cast<float*>(device::allocate_large(kArenaPages * block_floats() * sizeof(float))));
+    for (std::size_t k = kArenaPages; k-- > 0;) free_blocks_.push_back(arenas_.back().get() + k * block_floats());
+  }
+  of.block = free_blocks_.back();
+  free_blocks_.pop_back();
+  ++blocks_in_use_;
+  std::memset(of.block, 0, block_floats() * sizeof(float));
+  if (of.rest.empty()) return of.block;
+  float* const counters = of.block + 2 * channels() * kRowWords;
+  std::copy_n(of.rest.data() + channels(), kCounters * kRowWords, counters);
+  for (std::size_t lane = 0; lane < kPageLanes; ++lane) {
+    const float bias = second_bias(counters, lane);
+    for (std::size_t c = 0; c < channels(); ++c) of.block[(channels() + c) * kRowWords + lane] = bias * of.rest[c];
+  }
+  of.rest = {};
+  return of.block;
+}
+
+void Adam::release(std::size_t page) {
+  Page& of = pages_[page];
+  of.rest = {};
+  if (of.block == nullptr) return;
+  free_blocks_.push_back(std::exchange(of.block, nullptr));
+  --blocks_in_use_;
+}
+
+void Adam::rest(std::size_t page) {
+  Page& of = pages_[page];
+  if (of.block == nullptr) return;
+  const float* const counters = of.block + 2 * channels() * kRowWords;
+  std::vector<float> rest(channels() + kCounters * kRowWords);
+  for (std::size_t c = 0; c < channels(); ++c) {
+    const float* const second = of.block + (channels() + c) * kRowWords;
+    double sum = 0;
+    std::size_t trained = 0;
+    for (std::size_t lane = 0; lane < kPageLanes; ++lane) {
+      const float bias = second_bias(counters, lane);
+      if (!(bias > 0)) continue;
+      sum += second[lane] / bias;
+      ++trained;
+    }
+    rest[c] = trained > 0 ? static_cast<float>(sum / static_cast<double>(trained)) : 0.0F;
+  }
+  std::copy_n(counters, kCounters * kRowWords, rest.data() + channels());
+  release(page);
+  of.rest = std::move(rest);
+}
+
+void Adam::keep(std::span<const IndexRange> ranges) {
+  std::size_t page = 0;
+  for (const IndexRange& range : ranges) {
+    for (; page < range.first >> kPageShift; ++page) release(page);
+    if (range.frozen != 0) rest(page);
+    ++page;
+  }
+  for (; page < pages_.size(); ++page) release(page);
+}
+
+void Adam::prepare(std::span<const IndexRange> ranges) {
+  for (const IndexRange& range : ranges) own_block(range.first >> kPageShift);
 }
 
 void Adam::resize(const ParameterLayout& layout, std::size_t count) {
   if (layout != layout_) {
+    pages_.clear();
+    free_blocks_.clear();
     arenas_.clear();
-    count_ = 0;
+    count_ = blocks_in_use_ = 0;
     layout_ = layout;
   }
   if (count < count_) reset(count, count_ - count);  // those that come back begin anew
   count_ = count;
-  const std::size_t pages = (count + kPageLanes - 1) / kPageLanes;
-  while (arenas_.size() * kArenaPages < pages) {
-    const std::size_t bytes = kArenaPages * block_floats() * sizeof(float);
-    arenas_.emplace_back(static_cast<float*>(device::allocate_large(bytes)));
-    std::memset(arenas_.back().get(), 0, bytes);
-  }
+  pages_.resize(std::max(pages_.size(), (count + kPageLanes - 1) / kPageLanes));
 }
 
 void Adam::reset(std::size_t first, std::size_t count) {
   for (std::size_t i = first; i < first + count;) {
     const std::size_t lane = i % kPageLanes;
     const std::size_t lanes = std::min<std::size_t>(kPageLanes - lane, first + count - i);
-    for (std::size_t c = 0; c < rows(); ++c) std::fill_n(block(i >> kPageShift) + c * kRowWords + lane, lanes, 0.0F);
+    Page& page = pages_[i >> kPageShift];
+    if (!page.rest.empty()) own_block(i >> kPageShift);
+    for (std::size_t c = 0; c < rows() && page.block != nullptr; ++c) {
+      std::fill_n(page.block + c * kRowWords + lane, lanes, 0.0F);
+    }
     i += lanes;
   }
 }
@@ -55,8 +124,8 @@ void Adam::move(std::span<const std::uint32_t> from, std::span<const std::uint32
   if (from.size() != to.size()) throw std::invalid_argument("Adam: a move needs as many targets as sources");
   for (std::size_t k = 0; k < from.size(); ++k) {
     if (from[k] >= count_ || to[k] >= count_) throw std::invalid_argument("Adam: a Gaussian that moves does not exist");
-    const float* const source = block(from[k] >> kPageShift) + from[k] % kPageLanes;
-    float* const target = block(to[k] >> kPageShift) + to[k] % kPageLanes;
+    const float* const source = own_block(from[k] >> kPageShift) + from[k] % kPageLanes;
+    float* const target = own_block(to[k] >> kPageShift) + to[k] % kPageLanes;
     for (std::size_t c = 0; c < rows(); ++c) target[c * kRowWords] = source[c * kRowWords];
   }
 }
@@ -132,6 +201,8 @@ void Adam::step(const GaussiansView& gaussians, float* parameters, const Paramet
   check(gradient, learning_rate);
   std::vector<IndexRange> pieces;
   cpu::cut_pieces(gaussians, kAdamPiece, pieces);
+  std::erase_if(pieces, [](const IndexRange& piece) { return piece.frozen != 0; });
+  prepare(pieces);
   cpu::Workers(threads).for_pieces(pieces.size(), 1, [&](std::size_t k, std::size_t) {
     adam_range(piece(gaussians, parameters, gradient, learning_rate, pieces[k].first), pieces[k].count);
   });

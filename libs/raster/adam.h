@@ -21,8 +21,9 @@ struct AdamView {
 };
 
 /// Adam (Kingma and Ba 2015), only on Gaussians touched and not frozen (sparse, as Taming-3DGS and gsplat's
-/// SelectiveAdam: untouched moments rest). One learning rate a channel. Moments lie in pages (gaussians/pages.h) in
-/// arenas that are added as the model grows: nothing is copied. Not thread-safe.
+/// SelectiveAdam: untouched moments rest). One learning rate a channel. Moments lie in pages (gaussians/pages.h), in
+/// blocks that a page gets when it first trains and gives back when it freezes or goes; arenas of them are added as
+/// more are needed. Not thread-safe.
 class Adam {
  public:
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
@@ -41,6 +42,15 @@ class Adam {
   /// What was kept of from[k] is now that of to[k], in this order.
   void move(std::span<const std::uint32_t> from, std::span<const std::uint32_t> to);
 
+  /// Pages of which `ranges`, ascending, have none are forgotten. Of frozen ones the ages stay, and of their moments a
+  /// mean of the second ones a channel, with which they go on when they train again: their steps are then neither those
+  /// of a beginner nor, without a second moment, without bounds.
+  void keep(std::span<const IndexRange> ranges);
+  /// Of the pages that hold these: room for what they learn next.
+  void prepare(std::span<const IndexRange> ranges);
+  /// Of the blocks that pages have.
+  [[nodiscard]] std::size_t block_bytes() const { return blocks_in_use_ * block_floats() * sizeof(float); }
+
   /// Parameters of the Gaussians in place, `parameters` as GaussiansView::parameters but to be changed. learning_rate
   /// has layout.channels() entries.
   void step(const GaussiansView& gaussians, float* parameters, const ParameterGradient& gradient,
@@ -57,17 +67,33 @@ class Adam {
   struct Free {
     void operator()(float* memory) const { std::free(memory); }
   };
-  /// [2 channels + kCounters][kRowWords]: first moments, second moments; steps as integers, LearningAge's two.
-  [[nodiscard]] float* block(std::size_t page) const;
+  /// [2 channels + kCounters][kRowWords]: first moments, second moments; steps as integers, LearningAge's two. Null for
+  /// a page that has never trained, or rests.
+  [[nodiscard]] float* block(std::size_t page) const { return pages_[page].block; }
+  /// The page's, made or woken.
+  float* own_block(std::size_t page);
+  /// What a second moment is, so far, of what it tends to.
+  [[nodiscard]] float second_bias(const float* counters, std::size_t lane) const;
+  void release(std::size_t page);
+  void rest(std::size_t page);
+  [[nodiscard]] std::size_t channels() const { return static_cast<std::size_t>(layout_.channels()); }
   [[nodiscard]] std::size_t rows() const { return 2 * static_cast<std::size_t>(layout_.channels()) + kCounters; }
   static constexpr std::size_t kCounters = 3;
   /// Where the views stand from the piece that begins there.
   void look(const GaussiansView& gaussians, std::size_t begin, AdamStep& step) const;
   [[nodiscard]] std::size_t block_floats() const;
 
+  struct Page {
+    float* block = nullptr;
+    /// Of one that rests: mean second moments [channels], then its counters [kCounters][kRowWords].
+    std::vector<float> rest;
+  };
+
   ParameterLayout layout_;
-  std::size_t count_ = 0;
+  std::size_t count_ = 0, blocks_in_use_ = 0;
+  std::vector<Page> pages_;
   std::vector<std::unique_ptr<float, Free>> arenas_;
+  std::vector<float*> free_blocks_;
 };
 
 }  // namespace splatbus::raster

@@ -1,9 +1,11 @@
 #include "raster/loss.h"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <vector>
 
+#include "gaussians/light.h"
 #include "raster/cpu/scratch.h"
 #include "raster/cpu/workers.h"
 #include "raster/loss_kernel.h"
@@ -53,6 +55,33 @@ float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const L
   }
   const auto count = static_cast<double>(3 * pixels);
   return static_cast<float>((1 - options.ssim_weight) * l1 / count + options.ssim_weight * (1 - ssim / count));
+}
+
+void l1_error(const Image& rendered, const std::uint8_t* target_rgba, bool encode_srgb, const std::uint8_t* mask,
+              Image& error) {
+  constexpr int kSteps = 4096;
+  static const std::vector<float> kCurve = [] {
+    std::vector<float> curve(kSteps + 1);
+    for (int k = 0; k <= kSteps; ++k)
+      curve[static_cast<std::size_t>(k)] = srgb_from_linear(static_cast<float>(k) / kSteps);
+    return curve;
+  }();
+  error.width = rendered.width;
+  error.height = rendered.height;
+  error.channels = 1;
+  const std::size_t pixels = std::size_t{rendered.width} * rendered.height;
+  error.data.assign(pixels, 0.0F);
+  for (std::uint32_t c = 0; c < 3; ++c) {
+    const float* const plane = rendered.plane(c);
+    for (std::size_t i = 0; i < pixels; ++i) {
+      const float clamped = plane[i] > 0 ? std::min(plane[i], 1.0F) : 0.0F;
+      const float shown = encode_srgb ? kCurve[static_cast<std::size_t>(clamped * kSteps + 0.5F)] : clamped;
+      error.data[i] += (1.0F / 3) * std::abs(shown - (1.0F / 255) * static_cast<float>(target_rgba[4 * i + c]));
+    }
+  }
+  for (std::size_t i = 0; mask != nullptr && i < pixels; ++i) {
+    if (mask[i] != 0) error.data[i] = -1;
+  }
 }
 
 }  // namespace splatbus::raster

@@ -21,4 +21,9 @@ struct LossOptions {
 [[nodiscard]] float image_loss(const Image& rendered, const std::uint8_t* target_rgba, const LossOptions& options,
                                Image& gradient);
 
+/// |rendered - target| of each pixel in display space, the mean of its colours, in one plane (sized here); -1 where the
+/// mask is not 0. The sRGB curve is a table of 4,096 values.
+void l1_error(const Image& rendered, const std::uint8_t* target_rgba, bool encode_srgb, const std::uint8_t* mask,
+              Image& error);
+
 }  // namespace splatbus::raster

@@ -18,13 +18,23 @@ void ParameterGradient::clear(const GaussiansView& gaussians, int threads) {
 }
 
 void ParameterGradient::clear_statistics(const GaussiansView& gaussians) {
+  const bool as_before = layout == gaussians.layout && count == gaussians.count && touched.size() == count;
   layout = gaussians.layout;
   count = gaussians.count;
   stride = gaussians.has_pages() ? gaussians.count : gaussians.stride;
   values.clear();
-  touched.assign(count, 0);
-  mean2d_norm.assign(count, 0.0F);
-  contribution.assign(count, 0.0F);
+  if (as_before) {
+    for (const IndexRange& range : written) {
+      std::fill_n(touched.begin() + range.first, range.count, std::uint8_t{0});
+      std::fill_n(mean2d_norm.begin() + range.first, range.count, 0.0F);
+      std::fill_n(contribution.begin() + range.first, range.count, 0.0F);
+    }
+  } else {
+    touched.assign(count, 0);
+    mean2d_norm.assign(count, 0.0F);
+    contribution.assign(count, 0.0F);
+  }
+  written.clear();
 }
 
 }  // namespace splatbus::raster

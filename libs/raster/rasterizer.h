@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "gaussians/model.h"
+#include "raster/occlusion.h"
 
 namespace splatbus::raster {
 
@@ -29,6 +30,8 @@ struct RenderOptions {
   float blur_px2 = 0.3F;  ///< added to the diagonal of the projected covariance, pixels squared
   bool albedo = false;    ///< also render the albedo, unlit (Transfer only)
   bool depth = false;     ///< also render depth: sum of weight * z, not normalised, metres
+  /// Of a picture of the same camera and objects, else it is not used: pages that it hides are left out. CPU only.
+  const Occlusion* occlusion = nullptr;
 };
 
 /// Planes of a render: colour (Transfer: linear over background; Radiance: display space over background converted to
@@ -48,8 +51,16 @@ struct RenderGradient {
   Image depth;
 };
 
-/// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians get
-/// none (their entries are zero). `touched[i]` is non-zero where Gaussian i was projected into a view since clear().
+/// What a picture shows of a page.
+struct PageLook {
+  std::uint32_t page = 0;
+  std::uint32_t pairs = 0;  ///< Gaussians of it in tiles of the picture, up to where nothing shows any more
+  double error = 0;         ///< of those tiles, each as often as it has such a Gaussian: the mean
+};
+
+/// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians, and
+/// those of frozen ranges, get none (their entries are zero). `touched[i]` is non-zero where Gaussian i was projected
+/// into a view since clear(); of what is frozen it may stay 0.
 struct ParameterGradient {
   ParameterLayout layout;
   int active_channels =
@@ -60,6 +71,8 @@ struct ParameterGradient {
   std::vector<float>
       mean2d_norm;  ///< [count] sum over views of |dL/d(projected mean)| in NDC units, for clone and split
   std::vector<float> contribution;  ///< [count] largest blending weight a Gaussian had in any pixel since clear()
+
+  std::vector<IndexRange> written;  ///< by a Rasterizer since clear(): of all else the statistics are 0 already
 
   /// Sizes, and zeroes what counts: the columns of active channels. At most `threads` do it, 0: all cores.
   void clear(const GaussiansView& gaussians, int threads = 0);
@@ -88,8 +101,8 @@ class Rasterizer {
   virtual void forward(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                        const RenderOptions& options, Render& out) = 0;
 
-  /// Adds to `out` the gradient of the last forward(), whose arguments must not have changed. `gaussians.flags` says
-  /// who is frozen.
+  /// Adds to `out` the gradient of the last forward(), whose arguments must not have changed. `gaussians.flags` and
+  /// IndexRange::frozen say who is frozen.
   virtual void backward(const RenderGradient& gradient, ParameterGradient& out) = 0;
 
   /// backward() and Adam::step() in one pass for a batch of one view: gradients stay in the cache, `statistics`
@@ -100,6 +113,13 @@ class Rasterizer {
   /// Forward only, keeping nothing for a backward pass; faster.
   virtual void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                       const RenderOptions& options, Render& out) = 0;
+
+  /// What the picture of the last forward() shows of each page, ascending, but of the model without pages. `error`: one
+  /// plane, of its size; pixels below 0, or that are no number, do not count.
+  virtual void look_at_pages(const Image& error, std::vector<PageLook>& looks) = 0;
+
+  /// Behind what the picture of the last forward() shows nothing more.
+  virtual void occlusion(Occlusion& out) const = 0;
 
   /// Stages of the last forward() or render(), then of the last backward().
   [[nodiscard]] virtual std::vector<StageTime> stage_times() const { return {}; }

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <map>
 #include <utility>
 #include <vector>
 
@@ -9,6 +10,7 @@
 #include "raster/loss_history.h"
 #include "raster/rasterizer.h"
 #include "trainer/gradient_step.h"
+#include "trainer/unmodelled.h"
 
 namespace splatbus::trainer {
 
@@ -37,6 +39,7 @@ class CpuStep final : public GradientStep {
     return {.mean2d_norm = mean2d_norm_.data(), .steps = seen_steps_.data()};
   }
   void clear_statistics() override;
+  [[nodiscard]] bool sees_pages() const override { return true; }
   [[nodiscard]] device::StreamView stream() const override { return {}; }
 
  private:
@@ -44,6 +47,10 @@ class CpuStep final : public GradientStep {
   void renew_bounds();
   /// Renders the view; the loss and, in render_gradient_, its gradient, both times `scale`.
   double render_loss(const PairedView& paired, float scale);
+  /// Of the view, and what nothing models yet; null: none. Adds `share` of the part that the latter has to
+  /// masked_share_.
+  const std::uint8_t* mask_of(const TrainingView& view, float share);
+  void look(const TrainingViewPtr& view, float loss);
   float depth_loss(const TrainingView& view, float scale);
   void observe();
 
@@ -55,7 +62,12 @@ class CpuStep final : public GradientStep {
   raster::ParameterGradient gradient_;
   raster::Render render_;
   raster::RenderGradient render_gradient_;
+  raster::Image error_;
+  std::vector<std::uint8_t> mask_;
+  float masked_share_ = 0;                   ///< of the step
+  const std::uint8_t* view_mask_ = nullptr;  ///< of the last view: its own or mask_
   raster::LossHistory losses_;
+  std::map<ViewKey, raster::Occlusion> occlusions_;  ///< as each view's last step left it
   std::vector<float> mean2d_norm_;
   std::vector<std::uint32_t> seen_steps_;
   StepReport report_;
@@ -77,6 +89,7 @@ void CpuStep::set_options(Options& options) {
 void CpuStep::step(std::span<const PairedView> views) {
   const auto start = std::chrono::steady_clock::now();
   double loss = 0;
+  masked_share_ = 0;
   adam_.views.clear();
   if (views.size() == 1) {
     gradient_.clear_statistics(store_.view());
@@ -93,7 +106,12 @@ void CpuStep::step(std::span<const PairedView> views) {
   renew_bounds();
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
   if (options_.densify.enabled) observe();
-  report_ += {.steps = 1, .views = views.size(), .seconds = spent.count(), .loss = loss};
+  report_ += {.steps = 1,
+              .views = views.size(),
+              .seconds = spent.count(),
+              .loss = loss,
+              .masked_share = masked_share_,
+              .looks = {}};
 }
 
 void CpuStep::renew_bounds() {
@@ -121,6 +139,7 @@ void CpuStep::follow(std::span<const IndexRange> fresh, const model::Moves& move
     seen_steps_[moves.to[k]] = seen_steps_[moves.from[k]];
   }
   resize(count);
+  adam_.keep(store_.view().ranges);
 }
 
 void CpuStep::resize(std::size_t count) {
@@ -146,20 +165,24 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   const TrainingView& view = *paired.view;
   const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
   const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
+  if (occlusions_.size() >= ViewStore::kMaxViews) occlusions_.clear();
+  raster::Occlusion* const occlusion = options_.cull_hidden ? &occlusions_[key_of(view)] : nullptr;
   const raster::RenderOptions render_options{
-      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
+      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth, .occlusion = occlusion};
   GaussiansView gaussians = store_.view();
   gaussians.visibility_u8 = paired.visibility.values.get();
   gaussians.visibility_stride = paired.visibility.stride;
   gaussians.visibility_rows = paired.visibility.rows;
   rasterizer_->forward(gaussians, view.camera, view.scene, render_options, render_);
 
+  if (occlusion != nullptr) rasterizer_->occlusion(*occlusion);
+  view_mask_ = mask_of(view, scale);
   render_gradient_.alpha = {};
   render_gradient_.albedo = {};
   render_gradient_.depth = {};
   raster::LossOptions loss_options{.ssim_weight = options_.ssim_weight,
                                    .encode_srgb = options_.layout.appearance == Appearance::Transfer,
-                                   .mask = view.mask.data(),
+                                   .mask = view_mask_,
                                    .threads = options_.threads};
   float loss = image_loss(render_.color, view.color.data(), loss_options, render_gradient_.color);
   scale_image(render_gradient_.color, scale);
@@ -173,7 +196,30 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
                          .objects = &view.scene.objects,
                          .loss_has_risen = options_.lr_recovery && loss > losses_.limit(view.camera)});
   losses_.add(view.camera, loss);
+  look(paired.view, loss);
   return loss * scale;
+}
+
+const std::uint8_t* CpuStep::mask_of(const TrainingView& view, float share) {
+  if (view.depth.empty() || !(options_.mask_opacity > 0)) return view.mask.data();
+  const std::size_t masked = mask_unmodelled(render_.alpha, view, options_.mask_opacity, mask_);
+  if (masked == 0) return view.mask.data();
+  masked_share_ += share * static_cast<float>(masked) / static_cast<float>(mask_.size());
+  return mask_.data();
+}
+
+void CpuStep::look(const TrainingViewPtr& view, float loss) {
+  report_.looks.push_back({.view = view, .loss = loss, .pages = {}});
+  if (!options_.freeze.enabled) return;
+  l1_error(render_.color, view->color.data(), options_.layout.appearance == Appearance::Transfer, view_mask_, error_);
+  ViewLook& look = report_.looks.back();
+  rasterizer_->look_at_pages(error_, look.pages);
+  double pairs = 0, active = 0;
+  for (const raster::PageLook& page : look.pages) {
+    pairs += page.pairs;
+    if (store_.table().entry(page.page).now.state != model::PageState::Frozen) active += page.pairs;
+  }
+  look.active_share = pairs > 0 ? static_cast<float>(active / pairs) : 1.0F;
 }
 
 float CpuStep::depth_loss(const TrainingView& view, float scale) {
@@ -187,7 +233,7 @@ float CpuStep::depth_loss(const TrainingView& view, float scale) {
   double loss = 0;
   for (std::size_t i = 0; i < view.depth.size(); ++i) {
     const float expected = view.depth[i];
-    if (!(expected > 0) || std::isinf(expected) || (!view.mask.empty() && view.mask[i] != 0)) continue;
+    if (!(expected > 0) || std::isinf(expected) || (view_mask_ != nullptr && view_mask_[i] != 0)) continue;
     const float difference = render_.depth.data[i] - render_.alpha.data[i] * expected;
     loss += std::abs(difference) * weight;
     const float slope = std::copysign(weight * scale, difference);

@@ -35,7 +35,7 @@ struct AverageValue {
     const std::uint32_t tier = stripe.first_tier + row / gaussians.active_channels;
     const IndexRange range = gaussians.ranges[tier / kPageTiers];
     const std::uint32_t lane = tier % kPageTiers * kTierLanes + item % kTierLanes;
-    if (lane >= range.count) return;
+    if (range.frozen != 0 || lane >= range.count) return;
     const std::uint32_t i = range.first + lane;
     float& average = *gaussians.memory.value(gaussians.channels + channel, i);
     average += stripe.weight(i) * (*gaussians.memory.value(channel, i) - average);
@@ -50,7 +50,7 @@ struct AverageTier {
     const PagedGaussians& gaussians = stripe.gaussians;
     const std::uint32_t tier = stripe.first_tier + item, lane = tier % kPageTiers * kTierLanes;
     const IndexRange range = gaussians.ranges[tier / kPageTiers];
-    if (lane >= range.count) return;
+    if (range.frozen != 0 || lane >= range.count) return;
     const std::uint32_t first = range.first + lane;
     const std::uint32_t count = range.count - lane < kTierLanes ? range.count - lane : kTierLanes;
     float weight[kTierLanes];
@@ -83,6 +83,7 @@ SPLATBUS_PORTABLE float largest_log_scale(const PagedGaussians& gaussians, std::
 
 struct MarkPrunable {
   PagedGaussians gaussians;
+  FrameScales scales;
   const std::uint64_t* created_step;
   PruneLimits limits;
   std::uint8_t* dead;
@@ -91,14 +92,20 @@ struct MarkPrunable {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
     const std::uint32_t i = index_of(gaussians, item);
     if (i == kNobody) return;
+    if (gaussians.ranges[item / kPageLanes].frozen != 0) {
+      dead[i] = 0;
+      return;
+    }
     bool finite = true;
     for (std::uint32_t c = 0; c < gaussians.active_channels; ++c) {
       finite = finite && math::is_finite(*gaussians.memory.value(c, i));
     }
     const std::uint64_t created = created_step[i];
     const bool old = (limits.step > created ? limits.step - created : 0) >= limits.min_age_steps;
-    const bool useless = *gaussians.memory.value(ParameterLayout::kOpacityLogit, i) < limits.min_opacity_logit ||
-                         largest_log_scale(gaussians, i) > limits.max_log_scale;
+    const bool useless =
+        *gaussians.memory.value(ParameterLayout::kOpacityLogit, i) < limits.min_opacity_logit ||
+        largest_log_scale(gaussians, i) + scales.log_scale(gaussians.ranges[item / kPageLanes].frame_id) >
+            limits.max_log_scale;
     const bool gone = !finite || (old && useless);
     dead[i] = gone ? 1 : 0;
     if (gone) device::atomic_add(&counts->removed, 1U);
@@ -113,8 +120,48 @@ struct IsDense {
 
   SPLATBUS_PORTABLE_MEMBER bool operator()(std::uint32_t item) const {
     const std::uint32_t i = index_of(gaussians, item);
-    if (i == kNobody || statistics.steps[i] == 0) return false;
+    if (i == kNobody || gaussians.ranges[item / kPageLanes].frozen != 0 || statistics.steps[i] == 0) return false;
     return statistics.mean2d_norm[i] / static_cast<float>(statistics.steps[i]) >= threshold;
+  }
+};
+
+/// An item is a page.
+struct PageMovement {
+  PagedGaussians gaussians;
+  bool transfer;
+  float* movement;
+
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
+    const IndexRange range = gaussians.ranges[item];
+    float sum = 0, weights = 0;
+    for (std::uint32_t i = range.first; range.frozen == 0 && i < range.first + range.count; ++i) {
+      const float opacity = 1.0F / (1.0F + expf(-average(ParameterLayout::kOpacityLogit, i)));
+      sum += opacity * moved(i);
+      weights += opacity;
+    }
+    movement[item] = weights > 0 ? sum / weights : 0.0F;
+  }
+
+ private:
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float average(int channel, std::uint32_t i) const {
+    return *gaussians.memory.value(gaussians.channels + static_cast<std::uint32_t>(channel), i);
+  }
+  /// The length of three channels of what the present values are from the averages.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float apart(int channel, std::uint32_t i) const {
+    float square = 0;
+    for (int c = channel; c < channel + 3; ++c) {
+      const float difference = *gaussians.memory.value(static_cast<std::uint32_t>(c), i) - average(c, i);
+      square += difference * difference;
+    }
+    return sqrtf(square);
+  }
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float moved(std::uint32_t i) const {
+    constexpr int kScale = ParameterLayout::kLogScale;
+    const float log_scale =
+        math::larger(average(kScale + 2, i), math::larger(average(kScale + 1, i), average(kScale, i)));
+    constexpr float kShC0 = 0.28209479F;
+    return apart(ParameterLayout::kMean, i) * expf(-log_scale) + apart(kScale, i) +
+           (transfer ? 1.0F : kShC0) * apart(ParameterLayout::kAppearance, i);
   }
 };
 
@@ -148,6 +195,7 @@ SPLATBUS_PORTABLE float normal_draw(std::uint64_t seed, std::uint64_t number) {
 
 struct Split {
   PagedGaussians gaussians;
+  FrameScales scales;
   const std::uint32_t *copy_of, *copies;
   SplitOptions options;
   float log_factor;
@@ -156,7 +204,9 @@ struct Split {
     const std::uint32_t i = index_of(gaussians, item);
     if (i == kNobody || copy_of[i] == 0) return;
     const std::uint32_t k = copy_of[i] - 1;
-    if (copies[k] == model::kNotInserted || !(largest_log_scale(gaussians, i) > options.max_clone_log_scale)) return;
+    const float log_scale =
+        largest_log_scale(gaussians, i) + scales.log_scale(gaussians.ranges[item / kPageLanes].frame_id);
+    if (copies[k] == model::kNotInserted || !(log_scale > options.max_clone_log_scale)) return;
     draw(i, 6 * std::uint64_t{k});
     draw(copies[k], 6 * std::uint64_t{k} + 3);
   }
@@ -247,9 +297,17 @@ void update_average(StreamView stream, const PagedGaussians& gaussians, const st
   }
 }
 
-void mark_prunable(StreamView stream, const PagedGaussians& gaussians, const std::uint64_t* created_step,
-                   const PruneLimits& limits, std::uint8_t* dead, PruneCounts* counts) {
-  for_each_index(stream, items_of(gaussians), MarkPrunable{gaussians, created_step, limits, dead, counts});
+void mark_prunable(StreamView stream, const PagedGaussians& gaussians, const FrameScales& scales,
+                   const std::uint64_t* created_step, const PruneLimits& limits, std::uint8_t* dead,
+                   PruneCounts* counts) {
+  for_each_index(stream, items_of(gaussians), MarkPrunable{gaussians, scales, created_step, limits, dead, counts});
+}
+
+std::vector<float> page_movements(StreamView stream, const PagedGaussians& gaussians, Appearance appearance) {
+  device::Buffer<float> movement(stream, gaussians.range_count);
+  for_each_index(stream, gaussians.range_count,
+                 PageMovement{gaussians, appearance == Appearance::Transfer, movement.data()});
+  return movement.to_host();
 }
 
 std::uint32_t list_dense(StreamView stream, const PagedGaussians& gaussians, const ScreenStatistics& statistics,
@@ -269,9 +327,9 @@ void number_originals(StreamView stream, const std::uint32_t* indices, std::uint
   for_each_index(stream, count, NumberOriginal{indices, copy_of});
 }
 
-void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32_t* copy_of,
+void split(StreamView stream, const PagedGaussians& gaussians, const FrameScales& scales, const std::uint32_t* copy_of,
            const std::uint32_t* copies, const SplitOptions& options) {
-  for_each_index(stream, items_of(gaussians), Split{gaussians, copy_of, copies, options, logf(kSplitFactor)});
+  for_each_index(stream, items_of(gaussians), Split{gaussians, scales, copy_of, copies, options, logf(kSplitFactor)});
 }
 
 void set_values(StreamView stream, std::uint64_t* values, const IndexRange* ranges, std::uint32_t range_count,

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "device/buffer.h"
 #include "model/channels.h"
@@ -41,17 +42,44 @@ inline constexpr std::uint64_t kStripes = 8;
 void update_average(StreamView stream, const PagedGaussians& gaussians, const std::uint64_t* created_step,
                     std::uint64_t step, float settled);
 
+/// An object's scale, where it is not 1: its Gaussians' lengths times that are metres.
+struct FrameScale {
+  std::uint32_t frame_id = kWorldFrame;
+  float log_scale = 0;
+};
+/// Ascending.
+struct FrameScales {
+  const FrameScale* scales = nullptr;
+  std::uint32_t count = 0;
+
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float log_scale(std::uint32_t frame_id) const {
+    std::uint32_t first = 0, end = count;
+    while (first < end) {
+      const std::uint32_t middle = first + (end - first) / 2;
+      scales[middle].frame_id < frame_id ? first = middle + 1 : end = middle;
+    }
+    return first < count && scales[first].frame_id == frame_id ? scales[first].log_scale : 0.0F;
+  }
+};
+
 struct PruneLimits {
   std::uint64_t step = 0, min_age_steps = 0;
-  float min_opacity_logit = 0, max_log_scale = 0;
+  float min_opacity_logit = 0, max_log_scale = 0;  ///< of metres
 };
 struct PruneCounts {
   std::uint32_t removed = 0, not_finite = 0;
 };
 /// dead[index] = 1 for the transparent, the huge and those not finite in an active channel, the young only when they
-/// are not finite; 0 for others. Adds to *counts.
-void mark_prunable(StreamView stream, const PagedGaussians& gaussians, const std::uint64_t* created_step,
-                   const PruneLimits& limits, std::uint8_t* dead, PruneCounts* counts);
+/// are not finite; 0 for others, and for all of a frozen page. Adds to *counts.
+void mark_prunable(StreamView stream, const PagedGaussians& gaussians, const FrameScales& scales,
+                   const std::uint64_t* created_step, const PruneLimits& limits, std::uint8_t* dead,
+                   PruneCounts* counts);
+
+/// Of each range: how far its Gaussians are from their averages, the opaque ones counted most. The mean in standard
+/// deviations, the logarithms of the scales and the colour in its own unit are summed: about the part of itself by
+/// which a Gaussian's picture would change if it became its average. 0 for a frozen one. Waits.
+[[nodiscard]] std::vector<float> page_movements(StreamView stream, const PagedGaussians& gaussians,
+                                                Appearance appearance);
 
 /// By index, of the steps that saw a Gaussian: the sum of |dL/d(projected mean)| in NDC, and their number.
 struct ScreenStatistics {
@@ -65,14 +93,14 @@ struct ScreenStatistics {
 void number_originals(StreamView stream, const std::uint32_t* indices, std::uint32_t count, std::uint32_t* copy_of);
 
 struct SplitOptions {
-  float max_clone_log_scale = 0;  ///< larger ones are split
+  float max_clone_log_scale = 0;  ///< of metres; larger ones are split
   std::uint64_t seed = 0;
 };
 /// How much smaller than a Gaussian the two are into which it is split (Kerbl et al. 2023).
 inline constexpr float kSplitFactor = 1.6F;
 /// Of each original i (copy_of[i] != 0) that is too large for a clone, and that has a copy, at copies[copy_of[i] - 1]:
 /// both are moved to places drawn from it, and become smaller.
-void split(StreamView stream, const PagedGaussians& gaussians, const std::uint32_t* copy_of,
+void split(StreamView stream, const PagedGaussians& gaussians, const FrameScales& scales, const std::uint32_t* copy_of,
            const std::uint32_t* copies, const SplitOptions& options);
 
 /// For the indices of ranges, each within one page.

@@ -4,20 +4,32 @@
 #include <functional>
 #include <memory>
 #include <span>
+#include <vector>
 
 #include "device/stream.h"
 #include "model/page_store.h"
+#include "raster/rasterizer.h"
 #include "trainer/gaussian_kernels.h"
 #include "trainer/options.h"
 #include "trainer/view_store.h"
 
 namespace splatbus::trainer {
 
+/// What a step saw in one of its views.
+struct ViewLook {
+  TrainingViewPtr view;
+  float loss = 0;
+  std::vector<raster::PageLook> pages;  ///< L1 error in display space
+  float active_share = 1;               ///< of what shows (PageLook::pairs), where pages train
+};
+
 /// Steps that came to their end since the last report.
 struct StepReport {
   std::size_t steps = 0, views = 0;
-  double seconds = 0;  ///< of optimizer time
-  double loss = 0;     ///< mean over the views
+  double seconds = 0;           ///< of optimizer time
+  double loss = 0;              ///< mean over the views
+  double masked_share = 0;      ///< of their pixels, where nothing models yet what they show; mean over the views
+  std::vector<ViewLook> looks;  ///< of the last steps' views, where the device tells them apart
 
   StepReport& operator+=(const StepReport& later);
 };
@@ -51,11 +63,14 @@ class GradientStep {
   /// Steps that are done since the last call; with `wait`, all there are, after waiting for them.
   virtual StepReport finished(bool wait) = 0;
 
-  /// The store's structure has changed: `fresh` begin anew, then what was kept of moves.from[k] is that of moves.to[k].
+  /// The store's structure has changed, or pages have frozen: `fresh` begin anew, then what was kept of moves.from[k]
+  /// is that of moves.to[k].
   virtual void follow(std::span<const IndexRange> fresh, const model::Moves& moves) = 0;
   /// Of the steps since clear_statistics(), gathered with Options::densify; null where they are not.
   [[nodiscard]] virtual kernels::ScreenStatistics statistics() const = 0;
   virtual void clear_statistics() = 0;
+  /// Whether reports say what views showed of pages.
+  [[nodiscard]] virtual bool sees_pages() const { return false; }
   /// Behind which more work on the parameters is enqueued.
   [[nodiscard]] virtual device::StreamView stream() const = 0;
 

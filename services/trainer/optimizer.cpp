@@ -46,12 +46,17 @@ std::uint64_t seed_of(std::uint64_t seed, std::uint64_t step) {
 
 StepReport& StepReport::operator+=(const StepReport& later) {
   const std::size_t all = views + later.views;
-  if (all > 0)
-    loss =
-        (loss * static_cast<double>(views) + later.loss * static_cast<double>(later.views)) / static_cast<double>(all);
+  const auto mean = [&](double before, double after) {
+    return (before * static_cast<double>(views) + after * static_cast<double>(later.views)) / static_cast<double>(all);
+  };
+  if (all > 0) {
+    loss = mean(loss, later.loss);
+    masked_share = mean(masked_share, later.masked_share);
+  }
   steps += later.steps;
   views = all;
   seconds += later.seconds;
+  looks.insert(looks.end(), later.looks.begin(), later.looks.end());
   return *this;
 }
 
@@ -72,13 +77,14 @@ Optimizer::Optimizer(model::PageStore& store, const Options& options, const Step
       created_step_(step_->stream()),
       dead_(step_->stream()),
       dead_counts_(step_->stream(), 1),
+      scales_(step_->stream()),
       carver_(step_->stream()) {
-  set_options(options);
   // An adopted model is taken for old: its average is settled.
   const GaussiansView view = store.view();
   created_step_.grow(view.count);
   carver_.follow(view.count, fresh_, {});
   ranges_.assign(view.ranges.begin(), view.ranges.end());
+  set_options(options);
 }
 
 Optimizer::~Optimizer() = default;
@@ -86,6 +92,13 @@ Optimizer::~Optimizer() = default;
 void Optimizer::set_options(const Options& options) {
   options_ = options;
   step_->set_options(options_);
+  if ((options_.freeze.enabled && step_->sees_pages()) || store_.frozen_pages() == 0) return;
+  // Nobody would ever see that one of them has to train again.
+  settle();
+  std::vector<std::uint32_t> pages;
+  for (const IndexRange& range : store_.view().ranges) pages.push_back(range.first >> kPageShift);
+  store_.thaw(pages);
+  follow({});
 }
 
 kernels::PagedGaussians Optimizer::gaussians() const {
@@ -135,6 +148,9 @@ void Optimizer::follow(const Moves& moves) {
 
 StepReport Optimizer::step(std::span<const TrainingViewPtr> views) {
   if (views.empty() || store_.count() == 0) return std::exchange(report_, {});
+  for (const TrainingViewPtr& view : views) {
+    if (!newest_view_ || view->scene.version >= newest_view_->scene.version) newest_view_ = view;
+  }
   std::vector<PairedView> paired;
   paired.reserve(views.size());
   for (const TrainingViewPtr& view : views) paired.push_back({view, visibilities_.find(view->scene)});
@@ -147,6 +163,7 @@ StepReport Optimizer::step(std::span<const TrainingViewPtr> views) {
   if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !searched_after_) search_prunable();
   prune_found(false);
   if (options_.densify.enabled && step % options_.densify.interval_steps == 0) densify();
+  if (options_.freeze.enabled) rest_settled();
   return std::exchange(report_, {});
 }
 
@@ -166,6 +183,7 @@ void Optimizer::publish(const bus::Publisher& publisher) {
 
 void Optimizer::collect(bool wait) {
   const StepReport done = step_->finished(wait);
+  if (options_.freeze.enabled) freezer_.see(store_, done.looks);
   done_ += done.steps;
   unbooked_s_ += done.seconds;
   report_ += done;
@@ -183,11 +201,23 @@ void Optimizer::average() {
   kernels::update_average(step_->stream(), gaussians(), created_step_.data(), store_.step(), settled);
 }
 
+void Optimizer::list_scales() {
+  std::vector<kernels::FrameScale> scales;
+  if (newest_view_) {
+    for (const auto& [id, object] : newest_view_->scene.objects) {
+      if (object.scale != 1) scales.push_back({id, std::log(object.scale)});
+    }
+  }
+  scales_.assign(std::span<const kernels::FrameScale>(scales));
+  step_->stream().wait();
+}
+
 void Optimizer::search_prunable() {
   const PruneOptions& options = options_.prune;
   dead_.resize(store_.view().count);
   dead_counts_.clear();
-  kernels::mark_prunable(step_->stream(), gaussians(), created_step_.data(),
+  list_scales();
+  kernels::mark_prunable(step_->stream(), gaussians(), frame_scales(), created_step_.data(),
                          {.step = store_.step(),
                           .min_age_steps = options.min_age_steps,
                           .min_opacity_logit = logit(options.min_opacity),
@@ -242,6 +272,20 @@ bool Optimizer::carve() {
   return true;
 }
 
+void Optimizer::rest_settled() {
+  if (!step_->sees_pages() || !freezer_.due(store_)) return;
+  const std::vector<float> movements =
+      kernels::page_movements(step_->stream(), gaussians(), options_.layout.appearance);
+  const Freezer::Change change = freezer_.decide(store_, options_.freeze, movements);
+  if (change.freeze.empty() && change.thaw.empty()) return;
+  settle();
+  store_.freeze(change.freeze);
+  store_.thaw(change.thaw);
+  follow({});
+  spdlog::debug("optimizer: {} pages froze and {} thawed at step {}", change.freeze.size(), change.thaw.size(),
+                store_.step());
+}
+
 void Optimizer::densify() {
   settle();
   const kernels::ScreenStatistics statistics = step_->statistics();
@@ -262,7 +306,8 @@ void Optimizer::densify() {
   const InsertResult copies = store_.duplicate(chosen.data(), count);
   copy_of.grow(store_.view().count);
   kernels::move_values(stream, copy_of.data(), copies.moves);
-  kernels::split(stream, gaussians(), copy_of.data(), copies.added,
+  list_scales();
+  kernels::split(stream, gaussians(), frame_scales(), copy_of.data(), copies.added,
                  {.max_clone_log_scale = std::log(options_.densify.clone_max_scale_m),
                   .seed = seed_of(options_.seed, store_.step())});
   follow(copies.moves);

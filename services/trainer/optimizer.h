@@ -13,6 +13,7 @@
 #include "model/page_store.h"
 #include "trainer/carving.h"
 #include "trainer/commands.h"
+#include "trainer/freezing.h"
 #include "trainer/gradient_step.h"
 #include "trainer/options.h"
 #include "trainer/per_index.h"
@@ -68,6 +69,11 @@ class Optimizer {
   void wait_for_values() const { step_->stream().wait(); }
   void follow(const model::Moves& moves);
   void average();
+  /// Of the objects of the newest view that has trained.
+  void list_scales();
+  [[nodiscard]] kernels::FrameScales frame_scales() const {
+    return {scales_.data(), static_cast<std::uint32_t>(scales_.size())};
+  }
   void search_prunable();
   void prune_found(bool waited);
   void look_at(std::span<const TrainingViewPtr> pictures);
@@ -75,6 +81,8 @@ class Optimizer {
   bool carve();
   void remove_dead();
   void densify();
+  /// Pages freeze and thaw, when it is time to look at them.
+  void rest_settled();
 
   model::PageStore& store_;
   Options options_;
@@ -85,10 +93,13 @@ class Optimizer {
   PerIndex<std::uint64_t> created_step_;
   device::Buffer<std::uint8_t> dead_;
   device::Buffer<kernels::PruneCounts> dead_counts_;
+  device::Buffer<kernels::FrameScale> scales_;
+  TrainingViewPtr newest_view_;
   std::uint64_t launched_ = 0, done_ = 0;  ///< steps
   /// Steps that were launched before a search for Gaussians to remove: it has ended when a later one is done.
   std::optional<std::uint64_t> searched_after_;
   Carver carver_;
+  Freezer freezer_;
   std::uint64_t carved_ = 0;
   std::chrono::steady_clock::time_point last_carved_{};
   StepReport report_;

@@ -25,15 +25,21 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("batch", batch, "views an optimizer step, 0: one on the CPU, two on a GPU", {0, 256});
   p.add("input_view_interval", input_view_interval,
         "one input picture is trained after that many reference views, 0: none", {0, 1e6});
+  p.add("views_by_loss", views_by_loss, "views of less loss than others are left out now and then; on the CPU");
   p.add(
       "pair_visibility", pair_visibility,
       "transfer: a view trains with the visibility of its own scene version, or waits for it; false: with the newest");
+  p.add("cull_hidden", cull_hidden, "pages that lie behind what a view's last step drew are left out; on the CPU");
   p.add("antialias", antialias, "opacity compensation for the pixel filter");
   p.add("residual", residual, "transfer: train the residual beside albedo and normal");
   p.add("ssim_weight", ssim_weight, "of 1 - SSIM in the loss, the rest is L1", {0, 1});
   p.add("albedo_weight", albedo_weight, "of the albedo picture's loss against the lit picture's, 0: not used",
         {0, 100});
   p.add("depth_weight", depth_weight, "of the depth loss, per scene extent, 0: not used", {0, 100});
+  p.add("mask_opacity", mask_opacity,
+        "where the engine shows a surface and all around the model's opacity is below this, nothing is learned; 0: "
+        "everywhere something is",
+        {0, 1});
   p.add("ema_decay", ema_decay, "of the parameters' average over time, a step", {0, 0.9999});
   p.add("ema_s", ema_s, "of optimizer time that the average covers at least, s", {0, 60});
   p.add("scene_extent_m", scene_extent_m, "size of the content in metres, the unit of the mean's learning rate",
@@ -60,6 +66,12 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("carve", carve.enabled, "remove Gaussians where pictures with depth show free space");
   p.add("carve_votes", carve.votes, "engine frames that have to show the space free, with none between that does not",
         {1, kernels::kMaxCarveVotes});
+  p.add("freeze", freeze.enabled, "pages whose loss and movement have settled rest; on the CPU");
+  p.add("freeze_after_s", freeze.after_s, "optimizer time over which a page's loss must not have fallen, s", {0, 3600});
+  p.add("freeze_gain", freeze.least_gain, "part of its loss that a page must lose in that time to train on", {0, 1});
+  p.add("freeze_movement", freeze.most_movement,
+        "how far a page's Gaussians may be from their averages when it freezes, as a part of themselves", {0, 10});
+  p.add("thaw_rise", freeze.thaw_rise, "of a frozen page's loss, above which it trains again", {1, 100});
   p.add("densify", densify.enabled, "clone and split where the projected means' gradient is large");
   p.add("densify_interval", densify.interval_steps, "steps between densifications", {1, 1e9});
   p.add("densify_gradient", densify.gradient_threshold,

@@ -32,6 +32,15 @@ struct CarveOptions {
   std::uint32_t votes = 2;  ///< of different engine frames
 };
 
+/// When a page rests: docs/decisions/0103-freezing.md.
+struct FreezeOptions {
+  bool enabled = true;
+  double after_s = 5;          ///< of optimizer time, twice: the time over which its loss is compared
+  float least_gain = 0.05F;    ///< part of its loss that a page which trains on loses in that time
+  float most_movement = 0.1F;  ///< as page_movements()
+  float thaw_rise = 1.3F;      ///< of its loss as it froze, above which it trains again
+};
+
 struct DensifyOptions {
   bool enabled = false;
   std::uint64_t interval_steps = 100;
@@ -53,10 +62,13 @@ struct Options {
   std::uint64_t run_until = 0;  ///< step at which to stop, 0: none
   int batch = 0;                ///< views a step, 0: as suits the optimizer
   int input_view_interval = 3;  ///< one input view after that many reference views, 0: none
+  bool views_by_loss = true;    ///< views that have less to teach than others have fewer turns
   bool pair_visibility = true;  ///< Transfer: a view trains with its own scene version's visibility, or not at all
+  bool cull_hidden = true;      ///< pages that a view's last step found hidden are left out; on the CPU
   bool antialias = true;
   bool residual = true;  ///< Transfer: the residual transfer trains
   float ssim_weight = 0.2F, albedo_weight = 0.3F, depth_weight = 0;
+  float mask_opacity = 0.5F;                             ///< as mask_unmodelled(); 0: nothing is masked
   float ema_decay = 0.98F;                               ///< of the parameters' average, a step
   float ema_s = 0.5F;                                    ///< of optimizer time that the average covers at least
   float lr_half_life_steps = -1, lr_min_factor = 0.01F;  ///< as in raster::Adam; below 0: as suits the optimizer
@@ -66,6 +78,7 @@ struct Options {
   LearningRates learning_rates;
   PruneOptions prune;
   CarveOptions carve;
+  FreezeOptions freeze;
   DensifyOptions densify;
 
   void bind(bus::ParameterBinder& parameters);

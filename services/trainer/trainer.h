@@ -31,10 +31,12 @@ class Progress {
   [[nodiscard]] double steps_per_s() const;  ///< over the last second of optimizer time
   [[nodiscard]] double views_per_s() const;
   [[nodiscard]] double loss() const { return loss_; }  ///< exponential mean over about 20 steps
+  /// Of the pixels of the last second's views: nothing models yet what they show.
+  [[nodiscard]] double masked_share() const;
 
  private:
   std::deque<StepReport> recent_;
-  double recent_s_ = 0, loss_ = 0;
+  double recent_s_ = 0, recent_masked_ = 0, loss_ = 0;
   std::size_t recent_steps_ = 0, recent_views_ = 0;
   bool any_ = false;
 };
@@ -67,6 +69,8 @@ class Trainer {
   void pair_views();
   [[nodiscard]] bool may_step() const;
   void train_step();
+  /// Books what steps came to.
+  void take(const StepReport& report);
   /// Waits for what is under way. Returns whether the structure changed.
   bool finish_steps();
   void publish_due(bool structure_changed);

@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cmath>
 #include <exception>
 #include <optional>
@@ -30,6 +31,9 @@ constexpr double kLossMemory = 0.95;  // a step
 void Progress::add(const StepReport& report) {
   if (report.steps == 0) return;
   recent_.push_back(report);
+  recent_.back().looks = {};
+  const auto masked = [](const StepReport& of) { return of.masked_share * static_cast<double>(of.views); };
+  recent_masked_ += masked(report);
   recent_s_ += report.seconds;
   recent_steps_ += report.steps;
   recent_views_ += report.views;
@@ -37,6 +41,7 @@ void Progress::add(const StepReport& report) {
     recent_s_ -= recent_.front().seconds;
     recent_steps_ -= recent_.front().steps;
     recent_views_ -= recent_.front().views;
+    recent_masked_ -= masked(recent_.front());
     recent_.pop_front();
   }
   const double memory = any_ ? std::pow(kLossMemory, static_cast<double>(report.steps)) : 0.0;
@@ -50,6 +55,10 @@ double Progress::steps_per_s() const {
 
 double Progress::views_per_s() const {
   return recent_s_ > 0 ? static_cast<double>(recent_views_) / recent_s_ : 0;
+}
+
+double Progress::masked_share() const {
+  return recent_views_ > 0 ? std::max(0.0, recent_masked_ / static_cast<double>(recent_views_)) : 0;
 }
 
 void Trainer::optimize(const std::stop_token& stop) {
@@ -79,7 +88,7 @@ void Trainer::optimize_once() {
 
 bool Trainer::finish_steps() {
   const std::uint64_t generation = store_->generation();
-  progress_.add(optimizer_->finish());
+  take(optimizer_->finish());
   return store_->generation() != generation;
 }
 
@@ -104,11 +113,17 @@ bool Trainer::may_step() const {
          (views_.any_to_train(CameraRole::Reference) || (inputs_count && views_.any_to_train(CameraRole::Input)));
 }
 
+void Trainer::take(const StepReport& report) {
+  progress_.add(report);
+  if (!optimizer_->options().views_by_loss) return sampler_.forget();
+  for (const ViewLook& look : report.looks) sampler_.learn(key_of(*look.view), look.loss, look.active_share);
+}
+
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
   const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
   const std::uint64_t generation = store_->generation();
-  progress_.add(optimizer_->step(batch));
+  take(optimizer_->step(batch));
   if (store_->generation() != generation) publish_due(true);
 }
 
@@ -154,10 +169,12 @@ void Trainer::publish_stats(bool stopped) {
     service_.detail("trains");
   }
   publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
-    return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
-                                    progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
-                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load(),
-                                    views_.unpaired());
+    return wire::CreateTrainerStats(
+        builder, header, store_->step(), store_->views(), store_->optimizer_s(), progress_.steps_per_s(),
+        progress_.views_per_s(), progress_.loss(), store_->count(), store_->count() - store_->frozen_count(),
+        references, inputs, stopped, host_copied_bytes_.load(), views_.unpaired(), store_->frozen_count(), 0,
+        static_cast<std::uint32_t>(store_->page_count() - store_->frozen_pages()),
+        static_cast<std::uint32_t>(store_->frozen_pages()), 0, 0, 0, 0, static_cast<float>(progress_.masked_share()));
   });
 }
 

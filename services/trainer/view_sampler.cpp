@@ -1,5 +1,7 @@
 #include "trainer/view_sampler.h"
 
+#include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace splatbus::trainer {
@@ -11,22 +13,55 @@ void shuffle(std::vector<ViewKey>& keys, std::mt19937_64& random) {
   for (std::size_t i = keys.size(); i > 1; --i) std::swap(keys[i - 1], keys[random() % i]);
 }
 
+/// Part of the turns that a view gets at least.
+constexpr float kLeastTurns = 0.25F;
+/// What a view is worth where nothing of it trains, of what it would be: its loss may rise.
+constexpr float kRestingWorth = 0.05F;
+
 }  // namespace
 
 ViewSampler::ViewSampler(std::uint64_t seed) : random_(seed) {}
 
+void ViewSampler::learn(const ViewKey& key, float loss, float active_share) {
+  if (!std::isfinite(loss)) return;
+  if (views_.size() >= ViewStore::kMaxViews && !views_.contains(key)) views_.clear();
+  views_[key].to_teach = loss * (kRestingWorth + (1 - kRestingWorth) * active_share);
+}
+
+void ViewSampler::leave_out(std::vector<ViewKey>& keys) {
+  double sum = 0;
+  std::size_t known = 0;
+  for (const ViewKey& key : keys) {
+    const auto found = views_.find(key);
+    if (found == views_.end()) continue;
+    sum += found->second.to_teach;
+    ++known;
+  }
+  if (known == 0) return;
+  const auto mean = static_cast<float>(sum / static_cast<double>(known));
+  std::erase_if(keys, [&](const ViewKey& key) {
+    const auto found = views_.find(key);
+    if (found == views_.end()) return false;
+    Worth& worth = found->second;
+    worth.turns += mean > 0 ? std::clamp(worth.to_teach / mean, kLeastTurns, 1.0F) : 1.0F;
+    if (worth.turns < 1) return true;
+    worth.turns -= 1;
+    return false;
+  });
+}
+
 TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch) {
-  for (bool refilled = false;;) {
+  for (int refills = 0;; ++refills) {
     while (!epoch.left.empty()) {
       const ViewKey key = epoch.left.back();
       epoch.left.pop_back();
       auto view = views.find(key);
       if (view) return view;
     }
-    if (refilled) return nullptr;
+    if (refills == 2) return nullptr;
     epoch.left = views.keys(epoch.role);
     shuffle(epoch.left, random_);
-    refilled = true;
+    if (refills == 0) leave_out(epoch.left);  // those that are left may have nothing to train on
   }
 }
 

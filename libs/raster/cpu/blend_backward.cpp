@@ -106,6 +106,30 @@ HWY_INLINE void BlendBlockBackward(const Splat& splat, const PixelCentres<>& cen
   }
 }
 
+/// The same of a Gaussian that gets no gradient: what lies in front of it is still to know what it hides.
+template <int kPlanes>
+HWY_INLINE void PassBlockBackward(const Splat& splat, const PixelCentres<>& centres, std::uint32_t block,
+                                  std::int32_t index, TileState<kPlanes>& tile) {
+  const F f;
+  const I d;
+  const V one = Splat1(1.0F), alpha_max = Splat1(kAlphaMax);
+  const std::uint32_t begin = block * kBlockPixels;
+  for (std::uint32_t pixel = begin; pixel < begin + kBlockPixels; pixel += hn::Lanes(f)) {
+    const Footprint footprint = Evaluate(splat, hn::Load(f, centres.x + pixel), hn::Load(f, centres.y + pixel));
+    const M before_end = hn::RebindMask(f, hn::Gt(hn::Load(d, tile.last + pixel), hn::Set(d, index - 1)));
+    const M taken = hn::And(hn::Ge(footprint.log2_alpha, Splat1(kLog2AlphaMin)), before_end);
+    if (hn::AllFalse(f, taken)) continue;
+    const V alpha = hn::Min(hn::IfThenElseZero(taken, Exp2(footprint.log2_alpha)), alpha_max);
+    const V transmittance = hn::Mul(hn::Load(f, tile.transmittance + pixel), Reciprocal(hn::Sub(one, alpha)));
+    hn::Store(transmittance, f, tile.transmittance + pixel);
+    const float* colour = &splat.red;
+    V own = hn::Mul(Splat1(colour[0]), hn::Load(f, tile.gradient[0] + pixel));
+    for (int c = 1; c < kPlanes; ++c) own = hn::MulAdd(Splat1(colour[c]), hn::Load(f, tile.gradient[c] + pixel), own);
+    const V behind = hn::Load(f, tile.behind + pixel);
+    hn::Store(hn::MulAdd(alpha, hn::Sub(own, behind), behind), f, tile.behind + pixel);
+  }
+}
+
 /// Reads a gradient plane into block order; pixels outside the image get 0.
 inline void ReadPlane(const Image& image, std::uint32_t plane, std::uint32_t x0, std::uint32_t y0, float* values) {
   const float* from = image.plane(plane);
@@ -157,15 +181,22 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
   std::fill(frame.pair_written.data() + first_entry, frame.pair_written.data() + frame.tile_begin[tile_index + 1],
             std::uint8_t{0});
   const std::uint32_t processed = *std::max_element(block_entries, block_entries + kTileBlocks);
-  if (processed == 0) return;
+  const TileEntry* entries = frame.entries.data() + first_entry;
+  const auto is_frozen = [&](std::uint32_t k) {
+    return !frame.frozen_page.empty() &&
+           frame.frozen_page[(entries[k] & kGaussianMask) >> frame.gaussians.page_shift] != 0;
+  };
+  // Nothing in front of the nearest that moves is of interest, nor is a tile without any.
+  std::uint32_t nearest = 0;
+  while (nearest < processed && is_frozen(nearest)) ++nearest;
+  if (nearest == processed) return;
   TileState<kPlanes> tile{};
   LoadTile(frame, tile_index, gradient, tile);
   const std::uint32_t row = tile_index / frame.tiles_x, column = tile_index % frame.tiles_x;
   const PixelCentres<> centres(column * kTileSide, row * kTileSide);
-  const TileEntry* entries = frame.entries.data() + first_entry;
 
   std::uint32_t live = 0, next_change = processed;  // from the entry before it on, more blocks take part
-  for (std::uint32_t k = processed; k-- > 0;) {
+  for (std::uint32_t k = processed; k-- > nearest;) {
     if (k >= kPrefetchEntries) {
       hwy::Prefetch(&frame.splats[entries[k - kPrefetchEntries] & kGaussianMask]);
     }
@@ -182,6 +213,13 @@ void BlendTileBackwardPlanes(Frame& frame, std::uint32_t tile_index, const Rende
     std::uint32_t blocks = entries[k] >> kBlockShift & live;
     if (blocks == 0) continue;
     const Splat& splat = frame.splats[entries[k] & kGaussianMask];
+    if (is_frozen(k)) {
+      for (; blocks != 0; blocks &= blocks - 1) {
+        const auto block = static_cast<std::uint32_t>(std::countr_zero(blocks));
+        PassBlockBackward<kPlanes>(splat, centres, block, static_cast<std::int32_t>(k), tile);
+      }
+      continue;
+    }
     const V zero = hn::Zero(f);
     Sums sums{zero, zero, zero, zero, zero, zero, zero};
     V planes[8] = {zero, zero, zero, zero, zero, zero, zero, zero};

@@ -7,6 +7,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "gaussians/portable.h"
 #include "raster/adam.h"
 #include "raster/adam_kernel.h"
 #include "raster/cpu/kernels.h"
@@ -46,6 +47,10 @@ void check(const GaussiansView& gaussians, const Camera& camera) {
   if (camera.width > kMaxSide || camera.height > kMaxSide) throw std::invalid_argument("rasterizer: picture too large");
 }
 
+bool is_frozen(const IndexRange& range) {
+  return range.frozen != 0;
+}
+
 }  // namespace
 
 void CpuRasterizer::list_pieces(const SceneState& scene) {
@@ -64,9 +69,49 @@ void CpuRasterizer::list_pieces(const SceneState& scene) {
                                 .max_tan_x = max_tan(frame_.tan_limit_x_low, frame_.tan_limit_x_high),
                                 .max_tan_y = max_tan(frame_.tan_limit_y_low, frame_.tan_limit_y_high)};
     shown_ranges_ = select_ranges(shown, pinhole, camera.world_from_camera, scene.objects);
+    drop_hidden(pinhole, scene);
     shown.ranges = shown_ranges_;
   }
   cut_pieces(shown, kGaussianPiece, frame_.pieces);
+  frame_.frozen_page.clear();
+  if (!std::ranges::any_of(frame_.pieces, is_frozen)) return;
+  frame_.frozen_page.assign((frame_.gaussians.count >> frame_.gaussians.page_shift) + 1, 0);
+  for (const IndexRange& piece : frame_.pieces) {
+    frame_.frozen_page[piece.first >> frame_.gaussians.page_shift] = is_frozen(piece) ? 1 : 0;
+  }
+}
+
+void CpuRasterizer::drop_hidden(const FrustumCamera& pinhole, const SceneState& scene) {
+  const Occlusion* const occlusion = frame_.options.occlusion;
+  if (occlusion == nullptr || !occlusion->holds_for(frame_.camera, scene.objects)) return;
+  const math::Similarity camera_from_world = portable(ObjectTransform(inverse(frame_.camera.world_from_camera)));
+  std::size_t k = 0;  // both are ascending
+  std::erase_if(shown_ranges_, [&](const IndexRange& range) {
+    while (frame_.gaussians.ranges[k].first != range.first) ++k;
+    math::Similarity camera_from_page = camera_from_world;
+    if (range.frame_id != kWorldFrame) {
+      camera_from_page = camera_from_world * portable(scene.objects.at(range.frame_id));
+    }
+    return occlusion->hides(pinhole, camera_from_page, frame_.gaussians.bounds[k]);
+  });
+}
+
+void CpuRasterizer::occlusion(Occlusion& out) const {
+  if (!frame_.keep) throw std::invalid_argument("rasterizer: occlusion() without forward()");
+  out.camera = frame_.camera;
+  out.objects = frame_.scene_objects;
+  out.tile_side = kTileSide;
+  out.tiles_x = frame_.tiles_x;
+  out.tiles_y = frame_.tiles_y;
+  out.depth_m.assign(frame_.tile_count(), INFINITY);
+  for (std::uint32_t tile = 0; tile < frame_.tile_count(); ++tile) {
+    const float* const transmittance = frame_.transmittance.data() + std::size_t{tile} * kTilePixels;
+    if (*std::max_element(transmittance, transmittance + kTilePixels) >= kTransmittanceMin) continue;
+    const std::uint32_t* const ends = frame_.block_entries.data() + std::size_t{tile} * kTileBlocks;
+    const std::uint32_t end = *std::max_element(ends, ends + kTileBlocks);
+    if (end == 0) continue;
+    out.depth_m[tile] = frame_.splats[frame_.entries[frame_.tile_begin[tile] + end - 1] & kGaussianMask].depth;
+  }
 }
 
 void CpuRasterizer::project() {
@@ -104,6 +149,7 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   frame_.options = options;
   if (gaussians.layout.appearance != Appearance::Transfer) frame_.options.albedo = false;
   frame_.objects.build(camera, scene);
+  if (keep) frame_.scene_objects = scene.objects;
   frame_.sources.clear();
   if (gaussians.layout.appearance == Appearance::Transfer) {
     frame_.sources = shading_sources(scene.light, inverse(camera.world_from_camera),
@@ -191,6 +237,7 @@ GradientTarget CpuRasterizer::target_of(ParameterGradient& out) const {
   }
   const int channels = out.layout.channels();
   const int active = out.active_channels > 0 ? std::min(out.active_channels, channels) : channels;
+  out.written.insert(out.written.end(), frame_.pieces.begin(), frame_.pieces.end());
   return {out.values.data(),      out.stride, 0, true, active, out.touched.data(), out.mean2d_norm.data(),
           out.contribution.data()};
 }
@@ -204,7 +251,7 @@ void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& 
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward", [&] {
     workers_.for_pieces(frame_.pieces.size(), 1, [&](std::size_t piece, std::size_t) {
-      project_range_backward(frame_, frame_.pieces[piece], target);
+      if (!is_frozen(frame_.pieces[piece])) project_range_backward(frame_, frame_.pieces[piece], target);
     });
   });
 }
@@ -218,6 +265,8 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
   GaussiansView shown = gaussians;
   if (gaussians.has_pages()) shown.ranges = frame_.pieces;
   cut_pieces(shown, kAdamPiece, adam_pieces_);
+  std::erase_if(adam_pieces_, is_frozen);
+  adam.prepare(adam_pieces_);
   backward_times_.clear();
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward_adam", [&] {
@@ -237,6 +286,43 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
       adam_range(step, piece.count);
     });
   });
+}
+
+void CpuRasterizer::look_at_pages(const Image& error, std::vector<PageLook>& looks) {
+  if (!frame_.keep) throw std::invalid_argument("rasterizer: look_at_pages() without forward()");
+  const Camera& camera = frame_.camera;
+  if (error.channels != 1 || error.width != camera.width || error.height != camera.height) {
+    throw std::invalid_argument("rasterizer: the errors' size is not that of the render");
+  }
+  looks.clear();
+  page_sums_.assign((frame_.gaussians.count >> frame_.gaussians.page_shift) + 1, {});
+  for (std::uint32_t tile = 0; tile < frame_.tile_count(); ++tile) {
+    const std::uint32_t x0 = tile % frame_.tiles_x * kTileSide, y0 = tile / frame_.tiles_x * kTileSide;
+    const std::uint32_t x1 = std::min(camera.width, x0 + kTileSide), y1 = std::min(camera.height, y0 + kTileSide);
+    double sum = 0;
+    std::uint32_t pixels = 0;
+    for (std::uint32_t y = y0; y < y1; ++y) {
+      for (std::uint32_t x = x0; x < x1; ++x) {
+        const float value = error.data[std::size_t{y} * camera.width + x];
+        if (!(value >= 0)) continue;
+        sum += value;
+        ++pixels;
+      }
+    }
+    if (pixels == 0) continue;
+    const std::uint32_t* const ends = frame_.block_entries.data() + std::size_t{tile} * kTileBlocks;
+    const TileEntry* const entries = frame_.entries.data() + frame_.tile_begin[tile];
+    const std::uint32_t end = *std::max_element(ends, ends + kTileBlocks);
+    for (std::uint32_t k = 0; k < end; ++k) {
+      PageLook& of = page_sums_[(entries[k] & kGaussianMask) >> frame_.gaussians.page_shift];
+      of.error += sum / pixels;
+      of.pairs += 1;
+    }
+  }
+  for (std::uint32_t page = 0; page < page_sums_.size(); ++page) {
+    const PageLook& sums = page_sums_[page];
+    if (sums.pairs != 0) looks.push_back({page, sums.pairs, sums.error / sums.pairs});
+  }
 }
 
 }  // namespace cpu

@@ -20,6 +20,8 @@ class CpuRasterizer : public Rasterizer {
                      float* parameters, ParameterGradient& statistics) override;
   void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
               const RenderOptions& options, Render& out) override;
+  void look_at_pages(const Image& error, std::vector<PageLook>& looks) override;
+  void occlusion(Occlusion& out) const override;
   [[nodiscard]] std::vector<StageTime> stage_times() const override;
 
  private:
@@ -27,6 +29,7 @@ class CpuRasterizer : public Rasterizer {
                    const RenderOptions& options, bool keep, Render& out);
   /// Cuts the Gaussians of pages that may show into Frame::pieces.
   void list_pieces(const SceneState& scene);
+  void drop_hidden(const FrustumCamera& pinhole, const SceneState& scene);
   void project();
   [[nodiscard]] GradientTarget target_of(ParameterGradient& out) const;
   void blend_backward(const RenderGradient& gradient);
@@ -34,6 +37,7 @@ class CpuRasterizer : public Rasterizer {
   Workers workers_;
   Frame frame_;
   Scratch<DepthKey> spare_keys_;
+  std::vector<PageLook> page_sums_;
   std::vector<IndexRange> shown_ranges_, adam_pieces_;
   std::vector<std::size_t> room_of_piece_, visible_of_piece_, first_of_piece_;
   DepthSorter sorter_;

@@ -113,6 +113,7 @@ struct Frame {
   Camera camera;
   RenderOptions options;
   ObjectTable objects;
+  ObjectTransforms scene_objects;      ///< what `objects` is of, kept
   std::vector<ShadingSource> sources;  ///< besides the sun; Transfer only
   std::array<float, 3> background{};   ///< in the colour plane's space
   float tan_limit_x_low = 0, tan_limit_x_high = 0, tan_limit_y_low = 0, tan_limit_y_high = 0;
@@ -121,6 +122,7 @@ struct Frame {
   [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
 
   std::vector<IndexRange> pieces;         ///< Gaussians that may show, as they are worked on
+  std::vector<std::uint8_t> frozen_page;  ///< by page, where any of `pieces` is frozen; else empty
   Scratch<Splat> splats;                  ///< [count], valid where visible
   Scratch<TileReach> reaches;             ///< [count], valid where visible
   Scratch<PairRange> pair_ranges;         ///< [count], kept, valid in pieces

@@ -15,7 +15,7 @@ inline void cut_pieces(const GaussiansView& gaussians, std::uint32_t most, std::
   const auto cut = [&](const IndexRange& range) {
     const std::uint32_t end = range.first + range.count;
     for (std::uint32_t first = range.first; first < end; first = (first / most + 1) * most) {
-      pieces.push_back({first, std::min(end, (first / most + 1) * most) - first, range.frame_id});
+      pieces.push_back({first, std::min(end, (first / most + 1) * most) - first, range.frame_id, range.frozen});
     }
   };
   if (gaussians.has_pages()) {

@@ -16,6 +16,10 @@ struct Lane {
 
   /// It exists, and is in the frame of an object that some view has.
   [[nodiscard]] __device__ bool present() const { return slot() != kHiddenSlot; }
+  /// Of a range that does not train: the same for the whole block.
+  [[nodiscard]] __device__ bool frozen(const WorkspaceView& w, const DeviceGaussians& gaussians) const {
+    return w.listed != nullptr && gaussians.ranges[w.listed[blockIdx.x / kBlocksPerRange].range].frozen != 0;
+  }
   /// Row of object_views.
   [[nodiscard]] __device__ int slot() const { return static_cast<int>(mark >> 16); }
   /// It may show in view b: the same for the whole block.

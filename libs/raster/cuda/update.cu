@@ -210,7 +210,7 @@ __global__ void __launch_bounds__(kThreads, 4)
   if (views == 0) return;
   const Item item{gaussians, w, i, lane.slot(), views};
   if constexpr (std::is_same_v<Sink, GradientSink>) sink.touched[i] = 1;
-  if (!is_frozen(gaussians, i)) {
+  if (!is_frozen(gaussians, i) && !lane.frozen(w, gaussians)) {
     const GaussianGeometry g = load_geometry(parameters_of(gaussians), i);
     sink.begin(item, g.mean);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};

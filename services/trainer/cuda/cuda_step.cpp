@@ -74,7 +74,7 @@ class CudaStep final : public GradientStep {
 
   StepReport finished(bool wait) override {
     const auto done = train_.finished(wait);
-    return {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss};
+    return {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss, .looks = {}};
   }
 
   void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override {

@@ -10,9 +10,9 @@ namespace splatbus::model {
 
 inline constexpr std::size_t kScriptGaussians = 40000;
 /// Insertion into nothing, appends, splits with appends and a new frame, copies with splits, a removal that empties a
-/// page, once more of what there is by then, and a merge
-/// of what another has left sparse.
-inline constexpr std::size_t kScriptChanges = 9;
+/// page, once more of what there is by then, a merge
+/// of what another has left sparse, and frozen pages that something is removed from and put into.
+inline constexpr std::size_t kScriptChanges = 12;
 
 /// Makes a change of a story that is always the same, in the truth and, unless null, in a store.
 inline void make_change(std::size_t change, PageStore* store, Truth& truth) {
@@ -54,15 +54,27 @@ inline void make_change(std::size_t change, PageStore* store, Truth& truth) {
     case 5:
       return insert_batch(1500, true, 1);
     case 6:
-    case 7: {
-      const auto indices =
-          choose([&](std::uint64_t id, const Gaussian&) { return change == 6 ? id % 5 == 2 : id % 8 != 0; });
+    case 7:
+    case 10: {
+      const auto indices = choose([&](std::uint64_t id, const Gaussian&) {
+        if (change == 10) return id % 7 == 3;
+        return change == 6 ? id % 5 == 2 : id % 8 != 0;
+      });
       if (store != nullptr) remove(*store, indices);
       return truth.remove(ids);
     }
     case 8:
       if (store != nullptr && store->merge().count == 0) throw std::logic_error("nothing was sparse");
       return;
+    case 9: {
+      if (store == nullptr) return;
+      std::vector<std::uint32_t> pages;
+      for (const IndexRange& range : store->view().ranges) pages.push_back(range.first / kPageLanes);
+      store->freeze(pages);
+      return;
+    }
+    case 11:
+      return insert_batch(900, false, 2);
     default:
       throw std::logic_error("no such change");
   }

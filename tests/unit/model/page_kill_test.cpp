@@ -25,7 +25,7 @@ class PageKillTest : public DeviceTest {
   void kill_and_adopt(std::size_t change, ChangePoint point, Device next) {
     SCOPED_TRACE("change " + std::to_string(change) + ", point " + std::to_string(static_cast<int>(point)));
     const int status = run_and_kill(static_cast<int>(change), point);
-    const bool removal = change == 4 || change == 6 || change == 7;
+    const bool removal = change == 4 || change == 6 || change == 7 || change == 10;
     if (status == 0) {
       EXPECT_TRUE(!removal && (point == ChangePoint::Opened || point == ChangePoint::Cleared))
           << "this change never came to that point";
@@ -40,7 +40,8 @@ class PageKillTest : public DeviceTest {
       const auto context = connect("trainer");
       PageStore store(context, {}, {.max_gaussians = kScriptGaussians}, next);
       expect_holds(store, truth);
-      EXPECT_EQ(store.holds(1, change), truth.next_id != before(change) && !removal && change != 3 && change != 8)
+      EXPECT_EQ(store.holds(1, change),
+                truth.next_id != before(change) && !removal && change != 3 && change != 8 && change != 9)
           << "remembered";
       // And it goes on from there.
       for (std::size_t c = made; c < kScriptChanges; ++c) make_change(c, &store, truth);
@@ -65,7 +66,7 @@ class PageKillTest : public DeviceTest {
 };
 
 TEST_P(PageKillTest, WhereverAnInsertionOrAMergeIsKilledItIsWhollyThereOrNotAtAll) {
-  for (const std::size_t change : {0, 1, 2, 3, 8}) {
+  for (const std::size_t change : {0, 1, 2, 3, 8, 11}) {
     for (const ChangePoint point :
          {ChangePoint::Copied, ChangePoint::Numbered, ChangePoint::Written, ChangePoint::Proposed,
           ChangePoint::Committed, ChangePoint::FoldedOne, ChangePoint::Folded}) {
@@ -76,13 +77,20 @@ TEST_P(PageKillTest, WhereverAnInsertionOrAMergeIsKilledItIsWhollyThereOrNotAtAl
 }
 
 TEST_P(PageKillTest, WhereverARemovalIsKilledNobodyElseIsLostOrThereTwice) {
-  for (const std::size_t change : {4, 6}) {
+  for (const std::size_t change : {4, 6, 10}) {
     for (const ChangePoint point :
          {ChangePoint::Opened, ChangePoint::Cleared, ChangePoint::Copied, ChangePoint::Numbered, ChangePoint::Proposed,
           ChangePoint::Committed, ChangePoint::FoldedOne, ChangePoint::Folded}) {
       kill_and_adopt(change, point, GetParam());
       if (HasFatalFailure() || HasNonfatalFailure()) return;
     }
+  }
+}
+
+TEST_P(PageKillTest, WhereverPagesAreFrozenNobodyIsLost) {
+  for (const ChangePoint point : {ChangePoint::Proposed, ChangePoint::Committed, ChangePoint::FoldedOne}) {
+    kill_and_adopt(9, point, GetParam());
+    if (HasFatalFailure() || HasNonfatalFailure()) return;
   }
 }
 

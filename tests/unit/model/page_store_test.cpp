@@ -111,6 +111,80 @@ TEST_P(PageStoreTest, BoundsFollowTheParameters) {
   expect_sound();
 }
 
+TEST_P(PageStoreTest, FrozenPagesTakeTheirAveragesAndRestUntilTheirStructureChanges) {
+  start(50000);
+  const Batch batch = make_batch(random_, 6000, false, 2);
+  insert(*store_, batch, 1);
+  truth_.insert(batch, batch.count);
+  const device::Stream stream(GetParam());
+  const std::size_t channels = 41;
+  for (const auto& [id, place] : Found(*store_).by_id) {
+    const float live = truth_.gaussians[id].values[0] + 3;
+    device::copy(stream, store_->memory().value(0, place.index), &live, sizeof(live));
+    const float average = truth_.gaussians[id].values[0] + 1;
+    device::copy(stream, store_->memory().value(channels, place.index), &average, sizeof(average));
+    truth_.gaussians[id].values[0] = live;
+    truth_.gaussians[id].values[channels] = average;
+  }
+  stream.wait();
+  std::vector<std::uint32_t> pages;
+  for (const IndexRange& range : store_->view().ranges) pages.push_back(range.first / kPageLanes);
+  ASSERT_GT(pages.size(), 4U);
+  std::vector<std::uint32_t> chosen;
+  for (std::size_t p = 0; p < pages.size(); p += 2) chosen.push_back(pages[p]);
+  std::vector<std::uint64_t> before;
+  for (const std::uint32_t page : pages) before.push_back(store_->table().entry(page).generation);
+  chosen.push_back(store_->table().page_capacity() - 1);  // a free one is left as it is
+  store_->freeze(chosen);
+  chosen.pop_back();
+  std::size_t rest = 0;
+  for (std::size_t p = 0; p < pages.size(); ++p) {
+    const IndexRange& range = store_->view().ranges[p];
+    EXPECT_EQ(range.frozen, p % 2 == 0 ? 1U : 0U);
+    EXPECT_EQ(store_->table().entry(pages[p]).now.state, p % 2 == 0 ? PageState::Frozen : PageState::Active);
+    EXPECT_EQ(store_->table().entry(pages[p]).generation != before[p], p % 2 == 0);
+    if (p % 2 == 0) rest += range.count;
+  }
+  EXPECT_EQ(store_->frozen_pages(), chosen.size());
+  EXPECT_EQ(store_->frozen_count(), rest);
+  EXPECT_EQ(store_->count(), 6000U);
+  for (const auto& [id, place] : Found(*store_).by_id) {
+    if (std::ranges::find(chosen, place.index / kPageLanes) == chosen.end()) continue;
+    truth_.gaussians[id].values[0] = truth_.gaussians[id].values[channels];
+  }
+  const PageBounds rests = store_->view().bounds.front(), moves = store_->view().bounds[1];
+  store_->refresh_bounds(0.5F, 2);
+  EXPECT_EQ(store_->view().bounds.front().high.x, rests.high.x);
+  EXPECT_GT(store_->view().bounds[1].high.x, moves.high.x);
+  store_->refresh_bounds();
+  expect_sound();
+
+  // Who comes after a death finds them as they were.
+  start(50000);
+  EXPECT_EQ(store_->frozen_pages(), chosen.size());
+  expect_sound();
+
+  // One is thawed, one takes a Gaussian in, one loses one; the fourth is as it was.
+  store_->thaw(std::span(chosen).first(1));
+  EXPECT_EQ(store_->table().entry(chosen[0]).now.state, PageState::Active);
+  const auto id_in = [&](std::uint32_t page) {
+    for (const auto& [id, place] : Found(*store_).by_id) {
+      if (place.index / kPageLanes == page) return id;
+    }
+    throw std::logic_error("an empty page");
+  };
+  const std::uint64_t gone = id_in(chosen[1]);
+  remove(*store_, indices_of({gone}));
+  truth_.remove({gone});
+  EXPECT_EQ(store_->table().entry(chosen[1]).now.state, PageState::Active);
+  const std::uint64_t original = id_in(chosen[2]);
+  duplicate(*store_, indices_of({original}));
+  truth_.duplicate({original});
+  EXPECT_EQ(store_->frozen_pages(), chosen.size() - 3);
+  store_->refresh_bounds();
+  expect_sound();
+}
+
 TEST_P(PageStoreTest, WhatIsPublishedIsWhereThePagesAre) {
   const auto reader = connect("reader");
   bus::Subscriber subscriber(reader, {"model/published"});

@@ -106,6 +106,19 @@ TEST_P(PublishedModelTest, ThatGrowsKeepsItsAddress) {
   expect_truth(*after);
 }
 
+TEST_P(PublishedModelTest, FrozenPagesAreReadAsOthers) {
+  add(3000);
+  const std::uint32_t page = store_->view().ranges.front().first >> kPageShift;
+  const auto before = PublishedModel::open(publish(), wanted());
+  store_->freeze(std::span(&page, 1));
+  EXPECT_FALSE(before->still_valid());
+  auto frozen = PublishedModel::open(publish(), wanted());
+  ASSERT_TRUE(frozen);
+  EXPECT_EQ(frozen->live().ranges.front().frozen, 1U);
+  EXPECT_EQ(frozen->live().ranges.back().frozen, 0U);
+  expect_truth(*frozen);
+}
+
 TEST_P(PublishedModelTest, ATableThatLiesIsRefused) {
   add(3000);
   const auto message = publish();

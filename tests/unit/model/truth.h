@@ -107,8 +107,8 @@ struct Found {
     for (std::uint32_t page = 0; page < store.table().page_capacity(); ++page) {
       const PageEntry& entry = store.table().entry(page);
       if (entry.generation % 2 != 0) throw std::logic_error("page " + std::to_string(page) + " is open");
-      if (entry.now.state != PageState::Active) continue;
-      if (entry.now.count == 0) throw std::logic_error("page " + std::to_string(page) + " is active and empty");
+      if (!is_present(entry.now.state)) continue;
+      if (entry.now.count == 0) throw std::logic_error("page " + std::to_string(page) + " is empty");
       device::copy(stream, page_words_read.data(), store.memory().words + page * words, words * 4);
       stream.wait();
       const auto* const ids = reinterpret_cast<const std::uint64_t*>(page_words_read.data() + id_row * kRowWords);

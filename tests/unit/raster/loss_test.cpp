@@ -105,5 +105,24 @@ TEST(Loss, EmptyPicture) {
   EXPECT_TRUE(gradient.data.empty());
 }
 
+TEST(L1Error, IsThatOfEachPixelInDisplaySpace) {
+  Image rendered(2, 2, 3);
+  const float values[4] = {0.2F, 1.7F, -0.5F, 0.03F};
+  for (std::uint32_t c = 0; c < 3; ++c) std::copy_n(values, 4, rendered.plane(c));
+  rendered.plane(1)[0] = 0.9F;
+  std::vector<std::uint8_t> target(16, 51);
+  const std::uint8_t mask[4] = {0, 0, 0, 9};
+  const auto srgb = [](double x) { return x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1 / 2.4) - 0.055; };
+  Image error;
+  l1_error(rendered, target.data(), true, mask, error);
+  EXPECT_NEAR(error.data[0], (2 * (srgb(0.2) - 0.2) + srgb(0.9) - 0.2) / 3, 1e-3);
+  EXPECT_NEAR(error.data[1], 0.8, 1e-5);
+  EXPECT_NEAR(error.data[2], 0.2, 1e-5);
+  EXPECT_EQ(error.data[3], -1);
+  l1_error(rendered, target.data(), false, nullptr, error);
+  EXPECT_NEAR(error.data[0], 0.7 / 3, 1e-5);
+  EXPECT_NEAR(error.data[3], 0.17, 1e-5);
+}
+
 }  // namespace
 }  // namespace splatbus::raster

@@ -149,6 +149,7 @@ TEST(Backward, ClearLeavesNothingOfTheLastBatch) {
   gradient.clear(scene.view(), 1);
   std::fill(gradient.values.begin(), gradient.values.end(), 1.0F);
   std::fill(gradient.touched.begin(), gradient.touched.end(), std::uint8_t{1});
+  gradient.written.push_back({0, 50});
   gradient.clear(scene.view(), 2);
   ASSERT_EQ(gradient.values.size(), static_cast<std::size_t>(scene.layout.channels()) * scene.stride);
   for (std::size_t i = 0; i < gradient.values.size(); ++i) {

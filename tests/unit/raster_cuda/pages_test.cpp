@@ -65,6 +65,42 @@ TEST_P(CudaPages, PicturesAndGradientsAreThoseWithoutPages) {
   EXPECT_GT(touched, paged.planar.count() / 4);
 }
 
+TEST_P(CudaPages, FrozenPagesAreDrawnAndGetNoGradient) {
+  const Case& c = GetParam();
+  const test::PagedModel moving(random_model(c, 19).view(), 300);
+  test::PagedModel paged = moving;
+  for (std::size_t r = 0; r < paged.ranges.size(); r += 2) paged.ranges[r].frozen = 1;
+  const SceneState scene = random_scene(true);
+  const Camera camera = look_at({0.5F, 1.5F, 5.0F}, {0, 0, 0}, c.width, c.height, 1.0F);
+  const auto ours = make_cuda_rasterizer(), theirs = make_cuda_rasterizer();
+  Render picture, expected;
+  ours->forward(paged.view(), camera, scene, {}, picture);
+  theirs->forward(moving.view(), camera, scene, {}, expected);
+  EXPECT_LT(largest_difference(picture.color, expected.color), 1e-5);
+  std::mt19937 random(5);
+  RenderGradient gradient;
+  gradient.color = random_image(c.width, c.height, 3, random);
+  ParameterGradient actual, without;
+  actual.clear(paged.view());
+  without.clear(moving.view());
+  ours->backward(gradient, actual);
+  theirs->backward(gradient, without);
+  double difference = 0, norm = 0;
+  for (const IndexRange& range : paged.ranges) {
+    for (std::size_t channel = 0; channel < paged.channels; ++channel) {
+      for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+        const double value = actual.values[channel * actual.stride + i];
+        const double other = range.frozen != 0 ? 0.0 : without.values[channel * without.stride + i];
+        ASSERT_TRUE(range.frozen == 0 || value == 0);
+        difference += std::pow(value - other, 2);
+        norm += other * other;
+      }
+    }
+  }
+  EXPECT_GT(norm, 0);
+  EXPECT_LT(std::sqrt(difference / norm), 1e-4);
+}
+
 TEST_P(CudaPages, PagesOutsideOfTheFrustumAreLeftOutAndThePictureIsTheSame) {
   const Case& c = GetParam();
   const test::PagedModel paged(spread_model(c, 4).view(), 12);

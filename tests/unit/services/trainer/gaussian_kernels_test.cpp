@@ -73,7 +73,7 @@ TEST_P(KernelsOn, MarksWhatIsTransparentHugeOrNotFinite) {
   auto counts = pages.place(std::vector<PruneCounts>(1));
   pages.run(
       [&](auto stream, const auto& g) {
-        mark_prunable(stream, g, created.data(),
+        mark_prunable(stream, g, {}, created.data(),
                       {.step = 1000, .min_age_steps = 51, .min_opacity_logit = -5, .max_log_scale = 1}, dead.data(),
                       counts.data());
       },
@@ -86,6 +86,86 @@ TEST_P(KernelsOn, MarksWhatIsTransparentHugeOrNotFinite) {
   }
   EXPECT_EQ(counts.to_host()[0].removed, 4U);
   EXPECT_EQ(counts.to_host()[0].not_finite, 2U);
+}
+
+TEST_P(KernelsOn, TooLargeIsWhatIsTooLargeInMetres) {
+  Pages pages = make_pages({{0, 20}, {kPageLanes, 10, 3}, {2 * kPageLanes, 10, 5}, {3 * kPageLanes, 10, 9}});
+  for (std::uint32_t page = 0; page < 4; ++page) pages.at(ParameterLayout::kLogScale, page * kPageLanes) = 0.5F;
+  const std::vector<FrameScale> of{{3, 1}, {9, -1}};
+  const auto scales = pages.place(of);
+  const auto created = pages.place(std::vector<std::uint64_t>(pages.indices(), 0));
+  auto dead = pages.place(std::vector<std::uint8_t>(pages.indices(), 0));
+  auto counts = pages.place(std::vector<PruneCounts>(1));
+  const auto pruned = [&](float max_log_scale) {
+    pages.run([&](auto stream, const auto& g) {
+      mark_prunable(stream, g, {scales.data(), 2}, created.data(),
+                    {.step = 1000, .min_age_steps = 51, .min_opacity_logit = -5, .max_log_scale = max_log_scale},
+                    dead.data(), counts.data());
+    });
+    const auto marks = dead.to_host();
+    return std::vector<int>{marks[0], marks[kPageLanes], marks[2 * kPageLanes], marks[3 * kPageLanes]};
+  };
+  EXPECT_EQ(pruned(0), (std::vector{1, 1, 1, 0}));
+  EXPECT_EQ(pruned(1), (std::vector{0, 1, 0, 0}));
+}
+
+TEST_P(KernelsOn, FrozenPagesAreLeftAlone) {
+  Pages pages = make_pages({{0, 20}, {kPageLanes, 10, kWorldFrame, 1}});
+  for (const std::uint32_t i : {4U, kPageLanes + 4}) {
+    pages.at(0, i) = 1;
+    pages.at(ParameterLayout::kOpacityLogit, i) = -9;
+  }
+  const auto created = pages.place(std::vector<std::uint64_t>(pages.indices(), 0));
+  auto dead = pages.place(std::vector<std::uint8_t>(pages.indices(), 3));
+  auto counts = pages.place(std::vector<PruneCounts>(1));
+  const auto seen = pages.place(std::vector<std::uint32_t>(pages.indices(), 1));
+  const auto norm = pages.place(std::vector<float>(pages.indices(), 1));
+  device::Buffer<std::uint32_t> chosen(dead.stream(), 2 * kPageLanes);
+  std::uint32_t dense = 0;
+  pages.run([&](auto stream, const auto& g) {
+    mark_prunable(stream, g, {}, created.data(),
+                  {.step = 1000, .min_age_steps = 51, .min_opacity_logit = -5, .max_log_scale = 1}, dead.data(),
+                  counts.data());
+    for (std::uint64_t step = 1001; step < 1001 + kStripes; ++step) {
+      update_average(stream, g, created.data(), step, 0.5F);
+    }
+    dense = list_dense(stream, g, {.mean2d_norm = norm.data(), .steps = seen.data()}, 0.5F, chosen.data());
+  });
+  const auto marks = dead.to_host();
+  EXPECT_EQ(marks[4], 1);
+  EXPECT_EQ(marks[kPageLanes + 4], 0);
+  EXPECT_FLOAT_EQ(pages.at(kAverage, 4), 0.5F);
+  EXPECT_EQ(pages.at(kAverage, kPageLanes + 4), 0);
+  EXPECT_EQ(dense, 20U);
+}
+
+TEST_P(KernelsOn, MovementIsHowFarPagesAreFromTheirAverages) {
+  Pages pages = make_pages({{0, 2}, {kPageLanes, 3}, {2 * kPageLanes, 1, kWorldFrame, 1}});
+  constexpr int kScale = ParameterLayout::kLogScale, kOpacity = ParameterLayout::kOpacityLogit;
+  const auto average = [&](int channel, std::uint32_t i) -> float& {
+    return pages.at(kAverage + static_cast<std::uint32_t>(channel), i);
+  };
+  // The first page: one that is opaque and a tenth of its 0.5 m away, one that nobody sees and far away.
+  for (int axis = 0; axis < 3; ++axis) {
+    pages.at(static_cast<std::uint32_t>(kScale + axis), 0) = average(kScale + axis, 0) =
+        std::log(axis == 1 ? 0.5F : 0.1F);
+  }
+  average(0, 0) = 1;
+  pages.at(0, 0) = 1.03F;
+  pages.at(2, 0) = 0.04F;
+  average(kOpacity, 0) = 30;
+  pages.at(0, 1) = 9;
+  average(kOpacity, 1) = -30;
+  // The second: of three alike one is 0.3 larger and one 0.6 redder.
+  pages.at(kScale, kPageLanes) = 0.3F;
+  pages.at(ParameterLayout::kAlbedo, kPageLanes + 1) = 0.6F;
+  pages.at(0, 2 * kPageLanes) = 5;
+  std::vector<float> movements;
+  pages.run([&](auto stream, const auto& g) { movements = page_movements(stream, g, Appearance::Transfer); });
+  ASSERT_EQ(movements.size(), 3U);
+  EXPECT_NEAR(movements[0], 0.1F, 1e-5F);
+  EXPECT_NEAR(movements[1], 0.3F, 1e-5F);
+  EXPECT_EQ(movements[2], 0) << "frozen";
 }
 
 TEST_P(KernelsOn, ListsThoseWhoseMeanGradientIsLarge) {
@@ -134,7 +214,7 @@ TEST_P(KernelsOn, ChildrenOfASplitAreDrawnFromIt) {
   const auto of = pages.place(copy_of);
   const auto to = pages.place(copies);
   pages.run([&](auto stream, const auto& g) {
-    split(stream, g, of.data(), to.data(), {.max_clone_log_scale = std::log(0.1F), .seed = 5});
+    split(stream, g, {}, of.data(), to.data(), {.max_clone_log_scale = std::log(0.1F), .seed = 5});
     stream.wait();
   });
   double sum[3] = {}, squares[3] = {}, products[3] = {};  // products: of the two children of one

@@ -119,7 +119,7 @@ class TrainerTest : public bus_test::BusTest {
     std::vector<IndexRange> ranges;
     for (std::uint32_t page = 0; page < capacity; ++page) {
       const model::PageStructure& now = entries[page].now;
-      if (now.state == model::PageState::Active) ranges.push_back({page * kPageLanes, now.count, now.frame_id});
+      if (model::is_present(now.state)) ranges.push_back({page * kPageLanes, now.count, now.frame_id});
     }
     std::vector<std::uint32_t> words;
     for (int arena = 0; message.announces("pages-" + std::to_string(arena)); ++arena) {

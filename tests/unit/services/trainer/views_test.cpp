@@ -125,6 +125,51 @@ TEST(ViewSampler, MakesDoWithWhatIsThere) {
   for (int i = 0; i < 8; ++i) EXPECT_EQ(sampler.next(store, 3)->camera.id, 6U);
 }
 
+TEST(ViewSampler, AViewWithLessToTeachHasFewerTurnsAndAtLeastAFourth) {
+  ViewStore store;
+  for (std::uint32_t id = 0; id < 6; ++id) store.put(make_view(CameraRole::Reference, id));
+  ViewSampler sampler(7);
+  // Their mean is 0.1. One has never been looked at; of another nothing shows that trains.
+  const float losses[5] = {0.19F, 0.14F, 0.1F, 0.06F, 0.01F};
+  for (std::uint32_t id = 0; id < 5; ++id) sampler.learn({.role = CameraRole::Reference, .id = id}, losses[id], 1);
+  std::map<std::uint32_t, int> drawn;
+  std::map<std::uint32_t, int> last;
+  for (int i = 0; i < 485; ++i) {
+    const std::uint32_t id = sampler.next(store, 0)->camera.id;
+    ++drawn[id];
+    EXPECT_LE(i - std::exchange(last[id], i), 4 * 6) << id;
+  }
+  for (const std::uint32_t id : {0, 1, 2, 5}) EXPECT_NEAR(drawn[id], 100, 1) << id;
+  EXPECT_NEAR(drawn[3], 60, 1);
+  EXPECT_NEAR(drawn[4], 25, 1);
+
+  sampler.learn({.role = CameraRole::Reference, .id = 2}, 0.1F, 0);
+  drawn.clear();
+  for (int i = 0; i < 485; ++i) ++drawn[sampler.next(store, 0)->camera.id];
+  EXPECT_LT(drawn[2], 40);
+  EXPECT_GT(drawn[2], 20);
+
+  sampler.forget();
+  std::set<std::uint32_t> all;
+  for (int i = 0; i < 18; ++i) all.insert(sampler.next(store, 0)->camera.id);
+  EXPECT_EQ(all.size(), 6U);
+}
+
+TEST(ViewSampler, WhereThoseWhoseTurnItIsHaveNoPictureOthersHaveIt) {
+  ViewStore store;
+  store.set_paired(std::vector<PairedVersion>{{.version = 1}});
+  store.put(make_view(CameraRole::Reference, 1, 0, 16, 9));  // waits
+  store.put(make_view(CameraRole::Reference, 2, 0, 16, 1));
+  ViewSampler sampler(7);
+  sampler.learn({.role = CameraRole::Reference, .id = 1}, 1, 1);
+  sampler.learn({.role = CameraRole::Reference, .id = 2}, 0.01F, 1);
+  for (int i = 0; i < 9; ++i) {
+    const auto view = sampler.next(store, 0);
+    ASSERT_NE(view, nullptr);
+    EXPECT_EQ(view->camera.id, 2U);
+  }
+}
+
 /// Of the sun alone.
 std::vector<PairedVersion> paired(std::initializer_list<std::uint64_t> versions) {
   std::vector<PairedVersion> all;

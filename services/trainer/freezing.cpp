@@ -1,0 +1,113 @@
+#include "trainer/freezing.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace splatbus::trainer {
+
+namespace {
+
+constexpr double kDecidePeriod_s = 1;
+/// Fewer pictures of a page say nothing of its loss.
+constexpr std::uint32_t kLeastLooks = 8;
+/// Times FreezeOptions::after_s after which a page that no view shows rests as it is.
+constexpr double kUnseenTimes = 4;
+/// A view teaches more when it comes nearer than by rounding and jitter of a camera.
+constexpr float kNearer = 1.5F;
+/// What is nearer counts as being this near: cameras stand in the bounds of pages.
+constexpr float kNearestDistance_m = 0.25F;
+/// A grey level: errors below it are not told apart.
+constexpr double kLeastError = 1.0 / 255;
+
+}  // namespace
+
+float nearest_px_per_m(const TrainingView& view, std::uint32_t frame_id, const PageBounds& bounds) {
+  ObjectTransform world_from_frame;
+  if (frame_id != kWorldFrame) {
+    const auto object = view.scene.objects.find(frame_id);
+    if (object == view.scene.objects.end()) return 0;
+    world_from_frame = object->second;
+  }
+  const glm::vec3 camera =
+      inverse(world_from_frame.rigid) * view.camera.world_from_camera.translation / world_from_frame.scale;
+  const glm::vec3 low(bounds.low.x, bounds.low.y, bounds.low.z), high(bounds.high.x, bounds.high.y, bounds.high.z);
+  const float distance_m = world_from_frame.scale * glm::distance(camera, glm::clamp(camera, low, high));
+  return view.camera.fx / std::max(distance_m, kNearestDistance_m);
+}
+
+Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
+  if (page >= pages_.size()) pages_.resize(page + 1);
+  Page& of = pages_[page];
+  const model::PageEntry& entry = store.table().entry(page);
+  const std::uint64_t generation = entry.generation.load(std::memory_order_relaxed);
+  if (of.generation == generation) return of;
+  const model::PageStructure& now = entry.now;
+  const bool frozen = now.state == model::PageState::Frozen;
+  const bool same_place = of.frame_id == now.frame_id && of.morton_first == now.morton_first;
+  // With what was put in or taken out its loss is another. How near views have come stays with the place.
+  of = {.generation = generation,
+        .frame_id = now.frame_id,
+        .morton_first = now.morton_first,
+        .frozen = frozen,
+        .since_s = store.optimizer_s(),
+        .seen_s = store.optimizer_s(),
+        .px_per_m = same_place ? of.px_per_m : 0.0F,
+        .loss_at_freeze = frozen ? static_cast<double>(entry.loss) : 0.0};
+  return of;
+}
+
+void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks) {
+  for (const ViewLook& look : looks) {
+    for (const raster::PageLook& seen : look.pages) {
+      model::PageEntry& entry = store.table().entry(seen.page);
+      if (!is_present(entry.now.state)) continue;
+      Page& page = at(store, seen.page);
+      page.loss += seen.error;
+      page.looks += 1;
+      page.seen_s = store.optimizer_s();
+      const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
+      float& nearest = page.frozen ? page.thawing_px_per_m : page.px_per_m;
+      nearest = std::max(nearest, px_per_m);
+      entry.contribution = static_cast<float>(seen.pairs);
+      entry.last_seen_step = store.step();
+    }
+  }
+}
+
+Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptions& options,
+                                std::span<const float> movements) {
+  const double now_s = store.optimizer_s();
+  next_s_ = now_s + std::min(kDecidePeriod_s, options.after_s);
+  Change change;
+  const std::span<const IndexRange> ranges = store.view().ranges;
+  for (std::size_t r = 0; r < ranges.size(); ++r) {
+    const std::uint32_t number = ranges[r].first >> kPageShift;
+    Page& page = at(store, number);
+    model::PageEntry& entry = store.table().entry(number);
+    entry.movement = movements[r];
+    if (!page.frozen && now_s - page.seen_s > kUnseenTimes * std::max(options.after_s, kDecidePeriod_s)) {
+      entry.loss = 0;  // nobody knows what it would have come to: it goes on with what is seen of it next
+      change.freeze.push_back(number);
+      continue;
+    }
+    if (page.looks < kLeastLooks) continue;
+    const double loss = page.loss / page.looks;
+    if (page.frozen) {
+      const bool nearer = page.px_per_m > 0 && page.thawing_px_per_m > kNearer * page.px_per_m;
+      const bool worse = loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
+      if (nearer || worse) change.thaw.push_back(number);
+      page.loss = page.looks = 0;
+      continue;
+    }
+    entry.loss = static_cast<float>(loss);
+    if (now_s - page.since_s < options.after_s) continue;
+    const bool settled = page.loss_before >= 0 && loss > (1 - options.least_gain) * page.loss_before;
+    if (settled && movements[r] <= options.most_movement) change.freeze.push_back(number);
+    page.loss_before = loss;
+    page.loss = page.looks = 0;
+    page.since_s = now_s;
+  }
+  return change;
+}
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "model/page_store.h"
+#include "trainer/gradient_step.h"
+#include "trainer/options.h"
+
+namespace splatbus::trainer {
+
+/// Decides which pages rest, by what views show of them and how far their Gaussians move, and says so in the page
+/// table (PageEntry::loss, movement, contribution, last_seen_step). docs/decisions/0103-freezing.md. One thread.
+class Freezer {
+ public:
+  /// Takes in what a step saw.
+  void see(const model::PageStore& store, std::span<const ViewLook> looks);
+
+  struct Change {
+    std::vector<std::uint32_t> freeze, thaw;
+  };
+  /// Whether decide() has something to look at: once a while.
+  [[nodiscard]] bool due(const model::PageStore& store) const { return store.optimizer_s() >= next_s_; }
+  /// Pages whose state is to change. `movements`: of each range of the store's view.
+  [[nodiscard]] Change decide(const model::PageStore& store, const FreezeOptions& options,
+                              std::span<const float> movements);
+
+ private:
+  struct Page {
+    std::uint64_t generation = 0;  ///< of its structure, as it was last looked at
+    std::uint32_t frame_id = 0;
+    std::uint64_t morton_first = 0;
+    bool frozen = false;
+    double since_s = 0, seen_s = 0;  ///< of optimizer time: that the window began; of the last look
+    /// Sum over the looks of the window, and the mean of the one before; below 0: none.
+    double loss = 0;
+    std::uint32_t looks = 0;
+    double loss_before = -1;
+    float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
+    double loss_at_freeze = 0;
+  };
+  Page& at(const model::PageStore& store, std::uint32_t page);
+
+  std::vector<Page> pages_;
+  double next_s_ = 0;
+};
+
+/// Pixels that a metre takes at the point of a page's bounds that is nearest to the camera; 0 for an object that the
+/// view does not have.
+[[nodiscard]] float nearest_px_per_m(const TrainingView& view, std::uint32_t frame_id, const PageBounds& bounds);
+
+}  // namespace splatbus::trainer

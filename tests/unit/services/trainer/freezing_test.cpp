@@ -1,0 +1,197 @@
+// Which pages rest, and what becomes of them.
+#include "trainer/freezing.h"
+
+#include <algorithm>
+
+#include "optimizer_fixture.h"
+
+namespace splatbus::trainer {
+namespace {
+
+using model::PageState;
+
+class FreezingTest : public OptimizerTest {
+ protected:
+  FreezingTest() { scene_ = SyntheticScene(3000, 4, 32); }
+};
+
+/// A store of some pages, of which a test says what views show of them.
+class FreezerTest : public FreezingTest {
+ protected:
+  FreezerTest() : trial_(OptimizerTest::trial(Device::Cpu, {}, 8192)) {
+    for (const IndexRange& range : store().view().ranges) pages_.push_back(range.first / kPageLanes);
+    movements_.assign(pages_.size(), 0.0F);
+  }
+  model::PageStore& store() { return trial_.store(); }
+
+  /// A second of optimizer time, in which `looks` views show these errors, page by page; below 0: not at all.
+  Freezer::Change second(const std::vector<double>& errors, int looks = 8, float distance_m = 3) {
+    ViewLook look{.view = nullptr, .loss = 0, .pages = {}};
+    TrainingView view;
+    view.camera.fx = 100;
+    const PageBounds& bounds = store().view().bounds[0];
+    view.camera.world_from_camera.translation = {bounds.high.x + distance_m, bounds.low.y, bounds.low.z};
+    look.view = std::make_shared<const TrainingView>(view);
+    for (std::size_t p = 0; p < errors.size(); ++p) {
+      if (errors[p] >= 0) look.pages.push_back({pages_[p], 5, errors[p]});
+    }
+    for (int k = 0; k < looks; ++k) freezer_.see(store(), std::span(&look, 1));
+    store().add_time(1);
+    EXPECT_TRUE(freezer_.due(store()));
+    const Freezer::Change change = freezer_.decide(store(), options_, movements_);
+    EXPECT_FALSE(freezer_.due(store()));
+    store().freeze(change.freeze);
+    store().thaw(change.thaw);
+    return change;
+  }
+  [[nodiscard]] PageState state(std::size_t p) { return store().table().entry(pages_[p]).now.state; }
+
+  Trial trial_;
+  FreezeOptions options_{.after_s = 3, .least_gain = 0.05F, .most_movement = 0.02F, .thaw_rise = 1.5F};
+  Freezer freezer_;
+  std::vector<std::uint32_t> pages_;
+  std::vector<float> movements_;
+};
+
+TEST_F(FreezerTest, APageRestsOnceItsLossNoLongerFallsAndItIsStill) {
+  ASSERT_GE(pages_.size(), 4U);
+  movements_[2] = 0.03F;
+  double falling = 0.2;
+  for (int s = 1; s <= 6; ++s) {
+    falling *= 0.97;
+    const Freezer::Change change = second({0.1, falling, 0.1, s % 2 == 0 ? 0.1 : 0.11});
+    EXPECT_TRUE(change.thaw.empty());
+    EXPECT_EQ(change.freeze, s < 6 ? std::vector<std::uint32_t>{} : (std::vector{pages_[0], pages_[3]})) << s;
+  }
+  const model::PageEntry& entry = store().table().entry(pages_[0]);
+  EXPECT_FLOAT_EQ(entry.loss, 0.1F);
+  EXPECT_EQ(entry.contribution, 5);
+  EXPECT_EQ(store().table().entry(pages_[2]).movement, 0.03F);
+  movements_[2] = 0.01F;
+  falling *= 0.6;  // it goes on
+  for (int s = 7; s <= 9; ++s) (void)second({0.1, falling, 0.1, 0.1});
+  EXPECT_EQ(state(1), PageState::Active);
+  EXPECT_EQ(state(2), PageState::Frozen);
+  for (int s = 10; s <= 12; ++s) (void)second({0.1, falling, 0.1, 0.1});
+  EXPECT_EQ(state(1), PageState::Frozen);
+}
+
+TEST_F(FreezerTest, TooFewPicturesSayNothing) {
+  for (int s = 0; s < 20; ++s) (void)second({0.1}, s < 10 ? 1 : 0);
+  EXPECT_EQ(state(0), PageState::Active) << "twice eight looks came, the second time none of late";
+}
+
+TEST_F(FreezerTest, ItTrainsAgainWhereItsLossRises) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
+  ASSERT_EQ(state(0), PageState::Frozen);
+  EXPECT_TRUE(second({0.145, 0.1}).thaw.empty());
+  EXPECT_EQ(second({0.17, 0.1}).thaw, std::vector{pages_[0]});
+  // And rests again when it has learned what there was.
+  for (int s = 0; s < 6; ++s) (void)second({0.12, 0.1});
+  EXPECT_EQ(state(0), PageState::Frozen);
+}
+
+TEST_F(FreezerTest, ItTrainsAgainWhenAViewComesNearer) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1}, 8, 3);
+  ASSERT_EQ(state(0), PageState::Frozen);
+  EXPECT_TRUE(second({0.1}, 8, 2.2F).thaw.empty());
+  EXPECT_EQ(second({0.1}, 8, 1.9F).thaw, std::vector{pages_[0]});
+  for (int s = 0; s < 6; ++s) (void)second({0.1}, 8, 1.9F);
+  ASSERT_EQ(state(0), PageState::Frozen);
+  for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1}, 8, s % 2 == 0 ? 6 : 1.9F).thaw.empty());
+}
+
+TEST_F(FreezerTest, WhatNoViewShowsRestsUntilOneDoes) {
+  for (int s = 0; s < 12; ++s) (void)second({0.1});
+  EXPECT_EQ(state(1), PageState::Active);
+  for (int s = 0; s < 2; ++s) (void)second({0.1});
+  EXPECT_EQ(state(1), PageState::Frozen);
+  EXPECT_EQ(second({0.1, 0.1}).thaw, std::vector{pages_[1]}) << "it had not settled";
+}
+
+TEST_F(FreezerTest, WhatIsPutInIsToBeLearned) {
+  for (int s = 0; s < 5; ++s) (void)second({0.1});
+  SampleBatch more = scene_.truth();
+  more.batch = 2;
+  ASSERT_TRUE(trial_.insert(more));
+  const auto ranges = store().view().ranges;
+  pages_.clear();
+  for (const IndexRange& range : ranges) pages_.push_back(range.first / kPageLanes);
+  movements_.assign(pages_.size(), 0.0F);
+  for (int s = 0; s < 5; ++s) EXPECT_TRUE(second({0.1}).freeze.empty()) << s;
+  EXPECT_FALSE(second({0.1}).freeze.empty());
+}
+
+TEST(NearestPixels, AreThoseOfTheNearestPointOfThePage) {
+  TrainingView view;
+  view.camera.fx = 120;
+  view.camera.world_from_camera.translation = {0, 0, 5};
+  const PageBounds bounds{{-1, -1, -1}, {1, 1, 1}, 0.1F};
+  EXPECT_FLOAT_EQ(nearest_px_per_m(view, kWorldFrame, bounds), 30);
+  EXPECT_EQ(nearest_px_per_m(view, 7, bounds), 0) << "not in the scene";
+  view.scene.objects[7] = Rigid{.translation = {0, 0, -5}};
+  view.scene.objects[7].scale = 2;
+  EXPECT_FLOAT_EQ(nearest_px_per_m(view, 7, bounds), 120 / 8.0F);
+  view.camera.world_from_camera.translation = {0.5F, 0, 0};
+  EXPECT_FLOAT_EQ(nearest_px_per_m(view, kWorldFrame, bounds), 480) << "within";
+}
+
+/// Freezes all that it has seen sixteen times.
+const Settings kAtOnce{{"freeze", "true"},        {"freeze_after_s", "0"}, {"freeze_gain", "1"},
+                       {"freeze_movement", "10"}, {"ema_decay", "0.5"},    {"prune", "false"}};
+
+TEST_F(FreezingTest, FrozenPagesAreAsTheirAveragesWereAndStayThat) {
+  Trial s = OptimizerTest::trial(Device::Cpu, kAtOnce, 8192);
+  s.train(40);
+  ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
+  const HostModel before = s.model();
+  EXPECT_EQ(distance(before.live(), before.average(), 41), 0);
+  const double loss = s.train(12);
+  const HostModel after = s.model();
+  EXPECT_EQ(distance(after.live(), before.live(), 41), 0);
+  EXPECT_EQ(distance(after.average(), before.live(), 41), 0);
+  EXPECT_GT(loss, 0) << "and is still looked at";
+}
+
+TEST_F(FreezingTest, WhereThePicturesChangeTheyLearnThem) {
+  Trial s = OptimizerTest::trial(Device::Cpu, kAtOnce, 8192);
+  s.train(40);
+  ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
+  for (const TrainingView& view : repainted()) s.put(view);
+  const double first = s.train(4);
+  s.set("freeze_movement", "0");  // and does not rest at once
+  s.train(80);
+  EXPECT_LT(s.store().frozen_pages(), s.store().page_count());
+  EXPECT_LT(s.train(8), 0.6 * first);
+}
+
+TEST_F(FreezingTest, WithoutItAllTrainsAgain) {
+  Trial s = OptimizerTest::trial(Device::Cpu, kAtOnce, 8192);
+  s.train(40);
+  const HostModel before = s.model();
+  s.set("freeze", "false");
+  EXPECT_EQ(s.store().frozen_pages(), 0U);
+  s.train(4);
+  EXPECT_GT(distance(s.model().live(), before.live(), 41), 0);
+}
+
+TEST_F(FreezingTest, PagesThatRestAreNeitherPrunedNorSplit) {
+  Settings settings = kAtOnce;
+  settings.back() = {"prune", "true"};
+  settings.insert(settings.end(), {{"prune_interval", "50"},
+                                   {"prune_min_age", "0"},
+                                   {"densify", "true"},
+                                   {"densify_interval", "50"},
+                                   {"densify_gradient", "0"}});
+  Trial s = OptimizerTest::trial(Device::Cpu, settings, 8192);
+  s.train(40);
+  ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
+  for (std::size_t k = 0; k < 100; ++k) {
+    trainer::poke(s.store(), ParameterLayout::kOpacityLogit, s.model().index(k), -20);
+  }
+  s.train(20);
+  EXPECT_EQ(s.store().count(), 3000U);
+}
+
+}  // namespace
+}  // namespace splatbus::trainer
