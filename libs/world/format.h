@@ -73,9 +73,10 @@ struct PageHeader {
   std::uint32_t rows = 0;   ///< of 4-byte words
   std::uint32_t state = 0;  ///< model::PageState
   float low_m[3] = {0, 0, 0}, high_m[3] = {0, 0, 0}, max_scale_m = 0;
-  std::uint64_t step = 0;  ///< at which it was copied
+  std::uint64_t step = 0;         ///< at which it was copied
+  std::uint64_t morton_last = 0;  ///< the highest Morton key of its Gaussians
 };
-static_assert(sizeof(PageHeader) == 48);
+static_assert(sizeof(PageHeader) == 56);
 
 /// Payload of a commit: the model as a whole.
 struct WorldProgress {

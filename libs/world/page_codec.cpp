@@ -55,7 +55,8 @@ std::vector<std::byte> encode_page(const Page& page, const ParameterLayout& layo
                     .low_m = {page.bounds.low.x, page.bounds.low.y, page.bounds.low.z},
                     .high_m = {page.bounds.high.x, page.bounds.high.y, page.bounds.high.z},
                     .max_scale_m = page.bounds.max_scale_m,
-                    .step = page.step};
+                    .step = page.step,
+                    .morton_last = page.morton_last};
   std::vector<std::byte> payload(sizeof(header) + ZSTD_compressBound(shuffled.size()));
   std::memcpy(payload.data(), &header, sizeof(header));
   const std::size_t size = ZSTD_compress(payload.data() + sizeof(header), payload.size() - sizeof(header),
@@ -93,6 +94,7 @@ Page decode_page(std::span<const std::byte> payload, const ParameterLayout& layo
             .state = static_cast<model::PageState>(header.state),
             .count = header.count,
             .step = header.step,
+            .morton_last = header.morton_last,
             .bounds = {.low = {header.low_m[0], header.low_m[1], header.low_m[2]},
                        .high = {header.high_m[0], header.high_m[1], header.high_m[2]},
                        .max_scale_m = header.max_scale_m}};

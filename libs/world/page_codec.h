@@ -24,8 +24,9 @@ struct Page {
   PageKey key;
   PageMark mark = PageMark::Resident;
   model::PageState state = model::PageState::Active;
-  std::uint32_t count = 0;  ///< Gaussians
-  std::uint64_t step = 0;   ///< at which it was copied
+  std::uint32_t count = 0;        ///< Gaussians
+  std::uint64_t step = 0;         ///< at which it was copied
+  std::uint64_t morton_last = 0;  ///< highest Morton key of its Gaussians
   PageBounds bounds;
   /// Rows of model/channels.h, [rows][count]; a channel of two words has [count] of 8 bytes in their place.
   std::vector<std::uint32_t> words;

@@ -26,6 +26,7 @@ PageEntry World::entry_of(const RecordHeader& header, const PageHeader& page) {
           .state = static_cast<model::PageState>(page.state),
           .count = page.count,
           .step = page.step,
+          .morton_last = page.morton_last,
           .bounds = {.low = {page.low_m[0], page.low_m[1], page.low_m[2]},
                      .high = {page.high_m[0], page.high_m[1], page.high_m[2]},
                      .max_scale_m = page.max_scale_m},

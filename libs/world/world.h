@@ -24,7 +24,7 @@ struct PageEntry {
   PageMark mark = PageMark::Resident;
   model::PageState state = model::PageState::Active;
   std::uint32_t count = 0;
-  std::uint64_t step = 0;
+  std::uint64_t step = 0, morton_last = 0;
   PageBounds bounds;
   std::uint32_t segment = 0;
   std::size_t offset = 0, bytes = 0;  ///< of the record's header; of the whole record

@@ -83,6 +83,7 @@ Bytes page_payload(const Page& page) {
     w.real(value);
   }
   w.number(page.step, 8);
+  w.number(page.morton_last, 8);
   const std::size_t n = page.words.size(), averages = std::size_t{41} * page.count;
   Bytes planes(4 * n);
   for (std::size_t i = 0; i < n; ++i) {
@@ -144,6 +145,26 @@ TEST_F(WorldTest, AFolderThatWasWrittenByHandIsRead) {
   expect_holds(world, {{kept.key, kept}, {frozen.key, frozen}});
 }
 
+/// As when a file of an older copy of the folder is put back.
+TEST_F(WorldTest, ARecordThatIsNotWhereItBelongsIsLeftOut) {
+  std::filesystem::create_directories(folder_ / "segments");
+  write_bytes(folder_ / "world.splatbus", manifest(9, ""));
+  const Page kept = make_page(5, 33, 1), older = make_page(5, 12, 1);
+  Writer first, second;
+  segment_header(first, 1, 9);
+  record(first, 1, 6, kept.key, 0, page_payload(kept));
+  record(first, 4, 7, {}, 0, commit_payload({.step = 2}));
+  segment_header(second, 2, 9);
+  record(second, 1, 4, older.key, 0, page_payload(older));
+  record(second, 4, 5, {}, 0, commit_payload({.step = 1}));
+  write_bytes(segment(1), first.bytes);
+  write_bytes(segment(2), second.bytes);
+  World world(folder_);
+  EXPECT_EQ(world.damage().size(), 2U);
+  EXPECT_EQ(world.progress().step, 2U);
+  expect_holds(world, {{kept.key, kept}});
+}
+
 TEST_F(WorldTest, WhatIsWrittenIsWhatTheFormatSays) {
   const Page page = make_page(5, 17, 1);
   const WorldProgress progress{.next_gaussian_id = 4, .step = 2, .views = 3, .optimizer_s = 7, .generation = 6};
@@ -173,10 +194,10 @@ TEST_F(WorldTest, WhatIsWrittenIsWhatTheFormatSays) {
   EXPECT_TRUE(is == should.bytes);
 
   const Bytes by_hand = page_payload(page);
-  EXPECT_TRUE(std::equal(payload.begin(), payload.begin() + 48, by_hand.begin()));
+  EXPECT_TRUE(std::equal(payload.begin(), payload.begin() + 56, by_hand.begin()));
   const auto planes = [](const Bytes& of) {
     Bytes raw(91 * 17 * 4);
-    EXPECT_EQ(ZSTD_decompress(raw.data(), raw.size(), of.data() + 48, of.size() - 48), raw.size());
+    EXPECT_EQ(ZSTD_decompress(raw.data(), raw.size(), of.data() + 56, of.size() - 56), raw.size());
     return raw;
   };
   EXPECT_TRUE(planes(payload) == planes(by_hand));
