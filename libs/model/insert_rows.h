@@ -47,7 +47,7 @@ struct Moves {
 
 struct InsertResult {
   std::size_t count = 0;                 ///< rows that were taken in order, of which
-  std::size_t left_out = 0;              ///< so many found no page
+  std::size_t left_out = 0;              ///< so many found no page, or are in one that is spilled
   const std::uint32_t* added = nullptr;  ///< [count] index of each row's Gaussian or kNotInserted; memory as Moves
   Moves moves;
 };

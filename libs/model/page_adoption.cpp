@@ -216,10 +216,14 @@ void PageStore::list_pages() {
       directory_.push_back({now.frame_id, page, now.count, now.morton_first, now.id_first});
     }
   }
+  sort_directory();
+  refresh_ranges();
+}
+
+void PageStore::sort_directory() {
   std::sort(directory_.begin(), directory_.end(), [](const Page& a, const Page& b) {
     return std::tie(a.frame_id, a.morton, a.id) < std::tie(b.frame_id, b.morton, b.id);
   });
-  refresh_ranges();
 }
 
 void PageStore::sweep(const std::vector<std::uint32_t>& open) {

@@ -46,7 +46,8 @@ struct PageStore::Plan {
   std::vector<std::uint32_t> new_pages;
   std::vector<std::size_t> new_at;  ///< where the new pages are in `directory`
   std::vector<PageChange> changes;
-  std::uint32_t split_items = 0, moved = 0, left_out = 0;
+  std::uint32_t split_items = 0, moved = 0;
+  std::uint32_t left_out = 0, known = 0;  ///< new ones for which there is no room; that are in a page that is spilled
 };
 
 std::uint32_t PageStore::taken(std::size_t count) {
@@ -125,7 +126,26 @@ void PageStore::plan_page(Plan& plan, const Page& page, std::uint32_t first_item
                           .fresh = {page.page * kPageLanes + page.count, room}});
 }
 
-PageStore::Plan PageStore::place(std::uint32_t count) {
+void PageStore::begin_frames(std::vector<Page>& pages) const {
+  const auto of_frame = [](const SpilledRange& range, std::uint32_t frame) { return range.frame_id < frame; };
+  for (std::size_t p = 0; p < pages.size(); ++p) {
+    Page& page = pages[p];
+    if (p > 0 && page.frame_id == pages[p - 1].frame_id) continue;
+    auto spilled = std::lower_bound(spilled_.begin(), spilled_.end(), page.frame_id, of_frame);
+    if (spilled == spilled_.end() || spilled->frame_id != page.frame_id) {
+      page.morton = page.id = 0;
+    } else if (page.page == kNoPage) {
+      // Its key is nobody's, also among those that may come back.
+      for (page.morton = page.id = 0; spilled != spilled_.end() && spilled->frame_id == page.frame_id &&
+                                      spilled->morton_first == 0 && spilled->id_first == page.id;
+           ++spilled) {
+        ++page.id;
+      }
+    }
+  }
+}
+
+PageStore::Plan PageStore::place(std::uint32_t count, std::uint32_t rows) {
   sort_items(stream_, items_.data(), count);
   // The directory, and a place in it for each frame that has no page yet.
   std::vector<Page> pages;
@@ -141,9 +161,10 @@ PageStore::Plan PageStore::place(std::uint32_t count) {
   pages.insert(pages.end(), next, directory_.end());
   std::vector<Bound> bounds;
   bounds.reserve(pages.size());
+  begin_frames(pages);
   for (std::size_t p = 0; p < pages.size(); ++p) {
-    if (p == 0 || pages[p].frame_id != pages[p - 1].frame_id) pages[p].morton = pages[p].id = 0;
-    bounds.push_back({pages[p].morton, pages[p].id, pages[p].frame_id});
+    const bool first_of_frame = p == 0 || pages[p].frame_id != pages[p - 1].frame_id;
+    bounds.push_back({first_of_frame ? 0 : pages[p].morton, first_of_frame ? 0 : pages[p].id, pages[p].frame_id});
   }
   std::vector<std::uint32_t> first = first_items(stream_, items_.data(), count, bounds);
   first.push_back(count);
@@ -152,7 +173,9 @@ PageStore::Plan PageStore::place(std::uint32_t count) {
   plan.directory.reserve(pages.size() + 64);
   for (std::size_t p = 0; p < pages.size(); ++p) plan_page(plan, pages[p], first[p], first[p + 1] - first[p]);
 
-  added_.resize(count);
+  added_.resize(rows);
+  // Every byte of kNotInserted is the same.
+  if (count < rows) device::fill(stream_, added_.data(), 0xFF, added_.bytes());
   place_appends(stream_, items_.data(), count, plan.appends, added_.data());
   moved_from_.resize(plan.moved);
   moved_to_.resize(plan.moved);
@@ -205,7 +228,7 @@ InsertResult PageStore::finish_insert(Plan& plan, std::uint32_t count, const std
                  table_.page_capacity(), plan.left_out, count);
   }
   return {.count = count,
-          .left_out = plan.left_out,
+          .left_out = plan.left_out + plan.known,
           .added = added_.data(),
           .moves = {plan.moved, moved_from_.data(), moved_to_.data()}};
 }
@@ -221,7 +244,13 @@ InsertResult PageStore::insert(const InsertRows& rows, std::size_t count, const 
   }
   items_.resize(n);
   list_rows(stream_, rows, n, next_gaussian_id(), items_.data());
-  Plan plan = place(n);
+  const std::uint32_t fresh = drop_spilled(stream_, rows, spilled_, items_.data(), n);
+  if (fresh == 0) {
+    apply({}, next_gaussian_id(), key);
+    return {.count = n, .left_out = n};
+  }
+  Plan plan = place(fresh, n);
+  plan.known = n - fresh;
   const float* appearance = rows.albedo;
   std::size_t stride = rows.stride;
   if (layout_.appearance == Appearance::Radiance) {
@@ -230,7 +259,7 @@ InsertResult PageStore::insert(const InsertRows& rows, std::size_t count, const 
     appearance = scratch_.data();
     stride = n;
   }
-  write_rows(stream_, memory_, layout_, rows, appearance, stride, items_.data(), n, added_.data());
+  write_rows(stream_, memory_, layout_, rows, appearance, stride, items_.data(), fresh, added_.data());
   return finish_insert(plan, n, key);
 }
 
@@ -240,7 +269,7 @@ InsertResult PageStore::duplicate(const std::uint32_t* indices, std::size_t coun
   items_.resize(n);
   list_copies(stream_, memory_, indices, n, device_ranges_.data(), static_cast<std::uint32_t>(ranges_.size()),
               next_gaussian_id(), items_.data());
-  Plan plan = place(n);
+  Plan plan = place(n, n);
   copy_lanes(stream_, memory_, indices, added_.data(), n);
   return finish_insert(plan, n, std::nullopt);
 }

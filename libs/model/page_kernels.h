@@ -55,6 +55,14 @@ struct Append {
   std::uint32_t room = 0;              ///< Gaussians beyond these are not inserted
 };
 
+/// What a page that is not here holds: Gaussians of its frame whose Morton keys and positions are within.
+struct SpilledRange {
+  std::uint32_t frame_id = kWorldFrame;
+  std::uint64_t morton_first = 0, id_first = 0;  ///< the page's key
+  std::uint64_t morton_last = 0;                 ///< the highest
+  math::Vec3 low_m, high_m;
+};
+
 /// A page and items that are to be spread evenly over new pages.
 struct Split {
   std::uint32_t first;  ///< of its items among those of all splits
@@ -78,6 +86,9 @@ struct PageRemoval {
 
 // New Gaussians, in order. Ids are first_id + number.
 void list_rows(StreamView stream, const InsertRows& rows, std::uint32_t count, std::uint64_t first_id, Item* items);
+/// Takes out the rows that lie in pages which are not here, `spilled` ascending. Returns how many items are left.
+[[nodiscard]] std::uint32_t drop_spilled(StreamView stream, const InsertRows& rows,
+                                         std::span<const SpilledRange> spilled, Item* items, std::uint32_t count);
 /// `ranges`, ascending, say which frame the page of an index is in.
 void list_copies(StreamView stream, const PageMemory& memory, const std::uint32_t* indices, std::uint32_t count,
                  const IndexRange* ranges, std::uint32_t range_count, std::uint64_t first_id, Item* items);

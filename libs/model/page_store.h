@@ -17,6 +17,7 @@
 #include "gaussians/model.h"
 #include "model/channels.h"
 #include "model/insert_rows.h"
+#include "model/page_content.h"
 #include "model/page_kernels.h"
 #include "model/page_table.h"
 
@@ -100,6 +101,19 @@ class PageStore {
   /// Puts neighbouring pages together that fill no more of one than a split leaves, so that what removals have emptied
   /// is free for insertions. Costs nothing but a look at the directory where there are none.
   Moves merge();
+
+  /// Puts pages in as they were somewhere else, with their Gaussians' ids, keys and states, and sees to it that no new
+  /// Gaussian gets an id below `next_gaussian_id`. Of what may lie (it comes from a disk) only Gaussians that are
+  /// finite and have an id below that stay. Returns the page each lies in now, or kNotInserted: nothing is left of it,
+  /// there is a page of that key, or there is no room.
+  std::vector<std::uint32_t> restore(std::span<const PageContent> pages, std::uint64_t next_gaussian_id);
+  /// The model goes on from there: what the steps so far came to. Of a store that has just begun.
+  void set_progress(std::uint64_t step, std::uint64_t views, double optimizer_s);
+  /// The pages are free, and their Gaussians gone from here.
+  void take_out(std::span<const std::uint32_t> pages);
+  /// Where pages are that have been taken out: what is inserted in there is left out, for it is modelled already.
+  void set_spilled(std::vector<SpilledRange> ranges);
+
   /// The values of these active pages become their averages and rest: IndexRange::frozen of the view says so. A page
   /// that is not active is left as it is.
   void freeze(std::span<const std::uint32_t> pages);
@@ -144,10 +158,13 @@ class PageStore {
   [[nodiscard]] std::string arena_role(std::uint32_t list, std::uint32_t arena) const;
   void add_arena(ArenaList& list, std::uint32_t list_number);
   void list_pages();
+  void sort_directory();
 
   // page_change.cpp
   void reserve_pages(std::size_t pages);
-  Plan place(std::uint32_t count);
+  /// `items` of `rows` that are new.
+  Plan place(std::uint32_t items, std::uint32_t rows);
+  void begin_frames(std::vector<Page>& pages) const;
   void plan_page(Plan& plan, const Page& page, std::uint32_t first_item, std::uint32_t items);
   void plan_split(Plan& plan, const Page& page, std::uint32_t first_item, std::uint32_t items, std::uint32_t new_pages);
   void copy_moved(std::size_t count);
@@ -175,6 +192,8 @@ class PageStore {
   std::unique_ptr<bus::SlabRange> range_;
   PageMemory memory_;
   bool said_full_ = false;
+
+  std::vector<SpilledRange> spilled_;  ///< ascending
 
   // The table's pages with Gaussians by frame and first key, and its free ones, the lowest last.
   std::vector<Page> directory_;

@@ -2,6 +2,7 @@
 
 #include <thrust/binary_search.h>
 #include <thrust/copy.h>
+#include <thrust/remove.h>
 #include <thrust/scan.h>
 #include <thrust/sort.h>
 #include <thrust/transform_scan.h>
@@ -45,6 +46,43 @@ struct ListRow {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t k) const {
     const math::Vec3 mean{rows.mean[k], rows.mean[rows.stride + k], rows.mean[2 * rows.stride + k]};
     items[k] = {morton_key(mean), first_id + k, rows.object_id[k], k};
+  }
+};
+
+struct IsSpilled {
+  InsertRows rows;
+  const SpilledRange* spilled;
+  std::uint32_t spilled_count;
+  SPLATBUS_PORTABLE_MEMBER bool operator()(const Item& item) const {
+    const auto before = [&item](const SpilledRange& range) {
+      return range.frame_id != item.group ? range.frame_id < item.group : range.morton_first <= item.morton;
+    };
+    std::uint32_t low = 0, high = spilled_count;
+    while (low < high) {
+      const std::uint32_t middle = (low + high) / 2;
+      if (before(spilled[middle])) {
+        low = middle + 1;
+      } else {
+        high = middle;
+      }
+    }
+    // What was inserted around a page that is not here may have made another one within its range of keys.
+    constexpr std::uint32_t kOverlaps = 8;
+    constexpr float kMargin_m = 0.05F;
+    const std::size_t k = item.source;
+    const math::Vec3 at{rows.mean[k], rows.mean[rows.stride + k], rows.mean[2 * rows.stride + k]};
+    for (std::uint32_t s = low; s > 0 && low - s < kOverlaps; --s) {
+      const SpilledRange& range = spilled[s - 1];
+      if (range.frame_id != item.group) return false;
+      const auto within = [](float x, float least, float most) {
+        return x >= least - kMargin_m && x <= most + kMargin_m;
+      };
+      if (item.morton <= range.morton_last && within(at.x, range.low_m.x, range.high_m.x) &&
+          within(at.y, range.low_m.y, range.high_m.y) && within(at.z, range.low_m.z, range.high_m.z)) {
+        return true;
+      }
+    }
+    return false;
   }
 };
 
@@ -196,6 +234,17 @@ Buffer<T> uploaded(StreamView stream, std::span<const T> values) {
 
 void list_rows(StreamView stream, const InsertRows& rows, std::uint32_t count, std::uint64_t first_id, Item* items) {
   for_each_index(stream, count, ListRow{rows, first_id, items});
+}
+
+std::uint32_t drop_spilled(StreamView stream, const InsertRows& rows, std::span<const SpilledRange> spilled,
+                           Item* items, std::uint32_t count) {
+  if (spilled.empty()) return count;
+  const Buffer<SpilledRange> on_device = uploaded(stream, spilled);
+  const IsSpilled is_spilled{rows, on_device.data(), static_cast<std::uint32_t>(spilled.size())};
+  Item* const end =
+      with_policy(stream, [&](auto&& policy) { return thrust::remove_if(policy, items, items + count, is_spilled); });
+  stream.wait();
+  return static_cast<std::uint32_t>(end - items);
 }
 
 void list_copies(StreamView stream, const PageMemory& memory, const std::uint32_t* indices, std::uint32_t count,

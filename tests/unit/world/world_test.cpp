@@ -1,0 +1,171 @@
+#include <signal.h>
+#include <sys/resource.h>
+
+#include "world_fixture.h"
+
+namespace splatbus::world {
+namespace {
+
+/// Writing beyond fails, as on a disk that is full. Returns the limit before.
+rlimit limit_files_to(std::size_t bytes) {
+  ::signal(SIGXFSZ, SIG_IGN);
+  rlimit before{};
+  ::getrlimit(RLIMIT_FSIZE, &before);
+  const rlimit limit{.rlim_cur = bytes, .rlim_max = before.rlim_max};
+  ::setrlimit(RLIMIT_FSIZE, &limit);
+  return before;
+}
+
+TEST_F(WorldTest, WhatWasCommittedIsThereAgainBitByBit) {
+  std::map<PageKey, Page> truth;
+  const WorldProgress progress{.next_gaussian_id = 77, .step = 5, .views = 9, .optimizer_s = 1.5, .generation = 12};
+  {
+    World world(folder_, {.note = "a courtyard"});
+    for (std::uint32_t p = 0; p < 20; ++p) {
+      Page page = make_page(p, p == 19 ? kPageLanes : 1 + 7 * p, p);
+      page.state = p % 2 == 0 ? model::PageState::Active : model::PageState::Frozen;
+      put(world, page);
+      truth[page.key] = page;
+    }
+    world.commit(progress);
+    expect_holds(world, truth);
+  }
+  World again(folder_, {});
+  expect_holds(again, truth);
+  EXPECT_EQ(again.progress(), progress);
+  EXPECT_EQ(again.manifest().note, "a courtyard");
+  EXPECT_EQ(again.manifest().epoch, 2U);
+  EXPECT_TRUE(again.damage().empty());
+  EXPECT_EQ(again.cut_bytes(), 0U);
+}
+
+TEST_F(WorldTest, ALivePageTakesLessThanTwoThirdsOfItsMemory) {
+  const Page page = make_page(3, kPageLanes, 3);
+  EXPECT_LT(encode_page(page, {}).size(), page.words.size() * 4 * 2 / 3);
+}
+
+TEST_F(WorldTest, WhatWasNotCommittedNeverWas) {
+  const Page first = make_page(1, 10, 1), second = make_page(2, 10, 2);
+  Page newer = make_page(1, 20, 1);
+  {
+    World world(folder_, {});
+    put(world, first);
+    world.commit({.step = 1});
+    put(world, newer);
+    put(world, second);
+    world.remove(first.key);
+    EXPECT_EQ(world.pages().size(), 1U);
+  }
+  {
+    World world(folder_, {});
+    EXPECT_GT(world.cut_bytes(), 0U);
+    EXPECT_TRUE(world.damage().empty());
+    expect_holds(world, {{first.key, first}});
+    put(world, second);
+    world.abandon();
+    put(world, newer);
+    world.commit({.step = 2});
+  }
+  World world(folder_, {});
+  expect_holds(world, {{newer.key, newer}});
+  EXPECT_EQ(world.cut_bytes(), 0U);
+}
+
+TEST_F(WorldTest, AReaderSeesTheLastCommitWhileAnotherProcessWrites) {
+  World writer(folder_, {});
+  const Page first = make_page(1, 10, 1), second = make_page(2, 10, 2);
+  put(writer, first);
+  writer.commit({});
+  put(writer, second);
+  World reader(folder_);
+  expect_holds(reader, {{first.key, first}});
+  EXPECT_TRUE(reader.damage().empty());
+  EXPECT_THROW(put(reader, second), WorldError);
+}
+
+TEST_F(WorldTest, OnlyOneWriterAtATime) {
+  {
+    const World world(folder_, {});
+    EXPECT_THROW(World(folder_, {}), WorldError);
+  }
+  EXPECT_NO_THROW(World(folder_, {}));
+}
+
+TEST_F(WorldTest, AnotherLayoutIsRefused) {
+  { const World world(folder_, {}); }
+  EXPECT_THROW(World(folder_, {.layout = {.appearance = Appearance::Radiance}}), WorldError);
+  EXPECT_NO_THROW(World(folder_, {}));
+}
+
+/// Whatever is written, removed, marked and compacted in whatever order: what counts is the same, now and when it is
+/// opened again.
+TEST_F(WorldTest, CompactionChangesNothingButTheBytes) {
+  std::mt19937 random(5);
+  std::map<PageKey, Page> truth;
+  WorldOptions options{.segment_bytes = 20000};
+  auto world = std::make_unique<World>(folder_, options);
+  std::size_t compactions = 0;
+  for (std::uint32_t round = 0; round < 400; ++round) {
+    const std::uint32_t changes = random() % 4;
+    for (std::uint32_t c = 0; c < changes; ++c) {
+      Page page = make_page(random() % 30, 1 + random() % 40, random() % 1000);
+      page.key.frame_id = 0;
+      const auto known = truth.find(page.key);
+      switch (random() % 4) {
+        case 0:
+          world->remove(page.key);
+          truth.erase(page.key);
+          break;
+        case 1:
+          if (known == truth.end()) break;
+          known->second.mark = random() % 2 == 0 ? PageMark::Spilled : PageMark::Fetched;
+          world->mark(page.key, known->second.mark);
+          break;
+        default:
+          put(*world, page);
+          truth[page.key] = page;
+      }
+    }
+    world->commit({.step = round}, false);
+    while (random() % 2 == 0 && world->compact()) ++compactions;
+    if (round % 40 == 0) {
+      world.reset();
+      world = std::make_unique<World>(folder_, options);
+      ASSERT_EQ(world->progress().step, round);
+    }
+    if (round % 10 == 0) expect_holds(*world, truth);
+    if (HasFailure()) return;
+  }
+  EXPECT_GT(compactions, 20U);
+  while (world->compact()) {
+  }
+  std::size_t live = 0;
+  for (const auto& [key, entry] : world->pages()) live += entry.bytes;
+  EXPECT_LT(world->bytes(), 2 * live + 2 * options.segment_bytes);
+  world.reset();
+  world = std::make_unique<World>(folder_, options);
+  expect_holds(*world, truth);
+}
+
+TEST_F(WorldTest, ADiskThatIsFullLosesOnlyWhatIsNotCommitted) {
+  const Page first = make_page(1, 10, 1), second = make_page(2, 1000, 2);
+  {
+    World world(folder_, {});
+    put(world, first);
+    world.commit({});
+    const rlimit before = limit_files_to(read_bytes(segment(1)).size() + 1000);
+    EXPECT_THROW(put(world, second), WorldError);
+    world.abandon();
+    ::setrlimit(RLIMIT_FSIZE, &before);
+    expect_holds(world, {{first.key, first}});
+    put(world, second);
+    world.commit({});
+  }
+  World world(folder_, {});
+  EXPECT_EQ(world.cut_bytes(), 0U);
+  EXPECT_TRUE(world.damage().empty());
+  expect_holds(world, {{first.key, first}, {second.key, second}});
+}
+
+}  // namespace
+}  // namespace splatbus::world
