@@ -7,6 +7,7 @@
 #include "dynamics_evaluation.h"
 #include "fixed_evaluation.h"
 #include "launch_plan.h"
+#include "moving_evaluation.h"
 #include "relight_evaluation.h"
 #include "schema_json.h"
 #include "start_evaluation.h"
@@ -40,6 +41,10 @@ struct StartVerbOptions : CommonOptions {
 
 struct DynamicsVerbOptions : CommonOptions {
   DynamicsOptions dynamics;
+};
+
+struct MovingVerbOptions : CommonOptions {
+  MovingOptions moving;
 };
 
 struct RelightVerbOptions : CommonOptions {
@@ -107,6 +112,13 @@ int evaluate_dynamics(DynamicsVerbOptions options) {
                   [&](const StopSignals& signals, const auto& show) {
                     return run_dynamics_evaluation(options.dynamics, signals, show);
                   });
+}
+
+int evaluate_moving(MovingVerbOptions options) {
+  options.complete(options.moving.setup);
+  return evaluate(options, "figures.csv, figures.png, summary.json", [&](const StopSignals& signals, const auto& show) {
+    return run_moving_evaluation(options.moving, signals, show);
+  });
 }
 
 int evaluate_relight(RelightVerbOptions options) {
@@ -181,6 +193,21 @@ void add_dynamics_verb(CLI::App& eval, Action& action) {
   verb->callback([options, &action] { action = [options] { return evaluate_dynamics(*options); }; });
 }
 
+void add_moving_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<MovingVerbOptions>();
+  options->default_launch = "eval_moving.yaml";
+  CLI::App* verb = eval.add_subcommand(
+      "moving",
+      "A viewer that orbits: with reference cameras that stand on its circle, and with a rig that moves with it");
+  MovingOptions& moving = options->moving;
+  add_setup_options(*verb, *options, moving.setup);
+  verb->add_option("--rig-cameras", moving.rig_cameras, "reference cameras of the rig that moves")
+      ->check(CLI::Range(1, 64));
+  verb->add_option("--seconds", moving.seconds, "of each of both runs")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--period", moving.period_s, "of the orbit, s")->check(CLI::Range(0.1, 86400.0));
+  verb->callback([options, &action] { action = [options] { return evaluate_moving(*options); }; });
+}
+
 void add_relight_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<RelightVerbOptions>();
   CLI::App* verb = eval.add_subcommand(
@@ -201,6 +228,7 @@ void add_eval_verb(CLI::App& app, Action& action) {
   add_fixed_verb(*eval, action);
   add_start_verb(*eval, action);
   add_dynamics_verb(*eval, action);
+  add_moving_verb(*eval, action);
   add_relight_verb(*eval, action);
 }
 

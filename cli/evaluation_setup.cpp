@@ -13,19 +13,21 @@ std::uint64_t EvaluationSetup::enough_gaussians() const {
 }
 
 LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused,
-                           const std::optional<EngineScene>& scene) {
+                           const std::optional<EngineScene>& scene, const Settings& settings) {
   LaunchFile file = read_launch_file(setup.launch_file);
   for (const auto& [name, value] : ring_parameters({.count = setup.cameras, .size = setup.size})) {
     apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
   }
-  const std::vector<std::pair<std::string, std::string>> settings{
+  const Settings common{
       {"capture-bridge.input_cameras", std::to_string(setup.input_cameras)},
       {"capture-bridge.input_size", std::to_string(setup.input_size)},
       {"capture-bridge.sample_budget", std::to_string(setup.budget)},
       {"trainer.seed", std::to_string(setup.seed)},
       {"trainer.paused", paused ? "true" : "false"},
   };
-  for (const auto& [name, value] : settings) apply_override(file, fmt::format("{}={}", name, value));
+  for (const Settings& some : {common, settings}) {
+    for (const auto& [name, value] : some) apply_override(file, fmt::format("{}={}", name, value));
+  }
   if (scene) apply(*scene, file);
   set_backend(file, setup.backend);
   check_backends(file);

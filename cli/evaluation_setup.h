@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "engine_scene.h"
@@ -30,10 +31,13 @@ struct EvaluationSetup {
   [[nodiscard]] std::uint64_t enough_gaussians() const;
 };
 
+/// Parameters of services, "service.key" and value.
+using Settings = std::vector<std::pair<std::string, std::string>>;
+
 /// The launch file with the setup's cameras, and with `scene` where one is given; `paused` is whether the trainer waits
-/// to be told. Throws LaunchError.
+/// to be told. `settings` come last. Throws LaunchError.
 [[nodiscard]] LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused,
-                                         const std::optional<EngineScene>& scene = {});
+                                         const std::optional<EngineScene>& scene = {}, const Settings& settings = {});
 
 /// Bytes of bulk data that each process says passed through host memory; without those that do not count them.
 [[nodiscard]] nlohmann::json host_copied_bytes(const std::vector<ProcessStatus>& processes);

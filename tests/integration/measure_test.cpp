@@ -1,9 +1,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <sstream>
+#include <utility>
 
 #include "command.h"
 #include "figures.h"
@@ -161,6 +164,48 @@ TEST(Measure, EvalDynamicsTellsOnFromOff) {
   EXPECT_GE(summary["state_delay_ms_p99"], summary["state_delay_ms_median"]);
   EXPECT_EQ(summary["turning"]["on_ssim"], summary["on_ssim"]);
   EXPECT_FALSE(metrics::read_png((out / "turning_0.png").string()).empty());
+}
+
+TEST(Measure, EvalMovingGoesRoundWithBothRigs) {
+  const PrivateBusFolder folder;
+  const fs::path out = folder.path() / "eval";
+  const Answer answer = splatbus_command({"eval", "moving", "--cameras", "6", "--size", "64", "--input-cameras", "8",
+                                          "--input-size", "64", "--budget", "12000", "--seconds", "10", "--period", "8",
+                                          "--json", "--out", out.string()});
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+  const Json summary = read_json(out / "summary.json");
+  EXPECT_EQ(answer.json().back(), summary);
+  for (const char* run : {"fixed", "rig"}) {
+    SCOPED_TRACE(run);
+    expect_finite(summary[run], {"ssim_server", "ssim_viewer", "flip_server", "flip_viewer", "gaussians"});
+    // Drawn from anywhere else than the engine's camera, this scene has 0.4.
+    EXPECT_GT(summary[run]["ssim_server"], 0.85);
+    EXPECT_GT(summary[run]["ssim_viewer"], 0.8);
+    EXPECT_LT(summary[run]["flip_server"], 0.2);
+  }
+  EXPECT_EQ(summary["ssim_server"], summary["rig"]["ssim_server"]);
+
+  // Where the pictures were taken from: all round, at the orbit's speed, though a pose is up to a tenth of a second
+  // old.
+  std::ifstream csv(out / "figures.csv");
+  std::string line;
+  ASSERT_TRUE(std::getline(csv, line));
+  std::map<std::string, std::vector<std::pair<double, double>>> angles;
+  while (std::getline(csv, line)) {
+    std::istringstream cells(line);
+    std::string run, time, angle;
+    std::getline(std::getline(std::getline(cells, run, ','), time, ','), angle, ',');
+    angles[run].emplace_back(std::stod(time), std::stod(angle));
+  }
+  for (const char* run : {"fixed", "rig"}) {
+    SCOPED_TRACE(run);
+    ASSERT_GT(angles[run].size(), 10U);
+    for (const auto& [time, angle] : angles[run]) {
+      const double expected = angles[run].front().second + 45 * (time - angles[run].front().first);
+      EXPECT_LT(std::abs(std::remainder(angle - expected, 360)), 20) << time;
+    }
+  }
+  EXPECT_FALSE(metrics::read_png((out / "figures.png").string()).empty());
 }
 
 TEST(Measure, EvalRelightShowsSunsThatItWasNotTrainedWith) {
