@@ -42,7 +42,7 @@ LaunchPlan make_plan(const MovingOptions& options, Rig rig, const bus::Address& 
   const Circle circle{.count = options.setup.cameras, .size = options.setup.size};
   EvaluationSetup setup = options.setup;
   if (rig == Rig::Moving) setup.cameras = options.rig_cameras;
-  std::vector<std::pair<std::string, std::string>> settings{
+  Settings settings{
       {"viewer.path", "orbit"},
       {"viewer.radius_m", fmt::format("{}", circle.radius_m)},
       {"viewer.height_m", fmt::format("{}", circle.height_m)},
@@ -52,7 +52,7 @@ LaunchPlan make_plan(const MovingOptions& options, Rig rig, const bus::Address& 
       {"viewer.height", std::to_string(setup.size)},
   };
   if (rig == Rig::Moving) settings.emplace_back("capture-bridge.reference_rig", "follow");
-  return plan_evaluation(setup, address, false, {}, settings);
+  return plan_evaluation(setup, address, false, [&](LaunchFile& file) { apply_settings(settings, file); });
 }
 
 class MovingRun {

@@ -18,10 +18,14 @@ struct PipelineState {
   struct Trainer {
     std::uint64_t epoch = 0;  ///< of the process
     std::uint64_t step = 0, views = 0, gaussians = 0;
-    double optimizer_s = 0, steps_per_s = 0, loss = 0;
+    double optimizer_s = 0, steps_per_s = 0, views_per_s = 0, loss = 0;
     std::uint32_t ready_references = 0, ready_inputs = 0;
     bool paused = false;
     std::uint64_t host_copied_bytes = 0, unpaired_views = 0;
+    std::uint64_t active = 0, frozen = 0, spilled = 0;
+    std::uint32_t pages_active = 0, pages_frozen = 0, pages_spilled = 0;
+    std::uint64_t device_bytes = 0, host_bytes = 0, disk_bytes = 0;
+    double masked_share = 0;
   };
   struct Grid {
     std::uint64_t rounds = 0, batches_pending = 0, gaussians_inserted = 0;
