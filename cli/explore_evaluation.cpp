@@ -3,14 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <limits>
 #include <utility>
 
 #include "dynamics_figures.h"
 #include "explore_sheets.h"
 #include "figures.h"
-#include "gaussians/layout.h"
-#include "model/channels.h"
 #include "schema_json.h"
 
 namespace splatbus::cli {
@@ -88,10 +85,6 @@ Windows windows_of(const ExploreResults& results) {
 
 }  // namespace
 
-double active_bytes(const PipelineState::Trainer& trainer) {
-  return static_cast<double>(trainer.device_bytes);
-}
-
 std::optional<double> step_ms(const ExploreResults& results, const TimeWindow& window) {
   const auto seconds_a_step = ratio_within(
       walked(results), window, [](const ExploreSample& sample) { return sample.trainer.optimizer_s; },
@@ -103,9 +96,6 @@ std::optional<double> step_ms(const ExploreResults& results, const TimeWindow& w
 Json summarize_exploration(const ExploreResults& results) {
   const Windows windows = windows_of(results);
   const std::vector<const ExploreSample*> samples = walked(results);
-  const auto active_mb = [](const ExploreSample& sample) -> std::optional<double> {
-    return active_bytes(sample.trainer) / kMegabyte;
-  };
   const auto views_per_s = ratio_within(
       samples, windows.end, [](const ExploreSample& sample) { return sample.trainer.views; },
       [](const ExploreSample& sample) { return sample.trainer.optimizer_s; });

@@ -44,6 +44,7 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
       settings.emplace_back(fmt::format("{}.max_gaussians", service), std::to_string(*options.max_gaussians));
     }
   }
+  if (!options.rests) settings.emplace_back("trainer.freeze", "false");
   apply_settings(settings, file);
 }
 

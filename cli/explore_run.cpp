@@ -24,7 +24,8 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kRoundNs = kSecond;
-constexpr std::int64_t kWholeRoundNs = kSecond / 20;    // until the picture after the teleport is whole
+constexpr std::int64_t kWholeRoundNs = kSecond / 20;    // until the picture after the teleport is whole,
+constexpr std::int64_t kHurryNs = 5 * kSecond;          // for so long
 constexpr std::int64_t kRoundPatienceNs = 2 * kSecond;  // then those that did not come are given up
 constexpr std::int64_t kAnswerPatienceNs = 6 * kSecond;
 constexpr std::int64_t kControlNs = kSecond;  // what a viewer was told and does not do yet it is told again
@@ -153,7 +154,7 @@ class ExploreRun {
 
   void begin_round() {
     const std::int64_t now_ns = bus::now_ns();
-    const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s;
+    const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
     const bool done = probes_.first_id() == 0 || probes_.complete();
     const std::int64_t wait_ns = !done ? kRoundPatienceNs : hurried ? kWholeRoundNs : kRoundNs;
     if (now_ns - asked_ns_ < wait_ns) return;
@@ -187,6 +188,7 @@ class ExploreRun {
                          .phase = phase(),
                          .eye = eye(*viewers_.pose(plan_.viewers.front())),
                          .trainer = watch_.state().trainer,
+                         .page_bytes = watch_.state().page_bytes,
                          .draw_ms = {},
                          .viewers = {}};
     sample.viewers.resize(plan_.viewers.size());

@@ -40,6 +40,7 @@ struct ExploreSample {
   ExplorePhase phase = ExplorePhase::Out;
   glm::vec3 eye{0};  ///< of the first viewer
   PipelineState::Trainer trainer;
+  std::uint64_t page_bytes = 0;
   std::uint64_t resident_bytes = 0;  ///< of all services, without the engine
   std::optional<double> draw_ms;     ///< of the first viewer's last picture
   std::vector<std::optional<ViewerFigures>> viewers;

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <functional>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -45,9 +47,6 @@ std::vector<std::pair<std::string, std::vector<Figure>>> figures_of(const Explor
                       return step_ms(results, {.from_s = sample.time_s - kStepWindow_s, .to_s = sample.time_s + 1e-6});
                     }};
   const Figure draw{"draw_ms", [](const ExploreSample& sample) { return sample.draw_ms; }};
-  const Figure active_mb{"active_mb", [](const ExploreSample& sample) -> std::optional<double> {
-                           return active_bytes(sample.trainer) / kMegabyte;
-                         }};
   const Figure resident_mb{"resident_mb", [](const ExploreSample& sample) -> std::optional<double> {
                              return static_cast<double>(sample.resident_bytes) / kMegabyte;
                            }};
@@ -66,9 +65,11 @@ std::vector<std::pair<std::string, std::vector<Figure>>> figures_of(const Explor
            {of_trainer("pages_active", &Trainer::pages_active), of_trainer("pages_frozen", &Trainer::pages_frozen),
             of_trainer("pages_spilled", &Trainer::pages_spilled)}},
           {"memory, MB",
-           {of_trainer("device_mb", &Trainer::device_bytes, kMegabyte), active_mb,
+           {of_trainer("device_mb", &Trainer::device_bytes, kMegabyte),
+            {"active_mb", active_mb},
             of_trainer("host_mb", &Trainer::host_bytes, kMegabyte),
-            of_trainer("disk_mb", &Trainer::disk_bytes, kMegabyte), resident_mb}},
+            of_trainer("disk_mb", &Trainer::disk_bytes, kMegabyte),
+            resident_mb}},
           {"ms: a step of the optimizer, a picture of the viewer", {step, draw}},
           {"views trained a second", {of_trainer("views_per_s", &Trainer::views_per_s)}},
           {"SSIM at the viewer", ssim},
@@ -77,6 +78,12 @@ std::vector<std::pair<std::string, std::vector<Figure>>> figures_of(const Explor
 }
 
 }  // namespace
+
+std::optional<double> active_mb(const ExploreSample& sample) {
+  if (sample.trainer.device_bytes == 0) return {};
+  const std::uint64_t frozen = sample.trainer.pages_frozen * sample.page_bytes;
+  return static_cast<double>(sample.trainer.device_bytes - std::min(sample.trainer.device_bytes, frozen)) / kMegabyte;
+}
 
 std::string exploration_csv(const ExploreResults& results) {
   const auto plots = figures_of(results);

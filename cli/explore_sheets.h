@@ -9,8 +9,8 @@
 
 namespace splatbus::cli {
 
-/// Bytes of device memory that the active pages take.
-[[nodiscard]] double active_bytes(const PipelineState::Trainer& trainer);
+/// Bytes of device memory beside those of frozen pages; nullopt where the trainer does not say.
+[[nodiscard]] std::optional<double> active_mb(const ExploreSample& sample);
 /// Optimizer time of a step within a window of the walk; nullopt where there was none.
 [[nodiscard]] std::optional<double> step_ms(const ExploreResults& results, const TimeWindow& window);
 

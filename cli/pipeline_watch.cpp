@@ -40,6 +40,10 @@ PipelineWatch::PipelineWatch(std::shared_ptr<bus::Context> context) : subscriber
                               .disk_bytes = stats.disk_bytes(),
                               .masked_share = stats.masked_share()};
           })
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished& published, const Message&) {
+            state_.page_bytes = std::uint64_t{published.page_words()} * sizeof(std::uint32_t);
+          })
       .on(topics::kGridState,
           [this](const wire::GridState& grid, const Message&) {
             state_.grid = {.rounds = grid.rounds(),

@@ -38,6 +38,7 @@ struct PipelineState {
   Trainer trainer;
   Grid grid;
   Stream stream;
+  std::uint64_t page_bytes = 0;                              ///< of the published model's pages
   std::uint64_t visibility_generation = 0;                   ///< model generation of the newest relight/visibility
   std::map<std::uint64_t, metrics::Quality> viewer_quality;  ///< by probe id
   std::int64_t first_picture_ns = 0;                         ///< CLOCK_MONOTONIC, 0 before
