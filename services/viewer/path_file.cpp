@@ -67,7 +67,7 @@ class PathReader {
     for (const std::string& part : parts) {
       std::istringstream in(part);
       double value = 0;
-      if (!(in >> value) || in.peek() != std::istringstream::traits_type::eof() || !std::isfinite(value)) {
+      if (!(in >> value) || in.peek() != std::istringstream::traits_type::eof()) {
         refuse(fmt::format("'{}' is no number", part));
       }
       values.push_back(value);

@@ -37,6 +37,12 @@ TEST(WalkPath, TurnsOverTheTimeAboutACorner) {
   EXPECT_NEAR(glm::distance(path.at(20).forward(), {0, 0, 1}), 0, 1e-5);
 }
 
+TEST(WalkPath, TurnsTheShortWayWhereAnglesWrap) {
+  // From a little on one side of -x to a little on the other.
+  const WalkPath path({{{0, 0, 0}, {-10, 0, 1}, {-20, 0, 0}}}, {.speed_m_s = 1});
+  EXPECT_NEAR(glm::distance(path.at(std::sqrt(101.0)).forward(), {-1, 0, 0}), 0, 1e-3);
+}
+
 TEST(WalkPath, HeadingNeverJumpsOnZigzagsAndOnTheWayBack) {
   const PathLeg zigzag{{0, 0, 0}, {1, 0, 0.2F}, {0.4F, 0, 1}, {0.2F, 0, -1}, {-2, 0, -1}, {-2, 0, 0}, {3, 0, 0}};
   const WalkPath path({zigzag}, {.speed_m_s = 1.4, .turn_s = 1, .there_and_back = true, .loop = true});
@@ -81,12 +87,12 @@ TEST(WalkPath, TeleportsToAPlaceToStay) {
 }
 
 TEST(WalkPath, LooksUpStairsNoFurtherThanItsLimit) {
-  const PathLeg stairs{{0, 0, 0}, {4, 0, 0}, {6, 2, 0}, {6, 5, 0}, {10, 5, 0}};
+  const PathLeg stairs{{0, 0, 0}, {0, 0, 4}, {0, 2, 6}, {0, 5, 6}, {0, 5, 10}};
   const double limit = 0.4;  // stairs rise by 45 degrees, the lift by 90
   const WalkPath path({stairs}, {.speed_m_s = 1, .turn_s = 0.5, .pitch_limit_radians = limit});
   EXPECT_NEAR(path.at(5.4).pitch_radians, limit, 1e-9);
   EXPECT_NEAR(path.at(2).pitch_radians, 0, 1e-9);
-  EXPECT_NEAR(path.at(8).yaw_radians, 0, 1e-9) << "in the lift the heading stays";
+  EXPECT_NEAR(path.at(8).yaw_radians, kQuarter, 1e-9) << "in the lift the heading stays";
   for (double t = 0; t < path.duration_s(); t += 0.05) EXPECT_LE(path.at(t).pitch_radians, limit + 1e-9);
 }
 
