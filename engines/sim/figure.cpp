@@ -35,10 +35,6 @@ float wave(double cycles) {
   return std::cos(static_cast<float>(2 * glm::pi<double>() * (cycles - std::floor(cycles))));
 }
 
-Pose operator*(const Pose& a, const Pose& b) {
-  return {a.rotation * b.rotation, a.rotation * b.translation + a.translation};
-}
-
 /// About the body's right, forwards for what hangs.
 Pose swung(float radians, const glm::vec3& joint) {
   return {glm::angleAxis(radians, kRight), joint};

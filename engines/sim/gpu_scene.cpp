@@ -93,6 +93,9 @@ GpuScene::GpuScene(const Scene& scene, float anisotropy) {
   attribute(kPosition, 3, offsetof(Vertex, position));
   attribute(kNormal, 3, offsetof(Vertex, normal));
   attribute(kUv, 2, offsetof(Vertex, uv));
+  glEnableVertexArrayAttrib(vertex_array_.get(), kTint);
+  glVertexArrayAttribFormat(vertex_array_.get(), kTint, 4, GL_UNSIGNED_BYTE, GL_TRUE, offsetof(Vertex, tint));
+  glVertexArrayAttribBinding(vertex_array_.get(), kTint, 0);
 }
 
 void GpuScene::upload_textures(const Scene& scene, float anisotropy) {

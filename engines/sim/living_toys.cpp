@@ -18,34 +18,6 @@ glm::quat turned(double radians, const glm::vec3& axis) {
   return glm::angleAxis(static_cast<float>(std::remainder(radians, 2 * glm::pi<double>())), axis);
 }
 
-void add_ball(Scene& scene) {
-  constexpr float kRadius = 0.16F, kCircle_m = 0.10F;
-  constexpr double kHeight_m = 0.7;
-  constexpr glm::vec3 kMiddle{0.05F, kRadius, 0.31F};
-  Object& ball = scene.add("bouncing ball", sphere(kRadius, 32, 2), checker(6, color("#e8e2d4"), color("#c2267a")));
-  ball.motion_origins.add(kMiddle - glm::vec3(kCircle_m, 0, kCircle_m));
-  ball.motion_origins.add(kMiddle + glm::vec3(kCircle_m, kHeight_m, kCircle_m));
-  ball.motion = [=](double time_s) {
-    // A parabola a bounce, under 9.8 m/s^2 from kHeight_m, while it wanders on a small circle and spins.
-    const double bounce_s = 2 * std::sqrt(2 * kHeight_m / 9.8);
-    const double phase = time_s / bounce_s - std::floor(time_s / bounce_s);
-    const double angle = 0.6 * time_s;
-    Pose pose;
-    pose.translation = kMiddle + glm::vec3(kCircle_m * std::cos(angle), 4 * kHeight_m * phase * (1 - phase),
-                                           kCircle_m * std::sin(angle));
-    pose.rotation = turned(1.7 * time_s, glm::normalize(glm::vec3{0.3F, 1, 0.2F}));
-    return pose;
-  };
-}
-
-void add_cube(Scene& scene) {
-  constexpr glm::vec3 kMiddle{-0.72F, 0.13F, 0.22F};
-  Object& cube =
-      scene.add("turning cube", box({0.26F, 0.26F, 0.26F}), letter("GO", color("#3fa7a0"), color("#f0e6c8")));
-  cube.motion_origins.add(kMiddle);
-  cube.motion = [=](double time_s) { return Pose{turned(0.8 * time_s, kUp), kMiddle}; };
-}
-
 /// An object that stands still, and exists when `exists` of a time says so.
 template <class Exists>
 void add_visitor(Scene& scene, const char* name, Mesh mesh, Image image, const Pose& pose, Exists exists) {
@@ -75,10 +47,37 @@ Mesh pot_mesh() {
 
 }  // namespace
 
+void add_ball(Scene& scene, const glm::vec3& foot) {
+  constexpr float kRadius = 0.16F, kCircle_m = 0.10F;
+  constexpr double kHeight_m = 0.7;
+  const glm::vec3 middle = foot + glm::vec3(0, kRadius, 0);
+  Object& ball = scene.add("bouncing ball", sphere(kRadius, 32, 2), checker(6, color("#e8e2d4"), color("#c2267a")));
+  ball.motion_origins.add(middle - glm::vec3(kCircle_m, 0, kCircle_m));
+  ball.motion_origins.add(middle + glm::vec3(kCircle_m, kHeight_m, kCircle_m));
+  ball.motion = [=](double time_s) {
+    // A parabola a bounce, under 9.8 m/s^2 from kHeight_m, while it wanders on a small circle and spins.
+    const double bounce_s = 2 * std::sqrt(2 * kHeight_m / 9.8);
+    const double phase = time_s / bounce_s - std::floor(time_s / bounce_s);
+    const double angle = 0.6 * time_s;
+    Pose pose;
+    pose.translation = middle + glm::vec3(kCircle_m * std::cos(angle), 4 * kHeight_m * phase * (1 - phase),
+                                          kCircle_m * std::sin(angle));
+    pose.rotation = turned(1.7 * time_s, glm::normalize(glm::vec3{0.3F, 1, 0.2F}));
+    return pose;
+  };
+}
+
+void add_cube(Scene& scene, const glm::vec3& middle) {
+  Object& cube =
+      scene.add("turning cube", box({0.26F, 0.26F, 0.26F}), letter("GO", color("#3fa7a0"), color("#f0e6c8")));
+  cube.motion_origins.add(middle);
+  cube.motion = [=](double time_s) { return Pose{turned(0.8 * time_s, kUp), middle}; };
+}
+
 void add_living_toys(Scene& scene) {
   using Times = LivingTimes;
-  add_ball(scene);
-  add_cube(scene);
+  add_ball(scene, {0.05F, 0, 0.31F});
+  add_cube(scene, {-0.72F, 0.13F, 0.22F});
   add_figure(scene);
   add_visitor(scene, "skittle", skittle(), dots(6, color("#2d8fb0"), color("#f2e3b3"), 0.3F),
               {turned(0.4, kUp), {-1.0F, 0, -1.3F}}, [](double time_s) { return time_s < Times::kVanish_s; });

@@ -16,6 +16,10 @@ struct LivingTimes {
 /// "skittle", "appearing crate" and "drum". All cast shadows, and none passes through another toy.
 void add_living_toys(Scene& scene);
 
+/// Two of them: a ball of 0.16 m that bounces on `foot`, and a cube of 0.26 m that turns about `middle`.
+void add_ball(Scene& scene, const glm::vec3& foot);
+void add_cube(Scene& scene, const glm::vec3& middle);
+
 /// Adds the "breathing pot", which stands among the toys and grows and shrinks about where it stands.
 void add_breathing_toy(Scene& scene);
 inline constexpr float kLeastBreath = 0.8F, kGreatestBreath = 1.25F;  ///< its scale

@@ -1,3 +1,4 @@
+#include <fmt/format.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -7,6 +8,7 @@
 #include <cstdlib>
 #include <exception>
 #include <memory>
+#include <stdexcept>
 
 #include "sim/device_readback.h"
 #include "sim/engine_loop.h"
@@ -17,6 +19,7 @@
 #include "sim/living_toys.h"
 #include "sim/snapshot.h"
 #include "sim/toys.h"
+#include "sim/world.h"
 
 namespace {
 
@@ -46,12 +49,14 @@ struct Flags {
   std::string snapshot, pose = "3.13,1.6,1.32,0,0.25,0,60", buffer = "color";
   std::uint32_t width = 512, height = 512;
   double time_s = 0;
+  bool print_walk = false;
 };
 
 void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--bus", flags.bus, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
-  app.add_option("--scene", flags.scene, "toys, field200 (posts and boxes on 200 m), or a glTF file (.glb, .gltf)")
+  app.add_option("--scene", flags.scene,
+                 "toys, world (a town of 224 m), field200 (posts and boxes on 200 m), or a glTF file (.glb, .gltf)")
       ->capture_default_str();
   app.add_option("--seed", flags.seed, "shifts, turns and tones of the toys")->capture_default_str();
   app.add_flag("--dynamics", flags.dynamics,
@@ -95,6 +100,8 @@ void add_flags(CLI::App& app, Flags& flags) {
       ->capture_default_str();
   app.add_option("--width", flags.width, "of the snapshot, pixels")->capture_default_str();
   app.add_option("--height", flags.height, "of the snapshot, pixels")->capture_default_str();
+  app.add_flag("--print-walk", flags.print_walk,
+               "print a walk through the world of the seed, an eye position 'x y z' in metres a line, and end");
   app.add_option("--time", flags.time_s, "of the snapshot, seconds of engine time")->capture_default_str();
 }
 
@@ -103,6 +110,7 @@ splatbus::sim::Scene make_scene(const Flags& flags) {
   const bool toys = flags.scene == "toys";
   Scene scene = toys                        ? make_toys(flags.seed, flags.dynamics)
                 : flags.scene == "field200" ? make_field(flags.seed)
+                : flags.scene == "world"    ? make_world(flags.seed, flags.dynamics)
                                             : load_gltf(flags.scene);
   scene.lighting = flags.lighting;
   scene.lighting.night = flags.night;
@@ -112,8 +120,20 @@ splatbus::sim::Scene make_scene(const Flags& flags) {
   return scene;
 }
 
+void print_walk(std::uint32_t seed) {
+  fmt::print("# a walk of {} m through the world of seed {}: x y z of the eye, metres, y up\n", splatbus::sim::kWalk_m,
+             seed);
+  for (const glm::vec3& eye : splatbus::sim::world_walk(seed))
+    fmt::print("{:.3f} {:.3f} {:.3f}\n", eye.x, eye.y, eye.z);
+}
+
 void run(const Flags& flags) {
   using namespace splatbus::sim;
+  if (flags.print_walk) {
+    if (flags.scene != "world") throw std::runtime_error("only the world has a walk: --scene world");
+    print_walk(flags.seed);
+    return;
+  }
   Scene scene = make_scene(flags);
   const auto context = std::make_shared<GlContext>();
   spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());

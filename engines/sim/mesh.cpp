@@ -9,17 +9,6 @@
 namespace splatbus::sim {
 namespace {
 
-/// Winds the triangle so that it faces where its normals point.
-void add_triangle(Mesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c) {
-  const Vertex& va = mesh.vertices[a];
-  const Vertex& vb = mesh.vertices[b];
-  const Vertex& vc = mesh.vertices[c];
-  const glm::vec3 face = glm::cross(vb.position - va.position, vc.position - va.position);
-  if (glm::dot(face, face) < 1e-16F) return;
-  if (glm::dot(face, va.normal + vb.normal + vc.normal) < 0) std::swap(b, c);
-  mesh.indices.insert(mesh.indices.end(), {a, b, c});
-}
-
 void add_grid(Mesh& mesh, std::uint32_t first, int columns, int rows) {
   const auto at = [&](int column, int row) { return first + static_cast<std::uint32_t>(row * (columns + 1) + column); };
   for (int row = 0; row < rows; ++row) {
@@ -31,6 +20,16 @@ void add_grid(Mesh& mesh, std::uint32_t first, int columns, int rows) {
 }
 
 }  // namespace
+
+void add_triangle(Mesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c) {
+  const Vertex& va = mesh.vertices[a];
+  const Vertex& vb = mesh.vertices[b];
+  const Vertex& vc = mesh.vertices[c];
+  const glm::vec3 face = glm::cross(vb.position - va.position, vc.position - va.position);
+  if (glm::dot(face, face) < 1e-16F) return;
+  if (glm::dot(face, va.normal + vb.normal + vc.normal) < 0) std::swap(b, c);
+  mesh.indices.insert(mesh.indices.end(), {a, b, c});
+}
 
 void Bounds::add(const glm::vec3& point) {
   low = glm::min(low, point);
@@ -65,7 +64,7 @@ void append(Mesh& mesh, const Mesh& part, const glm::mat4& mesh_from_part) {
   const glm::mat3 normal_matrix = glm::inverseTranspose(glm::mat3(mesh_from_part));
   for (const Vertex& vertex : part.vertices) {
     mesh.vertices.push_back({glm::vec3(mesh_from_part * glm::vec4(vertex.position, 1)),
-                             glm::normalize(normal_matrix * vertex.normal), vertex.uv});
+                             glm::normalize(normal_matrix * vertex.normal), vertex.uv, vertex.tint});
   }
   for (const std::uint32_t index : part.indices) mesh.indices.push_back(first + index);
 }

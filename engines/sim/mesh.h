@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <glm/glm.hpp>
+#include <glm/gtc/type_precision.hpp>
 #include <span>
 #include <vector>
 
@@ -11,6 +12,7 @@ struct Vertex {
   glm::vec3 position;
   glm::vec3 normal;  ///< unit, towards the outside
   glm::vec2 uv;
+  glm::u8vec4 tint{255};  ///< of the linear albedo, 255 for 1; alpha does not count
 };
 
 /// Triangles, counter-clockwise as seen from outside.
@@ -35,6 +37,9 @@ struct Bounds {
 
 /// Adds `part`, transformed, to `mesh`.
 void append(Mesh& mesh, const Mesh& part, const glm::mat4& mesh_from_part = glm::mat4(1));
+
+/// Adds the triangle so that it faces where the normals of its corners point; none when it has no area.
+void add_triangle(Mesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c);
 
 /// Six faces of `size` metres about the origin. Every face shows the whole texture `repeat_per_m` times a metre, or
 /// once when that is 0.

@@ -5,67 +5,13 @@
 #include <glm/gtc/constants.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "sim/random.h"
+#include "sim/paint.h"
 
 namespace splatbus::sim {
 namespace {
 
 constexpr std::uint32_t kSide = 256;
 constexpr std::uint32_t kPageSide = 512;
-
-/// The sRGB byte of a linear value, from a table fine enough for every byte.
-std::uint8_t encode(float linear) {
-  constexpr std::size_t kEntries = 8192;
-  static const std::vector<std::uint8_t> table = [] {
-    std::vector<std::uint8_t> bytes;
-    for (std::size_t i = 0; i <= kEntries; ++i) {
-      const float c = static_cast<float>(i) / kEntries;
-      const float s = c <= 0.0031308F ? 12.92F * c : 1.055F * std::pow(c, 1 / 2.4F) - 0.055F;
-      bytes.push_back(static_cast<std::uint8_t>(std::lround(255 * s)));
-    }
-    return bytes;
-  }();
-  // NOLINTNEXTLINE(bugprone-incorrect-roundings): not negative, and an entry off by one at a half does not show
-  return table[static_cast<std::size_t>(glm::clamp(linear, 0.0F, 1.0F) * kEntries + 0.5F)];
-}
-
-/// Samples `color_at`(u, v), linear RGB, 2 x 2 times a texel.
-template <class ColorAt>
-Image paint(std::uint32_t side, ColorAt&& color_at) {
-  Image image{.width = side, .height = side, .rgba = {}};
-  image.rgba.reserve(std::size_t{4} * side * side);
-  for (std::uint32_t y = 0; y < side; ++y) {
-    for (std::uint32_t x = 0; x < side; ++x) {
-      glm::vec3 sum{0};
-      for (const glm::vec2 offset : {glm::vec2{0.25F, 0.25F}, {0.75F, 0.25F}, {0.25F, 0.75F}, {0.75F, 0.75F}}) {
-        sum += color_at((static_cast<float>(x) + offset.x) / static_cast<float>(side),
-                        (static_cast<float>(y) + offset.y) / static_cast<float>(side));
-      }
-      for (int c = 0; c < 3; ++c) {
-        image.rgba.push_back(encode(sum[c] / 4));
-      }
-      image.rgba.push_back(255);
-    }
-  }
-  return image;
-}
-
-float hash01(std::uint32_t seed, int x, int y) {
-  return random01(seed, static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
-}
-
-/// Value noise that repeats every `period` cells.
-float noise(std::uint32_t seed, glm::vec2 p, glm::ivec2 period) {
-  const glm::vec2 cell = glm::floor(p);
-  glm::vec2 t = p - cell;
-  t = t * t * (3.0F - 2.0F * t);
-  const auto at = [&](int dx, int dy) {
-    const int x = (static_cast<int>(cell.x) + dx) % period.x;
-    const int y = (static_cast<int>(cell.y) + dy) % period.y;
-    return hash01(seed, x < 0 ? x + period.x : x, y < 0 ? y + period.y : y);
-  };
-  return glm::mix(glm::mix(at(0, 0), at(1, 0), t.x), glm::mix(at(0, 1), at(1, 1), t.x), t.y);
-}
 
 /// Grain along u: long streaks with finer ones in them.
 float grain(std::uint32_t seed, float u, float v) {

@@ -13,6 +13,10 @@ glm::mat4 matrix(const Pose& world_from_object) {
   return result;
 }
 
+Pose operator*(const Pose& a, const Pose& b) {
+  return {a.rotation * b.rotation, a.rotation * (a.scale * b.translation) + a.translation, a.scale * b.scale};
+}
+
 Object& Scene::add(std::string name, Mesh mesh, Image image, const glm::mat4& world_from_object) {
   materials.push_back({.image = static_cast<int>(images.size())});
   images.push_back(std::move(image));

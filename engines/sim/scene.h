@@ -39,6 +39,8 @@ struct Pose {
   float scale = 1;
   bool operator==(const Pose&) const = default;
 };
+/// a_from_b * b_from_c.
+[[nodiscard]] Pose operator*(const Pose& a_from_b, const Pose& b_from_c);
 
 struct Object {
   std::uint32_t id = 0;  ///< unique, from 1

@@ -6,6 +6,7 @@ const char* const kVertexShader = R"(
 layout(location = 0) in vec3 a_position;
 layout(location = 1) in vec3 a_normal;
 layout(location = 2) in vec2 a_uv;
+layout(location = 3) in vec3 a_tint;
 layout(location = 0) uniform mat4 world_from_object;
 layout(location = 1) uniform mat3 normal_matrix;
 layout(location = 2) uniform mat4 clip_from_world;
@@ -22,6 +23,7 @@ out vec3 v_world;
 #endif
 #ifdef TEXTURED
 out vec2 v_uv;
+out vec3 v_tint;
 #endif
 #ifdef GEOMETRY
 out vec4 v_world_and_depth;
@@ -35,6 +37,7 @@ void main() {
   gl_Position = clip_from_world * world;
 #ifdef TEXTURED
   v_uv = a_uv;
+  v_tint = a_tint;
 #endif
 #if defined(LIT) || defined(GEOMETRY)
   v_normal = normal_matrix * a_normal;
@@ -55,6 +58,7 @@ void main() {
 const char* const kFragmentShader = R"(
 #ifdef TEXTURED
 in vec2 v_uv;
+in vec3 v_tint;
 layout(binding = 0) uniform sampler2D base_texture;
 layout(location = 6) uniform vec3 base_color;
 layout(location = 7) uniform float alpha_cutoff;
@@ -244,7 +248,7 @@ void main() {
 #ifdef HOLES
   if (texel.a < alpha_cutoff) discard;
 #endif
-  vec3 base = texel.rgb * base_color;
+  vec3 base = texel.rgb * base_color * v_tint;
 #endif
 #if defined(LIT) || defined(GEOMETRY)
   vec3 n = normalize(gl_FrontFacing ? v_normal : -v_normal);

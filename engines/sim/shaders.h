@@ -53,7 +53,7 @@ enum TextureUnit : GLuint { kSunMaps = 1, kLocalMaps = 2, kDirectionalMaps = 3 }
 inline constexpr GLuint kSourcesBinding = 0;
 
 /// Vertex attribute locations.
-enum AttributeLocation : GLuint { kPosition = 0, kNormal = 1, kUv = 2 };
+enum AttributeLocation : GLuint { kPosition = 0, kNormal = 1, kUv = 2, kTint = 3 };
 
 /// Throws std::runtime_error with the compiler's words.
 [[nodiscard]] GlProgram build_program(const ShaderVariant& variant);

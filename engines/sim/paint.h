@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstdint>
+#include <glm/glm.hpp>
+
+#include "sim/random.h"
+#include "sim/scene.h"
+
+namespace splatbus::sim {
+
+/// The sRGB byte of a linear value.
+[[nodiscard]] std::uint8_t encode_srgb(float linear);
+
+[[nodiscard]] inline float hash01(std::uint32_t seed, int x, int y) {
+  return random01(seed, static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
+}
+
+/// Value noise in [0, 1) that repeats every `period` cells.
+[[nodiscard]] float noise(std::uint32_t seed, glm::vec2 p, glm::ivec2 period);
+
+/// Samples `color_at`(u, v), linear RGB, 2 x 2 times a texel.
+template <class ColorAt>
+Image paint(std::uint32_t side, ColorAt&& color_at) {
+  Image image{.width = side, .height = side, .rgba = {}};
+  image.rgba.reserve(std::size_t{4} * side * side);
+  for (std::uint32_t y = 0; y < side; ++y) {
+    for (std::uint32_t x = 0; x < side; ++x) {
+      glm::vec3 sum{0};
+      for (const glm::vec2 offset : {glm::vec2{0.25F, 0.25F}, {0.75F, 0.25F}, {0.25F, 0.75F}, {0.75F, 0.75F}}) {
+        sum += color_at((static_cast<float>(x) + offset.x) / static_cast<float>(side),
+                        (static_cast<float>(y) + offset.y) / static_cast<float>(side));
+      }
+      for (int c = 0; c < 3; ++c) {
+        image.rgba.push_back(encode_srgb(sum[c] / 4));
+      }
+      image.rgba.push_back(255);
+    }
+  }
+  return image;
+}
+
+}  // namespace splatbus::sim
