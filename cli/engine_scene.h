@@ -1,6 +1,8 @@
 #pragma once
 
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "launch_file.h"
 
@@ -18,5 +20,8 @@ struct EngineScene {
 /// Writes it into the services `engine` and `capture-bridge` of a launch file, in place of what that says. Throws
 /// LaunchError where one of them is missing.
 void apply(const EngineScene& scene, LaunchFile& file);
+
+/// A flag with a value among a program's arguments, in place of one that is there.
+void set_flag(std::vector<std::string>& args, const std::string& flag, const std::string& value);
 
 }  // namespace splatbus::cli

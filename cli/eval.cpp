@@ -5,8 +5,10 @@
 #include <map>
 
 #include "dynamics_evaluation.h"
+#include "explore_evaluation.h"
 #include "fixed_evaluation.h"
 #include "launch_plan.h"
+#include "moving_evaluation.h"
 #include "relight_evaluation.h"
 #include "schema_json.h"
 #include "start_evaluation.h"
@@ -40,6 +42,14 @@ struct StartVerbOptions : CommonOptions {
 
 struct DynamicsVerbOptions : CommonOptions {
   DynamicsOptions dynamics;
+};
+
+struct MovingVerbOptions : CommonOptions {
+  MovingOptions moving;
+};
+
+struct ExploreVerbOptions : CommonOptions {
+  ExploreOptions explore;
 };
 
 struct RelightVerbOptions : CommonOptions {
@@ -106,6 +116,21 @@ int evaluate_dynamics(DynamicsVerbOptions options) {
   return evaluate(options, "figures.csv, summary.json, turning_0.png ...",
                   [&](const StopSignals& signals, const auto& show) {
                     return run_dynamics_evaluation(options.dynamics, signals, show);
+                  });
+}
+
+int evaluate_moving(MovingVerbOptions options) {
+  options.complete(options.moving.setup);
+  return evaluate(options, "figures.csv, figures.png, summary.json", [&](const StopSignals& signals, const auto& show) {
+    return run_moving_evaluation(options.moving, signals, show);
+  });
+}
+
+int evaluate_explore(ExploreVerbOptions options) {
+  options.complete(options.explore.run.setup);
+  return evaluate(options, "figures.csv, figures.png, contact_sheet.png, summary.json",
+                  [&](const StopSignals& signals, const auto& show) {
+                    return run_explore_evaluation(options.explore, signals, show);
                   });
 }
 
@@ -181,6 +206,41 @@ void add_dynamics_verb(CLI::App& eval, Action& action) {
   verb->callback([options, &action] { action = [options] { return evaluate_dynamics(*options); }; });
 }
 
+void add_moving_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<MovingVerbOptions>();
+  options->default_launch = "eval_moving.yaml";
+  CLI::App* verb = eval.add_subcommand(
+      "moving",
+      "A viewer that orbits: with reference cameras that stand on its circle, and with a rig that moves with it");
+  MovingOptions& moving = options->moving;
+  add_setup_options(*verb, *options, moving.setup);
+  verb->add_option("--rig-cameras", moving.rig_cameras, "reference cameras of the rig that moves")
+      ->check(CLI::Range(1, 64));
+  verb->add_option("--seconds", moving.seconds, "of each of both runs")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--period", moving.period_s, "of the orbit, s")->check(CLI::Range(0.1, 86400.0));
+  verb->callback([options, &action] { action = [options] { return evaluate_moving(*options); }; });
+}
+
+void add_explore_verb(CLI::App& eval, Action& action) {
+  auto options = std::make_shared<ExploreVerbOptions>();
+  options->default_launch = "eval_explore.yaml";
+  CLI::App* verb = eval.add_subcommand(
+      "explore", "A walk through a world, back over its own path, and a teleport to the start, over time");
+  ExploreRunOptions& run = options->explore.run;
+  add_setup_options(*verb, *options, run.setup);
+  verb->add_option("--seconds", run.seconds, "of the walk, out and back")->check(CLI::Range(10.0, 86400.0));
+  verb->add_option("--speed", run.speed_m_s, "of the walk, m/s")->check(CLI::Range(0.01, 100.0));
+  verb->add_option("--stay", run.stay_s, "after the teleport, s")->check(CLI::Range(0.0, 86400.0));
+  verb->add_option("--scene", run.scene, "of the engine");
+  verb->get_option("--seed")->description("of the scene, and of the trainer's random choices");
+  verb->add_option("--path", run.path, "polyline to walk along, 'x y z' a line (default: the engine's own walk)")
+      ->check(CLI::ExistingFile);
+  verb->add_option("--viewers", run.viewers, "the second walks 100 m ahead of the first")->check(CLI::Range(1, 2));
+  verb->add_option("--max-gaussians", run.max_gaussians, "Gaussians beyond which nothing is inserted");
+  verb->add_flag("--compare", options->explore.compare, "beside the same run without freezing and culling");
+  verb->callback([options, &action] { action = [options] { return evaluate_explore(*options); }; });
+}
+
 void add_relight_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<RelightVerbOptions>();
   CLI::App* verb = eval.add_subcommand(
@@ -201,6 +261,8 @@ void add_eval_verb(CLI::App& app, Action& action) {
   add_fixed_verb(*eval, action);
   add_start_verb(*eval, action);
   add_dynamics_verb(*eval, action);
+  add_moving_verb(*eval, action);
+  add_explore_verb(*eval, action);
   add_relight_verb(*eval, action);
 }
 

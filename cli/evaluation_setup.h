@@ -2,9 +2,10 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <nlohmann/json.hpp>
-#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "engine_scene.h"
@@ -30,10 +31,15 @@ struct EvaluationSetup {
   [[nodiscard]] std::uint64_t enough_gaussians() const;
 };
 
-/// The launch file with the setup's cameras, and with `scene` where one is given; `paused` is whether the trainer waits
-/// to be told. Throws LaunchError.
+/// Parameters of services, "service.key" and value.
+using Settings = std::vector<std::pair<std::string, std::string>>;
+
+void apply_settings(const Settings& settings, LaunchFile& file);  ///< throws LaunchError
+
+/// The launch file with the setup's cameras; `paused` is whether the trainer waits to be told. `change` comes last,
+/// where it is given. Throws LaunchError.
 [[nodiscard]] LaunchPlan plan_evaluation(const EvaluationSetup& setup, const bus::Address& address, bool paused,
-                                         const std::optional<EngineScene>& scene = {});
+                                         const std::function<void(LaunchFile&)>& change = {});
 
 /// Bytes of bulk data that each process says passed through host memory; without those that do not count them.
 [[nodiscard]] nlohmann::json host_copied_bytes(const std::vector<ProcessStatus>& processes);

@@ -22,12 +22,27 @@ PipelineWatch::PipelineWatch(std::shared_ptr<bus::Context> context) : subscriber
                               .gaussians = stats.gaussians(),
                               .optimizer_s = stats.optimizer_s(),
                               .steps_per_s = stats.steps_per_s(),
+                              .views_per_s = stats.views_per_s(),
                               .loss = stats.loss(),
                               .ready_references = stats.ready_references(),
                               .ready_inputs = stats.ready_inputs(),
                               .paused = stats.paused(),
                               .host_copied_bytes = stats.host_copied_bytes(),
-                              .unpaired_views = stats.unpaired_views()};
+                              .unpaired_views = stats.unpaired_views(),
+                              .active = stats.active(),
+                              .frozen = stats.frozen(),
+                              .spilled = stats.spilled(),
+                              .pages_active = stats.pages_active(),
+                              .pages_frozen = stats.pages_frozen(),
+                              .pages_spilled = stats.pages_spilled(),
+                              .device_bytes = stats.device_bytes(),
+                              .host_bytes = stats.host_bytes(),
+                              .disk_bytes = stats.disk_bytes(),
+                              .masked_share = stats.masked_share()};
+          })
+      .on(topics::kModelPublished,
+          [this](const wire::ModelPublished& published, const Message&) {
+            state_.page_bytes = std::uint64_t{published.page_words()} * sizeof(std::uint32_t);
           })
       .on(topics::kGridState,
           [this](const wire::GridState& grid, const Message&) {

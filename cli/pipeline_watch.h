@@ -18,10 +18,14 @@ struct PipelineState {
   struct Trainer {
     std::uint64_t epoch = 0;  ///< of the process
     std::uint64_t step = 0, views = 0, gaussians = 0;
-    double optimizer_s = 0, steps_per_s = 0, loss = 0;
+    double optimizer_s = 0, steps_per_s = 0, views_per_s = 0, loss = 0;
     std::uint32_t ready_references = 0, ready_inputs = 0;
     bool paused = false;
     std::uint64_t host_copied_bytes = 0, unpaired_views = 0;
+    std::uint64_t active = 0, frozen = 0, spilled = 0;
+    std::uint32_t pages_active = 0, pages_frozen = 0, pages_spilled = 0;
+    std::uint64_t device_bytes = 0, host_bytes = 0, disk_bytes = 0;
+    double masked_share = 0;
   };
   struct Grid {
     std::uint64_t rounds = 0, batches_pending = 0, gaussians_inserted = 0;
@@ -34,6 +38,7 @@ struct PipelineState {
   Trainer trainer;
   Grid grid;
   Stream stream;
+  std::uint64_t page_bytes = 0;                              ///< of the published model's pages
   std::uint64_t visibility_generation = 0;                   ///< model generation of the newest relight/visibility
   std::map<std::uint64_t, metrics::Quality> viewer_quality;  ///< by probe id
   std::int64_t first_picture_ns = 0;                         ///< CLOCK_MONOTONIC, 0 before

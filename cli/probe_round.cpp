@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <cassert>
 #include <glm/gtc/constants.hpp>
 #include <utility>
 
@@ -38,9 +39,15 @@ void ProbeRounds::begin() {
   begin(cameras_.size());
 }
 
+void ProbeRounds::begin(std::vector<Camera> cameras) {
+  assert(cameras.size() <= kMaxCameras);
+  cameras_ = std::move(cameras);
+  begin();
+}
+
 void ProbeRounds::begin(std::size_t count) {
   first_id_ = next_id_;
-  next_id_ += cameras_.size();
+  next_id_ += kMaxCameras;
   pictures_.clear();
   asked_ = count;
   for (std::size_t i = 0; i < asked_; ++i) ask(i);
@@ -52,7 +59,7 @@ void ProbeRounds::ask_again(std::size_t camera) {
 
 std::optional<std::size_t> ProbeRounds::camera_of(std::uint64_t probe_id) const {
   if (probe_id < oldest_id_ || probe_id >= next_id_) return {};
-  return static_cast<std::size_t>((probe_id - oldest_id_) % cameras_.size());
+  return static_cast<std::size_t>((probe_id - oldest_id_) % kMaxCameras);
 }
 
 void ProbeRounds::ask(std::size_t index) {

@@ -32,11 +32,15 @@ struct ProbePicture {
 /// probe ids, begin() ... begin() + size - 1. Not thread-safe.
 class ProbeRounds {
  public:
+  static constexpr std::size_t kMaxCameras = 256;
+
   ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras);
 
   void begin();  ///< the next round: asks for every camera
   /// A round of the first `count` of them alone.
   void begin(std::size_t count);
+  /// The next round is of other cameras, kMaxCameras at most, and so are those after it.
+  void begin(std::vector<Camera> cameras);
   void ask_again(std::size_t camera);
 
   /// Takes in pictures that have arrived; `handle(index, picture)` for each camera's first of this round.

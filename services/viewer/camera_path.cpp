@@ -1,17 +1,43 @@
 #include "viewer/camera_path.h"
 
+#include <algorithm>
 #include <cmath>
 #include <glm/gtc/constants.hpp>
+#include <utility>
+
+#include "bus/error.h"
 
 namespace splatbus::viewer {
 
-void CameraPath::bind(bus::ParameterBinder& p) {
+namespace {
+
+constexpr double kSteepestFlight = 1.4;  // radians; straight up or down there is no heading
+
+WalkPath::Options walk_options(const PathOptions& options) {
+  return {.speed_m_s = options.speed_m_s,
+          .turn_s = options.turn_s,
+          .pitch_limit_radians = options.kind == PathKind::Fly ? kSteepestFlight : options.pitch_limit_radians,
+          .there_and_back = options.there_and_back,
+          .loop = options.loop};
+}
+
+}  // namespace
+
+void PathOptions::bind(bus::ParameterBinder& p) {
   using bus::kDegrees;
   using bus::kRuntime;
   p.add("width", width, "pixels", {8, 8192});
   p.add("height", height, "pixels", {8, 8192});
   p.add("fov_degrees", fov_radians, "vertical field of view, degrees", {5, 150}, kRuntime, kDegrees);
-  p.add("path", orbit, "of the camera, when there is no window to steer it", {{"orbit", true}, {"still", false}});
+  p.add(
+      "path", kind,
+      "of the camera, when there is no window to steer it: orbit about the target, still where that begins; walk along "
+      "the points of path_file, fly along a smooth curve through them; recorded as path_file says",
+      {{"orbit", PathKind::Orbit},
+       {"still", PathKind::Still},
+       {"walk", PathKind::Walk},
+       {"fly", PathKind::Fly},
+       {"recorded", PathKind::Recorded}});
   p.add("radius_m", radius_m, "metres from the target, level", {0.01, 1e4});
   p.add("height_m", height_m, "metres above the world's zero", {-1e4, 1e4});
   p.add("period_s", period_s, "seconds a turn", {0.1, 1e6});
@@ -19,13 +45,83 @@ void CameraPath::bind(bus::ParameterBinder& p) {
   p.add("target_x_m", target_m.x, "metres, what the camera looks at", {-1e4, 1e4});
   p.add("target_y_m", target_m.y, "metres", {-1e4, 1e4});
   p.add("target_z_m", target_m.z, "metres", {-1e4, 1e4});
+  p.add("path_file", file,
+        "of walk and fly: the eye's positions, 'x y z' a line in metres; of recorded: 't x y z qw qx qy qz' a line, "
+        "seconds and world from camera. A line 'teleport' between two: the camera jumps");
+  p.add("speed_m_s", speed_m_s, "of walk and fly, metres a second", {0.001, 1e3});
+  p.add("turn_s", turn_s, "over which walk and fly spread the turn at a point, seconds", {0, 60});
+  p.add("pitch_limit_degrees", pitch_limit_radians, "how far a walk looks up and down stairs at most, degrees", {0, 80},
+        kRuntime, kDegrees);
+  p.add("there_and_back", there_and_back, "walk and fly lead back over their own way");
+  p.add("path_end", loop, "where the way of path_file has an end: stay there, or loop",
+        {{"stay", false}, {"loop", true}});
+  p.add("path_start_s", start_s, "the path's time at its beginning; a change begins it anew there, seconds", {0, 1e9});
+  p.add("path_run", run, "whether the path's time goes on; off: the camera stays where it is");
+}
+
+CameraPath::CameraPath(const PathOptions& options)
+    : options_(options), pinhole_(look_at({0, 0, 0}, {1, 0, 0}, options.width, options.height, options.fov_radians)) {
+  if (options_.kind == PathKind::Orbit || options_.kind == PathKind::Still) return;
+  if (options_.file.empty()) throw bus::Error("a path along a file needs path_file");
+  if (options_.kind == PathKind::Recorded) {
+    recorded_ = read_path_poses(options_.file);
+    return;
+  }
+  std::vector<PathLeg> legs = read_path_points(options_.file);
+  if (options_.kind == PathKind::Fly) {
+    for (PathLeg& leg : legs) leg = spline_points(leg);
+  }
+  walk_.emplace(std::move(legs), walk_options(options_));
 }
 
 Camera CameraPath::at(double seconds) const {
-  const double turns = orbit ? seconds / period_s : 0;
-  const float angle = phase_radians + glm::two_pi<float>() * static_cast<float>(std::fmod(turns, 1.0));
-  const glm::vec3 eye(target_m.x + radius_m * std::cos(angle), height_m, target_m.z + radius_m * std::sin(angle));
-  return look_at(eye, target_m, width, height, fov_radians);
+  if (!recorded_.empty()) return recorded_at(seconds);
+  if (walk_) {
+    const WalkPath::Pose pose = walk_->at(seconds);
+    return look_at(pose.eye, pose.eye + pose.forward(), options_.width, options_.height, options_.fov_radians);
+  }
+  const double turns = options_.kind == PathKind::Orbit ? seconds / options_.period_s : 0;
+  const float angle = options_.phase_radians + glm::two_pi<float>() * static_cast<float>(std::fmod(turns, 1.0));
+  const glm::vec3& target = options_.target_m;
+  const glm::vec3 eye(target.x + options_.radius_m * std::cos(angle), options_.height_m,
+                      target.z + options_.radius_m * std::sin(angle));
+  return look_at(eye, target, options_.width, options_.height, options_.fov_radians);
+}
+
+Camera CameraPath::recorded_at(double seconds) const {
+  const double first_s = recorded_.front().front().time_s;
+  const double length_s = recorded_.back().back().time_s - first_s;
+  double time_s = std::max(0.0, seconds);
+  if (options_.loop && length_s > 0) time_s = std::fmod(time_s, length_s);
+  time_s += first_s;
+  // The leg that has begun last.
+  const auto next = std::ranges::upper_bound(recorded_, time_s, {}, [](const auto& leg) { return leg.front().time_s; });
+  const std::vector<TimedPose>& leg = *std::prev(next);
+  const auto after = std::ranges::upper_bound(leg, time_s, {}, &TimedPose::time_s);
+  Camera camera = pinhole_;
+  camera.world_from_camera = std::prev(after)->world_from_camera;
+  if (after == leg.end()) return camera;
+  const TimedPose& before = *std::prev(after);
+  const auto part = static_cast<float>((time_s - before.time_s) / (after->time_s - before.time_s));
+  const Rigid &a = before.world_from_camera, &b = after->world_from_camera;
+  camera.world_from_camera = {.rotation = glm::slerp(a.rotation, b.rotation, part),
+                              .translation = glm::mix(a.translation, b.translation, part)};
+  return camera;
+}
+
+PathClock::PathClock(const PathOptions& options, std::int64_t now_ns)
+    : options_(options), before_s_(options.start_s), since_ns_(now_ns) {}
+
+void PathClock::change(const PathOptions& options, std::int64_t now_ns) {
+  const bool anew =
+      options.start_s != options_.start_s || options.kind != options_.kind || options.file != options_.file;
+  before_s_ = anew ? options.start_s : seconds(now_ns);
+  since_ns_ = now_ns;
+  options_ = options;
+}
+
+double PathClock::seconds(std::int64_t now_ns) const {
+  return before_s_ + (options_.run ? static_cast<double>(now_ns - since_ns_) / 1e9 : 0);
 }
 
 }  // namespace splatbus::viewer

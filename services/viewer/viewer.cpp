@@ -32,6 +32,16 @@ std::uint64_t first_probe_id() {
   return std::uint64_t{std::random_device{}()} << 20 | 1;
 }
 
+/// CV_8UC1: 255 where Gaussians hide all that lies behind them.
+cv::Mat alpha_picture(const raster::Render& render) {
+  const raster::Image& alpha = render.alpha;
+  cv::Mat picture;
+  cv::Mat(static_cast<int>(alpha.height), static_cast<int>(alpha.width), CV_32FC1,
+          const_cast<float*>(alpha.data.data()))
+      .convertTo(picture, CV_8U, 255);
+  return picture;
+}
+
 }  // namespace
 
 void Options::bind(bus::ParameterBinder& p) {
@@ -42,13 +52,15 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("out", out, "folder for pictures; empty: none are written");
   p.add("frames", frames, "every n-th picture is written there as frame_<number>.png; 0: none", {0, 1e9});
   p.add("probe", probe,
-        "compare with the engine's own picture whenever one arrives: quality, and probe_<id>_viewer.png in 'out'",
+        "compare with the engine's own picture whenever one arrives: quality, and in 'out' probe_<id>_viewer.png and "
+        "probe_<id>_alpha.png, which is black where nothing is modelled",
         kFixed);
   p.add("probe_period_s", probe_period_s,
         "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: only what others "
         "ask for",
         {0, 1e6});
   p.add("window", window, "show a window, steered with mouse and keys", kFixed);
+  p.add("record_file", record_file, "the camera's way is written there, for path=recorded; empty: it is not", kFixed);
   path.bind(p);
 }
 
@@ -59,16 +71,20 @@ Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
       stream_(host_.device),
       display_(stream_),
       renderer_(raster::make_model_renderer(host_.device, options_->threads)),
-      camera_(options_->path.at(0)),
+      path_(options_->path),
+      path_clock_(options_->path, bus::now_ns()),
+      path_options_(options_->path),
+      camera_(path_.at(options_->path.start_s)),
       begin_ns_(bus::now_ns()),
       next_probe_id_(first_probe_id()) {
+  if (!options_->record_file.empty()) recorder_.emplace(options_->record_file);
   if (options_->window) window_ = std::make_unique<Window>(camera_, "splatbus: " + host_.name);
 }
 
 void Viewer::run() {
   bool changed = true;
   while (!host_.stop.stop_requested() && !(window_ && window_->closed())) {
-    options_.refresh();
+    refresh_options();
     const auto period_ns = static_cast<std::int64_t>(1e9 / options_->fps);
     // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
     const std::int64_t left_ns = drawn_ns_ + period_ns - bus::now_ns();
@@ -88,6 +104,17 @@ void Viewer::run() {
       last_report_ns_ = now_ns;
       report();
     }
+  }
+}
+
+void Viewer::refresh_options() {
+  if (!options_.refresh() || options_->path == path_options_) return;
+  path_options_ = options_->path;
+  try {
+    path_ = CameraPath(path_options_);
+    path_clock_.change(path_options_, bus::now_ns());
+  } catch (const bus::Error& error) {
+    spdlog::error("the camera keeps its path: {}", error.what());
   }
 }
 
@@ -122,10 +149,14 @@ cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
 }
 
 bool Viewer::show(bool changed) {
-  const double seconds = static_cast<double>(bus::now_ns() - begin_ns_) / 1e9;
+  const std::int64_t now_ns = bus::now_ns();
   const Camera before = camera_;
-  camera_ = window_ ? window_->camera() : options_->path.at(seconds);
-  send_pose(bus::now_ns());
+  camera_ = window_ ? window_->camera() : path_.at(path_clock_.seconds(now_ns));
+  if (recorder_) {
+    recorder_->add(
+        {.time_s = static_cast<double>(now_ns - begin_ns_) / 1e9, .world_from_camera = camera_.world_from_camera});
+  }
+  send_pose(now_ns);
   const bool empty = display_.count() == 0;
   if (empty || (!changed && frames_ > 0 && before == camera_)) return false;
   const cv::Mat picture = draw(camera_, *shown_.scene);
@@ -161,6 +192,7 @@ void Viewer::answer_probes() {
   if (const std::string& out = options_->out; !out.empty()) {
     fs::create_directories(out);
     metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
+    metrics::write_png(fs::path(out) / fmt::format("probe_{}_alpha.png", probe->probe_id), alpha_picture(render_));
   }
   receiver_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }

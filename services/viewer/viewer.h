@@ -29,7 +29,8 @@ struct Options {
   bool probe = false;
   double probe_period_s = 5;
   bool window = false;
-  CameraPath path;
+  std::string record_file;
+  PathOptions path;
 
   void bind(bus::ParameterBinder& parameters);
 };
@@ -62,6 +63,8 @@ class Viewer {
   bool take();
   /// False when there is nothing new to show.
   bool show(bool changed);
+  /// Takes over parameters that have changed.
+  void refresh_options();
   void send_pose(std::int64_t now_ns);
   void answer_probes();
   void ask_probe(std::int64_t now_ns);
@@ -76,6 +79,10 @@ class Viewer {
   std::unique_ptr<raster::ModelRenderer> renderer_;
   std::unique_ptr<Window> window_;
   raster::Render render_;
+  CameraPath path_;
+  PathClock path_clock_;
+  PathOptions path_options_;  ///< that path_ was asked for with
+  std::optional<PathRecorder> recorder_;
   Camera camera_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
   std::int64_t drawn_ns_ = 0, posed_ns_ = 0;

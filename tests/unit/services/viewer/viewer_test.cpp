@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <filesystem>
+#include <fstream>
+#include <utility>
 
 #include "../streamer/stream_fixture.h"
 #include "bus/clock.h"
@@ -92,12 +95,14 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
   // The engine is played by a render of the very model: what is left is the stream's loss.
   const auto rasterizer = raster::make_cpu_rasterizer(1);
   std::uint64_t compared = 0;
+  Camera probed;
   float psnr = 0, ssim = 0;
   std::int64_t first_picture_ns = 0;
   const bool answered = bus_test::eventually([&] {
     while (const auto message = probes.receive(1ms)) {
       const auto& body = message->root<wire::ViewerProbe>();
       const Camera camera = from_wire(*body.camera());
+      probed = camera;
       raster::Render render;
       rasterizer->render(model.view(), camera, {light, {}}, {}, render);
       const cv::Mat bgr = metrics::from_planes(render.color.data.data(), camera.width, camera.height, true);
@@ -130,6 +135,48 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
   EXPECT_GT(first_picture_ns, 0);
   EXPECT_LE(first_picture_ns, bus::now_ns());
   EXPECT_TRUE(fs::exists(fs::path(out_) / ("probe_" + std::to_string(compared) + "_viewer.png")));
+  const cv::Mat alpha = metrics::read_png(fs::path(out_) / ("probe_" + std::to_string(compared) + "_alpha.png"));
+  ASSERT_EQ(alpha.size(), cv::Size(64, 64));
+  raster::Render render;
+  rasterizer->render(model.view(), probed, {light, {}}, {}, render);
+  double most_off = 0;
+  for (int i = 0; i < 64 * 64; ++i) {
+    const double expected = 255.0 * render.alpha.data[static_cast<std::size_t>(i)];
+    most_off = std::max(most_off, std::abs(alpha.at<cv::Vec3b>(i / 64, i % 64)[0] - expected));
+  }
+  EXPECT_LT(most_off, 12);
+}
+
+TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {
+  const std::string way = directory_.path() + "/way.txt";
+  std::ofstream(way) << "0 1 0\n2 1 0\n";
+  start_streamer();
+  bus::Subscriber poses(peer_, {"viewer/pose"});
+  // The eye's x once it has held still for two poses, which tells where the path stands.
+  const auto rest_at = [&](float x) {
+    float before = -1;
+    return bus_test::eventually([&] {
+      const auto message = poses.receive(20ms);
+      if (!message) return false;
+      const float now = from_wire(*message->root<wire::ViewerPose>().camera()).world_from_camera.translation.x;
+      return std::abs(std::exchange(before, now) - x) < 1e-4F && std::abs(now - x) < 1e-4F;
+    });
+  };
+  start_viewer({{"path", "walk"}, {"path_file", way}, {"path_run", "false"}, {"speed_m_s", "20"}, {"threads", "1"}});
+  EXPECT_TRUE(rest_at(0));
+  ASSERT_EQ(parameters_->set("path_run", "true", true), "");
+  EXPECT_TRUE(rest_at(2));
+  ASSERT_EQ(parameters_->set("path_run", "false", true), "");
+  ASSERT_EQ(parameters_->set("path_start_s", "0.05", true), "");
+  EXPECT_TRUE(rest_at(1));
+  ASSERT_EQ(parameters_->set("path_file", directory_.path() + "/none", true), "");
+  ASSERT_EQ(parameters_->set("path_start_s", "0", true), "");
+  EXPECT_TRUE(rest_at(1)) << "a file that cannot be read leaves it on its way";
+}
+
+TEST_F(ViewerTest, APathThatCannotBeReadIsAClearError) {
+  start_streamer();
+  EXPECT_THROW(start_viewer({{"path", "walk"}, {"path_file", directory_.path() + "/none"}}), bus::Error);
 }
 
 TEST_F(ViewerTest, AWindowWithoutADisplayIsAClearError) {

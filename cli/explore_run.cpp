@@ -1,0 +1,286 @@
+#include "explore_run.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <deque>
+#include <stdexcept>
+#include <utility>
+
+#include "explore_plan.h"
+#include "figures.h"
+#include "metrics/image_io.h"
+#include "probe_round.h"
+#include "process_memory.h"
+#include "staged_training.h"
+#include "verbs.h"
+#include "viewer_watch.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+constexpr std::int64_t kRoundNs = kSecond;
+constexpr std::int64_t kWholeRoundNs = kSecond / 20;    // until the picture after the teleport is whole,
+constexpr std::int64_t kHurryNs = 5 * kSecond;          // for so long
+constexpr std::int64_t kRoundPatienceNs = 2 * kSecond;  // then those that did not come are given up
+constexpr std::int64_t kAnswerPatienceNs = 6 * kSecond;
+constexpr std::int64_t kControlNs = kSecond;  // what a viewer was told and does not do yet it is told again
+constexpr double kMostStart_s = 90;           // until every viewer shows the start
+constexpr double kStartPatience_s = 10;       // from the first pictures on, until they are whole
+constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
+constexpr float kAtStart_m = 0.2F;
+constexpr std::size_t kSheetInstants = 8;
+
+class ExploreRun {
+ public:
+  ExploreRun(const ExploreRunOptions& options, const std::string& name, const StopSignals& signals,
+             const std::function<void(const std::string&)>& show_state)
+      : options_(options),
+        signals_(signals),
+        show_state_(show_state),
+        log_(options.setup.out / fmt::format("services_{}.log", name)),
+        plan_(plan_exploration(options, folder_.address(), folder_.path())),
+        context_(connect(folder_.address())),
+        watch_(context_),
+        viewers_(context_),
+        probes_(context_, {}),
+        controls_(context_),
+        begun_ns_(bus::now_ns()),
+        run_(plan_.launch, log_) {
+    results_.out_s = plan_.ways.front().out_s();
+    results_.walk_s = plan_.ways.front().walk_s();
+  }
+
+  ExploreResults run() {
+    while (!ready()) step();
+    walk_ns_ = bus::now_ns();
+    while (time_s() < results_.walk_s + options_.stay_s) {
+      tell_to_walk();
+      step();
+    }
+    asking_ = false;
+    const std::int64_t end_ns = bus::now_ns() + kAnswerPatienceNs;
+    while (!waiting_.empty() && bus::now_ns() < end_ns) step();
+    run_.stop();
+    return std::move(results_);
+  }
+
+ private:
+  /// A probe whose answers have not all come.
+  struct Waiting {
+    std::uint64_t probe_id = 0;
+    std::int64_t asked_ns = 0;
+    std::optional<std::size_t> sample;   ///< a viewer's own place,
+    std::size_t viewer = 0;              ///< of this one;
+    std::optional<std::size_t> station;  ///< or one that the first viewer left
+    ExplorePhase phase = ExplorePhase::Out;
+    cv::Mat engine, depth;
+  };
+
+  [[nodiscard]] double time_s() const {
+    return walk_ns_ == 0 ? 0 : static_cast<double>(bus::now_ns() - walk_ns_) / 1e9;
+  }
+
+  /// Every viewer shows the place where it starts, if need be with holes.
+  [[nodiscard]] bool ready() {
+    const double waited_s = static_cast<double>(bus::now_ns() - begun_ns_) / 1e9;
+    if (starts_.size() < plan_.viewers.size()) {
+      if (waited_s > kMostStart_s) {
+        throw std::runtime_error(
+            fmt::format("no viewer showed its start within {} s; see {}", kMostStart_s, log_.string()));
+      }
+      return false;
+    }
+    if (first_start_ns_ == 0) first_start_ns_ = bus::now_ns();
+    const bool whole = std::ranges::all_of(starts_, [](const auto& start) { return start.second <= kStartUnmodelled; });
+    return whole || static_cast<double>(bus::now_ns() - first_start_ns_) / 1e9 > kStartPatience_s;
+  }
+
+  void tell_to_walk() {
+    const std::int64_t now_ns = bus::now_ns();
+    const ViewerWatch::Pose* pose = viewers_.pose(plan_.viewers.front());
+    const bool walks = pose != nullptr && glm::distance(eye(*pose), plan_.ways.front().start()) > kAtStart_m;
+    if (walked_ || now_ns - told_ns_ < kControlNs) return;
+    walked_ = walks;
+    if (walks) return;
+    told_ns_ = now_ns;
+    send_control(controls_, "viewer", {{"path_run", "true"}});
+  }
+
+  static glm::vec3 eye(const ViewerWatch::Pose& pose) { return pose.camera.world_from_camera.translation; }
+
+  void step() {
+    run_.check();
+    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
+    watch_.poll(std::chrono::milliseconds(10));
+    viewers_.poll(std::chrono::milliseconds(0));
+    probes_.poll(std::chrono::milliseconds(0), [this](std::size_t, const ProbePicture& probe) { take(probe); });
+    note_jump();
+    take_answers();
+    if (asking_) begin_round();
+    if (bus::now_ns() - shown_ns_ < kSecond) return;
+    shown_ns_ = bus::now_ns();
+    show_state_(state());
+  }
+
+  [[nodiscard]] std::string state() const {
+    const auto& trainer = watch_.state().trainer;
+    std::string text = fmt::format("{:.0f}/{:.0f} s {}  {} Gaussians ({} active, {} spilled)", time_s(),
+                                   results_.walk_s, walk_ns_ == 0 ? "waits" : to_string(phase()),
+                                   trainer.gaussians + trainer.spilled, trainer.active, trainer.spilled);
+    for (auto sample = results_.samples.rbegin(); sample != results_.samples.rend(); ++sample) {
+      const auto& figures = sample->viewers.front();
+      if (!figures) continue;
+      text += fmt::format("  SSIM {:.3f}", figures->ssim);
+      if (figures->unmodelled_share) text += fmt::format("  unmodelled {:.1f} %", 100 * *figures->unmodelled_share);
+      break;
+    }
+    return text;
+  }
+
+  [[nodiscard]] ExplorePhase phase() const { return plan_.ways.front().phase(time_s()); }
+
+  /// When the first viewer was back at its start at once.
+  void note_jump() {
+    const ViewerWatch::Pose* pose = viewers_.pose(plan_.viewers.front());
+    if (jump_ns_ != 0 || walk_ns_ == 0 || pose == nullptr) return;
+    if (time_s() < results_.walk_s || glm::distance(eye(*pose), plan_.ways.front().start()) > kAtStart_m) return;
+    jump_ns_ = pose->told_ns;
+  }
+
+  void begin_round() {
+    const std::int64_t now_ns = bus::now_ns();
+    const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
+    const bool done = probes_.first_id() == 0 || probes_.complete();
+    const std::int64_t wait_ns = !done ? kRoundPatienceNs : hurried ? kWholeRoundNs : kRoundNs;
+    if (now_ns - asked_ns_ < wait_ns) return;
+    std::vector<Camera> cameras;
+    for (const std::string& viewer : plan_.viewers) {
+      const ViewerWatch::Pose* pose = viewers_.pose(viewer);
+      if (pose == nullptr) return;
+      cameras.push_back(pose->camera);
+    }
+    std::vector<std::size_t> stations;
+    if (walk_ns_ != 0) stations = results_.stations.pass(phase(), cameras.front());
+    for (const std::size_t station : stations) cameras.push_back(results_.stations.all()[station].camera);
+    const std::size_t count = cameras.size();
+    probes_.begin(std::move(cameras));
+    asked_ns_ = now_ns;
+    if (walk_ns_ != 0) note_sample();
+    for (std::size_t i = 0; i < count; ++i) {
+      Waiting waiting{.probe_id = probes_.first_id() + i, .asked_ns = now_ns, .phase = phase()};
+      if (i < plan_.viewers.size()) {
+        waiting.viewer = i;
+        if (walk_ns_ != 0) waiting.sample = results_.samples.size() - 1;
+      } else {
+        waiting.station = stations[i - plan_.viewers.size()];
+      }
+      waiting_.push_back(std::move(waiting));
+    }
+  }
+
+  void note_sample() {
+    ExploreSample sample{.time_s = time_s(),
+                         .phase = phase(),
+                         .eye = eye(*viewers_.pose(plan_.viewers.front())),
+                         .trainer = watch_.state().trainer,
+                         .page_bytes = watch_.state().page_bytes,
+                         .draw_ms = {},
+                         .viewers = {}};
+    sample.viewers.resize(plan_.viewers.size());
+    for (const ProcessStatus& process : run_.status()) {
+      if (process.name != "engine" && process.pid != 0)
+        sample.resident_bytes += resident_bytes(process.pid).value_or(0);
+      if (process.name != plan_.viewers.front()) continue;
+      if (const auto drawn = process.counters.find("draw_ms"); drawn != process.counters.end()) {
+        sample.draw_ms = drawn->second;
+      }
+    }
+    results_.samples.push_back(std::move(sample));
+  }
+
+  void take(const ProbePicture& probe) {
+    for (Waiting& waiting : waiting_) {
+      if (waiting.probe_id != probe.probe_id) continue;
+      waiting.engine = probe.picture;
+      waiting.depth = probe.depth;
+    }
+  }
+
+  void take_answers() {
+    std::erase_if(waiting_, [this](const Waiting& waiting) {
+      const auto* answer = viewers_.answer(plan_.viewers[waiting.viewer], waiting.probe_id);
+      if (answer == nullptr || waiting.engine.empty()) return bus::now_ns() - waiting.asked_ns > kAnswerPatienceNs;
+      take(waiting, *answer);
+      return true;
+    });
+  }
+
+  void take(const Waiting& waiting, const ViewerWatch::Answer& answer) {
+    if (waiting.station) {
+      results_.stations.judge(*waiting.station, waiting.phase, answer.quality.ssim);
+      return;
+    }
+    ViewerFigures figures{.ssim = answer.quality.ssim, .flip = answer.quality.flip, .unmodelled_share = {}};
+    if (!waiting.depth.empty()) {
+      figures.unmodelled_share = unmodelled_share(viewer_picture(waiting, "alpha"), waiting.depth);
+    }
+    if (!waiting.sample) {
+      starts_[waiting.viewer] = figures.unmodelled_share.value_or(0);
+      return;
+    }
+    ExploreSample& sample = results_.samples[*waiting.sample];
+    sample.viewers[waiting.viewer] = figures;
+    if (waiting.viewer != 0) return;
+    keep_for_sheet(waiting);
+    if (jump_ns_ == 0 || results_.teleport_whole_s || waiting.asked_ns < jump_ns_) return;
+    if (figures.unmodelled_share.value_or(0) <= kWholeUnmodelled) {
+      results_.teleport_whole_s = static_cast<double>(answer.told_ns - jump_ns_) / 1e9;
+    }
+  }
+
+  void keep_for_sheet(const Waiting& waiting) {
+    const double part = results_.samples[*waiting.sample].time_s / (results_.walk_s + options_.stay_s);
+    if (part * kSheetInstants < static_cast<double>(results_.pictures.size())) return;
+    results_.pictures.push_back(
+        {.sample = *waiting.sample, .engine = waiting.engine, .viewer = viewer_picture(waiting, "viewer")});
+  }
+
+  /// What the viewer wrote of a probe before it answered.
+  [[nodiscard]] cv::Mat viewer_picture(const Waiting& waiting, const char* kind) const {
+    const fs::path folder = folder_.path() / plan_.viewers[waiting.viewer];
+    return metrics::read_png(folder / fmt::format("probe_{}_{}.png", waiting.probe_id, kind));
+  }
+
+  const ExploreRunOptions& options_;
+  const StopSignals& signals_;
+  const std::function<void(const std::string&)>& show_state_;
+  fs::path log_;
+  PrivateBusFolder folder_;
+  ExplorePlan plan_;
+  std::shared_ptr<bus::Context> context_;
+  PipelineWatch watch_;
+  ViewerWatch viewers_;
+  ProbeRounds probes_;
+  bus::Publisher controls_;
+  std::deque<Waiting> waiting_;
+  std::map<std::size_t, double> starts_;  ///< unmodelled share of a viewer's first place
+  ExploreResults results_;
+  bool asking_ = true, walked_ = false;
+  std::int64_t begun_ns_, first_start_ns_ = 0, walk_ns_ = 0, jump_ns_ = 0;
+  std::int64_t asked_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
+  SupervisedRun run_;
+};
+
+}  // namespace
+
+ExploreResults run_exploration(const ExploreRunOptions& options, const std::string& name, const StopSignals& signals,
+                               const std::function<void(const std::string&)>& show_state) {
+  return ExploreRun(options, name, signals, show_state).run();
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,14 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <cstdint>
+#include <optional>
+
+namespace splatbus::cli {
+
+/// Bytes of a process in memory, of pages that it shares with others its part (Pss of /proc/PID/smaps_rollup): the sum
+/// over processes counts every page once. nullopt where the process is gone or is not ours to look at.
+[[nodiscard]] std::optional<std::uint64_t> resident_bytes(pid_t pid);
+
+}  // namespace splatbus::cli
