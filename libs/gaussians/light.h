@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "gaussians/camera.h"
+#include "gaussians/frames.h"
 
 namespace splatbus {
 
@@ -85,10 +86,8 @@ struct ObjectTransform {
 /// object a light that makes every surface's colour its albedo.
 [[nodiscard]] Light light_in_object(const Light& light, const ObjectTransform& world_from_object);
 
-/// The frame of reference of the far field: what lies beyond reach, the sky among it. No engine's object has this id.
-/// Its Gaussians lie on a sphere of kFarFieldRadius about kFarFieldCentre, which is far from where an object's own
-/// points are, and emit what is seen.
-inline constexpr std::uint32_t kFarFieldFrame = 0xFA00FA00;
+/// Gaussians of the far field (kFarFieldFrame) lie on a sphere of this radius about this point, which is far from where
+/// an object's own points are, and emit what is seen.
 inline constexpr float kFarFieldRadius = 4;
 inline constexpr glm::vec3 kFarFieldCentre{0, -1024, 0};
 /// Metres from any camera to the far field: everything else is nearer.

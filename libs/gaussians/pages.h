@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "gaussians/frames.h"
 #include "math/portable.h"
 
 // A model in pages: up to kPageLanes Gaussians of one frame of reference and one range of a Morton curve, whose
@@ -21,9 +22,6 @@ inline constexpr std::uint32_t kTierLanes = 256;
 inline constexpr std::uint32_t kRowWords = kPageLanes + 32;
 /// `page_shift` of Gaussians that do not lie in pages: all indices are of page 0.
 inline constexpr std::uint32_t kNoPages = 31;
-
-/// The frame of reference of what stands still.
-inline constexpr std::uint32_t kWorldFrame = 0;
 
 /// Gaussians first, first + 1, ... of one page.
 struct IndexRange {

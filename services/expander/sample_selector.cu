@@ -85,11 +85,13 @@ struct BinSample {
   const Viewpoint* viewpoints;
   std::uint32_t viewpoint_count;
   float reach_m, min_pixels;
+  std::uint32_t far_field;  ///< the frame that goes with every viewer
   float cell_size_m, search_factor;
   CellKey *keys, *report_keys;
   std::uint32_t* beyond;
 
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool pays(std::uint32_t i) const {
+    if (samples.object_id[i] == far_field) return true;
     for (std::uint32_t v = 0; v < viewpoint_count; ++v) {
       const float distance_m = distance_to_path(samples.position[i], viewpoints[v]);
       if (!(distance_m > reach_m)) return true;
@@ -322,10 +324,10 @@ void SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> ob
   counter_.clear();
   const float search_factor =
       std::max({kCellSpacings, options.new_distance, options.top_up_distance, options.refine_factor});
-  for_each_index(
-      stream_, n,
-      BinSample{samples, frames(), viewpoints_.data(), static_cast<std::uint32_t>(viewpoints.size()), options.reach_m,
-                options.min_pixels, cell_size_m_, search_factor, keys_.data(), cell_keys_.data(), counter_.data()});
+  for_each_index(stream_, n,
+                 BinSample{samples, frames(), viewpoints_.data(), static_cast<std::uint32_t>(viewpoints.size()),
+                           options.reach_m, options.min_pixels, kFarFieldFrame, cell_size_m_, search_factor,
+                           keys_.data(), cell_keys_.data(), counter_.data()});
   report_ = count_cells(stream_, cell_keys_.data(), n);
   beyond_ = counter_.to_host().front();
   with_policy(stream_, [&](auto&& policy) {

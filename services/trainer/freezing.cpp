@@ -26,7 +26,7 @@ float nearest_px_per_m(const TrainingView& view, std::uint32_t frame_id, const P
   if (frame_id != kWorldFrame) {
     const auto object = view.scene.objects.find(frame_id);
     if (object == view.scene.objects.end()) return 0;
-    world_from_frame = object->second;
+    world_from_frame = seen_from(view.camera.world_from_camera.translation, frame_id, object->second);
   }
   const glm::vec3 camera =
       inverse(world_from_frame.rigid) * view.camera.world_from_camera.translation / world_from_frame.scale;

@@ -90,7 +90,8 @@ void CpuRasterizer::drop_hidden(const FrustumCamera& pinhole, const SceneState& 
     while (frame_.gaussians.ranges[k].first != range.first) ++k;
     math::Similarity camera_from_page = camera_from_world;
     if (range.frame_id != kWorldFrame) {
-      camera_from_page = camera_from_world * portable(scene.objects.at(range.frame_id));
+      camera_from_page = camera_from_world * portable(seen_from(frame_.camera.world_from_camera.translation,
+                                                                range.frame_id, scene.objects.at(range.frame_id)));
     }
     return occlusion->hides(pinhole, camera_from_page, frame_.gaussians.bounds[k]);
   });
