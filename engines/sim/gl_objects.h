@@ -51,11 +51,16 @@ inline void delete_program(GLuint name) {
   glDeleteProgram(name);
 }
 
+inline void delete_query(GLuint name) {
+  glDeleteQueries(1, &name);
+}
+
 using GlTexture = GlName<delete_texture>;
 using GlBuffer = GlName<delete_buffer>;
 using GlVertexArray = GlName<delete_vertex_array>;
 using GlFramebuffer = GlName<delete_framebuffer>;
 using GlProgram = GlName<delete_program>;
+using GlQuery = GlName<delete_query>;
 
 [[nodiscard]] inline GlTexture make_texture(GLenum target) {
   GLuint name = 0;
@@ -67,6 +72,12 @@ using GlProgram = GlName<delete_program>;
   GLuint name = 0;
   glCreateBuffers(1, &name);
   return GlBuffer(name);
+}
+
+[[nodiscard]] inline GlQuery make_query(GLenum target) {
+  GLuint name = 0;
+  glCreateQueries(target, 1, &name);
+  return GlQuery(name);
 }
 
 [[nodiscard]] inline GlVertexArray make_vertex_array() {

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/gtc/constants.hpp>
 #include <glm/gtc/type_ptr.hpp>
 #include <set>
 #include <stdexcept>
@@ -61,10 +62,28 @@ glm::mat4 local_transform(const tinygltf::Node& node) {
   return result;
 }
 
+glm::mat4 world_from_file(const GltfFrame& frame) {
+  if (!(frame.metres_a_unit > 0) || !std::isfinite(frame.metres_a_unit))
+    throw std::runtime_error(fmt::format("{} metres a unit", frame.metres_a_unit));
+  const bool down = frame.up.starts_with('-');
+  const std::string axis = frame.up.substr(down ? 1 : 0);
+  if (axis != "x" && axis != "y" && axis != "z")
+    throw std::runtime_error(fmt::format("there is no axis '{}'", frame.up));
+  // The shortest turn that takes the axis to +y.
+  const glm::vec3 about = axis == "x" ? glm::vec3(0, 0, 1) : glm::vec3(1, 0, 0);
+  const float quarters = axis == "y" ? (down ? 2.0F : 0.0F) : axis == "x" ? (down ? -1.0F : 1.0F) : down ? 1.0F : -1.0F;
+  Pose pose;
+  pose.rotation = glm::angleAxis(quarters * glm::half_pi<float>(), about);
+  pose.scale = frame.metres_a_unit;
+  return matrix(pose);
+}
+
 class SceneReader {
  public:
-  SceneReader(tinygltf::Model model, const GltfLimits& limits)
-      : model_(std::move(model)), budget_{{limits.vertices, "vertices"}, {limits.indices, "indices"}} {}
+  SceneReader(tinygltf::Model model, const GltfLimits& limits, const GltfFrame& frame)
+      : model_(std::move(model)),
+        world_from_file_(world_from_file(frame)),
+        budget_{{limits.vertices, "vertices"}, {limits.indices, "indices"}} {}
 
   Scene read() {
     for (tinygltf::Image& image : model_.images) {
@@ -96,28 +115,28 @@ class SceneReader {
     return roots;
   }
 
-  void visit(int index, const glm::mat4& world_from_parent, int depth) {
+  void visit(int index, const glm::mat4& file_from_parent, int depth) {
     const tinygltf::Node& node = item(model_.nodes, index, "node");
     if (depth > kDeepestNode)
       throw std::runtime_error(fmt::format("node {}: more than {} levels", index, kDeepestNode));
     if (!visited_.insert(index).second)
       throw std::runtime_error(fmt::format("node {}: it is in the hierarchy twice", index));
-    const glm::mat4 world_from_node = within(fmt::format("node {} ('{}')", index, node.name), [&] {
-      glm::mat4 placed = world_from_parent * local_transform(node);
+    const glm::mat4 file_from_node = within(fmt::format("node {} ('{}')", index, node.name), [&] {
+      glm::mat4 placed = file_from_parent * local_transform(node);
       if (node.mesh >= 0) add_object(index, node, placed);
       return placed;
     });
-    for (const int child : node.children) visit(child, world_from_node, depth + 1);
+    for (const int child : node.children) visit(child, file_from_node, depth + 1);
   }
 
-  void add_object(int index, const tinygltf::Node& node, const glm::mat4& world_from_node) {
-    const float determinant = glm::determinant(glm::mat3(world_from_node));
+  void add_object(int index, const tinygltf::Node& node, const glm::mat4& file_from_node) {
+    const float determinant = glm::determinant(glm::mat3(file_from_node));
     if (!std::isfinite(determinant) || std::abs(determinant) < 1e-18F)
       throw std::runtime_error("its transform flattens it");
     Object object;
     object.id = static_cast<std::uint32_t>(scene_.objects.size() + 1);
     object.name = node.name.empty() ? fmt::format("node {}", index) : node.name;
-    object.world_from_object = world_from_node;
+    object.world_from_object = world_from_file_ * file_from_node;
     const tinygltf::Mesh& mesh = item(model_.meshes, node.mesh, "mesh");
     for (std::size_t i = 0; i < mesh.primitives.size(); ++i) {
       const tinygltf::Primitive& primitive = mesh.primitives[i];
@@ -142,6 +161,7 @@ class SceneReader {
   }
 
   tinygltf::Model model_;
+  glm::mat4 world_from_file_;
   Scene scene_;
   std::set<int> visited_;
   MeshBudget budget_;
@@ -149,8 +169,8 @@ class SceneReader {
 
 }  // namespace
 
-Scene load_gltf(const std::string& path, const GltfLimits& limits) {
-  return within(path, [&] { return SceneReader(read_gltf_file(path, limits), limits).read(); });
+Scene load_gltf(const std::string& path, const GltfLimits& limits, const GltfFrame& frame) {
+  return within(path, [&] { return SceneReader(read_gltf_file(path, limits), limits, frame).read(); });
 }
 
 }  // namespace splatbus::sim

@@ -15,12 +15,19 @@ struct GltfLimits {
   std::size_t vertices = 20'000'000, indices = 60'000'000;  ///< of every mesh, once for each node that has it
 };
 
+/// How a file's coordinates are metres with y up.
+struct GltfFrame {
+  float metres_a_unit = 1;
+  std::string up = "y";  ///< the file's axis that points up: x, -x, y, -y, z or -z
+};
+
 /// Loads a glTF 2.0 file (.glb or .gltf): every node with a mesh is an object, placed by the nodes above it; base
 /// colour factor and texture, alpha mask, double-sidedness; normals from the file or from the triangles. What is
-/// unsupported (skins, animation, lights) is ignored. The scene is left where it is, in metres.
+/// unsupported (skins, animation, lights) is ignored. The scene is left where it is, in
+/// metres once `frame` is applied about the origin.
 ///
 /// Throws std::runtime_error that names the file, the part of it and what is wrong with it. Sizes, and their
 /// sums, are bounded before anything is allocated for them.
-[[nodiscard]] Scene load_gltf(const std::string& path, const GltfLimits& limits = {});
+[[nodiscard]] Scene load_gltf(const std::string& path, const GltfLimits& limits = {}, const GltfFrame& frame = {});
 
 }  // namespace splatbus::sim

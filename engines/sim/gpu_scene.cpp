@@ -40,7 +40,7 @@ splatbus_object to_listed(std::uint32_t id, const Pose& pose, std::uint32_t flag
 
 }  // namespace
 
-GpuScene::GpuScene(const Scene& scene, float anisotropy) {
+GpuScene::GpuScene(const Scene& scene, float anisotropy, bool cull) : cull_(cull) {
   upload_textures(scene, anisotropy);
 
   std::vector<Vertex> vertices;
@@ -51,7 +51,10 @@ GpuScene::GpuScene(const Scene& scene, float anisotropy) {
                         .casts_shadow = object.casts_shadow,
                         .in_light_depth = object.in_light_depth(),
                         .emissive = object.emissive,
+                        .moving = object.motion || object.light_id != 0,
+                        .enclosed = object.enclosed,
                         .exists = true,
+                        .bounds_local = {},
                         .world_from_object = glm::mat4(1),
                         .normal_matrix = glm::mat3(1),
                         .bounds_world = {}});
@@ -68,21 +71,25 @@ GpuScene::GpuScene(const Scene& scene, float anisotropy) {
                         .double_sided = material.double_sided,
                         .bounds_local = bounds_of(part.mesh),
                         .bounds_world = {}});
+      objects_.back().bounds_local.add(parts_.back().bounds_local);
       vertices.insert(vertices.end(), part.mesh.vertices.begin(), part.mesh.vertices.end());
       indices.insert(indices.end(), part.mesh.indices.begin(), part.mesh.indices.end());
     }
     place(i, object.world_from_object);
   }
+  const Mesh unit = box(glm::vec3(1));
+  box_vertex_ = static_cast<std::int32_t>(vertices.size());
+  box_index_ = static_cast<std::uint32_t>(indices.size());
+  box_index_count_ = static_cast<std::uint32_t>(unit.indices.size());
+  vertices.insert(vertices.end(), unit.vertices.begin(), unit.vertices.end());
+  indices.insert(indices.end(), unit.indices.begin(), unit.indices.end());
 
   vertices_ = make_buffer();
   indices_ = make_buffer();
   vertex_array_ = make_vertex_array();
-  if (!vertices.empty() && !indices.empty()) {
-    glNamedBufferStorage(vertices_.get(), static_cast<GLsizeiptr>(vertices.size() * sizeof(Vertex)), vertices.data(),
-                         0);
-    glNamedBufferStorage(indices_.get(), static_cast<GLsizeiptr>(indices.size() * sizeof(std::uint32_t)),
-                         indices.data(), 0);
-  }
+  glNamedBufferStorage(vertices_.get(), static_cast<GLsizeiptr>(vertices.size() * sizeof(Vertex)), vertices.data(), 0);
+  glNamedBufferStorage(indices_.get(), static_cast<GLsizeiptr>(indices.size() * sizeof(std::uint32_t)), indices.data(),
+                       0);
   glVertexArrayVertexBuffer(vertex_array_.get(), 0, vertices_.get(), 0, sizeof(Vertex));
   glVertexArrayElementBuffer(vertex_array_.get(), indices_.get());
   const auto attribute = [&](GLuint location, GLint size, std::size_t offset) {
@@ -152,27 +159,6 @@ ObjectChanges GpuScene::set_time(const Scene& scene, double time_s, std::span<co
   }
   listed_ = std::move(listed);
   return changes;
-}
-
-std::vector<const GpuScene::Part*> GpuScene::visible_parts(const glm::mat4& clip_from_world, Shown shown) const {
-  std::vector<std::pair<float, const Part*>> visible;
-  for (const Part& part : parts_) {
-    const ObjectState& object = objects_[part.object];
-    if (part.index_count == 0 || !object.exists) continue;
-    if (shown == Shown::ShadowCasters && !object.casts_shadow) continue;
-    if (shown == Shown::InLightDepth && !object.in_light_depth) continue;
-    if (!may_be_visible(part.bounds_world, clip_from_world)) continue;
-    float farthest = -1e30F;
-    for (int i = 0; i < 8; ++i) {
-      farthest = std::max(farthest, (clip_from_world * glm::vec4(part.bounds_world.corner(i), 1)).w);
-    }
-    visible.emplace_back(farthest, &part);
-  }
-  std::ranges::stable_sort(visible, {}, &std::pair<float, const Part*>::first);
-  std::vector<const Part*> parts;
-  parts.reserve(visible.size());
-  for (const auto& entry : visible) parts.push_back(entry.second);
-  return parts;
 }
 
 void GpuScene::draw_part(const Part& part, const ShaderVariant& variant, GLuint program) const {

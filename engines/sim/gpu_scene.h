@@ -10,8 +10,8 @@
 
 namespace splatbus::sim {
 
-/// Which objects are drawn.
-enum class Shown { All, InLightDepth, ShadowCasters };
+/// Which objects are drawn. Those that are still have no motion and are no lamps; the others are moving.
+enum class Shown { All, InLightDepth, ShadowCasters, StillShadowCasters, MovingShadowCasters };
 
 /// What a new instant has changed.
 struct ObjectChanges {
@@ -22,23 +22,31 @@ struct ObjectChanges {
 /// A scene's meshes and textures on the GPU, and the transforms of one instant.
 class GpuScene {
  public:
-  GpuScene(const Scene& scene, float anisotropy);
+  GpuScene(const Scene& scene, float anisotropy, bool cull);
 
   /// Sets transforms and existence for a time at which `sources` are the lights besides the sun.
   ObjectChanges set_time(const Scene& scene, double time_s, std::span<const splatbus_light_source> sources);
   /// Whatever exists and has a motion, or a flag of splatbus_object_flags, in the scene's order.
   [[nodiscard]] const std::vector<splatbus_object>& listed() const { return listed_; }
 
-  /// Draws what may be seen, nearest first, with the program that `program_for` gives for parts with and without holes.
-  /// Framebuffer, viewport and the uniforms that do not depend on the part are the caller's.
+  /// In the world, of moving shadow casters that exist.
+  [[nodiscard]] std::vector<Bounds> moving_bounds() const;
+
+  /// Draws what may be seen, nearest first, with the program that `program_for` gives for parts with and without holes,
+  /// and for depth alone. Framebuffer, viewport and the uniforms that do not depend on the part are the caller's.
+  ///
+  /// Enclosed objects come last, and only those of whose boxes anything is seen past the others: the picture is the
+  /// same as if all of them were drawn.
   template <class ProgramFor>
-  void draw(const glm::mat4& clip_from_world, ShaderVariant variant, Shown shown, ProgramFor&& program_for) {
+  void draw(const glm::mat4& clip_from_world, const ShaderVariant& variant, Shown shown, ProgramFor&& program_for) {
     glBindVertexArray(vertex_array_.get());
-    for (const Part* part : visible_parts(clip_from_world, shown)) {
-      variant.holes = part->alpha_cutoff > 0;
-      variant.emissive = variant.lit && objects_[part->object].emissive;
-      draw_part(*part, variant, program_for(variant));
+    VisibleParts visible = visible_parts(clip_from_world, shown);
+    draw_parts(visible.open, variant, program_for);
+    if (cull_ && !visible.enclosed.empty()) {
+      leave_out_hidden(visible.enclosed, clip_from_world,
+                       program_for(ShaderVariant{.kind = ShaderVariant::Kind::Depth}));
     }
+    draw_parts(visible.enclosed, variant, program_for);
   }
 
  private:
@@ -54,14 +62,29 @@ class GpuScene {
   };
   struct ObjectState {
     std::uint32_t id;
-    bool casts_shadow, in_light_depth, emissive;
+    bool casts_shadow, in_light_depth, emissive, moving, enclosed;
     bool exists;
+    Bounds bounds_local;
     glm::mat4 world_from_object;
     glm::mat3 normal_matrix;
     Bounds bounds_world;
   };
 
-  [[nodiscard]] std::vector<const Part*> visible_parts(const glm::mat4& clip_from_world, Shown shown) const;
+  struct VisibleParts {
+    std::vector<const Part*> open, enclosed;
+  };
+  [[nodiscard]] bool shows(const ObjectState& object, Shown shown) const;
+  [[nodiscard]] VisibleParts visible_parts(const glm::mat4& clip_from_world, Shown shown) const;
+  /// Takes out the parts of objects whose boxes are wholly behind what was drawn.
+  void leave_out_hidden(std::vector<const Part*>& parts, const glm::mat4& clip_from_world, GLuint depth_program);
+  template <class ProgramFor>
+  void draw_parts(const std::vector<const Part*>& parts, ShaderVariant variant, ProgramFor&& program_for) {
+    for (const Part* part : parts) {
+      variant.holes = part->alpha_cutoff > 0;
+      variant.emissive = variant.lit && objects_[part->object].emissive;
+      draw_part(*part, variant, program_for(variant));
+    }
+  }
   void draw_part(const Part& part, const ShaderVariant& variant, GLuint program) const;
   void upload_textures(const Scene& scene, float anisotropy);
   void place(std::size_t object, const glm::mat4& world_from_object);
@@ -72,6 +95,10 @@ class GpuScene {
   std::vector<Part> parts_;
   std::vector<ObjectState> objects_;
   std::vector<splatbus_object> listed_;
+  std::vector<GlQuery> queries_;
+  std::int32_t box_vertex_ = 0;  ///< the first of a box of 1 m about the origin
+  std::uint32_t box_index_ = 0, box_index_count_ = 0;
+  bool cull_;
 };
 
 }  // namespace splatbus::sim

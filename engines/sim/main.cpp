@@ -17,6 +17,7 @@
 #include "sim/lamps.h"
 #include "sim/light_control.h"
 #include "sim/living_toys.h"
+#include "sim/projection.h"
 #include "sim/snapshot.h"
 #include "sim/toys.h"
 #include "sim/world.h"
@@ -46,7 +47,8 @@ struct Flags {
   splatbus::sim::Lighting lighting;
   splatbus::sim::RendererOptions renderer;
   splatbus::sim::EngineLoopOptions loop;
-  std::string snapshot, pose = "3.13,1.6,1.32,0,0.25,0,60", buffer = "color";
+  std::string snapshot, pose, buffer = "color";
+  splatbus::sim::GltfFrame gltf;
   std::uint32_t width = 512, height = 512;
   double time_s = 0;
   bool print_walk = false;
@@ -58,6 +60,12 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--scene", flags.scene,
                  "toys, world (a town of 224 m), field200 (posts and boxes on 200 m), or a glTF file (.glb, .gltf)")
       ->capture_default_str();
+  app.add_option("--scale", flags.gltf.metres_a_unit, "metres a unit of the glTF file")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  app.add_option("--up", flags.gltf.up, "the glTF file's axis that points up")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"x", "-x", "y", "-y", "z", "-z"}));
   app.add_option("--seed", flags.seed, "shifts, turns and tones of the toys")->capture_default_str();
   app.add_flag("--dynamics", flags.dynamics,
                "toys that live: one walks, one bounces, one turns, some come and go (toys only)");
@@ -95,8 +103,10 @@ void add_flags(CLI::App& app, Flags& flags) {
       ->capture_default_str()
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}));
   app.add_option("--snapshot", flags.snapshot, "render one picture to this PNG, without a bus, and end");
-  app.add_option("--pose", flags.pose, "of the snapshot: eye x,y,z, target x,y,z, vertical field of view in degrees")
-      ->capture_default_str();
+  app.add_option(
+      "--pose", flags.pose,
+      "of the snapshot: eye x,y,z, target x,y,z, vertical field of view in degrees; or fit, which has all of "
+      "the scene in view, as a glTF scene's is when there is none");
   app.add_option("--buffer", flags.buffer, "of the snapshot: color, albedo, normal, position, depth, id or light_depth")
       ->capture_default_str();
   app.add_option("--width", flags.width, "of the snapshot, pixels")->capture_default_str();
@@ -112,7 +122,7 @@ splatbus::sim::Scene make_scene(const Flags& flags) {
   Scene scene = toys                        ? make_toys(flags.seed, flags.dynamics)
                 : flags.scene == "field200" ? make_field(flags.seed)
                 : flags.scene == "world"    ? make_world(flags.seed, flags.dynamics)
-                                            : load_gltf(flags.scene);
+                                            : load_gltf(flags.scene, {}, flags.gltf);
   scene.lighting = flags.lighting;
   scene.lighting.night = flags.night;
   scene.lighting.clouds = flags.clouds;
@@ -120,6 +130,36 @@ splatbus::sim::Scene make_scene(const Flags& flags) {
   if (toys && flags.breathing) add_breathing_toy(scene);
   if (toys) add_lamps(scene);
   return scene;
+}
+
+/// How much it is, and where.
+std::string description(const splatbus::sim::Scene& scene) {
+  std::size_t triangles = 0;
+  for (const splatbus::sim::Object& object : scene.objects) {
+    for (const splatbus::sim::Part& part : object.parts) triangles += part.mesh.indices.size() / 3;
+  }
+  const splatbus::sim::Bounds bounds = scene.bounds(false);
+  return fmt::format("{} triangles of {} textures from ({:.2f}, {:.2f}, {:.2f}) to ({:.2f}, {:.2f}, {:.2f}) m",
+                     triangles, scene.images.size(), bounds.low.x, bounds.low.y, bounds.low.z, bounds.high.x,
+                     bounds.high.y, bounds.high.z);
+}
+
+/// Where --pose says, or else where the scene shows well.
+splatbus_camera snapshot_camera(const Flags& flags, const splatbus::sim::Scene& scene) {
+  using namespace splatbus::sim;
+  constexpr float kFov_deg = 60;
+  const Bounds bounds = scene.bounds(false);
+  const bool toys = flags.scene == "toys" || flags.scene == "field200";
+  if (flags.pose == "fit" || (flags.pose.empty() && !toys && flags.scene != "world"))
+    return fit_camera(bounds, flags.width, flags.height, kFov_deg);
+  splatbus_camera camera =
+      parse_pose(flags.pose.empty() ? "3.13,1.6,1.32,0,0.25,0,60" : flags.pose, flags.width, flags.height);
+  if (flags.pose.empty() && flags.scene == "world") {
+    const glm::vec3 eye = world_walk(flags.seed).front();
+    camera = look_at(eye, {0, eye.y, 0}, flags.width, flags.height, kFov_deg);
+  }
+  reach(camera, bounds);
+  return camera;
 }
 
 void print_walk(std::uint32_t seed) {
@@ -139,10 +179,11 @@ void run(const Flags& flags) {
   Scene scene = make_scene(flags);
   const auto context = std::make_shared<GlContext>();
   spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());
+  spdlog::info("{}", description(scene));
   Renderer renderer(context, std::move(scene), flags.renderer);
   if (!flags.snapshot.empty()) {
     renderer.set_time(flags.time_s);
-    write_snapshot(renderer, parse_pose(flags.pose, flags.width, flags.height), flags.buffer, flags.snapshot);
+    write_snapshot(renderer, snapshot_camera(flags, renderer.scene()), flags.buffer, flags.snapshot);
     return;
   }
   const std::unique_ptr<DeviceReadback> readback = make_device_readback(*context, flags.backend);

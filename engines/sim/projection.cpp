@@ -68,6 +68,30 @@ splatbus_camera look_at(const glm::vec3& eye, const glm::vec3& target, std::uint
   return camera;
 }
 
+splatbus_camera fit_camera(const Bounds& bounds, std::uint32_t width, std::uint32_t height, float vertical_fov_deg) {
+  constexpr float kMargin = 1.03F;
+  const glm::vec3 middle = (bounds.low + bounds.high) / 2.0F, from = glm::normalize(glm::vec3(0.62F, 0.48F, 0.62F));
+  splatbus_camera camera = look_at(middle + from, middle, width, height, vertical_fov_deg);
+  const glm::mat3 camera_from_axes(camera_from_world(camera));
+  const float across = camera.cx / camera.fx, down = camera.cy / camera.fy;
+  float away = 1e-3F;
+  for (int i = 0; i < 8; ++i) {
+    const glm::vec3 p = camera_from_axes * (bounds.corner(i) - middle);
+    away = std::max({away, kMargin * std::abs(p.x) / across - p.z, kMargin * std::abs(p.y) / down - p.z});
+  }
+  camera = look_at(middle + away * from, middle, width, height, vertical_fov_deg);
+  camera.near_m = std::min(camera.near_m, away / 100);
+  reach(camera, bounds);
+  return camera;
+}
+
+void reach(splatbus_camera& camera, const Bounds& bounds) {
+  const glm::mat4 from_world = camera_from_world(camera);
+  for (int i = 0; i < 8 && !bounds.empty(); ++i) {
+    camera.far_m = std::max(camera.far_m, 1.01F * (from_world * glm::vec4(bounds.corner(i), 1)).z);
+  }
+}
+
 splatbus_camera fit_light_camera(const Bounds& bounds, const glm::vec3& sun_direction, std::uint32_t width,
                                  std::uint32_t height) {
   constexpr int kRolls = 45;

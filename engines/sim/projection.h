@@ -28,6 +28,12 @@ void set_pose(splatbus_camera& camera, const glm::mat3& world_from_camera, const
 [[nodiscard]] splatbus_camera look_at(const glm::vec3& eye, const glm::vec3& target, std::uint32_t width,
                                       std::uint32_t height, float vertical_fov_deg);
 
+/// A camera that looks down at the middle of `bounds` from +x and +z, as near as all of them are in the picture.
+[[nodiscard]] splatbus_camera fit_camera(const Bounds& bounds, std::uint32_t width, std::uint32_t height,
+                                         float vertical_fov_deg);
+/// Moves the far plane away until all of `bounds` lies before it.
+void reach(splatbus_camera& camera, const Bounds& bounds);
+
 /// The orthographic camera that looks along the sun's rays and just holds `bounds`; the roll about its axis is the one
 /// that wastes the least.
 [[nodiscard]] splatbus_camera fit_light_camera(const Bounds& bounds, const glm::vec3& sun_direction,

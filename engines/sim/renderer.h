@@ -21,6 +21,7 @@ struct RendererOptions {
   int source_map_size = 512;   ///< of a point light's face, and a spot light
   float shadow_softness_m = 0.012F;  ///< radius of the shadow's filter
   float anisotropy = 8;              ///< hardware only
+  bool cull = true;                  ///< leaves out what is out of view; pictures are the same without
 };
 
 /// The scene at one instant.

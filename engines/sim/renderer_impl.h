@@ -20,7 +20,7 @@ struct Renderer::Impl {
       : context(std::move(gl_context)),
         scene(std::move(the_scene)),
         options(the_options),
-        gpu(scene, options.anisotropy),
+        gpu(scene, options.anisotropy, options.cull),
         targets(options.supersample, options.samples),
         lighting({options.shadow_map_size, options.source_map_size, options.shadow_softness_m}, scene),
         bounds(scene.bounds(false)) {}

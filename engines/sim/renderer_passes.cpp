@@ -54,7 +54,7 @@ void Renderer::Impl::shade(const LightCamera& view, bool lit, bool albedo, Readb
     const GLuint made = program(variant);
     if (std::exchange(prepared[made], true)) return made;
     glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
-    if (lit && !variant.emissive) lighting.bind(made, light);
+    if (variant.lit && !variant.emissive) lighting.bind(made, light);
     return made;
   });
 
@@ -114,7 +114,7 @@ void Renderer::Impl::geometry(const LightCamera& of, std::uint32_t buffers, Read
   gpu.draw(clip_from_world, {.kind = ShaderVariant::Kind::Geometry}, shown, [&](const ShaderVariant& variant) {
     const GLuint made = program(variant);
     glProgramUniformMatrix4fv(made, kClipFromWorld, 1, GL_FALSE, glm::value_ptr(clip_from_world));
-    glProgramUniform4fv(made, kViewZ, 1, glm::value_ptr(view_z));
+    if (variant.kind == ShaderVariant::Kind::Geometry) glProgramUniform4fv(made, kViewZ, 1, glm::value_ptr(view_z));
     return made;
   });
 

@@ -55,6 +55,7 @@ struct Object {
   bool casts_shadow = true;
   bool emissive = false;  ///< it shines with its albedo, and is not lit
   bool modelled = true;   ///< SPLATBUS_OBJECT_NOT_MODELLED where false
+  bool enclosed = false;  ///< other objects hide it from most places: drawn after them, and only where it may be seen
 
   /// Whether the depth maps that are handed out show it. A lamp's glass is neither a thing that hides its light nor one
   /// on which light falls.

@@ -56,7 +56,7 @@ void SunShadow::update(GpuScene& scene, const splatbus_light& light, const glm::
     if (map.depth_version == light.sun_depth_version && same_map(map.camera, camera)) continue;
     map = {camera, light.sun_depth_version};
     ++times_drawn_;
-    depth_.draw(static_cast<int>(i), scene, {camera, Projection::Orthographic}, program_for);
+    depth_.draw_what_moved(static_cast<int>(i), scene, {camera, Projection::Orthographic}, program_for);
   }
 }
 

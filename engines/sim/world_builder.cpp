@@ -45,6 +45,12 @@ WorldBuilder::WorldBuilder(const WorldPlan& the_plan) : plan(the_plan), palette(
   for (const glm::vec3& eye : world_walk(plan.seed)) take({eye.x, eye.z}, kWalker_m);
 }
 
+void WorldBuilder::frame(const std::string& object, const glm::mat4& world_from_object, bool enclosed) {
+  Growing& growing = objects_[object];
+  growing.world_from_object = world_from_object;
+  growing.enclosed = enclosed;
+}
+
 bool WorldBuilder::is_free(const glm::vec2& middle, float radius_m) const {
   return std::ranges::none_of(
       taken_, [&](const glm::vec3& other) { return glm::distance(middle, glm::vec2(other)) < radius_m + other.z; });
@@ -61,7 +67,7 @@ std::string WorldBuilder::square(const glm::vec2& place) {
 
 void WorldBuilder::add(const std::string& object, const Mesh& part, const Look& look,
                        const glm::mat4& world_from_part) {
-  Mesh& mesh = objects_[object][look.material];
+  Mesh& mesh = objects_[object].meshes[look.material];
   const std::size_t first = mesh.vertices.size();
   append(mesh, part, world_from_part);
   for (std::size_t i = first; i < mesh.vertices.size(); ++i) {
@@ -82,7 +88,7 @@ void WorldBuilder::add_at(const Mesh& part, const Look& look, const glm::vec2& p
 }
 
 void WorldBuilder::add_tinted(const Mesh& part, const Look& look, const glm::vec2& place) {
-  Mesh& mesh = objects_[square(place)][look.material];
+  Mesh& mesh = objects_[square(place)].meshes[look.material];
   const std::size_t first = mesh.vertices.size();
   append(mesh, part);
   for (std::size_t i = first; i < mesh.vertices.size(); ++i)
@@ -90,11 +96,21 @@ void WorldBuilder::add_tinted(const Mesh& part, const Look& look, const glm::vec
 }
 
 Scene WorldBuilder::finish() {
-  for (auto& [name, meshes] : objects_) {
+  for (auto& [name, growing] : objects_) {
     Object object;
     object.id = static_cast<std::uint32_t>(scene.objects.size() + 1);
     object.name = name;
-    for (auto& [material, mesh] : meshes) object.parts.push_back({.mesh = std::move(mesh), .material = material});
+    object.world_from_object = growing.world_from_object;
+    object.enclosed = growing.enclosed;
+    const bool framed = growing.world_from_object != glm::mat4(1);
+    for (auto& [material, mesh] : growing.meshes) {
+      Part part{.mesh = {}, .material = material};
+      if (framed)
+        append(part.mesh, mesh, glm::inverse(growing.world_from_object));
+      else
+        part.mesh = std::move(mesh);
+      object.parts.push_back(std::move(part));
+    }
     scene.objects.push_back(std::move(object));
   }
   objects_.clear();

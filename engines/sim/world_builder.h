@@ -20,6 +20,8 @@ class WorldBuilder {
   /// `plan` outlives it.
   explicit WorldBuilder(const WorldPlan& plan);
 
+  /// The object's own frame. `enclosed`: as Object has it.
+  void frame(const std::string& object, const glm::mat4& world_from_object, bool enclosed);
   /// Adds to the object of that name.
   void add(const std::string& object, const Mesh& part, const Look& look, const glm::mat4& world_from_part);
   /// Adds to the object of the square of kChunk_m in which the part stands.
@@ -42,7 +44,12 @@ class WorldBuilder {
   static std::string square(const glm::vec2& place);
 
   Scene scene;
-  std::map<std::string, std::map<int, Mesh>> objects_;
+  struct Growing {
+    std::map<int, Mesh> meshes;  ///< by material, in the world's frame
+    glm::mat4 world_from_object{1};
+    bool enclosed = false;
+  };
+  std::map<std::string, Growing> objects_;
   std::vector<glm::vec3> taken_;  ///< x, z, radius
 
  public:

@@ -33,6 +33,8 @@ void add_house(WorldBuilder& builder, const HousePlan& house);
 // Parts of it, in its frame.
 void add_roof(const Site& shell, const HousePlan& house, const Look& wall_look, Draw& draw);
 void furnish(const Site& rooms, const HousePlan& house, const Room& room, RoomUse use, Draw& draw);
-void add_rooms(const Site& rooms, const HousePlan& house, const std::vector<Look>& room_looks, Draw& draw);
+/// One site and one look a room, as rooms_of() has them.
+void add_rooms(const std::vector<Site>& rooms, const HousePlan& house, const std::vector<Look>& room_looks, Draw& draw);
+void add_stairs(const Site& site, const HousePlan& house, Draw& draw);
 
 }  // namespace splatbus::sim

@@ -81,7 +81,7 @@ void add_front_door(const Site& wall, const Opening& o, const Look& frame, const
   const float hinge = draw.sign(), wide = o.to - o.from - 2 * kJamb_m - 0.02F;
   // The wall's inner face is at -z; at 96 degrees the leaf is out of the way.
   const Site open =
-      wall.at(moved({middle + hinge * (wide / 2 + 0.02F), 0, -HousePlan::kWall_m / 2}, hinge * glm::radians(96.0F)));
+      wall.at(moved({middle + hinge * (wide / 2 + 0.02F), 0, -HousePlan::kWall_m / 2}, -hinge * glm::radians(96.0F)));
   const Site panel = open.at(moved({-hinge * wide / 2, o.high / 2 - 0.02F, 0}));
   panel.add(box({wide, o.high - kJamb_m - 0.04F, 0.045F}, 1), leaf);
   for (const float y : {-0.45F, 0.42F}) {
@@ -98,7 +98,7 @@ void add_front_door(const Site& wall, const Opening& o, const Look& frame, const
   }
 }
 
-void add_outer_walls(const Site& shell, const Site& rooms, const HousePlan& house, const Look& outer,
+void add_outer_walls(const Site& shell, const std::vector<Site>& rooms, const HousePlan& house, const Look& outer,
                      const std::vector<Look>& inner, Draw& draw) {
   const Look frame = shell.palette().look(Surface::Paint, Palette::near(draw.of(paint_tints()), 0.1F, draw), draw);
   const Look leaf = shell.palette().look(Surface::Wood, Palette::near(draw.of(paint_tints()), 0.2F, draw), draw);
@@ -108,7 +108,7 @@ void add_outer_walls(const Site& shell, const Site& rooms, const HousePlan& hous
     for (const Side side : {Side::Front, Side::Right, Side::Back, Side::Left}) {
       const std::vector<Opening> openings = openings_of(house, side, storey);
       const glm::mat4 placed = house_from_wall(house, side) * moved({0, base, 0});
-      const Site outside = shell.at(placed), inside = rooms.at(placed);
+      const Site outside = shell.at(placed);
       const float half = wall_half(house, side);
       // The inner face belongs to one room up to an inner wall, and to another beyond it.
       const auto first = static_cast<std::size_t>(3 * storey);
@@ -125,7 +125,7 @@ void add_outer_walls(const Site& shell, const Site& rooms, const HousePlan& hous
             wall(stretch.from, stretch.to, storey == 0 ? kFoot_m : 0, house.storey_m(), HousePlan::kWall_m, openings);
         outside.add(made.front, outer);
         outside.add(made.reveals, frame);
-        inside.add(made.back, inner[stretch.room]);
+        rooms[stretch.room].at(placed).add(made.back, inner[stretch.room]);
       }
       for (const Opening& opening : openings) {
         if (opening.low <= 0) {
@@ -145,18 +145,25 @@ void add_outer_walls(const Site& shell, const Site& rooms, const HousePlan& hous
 void add_house(WorldBuilder& builder, const HousePlan& house) {
   Draw draw(builder.plan.seed + 53, house.key);
   const std::string name = fmt::format("house {}", house.key);
-  const Site shell{builder, name, house.world_from_house()};
-  const Site rooms{builder, name + " rooms", house.world_from_house()};
+  const glm::mat4 world_from_house = house.world_from_house();
+  const auto site = [&](const std::string& object, bool enclosed) {
+    builder.frame(object, world_from_house, enclosed);
+    return Site{builder, object, world_from_house};
+  };
+  const Site shell = site(name, false);
+  std::vector<Site> rooms;
   const Look outer = outer_look(shell, draw);
   std::vector<Look> inner;
   for (std::size_t room = 0; room < rooms_of(house).size(); ++room) {
+    rooms.push_back(site(fmt::format("{} room {}", name, room), true));
     const glm::vec3 tint = Palette::near(draw.of(wall_tints()), 0.15F, draw);
     inner.push_back(
-        rooms.palette().look(draw.chance(0.6F) ? Surface::Wallpaper : Surface::Plaster, 0.25F + 0.75F * tint, draw));
+        builder.palette.look(draw.chance(0.6F) ? Surface::Wallpaper : Surface::Plaster, 0.25F + 0.75F * tint, draw));
   }
   add_outer_walls(shell, rooms, house, outer, inner, draw);
   add_roof(shell, house, outer, draw);
   add_rooms(rooms, house, inner, draw);
+  if (house.storeys > 1) add_stairs(site(name + " stairs", true), house, draw);
 }
 
 }  // namespace splatbus::sim

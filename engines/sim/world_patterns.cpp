@@ -189,7 +189,7 @@ Image wood_grain(std::uint32_t seed) {
     const float bend = noise(seed + 9, {u * 3, v * 3}, {3, 3});
     const float rings = 0.5F + 0.5F * std::sin(glm::two_pi<float>() * (v * 8 + 0.8F * bend));
     const float streak = noise(seed, {u * 5, v * 60}, {5, 60});
-    return glm::vec3(0.95F, 0.9F, 0.84F) * (0.95F - 0.28F * rings - 0.25F * streak);
+    return glm::vec3(0.95F, 0.9F, 0.84F) * (0.98F - 0.13F * rings - 0.22F * streak);
   });
 }
 

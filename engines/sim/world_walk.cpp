@@ -109,20 +109,26 @@ std::vector<Leg> round(const WorldPlan& plan) {
           {first.high, {}}};
 }
 
+struct Walked {
+  Path path;
+  float last_visit_m = 0;  ///< how long it is by the end of the last visit
+};
+
 /// Round two blocks, into the houses whose turns `visited` has.
-Path walk_into(const WorldPlan& plan, const std::vector<bool>& visited) {
-  Path path(plan);
-  path.along(plan.block(1, 1).grown(kFromLawn_m).high);
+Walked walk_into(const WorldPlan& plan, const std::vector<bool>& visited) {
+  Walked walked{Path(plan)};
+  walked.path.along(plan.block(1, 1).grown(kFromLawn_m).high);
   std::size_t turn = 0;
   for (const Leg& leg : round(plan)) {
     for (const HousePlan& house : leg.houses) {
       if (!visited[turn++]) continue;
-      path.along({before_door(house, kBeforeDoor_m).x, path.plan_place().y});
-      visit(path, house);
+      walked.path.along({before_door(house, kBeforeDoor_m).x, walked.path.plan_place().y});
+      visit(walked.path, house);
+      walked.last_visit_m = walked.path.length();
     }
-    path.along(leg.to);
+    walked.path.along(leg.to);
   }
-  return path;
+  return walked;
 }
 
 }  // namespace
@@ -172,12 +178,13 @@ std::vector<glm::vec3> world_walk(std::uint32_t seed) {
   const auto stairs = std::ranges::find_if(houses, [](const HousePlan& house) { return house.storeys > 1; });
   const auto stairs_at = static_cast<std::size_t>(stairs - houses.begin());
   visited.at(stairs_at) = true;
-  for (const std::size_t by : {5U, 8U, 3U, 10U, 6U, 9U, 4U, 2U}) {
+  constexpr std::ptrdiff_t kMostVisits = 5;
+  for (const std::size_t by : {5U, 3U, 8U, 10U, 6U, 9U, 4U, 2U, 1U, 7U, 11U}) {
     std::vector<bool> more = visited;
     more[(stairs_at + by) % houses.size()] = true;
-    if (walk_into(plan, more).length() <= kWalk_m) visited = more;
+    if (std::ranges::count(more, true) <= kMostVisits && walk_into(plan, more).last_visit_m <= kWalk_m) visited = more;
   }
-  Path path = walk_into(plan, visited);
+  Path path = walk_into(plan, visited).path;
   // What is left leads round the first block again.
   for (const Leg& leg : round(plan)) {
     if (path.length() < kWalk_m) path.along(leg.to);

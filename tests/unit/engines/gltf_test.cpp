@@ -1,8 +1,11 @@
 #include <gmock/gmock.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <fstream>
 #include <random>
+#include <utility>
 
 #include "../bus/bus_fixture.h"
 #include "render_scenes.h"
@@ -100,6 +103,58 @@ TEST_F(Gltf, NodesWithAMeshAreObjectsInTheirPlaces) {
   EXPECT_NEAR(pictures.world_position[4 * middle + 2], 2, 1e-4F);
   EXPECT_NEAR(pictures.albedo[4 * middle], 255 * srgb_from_linear(0.5F), 0.75F);
   EXPECT_NEAR(pictures.albedo[4 * middle + 2], 255 * srgb_from_linear(0.125F), 0.75F);
+}
+
+TEST_F(Gltf, CentimetresAndAnyAxisUpBecomeMetresWithYUp) {
+  // A square of 200 cm that lies on its file's z = 40 and faces up along z, with a corner at x = 100, y = -100.
+  std::string json = square_json();
+  for (const auto& [from, to] : {std::pair<std::string, std::string>{R"("translation": [0, 1, 0], )", ""},
+                                 {R"("translation": [0, 0, 2], "scale": [0.5, 0.5, 0.5])",
+                                  R"("translation": [0, 0, 40], "scale": [100, 100, 100])"}}) {
+    const std::size_t at = json.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    json.replace(at, from.size(), to);
+  }
+  const std::string path = write(glb(json, square_bytes()));
+  const auto corner = [&](const char* up) {
+    const Scene scene = load_gltf(path, {}, {.metres_a_unit = 0.01F, .up = up});
+    const Object& square = scene.objects.at(0);
+    EXPECT_EQ(square.name, "near");
+    // Right-handed still: a reflection would turn the square's face down.
+    EXPECT_GT(glm::determinant(glm::mat3(square.world_from_object)), 0) << up;
+    return glm::vec3(square.world_from_object * glm::vec4(1, -1, 0, 1));
+  };
+  const auto expect_at = [&](const char* up, const glm::vec3& place) {
+    EXPECT_LT(glm::distance(corner(up), place), 1e-5F) << up;
+  };
+  expect_at("y", {1, -1, 0.4F});
+  expect_at("z", {1, 0.4F, 1});
+  expect_at("-y", {1, 1, -0.4F});
+  expect_at("-z", {1, -0.4F, -1});
+  expect_at("x", {1, 1, 0.4F});
+  expect_at("-x", {-1, -1, 0.4F});
+  EXPECT_THROW(static_cast<void>(corner("w")), std::runtime_error);
+}
+
+TEST_F(Gltf, AFittedCameraHasAllOfTheSceneInView) {
+  for (const float metres_a_unit : {0.01F, 1.0F, 40.0F}) {
+    Scene scene = load_gltf(write(glb(square_json(), square_bytes())), {}, {.metres_a_unit = metres_a_unit, .up = "z"});
+    const Bounds bounds = scene.bounds(false);
+    Renderer renderer(shared_context(), std::move(scene));
+    const splatbus_camera camera = fit_camera(bounds, 96, 64, 60);
+    const glm::mat4 clip_from_world = clip_from_camera(camera) * camera_from_world(camera);
+    float widest = 0;
+    for (int i = 0; i < 8; ++i) {
+      const glm::vec4 clip = clip_from_world * glm::vec4(bounds.corner(i), 1);
+      ASSERT_GT(clip.w, 0);
+      ASSERT_LT(std::abs(clip.z), clip.w);
+      widest = std::max({widest, std::abs(clip.x / clip.w), std::abs(clip.y / clip.w)});
+    }
+    EXPECT_LT(widest, 1);
+    EXPECT_GT(widest, 0.9F) << "it fills the view";
+    const Pictures& pictures = renderer.render(camera, SPLATBUS_BUFFER_OBJECT_ID);
+    EXPECT_GT(std::ranges::count_if(pictures.object_id, [](std::uint32_t id) { return id > 0; }), 300);
+  }
 }
 
 TEST_F(Gltf, WhatIsWrongIsNamed) {
