@@ -44,7 +44,10 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
       settings.emplace_back(fmt::format("{}.max_gaussians", service), std::to_string(*options.max_gaussians));
     }
   }
-  if (!options.rests) settings.emplace_back("trainer.freeze", "false");
+  if (!options.rests) {
+    settings.emplace_back("trainer.freeze", "false");
+    settings.emplace_back("trainer.cull_hidden", "false");
+  }
   apply_settings(settings, file);
 }
 
