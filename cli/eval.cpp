@@ -228,7 +228,9 @@ void add_explore_verb(CLI::App& eval, Action& action) {
       "explore", "A walk through a world, back over its own path, and a teleport to the start, over time");
   ExploreRunOptions& run = options->explore.run;
   add_setup_options(*verb, *options, run.setup);
-  verb->add_option("--seconds", run.seconds, "of the walk, out and back")->check(CLI::Range(10.0, 86400.0));
+  verb->add_option("--seconds", run.seconds, "of the walk out")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--back-seconds", run.back_s, "of the way back over its own path (default: half of that)")
+      ->check(CLI::Range(1.0, 86400.0));
   verb->add_option("--speed", run.speed_m_s, "of the walk, m/s")->check(CLI::Range(0.01, 100.0));
   verb->add_option("--stay", run.stay_s, "after the teleport, s")->check(CLI::Range(0.0, 86400.0));
   verb->add_option("--scene", run.scene, "of the engine");

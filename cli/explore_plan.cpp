@@ -44,7 +44,10 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
       settings.emplace_back(fmt::format("{}.max_gaussians", service), std::to_string(*options.max_gaussians));
     }
   }
-  if (!options.rests) settings.emplace_back("trainer.freeze", "false");
+  if (!options.rests) {
+    settings.emplace_back("trainer.freeze", "false");
+    settings.emplace_back("trainer.cull_hidden", "false");
+  }
   apply_settings(settings, file);
 }
 
@@ -88,7 +91,8 @@ ExplorePlan plan_exploration(const ExploreRunOptions& options, const bus::Addres
   for (int i = 0; i < options.viewers; ++i) {
     plan.viewers.push_back(options.viewers == 1 ? "viewer" : fmt::format("viewer-{}", i + 1));
     const double from_m = i * std::min(kApart_m, way_m / 2);
-    plan.ways.emplace_back(legs.front(), from_m, options.seconds, options.speed_m_s);
+    plan.ways.emplace_back(legs.front(), from_m, options.seconds, options.back_s.value_or(options.seconds / 2),
+                           options.speed_m_s);
     write_text(options.setup.out / fmt::format("path_{}.txt", plan.viewers.back()), plan.ways.back().path_text());
   }
   return plan;

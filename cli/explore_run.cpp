@@ -26,10 +26,10 @@ constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kRoundNs = kSecond;
 constexpr std::int64_t kWholeRoundNs = kSecond / 20;    // until the picture after the teleport is whole,
 constexpr std::int64_t kHurryNs = 5 * kSecond;          // for so long
-constexpr std::int64_t kRoundPatienceNs = 2 * kSecond;  // then those that did not come are given up
-constexpr std::int64_t kAnswerPatienceNs = 6 * kSecond;
+constexpr std::int64_t kRoundPatienceNs = 8 * kSecond;  // then those that did not come are given up
+constexpr std::int64_t kAnswerPatienceNs = 12 * kSecond;
 constexpr std::int64_t kControlNs = kSecond;  // what a viewer was told and does not do yet it is told again
-constexpr double kMostStart_s = 90;           // until every viewer shows the start
+constexpr double kMostStart_s = 120;          // until every viewer shows the start
 constexpr double kStartPatience_s = 10;       // from the first pictures on, until they are whole
 constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
 constexpr float kAtStart_m = 0.2F;

@@ -17,10 +17,11 @@ namespace splatbus::cli {
 
 struct ExploreRunOptions {
   EvaluationSetup setup;
-  std::string scene;            ///< the engine's --scene; empty: what the launch file says
-  std::filesystem::path path;   ///< a polyline, `x y z` a line; empty: the engine's own, by --print-walk
-  std::filesystem::path world;  ///< folder of the world; empty: none
-  double seconds = 300;         ///< of the walk
+  std::string scene;             ///< the engine's --scene; empty: what the launch file says
+  std::filesystem::path path;    ///< a polyline, `x y z` a line; empty: the engine's own, by --print-walk
+  std::filesystem::path world;   ///< folder of the world; empty: none
+  double seconds = 300;          ///< of the walk out
+  std::optional<double> back_s;  ///< of the way back over its own path; nullopt: half of that
   double speed_m_s = 1.4;
   double stay_s = 8;  ///< after the teleport
   int viewers = 1;    ///< the second walks ahead of the first

@@ -53,14 +53,13 @@ const char* to_string(ExplorePhase phase) {
   return "";
 }
 
-ExploreWay::ExploreWay(const viewer::PathLeg& way, double from_m, double seconds, double speed_m_s)
-    : out_(stretch(way, from_m, kOutShare * seconds * speed_m_s)), speed_m_s_(speed_m_s) {
+ExploreWay::ExploreWay(const viewer::PathLeg& way, double from_m, double out_s, double back_s, double speed_m_s)
+    : out_(stretch(way, from_m, out_s * speed_m_s)), speed_m_s_(speed_m_s) {
   if (length_m(out_) < kShortest_m) {
     throw std::runtime_error(
         fmt::format("a way of {:.1f} m leaves nothing to walk from {:.1f} m on", length_m(way), from_m));
   }
-  const viewer::PathLeg reversed(out_.rbegin(), out_.rend());
-  back_ = stretch(reversed, 0, length_m(out_) * (1 / kOutShare - 1));
+  back_ = stretch(viewer::PathLeg(out_.rbegin(), out_.rend()), 0, std::max(kAhead_m, back_s * speed_m_s));
 }
 
 ExplorePhase ExploreWay::phase(double time_s) const {

@@ -22,15 +22,13 @@ enum class ExplorePhase : std::uint8_t { Out, Back, Teleported };
 
 [[nodiscard]] const char* to_string(ExplorePhase phase);
 
-/// A walk out and a part of the way back over its own path, then back to the start at once, where the walker stays.
-/// Times are of the walk, which is at one speed.
+/// A walk out, some of the way back over its own path, then to the start at once, where the walker stays. Times are of
+/// the walk, which is at one speed.
 class ExploreWay {
  public:
-  static constexpr double kOutShare = 0.6;  ///< of the time; the teleport then leads somewhere that was left long ago
-
-  /// Starts `from_m` along `way`. Where this is too short for the time, the walk turns at its end and is shorter.
-  /// Throws std::runtime_error where nothing is left of it.
-  ExploreWay(const viewer::PathLeg& way, double from_m, double seconds, double speed_m_s);
+  /// Starts `from_m` along `way`, which is long enough or the walker turns at its end. Throws std::runtime_error where
+  /// nothing is left of it.
+  ExploreWay(const viewer::PathLeg& way, double from_m, double out_s, double back_s, double speed_m_s);
 
   [[nodiscard]] double out_s() const { return length_m(out_) / speed_m_s_; }
   [[nodiscard]] double walk_s() const { return out_s() + length_m(back_) / speed_m_s_; }

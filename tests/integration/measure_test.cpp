@@ -212,12 +212,11 @@ TEST(Measure, EvalExploreWalksOutAndBackAndJumpsToTheStart) {
   const PrivateBusFolder folder;
   const fs::path out = folder.path() / "eval", way = folder.path() / "way.txt";
   std::ofstream(way) << "2 1.6 3\n40 1.6 3\n";
-  const Answer answer =
-      splatbus_command({"eval",         "explore", "--scene",   "field200", "--path",          way.string(),
-                        "--seconds",    "20",      "--speed",   "2",        "--stay",          "4",
-                        "--size",       "64",      "--cameras", "4",        "--input-cameras", "8",
-                        "--input-size", "64",      "--budget",  "12000",    "--viewers",       "2",
-                        "--json",       "--out",   out.string()});
+  const Answer answer = splatbus_command(
+      {"eval",           "explore", "--scene",         "field200", "--path",       way.string(), "--seconds", "12",
+       "--back-seconds", "8",       "--speed",         "2",        "--stay",       "4",          "--size",    "64",
+       "--cameras",      "4",       "--input-cameras", "8",        "--input-size", "64",         "--budget",  "12000",
+       "--viewers",      "2",       "--json",          "--out",    out.string()});
   ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
   const Json summary = read_json(out / "summary.json");
   EXPECT_EQ(answer.json().back(), summary);

@@ -25,7 +25,7 @@ Camera at(float x) {
 }
 
 TEST(ExploreWay, GoesOutComesBackAPartAndJumpsToTheStart) {
-  const ExploreWay way(kWay, 20, 100, 1.4);
+  const ExploreWay way(kWay, 20, 60, 40, 1.4);
   EXPECT_NEAR(way.out_s(), 60, 1e-4);
   EXPECT_NEAR(way.walk_s(), 100, 1e-4);
   EXPECT_EQ(way.phase(59), ExplorePhase::Out);
@@ -46,10 +46,10 @@ TEST(ExploreWay, GoesOutComesBackAPartAndJumpsToTheStart) {
 }
 
 TEST(ExploreWay, TurnsWhereTheWayEnds) {
-  const ExploreWay way(kWay, 150, 300, 1);
+  const ExploreWay way(kWay, 150, 300, 20, 1);
   EXPECT_NEAR(way.out_s(), 50, 1e-4);
-  EXPECT_NEAR(way.walk_s(), 50 / ExploreWay::kOutShare, 1e-3);
-  EXPECT_THROW(ExploreWay(kWay, 199.5, 300, 1), std::runtime_error);
+  EXPECT_NEAR(way.walk_s(), 70, 1e-3);
+  EXPECT_THROW(ExploreWay(kWay, 199.5, 300, 20, 1), std::runtime_error);
 }
 
 TEST(Stations, AreJudgedOnceFromTheSameDistanceBothWays) {
