@@ -60,6 +60,18 @@ class RigControlTest : public testing::Test {
       control_.inputs().arrived(*rig, request.camera.id, request.request_id, std::make_shared<InputView>(), now_ns_);
     }
   }
+  /// Every face of each depth cube that is asked for shows surfaces at that distance. Returns how many faces.
+  int answer_cubes(float depth_m) {
+    int faces = 0;
+    for (const CameraRequest& request : control_.cameras().of_role(CameraRole::Probe)) {
+      const Camera* const camera = control_.ranges().awaited(request.camera.id, request.request_id);
+      if (camera == nullptr) continue;
+      std::vector<float> depth(std::size_t{camera->width} * camera->height, depth_m);
+      control_.ranges().take(request.camera.id, std::move(depth), control_.cameras());
+      ++faces;
+    }
+    return faces;
+  }
   void look(const std::string& viewer, const Camera& camera) { told_.tell(viewer, camera, now_ns_); }
   void pass(std::int64_t ns) { now_ns_ += ns; }
 

@@ -40,6 +40,12 @@ TEST_F(RigControlTest, OnTheRingWhoeverLooks) {
   const auto left = update();
   ASSERT_EQ(left.size(), 2U);
   EXPECT_EQ(left[0].id, 2U);
+  set("input_cameras", "0");
+  EXPECT_EQ(update().size(), 12U);
+  EXPECT_TRUE(of(CameraRole::Input).empty());
+  set("input_cameras", "3");
+  update();
+  EXPECT_EQ(of(CameraRole::Input).size(), 3U);
 }
 
 TEST_F(RigControlTest, TakesOverTheViewersPicture) {
@@ -161,6 +167,64 @@ TEST_F(RigControlTest, ABlindCameraIsTriedElsewhereAndThenGivenUp) {
   answer_all();
   EXPECT_TRUE(rig("v").round.ready(now_ns_, kSecond)) << "without it";
   EXPECT_EQ(rig("v").round.views().size(), 11U);
+}
+
+TEST_F(RigControlTest, ADomeThatWasNotTestedIsTestedOnceFreeSpaceIsKnown) {
+  set("input_range_hz", "2");
+  update();
+  look("v", standing({0, 1.6F, 0}));
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 0.25F, 0}, 3.5F), 12) << "it waits for its cube";
+  pass(kSecond * 4 / 10);
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, -3.4F}, 3.5F), 12) << "but not for long";
+  EXPECT_EQ(answer_cubes(1), 6);
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 1.2F), 12);
+  EXPECT_NEAR(rig("v").place.centre.z, -1, 0.1F);
+  EXPECT_TRUE(control_.cameras().of_role(CameraRole::Probe).empty());
+  const auto generation = rig("v").round.rig_generation();
+  update();
+  EXPECT_EQ(rig("v").round.rig_generation(), generation);
+}
+
+TEST_F(RigControlTest, CubesAreBoundedAndAskedForWhereTheyAreOfUse) {
+  set("input_range_hz", "2");
+  int faces = 0;
+  float x = 0;
+  for (; now_ns_ < 11 * kSecond; pass(kSecond / 100)) {
+    look("v", standing({x += 2, 1.6F, 0}));
+    update();
+    faces += answer_cubes(10);
+  }
+  EXPECT_GE(faces, 6 * 20);
+  EXPECT_LE(faces, 6 * 23);
+  // At rest there is one, and no more until it is of no use: it is far off, or a wall is between.
+  const auto asked = [&] {
+    pass(2 * kSecond);
+    look("v", standing({x, 1.6F, 0}));
+    update();
+    return answer_cubes(2);
+  };
+  asked();
+  EXPECT_EQ(asked(), 0);
+  x += 0.6F;
+  EXPECT_EQ(asked(), 0);
+  x += 0.6F;
+  EXPECT_EQ(asked(), 6);
+  set("input_move_m", "2");
+  x += 2.5F;  // where the cube has shown a wall
+  EXPECT_EQ(asked(), 6);
+  // A cube that never comes is given up.
+  x += 9;
+  pass(2 * kSecond);
+  look("v", standing({x, 1.6F, 0}));
+  update();
+  EXPECT_EQ(control_.cameras().of_role(CameraRole::Probe).size(), 6U);
+  const auto before = control_.cameras().of_role(CameraRole::Probe).front().request_id;
+  pass(kSecond * 3 / 2);
+  update();
+  EXPECT_GT(control_.cameras().of_role(CameraRole::Probe).front().request_id, before);
 }
 
 }  // namespace

@@ -159,6 +159,22 @@ TEST_F(RigControlTest, InputCamerasGoWhereTheyAreNeeded) {
   EXPECT_EQ(rig("a").cameras.size() + rig("b").cameras.size(), 12U);
 }
 
+TEST_F(RigControlTest, WhereSamplesAreNewWeighsAsMuchAsMotion) {
+  look("a", standing({0, 1.6F, 0}));
+  look("b", standing({100, 1.6F, 0}));
+  update();
+  control_.inputs().note_new_share(rig("a").round.rig_generation(), 0);
+  control_.inputs().note_new_share(rig("b").round.rig_generation(), 0.8F);
+  for (int i = 1; i < 3; ++i) {
+    pass(kSecond / 10);
+    look("a", standing({static_cast<float>(i), 1.6F, 0}));
+    look("b", standing({100 + static_cast<float>(i), 1.6F, 0}));
+    update();
+    EXPECT_EQ(rig("a").cameras.size(), 4U);
+    EXPECT_EQ(rig("b").cameras.size(), 8U);
+  }
+}
+
 TEST_F(RigControlTest, MoreViewersThanCamerasTakeTurns) {
   set("input_cameras", "8");
   set("reference_cameras", "2");
