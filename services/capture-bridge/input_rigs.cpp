@@ -111,7 +111,7 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
   }
   const std::size_t before = rigs_.size();
   forget_left(wished, shares);
-  if (placed.empty() && rigs_.size() == before) return {};
+  if (!anew && placed.empty() && rigs_.size() == before) return {};
   return request(options, placed, now_ns, cameras);
 }
 

@@ -122,7 +122,7 @@ void Options::bind(bus::ParameterBinder& p) {
   read_size("input_size", input_size, 8, 2048, dome.size);
   follow_rig.cameras = ring.cameras;
   follow_rig.size = ring.size;
-  range.move_m = placement.move_m;
+  range.move_m = 2 * placement.move_m;
   range.reach_m = dome.radius_m;
   placement.fixed_centre = !input_center.empty();
   read_point("input_center", input_center, placement.centre);

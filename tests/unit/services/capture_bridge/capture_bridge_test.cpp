@@ -100,6 +100,9 @@ TEST_F(CaptureBridgeTest, NothingStarvesWhileViewerSunAndObjectsMove) {
   constexpr int kFrames = 600, kDelay = 3, kPicturesAFrame = 2;
   std::map<std::uint64_t, int> asked;  // request ids, in which frame
   engine_.lose = [](const Camera&) { return true; };
+  Camera unasked = look_at({0, 2, 2}, {0, 0, 0}, 8, 8, 1);
+  unasked.role = CameraRole::Probe;
+  unasked.id = 1'000'000;
   int probes = 0;
   for (int frame = 0; frame < kFrames; ++frame) {
     const float t = static_cast<float>(frame);
@@ -120,6 +123,10 @@ TEST_F(CaptureBridgeTest, NothingStarvesWhileViewerSunAndObjectsMove) {
       ++rendered;
     }
     asked = std::move(still);
+    // Nobody has asked for it: it tells that the bridge has had all of the frame.
+    const std::uint64_t had = bridge_->counters().frames;
+    engine_.submit(unasked, wire::EngineBuffer::Color, 0);
+    ASSERT_TRUE(until([&] { return bridge_->counters().frames > had + static_cast<std::uint64_t>(rendered); }));
   }
   ASSERT_TRUE(until([&] { return !received_["capture/input"].empty(); }));
   std::map<std::uint32_t, int> of_reference;

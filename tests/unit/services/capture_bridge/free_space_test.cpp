@@ -137,9 +137,9 @@ TEST(DomePlace, LeadsButNotThroughWalls) {
   scene.boxes = room({0, 0, 0}, false);
   const FreeSpace free = seen_from(scene, viewer.position());
   const glm::vec3 centre = dome_place(options, &viewer, &free, 0).centre;
-  EXPECT_LT(centre.x, 1.7F);
-  EXPECT_GE(centre.x, 0.8F);
-  EXPECT_GE(centre.z, -2.05F) << "no farther than the wall ahead";
+  // 0.8 * 2 m to the side, then towards 3 m ahead of that as far as the wall at 2 m.
+  EXPECT_NEAR(centre.x, 1.6F * 2 / 3, 0.1F);
+  EXPECT_NEAR(centre.z, -2, 0.1F);
 }
 
 TEST(DomePlace, RisesWithTheViewerAndLooksForNothingInTheSky) {

@@ -1,168 +1,8 @@
-// Where both rigs stand for one viewer and for several, and whose cameras are whose.
-#include <gtest/gtest.h>
+// Where both rigs stand for one viewer.
+#include "rig_fixture.h"
 
-#include <numeric>
-#include <set>
-
-#include "capture-bridge/rig_control.h"
-#include "wire/convert.h"
-
-namespace splatbus::capture_bridge {
+namespace splatbus::capture_bridge::test {
 namespace {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
-
-TEST(DivideCameras, ByNeedWithALeastForEach) {
-  const auto divide = [](int total, std::vector<float> needs, int least) {
-    return divide_cameras(total, needs, least);
-  };
-  EXPECT_EQ(divide(24, {1}, 4), (std::vector{24}));
-  EXPECT_EQ(divide(24, {1, 1}, 4), (std::vector{12, 12}));
-  EXPECT_EQ(divide(24, {0, 0}, 4), (std::vector{12, 12}));
-  EXPECT_EQ(divide(24, {0, 2}, 4), (std::vector{4, 20}));
-  EXPECT_EQ(divide(24, {0.5F, 1.5F}, 4), (std::vector{8, 16}));
-  EXPECT_EQ(divide(8, {1, 1, 1}, 1), (std::vector{3, 3, 2}));
-  EXPECT_EQ(divide(8, {0.1F, 2, 1}, 4), (std::vector{0, 4, 4})) << "enough for two";
-  EXPECT_EQ(divide(3, {1, 2}, 4), (std::vector{0, 3}));
-  EXPECT_EQ(divide(2, {1, 1, 1}, 1), (std::vector{1, 1, 0})) << "those who came first";
-  EXPECT_EQ(divide(0, {1, 1}, 1), (std::vector{0, 0}));
-  EXPECT_TRUE(divide(8, {}, 1).empty());
-  for (int total = 1; total < 40; ++total) {
-    const auto shares = divide(total, {0.3F, 1.7F, 0.01F, 1, 0.6F}, 3);
-    EXPECT_EQ(std::accumulate(shares.begin(), shares.end(), 0), total);
-    EXPECT_GE(*std::ranges::min_element(shares), 0);
-  }
-}
-
-TEST(CameraShares, IdsHaveOneOwnerAndStay) {
-  CameraShares shares;
-  shares.set_total(8);
-  shares.take_share("a", {{"a", 8}});
-  ASSERT_EQ(shares.of("a").size(), 8U);
-  EXPECT_EQ(shares.of("a")[7], 7U);
-  shares.take_share("b", {{"a", 5}, {"b", 3}});
-  EXPECT_EQ(std::vector(shares.of("a").begin(), shares.of("a").end()), (std::vector<std::uint32_t>{0, 1, 2, 3, 4}));
-  EXPECT_EQ(shares.of("b").size(), 3U);
-  shares.take_share("c", {{"b", 3}, {"c", 2}});
-  EXPECT_EQ(shares.of("a").size(), 3U) << "who has no share any more gives first";
-  EXPECT_EQ(shares.of("b").size(), 3U);
-  shares.release("b");
-  shares.take_share("c", {{"a", 3}, {"c", 5}});
-  EXPECT_EQ(shares.of("a").size(), 3U) << "what is free goes first";
-  std::set<std::uint32_t> all;
-  for (const auto& [owner, ids] : shares.all()) all.insert(ids.begin(), ids.end());
-  EXPECT_EQ(all.size(), 8U);
-  shares.set_total(2);
-  EXPECT_EQ(shares.of("a").size(), 2U);
-  EXPECT_TRUE(shares.of("c").empty());
-}
-
-/// Poses as viewers tell them.
-class Poses {
- public:
-  void tell(const std::string& viewer, const Camera& camera, std::int64_t now_ns) {
-    flatbuffers::FlatBufferBuilder builder;
-    const wire::Camera out = to_wire(camera);
-    const auto header = wire::CreateHeaderDirect(builder, "", "");
-    builder.Finish(wire::CreateViewerPoseDirect(builder, header, viewer.c_str(), &out));
-    ASSERT_TRUE(poses.take(*flatbuffers::GetRoot<wire::ViewerPose>(builder.GetBufferPointer()), now_ns));
-  }
-  ViewerPoses poses;
-};
-
-Camera standing(const glm::vec3& eye) {
-  return look_at(eye, eye + glm::vec3(0, 0, -1), 64, 64, 1);
-}
-
-TEST(Viewers, KnowVelocitiesJumpsAndOrder) {
-  Poses told;
-  Viewers viewers;
-  const auto tell = [&](const std::string& name, const glm::vec3& eye, std::int64_t now_ns) {
-    told.tell(name, standing(eye), now_ns);
-    told.poses.expire(now_ns);
-    viewers.update(told.poses, 3, now_ns);
-  };
-  for (int i = 0; i <= 20; ++i) tell("walker", {0.14F * static_cast<float>(i), 1, 0}, i * kSecond / 10);
-  EXPECT_NEAR(viewers.all().at("walker").velocity_m_s.x, 1.4F, 0.01F);
-  EXPECT_EQ(viewers.all().at("walker").jumps, 0U);
-  tell("walker", {50, 1, 0}, 21 * kSecond / 10);
-  EXPECT_EQ(viewers.all().at("walker").velocity_m_s, glm::vec3(0));
-  EXPECT_EQ(viewers.all().at("walker").jumps, 1U);
-  tell("a later one", {70, 1, 0}, 21 * kSecond / 10);
-  EXPECT_EQ(viewers.in_order(), (std::vector<std::string>{"walker", "a later one"}));
-  EXPECT_EQ(viewers.middle(10), glm::vec3(50, 1, 0));
-  EXPECT_EQ(viewers.middle(30), glm::vec3(60, 1, 0));
-  tell("walker", {50.1F, 1, 0}, 22 * kSecond / 10);
-  EXPECT_GT(viewers.all().at("walker").velocity_m_s.x, 0);
-  viewers.update(told.poses, 3, 3 * kSecond);
-  EXPECT_EQ(viewers.all().at("walker").velocity_m_s, glm::vec3(0)) << "it tells no more that it walks";
-  tell("a later one", {70, 1, 0}, 5 * kSecond);
-  EXPECT_EQ(viewers.in_order(), (std::vector<std::string>{"a later one"}));
-  told.poses.expire(9 * kSecond);
-  viewers.update(told.poses, 3, 9 * kSecond);
-  EXPECT_EQ(viewers.all().size(), 1U) << "the last one is where it was";
-}
-
-TEST(Viewers, HeadingIsTheAngleAboutY) {
-  for (const float angle : {-2.0F, 0.0F, 0.4F, 3.0F}) {
-    const glm::vec3 forward = glm::angleAxis(angle, glm::vec3(0, 1, 0)) * glm::vec3(0, 0, -1);
-    EXPECT_NEAR((Viewer{.camera = look_at({0, 0, 0}, forward, 8, 8, 1)}.heading()), angle, 1e-5F);
-  }
-  EXPECT_EQ((Viewer{.camera = look_at({0, 0, 0}, {0, -1, 0}, 8, 8, 1)}.heading(1.25F)), 1.25F);
-}
-
-class RigControlTest : public testing::Test {
- protected:
-  RigControlTest() {
-    set("input_cameras", "12");
-    set("reference_cameras", "4");
-    set("input_range_hz", "0");
-    set("input_lead_s", "0");
-    set("reference_size", "64");
-  }
-  void set(const char* name, const char* value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
-
-  /// All that came before is answered, unless it is said not to be.
-  std::vector<Camera> update(bool answer = true) {
-    told_.poses.expire(now_ns_);
-    auto left = control_.update(told_.poses, now_ns_);
-    if (answer) answer_all();
-    return left;
-  }
-  void answer_all() {
-    for (const CameraRequest& request : control_.cameras().requests()) {
-      if (request.camera.role == CameraRole::Reference) control_.references().arrived(request.camera.id);
-      if (request.camera.role != CameraRole::Input) continue;
-      InputRig* const rig = control_.inputs().awaiting(request.camera.id, request.request_id);
-      if (rig == nullptr) continue;
-      control_.inputs().arrived(*rig, request.camera.id, request.request_id, std::make_shared<InputView>(), now_ns_);
-    }
-  }
-  void look(const std::string& viewer, const Camera& camera) { told_.tell(viewer, camera, now_ns_); }
-  void pass(std::int64_t ns) { now_ns_ += ns; }
-
-  [[nodiscard]] std::vector<Camera> of(CameraRole role) {
-    std::vector<Camera> cameras;
-    for (const CameraRequest& request : control_.cameras().of_role(role)) cameras.push_back(request.camera);
-    return cameras;
-  }
-  /// How many stand that near to a place; all ids of the role are different.
-  [[nodiscard]] int about(CameraRole role, const glm::vec3& place, float metres) {
-    int count = 0;
-    std::set<std::uint32_t> ids;
-    for (const Camera& camera : of(role)) {
-      count += glm::distance(camera.world_from_camera.translation, place) < metres ? 1 : 0;
-      EXPECT_TRUE(ids.insert(camera.id).second) << camera.id;
-    }
-    return count;
-  }
-  [[nodiscard]] InputRig& rig(const std::string& viewer) { return control_.inputs().all().at(viewer); }
-
-  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
-  RigControl control_{parameters_, 1000};
-  Poses told_;
-  std::int64_t now_ns_ = kSecond;
-};
 
 TEST_F(RigControlTest, StandsAboutThePlaceOfInterestUntilAViewerComes) {
   update();
@@ -200,6 +40,12 @@ TEST_F(RigControlTest, OnTheRingWhoeverLooks) {
   const auto left = update();
   ASSERT_EQ(left.size(), 2U);
   EXPECT_EQ(left[0].id, 2U);
+  set("input_cameras", "0");
+  EXPECT_EQ(update().size(), 12U);
+  EXPECT_TRUE(of(CameraRole::Input).empty());
+  set("input_cameras", "3");
+  update();
+  EXPECT_EQ(of(CameraRole::Input).size(), 3U);
 }
 
 TEST_F(RigControlTest, TakesOverTheViewersPicture) {
@@ -295,100 +141,6 @@ TEST_F(RigControlTest, ARigThatIsRenderedStaysButForWhoJumps) {
   EXPECT_GT(step(120, false), jumped + 1);
 }
 
-TEST_F(RigControlTest, TwoViewersFarApartAreBothServedAtOnce) {
-  update();
-  look("a", standing({0, 1.6F, 0}));
-  look("b", standing({100, 1.6F, 0}));
-  EXPECT_TRUE(update().empty());
-  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, -3.4F}, 3.5F), 6);
-  EXPECT_EQ(about(CameraRole::Input, {100, 1.6F, -3.4F}, 3.5F), 6);
-  EXPECT_EQ(about(CameraRole::Reference, {0, 1.6F, 0}, 1), 2);
-  EXPECT_EQ(about(CameraRole::Reference, {100, 1.6F, 0}, 1), 2);
-  EXPECT_EQ(about(CameraRole::Reference, {0, 1.6F, 0}, 1e-4F), 1) << "aligned";
-  EXPECT_EQ(about(CameraRole::Reference, {100, 1.6F, 0}, 1e-4F), 1);
-  EXPECT_TRUE(rig("a").round.ready(now_ns_, kSecond)) << "each has its own round";
-  EXPECT_TRUE(rig("b").round.ready(now_ns_, kSecond));
-  EXPECT_NE(rig("a").round.rig_generation(), rig("b").round.rig_generation());
-
-  // One that walks has another round, and the other's stands.
-  const auto of_a = rig("a").round.rig_generation();
-  pass(kSecond / 10);
-  look("b", standing({101, 1.6F, 0}));
-  update();
-  EXPECT_EQ(rig("a").round.rig_generation(), of_a);
-
-  // Who leaves frees them all.
-  pass(3 * kSecond / 2);
-  look("b", standing({101, 1.6F, 0}));
-  update();
-  pass(kSecond);
-  const auto left = update();
-  EXPECT_EQ(left.size(), 12U - static_cast<std::size_t>(about(CameraRole::Input, {101, 1.6F, -3.4F}, 3.5F)));
-  EXPECT_EQ(about(CameraRole::Reference, {101, 1.6F, 0}, 1), 4);
-  pass(kSecond / 10);
-  look("b", standing({102, 1.6F, 0}));
-  EXPECT_TRUE(update().empty());
-  EXPECT_EQ(about(CameraRole::Input, {102, 1.6F, -3.4F}, 3.5F), 12);
-}
-
-/// Who looks at new ground has more of the input cameras than who stands where all is known; and gives them back.
-TEST_F(RigControlTest, InputCamerasGoWhereTheyAreNeeded) {
-  look("a", standing({0, 1.6F, 0}));
-  look("b", standing({100, 1.6F, 0}));
-  update();
-  control_.inputs().note_new_share(rig("a").round.rig_generation(), 0);
-  control_.inputs().note_new_share(rig("b").round.rig_generation(), 0.8F);
-  pass(kSecond / 10);
-  look("b", standing({101, 1.6F, 0}));
-  const auto before = rig("a").requested;
-  EXPECT_TRUE(update().empty());
-  EXPECT_EQ(rig("a").cameras.size(), 4U);
-  EXPECT_EQ(rig("b").cameras.size(), 8U);
-  for (const auto& [id, request_id] : rig("a").requested) {
-    EXPECT_EQ(before.at(id), request_id) << "those that stay are not rendered again";
-  }
-  EXPECT_EQ(rig("a").round.views().size(), 4U);
-  float low = 10, high = 0;
-  for (const Camera& camera : rig("a").cameras) {
-    low = std::min(low, camera.world_from_camera.translation.y - 1.6F);
-    high = std::max(high, camera.world_from_camera.translation.y - 1.6F);
-  }
-  EXPECT_LT(low, 1) << "thinner, and still a dome";
-  EXPECT_GT(high, 2);
-  control_.inputs().note_new_share(rig("b").round.rig_generation(), 0);
-  for (int i = 1; i < 4; ++i) {
-    pass(kSecond / 10);
-    look("a", standing({static_cast<float>(i), 1.6F, 0}));
-    look("b", standing({101, 1.6F, 0}));
-    update();
-  }
-  EXPECT_GT(rig("a").cameras.size(), 6U);
-  EXPECT_EQ(rig("a").cameras.size() + rig("b").cameras.size(), 12U);
-}
-
-TEST_F(RigControlTest, MoreViewersThanCamerasTakeTurns) {
-  set("input_cameras", "8");
-  set("reference_cameras", "2");
-  const auto all_look = [&](float x) {
-    for (int i = 0; i < 5; ++i) look("v" + std::to_string(i), standing({100.0F * static_cast<float>(i) + x, 1.6F, 0}));
-    update();
-    pass(kSecond / 10);
-  };
-  std::set<std::string> served;
-  for (int step = 0; step < 12; ++step) {
-    all_look(0);
-    for (auto& [name, rig] : control_.inputs().all()) {
-      if (rig.round.rig_generation() == 0) continue;
-      served.insert(name);
-      control_.inputs().note_new_share(rig.round.rig_generation(), 0);
-    }
-    EXPECT_LE(of(CameraRole::Input).size(), 8U);
-  }
-  EXPECT_EQ(served.size(), 5U);
-  EXPECT_EQ(of(CameraRole::Reference).size(), 2U);
-  EXPECT_EQ(about(CameraRole::Reference, {0, 1.6F, 0}, 1e-4F), 1);
-}
-
 TEST_F(RigControlTest, ABlindCameraIsTriedElsewhereAndThenGivenUp) {
   look("v", standing({0, 1.6F, 0}));
   update(false);
@@ -417,24 +169,63 @@ TEST_F(RigControlTest, ABlindCameraIsTriedElsewhereAndThenGivenUp) {
   EXPECT_EQ(rig("v").round.views().size(), 11U);
 }
 
-TEST_F(RigControlTest, CascadesLieAboutTheViewersThatAreNearEachOther) {
-  Light light;
-  look("a", standing({10, 1.6F, 0}));
-  look("b", standing({30, 1.6F, 0}));
-  look("c", standing({300, 1.6F, 0}));
+TEST_F(RigControlTest, ADomeThatWasNotTestedIsTestedOnceFreeSpaceIsKnown) {
+  set("input_range_hz", "2");
   update();
-  control_.update_lights(light);
-  Camera whole{.role = CameraRole::Light, .width = 1024, .height = 1024};
-  whole.fx = whole.fy = 1024.0F / 283;
-  control_.lights().saw(0, 0, whole);
-  control_.update_lights(light);
-  const auto maps = control_.cameras().of_role(CameraRole::Light);
-  ASSERT_EQ(maps.size(), 3U);
-  for (const CameraRequest& map : maps) {
-    if (map.extent_m == 0) continue;
-    EXPECT_EQ(map.camera.world_from_camera.translation, glm::vec3(20, 1.6F, 0));
+  look("v", standing({0, 1.6F, 0}));
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 0.25F, 0}, 3.5F), 12) << "it waits for its cube";
+  pass(kSecond * 4 / 10);
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, -3.4F}, 3.5F), 12) << "but not for long";
+  EXPECT_EQ(answer_cubes(1), 6);
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 1.2F), 12);
+  EXPECT_NEAR(rig("v").place.centre.z, -1, 0.1F);
+  EXPECT_TRUE(control_.cameras().of_role(CameraRole::Probe).empty());
+  const auto generation = rig("v").round.rig_generation();
+  update();
+  EXPECT_EQ(rig("v").round.rig_generation(), generation);
+}
+
+TEST_F(RigControlTest, CubesAreBoundedAndAskedForWhereTheyAreOfUse) {
+  set("input_range_hz", "2");
+  int faces = 0;
+  float x = 0;
+  for (; now_ns_ < 11 * kSecond; pass(kSecond / 100)) {
+    look("v", standing({x += 2, 1.6F, 0}));
+    update();
+    faces += answer_cubes(10);
   }
+  EXPECT_GE(faces, 6 * 20);
+  EXPECT_LE(faces, 6 * 23);
+  // At rest there is one, and no more until it is of no use: it is far off, or a wall is between.
+  const auto asked = [&] {
+    pass(2 * kSecond);
+    look("v", standing({x, 1.6F, 0}));
+    update();
+    return answer_cubes(2);
+  };
+  asked();
+  EXPECT_EQ(asked(), 0);
+  x += 0.6F;
+  EXPECT_EQ(asked(), 0);
+  x += 0.6F;
+  EXPECT_EQ(asked(), 6);
+  set("input_move_m", "2");
+  x += 2.5F;  // where the cube has shown a wall
+  EXPECT_EQ(asked(), 6);
+  // A cube that never comes is given up.
+  x += 9;
+  pass(2 * kSecond);
+  look("v", standing({x, 1.6F, 0}));
+  update();
+  EXPECT_EQ(control_.cameras().of_role(CameraRole::Probe).size(), 6U);
+  const auto before = control_.cameras().of_role(CameraRole::Probe).front().request_id;
+  pass(kSecond * 3 / 2);
+  update();
+  EXPECT_GT(control_.cameras().of_role(CameraRole::Probe).front().request_id, before);
 }
 
 }  // namespace
-}  // namespace splatbus::capture_bridge
+}  // namespace splatbus::capture_bridge::test

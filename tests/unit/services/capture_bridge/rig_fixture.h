@@ -1,0 +1,101 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "capture-bridge/rig_control.h"
+#include "wire/convert.h"
+
+namespace splatbus::capture_bridge::test {
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+
+/// Poses as viewers tell them.
+class Poses {
+ public:
+  void tell(const std::string& viewer, const Camera& camera, std::int64_t now_ns) {
+    flatbuffers::FlatBufferBuilder builder;
+    const wire::Camera out = to_wire(camera);
+    const auto header = wire::CreateHeaderDirect(builder, "", "");
+    builder.Finish(wire::CreateViewerPoseDirect(builder, header, viewer.c_str(), &out));
+    ASSERT_TRUE(poses.take(*flatbuffers::GetRoot<wire::ViewerPose>(builder.GetBufferPointer()), now_ns));
+  }
+  ViewerPoses poses;
+};
+
+/// Looks along -z.
+inline Camera standing(const glm::vec3& eye) {
+  return look_at(eye, eye + glm::vec3(0, 0, -1), 64, 64, 1);
+}
+
+/// Both rigs and an engine that answers at once, at times that the test sets.
+class RigControlTest : public testing::Test {
+ protected:
+  RigControlTest() {
+    set("input_cameras", "12");
+    set("reference_cameras", "4");
+    set("input_range_hz", "0");
+    set("input_lead_s", "0");
+    set("reference_size", "64");
+  }
+  void set(const char* name, const char* value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
+
+  /// All that came before is answered, unless it is said not to be.
+  std::vector<Camera> update(bool answer = true) {
+    told_.poses.expire(now_ns_);
+    auto left = control_.update(told_.poses, now_ns_);
+    if (answer) answer_all();
+    return left;
+  }
+  void answer_all() {
+    for (const CameraRequest& request : control_.cameras().requests()) {
+      if (request.camera.role == CameraRole::Reference) control_.references().arrived(request.camera.id);
+      if (request.camera.role != CameraRole::Input) continue;
+      InputRig* const rig = control_.inputs().awaiting(request.camera.id, request.request_id);
+      if (rig == nullptr) continue;
+      control_.inputs().arrived(*rig, request.camera.id, request.request_id, std::make_shared<InputView>(), now_ns_);
+    }
+  }
+  /// Every face of each depth cube that is asked for shows surfaces at that distance. Returns how many faces.
+  int answer_cubes(float depth_m) {
+    int faces = 0;
+    for (const CameraRequest& request : control_.cameras().of_role(CameraRole::Probe)) {
+      const Camera* const camera = control_.ranges().awaited(request.camera.id, request.request_id);
+      if (camera == nullptr) continue;
+      std::vector<float> depth(std::size_t{camera->width} * camera->height, depth_m);
+      control_.ranges().take(request.camera.id, std::move(depth), control_.cameras());
+      ++faces;
+    }
+    return faces;
+  }
+  void look(const std::string& viewer, const Camera& camera) { told_.tell(viewer, camera, now_ns_); }
+  void pass(std::int64_t ns) { now_ns_ += ns; }
+
+  [[nodiscard]] std::vector<Camera> of(CameraRole role) {
+    std::vector<Camera> cameras;
+    for (const CameraRequest& request : control_.cameras().of_role(role)) cameras.push_back(request.camera);
+    return cameras;
+  }
+  /// How many stand that near to a place; all ids of the role are different.
+  [[nodiscard]] int about(CameraRole role, const glm::vec3& place, float metres) {
+    int count = 0;
+    std::set<std::uint32_t> ids;
+    for (const Camera& camera : of(role)) {
+      count += glm::distance(camera.world_from_camera.translation, place) < metres ? 1 : 0;
+      EXPECT_TRUE(ids.insert(camera.id).second) << camera.id;
+    }
+    return count;
+  }
+  [[nodiscard]] InputRig& rig(const std::string& viewer) { return control_.inputs().all().at(viewer); }
+
+  bus::Parameters parameters_{bus::Parameters::declare<Options>()};
+  RigControl control_{parameters_, 1000};
+  Poses told_;
+  std::int64_t now_ns_ = kSecond;
+};
+
+}  // namespace splatbus::capture_bridge::test
