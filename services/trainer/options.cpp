@@ -8,6 +8,7 @@ namespace splatbus::trainer {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
+  using bus::kMebibytes;
   constexpr double kMaxSteps = 1e15;
   constexpr double kMebipixels = 1 << 20;
   p.add("appearance", layout.appearance, "appearance model",
@@ -19,6 +20,12 @@ void Options::bind(bus::ParameterBinder& p) {
         kFixed, kMebipixels);
   p.add("seed", seed, "of the order of views", {0, kMaxSteps}, kFixed);
   p.add("threads", threads, "of the rasterizer, 0: one a core", {0, 256}, kFixed);
+  p.add("world", world.folder, "folder that keeps the model across runs, empty: none", kFixed);
+  p.add("world_period_s", world.period_s, "s from one commit to the folder to the next", {0.01, 60}, kFixed);
+  p.add("world_mb_s", world.bytes_per_s, "MiB a second of pages that are kept because their values have changed",
+        {1, 4096}, kFixed, kMebibytes);
+  p.add("world_staging_mb", world.staging_bytes, "MiB of memory for pages on their way to the folder", {1, 4096},
+        kFixed, kMebibytes);
 
   p.add("paused", paused, "no optimizer steps while true");
   p.add("run_until", run_until, "step at which the optimizer stops, 0: never", {0, kMaxSteps});

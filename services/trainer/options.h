@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "bus/parameters.h"
@@ -48,6 +49,14 @@ struct DensifyOptions {
   float clone_max_scale_m = 0;       ///< larger ones are split
 };
 
+/// A world folder (world_keeper.h).
+struct WorldParameters {
+  std::string folder;                                  ///< empty: none
+  double period_s = 1;                                 ///< from commit to commit
+  std::size_t bytes_per_s = std::size_t{32} << 20U;    ///< of model that are copied because values have changed
+  std::size_t staging_bytes = std::size_t{64} << 20U;  ///< of memory for pages on their way to the folder
+};
+
 /// The trainer's parameters as numbers.
 struct Options {
   // Fixed once started.
@@ -56,6 +65,7 @@ struct Options {
   std::size_t max_picture_pixels = 1U << 24U;        ///< larger pictures are refused
   std::uint64_t seed = 1;
   int threads = 0;  ///< 0: all cores
+  WorldParameters world;
 
   // Changed at run time.
   bool paused = false;

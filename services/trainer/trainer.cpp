@@ -48,6 +48,7 @@ void Trainer::run() {
   store_ = std::make_unique<model::PageStore>(
       service_.bus, options.layout, model::PageStoreOptions{.max_gaussians = options.max_gaussians}, service_.backend);
   spdlog::info("model: {}", store_->origin());
+  if (!options.world.folder.empty()) keeper_ = std::make_unique<WorldKeeper>(*store_, options.world);
   optimizer_ = std::make_unique<Optimizer>(*store_, options, make_step_);
   pair_views();
 

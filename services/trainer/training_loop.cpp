@@ -74,6 +74,7 @@ void Trainer::optimize_once() {
   refresh_options();
   const Commands commands = commands_.take();
   bool structure_changed = optimizer_->apply(commands, views_.versions());
+  if (keeper_) keeper_->turn();
   if (!commands.visibilities.empty()) pair_views();
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
@@ -168,6 +169,8 @@ void Trainer::publish_stats(bool stopped) {
   } else {
     service_.detail("trains");
   }
+  const WorldKeeper::Stats kept = keeper_ ? keeper_->stats() : WorldKeeper::Stats{};
+  service_.counter("world_copy_s", kept.copy_s);
   publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
     return wire::CreateTrainerStats(
         builder, header, store_->step(), store_->views(), store_->optimizer_s(), progress_.steps_per_s(),

@@ -1,0 +1,82 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "model/page_store.h"
+#include "trainer/options.h"
+#include "trainer/world_writer.h"
+#include "world/world.h"
+
+namespace splatbus::trainer {
+
+/// Keeps a trainer's model in a world folder (docs/world-folder.md), so that after a crash at any moment what is lost
+/// are at most the last two seconds of its structure: about once a second, all pages whose structure has changed are
+/// copied between two steps and written as one commit, and beside them, as bytes a second allow, those whose values
+/// have changed and were kept longest ago. Belongs to the thread that owns the store; compression and the disk are a
+/// thread of its own.
+class WorldKeeper {
+ public:
+  /// Opens the folder, or makes it. A store that is empty gets what the folder holds; one that holds a living model
+  /// stands, and the folder follows. Throws world::WorldError when it is not a world of this layout, or is in use.
+  WorldKeeper(model::PageStore& store, const WorldParameters& parameters);
+  /// Keeps what there is to keep, for as long as a few seconds.
+  ~WorldKeeper();
+  WorldKeeper(const WorldKeeper&) = delete;
+  WorldKeeper& operator=(const WorldKeeper&) = delete;
+
+  /// Between two steps, as often as one likes.
+  void turn();
+
+  struct Stats {
+    std::uint64_t disk_bytes = 0;
+    std::uint64_t rounds = 0, pages = 0;    ///< that were written
+    double copy_s = 0, longest_copy_s = 0;  ///< that the owner's thread has spent on it; in one turn
+  };
+  [[nodiscard]] Stats stats() const;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  /// Of a page as it is in the folder, or about to be.
+  struct Kept {
+    std::uint32_t page = 0;
+    std::uint64_t generation = 0;  ///< of the page's entry; 0: to be written in any case
+    std::uint64_t step = 0;
+    std::uint64_t seen = 0;  ///< number of the last look at the store that found it
+  };
+  struct Candidate {
+    world::PageKey key;
+    std::uint32_t page = 0;
+    std::uint64_t step = 0;  ///< when it was kept last
+  };
+
+  void restore();
+  void follow();
+  void finish(std::unique_ptr<KeepRound> round);
+  [[nodiscard]] bool start_round(Clock::time_point now, double seconds);
+  void look(std::vector<Candidate>& changed, std::vector<Candidate>& stale);
+  void stage(KeepRound& round, const Candidate& candidate);
+
+  model::PageStore& store_;
+  WorldParameters parameters_;
+  device::StreamView stream_;
+  std::shared_ptr<world::World> world_;
+  std::map<world::PageKey, Kept> kept_;
+  std::map<world::PageKey, world::PageEntry> elsewhere_;  ///< pages that are in the folder alone
+  std::vector<world::PageKey> uncommitted_;
+  world::WorldProgress committed_;
+  std::unique_ptr<KeepRound> spare_;
+  std::uint64_t looks_ = 0;
+  double allowance_bytes_ = 0;
+  Clock::time_point last_round_{}, next_round_{};
+  bool failing_ = false;
+  Stats stats_;
+  WorldWriter writer_;
+};
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,96 @@
+#include "trainer/world_writer.h"
+
+#include <spdlog/spdlog.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <utility>
+
+#include "model/page_content.h"
+
+namespace splatbus::trainer {
+
+WorldWriter::WorldWriter(std::shared_ptr<world::World> world)
+    : world_(std::move(world)), thread_([this](const std::stop_token& stop) { run(stop); }) {}
+
+bool WorldWriter::busy() const {
+  const std::scoped_lock lock(mutex_);
+  return next_ || writing_ || done_;
+}
+
+void WorldWriter::start(std::unique_ptr<KeepRound> round) {
+  {
+    const std::scoped_lock lock(mutex_);
+    next_ = std::move(round);
+  }
+  changed_.notify_all();
+}
+
+std::unique_ptr<KeepRound> WorldWriter::take_done() {
+  const std::scoped_lock lock(mutex_);
+  return std::move(done_);
+}
+
+void WorldWriter::wait() const {
+  std::unique_lock lock(mutex_);
+  changed_.wait(lock, [&] { return !next_ && !writing_; });
+}
+
+void WorldWriter::run(const std::stop_token& stop) {
+  // Of this thread alone, on Linux. Training comes first.
+  static_cast<void>(::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), 10));
+  while (true) {
+    std::unique_ptr<KeepRound> round;
+    {
+      std::unique_lock lock(mutex_);
+      if (!changed_.wait(lock, stop, [&] { return next_ != nullptr; })) return;
+      round = std::move(next_);
+      writing_ = true;
+    }
+    round->error.clear();
+    try {
+      write(*round);
+    } catch (const world::WorldError& error) {
+      round->error = error.what();
+      try {
+        world_->abandon();
+      } catch (const world::WorldError&) {  // Cut at the next opening.
+      }
+    }
+    const bool committed = round->commits && round->error.empty();
+    {
+      const std::scoped_lock lock(mutex_);
+      done_ = std::move(round);
+      writing_ = false;
+    }
+    changed_.notify_all();
+    if (!committed) continue;
+    try {
+      world_->compact();
+    } catch (const world::WorldError& error) {
+      spdlog::warn("world: {}", error.what());
+    }
+  }
+}
+
+void WorldWriter::write(KeepRound& round) {
+  const ParameterLayout& layout = world_->layout();
+  world::Page page;
+  for (std::size_t p = 0; p < round.used; ++p) {
+    const StagedPage& staged = round.pages[p];
+    page.key = staged.key;
+    page.mark = staged.mark;
+    page.state = staged.structure.state;
+    page.count = staged.structure.count;
+    page.step = staged.step;
+    page.bounds = staged.bounds;
+    page.words.resize(model::content_words(layout, page.count));
+    model::pack_page(layout, staged.block.data(), page.count, page.words.data());
+    page.morton_last = model::last_morton_key(layout, {staged.structure, page.words});
+    world_->put(page, world::encode_page(page, layout));
+  }
+  for (const world::PageKey& key : round.removals) world_->remove(key);
+  if (round.commits) world_->commit(round.progress);
+}
+
+}  // namespace splatbus::trainer
