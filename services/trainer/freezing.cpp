@@ -57,6 +57,7 @@ Freezer::Page& Freezer::at(const model::PageStore& store, std::uint32_t page) {
 }
 
 void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks) {
+  if (first_seen_s_ < 0) first_seen_s_ = store.optimizer_s();
   for (const ViewLook& look : looks) {
     for (const raster::PageLook& seen : look.pages) {
       model::PageEntry& entry = store.table().entry(seen.page);
@@ -78,6 +79,9 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
                                 std::span<const float> movements) {
   const double now_s = store.optimizer_s();
   next_s_ = now_s + std::min(kDecidePeriod_s, options.after_s);
+  if (next_freeze_s_ < 0) next_freeze_s_ = first_seen_s_ + options.after_s;
+  const bool may_freeze = now_s >= next_freeze_s_;
+  if (may_freeze) next_freeze_s_ = now_s + options.after_s;
   Change change;
   const std::span<const IndexRange> ranges = store.view().ranges;
   for (std::size_t r = 0; r < ranges.size(); ++r) {
@@ -85,7 +89,7 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
     Page& page = at(store, number);
     model::PageEntry& entry = store.table().entry(number);
     entry.movement = movements[r];
-    if (!page.frozen && now_s - page.seen_s > kUnseenTimes * std::max(options.after_s, kDecidePeriod_s)) {
+    if (!page.frozen && may_freeze && now_s - page.seen_s > kUnseenTimes * std::max(options.after_s, kDecidePeriod_s)) {
       entry.loss = 0;  // nobody knows what it would have come to: it goes on with what is seen of it next
       change.freeze.push_back(number);
       continue;
@@ -100,7 +104,7 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       continue;
     }
     entry.loss = static_cast<float>(loss);
-    if (now_s - page.since_s < options.after_s) continue;
+    if (!may_freeze || now_s - page.since_s < options.after_s) continue;
     const bool settled = page.loss_before >= 0 && loss > (1 - options.least_gain) * page.loss_before;
     if (settled && movements[r] <= options.most_movement) change.freeze.push_back(number);
     page.loss_before = loss;

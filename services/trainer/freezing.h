@@ -44,7 +44,9 @@ class Freezer {
   Page& at(const model::PageStore& store, std::uint32_t page);
 
   std::vector<Page> pages_;
-  double next_s_ = 0;
+  /// Of optimizer time: when decide() is due, when pages may freeze, and when all began. The latter is rare, for what
+  /// reads the model has to look at each page anew that changes its state.
+  double next_s_ = 0, next_freeze_s_ = -1, first_seen_s_ = -1;
 };
 
 /// Pixels that a metre takes at the point of a page's bounds that is nearest to the camera; 0 for an object that the

@@ -86,6 +86,27 @@ TEST(Occlusion, LeavesOutWhatIsHiddenAndThePictureIsTheSame) {
   }
 }
 
+TEST(Occlusion, WhereWhatHidFadesThePageIsBackAVisitLater) {
+  TestScene scene = walled_crowd();
+  PagedModel paged(scene.view(), 12, 1);
+  const auto rasterizer = make_cpu_rasterizer(1);
+  const Camera camera = look_at({0.3F, 0.2F, 2.5F}, {0, 0, 0}, 90, 70, 0.9F);
+  Render picture, all;
+  rasterizer->forward(paged.bounded_view(), camera, scene.state, {}, picture);
+  Occlusion occlusion;
+  rasterizer->occlusion(occlusion);
+  paged.for_each([&](std::uint32_t i, std::size_t) {
+    float& logit = paged.memory[paged.view().offset(i) + 10 * kPageLanes];
+    logit = std::min(logit, -4.0F);
+  });
+  rasterizer->forward(paged.bounded_view(), camera, scene.state, {}, all);
+  rasterizer->forward(paged.bounded_view(), camera, scene.state, {.occlusion = &occlusion}, picture);
+  EXPECT_NE(picture.color.data, all.color.data);
+  rasterizer->occlusion(occlusion);
+  rasterizer->forward(paged.bounded_view(), camera, scene.state, {.occlusion = &occlusion}, picture);
+  EXPECT_EQ(picture.color.data, all.color.data);
+}
+
 TEST(Occlusion, IsOfOnePlaceAndOneSceneOnly) {
   TestScene scene = walled_crowd();
   PagedModel paged(scene.view(), 12, 1);

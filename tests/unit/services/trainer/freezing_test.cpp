@@ -87,7 +87,7 @@ TEST_F(FreezerTest, ItTrainsAgainWhereItsLossRises) {
   EXPECT_TRUE(second({0.145, 0.1}).thaw.empty());
   EXPECT_EQ(second({0.17, 0.1}).thaw, std::vector{pages_[0]});
   // And rests again when it has learned what there was.
-  for (int s = 0; s < 6; ++s) (void)second({0.12, 0.1});
+  for (int s = 0; s < 8; ++s) (void)second({0.12, 0.1});
   EXPECT_EQ(state(0), PageState::Frozen);
 }
 
@@ -96,7 +96,7 @@ TEST_F(FreezerTest, ItTrainsAgainWhenAViewComesNearer) {
   ASSERT_EQ(state(0), PageState::Frozen);
   EXPECT_TRUE(second({0.1}, 8, 2.2F).thaw.empty());
   EXPECT_EQ(second({0.1}, 8, 1.9F).thaw, std::vector{pages_[0]});
-  for (int s = 0; s < 6; ++s) (void)second({0.1}, 8, 1.9F);
+  for (int s = 0; s < 8; ++s) (void)second({0.1}, 8, 1.9F);
   ASSERT_EQ(state(0), PageState::Frozen);
   for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1}, 8, s % 2 == 0 ? 6 : 1.9F).thaw.empty());
 }
@@ -104,7 +104,7 @@ TEST_F(FreezerTest, ItTrainsAgainWhenAViewComesNearer) {
 TEST_F(FreezerTest, WhatNoViewShowsRestsUntilOneDoes) {
   for (int s = 0; s < 12; ++s) (void)second({0.1});
   EXPECT_EQ(state(1), PageState::Active);
-  for (int s = 0; s < 2; ++s) (void)second({0.1});
+  for (int s = 0; s < 3; ++s) (void)second({0.1});
   EXPECT_EQ(state(1), PageState::Frozen);
   EXPECT_EQ(second({0.1, 0.1}).thaw, std::vector{pages_[1]}) << "it had not settled";
 }
@@ -118,8 +118,8 @@ TEST_F(FreezerTest, WhatIsPutInIsToBeLearned) {
   pages_.clear();
   for (const IndexRange& range : ranges) pages_.push_back(range.first / kPageLanes);
   movements_.assign(pages_.size(), 0.0F);
-  for (int s = 0; s < 5; ++s) EXPECT_TRUE(second({0.1}).freeze.empty()) << s;
-  EXPECT_FALSE(second({0.1}).freeze.empty());
+  for (int s = 0; s < 6; ++s) EXPECT_TRUE(second({0.1}).freeze.empty()) << s;
+  EXPECT_FALSE(second({0.1}).freeze.empty()) << "twice 3 s, and those before that began in the midst of some";
 }
 
 TEST(NearestPixels, AreThoseOfTheNearestPointOfThePage) {

@@ -212,6 +212,43 @@ TEST_F(TrainerTest, WhatIsNotToBeModelledIsMaskedInPictures) {
   EXPECT_TRUE(reader.read(next(), true).view->mask.empty());
 }
 
+TEST_F(TrainerTest, StatsSayWhatRests) {
+  const SyntheticScene scene;
+  set("freeze_after_s", "0");
+  set("freeze_gain", "1");
+  set("freeze_movement", "10");
+  set("thaw_rise", "100");
+  start();
+  insert(scene.perturbed());
+  show(scene);
+  ASSERT_TRUE(until([&] { return stats()->pages_frozen() > 0; }));
+  EXPECT_EQ(stats()->gaussians(), 300U);
+  EXPECT_EQ(stats()->frozen(), 300U);
+  EXPECT_EQ(stats()->active(), 0U);
+  EXPECT_EQ(stats()->pages_frozen(), 1U);
+  EXPECT_EQ(stats()->pages_active(), 0U);
+  EXPECT_EQ(stats()->masked_share(), 0);
+  const auto model = read_model();
+  ASSERT_TRUE(model);
+  EXPECT_EQ(model->count(), 300U) << "readers find them as before";
+  set("freeze", "false");
+  EXPECT_TRUE(until([&] { return stats()->pages_active() == 1 && stats()->frozen() == 0; }));
+}
+
+TEST_F(TrainerTest, StatsSayHowMuchNothingModels) {
+  const SyntheticScene scene;
+  SampleBatch half = scene.perturbed();
+  for (std::size_t i = 0; i < half.count; ++i) {
+    if (half.mean[i] > 0) half.opacity_logit[i] = -20;  // x
+  }
+  start();
+  insert(half);
+  show(scene);
+  EXPECT_TRUE(until([&] { return stats()->masked_share() > 0.05F; }));
+  set("mask_opacity", "0");
+  EXPECT_TRUE(until([&] { return stats()->masked_share() == 0; }));
+}
+
 TEST_F(TrainerTest, PicturesThatTakeMoreThanAllMayAreRefused) {
   const SyntheticScene scene(20, 1);
   bus::Subscriber subscriber(connect("reader"), {"capture/reference"});
