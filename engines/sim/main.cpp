@@ -73,7 +73,8 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--point-lights", flags.point_lights, "lamps that move over the toys (toys only)")
       ->capture_default_str()
       ->check(CLI::Range(std::size_t{0}, splatbus::sim::kLamps));
-  app.add_flag("--clouds", flags.clouds, "clouds and hills behind everything, not a plain background");
+  app.add_flag("--clouds", flags.clouds,
+               "clouds and hills behind everything, not a plain background (the world has them)");
   app.add_flag("--night", flags.night, "no sun, and a faint sky");
   app.add_option("--sun-azimuth", flags.lighting.sun_azimuth_deg, "degrees about the vertical, from +x towards +z")
       ->capture_default_str();
@@ -125,7 +126,7 @@ splatbus::sim::Scene make_scene(const Flags& flags) {
                                             : load_gltf(flags.scene, {}, flags.gltf);
   scene.lighting = flags.lighting;
   scene.lighting.night = flags.night;
-  scene.lighting.clouds = flags.clouds;
+  scene.lighting.clouds = flags.clouds || flags.scene == "world";
   scene.lighting.sources_on = flags.point_lights;
   if (toys && flags.breathing) add_breathing_toy(scene);
   if (toys) add_lamps(scene);
