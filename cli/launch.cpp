@@ -21,7 +21,7 @@ namespace {
 struct LaunchOptions {
   std::string file;
   std::vector<std::string> overrides;
-  std::string bus, backend;
+  std::string bus, backend, world;
   double seconds = 0;
   bool check = false;
   bool json = false;
@@ -50,6 +50,7 @@ int launch(const LaunchOptions& options) {
   LaunchFile file = read_launch_file(options.file);
   for (const std::string& assignment : options.overrides) apply_override(file, assignment);
   set_backend(file, options.backend);
+  set_world(file, options.world);
   bus::Address address = bus_address(options.bus);
   if (options.bus.empty() && file.bus) {
     try {
@@ -104,6 +105,7 @@ void add_launch_verb(CLI::App& app, Action& action) {
   verb->add_option("file", options->file, "launch file (YAML)")->required();
   verb->add_option("--set", options->overrides, "service.key=value: set a parameter of a service (repeatable)")
       ->allow_extra_args(false);
+  verb->add_option("--world", options->world, "folder that keeps the model across runs (made where there is none)");
   verb->add_option("--seconds", options->seconds, "stop after that long; 0: run until Ctrl-C")
       ->check(CLI::NonNegativeNumber);
   verb->add_flag("--check", options->check, "check the file, print the processes in starting order, and start nothing");

@@ -4,6 +4,7 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <sstream>
@@ -171,6 +172,20 @@ void check_order(const LaunchFile& file) {
   check_dependencies(file);
 }
 
+constexpr const char* kTrainerProgram = "splatbus-trainer";
+
+/// As a parameter of each trainer that has none of its own.
+void give_world(LaunchFile& file) {
+  if (!file.world) return;
+  bool any = false;
+  for (LaunchService& service : file.services) {
+    if (std::filesystem::path(service.program.value).filename() != kTrainerProgram) continue;
+    any = true;
+    service.parameters.emplace("world", *file.world);
+  }
+  if (!any) throw LaunchError(file.world->mark, "there is no trainer to keep a world");
+}
+
 }  // namespace
 
 std::string SourceMark::text() const {
@@ -205,21 +220,38 @@ LaunchFile parse_launch_file(const std::string& yaml, const std::string& path) {
       file.bus = {reader.scalar(value, "bus"), reader.mark(value)};
     } else if (key == "backend") {
       file.backend = read_backend(reader, value, "backend");
+    } else if (key == "world") {
+      const std::filesystem::path folder = reader.scalar(value, "world");
+      const auto beside = folder.is_absolute() ? folder : std::filesystem::path(path).parent_path() / folder;
+      file.world = {std::filesystem::absolute(beside).lexically_normal().string(), reader.mark(value)};
     } else if (key == "services") {
       has_services = true;
       for (const auto& node : reader.list(value, "services")) file.services.push_back(read_service(reader, node));
       if (file.services.empty()) reader.refuse(value, "services is empty");
     } else {
-      reader.refuse(key_node, fmt::format("unknown key '{}' (known: backend, bus, services)", key));
+      reader.refuse(key_node, fmt::format("unknown key '{}' (known: backend, bus, services, world)", key));
     }
   });
   if (!has_services) reader.refuse(root, "a launch file needs the key services");
   check_order(file);
+  give_world(file);
   return file;
 }
 
 void set_backend(LaunchFile& file, const std::string& backend) {
   if (!backend.empty()) file.backend = {backend, {"--backend " + backend, 0, 0}};
+}
+
+void set_world(LaunchFile& file, const std::string& folder) {
+  if (folder.empty()) return;
+  for (LaunchService& service : file.services) {
+    if (file.world && service.parameters.contains("world") &&
+        service.parameters.at("world").value == file.world->value) {
+      service.parameters.erase("world");
+    }
+  }
+  file.world = {std::filesystem::absolute(folder).lexically_normal().string(), {"--world " + folder, 0, 0}};
+  give_world(file);
 }
 
 void apply_override(LaunchFile& file, const std::string& assignment) {

@@ -55,6 +55,7 @@ struct LaunchFile {
   std::string path;
   std::optional<Marked<std::string>> bus;
   std::optional<Marked<std::string>> backend;  ///< of every service that names none
+  std::optional<Marked<std::string>> world;    ///< folder that its trainers keep their model in
   std::vector<LaunchService> services;
 
   [[nodiscard]] LaunchService* find(const std::string& name);
@@ -67,6 +68,10 @@ struct LaunchFile {
 
 /// The backend of every service that names none, instead of the file's; empty changes nothing.
 void set_backend(LaunchFile& file, const std::string& backend);
+
+/// The folder that the trainers keep their model in, instead of the file's; empty changes nothing. Throws LaunchError
+/// when the file has no trainer.
+void set_world(LaunchFile& file, const std::string& folder);
 
 /// Applies "service.key=value", value of a parameter. Throws LaunchError that names the known services.
 void apply_override(LaunchFile& file, const std::string& assignment);

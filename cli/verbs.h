@@ -22,6 +22,7 @@ void add_launch_verb(CLI::App& app, Action& action);
 void add_topic_verb(CLI::App& app, Action& action);
 void add_node_verb(CLI::App& app, Action& action);
 void add_export_verb(CLI::App& app, Action& action);
+void add_world_verb(CLI::App& app, Action& action);
 void add_eval_verb(CLI::App& app, Action& action);
 void add_demo_verb(CLI::App& app, Action& action);
 

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -157,6 +158,30 @@ TEST(LaunchOverride, SetsAParameter) {
   EXPECT_EQ(file.services[0].parameters.at("size").value, "2");
   EXPECT_EQ(file.services[0].parameters.at("size").mark.text(), "--set viewer.size=2");
   EXPECT_EQ(file.services[0].parameters.at("text").value, "a=b.c");
+}
+
+TEST(LaunchFile, AWorldGoesToEveryTrainerThatHasNoneOfItsOwn) {
+  const std::string yaml = R"(
+world: worlds/yard
+services:
+  - name: trainer
+  - name: second
+    program: ../bin/splatbus-trainer
+    parameters: {world: /elsewhere}
+  - name: viewer
+)";
+  LaunchFile file = parse_launch_file(yaml, "/launch/x.yaml");
+  EXPECT_EQ(file.services[0].parameters.at("world").value, "/launch/worlds/yard");
+  EXPECT_EQ(file.services[1].parameters.at("world").value, "/elsewhere");
+  EXPECT_FALSE(file.services[2].parameters.contains("world"));
+  set_world(file, "");
+  EXPECT_EQ(file.services[0].parameters.at("world").value, "/launch/worlds/yard");
+  set_world(file, "here");
+  EXPECT_EQ(file.services[0].parameters.at("world").value, (std::filesystem::current_path() / "here").string());
+  EXPECT_EQ(file.services[1].parameters.at("world").value, "/elsewhere");
+  LaunchFile without = parse_launch_file("services:\n  - name: viewer\n", "x.yaml");
+  EXPECT_THROW(set_world(without, "here"), LaunchError);
+  EXPECT_THROW(parse_launch_file("world: here\nservices:\n  - name: viewer\n", "x.yaml"), LaunchError);
 }
 
 TEST(LaunchOverride, RefusesWhatNamesNothing) {
