@@ -14,22 +14,22 @@ using test::PagedModel;
 using testing::TestScene;
 
 /// A wall of several sheets at z = 0, a crowd before and behind it, some in an object's frame.
-TestScene walled_crowd() {
-  constexpr std::size_t kSide = 80, kSheets = 4, kCrowd = 12000;
-  TestScene crowd = testing::random_scene(testing::radiance_layout(0), kCrowd,
+TestScene walled_crowd(std::size_t crowd_size = 12000) {
+  constexpr std::size_t kSide = 80, kSheets = 4;
+  TestScene crowd = testing::random_scene(testing::radiance_layout(0), crowd_size,
                                           {.spread = 3, .scale_low = 0.01F, .scale_high = 0.06F}, 5);
-  TestScene scene(crowd.layout, kCrowd + kSheets * kSide * kSide);
+  TestScene scene(crowd.layout, crowd_size + kSheets * kSide * kSide);
   scene.state = crowd.state;
-  for (std::size_t i = 0; i < kCrowd; ++i) {
+  for (std::size_t i = 0; i < crowd_size; ++i) {
     for (int c = 0; c < crowd.layout.channels(); ++c) scene.at(c, i) = crowd.at(c, i);
     scene.object_id[i] = crowd.object_id[i];
     if (scene.at(2, i) > 0 && i % 4 != 0) scene.at(2, i) -= 3;  // most are behind
   }
-  for (std::size_t i = kCrowd; i < scene.count; ++i) {
-    const std::size_t at = (i - kCrowd) % (kSide * kSide);
+  for (std::size_t i = crowd_size; i < scene.count; ++i) {
+    const std::size_t at = (i - crowd_size) % (kSide * kSide);
     scene.at(0, i) = 0.06F * (static_cast<float>(at % kSide) - 0.5F * kSide);
     scene.at(1, i) = 0.06F * (static_cast<float>(at / kSide) - 0.5F * kSide);
-    scene.at(2, i) = 0.01F * static_cast<float>((i - kCrowd) / (kSide * kSide));
+    scene.at(2, i) = 0.01F * static_cast<float>((i - crowd_size) / (kSide * kSide));
     for (int c = 3; c < 6; ++c) scene.at(c, i) = std::log(c == 5 ? 0.005F : 0.05F);
     scene.at(6, i) = 1;
     scene.at(10, i) = 7;
@@ -87,7 +87,10 @@ TEST(Occlusion, LeavesOutWhatIsHiddenAndThePictureIsTheSame) {
 }
 
 TEST(Occlusion, WhereWhatHidFadesThePageIsBackAVisitLater) {
-  TestScene scene = walled_crowd();
+  TestScene scene = walled_crowd(1);
+  scene.object_id[0] = 14;  // a page of its own
+  scene.state.objects[14] = ObjectTransform();
+  for (int c = 0; c < 3; ++c) scene.at(c, 0) = c == 2 ? -2.0F : 0.0F;
   PagedModel paged(scene.view(), 12, 1);
   const auto rasterizer = make_cpu_rasterizer(1);
   const Camera camera = look_at({0.3F, 0.2F, 2.5F}, {0, 0, 0}, 90, 70, 0.9F);
