@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "gaussians/model.h"
-#include "raster/occlusion.h"
 
 namespace splatbus::raster {
 
@@ -30,8 +29,6 @@ struct RenderOptions {
   float blur_px2 = 0.3F;  ///< added to the diagonal of the projected covariance, pixels squared
   bool albedo = false;    ///< also render the albedo, unlit (Transfer only)
   bool depth = false;     ///< also render depth: sum of weight * z, not normalised, metres
-  /// Of a picture of the same camera and objects, else it is not used: pages that it hides are left out. CPU only.
-  const Occlusion* occlusion = nullptr;
 };
 
 /// Planes of a render: colour (Transfer: linear over background; Radiance: display space over background converted to
@@ -114,12 +111,9 @@ class Rasterizer {
   virtual void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                       const RenderOptions& options, Render& out) = 0;
 
-  /// What the picture of the last forward() shows of each page, ascending, but of the model without pages. `error`: one
-  /// plane, of its size; pixels below 0, or that are no number, do not count.
-  virtual void look_at_pages(const Image& error, std::vector<PageLook>& looks) = 0;
-
-  /// Behind what the picture of the last forward() shows nothing more.
-  virtual void occlusion(Occlusion& out) const = 0;
+  /// What the picture of the last forward() shows of each page, ascending; of page 0 without pages. `error`: one plane,
+  /// of its size; pixels below 0, or that are no number, do not count. Nothing where that is not known.
+  virtual void look_at_pages(const Image& /*error*/, std::vector<PageLook>& looks) { looks.clear(); }
 
   /// Stages of the last forward() or render(), then of the last backward().
   [[nodiscard]] virtual std::vector<StageTime> stage_times() const { return {}; }

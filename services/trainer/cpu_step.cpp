@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <map>
 #include <utility>
 #include <vector>
 
@@ -67,7 +66,6 @@ class CpuStep final : public GradientStep {
   float masked_share_ = 0;                   ///< of the step
   const std::uint8_t* view_mask_ = nullptr;  ///< of the last view: its own or mask_
   raster::LossHistory losses_;
-  std::map<ViewKey, raster::Occlusion> occlusions_;  ///< as each view's last step left it
   std::vector<float> mean2d_norm_;
   std::vector<std::uint32_t> seen_steps_;
   StepReport report_;
@@ -165,17 +163,14 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   const TrainingView& view = *paired.view;
   const bool with_albedo = options_.albedo_weight > 0 && !view.albedo.empty();
   const bool with_depth = options_.depth_weight > 0 && !view.depth.empty();
-  if (occlusions_.size() >= ViewStore::kMaxViews) occlusions_.clear();
-  raster::Occlusion* const occlusion = options_.cull_hidden ? &occlusions_[key_of(view)] : nullptr;
   const raster::RenderOptions render_options{
-      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth, .occlusion = occlusion};
+      .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
   GaussiansView gaussians = store_.view();
   gaussians.visibility_u8 = paired.visibility.values.get();
   gaussians.visibility_stride = paired.visibility.stride;
   gaussians.visibility_rows = paired.visibility.rows;
   rasterizer_->forward(gaussians, view.camera, view.scene, render_options, render_);
 
-  if (occlusion != nullptr) rasterizer_->occlusion(*occlusion);
   view_mask_ = mask_of(view, scale);
   render_gradient_.alpha = {};
   render_gradient_.albedo = {};

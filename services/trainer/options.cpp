@@ -36,7 +36,6 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add(
       "pair_visibility", pair_visibility,
       "transfer: a view trains with the visibility of its own scene version, or waits for it; false: with the newest");
-  p.add("cull_hidden", cull_hidden, "pages that lie behind what a view's last step drew are left out; on the CPU");
   p.add("antialias", antialias, "opacity compensation for the pixel filter");
   p.add("residual", residual, "transfer: train the residual beside albedo and normal");
   p.add("ssim_weight", ssim_weight, "of 1 - SSIM in the loss, the rest is L1", {0, 1});

@@ -74,7 +74,6 @@ struct Options {
   int input_view_interval = 3;  ///< one input view after that many reference views, 0: none
   bool views_by_loss = true;    ///< views that have less to teach than others have fewer turns
   bool pair_visibility = true;  ///< Transfer: a view trains with its own scene version's visibility, or not at all
-  bool cull_hidden = true;      ///< pages that a view's last step found hidden are left out; on the CPU
   bool antialias = true;
   bool residual = true;  ///< Transfer: the residual transfer trains
   float ssim_weight = 0.2F, albedo_weight = 0.3F, depth_weight = 0;

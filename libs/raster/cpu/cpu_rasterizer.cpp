@@ -7,7 +7,6 @@
 #include <numeric>
 #include <stdexcept>
 
-#include "gaussians/portable.h"
 #include "raster/adam.h"
 #include "raster/adam_kernel.h"
 #include "raster/cpu/kernels.h"
@@ -69,7 +68,6 @@ void CpuRasterizer::list_pieces(const SceneState& scene) {
                                 .max_tan_x = max_tan(frame_.tan_limit_x_low, frame_.tan_limit_x_high),
                                 .max_tan_y = max_tan(frame_.tan_limit_y_low, frame_.tan_limit_y_high)};
     shown_ranges_ = select_ranges(shown, pinhole, camera.world_from_camera, scene.objects);
-    drop_hidden(pinhole, scene);
     shown.ranges = shown_ranges_;
   }
   cut_pieces(shown, kGaussianPiece, frame_.pieces);
@@ -78,40 +76,6 @@ void CpuRasterizer::list_pieces(const SceneState& scene) {
   frame_.frozen_page.assign((frame_.gaussians.count >> frame_.gaussians.page_shift) + 1, 0);
   for (const IndexRange& piece : frame_.pieces) {
     frame_.frozen_page[piece.first >> frame_.gaussians.page_shift] = is_frozen(piece) ? 1 : 0;
-  }
-}
-
-void CpuRasterizer::drop_hidden(const FrustumCamera& pinhole, const SceneState& scene) {
-  const Occlusion* const occlusion = frame_.options.occlusion;
-  if (occlusion == nullptr || !occlusion->holds_for(frame_.camera, scene.objects)) return;
-  const math::Similarity camera_from_world = portable(ObjectTransform(inverse(frame_.camera.world_from_camera)));
-  std::size_t k = 0;  // both are ascending
-  std::erase_if(shown_ranges_, [&](const IndexRange& range) {
-    while (frame_.gaussians.ranges[k].first != range.first) ++k;
-    math::Similarity camera_from_page = camera_from_world;
-    if (range.frame_id != kWorldFrame) {
-      camera_from_page = camera_from_world * portable(seen_from(frame_.camera.world_from_camera.translation,
-                                                                range.frame_id, scene.objects.at(range.frame_id)));
-    }
-    return occlusion->hides(pinhole, camera_from_page, frame_.gaussians.bounds[k]);
-  });
-}
-
-void CpuRasterizer::occlusion(Occlusion& out) const {
-  if (!frame_.keep) throw std::invalid_argument("rasterizer: occlusion() without forward()");
-  out.camera = frame_.camera;
-  out.objects = frame_.scene_objects;
-  out.tile_side = kTileSide;
-  out.tiles_x = frame_.tiles_x;
-  out.tiles_y = frame_.tiles_y;
-  out.depth_m.assign(frame_.tile_count(), INFINITY);
-  for (std::uint32_t tile = 0; tile < frame_.tile_count(); ++tile) {
-    const float* const transmittance = frame_.transmittance.data() + std::size_t{tile} * kTilePixels;
-    if (*std::max_element(transmittance, transmittance + kTilePixels) >= kTransmittanceMin) continue;
-    const std::uint32_t* const ends = frame_.block_entries.data() + std::size_t{tile} * kTileBlocks;
-    const std::uint32_t end = *std::max_element(ends, ends + kTileBlocks);
-    if (end == 0) continue;
-    out.depth_m[tile] = frame_.splats[frame_.entries[frame_.tile_begin[tile] + end - 1] & kGaussianMask].depth;
   }
 }
 
@@ -150,7 +114,6 @@ void CpuRasterizer::run_forward(const GaussiansView& gaussians, const Camera& ca
   frame_.options = options;
   if (gaussians.layout.appearance != Appearance::Transfer) frame_.options.albedo = false;
   frame_.objects.build(camera, scene);
-  if (keep) frame_.scene_objects = scene.objects;
   frame_.sources.clear();
   if (gaussians.layout.appearance == Appearance::Transfer) {
     frame_.sources = shading_sources(scene.light, inverse(camera.world_from_camera),

@@ -21,7 +21,6 @@ class CpuRasterizer : public Rasterizer {
   void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
               const RenderOptions& options, Render& out) override;
   void look_at_pages(const Image& error, std::vector<PageLook>& looks) override;
-  void occlusion(Occlusion& out) const override;
   [[nodiscard]] std::vector<StageTime> stage_times() const override;
 
  private:
@@ -29,7 +28,6 @@ class CpuRasterizer : public Rasterizer {
                    const RenderOptions& options, bool keep, Render& out);
   /// Cuts the Gaussians of pages that may show into Frame::pieces.
   void list_pieces(const SceneState& scene);
-  void drop_hidden(const FrustumCamera& pinhole, const SceneState& scene);
   void project();
   [[nodiscard]] GradientTarget target_of(ParameterGradient& out) const;
   void blend_backward(const RenderGradient& gradient);

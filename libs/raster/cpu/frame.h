@@ -113,7 +113,6 @@ struct Frame {
   Camera camera;
   RenderOptions options;
   ObjectTable objects;
-  ObjectTransforms scene_objects;      ///< what `objects` is of, kept
   std::vector<ShadingSource> sources;  ///< besides the sun; Transfer only
   std::array<float, 3> background{};   ///< in the colour plane's space
   float tan_limit_x_low = 0, tan_limit_x_high = 0, tan_limit_y_low = 0, tan_limit_y_high = 0;
