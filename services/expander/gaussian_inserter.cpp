@@ -34,7 +34,7 @@ InsertResult GaussianInserter::insert(const Round& round, std::span<const Viewpo
   const std::vector<ObjectFrame> objects = frames_of(round.scene.objects);
   selector_.bin(round.samples, objects, viewpoints, options.select);
   const std::uint32_t selected =
-      selector_.select(round.samples, modelled_.near(selector_.search_cells(), objects), options.select);
+      selector_.select(round.samples, modelled_.near(selector_.search_cells(), objects), filled_, options.select);
   result.selected = selected;
   result.beyond = selector_.beyond();
   result.cells = selector_.cells();

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "expander/cell_table.h"
+#include "expander/filled_cells.h"
 #include "expander/insert_batch.h"
 #include "expander/modelled_points.h"
 #include "expander/round.h"
@@ -53,7 +54,10 @@ class GaussianInserter {
   /// Marks a live model's points as modelled, and nothing else. False, and nothing is changed, when its structure moved
   /// on meanwhile. The model was opened in memory().
   [[nodiscard]] bool adopt(const PublishedModel& model, std::uint64_t trainer_epoch);
-  void clear() { modelled_.clear(); }
+  void clear() {
+    modelled_.clear();
+    filled_.clear();
+  }
 
   [[nodiscard]] CellTable& cells() { return cells_; }
   [[nodiscard]] const CellTable& cells() const { return cells_; }
@@ -67,6 +71,7 @@ class GaussianInserter {
   CellTable cells_;
   ModelledPoints modelled_;
   SampleSelector selector_;
+  FilledCells filled_;
   std::atomic<std::uint64_t> host_bytes_{0};
 };
 

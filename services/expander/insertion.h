@@ -91,9 +91,10 @@ struct SelectOptions {
   float reach_m = 60;             ///< what lies nearer to a viewpoint is modelled, however small it is in its pictures
   float min_pixels = 1;           ///< beyond, what is at least this large there
   std::uint32_t min_samples = 4;  ///< a cell counts as seen with this many in it and beside it
-  float new_distance = 0.75F;     ///< how near to what is modelled a sample may come where that ends
-  float top_up_distance = 1;      ///< the same where what is modelled lies all around
-  float refine_factor = 1.5F;     ///< how far away it may be to count as all around
+  float new_distance = 0.95F;     ///< what is modelled nearer than this covers a sample
+  float hole_distance = 1.4F;     ///< where nothing is modelled nearer than this there is a hole, which is filled
+  float refine_factor = 1.4F;     ///< a cell is filled again when its samples are finer than before by this
+  float refine_share = 0.5F;      ///< or when this share of them, min_samples at least, is not covered; or at a hole
   std::uint32_t room = 0xFFFFFFFF;  ///< at most this many are selected, the first of the round
 };
 
@@ -113,7 +114,14 @@ struct LightTerms {
 inline constexpr float kMinSpacing_m = 1e-4F;
 inline constexpr float kMinSunPart = 0.02F;  ///< luminance; below this the sun's visibility cannot be told
 
+class FilledCells;
 class PointGrid;
+
+/// Of a cell's samples.
+struct CellSums {
+  std::uint32_t spacing;  ///< of the cell's edge, fixed-point
+  std::uint32_t uncovered, holes;
+};
 
 /// Finds the samples that the model lacks and makes Gaussians of them. Keeps its memory from round to round. Not
 /// thread-safe.
@@ -128,17 +136,17 @@ class SampleSelector {
            const SelectOptions& options);
 
   /// Of the round that was taken up, and its cells' neighbours of the same size: whatever is modelled there matters.
-  [[nodiscard]] std::vector<CellCount> search_cells() const;
+  [[nodiscard]] const std::vector<CellCount>& search_cells() const { return search_cells_; }
   /// The candidates by cells of kReportLevel, ascending.
   [[nodiscard]] const std::vector<CellCount>& cells() const { return report_; }
   /// Samples that lie too far from their frame's origin for any cell.
   [[nodiscard]] std::uint32_t beyond() const { return beyond_; }
 
-  /// Selects candidates of cells that are seen and that what is modelled does not cover: a point that faces the same
-  /// way does so nearer than new_distance, or than top_up_distance where the sample has such points in every direction
-  /// within refine_factor. Coarser points are therefore left alone until a view is finer by about that factor, and
-  /// count among the finer ones then. `modelled` has all of search_cells(). Returns how many are selected.
-  [[nodiscard]] std::uint32_t select(const Samples& samples, const PointGrid& modelled, const SelectOptions& options);
+  /// Selects candidates of cells that are seen, that no point which faces the same way covers, and that lie in a hole
+  /// or in a cell that is to be filled (FilledCells). Coarser points count among the finer ones that join them.
+  /// `modelled` has all of search_cells(). Returns how many are selected.
+  [[nodiscard]] std::uint32_t select(const Samples& samples, const PointGrid& modelled, FilledCells& filled,
+                                     const SelectOptions& options);
 
   /// Flat Gaussians of selected samples first, first + 1, ...: the local z axis lies along the normal. After select()
   /// with the same samples.
@@ -146,17 +154,20 @@ class SampleSelector {
              const InsertChannels& gaussians) const;
 
  private:
+  /// Of each search cell, whether it has samples in a hole or lies beside one that has.
+  [[nodiscard]] std::vector<bool> about_holes(const std::vector<CellSums>& sums) const;
   [[nodiscard]] ObjectFrames frames() const { return {objects_.data(), static_cast<std::uint32_t>(objects_.size())}; }
 
   device::StreamView stream_;
   float cell_size_m_;
   std::uint32_t binned_ = 0, cells_ = 0, beyond_ = 0;
-  std::vector<CellCount> report_;
+  std::vector<CellCount> report_, search_cells_;
   device::Buffer<ObjectFrame> objects_;
   device::Buffer<Viewpoint> viewpoints_;
   device::Buffer<CellKey> keys_, cell_keys_;
   device::Buffer<std::uint32_t> order_, cell_start_, selected_, counter_;
-  device::Buffer<std::uint8_t> wanted_;
+  device::Buffer<CellSums> sums_;
+  device::Buffer<std::uint8_t> fill_, wanted_, lack_;
   device::Buffer<bool> seen_;
   device::Buffer<std::uint32_t> neighbours_;
 };

@@ -13,14 +13,12 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("min_samples", insert.select.min_samples,
         "a cell counts as seen with this many samples in it and in the cells beside it", {1, 10000});
   p.add("new_distance", insert.select.new_distance,
-        "samples at the end of what is modelled keep this distance from it, as a fraction of their spacing", {0, 10});
-  p.add("top_up_distance", insert.select.top_up_distance,
-        "samples with modelled points all around keep this distance from them, as a fraction of their spacing",
-        {0, 10});
+        "what is modelled nearer than this covers a sample, as a fraction of its spacing", {0, 10});
+  p.add("hole_distance", insert.select.hole_distance,
+        "where nothing is modelled nearer than this there is a hole, as a fraction of a sample's spacing", {0, 10});
   p.add("refine_factor", insert.select.refine_factor,
-        "modelled points are all around within this distance, as a fraction of a sample's spacing: what is coarser by "
-        "about as much is refined",
-        {1, 10});
+        "a cell is filled again when its samples are finer than before by this factor", {1, 10});
+  p.add("refine_share", insert.select.refine_share, "or when this share of them is not covered", {0, 1});
   p.add("initial_scale", insert.initial.scale,
         "standard deviation of a new Gaussian along the surface, as a fraction of its spacing", {0.01, 10});
   p.add("flatness", insert.initial.flatness,

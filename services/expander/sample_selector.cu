@@ -3,7 +3,10 @@
 #include <thrust/sequence.h>
 #include <thrust/sort.h>
 
+#include <algorithm>
+
 #include "expander/cell_search.h"
+#include "expander/filled_cells.h"
 #include "expander/point_grid.h"
 
 namespace splatbus::expander {
@@ -20,6 +23,7 @@ constexpr std::uint32_t kNeighbours = 27;
 /// Edge of a search cell, of the spacing of the samples in it, at least: fewer samples a cell find the neighbours'
 /// points more often, more samples look at more points each.
 constexpr float kCellSpacings = 3;
+constexpr float kFixedOne = 1 << 12;  // sums of integers are the same in any order
 
 struct IsSet {
   SPLATBUS_PORTABLE_MEMBER bool operator()(std::uint8_t flag) const { return flag != 0; }
@@ -164,62 +168,35 @@ struct TestCell {
   }
 };
 
-/// In which eighths of the directions along a surface there is something.
-class Surroundings {
- public:
-  SPLATBUS_PORTABLE_MEMBER explicit Surroundings(const Vec3& normal)
-      : along_(normalized(cross(normal, fabsf(normal.z) < 0.7F ? Vec3{0, 0, 1} : Vec3{1, 0, 0}))),
-        across_(cross(normal, along_)) {}
+enum Lack : std::uint8_t { kCovered, kLoose, kHole };
 
-  SPLATBUS_PORTABLE_MEMBER void add(const Vec3& offset) {
-    const float u = dot(offset, along_), v = dot(offset, across_);
-    const unsigned quadrant = u > 0 && v >= 0 ? 0U : u <= 0 && v > 0 ? 1U : u < 0 && v <= 0 ? 2U : 3U;
-    const bool second = quadrant % 2 == 0 ? fabsf(v) >= fabsf(u) : fabsf(v) <= fabsf(u);
-    filled_ |= 1U << (2 * quadrant + (second ? 1U : 0U));
-  }
-
-  /// No half of the directions is empty.
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool closed() const {
-    const unsigned empty = ~(filled_ | filled_ << 8U) & 0xFFFFU;
-    return (empty & empty >> 1U & empty >> 2U & empty >> 3U) == 0;
-  }
-
- private:
-  Vec3 along_, across_;
-  unsigned filled_ = 0;
-};
-
-/// For each candidate, in the order of the cells, whether it is seen and nothing modelled covers it.
+/// For each candidate, in the order of the cells, how far it is from what is modelled.
 struct TestSample {
   Samples samples;
   ObjectFrames frames;
   Cells cells;
   float cell_size_m;
-  float new_distance, top_up_distance, refine_factor;
+  float new_distance, hole_distance;
   const CellKey* keys;
   const std::uint32_t* order;
   const ModelledPoint* points;
   const bool* seen;
   const std::uint32_t* neighbours;
-  std::uint8_t* wanted;  ///< [samples of the round], in its order
+  std::uint8_t* lack;  ///< a Lack
+  CellSums* sums;
 
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool covered(std::uint32_t cell, const LocalSample& local) const {
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Lack lack_of(std::uint32_t cell, const LocalSample& local) const {
     const Vec3 position_m = local.position_m();
     const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
-    const auto squared_of = [&](float factor) {
-      const float reach_m = math::smaller(factor * local.spacing_m, edge_m);
-      return reach_m * reach_m;
-    };
-    const float new2 = squared_of(new_distance), around2 = squared_of(refine_factor);
-    float nearest2 = squared_of(top_up_distance);
+    const float new_m = new_distance * local.spacing_m;
+    const float reach_m = math::smaller(math::larger(hole_distance * local.spacing_m, new_m), edge_m);
     // Which neighbours the sphere about the position reaches into.
     const Vec3 within = position_m - cell_centre(cells.keys[cell], cell_size_m);
-    const float inner = 0.5F * edge_m - sqrtf(math::larger(new2, math::larger(nearest2, around2)));
+    const float inner = 0.5F * edge_m - reach_m;
     const auto reaches = [&](float along, int side) {
       return side == 0 || (side < 0 ? along < -inner : along > inner);
     };
-    const float unreached2 = nearest2;
-    Surroundings surroundings(local.normal);
+    Lack lack = kHole;
     for (std::uint32_t i = 0; i < kNeighbours; ++i) {
       const std::uint32_t k = (i + kNeighbours / 2) % kNeighbours;  // the own cell first
       if (!reaches(within.x, offset_of(k, 9)) || !reaches(within.y, offset_of(k, 3)) ||
@@ -230,20 +207,37 @@ struct TestSample {
       for (std::uint32_t p = range[0]; p < range[1]; ++p) {
         const Vec3 apart = points[p].position - position_m;
         const float squared = dot(apart, apart);
-        if (!(squared < around2 || squared < nearest2 || squared < new2)) continue;
+        if (!(squared < reach_m * reach_m)) continue;
         if (!(dot(points[p].normal, local.normal) > kSameSurfaceCosine)) continue;
-        if (squared < new2) return true;
-        nearest2 = math::smaller(squared, nearest2);
-        if (squared < around2) surroundings.add(apart);
+        if (squared < new_m * new_m) return kCovered;
+        lack = kLoose;
       }
     }
-    return nearest2 < unreached2 && surroundings.closed();
+    return lack;
   }
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
-    const std::uint32_t sample = order[i];
-    wanted[sample] = seen[cell] && !covered(cell, localised(samples, frames, sample)) ? 1 : 0;
+    lack[i] = seen[cell] ? lack_of(cell, localised(samples, frames, order[i])) : kCovered;
+    if (lack[i] != kCovered) device::atomic_add(&sums[cell].uncovered, 1U);
+    if (lack[i] == kHole) device::atomic_add(&sums[cell].holes, 1U);
+    const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
+    device::atomic_add(&sums[cell].spacing,
+                       static_cast<std::uint32_t>(samples.spacing_m[order[i]] / edge_m * kFixedOne + 0.5F));
+  }
+};
+
+struct WantSample {
+  Cells cells;
+  const CellKey* keys;
+  const std::uint32_t* order;
+  const std::uint8_t* lack;
+  const std::uint8_t* fill;  ///< [cells]
+  std::uint8_t* wanted;      ///< [samples of the round], in its order
+
+  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
+    const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
+    wanted[order[i]] = lack[i] == kHole || (lack[i] == kLoose && fill[cell] != 0) ? 1 : 0;
   }
 };
 
@@ -305,7 +299,10 @@ SampleSelector::SampleSelector(StreamView stream, float cell_size_m)
       cell_start_(stream),
       selected_(stream),
       counter_(stream, 1),
+      sums_(stream),
+      fill_(stream),
       wanted_(stream),
+      lack_(stream),
       seen_(stream),
       neighbours_(stream) {}
 
@@ -314,16 +311,16 @@ void SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> ob
   const std::uint32_t n = samples.count;
   binned_ = cells_ = beyond_ = 0;
   report_.clear();
+  search_cells_.clear();
   if (n == 0) return;
   objects_.assign(objects);
   viewpoints_.assign(viewpoints);
   for (auto* buffer : {&keys_, &cell_keys_}) reserve(*buffer, n);
   for (auto* buffer : {&order_, &selected_}) reserve(*buffer, n);
-  reserve(wanted_, n);
+  for (auto* buffer : {&wanted_, &lack_}) reserve(*buffer, n);
   reserve(cell_start_, std::size_t{n} + 1);
   counter_.clear();
-  const float search_factor =
-      std::max({kCellSpacings, options.new_distance, options.top_up_distance, options.refine_factor});
+  const float search_factor = std::max({kCellSpacings, options.new_distance, options.hole_distance});
   for_each_index(stream_, n,
                  BinSample{samples, frames(), viewpoints_.data(), static_cast<std::uint32_t>(viewpoints.size()),
                            options.reach_m, options.min_pixels, kFarFieldFrame, cell_size_m_, search_factor,
@@ -337,31 +334,61 @@ void SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> ob
   binned_ = named_count(stream_, keys_.data(), n);
   cells_ = list_cells(stream_, keys_.data(), binned_, cell_keys_.data(), cell_start_.data());
   device::copy(stream_, cell_start_.data() + cells_, &binned_, sizeof(binned_));
+  search_cells_ = counts_of(stream_, cell_keys_.data(), cell_start_.data(), cells_, binned_);
 }
 
-std::vector<CellCount> SampleSelector::search_cells() const {
-  return counts_of(stream_, cell_keys_.data(), cell_start_.data(), cells_, binned_);
-}
-
-std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& modelled, const SelectOptions& options) {
+std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& modelled, FilledCells& filled,
+                                     const SelectOptions& options) {
   if (binned_ == 0) return 0;
   reserve(seen_, cells_);
   reserve(neighbours_, std::size_t{2} * kNeighbours * cells_);
+  sums_.resize(cells_);
+  sums_.clear();
   device::fill(stream_, wanted_.data(), 0, samples.count);
   const Cells cells{cell_keys_.data(), cell_start_.data(), cells_};
   for_each_index(
       stream_, cells_,
       TestCell{cells, modelled.keys(), modelled.size(), options.min_samples, seen_.data(), neighbours_.data()});
+  for_each_index(
+      stream_, binned_,
+      TestSample{samples, frames(), cells, cell_size_m_, options.new_distance, options.hole_distance, keys_.data(),
+                 order_.data(), modelled.points(), seen_.data(), neighbours_.data(), lack_.data(), sums_.data()});
+  const std::vector<CellSums> sums = sums_.to_host();
+  const std::vector<bool> holes = about_holes(sums);
+  std::vector<std::uint8_t> fill(cells_);
+  for (std::uint32_t c = 0; c < cells_; ++c) {
+    const CellCount& cell = search_cells_[c];
+    const auto count = static_cast<float>(cell.count);
+    const float spacing_m =
+        static_cast<float>(sums[c].spacing) / kFixedOne / count * edge_of(cell.key.level, cell_size_m_);
+    const bool lacks = holes[c] || (sums[c].uncovered >= options.min_samples &&
+                                    static_cast<float>(sums[c].uncovered) >= options.refine_share * count);
+    fill[c] = filled.fill(cell.key, spacing_m, options.refine_factor, lacks) ? 1 : 0;
+  }
+  fill_.assign(fill);
   for_each_index(stream_, binned_,
-                 TestSample{samples, frames(), cells, cell_size_m_, options.new_distance, options.top_up_distance,
-                            options.refine_factor, keys_.data(), order_.data(), modelled.points(), seen_.data(),
-                            neighbours_.data(), wanted_.data()});
+                 WantSample{cells, keys_.data(), order_.data(), lack_.data(), fill_.data(), wanted_.data()});
   return with_policy(stream_, [&](auto&& policy) {
     const auto first = thrust::make_counting_iterator(std::uint32_t{0});
     std::uint32_t* const end =
         thrust::copy_if(policy, first, first + samples.count, wanted_.data(), selected_.data(), IsSet());
     return std::min(static_cast<std::uint32_t>(end - selected_.data()), options.room);
   });
+}
+
+std::vector<bool> SampleSelector::about_holes(const std::vector<CellSums>& sums) const {
+  std::vector<bool> about(cells_, false);
+  const auto below = [](const CellCount& cell, const CellKey& key) { return cell.key < key; };
+  for (std::uint32_t c = 0; c < cells_; ++c) {
+    if (sums[c].holes == 0) continue;
+    for (std::uint32_t k = 0; k < kNeighbours; ++k) {
+      const CellKey at = neighbour_of(search_cells_[c].key, k);
+      const auto found = std::lower_bound(search_cells_.begin(), search_cells_.end(), at, below);
+      if (found != search_cells_.end() && found->key == at)
+        about[static_cast<std::size_t>(found - search_cells_.begin())] = true;
+    }
+  }
+  return about;
 }
 
 void SampleSelector::write(const Samples& samples, std::uint32_t first, const InitialOptions& options,

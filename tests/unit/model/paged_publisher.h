@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cstring>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -27,6 +29,8 @@ class PagedPublisher {
   explicit PagedPublisher(std::shared_ptr<bus::Context> context, Device device = Device::Cpu)
       : context_(std::move(context)), device_(device) {}
 
+  bool keeps_generations = false;  ///< of pages whose content is what it was, as the trainer does
+
   /// Returns the index of each Gaussian.
   std::vector<std::uint32_t> publish(const bus::Publisher& publisher, const GaussiansBuffer& model,
                                      std::uint64_t generation, std::uint64_t insert_epoch = 0,
@@ -48,11 +52,13 @@ class PagedPublisher {
         const std::size_t count = std::min<std::size_t>(kPageLanes, members.size() - k);
         PageEntry& entry = table.entry(page);
         entry.now = {.state = PageState::Active, .frame_id = frame_id, .count = static_cast<std::uint32_t>(count)};
-        entry.generation = 2 * generation;
         for (std::size_t lane = 0; lane < count; ++lane) {
           index[members[k + lane]] = page * kPageLanes + static_cast<std::uint32_t>(lane);
         }
-        write_page(*pages_slab, page, model, {members.data() + k, count});
+        const PageContent content{frame_id, count, write_page(*pages_slab, page, model, {members.data() + k, count})};
+        if (!(content == contents_[page]) || !keeps_generations) page_generations_[page] = 2 * generation;
+        contents_[page] = content;
+        entry.generation = page_generations_[page];
       }
     }
     const auto announce = [](const char* name, const bus::Slab& slab, std::vector<std::uint32_t> shape,
@@ -75,6 +81,11 @@ class PagedPublisher {
   }
 
  private:
+  struct PageContent {
+    std::uint32_t frame_id = 0;
+    std::size_t count = 0, hash = 0;
+    bool operator==(const PageContent&) const = default;
+  };
   using Slabs = std::pair<std::shared_ptr<bus::Slab>, std::shared_ptr<bus::Slab>>;
 
   const Slabs& next_slabs(const ParameterLayout& layout) {
@@ -92,8 +103,9 @@ class PagedPublisher {
     return slabs_[turn];
   }
 
-  void write_page(const bus::Slab& slab, std::uint32_t page, const GaussiansBuffer& model,
-                  std::span<const std::size_t> members) const {
+  /// Returns a hash of what it has written.
+  std::size_t write_page(const bus::Slab& slab, std::uint32_t page, const GaussiansBuffer& model,
+                         std::span<const std::size_t> members) const {
     const ParameterLayout& layout = model.layout();
     std::vector<std::uint32_t> words(page_words(layout), 0);
     const auto put = [&](Channel channel, const auto& planes, std::size_t channels) {
@@ -116,6 +128,8 @@ class PagedPublisher {
     const device::StreamView stream = device::thread_stream(device_);
     device::copy(stream, slab.slot_data(0) + page * page_bytes(layout), words.data(), words.size() * sizeof(words[0]));
     stream.wait();
+    return std::hash<std::string_view>()(
+        {reinterpret_cast<const char*>(words.data()), words.size() * sizeof(words[0])});
   }
 
   std::shared_ptr<bus::Context> context_;
@@ -123,6 +137,8 @@ class PagedPublisher {
   ParameterLayout layout_;
   std::size_t turn_ = 0;
   std::vector<Slabs> slabs_;
+  std::map<std::uint32_t, PageContent> contents_;
+  std::map<std::uint32_t, std::uint64_t> page_generations_;
 };
 
 }  // namespace splatbus::model

@@ -9,6 +9,7 @@
 #include <set>
 
 #include "expander/cell_table.h"
+#include "expander/filled_cells.h"
 
 namespace splatbus::expander {
 namespace {
@@ -91,6 +92,20 @@ TEST(Cell, WhatLiesInACellFollowsOneAnother) {
     const CellKey within = cell_at(cell_centre(beside, 0.25F), 1, 0.25F, 2);
     EXPECT_EQ(!(within < first) && within < end, k == 13);
   }
+}
+
+TEST(FilledCells, AreFilledAgainByFinerSamplesOrWhereMuchIsMissing) {
+  FilledCells cells;
+  const CellKey cell = cell_at({1, 2, 3}, 0, 0.25F, 3), larger = parent_of(cell, 4);
+  EXPECT_FALSE(cells.fill(larger, 0.1F, 1.4F, false)) << "somebody has filled it before";
+  EXPECT_FALSE(cells.fill(larger, 0.08F, 1.4F, false));
+  EXPECT_FALSE(cells.fill(cell, 0.06F, 1.4F, false)) << "the larger cell was filled at 0.1";
+  EXPECT_TRUE(cells.fill(cell, 0.055F, 1.4F, false));
+  EXPECT_FALSE(cells.fill(cell, 0.04F, 1.4F, false));
+  EXPECT_TRUE(cells.fill(cell, 0.09F, 1.4F, true));
+  EXPECT_TRUE(cells.fill(cell, 0.06F, 1.4F, false)) << "coarser than before, since points are missing";
+  cells.clear();
+  EXPECT_EQ(cells.size(), 0U);
 }
 
 class CellTableTest : public testing::Test {

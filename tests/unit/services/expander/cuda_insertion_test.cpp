@@ -86,9 +86,9 @@ TEST_F(CudaInsertionTest, OptionsMeanTheSame) {
   EXPECT_EQ(compare(round, options, viewpoints), 777U) << "no more room";
   options.select.room = UINT32_MAX;
   options.select.min_samples = 30;
-  options.select.top_up_distance = 2;
+  options.select.refine_share = 0.1F;
   EXPECT_GT(compare(round, options, viewpoints), 100U);
-  options.select.refine_factor = 4;  // spheres that reach into all neighbours
+  options.select.hole_distance = 4;  // spheres that reach into all neighbours
   options.select.new_distance = 3;
   EXPECT_GT(compare(room_round({}, 5, 56, 0.4F), options), 100U);
 }

@@ -49,7 +49,9 @@ class FakeTrainer {
       : context_(std::move(context)),
         subscriber_(context_, {"model/insert"}),
         publisher_(context_),
-        pages_(context_, memory) {}
+        pages_(context_, memory) {
+    pages_.keeps_generations = true;
+  }
 
   /// Takes batches in; acknowledges them unless told not to.
   void serve() {

@@ -174,6 +174,33 @@ TEST_P(ExpanderTest, WhatTheTrainerHasRemovedIsFilledAgain) {
   EXPECT_EQ(expander_->model_sync().adoptions(), 0U) << "the trainer is the same";
 }
 
+TEST_P(ExpanderTest, ReadsThePagesThatHaveChangedAndSearchesThoseAboutARound) {
+  constexpr std::size_t kFarPages = 100;
+  for (std::size_t i = 0; i < kFarPages * kPageLanes; ++i) {
+    const auto page = static_cast<float>(i / kPageLanes), lane = static_cast<float>(i % kPageLanes);
+    trainer_->points.emplace_back(40 + 3 * page, 0, 0.05F * lane);
+    trainer_->normal.emplace_back(0, 1, 0);
+    trainer_->object_id.push_back(kWorldFrame);
+  }
+  trainer_->publish();
+  start();
+  const ModelledPoints& modelled = expander_->inserter().modelled();
+  EXPECT_EQ(modelled.pages_read(), kFarPages);
+  publish_input(floor_round(-1, 1));
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(modelled.near_pages(), 0U);
+  publish_input(floor_round(-1, 1.5F));
+  ASSERT_TRUE(settled_after(2));
+  EXPECT_EQ(modelled.near_pages(), 2U) << "of 1600 Gaussians";
+  EXPECT_EQ(modelled.pages_read(), kFarPages + 2);
+  EXPECT_EQ(modelled.size(), kFarPages * kPageLanes + 2500);
+  remove_from(kFarPages * kPageLanes + 1300);
+  publish_input(floor_round(-1, 1.5F));
+  ASSERT_TRUE(settled_after(3));
+  EXPECT_EQ(modelled.pages_read(), kFarPages + 2 + 1) << "the second page of the floor is shorter, the third is gone";
+  EXPECT_EQ(modelled.size(), kFarPages * kPageLanes + 2500) << "the hole is filled";
+}
+
 TEST_P(ExpanderTest, WhatHasBeenRemovedMakesRoomBelowTheLimit) {
   set("max_gaussians", "1600");
   start();

@@ -1,8 +1,8 @@
 // Selection of samples beside its rules, written in the plainest way.
 #include <algorithm>
 #include <cmath>
-#include <glm/gtc/constants.hpp>
 #include <map>
+#include <set>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -31,11 +31,25 @@ class PlainSelection {
     for (std::size_t i = 0; i < round.size(); ++i) {
       if (candidate(i)) ++samples[cell_of(round.position[i], round.spacing_m[i])];
     }
+    std::map<Cell, std::size_t> uncovered;
+    std::set<Cell> holes;
+    std::vector<float> nearest(round.size(), 0);  // of the spacing; 0: is none that matters
+    for (std::size_t i = 0; i < round.size(); ++i) {
+      const Cell cell = cell_of(round.position[i], round.spacing_m[i]);
+      if (!candidate(i) || !seen(cell, samples)) continue;
+      nearest[i] = nearest_point(round, i);
+      if (nearest[i] >= options_.new_distance) ++uncovered[cell];
+      if (nearest[i] >= std::max(options_.hole_distance, options_.new_distance)) holes.insert(cell);
+    }
     std::vector<std::size_t> selected;
     for (std::size_t i = 0; i < round.size() && selected.size() < options_.room; ++i) {
-      if (candidate(i) && seen(cell_of(round.position[i], round.spacing_m[i]), samples) && !covered(round, i)) {
-        selected.push_back(i);
-      }
+      if (nearest[i] < options_.new_distance) continue;
+      const Cell cell = cell_of(round.position[i], round.spacing_m[i]);
+      const auto of_cell = static_cast<float>(samples[cell]);
+      const bool refine = (uncovered[cell] >= options_.min_samples &&
+                           static_cast<float>(uncovered[cell]) >= options_.refine_share * of_cell) ||
+                          any_beside(cell, holes);
+      if (refine || nearest[i] >= options_.hole_distance) selected.push_back(i);
     }
     std::vector<glm::vec3> positions;
     for (const std::size_t i : selected) {
@@ -51,10 +65,20 @@ class PlainSelection {
   /// Of the smallest that are at least three spacings wide, by halves and doubles of kCellSize_m, down to an eighth.
   [[nodiscard]] Cell cell_of(const glm::vec3& p, float spacing_m) const {
     float edge_m = kCellSize_m / 8;
-    const float factor = std::max({3.0F, options_.new_distance, options_.top_up_distance, options_.refine_factor});
+    const float factor = std::max({3.0F, options_.new_distance, options_.hole_distance});
     while (edge_m < factor * spacing_m) edge_m *= 2;
     const glm::vec3 at = glm::floor((p + 0.5F * kCellSize_m) / edge_m);
     return {edge_m, at.x, at.y, at.z};
+  }
+  [[nodiscard]] static bool any_beside(const Cell& cell, const std::set<Cell>& others) {
+    const auto [edge_m, x, y, z] = cell;
+    for (int k = 0; k < 27; ++k) {
+      if (others.contains({edge_m, x + static_cast<float>(k / 9 - 1), y + static_cast<float>(k / 3 % 3 - 1),
+                           z + static_cast<float>(k % 3 - 1)})) {
+        return true;
+      }
+    }
+    return false;
   }
   [[nodiscard]] bool seen(const Cell& cell, const std::map<Cell, std::size_t>& samples) const {
     const auto [edge_m, x, y, z] = cell;
@@ -70,30 +94,13 @@ class PlainSelection {
     }
     return about >= options_.min_samples;
   }
-  [[nodiscard]] bool covered(const HostRound& round, std::size_t i) const {
-    const math::Vec3 n{round.normal[i].x, round.normal[i].y, round.normal[i].z};
-    const math::Vec3 u = normalized(cross(n, std::abs(n.z) < 0.7F ? math::Vec3{0, 0, 1} : math::Vec3{1, 0, 0}));
-    const math::Vec3 v = cross(n, u);
+  [[nodiscard]] float nearest_point(const HostRound& round, std::size_t i) const {
     float nearest = INFINITY;
-    std::vector<double> directions;  // of points around
     for (const auto& [point, normal] : points_) {
-      const glm::vec3 offset = point - round.position[i];
-      const float distance = glm::length(offset) / round.spacing_m[i];
-      if (distance > 5 || glm::dot(normal, round.normal[i]) <= 0.5F) continue;
-      nearest = std::min(nearest, distance);
-      const math::Vec3 to{offset.x, offset.y, offset.z};
-      const double angle = std::atan2(double{dot(to, v)}, double{dot(to, u)}) / (2 * glm::pi<double>());
-      if (distance < options_.refine_factor) directions.push_back(std::floor(8 * (angle < 0 ? angle + 1 : angle)));
+      if (glm::dot(normal, round.normal[i]) <= 0.5F) continue;
+      nearest = std::min(nearest, glm::distance(point, round.position[i]) / round.spacing_m[i]);
     }
-    if (nearest < options_.new_distance) return true;
-    // Any four eighths of a turn one behind the other have a point.
-    for (int first = 0; first < 8; ++first) {
-      if (std::none_of(directions.begin(), directions.end(),
-                       [&](double at) { return (static_cast<int>(at) + 8 - first) % 8 < 4; })) {
-        return false;
-      }
-    }
-    return nearest < options_.top_up_distance;
+    return nearest;
   }
 
   SelectOptions options_;
@@ -110,10 +117,11 @@ TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
   viewpoints_ = {{.position = {1, 1, 1}, .ahead = {1, 1, 1}, .focal_px = 60}};
   for (const SelectOptions& options :
        {SelectOptions{}, SelectOptions{.reach_m = 2, .min_pixels = 1.5F, .room = 4000},
-        SelectOptions{.min_samples = 20, .new_distance = 0.5F, .top_up_distance = 1.4F, .refine_factor = 2.5F},
-        SelectOptions{.new_distance = 2, .top_up_distance = 4.5F, .refine_factor = 4}}) {
+        SelectOptions{.min_samples = 20, .new_distance = 0.5F, .hole_distance = 2, .refine_share = 0.5F},
+        SelectOptions{.new_distance = 2, .hole_distance = 4.5F, .refine_share = 0.1F}}) {
     use_cells_of(kCellSize_m);
     options_.select = options;
+    options_.select.refine_factor = 1e6F;  // FilledCells has tests of its own
     PlainSelection plain(options);
     for (const HostRound& round : {still(4, 40, 0), still(5, 48, 0.3F), still(3, 40, 0.9F)}) {
       const auto expected = plain.insert(round, viewpoints_);
