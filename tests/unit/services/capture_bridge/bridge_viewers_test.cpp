@@ -1,5 +1,6 @@
 // The bridge among viewers who walk, jump and leave, in a scene with walls.
 #include "bridge_fixture.h"
+#include "wire/model_generated.h"
 
 namespace splatbus::capture_bridge::test {
 
@@ -107,6 +108,55 @@ TEST_F(BridgeViewersTest, TwoViewersAHundredMetresApartHaveTheirRoundsAndViews) 
   EXPECT_EQ(bridge_->viewers(), 2U);
   EXPECT_EQ(engine_.requested(CameraRole::Reference), 2U);
   EXPECT_EQ(engine_.requested(CameraRole::Input), 8U);
+}
+
+TEST_F(BridgeViewersTest, WhereTheExpanderFindsNothingNewFewerInputCamerasGo) {
+  set("input_cameras", "16");
+  set("input_range_hz", "0");
+  set("input_lead_s", "0");
+  engine_.scene.boxes = {{{95, -0.2F, -5}, {105, 0, 5}}};
+  start();
+  const auto look = [&](float a, float b) {
+    look_as("a", look_at({a, 1.6F, 3}, {a, 0.2F, 0}, 64, 64, 1));
+    look_as("b", look_at({b, 1.6F, 3}, {b, 0.2F, 0}, 64, 64, 1));
+  };
+  const auto cameras_about = [&](float x) {
+    return std::ranges::count_if(engine_.requests(), [&](const FakeEngine::Request& request) {
+      return request.camera.role == CameraRole::Input &&
+             std::abs(request.camera.world_from_camera.translation.x - x) < 9;
+    });
+  };
+  const auto say = [&](std::uint64_t rounds) {
+    publisher_.publish(topics::kGridState, [&](auto& builder, auto header) {
+      return wire::CreateGridState(builder, header, 0.1F, rounds);
+    });
+  };
+  const auto generation_about = [&](float x) {
+    std::uint64_t newest = 0;
+    for (const bus::Message& message : received_["capture/input"]) {
+      const auto& input = message.root<wire::CaptureInput>();
+      if (input.cameras()->size() < 8) continue;
+      const bool near = std::abs(from_wire(*input.cameras()->Get(0)).world_from_camera.translation.x - x) < 9;
+      if (near) newest = std::max(newest, input.rig_generation());
+    }
+    return newest;
+  };
+  ASSERT_TRUE(until([&] {
+    look(0, 100);
+    return generation_about(0) > 0 && generation_about(100) > 0;
+  }));
+  say(1);
+  const std::uint64_t before = generation_about(0);
+  ASSERT_TRUE(until([&] {
+    look(1, 100);
+    return generation_about(0) > before;
+  }));
+  // The round that a's step has brought is processed, and brought no Gaussian.
+  say(2);
+  EXPECT_TRUE(until([&] {
+    look(2, 101);
+    return cameras_about(0) < 8 && cameras_about(100) > 8;
+  }));
 }
 
 TEST_F(BridgeViewersTest, WhoJumpsHasAWholeRoundThereWithoutTheOldOnes) {

@@ -111,6 +111,29 @@ TEST(FreeDome, StandsAsItWouldWhereAllIsFree) {
   EXPECT_GE(same, 10) << "but for those low over the floor, or behind the ball";
 }
 
+/// What a low thing hides is seen from behind all the same, from higher up.
+TEST(FreeDome, LooksOverWhatHides) {
+  AnalyticScene scene;
+  scene.boxes = {{{-2, 0, -1.2F}, {2, 1, -1}}};
+  const glm::vec3 eye(0, 1.6F, 2);
+  const FreeSpace free = seen_from(scene, eye);
+  const DomeOptions dome{.cameras = 100, .size = 16, .radius_m = 2};
+  const DomePlace place{.centre = {0, 0.3F, 0}};
+  const auto tested = free_dome(dome, place, &free, kClearance_m);
+  const auto untested = free_dome(dome, place, nullptr, kClearance_m);
+  int behind = 0;
+  for (std::size_t i = 0; i < tested.size(); ++i) {
+    const glm::vec3 wished = untested[i].world_from_camera.translation,
+                    stands = tested[i].world_from_camera.translation;
+    if (wished.z > -1.4F || free.sees(wished)) continue;
+    ++behind;
+    EXPECT_LT(stands.z, -1.2F);
+    EXPECT_NEAR(glm::distance(stands, place.centre), 2, 1e-3F);
+    EXPECT_TRUE(free.sees(stands));
+  }
+  EXPECT_GE(behind, 4);
+}
+
 /// In a room the cameras together see all of its walls, not only what the viewer looks at.
 TEST(FreeDome, InARoomAlsoLooksBack) {
   AnalyticScene scene;
