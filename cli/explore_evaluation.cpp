@@ -165,6 +165,7 @@ Json run_explore_evaluation(const ExploreOptions& options, const StopSignals& si
   if (options.compare) {
     ExploreRunOptions restless = options.run;
     restless.rests = false;
+    if (!restless.world.empty()) restless.world += "_restless";
     Json beside = run(restless, "restless", "_restless");
     const Json &rate = summary["views_per_s_at_end"], &rate_beside = beside["views_per_s_at_end"];
     if (rate.is_number() && rate_beside.is_number() && rate_beside > 0) {
