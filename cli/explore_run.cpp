@@ -122,6 +122,8 @@ class ExploreRun {
     note_jump();
     take_answers();
     if (asking_) begin_round();
+    // An engine that is slow to answer does not keep the run from being measured.
+    if (asking_ && walk_ns_ != 0 && bus::now_ns() - sampled_ns_ > kRoundNs) note_sample();
     if (bus::now_ns() - shown_ns_ < kSecond) return;
     shown_ns_ = bus::now_ns();
     show_state_(state());
@@ -184,6 +186,7 @@ class ExploreRun {
   }
 
   void note_sample() {
+    sampled_ns_ = bus::now_ns();
     ExploreSample sample{.time_s = time_s(),
                          .phase = phase(),
                          .eye = eye(*viewers_.pose(plan_.viewers.front())),
@@ -272,7 +275,7 @@ class ExploreRun {
   ExploreResults results_;
   bool asking_ = true, walked_ = false;
   std::int64_t begun_ns_, first_start_ns_ = 0, walk_ns_ = 0, jump_ns_ = 0;
-  std::int64_t asked_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
+  std::int64_t asked_ns_ = 0, sampled_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
   SupervisedRun run_;
 };
 
