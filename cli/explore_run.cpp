@@ -33,7 +33,7 @@ constexpr double kMostStart_s = 120;          // until every viewer shows the st
 constexpr double kStartPatience_s = 10;       // from the first pictures on, until they are whole
 constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
 constexpr float kAtStart_m = 0.2F;
-constexpr std::size_t kSheetInstants = 8;
+constexpr int kSheetInstants = 8;
 
 class ExploreRun {
  public:
@@ -248,7 +248,9 @@ class ExploreRun {
 
   void keep_for_sheet(const Waiting& waiting) {
     const double part = results_.samples[*waiting.sample].time_s / (results_.walk_s + options_.stay_s);
-    if (part * kSheetInstants < static_cast<double>(results_.pictures.size())) return;
+    const int instant = static_cast<int>(part * kSheetInstants);
+    if (instant <= kept_instant_) return;
+    kept_instant_ = instant;
     results_.pictures.push_back(
         {.sample = *waiting.sample, .engine = waiting.engine, .viewer = viewer_picture(waiting, "viewer")});
   }
@@ -273,6 +275,7 @@ class ExploreRun {
   std::deque<Waiting> waiting_;
   std::map<std::size_t, double> starts_;  ///< unmodelled share of a viewer's first place
   ExploreResults results_;
+  int kept_instant_ = -1;
   bool asking_ = true, walked_ = false;
   std::int64_t begun_ns_, first_start_ns_ = 0, walk_ns_ = 0, jump_ns_ = 0;
   std::int64_t asked_ns_ = 0, sampled_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
