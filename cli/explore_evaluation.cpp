@@ -171,6 +171,7 @@ Json run_explore_evaluation(const ExploreOptions& options, const StopSignals& si
     if (rate.is_number() && rate_beside.is_number() && rate_beside > 0) {
       summary["views_per_s_ratio"] = rounded(rate.get<double>() / rate_beside.get<double>());
     }
+    beside.erase("views_per_s_ratio");
     summary["restless"] = std::move(beside);
   }
   summary.update({{"seconds", options.run.seconds},
