@@ -70,14 +70,18 @@ class ExploreRun {
   }
 
  private:
+  struct DueStation {
+    std::size_t station = 0;
+    ExplorePhase phase = ExplorePhase::Out;
+  };
   /// A probe whose answers have not all come.
   struct Waiting {
     std::uint64_t probe_id = 0;
     std::int64_t asked_ns = 0;
-    std::optional<std::size_t> sample;   ///< a viewer's own place,
-    std::size_t viewer = 0;              ///< of this one;
-    std::optional<std::size_t> station;  ///< or one that the first viewer left
-    ExplorePhase phase = ExplorePhase::Out;
+    std::optional<std::size_t> sample;       ///< a viewer's own place,
+    std::size_t viewer = 0;                  ///< of this one;
+    std::optional<std::size_t> station;      ///< or one that the first viewer left
+    ExplorePhase phase = ExplorePhase::Out;  ///< in which the station was due
     cv::Mat engine, depth;
   };
 
@@ -120,6 +124,7 @@ class ExploreRun {
     viewers_.poll(std::chrono::milliseconds(0));
     probes_.poll(std::chrono::milliseconds(0), [this](std::size_t, const ProbePicture& probe) { take(probe); });
     note_jump();
+    pass_stations();
     take_answers();
     if (asking_) begin_round();
     // An engine that is slow to answer does not keep the run from being measured.
@@ -154,6 +159,14 @@ class ExploreRun {
     jump_ns_ = pose->told_ns;
   }
 
+  void pass_stations() {
+    const ViewerWatch::Pose* pose = viewers_.pose(plan_.viewers.front());
+    if (walk_ns_ == 0 || pose == nullptr) return;
+    for (const std::size_t station : results_.stations.pass(phase(), pose->camera)) {
+      due_.push_back({.station = station, .phase = phase()});
+    }
+  }
+
   void begin_round() {
     const std::int64_t now_ns = bus::now_ns();
     const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
@@ -166,20 +179,21 @@ class ExploreRun {
       if (pose == nullptr) return;
       cameras.push_back(pose->camera);
     }
-    std::vector<std::size_t> stations;
-    if (walk_ns_ != 0) stations = results_.stations.pass(phase(), cameras.front());
-    for (const std::size_t station : stations) cameras.push_back(results_.stations.all()[station].camera);
+    const std::vector<DueStation> stations = std::exchange(due_, {});
+    for (const DueStation& due : stations) cameras.push_back(results_.stations.all()[due.station].camera);
     const std::size_t count = cameras.size();
     probes_.begin(std::move(cameras));
     asked_ns_ = now_ns;
     if (walk_ns_ != 0) note_sample();
     for (std::size_t i = 0; i < count; ++i) {
-      Waiting waiting{.probe_id = probes_.first_id() + i, .asked_ns = now_ns, .phase = phase()};
+      Waiting waiting{.probe_id = probes_.first_id() + i, .asked_ns = now_ns};
       if (i < plan_.viewers.size()) {
         waiting.viewer = i;
         if (walk_ns_ != 0) waiting.sample = results_.samples.size() - 1;
       } else {
-        waiting.station = stations[i - plan_.viewers.size()];
+        const DueStation& due = stations[i - plan_.viewers.size()];
+        waiting.station = due.station;
+        waiting.phase = due.phase;
       }
       waiting_.push_back(std::move(waiting));
     }
@@ -273,6 +287,7 @@ class ExploreRun {
   ProbeRounds probes_;
   bus::Publisher controls_;
   std::deque<Waiting> waiting_;
+  std::vector<DueStation> due_;
   std::map<std::size_t, double> starts_;  ///< unmodelled share of a viewer's first place
   ExploreResults results_;
   int kept_instant_ = -1;

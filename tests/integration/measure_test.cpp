@@ -228,7 +228,7 @@ TEST(Measure, EvalExploreWalksOutAndBackAndJumpsToTheStart) {
   EXPECT_TRUE(summary["views_per_s_ratio"].is_null()) << "nothing was compared";
   EXPECT_EQ(summary["walk_s"], 20);
   EXPECT_EQ(summary["out_s"], 12);
-  EXPECT_GE(summary["stations"], 2) << "every 5 m of 24, if they lie 8 m behind at the turn";
+  EXPECT_GE(summary["stations"], 3) << "at 0, 5, 10 and 15 m of 24, each 8 m behind at the turn";
   EXPECT_GT(summary["host_mb_peak"], 100);
   EXPECT_GE(summary["gaussians_after_return"], summary["gaussians_before_return"]);
 
