@@ -165,11 +165,13 @@ Json run_explore_evaluation(const ExploreOptions& options, const StopSignals& si
   if (options.compare) {
     ExploreRunOptions restless = options.run;
     restless.rests = false;
+    if (!restless.world.empty()) restless.world += "_restless";
     Json beside = run(restless, "restless", "_restless");
     const Json &rate = summary["views_per_s_at_end"], &rate_beside = beside["views_per_s_at_end"];
     if (rate.is_number() && rate_beside.is_number() && rate_beside > 0) {
       summary["views_per_s_ratio"] = rounded(rate.get<double>() / rate_beside.get<double>());
     }
+    beside.erase("views_per_s_ratio");
     summary["restless"] = std::move(beside);
   }
   summary.update({{"seconds", options.run.seconds},

@@ -44,6 +44,7 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
       settings.emplace_back(fmt::format("{}.max_gaussians", service), std::to_string(*options.max_gaussians));
     }
   }
+  if (!options.world.empty()) settings.emplace_back("trainer.world", fs::absolute(options.world).string());
   if (!options.rests) {
     settings.emplace_back("trainer.freeze", "false");
     settings.emplace_back("trainer.cull_hidden", "false");

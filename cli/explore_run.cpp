@@ -33,7 +33,7 @@ constexpr double kMostStart_s = 120;          // until every viewer shows the st
 constexpr double kStartPatience_s = 10;       // from the first pictures on, until they are whole
 constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
 constexpr float kAtStart_m = 0.2F;
-constexpr std::size_t kSheetInstants = 8;
+constexpr int kSheetInstants = 8;
 
 class ExploreRun {
  public:
@@ -70,14 +70,18 @@ class ExploreRun {
   }
 
  private:
+  struct DueStation {
+    std::size_t station = 0;
+    ExplorePhase phase = ExplorePhase::Out;
+  };
   /// A probe whose answers have not all come.
   struct Waiting {
     std::uint64_t probe_id = 0;
     std::int64_t asked_ns = 0;
-    std::optional<std::size_t> sample;   ///< a viewer's own place,
-    std::size_t viewer = 0;              ///< of this one;
-    std::optional<std::size_t> station;  ///< or one that the first viewer left
-    ExplorePhase phase = ExplorePhase::Out;
+    std::optional<std::size_t> sample;       ///< a viewer's own place,
+    std::size_t viewer = 0;                  ///< of this one;
+    std::optional<std::size_t> station;      ///< or one that the first viewer left
+    ExplorePhase phase = ExplorePhase::Out;  ///< in which the station was due
     cv::Mat engine, depth;
   };
 
@@ -120,8 +124,11 @@ class ExploreRun {
     viewers_.poll(std::chrono::milliseconds(0));
     probes_.poll(std::chrono::milliseconds(0), [this](std::size_t, const ProbePicture& probe) { take(probe); });
     note_jump();
+    pass_stations();
     take_answers();
     if (asking_) begin_round();
+    // An engine that is slow to answer does not keep the run from being measured.
+    if (asking_ && walk_ns_ != 0 && bus::now_ns() - sampled_ns_ > kRoundNs) note_sample();
     if (bus::now_ns() - shown_ns_ < kSecond) return;
     shown_ns_ = bus::now_ns();
     show_state_(state());
@@ -152,6 +159,14 @@ class ExploreRun {
     jump_ns_ = pose->told_ns;
   }
 
+  void pass_stations() {
+    const ViewerWatch::Pose* pose = viewers_.pose(plan_.viewers.front());
+    if (walk_ns_ == 0 || pose == nullptr) return;
+    for (const std::size_t station : results_.stations.pass(phase(), pose->camera)) {
+      due_.push_back({.station = station, .phase = phase()});
+    }
+  }
+
   void begin_round() {
     const std::int64_t now_ns = bus::now_ns();
     const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
@@ -164,26 +179,28 @@ class ExploreRun {
       if (pose == nullptr) return;
       cameras.push_back(pose->camera);
     }
-    std::vector<std::size_t> stations;
-    if (walk_ns_ != 0) stations = results_.stations.pass(phase(), cameras.front());
-    for (const std::size_t station : stations) cameras.push_back(results_.stations.all()[station].camera);
+    const std::vector<DueStation> stations = std::exchange(due_, {});
+    for (const DueStation& due : stations) cameras.push_back(results_.stations.all()[due.station].camera);
     const std::size_t count = cameras.size();
     probes_.begin(std::move(cameras));
     asked_ns_ = now_ns;
     if (walk_ns_ != 0) note_sample();
     for (std::size_t i = 0; i < count; ++i) {
-      Waiting waiting{.probe_id = probes_.first_id() + i, .asked_ns = now_ns, .phase = phase()};
+      Waiting waiting{.probe_id = probes_.first_id() + i, .asked_ns = now_ns};
       if (i < plan_.viewers.size()) {
         waiting.viewer = i;
         if (walk_ns_ != 0) waiting.sample = results_.samples.size() - 1;
       } else {
-        waiting.station = stations[i - plan_.viewers.size()];
+        const DueStation& due = stations[i - plan_.viewers.size()];
+        waiting.station = due.station;
+        waiting.phase = due.phase;
       }
       waiting_.push_back(std::move(waiting));
     }
   }
 
   void note_sample() {
+    sampled_ns_ = bus::now_ns();
     ExploreSample sample{.time_s = time_s(),
                          .phase = phase(),
                          .eye = eye(*viewers_.pose(plan_.viewers.front())),
@@ -245,7 +262,9 @@ class ExploreRun {
 
   void keep_for_sheet(const Waiting& waiting) {
     const double part = results_.samples[*waiting.sample].time_s / (results_.walk_s + options_.stay_s);
-    if (part * kSheetInstants < static_cast<double>(results_.pictures.size())) return;
+    const int instant = static_cast<int>(part * kSheetInstants);
+    if (instant <= kept_instant_) return;
+    kept_instant_ = instant;
     results_.pictures.push_back(
         {.sample = *waiting.sample, .engine = waiting.engine, .viewer = viewer_picture(waiting, "viewer")});
   }
@@ -268,11 +287,13 @@ class ExploreRun {
   ProbeRounds probes_;
   bus::Publisher controls_;
   std::deque<Waiting> waiting_;
+  std::vector<DueStation> due_;
   std::map<std::size_t, double> starts_;  ///< unmodelled share of a viewer's first place
   ExploreResults results_;
+  int kept_instant_ = -1;
   bool asking_ = true, walked_ = false;
   std::int64_t begun_ns_, first_start_ns_ = 0, walk_ns_ = 0, jump_ns_ = 0;
-  std::int64_t asked_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
+  std::int64_t asked_ns_ = 0, sampled_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
   SupervisedRun run_;
 };
 

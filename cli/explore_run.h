@@ -19,7 +19,7 @@ struct ExploreRunOptions {
   EvaluationSetup setup;
   std::string scene;             ///< the engine's --scene; empty: what the launch file says
   std::filesystem::path path;    ///< a polyline, `x y z` a line; empty: the engine's own, by --print-walk
-  std::filesystem::path world;   ///< folder of the world; empty: none
+  std::filesystem::path world;   ///< folder that keeps the world; empty: none
   double seconds = 300;          ///< of the walk out
   std::optional<double> back_s;  ///< of the way back over its own path; nullopt: half of that
   double speed_m_s = 1.4;

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -148,7 +149,7 @@ TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {
 }
 
 TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {
-  const std::string way = directory_.path() + "/way.txt";
+  const std::string way = directory_.path() + "/way.txt", record = directory_.path() + "/record.txt";
   std::ofstream(way) << "0 1 0\n2 1 0\n";
   start_streamer();
   bus::Subscriber poses(peer_, {"viewer/pose"});
@@ -162,7 +163,12 @@ TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {
       return std::abs(std::exchange(before, now) - x) < 1e-4F && std::abs(now - x) < 1e-4F;
     });
   };
-  start_viewer({{"path", "walk"}, {"path_file", way}, {"path_run", "false"}, {"speed_m_s", "20"}, {"threads", "1"}});
+  start_viewer({{"path", "walk"},
+                {"path_file", way},
+                {"path_run", "false"},
+                {"speed_m_s", "20"},
+                {"record_file", record},
+                {"threads", "1"}});
   EXPECT_TRUE(rest_at(0));
   ASSERT_EQ(parameters_->set("path_run", "true", true), "");
   EXPECT_TRUE(rest_at(2));
@@ -172,6 +178,16 @@ TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {
   ASSERT_EQ(parameters_->set("path_file", directory_.path() + "/none", true), "");
   ASSERT_EQ(parameters_->set("path_start_s", "0", true), "");
   EXPECT_TRUE(rest_at(1)) << "a file that cannot be read leaves it on its way";
+  stop_viewer();
+  std::vector<float> seen;
+  for (const viewer::TimedPose& pose : viewer::read_path_poses(record).front()) {
+    const float x = pose.world_from_camera.translation.x;
+    if (seen.empty() || std::abs(seen.back() - x) > 1e-3F) seen.push_back(x);
+  }
+  ASSERT_GE(seen.size(), 3U);
+  EXPECT_NEAR(seen.front(), 0, 1e-3F);
+  EXPECT_NEAR(*std::ranges::max_element(seen), 2, 1e-3F);
+  EXPECT_NEAR(seen.back(), 1, 1e-3F);
 }
 
 TEST_F(ViewerTest, APathThatCannotBeReadIsAClearError) {
