@@ -62,7 +62,7 @@ void WorldBuilder::take(const glm::vec2& middle, float radius_m) {
 
 std::string WorldBuilder::square(const glm::vec2& place) {
   const auto index = [](float x) { return static_cast<int>(std::floor((x + WorldPlan::kHalf_m) / kChunk_m)); };
-  return fmt::format("square {} {}", index(place.x), index(place.y));
+  return fmt::format("{} {}", index(place.x), index(place.y));
 }
 
 void WorldBuilder::add(const std::string& object, const Mesh& part, const Look& look,
@@ -80,15 +80,17 @@ void WorldBuilder::add(const std::string& object, const Mesh& part, const Look& 
 }
 
 void WorldBuilder::add(const Mesh& part, const Look& look, const glm::mat4& world_from_part) {
-  add(square({world_from_part[3].x, world_from_part[3].z}), part, look, world_from_part);
+  const std::string object = "things " + square({world_from_part[3].x, world_from_part[3].z});
+  objects_[object].enclosed = true;  // by houses, for who is in a street
+  add(object, part, look, world_from_part);
 }
 
 void WorldBuilder::add_at(const Mesh& part, const Look& look, const glm::vec2& place) {
-  add(square(place), part, look, glm::mat4(1));
+  add("ground " + square(place), part, look, glm::mat4(1));
 }
 
 void WorldBuilder::add_tinted(const Mesh& part, const Look& look, const glm::vec2& place) {
-  Mesh& mesh = objects_[square(place)].meshes[look.material];
+  Mesh& mesh = objects_["ground " + square(place)].meshes[look.material];
   const std::size_t first = mesh.vertices.size();
   append(mesh, part);
   for (std::size_t i = first; i < mesh.vertices.size(); ++i)

@@ -24,9 +24,9 @@ class WorldBuilder {
   void frame(const std::string& object, const glm::mat4& world_from_object, bool enclosed);
   /// Adds to the object of that name.
   void add(const std::string& object, const Mesh& part, const Look& look, const glm::mat4& world_from_part);
-  /// Adds to the object of the square of kChunk_m in which the part stands.
+  /// Adds to the things of the square of kChunk_m in which the part stands.
   void add(const Mesh& part, const Look& look, const glm::mat4& world_from_part);
-  /// The same of a part in the world's frame, in the square of `place`.
+  /// Adds to the ground of the square of `place`, in the world's frame.
   void add_at(const Mesh& part, const Look& look, const glm::vec2& place);
   /// The same with the tints that its vertices have.
   void add_tinted(const Mesh& part, const Look& look, const glm::vec2& place);

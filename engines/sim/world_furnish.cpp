@@ -62,7 +62,7 @@ void furnish(const Site& rooms, const HousePlan& house, const Room& room, RoomUs
   std::vector<Rect> taken = lanes_of(house, room.storey);
   std::vector<Face> faces = faces_of(house, room);
   for (const Furniture& item : furniture_of(use, draw)) {
-    for (int attempt = 0; attempt < 14; ++attempt) {
+    for (int attempt = 0; attempt < 40; ++attempt) {
       Face& face = faces[draw.below(faces.size())];
       constexpr float kGap_m = 0.04F;
       const float slack = face.half_m - item.footprint.x / 2 - 0.1F, deep = item.footprint.y / 2 + kGap_m;

@@ -87,7 +87,7 @@ void add_leafy_tree(const Site& site, float height, Draw& draw) {
       at.y = std::max(at.y, crown_from + 0.75F * size);
       site.add(
           bumpy_ball(size * glm::vec3(draw.between(0.9F, 1.2F), draw.between(0.65F, 0.9F), draw.between(0.9F, 1.2F)),
-                     0.42F, 12, draw),
+                     0.42F, 10, draw),
           leaf, moved(at, draw.between(0, 6.28F)));
     }
   }
