@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "bus/clock.h"
 #include "trainer/trainer.h"
 #include "wire/model_generated.h"
 
@@ -65,7 +66,12 @@ void Trainer::optimize_once() {
   refresh_options();
   const Commands commands = commands_.take();
   bool structure_changed = optimizer_->apply(commands, views_.versions());
-  if (keeper_) keeper_->turn();
+  if (keeper_) {
+    const std::uint64_t generation = store_->generation();
+    keeper_->see(viewers_.places(bus::now_ns()));
+    keeper_->turn([this](const auto& change) { optimizer_->restructure(change); });
+    structure_changed |= store_->generation() != generation;
+  }
   if (!commands.visibilities.empty()) pair_views();
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
@@ -157,10 +163,11 @@ void Trainer::publish_stats(bool stopped) {
   const WorldKeeper::Stats kept = keeper_ ? keeper_->stats() : WorldKeeper::Stats{};
   service_.counter("world_copy_s", kept.copy_s);
   publisher_.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
-    return wire::CreateTrainerStats(builder, header, store_->step(), store_->views(), store_->optimizer_s(),
-                                    progress_.steps_per_s(), progress_.views_per_s(), progress_.loss(), store_->count(),
-                                    store_->count(), references, inputs, stopped, host_copied_bytes_.load(),
-                                    views_.unpaired());
+    return wire::CreateTrainerStats(
+        builder, header, store_->step(), store_->views(), store_->optimizer_s(), progress_.steps_per_s(),
+        progress_.views_per_s(), progress_.loss(), store_->count(), store_->count(), references, inputs, stopped,
+        host_copied_bytes_.load(), views_.unpaired(), 0, kept.spilled, 0, 0,
+        static_cast<std::uint32_t>(kept.spilled_pages), kept.model_bytes, 0, kept.disk_bytes);
   });
 }
 
