@@ -179,7 +179,7 @@ int prune(const WorldVerbOptions& options) {
     }
   }
   if (gone > 0) folder.commit(folder.progress());
-  while (folder.compact()) {
+  while (folder.compact(true)) {
   }
   if (options.json) {
     fmt::print("{}\n", json_text({{"removed", gone}, {"live_bytes", bytes}, {"bytes", folder.bytes()}}));

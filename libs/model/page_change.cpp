@@ -66,7 +66,9 @@ std::uint32_t PageStore::fill_target() const {
 
 void PageStore::reserve_pages(std::size_t pages) {
   const std::uint32_t list = table_.header().arena_list;
-  while (free_.size() < pages && range_->slabs().size() * kArenaPages < table_.page_capacity()) {
+  const std::size_t most = options_.max_pages > 0 ? std::min<std::size_t>(options_.max_pages, table_.page_capacity())
+                                                  : table_.page_capacity();
+  while (free_.size() < pages && range_->slabs().size() * kArenaPages < most) {
     add_arena(table_.header().arenas.at(list), list);
   }
 }

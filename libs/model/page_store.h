@@ -28,6 +28,7 @@ enum class ChangePoint { Opened, Written, Cleared, Copied, Numbered, Proposed, C
 
 struct PageStoreOptions {
   std::size_t max_gaussians = 0;
+  std::size_t max_pages = 0;  ///< memory that is taken for pages, in whole arenas; 0: as max_gaussians says
   /// How full the pages are that a split leaves.
   float fill = 0.75F;
   /// Called at each point of a change; empty outside of tests.
@@ -65,6 +66,8 @@ class PageStore {
   /// Bytes of channels that insertions and removals have written.
   [[nodiscard]] std::uint64_t written_bytes() const { return written_bytes_; }
 
+  /// Of the arenas there are.
+  [[nodiscard]] std::size_t arena_bytes() const { return range_->slabs().size() * kArenaPages * page_bytes(layout_); }
   /// Pages whose values rest, and the Gaussians in them.
   [[nodiscard]] std::size_t frozen_pages() const { return frozen_pages_; }
   [[nodiscard]] std::size_t frozen_count() const { return frozen_count_; }

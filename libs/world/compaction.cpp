@@ -8,14 +8,14 @@
 
 namespace splatbus::world {
 
-bool World::compact() {
+bool World::compact(bool last_too) {
   const std::lock_guard lock(mutex_);
   if (!pending_.empty()) return false;
   // The emptiest; not the one that is being written.
   auto chosen = segments_.end();
   double least = 0.5;
   for (auto segment = segments_.begin(); segment != segments_.end(); ++segment) {
-    if (segment->first == highest_number_) continue;
+    if (segment->first == highest_number_ && !last_too) continue;
     const auto size = static_cast<double>(std::max<std::size_t>(segment->second.size, 1));
     const double share = static_cast<double>(segment->second.live_bytes) / size;
     if (share >= least) continue;
@@ -24,6 +24,7 @@ bool World::compact() {
   }
   if (chosen == segments_.end()) return false;
   const std::uint32_t number = chosen->first;
+  chosen->second.sealed = true;
   try {
     carry_over(number, chosen->second);
     commit_locked(progress_, true);

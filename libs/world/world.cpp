@@ -56,6 +56,13 @@ std::uint64_t World::bytes() const {
   return sum;
 }
 
+std::uint64_t World::live_bytes() const {
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = 0;
+  for (const auto& [number, segment] : segments_) sum += segment.live_bytes;
+  return sum;
+}
+
 std::size_t World::segments() const {
   const std::lock_guard lock(mutex_);
   return segments_.size();

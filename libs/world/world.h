@@ -56,7 +56,8 @@ class World {
   [[nodiscard]] WorldProgress progress() const;
   [[nodiscard]] std::map<PageKey, PageEntry> pages() const;
   [[nodiscard]] std::optional<PageEntry> find(const PageKey& key) const;
-  [[nodiscard]] std::uint64_t bytes() const;  ///< on disk, of all segments
+  [[nodiscard]] std::uint64_t bytes() const;       ///< on disk, of all segments
+  [[nodiscard]] std::uint64_t live_bytes() const;  ///< of them, those that count
   [[nodiscard]] std::size_t segments() const;
   /// What was found not to be as it was written, and the pages that are lost by it: they are left out.
   [[nodiscard]] std::vector<Damage> damage() const;
@@ -78,7 +79,8 @@ class World {
 
   /// Rewrites what still counts of one segment, where it is less than half of it, and removes that. False when there
   /// is none. Not between put() and commit().
-  bool compact();
+  /// `last_too`: also the segment that is being written, which then ends.
+  bool compact(bool last_too = false);
 
  private:
   struct Segment {

@@ -37,11 +37,12 @@ class IdSet {
   }
 
   /// Adds a page's, and makes those that were known 0, which is nobody's.
-  void drop_known(const ParameterLayout& layout, const model::PageStructure& page, std::vector<std::uint32_t>& words) {
-    for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+  void drop_known(const ParameterLayout& layout, std::uint32_t count, std::vector<std::uint32_t>& words) {
+    const model::PageStructure page{.count = count};
+    for (std::uint32_t lane = 0; lane < count; ++lane) {
       if (add(model::id_of(layout, {page, words}, lane))) continue;
       const std::size_t row = model::rows_of(model::Channel::GaussianId, layout).first;
-      std::fill_n(words.begin() + static_cast<std::ptrdiff_t>(row * page.count + std::size_t{2} * lane), 2, 0U);
+      std::fill_n(words.begin() + static_cast<std::ptrdiff_t>(row * count + std::size_t{2} * lane), 2, 0U);
     }
   }
 

@@ -129,14 +129,20 @@ bool Optimizer::apply(const Commands& commands, std::span<const std::uint64_t> n
   return carve() || changed;
 }
 
-void Optimizer::follow(const Moves& moves) {
+void Optimizer::restructure(const std::function<void()>& change) {
+  settle();
+  change();
+  follow({}, 0);
+}
+
+void Optimizer::follow(const Moves& moves, std::uint64_t created_step) {
   const GaussiansView view = store_.view();
   const std::vector<IndexRange> fresh = fresh_ranges(ranges_, view.ranges);
   ranges_.assign(view.ranges.begin(), view.ranges.end());
   created_step_.grow(view.count);
   fresh_.assign(std::span(fresh));
   kernels::set_values(step_->stream(), created_step_.data(), fresh_.data(), static_cast<std::uint32_t>(fresh.size()),
-                      store_.step());
+                      created_step);
   kernels::move_values(step_->stream(), created_step_.data(), moves);
   carver_.follow(view.count, fresh_, moves);
   visibilities_.follow(

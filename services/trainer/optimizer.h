@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -53,6 +54,9 @@ class Optimizer {
   /// Waits for all that is under way; the structure may have changed.
   StepReport finish();
 
+  /// Lets `change` take pages out of the store or put them back, which count as old, and follows.
+  void restructure(const std::function<void()>& change);
+
   /// PageStore::publish(), with bounds that hold for the values as they are.
   void publish(const bus::Publisher& publisher);
 
@@ -67,7 +71,8 @@ class Optimizer {
   void collect(bool wait);
   void settle();
   void wait_for_values() const { step_->stream().wait(); }
-  void follow(const model::Moves& moves);
+  void follow(const model::Moves& moves) { follow(moves, store_.step()); }
+  void follow(const model::Moves& moves, std::uint64_t created_step);
   void average();
   /// Of the objects of the newest view that has trained.
   void list_scales();

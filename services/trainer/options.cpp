@@ -26,6 +26,17 @@ void Options::bind(bus::ParameterBinder& p) {
         {1, 4096}, kFixed, kMebibytes);
   p.add("world_staging_mb", world.staging_bytes, "MiB of memory for pages on their way to the folder", {1, 4096},
         kFixed, kMebibytes);
+  constexpr double kMebibyteLimit = 1 << 24;
+  p.add(
+      "device_mb", world.device_bytes,
+      "MiB of a GPU's memory for the model and what is kept beside it, beyond which far pages go to disk, 0: no bound",
+      {0, kMebibyteLimit}, kFixed, kMebibytes);
+  p.add("host_mb", world.host_bytes, "the same of host memory, where that is where the model is", {0, kMebibyteLimit},
+        kFixed, kMebibytes);
+  p.add("disk_mb", world.disk_bytes,
+        "MiB of pages in the world folder, beyond which the farthest are forgotten, 0: no bound", {0, kMebibyteLimit},
+        kFixed, kMebibytes);
+  p.add("fetch_m", world.fetch_m, "distance from a viewer within which pages come back from disk, m", {0, 1e6}, kFixed);
 
   p.add("paused", paused, "no optimizer steps while true");
   p.add("run_until", run_until, "step at which the optimizer stops, 0: never", {0, kMaxSteps});

@@ -55,6 +55,9 @@ struct WorldParameters {
   double period_s = 1;                                 ///< from commit to commit
   std::size_t bytes_per_s = std::size_t{32} << 20U;    ///< of model that are copied because values have changed
   std::size_t staging_bytes = std::size_t{64} << 20U;  ///< of memory for pages on their way to the folder
+  // Ceilings of the model and of what the trainer keeps beside it; 0: none.
+  std::size_t device_bytes = 0, host_bytes = 0, disk_bytes = 0;
+  float fetch_m = 40;  ///< pages nearer to a viewer than this are not on disk alone
 };
 
 /// The trainer's parameters as numbers.

@@ -4,9 +4,12 @@
 
 #include <algorithm>
 #include <exception>
+#include <filesystem>
 #include <functional>
+#include <limits>
 #include <map>
 
+#include "bus/clock.h"
 #include "bus/memory.h"
 #include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
@@ -45,10 +48,7 @@ Trainer::Trainer(bus::ServiceContext& service, StepMaker make_step)
 void Trainer::run() {
   const Options& options = *options_;
   with_depth_ = wants_depth(options);
-  store_ = std::make_unique<model::PageStore>(
-      service_.bus, options.layout, model::PageStoreOptions{.max_gaussians = options.max_gaussians}, service_.backend);
-  spdlog::info("model: {}", store_->origin());
-  if (!options.world.folder.empty()) keeper_ = std::make_unique<WorldKeeper>(*store_, options.world);
+  open_store();
   optimizer_ = std::make_unique<Optimizer>(*store_, options, make_step_);
   pair_views();
 
@@ -62,13 +62,34 @@ void Trainer::run() {
   if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
 }
 
+void Trainer::open_store() {
+  const Options& options = *options_;
+  model::PageStoreOptions store{.max_gaussians = options.max_gaussians};
+  const std::size_t most = WorldKeeper::most_pages(options.world, options.layout, service_.backend);
+  // A split takes its new pages before it gives the old one back.
+  constexpr std::size_t kSplits = 64;
+  if (most < std::numeric_limits<std::size_t>::max() - kSplits) store.max_pages = most + kSplits;
+  store_ = std::make_unique<model::PageStore>(service_.bus, options.layout, store, service_.backend);
+  spdlog::info("model: {}", store_->origin());
+  WorldParameters world = options.world;
+  const bool bounded = store.max_pages > 0 && service_.bus->address().is_local();
+  if (world.folder.empty() && bounded) {
+    world.folder = *service_.bus->address().directory + "/spilled-" + service_.bus->source();
+    // Of another run on this bus, where the model that it belongs to is gone.
+    if (store_->count() == 0) std::filesystem::remove_all(world.folder);
+  }
+  if (!world.folder.empty()) keeper_ = std::make_unique<WorldKeeper>(*store_, world);
+}
+
 void Trainer::subscribe() {
   subscriber_
       .on(topics::kCaptureReference,
           [this](const wire::CaptureReference&, const bus::Message& message) { take_reference(message); })
       .on(topics::kModelInsert, [this](const wire::ModelInsert&, const bus::Message& message) { take_insert(message); })
       .on(topics::kRelightVisibility,
-          [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); });
+          [this](const wire::RelightVisibility& body, const bus::Message& message) { take_visibility(body, message); })
+      .on(topics::kViewerPose,
+          [this](const wire::ViewerPose& pose, const bus::Message&) { viewers_.take(pose, bus::now_ns()); });
 }
 
 void Trainer::receive() {

@@ -21,6 +21,7 @@
 #include "trainer/reference_reader.h"
 #include "trainer/view_sampler.h"
 #include "trainer/view_store.h"
+#include "trainer/viewer_places.h"
 #include "trainer/world_keeper.h"
 
 namespace splatbus::trainer {
@@ -52,6 +53,8 @@ class Trainer {
   void run();
 
  private:
+  void open_store();
+
   // Message thread.
   void receive();
   void subscribe();
@@ -92,6 +95,7 @@ class Trainer {
   std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
 
   std::unique_ptr<model::PageStore> store_;
+  ViewerPlaces viewers_;
   std::unique_ptr<WorldKeeper> keeper_;  ///< null without a world folder
   StepMaker make_step_;
   std::unique_ptr<Optimizer> optimizer_;

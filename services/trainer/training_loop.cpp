@@ -8,6 +8,7 @@
 #include <optional>
 #include <vector>
 
+#include "bus/clock.h"
 #include "trainer/trainer.h"
 #include "wire/model_generated.h"
 
@@ -74,7 +75,12 @@ void Trainer::optimize_once() {
   refresh_options();
   const Commands commands = commands_.take();
   bool structure_changed = optimizer_->apply(commands, views_.versions());
-  if (keeper_) keeper_->turn();
+  if (keeper_) {
+    const std::uint64_t generation = store_->generation();
+    keeper_->see(viewers_.places(bus::now_ns()));
+    keeper_->turn([this](const auto& change) { optimizer_->restructure(change); });
+    structure_changed |= store_->generation() != generation;
+  }
   if (!commands.visibilities.empty()) pair_views();
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
@@ -175,9 +181,10 @@ void Trainer::publish_stats(bool stopped) {
     return wire::CreateTrainerStats(
         builder, header, store_->step(), store_->views(), store_->optimizer_s(), progress_.steps_per_s(),
         progress_.views_per_s(), progress_.loss(), store_->count(), store_->count() - store_->frozen_count(),
-        references, inputs, stopped, host_copied_bytes_.load(), views_.unpaired(), store_->frozen_count(), 0,
+        references, inputs, stopped, host_copied_bytes_.load(), views_.unpaired(), store_->frozen_count(), kept.spilled,
         static_cast<std::uint32_t>(store_->page_count() - store_->frozen_pages()),
-        static_cast<std::uint32_t>(store_->frozen_pages()), 0, 0, 0, 0, static_cast<float>(progress_.masked_share()));
+        static_cast<std::uint32_t>(store_->frozen_pages()), static_cast<std::uint32_t>(kept.spilled_pages),
+        kept.model_bytes, 0, kept.disk_bytes, static_cast<float>(progress_.masked_share()));
   });
 }
 

@@ -5,10 +5,13 @@
 
 #include <algorithm>
 #include <exception>
+#include <limits>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include "trainer/id_set.h"
+#include "trainer/world_bytes.h"
 
 namespace splatbus::trainer {
 
@@ -39,6 +42,7 @@ WorldKeeper::WorldKeeper(model::PageStore& store, const WorldParameters& paramet
       stream_(device::thread_stream(store.device())),
       world_(std::make_shared<world::World>(parameters.folder, world::WorldOptions{.layout = store.layout()})),
       committed_(world_->progress()),
+      most_pages_(most_pages(parameters, store.layout(), store.device())),
       writer_(world_) {
   for (const world::Damage& damage : world_->damage()) spdlog::warn("world: {}", damage.text());
   if (const std::size_t lost = world_->lost().size(); lost > 0) {
@@ -60,7 +64,7 @@ WorldKeeper::~WorldKeeper() {
     stream_ = device::thread_stream(store_.device());
     for (const auto end = Clock::now() + kLastRounds; !failing_ && Clock::now() < end;) {
       writer_.wait();
-      if (auto round = writer_.take_done()) finish(std::move(round));
+      if (auto round = writer_.take_done()) finish(std::move(round), [](const auto& change) { change(); });
       if (failing_ || !start_round(Clock::now(), 1e6)) break;
     }
     writer_.wait();
@@ -77,30 +81,35 @@ void WorldKeeper::restore() {
   std::sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
     return std::pair(a.second.segment, a.second.offset) > std::pair(b.second.segment, b.second.offset);
   });
+  if (most_pages_ != std::numeric_limits<std::size_t>::max()) {
+    std::erase_if(entries, [&](const auto& entry) {
+      const bool away = entry.second.mark == world::PageMark::Spilled;
+      if (away) elsewhere_.insert(entry);
+      return away;
+    });
+    const std::size_t room = most_pages_ - most_pages_ / 8;
+    while (entries.size() > room) {
+      elsewhere_.insert(entries.back());
+      entries.pop_back();
+    }
+  }
   IdSet ids(kMaxIdBytes);
   std::size_t left = 0;
   for (std::size_t first = 0; first < entries.size(); first += kPagesAtOnce) {
     const std::size_t n = std::min(kPagesAtOnce, entries.size() - first);
     std::vector<std::optional<world::Page>> pages(n);
     tbb::parallel_for(std::size_t{0}, n, [&](std::size_t p) { pages[p] = world_->read(entries[first + p].first); });
-    std::vector<model::PageContent> contents;
-    std::vector<std::size_t> of_page;
-    for (std::size_t p = 0; p < n; ++p) {
-      if (!pages[p]) continue;
-      const PageKey& key = pages[p]->key;
-      contents.push_back({{.state = pages[p]->state,
-                           .frame_id = key.frame_id,
-                           .level = key.level,
-                           .count = pages[p]->count,
-                           .morton_first = key.morton,
-                           .id_first = key.id},
-                          pages[p]->words});
-      ids.drop_known(store_.layout(), contents.back().structure, pages[p]->words);
-      of_page.push_back(first + p);
+    for (auto& page : pages) {
+      if (page) ids.drop_known(store_.layout(), page->count, page->words);
     }
-    const std::vector<std::uint32_t> placed = store_.restore(contents, progress.next_gaussian_id);
+    const std::vector<std::uint32_t> placed = put_in(pages, progress.next_gaussian_id);
     for (std::size_t p = 0; p < placed.size(); ++p) {
-      const auto& [key, entry] = entries[of_page[p]];
+      const auto& [key, entry] = entries[first + p];
+      if (!pages[p]) continue;
+      if (placed[p] == model::kNotInserted && store_.room() >= entry.count) {
+        kept_[key] = {};  // nothing of it is of use: out of the folder
+        continue;
+      }
       if (placed[p] == model::kNotInserted) {
         elsewhere_[key] = entry;
         left += entry.count;
@@ -111,26 +120,71 @@ void WorldKeeper::restore() {
       kept_[key] = {.page = placed[p], .generation = whole ? now.generation.load() : 0, .step = progress.step};
     }
   }
+  tell_spilled();
   store_.set_progress(progress.step, progress.views, progress.optimizer_s);
   spdlog::info("world: {} Gaussians at step {} from {}", store_.count(), store_.step(), parameters_.folder);
   if (left > 0) spdlog::warn("world: {} more Gaussians stay in the folder, for there is no room", left);
 }
 
+std::vector<std::uint32_t> WorldKeeper::put_in(Pages& pages, std::uint64_t next_gaussian_id) {
+  std::vector<model::PageContent> contents;
+  for (const auto& page : pages) {
+    const PageKey key = page ? page->key : PageKey{};
+    contents.push_back({{.state = page ? page->state : model::PageState::Free,
+                         .frame_id = key.frame_id,
+                         .level = key.level,
+                         .count = page ? page->count : 0,
+                         .morton_first = key.morton,
+                         .id_first = key.id},
+                        page ? std::span<const std::uint32_t>(page->words) : std::span<const std::uint32_t>()});
+  }
+  return store_.restore(contents, next_gaussian_id);
+}
+
 void WorldKeeper::follow() {
   // All of it is to be written once: nobody knows since when the pages of a living model have been as they are.
-  for (const auto& [key, entry] : world_->pages()) kept_[key] = {};
+  std::set<PageKey> resident;
+  IdSet ids(kMaxIdBytes);
+  const model::PageMemory& memory = store_.memory();
+  std::vector<std::uint64_t> of_page;
+  for (const IndexRange& range : store_.view().ranges) {
+    resident.insert(key_of(store_.table().entry(range.first >> kPageShift).now));
+    of_page.resize(range.count);
+    device::copy(stream_, of_page.data(), memory.wide(memory.gaussian_id, range.first),
+                 of_page.size() * sizeof(std::uint64_t));
+    stream_.wait();
+    for (const std::uint64_t id : of_page) static_cast<void>(ids.add(id));
+  }
+  for (const auto& [key, entry] : world_->pages()) {
+    kept_[key] = {};
+    if (entry.mark != world::PageMark::Spilled || resident.contains(key)) continue;
+    // On its way out or back when the trainer died, it may be here under other keys.
+    const auto page = world_->read(key);
+    if (!page) continue;
+    const model::PageStructure structure{.count = page->count};
+    bool here = false;
+    for (std::uint32_t lane = 0; lane < page->count && !here; ++lane) {
+      here = ids.contains(model::id_of(store_.layout(), {structure, page->words}, lane));
+    }
+    if (here) continue;
+    kept_.erase(key);
+    elsewhere_[key] = entry;
+  }
+  tell_spilled();
   spdlog::info("world: the model that is on the bus stands, and {} follows it", parameters_.folder);
 }
 
-void WorldKeeper::turn() {
-  if (auto round = writer_.take_done()) finish(std::move(round));
+void WorldKeeper::turn(const Restructure& restructure) {
+  if (auto round = writer_.take_done()) finish(std::move(round), restructure);
+  finish_fetch(restructure);
+  start_fetch();
   const auto now = Clock::now();
   if (now < next_round_ || writer_.busy()) return;
   const double elapsed = last_round_ == Clock::time_point{} ? parameters_.period_s : seconds(now - last_round_);
   static_cast<void>(start_round(now, elapsed));
 }
 
-void WorldKeeper::finish(std::unique_ptr<KeepRound> round) {
+void WorldKeeper::finish(std::unique_ptr<KeepRound> round, const Restructure& restructure) {
   if (round->error.empty()) {
     if (failing_) spdlog::info("world: {} is written again", parameters_.folder);
     failing_ = false;
@@ -140,6 +194,7 @@ void WorldKeeper::finish(std::unique_ptr<KeepRound> round) {
       for (const PageKey& key : round->removals) kept_.erase(key);
       committed_ = round->progress;
       uncommitted_.clear();
+      spill(*round, restructure);
     }
   } else {
     if (!failing_) {
@@ -192,17 +247,28 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   // A commit has all that has changed since the one before, however many rounds it takes: no page is in the folder as
   // it was before a split, and its other half as after it.
   round->commits = changed.size() <= staged;
-  for (std::size_t c = 0; c < std::min(staged, changed.size()); ++c) stage(*round, changed[c]);
+  const std::vector<Candidate> victims = round->commits ? choose_victims() : std::vector<Candidate>{};
+  std::set<PageKey> leaving;
+  for (const Candidate& victim : victims) leaving.insert(victim.key);
+  for (std::size_t c = 0; c < std::min(staged, changed.size()); ++c) {
+    const bool leaves = leaving.erase(changed[c].key) > 0;
+    stage(*round, changed[c], leaves ? world::PageMark::Spilled : world::PageMark::Resident);
+  }
+  for (const Candidate& victim : victims) {
+    if (round->used < staged && leaving.contains(victim.key)) stage(*round, victim, world::PageMark::Spilled);
+  }
+  std::erase_if(stale, [&](const Candidate& page) { return leaving.contains(page.key); });
   allowance_bytes_ -= static_cast<double>(round->used * page_bytes);
   if (round->commits) {
     for (const auto& [key, kept] : kept_) {
       if (kept.seen != looks_) round->removals.push_back(key);
     }
+    forget(*round);
     const double affordable = std::max(0.0, allowance_bytes_) / static_cast<double>(page_bytes);
     const std::size_t more = std::min({staged - round->used, stale.size(), static_cast<std::size_t>(affordable)});
     std::partial_sort(stale.begin(), stale.begin() + static_cast<std::ptrdiff_t>(more), stale.end(),
                       [](const Candidate& a, const Candidate& b) { return a.step < b.step; });
-    for (std::size_t s = 0; s < more; ++s) stage(*round, stale[s]);
+    for (std::size_t s = 0; s < more; ++s) stage(*round, stale[s], world::PageMark::Resident);
     allowance_bytes_ -= static_cast<double>(more * page_bytes);
   }
   stream_.wait();
@@ -223,14 +289,14 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   return true;
 }
 
-void WorldKeeper::stage(KeepRound& round, const Candidate& candidate) {
+void WorldKeeper::stage(KeepRound& round, const Candidate& candidate, world::PageMark mark) {
   if (round.used == round.pages.size()) round.pages.emplace_back();
   StagedPage& staged = round.pages[round.used++];
   const model::PageEntry& entry = store_.table().entry(candidate.page);
   const model::PageMemory& memory = store_.memory();
   const std::size_t words = std::size_t{memory.used_rows} * kRowWords;
   staged.key = candidate.key;
-  staged.mark = world::PageMark::Resident;
+  staged.mark = mark;
   staged.structure = entry.now;
   staged.bounds = entry.bounds;
   staged.step = store_.step();
@@ -247,6 +313,9 @@ void WorldKeeper::stage(KeepRound& round, const Candidate& candidate) {
 WorldKeeper::Stats WorldKeeper::stats() const {
   Stats stats = stats_;
   stats.disk_bytes = world_->bytes();
+  stats.spilled_pages = elsewhere_.size();
+  for (const auto& [key, entry] : elsewhere_) stats.spilled += entry.count;
+  stats.model_bytes = store_.arena_bytes() + store_.view().count * bytes_beside(store_.layout());
   return stats;
 }
 

@@ -3,8 +3,11 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <future>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -30,11 +33,20 @@ class WorldKeeper {
   WorldKeeper(const WorldKeeper&) = delete;
   WorldKeeper& operator=(const WorldKeeper&) = delete;
 
-  /// Between two steps, as often as one likes.
-  void turn();
+  /// Between two steps, as often as one likes. Pages go out of the store, and come back, inside of what `restructure`
+  /// calls.
+  using Restructure = std::function<void(const std::function<void()>& change)>;
+  void turn(const Restructure& restructure = [](const std::function<void()>& change) { change(); });
+  /// Where viewers are and will be soon, world frame, metres. Those of before hold when there are none.
+  void see(std::vector<math::Vec3> places);
+
+  /// Pages that the ceilings have room for; as many as there can be where there are none.
+  [[nodiscard]] static std::size_t most_pages(const WorldParameters& parameters, const ParameterLayout& layout,
+                                              Device device);
 
   struct Stats {
-    std::uint64_t disk_bytes = 0;
+    std::uint64_t model_bytes = 0;  ///< of the store, and of what is kept beside it
+    std::uint64_t disk_bytes = 0, spilled = 0, spilled_pages = 0;
     std::uint64_t rounds = 0, pages = 0;    ///< that were written
     double copy_s = 0, longest_copy_s = 0;  ///< that the owner's thread has spent on it; in one turn
   };
@@ -55,12 +67,23 @@ class WorldKeeper {
     std::uint64_t step = 0;  ///< when it was kept last
   };
 
+  using Pages = std::vector<std::optional<world::Page>>;
   void restore();
+  std::vector<std::uint32_t> put_in(Pages& pages, std::uint64_t next_gaussian_id);
   void follow();
-  void finish(std::unique_ptr<KeepRound> round);
+  void finish(std::unique_ptr<KeepRound> round, const Restructure& restructure);
   [[nodiscard]] bool start_round(Clock::time_point now, double seconds);
   void look(std::vector<Candidate>& changed, std::vector<Candidate>& stale);
-  void stage(KeepRound& round, const Candidate& candidate);
+  void stage(KeepRound& round, const Candidate& candidate, world::PageMark mark);
+
+  // world_spill.cpp
+  [[nodiscard]] float distance_m(const world::PageKey& key, const PageBounds& bounds) const;
+  [[nodiscard]] std::vector<Candidate> choose_victims() const;
+  void spill(const KeepRound& round, const Restructure& restructure);
+  void forget(KeepRound& round);
+  void start_fetch();
+  void finish_fetch(const Restructure& restructure);
+  void tell_spilled();
 
   model::PageStore& store_;
   WorldParameters parameters_;
@@ -71,6 +94,11 @@ class WorldKeeper {
   std::vector<world::PageKey> uncommitted_;
   world::WorldProgress committed_;
   std::unique_ptr<KeepRound> spare_;
+  std::size_t most_pages_;
+  std::vector<math::Vec3> places_;
+  std::size_t wanted_ = 0;  ///< pages that a viewer is near to, for which there is no room yet
+  std::vector<world::PageKey> reading_;
+  std::future<Pages> read_;
   std::uint64_t looks_ = 0;
   double allowance_bytes_ = 0;
   Clock::time_point last_round_{}, next_round_{};

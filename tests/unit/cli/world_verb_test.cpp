@@ -78,6 +78,7 @@ TEST_F(WorldVerbTest, PruneTakesOutWhatIsFarOrOld) {
       10)
       << "the older of two";
   const world::World left(folder_);
+  EXPECT_EQ(left.bytes(), 32 + younger + 64 + 40) << "a page and a commit";
   ASSERT_EQ(left.pages().size(), 1U);
   EXPECT_EQ(left.pages().begin()->second.count, 20U);
   EXPECT_EQ(left.progress().step, 12U);

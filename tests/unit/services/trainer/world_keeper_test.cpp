@@ -170,7 +170,7 @@ TEST_P(WorldKeeperTest, ADiskThatRefusesStopsNobody) {
 TEST_P(WorldKeeperTest, NobodyIsThereTwice) {
   start();
   change(1);
-  const std::size_t count = store_->count();
+  const std::size_t count = store_->count(), pages = store_->page_count();
   end(true);
   {
     world::World world(folder(), {});
@@ -186,6 +186,8 @@ TEST_P(WorldKeeperTest, NobodyIsThereTwice) {
   EXPECT_EQ(std::count_if(found.by_id.begin(), found.by_id.end(),
                           [](const auto& entry) { return entry.second.gaussian.values[0] == 77.0F; }),
             1);
+  end(true);
+  EXPECT_EQ(world::World(folder()).pages().size(), pages) << "of no use";
 }
 
 /// Wherever it is killed, the folder has the model as it was at one instant, all of it, and not long ago.

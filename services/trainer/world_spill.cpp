@@ -1,0 +1,170 @@
+// What a WorldKeeper takes out of memory, and when it brings it back.
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "trainer/world_bytes.h"
+#include "trainer/world_keeper.h"
+
+namespace splatbus::trainer {
+
+namespace {
+
+constexpr std::size_t kNoBound = std::numeric_limits<std::size_t>::max();
+constexpr std::size_t kFetchedAtOnce = 16;
+/// Farther than what is fetched: what has just come back does not go at once.
+constexpr float kLeave = 1.25F;
+
+}  // namespace
+
+std::size_t WorldKeeper::most_pages(const WorldParameters& parameters, const ParameterLayout& layout, Device device) {
+  const std::size_t bytes = device == Device::Cpu ? parameters.host_bytes : parameters.device_bytes;
+  if (bytes == 0) return kNoBound;
+  return std::max<std::size_t>(8, bytes / (model::page_bytes(layout) + kPageLanes * bytes_beside(layout)));
+}
+
+void WorldKeeper::see(std::vector<math::Vec3> places) {
+  if (!places.empty()) places_ = std::move(places);
+}
+
+float WorldKeeper::distance_m(const world::PageKey& key, const PageBounds& bounds) const {
+  // Where an object is, its pages do not say: they are always near.
+  if (key.frame_id != kWorldFrame || places_.empty()) return 0;
+  float nearest = std::numeric_limits<float>::infinity();
+  for (const math::Vec3& at : places_) {
+    const auto beyond = [](float x, float low, float high) { return std::max({low - x, x - high, 0.0F}); };
+    nearest = std::min(nearest,
+                       std::hypot(beyond(at.x, bounds.low.x, bounds.high.x), beyond(at.y, bounds.low.y, bounds.high.y),
+                                  beyond(at.z, bounds.low.z, bounds.high.z)));
+  }
+  return nearest;
+}
+
+std::vector<WorldKeeper::Candidate> WorldKeeper::choose_victims() const {
+  const std::size_t here = store_.page_count();
+  if (most_pages_ == kNoBound || here + wanted_ + most_pages_ / 16 <= most_pages_) return {};
+  // A sixteenth below the ceiling is where it begins, an eighth where it ends: insertions have room meanwhile.
+  const std::size_t low = most_pages_ - most_pages_ / 8;
+  const std::size_t excess = here + wanted_ > low ? here + wanted_ - low : 0;
+  const std::size_t must = here > most_pages_ - most_pages_ / 16 ? here - low : 0;
+  std::vector<std::pair<float, Candidate>> far;
+  for (const IndexRange& range : store_.view().ranges) {
+    const std::uint32_t page = range.first >> kPageShift;
+    const model::PageEntry& entry = store_.table().entry(page);
+    const world::PageKey key{entry.now.frame_id, entry.now.level, entry.now.morton_first, entry.now.id_first};
+    if (key.frame_id == kWorldFrame) far.push_back({distance_m(key, entry.bounds), {key, page, 0}});
+  }
+  std::sort(far.begin(), far.end(), [](const auto& a, const auto& b) {
+    return a.first != b.first ? a.first > b.first : a.second.key < b.second.key;
+  });
+  std::vector<Candidate> victims;
+  for (const auto& [distance, candidate] : far) {
+    const bool needed = victims.size() < must;
+    const bool welcome = victims.size() < excess && distance > kLeave * parameters_.fetch_m;
+    if (!needed && !welcome) break;
+    victims.push_back(candidate);
+  }
+  return victims;
+}
+
+void WorldKeeper::spill(const KeepRound& round, const Restructure& restructure) {
+  const auto leaves = [&](const StagedPage& page) { return page.mark == world::PageMark::Spilled; };
+  const std::span<const StagedPage> staged(round.pages.data(), round.used);
+  if (std::none_of(staged.begin(), staged.end(), leaves)) return;
+  restructure([&] {
+    std::vector<std::uint32_t> pages;
+    for (const StagedPage& page : staged) {
+      const auto kept = kept_.find(page.key);
+      const auto entry = world_->find(page.key);
+      if (!leaves(page) || kept == kept_.end() || !entry) continue;
+      // What has changed since goes another time, and to the folder as it is now.
+      if (store_.table().entry(kept->second.page).generation.load() != kept->second.generation) {
+        kept->second.generation = 0;
+        continue;
+      }
+      pages.push_back(kept->second.page);
+      elsewhere_[page.key] = *entry;
+      kept_.erase(kept);
+    }
+    store_.take_out(pages);
+    tell_spilled();
+    spdlog::debug("world: {} pages are on disk alone now, {} of them since", elsewhere_.size(), pages.size());
+  });
+}
+
+void WorldKeeper::forget(KeepRound& round) {
+  if (parameters_.disk_bytes == 0) return;
+  std::uint64_t live = world_->live_bytes();
+  if (live <= parameters_.disk_bytes) return;
+  std::vector<std::pair<float, world::PageKey>> far;
+  for (const auto& [key, entry] : elsewhere_) far.emplace_back(distance_m(key, entry.bounds), key);
+  std::sort(far.begin(), far.end(), std::greater<>());
+  for (const auto& [distance, key] : far) {
+    if (live <= parameters_.disk_bytes) break;
+    if (std::find(reading_.begin(), reading_.end(), key) != reading_.end()) continue;
+    live -= elsewhere_.at(key).bytes;
+    kept_[key] = {};  // so that a round that fails is made up for
+    round.removals.push_back(key);
+    elsewhere_.erase(key);
+  }
+  tell_spilled();
+}
+
+void WorldKeeper::start_fetch() {
+  if (!reading_.empty() || elsewhere_.empty() || places_.empty()) return;
+  std::vector<std::pair<float, world::PageKey>> near;
+  for (const auto& [key, entry] : elsewhere_) {
+    const float distance = distance_m(key, entry.bounds);
+    if (distance <= parameters_.fetch_m) near.emplace_back(distance, key);
+  }
+  std::sort(near.begin(), near.end());
+  const std::size_t room = most_pages_ - std::min(most_pages_, store_.page_count() + most_pages_ / 16);
+  const std::size_t count = std::min({near.size(), room, kFetchedAtOnce});
+  wanted_ = near.size() - count;
+  for (std::size_t k = 0; k < count; ++k) reading_.push_back(near[k].second);
+  if (reading_.empty()) return;
+  read_ = std::async(std::launch::async, [world = world_, keys = reading_] {
+    Pages pages;
+    for (const world::PageKey& key : keys) pages.push_back(world->read(key));
+    return pages;
+  });
+}
+
+void WorldKeeper::finish_fetch(const Restructure& restructure) {
+  if (reading_.empty() || read_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+  Pages pages = read_.get();
+  restructure([&] {
+    const std::vector<std::uint32_t> placed = put_in(pages, store_.next_gaussian_id());
+    for (std::size_t p = 0; p < placed.size(); ++p) {
+      const world::PageKey& key = reading_[p];
+      const bool whole = placed[p] != model::kNotInserted;
+      if (!whole && pages[p] && store_.room() < pages[p]->count) continue;  // another time
+      // To be written once more: in the folder it is one that is nowhere else.
+      kept_[key] = {.page = whole ? placed[p] : 0, .generation = 0, .step = store_.step()};
+      elsewhere_.erase(key);
+    }
+    tell_spilled();
+  });
+  reading_.clear();
+}
+
+void WorldKeeper::tell_spilled() {
+  std::vector<model::SpilledRange> ranges;
+  ranges.reserve(elsewhere_.size());
+  for (const auto& [key, entry] : elsewhere_) {
+    ranges.push_back({.frame_id = key.frame_id,
+                      .morton_first = key.morton,
+                      .id_first = key.id,
+                      .morton_last = entry.morton_last,
+                      .low_m = entry.bounds.low,
+                      .high_m = entry.bounds.high});
+  }
+  store_.set_spilled(std::move(ranges));
+}
+
+}  // namespace splatbus::trainer

@@ -1,0 +1,195 @@
+#include <bit>
+#include <cmath>
+#include <set>
+
+#include "../../model/device_test.h"
+#include "../../model/truth.h"
+#include "trainer/world_keeper.h"
+
+namespace splatbus::trainer {
+namespace {
+
+using model::Found;
+using model::Truth;
+
+constexpr std::size_t kPages = 24;
+constexpr float kFetch_m = 12;
+/// Where no high bit of a Morton key changes along the street.
+constexpr float kAside_m = 12;
+
+/// A street along x: 40 heaps of samples, 10 m from one to the next.
+class WorldSpillTest : public model::DeviceTest {
+ protected:
+  ~WorldSpillTest() override { keeper_.reset(); }
+
+  void start(std::size_t disk_bytes = 0) {
+    WorldParameters parameters{.folder = directory_.path() + "/world", .period_s = 0.01};
+    parameters.device_bytes = parameters.host_bytes = kPages * 962560 + 1000;
+    parameters.disk_bytes = disk_bytes;
+    parameters.fetch_m = kFetch_m;
+    context_ = connect("trainer");
+    const std::size_t most = WorldKeeper::most_pages(parameters, {}, GetParam());
+    ASSERT_EQ(most, kPages);
+    store_ = std::make_unique<model::PageStore>(
+        context_, ParameterLayout{}, model::PageStoreOptions{.max_gaussians = 1000000, .max_pages = most + 64},
+        GetParam());
+    keeper_ = std::make_unique<WorldKeeper>(*store_, parameters);
+  }
+  void end(bool with_slabs) {
+    keeper_.reset();
+    store_.reset();
+    if (with_slabs) {
+      for (const char* role : {"page-table", "pages-0"}) context_->drop_slab(role);
+    }
+    context_.reset();
+  }
+
+  static model::Batch heap(int number) {
+    std::mt19937 random(static_cast<unsigned>(number));
+    model::Batch batch = model::make_batch(random, 900, false, 1);
+    std::uniform_real_distribution<float> near(-1, 1);
+    for (std::size_t c = 0; c < 3; ++c) {
+      for (std::size_t k = 0; k < batch.count; ++k) {
+        batch.mean[c * batch.count + k] =
+            near(random) + (c == 0 ? 5.0F + 10.0F * static_cast<float>(number) : kAside_m);
+      }
+    }
+    return batch;
+  }
+
+  void stand(float x) { keeper_->see({{x, kAside_m, kAside_m}}); }
+  /// Goes on until the condition holds; the ceiling holds all the time.
+  bool turn_until(const std::function<bool()>& condition) {
+    return bus_test::eventually([&] {
+      keeper_->turn();
+      EXPECT_LE(store_->arena_bytes(), std::size_t{128} * 393216);
+      return condition();
+    });
+  }
+  [[nodiscard]] std::set<int> heaps_here() const {
+    std::set<int> heaps;
+    for (const auto& [id, place] : Found(*store_).by_id) {
+      heaps.insert(static_cast<int>(std::floor(place.gaussian.values[0] / 10)));
+    }
+    return heaps;
+  }
+  [[nodiscard]] bool all_near(float x) const {
+    const std::set<int> here = heaps_here();
+    for (int heap = 0; heap < 40; ++heap) {
+      if (std::abs(10.0F * static_cast<float>(heap) + 5 - x) < kFetch_m && !here.contains(heap)) return false;
+    }
+    return true;
+  }
+  void walk_out() {
+    for (int h = 0; h < 40; ++h) {
+      stand(10.0F * static_cast<float>(h) + 5);
+      const model::Batch batch = heap(h);
+      insert(*store_, batch, static_cast<std::uint64_t>(h) + 1);
+      truth_.insert(batch, batch.count);
+      ASSERT_TRUE(turn_until([&] { return store_->page_count() <= kPages - 1; }));
+    }
+  }
+  /// What is in memory and what the folder has besides, together: everybody, once, as he was.
+  void expect_everybody() {
+    std::map<std::uint64_t, model::Gaussian> all;
+    const Found found(*store_);
+    for (const auto& [id, place] : found.by_id) all[id] = place.gaussian;
+    std::set<world::PageKey> resident;
+    for (const IndexRange& range : store_->view().ranges) {
+      const model::PageStructure& page = store_->table().entry(range.first / kPageLanes).now;
+      resident.insert({page.frame_id, page.level, page.morton_first, page.id_first});
+    }
+    std::size_t spilled = 0;
+    world::World folder{std::filesystem::path(directory_.path() + "/world")};
+    for (const auto& [key, entry] : folder.pages()) {
+      if (entry.mark != world::PageMark::Spilled || resident.contains(key)) continue;
+      const auto page = folder.read(key);
+      ASSERT_TRUE(page);
+      for (std::uint32_t lane = 0; lane < page->count; ++lane) {
+        std::uint64_t id = 0;
+        std::memcpy(&id, page->words.data() + 89 * page->count + 2 * lane, sizeof(id));
+        model::Gaussian gaussian{.frame_id = key.frame_id, .values = {}};
+        for (std::uint32_t row = 0; row < 89; ++row) {
+          gaussian.values.push_back(std::bit_cast<float>(page->words[row * page->count + lane]));
+        }
+        ASSERT_TRUE(all.emplace(id, gaussian).second) << "Gaussian " << id << " is in memory, too";
+        ++spilled;
+      }
+    }
+    EXPECT_EQ(keeper_->stats().spilled, spilled);
+    ASSERT_EQ(all.size(), truth_.gaussians.size());
+    EXPECT_TRUE(all == truth_.gaussians);
+  }
+
+  Truth truth_;
+  std::shared_ptr<bus::Context> context_;
+  std::unique_ptr<model::PageStore> store_;
+  std::unique_ptr<WorldKeeper> keeper_;
+};
+
+TEST_P(WorldSpillTest, AWalkOutAndBackStaysUnderTheCeilingAndLosesNobody) {
+  start();
+  walk_out();
+  EXPECT_GT(keeper_->stats().spilled_pages, 10U);
+  EXPECT_TRUE(all_near(395));
+  EXPECT_FALSE(heaps_here().contains(0)) << "the farthest go first";
+  expect_everybody();
+  for (float x = 390; x >= 0; x -= 5) {
+    stand(x);
+    ASSERT_TRUE(turn_until([&] { return all_near(x) && store_->page_count() <= kPages; })) << x;
+  }
+  EXPECT_FALSE(heaps_here().contains(39));
+  ASSERT_TRUE(turn_until([&] { return keeper_->stats().rounds > 3; }));
+  end(false);  // what is here is written
+  start();
+  expect_everybody();
+}
+
+TEST_P(WorldSpillTest, WhatIsSpilledIsNotPutInTwice) {
+  start();
+  walk_out();
+  ASSERT_FALSE(heaps_here().contains(3));
+  // Once more what is there: samples of other ids at the same places.
+  const std::size_t before = store_->count();
+  const model::InsertResult result = insert(*store_, heap(3), 1000);
+  EXPECT_GE(result.left_out, 890U);
+  EXPECT_LE(store_->count(), before + 10);
+  // And something that is new, though its keys lie between those of pages that are not here.
+  model::Batch fresh = heap(3);
+  for (std::size_t k = 0; k < fresh.count; ++k) fresh.mean[fresh.count + k] += 3.0F;
+  EXPECT_EQ(insert(*store_, fresh, 1001).left_out, 0U);
+}
+
+TEST_P(WorldSpillTest, AnotherTrainerGoesOnWithBoth) {
+  start();
+  walk_out();
+  end(true);
+  start();
+  EXPECT_LE(store_->page_count(), kPages);
+  EXPECT_GT(keeper_->stats().spilled_pages, 10U);
+  expect_everybody();
+  stand(5);
+  ASSERT_TRUE(turn_until([&] { return all_near(5); }));
+}
+
+TEST_P(WorldSpillTest, BeyondTheDiskTheFarthestIsForgottenAndSeenAnew) {
+  start(std::size_t{1800000});
+  walk_out();
+  std::set<int> folder_has;
+  ASSERT_TRUE(turn_until([&] {
+    folder_has.clear();
+    const world::World folder{std::filesystem::path(directory_.path() + "/world")};
+    for (const auto& [key, entry] : folder.pages()) {
+      folder_has.insert(static_cast<int>(std::floor(entry.bounds.low.x / 10)));
+    }
+    return folder.live_bytes() <= std::size_t{1800000};
+  }));
+  EXPECT_FALSE(folder_has.contains(0));
+  EXPECT_TRUE(folder_has.contains(39));
+  EXPECT_EQ(insert(*store_, heap(0), 1000).left_out, 0U);
+}
+
+INSTANTIATE_TEST_SUITE_P(Devices, WorldSpillTest, testing::Values(Device::Cpu, Device::Cuda), model::device_name);
+
+}  // namespace
+}  // namespace splatbus::trainer
