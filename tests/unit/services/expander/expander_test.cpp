@@ -194,11 +194,34 @@ TEST_P(ExpanderTest, ReadsThePagesThatHaveChangedAndSearchesThoseAboutARound) {
   EXPECT_EQ(modelled.near_pages(), 2U) << "of 1600 Gaussians";
   EXPECT_EQ(modelled.pages_read(), kFarPages + 2);
   EXPECT_EQ(modelled.size(), kFarPages * kPageLanes + 2500);
-  remove_from(kFarPages * kPageLanes + 1300);
   publish_input(floor_round(-1, 1.5F));
   ASSERT_TRUE(settled_after(3));
-  EXPECT_EQ(modelled.pages_read(), kFarPages + 2 + 1) << "the second page of the floor is shorter, the third is gone";
-  EXPECT_EQ(modelled.size(), kFarPages * kPageLanes + 2500) << "the hole is filled";
+  EXPECT_EQ(modelled.pages_read(), kFarPages + 4) << "the floor's second page has more, and there is a third";
+  remove_from(kFarPages * kPageLanes + 1300);
+  publish_input(floor_round(-1, 1.5F));
+  ASSERT_TRUE(settled_after(4));
+  EXPECT_EQ(modelled.pages_read(), kFarPages + 5) << "the second has less, and the third is gone";
+  EXPECT_EQ(trainer_->points.size(), kFarPages * kPageLanes + 2500) << "the hole is filled";
+  EXPECT_EQ(distinct_points(), trainer_->points.size());
+}
+
+TEST_P(ExpanderTest, CoarseSamplesFindWhatIsModelledAboutThem) {
+  start();
+  HostRound round = empty_round();
+  for (int x = 0; x < 30; ++x) {
+    for (int z = 0; z < 30; ++z) {
+      add_sample(round, {static_cast<float>(x), 0, static_cast<float>(z)});
+      round.spacing_m.back() = 1;
+    }
+  }
+  publish_input(round);
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(trainer_->points.size(), round.size());
+  expander_.reset();
+  start();  // which knows of pages alone
+  publish_input(round);
+  ASSERT_TRUE(settled_after(1));
+  EXPECT_EQ(state().gaussians_inserted(), 0U);
 }
 
 TEST_P(ExpanderTest, WhatHasBeenRemovedMakesRoomBelowTheLimit) {
