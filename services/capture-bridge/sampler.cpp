@@ -145,6 +145,7 @@ Sampler::Sampler(Device device)
       kept_(stream_),
       candidate_position_(stream_),
       candidate_area_m2_(stream_),
+      candidate_weight_(stream_),
       position_(stream_),
       normal_(stream_),
       albedo_(stream_),
@@ -167,7 +168,7 @@ RoundSamples Sampler::sample(Views views, const ObjectTransforms& round_objects,
   const Candidates candidates = make_candidates(survived);
   select_candidates(stream_, pixels, round.cameras_per_surface, candidates);
   const Samples samples = make_samples(
-      thin_to_budget(stream_, candidates.position, candidates.area_m2, candidates.count, options.budget, kept_));
+      thin_to_budget(stream_, candidates.position, candidates.weight, candidates.count, options.budget, kept_));
   round.thinned = survived - samples.count;
   write_samples(stream_, pixels, candidates, kept_.data(), spacing_growth(survived, samples.count), linear_.data(),
                 samples);
@@ -241,8 +242,9 @@ Candidates Sampler::make_candidates(std::size_t count) {
   candidate_pixel_.resize(count);
   candidate_position_.resize(3 * count);
   candidate_area_m2_.resize(count);
+  candidate_weight_.resize(count);
   return {static_cast<std::uint32_t>(count), candidate_pixel_.data(), candidate_position_.data(),
-          candidate_area_m2_.data()};
+          candidate_area_m2_.data(), candidate_weight_.data()};
 }
 
 Samples Sampler::make_samples(std::size_t count) {

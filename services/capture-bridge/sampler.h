@@ -93,7 +93,7 @@ class Sampler {
   device::Buffer<RoundTally> tally_;
   device::Buffer<LinearTable> linear_;
   device::Buffer<std::uint32_t> candidate_pixel_, kept_;
-  device::Buffer<float> candidate_position_, candidate_area_m2_;
+  device::Buffer<float> candidate_position_, candidate_area_m2_, candidate_weight_;
   device::Buffer<float> position_, normal_, albedo_, color_, spacing_m_;
   device::Buffer<std::uint32_t> object_id_, pixel_;
 };

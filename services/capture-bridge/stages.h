@@ -54,7 +54,12 @@ struct Candidates {
   std::uint32_t* pixel = nullptr;  ///< [count] among all views'
   float* position = nullptr;       ///< [count, 3] in the round's frame
   float* area_m2 = nullptr;        ///< [count] of surface that it stands for
+  float* weight = nullptr;         ///< [count] what it counts for when samples are too many
 };
+
+/// Surface that is farther from its camera than this counts by the angle that it covers, not by its area: what lies far
+/// away is coarse, and leaves the budget to what is near.
+constexpr float kNearSurface_m = 8;
 
 /// The surfels of rank 1 to cameras_per_surface, of which there are `candidates.count`.
 void select_candidates(device::StreamView stream, const RoundPixels& round, int cameras_per_surface,

@@ -125,8 +125,11 @@ struct GatherCandidate {
     candidates.position[3 * std::size_t{c} + 2] = position.z;
     // The cameras that keep theirs have about the same footprint, and share the surface.
     const int seen_by = round.ranks[pixel].seen_by;
-    candidates.area_m2[c] =
+    const float area_m2 =
         footprint_m * footprint_m / static_cast<float>(cameras_per_surface < seen_by ? cameras_per_surface : seen_by);
+    const float far = round.depth_m[pixel] / kNearSurface_m;
+    candidates.area_m2[c] = area_m2;
+    candidates.weight[c] = area_m2 / larger(1, far * far);
   }
 };
 

@@ -172,5 +172,27 @@ TEST(Sampling, OfNothingIsNothing) {
   EXPECT_EQ(sample(sky, {}, {}).samples.size(), 0U);
 }
 
+/// Two walls that cover the same angle, 4 m and 40 m away: each keeps its half of a small budget, though the far one has
+/// a hundred times the area.
+TEST(Sampling, WhatIsFarLeavesTheBudgetToWhatIsNear) {
+  InputView view = AnalyticScene().render(look_at({0, 5, 0}, {0, 5, -1}, 64, 64, 1));
+  for (std::uint32_t i = 0; i < view.pixels(); ++i) {
+    const float depth_m = i % 64 < 32 ? 4.0F : 40.0F;
+    const glm::vec3 at =
+        unproject(view.camera, static_cast<float>(i % 64) + 0.5F, static_cast<float>(i / 64) + 0.5F, depth_m);
+    view.position[i] = glm::vec4(at, 0);
+    view.normal[i] = glm::vec4(0, 0, 1, 0);
+    view.object_id[i] = 1;
+    view.color[i] = view.albedo[i] = {9, 9, 9, 255};
+  }
+  SamplingOptions options = unlimited();
+  options.budget = 800;
+  const SampledRound round = sample({view}, {}, options);
+  const auto near = std::ranges::count_if(round.samples.position, [](const glm::vec3& p) { return p.z > -10; });
+  const double share = static_cast<double>(near) / static_cast<double>(round.samples.size());
+  // Up to 8 m by area: 4 m count a quarter of what 8 m and all beyond do.
+  EXPECT_NEAR(share, 0.2, 0.05);
+}
+
 }  // namespace
 }  // namespace splatbus::capture_bridge::test
