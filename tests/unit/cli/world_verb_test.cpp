@@ -30,9 +30,13 @@ class WorldVerbTest : public world::WorldTest {
     std::reverse(arguments.begin(), arguments.end());
     app.parse(arguments);
     testing::internal::CaptureStdout();
-    const int status = action();
+    try {
+      EXPECT_EQ(action(), 0);
+    } catch (...) {
+      static_cast<void>(testing::internal::GetCapturedStdout());
+      throw;
+    }
     const std::string output = testing::internal::GetCapturedStdout();
-    EXPECT_EQ(status, 0);
     return nlohmann::json::parse(output);
   }
 };
@@ -83,6 +87,8 @@ TEST_F(WorldVerbTest, PruneTakesOutWhatIsFarOrOld) {
   EXPECT_EQ(left.pages().begin()->second.count, 20U);
   EXPECT_EQ(left.progress().step, 12U);
   EXPECT_THROW(run({"prune", folder_}), std::runtime_error);
+  EXPECT_EQ(run({"prune", folder_, "--max-mb", "0.0001", "--json"})["removed"], 20);
+  EXPECT_TRUE(world::World(folder_).pages().empty());
 }
 
 }  // namespace
