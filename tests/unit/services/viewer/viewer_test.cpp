@@ -180,7 +180,8 @@ TEST_F(ViewerTest, ItsPathIsSteeredWhileItRuns) {
   EXPECT_TRUE(rest_at(1)) << "a file that cannot be read leaves it on its way";
   stop_viewer();
   std::vector<float> seen;
-  for (const viewer::TimedPose& pose : viewer::read_path_poses(record).front()) {
+  const auto legs = viewer::read_path_poses(record);
+  for (const viewer::TimedPose& pose : legs.front()) {
     const float x = pose.world_from_camera.translation.x;
     if (seen.empty() || std::abs(seen.back() - x) > 1e-3F) seen.push_back(x);
   }
