@@ -240,7 +240,7 @@ void add_explore_verb(CLI::App& eval, Action& action) {
   verb->add_option("--world", run.world, "folder that keeps the world, and may have one already");
   verb->add_option("--viewers", run.viewers, "the second walks 100 m ahead of the first")->check(CLI::Range(1, 2));
   verb->add_option("--max-gaussians", run.max_gaussians, "Gaussians beyond which nothing is inserted");
-  verb->add_flag("--compare", options->explore.compare, "beside the same run without freezing and culling");
+  verb->add_flag("--compare", options->explore.compare, "beside the same run without freezing");
   verb->callback([options, &action] { action = [options] { return evaluate_explore(*options); }; });
 }
 

@@ -11,7 +11,7 @@ namespace splatbus::cli {
 struct ExploreOptions {
   ExploreRunOptions run{.setup = {.cameras = 4, .size = 160, .input_cameras = 24, .input_size = 128, .budget = 60000},
                         .scene = "world"};
-  bool compare = false;  ///< with the same run without freezing and culling
+  bool compare = false;  ///< with the same run without freezing
 };
 
 /// Figures of one run. "At 30 s" is a third of the walk where that is sooner, and each is the mean of the 10 s about it

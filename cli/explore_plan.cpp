@@ -45,10 +45,7 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
     }
   }
   if (!options.world.empty()) settings.emplace_back("trainer.world", fs::absolute(options.world).string());
-  if (!options.rests) {
-    settings.emplace_back("trainer.freeze", "false");
-    settings.emplace_back("trainer.cull_hidden", "false");
-  }
+  if (!options.rests) settings.emplace_back("trainer.freeze", "false");
   apply_settings(settings, file);
 }
 

@@ -26,7 +26,7 @@ struct ExploreRunOptions {
   double stay_s = 8;  ///< after the teleport
   int viewers = 1;    ///< the second walks ahead of the first
   std::optional<std::uint64_t> max_gaussians;
-  bool rests = true;  ///< pages freeze, and what cannot be seen is not projected
+  bool rests = true;  ///< pages freeze
 };
 
 /// What a viewer drew from where it was.
