@@ -172,8 +172,8 @@ TEST(Sampling, OfNothingIsNothing) {
   EXPECT_EQ(sample(sky, {}, {}).samples.size(), 0U);
 }
 
-/// Two walls that cover the same angle, 4 m and 40 m away: each keeps its half of a small budget, though the far one has
-/// a hundred times the area.
+/// Two walls that cover the same angle, 4 m and 40 m away: each keeps its half of a small budget, though the far one
+/// has a hundred times the area.
 TEST(Sampling, WhatIsFarLeavesTheBudgetToWhatIsNear) {
   InputView view = AnalyticScene().render(look_at({0, 5, 0}, {0, 5, -1}, 64, 64, 1));
   for (std::uint32_t i = 0; i < view.pixels(); ++i) {

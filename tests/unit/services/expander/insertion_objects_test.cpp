@@ -78,5 +78,21 @@ TEST_P(InsertionTest, ObjectsWhoseIdsAgreeInManyBitsShareNoCells) {
   EXPECT_EQ(inserter_->cells().modelled(), 4U);
 }
 
+TEST_P(InsertionTest, TheFarFieldIsInsertedWhereverViewersStand) {
+  viewpoints_ = {{.position = {500, 2, 0}, .ahead = {500, 2, 0}, .focal_px = 100}};
+  HostRound round = empty_round();
+  for (int i = 0; i < 6; ++i) {
+    add_sample(round, kFarFieldCentre + glm::vec3(0.02F * static_cast<float>(i), kFarFieldRadius, 0), kFarFieldFrame,
+               {0, -1, 0});
+  }
+  round.scene.objects[kFarFieldFrame] = far_field();
+  const HostGaussians inserted = insert(round);
+  EXPECT_EQ(inserted.object_id, std::vector<std::uint32_t>(6, kFarFieldFrame));
+  EXPECT_EQ(inserted.mean, round.position);
+  EXPECT_EQ(insert(round).size(), 0U) << "seen again";
+  std::ranges::fill(round.object_id, 0U);
+  EXPECT_EQ(insert(round).size(), 0U) << "a surface so far away is left for later";
+}
+
 }  // namespace
 }  // namespace splatbus::expander::test
