@@ -10,6 +10,7 @@
 
 #include "bus/clock.h"
 #include "trainer/trainer.h"
+#include "trainer/world_bytes.h"
 #include "wire/model_generated.h"
 
 namespace splatbus::trainer {
@@ -184,7 +185,7 @@ void Trainer::publish_stats(bool stopped) {
         references, inputs, stopped, host_copied_bytes_.load(), views_.unpaired(), store_->frozen_count(), kept.spilled,
         static_cast<std::uint32_t>(store_->page_count() - store_->frozen_pages()),
         static_cast<std::uint32_t>(store_->frozen_pages()), static_cast<std::uint32_t>(kept.spilled_pages),
-        kept.model_bytes, 0, kept.disk_bytes, static_cast<float>(progress_.masked_share()));
+        model_bytes(*store_), 0, kept.disk_bytes, static_cast<float>(progress_.masked_share()));
   });
 }
 

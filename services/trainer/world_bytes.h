@@ -3,6 +3,7 @@
 #include <cstddef>
 
 #include "gaussians/layout.h"
+#include "model/page_store.h"
 
 namespace splatbus::trainer {
 
@@ -10,6 +11,13 @@ namespace splatbus::trainer {
 /// votes and statistics.
 [[nodiscard]] constexpr std::size_t bytes_beside(const ParameterLayout& layout) {
   return (3 * static_cast<std::size_t>(layout.channels()) + 16) * sizeof(float);
+}
+
+/// Of the model as it is, with what is kept beside it. On the CPU frozen pages have no moments.
+[[nodiscard]] inline std::size_t model_bytes(const model::PageStore& store) {
+  const std::size_t moments = 2 * static_cast<std::size_t>(store.layout().channels()) * sizeof(float);
+  const std::size_t without_moments = store.device() == Device::Cpu ? store.frozen_pages() * kPageLanes : 0;
+  return store.arena_bytes() + store.view().count * bytes_beside(store.layout()) - without_moments * moments;
 }
 
 }  // namespace splatbus::trainer

@@ -315,7 +315,6 @@ WorldKeeper::Stats WorldKeeper::stats() const {
   stats.disk_bytes = world_->bytes();
   stats.spilled_pages = elsewhere_.size();
   for (const auto& [key, entry] : elsewhere_) stats.spilled += entry.count;
-  stats.model_bytes = store_.arena_bytes() + store_.view().count * bytes_beside(store_.layout());
   return stats;
 }
 

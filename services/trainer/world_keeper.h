@@ -45,7 +45,6 @@ class WorldKeeper {
                                               Device device);
 
   struct Stats {
-    std::uint64_t model_bytes = 0;  ///< of the store, and of what is kept beside it
     std::uint64_t disk_bytes = 0, spilled = 0, spilled_pages = 0;
     std::uint64_t rounds = 0, pages = 0;    ///< that were written
     double copy_s = 0, longest_copy_s = 0;  ///< that the owner's thread has spent on it; in one turn

@@ -228,11 +228,14 @@ TEST_F(TrainerTest, StatsSayWhatRests) {
   EXPECT_EQ(stats()->pages_frozen(), 1U);
   EXPECT_EQ(stats()->pages_active(), 0U);
   EXPECT_LT(stats()->masked_share(), 1e-3F);
+  const std::uint64_t frozen_bytes = stats()->device_bytes();
   const auto model = read_model();
   ASSERT_TRUE(model);
   EXPECT_EQ(model->count(), 300U) << "readers find them as before";
   set("freeze", "false");
   EXPECT_TRUE(until([&] { return stats()->pages_active() == 1 && stats()->frozen() == 0; }));
+  EXPECT_EQ(stats()->device_bytes() - frozen_bytes, std::uint64_t{kPageLanes} * 2 * 41 * sizeof(float))
+      << "the moments of a page";
 }
 
 TEST_F(TrainerTest, StatsSayHowMuchNothingModels) {
