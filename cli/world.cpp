@@ -179,7 +179,7 @@ int prune(const WorldVerbOptions& options) {
     }
   }
   if (gone > 0) folder.commit(folder.progress());
-  for (std::uint64_t before = folder.bytes(); folder.compact(true) && folder.bytes() < before;) before = folder.bytes();
+  for (std::uint64_t size = folder.bytes(); folder.compact(true) && folder.bytes() < size;) size = folder.bytes();
   if (options.json) {
     fmt::print("{}\n", json_text({{"removed", gone}, {"live_bytes", bytes}, {"bytes", folder.bytes()}}));
   } else {

@@ -34,7 +34,8 @@ typedef enum {
   SPLATBUS_BUFFER_ALBEDO = 8,         /* u8 RGBA, diffuse albedo, as colour but over black: alpha is in it */
   SPLATBUS_BUFFER_DEPTH = 16,         /* f32: metres along the camera's z, 0 where there is no surface */
   SPLATBUS_BUFFER_LIGHT_DEPTH = 32,   /* f32: role light; metres along z, far_m where there is no surface */
-  SPLATBUS_BUFFER_OBJECT_ID = 64      /* u32: any 32 bits (an R32UI target, say), 0 where there is no surface */
+  SPLATBUS_BUFFER_OBJECT_ID = 64      /* u32 (an R32UI target, say), 0 where there is no surface; pixels of
+                                         SPLATBUS_RESERVED_ID are not modelled */
 } splatbus_buffer;
 
 typedef enum { SPLATBUS_ROLE_INPUT, SPLATBUS_ROLE_REFERENCE, SPLATBUS_ROLE_PROBE, SPLATBUS_ROLE_LIGHT } splatbus_role;

@@ -29,6 +29,10 @@ struct ObjectFrame {
 class ObjectFrames {
  public:
   explicit ObjectFrames(const SceneState& scene) : still_{{}, false, scene.light, {}} {
+    // The far field about the origin: other programs have no frame that goes with the camera.
+    const ObjectTransform far = seen_from(glm::vec3(0), kFarFieldFrame, {});
+    frames_.emplace(kFarFieldFrame,
+                    ObjectFrame{far, true, light_in_object(scene.light, far), sh_rotation(far.rigid.rotation)});
     for (const auto& [id, world_from_object] : scene.objects) {
       frames_.emplace(id, ObjectFrame{world_from_object, true, light_in_object(scene.light, world_from_object),
                                       sh_rotation(world_from_object.rigid.rotation)});

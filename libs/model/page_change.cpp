@@ -73,6 +73,11 @@ void PageStore::reserve_pages(std::size_t pages) {
   }
 }
 
+bool PageStore::has_page() {
+  if (free_.empty()) reserve_pages(1);
+  return !free_.empty();
+}
+
 void PageStore::plan_split(Plan& plan, const Page& page, std::uint32_t first_item, std::uint32_t items,
                            std::uint32_t new_pages) {
   const std::uint32_t total = page.count + items;

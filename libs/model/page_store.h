@@ -58,6 +58,8 @@ class PageStore {
   [[nodiscard]] std::size_t count() const { return count_; }
   /// Gaussians that the model may grow by.
   [[nodiscard]] std::size_t room() const;
+  /// Whether there is a page for one more that is put back.
+  [[nodiscard]] bool has_page();
   [[nodiscard]] std::size_t page_count() const { return directory_.size(); }
   [[nodiscard]] const PageTable& table() const { return table_; }
   [[nodiscard]] std::uint64_t generation() const { return table_.generation(); }

@@ -69,7 +69,14 @@ std::vector<float> picture_share(const QuantizedGaussians& gaussians, const Stre
       }
     }
     float area = views.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
-    for (const View& view : views) area = std::max(area, area_px2(view, p, sigma2));
+    for (const View& view : views) {
+      if (gaussians.object_id[i] == kFarFieldFrame) {
+        const ObjectTransform seen = seen_from(view.camera.world_from_camera.translation, kFarFieldFrame, {});
+        area = std::max(area, area_px2(view, seen * p, sigma2 * seen.scale * seen.scale));
+      } else {
+        area = std::max(area, area_px2(view, p, sigma2));
+      }
+    }
     share[i] = shown * area * value(opacity, 0, i);
   }
   return share;

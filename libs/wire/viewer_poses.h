@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -23,11 +24,19 @@ class ViewerPoses {
     std::int64_t seen_ns = 0;
   };
 
-  /// False where there is no room for one more viewer.
+  static constexpr float kFarthest_m = 1e6F;     ///< a pose beyond is no viewer's
+  static constexpr float kMostFocalSides = 100;  ///< nor one with a longer focal length, in sides of its picture
+
+  /// False where there is no room for one more viewer, or the pose is none that one can have.
   bool take(const wire::ViewerPose& pose, std::int64_t now_ns) {
     const std::string viewer = pose.viewer()->str();
+    const Camera camera = from_wire(*pose.camera());
+    const glm::vec3 at = glm::abs(camera.world_from_camera.translation);
+    const auto side = static_cast<float>(std::max(camera.width, camera.height));
+    if (std::max({at.x, at.y, at.z}) > kFarthest_m) return false;
+    if (std::max(camera.fx, camera.fy) > kMostFocalSides * side) return false;
     if (!poses_.contains(viewer) && poses_.size() >= kMaxViewers) return false;
-    poses_.insert_or_assign(viewer, Pose{from_wire(*pose.camera()), now_ns});
+    poses_.insert_or_assign(viewer, Pose{camera, now_ns});
     return true;
   }
 

@@ -33,7 +33,7 @@ std::optional<RecordHeader> header_at(std::span<const std::byte> bytes, std::siz
 }  // namespace
 
 File::File(const std::filesystem::path& path, int flags)
-    : path_(path), descriptor_(::open(path.c_str(), flags | O_CLOEXEC, 0644)) {
+    : path_(path), descriptor_(::open(path.c_str(), flags | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0644)) {
   if (descriptor_ < 0) fail(path_, "cannot be opened");
 }
 

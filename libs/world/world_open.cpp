@@ -9,6 +9,7 @@
 #include <charconv>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <optional>
 
 #include "world/world.h"
@@ -122,7 +123,7 @@ void World::load() {
 void World::take_record(std::uint32_t number, const ScannedRecord& record) {
   const RecordHeader& header = record.header;
   Segment& segment = segments_.at(number);
-  if (header.sequence < next_sequence_) {
+  if (header.sequence < next_sequence_ || header.sequence == std::numeric_limits<std::uint64_t>::max()) {
     damage_.push_back({segment.file->path().string(), record.offset,
                        fmt::format("record {} is not where it belongs", header.sequence)});
     return;

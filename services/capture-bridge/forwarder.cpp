@@ -141,7 +141,8 @@ bool Forwarder::scene(const wire::EngineFrame& frame, bool with_far_field) {
   const bool restarted = frame.header()->epoch() != engine_epoch_;
   auto objects_now = object_bytes(frame);
   auto light_now = light_bytes(*scene.light());
-  const bool unchanged = !restarted && newest_frame_ && objects_now == said_objects_ && light_now == said_light_;
+  const bool unchanged = !restarted && newest_frame_ && objects_now == said_objects_ && light_now == said_light_ &&
+                         with_far_field == said_far_field_;
   if (!restarted && newest_frame_ && scene.frame() < *newest_frame_) return unchanged;
   if (!unchanged) {
     SceneState now = from_wire(scene);  // may throw, and then nothing is said or kept
@@ -157,6 +158,7 @@ bool Forwarder::scene(const wire::EngineFrame& frame, bool with_far_field) {
     masks_objects_ = std::ranges::any_of(scene_.objects, [](const auto& object) { return !object.second.modelled; });
     said_objects_ = std::move(objects_now);
     said_light_ = std::move(light_now);
+    said_far_field_ = with_far_field;
   }
   engine_epoch_ = frame.header()->epoch();
   newest_frame_ = scene.frame();

@@ -55,6 +55,7 @@ class Forwarder {
   std::vector<std::uint8_t> said_objects_, said_light_;  // bytes of the frame's that were published last
   SceneState scene_;
   bool masks_objects_ = false;
+  bool said_far_field_ = false;
 };
 
 }  // namespace splatbus::capture_bridge

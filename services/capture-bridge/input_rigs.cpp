@@ -253,6 +253,7 @@ InputRig* InputRigs::awaiting(std::uint32_t camera_id, std::uint64_t request_id)
 void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view,
                         std::int64_t now_ns) {
   rig.round.add(camera_id, request_id, std::move(view), now_ns);
+  rig.blind.erase(camera_id);
   rig.asked_ns = now_ns;
   rig.patience_ns = 0;
   answered_ = true;

@@ -30,7 +30,9 @@ Camera framed(const glm::vec3& eye, const glm::vec3& target, const PictureSize& 
 /// What the viewer's picture shows and a margin about it, in about as many square pixels as `size` has.
 Camera picture_of(const Camera& viewer, const PictureSize& size, float margin) {
   const auto tangent = [margin](std::uint32_t pixels, float centre, float focal) {
-    return std::min(margin * std::max(centre, static_cast<float>(pixels) - centre) / focal, kLargestTangent);
+    constexpr float kSmallestTangent = 0.004F;
+    return std::clamp(margin * std::max(centre, static_cast<float>(pixels) - centre) / focal, kSmallestTangent,
+                      kLargestTangent);
   };
   const float x = tangent(viewer.width, viewer.cx, viewer.fx), y = tangent(viewer.height, viewer.cy, viewer.fy);
   const float focal = std::sqrt(static_cast<float>(size.pixels()) / (4 * x * y));

@@ -29,7 +29,8 @@ struct MeasurePixel {
     bool edge = false;
     if (view.object_id[in_view] == 0) {
       surfel = far_surfel(view, round.far_field, in_view % view.width, in_view / view.width);
-    } else if (round.depth_m[i] != 0 && !(round.cosine[i] < min_cosine)) {
+    } else if (view.object_id[in_view] != round.far_field.frame_id && round.depth_m[i] != 0 &&
+               !(round.cosine[i] < min_cosine)) {
       const float* const depth_m = round.depth_m + static_cast<std::size_t>(v) * round.view_pixels;
       surfel = measured_surfel(view, depth_m, in_view % view.width, in_view / view.width, edge);
       const MovedObject* const moved = find_moved(view, surfel.object_id);

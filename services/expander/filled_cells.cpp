@@ -5,6 +5,8 @@ namespace splatbus::expander {
 namespace {
 
 constexpr float kLargerCellFactor = 1.25F;
+// Then all is forgotten: a cell counts as filled at the first spacing that is seen.
+constexpr std::size_t kMostCells = std::size_t{1} << 21U;
 
 }  // namespace
 
@@ -33,7 +35,9 @@ bool FilledCells::fill(const CellKey& cell, float spacing_m, float refine_factor
   }
   const bool fills = lacks || (before != nullptr && spacing_m * factor < *before);
   // Without a memory of it the model's points stand for a fill at this spacing: another expander's are not doubled.
-  if (fills || before == nullptr) spacing_m_.insert_or_assign(cell, spacing_m);
+  if (!fills && before != nullptr) return fills;
+  if (spacing_m_.size() >= kMostCells) spacing_m_.clear();
+  spacing_m_.insert_or_assign(cell, spacing_m);
   return fills;
 }
 

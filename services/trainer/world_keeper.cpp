@@ -51,7 +51,8 @@ WorldKeeper::WorldKeeper(model::PageStore& store, const WorldParameters& paramet
   if (world_->cut_bytes() > 0) {
     spdlog::info("world: {} bytes behind the last commit were cut", world_->cut_bytes());
   }
-  if (store_.count() == 0) {
+  // A restore that was cut short has not told its step yet; it goes on.
+  if (store_.count() == 0 || (store_.step() == 0 && committed_.step > 0)) {
     restore();
   } else {
     follow();
@@ -71,6 +72,20 @@ WorldKeeper::~WorldKeeper() {
   } catch (const std::exception& error) {
     spdlog::error("world: the last steps are not kept: {}", error.what());
   }
+}
+
+void WorldKeeper::mark_elsewhere(const world::WorldProgress& progress) try {
+  bool any = false;
+  for (auto& [key, entry] : elsewhere_) {
+    if (entry.mark == world::PageMark::Spilled) continue;
+    world_->mark(key, world::PageMark::Spilled);
+    entry.mark = world::PageMark::Spilled;
+    any = true;
+  }
+  if (any) world_->commit(progress);
+} catch (const world::WorldError& error) {
+  spdlog::error("world: {}", error.what());
+  world_->abandon();
 }
 
 void WorldKeeper::restore() {
@@ -106,7 +121,7 @@ void WorldKeeper::restore() {
     for (std::size_t p = 0; p < placed.size(); ++p) {
       const auto& [key, entry] = entries[first + p];
       if (!pages[p]) continue;
-      if (placed[p] == model::kNotInserted && store_.room() >= entry.count) {
+      if (placed[p] == model::kNotInserted && store_.room() >= entry.count && store_.has_page()) {
         kept_[key] = {};  // nothing of it is of use: out of the folder
         continue;
       }
@@ -121,6 +136,7 @@ void WorldKeeper::restore() {
     }
   }
   tell_spilled();
+  mark_elsewhere(progress);
   store_.set_progress(progress.step, progress.views, progress.optimizer_s);
   spdlog::info("world: {} Gaussians at step {} from {}", store_.count(), store_.step(), parameters_.folder);
   if (left > 0) spdlog::warn("world: {} more Gaussians stay in the folder, for there is no room", left);

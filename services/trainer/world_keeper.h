@@ -67,6 +67,8 @@ class WorldKeeper {
   };
 
   using Pages = std::vector<std::optional<world::Page>>;
+  /// Whoever adopts the slabs later has to know of pages that only the folder has.
+  void mark_elsewhere(const world::WorldProgress& progress);
   void restore();
   std::vector<std::uint32_t> put_in(Pages& pages, std::uint64_t next_gaussian_id);
   void follow();
@@ -91,6 +93,7 @@ class WorldKeeper {
   std::map<world::PageKey, Kept> kept_;
   std::map<world::PageKey, world::PageEntry> elsewhere_;  ///< pages that are in the folder alone
   std::vector<world::PageKey> uncommitted_;
+  Clock::time_point next_fetch_{};
   world::WorldProgress committed_;
   std::unique_ptr<KeepRound> spare_;
   std::size_t most_pages_;

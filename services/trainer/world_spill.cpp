@@ -17,6 +17,7 @@ namespace {
 
 constexpr std::size_t kNoBound = std::numeric_limits<std::size_t>::max();
 constexpr std::size_t kFetchedAtOnce = 16;
+constexpr auto kFetchPeriod = std::chrono::milliseconds(50);
 /// Farther than what is fetched: what has just come back does not go at once.
 constexpr float kLeave = 1.25F;
 
@@ -116,7 +117,15 @@ void WorldKeeper::forget(KeepRound& round) {
 }
 
 void WorldKeeper::start_fetch() {
-  if (!reading_.empty() || elsewhere_.empty() || places_.empty()) return;
+  if (!reading_.empty()) return;
+  if (elsewhere_.empty() || places_.empty()) {
+    wanted_ = 0;
+    return;
+  }
+  // Not with each step: all that was ever spilled is looked at.
+  const auto now = Clock::now();
+  if (now < next_fetch_) return;
+  next_fetch_ = now + kFetchPeriod;
   std::vector<std::pair<float, world::PageKey>> near;
   for (const auto& [key, entry] : elsewhere_) {
     const float distance = distance_m(key, entry.bounds);
@@ -143,7 +152,7 @@ void WorldKeeper::finish_fetch(const Restructure& restructure) {
     for (std::size_t p = 0; p < placed.size(); ++p) {
       const world::PageKey& key = reading_[p];
       const bool whole = placed[p] != model::kNotInserted;
-      if (!whole && pages[p] && store_.room() < pages[p]->count) continue;  // another time
+      if (!whole && pages[p] && (store_.room() < pages[p]->count || !store_.has_page())) continue;  // another time
       // To be written once more: in the folder it is one that is nowhere else.
       kept_[key] = {.page = whole ? placed[p] : 0, .generation = 0, .step = store_.step()};
       elsewhere_.erase(key);

@@ -179,7 +179,8 @@ TEST_F(RigControlTest, MoreViewersThanCamerasTakeTurns) {
   set("input_cameras", "8");
   set("reference_cameras", "2");
   const auto all_look = [&](float x) {
-    for (int i = 0; i < 5; ++i) look("v" + std::to_string(i), standing({100.0F * static_cast<float>(i) + x, 1.6F, 0}));
+    for (int i = 0; i < 5; ++i)
+      look(std::string("v").append(std::to_string(i)), standing({100.0F * static_cast<float>(i) + x, 1.6F, 0}));
     update();
     pass(kSecond / 10);
   };
