@@ -16,7 +16,7 @@ using wire::Attribute;
 inline constexpr std::size_t kMaxGaussians = std::size_t{1} << 22;       ///< that a streamer serves and a viewer takes
 inline constexpr std::size_t kMaxChunkGaussians = std::size_t{1} << 16;  ///< in one Snapshot
 inline constexpr std::size_t kMaxDeltaGaussians = std::size_t{1} << 20;  ///< in one TensorDelta
-inline constexpr std::size_t kMaxObjects = 32768;                        ///< as an engine shows
+inline constexpr std::size_t kMaxObjects = 32768 + 1;                    ///< as an engine shows, and the far field
 inline constexpr std::size_t kMaxPacketBytes = std::size_t{1} << 20;     ///< the FlatBuffer
 inline constexpr std::size_t kMaxPayloadBytes = std::size_t{1} << 28;    ///< the payload frame
 

@@ -70,8 +70,13 @@ World::World(const fs::path& folder, const WorldOptions& options)
       throw WorldError("the system has no random numbers");
     }
   }
+  const bool is_new = manifest_.epoch == 0;
   manifest_.epoch += 1;
-  write_manifest(folder_, manifest_);
+  try {
+    write_manifest(folder_, manifest_);
+  } catch (const WorldError&) {
+    if (is_new) throw;  // else the one before stands: a disk that is full shows with the first commit
+  }
 }
 
 World::World(const fs::path& folder) : folder_(folder), manifest_(read_manifest(folder)) {

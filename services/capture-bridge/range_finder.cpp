@@ -30,10 +30,16 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
   while (options.rate_hz > 0 && credit_ + kOverdraft >= 1) {
     const std::pair<const std::string, Viewer>* neediest = nullptr;
     float most_m = credit_ >= 1 ? options.move_m : options.reach_m;
+    std::int64_t oldest_ns = 0;
     for (const auto& entry : viewers.all()) {
       const float off_m = off_cube(entry.first, entry.second);
-      if (off_m <= most_m) continue;
+      const auto known = ranges_.find(entry.first);
+      const std::int64_t asked_ns = known == ranges_.end() ? 0 : known->second.asked_ns;
+      // Of those in equal need, whoever has waited longest: one who outruns his cubes starves nobody.
+      const bool waited_longer = off_m == most_m && neediest != nullptr && asked_ns < oldest_ns;
+      if (!(off_m > most_m || waited_longer)) continue;
       most_m = off_m;
+      oldest_ns = asked_ns;
       neediest = &entry;
     }
     if (neediest == nullptr) return;
@@ -71,6 +77,7 @@ void RangeFinder::ask(const RangeOptions& options, const Viewer& viewer, Range& 
     cube.request_ids.at(face) = cameras.add(camera, wire::EngineBuffer::Depth, 0);
   }
   range.pending = std::move(cube);
+  range.asked_ns = now_ns;
 }
 
 void RangeFinder::cancel(Range& range, CameraSet& cameras) {

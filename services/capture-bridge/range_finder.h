@@ -50,6 +50,7 @@ class RangeFinder {
     std::uint32_t slot = 0;  ///< camera ids are kFirstId + kFaces times this, and up
     std::optional<FreeSpace> free;
     std::optional<Cube> pending;
+    std::int64_t asked_ns = 0;  ///< for a cube, last
   };
   /// How far the viewer is from its cube; without end where it has none of use, and 0 where one is on its way.
   [[nodiscard]] float off_cube(const std::string& name, const Viewer& viewer) const;
@@ -59,7 +60,7 @@ class RangeFinder {
 
   std::map<std::string, Range> ranges_;
   float reach_m_ = 0;
-  double credit_ = 0;  // cubes that may be asked for now
+  double credit_ = 0;  // cubes that may be asked for
   std::int64_t credited_ns_ = 0;
 };
 

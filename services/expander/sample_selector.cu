@@ -7,6 +7,7 @@
 
 #include "expander/cell_search.h"
 #include "expander/filled_cells.h"
+#include "expander/local_sample.h"
 #include "expander/point_grid.h"
 
 namespace splatbus::expander {
@@ -28,53 +29,6 @@ constexpr float kFixedOne = 1 << 12;  // sums of integers are the same in any or
 struct IsSet {
   SPLATBUS_PORTABLE_MEMBER bool operator()(std::uint8_t flag) const { return flag != 0; }
 };
-
-SPLATBUS_PORTABLE bool finite(const Vec3& v) {
-  return math::is_finite(v.x) && math::is_finite(v.y) && math::is_finite(v.z);
-}
-
-struct ValidateSample {
-  Samples samples;
-  std::uint32_t* invalid;
-
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const Vec3 normal = samples.normal[i], albedo = samples.albedo[i], color = samples.color[i];
-    const float spacing_m = samples.spacing_m[i];
-    const bool valid = finite(samples.position[i]) && finite(normal) && finite(albedo) && finite(color) &&
-                       fabsf(length(normal) - 1) < kUnitTolerance && spacing_m > 0 && spacing_m < kMaxSpacing_m;
-    if (!valid) {
-      samples.spacing_m[i] = 0;
-      device::atomic_add(invalid, 1U);
-      return;
-    }
-    samples.normal[i] = normalized(normal);
-    samples.albedo[i] = {math::clamped(albedo.x, 0, 1), math::clamped(albedo.y, 0, 1), math::clamped(albedo.z, 0, 1)};
-    samples.color[i] = {math::larger(color.x, 0), math::larger(color.y, 0), math::larger(color.z, 0)};
-  }
-};
-
-/// A sample in the frame that its Gaussian is to live in.
-struct LocalSample {
-  std::uint32_t frame_id;
-  float metres_per_unit;
-  Vec3 position, normal;  ///< in the frame's units
-  float spacing_m;
-
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Vec3 position_m() const { return position * metres_per_unit; }
-};
-
-SPLATBUS_PORTABLE LocalSample localised(const Samples& samples, const ObjectFrames& frames, std::uint32_t i) {
-  LocalSample local{kWorldFrame, 1, samples.position[i], samples.normal[i],
-                    math::larger(samples.spacing_m[i], kMinSpacing_m)};
-  if (const ObjectFrame* const object = frames.find(samples.object_id[i])) {
-    const math::Similarity& object_from_world = object->object_from_world;
-    local.frame_id = object->id;
-    local.metres_per_unit = 1.0F / object_from_world.scale;
-    local.position = transformed(object_from_world, local.position);
-    local.normal = object_from_world.rotation * local.normal;
-  }
-  return local;
-}
 
 SPLATBUS_PORTABLE float distance_to_path(const Vec3& point, const Viewpoint& viewpoint) {
   const Vec3 path = viewpoint.ahead - viewpoint.position, to = point - viewpoint.position;
@@ -241,52 +195,7 @@ struct WantSample {
   }
 };
 
-struct WriteGaussian {
-  Samples samples;
-  ObjectFrames frames;
-  const std::uint32_t* selected;
-  float scale, log_flatness, opacity_logit;
-  LightTerms light;
-  InsertChannels out;
-
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
-    const std::size_t n = out.count;
-    const std::uint32_t s = selected[i];
-    const LocalSample local = localised(samples, frames, s);
-    const float along = logf(local.spacing_m / local.metres_per_unit * scale);
-    const math::Vec4 rotation = rotation_to_normal(local.normal);
-    put(out.mean, n, i, local.position);
-    put(out.log_scale, n, i, {along, along, along + log_flatness});
-    put(out.rotation, n, i, rotation.xyz);
-    out.rotation[3 * n + i] = rotation.w;
-    out.opacity_logit[i] = opacity_logit;
-    put(out.albedo, n, i, samples.albedo[s]);
-    put(out.normal, n, i, local.normal);
-    out.visibility[i] = guess_visibility(samples.color[s], samples.albedo[s], samples.normal[s], light);
-    out.object_id[i] = local.frame_id;
-  }
-};
-
 }  // namespace
-
-Samples samples_at(std::byte* memory, std::uint32_t count) {
-  auto* const position = reinterpret_cast<Vec3*>(memory);
-  auto* const spacing_m = reinterpret_cast<float*>(position + std::size_t{4} * count);
-  return {position,
-          position + count,
-          position + std::size_t{2} * count,
-          position + std::size_t{3} * count,
-          spacing_m,
-          reinterpret_cast<std::uint32_t*>(spacing_m + count),
-          count};
-}
-
-std::uint32_t validate(StreamView stream, const Samples& samples) {
-  Buffer<std::uint32_t> invalid(stream, 1);
-  invalid.clear();
-  for_each_index(stream, samples.count, ValidateSample{samples, invalid.data()});
-  return invalid.to_host().front();
-}
 
 SampleSelector::SampleSelector(StreamView stream, float cell_size_m)
     : stream_(stream),
@@ -389,13 +298,6 @@ std::vector<bool> SampleSelector::about_holes(const std::vector<CellSums>& sums)
     }
   }
   return about;
-}
-
-void SampleSelector::write(const Samples& samples, std::uint32_t first, const InitialOptions& options,
-                           const LightTerms& light, const InsertChannels& gaussians) const {
-  for_each_index(stream_, gaussians.count,
-                 WriteGaussian{samples, frames(), selected_.data() + first, options.scale, std::log(options.flatness),
-                               std::log(options.opacity / (1 - options.opacity)), light, gaussians});
 }
 
 }  // namespace splatbus::expander

@@ -92,9 +92,13 @@ Optimizer::~Optimizer() = default;
 void Optimizer::set_options(const Options& options) {
   options_ = options;
   step_->set_options(options_);
+  if (store_.frozen_pages() > 0) settle();
+  thaw_unseen();
+}
+
+void Optimizer::thaw_unseen() {
   if ((options_.freeze.enabled && step_->sees_pages()) || store_.frozen_pages() == 0) return;
   // Nobody would ever see that one of them has to train again.
-  settle();
   std::vector<std::uint32_t> pages;
   for (const IndexRange& range : store_.view().ranges) pages.push_back(range.first >> kPageShift);
   store_.thaw(pages);
@@ -133,6 +137,7 @@ void Optimizer::restructure(const std::function<void()>& change) {
   settle();
   change();
   follow({}, 0);
+  thaw_unseen();  // what comes back from a world may be frozen
 }
 
 void Optimizer::follow(const Moves& moves, std::uint64_t created_step) {

@@ -15,7 +15,8 @@ namespace splatbus::trainer {
 
 namespace {
 
-constexpr std::size_t kMaxDeviceObjects = 32768;  // SPLATBUS_MAX_OBJECTS; a batch has room for two views' of that many
+constexpr std::size_t kMaxDeviceObjects =
+    32768 + 1;  // SPLATBUS_MAX_OBJECTS and the far field; a batch has room for two views' of that many
 
 }  // namespace
 

@@ -76,7 +76,8 @@ void Trainer::open_store() {
   if (world.folder.empty() && bounded) {
     world.folder = *service_.bus->address().directory + "/spilled-" + service_.bus->source();
     // Of another run on this bus, where the model that it belongs to is gone.
-    if (store_->count() == 0) std::filesystem::remove_all(world.folder);
+    std::error_code ignored;  // what stays is refused by name
+    if (store_->count() == 0) std::filesystem::remove_all(world.folder, ignored);
   }
   if (!world.folder.empty()) keeper_ = std::make_unique<WorldKeeper>(*store_, world);
 }

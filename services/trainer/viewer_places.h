@@ -22,7 +22,7 @@ class ViewerPlaces {
     const auto before = poses_.all().find(viewer);
     const bool known = before != poses_.all().end();
     const ViewerPoses::Pose old = known ? before->second : ViewerPoses::Pose{};
-    if (!poses_.take(pose, now_ns) || !known || now_ns <= old.seen_ns) return;
+    if (!poses_.take(pose, now_ns) || !known || now_ns - old.seen_ns < kLeastInterval_ns) return;
     const glm::vec3 way = position(poses_.all().at(viewer)) - position(old);
     speeds_[viewer] = way / (static_cast<float>(now_ns - old.seen_ns) * 1e-9F);
   }
@@ -44,6 +44,8 @@ class ViewerPlaces {
 
  private:
   static constexpr float kAhead_s = 2;
+  /// Poses that were waiting come in one burst, and say nothing of speed.
+  static constexpr std::int64_t kLeastInterval_ns = 5'000'000;
   static glm::vec3 position(const ViewerPoses::Pose& pose) { return pose.camera.world_from_camera.translation; }
 
   std::mutex mutex_;

@@ -218,6 +218,7 @@ void WorldKeeper::finish(std::unique_ptr<KeepRound> round, const Restructure& re
                     round->error);
     }
     failing_ = true;
+    ++stats_.refused_rounds;
     for (const PageKey& key : uncommitted_) kept_[key].generation = 0;
     uncommitted_.clear();
     next_round_ = Clock::now() + kRetryPeriod;

@@ -47,6 +47,7 @@ class WorldKeeper {
   struct Stats {
     std::uint64_t disk_bytes = 0, spilled = 0, spilled_pages = 0;
     std::uint64_t rounds = 0, pages = 0;    ///< that were written
+    std::uint64_t refused_rounds = 0;       ///< by the disk
     double copy_s = 0, longest_copy_s = 0;  ///< that the owner's thread has spent on it; in one turn
   };
   [[nodiscard]] Stats stats() const;

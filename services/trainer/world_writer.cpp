@@ -50,7 +50,7 @@ void WorldWriter::run(const std::stop_token& stop) {
     round->error.clear();
     try {
       write(*round);
-    } catch (const world::WorldError& error) {
+    } catch (const std::exception& error) {
       round->error = error.what();
       try {
         world_->abandon();
@@ -67,7 +67,7 @@ void WorldWriter::run(const std::stop_token& stop) {
     if (!committed) continue;
     try {
       world_->compact();
-    } catch (const world::WorldError& error) {
+    } catch (const std::exception& error) {
       spdlog::warn("world: {}", error.what());
     }
   }

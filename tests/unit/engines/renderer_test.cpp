@@ -20,12 +20,7 @@ TEST(Renderer, SameCameraSameBytes) {
   static_cast<void>(toys().render(ring_camera(2, 64), kAll));
   toys().set_time(0.7);
   const Pictures& again = toys().render(ring_camera(1), kAll);
-  EXPECT_EQ(first.color, again.color);
-  EXPECT_EQ(first.albedo, again.albedo);
-  EXPECT_EQ(first.world_position, again.world_position);
-  EXPECT_EQ(first.normal, again.normal);
-  EXPECT_EQ(first.depth, again.depth);
-  EXPECT_EQ(first.object_id, again.object_id);
+  expect_same(first, again);
 }
 
 TEST(Renderer, OnlyWhatIsAskedForIsThere) {

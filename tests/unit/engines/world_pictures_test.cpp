@@ -15,16 +15,6 @@ Scene world() {
   return made;
 }
 
-void expect_same(const Pictures& a, const Pictures& b) {
-  EXPECT_EQ(a.color, b.color);
-  EXPECT_EQ(a.albedo, b.albedo);
-  EXPECT_EQ(a.world_position, b.world_position);
-  EXPECT_EQ(a.normal, b.normal);
-  EXPECT_EQ(a.depth, b.depth);
-  EXPECT_EQ(a.object_id, b.object_id);
-  EXPECT_EQ(a.light_depth, b.light_depth);
-}
-
 TEST(WorldPictures, AreTheSameWithoutCulling) {
   Renderer culled(shared_context(), world());
   Renderer whole(shared_context(), world(), {.cull = false});

@@ -199,7 +199,7 @@ TEST(Scene, AStreamerRefusesByNameWhatIsNoScene) {
   expect_refused("background", [&](SceneState& s) { s.light.background.x = nan; });
   expect_refused("version 1 after 2", [&](SceneState& s) { s.version = 1; });
   expect_refused("version 0", [&](SceneState& s) { s.version = 0; });
-  expect_refused("32771 objects", [&](SceneState& s) {
+  expect_refused("32772 objects", [&](SceneState& s) {
     for (std::uint32_t i = 0; i < kMaxObjects + 3; ++i) s.objects[i];
   });
   // The stream goes on, and what lies too far away for any picture is brought nearer.
@@ -254,7 +254,7 @@ TEST_F(ForgedScene, IsRefusedByName) {
   // Objects: how many vanish, their ids, how many change, and for each its id and parts.
   expect_refused("3 objects vanish of 2", {0, 0, 3, 0, 0, 0, 0});
   expect_refused("object 5 vanishes", {0, 0, 1, 5, 0});
-  expect_refused("at most 32768", {0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0x0F});
+  expect_refused("at most 32769", {0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0x0F});
   expect_refused("ends after", {0, 0, 0, 0x80, 0x10});
   expect_refused("above 32 bits", {0, 0, 0, 1, 0x80, 0x80, 0x80, 0x80, 0x10, 1});
   expect_refused("object 1: parts 0", {0, 0, 0, 1, 1, 0});
@@ -282,7 +282,7 @@ TEST_F(ForgedScene, MoreObjectsThanAreTakenAreRefusedOverManyPackets) {
                     return wire::CreateScene(b, 9, 1, false, b.CreateVector(state));
                   })));
   });
-  EXPECT_NE(why.find("32769 objects"), std::string::npos) << why;
+  EXPECT_NE(why.find("32770 objects"), std::string::npos) << why;
 }
 
 }  // namespace
