@@ -103,7 +103,7 @@ std::optional<Endpoint::Received> Endpoint::receive() {
       return Received{
           peer, stream::ParsedPacket::parse(bytes_of(parts[0]),
                                             parts.size() > 1 ? bytes_of(parts[1]) : std::span<const std::uint8_t>())};
-    } catch (const stream::StreamError& error) {
+    } catch (const std::exception& error) {
       ++malformed_;
       if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());
     }

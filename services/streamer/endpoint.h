@@ -10,6 +10,7 @@
 
 #include "bus/file_descriptor.h"
 #include "bus/log_sink.h"
+#include "bus/rights.h"
 #include "stream/packets.h"
 
 namespace splatbus::streamer {
@@ -48,6 +49,7 @@ class Endpoint {
   struct Received {
     Peer peer;
     stream::ParsedPacket packet;
+    bus::Rights rights = bus::Rights::all();  ///< of this connection
   };
   /// The next packet, without waiting. What is no Packet is counted, logged at most once a second, and skipped.
   std::optional<Received> receive();
