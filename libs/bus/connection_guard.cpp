@@ -17,6 +17,7 @@
 #include "bus/clock.h"
 #include "bus/curve.h"
 #include "bus/error.h"
+#include "bus/peer_socket.h"
 
 namespace splatbus::bus {
 namespace {
@@ -26,12 +27,6 @@ constexpr std::int64_t sweep_ns = 20'000'000;
 constexpr std::int64_t sweep_of_one_ns = 50'000;  // thousands of connections are looked at less often
 constexpr int idle_ms = 100;
 constexpr std::size_t descriptors_for_others = 128;
-
-std::uint64_t cookie_of(int fd) {
-  std::uint64_t cookie = 0;
-  socklen_t size = sizeof(cookie);
-  return ::getsockopt(fd, SOL_SOCKET, SO_COOKIE, &cookie, &size) == 0 ? cookie : 0;
-}
 
 /// Of a tcp connection's peer; empty for what is none.
 std::string address_of(int fd) {
@@ -46,9 +41,17 @@ std::string address_of(int fd) {
   return text.data();
 }
 
-int descriptor_of(const zmq::message_t& frame) {
-  return zmq_msg_get(frame.handle(), ZMQ_SRCFD);
-}
+struct Unread {
+  std::uint64_t all = 0, largest = 0;
+  int largest_fd = -1;
+
+  void add(int fd, std::uint64_t bytes) {
+    all += bytes;
+    if (bytes < largest || bytes == 0) return;
+    largest = bytes;
+    largest_fd = fd;
+  }
+};
 
 std::size_t room_for_connections(std::size_t wanted) {
   rlimit limit{};
@@ -167,8 +170,7 @@ void ConnectionGuard::begin(int fd) {
 void ConnectionGuard::sweep(std::int64_t now) {
   const bool check_keys = allowed_ && now >= next_key_check_ns_;
   if (check_keys) next_key_check_ns_ = now + second;
-  std::uint64_t unread = 0, most = 0;
-  int largest = -1;
+  Unread unread, before_first;
   for (auto entry = connections_.begin(); entry != connections_.end();) {
     auto& [fd, connection] = *entry;
     if (cookie_of(fd) != connection.cookie) {
@@ -181,17 +183,16 @@ void ConnectionGuard::sweep(std::int64_t now) {
     } else if (check_keys && !connection.key.empty() && !allowed_(connection.key)) {
       shut(fd, connection, "its key is not allowed any more");
     } else {
-      const std::uint64_t bytes = connection.received - connection.read;
-      unread += bytes;
-      if (bytes > most) {
-        most = bytes;
-        largest = fd;
-      }
+      unread.add(fd, connection.received - connection.read);
+      if (!connection.taken) before_first.add(fd, connection.received - connection.read);
     }
     ++entry;
   }
-  if (limits_.all_unread_bytes != 0 && unread > limits_.all_unread_bytes) {
-    shut(largest, connections_.at(largest), fmt::format("all together hold {} bytes of unfinished messages", unread));
+  for (const auto& [sum, limit] :
+       {std::pair(unread, limits_.all_unread_bytes), std::pair(before_first, limits_.all_first_unread_bytes)}) {
+    if (limit == 0 || sum.all <= limit) continue;
+    shut(sum.largest_fd, connections_.at(sum.largest_fd),
+         fmt::format("all together hold {} bytes of unfinished messages, and it the most", sum.all));
   }
 }
 
@@ -239,6 +240,9 @@ void ConnectionGuard::shut(int fd, Connection& connection, const std::string& wh
   connection.closing = true;
   connection.read = connection.received;  // libzmq gives it back when it sees the end
   ++counts_.closed;
+  // No more of either direction, and a reset instead of what was still to be sent when libzmq closes it.
+  const linger none{1, 0};
+  ::setsockopt(fd, SOL_SOCKET, SO_LINGER, &none, sizeof(none));
   ::shutdown(fd, SHUT_RDWR);
   if (limiter_.allow()) {
     spdlog::warn("{}: closed a connection from {} ({} so far): {}", name_, connection.address, counts_.closed, why);

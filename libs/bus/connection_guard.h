@@ -17,12 +17,13 @@ namespace splatbus::bus {
 
 /// What one tcp connection to a socket, and all of them, may take. What is 0 is not bounded.
 struct ConnectionLimits {
-  std::size_t connections = 1024;      ///< fewer where the process may not have that many descriptors
-  std::size_t of_one_address = 256;    ///< connections
-  std::size_t unread_bytes = 0;        ///< received, and no message of it was taken yet
-  std::size_t first_unread_bytes = 0;  ///< the same before its first message
-  std::size_t all_unread_bytes = 0;    ///< of all connections; the largest goes
-  double bytes_per_s = 0;              ///< received, with `burst_bytes` at once
+  std::size_t connections = 1024;          ///< fewer where the process may not have that many descriptors
+  std::size_t of_one_address = 256;        ///< connections
+  std::size_t unread_bytes = 0;            ///< received, and no message of it was taken yet
+  std::size_t first_unread_bytes = 0;      ///< the same before its first message
+  std::size_t all_unread_bytes = 0;        ///< of all connections; the largest goes
+  std::size_t all_first_unread_bytes = 0;  ///< of all that had no message taken
+  double bytes_per_s = 0;                  ///< received, with `burst_bytes` at once
   double burst_bytes = 0;
   double greeting_s = 0;        ///< to its first message
   double silence_s = 0;         ///< from one message to the next

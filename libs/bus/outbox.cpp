@@ -54,7 +54,7 @@ std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
       const_cast<wire::Header*>(flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header());  // NOLINT
   header->mutate_sequence(sequence);
   const std::uint64_t order = next_order_++;
-  if (latch_key != nullptr) latched_.put(topic, *latch_key, order, frames.share());
+  if (latch_key != nullptr) latched_.put(topic, *latch_key, "", order, frames.share());
   if (connected_) {
     send_frames(socket_, std::move(frames));
     read_subscriptions();

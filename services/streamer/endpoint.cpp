@@ -23,6 +23,7 @@ constexpr std::size_t kMaxParts = 2;  // packet and payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
 constexpr int kHandshakeMs = 5000;
+constexpr int kBacklog = 1024;
 // Of one tcp connection. A pose has about 200 bytes, and the largest that a viewer says kMaxFrameBytes.
 constexpr std::size_t kUnreadBytes = std::size_t{1} << 20;
 constexpr double kBytesPerSecond = 1 << 20;
@@ -60,6 +61,7 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
   socket_.set(zmq::sockopt::linger, 0);
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
   socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
+  socket_.set(zmq::sockopt::backlog, kBacklog);  // a crowd at the door keeps nobody waiting
   socket_.set(zmq::sockopt::heartbeat_ivl, kHeartbeatMs);
   socket_.set(zmq::sockopt::heartbeat_timeout, kHeartbeatTimeoutMs);
   guard_.emplace(context_, socket_,

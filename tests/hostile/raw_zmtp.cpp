@@ -14,7 +14,7 @@ namespace splatbus::hostile {
 
 namespace {
 
-constexpr int kPatienceMs = 3000;
+constexpr int kPatienceMs = 2000;
 constexpr std::size_t kGreetingBytes = 64;
 constexpr std::uint8_t kMore = 1, kLong = 2, kCommand = 4;
 
