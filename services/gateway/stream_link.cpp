@@ -54,6 +54,10 @@ bool StreamLink::send(const FramedPacket& packet) {
   return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0;
 }
 
+bool StreamLink::connected() {
+  return (socket_.get(zmq::sockopt::events) & ZMQ_POLLOUT) != 0;
+}
+
 int StreamLink::descriptor() const {
   return socket_.get(zmq::sockopt::fd);
 }

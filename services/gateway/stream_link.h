@@ -31,6 +31,9 @@ class StreamLink {
   /// become stale by then. True when descriptor() may have been emptied although there is something to receive.
   bool send(const FramedPacket& packet);
 
+  /// Whether there is a streamer that takes what is sent.
+  [[nodiscard]] bool connected();
+
   /// ZMQ_FD: edge-triggered.
   [[nodiscard]] int descriptor() const;
 
