@@ -72,6 +72,8 @@ Response plain(int status, const char* text) {
   return {.status = status, .fields = {}, .body = std::make_shared<const std::string>(text)};
 }
 
+// GCC 12 destroys twice what is made in an expression with co_await: there, everything has a name.
+
 /// Sends it; false when the connection is of no use any more.
 template <class Stream>
 awaitable<bool> respond(Stream& stream, const Response& response, bool head, bool keep) {
@@ -231,7 +233,8 @@ struct Server::Impl {
             !error || error.category() == http::make_error_code(http::error::bad_target).category();
         if (error != http::error::end_of_stream && said_something) {
           traffic.refuse(Refusal::Malformed);
-          co_await respond(stream, refusal_of(error), false, false);
+          const Response response = refusal_of(error);
+          co_await respond(stream, response, false, false);
         }
         break;
       }
@@ -240,15 +243,17 @@ struct Server::Impl {
       if (websocket::is_upgrade(request)) {
         Site::Admission admission = site.admit(view_of(request));
         if (admission.rights && buffer.size() == 0) {
-          co_await std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission))
-              ->run(request);
+          const auto session = std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission));
+          co_await session->run(request);
           co_return;
         }
-        co_await respond(stream, admission.rights ? plain(400, "too early\n") : admission.refusal, head, false);
+        if (admission.rights) admission.refusal = plain(400, "too early\n");
+        co_await respond(stream, admission.refusal, head, false);
         break;
       }
       const bool keep = request.keep_alive() && served + 1 < kRequestsAConnection;
-      if (!co_await respond(stream, site.answer(view_of(request), bus::now_ns()), head, keep)) break;
+      const Response response = site.answer(view_of(request), bus::now_ns());
+      if (!co_await respond(stream, response, head, keep)) break;
     }
     co_await finish(stream);
   }
