@@ -44,13 +44,17 @@ export function scaledView(view: View, width: number, height: number): View {
 /** Floats of a world_from_object, row-major 3x4. */
 export const kTransformFloats = 12;
 
-/** camera_from_object of every transform, [count][12], in double precision until the end. */
-export function cameraFromObjects(view: View, transforms: Float32Array, out: Float32Array): void {
+/**
+ * camera_from_object of every transform, [count][12], in double precision until the end. That of index `farField`, if it
+ * is not 0, goes with the eye.
+ */
+export function cameraFromObjects(view: View, transforms: Float32Array, farField: number, out: Float32Array): void {
   const v = view.viewFromWorld;
   for (let at = 0; at < transforms.length; at += kTransformFloats) {
+    const fixed = farField === 0 || at !== farField * kTransformFloats;
     for (let row = 0; row < 3; ++row) {
       for (let column = 0; column < 4; ++column) {
-        let sum = column === 3 ? v[4 * row + 3] : 0;
+        let sum = column === 3 && fixed ? v[4 * row + 3] : 0;
         for (let k = 0; k < 3; ++k) sum += v[4 * row + k] * transforms[at + 4 * k + column];
         out[at + 4 * row + column] = sum;
       }

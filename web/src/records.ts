@@ -17,5 +17,26 @@ export interface RowUpdate {
   readonly fades: Float32Array;
 }
 
+/** Rows of which the colour alone changed. */
+export interface ColourUpdate {
+  readonly rows: Uint32Array;
+  /** [n] rgb9e5 */
+  readonly colours: Uint32Array;
+}
+
+/** What rows are shown under. */
+export interface Scene {
+  /** world_from_object, row-major 3x4, [count][12]; all zero for an object that is hidden. */
+  readonly transforms: Float32Array;
+  /** Index of the transform that goes with the eye; 0: there is none. */
+  readonly farField: number;
+  /** Linear. */
+  readonly background: readonly [number, number, number];
+  /** Colours are in display space and are blended there. */
+  readonly displaySpace: boolean;
+}
+
+export const kNoScene: Scene = { transforms: new Float32Array(0), farField: 0, background: [0, 0, 0], displaySpace: false };
+
 export const opacityOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] & 0xff;
 export const objectOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] >>> 8;

@@ -1,5 +1,6 @@
 import { Backoff } from './backoff';
 import { makeRenderer, type Api } from './render/make_renderer';
+import { kNoScene, type Scene } from './records';
 import type { Frame, Renderer } from './render/renderer';
 import type { SceneBatch, Sorted, ToSortWorker } from './stream/messages';
 import { make } from './ui/dom';
@@ -26,8 +27,7 @@ export class Stage {
   #stillAt = 0;
   /** A picture has been shown. */
   standing = false;
-  transforms = new Float32Array(0);
-  background: readonly [number, number, number] = [0, 0, 0];
+  scene: Scene = kNoScene;
   sortMs = 0;
 
   constructor(
@@ -134,13 +134,13 @@ export class Stage {
     for (const batch of this.#batches) {
       if (batch.whole) renderer.clear();
       renderer.apply(batch.update);
-      this.transforms = batch.transforms as Float32Array<ArrayBuffer>;
-      this.background = batch.background;
+      renderer.recolour(batch.colours);
+      this.scene = batch.scene;
     }
     this.#batches = [];
     if (this.#order) renderer.setOrder(this.#order);
     this.#order = null;
-    if (this.transforms.length > 0) this.standing = true;
+    if (this.scene !== kNoScene) this.standing = true;
     return true;
   }
 

@@ -172,8 +172,7 @@ export class Viewer {
     const { background } = this.options.settings;
     return {
       view,
-      transforms: this.stage.transforms,
-      background: background === 'scene' ? this.stage.background : kBackgrounds[background],
+      scene: background === 'scene' ? this.stage.scene : { ...this.stage.scene, background: kBackgrounds[background] },
       resolution,
       timeS: nowMs / 1000,
     };

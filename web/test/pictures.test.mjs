@@ -46,4 +46,16 @@ for (const api of ['webgl2']) {
     assert.deepEqual(rows, [3000, 3000 + 1000 + 47000]);
     assert.ok(psnr >= 45, `PSNR ${psnr}`);
   });
+
+  test(`${api}: colours alone are replaced, linear or in display space`, async () => {
+    const { bytes, psnr, display } = await withPage((page) => page.evaluate((name) => window.tests.colours(name), api));
+    assert.equal(bytes, 3000 * 8);
+    assert.ok(psnr >= 45, `PSNR ${psnr}`);
+    assert.ok(display >= 45, `PSNR ${display} in display space`);
+  });
+
+  test(`${api}: the far field goes with the eye`, async () => {
+    const psnr = await withPage((page) => page.evaluate((name) => window.tests.farField(name), api));
+    assert.ok(psnr >= 45, `PSNR ${psnr}`);
+  });
 }

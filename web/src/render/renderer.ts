@@ -1,13 +1,10 @@
 import type { View } from '../math';
-import type { RowUpdate } from '../records';
+import type { ColourUpdate, RowUpdate, Scene } from '../records';
 
 /** What one frame shows of the rows. */
 export interface Frame {
   readonly view: View;
-  /** world_from_object, row-major 3x4, [count][12]; all zero for an object that is hidden. */
-  readonly transforms: Float32Array;
-  /** Linear. */
-  readonly background: readonly [number, number, number];
+  readonly scene: Scene;
   /** Pixels of the splats' own target, for those of the view: below 1 it is drawn coarser and enlarged. */
   readonly resolution: number;
   /** The clock of RowUpdate.fades. */
@@ -35,12 +32,13 @@ export interface Renderer {
   readonly api: 'webgl2' | 'webgpu';
   /** False: setOrder() says which rows there are, back to front. */
   readonly sortsItself: boolean;
-  /** Rows and bytes that apply() has uploaded so far. */
+  /** Rows and bytes that apply() and recolour() have uploaded so far. */
   readonly uploaded: { readonly rows: number; readonly bytes: number };
   /** Resolves, with a reason, when the device is gone: nothing is drawn any more, and another renderer is needed. */
   readonly lost: Promise<string>;
 
   apply(update: RowUpdate): void;
+  recolour(update: ColourUpdate): void;
   /** Every row is free again. */
   clear(): void;
   setOrder(order: Uint32Array): void;
@@ -51,6 +49,14 @@ export interface Renderer {
   /** Resolves when all that was drawn has been. */
   finish(): Promise<void>;
   dispose(): void;
+}
+
+const srgb = (linear: number): number => (linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055);
+
+/** The background in the space that colours are blended in. */
+export function blendedBackground(scene: Scene): [number, number, number] {
+  const [r, g, b] = scene.background;
+  return scene.displaySpace ? [srgb(r), srgb(g), srgb(b)] : [r, g, b];
 }
 
 /** Size of the splats' own target. */

@@ -36,7 +36,7 @@ export class DepthSorter {
       this.#object[row] = objectOf(records, index);
       for (let k = 0; k < 3; ++k) this.#local[3 * row + k] = means[kRecordWords * index + k];
     }
-    this.#moveObjects(batch.transforms);
+    this.#moveObjects(batch.scene.transforms);
     for (const row of rows) this.#place(row);
   }
 

@@ -1,15 +1,13 @@
 // What the page and its workers say to each other. The stream worker holds the model and gives its rows to whoever is at
 // the other end of a port: the page, or the sort worker, which hands them on together with the order that they belong to.
-import type { RowUpdate } from '../records';
+import type { ColourUpdate, RowUpdate, Scene } from '../records';
 
 export interface SceneBatch {
   /** These rows are all there are: what was before is gone. */
   readonly whole: boolean;
   readonly update: RowUpdate;
-  /** world_from_object, row-major 3x4, [count][12]. */
-  readonly transforms: Float32Array;
-  /** Linear. */
-  readonly background: readonly [number, number, number];
+  readonly colours: ColourUpdate;
+  readonly scene: Scene;
 }
 
 export interface Budget {
@@ -71,5 +69,7 @@ export const transfersOf = (batch: SceneBatch): Transferable[] => [
   batch.update.rows.buffer,
   batch.update.records.buffer,
   batch.update.fades.buffer,
-  batch.transforms.buffer,
+  batch.colours.rows.buffer,
+  batch.colours.colours.buffer,
+  batch.scene.transforms.buffer,
 ];

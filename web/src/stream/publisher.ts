@@ -1,13 +1,8 @@
-import { transfersOf, type SceneBatch } from './messages';
+import { kNoScene, type ColourUpdate, type RowUpdate, type Scene } from '../records';
+import { transfersOf } from './messages';
 import { RowMirror } from './row_mirror';
 
-/** The model as it is at one moment, without its rows. */
-export interface Scene {
-  readonly transforms: Float32Array;
-  readonly background: readonly [number, number, number];
-  /** The model is all there; while it first arrives it is not. */
-  readonly complete: boolean;
-}
+const noColours = (): ColourUpdate => ({ rows: new Uint32Array(0), colours: new Uint32Array(0) });
 
 /** Gives rows to whoever draws them: everything to begin with, then what changes. */
 export class Publisher {
@@ -15,8 +10,10 @@ export class Publisher {
   #port: MessagePort | null = null;
   #begun = false;
   #standing = false;
-  #scene: Scene = { transforms: new Float32Array(0), background: [0, 0, 0], complete: false };
+  #scene = kNoScene;
+  #complete = false;
 
+  /** `nowS`: the clock of RowUpdate.fades. */
   constructor(private readonly nowS: () => number) {}
 
   attach(port: MessagePort, standing: boolean): void {
@@ -27,33 +24,38 @@ export class Publisher {
     this.#begin();
   }
 
-  publish(rows: Uint32Array, records: Uint32Array, scene: Scene): void {
+  /** What has changed; `complete` when the model is all there, which it is not while it first arrives. */
+  publish(rows: Uint32Array, records: Uint32Array, colours: ColourUpdate, scene: Scene, complete: boolean): void {
     this.#scene = scene;
+    this.#complete = complete;
     const update = this.#mirror.take(rows, records, this.nowS());
-    if (this.#begun) this.#send({ whole: false, update, transforms: scene.transforms.slice(), background: scene.background });
+    this.#mirror.recolour(colours);
+    if (this.#begun) this.#send(false, update, colours);
     else this.#begin();
   }
 
   /** To be called now and then: what has faded away becomes free. */
   tidy(): void {
-    if (!this.#mirror.vanishing) return;
     const update = this.#mirror.takeVanished(this.nowS());
-    if (update && this.#begun) this.#send({ whole: false, update, transforms: this.#scene.transforms.slice(), background: this.#scene.background });
+    if (update && this.#begun) this.#send(false, update, noColours());
   }
 
   bounds(): { centre: [number, number, number]; radius: number } | null {
-    return this.#mirror.bounds(this.#scene.transforms);
+    return this.#mirror.bounds(this.#scene);
   }
 
   #begin(): void {
-    if (this.#standing && !this.#scene.complete) return;
+    if (!this.#port || (this.#standing && !this.#complete)) return;
     const update = this.#mirror.everything();
     if (update.rows.length === 0) return;
     this.#begun = true;
-    this.#send({ whole: true, update, transforms: this.#scene.transforms.slice(), background: this.#scene.background });
+    this.#send(true, update, noColours());
   }
 
-  #send(batch: SceneBatch): void {
+  #send(whole: boolean, update: RowUpdate, colours: ColourUpdate): void {
+    const copied = { rows: colours.rows.slice(), colours: colours.colours.slice() };
+    const scene = { ...this.#scene, transforms: this.#scene.transforms.slice() };
+    const batch = { whole, update, colours: copied, scene };
     this.#port?.postMessage(batch, transfersOf(batch));
   }
 }

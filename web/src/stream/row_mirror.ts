@@ -1,13 +1,12 @@
 import { grown } from '../growing';
 import { kTransformFloats } from '../math';
-import { kRecordWords, objectOf, opacityOf, type RowUpdate } from '../records';
+import { kRecordWords, objectOf, opacityOf, type ColourUpdate, type RowUpdate, type Scene } from '../records';
 import { kFadeS, kNoFade } from '../render/renderer';
 
 /** Rows that are sampled for the bounds. */
 const kSampled = 20000;
 /** Of the samples along each axis, this part on either side is left out. */
 const kOutside = 0.03;
-const kFarAway_m = 500;
 
 /** The rows as they were handed on: for whoever has to begin anew, and to know which appear and which vanish. */
 export class RowMirror {
@@ -42,8 +41,15 @@ export class RowMirror {
     return update;
   }
 
+  recolour(update: ColourUpdate): void {
+    for (let index = 0; index < update.rows.length; ++index) {
+      this.#records[kRecordWords * update.rows[index] + 7] = update.colours[index];
+    }
+  }
+
   /** Rows that have faded since, as free ones; null if there are none. */
   takeVanished(nowS: number): RowUpdate | null {
+    if (this.#vanishing.length === 0) return null;
     let count = 0;
     while (count < this.#vanishing.length && this.#vanishing[count].until <= nowS) ++count;
     const due = this.#vanishing.splice(0, count).filter(({ row, until }) => this.#fades[row] < 0 && -this.#fades[row] + kFadeS <= until + 1e-3);
@@ -54,10 +60,6 @@ export class RowMirror {
       this.#fades[row] = kNoFade;
     }
     return { rows, records: new Uint32Array(kRecordWords * rows.length), fades: new Float32Array(rows.length) };
-  }
-
-  get vanishing(): boolean {
-    return this.#vanishing.length > 0;
   }
 
   /** Every row that is not free. */
@@ -71,20 +73,20 @@ export class RowMirror {
     return { rows: new Uint32Array(rows), records, fades: Float32Array.from(rows, (row) => this.#fades[row]) };
   }
 
-  /** A sphere about most of what there is, far things left out; null while there is nothing. */
-  bounds(transforms: Float32Array): { centre: [number, number, number]; radius: number } | null {
+  /** A sphere about most of what there is but for the far field; null while there is nothing. */
+  bounds({ transforms, farField }: Scene): { centre: [number, number, number]; radius: number } | null {
     const step = Math.max(1, Math.floor(this.#used / kSampled));
     const means = new Float32Array(this.#records.buffer);
     const axes: [number[], number[], number[]] = [[], [], []];
     for (let row = 0; row < this.#used; row += step) {
-      const at = kTransformFloats * objectOf(this.#records, row);
-      if (opacityOf(this.#records, row) === 0 || at + kTransformFloats > transforms.length) continue;
+      const object = objectOf(this.#records, row);
+      const at = kTransformFloats * object;
+      if (opacityOf(this.#records, row) === 0 || (farField !== 0 && object === farField) || at + kTransformFloats > transforms.length) continue;
       const world = [0, 1, 2].map((r) => {
         const of = at + 4 * r;
         const mean = kRecordWords * row;
         return transforms[of] * means[mean] + transforms[of + 1] * means[mean + 1] + transforms[of + 2] * means[mean + 2] + transforms[of + 3];
       });
-      if (Math.hypot(world[0], world[1], world[2]) > kFarAway_m) continue;
       axes.forEach((axis, k) => axis.push(world[k]));
     }
     if (axes[0].length === 0) return null;

@@ -4,8 +4,8 @@ import { kRecordWords, type RowUpdate } from '../../src/records';
 import type { Frame, Renderer } from '../../src/render/renderer';
 import { makeRenderer } from '../../src/render/make_renderer';
 import { psnr, rgbOf, ssim } from './quality';
-import { referenceOrder, referencePicture } from './reference';
-import { syntheticScene, type SyntheticScene } from './synthetic_scene';
+import { referenceOrder, referencePicture, linearOf, srgb } from './reference';
+import { packRecords, syntheticScene, type SyntheticScene } from './synthetic_scene';
 
 const kBackground = [0.1, 0.2, 0.4] as const;
 
@@ -25,8 +25,7 @@ const wholeUpdate = (scene: SyntheticScene): RowUpdate => {
 
 const frameOf = (scene: SyntheticScene, view: View): Frame => ({
   view,
-  transforms: scene.transforms,
-  background: kBackground,
+  scene: { transforms: scene.transforms, farField: 0, background: kBackground, displaySpace: false },
   resolution: 1,
   timeS: 1000,
 });
@@ -71,6 +70,46 @@ const tests = {
     rows.push(renderer.uploaded.rows);
     const mixed = { ...after, gaussians: after.gaussians.map((gaussian, row) => (row < 3000 && row % 3 !== 0 ? before.gaussians[row] : gaussian)) };
     return { rows, psnr: (await shown(renderer, mixed, testView(128, 1))).psnr };
+  },
+
+  /** Colours alone are replaced; then they are taken for display space, over a background that is linear all the same. */
+  async colours(api: 'webgl2' | 'webgpu'): Promise<{ bytes: number; psnr: number; display: number }> {
+    const renderer = await makeRenderer(document.querySelector('canvas')!, api);
+    const scene = syntheticScene(3000, 1);
+    renderer.apply(wholeUpdate(scene));
+    const bytes = renderer.uploaded.bytes;
+    const paint = syntheticScene(6000, 3).gaussians.slice(3000);
+    scene.gaussians.forEach((gaussian, row) => (gaussian.colour = paint[row].colour));
+    const records = packRecords(scene.gaussians);
+    const rows = Uint32Array.from(scene.gaussians, (_, row) => row);
+    renderer.recolour({ rows, colours: rows.map((row) => records[kRecordWords * row + 7]) });
+    const replaced = renderer.uploaded.bytes - bytes;
+    const view = testView(128, 1);
+    const linear = await shown(renderer, scene, view);
+    const frame = frameOf(scene, view);
+    const picture = await renderer.capture({ ...frame, scene: { ...frame.scene, displaySpace: true } });
+    const blended = kBackground.map(srgb) as [number, number, number];
+    const truth = referencePicture(scene, view, blended).map((value) => 255 * linearOf(value / 255));
+    return { bytes: replaced, psnr: linear.psnr, display: psnr(rgbOf(picture), truth) };
+  },
+
+  /** An object that goes with the eye looks alike from everywhere. */
+  async farField(api: 'webgl2' | 'webgpu'): Promise<number> {
+    const renderer = await makeRenderer(document.querySelector('canvas')!, api);
+    const scene = syntheticScene(2000, 5);
+    scene.gaussians.forEach((gaussian) => (gaussian.object = 1));
+    renderer.apply({ ...wholeUpdate(scene), records: packRecords(scene.gaussians) });
+    const view = testView(96, 1);
+    // The eye is 5 m up and 3 m aside of where it is in the reference's world, and so is the object.
+    const moved = view.viewFromWorld.slice();
+    for (const row of [0, 1, 2]) moved[4 * row + 3] -= 3 * moved[4 * row] + 5 * moved[4 * row + 1];
+    const eye = [0, 1, 2].map((k) => -[0, 1, 2].reduce((sum, row) => sum + view.viewFromWorld[4 * row + k] * view.viewFromWorld[4 * row + 3], 0));
+    const relative = scene.transforms.slice();
+    [0, 1, 2].forEach((k) => (relative[12 + 4 * k + 3] -= eye[k]));
+    renderer.setOrder(referenceOrder(scene, view));
+    const frame = frameOf(scene, { ...view, viewFromWorld: moved });
+    const picture = await renderer.capture({ ...frame, scene: { ...frame.scene, transforms: relative, farField: 1 } });
+    return psnr(rgbOf(picture), referencePicture(scene, view, kBackground));
   },
 
   /** Milliseconds a frame, for whoever wants to know. */

@@ -79,7 +79,8 @@ export function referenceOrder(scene: SyntheticScene, view: View): Uint32Array {
   return new Uint32Array(seen.map((entry) => entry.index));
 }
 
-const srgb = (linear: number): number => (linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055);
+export const srgb = (linear: number): number => (linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055);
+export const linearOf = (value: number): number => (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
 
 /** [height][width][3] in [0, 255], not rounded, row 0 on top. */
 export function referencePicture(scene: SyntheticScene, view: View, background: readonly [number, number, number]): Float64Array {

@@ -1,4 +1,4 @@
-import { kRecordWords, type RowUpdate } from '../../records';
+import { kRecordWords, type ColourUpdate, type RowUpdate } from '../../records';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
 import { kRowsWide } from './layout';
 import { kScatterFragment, kScatterVertex } from './shaders';
@@ -16,15 +16,16 @@ export class RowStore {
   #textures: Textures;
   readonly #scatter: Program;
   readonly #arrays: WebGLVertexArrayObject;
-  readonly #buffers: readonly [WebGLBuffer, WebGLBuffer, WebGLBuffer];
+  readonly #colourArrays: WebGLVertexArrayObject;
+  readonly #buffers: readonly [WebGLBuffer, WebGLBuffer, WebGLBuffer, WebGLBuffer];
   readonly uploaded = { rows: 0, bytes: 0 };
 
   constructor(private readonly gl: Gl) {
     this.#scatter = new Program(gl, kScatterVertex, kScatterFragment);
-    this.#buffers = [gl.createBuffer(), gl.createBuffer(), gl.createBuffer()];
+    this.#buffers = [gl.createBuffer(), gl.createBuffer(), gl.createBuffer(), gl.createBuffer()];
     this.#arrays = gl.createVertexArray();
     gl.bindVertexArray(this.#arrays);
-    const [rows, records, fades] = this.#buffers;
+    const [rows, records, fades, colours] = this.#buffers;
     const integers = (location: number, buffer: WebGLBuffer, words: number, stride: number, offset: number): void => {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.enableVertexAttribArray(location);
@@ -36,7 +37,14 @@ export class RowStore {
     gl.bindBuffer(gl.ARRAY_BUFFER, fades);
     gl.enableVertexAttribArray(3);
     gl.vertexAttribPointer(3, 1, gl.FLOAT, false, 4, 0);
+    // Of the appearance the fourth word alone, which the mask leaves to be written.
+    this.#colourArrays = gl.createVertexArray();
+    gl.bindVertexArray(this.#colourArrays);
+    integers(0, rows, 1, 4, 0);
+    integers(4, colours, 1, 4, 0);
     gl.bindVertexArray(null);
+    // Where an array is not given: of the shader's type.
+    for (const location of [1, 2, 4]) gl.vertexAttribI4ui(location, 0, 0, 0, 0);
     this.#textures = this.#make(8);
   }
 
@@ -47,27 +55,52 @@ export class RowStore {
   }
 
   apply(update: RowUpdate): void {
-    const { gl } = this;
-    const count = update.rows.length;
-    if (count === 0) return;
-    let last = 0;
+    let last = -1;
     for (const row of update.rows) last = Math.max(last, row);
     this.#reserve(last + 1);
-    const contents = [update.rows, update.records, update.fades];
-    this.#buffers.forEach((buffer, index) => {
+    const [rows, records, fades] = this.#buffers;
+    const contents = [
+      [rows, update.rows],
+      [records, update.records],
+      [fades, update.fades],
+    ] as const;
+    this.#draw(contents, this.#arrays, update.rows.length);
+  }
+
+  recolour(update: ColourUpdate): void {
+    const { gl } = this;
+    const [rows, , , colours] = this.#buffers;
+    const contents = [
+      [rows, update.rows],
+      [colours, update.colours],
+    ] as const;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
+    gl.drawBuffers([gl.NONE, gl.COLOR_ATTACHMENT1, gl.NONE]);
+    gl.colorMask(false, false, false, true);
+    this.#draw(contents, this.#colourArrays, update.rows.length);
+    gl.colorMask(true, true, true, true);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);
+  }
+
+  /** Uploads what changed, and writes it to its places. */
+  #draw(contents: readonly (readonly [WebGLBuffer, ArrayBufferView])[], arrays: WebGLVertexArrayObject, count: number): void {
+    const { gl } = this;
+    if (count === 0) return;
+    for (const [buffer, array] of contents) {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-      gl.bufferData(gl.ARRAY_BUFFER, contents[index], gl.STREAM_DRAW);
-    });
+      gl.bufferData(gl.ARRAY_BUFFER, array, gl.STREAM_DRAW);
+      this.uploaded.bytes += array.byteLength;
+    }
     this.#scatter.use();
     gl.uniform2f(this.#scatter.at('uStoreSize'), kRowsWide, this.#textures.high);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
     gl.viewport(0, 0, kRowsWide, this.#textures.high);
     gl.disable(gl.BLEND);
-    gl.bindVertexArray(this.#arrays);
+    gl.bindVertexArray(arrays);
     gl.drawArrays(gl.POINTS, 0, count);
     gl.bindVertexArray(null);
     this.uploaded.rows += count;
-    this.uploaded.bytes += contents.reduce((sum, array) => sum + array.byteLength, 0);
   }
 
   clear(): void {

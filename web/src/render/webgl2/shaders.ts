@@ -129,13 +129,15 @@ export const kResolveFragment = `#version 300 es
 precision highp float;
 uniform highp sampler2D uSplats;
 uniform vec3 uBackground;
+uniform bool uDisplaySpace;
 in vec2 vAt;
 out vec4 oColour;
 void main() {
   vec4 splats = texture(uSplats, vAt);
   vec3 linear = clamp(splats.rgb + (1.0 - splats.a) * uBackground, 0.0, 1.0);
   vec3 curve = 1.055 * pow(max(linear, 1e-9), vec3(1.0 / 2.4)) - 0.055;
-  oColour = vec4(mix(curve, 12.92 * linear, lessThanEqual(linear, vec3(0.0031308))), 1.0);
+  curve = mix(curve, 12.92 * linear, lessThanEqual(linear, vec3(0.0031308)));
+  oColour = vec4(uDisplaySpace ? linear : curve, 1.0);
 }`;
 
 /** Writes changed rows to where they belong: a point a row, so that what is uploaded is what changed. */
@@ -146,6 +148,7 @@ layout(location = 0) in uint aRow;
 layout(location = 1) in uvec4 aGeometry;
 layout(location = 2) in uvec4 aAppearance;
 layout(location = 3) in float aFade;
+layout(location = 4) in uint aColour;  // 0 where the appearance says it
 uniform vec2 uStoreSize;
 flat out uvec4 vGeometry;
 flat out uvec4 vAppearance;
@@ -155,7 +158,7 @@ void main() {
   gl_Position = vec4(2.0 * texel / uStoreSize - 1.0, 0.0, 1.0);
   gl_PointSize = 1.0;
   vGeometry = aGeometry;
-  vAppearance = aAppearance;
+  vAppearance = aAppearance | uvec4(0u, 0u, 0u, aColour);
   vFade = aFade;
 }`;
 

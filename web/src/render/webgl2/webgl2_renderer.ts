@@ -1,6 +1,6 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
-import type { RowUpdate } from '../../records';
-import { tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import type { ColourUpdate, RowUpdate } from '../../records';
+import { blendedBackground, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
 import { GraphicsError, Program, makeTarget, makeTexture, type Gl } from './gl';
 import { kBatch, kOrderWidth } from './layout';
 import { RowStore } from './row_store';
@@ -70,6 +70,10 @@ export class WebGl2Renderer implements Renderer {
 
   apply(update: RowUpdate): void {
     this.#rows.apply(update);
+  }
+
+  recolour(update: ColourUpdate): void {
+    this.#rows.recolour(update);
   }
 
   clear(): void {
@@ -145,7 +149,8 @@ export class WebGl2Renderer implements Renderer {
     gl.disable(gl.BLEND);
     this.#resolve.use();
     this.#resolve.sampler('uSplats', 0, target.texture);
-    gl.uniform3f(this.#resolve.at('uBackground'), ...frame.background);
+    gl.uniform3f(this.#resolve.at('uBackground'), ...blendedBackground(frame.scene));
+    gl.uniform1i(this.#resolve.at('uDisplaySpace'), Number(frame.scene.displaySpace));
     gl.bindVertexArray(this.#nothing);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
@@ -178,12 +183,12 @@ export class WebGl2Renderer implements Renderer {
 
   #uploadObjects(frame: Frame): void {
     const gl = this.#gl;
-    const high = Math.max(1, Math.ceil(frame.transforms.length / kTransformFloats / kObjectsWide));
+    const high = Math.max(1, Math.ceil(frame.scene.transforms.length / kTransformFloats / kObjectsWide));
     if (high > this.#objects.high) {
       gl.deleteTexture(this.#objects.texture);
       this.#objects = this.#makeObjects(high);
     }
-    cameraFromObjects(frame.view, frame.transforms, this.#objectFloats);
+    cameraFromObjects(frame.view, frame.scene.transforms, frame.scene.farField, this.#objectFloats);
     gl.bindTexture(gl.TEXTURE_2D, this.#objects.texture);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3 * kObjectsWide, high, gl.RGBA, gl.FLOAT, this.#objectFloats);
   }
