@@ -4,7 +4,7 @@
 //   4      log scale z; rotation vector x: i16 in steps of pi / 32767
 //   5      rotation vector y, z
 //   6      opacity u8 (0: the row is free), object index u24 above it (into the transforms; 0 the world)
-//   7      colour, linear, rgb9e5
+//   7      color, linear, rgb9e5
 export const kRecordWords = 8;
 
 /** Rows that changed. A row keeps its Gaussian until that is removed. */
@@ -17,11 +17,11 @@ export interface RowUpdate {
   readonly fades: Float32Array;
 }
 
-/** Rows of which the colour alone changed. */
-export interface ColourUpdate {
+/** Rows of which the color alone changed. */
+export interface ColorUpdate {
   readonly rows: Uint32Array;
   /** [n] rgb9e5 */
-  readonly colours: Uint32Array;
+  readonly colors: Uint32Array;
 }
 
 /** What rows are shown under. */
@@ -32,7 +32,7 @@ export interface Scene {
   readonly farField: number;
   /** Linear. */
   readonly background: readonly [number, number, number];
-  /** Colours are in display space and are blended there. */
+  /** Colors are in display space and are blended there. */
   readonly displaySpace: boolean;
 }
 

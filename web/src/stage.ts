@@ -134,7 +134,7 @@ export class Stage {
     for (const batch of this.#batches) {
       if (batch.whole) renderer.clear();
       renderer.apply(batch.update);
-      renderer.recolour(batch.colours);
+      renderer.recolor(batch.colors);
       this.scene = batch.scene;
     }
     this.#batches = [];

@@ -17,7 +17,7 @@ export const texts = {
   megabitBudget: 'Mbit/s at most',
   unlimited: 'No limit',
   background: 'Background',
-  backgrounds: { scene: "The scene's", black: 'Black', grey: 'Grey', white: 'White' },
+  backgrounds: { scene: "The scene's", black: 'Black', gray: 'Gray', white: 'White' },
   keys: 'Keys',
   keyList: [
     ['W A S D', 'move'],

@@ -38,8 +38,8 @@ const kStart = { target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 4 };
 const view = (pose) => `view=${[...pose.target, pose.yaw, pose.pitch, pose.distance]}`;
 const kPage = `index.html#${view(kStart)}`;
 
-/** Colours of the canvas that draws, as the screen would show them. */
-const shownColours = async (page) => {
+/** Colors of the canvas that draws, as the screen would show them. */
+const shownColors = async (page) => {
   const png = await page.screenshot({ clip: { x: 60, y: 60, width: 200, height: 100 } });
   return page.evaluate(async (base64) => {
     const bitmap = await createImageBitmap(await (await fetch(`data:image/png;base64,${base64}`)).blob());
@@ -162,20 +162,20 @@ test('after the first picture only rows that change are uploaded', () =>
 test('a lost context comes back, and the last picture stands meanwhile', () =>
   opened(kPage, async (page) => {
     await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]')?.width > 300);
-    const before = await shownColours(page);
-    assert.ok(before > 500, `${before} colours`);
+    const before = await shownColors(page);
+    assert.ok(before > 500, `${before} colors`);
     await page.evaluate(() => window.splatbus.stage.renderer.dispose());
     await page.waitForFunction(() => window.splatbus.stage.renderer === null);
-    assert.ok((await shownColours(page)) > 500, 'the picture stands');
+    assert.ok((await shownColors(page)) > 500, 'the picture stands');
     await page.waitForFunction(() => window.splatbus.stage.renderer && window.splatbus.stage.uploadedRows === 6000);
     await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]'));
-    assert.ok((await shownColours(page)) > 500, 'it is drawn again');
+    assert.ok((await shownColors(page)) > 500, 'it is drawn again');
   }));
 
 test('a worker that dies is started again, and the picture stands', () =>
   opened(kPage, async (page) => {
     await page.evaluate(() => window.splatbus.link.kill());
-    assert.ok((await shownColours(page)) > 500);
+    assert.ok((await shownColors(page)) > 500);
     await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 6000);
-    assert.ok((await shownColours(page)) > 500);
+    assert.ok((await shownColors(page)) > 500);
   }));

@@ -30,7 +30,7 @@ async function withPage(run) {
   }
 }
 
-for (const api of ['webgl2']) {
+for (const api of ['webgl2', 'webgpu']) {
   test(`${api}: pictures are those of the definition`, async () => {
     const results = await withPage((page) => page.evaluate((name) => window.tests.pictures(name, 4000, 192), api));
     results.forEach((result, index) => {
@@ -47,8 +47,8 @@ for (const api of ['webgl2']) {
     assert.ok(psnr >= 45, `PSNR ${psnr}`);
   });
 
-  test(`${api}: colours alone are replaced, linear or in display space`, async () => {
-    const { bytes, psnr, display } = await withPage((page) => page.evaluate((name) => window.tests.colours(name), api));
+  test(`${api}: colors alone are replaced, linear or in display space`, async () => {
+    const { bytes, psnr, display } = await withPage((page) => page.evaluate((name) => window.tests.colors(name), api));
     assert.equal(bytes, 3000 * 8);
     assert.ok(psnr >= 45, `PSNR ${psnr}`);
     assert.ok(display >= 45, `PSNR ${display} in display space`);

@@ -1,5 +1,5 @@
 import type { View } from '../math';
-import type { ColourUpdate, RowUpdate, Scene } from '../records';
+import type { ColorUpdate, RowUpdate, Scene } from '../records';
 
 /** What one frame shows of the rows. */
 export interface Frame {
@@ -18,6 +18,11 @@ export interface Picture {
   readonly rgba: Uint8ClampedArray<ArrayBuffer>;
 }
 
+/** The browser or its device lacks something. */
+export class GraphicsError extends Error {
+  override readonly name = 'GraphicsError';
+}
+
 /** How long a row takes to appear and to vanish. */
 export const kFadeS = 0.25;
 /** As a row's fade: it has always been there. */
@@ -32,13 +37,13 @@ export interface Renderer {
   readonly api: 'webgl2' | 'webgpu';
   /** False: setOrder() says which rows there are, back to front. */
   readonly sortsItself: boolean;
-  /** Rows and bytes that apply() and recolour() have uploaded so far. */
+  /** Rows and bytes that apply() and recolor() have uploaded so far. */
   readonly uploaded: { readonly rows: number; readonly bytes: number };
   /** Resolves, with a reason, when the device is gone: nothing is drawn any more, and another renderer is needed. */
   readonly lost: Promise<string>;
 
   apply(update: RowUpdate): void;
-  recolour(update: ColourUpdate): void;
+  recolor(update: ColorUpdate): void;
   /** Every row is free again. */
   clear(): void;
   setOrder(order: Uint32Array): void;
@@ -53,7 +58,7 @@ export interface Renderer {
 
 const srgb = (linear: number): number => (linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055);
 
-/** The background in the space that colours are blended in. */
+/** The background in the space that colors are blended in. */
 export function blendedBackground(scene: Scene): [number, number, number] {
   const [r, g, b] = scene.background;
   return scene.displaySpace ? [srgb(r), srgb(g), srgb(b)] : [r, g, b];

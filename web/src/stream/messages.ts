@@ -1,12 +1,12 @@
 // What the page and its workers say to each other. The stream worker holds the model and gives its rows to whoever is at
 // the other end of a port: the page, or the sort worker, which hands them on together with the order that they belong to.
-import type { ColourUpdate, RowUpdate, Scene } from '../records';
+import type { ColorUpdate, RowUpdate, Scene } from '../records';
 
 export interface SceneBatch {
   /** These rows are all there are: what was before is gone. */
   readonly whole: boolean;
   readonly update: RowUpdate;
-  readonly colours: ColourUpdate;
+  readonly colors: ColorUpdate;
   readonly scene: Scene;
 }
 
@@ -69,7 +69,7 @@ export const transfersOf = (batch: SceneBatch): Transferable[] => [
   batch.update.rows.buffer,
   batch.update.records.buffer,
   batch.update.fades.buffer,
-  batch.colours.rows.buffer,
-  batch.colours.colours.buffer,
+  batch.colors.rows.buffer,
+  batch.colors.colors.buffer,
   batch.scene.transforms.buffer,
 ];

@@ -1,8 +1,8 @@
-import { kNoScene, type ColourUpdate, type RowUpdate, type Scene } from '../records';
+import { kNoScene, type ColorUpdate, type RowUpdate, type Scene } from '../records';
 import { transfersOf } from './messages';
 import { RowMirror } from './row_mirror';
 
-const noColours = (): ColourUpdate => ({ rows: new Uint32Array(0), colours: new Uint32Array(0) });
+const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uint32Array(0) });
 
 /** Gives rows to whoever draws them: everything to begin with, then what changes. */
 export class Publisher {
@@ -25,19 +25,19 @@ export class Publisher {
   }
 
   /** What has changed; `complete` when the model is all there, which it is not while it first arrives. */
-  publish(rows: Uint32Array, records: Uint32Array, colours: ColourUpdate, scene: Scene, complete: boolean): void {
+  publish(rows: Uint32Array, records: Uint32Array, colors: ColorUpdate, scene: Scene, complete: boolean): void {
     this.#scene = scene;
     this.#complete = complete;
     const update = this.#mirror.take(rows, records, this.nowS());
-    this.#mirror.recolour(colours);
-    if (this.#begun) this.#send(false, update, colours);
+    this.#mirror.recolor(colors);
+    if (this.#begun) this.#send(false, update, colors);
     else this.#begin();
   }
 
   /** To be called now and then: what has faded away becomes free. */
   tidy(): void {
     const update = this.#mirror.takeVanished(this.nowS());
-    if (update && this.#begun) this.#send(false, update, noColours());
+    if (update && this.#begun) this.#send(false, update, noColors());
   }
 
   bounds(): { centre: [number, number, number]; radius: number } | null {
@@ -49,13 +49,13 @@ export class Publisher {
     const update = this.#mirror.everything();
     if (update.rows.length === 0) return;
     this.#begun = true;
-    this.#send(true, update, noColours());
+    this.#send(true, update, noColors());
   }
 
-  #send(whole: boolean, update: RowUpdate, colours: ColourUpdate): void {
-    const copied = { rows: colours.rows.slice(), colours: colours.colours.slice() };
+  #send(whole: boolean, update: RowUpdate, colors: ColorUpdate): void {
+    const copied = { rows: colors.rows.slice(), colors: colors.colors.slice() };
     const scene = { ...this.#scene, transforms: this.#scene.transforms.slice() };
-    const batch = { whole, update, colours: copied, scene };
+    const batch = { whole, update, colors: copied, scene };
     this.#port?.postMessage(batch, transfersOf(batch));
   }
 }

@@ -1,6 +1,6 @@
 import { grown } from '../growing';
 import { kTransformFloats } from '../math';
-import { kRecordWords, objectOf, opacityOf, type ColourUpdate, type RowUpdate, type Scene } from '../records';
+import { kRecordWords, objectOf, opacityOf, type ColorUpdate, type RowUpdate, type Scene } from '../records';
 import { kFadeS, kNoFade } from '../render/renderer';
 
 /** Rows that are sampled for the bounds. */
@@ -41,9 +41,9 @@ export class RowMirror {
     return update;
   }
 
-  recolour(update: ColourUpdate): void {
+  recolor(update: ColorUpdate): void {
     for (let index = 0; index < update.rows.length; ++index) {
-      this.#records[kRecordWords * update.rows[index] + 7] = update.colours[index];
+      this.#records[kRecordWords * update.rows[index] + 7] = update.colors[index];
     }
   }
 

@@ -2,7 +2,7 @@
 import type { Budget } from '../stream/messages';
 
 export type Quality = 'auto' | 'full' | 'high' | 'medium' | 'low';
-export type Background = 'scene' | 'black' | 'grey' | 'white';
+export type Background = 'scene' | 'black' | 'gray' | 'white';
 
 export interface Settings {
   quality: Quality;
@@ -13,7 +13,7 @@ export interface Settings {
 export const kResolutions: Readonly<Record<Exclude<Quality, 'auto'>, number>> = { full: 1, high: 0.75, medium: 0.5, low: 0.35 };
 export const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number, number, number]>> = {
   black: [0, 0, 0],
-  grey: [0.2, 0.2, 0.2],
+  gray: [0.2, 0.2, 0.2],
   white: [1, 1, 1],
 };
 export const kGaussianBudgets = [100_000, 300_000, 1_000_000, 2_000_000, 4_000_000] as const;

@@ -72,17 +72,17 @@ const tests = {
     return { rows, psnr: (await shown(renderer, mixed, testView(128, 1))).psnr };
   },
 
-  /** Colours alone are replaced; then they are taken for display space, over a background that is linear all the same. */
-  async colours(api: 'webgl2' | 'webgpu'): Promise<{ bytes: number; psnr: number; display: number }> {
+  /** Colors alone are replaced; then they are taken for display space, over a background that is linear all the same. */
+  async colors(api: 'webgl2' | 'webgpu'): Promise<{ bytes: number; psnr: number; display: number }> {
     const renderer = await makeRenderer(document.querySelector('canvas')!, api);
     const scene = syntheticScene(3000, 1);
     renderer.apply(wholeUpdate(scene));
     const bytes = renderer.uploaded.bytes;
     const paint = syntheticScene(6000, 3).gaussians.slice(3000);
-    scene.gaussians.forEach((gaussian, row) => (gaussian.colour = paint[row].colour));
+    scene.gaussians.forEach((gaussian, row) => (gaussian.color = paint[row].color));
     const records = packRecords(scene.gaussians);
     const rows = Uint32Array.from(scene.gaussians, (_, row) => row);
-    renderer.recolour({ rows, colours: rows.map((row) => records[kRecordWords * row + 7]) });
+    renderer.recolor({ rows, colors: rows.map((row) => records[kRecordWords * row + 7]) });
     const replaced = renderer.uploaded.bytes - bytes;
     const view = testView(128, 1);
     const linear = await shown(renderer, scene, view);

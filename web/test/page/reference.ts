@@ -26,7 +26,7 @@ interface Splat {
   inverse: [number, number, number];
   reach: [number, number];
   alpha: number;
-  colour: Row;
+  color: Row;
 }
 
 function project(gaussian: Gaussian, transforms: Float32Array, view: View): Splat | null {
@@ -67,7 +67,7 @@ function project(gaussian: Gaussian, transforms: Float32Array, view: View): Spla
     inverse: [(c + 0.3) / blurred, -b / blurred, (a + 0.3) / blurred],
     reach: [radius * Math.sqrt(a + 0.3) + 1, radius * Math.sqrt(c + 0.3) + 1],
     alpha,
-    colour: gaussian.colour,
+    color: gaussian.color,
   };
 }
 
@@ -101,7 +101,7 @@ export function referencePicture(scene: SyntheticScene, view: View, background: 
         if (alpha < 1 / 255) continue;
         const at = y * width + x;
         const weight = alpha * transmittance[at];
-        for (let channel = 0; channel < 3; ++channel) linear[3 * at + channel] += weight * splat.colour[channel];
+        for (let channel = 0; channel < 3; ++channel) linear[3 * at + channel] += weight * splat.color[channel];
         transmittance[at] -= weight;
       }
     }

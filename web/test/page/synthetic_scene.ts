@@ -7,7 +7,7 @@ export interface Gaussian {
   rotation: [number, number, number];
   opacity: number;
   object: number;
-  colour: [number, number, number];
+  color: [number, number, number];
 }
 
 export interface SyntheticScene {
@@ -27,11 +27,11 @@ export function randomNumbers(seed: number): () => number {
   };
 }
 
-function packColour(colour: readonly number[]): { word: number; values: [number, number, number] } {
-  const largest = Math.max(...colour, 2 ** -24);
+function packColor(color: readonly number[]): { word: number; values: [number, number, number] } {
+  const largest = Math.max(...color, 2 ** -24);
   const exponent = Math.max(-15, Math.floor(Math.log2(largest)) + 1);
   const step = 2 ** (exponent - 9);
-  const mantissa = colour.map((value) => Math.min(511, Math.round(value / step)));
+  const mantissa = color.map((value) => Math.min(511, Math.round(value / step)));
   const word = (mantissa[0] | (mantissa[1] << 9) | (mantissa[2] << 18) | ((exponent + 15) << 27)) >>> 0;
   return { word, values: [mantissa[0] * step, mantissa[1] * step, mantissa[2] * step] };
 }
@@ -52,9 +52,9 @@ export function packRecord(gaussian: Gaussian, bytes: DataView): void {
   const opacity = Math.round(gaussian.opacity * 255);
   bytes.setUint32(24, (gaussian.object * 256 + opacity) >>> 0, true);
   gaussian.opacity = opacity / 255;
-  const colour = packColour(gaussian.colour);
-  bytes.setUint32(28, colour.word, true);
-  gaussian.colour = colour.values;
+  const color = packColor(gaussian.color);
+  bytes.setUint32(28, color.word, true);
+  gaussian.color = color.values;
 }
 
 export function packRecords(gaussians: readonly Gaussian[]): Uint32Array {
@@ -85,7 +85,7 @@ export function syntheticScene(count: number, seed = 1): SyntheticScene {
       rotation: [2 * (random() - 0.5), 2 * (random() - 0.5), 2 * (random() - 0.5)],
       opacity: 0.02 + 0.98 * random(),
       object,
-      colour: [random() ** 2, random() ** 2, random() * (kind < 0.05 ? 6 : 1)],
+      color: [random() ** 2, random() ** 2, random() * (kind < 0.05 ? 6 : 1)],
     });
   }
   return { records: packRecords(gaussians), gaussians, transforms: new Float32Array([...kIdentity, ...kTurned, ...kHidden]) };

@@ -1,9 +1,7 @@
 // What the renderer needs of WebGL2 more than once.
-export type Gl = WebGL2RenderingContext;
+import { GraphicsError } from '../renderer';
 
-export class GraphicsError extends Error {
-  override readonly name = 'GraphicsError';
-}
+export type Gl = WebGL2RenderingContext;
 
 function compile(gl: Gl, kind: number, source: string): WebGLShader {
   const shader = gl.createShader(kind);

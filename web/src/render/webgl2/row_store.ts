@@ -1,4 +1,4 @@
-import { kRecordWords, type ColourUpdate, type RowUpdate } from '../../records';
+import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
 import { kRowsWide } from './layout';
 import { kScatterFragment, kScatterVertex } from './shaders';
@@ -16,7 +16,7 @@ export class RowStore {
   #textures: Textures;
   readonly #scatter: Program;
   readonly #arrays: WebGLVertexArrayObject;
-  readonly #colourArrays: WebGLVertexArrayObject;
+  readonly #colorArrays: WebGLVertexArrayObject;
   readonly #buffers: readonly [WebGLBuffer, WebGLBuffer, WebGLBuffer, WebGLBuffer];
   readonly uploaded = { rows: 0, bytes: 0 };
 
@@ -25,7 +25,7 @@ export class RowStore {
     this.#buffers = [gl.createBuffer(), gl.createBuffer(), gl.createBuffer(), gl.createBuffer()];
     this.#arrays = gl.createVertexArray();
     gl.bindVertexArray(this.#arrays);
-    const [rows, records, fades, colours] = this.#buffers;
+    const [rows, records, fades, colors] = this.#buffers;
     const integers = (location: number, buffer: WebGLBuffer, words: number, stride: number, offset: number): void => {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.enableVertexAttribArray(location);
@@ -38,10 +38,10 @@ export class RowStore {
     gl.enableVertexAttribArray(3);
     gl.vertexAttribPointer(3, 1, gl.FLOAT, false, 4, 0);
     // Of the appearance the fourth word alone, which the mask leaves to be written.
-    this.#colourArrays = gl.createVertexArray();
-    gl.bindVertexArray(this.#colourArrays);
+    this.#colorArrays = gl.createVertexArray();
+    gl.bindVertexArray(this.#colorArrays);
     integers(0, rows, 1, 4, 0);
-    integers(4, colours, 1, 4, 0);
+    integers(4, colors, 1, 4, 0);
     gl.bindVertexArray(null);
     // Where an array is not given: of the shader's type.
     for (const location of [1, 2, 4]) gl.vertexAttribI4ui(location, 0, 0, 0, 0);
@@ -67,17 +67,17 @@ export class RowStore {
     this.#draw(contents, this.#arrays, update.rows.length);
   }
 
-  recolour(update: ColourUpdate): void {
+  recolor(update: ColorUpdate): void {
     const { gl } = this;
-    const [rows, , , colours] = this.#buffers;
+    const [rows, , , colors] = this.#buffers;
     const contents = [
       [rows, update.rows],
-      [colours, update.colours],
+      [colors, update.colors],
     ] as const;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
     gl.drawBuffers([gl.NONE, gl.COLOR_ATTACHMENT1, gl.NONE]);
     gl.colorMask(false, false, false, true);
-    this.#draw(contents, this.#colourArrays, update.rows.length);
+    this.#draw(contents, this.#colorArrays, update.rows.length);
     gl.colorMask(true, true, true, true);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#textures.target);
     gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);

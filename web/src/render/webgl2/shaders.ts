@@ -10,7 +10,7 @@ precision highp usampler2D;
 precision highp sampler2D;
 
 uniform usampler2D uGeometry;    // mean xyz, log scale xy
-uniform usampler2D uAppearance;  // log scale z and rotation, opacity and object, colour
+uniform usampler2D uAppearance;  // log scale z and rotation, opacity and object, color
 uniform sampler2D uFade;
 uniform usampler2D uOrder;
 uniform sampler2D uObjects;      // camera_from_object, three texels an object
@@ -22,7 +22,7 @@ uniform vec4 uTangents;          // low x, high x, low y, high y
 uniform float uTime;
 
 out vec2 vWhite;
-flat out vec4 vColour;           // rgb, log2 of alpha in the middle
+flat out vec4 vColor;           // rgb, log2 of alpha in the middle
 
 const float kBlur = 0.3;
 const float kNear = 0.05;
@@ -45,7 +45,7 @@ mat3 rotationOf(vec3 vector) {
               xx.z + w.y, yy.z - w.x, 1.0 - (xx.x + yy.y));
 }
 
-vec3 colourOf(uint word) {
+vec3 colorOf(uint word) {
   uvec3 mantissa = uvec3(word, word >> 9, word >> 18) & 0x1ffu;
   return vec3(mantissa) * exp2(float(int(word >> 27) - 24));
 }
@@ -103,19 +103,19 @@ void main() {
   vec2 pixel = centre + offset;
   gl_Position = vec4(2.0 * pixel.x / uSize.x - 1.0, 1.0 - 2.0 * pixel.y / uSize.y, 0.0, 1.0);
   vWhite = white;
-  vColour = vec4(colourOf(appearance.w), log2Alpha);
+  vColor = vec4(colorOf(appearance.w), log2Alpha);
 }`;
 
 export const kSplatFragment = `#version 300 es
 precision highp float;
 in vec2 vWhite;
-flat in vec4 vColour;
-out vec4 oColour;
+flat in vec4 vColor;
+out vec4 oColor;
 void main() {
-  float log2Alpha = vColour.a - dot(vWhite, vWhite);
+  float log2Alpha = vColor.a - dot(vWhite, vWhite);
   if (log2Alpha < -7.9943534) discard;
   float alpha = min(exp2(log2Alpha), 0.999);
-  oColour = vec4(vColour.rgb * alpha, alpha);
+  oColor = vec4(vColor.rgb * alpha, alpha);
 }`;
 
 export const kResolveVertex = `#version 300 es
@@ -131,13 +131,13 @@ uniform highp sampler2D uSplats;
 uniform vec3 uBackground;
 uniform bool uDisplaySpace;
 in vec2 vAt;
-out vec4 oColour;
+out vec4 oColor;
 void main() {
   vec4 splats = texture(uSplats, vAt);
   vec3 linear = clamp(splats.rgb + (1.0 - splats.a) * uBackground, 0.0, 1.0);
   vec3 curve = 1.055 * pow(max(linear, 1e-9), vec3(1.0 / 2.4)) - 0.055;
   curve = mix(curve, 12.92 * linear, lessThanEqual(linear, vec3(0.0031308)));
-  oColour = vec4(uDisplaySpace ? linear : curve, 1.0);
+  oColor = vec4(uDisplaySpace ? linear : curve, 1.0);
 }`;
 
 /** Writes changed rows to where they belong: a point a row, so that what is uploaded is what changed. */
@@ -148,7 +148,7 @@ layout(location = 0) in uint aRow;
 layout(location = 1) in uvec4 aGeometry;
 layout(location = 2) in uvec4 aAppearance;
 layout(location = 3) in float aFade;
-layout(location = 4) in uint aColour;  // 0 where the appearance says it
+layout(location = 4) in uint aColor;  // 0 where the appearance says it
 uniform vec2 uStoreSize;
 flat out uvec4 vGeometry;
 flat out uvec4 vAppearance;
@@ -158,7 +158,7 @@ void main() {
   gl_Position = vec4(2.0 * texel / uStoreSize - 1.0, 0.0, 1.0);
   gl_PointSize = 1.0;
   vGeometry = aGeometry;
-  vAppearance = aAppearance | uvec4(0u, 0u, 0u, aColour);
+  vAppearance = aAppearance | uvec4(0u, 0u, 0u, aColor);
   vFade = aFade;
 }`;
 

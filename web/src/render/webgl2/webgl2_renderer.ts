@@ -1,7 +1,7 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
-import type { ColourUpdate, RowUpdate } from '../../records';
-import { blendedBackground, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
-import { GraphicsError, Program, makeTarget, makeTexture, type Gl } from './gl';
+import type { ColorUpdate, RowUpdate } from '../../records';
+import { blendedBackground, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import { Program, makeTarget, makeTexture, type Gl } from './gl';
 import { kBatch, kOrderWidth } from './layout';
 import { RowStore } from './row_store';
 import { kResolveFragment, kResolveVertex, kSplatFragment, kSplatVertex } from './shaders';
@@ -72,8 +72,8 @@ export class WebGl2Renderer implements Renderer {
     this.#rows.apply(update);
   }
 
-  recolour(update: ColourUpdate): void {
-    this.#rows.recolour(update);
+  recolor(update: ColorUpdate): void {
+    this.#rows.recolor(update);
   }
 
   clear(): void {
