@@ -281,7 +281,7 @@ export class Viewer {
 
   #settingsChanged(): void {
     keepSettings(this.options.settings);
-    this.link.send({ kind: 'budget', budget: this.options.settings.budget });
+    this.link.setBudget(this.options.settings.budget);
     this.#changedMs = performance.now();
   }
 

@@ -25,7 +25,6 @@ export type ToStreamWorker =
   | { kind: 'attach'; port: MessagePort; standing: boolean }
   /** view_from_world row-major 4x4, fx, fy, cx, cy, width, height. */
   | { kind: 'pose'; floats: Float32Array }
-  | { kind: 'budget'; budget: Budget }
   | { kind: 'bounds' };
 
 export type ConnectionState = 'connecting' | 'open' | 'waiting';

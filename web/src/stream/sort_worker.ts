@@ -1,10 +1,11 @@
 // Holds where rows are, and sorts them for the newest view; rows and the order that knows them leave together.
-import { DepthSorter } from './depth_sorter';
 import { transfersOf, type SceneBatch, type Sorted, type ToSortWorker, type WorkerScope } from './messages';
+import { loadWasm, Sorter } from './wasm';
 
 const scope = self as unknown as WorkerScope<ToSortWorker, Sorted>;
-const sorter = new DepthSorter();
-let view: Float64Array | null = null;
+const loaded = loadWasm('splatbus.wasm').then((wasm) => new Sorter(wasm));
+let view: Float32Array | null = null;
+let capacity = 0;
 let waiting: SceneBatch[] = [];
 let due = false;
 // A message to itself comes after those that are there already: of several views only the last is sorted for.
@@ -16,11 +17,21 @@ function sortSoon(): void {
   turn.port2.postMessage(null);
 }
 
-turn.port1.onmessage = () => {
+function apply(sorter: Sorter, batch: SceneBatch): void {
+  const { rows, records } = batch.update;
+  capacity = rows.reduce((most, row) => Math.max(most, row + 1), capacity);
+  sorter.update(capacity, rows, records);
+  sorter.setTransforms(batch.scene.transforms, batch.scene.farField);
+  waiting.push(batch);
+  sortSoon();
+}
+
+turn.port1.onmessage = async () => {
+  const sorter = await loaded;
   due = false;
   if (!view) return;
   const start = performance.now();
-  const order = sorter.sort(view);
+  const order = sorter.sort(view).slice();
   const sorted = { batches: waiting, order, milliseconds: performance.now() - start };
   waiting = [];
   scope.postMessage(sorted, [order.buffer, ...sorted.batches.flatMap(transfersOf)]);
@@ -28,13 +39,9 @@ turn.port1.onmessage = () => {
 
 scope.onmessage = ({ data }) => {
   if (data.kind === 'view') {
-    view = data.viewFromWorld;
+    view = new Float32Array(data.viewFromWorld);
     sortSoon();
     return;
   }
-  data.port.onmessage = (event: MessageEvent<SceneBatch>) => {
-    sorter.apply(event.data);
-    waiting.push(event.data);
-    sortSoon();
-  };
+  data.port.onmessage = async (event: MessageEvent<SceneBatch>) => apply(await loaded, event.data);
 };

@@ -41,9 +41,16 @@ export class StreamLink {
     this.onStarted();
   }
 
+  /** The model is asked for anew where it is another budget. */
+  setBudget(budget: Budget): void {
+    if (budget.gaussians === this.options.budget.gaussians && budget.megabits === this.options.budget.megabits) return;
+    this.options.budget = budget;
+    this.#worker?.terminate();
+    this.start();
+  }
+
   /** Nothing while there is no worker: who starts one is told. */
   send(message: ToStreamWorker, transfer: Transferable[] = []): void {
-    if (message.kind === 'budget') this.options.budget = message.budget;
     this.#worker?.postMessage(message, transfer);
   }
 
