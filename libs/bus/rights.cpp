@@ -14,7 +14,9 @@ constexpr std::array<std::pair<std::string_view, bool Rights::*>, 4> roles{
 std::string to_text(const Rights& rights) {
   std::string text;
   for (const auto& [name, member] : roles) {
-    if (rights.*member) text += (text.empty() ? "" : ",") + std::string(name);
+    if (!(rights.*member)) continue;
+    if (!text.empty()) text += ',';
+    text += name;
   }
   return text;
 }
