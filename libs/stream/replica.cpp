@@ -144,7 +144,15 @@ bool Replica::load_chunk(const ParsedPacket& packet) {
   QuantizedGaussians chunk = decode_chunk(packet.payload(), part.layout, body.count());
   part.gaussians.append(chunk);
   part.light_rows.append(chunk.count());
-  if (shown() == &part) note(DisplayAppend{std::move(chunk)});
+  if (shown() == &part) {
+    if (observer_) {
+      Change appended{.kind = Change::Kind::Appended, .slots = std::vector<std::uint32_t>(chunk.count())};
+      std::iota(appended.slots.begin(), appended.slots.end(), static_cast<std::uint32_t>(column));
+      note(part, appended);
+    } else {
+      note(DisplayAppend{std::move(chunk)});
+    }
+  }
   loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
   const bool visible = shown() == &part;
   if (part.gaussians.count() < loading_->total) return visible;
@@ -203,10 +211,12 @@ void Replica::finish_loading() {
   missing_ids_ = loading.total;
   missing_rows_ = loading.light_rows;
   loading_.reset();
-  if (was_shown) {
-    note(DisplayOrder{std::move(order)});
-  } else {
+  if (!was_shown) {
     show_whole();
+  } else if (observer_) {
+    observer_->on_order(order);
+  } else {
+    note(DisplayOrder{std::move(order)});
   }
 }
 
@@ -217,6 +227,10 @@ bool Replica::apply_to(ReplicatedState& state, const ParsedPacket& packet) {
 }
 
 void Replica::note(const ReplicatedState& state, const Change& change) {
+  if (observer_) {
+    if (change.kind != Change::Kind::Nothing) observer_->on_change(state, change);
+    return;
+  }
   switch (change.kind) {
     case Change::Kind::Appended:
       note(DisplayAppend{state.gaussians.gather(change.slots)});
@@ -259,6 +273,20 @@ void Replica::note(const ReplicatedState& state, const Change& change) {
     case Change::Kind::Nothing:
       break;
   }
+}
+
+void Replica::show_whole() {
+  if (observer_) {
+    observer_->on_reset(shown_state());
+  } else {
+    changes_ = whole();
+  }
+}
+
+void Replica::observe_with(ShownObserver& observer) {
+  observer_ = &observer;
+  changes_.clear();
+  show_whole();
 }
 
 void Replica::note(DisplayChange change) {

@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 
 #include "stream/display_changes.h"
@@ -17,6 +18,19 @@ struct MissingPackets {
   bool operator==(const MissingPackets&) const = default;
 };
 
+/// Is told of what changes in what a replica shows, by the column, when it has changed: for who reads the state in
+/// place, where DisplayChanges bring copies.
+class ShownObserver {
+ public:
+  virtual ~ShownObserver() = default;
+  /// Another state is shown: nothing of it is known.
+  virtual void on_reset(const ReplicatedState& shown) = 0;
+  /// Not of Kind::Nothing.
+  virtual void on_change(const ReplicatedState& shown, const Change& change) = 0;
+  /// Column i was column order[i]: a permutation of all columns.
+  virtual void on_order(std::span<const std::uint32_t> order) = 0;
+};
+
 /// What a viewer holds. Packets go in; scene, and what changes of the Gaussians, come out. Not thread-safe.
 ///
 /// A snapshot is gathered beside what is shown: its chunks are shown as they arrive where nothing was shown before,
@@ -25,6 +39,9 @@ struct MissingPackets {
 class Replica {
  public:
   explicit Replica(std::size_t max_gaussians = kMaxGaussians) : max_gaussians_(max_gaussians) {}
+
+  /// From now on `observer`, which outlives this, is told, and take_changes() gives nothing.
+  void observe_with(ShownObserver& observer);
 
   /// Takes any packet of the stream; those that are not about the model (Welcome, ProbePicture, ...) change nothing.
   /// True when the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was,
@@ -64,6 +81,8 @@ class Replica {
 
   /// Exactly what is held, null before the first whole snapshot. For tests and statistics.
   [[nodiscard]] const ReplicatedState* held() const { return held_.get(); }
+  /// What is shown, an empty state before there is any. Valid until the next packet.
+  [[nodiscard]] const ReplicatedState& shown_state() const;
 
  private:
   struct Chunk {
@@ -89,11 +108,10 @@ class Replica {
   void note(const ReplicatedState& state, const Change& change);
   void note(DisplayChange change);
   /// After another state is shown, or what is shown has become another.
-  void show_whole() { changes_ = whole(); }
+  void show_whole();
   bool drain();
   void keep(const ParsedPacket& packet);
   [[nodiscard]] const ReplicatedState* shown() const;
-  [[nodiscard]] const ReplicatedState& shown_state() const;
   [[nodiscard]] std::uint64_t base() const;
 
   std::size_t max_gaussians_;
@@ -103,7 +121,8 @@ class Replica {
   std::map<std::uint64_t, ParsedPacket> early_;
   std::size_t early_bytes_ = 0;
   std::uint64_t last_known_ = 0;
-  DisplayChanges changes_;  ///< that nobody has taken yet
+  ShownObserver* observer_ = nullptr;
+  DisplayChanges changes_;  ///< that nobody has taken yet; none where somebody observes
   std::string refusal_;
 };
 

@@ -133,14 +133,14 @@ Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max
       const wire::GaussianOrder& body = *root.body_as_GaussianOrder();
       require_range("GaussianOrder", body.first_slot(), body.count(), state.gaussians.count());
       const auto ids = decode_ids(payload, body.raw_bytes(), body.count());
-      std::ranges::copy(ids, state.gaussians.gaussian_id.begin() + body.first_slot());
+      std::copy(ids.begin(), ids.end(), state.gaussians.gaussian_id.begin() + body.first_slot());
       return {};
     }
     case wire::Body::ObjectIds: {
       const wire::ObjectIds& body = *root.body_as_ObjectIds();
       require_range("ObjectIds", body.first_slot(), body.count(), state.gaussians.count());
       const auto ids = decode_runs(payload, body.raw_bytes(), body.count());
-      std::ranges::copy(ids, state.gaussians.object_id.begin() + body.first_slot());
+      std::copy(ids.begin(), ids.end(), state.gaussians.object_id.begin() + body.first_slot());
       return {.kind = Change::Kind::Objects, .slots = slot_range(body.first_slot(), body.count())};
     }
     case wire::Body::Scene:

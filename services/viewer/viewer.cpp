@@ -21,7 +21,6 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kLongestWaitNs = 50'000'000;
-constexpr std::int64_t kPoseEveryNs = 100'000'000;  // while the camera moves; else once a second
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
   return {.endpoint = host.endpoint, .name = host.name, .probes = options.probe};
@@ -127,14 +126,6 @@ bool Viewer::take() {
   return true;
 }
 
-void Viewer::send_pose(std::int64_t now_ns) {
-  const std::int64_t since_ns = now_ns - posed_ns_;
-  if (since_ns < kPoseEveryNs || (posed_ == camera_ && since_ns < kSecondNs)) return;
-  posed_ = camera_;
-  posed_ns_ = now_ns;
-  receiver_.send_pose(camera_);
-}
-
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const std::int64_t begin_ns = bus::now_ns();
   const GaussiansView view = display_.view(scene.light.sources);
@@ -156,7 +147,7 @@ bool Viewer::show(bool changed) {
     recorder_->add(
         {.time_s = static_cast<double>(now_ns - begin_ns_) / 1e9, .world_from_camera = camera_.world_from_camera});
   }
-  send_pose(now_ns);
+  receiver_.send_pose(camera_);
   const bool empty = display_.count() == 0;
   if (empty || (!changed && frames_ > 0 && before == camera_)) return false;
   const cv::Mat picture = draw(camera_, *shown_.scene);

@@ -65,7 +65,6 @@ class Viewer {
   bool show(bool changed);
   /// Takes over parameters that have changed.
   void refresh_options();
-  void send_pose(std::int64_t now_ns);
   void answer_probes();
   void ask_probe(std::int64_t now_ns);
   void report();
@@ -85,8 +84,7 @@ class Viewer {
   std::optional<PathRecorder> recorder_;
   Camera camera_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
-  std::int64_t drawn_ns_ = 0, posed_ns_ = 0;
-  Camera posed_;
+  std::int64_t drawn_ns_ = 0;
   bool model_changed_ = true;  ///< since the renderer read it
   const std::uint8_t* drawn_rows_ = nullptr;
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;

@@ -29,7 +29,7 @@ class FreezerTest : public FreezingTest {
     ViewLook look{.view = nullptr, .loss = 0, .pages = {}};
     TrainingView view;
     view.camera.fx = 100;
-    const PageBounds& bounds = store().view().bounds[0];
+    const PageBounds bounds = store().view().bounds[0];
     view.camera.world_from_camera.translation = {bounds.high.x + distance_m, bounds.low.y, bounds.low.z};
     look.view = std::make_shared<const TrainingView>(view);
     for (std::size_t p = 0; p < errors.size(); ++p) {

@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <vector>
 
-namespace splatbus::viewer {
+namespace splatbus::stream {
 
 /// How long the last scenes took from the engine's frame to the replica, on one machine.
 class SceneDelays {
@@ -26,7 +26,7 @@ class SceneDelays {
   [[nodiscard]] double quantile(double part) const {
     if (kept_.empty()) return 0;
     std::vector<double> sorted = kept_;
-    std::ranges::sort(sorted);
+    std::sort(sorted.begin(), sorted.end());
     const auto rank = static_cast<std::size_t>(std::ceil(part * static_cast<double>(sorted.size())));
     return sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1];
   }
@@ -36,4 +36,4 @@ class SceneDelays {
   std::size_t count_ = 0;
 };
 
-}  // namespace splatbus::viewer
+}  // namespace splatbus::stream

@@ -1,0 +1,61 @@
+import { kNoScene, type ColorUpdate, type RowUpdate, type Scene } from '../records';
+import { transfersOf } from './messages';
+import { RowMirror } from './row_mirror';
+
+const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uint32Array(0) });
+
+/** Gives rows to whoever draws them: everything to begin with, then what changes. */
+export class Publisher {
+  readonly #mirror = new RowMirror();
+  #port: MessagePort | null = null;
+  #begun = false;
+  #standing = false;
+  #scene = kNoScene;
+  #complete = false;
+
+  /** `nowS`: the clock of RowUpdate.fades. */
+  constructor(private readonly nowS: () => number) {}
+
+  attach(port: MessagePort, standing: boolean): void {
+    this.#port?.close();
+    this.#port = port;
+    this.#begun = false;
+    this.#standing = standing;
+    this.#begin();
+  }
+
+  /** What has changed; `complete` when the model is all there, which it is not while it first arrives. */
+  publish(rows: Uint32Array, records: Uint32Array, colors: ColorUpdate, scene: Scene, complete: boolean): void {
+    this.#scene = scene;
+    this.#complete = complete;
+    const update = this.#mirror.take(rows, records, this.nowS());
+    this.#mirror.recolor(colors);
+    if (this.#begun) this.#send(false, update, colors);
+    else this.#begin();
+  }
+
+  /** To be called now and then: what has faded away becomes free. */
+  tidy(): void {
+    const update = this.#mirror.takeVanished(this.nowS());
+    if (update && this.#begun) this.#send(false, update, noColors());
+  }
+
+  bounds(): { centre: [number, number, number]; radius: number } | null {
+    return this.#mirror.bounds(this.#scene);
+  }
+
+  #begin(): void {
+    if (!this.#port || (this.#standing && !this.#complete)) return;
+    const update = this.#mirror.everything();
+    if (update.rows.length === 0) return;
+    this.#begun = true;
+    this.#send(true, update, noColors());
+  }
+
+  #send(whole: boolean, update: RowUpdate, colors: ColorUpdate): void {
+    const copied = { rows: colors.rows.slice(), colors: colors.colors.slice() };
+    const scene = { ...this.#scene, transforms: this.#scene.transforms.slice() };
+    const batch = { whole, update, colors: copied, scene };
+    this.#port?.postMessage(batch, transfersOf(batch));
+  }
+}

@@ -1,0 +1,181 @@
+// The page with a stream that a test makes: how a person steers it, and what it does when something is lost.
+import assert from 'node:assert/strict';
+import { after, before, test } from 'node:test';
+import { launch, serve } from './browser.mjs';
+
+const kPages = process.env.SPLATBUS_WEB_TESTS ?? '../build/release/web-tests';
+const kSite = process.env.SPLATBUS_WEB ?? '../build/release/share/splatbus/web';
+let browser;
+let server;
+const posted = [];
+before(async () => {
+  server = await serve([kPages, kSite], posted);
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  server?.close();
+});
+
+/** The page, once it shows the scene at rest. */
+async function opened(path, run, options = {}) {
+  const context = await browser.newContext({ viewport: { width: 320, height: 200 }, ...options });
+  const page = await context.newPage();
+  const errors = [];
+  page.on('pageerror', (error) => errors.push(String(error)));
+  try {
+    await page.goto(`${server.url}/${path}`);
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    await run(page);
+    assert.deepEqual(errors, []);
+  } finally {
+    await context.close();
+  }
+}
+
+const goal = (page) => page.evaluate(() => window.splatbus.rig.goal);
+const kStart = { target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 4 };
+const view = (pose) => `view=${[...pose.target, pose.yaw, pose.pitch, pose.distance]}`;
+const kPage = `index.html#${view(kStart)}`;
+
+/** Colors of the canvas that draws, as the screen would show them. */
+const shownColors = async (page) => {
+  const png = await page.screenshot({ clip: { x: 60, y: 60, width: 200, height: 100 } });
+  return page.evaluate(async (base64) => {
+    const bitmap = await createImageBitmap(await (await fetch(`data:image/png;base64,${base64}`)).blob());
+    const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
+    const context = canvas.getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+    return new Set(new Uint32Array(data.buffer)).size;
+  }, png.toString('base64'));
+};
+
+test('keys fly and turn, F shows all', () =>
+  opened(kPage, async (page) => {
+    const held = async (key, until) => {
+      await page.keyboard.down(key);
+      await page.waitForFunction(until);
+      await page.keyboard.up(key);
+    };
+    await held('w', () => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
+    const ahead = await goal(page);
+    // Towards where the camera looks, on the level.
+    assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);
+    assert.equal(ahead.target[1], 0);
+    await held('e', () => window.splatbus.rig.goal.target[1] > 0.1);
+    await held('ArrowRight', () => window.splatbus.rig.goal.yaw > 1.1);
+    const before = await goal(page);
+    await held('d', () => window.splatbus.rig.goal.target[0] > 0);
+    assert.equal((await goal(page)).distance, before.distance);
+    await page.keyboard.press('f');
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance !== distance, before.distance);
+    const all = await goal(page);
+    assert.ok(Math.hypot(...all.target) < 1, `the middle of all is ${all.target}`);
+    assert.ok(all.distance > 3 && all.distance < 8, `all is seen from ${all.distance} m`);
+  }));
+
+test('the mouse orbits, pans and zooms', () =>
+  opened(kPage, async (page) => {
+    await page.mouse.move(160, 100);
+    await page.mouse.down();
+    await page.mouse.move(210, 80, { steps: 4 });
+    await page.mouse.up();
+    const orbited = await goal(page);
+    assert.ok(Math.abs(orbited.yaw - (kStart.yaw + 50 * 0.006)) < 1e-9);
+    assert.ok(Math.abs(orbited.pitch - (kStart.pitch - 20 * 0.006)) < 1e-9);
+    await page.mouse.down({ button: 'right' });
+    await page.mouse.move(180, 80);
+    await page.mouse.up({ button: 'right' });
+    const panned = await goal(page);
+    // 30 pixels to the left at the target's distance.
+    const metres = (30 * panned.distance) / (200 / (2 * Math.tan(Math.PI / 6)));
+    assert.ok(Math.abs(Math.hypot(...panned.target) - metres) < 1e-6);
+    await page.mouse.wheel(0, -100);
+    await page.waitForFunction(() => window.splatbus.rig.goal.distance < 4);
+    assert.ok(Math.abs((await goal(page)).distance - 3.6) < 1e-9);
+  }));
+
+test('one finger orbits, two pinch and pan, a stick moves', () =>
+  opened(
+    kPage,
+    async (page) => {
+      const session = await page.context().newCDPSession(page);
+      const touch = (type, ...points) =>
+        session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+      await touch('touchStart', [160, 100]);
+      await touch('touchMove', [180, 110]);
+      await touch('touchEnd');
+      await page.waitForFunction((yaw) => Math.abs(window.splatbus.rig.goal.yaw - yaw) < 1e-9, kStart.yaw + 20 * 0.006);
+      await touch('touchStart', [200, 100], [240, 100]);
+      await touch('touchMove', [180, 100], [260, 100]);
+      await touch('touchEnd');
+      // Twice as far apart.
+      await page.waitForFunction(() => Math.abs(window.splatbus.rig.goal.distance - 2) < 1e-6);
+      const pinched = await goal(page);
+      assert.ok(Math.hypot(...pinched.target) < 0.1, 'a pinch about the middle does not pan');
+      const stick = await page.locator('.stick').boundingBox();
+      const middle = [stick.x + stick.width / 2, stick.y + stick.height / 2];
+      await touch('touchStart', middle);
+      await touch('touchMove', [middle[0], middle[1] - 60]);
+      await page.waitForFunction((x) => Math.abs(window.splatbus.rig.goal.target[0] - x) > 0.1, pinched.target[0]);
+      await touch('touchEnd');
+      const flown = await goal(page);
+      const [dx, , dz] = flown.target.map((value, k) => value - pinched.target[k]);
+      assert.ok(Math.abs(Math.atan2(-dz, -dx) - flown.yaw) < 1e-6);
+    },
+    { hasTouch: true },
+  ));
+
+test('the address has the view and not the token, and shows the same again', () =>
+  opened(`index.html?token=abc&gpu=webgl2#${view(kStart)}`, async (page) => {
+    assert.ok(!page.url().includes('abc'), page.url());
+    assert.ok(page.url().includes('gpu=webgl2'));
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.token), 'abc');
+    assert.deepEqual(await goal(page), kStart);
+    await page.mouse.move(160, 100);
+    await page.mouse.wheel(0, -300);
+    await page.waitForFunction(() => location.hash.includes('2.916'));
+    const left = await goal(page);
+    const address = page.url();
+    await page.goto('about:blank');
+    await page.goto(address);
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    const again = await goal(page);
+    for (const key of ['yaw', 'pitch', 'distance']) assert.ok(Math.abs(again[key] - left[key]) < 1e-3, key);
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.token), 'abc');
+  }));
+
+test('after the first picture only rows that change are uploaded', () =>
+  opened(kPage, async (page) => {
+    const uploaded = () => page.evaluate(() => window.splatbus.stage.uploadedRows);
+    assert.equal(await uploaded(), 3000);
+    await page.mouse.move(160, 100);
+    await page.mouse.wheel(0, -100);
+    await page.waitForFunction(() => window.splatbus.rig.shown.distance === window.splatbus.rig.goal.distance && window.splatbus.rig.goal.distance < 4);
+    assert.equal(await uploaded(), 3000, 'a camera that moves uploads no row');
+    await page.evaluate(() => new BroadcastChannel('change').postMessage(17));
+    await page.waitForFunction(() => window.splatbus.stage.uploadedRows !== 3000);
+    assert.equal(await uploaded(), 3017);
+  }));
+
+test('a lost context comes back, and the last picture stands meanwhile', () =>
+  opened(kPage, async (page) => {
+    await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]')?.width > 300);
+    const before = await shownColors(page);
+    assert.ok(before > 500, `${before} colors`);
+    await page.evaluate(() => window.splatbus.stage.renderer.dispose());
+    await page.waitForFunction(() => window.splatbus.stage.renderer === null);
+    assert.ok((await shownColors(page)) > 500, 'the picture stands');
+    await page.waitForFunction(() => window.splatbus.stage.renderer && window.splatbus.stage.uploadedRows === 6000);
+    await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]'));
+    assert.ok((await shownColors(page)) > 500, 'it is drawn again');
+  }));
+
+test('a worker that dies is started again, and the picture stands', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => window.splatbus.link.kill());
+    assert.ok((await shownColors(page)) > 500);
+    await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 6000);
+    assert.ok((await shownColors(page)) > 500);
+  }));
