@@ -204,7 +204,8 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
       co_await wait_for_turn();
       if (!take({static_cast<const std::uint8_t*>(buffer.data().data()), bytes})) {
         relay_.traffic.refuse(Refusal::Malformed);
-        co_await socket_.async_close(websocket::close_code::policy_error, kNoThrow);
+        const websocket::close_reason reason(websocket::close_code::policy_error);
+        co_await socket_.async_close(reason, kNoThrow);
         co_return;
       }
       buffer.consume(bytes);

@@ -203,7 +203,8 @@ class WebSocketClient {
     return send_frame(kBinary, message);
   }
 
-  /// The next binary message; pings are answered. Nullopt at the end, when close_code() says why, and after `timeout`.
+  /// The next binary message; pings and closes are answered. Nullopt at the end, when close_code() says why, and after
+  /// `timeout`.
   std::optional<std::string> receive(std::chrono::milliseconds timeout = kPatience) {
     const auto deadline = std::chrono::steady_clock::now() + timeout;
     for (;;) {
@@ -212,6 +213,7 @@ class WebSocketClient {
         if (frame->first == kPing) send_frame(kPong, frame->second);
         if (frame->first == kClose && frame->second.size() >= 2) {
           close_code_ = static_cast<std::uint8_t>(frame->second[0]) * 256 + static_cast<std::uint8_t>(frame->second[1]);
+          send_frame(kClose, frame->second);
         }
       }
       const auto left =
