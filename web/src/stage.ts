@@ -34,6 +34,8 @@ export class Stage {
     private readonly wanted: Api | null,
     /** Everything is wanted, through this port. */
     private readonly attach: (port: MessagePort, standing: boolean) => void,
+    /** As many batches are in what is drawn from now on. */
+    private readonly taken: (batches: number) => void,
     private readonly say: (problem: 'lost' | 'found' | { missing: string }) => void,
   ) {
     this.element.append(this.#still);
@@ -137,6 +139,7 @@ export class Stage {
       renderer.recolor(batch.colors);
       this.scene = batch.scene;
     }
+    this.taken(this.#batches.length);
     this.#batches = [];
     if (this.#order) renderer.setOrder(this.#order);
     this.#order = null;

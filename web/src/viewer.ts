@@ -72,6 +72,7 @@ export class Viewer {
     this.stage = new Stage(
       options.api,
       (port, standing) => this.link.send({ kind: 'attach', port, standing }, [port]),
+      (batches) => this.link.send({ kind: 'taken', batches }),
       (problem) => {
         this.#graphics = problem === 'found' ? '' : problem === 'lost' ? texts.graphicsLost : texts.graphicsMissing(problem.missing);
         this.#changedMs = performance.now();
@@ -195,7 +196,7 @@ export class Viewer {
   #hear(message: FromStreamWorker): void {
     if (message.kind === 'figures') {
       this.#figures = message.figures;
-      this.#rate.add(performance.now(), message.figures.bytes);
+      this.#rate.add(message.figures.atMs, message.figures.bytes);
       if (!this.#framed && !this.#steered && message.figures.gaussians > 0) {
         this.#framed = true;
         this.frameAll();

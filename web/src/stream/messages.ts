@@ -23,6 +23,8 @@ export type ToStreamWorker =
    * stands already nothing is sent until there is a whole model to replace it.
    */
   | { kind: 'attach'; port: MessagePort; standing: boolean }
+  /** As many batches have been drawn. */
+  | { kind: 'taken'; batches: number }
   /** view_from_world row-major 4x4, fx, fy, cx, cy, width, height. */
   | { kind: 'pose'; floats: Float32Array }
   | { kind: 'bounds' };
@@ -31,6 +33,8 @@ export type ConnectionState = 'connecting' | 'open' | 'waiting';
 
 /** What the overlay shows of the stream. Negative: not known. */
 export interface StreamFigures {
+  /** When this was so, by the worker's clock. */
+  readonly atMs: number;
   readonly gaussians: number;
   readonly sequence: number;
   readonly epoch: number;

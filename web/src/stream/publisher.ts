@@ -4,11 +4,15 @@ import { RowMirror } from './row_mirror';
 
 const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uint32Array(0) });
 
+/** Batches that may be on their way: one is drawn while the next is sorted. */
+const kMostUnderWay = 2;
+
 /** Gives rows to whoever draws them: everything to begin with, then what changes. */
 export class Publisher {
   readonly #mirror = new RowMirror();
   #port: MessagePort | null = null;
   #begun = false;
+  #underWay = 0;
   #standing = false;
   #scene = kNoScene;
   #complete = false;
@@ -20,8 +24,19 @@ export class Publisher {
     this.#port?.close();
     this.#port = port;
     this.#begun = false;
+    this.#underWay = 0;
     this.#standing = standing;
     this.#begin();
+  }
+
+  /** Whoever draws has taken a batch. */
+  taken(): void {
+    this.#underWay = Math.max(0, this.#underWay - 1);
+  }
+
+  /** False while who draws has enough to do: what changes meanwhile is better published together. */
+  get ready(): boolean {
+    return this.#underWay < kMostUnderWay;
   }
 
   /** What has changed; `complete` when the model is all there, which it is not while it first arrives. */
@@ -36,6 +51,7 @@ export class Publisher {
 
   /** To be called now and then: what has faded away becomes free. */
   tidy(): void {
+    if (!this.ready) return;
     const update = this.#mirror.takeVanished(this.nowS());
     if (update && this.#begun) this.#send(false, update, noColors());
   }
@@ -53,6 +69,7 @@ export class Publisher {
   }
 
   #send(whole: boolean, update: RowUpdate, colors: ColorUpdate): void {
+    ++this.#underWay;
     const copied = { rows: colors.rows.slice(), colors: colors.colors.slice() };
     const scene = { ...this.#scene, transforms: this.#scene.transforms.slice() };
     const batch = { whole, update, colors: copied, scene };

@@ -43,6 +43,10 @@ class Stream {
       case 'attach':
         this.#publisher.attach(message.port, message.standing);
         break;
+      case 'taken':
+        for (let i = 0; i < message.batches; ++i) this.#publisher.taken();
+        this.#publishSoon();
+        break;
       case 'pose':
         this.#follower.setPose(message.floats);
         this.#speak();
@@ -80,6 +84,7 @@ class Stream {
 
   #publish(): void {
     this.#due = false;
+    if (!this.#publisher.ready) return;
     const follower = this.#follower;
     const changed = follower.takeChanges(kMostRows);
     const [rows, records] = [changed.rows.slice(), changed.records.slice()];
@@ -112,6 +117,7 @@ class Stream {
   #figures(nowMs: number): StreamFigures {
     const stats = this.#follower.stats;
     return {
+      atMs: nowMs,
       gaussians: stats.gaussians,
       sequence: stats.sequence,
       epoch: stats.epoch,

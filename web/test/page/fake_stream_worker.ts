@@ -12,6 +12,7 @@ const publisher = new Publisher(() => (performance.timeOrigin + performance.now(
 let poses = 0;
 
 const figures = (): StreamFigures => ({
+  atMs: performance.now(),
   gaussians: scene.gaussians.length,
   sequence: poses,
   epoch: 1,
@@ -34,6 +35,8 @@ scope.onmessage = ({ data }) => {
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.standing);
+  } else if (data.kind === 'taken') {
+    for (let i = 0; i < data.batches; ++i) publisher.taken();
   } else if (data.kind === 'pose') {
     ++poses;
     scope.postMessage({ kind: 'figures', figures: figures() });
