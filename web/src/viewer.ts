@@ -5,7 +5,7 @@ import { Flight, postFigures } from './bench';
 import type { View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
-import { kFadeS, type Frame } from './render/renderer';
+import type { Frame } from './render/renderer';
 import { savePng } from './snapshot';
 import { Stage } from './stage';
 import type { FromStreamWorker, StreamFigures } from './stream/messages';
@@ -56,6 +56,7 @@ export class Viewer {
   /** Somebody has moved the camera. */
   #steered = false;
   #rested = true;
+  #redraw = true;
   #framed = false;
   #flight: Flight | null = null;
   #benchDue: boolean;
@@ -75,7 +76,7 @@ export class Viewer {
       (batches) => this.link.send({ kind: 'taken', batches }),
       (problem) => {
         this.#graphics = problem === 'found' ? '' : problem === 'lost' ? texts.graphicsLost : texts.graphicsMissing(problem.missing);
-        this.#changedMs = performance.now();
+        this.#redraw = true;
       },
     );
     this.stage.element.setAttribute('aria-label', texts.picture);
@@ -125,7 +126,7 @@ export class Viewer {
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
-    if (this.stage.take()) this.#changedMs = nowMs;
+    if (this.stage.take(nowMs)) this.#changedMs = nowMs;
     const view = this.#view();
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
@@ -155,12 +156,12 @@ export class Viewer {
 
   #draw(view: View, nowMs: number): void {
     const resolution = this.#resolution(nowMs);
-    const fading = nowMs - this.#changedMs < 1000 * kFadeS;
     const drawn = this.#drawn;
     const resized = drawn.width !== view.width || drawn.height !== view.height || drawn.resolution !== resolution;
-    const moving = nowMs === this.#movedMs || fading;
+    const moving = nowMs === this.#movedMs || nowMs === this.#changedMs || this.stage.movingAt(nowMs);
     const settled = !moving && nowMs - Math.max(this.#movedMs, this.#changedMs) > kSettleMs;
-    if (!this.stage.renderer || (!moving && !resized && !(settled && !this.#rested))) return;
+    if (!this.stage.renderer || (!moving && !resized && !this.#redraw && !(settled && !this.#rested))) return;
+    this.#redraw = false;
     this.#drawn = { width: view.width, height: view.height, resolution };
     this.#rested = settled;
     this.stage.draw(this.#frame(view, resolution, nowMs), settled);
@@ -171,9 +172,10 @@ export class Viewer {
 
   #frame(view: View, resolution: number, nowMs: number): Frame {
     const { background } = this.options.settings;
+    const scene = this.stage.sceneAt(nowMs);
     return {
       view,
-      scene: background === 'scene' ? this.stage.scene : { ...this.stage.scene, background: kBackgrounds[background] },
+      scene: background === 'scene' ? scene : { ...scene, background: kBackgrounds[background] },
       resolution,
       timeS: nowMs / 1000,
     };
@@ -283,7 +285,7 @@ export class Viewer {
   #settingsChanged(): void {
     keepSettings(this.options.settings);
     this.link.setBudget(this.options.settings.budget);
-    this.#changedMs = performance.now();
+    this.#redraw = true;
   }
 
   async #saveSnapshot(): Promise<void> {

@@ -1,6 +1,6 @@
 // What the page and its workers say to each other. The stream worker holds the model and gives its rows to whoever is at
 // the other end of a port: the page, or the sort worker, which hands them on together with the order that they belong to.
-import type { ColorUpdate, RowUpdate, Scene } from '../records';
+import type { ColorUpdate, RowUpdate, Scene, SceneTime } from '../records';
 
 export interface SceneBatch {
   /** These rows are all there are: what was before is gone. */
@@ -8,6 +8,7 @@ export interface SceneBatch {
   readonly update: RowUpdate;
   readonly colors: ColorUpdate;
   readonly scene: Scene;
+  readonly time: SceneTime;
 }
 
 export interface Budget {

@@ -1,8 +1,15 @@
-import { kNoScene, type ColorUpdate, type RowUpdate, type Scene } from '../records';
+import { kNoScene, type ColorUpdate, type RowUpdate, type Scene, type SceneTime } from '../records';
 import { transfersOf } from './messages';
 import { RowMirror } from './row_mirror';
 
 const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uint32Array(0) });
+
+const sameScene = (a: Scene, b: Scene): boolean =>
+  a.farField === b.farField &&
+  a.displaySpace === b.displaySpace &&
+  a.background.every((value, k) => value === b.background[k]) &&
+  a.transforms.length === b.transforms.length &&
+  a.transforms.every((value, i) => value === b.transforms[i]);
 
 /** Batches that may be on their way: one is drawn while the next is sorted. */
 const kMostUnderWay = 2;
@@ -15,6 +22,7 @@ export class Publisher {
   #underWay = 0;
   #standing = false;
   #scene = kNoScene;
+  #time: SceneTime = { captureMs: 0, arrivedMs: 0 };
   #complete = false;
 
   /** `nowS`: the clock of RowUpdate.fades. */
@@ -40,13 +48,15 @@ export class Publisher {
   }
 
   /** What has changed; `complete` when the model is all there, which it is not while it first arrives. */
-  publish(rows: Uint32Array, records: Uint32Array, colors: ColorUpdate, scene: Scene, complete: boolean): void {
+  publish(rows: Uint32Array, records: Uint32Array, colors: ColorUpdate, scene: Scene, time: SceneTime, complete: boolean): void {
+    const same = sameScene(scene, this.#scene);
     this.#scene = scene;
+    this.#time = time;
     this.#complete = complete;
     const update = this.#mirror.take(rows, records, this.nowS());
     this.#mirror.recolor(colors);
-    if (this.#begun) this.#send(false, update, colors);
-    else this.#begin();
+    if (!this.#begun) this.#begin();
+    else if (!same || rows.length > 0 || colors.rows.length > 0) this.#send(false, update, colors);
   }
 
   /** To be called now and then: what has faded away becomes free. */
@@ -72,7 +82,7 @@ export class Publisher {
     ++this.#underWay;
     const copied = { rows: colors.rows.slice(), colors: colors.colors.slice() };
     const scene = { ...this.#scene, transforms: this.#scene.transforms.slice() };
-    const batch = { whole, update, colors: copied, scene };
+    const batch = { whole, update, colors: copied, scene, time: this.#time };
     this.#port?.postMessage(batch, transfersOf(batch));
   }
 }

@@ -25,13 +25,13 @@ const figures = (): StreamFigures => ({
 /** A few rows change: what the test says to a channel of its own. */
 new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
   const rows = Uint32Array.from({ length: data }, (_, row) => row);
-  publisher.publish(rows, scene.records.slice(0, 8 * data), noColors, state, true);
+  publisher.publish(rows, scene.records.slice(0, 8 * data), noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
 };
 
 scope.onmessage = ({ data }) => {
   if (data.kind === 'start') {
     clockOriginMs = data.clockOriginMs;
-    publisher.publish(Uint32Array.from(scene.gaussians, (_, row) => row), scene.records, noColors, state, true);
+    publisher.publish(Uint32Array.from(scene.gaussians, (_, row) => row), scene.records, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.standing);
