@@ -26,7 +26,8 @@ export interface ViewerOptions {
   readonly socket: string;
   readonly token: string | null;
   readonly settings: Settings;
-  readonly bench: boolean;
+  /** Seconds of a flight that is measured; 0: none. */
+  readonly bench: number;
 }
 
 /** The page: stream, picture, camera, figures and menu. */
@@ -59,7 +60,8 @@ export class Viewer {
   #redraw = true;
   #framed = false;
   #flight: Flight | null = null;
-  #benchDue: boolean;
+  #benchAsked: boolean;
+  #benchDue = false;
   /** Pictures drawn since the page was opened. */
   frames = 0;
 
@@ -67,7 +69,7 @@ export class Viewer {
     root: HTMLElement,
     private readonly options: ViewerOptions,
   ) {
-    this.#benchDue = options.bench;
+    this.#benchAsked = options.bench > 0;
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
     this.stage = new Stage(
@@ -199,8 +201,11 @@ export class Viewer {
     if (message.kind === 'figures') {
       this.#figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
-      if (!this.#framed && !this.#steered && message.figures.gaussians > 0) {
+      const unframed = !this.#framed && !this.#steered;
+      if (message.figures.gaussians > 0 && (unframed || (this.#benchAsked && this.stage.standing))) {
         this.#framed = true;
+        this.#benchDue = this.#benchAsked;
+        this.#benchAsked = false;
         this.frameAll();
       }
     } else if (message.kind === 'bounds') {
@@ -214,7 +219,7 @@ export class Viewer {
   #showAll(centre: [number, number, number], radius: number): void {
     if (this.#benchDue) {
       this.#benchDue = false;
-      this.#flight = new Flight(centre, radius);
+      this.#flight = new Flight(centre, radius, this.options.bench);
     }
     const { clientWidth, clientHeight } = this.stage.element;
     this.rig.frame(centre, radius, clientWidth, clientHeight);
@@ -306,6 +311,7 @@ export class Viewer {
   }
 
   #key(event: KeyboardEvent): void {
+    if (event.code === 'Escape') this.#menu.element.close();
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
     if (this.#controls.keys.press(event.code)) {
       event.preventDefault();
@@ -318,7 +324,6 @@ export class Viewer {
       KeyM: () => this.#menu.toggle(),
       KeyP: () => void this.#saveSnapshot(),
       KeyV: () => this.#toggleFullScreen(),
-      Escape: () => this.#menu.element.close(),
     };
     actions[event.code]?.();
   }

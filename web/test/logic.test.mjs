@@ -105,6 +105,7 @@ test('a picture that stands is replaced by a whole model, and by no part of one'
   assert.equal(sent.length, 0);
   publish(1, true);
   assert.deepEqual(sent.map(({ whole, update }) => [whole, ...update.rows]), [[true, 0, 1]]);
+  assert.deepEqual([...sent[0].update.fades], [0, 0], 'and does not fade in');
   publish(2, true);
   assert.ok(!publisher.ready, 'two are under way');
   publisher.taken();

@@ -1,5 +1,6 @@
 // The page with a stream that a test makes: how a person steers it, and what it does when something is lost.
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
 import { after, before, test } from 'node:test';
 import { launch, serve } from './browser.mjs';
 
@@ -176,4 +177,47 @@ test('a worker that dies is started again, and the picture stands', () =>
     assert.ok((await shownColors(page)) > 500);
     await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 6000);
     assert.ok((await shownColors(page)) > 500);
+  }));
+
+test('menu by keys alone: quality, background, budget; they are kept', () =>
+  opened(kPage, async (page) => {
+    await page.keyboard.press('m');
+    await page.getByRole('dialog', { name: 'Menu' }).waitFor();
+    const white = async () => (await page.screenshot({ clip: { x: 300, y: 190, width: 2, height: 2 } })).toString('base64');
+    const before = await white();
+    await page.getByLabel('Background').focus();
+    await page.keyboard.press('w'); // as select elements do: the option that begins so
+    await page.waitForFunction(() => localStorage.getItem('splatbus.settings')?.includes('"background":"white"'));
+    await page.getByLabel('Quality').selectOption('low');
+    await page.getByLabel('Gaussians at most').selectOption('300000');
+    await page.keyboard.press('Escape');
+    await page.getByRole('dialog').waitFor({ state: 'hidden' });
+    await page.waitForFunction(() => document.querySelector('[data-figure=resolution]').textContent === '35 %');
+    // Another budget is another stream, of which the picture is drawn anew.
+    await page.waitForFunction(() => window.splatbus.link.options.budget.gaussians === 300000 && window.splatbus.stage.uploadedRows === 6000);
+    assert.notEqual(await white(), before);
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
+  }));
+
+test('a snapshot is a PNG of the picture', () =>
+  opened(kPage, async (page) => {
+    const download = page.waitForEvent('download');
+    await page.keyboard.press('p');
+    const saved = await download;
+    assert.match(saved.suggestedFilename(), /^splatbus-.*\.png$/);
+    const bytes = readFileSync(await saved.path());
+    assert.deepEqual([...bytes.subarray(1, 4)], [...Buffer.from('PNG')]);
+    assert.equal(bytes.readUInt32BE(16), 320);
+  }));
+
+test('a flight is measured, shown and posted', () =>
+  opened(`${kPage.replace('#', '?bench=1&seconds=3#')}`, async (page) => {
+    await page.waitForFunction(() => document.body.dataset.bench);
+    const shown = JSON.parse(await page.evaluate(() => document.body.dataset.bench));
+    const { path, body } = posted.at(-1);
+    assert.equal(path, '/bench');
+    assert.deepEqual(JSON.parse(body), shown);
+    assert.ok(shown.frames > 5 && shown.medianMs > 0 && shown.gaussians === 3000, body);
   }));

@@ -1,4 +1,5 @@
 import { kNoScene, type ColorUpdate, type RowUpdate, type Scene, type SceneTime } from '../records';
+import { kNoFade } from '../render/renderer';
 import { transfersOf } from './messages';
 import { RowMirror } from './row_mirror';
 
@@ -74,6 +75,7 @@ export class Publisher {
     if (!this.#port || (this.#standing && !this.#complete)) return;
     const update = this.#mirror.everything();
     if (update.rows.length === 0) return;
+    if (this.#standing) update.fades.fill(kNoFade); // it takes the place of one that is seen
     this.#begun = true;
     this.#send(true, update, noColors());
   }
