@@ -17,7 +17,11 @@ if (!out) {
 }
 
 const entries = values.tests
-  ? { picture_page: 'test/page/picture_page.ts', stream_worker: 'test/page/fake_stream_worker.ts' }
+  ? {
+      picture_page: 'test/page/picture_page.ts',
+      stream_worker: 'test/page/fake_stream_worker.ts',
+      logic: 'test/logic.ts',
+    }
   : { app: 'src/main.ts', stream_worker: 'src/stream/stream_worker.ts', sort_worker: 'src/stream/sort_worker.ts' };
 const options = {
   absWorkingDir: here,

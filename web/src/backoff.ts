@@ -1,4 +1,4 @@
-/** Times between attempts: each twice the one before, with a random part, so that not all come back at once. */
+/** Times between attempts: each half as long again as the one before, with a random part, so that not all come back at once. */
 export class Backoff {
   #next: number;
 
@@ -11,7 +11,7 @@ export class Backoff {
 
   seconds(): number {
     const wait = this.#next * (0.75 + 0.5 * Math.random());
-    this.#next = Math.min(2 * this.#next, this.mostS);
+    this.#next = Math.min(1.5 * this.#next, this.mostS);
     return wait;
   }
 

@@ -1,8 +1,7 @@
 // A fixed flight, and how long its frames took.
 import type { Pose } from './camera/rig';
 
-const kFlightS = 20;
-const kWarmUpS = 2;
+const kWarmUp = 0.1; // of the flight
 
 export interface BenchFigures {
   readonly frames: number;
@@ -23,16 +22,17 @@ export class Flight {
   constructor(
     private readonly centre: readonly [number, number, number],
     private readonly radius: number,
+    private readonly seconds: number,
   ) {}
 
   /** Where the camera is; null when the flight is over. */
   at(nowS: number): Pose | null {
     if (this.#began === 0) this.#began = nowS;
     const flown = nowS - this.#began;
-    if (flown > kFlightS) return null;
-    if (flown > kWarmUpS && this.#last > 0) this.#intervals.push(1000 * (nowS - this.#last));
+    if (flown > this.seconds) return null;
+    if (flown > kWarmUp * this.seconds && this.#last > 0) this.#intervals.push(1000 * (nowS - this.#last));
     this.#last = nowS;
-    const turn = (2 * Math.PI * flown) / kFlightS;
+    const turn = (2 * Math.PI * flown) / this.seconds;
     return {
       target: this.centre,
       yaw: turn,
@@ -42,7 +42,7 @@ export class Flight {
   }
 
   part(nowS: number): number {
-    return Math.min((nowS - this.#began) / kFlightS, 1);
+    return Math.min((nowS - this.#began) / this.seconds, 1);
   }
 
   figures(): BenchFigures {

@@ -4,6 +4,7 @@ import { texts } from './texts';
 import { loadSettings } from './ui/settings';
 import { Viewer } from './viewer';
 
+const kFlightS = 20;
 const kTokenKey = 'splatbus.token';
 
 /** Once given it is known until the tab is closed, and nowhere else. */
@@ -21,6 +22,13 @@ function wantedApi(options: URLSearchParams): Api | null {
   return gpu === 'webgl2' || gpu === 'webgpu' ? gpu : null;
 }
 
+/** `bench=1` asks for a flight, `seconds` says how long it is. */
+function flightSeconds(options: URLSearchParams): number {
+  if (options.get('bench') !== '1') return 0;
+  const seconds = Number(options.get('seconds'));
+  return seconds > 0 ? seconds : kFlightS;
+}
+
 const url = new URL(location.href);
 const address = readAddress(url);
 if (address.token !== null) history.replaceState(null, '', addressWith(url, null));
@@ -36,7 +44,7 @@ const viewer = new Viewer(document.body, {
   socket: socket.href,
   token: keptToken(address.token),
   settings: loadSettings(),
-  bench: address.options.get('bench') === '1',
+  bench: flightSeconds(address.options),
 });
 const show = (): void => {
   const { pose } = readAddress(new URL(location.href));

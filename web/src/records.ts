@@ -36,6 +36,12 @@ export interface Scene {
   readonly displaySpace: boolean;
 }
 
+/** When a scene was: by the engine's clock where that is known, and when it arrived, by the page's. */
+export interface SceneTime {
+  readonly captureMs: number;
+  readonly arrivedMs: number;
+}
+
 export const kNoScene: Scene = { transforms: new Float32Array(0), farField: 0, background: [0, 0, 0], displaySpace: false };
 
 export const opacityOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] & 0xff;

@@ -1,7 +1,8 @@
 import { Backoff } from './backoff';
+import { Playout } from './motion/playout';
 import { makeRenderer, type Api } from './render/make_renderer';
 import { kNoScene, type Scene } from './records';
-import type { Frame, Renderer } from './render/renderer';
+import { kFadeS, type Frame, type Renderer } from './render/renderer';
 import type { SceneBatch, Sorted, ToSortWorker } from './stream/messages';
 import { make } from './ui/dom';
 
@@ -25,6 +26,8 @@ export class Stage {
   #order: Uint32Array | null = null;
   #uploadedBefore = 0;
   #stillAt = 0;
+  #changedMs = -Infinity;
+  readonly #playout = new Playout();
   /** A picture has been shown. */
   standing = false;
   scene: Scene = kNoScene;
@@ -34,6 +37,8 @@ export class Stage {
     private readonly wanted: Api | null,
     /** Everything is wanted, through this port. */
     private readonly attach: (port: MessagePort, standing: boolean) => void,
+    /** As many batches are in what is drawn from now on. */
+    private readonly taken: (batches: number) => void,
     private readonly say: (problem: 'lost' | 'found' | { missing: string }) => void,
   ) {
     this.element.append(this.#still);
@@ -128,20 +133,33 @@ export class Stage {
   }
 
   /** Takes what has come for the next frame; true if there was something. */
-  take(): boolean {
+  take(nowMs: number): boolean {
     const renderer = this.#renderer;
     if (!renderer || (this.#batches.length === 0 && !this.#order)) return false;
     for (const batch of this.#batches) {
       if (batch.whole) renderer.clear();
+      if (batch.update.rows.length > 0) this.#changedMs = nowMs;
       renderer.apply(batch.update);
       renderer.recolor(batch.colors);
       this.scene = batch.scene;
+      this.#playout.add(batch.scene.transforms, batch.time);
     }
+    this.taken(this.#batches.length);
     this.#batches = [];
     if (this.#order) renderer.setOrder(this.#order);
     this.#order = null;
     if (this.scene !== kNoScene) this.standing = true;
     return true;
+  }
+
+  /** The scene with its objects where they are to be seen now. */
+  sceneAt(nowMs: number): Scene {
+    const transforms = this.#playout.at(nowMs);
+    return transforms ? { ...this.scene, transforms } : this.scene;
+  }
+  /** Rows still fade, or an object is on its way to where it was last. */
+  movingAt(nowMs: number): boolean {
+    return nowMs - this.#changedMs < 1000 * kFadeS || this.#playout.movingAt(nowMs);
   }
 
   draw(frame: Frame, atRest: boolean): void {

@@ -5,7 +5,7 @@ import { Flight, postFigures } from './bench';
 import type { View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
-import { kFadeS, type Frame } from './render/renderer';
+import type { Frame } from './render/renderer';
 import { savePng } from './snapshot';
 import { Stage } from './stage';
 import type { FromStreamWorker, StreamFigures } from './stream/messages';
@@ -26,7 +26,8 @@ export interface ViewerOptions {
   readonly socket: string;
   readonly token: string | null;
   readonly settings: Settings;
-  readonly bench: boolean;
+  /** Seconds of a flight that is measured; 0: none. */
+  readonly bench: number;
 }
 
 /** The page: stream, picture, camera, figures and menu. */
@@ -56,9 +57,11 @@ export class Viewer {
   /** Somebody has moved the camera. */
   #steered = false;
   #rested = true;
+  #redraw = true;
   #framed = false;
   #flight: Flight | null = null;
-  #benchDue: boolean;
+  #benchAsked: boolean;
+  #benchDue = false;
   /** Pictures drawn since the page was opened. */
   frames = 0;
 
@@ -66,15 +69,16 @@ export class Viewer {
     root: HTMLElement,
     private readonly options: ViewerOptions,
   ) {
-    this.#benchDue = options.bench;
+    this.#benchAsked = options.bench > 0;
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
     this.stage = new Stage(
       options.api,
       (port, standing) => this.link.send({ kind: 'attach', port, standing }, [port]),
+      (batches) => this.link.send({ kind: 'taken', batches }),
       (problem) => {
         this.#graphics = problem === 'found' ? '' : problem === 'lost' ? texts.graphicsLost : texts.graphicsMissing(problem.missing);
-        this.#changedMs = performance.now();
+        this.#redraw = true;
       },
     );
     this.stage.element.setAttribute('aria-label', texts.picture);
@@ -124,7 +128,7 @@ export class Viewer {
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
-    if (this.stage.take()) this.#changedMs = nowMs;
+    if (this.stage.take(nowMs)) this.#changedMs = nowMs;
     const view = this.#view();
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
@@ -154,12 +158,12 @@ export class Viewer {
 
   #draw(view: View, nowMs: number): void {
     const resolution = this.#resolution(nowMs);
-    const fading = nowMs - this.#changedMs < 1000 * kFadeS;
     const drawn = this.#drawn;
     const resized = drawn.width !== view.width || drawn.height !== view.height || drawn.resolution !== resolution;
-    const moving = nowMs === this.#movedMs || fading;
+    const moving = nowMs === this.#movedMs || nowMs === this.#changedMs || this.stage.movingAt(nowMs);
     const settled = !moving && nowMs - Math.max(this.#movedMs, this.#changedMs) > kSettleMs;
-    if (!this.stage.renderer || (!moving && !resized && !(settled && !this.#rested))) return;
+    if (!this.stage.renderer || (!moving && !resized && !this.#redraw && !(settled && !this.#rested))) return;
+    this.#redraw = false;
     this.#drawn = { width: view.width, height: view.height, resolution };
     this.#rested = settled;
     this.stage.draw(this.#frame(view, resolution, nowMs), settled);
@@ -170,9 +174,10 @@ export class Viewer {
 
   #frame(view: View, resolution: number, nowMs: number): Frame {
     const { background } = this.options.settings;
+    const scene = this.stage.sceneAt(nowMs);
     return {
       view,
-      scene: background === 'scene' ? this.stage.scene : { ...this.stage.scene, background: kBackgrounds[background] },
+      scene: background === 'scene' ? scene : { ...scene, background: kBackgrounds[background] },
       resolution,
       timeS: nowMs / 1000,
     };
@@ -195,9 +200,12 @@ export class Viewer {
   #hear(message: FromStreamWorker): void {
     if (message.kind === 'figures') {
       this.#figures = message.figures;
-      this.#rate.add(performance.now(), message.figures.bytes);
-      if (!this.#framed && !this.#steered && message.figures.gaussians > 0) {
+      this.#rate.add(message.figures.atMs, message.figures.bytes);
+      const unframed = !this.#framed && !this.#steered;
+      if (message.figures.gaussians > 0 && (unframed || (this.#benchAsked && this.stage.standing))) {
         this.#framed = true;
+        this.#benchDue = this.#benchAsked;
+        this.#benchAsked = false;
         this.frameAll();
       }
     } else if (message.kind === 'bounds') {
@@ -211,7 +219,7 @@ export class Viewer {
   #showAll(centre: [number, number, number], radius: number): void {
     if (this.#benchDue) {
       this.#benchDue = false;
-      this.#flight = new Flight(centre, radius);
+      this.#flight = new Flight(centre, radius, this.options.bench);
     }
     const { clientWidth, clientHeight } = this.stage.element;
     this.rig.frame(centre, radius, clientWidth, clientHeight);
@@ -282,7 +290,7 @@ export class Viewer {
   #settingsChanged(): void {
     keepSettings(this.options.settings);
     this.link.setBudget(this.options.settings.budget);
-    this.#changedMs = performance.now();
+    this.#redraw = true;
   }
 
   async #saveSnapshot(): Promise<void> {
@@ -303,6 +311,7 @@ export class Viewer {
   }
 
   #key(event: KeyboardEvent): void {
+    if (event.code === 'Escape') this.#menu.element.close();
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
     if (this.#controls.keys.press(event.code)) {
       event.preventDefault();
@@ -315,7 +324,6 @@ export class Viewer {
       KeyM: () => this.#menu.toggle(),
       KeyP: () => void this.#saveSnapshot(),
       KeyV: () => this.#toggleFullScreen(),
-      Escape: () => this.#menu.element.close(),
     };
     actions[event.code]?.();
   }

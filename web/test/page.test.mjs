@@ -1,5 +1,6 @@
 // The page with a stream that a test makes: how a person steers it, and what it does when something is lost.
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
 import { after, before, test } from 'node:test';
 import { launch, serve } from './browser.mjs';
 
@@ -33,6 +34,9 @@ async function opened(path, run, options = {}) {
   }
 }
 
+/** Waits until the camera is to be as this says, to a millionth; input arrives with frames. */
+const reaches = (page, wanted) =>
+  page.waitForFunction((pose) => Object.entries(pose).every(([key, value]) => Math.abs(window.splatbus.rig.goal[key] - value) < 1e-6), wanted);
 const goal = (page) => page.evaluate(() => window.splatbus.rig.goal);
 const kStart = { target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 4 };
 const view = (pose) => `view=${[...pose.target, pose.yaw, pose.pitch, pose.distance]}`;
@@ -81,19 +85,15 @@ test('the mouse orbits, pans and zooms', () =>
     await page.mouse.down();
     await page.mouse.move(210, 80, { steps: 4 });
     await page.mouse.up();
-    const orbited = await goal(page);
-    assert.ok(Math.abs(orbited.yaw - (kStart.yaw + 50 * 0.006)) < 1e-9);
-    assert.ok(Math.abs(orbited.pitch - (kStart.pitch - 20 * 0.006)) < 1e-9);
+    await reaches(page, { yaw: kStart.yaw + 50 * 0.006, pitch: kStart.pitch - 20 * 0.006 });
     await page.mouse.down({ button: 'right' });
     await page.mouse.move(180, 80);
     await page.mouse.up({ button: 'right' });
-    const panned = await goal(page);
     // 30 pixels to the left at the target's distance.
-    const metres = (30 * panned.distance) / (200 / (2 * Math.tan(Math.PI / 6)));
-    assert.ok(Math.abs(Math.hypot(...panned.target) - metres) < 1e-6);
+    const metres = (30 * kStart.distance) / (200 / (2 * Math.tan(Math.PI / 6)));
+    await page.waitForFunction((far) => Math.abs(Math.hypot(...window.splatbus.rig.goal.target) - far) < 1e-6, metres);
     await page.mouse.wheel(0, -100);
-    await page.waitForFunction(() => window.splatbus.rig.goal.distance < 4);
-    assert.ok(Math.abs((await goal(page)).distance - 3.6) < 1e-9);
+    await reaches(page, { distance: 3.6 });
   }));
 
 test('one finger orbits, two pinch and pan, a stick moves', () =>
@@ -106,12 +106,12 @@ test('one finger orbits, two pinch and pan, a stick moves', () =>
       await touch('touchStart', [160, 100]);
       await touch('touchMove', [180, 110]);
       await touch('touchEnd');
-      await page.waitForFunction((yaw) => Math.abs(window.splatbus.rig.goal.yaw - yaw) < 1e-9, kStart.yaw + 20 * 0.006);
+      await reaches(page, { yaw: kStart.yaw + 20 * 0.006 });
       await touch('touchStart', [200, 100], [240, 100]);
       await touch('touchMove', [180, 100], [260, 100]);
       await touch('touchEnd');
       // Twice as far apart.
-      await page.waitForFunction(() => Math.abs(window.splatbus.rig.goal.distance - 2) < 1e-6);
+      await reaches(page, { distance: 2 });
       const pinched = await goal(page);
       assert.ok(Math.hypot(...pinched.target) < 0.1, 'a pinch about the middle does not pan');
       const stick = await page.locator('.stick').boundingBox();
@@ -150,9 +150,8 @@ test('after the first picture only rows that change are uploaded', () =>
   opened(kPage, async (page) => {
     const uploaded = () => page.evaluate(() => window.splatbus.stage.uploadedRows);
     assert.equal(await uploaded(), 3000);
-    await page.mouse.move(160, 100);
-    await page.mouse.wheel(0, -100);
-    await page.waitForFunction(() => window.splatbus.rig.shown.distance === window.splatbus.rig.goal.distance && window.splatbus.rig.goal.distance < 4);
+    await page.evaluate(() => window.splatbus.rig.zoom(0.9));
+    await page.waitForFunction(() => window.splatbus.rig.shown.distance === window.splatbus.rig.goal.distance);
     assert.equal(await uploaded(), 3000, 'a camera that moves uploads no row');
     await page.evaluate(() => new BroadcastChannel('change').postMessage(17));
     await page.waitForFunction(() => window.splatbus.stage.uploadedRows !== 3000);
@@ -178,4 +177,47 @@ test('a worker that dies is started again, and the picture stands', () =>
     assert.ok((await shownColors(page)) > 500);
     await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 6000);
     assert.ok((await shownColors(page)) > 500);
+  }));
+
+test('menu by keys alone: quality, background, budget; they are kept', () =>
+  opened(kPage, async (page) => {
+    await page.keyboard.press('m');
+    await page.getByRole('dialog', { name: 'Menu' }).waitFor();
+    const white = async () => (await page.screenshot({ clip: { x: 300, y: 190, width: 2, height: 2 } })).toString('base64');
+    const before = await white();
+    await page.getByLabel('Background').focus();
+    await page.keyboard.press('w'); // as select elements do: the option that begins so
+    await page.waitForFunction(() => localStorage.getItem('splatbus.settings')?.includes('"background":"white"'));
+    await page.getByLabel('Quality').selectOption('low');
+    await page.getByLabel('Gaussians at most').selectOption('300000');
+    await page.keyboard.press('Escape');
+    await page.getByRole('dialog').waitFor({ state: 'hidden' });
+    await page.waitForFunction(() => document.querySelector('[data-figure=resolution]').textContent === '35 %');
+    // Another budget is another stream, of which the picture is drawn anew.
+    await page.waitForFunction(() => window.splatbus.link.options.budget.gaussians === 300000 && window.splatbus.stage.uploadedRows === 6000);
+    assert.notEqual(await white(), before);
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
+  }));
+
+test('a snapshot is a PNG of the picture', () =>
+  opened(kPage, async (page) => {
+    const download = page.waitForEvent('download');
+    await page.keyboard.press('p');
+    const saved = await download;
+    assert.match(saved.suggestedFilename(), /^splatbus-.*\.png$/);
+    const bytes = readFileSync(await saved.path());
+    assert.deepEqual([...bytes.subarray(1, 4)], [...Buffer.from('PNG')]);
+    assert.equal(bytes.readUInt32BE(16), 320);
+  }));
+
+test('a flight is measured, shown and posted', () =>
+  opened(`${kPage.replace('#', '?bench=1&seconds=3#')}`, async (page) => {
+    await page.waitForFunction(() => document.body.dataset.bench);
+    const shown = JSON.parse(await page.evaluate(() => document.body.dataset.bench));
+    const { path, body } = posted.at(-1);
+    assert.equal(path, '/bench');
+    assert.deepEqual(JSON.parse(body), shown);
+    assert.ok(shown.frames > 5 && shown.medianMs > 0 && shown.gaussians === 3000, body);
   }));

@@ -17,6 +17,8 @@ const kFarthest = 1e4;
 const kFovRadians = Math.PI / 3;
 const kSpeed = 0.8; // distances to the target a second
 const kFaster = 4;
+/** Of the sphere about all, what is framed: its corners are empty. */
+const kFramed = 0.75;
 /** Of the way to where the camera should be, 1/e is left after this. */
 const kSmoothingS = 0.06;
 
@@ -113,7 +115,7 @@ export class Rig {
   frame(centre: Vec3, radius: number, width: number, height: number): void {
     const focal = focalOf(width, height);
     const half = Math.atan(Math.min(width, height) / (2 * focal));
-    this.move({ ...this.#goal, target: centre, distance: radius / Math.sin(half) });
+    this.move({ ...this.#goal, target: centre, distance: (kFramed * radius) / Math.sin(half) });
   }
 
   /** Comes nearer to the goal; false when it is there. */

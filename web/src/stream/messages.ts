@@ -1,6 +1,6 @@
 // What the page and its workers say to each other. The stream worker holds the model and gives its rows to whoever is at
 // the other end of a port: the page, or the sort worker, which hands them on together with the order that they belong to.
-import type { ColorUpdate, RowUpdate, Scene } from '../records';
+import type { ColorUpdate, RowUpdate, Scene, SceneTime } from '../records';
 
 export interface SceneBatch {
   /** These rows are all there are: what was before is gone. */
@@ -8,6 +8,7 @@ export interface SceneBatch {
   readonly update: RowUpdate;
   readonly colors: ColorUpdate;
   readonly scene: Scene;
+  readonly time: SceneTime;
 }
 
 export interface Budget {
@@ -23,6 +24,8 @@ export type ToStreamWorker =
    * stands already nothing is sent until there is a whole model to replace it.
    */
   | { kind: 'attach'; port: MessagePort; standing: boolean }
+  /** As many batches have been drawn. */
+  | { kind: 'taken'; batches: number }
   /** view_from_world row-major 4x4, fx, fy, cx, cy, width, height. */
   | { kind: 'pose'; floats: Float32Array }
   | { kind: 'bounds' };
@@ -31,6 +34,8 @@ export type ConnectionState = 'connecting' | 'open' | 'waiting';
 
 /** What the overlay shows of the stream. Negative: not known. */
 export interface StreamFigures {
+  /** When this was so, by the worker's clock. */
+  readonly atMs: number;
   readonly gaussians: number;
   readonly sequence: number;
   readonly epoch: number;

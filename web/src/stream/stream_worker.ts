@@ -15,6 +15,8 @@ class Stream {
   readonly #follower: Follower;
   readonly #publisher: Publisher;
   readonly #connection: Connection;
+  /** Of the page's clock. */
+  readonly #aheadMs: number;
   #due = false;
   #shownVersion = -1;
   #figuresMs = 0;
@@ -23,8 +25,8 @@ class Stream {
 
   constructor(wasm: Awaited<ReturnType<typeof loadWasm>>, start: Extract<ToStreamWorker, { kind: 'start' }>) {
     this.#follower = new Follower(wasm, 'page', start.budget.gaussians, performance.now());
-    const ahead = performance.timeOrigin - start.clockOriginMs;
-    this.#publisher = new Publisher(() => (performance.now() + ahead) / 1000);
+    this.#aheadMs = performance.timeOrigin - start.clockOriginMs;
+    this.#publisher = new Publisher(() => (performance.now() + this.#aheadMs) / 1000);
     this.#connection = new Connection(start.socket, start.token, {
       opened: () => {
         this.#follower.restart();
@@ -42,6 +44,10 @@ class Stream {
     switch (message.kind) {
       case 'attach':
         this.#publisher.attach(message.port, message.standing);
+        break;
+      case 'taken':
+        for (let i = 0; i < message.batches; ++i) this.#publisher.taken();
+        this.#publishSoon();
         break;
       case 'pose':
         this.#follower.setPose(message.floats);
@@ -80,6 +86,7 @@ class Stream {
 
   #publish(): void {
     this.#due = false;
+    if (!this.#publisher.ready) return;
     const follower = this.#follower;
     const changed = follower.takeChanges(kMostRows);
     const [rows, records] = [changed.rows.slice(), changed.records.slice()];
@@ -95,7 +102,8 @@ class Stream {
       displaySpace: stats.radiance,
     };
     const more = rows.length === kMostRows || colors.rows.length === kMostRows;
-    this.#publisher.publish(rows, records, colors, scene, !stats.loading && !more);
+    const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs };
+    this.#publisher.publish(rows, records, colors, scene, time, !stats.loading && !more);
     if (more) this.#publishSoon();
   }
 
@@ -112,6 +120,7 @@ class Stream {
   #figures(nowMs: number): StreamFigures {
     const stats = this.#follower.stats;
     return {
+      atMs: nowMs,
       gaussians: stats.gaussians,
       sequence: stats.sequence,
       epoch: stats.epoch,

@@ -12,6 +12,7 @@ const publisher = new Publisher(() => (performance.timeOrigin + performance.now(
 let poses = 0;
 
 const figures = (): StreamFigures => ({
+  atMs: performance.now(),
   gaussians: scene.gaussians.length,
   sequence: poses,
   epoch: 1,
@@ -24,16 +25,18 @@ const figures = (): StreamFigures => ({
 /** A few rows change: what the test says to a channel of its own. */
 new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
   const rows = Uint32Array.from({ length: data }, (_, row) => row);
-  publisher.publish(rows, scene.records.slice(0, 8 * data), noColors, state, true);
+  publisher.publish(rows, scene.records.slice(0, 8 * data), noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
 };
 
 scope.onmessage = ({ data }) => {
   if (data.kind === 'start') {
     clockOriginMs = data.clockOriginMs;
-    publisher.publish(Uint32Array.from(scene.gaussians, (_, row) => row), scene.records, noColors, state, true);
+    publisher.publish(Uint32Array.from(scene.gaussians, (_, row) => row), scene.records, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.standing);
+  } else if (data.kind === 'taken') {
+    for (let i = 0; i < data.batches; ++i) publisher.taken();
   } else if (data.kind === 'pose') {
     ++poses;
     scope.postMessage({ kind: 'figures', figures: figures() });

@@ -59,7 +59,7 @@ export class DepthOrder {
       pass.setPipeline(pipeline);
       pass.setBindGroup(0, group);
       if (over === 'seen') pass.dispatchWorkgroupsIndirect(this.#sortArgs, 0);
-      else pass.dispatchWorkgroups(over === 'one' ? 1 : Math.ceil(rows / kThreads));
+      else pass.dispatchWorkgroups(over === 'one' ? 1 : Math.max(1, Math.ceil(rows / kThreads)));
     }
     pass.end();
   }
