@@ -241,7 +241,8 @@ const double* stats_ptr(Session* session) {
                     number(replica.scene_instant().frame),
                     number(replica.scene_instant().capture_ns) / kNsAMs,
                     session->scene_arrived_ms,
-                    number(replica.layout().appearance == Appearance::Radiance)};
+                    number(replica.layout().appearance == Appearance::Radiance),
+                    number(replica.needs_snapshot())};
   return session->stats.data();
 }
 

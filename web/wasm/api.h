@@ -110,6 +110,7 @@ enum Stat : uint32_t {
   kStatSceneCaptureMs,  ///< of the engine's clock; 0: unknown
   kStatSceneArrivedMs,  ///< of the page's clock
   kStatRadiance,        ///< 1: colours are in display space and are blended there
+  kStatNeedsSnapshot,    ///< 1: what comes is of no use until one begins, which has been asked for
   kStats
 };
 SPLATBUS_EXPORT const double* stats_ptr(Session* session);

@@ -28,8 +28,10 @@ export interface FollowerStats {
   readonly sceneArrivedMs: number;
   /** Colours are in display space, and blended there. */
   readonly radiance: boolean;
+  /** What comes is of no use until a snapshot begins, which has been asked for. */
+  readonly needsSnapshot: boolean;
 }
-const kStats = 16;
+const kStats = 17;
 const kTransformFloats = 12;
 const kRecordWords = 8;
 const kPoseFloats = 22;
@@ -177,6 +179,7 @@ export class Follower {
       sceneCaptureMs: stat(13),
       sceneArrivedMs: stat(14),
       radiance: stat(15) === 1,
+      needsSnapshot: stat(16) === 1,
     };
   }
 
