@@ -17,7 +17,8 @@ class Context : public std::enable_shared_from_this<Context> {
  public:
   /// `source` is unique on the bus ("trainer", "viewer-2"). Connecting never blocks: the broker may start later, or be
   /// killed and started again; the context then registers its slabs and sends its latched messages again by itself.
-  /// Throws Error when `source` is no name (1 to 64 characters, no spaces or control characters).
+  /// Throws Error when `source` is no name (1 to 64 characters, no spaces or control characters), when the folder is
+  /// not this user's alone, and when it takes a key to get there and there is none.
   static std::shared_ptr<Context> create(Address address, std::string source);
   ~Context();
 

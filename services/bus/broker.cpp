@@ -3,17 +3,16 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/file.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
 #include <cstring>
-#include <filesystem>
 #include <string>
 #include <utility>
 
 #include "bus/error.h"
 #include "bus/file_descriptor.h"
+#include "bus/private_folder.h"
 #include "bus/relay.h"
 #include "bus/slab_registry.h"
 
@@ -31,22 +30,6 @@ class DirectoryLock {
   bus::FileDescriptor file_;
 };
 
-void make_directory(const std::string& directory) {
-  std::error_code error;
-  const auto parent = std::filesystem::path(directory).parent_path();
-  std::filesystem::create_directories(parent, error);
-  if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST) {
-    throw bus::Error(fmt::format("bus folder {}: cannot make it: {}", directory, std::strerror(errno)));
-  }
-  struct stat status {};
-  if (::lstat(directory.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) {
-    throw bus::Error(fmt::format("bus folder {}: it is not a folder", directory));
-  }
-  if (status.st_uid != ::geteuid()) {
-    throw bus::Error(fmt::format("bus folder {}: it belongs to another user ({})", directory, status.st_uid));
-  }
-}
-
 std::string read_holder(int file) {
   char text[32] = {};
   const auto length = ::pread(file, text, sizeof(text) - 1, 0);
@@ -54,7 +37,7 @@ std::string read_holder(int file) {
 }
 
 DirectoryLock::DirectoryLock(const std::string& directory) {
-  make_directory(directory);
+  bus::require_private_folder(directory);
   const auto path = directory + "/lock";
   file_ = bus::FileDescriptor(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
   if (!file_.valid()) throw bus::Error(fmt::format("{}: cannot open it: {}", path, std::strerror(errno)));

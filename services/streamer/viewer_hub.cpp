@@ -54,7 +54,7 @@ stream::EncodedPacket ViewerHub::welcome(bool asks) const {
 }
 
 void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) {
-  const auto& [peer, packet] = received;
+  const auto& [peer, packet, rights] = received;
   const wire::Packet& root = packet.root();
   if (packet.body() == wire::Body::Hello) return hello(peer, packet, now_ns);
   const auto found = viewers_.find(peer);

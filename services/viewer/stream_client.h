@@ -19,6 +19,7 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
+  std::string key, server_key;  ///< for a streamer elsewhere: as bus::client_keys() has them
   bool probes = false;  ///< wants ProbePictures; else they are ignored
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;   ///< after that the streamer is taken for gone, and greeted again
