@@ -1,7 +1,8 @@
 // Draws synthetic records by one of the renderers, for the tests that drive this page.
 import { viewFromWorld, type View } from '../../src/math';
 import { kRecordWords, type RowUpdate } from '../../src/records';
-import type { Frame, Renderer } from '../../src/render/renderer';
+import type { Frame, Picture, Renderer } from '../../src/render/renderer';
+import { Follower, loadWasm, Sorter } from '../../src/stream/wasm';
 import { makeRenderer } from '../../src/render/make_renderer';
 import { psnr, rgbOf, ssim } from './quality';
 import { referenceOrder, referencePicture, linearOf, srgb } from './reference';
@@ -30,6 +31,56 @@ const frameOf = (scene: SyntheticScene, view: View): Frame => ({
   timeS: 1000,
 });
 
+/** As they come through the WebSocket; in the log both lengths come first. */
+function messagesOf(log: ArrayBuffer): ArrayBuffer[] {
+  const view = new DataView(log);
+  const messages = [];
+  for (let at = 0; at + 8 <= log.byteLength; ) {
+    const packet = view.getUint32(at, true);
+    const bytes = packet + view.getUint32(at + 4, true);
+    const message = new Uint8Array(4 + bytes);
+    message.set(new Uint8Array(log, at, 4));
+    message.set(new Uint8Array(log, at + 8, bytes), 4);
+    messages.push(message.buffer);
+    at += 8 + bytes;
+  }
+  return messages;
+}
+
+function takeRows(follower: Follower, renderer: Renderer, sorter: Sorter): void {
+  const changed = follower.takeChanges(1 << 22);
+  renderer.apply({ rows: changed.rows.slice(), records: changed.records.slice(), fades: new Float32Array(changed.rows.length) });
+  sorter.update(follower.rowCapacity, changed.rows.slice(), changed.records.slice());
+  const colors = follower.takeColors(1 << 22);
+  renderer.recolor({ rows: colors.rows.slice(), colors: colors.colors.slice() });
+}
+
+async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter, poses: number[][]): Promise<string[]> {
+  takeRows(follower, renderer, sorter);
+  const scene = {
+    transforms: follower.transforms.slice(),
+    farField: follower.farFieldIndex,
+    background: follower.background,
+    displaySpace: follower.stats.radiance,
+  };
+  sorter.setTransforms(scene.transforms, scene.farField);
+  const pictures = [];
+  for (const pose of poses) {
+    const [fx, fy, cx, cy, width, height] = pose.slice(16);
+    const view = { viewFromWorld: Float64Array.from(pose.slice(0, 16)), fx, fy, cx, cy, width, height };
+    renderer.setOrder(sorter.sort(new Float32Array(view.viewFromWorld)).slice());
+    pictures.push(await pngOf(await renderer.capture({ view, scene, resolution: 1, timeS: 1000 })));
+  }
+  return pictures;
+}
+
+async function pngOf(picture: Picture): Promise<string> {
+  const canvas = new OffscreenCanvas(picture.width, picture.height);
+  canvas.getContext('2d')!.putImageData(new ImageData(picture.rgba, picture.width, picture.height), 0, 0);
+  const bytes = new Uint8Array(await (await canvas.convertToBlob()).arrayBuffer());
+  return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
+}
+
 async function shown(renderer: Renderer, scene: SyntheticScene, view: View): Promise<{ psnr: number; ssim: number; png: string }> {
   renderer.setOrder(referenceOrder(scene, view));
   const frame = frameOf(scene, view);
@@ -37,11 +88,7 @@ async function shown(renderer: Renderer, scene: SyntheticScene, view: View): Pro
   const picture = await renderer.capture(frame);
   const truth = referencePicture(scene, view, kBackground);
   const rgb = rgbOf(picture);
-  const canvas = new OffscreenCanvas(picture.width, picture.height);
-  canvas.getContext('2d')!.putImageData(new ImageData(picture.rgba, picture.width, picture.height), 0, 0);
-  const bytes = new Uint8Array(await (await canvas.convertToBlob()).arrayBuffer());
-  const png = btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
-  return { psnr: psnr(rgb, truth), ssim: ssim(rgb, truth, picture.width, picture.height), png };
+  return { psnr: psnr(rgb, truth), ssim: ssim(rgb, truth, picture.width, picture.height), png: await pngOf(picture) };
 }
 
 let made: Renderer | null = null;
@@ -119,6 +166,25 @@ const tests = {
     const frame = frameOf(scene, { ...view, viewFromWorld: moved });
     const picture = await renderer.capture({ ...frame, scene: { ...frame.scene, transforms: relative, farField: 1 } });
     return psnr(rgbOf(picture), referencePicture(scene, view, kBackground));
+  },
+
+  /** PNGs of a recorded stream, as base64: after so many messages each, from each of the poses. */
+  async replay(api: 'webgl2' | 'webgpu', log: string, times: number[], poses: number[][]): Promise<string[][]> {
+    const renderer = await cleared(api);
+    const messages = messagesOf(await (await fetch(log)).arrayBuffer());
+    const follower = new Follower(await loadWasm('splatbus.wasm'), 'replay', 4_000_000, 0);
+    const sorter = new Sorter(await loadWasm('splatbus.wasm'));
+    const pictures = [];
+    let received = 0;
+    for (const until of times) {
+      for (; received < until; ++received) {
+        if (follower.receive(messages[received], 0) !== 'received') throw new Error(follower.error);
+        if (received % 7 !== 0) continue; // so that rows change more than once, as they do while frames are drawn
+        takeRows(follower, renderer, sorter);
+      }
+      pictures.push(await drawPoses(follower, renderer, sorter, poses));
+    }
+    return pictures;
   },
 
   /** Milliseconds a frame, for whoever wants to know. */
