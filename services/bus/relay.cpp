@@ -26,6 +26,7 @@ constexpr double share_of_a_source = 0.5;  // of what is held
 constexpr std::int64_t remote_stamp = -1;  // of what came over tcp, whose clock is another
 constexpr std::int64_t due_check_ms = 20;
 constexpr int handshake_ms = 5000;
+constexpr int backlog = 1024;       // a crowd at the door keeps nobody waiting
 constexpr int ipc_filter_uid = 59;  // libzmq's ZMQ_IPC_FILTER_UID, which its header does not always name
 constexpr std::size_t max_first_bytes = std::size_t{32} << 20;
 constexpr std::size_t max_all_first_bytes = std::size_t{48} << 20;
@@ -63,6 +64,7 @@ Relay::Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std
     side->xpub.set(zmq::sockopt::xpub_verbose, true);
     for (zmq::socket_t* socket : {&side->xsub, &side->xpub}) {
       socket->set(zmq::sockopt::handshake_ivl, handshake_ms);
+      socket->set(zmq::sockopt::backlog, backlog);
       if (side->local) zmq_setsockopt(socket->handle(), ipc_filter_uid, &user, sizeof(user));
     }
   }

@@ -20,6 +20,7 @@ namespace splatbus::streamer {
 namespace {
 
 constexpr std::string_view kIpc = "ipc://";
+constexpr int kMessagesACall = 256;   // that are none, before others get their turn
 constexpr std::size_t kMaxParts = 2;  // packet and payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
@@ -108,7 +109,8 @@ std::string Endpoint::bind(const std::string& endpoint) {
 
 void Endpoint::require_intact() const {
   for (const auto& [path, lock] : locks_) {
-    if (::access(path.c_str(), F_OK) != 0) throw bus::Error(fmt::format("ipc://{}: it was removed", path));
+    if (!path.starts_with('@') && ::access(path.c_str(), F_OK) != 0)
+      throw bus::Error(fmt::format("ipc://{}: it was removed", path));
   }
 }
 
@@ -135,7 +137,7 @@ Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
 
 std::optional<Endpoint::Received> Endpoint::receive() {
   zmq::message_t frame;
-  while (socket_.recv(frame, zmq::recv_flags::dontwait)) {
+  for (int i = 0; i < kMessagesACall && socket_.recv(frame, zmq::recv_flags::dontwait); ++i) {
     const Peer peer = frame.to_string();
     std::vector<zmq::message_t> parts;
     // To its very last part: what is left behind would be read as the next sender's routing id.

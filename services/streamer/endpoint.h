@@ -61,8 +61,9 @@ class Endpoint {
     stream::ParsedPacket packet;
     bus::Rights rights = bus::Rights::all();  ///< of this connection
   };
-  /// The next packet, without waiting. What is no Packet is counted, logged at most once a second, and skipped; so is
-  /// what somebody sends whose key may not view (any more), and that connection is closed.
+  /// The next packet, without waiting; null too after many messages that were none. What is no Packet is counted,
+  /// logged at most once a second, and skipped; so is what somebody sends whose key may not view (any more), and that
+  /// connection is closed.
   std::optional<Received> receive();
 
   /// Throws bus::Error once an ipc path has been removed: viewers who come do not find this streamer any more.

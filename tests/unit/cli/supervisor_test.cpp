@@ -262,9 +262,12 @@ TEST_F(SupervisorTest, WhatCannotBeStartedForWantOfDescriptorsIsTriedAgain) {
   ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
   launch({shell("a", "sleep 0.5; exit 1"), shell("b", "sleep 100")});
   ASSERT_TRUE(wait_for_line("b * started"));
-  const rlimit none{.rlim_cur = 4, .rlim_max = before.rlim_max};
-  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &none), 0);
+  const rlimit few{.rlim_cur = 256, .rlim_max = before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &few), 0);
+  std::vector<bus::FileDescriptor> taken;
+  for (int fd = dup(0); fd >= 0; fd = dup(0)) taken.emplace_back(fd);
   const bool tried = wait_for_line("a * cannot make a pipe");
+  taken.clear();
   ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &before), 0);
   EXPECT_TRUE(tried);
   EXPECT_TRUE(wait_for_line("a * started", 2));
