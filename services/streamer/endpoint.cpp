@@ -21,7 +21,7 @@ namespace {
 
 constexpr std::string_view kIpc = "ipc://";
 constexpr int kMessagesACall = 256;   // that are none, before others get their turn
-constexpr std::size_t kMaxParts = 2;  // packet and payload
+constexpr std::size_t kMaxParts = 3;  // a relay's rights frame, packet, payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
 constexpr int kHandshakeMs = 5000;
@@ -154,16 +154,22 @@ std::optional<Endpoint::Received> Endpoint::receive() {
 
 std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::vector<zmq::message_t>& parts) {
   try {
-    if (parts.empty() || parts.size() > kMaxParts)
-      throw stream::StreamError("a message of one or two frames was expected");
-    const bus::Rights rights = bus::sender_rights(parts[0], allowed_.get());
-    if (!rights.view) {
-      guard_->close(parts[0], "its key is not allowed to view");
+    std::span<const zmq::message_t> frames(parts);
+    bus::Rights rights = frames.empty() ? bus::Rights() : bus::sender_rights(frames[0], allowed_.get());
+    if (!frames.empty() && !rights.view) {
+      guard_->close(frames[0], "its key is not allowed to view");
       return std::nullopt;
     }
+    if (frames.size() > 1) {
+      if (const auto relayed = bus::parse_rights_frame(frames[0].to_string_view())) {
+        rights = rights & *relayed;
+        frames = frames.subspan(1);
+      }
+    }
+    if (frames.empty() || frames.size() > 2) throw stream::StreamError("a message of one or two frames was expected");
     return Received{.peer = peer,
                     .packet = stream::ParsedPacket::parse(
-                        bytes_of(parts[0]), parts.size() > 1 ? bytes_of(parts[1]) : std::span<const std::uint8_t>()),
+                        bytes_of(frames[0]), frames.size() > 1 ? bytes_of(frames[1]) : std::span<const std::uint8_t>()),
                     .rights = rights};
   } catch (const std::exception& error) {
     ++malformed_;

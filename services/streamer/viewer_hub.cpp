@@ -68,9 +68,10 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
   switch (packet.body()) {
     case wire::Body::Pose:
       viewer.camera = from_wire(*root.body_as_Pose()->camera());
-      events_.pose(viewer.name, *root.body_as_Pose());
+      if (rights.steer) events_.pose(viewer.name, *root.body_as_Pose());
       break;
     case wire::Body::Probe: {
+      if (!rights.probe) break;
       const wire::Probe& probe = *root.body_as_Probe();
       static_cast<void>(from_wire(*probe.camera()));  // refuses what makes no sense
       if (probe_askers_.size() >= kMaxProbes) probe_askers_.erase(probe_askers_.begin());
@@ -79,7 +80,7 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
       break;
     }
     case wire::Body::Quality:
-      events_.quality(viewer.name, *root.body_as_Quality());
+      if (rights.probe) events_.quality(viewer.name, *root.body_as_Quality());
       break;
     case wire::Body::Resend:
       if (same_epoch) feed_.resend(viewer.cursor, root.body_as_Resend()->first(), root.body_as_Resend()->last());
