@@ -19,9 +19,9 @@ namespace {
 
 constexpr int kQueuedMessages = 64;
 constexpr int kMessagesACall = 256;
-constexpr std::int64_t kAskAgainNs = 250'000'000;
-constexpr std::int64_t kMinSnapshotWaitNs = 2'000'000'000, kMaxSnapshotWaitNs = 64'000'000'000;
-constexpr std::int64_t kSnapshotStalledNs = 3'000'000'000;
+constexpr std::int64_t kHeldEveryNs = 250'000'000, kUrgentNs = 50'000'000;
+constexpr std::size_t kMaxHelloPages = 6000;  // of a message that may have 64 KiB
+constexpr std::size_t kMaxHeldItems = 1000;
 constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;
 
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
@@ -33,7 +33,8 @@ std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
 StreamClient::StreamClient(ClientOptions options)
     : options_(std::move(options)),
       socket_(context_, zmq::socket_type::dealer),
-      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())) {
+      writer_(options_.name, static_cast<std::uint64_t>(options_.now_ns())),
+      replica_(options_.max_gaussians) {
   socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::linger, 100);
@@ -107,7 +108,7 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
     case wire::Body::Welcome:
       // One that asks is followed by a Hello when maintain() next runs, at once but not once for each that comes.
       welcomed_ = !packet.root().body_as_Welcome()->asks();
-      return false;
+      return replica_.receive(packet);
     case wire::Body::ProbePicture:
       take_probe_picture(packet);
       return false;
@@ -119,19 +120,10 @@ bool StreamClient::take(const stream::ParsedPacket& packet) {
     default:
       break;
   }
-  switch (packet.body()) {
-    case wire::Body::Snapshot:
-    case wire::Body::SnapshotBegin:
-    case wire::Body::GaussianOrder:
-      progress_ns_ = options_.now_ns();
-      break;
-    default:
-      break;
-  }
   const std::uint64_t version = replica_.scene_version();
   const bool changed = replica_.receive(packet);
   if (const std::int64_t captured_ns = replica_.scene_instant().capture_ns;
-      packet.sequence() != 0 && replica_.scene_version() != version && captured_ns != 0) {
+      version != 0 && replica_.scene_version() != version && captured_ns != 0) {
     scene_delays_.add(static_cast<double>(options_.now_ns() - captured_ns) / 1e6);
   }
   return changed;
@@ -168,12 +160,15 @@ std::optional<ProbeAnswer> StreamClient::take_probe_answer() {
 
 void StreamClient::hello(std::int64_t now_ns) {
   hello_ns_ = now_ns;
-  const stream::ReplicatedState* held = replica_.held();
-  const bool follows = held && !replica_.loading() && !replica_.needs_snapshot();
+  std::vector<wire::PageVersion> held;
+  for (const auto& [page, version] : replica_.held_pages()) {
+    if (held.size() < kMaxHelloPages) held.emplace_back(page, version);
+  }
   send(wire::Body::Hello, [&](auto& builder) {
     const wire::Camera camera = camera_ ? to_wire(*camera_) : wire::Camera();
     return wire::CreateHelloDirect(builder, options_.name.c_str(), camera_ ? &camera : nullptr, options_.probes,
-                                   follows ? held->sequence : 0);
+                                   static_cast<std::uint32_t>(options_.max_gaussians), &held,
+                                   replica_.visibility_version(), replica_.scene_version());
   });
 }
 
@@ -183,29 +178,32 @@ void StreamClient::maintain(std::int64_t now_ns) {
     if (now_ns - hello_ns_ > options_.hello_every_ns) hello(now_ns);
     return;
   }
-  if (const bool stalled = replica_.loading() && now_ns - progress_ns_ > kSnapshotStalledNs;
-      stalled || replica_.needs_snapshot()) {
-    ask_for_snapshot(now_ns, stalled ? "chunks are missing" : replica_.refusal());
-    return;
-  }
-  if (!replica_.loading()) next_snapshot_ns_ = snapshot_wait_ns_ = 0;
-  if (now_ns - asked_ns_ < kAskAgainNs) return;
-  if (const auto missing = replica_.missing()) {
-    asked_ns_ = now_ns;
-    ++resends_;
-    send(wire::Body::Resend, [&](auto& builder) { return wire::CreateResend(builder, missing->first, missing->last); });
-  }
+  const std::int64_t every_ns = replica_.report().urgent() ? kUrgentNs : kHeldEveryNs;
+  if (now_ns - said_ns_ >= every_ns && received_bytes_ != said_bytes_) say_held(now_ns);
 }
 
-// Snapshots are dear, and one that was refused will mostly be refused again: ever more seldom, until one is held.
-void StreamClient::ask_for_snapshot(std::int64_t now_ns, const std::string& reason) {
-  if (now_ns < next_snapshot_ns_) return;
-  snapshot_wait_ns_ = std::clamp(2 * snapshot_wait_ns_, kMinSnapshotWaitNs, kMaxSnapshotWaitNs);
-  next_snapshot_ns_ = now_ns + snapshot_wait_ns_;
-  progress_ns_ = now_ns;
-  ++snapshot_requests_;
-  send(wire::Body::NeedSnapshot,
-       [&](auto& builder) { return wire::CreateNeedSnapshotDirect(builder, reason.c_str()); });
+void StreamClient::say_held(std::int64_t now_ns) {
+  const stream::Replica::Report& report = replica_.report();
+  std::vector<wire::SequenceRange> missing;
+  std::vector<wire::PageVersion> lacks;
+  for (const auto& [first, last] : report.missing) {
+    lost_ += last - first + 1;
+    if (missing.size() < kMaxHeldItems) missing.emplace_back(first, last);
+  }
+  for (const auto& [page, version] : report.lacks) {
+    if (lacks.size() < kMaxHeldItems) lacks.emplace_back(page, version);
+  }
+  std::vector<std::uint32_t> dropped = report.dropped;
+  if (dropped.size() > kMaxHeldItems) dropped.resize(kMaxHeldItems);
+  lacked_ += lacks.size();
+  send(wire::Body::Held, [&](auto& builder) {
+    return wire::CreateHeldDirect(builder, report.newest, &missing, received_bytes_ - said_bytes_,
+                                  static_cast<std::uint32_t>((now_ns - said_ns_) / 1000), &lacks, &dropped,
+                                  report.scene_lost, static_cast<std::uint32_t>(replica_.count()));
+  });
+  replica_.clear_report();
+  said_ns_ = now_ns;
+  said_bytes_ = received_bytes_;
 }
 
 void StreamClient::send_pose(const Camera& camera) {

@@ -23,7 +23,8 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
-  bool probes = false;  ///< wants ProbePictures; else they are ignored
+  bool probes = false;                                ///< wants ProbePictures; else they are ignored
+  std::size_t max_gaussians = stream::kMaxGaussians;  ///< that are held
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;  ///< after that the streamer is taken for gone, and greeted again
   std::function<std::int64_t()> now_ns = bus::now_ns;
@@ -38,7 +39,7 @@ struct ProbeAnswer {
   std::vector<std::uint8_t> rgba;  ///< [height][width][4]
 };
 
-/// A viewer's end of the stream: keeps a replica, asks again for what is missing, greets a streamer that came back.
+/// A viewer's end of the stream: keeps a replica, says what of it is missing, greets a streamer that came back.
 /// What is held stays whatever happens to the streamer. Needs no bus. One thread.
 class StreamClient {
  public:
@@ -62,10 +63,10 @@ class StreamClient {
   [[nodiscard]] bool connected() const { return welcomed_; }
   [[nodiscard]] std::uint64_t received_bytes() const { return received_bytes_; }
   [[nodiscard]] std::uint64_t refused() const { return refused_; }  ///< packets that were wrong
-  [[nodiscard]] std::uint64_t resends() const { return resends_; }
-  [[nodiscard]] std::uint64_t snapshot_requests() const { return snapshot_requests_; }
+  [[nodiscard]] std::uint64_t lost() const { return lost_; }        ///< packets that did not come
+  [[nodiscard]] std::uint64_t lacked() const { return lacked_; }    ///< pages that were asked for again
 
-  /// From header.capture_ns to the replica, of the scenes that were broadcast and carry one. Means something on the
+  /// From header.capture_ns to the replica, of the scenes that carry one and follow another. Means something on the
   /// engine's machine only.
   [[nodiscard]] const SceneDelays& scene_delays() const { return scene_delays_; }
 
@@ -81,7 +82,7 @@ class StreamClient {
   bool take(const stream::ParsedPacket& packet);
   void take_probe_picture(const stream::ParsedPacket& packet);
   void maintain(std::int64_t now_ns);
-  void ask_for_snapshot(std::int64_t now_ns, const std::string& reason);
+  void say_held(std::int64_t now_ns);
   void hello(std::int64_t now_ns);
   template <class Build>
   void send(wire::Body body, Build&& build);
@@ -98,10 +99,10 @@ class StreamClient {
   std::function<bool(const stream::ParsedPacket&)> lose_;
 
   bool welcomed_ = false;
-  std::int64_t heard_ns_ = 0, hello_ns_ = 0, asked_ns_ = 0, progress_ns_ = 0;
-  std::int64_t next_snapshot_ns_ = 0, snapshot_wait_ns_ = 0;
+  std::int64_t heard_ns_ = 0, hello_ns_ = 0, said_ns_ = 0;
+  std::uint64_t said_bytes_ = 0;  ///< received when it was last said what is held
   std::string last_refusal_;
-  std::uint64_t received_bytes_ = 0, refused_ = 0, resends_ = 0, snapshot_requests_ = 0;
+  std::uint64_t received_bytes_ = 0, refused_ = 0, lost_ = 0, lacked_ = 0;
   bus::LogLimiter log_limiter_;
 };
 
