@@ -20,6 +20,7 @@ namespace {
 
 constexpr std::string_view kIpc = "ipc://";
 constexpr std::size_t kMaxParts = 2;  // packet and payload
+constexpr int kSkippedACall = 64;     // of what is no packet
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
 
@@ -42,7 +43,7 @@ bus::FileDescriptor lock_beside(const std::string& path) {
 
 WirePacket::WirePacket(const stream::EncodedPacket& packet)
     : body_(packet.body),
-      sequence_(packet.sequence),
+      sequence_at_(stream::sequence_offset(packet.packet)),
       packet_(packet.packet.data(), packet.packet.size()),
       payload_(packet.payload.data(), packet.payload.size()) {}
 
@@ -65,14 +66,19 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints) : socket_(context_
   }
 }
 
-Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
+Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet, std::uint64_t sequence) {
   try {
     const zmq::const_buffer id = zmq::buffer(peer);
     const auto flags = zmq::send_flags::dontwait | zmq::send_flags::sndmore;
     if (!socket_.send(id, flags)) return Sent::Full;
     // Once the routing id is accepted, the rest of the message is.
     zmq::message_t first, second;
-    first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    if (sequence == 0) {
+      first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    } else {
+      first.rebuild(packet.packet_.data(), packet.packet_.size());
+      flatbuffers::WriteScalar(static_cast<std::uint8_t*>(first.data()) + packet.sequence_at_, sequence);
+    }
     const bool has_payload = !packet.payload_.empty();
     socket_.send(first, has_payload ? flags : zmq::send_flags::dontwait);
     if (has_payload) {
@@ -88,7 +94,7 @@ Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
 
 std::optional<Endpoint::Received> Endpoint::receive() {
   zmq::message_t frame;
-  while (socket_.recv(frame, zmq::recv_flags::dontwait)) {
+  for (int skipped = 0; skipped < kSkippedACall && socket_.recv(frame, zmq::recv_flags::dontwait); ++skipped) {
     const Peer peer = frame.to_string();
     std::vector<zmq::message_t> parts;
     // To its very last part: what is left behind would be read as the next sender's routing id.

@@ -10,23 +10,23 @@
 
 #include "bus/file_descriptor.h"
 #include "bus/log_sink.h"
+#include "bus/rights.h"
 #include "stream/packets.h"
 
 namespace splatbus::streamer {
 
-/// A packet in ZeroMQ's own, counted memory: sent to any number of viewers without a copy.
+/// A packet in ZeroMQ's own, counted memory: sent to any number of viewers without a copy of its payload.
 class WirePacket {
  public:
   explicit WirePacket(const stream::EncodedPacket& packet);
 
   [[nodiscard]] wire::Body body() const { return body_; }
-  [[nodiscard]] std::uint64_t sequence() const { return sequence_; }
   [[nodiscard]] std::size_t bytes() const { return packet_.size() + payload_.size(); }
 
  private:
   friend class Endpoint;
   wire::Body body_;
-  std::uint64_t sequence_;
+  std::size_t sequence_at_;
   zmq::message_t packet_, payload_;
 };
 using SharedPacket = std::shared_ptr<WirePacket>;
@@ -43,13 +43,16 @@ class Endpoint {
   /// Throws bus::Error naming the endpoint and what is wrong.
   explicit Endpoint(const std::vector<std::string>& endpoints);
 
-  [[nodiscard]] Sent send(const Peer& peer, const WirePacket& packet);
+  /// `sequence`: this peer's number of the packet; 0: as it was written.
+  [[nodiscard]] Sent send(const Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
 
   struct Received {
     Peer peer;
     stream::ParsedPacket packet;
+    bus::Rights rights = bus::Rights::all();  ///< of this connection
   };
-  /// The next packet, without waiting. What is no Packet is counted, logged at most once a second, and skipped.
+  /// The next packet, without waiting. What is no Packet is counted, logged at most once a second, and skipped, so many
+  /// a call.
   std::optional<Received> receive();
 
   [[nodiscard]] void* socket() { return socket_.handle(); }
