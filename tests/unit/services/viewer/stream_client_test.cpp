@@ -33,8 +33,14 @@ class StreamClientTest : public testing::Test {
       (void)router_.recv(packet);
       const auto parsed = stream::ParsedPacket::parse({packet.data<std::uint8_t>(), packet.size()}, {});
       if (parsed.body() == wire::Body::Hello) ++hellos_;
-      if (parsed.body() == wire::Body::NeedSnapshot) {
-        reasons_.push_back(parsed.root().body_as_NeedSnapshot()->reason()->str());
+      if (parsed.body() != wire::Body::Held) continue;
+      const wire::Held& held = *parsed.root().body_as_Held();
+      ++helds_;
+      acknowledged_ += held.bytes();
+      newest_ = held.newest();
+      for (const wire::SequenceRange* range : *held.missing()) {
+        missing_.push_back(range->first());
+        missing_.push_back(range->last());
       }
     }
   }
@@ -46,8 +52,9 @@ class StreamClientTest : public testing::Test {
     sent_bytes_ += packet.bytes();
   }
   void welcome(bool asks) {
-    send(writer_.write(5, 0, wire::Body::Welcome,
-                       [&](auto& b) { return wire::CreateWelcome(b, wire::Appearance::Transfer, 0, 5, 5, asks); }));
+    send(writer_.write(5, 0, wire::Body::Welcome, [&](auto& b) {
+      return wire::CreateWelcome(b, wire::Appearance::Transfer, 0, 5, 5, asks, asks ? 0 : 1);
+    }));
   }
   void picture(std::uint64_t id) {
     const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 16, 8, 1));
@@ -67,54 +74,38 @@ class StreamClientTest : public testing::Test {
   stream::PacketWriter writer_{"streamer", 1};
   std::string peer_;
   int hellos_ = 0;
-  std::vector<std::string> reasons_;  ///< of NeedSnapshots
+  int helds_ = 0;
+  std::uint64_t newest_ = 0, acknowledged_ = 0;  ///< of Helds
+  std::vector<std::uint64_t> missing_;           ///< firsts and lasts
   std::size_t sent_bytes_ = 0;
 };
 
-TEST_F(StreamClientTest, AModelThatIsTooLargeIsRefusedWithItsReasonAndAskedForEverMoreSeldom) {
-  constexpr std::int64_t kSecond = 1'000'000'000;
-  std::int64_t now_ns = 1000 * kSecond;
+TEST_F(StreamClientTest, SaysWhatHasNotComeOnceAndWhatItHasReceived) {
+  constexpr std::int64_t kMillisecond = 1'000'000;
+  std::int64_t now_ns = 1'000'000 * kMillisecond;
   ClientOptions stepped = options();
   stepped.now_ns = [&] { return now_ns; };
-  stepped.silence_ns = 1000 * kSecond;
+  stepped.silence_ns = 1'000'000 * kMillisecond;
   StreamClient client(stepped);
-  ASSERT_TRUE(poll_until(client, [&] { return now_ns += kSecond, hellos_ >= 1; }));
+  ASSERT_TRUE(poll_until(client, [&] { return now_ns += kMillisecond, hellos_ >= 1; }));
   welcome(false);
-  const auto begin = [&](std::uint64_t total) {
-    const stream::StreamLayout layout;
-    send(writer_.write(5, 0, wire::Body::SnapshotBegin, [&](auto& b) {
-      std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
-      for (const stream::AttributeChannels& a : layout.attributes()) {
-        const wire::Quantizer quantizer(a.quantizer.offset, a.quantizer.step);
-        attributes.push_back(
-            wire::CreateTensorMetadata(b, a.attribute, static_cast<std::uint32_t>(a.channels), &quantizer));
-      }
-      return wire::CreateSnapshotBegin(b, 1, 1, static_cast<std::uint32_t>(total), total > 0 ? 1 : 0,
-                                       wire::Appearance::Transfer, 0, b.CreateVector(attributes));
-    }));
-  };
-  begin(stream::kMaxGaussians + 1);
-  ASSERT_TRUE(all_received(client));
-  for (int step = 0; step < 60 * 4; ++step) {
-    now_ns += kSecond / 4;
-    const std::uint64_t asked = client.snapshot_requests();
-    client.poll(0ms);
-    if (client.snapshot_requests() == asked) continue;
-    begin(stream::kMaxGaussians + 1);  // a streamer that knows no bound
-    ASSERT_TRUE(all_received(client));
+  for (const std::uint64_t sequence : {1U, 2U, 6U, 7U}) {
+    send(writer_.write(5, sequence, wire::Body::Keepalive,
+                       [](auto& b) { return wire::CreateKeepalive(b, 1, 1, 1, 1); }));
   }
-  EXPECT_GE(client.snapshot_requests(), 3U);
-  EXPECT_LE(client.snapshot_requests(), 6U) << "in a minute";
-  ASSERT_TRUE(poll_until(client, [&] { return reasons_.size() == client.snapshot_requests(); }));
-  EXPECT_NE(reasons_.front().find("4194305 Gaussians"), std::string::npos) << reasons_.front();
-  // A smaller one is taken, and ends it.
-  begin(0);
   ASSERT_TRUE(all_received(client));
-  EXPECT_FALSE(client.replica().needs_snapshot());
-  const std::uint64_t asked = client.snapshot_requests();
-  now_ns += 500 * kSecond;
-  client.poll(0ms);
-  EXPECT_EQ(client.snapshot_requests(), asked);
+  ASSERT_TRUE(poll_until(client, [&] { return now_ns += 300 * kMillisecond, acknowledged_ == sent_bytes_; }));
+  EXPECT_EQ(newest_, 7U);
+  EXPECT_EQ(missing_, (std::vector<std::uint64_t>{3, 5}));
+  EXPECT_EQ(client.lost(), 3U);
+  // Nothing comes: nothing is said.
+  const int said = helds_;
+  for (int k = 0; k < 20; ++k) {
+    now_ns += 300 * kMillisecond;
+    client.poll(0ms);
+    take_hellos();
+  }
+  EXPECT_EQ(helds_, said);
 }
 
 // A long way off, a second Hello leaves before the first one's answer is there.
@@ -167,18 +158,19 @@ TEST_F(StreamClientTest, MeasuresHowLongScenesTook) {
   StreamClient client(stepped);
   ASSERT_TRUE(poll_until(client, [&] { return now_ns += kMillisecond, hellos_ >= 1; }));
   welcome(false);
-  stream::StreamModel model(writer_, 5);
+  stream::StreamModel model(writer_, 4);
   ASSERT_TRUE(model.observe(GaussiansBuffer(ParameterLayout{}).view()));
   SceneState scene{.light = {}, .objects = {}, .version = 1};
-  EXPECT_TRUE(model.take_scene(scene, {.capture_ns = 1}).empty());
+  EXPECT_FALSE(model.take_scene(scene, {.capture_ns = 1}));
   model.reset_to_target();
-  for (const auto& packet : model.snapshot().head) send(packet);
+  send(model.layout_packet());
+  send(*model.scene_packet());
   ASSERT_TRUE(all_received(client));
-  EXPECT_EQ(client.scene_delays().count(), 0U) << "a snapshot's scene is old";
+  EXPECT_EQ(client.scene_delays().count(), 0U) << "the first one is old";
   for (int k = 1; k <= 200; ++k) {
     ++scene.version;
     const std::int64_t delay_ns = (k % 2 ? k : 201 - k) * kMillisecond;
-    for (const auto& packet : model.take_scene(scene, {.capture_ns = now_ns - delay_ns})) send(packet);
+    send(*model.take_scene(scene, {.capture_ns = now_ns - delay_ns}));
     ASSERT_TRUE(all_received(client));
   }
   EXPECT_EQ(client.replica().scene_version(), 201U);
