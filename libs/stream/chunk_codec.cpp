@@ -120,14 +120,13 @@ Bytes encode_chunk(const QuantizedGaussians& gaussians, const StreamLayout& layo
 
 QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const StreamLayout& layout, std::size_t count) {
   if (count < 1 || count > kMaxChunkGaussians) {
-    throw StreamError(
-        fmt::format("Page: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
+    throw StreamError(fmt::format("Page: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
   }
   const Bytes expected = expected_declarations(layout, count);
   static_assert(kHeaderBytes == 11);
   if (payload.size() < expected.size() || !std::equal(expected.begin(), expected.end(), payload.begin())) {
-    throw StreamError(fmt::format("Page: payload of {} bytes does not declare {} Gaussians of this layout",
-                                  payload.size(), count));
+    throw StreamError(
+        fmt::format("Page: payload of {} bytes does not declare {} Gaussians of this layout", payload.size(), count));
   }
   draco::DecoderBuffer buffer;
   buffer.Init(reinterpret_cast<const char*>(payload.data()), payload.size());

@@ -79,7 +79,8 @@ StreamLayout StreamLayout::from_wire(const wire::Layout& wired) {
     parameters.sh_degree = wired.sh_degree();
   }
   if (wired.page_lanes() != kPageLanes) {
-    throw StreamError(fmt::format("Layout: pages of {} Gaussians; this build reads {}", wired.page_lanes(), kPageLanes));
+    throw StreamError(
+        fmt::format("Layout: pages of {} Gaussians; this build reads {}", wired.page_lanes(), kPageLanes));
   }
   StreamLayout layout(parameters, 1.0F);
   if (wired.attributes()->size() != layout.attributes_.size()) {

@@ -15,8 +15,9 @@ namespace {
 constexpr double kPacketBytes = 12'000;
 constexpr std::size_t kPacketPages = 64;
 constexpr std::size_t kPacketAppends = 2048;
-constexpr double kAppendShare = 0.8;              // of the budget, while deltas wait
-constexpr float kAbsentSteps = 640;               // that a Gaussian which is not there is off
+constexpr double kAppendShare = 0.8;  // of the budget, while deltas wait
+constexpr float kAbsentSteps = 640;   // that a Gaussian which is not there is off
+constexpr double kObjectBytes = 2;
 constexpr std::size_t kFollowedPages = 64;        // that nobody holds, a tick
 constexpr std::size_t kRoom = 2 * kMaxGaussians;  // what moves may be in two pages for a moment
 constexpr std::size_t kIdsPerGaussian = 2;        // that may be remembered
@@ -36,6 +37,7 @@ struct StreamModel::PageValues {
   double bytes = 0;
   float steps = 0;
   std::vector<std::vector<std::uint32_t>> lanes;  ///< [attributes]
+  std::vector<std::uint32_t> objects;             ///< lanes that are another object's now
 };
 
 // What is held takes the packet as a viewer does, from its bytes.
@@ -276,6 +278,15 @@ void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewe
       page.steps += rows.steps[i];
     }
   }
+  for (std::uint32_t row = 0; row < column_of_row_.size(); ++row) {
+    const std::uint32_t column = column_of_row_[row];
+    if (column == kNotHeld || target_.object_id[column] == held_.gaussians.object_id[row]) continue;
+    PageValues& page = pages[page_of_row(row)];
+    page.lanes.resize(attributes.size());
+    page.objects.push_back(lane_of_row(row));
+    page.bytes += kObjectBytes;
+    page.steps += kAbsentSteps;
+  }
   for (auto& [number, quiet] : quiet_) ++quiet.ticks;
   for (const std::uint32_t row : selection_.left_rows()) quiet_[page_of_row(row)].ticks = 0;
   std::vector<PageValues> order;
@@ -285,6 +296,7 @@ void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewe
     page.place = place_of(number);
     page.steps /= static_cast<float>(held_.find(number)->count);
     for (auto& lanes : page.lanes) std::ranges::sort(lanes);
+    std::ranges::sort(page.objects);
     order.push_back(std::move(page));
   }
   std::ranges::sort(order, {}, &PageValues::place);
@@ -317,6 +329,20 @@ void StreamModel::emit_values(std::span<const PageValues> pages) {
                      .steps = values.steps});
   }
   Bytes payload;
+  SlotIds objects;
+  std::uint32_t lanes = 0;
+  for (const PageValues& values : pages) {
+    const HeldPage& page = *held_.find(values.page);
+    for (const std::uint32_t lane : values.objects) {
+      objects.slots.push_back(lanes + lane);
+      objects.ids.push_back(target_.object_id[column_of_row_[page.row(lane)]]);
+    }
+    lanes += page.count;
+  }
+  const Payload changed = objects.slots.empty() ? Payload{} : encode_slot_ids(objects);
+  append(payload, changed.bytes);
+  const wire::Section changed_section(static_cast<std::uint32_t>(objects.slots.size()), changed.raw_bytes,
+                                      static_cast<std::uint32_t>(changed.bytes.size()));
   std::vector<wire::ValueSection> sections;
   const auto& attributes = held_.layout.attributes();
   for (std::size_t a = 0; a < attributes.size(); ++a) {
@@ -350,7 +376,8 @@ void StreamModel::emit_values(std::span<const PageValues> pages) {
       [&](auto& builder) {
         const auto steps_at = builder.CreateVectorOfStructs(steps);
         const auto values_at = builder.CreateVectorOfStructs(sections);
-        return wire::CreatePageDelta(builder, steps_at, 0, nullptr, 0, nullptr, nullptr, values_at);
+        return wire::CreatePageDelta(builder, steps_at, 0, nullptr, 0, nullptr,
+                                     objects.slots.empty() ? nullptr : &changed_section, values_at);
       },
       std::move(payload));
   (void)emit(std::move(packet), std::move(infos), {});
@@ -375,6 +402,7 @@ void StreamModel::follow_unheld() {
         differs |=
             std::exchange(held_.gaussians.channels[c][row], target_.channels[c][column]) != target_.channels[c][column];
       }
+      differs |= std::exchange(held_.gaussians.object_id[row], target_.object_id[column]) != target_.object_id[column];
       selection_.begin(row, held_.gaussians);
     }
     if (!differs) continue;

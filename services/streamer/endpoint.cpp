@@ -47,6 +47,14 @@ WirePacket::WirePacket(const stream::EncodedPacket& packet)
       packet_(packet.packet.data(), packet.packet.size()),
       payload_(packet.payload.data(), packet.payload.size()) {}
 
+stream::EncodedPacket WirePacket::copy() const {
+  const auto bytes = bytes_of(packet_), payload = bytes_of(payload_);
+  return {.body = body_,
+          .sequence = 0,
+          .packet = {bytes.begin(), bytes.end()},
+          .payload = {payload.begin(), payload.end()}};
+}
+
 Endpoint::Endpoint(const std::vector<std::string>& endpoints) : socket_(context_, zmq::socket_type::router) {
   socket_.set(zmq::sockopt::router_mandatory, true);
   socket_.set(zmq::sockopt::sndhwm, kQueuedPackets);

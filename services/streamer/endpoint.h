@@ -22,6 +22,8 @@ class WirePacket {
 
   [[nodiscard]] wire::Body body() const { return body_; }
   [[nodiscard]] std::size_t bytes() const { return packet_.size() + payload_.size(); }
+  /// As it was encoded.
+  [[nodiscard]] stream::EncodedPacket copy() const;
 
  private:
   friend class Endpoint;

@@ -154,6 +154,7 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
   part_ = 0;
   page_number_ = item.page;
   page_count_ = offered->count;
+  page_stale_ = false;
   return page_ != nullptr;
 }
 
@@ -191,6 +192,7 @@ void ViewerFeed::sent(std::int64_t now_ns) {
     }
     case Kind::Visibility:
       take_visibility(*visibility_.front().pages, true);
+      page_visibility_.clear();  // made before it
       trace.visibility = true;
       for (const wire::SeenPage& page : *visibility_.front().pages) trace.marks.push_back({page.page(), 0, 0});
       visibility_.pop_front();
@@ -211,7 +213,7 @@ void ViewerFeed::sent(std::int64_t now_ns) {
                                   .structure = page_->structure,
                                   .count = page_count_,
                                   .sequence = sequence_,
-                                  .seen_stale = false});
+                                  .seen_stale = page_stale_});
         page_.reset();
       }
       break;
@@ -264,6 +266,7 @@ void ViewerFeed::take_delta(const SharedDelta& delta, Trace& trace) {
 
 void ViewerFeed::take_visibility(const std::vector<wire::SeenPage>& pages, bool came) {
   for (const wire::SeenPage& page : pages) {
+    page_stale_ = page_stale_ || (page_ && page.page() == page_number_);
     const auto held = held_.find(page.page());
     if (held != held_.end() && (!came || held->second.structure != page.structure())) held->second.seen_stale = true;
   }

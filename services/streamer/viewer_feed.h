@@ -143,6 +143,7 @@ class ViewerFeed {
   std::shared_ptr<const SharedPage> page_;
   std::uint32_t page_number_ = 0, page_count_ = 0;
   std::size_t part_ = 0;
+  bool page_stale_ = false;  ///< how it sees the lights has changed since it was made
   std::optional<SharedDelta> delta_;
   std::deque<SharedPacket> page_visibility_;
   std::uint32_t visibility_page_ = 0;
