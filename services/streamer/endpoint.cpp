@@ -51,9 +51,17 @@ bus::FileDescriptor lock_beside(const std::string& path) {
 
 WirePacket::WirePacket(const stream::EncodedPacket& packet)
     : body_(packet.body),
-      sequence_(packet.sequence),
+      sequence_at_(stream::sequence_offset(packet.packet)),
       packet_(packet.packet.data(), packet.packet.size()),
       payload_(packet.payload.data(), packet.payload.size()) {}
+
+stream::EncodedPacket WirePacket::copy() const {
+  const auto bytes = bytes_of(packet_), payload = bytes_of(payload_);
+  return {.body = body_,
+          .sequence = 0,
+          .packet = {bytes.begin(), bytes.end()},
+          .payload = {payload.begin(), payload.end()}};
+}
 
 Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options)
     : socket_(context_, zmq::socket_type::router), bound_(endpoints.size()) {
@@ -114,14 +122,19 @@ void Endpoint::require_intact() const {
   }
 }
 
-Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
+Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet, std::uint64_t sequence) {
   try {
     const zmq::const_buffer id = zmq::buffer(peer);
     const auto flags = zmq::send_flags::dontwait | zmq::send_flags::sndmore;
     if (!socket_.send(id, flags)) return Sent::Full;
     // Once the routing id is accepted, the rest of the message is.
     zmq::message_t first, second;
-    first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    if (sequence == 0) {
+      first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    } else {
+      first.rebuild(packet.packet_.data(), packet.packet_.size());
+      flatbuffers::WriteScalar(static_cast<std::uint8_t*>(first.data()) + packet.sequence_at_, sequence);
+    }
     const bool has_payload = !packet.payload_.empty();
     socket_.send(first, has_payload ? flags : zmq::send_flags::dontwait);
     if (has_payload) {

@@ -1,4 +1,4 @@
-#include "stream/display_record.h"
+#include "stream/gpu_record.h"
 
 #include <algorithm>
 #include <cmath>
@@ -63,8 +63,8 @@ float RecordMaker::albedo(int channel, std::size_t column) const {
   return coding::linear_odd(value(color_, channel, column));
 }
 
-DisplayRecord RecordMaker::record(std::size_t column, std::uint32_t object_index) const {
-  DisplayRecord out;
+GpuRecord RecordMaker::record(std::size_t column, std::uint32_t object_index) const {
+  GpuRecord out;
   glm::vec3 rotation = triple(rotation_, 0, column);
   // The same turn, by half of one at most.
   if (const float angle = glm::length(rotation); angle > kPi) {

@@ -2,42 +2,41 @@
 
 #include <array>
 #include <cstdint>
-#include <span>
+#include <tuple>
 #include <unordered_map>
 #include <vector>
 
-#include "stream/display_record.h"
+#include "stream/gpu_record.h"
 #include "stream/replica.h"
 
 namespace splatbus::stream {
 
-/// Where the Gaussians that a replica shows lie in a GPU's memory, and what of it is out of date. A Gaussian keeps its
-/// row as long as it is shown; rows of those that leave are used again. A row is written when its Gaussian changes, and
-/// a colour when the light on it does: nothing else is. One thread, the replica's.
-class DisplayRows final : public ShownObserver {
+/// What of the rows that a replica shows is out of date in a GPU's memory. Rows are the replica's: a Gaussian keeps its
+/// row as long as its page's lanes stay. A row is written when its Gaussian changes, and a colour when the light on it
+/// does: nothing else is. One thread, the replica's.
+class GpuRows final : public ShownObserver {
  public:
   /// world_from_object, row-major [3][4].
   using Transform = std::array<float, 12>;
 
   /// Observes the replica, which outlives this.
-  explicit DisplayRows(Replica& replica) : replica_(replica) { replica.observe_with(*this); }
-  DisplayRows(const DisplayRows&) = delete;
-  DisplayRows& operator=(const DisplayRows&) = delete;
+  explicit GpuRows(Replica& replica) : replica_(replica) { replica.observe_with(*this); }
+  GpuRows(const GpuRows&) = delete;
+  GpuRows& operator=(const GpuRows&) = delete;
 
   void on_reset(const ReplicatedState& shown) override;
   void on_change(const ReplicatedState& shown, const Change& change) override;
-  void on_order(std::span<const std::uint32_t> order) override;
 
   /// Up to `most` rows that have changed since they were taken, ascending from where the last call ended, and what is
   /// in them now: a row that is free has no opacity. What is there already is overwritten.
-  void take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<DisplayRecord>& records);
+  void take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records);
   /// The same of rows in which nothing but the colour has changed, for as long as there are no others.
   void take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors);
   /// As if nothing had been taken: the GPU's memory was lost.
   void forget_taken();
 
   /// Rows that were ever used.
-  [[nodiscard]] std::size_t capacity() const { return column_of_row_.size(); }
+  [[nodiscard]] std::size_t capacity() const { return stale_.size(); }
   [[nodiscard]] std::size_t unsent() const { return unsent_; }  ///< rows that wait for take_records()
 
   /// Of the objects, by the index that records have: 0 is the world. All zero for what is hidden, and the far field's
@@ -57,23 +56,23 @@ class DisplayRows final : public ShownObserver {
   /// kHidden when there is no room for another.
   [[nodiscard]] std::uint32_t index_of(std::uint32_t object_id);
   void forget_objects();
-  [[nodiscard]] std::uint32_t new_row();
   void mark(std::uint32_t row, Stale what);
-  void mark_all(Stale what);
-  /// After removals columns are others.
-  void find_columns();
+  void mark_all(const std::vector<std::uint32_t>& rows, Stale what);
+  /// How many rows of a block are Gaussians.
+  void show(std::uint32_t block, std::uint32_t count);
+  [[nodiscard]] bool is_shown(std::uint32_t row) const { return row % kBlockRows < shown_[row / kBlockRows]; }
   /// Objects' transforms and lights of the replica's scene; marks rows on which another light falls.
   void follow_scene();
   /// Rows in that state, from the cursor on.
   void find_rows(std::size_t most, Stale wanted, std::size_t& cursor, std::vector<std::uint32_t>& rows) const;
 
   Replica& replica_;
-  std::vector<std::uint32_t> row_of_column_, column_of_row_;
-  std::vector<std::uint32_t> free_;
-  std::vector<std::uint8_t> stale_;  ///< [capacity()]
+  std::vector<std::uint32_t> shown_;  ///< rows of each block
+  std::vector<std::uint8_t> stale_;   ///< [capacity()]
   std::size_t unsent_ = 0, recolored_ = 0;
   std::size_t record_cursor_ = 0, color_cursor_ = 0;
-  bool columns_moved_ = false, scene_is_new_ = true, objects_are_full_ = false;
+  bool objects_are_new_ = true, objects_are_full_ = false;
+  std::tuple<std::uint64_t, std::uint64_t, std::uint64_t> scene_key_;  ///< epoch, version, frame
 
   std::vector<Object> objects_{Object{}};
   std::vector<Transform> transforms_;

@@ -12,15 +12,15 @@
 namespace splatbus::stream {
 
 /// A Gaussian as a GPU reads it, little endian: what of it does not depend on the camera, in the frame of its object.
-struct DisplayRecord {
+struct GpuRecord {
   std::array<float, 3> mean{};              ///< metres
   std::array<std::int16_t, 3> log_scale{};  ///< natural logarithm of metres, kLogScaleStep
   std::array<std::int16_t, 3> rotation{};   ///< vector of at most half a turn, kRotationStep_rad
   std::uint32_t opacity_object = 0;         ///< opacity, of 255, in the lowest byte; above it the object's index
   std::uint32_t color = 0;                  ///< rgb9e5: red lowest. Transfer: linear; Radiance: display space, degree 0
-  bool operator==(const DisplayRecord&) const = default;
+  bool operator==(const GpuRecord&) const = default;
 };
-static_assert(sizeof(DisplayRecord) == 32);
+static_assert(sizeof(GpuRecord) == 32);
 inline constexpr float kLogScaleStep = 1.0F / 1024;
 inline constexpr float kRotationStep_rad = 3.14159265F / 32767;
 
@@ -33,7 +33,7 @@ class RecordMaker {
  public:
   RecordMaker(const QuantizedGaussians& gaussians, const StreamLayout& layout);
 
-  [[nodiscard]] DisplayRecord record(std::size_t column, std::uint32_t object_index) const;
+  [[nodiscard]] GpuRecord record(std::size_t column, std::uint32_t object_index) const;
   /// The record's color; `light_object` and `visibility` as shade_transfer takes them, not looked at for Radiance.
   [[nodiscard]] std::uint32_t color(std::size_t column, std::span<const float> visibility,
                                     const Light& light_object) const;
