@@ -21,6 +21,7 @@ using Action = std::function<int()>;
 void add_launch_verb(CLI::App& app, Action& action);
 void add_topic_verb(CLI::App& app, Action& action);
 void add_node_verb(CLI::App& app, Action& action);
+void add_keys_verb(CLI::App& app, Action& action);
 void add_export_verb(CLI::App& app, Action& action);
 void add_world_verb(CLI::App& app, Action& action);
 void add_eval_verb(CLI::App& app, Action& action);

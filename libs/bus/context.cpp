@@ -81,13 +81,14 @@ bool Context::wait_connected(std::chrono::milliseconds timeout) const {
 }
 
 std::shared_ptr<Slab> Context::create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
-                                           int timeout_ms, Device kind) {
+                                           int timeout_ms, Device kind, SlabLife life) {
   SlabDescriptor descriptor;
   descriptor.kind = kind;
   descriptor.id = random_id();
   descriptor.name = fmt::format("{}/{}", source(), role);
   descriptor.slots = slots;
   descriptor.slot_bytes = slot_bytes;
+  descriptor.kept = life == SlabLife::ForSuccessor;
   auto slab = create_slab_memory(descriptor, impl_->address.is_local());
   if (impl_->slabs) {
     impl_->slabs->add(slab, std::chrono::milliseconds(timeout_ms));

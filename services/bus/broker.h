@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -21,6 +22,7 @@ struct BrokerOptions {
   /// What peers over tcp may take in all: the largest message, unfinished ones, and copies for readers that are not
   /// sent yet.
   std::size_t max_remote_bytes = std::size_t{256} << 20;
+  std::chrono::milliseconds slab_grace{10000};  ///< how long slabs of a source that has gone wait for it
 };
 
 /// Counters since start().
@@ -48,6 +50,8 @@ class Broker {
   void start();
   void stop();
 
+  /// False once somebody has removed the folder: nobody who comes finds this broker any more.
+  [[nodiscard]] bool intact() const;
   [[nodiscard]] const bus::Address& address() const;
   [[nodiscard]] std::optional<bus::Address> tcp_address() const;  ///< after start(), with the ports really taken
   [[nodiscard]] BrokerStatistics statistics() const;

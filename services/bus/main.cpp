@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <condition_variable>
 #include <mutex>
 #include <string>
@@ -40,7 +41,10 @@ int run(const std::string& address, const std::string& tcp, const splatbus::bus:
   std::mutex mutex;
   std::condition_variable_any stopped;
   std::unique_lock lock(mutex);
-  stopped.wait(lock, stop.get_token(), [] { return false; });
+  while (!stop.stop_requested()) {
+    stopped.wait_for(lock, stop.get_token(), std::chrono::seconds(1), [] { return false; });
+    if (!broker.intact()) throw splatbus::bus::Error("the bus's folder was removed: " + options.address.text());
+  }
   broker.stop();
   return 0;
 }

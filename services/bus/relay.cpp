@@ -203,16 +203,17 @@ void Relay::take(const bus::Frames& frames, bool local) {
     return;
   }
   if (!local && has_slab_tensors(*header)) return refuse(frames, "a tensor in a slab cannot come over tcp");
+  const bool heartbeat = frames.topic_text() == topics::kHeartbeat.name;
+  flatbuffers::Verifier verifier(frames.body.data<std::uint8_t>(), frames.body.size(), 8, 4096);
+  if (heartbeat && !verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) {
+    return refuse(frames, "it does not verify as a Heartbeat");
+  }
   const std::int64_t now = bus::now_ns();
   const auto source = header->source()->string_view();
   if (!sources_.admit(source, header->epoch(), frames.topic, local, now, why)) {
     return refuse(frames, fmt::format("'{}': {}", bus::printable(source), why));
   }
-  if (frames.topic_text() == topics::kHeartbeat.name) {
-    flatbuffers::Verifier verifier(frames.body.data<std::uint8_t>(), frames.body.size(), 8, 4096);
-    if (!verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) return refuse(frames, "it does not verify as a Heartbeat");
-    liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now);
-  }
+  if (heartbeat) liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now);
   relay(frames, *header, local);
 }
 

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 #include <sys/file.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <cstring>
@@ -93,13 +94,22 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
 
 std::string Endpoint::bind(const std::string& endpoint) {
   try {
-    if (endpoint.starts_with(kIpc)) locks_.push_back(lock_beside(endpoint.substr(kIpc.size())));
+    if (endpoint.starts_with(kIpc)) {
+      const std::string path = endpoint.substr(kIpc.size());
+      locks_.emplace_back(path, lock_beside(path));
+    }
     const bus::PrivateUmask umask;
     socket_.bind(endpoint);
   } catch (const zmq::error_t& error) {
     throw bus::Error(fmt::format("{}: {}", endpoint, error.what()));
   }
   return socket_.get(zmq::sockopt::last_endpoint);
+}
+
+void Endpoint::require_intact() const {
+  for (const auto& [path, lock] : locks_) {
+    if (::access(path.c_str(), F_OK) != 0) throw bus::Error(fmt::format("ipc://{}: it was removed", path));
+  }
 }
 
 Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {

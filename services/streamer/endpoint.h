@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 #include <zmq.hpp>
 
@@ -64,6 +65,9 @@ class Endpoint {
   /// what somebody sends whose key may not view (any more), and that connection is closed.
   std::optional<Received> receive();
 
+  /// Throws bus::Error once an ipc path has been removed: viewers who come do not find this streamer any more.
+  void require_intact() const;
+
   [[nodiscard]] void* socket() { return socket_.handle(); }
   [[nodiscard]] std::uint64_t malformed() const { return malformed_; }
   /// tcp connections.
@@ -81,7 +85,7 @@ class Endpoint {
   zmq::socket_t socket_;
   std::optional<bus::ConnectionGuard> guard_;
   std::vector<std::string> bound_;
-  std::vector<bus::FileDescriptor> locks_;
+  std::vector<std::pair<std::string, bus::FileDescriptor>> locks_;  ///< path of an ipc endpoint
   std::uint64_t malformed_ = 0;
   bus::LogLimiter log_limiter_;
 };

@@ -112,6 +112,7 @@ void Streamer::step(std::int64_t now_ns) {
   hub_.expire(now_ns);
   if (next_stats_ns_ == 0) next_stats_ns_ = now_ns + kSecondNs;
   if (now_ns >= next_stats_ns_) {
+    endpoint_.require_intact();
     hub_.send_keepalive();
     publish_statistics(now_ns);
     next_stats_ns_ = std::max(next_stats_ns_ + kSecondNs, now_ns);

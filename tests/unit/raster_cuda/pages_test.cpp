@@ -286,7 +286,10 @@ TEST_P(CudaPages, MorePagesThanThereIsRoomForAreListedTheNextTime) {
     cudaMemcpy(&seen, &device.train.workspace().counts->seen, sizeof(seen), cudaMemcpyDeviceToHost);
     return seen;
   }());
-  EXPECT_GT(relative_error(device.parameters(), before), 0) << "and the step was taken";
+  const std::vector<float> after = device.parameters();
+  std::size_t moved = 0;  // lanes that hold no Gaussian are not numbers
+  for (std::size_t k = 0; k < before.size(); ++k) moved += before[k] < after[k] || before[k] > after[k] ? 1 : 0;
+  EXPECT_GT(moved, 1000U) << "and the step was taken";
 }
 
 INSTANTIATE_TEST_SUITE_P(Cases, CudaPages, ::testing::Values(kTransfer, kRadiance), case_name);
