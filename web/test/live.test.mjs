@@ -88,6 +88,7 @@ test('a scene that is made while it is watched', async () => {
   assert.deepEqual(asked.filter((one) => !one.startsWith(url) && !one.startsWith('blob:')), [], 'nothing is loaded from elsewhere');
   const { sequence } = await figures();
   await page.waitForFunction((before) => window.splatbus.figures.sequence > before, sequence);
+  await page.waitForFunction(() => window.splatbus.figures.roundTripMs > 0);
 });
 
 test('the gateway is killed: the picture stands, and the stream goes on', async () => {
