@@ -1,9 +1,10 @@
-#include "gaussians/ply_header.h"
+#include "splats/ply_header.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <charconv>
 #include <limits>
 #include <optional>
@@ -11,7 +12,7 @@
 #include <stdexcept>
 #include <string_view>
 
-namespace splatbus {
+namespace splatbus::splats {
 namespace {
 
 constexpr std::size_t kMaxHeaderBytes = std::size_t{64} << 10;
@@ -122,6 +123,19 @@ void add_property(const HeaderLines& lines, const std::vector<std::string>& word
   element.bytes += size_of(*type);
 }
 
+/// The last one decides.
+void take_comment(const std::vector<std::string>& words, PlyHeader& header) {
+  const auto lower = [](std::string text) {
+    std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return std::tolower(c); });
+    return text;
+  };
+  if (words.size() != 3) return;
+  const std::string key = lower(words[1]), value = lower(words[2]);
+  if (key == "splatrendermode:") header.mip = value == "mip";
+  if (key == "antialiased") header.mip = value == "1";
+  if (key == "splataxes:") header.y_up = value == "y-up";
+}
+
 /// Finds the rows of `vertex` behind the header and checks that the file holds them.
 void locate_rows(const HeaderLines& lines, const std::vector<Element>& elements, std::size_t file_bytes,
                  PlyHeader& header) {
@@ -182,7 +196,11 @@ PlyHeader read_ply_header(std::istream& stream, const std::string& path, std::si
   bool has_format = false;
   for (;;) {
     const std::vector<std::string> words = lines.next();
-    if (words.empty() || words[0] == "comment" || words[0] == "obj_info") continue;
+    if (words.empty() || words[0] == "obj_info") continue;
+    if (words[0] == "comment") {
+      take_comment(words, header);
+      continue;
+    }
     if (words[0] == "end_header") break;
     if (words[0] == "format") {
       check_format(lines, words);
@@ -204,4 +222,4 @@ PlyHeader read_ply_header(std::istream& stream, const std::string& path, std::si
   return header;
 }
 
-}  // namespace splatbus
+}  // namespace splatbus::splats

@@ -6,16 +6,14 @@
 #include <array>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
-#include <iterator>
-#include <limits>
+#include <sstream>
 #include <stdexcept>
 
-#include "gaussians/model.h"
-#include "random.h"
+#include "../gaussians/random.h"
+#include "splats/file.h"
+#include "splats/ply.h"
 
-namespace splatbus {
+namespace splatbus::splats {
 namespace {
 
 using ::testing::AllOf;
@@ -56,10 +54,8 @@ std::string row(float first) {
 class ReadPly : public ::testing::Test {
  protected:
   GaussiansBuffer read(const std::string& content) {
-    path_ = folder_.file("model.ply");
-    std::filesystem::remove(path_);  // some file systems wait for the disk when a file is truncated and written again
-    std::ofstream(path_, std::ios::binary | std::ios::trunc) << content;
-    return read_ply(path_);
+    std::istringstream stream(content);
+    return read_ply(stream, "model.ply", Axes::Keep).gaussians;
   }
   void expect_refused(const std::string& content, const std::string& reason) {
     EXPECT_THAT([&] { (void)read(content); },
@@ -67,8 +63,6 @@ class ReadPly : public ::testing::Test {
   }
 
   static constexpr const char* kStart = "ply\nformat binary_little_endian 1.0\n";
-  test::TemporaryFolder folder_;
-  std::string path_;
 };
 
 TEST_F(ReadPly, ReadsAnyOrderAndAnyTypeAndSkipsWhatItDoesNotKnow) {
@@ -175,19 +169,42 @@ TEST_F(ReadPly, RefusesValuesThatMakeNoSenseByByte) {
   expect_refused(with(0, 10, 3e38F), "no usable length");
 }
 
+TEST_F(ReadPly, BelievesTheCommentsAboutTrainingAndAxes) {
+  const auto with = [&](const std::string& comments, Axes axes) {
+    std::istringstream stream(kStart + comments + "element vertex 1\n" + required_properties() + "end_header\n" +
+                              row(1.5F));
+    return read_ply(stream, "model.ply", axes);
+  };
+  EXPECT_FALSE(with("", Axes::OfFormat).mip);
+  EXPECT_TRUE(with("comment SplatRenderMode: mip\n", Axes::OfFormat).mip);
+  EXPECT_FALSE(with("comment antialiased 1\ncomment splatrendermode: default\n", Axes::OfFormat).mip) << "the last";
+  EXPECT_TRUE(with("comment Antialiased 1\n", Axes::OfFormat).mip);
+  const auto x = [&](const std::string& comments, Axes axes) { return with(comments, axes).gaussians.parameters[0]; };
+  EXPECT_EQ(x("", Axes::OfFormat), -1.5F);
+  EXPECT_EQ(x("", Axes::Keep), 1.5F);
+  EXPECT_EQ(x("comment SplatAxes: y-up\n", Axes::OfFormat), 1.5F);
+  EXPECT_EQ(x("comment SplatAxes: y-up\n", Axes::Turn), -1.5F);
+}
+
+TEST_F(ReadPly, SaysWhatACompressedFileIs) {
+  expect_refused(kStart + lines({"element chunk 0", "property float min_x", "element vertex 0",
+                                 "property uint packed_position", "end_header"}),
+                 "a compressed PLY of SuperSplat");
+}
+
 TEST_F(ReadPly, RefusesWhatIsNoFile) {
-  EXPECT_THAT([] { (void)read_ply("/no/such/model.ply"); },
+  EXPECT_THAT([] { (void)read_file("/no/such/model.ply"); },
               ThrowsMessage<std::runtime_error>(HasSubstr("/no/such/model.ply: cannot be opened")));
-  EXPECT_THROW((void)read_ply("/"), std::runtime_error);
+  EXPECT_THROW((void)read_file("/"), std::runtime_error);
 }
 
 TEST_F(ReadPly, SurvivesEveryTruncationAndManyMutations) {
   test::Random random(16);
-  const GaussiansBuffer model = random.gaussians({Appearance::Radiance, 1}, 3);
-  const std::string path = folder_.file("good.ply");
-  write_ply(path, model.view(), {});
-  std::ifstream file(path, std::ios::binary);
-  const std::string good{std::istreambuf_iterator<char>(file), {}};
+  GaussiansBuffer model = random.gaussians({Appearance::Radiance, 1}, 3);
+  model.object_id.assign(3, kWorldFrame);
+  std::ostringstream written;
+  write_ply(written, BakedModel(model.view(), {}), {});
+  const std::string good = written.str();
   for (std::size_t size = 0; size < good.size(); size += 3) {
     EXPECT_THROW((void)read(good.substr(0, size)), std::runtime_error) << size;
   }
@@ -212,4 +229,4 @@ TEST_F(ReadPly, SurvivesEveryTruncationAndManyMutations) {
 }
 
 }  // namespace
-}  // namespace splatbus
+}  // namespace splatbus::splats

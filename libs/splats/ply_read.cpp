@@ -5,14 +5,14 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <fstream>
+#include <istream>
 #include <stdexcept>
 
-#include "gaussians/model.h"
-#include "gaussians/ply_header.h"
 #include "gaussians/sh.h"
+#include "splats/ply.h"
+#include "splats/ply_header.h"
 
-namespace splatbus {
+namespace splatbus::splats {
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "rows are read as they lie in the file");
@@ -122,39 +122,43 @@ void check_rows(GaussiansBuffer& model, const PlyHeader& header, const std::vect
 
 }  // namespace
 
-GaussiansBuffer read_ply(const std::string& path) {
-  std::ifstream file(path, std::ios::binary | std::ios::ate);
-  if (!file) throw std::runtime_error(fmt::format("{}: cannot be opened", path));
-  const std::streamoff size = file.tellg();
-  if (size < 0) throw std::runtime_error(fmt::format("{}: not a regular file", path));
-  file.seekg(0);
-  const PlyHeader header = read_ply_header(file, path, static_cast<std::size_t>(size));
+SplatFile read_ply(std::istream& stream, const std::string& name, Axes axes) {
+  stream.seekg(0, std::ios::end);
+  const std::streamoff size = stream.tellg();
+  if (!stream || size < 0) throw std::runtime_error(fmt::format("{}: not a regular file", name));
+  stream.seekg(0);
+  const PlyHeader header = read_ply_header(stream, name, static_cast<std::size_t>(size));
+  if (header.find("packed_position") != nullptr) {
+    throw std::runtime_error(
+        fmt::format("{}: header: a compressed PLY of SuperSplat, which splat-transform makes a plain one of", name));
+  }
+  const ParameterLayout layout{Appearance::Radiance, degree_from(header, name)};
+  const std::vector<Column> columns = match_columns(header, layout, name);
+  SplatFile out{GaussiansBuffer(layout, header.vertex_count), header.mip};  // at least 14 bytes of the file for each
+  GaussiansBuffer& model = out.gaussians;
 
-  const ParameterLayout layout{Appearance::Radiance, degree_from(header, path)};
-  const std::vector<Column> columns = match_columns(header, layout, path);
-  GaussiansBuffer out(layout, header.vertex_count);  // at least 14 bytes of the file for each
-
-  file.seekg(static_cast<std::streamoff>(header.vertex_offset));
-  std::vector<char> rows(kRowsAtOnce * header.vertex_bytes);
-  for (std::size_t first = 0; first < out.count(); first += kRowsAtOnce) {
-    const std::size_t count = std::min(kRowsAtOnce, out.count() - first);
-    if (!file.read(rows.data(), static_cast<std::streamsize>(count * header.vertex_bytes))) {
-      throw std::runtime_error(fmt::format("{}: byte {}: the file cannot be read further", path,
+  stream.seekg(static_cast<std::streamoff>(header.vertex_offset));
+  std::vector<char> rows(std::min(kRowsAtOnce, model.count()) * header.vertex_bytes);
+  for (std::size_t first = 0; first < model.count(); first += kRowsAtOnce) {
+    const std::size_t count = std::min(kRowsAtOnce, model.count() - first);
+    if (!stream.read(rows.data(), static_cast<std::streamsize>(count * header.vertex_bytes))) {
+      throw std::runtime_error(fmt::format("{}: byte {}: the file cannot be read further", name,
                                            header.vertex_offset + first * header.vertex_bytes));
     }
     for (const Column& column : columns) {
-      float* plane = column.plane(out);
+      float* plane = column.plane(model);
       const char* source = rows.data() + column.property.offset;
       for (std::size_t i = 0; i < count; ++i) {
         plane[first + i] = read_value(source + i * header.vertex_bytes, column.property.type);
       }
     }
-    check_rows(out, header, columns, first, first + count, path);
+    check_rows(model, header, columns, first, first + count, name);
   }
-  const float* mean = out.view().plane(ParameterLayout::kMean);
-  std::copy_n(mean, 3 * out.stride(), out.surface_point.begin());
-  for (std::size_t i = 0; i < out.count(); ++i) out.gaussian_id[i] = i;
+  if (axes == Axes::Turn || (axes == Axes::OfFormat && !header.y_up)) turn(model);
+  const float* mean = model.view().plane(ParameterLayout::kMean);
+  std::copy_n(mean, 3 * model.stride(), model.surface_point.begin());
+  for (std::size_t i = 0; i < model.count(); ++i) model.gaussian_id[i] = i;
   return out;
 }
 
-}  // namespace splatbus
+}  // namespace splatbus::splats
