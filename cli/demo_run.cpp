@@ -8,13 +8,13 @@
 
 #include "demo_results.h"
 #include "engine_scene.h"
-#include "gaussians/model.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "scene_view.h"
 #include "schema_json.h"
+#include "splats/file.h"
 #include "supervised_run.h"
 #include "verbs.h"
 
@@ -90,7 +90,7 @@ class Demo {
     finish_last_round(show);
     const auto model = live_.copy_average(std::chrono::seconds(10));
     if (!model) throw std::runtime_error("there is no model to write; see " + log_path());
-    write_ply(options_.out / "model.ply", model->view(), live_.scene());
+    splats::write_file(options_.out / "model.ply", model->view(), live_.scene());
     if (results_.compared.empty())
       throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
     note_pipeline(model->count());

@@ -8,6 +8,7 @@ namespace {
 
 constexpr std::array<std::pair<std::string_view, bool Rights::*>, 4> roles{
     {{"view", &Rights::view}, {"steer", &Rights::steer}, {"probe", &Rights::probe}, {"control", &Rights::control}}};
+constexpr std::string_view relayed = "rights ";  // as a FlatBuffer's root it would lie 1.6 GiB away
 
 }  // namespace
 
@@ -36,6 +37,15 @@ std::optional<Rights> parse_rights(std::string_view text) {
     if (!known) return std::nullopt;
   }
   return rights;
+}
+
+std::string rights_frame(const Rights& rights) {
+  return std::string(relayed) + to_text(rights);
+}
+
+std::optional<Rights> parse_rights_frame(std::string_view frame) {
+  if (!frame.starts_with(relayed)) return std::nullopt;
+  return parse_rights(frame.substr(relayed.size())).value_or(Rights());
 }
 
 }  // namespace splatbus::bus

@@ -231,15 +231,6 @@ struct Dequantize {
 };
 
 template <class T>
-struct Gather {
-  const T* from;
-  const std::uint32_t* order;
-  T* to;
-
-  SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const { to[i] = from[order[i]]; }
-};
-
-template <class T>
 struct Scatter {
   const T* values;
   const std::uint32_t* columns;
@@ -283,20 +274,6 @@ std::uint32_t sort_extents(const ModelChannels& model, float* extents, device::S
 void dequantize(const DisplayPlan& plan, const std::int32_t* values, const std::uint32_t* columns, std::uint32_t count,
                 float* rows, std::size_t stride, device::StreamView stream) {
   device::for_each_index(stream, count, Dequantize{plan, values, columns, count, rows, stride});
-}
-
-void gather(const float* from, const std::uint32_t* order, std::uint32_t count, float* to, device::StreamView stream) {
-  device::for_each_index(stream, count, Gather<float>{from, order, to});
-}
-
-void gather(const std::uint32_t* from, const std::uint32_t* order, std::uint32_t count, std::uint32_t* to,
-            device::StreamView stream) {
-  device::for_each_index(stream, count, Gather<std::uint32_t>{from, order, to});
-}
-
-void gather(const std::uint8_t* from, const std::uint32_t* order, std::uint32_t count, std::uint8_t* to,
-            device::StreamView stream) {
-  device::for_each_index(stream, count, Gather<std::uint8_t>{from, order, to});
 }
 
 void scatter(const std::uint32_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint32_t* to,

@@ -117,14 +117,6 @@ struct DisplayPlan {
 void dequantize(const DisplayPlan& plan, const std::int32_t* values, const std::uint32_t* columns, std::uint32_t count,
                 float* rows, std::size_t stride, device::StreamView stream);
 
-/// to[i] = from[order[i]] for i below `count`; `to` lies elsewhere.
-void gather(const float* from, const std::uint32_t* order, std::uint32_t count, float* to, device::StreamView stream);
-void gather(const std::uint32_t* from, const std::uint32_t* order, std::uint32_t count, std::uint32_t* to,
-            device::StreamView stream);
-
-void gather(const std::uint8_t* from, const std::uint32_t* order, std::uint32_t count, std::uint8_t* to,
-            device::StreamView stream);
-
 /// to[columns[i]] = values[i] for i below `count`.
 void scatter(const std::uint32_t* values, const std::uint32_t* columns, std::uint32_t count, std::uint32_t* to,
              device::StreamView stream);

@@ -71,11 +71,11 @@ void read_attribute(const draco::PointCloud& cloud, int id, int channels, std::s
   const draco::PointAttribute* attribute = cloud.attribute(id);
   if (!attribute || attribute->data_type() != draco::DT_INT32 || attribute->num_components() != channels ||
       attribute->size() != count || !attribute->is_mapping_identity()) {
-    throw StreamError(fmt::format("Snapshot: Draco attribute {} is not {} x {} integers", id, count, channels));
+    throw StreamError(fmt::format("Page: Draco attribute {} is not {} x {} integers", id, count, channels));
   }
   const auto* values = reinterpret_cast<const std::int32_t*>(attribute->GetAddress(draco::AttributeValueIndex(0)));
   if (attribute->byte_stride() != static_cast<std::int64_t>(sizeof(std::int32_t)) * channels) {
-    throw StreamError("Snapshot: Draco attribute with gaps");
+    throw StreamError("Page: Draco attribute with gaps");
   }
   for (int c = 0; c < channels; ++c) {
     for (std::size_t i = 0; i < count; ++i) planes[c][i] = values[i * static_cast<std::size_t>(channels) + c];
@@ -120,23 +120,22 @@ Bytes encode_chunk(const QuantizedGaussians& gaussians, const StreamLayout& layo
 
 QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const StreamLayout& layout, std::size_t count) {
   if (count < 1 || count > kMaxChunkGaussians) {
-    throw StreamError(
-        fmt::format("Snapshot: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
+    throw StreamError(fmt::format("Page: {} Gaussians in one chunk, 1 to {} are allowed", count, kMaxChunkGaussians));
   }
   const Bytes expected = expected_declarations(layout, count);
   static_assert(kHeaderBytes == 11);
   if (payload.size() < expected.size() || !std::equal(expected.begin(), expected.end(), payload.begin())) {
-    throw StreamError(fmt::format("Snapshot: payload of {} bytes does not declare {} Gaussians of this layout",
-                                  payload.size(), count));
+    throw StreamError(
+        fmt::format("Page: payload of {} bytes does not declare {} Gaussians of this layout", payload.size(), count));
   }
   draco::DecoderBuffer buffer;
   buffer.Init(reinterpret_cast<const char*>(payload.data()), payload.size());
   draco::Decoder decoder;
   auto decoded = decoder.DecodePointCloudFromBuffer(&buffer);
-  if (!decoded.ok()) throw StreamError("Snapshot: Draco: " + decoded.status().error_msg_string());
+  if (!decoded.ok()) throw StreamError("Page: Draco: " + decoded.status().error_msg_string());
   const draco::PointCloud& cloud = *decoded.value();
   if (cloud.num_points() != count || cloud.num_attributes() != static_cast<int>(layout.attributes().size()) + 1) {
-    throw StreamError("Snapshot: Draco decoded something else than was declared");
+    throw StreamError("Page: Draco decoded something else than was declared");
   }
   QuantizedGaussians out(layout, count);
   int id = 0;
@@ -148,7 +147,7 @@ QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
       const auto [low, high] = std::minmax_element(plane.begin(), plane.end());
       if (*low < a.minimum || *high > a.maximum) {
         throw StreamError(
-            fmt::format("Snapshot: {} outside [{}, {}]", wire::EnumNameAttribute(a.attribute), a.minimum, a.maximum));
+            fmt::format("Page: {} outside [{}, {}]", wire::EnumNameAttribute(a.attribute), a.minimum, a.maximum));
       }
     }
   }

@@ -52,10 +52,13 @@ struct Delta {
 [[nodiscard]] std::vector<std::uint64_t> decode_ids(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
                                                     std::size_t count);
 
-/// Number of runs, planes of lengths less one, planes of ids.
-[[nodiscard]] Payload encode_runs(std::span<const std::uint32_t> ids);
-[[nodiscard]] std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
-                                                     std::size_t count);
+/// Slots as a Delta's, then planes of object ids.
+struct SlotIds {
+  std::vector<std::uint32_t> slots, ids;
+};
+[[nodiscard]] Payload encode_slot_ids(const SlotIds& change);
+[[nodiscard]] SlotIds decode_slot_ids(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
+                                      std::size_t held);
 
 /// Slots as a Delta's, then one byte each.
 struct SlotValues {

@@ -63,7 +63,7 @@ Payload encode_delta(const Delta& delta) {
 
 Delta decode_delta(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
                    std::size_t channels, std::size_t held) {
-  constexpr std::string_view what = "TensorDelta";
+  constexpr std::string_view what = "PageDelta's values";
   require_count(what, count, std::min(held, kMaxDeltaGaussians));
   require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 4) * (channels + 1));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
@@ -89,7 +89,7 @@ Payload encode_slots(std::span<const std::uint32_t> ascending) {
 
 std::vector<std::uint32_t> decode_slots(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
                                         std::size_t held) {
-  constexpr std::string_view what = "Remove";
+  constexpr std::string_view what = "PageDelta's removals";
   require_count(what, count, held);
   require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 4));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
@@ -113,7 +113,7 @@ Payload encode_ids(std::span<const std::uint64_t> ids) {
 }
 
 std::vector<std::uint64_t> decode_ids(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count) {
-  constexpr std::string_view what = "GaussianOrder";
+  constexpr std::string_view what = "ids";
   require_count(what, count, kMaxGaussians);
   require_raw_bytes(what, raw_bytes, byte_planes_bound(count, 8));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
@@ -125,42 +125,25 @@ std::vector<std::uint64_t> decode_ids(std::span<const std::uint8_t> payload, std
   return ids;
 }
 
-Payload encode_runs(std::span<const std::uint32_t> ids) {
-  std::vector<std::uint64_t> lengths, values;
-  for (std::size_t i = 0; i < ids.size(); ++i) {
-    if (i > 0 && ids[i] == ids[i - 1]) {
-      ++lengths.back();
-    } else {
-      lengths.push_back(0);
-      values.push_back(ids[i]);
-    }
-  }
+Payload encode_slot_ids(const SlotIds& change) {
   Bytes raw;
-  for (int i = 0; i < 4; ++i) raw.push_back(static_cast<std::uint8_t>(lengths.size() >> (8 * i)));
-  put_byte_planes(raw, lengths);
-  put_byte_planes(raw, values);
+  put_slots(raw, change.slots);
+  put_byte_planes(raw, std::vector<std::uint64_t>(change.ids.begin(), change.ids.end()));
   return finish(raw);
 }
 
-std::vector<std::uint32_t> decode_runs(std::span<const std::uint8_t> payload, std::size_t raw_bytes,
-                                       std::size_t count) {
-  constexpr std::string_view what = "ObjectIds";
-  require_count(what, count, kMaxGaussians);
-  require_raw_bytes(what, raw_bytes, 4 + 2 * byte_planes_bound(count, 4));
+SlotIds decode_slot_ids(std::span<const std::uint8_t> payload, std::size_t raw_bytes, std::size_t count,
+                        std::size_t held) {
+  constexpr std::string_view what = "PageDelta's objects";
+  require_count(what, count, held);
+  require_raw_bytes(what, raw_bytes, 2 * byte_planes_bound(count, 4));
   const Bytes raw = zstd_decompress(payload, raw_bytes, what);
   ByteReader reader(raw, what);
-  const std::size_t runs = reader.u32();
-  require_count(what, runs, count);
-  const auto lengths = reader.byte_planes(runs, 4);
-  const auto values = reader.byte_planes(runs, 4);
+  SlotIds change;
+  change.slots = read_slots(reader, count, held, what);
+  for (const std::uint64_t id : reader.byte_planes(count, 4)) change.ids.push_back(static_cast<std::uint32_t>(id));
   reader.finish();
-  std::uint64_t total = 0;
-  for (const std::uint64_t length : lengths) total += length + 1;
-  if (total != count) throw StreamError(fmt::format("{}: runs of {} Gaussians where {} were said", what, total, count));
-  std::vector<std::uint32_t> ids;
-  ids.reserve(count);
-  for (std::size_t i = 0; i < runs; ++i) ids.insert(ids.end(), lengths[i] + 1, static_cast<std::uint32_t>(values[i]));
-  return ids;
+  return change;
 }
 
 Payload encode_slot_values(const SlotValues& change) {

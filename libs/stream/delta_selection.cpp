@@ -31,8 +31,7 @@ float area_px2(const View& view, const glm::vec3& mean_world, float sigma2_m2) {
 
 constexpr std::int32_t kCalmZone = 1;     // steps: rounding alone can toggle a value by one
 constexpr std::int32_t kSaturation = 64;  // steps a channel; a larger change is not more urgent
-constexpr std::size_t kMaxEntriesAPacket = std::size_t{1} << 16;
-constexpr std::size_t kBuckets = 512;  // of score, eight an octave
+constexpr std::size_t kBuckets = 512;     // of score, eight an octave
 
 bool is_delta_coded(Attribute attribute) {
   return attribute != Attribute::Normal && attribute != Attribute::Visibility;
@@ -111,16 +110,26 @@ const AttributeSchedule& DeltaSelection::schedule(std::uint32_t attribute) const
   return schedules_[static_cast<std::size_t>(layout_.attributes()[attribute].attribute)];
 }
 
-void DeltaSelection::append(const QuantizedGaussians& appended) {
-  for (std::size_t c = 0; c < anchor_.size(); ++c) {
-    anchor_[c].insert(anchor_[c].end(), appended.channels[c].begin(), appended.channels[c].end());
-  }
-  for (auto& calm : calm_) calm.resize(calm.size() + appended.count());
+void DeltaSelection::resize(std::size_t rows) {
+  for (auto& anchor : anchor_) anchor.resize(rows);
+  for (auto& calm : calm_) calm.resize(rows);
 }
 
-void DeltaSelection::remove(std::span<const std::uint32_t> ascending) {
-  for (auto& anchor : anchor_) remove_at(anchor, ascending);
-  for (auto& calm : calm_) remove_at(calm, ascending);
+void DeltaSelection::begin(std::uint32_t row, const QuantizedGaussians& held) {
+  for (std::size_t c = 0; c < anchor_.size(); ++c) anchor_[c][row] = held.channels[c][row];
+  for (auto& calm : calm_) calm[row] = 0;
+}
+
+void DeltaSelection::move(std::uint32_t from, std::uint32_t to) {
+  for (auto& anchor : anchor_) anchor[to] = anchor[from];
+  for (auto& calm : calm_) calm[to] = calm[from];
+}
+
+double DeltaSelection::bytes_per_entry(Attribute attribute) const {
+  for (std::size_t a = 0; a < layout_.attributes().size(); ++a) {
+    if (layout_.attributes()[a].attribute == attribute) return bytes_per_entry_[a];
+  }
+  return 1;
 }
 
 void DeltaSelection::collect(std::uint32_t attribute, const QuantizedGaussians& held, const QuantizedGaussians& target,
@@ -128,41 +137,42 @@ void DeltaSelection::collect(std::uint32_t attribute, const QuantizedGaussians& 
   const AttributeChannels& a = layout_.attributes()[attribute];
   const AttributeSchedule& plan = schedule(attribute);
   const float scale = plan.weight / static_cast<float>(bytes_per_entry_[attribute]);
-  const std::size_t slots = target_column.size();
-  largest_.assign(slots, 0);
-  sum_.assign(slots, 0);
-  drift_.assign(slots, 0);
+  const std::size_t rows = target_column.size();
+  largest_.assign(rows, 0);
+  sum_.assign(rows, 0);
+  drift_.assign(rows, 0);
   // Plane by plane: a plane fits the cache, a Gaussian's row over all planes does not.
   for (int c = a.first; c < a.first + a.channels; ++c) {
     const std::int32_t *to = target.channels[c].data(), *from = held.channels[c].data(), *rest = anchor_[c].data();
-    for (std::size_t slot = 0; slot < slots; ++slot) {
-      if (target_column[slot] == kNotHeld) continue;
-      const std::int32_t value = to[target_column[slot]];
-      const std::int32_t change = std::abs(value - from[slot]);
-      largest_[slot] = std::max(largest_[slot], change);
-      sum_[slot] += std::min(change, kSaturation);
-      drift_[slot] = std::max(drift_[slot], std::abs(value - rest[slot]));
+    for (std::size_t row = 0; row < rows; ++row) {
+      if (target_column[row] == kNotHeld) continue;
+      const std::int32_t value = to[target_column[row]];
+      const std::int32_t change = std::abs(value - from[row]);
+      largest_[row] = std::max(largest_[row], change);
+      sum_[row] += std::min(change, kSaturation);
+      drift_[row] = std::max(drift_[row], std::abs(value - rest[row]));
     }
   }
   auto& calm = calm_[attribute];
-  for (std::uint32_t slot = 0; slot < slots; ++slot) {
-    const std::uint32_t column = target_column[slot];
+  for (std::uint32_t row = 0; row < rows; ++row) {
+    const std::uint32_t column = target_column[row];
     if (column == kNotHeld) continue;
-    if (drift_[slot] > 1) {
-      for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][slot] = target.channels[c][column];
-      calm[slot] = 0;
-    } else if (calm[slot] < calm_ticks_) {
-      ++calm[slot];
+    if (drift_[row] > 1) {
+      for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][row] = target.channels[c][column];
+      calm[row] = 0;
+    } else if (calm[row] < calm_ticks_) {
+      ++calm[row];
     }
-    const std::int32_t zone = calm[slot] < calm_ticks_ ? plan.dead_zone : std::min(kCalmZone, plan.dead_zone);
-    if (largest_[slot] <= zone) continue;
-    candidates_.push_back({share[slot] * static_cast<float>(sum_[slot]) * scale, slot, attribute});
+    const std::int32_t zone = calm[row] < calm_ticks_ ? plan.dead_zone : std::min(kCalmZone, plan.dead_zone);
+    if (largest_[row] <= zone) continue;
+    const auto steps = static_cast<float>(sum_[row]);
+    candidates_.push_back({share[row] * steps * scale, steps * plan.weight, row, attribute});
   }
 }
 
-std::vector<SelectedDelta> DeltaSelection::select(const QuantizedGaussians& held, const QuantizedGaussians& target,
-                                                  std::span<const std::uint32_t> target_column,
-                                                  std::span<const float> share, double budget_bytes) {
+std::vector<SelectedRows> DeltaSelection::select(const QuantizedGaussians& held, const QuantizedGaussians& target,
+                                                 std::span<const std::uint32_t> target_column,
+                                                 std::span<const float> share, double budget_bytes) {
   candidates_.clear();
   for (std::uint32_t a = 0; a < layout_.attributes().size(); ++a) {
     if (!is_delta_coded(layout_.attributes()[a].attribute) || tick_ % std::max(schedule(a).every, 1U) != 0) continue;
@@ -176,34 +186,21 @@ std::vector<SelectedDelta> DeltaSelection::select(const QuantizedGaussians& held
   double left = budget_bytes;
   while (lowest > 0 && cost[lowest - 1] <= left) left -= cost[--lowest];
 
-  std::vector<std::vector<std::uint32_t>> slots(layout_.attributes().size());
-  pending_ = 0;
+  std::vector<SelectedRows> selected(layout_.attributes().size());
+  left_rows_.clear();
   for (const Candidate& c : candidates_) {
     const std::size_t b = bucket(c.score);
     const bool fits = b >= lowest || (b + 1 == lowest && left >= bytes_per_entry_[c.attribute]);
     if (b < lowest && fits) left -= bytes_per_entry_[c.attribute];
     if (fits) {
-      slots[c.attribute].push_back(c.slot);
+      selected[c.attribute].rows.push_back(c.row);
+      selected[c.attribute].steps.push_back(c.steps);
     } else {
-      ++pending_;
+      left_rows_.push_back(c.row);
     }
   }
-
-  std::vector<SelectedDelta> selected;
-  for (std::size_t a = 0; a < slots.size(); ++a) {
-    const AttributeChannels& channels = layout_.attributes()[a];
-    for (std::size_t first = 0; first < slots[a].size(); first += kMaxEntriesAPacket) {
-      const auto part = std::span(slots[a]).subspan(first, std::min(kMaxEntriesAPacket, slots[a].size() - first));
-      SelectedDelta out{channels.attribute, {{part.begin(), part.end()}, {}}};
-      for (int c = channels.first; c < channels.first + channels.channels; ++c) {
-        auto& plane = out.delta.residuals.emplace_back();
-        for (const std::uint32_t slot : part) {
-          plane.push_back(target.channels[c][target_column[slot]] - held.channels[c][slot]);
-        }
-      }
-      selected.push_back(std::move(out));
-    }
-  }
+  for (std::size_t a = 0; a < selected.size(); ++a) selected[a].attribute = layout_.attributes()[a].attribute;
+  std::erase_if(selected, [](const SelectedRows& s) { return s.rows.empty(); });
   return selected;
 }
 

@@ -29,41 +29,47 @@ struct AttributeSchedule {
 using Schedules = std::array<AttributeSchedule, static_cast<std::size_t>(Attribute::MAX) + 1>;
 [[nodiscard]] Schedules default_schedules();
 
-/// A packet's worth of residuals.
-struct SelectedDelta {
+/// What of one attribute is to be sent.
+struct SelectedRows {
   Attribute attribute{};
-  Delta delta;
+  std::vector<std::uint32_t> rows;  ///< ascending
+  std::vector<float> steps;         ///< [rows] that they are off, weighted by attribute
 };
 
-/// Chooses what of target - held is worth its bytes. Keeps, for each held Gaussian and attribute, how long the target
-/// has rested: what rested for `calm_ticks` is sent to within one step and then left alone, what still moves only
-/// beyond its dead zone.
+/// Chooses what of target - held is worth its bytes. Keeps, for each row and attribute, how long the target has rested:
+/// what rested for `calm_ticks` is sent to within one step and then left alone, what still moves only beyond its dead
+/// zone.
 class DeltaSelection {
  public:
   DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks = 8);
 
   void set_schedules(const Schedules& schedules) { schedules_ = schedules; }
 
-  /// Follows the held state's columns.
-  void append(const QuantizedGaussians& appended);
-  void remove(std::span<const std::uint32_t> ascending);
+  /// Follows the held state's rows.
+  void resize(std::size_t rows);
+  /// Another Gaussian is in the row.
+  void begin(std::uint32_t row, const QuantizedGaussians& held);
+  void move(std::uint32_t from, std::uint32_t to);
 
-  /// `target_column[slot]` is the slot's column in `target`, or kNotHeld when the target has nothing usable for it.
-  /// `share[slot]` as picture_share. Stays near `budget_bytes` after compression, most picture for the byte first.
-  [[nodiscard]] std::vector<SelectedDelta> select(const QuantizedGaussians& held, const QuantizedGaussians& target,
-                                                  std::span<const std::uint32_t> target_column,
-                                                  std::span<const float> share, double budget_bytes);
+  /// `target_column[row]` is the row's column in `target`, or kNotHeld when nothing of it is to be sent.
+  /// `share[row]` as picture_share. Stays near `budget_bytes` after compression, most picture for the byte first.
+  [[nodiscard]] std::vector<SelectedRows> select(const QuantizedGaussians& held, const QuantizedGaussians& target,
+                                                 std::span<const std::uint32_t> target_column,
+                                                 std::span<const float> share, double budget_bytes);
+  [[nodiscard]] double bytes_per_entry(Attribute attribute) const;
+  /// Rows, in no order and some of them several times, of what the last select() left for later.
+  [[nodiscard]] const std::vector<std::uint32_t>& left_rows() const { return left_rows_; }
 
   /// What a packet of `count` entries came to, for the next estimate.
   void learn_cost(Attribute attribute, std::size_t count, std::size_t bytes);
 
   /// Entries above their dead zone that the last select() left for later.
-  [[nodiscard]] std::size_t pending() const { return pending_; }
+  [[nodiscard]] std::size_t pending() const { return left_rows_.size(); }
 
  private:
   struct Candidate {
-    float score;
-    std::uint32_t slot;
+    float score, steps;
+    std::uint32_t row;
     std::uint32_t attribute;  ///< index into the layout's attributes
   };
   void collect(std::uint32_t attribute, const QuantizedGaussians& held, const QuantizedGaussians& target,
@@ -74,12 +80,12 @@ class DeltaSelection {
   Schedules schedules_;
   std::uint32_t calm_ticks_;
   std::uint64_t tick_ = 0;
-  std::vector<std::vector<std::int32_t>> anchor_;  ///< [channels][slots] where the target rests
-  std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][slots] ticks of rest
+  std::vector<std::vector<std::int32_t>> anchor_;  ///< [channels][rows] where the target rests
+  std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][rows] ticks of rest
   std::vector<double> bytes_per_entry_;            ///< [attributes]
   std::vector<Candidate> candidates_;
-  std::vector<std::int32_t> largest_, sum_, drift_;  ///< [slots] scratch of collect()
-  std::size_t pending_ = 0;
+  std::vector<std::int32_t> largest_, sum_, drift_;  ///< [rows] scratch of collect()
+  std::vector<std::uint32_t> left_rows_;
 };
 
 }  // namespace splatbus::stream

@@ -13,25 +13,32 @@
 namespace splatbus::stream {
 
 // What a DisplayGaussians has to do to follow a Replica. Each holds its own values, so that it may be applied on
-// another thread, whatever has become of the replica.
+// another thread, whatever has become of the replica. Rows stay where they are: a page's Gaussians are in blocks of
+// kBlockRows rows, of which those in use are a block's first.
 
 /// No Gaussians and no lights besides the sun, of another layout.
 struct DisplayReset {
   StreamLayout layout;
 };
-struct DisplayAppend {
-  QuantizedGaussians gaussians;
+/// All values of these rows; there are as many rows as the largest needs.
+struct DisplayRows {
+  std::vector<std::uint32_t> rows;
+  QuantizedGaussians gaussians;  ///< a column a row
 };
 struct DisplayValues {
   Attribute attribute{};
-  std::vector<std::uint32_t> columns;
-  std::vector<std::int32_t> values;  ///< [channels][columns]
+  std::vector<std::uint32_t> rows;
+  std::vector<std::int32_t> values;  ///< [channels][rows]
 };
 struct DisplayObjects {
-  std::vector<std::uint32_t> columns, object_ids;
+  std::vector<std::uint32_t> rows, object_ids;
 };
-struct DisplayRemoval {
-  std::vector<std::uint32_t> ascending;
+/// How many rows of a block are Gaussians from now on.
+struct DisplayBlocks {
+  struct Block {
+    std::uint32_t block = 0, count = 0;
+  };
+  std::vector<Block> blocks;
 };
 /// Which lights there are besides the sun, by ascending id. New ones are seen by all; those that go are forgotten.
 struct DisplayLights {
@@ -40,16 +47,12 @@ struct DisplayLights {
 /// How much of a light is seen, of 255.
 struct DisplaySeen {
   std::uint32_t light_id = 0;  ///< 0: the sun, beside its DisplayValues, while there are others
-  std::vector<std::uint32_t> columns;
+  std::vector<std::uint32_t> rows;
   Bytes values;
 };
-/// Column i becomes what column order[i] was; a permutation of all columns.
-struct DisplayOrder {
-  std::vector<std::uint32_t> order;
-};
 
-using DisplayChange = std::variant<DisplayReset, DisplayAppend, DisplayValues, DisplayObjects, DisplayLights,
-                                   DisplaySeen, DisplayRemoval, DisplayOrder>;
+using DisplayChange =
+    std::variant<DisplayReset, DisplayRows, DisplayValues, DisplayObjects, DisplayBlocks, DisplayLights, DisplaySeen>;
 
 /// In the order in which they are to be applied.
 class DisplayChanges {
@@ -77,7 +80,7 @@ class DisplayChanges {
   std::size_t bytes_ = 0;
 };
 
-/// Of a DisplayAppend.
-[[nodiscard]] std::size_t display_bytes(const QuantizedGaussians& gaussians);
+/// Of DisplayRows.
+[[nodiscard]] std::size_t display_bytes(std::size_t channels, std::size_t rows);
 
 }  // namespace splatbus::stream

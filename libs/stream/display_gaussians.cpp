@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cassert>
-#include <numeric>
 
 #include "stream/channel_kernels.h"
+#include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 
@@ -30,10 +30,9 @@ DisplayGaussians::DisplayGaussians(const StreamLayout& layout, device::StreamVie
       object_id_(stream),
       seen_(stream),
       others_(stream),
-      moved_(stream),
-      moved_bytes_(stream),
-      moved_ids_(stream),
+      ids_(stream),
       columns_(stream),
+      bytes_(stream),
       values_(stream) {}
 
 int DisplayGaussians::row_of(Attribute attribute) const {
@@ -42,21 +41,22 @@ int DisplayGaussians::row_of(Attribute attribute) const {
   return attribute == Attribute::Visibility ? channels + 3 : parameter_channel(attribute);
 }
 
-void DisplayGaussians::reserve(std::size_t columns) {
-  if (columns <= stride_) return;
-  const std::size_t stride = std::max({columns, 2 * stride_, std::size_t{4096}});
-  device::Buffer<float> rows(stream_, static_cast<std::size_t>(row_count_) * stride);
+void DisplayGaussians::reserve(std::size_t rows) {
+  if (rows <= stride_) return;
+  std::size_t stride = std::max({rows, 2 * stride_, std::size_t{4096}});
+  stride = (stride + kPageLanes - 1) / kPageLanes * kPageLanes;
+  device::Buffer<float> values(stream_, static_cast<std::size_t>(row_count_) * stride);
   for (int r = 0; r < row_count_; ++r) {
-    device::copy(stream_, rows.data() + static_cast<std::size_t>(r) * stride, row(r), count_ * sizeof(float));
+    device::copy(stream_, values.data() + static_cast<std::size_t>(r) * stride, row(r), stride_ * sizeof(float));
   }
   device::Buffer<std::uint32_t> object_id(stream_, stride);
-  device::copy(stream_, object_id.data(), object_id_.data(), count_ * sizeof(std::uint32_t));
+  device::copy(stream_, object_id.data(), object_id_.data(), stride_ * sizeof(std::uint32_t));
   if (!lights_.empty()) {
     device::Buffer<std::uint8_t> seen(stream_);
     gather_lights(lights_, stride, seen);
     seen_ = std::move(seen);
   }
-  rows_ = std::move(rows);
+  rows_ = std::move(values);
   object_id_ = std::move(object_id);
   stride_ = stride;
 }
@@ -71,45 +71,55 @@ void DisplayGaussians::apply(const DisplayReset& change) {
   *this = DisplayGaussians(change.layout, stream_);
 }
 
-void DisplayGaussians::apply(const DisplayAppend& change) {
-  const std::size_t first = count_, added = change.gaussians.count();
-  reserve(first + added);
-  count_ = first + added;
-  std::vector<std::uint32_t> columns(added);
-  std::iota(columns.begin(), columns.end(), static_cast<std::uint32_t>(first));
-  apply(DisplayObjects{columns, change.gaussians.object_id});
+void DisplayGaussians::apply(const DisplayRows& change) {
+  if (change.rows.empty()) return;
+  reserve(std::size_t{1} + *std::ranges::max_element(change.rows));
+  apply(DisplayObjects{change.rows, change.gaussians.object_id});
   for (const AttributeChannels& a : layout_.attributes()) {
-    DisplayValues values{.attribute = a.attribute, .columns = columns, .values = {}};
+    DisplayValues values{.attribute = a.attribute, .rows = change.rows, .values = {}};
     for (int c = a.first; c < a.first + a.channels; ++c) {
       const std::vector<std::int32_t>& plane = change.gaussians.channels[c];
       values.values.insert(values.values.end(), plane.begin(), plane.end());
     }
     if (a.attribute == Attribute::Visibility && !lights_.empty()) {
-      apply(DisplaySeen{0, columns, Bytes(values.values.begin(), values.values.end())});
+      apply(DisplaySeen{0, change.rows, Bytes(values.values.begin(), values.values.end())});
     }
     apply(values);
   }
-  for (const std::uint32_t id : lights_) device::fill(stream_, seen_row(id) + first, kAll, added);
-  stream_.wait();
 }
 
 void DisplayGaussians::apply(const DisplayValues& change) {
   const AttributeChannels& a = layout_.at(change.attribute);
-  assert(change.values.size() == static_cast<std::size_t>(a.channels) * change.columns.size());
+  assert(change.values.size() == static_cast<std::size_t>(a.channels) * change.rows.size());
   kernels::dequantize({.offset = a.quantizer.offset,
                        .step = a.quantizer.step,
                        .kind = coding_of(change.attribute),
                        .channels = a.channels,
                        .row = row_of(change.attribute)},
-                      on_device(values_, change.values), on_device(columns_, change.columns),
-                      static_cast<std::uint32_t>(change.columns.size()), rows_.data(), stride_, stream_);
+                      on_device(values_, change.values), on_device(columns_, change.rows),
+                      static_cast<std::uint32_t>(change.rows.size()), rows_.data(), stride_, stream_);
   stream_.wait();
 }
 
 void DisplayGaussians::apply(const DisplayObjects& change) {
-  kernels::scatter(on_device(moved_ids_, change.object_ids), on_device(columns_, change.columns),
-                   static_cast<std::uint32_t>(change.columns.size()), object_id_.data(), stream_);
+  kernels::scatter(on_device(ids_, change.object_ids), on_device(columns_, change.rows),
+                   static_cast<std::uint32_t>(change.rows.size()), object_id_.data(), stream_);
   stream_.wait();
+}
+
+void DisplayGaussians::apply(const DisplayBlocks& change) {
+  for (const auto& [block, count] : change.blocks) {
+    if (block >= block_counts_.size()) block_counts_.resize(std::size_t{block} + 1);
+    reserve((std::size_t{block} + 1) * kBlockRows);
+    block_counts_[block] = count;
+  }
+  count_ = 0;
+  ranges_.clear();
+  for (std::uint32_t block = 0; block < block_counts_.size(); ++block) {
+    if (block_counts_[block] == 0) continue;
+    ranges_.push_back({.first = block * kBlockRows, .count = block_counts_[block]});
+    count_ += block_counts_[block];
+  }
 }
 
 std::uint8_t* DisplayGaussians::seen_row(std::uint32_t light_id) const {
@@ -124,10 +134,10 @@ void DisplayGaussians::gather_lights(const std::vector<std::uint32_t>& ids, std:
   to.resize((1 + ids.size()) * stride);
   if (to.empty()) return;
   device::fill(stream_, to.data(), kAll, to.bytes());
-  if (!lights_.empty()) device::copy(stream_, to.data(), seen_row(0), count_);
+  if (!lights_.empty()) device::copy(stream_, to.data(), seen_row(0), stride_);
   for (std::size_t k = 0; k < ids.size(); ++k) {
     if (!std::ranges::binary_search(lights_, ids[k])) continue;
-    device::copy(stream_, to.data() + (k + 1) * stride, seen_row(ids[k]), count_);
+    device::copy(stream_, to.data() + (k + 1) * stride, seen_row(ids[k]), stride_);
   }
 }
 
@@ -140,50 +150,19 @@ void DisplayGaussians::apply(const DisplayLights& change) {
 }
 
 void DisplayGaussians::apply(const DisplaySeen& change) {
-  kernels::scatter(on_device(moved_bytes_, change.values), on_device(columns_, change.columns),
-                   static_cast<std::uint32_t>(change.columns.size()), seen_row(change.light_id), stream_);
-  stream_.wait();
-}
-
-void DisplayGaussians::apply(const DisplayRemoval& change) {
-  const std::vector<std::uint32_t>& ascending = change.ascending;
-  if (ascending.empty()) return;
-  std::vector<std::uint32_t> order(count_ - ascending[0]);
-  std::iota(order.begin(), order.end(), ascending[0]);
-  std::vector<std::uint32_t> gone(ascending);
-  for (std::uint32_t& i : gone) i -= ascending[0];
-  remove_at(order, gone);
-  gather(order, ascending[0]);
-  count_ -= ascending.size();
-}
-
-void DisplayGaussians::gather(const std::vector<std::uint32_t>& order, std::size_t first) {
-  if (order.empty()) return;
-  const std::uint32_t* from = on_device(columns_, order);
-  const auto count = static_cast<std::uint32_t>(order.size());
-  moved_.resize(count);
-  moved_ids_.resize(count);
-  // Row by row, through one row's memory.
-  for (int r = 0; r < row_count_; ++r) {
-    kernels::gather(row(r), from, count, moved_.data(), stream_);
-    device::copy(stream_, row(r) + first, moved_.data(), moved_.bytes());
-  }
-  kernels::gather(object_id_.data(), from, count, moved_ids_.data(), stream_);
-  device::copy(stream_, object_id_.data() + first, moved_ids_.data(), moved_ids_.bytes());
-  moved_bytes_.resize(count);
-  for (std::size_t k = 0; !lights_.empty() && k <= lights_.size(); ++k) {
-    std::uint8_t* bytes = seen_.data() + k * stride_;
-    kernels::gather(bytes, from, count, moved_bytes_.data(), stream_);
-    device::copy(stream_, bytes + first, moved_bytes_.data(), moved_bytes_.bytes());
-  }
+  kernels::scatter(on_device(bytes_, change.values), on_device(columns_, change.rows),
+                   static_cast<std::uint32_t>(change.rows.size()), seen_row(change.light_id), stream_);
   stream_.wait();
 }
 
 GaussiansView DisplayGaussians::view() const {
   GaussiansView view;
   view.layout = layout_.parameters();
-  view.count = count_;
+  view.count = ranges_.empty() ? 0 : ranges_.back().first + ranges_.back().count;
   view.stride = stride_;
+  view.page_shift = kPageShift;
+  view.page_stride = kPageLanes;
+  view.ranges = ranges_;
   view.parameters = rows_.data();
   view.object_id = object_id_.data();
   if (view.layout.appearance == Appearance::Transfer && !rows_.empty()) {

@@ -9,8 +9,8 @@
 
 namespace splatbus::stream {
 
-/// The floats that a rasterizer reads, in the memory of a stream's device: only what changes goes there. Columns grow
-/// by doubling, so that a model which arrives chunk by chunk is not copied once a chunk. One thread, any. Each call has
+/// The floats that a rasterizer reads, in the memory of a stream's device: only what changes goes there. Rows grow
+/// by doubling, so that a model which arrives page by page is not copied once a page. One thread, any. Each call has
 /// been done when it returns. Throws std::runtime_error when the device fails.
 class DisplayGaussians {
  public:
@@ -20,8 +20,8 @@ class DisplayGaussians {
   void apply(const DisplayChanges& changes);
 
   [[nodiscard]] std::size_t count() const { return count_; }
-  /// Valid until the next change. gaussian_id, surface_point, flags and cell are null; without Transfer normal and
-  /// visibility too.
+  /// In ranges that lie in pages of one array, without bounds. Valid until the next change. gaussian_id, surface_point
+  /// and flags are null; without Transfer normal and visibility too.
   [[nodiscard]] GaussiansView view() const;
   /// The same under a light with these sources, by ascending id: rows of visibility_u8 in their order, one that is not
   /// known seen by all.
@@ -31,16 +31,13 @@ class DisplayGaussians {
   DisplayGaussians(const StreamLayout& layout, device::StreamView stream);
 
   void apply(const DisplayReset& change);
-  void apply(const DisplayAppend& change);
+  void apply(const DisplayRows& change);
   void apply(const DisplayValues& change);
   void apply(const DisplayObjects& change);
+  void apply(const DisplayBlocks& change);
   void apply(const DisplayLights& change);
   void apply(const DisplaySeen& change);
-  void apply(const DisplayRemoval& change);
-  void apply(const DisplayOrder& change) { gather(change.order, 0); }
-  void reserve(std::size_t columns);
-  /// Columns from `first` on become order's, of which there may be fewer.
-  void gather(const std::vector<std::uint32_t>& order, std::size_t first);
+  void reserve(std::size_t rows);
   [[nodiscard]] int row_of(Attribute attribute) const;
   /// Rows for `ids` in `to`, [1 + ids][stride], from what is seen now.
   void gather_lights(const std::vector<std::uint32_t>& ids, std::size_t stride, device::Buffer<std::uint8_t>& to);
@@ -51,14 +48,15 @@ class DisplayGaussians {
   device::StreamView stream_;
   int row_count_;
   std::size_t count_ = 0, stride_ = 0;
+  std::vector<std::uint32_t> block_counts_;
+  std::vector<IndexRange> ranges_;           ///< of the blocks with Gaussians
   device::Buffer<float> rows_;               ///< [row_count_][stride_]: parameters, normal, visibility
   device::Buffer<std::uint32_t> object_id_;  ///< [stride_]
   std::vector<std::uint32_t> lights_;
   device::Buffer<std::uint8_t> seen_;    ///< [1 + lights][stride_], the sun's first; empty without lights
   device::Buffer<std::uint8_t> others_;  ///< the same in the order of other lights
-  device::Buffer<float> moved_;
-  device::Buffer<std::uint8_t> moved_bytes_;
-  device::Buffer<std::uint32_t> moved_ids_, columns_;
+  device::Buffer<std::uint32_t> ids_, columns_;
+  device::Buffer<std::uint8_t> bytes_;
   device::Buffer<std::int32_t> values_;
 };
 

@@ -11,9 +11,9 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr std::int64_t kAskAgainNs = 250'000'000;
-constexpr std::int64_t kMinSnapshotWaitNs = 2'000'000'000, kMaxSnapshotWaitNs = 64'000'000'000;
-constexpr std::int64_t kSnapshotStalledNs = 3'000'000'000;
+constexpr std::int64_t kHeldEveryNs = 250'000'000, kUrgentNs = 50'000'000;
+constexpr std::size_t kMaxHelloPages = 6000;  // of a message that may have 64 KiB
+constexpr std::size_t kMaxHeldItems = 1000;
 constexpr std::int64_t kRests = 10;
 constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;
 
@@ -28,7 +28,7 @@ Follower::Follower(FollowerOptions options, std::int64_t now_ns)
       writer_(options_.name, std::max<std::uint64_t>(1, static_cast<std::uint64_t>(now_ns))),
       replica_(options_.max_gaussians),
       heard_ns_(now_ns),
-      progress_ns_(now_ns) {}
+      said_ns_(now_ns) {}
 
 bool Follower::receive(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload,
                        std::int64_t now_ns) {
@@ -47,7 +47,7 @@ bool Follower::take(const ParsedPacket& packet, std::int64_t now_ns) {
     case wire::Body::Welcome:
       // One that asks is followed by a Hello when maintain() next runs, but not once for each that comes.
       welcomed_ = !packet.root().body_as_Welcome()->asks();
-      return false;
+      return replica_.receive(packet);
     case wire::Body::ProbePicture:
       take_probe_picture(packet);
       return false;
@@ -56,18 +56,13 @@ bool Follower::take(const ParsedPacket& packet, std::int64_t now_ns) {
       notice_ = fmt::format("the streamer says: {}", reason ? reason->string_view() : "");
       return false;
     }
-    case wire::Body::Snapshot:
-    case wire::Body::SnapshotBegin:
-    case wire::Body::GaussianOrder:
-      progress_ns_ = now_ns;
-      break;
     default:
       break;
   }
   const std::uint64_t version = replica_.scene_version();
   const bool changed = replica_.receive(packet);
   if (const std::int64_t captured_ns = replica_.scene_instant().capture_ns;
-      packet.sequence() != 0 && replica_.scene_version() != version && captured_ns != 0) {
+      version != 0 && replica_.scene_version() != version && captured_ns != 0) {
     scene_delays_.add(static_cast<double>(now_ns - captured_ns) / 1e6);
   }
   return changed;
@@ -122,12 +117,15 @@ void Follower::restart() {
 
 void Follower::hello(std::int64_t now_ns) {
   hello_ns_ = now_ns;
-  const ReplicatedState* held = replica_.held();
-  const bool follows = held && !replica_.loading() && !replica_.needs_snapshot();
+  std::vector<wire::PageVersion> held;
+  for (const auto& [page, version] : replica_.held_pages()) {
+    if (held.size() < kMaxHelloPages) held.emplace_back(page, version);
+  }
   say(wire::Body::Hello, [&](auto& builder) {
     const wire::Camera camera = camera_ ? to_wire(*camera_) : wire::Camera();
     return wire::CreateHelloDirect(builder, options_.name.c_str(), camera_ ? &camera : nullptr, options_.probes,
-                                   follows ? held->sequence : 0);
+                                   static_cast<std::uint32_t>(options_.max_gaussians), &held,
+                                   replica_.visibility_version(), replica_.scene_version());
   });
 }
 
@@ -150,31 +148,32 @@ void Follower::maintain(std::int64_t now_ns) {
     return;
   }
   pose(now_ns);
-  if (const bool stalled = replica_.loading() && now_ns - progress_ns_ > kSnapshotStalledNs;
-      stalled || replica_.needs_snapshot()) {
-    ask_for_snapshot(now_ns, stalled ? "chunks are missing" : replica_.refusal());
-    return;
-  }
-  if (!replica_.loading()) {
-    next_snapshot_ns_.reset();
-    snapshot_wait_ns_ = 0;
-  }
-  if (!is_due(asked_ns_, kAskAgainNs, now_ns)) return;
-  if (const auto missing = replica_.missing()) {
-    asked_ns_ = now_ns;
-    ++resends_;
-    say(wire::Body::Resend, [&](auto& builder) { return wire::CreateResend(builder, missing->first, missing->last); });
-  }
+  const std::int64_t every_ns = replica_.report().urgent() ? kUrgentNs : kHeldEveryNs;
+  if (now_ns - said_ns_ >= every_ns && received_bytes_ != said_bytes_) say_held(now_ns);
 }
 
-// Snapshots are dear, and one that was refused will mostly be refused again: ever more seldom, until one is held.
-void Follower::ask_for_snapshot(std::int64_t now_ns, const std::string& reason) {
-  if (next_snapshot_ns_ && now_ns < *next_snapshot_ns_) return;
-  snapshot_wait_ns_ = std::clamp(2 * snapshot_wait_ns_, kMinSnapshotWaitNs, kMaxSnapshotWaitNs);
-  next_snapshot_ns_ = now_ns + snapshot_wait_ns_;
-  progress_ns_ = now_ns;
-  ++snapshot_requests_;
-  say(wire::Body::NeedSnapshot, [&](auto& builder) { return wire::CreateNeedSnapshotDirect(builder, reason.c_str()); });
+void Follower::say_held(std::int64_t now_ns) {
+  const Replica::Report& report = replica_.report();
+  std::vector<wire::SequenceRange> missing;
+  std::vector<wire::PageVersion> lacks;
+  for (const auto& [first, last] : report.missing) {
+    lost_ += last - first + 1;
+    if (missing.size() < kMaxHeldItems) missing.emplace_back(first, last);
+  }
+  for (const auto& [page, version] : report.lacks) {
+    if (lacks.size() < kMaxHeldItems) lacks.emplace_back(page, version);
+  }
+  std::vector<std::uint32_t> dropped = report.dropped;
+  if (dropped.size() > kMaxHeldItems) dropped.resize(kMaxHeldItems);
+  lacked_ += lacks.size();
+  say(wire::Body::Held, [&](auto& builder) {
+    return wire::CreateHeldDirect(builder, report.newest, &missing, received_bytes_ - said_bytes_,
+                                  static_cast<std::uint32_t>((now_ns - said_ns_) / 1000), &lacks, &dropped,
+                                  report.scene_lost, static_cast<std::uint32_t>(replica_.count()));
+  });
+  replica_.clear_report();
+  said_ns_ = now_ns;
+  said_bytes_ = received_bytes_;
 }
 
 }  // namespace splatbus::stream

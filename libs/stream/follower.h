@@ -34,9 +34,9 @@ struct ProbeAnswer {
   std::vector<std::uint8_t> rgba;  ///< [height][width][4]
 };
 
-/// A viewer's part in the stream's protocol, without a transport and without a clock: keeps a replica, asks again for
-/// what is missing, says where its camera is, and greets a streamer that came back. What is held stays whatever happens
-/// to the streamer. Times are of any steady clock, nanoseconds. One thread.
+/// A viewer's part in the stream's protocol, without a transport and without a clock: keeps a replica, says what of it
+/// is missing and where its camera is, and greets a streamer that came back. What is held stays whatever happens to the
+/// streamer. Times are of any steady clock, nanoseconds. One thread.
 class Follower {
  public:
   explicit Follower(FollowerOptions options, std::int64_t now_ns);
@@ -74,9 +74,9 @@ class Follower {
   [[nodiscard]] bool connected() const { return welcomed_; }
   [[nodiscard]] std::uint64_t received_bytes() const { return received_bytes_; }
   [[nodiscard]] std::uint64_t refused() const { return refused_; }  ///< packets that were wrong
-  [[nodiscard]] std::uint64_t resends() const { return resends_; }
-  [[nodiscard]] std::uint64_t snapshot_requests() const { return snapshot_requests_; }
-  /// From header.capture_ns to receive(), of the scenes that were broadcast and carry one. Means something on the
+  [[nodiscard]] std::uint64_t lost() const { return lost_; }        ///< packets that did not come
+  [[nodiscard]] std::uint64_t lacked() const { return lacked_; }    ///< pages that were asked for again
+  /// From header.capture_ns to receive(), of the scenes that carry one and follow another. Means something on the
   /// engine's machine only, with CLOCK_MONOTONIC as clock.
   [[nodiscard]] const SceneDelays& scene_delays() const { return scene_delays_; }
 
@@ -93,7 +93,7 @@ class Follower {
   void maintain(std::int64_t now_ns);
   void hello(std::int64_t now_ns);
   void pose(std::int64_t now_ns);
-  void ask_for_snapshot(std::int64_t now_ns, const std::string& reason);
+  void say_held(std::int64_t now_ns);
 
   FollowerOptions options_;
   PacketWriter writer_;
@@ -106,11 +106,10 @@ class Follower {
   std::optional<std::string> notice_;
 
   bool welcomed_ = false, pose_is_new_ = false;
-  std::optional<std::int64_t> hello_ns_, posed_ns_, asked_ns_;
-  std::int64_t heard_ns_, progress_ns_;
-  std::optional<std::int64_t> next_snapshot_ns_;
-  std::int64_t snapshot_wait_ns_ = 0;
-  std::uint64_t received_bytes_ = 0, refused_ = 0, resends_ = 0, snapshot_requests_ = 0;
+  std::optional<std::int64_t> hello_ns_, posed_ns_;
+  std::int64_t heard_ns_, said_ns_;
+  std::uint64_t said_bytes_ = 0;  ///< received when it was last said what is held
+  std::uint64_t received_bytes_ = 0, refused_ = 0, lost_ = 0, lacked_ = 0;
 };
 
 }  // namespace splatbus::stream

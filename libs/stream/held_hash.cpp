@@ -9,11 +9,6 @@ namespace {
 class Hash {
  public:
   void add(std::uint64_t value) { value_ = (value_ ^ value) * 0x100000001B3ULL; }
-  template <class Values>
-  void add_all(const Values& values) {
-    add(values.size());
-    for (const auto value : values) add(static_cast<std::uint64_t>(value));
-  }
   [[nodiscard]] std::uint64_t value() const { return value_; }
 
  private:
@@ -25,17 +20,24 @@ class Hash {
 std::uint64_t held_hash(const ReplicatedState& state) {
   Hash hash;
   hash.add(state.epoch);
-  hash.add(state.sequence);
   hash.add(state.visibility_version);
-  for (const auto& plane : state.gaussians.channels) hash.add_all(plane);
-  hash.add_all(state.gaussians.object_id);
-  hash.add_all(state.gaussians.gaussian_id);
-  for (const auto& [id, row] : state.light_rows.all()) {
-    hash.add(id);
-    hash.add_all(row);
+  for (const auto& entry : state.pages) {
+    const HeldPage& page = entry.second;
+    for (const std::uint32_t value : {entry.first, page.version, page.structure, page.count, page.missing}) hash.add(value);
+    const auto add_lanes = [&](const auto& values) {
+      for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+        if ((page.missing >> (lane / kBlockRows) & 1U) == 0) {
+          hash.add(static_cast<std::uint64_t>(values[page.row(lane)]));
+        }
+      }
+    };
+    for (const auto& plane : state.gaussians.channels) add_lanes(plane);
+    add_lanes(state.gaussians.object_id);
+    add_lanes(state.gaussians.gaussian_id);
+    for (const auto& [id, row] : state.light_rows.all()) add_lanes(row);
   }
   hash.add(state.quantized_scene.version);
-  hash.add_all(encode_scene(state.quantized_scene, nullptr));
+  for (const std::uint8_t byte : encode_scene(state.quantized_scene, nullptr)) hash.add(byte);
   return hash.value();
 }
 

@@ -62,9 +62,9 @@ const AttributeChannels& StreamLayout::at(Attribute attribute) const {
   return *found;
 }
 
-StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
+StreamLayout StreamLayout::from_wire(const wire::Layout& wired) {
   ParameterLayout parameters;
-  switch (begin.appearance()) {
+  switch (wired.appearance()) {
     case wire::Appearance::Transfer:
       parameters.appearance = Appearance::Transfer;
       break;
@@ -72,30 +72,34 @@ StreamLayout StreamLayout::from_wire(const wire::SnapshotBegin& begin) {
       parameters.appearance = Appearance::Radiance;
       break;
     default:
-      throw StreamError(fmt::format("SnapshotBegin: unknown appearance {}", static_cast<int>(begin.appearance())));
+      throw StreamError(fmt::format("Layout: unknown appearance {}", static_cast<int>(wired.appearance())));
   }
   if (parameters.appearance == Appearance::Radiance) {
-    if (begin.sh_degree() > 3) throw StreamError(fmt::format("SnapshotBegin: sh_degree {} above 3", begin.sh_degree()));
-    parameters.sh_degree = begin.sh_degree();
+    if (wired.sh_degree() > 3) throw StreamError(fmt::format("Layout: sh_degree {} above 3", wired.sh_degree()));
+    parameters.sh_degree = wired.sh_degree();
+  }
+  if (wired.page_lanes() != kPageLanes) {
+    throw StreamError(
+        fmt::format("Layout: pages of {} Gaussians; this build reads {}", wired.page_lanes(), kPageLanes));
   }
   StreamLayout layout(parameters, 1.0F);
-  if (begin.attributes()->size() != layout.attributes_.size()) {
-    throw StreamError(fmt::format("SnapshotBegin: {} attributes where the layout has {}", begin.attributes()->size(),
+  if (wired.attributes()->size() != layout.attributes_.size()) {
+    throw StreamError(fmt::format("Layout: {} attributes where the layout has {}", wired.attributes()->size(),
                                   layout.attributes_.size()));
   }
   for (std::size_t i = 0; i < layout.attributes_.size(); ++i) {
     AttributeChannels& expected = layout.attributes_[i];
-    const wire::TensorMetadata& said = *begin.attributes()->Get(static_cast<flatbuffers::uoffset_t>(i));
+    const wire::TensorMetadata& said = *wired.attributes()->Get(static_cast<flatbuffers::uoffset_t>(i));
     const wire::Quantizer* quantizer = said.quantizer();
     if (said.attribute() != expected.attribute || said.channels() != static_cast<std::uint32_t>(expected.channels) ||
         !quantizer) {
-      throw StreamError(fmt::format("SnapshotBegin: attribute {} is not {} with {} channels", i,
+      throw StreamError(fmt::format("Layout: attribute {} is not {} with {} channels", i,
                                     wire::EnumNameAttribute(expected.attribute), expected.channels));
     }
     const Quantizer q{quantizer->offset(), quantizer->step()};
     if (!std::isfinite(q.offset) || !std::isfinite(q.step) || std::abs(q.offset) > 1e6F || q.step < 1e-9F ||
         q.step > 1e3F) {
-      throw StreamError(fmt::format("SnapshotBegin: quantizer of {} makes no sense (offset {}, step {})",
+      throw StreamError(fmt::format("Layout: quantizer of {} makes no sense (offset {}, step {})",
                                     wire::EnumNameAttribute(expected.attribute), q.offset, q.step));
     }
     expected.quantizer = q;

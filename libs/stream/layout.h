@@ -14,8 +14,10 @@ using wire::Attribute;
 
 // What no packet may exceed; checked before anything is allocated.
 inline constexpr std::size_t kMaxGaussians = std::size_t{1} << 22;       ///< that a streamer serves and a viewer takes
-inline constexpr std::size_t kMaxChunkGaussians = std::size_t{1} << 16;  ///< in one Snapshot
-inline constexpr std::size_t kMaxDeltaGaussians = std::size_t{1} << 20;  ///< in one TensorDelta
+inline constexpr std::size_t kMaxChunkGaussians = std::size_t{1} << 16;  ///< in one Draco point cloud
+inline constexpr std::size_t kMaxDeltaGaussians = std::size_t{1} << 20;  ///< lanes of all pages of one packet
+inline constexpr std::size_t kMaxDeltaPages = 4096;                      ///< in one PageDelta or LightVisibility
+inline constexpr std::size_t kMaxPageNumber = std::size_t{1} << 20;      ///< pages are below it
 inline constexpr std::size_t kMaxObjects = 32768 + 1;                    ///< as an engine shows, and the far field
 inline constexpr std::size_t kMaxPacketBytes = std::size_t{1} << 20;     ///< the FlatBuffer
 inline constexpr std::size_t kMaxPayloadBytes = std::size_t{1} << 28;    ///< the payload frame
@@ -53,8 +55,8 @@ class StreamLayout {
   /// The streamer's choice. `mean_step_m`: see ModelQuantizer::choose_mean_step.
   StreamLayout(const ParameterLayout& parameters, float mean_step_m);
 
-  /// As a SnapshotBegin says. Throws StreamError.
-  static StreamLayout from_wire(const wire::SnapshotBegin& begin);
+  /// As a Layout says. Throws StreamError.
+  static StreamLayout from_wire(const wire::Layout& wired);
 
   /// With the default sh_degree where the appearance has none.
   [[nodiscard]] const ParameterLayout& parameters() const { return parameters_; }

@@ -25,12 +25,16 @@ bool LightRows::set_lights(std::span<const std::uint32_t> ids, std::size_t slots
   return true;
 }
 
-void LightRows::append(std::size_t slots) {
-  for (auto& [id, row] : rows_) row.resize(row.size() + slots, kAll);
+void LightRows::resize(std::size_t slots) {
+  for (auto& [id, row] : rows_) row.resize(slots, kAll);
 }
 
-void LightRows::remove(std::span<const std::uint32_t> ascending) {
-  for (auto& [id, row] : rows_) remove_at(row, ascending);
+void LightRows::move(std::size_t from, std::size_t to) {
+  for (auto& [id, row] : rows_) row[to] = row[from];
+}
+
+void LightRows::forget(std::size_t slot) {
+  for (auto& [id, row] : rows_) row[slot] = kAll;
 }
 
 Bytes* LightRows::find(std::uint32_t id) {

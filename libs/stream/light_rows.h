@@ -10,14 +10,16 @@
 
 namespace splatbus::stream {
 
-/// How much Gaussians see of each light besides the sun: a byte a slot, 255 sees all of it, and so does a slot that
+/// How much Gaussians see of each light besides the sun: a byte a row, 255 sees all of it, and so does a row that
 /// nothing has been said of.
 class LightRows {
  public:
   /// Those of lights that are not among `ids`, which ascend, are dropped. True when they were others.
   bool set_lights(std::span<const std::uint32_t> ids, std::size_t slots);
-  void append(std::size_t slots);
-  void remove(std::span<const std::uint32_t> ascending);
+  void resize(std::size_t slots);
+  void move(std::size_t from, std::size_t to);
+  /// Nothing has been said of it.
+  void forget(std::size_t slot);
 
   /// Null for a light that is not there.
   [[nodiscard]] Bytes* find(std::uint32_t id);

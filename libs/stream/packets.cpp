@@ -12,7 +12,7 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr const char* kSchema = "Packet/3";
+constexpr const char* kSchema = "Packet/4";
 
 std::int64_t now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
@@ -29,7 +29,9 @@ EncodedPacket PacketWriter::finish(flatbuffers::FlatBufferBuilder& builder, std:
   wire::HeaderBuilder header(builder);
   header.add_schema(schema);
   header.add_source(source);
+  builder.ForceDefaults(true);  // it is written when the packet is sent
   header.add_sequence(sequence);
+  builder.ForceDefaults(false);
   header.add_epoch(epoch_);
   header.add_capture_ns(capture_ns);
   if (epoch_ != 0) header.add_publish_ns(now_ns());
@@ -37,6 +39,17 @@ EncodedPacket PacketWriter::finish(flatbuffers::FlatBufferBuilder& builder, std:
   builder.Finish(wire::CreatePacket(builder, header_offset, stream_epoch, body, content));
   return {
       body, sequence, {builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize()}, std::move(payload)};
+}
+
+std::size_t sequence_offset(std::span<const std::uint8_t> packet) {
+  const wire::Header* header = flatbuffers::GetRoot<wire::Packet>(packet.data())->header();
+  return static_cast<std::size_t>(
+      reinterpret_cast<const flatbuffers::Table*>(header)->GetAddressOf(wire::Header::VT_SEQUENCE) - packet.data());
+}
+
+void set_sequence(EncodedPacket& packet, std::uint64_t sequence) {
+  packet.sequence = sequence;
+  flatbuffers::WriteScalar(packet.packet.data() + sequence_offset(packet.packet), sequence);
 }
 
 ParsedPacket ParsedPacket::parse(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload) {

@@ -16,11 +16,16 @@ namespace splatbus::stream {
 /// One message as it travels: the Packet's FlatBuffer, and the payload frame (empty: none is sent).
 struct EncodedPacket {
   wire::Body body{};
-  std::uint64_t sequence = 0;  ///< 0: unicast
+  std::uint64_t sequence = 0;  ///< 0: not numbered (yet)
   Bytes packet, payload;
 
   [[nodiscard]] std::size_t bytes() const { return packet.size() + payload.size(); }
 };
+
+/// Numbers a packet that PacketWriter has written: what several viewers are sent is encoded once.
+void set_sequence(EncodedPacket& packet, std::uint64_t sequence);
+/// Where the number is in such a packet, 8 bytes, lowest first.
+[[nodiscard]] std::size_t sequence_offset(std::span<const std::uint8_t> packet);
 
 /// Writes Packets of one source.
 class PacketWriter {
@@ -53,7 +58,7 @@ class PacketWriter {
 class ParsedPacket {
  public:
   /// Copies both (they may be unaligned in a message's memory). Throws StreamError when a size is above its limit, the
-  /// buffer does not verify, or its schema is not Packet/3.
+  /// buffer does not verify, or its schema is not Packet/4.
   static ParsedPacket parse(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload);
 
   [[nodiscard]] const wire::Packet& root() const { return *root_; }

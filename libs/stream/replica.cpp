@@ -3,281 +3,214 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cassert>
 #include <numeric>
 #include <utility>
 
 #include "stream/bytes.h"
-#include "stream/codecs.h"
 
 namespace splatbus::stream {
 
 namespace {
 
-constexpr std::size_t kMaxEarlyBytes = std::size_t{1} << 25;
-constexpr std::size_t kMaxEarlyPackets = 4096;
 constexpr std::size_t kMinChanges = std::size_t{1} << 20;  // bytes; below that a whole is not worth its while
+constexpr std::size_t kMaxReported = 4096;
+constexpr std::size_t kMaxManifest = std::size_t{1} << 18;  // pages
+constexpr double kEnoughOfBefore = 0.9;
 
-const ReplicatedState& nothing() {
-  static const ReplicatedState state;
-  return state;
-}
-
-bool is_numbered_content(wire::Body body) {
-  switch (body) {
-    case wire::Body::Snapshot:
-    case wire::Body::TensorDelta:
-    case wire::Body::Remove:
-    case wire::Body::GaussianOrder:
-    case wire::Body::ObjectIds:
-    case wire::Body::Scene:
-    case wire::Body::LightVisibility:
-      return true;
-    default:
-      return false;
+/// The rows of all blocks that are shown.
+std::vector<std::uint32_t> shown_rows(const ReplicatedState& state) {
+  std::vector<std::uint32_t> rows;
+  for (const auto& [number, page] : state.pages) {
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) {
+      for (std::uint32_t i = 0; i < page.shown[k]; ++i) rows.push_back(page.blocks[k] * kBlockRows + i);
+    }
   }
+  return rows;
 }
 
-std::vector<std::uint32_t> all_slots(const ReplicatedState& state) {
-  std::vector<std::uint32_t> slots(state.gaussians.count());
-  std::iota(slots.begin(), slots.end(), 0U);
-  return slots;
+Bytes values_of(const Bytes& row, const std::vector<std::uint32_t>& rows) {
+  Bytes values;
+  values.reserve(rows.size());
+  for (const std::uint32_t r : rows) values.push_back(row[r]);
+  return values;
 }
 
-DisplaySeen seen_of_sun(const ReplicatedState& state) {
-  DisplaySeen seen{.light_id = 0, .columns = {}, .values = {}};
+Bytes sun_of(const ReplicatedState& state, const std::vector<std::uint32_t>& rows) {
+  Bytes values;
   if (const AttributeChannels* a = state.layout.find(Attribute::Visibility)) {
     const std::vector<std::int32_t>& plane = state.gaussians.channels[a->first];
-    seen.columns = all_slots(state);
-    seen.values.assign(plane.begin(), plane.end());
+    for (const std::uint32_t row : rows) values.push_back(static_cast<std::uint8_t>(plane[row]));
   }
-  return seen;
+  return values;
 }
 
 }  // namespace
 
 bool Replica::receive(const ParsedPacket& packet) {
-  if (packet.body() == wire::Body::SnapshotBegin) {
-    begin(*packet.root().body_as_SnapshotBegin(), packet.stream_epoch());
+  if (packet.body() == wire::Body::Welcome) {
+    welcome(*packet.root().body_as_Welcome());
+    return false;
+  }
+  number(packet);
+  if (packet.body() == wire::Body::Layout) {
+    begin(*packet.root().body_as_Layout(), packet.stream_epoch());
     return false;
   }
   if (packet.stream_epoch() != epoch() || epoch() == 0) return false;
-  if (packet.body() == wire::Body::Keepalive) {
-    last_known_ = std::max(last_known_, packet.root().body_as_Keepalive()->last_sequence());
-    return false;
-  }
-  if (!is_numbered_content(packet.body())) return false;
-  if (packet.sequence() == 0) return load(packet);
-  if (needs_snapshot() || packet.sequence() <= base()) return false;
-  last_known_ = std::max(last_known_, packet.sequence());
-  if (loading() || packet.sequence() != base() + 1) {
-    keep(packet);
-    return false;
-  }
-  const bool changed = apply_in_order(packet);
-  return drain() || changed;
-}
-
-void Replica::begin(const wire::SnapshotBegin& body, std::uint64_t epoch) {
-  if (epoch == 0) throw StreamError("SnapshotBegin: no stream epoch");
-  if (body.total() > max_gaussians_ || body.chunk_count() > body.total() ||
-      (body.total() > 0 && body.chunk_count() == 0)) {
-    refuse_snapshot(fmt::format("SnapshotBegin: {} Gaussians in {} chunks, at most {} Gaussians are accepted",
-                                body.total(), body.chunk_count(), max_gaussians_));
-  }
-  const StreamLayout layout = layout_of(body);
-  Loading loading;
-  loading.snapshot = body.snapshot();
-  loading.total = body.total();
-  loading.chunk_count = body.chunk_count();
-  loading.light_rows = body.light_rows();
-  ReplicatedState& state = loading.state;
-  state.layout = layout;
-  state.gaussians = QuantizedGaussians(state.layout);
-  state.epoch = epoch;
-  state.sequence = body.as_of();
-  state.visibility_version = body.visibility_version();
-  if (const ReplicatedState* before = shown()) {  // until the snapshot's own arrives
-    state.light_rows.set_lights(before->light_rows.ids(), 0);
-    state.quantized_scene = before->quantized_scene;
-    state.scene = before->scene;
-    state.instant = before->instant;
-  }
-  if (epoch != this->epoch()) {
-    last_known_ = 0;
-    early_.clear();
-    early_bytes_ = 0;
-  }
-  last_known_ = std::max(last_known_, body.as_of());
-  loading_ = std::move(loading);
-  refusal_.clear();
-  if (shown() == &loading_->state) show_whole();
-  if (loading_->total == 0) finish_loading();
-}
-
-bool Replica::load(const ParsedPacket& packet) {
   switch (packet.body()) {
-    case wire::Body::Snapshot:
-      return load_chunk(packet);
-    case wire::Body::GaussianOrder:
-      return load_ids(packet);
+    case wire::Body::Manifest:
+      take_manifest(*packet.root().body_as_Manifest());
+      return false;
+    case wire::Body::Page:
+    case wire::Body::PageDelta:
+    case wire::Body::PagesGone:
     case wire::Body::LightVisibility:
-      return load_light_row(packet);
     case wire::Body::Scene:
-      if (loading_) return apply_to(loading_->state, packet) && shown() == &loading_->state;
-      return held_ && apply_to(*held_, packet);
+      return take(packet);
     default:
-      throw StreamError(fmt::format("{}: is no part of a snapshot", wire::EnumNameBody(packet.body())));
+      return false;
   }
 }
 
-bool Replica::load_chunk(const ParsedPacket& packet) {
-  const wire::Snapshot& body = *packet.root().body_as_Snapshot();
-  if (!loading_ || body.snapshot() != loading_->snapshot || loading_->chunks.contains(body.first_slot())) return false;
-  if (body.first_slot() > loading_->total || body.count() > loading_->total - body.first_slot()) {
-    throw StreamError(fmt::format("Snapshot: slots {} to {} of {}", body.first_slot(),
-                                  std::uint64_t{body.first_slot()} + body.count(), loading_->total));
+void Replica::welcome(const wire::Welcome& body) {
+  if (body.asks() || body.connection() == connection_) return;
+  connection_ = body.connection();
+  report_ = {};
+}
+
+void Replica::number(const ParsedPacket& packet) {
+  const std::uint64_t sequence = packet.sequence();
+  if (sequence <= report_.newest) return;
+  if (sequence > report_.newest + 1 && report_.missing.size() < kMaxReported) {
+    report_.missing.push_back({report_.newest + 1, sequence - 1});
   }
-  ReplicatedState& part = loading_->state;
-  const std::size_t column = part.gaussians.count();
-  if (column + body.count() > loading_->total) refuse_snapshot("Snapshot: chunks overlap");
-  QuantizedGaussians chunk = decode_chunk(packet.payload(), part.layout, body.count());
-  part.gaussians.append(chunk);
-  part.light_rows.append(chunk.count());
-  if (shown() == &part) {
-    if (observer_) {
-      Change appended{.kind = Change::Kind::Appended, .slots = std::vector<std::uint32_t>(chunk.count())};
-      std::iota(appended.slots.begin(), appended.slots.end(), static_cast<std::uint32_t>(column));
-      note(part, appended);
-    } else {
-      note(DisplayAppend{std::move(chunk)});
-    }
-  }
-  loading_->chunks.emplace(body.first_slot(), Chunk{column, body.count()});
-  const bool visible = shown() == &part;
-  if (part.gaussians.count() < loading_->total) return visible;
-  finish_loading();
-  return true;
+  report_.newest = sequence;
 }
 
-// What was broadcast since waits for the last of them: a Remove before would move the slots that they name.
-bool Replica::load_ids(const ParsedPacket& packet) {
-  if (loading_ || missing_ids_ == 0) return false;
-  const wire::GaussianOrder& body = *packet.root().body_as_GaussianOrder();
-  const std::size_t next = held_->gaussians.count() - missing_ids_;
-  if (body.first_slot() != next) {
-    throw StreamError(fmt::format("GaussianOrder: ids from slot {} on where {} is next", body.first_slot(), next));
-  }
-  const bool changed = apply_to(*held_, packet);
-  missing_ids_ -= body.count();
-  return drain() || changed;
+void Replica::clear_report() {
+  report_ = {.newest = report_.newest, .missing = {}, .lacks = {}, .dropped = {}, .scene_lost = false};
 }
 
-bool Replica::load_light_row(const ParsedPacket& packet) {
-  if (loading_ || missing_rows_ == 0) return false;
-  const bool changed = apply_to(*held_, packet);
-  --missing_rows_;
-  return drain() || changed;
+void Replica::lack(std::uint32_t page) {
+  if (report_.lacks.size() >= kMaxReported) return;
+  const auto same = [&](const PageVersion& lacked) { return lacked.page == page; };
+  if (std::any_of(report_.lacks.begin(), report_.lacks.end(), same)) return;
+  const HeldPage* held = held_->find(page);
+  report_.lacks.push_back({page, held && held->whole() ? held->version : 0});
 }
 
-void Replica::refuse_snapshot(const std::string& why) {
-  const bool was_shown = loading_ && shown() == &loading_->state;
-  loading_.reset();
-  if (was_shown) show_whole();
-  refusal_ = why;
-  throw StreamError(why);
-}
-
-StreamLayout Replica::layout_of(const wire::SnapshotBegin& body) {
-  try {
-    return StreamLayout::from_wire(body);
-  } catch (const StreamError& error) {
-    refuse_snapshot(error.what());
-  }
-}
-
-void Replica::finish_loading() {
-  Loading& loading = *loading_;
-  std::vector<std::uint32_t> order;
-  order.reserve(loading.total);
-  for (const auto& [first, chunk] : loading.chunks) {
-    if (first != order.size()) refuse_snapshot("Snapshot: chunks overlap");
-    for (std::size_t i = 0; i < chunk.count; ++i) order.push_back(static_cast<std::uint32_t>(chunk.column + i));
-  }
-  assert(order.size() == loading.total);  // the counts add up to it
-  const bool was_shown = shown() == &loading.state;
-  held_ = std::make_unique<ReplicatedState>(std::move(loading.state));
-  held_->gaussians = held_->gaussians.gather(order);
-  missing_ids_ = loading.total;
-  missing_rows_ = loading.light_rows;
-  loading_.reset();
-  if (!was_shown) {
-    show_whole();
-  } else if (observer_) {
-    observer_->on_order(order);
-  } else {
-    note(DisplayOrder{std::move(order)});
-  }
-}
-
-bool Replica::apply_to(ReplicatedState& state, const ParsedPacket& packet) {
-  const Change change = apply(state, packet, max_gaussians_);
-  if (shown() == &state) note(state, change);
-  return change.kind != Change::Kind::Nothing;
-}
-
-void Replica::note(const ReplicatedState& state, const Change& change) {
-  if (observer_) {
-    if (change.kind != Change::Kind::Nothing) observer_->on_change(state, change);
+void Replica::begin(const wire::Layout& body, std::uint64_t epoch) {
+  if (epoch == 0) throw StreamError("Layout: no stream epoch");
+  StreamLayout layout = StreamLayout::from_wire(body);
+  if (epoch == this->epoch()) {
+    if (layout != held_->layout) throw StreamError("Layout: another than that of its epoch");
     return;
   }
-  switch (change.kind) {
-    case Change::Kind::Appended:
-      note(DisplayAppend{state.gaussians.gather(change.slots)});
-      break;
-    case Change::Kind::Values: {
-      const AttributeChannels& a = state.layout.at(change.attribute);
-      DisplayValues values{.attribute = change.attribute, .columns = change.slots, .values = {}};
-      values.values.reserve(static_cast<std::size_t>(a.channels) * change.slots.size());
-      for (int c = a.first; c < a.first + a.channels; ++c) {
-        for (const std::uint32_t slot : change.slots) values.values.push_back(state.gaussians.channels[c][slot]);
-      }
-      if (change.attribute == Attribute::Visibility && !state.light_rows.all().empty()) {
-        note(DisplaySeen{0, change.slots, Bytes(values.values.begin(), values.values.end())});
-      }
-      note(std::move(values));
-      break;
-    }
-    case Change::Kind::Seen: {
-      DisplaySeen seen{.light_id = change.light_id, .columns = change.slots, .values = {}};
-      const Bytes& row = *state.light_rows.find(change.light_id);
-      for (const std::uint32_t slot : change.slots) seen.values.push_back(row[slot]);
-      note(std::move(seen));
-      break;
-    }
-    case Change::Kind::Removed:
-      note(DisplayRemoval{change.slots});
-      break;
-    case Change::Kind::Objects: {
-      DisplayObjects objects{.columns = change.slots, .object_ids = {}};
-      for (const std::uint32_t slot : change.slots) objects.object_ids.push_back(state.gaussians.object_id[slot]);
-      note(std::move(objects));
-      break;
-    }
-    case Change::Kind::Scene:
-      if (change.lights_changed) {
-        note(DisplayLights{state.light_rows.ids()});
-        if (!state.light_rows.all().empty()) note(seen_of_sun(state));
-      }
-      break;
-    case Change::Kind::Nothing:
-      break;
+  auto next = std::make_unique<ReplicatedState>();
+  next->layout = std::move(layout);
+  next->gaussians = QuantizedGaussians(next->layout);
+  next->epoch = epoch;
+  manifest_.clear();
+  manifest_gaussians_ = 0;
+  manifest_whole_ = false;
+  if (!before_ && held_->count > 0) before_ = std::move(held_);
+  held_ = std::move(next);
+  if (!before_) show_whole();
+}
+
+void Replica::take_manifest(const wire::Manifest& body) {
+  if (manifest_.size() + body.pages()->size() > kMaxManifest) {
+    throw StreamError(fmt::format("Manifest: more than {} pages", kMaxManifest));
   }
+  if (body.whole()) manifest_.clear();
+  for (const wire::PageInfo* page : *body.pages()) manifest_[page->page()] = page->count();
+  if (body.gone()) {
+    for (const std::uint32_t page : *body.gone()) manifest_.erase(page);
+  }
+  manifest_gaussians_ = body.gaussians();
+  manifest_whole_ = !body.more();
+  replace_before();
+}
+
+bool Replica::take(const ParsedPacket& packet) {
+  Change change;
+  try {
+    change = apply(*held_, packet, max_gaussians_);
+  } catch (const SceneLost&) {
+    report_.scene_lost = true;
+    return false;
+  }
+  for (const std::uint32_t page : change.lacks) lack(page);
+  for (const std::uint32_t page : change.declined) {
+    if (report_.dropped.size() < kMaxReported) report_.dropped.push_back(page);
+  }
+  if (!before_) {
+    note(change);
+    return change.shows();
+  }
+  replace_before();
+  return !before_ || change.scene;
+}
+
+void Replica::replace_before() {
+  if (!before_) return;
+  const bool enough = static_cast<double>(held_->count) >= kEnoughOfBefore * static_cast<double>(before_->count);
+  const bool all = manifest_whole_ && missing_pages() == 0;
+  if (!enough && !all) return;
+  before_.reset();
+  show_whole();
+}
+
+void Replica::note(const Change& change) {
+  const ReplicatedState& state = *held_;
+  if (observer_) {
+    if (change.shows()) observer_->on_change(state, change);
+    return;
+  }
+  if (change.lights) {
+    note(DisplayLights{state.light_rows.ids()});
+    if (!state.light_rows.all().empty()) {
+      const auto rows = shown_rows(state);
+      note(DisplaySeen{0, rows, sun_of(state, rows)});
+    }
+  }
+  // A row that was given back in the same packet is nobody's, and shows nothing.
+  if (!change.rows.empty()) note(DisplayRows{change.rows, state.gaussians.gather(change.rows)});
+  for (const Change::Values& changed : change.values) {
+    const AttributeChannels& a = state.layout.at(changed.attribute);
+    DisplayValues values{.attribute = changed.attribute, .rows = changed.rows, .values = {}};
+    values.values.reserve(static_cast<std::size_t>(a.channels) * changed.rows.size());
+    for (int c = a.first; c < a.first + a.channels; ++c) {
+      for (const std::uint32_t row : changed.rows) values.values.push_back(state.gaussians.channels[c][row]);
+    }
+    if (changed.attribute == Attribute::Visibility && !state.light_rows.all().empty()) {
+      note(DisplaySeen{0, changed.rows, Bytes(values.values.begin(), values.values.end())});
+    }
+    note(std::move(values));
+  }
+  if (!change.objects.empty()) {
+    DisplayObjects objects{.rows = change.objects, .object_ids = {}};
+    for (const std::uint32_t row : change.objects) objects.object_ids.push_back(state.gaussians.object_id[row]);
+    note(std::move(objects));
+  }
+  for (const Change::Seen& seen : change.seen) {
+    note(DisplaySeen{seen.light_id, seen.rows, values_of(*state.light_rows.find(seen.light_id), seen.rows)});
+  }
+  if (!change.blocks.empty()) {
+    DisplayBlocks blocks;
+    for (const auto& [block, count] : change.blocks) blocks.blocks.push_back({block, count});
+    note(std::move(blocks));
+  }
+}
+
+void Replica::note(DisplayChange change) {
+  changes_.add(std::move(change));
+  if (exceeds_whole(changes_)) show_whole();
 }
 
 void Replica::show_whole() {
   if (observer_) {
-    observer_->on_reset(shown_state());
+    observer_->on_reset(shown());
   } else {
     changes_ = whole();
   }
@@ -289,15 +222,10 @@ void Replica::observe_with(ShownObserver& observer) {
   show_whole();
 }
 
-void Replica::note(DisplayChange change) {
-  changes_.add(std::move(change));
-  if (exceeds_whole(changes_)) show_whole();
-}
-
 bool Replica::exceeds_whole(const DisplayChanges& changes) const {
-  const ReplicatedState& state = shown_state();
-  const std::size_t rows = 5 * state.light_rows.all().size() * state.gaussians.count();
-  return changes.bytes() > kMinChanges + 2 * (display_bytes(state.gaussians) + rows);
+  const ReplicatedState& state = shown();
+  const std::size_t lights = 5 * state.light_rows.all().size() * state.rows();
+  return changes.bytes() > kMinChanges + 2 * (display_bytes(state.gaussians.channels.size(), state.count) + lights);
 }
 
 DisplayChanges Replica::take_changes() {
@@ -305,75 +233,41 @@ DisplayChanges Replica::take_changes() {
 }
 
 DisplayChanges Replica::whole() const {
-  const ReplicatedState& state = shown_state();
+  const ReplicatedState& state = shown();
   DisplayChanges out;
   out.add(DisplayReset{state.layout});
   if (!state.light_rows.all().empty()) out.add(DisplayLights{state.light_rows.ids()});
-  if (state.gaussians.count() == 0) return out;
-  out.add(DisplayAppend{state.gaussians});
-  for (const auto& [id, row] : state.light_rows.all()) out.add(DisplaySeen{id, all_slots(state), row});
+  const std::vector<std::uint32_t> rows = shown_rows(state);
+  if (rows.empty()) return out;
+  out.add(DisplayRows{rows, state.gaussians.gather(rows)});
+  for (const auto& [id, row] : state.light_rows.all()) out.add(DisplaySeen{id, rows, values_of(row, rows)});
+  DisplayBlocks blocks;
+  for (const auto& [number, page] : state.pages) {
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) {
+      blocks.blocks.push_back({page.blocks[k], page.shown[k]});
+    }
+  }
+  out.add(std::move(blocks));
   return out;
 }
 
-bool Replica::apply_in_order(const ParsedPacket& packet) {
-  try {
-    const bool changed = apply_to(*held_, packet);
-    held_->sequence = packet.sequence();
-    return changed;
-  } catch (const StreamError& error) {
-    refusal_ = error.what();
-    throw;
+std::vector<PageVersion> Replica::held_pages() const {
+  std::vector<PageVersion> pages;
+  for (const auto& [number, page] : held_->pages) {
+    if (page.whole()) pages.push_back({number, page.version});
   }
+  return pages;
 }
 
-bool Replica::drain() {
-  bool changed = false;
-  while (!loading() && !needs_snapshot() && !early_.empty() && early_.begin()->first <= base() + 1) {
-    const auto node = early_.extract(early_.begin());
-    early_bytes_ -= std::min(early_bytes_, node.mapped().bytes());
-    // What the snapshot already has is dropped.
-    if (node.key() == base() + 1) changed = apply_in_order(node.mapped()) || changed;
-  }
-  return changed;
+std::size_t Replica::missing_pages() const {
+  return static_cast<std::size_t>(std::count_if(manifest_.begin(), manifest_.end(), [&](const auto& entry) {
+    const HeldPage* page = held_->find(entry.first);
+    return !page || !page->whole();
+  }));
 }
 
-void Replica::keep(const ParsedPacket& packet) {
-  if (early_.size() >= kMaxEarlyPackets || early_bytes_ + packet.bytes() > kMaxEarlyBytes) return;
-  if (early_.emplace(packet.sequence(), packet).second) early_bytes_ += packet.bytes();
-}
-
-const ReplicatedState* Replica::shown() const {
-  if (held_ && (held_->gaussians.count() > 0 || !loading_)) return held_.get();
-  return loading_ ? &loading_->state : nullptr;
-}
-
-std::uint64_t Replica::base() const {
-  if (loading_) return loading_->state.sequence;
-  return held_ ? held_->sequence : 0;
-}
-
-const ReplicatedState& Replica::shown_state() const {
-  const ReplicatedState* s = shown();
-  return s ? *s : nothing();
-}
-
-std::uint64_t Replica::epoch() const {
-  if (loading_) return loading_->state.epoch;
-  return held_ ? held_->epoch : 0;
-}
-
-std::uint32_t Replica::missing_chunks() const {
-  return loading_ ? static_cast<std::uint32_t>(loading_->chunk_count -
-                                               std::min(loading_->chunk_count, loading_->chunks.size()))
-                  : 0;
-}
-
-std::optional<MissingPackets> Replica::missing() const {
-  if (loading() || needs_snapshot() || !held_) return std::nullopt;
-  const std::uint64_t next = base() + 1;
-  if (!early_.empty()) return MissingPackets{next, early_.begin()->first - 1};
-  if (last_known_ >= next) return MissingPackets{next, last_known_};
-  return std::nullopt;
+const ReplicatedState& Replica::scene_state() const {
+  return before_ && held_->quantized_scene.version == 0 ? *before_ : *held_;
 }
 
 }  // namespace splatbus::stream

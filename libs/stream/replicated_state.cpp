@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <numeric>
 #include <utility>
 
 #include "stream/bytes.h"
@@ -14,60 +13,12 @@ namespace splatbus::stream {
 
 namespace {
 
-void require_range(std::string_view what, std::size_t first, std::size_t count, std::size_t held) {
-  if (first > held || count > held - first) {
-    throw StreamError(fmt::format("{}: slots {} to {} of {} held", what, first, first + count, held));
-  }
-}
+constexpr std::size_t kSpareBlocks = 256;
 
-std::vector<std::uint32_t> slot_range(std::size_t first, std::size_t count) {
-  std::vector<std::uint32_t> slots(count);
-  std::iota(slots.begin(), slots.end(), static_cast<std::uint32_t>(first));
-  return slots;
-}
-
-Change append(ReplicatedState& state, const wire::Snapshot& body, std::span<const std::uint8_t> payload,
-              std::size_t max_gaussians) {
-  const std::size_t held = state.gaussians.count();
-  if (body.first_slot() != held) {
-    throw StreamError(fmt::format("Snapshot: appends at slot {} where {} are held", body.first_slot(), held));
-  }
-  if (body.count() > max_gaussians || held > max_gaussians - body.count()) {
-    throw StreamError(
-        fmt::format("Snapshot: {} more Gaussians than {} exceed the limit of {}", body.count(), held, max_gaussians));
-  }
-  state.gaussians.append(decode_chunk(payload, state.layout, body.count()));
-  state.light_rows.append(body.count());
-  return {.kind = Change::Kind::Appended, .slots = slot_range(held, body.count())};
-}
-
-Change add_residuals(ReplicatedState& state, const wire::TensorDelta& body, std::span<const std::uint8_t> payload) {
-  const AttributeChannels* a = state.layout.find(body.attribute());
-  if (!a) {
-    throw StreamError(
-        fmt::format("TensorDelta: attribute {} is not in this stream", static_cast<int>(body.attribute())));
-  }
-  if (body.channels() != static_cast<std::uint32_t>(a->channels)) {
-    throw StreamError(fmt::format("TensorDelta: {} channels of {} where it has {}", body.channels(),
-                                  wire::EnumNameAttribute(a->attribute), a->channels));
-  }
-  Delta delta = decode_delta(payload, body.raw_bytes(), body.count(), body.channels(), state.gaussians.count());
-  for (int c = 0; c < a->channels; ++c) {
-    const auto& plane = state.gaussians.channels[a->first + c];
-    for (std::size_t i = 0; i < delta.slots.size(); ++i) {
-      const std::int64_t sum = std::int64_t{plane[delta.slots[i]]} + delta.residuals[c][i];
-      if (sum < a->minimum || sum > a->maximum) {
-        throw StreamError(fmt::format("TensorDelta: {} of slot {} would be {}", wire::EnumNameAttribute(a->attribute),
-                                      delta.slots[i], sum));
-      }
-      delta.residuals[c][i] = static_cast<std::int32_t>(sum);
-    }
-  }
-  for (int c = 0; c < a->channels; ++c) {
-    auto& plane = state.gaussians.channels[a->first + c];
-    for (std::size_t i = 0; i < delta.slots.size(); ++i) plane[delta.slots[i]] = delta.residuals[c][i];
-  }
-  return {.kind = Change::Kind::Values, .attribute = a->attribute, .slots = std::move(delta.slots)};
+std::vector<std::uint32_t> light_ids_of(const QuantizedScene& scene) {
+  std::vector<std::uint32_t> ids;
+  for (const QuantizedSource& source : scene.sources) ids.push_back(source.id);
+  return ids;
 }
 
 Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body,
@@ -82,67 +33,182 @@ Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body
   if (body.light_id() != 0 && !row) {
     throw StreamError(fmt::format("LightVisibility: of light {}, which the scene does not have", body.light_id()));
   }
-  SlotValues change = decode_slot_values(payload, body.raw_bytes(), body.count(), state.gaussians.count());
-  state.visibility_version = body.scene_version();
-  if (row) {
-    for (std::size_t i = 0; i < change.slots.size(); ++i) (*row)[change.slots[i]] = change.values[i];
-    return {.kind = Change::Kind::Seen, .slots = std::move(change.slots), .light_id = body.light_id()};
+  if (body.pages()->size() > kMaxDeltaPages) {
+    throw StreamError(
+        fmt::format("LightVisibility: {} pages, at most {} are possible", body.pages()->size(), kMaxDeltaPages));
   }
-  auto& plane = state.gaussians.channels[a->first];
-  for (std::size_t i = 0; i < change.slots.size(); ++i) plane[change.slots[i]] = change.values[i];
-  return {.kind = Change::Kind::Values, .attribute = Attribute::Visibility, .slots = std::move(change.slots)};
+  struct Lanes {
+    std::size_t end;
+    const HeldPage* page;
+  };
+  Change change;
+  std::vector<Lanes> lanes;
+  std::size_t total = 0;
+  for (const wire::SeenPage* said : *body.pages()) {
+    if (said->count() > kPageLanes) {
+      throw StreamError(fmt::format("LightVisibility: page {} of {} Gaussians", said->page(), said->count()));
+    }
+    const HeldPage* page = state.find(said->page());
+    const bool fits = page && page->whole() && page->structure == said->structure();
+    if (fits && page->count != said->count()) {
+      throw StreamError(fmt::format("LightVisibility: page {} of {} Gaussians, {} are held", said->page(),
+                                    said->count(), page->count));
+    }
+    total += said->count();
+    lanes.push_back({total, fits ? page : nullptr});
+  }
+  const SlotValues values = decode_slot_values(payload, body.raw_bytes(), body.count(), total);
+  std::vector<std::uint32_t> rows;
+  std::vector<std::uint8_t> seen;
+  std::size_t at = 0;
+  for (std::size_t i = 0; i < values.slots.size(); ++i) {
+    while (values.slots[i] >= lanes[at].end) ++at;
+    if (!lanes[at].page) continue;
+    const auto first = static_cast<std::uint32_t>(at > 0 ? lanes[at - 1].end : 0);
+    rows.push_back(lanes[at].page->row(values.slots[i] - first));
+    seen.push_back(values.values[i]);
+  }
+  state.visibility_version = body.scene_version();
+  if (rows.empty()) return change;
+  if (row) {
+    for (std::size_t i = 0; i < rows.size(); ++i) (*row)[rows[i]] = seen[i];
+    change.seen.push_back({body.light_id(), std::move(rows)});
+  } else {
+    auto& plane = state.gaussians.channels[a->first];
+    for (std::size_t i = 0; i < rows.size(); ++i) plane[rows[i]] = seen[i];
+    change.values.push_back({Attribute::Visibility, std::move(rows)});
+  }
+  return change;
 }
 
 Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
   const wire::Scene& body = *packet.root().body_as_Scene();
-  const bool broadcast = packet.sequence() != 0;
-  if (broadcast && body.version() <= state.quantized_scene.version) {
+  const bool whole = body.from_version() == 0;
+  if (body.version() < state.quantized_scene.version || body.version() == 0) {
     throw StreamError(fmt::format("Scene: version {} where {} is held", body.version(), state.quantized_scene.version));
   }
-  if (!broadcast && !body.whole()) throw StreamError("Scene: a snapshot's is not whole");
+  if (!whole && body.from_version() != state.quantized_scene.version) {
+    throw SceneLost(
+        fmt::format("Scene: against version {} where {} is held", body.from_version(), state.quantized_scene.version));
+  }
   QuantizedScene scene = decode_scene({body.state()->data(), body.state()->size()},
-                                      body.whole() ? nullptr : &state.quantized_scene, body.version());
+                                      whole ? nullptr : &state.quantized_scene, body.version());
   dequantize_changes(state.quantized_scene, scene, state.scene);
   state.quantized_scene = std::move(scene);
   state.instant = {.frame = body.frame(), .capture_ns = packet.capture_ns()};
-  std::vector<std::uint32_t> lights;
-  for (const QuantizedSource& source : state.quantized_scene.sources) lights.push_back(source.id);
-  return {.kind = Change::Kind::Scene, .lights_changed = state.light_rows.set_lights(lights, state.gaussians.count())};
+  Change change;
+  change.scene = true;
+  change.lights = state.light_rows.set_lights(light_ids_of(state.quantized_scene), state.rows());
+  return change;
+}
+
+Change drop_pages(ReplicatedState& state, const wire::PagesGone& body) {
+  Change change;
+  for (const std::uint32_t number : *body.pages()) state.drop(number, change);
+  return change;
 }
 
 }  // namespace
 
+void ReplicatedState::set_count(HeldPage& page, std::uint32_t new_count, Change& change) {
+  const std::uint32_t before = HeldPage::blocks_of(page.count), after = HeldPage::blocks_of(new_count);
+  for (std::uint32_t lane = new_count; lane < page.count; ++lane) gaussians.gaussian_id[page.row(lane)] = 0;
+  for (std::uint32_t k = after; k < before; ++k) {
+    free_blocks.push_back(page.blocks[k]);
+    change.blocks.push_back({page.blocks[k], page.shown[k] = 0});
+  }
+  for (std::uint32_t k = before; k < after; ++k) {
+    if (free_blocks.empty()) {
+      const std::size_t rows_before = rows();
+      const std::size_t more = std::max<std::size_t>(kBlockRows, rows_before / kBlockRows / 4 * kBlockRows);
+      gaussians.resize(rows_before + more);
+      light_rows.resize(rows_before + more);
+      for (std::size_t block = rows() / kBlockRows; block > rows_before / kBlockRows; --block) {
+        free_blocks.push_back(static_cast<std::uint32_t>(block - 1));
+      }
+    }
+    page.blocks[k] = free_blocks.back();
+    free_blocks.pop_back();
+  }
+  for (std::uint32_t lane = page.count; lane < new_count; ++lane) light_rows.forget(page.row(lane));
+  count += new_count;
+  count -= page.count;
+  page.count = new_count;
+}
+
+void ReplicatedState::drop(std::uint32_t number, Change& change) {
+  const auto found = pages.find(number);
+  if (found == pages.end()) return;
+  set_count(found->second, 0, change);
+  pages.erase(found);
+  change.gone.push_back(number);
+}
+
+void ReplicatedState::show(HeldPage& page, Change& change) {
+  for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) {
+    const std::uint32_t lanes = HeldPage::block_lanes(page.count, k);
+    if (std::exchange(page.shown[k], lanes) != lanes) change.blocks.push_back({page.blocks[k], lanes});
+  }
+}
+
+void ReplicatedState::move_row(std::uint32_t from, std::uint32_t to) {
+  for (auto& plane : gaussians.channels) plane[to] = plane[from];
+  gaussians.object_id[to] = gaussians.object_id[from];
+  gaussians.gaussian_id[to] = gaussians.gaussian_id[from];
+  light_rows.move(from, to);
+}
+
+QuantizedGaussians ReplicatedState::lanes(const HeldPage& page) const {
+  std::vector<std::uint32_t> columns(page.count);
+  for (std::uint32_t lane = 0; lane < page.count; ++lane) columns[lane] = page.row(lane);
+  return gaussians.gather(columns);
+}
+
+bool has_room(const ReplicatedState& state, std::size_t gaussians, std::size_t blocks, std::size_t max_gaussians) {
+  const std::size_t used = state.rows() / kBlockRows - state.free_blocks.size();
+  return state.count + gaussians <= max_gaussians && used + blocks <= 2 * max_gaussians / kBlockRows + kSpareBlocks;
+}
+
+std::span<const std::uint8_t> PayloadParts::next(std::size_t bytes) {
+  if (bytes > left_.size()) {
+    throw StreamError(fmt::format("{}: a part of {} bytes where {} are left", what_, bytes, left_.size()));
+  }
+  const auto part = left_.first(bytes);
+  left_ = left_.subspan(bytes);
+  return part;
+}
+
+void PayloadParts::finish() const {
+  if (!left_.empty()) throw StreamError(fmt::format("{}: {} bytes behind its parts", what_, left_.size()));
+}
+
+std::vector<std::uint32_t> lanes_after(std::uint32_t count, std::span<const std::uint32_t> gone) {
+  const auto left = static_cast<std::uint32_t>(count - gone.size());
+  std::vector<std::uint32_t> lanes(left);
+  for (std::uint32_t lane = 0; lane < left; ++lane) lanes[lane] = lane;
+  std::size_t behind = static_cast<std::size_t>(std::lower_bound(gone.begin(), gone.end(), left) - gone.begin());
+  std::uint32_t last = left;
+  for (const std::uint32_t gap : gone.first(behind)) {
+    while (behind < gone.size() && gone[behind] == last) {
+      ++behind;
+      ++last;
+    }
+    lanes[gap] = last++;
+  }
+  return lanes;
+}
+
 Change apply(ReplicatedState& state, const ParsedPacket& packet, std::size_t max_gaussians) {
-  const auto payload = packet.payload();
   const wire::Packet& root = packet.root();
   switch (packet.body()) {
-    case wire::Body::Snapshot:
-      return append(state, *root.body_as_Snapshot(), payload, max_gaussians);
-    case wire::Body::TensorDelta:
-      return add_residuals(state, *root.body_as_TensorDelta(), payload);
+    case wire::Body::Page:
+      return apply_page(state, *root.body_as_Page(), packet.payload(), max_gaussians);
+    case wire::Body::PageDelta:
+      return apply_delta(state, *root.body_as_PageDelta(), packet.payload(), max_gaussians);
+    case wire::Body::PagesGone:
+      return drop_pages(state, *root.body_as_PagesGone());
     case wire::Body::LightVisibility:
-      return take_visibility(state, *root.body_as_LightVisibility(), payload);
-    case wire::Body::Remove: {
-      const wire::Remove& body = *root.body_as_Remove();
-      auto slots = decode_slots(payload, body.raw_bytes(), body.count(), state.gaussians.count());
-      state.gaussians.remove(slots);
-      state.light_rows.remove(slots);
-      return {.kind = Change::Kind::Removed, .slots = std::move(slots)};
-    }
-    case wire::Body::GaussianOrder: {
-      const wire::GaussianOrder& body = *root.body_as_GaussianOrder();
-      require_range("GaussianOrder", body.first_slot(), body.count(), state.gaussians.count());
-      const auto ids = decode_ids(payload, body.raw_bytes(), body.count());
-      std::copy(ids.begin(), ids.end(), state.gaussians.gaussian_id.begin() + body.first_slot());
-      return {};
-    }
-    case wire::Body::ObjectIds: {
-      const wire::ObjectIds& body = *root.body_as_ObjectIds();
-      require_range("ObjectIds", body.first_slot(), body.count(), state.gaussians.count());
-      const auto ids = decode_runs(payload, body.raw_bytes(), body.count());
-      std::copy(ids.begin(), ids.end(), state.gaussians.object_id.begin() + body.first_slot());
-      return {.kind = Change::Kind::Objects, .slots = slot_range(body.first_slot(), body.count())};
-    }
+      return take_visibility(state, *root.body_as_LightVisibility(), packet.payload());
     case wire::Body::Scene:
       return take_scene(state, packet);
     default:

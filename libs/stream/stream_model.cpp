@@ -4,21 +4,39 @@
 
 #include <algorithm>
 #include <cassert>
-#include <numeric>
+#include <cmath>
 #include <unordered_set>
 
 #include "stream/bytes.h"
 #include "stream/codecs.h"
-#include "stream/delta_selection.h"
 
 namespace splatbus::stream {
+
+namespace {
+
+constexpr std::size_t kWorthABase = 32;  // Gaussians; fewer are sent anew with their page
+
+PageBounds bounds_of_columns(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
+                             std::uint32_t count) {
+  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale);
+  const auto value = [&](const AttributeChannels& a, int c, std::uint32_t i) {
+    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + c][i]);
+  };
+  PageBounds bounds;
+  for (std::uint32_t i = first; i < first + count; ++i) {
+    include(bounds, {value(mean, 0, i), value(mean, 1, i), value(mean, 2, i)},
+            std::max({value(scale, 0, i), value(scale, 1, i), value(scale, 2, i)}));
+  }
+  return bounds;
+}
+
+}  // namespace
 
 StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options, Device device)
     : writer_(std::move(writer)),
       options_(options),
       quantizer_(device),
       selection_(StreamLayout{}, options_.schedules, options_.calm_ticks) {
-  assert(options_.chunk_gaussians > 0 && options_.chunk_gaussians <= kMaxChunkGaussians);
   held_.epoch = stream_epoch;
 }
 
@@ -27,18 +45,10 @@ void StreamModel::set_schedules(const Schedules& schedules) {
   selection_.set_schedules(schedules);
 }
 
-std::vector<std::uint32_t> StreamModel::slots_of(std::span<const std::uint64_t> ids) const {
-  std::vector<std::uint32_t> slots(ids.size(), kNotHeld);
-  for (std::size_t i = 0; i < ids.size(); ++i) {
-    // Columns mostly stay where they were: look there first.
-    const std::uint32_t before = i < slot_of_column_.size() ? slot_of_column_[i] : kNotHeld;
-    if (before < held_.gaussians.count() && held_.gaussians.gaussian_id[before] == ids[i]) {
-      slots[i] = before;
-    } else if (const auto found = slot_of_id_.find(ids[i]); found != slot_of_id_.end()) {
-      slots[i] = found->second;
-    }
-  }
-  return slots;
+std::uint32_t StreamModel::row_of(std::uint64_t id) const {
+  const auto found = row_of_id_.find(id);
+  if (found == row_of_id_.end() || found->second >= held_.rows()) return kNotHeld;
+  return held_.gaussians.gaussian_id[found->second] == id ? found->second : kNotHeld;
 }
 
 bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid) {
@@ -50,90 +60,253 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
       another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
   const bool mirrored = ready_ && !another;
   const std::span<const std::uint64_t> ids = quantizer_.ids(gaussians);
-  const std::vector<std::uint32_t> slots = mirrored ? slots_of(ids) : std::vector<std::uint32_t>(ids.size(), kNotHeld);
-  quantizer_.quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, slots);
+  std::vector<std::uint32_t> rows(ids.size(), kNotHeld);
+  for (std::size_t i = 0; mirrored && i < ids.size(); ++i) {
+    // Columns mostly stay where they were: look there first.
+    const std::uint32_t before = i < row_of_column_.size() ? row_of_column_[i] : kNotHeld;
+    const bool same = before < held_.rows() && ids[i] != 0 && held_.gaussians.gaussian_id[before] == ids[i];
+    rows[i] = same ? before : row_of(ids[i]);
+  }
+  quantizer_.quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, rows);
   if (still_valid && !still_valid()) return false;
 
   if (another) set_ready(false);
   quantizer_.commit(target_, usable_);
   target_layout_ = layout;
-  if (gaussians.has_pages()) {
-    target_ranges_.assign(gaussians.ranges.begin(), gaussians.ranges.end());
-  } else {
-    target_ranges_ = {{.first = 0, .count = static_cast<std::uint32_t>(gaussians.count)}};
-  }
+  row_of_column_ = std::move(rows);
+  cut_target(gaussians);
   if (ready_) map_columns();
   return true;
 }
 
-void StreamModel::index_ids() {
-  slot_of_id_.clear();
-  slot_of_id_.reserve(held_.gaussians.count());
-  for (std::size_t slot = 0; slot < held_.gaussians.count(); ++slot) {
-    slot_of_id_.emplace(held_.gaussians.gaussian_id[slot], static_cast<std::uint32_t>(slot));
+void StreamModel::cut_target(const GaussiansView& gaussians) {
+  target_pages_.clear();
+  const auto add = [&](std::uint32_t page, std::uint32_t first, const IndexRange& range) {
+    target_pages_.push_back({.page = page,
+                             .first = first,
+                             .count = range.count,
+                             .index = range.first,
+                             .object_id = range.frame_id,
+                             .frozen = range.frozen != 0,
+                             .bounds = {}});
+  };
+  if (gaussians.has_pages()) {
+    std::uint32_t first = 0;
+    for (const IndexRange& range : gaussians.ranges) {
+      add(range.first >> gaussians.page_shift, first, range);
+      first += range.count;
+    }
+  } else {
+    const auto count = static_cast<std::uint32_t>(gaussians.count);
+    for (std::uint32_t first = 0; first < count; first += kPageLanes) {
+      add(first / kPageLanes, first, {.first = first, .count = std::min(kPageLanes, count - first)});
+    }
+  }
+  for (std::size_t k = 0; k < target_pages_.size(); ++k) {
+    TargetPage& page = target_pages_[k];
+    const bool known = gaussians.has_pages() && gaussians.bounds.size() == target_pages_.size();
+    page.bounds = known ? gaussians.bounds[k] : bounds_of_columns(target_, *target_layout_, page.first, page.count);
   }
 }
 
-void StreamModel::map_columns() {
-  slot_of_column_ = slots_of(target_.gaussian_id);
-  column_of_slot_.assign(held_.gaussians.count(), kNotHeld);
-  std::vector<std::uint8_t> present(held_.gaussians.count());
-  fresh_.clear();
-  for (std::uint32_t column = 0; column < slot_of_column_.size(); ++column) {
-    const std::uint32_t slot = slot_of_column_[column];
-    if (slot == kNotHeld) {
-      if (usable_[column]) fresh_.push_back(column);
-    } else if (!present[slot]) {
-      present[slot] = 1;
-      if (usable_[column]) column_of_slot_[slot] = column;
+void StreamModel::index_blocks() {
+  page_of_block_.assign(held_.rows() / kBlockRows, kNoPage);
+  block_index_.assign(page_of_block_.size(), 0);
+  for (const auto& [number, page] : held_.pages) {
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) {
+      page_of_block_[page.blocks[k]] = number;
+      block_index_[page.blocks[k]] = k;
     }
   }
-  gone_.clear();
-  for (std::uint32_t slot = 0; slot < present.size(); ++slot) {
-    if (!present[slot]) gone_.push_back(slot);
+}
+
+// An id that comes twice is a mistake of the publisher's; the first one counts.
+void StreamModel::map_columns() {
+  index_blocks();
+  column_of_row_.assign(held_.rows(), kNotHeld);
+  target_page_of_row_.assign(held_.rows(), kNoPage);
+  for (const TargetPage& page : target_pages_) {
+    for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
+      const std::uint32_t row = row_of_column_[column];
+      if (row == kNotHeld || target_page_of_row_[row] != kNoPage) continue;
+      target_page_of_row_[row] = page.page;
+      if (usable_[column]) column_of_row_[row] = column;
+    }
   }
-  // An id that comes twice is a mistake of the publisher's; the first one counts.
+}
+
+std::uint32_t StreamModel::base_of(const TargetPage& page, std::span<const std::uint32_t> from) const {
+  std::map<std::uint32_t, std::size_t> shares;
+  for (const std::uint32_t number : from) ++shares[number];
+  if (shares.contains(page.page)) return page.page;
+  // Elsewhere its number is that of a page whose Gaussians go: it has to be replaced as a whole.
+  if (held_.find(page.page)) return kNoPage;
+  std::uint32_t base = kNoPage;
+  std::size_t most = kWorthABase;
+  for (const auto& [number, share] : shares) {
+    if (share >= most && anybody_holds(number)) {
+      most = share;
+      base = number;
+    }
+  }
+  return base;
+}
+
+std::vector<StreamModel::PagePlan> StreamModel::plan_pages() {
+  std::vector<PagePlan> plans;
+  plans.reserve(target_pages_.size());
   std::unordered_set<std::uint64_t> seen;
-  std::erase_if(fresh_, [&](std::uint32_t column) { return !seen.insert(target_.gaussian_id[column]).second; });
+  for (const TargetPage& page : target_pages_) {
+    PagePlan plan{.target = &page, .base = kNoPage, .gone = {}, .moved = {}, .fresh = {}};
+    std::vector<std::uint32_t> from;
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> rows;  // column, row
+    for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
+      const std::uint32_t row = row_of_column_[column];
+      if (row != kNotHeld) {
+        // Of several columns with one id the mapped one counts; where that is not usable, any other would not be
+        // either.
+        const bool counts =
+            target_page_of_row_[row] == page.page && (column_of_row_[row] == column || column_of_row_[row] == kNotHeld);
+        if (!counts) continue;
+        from.push_back(page_of_row(row));
+        rows.emplace_back(column, row);
+      } else if (usable_[column] && seen.insert(target_.gaussian_id[column]).second) {
+        plan.fresh.push_back(column);
+      }
+    }
+    plan.base = base_of(page, from);
+    for (const auto& [column, row] : rows) {
+      if (page_of_row(row) != plan.base && usable_[column]) plan.moved.push_back(column);
+    }
+    if (plan.base != kNoPage) {
+      const HeldPage& base = *held_.find(plan.base);
+      for (std::uint32_t lane = 0; lane < base.count; ++lane) {
+        if (target_page_of_row_[base.row(lane)] != page.page) plan.gone.push_back(lane);
+      }
+    }
+    plans.push_back(std::move(plan));
+  }
+  return plans;
+}
+
+bool StreamModel::anybody_holds(std::uint32_t page) const {
+  return !holders_now_ || holders_now_->contains(page);
+}
+
+void StreamModel::set_holders(std::set<std::uint32_t> pages) {
+  const std::scoped_lock lock(mutex_);
+  holders_ = std::move(pages);
+  asked_.clear();
+}
+
+std::uint64_t StreamModel::place_of(std::uint32_t number) const {
+  const auto found = std::ranges::lower_bound(target_pages_, number, {}, &TargetPage::page);
+  if (found == target_pages_.end() || found->page != number) return 0;
+  const auto spread = [](float low, float high) {
+    auto v = static_cast<std::uint64_t>(std::clamp(0.5F * (low + high) * 2 + 8192, 0.0F, 16383.0F));
+    std::uint64_t bits = 0;
+    for (int k = 0; k < 14; ++k) bits |= (v >> k & 1U) << (3 * k);
+    return bits;
+  };
+  const PageBounds& b = found->bounds;
+  if (!(b.low.x <= b.high.x)) return 0;
+  return spread(b.low.x, b.high.x) | spread(b.low.y, b.high.y) << 1 | spread(b.low.z, b.high.z) << 2;
+}
+
+bool StreamModel::fill_page(const TargetPage& target) {
+  std::vector<std::uint32_t> columns;
+  for (std::uint32_t column = target.first; column < target.first + target.count; ++column) {
+    const std::uint32_t row = row_of_column_[column];
+    const bool first = row == kNotHeld || (target_page_of_row_[row] == target.page && column_of_row_[row] == column);
+    if (usable_[column] && first) columns.push_back(column);
+  }
+  columns = morton_order(target_, *target_layout_, columns);
+  const HeldPage* before = held_.find(target.page);
+  const std::size_t held = before ? before->count : 0;
+  const std::size_t room = options_.max_gaussians - std::min(options_.max_gaussians, held_.count - held);
+  if (columns.size() > room) columns.resize(room);
+  // What they see of the lights is known of those that are held already, in whichever page.
+  const AttributeChannels* sun = held_.layout.find(Attribute::Visibility);
+  std::vector<std::int32_t> sun_seen;
+  std::map<std::uint32_t, Bytes> seen;
+  const std::scoped_lock lock(mutex_);
+  for (const std::uint32_t column : columns) {
+    const std::uint32_t row = row_of_column_[column];
+    if (sun)
+      sun_seen.push_back(
+          (row != kNotHeld ? held_.gaussians : target_).channels[sun->first][row != kNotHeld ? row : column]);
+    for (const auto& [id, values] : held_.light_rows.all()) {
+      seen[id].push_back(row != kNotHeld ? values[row] : std::uint8_t{255});
+    }
+  }
+  Change change;
+  if (columns.empty()) {
+    held_.drop(target.page, change);
+    return false;
+  }
+  HeldPage& page = held_.pages[target.page];
+  held_.set_count(page, 0, change);
+  held_.set_count(page, static_cast<std::uint32_t>(columns.size()), change);
+  page.version = page.structure = ++version_;
+  ReplicatedState::show(page, change);
+  selection_.resize(held_.rows());
+  column_of_row_.resize(held_.rows(), kNotHeld);
+  for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+    const std::uint32_t row = page.row(lane), column = columns[lane];
+    for (std::size_t c = 0; c < target_.channels.size(); ++c) {
+      held_.gaussians.channels[c][row] = target_.channels[c][column];
+    }
+    if (sun) held_.gaussians.channels[sun->first][row] = sun_seen[lane];
+    for (const auto& [id, values] : seen) (*held_.light_rows.find(id))[row] = values[lane];
+    held_.gaussians.object_id[row] = target_.object_id[column];
+    held_.gaussians.gaussian_id[row] = target_.gaussian_id[column];
+    row_of_id_[target_.gaussian_id[column]] = row;
+    column_of_row_[row] = column;
+    row_of_column_[column] = row;
+    selection_.begin(row, held_.gaussians);
+  }
+  return true;
+}
+
+void StreamModel::drop_page(std::uint32_t page) {
+  const std::scoped_lock lock(mutex_);
+  Change change;
+  held_.drop(page, change);
+  update_.gone.push_back(page);
+  blobs_.erase(page);
+  quiet_.erase(page);
 }
 
 void StreamModel::reset_to_target() {
   assert(observed());
-  std::vector<std::uint32_t> usable;
+  {
+    const std::scoped_lock lock(mutex_);
+    const std::uint64_t epoch = held_.epoch + 1;
+    held_ = {};
+    held_.epoch = epoch;
+    held_.layout = *target_layout_;
+    held_.gaussians = QuantizedGaussians(held_.layout);
+    hold_scene();
+    update_ = {};
+    blobs_.clear();
+    asked_.clear();
+  }
+  version_ = 0;
+  visibility_waits_.clear();
+  quiet_.clear();
+  row_of_id_.clear();
+  row_of_column_.assign(target_.count(), kNotHeld);
+  selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
+  map_columns();
   std::unordered_set<std::uint64_t> seen;
   for (std::uint32_t column = 0; column < target_.count(); ++column) {
-    if (usable_[column] && seen.insert(target_.gaussian_id[column]).second) usable.push_back(column);
+    if (usable_[column] && !seen.insert(target_.gaussian_id[column]).second) usable_[column] = 0;
   }
-  if (usable.size() > options_.max_gaussians) usable.resize(options_.max_gaussians);
-  const std::scoped_lock lock(mutex_);
-  held_.layout = *target_layout_;
-  held_.gaussians = target_.gather(morton_order(target_, *target_layout_, usable));
-  hold_scene();
-  held_.visibility_version = 0;
-  visibility_waits_.clear();
-  ++held_.sequence;
-  selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
-  selection_.append(held_.gaussians);
-  slot_of_column_.clear();
-  index_ids();
+  for (const TargetPage& page : target_pages_) (void)fill_page(page);
   map_columns();
+  offer();
+  const std::scoped_lock lock(mutex_);
   ready_ = true;
-}
-
-std::size_t StreamModel::room() const {
-  return options_.max_gaussians - std::min(options_.max_gaussians, held_.gaussians.count());
-}
-
-std::vector<std::size_t> StreamModel::chunk_order(const std::optional<Camera>& camera) const {
-  const std::size_t count = held_.gaussians.count(), size = options_.chunk_gaussians;
-  std::vector<std::size_t> order((count + size - 1) / size);
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  if (!camera) return order;
-  const auto share = picture_share(held_.gaussians, held_.layout, {&*camera, 1}, held_.scene.objects);
-  std::vector<double> score(order.size());
-  for (std::size_t i = 0; i < count; ++i) score[i / size] += share[i];
-  std::ranges::stable_sort(order, std::greater<>{}, [&](std::size_t chunk) { return score[chunk]; });
-  return order;
 }
 
 }  // namespace splatbus::stream

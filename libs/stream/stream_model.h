@@ -3,8 +3,10 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <span>
 #include <unordered_map>
 #include <vector>
@@ -12,15 +14,17 @@
 #include "gaussians/camera.h"
 #include "stream/delta_selection.h"
 #include "stream/model_quantizer.h"
+#include "stream/page_codec.h"
+#include "stream/replica.h"
 #include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 
 struct StreamOptions {
-  std::size_t chunk_gaussians = 4096;         ///< a Snapshot packet at most
-  std::size_t max_gaussians = kMaxGaussians;  ///< that viewers hold; of a larger model a part is served
+  std::size_t max_gaussians = kMaxGaussians;  ///< that are offered; of a larger model a part is
   Schedules schedules = default_schedules();
   std::uint32_t calm_ticks = 8;
+  PageCodec codec = PageCodec::Draco;
 };
 
 /// As relight says it.
@@ -31,19 +35,51 @@ struct LightsVisibility {
   std::uint64_t scene_version = 0;
 };
 
-/// A snapshot of the held state, encoded once for however many viewers join.
-struct EncodedSnapshot {
-  std::uint64_t as_of = 0;
-  std::vector<EncodedPacket> head;    ///< SnapshotBegin, Scene
-  std::vector<EncodedPacket> chunks;  ///< by slot
-  std::vector<EncodedPacket> tail;    ///< LightVisibility, GaussianOrder
+/// A page that viewers may have.
+struct OfferedPage {
+  std::uint32_t page = 0, version = 0, structure = 0, count = 0;
+  std::uint32_t object_id = 0;  ///< whose frame `bounds` is in
+  std::uint8_t level = 0;
+  bool frozen = false;
+  PageBounds bounds;
 };
 
-/// The streamer's side: a mirror of what every viewer holds, and the packets that bring it nearer to the published
-/// model. The mirror changes only by the very bytes that are sent, and packets are numbered as they are made.
+/// Steps of pages, encoded once for all who hold them.
+struct DeltaPacket {
+  struct Step {
+    std::uint32_t page = 0, base = 0, from_version = 0, version = 0;
+    std::uint32_t count = 0;  ///< afterwards
+    bool other_lanes = false;
+    float steps = 0;  ///< that a Gaussian of the page is off without it, weighted by attribute; the mean
+  };
+  EncodedPacket packet;
+  std::vector<Step> steps;
+  std::vector<PageVersion> gone;
+};
+
+struct VisibilityPacket {
+  EncodedPacket packet;
+  std::vector<wire::SeenPage> pages;
+};
+
+/// A part of a page, or all of it.
+struct PagePacket {
+  EncodedPacket packet;
+  std::uint32_t page = 0, version = 0, structure = 0;
+};
+
+/// What a tick has made.
+struct StreamUpdate {
+  std::vector<DeltaPacket> deltas;
+  std::vector<std::uint32_t> gone;  ///< pages that end otherwise than in a delta
+};
+
+/// The streamer's side: the pages that viewers may have, as integers, and the packets that follow the published model.
+/// What anybody holds changes only by the very bytes that are sent; what nobody holds, without any.
 ///
-/// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_packets() and
-/// status(), which wait for one packet at most (a reset for longer), and nothing else.
+/// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_update(),
+/// page_packets(), scene_packet(), layout_packet(), offered() and status(), which wait for one packet at most (a reset
+/// for longer), and nothing else.
 class StreamModel {
  public:
   /// `device`: in whose memory the views lie that observe() is given.
@@ -52,17 +88,11 @@ class StreamModel {
 
   /// Quantizes what is published now into memory of its own; `still_valid` says afterwards whether what was read was
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
-  /// is false.
+  /// is false. A view without pages is cut into some.
   bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
-  /// The broadcast packet that brings a newer scene to viewers: none where its version is the one that is held, or
-  /// while nobody holds anything. It is the last of take_packets(), which are returned. Throws StreamError, naming what
-  /// is wrong, when its version is 0 or runs backwards, or the scene is none that travels (quantize_scene); all is then
-  /// as before.
-  [[nodiscard]] std::vector<EncodedPacket> take_scene(const SceneState& scene, const SceneInstant& instant);
   void set_schedules(const Schedules& schedules);
 
-  /// What was observed becomes what is held, without packets: for when nobody holds anything, or everybody gets a
-  /// snapshot. Takes one sequence number, so that whoever held something before notices.
+  /// What was observed becomes what is offered, in a new epoch: pages of the one before are nothing any more.
   void reset_to_target();
   /// Nobody holds anything any more: the next reset_to_target() may choose other quantizers.
   void release() { set_ready(false); }
@@ -71,76 +101,139 @@ class StreamModel {
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
+  /// Before a tick: the pages that anybody holds at some version. Before the first call: all.
+  void set_holders(std::set<std::uint32_t> pages);
+  /// Follows what was observed: pages that come and go, Gaussians that come and go, values. What viewers see most comes
+  /// first, and new Gaussians of pages that are held, and values, stay near `budget_bytes`. Asserts ready(). Returns
+  /// the packets' bytes. When it throws, ready() is then false.
+  double make_tick(double budget_bytes, std::span<const Camera> viewers);
+  /// Of all ticks since the last call.
+  [[nodiscard]] StreamUpdate take_update();
+
   struct Status {
     bool ready = false;
-    std::uint64_t epoch = 0, sequence = 0, visibility_version = 0;
-    std::size_t gaussians = 0;
+    std::uint64_t epoch = 0, visibility_version = 0;
+    std::uint32_t version = 0;  ///< of the newest page
+    std::size_t gaussians = 0, pages = 0;
     ParameterLayout layout;
   };
-  /// Of what is held.
+  /// Of what is offered.
   [[nodiscard]] Status status() const;
-  /// Broadcast packets, by sequence, that were not taken yet.
-  [[nodiscard]] std::vector<EncodedPacket> take_packets();
+  /// By number, as after the last tick; never null.
+  [[nodiscard]] std::shared_ptr<const std::vector<OfferedPage>> offered() const;
 
-  /// Broadcast packets with what has changed of the lights' visibility, one a light: none when it is older than what is
-  /// held, or nobody holds anything. Light by light, what changes the pictures most first, until their bytes exceed
-  /// `budget_bytes`; visibility_rests() says whether that was all, and a light that has waited comes sooner. Of a light
-  /// that was sent what is held is within kMaxVisibilityError, and exact where it is 0 or 255. Throws StreamError when
-  /// `visibility` is too short for the model that was observed last.
-  [[nodiscard]] std::vector<EncodedPacket> take_visibility(const LightsVisibility& visibility,
-                                                           double budget_bytes = kNoBudget);
+  [[nodiscard]] EncodedPacket layout_packet() const;
+  /// The page as it is now, in parts of `part_lanes` (a multiple of kBlockRows); nothing when it is no more. A
+  /// version's blob is encoded once.
+  [[nodiscard]] std::vector<PagePacket> page_packets(std::uint32_t page, std::uint32_t part_lanes = kPageLanes);
+  /// Which pages there are: those of `pages`.
+  [[nodiscard]] std::vector<EncodedPacket> manifest_packets(std::span<const OfferedPage> pages,
+                                                            std::span<const std::uint32_t> gone, bool whole) const;
+  [[nodiscard]] EncodedPacket gone_packet(std::span<const std::uint32_t> pages) const;
+
+  /// The packet that brings a newer scene to who holds the one before: none where its version is the one that is held,
+  /// or nothing is offered. Throws StreamError, naming what is wrong, when its version is 0 or runs backwards, or the
+  /// scene is none that travels (quantize_scene); all is then as before.
+  [[nodiscard]] std::optional<EncodedPacket> take_scene(const SceneState& scene, const SceneInstant& instant);
+  /// The scene that is held, against none; nothing while there is none.
+  [[nodiscard]] std::optional<EncodedPacket> scene_packet() const;
+  [[nodiscard]] std::uint64_t scene_version() const;
+
+  /// What has changed of the lights' visibility, for who holds the pages: none when it is older than what is held, or
+  /// nothing is offered. Light by light, what changes the pictures most first, until their bytes exceed `budget_bytes`;
+  /// visibility_rests() says whether that was all, and a light that has waited comes sooner. Of a light that was sent
+  /// what is held is within kMaxVisibilityError, and exact where it is 0 or 255. Throws StreamError when `visibility`
+  /// is too short for the model that was observed last.
+  [[nodiscard]] std::vector<VisibilityPacket> take_visibility(const LightsVisibility& visibility,
+                                                              double budget_bytes = kNoBudget);
   [[nodiscard]] bool visibility_rests() const { return visibility_waits_.empty(); }
+  /// All of one page's, for who has missed some.
+  [[nodiscard]] std::vector<EncodedPacket> page_visibility(std::uint32_t page) const;
   static constexpr double kNoBudget = 1e300;
   static constexpr int kMaxVisibilityError = 6;
-
-  /// Broadcast packets of one tick: removals, object ids, new Gaussians, deltas. What viewers see
-  /// most comes first, and appended Gaussians and deltas stay near `budget_bytes`. Asserts ready(). When it throws,
-  /// ready() is then false.
-  [[nodiscard]] std::vector<EncodedPacket> tick(double budget_bytes, std::span<const Camera> viewers);
-  /// The same, for take_packets(). Returns the packets' bytes.
-  double make_tick(double budget_bytes, std::span<const Camera> viewers);
-
-  [[nodiscard]] EncodedSnapshot snapshot();
-  /// Chunks of a snapshot of what is held now, most visible from `camera` first. Without a camera: as they come.
-  [[nodiscard]] std::vector<std::size_t> chunk_order(const std::optional<Camera>& camera) const;
 
   [[nodiscard]] const ReplicatedState& held() const { return held_; }
   [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
   [[nodiscard]] const QuantizedGaussians& observed_gaussians() const { return target_; }
+  [[nodiscard]] const std::vector<std::uint8_t>& usable() const { return usable_; }
   [[nodiscard]] const ModelQuantizer& quantizer() const { return quantizer_; }
-  [[nodiscard]] std::size_t unsent() const { return fresh_.size(); }  ///< observed, not held, after the last tick
-  /// Viewers hold as many Gaussians as they take, and the model has more.
-  [[nodiscard]] bool full() const { return room() == 0 && !fresh_.empty(); }
+  /// Observed and not offered, after the last tick.
+  [[nodiscard]] std::size_t unsent() const { return unsent_; }
+  /// As many Gaussians are offered as may be, and the model has more.
+  [[nodiscard]] bool full() const { return full_; }
   [[nodiscard]] std::size_t pending_deltas() const { return selection_.pending(); }
 
  private:
-  template <class Build>
-  void emit(wire::Body body, Build&& build, Payload payload = {});
-  /// Into the mirror and, if that takes it, to those that wait to be sent. Under mutex_.
-  void take_packet(EncodedPacket packet);
-  [[nodiscard]] EncodedPacket scene_packet(std::uint64_t sequence, const QuantizedScene* base) const;
-  void hold_scene();
+  static constexpr std::uint32_t kNoPage = 0xFFFFFFFFU;
+
+  /// A page of the model that was observed.
+  struct TargetPage {
+    std::uint32_t page = 0, first = 0, count = 0;  ///< columns
+    std::uint32_t index = 0;                       ///< of the first
+    std::uint32_t object_id = 0;
+    bool frozen = false;
+    PageBounds bounds;
+  };
+  /// What becomes of it.
+  struct PagePlan {
+    const TargetPage* target = nullptr;
+    std::uint32_t base = kNoPage;             ///< kNoPage: all of it is new
+    std::vector<std::uint32_t> gone;          ///< lanes of the base
+    std::vector<std::uint32_t> moved, fresh;  ///< columns that come from elsewhere; that are new
+    [[nodiscard]] bool changes() const {
+      return base != target->page || !gone.empty() || !moved.empty() || !fresh.empty();
+    }
+  };
+  struct QuietPage {
+    std::uint32_t ticks = 0;
+    bool frozen = false;
+  };
+  struct Blob {
+    std::uint32_t version = 0;
+    std::map<std::pair<std::uint32_t, std::uint32_t>, std::shared_ptr<const Bytes>> parts;  ///< by first and count
+  };
+  struct LightChange {
+    std::uint32_t light_id = 0;
+    std::vector<std::uint32_t> rows;
+    Bytes values;
+    double weight = 0;  ///< in the pictures
+  };
+
   void set_ready(bool ready) {
     const std::scoped_lock lock(mutex_);
     ready_ = ready;
   }
-  struct LightChange {
-    std::uint32_t light_id = 0;
-    SlotValues change;
-    double weight = 0;  ///< in the pictures
-  };
-  [[nodiscard]] LightChange change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const;
-  [[nodiscard]] EncodedPacket light_packet(std::uint64_t sequence, const LightChange& light) const;
-  [[nodiscard]] std::vector<EncodedPacket> light_rows() const;
-  [[nodiscard]] std::vector<std::uint32_t> slots_of(std::span<const std::uint64_t> ids) const;
+  void cut_target(const GaussiansView& gaussians);
+  [[nodiscard]] std::uint32_t row_of(std::uint64_t id) const;
+  [[nodiscard]] std::uint32_t page_of_row(std::uint32_t row) const { return page_of_block_[row / kBlockRows]; }
+  [[nodiscard]] std::uint32_t lane_of_row(std::uint32_t row) const {
+    return block_index_[row / kBlockRows] * kBlockRows + row % kBlockRows;
+  }
+  void index_blocks();
   void map_columns();
-  void index_ids();
-  [[nodiscard]] std::size_t room() const;
-  void tick_removals();
-  void tick_objects();
-  void tick_appends(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
-  void append_chunk(std::span<const std::uint32_t> columns);
-  void tick_deltas(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
+  [[nodiscard]] std::vector<PagePlan> plan_pages();
+  [[nodiscard]] std::uint32_t base_of(const TargetPage& page, std::span<const std::uint32_t> from) const;
+  [[nodiscard]] bool anybody_holds(std::uint32_t page) const;
+  [[nodiscard]] std::uint64_t place_of(std::uint32_t page) const;
+
+  bool fill_page(const TargetPage& page);
+  void drop_page(std::uint32_t page);
+  void tick_structure(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
+  void hold_back(std::vector<PagePlan>& plans, double budget_bytes, std::span<const Camera> viewers,
+                 const ObjectTransforms& objects);
+  void emit_structure(std::span<const PagePlan> plans, std::span<const std::uint32_t> ended);
+  void tick_values(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
+  struct PageValues;
+  void emit_values(std::span<const PageValues> pages);
+  void take_appended(const PagePlan& plan, std::uint32_t left);
+  Change emit(EncodedPacket packet, std::vector<DeltaPacket::Step> steps, std::vector<PageVersion> gone);
+  void follow_unheld();
+  void offer();
+
+  [[nodiscard]] EncodedPacket write_scene(const QuantizedScene* base) const;
+  void hold_scene();
+  [[nodiscard]] LightChange change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const;
+  [[nodiscard]] VisibilityPacket write_visibility(const LightChange& light) const;
 
   PacketWriter writer_, brief_writer_ = PacketWriter::brief();
   StreamOptions options_;
@@ -155,20 +248,30 @@ class StreamModel {
   bool ready_ = false;
   QuantizedScene scene_;  ///< newest; held, where anything is
   SceneInstant instant_;
-  std::vector<EncodedPacket> made_;  ///< that nobody has taken
+  StreamUpdate update_;  ///< that nobody has taken
+  std::shared_ptr<const std::vector<OfferedPage>> offered_ = std::make_shared<std::vector<OfferedPage>>();
+  std::map<std::uint32_t, Blob> blobs_;
+  std::optional<std::set<std::uint32_t>> holders_;
+  std::set<std::uint32_t> asked_;  ///< pages that were sent since
 
+  std::optional<std::set<std::uint32_t>> holders_now_;  ///< of both, when the tick began
+
+  std::uint32_t version_ = 0;
   std::optional<StreamLayout> target_layout_;
   QuantizedGaussians target_;
-  std::vector<IndexRange> target_ranges_;  ///< indices of its columns
+  std::vector<TargetPage> target_pages_;
   std::vector<std::uint8_t> usable_;
-  std::vector<std::uint32_t> slot_of_column_;  ///< kNotHeld: not held
-  std::vector<std::uint32_t> column_of_slot_;  ///< kNotHeld: not in the target, or not usable
-  std::vector<std::uint32_t> gone_;            ///< slots that the target has no more, ascending
-  std::vector<std::uint32_t> fresh_;           ///< columns that are usable and not held
-  std::unordered_map<std::uint64_t, std::uint32_t> slot_of_id_;
+  std::vector<std::uint32_t> page_of_block_, block_index_;      ///< kNoPage: nobody's
+  std::vector<std::uint32_t> row_of_column_;                    ///< kNotHeld: not held
+  std::vector<std::uint32_t> column_of_row_;                    ///< kNotHeld: not in the target, or not usable
+  std::vector<std::uint32_t> target_page_of_row_;               ///< kNoPage: in none
+  std::unordered_map<std::uint64_t, std::uint32_t> row_of_id_;  ///< may name rows that hold another one by now
+  std::map<std::uint32_t, QuietPage> quiet_;                    ///< by page
+  std::uint32_t follow_next_ = 0;                               ///< page
+  std::size_t unsent_ = 0;
+  bool full_ = false;
   std::map<std::uint32_t, std::uint32_t> visibility_waits_;  ///< times that a light was left for later
-  double chunk_bytes_per_gaussian_ = 24;
-  std::uint64_t snapshots_ = 0;
+  double appended_bytes_ = 24;                               ///< a Gaussian
 };
 
 }  // namespace splatbus::stream

@@ -62,7 +62,7 @@ inline constexpr std::string_view kSchema<wire::SceneLightDepth> = "SceneLightDe
 template <>
 inline constexpr std::string_view kSchema<wire::SceneUpdate> = "SceneUpdate/1";
 template <>
-inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/1";
+inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/2";
 template <>
 inline constexpr std::string_view kSchema<wire::Topics> = "Topics/1";
 template <>

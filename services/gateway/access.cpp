@@ -20,14 +20,6 @@ namespace {
 
 constexpr std::size_t kMaxTokens = 4096;
 
-std::optional<Rights> rights_of(std::string_view role) {
-  if (role == "view") return Rights{};
-  if (role == "steer") return Rights{.steer = true};
-  if (role == "probe") return Rights{.probe = true};
-  if (role == "control") return Rights::all();
-  return std::nullopt;
-}
-
 bool parse_hex(std::string_view text, std::array<std::uint8_t, 32>& out) {
   if (text.size() != 2 * out.size()) return false;
   for (std::size_t i = 0; i < out.size(); ++i) {
@@ -80,13 +72,14 @@ void Tokens::read() {
   std::string line;
   for (int number = 1; std::getline(file, line); ++number) {
     std::istringstream words(line.substr(0, line.find('#')));
-    std::string role, hash;
-    if (!(words >> role)) continue;
-    const auto rights = rights_of(role);
+    std::string names, hash;
+    if (!(words >> names)) continue;
+    const auto rights = bus::parse_rights(names);
     Entry entry;
-    if (!rights || !(words >> hash) || !parse_hex(hash, entry.hash)) {
-      throw std::runtime_error(
-          fmt::format("{}:{}: expected view, steer, probe or control, and a SHA-256 of 64 hex digits", path_, number));
+    if (!rights || !rights->view || !(words >> hash) || !parse_hex(hash, entry.hash)) {
+      throw std::runtime_error(fmt::format(
+          "{}:{}: expected view, or with steer, probe or control such as view,steer; and a SHA-256 of 64 hex digits",
+          path_, number));
     }
     entry.rights = *rights;
     if (entries.size() == kMaxTokens) {
@@ -108,10 +101,10 @@ bool Tokens::refresh() {
   return true;
 }
 
-std::optional<Rights> Tokens::find(std::string_view token) const {
+std::optional<bus::Rights> Tokens::find(std::string_view token) const {
   Hash hash{};
   ::SHA256(reinterpret_cast<const unsigned char*>(token.data()), token.size(), hash.data());
-  std::optional<Rights> found;
+  std::optional<bus::Rights> found;
   for (const Entry& entry : entries_) {
     if (::CRYPTO_memcmp(entry.hash.data(), hash.data(), hash.size()) == 0) found = entry.rights;
   }

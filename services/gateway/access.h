@@ -7,21 +7,13 @@
 #include <string_view>
 #include <vector>
 
+#include "bus/rights.h"
+
 namespace splatbus::gateway {
 
-/// What a connection may do beyond looking.
-struct Rights {
-  bool steer = false;    ///< its poses say where the capture looks
-  bool probe = false;    ///< it may ask for the engine's own pictures, and say how its own compare
-  bool control = false;  ///< reserved for what changes the pipeline
-
-  [[nodiscard]] static Rights all() { return {.steer = true, .probe = true, .control = true}; }
-  bool operator==(const Rights&) const = default;
-};
-
-/// Who may come in: a file with a line for each token, `ROLE SHA256 [name]`. ROLE is view, steer, probe or control (all
-/// of them); SHA256 is the token's, in hex, so that who reads the file cannot use it. '#' begins a comment. Not
-/// thread-safe.
+/// Who may come in: a file with a line for each token, `RIGHTS SHA256 [name]`. RIGHTS are those of bus::parse_rights,
+/// "view,steer", view among them; SHA256 is the token's, in hex, so that who reads the file cannot use it. '#' begins a
+/// comment. Not thread-safe.
 class Tokens {
  public:
   Tokens() = default;
@@ -31,7 +23,7 @@ class Tokens {
 
   [[nodiscard]] bool required() const { return !path_.empty(); }
   /// The rights that a token stands for. Takes the same time whichever it is, and whether there is one.
-  [[nodiscard]] std::optional<Rights> find(std::string_view token) const;
+  [[nodiscard]] std::optional<bus::Rights> find(std::string_view token) const;
   /// Reads the file again when it has changed; a new one that is wrong lets nobody in, and is logged. True when
   /// anything changed.
   bool refresh();
@@ -40,7 +32,7 @@ class Tokens {
   using Hash = std::array<std::uint8_t, 32>;
   struct Entry {
     Hash hash{};
-    Rights rights;
+    bus::Rights rights;
   };
   struct Version {
     std::int64_t modified_ns = 0;

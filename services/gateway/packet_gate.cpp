@@ -20,24 +20,10 @@ FramedPacket unframe(std::span<const std::uint8_t> message) {
   return {.packet = rest.first(packet_bytes), .payload = rest.subspan(packet_bytes)};
 }
 
-Passage examine(const FramedPacket& message, const Rights& rights) {
+Passage examine(const FramedPacket& message, const bus::Rights& rights) {
   const auto packet = stream::ParsedPacket::parse(message.packet, message.payload);
-  bool allowed = true;
-  switch (packet.body()) {
-    case wire::Body::Hello:
-      allowed = rights.probe || !packet.root().body_as_Hello()->probes();
-      break;
-    case wire::Body::Pose:
-      allowed = rights.steer;
-      break;
-    case wire::Body::Probe:
-    case wire::Body::Quality:
-      allowed = rights.probe;
-      break;
-    default:
-      break;
-  }
-  return allowed ? Passage::Pass : Passage::Forbidden;
+  const bool probes = packet.body() == wire::Body::Probe || packet.body() == wire::Body::Quality;
+  return probes && !rights.probe ? Passage::Forbidden : Passage::Pass;
 }
 
 }  // namespace splatbus::gateway

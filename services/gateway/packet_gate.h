@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <span>
 
-#include "gateway/access.h"
+#include "bus/rights.h"
 #include "wire/stream_generated.h"
 
 namespace splatbus::gateway {
@@ -23,8 +23,9 @@ inline constexpr std::size_t kFrameHeaderBytes = 4;
 
 enum class Passage : std::uint8_t { Pass, Forbidden };
 
-/// Whether what a browser sent may go on to the streamer under these rights. Throws stream::StreamError when it is no
-/// Packet; the message may lie at any address.
-[[nodiscard]] Passage examine(const FramedPacket& message, const Rights& rights);
+/// Whether what a browser sent may go on to the streamer under these rights; who may not steer says where it looks
+/// nevertheless, since it is sent first what it sees best, and the streamer knows its rights too. Throws
+/// stream::StreamError when it is no Packet; the message may lie at any address.
+[[nodiscard]] Passage examine(const FramedPacket& message, const bus::Rights& rights);
 
 }  // namespace splatbus::gateway

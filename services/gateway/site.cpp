@@ -84,8 +84,8 @@ Site::Site(const Options& options, PipelineView& pipeline, Traffic& traffic)
       tokens_(options.tokens),
       origins_(options.origins, tokens_.required()) {}
 
-std::optional<Rights> Site::rights_of(std::string_view token) const {
-  if (!tokens_.required()) return Rights::all();
+std::optional<bus::Rights> Site::rights_of(std::string_view token) const {
+  if (!tokens_.required()) return bus::Rights::all();
   return token.size() > kMaxToken ? std::nullopt : tokens_.find(token);
 }
 

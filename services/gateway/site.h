@@ -47,7 +47,7 @@ class Site {
 
   /// Of a request to become a WebSocket: the rights that it comes with, or what to say instead.
   struct Admission {
-    std::optional<Rights> rights;
+    std::optional<bus::Rights> rights;
     Response refusal;
     std::string token;  ///< to look at again when the tokens change
   };
@@ -56,7 +56,7 @@ class Site {
   /// Reads the tokens again when they have changed; true when they have.
   bool refresh_tokens() { return tokens_.refresh(); }
   /// Those of a token as the file has it now; all where none is asked for.
-  [[nodiscard]] std::optional<Rights> rights_of(std::string_view token) const;
+  [[nodiscard]] std::optional<bus::Rights> rights_of(std::string_view token) const;
   [[nodiscard]] std::size_t files() const { return files_.size(); }
 
  private:

@@ -45,11 +45,17 @@ bool StreamLink::receive(StreamPacket& packet) {
   return false;
 }
 
-bool StreamLink::send(const FramedPacket& packet) {
-  const auto more = packet.payload.empty() ? zmq::send_flags::none : zmq::send_flags::sndmore;
-  const zmq::const_buffer first = zmq::buffer(packet.packet.data(), packet.packet.size());
-  if (socket_.send(first, zmq::send_flags::dontwait | more) && !packet.payload.empty()) {
-    (void)socket_.send(zmq::buffer(packet.payload.data(), packet.payload.size()), zmq::send_flags::dontwait);
+bool StreamLink::send(const FramedPacket& packet, const bus::Rights& rights) {
+  using zmq::send_flags;
+  const std::string first = bus::rights_frame(rights);
+  // Once the first frame is accepted, the rest of the message is.
+  if (socket_.send(zmq::buffer(first), send_flags::dontwait | send_flags::sndmore)) {
+    const bool has_payload = !packet.payload.empty();
+    socket_.send(zmq::buffer(packet.packet.data(), packet.packet.size()),
+                 has_payload ? send_flags::dontwait | send_flags::sndmore : send_flags::dontwait);
+    if (has_payload) {
+      socket_.send(zmq::buffer(packet.payload.data(), packet.payload.size()), send_flags::dontwait);
+    }
   }
   return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0;
 }

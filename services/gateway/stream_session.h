@@ -50,7 +50,7 @@ class Browser {
   virtual void stop() = 0;
   [[nodiscard]] virtual int socket() = 0;
 
-  Rights rights;
+  bus::Rights rights;
   std::string token;
   std::int64_t write_began_ns = 0;  ///< 0: nothing is being written
   std::int64_t progress_ns = 0;     ///< when its kernel last took bytes of that
@@ -219,7 +219,7 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
       const FramedPacket packet = unframe(message);
       if (examine(packet, rights) == Passage::Forbidden) {
         relay_.traffic.refuse(Refusal::Forbidden);
-      } else if (link_.send(packet)) {
+      } else if (link_.send(packet, rights)) {
         wake_.cancel();
       }
       return true;

@@ -21,7 +21,7 @@ namespace {
 
 constexpr std::string_view kIpc = "ipc://";
 constexpr int kMessagesACall = 256;   // that are none, before others get their turn
-constexpr std::size_t kMaxParts = 2;  // packet and payload
+constexpr std::size_t kMaxParts = 3;  // a relay's rights frame, packet, payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
 constexpr int kHandshakeMs = 5000;
@@ -51,9 +51,17 @@ bus::FileDescriptor lock_beside(const std::string& path) {
 
 WirePacket::WirePacket(const stream::EncodedPacket& packet)
     : body_(packet.body),
-      sequence_(packet.sequence),
+      sequence_at_(stream::sequence_offset(packet.packet)),
       packet_(packet.packet.data(), packet.packet.size()),
       payload_(packet.payload.data(), packet.payload.size()) {}
+
+stream::EncodedPacket WirePacket::copy() const {
+  const auto bytes = bytes_of(packet_), payload = bytes_of(payload_);
+  return {.body = body_,
+          .sequence = 0,
+          .packet = {bytes.begin(), bytes.end()},
+          .payload = {payload.begin(), payload.end()}};
+}
 
 Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options)
     : socket_(context_, zmq::socket_type::router), bound_(endpoints.size()) {
@@ -114,14 +122,19 @@ void Endpoint::require_intact() const {
   }
 }
 
-Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet) {
+Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet, std::uint64_t sequence) {
   try {
     const zmq::const_buffer id = zmq::buffer(peer);
     const auto flags = zmq::send_flags::dontwait | zmq::send_flags::sndmore;
     if (!socket_.send(id, flags)) return Sent::Full;
     // Once the routing id is accepted, the rest of the message is.
     zmq::message_t first, second;
-    first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    if (sequence == 0) {
+      first.copy(const_cast<zmq::message_t&>(packet.packet_));
+    } else {
+      first.rebuild(packet.packet_.data(), packet.packet_.size());
+      flatbuffers::WriteScalar(static_cast<std::uint8_t*>(first.data()) + packet.sequence_at_, sequence);
+    }
     const bool has_payload = !packet.payload_.empty();
     socket_.send(first, has_payload ? flags : zmq::send_flags::dontwait);
     if (has_payload) {
@@ -154,16 +167,22 @@ std::optional<Endpoint::Received> Endpoint::receive() {
 
 std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::vector<zmq::message_t>& parts) {
   try {
-    if (parts.empty() || parts.size() > kMaxParts)
-      throw stream::StreamError("a message of one or two frames was expected");
-    const bus::Rights rights = bus::sender_rights(parts[0], allowed_.get());
-    if (!rights.view) {
-      guard_->close(parts[0], "its key is not allowed to view");
+    std::span<const zmq::message_t> frames(parts);
+    bus::Rights rights = frames.empty() ? bus::Rights() : bus::sender_rights(frames[0], allowed_.get());
+    if (!frames.empty() && !rights.view) {
+      guard_->close(frames[0], "its key is not allowed to view");
       return std::nullopt;
     }
+    if (frames.size() > 1) {
+      if (const auto relayed = bus::parse_rights_frame(frames[0].to_string_view())) {
+        rights = rights & *relayed;
+        frames = frames.subspan(1);
+      }
+    }
+    if (frames.empty() || frames.size() > 2) throw stream::StreamError("a message of one or two frames was expected");
     return Received{.peer = peer,
                     .packet = stream::ParsedPacket::parse(
-                        bytes_of(parts[0]), parts.size() > 1 ? bytes_of(parts[1]) : std::span<const std::uint8_t>()),
+                        bytes_of(frames[0]), frames.size() > 1 ? bytes_of(frames[1]) : std::span<const std::uint8_t>()),
                     .rights = rights};
   } catch (const std::exception& error) {
     ++malformed_;

@@ -18,19 +18,20 @@
 
 namespace splatbus::streamer {
 
-/// A packet in ZeroMQ's own, counted memory: sent to any number of viewers without a copy.
+/// A packet in ZeroMQ's own, counted memory: sent to any number of viewers without a copy of its payload.
 class WirePacket {
  public:
   explicit WirePacket(const stream::EncodedPacket& packet);
 
   [[nodiscard]] wire::Body body() const { return body_; }
-  [[nodiscard]] std::uint64_t sequence() const { return sequence_; }
   [[nodiscard]] std::size_t bytes() const { return packet_.size() + payload_.size(); }
+  /// As it was encoded.
+  [[nodiscard]] stream::EncodedPacket copy() const;
 
  private:
   friend class Endpoint;
   wire::Body body_;
-  std::uint64_t sequence_;
+  std::size_t sequence_at_;
   zmq::message_t packet_, payload_;
 };
 using SharedPacket = std::shared_ptr<WirePacket>;
@@ -54,7 +55,8 @@ class Endpoint {
   /// Throws bus::Error naming the endpoint and what is wrong: it is neither ipc nor tcp, is taken, or needs a key.
   explicit Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options = {});
 
-  [[nodiscard]] Sent send(const Peer& peer, const WirePacket& packet);
+  /// `sequence`: this peer's number of the packet; 0: as it was written.
+  [[nodiscard]] Sent send(const Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
 
   struct Received {
     Peer peer;

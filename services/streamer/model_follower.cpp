@@ -93,8 +93,9 @@ ModelFollower::Result ModelFollower::follow(Job& job) {
   try {
     result.fresh = observe(job.announcement);
     if (result.fresh) result.generation = published_->generation();
-    // An empty model is not worth a snapshot: the first Gaussians choose the quantizers.
+    // An empty model is not worth a beginning: the first Gaussians choose the quantizers.
     if (result.fresh && model_.ready()) {
+      model_.set_holders(std::move(job.holders));
       result.spent_bytes = model_.make_tick(job.budget_bytes, job.cameras);
     } else if (result.fresh && model_.observed_count() > 0) {
       model_.reset_to_target();

@@ -5,6 +5,7 @@
 #include <exception>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
 #include <vector>
@@ -27,6 +28,7 @@ class ModelFollower {
     std::optional<bus::Message> announcement;  ///< model/published that is not open yet
     double budget_bytes = 0;
     std::vector<Camera> cameras;
+    std::set<std::uint32_t> holders;  ///< pages that anybody holds
   };
   /// After a job.
   struct Result {

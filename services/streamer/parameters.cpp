@@ -34,18 +34,20 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("keys_on_loopback", keys.always, "a tcp endpoint takes keys on the loopback address too", kFixed);
   p.add("tick_hz", hub.tick_hz, "updates a second", {0.1, 120}, kFixed);
   p.add("budget_kbps", budget_kbps,
-        "kbit/s to one viewer for new Gaussians and deltas; snapshots of those who join come on top", {10, 1e7});
+        "kbit/s for new Gaussians and deltas of pages that are held, encoded once for all viewers", {10, 1e7});
+  p.add("viewer_kbps", hub.viewer_kbps,
+        "kbit/s to one viewer, of everything but probe pictures; no second has more than a tenth above it. 0: found "
+        "out from what arrives",
+        {0, 1e7});
   p.add("visibility_hz", visibility_hz, "updates a second, at most, of which Gaussians see the sun", {0.1, 240});
   p.add("visibility_kbps", visibility_kbps,
-        "kbit/s to one viewer for these; a viewer's shadows lag where it is too low", {10, 1e7});
+        "kbit/s for these, encoded once for all viewers; shadows lag where it is too low", {10, 1e7});
   p.add("calm_ticks", stream.calm_ticks,
         "ticks after which a value that rests is sent to within a step of its quantizer", {1, 255}, kFixed);
-  p.add("chunk_gaussians", stream.chunk_gaussians, "Gaussians in one packet of a snapshot, at most",
-        {64, static_cast<double>(stream::kMaxChunkGaussians)}, kFixed);
   p.add("max_viewers", hub.max_viewers, "that are served", {1, 4096}, kFixed);
   p.add("viewer_timeout_s", hub.viewer_timeout_s,
         "seconds after which a viewer that sends or reads nothing is forgotten", {0.1, 3600}, kFixed);
-  p.add("history_mb", hub.history_bytes, "MB of sent packets kept for viewers that lost some", {0, 1024}, kFixed,
+  p.add("history_mb", hub.history_bytes, "MB of deltas kept for viewers that are behind", {0, 1024}, kFixed,
         bus::kMebibytes);
   for (const auto& [attribute, name] : kScheduled) {
     stream::AttributeSchedule& s = stream.schedules[static_cast<std::size_t>(attribute)];

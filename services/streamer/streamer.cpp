@@ -26,8 +26,9 @@ using namespace std::chrono_literals;
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
 constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
-constexpr std::size_t kMaxRelit = 4;            // generations of the model
-constexpr int kPictureZstdLevel = 1;            // probe pictures are for measurements on the same machine
+constexpr double kKeepForNobody_s = 60;
+constexpr std::size_t kMaxRelit = 4;  // generations of the model
+constexpr int kPictureZstdLevel = 1;  // probe pictures are for measurements on the same machine
 
 }  // namespace
 
@@ -83,9 +84,8 @@ void Streamer::run() {
 
 void Streamer::take_messages(std::int64_t now_ns) {
   subscriber_.dispatch_all(0ms);
-  hub_.broadcast(model_.take_packets());
   if (!follower_.busy()) send_visibility(now_ns);
-  blocked_ = hub_.pump(now_ns, !follower_.busy());
+  blocked_ = hub_.pump(now_ns);
 }
 
 void Streamer::turn(std::int64_t now_ns) {
@@ -103,17 +103,16 @@ void Streamer::step(std::int64_t now_ns) {
   // The first Gaussians do not wait for the tick.
   const bool first = announcement_ && !model_.status().ready && hub_.viewers() > 0;
   if (!follower_.busy() && (now_ns >= next_tick_ns_ || first)) {
-    blocked_ = hub_.pump(now_ns, true);  // what may not be asked for meanwhile
-    begin_tick();
+    begin_tick(now_ns);
     const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
     next_tick_ns_ = std::max(next_tick_ns_ + period_ns, now_ns);
   }
-  blocked_ = hub_.pump(now_ns, !follower_.busy());
+  blocked_ = hub_.pump(now_ns);
   hub_.expire(now_ns);
   if (next_stats_ns_ == 0) next_stats_ns_ = now_ns + kSecondNs;
   if (now_ns >= next_stats_ns_) {
     endpoint_.require_intact();
-    hub_.send_keepalive();
+    hub_.send_keepalive(now_ns);
     publish_statistics(now_ns);
     next_stats_ns_ = std::max(next_stats_ns_ + kSecondNs, now_ns);
   }
@@ -131,9 +130,11 @@ void Streamer::subscribe() {
 }
 
 void Streamer::take_scene(const wire::SceneUpdate& body) {
-  const wire::SceneState& scene = *body.scene();
-  hub_.broadcast(
-      model_.take_scene(from_wire(scene), {.frame = scene.frame(), .capture_ns = body.header()->capture_ns()}));
+  const wire::SceneState& wired = *body.scene();
+  const SceneState scene = from_wire(wired);
+  const auto packet = model_.take_scene(scene, {.frame = wired.frame(), .capture_ns = body.header()->capture_ns()});
+  hub_.set_objects(scene.objects);
+  if (packet) hub_.add_scene(*packet);
 }
 
 // Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
@@ -175,13 +176,13 @@ void Streamer::send_visibility(std::int64_t now_ns) {
   next_visibility_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_->visibility_hz);
   relit->second.sent = true;
   try {
-    const auto packets = model_.take_visibility({.light_ids = relit->second.light_ids,
-                                                 .of_index = relit->second.of_index,
-                                                 .scene_version = relit->second.scene_version},
-                                                visibility_balance_bytes_);
+    auto packets = model_.take_visibility({.light_ids = relit->second.light_ids,
+                                           .of_index = relit->second.of_index,
+                                           .scene_version = relit->second.scene_version},
+                                          visibility_balance_bytes_);
     relit->second.sent = model_.visibility_rests();
-    for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.bytes());
-    hub_.broadcast(packets);
+    for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.packet.bytes());
+    hub_.add_visibility(std::move(packets));
   } catch (const stream::StreamError& error) {
     if (log_limiter_.allow()) spdlog::error("{}", error.what());
   }
@@ -208,18 +209,23 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
                                                stream::zstd_compress(rgba, kPictureZstdLevel)));
 }
 
-void Streamer::begin_tick() {
-  if (!hub_.anybody_follows()) model_.release();
+void Streamer::begin_tick(std::int64_t now_ns) {
+  // Whoever comes back soon goes on with what it holds.
+  if (hub_.empty_s(now_ns) > kKeepForNobody_s) model_.release();
   if (hub_.viewers() == 0) {
     service_.detail(ticked_.opened ? "waits for viewers" : "waits for model/published");
     return;
   }
-  if (options_.refresh()) model_.set_schedules(options_->stream.schedules);
+  if (options_.refresh()) {
+    model_.set_schedules(options_->stream.schedules);
+    hub_.set_rate(options_->hub.viewer_kbps);
+  }
   const double per_tick = options_->budget_kbps * 125 / static_cast<double>(options_->hub.tick_hz);
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   follower_.start({.announcement = std::exchange(announcement_, std::nullopt),
                    .budget_bytes = std::max(balance_bytes_, 0.0),
-                   .cameras = hub_.cameras()});
+                   .cameras = hub_.cameras(),
+                   .holders = hub_.holders()});
 }
 
 void Streamer::end_tick(std::int64_t now_ns) {
@@ -229,13 +235,19 @@ void Streamer::end_tick(std::int64_t now_ns) {
   balance_bytes_ -= result->spent_bytes;
   if (result->fresh) observed_generation_ = result->generation;
   // Gaussians that have come since do not know yet what they see.
-  if (const std::size_t gaussians = model_.status().gaussians; gaussians != std::exchange(held_gaussians_, gaussians)) {
+  stream::StreamUpdate update = model_.take_update();
+  const bool others = std::ranges::any_of(update.deltas, [](const stream::DeltaPacket& delta) {
+    return std::ranges::any_of(delta.steps, &stream::DeltaPacket::Step::other_lanes);
+  });
+  const std::size_t gaussians = model_.status().gaussians;
+  if (gaussians != std::exchange(held_gaussians_, gaussians) || others) {
     for (auto& [generation, relit] : relit_) relit.sent = false;
   }
   if (result->restarted) {
-    (void)model_.take_packets();  // a snapshot has all that they say
     hub_.restart_all();
     for (auto& [generation, relit] : relit_) relit.sent = false;
+  } else {
+    hub_.add(std::move(update));
   }
   if (!result->error.empty() && log_limiter_.allow()) spdlog::error("{}", result->error);
   say_what_is_served(*result);
@@ -260,6 +272,7 @@ void Streamer::say_what_is_served(const ModelFollower::Result& result) {
 void Streamer::publish_statistics(std::int64_t now_ns) {
   const auto window = hub_.statistics().close_window(now_ns);
   const stream::StreamModel::Status held = model_.status();
+  const ViewerHub::Counts counts = hub_.counts();
   publisher_.publish(topics::kStreamStats, [&](auto& builder, auto header) {
     std::vector<flatbuffers::Offset<wire::PacketBytes>> types;
     for (std::size_t i = 0; i < window.types.size(); ++i) {
@@ -268,10 +281,11 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
       types.push_back(wire::CreatePacketBytesDirect(builder, wire::EnumNameBody(static_cast<wire::Body>(i)),
                                                     type.total_bytes, type.window_bytes, type.packets));
     }
-    return wire::CreateStreamStatsDirect(
-        builder, header, held.epoch, held.sequence, static_cast<std::uint32_t>(hub_.viewers()), held.gaussians,
-        ticked_.observed, window.total_bytes, window.bytes, window.seconds, window.mbps, window.mbps_mean,
-        window.mbps_peak, hub_.snapshots(), hub_.resends(), hub_.lost_viewers(), &types);
+    return wire::CreateStreamStatsDirect(builder, header, held.epoch, held.version, held.pages,
+                                         static_cast<std::uint32_t>(hub_.viewers()), held.gaussians, ticked_.observed,
+                                         window.total_bytes, window.bytes, window.seconds, window.mbps,
+                                         window.mbps_mean, window.mbps_peak, counts.whole_pages, counts.lost_packets,
+                                         counts.refused_pages, hub_.lost_viewers(), &types);
   });
   service_.counter("viewers", static_cast<double>(hub_.viewers()));
   service_.counter("gaussians", static_cast<double>(held.gaussians));
@@ -284,8 +298,11 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("wire_mbps_mean", window.mbps_mean);
   service_.counter("wire_mbps_peak", window.mbps_peak);
   service_.counter("wire_bytes", static_cast<double>(window.total_bytes));
-  service_.counter("snapshots", static_cast<double>(hub_.snapshots()));
-  service_.counter("resends", static_cast<double>(hub_.resends()));
+  service_.counter("pages", static_cast<double>(held.pages));
+  service_.counter("whole_pages", static_cast<double>(counts.whole_pages));
+  service_.counter("lost_packets", static_cast<double>(counts.lost_packets));
+  service_.counter("refused_pages", static_cast<double>(counts.refused_pages));
+  service_.counter("ignored", static_cast<double>(hub_.ignored()));
   service_.counter("lost_viewers", static_cast<double>(hub_.lost_viewers()));
   service_.counter("tcp_connections", static_cast<double>(endpoint_.connections().open));
   service_.counter("closed_connections", static_cast<double>(endpoint_.connections().closed));

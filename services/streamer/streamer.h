@@ -47,7 +47,7 @@ class Streamer {
   void forward_probe(const wire::CaptureProbe& body, const bus::Message& message);
   /// What is due; a tick is begun, and ended by a later call.
   void step(std::int64_t now_ns);
-  void begin_tick();
+  void begin_tick(std::int64_t now_ns);
   void end_tick(std::int64_t now_ns);
   void take_visibility(const wire::RelightVisibility& body, const bus::Message& message);
   void send_visibility(std::int64_t now_ns);

@@ -14,9 +14,12 @@ namespace splatbus::streamer {
 namespace {
 
 constexpr int kMessagesACall = 512;
-constexpr std::size_t kMaxProbes = 1024;
+constexpr int kPacketsATurn = 256;
 constexpr std::size_t kMaxPictures = 8;
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
+constexpr std::size_t kCamerasATick = 4;
+constexpr std::int64_t kPoseEveryNs = 15'000'000;
+constexpr std::int64_t kProbeNs = 20'000'000'000;  // an answer that has not come by then will not
 
 }  // namespace
 
@@ -27,12 +30,17 @@ ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::Pac
       writer_(std::move(writer)),
       options_(options),
       events_(std::move(events)),
-      feed_(model, options.history_bytes) {}
+      board_(model, options.history_bytes) {}
+
+void ViewerHub::say(const std::string& text) {
+  if (log_limiter_.allow()) spdlog::info("{}", text);
+}
 
 void ViewerHub::receive(std::int64_t now_ns) {
+  now_ns_ = now_ns;
   for (int i = 0; i < kMessagesACall; ++i) {
     const auto received = endpoint_.receive();
-    if (!received) return;
+    if (!received) break;
     try {
       handle(*received, now_ns);
     } catch (const std::runtime_error& error) {
@@ -40,75 +48,122 @@ void ViewerHub::receive(std::int64_t now_ns) {
         spdlog::warn("a viewer's {}: {}", wire::EnumNameBody(received->packet.body()), error.what());
     }
   }
+  for (auto& [peer, viewer] : viewers_) pass_pose(viewer, now_ns);
 }
 
-stream::EncodedPacket ViewerHub::welcome(bool asks) const {
+stream::EncodedPacket ViewerHub::welcome(std::uint64_t connection) const {
   const stream::StreamModel::Status held = model_.status();
   const ParameterLayout& layout = held.layout;
   const bool transfer = layout.appearance == Appearance::Transfer;
   return writer_.write(held.epoch, 0, wire::Body::Welcome, [&](auto& builder) {
     return wire::CreateWelcome(builder, transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
                                static_cast<std::uint8_t>(transfer ? 0 : layout.sh_degree), held.epoch, options_.tick_hz,
-                               asks);
+                               connection == 0, connection);
   });
 }
 
 void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) {
   const auto& [peer, packet, rights] = received;
   const wire::Packet& root = packet.root();
-  if (packet.body() == wire::Body::Hello) return hello(peer, packet, now_ns);
   const auto found = viewers_.find(peer);
   if (found == viewers_.end()) {
-    if (packet.body() != wire::Body::Bye) send(peer, WirePacket(welcome(true)));
+    if (!answers_.take(1, now_ns)) {
+      ++ignored_;
+    } else if (packet.body() == wire::Body::Hello) {
+      hello(received, now_ns);
+    } else if (packet.body() != wire::Body::Bye) {
+      send(peer, WirePacket(welcome(0)));
+    }
     return;
   }
   Viewer& viewer = found->second;
   viewer.heard_ns = now_ns;
-  const bool same_epoch = packet.stream_epoch() == model_.status().epoch;
+  viewer.rights = rights;
+  if (!viewer.limits.allow(packet.body(), now_ns)) {
+    ++ignored_;
+    return;
+  }
   switch (packet.body()) {
+    case wire::Body::Hello:
+      send(peer, WirePacket(welcome(viewer.connection)));  // it repeated itself before the Welcome was there
+      break;
     case wire::Body::Pose:
-      viewer.camera = from_wire(*root.body_as_Pose()->camera());
-      events_.pose(viewer.name, *root.body_as_Pose());
+      take_pose(viewer, packet, now_ns);
       break;
-    case wire::Body::Probe: {
-      const wire::Probe& probe = *root.body_as_Probe();
-      static_cast<void>(from_wire(*probe.camera()));  // refuses what makes no sense
-      if (probe_askers_.size() >= kMaxProbes) probe_askers_.erase(probe_askers_.begin());
-      probe_askers_[probe.probe_id()] = peer;
-      events_.probe(viewer.name, probe);
+    case wire::Body::Probe:
+      take_probe(peer, viewer, *root.body_as_Probe(), now_ns);
       break;
-    }
     case wire::Body::Quality:
-      events_.quality(viewer.name, *root.body_as_Quality());
-      break;
-    case wire::Body::Resend:
-      if (same_epoch) feed_.resend(viewer.cursor, root.body_as_Resend()->first(), root.body_as_Resend()->last());
-      break;
-    case wire::Body::NeedSnapshot: {
-      const auto* reason = root.body_as_NeedSnapshot()->reason();
-      if (log_limiter_.allow()) {
-        spdlog::info("viewer {} needs a snapshot: {}", viewer.name,
-                     bus::printable(reason ? reason->string_view() : ""));
+      if (std::erase(viewer.compared, root.body_as_Quality()->probe_id()) > 0) {
+        events_.quality(viewer.name, *root.body_as_Quality());
+      } else {
+        ++ignored_;
       }
-      PacketFeed::start_over(viewer.cursor);
       break;
-    }
+    case wire::Body::Held:
+      if (packet.stream_epoch() == model_.status().epoch) take_held(viewer, *root.body_as_Held(), now_ns);
+      break;
     case wire::Body::Bye:
-      spdlog::info("viewer {} left", viewer.name);
+      say(fmt::format("viewer {} left", viewer.name));
+      remember(viewer);
       viewers_.erase(found);
+      if (viewers_.empty()) empty_since_ns_ = now_ns;
       break;
     default:
-      spdlog::debug("viewer {} sent a {}", viewer.name, wire::EnumNameBody(packet.body()));
+      ++ignored_;
   }
 }
 
-void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns) {
-  const wire::Hello& body = *packet.root().body_as_Hello();
-  if (const auto known = viewers_.find(peer); known != viewers_.end()) {
-    known->second.heard_ns = now_ns;
-    send(peer, WirePacket(welcome(false)));  // it repeated itself before the Welcome was there
+// The newest of a burst is passed on.
+void ViewerHub::take_pose(Viewer& viewer, const stream::ParsedPacket& packet, std::int64_t now_ns) {
+  viewer.gaze.add(from_wire(*packet.root().body_as_Pose()->camera()), now_ns);
+  viewer.pose = packet;
+}
+
+void ViewerHub::pass_pose(Viewer& viewer, std::int64_t now_ns) {
+  if (!viewer.pose || now_ns - viewer.posed_ns < kPoseEveryNs) return;
+  viewer.posed_ns = now_ns;
+  if (viewer.rights.steer) events_.pose(viewer.name, *viewer.pose->root().body_as_Pose());
+  viewer.pose.reset();
+}
+
+void ViewerHub::take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns) {
+  static_cast<void>(from_wire(*probe.camera()));  // refuses what makes no sense
+  std::erase_if(probes_, [&](const auto& entry) { return now_ns - entry.second.asked_ns > kProbeNs; });
+  const auto of_one = std::ranges::count_if(probes_, [&](const auto& entry) { return entry.second.asker == peer; });
+  const bool room = probes_.size() < kProbesInFlight && static_cast<std::size_t>(of_one) < kProbesOfOne;
+  if (!viewer.rights.probe || !room || !probes_.try_emplace(probe.probe_id(), Probe{peer, now_ns}).second) {
+    ++ignored_;
     return;
   }
+  events_.probe(viewer.name, probe);
+}
+
+void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t now_ns) {
+  ViewerFeed::Said said{.newest = held.newest(),
+                        .missing = {},
+                        .lacks = {},
+                        .dropped = {},
+                        .bytes = static_cast<double>(held.bytes()),
+                        .window_s = static_cast<double>(held.window_us()) * 1e-6};
+  if (held.missing()) {
+    for (const wire::SequenceRange* range : *held.missing()) said.missing.push_back({range->first(), range->last()});
+  }
+  if (held.lacks()) {
+    for (const wire::PageVersion* page : *held.lacks()) said.lacks.push_back({page->page(), page->version()});
+  }
+  if (held.dropped()) said.dropped.assign(held.dropped()->begin(), held.dropped()->end());
+  const bool anew = viewer.feed.acknowledge(said, board_, now_ns);
+  if (anew) {
+    begin(viewer, false);
+  } else if (held.scene_lost()) {
+    if (auto scene = model_.scene_packet()) viewer.feed.push_scene(std::make_shared<WirePacket>(*scene));
+  }
+}
+
+void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
+  const auto& [peer, packet, rights] = received;
+  const wire::Hello& body = *packet.root().body_as_Hello();
   if (viewers_.size() >= options_.max_viewers) {
     send(peer, WirePacket(writer_.write(model_.status().epoch, 0, wire::Body::Bye, [&](auto& builder) {
            return wire::CreateByeDirect(builder,
@@ -116,110 +171,170 @@ void ViewerHub::hello(const Endpoint::Peer& peer, const stream::ParsedPacket& pa
          })));
     return;
   }
-  Viewer viewer;
+  Viewer viewer(body.max_gaussians() != 0 ? body.max_gaussians() : stream::kMaxGaussians);
   viewer.name = bus::printable(body.viewer()->string_view());
+  viewer.rights = rights;
+  viewer.connection = ++connections_;
   viewer.wants_probes = body.probes();
   viewer.heard_ns = viewer.sent_ns = now_ns;
-  if (body.camera()) viewer.camera = from_wire(*body.camera());
-  const bool resumes = feed_.resume(viewer.cursor, packet.stream_epoch(), body.holds());
-  spdlog::info("viewer {} {}", viewer.name, resumes ? "is back" : "joined");
+  if (body.camera()) viewer.gaze.add(from_wire(*body.camera()), now_ns);
+  viewer.feed.rate().set(options_.viewer_kbps, now_ns);
+  const stream::StreamModel::Status held = model_.status();
+  const bool same = held.ready && packet.stream_epoch() == held.epoch;
+  if (same && body.held()) {
+    std::vector<stream::PageVersion> pages;
+    std::vector<std::uint32_t> gone;
+    for (const wire::PageVersion* page : *body.held()) {
+      (board_.find(page->page()) ? pages.emplace_back(page->page(), page->version()).page
+                                 : gone.emplace_back(page->page()));
+    }
+    viewer.feed.resume(board_, pages, body.visibility_version() == held.visibility_version);
+    if (!gone.empty()) viewer.feed.push(std::make_shared<WirePacket>(model_.gone_packet(gone)));
+  }
+  say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));
   statistics_.begin(now_ns);
-  viewers_[peer] = std::move(viewer);
-  send(peer, WirePacket(welcome(false)));
+  send(peer, WirePacket(welcome(viewer.connection)));
+  if (held.ready) begin(viewer, same && body.scene_version() == model_.scene_version());
+  viewers_.insert_or_assign(peer, std::move(viewer));
 }
 
-void ViewerHub::broadcast(const std::vector<stream::EncodedPacket>& packets) {
-  feed_.add(packets);
+void ViewerHub::begin(Viewer& viewer, bool has_scene) {
+  viewer.feed.push(std::make_shared<WirePacket>(model_.layout_packet()));
+  if (!has_scene) {
+    if (auto scene = model_.scene_packet()) viewer.feed.push(std::make_shared<WirePacket>(*scene));
+  }
+  for (const auto& packet : model_.manifest_packets(board_.offered(), {}, true)) {
+    viewer.feed.push(std::make_shared<WirePacket>(packet));
+  }
+}
+
+void ViewerHub::add(stream::StreamUpdate update) {
+  std::vector<stream::OfferedPage> changed;
+  const std::vector<std::uint32_t> gone = board_.add(std::move(update), changed);
+  if (viewers_.empty()) return;
+  std::vector<SharedPacket> news;
+  if (!changed.empty() || !gone.empty()) {
+    for (const auto& packet : model_.manifest_packets(changed, gone, false)) {
+      news.push_back(std::make_shared<WirePacket>(packet));
+    }
+  }
+  for (auto& [peer, viewer] : viewers_) {
+    for (const SharedPacket& packet : news) viewer.feed.push(packet);
+  }
+}
+
+void ViewerHub::add_scene(const stream::EncodedPacket& packet) {
+  const auto shared = std::make_shared<WirePacket>(packet);
+  for (auto& [peer, viewer] : viewers_) viewer.feed.push_scene(shared);
+}
+
+void ViewerHub::add_visibility(std::vector<stream::VisibilityPacket> packets) {
+  for (stream::VisibilityPacket& packet : packets) {
+    board_.forget(packet.pages);
+    const auto shared = std::make_shared<WirePacket>(packet.packet);
+    const auto pages = std::make_shared<const std::vector<wire::SeenPage>>(std::move(packet.pages));
+    for (auto& [peer, viewer] : viewers_) viewer.feed.push_visibility(shared, pages);
+  }
 }
 
 void ViewerHub::restart_all() {
-  feed_.clear();
-  for (auto& [peer, viewer] : viewers_) PacketFeed::start_over(viewer.cursor);
-}
-
-SharedPacket ViewerHub::next_packet(Viewer& viewer, std::int64_t now_ns, bool settled) {
-  bool lagged = false;
-  SharedPacket packet = feed_.next(viewer.cursor, viewer.camera, now_ns, settled, lagged);
-  if (lagged) {
-    ++lost_viewers_;
-    spdlog::warn("viewer {} does not keep up and gets a snapshot", viewer.name);
-  }
-  if (packet) return packet;
-  return viewer.pictures.empty() ? SharedPacket() : viewer.pictures.front();
-}
-
-void ViewerHub::advance(Viewer& viewer, const SharedPacket& sent) {
-  if (sent->body() == wire::Body::ProbePicture) {
-    viewer.pictures.pop_front();
-  } else {
-    PacketFeed::advance(viewer.cursor);
+  board_.clear();
+  add({});
+  for (auto& [peer, viewer] : viewers_) {
+    viewer.feed.start_over();
+    begin(viewer, false);
   }
 }
 
-bool ViewerHub::pump(std::int64_t now_ns, bool settled) {
-  bool full = false;
-  for (auto at = viewers_.begin(); at != viewers_.end();) {
-    Viewer& viewer = at->second;
-    auto sent = Endpoint::Sent::Yes;
-    bool idle = false;
-    while (sent == Endpoint::Sent::Yes) {
-      const SharedPacket packet = next_packet(viewer, now_ns, settled);
-      idle = !packet;
-      if (idle) break;
-      sent = send(at->first, *packet);
-      if (sent != Endpoint::Sent::Yes) break;
-      advance(viewer, packet);
-      viewer.sent_ns = now_ns;  // it reads, however slowly
-    }
-    if (idle) viewer.sent_ns = now_ns;
-    full = full || sent == Endpoint::Sent::Full;
-    if (sent == Endpoint::Sent::Gone) {
-      spdlog::info("viewer {} is gone", viewer.name);
-      at = viewers_.erase(at);
-    } else {
-      ++at;
-    }
-  }
-  return full;
-}
-
-Endpoint::Sent ViewerHub::send(const Endpoint::Peer& peer, const WirePacket& packet) {
-  const auto sent = endpoint_.send(peer, packet);
+Endpoint::Sent ViewerHub::send(const Endpoint::Peer& peer, const WirePacket& packet, std::uint64_t sequence) {
+  const auto sent = endpoint_.send(peer, packet, sequence);
   if (sent == Endpoint::Sent::Yes) statistics_.add(packet.body(), packet.bytes());
   return sent;
 }
 
-void ViewerHub::send_keepalive() {
-  for (const auto& [peer, viewer] : viewers_) {
-    // Only what has been sent can have been lost.
-    const bool follows = !viewer.cursor.waits_for_snapshot && !viewer.cursor.snapshot;
-    const std::uint64_t last_sent = follows ? viewer.cursor.next - 1 : 0;
-    send(peer, WirePacket(writer_.write(model_.status().epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
-           return wire::CreateKeepalive(builder, last_sent, model_.status().gaussians,
-                                        static_cast<std::uint32_t>(viewers_.size()));
-         })));
+Endpoint::Sent ViewerHub::send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle) {
+  if (const SharedPacket packet = viewer.feed.next(model_, board_, viewer.gaze.gaze(), objects_, now_ns)) {
+    const auto sent = send(peer, *packet, viewer.feed.next_sequence());
+    if (sent == Endpoint::Sent::Yes) viewer.feed.sent(now_ns);
+    return sent;
+  }
+  idle = viewer.pictures.empty();
+  if (idle) return Endpoint::Sent::Yes;
+  // Measurements ask for these, and their rate is not the stream's.
+  const auto sent = send(peer, *viewer.pictures.front());
+  if (sent == Endpoint::Sent::Yes) viewer.pictures.pop_front();
+  return sent;
+}
+
+bool ViewerHub::pump(std::int64_t now_ns) {
+  now_ns_ = now_ns;
+  bool waits = false;
+  for (auto at = viewers_.begin(); at != viewers_.end();) {
+    Viewer& viewer = at->second;
+    viewer.feed.rate().set(options_.viewer_kbps, now_ns);
+    auto sent = Endpoint::Sent::Yes;
+    bool idle = false;
+    for (int k = 0; k < kPacketsATurn && sent == Endpoint::Sent::Yes && !idle; ++k) {
+      sent = send_next(at->first, viewer, now_ns, idle);
+      if (sent == Endpoint::Sent::Yes) viewer.sent_ns = now_ns;  // it reads, however slowly
+    }
+    waits = waits || !idle || viewer.feed.waits();
+    if (sent == Endpoint::Sent::Gone) {
+      say(fmt::format("viewer {} is gone", viewer.name));
+      remember(viewer);
+      at = viewers_.erase(at);
+      if (viewers_.empty()) empty_since_ns_ = now_ns;
+    } else {
+      ++at;
+    }
+  }
+  return waits;
+}
+
+void ViewerHub::send_keepalive(std::int64_t now_ns) {
+  const stream::StreamModel::Status held = model_.status();
+  for (auto& [peer, viewer] : viewers_) {
+    const auto kbps = static_cast<std::uint32_t>(viewer.feed.rate().bytes_per_s() / 125);
+    const WirePacket packet(writer_.write(held.epoch, 0, wire::Body::Keepalive, [&](auto& builder) {
+      return wire::CreateKeepalive(builder, held.gaussians, static_cast<std::uint32_t>(held.pages),
+                                   static_cast<std::uint32_t>(viewers_.size()), kbps);
+    }));
+    if (send(peer, packet, viewer.feed.next_sequence()) == Endpoint::Sent::Yes) {
+      viewer.feed.sent_beside(static_cast<double>(packet.bytes()), now_ns);
+    }
   }
 }
 
 void ViewerHub::expire(std::int64_t now_ns) {
   const auto limit_ns = static_cast<std::int64_t>(options_.viewer_timeout_s * 1e9);
-  std::erase_if(viewers_, [&](const auto& entry) {
+  const auto gone = std::erase_if(viewers_, [&](const auto& entry) {
     const Viewer& viewer = entry.second;
     const bool silent = now_ns - viewer.heard_ns > limit_ns, stuck = now_ns - viewer.sent_ns > limit_ns;
     if (silent || stuck) {
       ++lost_viewers_;
-      spdlog::warn("viewer {} {} nothing for {} s and is forgotten", viewer.name, silent ? "sent" : "read",
-                   options_.viewer_timeout_s);
+      say(fmt::format("viewer {} {} nothing for {} s and is forgotten", viewer.name, silent ? "sent" : "read",
+                      options_.viewer_timeout_s));
+      remember(viewer);
     }
     return silent || stuck;
   });
+  if (gone > 0 && viewers_.empty()) empty_since_ns_ = now_ns;
+}
+
+void ViewerHub::remember(const Viewer& viewer) {
+  former_.whole_pages += viewer.feed.whole_pages();
+  former_.lost_packets += viewer.feed.lost_packets();
+  former_.refused_pages += viewer.feed.refused_pages();
 }
 
 void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture) {
   const auto packet = std::make_shared<WirePacket>(picture);
-  const auto asker = probe_askers_.extract(probe_id);
+  const auto asked = probes_.extract(probe_id);
   for (auto& [peer, viewer] : viewers_) {
-    if (!viewer.wants_probes && (!asker || asker.mapped() != peer)) continue;
+    const bool wanted = asked ? asked.mapped().asker == peer : viewer.wants_probes && viewer.rights.probe;
+    if (!wanted) continue;
+    viewer.compared.push_back(probe_id);
+    if (viewer.compared.size() > kProbesInFlight) viewer.compared.pop_front();
     viewer.pictures.push_back(packet);
     std::size_t bytes = 0;
     for (const SharedPacket& waiting : viewer.pictures) bytes += waiting->bytes();
@@ -230,16 +345,35 @@ void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::Encoded
   }
 }
 
-bool ViewerHub::anybody_follows() const {
-  return std::ranges::any_of(viewers_, [](const auto& entry) { return !entry.second.cursor.waits_for_snapshot; });
+double ViewerHub::empty_s(std::int64_t now_ns) const {
+  return viewers_.empty() ? static_cast<double>(now_ns - empty_since_ns_) * 1e-9 : 0;
 }
 
-std::vector<Camera> ViewerHub::cameras() const {
-  std::vector<Camera> cameras;
+std::vector<Camera> ViewerHub::cameras() {
+  std::vector<Camera> all;
   for (const auto& [peer, viewer] : viewers_) {
-    if (viewer.camera) cameras.push_back(*viewer.camera);
+    if (viewer.gaze.gaze()) all.push_back(viewer.gaze.gaze()->now);
   }
-  return cameras;
+  if (all.size() <= kCamerasATick) return all;
+  std::vector<Camera> some;
+  for (std::size_t k = 0; k < kCamerasATick; ++k) some.push_back(all[camera_turn_++ % all.size()]);
+  return some;
+}
+
+std::set<std::uint32_t> ViewerHub::holders() const {
+  std::set<std::uint32_t> pages;
+  for (const auto& [peer, viewer] : viewers_) viewer.feed.hold_pages(pages);
+  return pages;
+}
+
+ViewerHub::Counts ViewerHub::counts() const {
+  Counts counts = former_;
+  for (const auto& [peer, viewer] : viewers_) {
+    counts.whole_pages += viewer.feed.whole_pages();
+    counts.lost_packets += viewer.feed.lost_packets();
+    counts.refused_pages += viewer.feed.refused_pages();
+  }
+  return counts;
 }
 
 }  // namespace splatbus::streamer

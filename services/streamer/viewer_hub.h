@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -12,7 +13,9 @@
 #include "gaussians/camera.h"
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
-#include "streamer/packet_feed.h"
+#include "streamer/page_board.h"
+#include "streamer/peer_limits.h"
+#include "streamer/viewer_feed.h"
 #include "streamer/wire_statistics.h"
 
 namespace splatbus::streamer {
@@ -22,6 +25,7 @@ struct HubOptions {
   std::size_t history_bytes = std::size_t{16} << 20;
   double viewer_timeout_s = 5;  ///< a viewer that sends nothing, or reads nothing, for so long is forgotten
   float tick_hz = 5;
+  double viewer_kbps = 9000;  ///< to one viewer; 0: found out
 };
 
 /// What viewers ask of the rest of the system.
@@ -31,58 +35,89 @@ struct HubEvents {
   std::function<void(const std::string& viewer, const wire::Quality&)> quality;
 };
 
-/// Where every viewer is in the stream. Each is sent, in this order and as fast as it reads: what it asked to be
-/// resent, the chunks of its snapshot, the broadcast packets that follow it, the newest few probe pictures. Nothing is
-/// queued for a viewer but numbers and shared packets: memory does not grow with a viewer that does not read. One
-/// thread.
+/// All viewers. Each is sent what its feed chooses, as fast as it reads and at most at its rate, and the newest few
+/// probe pictures. Nothing is queued for a viewer but numbers and shared packets: memory does not grow with a viewer
+/// that does not read, and nobody waits for another. What viewers say is bounded by kind and peer. One thread.
 class ViewerHub {
  public:
+  static constexpr std::size_t kProbesInFlight = 64, kProbesOfOne = 8;
+
   ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::PacketWriter writer, HubOptions options,
             HubEvents events);
 
   /// Takes what viewers sent. Bounded work a call.
   void receive(std::int64_t now_ns);
   /// After a tick of the model.
-  void broadcast(const std::vector<stream::EncodedPacket>& packets);
-  /// After the model was reset: everybody starts over with a snapshot.
+  void add(stream::StreamUpdate update);
+  /// The scene that take_scene() gave, for everybody.
+  void add_scene(const stream::EncodedPacket& packet);
+  /// Where they are: what viewers see of pages in their frames.
+  void set_objects(const ObjectTransforms& objects) { objects_ = objects; }
+  void add_visibility(std::vector<stream::VisibilityPacket> packets);
+  /// After the model was reset: everybody starts over.
   void restart_all();
-  /// Sends as much as sockets take. True when somebody's is full.
-  /// `settled`: the model is not being ticked, so that snapshots may begin.
-  bool pump(std::int64_t now_ns, bool settled = true);
+  /// Sends as much as sockets and rates take. True when somebody waits for either.
+  bool pump(std::int64_t now_ns);
   /// Once a second: Keepalive to all.
-  void send_keepalive();
+  void send_keepalive(std::int64_t now_ns);
   /// Forgets viewers that fell silent.
   void expire(std::int64_t now_ns);
-  /// To every viewer that wants probe pictures, and to the one that asked for this probe: by pump(), behind the model.
+  /// To the viewer that asked for this probe; where somebody else did, to every viewer that wants probe pictures: by
+  /// pump(), behind the model.
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
+  void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
-  /// False while nobody holds or awaits anything of the current epoch: then the model may be reset.
-  [[nodiscard]] bool anybody_follows() const;
-  [[nodiscard]] std::vector<Camera> cameras() const;
+  /// How long nobody has been here; 0 while somebody is.
+  [[nodiscard]] double empty_s(std::int64_t now_ns) const;
+  /// Of some viewers, in turn: what they see comes first in a tick.
+  [[nodiscard]] std::vector<Camera> cameras();
+  /// Pages that anybody holds.
+  [[nodiscard]] std::set<std::uint32_t> holders() const;
 
   [[nodiscard]] WireStatistics& statistics() { return statistics_; }
-  [[nodiscard]] std::uint64_t snapshots() const { return feed_.snapshots(); }
-  [[nodiscard]] std::uint64_t resends() const { return feed_.resends(); }
+  struct Counts {
+    std::uint64_t whole_pages = 0, lost_packets = 0, refused_pages = 0;
+  };
+  [[nodiscard]] Counts counts() const;
   [[nodiscard]] std::uint64_t lost_viewers() const { return lost_viewers_; }
+  /// What viewers said too often.
+  [[nodiscard]] std::uint64_t ignored() const { return ignored_; }
 
  private:
   struct Viewer {
+    explicit Viewer(std::size_t max_gaussians) : feed(max_gaussians) {}
+
     std::string name;
-    std::optional<Camera> camera;
+    bus::Rights rights;
+    std::uint64_t connection = 0;
+    GazeTracker gaze;
     bool wants_probes = false;
-    std::int64_t heard_ns = 0, sent_ns = 0;
-    StreamCursor cursor;
+    std::int64_t heard_ns = 0, sent_ns = 0, posed_ns = 0;
+    std::optional<stream::ParsedPacket> pose;  ///< newest, that the rest has not heard
+    PeerLimits limits;
+    ViewerFeed feed;
     std::deque<SharedPacket> pictures;
+    std::deque<std::uint64_t> compared;  ///< probes whose pictures it was sent
+  };
+  struct Probe {
+    Endpoint::Peer asker;
+    std::int64_t asked_ns = 0;
   };
 
   void handle(const Endpoint::Received& received, std::int64_t now_ns);
-  void hello(const Endpoint::Peer& peer, const stream::ParsedPacket& packet, std::int64_t now_ns);
-  /// Next packet to send to a viewer, null when there is none; and what to do when it is sent.
-  [[nodiscard]] SharedPacket next_packet(Viewer& viewer, std::int64_t now_ns, bool settled);
-  void advance(Viewer& viewer, const SharedPacket& sent);
-  Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet);
-  [[nodiscard]] stream::EncodedPacket welcome(bool asks) const;
+  void hello(const Endpoint::Received& received, std::int64_t now_ns);
+  void take_pose(Viewer& viewer, const stream::ParsedPacket& packet, std::int64_t now_ns);
+  void pass_pose(Viewer& viewer, std::int64_t now_ns);
+  void take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns);
+  void take_held(Viewer& viewer, const wire::Held& held, std::int64_t now_ns);
+  void begin(Viewer& viewer, bool has_scene);
+  /// Its counts, when it goes.
+  void remember(const Viewer& viewer);
+  Endpoint::Sent send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle);
+  Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
+  [[nodiscard]] stream::EncodedPacket welcome(std::uint64_t connection) const;
+  void say(const std::string& text);
 
   Endpoint& endpoint_;
   stream::StreamModel& model_;
@@ -90,10 +125,14 @@ class ViewerHub {
   HubOptions options_;
   HubEvents events_;
   std::map<Endpoint::Peer, Viewer> viewers_;
-  PacketFeed feed_;
-  std::map<std::uint64_t, Endpoint::Peer> probe_askers_;
+  PageBoard board_;
+  ObjectTransforms objects_;
+  std::map<std::uint64_t, Probe> probes_;
+  bus::TokenBucket answers_{50, 50};  ///< to those who are nobody's
   WireStatistics statistics_;
-  std::uint64_t lost_viewers_ = 0;
+  Counts former_;  ///< of viewers that are gone
+  std::uint64_t lost_viewers_ = 0, ignored_ = 0, connections_ = 0, camera_turn_ = 0;
+  std::int64_t now_ns_ = 0, empty_since_ns_ = 0;
   bus::LogLimiter log_limiter_;
 };
 

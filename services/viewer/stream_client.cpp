@@ -31,6 +31,7 @@ StreamClient::StreamClient(ClientOptions options)
                  .hello_every_ns = options_.hello_every_ns,
                  .silence_ns = options_.silence_ns,
                  .pose_every_ns = options_.pose_every_ns,
+                 .max_gaussians = options_.max_gaussians,
                  .held_picture_bytes = options_.held_picture_bytes},
                 options_.now_ns()) {
   socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);

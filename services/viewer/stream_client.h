@@ -19,8 +19,9 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
-  std::string key, server_key;  ///< for a streamer elsewhere: as bus::client_keys() has them
-  bool probes = false;  ///< wants ProbePictures; else they are ignored
+  std::string key, server_key;                        ///< for a streamer elsewhere: as bus::client_keys() has them
+  bool probes = false;                                ///< wants ProbePictures; else they are ignored
+  std::size_t max_gaussians = stream::kMaxGaussians;  ///< that are held
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;   ///< after that the streamer is taken for gone, and greeted again
   std::int64_t pose_every_ns = 100'000'000;  ///< at most, while the camera moves; a tenth as often while it rests
@@ -52,8 +53,8 @@ class StreamClient {
   [[nodiscard]] bool connected() const { return follower_.connected(); }
   [[nodiscard]] std::uint64_t received_bytes() const { return follower_.received_bytes(); }
   [[nodiscard]] std::uint64_t refused() const { return follower_.refused(); }
-  [[nodiscard]] std::uint64_t resends() const { return follower_.resends(); }
-  [[nodiscard]] std::uint64_t snapshot_requests() const { return follower_.snapshot_requests(); }
+  [[nodiscard]] std::uint64_t lost() const { return follower_.lost(); }
+  [[nodiscard]] std::uint64_t lacked() const { return follower_.lacked(); }
   [[nodiscard]] const stream::SceneDelays& scene_delays() const { return follower_.scene_delays(); }
 
   /// For tests: a packet for which it returns true is lost on the way.

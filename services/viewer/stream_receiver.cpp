@@ -65,11 +65,12 @@ ReceiverStatus StreamReceiver::measure() {
   const stream::Replica& replica = client_.replica();
   const stream::SceneDelays& delays = client_.scene_delays();
   return {.connected = client_.connected(),
-          .loading = replica.loading(),
-          .missing_chunks = replica.missing_chunks(),
+          .pages = replica.pages(),
+          .missing_pages = replica.missing_pages(),
           .received_bytes = client_.received_bytes(),
           .refused = client_.refused(),
-          .resends = client_.resends(),
+          .lost = client_.lost(),
+          .lacked = client_.lacked(),
           .scene_delays = delays.count(),
           .scene_delay_ms_p50 = delays.quantile(0.5),
           .scene_delay_ms_p99 = delays.quantile(0.99)};

@@ -19,9 +19,9 @@ namespace splatbus::viewer {
 
 /// Of a client, a moment ago.
 struct ReceiverStatus {
-  bool connected = false, loading = false;
-  std::uint32_t missing_chunks = 0;
-  std::uint64_t received_bytes = 0, refused = 0, resends = 0;
+  bool connected = false;
+  std::size_t pages = 0, missing_pages = 0;  ///< that there are; that are not held
+  std::uint64_t received_bytes = 0, refused = 0, lost = 0, lacked = 0;
   std::size_t scene_delays = 0;  ///< that were measured
   double scene_delay_ms_p50 = 0, scene_delay_ms_p99 = 0;
 };

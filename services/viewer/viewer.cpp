@@ -27,7 +27,8 @@ ClientOptions client_options(const Options& options, const ViewerHost& host) {
           .name = host.name,
           .key = options.key,
           .server_key = options.server_key,
-          .probes = options.probe};
+          .probes = options.probe,
+          .max_gaussians = options.max_gaussians};
 }
 
 // Viewers choose their ids without asking each other.
@@ -65,6 +66,8 @@ void Options::bind(bus::ParameterBinder& p) {
         "ask for",
         {0, 1e6});
   p.add("window", window, "show a window, steered with mouse and keys", kFixed);
+  p.add("max_gaussians", max_gaussians, "that are held; of a larger world what adds most to this viewer's picture",
+        {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);
   p.add("record_file", record_file, "the camera's way is written there, for path=recorded; empty: it is not", kFixed);
   path.bind(p);
 }
@@ -210,7 +213,9 @@ void Viewer::report() {
   host_.counter("unwritten_pictures", static_cast<double>(unwritten_));
   host_.counter("draw_ms", draw_ms_);
   host_.counter("received_bytes", static_cast<double>(status.received_bytes));
-  host_.counter("resends", static_cast<double>(status.resends));
+  host_.counter("lost_packets", static_cast<double>(status.lost));
+  host_.counter("lacked_pages", static_cast<double>(status.lacked));
+  host_.counter("missing_pages", static_cast<double>(status.missing_pages));
   host_.counter("refused", static_cast<double>(status.refused));
   if (status.scene_delays > 0) {
     host_.counter("scene_delay_ms_p50", status.scene_delay_ms_p50);
@@ -223,8 +228,9 @@ void Viewer::report() {
   }
   host_.detail(!status.connected       ? fmt::format("waits for the streamer at {}", host_.endpoint)
                : display_.count() == 0 ? "waits for Gaussians"
-               : status.loading        ? fmt::format("waits for {} chunks", status.missing_chunks)
-                                       : "shows the stream");
+               : status.missing_pages > 0
+                   ? fmt::format("shows {} of {} pages", status.pages - status.missing_pages, status.pages)
+                   : "shows the stream");
 }
 
 }  // namespace splatbus::viewer

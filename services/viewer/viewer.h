@@ -31,6 +31,7 @@ struct Options {
   bool probe = false;
   double probe_period_s = 5;
   bool window = false;
+  std::size_t max_gaussians = stream::kMaxGaussians;
   std::string record_file;
   PathOptions path;
 

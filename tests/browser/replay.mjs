@@ -9,8 +9,6 @@ import { instantiate } from '../../web/wasm/instantiate.mjs';
 const [modulePath, folder, mutants = '20000', seed = '1'] = process.argv.slice(2);
 const kRecordBytes = 32;
 const kMost = 1 << 20;
-const kStats = 17;
-const kStatNeedsSnapshot = 16;
 const kMostMemory = 256 << 20;
 
 const module = new WebAssembly.Module(readFileSync(modulePath));
@@ -45,9 +43,6 @@ class Viewer {
   get hash() {
     const [low, high] = new Uint32Array(wasm.memory.buffer, wasm.held_hash_ptr(this.session), 2);
     return ((BigInt(high) << 32n) | BigInt(low)).toString(16).padStart(16, '0');
-  }
-  get needsSnapshot() {
-    return new Float64Array(wasm.memory.buffer, wasm.stats_ptr(this.session), kStats)[kStatNeedsSnapshot] === 1;
   }
   /** [n] rows, and what is in them: records or colours. */
   take(what, pointer, bytes) {
@@ -151,7 +146,7 @@ function mutated(message, random) {
   return bytes;
 }
 
-/** A mutant comes where the true message was due. One that changes what is held, or makes it unusable, is the last. */
+/** A mutant comes where the true message was due. One that changes what is held is the last. */
 function tamper() {
   const messages = messagesOf(join(folder, 'short.log'));
   const random = randomOf(seed);
@@ -163,11 +158,11 @@ function tamper() {
     const due = random(messages.length);
     for (let k = 0; k < due; ++k) assert.equal(viewer.receive(messages[k]), 0, viewer.error);
     const before = viewer.hash;
-    for (let usable = true; usable && fed < Number(mutants); ++fed) {
+    for (let k = 0, usable = true; usable && k < 64 && fed < Number(mutants); ++k, ++fed) {
       ++results[viewer.receive(mutated(messages[due], random))];
       const same = viewer.hash === before;
       if (!same) ++changed;
-      usable = same && !viewer.needsSnapshot;
+      usable = same;
     }
     viewer.take(wasm.take_changes, wasm.changed_records_ptr, kRecordBytes);
     viewer.take(wasm.take_colors, wasm.changed_colors_ptr, 4);

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "../unit/stream/toy_server.h"
-#include "stream/display_rows.h"
 #include "stream/follower.h"
+#include "stream/gpu_rows.h"
 #include "stream/held_hash.h"
 #include "stream/packet_log.h"
 
@@ -32,30 +32,34 @@ class Writer {
   void add(const stream::EncodedPacket& packet) {
     log_.add(packet.packet, packet.payload);
     follower_.receive(packet.packet, packet.payload, 0);
-    hashes_ << fmt::format("{:016x}\n", stream::held_hash(follower_.replica().shown_state()));
+    hashes_ << fmt::format("{:016x}\n", stream::held_hash(follower_.replica().held()));
     take();
   }
   void add(const std::vector<stream::EncodedPacket>& packets) {
     for (const stream::EncodedPacket& packet : packets) add(packet);
   }
-  void add(const stream::EncodedSnapshot& snapshot) {
-    add(snapshot.head);
-    add(snapshot.chunks);
-    add(snapshot.tail);
+  /// Every page that the follower has otherwise, whole.
+  void add_pages(stream::StreamModel& model) {
+    for (const stream::OfferedPage& page : *model.offered()) {
+      const stream::HeldPage* held = follower_.replica().held().find(page.page);
+      if (held && held->whole() && held->version == page.version) continue;
+      for (const stream::PagePacket& part : model.page_packets(page.page, kPartLanes)) add(part.packet);
+    }
   }
   void write_rows() {
     std::ofstream(path_ + ".rows", std::ios::binary)
         .write(reinterpret_cast<const char*>(memory_.data()),
-               static_cast<std::streamsize>(memory_.size() * sizeof(stream::DisplayRecord)));
+               static_cast<std::streamsize>(memory_.size() * sizeof(stream::GpuRecord)));
   }
 
  private:
   static constexpr std::size_t kMost = 1U << 20;
+  static constexpr std::uint32_t kPartLanes = 2 * stream::kBlockRows;
 
   /// Objects get their indices in the order in which they are taken.
   void take() {
     std::vector<std::uint32_t> rows, colors;
-    std::vector<stream::DisplayRecord> records;
+    std::vector<stream::GpuRecord> records;
     rows_.take_records(kMost, rows, records);
     memory_.resize(rows_.capacity());
     for (std::size_t k = 0; k < rows.size(); ++k) memory_[rows[k]] = records[k];
@@ -66,8 +70,8 @@ class Writer {
   stream::PacketLog log_;
   std::ofstream hashes_;
   stream::Follower follower_;
-  stream::DisplayRows rows_;
-  std::vector<stream::DisplayRecord> memory_;
+  stream::GpuRows rows_;
+  std::vector<stream::GpuRecord> memory_;
 };
 
 Light light_at(float turn) {
@@ -85,7 +89,10 @@ void write(Writer& writer, std::size_t gaussians, int ticks) {
   server.scene.objects[7] = ObjectTransform(Rigid{.translation = {0, 1, 0}});
   server.scene.light = light_at(0);
   server.change_scene();
-  writer.add(server.stream.snapshot());
+  writer.add(server.stream.layout_packet());
+  writer.add(*server.stream.scene_packet());
+  writer.add(server.stream.manifest_packets(*server.stream.offered(), {}, true));
+  writer.add_pages(server.stream);
   for (int tick = 1; tick <= ticks; ++tick) {
     server.train(0.02F);
     if (tick % 4 == 1) server.remove(gaussians / 20);
@@ -93,6 +100,7 @@ void write(Writer& writer, std::size_t gaussians, int ticks) {
     if (tick % 5 == 0) server.scene.light = light_at(0.1F * static_cast<float>(tick));
     server.scene.objects[7].rigid.translation.x = 0.05F * static_cast<float>(tick);
     writer.add(server.tick());
+    writer.add_pages(server.stream);
   }
 }
 

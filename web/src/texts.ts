@@ -14,8 +14,6 @@ export const texts = {
   quality: 'Quality',
   qualities: { auto: 'Automatic', full: 'Full', high: 'High', medium: 'Medium', low: 'Low' },
   gaussianBudget: 'Gaussians at most',
-  megabitBudget: 'Mbit/s at most',
-  unlimited: 'No limit',
   background: 'Background',
   backgrounds: { scene: "The scene's", black: 'Black', gray: 'Gray', white: 'White' },
   keys: 'Keys',

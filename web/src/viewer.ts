@@ -8,7 +8,7 @@ import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
 import { savePng } from './snapshot';
 import { Stage } from './stage';
-import type { FromStreamWorker, StreamFigures } from './stream/messages';
+import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
 import { texts } from './texts';
 import { make, button } from './ui/dom';
@@ -41,8 +41,9 @@ export class Viewer {
   readonly #menu: Menu;
   readonly #pace = new Pace();
   readonly #rate = new Rate();
-  #figures: StreamFigures | null = null;
-  #connection = '';
+  /** The last that the stream's worker said. */
+  figures: StreamFigures | null = null;
+  connection: ConnectionState = 'connecting';
   #retryAtMs = 0;
   #graphics = '';
   #lastMs = 0;
@@ -199,7 +200,7 @@ export class Viewer {
 
   #hear(message: FromStreamWorker): void {
     if (message.kind === 'figures') {
-      this.#figures = message.figures;
+      this.figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
       const unframed = !this.#framed && !this.#steered;
       if (message.figures.gaussians > 0 && (unframed || (this.#benchAsked && this.stage.standing))) {
@@ -211,7 +212,7 @@ export class Viewer {
     } else if (message.kind === 'bounds') {
       this.#showAll(message.centre, message.radius);
     } else if (message.kind === 'connection') {
-      this.#connection = message.state === 'open' ? texts.connected : message.state === 'connecting' ? texts.connecting : '';
+      this.connection = message.state;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
     }
   }
@@ -248,7 +249,7 @@ export class Viewer {
       api: this.stage.renderer?.api ?? 'none',
       width,
       height,
-      gaussians: this.#figures?.gaussians ?? 0,
+      gaussians: this.figures?.gaussians ?? 0,
       resolution: this.#pace.resolution,
       sortMs: this.stage.sortMs,
       browser: navigator.userAgent,
@@ -260,10 +261,11 @@ export class Viewer {
   #benchText = '';
 
   #showFigures(nowMs: number): void {
-    const figures = this.#figures;
+    const figures = this.figures;
     const known = (value: number | undefined, show: (value: number) => string): string =>
       value === undefined || value < 0 ? texts.unknown : show(value);
     const moving = this.#pace.frameMs > 0;
+    const connection = this.connection === 'open' ? texts.connected : texts.connecting;
     const waiting = Math.max(0, (this.#retryAtMs - nowMs) / 1000);
     this.#overlay.show({
       frames: moving ? this.#pace.framesPerSecond.toFixed(0) : texts.rows.atRest,
@@ -277,13 +279,13 @@ export class Viewer {
       uploaded: this.stage.uploadedRows.toLocaleString('en'),
       resolution: `${Math.round(100 * this.#drawn.resolution)} %`,
       drawnBy: this.stage.renderer ? texts.apis[this.stage.renderer.api] : texts.unknown,
-      connection: this.#retryAtMs > 0 ? texts.reconnecting(waiting) : this.#connection,
+      connection: this.#retryAtMs > 0 ? texts.reconnecting(waiting) : connection,
     });
     const problem =
       this.#graphics ||
       (this.#retryAtMs > 0 ? texts.reconnecting(waiting) : '') ||
       (this.#flight ? texts.benchRunning(this.#flight.part(nowMs / 1000)) : this.#benchText) ||
-      (this.stage.standing ? '' : this.#connection === texts.connected ? texts.waitingForScene : texts.connecting);
+      (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);
   }
 

@@ -40,6 +40,7 @@ for (const jitterMs of [0, 20]) {
       const at = playout.at(now);
       const truth = ball(shown);
       assert.ok(Math.hypot(at[15] - truth[15], at[23] - truth[23]) < pixel, `frame ${frame}`);
+      assert.ok(shown <= scenes[next - 1].ms, 'nothing has to be guessed');
       assert.ok(shown > shownBefore, 'time does not run backwards');
       shownBefore = shown;
       latest = Math.max(latest, now - shown);

@@ -127,6 +127,26 @@ test('one finger orbits, two pinch and pan, a stick moves', () =>
     { hasTouch: true },
   ));
 
+test('a gamepad flies, turns and shows all', () =>
+  opened(kPage, async (page) => {
+    const pad = (axes, pressed = false) =>
+      page.evaluate(
+        ([values, value]) => {
+          const buttons = Array.from({ length: 16 }, (_, index) => ({ value: index === 0 ? value : 0 }));
+          navigator.getGamepads = () => [{ connected: true, axes: values, buttons }];
+        },
+        [axes, Number(pressed)],
+      );
+    await pad([0.05, -1, 0, 0]); // what a stick at rest says of itself does not count
+    await page.waitForFunction(() => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
+    const ahead = await goal(page);
+    assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);
+    await pad([0, 0, 1, 0]);
+    await page.waitForFunction((yaw) => window.splatbus.rig.goal.yaw > yaw + 0.05, kStart.yaw);
+    await pad([0, 0, 0, 0], true);
+    await page.waitForFunction(() => window.splatbus.rig.goal.distance > 4.01);
+  }));
+
 test('the address has the view and not the token, and shows the same again', () =>
   opened(`index.html?token=abc&gpu=webgl2#${view(kStart)}`, async (page) => {
     assert.ok(!page.url().includes('abc'), page.url());

@@ -14,8 +14,8 @@
 
 #include "gaussians/depth_order.h"
 #include "stream/bytes.h"
-#include "stream/display_rows.h"
 #include "stream/follower.h"
+#include "stream/gpu_rows.h"
 #include "stream/held_hash.h"
 #include "wire/convert.h"
 
@@ -56,7 +56,7 @@ std::optional<Camera> camera_of(const float* pose) {
 /// What is lost when there is no memory.
 struct Held {
   stream::Follower follower;
-  stream::DisplayRows rows;
+  stream::GpuRows rows;
 
   Held(const stream::FollowerOptions& options, std::int64_t now_ns)
       : follower(options, now_ns), rows(follower.replica()) {}
@@ -70,7 +70,7 @@ struct Session {
   std::string error;
   stream::Bytes outgoing;
   std::vector<std::uint32_t> changed_rows, changed_colors;
-  std::vector<stream::DisplayRecord> changed_records;
+  std::vector<stream::GpuRecord> changed_records;
   std::array<float, 3> background{};
   std::array<double, kStats> stats{};
   std::array<std::uint32_t, 2> hash{};
@@ -229,25 +229,24 @@ const double* stats_ptr(Session* session) {
   session->stats = {number(replica.count()),
                     number(session->held->rows.unsent()),
                     number(follower.connected()),
-                    number(replica.loading()),
-                    number(replica.missing_chunks()),
-                    number(replica.held() ? replica.held()->sequence : 0),
+                    number(replica.pages()),
+                    number(replica.missing_pages()),
+                    number(replica.report().newest),
                     number(replica.epoch()),
                     number(follower.received_bytes()),
                     number(follower.refused()),
-                    number(follower.resends()),
-                    number(follower.snapshot_requests()),
+                    number(follower.lost()),
+                    number(follower.lacked()),
                     number(replica.scene_version()),
                     number(replica.scene_instant().frame),
                     number(replica.scene_instant().capture_ns) / kNsAMs,
                     session->scene_arrived_ms,
-                    number(replica.layout().appearance == Appearance::Radiance),
-                    number(replica.needs_snapshot())};
+                    number(replica.layout().appearance == Appearance::Radiance)};
   return session->stats.data();
 }
 
 const uint32_t* held_hash_ptr(Session* session) {
-  const std::uint64_t hash = stream::held_hash(session->held->follower.replica().shown_state());
+  const std::uint64_t hash = stream::held_hash(session->held->follower.replica().held());
   session->hash = {static_cast<std::uint32_t>(hash), static_cast<std::uint32_t>(hash >> 32)};
   return session->hash.data();
 }
@@ -267,7 +266,7 @@ void sorter_rows(Sorter* sorter, uint32_t rows) {
 int32_t sorter_update(Sorter* sorter, const uint32_t* rows, const uint8_t* records, uint32_t n) {
   for (std::uint32_t k = 0; k < n; ++k) {
     if (rows[k] >= sorter->order.rows()) return 1;
-    stream::DisplayRecord record;
+    stream::GpuRecord record;
     std::memcpy(&record, records + k * sizeof(record), sizeof(record));
     if ((record.opacity_object & 0xFFU) == 0) {
       sorter->order.hide(rows[k]);

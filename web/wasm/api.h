@@ -97,20 +97,19 @@ enum Stat : uint32_t {
   kStatGaussians,
   kStatRowsWaiting,  ///< for take_changes()
   kStatConnected,    ///< 1 after the streamer's welcome
-  kStatLoading,      ///< 1 until all of a snapshot is there
-  kStatMissingChunks,
-  kStatSequence,  ///< newest broadcast packet that is held
+  kStatPages,        ///< that the streamer has for this viewer
+  kStatMissingPages,
+  kStatSequence,  ///< newest packet of the connection
   kStatEpoch,
   kStatBytesIn,
   kStatRefused,
-  kStatResends,
-  kStatSnapshotRequests,
+  kStatLost,    ///< packets that did not come
+  kStatLacked,  ///< pages that were asked for again
   kStatSceneVersion,
   kStatSceneFrame,
   kStatSceneCaptureMs,  ///< of the engine's clock; 0: unknown
   kStatSceneArrivedMs,  ///< of the page's clock
   kStatRadiance,        ///< 1: colours are in display space and are blended there
-  kStatNeedsSnapshot,    ///< 1: what comes is of no use until one begins, which has been asked for
   kStats
 };
 SPLATBUS_EXPORT const double* stats_ptr(Session* session);

@@ -55,10 +55,12 @@ TEST(DeltaCodec, IdsAndRunsRoundTrip) {
   Payload payload = encode_ids(ids);
   EXPECT_EQ(decode_ids(payload.bytes, payload.raw_bytes, ids.size()), ids);
   const std::vector<std::uint32_t> objects{1, 1, 1, 2, 0, 0, 0xFFFFFFFFU};
-  payload = encode_runs(objects);
-  EXPECT_EQ(decode_runs(payload.bytes, payload.raw_bytes, objects.size()), objects);
-  payload = encode_runs({});
-  EXPECT_TRUE(decode_runs(payload.bytes, payload.raw_bytes, 0).empty());
+  SlotIds change{.slots = {}, .ids = objects};
+  for (std::uint32_t i = 0; i < objects.size(); ++i) change.slots.push_back(3 * i);
+  payload = encode_slot_ids(change);
+  const SlotIds decoded = decode_slot_ids(payload.bytes, payload.raw_bytes, objects.size(), 3 * objects.size());
+  EXPECT_EQ(decoded.slots, change.slots);
+  EXPECT_EQ(decoded.ids, objects);
 }
 
 TEST(DeltaCodecHostile, RefusesCountsAndSizesThatCannotBe) {
@@ -79,8 +81,9 @@ TEST(DeltaCodecHostile, RefusesCountsAndSizesThatCannotBe) {
   EXPECT_THROW(decode(payload.raw_bytes, std::size_t{1} << 30, 3, std::size_t{1} << 31), StreamError);
   const Bytes bomb = zstd_compress(Bytes(1 << 24));
   EXPECT_THROW((void)decode_delta(bomb, 1 << 24, 100, 3, 1000), StreamError);
-  const Payload runs = encode_runs(std::vector<std::uint32_t>(100, 1));
-  EXPECT_THROW((void)decode_runs(runs.bytes, runs.raw_bytes, 99), StreamError);
+  const Payload objects = encode_slot_ids({.slots = {1, 2}, .ids = {7, 7}});
+  EXPECT_THROW((void)decode_slot_ids(objects.bytes, objects.raw_bytes, 1, 9), StreamError);
+  EXPECT_THROW((void)decode_slot_ids(objects.bytes, objects.raw_bytes, 2, 2), StreamError);
 }
 
 TEST(DeltaCodecHostile, MutationsAndTruncationsNeverEscapeTheirBounds) {

@@ -18,6 +18,7 @@ namespace {
 
 using test::expect_exact;
 using test::expect_shown;
+using test::join;
 using test::parse;
 using test::send;
 using test::ShownReplica;
@@ -49,26 +50,26 @@ std::vector<std::uint32_t> ids_of(const SceneState& scene) {
 }
 
 /// Of every light of the scene, what is drawn is what was said under that version.
-void expect_seen(ShownReplica& replica, const SceneState& scene, std::uint64_t version) {
+void expect_seen(const ToyServer& server, ShownReplica& replica, std::uint64_t version) {
   const GaussiansView view = replica.view();
-  const std::vector<std::uint32_t> ids = ids_of(scene);
+  const std::vector<std::uint32_t> ids = ids_of(server.scene);
   ASSERT_EQ(view.visibility_u8 != nullptr, ids.size() > 1);
   if (ids.size() == 1) return;
   ASSERT_EQ(view.visibility_rows, ids.size());
   for (std::size_t k = 0; k < ids.size(); ++k) {
-    for (std::size_t slot = 0; slot < view.count; ++slot) {
-      const int want = seen(replica.held()->gaussians.gaussian_id[slot], ids[k], version);
-      const int got = view.visibility_u8[k * view.visibility_stride + slot];
+    test::for_each_held(server, replica, [&](std::uint64_t id, std::uint32_t row) {
+      const int want = seen(id, ids[k], version);
+      const int got = view.visibility_u8[k * view.visibility_stride + row];
       ASSERT_LE(std::abs(got - want), want == 0 || want == 255 ? 0 : StreamModel::kMaxVisibilityError)
-          << "light " << ids[k] << ", slot " << slot;
-    }
+          << "light " << ids[k] << ", row " << row;
+    });
   }
 }
 
 TEST(LightRows, FollowLightsAndGaussiansThatComeAndGo) {
   ToyServer server(61, 500);
   ShownReplica replica;
-  send(server.stream.snapshot(), replica);
+  join(server.stream, replica);
   std::mt19937 random(1);
   auto& sources = server.scene.light.sources;
   for (std::uint64_t round = 1; round <= 60; ++round) {
@@ -80,30 +81,22 @@ TEST(LightRows, FollowLightsAndGaussiansThatComeAndGo) {
       const auto at = std::ranges::lower_bound(sources, id, {}, &LightSource::id);
       if (at == sources.end() || at->id != id) sources.insert(at, point_light(id, {0, 2, 0}));
     }
-    send(server.tick(), replica);
+    server.tick_for(replica);
     const std::vector<std::uint32_t> ids = ids_of(server.scene);
     const auto rows = rows_of(server.model(), ids, round);
     send(server.stream.take_visibility(
              {.light_ids = ids, .of_index = rows, .scene_version = server.scene.version + round}),
          replica);
-    ASSERT_FALSE(replica.needs_snapshot()) << replica.refusal();
+    ASSERT_FALSE(replica.report().urgent());
     EXPECT_TRUE(server.stream.visibility_rests());
-    expect_seen(replica, server.scene, round);
+    expect_seen(server, replica, round);
     expect_exact(server.stream, replica);
     expect_shown(replica);
     if (round % 10 == 0) {
       ShownReplica late;
-      EncodedSnapshot snapshot = server.stream.snapshot();
-      std::ranges::reverse(snapshot.chunks);  // the camera's order is another
-      send(snapshot.head, late);
-      for (const EncodedPacket& chunk : snapshot.chunks) {
-        send({chunk}, late);
-        (void)late.view();
-      }
-      send(snapshot.tail, late);
-      EXPECT_FALSE(late.loading());
+      join(server.stream, late, round % 20 == 0 ? kBlockRows : kPageLanes);
       expect_exact(server.stream, late);
-      expect_seen(late, server.scene, round);
+      expect_seen(server, late, round);
     }
     if (HasFailure()) return;
   }
@@ -114,13 +107,14 @@ TEST(LightRows, OfANewGaussianOrLightNothingIsShadowedUntilItIsSaid) {
   ShownReplica replica;
   server.scene.light.sources = {point_light(4, {0, 1, 0})};
   (void)server.change_scene();
-  send(server.stream.snapshot(), replica);
+  join(server.stream, replica);
   const std::vector<std::uint32_t> ids{0, 4};
   const std::vector<std::uint8_t> dark(200, 0);
   send(server.stream.take_visibility({.light_ids = ids, .of_index = dark, .scene_version = 9}), replica);
   server.insert(50);
   ASSERT_TRUE(server.stream.observe(server.model().view()));
-  send(server.stream.tick(1e9, {}), replica);
+  server.stream.make_tick(1e9, {});
+  send(test::packets_of(server.stream), replica);
   GaussiansView view = replica.view();
   ASSERT_EQ(view.count, 150U);
   EXPECT_EQ(std::ranges::count(std::span(view.visibility_u8 + view.visibility_stride, 150), 0), 100);
@@ -148,7 +142,7 @@ TEST(LightRows, AreGivenInTheOrderOfAnyLights) {
   const auto rows = rows_of(server.model(), ids, 1);
   (void)server.stream.take_visibility({.light_ids = ids, .of_index = rows, .scene_version = 5});
   Replica replica;
-  send(server.stream.snapshot(), replica);
+  join(server.stream, replica);
   DisplayGaussians display;
   display.apply(replica.whole());
   const auto row = [](const GaussiansView& view, std::size_t k) {
@@ -174,7 +168,7 @@ TEST(LightRows, WithinABudgetWhatChangesThePictureMostComesFirstAndAllOfItInTheE
   server.scene.light.sources[0].intensity *= 10;
   (void)server.change_scene();
   ShownReplica replica;
-  send(server.stream.snapshot(), replica);
+  join(server.stream, replica);
   const std::vector<std::uint32_t> ids{0, 1, 2, 3};
   std::vector<std::uint32_t> order;
   for (std::uint64_t version = 3; version < 40; version += 3) {
@@ -184,11 +178,11 @@ TEST(LightRows, WithinABudgetWhatChangesThePictureMostComesFirstAndAllOfItInTheE
           server.stream.take_visibility({.light_ids = ids, .of_index = rows, .scene_version = version}, 1);
       if (packets.empty()) break;
       ASSERT_EQ(packets.size(), 1U);
-      order.push_back(parse(packets[0]).root().body_as_LightVisibility()->light_id());
+      order.push_back(parse(packets[0].packet).root().body_as_LightVisibility()->light_id());
       send(packets, replica);
     }
     EXPECT_TRUE(server.stream.visibility_rests());
-    expect_seen(replica, server.scene, version);
+    expect_seen(server, replica, version);
     if (HasFailure()) return;
   }
   ASSERT_GE(order.size(), 8U);
@@ -207,7 +201,7 @@ TEST(LightRows, NoLightWaitsForEver) {
     const auto rows = rows_of(server.model(), ids, version);
     for (const auto& packet :
          server.stream.take_visibility({.light_ids = ids, .of_index = rows, .scene_version = version}, 1)) {
-      ++sent[parse(packet).root().body_as_LightVisibility()->light_id()];
+      ++sent[parse(packet.packet).root().body_as_LightVisibility()->light_id()];
     }
   }
   EXPECT_GT(sent[1], sent[2]);
@@ -219,7 +213,7 @@ TEST(LightRows, AreRefusedByName) {
   server.scene.light.sources = {point_light(7, {})};
   (void)server.change_scene();
   Replica replica;
-  send(server.stream.snapshot(), replica);
+  join(server.stream, replica);
   const std::vector<std::uint32_t> ids{0, 7};
   const std::vector<std::uint8_t> dark(200, 0);
   EXPECT_THROW((void)server.stream.take_visibility(
@@ -228,15 +222,19 @@ TEST(LightRows, AreRefusedByName) {
   const PacketWriter writer("streamer", 1);
   const auto refusal = [&](std::uint32_t light, const SlotValues& change, std::uint32_t count) -> std::string {
     Payload payload = encode_slot_values(change);
-    ReplicatedState held = *replica.held();
+    ReplicatedState held = replica.held();
+    const std::vector<wire::SeenPage> pages{{0, held.find(0)->structure, 100}};
     const auto packet = writer.write(
-        77, held.sequence + 1, wire::Body::LightVisibility,
-        [&](auto& b) { return wire::CreateLightVisibility(b, 9, count, payload.raw_bytes, light); }, payload.bytes);
+        77, 0, wire::Body::LightVisibility,
+        [&](auto& b) {
+          return wire::CreateLightVisibility(b, 9, light, b.CreateVectorOfStructs(pages), count, payload.raw_bytes);
+        },
+        payload.bytes);
     try {
       apply(held, parse(packet));
     } catch (const StreamError& error) {
-      EXPECT_TRUE(held.light_rows == replica.held()->light_rows);
-      EXPECT_EQ(held.visibility_version, replica.held()->visibility_version);
+      EXPECT_TRUE(held.light_rows == replica.held().light_rows);
+      EXPECT_EQ(held.visibility_version, replica.held().visibility_version);
       return error.what();
     }
     return "nothing";
@@ -246,28 +244,25 @@ TEST(LightRows, AreRefusedByName) {
   EXPECT_EQ(refusal(7, {{100}, {3}}, 1), "LightVisibility: slot 100 of 100 held");
 }
 
-// The rows that a snapshot promises are waited for; broadcast packets before them would move the slots that they name.
-TEST(LightRows, ASnapshotIsNotWholeWithoutThem) {
+// Who has missed some of a page's gets all of it, and nothing that is meant for other lanes.
+TEST(LightRows, OfAPageThatIsHeldOtherwiseNothingIsTakenAndAllOfItCanComeAgain) {
   ToyServer server(67, 300);
   server.scene.light.sources = {point_light(7, {})};
   (void)server.change_scene();
+  ShownReplica replica;
+  join(server.stream, replica);
+  server.remove(40);
+  const auto removal = server.tick().at(0);
   const std::vector<std::uint32_t> ids{0, 7};
   const auto rows = rows_of(server.model(), ids, 5);
-  (void)server.stream.take_visibility({.light_ids = ids, .of_index = rows, .scene_version = 5});
-  const EncodedSnapshot snapshot = server.stream.snapshot();
-  server.remove(40);
-  const auto later = server.tick();
-  ASSERT_EQ(snapshot.tail.front().body, wire::Body::LightVisibility);
-  Replica replica;
-  send(snapshot.head, replica);
-  send(snapshot.chunks, replica);
-  send({snapshot.tail.begin() + 1, snapshot.tail.end()}, replica);
-  EXPECT_TRUE(replica.loading());
-  send(later, replica);
-  EXPECT_TRUE(replica.loading());
-  replica.receive(parse(snapshot.tail.front()));
-  EXPECT_FALSE(replica.loading());
+  const auto visibility = server.stream.take_visibility({.light_ids = ids, .of_index = rows, .scene_version = 5});
+  const Bytes before = *replica.held().light_rows.find(7);
+  send(visibility, replica);
+  EXPECT_EQ(*replica.held().light_rows.find(7), before);
+  replica.receive(parse(removal));
+  send(server.stream.page_visibility(0), replica);
   expect_exact(server.stream, replica);
+  expect_seen(server, replica, 5);
 }
 
 }  // namespace

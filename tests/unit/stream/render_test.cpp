@@ -34,7 +34,7 @@ class SnapshotQuality : public testing::TestWithParam<Appearance> {};
 TEST_P(SnapshotQuality, ThePictureOfWhatArrivesIsThatOfWhatWasSent) {
   test::ToyServer server(31, 6000, GetParam());
   test::ShownReplica replica;
-  test::send(server.stream.snapshot(), replica);
+  test::join(server.stream, replica);
   const auto rasterizer = raster::make_cpu_rasterizer(1);
   const SceneState scene{daylight(), {}};
   for (const glm::vec3 eye : {glm::vec3(3, 2, 0), glm::vec3(0, 4, 0.1F), glm::vec3(-2, 0.6F, -2)}) {

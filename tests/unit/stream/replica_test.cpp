@@ -18,6 +18,7 @@ namespace {
 
 using test::expect_exact;
 using test::expect_shown;
+using test::join;
 using test::parse;
 using test::send;
 using test::ToyServer;
@@ -25,9 +26,9 @@ using test::ToyServer;
 TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
   for (std::uint32_t seed = 1; seed <= 6; ++seed) {
     std::mt19937 random(seed);
-    ToyServer server(seed, 500, seed % 2 ? Appearance::Transfer : Appearance::Radiance);
+    ToyServer server(seed, 1500, seed % 2 ? Appearance::Transfer : Appearance::Radiance);
     test::ShownReplica replica;
-    send(server.stream.snapshot(), replica);
+    join(server.stream, replica);
     for (int tick = 0; tick < 40; ++tick) {
       switch (random() % 5) {
         case 0:
@@ -46,225 +47,192 @@ TEST(ClosedLoop, MirrorAndReplicaAgreeBitForBitAfterRandomHistories) {
           break;
       }
       server.train(0.02F);
-      send(server.tick(random() % 3 ? 3000 : 1e9), replica);
-      ASSERT_FALSE(replica.missing());
-      ASSERT_FALSE(replica.needs_snapshot());
+      server.tick_for(replica, random() % 3 ? 3000 : 1e9);
+      ASSERT_FALSE(replica.report().urgent());
+      if (tick % 8 == 0) expect_exact(server.stream, replica);
+      if (HasFailure()) return;
     }
     expect_exact(server.stream, replica);
     expect_shown(replica);
     EXPECT_EQ(replica.scene().light.sun_irradiance, server.scene.light.sun_irradiance);
     EXPECT_EQ(replica.scene().objects.size(), server.scene.objects.size());
     test::ShownReplica late;
-    send(server.stream.snapshot(), late);
+    join(server.stream, late, kBlockRows);
     expect_exact(server.stream, late);
+    expect_shown(late);
   }
 }
 
-TEST(ClosedLoop, EveryGaussianKeepsItsIdAndObject) {
+TEST(ClosedLoop, EveryGaussianKeepsItsObject) {
   ToyServer server(4);
   test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
+  join(server.stream, replica);
   server.insert(300);
   server.remove(100);
   server.train(0.01F);
-  for (int tick = 0; tick < 3; ++tick) send(server.tick(), replica);
+  for (int tick = 0; tick < 3; ++tick) server.tick_for(replica);
   std::map<std::uint64_t, std::uint32_t> object_of;
   for (std::size_t i = 0; i < server.model().count(); ++i) {
     object_of[server.model().gaussian_id[i]] = server.model().object_id[i];
   }
-  const QuantizedGaussians& held = replica.held()->gaussians;
-  ASSERT_EQ(held.count(), object_of.size());
-  for (std::size_t i = 0; i < held.count(); ++i) {
-    ASSERT_TRUE(object_of.contains(held.gaussian_id[i]));
-    EXPECT_EQ(object_of[held.gaussian_id[i]], held.object_id[i]);
+  ASSERT_EQ(replica.count(), object_of.size());
+  test::for_each_held(server, replica, [&](std::uint64_t id, std::uint32_t row) {
+    ASSERT_TRUE(object_of.contains(id));
+    EXPECT_EQ(object_of[id], replica.held().gaussians.object_id[row]);
+    object_of.erase(id);
+  });
+  EXPECT_TRUE(object_of.empty());
+}
+
+TEST(Replica, RowsStayWhereTheyAreUntilTheirPageChanges) {
+  ToyServer server(5, 3000);
+  Replica replica;
+  join(server.stream, replica);
+  const auto pages = replica.held().pages;
+  server.train(0.02F);
+  server.tick_for(replica);
+  for (const auto& [number, page] : replica.held().pages) {
+    EXPECT_GT(page.version, pages.at(number).version);
+    EXPECT_EQ(page.blocks, pages.at(number).blocks) << "page " << number;
+    EXPECT_EQ(page.structure, pages.at(number).structure);
   }
 }
 
-TEST(Loss, ResendOfWhatIsMissingHeals) {
-  ToyServer server(9);
+TEST(Replica, OfADeltaThatIsLostOnlyItsPagesStayBehindAndComeWhole) {
+  ToyServer server(6, 5000);
   test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
-  std::map<std::uint64_t, EncodedPacket> history;
-  std::mt19937 random(3);
-  int lost = 0;
-  for (int tick = 0; tick < 20; ++tick) {
-    server.insert(20);
-    server.remove(5);
-    server.train(0.05F);
-    for (const EncodedPacket& packet : server.tick()) {
-      history[packet.sequence] = packet;
-      if (random() % 3 == 0) {
-        ++lost;
-      } else {
-        replica.receive(parse(packet));
-      }
-    }
+  join(server.stream, replica);
+  server.train(0.02F);
+  auto lost = server.tick();
+  ASSERT_GE(lost.size(), 3U);
+  const std::size_t missing = parse(lost[0]).root().body_as_PageDelta()->steps()->size();
+  lost.erase(lost.begin());  // the first delta does not come
+  send(lost, replica);
+  server.train(0.02F);
+  send(server.tick(), replica);
+  const auto lacks = replica.report().lacks;
+  ASSERT_EQ(lacks.size(), missing);
+  std::size_t whole = 0;
+  for (const auto& [page, version] : lacks) {
+    EXPECT_EQ(replica.held().find(page)->version, version);
+    EXPECT_LT(version, server.stream.held().find(page)->version);
+    for (const PagePacket& part : server.stream.page_packets(page)) replica.receive(parse(part.packet)), ++whole;
   }
-  ASSERT_GT(lost, 10);
-  int asked = 0;
-  for (auto gap = replica.missing(); gap; gap = replica.missing()) {
-    ASSERT_LE(gap->first, gap->last);
-    ASSERT_LT(asked++, 1000);
-    for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
-  }
-  // A loss at the very end shows only in an Keepalive.
+  EXPECT_EQ(whole, missing);
+  expect_exact(server.stream, replica);
+  expect_shown(replica);
+}
+
+TEST(Replica, GapsInTheNumbersAreReportedOnceAndAnotherConnectionCountsAnew) {
+  ToyServer server(7, 100);
+  Replica replica;
   const PacketWriter writer("streamer", 1);
-  replica.receive(parse(writer.write(77, 0, wire::Body::Keepalive, [&](auto& b) {
-    return wire::CreateKeepalive(b, server.stream.held().sequence, 0, 1);
-  })));
-  for (auto gap = replica.missing(); gap; gap = replica.missing()) {
-    for (std::uint64_t s = gap->first; s <= gap->last; ++s) replica.receive(parse(history.at(s)));
+  const auto welcome = [&](std::uint64_t connection) {
+    replica.receive(parse(writer.write(77, 0, wire::Body::Welcome, [&](auto& b) {
+      return wire::CreateWelcome(b, wire::Appearance::Transfer, 0, 77, 5, false, connection);
+    })));
+  };
+  const auto keepalive = [&](std::uint64_t sequence) {
+    replica.receive(parse(writer.write(77, sequence, wire::Body::Keepalive,
+                                       [](auto& b) { return wire::CreateKeepalive(b, 1, 1, 1, 1); })));
+  };
+  welcome(1);
+  for (const std::uint64_t sequence : {1U, 2U, 5U, 6U, 9U}) keepalive(sequence);
+  EXPECT_EQ(replica.report().newest, 9U);
+  EXPECT_EQ(replica.report().missing, (std::vector<SequenceRange>{{3, 4}, {7, 8}}));
+  replica.clear_report();
+  keepalive(10);
+  EXPECT_TRUE(replica.report().missing.empty());
+  welcome(1);  // once more
+  EXPECT_EQ(replica.report().newest, 10U);
+  welcome(2);
+  keepalive(1);
+  EXPECT_EQ(replica.report().newest, 1U);
+  EXPECT_TRUE(replica.report().missing.empty());
+}
+
+TEST(Replica, PartsMakeAPageInAnyOrderAndAreShownAsTheyCome) {
+  ToyServer server(8, 900);
+  auto parts = server.stream.page_packets(0, kBlockRows);
+  ASSERT_EQ(parts.size(), 4U);
+  std::ranges::reverse(parts);
+  test::ShownReplica replica;
+  replica.receive(parse(server.stream.layout_packet()));
+  std::size_t shown = 0;
+  for (const PagePacket& part : parts) {
+    EXPECT_FALSE(replica.held().find(0) && replica.held().find(0)->whole());
+    replica.receive(parse(part.packet));
+    shown += parse(part.packet).root().body_as_Page()->part();
+    std::size_t drawn = 0;
+    for (const IndexRange& range : replica.view().ranges) drawn += range.count;
+    EXPECT_EQ(drawn, shown);
   }
-  expect_exact(server.stream, replica);
+  EXPECT_EQ(shown, 900U);
+  expect_shown(replica);
+  EXPECT_TRUE(replica.held().find(0)->whole());
+}
+
+TEST(Replica, WhatIsMoreThanItTakesIsDeclinedAndTheRestStays) {
+  ToyServer server(9, 3000);
+  test::ShownReplica replica(2100);
+  join(server.stream, replica);
+  EXPECT_EQ(replica.count(), 2048U);
+  EXPECT_EQ(replica.report().dropped, std::vector<std::uint32_t>{2});
+  replica.receive(parse(server.stream.gone_packet(std::vector<std::uint32_t>{0})));
+  EXPECT_EQ(replica.count(), 1024U);
+  for (const PagePacket& part : server.stream.page_packets(2)) replica.receive(parse(part.packet));
+  EXPECT_EQ(replica.count(), 3000U - 1024);
   expect_shown(replica);
 }
 
-TEST(Loss, PacketsTwiceAndInAnyOrderChangeNothing) {
-  ToyServer server(10);
+TEST(Replica, ThePictureOfTheEpochBeforeStaysUntilAsMuchOfTheNewOneHasCome) {
+  ToyServer server(10, 3000), next(11, 3000, Appearance::Transfer, {}, 90);
   test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
-  std::vector<EncodedPacket> packets;
-  for (int tick = 0; tick < 10; ++tick) {
-    server.insert(10);
+  join(server.stream, replica);
+  const float before = *replica.view().at(0, 0);
+  replica.receive(parse(next.stream.layout_packet()));
+  send(next.stream.manifest_packets(*next.stream.offered(), {}, true), replica);
+  EXPECT_EQ(replica.epoch(), 91U);
+  for (std::uint32_t page = 0; page < 2; ++page) {
+    replica.receive(parse(next.stream.page_packets(page)[0].packet));
+    EXPECT_EQ(replica.count(), 3000U);
+    EXPECT_EQ(*replica.view().at(0, 0), before);
+  }
+  replica.receive(parse(next.stream.page_packets(2)[0].packet));
+  EXPECT_EQ(replica.count(), 3000U);
+  expect_exact(next.stream, replica);
+  expect_shown(replica);
+  // What is late of the old one is nobody's.
+  server.train(0.1F);
+  send(server.tick(), replica);
+  expect_exact(next.stream, replica);
+}
+
+TEST(Replica, ChangesThatNobodyTakesDoNotGrowWithoutBound) {
+  ToyServer server(12, 2000);
+  Replica replica;
+  join(server.stream, replica);
+  const std::size_t whole = replica.whole().bytes();
+  for (int tick = 0; tick < 60; ++tick) {
     server.train(0.05F);
-    for (EncodedPacket& packet : server.tick()) packets.push_back(packet), packets.push_back(packets.back());
+    server.tick_for(replica);
   }
-  std::mt19937 random(5);
-  std::ranges::shuffle(packets, random);
-  send(packets, replica);
-  expect_exact(server.stream, replica);
+  DisplayChanges changes = replica.take_changes();
+  EXPECT_LE(changes.bytes(), (std::size_t{1} << 20) + 4 * whole);
+  DisplayGaussians late, fresh;
+  late.apply(changes);
+  fresh.apply(replica.whole());
+  ASSERT_EQ(late.count(), fresh.count());
+  EXPECT_EQ(*late.view().at(3, 700), *fresh.view().at(3, 700));
 }
 
-TEST(Loss, WhatIsMissingEndsWhereTheNextPacketIsHeld) {
-  ToyServer server(26);
-  test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
-  const std::uint64_t first = replica.held()->sequence + 1;
-  std::vector<EncodedPacket> packets;
-  while (packets.size() < 7) {
-    server.train(0.1F);
-    for (EncodedPacket& packet : server.tick()) packets.push_back(std::move(packet));
-  }
-  for (const std::size_t arrives : {0U, 3U, 4U, 6U}) replica.receive(parse(packets[arrives]));
-  EXPECT_EQ(replica.missing(), (MissingPackets{first + 1, first + 2}));
-  for (const std::size_t arrives : {1U, 2U}) replica.receive(parse(packets[arrives]));
-  EXPECT_EQ(replica.missing(), (MissingPackets{first + 5, first + 5}));
-}
-
-TEST(Loss, AfterAPacketThatWasCutASnapshotIsFollowedOn) {
-  ToyServer server(27);
-  test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
-  const std::uint64_t before = replica.held()->sequence;
-  server.train(0.1F);
-  EncodedPacket cut = server.tick().front();
-  ASSERT_FALSE(cut.payload.empty());
-  cut.payload.resize(cut.payload.size() / 2);
-  EXPECT_THROW(replica.receive(parse(cut)), StreamError);
-  EXPECT_TRUE(replica.needs_snapshot());
-  EXPECT_FALSE(replica.refusal().empty());
-  EXPECT_FALSE(replica.missing());
-  server.train(0.1F);
-  send(server.tick(), replica);
-  EXPECT_EQ(replica.held()->sequence, before) << "what was cut is not skipped";
-  send(server.stream.snapshot(), replica);
-  EXPECT_FALSE(replica.needs_snapshot());
-  server.train(0.1F);
-  send(server.tick(), replica);
-  expect_exact(server.stream, replica);
-  expect_shown(replica);
-}
-
-TEST(Loss, NothingOfAnEpochIsWaitedForOrAppliedInTheNext) {
-  ToyServer old(28);
-  test::ShownReplica replica;
-  send(old.stream.snapshot(), replica);
-  for (int tick = 0; tick < 4; ++tick) {
-    old.train(0.1F);
-    const auto packets = old.tick();
-    send({packets.begin() + 1, packets.end()}, replica);  // these wait for the first
-  }
-  ASSERT_TRUE(replica.missing());
-  // Its numbers follow on where the old ones wait.
-  ToyServer restarted(29, 300, Appearance::Transfer, {.chunk_gaussians = 256}, 78);
-  while (restarted.stream.held().sequence < replica.missing()->last) restarted.stream.reset_to_target();
-  send(restarted.stream.snapshot(), replica);
-  EXPECT_FALSE(replica.missing());
-  expect_exact(restarted.stream, replica);
-  EXPECT_EQ(replica.epoch(), 78U);
-}
-
-TEST(Snapshot, FirstChunkIsShownAtOnceAndInAnyOrderTheWholeIsExact) {
-  ToyServer server(11, 1500);
-  EncodedSnapshot snapshot = server.stream.snapshot();
-  ASSERT_GE(snapshot.chunks.size(), 5U);
-  std::ranges::reverse(snapshot.chunks);
-  test::ShownReplica replica;
-  send(snapshot.head, replica);
-  EXPECT_EQ(replica.count(), 0U);
-  EXPECT_TRUE(replica.receive(parse(snapshot.chunks[0])));
-  EXPECT_GT(replica.count(), 0U);
-  EXPECT_TRUE(replica.loading());
-  // Broadcast packets wait for the rest.
-  server.train(0.05F);
-  const auto packets = server.tick();
-  send(packets, replica);
-  EXPECT_TRUE(replica.loading());
-  for (const EncodedPacket& packet : snapshot.chunks) replica.receive(parse(packet));
-  send(snapshot.tail, replica);
-  EXPECT_FALSE(replica.loading());
-  expect_exact(server.stream, replica);
-}
-
-// The streamer keeps a snapshot for a while: the viewer may hold early packets that are newer.
-TEST(Snapshot, WhatWasBroadcastSinceWaitsForItsIds) {
-  ToyServer server(24);
-  test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
-  const EncodedSnapshot cached = server.stream.snapshot();
-  server.remove(60);
-  server.insert(40);
-  server.train(0.05F);
-  const auto packets = server.tick();
-  ASSERT_TRUE(std::ranges::any_of(packets, [](const auto& packet) { return packet.body == wire::Body::Remove; }));
-  const auto halfway = cached.tail.begin() + 1;
-  send(cached.head, replica);
-  send(packets, replica);  // early
-  send(cached.chunks, replica);
-  EXPECT_EQ(replica.count(), 600U);
-  EXPECT_TRUE(replica.loading());
-  EXPECT_FALSE(replica.missing());
-  send({cached.tail.begin(), halfway}, replica);
-  EXPECT_EQ(replica.count(), 600U);
-  send({halfway, cached.tail.end()}, replica);
-  EXPECT_FALSE(replica.loading());
-  expect_exact(server.stream, replica);
-  expect_shown(replica);
-}
-
-TEST(Snapshot, OldPictureStaysUntilTheNewOneIsWhole) {
-  ToyServer first(12, 700), second(13, 900);
-  test::ShownReplica replica;
-  send(first.stream.snapshot(), replica);
-  const EncodedSnapshot snapshot = second.stream.snapshot();
-  send(snapshot.head, replica);
-  for (std::size_t i = 0; i + 1 < snapshot.chunks.size(); ++i) {
-    EXPECT_FALSE(replica.receive(parse(snapshot.chunks[i])));
-    EXPECT_EQ(replica.count(), 700U);
-  }
-  EXPECT_TRUE(replica.receive(parse(snapshot.chunks.back())));
-  EXPECT_EQ(replica.count(), 900U);
-}
-
-TEST(Snapshot, JumpIsNoticedByWhoeverHeldSomething) {
-  ToyServer server(14);
-  test::ShownReplica replica;
-  send(server.stream.snapshot(), replica);
-  server.stream.reset_to_target();
-  server.train(0.1F);
-  send(server.tick(), replica);
-  ASSERT_TRUE(replica.missing());
-  EXPECT_EQ(replica.missing()->first, replica.held()->sequence + 1);
+TEST(Lanes, ThoseAtTheEndFillTheGapsInOrder) {
+  const auto after = [](std::uint32_t count, std::vector<std::uint32_t> gone) { return lanes_after(count, gone); };
+  EXPECT_EQ(after(6, {1, 3}), (std::vector<std::uint32_t>{0, 4, 2, 5}));
+  EXPECT_EQ(after(6, {1, 5}), (std::vector<std::uint32_t>{0, 4, 2, 3}));
+  EXPECT_EQ(after(6, {4, 5}), (std::vector<std::uint32_t>{0, 1, 2, 3}));
+  EXPECT_EQ(after(5, {0, 1, 2, 4}), (std::vector<std::uint32_t>{3}));
+  EXPECT_EQ(after(3, {0, 1, 2}), (std::vector<std::uint32_t>{}));
 }
 
 }  // namespace

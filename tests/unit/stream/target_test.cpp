@@ -12,7 +12,7 @@
 namespace splatbus::stream {
 namespace {
 
-using test::send;
+using test::join;
 using test::ToyServer;
 
 struct Tolerance {
@@ -28,7 +28,7 @@ float display(float linear) {
 }
 
 glm::quat rotation(const GaussiansView& g, std::size_t i) {
-  return glm::normalize(glm::quat(g.plane(6)[i], g.plane(7)[i], g.plane(8)[i], g.plane(9)[i]));
+  return glm::normalize(glm::quat(*g.at(6, i), *g.at(7, i), *g.at(8, i), *g.at(9, i)));
 }
 
 /// Radians between two rotations of an ellipsoid, which looks the same after half a turn about an axis of its own.
@@ -44,21 +44,22 @@ float angle_between(const glm::quat& a, const glm::quat& b) {
 /// The largest difference between what is shown and what was published, as a part of what is allowed.
 class Differences {
  public:
-  Differences(const GaussiansBuffer& model, test::ShownReplica& replica, const Tolerance& allowed)
-      : want_(model.view()), got_(replica.view()) {
-    EXPECT_EQ(got_.count, want_.count);
+  Differences(ToyServer& server, test::ShownReplica& replica, const Tolerance& allowed)
+      : want_(server.model().view()), got_(replica.view()) {
+    EXPECT_EQ(replica.count(), want_.count);
     std::map<std::uint64_t, std::size_t> column;
     for (std::size_t i = 0; i < want_.count; ++i) column[want_.gaussian_id[i]] = i;
-    const float mean_step_m = replica.held()->layout.at(Attribute::Mean).quantizer.step;
-    for (slot_ = 0; slot_ < got_.count; ++slot_) {
-      const auto found = column.find(replica.held()->gaussians.gaussian_id[slot_]);
+    const float mean_step_m = replica.held().layout.at(Attribute::Mean).quantizer.step;
+    test::for_each_held(server, replica, [&](std::uint64_t id, std::uint32_t row) {
+      const auto found = column.find(id);
       if (found == column.end()) {
-        ADD_FAILURE() << "slot " << slot_ << " holds an id that was not published";
-        continue;
+        ADD_FAILURE() << "row " << row << " holds an id that was not published";
+        return;
       }
+      slot_ = row;
       i_ = found->second;
       compare(allowed, mean_step_m);
-    }
+    });
   }
 
   [[nodiscard]] const std::map<std::string, float>& largest() const { return largest_; }
@@ -67,7 +68,7 @@ class Differences {
   void compare(const Tolerance& t, float mean_step_m) {
     const auto channels = [&](const char* name, int first, int count, float allowed, auto map) {
       for (int c = first; c < first + count; ++c)
-        note(name, map(got_.plane(c)[slot_]) - map(want_.plane(c)[i_]), allowed);
+        note(name, map(*got_.at(c, slot_)) - map(want_.plane(c)[i_]), allowed);
     };
     const auto same = [](float x) { return x; };
     const int last = want_.layout.channels();
@@ -101,8 +102,8 @@ class Differences {
   std::map<std::string, float> largest_;
 };
 
-void expect_near(const GaussiansBuffer& model, test::ShownReplica& replica, const Tolerance& allowed, int tick) {
-  const Differences differences(model, replica, allowed);
+void expect_near(ToyServer& server, test::ShownReplica& replica, const Tolerance& allowed, int tick) {
+  const Differences differences(server, replica, allowed);
   for (const auto& [name, part] : differences.largest()) {
     EXPECT_LE(part, 1) << name << " after tick " << tick;
   }
@@ -115,7 +116,7 @@ class Target : public testing::TestWithParam<Appearance> {
     Schedules schedules = default_schedules();
     for (AttributeSchedule& schedule : schedules) schedule.every = 1;
     server_.stream.set_schedules(schedules);
-    send(server_.stream.snapshot(), replica_);
+    join(server_.stream, replica_);
   }
 
   [[nodiscard]] static bool transfer() { return GetParam() == Appearance::Transfer; }
@@ -132,8 +133,8 @@ TEST_P(Target, WhatMovesIsHeldToWithinTheDeadZones) {
     if (tick % 4 == 1) server_.insert(40);
     if (tick % 4 == 3) server_.remove(30);
     server_.train(tick % 2 == 0 ? 0.03F : 0.004F);
-    send(server_.tick(), replica_);
-    expect_near(server_.model(), replica_, zones, tick);
+    server_.tick_for(replica_);
+    expect_near(server_, replica_, zones, tick);
   }
 }
 
@@ -141,11 +142,11 @@ TEST_P(Target, WhatRestsIsHeldToWithinAStep) {
   send_all_at_every_tick();
   for (int tick = 0; tick < 5; ++tick) {
     server_.train(0.01F);
-    send(server_.tick(), replica_);
+    server_.tick_for(replica_);
   }
-  for (int tick = 0; tick < 10; ++tick) send(server_.tick(), replica_);
+  for (int tick = 0; tick < 10; ++tick) server_.tick_for(replica_);
   expect_near(
-      server_.model(), replica_,
+      server_, replica_,
       {.mean = 1, .log_scale = 1, .rotation = 1, .opacity = 1, .color = 1, .coefficients = transfer() ? 0.0F : 1.0F},
       15);
   EXPECT_TRUE(server_.tick().empty());

@@ -16,11 +16,47 @@ inline ParsedPacket parse(const EncodedPacket& packet) {
   return ParsedPacket::parse(packet.packet, packet.payload);
 }
 
+inline void send(const std::vector<EncodedPacket>& packets, Replica& replica) {
+  for (const EncodedPacket& packet : packets) replica.receive(parse(packet));
+}
+inline void send(const std::optional<EncodedPacket>& packet, Replica& replica) {
+  if (packet) replica.receive(parse(*packet));
+}
+inline void send(const std::vector<VisibilityPacket>& packets, Replica& replica) {
+  for (const VisibilityPacket& packet : packets) replica.receive(parse(packet.packet));
+}
+
+/// Every page that the replica has otherwise, whole.
+inline void send_pages(StreamModel& stream, Replica& replica, std::uint32_t part_lanes = kPageLanes) {
+  for (const OfferedPage& page : *stream.offered()) {
+    const HeldPage* held = replica.held().find(page.page);
+    if (held && held->whole() && held->version == page.version) continue;
+    for (const PagePacket& part : stream.page_packets(page.page, part_lanes)) replica.receive(parse(part.packet));
+  }
+}
+
+/// All that there is, to somebody who holds nothing.
+inline void join(StreamModel& stream, Replica& replica, std::uint32_t part_lanes = kPageLanes) {
+  replica.receive(parse(stream.layout_packet()));
+  send(stream.scene_packet(), replica);
+  send(stream.manifest_packets(*stream.offered(), {}, true), replica);
+  send_pages(stream, replica, part_lanes);
+}
+
+/// What a tick has made, in the order in which a viewer with room for all gets it.
+inline std::vector<EncodedPacket> packets_of(StreamModel& stream) {
+  std::vector<EncodedPacket> packets;
+  StreamUpdate update = stream.take_update();
+  for (DeltaPacket& delta : update.deltas) packets.push_back(std::move(delta.packet));
+  if (!update.gone.empty()) packets.push_back(stream.gone_packet(update.gone));
+  return packets;
+}
+
 /// A model that grows, shrinks and moves like a trained one, and its stream.
 class ToyServer {
  public:
   explicit ToyServer(std::uint32_t seed, std::size_t count = 600, Appearance appearance = Appearance::Transfer,
-                     const StreamOptions& options = {.chunk_gaussians = 256}, std::uint64_t epoch = 77)
+                     const StreamOptions& options = {}, std::uint64_t epoch = 76)
       : stream(PacketWriter("streamer", 1), epoch, options),
         random_(seed),
         model_(toy_model(count, seed, 1, appearance)),
@@ -29,7 +65,7 @@ class ToyServer {
     scene.light.generation = 1;
     scene.version = 1;
     sent_ = scene;
-    EXPECT_TRUE(stream.take_scene(scene, {}).empty()) << "nobody holds anything yet";
+    EXPECT_FALSE(stream.take_scene(scene, {})) << "nobody holds anything yet";
     stream.observe(model_.view());
     stream.reset_to_target();
     (void)take_visibility(relit(), scene.version);
@@ -64,13 +100,21 @@ class ToyServer {
     }
   }
 
+  /// All but pages that are new or have to come whole: send_pages().
   std::vector<EncodedPacket> tick(double budget = 1e9) {
     std::vector<EncodedPacket> packets;
     if (scene.light != sent_.light || scene.objects != sent_.objects) packets = change_scene();
     EXPECT_TRUE(stream.observe(model_.view()));
-    for (EncodedPacket& packet : stream.tick(budget, {})) packets.push_back(std::move(packet));
-    for (EncodedPacket& packet : take_visibility(relit(), scene.version)) packets.push_back(std::move(packet));
+    stream.make_tick(budget, {});
+    for (EncodedPacket& packet : packets_of(stream)) packets.push_back(std::move(packet));
+    for (VisibilityPacket& packet : take_visibility(relit(), scene.version))
+      packets.push_back(std::move(packet.packet));
     return packets;
+  }
+  /// A tick, and what else a viewer gets of it.
+  void tick_for(Replica& replica, double budget = 1e9) {
+    send(tick(budget), replica);
+    send_pages(stream, replica);
   }
 
   /// As relight says it: by index.
@@ -82,7 +126,7 @@ class ToyServer {
   }
 
   /// The sun's alone.
-  std::vector<EncodedPacket> take_visibility(std::span<const std::uint8_t> of_index, std::uint64_t version) {
+  std::vector<VisibilityPacket> take_visibility(std::span<const std::uint8_t> of_index, std::uint64_t version) {
     return stream.take_visibility(of_sun(of_index, version));
   }
   static LightsVisibility of_sun(std::span<const std::uint8_t> of_index, std::uint64_t version) {
@@ -94,10 +138,18 @@ class ToyServer {
   std::vector<EncodedPacket> change_scene() {
     ++scene.version;
     sent_ = scene;
-    return stream.take_scene(scene, {.frame = scene.version, .capture_ns = 5});
+    std::vector<EncodedPacket> packets;
+    if (auto packet = stream.take_scene(scene, {.frame = scene.version, .capture_ns = 5})) {
+      packets.push_back(std::move(*packet));
+    }
+    return packets;
   }
 
   GaussiansBuffer& model() { return model_; }
+  /// Ids of what is held, by page and lane: viewers hold none.
+  [[nodiscard]] std::uint64_t id_at(std::uint32_t page, std::uint32_t lane) const {
+    return stream.held().gaussians.gaussian_id[stream.held().find(page)->row(lane)];
+  }
 
   StreamModel stream;
   SceneState scene;
@@ -120,14 +172,12 @@ class ToyServer {
   SceneState sent_;
 };
 
-inline void send(const std::vector<EncodedPacket>& packets, Replica& replica) {
-  for (const EncodedPacket& packet : packets) replica.receive(parse(packet));
-}
-
-inline void send(const EncodedSnapshot& snapshot, Replica& replica) {
-  send(snapshot.head, replica);
-  send(snapshot.chunks, replica);
-  send(snapshot.tail, replica);
+/// Calls visit(id, row) for every Gaussian of a replica that holds what the server offers.
+template <class Visit>
+void for_each_held(const ToyServer& server, const Replica& replica, const Visit& visit) {
+  for (const auto& [number, page] : replica.held().pages) {
+    for (std::uint32_t lane = 0; lane < page.count; ++lane) visit(server.id_at(number, lane), page.row(lane));
+  }
 }
 
 }  // namespace splatbus::stream::test

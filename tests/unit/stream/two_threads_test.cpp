@@ -13,11 +13,11 @@ namespace {
 
 TEST(TwoThreads, ScenesLeaveAmongThePacketsOfTicksAndAllOfThemFollowOnEachOther) {
   GaussiansBuffer model = test::toy_model(3000, 1);
-  StreamModel stream(PacketWriter("streamer", 1), 77, {.chunk_gaussians = 256});
+  StreamModel stream(PacketWriter("streamer", 1), 77);
   ASSERT_TRUE(stream.observe(model.view()));
   stream.reset_to_target();
   test::ShownReplica replica;
-  test::send(stream.snapshot(), replica);
+  test::join(stream, replica);
   std::atomic<bool> done = false;
   std::thread ticking([&] {
     std::mt19937 random(3);
@@ -30,9 +30,10 @@ TEST(TwoThreads, ScenesLeaveAmongThePacketsOfTicksAndAllOfThemFollowOnEachOther)
     }
     done = true;
   });
-  std::vector<EncodedPacket> packets;
-  const auto take = [&](std::vector<EncodedPacket> more) {
-    for (EncodedPacket& packet : more) packets.push_back(std::move(packet));
+  std::vector<EncodedPacket> scenes;
+  std::vector<DeltaPacket> deltas;
+  const auto take_deltas = [&] {
+    for (DeltaPacket& delta : stream.take_update().deltas) deltas.push_back(std::move(delta));
   };
   SceneState scene;
   std::size_t among = 0;
@@ -41,20 +42,23 @@ TEST(TwoThreads, ScenesLeaveAmongThePacketsOfTicksAndAllOfThemFollowOnEachOther)
     scene.objects[7].rigid.translation.x += 0.5F;
     scene.light.sources.resize(scene.version % 3);
     for (std::uint32_t k = 0; k < scene.light.sources.size(); ++k) scene.light.sources[k].id = k + 1;
-    const std::uint64_t before = stream.status().sequence;
-    auto more = stream.take_scene(scene, {});
-    ASSERT_FALSE(more.empty());
-    EXPECT_EQ(more.back().body, wire::Body::Scene);
-    EXPECT_GT(more.back().sequence, before);
+    auto packet = stream.take_scene(scene, {});
+    ASSERT_TRUE(packet);
+    scenes.push_back(std::move(*packet));
+    take_deltas();
+    // A page as it is at any moment is one of its versions.
+    Replica other;
+    test::join(stream, other);
     if (!done) ++among;
-    take(std::move(more));
   }
   ticking.join();
-  take(stream.take_packets());
+  take_deltas();
   EXPECT_GT(among, 1U);
-  const std::uint64_t first = replica.held()->sequence + 1;
-  for (std::size_t i = 0; i < packets.size(); ++i) ASSERT_EQ(packets[i].sequence, first + i);
-  test::send(packets, replica);
+  EXPECT_GT(deltas.size(), 30U);
+  for (const EncodedPacket& packet : scenes) replica.receive(test::parse(packet));
+  for (const DeltaPacket& delta : deltas) replica.receive(test::parse(delta.packet));
+  EXPECT_FALSE(replica.report().urgent());
+  test::send_pages(stream, replica);
   test::expect_exact(stream, replica);
   test::expect_shown(replica);
   EXPECT_EQ(replica.scene_version(), scene.version);

@@ -13,8 +13,6 @@ export interface SceneBatch {
 
 export interface Budget {
   readonly gaussians: number;
-  /** Mbit/s; 0 is no limit. */
-  readonly megabits: number;
 }
 
 export type ToStreamWorker =

@@ -43,7 +43,7 @@ export class StreamLink {
 
   /** The model is asked for anew where it is another budget. */
   setBudget(budget: Budget): void {
-    if (budget.gaussians === this.options.budget.gaussians && budget.megabits === this.options.budget.megabits) return;
+    if (budget.gaussians === this.options.budget.gaussians) return;
     this.options.budget = budget;
     this.#worker?.terminate();
     this.start();

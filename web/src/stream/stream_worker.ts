@@ -6,6 +6,7 @@ import { Follower, loadWasm } from './wasm';
 
 const kWatchMs = 50;
 const kFiguresMs = 250;
+const kRoundTripMs = 2000;
 /** Rows handed on at once, so that what a frame uploads is bounded. */
 const kMostRows = 65536;
 
@@ -21,6 +22,7 @@ class Stream {
   #shownVersion = -1;
   #figuresMs = 0;
   #warned = 0;
+  #roundTripMs = -1;
   readonly #turn = new MessageChannel();
 
   constructor(wasm: Awaited<ReturnType<typeof loadWasm>>, start: Extract<ToStreamWorker, { kind: 'start' }>) {
@@ -38,6 +40,7 @@ class Stream {
     this.#turn.port1.onmessage = () => this.#publish();
     this.#connection.start();
     setInterval(() => this.#watch(), kWatchMs);
+    setInterval(() => void this.#measureRoundTrip(), kRoundTripMs);
   }
 
   take(message: Exclude<ToStreamWorker, { kind: 'start' }>): void {
@@ -117,6 +120,14 @@ class Stream {
     scope.postMessage({ kind: 'figures', figures: this.#figures(nowMs) });
   }
 
+  /** To the gateway and back, by a request that costs it nothing. */
+  async #measureRoundTrip(): Promise<void> {
+    if (!this.#connection.open) return;
+    const start = performance.now();
+    const answer = await fetch('healthz', { method: 'HEAD', cache: 'no-store' }).catch(() => null);
+    this.#roundTripMs = answer ? performance.now() - start : -1;
+  }
+
   #figures(nowMs: number): StreamFigures {
     const stats = this.#follower.stats;
     return {
@@ -127,7 +138,7 @@ class Stream {
       missing: stats.missingChunks,
       bytes: stats.bytesIn,
       ageMs: stats.sceneArrivedMs > 0 ? nowMs - stats.sceneArrivedMs : -1,
-      roundTripMs: -1,
+      roundTripMs: this.#roundTripMs,
     };
   }
 }

@@ -12,14 +12,16 @@ export interface FollowerStats {
   readonly gaussians: number;
   readonly rowsWaiting: number;
   readonly connected: boolean;
-  readonly loading: boolean;
-  readonly missingChunks: number;
+  readonly pages: number;
+  readonly missingPages: number;
   readonly sequence: number;
   readonly epoch: number;
   readonly bytesIn: number;
   readonly refused: number;
-  readonly resends: number;
-  readonly snapshotRequests: number;
+  /** Packets that did not come. */
+  readonly lost: number;
+  /** Pages that were asked for again. */
+  readonly lacked: number;
   readonly sceneVersion: number;
   readonly sceneFrame: number;
   /** Of the engine's clock; 0: unknown. */
@@ -28,10 +30,8 @@ export interface FollowerStats {
   readonly sceneArrivedMs: number;
   /** Colours are in display space, and blended there. */
   readonly radiance: boolean;
-  /** What comes is of no use until a snapshot begins, which has been asked for. */
-  readonly needsSnapshot: boolean;
 }
-const kStats = 17;
+const kStats = 16;
 const kTransformFloats = 12;
 const kRecordWords = 8;
 const kPoseFloats = 22;
@@ -166,20 +166,19 @@ export class Follower {
       gaussians: stat(0),
       rowsWaiting: stat(1),
       connected: stat(2) === 1,
-      loading: stat(3) === 1,
-      missingChunks: stat(4),
+      pages: stat(3),
+      missingPages: stat(4),
       sequence: stat(5),
       epoch: stat(6),
       bytesIn: stat(7),
       refused: stat(8),
-      resends: stat(9),
-      snapshotRequests: stat(10),
+      lost: stat(9),
+      lacked: stat(10),
       sceneVersion: stat(11),
       sceneFrame: stat(12),
       sceneCaptureMs: stat(13),
       sceneArrivedMs: stat(14),
       radiance: stat(15) === 1,
-      needsSnapshot: stat(16) === 1,
     };
   }
 

@@ -1,6 +1,6 @@
 import { texts } from '../texts';
 import { button, choice, make } from './dom';
-import { kGaussianBudgets, kMegabitBudgets, type Settings } from './settings';
+import { kGaussianBudgets, type Settings } from './settings';
 
 export interface MenuActions {
   readonly frameAll: () => void;
@@ -20,7 +20,6 @@ export class Menu {
 
   constructor(settings: Settings, actions: MenuActions) {
     const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), count(value)]));
-    const rates = Object.fromEntries([['0', texts.unlimited], ...kMegabitBudgets.map((value) => [String(value), String(value)])]);
     const change = (apply: () => void) => (): void => {
       apply();
       actions.changed();
@@ -39,10 +38,7 @@ export class Menu {
       ),
       choice(texts.quality, texts.qualities, settings.quality, (key) => change(() => (settings.quality = key))()),
       choice(texts.gaussianBudget, budgets, String(settings.budget.gaussians), (key) =>
-        change(() => (settings.budget = { ...settings.budget, gaussians: Number(key) }))(),
-      ),
-      choice(texts.megabitBudget, rates, String(settings.budget.megabits), (key) =>
-        change(() => (settings.budget = { ...settings.budget, megabits: Number(key) }))(),
+        change(() => (settings.budget = { gaussians: Number(key) }))(),
       ),
       choice(texts.background, texts.backgrounds, settings.background, (key) => change(() => (settings.background = key))()),
       make('h2', {}, texts.keys),

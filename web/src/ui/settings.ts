@@ -17,10 +17,9 @@ export const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number
   white: [1, 1, 1],
 };
 export const kGaussianBudgets = [100_000, 300_000, 1_000_000, 2_000_000, 4_000_000] as const;
-export const kMegabitBudgets = [2, 5, 10, 25, 100] as const;
 
 const kKey = 'splatbus.settings';
-const kDefaults: Settings = { quality: 'auto', background: 'scene', budget: { gaussians: 1_000_000, megabits: 0 } };
+const kDefaults: Settings = { quality: 'auto', background: 'scene', budget: { gaussians: 1_000_000 } };
 
 export function loadSettings(): Settings {
   try {
@@ -30,7 +29,6 @@ export function loadSettings(): Settings {
       background: kept.background && (kept.background === 'scene' || kept.background in kBackgrounds) ? kept.background : kDefaults.background,
       budget: {
         gaussians: kept.budget && kept.budget.gaussians > 0 ? kept.budget.gaussians : kDefaults.budget.gaussians,
-        megabits: kept.budget && kept.budget.megabits > 0 ? kept.budget.megabits : 0,
       },
     };
   } catch {

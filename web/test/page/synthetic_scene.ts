@@ -83,7 +83,7 @@ export function syntheticScene(count: number, seed = 1): SyntheticScene {
       mean: object === 0 ? [x, 0.2 * Math.sin(3 * x) * Math.cos(2 * z), z] : [0.4 * (random() - 0.5), 0.4 * (random() - 0.5), 0.4 * (random() - 0.5)],
       logScale: [size(), size() - 2 * random(), size() - 3 * random()],
       rotation: [2 * (random() - 0.5), 2 * (random() - 0.5), 2 * (random() - 0.5)],
-      opacity: 0.02 + 0.98 * random(),
+      opacity: random() < 0.2 ? 1 : 0.02 + 0.98 * random(),
       object,
       color: [random() ** 2, random() ** 2, random() * (kind < 0.05 ? 6 : 1)],
     });

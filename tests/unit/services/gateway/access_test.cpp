@@ -40,21 +40,21 @@ class TokenFile : public testing::Test {
 };
 
 TEST_F(TokenFile, ATokenHasTheRightsOfItsRole) {
-  const Tokens tokens(write(std::string("# who\nview ") + kHashOfAbc + "  a guest\n\nprobe " + kHashOfXyz + "\n"));
+  const Tokens tokens(write(std::string("# who\nview ") + kHashOfAbc + "  a guest\n\nview,probe " + kHashOfXyz + "\n"));
   EXPECT_TRUE(tokens.required());
-  EXPECT_EQ(tokens.find("abc"), Rights());
-  EXPECT_EQ(tokens.find("xyz"), Rights{.probe = true});
+  EXPECT_EQ(tokens.find("abc"), bus::Rights{.view = true});
+  EXPECT_EQ(tokens.find("xyz"), (bus::Rights{.view = true, .probe = true}));
   EXPECT_EQ(tokens.find("abd"), std::nullopt);
   EXPECT_EQ(tokens.find(""), std::nullopt);
   EXPECT_EQ(tokens.find(kHashOfAbc), std::nullopt) << "the file's content opens nothing";
-  EXPECT_EQ(Tokens(write(std::string("steer ") + kHashOfAbc)).find("abc"), Rights{.steer = true});
-  EXPECT_EQ(Tokens(write(std::string("control ") + kHashOfAbc)).find("abc"), Rights::all());
+  EXPECT_EQ(Tokens(write(std::string("view,steer,probe,control ") + kHashOfAbc)).find("abc"), bus::Rights::all());
   EXPECT_FALSE(Tokens().required());
 }
 
 TEST_F(TokenFile, WhatIsWrongIsNamedWithItsLine) {
   const std::string hash = kHashOfAbc;
-  EXPECT_THAT(refusal("view " + hash + "\nadmin " + hash + "\n"), HasSubstr("tokens:2: expected view, steer"));
+  EXPECT_THAT(refusal("view " + hash + "\nadmin " + hash + "\n"), HasSubstr("tokens:2: expected view, or"));
+  EXPECT_THAT(refusal("steer " + hash), HasSubstr("tokens:1:")) << "who may not look can do nothing";
   EXPECT_THAT(refusal("view\n"), HasSubstr("tokens:1:"));
   EXPECT_THAT(refusal("view " + hash.substr(1)), HasSubstr("tokens:1:"));
   EXPECT_THAT(refusal("view " + hash.substr(1) + "g"), HasSubstr("tokens:1:"));
@@ -65,9 +65,9 @@ TEST_F(TokenFile, WhatIsWrongIsNamedWithItsLine) {
 TEST_F(TokenFile, AChangeCountsAndABrokenFileLetsNobodyIn) {
   Tokens tokens(write(std::string("view ") + kHashOfAbc + "\n"));
   EXPECT_FALSE(tokens.refresh());
-  write(std::string("control ") + kHashOfXyz + "\nview " + kHashOfAbc);
+  write(std::string("view,control ") + kHashOfXyz + "\nview " + kHashOfAbc);
   EXPECT_TRUE(tokens.refresh());
-  EXPECT_EQ(tokens.find("xyz"), Rights::all());
+  EXPECT_EQ(tokens.find("xyz"), (bus::Rights{.view = true, .control = true}));
   write("nonsense");
   EXPECT_TRUE(tokens.refresh());
   EXPECT_EQ(tokens.find("abc"), std::nullopt);

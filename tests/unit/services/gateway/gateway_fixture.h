@@ -75,13 +75,16 @@ class FakeStreamer {
 
   struct Received {
     std::string peer;
-    std::vector<std::string> frames;
+    std::vector<std::string> frames;  ///< of the packet, without the rights before it
+    std::string rights;
   };
   Received receive() {
     Received received;
     zmq::message_t frame;
     if (!router_.recv(frame)) return received;
     received.peer = frame.to_string();
+    (void)router_.recv(frame);
+    received.rights = frame.to_string();
     while (frame.more()) {
       (void)router_.recv(frame);
       received.frames.push_back(frame.to_string());

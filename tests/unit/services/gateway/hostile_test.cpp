@@ -3,6 +3,7 @@
 
 #include <fstream>
 
+#include "gateway/packet_gate.h"
 #include "gateway_fixture.h"
 
 namespace splatbus::gateway_test {
@@ -31,6 +32,12 @@ class Hostile : public GatewayTest {
     good_ = std::make_unique<WebSocketClient>(port_);
     good_->send_packet(hello("good").packet);
     good_peer_ = fake_->receive().peer;
+  }
+  static stream::EncodedPacket probe() {
+    return packet(wire::Body::Probe, [](auto& builder) {
+      const wire::Camera camera;
+      return wire::CreateProbe(builder, 1, &camera);
+    });
   }
   /// A packet each way between the good browser and the streamer.
   void expect_good_one_served() {
@@ -185,12 +192,44 @@ TEST_F(Hostile, WhoMayOnlyLookNeitherSteersNorProbes) {
   start_with_fake({{"tokens", tokens}});
   WebSocketClient page(port_, {.target = "/stream?token=abc"});
   ASSERT_TRUE(page.open());
-  page.send_packet(pose().packet);
-  page.send_packet(hello("asks for probes", true).packet);
-  const auto greeting = hello();
-  page.send_packet(greeting.packet);
-  EXPECT_THAT(fake_->receive().frames, testing::ElementsAre(text_of(greeting.packet))) << "the first that came";
-  EXPECT_EQ(status("Authorization: Bearer abc\r\n")["gateway"]["refused"]["forbidden"], 2);
+  page.send_packet(probe().packet);
+  const auto posed = pose();
+  page.send_packet(posed.packet);
+  const auto received = fake_->receive();
+  EXPECT_THAT(received.frames, testing::ElementsAre(text_of(posed.packet))) << "the first that came";
+  EXPECT_EQ(received.rights, "rights view");
+  EXPECT_EQ(status("Authorization: Bearer abc\r\n")["gateway"]["refused"]["forbidden"], 1);
+}
+
+TEST_F(Hostile, TheStreamerHeedsTheRightsOfABrowser) {
+  // printf %s guest | sha256sum, and of pilot
+  const std::string tokens = write("tokens",
+                                   "view 84983c60f7daadc1cb8698621f802c0d9f9a3c3c295c810748fb048115c186ec\n"
+                                   "view,steer 07ae38b93d8054d84aac37039c71ad114a8685a3857084d568f260ce69f0737f\n");
+  std::filesystem::permissions(tokens, std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+  start_streamer();
+  start_gateway(endpoint(), {{"tokens", tokens}});
+  bus::Subscriber poses(connect("observer"), {"viewer/pose"});
+  ASSERT_TRUE(poses.wait_connected(kPatience));
+  for (const std::string name : {"guest", "pilot"}) {
+    WebSocketClient page(port_, {.target = "/stream?token=" + name});
+    ASSERT_TRUE(page.open());
+    const auto greet = [&] {
+      page.send_packet(hello(name).packet);
+      for (auto body = wire::Body::NONE; body != wire::Body::Welcome;) {
+        const auto message = page.receive();
+        ASSERT_TRUE(message);
+        const auto framed = gateway::unframe({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
+        body = stream::ParsedPacket::parse(framed.packet, framed.payload).body();
+      }
+    };
+    greet();
+    page.send_packet(pose().packet);
+    greet();  // with its answer the pose, too, has been taken
+  }
+  const auto first = poses.receive(kPatience);
+  ASSERT_TRUE(first);
+  EXPECT_EQ(first->root<wire::ViewerPose>().viewer()->str(), "pilot");
 }
 
 TEST_F(Hostile, AllOfItAtOnceCostsLittle) {

@@ -9,8 +9,8 @@
 namespace splatbus::gateway_test {
 namespace {
 
+using bus::Rights;
 using gateway::Passage;
-using gateway::Rights;
 
 class PacketGate : public GatewayTest {
  protected:
@@ -47,12 +47,9 @@ TEST_F(PacketGate, RightsDecideByTheBody) {
       packet(wire::Body::Quality, [](auto& builder) { return wire::CreateQuality(builder, 1, 40, 1, 0, 9, 1); });
   const auto resend = packet(wire::Body::Resend, [](auto& builder) { return wire::CreateResend(builder, 1, 2); });
   const auto bye = packet(wire::Body::Bye, [](auto& builder) { return wire::CreateByeDirect(builder, "ends"); });
-  const Rights view, steer{.steer = true}, may_probe{.probe = true};
-  for (const auto& any : {hello(), resend, bye}) EXPECT_EQ(pass(any, view), Passage::Pass);
-  EXPECT_EQ(pass(pose(), view), Passage::Forbidden);
-  EXPECT_EQ(pass(pose(), may_probe), Passage::Forbidden);
-  EXPECT_EQ(pass(pose(), steer), Passage::Pass);
-  for (const auto& asks : {probe, quality, hello("page", true)}) {
+  const Rights view{.view = true}, steer{.view = true, .steer = true}, may_probe{.view = true, .probe = true};
+  for (const auto& any : {hello(), pose(), resend, bye}) EXPECT_EQ(pass(any, view), Passage::Pass);
+  for (const auto& asks : {probe, quality}) {
     EXPECT_EQ(pass(asks, view), Passage::Forbidden);
     EXPECT_EQ(pass(asks, steer), Passage::Forbidden);
     EXPECT_EQ(pass(asks, may_probe), Passage::Pass);

@@ -90,6 +90,7 @@ TEST_F(Relay, BytesArePassedOnAsTheyAre) {
   page.send_packet(greeting.packet);
   const auto received = streamer.receive();
   EXPECT_THAT(received.frames, ElementsAre(text_of(greeting.packet)));
+  EXPECT_EQ(received.rights, "rights view,steer,probe,control") << "without tokens";
   // Longer than one TCP segment and one read; and every byte there is.
   std::string payload(300000, '\0');
   for (std::size_t i = 0; i < payload.size(); ++i) payload[i] = static_cast<char>(i * 7 + i / 251);

@@ -1,7 +1,10 @@
 #pragma once
 
+#include <array>
 #include <atomic>
+#include <cmath>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -23,6 +26,41 @@
 #include "wire/scene_generated.h"
 
 namespace splatbus::stream_test {
+
+/// Two viewers hold the same pages at the same versions, lane by lane.
+inline bool hold_the_same(const stream::Replica& a, const stream::Replica& b) {
+  if (a.held_pages() != b.held_pages() || a.count() != b.count()) return false;
+  for (const auto& [number, page] : a.held().pages) {
+    if (!(a.held().lanes(page) == b.held().lanes(*b.held().find(number)))) return false;
+  }
+  return true;
+}
+
+/// Ids by row, known by where the Gaussians are: viewers are sent none.
+inline std::map<std::uint32_t, std::uint64_t> ids_by_row(const stream::Replica& replica, const GaussiansBuffer& model) {
+  const stream::ReplicatedState& held = replica.held();
+  const stream::Quantizer mean = held.layout.at(stream::Attribute::Mean).quantizer;
+  std::map<std::array<std::int32_t, 3>, std::uint64_t> id_at;
+  for (std::size_t i = 0; i < model.count(); ++i) {
+    std::array<std::int32_t, 3> place{};
+    for (std::size_t c = 0; c < 3; ++c) {
+      place[c] =
+          static_cast<std::int32_t>(std::lround((model.parameters[c * model.stride() + i] - mean.offset) / mean.step));
+    }
+    id_at[place] = model.gaussian_id[i];
+  }
+  std::map<std::uint32_t, std::uint64_t> ids;
+  for (const auto& [number, page] : held.pages) {
+    for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+      const std::uint32_t row = page.row(lane);
+      const auto& planes = held.gaussians.channels;
+      if (const auto found = id_at.find({planes[0][row], planes[1][row], planes[2][row]}); found != id_at.end()) {
+        ids[row] = found->second;
+      }
+    }
+  }
+  return ids;
+}
 
 /// Publishes models as the trainer does, in memory of some kind.
 class FakeTrainer {
@@ -129,6 +167,7 @@ class StreamTest : public bus_test::BusTest {
   void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {}, Device backend = Device::Cpu) {
     changes.insert(changes.begin(), {"tick_hz", "50"});
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
+    changes.insert(changes.begin(), {"viewer_kbps", "1000000"});
     streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);
   }
 

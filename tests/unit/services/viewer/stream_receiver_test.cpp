@@ -48,7 +48,12 @@ TEST_F(StreamReceiverTest, WhatIsDrawnFollowsWhatIsPublished) {
     // Of each Gaussian the nearest mean that is shown is its own.
     const auto near = [&] {
       std::vector<float> want(model.parameters.begin(), model.parameters.begin() + 500);
-      std::vector<float> got(display_.view().plane(0), display_.view().plane(0) + 500);
+      std::vector<float> got;
+      for (const IndexRange& range : display_.view().ranges) {
+        for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+          got.push_back(*display_.view().at(0, i));
+        }
+      }
       std::ranges::sort(want);
       std::ranges::sort(got);
       for (std::size_t i = 0; i < want.size(); ++i) {

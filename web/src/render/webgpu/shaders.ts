@@ -6,8 +6,8 @@ import { kFadeS } from '../renderer';
 export const kBatch = 128;
 /** Threads of every workgroup. */
 export const kThreads = 256;
-/** Keys that one workgroup sorts at a time. */
-export const kBlock = 4 * kThreads;
+/** Keys that one workgroup sorts at a time: barriers cost more than keys do. */
+export const kBlock = 16 * kThreads;
 /** Bits of a key, and of them those that one pass sorts by. */
 export const kKeyBits = 20;
 export const kDigitBits = 4;

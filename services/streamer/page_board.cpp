@@ -1,0 +1,96 @@
+#include "streamer/page_board.h"
+
+#include <algorithm>
+#include <set>
+#include <utility>
+
+namespace splatbus::streamer {
+
+namespace {
+
+constexpr std::size_t kMaxDeltas = 512;
+
+bool same_manifest(const stream::OfferedPage& a, const stream::OfferedPage& b) {
+  return a.structure == b.structure && a.frozen == b.frozen && a.level == b.level;
+}
+
+}  // namespace
+
+std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, std::vector<stream::OfferedPage>& changed) {
+  ++edition_;
+  for (stream::DeltaPacket& delta : update.deltas) {
+    auto packet = std::make_shared<WirePacket>(delta.packet);
+    bytes_ += packet->bytes();
+    deltas_.push_back({++number_, std::move(packet), std::move(delta.steps), std::move(delta.gone)});
+  }
+  while (deltas_.size() > 1 && (bytes_ > max_bytes_ || deltas_.size() > kMaxDeltas)) {
+    bytes_ -= deltas_.front().packet->bytes();
+    deltas_.pop_front();
+  }
+  const auto before = std::exchange(offered_, model_.offered());
+  std::vector<std::uint32_t> gone;
+  for (const stream::OfferedPage& page : *before) {
+    if (!find(page.page)) gone.push_back(page.page);
+  }
+  gaussians_ = 0;
+  auto old = before->begin();
+  for (const stream::OfferedPage& page : *offered_) {
+    gaussians_ += page.count;
+    while (old != before->end() && old->page < page.page) ++old;
+    if (old == before->end() || old->page != page.page || !same_manifest(*old, page)) changed.push_back(page);
+  }
+  std::erase_if(pages_, [&](const auto& entry) {
+    const stream::OfferedPage* page = find(entry.first.first);
+    return !page || page->version != entry.second->version;
+  });
+  return gone;
+}
+
+void PageBoard::clear() {
+  ++edition_;
+  deltas_.clear();
+  bytes_ = gaussians_ = 0;
+  pages_.clear();
+  offered_ = std::make_shared<std::vector<stream::OfferedPage>>();
+}
+
+const stream::OfferedPage* PageBoard::find(std::uint32_t page) const {
+  const auto found = std::ranges::lower_bound(*offered_, page, {}, &stream::OfferedPage::page);
+  return found != offered_->end() && found->page == page ? &*found : nullptr;
+}
+
+std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_parts) {
+  auto& kept = pages_[{number, in_parts}];
+  if (kept) return kept;
+  auto page = std::make_shared<SharedPage>();
+  std::size_t bytes = 0;
+  for (const stream::PagePacket& part :
+       model_.page_packets(number, in_parts ? stream::kBlockRows : splatbus::kPageLanes)) {
+    page->version = part.version;
+    page->structure = part.structure;
+    page->parts.push_back(std::make_shared<WirePacket>(part.packet));
+    bytes += page->parts.back()->bytes();
+  }
+  if (page->parts.empty()) {
+    pages_.erase({number, in_parts});
+    return {};
+  }
+  if (const stream::OfferedPage* offered = find(number); offered && offered->count > 0) {
+    bytes_per_gaussian_ += 0.1 * (static_cast<double>(bytes) / offered->count - bytes_per_gaussian_);
+  }
+  kept = std::move(page);
+  return kept;
+}
+
+void PageBoard::forget(const std::vector<wire::SeenPage>& pages) {
+  for (const wire::SeenPage& page : pages) {
+    pages_.erase({page.page(), false});
+    pages_.erase({page.page(), true});
+  }
+}
+
+double PageBoard::bytes_of(const stream::OfferedPage& page) const {
+  return 150 + bytes_per_gaussian_ * page.count;
+}
+
+}  // namespace splatbus::streamer

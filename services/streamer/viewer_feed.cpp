@@ -1,0 +1,327 @@
+#include "streamer/viewer_feed.h"
+
+#include <algorithm>
+#include <functional>
+#include <utility>
+
+namespace splatbus::streamer {
+
+namespace {
+
+constexpr std::size_t kMaxTraces = 4096;
+constexpr double kReserve = 0.1;          // of the burst: for scenes
+constexpr double kVisibilityShare = 0.3;  // of the rate
+constexpr std::int64_t kDeclinedNs = 5'000'000'000;
+
+}  // namespace
+
+void ViewerFeed::resume(const PageBoard& board, const std::vector<stream::PageVersion>& held, bool visibility_current) {
+  start_over();
+  std::vector<std::uint32_t> unknown;
+  for (const auto& [number, version] : held) {
+    const stream::OfferedPage* page = board.find(number);
+    const bool same = page && page->version == version;
+    if (version == 0) continue;
+    set_record(number, {.version = version,
+                        .structure = same ? page->structure : 0,
+                        .count = page ? page->count : 0,
+                        .sequence = 0,
+                        .seen_stale = !same || !visibility_current});
+  }
+}
+
+void ViewerFeed::start_over() {
+  const ViewerRate rate = rate_;
+  const std::uint64_t sequence = sequence_;
+  ViewerFeed fresh(max_gaussians_);
+  fresh.rate_ = rate;
+  fresh.sequence_ = sequence;
+  fresh.lost_packets_ = lost_packets_;
+  fresh.refused_pages_ = refused_pages_;
+  fresh.whole_pages_ = whole_pages_;
+  *this = std::move(fresh);
+}
+
+void ViewerFeed::push_scene(SharedPacket packet) {
+  scenes_.push_back(std::move(packet));
+}
+
+void ViewerFeed::push_visibility(SharedPacket packet, std::shared_ptr<const std::vector<wire::SeenPage>> pages) {
+  visibility_.push_back({std::move(packet), std::move(pages)});
+}
+
+void ViewerFeed::push_gone(stream::StreamModel& model, std::span<const std::uint32_t> pages) {
+  std::vector<std::uint32_t> known;
+  for (const std::uint32_t page : pages) {
+    if (held_.contains(page) || page_number_ == page) known.push_back(page);
+    erase_record(page);
+  }
+  if (!known.empty()) gone_.push_back(std::make_shared<WirePacket>(model.gone_packet(known)));
+}
+
+void ViewerFeed::set_record(std::uint32_t page, const Record& record) {
+  Record& kept = held_[page];
+  gaussians_ += record.count;
+  gaussians_ -= kept.count;
+  kept = record;
+}
+
+void ViewerFeed::erase_record(std::uint32_t page) {
+  const auto found = held_.find(page);
+  if (found == held_.end()) return;
+  gaussians_ -= found->second.count;
+  held_.erase(found);
+}
+
+bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now_ns) {
+  const double there = rate_.available(now_ns), burst = rate_.burst();
+  const bool first = kind == Kind::Scene || kind == Kind::Control || kind == Kind::Gone;
+  const double wanted = static_cast<double>(packet->bytes()) + (first ? 0 : kReserve * burst);
+  if (there < std::min(wanted, 0.999 * burst)) return false;
+  offered_ = kind;
+  packet_ = packet;
+  return true;
+}
+
+SharedPacket ViewerFeed::next(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
+                              const ObjectTransforms& objects, std::int64_t now_ns) {
+  offered_ = Kind::None;
+  waits_ = true;
+  const auto offer = [&](Kind kind, const SharedPacket& packet) {
+    return affords(kind, packet, now_ns) ? packet : SharedPacket();
+  };
+  if (!control_.empty()) return offer(Kind::Control, control_.front());
+  if (!scenes_.empty()) return offer(Kind::Scene, scenes_.front());
+  if (!gone_.empty()) return offer(Kind::Gone, gone_.front());
+  visibility_bucket_.set(kVisibilityShare * rate_.bytes_per_s(), kVisibilityShare * rate_.bytes_per_s() + 1, now_ns);
+  while (!visibility_.empty()) {
+    if (affords(Kind::Visibility, visibility_.front().packet, now_ns) &&
+        visibility_bucket_.take(static_cast<double>(visibility_.front().packet->bytes()), now_ns)) {
+      return packet_;
+    }
+    // What it does not get in time it gets whole, page by page.
+    offered_ = Kind::None;
+    take_visibility(*visibility_.front().pages, false);
+    visibility_.pop_front();
+  }
+  while (true) {
+    if (page_) return offer(Kind::Part, page_->parts[part_]);
+    if (delta_) return offer(Kind::Delta, delta_->packet);
+    if (!page_visibility_.empty()) return offer(Kind::PageVisibility, page_visibility_.front());
+    if (plan_.empty()) {
+      const bool due = planned_edition_ != board.edition() || (!plan_is_all_ && now_ns - planned_ns_ > 20'000'000);
+      if (!due) {
+        waits_ = !plan_is_all_;
+        return {};
+      }
+      planned_edition_ = board.edition();
+      planned_ns_ = now_ns;
+      plan(board, gaze, objects, rate_.available(now_ns) + 0.25 * rate_.bytes_per_s());
+      if (plan_.empty()) {
+        waits_ = !plan_is_all_;
+        return {};
+      }
+    }
+    const Item item = plan_.front();
+    plan_.pop_front();
+    static_cast<void>(begin_item(model, board, item));
+  }
+}
+
+bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const Item& item) {
+  if (item.delta != 0) {
+    const auto& deltas = board.deltas();
+    if (deltas.empty() || item.delta < deltas.front().number) return false;
+    const SharedDelta& delta = deltas[item.delta - deltas.front().number];
+    if (std::ranges::none_of(fits(held_, delta), std::identity{}) && delta.gone.empty()) return false;
+    if (static_cast<double>(delta.packet->bytes()) > (1 - kReserve) * rate_.burst()) return false;
+    delta_ = delta;
+    return true;
+  }
+  if (item.visibility) {
+    if (!held_.contains(item.page)) return false;
+    for (const stream::EncodedPacket& packet : model.page_visibility(item.page)) {
+      page_visibility_.push_back(std::make_shared<WirePacket>(packet));
+    }
+    visibility_page_ = item.page;
+    return !page_visibility_.empty();
+  }
+  const stream::OfferedPage* offered = board.find(item.page);
+  if (!offered || !make_room(model, *offered)) return false;
+  const auto held = held_.find(item.page);
+  if (held != held_.end() && held->second.version >= offered->version) return false;
+  page_ = board.page(item.page, item.bytes > 0.5 * rate_.burst());
+  part_ = 0;
+  page_number_ = item.page;
+  page_count_ = offered->count;
+  page_stale_ = false;
+  return page_ != nullptr;
+}
+
+bool ViewerFeed::make_room(stream::StreamModel& model, const stream::OfferedPage& page) {
+  const auto held = held_.find(page.page);
+  const std::size_t more = held != held_.end() ? 0 : page.count;
+  const float weight = weights_.contains(page.page) ? weights_.at(page.page) : 0;
+  std::vector<std::uint32_t> dropped;
+  while (gaussians_ + more > max_gaussians_) {
+    // The one that adds least, if that is clearly less: what wavers stays.
+    const auto least = std::ranges::min_element(
+        held_, {}, [&](const auto& entry) { return weights_.contains(entry.first) ? weights_.at(entry.first) : 0.0F; });
+    if (least == held_.end()) return false;
+    const float its = weights_.contains(least->first) ? weights_.at(least->first) : 0;
+    if (2 * its > weight) return false;
+    dropped.push_back(least->first);
+    erase_record(least->first);
+  }
+  if (!dropped.empty()) gone_.push_back(std::make_shared<WirePacket>(model.gone_packet(dropped)));
+  return true;
+}
+
+void ViewerFeed::sent(std::int64_t now_ns) {
+  ++sequence_;
+  rate_.take(static_cast<double>(packet_->bytes()), now_ns);
+  Trace trace{.sequence = sequence_, .control = false, .visibility = false, .marks = {}};
+  switch (offered_) {
+    case Kind::Control:
+    case Kind::Scene:
+    case Kind::Gone: {
+      auto& queue = offered_ == Kind::Control ? control_ : offered_ == Kind::Scene ? scenes_ : gone_;
+      queue.pop_front();
+      trace.control = true;
+      break;
+    }
+    case Kind::Visibility:
+      take_visibility(*visibility_.front().pages, true);
+      page_visibility_.clear();  // made before it
+      trace.visibility = true;
+      for (const wire::SeenPage& page : *visibility_.front().pages) trace.marks.push_back({page.page(), 0, 0});
+      visibility_.pop_front();
+      break;
+    case Kind::PageVisibility:
+      page_visibility_.pop_front();
+      trace.visibility = true;
+      trace.marks.push_back({visibility_page_, 0, 0});
+      if (const auto held = held_.find(visibility_page_); page_visibility_.empty() && held != held_.end()) {
+        held->second.seen_stale = false;
+      }
+      break;
+    case Kind::Part:
+      ++whole_pages_;
+      trace.marks.push_back({page_number_, 0, page_->version});
+      if (++part_ == page_->parts.size()) {
+        set_record(page_number_, {.version = page_->version,
+                                  .structure = page_->structure,
+                                  .count = page_count_,
+                                  .sequence = sequence_,
+                                  .seen_stale = page_stale_});
+        page_.reset();
+      }
+      break;
+    case Kind::Delta:
+      take_delta(*delta_, trace);
+      delta_.reset();
+      break;
+    case Kind::None:
+      break;
+  }
+  traces_.push_back(std::move(trace));
+  if (traces_.size() > kMaxTraces) traces_.pop_front();
+  packet_.reset();
+  offered_ = Kind::None;
+}
+
+void ViewerFeed::sent_beside(double bytes, std::int64_t now_ns) {
+  ++sequence_;
+  rate_.take(bytes, now_ns);
+}
+
+std::vector<bool> ViewerFeed::fits(const std::map<std::uint32_t, Record>& held, const SharedDelta& delta) {
+  std::vector<bool> out;
+  for (const auto& step : delta.steps) {
+    const auto base = held.find(step.base);
+    out.push_back(base != held.end() && base->second.version == step.from_version);
+  }
+  return out;
+}
+
+void ViewerFeed::take_delta(const SharedDelta& delta, Trace& trace) {
+  const std::vector<bool> fit = fits(held_, delta);
+  std::vector<std::pair<std::uint32_t, Record>> records;
+  for (std::size_t k = 0; k < fit.size(); ++k) {
+    const stream::DeltaPacket::Step& step = delta.steps[k];
+    if (!fit[k]) continue;
+    Record record = held_.at(step.base);
+    record.version = step.version;
+    record.count = step.count;
+    if (step.other_lanes) record.structure = step.version;
+    record.sequence = sequence_;
+    records.emplace_back(step.page, record);
+    trace.marks.push_back({step.page, step.base == step.page ? step.from_version : 0, step.version});
+  }
+  for (const auto& [page, record] : records) set_record(page, record);
+  for (const auto& [page, version] : delta.gone) {
+    if (const auto held = held_.find(page); held != held_.end() && held->second.version <= version) erase_record(page);
+  }
+}
+
+void ViewerFeed::take_visibility(const std::vector<wire::SeenPage>& pages, bool came) {
+  for (const wire::SeenPage& page : pages) {
+    page_stale_ = page_stale_ || (page_ && page.page() == page_number_);
+    const auto held = held_.find(page.page());
+    if (held != held_.end() && (!came || held->second.structure != page.structure())) held->second.seen_stale = true;
+  }
+}
+
+bool ViewerFeed::acknowledge(const Said& said, const PageBoard& board, std::int64_t now_ns) {
+  static_cast<void>(board);
+  rate_.acknowledged(said.bytes, said.window_s, now_ns);
+  bool anew = false;
+  for (const stream::SequenceRange& range : said.missing) {
+    if (range.first > range.last || range.last > sequence_) continue;
+    for (const Trace& trace : traces_) {
+      if (trace.sequence < range.first || trace.sequence > range.last) continue;
+      ++lost_packets_;
+      anew = anew || trace.control;
+      for (const Mark& mark : trace.marks) {
+        const auto held = held_.find(mark.page);
+        if (held == held_.end()) continue;
+        if (trace.visibility) {
+          held->second.seen_stale = true;
+        } else if (mark.from_version != 0 && held->second.version == mark.version) {
+          held->second.version = mark.from_version;
+        } else {
+          erase_record(mark.page);
+        }
+      }
+    }
+    planned_edition_ = oldest_delta_ = 0;
+  }
+  const std::uint64_t newest = std::min(said.newest, sequence_);
+  while (!traces_.empty() && traces_.front().sequence <= newest) traces_.pop_front();
+  for (const auto& [page, version] : said.lacks) {
+    const auto held = held_.find(page);
+    if (held == held_.end() || held->second.sequence > newest || held->second.version == version) continue;
+    ++refused_pages_;
+    planned_edition_ = oldest_delta_ = 0;
+    if (version == 0) {
+      erase_record(page);
+    } else {
+      held->second.version = version;
+      held->second.structure = 0;
+      held->second.seen_stale = true;
+    }
+  }
+  for (const std::uint32_t page : said.dropped) {
+    ++refused_pages_;
+    erase_record(page);
+    if (declined_.size() < kMaxTraces) declined_[page] = now_ns + kDeclinedNs;
+  }
+  return anew;
+}
+
+void ViewerFeed::hold_pages(std::set<std::uint32_t>& pages) const {
+  for (const auto& [page, record] : held_) pages.insert(page);
+  if (page_) pages.insert(page_number_);
+}
+
+}  // namespace splatbus::streamer

@@ -1,0 +1,160 @@
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <optional>
+#include <set>
+#include <vector>
+
+#include "bus/token_bucket.h"
+#include "gaussians/light.h"
+#include "streamer/page_board.h"
+#include "streamer/page_weights.h"
+
+namespace splatbus::streamer {
+
+/// Bytes to one viewer: no second has more than 1.1 times the rate.
+class ViewerRate {
+ public:
+  /// kbps 0: found out from what the viewer says that it has received.
+  void set(double kbps, std::int64_t now_ns);
+  /// What is larger than the burst goes when that is there, and is paid for later.
+  void take(double bytes, std::int64_t now_ns);
+  [[nodiscard]] double available(std::int64_t now_ns);
+  [[nodiscard]] double bytes_per_s() const { return bytes_per_s_; }
+  [[nodiscard]] double burst() const { return std::max(kBurst_s * bytes_per_s_, kLeastBurst); }
+
+  /// What the viewer said it has received: `bytes`, over `window_s`.
+  void acknowledged(double bytes, double window_s, std::int64_t now_ns);
+
+ private:
+  static constexpr double kBurst_s = 0.1, kLeastBurst = 8192;
+  void use(double bytes_per_s, std::int64_t now_ns);
+
+  bool auto_ = false;
+  double kbps_ = -1, bytes_per_s_ = 0, debt_ = 0, in_flight_ = 0, sent_since_ = 0;
+  bus::TokenBucket bucket_{1, 1};
+};
+
+/// One viewer's place in the stream: which pages it holds as far as is known, and what it is sent next. That is what
+/// adds most to its own picture over its bytes: pages in view and near, and those that will be soon; then deltas of
+/// what it holds; then what is far. Costs nothing but numbers and shared packets. One thread.
+class ViewerFeed {
+ public:
+  explicit ViewerFeed(std::size_t max_gaussians) : max_gaussians_(max_gaussians) {}
+
+  /// It holds these, of the epoch that is offered, and no others; `visibility_current`: all that has been said of their
+  /// lights too.
+  void resume(const PageBoard& board, const std::vector<stream::PageVersion>& held, bool visibility_current);
+  /// It holds nothing: after the model was reset.
+  void start_over();
+
+  /// Goes before everything else: Layout, whole Scenes, manifests.
+  void push(SharedPacket packet) { control_.push_back(std::move(packet)); }
+  void push_scene(SharedPacket packet);
+  void push_visibility(SharedPacket packet, std::shared_ptr<const std::vector<wire::SeenPage>> pages);
+  /// These ended otherwise than in a delta.
+  void push_gone(stream::StreamModel& model, std::span<const std::uint32_t> pages);
+
+  /// What is to be sent next; null when there is nothing, or no more than the rate allows: then waits() is true.
+  [[nodiscard]] SharedPacket next(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
+                                  const ObjectTransforms& objects, std::int64_t now_ns);
+  /// What next() gave was sent, as next_sequence().
+  void sent(std::int64_t now_ns);
+  [[nodiscard]] std::uint64_t next_sequence() const { return sequence_ + 1; }
+  [[nodiscard]] bool waits() const { return waits_; }
+  /// Beside what next() gives: counted, and numbered.
+  void sent_beside(double bytes, std::int64_t now_ns);
+
+  /// What a viewer says of what it has received.
+  struct Said {
+    std::uint64_t newest = 0;
+    std::vector<stream::SequenceRange> missing;
+    std::vector<stream::PageVersion> lacks;
+    std::vector<std::uint32_t> dropped;
+    double bytes = 0, window_s = 0;
+  };
+  /// True when packets were lost that only a new beginning replaces: Layout, Scene, Manifest and PagesGone again.
+  [[nodiscard]] bool acknowledge(const Said& said, const PageBoard& board, std::int64_t now_ns);
+
+  [[nodiscard]] ViewerRate& rate() { return rate_; }
+  void hold_pages(std::set<std::uint32_t>& pages) const;
+  [[nodiscard]] std::uint64_t lost_packets() const { return lost_packets_; }
+  [[nodiscard]] std::uint64_t refused_pages() const { return refused_pages_; }
+  [[nodiscard]] std::uint64_t whole_pages() const { return whole_pages_; }
+
+ private:
+  struct Record {
+    std::uint32_t version = 0, structure = 0, count = 0;
+    std::uint64_t sequence = 0;  ///< of the packet that brought it
+    bool seen_stale = false;     ///< of its lights' visibility something is missing
+  };
+  struct Mark {
+    std::uint32_t page = 0, from_version = 0, version = 0;
+  };
+  /// Of a packet that was sent, until the viewer has said that it came.
+  struct Trace {
+    std::uint64_t sequence = 0;
+    bool control = false, visibility = false;
+    std::vector<Mark> marks;
+  };
+  struct Item {
+    float score = 0;
+    double bytes = 0;
+    std::uint64_t delta = 0;  ///< its number; 0: a page
+    std::uint32_t page = 0;
+    bool visibility = false;  ///< only how it sees the lights
+  };
+  enum class Kind : std::uint8_t { None, Control, Scene, Visibility, Gone, Part, Delta, PageVisibility };
+
+  void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
+            double budget_bytes);
+  void plan_deltas(const PageBoard& board, std::map<std::uint32_t, std::uint32_t>& versions, std::vector<Item>& items);
+  void order(std::vector<Item> items, double budget_bytes);
+  [[nodiscard]] bool make_room(stream::StreamModel& model, const stream::OfferedPage& page);
+  [[nodiscard]] bool begin_item(stream::StreamModel& model, PageBoard& board, const Item& item);
+  [[nodiscard]] bool affords(Kind kind, const SharedPacket& packet, std::int64_t now_ns);
+  [[nodiscard]] static std::vector<bool> fits(const std::map<std::uint32_t, Record>& held, const SharedDelta& delta);
+  void take_delta(const SharedDelta& delta, Trace& trace);
+  void take_visibility(const std::vector<wire::SeenPage>& pages, bool came);
+  void set_record(std::uint32_t page, const Record& record);
+  void erase_record(std::uint32_t page);
+
+  std::size_t max_gaussians_, gaussians_ = 0;
+  std::map<std::uint32_t, Record> held_;
+  std::map<std::uint32_t, std::int64_t> declined_;  ///< pages, and until when they are not sent again
+  std::map<std::uint32_t, float> weights_;          ///< of the last plan
+  std::deque<SharedPacket> control_, scenes_;
+  struct Visibility {
+    SharedPacket packet;
+    std::shared_ptr<const std::vector<wire::SeenPage>> pages;
+  };
+  std::deque<Visibility> visibility_;
+  bus::TokenBucket visibility_bucket_{1e6, 1e5};
+  std::deque<SharedPacket> gone_;
+  std::deque<Item> plan_;
+  std::uint64_t planned_edition_ = 0, oldest_delta_ = 0;  ///< older deltas are of no use
+  bool plan_is_all_ = false;
+  std::int64_t planned_ns_ = 0;
+
+  // The page or delta that is being sent.
+  std::shared_ptr<const SharedPage> page_;
+  std::uint32_t page_number_ = 0, page_count_ = 0;
+  std::size_t part_ = 0;
+  bool page_stale_ = false;  ///< how it sees the lights has changed since it was made
+  std::optional<SharedDelta> delta_;
+  std::deque<SharedPacket> page_visibility_;
+  std::uint32_t visibility_page_ = 0;
+
+  Kind offered_ = Kind::None;
+  SharedPacket packet_;
+  bool waits_ = false;
+  std::uint64_t sequence_ = 0;
+  std::deque<Trace> traces_;
+  ViewerRate rate_;
+  std::uint64_t lost_packets_ = 0, refused_pages_ = 0, whole_pages_ = 0;
+};
+
+}  // namespace splatbus::streamer

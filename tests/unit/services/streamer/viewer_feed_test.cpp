@@ -1,0 +1,252 @@
+// What one viewer is sent, and when.
+#include "streamer/viewer_feed.h"
+
+#include <gtest/gtest.h>
+
+#include <deque>
+
+#include "../../stream/expectations.h"
+#include "../../stream/toy_server.h"
+
+namespace splatbus::streamer {
+namespace {
+
+using stream::test::expect_exact;
+
+constexpr std::int64_t kSecond = 1'000'000'000, kTick = kSecond / 5, kStep = kSecond / 100;
+
+/// A viewer without a network: what its feed gives arrives, unless it is lost.
+struct Seat {
+  explicit Seat(double kbps, std::size_t max_gaussians = stream::kMaxGaussians)
+      : feed(max_gaussians), replica(max_gaussians) {
+    feed.rate().set(kbps, 0);
+  }
+
+  void read(stream::StreamModel& model, PageBoard& board, std::int64_t now_ns) {
+    while (const SharedPacket packet = feed.next(model, board, gaze, {}, now_ns)) {
+      const std::uint64_t sequence = feed.next_sequence();
+      feed.sent(now_ns);
+      bytes += packet->bytes();
+      sent.emplace_back(packet->body(), packet->bytes());
+      if (lose > 0 && packet->body() == lost) {
+        --lose;
+        continue;
+      }
+      stream::EncodedPacket copy = packet->copy();
+      stream::set_sequence(copy, sequence);
+      replica.receive(stream::test::parse(copy));
+    }
+  }
+  void say(const PageBoard& board, std::int64_t now_ns) {
+    const auto& report = replica.report();
+    (void)feed.acknowledge({.newest = report.newest,
+                            .missing = report.missing,
+                            .lacks = report.lacks,
+                            .dropped = report.dropped,
+                            .bytes = 0,
+                            .window_s = 0},
+                           board, now_ns);
+    replica.clear_report();
+  }
+
+  ViewerFeed feed;
+  stream::test::ShownReplica replica;
+  std::optional<ViewerGaze> gaze;
+  std::uint64_t bytes = 0;
+  std::vector<std::pair<wire::Body, std::size_t>> sent;
+  wire::Body lost = wire::Body::NONE;
+  int lose = 0;
+};
+
+class ViewerFeedTest : public testing::Test {
+ protected:
+  void sit(Seat& seat) {
+    seat.feed.push(std::make_shared<WirePacket>(server_.stream.layout_packet()));
+    seat.feed.push(std::make_shared<WirePacket>(*server_.stream.scene_packet()));
+    std::vector<stream::OfferedPage> changed;
+    (void)board_.add({}, changed);
+  }
+  void tick(const std::vector<Seat*>& seats, float amount = 0.02F) {
+    server_.train(amount);
+    ASSERT_TRUE(server_.stream.observe(server_.model().view()));
+    std::set<std::uint32_t> holders;
+    for (const Seat* seat : seats) seat->feed.hold_pages(holders);
+    server_.stream.set_holders(holders);
+    server_.stream.make_tick(1e9, {});
+    std::vector<stream::OfferedPage> changed;
+    const auto gone = board_.add(server_.stream.take_update(), changed);
+    for (Seat* seat : seats) seat->feed.push_gone(server_.stream, gone);
+  }
+  /// So many seconds with a tick every fifth of one.
+  void live(const std::vector<Seat*>& seats, double seconds, float amount = 0.02F,
+            const std::function<void()>& each = {}) {
+    for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end; now_ns_ += kStep) {
+      if (now_ns_ % kTick == 0 && amount >= 0) tick(seats, amount);
+      for (Seat* seat : seats) seat->read(server_.stream, board_, now_ns_);
+      if (now_ns_ % kTick == 0) {
+        for (Seat* seat : seats) seat->say(board_, now_ns_);
+      }
+      if (each) each();
+    }
+  }
+
+  stream::test::ToyServer server_{9, 12'000};
+  PageBoard board_{server_.stream, std::size_t{16} << 20};
+  std::int64_t now_ns_ = kSecond;
+};
+
+TEST_F(ViewerFeedTest, NoSecondHasMoreThanATenthAboveTheRate) {
+  for (const double kbps : {1000.0, 4000.0}) {
+    Seat seat(kbps);
+    sit(seat);
+    std::deque<std::uint64_t> window;
+    std::uint64_t largest = 0;
+    live({&seat}, 4, 0.02F, [&] {
+      window.push_back(seat.bytes);
+      if (window.size() <= 100) return;
+      largest = std::max(largest, window.back() - window.front());
+      window.pop_front();
+    });
+    EXPECT_LE(static_cast<double>(largest), kbps * 125 * 1.1);
+    EXPECT_GT(static_cast<double>(largest), kbps * 125 * 0.8) << "the rate was not used";
+  }
+}
+
+TEST_F(ViewerFeedTest, WhatAViewerHoldsIsWhatIsOffered) {
+  Seat seat(1e6);
+  sit(seat);
+  live({&seat}, 3);
+  live({&seat}, 0.2, -1);
+  expect_exact(server_.stream, seat.replica);
+  stream::test::expect_shown(seat.replica);
+  // The pages came once, and everything after that as deltas.
+  EXPECT_EQ(seat.feed.whole_pages(), board_.offered().size());
+}
+
+TEST_F(ViewerFeedTest, ASlowViewerTakesNothingFromAnother) {
+  const auto watch = [](bool with_slow) {
+    ViewerFeedTest_ASlowViewerTakesNothingFromAnother_Test other;
+    Seat fast(1e6), slow(1000);
+    other.sit(fast);
+    other.sit(slow);
+    std::vector<Seat*> seats{&fast};
+    if (with_slow) seats.push_back(&slow);
+    other.live(seats, 4);
+    if (with_slow) {
+      EXPECT_GT(slow.replica.count(), 0U);
+      EXPECT_LT(slow.bytes, fast.bytes);
+      EXPECT_LE(slow.bytes, 125'000U * 4 + 12'500);
+    }
+    return fast.sent;
+  };
+  EXPECT_EQ(watch(false), watch(true));
+}
+
+TEST_F(ViewerFeedTest, ASlowViewerIsWholeWhenTheModelRests) {
+  Seat slow(1000), fast(1e6);
+  sit(slow);
+  sit(fast);
+  live({&slow, &fast}, 3);
+  live({&slow, &fast}, 12, 0);
+  expect_exact(server_.stream, slow.replica);
+}
+
+TEST_F(ViewerFeedTest, ALostPacketMakesItsPagesComeAgain) {
+  Seat seat(1e6), good(1e6);
+  sit(seat);
+  sit(good);
+  seat.lost = wire::Body::Page;
+  seat.lose = 2;
+  live({&seat, &good}, 1);
+  seat.lost = wire::Body::PageDelta;
+  seat.lose = 3;
+  live({&seat, &good}, 2);
+  live({&seat, &good}, 1, 0);
+  live({&seat, &good}, 0.4, -1);
+  EXPECT_EQ(seat.lose, 0);
+  EXPECT_EQ(seat.feed.lost_packets(), 5U);
+  EXPECT_EQ(good.feed.lost_packets(), 0U);
+  expect_exact(server_.stream, seat.replica);
+}
+
+TEST_F(ViewerFeedTest, WhoComesBackIsSentWhatHasChanged) {
+  Seat before(1e6), stays(1e6);
+  sit(before);
+  sit(stays);
+  live({&before, &stays}, 2);
+  live({&before, &stays}, 0.4, -1);
+  const auto held = before.replica.held_pages();
+  // Two pages change while it is away.
+  const std::uint32_t first = server_.stream.held().find(3)->version;
+  for (std::size_t i = 0; i < std::size_t{2} * kPageLanes; ++i) server_.model().parameters[i] += 0.5F;
+  tick({&stays}, 0);
+  ASSERT_EQ(server_.stream.held().find(3)->version, first);
+  board_.clear();
+  std::vector<stream::OfferedPage> changed;
+  (void)board_.add({}, changed);
+  before.feed.resume(board_, held, true);
+  const std::uint64_t bytes = before.bytes;
+  before.read(server_.stream, board_, now_ns_ += kSecond);
+  expect_exact(server_.stream, before.replica);
+  EXPECT_EQ(before.feed.whole_pages(), board_.offered().size() + 2);
+  EXPECT_LT(before.bytes - bytes, 80'000U);
+}
+
+TEST_F(ViewerFeedTest, PagesInViewComeFirst) {
+  Seat seat(2000);
+  GazeTracker tracker;
+  const Camera camera = look_at({-2, 1, -2}, {-2.2F, 0, -2.2F}, 64, 64, 0.6F);
+  tracker.add(camera, now_ns_);
+  seat.gaze = tracker.gaze();
+  sit(seat);
+  std::vector<std::uint32_t> order;
+  float in_first_half = 0, in_second = 0;
+  live({&seat}, 3, -1, [&] {
+    for (const auto& [page, held] : seat.replica.held().pages) {
+      if (std::ranges::find(order, page) == order.end()) order.push_back(page);
+    }
+  });
+  ASSERT_EQ(order.size(), board_.offered().size());
+  for (std::size_t k = 0; k < order.size(); ++k) {
+    (k < order.size() / 2 ? in_first_half : in_second) += page_weight(*board_.find(order[k]), seat.gaze, {});
+  }
+  EXPECT_GE(in_first_half, in_second);
+}
+
+TEST_F(ViewerFeedTest, WithinItsMemoryAViewerHoldsWhatItSees) {
+  constexpr std::size_t kMost = 4096;
+  Seat seat(1e6, kMost);
+  sit(seat);
+  live({&seat}, 1, -1);
+  EXPECT_LE(seat.replica.count(), kMost);
+  EXPECT_GT(seat.replica.count(), kMost - kPageLanes);
+  EXPECT_EQ(seat.feed.refused_pages(), 0U) << "it was sent what it has no room for";
+}
+
+// A page that goes, and a number that is used again.
+TEST(ViewerRate, FindsOutWhatALinkTakes) {
+  ViewerRate rate;
+  std::int64_t now_ns = kSecond;
+  rate.set(0, now_ns);
+  constexpr double kLink = 400'000;  // bytes a second
+  double queued = 0;
+  for (int step = 0; step < 400; ++step) {
+    now_ns += kSecond / 4;
+    double bytes = rate.available(now_ns);
+    for (int k = 0; k < 25; ++k) {
+      const double more = rate.available(now_ns + k * kStep);
+      rate.take(more, now_ns + k * kStep);
+      queued += more;
+    }
+    bytes = std::min(queued, kLink / 4);
+    queued -= bytes;
+    rate.acknowledged(bytes, 0.25, now_ns + kSecond / 4);
+    if (step > 100) {
+      ASSERT_LT(queued, 1.5 * kLink) << step;
+      ASSERT_GT(rate.bytes_per_s(), kLink / 4) << step;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace splatbus::streamer
