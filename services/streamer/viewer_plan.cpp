@@ -63,7 +63,8 @@ void ViewerFeed::plan_deltas(const PageBoard& board, std::map<std::uint32_t, std
                              std::vector<Item>& items) {
   std::uint64_t oldest = 0;
   for (const SharedDelta& delta : board.deltas()) {
-    if (delta.number < oldest_delta_) continue;
+    // What is larger than the rate's burst never goes: its pages come whole.
+    if (delta.number < oldest_delta_ || static_cast<double>(delta.packet->bytes()) > largest_packet()) continue;
     float value = 0;
     bool fits = false;
     std::vector<std::pair<std::uint32_t, std::uint32_t>> after;
