@@ -84,7 +84,10 @@ TEST_F(ViewerHubTest, AViewerThatReadsSlowlyIsNotForgotten) {
       waits = hub_.pump(now_ns_);
       return sent_packets() > sent && poses_ > heard;
     }));
-    ASSERT_TRUE(waits) << "the model is too small for this test";
+    if (!waits) {  // all of it has gone out
+      ASSERT_GT(second, 6) << "the model is too small for this test";
+      break;
+    }
     hub_.expire(now_ns_);
     ASSERT_EQ(hub_.viewers(), 1U) << "after " << second + 1 << " s";
   }
