@@ -20,7 +20,9 @@ constexpr double kQueued_s = 0.5;
 }  // namespace
 
 void ViewerRate::use(double bytes_per_s, std::int64_t now_ns) {
+  const bool first = bytes_per_s_ == 0;
   bytes_per_s_ = bytes_per_s;
+  if (first) bucket_ = bus::TokenBucket(bytes_per_s_, burst());
   bucket_.set(bytes_per_s_, burst(), now_ns);
 }
 
