@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "bus/curve.h"
 #include "bus/error.h"
 #include "stream/layout.h"
 #include "wire/convert.h"
@@ -43,6 +44,10 @@ StreamClient::StreamClient(ClientOptions options)
   socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
   socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
   socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));
+  bus::require_transport(options_.endpoint);
+  if (const auto keys = bus::client_keys(options_.endpoint, options_.key, options_.server_key)) {
+    bus::use_keys(socket_, *keys);
+  }
   try {
     socket_.connect(options_.endpoint);
   } catch (const zmq::error_t& error) {

@@ -20,6 +20,7 @@ namespace splatbus::viewer {
 struct ClientOptions {
   std::string endpoint;
   std::string name;
+  std::string key, server_key;                        ///< for a streamer elsewhere: as bus::client_keys() has them
   bool probes = false;                                ///< wants ProbePictures; else they are ignored
   std::size_t max_gaussians = stream::kMaxGaussians;  ///< that are held
   std::int64_t hello_every_ns = 200'000'000;
