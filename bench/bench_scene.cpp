@@ -8,6 +8,8 @@
 #include <random>
 #include <stdexcept>
 
+#include "splats/file.h"
+
 namespace splatbus::bench {
 namespace {
 
@@ -63,7 +65,7 @@ GaussiansBuffer convert(const GaussiansBuffer& from, const Arguments& arguments)
 }  // namespace
 
 Workload::Workload(const Arguments& arguments)
-    : model(convert(read_ply(arguments.scene), arguments)),
+    : model(convert(splats::read_file(arguments.scene, splats::Axes::Keep).gaussians, arguments)),
       cameras(read_cameras(arguments.cameras)),
       pages_(arguments.pages) {
   if (cameras.empty()) throw std::runtime_error(arguments.cameras + ": no cameras");

@@ -49,14 +49,19 @@ int open_pidfd(pid_t pid) {
   return static_cast<int>(syscall(SYS_pidfd_open, pid, 0));
 }
 
+[[noreturn]] void throw_cannot(const std::string& what, int error) {
+  const std::string text = fmt::format("cannot {}: {}", what, std::strerror(error));
+  if (error == EAGAIN || error == ENOMEM || error == EMFILE || error == ENFILE) throw StartedTooSoon(text);
+  throw std::runtime_error(text);
+}
+
 struct Pipe {
   bus::FileDescriptor read, write;
 };
 
 Pipe make_pipe(int flags) {
   std::array<int, 2> fds{};
-  if (pipe2(fds.data(), flags) != 0)
-    throw std::runtime_error(fmt::format("cannot make a pipe: {}", std::strerror(errno)));
+  if (pipe2(fds.data(), flags) != 0) throw_cannot("make a pipe", errno);
   return {bus::FileDescriptor(fds[0]), bus::FileDescriptor(fds[1])};
 }
 
@@ -99,7 +104,7 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
 
   const pid_t parent = getpid();
   pid_ = fork();
-  if (pid_ < 0) throw std::runtime_error(fmt::format("cannot start {}: {}", program.string(), std::strerror(errno)));
+  if (pid_ < 0) throw_cannot("start " + program.string(), errno);
   if (pid_ == 0) {
     become(const_cast<char**>(argv.data()), const_cast<char**>(envp.data()), output.write.get(), failure.write.get(),
            parent);
@@ -114,14 +119,14 @@ ChildProcess::ChildProcess(const std::filesystem::path& program, const std::vect
   } while (got < 0 && errno == EINTR);
   if (got > 0) {
     waitpid(pid_, nullptr, 0);
-    throw std::runtime_error(fmt::format("cannot start {}: {}", program.string(), std::strerror(error)));
+    throw_cannot("start " + program.string(), error);
   }
   exit_ = bus::FileDescriptor(open_pidfd(pid_));
   if (exit_.get() < 0) {
     const int reason = errno;
     signal_group(SIGKILL);
     waitpid(pid_, nullptr, 0);
-    throw std::runtime_error(fmt::format("cannot watch {}: {}", program.string(), std::strerror(reason)));
+    throw_cannot("watch " + program.string(), reason);
   }
   output_ = std::move(output.read);
   fcntl(output_.get(), F_SETFL, O_NONBLOCK);

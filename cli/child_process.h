@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <map>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -21,12 +22,18 @@ struct ExitStatus {
   [[nodiscard]] std::string text() const;  ///< "exited with status 3", "killed by signal 9 (Killed)"
 };
 
+/// A process that could not be started for want of memory, descriptors or processes: later it may be.
+class StartedTooSoon : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
 /// A child in a process group of its own, which dies with us: when the thread that started it ends (PR_SET_PDEATHSIG),
 /// or when this object does. Its standard input is empty; standard output and error come through one pipe. Not
 /// thread-safe; start it on a thread that lives as long as it shall.
 class ChildProcess {
  public:
-  /// Throws std::runtime_error that names the program when it cannot be started.
+  /// Throws std::runtime_error that names the program when it cannot be started, StartedTooSoon where that may pass.
   ChildProcess(const std::filesystem::path& program, const std::vector<std::string>& arguments,
                const std::map<std::string, std::string>& environment);
   ~ChildProcess();

@@ -54,9 +54,13 @@ int demo(DemoVerbOptions options) {
       options.launch_file.empty() ? default_launch_file("demo.yaml") : std::filesystem::path(options.launch_file);
   const StopSignals signals;
   ProgressLine line;
-  const auto started = [&](const std::string& bus) {
-    if (options.json) return;
-    fmt::print("{:.0f} s demo; look inside with: ./splatbus node list --bus {}\n", options.demo.seconds, bus);
+  const auto started = [&](const DemoStart& start) {
+    if (options.json) {
+      if (start.gateway) fmt::print("{}\n", json_text({{"url", start.gateway->url}}));
+      return;
+    }
+    fmt::print("{:.0f} s demo; look inside with: ./splatbus node list --bus {}\n", options.demo.seconds, start.bus);
+    if (start.gateway) fmt::print("{}\n", invitation(*start.gateway));
     std::fflush(stdout);
   };
   const auto show = [&](const DemoState& state) {

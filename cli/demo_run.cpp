@@ -8,13 +8,13 @@
 
 #include "demo_results.h"
 #include "engine_scene.h"
-#include "gaussians/model.h"
 #include "launch_plan.h"
 #include "live_scene.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "scene_view.h"
 #include "schema_json.h"
+#include "splats/file.h"
 #include "supervised_run.h"
 #include "verbs.h"
 
@@ -41,7 +41,8 @@ std::vector<Camera> held_out_cameras() {
   return circle_cameras({.count = kHeldOutCameras, .size = kSize, .phase_degrees = 180.0F / kReferenceCameras});
 }
 
-LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, const fs::path& viewer_pictures) {
+LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, const fs::path& viewer_pictures,
+                     std::optional<GatewayUrl>& gateway) {
   LaunchFile file = read_launch_file(options.launch_file);
   for (const auto& [name, value] : ring_parameters({.count = kReferenceCameras, .size = kSize})) {
     apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
@@ -58,6 +59,7 @@ LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, co
   if (options.still) apply({.reference_rate_hz = kStillReferenceRate_hz}, file);
   set_backend(file, options.backend);
   check_backends(file);
+  gateway = settle_gateway(file);
   LaunchPlan plan = plan_launch(file, address, program_directory());
   check_parameters(file, plan);
   return plan;
@@ -70,7 +72,7 @@ class Demo {
         signals_(signals),
         address_(options.bus.empty() ? folder_.address() : bus::Address::parse(options.bus)),
         viewer_pictures_(folder_.path() / "viewer"),
-        plan_(make_plan(options, address_, viewer_pictures_)),
+        plan_(make_plan(options, address_, viewer_pictures_, gateway_)),
         context_(connect(address_)),
         watch_(context_),
         live_(context_),
@@ -80,7 +82,7 @@ class Demo {
         start_ns_(bus::now_ns()),
         run_(plan_, options.out / "services.log") {}
 
-  [[nodiscard]] std::string bus() const { return address_.text(); }
+  [[nodiscard]] DemoStart start() const { return {.bus = address_.text(), .gateway = gateway_}; }
 
   Json run(const std::function<void(const DemoState&)>& show) {
     const std::int64_t end_ns = start_ns_ + static_cast<std::int64_t>(options_.seconds * 1e9);
@@ -88,7 +90,7 @@ class Demo {
     finish_last_round(show);
     const auto model = live_.copy_average(std::chrono::seconds(10));
     if (!model) throw std::runtime_error("there is no model to write; see " + log_path());
-    write_ply(options_.out / "model.ply", model->view(), live_.scene());
+    splats::write_file(options_.out / "model.ply", model->view(), live_.scene());
     if (results_.compared.empty())
       throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
     note_pipeline(model->count());
@@ -236,6 +238,7 @@ class Demo {
   PrivateBusFolder folder_;
   bus::Address address_;
   fs::path viewer_pictures_;
+  std::optional<GatewayUrl> gateway_;
   LaunchPlan plan_;
   std::shared_ptr<bus::Context> context_;
   PipelineWatch watch_;
@@ -258,11 +261,10 @@ class Demo {
 }  // namespace
 
 Json run_demo(const DemoOptions& options, const StopSignals& signals,
-              const std::function<void(const std::string& bus)>& started,
-              const std::function<void(const DemoState&)>& show) {
+              const std::function<void(const DemoStart&)>& started, const std::function<void(const DemoState&)>& show) {
   fs::create_directories(options.out);
   Demo demo(options, signals);
-  started(demo.bus());
+  started(demo.start());
   return demo.run(show);
 }
 

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "figures.h"
+#include "gateway_url.h"
 #include "supervised_run.h"
 
 namespace splatbus::cli {
@@ -20,6 +21,12 @@ struct DemoOptions {
   std::filesystem::path launch_file;
   std::string bus;      ///< empty: a folder of its own
   std::string backend;  ///< cpu, cuda or auto; empty: the launch file's
+};
+
+/// Where to look inside.
+struct DemoStart {
+  std::string bus;
+  std::optional<GatewayUrl> gateway;  ///< where the launch file has one
 };
 
 /// A live line's figures.
@@ -38,7 +45,7 @@ struct DemoState {
 /// viewer did not come, with an earlier one and a "note" that says so; null figures without any. Throws
 /// std::runtime_error.
 nlohmann::json run_demo(const DemoOptions& options, const StopSignals& signals,
-                        const std::function<void(const std::string& bus)>& started,
+                        const std::function<void(const DemoStart&)>& started,
                         const std::function<void(const DemoState&)>& show);
 
 }  // namespace splatbus::cli

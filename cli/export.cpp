@@ -4,9 +4,9 @@
 #include <chrono>
 #include <stdexcept>
 
-#include "gaussians/model.h"
 #include "live_scene.h"
-#include "schema_json.h"
+#include "splat_options.h"
+#include "splats/file.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -16,11 +16,24 @@ namespace {
 struct ExportOptions {
   std::string bus;
   std::string path;
+  std::string from;
+  splats::Axes from_axes = splats::Axes::OfFormat;
   double timeout_s = 30;
   bool json = false;
+  splats::WriteOptions write;
 };
 
+int convert(const ExportOptions& options) {
+  const splats::SplatFile file = splats::read_file(options.from, options.from_axes);
+  splats::WriteOptions write = options.write;
+  write.mip = file.mip;
+  print_written(options.path, splats::write_file(options.path, file.gaussians.view(), {}, write), options.json);
+  return 0;
+}
+
 int export_model(const ExportOptions& options) {
+  (void)splats::format_of(options.path);
+  if (!options.from.empty()) return convert(options);
   const bus::Address address = bus_address(options.bus);
   LiveScene live(connect(address));
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.timeout_s * 1e9);
@@ -36,12 +49,8 @@ int export_model(const ExportOptions& options) {
     throw std::runtime_error(fmt::format("no scene/state within {} s on {}, which this model is shaded with",
                                          options.timeout_s, address.text()));
   }
-  write_ply(options.path, model->view(), live.scene());
-  if (options.json) {
-    fmt::print("{}\n", json_text({{"path", options.path}, {"gaussians", model->count()}}));
-  } else {
-    fmt::print("{}: {} Gaussians\n", options.path, model->count());
-  }
+  print_written(options.path, splats::write_file(options.path, model->view(), live.scene(), options.write),
+                options.json);
   return 0;
 }
 
@@ -49,8 +58,12 @@ int export_model(const ExportOptions& options) {
 
 void add_export_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<ExportOptions>();
-  CLI::App* verb = app.add_subcommand("export", "Write the live model as a PLY file that 3DGS tools read");
-  verb->add_option("file", options->path, "file to write (.ply)")->required();
+  CLI::App* verb =
+      app.add_subcommand("export", "Write the live model, under its light of now, as a file for splat tools");
+  verb->add_option("file", options->path, "file to write (.ply, .glb, .spz)")->required();
+  add_write_options(*verb, options->write);
+  verb->add_option("--from", options->from, "a file (.ply, .spz) instead of the live model");
+  add_axes_option(*verb, options->from_axes, "--from-axes");
   verb->add_option("--timeout", options->timeout_s, "seconds to wait for the model (default 30)")
       ->check(CLI::PositiveNumber);
   verb->add_flag("--json", options->json, "print the result as JSON");

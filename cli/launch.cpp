@@ -6,6 +6,7 @@
 #include <condition_variable>
 #include <mutex>
 
+#include "gateway_url.h"
 #include "launch_file.h"
 #include "launch_plan.h"
 #include "schema_json.h"
@@ -59,6 +60,7 @@ int launch(const LaunchOptions& options) {
       throw LaunchError(file.bus->mark, error.what());
     }
   }
+  const auto gateway = settle_gateway(file);
   const LaunchPlan plan = plan_launch(file, address, program_directory());
   check_backends(file);
   check_parameters(file, plan);
@@ -67,6 +69,10 @@ int launch(const LaunchOptions& options) {
     return 0;
   }
 
+  if (gateway) {
+    fmt::print("{}\n", options.json ? json_text({{"url", gateway->url}}) : invitation(*gateway));
+    std::fflush(stdout);
+  }
   const StopSignals signals;
   std::vector<std::string> names;
   for (const ProcessPlan& process : plan.processes) names.push_back(process.name);

@@ -16,10 +16,12 @@ int run(int argc, char** argv) {
   splatbus::cli::add_launch_verb(app, action);
   splatbus::cli::add_topic_verb(app, action);
   splatbus::cli::add_node_verb(app, action);
+  splatbus::cli::add_keys_verb(app, action);
   splatbus::cli::add_export_verb(app, action);
   splatbus::cli::add_world_verb(app, action);
   splatbus::cli::add_eval_verb(app, action);
   splatbus::cli::add_demo_verb(app, action);
+  splatbus::cli::add_view_verb(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

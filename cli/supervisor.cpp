@@ -172,14 +172,18 @@ void Supervisor::ended(Process& process, const ExitStatus& status) {
     return;
   }
   if (policy == RestartPolicy::Never) return fail(process, status.text());
+  start_later(process, status.text());
+}
+
+void Supervisor::start_later(Process& process, const std::string& reason) {
   if (++process.attempts >= kMaxAttempts) {
-    return fail(process, fmt::format("{}, {} times in a row", status.text(), process.attempts));
+    return fail(process, fmt::format("{}, {} times in a row", reason, process.attempts));
   }
   const double delay_s = back_off_s(process.attempts);
-  process.next_start_ns = now + from_seconds(delay_s);
+  process.next_start_ns = now_ns_() + from_seconds(delay_s);
   process.status.state = ProcessState::BackOff;
-  process.status.detail = status.text();
-  say(process, fmt::format("{}; starting it again in {:.1f} s", status.text(), delay_s));
+  process.status.detail = reason;
+  say(process, fmt::format("{}; starting it again in {:.1f} s", reason, delay_s));
 }
 
 void Supervisor::start_what_is_due() {
@@ -209,6 +213,8 @@ void Supervisor::start(Process& process) {
   process.status.detail.clear();
   try {
     process.child.emplace(process.plan.program, process.plan.arguments, process.plan.environment);
+  } catch (const StartedTooSoon& error) {
+    return start_later(process, error.what());
   } catch (const std::runtime_error& error) {
     return fail(process, error.what());
   }

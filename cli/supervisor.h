@@ -81,6 +81,8 @@ class Supervisor {
   void ended(Process& process, const ExitStatus& status);
   void start_what_is_due();
   void start(Process& process);
+  /// With back-off; fails it after too many attempts in a row.
+  void start_later(Process& process, const std::string& reason);
   void ready(Process& process);
   void check_signs_of_life();
   /// The time up to which silence means something: the broker's own last heartbeat, 0 while it is away.

@@ -8,9 +8,20 @@
 
 namespace splatbus::cli {
 
+namespace {
+
+/// Of the one verb that runs.
+struct BusKeys {
+  std::string key, server_key;
+} bus_keys;
+
+}  // namespace
+
 void add_bus_option(CLI::App& verb, std::string& address) {
   verb.add_option("--bus", address,
                   "bus address, ipc:///folder or tcp://host:port (default: SPLATBUS_BUS, else a folder of this user)");
+  verb.add_option("--key", bus_keys.key, "key file for a bus over tcp (made by 'splatbus keys'); else SPLATBUS_KEY");
+  verb.add_option("--server-key", bus_keys.server_key, "public key of that bus; else SPLATBUS_SERVER_KEY");
 }
 
 void add_backend_option(CLI::App& verb, std::string& backend) {
@@ -26,7 +37,10 @@ Device own_backend(const std::string& backend) {
 }
 
 bus::Address bus_address(const std::string& option) {
-  return option.empty() ? bus::Address::from_environment() : bus::Address::parse(option);
+  auto address = option.empty() ? bus::Address::from_environment() : bus::Address::parse(option);
+  address.key_file = bus_keys.key;
+  address.server_key = bus_keys.server_key;
+  return address;
 }
 
 std::shared_ptr<bus::Context> connect(const bus::Address& address) {

@@ -21,19 +21,21 @@ using Action = std::function<int()>;
 void add_launch_verb(CLI::App& app, Action& action);
 void add_topic_verb(CLI::App& app, Action& action);
 void add_node_verb(CLI::App& app, Action& action);
+void add_keys_verb(CLI::App& app, Action& action);
 void add_export_verb(CLI::App& app, Action& action);
 void add_world_verb(CLI::App& app, Action& action);
 void add_eval_verb(CLI::App& app, Action& action);
 void add_demo_verb(CLI::App& app, Action& action);
+void add_view_verb(CLI::App& app, Action& action);
 
-/// Adds --bus to a verb.
+/// Adds --bus to a verb, and --key and --server-key for one over tcp.
 void add_bus_option(CLI::App& verb, std::string& address);
 /// Adds --backend to a verb that launches services; empty when it is not given.
 void add_backend_option(CLI::App& verb, std::string& backend);
 /// What this program itself works with when services were given --backend `backend`; where that is empty, what
 /// SPLATBUS_BACKEND says, else auto. Throws bus::Error.
 [[nodiscard]] Device own_backend(const std::string& backend);
-/// The bus that --bus names, or the default one.
+/// The bus that --bus names, or the default one, with its keys.
 [[nodiscard]] bus::Address bus_address(const std::string& option);
 /// A connection of this command, under a name of its own.
 [[nodiscard]] std::shared_ptr<bus::Context> connect(const bus::Address& address);

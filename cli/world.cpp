@@ -13,6 +13,8 @@
 
 #include "gaussians/model.h"
 #include "schema_json.h"
+#include "splat_options.h"
+#include "splats/file.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -23,6 +25,7 @@ struct WorldVerbOptions {
   std::string folder, path;
   std::vector<double> beyond;  ///< x, y, z, radius in metres
   double max_mb = 0;
+  splats::WriteOptions write;
   bool json = false;
 };
 
@@ -130,12 +133,11 @@ int export_world(const WorldVerbOptions& options) {
   SceneState scene;
   constexpr float kUniform = 3.5449077F;  // sqrt(4 pi): radiance 1
   scene.light.ambient_sh[0] = glm::vec3(kUniform);
-  write_ply(options.path, model.view(), scene);
-  if (options.json) {
-    fmt::print("{}\n", json_text({{"path", options.path}, {"gaussians", model.count()}}));
-  } else {
-    fmt::print("{}: {} Gaussians\n", options.path, model.count());
+  // Nor does it know where objects are: each is shown where its own frame has it.
+  for (const std::uint32_t id : model.object_id) {
+    if (id != kWorldFrame && id != kFarFieldFrame) scene.objects.try_emplace(id);
   }
+  print_written(options.path, splats::write_file(options.path, model.view(), scene, options.write), options.json);
   return 0;
 }
 
@@ -202,10 +204,10 @@ void add_world_verb(CLI::App& app, Action& action) {
     return verb;
   };
   add("info", "What it holds, and what of it is damaged", info);
-  add("export", "Write it as a PLY file that 3DGS tools read, under white light", export_world)
-      ->add_option("file", options->path, "file to write (.ply)")
-      ->required();
-  CLI::App* verb = add("prune", "Take pages out of it for good; no trainer may use it meanwhile", prune);
+  CLI::App* verb = add("export", "Write it as a file that splat tools read, under white light", export_world);
+  verb->add_option("file", options->path, "file to write (.ply, .glb, .spz)")->required();
+  add_write_options(*verb, options->write);
+  verb = add("prune", "Take pages out of it for good; no trainer may use it meanwhile", prune);
   verb->add_option("--max-mb", options->max_mb, "until at most that many MB of pages are left, longest untaught first")
       ->check(CLI::PositiveNumber);
   verb->add_option("--beyond", options->beyond, "x,y,z,r: those farther than r metres from that point")

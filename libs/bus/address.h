@@ -23,6 +23,7 @@ struct Address {
   std::optional<std::string> directory;
   std::string host;
   std::uint16_t port = 0;
+  std::string key_file, server_key;  ///< over tcp: bus::client_keys() says what they are, and when they may be empty
 };
 
 }  // namespace splatbus::bus

@@ -9,6 +9,7 @@
 #include "bus/context_impl.h"
 #include "bus/error.h"
 #include "bus/frames.h"
+#include "bus/private_folder.h"
 #include "bus/slab_memory.h"
 
 namespace splatbus::bus {
@@ -22,6 +23,12 @@ std::string checked_source(std::string source) {
   for (const char c : source) good = good && c > 0x20 && c < 0x7f;
   if (!good) throw Error(fmt::format("'{}' is no name for a source on the bus", printable(source)));
   return source;
+}
+
+// Nobody else's bus is connected to.
+std::optional<ClientKeys> keys_of(const Address& address) {
+  if (address.is_local()) require_private_folder(*address.directory);
+  return client_keys(address.publish_endpoint(), address.key_file, address.server_key);
 }
 
 std::uint64_t random_id() {
@@ -38,7 +45,8 @@ Context::Impl::Impl(Address bus_address, std::string source_name)
     : address(std::move(bus_address)),
       source(checked_source(std::move(source_name))),
       epoch(static_cast<std::uint64_t>(now_ns())),
-      outbox(zmq, address) {
+      keys(keys_of(address)),
+      outbox(zmq, address, keys) {
   if (address.is_local()) slabs.emplace(address.slab_socket());
 }
 
@@ -73,13 +81,14 @@ bool Context::wait_connected(std::chrono::milliseconds timeout) const {
 }
 
 std::shared_ptr<Slab> Context::create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
-                                           int timeout_ms, Device kind) {
+                                           int timeout_ms, Device kind, SlabLife life) {
   SlabDescriptor descriptor;
   descriptor.kind = kind;
   descriptor.id = random_id();
   descriptor.name = fmt::format("{}/{}", source(), role);
   descriptor.slots = slots;
   descriptor.slot_bytes = slot_bytes;
+  descriptor.kept = life == SlabLife::ForSuccessor;
   auto slab = create_slab_memory(descriptor, impl_->address.is_local());
   if (impl_->slabs) {
     impl_->slabs->add(slab, std::chrono::milliseconds(timeout_ms));

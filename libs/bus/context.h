@@ -17,7 +17,8 @@ class Context : public std::enable_shared_from_this<Context> {
  public:
   /// `source` is unique on the bus ("trainer", "viewer-2"). Connecting never blocks: the broker may start later, or be
   /// killed and started again; the context then registers its slabs and sends its latched messages again by itself.
-  /// Throws Error when `source` is no name (1 to 64 characters, no spaces or control characters).
+  /// Throws Error when `source` is no name (1 to 64 characters, no spaces or control characters), when the folder is
+  /// not this user's alone, and when it takes a key to get there and there is none.
   static std::shared_ptr<Context> create(Address address, std::string source);
   ~Context();
 
@@ -31,22 +32,30 @@ class Context : public std::enable_shared_from_this<Context> {
   /// waits in a bounded queue (docs/protocol.md, "Start-up").
   [[nodiscard]] bool wait_connected(std::chrono::milliseconds timeout) const;
 
+  /// What becomes of a slab when the process that made it is gone, and no other of its name comes within seconds.
+  enum class SlabLife : std::uint8_t {
+    OfItsMaker,   ///< the registry drops it
+    ForSuccessor  ///< it stays for adopt_slab()
+  };
+
   /// Makes a slab and registers it under "<source>/<role>"; a slab registered under that name before is dropped
   /// by the registry (mappings that others hold stay good). Waits up to `timeout_ms` for the broker. Over tcp the slab
-  /// is private memory and its tensors are inlined. Throws Error, also for a kind that this build has no memory for.
+  /// is private memory and its tensors are inlined. Throws Error, also for a kind that this build has no memory for,
+  /// and when another process is there that writes slabs as this source.
   std::shared_ptr<Slab> create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
-                                    int timeout_ms = 10000, Device kind = Device::Cpu);
+                                    int timeout_ms = 10000, Device kind = Device::Cpu,
+                                    SlabLife life = SlabLife::OfItsMaker);
 
   /// Opens a registered slab, read-only; cached by id. Null when the registry has no such slab or cannot be reached;
   /// throws Error when what it got is malformed (a slab smaller than it claims).
   std::shared_ptr<Slab> open_slab(std::uint64_t id);
 
   /// The same by full name ("trainer/model"), mapped writable: a restarted owner goes on with what it left.
-  /// Waits up to `timeout_ms` for the broker, so that null means that there is none of that name.
+  /// Waits up to `timeout_ms` for the broker, so that null means that there is none of that name. Throws Error when
+  /// another process is there that writes it.
   std::shared_ptr<Slab> adopt_slab(const std::string& name, int timeout_ms = 10000);
 
-  /// Makes the registry forget a slab of this source; mappings that others hold stay good. Without it a slab stays
-  /// registered until its name is registered again: it outlives its maker on purpose.
+  /// Makes the registry forget a slab of this source; mappings that others hold stay good.
   void drop_slab(const std::string& role);
 
  private:

@@ -9,6 +9,7 @@
 #include <zmq.hpp>
 
 #include "bus/context.h"
+#include "bus/curve.h"
 #include "bus/frames.h"
 #include "bus/outbox.h"
 #include "bus/slab_client.h"
@@ -28,6 +29,7 @@ struct Context::Impl {
   const Address address;
   const std::string source;
   const std::uint64_t epoch;
+  const std::optional<ClientKeys> keys;  // over tcp, where it takes some
   zmq::context_t zmq;
   Outbox outbox;
   std::optional<SlabClient> slabs;  // local buses only

@@ -55,6 +55,7 @@ void HeartbeatThread::apply(const wire::Control& control, const Message& message
     const auto name = change->key()->str();
     const auto value = change->value()->str();
     const auto problem = service_.parameters.set(name, value, true);
+    if (!said_.take(1, now_ns())) continue;  // a peer has us say it
     if (problem.empty()) {
       spdlog::info("{} set to {} by {}", name, value, message.header().source()->str());
     } else {

@@ -7,6 +7,7 @@
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "bus/token_bucket.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::bus {
@@ -31,6 +32,7 @@ class HeartbeatThread {
   const std::string kind_;
   Publisher publisher_;
   Subscriber control_;
+  TokenBucket said_{5, 50};  ///< log lines about changed parameters
   std::jthread thread_;
 };
 

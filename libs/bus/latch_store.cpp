@@ -4,13 +4,38 @@
 
 namespace splatbus::bus {
 
-std::size_t LatchStore::put(const std::string& topic, const std::string& key, std::uint64_t order, Frames frames,
-                            std::int64_t stamp) {
+LatchStore::LatchStore(std::size_t max_messages, std::size_t max_bytes, double share)
+    : max_messages_(max_messages),
+      max_bytes_(max_bytes),
+      max_messages_of_one_(
+          std::max<std::size_t>(1, static_cast<std::size_t>(static_cast<double>(max_messages) * share))),
+      max_bytes_of_one_(static_cast<std::size_t>(static_cast<double>(max_bytes) * share)) {}
+
+LatchStore::Put LatchStore::put(const std::string& topic, const std::string& key, const std::string& source,
+                                std::uint64_t order, Frames frames, std::int64_t stamp) {
   erase(topic, key);
-  bytes_ += frames.bytes();
-  by_order_.emplace(order, Key(topic, key));
-  held_.emplace(Key(topic, key), Held{order, stamp, std::move(frames)});
-  return evict();
+  const std::size_t bytes = frames.bytes();
+  if (bytes > max_bytes_of_one_) return {};
+  Share& share = sources_[source];
+  bytes_ += bytes;
+  share.bytes += bytes;
+  share.by_order.emplace(order, Key(topic, key));
+  held_.emplace(Key(topic, key), Held{order, stamp, std::move(frames), source});
+
+  Put result{.held = true};
+  while (share.by_order.size() > max_messages_of_one_ || share.bytes > max_bytes_of_one_) {
+    erase_oldest(source);
+    ++result.evicted;
+  }
+  while (held_.size() > max_messages_ || bytes_ > max_bytes_) {
+    const bool by_bytes = bytes_ > max_bytes_;
+    const auto most = std::max_element(sources_.begin(), sources_.end(), [&](const auto& a, const auto& b) {
+      return by_bytes ? a.second.bytes < b.second.bytes : a.second.by_order.size() < b.second.by_order.size();
+    });
+    erase_oldest(std::string(most->first));
+    ++result.evicted;
+  }
+  return result;
 }
 
 LatchStore::Held* LatchStore::find(const std::string& topic, const std::string& key) {
@@ -21,29 +46,29 @@ LatchStore::Held* LatchStore::find(const std::string& topic, const std::string& 
 void LatchStore::erase(const std::string& topic, const std::string& key) {
   const auto found = held_.find(Key(topic, key));
   if (found == held_.end()) return;
-  bytes_ -= found->second.frames.bytes();
-  by_order_.erase(found->second.order);
+  const auto share = sources_.find(found->second.source);
+  const std::size_t bytes = found->second.frames.bytes();
+  bytes_ -= bytes;
+  share->second.bytes -= bytes;
+  share->second.by_order.erase(found->second.order);
+  if (share->second.by_order.empty()) sources_.erase(share);
   held_.erase(found);
+}
+
+void LatchStore::erase_oldest(const std::string& source) {
+  const Key oldest = sources_.at(source).by_order.begin()->second;
+  erase(oldest.first, oldest.second);
 }
 
 std::vector<LatchStore::Held> LatchStore::matching(std::string_view prefix) {
   std::vector<Held> result;
   for (auto it = held_.lower_bound(Key(prefix, "")); it != held_.end(); ++it) {
     if (!std::string_view(it->first.first).starts_with(prefix)) break;
-    result.push_back({it->second.order, it->second.stamp, it->second.frames.share()});
+    const Held& held = it->second;
+    result.push_back({held.order, held.stamp, held.frames.share(), held.source});
   }
   std::sort(result.begin(), result.end(), [](const Held& a, const Held& b) { return a.order < b.order; });
   return result;
-}
-
-std::size_t LatchStore::evict() {
-  std::size_t evicted = 0;
-  while (!by_order_.empty() && (held_.size() > max_messages_ || bytes_ > max_bytes_)) {
-    const Key oldest = by_order_.begin()->second;
-    erase(oldest.first, oldest.second);
-    ++evicted;
-  }
-  return evicted;
 }
 
 }  // namespace splatbus::bus

@@ -12,20 +12,27 @@
 
 namespace splatbus::bus {
 
-/// The last message of each (topic, latch key), bounded: beyond the bounds those that were put longest ago leave.
+/// The last message of each (topic, latch key), bounded in all and a source: beyond the bounds what was put longest ago
+/// leaves, of the source itself, or of that which holds the most.
 class LatchStore {
  public:
-  LatchStore(std::size_t max_messages, std::size_t max_bytes) : max_messages_(max_messages), max_bytes_(max_bytes) {}
+  /// `share` of both bounds is what one source may hold.
+  LatchStore(std::size_t max_messages, std::size_t max_bytes, double share = 1);
 
   struct Held {
     std::uint64_t order = 0;  ///< as given to put()
     std::int64_t stamp = 0;   ///< of the caller's own
     Frames frames;
+    std::string source = {};
   };
 
-  /// `order` grows from call to call. Returns how many other messages had to leave.
-  std::size_t put(const std::string& topic, const std::string& key, std::uint64_t order, Frames frames,
-                  std::int64_t stamp = 0);
+  struct Put {
+    bool held = false;        ///< false when the message alone is too large; what was held before is gone then too
+    std::size_t evicted = 0;  ///< other messages that had to leave
+  };
+  /// `order` grows from call to call.
+  Put put(const std::string& topic, const std::string& key, const std::string& source, std::uint64_t order,
+          Frames frames, std::int64_t stamp = 0);
   [[nodiscard]] Held* find(const std::string& topic, const std::string& key);
   void erase(const std::string& topic, const std::string& key);
 
@@ -37,13 +44,17 @@ class LatchStore {
 
  private:
   using Key = std::pair<std::string, std::string>;
-  std::size_t evict();
+  struct Share {
+    std::size_t bytes = 0;
+    std::map<std::uint64_t, Key> by_order;
+  };
+  void erase_oldest(const std::string& source);
 
-  const std::size_t max_messages_;
-  const std::size_t max_bytes_;
+  const std::size_t max_messages_, max_bytes_;
+  const std::size_t max_messages_of_one_, max_bytes_of_one_;
   std::size_t bytes_ = 0;
   std::map<Key, Held> held_;
-  std::map<std::uint64_t, Key> by_order_;
+  std::map<std::string, Share> sources_;
 };
 
 }  // namespace splatbus::bus

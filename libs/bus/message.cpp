@@ -3,10 +3,12 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <mutex>
 #include <utility>
 
 #include "bus/context_impl.h"
 #include "bus/subscriber.h"
+#include "bus/token_bucket.h"
 
 namespace splatbus::bus {
 namespace {
@@ -128,14 +130,22 @@ std::optional<OutgoingTensor> Message::forward_tensor(const std::string& name) c
   return result;
 }
 
-bool guarded(const Message& message, const std::function<void()>& handle) try {
-  handle();
-  return true;
-} catch (const Error& error) {
-  spdlog::error("{}", error.what());
-  return false;
-} catch (const std::exception& error) {
-  spdlog::error("{}: {}", describe(message.topic(), message.header()), error.what());
+bool guarded(const Message& message, const std::function<void()>& handle) {
+  // A peer has us say it: not more often than somebody reads.
+  static std::mutex mutex;
+  static TokenBucket said(5, 50);
+  const auto say = [](const std::string& text) {
+    const std::scoped_lock lock(mutex);
+    if (said.take(1, now_ns())) spdlog::error("{}", text);
+  };
+  try {
+    handle();
+    return true;
+  } catch (const Error& error) {
+    say(error.what());
+  } catch (const std::exception& error) {
+    say(fmt::format("{}: {}", describe(message.topic(), message.header()), error.what()));
+  }
   return false;
 }
 

@@ -21,12 +21,13 @@ constexpr std::chrono::milliseconds linger{500};
 
 }  // namespace
 
-Outbox::Outbox(zmq::context_t& context, const Address& address)
+Outbox::Outbox(zmq::context_t& context, const Address& address, const std::optional<ClientKeys>& keys)
     : socket_(context, zmq::socket_type::xpub), latched_(max_latched_messages, max_latched_bytes) {
   configure_socket(socket_, address.is_local());
   socket_.set(zmq::sockopt::xpub_verbose, true);
   // A pipe that lives only while connected: losing the broker shows as an unsubscription, and nothing piles up unseen.
   socket_.set(zmq::sockopt::immediate, true);
+  if (keys) use_keys(socket_, *keys);
   socket_.connect(address.publish_endpoint());
   wake_ = FileDescriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!wake_.valid()) throw Error("cannot make an eventfd");
@@ -53,7 +54,7 @@ std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
       const_cast<wire::Header*>(flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header());  // NOLINT
   header->mutate_sequence(sequence);
   const std::uint64_t order = next_order_++;
-  if (latch_key != nullptr) latched_.put(topic, *latch_key, order, frames.share());
+  if (latch_key != nullptr) latched_.put(topic, *latch_key, "", order, frames.share());
   if (connected_) {
     send_frames(socket_, std::move(frames));
     read_subscriptions();

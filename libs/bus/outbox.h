@@ -6,11 +6,13 @@
 #include <deque>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <zmq.hpp>
 
 #include "bus/address.h"
+#include "bus/curve.h"
 #include "bus/file_descriptor.h"
 #include "bus/frames.h"
 #include "bus/latch_store.h"
@@ -24,7 +26,7 @@ namespace splatbus::bus {
 /// Never logs: the log itself is published through it.
 class Outbox {
  public:
-  Outbox(zmq::context_t& context, const Address& address);
+  Outbox(zmq::context_t& context, const Address& address, const std::optional<ClientKeys>& keys);
   ~Outbox();
   Outbox(const Outbox&) = delete;
   Outbox& operator=(const Outbox&) = delete;

@@ -21,6 +21,13 @@ struct Rights {
     return (view || !needed.view) && (steer || !needed.steer) && (probe || !needed.probe) &&
            (control || !needed.control);
   }
+  /// What both have.
+  friend constexpr Rights operator&(const Rights& a, const Rights& b) {
+    return {.view = a.view && b.view,
+            .steer = a.steer && b.steer,
+            .probe = a.probe && b.probe,
+            .control = a.control && b.control};
+  }
   friend constexpr bool operator==(const Rights&, const Rights&) = default;
 };
 
@@ -29,5 +36,12 @@ struct Rights {
 
 /// From names with commas between them; nullopt when one of them does not exist.
 [[nodiscard]] std::optional<Rights> parse_rights(std::string_view text);
+
+/// The frame that a relay puts in front of a message of one of its own clients: what that one may do. It only takes
+/// rights away from the relay's own, so nobody has to be trusted with it.
+[[nodiscard]] std::string rights_frame(const Rights& rights);
+
+/// Nullopt where the frame is none: it is the message's own first one.
+[[nodiscard]] std::optional<Rights> parse_rights_frame(std::string_view frame);
 
 }  // namespace splatbus::bus

@@ -12,6 +12,7 @@
 #include <exception>
 #include <utility>
 
+#include "bus/connection_guard.h"
 #include "bus/error.h"
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
@@ -20,7 +21,7 @@ namespace splatbus::bus {
 namespace {
 
 struct Flags {
-  std::string address;
+  std::string address, key, server_key;
   std::string name;
   std::string log_level = "info";
   std::string backend = "auto";
@@ -30,6 +31,8 @@ struct Flags {
 
 void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--bus", flags.address, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
+  app.add_option("--key", flags.key, "key file, for a bus over tcp (made by 'splatbus keys'); else SPLATBUS_KEY");
+  app.add_option("--server-key", flags.server_key, "public key of that bus; else SPLATBUS_SERVER_KEY");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
   app.add_option("--set", flags.changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
   app.add_option("--backend", flags.backend, "where it computes: cpu, cuda or auto")
@@ -75,7 +78,10 @@ int run_service(const Flags& flags, const ServiceDescription& description, Param
   std::stop_source stop;
   const StopSignals signals(stop);
   const Device backend = choose_backend(flags.backend);
-  const auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
+  raise_descriptor_limit();
+  auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
+  address.key_file = flags.key;
+  address.server_key = flags.server_key;
   const auto context = Context::create(address, flags.name);
   install_logger(context, flags.log_level);
   ServiceContext service(context, parameters, stop.get_token(), backend);

@@ -152,8 +152,8 @@ void Slab::begin_write(std::size_t slot) {
 std::uint64_t Slab::end_write(std::size_t slot) {
   assert(slot < slots() && writable_);
   auto* counter = static_cast<Sequence*>(control_.sequence_address(slot));
-  const std::uint64_t generation = counter->load(std::memory_order_relaxed) + 1;
-  assert(generation % 2 == 0);
+  const std::uint64_t written = counter->load(std::memory_order_relaxed);
+  const std::uint64_t generation = written % 2 == 1 ? written + 1 : written + 2;  // even, whoever wrote beside us
   counter->store(generation, std::memory_order_release);
   return generation;
 }

@@ -17,6 +17,7 @@ struct SlabDescriptor {
   Device kind = Device::Cpu;
   std::size_t slots = 0;
   std::size_t slot_bytes = 0;
+  bool kept = false;  ///< for a successor: stays when its maker is gone
 };
 
 /// Bytes from one slot's start to the next: slot_bytes rounded up to 4096.

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "bus/error.h"
+#include "bus/private_folder.h"
 
 namespace splatbus::bus {
 namespace {
@@ -31,6 +32,12 @@ FileDescriptor connect_to(const std::string& path) {
   ::setsockopt(socket.get(), SOL_SOCKET, SO_SNDTIMEO, &answer_timeout, sizeof(answer_timeout));
   ::setsockopt(socket.get(), SOL_SOCKET, SO_RCVTIMEO, &answer_timeout, sizeof(answer_timeout));
   if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) return {};
+  try {
+    require_own_peer(socket.get(), path);
+  } catch (const Error& error) {
+    spdlog::error("{}", error.what());
+    return {};
+  }
   return socket;
 }
 
@@ -85,6 +92,9 @@ std::optional<SlabPacket> SlabClient::open(std::uint64_t id, const std::string& 
   descriptor.id = id;
   descriptor.name = name;
   auto answer = ask(name.empty() ? SlabOperation::Open : SlabOperation::OpenByName, descriptor, -1, -1);
+  if (answer && answer->status == SlabStatus::Refused) {
+    throw Error(fmt::format("slab '{}' was refused: {}", name, answer->text));
+  }
   if (!answer || answer->status != SlabStatus::Ok) return std::nullopt;
   return answer;
 }

@@ -35,7 +35,7 @@ class SlabClient {
   void drop(const std::string& name);
 
   /// The registry's answer to Open, or to OpenByName where `name` is not empty; nullopt when it has no such slab or
-  /// cannot be reached within `timeout`.
+  /// cannot be reached within `timeout`. Throws Error when another process writes the slabs of that name's source.
   std::optional<SlabPacket> open(std::uint64_t id, const std::string& name, std::chrono::milliseconds timeout);
 
  private:

@@ -15,7 +15,8 @@ namespace splatbus::bus {
 namespace {
 
 constexpr std::uint32_t packet_magic = 0x42414c53;  // "SLAB"
-constexpr std::uint16_t packet_version = 1;
+constexpr std::uint16_t packet_version = 2;
+constexpr std::uint64_t kept_flag = 1;
 constexpr std::size_t max_descriptors = 2;
 
 struct RawPacket {
@@ -27,10 +28,11 @@ struct RawPacket {
   std::uint64_t id;
   std::uint64_t slots;
   std::uint64_t slot_bytes;
+  std::uint64_t flags;
   char name[max_slab_name + 1];
   char text[256];
 };
-static_assert(sizeof(RawPacket) == 488);
+static_assert(sizeof(RawPacket) == 496);
 
 std::string terminated(const char* text, std::size_t room) {
   return {text, ::strnlen(text, room)};
@@ -70,6 +72,7 @@ void send_slab_packet(int socket, const SlabPacket& packet, int control_fd, int 
   raw.id = packet.descriptor.id;
   raw.slots = packet.descriptor.slots;
   raw.slot_bytes = packet.descriptor.slot_bytes;
+  raw.flags = packet.descriptor.kept ? kept_flag : 0;
   std::memcpy(raw.name, packet.descriptor.name.data(), std::min(packet.descriptor.name.size(), max_slab_name));
   std::memcpy(raw.text, packet.text.data(), std::min(packet.text.size(), sizeof(raw.text) - 1));
 
@@ -123,6 +126,7 @@ std::optional<SlabPacket> receive_slab_packet(int socket) {
   packet.descriptor.kind = static_cast<Device>(raw.kind);
   packet.descriptor.slots = raw.slots;
   packet.descriptor.slot_bytes = raw.slot_bytes;
+  packet.descriptor.kept = (raw.flags & kept_flag) != 0;
   packet.text = terminated(raw.text, sizeof(raw.text));
   packet.control = std::move(descriptors[0]);
   packet.data = std::move(descriptors[1]);

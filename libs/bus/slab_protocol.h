@@ -10,7 +10,8 @@
 namespace splatbus::bus {
 
 /// One packet of the slab registry's SOCK_SEQPACKET socket, in the machine's own byte order. Register and the answer to
-/// Open carry two descriptors (control block, data) as SCM_RIGHTS. docs/protocol.md, "Slab registry".
+/// Open carry two descriptors (control block, data) as SCM_RIGHTS. Register and OpenByName take the lease of the name's
+/// source: who holds it alone writes the slabs of that source. docs/protocol.md, "Slab registry".
 enum class SlabOperation : std::uint16_t { Register = 1, Open = 2, OpenByName = 3, Release = 4, Answer = 5 };
 enum class SlabStatus : std::uint32_t { Ok = 0, NotFound = 1, Refused = 2 };
 

@@ -57,6 +57,7 @@ struct Subscriber::Impl {
       (prefix ? prefixes : exact).push_back(name);
       socket.set(zmq::sockopt::subscribe, name);
     }
+    if (context->impl_->keys) use_keys(socket, *context->impl_->keys);
     socket.connect(context->address().subscribe_endpoint());
   }
 

@@ -13,7 +13,7 @@
 namespace splatbus {
 
 /// Gaussians in somebody else's memory (slab, vector, device): non-owning, cheap to copy. Pointers may be null where a
-/// use does not need them; PLY and raster headers say which they read.
+/// use does not need them; the headers of libs/splats and libs/raster say which they read.
 ///
 /// Every channel of Gaussian i lies at offset(i) from where the channel begins, in one of two ways: channel by channel
 /// for all Gaussians ([channels][stride], no pages), or page by page (gaussians/pages.h: [page][channels][kPageLanes],
@@ -87,14 +87,5 @@ class GaussiansBuffer {
   ParameterLayout layout_;
   std::size_t count_ = 0, stride_ = 0;
 };
-
-/// Writes the binary PLY layout of 3DGS (x y z nx ny nz f_dc f_rest opacity scale rot), world frame: object transforms
-/// applied. Transfer models are baked under `scene.light` to SH degree 0, display space. Gaussians that are not
-/// finite are left out. Throws std::runtime_error naming the path.
-void write_ply(const std::string& path, const GaussiansView& gaussians, const SceneState& scene);
-
-/// Reads any property order; properties that it does not know are skipped. Layout: Radiance, the degree that the f_rest
-/// count gives. Throws std::runtime_error that names the file, the line or byte, and what was wrong; bounds every size.
-[[nodiscard]] GaussiansBuffer read_ply(const std::string& path);
 
 }  // namespace splatbus

@@ -18,6 +18,7 @@ namespace {
 
 constexpr std::size_t kSlot = 0;
 constexpr int kTimeout_ms = 10000;
+constexpr auto kLife = bus::Context::SlabLife::ForSuccessor;
 /// The table is in one of these; the other one is what it moves to. So it is with the pages.
 constexpr std::array<const char*, 2> kTableRoles = {"page-table", "page-table-moved"};
 constexpr std::array<const char*, 2> kPagesRoles = {"pages-", "pages-moved-"};
@@ -65,7 +66,7 @@ void PageStore::begin_empty() {
   const std::uint32_t capacity = page_capacity_for(options_.max_gaussians);
   range_ = std::make_unique<bus::SlabRange>(device_, capacity * page_bytes(layout_));
   memory_ = PageMemory(range_->data(), layout_);
-  table_slab_ = bus_->create_slab(kTableRoles[0], 1, page_table_bytes(capacity));
+  table_slab_ = bus_->create_slab(kTableRoles[0], 1, page_table_bytes(capacity), kTimeout_ms, Device::Cpu, kLife);
   table_slab_->begin_write(kSlot);
   table_ = PageTable::begin(table_slab_->slot_data(kSlot), layout_, capacity);
   table_slab_->end_write(kSlot);
@@ -115,7 +116,8 @@ bool PageStore::adopt_table() {
 
 void PageStore::grow_table(std::uint32_t page_capacity) {
   const bool first = table_slab_->name().ends_with(kTableRoles[1]);
-  auto slab = bus_->create_slab(kTableRoles.at(first ? 0 : 1), 1, page_table_bytes(page_capacity));
+  auto slab = bus_->create_slab(kTableRoles.at(first ? 0 : 1), 1, page_table_bytes(page_capacity), kTimeout_ms,
+                                Device::Cpu, kLife);
   slab->begin_write(kSlot);
   std::byte* const memory = slab->slot_data(kSlot);
   const std::size_t old_bytes = page_table_bytes(table_.page_capacity());
@@ -180,8 +182,8 @@ void PageStore::move_arenas(Device from, const bus::SlabRange& old_range) {
 
 void PageStore::add_arena(ArenaList& list, std::uint32_t list_number) {
   const std::uint32_t arena = list.count;
-  auto slab =
-      bus_->create_slab(arena_role(list_number, arena), 1, kArenaPages * page_bytes(layout_), kTimeout_ms, device_);
+  auto slab = bus_->create_slab(arena_role(list_number, arena), 1, kArenaPages * page_bytes(layout_), kTimeout_ms,
+                                device_, kLife);
   slab->begin_write(kSlot);  // whole from the start: it is the pages' generations that tell readers of changes
   slab->end_write(kSlot);
   list.slab_id.at(arena) = slab->id();

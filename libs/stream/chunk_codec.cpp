@@ -124,7 +124,7 @@ QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
   }
   const Bytes expected = expected_declarations(layout, count);
   static_assert(kHeaderBytes == 11);
-  if (payload.size() < expected.size() || !std::ranges::equal(expected, payload.first(expected.size()))) {
+  if (payload.size() < expected.size() || !std::equal(expected.begin(), expected.end(), payload.begin())) {
     throw StreamError(
         fmt::format("Page: payload of {} bytes does not declare {} Gaussians of this layout", payload.size(), count));
   }
@@ -144,8 +144,8 @@ QuantizedGaussians decode_chunk(std::span<const std::uint8_t> payload, const Str
         std::span(out.channels).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels));
     read_attribute(cloud, id++, a.channels, count, planes);
     for (const auto& plane : planes) {
-      const auto [low, high] = std::ranges::minmax(plane);
-      if (low < a.minimum || high > a.maximum) {
+      const auto [low, high] = std::minmax_element(plane.begin(), plane.end());
+      if (*low < a.minimum || *high > a.maximum) {
         throw StreamError(
             fmt::format("Page: {} outside [{}, {}]", wire::EnumNameAttribute(a.attribute), a.minimum, a.maximum));
       }
@@ -182,7 +182,7 @@ std::vector<std::uint32_t> morton_order(const QuantizedGaussians& gaussians, con
     }
     keyed.emplace_back(key, i);
   }
-  std::ranges::sort(keyed);
+  std::sort(keyed.begin(), keyed.end());
   std::vector<std::uint32_t> order;
   order.reserve(keyed.size());
   for (const auto& [key, column] : keyed) order.push_back(column);

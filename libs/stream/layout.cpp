@@ -51,7 +51,8 @@ void StreamLayout::add(Attribute attribute, int channels, Quantizer quantizer, s
 }
 
 const AttributeChannels* StreamLayout::find(Attribute attribute) const {
-  const auto found = std::ranges::find(attributes_, attribute, &AttributeChannels::attribute);
+  const auto found = std::find_if(attributes_.begin(), attributes_.end(),
+                                  [&](const AttributeChannels& a) { return a.attribute == attribute; });
   return found == attributes_.end() ? nullptr : &*found;
 }
 

@@ -15,7 +15,7 @@ constexpr unsigned kDirection = 4, kIntensity = 8, kReach = 16;
 constexpr unsigned kKindBits = 2;
 
 void require_not_negative(const SharedExponent<3>& color, const char* field) {
-  if (std::ranges::any_of(color.mantissa, [](std::int16_t mantissa) { return mantissa < 0; })) {
+  if (std::any_of(color.mantissa.begin(), color.mantissa.end(), [](std::int16_t mantissa) { return mantissa < 0; })) {
     refuse(fmt::format("{} is negative", field));
   }
 }
@@ -37,7 +37,8 @@ void put_sources(Bytes& out, const std::vector<QuantizedSource>& sources, std::v
   // One that becomes of another kind goes and comes.
   std::vector<std::uint32_t> other;
   for (const QuantizedSource& source : sources) {
-    const auto old = std::ranges::find(before, source.id, &QuantizedSource::id);
+    const auto old =
+        std::find_if(before.begin(), before.end(), [&](const QuantizedSource& held) { return held.id == source.id; });
     if (old != before.end() && (old->kind != source.kind || old->casts_shadow != source.casts_shadow)) {
       other.push_back(source.id);
       before.erase(old);
@@ -45,7 +46,7 @@ void put_sources(Bytes& out, const std::vector<QuantizedSource>& sources, std::v
   }
   Difference<QuantizedSource> difference(sources, before);
   difference.vanished.insert(difference.vanished.end(), other.begin(), other.end());
-  std::ranges::sort(difference.vanished);
+  std::sort(difference.vanished.begin(), difference.vanished.end());
   put_ids(out, difference.vanished);
   put_varint(out, difference.changed.size());
   Ids ids;

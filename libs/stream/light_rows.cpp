@@ -13,7 +13,8 @@ constexpr std::uint8_t kAll = 255;
 }  // namespace
 
 bool LightRows::set_lights(std::span<const std::uint32_t> ids, std::size_t slots) {
-  const bool same = std::ranges::equal(ids, rows_, {}, {}, [](const auto& row) { return row.first; });
+  const bool same = std::equal(ids.begin(), ids.end(), rows_.begin(), rows_.end(),
+                               [](std::uint32_t id, const auto& row) { return id == row.first; });
   if (same) return false;
   std::map<std::uint32_t, Bytes> rows;
   for (const std::uint32_t id : ids) {

@@ -8,8 +8,8 @@
 #include "stream/bytes.h"
 #include "stream/quantized.h"
 
-// Pages of Gaussians as blobs that each stand for themselves: docs/page-codec.md has the bytes. Encoder and decoders are
-// in files of their own, so that a viewer links the decoders alone.
+// Pages of Gaussians as blobs that each stand for themselves: docs/page-codec.md has the bytes. Encoder and decoders
+// are in files of their own, so that a viewer links the decoders alone.
 namespace splatbus::stream {
 
 /// Part of the wire: numbers stay.
@@ -37,7 +37,7 @@ struct PageBlob {
 };
 
 /// All columns of `page`, 0 to kMaxPageGaussians of them, every value within the layout's limits. Lossless:
-/// decode_page() gives page.gather(order). The same bytes for the same input on every machine. Safe from any thread.
+/// decode_page() gives page.gather(order). Safe from any thread.
 [[nodiscard]] PageBlob encode_page(const QuantizedGaussians& page, const StreamLayout& layout, PageCodec codec,
                                    const PageOptions& options = {});
 

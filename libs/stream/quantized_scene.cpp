@@ -153,7 +153,7 @@ void dequantize(const QuantizedLight& light, std::uint64_t generation, Light& ou
 std::uint64_t quantize_rotation(const glm::quat& q) {
   const std::array<float, 4> c{q.w, q.x, q.y, q.z};
   const auto largest = static_cast<std::size_t>(
-      std::ranges::max_element(c, {}, [](float value) { return std::abs(value); }) - c.begin());
+      std::max_element(c.begin(), c.end(), [](float a, float b) { return std::abs(a) < std::abs(b); }) - c.begin());
   const float scale = (c[largest] < 0 ? -1.0F : 1.0F) * glm::root_two<float>() / glm::length(q);
   std::uint64_t bits = largest;
   for (std::size_t i = 0; i < 4; ++i) {

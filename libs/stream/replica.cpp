@@ -95,7 +95,8 @@ void Replica::lack(std::uint32_t page) {
   const HeldPage* known = held_->find(page);
   if (known && !known->whole()) return;  // its parts are on their way
   if (report_.lacks.size() >= kMaxReported) return;
-  if (std::ranges::find(report_.lacks, page, &PageVersion::page) != report_.lacks.end()) return;
+  const auto same = [&](const PageVersion& lacked) { return lacked.page == page; };
+  if (std::any_of(report_.lacks.begin(), report_.lacks.end(), same)) return;
   report_.lacks.push_back({page, known ? known->version : 0});
 }
 
@@ -115,7 +116,7 @@ void Replica::begin(const wire::Layout& body, std::uint64_t epoch) {
   manifest_whole_ = false;
   if (!before_ && held_->count > 0) before_ = std::move(held_);
   held_ = std::move(next);
-  if (!before_) changes_ = whole();
+  if (!before_) show_whole();
 }
 
 void Replica::take_manifest(const wire::Manifest& body) {
@@ -142,7 +143,7 @@ bool Replica::take(const ParsedPacket& packet) {
   }
   if (!report_.lacks.empty()) {  // what was lacking may have come
     std::erase_if(report_.lacks, [&](const PageVersion& lacking) {
-      return std::ranges::find(change.taken, lacking.page) != change.taken.end();
+      return std::find(change.taken.begin(), change.taken.end(), lacking.page) != change.taken.end();
     });
   }
   for (const std::uint32_t page : change.lacks) lack(page);
@@ -163,11 +164,15 @@ void Replica::replace_before() {
   const bool all = manifest_whole_ && missing_pages() == 0;
   if (!enough && !all) return;
   before_.reset();
-  changes_ = whole();
+  show_whole();
 }
 
 void Replica::note(const Change& change) {
   const ReplicatedState& state = *held_;
+  if (observer_) {
+    if (change.shows()) observer_->on_change(state, change);
+    return;
+  }
   if (change.lights) {
     note(DisplayLights{state.light_rows.ids()});
     if (!state.light_rows.all().empty()) {
@@ -206,7 +211,21 @@ void Replica::note(const Change& change) {
 
 void Replica::note(DisplayChange change) {
   changes_.add(std::move(change));
-  if (exceeds_whole(changes_)) changes_ = whole();
+  if (exceeds_whole(changes_)) show_whole();
+}
+
+void Replica::show_whole() {
+  if (observer_) {
+    observer_->on_reset(shown());
+  } else {
+    changes_ = whole();
+  }
+}
+
+void Replica::observe_with(ShownObserver& observer) {
+  observer_ = &observer;
+  changes_.clear();
+  show_whole();
 }
 
 bool Replica::exceeds_whole(const DisplayChanges& changes) const {
@@ -247,7 +266,7 @@ std::vector<PageVersion> Replica::held_pages() const {
 }
 
 std::size_t Replica::missing_pages() const {
-  return static_cast<std::size_t>(std::ranges::count_if(manifest_, [&](const auto& entry) {
+  return static_cast<std::size_t>(std::count_if(manifest_.begin(), manifest_.end(), [&](const auto& entry) {
     const HeldPage* page = held_->find(entry.first);
     return !page || !page->whole();
   }));

@@ -20,6 +20,16 @@ struct PageVersion {
   bool operator==(const PageVersion&) const = default;
 };
 
+/// Is told of what changes in what a replica shows, when it has changed: for who reads the state in place, where
+/// DisplayChanges bring copies.
+class ShownObserver {
+ public:
+  virtual ~ShownObserver() = default;
+  /// Another state is shown: nothing of it is known.
+  virtual void on_reset(const ReplicatedState& shown) = 0;
+  virtual void on_change(const ReplicatedState& shown, const Change& change) = 0;
+};
+
 /// What a viewer holds. Packets go in; scene, and what changes of the Gaussians, come out. Not thread-safe.
 ///
 /// Every page is taken as it comes, and stays in its rows. What belongs to a page that is held otherwise, or was lost,
@@ -28,6 +38,9 @@ struct PageVersion {
 class Replica {
  public:
   explicit Replica(std::size_t max_gaussians = kMaxGaussians) : max_gaussians_(max_gaussians) {}
+
+  /// From now on `observer`, which outlives this, is told, and take_changes() gives nothing.
+  void observe_with(ShownObserver& observer);
 
   /// Takes any packet of the stream; those that are not about the model (ProbePicture, ...) are only counted. True when
   /// the picture may have changed. Throws StreamError when the packet is wrong: what is held stays as it was.
@@ -75,6 +88,8 @@ class Replica {
 
   /// Exactly what is held of the newest epoch.
   [[nodiscard]] const ReplicatedState& held() const { return *held_; }
+  /// What is shown: that of the epoch before while there is little of the newest. Valid until the next packet.
+  [[nodiscard]] const ReplicatedState& shown() const { return before_ ? *before_ : *held_; }
 
  private:
   void number(const ParsedPacket& packet);
@@ -87,7 +102,7 @@ class Replica {
   /// The pages of before go, once there are as many of the new ones.
   void replace_before();
   void lack(std::uint32_t page);
-  [[nodiscard]] const ReplicatedState& shown() const { return before_ ? *before_ : *held_; }
+  void show_whole();
   [[nodiscard]] const ReplicatedState& scene_state() const;
 
   std::size_t max_gaussians_;
@@ -98,7 +113,8 @@ class Replica {
   bool manifest_whole_ = false;
   std::uint64_t connection_ = 0;
   Report report_;
-  DisplayChanges changes_;  ///< that nobody has taken yet
+  ShownObserver* observer_ = nullptr;
+  DisplayChanges changes_;  ///< that nobody has taken yet; none where somebody observes
 };
 
 }  // namespace splatbus::stream

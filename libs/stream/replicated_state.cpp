@@ -186,7 +186,7 @@ std::vector<std::uint32_t> lanes_after(std::uint32_t count, std::span<const std:
   const auto left = static_cast<std::uint32_t>(count - gone.size());
   std::vector<std::uint32_t> lanes(left);
   for (std::uint32_t lane = 0; lane < left; ++lane) lanes[lane] = lane;
-  std::size_t behind = static_cast<std::size_t>(std::ranges::lower_bound(gone, left) - gone.begin());
+  std::size_t behind = static_cast<std::size_t>(std::lower_bound(gone.begin(), gone.end(), left) - gone.begin());
   std::uint32_t last = left;
   for (const std::uint32_t gap : gone.first(behind)) {
     while (behind < gone.size() && gone[behind] == last) {

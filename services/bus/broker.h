@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -7,6 +8,7 @@
 #include <string>
 
 #include "bus/address.h"
+#include "bus/curve.h"
 
 namespace splatbus::bus_service {
 
@@ -14,8 +16,13 @@ struct BrokerOptions {
   bus::Address address;                 ///< local: the folder of the sockets, made with mode 0700 when it is missing
   std::optional<std::string> tcp_host;  ///< interface to listen on ("127.0.0.1", "*") for readers and writers elsewhere
   std::uint16_t tcp_port = 0;           ///< XSUB there, XPUB at the next; 0: two free ones in a row
-  std::size_t max_held_messages = 8192;  ///< latched messages kept, of all topics
-  std::size_t max_held_bytes = std::size_t{64} << 20;
+  std::size_t max_held_messages = 8192;                 ///< latched messages kept, of all topics
+  std::size_t max_held_bytes = std::size_t{256} << 20;  ///< of them; one source holds half of both at most
+  bus::ServerKeyFiles keys;                             ///< for tcp that others than this machine reach
+  /// What peers over tcp may take in all: the largest message, unfinished ones, and copies for readers that are not
+  /// sent yet.
+  std::size_t max_remote_bytes = std::size_t{256} << 20;
+  std::chrono::milliseconds slab_grace{10000};  ///< how long slabs of a source that has gone wait for it
 };
 
 /// Counters since start().
@@ -23,7 +30,8 @@ struct BrokerStatistics {
   std::uint64_t relayed = 0;         ///< messages
   std::uint64_t malformed = 0;       ///< did not verify, and went no further
   std::uint64_t inlined = 0;         ///< sent to tcp readers with the slabs' bytes
-  std::uint64_t inline_dropped = 0;  ///< not sent to tcp readers: the slab was gone or its slot overwritten
+  std::uint64_t inline_dropped = 0;  ///< not sent to tcp readers: the slab was gone, its slot overwritten, or no room
+  std::uint64_t unheld = 0;          ///< latched, and too large to be held
   std::uint64_t held = 0;            ///< latched messages now
   std::uint64_t slabs = 0;           ///< registered now
 };
@@ -42,6 +50,8 @@ class Broker {
   void start();
   void stop();
 
+  /// False once somebody has removed the folder: nobody who comes finds this broker any more.
+  [[nodiscard]] bool intact() const;
   [[nodiscard]] const bus::Address& address() const;
   [[nodiscard]] std::optional<bus::Address> tcp_address() const;  ///< after start(), with the ports really taken
   [[nodiscard]] BrokerStatistics statistics() const;

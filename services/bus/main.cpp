@@ -1,37 +1,31 @@
 #include <fmt/format.h>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
-#include <sys/resource.h>
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <condition_variable>
 #include <mutex>
 #include <string>
 
 #include "bus/broker.h"
+#include "bus/connection_guard.h"
 #include "bus/error.h"
 #include "bus/service.h"
 
 namespace {
 
-// Two descriptors a slab, one a client.
-void raise_descriptor_limit() {
-  rlimit limit{};
-  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
-  limit.rlim_cur = limit.rlim_max;
-  ::setrlimit(RLIMIT_NOFILE, &limit);
-}
-
 using splatbus::bus::Address;
 
-int run(const std::string& address, const std::string& tcp, const std::string& log_level) {
+int run(const std::string& address, const std::string& tcp, const splatbus::bus::ServerKeyFiles& keys,
+        const std::string& log_level) {
   std::stop_source stop;
   const splatbus::bus::StopSignals signals(stop);
   spdlog::set_default_logger(spdlog::stderr_logger_mt("bus"));
   spdlog::set_pattern("[%H:%M:%S.%e] [%n] [%l] %v");
   spdlog::set_level(spdlog::level::from_str(log_level));
 
-  raise_descriptor_limit();
+  splatbus::bus::raise_descriptor_limit();
   splatbus::bus_service::BrokerOptions options;
   options.address = address.empty() ? Address::from_environment() : Address::parse(address);
   if (!tcp.empty()) {
@@ -39,6 +33,7 @@ int run(const std::string& address, const std::string& tcp, const std::string& l
     options.tcp_host = remote.host;
     options.tcp_port = remote.port;
   }
+  options.keys = keys;
   splatbus::bus_service::Broker broker(options);
   broker.start();
   spdlog::info("bus on {}{}", options.address.text(), tcp.empty() ? "" : " and tcp://" + tcp);
@@ -46,7 +41,10 @@ int run(const std::string& address, const std::string& tcp, const std::string& l
   std::mutex mutex;
   std::condition_variable_any stopped;
   std::unique_lock lock(mutex);
-  stopped.wait(lock, stop.get_token(), [] { return false; });
+  while (!stop.stop_requested()) {
+    stopped.wait_for(lock, stop.get_token(), std::chrono::seconds(1), [] { return false; });
+    if (!broker.intact()) throw splatbus::bus::Error("the bus's folder was removed: " + options.address.text());
+  }
   broker.stop();
   return 0;
 }
@@ -58,12 +56,16 @@ int main(int argc, char** argv) {
   std::string address;
   std::string tcp;
   std::string log_level = "info";
+  splatbus::bus::ServerKeyFiles keys;
   app.add_option("--bus", address, "ipc:///directory for the sockets")->envname("SPLATBUS_BUS");
   app.add_option("--tcp", tcp, "host:port to listen on for other machines; the port after it is used too");
+  app.add_option("--key", keys.key, "file of the bus's key for tcp; default: server.key of 'splatbus keys'");
+  app.add_option("--allowed", keys.allowed, "file with who may connect; default: that of 'splatbus keys'");
+  app.add_flag("--keys-on-loopback", keys.always, "take keys on the loopback address too");
   app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   try {
-    return run(address, tcp, log_level);
+    return run(address, tcp, keys, log_level);
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-bus: {}\n", error.what());
     return 1;

@@ -41,7 +41,8 @@ bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::Ser
   const std::pair<const char*, std::uint64_t> counters[] = {
       {"relayed", statistics.relayed}, {"malformed", statistics.malformed},
       {"inlined", statistics.inlined}, {"inline_dropped", statistics.inline_dropped},
-      {"held", statistics.held},       {"slabs", statistics.slabs}};
+      {"held", statistics.held},       {"unheld", statistics.unheld},
+      {"slabs", statistics.slabs}};
   std::vector<flatbuffers::Offset<wire::Counter>> offsets;
   offsets.reserve(std::size(counters));
   for (const auto& [name, value] : counters) {

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 #include <sys/eventfd.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <utility>
@@ -10,6 +11,7 @@
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/frames.h"
+#include "bus/private_folder.h"
 #include "wire/topics.h"
 
 namespace splatbus::bus_service {
@@ -19,6 +21,18 @@ constexpr int messages_a_turn = 512;  // before the other sockets get theirs
 constexpr std::int64_t beat_ns = 200'000'000;
 constexpr std::int64_t report_ns = 1'000'000'000;
 constexpr int port_attempts = 50;
+constexpr int subscriptions_a_turn = 256;
+constexpr double share_of_a_source = 0.5;  // of what is held
+constexpr std::int64_t remote_stamp = -1;  // of what came over tcp, whose clock is another
+constexpr std::int64_t due_check_ms = 20;
+constexpr int handshake_ms = 5000;
+constexpr int backlog = 1024;       // a crowd at the door keeps nobody waiting
+constexpr int ipc_filter_uid = 59;  // libzmq's ZMQ_IPC_FILTER_UID, which its header does not always name
+constexpr std::size_t max_first_bytes = std::size_t{32} << 20;
+constexpr std::size_t max_all_first_bytes = std::size_t{48} << 20;
+constexpr std::int64_t max_subscription_bytes = 1024;
+constexpr double subscription_bytes_per_s = 16384, subscription_burst_bytes = 262144;
+constexpr double reader_stalled_s = 3, reader_min_bytes_per_s = 65536;
 
 std::string latch_key_of(const wire::Header& header) {
   return header.latch_key() == nullptr ? std::string() : header.latch_key()->str();
@@ -26,17 +40,6 @@ std::string latch_key_of(const wire::Header& header) {
 
 const wire::Header& header_of(const bus::Frames& frames) {
   return *flatbuffers::GetRoot<wire::Envelope>(frames.body.data())->header();
-}
-
-// Whether a latched message says what is known already, or less: publishers repeat theirs when a broker comes back, and
-// a repeat may cross with something newer. Clocks and epochs compare on one machine only.
-bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) {
-  const auto& known = header_of(held.frames);
-  if (header.source()->string_view() != known.source()->string_view()) {
-    return local && header.publish_ns() < held.stamp;
-  }
-  if (header.epoch() == known.epoch()) return header.sequence() <= known.sequence();
-  return local && header.epoch() < known.epoch();
 }
 
 std::uint16_t port_of(const zmq::socket_t& socket) {
@@ -47,25 +50,35 @@ std::uint16_t port_of(const zmq::socket_t& socket) {
 }  // namespace
 
 Relay::Relay(const BrokerOptions& options, FindSlab find_slab, std::function<std::size_t()> count_slabs)
-    : find_slab_(std::move(find_slab)),
-      count_slabs_(std::move(count_slabs)),
+    : count_slabs_(std::move(count_slabs)),
       local_{true, {zmq_, zmq::socket_type::xsub}, {zmq_, zmq::socket_type::xpub}},
       remote_{false, {zmq_, zmq::socket_type::xsub}, {zmq_, zmq::socket_type::xpub}},
-      held_(options.max_held_messages, options.max_held_bytes),
+      held_(options.max_held_messages, options.max_held_bytes, share_of_a_source),
+      remote_readers_(std::move(find_slab), options.max_remote_bytes),
       wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   if (!wake_.valid()) throw bus::Error("cannot make an eventfd");
+  const uid_t user = ::geteuid();
   for (Side* side : {&local_, &remote_}) {
     bus::configure_socket(side->xsub, side->local);
     bus::configure_socket(side->xpub, side->local);
     side->xpub.set(zmq::sockopt::xpub_verbose, true);
+    for (zmq::socket_t* socket : {&side->xsub, &side->xpub}) {
+      socket->set(zmq::sockopt::handshake_ivl, handshake_ms);
+      socket->set(zmq::sockopt::backlog, backlog);
+      if (side->local) zmq_setsockopt(socket->handle(), ipc_filter_uid, &user, sizeof(user));
+    }
   }
   try {
+    const bus::PrivateUmask umask;
     local_.xpub.bind(options.address.subscribe_endpoint());
     local_.xsub.bind(options.address.publish_endpoint());
   } catch (const zmq::error_t& error) {
     throw bus::Error(fmt::format("{}: cannot bind: {}", options.address.text(), error.what()));
   }
-  if (options.tcp_host) bind_tcp(options);
+  if (options.tcp_host) {
+    guard_tcp(options);
+    bind_tcp(options);
+  }
   // Everything comes here whether or not somebody reads it: latched messages and heartbeats are kept.
   const std::uint8_t everything = 1;
   local_.xsub.send(zmq::buffer(&everything, 1));
@@ -77,6 +90,36 @@ Relay::~Relay() {
   thread_.request_stop();
   ::eventfd_write(wake_.get(), 1);
   thread_.join();
+}
+
+void Relay::guard_tcp(const BrokerOptions& options) {
+  if (const auto keys =
+          bus::server_keys(fmt::format("tcp://{}:{}", *options.tcp_host, options.tcp_port), options.keys)) {
+    allowed_ = keys->allowed;
+    authenticator_.emplace(zmq_, allowed_);
+    bus::require_keys(remote_.xsub, *keys, {.control = true});
+    bus::require_keys(remote_.xpub, *keys, {.view = true});
+  }
+  const auto bytes = static_cast<std::int64_t>(options.max_remote_bytes);
+  remote_.xsub.set(zmq::sockopt::maxmsgsize, bytes);
+  remote_.xpub.set(zmq::sockopt::maxmsgsize, max_subscription_bytes);
+  writers_guard_.emplace(
+      zmq_, remote_.xsub,
+      bus::ConnectionLimits{.unread_bytes = options.max_remote_bytes,
+                            .first_unread_bytes = std::min(max_first_bytes, options.max_remote_bytes),
+                            .all_unread_bytes = options.max_remote_bytes,
+                            .all_first_unread_bytes = max_all_first_bytes},
+      "writers over tcp");
+  readers_guard_.emplace(zmq_, remote_.xpub,
+                         bus::ConnectionLimits{.unread_bytes = static_cast<std::size_t>(subscription_burst_bytes),
+                                               .bytes_per_s = subscription_bytes_per_s,
+                                               .burst_bytes = subscription_burst_bytes,
+                                               .stalled_s = reader_stalled_s,
+                                               .min_sent_per_s = reader_min_bytes_per_s},
+                         "readers over tcp");
+  if (allowed_ == nullptr) return;
+  writers_guard_->keep_only([allowed = allowed_](const bus::Key& key) { return allowed->rights_of(key).control; });
+  readers_guard_->keep_only([allowed = allowed_](const bus::Key& key) { return allowed->rights_of(key).view; });
 }
 
 void Relay::bind_tcp(const BrokerOptions& options) {
@@ -110,7 +153,8 @@ BrokerStatistics Relay::statistics() const {
   result.relayed = relayed_;
   result.malformed = malformed_;
   result.inlined = inlined_;
-  result.inline_dropped = inline_dropped_;
+  result.inline_dropped = overwritten_ + left_out_;
+  result.unheld = unheld_;
   result.held = held_count_;
   result.slabs = count_slabs_();
   return result;
@@ -118,20 +162,23 @@ BrokerStatistics Relay::statistics() const {
 
 void Relay::run(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
-    zmq_pollitem_t items[] = {{nullptr, wake_.get(), ZMQ_POLLIN, 0},
-                              {local_.xsub.handle(), 0, ZMQ_POLLIN, 0},
-                              {local_.xpub.handle(), 0, ZMQ_POLLIN, 0},
-                              {remote_.xsub.handle(), 0, ZMQ_POLLIN, 0},
-                              {remote_.xpub.handle(), 0, ZMQ_POLLIN, 0}};
-    const std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat_ns_ - bus::now_ns()) / 1'000'000 + 1);
+    zmq_pollitem_t items[] = {
+        {nullptr, wake_.get(), ZMQ_POLLIN, 0},     {local_.xsub.handle(), 0, ZMQ_POLLIN, 0},
+        {local_.xpub.handle(), 0, ZMQ_POLLIN, 0},  {remote_.xsub.handle(), 0, ZMQ_POLLIN, 0},
+        {remote_.xpub.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, remote_readers_.ready_fd(), ZMQ_POLLIN, 0}};
+    std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat_ns_ - bus::now_ns()) / 1'000'000 + 1);
+    if (remote_readers_.has_due()) left_ms = std::min(left_ms, due_check_ms);
     zmq_poll(items, std::size(items), static_cast<long>(left_ms));
     for (Side* side : {&local_, &remote_}) {
       read_subscriptions(*side);
       relay_from(*side);
     }
+    resend_due();
+    send_inlined();
+    left_out_ = remote_readers_.left_out();
     tick();
   }
-  relay(own_.heartbeat(statistics(), wire::ServiceState::Stopping), true);
+  relay_own(own_.heartbeat(statistics(), wire::ServiceState::Stopping));
 }
 
 void Relay::relay_from(Side& side) {
@@ -140,39 +187,68 @@ void Relay::relay_from(Side& side) {
     std::string why;
     const auto result = bus::receive_frames(side.xsub, frames, why);
     if (result == bus::RecvResult::Nothing) return;
+    if (!side.local && writers_guard_) writers_guard_->took(frames.topic);
     if (result == bus::RecvResult::Malformed) {
       refuse(frames, why);
     } else {
-      relay(frames, side.local);
+      take(frames, side.local);
     }
   }
 }
 
-void Relay::relay(const bus::Frames& frames, bool local) {
+void Relay::take(const bus::Frames& frames, bool local) {
   std::string why;
   const auto* const header = bus::verified_header(frames.body, why);
   if (header == nullptr) return refuse(frames, why);
-  if (!local && has_slab_tensors(*header)) return refuse(frames, "a tensor in a slab cannot come over tcp");
-  if (frames.topic_text() == topics::kHeartbeat.name) {
-    flatbuffers::Verifier verifier(frames.body.data<std::uint8_t>(), frames.body.size(), 8, 4096);
-    if (!verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) return refuse(frames, "it does not verify as a Heartbeat");
-    liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), bus::now_ns());
+  if (!local && !bus::sender_rights(frames.topic, allowed_.get()).control) {
+    writers_guard_->close(frames.topic, "its key is not allowed to publish");
+    return;
   }
-  if (header->latch() && !hold(frames, *header, local)) return;
+  if (!local && has_slab_tensors(*header)) return refuse(frames, "a tensor in a slab cannot come over tcp");
+  const bool heartbeat = frames.topic_text() == topics::kHeartbeat.name;
+  flatbuffers::Verifier verifier(frames.body.data<std::uint8_t>(), frames.body.size(), 8, 4096);
+  if (heartbeat && !verifier.VerifyBuffer<wire::Heartbeat>(nullptr)) {
+    return refuse(frames, "it does not verify as a Heartbeat");
+  }
+  const std::int64_t now = bus::now_ns();
+  const auto source = header->source()->string_view();
+  if (!sources_.admit(source, header->epoch(), frames.topic, local, now, why)) {
+    return refuse(frames, fmt::format("'{}': {}", bus::printable(source), why));
+  }
+  if (heartbeat) liveness_.note(*flatbuffers::GetRoot<wire::Heartbeat>(frames.body.data()), now);
+  relay(frames, *header, local);
+}
+
+void Relay::relay(const bus::Frames& frames, const wire::Header& header, bool local) {
+  if (header.latch() && !hold(frames, header, local)) return;
   ++relayed_;
-  topics_.note(frames.topic_text(), *header, frames.body.size());
-  send(local_, frames, *header);
-  send(remote_, frames, *header);
+  topics_.note(frames.topic_text(), header, frames.body.size());
+  send(local_, frames, header);
+  send(remote_, frames, header);
+}
+
+void Relay::relay_own(const bus::Frames& frames) {
+  relay(frames, header_of(frames), true);
+}
+
+// Whether a latched message says what is known already, or less: publishers repeat theirs when a broker comes back, and
+// a repeat may cross with something newer. Clocks and epochs compare on one machine only; what this machine's sources
+// say is theirs while they are there.
+bool Relay::is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const {
+  const auto& known = header_of(held.frames);
+  const bool known_here = held.stamp != remote_stamp;
+  const bool same_source = header.source()->string_view() == known.source()->string_view();
+  if (local != known_here) return !local && sources_.speaks_here(known.source()->string_view());
+  if (!same_source) return local && header.publish_ns() < held.stamp;
+  if (header.epoch() == known.epoch()) return header.sequence() <= known.sequence();
+  return local && header.epoch() < known.epoch();
 }
 
 bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool local) {
   const auto topic = frames.topic.to_string();
   const auto key = latch_key_of(header);
   const auto* known = held_.find(topic, key);
-  if (known != nullptr && is_stale(header, *known, local)) {
-    warn_of_namesakes(topic, header, header_of(known->frames));
-    return false;
-  }
+  if (known != nullptr && is_stale(header, *known, local)) return false;
   bus::Frames copy;
   copy.topic.rebuild(frames.topic.data(), frames.topic.size());
   copy.body.rebuild(frames.body.data(), frames.body.size());
@@ -182,56 +258,55 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
     copy.has_payload = true;
   }
   // A publisher whose clock is ahead, by error or on purpose, shall not keep others out.
-  const std::int64_t stamp = local ? std::min(header.publish_ns(), bus::now_ns()) : 0;
-  const std::size_t evicted = held_.put(topic, key, next_order_++, std::move(copy), stamp);
-  if (evicted > 0 && limiter_.allow()) {
-    spdlog::warn("{} held messages of other topics and keys gave way to {}", evicted, bus::printable(topic));
+  const std::int64_t stamp = local ? std::clamp<std::int64_t>(header.publish_ns(), 0, bus::now_ns()) : remote_stamp;
+  const auto source = header.source()->str();
+  const auto put = held_.put(topic, key, source, next_order_++, std::move(copy), stamp);
+  if (!put.held) ++unheld_;
+  if ((put.evicted > 0 || !put.held) && limiter_.allow()) {
+    spdlog::warn("{} from {}: {}", bus::printable(topic), bus::printable(source),
+                 put.held ? fmt::format("{} messages that were held gave way to it", put.evicted)
+                          : fmt::format("its {} bytes are too many to be held for those who come later ({} so far)",
+                                        frames.bytes(), unheld_.load()));
   }
   held_count_ = held_.size();
   return true;
 }
 
-void Relay::warn_of_namesakes(const std::string& topic, const wire::Header& header, const wire::Header& known) {
-  if (topic != topics::kHeartbeat.name || header.epoch() >= known.epoch() || !limiter_.allow()) return;
-  spdlog::warn("two processes call themselves '{}'; the one that started first is not heard",
-               bus::printable(header.source()->string_view()));
-}
-
 void Relay::send(Side& side, const bus::Frames& frames, const wire::Header& header) {
   if (!side.local) {
-    const auto topic = frames.topic_text();
-    const bool wanted = std::any_of(remote_prefixes_.begin(), remote_prefixes_.end(),
-                                    [&](const auto& prefix) { return topic.starts_with(prefix); });
-    if (!wanted) return;
-    if (has_slab_tensors(header)) return send_inlined(frames);
+    if (!remote_readers_.wants(frames.topic_text()) || !remote_readers_.offer(frames, header)) return;
   }
   bus::send_frames(side.xpub, frames.share());
 }
 
-void Relay::send_inlined(const bus::Frames& frames) {
-  try {
-    auto inlined = inline_slab_tensors(frames, find_slab_);
-    if (inlined) {
-      ++inlined_;
-      bus::send_frames(remote_.xpub, std::move(*inlined));
+void Relay::send_inlined() {
+  for (auto& done : remote_readers_.take()) {
+    if (!done.error.empty()) {
+      refuse(done.frames, done.error);
+    } else if (!done.complete) {
+      ++overwritten_;
     } else {
-      ++inline_dropped_;
+      if (done.inlined) ++inlined_;
+      bus::send_frames(remote_.xpub, std::move(done.frames));
     }
-  } catch (const bus::Error& error) {
-    refuse(frames, error.what());
   }
 }
 
 void Relay::read_subscriptions(Side& side) {
   zmq::message_t event;
-  while (side.xpub.recv(event, zmq::recv_flags::dontwait)) {
+  for (int i = 0; i < subscriptions_a_turn && side.xpub.recv(event, zmq::recv_flags::dontwait); ++i) {
+    if (!side.local && readers_guard_) readers_guard_->took(event);
     if (event.empty() || event.size() > bus::max_topic_bytes + 1) continue;
     const auto kind = *event.data<std::uint8_t>();
     if (kind > 1) continue;
     const auto prefix = event.to_string().substr(1);
-    if (!side.local && kind == 1) remote_prefixes_.insert(prefix);
-    if (!side.local && kind == 0) remote_prefixes_.erase(prefix);
-    if (kind == 1) resend_held(side, prefix);
+    if (side.local) {
+      if (kind == 1) resend_held(side, prefix);
+    } else if (kind == 1) {
+      remote_readers_.subscribe(prefix);
+    } else {
+      remote_readers_.unsubscribe(prefix);
+    }
   }
 }
 
@@ -239,17 +314,29 @@ void Relay::resend_held(Side& side, const std::string& prefix) {
   for (auto& held : held_.matching(prefix)) send(side, held.frames, header_of(held.frames));
 }
 
+// All that is held goes to all readers over tcp that want it, however many asked at once, and a few times a second.
+void Relay::resend_due() {
+  const auto due = remote_readers_.take_due(bus::now_ns());
+  if (due.empty()) return;
+  for (auto& held : held_.matching("")) {
+    const auto topic = held.frames.topic_text();
+    const bool wanted =
+        std::any_of(due.begin(), due.end(), [&](const auto& prefix) { return topic.starts_with(prefix); });
+    if (wanted) send(remote_, held.frames, header_of(held.frames));
+  }
+}
+
 void Relay::tick() {
   const std::int64_t now = bus::now_ns();
   if (now < next_beat_ns_) return;
   next_beat_ns_ = now + beat_ns;
-  relay(own_.heartbeat(statistics(), wire::ServiceState::Running), true);
+  relay_own(own_.heartbeat(statistics(), wire::ServiceState::Running));
   for (const auto& source : liveness_.update(now)) held_.erase(std::string(topics::kHeartbeat.name), source);
   const bool due = now >= next_report_ns_;
-  if (liveness_.take_changed() || due) relay(own_.liveness(liveness_.nodes()), true);
+  if (liveness_.take_changed() || due) relay_own(own_.liveness(liveness_.nodes()));
   if (!due) return;
   next_report_ns_ = now + report_ns;
-  relay(own_.topics(topics_), true);
+  relay_own(own_.topics(topics_));
 }
 
 void Relay::refuse(const bus::Frames& frames, const std::string& why) {

@@ -3,19 +3,23 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
-#include <set>
+#include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <zmq.hpp>
 
 #include "bus/broker.h"
+#include "bus/connection_guard.h"
+#include "bus/curve.h"
 #include "bus/file_descriptor.h"
 #include "bus/frames.h"
-#include "bus/inliner.h"
 #include "bus/latch_store.h"
 #include "bus/liveness.h"
 #include "bus/log_sink.h"
 #include "bus/own_messages.h"
+#include "bus/remote_readers.h"
+#include "bus/sources.h"
 
 namespace splatbus::bus_service {
 
@@ -40,27 +44,35 @@ class Relay {
     zmq::socket_t xpub;
   };
   void bind_tcp(const BrokerOptions& options);
+  void guard_tcp(const BrokerOptions& options);
   void run(const std::stop_token& stop);
   void relay_from(Side& side);
-  void relay(const bus::Frames& frames, bool local);
+  /// What a peer sent: refused, or relayed.
+  void take(const bus::Frames& frames, bool local);
+  void relay(const bus::Frames& frames, const wire::Header& header, bool local);
+  void relay_own(const bus::Frames& frames);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);
-  void warn_of_namesakes(const std::string& topic, const wire::Header& header, const wire::Header& known);
+  bool is_stale(const wire::Header& header, const bus::LatchStore::Held& held, bool local) const;
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
-  void send_inlined(const bus::Frames& frames);
+  void send_inlined();
   void read_subscriptions(Side& side);
   void resend_held(Side& side, const std::string& prefix);
+  void resend_due();
   void tick();
   void refuse(const bus::Frames& frames, const std::string& why);
 
-  const FindSlab find_slab_;
   const std::function<std::size_t()> count_slabs_;
   zmq::context_t zmq_;
+  std::shared_ptr<bus::AllowList> allowed_;  ///< null where nobody needs a key
+  std::optional<bus::Authenticator> authenticator_;
   Side local_;
   Side remote_;
+  std::optional<bus::ConnectionGuard> writers_guard_, readers_guard_;  ///< of remote_
   std::uint16_t tcp_port_ = 0;
   bus::LatchStore held_;
   std::uint64_t next_order_ = 1;
-  std::set<std::string> remote_prefixes_;
+  RemoteReaders remote_readers_;
+  Sources sources_;
   Liveness liveness_;
   TopicTable topics_;
   OwnMessages own_;
@@ -70,7 +82,8 @@ class Relay {
   std::atomic<std::uint64_t> relayed_ = 0;
   std::atomic<std::uint64_t> malformed_ = 0;
   std::atomic<std::uint64_t> inlined_ = 0;
-  std::atomic<std::uint64_t> inline_dropped_ = 0;
+  std::atomic<std::uint64_t> overwritten_ = 0, left_out_ = 0;
+  std::atomic<std::uint64_t> unheld_ = 0;
   std::atomic<std::uint64_t> held_count_ = 0;
   bus::FileDescriptor wake_;
   std::jthread thread_;

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -9,17 +11,22 @@
 #include <vector>
 
 #include "bus/file_descriptor.h"
+#include "bus/log_sink.h"
 #include "bus/slab.h"
 #include "bus/slab_protocol.h"
 
 namespace splatbus::bus_service {
 
-/// Keeps duplicates of every registered slab's descriptors and hands them out, over a Unix socket. A slab outlives the
-/// process that made it; it goes when its name is registered again or released.
+/// Keeps duplicates of every registered slab's descriptors and hands them out, over a Unix socket, to this user's
+/// processes. A slab goes when its name is registered again or released; and some seconds after its source has gone,
+/// unless it is kept for a successor.
+///
+/// Who registers or opens by name holds the lease of that name's source for as long as it is connected, and nobody else
+/// writes its slabs meanwhile.
 class SlabRegistry {
  public:
-  /// Listens at `socket_path`. Throws bus::Error.
-  explicit SlabRegistry(const std::string& socket_path);
+  /// Listens at `socket_path`; `grace`: how long the slabs of a source that has gone wait for it. Throws bus::Error.
+  explicit SlabRegistry(const std::string& socket_path, std::chrono::milliseconds grace = std::chrono::seconds(10));
   ~SlabRegistry();
   SlabRegistry(const SlabRegistry&) = delete;
   SlabRegistry& operator=(const SlabRegistry&) = delete;
@@ -30,11 +37,20 @@ class SlabRegistry {
 
  private:
   void run(const std::stop_token& stop);
+  struct Client {
+    bus::FileDescriptor socket;
+    std::uint64_t number = 0;
+    pid_t pid = 0;
+  };
   void accept_client();
-  bool serve(int client);
-  bus::SlabPacket answer(bus::SlabPacket& request, std::shared_ptr<bus::Slab>& opened);
+  bool serve(const Client& client);
+  bus::SlabPacket answer(bus::SlabPacket& request, const Client& client, std::shared_ptr<bus::Slab>& opened);
   void add(bus::SlabPacket& request);
   void remove(const std::string& name);
+  /// Throws bus::Error when another process holds the lease of the name's source, and is there.
+  void take_lease(const std::string& name, const Client& client);
+  void end_leases(const Client& client);
+  void collect();
 
   mutable std::mutex mutex_;
   std::map<std::uint64_t, std::shared_ptr<bus::Slab>> by_id_;
@@ -42,7 +58,12 @@ class SlabRegistry {
   const std::string socket_path_;
   bus::FileDescriptor listener_;
   bus::FileDescriptor wake_;
-  std::vector<bus::FileDescriptor> clients_;
+  const std::chrono::milliseconds grace_;
+  std::vector<Client> clients_;
+  std::uint64_t next_client_ = 1;
+  std::map<std::string, std::uint64_t, std::less<>> leases_;       ///< source to Client::number
+  std::map<std::string, std::int64_t, std::less<>> abandoned_ns_;  ///< sources that have gone, and when
+  bus::LogLimiter limiter_;
   std::jthread thread_;
 };
 

@@ -91,7 +91,8 @@ struct SelectOptions {
   float reach_m = 60;             ///< what lies nearer to a viewpoint is modelled, however small it is in its pictures
   float min_pixels = 1;           ///< beyond, what is at least this large there
   std::uint32_t min_samples = 4;  ///< a cell counts as seen with this many in it and beside it
-  float new_distance = 0.95F;     ///< what is modelled nearer than this covers a sample
+  float new_distance = 1;         ///< what is modelled nearer than this covers a sample
+  float fill_distance = 0.75F;    ///< in a cell that is being filled only what is nearer than this does
   float hole_distance = 1.4F;     ///< where nothing is modelled nearer than this there is a hole, which is filled
   float refine_factor = 1.4F;     ///< a cell is filled again when its samples are finer than before by this
   float refine_share = 0.5F;      ///< or when this share of them, min_samples at least, is not covered; or at a hole
@@ -119,8 +120,8 @@ class PointGrid;
 
 /// Of a cell's samples.
 struct CellSums {
-  std::uint32_t spacing;  ///< of the cell's edge, fixed-point
-  std::uint32_t uncovered, holes;
+  std::uint32_t spacing;           ///< of the cell's edge, fixed-point
+  std::uint32_t uncovered, holes;  ///< the former with the latter
 };
 
 /// Finds the samples that the model lacks and makes Gaussians of them. Keeps its memory from round to round. Not

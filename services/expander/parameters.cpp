@@ -14,6 +14,8 @@ void Options::bind(bus::ParameterBinder& p) {
         "a cell counts as seen with this many samples in it and in the cells beside it", {1, 10000});
   p.add("new_distance", insert.select.new_distance,
         "what is modelled nearer than this covers a sample, as a fraction of its spacing", {0, 10});
+  p.add("fill_distance", insert.select.fill_distance,
+        "the same in a cell that is being filled, where it is the smaller one", {0, 10});
   p.add("hole_distance", insert.select.hole_distance,
         "where nothing is modelled nearer than this there is a hole, as a fraction of a sample's spacing", {0, 10});
   p.add("refine_factor", insert.select.refine_factor,

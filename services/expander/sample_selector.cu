@@ -122,7 +122,8 @@ struct TestCell {
   }
 };
 
-enum Lack : std::uint8_t { kCovered, kLoose, kHole };
+/// Ascending by the distance to what is modelled.
+enum Lack : std::uint8_t { kCovered, kGap, kLoose, kHole };
 
 /// For each candidate, in the order of the cells, how far it is from what is modelled.
 struct TestSample {
@@ -130,7 +131,7 @@ struct TestSample {
   ObjectFrames frames;
   Cells cells;
   float cell_size_m;
-  float new_distance, hole_distance;
+  float fill_distance, new_distance, hole_distance;
   const CellKey* keys;
   const std::uint32_t* order;
   const ModelledPoint* points;
@@ -142,7 +143,8 @@ struct TestSample {
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER Lack lack_of(std::uint32_t cell, const LocalSample& local) const {
     const Vec3 position_m = local.position_m();
     const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
-    const float new_m = new_distance * local.spacing_m;
+    const float new_m = new_distance * local.spacing_m,
+                fill_m = math::smaller(fill_distance, new_distance) * local.spacing_m;
     const float reach_m = math::smaller(math::larger(hole_distance * local.spacing_m, new_m), edge_m);
     // Which neighbours the sphere about the position reaches into.
     const Vec3 within = position_m - cell_centre(cells.keys[cell], cell_size_m);
@@ -163,8 +165,9 @@ struct TestSample {
         const float squared = dot(apart, apart);
         if (!(squared < reach_m * reach_m)) continue;
         if (!(dot(points[p].normal, local.normal) > kSameSurfaceCosine)) continue;
-        if (squared < new_m * new_m) return kCovered;
-        lack = kLoose;
+        if (squared < fill_m * fill_m) return kCovered;
+        const Lack here = squared < new_m * new_m ? kGap : kLoose;
+        lack = here < lack ? here : lack;
       }
     }
     return lack;
@@ -173,7 +176,7 @@ struct TestSample {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
     lack[i] = seen[cell] ? lack_of(cell, localised(samples, frames, order[i])) : kCovered;
-    if (lack[i] != kCovered) device::atomic_add(&sums[cell].uncovered, 1U);
+    if (lack[i] >= kLoose) device::atomic_add(&sums[cell].uncovered, 1U);
     if (lack[i] == kHole) device::atomic_add(&sums[cell].holes, 1U);
     const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
     device::atomic_add(&sums[cell].spacing,
@@ -191,7 +194,7 @@ struct WantSample {
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
-    wanted[order[i]] = lack[i] == kHole || (lack[i] == kLoose && fill[cell] != 0) ? 1 : 0;
+    wanted[order[i]] = lack[i] == kHole || (lack[i] != kCovered && fill[cell] != 0) ? 1 : 0;
   }
 };
 
@@ -258,10 +261,10 @@ std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& mo
   for_each_index(
       stream_, cells_,
       TestCell{cells, modelled.keys(), modelled.size(), options.min_samples, seen_.data(), neighbours_.data()});
-  for_each_index(
-      stream_, binned_,
-      TestSample{samples, frames(), cells, cell_size_m_, options.new_distance, options.hole_distance, keys_.data(),
-                 order_.data(), modelled.points(), seen_.data(), neighbours_.data(), lack_.data(), sums_.data()});
+  for_each_index(stream_, binned_,
+                 TestSample{samples, frames(), cells, cell_size_m_, options.fill_distance, options.new_distance,
+                            options.hole_distance, keys_.data(), order_.data(), modelled.points(), seen_.data(),
+                            neighbours_.data(), lack_.data(), sums_.data()});
   const std::vector<CellSums> sums = sums_.to_host();
   const std::vector<bool> holes = about_holes(sums);
   std::vector<std::uint8_t> fill(cells_);

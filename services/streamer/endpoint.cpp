@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 #include <sys/file.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <cstring>
@@ -11,18 +12,25 @@
 #include <utility>
 
 #include "bus/error.h"
+#include "bus/private_folder.h"
 #include "stream/bytes.h"
-#include "stream/layout.h"
 
 namespace splatbus::streamer {
 
 namespace {
 
 constexpr std::string_view kIpc = "ipc://";
-constexpr std::size_t kMaxParts = 2;  // packet and payload
-constexpr int kSkippedACall = 64;     // of what is no packet
+constexpr int kMessagesACall = 256;   // that are none, before others get their turn
+constexpr std::size_t kMaxParts = 3;  // a relay's rights frame, packet, payload
 constexpr int kHeartbeatMs = 1000;
 constexpr int kHeartbeatTimeoutMs = 5000;
+constexpr int kHandshakeMs = 5000;
+constexpr int kBacklog = 1024;
+// Of one tcp connection. A pose has about 200 bytes, and the largest that a viewer says kMaxFrameBytes.
+constexpr std::size_t kUnreadBytes = std::size_t{1} << 20;
+constexpr double kBytesPerSecond = 1 << 20;
+constexpr double kGreetingSeconds = 5;
+constexpr double kMinSentPerSecond = 1000;
 
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
   return {static_cast<const std::uint8_t*>(message.data()), message.size()};
@@ -31,7 +39,7 @@ std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
 // Freed by the kernel when its holder dies, so that a killed streamer is no hindrance.
 bus::FileDescriptor lock_beside(const std::string& path) {
   const std::string name = path + ".lock";
-  bus::FileDescriptor file(::open(name.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0600));
+  bus::FileDescriptor file(::open(name.c_str(), O_CREAT | O_RDWR | O_CLOEXEC | O_NOFOLLOW, 0600));
   if (!file.valid()) throw bus::Error(fmt::format("{}: {}", name, std::strerror(errno)));
   if (::flock(file.get(), LOCK_EX | LOCK_NB) != 0) {
     throw bus::Error(fmt::format("ipc://{}: another streamer is bound there", path));
@@ -55,22 +63,62 @@ stream::EncodedPacket WirePacket::copy() const {
           .payload = {payload.begin(), payload.end()}};
 }
 
-Endpoint::Endpoint(const std::vector<std::string>& endpoints) : socket_(context_, zmq::socket_type::router) {
+Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options)
+    : socket_(context_, zmq::socket_type::router), bound_(endpoints.size()) {
   socket_.set(zmq::sockopt::router_mandatory, true);
   socket_.set(zmq::sockopt::sndhwm, kQueuedPackets);
   socket_.set(zmq::sockopt::rcvhwm, 256);
   socket_.set(zmq::sockopt::linger, 0);
-  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPacketBytes));
+  socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
+  socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
+  socket_.set(zmq::sockopt::backlog, kBacklog);  // a crowd at the door keeps nobody waiting
   socket_.set(zmq::sockopt::heartbeat_ivl, kHeartbeatMs);
   socket_.set(zmq::sockopt::heartbeat_timeout, kHeartbeatTimeoutMs);
-  for (const std::string& endpoint : endpoints) {
-    try {
-      if (endpoint.starts_with(kIpc)) locks_.push_back(lock_beside(endpoint.substr(kIpc.size())));
-      socket_.bind(endpoint);
-    } catch (const zmq::error_t& error) {
-      throw bus::Error(fmt::format("{}: {}", endpoint, error.what()));
+  guard_.emplace(context_, socket_,
+                 bus::ConnectionLimits{.unread_bytes = kUnreadBytes,
+                                       .all_unread_bytes = 8 * kUnreadBytes,
+                                       .bytes_per_s = kBytesPerSecond,
+                                       .burst_bytes = 4 * kBytesPerSecond,
+                                       .greeting_s = kGreetingSeconds,
+                                       .silence_s = options.silence_s,
+                                       .stalled_s = options.silence_s,
+                                       .min_sent_per_s = kMinSentPerSecond},
+                 "viewers");
+  // Those without keys first: a socket's options are those of what it binds from then on.
+  for (const bool with_keys : {false, true}) {
+    for (std::size_t i = 0; i < endpoints.size(); ++i) {
+      bus::require_transport(endpoints[i]);
+      const auto keys = bus::server_keys(endpoints[i], options.keys);
+      if (keys.has_value() != with_keys) continue;
+      if (keys && !authenticator_) {
+        allowed_ = keys->allowed;
+        authenticator_.emplace(context_, allowed_);
+        bus::require_keys(socket_, *keys, {.view = true});
+        guard_->keep_only([allowed = allowed_](const bus::Key& key) { return allowed->rights_of(key).view; });
+      }
+      bound_[i] = bind(endpoints[i]);
     }
-    bound_.push_back(socket_.get(zmq::sockopt::last_endpoint));
+  }
+}
+
+std::string Endpoint::bind(const std::string& endpoint) {
+  try {
+    if (endpoint.starts_with(kIpc)) {
+      const std::string path = endpoint.substr(kIpc.size());
+      locks_.emplace_back(path, lock_beside(path));
+    }
+    const bus::PrivateUmask umask;
+    socket_.bind(endpoint);
+  } catch (const zmq::error_t& error) {
+    throw bus::Error(fmt::format("{}: {}", endpoint, error.what()));
+  }
+  return socket_.get(zmq::sockopt::last_endpoint);
+}
+
+void Endpoint::require_intact() const {
+  for (const auto& [path, lock] : locks_) {
+    if (!path.starts_with('@') && ::access(path.c_str(), F_OK) != 0)
+      throw bus::Error(fmt::format("ipc://{}: it was removed", path));
   }
 }
 
@@ -102,7 +150,7 @@ Endpoint::Sent Endpoint::send(const Peer& peer, const WirePacket& packet, std::u
 
 std::optional<Endpoint::Received> Endpoint::receive() {
   zmq::message_t frame;
-  for (int skipped = 0; skipped < kSkippedACall && socket_.recv(frame, zmq::recv_flags::dontwait); ++skipped) {
+  for (int i = 0; i < kMessagesACall && socket_.recv(frame, zmq::recv_flags::dontwait); ++i) {
     const Peer peer = frame.to_string();
     std::vector<zmq::message_t> parts;
     // To its very last part: what is left behind would be read as the next sender's routing id.
@@ -111,18 +159,36 @@ std::optional<Endpoint::Received> Endpoint::receive() {
       (void)socket_.recv(part);
       if (parts.size() <= kMaxParts) parts.push_back(std::move(part));
     }
-    try {
-      if (parts.empty() || parts.size() > kMaxParts)
-        throw stream::StreamError("a message of one or two frames was expected");
-      return Received{
-          peer, stream::ParsedPacket::parse(bytes_of(parts[0]),
-                                            parts.size() > 1 ? bytes_of(parts[1]) : std::span<const std::uint8_t>())};
-    } catch (const stream::StreamError& error) {
-      ++malformed_;
-      if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());
-    }
+    if (!parts.empty()) guard_->took(parts[0]);
+    if (auto received = parse(peer, parts)) return received;
   }
   return std::nullopt;
+}
+
+std::optional<Endpoint::Received> Endpoint::parse(const Peer& peer, const std::vector<zmq::message_t>& parts) {
+  try {
+    std::span<const zmq::message_t> frames(parts);
+    bus::Rights rights = frames.empty() ? bus::Rights() : bus::sender_rights(frames[0], allowed_.get());
+    if (!frames.empty() && !rights.view) {
+      guard_->close(frames[0], "its key is not allowed to view");
+      return std::nullopt;
+    }
+    if (frames.size() > 1) {
+      if (const auto relayed = bus::parse_rights_frame(frames[0].to_string_view())) {
+        rights = rights & *relayed;
+        frames = frames.subspan(1);
+      }
+    }
+    if (frames.empty() || frames.size() > 2) throw stream::StreamError("a message of one or two frames was expected");
+    return Received{.peer = peer,
+                    .packet = stream::ParsedPacket::parse(
+                        bytes_of(frames[0]), frames.size() > 1 ? bytes_of(frames[1]) : std::span<const std::uint8_t>()),
+                    .rights = rights};
+  } catch (const std::exception& error) {
+    ++malformed_;
+    if (log_limiter_.allow()) spdlog::warn("a viewer sent what is no packet: {}", error.what());
+    return std::nullopt;
+  }
 }
 
 }  // namespace splatbus::streamer

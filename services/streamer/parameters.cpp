@@ -27,7 +27,11 @@ constexpr std::array<std::pair<Attribute, const char*>, 8> kScheduled{{{Attribut
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
   p.add("endpoint", endpoint, "ZeroMQ endpoint for viewers; empty: ipc, 'streamer' in the folder of the bus", kFixed);
-  p.add("tcp", tcp, "another endpoint, for viewers elsewhere, such as tcp://127.0.0.1:7600; empty: none", kFixed);
+  p.add("tcp", tcp, "another endpoint, for viewers elsewhere, such as tcp://*:7600, where they need keys; empty: none",
+        kFixed);
+  p.add("key", keys.key, "file of this end's key for a tcp endpoint; empty: server.key of 'splatbus keys'", kFixed);
+  p.add("allowed", keys.allowed, "file with who may connect there; empty: that of 'splatbus keys'", kFixed);
+  p.add("keys_on_loopback", keys.always, "a tcp endpoint takes keys on the loopback address too", kFixed);
   p.add("tick_hz", hub.tick_hz, "updates a second", {0.1, 120}, kFixed);
   p.add("budget_kbps", budget_kbps,
         "kbit/s for new Gaussians and deltas of pages that are held, encoded once for all viewers", {10, 1e7});

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "bus/context.h"
+#include "bus/curve.h"
 #include "bus/parameters.h"
 #include "stream/stream_model.h"
 #include "streamer/viewer_hub.h"
@@ -13,6 +14,7 @@ namespace splatbus::streamer {
 /// The streamer's parameters.
 struct Options {
   std::string endpoint, tcp;
+  bus::ServerKeyFiles keys;
   double budget_kbps = 6000;
   double visibility_hz = 20, visibility_kbps = 1000;
   HubOptions hub;

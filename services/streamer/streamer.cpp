@@ -37,7 +37,8 @@ Streamer::Streamer(bus::ServiceContext& service)
       options_(service.parameters),
       subscriber_(service.bus),
       publisher_(service.bus),
-      endpoint_(streamer::endpoints(*options_, service.bus->address())),
+      endpoint_(streamer::endpoints(*options_, service.bus->address()),
+                {.keys = options_->keys, .silence_s = 3 * options_->hub.viewer_timeout_s}),
       writer_(service.bus->source(), service.bus->epoch()),
       model_(writer_, service.bus->epoch(), options_->stream, service.backend),
       hub_(endpoint_, model_, writer_, options_->hub, events()),
@@ -110,6 +111,7 @@ void Streamer::step(std::int64_t now_ns) {
   hub_.expire(now_ns);
   if (next_stats_ns_ == 0) next_stats_ns_ = now_ns + kSecondNs;
   if (now_ns >= next_stats_ns_) {
+    endpoint_.require_intact();
     hub_.send_keepalive(now_ns);
     publish_statistics(now_ns);
     next_stats_ns_ = std::max(next_stats_ns_ + kSecondNs, now_ns);
@@ -302,6 +304,8 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
   service_.counter("refused_pages", static_cast<double>(counts.refused_pages));
   service_.counter("ignored", static_cast<double>(hub_.ignored()));
   service_.counter("lost_viewers", static_cast<double>(hub_.lost_viewers()));
+  service_.counter("tcp_connections", static_cast<double>(endpoint_.connections().open));
+  service_.counter("closed_connections", static_cast<double>(endpoint_.connections().closed));
   service_.counter("malformed", static_cast<double>(endpoint_.malformed()));
   for (std::size_t i = 0; i < window.types.size(); ++i) {
     if (window.types[i].packets == 0) continue;

@@ -38,7 +38,6 @@ class CpuStep final : public GradientStep {
     return {.mean2d_norm = mean2d_norm_.data(), .steps = seen_steps_.data()};
   }
   void clear_statistics() override;
-  [[nodiscard]] bool sees_pages() const override { return true; }
   [[nodiscard]] device::StreamView stream() const override { return {}; }
 
  private:
@@ -204,17 +203,12 @@ const std::uint8_t* CpuStep::mask_of(const TrainingView& view, float share) {
 }
 
 void CpuStep::look(const TrainingViewPtr& view, float loss) {
-  report_.looks.push_back({.view = view, .loss = loss, .pages = {}});
+  report_.looks.push_back({.view = view, .loss = loss, .pages = {}, .active_share = {}});
   if (!options_.freeze.enabled) return;
   l1_error(render_.color, view->color.data(), options_.layout.appearance == Appearance::Transfer, view_mask_, error_);
   ViewLook& look = report_.looks.back();
   rasterizer_->look_at_pages(error_, look.pages);
-  double pairs = 0, active = 0;
-  for (const raster::PageLook& page : look.pages) {
-    pairs += page.pairs;
-    if (store_.table().entry(page.page).now.state != model::PageState::Frozen) active += page.pairs;
-  }
-  look.active_share = pairs > 0 ? static_cast<float>(active / pairs) : 1.0F;
+  look.active_share = active_share(look.pages, store_.table());
 }
 
 float CpuStep::depth_loss(const TrainingView& view, float scale) {

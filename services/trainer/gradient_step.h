@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -20,8 +21,11 @@ struct ViewLook {
   TrainingViewPtr view;
   float loss = 0;
   std::vector<raster::PageLook> pages;  ///< L1 error in display space
-  float active_share = 1;               ///< of what shows (PageLook::pairs), where pages train
+  std::optional<float> active_share;    ///< of what shows (PageLook::pairs), where pages train; none: not looked at
 };
+
+/// Of pages that a view shows.
+[[nodiscard]] float active_share(std::span<const raster::PageLook> pages, const model::PageTable& table);
 
 /// Steps that came to their end since the last report.
 struct StepReport {
@@ -29,7 +33,7 @@ struct StepReport {
   double seconds = 0;           ///< of optimizer time
   double loss = 0;              ///< mean over the views
   double masked_share = 0;      ///< of their pixels, where nothing models yet what they show; mean over the views
-  std::vector<ViewLook> looks;  ///< of the last steps' views, where the device tells them apart
+  std::vector<ViewLook> looks;  ///< of the steps' views
 
   StepReport& operator+=(const StepReport& later);
 };
@@ -69,8 +73,6 @@ class GradientStep {
   /// Of the steps since clear_statistics(), gathered with Options::densify; null where they are not.
   [[nodiscard]] virtual kernels::ScreenStatistics statistics() const = 0;
   virtual void clear_statistics() = 0;
-  /// Whether reports say what views showed of pages.
-  [[nodiscard]] virtual bool sees_pages() const { return false; }
   /// Behind which more work on the parameters is enqueued.
   [[nodiscard]] virtual device::StreamView stream() const = 0;
 

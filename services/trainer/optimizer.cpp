@@ -60,6 +60,15 @@ StepReport& StepReport::operator+=(const StepReport& later) {
   return *this;
 }
 
+float active_share(std::span<const raster::PageLook> pages, const model::PageTable& table) {
+  double pairs = 0, active = 0;
+  for (const raster::PageLook& page : pages) {
+    pairs += page.pairs;
+    if (table.entry(page.page).now.state != model::PageState::Frozen) active += page.pairs;
+  }
+  return pairs > 0 ? static_cast<float>(active / pairs) : 1.0F;
+}
+
 std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const Options& options) {
   if (store.device() == Device::Cpu) return make_cpu_step(store, options);
 #ifdef SPLATBUS_HAVE_CUDA
@@ -97,7 +106,7 @@ void Optimizer::set_options(const Options& options) {
 }
 
 void Optimizer::thaw_unseen() {
-  if ((options_.freeze.enabled && step_->sees_pages()) || store_.frozen_pages() == 0) return;
+  if (options_.freeze.enabled || store_.frozen_pages() == 0) return;
   // Nobody would ever see that one of them has to train again.
   std::vector<std::uint32_t> pages;
   for (const IndexRange& range : store_.view().ranges) pages.push_back(range.first >> kPageShift);
@@ -284,12 +293,13 @@ bool Optimizer::carve() {
 }
 
 void Optimizer::rest_settled() {
-  if (!step_->sees_pages() || !freezer_.due(store_)) return;
+  if (!freezer_.due(store_)) return;
   const std::vector<float> movements =
       kernels::page_movements(step_->stream(), gaussians(), options_.layout.appearance);
   const Freezer::Change change = freezer_.decide(store_, options_.freeze, movements);
   if (change.freeze.empty() && change.thaw.empty()) return;
   settle();
+  if (store_.device() != Device::Cpu) store_.refresh_bounds();  // the change hands the host's to the device
   store_.freeze(change.freeze);
   store_.thaw(change.thaw);
   follow({});

@@ -68,7 +68,7 @@ class Optimizer {
   /// Of the average over time, a step: options().ema_decay, or as much more as ema_s of optimizer time takes at
   /// the pace of the steps so far.
   [[nodiscard]] float ema_decay() const;
-  /// All pages, where nothing tells frozen ones that they have to train again. After settle().
+  /// All pages, where pages are not to rest: nobody would see that one has to train again. After settle().
   void thaw_unseen();
   void collect(bool wait);
   void settle();

@@ -83,7 +83,7 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("carve", carve.enabled, "remove Gaussians where pictures with depth show free space");
   p.add("carve_votes", carve.votes, "engine frames that have to show the space free, with none between that does not",
         {1, kernels::kMaxCarveVotes});
-  p.add("freeze", freeze.enabled, "pages whose loss and movement have settled rest; on the CPU");
+  p.add("freeze", freeze.enabled, "pages whose loss and movement have settled rest");
   p.add("freeze_after_s", freeze.after_s, "optimizer time over which a page's loss must not have fallen, s", {0, 3600});
   p.add("freeze_gain", freeze.least_gain, "part of its loss that a page must lose in that time to train on", {0, 1});
   p.add("freeze_movement", freeze.most_movement,

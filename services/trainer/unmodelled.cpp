@@ -1,7 +1,8 @@
 #include "trainer/unmodelled.h"
 
 #include <algorithm>
-#include <cmath>
+
+#include "raster/unmodelled.h"
 
 namespace splatbus::trainer {
 
@@ -11,15 +12,15 @@ std::size_t mask_unmodelled(const raster::Image& alpha, const TrainingView& view
   const std::size_t pixels = std::size_t{width} * height;
   mask.assign(pixels, 0);
   if (!view.mask.empty()) std::copy_n(view.mask.data(), pixels, mask.begin());
-  const auto shows_surface = [&](std::size_t i) { return view.depth[i] > 0 && std::isfinite(view.depth[i]); };
+  constexpr std::uint32_t kSide = raster::kUnmodelledSide;
   std::size_t masked = 0;
-  for (std::uint32_t y0 = 0; y0 < height; y0 += kUnmodelledSide) {
-    for (std::uint32_t x0 = 0; x0 < width; x0 += kUnmodelledSide) {
+  for (std::uint32_t y0 = 0; y0 < height; y0 += kSide) {
+    for (std::uint32_t x0 = 0; x0 < width; x0 += kSide) {
       const auto for_square = [&](auto&& visit) {
-        for (std::uint32_t y = y0; y < std::min(height, y0 + kUnmodelledSide); ++y) {
-          for (std::uint32_t x = x0; x < std::min(width, x0 + kUnmodelledSide); ++x) {
+        for (std::uint32_t y = y0; y < std::min(height, y0 + kSide); ++y) {
+          for (std::uint32_t x = x0; x < std::min(width, x0 + kSide); ++x) {
             const std::size_t i = std::size_t{y} * width + x;
-            if (shows_surface(i)) visit(i);
+            if (raster::shows_surface(view.depth[i])) visit(i);
           }
         }
       };

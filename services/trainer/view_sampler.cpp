@@ -22,10 +22,12 @@ constexpr float kRestingWorth = 0.05F;
 
 ViewSampler::ViewSampler(std::uint64_t seed) : random_(seed) {}
 
-void ViewSampler::learn(const ViewKey& key, float loss, float active_share) {
+void ViewSampler::learn(const ViewKey& key, float loss, std::optional<float> active_share) {
   if (!std::isfinite(loss)) return;
   if (views_.size() >= ViewStore::kMaxViews && !views_.contains(key)) views_.clear();
-  views_[key].to_teach = loss * (kRestingWorth + (1 - kRestingWorth) * active_share);
+  Worth& worth = views_[key];
+  worth.active_share = active_share.value_or(worth.active_share);
+  worth.to_teach = loss * (kRestingWorth + (1 - kRestingWorth) * worth.active_share);
 }
 
 void ViewSampler::leave_out(std::vector<ViewKey>& keys) {

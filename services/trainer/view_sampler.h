@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -20,7 +21,8 @@ class ViewSampler {
   explicit ViewSampler(std::uint64_t seed);
 
   /// What a view has to teach: its loss, and more of it where more of what shows trains. Forgotten with `forget()`.
-  void learn(const ViewKey& key, float loss, float active_share);
+  /// Without `active_share` it stays as it was.
+  void learn(const ViewKey& key, float loss, std::optional<float> active_share);
   /// All views are worth the same from now on.
   void forget() { views_.clear(); }
 
@@ -38,7 +40,7 @@ class ViewSampler {
   std::vector<TrainingViewPtr> draw_batch(const ViewStore& views, int size, Epoch& epoch);
 
   struct Worth {
-    float to_teach = 0;
+    float to_teach = 0, active_share = 1;
     float turns = 0;  ///< that it is owed, below 1
   };
   void leave_out(std::vector<ViewKey>& keys);

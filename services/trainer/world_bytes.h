@@ -13,11 +13,11 @@ namespace splatbus::trainer {
   return (3 * static_cast<std::size_t>(layout.channels()) + 16) * sizeof(float);
 }
 
-/// Of the model as it is, with what is kept beside it. On the CPU frozen pages have no moments.
+/// Of the model as it is, with what is kept beside it. Frozen pages have no moments.
 [[nodiscard]] inline std::size_t model_bytes(const model::PageStore& store) {
   const std::size_t moments = 2 * static_cast<std::size_t>(store.layout().channels()) * sizeof(float);
-  const std::size_t without_moments = store.device() == Device::Cpu ? store.frozen_pages() * kPageLanes : 0;
-  return store.arena_bytes() + store.view().count * bytes_beside(store.layout()) - without_moments * moments;
+  return store.arena_bytes() + store.view().count * bytes_beside(store.layout()) -
+         store.frozen_pages() * kPageLanes * moments;
 }
 
 }  // namespace splatbus::trainer

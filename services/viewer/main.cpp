@@ -43,6 +43,12 @@ int standalone_main(int argc, char** argv) {
   std::vector<std::string> changes;
   app.add_option("--connect", endpoint, "the streamer's endpoint, such as tcp://host:7600")->required();
   app.add_option("--name", name, "told to the streamer")->capture_default_str();
+  app.add_option_function<std::string>(
+      "--key", [&](const std::string& file) { changes.push_back("key=" + file); },
+      "key file, for a streamer on another machine (made by 'splatbus keys'); else SPLATBUS_KEY");
+  app.add_option_function<std::string>(
+      "--server-key", [&](const std::string& key) { changes.push_back("server_key=" + key); },
+      "that streamer's public key; else SPLATBUS_SERVER_KEY");
   app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
   app.add_option("--backend", backend, "what draws: cpu, cuda or auto")
       ->envname("SPLATBUS_BACKEND")

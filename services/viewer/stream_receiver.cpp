@@ -63,7 +63,7 @@ void StreamReceiver::do_posted() {
 
 ReceiverStatus StreamReceiver::measure() {
   const stream::Replica& replica = client_.replica();
-  const SceneDelays& delays = client_.scene_delays();
+  const stream::SceneDelays& delays = client_.scene_delays();
   return {.connected = client_.connected(),
           .pages = replica.pages(),
           .missing_pages = replica.missing_pages(),

@@ -21,11 +21,14 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kLongestWaitNs = 50'000'000;
-constexpr std::int64_t kPoseEveryNs = 100'000'000;  // while the camera moves; else once a second
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
-  return {
-      .endpoint = host.endpoint, .name = host.name, .probes = options.probe, .max_gaussians = options.max_gaussians};
+  return {.endpoint = host.endpoint,
+          .name = host.name,
+          .key = options.key,
+          .server_key = options.server_key,
+          .probes = options.probe,
+          .max_gaussians = options.max_gaussians};
 }
 
 // Viewers choose their ids without asking each other.
@@ -50,7 +53,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("endpoint", endpoint, "of the streamer; empty: 'streamer' in the folder of the bus", kFixed);
   p.add("fps", fps, "pictures a second, at most: one is drawn when scene, model or camera have changed", {0.1, 240});
   p.add("threads", threads, "that draw, on the CPU; 0: one a core", {0, 1024}, kFixed);
-  p.add("out", out, "folder for pictures; empty: none are written");
+  p.add("key", key, "key file for a streamer elsewhere; empty: SPLATBUS_KEY", kFixed);
+  p.add("server_key", server_key, "that streamer's public key; empty: SPLATBUS_SERVER_KEY", kFixed);
+  p.add("out", out, "folder for pictures; empty: none are written", kFixed);
   p.add("frames", frames, "every n-th picture is written there as frame_<number>.png; 0: none", {0, 1e9});
   p.add("probe", probe,
         "compare with the engine's own picture whenever one arrives: quality, and in 'out' probe_<id>_viewer.png and "
@@ -130,14 +135,6 @@ bool Viewer::take() {
   return true;
 }
 
-void Viewer::send_pose(std::int64_t now_ns) {
-  const std::int64_t since_ns = now_ns - posed_ns_;
-  if (since_ns < kPoseEveryNs || (posed_ == camera_ && since_ns < kSecondNs)) return;
-  posed_ = camera_;
-  posed_ns_ = now_ns;
-  receiver_.send_pose(camera_);
-}
-
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const std::int64_t begin_ns = bus::now_ns();
   const GaussiansView view = display_.view(scene.light.sources);
@@ -159,7 +156,7 @@ bool Viewer::show(bool changed) {
     recorder_->add(
         {.time_s = static_cast<double>(now_ns - begin_ns_) / 1e9, .world_from_camera = camera_.world_from_camera});
   }
-  send_pose(now_ns);
+  receiver_.send_pose(camera_);
   const bool empty = display_.count() == 0;
   if (empty || (!changed && frames_ > 0 && before == camera_)) return false;
   const cv::Mat picture = draw(camera_, *shown_.scene);
@@ -172,9 +169,19 @@ bool Viewer::show(bool changed) {
   const std::string& out = options_->out;
   const std::uint64_t every = options_->frames;
   if (out.empty() || every == 0 || (frames_ - 1) % every != 0) return true;
-  fs::create_directories(out);
-  metrics::write_png(fs::path(out) / fmt::format("frame_{:06}.png", frames_ - 1), picture);
+  write_picture(fmt::format("frame_{:06}.png", frames_ - 1), picture);
   return true;
+}
+
+void Viewer::write_picture(const std::string& name, const cv::Mat& picture) {
+  const fs::path file = fs::path(options_->out) / name;
+  try {
+    fs::create_directories(file.parent_path());
+    metrics::write_png(file, picture);
+  } catch (const std::exception& error) {
+    ++unwritten_;
+    if (log_limiter_.allow()) spdlog::error("{} pictures could not be written: {}", unwritten_, error.what());
+  }
 }
 
 void Viewer::ask_probe(std::int64_t now_ns) {
@@ -192,10 +199,9 @@ void Viewer::answer_probes() {
   const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
   last_quality_ = metrics::compare(picture, reference);
   ++compared_;
-  if (const std::string& out = options_->out; !out.empty()) {
-    fs::create_directories(out);
-    metrics::write_png(fs::path(out) / fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
-    metrics::write_png(fs::path(out) / fmt::format("probe_{}_alpha.png", probe->probe_id), alpha_picture(render_));
+  if (!options_->out.empty()) {
+    write_picture(fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
+    write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), alpha_picture(render_));
   }
   receiver_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }
@@ -204,6 +210,7 @@ void Viewer::report() {
   const ReceiverStatus status = receiver_.status();
   host_.counter("gaussians", static_cast<double>(display_.count()));
   host_.counter("frames", static_cast<double>(frames_));
+  host_.counter("unwritten_pictures", static_cast<double>(unwritten_));
   host_.counter("draw_ms", draw_ms_);
   host_.counter("received_bytes", static_cast<double>(status.received_bytes));
   host_.counter("lost_packets", static_cast<double>(status.lost));

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "bus/backend.h"
+#include "bus/log_sink.h"
 #include "bus/parameters.h"
 #include "raster/model_renderer.h"
 #include "stream/display_gaussians.h"
@@ -22,6 +23,7 @@ namespace splatbus::viewer {
 /// The viewer's parameters.
 struct Options {
   std::string endpoint;
+  std::string key, server_key;
   double fps = 30;
   int threads = 0;
   std::string out;
@@ -66,9 +68,10 @@ class Viewer {
   bool show(bool changed);
   /// Takes over parameters that have changed.
   void refresh_options();
-  void send_pose(std::int64_t now_ns);
   void answer_probes();
   void ask_probe(std::int64_t now_ns);
+  /// Counts and says what cannot be written: a full disk ends nobody.
+  void write_picture(const std::string& name, const cv::Mat& picture);
   void report();
 
   bus::LiveOptions<Options> options_;
@@ -86,11 +89,11 @@ class Viewer {
   std::optional<PathRecorder> recorder_;
   Camera camera_;
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
-  std::int64_t drawn_ns_ = 0, posed_ns_ = 0;
-  Camera posed_;
+  std::int64_t drawn_ns_ = 0;
   bool model_changed_ = true;  ///< since the renderer read it
   const std::uint8_t* drawn_rows_ = nullptr;
-  std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0;
+  std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0, unwritten_ = 0;
+  bus::LogLimiter log_limiter_;
   metrics::Quality last_quality_;
   double draw_ms_ = 0;
 };

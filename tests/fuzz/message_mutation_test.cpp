@@ -4,11 +4,13 @@
 #include <gtest/gtest.h>
 
 #include <array>
+#include <atomic>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <functional>
 #include <iterator>
+#include <memory>
 #include <random>
 #include <string>
 #include <vector>
@@ -114,7 +116,9 @@ class Mutation : public testing::Test {
     std::string why;
     if (bus::verified_header(frames.body, why) == nullptr) return;
     try {
-      (void)bus_service::inline_slab_tensors(frames, [&](std::uint64_t id) { return id == slab_id ? slab_ : nullptr; });
+      (void)bus_service::inline_slab_tensors(
+          frames, [&](std::uint64_t id) { return id == slab_id ? slab_ : nullptr; },
+          std::make_shared<std::atomic<std::uint64_t>>(0));
     } catch (const bus::Error&) {
       ++refused_;
     }

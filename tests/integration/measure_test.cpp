@@ -11,9 +11,9 @@
 
 #include "command.h"
 #include "figures.h"
-#include "gaussians/model.h"
 #include "metrics/image_io.h"
 #include "pipeline.h"
+#include "splats/file.h"
 
 namespace splatbus::cli {
 namespace {
@@ -61,7 +61,10 @@ TEST(Measure, DemoWritesItsFigures) {
   EXPECT_GT(summary["steps_per_s"], 0);
   EXPECT_GE(summary["wire_mbps_peak"], summary["wire_mbps_mean"]);
 
-  EXPECT_EQ(read_ply((out / "model.ply").string()).count(), summary["gaussians"].get<std::size_t>());
+  const std::size_t written = splats::read_file((out / "model.ply").string()).gaussians.count();
+  const auto gaussians = summary["gaussians"].get<std::size_t>();
+  EXPECT_LE(written, gaussians) << "those of toys that are gone do not show";
+  EXPECT_GT(written, gaussians / 2);
   const cv::Mat sheet = metrics::read_png((out / "contact_sheet.png").string());
   EXPECT_GT(sheet.cols, 4 * 160) << "four pictures a row";
   EXPECT_GT(sheet.rows, 4 * 160) << "four held-out cameras";

@@ -3,6 +3,7 @@
 #include <fstream>
 #include <sstream>
 
+#include "gateway_url.h"
 #include "launch_plan.h"
 
 namespace splatbus::cli {
@@ -12,8 +13,10 @@ namespace {
 constexpr std::chrono::seconds kPatience(90);
 constexpr std::int64_t kAskAgainNs = 1'500'000'000;
 
-LaunchPlan plan(const bus::Address& address) {
-  return plan_launch(parse_launch_file(Pipeline::launch_file(), "pipeline.yaml"), address, SPLATBUS_BIN_DIR);
+LaunchPlan plan(const bus::Address& address, std::string& url) {
+  LaunchFile file = parse_launch_file(Pipeline::launch_file(), "pipeline.yaml");
+  url = settle_gateway(file, 0)->url;
+  return plan_launch(file, address, SPLATBUS_BIN_DIR);
 }
 
 }  // namespace
@@ -43,6 +46,7 @@ services:
   - name: streamer
   - name: viewer
     parameters: {probe: true, probe_period_s: 0, threads: 1, width: 64, height: 64}
+  - name: gateway
 )";
 }
 
@@ -50,7 +54,7 @@ Pipeline::Pipeline()
     : context_(bus::Context::create(folder_.address(), "pipeline-test")),
       watch_(context_),
       probes_(context_, circle_cameras({.count = 1, .size = 64, .phase_degrees = 45})),
-      run_(plan(folder_.address()), folder_.path() / "services.log") {}
+      run_(plan(folder_.address(), url_), folder_.path() / "services.log") {}
 
 std::map<std::string, pid_t> Pipeline::pids() const {
   std::map<std::string, pid_t> result;
@@ -89,6 +93,10 @@ bool Pipeline::wait_for_picture(double ssim) {
     }
     return false;
   });
+}
+
+std::uint16_t Pipeline::gateway_port() const {
+  return static_cast<std::uint16_t>(std::stoi(url_.substr(url_.rfind(':') + 1)));
 }
 
 std::string Pipeline::log() const {

@@ -34,6 +34,8 @@ class Pipeline {
   /// whole way from engine to viewer and back works.
   [[nodiscard]] bool wait_for_picture(double ssim);
 
+  [[nodiscard]] std::uint16_t gateway_port() const;
+
   /// What the services said, for the message of a test that failed.
   [[nodiscard]] std::string log() const;
 
@@ -42,6 +44,7 @@ class Pipeline {
   std::shared_ptr<bus::Context> context_;
   PipelineWatch watch_;
   ProbeRounds probes_;
+  std::string url_;
   SupervisedRun run_;
 };
 

@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "command.h"
-#include "gaussians/model.h"
+#include "splats/file.h"
 
 namespace splatbus::cli {
 namespace {
@@ -122,7 +122,7 @@ TEST_F(RunningPipeline, ExportWritesAModelThatCanBeRead) {
   const std::string path = *pipeline_->address().directory + "/model.ply";
   const Answer answer = splatbus_command({"export", path, "--json", "--bus", bus_});
   ASSERT_TRUE(answer.status.success());
-  const GaussiansBuffer model = read_ply(path);
+  const GaussiansBuffer model = splats::read_file(path).gaussians;
   EXPECT_EQ(answer.json().front()["gaussians"], model.count());
   EXPECT_GT(model.count(), 500U);
   const Answer bad = splatbus_command({"export", "/nonexistent/model.ply", "--bus", bus_});

@@ -4,6 +4,7 @@
 #include <csignal>
 #include <string>
 
+#include "../unit/services/gateway/wire_client.h"
 #include "pipeline.h"
 
 namespace splatbus::cli {
@@ -22,10 +23,10 @@ TEST(Restart, AnyServiceKilledComesBackAndThePictureGoesOn) {
   Pipeline pipeline;
   ASSERT_TRUE(pipeline.wait_for_picture(kSsim)) << pipeline.log();
   for (const std::string victim :
-       {"viewer", "streamer", "relight", "expander", "engine", "capture-bridge", "trainer", "bus"}) {
+       {"viewer", "streamer", "relight", "expander", "engine", "capture-bridge", "trainer", "gateway", "bus"}) {
     SCOPED_TRACE(victim);
     const auto before = pipeline.pids();
-    ASSERT_EQ(before.size(), 8U);
+    ASSERT_EQ(before.size(), 9U);
     const std::uint64_t gaussians = pipeline.state().trainer.gaussians;
     const std::uint64_t trainer_epoch = pipeline.state().trainer.epoch;
     const bool viewer_is_watched = victim == "trainer" || victim == "streamer" || victim == "engine";
@@ -53,6 +54,9 @@ TEST(Restart, AnyServiceKilledComesBackAndThePictureGoesOn) {
       EXPECT_TRUE(pipeline.wait_until([&] { return viewer_counter(pipeline, "frames") > frames; }))
           << "the viewer draws no more";
     }
+    EXPECT_TRUE(pipeline.wait_until([&] {
+      return gateway_test::get(pipeline.gateway_port(), "/healthz").status == 200;
+    })) << pipeline.log();
     // Its own words, not those of the process before.
     ASSERT_TRUE(pipeline.wait_until([&] {
       const auto& trainer = pipeline.state().trainer;

@@ -25,9 +25,7 @@ struct AdamSink {
   /// Of channel 0: the first moment. The second one of a channel lies `second()` behind its first.
   [[nodiscard]] __device__ float* moments(int i) const {
     const auto index = static_cast<std::uint32_t>(i);
-    return state.blocks +
-           (index >> kPageShift) * static_cast<std::size_t>((2 * state.channels + OptimizerState::kCounters) * kLanes) +
-           (index & (kPageLanes - 1));
+    return state.blocks[index >> kPageShift] + (index & (kPageLanes - 1));
   }
   [[nodiscard]] __device__ int second() const { return state.channels * kLanes; }
 

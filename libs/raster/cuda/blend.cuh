@@ -4,6 +4,7 @@
 
 #include "raster/cuda/footprint.cuh"
 #include "raster/cuda/kernels.h"
+#include "raster/cuda/range_lanes.cuh"
 
 namespace splatbus::raster::cuda {
 
@@ -63,9 +64,9 @@ template <bool kExtra, bool kPositions = false>
 struct Staged {
   float4 shape[kLanes];               // x, y, log2_alpha, uxx
   float4 rest[kLanes];                // uxy, uyy, red, green
-  float2 tail[kLanes];                // blue; the Gaussian's number, as bits
+  float2 tail[kLanes];                // blue; the row, as bits
   float4 extra[kExtra ? kLanes : 1];  // albedo, depth
-  std::uint32_t queue[256];           // a ring of Gaussians that reach the patch
+  std::uint32_t queue[256];           // a ring of rows that reach the patch
   std::uint32_t positions[kPositions ? 256 : 1];
 };
 
@@ -78,9 +79,10 @@ class PatchStream {
   __device__ PatchStream(const DeviceGaussians& gaussians, const WorkspaceView& w, const Pixel& pixel,
                          Staged<kAlbedo || kDepth, kPositions>& staged, std::uint32_t begin = 0)
       : entries_(reinterpret_cast<const uint4*>(w.flatten_ids[1])),
-        shapes_(w.projected_shape + 2 * static_cast<std::size_t>(pixel.view) * w.count),
-        tails_(w.projected_tail + static_cast<std::size_t>(pixel.view) * w.count),
+        shapes_(w.projected_shape + 2 * static_cast<std::size_t>(pixel.view) * w.rows),
+        tails_(w.projected_tail + static_cast<std::size_t>(pixel.view) * w.rows),
         parameters_(parameters_of(gaussians)),
+        listed_(w.listed),
         staged_(staged),
         bit_(1U << (kPatchShift + pixel.patch)),
         lane_(threadIdx.x & (kLanes - 1)) {
@@ -101,7 +103,7 @@ class PatchStream {
     if (lane_ < count) {
       staged_.shape[lane_] = shape_;
       staged_.rest[lane_] = rest_;
-      staged_.tail[lane_] = make_float2(blue_, __uint_as_float(gaussian_));
+      staged_.tail[lane_] = make_float2(blue_, __uint_as_float(row_));
       if constexpr (kAlbedo && kDepth) staged_.extra[lane_] = make_float4(a_[0], a_[1], a_[2], z_[0]);
       if constexpr (kAlbedo && !kDepth) staged_.extra[lane_] = make_float4(a_[0], a_[1], a_[2], 0.0F);
       if constexpr (!kAlbedo && kDepth) staged_.extra[lane_].w = z_[0];
@@ -113,6 +115,8 @@ class PatchStream {
 
   /// Where the entry of the first staged Gaussian is.
   [[nodiscard]] __device__ std::uint32_t position() const { return position_; }
+  /// Where that of the first one is that is not staged yet; behind all, where there is none.
+  [[nodiscard]] __device__ std::uint32_t next_position() const { return fetched_ > 0 ? fetched_position_ : end_; }
 
  private:
   __device__ void load() {
@@ -140,7 +144,7 @@ class PatchStream {
     for (int k = 0; k < 4; ++k) {
       if (!hit[k]) continue;
       if constexpr (kPositions) staged_.positions[slot % 256] = at + k;
-      staged_.queue[slot++ % 256] = entries[k] & kGaussianMask;
+      staged_.queue[slot++ % 256] = entries[k] & kRowMask;
     }
   }
 
@@ -151,20 +155,21 @@ class PatchStream {
     fetched_ = min(queued_, kLanes);
     if constexpr (kPositions) fetched_position_ = staged_.positions[head_ % 256];
     if (lane_ < fetched_) {
-      gaussian_ = staged_.queue[(head_ + lane_) % 256];
-      shape_ = shapes_[2 * static_cast<std::size_t>(gaussian_)];
-      rest_ = shapes_[2 * static_cast<std::size_t>(gaussian_) + 1];
+      row_ = staged_.queue[(head_ + lane_) % 256];
+      shape_ = shapes_[2 * static_cast<std::size_t>(row_)];
+      rest_ = shapes_[2 * static_cast<std::size_t>(row_) + 1];
       if constexpr (kDepth) {
-        const float2 tail = tails_[gaussian_];
+        const float2 tail = tails_[row_];
         blue_ = tail.x;
         z_[0] = tail.y;
       } else {
-        blue_ = tails_[gaussian_].x;
+        blue_ = tails_[row_].x;
       }
       if constexpr (kAlbedo) {
         // Of those that are not to be seen it may not be finite.
         const bool seen = shape_.z > -INFINITY;
-        for (int c = 0; c < 3; ++c) a_[c] = seen ? parameters_(ParameterLayout::kAlbedo + c, gaussian_) : 0.0F;
+        const auto index = static_cast<int>(index_of_row(listed_, row_));
+        for (int c = 0; c < 3; ++c) a_[c] = seen ? parameters_(ParameterLayout::kAlbedo + c, index) : 0.0F;
       }
     }
     head_ += fetched_;
@@ -175,8 +180,9 @@ class PatchStream {
   const float4* __restrict__ shapes_;
   const float2* __restrict__ tails_;
   Channels<float> parameters_;
+  const ListedRange* listed_;
   Staged<kAlbedo || kDepth, kPositions>& staged_;
-  std::uint32_t bit_, at_, first_, end_, gaussian_, head_ = 0, position_ = 0, fetched_position_ = 0;
+  std::uint32_t bit_, at_, first_, end_, row_, head_ = 0, position_ = 0, fetched_position_ = 0;
   int lane_, queued_ = 0, fetched_ = 0;
   uint4 next_;
   float4 shape_, rest_;
@@ -187,6 +193,16 @@ __device__ inline float exp2_approximate(float x) {
   float y;
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
+}
+
+/// Of a frozen range, as its shape says.
+__device__ inline bool is_resting(const float4& shape) {
+  return signbit(shape.w);
+}
+
+/// Ranges or intersections of the step are missing: it is to change nothing.
+__device__ inline bool is_incomplete(const WorkspaceView& w) {
+  return w.counts->isects > w.isect_capacity || w.counts->seen > w.list_capacity;
 }
 
 /// log2 of a Gaussian's alpha at a pixel; the same operations forward and backward, so that both blend the same.

@@ -17,7 +17,6 @@ struct alignas(16) Columns {
   float2 values[kColumns]
                [kLanes];    // bits of (s as two bfloat16, weight as tf32); odd columns have pixel bit 3 inverted
   float2 center[kColumns];  // of the Gaussian, from the patch's centre
-  std::uint32_t gaussian[kColumns];
 };
 static_assert(sizeof(Columns::values) >= kColumns * 17 * sizeof(float));
 
@@ -96,7 +95,7 @@ struct Factors {
 /// Whose column lane / 4 is.
 struct Owner {
   float x, y;  // centre, pixels from the patch's centre
-  std::uint32_t gaussian;
+  std::uint32_t row;
 };
 
 /// Sums the first `count` columns and adds them to their projected Gaussians.
@@ -127,7 +126,7 @@ __device__ void flush(Columns& columns, int count, const Owner& c, const Factors
   __syncwarp();
   if (column < count) {
     const float* m = sums + column * kStride;
-    const std::size_t at = static_cast<std::size_t>(view) * w.count + c.gaussian;
+    const std::size_t at = static_cast<std::size_t>(view) * w.rows + c.row;
     float4 out;
     if (quad == 0) {
       const float s_x = m[1] - c.x * m[0], s_y = m[2] - c.y * m[0];
@@ -248,6 +247,7 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
       }
       if constexpr (kDepth) along += g[kDepthPlane] * staged.extra[j].w;
       rest_of_total -= weight * along;
+      if (is_resting(shape)) continue;
       const bool moves = taken && unclamped <= kAlphaMax;
       const float s = moves ? weight * along - alpha * rest_of_total * reciprocal(1.0F - alpha) : 0.0F;
       columns.values[column][lane ^ ((column & 1) << 3)] =
@@ -267,11 +267,12 @@ __device__ void blend_segment(const DeviceGaussians& gaussians, const WorkspaceV
 template <bool kAlbedo, bool kDepth>
 __global__ void __launch_bounds__(kBlendThreads, 6) blend_backward_kernel(DeviceGaussians gaussians, WorkspaceView w) {
   __shared__ Scratch<kAlbedo || kDepth> scratch[kBlendWarps];
-  if (w.counts->isects > w.isect_capacity) return;
+  if (is_incomplete(w)) return;
   const std::uint32_t patches = w.tiles_x * w.tiles_y * w.batch * kPatches;
   const std::uint32_t count = patches + min(w.counts->segments, w.segment_capacity);
   const unsigned warp = threadIdx.x / kLanes;
   for (std::uint32_t k = blockIdx.x * kBlendWarps + warp; k < count; k += gridDim.x * kBlendWarps) {
+    if (w.segment_trains != nullptr && w.segment_trains[k] == 0) continue;
     blend_segment<kAlbedo, kDepth>(gaussians, w, start_of<kAlbedo, kDepth>(w, k, patches), scratch[warp]);
     __syncwarp();
   }

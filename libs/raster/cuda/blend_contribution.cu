@@ -21,7 +21,8 @@ __global__ void __launch_bounds__(kBlendThreads)
       // Floats that are not negative order as their bits do.
       const unsigned largest = __reduce_max_sync(kAllLanes, __float_as_uint(weight));
       if (largest != 0 && threadIdx.x % kLanes == 0) {
-        atomicMax(reinterpret_cast<unsigned*>(contribution) + __float_as_uint(staged.tail[j].y), largest);
+        const std::uint32_t index = index_of_row(w.listed, __float_as_uint(staged.tail[j].y));
+        atomicMax(reinterpret_cast<unsigned*>(contribution) + index, largest);
       }
     }
     if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;

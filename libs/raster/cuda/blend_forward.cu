@@ -3,18 +3,26 @@
 namespace splatbus::raster::cuda {
 namespace {
 
-/// Notes where a patch's next segment begins, and the pixels' state before it.
+/// Notes where a patch's next segment begins, and the pixels' state before it, and returns which one it is.
 template <bool kExtra>
-__device__ void begin_segment(const WorkspaceView& w, const Pixel& pixel, std::uint32_t position, float4 color,
-                              float4 extra) {
+__device__ std::uint32_t begin_segment(const WorkspaceView& w, const Pixel& pixel, std::uint32_t position, float4 color,
+                                       float4 extra) {
   const int lane = threadIdx.x & (kLanes - 1);
   std::uint32_t slot = 0;
   if (lane == 0) slot = atomicAdd(&w.counts->segments, 1U);
   slot = __shfl_sync(kAllLanes, slot, 0);
-  if (slot >= w.segment_capacity) return;
+  if (slot >= w.segment_capacity) return slot;
   if (lane == 0) w.segments[slot] = make_uint2(static_cast<unsigned>(kPatches * pixel.tile + pixel.patch), position);
   w.segment_color[kLanes * static_cast<std::size_t>(slot) + lane] = color;
   if constexpr (kExtra) w.segment_extra[kLanes * static_cast<std::size_t>(slot) + lane] = extra;
+  return slot;
+}
+
+/// `segment`: of the patches' first ones and those behind them.
+__device__ void end_segment(const WorkspaceView& w, std::uint32_t segment, bool trains) {
+  const auto patches = static_cast<std::uint32_t>(w.tiles_x * w.tiles_y * w.batch * kPatches);
+  if (w.segment_trains == nullptr || (threadIdx.x & (kLanes - 1)) != 0) return;
+  if (segment < patches + w.segment_capacity) w.segment_trains[segment] = trains ? 1 : 0;
 }
 
 template <bool kAlbedo, bool kDepth, bool kSegments>
@@ -25,15 +33,23 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
   const Pixel pixel = locate(w);
   PatchStream<kAlbedo, kDepth, kSegments> stream(gaussians, w, pixel, staged);
   int group = 0;
+  const auto patch = static_cast<std::uint32_t>(kPatches * pixel.tile + pixel.patch);
+  std::uint32_t segment = patch;
+  bool trains = false;
   float transmittance = pixel.inside ? 1.0F : 0.0F, red = 0.0F, green = 0.0F, blue = 0.0F;
   float albedo[3] = {0.0F, 0.0F, 0.0F}, depth = 0.0F;
   for (int count = stream.advance(); count > 0; count = stream.advance()) {
     if constexpr (kSegments) {
       if (group > 0 && group % kSegmentGroups == 0) {
-        begin_segment<kExtra>(w, pixel, stream.position(), make_float4(transmittance, red, green, blue),
-                              make_float4(albedo[0], albedo[1], albedo[2], depth));
+        end_segment(w, segment, trains);
+        trains = false;
+        segment = w.tiles_x * w.tiles_y * w.batch * kPatches +
+                  begin_segment<kExtra>(w, pixel, stream.position(), make_float4(transmittance, red, green, blue),
+                                        make_float4(albedo[0], albedo[1], albedo[2], depth));
       }
       ++group;
+      const int lane = threadIdx.x & (kLanes - 1);
+      trains = __any_sync(kAllLanes, lane < count && !is_resting(staged.shape[lane])) || trains;
     }
 #pragma unroll 4
     for (int j = 0; j < count; ++j) {
@@ -55,6 +71,10 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
       if constexpr (kDepth) depth += weight * staged.extra[j].w;
     }
     if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;
+  }
+  if constexpr (kSegments) {
+    end_segment(w, segment, trains);
+    if (w.patch_end != nullptr && (threadIdx.x & (kLanes - 1)) == 0) w.patch_end[patch] = stream.next_position();
   }
   if (!pixel.inside) return;
   const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;

@@ -6,11 +6,11 @@ namespace {
 constexpr int kThreads = 256, kPixelsEach = 4;
 
 __global__ void __launch_bounds__(kThreads)
-    depth_loss_kernel(WorkspaceView w, const float* const* targets, const std::uint8_t* const* masks, float weight) {
+    depth_loss_kernel(WorkspaceView w, const float* const* targets, ViewMasks masks, float weight) {
   const int view = blockIdx.y;
   const float* target = targets[view];
-  const std::uint8_t* mask = masks == nullptr ? nullptr : masks[view];
   const auto pixels = static_cast<std::size_t>(w.width) * w.height;
+  const std::uint8_t* mask = masks.of(view, pixels);
   const std::size_t plane = view * pixels;
   float loss = 0.0F;
 #pragma unroll
@@ -40,7 +40,7 @@ __global__ void __launch_bounds__(kThreads)
 
 }  // namespace
 
-void launch_depth_loss(const float* const* targets, const std::uint8_t* const* masks, const WorkspaceView& workspace,
+void launch_depth_loss(const float* const* targets, const ViewMasks& masks, const WorkspaceView& workspace,
                        float weight, cudaStream_t stream) {
   const auto pixels = static_cast<std::size_t>(workspace.width) * static_cast<std::size_t>(workspace.height);
   constexpr std::size_t kEach = std::size_t{kThreads} * kPixelsEach;

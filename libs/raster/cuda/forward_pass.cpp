@@ -27,6 +27,7 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
                            .width = static_cast<int>(camera.width),
                            .height = static_cast<int>(camera.height),
                            .range_count = gaussians.range_count,
+                           .list_capacity = list_capacity_,
                            .object_count = tables.object_count,
                            .source_room = tables.source_room,
                            .object_slots = gaussians.object_id != nullptr,
@@ -41,15 +42,20 @@ void ForwardPass::draw(const DeviceGaussians& gaussians, const Camera& camera, c
     copy_tables(tables, gaussians, w);
     launch_clear_counts(w, stream());
     launch_project(gaussians, w, project_, stream());
-    std::uint32_t isects = 0;
-    check(cudaMemcpyAsync(&isects, &w.counts->isects, sizeof(isects), cudaMemcpyDeviceToHost, stream()),
+    StepCounts counts{};
+    check(cudaMemcpyAsync(&counts, w.counts, sizeof(counts), cudaMemcpyDeviceToHost, stream()),
           "reading the number of intersections");
     stream_.wait();
-    if (isects <= w.isect_capacity) break;
-    if (isects > kMaxIsects) throw std::runtime_error("rasterizer: Gaussians meet more tiles than can be sorted");
-    request.isect_capacity = std::min(isects + isects / 4, kMaxIsects);
+    if (counts.isects <= w.isect_capacity && counts.seen <= w.list_capacity) break;
+    if (counts.isects > kMaxIsects)
+      throw std::runtime_error("rasterizer: Gaussians meet more tiles than can be sorted");
+    if (counts.seen > w.list_capacity) request.list_capacity = counts.seen + counts.seen / 4;
+    if (counts.isects > w.isect_capacity) {
+      request.isect_capacity = std::min(counts.isects + counts.isects / 4, kMaxIsects);
+    }
   }
   isect_capacity_ = request.isect_capacity;
+  list_capacity_ = request.list_capacity;
   launch_sort(workspace_.view(), stream());
   launch_blend_forward(gaussians, workspace_.view(), stream());
   stream_.wait();

@@ -34,7 +34,7 @@ class ForwardPass {
   device::Stream stream_;
   Workspace workspace_;
   ProjectOptions project_;
-  std::uint32_t isect_capacity_ = 1U << 16U;
+  std::uint32_t isect_capacity_ = 1U << 16U, list_capacity_ = 64;
 };
 
 }  // namespace splatbus::raster::cuda

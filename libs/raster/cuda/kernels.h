@@ -59,9 +59,26 @@ void launch_contribution(const DeviceGaussians& gaussians, const WorkspaceView& 
 /// intersections are missing, so that a step whose lists did not fit changes no Gaussian.
 void launch_blend_backward(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream);
 
+/// Of a step's views, as in raster::LossOptions.
+struct ViewMasks {
+  const std::uint8_t* const* of_views = nullptr;  ///< device array of [h][w] each, or null; null: none has any
+  const std::uint8_t* plane = nullptr;            ///< [batch][h][w], which counts instead
+
+  /// Null: nothing is masked.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER const std::uint8_t* of(int view, std::size_t pixels) const {
+    if (plane != nullptr) return plane + static_cast<std::size_t>(view) * pixels;
+    return of_views == nullptr ? nullptr : of_views[view];
+  }
+};
+
+/// Makes workspace.mask of the views' own `masks`, as in ViewMasks, and of what nothing models yet
+/// (raster/unmodelled.h, with `opacity`), and counts the latter in counts->masked. `depths`: device array of [h][w]
+/// each, or null for a view that has none. Behind launch_blend_forward().
+void launch_mask_unmodelled(const float* const* depths, const std::uint8_t* const* masks, float opacity,
+                            const WorkspaceView& workspace, cudaStream_t stream);
+
 struct LossKernelOptions {
-  /// Device array of a view's mask each, [h][w], as in raster::LossOptions, or null; null: none has any.
-  const std::uint8_t* const* masks = nullptr;
+  ViewMasks masks;
   float ssim_weight = 0.2F;
   float weight = 1.0F;  ///< of this picture in the step, divided by the batch by the caller
   bool encode_srgb = true;
@@ -75,10 +92,26 @@ void launch_loss(const float* rendered, const std::uint8_t* const* targets, floa
 
 /// `weight` * |depth - alpha * reference| summed over the pixels that have a surface, where the reference, metres, is
 /// above 0: linear in depth and alpha, and 0 only where what is blended balances about the surface. `targets` is a
-/// device array of `batch` pointers to [h][w], `masks` as in LossKernelOptions: what it masks has no surface. Writes
+/// device array of `batch` pointers to [h][w]; what `masks` masks has no surface. Writes
 /// depth_gradient and alpha_gradient, adds to loss. A view whose pointer is null has no loss and gradients of zero.
-void launch_depth_loss(const float* const* targets, const std::uint8_t* const* masks, const WorkspaceView& workspace,
+void launch_depth_loss(const float* const* targets, const ViewMasks& masks, const WorkspaceView& workspace,
                        float weight, cudaStream_t stream);
+
+/// What a view shows of a page, as raster::PageLook has it, with the errors' sum.
+struct PageSums {
+  std::uint32_t pairs;
+  float error;
+};
+/// Display-space pictures that views should show, a device array of u8 RGBA each or null, and what of them counts.
+struct LookPictures {
+  const std::uint8_t* const* targets = nullptr;
+  ViewMasks masks;
+  bool encode_srgb = true;
+};
+/// Sums of what each view of the last training forward pass shows of pages, [batch][pages]; tiles are of kTileSize
+/// pixels. A view whose target is null shows nothing.
+void launch_page_looks(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const LookPictures& pictures,
+                       PageSums* sums, int pages, cudaStream_t stream);
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;
@@ -90,11 +123,11 @@ struct AdamOptions {
   const float* loss_limits = nullptr;
 };
 
-/// Adam's state in blocks of kPageLanes indices, one behind the other: [2 channels + kCounters][kPageLanes], first
+/// Adam's state in a block for each page of kPageLanes indices that trains: [2 channels + kCounters][kPageLanes], first
 /// moments, second moments, steps as integers, LearningAge's two.
 struct OptimizerState {
   static constexpr int kCounters = 3;
-  float* blocks = nullptr;
+  float* const* blocks = nullptr;  ///< of each page; null for one that is frozen
   int channels = 0;
 };
 

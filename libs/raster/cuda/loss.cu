@@ -1,4 +1,5 @@
 #include "raster/cuda/kernels.h"
+#include "raster/cuda/srgb.cuh"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -14,18 +15,9 @@ constexpr float kC1 = 0.01F * 0.01F, kC2 = 0.03F * 0.03F;
 __constant__ float kWindow[kTaps] = {0.00102838F, 0.00759876F, 0.03600077F, 0.10936069F, 0.21300554F, 0.26601172F,
                                      0.21300554F, 0.10936069F, 0.03600077F, 0.00759876F, 0.00102838F};
 
-__device__ inline float srgb_from_linear(float v) {
-  v = fminf(fmaxf(v, 0.0F), 1.0F);
-  return v <= 0.0031308F ? 12.92F * v : 1.055F * __powf(v, 1.0F / 2.4F) - 0.055F;
-}
-
 __device__ inline float srgb_slope(float v) {
   v = fminf(fmaxf(v, 0.0F), 1.0F);
   return v <= 0.0031308F ? 12.92F : (1.055F / 2.4F) * __powf(v, 1.0F / 2.4F - 1.0F);
-}
-
-__device__ inline float display(float value, bool encode) {
-  return encode ? srgb_from_linear(value) : value;
 }
 
 struct LossPicture {
@@ -41,8 +33,8 @@ struct Place {
 };
 
 /// Of a view; null: it has none.
-__device__ inline const std::uint8_t* mask_of(const LossPicture& picture, int view) {
-  return picture.options.masks == nullptr ? nullptr : picture.options.masks[view];
+__device__ inline const std::uint8_t* mask_of(const LossPicture& picture, const WorkspaceView& w, int view) {
+  return picture.options.masks.of(view, static_cast<std::size_t>(w.width) * w.height);
 }
 
 __device__ inline Place place(const WorkspaceView& w) {
@@ -109,7 +101,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) ssim_kernel(WorkspaceView w, 
   const int t = threadIdx.x;
   const std::uint8_t* target = picture.targets[p.view];
   if (target == nullptr) return;
-  const std::uint8_t* const mask = mask_of(picture, p.view);
+  const std::uint8_t* const mask = mask_of(picture, w, p.view);
   if (t == 0) block_loss = 0.0F;
   for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
     const int ly = k / kHaloX, lx = k - ly * kHaloX;
@@ -179,7 +171,7 @@ __global__ void __launch_bounds__(kLossThreads, 4) loss_gradient_kernel(Workspac
   const int t = threadIdx.x;
   const std::uint8_t* target = picture.targets[p.view];
   if (target == nullptr) return clear_gradient(w, picture, p);
-  const std::uint8_t* const mask = mask_of(picture, p.view);
+  const std::uint8_t* const mask = mask_of(picture, w, p.view);
   const std::size_t planes = static_cast<std::size_t>(3) * w.batch * w.width * w.height;
   for (int k = t; k < kHaloX * kHaloY; k += kLossThreads) {
     const int ly = k / kHaloX, lx = k - ly * kHaloX;

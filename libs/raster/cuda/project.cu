@@ -115,7 +115,7 @@ __device__ bool shade(const DeviceGaussians& gaussians, int i, const float3 mean
 }
 
 /// Appends the intersections of a warp's Gaussians with the tiles of one view; true for those that have any.
-__device__ bool emit(const Footprint& footprint, bool visible, int i, int b, float depth, const WorkspaceView& w) {
+__device__ bool emit(const Footprint& footprint, bool visible, int row, int b, float depth, const WorkspaceView& w) {
   const int tiles = w.tiles_x * w.tiles_y, lane = threadIdx.x & 31;
   std::uint32_t count = 0;
   if (visible) count = footprint.for_each_tile(w, [](int, std::uint32_t) {});
@@ -133,7 +133,7 @@ __device__ bool emit(const Footprint& footprint, bool visible, int i, int b, flo
   footprint.for_each_tile(w, [&](int tile, std::uint32_t patches) {
     if (at < w.isect_capacity) {
       w.isect_ids[0][at] = key.of(b * tiles + tile, depth, w.views[b].near_m);
-      w.flatten_ids[0][at] = static_cast<std::uint32_t>(i) | patches << kPatchShift;
+      w.flatten_ids[0][at] = static_cast<std::uint32_t>(row) | patches << kPatchShift;
     }
     ++at;
   });
@@ -148,6 +148,7 @@ __global__ void __launch_bounds__(kThreads, kSources ? 4 : 6)
   if (!lane.find(w)) return;
   const int i = lane.i;
   const bool present = lane.present();
+  const float sign = lane.frozen ? -1.0F : 1.0F;
   GaussianGeometry g;
   float opacity = 0.0F;
   if (present) {
@@ -156,7 +157,7 @@ __global__ void __launch_bounds__(kThreads, kSources ? 4 : 6)
   }
   for (int b = 0; b < w.batch; ++b) {
     if (!lane.seen_by(b)) continue;
-    const std::size_t at = static_cast<std::size_t>(b) * w.count + i;
+    const std::size_t at = static_cast<std::size_t>(b) * w.rows + lane.row;
     const ObjectView& object = w.object_views[b * w.object_count + lane.slot()];
     float depth = 0.0F;
     bool visible = false;
@@ -166,10 +167,10 @@ __global__ void __launch_bounds__(kThreads, kSources ? 4 : 6)
       if (visible) depth = seen.p.view.z;
       Footprint footprint;
       visible = visible && footprint.set(seen.x, seen.y, seen.p, seen.conic, seen.log2_alpha, w);
-      visible = emit(footprint, visible, i, b, depth, w);
+      visible = emit(footprint, visible, lane.row, b, depth, w);
       if (visible) {
-        w.projected_shape[2 * at] = make_float4(seen.x, seen.y, seen.log2_alpha, seen.conic.uxx);
-        *reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1) = make_float2(seen.conic.uxy, seen.conic.uyy);
+        w.projected_shape[2 * at] = make_float4(seen.x, seen.y, seen.log2_alpha, sign * seen.conic.uxx);
+        *reinterpret_cast<float2*>(w.projected_shape + 2 * at + 1) = make_float2(sign * seen.conic.uxy, seen.conic.uyy);
       }
     }
     float3 color;
@@ -179,7 +180,7 @@ __global__ void __launch_bounds__(kThreads, kSources ? 4 : 6)
       w.projected_tail[at] = make_float2(clamp_color(color.z), depth);
     } else if (visible) {
       // It meets a tile, but is not to be seen: what is blended with a weight of 0 must be finite, too.
-      w.projected_shape[2 * at] = make_float4(0.0F, 0.0F, -INFINITY, 0.0F);
+      w.projected_shape[2 * at] = make_float4(0.0F, 0.0F, -INFINITY, sign * 0.0F);
       w.projected_shape[2 * at + 1] = make_float4(0.0F, 0.0F, 0.0F, 0.0F);
       w.projected_tail[at] = make_float2(0.0F, 0.0F);
     }

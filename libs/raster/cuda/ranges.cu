@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cub/block/block_reduce.cuh>
 #include <cub/block/block_scan.cuh>
 
@@ -59,26 +60,31 @@ __global__ void __launch_bounds__(kTestThreads)
   w.range_marks[k] = static_cast<std::uint32_t>(slot) << 16 | views;
 }
 
-/// One block, so that the list keeps the ranges' order.
+/// One block, so that the list keeps the ranges' order: a thread takes neighbours.
 __global__ void __launch_bounds__(kListThreads) list_ranges_kernel(DeviceGaussians gaussians, WorkspaceView w) {
   using Scan = cub::BlockScan<std::uint32_t, kListThreads>;
   __shared__ typename Scan::TempStorage scratch;
-  std::uint32_t listed = 0;
-  for (int begin = 0; begin < gaussians.range_count; begin += kListThreads) {
-    const int k = begin + static_cast<int>(threadIdx.x);
-    const std::uint32_t mark = k < gaussians.range_count ? w.range_marks[k] : 0;
-    const bool seen = (mark & 0xFFFFU) != 0;
-    std::uint32_t before = 0, all = 0;
-    Scan(scratch).ExclusiveSum(seen ? 1U : 0U, before, all);
-    __syncthreads();
-    if (seen) {
-      const IndexRange range = gaussians.ranges[k];
-      w.listed[listed + before] = {
-          .first = range.first, .count = range.count, .range = static_cast<std::uint32_t>(k), .mark = mark};
-    }
-    listed += all;
+  const int each = (gaussians.range_count + kListThreads - 1) / kListThreads;
+  const int begin = static_cast<int>(threadIdx.x) * each, end = min(gaussians.range_count, begin + each);
+  const auto shows = [](std::uint32_t mark) { return (mark & 0xFFFFU) != 0; };
+  std::uint32_t of_thread = 0, before = 0, all = 0;
+  for (int k = begin; k < end; ++k) of_thread += shows(w.range_marks[k]) ? 1 : 0;
+  Scan(scratch).ExclusiveSum(of_thread, before, all);
+  for (int k = begin; k < end; ++k) {
+    const std::uint32_t mark = w.range_marks[k];
+    if (!shows(mark)) continue;
+    const std::uint32_t at = before++;
+    if (at >= w.list_capacity) break;
+    const IndexRange range = gaussians.ranges[k];
+    w.listed[at] = {.first = range.first,
+                    .count = range.count,
+                    .frozen = range.frozen,
+                    .range = static_cast<std::uint32_t>(k),
+                    .mark = mark};
   }
-  if (threadIdx.x == 0) w.counts->listed = listed;
+  if (threadIdx.x != 0) return;
+  w.counts->seen = all;
+  w.counts->listed = min(all, w.list_capacity);
 }
 
 struct Union {
@@ -90,16 +96,17 @@ struct Union {
 };
 
 __global__ void __launch_bounds__(kBoundsThreads) bounds_kernel(DeviceGaussians gaussians, WorkspaceView w) {
+  using Reduce = cub::BlockReduce<PageBounds, kBoundsThreads>;
+  __shared__ typename Reduce::TempStorage scratch;
   if (blockIdx.x >= w.counts->listed) return;
   const ListedRange range = w.listed[blockIdx.x];
+  if (range.frozen != 0) return;
   PageBounds bounds;
   for (std::uint32_t k = threadIdx.x; k < range.count; k += kBoundsThreads) {
     const ChannelsOfOne<float> p = parameters_of(gaussians).of(static_cast<int>(range.first + k));
     constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
     include(bounds, {p[kMean], p[kMean + 1], p[kMean + 2]}, fmaxf(p[kScale], fmaxf(p[kScale + 1], p[kScale + 2])));
   }
-  using Reduce = cub::BlockReduce<PageBounds, kBoundsThreads>;
-  __shared__ typename Reduce::TempStorage scratch;
   bounds = Reduce(scratch).Reduce(bounds, Union());
   if (threadIdx.x == 0) gaussians.bounds[range.range] = bounds;
 }
@@ -117,7 +124,8 @@ void launch_list_ranges(const DeviceGaussians& gaussians, const WorkspaceView& w
 
 void launch_bounds(const DeviceGaussians& gaussians, const WorkspaceView& workspace, cudaStream_t stream) {
   if (gaussians.range_count == 0 || gaussians.bounds == nullptr) return;
-  bounds_kernel<<<static_cast<unsigned>(gaussians.range_count), kBoundsThreads, 0, stream>>>(gaussians, workspace);
+  const unsigned ranges = std::min(static_cast<unsigned>(gaussians.range_count), workspace.list_capacity);
+  bounds_kernel<<<ranges, kBoundsThreads, 0, stream>>>(gaussians, workspace);
   check(cudaGetLastError(), "bounds");
 }
 

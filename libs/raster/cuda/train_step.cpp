@@ -36,7 +36,7 @@ void TrainStep::invalidate_graphs() {
   for (auto& [size, batch] : batches_) batch.graph.invalidate();
 }
 
-void TrainStep::set_model(const DeviceGaussians& gaussians) {
+void TrainStep::set_model(const DeviceGaussians& gaussians, std::span<const IndexRange> ranges) {
   retire(true);
   repeats_.clear();
   batches_.clear();
@@ -44,23 +44,15 @@ void TrainStep::set_model(const DeviceGaussians& gaussians) {
   last_workspace_ = {};
   gaussians_ = gaussians;
   if (!options_.training) return;
-  adam_.reset(gaussians.layout, gaussians.count, stream());
+  adam_.reset(gaussians.layout, gaussians.count, ranges, stream());
   adam_.gather_statistics(options_.statistics, stream());
 }
 
-void TrainStep::follow_model(const DeviceGaussians& gaussians) {
+void TrainStep::follow_model(const DeviceGaussians& gaussians, const ModelChange& change) {
   if (gaussians.layout != gaussians_.layout) throw std::invalid_argument("TrainStep: a model keeps its layout");
-  if (options_.training) adam_.resize(gaussians.count, stream());
+  if (options_.training) adam_.follow(gaussians.count, change, options_.beta2, stream());
   const int count_before = std::exchange(gaussians_, gaussians).count;
   for (auto& [size, batch] : batches_) batch.model_changed(gaussians.count, count_before);
-}
-
-void TrainStep::move_columns(const std::uint32_t* from, const std::uint32_t* to, int count) {
-  adam_.move(from, to, count, stream());
-}
-
-void TrainStep::forget_columns(int first, int count) {
-  adam_.forget(first, count, stream());
 }
 
 void TrainStep::set_learning_rates(const std::vector<float>& rates) {
@@ -91,6 +83,9 @@ void TrainStep::step(std::span<const TrainView> views) {
   enqueue_repeats();
   std::vector<Part> parts = split(views);
   if (!parts.empty()) parts.back().ends_step = true;
+  const bool looks = options_.look_interval > 0 && --steps_to_look_ <= 0;
+  if (looks) steps_to_look_ = options_.look_interval;
+  for (Part& part : parts) part.looks = looks;
   for (Part& part : parts) launch(std::move(part));
 }
 
@@ -119,7 +114,7 @@ void TrainStep::launch(Part part) {
   const std::vector<float> limits = loss_limits(part.views);
   batch.set_views(part.views, limits, gaussians_.layout.appearance, stream());
   if (!batch.sized()) {
-    size_isects(batch);
+    size_lists(batch);
     batch.set_views(part.views, limits, gaussians_.layout.appearance, stream());
   }
   const WorkspaceView w = workspace_for(batch);
@@ -134,12 +129,15 @@ void TrainStep::launch(Part part) {
     enqueue_forward(batch, w);
   }
   const std::size_t slot = launched_++ % done_.size();
+  if (part.looks) look_at_pages(batch, w, slot);
+  part.pages = part.looks ? page_count() : 0;
   check(cudaMemcpyAsync(host_counts_.data() + slot, w.counts, sizeof(StepCounts), cudaMemcpyDeviceToHost, stream()),
         "reading a step's figures");
   check(cudaEventRecord(done_[slot], stream()), "recording an event");
   if (in_flight_.empty()) busy_since_ = Clock::now();
   part.batch = &batch;
-  part.isect_capacity = batch.isect_capacity();
+  part.isect_capacity = w.isect_capacity;
+  part.list_capacity = w.list_capacity;
   last_views_ = part.views;
   last_workspace_ = w;
   in_flight_.push_back(std::move(part));
@@ -176,25 +174,45 @@ bool TrainStep::retire_one(bool wait) {
   in_flight_.pop_front();
   ++retired_;
   const StepCounts& counts = host_counts_[slot];
-  part.batch->note_isects(counts.isects);
+  part.batch->note_lists(counts.isects, counts.seen);
   if (!part.training) return true;
-  if (counts.isects > part.isect_capacity) {
+  if (counts.isects > part.isect_capacity || counts.seen > part.list_capacity) {
     repeats_.push_back(std::move(part));
     return true;
   }
+  report(part, slot);
+  return true;
+}
+
+void TrainStep::report(const Part& part, std::size_t slot) {
+  const StepCounts& counts = host_counts_[slot];
   const std::size_t views = part.views.size();
   for (std::size_t k = 0; k < views; ++k) {
-    loss_history_.add(part.views[k].view.camera, counts.loss[k] * static_cast<float>(views));
+    // A step's losses are each view's part of their mean.
+    const float own_loss = counts.loss[k] * static_cast<float>(views);
+    loss_history_.add(part.views[k].view.camera, own_loss);
+    Look look{.keep = part.views[k].keep, .loss = own_loss, .looked = part.looks, .pages = {}};
+    const PageSums* const sums = host_sums_.data() + slot * look_room_ + k * part.pages;
+    for (std::size_t page = 0; page < part.pages; ++page) {
+      if (sums[page].pairs == 0) continue;
+      look.pages.push_back({.page = static_cast<std::uint32_t>(page),
+                            .pairs = sums[page].pairs,
+                            .error = static_cast<double>(sums[page].error) / sums[page].pairs});
+    }
+    report_.looks.push_back(std::move(look));
   }
-  const double loss = std::accumulate(counts.loss, counts.loss + views, 0.0);
-  const std::size_t all = report_.views + views;
-  report_.loss = (report_.loss * static_cast<double>(report_.views) + loss * static_cast<double>(views)) /
-                 static_cast<double>(all);
-  report_.views = all;
+  const auto before = static_cast<double>(report_.views), here = static_cast<double>(views);
+  const auto mean = [&](double sum_before, double value) {
+    return (sum_before * before + value * here) / (before + here);
+  };
+  const Camera& camera = part.views.front().view.camera;
+  const double pixels = here * camera.width * camera.height;
+  report_.loss = mean(report_.loss, std::accumulate(counts.loss, counts.loss + views, 0.0));
+  report_.masked_share = mean(report_.masked_share, pixels > 0 ? counts.masked / pixels : 0);
+  report_.views += views;
   report_.steps += part.ends_step ? 1 : 0;
   const Clock::time_point now = Clock::now();
   report_.seconds += std::chrono::duration<double>(now - std::exchange(busy_since_, now)).count();
-  return true;
 }
 
 void TrainStep::retire(bool wait) {

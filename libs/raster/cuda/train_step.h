@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <deque>
 #include <map>
+#include <memory>
 #include <span>
 #include <tuple>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/view_batch.h"
 #include "raster/loss_history.h"
+#include "raster/rasterizer.h"
 
 namespace splatbus::raster::cuda {
 
@@ -31,7 +33,10 @@ struct TrainStepOptions {
   bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
   bool lr_recovery = false;  ///< rates rise again where the loss of a view (of one camera id) does
-  bool training = true;      ///< false: forward() only, and no memory for more; pictures may be null
+  /// Pixels of views with depth that nothing models yet count as masked (raster/unmodelled.h); 0: none.
+  float mask_opacity = 0;
+  int look_interval = 0;  ///< steps from one that says what its views show of pages to the next; 0: none does
+  bool training = true;   ///< false: forward() only, and no memory for more; pictures may be null
 };
 
 /// Render, loss, backward, Adam on device memory, without a host synchronisation inside a step. A few steps may be on
@@ -39,9 +44,9 @@ struct TrainStepOptions {
 /// Gaussians with tiles than there is room for changes nothing; the room grows as soon as that is known, and the step
 /// comes again.
 ///
-/// The arrays of a step grow with its pictures (64 bytes a pixel, 24 more with albedo, 12 with depth), with its
-/// intersections (24 bytes each, 16 more with albedo or depth) and with views times Gaussians (85 bytes). Pictures of
-/// all sizes take turns in them.
+/// The arrays of a step grow with its pictures (65 bytes a pixel, 24 more with albedo, 12 with depth), with its
+/// intersections (24 bytes each, 16 more with albedo or depth) and with views times Gaussians that any of them sees (85
+/// bytes; page by page). Pictures of all sizes take turns in them.
 ///
 /// One thread at a time. Throws std::runtime_error naming the CUDA error; what is here is of no use after that.
 class TrainStep {
@@ -53,16 +58,13 @@ class TrainStep {
 
   /// `training` stays as it was made.
   void set_options(const TrainStepOptions& options);
-  /// The model to train in place, device memory, object_id too (null: all static). Adam's moments begin anew.
-  void set_model(const DeviceGaussians& gaussians);
+  /// The model to train in place, device memory, object_id too (null: all static). Adam's moments begin anew. `ranges`:
+  /// as in ModelChange.
+  void set_model(const DeviceGaussians& gaussians, std::span<const IndexRange> ranges = {});
   /// The same model after a change of its structure, of the same layout, channels perhaps elsewhere and with another
-  /// stride. Columns below both counts keep their moments and statistics, others begin without.
-  void follow_model(const DeviceGaussians& gaussians);
-  /// Gaussians first, first + 1, ... begin without moments and statistics: where others were before them in a page.
-  void forget_columns(int first, int count);
-  /// Moves Adam's moments and the statistics as columns were moved, from[k] to to[k], before follow_model(): device
-  /// arrays, read by stream().
-  void move_columns(const std::uint32_t* from, const std::uint32_t* to, int count);
+  /// stride. Columns below both counts keep their moments and statistics, but for what the change says; others begin
+  /// without. Frozen ranges give their moments back. The change's device arrays are read by stream().
+  void follow_model(const DeviceGaussians& gaussians, const ModelChange& change = {});
   /// One rate a channel.
   void set_learning_rates(const std::vector<float>& rates);
 
@@ -73,11 +75,20 @@ class TrainStep {
   /// Only draws them. A picture for whose intersections there was no room is not complete.
   void forward(std::span<const TrainView> views);
 
+  /// What a step saw in one of its views.
+  struct Look {
+    std::shared_ptr<const void> keep;  ///< the view's
+    float loss = 0;
+    bool looked = false;          ///< at pages
+    std::vector<PageLook> pages;  ///< ascending; errors in display space
+  };
   /// Steps that came to their end.
   struct Report {
     std::size_t steps = 0, views = 0;
-    double loss = 0;     ///< mean over the views
-    double seconds = 0;  ///< in which they were on their way
+    double loss = 0;          ///< mean over the views
+    double masked_share = 0;  ///< of their pixels, by mask_opacity
+    double seconds = 0;       ///< in which they were on their way
+    std::vector<Look> looks;
   };
   /// Those since the last call; all there are, after waiting for them, with `wait`.
   [[nodiscard]] Report finished(bool wait);
@@ -94,6 +105,8 @@ class TrainStep {
   void clear_statistics() { adam_.clear_statistics(stream()); }
   [[nodiscard]] cudaStream_t stream() const { return stream_.get(); }
   [[nodiscard]] std::size_t bytes() const;  ///< device memory that it owns
+  /// Of Adam's moments, the part that pages have.
+  [[nodiscard]] std::size_t moment_bytes() const { return adam_.block_bytes(); }
 
   /// The stages of whole steps that are trained to this end, each between two events (median of `repeats`), for
   /// benchmarks. The views fit one launch.
@@ -109,22 +122,26 @@ class TrainStep {
   /// Views of one launch: a whole step, or one of several parts of it.
   struct Part {
     std::vector<TrainView> views;
-    bool training = true, ends_step = false;
+    bool training = true, ends_step = false, looks = false;
     ViewBatch* batch = nullptr;
-    std::uint32_t isect_capacity = 0;  // of its launch
+    std::uint32_t isect_capacity = 0, list_capacity = 0;  // of its launch
+    std::size_t pages = 0;                                // that it looks at
   };
 
   [[nodiscard]] static std::vector<Part> split(std::span<const TrainView> views);
   ViewBatch& batch_for(std::span<const TrainView> views);
   WorkspaceView workspace_for(ViewBatch& batch);
-  [[nodiscard]] int index_capacity();
-  void size_isects(ViewBatch& batch);
+  void size_lists(ViewBatch& batch);
   void invalidate_graphs();
 
   void enqueue_forward(const ViewBatch& batch, const WorkspaceView& w);
   void picture_loss(const float* rendered, const ViewBatch& batch, bool of_albedo, float* gradient,
                     const WorkspaceView& w);
   void losses(const ViewBatch& batch, const WorkspaceView& w);
+  [[nodiscard]] static ViewMasks masks_of(const ViewBatch& batch, const WorkspaceView& w);
+  void look_at_pages(const ViewBatch& batch, const WorkspaceView& w, std::size_t slot);
+  [[nodiscard]] std::size_t page_count() const;
+  void report(const Part& part, std::size_t slot);
   void update(const ViewBatch& batch, const WorkspaceView& w);
   /// Of a launch's views.
   [[nodiscard]] std::vector<float> loss_limits(std::span<const TrainView> views) const;
@@ -140,13 +157,17 @@ class TrainStep {
   AdamState adam_;
   device::Buffer<float> learning_rate_;
   Workspace workspace_;
-  int page_indices_ = 0;                                    // that there is room for, of a model in pages
   std::map<std::tuple<int, int, int>, ViewBatch> batches_;  // by width, height, views
 
   // Launches on their way, oldest first; what they leave for the host is in a ring.
   std::deque<Part> in_flight_;
   std::array<cudaEvent_t, ViewBatch::kStepsInFlight> done_{};
   device::Pinned<StepCounts> host_counts_{ViewBatch::kStepsInFlight};
+  // Of the pages that views show, [kStepsInFlight][look_room_] on the host: what they show.
+  device::Buffer<PageSums> sums_;
+  device::Pinned<PageSums> host_sums_;
+  std::size_t look_room_ = 0;
+  int steps_to_look_ = 0;
   std::size_t launched_ = 0, retired_ = 0;
   std::deque<Part> repeats_;  // for whose intersections there was no room
   LossHistory loss_history_;

@@ -31,10 +31,10 @@ struct GradientSink {
 struct Item {
   const DeviceGaussians& gaussians;
   const WorkspaceView& w;
-  int i, slot;
+  int i, row, slot;
   std::uint32_t views;  // bit b: blended into view b
 
-  [[nodiscard]] __device__ std::size_t projected(int b) const { return static_cast<std::size_t>(b) * w.count + i; }
+  [[nodiscard]] __device__ std::size_t projected(int b) const { return static_cast<std::size_t>(b) * w.rows + row; }
   [[nodiscard]] __device__ const ObjectView& object(int b) const { return w.object_views[b * w.object_count + slot]; }
   [[nodiscard]] __device__ const float* gradient(int b) const {
     return w.projected_gradient + projected(b) * kGradientFloats;
@@ -201,16 +201,16 @@ __global__ void __launch_bounds__(kThreads, 4)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual,
                   ScreenStatistics statistics) {
   Lane<kThreads> lane;
-  if (!lane.find(w) || !lane.present()) return;
+  if (!lane.find(w) || lane.frozen || !lane.present()) return;
   const int i = lane.i;
   std::uint32_t views = 0;
   for (int b = 0; b < w.batch; ++b) {
-    views |= static_cast<std::uint32_t>(w.projected_visible[static_cast<std::size_t>(b) * w.count + i]) << b;
+    views |= static_cast<std::uint32_t>(w.projected_visible[static_cast<std::size_t>(b) * w.rows + lane.row]) << b;
   }
   if (views == 0) return;
-  const Item item{gaussians, w, i, lane.slot(), views};
+  const Item item{gaussians, w, i, lane.row, lane.slot(), views};
   if constexpr (std::is_same_v<Sink, GradientSink>) sink.touched[i] = 1;
-  if (!is_frozen(gaussians, i) && !lane.frozen(w, gaussians)) {
+  if (!is_frozen(gaussians, i)) {
     const GaussianGeometry g = load_geometry(parameters_of(gaussians), i);
     sink.begin(item, g.mean);
     float mean_gradient[3] = {0.0F, 0.0F, 0.0F};

@@ -142,17 +142,27 @@ void ViewBatch::set_capacity(std::uint32_t isects) {
   graph.invalidate();
 }
 
-void ViewBatch::size_by(std::uint32_t isects) {
+void ViewBatch::set_list_capacity(std::uint32_t ranges) {
+  list_capacity_ = ranges + ranges / 4 + 1;
+  max_ranges_ = 0;
+  graph.invalidate();
+}
+
+void ViewBatch::size_by(std::uint32_t isects, std::uint32_t ranges) {
+  if (ranges > list_capacity_) set_list_capacity(ranges);
   if (!sized_ || isects > isect_capacity_) set_capacity(isects);
   sized_ = true;
 }
 
-void ViewBatch::note_isects(std::uint32_t isects) {
+void ViewBatch::note_lists(std::uint32_t isects, std::uint32_t ranges) {
+  if (ranges > list_capacity_) set_list_capacity(ranges);
   if (isects > isect_capacity_ - isect_capacity_ / 32) return set_capacity(isects);
   max_isects_ = std::max(max_isects_, isects);
+  max_ranges_ = std::max(max_ranges_, ranges);
   if (++steps_ < kStepsToShrink) return;
+  if (max_ranges_ < list_capacity_ / 2) set_list_capacity(max_ranges_);
   if (max_isects_ < isect_capacity_ / 2) return set_capacity(max_isects_);
-  max_isects_ = 0;
+  max_isects_ = max_ranges_ = 0;
   steps_ = 0;
 }
 

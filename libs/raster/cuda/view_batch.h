@@ -67,12 +67,14 @@ class ViewBatch {
   [[nodiscard]] const float* loss_limits() const { return at<float>(limit_offset_); }
   [[nodiscard]] const Targets& targets() const { return targets_; }
 
-  /// How many intersections a step found. Throws when they are more than can be sorted.
-  void note_isects(std::uint32_t isects);
+  /// How many intersections a step found, and ranges that its views see. Throws when there are more of the former than
+  /// can be sorted.
+  void note_lists(std::uint32_t isects, std::uint32_t ranges);
   /// Makes room for those of a projection that was waited for.
-  void size_by(std::uint32_t isects);
+  void size_by(std::uint32_t isects, std::uint32_t ranges);
   [[nodiscard]] bool sized() const { return sized_; }
   [[nodiscard]] std::uint32_t isect_capacity() const { return isect_capacity_; }
+  [[nodiscard]] std::uint32_t list_capacity() const { return list_capacity_; }
 
   [[nodiscard]] std::size_t bytes() const;  ///< of device memory
 
@@ -88,6 +90,7 @@ class ViewBatch {
   void choose_source_room(int needed);
   void lay_out_tables(cudaStream_t stream);
   void set_capacity(std::uint32_t isects);
+  void set_list_capacity(std::uint32_t ranges);
 
   // One table: views, targets of colour, albedo and depth, masks, limits of losses, views of objects, light sources.
   // The host fills a ring of them.
@@ -108,10 +111,10 @@ class ViewBatch {
   int source_room_ = 0;  // a view
   int steps_without_sources_ = 0;
 
-  std::uint32_t isect_capacity_ = 1U << 20U;
-  bool sized_ = false;            // by views' own intersections
-  std::uint32_t max_isects_ = 0;  // of the last steps
-  int steps_ = 0;                 // that it is the maximum of
+  std::uint32_t isect_capacity_ = 1U << 20U, list_capacity_ = 64;
+  bool sized_ = false;                             // by views' own intersections
+  std::uint32_t max_isects_ = 0, max_ranges_ = 0;  // of the last steps
+  int steps_ = 0;                                  // that they are the maximum of
 };
 
 }  // namespace splatbus::raster::cuda

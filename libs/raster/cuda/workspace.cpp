@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "gaussians/pages.h"
 #include "raster/cuda/kernels.h"
 
 namespace splatbus::raster::cuda {
@@ -13,10 +14,17 @@ namespace {
 
 constexpr std::size_t kLanes = 32;
 
+bool lists_some(const WorkspaceRequest& r) {
+  return r.range_count > 0 && r.list_capacity > 0;
+}
+
+std::size_t rows_of(const WorkspaceRequest& r) {
+  if (lists_some(r)) return std::size_t{r.list_capacity} * kPageLanes;
+  return static_cast<std::size_t>(std::max({1, r.count, r.capacity}));
+}
+
 void check_limits(const WorkspaceRequest& r) {
-  if (static_cast<std::uint32_t>(r.count) > kGaussianMask) {
-    throw std::invalid_argument("CUDA rasteriser: more than 2^24 Gaussians");
-  }
+  if (rows_of(r) > kRowMask) throw std::invalid_argument("CUDA rasteriser: more than 2^24 Gaussians at once");
   const auto width = static_cast<std::uint32_t>(r.width), height = static_cast<std::uint32_t>(r.height);
   if (std::size_t{width} * height > kMaxPixels / static_cast<std::size_t>(r.batch)) {
     throw std::invalid_argument("CUDA rasteriser: " + std::to_string(r.batch) + " pictures of " +
@@ -29,6 +37,8 @@ void check_limits(const WorkspaceRequest& r) {
 WorkspaceView shape_of(const WorkspaceRequest& r) {
   WorkspaceView w;
   w.count = r.count;
+  w.rows = lists_some(r) ? static_cast<int>(rows_of(r)) : r.count;
+  w.list_capacity = lists_some(r) ? r.list_capacity : static_cast<std::uint32_t>(r.range_count);
   w.batch = r.batch;
   w.width = r.width;
   w.height = r.height;
@@ -53,7 +63,7 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   const auto ranges = static_cast<std::size_t>(r.range_count > 0 ? std::max(r.range_count, r.range_capacity) : 0);
   const std::size_t pixels = static_cast<std::size_t>(r.width) * static_cast<std::size_t>(r.height) * batch;
   const std::size_t tiles = static_cast<std::size_t>(w.tiles_x) * static_cast<std::size_t>(w.tiles_y) * batch;
-  const std::size_t isects = isects_of(r), projected = count * batch, trained = r.training ? projected : 0;
+  const std::size_t isects = isects_of(r), projected = rows_of(r) * batch, trained = r.training ? projected : 0;
   const std::size_t albedo = r.albedo ? pixels : 0, depth = r.depth ? pixels : 0, training = r.training ? 1 : 0;
   // An intersection reaches at most every patch of its tile; what is left over lies in the patches' first segments.
   const std::size_t segments = training * std::max<std::size_t>(isects * kPatches / (kLanes * kSegmentGroups), 1);
@@ -76,6 +86,8 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   take(scratch, w.sort_scratch_bytes);
   w.sort_scratch = scratch;
   take(w.segments, segments);
+  take(w.segment_trains, training * (tiles * kPatches + segments));
+  take(w.patch_end, training * tiles * kPatches);
   take(w.segment_extra, r.albedo || r.depth ? kLanes * segments : 0);
   take(w.color, 3 * pixels);
   take(w.transmittance, pixels);
@@ -86,6 +98,7 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   take(w.depth_gradient, depth * training);
   take(w.alpha_gradient, depth * training);
   take(w.ssim_partials, 9 * pixels * training);
+  take(w.mask, r.mask ? pixels * training : 0);
   take(w.views, objects > 0 ? batch : 0);
   take(w.object_views, batch * objects);
   take(w.object_ids, objects);

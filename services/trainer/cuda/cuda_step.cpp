@@ -1,5 +1,7 @@
 #include <cstdint>
+#include <optional>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "raster/cuda/train_step.h"
@@ -12,6 +14,8 @@ namespace {
 // At more than a thousand steps a second, held-out views get worse after a while unless rates fall early.
 constexpr float kDefaultHalfRateSteps = 200;
 constexpr int kDefaultBatch = 2;  // takes a quarter longer than one view, and 200 steps of it are worth 300
+// At this pace pages are seen often enough, and looking at them costs a hundredth.
+constexpr int kLookInterval = 4;
 
 raster::cuda::TrainStepOptions train_options(const Options& options) {
   return {.project = {.antialias = options.antialias},
@@ -23,7 +27,9 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
           .lr_half_life_steps = options.lr_half_life_steps,
           .lr_min_factor = options.lr_min_factor,
-          .lr_recovery = options.lr_recovery};
+          .lr_recovery = options.lr_recovery,
+          .mask_opacity = options.mask_opacity,
+          .look_interval = options.freeze.enabled ? kLookInterval : 0};
 }
 
 /// As many of the first as have a place for all their objects, be they others in each.
@@ -58,8 +64,7 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
 class CudaStep final : public GradientStep {
  public:
   CudaStep(model::PageStore& store, const Options& options) : store_(store), train_(train_options(options)) {
-    train_.set_model(gaussians());
-    count_ = static_cast<int>(store.view().count);
+    train_.set_model(gaussians(), store.view().ranges);
   }
   ~CudaStep() override { cudaStreamSynchronize(train_.stream()); }
 
@@ -73,20 +78,28 @@ class CudaStep final : public GradientStep {
   void step(std::span<const PairedView> views) override { train_.step(train_views(with_room(views))); }
 
   StepReport finished(bool wait) override {
-    const auto done = train_.finished(wait);
-    return {.steps = done.steps, .views = done.views, .seconds = done.seconds, .loss = done.loss, .looks = {}};
+    auto done = train_.finished(wait);
+    StepReport report{.steps = done.steps,
+                      .views = done.views,
+                      .seconds = done.seconds,
+                      .loss = done.loss,
+                      .masked_share = done.masked_share,
+                      .looks = {}};
+    for (raster::cuda::TrainStep::Look& look : done.looks) {
+      std::optional<float> share;
+      if (look.looked) share = active_share(look.pages, store_.table());
+      report.looks.push_back({.view = std::static_pointer_cast<const PairedView>(look.keep)->view,
+                              .loss = look.loss,
+                              .pages = std::move(look.pages),
+                              .active_share = share});
+    }
+    return report;
   }
 
   void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override {
-    const raster::cuda::DeviceGaussians now = gaussians();
-    const bool grows = now.count >= count_;  // else moves may come from beyond the new end
-    if (grows) train_.follow_model(now);
-    for (const IndexRange& range : fresh) {
-      train_.forget_columns(static_cast<int>(range.first), static_cast<int>(range.count));
-    }
-    train_.move_columns(moves.from, moves.to, static_cast<int>(moves.count));
-    if (!grows) train_.follow_model(now);
-    count_ = now.count;
+    train_.follow_model(
+        gaussians(),
+        {.ranges = store_.view().ranges, .fresh = fresh, .from = moves.from, .to = moves.to, .moves = moves.count});
   }
 
   [[nodiscard]] kernels::ScreenStatistics statistics() const override {
@@ -114,7 +127,6 @@ class CudaStep final : public GradientStep {
 
   model::PageStore& store_;
   raster::cuda::TrainStep train_;
-  int count_ = 0;  ///< indices that train_ knows
 };
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "bench/bench_scene.h"
+#include "splats/file.h"
 
 namespace splatbus::bench {
 
@@ -31,7 +32,7 @@ class StagesTest : public ::testing::Test {
       set(6, 1);
       set(10, 1);
     }
-    write_ply(arguments.scene, model.view(), {});
+    splats::write_file(arguments.scene, model.view(), {}, {.axes = splats::Axes::Keep});
     const nlohmann::json pose = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
     const nlohmann::json intrinsics = {{40, 0, 16}, {0, 40, 16}, {0, 0, 1}};
     std::ofstream(arguments.cameras) << nlohmann::json{

@@ -113,30 +113,55 @@ bus::Frames frames_of(std::size_t bytes) {
 
 TEST(LatchStore, IsBoundedByMessagesAndBytesAndLosesTheOldest) {
   bus::LatchStore by_count(2, 1000);
-  EXPECT_EQ(by_count.put("b", "", 1, frames_of(10)), 0u);
-  EXPECT_EQ(by_count.put("a", "", 2, frames_of(10)), 0u);
-  EXPECT_EQ(by_count.put("b", "", 3, frames_of(10)), 0u) << "replaced, and so newer than a";
-  EXPECT_EQ(by_count.put("c", "", 4, frames_of(10)), 1u);
+  EXPECT_EQ(by_count.put("b", "", "s", 1, frames_of(10)).evicted, 0u);
+  EXPECT_EQ(by_count.put("a", "", "s", 2, frames_of(10)).evicted, 0u);
+  EXPECT_EQ(by_count.put("b", "", "s", 3, frames_of(10)).evicted, 0u) << "replaced, and so newer than a";
+  EXPECT_EQ(by_count.put("c", "", "s", 4, frames_of(10)).evicted, 1u);
   EXPECT_EQ(by_count.find("a", ""), nullptr);
   EXPECT_NE(by_count.find("b", ""), nullptr);
   EXPECT_EQ(by_count.bytes(), 20u);
 
   bus::LatchStore by_bytes(100, 50);
-  EXPECT_EQ(by_bytes.put("a", "", 1, frames_of(30)), 0u);
-  EXPECT_EQ(by_bytes.put("b", "", 2, frames_of(20)), 0u);
-  EXPECT_EQ(by_bytes.put("a", "", 3, frames_of(20)), 0u);
+  EXPECT_EQ(by_bytes.put("a", "", "s", 1, frames_of(30)).evicted, 0u);
+  EXPECT_EQ(by_bytes.put("b", "", "s", 2, frames_of(20)).evicted, 0u);
+  EXPECT_EQ(by_bytes.put("a", "", "s", 3, frames_of(20)).evicted, 0u);
   EXPECT_EQ(by_bytes.bytes(), 40u);
-  EXPECT_EQ(by_bytes.put("c", "", 4, frames_of(11)), 1u);
+  EXPECT_EQ(by_bytes.put("c", "", "s", 4, frames_of(11)).evicted, 1u);
   EXPECT_EQ(by_bytes.find("b", ""), nullptr);
   EXPECT_EQ(by_bytes.size(), 2u);
 }
 
+TEST(LatchStore, WhatCannotFitIsRefusedAndDrivesNobodyOut) {
+  bus::LatchStore store(100, 100, 0.5);
+  EXPECT_TRUE(store.put("light", "", "engine", 1, frames_of(10)).held);
+  EXPECT_TRUE(store.put("model", "", "trainer", 2, frames_of(20)).held);
+  const auto refused = store.put("model", "", "trainer", 3, frames_of(51));
+  EXPECT_FALSE(refused.held);
+  EXPECT_EQ(refused.evicted, 0u);
+  EXPECT_NE(store.find("light", ""), nullptr);
+  EXPECT_EQ(store.find("model", ""), nullptr) << "an older one than the last would be told to who comes late";
+  EXPECT_EQ(store.bytes(), 10u);
+}
+
+TEST(LatchStore, ASourceBeyondItsShareLosesItsOwn) {
+  bus::LatchStore store(8, 1000, 0.5);
+  store.put("light", "", "engine", 1, frames_of(1));
+  for (std::uint64_t i = 2; i < 20; ++i) store.put("flood", std::to_string(i), "flooder", i, frames_of(1));
+  EXPECT_NE(store.find("light", ""), nullptr);
+  EXPECT_EQ(store.size(), 5u);
+  EXPECT_NE(store.find("flood", "19"), nullptr);
+  // Many sources together reach the bound of all: who holds the most gives way.
+  for (std::uint64_t i = 20; i < 25; ++i) store.put("other", std::to_string(i), "other", i, frames_of(1));
+  EXPECT_EQ(store.size(), 8u);
+  EXPECT_NE(store.find("light", ""), nullptr);
+}
+
 TEST(LatchStore, MatchesAPrefixOldestFirst) {
   bus::LatchStore store(10, 1000);
-  store.put("x/b", "1", 1, frames_of(1), 11);
-  store.put("x/a", "1", 2, frames_of(1), 12);
-  store.put("y/a", "1", 3, frames_of(1), 13);
-  store.put("x/b", "0", 4, frames_of(1), 14);
+  store.put("x/b", "1", "s", 1, frames_of(1), 11);
+  store.put("x/a", "1", "s", 2, frames_of(1), 12);
+  store.put("y/a", "1", "s", 3, frames_of(1), 13);
+  store.put("x/b", "0", "s", 4, frames_of(1), 14);
   std::vector<std::int64_t> stamps;
   for (const auto& held : store.matching("x/")) stamps.push_back(held.stamp);
   EXPECT_EQ(stamps, (std::vector<std::int64_t>{11, 12, 14}));

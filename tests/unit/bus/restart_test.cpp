@@ -103,6 +103,123 @@ TEST_F(Restart, ASlabOutlivesItsMaker) {
   EXPECT_FALSE(view->still_valid());
 }
 
+/// The broker in this process, its writers as processes.
+class Leases : public testing::Test {
+ protected:
+  Leases() : broker_({.address = directory_.address(), .slab_grace = 100ms}) { broker_.start(); }
+
+  std::unique_ptr<ChildProcess> start_maker(const std::string& output) {
+    return std::make_unique<ChildProcess>(
+        "bus-test-service", std::vector<std::string>{"--bus", directory_.address().text()}, directory_.path() + output);
+  }
+  [[nodiscard]] bool has_slabs(std::size_t count) {
+    return eventually([&] { return broker_.statistics().slabs == count; });
+  }
+
+  TemporaryDirectory directory_;
+  bus_service::Broker broker_;
+};
+
+TEST_F(Leases, OneLiveProcessAloneWritesTheSlabsOfASource) {
+  const auto first = start_maker("/first");
+  ASSERT_TRUE(has_slabs(2));
+  const auto second = start_maker("/second");
+  EXPECT_EQ(second->wait(), 1);
+  EXPECT_THAT(read_text(directory_.path() + "/second"),
+              testing::AllOf(HasSubstr("was refused"), HasSubstr("'test'"), HasSubstr(std::to_string(first->pid()))));
+  const auto thief = bus::Context::create(directory_.address(), "thief");
+  EXPECT_THAT([&] { (void)thief->adopt_slab("test/model"); }, ThrowsMessage<bus::Error>(HasSubstr("was refused")));
+  // Its successor is welcome.
+  first->send(SIGKILL);
+  first->wait();
+  const auto third = start_maker("/third");
+  EXPECT_TRUE(eventually([&] { return read_text(directory_.path() + "/third").find("test on") != std::string::npos; }));
+  EXPECT_NE(eventually([&] { return broker_.statistics().slabs == 2; }), false);
+}
+
+TEST_F(Leases, OnlyWhatIsForASuccessorOutlivesItsMaker) {
+  for (int life = 0; life < 3; ++life) {
+    const auto maker = start_maker("/maker");
+    ASSERT_TRUE(has_slabs(2));
+    maker->send(SIGKILL);
+    maker->wait();
+    ASSERT_TRUE(has_slabs(1));
+  }
+  EXPECT_NE(bus::Context::create(directory_.address(), "test")->adopt_slab("test/model"), nullptr);
+}
+
+TEST_F(Restart, ARemovedFolderLetsNoSecondBrokerStartAndTheFirstEnds) {
+  const auto folder = directory_.path() + "/bus";
+  const auto address = bus::Address::parse("ipc://" + folder);
+  auto first = std::make_unique<bus_service::Broker>(bus_service::BrokerOptions{.address = address});
+  first->start();
+  EXPECT_TRUE(first->intact());
+  std::filesystem::remove_all(folder);
+  EXPECT_FALSE(first->intact());
+  bus_service::Broker second({.address = address});
+  EXPECT_THAT([&] { second.start(); },
+              ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr("already"), HasSubstr(std::to_string(::getpid())))));
+  first.reset();
+  second.start();
+  // As a process it ends, for its supervisor to start it again.
+  ChildProcess process("splatbus-bus", {"--bus", directory_.address().text()}, directory_.path() + "-output");
+  ASSERT_TRUE(connect("somebody")->wait_connected(patience));
+  std::filesystem::remove(directory_.path() + "/lock");
+  EXPECT_EQ(process.wait(), 1);
+  EXPECT_THAT(read_text(directory_.path() + "-output"), HasSubstr("was removed"));
+  std::filesystem::remove(directory_.path() + "-output");
+}
+
+TEST_F(Restart, AFolderThatOthersCanEnterIsClosedOrRefused) {
+  const auto make = [&](const std::string& name, mode_t mode) {
+    const auto folder = directory_.path() + "/" + name;
+    EXPECT_EQ(::mkdir(folder.c_str(), 0700), 0);
+    EXPECT_EQ(::chmod(folder.c_str(), mode), 0);
+    return folder;
+  };
+  const auto mode_of = [](const std::string& folder) {
+    struct stat status {};
+    ::lstat(folder.c_str(), &status);
+    return status.st_mode & 07777U;
+  };
+  const auto open = make("open", 0755);
+  bus_service::Broker broker({.address = bus::Address::parse("ipc://" + open)});
+  broker.start();
+  EXPECT_EQ(mode_of(open), 0700U);
+  for (const char* socket : {"/xsub", "/xpub", "/slabs", "/lock"})
+    EXPECT_EQ(mode_of(open + socket) & 077U, 0U) << socket;
+  // One that is something else is left alone.
+  const auto home = make("home", 0755);
+  std::filesystem::create_directory(home + "/letters");
+  const auto home_bus = bus::Address::parse("ipc://" + home);
+  EXPECT_THAT([&] { bus_service::Broker({.address = home_bus}).start(); },
+              ThrowsMessage<bus::Error>(testing::AllOf(HasSubstr(home), HasSubstr("0700"))));
+  EXPECT_THAT([&] { (void)bus::Context::create(home_bus, "somebody"); }, ThrowsMessage<bus::Error>(HasSubstr("0700")))
+      << "who connects looks too";
+  EXPECT_EQ(mode_of(home), 0755U);
+  // Nor is a link followed.
+  const auto link = directory_.path() + "/link";
+  std::filesystem::create_directory_symlink(open, link);
+  EXPECT_THAT([&] { (void)bus::Context::create(bus::Address::parse("ipc://" + link), "somebody"); },
+              ThrowsMessage<bus::Error>(HasSubstr("not a folder")));
+  // Who connects first makes it, so that nobody else does.
+  const auto missing = directory_.path() + "/missing";
+  const auto early = bus::Context::create(bus::Address::parse("ipc://" + missing), "early");
+  EXPECT_EQ(mode_of(missing), 0700U);
+}
+
+TEST_F(Restart, AnotherUsersFolderIsRefused) {
+  if (::geteuid() != 0) GTEST_SKIP() << "only root can give a folder away";
+  const auto folder = directory_.path() + "/theirs";
+  ASSERT_EQ(::mkdir(folder.c_str(), 0700), 0);
+  ASSERT_EQ(::chown(folder.c_str(), 12345, 12345), 0);
+  const auto address = bus::Address::parse("ipc://" + folder);
+  EXPECT_THAT([&] { bus_service::Broker({.address = address}).start(); },
+              ThrowsMessage<bus::Error>(HasSubstr("another user (12345)")));
+  EXPECT_THAT([&] { (void)bus::Context::create(address, "somebody"); },
+              ThrowsMessage<bus::Error>(HasSubstr("another user (12345)")));
+}
+
 TEST_F(Restart, ASecondBrokerIsRefused) {
   bus_service::Broker first({.address = directory_.address()});
   first.start();

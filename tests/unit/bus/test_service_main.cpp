@@ -38,7 +38,9 @@ void publish_model(bus::ServiceContext& service, bus::Publisher& publisher, bus:
 
 void run(bus::ServiceContext& service) {
   service.detail("counting");
-  const auto slab = service.bus->create_slab("model", 1, 4096);
+  const auto mortal = service.bus->create_slab("frames", 1, 4096);
+  const auto slab = service.bus->create_slab("model", 1, 4096, 10000, splatbus::Device::Cpu,
+                                             splatbus::bus::Context::SlabLife::ForSuccessor);
   bus::Publisher publisher(service.bus);
   publish_model(service, publisher, *slab);
   for (int turns = 0; !service.stop.stop_requested(); ++turns) {

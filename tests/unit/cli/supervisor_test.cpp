@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <algorithm>
 #include <atomic>
@@ -254,6 +255,23 @@ TEST_F(SupervisorTest, ProgramThatCannotStartFails) {
   EXPECT_FALSE(success_);
   EXPECT_THAT(*supervisor_->failure(), HasSubstr("a: cannot start /nonexistent"));
   EXPECT_EQ(status("b").detail, "waits for a, which failed");
+}
+
+TEST_F(SupervisorTest, WhatCannotBeStartedForWantOfDescriptorsIsTriedAgain) {
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
+  launch({shell("a", "sleep 0.5; exit 1"), shell("b", "sleep 100")});
+  ASSERT_TRUE(wait_for_line("b * started"));
+  const rlimit few{.rlim_cur = 256, .rlim_max = before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &few), 0);
+  std::vector<bus::FileDescriptor> taken;
+  for (int fd = dup(0); fd >= 0; fd = dup(0)) taken.emplace_back(fd);
+  const bool tried = wait_for_line("a * cannot make a pipe");
+  taken.clear();
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &before), 0);
+  EXPECT_TRUE(tried);
+  EXPECT_TRUE(wait_for_line("a * started", 2));
+  EXPECT_FALSE(supervisor_->failure().has_value());
 }
 
 /// Sends heartbeats as if it were the processes, by a clock that stands still.

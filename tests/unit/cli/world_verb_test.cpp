@@ -2,7 +2,7 @@
 #include <nlohmann/json.hpp>
 
 #include "../world/world_fixture.h"
-#include "gaussians/model.h"
+#include "splats/file.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -63,7 +63,7 @@ TEST_F(WorldVerbTest, InfoSaysWhatThereIs) {
 TEST_F(WorldVerbTest, ExportWritesTheAverages) {
   const std::string path = folder_.parent_path() / "world.ply";
   EXPECT_EQ(run({"export", folder_, path, "--json"})["gaussians"], 60);
-  const GaussiansBuffer model = read_ply(path);
+  const GaussiansBuffer model = splats::read_file(path).gaussians;
   ASSERT_EQ(model.count(), 60U);
   const world::Page first = make_page(0, 10, 3);
   for (std::uint32_t i = 0; i < 10; ++i) {

@@ -139,7 +139,7 @@ TEST_P(PageStoreTest, FrozenPagesTakeTheirAveragesAndRestUntilTheirStructureChan
   chosen.pop_back();
   std::size_t rest = 0;
   for (std::size_t p = 0; p < pages.size(); ++p) {
-    const IndexRange& range = store_->view().ranges[p];
+    const IndexRange range = store_->view().ranges[p];
     EXPECT_EQ(range.frozen, p % 2 == 0 ? 1U : 0U);
     EXPECT_EQ(store_->table().entry(pages[p]).now.state, p % 2 == 0 ? PageState::Frozen : PageState::Active);
     EXPECT_EQ(store_->table().entry(pages[p]).generation != before[p], p % 2 == 0);

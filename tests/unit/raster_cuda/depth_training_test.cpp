@@ -117,6 +117,7 @@ class OnDevice {
     return out;
   }
   [[nodiscard]] cuda::TrainStep& train() { return train_; }
+  [[nodiscard]] const cuda::DeviceGaussians& gaussians() const { return device_.view(); }
 
   [[nodiscard]] Trained result() {
     const auto count = static_cast<std::size_t>(device_.view().count);
@@ -215,7 +216,8 @@ TEST_F(CudaTest, StatisticsFollowTheColumns) {
   const std::uint32_t from_to[2] = {last, 0};
   device::Buffer<std::uint32_t> moves;
   moves.upload(from_to, 2, train.stream());
-  train.move_columns(moves.data(), moves.data() + 1, 1);
+  train.follow_model(on_device.gaussians(),
+                     {.ranges = {}, .fresh = {}, .from = moves.data(), .to = moves.data() + 1, .moves = 1});
   const Trained moved = on_device.result();
   EXPECT_EQ(moved.mean2d_norm[0], before.mean2d_norm[last]);
   EXPECT_EQ(moved.steps[0], before.steps[last]);

@@ -153,14 +153,15 @@ struct TrainedOnDevice {
   device::Buffer<std::uint8_t> picture;
   std::vector<cuda::TrainView> views;
 
-  TrainedOnDevice(const Case& c, const GaussiansView& gaussians, const SceneState& scene, int count = -1) {
+  TrainedOnDevice(const Case& c, const GaussiansView& gaussians, const SceneState& scene, int count = -1,
+                  std::span<const IndexRange> ranges = {}) {
     model.upload(gaussians, nullptr);
     const std::vector<std::uint8_t> target(std::size_t{4} * c.width * c.height, 90);
     picture.upload(target.data(), target.size(), nullptr);
     cudaDeviceSynchronize();
     cuda::DeviceGaussians first = model.view();
     if (count >= 0) first.count = count;
-    train.set_model(first);
+    train.set_model(first, ranges);
     train.set_learning_rates(std::vector<float>(static_cast<std::size_t>(c.layout.channels()), 0.02F));
     // Two cameras that look past one another, so that most pages show in one of them at most.
     for (const float side : {-1.0F, 1.0F}) {
@@ -238,6 +239,59 @@ TEST_P(CudaPages, AnObjectThatTheSceneDoesNotHaveIsHidden) {
   }
 }
 
+TEST_P(CudaPages, AStepLeavesFrozenPagesAsTheyAreAndGivesThemNoMoments) {
+  const Case& c = GetParam();
+  test::PagedModel paged(random_model(c, 19).view(), 300);
+  std::size_t training = 0;
+  for (std::size_t r = 0; r < paged.ranges.size(); ++r) {
+    paged.ranges[r].frozen = r % 3 != 0 ? 1 : 0;
+    training += paged.ranges[r].frozen == 0 ? 1 : 0;
+  }
+  const SceneState scene = random_scene(true);
+  TrainedOnDevice device(c, paged.bounded_view(), scene, -1, paged.ranges);
+  EXPECT_EQ(device.train.moment_bytes(), training * (2 * paged.channels + 3) * kPageLanes * sizeof(float));
+  const std::vector<float> before = device.parameters();
+  device.steps(3);
+  const std::vector<float> after = device.parameters();
+  std::size_t moved = 0;
+  for (const IndexRange& range : paged.ranges) {
+    for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+      for (std::size_t channel = 0; channel < paged.channels; ++channel) {
+        const std::size_t at = ((i >> kPageShift) * paged.channels + channel) * kPageLanes + i % kPageLanes;
+        ASSERT_TRUE(range.frozen == 0 || before[at] == after[at]);
+        moved += before[at] != after[at] ? 1 : 0;
+      }
+    }
+  }
+  EXPECT_GT(moved, 1000U);
+}
+
+TEST_P(CudaPages, MorePagesThanThereIsRoomForAreListedTheNextTime) {
+  const Case& c = GetParam();
+  const test::PagedModel paged(spread_model(c, 3).view(), 25);
+  const SceneState scene = random_scene(true);
+  TrainedOnDevice device(c, paged.bounded_view(), scene);
+  // First from where little shows, then from where all does.
+  const std::vector<cuda::TrainView> wide = device.views;
+  const Camera away = look_at({0, 1, 3}, {0, 60, 40}, c.width, c.height, 0.2F);
+  for (cuda::TrainView& view : device.views) view.view.camera = away;
+  device.steps(80);  // long enough for what was there first to shrink
+  const std::uint32_t few = device.train.workspace().list_capacity;
+  const std::vector<float> before = device.parameters();
+  device.views = wide;
+  device.steps(1);
+  EXPECT_GT(device.train.workspace().list_capacity, few);
+  EXPECT_EQ(listed(device.train.workspace()), [&] {
+    std::uint32_t seen = 0;
+    cudaMemcpy(&seen, &device.train.workspace().counts->seen, sizeof(seen), cudaMemcpyDeviceToHost);
+    return seen;
+  }());
+  const std::vector<float> after = device.parameters();
+  std::size_t moved = 0;  // lanes that hold no Gaussian are not numbers
+  for (std::size_t k = 0; k < before.size(); ++k) moved += before[k] < after[k] || before[k] > after[k] ? 1 : 0;
+  EXPECT_GT(moved, 1000U) << "and the step was taken";
+}
+
 INSTANTIATE_TEST_SUITE_P(Cases, CudaPages, ::testing::Values(kTransfer, kRadiance), case_name);
 
 TEST_F(CudaTest, MomentsStayWhenTheModelGrowsAndGoWhenTheyAreForgotten) {
@@ -252,7 +306,13 @@ TEST_F(CudaTest, MomentsStayWhenTheModelGrowsAndGoWhenTheyAreForgotten) {
     TrainedOnDevice device(large, model.view(), scene, kFirst);
     device.steps(4);
     if (change == Change::Growth) device.train.follow_model(device.model.view());
-    if (change == Change::Forget) device.train.forget_columns(0, kFirst);
+    if (change == Change::Forget) {
+      cuda::DeviceGaussians same = device.model.view();
+      same.count = kFirst;
+      std::vector<IndexRange> all;
+      for (std::uint32_t i = 0; i < kFirst; i += kPageLanes) all.push_back({i, std::min(kPageLanes, kFirst - i)});
+      device.train.follow_model(same, {.ranges = {}, .fresh = all});
+    }
     if (change == Change::NewModel) {
       cuda::DeviceGaussians same = device.model.view();
       same.count = kFirst;

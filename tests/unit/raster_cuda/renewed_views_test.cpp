@@ -188,6 +188,8 @@ TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
     cudaStreamSynchronize(train.stream());
     cuda::DeviceGaussians smaller = device.view();
     smaller.count -= 1;
+    device::Buffer<std::uint32_t> from_to;
+    cuda::ModelChange change;
     if (moves) {
       const auto from = static_cast<std::uint32_t>(count - 1), to = static_cast<std::uint32_t>(hole);
       for (std::size_t c = 0; c < 41; ++c) {
@@ -204,13 +206,12 @@ TEST_F(RenewedViews, ColumnsThatMoveTakeTheirMomentsWithThem) {
       copy(smaller.visibility, 1);
       copy(smaller.object_id, 1);
       copy(smaller.flags, 1);
-      device::Buffer<std::uint32_t> from_to;
       const std::uint32_t both[2] = {from, to};
       from_to.upload(both, 2, train.stream());
-      train.move_columns(from_to.data(), from_to.data() + 1, 1);
-      cudaStreamSynchronize(train.stream());
+      change = {.ranges = {}, .fresh = {}, .from = from_to.data(), .to = from_to.data() + 1, .moves = 1};
     }
-    train.follow_model(smaller);
+    train.follow_model(smaller, change);
+    cudaStreamSynchronize(train.stream());
     for (int k = 0; k < 4; ++k) train.step({&now, 1});
     trained[moves ? 1 : 0] = parameters(device, train);
   }

@@ -59,7 +59,7 @@ class CudaPass final : public RasterPass {
     const cudaStream_t stream = c10::cuda::getCurrentCUDAStream().stream();
     const auto type = parameters.options().requires_grad(false);
     const cuda::DeviceGaussians gaussians = gaussians_of(parameters);
-    w_.count = gaussians.count;
+    w_.count = w_.rows = gaussians.count;
     w_.batch = static_cast<int>(call.cameras.size());
     w_.width = static_cast<int>(call.cameras[0].width);
     w_.height = static_cast<int>(call.cameras[0].height);

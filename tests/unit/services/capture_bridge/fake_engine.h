@@ -115,6 +115,7 @@ class FakeEngine {
       camera.near_m = 0.1F;
     }
     if (turn_light_camera) turn_light_camera(camera);
+    ++light_maps_drawn;
     submit(camera, request.buffers, request.id, request.light_id, request.light_map);
   }
 
@@ -129,6 +130,7 @@ class FakeEngine {
   AnalyticScene scene;
   ObjectTransforms objects;
   Light light{.generation = 1, .sun_irradiance = {1, 1, 1}};
+  std::uint64_t light_maps_drawn = 0;  ///< one that is late is asked for again
   std::uint64_t frame = 0;
   float scene_m = 12;                                  ///< side of what depth maps of the whole scene show
   std::function<void(Camera&)> turn_light_camera;      ///< changes light cameras before they go out

@@ -43,7 +43,7 @@ class PlainSelection {
     }
     std::vector<std::size_t> selected;
     for (std::size_t i = 0; i < round.size() && selected.size() < options_.room; ++i) {
-      if (nearest[i] < options_.new_distance) continue;
+      if (nearest[i] < std::min(options_.fill_distance, options_.new_distance)) continue;
       const Cell cell = cell_of(round.position[i], round.spacing_m[i]);
       const auto of_cell = static_cast<float>(samples[cell]);
       const bool refine = (uncovered[cell] >= options_.min_samples &&
@@ -118,7 +118,7 @@ TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
   for (const SelectOptions& options :
        {SelectOptions{}, SelectOptions{.reach_m = 2, .min_pixels = 1.5F, .room = 4000},
         SelectOptions{.min_samples = 20, .new_distance = 0.5F, .hole_distance = 2, .refine_share = 0.5F},
-        SelectOptions{.new_distance = 2, .hole_distance = 4.5F, .refine_share = 0.1F}}) {
+        SelectOptions{.new_distance = 2, .fill_distance = 1.5F, .hole_distance = 4.5F, .refine_share = 0.1F}}) {
     use_cells_of(kCellSize_m);
     options_.select = options;
     options_.select.refine_factor = 1e6F;  // FilledCells has tests of its own

@@ -174,7 +174,11 @@ class StreamTest : public bus_test::BusTest {
   [[nodiscard]] std::string endpoint() const { return streamer_->endpoints().front(); }
 
   [[nodiscard]] viewer::ClientOptions client_options(const std::string& name) const {
-    return {.endpoint = endpoint(), .name = name, .hello_every_ns = 20'000'000, .silence_ns = 1'500'000'000};
+    return {.endpoint = endpoint(),
+            .name = name,
+            .hello_every_ns = 20'000'000,
+            .silence_ns = 1'500'000'000,
+            .pose_every_ns = 0};
   }
 
   /// Polls clients until the condition holds.

@@ -108,7 +108,7 @@ class SteppedStreamerTest : public StreamerTest {
     stepped_ = std::make_unique<SteppedStreamer>(connect("streamer"), changes);
   }
   [[nodiscard]] viewer::ClientOptions options(const std::string& name) const {
-    return {.endpoint = stepped_->endpoint(), .name = name, .hello_every_ns = 20'000'000};
+    return {.endpoint = stepped_->endpoint(), .name = name, .hello_every_ns = 20'000'000, .pose_every_ns = 0};
   }
   /// Turns without time passing until the condition holds.
   template <class... Clients>

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include "../../model/device_test.h"
 #include "optimizer_fixture.h"
 
 namespace splatbus::trainer {
@@ -29,7 +30,7 @@ class FreezerTest : public FreezingTest {
     ViewLook look{.view = nullptr, .loss = 0, .pages = {}};
     TrainingView view;
     view.camera.fx = 100;
-    const PageBounds& bounds = store().view().bounds[0];
+    const PageBounds bounds = store().view().bounds[0];
     view.camera.world_from_camera.translation = {bounds.high.x + distance_m, bounds.low.y, bounds.low.z};
     look.view = std::make_shared<const TrainingView>(view);
     for (std::size_t p = 0; p < errors.size(); ++p) {
@@ -136,38 +137,54 @@ TEST(NearestPixels, AreThoseOfTheNearestPointOfThePage) {
   EXPECT_FLOAT_EQ(nearest_px_per_m(view, kWorldFrame, bounds), 480) << "within";
 }
 
+/// On either device.
+class FreezingOn : public FreezingTest, public testing::WithParamInterface<Device> {
+ protected:
+  void SetUp() override {
+    if (!has_device(GetParam())) GTEST_SKIP() << "no CUDA device";
+  }
+  Trial trial(const Settings& settings) { return OptimizerTest::trial(GetParam(), settings, 8192); }
+  /// On CUDA every fourth step looks at pages.
+  [[nodiscard]] int looking(int steps) const { return GetParam() == Device::Cuda ? 4 * steps : steps; }
+  static std::vector<std::uint32_t> all_pages(Trial& s) {
+    std::vector<std::uint32_t> pages;
+    for (const IndexRange& range : s.store().view().ranges) pages.push_back(range.first / kPageLanes);
+    return pages;
+  }
+};
+
 /// Freezes all that it has seen sixteen times.
 const Settings kAtOnce{{"freeze", "true"},        {"freeze_after_s", "0"}, {"freeze_gain", "1"},
                        {"freeze_movement", "10"}, {"ema_decay", "0.5"},    {"prune", "false"}};
 
-TEST_F(FreezingTest, FrozenPagesAreAsTheirAveragesWereAndStayThat) {
-  Trial s = OptimizerTest::trial(Device::Cpu, kAtOnce, 8192);
-  s.train(40);
+TEST_P(FreezingOn, FrozenPagesAreAsTheirAveragesWereAndStayThat) {
+  Trial s = trial(kAtOnce);
+  s.train(looking(40));
   ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
   const HostModel before = s.model();
   EXPECT_EQ(distance(before.live(), before.average(), 41), 0);
-  const double loss = s.train(12);
+  const double loss = s.train(looking(12));
   const HostModel after = s.model();
   EXPECT_EQ(distance(after.live(), before.live(), 41), 0);
   EXPECT_EQ(distance(after.average(), before.live(), 41), 0);
   EXPECT_GT(loss, 0) << "and is still looked at";
 }
 
-TEST_F(FreezingTest, WhereThePicturesChangeTheyLearnThem) {
-  Trial s = OptimizerTest::trial(Device::Cpu, kAtOnce, 8192);
-  s.train(40);
+TEST_P(FreezingOn, WhereThePicturesChangeTheyLearnThem) {
+  Trial s = trial(kAtOnce);
+  s.train(looking(40));
   ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
   for (const TrainingView& view : repainted()) s.put(view);
   const double first = s.train(4);
   s.set("freeze_movement", "0");  // and does not rest at once
-  s.train(80);
+  s.train(looking(80));
   EXPECT_LT(s.store().frozen_pages(), s.store().page_count());
   EXPECT_LT(s.train(8), 0.6 * first);
 }
 
-TEST_F(FreezingTest, WithoutItAllTrainsAgain) {
-  Trial s = OptimizerTest::trial(Device::Cpu, kAtOnce, 8192);
-  s.train(40);
+TEST_P(FreezingOn, WithoutItAllTrainsAgain) {
+  Trial s = trial(kAtOnce);
+  s.train(looking(40));
   const HostModel before = s.model();
   s.set("freeze", "false");
   EXPECT_EQ(s.store().frozen_pages(), 0U);
@@ -175,7 +192,7 @@ TEST_F(FreezingTest, WithoutItAllTrainsAgain) {
   EXPECT_GT(distance(s.model().live(), before.live(), 41), 0);
 }
 
-TEST_F(FreezingTest, PagesThatRestAreNeitherPrunedNorSplit) {
+TEST_P(FreezingOn, PagesThatRestAreNeitherPrunedNorSplit) {
   Settings settings = kAtOnce;
   settings.back() = {"prune", "true"};
   settings.insert(settings.end(), {{"prune_interval", "50"},
@@ -183,8 +200,8 @@ TEST_F(FreezingTest, PagesThatRestAreNeitherPrunedNorSplit) {
                                    {"densify", "true"},
                                    {"densify_interval", "50"},
                                    {"densify_gradient", "0"}});
-  Trial s = OptimizerTest::trial(Device::Cpu, settings, 8192);
-  s.train(40);
+  Trial s = trial(settings);
+  s.train(looking(40));
   ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
   for (std::size_t k = 0; k < 100; ++k) {
     trainer::poke(s.store(), ParameterLayout::kOpacityLogit, s.model().index(k), -20);
@@ -192,6 +209,60 @@ TEST_F(FreezingTest, PagesThatRestAreNeitherPrunedNorSplit) {
   s.train(20);
   EXPECT_EQ(s.store().count(), 3000U);
 }
+
+TEST_P(FreezingOn, PagesThatTrainAgainGoOnAtTheirAgeAndThosePastThemDoNotNotice) {
+  // Never by itself.
+  const Settings settings{
+      {"freeze", "true"}, {"freeze_after_s", "3600"}, {"prune", "false"}, {"lr_half_life_steps", "5"}};
+  Trial s = trial(settings), cpu = OptimizerTest::trial(Device::Cpu, settings, 8192);
+  for (Trial* one : {&s, &cpu}) {
+    one->train(20);
+    const std::vector<std::uint32_t> pages = all_pages(*one);
+    ASSERT_GE(pages.size(), 4U);
+    const std::vector<std::uint32_t> some(pages.begin(), pages.begin() + 2);
+    one->optimizer().restructure([&] { one->store().freeze(some); });
+    ASSERT_EQ(one->store().frozen_pages(), 2U);
+    const HostModel before = one->model();
+    one->train(10);
+    const HostModel after = one->model();
+    std::size_t moved = 0;
+    for (std::size_t k = 0; k < after.count(); ++k) {
+      const bool rests = after.index(k) / kPageLanes == some[0] || after.index(k) / kPageLanes == some[1];
+      ASSERT_TRUE(!rests || after.at(0, k) == before.at(0, k));
+      moved += after.at(0, k) != before.at(0, k) ? 1 : 0;
+    }
+    EXPECT_GT(moved, 300U);
+    one->optimizer().restructure([&] { one->store().thaw(some); });
+    one->train(6);
+  }
+  expect_close(s, cpu, 1e-2);
+  // With rates of beginners they would have gone this far.
+  Trial young = trial(settings);
+  young.train(6);
+  EXPECT_LT(distance(s.model().live(), cpu.model().live(), ParameterLayout::kResidual),
+            0.2 * distance(young.model().live(), cpu.model().live(), ParameterLayout::kResidual));
+}
+
+TEST_P(FreezingOn, WhereNothingModelsYetWhatShowsNothingIsLearned) {
+  // Half of the floor.
+  SampleBatch half = scene_.truth();
+  for (std::size_t i = 0; i < half.count; ++i) {
+    if (half.mean[i] > 0) half.opacity_logit[i] = -20;
+  }
+  const auto masked_share = [&](Device device, const char* opacity) {
+    Trial s(connect("half-" + std::to_string(++trials_)), device, half, {{"mask_opacity", opacity}, {"prune", "false"}},
+            8192);
+    StepReport report = s.step({scene_.views()[0].get()});
+    report += s.optimizer().finish();
+    return report.masked_share;
+  };
+  const double share = masked_share(GetParam(), "0.5");
+  EXPECT_NEAR(share, masked_share(Device::Cpu, "0.5"), 0.005);
+  EXPECT_GT(share, 0.05);
+  EXPECT_EQ(masked_share(GetParam(), "0"), 0);
+}
+
+INSTANTIATE_TEST_SUITE_P(Devices, FreezingOn, testing::Values(Device::Cpu, Device::Cuda), model::device_name);
 
 }  // namespace
 }  // namespace splatbus::trainer

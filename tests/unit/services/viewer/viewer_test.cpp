@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -29,11 +30,16 @@ class ViewerTest : public StreamTest {
   void start_viewer(const std::vector<std::pair<std::string, std::string>>& changes) {
     parameters_ = std::make_unique<bus::Parameters>(bus::Parameters::declare<viewer::Options>());
     for (const auto& [name, value] : changes) ASSERT_EQ(parameters_->set(name, value, false), "");
-    viewer_ = std::make_unique<viewer::Viewer>(*parameters_, viewer::ViewerHost{.name = "viewer",
-                                                                                .endpoint = endpoint(),
-                                                                                .stop = stop_.get_token(),
-                                                                                .counter = [](const auto&, double) {},
-                                                                                .detail = [](const auto&) {}});
+    viewer_ =
+        std::make_unique<viewer::Viewer>(*parameters_, viewer::ViewerHost{.name = "viewer",
+                                                                          .endpoint = endpoint(),
+                                                                          .stop = stop_.get_token(),
+                                                                          .counter =
+                                                                              [this](const auto& name, double value) {
+                                                                                if (name == "unwritten_pictures")
+                                                                                  unwritten_ = value;
+                                                                              },
+                                                                          .detail = [](const auto&) {}});
     thread_ = std::thread([this] { viewer_->run(); });
   }
   void stop_viewer() {
@@ -43,6 +49,7 @@ class ViewerTest : public StreamTest {
 
   std::shared_ptr<bus::Context> peer_;
   std::string out_;
+  std::atomic<double> unwritten_ = 0;
   std::stop_source stop_;
   std::unique_ptr<bus::Parameters> parameters_;
   std::unique_ptr<viewer::Viewer> viewer_;
@@ -77,6 +84,19 @@ TEST_F(ViewerTest, WritesFramesThatShowTheModel) {
   EXPECT_EQ(picture.rows, 32);
   EXPECT_GT(cv::mean(picture)[1], 10) << "black";
   EXPECT_GT(viewer_->first_picture_ns(), 0);
+}
+
+TEST_F(ViewerTest, GoesOnWhereNoPictureCanBeWritten) {
+  trainer_.publish_light(daylight());
+  trainer_.publish(stream::test::toy_model(2000, 1));
+  start_streamer();
+  // A file where the folder should be refuses whatever the disk would.
+  std::ofstream(out_) << "in the way";
+  start_viewer({{"out", out_}, {"frames", "1"}, {"width", "48"}, {"height", "32"}, {"threads", "1"}});
+  ASSERT_TRUE(bus_test::eventually([&] { return unwritten_ >= 2; }));
+  fs::remove(out_);
+  EXPECT_TRUE(bus_test::eventually([&] { return fs::exists(out_) && !fs::is_empty(out_); })) << "it did not go on";
+  EXPECT_NE(parameters_->set("out", "/elsewhere", true), "") << "anybody on the bus could say where it writes";
 }
 
 TEST_F(ViewerTest, ComparesItsPictureWithTheEnginesOwn) {

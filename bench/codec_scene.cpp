@@ -1,0 +1,184 @@
+#include "bench/codec_scene.h"
+
+#include <flatbuffers/flatbuffers.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <numbers>
+#include <numeric>
+
+#include "model/channels.h"
+#include "raster/rasterizer.h"
+#include "stream/codecs.h"
+#include "stream/display_gaussians.h"
+#include "stream/model_quantizer.h"
+#include "world/world.h"
+
+namespace splatbus::bench {
+
+namespace {
+
+constexpr std::uint32_t kSide_px = 512;
+
+GaussiansBuffer gathered(const GaussiansBuffer& from, const ParameterLayout& layout,
+                         const std::vector<std::uint32_t>& order) {
+  GaussiansBuffer to(layout, order.size());
+  for (int c = 0; c < layout.channels(); ++c) {
+    for (std::size_t i = 0; i < order.size(); ++i) {
+      to.parameters[static_cast<std::size_t>(c) * to.stride() + i] = from.view().plane(c)[order[i]];
+    }
+  }
+  return to;
+}
+
+/// Ids as an importer numbers a file's Gaussians.
+void load_ply(const std::string& path, int degree, std::size_t page_gaussians, CodecScene& scene) {
+  const GaussiansBuffer whole = read_ply(path);
+  ParameterLayout layout = whole.layout();
+  if (degree >= 0) layout.sh_degree = std::min(degree, layout.sh_degree);
+  const stream::StreamLayout grid(whole.layout(), 1.0F / 1024);
+  stream::ModelQuantizer quantizer(Device::Cpu);
+  stream::QuantizedGaussians integers;
+  std::vector<std::uint8_t> usable;
+  (void)quantizer.ids(whole.view());
+  quantizer.quantize(whole.view(), grid, nullptr, {});
+  quantizer.commit(integers, usable);
+  std::vector<std::uint32_t> all;
+  for (std::uint32_t i = 0; i < usable.size(); ++i) {
+    if (usable[i] != 0) all.push_back(i);
+  }
+  const std::vector<std::uint32_t> order = stream::morton_order(integers, grid, all);
+  scene.model = gathered(whole, layout, order);
+  for (std::size_t i = 0; i < order.size(); ++i) scene.model.gaussian_id[i] = order[i] + 1;
+  for (std::size_t end = page_gaussians; end < order.size(); end += page_gaussians) scene.page_ends.push_back(end);
+  scene.page_ends.push_back(order.size());
+}
+
+void load_world(const std::string& path, CodecScene& scene) {
+  world::World folder{std::filesystem::path(path)};
+  const ParameterLayout& layout = folder.layout();
+  std::size_t count = 0;
+  for (const auto& [key, page] : folder.pages()) count += page.count;
+  GaussiansBuffer& model = scene.model;
+  model = GaussiansBuffer(layout, count);
+  std::size_t at = 0;
+  for (const auto& [key, entry] : folder.pages()) {
+    const auto page = folder.read(key);
+    if (!page || page->count == 0) continue;
+    const auto copy = [&](model::Channel channel, std::vector<float>& planes) {
+      const model::ChannelRows rows = model::rows_of(channel, layout);
+      for (std::size_t row = 0; row < rows.rows; ++row) {
+        std::memcpy(planes.data() + row * model.stride() + at, page->words.data() + (rows.first + row) * page->count,
+                    page->count * sizeof(float));
+      }
+    };
+    copy(model::Channel::Average, model.parameters);
+    copy(model::Channel::Normal, model.normal);
+    copy(model::Channel::Visibility, model.visibility);
+    std::memcpy(
+        model.gaussian_id.data() + at,
+        page->words.data() + std::size_t{model::rows_of(model::Channel::GaussianId, layout).first} * page->count,
+        page->count * sizeof(std::uint64_t));
+    std::fill_n(model.object_id.begin() + static_cast<std::ptrdiff_t>(at), page->count, key.frame_id);
+    at += page->count;
+    scene.page_ends.push_back(at);
+  }
+  model.resize(at);
+}
+
+/// Between which all but a fiftieth of the means lie.
+std::pair<glm::vec3, glm::vec3> extent(const GaussiansBuffer& model) {
+  glm::vec3 low, high;
+  for (int c = 0; c < 3; ++c) {
+    std::vector<float> values(model.view().plane(c), model.view().plane(c) + model.count());
+    std::ranges::sort(values);
+    low[c] = values[values.size() / 50];
+    high[c] = values[values.size() - 1 - values.size() / 50];
+  }
+  return {low, high};
+}
+
+/// On two rings around the middle, half of the model's size and once its size away.
+std::vector<Camera> cameras_around(const GaussiansBuffer& model) {
+  const auto [low, high] = extent(model);
+  const glm::vec3 middle = 0.5F * (low + high);
+  const float radius = 0.5F * glm::distance(low, high);
+  std::vector<Camera> cameras;
+  for (int k = 0; k < 8; ++k) {
+    const float angle = 2 * std::numbers::pi_v<float> * static_cast<float>(k) / 8;
+    const float distance = radius * (k % 2 == 0 ? 1.0F : 1.8F), height = radius * (k % 4 < 2 ? 0.35F : 0.8F);
+    const glm::vec3 eye = middle + glm::vec3(distance * std::cos(angle), height, distance * std::sin(angle));
+    cameras.push_back(look_at(eye, middle, kSide_px, kSide_px, 0.9F));
+    cameras.back().near_m = 1e-3F * radius;
+  }
+  return cameras;
+}
+
+}  // namespace
+
+CodecScene load_codec_scene(const std::string& path, int degree, std::size_t page_gaussians) {
+  CodecScene scene;
+  scene.name = std::filesystem::path(path).stem().string();
+  if (std::filesystem::is_directory(path)) {
+    load_world(path, scene);
+  } else {
+    load_ply(path, degree, page_gaussians, scene);
+  }
+  if (scene.model.count() == 0) throw std::runtime_error(path + ": no Gaussians");
+  scene.cameras = cameras_around(scene.model);
+  scene.scene.light.ambient_sh[0] = glm::vec3(1.5F);
+  scene.scene.light.sun_direction = glm::normalize(glm::vec3(0.3F, 1, 0.2F));
+  scene.scene.light.sun_irradiance = glm::vec3(1.2F);
+  return scene;
+}
+
+stream::StreamLayout layout_with(const stream::StreamLayout& layout, const std::vector<float>& steps) {
+  flatbuffers::FlatBufferBuilder builder;
+  std::vector<flatbuffers::Offset<wire::TensorMetadata>> attributes;
+  for (std::size_t k = 0; k < layout.attributes().size(); ++k) {
+    const stream::AttributeChannels& a = layout.attributes()[k];
+    const float step = k < steps.size() && steps[k] > 0 ? steps[k] : a.quantizer.step;
+    const wire::Quantizer quantizer(a.quantizer.offset, step);
+    attributes.push_back(
+        wire::CreateTensorMetadata(builder, a.attribute, static_cast<std::uint32_t>(a.channels), &quantizer));
+  }
+  const auto list = builder.CreateVector(attributes);
+  const bool transfer = layout.parameters().appearance == Appearance::Transfer;
+  builder.Finish(wire::CreateSnapshotBegin(builder, 1, 0, 0, 0,
+                                           transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
+                                           static_cast<std::uint8_t>(layout.parameters().sh_degree), list));
+  return stream::StreamLayout::from_wire(*flatbuffers::GetRoot<wire::SnapshotBegin>(builder.GetBufferPointer()));
+}
+
+Pictures::Pictures(const CodecScene& scene) : scene_(scene), truth_(draw(scene.model.view())) {}
+
+std::vector<float> Pictures::draw(const GaussiansView& gaussians) const {
+  const auto rasterizer = raster::make_cpu_rasterizer(0);
+  const bool linear = gaussians.layout.appearance == Appearance::Transfer;
+  std::vector<float> pixels;
+  raster::Render render;
+  for (const Camera& camera : scene_.cameras) {
+    rasterizer->render(gaussians, camera, scene_.scene, {}, render);
+    for (const float value : render.color.data) {
+      const float bounded = std::clamp(value, 0.0F, 1.0F);
+      pixels.push_back(linear ? srgb_from_linear(bounded) : bounded);
+    }
+  }
+  return pixels;
+}
+
+double Pictures::psnr_db(const stream::QuantizedGaussians& gaussians, const stream::StreamLayout& layout) const {
+  stream::DisplayChanges changes;
+  changes.add(stream::DisplayReset{layout});
+  changes.add(stream::DisplayAppend{gaussians});
+  stream::DisplayGaussians shown;
+  shown.apply(changes);
+  const std::vector<float> picture = draw(shown.view());
+  double squares = 0;
+  for (std::size_t i = 0; i < picture.size(); ++i) squares += std::pow(double{picture[i]} - truth_[i], 2.0);
+  return 10 * std::log10(static_cast<double>(picture.size()) / squares);
+}
+
+}  // namespace splatbus::bench

@@ -1,0 +1,259 @@
+#include "bus/connection_guard.h"
+
+#include <arpa/inet.h>
+#include <fmt/format.h>
+#include <linux/tcp.h>
+#include <netinet/in.h>
+#include <spdlog/spdlog.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cstring>
+#include <utility>
+
+#include "bus/clock.h"
+#include "bus/curve.h"
+#include "bus/error.h"
+#include "bus/peer_socket.h"
+
+namespace splatbus::bus {
+namespace {
+
+constexpr std::int64_t second = 1'000'000'000;
+constexpr std::int64_t sweep_ns = 20'000'000;
+constexpr std::int64_t sweep_of_one_ns = 50'000;  // thousands of connections are looked at less often
+constexpr int idle_ms = 100;
+constexpr std::size_t descriptors_for_others = 128;
+
+/// Of a tcp connection's peer; empty for what is none.
+std::string address_of(int fd) {
+  sockaddr_storage peer{};
+  socklen_t size = sizeof(peer);
+  if (::getpeername(fd, reinterpret_cast<sockaddr*>(&peer), &size) != 0) return {};
+  std::array<char, INET6_ADDRSTRLEN> text{};
+  const void* address = nullptr;
+  if (peer.ss_family == AF_INET) address = &reinterpret_cast<const sockaddr_in&>(peer).sin_addr;
+  if (peer.ss_family == AF_INET6) address = &reinterpret_cast<const sockaddr_in6&>(peer).sin6_addr;
+  if (address == nullptr || ::inet_ntop(peer.ss_family, address, text.data(), text.size()) == nullptr) return {};
+  return text.data();
+}
+
+struct Unread {
+  std::uint64_t all = 0, largest = 0;
+  int largest_fd = -1;
+
+  void add(int fd, std::uint64_t bytes) {
+    all += bytes;
+    if (bytes < largest || bytes == 0) return;
+    largest = bytes;
+    largest_fd = fd;
+  }
+};
+
+std::size_t room_for_connections(std::size_t wanted) {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return wanted;
+  const auto all = static_cast<std::size_t>(limit.rlim_cur);
+  return std::min(wanted, all > 2 * descriptors_for_others ? all - descriptors_for_others : all / 2);
+}
+
+ConnectionLimits within_descriptors(ConnectionLimits limits) {
+  limits.connections = room_for_connections(limits.connections);
+  return limits;
+}
+
+std::int64_t to_ns(double seconds) {
+  return static_cast<std::int64_t>(seconds * static_cast<double>(second));
+}
+
+}  // namespace
+
+ConnectionGuard::ConnectionGuard(zmq::context_t& context, zmq::socket_t& socket, const ConnectionLimits& limits,
+                                 std::string name)
+    : limits_(within_descriptors(limits)),
+      name_(std::move(name)),
+      guarded_(socket),
+      events_(context, zmq::socket_type::pair) {
+  static std::atomic<std::uint64_t> number = 0;
+  const auto endpoint = fmt::format("inproc://splatbus-guard-{}", ++number);
+  if (zmq_socket_monitor(socket.handle(), endpoint.c_str(), ZMQ_EVENT_ACCEPTED) != 0) throw zmq::error_t();
+  events_.set(zmq::sockopt::linger, 0);
+  events_.set(zmq::sockopt::rcvhwm, 0);
+  events_.connect(endpoint);
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
+
+ConnectionGuard::~ConnectionGuard() {
+  thread_.request_stop();
+  thread_.join();
+  zmq_socket_monitor(guarded_.handle(), nullptr, 0);
+}
+
+void ConnectionGuard::took(const zmq::message_t& frame) {
+  const int fd = descriptor_of(frame);
+  const std::scoped_lock lock(mutex_);
+  const auto found = connections_.find(fd);
+  if (found == connections_.end()) return;
+  found->second.taken = found->second.taken_lately = true;
+  if (found->second.key.empty()) found->second.key = sender_key(frame);
+}
+
+void ConnectionGuard::close(const zmq::message_t& frame, const std::string& why) {
+  const int fd = descriptor_of(frame);
+  const std::scoped_lock lock(mutex_);
+  if (const auto found = connections_.find(fd); found != connections_.end()) shut(fd, found->second, why);
+}
+
+void ConnectionGuard::keep_only(std::function<bool(const std::string& key)> allowed) {
+  const std::scoped_lock lock(mutex_);
+  allowed_ = std::move(allowed);
+}
+
+ConnectionGuard::Counts ConnectionGuard::counts() const {
+  const std::scoped_lock lock(mutex_);
+  Counts counts = counts_;
+  counts.open = connections_.size();
+  return counts;
+}
+
+void ConnectionGuard::run(const std::stop_token& stop) {
+  std::int64_t next_sweep = 0;
+  std::size_t open = 0;
+  while (!stop.stop_requested()) {
+    const std::int64_t left_ns = open == 0 ? std::int64_t{idle_ms} * 1'000'000 : next_sweep - now_ns();
+    zmq_pollitem_t item{events_.handle(), 0, ZMQ_POLLIN, 0};
+    zmq_poll(&item, 1, static_cast<long>(std::clamp<std::int64_t>(left_ns / 1'000'000 + 1, 0, idle_ms)));
+    const std::scoped_lock lock(mutex_);
+    accept_events();
+    const std::int64_t now = now_ns();
+    if (now >= next_sweep) {
+      sweep(now);
+      next_sweep = now + std::max(sweep_ns, static_cast<std::int64_t>(connections_.size()) * sweep_of_one_ns);
+    }
+    open = connections_.size();
+  }
+}
+
+void ConnectionGuard::accept_events() {
+  zmq::message_t event, endpoint;
+  while (events_.recv(event, zmq::recv_flags::dontwait)) {
+    (void)events_.recv(endpoint);
+    if (event.size() < 6) continue;
+    std::int32_t fd = -1;
+    std::memcpy(&fd, event.data<std::uint8_t>() + 2, sizeof(fd));
+    begin(fd);
+  }
+}
+
+void ConnectionGuard::begin(int fd) {
+  Connection connection;
+  connection.address = address_of(fd);
+  connection.cookie = cookie_of(fd);
+  if (connection.address.empty() || connection.cookie == 0) return;  // over ipc, or gone again
+  connection.since_ns = connection.heard_ns = now_ns();
+  if (limits_.bytes_per_s > 0) connection.bytes = TokenBucket(limits_.bytes_per_s, limits_.burst_bytes);
+  ++counts_.accepted;
+  Connection& begun = connections_[fd] = std::move(connection);
+  if (limits_.connections != 0 && connections_.size() > limits_.connections) {
+    return shut(fd, begun, fmt::format("{} connections are all there may be", limits_.connections));
+  }
+  const auto of_address = std::count_if(connections_.begin(), connections_.end(),
+                                        [&](const auto& entry) { return entry.second.address == begun.address; });
+  if (limits_.of_one_address != 0 && static_cast<std::size_t>(of_address) > limits_.of_one_address) {
+    shut(fd, begun, fmt::format("{} connections are all that one address may have", limits_.of_one_address));
+  }
+}
+
+void ConnectionGuard::sweep(std::int64_t now) {
+  const bool check_keys = allowed_ && now >= next_key_check_ns_;
+  if (check_keys) next_key_check_ns_ = now + second;
+  Unread unread, before_first;
+  for (auto entry = connections_.begin(); entry != connections_.end();) {
+    auto& [fd, connection] = *entry;
+    if (cookie_of(fd) != connection.cookie) {
+      entry = connections_.erase(entry);
+      continue;
+    }
+    std::string why;
+    if (!look(fd, connection, now, why)) {
+      shut(fd, connection, why);
+    } else if (check_keys && !connection.key.empty() && !allowed_(connection.key)) {
+      shut(fd, connection, "its key is not allowed any more");
+    } else {
+      unread.add(fd, connection.received - connection.read);
+      if (!connection.taken) before_first.add(fd, connection.received - connection.read);
+    }
+    ++entry;
+  }
+  for (const auto& [sum, limit] :
+       {std::pair(unread, limits_.all_unread_bytes), std::pair(before_first, limits_.all_first_unread_bytes)}) {
+    if (limit == 0 || sum.all <= limit) continue;
+    shut(sum.largest_fd, connections_.at(sum.largest_fd),
+         fmt::format("all together hold {} bytes of unfinished messages, and it the most", sum.all));
+  }
+}
+
+bool ConnectionGuard::look(int fd, Connection& connection, std::int64_t now, std::string& why) {
+  if (connection.closing) return true;
+  tcp_info info{};
+  socklen_t size = sizeof(info);
+  if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return true;
+  const std::uint64_t before = std::exchange(connection.received, info.tcpi_bytes_received);
+  if (std::exchange(connection.taken_lately, false)) {
+    // What came before the last look is in that message, or in the short queue behind it.
+    connection.read = before;
+    connection.heard_ns = now;
+  }
+  const std::uint64_t unread = connection.received - connection.read;
+  const std::size_t limit =
+      connection.taken || limits_.first_unread_bytes == 0 ? limits_.unread_bytes : limits_.first_unread_bytes;
+  if (limit != 0 && unread > limit) {
+    why = fmt::format("{} bytes of a message without an end", unread);
+  } else if (limits_.bytes_per_s > 0 && connection.received > before &&
+             !connection.bytes.take(static_cast<double>(connection.received - before), now)) {
+    why = fmt::format("more than {} bytes a second", limits_.bytes_per_s);
+  } else if (limits_.greeting_s > 0 && !connection.taken && now - connection.since_ns > to_ns(limits_.greeting_s)) {
+    why = fmt::format("not a word in {} s", limits_.greeting_s);
+  } else if (limits_.silence_s > 0 && connection.taken && now - connection.heard_ns > to_ns(limits_.silence_s)) {
+    why = fmt::format("silent for {} s", limits_.silence_s);
+  }
+  if (info.tcpi_notsent_bytes == 0 && info.tcpi_unacked == 0) {
+    connection.sent_since_ns = 0;
+  } else if (connection.sent_since_ns == 0) {
+    connection.sent_since_ns = now;
+    connection.acked = info.tcpi_bytes_acked;
+  } else if (limits_.stalled_s > 0 && now - connection.sent_since_ns > to_ns(limits_.stalled_s)) {
+    const double sent = static_cast<double>(info.tcpi_bytes_acked - connection.acked);
+    if (sent < limits_.min_sent_per_s * limits_.stalled_s)
+      why = fmt::format("it read {} bytes in {} s", sent, limits_.stalled_s);
+    connection.sent_since_ns = now;
+    connection.acked = info.tcpi_bytes_acked;
+  }
+  return why.empty();
+}
+
+void ConnectionGuard::shut(int fd, Connection& connection, const std::string& why) {
+  if (connection.closing || cookie_of(fd) != connection.cookie) return;
+  connection.closing = true;
+  connection.read = connection.received;  // libzmq gives it back when it sees the end
+  ++counts_.closed;
+  // No more of either direction, and a reset instead of what was still to be sent when libzmq closes it.
+  const linger none{1, 0};
+  ::setsockopt(fd, SOL_SOCKET, SO_LINGER, &none, sizeof(none));
+  ::shutdown(fd, SHUT_RDWR);
+  if (limiter_.allow()) {
+    spdlog::warn("{}: closed a connection from {} ({} so far): {}", name_, connection.address, counts_.closed, why);
+  }
+}
+
+void raise_descriptor_limit() {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+  limit.rlim_cur = limit.rlim_max;
+  ::setrlimit(RLIMIT_NOFILE, &limit);
+}
+
+}  // namespace splatbus::bus

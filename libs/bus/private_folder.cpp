@@ -1,0 +1,48 @@
+#include "bus/private_folder.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+
+#include "bus/error.h"
+#include "bus/file_descriptor.h"
+
+namespace splatbus::bus {
+
+namespace fs = std::filesystem;
+
+void require_private_folder(const std::string& folder) {
+  const auto refuse = [&](const std::string& why) { throw Error(fmt::format("bus folder {}: {}", folder, why)); };
+  std::error_code ignored;
+  fs::create_directories(fs::path(folder).parent_path(), ignored);
+  if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
+    refuse(fmt::format("cannot make it: {}", std::strerror(errno)));
+  }
+  struct stat status {};
+  if (::lstat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) refuse("it is not a folder");
+  // The descriptor is of the very folder that is looked at.
+  const FileDescriptor fd(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
+  if (status.st_uid != ::geteuid()) refuse(fmt::format("it belongs to another user ({})", status.st_uid));
+  if (!fd.valid() || ::fstat(fd.get(), &status) != 0) refuse(std::strerror(errno));
+  if (status.st_uid != ::geteuid()) refuse(fmt::format("it belongs to another user ({})", status.st_uid));
+  if ((status.st_mode & 077U) == 0) return;
+  // Not somebody's home or a folder that many share, named by mistake.
+  const bool of_a_bus = fs::is_empty(folder, ignored) || fs::exists(folder + "/lock", ignored);
+  if (!of_a_bus || ::fchmod(fd.get(), 0700) != 0) refuse("others may enter it: its mode must be 0700");
+}
+
+void require_own_peer(int socket, const std::string& what) {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  if (::getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) {
+    throw Error(fmt::format("{}: whose it is cannot be said: {}", what, std::strerror(errno)));
+  }
+  if (peer.uid != ::geteuid()) throw Error(fmt::format("{}: process {} is another user's", what, peer.pid));
+}
+
+}  // namespace splatbus::bus

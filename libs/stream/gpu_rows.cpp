@@ -1,0 +1,234 @@
+#include "stream/gpu_rows.h"
+
+#include <algorithm>
+#include <glm/glm.hpp>
+#include <utility>
+
+#include "gaussians/frames.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+constexpr std::uint32_t kHidden = 0xFFFFFFFFU;
+
+GpuRows::Transform matrix_of(const ObjectTransform& transform) {
+  const glm::mat3 rotation = glm::mat3_cast(transform.rigid.rotation);
+  GpuRows::Transform out{};
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) {
+      out[static_cast<std::size_t>(4 * row + column)] = transform.scale * rotation[column][row];
+    }
+    out[static_cast<std::size_t>(4 * row + 3)] = transform.rigid.translation[row];
+  }
+  return out;
+}
+
+/// What makes no difference to colours is left out.
+Light shading_light(const Light& light, const ObjectTransform& object) {
+  Light out = light_in_object(light, object);
+  out.generation = 0;
+  out.background = glm::vec3(0);
+  return out;
+}
+
+}  // namespace
+
+void GpuRows::on_reset(const ReplicatedState& shown) {
+  stale_.assign(std::max(stale_.size(), shown.rows()), kRecord);
+  unsent_ = stale_.size();
+  recolored_ = 0;
+  shown_.assign(stale_.size() / kBlockRows, 0);
+  for (const auto& [number, page] : shown.pages) {
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) shown_[page.blocks[k]] = page.shown[k];
+  }
+  forget_objects();
+}
+
+void GpuRows::forget_objects() {
+  objects_.assign(1, {});
+  index_of_object_ = {{kWorldFrame, 0}};
+  far_field_ = 0;
+  objects_are_full_ = false;
+  objects_are_new_ = true;
+}
+
+void GpuRows::on_change(const ReplicatedState& shown, const Change& change) {
+  if (shown.rows() > stale_.size()) {
+    stale_.resize(shown.rows(), kNothing);
+    shown_.resize(shown.rows() / kBlockRows, 0);
+  }
+  for (const Change::Block& block : change.blocks) show(block.block, block.count);
+  mark_all(change.rows, kRecord);
+  mark_all(change.objects, kRecord);
+  for (const Change::Values& values : change.values) {
+    const Attribute a = values.attribute;
+    const bool shape =
+        a == Attribute::Mean || a == Attribute::LogScale || a == Attribute::Rotation || a == Attribute::Opacity;
+    mark_all(values.rows, shape ? kRecord : kColor);
+  }
+  for (const Change::Seen& seen : change.seen) mark_all(seen.rows, kColor);
+  if (change.scene && objects_are_full_) {  // of some that are long gone
+    forget_objects();
+    forget_taken();
+  }
+}
+
+void GpuRows::show(std::uint32_t block, std::uint32_t count) {
+  const std::uint32_t before = std::exchange(shown_[block], count);
+  for (std::uint32_t i = std::min(before, count); i < std::max(before, count); ++i) {
+    mark(block * kBlockRows + i, kRecord);
+  }
+}
+
+void GpuRows::mark(std::uint32_t row, Stale what) {
+  std::uint8_t& stale = stale_[row];
+  if (stale >= what) return;
+  if (stale == kColor) --recolored_;
+  stale = what;
+  ++(what == kColor ? recolored_ : unsent_);
+}
+
+// A row that is not shown is free on the GPU, and is marked when that changes.
+void GpuRows::mark_all(const std::vector<std::uint32_t>& rows, Stale what) {
+  for (const std::uint32_t row : rows) {
+    if (is_shown(row)) mark(row, what);
+  }
+}
+
+void GpuRows::forget_taken() {
+  for (std::size_t row = 0; row < stale_.size(); ++row) mark(static_cast<std::uint32_t>(row), kRecord);
+}
+
+std::uint32_t GpuRows::index_of(std::uint32_t object_id) {
+  const auto found = index_of_object_.find(object_id);
+  if (found != index_of_object_.end()) return found->second;
+  if (objects_.size() > kMaxObjects) {
+    objects_are_full_ = true;
+    return kHidden;
+  }
+  const auto index = static_cast<std::uint32_t>(objects_.size());
+  index_of_object_.emplace(object_id, index);
+  objects_.push_back({.id = object_id, .light = {}});
+  if (object_id == kFarFieldFrame) far_field_ = index;
+  objects_are_new_ = true;
+  return index;
+}
+
+void GpuRows::follow_scene() {
+  const std::tuple key(replica_.epoch(), replica_.scene_version(), replica_.scene_instant().frame);
+  if (!std::exchange(objects_are_new_, false) && key == scene_key_) return;
+  scene_key_ = key;
+  const SceneState& scene = replica_.scene();
+  std::vector<std::uint8_t> relit(objects_.size());
+  bool any_relit = false;
+  transforms_.assign(objects_.size(), {});
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    Object& object = objects_[k];
+    ObjectTransform transform;
+    if (object.id != kWorldFrame) {
+      const auto found = scene.objects.find(object.id);
+      if (found == scene.objects.end()) continue;
+      transform = seen_from(glm::vec3(0), object.id, found->second);
+    }
+    transforms_[k] = matrix_of(transform);
+    Light light = shading_light(scene.light, transform);
+    if (light == object.light) continue;
+    object.light = std::move(light);
+    relit[k] = 1;
+    any_relit = true;
+  }
+  if (!any_relit || replica_.layout().appearance != Appearance::Transfer) return;
+  const std::vector<std::uint32_t>& ids = replica_.shown().gaussians.object_id;
+  std::uint32_t id = kWorldFrame, index = 0;
+  for (std::uint32_t row = 0; row < ids.size(); ++row) {
+    if (!is_shown(row)) continue;
+    if (ids[row] != id) {
+      id = ids[row];
+      const auto found = index_of_object_.find(id);
+      index = found != index_of_object_.end() ? found->second : kHidden;
+    }
+    if (index != kHidden && relit[index]) mark(row, kColor);
+  }
+}
+
+const std::vector<GpuRows::Transform>& GpuRows::transforms() {
+  follow_scene();
+  return transforms_;
+}
+
+void GpuRows::find_rows(std::size_t most, Stale wanted, std::size_t& cursor, std::vector<std::uint32_t>& rows) const {
+  rows.clear();
+  for (std::size_t seen = 0; rows.size() < most && seen < stale_.size(); ++seen, ++cursor) {
+    if (cursor >= stale_.size()) cursor = 0;
+    if (stale_[cursor] == wanted) rows.push_back(static_cast<std::uint32_t>(cursor));
+  }
+}
+
+/// The colours of columns of what is shown.
+class GpuRows::Shader {
+ public:
+  explicit Shader(const GpuRows& rows)
+      : rows_(rows), state_(rows.replica_.shown()), maker_(state_.gaussians, state_.layout) {
+    for (const LightSource& source : rows.replica_.scene().light.sources) {
+      seen_.push_back(state_.light_rows.find(source.id));
+    }
+    visibility_.resize(1 + seen_.size());
+  }
+
+  [[nodiscard]] GpuRecord record(std::size_t column, std::uint32_t object_index) {
+    GpuRecord out = maker_.record(column, object_index);
+    out.color = color(column, object_index);
+    return out;
+  }
+  [[nodiscard]] std::uint32_t color(std::size_t column, std::uint32_t object_index) {
+    const Light& light = rows_.objects_[object_index].light;
+    visibility_.resize(1 + light.sources.size(), 1.0F);
+    visibility_[0] = maker_.sun_visibility(column);
+    for (std::size_t k = 1; k < visibility_.size() && k <= seen_.size(); ++k) {
+      visibility_[k] = seen_[k - 1] ? static_cast<float>((*seen_[k - 1])[column]) / 255 : 1.0F;
+    }
+    return maker_.color(column, visibility_, light);
+  }
+
+ private:
+  const GpuRows& rows_;
+  const ReplicatedState& state_;
+  RecordMaker maker_;
+  std::vector<const Bytes*> seen_;  ///< of the scene's sources
+  std::vector<float> visibility_;
+};
+
+void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records) {
+  find_rows(std::min(most, unsent_), kRecord, record_cursor_, rows);
+  const std::vector<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
+  // The scene is followed for all objects before there is a colour.
+  for (const std::uint32_t row : rows) {
+    if (is_shown(row)) static_cast<void>(index_of(object_ids[row]));
+  }
+  follow_scene();
+  records.assign(rows.size(), {});
+  Shader shader(*this);
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    stale_[rows[k]] = kNothing;
+    const std::uint32_t object = is_shown(rows[k]) ? index_of(object_ids[rows[k]]) : kHidden;
+    if (object != kHidden) records[k] = shader.record(rows[k], object);
+  }
+  unsent_ -= rows.size();
+}
+
+void GpuRows::take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors) {
+  follow_scene();
+  find_rows(std::min(most, recolored_), kColor, color_cursor_, rows);
+  const std::vector<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
+  colors.assign(rows.size(), 0);
+  Shader shader(*this);
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    stale_[rows[k]] = kNothing;
+    const std::uint32_t object = is_shown(rows[k]) ? index_of(object_ids[rows[k]]) : kHidden;
+    if (object != kHidden) colors[k] = shader.color(rows[k], object);
+  }
+  recolored_ -= rows.size();
+}
+
+}  // namespace splatbus::stream

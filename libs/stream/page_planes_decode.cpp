@@ -1,0 +1,234 @@
+#include <limits>
+
+#include "stream/page_codec_parts.h"
+#include "stream/page_planes_source.h"
+
+namespace splatbus::stream {
+
+namespace planes {
+
+namespace {
+
+std::int32_t read_number(ByteReader& header) {
+  const std::int64_t value = unzigzag(header.varint());
+  if (value < -(1 << 28) || value > 1 << 28) refuse("a number out of any range");
+  return static_cast<std::int32_t>(value);
+}
+
+PlaneModel read_model(ByteReader& header) {
+  const std::uint64_t kind = header.low_bytes(1);
+  if ((kind & 7U) >= kPredictors || kind >= 128) refuse("an unknown predictor");
+  PlaneModel model;
+  model.predictor = static_cast<Predictor>(kind & 7U);
+  model.shape = static_cast<Shape>(kind >> 3U & 1U);
+  model.slope = 1 + static_cast<int>(kind >> 4U & 3U);
+  model.spread = static_cast<int>(header.low_bytes(1));
+  if (model.spread >= kMaxSpread) refuse("values that are wider than any");
+  model.offset = read_number(header);
+  if ((kind >> 6U & 1U) != 0) {
+    model.per_class = read_number(header);
+    if (std::abs(model.per_class) > 1 << 20) refuse("a number out of any range");
+  }
+  return model;
+}
+
+/// What the lanes of an attribute are told apart by, and how coarse each is.
+struct Contexts {
+  const std::uint8_t* of_lane;
+  std::array<std::uint8_t, kClasses> shift{};
+};
+
+/// One plane into `out`; `before` are the planes of the same attribute so far.
+void read_plane(Source& source, const Contexts& contexts, std::span<const std::vector<std::int32_t>> before,
+                std::vector<std::int32_t>& out) {
+  const PlaneModel model = read_model(source.header());
+  if (model.predictor == Predictor::Constant) {
+    std::fill(out.begin(), out.end(), model.offset);
+    return;
+  }
+  Source::Contexts read;
+  read.of_lane = contexts.of_lane;
+  const bool moves = model.predictor != Predictor::Offset;
+  for (std::size_t k = 0; k < kClasses; ++k) {
+    const int shift = contexts.shift[k];
+    const Spread spread = spread_of(model.spread - model.slope * shift);
+    const std::int32_t offset =
+        model.offset + (model.per_class * (static_cast<int>(k) - kClassBias)) / 8 + ((1 << shift) >> 1);
+    read.table[k] = DecodingTables::at(model.shape, spread.table);
+    read.offset[k] = static_cast<std::uint32_t>(moves ? offset : offset >> shift);
+    read.shift[k] = static_cast<std::uint32_t>(shift);
+    read.low_bits[k] = static_cast<std::uint32_t>(spread.low_bits);
+  }
+  const std::size_t colour = before.size() % 3;
+  if ((model.predictor == Predictor::Channel || model.predictor == Predictor::Both) && colour == 0) {
+    refuse("a first channel that is predicted from one before");
+  }
+  // Sums wrap around: whatever comes of it is within the limits, or refused.
+  const auto from = [&](auto base) {
+    source.values(
+        read,
+        [&read, base](std::size_t i, std::uint8_t k, std::uint32_t residual) SPLATBUS_INLINE {
+          const auto predicted = static_cast<std::int32_t>(base(i) + read.offset[k]);
+          return (residual + static_cast<std::uint32_t>(predicted >> read.shift[k])) << read.shift[k];
+        },
+        out.data());
+  };
+  const auto u = [](std::int32_t x) { return static_cast<std::uint32_t>(x); };
+  std::int32_t* const lane = out.data();
+  switch (model.predictor) {
+    case Predictor::Constant:
+    case Predictor::Offset:
+      source.values(
+          read,
+          [&read](std::size_t, std::uint8_t k, std::uint32_t residual)
+              SPLATBUS_INLINE { return (residual + read.offset[k]) << read.shift[k]; },
+          lane);
+      break;
+    case Predictor::Lane:
+      from([=](std::size_t i) SPLATBUS_INLINE { return i > 0 ? u(lane[i - 1]) : 0U; });
+      break;
+    case Predictor::Channel: {
+      const std::int32_t* const a = before.back().data();
+      const std::int32_t* const b = before[before.size() - colour].data();
+      from([=](std::size_t i) SPLATBUS_INLINE { return u((a[i] + b[i]) >> 1); });
+      break;
+    }
+    case Predictor::Both: {
+      const std::int32_t* const a = before.back().data();
+      from([=](std::size_t i) SPLATBUS_INLINE { return i > 0 ? u(lane[i - 1]) + u(a[i]) - u(a[i - 1]) : u(a[0]); });
+      break;
+    }
+  }
+}
+
+void require_limits(const AttributeChannels& a, const std::vector<std::int32_t>& plane) {
+  std::int32_t low = a.minimum, high = a.maximum;
+  for (const std::int32_t value : plane) {
+    low = value < low ? value : low;
+    high = value > high ? value : high;
+  }
+  if (low < a.minimum || high > a.maximum) refuse("a value beyond its limits");
+}
+
+/// Numbers from 0 that ascend in size rather than value.
+std::vector<std::uint64_t> read_gaps(Source& source) {
+  const std::vector<std::uint8_t> none(source.count());
+  std::vector<std::int32_t> number(source.count());
+  read_plane(source, {none.data(), {}}, {}, number);
+  std::vector<std::uint64_t> gaps(source.count());
+  for (std::size_t i = 0; i < gaps.size(); ++i) {
+    if (number[i] < 0 || number[i] > kMaxGapClass) refuse("a gap wider than any");
+    const int bits = gap_plain_bits(number[i]), low = bits < 32 ? bits : 32;
+    std::uint64_t plain = source.plain(low);
+    if (bits > low) plain |= std::uint64_t{source.plain(bits - low)} << 32U;
+    gaps[i] = gap_base(number[i]) + plain - 1;
+  }
+  source.check();
+  return gaps;
+}
+
+void read_means(Source& source, const AttributeChannels& a, std::span<const std::uint8_t> shift,
+                std::span<std::vector<std::int32_t>> out) {
+  ByteReader& header = source.header();
+  MortonGrid grid;
+  for (std::int32_t& origin : grid.origin) origin = read_number(header);
+  for (int& bits : grid.bits) {
+    bits = static_cast<int>(header.low_bytes(1));
+    if (bits > kMaxCellBits) refuse("an axis of too many bits");
+  }
+  grid.low = static_cast<int>(header.low_bytes(1));
+  if (grid.low > kMaxLowBits) refuse("an axis of too many bits");
+  const std::vector<std::uint64_t> gaps = read_gaps(source);
+  const Deinterleaver cells(grid.bits);
+  constexpr std::uint64_t kAxis = (std::uint64_t{1} << kMaxCellBits) - 1;
+  std::uint64_t key = 0;
+  for (std::size_t i = 0; i < gaps.size(); ++i) {
+    key += gaps[i];
+    const std::uint64_t cell = cells(key);
+    const int plain = grid.low > shift[i] ? grid.low - shift[i] : 0;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const auto high = static_cast<std::uint32_t>(cell >> (kMaxCellBits * axis) & kAxis);
+      const std::uint32_t low = plain > 0 ? source.plain(plain) << shift[i] : 0;
+      out[axis][i] =
+          static_cast<std::int32_t>(static_cast<std::uint32_t>(grid.origin[axis]) + (high << grid.low) + low);
+    }
+  }
+  source.check();
+  for (const auto& plane : out) require_limits(a, plane);
+}
+
+std::vector<std::uint32_t> read_object_ids(Source& source, bool one) {
+  ByteReader& header = source.header();
+  std::vector<std::uint32_t> ids;
+  ids.reserve(source.count());
+  while (ids.size() < source.count()) {
+    const std::uint64_t length = one ? source.count() : header.varint() + 1, id = header.varint();
+    if (id > std::numeric_limits<std::uint32_t>::max()) refuse("an object id of more than 32 bits");
+    if (length == 0 || length > source.count() - ids.size()) refuse("more objects' Gaussians than it has");
+    ids.insert(ids.end(), length, static_cast<std::uint32_t>(id));
+  }
+  return ids;
+}
+
+}  // namespace
+
+}  // namespace planes
+
+QuantizedGaussians decode_planes(std::span<const std::uint8_t> bytes, const StreamLayout& layout, std::size_t count) {
+  using namespace planes;
+  if (bytes.size() < 2 || bytes[0] != kFormat) refuse("not of this format");
+  const std::uint8_t flags = bytes[1];
+  if (flags > (kHasIds | kOneObject)) refuse("unknown flags");
+  Source source(bytes.subspan(2), count);
+  QuantizedGaussians out(layout, count);
+
+  std::vector<std::uint8_t> klass(count), shift(count);
+  {
+    std::vector<std::int32_t> plane(count);
+    read_plane(source, {klass.data(), {}}, {}, plane);
+    for (std::size_t i = 0; i < count; ++i) {
+      if (plane[i] < 0 || plane[i] >= kClasses) refuse("an unknown class of precision");
+      klass[i] = static_cast<std::uint8_t>(plane[i]);
+    }
+  }
+  const auto planes_of = [&](const AttributeChannels& a) {
+    return std::span(out.channels).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels));
+  };
+  const auto read_attribute = [&](const AttributeChannels& a) {
+    const ShiftRule rule(layout, a.attribute);
+    Contexts contexts{klass.data(), {}};
+    for (int k = 0; k < kClasses; ++k) {
+      contexts.shift[k] =
+          static_cast<std::uint8_t>(rule.is_constant() ? shift_at(k - kClassBias, rule.offset(0, 0, 0), rule.cap())
+                                                       : (k < rule.cap() ? k : rule.cap()));
+    }
+    if (!rule.is_constant()) {
+      const auto scale = planes_of(layout.at(Attribute::LogScale));
+      for (std::size_t i = 0; i < count; ++i) {
+        shift[i] = static_cast<std::uint8_t>(
+            shift_at(klass[i] - kClassBias, rule.offset(scale[0][i], scale[1][i], scale[2][i]), rule.cap()));
+      }
+      contexts.of_lane = shift.data();
+    }
+    const auto planes = planes_of(a);
+    if (a.attribute == Attribute::Mean) return read_means(source, a, shift, planes);
+    for (std::size_t c = 0; c < planes.size(); ++c) {
+      read_plane(source, contexts, planes.first(c), planes[c]);
+      require_limits(a, planes[c]);
+    }
+  };
+  read_attribute(layout.at(Attribute::LogScale));  // means and rotations are as fine as a Gaussian is small
+  for (const AttributeChannels& a : layout.attributes()) {
+    if (a.attribute != Attribute::LogScale) read_attribute(a);
+  }
+  out.object_id = read_object_ids(source, (flags & kOneObject) != 0);
+  if ((flags & kHasIds) != 0) {
+    std::uint64_t id = 0;
+    const std::vector<std::uint64_t> gaps = read_gaps(source);
+    for (std::size_t i = 0; i < count; ++i) out.gaussian_id[i] = id += static_cast<std::uint64_t>(unzigzag(gaps[i]));
+  }
+  source.finish();
+  return out;
+}
+
+}  // namespace splatbus::stream

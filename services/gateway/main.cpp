@@ -1,0 +1,37 @@
+#include <spdlog/spdlog.h>
+
+#include "bus/clock.h"
+#include "bus/service.h"
+#include "gateway/server.h"
+
+namespace {
+
+using namespace splatbus;
+
+void run(bus::ServiceContext& service) {
+  const auto options = service.parameters.read<gateway::Options>();
+  gateway::check(options);
+  gateway::PipelineView pipeline(service.bus);
+  gateway::Traffic traffic;
+  gateway::Site site(options, pipeline, traffic);
+  gateway::Server server(options, gateway::streamer_endpoint(options, service.bus->address()), site, traffic);
+  spdlog::info("{}, {} files of the page", server.url(), site.files());
+  service.detail(server.url());
+  server.run(service.stop, [&] {
+    pipeline.poll(bus::now_ns());
+    service.counter("connections", static_cast<double>(traffic.connections));
+    service.counter("viewers", static_cast<double>(traffic.viewers));
+    service.counter("bytes_to", static_cast<double>(traffic.bytes_to));
+  });
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const bus::ServiceDescription description{
+      .kind = "gateway",
+      .summary = "The door for browsers: the page, the stream over WebSocket, and figures, over HTTP",
+      .parameters = bus::Parameters::declare<gateway::Options>(),
+  };
+  return bus::service_main(argc, argv, description, run);
+}

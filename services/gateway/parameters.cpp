@@ -1,0 +1,78 @@
+#include "gateway/parameters.h"
+
+#include <fmt/format.h>
+
+#include <filesystem>
+
+#include "bus/error.h"
+#include "gateway/access.h"
+
+namespace splatbus::gateway {
+
+void Options::bind(bus::ParameterBinder& p) {
+  using bus::kFixed;
+  p.add("endpoint", endpoint, "the streamer's ZeroMQ endpoint; empty: ipc, 'streamer' in the folder of the bus",
+        kFixed);
+  p.add("http", http,
+        "address and port to listen on; one beyond this machine needs 'tokens', and a certificate or 'insecure'",
+        kFixed);
+  p.add("certificate", certificate, "PEM file with the chain of certificates; with 'key' it is https and wss", kFixed);
+  p.add("key", key, "PEM file with the certificate's private key", kFixed);
+  p.add("insecure", insecure, "beyond this machine without TLS: whoever is on the way reads and changes everything",
+        kFixed);
+  p.add("tokens", tokens, "file with a role and the SHA-256 of a token on each line; empty: anybody may do anything",
+        kFixed);
+  p.add("origins", origins,
+        "web origins besides our own whose pages may connect, such as https://example.org; separated by commas",
+        kFixed);
+  p.add("web_root", web_root, "folder with the page; empty: share/splatbus/web beside the program's", kFixed);
+  p.add("max_connections", limits.connections, "at a time", {1, 16384}, kFixed);
+  p.add("max_connections_per_address", limits.connections_per_address,
+        "at a time from one IPv4 address or IPv6 /64; behind a proxy all come from the same", {1, 16384}, kFixed);
+  p.add("max_message_bytes", limits.message_bytes, "bytes of one WebSocket message from a browser", {64, 1 << 20},
+        kFixed);
+  p.add("max_rate_kbps", limits.rate_kbps, "kbit/s that are read from one connection", {8, 1e6}, kFixed);
+  p.add("max_messages_per_s", limits.messages_per_s, "messages a second that are read from one browser", {1, 10000},
+        kFixed);
+  p.add("max_queued_mb", limits.queued_bytes,
+        "MB of packets being written to browsers; above that the one that has taken longest is closed", {8, 16384},
+        kFixed, bus::kMebibytes);
+  p.add("handshake_s", limits.handshake_s, "seconds for TLS, and for the header of a request", {0.1, 60}, kFixed);
+  p.add("idle_s", limits.idle_s, "seconds without a request, or a pong from a browser, until it is closed", {0.2, 3600},
+        kFixed);
+  p.add("stall_s", limits.stall_s, "seconds without a byte taken by one that is written to, until it is closed",
+        {0.2, 3600}, kFixed);
+}
+
+void check(const Options& options) {
+  const auto address = parse_host_port(options.http);
+  if (!address)
+    throw bus::Error(fmt::format("http: '{}' is no address and port, such as 127.0.0.1:7680", options.http));
+  if (options.certificate.empty() != options.key.empty()) {
+    throw bus::Error("'certificate' and 'key' go together: set both or neither");
+  }
+  if (is_loopback(address->host)) return;
+  if (options.tokens.empty()) {
+    throw bus::Error(fmt::format("http: {} can be reached from other machines: set 'tokens'", options.http));
+  }
+  if (options.certificate.empty() && !options.insecure) {
+    throw bus::Error(fmt::format(
+        "http: {} can be reached from other machines: set 'certificate' and 'key', or insecure=true", options.http));
+  }
+}
+
+std::string streamer_endpoint(const Options& options, const bus::Address& address) {
+  if (!options.endpoint.empty()) return options.endpoint;
+  if (!address.is_local()) {
+    throw bus::Error(fmt::format("the bus at {} has no folder: set 'endpoint' to the streamer's", address.text()));
+  }
+  return "ipc://" + *address.directory + "/streamer";
+}
+
+std::string web_root(const Options& options) {
+  if (!options.web_root.empty()) return options.web_root;
+  const auto program = std::filesystem::read_symlink("/proc/self/exe");
+  return (program.parent_path().parent_path() / "share/splatbus/web").string();
+}
+
+}  // namespace splatbus::gateway

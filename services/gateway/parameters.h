@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include "bus/context.h"
+#include "bus/parameters.h"
+
+namespace splatbus::gateway {
+
+/// The bounds that every connection is held to.
+struct Limits {
+  int connections = 512;
+  int connections_per_address = 128;
+  std::size_t message_bytes = 65536;  ///< of one WebSocket message from a browser
+  double rate_kbps = 2000;            ///< kbit/s from one connection; what is beyond that is not read until later
+  double messages_per_s = 240;        ///< from one browser
+  std::size_t queued_bytes = std::size_t{256} << 20;  ///< of packets that are being written, all browsers together
+  double handshake_s = 5;                             ///< for TLS, and for the header of a request
+  double idle_s = 30;                                 ///< without a request or, from a browser, so much as a pong
+  double stall_s = 10;                                ///< in which a browser that is being written to takes no byte
+};
+
+/// The gateway's parameters.
+struct Options {
+  std::string endpoint;
+  std::string http = "127.0.0.1:7680";
+  std::string certificate, key, tokens, origins, web_root;
+  bool insecure = false;
+  Limits limits;
+
+  void bind(bus::ParameterBinder& parameters);
+};
+
+/// Throws bus::Error in words where the options do not go together: an address beyond this machine needs `tokens`, and
+/// `certificate` and `key` or `insecure`.
+void check(const Options& options);
+
+/// Where the streamer is: `endpoint`, or ipc, "streamer" in the bus's folder. Throws bus::Error.
+[[nodiscard]] std::string streamer_endpoint(const Options& options, const bus::Address& address);
+
+/// `web_root`, or share/splatbus/web beside the program's folder.
+[[nodiscard]] std::string web_root(const Options& options);
+
+}  // namespace splatbus::gateway

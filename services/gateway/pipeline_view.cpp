@@ -1,0 +1,146 @@
+#include "gateway/pipeline_view.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "bus/frames.h"
+#include "wire/model_generated.h"
+#include "wire/stream_generated.h"
+#include "wire/system_generated.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::gateway {
+
+namespace {
+
+constexpr std::size_t kMaxServices = 64, kMaxCounters = 64, kMaxTypes = 32, kMaxDetail = 256;
+constexpr std::size_t kMessagesACall = 1024;
+constexpr double kPatienceS = 3;
+
+StreamFigures figures_of(const wire::StreamStats& stats) {
+  StreamFigures figures{.epoch = stats.stream_epoch(),
+                        .sequence = stats.sequence(),
+                        .gaussians = stats.gaussians(),
+                        .model_gaussians = stats.model_gaussians(),
+                        .total_bytes = stats.total_bytes(),
+                        .snapshots = stats.snapshots(),
+                        .resends = stats.resends(),
+                        .lost_viewers = stats.lost_viewers(),
+                        .viewers = stats.viewers(),
+                        .wire_mbps = stats.wire_mbps(),
+                        .wire_mbps_mean = stats.wire_mbps_mean(),
+                        .wire_mbps_peak = stats.wire_mbps_peak(),
+                        .by_type = {}};
+  if (stats.by_type() == nullptr) return figures;
+  for (const auto* type : *stats.by_type()) {
+    if (figures.by_type.size() == kMaxTypes) break;
+    figures.by_type[bus::printable(type->body()->string_view())] = {type->packets(), type->total_bytes()};
+  }
+  return figures;
+}
+
+TrainerFigures figures_of(const wire::TrainerStats& stats) {
+  return {.step = stats.step(),
+          .views = stats.views(),
+          .gaussians = stats.gaussians(),
+          .active = stats.active(),
+          .frozen = stats.frozen(),
+          .spilled = stats.spilled(),
+          .unpaired_views = stats.unpaired_views(),
+          .device_bytes = stats.device_bytes(),
+          .host_bytes = stats.host_bytes(),
+          .disk_bytes = stats.disk_bytes(),
+          .pages_active = stats.pages_active(),
+          .pages_frozen = stats.pages_frozen(),
+          .pages_spilled = stats.pages_spilled(),
+          .ready_references = stats.ready_references(),
+          .ready_inputs = stats.ready_inputs(),
+          .steps_per_s = stats.steps_per_s(),
+          .views_per_s = stats.views_per_s(),
+          .loss = stats.loss(),
+          .masked_share = stats.masked_share(),
+          .paused = stats.paused()};
+}
+
+}  // namespace
+
+PipelineView::PipelineView(std::shared_ptr<bus::Context> context) : subscriber_(std::move(context)) {
+  using bus::Message;
+  subscriber_.on(topics::kHeartbeat, [this](const wire::Heartbeat& body, const Message&) { take_heartbeat(body); })
+      .on(topics::kLiveness, [this](const wire::Liveness& body, const Message& m) { take_liveness(body, m); })
+      .on(topics::kStreamStats,
+          [this](const wire::StreamStats& body, const Message&) {
+            stream_ = {figures_of(body), now_ns_};
+          })
+      .on(topics::kTrainerStats,
+          [this](const wire::TrainerStats& body, const Message&) {
+            trainer_ = {figures_of(body), now_ns_};
+          })
+      .on(topics::kViewerQuality, [this](const wire::ViewerQuality& body, const Message&) {
+        quality_ = {.ssim = body.ssim(), .psnr_db = body.psnr_db(), .flip = body.flip()};
+      });
+}
+
+void PipelineView::poll(std::int64_t now_ns) {
+  now_ns_ = now_ns;
+  subscriber_.dispatch_all(std::chrono::milliseconds(0), kMessagesACall);
+}
+
+void PipelineView::take_heartbeat(const wire::Heartbeat& heartbeat) {
+  const std::string source = bus::printable(heartbeat.header()->source()->string_view());
+  if (!beats_.contains(source) && beats_.size() >= kMaxServices) return;
+  ServiceFigures& figures = beats_[source];
+  figures.detail = heartbeat.detail() ? bus::printable(heartbeat.detail()->string_view(), kMaxDetail) : "";
+  figures.backend = heartbeat.backend() ? bus::printable(heartbeat.backend()->string_view()) : "";
+  figures.counters.clear();
+  if (heartbeat.counters() == nullptr) return;
+  for (const auto* counter : *heartbeat.counters()) {
+    if (figures.counters.size() == kMaxCounters) break;
+    figures.counters[bus::printable(counter->name()->string_view())] = counter->value();
+  }
+}
+
+void PipelineView::take_liveness(const wire::Liveness& liveness, const bus::Message& message) {
+  liveness_ns_ = message.header().resent() ? 0 : now_ns_;
+  nodes_.clear();
+  if (liveness.nodes() == nullptr) return;
+  for (const auto* node : *liveness.nodes()) {
+    if (nodes_.size() == kMaxServices) break;
+    nodes_.push_back({.source = bus::printable(node->source()->string_view()),
+                      .kind = bus::printable(node->service()->string_view()),
+                      .state = wire::EnumNameServiceState(node->state()),
+                      .pid = node->pid(),
+                      .alive = node->alive(),
+                      .age_s = node->age_s()});
+  }
+  std::erase_if(beats_, [&](const auto& beat) {
+    return std::none_of(nodes_.begin(), nodes_.end(), [&](const auto& node) { return node.source == beat.first; });
+  });
+}
+
+std::vector<ServiceFigures> PipelineView::services(std::int64_t now_ns) const {
+  std::vector<ServiceFigures> services = nodes_;
+  const double since_s = liveness_ns_ == 0 ? 0 : static_cast<double>(now_ns - liveness_ns_) / 1e9;
+  for (ServiceFigures& service : services) {
+    service.age_s += since_s;
+    const auto beat = beats_.find(service.source);
+    if (beat == beats_.end()) continue;
+    service.detail = beat->second.detail;
+    service.backend = beat->second.backend;
+    service.counters = beat->second.counters;
+  }
+  return services;
+}
+
+std::string PipelineView::ill_because(std::int64_t now_ns) const {
+  if (liveness_ns_ == 0 || static_cast<double>(now_ns - liveness_ns_) / 1e9 > kPatienceS) return "the bus is silent";
+  const auto services = this->services(now_ns);
+  const bool streams = std::any_of(services.begin(), services.end(), [](const ServiceFigures& service) {
+    return service.kind == "streamer" && service.alive && service.age_s < kPatienceS;
+  });
+  return streams ? "" : "no streamer is alive";
+}
+
+}  // namespace splatbus::gateway

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <stop_token>
+#include <string>
+
+#include "gateway/site.h"
+
+namespace splatbus::gateway {
+
+/// Listens, serves the site over HTTP, and relays between browsers' WebSockets and the streamer. One thread.
+class Server {
+ public:
+  /// Binds. Throws bus::Error naming the address, the certificate or the key, and what is wrong. The references outlive
+  /// it.
+  Server(const Options& options, std::string streamer_endpoint, Site& site, Traffic& traffic);
+  ~Server();
+  Server(const Server&) = delete;
+  Server& operator=(const Server&) = delete;
+
+  /// Until `stop`; calls `tick` ten times a second.
+  void run(const std::stop_token& stop, const std::function<void()>& tick);
+
+  /// As bound, with its real port: "http://localhost:7680".
+  [[nodiscard]] const std::string& url() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace splatbus::gateway

@@ -1,0 +1,188 @@
+#include "gateway/site.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "gateway/metrics.h"
+
+namespace splatbus::gateway {
+
+namespace {
+
+constexpr std::size_t kMaxToken = 256;
+constexpr std::string_view kTokenProtocol = "splatbus.token.";
+constexpr std::int64_t kBenchEveryNs = 500'000'000;
+
+Response text(int status, std::string body, std::string type = "text/plain; charset=utf-8") {
+  return {.status = status,
+          .fields = {{"Cache-Control", "no-store"}},
+          .type = std::move(type),
+          .body = std::make_shared<const std::string>(std::move(body))};
+}
+
+/// Calls `take` with each part of a list, trimmed, until it returns true.
+template <class Take>
+bool any_of_list(std::string_view list, char separator, const Take& take) {
+  while (!list.empty()) {
+    const std::size_t end = std::min(list.find(separator), list.size());
+    std::string_view part = list.substr(0, end);
+    list.remove_prefix(std::min(end + 1, list.size()));
+    while (part.starts_with(' ') || part.starts_with('\t')) part.remove_prefix(1);
+    while (part.ends_with(' ') || part.ends_with('\t')) part.remove_suffix(1);
+    if (take(part)) return true;
+  }
+  return false;
+}
+
+/// As `Authorization: Bearer T`; since no page can set that for a WebSocket, also as its subprotocol
+/// `splatbus.token.T`, and, for links, as the query's `token=T`.
+std::string_view token_of(const Request& request) {
+  std::string_view token;
+  if (request.authorization && request.authorization->starts_with("Bearer ")) return request.authorization->substr(7);
+  const auto take = [&](std::string_view prefix) {
+    return [&token, prefix](std::string_view part) {
+      if (!part.starts_with(prefix)) return false;
+      token = part.substr(prefix.size());
+      return true;
+    };
+  };
+  if (request.protocols && any_of_list(*request.protocols, ',', take(kTokenProtocol))) return token;
+  const std::size_t query = std::min(request.target.find('?'), request.target.size());
+  any_of_list(request.target.substr(std::min(query + 1, request.target.size())), '&', take("token="));
+  return token;
+}
+
+bool has_etag(std::string_view if_none_match, std::string_view etag) {
+  return any_of_list(if_none_match, ',', [&](std::string_view part) {
+    if (part.starts_with("W/")) part.remove_prefix(2);
+    return part == etag || part == "*";
+  });
+}
+
+}  // namespace
+
+const std::vector<std::pair<std::string, std::string>>& common_fields() {
+  static const std::vector<std::pair<std::string, std::string>> fields{
+      {"Cross-Origin-Opener-Policy", "same-origin"},
+      {"Cross-Origin-Embedder-Policy", "require-corp"},
+      {"Cross-Origin-Resource-Policy", "same-origin"},
+      {"Content-Security-Policy",
+       "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; connect-src 'self'; "
+       "img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; object-src 'none'; base-uri 'none'; "
+       "form-action 'none'; frame-ancestors 'self'"},
+      {"X-Content-Type-Options", "nosniff"},
+      {"Referrer-Policy", "no-referrer"}};
+  return fields;
+}
+
+Site::Site(const Options& options, PipelineView& pipeline, Traffic& traffic)
+    : options_(options),
+      pipeline_(pipeline),
+      traffic_(traffic),
+      files_(web_root(options)),
+      tokens_(options.tokens),
+      origins_(options.origins, tokens_.required()) {}
+
+std::optional<bus::Rights> Site::rights_of(std::string_view token) const {
+  if (!tokens_.required()) return bus::Rights::all();
+  return token.size() > kMaxToken ? std::nullopt : tokens_.find(token);
+}
+
+std::optional<Response> Site::refuse_stranger(const Request& request) {
+  if (!origins_.host_allowed(request.host)) {
+    traffic_.refuse(Refusal::Host);
+    return text(421, "this is not the host that was asked for; 'origins' names further ones\n");
+  }
+  if (!origins_.origin_allowed(request.origin, request.host)) {
+    traffic_.refuse(Refusal::Origin);
+    return text(403, "pages of this origin may not connect; 'origins' names those that may\n");
+  }
+  return std::nullopt;
+}
+
+Response Site::answer(const Request& request, std::int64_t now_ns) {
+  ++traffic_.requests;
+  if (auto refusal = refuse_stranger(request)) return std::move(*refusal);
+  const std::string_view path = request.target.substr(0, request.target.find('?'));
+  const bool reads = request.method == "GET" || request.method == "HEAD";
+  if (path == "/bench" && request.method == "POST") return take_bench(request, now_ns);
+  if (!reads || path == "/bench") {
+    Response response = text(405, "only GET and HEAD, and POST to /bench\n");
+    response.fields.emplace_back("Allow", path == "/bench" ? "POST" : "GET, HEAD");
+    return response;
+  }
+  if (path == "/healthz") {
+    const std::string ill = pipeline_.ill_because(now_ns);
+    return ill.empty() ? text(200, "ok\n") : text(503, ill + "\n");
+  }
+  if (path == "/status" || path == "/metrics") {
+    if (!rights_of(token_of(request))) {
+      traffic_.refuse(Refusal::Token);
+      return text(401, "a token is needed\n");
+    }
+    if (path == "/metrics") {
+      return text(200, metrics_text(pipeline_, traffic_, now_ns), "text/plain; version=0.0.4; charset=utf-8");
+    }
+    const auto status = status_json(pipeline_, traffic_, bench_, now_ns);
+    return text(200, status.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n", "application/json");
+  }
+  if (path == "/stream") {
+    Response response = text(426, "a WebSocket of subprotocol splatbus.stream.1\n");
+    response.fields.emplace_back("Upgrade", "websocket");
+    return response;
+  }
+  return file(request, path);
+}
+
+Response Site::file(const Request& request, std::string_view path) const {
+  const StaticFiles::File* found = files_.find(path);
+  if (found == nullptr) {
+    const bool unbuilt = files_.size() == 0 && path == "/";
+    return text(404, unbuilt ? "the page is not built; /status, /metrics and /stream are here\n" : "not here\n");
+  }
+  Response response{.fields = {{"ETag", found->etag}, {"Cache-Control", "no-cache"}}, .type = found->type};
+  if (request.if_none_match && has_etag(*request.if_none_match, found->etag)) {
+    response.status = 304;
+  } else {
+    response.body = found->body;
+  }
+  return response;
+}
+
+Response Site::take_bench(const Request& request, std::int64_t now_ns) {
+  if (!rights_of(token_of(request))) {
+    traffic_.refuse(Refusal::Token);
+    return text(401, "a token is needed\n");
+  }
+  // With this type a browser asks us first before it lets a foreign page post; we never agree.
+  if (!request.content_type || !request.content_type->starts_with("application/json")) {
+    return text(415, "application/json was expected\n");
+  }
+  if (bench_ns_ != 0 && now_ns - bench_ns_ < kBenchEveryNs) return text(429, "too many reports\n");
+  bench_ns_ = now_ns;
+  const std::string problem = bench_.add(request.body);
+  if (problem.empty()) return {.status = 204, .fields = {{"Cache-Control", "no-store"}}};
+  traffic_.refuse(Refusal::Malformed);
+  return text(400, problem + "\n");
+}
+
+Site::Admission Site::admit(const Request& request) {
+  ++traffic_.requests;
+  if (auto refusal = refuse_stranger(request)) return {.refusal = std::move(*refusal)};
+  if (request.target.substr(0, request.target.find('?')) != "/stream") return {.refusal = text(404, "not here\n")};
+  const auto is_ours = [](std::string_view name) { return name == kSubprotocol; };
+  if (!request.protocols || !any_of_list(*request.protocols, ',', is_ours)) {
+    traffic_.refuse(Refusal::Malformed);
+    return {.refusal = text(400, fmt::format("subprotocol {} was expected\n", kSubprotocol))};
+  }
+  const std::string_view token = token_of(request);
+  const auto rights = rights_of(token);
+  if (!rights) {
+    traffic_.refuse(Refusal::Token);
+    return {.refusal = text(401, "a token is needed\n")};
+  }
+  return {.rights = rights, .refusal = {}, .token = std::string(token.substr(0, kMaxToken))};
+}
+
+}  // namespace splatbus::gateway

@@ -1,0 +1,71 @@
+#include "gateway/stream_link.h"
+
+#include <fmt/format.h>
+
+#include "bus/error.h"
+
+namespace splatbus::gateway {
+
+namespace {
+
+// Few, since what waits here is memory of a browser that does not read; the streamer holds the rest, once for all.
+constexpr int kQueuedFromStreamer = 8;
+constexpr int kQueuedToStreamer = 64;
+constexpr std::int64_t kMaxFrameBytes = std::int64_t{32} << 20;
+
+}  // namespace
+
+StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint)
+    : socket_(context, zmq::socket_type::dealer) {
+  socket_.set(zmq::sockopt::rcvhwm, kQueuedFromStreamer);
+  socket_.set(zmq::sockopt::sndhwm, kQueuedToStreamer);
+  socket_.set(zmq::sockopt::linger, 0);
+  socket_.set(zmq::sockopt::immediate, true);
+  socket_.set(zmq::sockopt::reconnect_ivl, 50);
+  socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
+  socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
+  try {
+    socket_.connect(endpoint);
+  } catch (const zmq::error_t& error) {
+    throw bus::Error(fmt::format("{}: {}", endpoint, error.what()));
+  }
+}
+
+bool StreamLink::receive(StreamPacket& packet) {
+  while (socket_.recv(packet.packet, zmq::recv_flags::dontwait)) {
+    packet.payload.rebuild();
+    if (!packet.packet.more()) return true;
+    (void)socket_.recv(packet.payload);
+    if (!packet.payload.more()) return true;
+    zmq::message_t rest;
+    do {
+      (void)socket_.recv(rest);
+    } while (rest.more());
+  }
+  return false;
+}
+
+bool StreamLink::send(const FramedPacket& packet, const bus::Rights& rights) {
+  using zmq::send_flags;
+  const std::string first = bus::rights_frame(rights);
+  // Once the first frame is accepted, the rest of the message is.
+  if (socket_.send(zmq::buffer(first), send_flags::dontwait | send_flags::sndmore)) {
+    const bool has_payload = !packet.payload.empty();
+    socket_.send(zmq::buffer(packet.packet.data(), packet.packet.size()),
+                 has_payload ? send_flags::dontwait | send_flags::sndmore : send_flags::dontwait);
+    if (has_payload) {
+      socket_.send(zmq::buffer(packet.payload.data(), packet.payload.size()), send_flags::dontwait);
+    }
+  }
+  return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0;
+}
+
+bool StreamLink::connected() {
+  return (socket_.get(zmq::sockopt::events) & ZMQ_POLLOUT) != 0;
+}
+
+int StreamLink::descriptor() const {
+  return socket_.get(zmq::sockopt::fd);
+}
+
+}  // namespace splatbus::gateway

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <zmq.hpp>
+
+#include "gateway/packet_gate.h"
+
+namespace splatbus::gateway {
+
+/// A packet on its way from the streamer to a browser.
+struct StreamPacket {
+  zmq::message_t packet, payload;
+  [[nodiscard]] std::size_t bytes() const { return packet.size() + payload.size(); }
+};
+
+/// One browser's connection to the streamer, which takes it for a viewer. Connects again by itself when the streamer
+/// comes back. One thread; `context` outlives it.
+class StreamLink {
+ public:
+  /// Throws bus::Error naming the endpoint.
+  StreamLink(zmq::context_t& context, const std::string& endpoint);
+
+  /// The next packet, without waiting. False when there is none; then descriptor() becomes readable before there is
+  /// one. Messages that are not one or two frames are skipped.
+  [[nodiscard]] bool receive(StreamPacket& packet);
+
+  /// With what its sender may do. Dropped while there is no streamer, and while it does not read: every packet of a
+  /// viewer is repeated, or has become stale by then. True when descriptor() may have been emptied although there is
+  /// something to receive.
+  bool send(const FramedPacket& packet, const bus::Rights& rights);
+
+  /// Whether there is a streamer that takes what is sent.
+  [[nodiscard]] bool connected();
+
+  /// ZMQ_FD: edge-triggered.
+  [[nodiscard]] int descriptor() const;
+
+ private:
+  zmq::socket_t socket_;
+};
+
+}  // namespace splatbus::gateway

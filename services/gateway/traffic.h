@@ -1,0 +1,28 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string_view>
+
+namespace splatbus::gateway {
+
+/// Why somebody was turned away, or sent home.
+enum class Refusal : std::uint8_t { Busy, Host, Origin, Token, Malformed, Forbidden, Flood, Stalled };
+inline constexpr std::array<std::string_view, 8> kRefusalNames{"busy",      "host",      "origin", "token",
+                                                               "malformed", "forbidden", "flood",  "stalled"};
+
+/// The gateway's own figures. One thread.
+struct Traffic {
+  std::size_t connections = 0, viewers = 0;
+  std::size_t queued_bytes = 0;                      ///< of packets that are being written
+  std::uint64_t bytes_from = 0, bytes_to = 0;        ///< of WebSocket messages, browsers' side
+  std::uint64_t messages_from = 0, messages_to = 0;  ///< the same
+  std::uint64_t requests = 0;
+  std::array<std::uint64_t, kRefusalNames.size()> refused{};
+
+  void refuse(Refusal why) { ++refused[static_cast<std::size_t>(why)]; }
+  [[nodiscard]] std::uint64_t refusals(Refusal why) const { return refused[static_cast<std::size_t>(why)]; }
+};
+
+}  // namespace splatbus::gateway

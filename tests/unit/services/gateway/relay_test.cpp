@@ -1,0 +1,193 @@
+// What browsers and streamer get from each other.
+#include "gateway/packet_gate.h"
+#include "gateway_fixture.h"
+#include "stream/replica.h"
+
+namespace splatbus::gateway_test {
+namespace {
+
+using testing::ElementsAre;
+
+/// A browser that follows the stream.
+class Follower {
+ public:
+  explicit Follower(std::uint16_t port, std::string name = "page") : name_(std::move(name)), socket_(port) { greet(); }
+
+  /// Takes packets until `done`, and greets a streamer that asks for it or is silent; false after a patience.
+  bool until(const std::function<bool()>& done) {
+    const auto deadline = std::chrono::steady_clock::now() + kPatience;
+    while (!done()) {
+      if (std::chrono::steady_clock::now() > deadline) return false;
+      const auto message = socket_.receive(200ms);
+      if (!message) {
+        greet();
+        continue;
+      }
+      const auto framed = gateway::unframe({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
+      const auto packet = stream::ParsedPacket::parse(framed.packet, framed.payload);
+      if (packet.body() == wire::Body::Welcome && packet.root().body_as_Welcome()->asks()) greet();
+      replica_.receive(packet);
+    }
+    return true;
+  }
+  [[nodiscard]] const stream::Replica& replica() const { return replica_; }
+  [[nodiscard]] WebSocketClient& socket() { return socket_; }
+
+ private:
+  void greet() {
+    const auto hello = stream::PacketWriter(name_, 1).write(0, 0, wire::Body::Hello, [&](auto& builder) {
+      return wire::CreateHelloDirect(builder, name_.c_str(), nullptr, false, 0);
+    });
+    socket_.send_packet(hello.packet);
+  }
+
+  std::string name_;
+  WebSocketClient socket_;
+  stream::Replica replica_;
+};
+
+class Relay : public GatewayTest {};
+
+TEST_F(Relay, ABrowserHoldsTheModelThatTheStreamerServes) {
+  start_streamer();
+  start_gateway(endpoint());
+  trainer_.publish(stream::test::toy_model(3000, 1));
+  Follower page(port_);
+  ASSERT_TRUE(page.socket().open());
+  ASSERT_TRUE(page.until([&] { return page.replica().count() == 3000 && !page.replica().loading(); }));
+  trainer_.publish(stream::test::toy_model(3500, 1));
+  EXPECT_TRUE(page.until([&] { return page.replica().count() == 3500; }));
+}
+
+TEST_F(Relay, ManyBrowsersHoldIt) {
+  start_streamer();
+  start_gateway(endpoint());
+  trainer_.publish(stream::test::toy_model(500, 1));
+  std::vector<std::unique_ptr<Follower>> pages;
+  for (int i = 0; i < 20; ++i) pages.push_back(std::make_unique<Follower>(port_, "page " + std::to_string(i)));
+  for (const auto& page : pages) EXPECT_TRUE(page->until([&] { return page->replica().count() == 500; }));
+  EXPECT_EQ(status()["gateway"]["viewers"], 20);
+}
+
+TEST_F(Relay, AStreamerThatComesBackIsFoundByTheSameConnection) {
+  start_streamer();
+  start_gateway(endpoint());
+  trainer_.publish(stream::test::toy_model(300, 1));
+  Follower page(port_);
+  ASSERT_TRUE(page.until([&] { return page.replica().count() == 300; }));
+  const std::uint64_t epoch = page.replica().epoch();
+  streamer_.reset();
+  start_streamer();
+  EXPECT_TRUE(page.until([&] { return page.replica().epoch() != epoch && page.replica().count() == 300; }));
+}
+
+TEST_F(Relay, BytesArePassedOnAsTheyAre) {
+  FakeStreamer& streamer = start_with_fake();
+  WebSocketClient page(port_);
+  ASSERT_TRUE(page.open());
+  EXPECT_EQ(page.answer().field("Sec-WebSocket-Protocol"), "splatbus.stream.1");
+  const auto greeting = hello();
+  page.send_packet(greeting.packet);
+  const auto received = streamer.receive();
+  EXPECT_THAT(received.frames, ElementsAre(text_of(greeting.packet)));
+  EXPECT_EQ(received.rights, "rights view,steer,probe,control") << "without tokens";
+  // Longer than one TCP segment and one read; and every byte there is.
+  std::string payload(300000, '\0');
+  for (std::size_t i = 0; i < payload.size(); ++i) payload[i] = static_cast<char>(i * 7 + i / 251);
+  ASSERT_TRUE(streamer.send(received.peer, {"a packet", payload}));
+  ASSERT_TRUE(streamer.send(received.peer, {"alone"}));
+  EXPECT_TRUE(page.receive() == std::string("\x08\0\0\0a packet", 12) + payload);
+  EXPECT_EQ(page.receive(), std::string("\x05\0\0\0alone", 9));
+}
+
+TEST_F(Relay, APayloadOfABrowserIsAFrameOfItsOwn) {
+  FakeStreamer& streamer = start_with_fake();
+  WebSocketClient page(port_);
+  const auto greeting = hello();
+  const std::vector<std::uint8_t> payload{1, 2, 3};
+  page.send_packet(greeting.packet, payload);
+  EXPECT_THAT(streamer.receive().frames, ElementsAre(text_of(greeting.packet), "\x01\x02\x03"));
+}
+
+TEST_F(Relay, EachBrowserIsAPeerOfItsOwnAndGoesWithIt) {
+  FakeStreamer& streamer = start_with_fake();
+  auto first = std::make_unique<WebSocketClient>(port_);
+  WebSocketClient second(port_);
+  first->send_packet(hello("first").packet);
+  const std::string one = streamer.receive().peer;
+  second.send_packet(hello("second").packet);
+  const std::string two = streamer.receive().peer;
+  EXPECT_NE(one, two);
+  first.reset();
+  EXPECT_TRUE(bus_test::eventually([&] { return !streamer.send(one, {"are you there?"}); }));
+  EXPECT_TRUE(streamer.send(two, {"you are"}));
+  EXPECT_EQ(page_text(second), "you are");
+}
+
+TEST_F(Relay, TheStreamerIsReadNoFurtherThanTheBrowserReads) {
+  FakeStreamer& streamer = start_with_fake({{"stall_s", "3600"}});
+  WebSocketClient::Options slow;
+  slow.wire.receive_buffer = 4096;
+  WebSocketClient page(port_, slow);
+  page.send_packet(hello().packet);
+  const std::string peer = streamer.receive().peer;
+  const std::string payload(100000, 'x');
+  // Refused for good only when every buffer on the way is full.
+  int sent = 0;
+  bool full = false;
+  while (!full && sent < 2000) {
+    if (streamer.send(peer, {"p", payload})) {
+      ++sent;
+    } else {
+      full = !bus_test::eventually([&] { return streamer.send(peer, {"p", payload}); }, 300ms);
+      if (!full) ++sent;
+    }
+  }
+  EXPECT_TRUE(full);
+  EXPECT_LT(sent, 200) << "64 at the streamer, 8 in the gateway's link, the rest in the kernel";
+  // Nothing of it is lost when he reads again.
+  for (int i = 0; i < sent; ++i) ASSERT_EQ(page.receive()->size(), payload.size() + 5) << i;
+}
+
+TEST_F(Relay, OneThatTakesNothingIsClosedAndHarmsNobody) {
+  FakeStreamer& streamer = start_with_fake({{"stall_s", "0.3"}});
+  WebSocketClient::Options slow;
+  slow.wire.receive_buffer = 4096;
+  WebSocketClient stopped(port_, slow), good(port_);
+  stopped.send_packet(hello("stopped").packet);
+  const std::string stopped_peer = streamer.receive().peer;
+  good.send_packet(hello("good").packet);
+  const std::string good_peer = streamer.receive().peer;
+  const std::string payload(100000, 'x');
+  // Until the gateway has let go of it, whose queue is full before.
+  ASSERT_TRUE(bus_test::eventually([&] {
+    while (streamer.send(stopped_peer, {"p", payload})) {
+    }
+    EXPECT_TRUE(streamer.send(good_peer, {"q", "for the good one"}));
+    EXPECT_EQ(page_text(good), "qfor the good one");
+    return refused("stalled") == 1;
+  }));
+  EXPECT_TRUE(bus_test::eventually([&] { return status()["gateway"]["viewers"] == 1; }));
+  EXPECT_EQ(status()["gateway"]["queued_bytes"], 0);
+}
+
+TEST_F(Relay, AllThatIsBeingWrittenIsBoundedTogether) {
+  FakeStreamer& streamer = start_with_fake({{"stall_s", "3600"}, {"max_queued_mb", "8"}});
+  WebSocketClient::Options slow;
+  slow.wire.receive_buffer = 4096;
+  const std::string payload(std::size_t{6} << 20, 'x');
+  WebSocketClient first(port_, slow), second(port_, slow);
+  std::vector<std::string> peers;
+  for (WebSocketClient* page : {&first, &second}) {
+    page->send_packet(hello().packet);
+    peers.push_back(streamer.receive().peer);
+    ASSERT_TRUE(streamer.send(peers.back(), {"p", payload}));
+    ASSERT_TRUE(bus_test::eventually([&] { return status()["gateway"]["queued_bytes"] > 0; }));
+  }
+  EXPECT_TRUE(bus_test::eventually([&] { return refused("stalled") == 1; }));
+  EXPECT_FALSE(first.receive()) << "it has taken longest";
+  EXPECT_EQ(second.receive()->size(), payload.size() + 5);
+}
+
+}  // namespace
+}  // namespace splatbus::gateway_test

@@ -1,0 +1,138 @@
+import { add, clamp, cross, length, mix, scale, sub, viewFromWorld, type Vec3, type View } from '../math';
+
+/** A camera that looks at `target` from `distance` metres: from yaw (from +x towards +z) and pitch (above the level), radians. */
+export interface Pose {
+  readonly target: Vec3;
+  readonly yaw: number;
+  readonly pitch: number;
+  readonly distance: number;
+}
+
+/** Where the native viewer begins. */
+export const kFirstPose: Pose = { target: [0, 0.4, 0], yaw: 0, pitch: 0.38, distance: 4.3 };
+
+const kSteepest = 1.5;
+const kNearest = 0.05;
+const kFarthest = 1e4;
+const kFovRadians = Math.PI / 3;
+const kSpeed = 0.8; // distances to the target a second
+const kFaster = 4;
+/** Of the sphere about all, what is framed: its corners are empty. */
+const kFramed = 0.75;
+/** Of the way to where the camera should be, 1/e is left after this. */
+const kSmoothingS = 0.06;
+
+export const backwardOf = (pose: Pose): Vec3 => [
+  Math.cos(pose.pitch) * Math.cos(pose.yaw),
+  Math.sin(pose.pitch),
+  Math.cos(pose.pitch) * Math.sin(pose.yaw),
+];
+export const eyeOf = (pose: Pose): Vec3 => add(pose.target, scale(backwardOf(pose), pose.distance));
+const rightOf = (pose: Pose): Vec3 => [Math.sin(pose.yaw), 0, -Math.cos(pose.yaw)];
+
+/** Focal length in pixels; an upright picture is as wide as it is high, by area. */
+export function focalOf(width: number, height: number): number {
+  return Math.sqrt(height * Math.min(width, height)) / (2 * Math.tan(kFovRadians / 2));
+}
+
+export function viewOf(pose: Pose, width: number, height: number): View {
+  const focal = focalOf(width, height);
+  const forward = scale(backwardOf(pose), -1);
+  return { viewFromWorld: viewFromWorld(eyeOf(pose), forward), fx: focal, fy: focal, cx: width / 2, cy: height / 2, width, height };
+}
+
+const limited = (pose: Pose): Pose => ({
+  ...pose,
+  pitch: clamp(pose.pitch, -kSteepest, kSteepest),
+  distance: clamp(pose.distance, kNearest, kFarthest),
+});
+
+/** Metres a second (right, up, ahead), each in [-1, 1] of the full speed. */
+export interface Motion {
+  readonly right: number;
+  readonly up: number;
+  readonly ahead: number;
+  readonly fast: boolean;
+}
+
+/** Where the camera should be, and where it is on its way there. */
+export class Rig {
+  #goal: Pose = kFirstPose;
+  #shown: Pose = kFirstPose;
+  /** False where a person asked for less motion. */
+  smooth = true;
+
+  get goal(): Pose {
+    return this.#goal;
+  }
+  get shown(): Pose {
+    return this.#shown;
+  }
+
+  /** There at once. */
+  jump(pose: Pose): void {
+    this.#goal = limited(pose);
+    this.#shown = this.#goal;
+  }
+  move(pose: Pose): void {
+    this.#goal = limited(pose);
+  }
+
+  /** About the target. */
+  orbit(yaw: number, pitch: number): void {
+    this.move({ ...this.#goal, yaw: this.#goal.yaw + yaw, pitch: this.#goal.pitch + pitch });
+  }
+
+  /** About the eye. */
+  look(yaw: number, pitch: number): void {
+    const eye = eyeOf(this.#goal);
+    const turned = limited({ ...this.#goal, yaw: this.#goal.yaw + yaw, pitch: this.#goal.pitch + pitch });
+    this.move({ ...turned, target: sub(eye, scale(backwardOf(turned), turned.distance)) });
+  }
+
+  /** What is at the target's distance follows by as many of a picture's pixels. */
+  pan(right: number, down: number, focal: number): void {
+    const pose = this.#goal;
+    const up = cross(rightOf(pose), scale(backwardOf(pose), -1));
+    const metres = pose.distance / focal;
+    this.move({ ...pose, target: add(pose.target, add(scale(rightOf(pose), -right * metres), scale(up, down * metres))) });
+  }
+
+  /** Times the distance. */
+  zoom(factor: number): void {
+    this.move({ ...this.#goal, distance: this.#goal.distance * factor });
+  }
+
+  fly(motion: Motion, seconds: number): void {
+    const pose = this.#goal;
+    const step = kSpeed * (motion.fast ? kFaster : 1) * pose.distance * seconds;
+    const ahead: Vec3 = [-Math.cos(pose.yaw), 0, -Math.sin(pose.yaw)];
+    const way = add(add(scale(rightOf(pose), motion.right), scale(ahead, motion.ahead)), [0, motion.up, 0]);
+    this.move({ ...pose, target: add(pose.target, scale(way, step)) });
+  }
+
+  /** All of a sphere, from where the camera looks now. */
+  frame(centre: Vec3, radius: number, width: number, height: number): void {
+    const focal = focalOf(width, height);
+    const half = Math.atan(Math.min(width, height) / (2 * focal));
+    this.move({ ...this.#goal, target: centre, distance: (kFramed * radius) / Math.sin(half) });
+  }
+
+  /** Comes nearer to the goal; false when it is there. */
+  advance(seconds: number): boolean {
+    const from = this.#shown;
+    const to = this.#goal;
+    if (from === to) return false;
+    const part = this.smooth ? 1 - Math.exp(-seconds / kSmoothingS) : 1;
+    const next: Pose = {
+      target: [0, 1, 2].map((k) => mix(from.target[k], to.target[k], part)) as unknown as Vec3,
+      yaw: mix(from.yaw, to.yaw, part),
+      pitch: mix(from.pitch, to.pitch, part),
+      distance: Math.exp(mix(Math.log(from.distance), Math.log(to.distance), part)),
+    };
+    const left =
+      length(sub(eyeOf(next), eyeOf(to))) / to.distance + Math.abs(next.yaw - to.yaw) + Math.abs(next.pitch - to.pitch);
+    this.#shown = left < 1e-4 ? to : next;
+    return true;
+  }
+}

@@ -1,0 +1,89 @@
+import { kTransformFloats } from '../math';
+import type { SceneTime } from '../records';
+
+/** Scenes that are kept, for the ones between which it is now, and for how late they come. */
+const kKept = 16;
+const kMostDelayMs = 200;
+/** Beyond the last scene things go on as they went for as long, then rest. */
+const kBeyondMs = 100;
+/** Scenes further apart than this are not of one motion. */
+const kGapMs = 250;
+/** The delay shrinks by this part of what is too much in every scene; it grows at once. */
+const kShrink = 0.02;
+
+interface Kept {
+  readonly captureMs: number;
+  readonly transforms: Float32Array;
+  readonly moved: boolean;
+}
+
+/**
+ * Objects where they were a little while ago, between the scenes that say so, in every frame of the display. By the
+ * clock of the engine; the page's is brought to it by the scene that came fastest, and the delay is as long as the others
+ * are later and a scene lasts.
+ */
+export class Playout {
+  #kept: Kept[] = [];
+  /** The engine's clock less the page's, by scenes that came without delay. */
+  #offsets: number[] = [];
+  #delayMs = 0;
+
+  add(transforms: Float32Array, { captureMs, arrivedMs }: SceneTime): void {
+    if (captureMs <= 0) {
+      this.#kept = []; // nobody knows when it was
+      return;
+    }
+    const last = this.#kept.at(-1);
+    if (last && captureMs < last.captureMs) this.#kept = this.#offsets = []; // another engine
+    if (last && captureMs === last.captureMs) return;
+    this.#offsets.push(captureMs - arrivedMs);
+    if (this.#offsets.length > 4 * kKept) this.#offsets.shift();
+    const late = Math.max(...this.#offsets.slice(-kKept).map((offset) => this.#offset() - offset));
+    const lasts = last && captureMs - last.captureMs < kGapMs ? captureMs - last.captureMs : 0;
+    const needed = Math.min(late + lasts, kMostDelayMs);
+    this.#delayMs = Math.max(needed, this.#delayMs + kShrink * (needed - this.#delayMs));
+    const moved = last !== undefined && transforms.some((value, i) => value !== last.transforms[i]);
+    this.#kept.push({ captureMs, transforms, moved });
+    if (this.#kept.length > kKept) this.#kept.shift();
+  }
+
+  /** By the engine's clock: what is to be seen at `nowMs` of the page's. */
+  shownMs(nowMs: number): number {
+    return nowMs + this.#offset() - this.#delayMs;
+  }
+
+  /** world_from_object of every object; null where nothing is known, and the newest scene is to be shown. */
+  at(nowMs: number): Float32Array | null {
+    const kept = this.#kept;
+    const last = kept.at(-1);
+    if (!last) return null;
+    const shown = Math.min(this.shownMs(nowMs), last.captureMs + kBeyondMs);
+    let next = kept.findIndex(({ captureMs }) => captureMs >= shown);
+    if (next === 0) return kept[0].transforms;
+    if (next < 0) next = kept.length - 1; // beyond the last: as between the two before
+    const [from, to] = [kept[next - 1], kept[next]];
+    if (!from || to.captureMs - from.captureMs > kGapMs) return shown >= to.captureMs || !from ? to.transforms : from.transforms;
+    return between(from.transforms, to.transforms, (shown - from.captureMs) / (to.captureMs - from.captureMs));
+  }
+
+  /** Whether at() may give something else soon though no scene arrives. */
+  movingAt(nowMs: number): boolean {
+    const last = this.#kept.at(-1);
+    return last !== undefined && last.moved && this.shownMs(nowMs) < last.captureMs + kBeyondMs;
+  }
+
+  #offset(): number {
+    return Math.max(...this.#offsets);
+  }
+}
+
+/** Of what is hidden in one of the two, or not yet there, the later. */
+function between(from: Float32Array, to: Float32Array, part: number): Float32Array {
+  const out = to.slice();
+  for (let at = 0; at < to.length && at + kTransformFloats <= from.length; at += kTransformFloats) {
+    const hidden = (of: Float32Array): boolean => of[at] === 0 && of[at + 1] === 0 && of[at + 2] === 0;
+    if (hidden(from) || hidden(to)) continue;
+    for (let k = at; k < at + kTransformFloats; ++k) out[k] = from[k] + (to[k] - from[k]) * part;
+  }
+  return out;
+}

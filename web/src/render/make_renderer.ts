@@ -1,0 +1,20 @@
+import type { Renderer } from './renderer';
+import { WebGl2Renderer } from './webgl2/webgl2_renderer';
+import { WebGpuRenderer } from './webgpu/webgpu_renderer';
+
+export type Api = 'webgl2' | 'webgpu';
+
+/** Whether a canvas can be drawn by a WebGPU device that is no software. */
+async function hasFastWebGpu(): Promise<boolean> {
+  const adapter = await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' }).catch(() => null);
+  return adapter !== null && adapter !== undefined && !adapter.info.isFallbackAdapter;
+}
+
+/**
+ * By the interface that is asked for, or by the best that there is: WebGPU, but where only software would do it WebGL2.
+ * Throws where the browser lacks it.
+ */
+export async function makeRenderer(canvas: HTMLCanvasElement, wanted: Api | null): Promise<Renderer> {
+  if (wanted === 'webgpu' || (wanted === null && (await hasFastWebGpu()))) return WebGpuRenderer.make(canvas);
+  return new WebGl2Renderer(canvas);
+}

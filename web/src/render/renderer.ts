@@ -1,0 +1,83 @@
+import type { View } from '../math';
+import type { ColorUpdate, RowUpdate, Scene } from '../records';
+
+/** What one frame shows of the rows. */
+export interface Frame {
+  readonly view: View;
+  readonly scene: Scene;
+  /** Pixels of the splats' own target, for those of the view: below 1 it is drawn coarser and enlarged. */
+  readonly resolution: number;
+  /** The clock of RowUpdate.fades. */
+  readonly timeS: number;
+}
+
+/** Row 0 on top, sRGB, opaque. */
+export interface Picture {
+  readonly width: number;
+  readonly height: number;
+  readonly rgba: Uint8ClampedArray<ArrayBuffer>;
+}
+
+/** The browser or its device lacks something. */
+export class GraphicsError extends Error {
+  override readonly name = 'GraphicsError';
+}
+
+/** How long a row takes to appear and to vanish. */
+export const kFadeS = 0.25;
+/** As a row's fade: it has always been there. */
+export const kNoFade = 0;
+
+/**
+ * Draws rows of Gaussians as the project's CPU rasteriser does: the local affine approximation, 0.3 pixels^2 of low pass
+ * with the opacity that it takes away, tangents clamped to 1.3 times the field of view, alpha at most 0.999 and nothing
+ * below 1/255; linear light, back to front, into 16-bit floats; then background and the sRGB curve.
+ */
+export interface Renderer {
+  readonly api: 'webgl2' | 'webgpu';
+  /** False: setOrder() says which rows there are, back to front. */
+  readonly sortsItself: boolean;
+  /** Rows and bytes that apply() and recolor() have uploaded so far. */
+  readonly uploaded: { readonly rows: number; readonly bytes: number };
+  /** Resolves, with a reason, when the device is gone: nothing is drawn any more, and another renderer is needed. */
+  readonly lost: Promise<string>;
+
+  apply(update: RowUpdate): void;
+  recolor(update: ColorUpdate): void;
+  /** Every row is free again. */
+  clear(): void;
+  setOrder(order: Uint32Array): void;
+  /** To the canvas, which has the view's size afterwards. */
+  draw(frame: Frame): void;
+  /** The same picture to memory; the canvas keeps what it shows. */
+  capture(frame: Frame): Promise<Picture>;
+  /** Resolves when all that was drawn has been. */
+  finish(): Promise<void>;
+  dispose(): void;
+}
+
+const srgb = (linear: number): number => (linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055);
+
+/** The background in the space that colors are blended in. */
+export function blendedBackground(scene: Scene): [number, number, number] {
+  const [r, g, b] = scene.background;
+  return scene.displaySpace ? [srgb(r), srgb(g), srgb(b)] : [r, g, b];
+}
+
+/** Size of the splats' own target. */
+export function targetSize(frame: Frame): { width: number; height: number } {
+  const side = (pixels: number): number => Math.max(1, Math.round(pixels * frame.resolution));
+  return { width: side(frame.view.width), height: side(frame.view.height) };
+}
+
+/** 0.3 of the half field of view beyond the picture's sides: left, right, top, bottom, as tangents. */
+export function tangentLimits(view: View): [number, number, number, number] {
+  const x = (0.15 * view.width) / view.fx;
+  const y = (0.15 * view.height) / view.fy;
+  return [
+    -view.cx / view.fx - x,
+    (view.width - view.cx) / view.fx + x,
+    -view.cy / view.fy - y,
+    (view.height - view.cy) / view.fy + y,
+  ];
+}

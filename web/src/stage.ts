@@ -1,0 +1,179 @@
+import { Backoff } from './backoff';
+import { Playout } from './motion/playout';
+import { makeRenderer, type Api } from './render/make_renderer';
+import { kNoScene, type Scene } from './records';
+import { kFadeS, type Frame, type Renderer } from './render/renderer';
+import type { SceneBatch, Sorted, ToSortWorker } from './stream/messages';
+import { make } from './ui/dom';
+
+const kStillEveryMs = 2000;
+
+/**
+ * What draws, and what it is fed by. A device or a sorter that is lost is replaced, and everything asked for again; until
+ * the new one has something to show, a still of the last picture stands.
+ */
+export class Stage {
+  readonly element = make('div', { class: 'stage', tabindex: '0', role: 'application' });
+  readonly #still = make('canvas', { hidden: '' });
+  readonly #backoff = new Backoff(0.25, 8);
+  #canvas = make('canvas');
+  #renderer: Renderer | null = null;
+  #sorter: Worker | null = null;
+  #sorting = false;
+  #view: Float64Array | null = null;
+  #viewDue = false;
+  #batches: SceneBatch[] = [];
+  #order: Uint32Array | null = null;
+  #uploadedBefore = 0;
+  #stillAt = 0;
+  #changedMs = -Infinity;
+  readonly #playout = new Playout();
+  /** A picture has been shown. */
+  standing = false;
+  scene: Scene = kNoScene;
+  sortMs = 0;
+
+  constructor(
+    private readonly wanted: Api | null,
+    /** Everything is wanted, through this port. */
+    private readonly attach: (port: MessagePort, standing: boolean) => void,
+    /** As many batches are in what is drawn from now on. */
+    private readonly taken: (batches: number) => void,
+    private readonly say: (problem: 'lost' | 'found' | { missing: string }) => void,
+  ) {
+    this.element.append(this.#still);
+    // Kept in memory: what a lost device does not take along.
+    this.#still.getContext('2d', { willReadFrequently: true, alpha: false });
+  }
+
+  get renderer(): Renderer | null {
+    return this.#renderer;
+  }
+  get uploadedRows(): number {
+    return this.#uploadedBefore + (this.#renderer?.uploaded.rows ?? 0);
+  }
+
+  async start(): Promise<void> {
+    const canvas = make('canvas');
+    let renderer: Renderer;
+    try {
+      renderer = await makeRenderer(canvas, this.wanted);
+    } catch (error) {
+      this.say({ missing: error instanceof Error ? error.message : String(error) });
+      setTimeout(() => void this.start(), 1000 * this.#backoff.seconds());
+      return;
+    }
+    this.#canvas.remove();
+    this.#canvas = canvas;
+    this.element.prepend(canvas);
+    this.#renderer = renderer;
+    this.say('found');
+    void renderer.lost.then((reason) => {
+      if (this.#renderer !== renderer) return;
+      console.warn(reason);
+      this.#uploadedBefore += renderer.uploaded.rows;
+      this.#renderer = null;
+      this.#still.hidden = !this.standing;
+      this.say('lost');
+      setTimeout(() => void this.start(), 1000 * this.#backoff.seconds());
+    });
+    this.feed();
+  }
+
+  /** Asks for everything anew: after a start of the renderer, of the sorter or of the stream. */
+  feed(): void {
+    if (!this.#renderer) return;
+    this.#sorter?.terminate();
+    this.#sorter = null;
+    this.#sorting = false;
+    this.#batches = [];
+    this.#order = null;
+    const { port1, port2 } = new MessageChannel();
+    if (this.#renderer.sortsItself) {
+      port1.onmessage = ({ data }: MessageEvent<SceneBatch>) => this.#batches.push(data);
+    } else {
+      this.#startSorter(port1);
+    }
+    this.attach(port2, this.standing);
+  }
+
+  #startSorter(source: MessagePort): void {
+    const sorter = new Worker('sort_worker.js', { type: 'module', name: 'sort' });
+    this.#sorter = sorter;
+    sorter.onmessage = ({ data }: MessageEvent<Sorted>) => {
+      if (this.#sorter !== sorter) return;
+      this.#batches.push(...data.batches);
+      this.#order = data.order;
+      this.sortMs = data.milliseconds;
+      this.#sorting = false;
+      this.#sortDue();
+    };
+    sorter.onerror = () => {
+      if (this.#sorter === sorter) setTimeout(() => this.feed(), 1000 * this.#backoff.seconds());
+    };
+    const message: ToSortWorker = { kind: 'source', port: source };
+    sorter.postMessage(message, [source]);
+    this.#viewDue = true;
+    this.#sortDue();
+  }
+
+  /** From where rows have to be sorted. */
+  lookFrom(viewFromWorld: Float64Array): void {
+    this.#view = viewFromWorld;
+    this.#viewDue = true;
+    this.#sortDue();
+  }
+
+  #sortDue(): void {
+    if (!this.#sorter || this.#sorting || !this.#viewDue || !this.#view) return;
+    const message: ToSortWorker = { kind: 'view', viewFromWorld: this.#view };
+    this.#viewDue = false;
+    this.#sorting = true;
+    this.#sorter.postMessage(message);
+  }
+
+  /** Takes what has come for the next frame; true if there was something. */
+  take(nowMs: number): boolean {
+    const renderer = this.#renderer;
+    if (!renderer || (this.#batches.length === 0 && !this.#order)) return false;
+    for (const batch of this.#batches) {
+      if (batch.whole) renderer.clear();
+      if (batch.update.rows.length > 0) this.#changedMs = nowMs;
+      renderer.apply(batch.update);
+      renderer.recolor(batch.colors);
+      this.scene = batch.scene;
+      this.#playout.add(batch.scene.transforms, batch.time);
+    }
+    this.taken(this.#batches.length);
+    this.#batches = [];
+    if (this.#order) renderer.setOrder(this.#order);
+    this.#order = null;
+    if (this.scene !== kNoScene) this.standing = true;
+    return true;
+  }
+
+  /** The scene with its objects where they are to be seen now. */
+  sceneAt(nowMs: number): Scene {
+    const transforms = this.#playout.at(nowMs);
+    return transforms ? { ...this.scene, transforms } : this.scene;
+  }
+  /** Rows still fade, or an object is on its way to where it was last. */
+  movingAt(nowMs: number): boolean {
+    return nowMs - this.#changedMs < 1000 * kFadeS || this.#playout.movingAt(nowMs);
+  }
+
+  draw(frame: Frame, atRest: boolean): void {
+    const renderer = this.#renderer;
+    if (!renderer) return;
+    renderer.draw(frame);
+    if (!this.standing) return;
+    this.#still.hidden = true;
+    this.#backoff.reset();
+    const now = performance.now();
+    if (!atRest && now - this.#stillAt < kStillEveryMs) return;
+    this.#stillAt = now;
+    this.#still.width = this.#canvas.width;
+    this.#still.height = this.#canvas.height;
+    this.#still.getContext('2d')?.drawImage(this.#canvas, 0, 0);
+  }
+}

@@ -1,0 +1,77 @@
+// What the page and its workers say to each other. The stream worker holds the model and gives its rows to whoever is at
+// the other end of a port: the page, or the sort worker, which hands them on together with the order that they belong to.
+import type { ColorUpdate, RowUpdate, Scene, SceneTime } from '../records';
+
+export interface SceneBatch {
+  /** These rows are all there are: what was before is gone. */
+  readonly whole: boolean;
+  readonly update: RowUpdate;
+  readonly colors: ColorUpdate;
+  readonly scene: Scene;
+  readonly time: SceneTime;
+}
+
+export interface Budget {
+  readonly gaussians: number;
+}
+
+export type ToStreamWorker =
+  | { kind: 'start'; socket: string; token: string | null; clockOriginMs: number; budget: Budget }
+  /**
+   * Whoever holds the other end gets everything, then what changes; whoever had a port before gets no more. If a picture
+   * stands already nothing is sent until there is a whole model to replace it.
+   */
+  | { kind: 'attach'; port: MessagePort; standing: boolean }
+  /** As many batches have been drawn. */
+  | { kind: 'taken'; batches: number }
+  /** view_from_world row-major 4x4, fx, fy, cx, cy, width, height. */
+  | { kind: 'pose'; floats: Float32Array }
+  | { kind: 'bounds' };
+
+export type ConnectionState = 'connecting' | 'open' | 'waiting';
+
+/** What the overlay shows of the stream. Negative: not known. */
+export interface StreamFigures {
+  /** When this was so, by the worker's clock. */
+  readonly atMs: number;
+  readonly gaussians: number;
+  readonly sequence: number;
+  readonly epoch: number;
+  readonly missing: number;
+  readonly bytes: number;
+  readonly ageMs: number;
+  readonly roundTripMs: number;
+}
+
+export type FromStreamWorker =
+  | { kind: 'connection'; state: ConnectionState; retryS: number }
+  | { kind: 'figures'; figures: StreamFigures }
+  | { kind: 'bounds'; centre: [number, number, number]; radius: number }
+  /** The worker cannot go on: another one is needed. */
+  | { kind: 'failed'; reason: string };
+
+export type ToSortWorker =
+  | { kind: 'source'; port: MessagePort }
+  | { kind: 'view'; viewFromWorld: Float64Array };
+
+/** Batches that came since the last order, and an order that knows them: to be shown in one frame. */
+export interface Sorted {
+  readonly batches: SceneBatch[];
+  readonly order: Uint32Array;
+  readonly milliseconds: number;
+}
+
+/** A worker's own scope, which the DOM's types do not have. */
+export interface WorkerScope<In, Out> {
+  onmessage: ((event: MessageEvent<In>) => void) | null;
+  postMessage(message: Out, transfer?: Transferable[]): void;
+}
+
+export const transfersOf = (batch: SceneBatch): Transferable[] => [
+  batch.update.rows.buffer,
+  batch.update.records.buffer,
+  batch.update.fades.buffer,
+  batch.colors.rows.buffer,
+  batch.colors.colors.buffer,
+  batch.scene.transforms.buffer,
+];

@@ -1,0 +1,152 @@
+// Follows the stream: bytes from the WebSocket into the WebAssembly module, rows out of it to whoever draws them.
+import { Connection } from './connection';
+import type { FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from './messages';
+import { Publisher } from './publisher';
+import { Follower, loadWasm } from './wasm';
+
+const kWatchMs = 50;
+const kFiguresMs = 250;
+const kRoundTripMs = 2000;
+/** Rows handed on at once, so that what a frame uploads is bounded. */
+const kMostRows = 65536;
+
+const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
+
+class Stream {
+  readonly #follower: Follower;
+  readonly #publisher: Publisher;
+  readonly #connection: Connection;
+  /** Of the page's clock. */
+  readonly #aheadMs: number;
+  #due = false;
+  #shownVersion = -1;
+  #figuresMs = 0;
+  #warned = 0;
+  #roundTripMs = -1;
+  readonly #turn = new MessageChannel();
+
+  constructor(wasm: Awaited<ReturnType<typeof loadWasm>>, start: Extract<ToStreamWorker, { kind: 'start' }>) {
+    this.#follower = new Follower(wasm, 'page', start.budget.gaussians, performance.now());
+    this.#aheadMs = performance.timeOrigin - start.clockOriginMs;
+    this.#publisher = new Publisher(() => (performance.now() + this.#aheadMs) / 1000);
+    this.#connection = new Connection(start.socket, start.token, {
+      opened: () => {
+        this.#follower.restart();
+        this.#speak();
+      },
+      message: (bytes) => this.#hear(bytes),
+      state: (state, retryS) => scope.postMessage({ kind: 'connection', state, retryS }),
+    });
+    this.#turn.port1.onmessage = () => this.#publish();
+    this.#connection.start();
+    setInterval(() => this.#watch(), kWatchMs);
+    setInterval(() => void this.#measureRoundTrip(), kRoundTripMs);
+  }
+
+  take(message: Exclude<ToStreamWorker, { kind: 'start' }>): void {
+    switch (message.kind) {
+      case 'attach':
+        this.#publisher.attach(message.port, message.standing);
+        break;
+      case 'taken':
+        for (let i = 0; i < message.batches; ++i) this.#publisher.taken();
+        this.#publishSoon();
+        break;
+      case 'pose':
+        this.#follower.setPose(message.floats);
+        this.#speak();
+        break;
+      case 'bounds': {
+        const bounds = this.#publisher.bounds();
+        if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });
+        break;
+      }
+    }
+  }
+
+  #hear(bytes: ArrayBuffer): void {
+    const result = this.#follower.receive(bytes, performance.now());
+    if (result === 'refused' && this.#warned++ < 10) console.warn(`a packet was refused: ${this.#follower.error}`);
+    if (result === 'out of memory') console.warn('the model does not fit into memory, and is asked for anew');
+    this.#speak();
+    this.#publishSoon();
+  }
+
+  #speak(): void {
+    while (this.#connection.open) {
+      const message = this.#follower.nextOutgoing(performance.now());
+      if (!message) return;
+      this.#connection.send(message);
+    }
+  }
+
+  /** After what has been received already. */
+  #publishSoon(): void {
+    if (this.#due) return;
+    this.#due = true;
+    this.#turn.port2.postMessage(null);
+  }
+
+  #publish(): void {
+    this.#due = false;
+    if (!this.#publisher.ready) return;
+    const follower = this.#follower;
+    const changed = follower.takeChanges(kMostRows);
+    const [rows, records] = [changed.rows.slice(), changed.records.slice()];
+    const recolored = follower.takeColors(kMostRows);
+    const colors = { rows: recolored.rows.slice(), colors: recolored.colors.slice() };
+    const stats = follower.stats;
+    if (rows.length === 0 && colors.rows.length === 0 && stats.sceneVersion === this.#shownVersion) return;
+    this.#shownVersion = stats.sceneVersion;
+    const scene = {
+      transforms: follower.transforms.slice(),
+      farField: follower.farFieldIndex,
+      background: follower.background,
+      displaySpace: stats.radiance,
+    };
+    const more = rows.length === kMostRows || colors.rows.length === kMostRows;
+    const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs };
+    this.#publisher.publish(rows, records, colors, scene, time, !stats.loading && !more);
+    if (more) this.#publishSoon();
+  }
+
+  #watch(): void {
+    this.#connection.watch();
+    this.#speak();
+    this.#publisher.tidy();
+    const nowMs = performance.now();
+    if (nowMs - this.#figuresMs < kFiguresMs) return;
+    this.#figuresMs = nowMs;
+    scope.postMessage({ kind: 'figures', figures: this.#figures(nowMs) });
+  }
+
+  /** To the gateway and back, by a request that costs it nothing. */
+  async #measureRoundTrip(): Promise<void> {
+    if (!this.#connection.open) return;
+    const start = performance.now();
+    const answer = await fetch('healthz', { method: 'HEAD', cache: 'no-store' }).catch(() => null);
+    this.#roundTripMs = answer ? performance.now() - start : -1;
+  }
+
+  #figures(nowMs: number): StreamFigures {
+    const stats = this.#follower.stats;
+    return {
+      atMs: nowMs,
+      gaussians: stats.gaussians,
+      sequence: stats.sequence,
+      epoch: stats.epoch,
+      missing: stats.missingChunks,
+      bytes: stats.bytesIn,
+      ageMs: stats.sceneArrivedMs > 0 ? nowMs - stats.sceneArrivedMs : -1,
+      roundTripMs: this.#roundTripMs,
+    };
+  }
+}
+
+let stream: Promise<Stream> | null = null;
+scope.onmessage = ({ data }) => {
+  const failed = (error: unknown): void => scope.postMessage({ kind: 'failed', reason: String(error) });
+  if (data.kind === 'start') stream = loadWasm('splatbus.wasm').then((wasm) => new Stream(wasm, data));
+  else void stream?.then((running) => running.take(data)).catch(() => {});
+  if (data.kind === 'start') stream?.catch(failed);
+};

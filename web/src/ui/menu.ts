@@ -1,0 +1,54 @@
+import { texts } from '../texts';
+import { button, choice, make } from './dom';
+import { kGaussianBudgets, type Settings } from './settings';
+
+export interface MenuActions {
+  readonly frameAll: () => void;
+  readonly fullScreen: () => void;
+  readonly snapshot: () => void;
+  readonly share: () => void;
+  readonly figures: () => void;
+  /** `settings` have changed. */
+  readonly changed: () => void;
+}
+
+const count = (value: number): string => (value >= 1e6 ? `${value / 1e6} M` : `${value / 1e3} K`);
+
+/** A dialog that leaves the picture usable. */
+export class Menu {
+  readonly element: HTMLDialogElement;
+
+  constructor(settings: Settings, actions: MenuActions) {
+    const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), count(value)]));
+    const change = (apply: () => void) => (): void => {
+      apply();
+      actions.changed();
+    };
+    this.element = make(
+      'dialog',
+      { class: 'menu', 'aria-label': texts.menu },
+      make(
+        'div',
+        { class: 'buttons' },
+        button(texts.frameAll, actions.frameAll),
+        button(texts.fullScreen, actions.fullScreen),
+        button(texts.snapshot, actions.snapshot),
+        button(texts.share, actions.share),
+        button(texts.figures, actions.figures),
+      ),
+      choice(texts.quality, texts.qualities, settings.quality, (key) => change(() => (settings.quality = key))()),
+      choice(texts.gaussianBudget, budgets, String(settings.budget.gaussians), (key) =>
+        change(() => (settings.budget = { gaussians: Number(key) }))(),
+      ),
+      choice(texts.background, texts.backgrounds, settings.background, (key) => change(() => (settings.background = key))()),
+      make('h2', {}, texts.keys),
+      make('dl', { class: 'keys' }, ...texts.keyList.map(([key, what]) => make('div', {}, make('dt', {}, key), make('dd', {}, what)))),
+      button(texts.close, () => this.element.close()),
+    );
+  }
+
+  toggle(): void {
+    if (this.element.open) this.element.close();
+    else this.element.show();
+  }
+}

@@ -1,0 +1,58 @@
+import { texts } from '../texts';
+import { make } from './dom';
+
+type Key = keyof Omit<typeof texts.rows, 'atRest'>;
+
+/** Figures over the picture. */
+export class Overlay {
+  readonly element = make('dl', { class: 'figures' });
+  readonly #values = new Map<Key, HTMLElement>();
+
+  constructor() {
+    const keys: Key[] = [
+      'frames', 'frame', 'sort', 'gaussians', 'rate', 'roundTrip', 'age', 'missing', 'uploaded', 'resolution', 'drawnBy', 'connection',
+    ];
+    for (const key of keys) {
+      const value = make('dd', { 'data-figure': key }, texts.unknown);
+      this.#values.set(key, value);
+      this.element.append(make('div', {}, make('dt', {}, texts.rows[key]), value));
+    }
+  }
+
+  toggle(): void {
+    this.element.hidden = !this.element.hidden;
+  }
+
+  show(figures: Partial<Record<Key, string>>): void {
+    for (const [key, text] of Object.entries(figures)) {
+      const element = this.#values.get(key as Key);
+      if (element && element.textContent !== text) element.textContent = text;
+    }
+  }
+}
+
+/** One line for what a person should know now; empty where there is nothing. */
+export class Notice {
+  readonly element = make('p', { class: 'notice', role: 'status', 'aria-live': 'polite' });
+  #kept = '';
+  #passing = 0;
+
+  /** As long as nothing else is to be said. */
+  keep(text: string): void {
+    this.#kept = text;
+    if (this.#passing === 0) this.#say(text);
+  }
+  /** For a few seconds. */
+  pass(text: string): void {
+    this.#say(text);
+    clearTimeout(this.#passing);
+    this.#passing = setTimeout(() => {
+      this.#passing = 0;
+      this.#say(this.#kept);
+    }, 4000);
+  }
+
+  #say(text: string): void {
+    if (this.element.textContent !== text) this.element.textContent = text;
+  }
+}

@@ -1,0 +1,45 @@
+// What a person chose, kept by the browser for the next time.
+import type { Budget } from '../stream/messages';
+
+export type Quality = 'auto' | 'full' | 'high' | 'medium' | 'low';
+export type Background = 'scene' | 'black' | 'gray' | 'white';
+
+export interface Settings {
+  quality: Quality;
+  background: Background;
+  budget: Budget;
+}
+
+export const kResolutions: Readonly<Record<Exclude<Quality, 'auto'>, number>> = { full: 1, high: 0.75, medium: 0.5, low: 0.35 };
+export const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number, number, number]>> = {
+  black: [0, 0, 0],
+  gray: [0.2, 0.2, 0.2],
+  white: [1, 1, 1],
+};
+export const kGaussianBudgets = [100_000, 300_000, 1_000_000, 2_000_000, 4_000_000] as const;
+
+const kKey = 'splatbus.settings';
+const kDefaults: Settings = { quality: 'auto', background: 'scene', budget: { gaussians: 1_000_000 } };
+
+export function loadSettings(): Settings {
+  try {
+    const kept = JSON.parse(localStorage.getItem(kKey) ?? '{}') as Partial<Settings>;
+    return {
+      quality: kept.quality && (kept.quality === 'auto' || kept.quality in kResolutions) ? kept.quality : kDefaults.quality,
+      background: kept.background && (kept.background === 'scene' || kept.background in kBackgrounds) ? kept.background : kDefaults.background,
+      budget: {
+        gaussians: kept.budget && kept.budget.gaussians > 0 ? kept.budget.gaussians : kDefaults.budget.gaussians,
+      },
+    };
+  } catch {
+    return structuredClone(kDefaults); // storage that is full of something else, or forbidden
+  }
+}
+
+export function keepSettings(settings: Settings): void {
+  try {
+    localStorage.setItem(kKey, JSON.stringify(settings));
+  } catch {
+    // A browser that keeps nothing shows everything all the same.
+  }
+}

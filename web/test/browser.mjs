@@ -1,0 +1,56 @@
+// A headless Chromium and a server of static files, for the tests.
+import { createReadStream, existsSync } from 'node:fs';
+import { createServer } from 'node:http';
+import { extname, join, normalize } from 'node:path';
+import { chromium } from 'playwright-core';
+
+export const kChromium = process.env.SPLATBUS_CHROMIUM ?? '/usr/bin/chromium';
+export const hasChromium = existsSync(kChromium);
+
+const kTypes = {
+  '.html': 'text/html; charset=utf-8',
+  '.js': 'text/javascript; charset=utf-8',
+  '.css': 'text/css; charset=utf-8',
+  '.map': 'application/json',
+  '.wasm': 'application/wasm',
+  '.svg': 'image/svg+xml',
+};
+
+/** Serves the first of `folders` that has a file; `posted` gets the bodies of POSTs as { path, body }. */
+export async function serve(folders, posted = []) {
+  const server = createServer((request, response) => {
+    const path = normalize(new URL(request.url, 'http://localhost').pathname);
+    if (request.method === 'POST') {
+      let body = '';
+      request.on('data', (chunk) => (body += chunk));
+      request.on('end', () => {
+        posted.push({ path, body });
+        response.writeHead(204).end();
+      });
+      return;
+    }
+    const file = folders.map((folder) => join(folder, path.endsWith('/') ? 'index.html' : path)).find(existsSync);
+    if (!file) return response.writeHead(404).end();
+    response.writeHead(200, { 'content-type': kTypes[extname(file)] ?? 'application/octet-stream' });
+    createReadStream(file).pipe(response);
+  });
+  await new Promise((resolve) => server.listen(0, '127.0.0.1', resolve));
+  return { url: `http://127.0.0.1:${server.address().port}`, close: () => server.close() };
+}
+
+/** Chromium with the software devices that it brings, so that WebGL2 and WebGPU both work without a GPU or a display. */
+export function launch() {
+  return chromium.launch({
+    executablePath: kChromium,
+    headless: true,
+    args: [
+      '--no-sandbox',
+      '--use-angle=swiftshader',
+      '--enable-unsafe-webgpu',
+      '--enable-gpu',
+      '--enable-features=Vulkan',
+      '--use-vulkan=swiftshader',
+      '--disable-dev-shm-usage',
+    ],
+  });
+}

@@ -1,0 +1,150 @@
+// Parts of the page that need no browser, with clocks that the tests make.
+import assert from 'node:assert/strict';
+import { resolve } from 'node:path';
+import { test } from 'node:test';
+import { pathToFileURL } from 'node:url';
+
+const kPages = process.env.SPLATBUS_WEB_TESTS ?? '../build/release/web-tests';
+const logic = await import(pathToFileURL(resolve(kPages, 'logic.js')));
+
+/** Where a ball on a circle of a metre is, once around in two seconds, as a transform; the world comes first. */
+const ball = (ms) => {
+  const angle = (Math.PI * ms) / 1000;
+  return new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, Math.cos(angle), 0, 1, 0, 0, 0, 0, 1, Math.sin(angle)]);
+};
+
+for (const jitterMs of [0, 20]) {
+  test(`a ball on a circle is where it was at the time played out, ${jitterMs} ms of jitter`, () => {
+    const playout = new logic.Playout();
+    const kEngineAheadMs = 123456;
+    // 30 scenes a second, each under way for 5 ms and up to as much again as the jitter says, in order.
+    const scenes = [];
+    for (let k = 0; k < 300; ++k) {
+      const ms = (1000 * k) / 30;
+      const arrival = ms + 5 + (jitterMs * ((7 * k) % 10)) / 9;
+      scenes.push({ ms, arrival: Math.max(arrival, scenes.at(-1)?.arrival ?? 0) });
+    }
+    // A pixel of 720 over 60 degrees, 4 m away.
+    const pixel = (2 * 4 * Math.tan(Math.PI / 6)) / 720;
+    let next = 0;
+    let shownBefore = 0;
+    let latest = 0;
+    for (let frame = 0; frame < 600; ++frame) {
+      const now = (1000 * frame) / 60 + 3;
+      while (next < scenes.length && scenes[next].arrival <= now) {
+        const { ms, arrival } = scenes[next++];
+        playout.add(ball(ms), { captureMs: kEngineAheadMs + ms, arrivedMs: arrival });
+      }
+      if (frame < 60) continue; // how late scenes come has to be seen first
+      const shown = playout.shownMs(now) - kEngineAheadMs;
+      const at = playout.at(now);
+      const truth = ball(shown);
+      assert.ok(Math.hypot(at[15] - truth[15], at[23] - truth[23]) < pixel, `frame ${frame}`);
+      assert.ok(shown <= scenes[next - 1].ms, 'nothing has to be guessed');
+      assert.ok(shown > shownBefore, 'time does not run backwards');
+      shownBefore = shown;
+      latest = Math.max(latest, now - shown);
+    }
+    assert.ok(latest < 34 + 5 + 1.5 * jitterMs, `${latest} ms late`);
+  });
+}
+
+test('a motion goes on for a tenth of a second without scenes, and rests then', () => {
+  const playout = new logic.Playout();
+  for (const ms of [1000, 1033, 1066]) playout.add(ball(ms), { captureMs: ms, arrivedMs: ms });
+  const at = (ms) => playout.at(ms)[23];
+  assert.ok(at(1150) < at(1100), 'it goes on'); // towards negative z
+  assert.equal(at(1300), at(1400));
+  assert.ok(playout.movingAt(1150) && !playout.movingAt(1300));
+});
+
+test('what is hidden does not come from where it was', () => {
+  const playout = new logic.Playout();
+  const hidden = ball(0).fill(0, 12);
+  playout.add(hidden, { captureMs: 1000, arrivedMs: 1000 });
+  playout.add(ball(500), { captureMs: 1033, arrivedMs: 1033 });
+  assert.deepEqual([...playout.at(1050).slice(12)], [...ball(500).slice(12)]);
+});
+
+const record = (opacity, color = 7) => [0, 0, 0, 0, 0, 0, opacity, color];
+const update = (mirror, rows, nowS) =>
+  mirror.take(new Uint32Array(Object.keys(rows).map(Number)), new Uint32Array(Object.values(rows).flat()), nowS);
+
+test('rows that appear and vanish fade, those that change do not', () => {
+  const mirror = new logic.RowMirror();
+  assert.deepEqual([...update(mirror, { 3: record(200) }, 10).fades], [10]);
+  assert.deepEqual([...update(mirror, { 3: record(100), 5: record(50) }, 11).fades], [10, 11]);
+  const gone = update(mirror, { 3: record(0) }, 12);
+  assert.deepEqual([...gone.fades], [-12]);
+  assert.deepEqual([...gone.records], record(100), 'it is still to be seen');
+  assert.equal(mirror.takeVanished(12.1), null);
+  const free = mirror.takeVanished(12.5);
+  assert.deepEqual([...free.rows], [3]);
+  assert.equal(free.records[6], 0);
+  assert.deepEqual([...mirror.everything().rows], [5]);
+});
+
+test('a row that is given away while it fades stays', () => {
+  const mirror = new logic.RowMirror();
+  update(mirror, { 3: record(200) }, 10);
+  update(mirror, { 3: record(0) }, 11);
+  assert.deepEqual([...update(mirror, { 3: record(90) }, 11.1).fades], [Math.fround(11.1)]);
+  assert.equal(mirror.takeVanished(12), null);
+  assert.deepEqual([...mirror.everything().records], record(90));
+});
+
+test('a picture that stands is replaced by a whole model, and by no part of one', async () => {
+  const publisher = new logic.Publisher(() => 1);
+  const sent = [];
+  const port = { postMessage: (batch) => sent.push(batch), close() {} };
+  const scene = { transforms: new Float32Array(12), farField: 0, background: [0, 0, 0], displaySpace: false };
+  const nothing = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
+  const publish = (row, complete) =>
+    publisher.publish(new Uint32Array([row]), new Uint32Array(record(9)), nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);
+  publisher.attach(port, true);
+  publish(0, false);
+  assert.equal(sent.length, 0);
+  publish(1, true);
+  assert.deepEqual(sent.map(({ whole, update }) => [whole, ...update.rows]), [[true, 0, 1]]);
+  assert.deepEqual([...sent[0].update.fades], [0, 0], 'and does not fade in');
+  publish(2, true);
+  assert.ok(!publisher.ready, 'two are under way');
+  publisher.taken();
+  assert.ok(publisher.ready);
+});
+
+test('below 50 frames a second it is drawn coarser, and finer again when it is quick', () => {
+  const pace = new logic.Pace();
+  let now = 1000;
+  const frames = (count, ms) => {
+    for (let i = 0; i < count; ++i) pace.drawn((now += ms));
+  };
+  frames(100, 16.7);
+  assert.equal(pace.resolution, 1);
+  frames(60, 40);
+  const coarse = pace.resolution;
+  assert.ok(coarse < 0.7 && coarse >= 0.35, `${coarse}`);
+  frames(24, 8);
+  assert.ok(pace.resolution > coarse);
+  frames(1000, 8);
+  assert.equal(pace.resolution, 1);
+});
+
+test('a rate is of the last seconds', () => {
+  const rate = new logic.Rate();
+  for (let ms = 0; ms <= 10000; ms += 250) rate.add(ms, ms < 5000 ? 0 : 250 * (ms - 5000));
+  assert.ok(Math.abs(rate.megabits - 2) < 0.01, `${rate.megabits}`);
+});
+
+test('an address keeps a view and loses a token', () => {
+  const pose = { target: [1.5, -2.25, 3], yaw: 1.25, pitch: -0.5, distance: 4.5 };
+  assert.deepEqual(logic.poseOf(logic.poseText(pose)), pose);
+  assert.equal(logic.poseOf('1,2,3,x,5,6'), null);
+  assert.equal(logic.poseOf('1,2,3,4,5,0'), null);
+  const url = new URL('https://example.org/?token=secret&gpu=webgpu#token=other');
+  assert.equal(logic.readAddress(url).token, 'other');
+  const next = logic.addressWith(url, pose);
+  assert.ok(!/secret|other/.test(next), next);
+  assert.deepEqual(logic.readAddress(new URL(next)).pose, pose);
+  assert.equal(logic.readAddress(new URL(next)).options.get('gpu'), 'webgpu');
+});

@@ -1,0 +1,243 @@
+// The page with a stream that a test makes: how a person steers it, and what it does when something is lost.
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { after, before, test } from 'node:test';
+import { launch, serve } from './browser.mjs';
+
+const kPages = process.env.SPLATBUS_WEB_TESTS ?? '../build/release/web-tests';
+const kSite = process.env.SPLATBUS_WEB ?? '../build/release/share/splatbus/web';
+let browser;
+let server;
+const posted = [];
+before(async () => {
+  server = await serve([kPages, kSite], posted);
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  server?.close();
+});
+
+/** The page, once it shows the scene at rest. */
+async function opened(path, run, options = {}) {
+  const context = await browser.newContext({ viewport: { width: 320, height: 200 }, ...options });
+  const page = await context.newPage();
+  const errors = [];
+  page.on('pageerror', (error) => errors.push(String(error)));
+  try {
+    await page.goto(`${server.url}/${path}`);
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    await run(page);
+    assert.deepEqual(errors, []);
+  } finally {
+    await context.close();
+  }
+}
+
+/** Waits until the camera is to be as this says, to a millionth; input arrives with frames. */
+const reaches = (page, wanted) =>
+  page.waitForFunction((pose) => Object.entries(pose).every(([key, value]) => Math.abs(window.splatbus.rig.goal[key] - value) < 1e-6), wanted);
+const goal = (page) => page.evaluate(() => window.splatbus.rig.goal);
+const kStart = { target: [0, 0, 0], yaw: 1, pitch: 0.5, distance: 4 };
+const view = (pose) => `view=${[...pose.target, pose.yaw, pose.pitch, pose.distance]}`;
+const kPage = `index.html#${view(kStart)}`;
+
+/** Colors of the canvas that draws, as the screen would show them. */
+const shownColors = async (page) => {
+  const png = await page.screenshot({ clip: { x: 60, y: 60, width: 200, height: 100 } });
+  return page.evaluate(async (base64) => {
+    const bitmap = await createImageBitmap(await (await fetch(`data:image/png;base64,${base64}`)).blob());
+    const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
+    const context = canvas.getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+    return new Set(new Uint32Array(data.buffer)).size;
+  }, png.toString('base64'));
+};
+
+test('keys fly and turn, F shows all', () =>
+  opened(kPage, async (page) => {
+    const held = async (key, until) => {
+      await page.keyboard.down(key);
+      await page.waitForFunction(until);
+      await page.keyboard.up(key);
+    };
+    await held('w', () => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
+    const ahead = await goal(page);
+    // Towards where the camera looks, on the level.
+    assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);
+    assert.equal(ahead.target[1], 0);
+    await held('e', () => window.splatbus.rig.goal.target[1] > 0.1);
+    await held('ArrowRight', () => window.splatbus.rig.goal.yaw > 1.1);
+    const before = await goal(page);
+    await held('d', () => window.splatbus.rig.goal.target[0] > 0);
+    assert.equal((await goal(page)).distance, before.distance);
+    await page.keyboard.press('f');
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance !== distance, before.distance);
+    const all = await goal(page);
+    assert.ok(Math.hypot(...all.target) < 1, `the middle of all is ${all.target}`);
+    assert.ok(all.distance > 3 && all.distance < 8, `all is seen from ${all.distance} m`);
+  }));
+
+test('the mouse orbits, pans and zooms', () =>
+  opened(kPage, async (page) => {
+    await page.mouse.move(160, 100);
+    await page.mouse.down();
+    await page.mouse.move(210, 80, { steps: 4 });
+    await page.mouse.up();
+    await reaches(page, { yaw: kStart.yaw + 50 * 0.006, pitch: kStart.pitch - 20 * 0.006 });
+    await page.mouse.down({ button: 'right' });
+    await page.mouse.move(180, 80);
+    await page.mouse.up({ button: 'right' });
+    // 30 pixels to the left at the target's distance.
+    const metres = (30 * kStart.distance) / (200 / (2 * Math.tan(Math.PI / 6)));
+    await page.waitForFunction((far) => Math.abs(Math.hypot(...window.splatbus.rig.goal.target) - far) < 1e-6, metres);
+    await page.mouse.wheel(0, -100);
+    await reaches(page, { distance: 3.6 });
+  }));
+
+test('one finger orbits, two pinch and pan, a stick moves', () =>
+  opened(
+    kPage,
+    async (page) => {
+      const session = await page.context().newCDPSession(page);
+      const touch = (type, ...points) =>
+        session.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+      await touch('touchStart', [160, 100]);
+      await touch('touchMove', [180, 110]);
+      await touch('touchEnd');
+      await reaches(page, { yaw: kStart.yaw + 20 * 0.006 });
+      await touch('touchStart', [200, 100], [240, 100]);
+      await touch('touchMove', [180, 100], [260, 100]);
+      await touch('touchEnd');
+      // Twice as far apart.
+      await reaches(page, { distance: 2 });
+      const pinched = await goal(page);
+      assert.ok(Math.hypot(...pinched.target) < 0.1, 'a pinch about the middle does not pan');
+      const stick = await page.locator('.stick').boundingBox();
+      const middle = [stick.x + stick.width / 2, stick.y + stick.height / 2];
+      await touch('touchStart', middle);
+      await touch('touchMove', [middle[0], middle[1] - 60]);
+      await page.waitForFunction((x) => Math.abs(window.splatbus.rig.goal.target[0] - x) > 0.1, pinched.target[0]);
+      await touch('touchEnd');
+      const flown = await goal(page);
+      const [dx, , dz] = flown.target.map((value, k) => value - pinched.target[k]);
+      assert.ok(Math.abs(Math.atan2(-dz, -dx) - flown.yaw) < 1e-6);
+    },
+    { hasTouch: true },
+  ));
+
+test('a gamepad flies, turns and shows all', () =>
+  opened(kPage, async (page) => {
+    const pad = (axes, pressed = false) =>
+      page.evaluate(
+        ([values, value]) => {
+          const buttons = Array.from({ length: 16 }, (_, index) => ({ value: index === 0 ? value : 0 }));
+          navigator.getGamepads = () => [{ connected: true, axes: values, buttons }];
+        },
+        [axes, Number(pressed)],
+      );
+    await pad([0.05, -1, 0, 0]); // what a stick at rest says of itself does not count
+    await page.waitForFunction(() => Math.hypot(window.splatbus.rig.goal.target[0], window.splatbus.rig.goal.target[2]) > 0.2);
+    const ahead = await goal(page);
+    assert.ok(Math.abs(Math.atan2(-ahead.target[2], -ahead.target[0]) - kStart.yaw) < 1e-6);
+    await pad([0, 0, 1, 0]);
+    await page.waitForFunction((yaw) => window.splatbus.rig.goal.yaw > yaw + 0.05, kStart.yaw);
+    await pad([0, 0, 0, 0], true);
+    await page.waitForFunction(() => window.splatbus.rig.goal.distance > 4.01);
+  }));
+
+test('the address has the view and not the token, and shows the same again', () =>
+  opened(`index.html?token=abc&gpu=webgl2#${view(kStart)}`, async (page) => {
+    assert.ok(!page.url().includes('abc'), page.url());
+    assert.ok(page.url().includes('gpu=webgl2'));
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.token), 'abc');
+    assert.deepEqual(await goal(page), kStart);
+    await page.mouse.move(160, 100);
+    await page.mouse.wheel(0, -300);
+    await page.waitForFunction(() => location.hash.includes('2.916'));
+    const left = await goal(page);
+    const address = page.url();
+    await page.goto('about:blank');
+    await page.goto(address);
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    const again = await goal(page);
+    for (const key of ['yaw', 'pitch', 'distance']) assert.ok(Math.abs(again[key] - left[key]) < 1e-3, key);
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.token), 'abc');
+  }));
+
+test('after the first picture only rows that change are uploaded', () =>
+  opened(kPage, async (page) => {
+    const uploaded = () => page.evaluate(() => window.splatbus.stage.uploadedRows);
+    assert.equal(await uploaded(), 3000);
+    await page.evaluate(() => window.splatbus.rig.zoom(0.9));
+    await page.waitForFunction(() => window.splatbus.rig.shown.distance === window.splatbus.rig.goal.distance);
+    assert.equal(await uploaded(), 3000, 'a camera that moves uploads no row');
+    await page.evaluate(() => new BroadcastChannel('change').postMessage(17));
+    await page.waitForFunction(() => window.splatbus.stage.uploadedRows !== 3000);
+    assert.equal(await uploaded(), 3017);
+  }));
+
+test('a lost context comes back, and the last picture stands meanwhile', () =>
+  opened(kPage, async (page) => {
+    await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]')?.width > 300);
+    const before = await shownColors(page);
+    assert.ok(before > 500, `${before} colors`);
+    await page.evaluate(() => window.splatbus.stage.renderer.dispose());
+    await page.waitForFunction(() => window.splatbus.stage.renderer === null);
+    assert.ok((await shownColors(page)) > 500, 'the picture stands');
+    await page.waitForFunction(() => window.splatbus.stage.renderer && window.splatbus.stage.uploadedRows === 6000);
+    await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]'));
+    assert.ok((await shownColors(page)) > 500, 'it is drawn again');
+  }));
+
+test('a worker that dies is started again, and the picture stands', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => window.splatbus.link.kill());
+    assert.ok((await shownColors(page)) > 500);
+    await page.waitForFunction(() => window.splatbus.stage.uploadedRows === 6000);
+    assert.ok((await shownColors(page)) > 500);
+  }));
+
+test('menu by keys alone: quality, background, budget; they are kept', () =>
+  opened(kPage, async (page) => {
+    await page.keyboard.press('m');
+    await page.getByRole('dialog', { name: 'Menu' }).waitFor();
+    const white = async () => (await page.screenshot({ clip: { x: 300, y: 190, width: 2, height: 2 } })).toString('base64');
+    const before = await white();
+    await page.getByLabel('Background').focus();
+    await page.keyboard.press('w'); // as select elements do: the option that begins so
+    await page.waitForFunction(() => localStorage.getItem('splatbus.settings')?.includes('"background":"white"'));
+    await page.getByLabel('Quality').selectOption('low');
+    await page.getByLabel('Gaussians at most').selectOption('300000');
+    await page.keyboard.press('Escape');
+    await page.getByRole('dialog').waitFor({ state: 'hidden' });
+    await page.waitForFunction(() => document.querySelector('[data-figure=resolution]').textContent === '35 %');
+    // Another budget is another stream, of which the picture is drawn anew.
+    await page.waitForFunction(() => window.splatbus.link.options.budget.gaussians === 300000 && window.splatbus.stage.uploadedRows === 6000);
+    assert.notEqual(await white(), before);
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
+  }));
+
+test('a snapshot is a PNG of the picture', () =>
+  opened(kPage, async (page) => {
+    const download = page.waitForEvent('download');
+    await page.keyboard.press('p');
+    const saved = await download;
+    assert.match(saved.suggestedFilename(), /^splatbus-.*\.png$/);
+    const bytes = readFileSync(await saved.path());
+    assert.deepEqual([...bytes.subarray(1, 4)], [...Buffer.from('PNG')]);
+    assert.equal(bytes.readUInt32BE(16), 320);
+  }));
+
+test('a flight is measured, shown and posted', () =>
+  opened(`${kPage.replace('#', '?bench=1&seconds=3#')}`, async (page) => {
+    await page.waitForFunction(() => document.body.dataset.bench);
+    const shown = JSON.parse(await page.evaluate(() => document.body.dataset.bench));
+    const { path, body } = posted.at(-1);
+    assert.equal(path, '/bench');
+    assert.deepEqual(JSON.parse(body), shown);
+    assert.ok(shown.frames > 5 && shown.medianMs > 0 && shown.gaussians === 3000, body);
+  }));

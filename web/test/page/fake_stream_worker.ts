@@ -1,0 +1,47 @@
+// Stands in for the stream worker in the tests of the page: the same messages, of a scene that no engine made.
+import type { FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from '../../src/stream/messages';
+import { Publisher } from '../../src/stream/publisher';
+import { syntheticScene } from './synthetic_scene';
+
+const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
+const scene = syntheticScene(3000);
+const state = { transforms: scene.transforms, farField: 0, background: [0.1, 0.2, 0.4] as const, displaySpace: false };
+const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
+let clockOriginMs = performance.timeOrigin;
+const publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000);
+let poses = 0;
+
+const figures = (): StreamFigures => ({
+  atMs: performance.now(),
+  gaussians: scene.gaussians.length,
+  sequence: poses,
+  epoch: 1,
+  missing: 0,
+  bytes: 32 * scene.gaussians.length,
+  ageMs: 5,
+  roundTripMs: 1,
+});
+
+/** A few rows change: what the test says to a channel of its own. */
+new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
+  const rows = Uint32Array.from({ length: data }, (_, row) => row);
+  publisher.publish(rows, scene.records.slice(0, 8 * data), noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+};
+
+scope.onmessage = ({ data }) => {
+  if (data.kind === 'start') {
+    clockOriginMs = data.clockOriginMs;
+    publisher.publish(Uint32Array.from(scene.gaussians, (_, row) => row), scene.records, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+    scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
+  } else if (data.kind === 'attach') {
+    publisher.attach(data.port, data.standing);
+  } else if (data.kind === 'taken') {
+    for (let i = 0; i < data.batches; ++i) publisher.taken();
+  } else if (data.kind === 'pose') {
+    ++poses;
+    scope.postMessage({ kind: 'figures', figures: figures() });
+  } else if (data.kind === 'bounds') {
+    const bounds = publisher.bounds();
+    if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });
+  }
+};

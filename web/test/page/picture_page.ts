@@ -1,0 +1,205 @@
+// Draws synthetic records by one of the renderers, for the tests that drive this page.
+import { viewFromWorld, type View } from '../../src/math';
+import { kRecordWords, type RowUpdate } from '../../src/records';
+import type { Frame, Picture, Renderer } from '../../src/render/renderer';
+import { Follower, loadWasm, Sorter } from '../../src/stream/wasm';
+import { makeRenderer } from '../../src/render/make_renderer';
+import { psnr, rgbOf, ssim } from './quality';
+import { referenceOrder, referencePicture, linearOf, srgb } from './reference';
+import { packRecords, syntheticScene, type SyntheticScene } from './synthetic_scene';
+
+const kBackground = [0.1, 0.2, 0.4] as const;
+
+export function testView(size: number, turn: number): View {
+  const eye = [3 * Math.cos(turn), 1.2, 3 * Math.sin(turn)] as const;
+  const towards = [-eye[0], 0.3 - eye[1], -eye[2]] as const;
+  const far = Math.hypot(...towards);
+  const forward = [towards[0] / far, towards[1] / far, towards[2] / far] as const;
+  const focal = size / (2 * Math.tan(0.5));
+  return { viewFromWorld: viewFromWorld(eye, forward), fx: focal, fy: focal, cx: size / 2 + 3, cy: size / 2 - 2, width: size, height: size };
+}
+
+const wholeUpdate = (scene: SyntheticScene): RowUpdate => {
+  const count = scene.gaussians.length;
+  return { rows: Uint32Array.from({ length: count }, (_, row) => row), records: scene.records, fades: new Float32Array(count) };
+};
+
+const frameOf = (scene: SyntheticScene, view: View): Frame => ({
+  view,
+  scene: { transforms: scene.transforms, farField: 0, background: kBackground, displaySpace: false },
+  resolution: 1,
+  timeS: 1000,
+});
+
+/** As they come through the WebSocket; in the log both lengths come first. */
+function messagesOf(log: ArrayBuffer): ArrayBuffer[] {
+  const view = new DataView(log);
+  const messages = [];
+  for (let at = 0; at + 8 <= log.byteLength; ) {
+    const packet = view.getUint32(at, true);
+    const bytes = packet + view.getUint32(at + 4, true);
+    const message = new Uint8Array(4 + bytes);
+    message.set(new Uint8Array(log, at, 4));
+    message.set(new Uint8Array(log, at + 8, bytes), 4);
+    messages.push(message.buffer);
+    at += 8 + bytes;
+  }
+  return messages;
+}
+
+function takeRows(follower: Follower, renderer: Renderer, sorter: Sorter): void {
+  const changed = follower.takeChanges(1 << 22);
+  renderer.apply({ rows: changed.rows.slice(), records: changed.records.slice(), fades: new Float32Array(changed.rows.length) });
+  sorter.update(follower.rowCapacity, changed.rows.slice(), changed.records.slice());
+  const colors = follower.takeColors(1 << 22);
+  renderer.recolor({ rows: colors.rows.slice(), colors: colors.colors.slice() });
+}
+
+async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter, poses: number[][]): Promise<string[]> {
+  takeRows(follower, renderer, sorter);
+  const scene = {
+    transforms: follower.transforms.slice(),
+    farField: follower.farFieldIndex,
+    background: follower.background,
+    displaySpace: follower.stats.radiance,
+  };
+  sorter.setTransforms(scene.transforms, scene.farField);
+  const pictures = [];
+  for (const pose of poses) {
+    const [fx, fy, cx, cy, width, height] = pose.slice(16);
+    const view = { viewFromWorld: Float64Array.from(pose.slice(0, 16)), fx, fy, cx, cy, width, height };
+    renderer.setOrder(sorter.sort(new Float32Array(view.viewFromWorld)).slice());
+    pictures.push(await pngOf(await renderer.capture({ view, scene, resolution: 1, timeS: 1000 })));
+  }
+  return pictures;
+}
+
+async function pngOf(picture: Picture): Promise<string> {
+  const canvas = new OffscreenCanvas(picture.width, picture.height);
+  canvas.getContext('2d')!.putImageData(new ImageData(picture.rgba, picture.width, picture.height), 0, 0);
+  const bytes = new Uint8Array(await (await canvas.convertToBlob()).arrayBuffer());
+  return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''));
+}
+
+async function shown(renderer: Renderer, scene: SyntheticScene, view: View): Promise<{ psnr: number; ssim: number; png: string }> {
+  renderer.setOrder(referenceOrder(scene, view));
+  const frame = frameOf(scene, view);
+  renderer.draw(frame);
+  const picture = await renderer.capture(frame);
+  const truth = referencePicture(scene, view, kBackground);
+  const rgb = rgbOf(picture);
+  return { psnr: psnr(rgb, truth), ssim: ssim(rgb, truth, picture.width, picture.height), png: await pngOf(picture) };
+}
+
+let made: Renderer | null = null;
+/** The page's renderer without rows. */
+async function cleared(api: 'webgl2' | 'webgpu'): Promise<Renderer> {
+  made ??= await makeRenderer(document.querySelector('canvas')!, api);
+  made.clear();
+  return made;
+}
+
+const tests = {
+  /** How near the renderer's pictures are to the reference, from several sides. */
+  async pictures(api: 'webgl2' | 'webgpu', count: number, size: number): Promise<object[]> {
+    const renderer = await cleared(api);
+    const scene = syntheticScene(count);
+    renderer.apply(wholeUpdate(scene));
+    const results = [];
+    for (const turn of [0.3, 2.2]) results.push(await shown(renderer, scene, testView(size, turn)));
+    return results;
+  },
+
+  /** Rows that change later, some far beyond those that there were: only they are uploaded, and the picture is right. */
+  async changes(api: 'webgl2' | 'webgpu'): Promise<{ rows: number[]; psnr: number }> {
+    const renderer = await cleared(api);
+    const before = syntheticScene(3000, 1);
+    const after = syntheticScene(20000, 2);
+    const first = renderer.uploaded.rows;
+    renderer.apply(wholeUpdate(before));
+    const rows = [renderer.uploaded.rows - first];
+    // Of the first 3000 every third changes, and all that are new are added.
+    const changed = after.gaussians.flatMap((_, row) => (row >= 3000 || row % 3 === 0 ? [row] : []));
+    const records = new Uint32Array(kRecordWords * changed.length);
+    changed.forEach((row, i) => records.set(after.records.subarray(kRecordWords * row, kRecordWords * (row + 1)), kRecordWords * i));
+    renderer.apply({ rows: new Uint32Array(changed), records, fades: new Float32Array(changed.length) });
+    rows.push(renderer.uploaded.rows - first);
+    const mixed = { ...after, gaussians: after.gaussians.map((gaussian, row) => (row < 3000 && row % 3 !== 0 ? before.gaussians[row] : gaussian)) };
+    return { rows, psnr: (await shown(renderer, mixed, testView(128, 1))).psnr };
+  },
+
+  /** Colors alone are replaced; then they are taken for display space, over a background that is linear all the same. */
+  async colors(api: 'webgl2' | 'webgpu'): Promise<{ bytes: number; psnr: number; display: number }> {
+    const renderer = await cleared(api);
+    const scene = syntheticScene(3000, 1);
+    renderer.apply(wholeUpdate(scene));
+    const bytes = renderer.uploaded.bytes;
+    const paint = syntheticScene(6000, 3).gaussians.slice(3000);
+    scene.gaussians.forEach((gaussian, row) => (gaussian.color = paint[row].color));
+    const records = packRecords(scene.gaussians);
+    const rows = Uint32Array.from(scene.gaussians, (_, row) => row);
+    renderer.recolor({ rows, colors: rows.map((row) => records[kRecordWords * row + 7]) });
+    const replaced = renderer.uploaded.bytes - bytes;
+    const view = testView(128, 1);
+    const linear = await shown(renderer, scene, view);
+    const frame = frameOf(scene, view);
+    const picture = await renderer.capture({ ...frame, scene: { ...frame.scene, displaySpace: true } });
+    const blended = kBackground.map(srgb) as [number, number, number];
+    const truth = referencePicture(scene, view, blended).map((value) => 255 * linearOf(value / 255));
+    return { bytes: replaced, psnr: linear.psnr, display: psnr(rgbOf(picture), truth) };
+  },
+
+  /** An object that goes with the eye looks alike from everywhere. */
+  async farField(api: 'webgl2' | 'webgpu'): Promise<number> {
+    const renderer = await cleared(api);
+    const scene = syntheticScene(2000, 5);
+    scene.gaussians.forEach((gaussian) => (gaussian.object = 1));
+    renderer.apply({ ...wholeUpdate(scene), records: packRecords(scene.gaussians) });
+    const view = testView(96, 1);
+    // The eye is 5 m up and 3 m aside of where it is in the reference's world, and so is the object.
+    const moved = view.viewFromWorld.slice();
+    for (const row of [0, 1, 2]) moved[4 * row + 3] -= 3 * moved[4 * row] + 5 * moved[4 * row + 1];
+    const eye = [0, 1, 2].map((k) => -[0, 1, 2].reduce((sum, row) => sum + view.viewFromWorld[4 * row + k] * view.viewFromWorld[4 * row + 3], 0));
+    const relative = scene.transforms.slice();
+    [0, 1, 2].forEach((k) => (relative[12 + 4 * k + 3] -= eye[k]));
+    renderer.setOrder(referenceOrder(scene, view));
+    const frame = frameOf(scene, { ...view, viewFromWorld: moved });
+    const picture = await renderer.capture({ ...frame, scene: { ...frame.scene, transforms: relative, farField: 1 } });
+    return psnr(rgbOf(picture), referencePicture(scene, view, kBackground));
+  },
+
+  /** PNGs of a recorded stream, as base64: after so many messages each, from each of the poses. */
+  async replay(api: 'webgl2' | 'webgpu', log: string, times: number[], poses: number[][]): Promise<string[][]> {
+    const renderer = await cleared(api);
+    const messages = messagesOf(await (await fetch(log)).arrayBuffer());
+    const follower = new Follower(await loadWasm('splatbus.wasm'), 'replay', 4_000_000, 0);
+    const sorter = new Sorter(await loadWasm('splatbus.wasm'));
+    const pictures = [];
+    let received = 0;
+    for (const until of times) {
+      for (; received < until; ++received) {
+        if (follower.receive(messages[received], 0) !== 'received') throw new Error(follower.error);
+        if (received % 7 !== 0) continue; // so that rows change more than once, as they do while frames are drawn
+        takeRows(follower, renderer, sorter);
+      }
+      pictures.push(await drawPoses(follower, renderer, sorter, poses));
+    }
+    return pictures;
+  },
+
+  /** Milliseconds a frame, for whoever wants to know. */
+  async speed(api: 'webgl2' | 'webgpu', count: number, size: number): Promise<number> {
+    const renderer = await cleared(api);
+    const scene = syntheticScene(count);
+    renderer.apply(wholeUpdate(scene));
+    const view = testView(size, 1);
+    renderer.setOrder(referenceOrder(scene, view));
+    const frame = frameOf(scene, view);
+    await renderer.capture(frame);
+    const start = performance.now();
+    for (let i = 0; i < 3; ++i) await renderer.capture(frame);
+    return (performance.now() - start) / 3;
+  },
+};
+
+Object.assign(window, { tests });

@@ -1,0 +1,67 @@
+// Both renderers against the definition of the picture in double precision.
+import assert from 'node:assert/strict';
+import { writeFileSync } from 'node:fs';
+import { join } from 'node:path';
+import { after, before, describe, test } from 'node:test';
+import { launch, serve } from './browser.mjs';
+
+const kPages = process.env.SPLATBUS_WEB_TESTS ?? '../build/release/web-tests';
+/** 57.3 dB and 0.9996 are measured; rounding to 8 bits alone gives 58.9. What is asked for, 45 dB, a wrong constant reaches. */
+const kLeastPsnr = 55;
+const kLeastSsim = 0.9992;
+/** A folder for the pictures, for who wants to look at them. */
+const kPictures = process.env.SPLATBUS_WEB_PICTURES;
+let browser;
+let server;
+before(async () => {
+  server = await serve([kPages]);
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  server?.close();
+});
+
+for (const api of ['webgl2', 'webgpu']) {
+  describe(api, () => {
+    let page;
+    const errors = [];
+    before(async () => {
+      page = await browser.newPage();
+      page.on('pageerror', (error) => errors.push(String(error)));
+      page.on('console', (message) => message.type() === 'error' && errors.push(message.text()));
+      await page.goto(`${server.url}/picture.html`);
+    });
+    after(() => page.close());
+
+    test('pictures are those of the definition', async () => {
+      const results = await page.evaluate((name) => window.tests.pictures(name, 4000, 192), api);
+      results.forEach((result, index) => {
+        if (kPictures) writeFileSync(join(kPictures, `${api}_${index}.png`), Buffer.from(result.png, 'base64'));
+        console.log(`${api} ${index}: PSNR ${result.psnr.toFixed(2)} dB, SSIM ${result.ssim.toFixed(5)}`);
+        assert.ok(result.psnr >= kLeastPsnr, `PSNR ${result.psnr}`);
+        assert.ok(result.ssim >= kLeastSsim, `SSIM ${result.ssim}`);
+      });
+    });
+
+    test('only changed rows are uploaded', async () => {
+      const { rows, psnr } = await page.evaluate((name) => window.tests.changes(name), api);
+      assert.deepEqual(rows, [3000, 3000 + 1000 + 17000]);
+      assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);
+    });
+
+    test('colors alone are replaced, linear or in display space', async () => {
+      const { bytes, psnr, display } = await page.evaluate((name) => window.tests.colors(name), api);
+      assert.equal(bytes, 3000 * 8);
+      assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);
+      assert.ok(display >= 45, `PSNR ${display} in display space`);
+    });
+
+    test('the far field goes with the eye', async () => {
+      const psnr = await page.evaluate((name) => window.tests.farField(name), api);
+      assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);
+    });
+
+    test('nothing was said to be wrong', () => assert.deepEqual(errors, []));
+  });
+}
