@@ -37,6 +37,7 @@ std::vector<std::uint32_t> PageStore::restore(std::span<const PageContent> pages
                  std::size_t{memory_.used_rows} * kRowWords * sizeof(std::uint32_t));
     stream_.wait();  // the block is the next page's
     next.count = static_cast<std::uint32_t>(lanes.size());
+    table_.entry(page).loss = -1;
     room_left -= lanes.size();
     changes.push_back({.page = page, .next = next, .bounds = {}, .fresh = {page * kPageLanes, next.count}});
     directory_.push_back({next.frame_id, page, next.count, next.morton_first, next.id_first});

@@ -113,8 +113,13 @@ bool scan_segment(const File& file, std::uint32_t number, std::uint64_t world_id
   }
   std::vector<std::byte> bytes(size);
   SegmentHeader segment;
-  if (size < sizeof(segment) || !file.read(0, bytes)) {
-    refuse(0, "too short for a segment");
+  try {
+    if (size < sizeof(segment) || !file.read(0, bytes)) {
+      refuse(0, "too short for a segment");
+      return false;
+    }
+  } catch (const WorldError& error) {  // a disk that fails here: what lies elsewhere is none the worse
+    refuse(0, error.what());
     return false;
   }
   std::memcpy(&segment, bytes.data(), sizeof(segment));

@@ -162,6 +162,7 @@ World::Segment& World::segment_for(std::size_t bytes) {
   header.crc = header_crc(header);
   auto file = std::make_shared<const File>(segment_path(folder_, number), O_RDWR | O_CREAT | O_TRUNC);
   file->write(0, as_bytes(header));
+  const std::lock_guard lock(mutex_);
   highest_number_ = number;
   return segments_[number] = {.file = std::move(file), .size = sizeof(header)};
 }
@@ -182,6 +183,7 @@ void World::append(RecordKind kind, const PageKey& key, PageMark mark, std::span
   Segment& segment = segment_for(record.size());
   segment.file->write(segment.size, record);
   Pending change{.kind = kind, .key = key, .entry = {.mark = mark}};
+  const std::lock_guard lock(mutex_);
   if (kind == RecordKind::Page) {
     change.entry = entry_of(header, read_page_header(payload, layout(), "a page to write"));
     segment.pages.push_back(key);
@@ -197,22 +199,22 @@ void World::append(RecordKind kind, const PageKey& key, PageMark mark, std::span
 }
 
 void World::put(const Page& page, std::span<const std::byte> payload) {
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard writes(writing_);
   append(RecordKind::Page, page.key, page.mark, payload);
 }
 
 void World::remove(const PageKey& key) {
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard writes(writing_);
   append(RecordKind::Removal, key, PageMark::Resident, {});
 }
 
 void World::mark(const PageKey& key, PageMark mark) {
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard writes(writing_);
   append(RecordKind::Mark, key, mark, {});
 }
 
 void World::commit(const WorldProgress& progress, bool durable) {
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard writes(writing_);
   commit_locked(progress, durable);
 }
 
@@ -222,10 +224,11 @@ void World::commit_locked(const WorldProgress& progress, bool durable) {
     // What went before into segments that are full by now, too; one that did not exist at the last commit needs its
     // name.
     for (auto segment = segments_.lower_bound(committed_segment_); segment != segments_.end(); ++segment) {
-      segment->second.file->sync();
+      sync_(*segment->second.file);
     }
     if (highest_number_ != committed_segment_) sync_folder(folder_ / "segments");
   }
+  const std::lock_guard lock(mutex_);
   progress_ = progress;
   committed_segment_ = highest_number_;
   committed_bytes_ = segments_.at(highest_number_).size;
@@ -233,11 +236,12 @@ void World::commit_locked(const WorldProgress& progress, bool durable) {
 }
 
 void World::abandon() {
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard writes(writing_);
   abandon_locked();
 }
 
 void World::abandon_locked() {
+  const std::lock_guard lock(mutex_);
   for (const Pending& change : pending_) {
     Segment& segment = segments_.at(change.entry.segment);
     if (change.kind == RecordKind::Page) {

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -34,14 +35,16 @@ struct WorldOptions {
   ParameterLayout layout;
   std::string note;  ///< of a new world
   std::size_t segment_bytes = kSegmentBytes;
+  /// Brings a file to disk; other than File::sync() in tests.
+  std::function<void(const File&)> sync = [](const File& file) { file.sync(); };
 };
 
 /// A folder of pages on disk: an append-only log in segments, of which compact() takes what is no longer so out again.
 /// What is written takes effect with commit(), all of it or, after a crash, nothing. One process writes a folder at a
 /// time, any number may read it. docs/world-folder.md has the format.
 ///
-/// Every call is safe from any thread, but what is written between two commits should come from one. Throws WorldError,
-/// and leaves what is committed as it was.
+/// Every call is safe from any thread, but what is written between two commits should come from one. Whoever reads or
+/// asks waits for no disk that somebody else writes to. Throws WorldError, and leaves what is committed as it was.
 class World {
  public:
   /// To write: makes the folder where there is none, and cuts what a crash has left behind the last commit. WorldError
@@ -105,24 +108,30 @@ class World {
   [[nodiscard]] static PageEntry entry_of(const RecordHeader& header, const PageHeader& page);
   Segment& segment_for(std::size_t bytes);
   void append(RecordKind kind, const PageKey& key, PageMark mark, std::span<const std::byte> payload);
-  void put_locked(const PageKey& key, PageMark mark, std::span<const std::byte> payload);
   void commit_locked(const WorldProgress& progress, bool durable);
   void abandon_locked();
-  void carry_over(std::uint32_t number, const Segment& old);
+  /// `live`: the pages that count of it.
+  void carry_over(std::uint32_t number, const Segment& old, const std::map<PageKey, PageEntry>& live);
 
   std::filesystem::path folder_;
   Manifest manifest_;
   std::size_t segment_bytes_ = kSegmentBytes;
   std::unique_ptr<File> lock_;  ///< of a writer
 
+  std::function<void(const File&)> sync_;
+  /// Whoever writes holds it, for as long as the disk takes. What says so below is his alone.
+  std::mutex writing_;
+  /// Of all else, which only changes while both are held, but for what read() finds damaged; never while a disk works.
   mutable std::mutex mutex_;
   std::map<std::uint32_t, Segment> segments_;
   std::map<PageKey, PageEntry> pages_;
-  std::map<PageKey, std::size_t> records_;  ///< of each page, in all segments, those that no longer count, too
+  /// The writer's: of each page, in all segments, those that no longer count, too.
+  std::map<PageKey, std::size_t> records_;
   WorldProgress progress_;
-  std::vector<Pending> pending_;
   std::vector<Damage> damage_;
   std::vector<PageKey> lost_;
+  // The writer's.
+  std::vector<Pending> pending_;
   std::uint64_t next_sequence_ = 1;
   std::uint32_t highest_number_ = 0;
   std::uint32_t committed_segment_ = 0;

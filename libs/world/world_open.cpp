@@ -44,7 +44,9 @@ std::optional<WorldProgress> progress_of(const ScannedRecord& record) {
 }  // namespace
 
 World::World(const fs::path& folder, const WorldOptions& options)
-    : folder_(folder), segment_bytes_(std::clamp(options.segment_bytes, std::size_t{4096}, kSegmentBytes)) {
+    : folder_(folder),
+      segment_bytes_(std::clamp(options.segment_bytes, std::size_t{4096}, kSegmentBytes)),
+      sync_(options.sync) {
   std::error_code error;
   fs::create_directories(folder_ / "segments", error);
   if (error) throw WorldError(fmt::format("{}: cannot be made: {}", folder_.string(), error.message()));

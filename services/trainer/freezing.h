@@ -39,7 +39,7 @@ class Freezer {
     std::uint32_t looks = 0;
     double loss_before = -1;
     float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
-    double loss_at_freeze = 0;
+    double loss_at_freeze = 0;                 ///< below 0: nobody knows
   };
   Page& at(const model::PageStore& store, std::uint32_t page);
 

@@ -22,6 +22,7 @@ using world::PageKey;
 
 constexpr auto kRetryPeriod = 5s;  // of a disk that has refused
 constexpr auto kLastRounds = 3s;   // at the end
+constexpr int kMostOpenRounds = 4;
 constexpr std::size_t kPagesAtOnce = 64;
 /// Of the folder's ids, which lie together: what a file may make the trainer take for them.
 constexpr std::size_t kMaxIdBytes = std::size_t{1} << 30U;
@@ -198,6 +199,13 @@ void WorldKeeper::turn(const Restructure& restructure) {
   if (now < next_round_ || writer_.busy()) return;
   const double elapsed = last_round_ == Clock::time_point{} ? parameters_.period_s : seconds(now - last_round_);
   static_cast<void>(start_round(now, elapsed));
+  if (open_rounds_ < kMostOpenRounds) return;
+  // Pages change faster than rounds take them: the rest goes while nothing changes, or nothing would ever be kept.
+  while (open_rounds_ > 0 && !failing_) {
+    writer_.wait();
+    if (auto round = writer_.take_done()) finish(std::move(round), restructure);
+    if (!failing_) static_cast<void>(start_round(Clock::now(), 0));
+  }
 }
 
 void WorldKeeper::finish(std::unique_ptr<KeepRound> round, const Restructure& restructure) {
@@ -264,6 +272,7 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   // A commit has all that has changed since the one before, however many rounds it takes: no page is in the folder as
   // it was before a split, and its other half as after it.
   round->commits = changed.size() <= staged;
+  open_rounds_ = round->commits ? 0 : open_rounds_ + 1;
   const std::vector<Candidate> victims = round->commits ? choose_victims() : std::vector<Candidate>{};
   std::set<PageKey> leaving;
   for (const Candidate& victim : victims) leaving.insert(victim.key);

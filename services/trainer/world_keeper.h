@@ -106,6 +106,7 @@ class WorldKeeper {
   double allowance_bytes_ = 0;
   Clock::time_point last_round_{}, next_round_{};
   bool failing_ = false;
+  int open_rounds_ = 0;  ///< in a row that did not commit
   Stats stats_;
   WorldWriter writer_;
 };

@@ -91,14 +91,19 @@ int standalone_main(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  // Short for --set probe=true and --set window=true.
+  // Short for --set probe=true, --set window=true and --set packet_log=FILE.
   std::vector<char*> arguments;
   char set[] = "--set", probe[] = "probe=true", window[] = "window=true";
+  std::string packet_log = "packet_log=";
   bool standalone = false;
   for (int i = 0; i < argc; ++i) {
     const std::string_view argument = argv[i];
     standalone = standalone || argument.starts_with("--connect");
-    if (argument == "--probe" || argument == "--window") {
+    if (argument == "--record" && i + 1 < argc) {
+      packet_log += argv[++i];
+      arguments.push_back(set);
+      arguments.push_back(packet_log.data());
+    } else if (argument == "--probe" || argument == "--window") {
       arguments.push_back(set);
       arguments.push_back(argument == "--probe" ? probe : window);
     } else {
@@ -110,7 +115,8 @@ int main(int argc, char** argv) {
   const splatbus::bus::ServiceDescription description{
       .kind = "viewer",
       .summary =
-          "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window; and --connect ENDPOINT to "
+          "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window, --record FILE; and --connect "
+          "ENDPOINT to "
           "view a streamer elsewhere without any bus",
       .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
   };

@@ -34,6 +34,7 @@ StreamClient::StreamClient(ClientOptions options)
                  .max_gaussians = options_.max_gaussians,
                  .held_picture_bytes = options_.held_picture_bytes},
                 options_.now_ns()) {
+  if (!options_.packet_log.empty()) packet_log_.emplace(options_.packet_log);
   socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
   socket_.set(zmq::sockopt::linger, 100);
@@ -98,6 +99,7 @@ bool StreamClient::receive_all() {
 }
 
 bool StreamClient::receive(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload) {
+  if (packet_log_) packet_log_->add(packet, payload);
   try {
     if (lose_ && lose_(stream::ParsedPacket::parse(packet, payload))) return false;
     return follower_.receive(packet, payload, options_.now_ns());

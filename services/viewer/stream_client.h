@@ -13,6 +13,7 @@
 #include "gaussians/camera.h"
 #include "metrics/metrics.h"
 #include "stream/follower.h"
+#include "stream/packet_log.h"
 
 namespace splatbus::viewer {
 
@@ -26,6 +27,7 @@ struct ClientOptions {
   std::int64_t silence_ns = 3'000'000'000;   ///< after that the streamer is taken for gone, and greeted again
   std::int64_t pose_every_ns = 100'000'000;  ///< at most, while the camera moves; a tenth as often while it rests
   std::function<std::int64_t()> now_ns = bus::now_ns;
+  std::string packet_log;  ///< what is received is written there (stream/packet_log.h); empty: it is not
   std::size_t held_picture_bytes = std::size_t{1} << 28;  ///< of answers that nobody took yet; more are not kept
 };
 
@@ -34,7 +36,7 @@ using stream::ProbeAnswer;
 /// A Follower of the streamer at a ZeroMQ endpoint. Needs no bus. One thread.
 class StreamClient {
  public:
-  /// Connects; the streamer may start later. Throws bus::Error naming the endpoint.
+  /// Connects; the streamer may start later. Throws bus::Error naming the endpoint, or the log.
   explicit StreamClient(ClientOptions options);
 
   /// Waits up to `timeout` for packets, or until the descriptor `wake` (-1: none) can be read; takes all that are
@@ -74,6 +76,7 @@ class StreamClient {
   zmq::context_t context_;
   zmq::socket_t socket_;
   stream::Follower follower_;
+  std::optional<stream::PacketLog> packet_log_;
   std::function<bool(const stream::ParsedPacket&)> lose_;
   std::string last_refusal_;
   bus::LogLimiter log_limiter_;

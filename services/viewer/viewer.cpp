@@ -28,7 +28,8 @@ ClientOptions client_options(const Options& options, const ViewerHost& host) {
           .key = options.key,
           .server_key = options.server_key,
           .probes = options.probe,
-          .max_gaussians = options.max_gaussians};
+          .max_gaussians = options.max_gaussians,
+          .packet_log = options.packet_log};
 }
 
 // Viewers choose their ids without asking each other.
@@ -69,6 +70,7 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("max_gaussians", max_gaussians, "that are held; of a larger world what adds most to this viewer's picture",
         {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);
   p.add("record_file", record_file, "the camera's way is written there, for path=recorded; empty: it is not", kFixed);
+  p.add("packet_log", packet_log, "file for all that the streamer says, as it came; empty: none", kFixed);
   path.bind(p);
 }
 

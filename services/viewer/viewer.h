@@ -32,7 +32,7 @@ struct Options {
   double probe_period_s = 5;
   bool window = false;
   std::size_t max_gaussians = stream::kMaxGaussians;
-  std::string record_file;
+  std::string record_file, packet_log;
   PathOptions path;
 
   void bind(bus::ParameterBinder& parameters);

@@ -49,7 +49,7 @@ export const texts = {
   apis: { webgl2: 'WebGL2', webgpu: 'WebGPU' },
   ms: (value: number) => `${value.toFixed(value < 10 ? 1 : 0)} ms`,
   seconds: (value: number) => `${value.toFixed(1)} s`,
-  packets: (count: number) => (count === 0 ? 'nothing' : `${count} packets`),
+  pages: (count: number) => (count === 0 ? 'nothing' : `${count} pages`),
   unknown: '-',
   connecting: 'Connecting',
   connected: 'Connected',

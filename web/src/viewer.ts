@@ -275,7 +275,7 @@ export class Viewer {
       rate: this.#rate.megabits.toFixed(2),
       roundTrip: known(figures?.roundTripMs, texts.ms),
       age: known(figures?.ageMs, texts.ms),
-      missing: known(figures?.missing, texts.packets),
+      missing: known(figures?.missing, texts.pages),
       uploaded: this.stage.uploadedRows.toLocaleString('en'),
       resolution: `${Math.round(100 * this.#drawn.resolution)} %`,
       drawnBy: this.stage.renderer ? texts.apis[this.stage.renderer.api] : texts.unknown,

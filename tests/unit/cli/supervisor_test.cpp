@@ -13,6 +13,7 @@
 #include <map>
 #include <memory>
 #include <thread>
+#include <zmq.hpp>
 
 #include "bus/broker.h"
 #include "bus/publisher.h"
@@ -372,7 +373,30 @@ TEST_F(HeartbeatTest, NeverReadyIsKilledToo) {
   EXPECT_TRUE(wait_for_line("a * no heartbeat for 0.2 s, killing it"));
 }
 
+/// A broker that believes whoever calls himself "bus".
+class CredulousBroker {
+ public:
+  explicit CredulousBroker(const bus::Address& address) {
+    from_publishers_.bind(address.publish_endpoint());
+    to_subscribers_.bind(address.subscribe_endpoint());
+    thread_ = std::thread([this] { zmq_proxy(from_publishers_.handle(), to_subscribers_.handle(), nullptr); });
+  }
+  ~CredulousBroker() {
+    context_.shutdown();
+    thread_.join();
+  }
+  CredulousBroker(const CredulousBroker&) = delete;
+  CredulousBroker& operator=(const CredulousBroker&) = delete;
+
+ private:
+  zmq::context_t context_;
+  zmq::socket_t from_publishers_{context_, zmq::socket_type::xsub}, to_subscribers_{context_, zmq::socket_type::xpub};
+  std::thread thread_;
+};
+
 TEST_F(HeartbeatTest, SilenceIsForgivenWhileTheBrokerIsSilent) {
+  broker_.reset();
+  const CredulousBroker credulous(bus::Address::parse("ipc://" + folder_));
   ProcessPlan broker = beating("the-broker");
   broker.broker = true;
   broker.heartbeat_timeout_s = 1000;

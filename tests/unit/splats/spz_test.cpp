@@ -266,10 +266,16 @@ TEST(Spz, RefusesLiesOfVersion3ByPlace) {
 }
 
 TEST(Spz, RefusesWhatUnpacksToFarMoreThanItIs) {
-  // 4 million Gaussians of zeros: 80 MB in 80 KB.
-  std::string plain("NGSP\x03\x00\x00\x00\x00\x09\x3D\x00\x00\x0C\x00\x00", 16);
-  plain.resize(plain.size() + std::size_t{20} * 4'000'000);
-  expect_refused(gzip(plain), "4000000 Gaussians of 20 bytes are announced, in a file of");
+  // 100,000 Gaussians, 2 MB, of which the first bytes do not pack and the rest is zero.
+  const auto file = [](std::size_t incompressible) {
+    test::Random random(73);
+    std::string plain("NGSP\x03\x00\x00\x00\xA0\x86\x01\x00\x00\x0C\x00\x00", 16);
+    for (std::size_t i = 0; i < incompressible; ++i) plain += static_cast<char>(random.uniform(0, 256));
+    plain.resize(16 + 20 * 100'000);
+    return gzip(plain);
+  };
+  EXPECT_EQ(read(file(40'000)).gaussians.count(), 100'000U) << "48 times";
+  expect_refused(file(25'000), "100000 Gaussians of 20 bytes are announced, in a file of");
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
 // Folders that lie: nothing crashes, and what is given out was once written.
+#include <algorithm>
 #include <cstring>
 #include <functional>
 
@@ -119,6 +120,19 @@ TEST_F(HostileWorldTest, PiecesOfASegmentAreMissingOrThereTwice) {
         }
       },
       17);
+}
+
+TEST_F(HostileWorldTest, ASegmentThatCannotBeReadIsRefusedAlone) {
+  const std::size_t pages = World(folder_).pages().size();
+  // A folder opens to be read like a file whose disk fails: each read is refused.
+  std::filesystem::create_directory(folder_ / "segments" / "000007.seg");
+  const World world(folder_);
+  EXPECT_GT(pages, 0U);
+  EXPECT_EQ(world.pages().size(), pages);
+  EXPECT_TRUE(std::ranges::any_of(world.damage(), [](const Damage& damage) {
+    return damage.file.find("000007.seg") != std::string::npos &&
+           damage.what.find("cannot be read") != std::string::npos;
+  }));
 }
 
 TEST_F(HostileWorldTest, AManifestThatLiesIsRefused) {

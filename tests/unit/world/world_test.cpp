@@ -1,6 +1,9 @@
 #include <signal.h>
 #include <sys/resource.h>
 
+#include <chrono>
+#include <future>
+
 #include "world_fixture.h"
 
 namespace splatbus::world {
@@ -81,6 +84,41 @@ TEST_F(WorldTest, AReaderSeesTheLastCommitWhileAnotherProcessWrites) {
   expect_holds(reader, {{first.key, first}});
   EXPECT_TRUE(reader.damage().empty());
   EXPECT_THROW(put(reader, second), WorldError);
+}
+
+TEST_F(WorldTest, WhoeverAsksWaitsForNoDisk) {
+  World* asked = nullptr;
+  const Page first = make_page(0, 30, 1), second = make_page(100, 30, 2);
+  int answered = 0;
+  // While the disk works, another thread asks.
+  const auto sync = [&](const File&) {
+    if (asked == nullptr) return;
+    auto answer = std::async(std::launch::async, [&] {
+      return asked->find(first.key).has_value() && asked->bytes() > 0 && asked->live_bytes() > 0 &&
+             asked->read(first.key).has_value();
+    });
+    if (answer.wait_for(std::chrono::seconds(10)) != std::future_status::ready)
+      ADD_FAILURE() << "it waits for the disk";
+    else
+      answered += answer.get() ? 1 : 0;
+  };
+  WorldOptions options;
+  options.segment_bytes = 16384;
+  options.sync = sync;
+  World world(folder_, options);
+  put(world, first);
+  world.commit({.next_gaussian_id = 10000});
+  asked = &world;
+  put(world, second);
+  world.commit({.next_gaussian_id = 10000});
+  EXPECT_GE(answered, 1);
+  // And while segments are rewritten.
+  for (std::uint32_t k = 0; k < 6; ++k) put(world, make_page(100, 30, 2));
+  world.commit({.next_gaussian_id = 10000});
+  answered = 0;
+  EXPECT_TRUE(world.compact());
+  EXPECT_GE(answered, 1);
+  EXPECT_TRUE(world.read(second.key));
 }
 
 TEST_F(WorldTest, OnlyOneWriterAtATime) {

@@ -37,6 +37,7 @@ export interface StreamFigures {
   readonly gaussians: number;
   readonly sequence: number;
   readonly epoch: number;
+  /** Pages of the model that have not come yet. */
   readonly missing: number;
   readonly bytes: number;
   readonly ageMs: number;

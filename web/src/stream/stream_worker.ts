@@ -2,15 +2,20 @@
 import { Connection } from './connection';
 import type { FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from './messages';
 import { Publisher } from './publisher';
-import { Follower, loadWasm } from './wasm';
+import { Follower, loadWasm, type FollowerStats } from './wasm';
 
 const kWatchMs = 50;
 const kFiguresMs = 250;
 const kRoundTripMs = 2000;
+/** Of all pages, in a model that may take the place of one that is seen. */
+const kMostMissing = 0.02;
 /** Rows handed on at once, so that what a frame uploads is bounded. */
 const kMostRows = 65536;
 
 const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
+
+/** A model that changes misses a page now and then. */
+const isWhole = ({ pages, missingPages }: FollowerStats): boolean => pages > 0 && missingPages <= kMostMissing * pages;
 
 class Stream {
   readonly #follower: Follower;
@@ -106,7 +111,7 @@ class Stream {
     };
     const more = rows.length === kMostRows || colors.rows.length === kMostRows;
     const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs };
-    this.#publisher.publish(rows, records, colors, scene, time, !stats.loading && !more);
+    this.#publisher.publish(rows, records, colors, scene, time, isWhole(stats) && !more);
     if (more) this.#publishSoon();
   }
 
@@ -135,7 +140,7 @@ class Stream {
       gaussians: stats.gaussians,
       sequence: stats.sequence,
       epoch: stats.epoch,
-      missing: stats.missingChunks,
+      missing: stats.missingPages,
       bytes: stats.bytesIn,
       ageMs: stats.sceneArrivedMs > 0 ? nowMs - stats.sceneArrivedMs : -1,
       roundTripMs: this.#roundTripMs,

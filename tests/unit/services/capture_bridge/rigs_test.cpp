@@ -193,6 +193,25 @@ TEST_F(RigControlTest, ADomeThatWasNotTestedIsTestedOnceFreeSpaceIsKnown) {
   EXPECT_EQ(rig("v").round.rig_generation(), generation);
 }
 
+TEST_F(RigControlTest, OfEqualNeedWhoeverHasWaitedLongestGetsTheCube) {
+  set("input_range_hz", "2");
+  // Both outrun every cube, so that neither ever has one of use: their need is the same.
+  std::map<std::string, int> asked;
+  float x = 0;
+  for (; now_ns_ < 10 * kSecond; pass(kSecond / 100)) {
+    x += 2;
+    look("a", standing({x, 1.6F, 0}));
+    look("b", standing({x, 1.6F, 500}));
+    update();
+    for (const Camera& camera : of(CameraRole::Probe)) {
+      ++asked[camera.world_from_camera.translation.z < 250 ? "a" : "b"];
+    }
+    answer_cubes(10);
+  }
+  EXPECT_GE(asked["a"], 6 * 8);
+  EXPECT_NEAR(asked["a"], asked["b"], 6 * 2);
+}
+
 TEST_F(RigControlTest, CubesAreBoundedAndAskedForWhereTheyAreOfUse) {
   set("input_range_hz", "2");
   int faces = 0;

@@ -110,6 +110,18 @@ TEST_F(FreezerTest, WhatNoViewShowsRestsUntilOneDoes) {
   EXPECT_EQ(second({0.1, 0.1}).thaw, std::vector{pages_[1]}) << "it had not settled";
 }
 
+TEST_F(FreezerTest, WhatAFolderHadFrozenRestsAtWhatItIsFirstSeenWith) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
+  ASSERT_EQ(state(0), PageState::Frozen);
+  // As restored: its loss did not come along, and the freezer is a new one.
+  store().table().entry(pages_[0]).loss = -1;
+  freezer_ = {};
+  EXPECT_TRUE(second({0.2}).thaw.empty());
+  EXPECT_FLOAT_EQ(store().table().entry(pages_[0]).loss, 0.2F);
+  EXPECT_TRUE(second({0.25}).thaw.empty());
+  EXPECT_EQ(second({0.4}).thaw, std::vector{pages_[0]});
+}
+
 TEST_F(FreezerTest, WhatIsPutInIsToBeLearned) {
   for (int s = 0; s < 5; ++s) (void)second({0.1});
   SampleBatch more = scene_.truth();
@@ -190,6 +202,14 @@ TEST_P(FreezingOn, WithoutItAllTrainsAgain) {
   EXPECT_EQ(s.store().frozen_pages(), 0U);
   s.train(4);
   EXPECT_GT(distance(s.model().live(), before.live(), 41), 0);
+}
+
+TEST_P(FreezingOn, WhatComesBackFrozenTrainsWhereNothingIsToRest) {
+  for (const char* freeze : {"false", "true"}) {
+    Trial s = trial({{"freeze", freeze}, {"freeze_after_s", "3600"}});
+    s.optimizer().restructure([&] { s.store().freeze(all_pages(s)); });
+    EXPECT_EQ(s.store().frozen_pages(), freeze[0] == 't' ? s.store().page_count() : 0U);
+  }
 }
 
 TEST_P(FreezingOn, PagesThatRestAreNeitherPrunedNorSplit) {

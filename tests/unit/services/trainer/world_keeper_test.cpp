@@ -239,6 +239,25 @@ TEST_P(WorldKeeperTest, WhateverMomentItIsKilledTheModelIsWhole) {
   }
 }
 
+TEST_P(WorldKeeperTest, PagesThatChangeFasterThanRoundsTakeThemAreKeptAllTheSame) {
+  start({.staging_bytes = 1});  // a page a round
+  change(30);
+  ASSERT_GT(store_->page_count(), 3U);
+  const std::uint64_t before = keeper_->stats().rounds;
+  // All of them change with every turn, the structure of each.
+  std::uint64_t committed = 0;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    std::vector<std::uint32_t> pages;
+    for (const IndexRange& range : store_->view().ranges) pages.push_back(range.first / kPageLanes);
+    committed % 2 == 0 ? store_->freeze(pages) : store_->thaw(pages);
+    ++committed;
+    keeper_->turn();
+    const world::World reader(folder());
+    return reader.pages().size() == store_->page_count();
+  }));
+  EXPECT_GT(keeper_->stats().rounds, before);
+}
+
 INSTANTIATE_TEST_SUITE_P(Devices, WorldKeeperTest, testing::Values(Device::Cpu, Device::Cuda), model::device_name);
 
 }  // namespace

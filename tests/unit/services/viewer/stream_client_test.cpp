@@ -103,6 +103,28 @@ TEST_F(StreamClientTest, WhatIsWrongIsCountedAndTheRestIsTaken) {
   EXPECT_EQ(client.refused(), 3U);
 }
 
+TEST_F(StreamClientTest, WhatItReceivesIsLoggedAsItCame) {
+  ClientOptions logged = options();
+  logged.packet_log = directory_.path() + "/packets";
+  {
+    StreamClient client(logged);
+    ASSERT_TRUE(poll_until(client, [&] { return said(wire::Body::Hello) >= 1; }));
+    welcome();
+    picture(9);
+    ASSERT_TRUE(poll_until(client, [&] { return client.received_bytes() == sent_bytes_; }));
+  }
+  stream::PacketLogReader reader(logged.packet_log);
+  const auto first = reader.next(), second = reader.next();
+  ASSERT_TRUE(first && second);
+  EXPECT_EQ(stream::ParsedPacket::parse(first->packet, first->payload).body(), wire::Body::Welcome);
+  EXPECT_TRUE(first->payload.empty());
+  const auto picture = stream::ParsedPacket::parse(second->packet, second->payload);
+  EXPECT_EQ(picture.root().body_as_ProbePicture()->probe_id(), 9U);
+  EXPECT_EQ(stream::zstd_decompress(picture.payload(), 512, "picture"), stream::Bytes(512));
+  EXPECT_FALSE(reader.next());
+  EXPECT_THROW(stream::PacketLogReader(directory_.path() + "/none"), std::runtime_error);
+}
+
 TEST_F(StreamClientTest, WhatATestLosesIsNotReceived) {
   StreamClient client(options());
   client.lose_packets([](const stream::ParsedPacket& packet) { return packet.body() == wire::Body::Welcome; });
