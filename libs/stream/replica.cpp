@@ -143,7 +143,7 @@ bool Replica::take(const ParsedPacket& packet) {
   }
   if (!report_.lacks.empty()) {  // what was lacking may have come
     std::erase_if(report_.lacks, [&](const PageVersion& lacking) {
-      return std::ranges::find(change.taken, lacking.page) != change.taken.end();
+      return std::find(change.taken.begin(), change.taken.end(), lacking.page) != change.taken.end();
     });
   }
   for (const std::uint32_t page : change.lacks) lack(page);
