@@ -92,11 +92,12 @@ void Replica::clear_report() {
 }
 
 void Replica::lack(std::uint32_t page) {
+  const HeldPage* known = held_->find(page);
+  if (known && !known->whole()) return;  // its parts are on their way
   if (report_.lacks.size() >= kMaxReported) return;
   const auto same = [&](const PageVersion& lacked) { return lacked.page == page; };
   if (std::any_of(report_.lacks.begin(), report_.lacks.end(), same)) return;
-  const HeldPage* held = held_->find(page);
-  report_.lacks.push_back({page, held && held->whole() ? held->version : 0});
+  report_.lacks.push_back({page, known ? known->version : 0});
 }
 
 void Replica::begin(const wire::Layout& body, std::uint64_t epoch) {
@@ -139,6 +140,11 @@ bool Replica::take(const ParsedPacket& packet) {
   } catch (const SceneLost&) {
     report_.scene_lost = true;
     return false;
+  }
+  if (!report_.lacks.empty()) {  // what was lacking may have come
+    std::erase_if(report_.lacks, [&](const PageVersion& lacking) {
+      return std::find(change.taken.begin(), change.taken.end(), lacking.page) != change.taken.end();
+    });
   }
   for (const std::uint32_t page : change.lacks) lack(page);
   for (const std::uint32_t page : change.declined) {

@@ -42,6 +42,10 @@ void ViewerFeed::start_over() {
   *this = std::move(fresh);
 }
 
+double ViewerFeed::largest_packet() const {
+  return (1 - kReserve) * rate_.burst();
+}
+
 void ViewerFeed::push_scene(SharedPacket packet) {
   scenes_.push_back(std::move(packet));
 }
@@ -134,7 +138,6 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
     if (deltas.empty() || item.delta < deltas.front().number) return false;
     const SharedDelta& delta = deltas[item.delta - deltas.front().number];
     if (std::ranges::none_of(fits(held_, delta), std::identity{}) && delta.gone.empty()) return false;
-    if (static_cast<double>(delta.packet->bytes()) > (1 - kReserve) * rate_.burst()) return false;
     delta_ = delta;
     return true;
   }

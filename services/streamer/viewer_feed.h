@@ -111,6 +111,7 @@ class ViewerFeed {
 
   void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
             double budget_bytes);
+  [[nodiscard]] double largest_packet() const;
   void plan_deltas(const PageBoard& board, std::map<std::uint32_t, std::uint32_t>& versions, std::vector<Item>& items);
   void order(std::vector<Item> items, double budget_bytes);
   [[nodiscard]] bool make_room(stream::StreamModel& model, const stream::OfferedPage& page);

@@ -20,7 +20,9 @@ constexpr double kQueued_s = 0.5;
 }  // namespace
 
 void ViewerRate::use(double bytes_per_s, std::int64_t now_ns) {
+  const bool first = bytes_per_s_ == 0;
   bytes_per_s_ = bytes_per_s;
+  if (first) bucket_ = bus::TokenBucket(bytes_per_s_, burst());
   bucket_.set(bytes_per_s_, burst(), now_ns);
 }
 
@@ -63,7 +65,8 @@ void ViewerFeed::plan_deltas(const PageBoard& board, std::map<std::uint32_t, std
                              std::vector<Item>& items) {
   std::uint64_t oldest = 0;
   for (const SharedDelta& delta : board.deltas()) {
-    if (delta.number < oldest_delta_) continue;
+    // What is larger than the rate's burst never goes: its pages come whole.
+    if (delta.number < oldest_delta_ || static_cast<double>(delta.packet->bytes()) > largest_packet()) continue;
     float value = 0;
     bool fits = false;
     std::vector<std::pair<std::uint32_t, std::uint32_t>> after;

@@ -48,7 +48,9 @@ inline void expect_shown(ShownReplica& replica) {
     for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
       for (int c = 0; c < want.layout.channels(); ++c) ASSERT_EQ(*got.at(c, i), *want.at(c, i)) << "channel " << c;
       ASSERT_EQ(got.object_id[i], want.object_id[i]);
-      if (want.visibility != nullptr) ASSERT_EQ(got.visibility[i], want.visibility[i]);
+      if (want.visibility != nullptr) {
+        ASSERT_EQ(got.visibility[i], want.visibility[i]);
+      }
       for (std::uint32_t row = 0; want.visibility_u8 != nullptr && row < want.visibility_rows; ++row) {
         ASSERT_EQ(got.visibility_u8[row * got.visibility_stride + i],
                   want.visibility_u8[row * want.visibility_stride + i]);

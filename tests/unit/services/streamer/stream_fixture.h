@@ -36,7 +36,7 @@ inline bool hold_the_same(const stream::Replica& a, const stream::Replica& b) {
   return true;
 }
 
-/// Ids by row, known by where the Gaussians are: viewers are sent none.
+/// Ids by row, known by where the Gaussians are: viewers are sent none. Where two are in one place neither is known.
 inline std::map<std::uint32_t, std::uint64_t> ids_by_row(const stream::Replica& replica, const GaussiansBuffer& model) {
   const stream::ReplicatedState& held = replica.held();
   const stream::Quantizer mean = held.layout.at(stream::Attribute::Mean).quantizer;
@@ -47,14 +47,14 @@ inline std::map<std::uint32_t, std::uint64_t> ids_by_row(const stream::Replica& 
       place[c] =
           static_cast<std::int32_t>(std::lround((model.parameters[c * model.stride() + i] - mean.offset) / mean.step));
     }
-    id_at[place] = model.gaussian_id[i];
+    if (!id_at.emplace(place, model.gaussian_id[i]).second) id_at[place] = 0;
   }
   std::map<std::uint32_t, std::uint64_t> ids;
   for (const auto& [number, page] : held.pages) {
     for (std::uint32_t lane = 0; lane < page.count; ++lane) {
       const std::uint32_t row = page.row(lane);
       const auto& planes = held.gaussians.channels;
-      if (const auto found = id_at.find({planes[0][row], planes[1][row], planes[2][row]}); found != id_at.end()) {
+      if (const auto found = id_at.find({planes[0][row], planes[1][row], planes[2][row]}); found != id_at.end() && found->second != 0) {
         ids[row] = found->second;
       }
     }

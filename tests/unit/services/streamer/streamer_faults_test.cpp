@@ -6,6 +6,7 @@
 
 #include "bus/error.h"
 #include "streamer_fixture.h"
+#include "wire/viewer_generated.h"
 
 namespace splatbus::stream_test {
 namespace {
@@ -239,7 +240,14 @@ TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
   };
   say(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "deaf"); });
   ASSERT_TRUE(settle([&] { return good.replica().count() == 3000; }, good));
-  bus::Subscriber qualities(observer_, {"viewer/quality"}), poses(observer_, {"viewer/pose"});
+  bus::Subscriber poses(observer_, {"viewer/pose"});
+  const auto pose_of = [&](const std::string& name) {
+    while (const auto message = poses.receive(1ms)) {
+      if (message->root<wire::ViewerPose>("ViewerPose/1").viewer()->str() == name) return true;
+    }
+    return false;
+  };
+  const wire::Camera camera = to_wire(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1));
   // The model never rests. What the deaf viewer's sockets hold of it is full before memory is looked at.
   constexpr std::uint64_t kWarmUpBytes = 6'000'000, kStreamedBytes = 18'000'000;
   std::size_t resident_before = 0;
@@ -265,13 +273,15 @@ TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
   for (int second = 0; second < 20 && viewers == 2; ++second) {
     ASSERT_TRUE(settle(
         [&] {
-          say(wire::Body::Quality, [](auto& b) { return wire::CreateQuality(b, 1); });
-          return qualities.receive(1ms).has_value() || read_viewers(0ms) == 1;
+          say(wire::Body::Pose, [&](auto& b) { return wire::CreatePose(b, &camera); });
+          stepped_->turn(0.02);
+          return pose_of("deaf") || read_viewers(0ms) == 1;
         },
         good));
     ASSERT_TRUE(settle(
         [&] {
-          return good.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), poses.receive(1ms).has_value();
+          stepped_->turn(0.02);
+          return good.send_pose(look_at({1, 1, 1}, {0, 0, 0}, 8, 8, 1)), pose_of("good");
         },
         good));
     stepped_->turn(1);

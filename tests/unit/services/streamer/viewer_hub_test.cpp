@@ -71,7 +71,7 @@ class ViewerHubTest : public testing::Test {
 
 TEST_F(ViewerHubTest, AViewerThatReadsSlowlyIsNotForgotten) {
   join();
-  publish(stream::test::toy_model(200'000, 1));
+  publish(stream::test::toy_model(400'000, 1));
   ASSERT_TRUE(hub_.pump(now_ns_)) << "all of it went out at once";
   for (int second = 0; second < 12; ++second) {
     now_ns_ += kSecond;
@@ -79,12 +79,15 @@ TEST_F(ViewerHubTest, AViewerThatReadsSlowlyIsNotForgotten) {
     pose();
     bool waits = true;
     ASSERT_TRUE(bus_test::eventually([&] {
-      (void)read();
+      if (sent_packets() == sent) (void)read();
       hub_.receive(now_ns_);
       waits = hub_.pump(now_ns_);
       return sent_packets() > sent && poses_ > heard;
     }));
-    ASSERT_TRUE(waits) << "the model is too small for this test";
+    if (!waits) {  // all of it has gone out
+      ASSERT_GT(second, 6) << "the model is too small for this test";
+      break;
+    }
     hub_.expire(now_ns_);
     ASSERT_EQ(hub_.viewers(), 1U) << "after " << second + 1 << " s";
   }
@@ -123,12 +126,13 @@ TEST_F(ViewerHubTest, OfAFloodOfPosesTheNewestIsPassedOnAtTheHubsOwnPace) {
   join();
   // A second's worth in a moment, for three seconds.
   for (int second = 0; second < 3; ++second) {
+    const std::uint64_t before = poses_;
     for (int k = 0; k < 100; ++k) {
       pose();
       if (k % 20 == 0) hub_.receive(now_ns_ += kSecond / 100);
     }
     now_ns_ += kSecond;
-    ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_), poses_ > 0; }));
+    ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_), poses_ > before; }));
   }
   EXPECT_LE(poses_, 3U * 66);
   EXPECT_GE(poses_, 3U);
