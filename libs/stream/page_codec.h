@@ -28,6 +28,8 @@ inline constexpr std::size_t kMaxPageGaussians = 4096;
 
 struct PageOptions {
   bool ids = true;  ///< whether Gaussian ids travel; else the decoder gives 0
+  /// The blob's lanes are the columns as they are: where both ends hold the page's lanes already. Draco only.
+  bool keep_order = false;
 };
 
 struct PageBlob {

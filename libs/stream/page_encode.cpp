@@ -9,7 +9,7 @@ namespace splatbus::stream {
 PageBlob encode_draco(const QuantizedGaussians& page, const StreamLayout& layout, const PageOptions& options) {
   std::vector<std::uint32_t> all(page.count());
   std::iota(all.begin(), all.end(), 0U);
-  PageBlob blob{{}, morton_order(page, layout, all)};
+  PageBlob blob{{}, options.keep_order ? all : morton_order(page, layout, all)};
   const QuantizedGaussians lanes = page.gather(blob.order);
   const Bytes chunk = encode_chunk(lanes, layout);
   const Payload ids = options.ids ? encode_ids(lanes.gaussian_id) : Payload{};
@@ -25,6 +25,7 @@ PageBlob encode_draco(const QuantizedGaussians& page, const StreamLayout& layout
 PageBlob encode_page(const QuantizedGaussians& page, const StreamLayout& layout, PageCodec codec,
                      const PageOptions& options) {
   assert(page.count() <= kMaxPageGaussians && page.channels.size() == static_cast<std::size_t>(layout.channels()));
+  assert(!options.keep_order || codec == PageCodec::Draco);
   if (page.count() == 0) return {};
   return codec == PageCodec::Draco ? encode_draco(page, layout, options) : encode_planes(page, layout, options);
 }

@@ -96,7 +96,7 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
       std::vector<std::uint32_t> columns(count);
       std::iota(columns.begin(), columns.end(), first);
       blob = std::make_shared<const Bytes>(
-          encode_page(lanes.gather(columns), layout, options_.codec, {.ids = false}).bytes);
+          encode_page(lanes.gather(columns), layout, options_.codec, {.ids = false, .keep_order = true}).bytes);
       const std::scoped_lock lock(mutex_);
       if (Blob& kept = blobs_[number]; kept.version == page.version) kept.parts[{first, count}] = blob;
     }

@@ -217,7 +217,7 @@ void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<cons
       const std::uint32_t row = row_of_column_[columns[i]];  // of what moves relight has spoken
       if (row != kNotHeld) appended.channels[sun->first][i] = held_.gaussians.channels[sun->first][row];
     }
-    blob = encode_page(appended, held_.layout, options_.codec, {.ids = false}).bytes;
+    blob = encode_page(appended, held_.layout, options_.codec, {.ids = false, .keep_order = true}).bytes;
     append(payload, blob);
     appended_bytes_ += 0.5 * (static_cast<double>(blob.size()) / static_cast<double>(columns.size()) - appended_bytes_);
   }
