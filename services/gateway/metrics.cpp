@@ -70,8 +70,8 @@ void add_stream(Families& out, const StreamFigures& stream) {
   for (const auto& [body, type] : stream.by_type) {
     out.counter("splatbus_stream_packets_total", "Sent to viewers, by packet type", type.packets, {{"body", body}});
   }
-  out.counter("splatbus_stream_snapshots_total", "Snapshots begun", stream.snapshots);
-  out.counter("splatbus_stream_resends_total", "Packets sent again", stream.resends);
+  out.counter("splatbus_stream_whole_pages_total", "Whole pages sent", stream.whole_pages);
+  out.counter("splatbus_stream_lost_packets_total", "Packets that viewers did not get", stream.lost_packets);
   out.counter("splatbus_stream_lost_viewers_total", "Viewers that fell silent or did not read", stream.lost_viewers);
 }
 
@@ -154,13 +154,14 @@ nlohmann::json status_json(const PipelineView& pipeline, const Traffic& traffic,
     status["stream"] = {{"viewers", s->viewers},
                         {"gaussians", s->gaussians},
                         {"model_gaussians", s->model_gaussians},
-                        {"sequence", s->sequence},
+                        {"version", s->version},
+                        {"pages", s->pages},
                         {"total_bytes", s->total_bytes},
                         {"wire_mbps", s->wire_mbps},
                         {"wire_mbps_mean", s->wire_mbps_mean},
                         {"wire_mbps_peak", s->wire_mbps_peak},
-                        {"snapshots", s->snapshots},
-                        {"resends", s->resends},
+                        {"whole_pages", s->whole_pages},
+                        {"lost_packets", s->lost_packets},
                         {"lost_viewers", s->lost_viewers},
                         {"by_type", types}};
   }

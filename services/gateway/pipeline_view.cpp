@@ -21,12 +21,13 @@ constexpr double kPatienceS = 3;
 
 StreamFigures figures_of(const wire::StreamStats& stats) {
   StreamFigures figures{.epoch = stats.stream_epoch(),
-                        .sequence = stats.sequence(),
+                        .version = stats.version(),
+                        .pages = stats.pages(),
                         .gaussians = stats.gaussians(),
                         .model_gaussians = stats.model_gaussians(),
                         .total_bytes = stats.total_bytes(),
-                        .snapshots = stats.snapshots(),
-                        .resends = stats.resends(),
+                        .whole_pages = stats.whole_pages(),
+                        .lost_packets = stats.lost_packets(),
                         .lost_viewers = stats.lost_viewers(),
                         .viewers = stats.viewers(),
                         .wire_mbps = stats.wire_mbps(),

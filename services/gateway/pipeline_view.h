@@ -22,8 +22,8 @@ struct ServiceFigures {
 
 /// stream/stats.
 struct StreamFigures {
-  std::uint64_t epoch = 0, sequence = 0, gaussians = 0, model_gaussians = 0, total_bytes = 0;
-  std::uint64_t snapshots = 0, resends = 0, lost_viewers = 0;
+  std::uint64_t epoch = 0, version = 0, pages = 0, gaussians = 0, model_gaussians = 0, total_bytes = 0;
+  std::uint64_t whole_pages = 0, lost_packets = 0, lost_viewers = 0;
   std::uint32_t viewers = 0;
   double wire_mbps = 0, wire_mbps_mean = 0, wire_mbps_peak = 0;
   struct Type {

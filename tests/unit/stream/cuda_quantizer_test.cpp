@@ -2,6 +2,7 @@
 #include <cuda_runtime_api.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <limits>
 #include <optional>
 #include <random>
@@ -60,9 +61,8 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
     if (cudaGetDeviceCount(&devices) != cudaSuccess || devices == 0) GTEST_SKIP() << "no CUDA device";
     device_.emplace();
     server_ = std::make_unique<test::ToyServer>(11, GetParam().count, GetParam().appearance);
-    twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{.chunk_gaussians = 256},
-                                          Device::Cuda);
-    EXPECT_TRUE(twin_->take_scene(server_->scene, {}).empty());
+    twin_ = std::make_unique<StreamModel>(PacketWriter("streamer", 1), 77, StreamOptions{}, Device::Cuda);
+    EXPECT_FALSE(twin_->take_scene(server_->scene, {}));
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
     twin_->reset_to_target();
     const auto relit = server_->relit();
@@ -74,10 +74,11 @@ class CudaQuantizer : public testing::TestWithParam<Case> {
   void tick(double budget = 1e9) {
     const std::vector<EncodedPacket> expected = server_->tick(budget);
     ASSERT_TRUE(twin_->observe(device_->copy(server_->model())));
-    std::vector<EncodedPacket> actual = twin_->tick(budget, {});
+    twin_->make_tick(budget, {});
+    std::vector<EncodedPacket> actual = test::packets_of(*twin_);
     const auto relit = server_->relit();
     for (auto& packet : twin_->take_visibility(test::ToyServer::of_sun(relit, server_->scene.version))) {
-      actual.push_back(std::move(packet));
+      actual.push_back(std::move(packet.packet));
     }
     ASSERT_EQ(actual.size(), expected.size());
     for (std::size_t i = 0; i < actual.size(); ++i) {
@@ -167,10 +168,23 @@ std::vector<T> brought(const T* row, std::size_t count) {
   return host;
 }
 
-void expect_rows_near(const float* device, const float* host, std::size_t count, const char* what) {
-  const std::vector<float> actual = brought(device, count);
-  for (std::size_t i = 0; i < count; ++i) {
-    ASSERT_NEAR(actual[i], host[i], 1e-5F * std::max(1.0F, std::abs(host[i]))) << what << " of Gaussian " << i;
+/// Of the rows that hold Gaussians.
+void expect_rows_near(const float* device, const float* host, const GaussiansView& view, const char* what) {
+  const std::vector<float> actual = brought(device, view.count);
+  for (const IndexRange& range : view.ranges) {
+    for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+      ASSERT_NEAR(actual[i], host[i], 1e-5F * std::max(1.0F, std::abs(host[i]))) << what << " of row " << i;
+    }
+  }
+}
+
+template <class T>
+void expect_rows_equal(const T* device, const T* host, const GaussiansView& view, const char* what) {
+  const std::vector<T> actual = brought(device, view.count);
+  for (const IndexRange& range : view.ranges) {
+    for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+      ASSERT_EQ(actual[i], host[i]) << what << " of row " << i;
+    }
   }
 }
 
@@ -180,7 +194,8 @@ TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
     test::send(packets, host);
     test::send(packets, device);
   };
-  both(server_->stream.snapshot());
+  test::join(server_->stream, host);
+  test::join(server_->stream, device);
   for (int round = 0; round < 6; ++round) {
     if (round % 2 == 0) server_->insert(GetParam().count / 5 + 1);
     if (round % 3 == 1) server_->remove(GetParam().count / 9);
@@ -190,6 +205,8 @@ TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
       server_->scene.light.sources[k] = {.id = 3 + k, .intensity = {1, 1, 1}};
     }
     both(server_->tick(round % 2 == 0 ? 1e9 : 2e4));
+    test::send_pages(server_->stream, host);
+    test::send_pages(server_->stream, device);
     const std::vector<std::uint32_t> lights{0, 3};
     std::vector<std::uint8_t> seen(2 * server_->model().count());
     for (std::size_t i = 0; i < seen.size(); ++i) seen[i] = static_cast<std::uint8_t>(i * (round + 1) % 251);
@@ -198,26 +215,21 @@ TEST_P(CudaQuantizer, AReplicaOnTheDeviceShowsWhatOneOnTheHostShows) {
           {.light_ids = lights, .of_index = seen, .scene_version = server_->scene.version + round}));
     }
     const GaussiansView want = host.view(), got = device.view();
+    ASSERT_GT(want.count, 0U);
     ASSERT_EQ(got.count, want.count);
-    for (int c = 0; c < want.layout.channels(); ++c)
-      expect_rows_near(got.plane(c), want.plane(c), want.count, "a channel");
+    ASSERT_TRUE(std::ranges::equal(got.ranges, want.ranges));
+    for (int c = 0; c < want.layout.channels(); ++c) expect_rows_near(got.plane(c), want.plane(c), want, "a channel");
     for (std::size_t c = 0; want.normal != nullptr && c < 3; ++c) {
-      expect_rows_near(got.normal + c * got.stride, want.normal + c * want.stride, want.count, "the normal");
+      expect_rows_near(got.normal + c * got.stride, want.normal + c * want.stride, want, "the normal");
     }
-    if (want.visibility != nullptr) expect_rows_near(got.visibility, want.visibility, want.count, "the visibility");
+    if (want.visibility != nullptr) expect_rows_near(got.visibility, want.visibility, want, "the visibility");
     ASSERT_EQ(got.visibility_u8 != nullptr, want.visibility_u8 != nullptr);
     for (std::uint32_t k = 0; want.visibility_u8 != nullptr && k < want.visibility_rows; ++k) {
-      const std::uint8_t* row = want.visibility_u8 + k * want.visibility_stride;
       ASSERT_EQ(got.visibility_rows, want.visibility_rows);
-      ASSERT_EQ(brought(got.visibility_u8 + k * got.visibility_stride, want.count),
-                std::vector<std::uint8_t>(row, row + want.count))
-          << "row " << k;
+      expect_rows_equal(got.visibility_u8 + k * got.visibility_stride, want.visibility_u8 + k * want.visibility_stride,
+                        want, "what is seen");
     }
-    std::vector<std::uint32_t> objects(want.count);
-    const device::StreamView stream{.device = Device::Cuda};
-    device::copy(stream, objects.data(), got.object_id, objects.size() * sizeof(std::uint32_t));
-    stream.wait();
-    ASSERT_TRUE(std::equal(objects.begin(), objects.end(), want.object_id));
+    expect_rows_equal(got.object_id, want.object_id, want, "the object");
   }
 }
 
