@@ -11,9 +11,11 @@
 
 #include "model/channels.h"
 #include "raster/rasterizer.h"
+#include "splats/file.h"
 #include "stream/codecs.h"
 #include "stream/display_gaussians.h"
 #include "stream/model_quantizer.h"
+#include "stream/replicated_state.h"
 #include "world/world.h"
 
 namespace splatbus::bench {
@@ -35,7 +37,7 @@ GaussiansBuffer gathered(const GaussiansBuffer& from, const ParameterLayout& lay
 
 /// Ids as an importer numbers a file's Gaussians.
 void load_ply(const std::string& path, int degree, std::size_t page_gaussians, CodecScene& scene) {
-  const GaussiansBuffer whole = read_ply(path);
+  const GaussiansBuffer whole = splats::read_file(path, splats::Axes::Keep).gaussians;
   ParameterLayout layout = whole.layout();
   if (degree >= 0) layout.sh_degree = std::min(degree, layout.sh_degree);
   const stream::StreamLayout grid(whole.layout(), 1.0F / 1024);
@@ -146,10 +148,9 @@ stream::StreamLayout layout_with(const stream::StreamLayout& layout, const std::
   }
   const auto list = builder.CreateVector(attributes);
   const bool transfer = layout.parameters().appearance == Appearance::Transfer;
-  builder.Finish(wire::CreateSnapshotBegin(builder, 1, 0, 0, 0,
-                                           transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-                                           static_cast<std::uint8_t>(layout.parameters().sh_degree), list));
-  return stream::StreamLayout::from_wire(*flatbuffers::GetRoot<wire::SnapshotBegin>(builder.GetBufferPointer()));
+  builder.Finish(wire::CreateLayout(builder, transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
+                                    static_cast<std::uint8_t>(layout.parameters().sh_degree), list, kPageLanes));
+  return stream::StreamLayout::from_wire(*flatbuffers::GetRoot<wire::Layout>(builder.GetBufferPointer()));
 }
 
 Pictures::Pictures(const CodecScene& scene) : scene_(scene), truth_(draw(scene.model.view())) {}
@@ -172,7 +173,15 @@ std::vector<float> Pictures::draw(const GaussiansView& gaussians) const {
 double Pictures::psnr_db(const stream::QuantizedGaussians& gaussians, const stream::StreamLayout& layout) const {
   stream::DisplayChanges changes;
   changes.add(stream::DisplayReset{layout});
-  changes.add(stream::DisplayAppend{gaussians});
+  std::vector<std::uint32_t> rows(gaussians.count());
+  std::iota(rows.begin(), rows.end(), 0U);
+  changes.add(stream::DisplayRows{rows, gaussians});
+  stream::DisplayBlocks blocks;
+  for (std::uint32_t first = 0; first < rows.size(); first += stream::kBlockRows) {
+    const auto count = std::min<std::size_t>(stream::kBlockRows, rows.size() - first);
+    blocks.blocks.push_back({first / stream::kBlockRows, static_cast<std::uint32_t>(count)});
+  }
+  changes.add(std::move(blocks));
   stream::DisplayGaussians shown;
   shown.apply(changes);
   const std::vector<float> picture = draw(shown.view());

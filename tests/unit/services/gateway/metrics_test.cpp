@@ -28,8 +28,8 @@ class Figures : public bus_test::BusTest {
     publisher_.publish(topics::kStreamStats, [](auto& builder, auto header) {
       const std::vector<flatbuffers::Offset<wire::PacketBytes>> types{
           wire::CreatePacketBytesDirect(builder, "TensorDelta", 123456, 10, 17)};
-      return wire::CreateStreamStatsDirect(builder, header, 1, 2, 3, 4000, 5000, 123456, 10, 1, 0.5, 0.25, 2, 6, 7, 8,
-                                           &types);
+      return wire::CreateStreamStatsDirect(builder, header, 1, 2, 4, 3, 4000, 5000, 123456, 10, 1, 0.5, 0.25, 2, 6, 7, 9,
+                                           8, &types);
     });
     publisher_.publish(topics::kTrainerStats, [](auto& builder, auto header) {
       wire::TrainerStatsBuilder stats(builder);

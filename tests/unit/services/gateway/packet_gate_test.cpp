@@ -45,10 +45,10 @@ TEST_F(PacketGate, RightsDecideByTheBody) {
   });
   const auto quality =
       packet(wire::Body::Quality, [](auto& builder) { return wire::CreateQuality(builder, 1, 40, 1, 0, 9, 1); });
-  const auto resend = packet(wire::Body::Resend, [](auto& builder) { return wire::CreateResend(builder, 1, 2); });
+  const auto held = packet(wire::Body::Held, [](auto& builder) { return wire::CreateHeld(builder, 1); });
   const auto bye = packet(wire::Body::Bye, [](auto& builder) { return wire::CreateByeDirect(builder, "ends"); });
   const Rights view{.view = true}, steer{.view = true, .steer = true}, may_probe{.view = true, .probe = true};
-  for (const auto& any : {hello(), pose(), resend, bye}) EXPECT_EQ(pass(any, view), Passage::Pass);
+  for (const auto& any : {hello(), pose(), held, bye}) EXPECT_EQ(pass(any, view), Passage::Pass);
   for (const auto& asks : {probe, quality}) {
     EXPECT_EQ(pass(asks, view), Passage::Forbidden);
     EXPECT_EQ(pass(asks, steer), Passage::Forbidden);

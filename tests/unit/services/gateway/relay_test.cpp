@@ -54,7 +54,7 @@ TEST_F(Relay, ABrowserHoldsTheModelThatTheStreamerServes) {
   trainer_.publish(stream::test::toy_model(3000, 1));
   Follower page(port_);
   ASSERT_TRUE(page.socket().open());
-  ASSERT_TRUE(page.until([&] { return page.replica().count() == 3000 && !page.replica().loading(); }));
+  ASSERT_TRUE(page.until([&] { return page.replica().count() == 3000 && page.replica().missing_pages() == 0; }));
   trainer_.publish(stream::test::toy_model(3500, 1));
   EXPECT_TRUE(page.until([&] { return page.replica().count() == 3500; }));
 }
