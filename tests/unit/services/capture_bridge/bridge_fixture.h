@@ -28,7 +28,8 @@ class CaptureBridgeTest : public bus_test::BusTest {
       : parameters_(bus::Parameters::declare<Options>()),
         peer_(connect("peer")),
         reader_(peer_, {"capture/*", "scene/*"}),
-        engine_(connect("engine")),
+        running_engine_(std::make_unique<FakeEngine>(connect("engine"))),
+        engine_(*running_engine_),
         publisher_(peer_) {
     set("input_cameras", "4");
     set("input_size", "32");
@@ -52,7 +53,7 @@ class CaptureBridgeTest : public bus_test::BusTest {
     return bus_test::eventually(
         [&] {
           bridge_->step(1ms);
-          engine_.serve();
+          if (running_engine_) running_engine_->serve();
           while (auto message = reader_.receive(0ms)) received_[message->topic()].push_back(*message);
           return condition();
         },
@@ -96,7 +97,8 @@ class CaptureBridgeTest : public bus_test::BusTest {
   bus::Parameters parameters_;
   std::shared_ptr<bus::Context> peer_;
   bus::Subscriber reader_;
-  FakeEngine engine_;
+  std::unique_ptr<FakeEngine> running_engine_;  ///< null once a test has ended it
+  FakeEngine& engine_;
   bus::Publisher publisher_;
   std::map<std::string, std::vector<bus::Message>> received_;
   std::unique_ptr<CaptureBridge> bridge_;

@@ -143,12 +143,16 @@ TEST_F(BridgeLightsTest, AnEngineThatIsStartedAgainHasOtherVersions) {
   const auto light_of_newest = [&] { return received_["scene/state"].back().root<wire::SceneUpdate>().scene(); };
   const std::uint64_t version = light_of_newest()->version();
   const std::uint64_t depth_version = from_wire(*light_of_newest()->light()).sun_depth_version;
+  const Light light = engine_.light;
+  running_engine_.reset();  // its name is free when its connection has ended
   FakeEngine again(connect("engine"));
-  again.light = engine_.light;
+  again.light = light;
   Camera camera = look_at({0, 2, 2}, {0, 0, 0}, 16, 16, 1);
   camera.role = CameraRole::Reference;
-  again.submit(camera, wire::EngineBuffer::Color, 0);
-  ASSERT_TRUE(until([&] { return light_of_newest()->version() > version; }));
+  ASSERT_TRUE(until([&] {
+    again.submit(camera, wire::EngineBuffer::Color, 0);
+    return light_of_newest()->version() > version;
+  }));
   EXPECT_NE(from_wire(*light_of_newest()->light()).sun_depth_version, depth_version);
 }
 
