@@ -331,7 +331,8 @@ TEST(StreamModel, WhatNobodyHoldsFollowsWithoutAByte) {
   for (int tick = 0; tick < 3; ++tick) {
     for (const EncodedPacket& packet : server.tick()) {
       if (packet.body != wire::Body::PageDelta) continue;
-      for (const wire::PageStep* step : *parse(packet).root().body_as_PageDelta()->steps()) EXPECT_EQ(step->page(), 1U);
+      const ParsedPacket parsed = parse(packet);
+      for (const wire::PageStep* step : *parsed.root().body_as_PageDelta()->steps()) EXPECT_EQ(step->page(), 1U);
     }
   }
   const ReplicatedState& held = server.stream.held();
