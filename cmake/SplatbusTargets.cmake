@@ -32,7 +32,7 @@ if(SPLATBUS_SANITIZE MATCHES thread)
   list(APPEND SPLATBUS_TEST_ENVIRONMENT
        "TSAN_OPTIONS=suppressions=${CMAKE_SOURCE_DIR}/cmake/tsan.supp:second_deadlock_stack=1")
 elseif(SPLATBUS_SANITIZE)
-  list(APPEND SPLATBUS_TEST_ENVIRONMENT "ASAN_OPTIONS=detect_stack_use_after_return=1:strict_string_checks=1"
+  list(APPEND SPLATBUS_TEST_ENVIRONMENT "ASAN_OPTIONS=detect_stack_use_after_return=1:strict_string_checks=1:quarantine_size_mb=16"
        "UBSAN_OPTIONS=print_stacktrace=1")
 endif()
 

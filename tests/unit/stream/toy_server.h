@@ -28,7 +28,8 @@ inline void send(const std::vector<VisibilityPacket>& packets, Replica& replica)
 
 /// Every page that the replica has otherwise, whole.
 inline void send_pages(StreamModel& stream, Replica& replica, std::uint32_t part_lanes = kPageLanes) {
-  for (const OfferedPage& page : *stream.offered()) {
+  const auto offered = stream.offered();
+  for (const OfferedPage& page : *offered) {
     const HeldPage* held = replica.held().find(page.page);
     if (held && held->whole() && held->version == page.version) continue;
     for (const PagePacket& part : stream.page_packets(page.page, part_lanes)) replica.receive(parse(part.packet));
