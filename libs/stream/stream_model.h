@@ -44,6 +44,9 @@ struct OfferedPage {
   PageBounds bounds;
 };
 
+/// That a Gaussian which is not there is off, weighted by attribute.
+inline constexpr float kAbsentSteps = 640;
+
 /// Steps of pages, encoded once for all who hold them.
 struct DeltaPacket {
   struct Step {
@@ -165,6 +168,7 @@ class StreamModel {
 
  private:
   static constexpr std::uint32_t kNoPage = 0xFFFFFFFFU;
+  static constexpr std::size_t kPacketPages = 64;  ///< in one packet
 
   /// A page of the model that was observed.
   struct TargetPage {
@@ -199,6 +203,9 @@ class StreamModel {
     double weight = 0;  ///< in the pictures
   };
 
+  static void append(Bytes& payload, std::span<const std::uint8_t> part) {
+    payload.insert(payload.end(), part.begin(), part.end());
+  }
   void set_ready(bool ready) {
     const std::scoped_lock lock(mutex_);
     ready_ = ready;

@@ -107,7 +107,7 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
       if (all_seen(part)) continue;
       const Bytes packed = zstd_compress(part);
       rows.emplace_back(id, count, static_cast<std::uint32_t>(packed.size()));
-      payload.insert(payload.end(), packed.begin(), packed.end());
+      append(payload, packed);
     }
     const auto blob_bytes = static_cast<std::uint32_t>(blob->size());
     out.push_back({writer_.write(

@@ -10,9 +10,8 @@ namespace splatbus::streamer {
 
 namespace {
 
-constexpr float kAbsentSteps = 640;  // that a Gaussian which is not there is off, weighted by attribute
-constexpr float kBehindSteps = 5;    // of a page that has missed deltas which are no longer kept
-constexpr float kSeenSteps = 5;      // of one that has missed how it sees the lights
+constexpr float kBehindSteps = 5;  // of a page that has missed deltas which are no longer kept
+constexpr float kSeenSteps = 5;    // of one that has missed how it sees the lights
 constexpr double kSeenBytes = 400;
 constexpr double kFirstAuto = 1.25e6, kLeastAuto = 6e4, kMostAuto = 1.25e8;  // bytes a second
 constexpr double kQueued_s = 0.5;
@@ -121,7 +120,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
       continue;
     }
     const double bytes = board.bytes_of(page);
-    const float steps = held != held_.end() ? kBehindSteps : kAbsentSteps;
+    const float steps = held != held_.end() ? kBehindSteps : stream::kAbsentSteps;
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
   }

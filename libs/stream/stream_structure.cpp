@@ -1,0 +1,203 @@
+// What comes and goes of a tick: pages, and Gaussians of pages.
+
+#include <algorithm>
+#include <functional>
+#include <utility>
+
+#include "stream/codecs.h"
+#include "stream/delta_selection.h"
+#include "stream/stream_model.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+constexpr std::size_t kPacketAppends = 2048;
+constexpr double kAppendShare = 0.8;        // of the budget, while deltas wait
+constexpr std::size_t kIdsPerGaussian = 2;  // that may be remembered
+
+}  // namespace
+
+void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> viewers,
+                                 const ObjectTransforms& objects) {
+  std::vector<PagePlan> plans = plan_pages();
+  const double left = selection_.pending() > 0 ? kAppendShare * budget_bytes : budget_bytes;
+  hold_back(plans, left, viewers, objects);
+
+  std::set<std::uint32_t> in_target;
+  std::map<std::uint32_t, std::vector<PagePlan*>> families;  // by base
+  std::vector<const TargetPage*> whole;
+  for (PagePlan& plan : plans) {
+    in_target.insert(plan.target->page);
+    if (!plan.changes()) continue;
+    if (plan.base != kNoPage && anybody_holds(plan.base)) {
+      families[plan.base].push_back(&plan);
+    } else {
+      whole.push_back(plan.target);
+    }
+  }
+  std::vector<std::uint32_t> gone;
+  for (const auto& [number, page] : held_.pages) {
+    if (!in_target.contains(number)) gone.push_back(number);
+  }
+
+  std::vector<std::pair<std::uint64_t, std::uint32_t>> order;
+  for (const auto& [base, family] : families) order.emplace_back(place_of(family.front()->target->page), base);
+  std::ranges::sort(order);
+  std::vector<PagePlan> packet;
+  std::vector<std::uint32_t> ended;
+  std::size_t appends = 0;
+  const auto flush = [&] {
+    if (!packet.empty()) emit_structure(packet, ended);
+    packet.clear();
+    ended.clear();
+    appends = 0;
+  };
+  for (const auto& [place, base] : order) {
+    std::size_t more = 0;
+    for (const PagePlan* plan : families[base]) more += plan->moved.size() + plan->fresh.size();
+    if (!packet.empty() && (appends + more > kPacketAppends || packet.size() >= kPacketPages)) flush();
+    for (PagePlan* plan : families[base]) packet.push_back(std::move(*plan));
+    if (!in_target.contains(base)) ended.push_back(base);
+    appends += more;
+  }
+  flush();
+  for (const TargetPage* page : whole) {
+    if (!fill_page(*page) && held_.find(page->page)) drop_page(page->page);
+  }
+  for (const std::uint32_t page : gone) {
+    if (held_.find(page)) drop_page(page);
+  }
+  if (row_of_id_.size() > kIdsPerGaussian * held_.count + kPageLanes) {
+    std::erase_if(row_of_id_, [&](const auto& entry) { return row_of(entry.first) == kNotHeld; });
+  }
+  map_columns();
+  const auto usable = static_cast<std::size_t>(std::ranges::count(usable_, 1));
+  unsent_ = usable - std::min(usable, held_.count);
+  full_ = unsent_ > 0 && held_.count >= options_.max_gaussians;
+}
+
+// New Gaussians of pages that are held cost bytes, those that viewers see most come first. What has only moved to
+// another page is not held back: it would be missing.
+void StreamModel::hold_back(std::vector<PagePlan>& plans, double budget_bytes, std::span<const Camera> viewers,
+                            const ObjectTransforms& objects) {
+  std::size_t room = options_.max_gaussians - std::min(options_.max_gaussians, held_.count);
+  std::vector<std::pair<double, PagePlan*>> order;
+  for (PagePlan& plan : plans) {
+    if (plan.fresh.empty() || plan.base == kNoPage || !anybody_holds(plan.base)) continue;
+    plan.fresh = morton_order(target_, *target_layout_, plan.fresh);
+    double sum = 0;
+    for (const float share : picture_share(target_.gather(plan.fresh), held_.layout, viewers, objects)) sum += share;
+    order.emplace_back(sum / static_cast<double>(plan.fresh.size()), &plan);
+  }
+  std::ranges::sort(order, std::greater<>{});
+  double left = budget_bytes;
+  bool first = true;
+  for (const auto& [share, plan] : order) {
+    const std::size_t held = held_.find(plan->base)->count - plan->gone.size() + plan->moved.size();
+    const std::size_t lanes = std::min(kPageLanes - std::min<std::size_t>(kPageLanes, held), room);
+    const double cost = static_cast<double>(plan->fresh.size()) * appended_bytes_;
+    const bool goes = left > 0 && (first || cost <= left);
+    const std::size_t count = goes ? std::min(plan->fresh.size(), lanes) : 0;
+    if (goes) first = false;
+    plan->fresh.resize(count);
+    left -= static_cast<double>(count) * appended_bytes_;
+    room -= count;
+  }
+}
+
+void StreamModel::take_appended(const PagePlan& plan, std::uint32_t left) {
+  const HeldPage& page = *held_.find(plan.target->page);
+  std::uint32_t lane = left;
+  for (const std::vector<std::uint32_t>* columns : {&plan.moved, &plan.fresh}) {
+    for (const std::uint32_t column : *columns) {
+      const std::uint32_t row = page.row(lane++);
+      held_.gaussians.gaussian_id[row] = target_.gaussian_id[column];
+      row_of_id_[target_.gaussian_id[column]] = row;
+      row_of_column_[column] = row;
+      selection_.begin(row, held_.gaussians);
+    }
+  }
+}
+
+void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<const std::uint32_t> ended) {
+  const std::uint32_t version = ++version_;
+  std::vector<wire::PageStep> steps;
+  std::vector<DeltaPacket::Step> infos;
+  std::vector<std::uint32_t> slots, columns, lefts;
+  std::vector<PageVersion> gone;
+  std::uint32_t first = 0;
+  for (const std::uint32_t page : ended) gone.push_back({page, held_.find(page)->version});
+  for (const PagePlan& plan : plans) {
+    const HeldPage& base = *held_.find(plan.base);
+    const auto removed = static_cast<std::uint32_t>(plan.gone.size());
+    const auto appended = static_cast<std::uint32_t>(plan.moved.size() + plan.fresh.size());
+    const std::uint32_t left = base.count - removed;
+    if (left + appended == 0) {  // nothing of it can be read
+      gone.push_back({plan.base, base.version});
+      continue;
+    }
+    steps.emplace_back(plan.target->page, plan.base, base.version, version, base.count, removed, appended);
+    infos.push_back(
+        {.page = plan.target->page,
+         .base = plan.base,
+         .from_version = base.version,
+         .version = version,
+         .other_lanes = true,
+         .steps = kAbsentSteps * static_cast<float>(removed + appended) / static_cast<float>(base.count + appended)});
+    for (const std::uint32_t lane : plan.gone) slots.push_back(first + lane);
+    first += base.count;
+    lefts.push_back(left);
+    columns.insert(columns.end(), plan.moved.begin(), plan.moved.end());
+    columns.insert(columns.end(), plan.fresh.begin(), plan.fresh.end());
+  }
+  Bytes payload;
+  const Payload removed = slots.empty() ? Payload{} : encode_slots(slots);
+  append(payload, removed.bytes);
+  Bytes blob;
+  if (!columns.empty()) {
+    QuantizedGaussians appended = target_.gather(columns);
+    const AttributeChannels* sun = held_.layout.find(Attribute::Visibility);
+    for (std::size_t i = 0; sun && i < columns.size(); ++i) {
+      const std::uint32_t row = row_of_column_[columns[i]];  // of what moves relight has spoken
+      if (row != kNotHeld) appended.channels[sun->first][i] = held_.gaussians.channels[sun->first][row];
+    }
+    blob = encode_page(appended, held_.layout, options_.codec, {.ids = false, .keep_order = true}).bytes;
+    append(payload, blob);
+    appended_bytes_ += 0.5 * (static_cast<double>(blob.size()) / static_cast<double>(columns.size()) - appended_bytes_);
+  }
+  const wire::Section removed_section(static_cast<std::uint32_t>(slots.size()), removed.raw_bytes,
+                                      static_cast<std::uint32_t>(removed.bytes.size()));
+  const wire::Section appended_section(static_cast<std::uint32_t>(columns.size()), 0,
+                                       static_cast<std::uint32_t>(blob.size()));
+  std::vector<wire::PageVersion> ends;
+  for (const PageVersion& end : gone) ends.emplace_back(end.page, end.version);
+  EncodedPacket packet = writer_.write(
+      held_.epoch, 0, wire::Body::PageDelta,
+      [&](auto& builder) {
+        const auto steps_at = builder.CreateVectorOfStructs(steps);
+        const auto gone_at = builder.CreateVectorOfStructs(ends);
+        return wire::CreatePageDelta(builder, steps_at, gone_at, &removed_section,
+                                     static_cast<std::uint8_t>(options_.codec), &appended_section);
+      },
+      std::move(payload));
+  const Change change = emit(std::move(packet), infos, gone);
+  selection_.resize(held_.rows());
+  for (const Change::Move& move : change.moves) {
+    row_of_id_[held_.gaussians.gaussian_id[move.to]] = move.to;
+    selection_.move(move.from, move.to);
+  }
+  std::size_t k = 0;
+  for (const PagePlan& plan : plans) {
+    if (k < infos.size() && infos[k].page == plan.target->page) take_appended(plan, lefts[k++]);
+  }
+  for (const PageVersion& end : gone) quiet_.erase(end.page);
+  // Columns of what has moved are looked up anew.
+  for (const PagePlan& plan : plans) {
+    for (std::uint32_t c = plan.target->first; c < plan.target->first + plan.target->count; ++c) {
+      row_of_column_[c] = row_of(target_.gaussian_id[c]);
+    }
+  }
+}
+
+}  // namespace splatbus::stream
