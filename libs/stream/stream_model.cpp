@@ -225,6 +225,7 @@ bool StreamModel::fill_page(const TargetPage& target) {
   const std::size_t held = before ? before->count : 0;
   const std::size_t room = options_.max_gaussians - std::min(options_.max_gaussians, held_.count - held);
   if (columns.size() > room) columns.resize(room);
+  if (columns.empty()) return false;
   // What they see of the lights is known of those that are held already, in whichever page.
   const AttributeChannels* sun = held_.layout.find(Attribute::Visibility);
   std::vector<std::int32_t> sun_seen;
@@ -240,10 +241,6 @@ bool StreamModel::fill_page(const TargetPage& target) {
     }
   }
   Change change;
-  if (columns.empty()) {
-    held_.drop(target.page, change);
-    return false;
-  }
   HeldPage& page = held_.pages[target.page];
   held_.set_count(page, 0, change);
   held_.set_count(page, static_cast<std::uint32_t>(columns.size()), change);

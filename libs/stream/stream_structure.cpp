@@ -144,6 +144,7 @@ void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<cons
          .from_version = base.version,
          .version = version,
          .other_lanes = true,
+         .count = left + appended,
          .steps = kAbsentSteps * static_cast<float>(removed + appended) / static_cast<float>(base.count + appended)});
     for (const std::uint32_t lane : plan.gone) slots.push_back(first + lane);
     first += base.count;

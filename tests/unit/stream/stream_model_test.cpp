@@ -248,6 +248,38 @@ TEST(StreamModel, AnEmptyModelGrows) {
   EXPECT_EQ(replica.count(), 0U);
 }
 
+TEST(StreamModel, AStepSaysHowManyGaussiansThePageHasThen) {
+  ToyServer server(22, 3000);
+  server.remove(40);
+  server.insert(100);
+  server.train(0.05F);
+  ASSERT_TRUE(server.stream.observe(server.model().view()));
+  server.stream.make_tick(1e9, {});
+  std::size_t structures = 0;
+  for (const DeltaPacket& delta : server.stream.take_update().deltas) {
+    for (const DeltaPacket::Step& step : delta.steps) {
+      structures += step.other_lanes ? 1 : 0;
+      EXPECT_EQ(step.count, server.stream.held().find(step.page)->count);
+    }
+  }
+  EXPECT_GE(structures, 2U);
+}
+
+TEST(StreamModel, APageWhoseGaussiansAreAllOthersAndNotFiniteEnds) {
+  ToyServer server(23, 1500);
+  test::ShownReplica replica;
+  join(server.stream, replica);
+  for (std::size_t i = kPageLanes; i < server.model().count(); ++i) {
+    server.model().gaussian_id[i] += 10'000;
+    server.model().parameters[i] = std::numeric_limits<float>::quiet_NaN();
+  }
+  ASSERT_TRUE(server.stream.observe(server.model().view()));
+  server.stream.make_tick(1e9, {});
+  send(test::packets_of(server.stream), replica);
+  EXPECT_EQ(replica.count(), std::size_t{kPageLanes});
+  test::expect_exact(server.stream, replica);
+}
+
 // As the trainer splits one: its number is free then, and what was in it is in two new ones.
 TEST(StreamModel, APageThatIsSplitTravelsAsItsLanes) {
   const GaussiansBuffer model = test::toy_model(1000, 3);
