@@ -281,6 +281,7 @@ void StreamModel::reset_to_target() {
     const std::uint64_t epoch = held_.epoch + 1;
     held_ = {};
     held_.epoch = epoch;
+    version_ = 0;
     held_.layout = *target_layout_;
     held_.gaussians = QuantizedGaussians(held_.layout);
     hold_scene();
@@ -288,7 +289,6 @@ void StreamModel::reset_to_target() {
     blobs_.clear();
     asked_.clear();
   }
-  version_ = 0;
   visibility_waits_.clear();
   quiet_.clear();
   row_of_id_.clear();

@@ -81,8 +81,8 @@ struct StreamUpdate {
 /// What anybody holds changes only by the very bytes that are sent; what nobody holds, without any.
 ///
 /// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_update(),
-/// page_packets(), scene_packet(), layout_packet(), offered() and status(), which wait for one packet at most (a reset
-/// for longer), and nothing else.
+/// page_packets(), page_visibility(), manifest_packets(), gone_packet(), scene_packet(), scene_version(),
+/// layout_packet(), offered() and status(), which wait for one packet at most (a reset for longer), and nothing else.
 class StreamModel {
  public:
   /// `device`: in whose memory the views lie that observe() is given.
@@ -223,6 +223,7 @@ class StreamModel {
   [[nodiscard]] bool anybody_holds(std::uint32_t page) const;
   [[nodiscard]] std::uint64_t place_of(std::uint32_t page) const;
 
+  /// Makes the page what was observed of it; false, and all is as before, when none of its Gaussians can be held.
   bool fill_page(const TargetPage& page);
   void drop_page(std::uint32_t page);
   void tick_structure(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
@@ -248,14 +249,16 @@ class StreamModel {
   DeltaSelection selection_;
   double tick_bytes_ = 0;  ///< of this tick's packets
 
-  // What two threads touch. Who observes and ticks reads the Gaussians, their layout and ready_ without it: nobody else
-  // writes them.
+  // What two threads touch. Who observes and ticks reads the Gaussians, their layout, ready_, version_ and
+  // appended_bytes_ without it: nobody else writes them.
   mutable std::mutex mutex_;
   ReplicatedState held_;
   bool ready_ = false;
   QuantizedScene scene_;  ///< newest; held, where anything is
   SceneInstant instant_;
-  StreamUpdate update_;  ///< that nobody has taken
+  StreamUpdate update_;         ///< that nobody has taken
+  std::uint32_t version_ = 0;   ///< of the newest page
+  double appended_bytes_ = 24;  ///< a Gaussian
   std::shared_ptr<const std::vector<OfferedPage>> offered_ = std::make_shared<std::vector<OfferedPage>>();
   std::map<std::uint32_t, Blob> blobs_;
   std::optional<std::set<std::uint32_t>> holders_;
@@ -263,7 +266,6 @@ class StreamModel {
 
   std::optional<std::set<std::uint32_t>> holders_now_;  ///< of both, when the tick began
 
-  std::uint32_t version_ = 0;
   std::optional<StreamLayout> target_layout_;
   QuantizedGaussians target_;
   std::vector<TargetPage> target_pages_;
@@ -278,7 +280,6 @@ class StreamModel {
   std::size_t unsent_ = 0;
   bool full_ = false;
   std::map<std::uint32_t, std::uint32_t> visibility_waits_;  ///< times that a light was left for later
-  double appended_bytes_ = 24;                               ///< a Gaussian
 };
 
 }  // namespace splatbus::stream

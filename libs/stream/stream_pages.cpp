@@ -98,7 +98,8 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
       blob = std::make_shared<const Bytes>(
           encode_page(lanes.gather(columns), layout, options_.codec, {.ids = false, .keep_order = true}).bytes);
       const std::scoped_lock lock(mutex_);
-      if (Blob& kept = blobs_[number]; kept.version == page.version) kept.parts[{first, count}] = blob;
+      const auto kept = blobs_.find(number);  // not when the page has ended meanwhile
+      if (kept != blobs_.end() && kept->second.version == page.version) kept->second.parts[{first, count}] = blob;
     }
     Bytes payload = *blob;
     std::vector<wire::SeenRow> rows;
@@ -128,6 +129,10 @@ std::vector<EncodedPacket> StreamModel::manifest_packets(std::span<const Offered
                                                          std::span<const std::uint32_t> gone, bool whole) const {
   std::vector<EncodedPacket> out;
   const Status now = status();
+  const double bytes_per_gaussian = [&] {
+    const std::scoped_lock lock(mutex_);
+    return appended_bytes_;
+  }();
   std::size_t first = 0;
   do {
     const auto part = pages.subspan(first, std::min(kManifestPages, pages.size() - first));
@@ -135,8 +140,9 @@ std::vector<EncodedPacket> StreamModel::manifest_packets(std::span<const Offered
     std::vector<wire::PageInfo> infos;
     for (const OfferedPage& page : part) {
       const wire::PageBox box(to_wire(page.bounds.low), to_wire(page.bounds.high), page.bounds.max_scale_m);
-      infos.emplace_back(page.page, page.version, page.count, static_cast<std::uint32_t>(page.count * appended_bytes_),
-                         page.object_id, box, page.level, page.frozen);
+      infos.emplace_back(page.page, page.version, page.count,
+                         static_cast<std::uint32_t>(page.count * bytes_per_gaussian), page.object_id, box, page.level,
+                         page.frozen);
     }
     out.push_back(writer_.write(now.epoch, 0, wire::Body::Manifest, [&](auto& builder) {
       const auto pages_at = builder.CreateVectorOfStructs(infos);

@@ -107,6 +107,7 @@ void StreamModel::hold_back(std::vector<PagePlan>& plans, double budget_bytes, s
 }
 
 void StreamModel::take_appended(const PagePlan& plan, std::uint32_t left) {
+  const std::scoped_lock lock(mutex_);
   const HeldPage& page = *held_.find(plan.target->page);
   std::uint32_t lane = left;
   for (const std::vector<std::uint32_t>* columns : {&plan.moved, &plan.fresh}) {
@@ -121,7 +122,7 @@ void StreamModel::take_appended(const PagePlan& plan, std::uint32_t left) {
 }
 
 void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<const std::uint32_t> ended) {
-  const std::uint32_t version = ++version_;
+  const std::uint32_t version = version_ + 1;
   std::vector<wire::PageStep> steps;
   std::vector<DeltaPacket::Step> infos;
   std::vector<std::uint32_t> slots, columns, lefts;
@@ -143,8 +144,8 @@ void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<cons
          .base = plan.base,
          .from_version = base.version,
          .version = version,
-         .other_lanes = true,
          .count = left + appended,
+         .other_lanes = true,
          .steps = kAbsentSteps * static_cast<float>(removed + appended) / static_cast<float>(base.count + appended)});
     for (const std::uint32_t lane : plan.gone) slots.push_back(first + lane);
     first += base.count;
@@ -165,7 +166,9 @@ void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<cons
     }
     blob = encode_page(appended, held_.layout, options_.codec, {.ids = false, .keep_order = true}).bytes;
     append(payload, blob);
-    appended_bytes_ += 0.5 * (static_cast<double>(blob.size()) / static_cast<double>(columns.size()) - appended_bytes_);
+    const double bytes = static_cast<double>(blob.size()) / static_cast<double>(columns.size());
+    const std::scoped_lock lock(mutex_);
+    appended_bytes_ += 0.5 * (bytes - appended_bytes_);
   }
   const wire::Section removed_section(static_cast<std::uint32_t>(slots.size()), removed.raw_bytes,
                                       static_cast<std::uint32_t>(removed.bytes.size()));

@@ -18,6 +18,7 @@ constexpr std::size_t kRoom = 2 * kMaxGaussians;  // what moves may be in two pa
 // What is held takes the packet as a viewer does, from its bytes.
 Change StreamModel::emit(EncodedPacket packet, std::vector<DeltaPacket::Step> steps, std::vector<PageVersion> gone) {
   const std::scoped_lock lock(mutex_);
+  ++version_;
   Change change = apply(held_, ParsedPacket::parse(packet.packet, packet.payload), kRoom);
   assert(change.lacks.empty());
   if (!change.declined.empty()) throw StreamError("model: no room for what is published");

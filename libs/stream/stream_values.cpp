@@ -86,7 +86,7 @@ void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewe
 }
 
 void StreamModel::emit_values(std::span<const PageValues> pages) {
-  const std::uint32_t version = ++version_;
+  const std::uint32_t version = version_ + 1;
   std::vector<wire::PageStep> steps;
   std::vector<DeltaPacket::Step> infos;
   for (const PageValues& values : pages) {
