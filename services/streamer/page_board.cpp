@@ -1,7 +1,6 @@
 #include "streamer/page_board.h"
 
 #include <algorithm>
-#include <set>
 #include <utility>
 
 namespace splatbus::streamer {
@@ -32,10 +31,8 @@ std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, std::vect
   for (const stream::OfferedPage& page : *before) {
     if (!find(page.page)) gone.push_back(page.page);
   }
-  gaussians_ = 0;
   auto old = before->begin();
   for (const stream::OfferedPage& page : *offered_) {
-    gaussians_ += page.count;
     while (old != before->end() && old->page < page.page) ++old;
     if (old == before->end() || old->page != page.page || !same_manifest(*old, page)) changed.push_back(page);
   }
@@ -49,7 +46,7 @@ std::vector<std::uint32_t> PageBoard::add(stream::StreamUpdate update, std::vect
 void PageBoard::clear() {
   ++edition_;
   deltas_.clear();
-  bytes_ = gaussians_ = 0;
+  bytes_ = 0;
   pages_.clear();
   offered_ = std::make_shared<std::vector<stream::OfferedPage>>();
 }
@@ -60,8 +57,7 @@ const stream::OfferedPage* PageBoard::find(std::uint32_t page) const {
 }
 
 std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_parts) {
-  auto& kept = pages_[{number, in_parts}];
-  if (kept) return kept;
+  if (const auto kept = pages_.find({number, in_parts}); kept != pages_.end()) return kept->second;
   auto page = std::make_shared<SharedPage>();
   std::size_t bytes = 0;
   for (const stream::PagePacket& part :
@@ -71,15 +67,11 @@ std::shared_ptr<const SharedPage> PageBoard::page(std::uint32_t number, bool in_
     page->parts.push_back(std::make_shared<WirePacket>(part.packet));
     bytes += page->parts.back()->bytes();
   }
-  if (page->parts.empty()) {
-    pages_.erase({number, in_parts});
-    return {};
-  }
+  if (page->parts.empty()) return {};
   if (const stream::OfferedPage* offered = find(number); offered && offered->count > 0) {
     bytes_per_gaussian_ += 0.1 * (static_cast<double>(bytes) / offered->count - bytes_per_gaussian_);
   }
-  kept = std::move(page);
-  return kept;
+  return pages_[{number, in_parts}] = std::move(page);
 }
 
 void PageBoard::forget(const std::vector<wire::SeenPage>& pages) {

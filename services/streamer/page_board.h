@@ -39,7 +39,6 @@ class PageBoard {
 
   [[nodiscard]] const std::vector<stream::OfferedPage>& offered() const { return *offered_; }
   [[nodiscard]] const stream::OfferedPage* find(std::uint32_t page) const;
-  [[nodiscard]] std::size_t gaussians() const { return gaussians_; }
   /// Oldest first.
   [[nodiscard]] const std::deque<SharedDelta>& deltas() const { return deltas_; }
   /// Grows with every change of what is offered.
@@ -54,7 +53,7 @@ class PageBoard {
 
  private:
   stream::StreamModel& model_;
-  std::size_t max_bytes_, bytes_ = 0, gaussians_ = 0;
+  std::size_t max_bytes_, bytes_ = 0;
   std::uint64_t number_ = 0, edition_ = 0;
   double bytes_per_gaussian_ = 24;
   std::shared_ptr<const std::vector<stream::OfferedPage>> offered_ =
