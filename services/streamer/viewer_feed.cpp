@@ -17,11 +17,10 @@ constexpr std::int64_t kDeclinedNs = 5'000'000'000;
 
 void ViewerFeed::resume(const PageBoard& board, const std::vector<stream::PageVersion>& held, bool visibility_current) {
   start_over();
-  std::vector<std::uint32_t> unknown;
   for (const auto& [number, version] : held) {
     const stream::OfferedPage* page = board.find(number);
-    const bool same = page && page->version == version;
     if (version == 0) continue;
+    const bool same = page && page->version == version;
     set_record(number, {.version = version,
                         .structure = same ? page->structure : 0,
                         .count = page ? page->count : 0,
@@ -46,21 +45,25 @@ double ViewerFeed::largest_packet() const {
   return (1 - kReserve) * rate_.burst();
 }
 
-void ViewerFeed::push_scene(SharedPacket packet) {
-  scenes_.push_back(std::move(packet));
-}
-
 void ViewerFeed::push_visibility(SharedPacket packet, std::shared_ptr<const std::vector<wire::SeenPage>> pages) {
   visibility_.push_back({std::move(packet), std::move(pages)});
 }
 
-void ViewerFeed::push_gone(stream::StreamModel& model, std::span<const std::uint32_t> pages) {
+void ViewerFeed::push_gone(const stream::StreamModel& model, std::span<const std::uint32_t> pages) {
   std::vector<std::uint32_t> known;
   for (const std::uint32_t page : pages) {
-    if (held_.contains(page) || page_number_ == page) known.push_back(page);
+    const bool in_parts = page_ && page_number_ == page;
+    if (held_.contains(page) || in_parts) known.push_back(page);
+    if (in_parts) page_.reset();
     erase_record(page);
   }
-  if (!known.empty()) gone_.push_back(std::make_shared<WirePacket>(model.gone_packet(known)));
+  tell_gone(model, std::move(known));
+}
+
+void ViewerFeed::tell_gone(const stream::StreamModel& model, std::vector<std::uint32_t> pages) {
+  if (pages.empty()) return;
+  auto packet = std::make_shared<WirePacket>(model.gone_packet(pages));
+  gone_.push_back({std::move(packet), std::move(pages)});
 }
 
 void ViewerFeed::set_record(std::uint32_t page, const Record& record) {
@@ -96,7 +99,7 @@ SharedPacket ViewerFeed::next(stream::StreamModel& model, PageBoard& board, cons
   };
   if (!control_.empty()) return offer(Kind::Control, control_.front());
   if (!scenes_.empty()) return offer(Kind::Scene, scenes_.front());
-  if (!gone_.empty()) return offer(Kind::Gone, gone_.front());
+  if (!gone_.empty()) return offer(Kind::Gone, gone_.front().packet);
   visibility_bucket_.set(kVisibilityShare * rate_.bytes_per_s(), kVisibilityShare * rate_.bytes_per_s() + 1, now_ns);
   while (!visibility_.empty()) {
     if (affords(Kind::Visibility, visibility_.front().packet, now_ns) &&
@@ -176,23 +179,24 @@ bool ViewerFeed::make_room(stream::StreamModel& model, const stream::OfferedPage
     dropped.push_back(least->first);
     erase_record(least->first);
   }
-  if (!dropped.empty()) gone_.push_back(std::make_shared<WirePacket>(model.gone_packet(dropped)));
+  tell_gone(model, std::move(dropped));
   return true;
 }
 
 void ViewerFeed::sent(std::int64_t now_ns) {
   ++sequence_;
   rate_.take(static_cast<double>(packet_->bytes()), now_ns);
-  Trace trace{.sequence = sequence_, .control = false, .visibility = false, .marks = {}};
+  Trace trace{.sequence = sequence_, .control = false, .visibility = false, .marks = {}, .gone = {}};
   switch (offered_) {
     case Kind::Control:
     case Kind::Scene:
-    case Kind::Gone: {
-      auto& queue = offered_ == Kind::Control ? control_ : offered_ == Kind::Scene ? scenes_ : gone_;
-      queue.pop_front();
+      (offered_ == Kind::Control ? control_ : scenes_).pop_front();
       trace.control = true;
       break;
-    }
+    case Kind::Gone:
+      trace.gone = std::move(gone_.front().pages);
+      gone_.pop_front();
+      break;
     case Kind::Visibility:
       take_visibility(*visibility_.front().pages, true);
       page_visibility_.clear();  // made before it
@@ -275,28 +279,38 @@ void ViewerFeed::take_visibility(const std::vector<wire::SeenPage>& pages, bool 
   }
 }
 
-bool ViewerFeed::acknowledge(const Said& said, const PageBoard& board, std::int64_t now_ns) {
-  static_cast<void>(board);
+void ViewerFeed::lose(const stream::StreamModel& model, const Trace& trace) {
+  ++lost_packets_;
+  for (const Mark& mark : trace.marks) {
+    const auto held = held_.find(mark.page);
+    if (held == held_.end()) continue;
+    if (trace.visibility) {
+      held->second.seen_stale = true;
+    } else if (mark.from_version != 0 && held->second.version == mark.version) {
+      held->second.version = mark.from_version;
+    } else {
+      erase_record(mark.page);
+    }
+  }
+  // What has been sent again since is held.
+  std::vector<std::uint32_t> gone = trace.gone;
+  std::erase_if(gone, [&](std::uint32_t page) { return held_.contains(page) || (page_ && page_number_ == page); });
+  tell_gone(model, std::move(gone));
+}
+
+bool ViewerFeed::acknowledge(const Said& said, const stream::StreamModel& model, std::int64_t now_ns) {
   rate_.acknowledged(said.bytes, said.window_s, now_ns);
   bool anew = false;
   for (const stream::SequenceRange& range : said.missing) {
     if (range.first > range.last || range.last > sequence_) continue;
-    for (const Trace& trace : traces_) {
-      if (trace.sequence < range.first || trace.sequence > range.last) continue;
-      ++lost_packets_;
+    const auto first = std::ranges::lower_bound(traces_, range.first, {}, &Trace::sequence);
+    const auto last = std::ranges::upper_bound(traces_, range.last, {}, &Trace::sequence);
+    if (first == last) continue;
+    for (const Trace& trace : std::ranges::subrange(first, last)) {
       anew = anew || trace.control;
-      for (const Mark& mark : trace.marks) {
-        const auto held = held_.find(mark.page);
-        if (held == held_.end()) continue;
-        if (trace.visibility) {
-          held->second.seen_stale = true;
-        } else if (mark.from_version != 0 && held->second.version == mark.version) {
-          held->second.version = mark.from_version;
-        } else {
-          erase_record(mark.page);
-        }
-      }
+      lose(model, trace);
     }
+    traces_.erase(first, last);  // each is lost once, however often a viewer says so
     planned_edition_ = oldest_delta_ = 0;
   }
   const std::uint64_t newest = std::min(said.newest, sequence_);

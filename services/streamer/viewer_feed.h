@@ -53,10 +53,15 @@ class ViewerFeed {
 
   /// Goes before everything else: Layout, whole Scenes, manifests.
   void push(SharedPacket packet) { control_.push_back(std::move(packet)); }
-  void push_scene(SharedPacket packet);
+  void push_scene(SharedPacket packet) { scenes_.push_back(std::move(packet)); }
+  [[nodiscard]] std::size_t scenes() const { return scenes_.size(); }
+  /// A whole one is pushed in place of those that wait.
+  void drop_scenes() { scenes_.clear(); }
   void push_visibility(SharedPacket packet, std::shared_ptr<const std::vector<wire::SeenPage>> pages);
-  /// These ended otherwise than in a delta.
-  void push_gone(stream::StreamModel& model, std::span<const std::uint32_t> pages);
+  /// These ended otherwise than in a delta: it is told of those that it holds.
+  void push_gone(const stream::StreamModel& model, std::span<const std::uint32_t> pages);
+  /// It is told of all of these.
+  void tell_gone(const stream::StreamModel& model, std::vector<std::uint32_t> pages);
 
   /// What is to be sent next; null when there is nothing, or no more than the rate allows: then waits() is true.
   [[nodiscard]] SharedPacket next(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
@@ -76,8 +81,8 @@ class ViewerFeed {
     std::vector<std::uint32_t> dropped;
     double bytes = 0, window_s = 0;
   };
-  /// True when packets were lost that only a new beginning replaces: Layout, Scene, Manifest and PagesGone again.
-  [[nodiscard]] bool acknowledge(const Said& said, const PageBoard& board, std::int64_t now_ns);
+  /// True when packets were lost that only a new beginning replaces: Layout, Scene and Manifest again.
+  [[nodiscard]] bool acknowledge(const Said& said, const stream::StreamModel& model, std::int64_t now_ns);
 
   [[nodiscard]] ViewerRate& rate() { return rate_; }
   void hold_pages(std::set<std::uint32_t>& pages) const;
@@ -99,6 +104,7 @@ class ViewerFeed {
     std::uint64_t sequence = 0;
     bool control = false, visibility = false;
     std::vector<Mark> marks;
+    std::vector<std::uint32_t> gone;  ///< pages
   };
   struct Item {
     float score = 0;
@@ -120,6 +126,7 @@ class ViewerFeed {
   [[nodiscard]] static std::vector<bool> fits(const std::map<std::uint32_t, Record>& held, const SharedDelta& delta);
   void take_delta(const SharedDelta& delta, Trace& trace);
   void take_visibility(const std::vector<wire::SeenPage>& pages, bool came);
+  void lose(const stream::StreamModel& model, const Trace& trace);
   void set_record(std::uint32_t page, const Record& record);
   void erase_record(std::uint32_t page);
 
@@ -134,7 +141,11 @@ class ViewerFeed {
   };
   std::deque<Visibility> visibility_;
   bus::TokenBucket visibility_bucket_{1e6, 1e5};
-  std::deque<SharedPacket> gone_;
+  struct Gone {
+    SharedPacket packet;
+    std::vector<std::uint32_t> pages;
+  };
+  std::deque<Gone> gone_;
   std::deque<Item> plan_;
   std::uint64_t planned_edition_ = 0, oldest_delta_ = 0;  ///< older deltas are of no use
   bool plan_is_all_ = false;

@@ -16,6 +16,7 @@ namespace {
 constexpr int kMessagesACall = 512;
 constexpr int kPacketsATurn = 256;
 constexpr std::size_t kMaxPictures = 8;
+constexpr std::size_t kMaxScenes = 8;  // that wait for one viewer; then one whole one does
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
 constexpr std::size_t kCamerasATick = 4;
 constexpr std::int64_t kPoseEveryNs = 15'000'000;
@@ -37,7 +38,6 @@ void ViewerHub::say(const std::string& text) {
 }
 
 void ViewerHub::receive(std::int64_t now_ns) {
-  now_ns_ = now_ns;
   for (int i = 0; i < kMessagesACall; ++i) {
     const auto received = endpoint_.receive();
     if (!received) break;
@@ -153,11 +153,14 @@ void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t n
     for (const wire::PageVersion* page : *held.lacks()) said.lacks.push_back({page->page(), page->version()});
   }
   if (held.dropped()) said.dropped.assign(held.dropped()->begin(), held.dropped()->end());
-  const bool anew = viewer.feed.acknowledge(said, board_, now_ns);
+  const bool anew = viewer.feed.acknowledge(said, model_, now_ns);
   if (anew) {
     begin(viewer, false);
   } else if (held.scene_lost()) {
-    if (auto scene = model_.scene_packet()) viewer.feed.push_scene(std::make_shared<WirePacket>(*scene));
+    if (auto scene = model_.scene_packet()) {
+      viewer.feed.drop_scenes();
+      viewer.feed.push_scene(std::make_shared<WirePacket>(*scene));
+    }
   }
 }
 
@@ -185,11 +188,14 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
     std::vector<stream::PageVersion> pages;
     std::vector<std::uint32_t> gone;
     for (const wire::PageVersion* page : *body.held()) {
-      (board_.find(page->page()) ? pages.emplace_back(page->page(), page->version()).page
-                                 : gone.emplace_back(page->page()));
+      if (board_.find(page->page())) {
+        pages.push_back({page->page(), page->version()});
+      } else {
+        gone.push_back(page->page());
+      }
     }
     viewer.feed.resume(board_, pages, body.visibility_version() == held.visibility_version);
-    if (!gone.empty()) viewer.feed.push(std::make_shared<WirePacket>(model_.gone_packet(gone)));
+    viewer.feed.tell_gone(model_, std::move(gone));
   }
   say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));
   statistics_.begin(now_ns);
@@ -201,6 +207,7 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
 void ViewerHub::begin(Viewer& viewer, bool has_scene) {
   viewer.feed.push(std::make_shared<WirePacket>(model_.layout_packet()));
   if (!has_scene) {
+    viewer.feed.drop_scenes();
     if (auto scene = model_.scene_packet()) viewer.feed.push(std::make_shared<WirePacket>(*scene));
   }
   for (const auto& packet : model_.manifest_packets(board_.offered(), {}, true)) {
@@ -210,6 +217,7 @@ void ViewerHub::begin(Viewer& viewer, bool has_scene) {
 
 void ViewerHub::add(stream::StreamUpdate update) {
   std::vector<stream::OfferedPage> changed;
+  const std::vector<std::uint32_t> ended = std::move(update.gone);
   const std::vector<std::uint32_t> gone = board_.add(std::move(update), changed);
   if (viewers_.empty()) return;
   std::vector<SharedPacket> news;
@@ -219,13 +227,23 @@ void ViewerHub::add(stream::StreamUpdate update) {
     }
   }
   for (auto& [peer, viewer] : viewers_) {
+    viewer.feed.push_gone(model_, ended);
     for (const SharedPacket& packet : news) viewer.feed.push(packet);
   }
 }
 
 void ViewerHub::add_scene(const stream::EncodedPacket& packet) {
   const auto shared = std::make_shared<WirePacket>(packet);
-  for (auto& [peer, viewer] : viewers_) viewer.feed.push_scene(shared);
+  SharedPacket whole;
+  for (auto& [peer, viewer] : viewers_) {
+    if (viewer.feed.scenes() < kMaxScenes) {
+      viewer.feed.push_scene(shared);
+      continue;
+    }
+    if (!whole) whole = std::make_shared<WirePacket>(model_.scene_packet().value());
+    viewer.feed.drop_scenes();
+    viewer.feed.push_scene(whole);
+  }
 }
 
 void ViewerHub::add_visibility(std::vector<stream::VisibilityPacket> packets) {
@@ -267,7 +285,6 @@ Endpoint::Sent ViewerHub::send_next(const Endpoint::Peer& peer, Viewer& viewer, 
 }
 
 bool ViewerHub::pump(std::int64_t now_ns) {
-  now_ns_ = now_ns;
   bool waits = false;
   for (auto at = viewers_.begin(); at != viewers_.end();) {
     Viewer& viewer = at->second;

@@ -132,7 +132,7 @@ class ViewerHub {
   WireStatistics statistics_;
   Counts former_;  ///< of viewers that are gone
   std::uint64_t lost_viewers_ = 0, ignored_ = 0, connections_ = 0, camera_turn_ = 0;
-  std::int64_t now_ns_ = 0, empty_since_ns_ = 0;
+  std::int64_t empty_since_ns_ = 0;
   bus::LogLimiter log_limiter_;
 };
 

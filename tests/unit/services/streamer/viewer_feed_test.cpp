@@ -37,7 +37,7 @@ struct Seat {
       replica.receive(stream::test::parse(copy));
     }
   }
-  void say(const PageBoard& board, std::int64_t now_ns) {
+  void say(const stream::StreamModel& model, std::int64_t now_ns) {
     const auto& report = replica.report();
     (void)feed.acknowledge({.newest = report.newest,
                             .missing = report.missing,
@@ -45,7 +45,7 @@ struct Seat {
                             .dropped = report.dropped,
                             .bytes = 0,
                             .window_s = 0},
-                           board, now_ns);
+                           model, now_ns);
     replica.clear_report();
   }
 
@@ -74,8 +74,10 @@ class ViewerFeedTest : public testing::Test {
     server_.stream.set_holders(holders);
     server_.stream.make_tick(1e9, {});
     std::vector<stream::OfferedPage> changed;
-    const auto gone = board_.add(server_.stream.take_update(), changed);
-    for (Seat* seat : seats) seat->feed.push_gone(server_.stream, gone);
+    stream::StreamUpdate update = server_.stream.take_update();
+    const std::vector<std::uint32_t> ended = update.gone;
+    (void)board_.add(std::move(update), changed);
+    for (Seat* seat : seats) seat->feed.push_gone(server_.stream, ended);
   }
   /// So many seconds with a tick every fifth of one.
   void live(const std::vector<Seat*>& seats, double seconds, float amount = 0.02F,
@@ -84,7 +86,7 @@ class ViewerFeedTest : public testing::Test {
       if (now_ns_ % kTick == 0 && amount >= 0) tick(seats, amount);
       for (Seat* seat : seats) seat->read(server_.stream, board_, now_ns_);
       if (now_ns_ % kTick == 0) {
-        for (Seat* seat : seats) seat->say(board_, now_ns_);
+        for (Seat* seat : seats) seat->say(server_.stream, now_ns_);
       }
       if (each) each();
     }
@@ -169,6 +171,31 @@ TEST_F(ViewerFeedTest, ALostPacketMakesItsPagesComeAgain) {
   expect_exact(server_.stream, seat.replica);
 }
 
+TEST_F(ViewerFeedTest, WhatIsLostOfPagesThatEndIsToldAgain) {
+  Seat seat(1e6);
+  sit(seat);
+  live({&seat}, 1, 0);
+  const std::size_t pages = seat.replica.held().pages.size();
+  seat.lost = wire::Body::PagesGone;
+  seat.lose = 1;
+  server_.remove(2000);
+  live({&seat}, 1, 0);
+  EXPECT_EQ(seat.lose, 0);
+  EXPECT_EQ(seat.feed.lost_packets(), 1U);
+  EXPECT_LT(seat.replica.held().pages.size(), pages);
+  expect_exact(server_.stream, seat.replica);
+}
+
+TEST_F(ViewerFeedTest, APacketIsLostOnceHoweverOftenAViewerSaysSo) {
+  Seat seat(1e6);
+  sit(seat);
+  seat.read(server_.stream, board_, now_ns_);
+  const ViewerFeed::Said said{.newest = 0, .missing = {{1, 1}}, .lacks = {}, .dropped = {}, .bytes = 0, .window_s = 0};
+  EXPECT_TRUE(seat.feed.acknowledge(said, server_.stream, now_ns_)) << "the Layout";
+  EXPECT_FALSE(seat.feed.acknowledge(said, server_.stream, now_ns_));
+  EXPECT_EQ(seat.feed.lost_packets(), 1U);
+}
+
 TEST_F(ViewerFeedTest, WhoComesBackIsSentWhatHasChanged) {
   Seat before(1e6), stays(1e6);
   sit(before);
@@ -222,6 +249,22 @@ TEST_F(ViewerFeedTest, WithinItsMemoryAViewerHoldsWhatItSees) {
   EXPECT_LE(seat.replica.count(), kMost);
   EXPECT_GT(seat.replica.count(), kMost - kPageLanes);
   EXPECT_EQ(seat.feed.refused_pages(), 0U) << "it was sent what it has no room for";
+}
+
+TEST_F(ViewerFeedTest, WithinItsMemoryItStaysWhenGaussiansOfItsPagesComeAndGo) {
+  constexpr std::size_t kMost = 4096;
+  Seat seat(1e6, kMost);
+  sit(seat);
+  live({&seat}, 1, -1);
+  for (int round = 0; round < 5; ++round) {
+    server_.remove(100);
+    live({&seat}, 0.4, 0);
+    server_.insert(100);
+    live({&seat}, 0.4, 0);
+    EXPECT_LE(seat.replica.count(), kMost);
+    EXPECT_EQ(seat.feed.refused_pages(), 0U) << "it was sent what it has no room for";
+  }
+  EXPECT_GT(seat.replica.count(), kMost - 2 * kPageLanes);
 }
 
 TEST(ViewerRate, FindsOutWhatALinkTakes) {

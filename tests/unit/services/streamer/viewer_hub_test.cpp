@@ -48,6 +48,17 @@ class ViewerHubTest : public testing::Test {
     model_.reset_to_target();
     hub_.restart_all();
   }
+  /// Pumps, and gives the replica what has come, until the condition holds.
+  bool follow(stream::Replica& replica, const std::function<bool()>& condition) {
+    return bus_test::eventually([&] {
+      hub_.pump(now_ns_ += kSecond / 100);
+      while (const auto packet = read()) {
+        scenes_ += packet->body() == wire::Body::Scene ? 1 : 0;
+        replica.receive(*packet);
+      }
+      return condition();
+    });
+  }
   std::uint64_t sent_packets() {
     std::uint64_t packets = 0;
     for (const auto& type : hub_.statistics().close_window(now_ns_).types) packets += type.packets;
@@ -60,7 +71,7 @@ class ViewerHubTest : public testing::Test {
   stream::PacketWriter writer_{"viewer", 1};
   Endpoint endpoint_;
   stream::StreamModel model_{stream::PacketWriter("streamer", 1), 77, stream::StreamOptions{}};
-  std::uint64_t poses_ = 0;
+  std::uint64_t poses_ = 0, scenes_ = 0;
   std::vector<std::uint64_t> probes_;
   ViewerHub hub_{endpoint_, model_, stream::PacketWriter("streamer", 1), HubOptions{.viewer_kbps = 1e7},
                  HubEvents{.pose = [this](const auto&, const auto&) { ++poses_; },
@@ -120,6 +131,34 @@ TEST_F(ViewerHubTest, AViewerThatTalksAndDoesNotReadIsRemoved) {
   EXPECT_FALSE(hub_.pump(now_ns_));
   hub_.send_keepalive(now_ns_);
   EXPECT_EQ(sent_packets(), sent);
+}
+
+TEST_F(ViewerHubTest, ViewersDropThePagesThatEnd) {
+  join();
+  publish(stream::test::toy_model(3000, 1));
+  stream::Replica replica;
+  ASSERT_TRUE(follow(replica, [&] { return replica.count() == 3000; }));
+  ASSERT_TRUE(model_.observe(stream::test::toy_model(1024, 1).view()));
+  model_.set_holders(hub_.holders());
+  model_.make_tick(1e9, {});
+  hub_.add(model_.take_update());
+  EXPECT_TRUE(follow(replica, [&] { return replica.held_pages().size() == 1; })) << replica.held_pages().size();
+  EXPECT_EQ(hub_.holders(), std::set<std::uint32_t>{0});
+}
+
+TEST_F(ViewerHubTest, OfScenesThatWaitTooLongAWholeOneIsSent) {
+  join();
+  publish(stream::test::toy_model(100, 1));
+  SceneState scene;
+  for (scene.version = 1; scene.version <= 100; ++scene.version) {
+    scene.objects[7].rigid.translation.x += 0.5F;
+    const auto packet = model_.take_scene(scene, {});
+    ASSERT_TRUE(packet);
+    hub_.add_scene(*packet);
+  }
+  stream::Replica replica;
+  EXPECT_TRUE(follow(replica, [&] { return replica.scene_version() == 100; })) << replica.scene_version();
+  EXPECT_LE(scenes_, 8U);
 }
 
 TEST_F(ViewerHubTest, OfAFloodOfPosesTheNewestIsPassedOnAtTheHubsOwnPace) {
