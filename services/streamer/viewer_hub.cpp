@@ -3,24 +3,17 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <utility>
-
-#include "bus/frames.h"
-#include "wire/convert.h"
 
 namespace splatbus::streamer {
 
 namespace {
 
-constexpr int kMessagesACall = 512;
 constexpr int kPacketsATurn = 256;
 constexpr std::size_t kMaxPictures = 8;
 constexpr std::size_t kMaxScenes = 8;  // that wait for one viewer; then one whole one does
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
 constexpr std::size_t kCamerasATick = 4;
-constexpr std::int64_t kPoseEveryNs = 15'000'000;
-constexpr std::int64_t kProbeNs = 20'000'000'000;  // an answer that has not come by then will not
 
 }  // namespace
 
@@ -35,173 +28,6 @@ ViewerHub::ViewerHub(Endpoint& endpoint, stream::StreamModel& model, stream::Pac
 
 void ViewerHub::say(const std::string& text) {
   if (log_limiter_.allow()) spdlog::info("{}", text);
-}
-
-void ViewerHub::receive(std::int64_t now_ns) {
-  for (int i = 0; i < kMessagesACall; ++i) {
-    const auto received = endpoint_.receive();
-    if (!received) break;
-    try {
-      handle(*received, now_ns);
-    } catch (const std::runtime_error& error) {
-      if (log_limiter_.allow())
-        spdlog::warn("a viewer's {}: {}", wire::EnumNameBody(received->packet.body()), error.what());
-    }
-  }
-  for (auto& [peer, viewer] : viewers_) pass_pose(viewer, now_ns);
-}
-
-stream::EncodedPacket ViewerHub::welcome(std::uint64_t connection) const {
-  const stream::StreamModel::Status held = model_.status();
-  const ParameterLayout& layout = held.layout;
-  const bool transfer = layout.appearance == Appearance::Transfer;
-  return writer_.write(held.epoch, 0, wire::Body::Welcome, [&](auto& builder) {
-    return wire::CreateWelcome(builder, transfer ? wire::Appearance::Transfer : wire::Appearance::Radiance,
-                               static_cast<std::uint8_t>(transfer ? 0 : layout.sh_degree), held.epoch, options_.tick_hz,
-                               connection == 0, connection);
-  });
-}
-
-void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) {
-  const auto& [peer, packet, rights] = received;
-  const wire::Packet& root = packet.root();
-  const auto found = viewers_.find(peer);
-  if (found == viewers_.end()) {
-    if (!answers_.take(1, now_ns)) {
-      ++ignored_;
-    } else if (packet.body() == wire::Body::Hello) {
-      hello(received, now_ns);
-    } else if (packet.body() != wire::Body::Bye) {
-      send(peer, WirePacket(welcome(0)));
-    }
-    return;
-  }
-  Viewer& viewer = found->second;
-  viewer.heard_ns = now_ns;
-  viewer.rights = rights;
-  if (!viewer.limits.allow(packet.body(), now_ns)) {
-    ++ignored_;
-    return;
-  }
-  switch (packet.body()) {
-    case wire::Body::Hello:
-      send(peer, WirePacket(welcome(viewer.connection)));  // it repeated itself before the Welcome was there
-      break;
-    case wire::Body::Pose:
-      take_pose(viewer, packet, now_ns);
-      break;
-    case wire::Body::Probe:
-      take_probe(peer, viewer, *root.body_as_Probe(), now_ns);
-      break;
-    case wire::Body::Quality:
-      if (std::erase(viewer.compared, root.body_as_Quality()->probe_id()) > 0) {
-        events_.quality(viewer.name, *root.body_as_Quality());
-      } else {
-        ++ignored_;
-      }
-      break;
-    case wire::Body::Held:
-      if (packet.stream_epoch() == model_.status().epoch) take_held(viewer, *root.body_as_Held(), now_ns);
-      break;
-    case wire::Body::Bye:
-      say(fmt::format("viewer {} left", viewer.name));
-      remember(viewer);
-      viewers_.erase(found);
-      if (viewers_.empty()) empty_since_ns_ = now_ns;
-      break;
-    default:
-      ++ignored_;
-  }
-}
-
-// The newest of a burst is passed on.
-void ViewerHub::take_pose(Viewer& viewer, const stream::ParsedPacket& packet, std::int64_t now_ns) {
-  viewer.gaze.add(from_wire(*packet.root().body_as_Pose()->camera()), now_ns);
-  viewer.pose = packet;
-}
-
-void ViewerHub::pass_pose(Viewer& viewer, std::int64_t now_ns) {
-  if (!viewer.pose || now_ns - viewer.posed_ns < kPoseEveryNs) return;
-  viewer.posed_ns = now_ns;
-  if (viewer.rights.steer) events_.pose(viewer.name, *viewer.pose->root().body_as_Pose());
-  viewer.pose.reset();
-}
-
-void ViewerHub::take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns) {
-  static_cast<void>(from_wire(*probe.camera()));  // refuses what makes no sense
-  std::erase_if(probes_, [&](const auto& entry) { return now_ns - entry.second.asked_ns > kProbeNs; });
-  const auto of_one = std::ranges::count_if(probes_, [&](const auto& entry) { return entry.second.asker == peer; });
-  const bool room = probes_.size() < kProbesInFlight && static_cast<std::size_t>(of_one) < kProbesOfOne;
-  if (!viewer.rights.probe || !room || !probes_.try_emplace(probe.probe_id(), Probe{peer, now_ns}).second) {
-    ++ignored_;
-    return;
-  }
-  events_.probe(viewer.name, probe);
-}
-
-void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t now_ns) {
-  ViewerFeed::Said said{.newest = held.newest(),
-                        .missing = {},
-                        .lacks = {},
-                        .dropped = {},
-                        .bytes = static_cast<double>(held.bytes()),
-                        .window_s = static_cast<double>(held.window_us()) * 1e-6};
-  if (held.missing()) {
-    for (const wire::SequenceRange* range : *held.missing()) said.missing.push_back({range->first(), range->last()});
-  }
-  if (held.lacks()) {
-    for (const wire::PageVersion* page : *held.lacks()) said.lacks.push_back({page->page(), page->version()});
-  }
-  if (held.dropped()) said.dropped.assign(held.dropped()->begin(), held.dropped()->end());
-  const bool anew = viewer.feed.acknowledge(said, model_, now_ns);
-  if (anew) {
-    begin(viewer, false);
-  } else if (held.scene_lost()) {
-    if (auto scene = model_.scene_packet()) {
-      viewer.feed.drop_scenes();
-      viewer.feed.push_scene(std::make_shared<WirePacket>(*scene));
-    }
-  }
-}
-
-void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
-  const auto& [peer, packet, rights] = received;
-  const wire::Hello& body = *packet.root().body_as_Hello();
-  if (viewers_.size() >= options_.max_viewers) {
-    send(peer, WirePacket(writer_.write(model_.status().epoch, 0, wire::Body::Bye, [&](auto& builder) {
-           return wire::CreateByeDirect(builder,
-                                        fmt::format("{} viewers are all that are served", viewers_.size()).c_str());
-         })));
-    return;
-  }
-  Viewer viewer(body.max_gaussians() != 0 ? body.max_gaussians() : stream::kMaxGaussians);
-  viewer.name = bus::printable(body.viewer()->string_view());
-  viewer.rights = rights;
-  viewer.connection = ++connections_;
-  viewer.wants_probes = body.probes();
-  viewer.heard_ns = viewer.sent_ns = now_ns;
-  if (body.camera()) viewer.gaze.add(from_wire(*body.camera()), now_ns);
-  viewer.feed.rate().set(options_.viewer_kbps, now_ns);
-  const stream::StreamModel::Status held = model_.status();
-  const bool same = held.ready && packet.stream_epoch() == held.epoch;
-  if (same && body.held()) {
-    std::vector<stream::PageVersion> pages;
-    std::vector<std::uint32_t> gone;
-    for (const wire::PageVersion* page : *body.held()) {
-      if (board_.find(page->page())) {
-        pages.push_back({page->page(), page->version()});
-      } else {
-        gone.push_back(page->page());
-      }
-    }
-    viewer.feed.resume(board_, pages, body.visibility_version() == held.visibility_version);
-    viewer.feed.tell_gone(model_, std::move(gone));
-  }
-  say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));
-  statistics_.begin(now_ns);
-  send(peer, WirePacket(welcome(viewer.connection)));
-  if (held.ready) begin(viewer, same && body.scene_version() == model_.scene_version());
-  viewers_.insert_or_assign(peer, std::move(viewer));
 }
 
 void ViewerHub::begin(Viewer& viewer, bool has_scene) {
