@@ -224,13 +224,11 @@ void take_lanes(ReplicatedState& state, Step& step, HeldPage& page, Change& chan
 
 void take_appended(ReplicatedState& state, const DeltaReader& delta, const Step& step, const HeldPage& page,
                    Change& change) {
-  const AttributeChannels* sun = state.layout.find(Attribute::Visibility);
   for (std::uint32_t i = 0; i < step.said.appended(); ++i) {
     const std::uint32_t row = page.row(step.left + i), from = step.first_appended + i;
     for (std::size_t c = 0; c < state.gaussians.channels.size(); ++c) {
       state.gaussians.channels[c][row] = delta.appended.channels[c][from];
     }
-    if (sun) state.gaussians.channels[sun->first][row] = delta.appended.channels[sun->first][from];
     state.gaussians.object_id[row] = delta.appended.object_id[from];
     state.gaussians.gaussian_id[row] = 0;
     change.rows.push_back(row);

@@ -29,9 +29,9 @@ double psnr_db(const raster::Image& a, const raster::Image& b, bool linear) {
   return 10 * std::log10(static_cast<double>(a.data.size()) / sum);
 }
 
-class SnapshotQuality : public testing::TestWithParam<Appearance> {};
+class PageQuality : public testing::TestWithParam<Appearance> {};
 
-TEST_P(SnapshotQuality, ThePictureOfWhatArrivesIsThatOfWhatWasSent) {
+TEST_P(PageQuality, ThePictureOfWhatArrivesIsThatOfWhatWasSent) {
   test::ToyServer server(31, 6000, GetParam());
   test::ShownReplica replica;
   test::join(server.stream, replica);
@@ -46,7 +46,7 @@ TEST_P(SnapshotQuality, ThePictureOfWhatArrivesIsThatOfWhatWasSent) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Appearances, SnapshotQuality, testing::Values(Appearance::Transfer, Appearance::Radiance));
+INSTANTIATE_TEST_SUITE_P(Appearances, PageQuality, testing::Values(Appearance::Transfer, Appearance::Radiance));
 
 }  // namespace
 }  // namespace splatbus::stream

@@ -80,7 +80,7 @@ TEST(Visibility, OfATurningSunIsTheSameAtAViewerAtEachVersion) {
   EXPECT_GT(moved, 40U) << "the sun does not turn";
 }
 
-TEST(Visibility, UntilTheFirstOneComesASnapshotHasTheModelsOwn) {
+TEST(Visibility, UntilTheFirstOneComesAPageHasTheModelsOwn) {
   const GaussiansBuffer model = test::toy_model(500, 1);
   StreamModel stream(PacketWriter("streamer", 1), 5);
   ASSERT_TRUE(stream.observe(model.view()));
