@@ -215,18 +215,21 @@ TEST_P(FreezingOn, WhatComesBackFrozenTrainsWhereNothingIsToRest) {
 TEST_P(FreezingOn, PagesThatRestAreNeitherPrunedNorSplit) {
   Settings settings = kAtOnce;
   settings.back() = {"prune", "true"};
-  settings.insert(settings.end(), {{"prune_interval", "50"},
+  // Later than all rest, for what either does to a page begins its window anew.
+  const std::string interval = std::to_string(looking(50));
+  settings.insert(settings.end(), {{"prune_interval", interval},
                                    {"prune_min_age", "0"},
                                    {"densify", "true"},
-                                   {"densify_interval", "50"},
-                                   {"densify_gradient", "0"}});
+                                   {"densify_interval", interval},
+                                   {"densify_gradient", "0"},
+                                   {"thaw_rise", "100"}});
   Trial s = trial(settings);
   s.train(looking(40));
   ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
   for (std::size_t k = 0; k < 100; ++k) {
     trainer::poke(s.store(), ParameterLayout::kOpacityLogit, s.model().index(k), -20);
   }
-  s.train(20);
+  s.train(looking(20));
   EXPECT_EQ(s.store().count(), 3000U);
 }
 
