@@ -122,6 +122,16 @@ TEST_F(FreezerTest, WhatAFolderHadFrozenRestsAtWhatItIsFirstSeenWith) {
   EXPECT_EQ(second({0.4}).thaw, std::vector{pages_[0]});
 }
 
+TEST_F(FreezerTest, WhatAFolderHadFrozenTrainsWhenAViewComesNearerThanTheFirst) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
+  ASSERT_EQ(state(0), PageState::Frozen);
+  store().table().entry(pages_[0]).loss = -1;
+  freezer_ = {};
+  EXPECT_TRUE(second({0.1}, 8, 12).thaw.empty());
+  EXPECT_TRUE(second({0.1}, 8, 9).thaw.empty());
+  EXPECT_EQ(second({0.1}, 8, 3).thaw, std::vector{pages_[0]});
+}
+
 TEST_F(FreezerTest, WhatIsPutInIsToBeLearned) {
   for (int s = 0; s < 5; ++s) (void)second({0.1});
   SampleBatch more = scene_.truth();
