@@ -4,19 +4,17 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <filesystem>
 #include <numbers>
 #include <numeric>
 
-#include "model/channels.h"
 #include "raster/rasterizer.h"
 #include "splats/file.h"
 #include "stream/codecs.h"
 #include "stream/display_gaussians.h"
 #include "stream/model_quantizer.h"
 #include "stream/replicated_state.h"
-#include "world/world.h"
+#include "world/gathered_model.h"
 
 namespace splatbus::bench {
 
@@ -60,34 +58,9 @@ void load_ply(const std::string& path, int degree, std::size_t page_gaussians, C
 
 void load_world(const std::string& path, CodecScene& scene) {
   world::World folder{std::filesystem::path(path)};
-  const ParameterLayout& layout = folder.layout();
-  std::size_t count = 0;
-  for (const auto& [key, page] : folder.pages()) count += page.count;
-  GaussiansBuffer& model = scene.model;
-  model = GaussiansBuffer(layout, count);
-  std::size_t at = 0;
-  for (const auto& [key, entry] : folder.pages()) {
-    const auto page = folder.read(key);
-    if (!page || page->count == 0) continue;
-    const auto copy = [&](model::Channel channel, std::vector<float>& planes) {
-      const model::ChannelRows rows = model::rows_of(channel, layout);
-      for (std::size_t row = 0; row < rows.rows; ++row) {
-        std::memcpy(planes.data() + row * model.stride() + at, page->words.data() + (rows.first + row) * page->count,
-                    page->count * sizeof(float));
-      }
-    };
-    copy(model::Channel::Average, model.parameters);
-    copy(model::Channel::Normal, model.normal);
-    copy(model::Channel::Visibility, model.visibility);
-    std::memcpy(
-        model.gaussian_id.data() + at,
-        page->words.data() + std::size_t{model::rows_of(model::Channel::GaussianId, layout).first} * page->count,
-        page->count * sizeof(std::uint64_t));
-    std::fill_n(model.object_id.begin() + static_cast<std::ptrdiff_t>(at), page->count, key.frame_id);
-    at += page->count;
-    scene.page_ends.push_back(at);
-  }
-  model.resize(at);
+  world::GatheredModel gathered = world::gather_model(folder);
+  scene.model = std::move(gathered.gaussians);
+  scene.page_ends = std::move(gathered.page_ends);
 }
 
 /// Between which all but a fiftieth of the means lie.

@@ -5,17 +5,16 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <filesystem>
 #include <memory>
 #include <stdexcept>
 #include <vector>
 
-#include "gaussians/model.h"
 #include "schema_json.h"
 #include "splat_options.h"
 #include "splats/file.h"
 #include "verbs.h"
+#include "world/gathered_model.h"
 
 namespace splatbus::cli {
 
@@ -94,41 +93,9 @@ int info(const WorldVerbOptions& options) {
   return 0;
 }
 
-/// The averages over time of a whole folder.
-GaussiansBuffer read_average(world::World& folder) {
-  const ParameterLayout& layout = folder.layout();
-  std::size_t count = 0;
-  for (const auto& [key, page] : folder.pages()) count += page.count;
-  GaussiansBuffer model(layout, count);
-  std::size_t at = 0;
-  for (const auto& [key, entry] : folder.pages()) {
-    const auto page = folder.read(key);
-    if (!page) continue;
-    const auto copy = [&](model::Channel channel, std::vector<float>& planes) {
-      const model::ChannelRows rows = model::rows_of(channel, layout);
-      for (std::size_t row = 0; row < rows.rows; ++row) {
-        std::memcpy(planes.data() + row * model.stride() + at, page->words.data() + (rows.first + row) * page->count,
-                    page->count * sizeof(float));
-      }
-    };
-    copy(model::Channel::Average, model.parameters);
-    copy(model::Channel::Normal, model.normal);
-    copy(model::Channel::SurfacePoint, model.surface_point);
-    copy(model::Channel::Visibility, model.visibility);
-    std::memcpy(
-        model.gaussian_id.data() + at,
-        page->words.data() + std::size_t{model::rows_of(model::Channel::GaussianId, layout).first} * page->count,
-        page->count * sizeof(std::uint64_t));
-    std::fill_n(model.object_id.begin() + static_cast<std::ptrdiff_t>(at), page->count, key.frame_id);
-    at += page->count;
-  }
-  model.resize(at);
-  return model;
-}
-
 int export_world(const WorldVerbOptions& options) {
   world::World folder{std::filesystem::path(options.folder)};
-  const GaussiansBuffer model = read_average(folder);
+  const GaussiansBuffer model = world::gather_model(folder).gaussians;
   // A folder has no light: white from everywhere, under which a surface shows its albedo.
   SceneState scene;
   constexpr float kUniform = 3.5449077F;  // sqrt(4 pi): radiance 1

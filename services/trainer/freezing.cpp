@@ -97,8 +97,9 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
     if (page.looks < kLeastLooks) continue;
     const double loss = page.loss / page.looks;
     if (page.frozen) {
-      // Of one that a world folder had: what it is seen with first is what it rests at.
+      // Of one that a world folder had: what it is seen with first is what it rests at, and from there.
       if (page.loss_at_freeze < 0) entry.loss = static_cast<float>(page.loss_at_freeze = loss);
+      if (page.px_per_m == 0) page.px_per_m = page.thawing_px_per_m;
       const bool nearer = page.px_per_m > 0 && page.thawing_px_per_m > kNearer * page.px_per_m;
       const bool worse = loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
       if (nearer || worse) change.thaw.push_back(number);

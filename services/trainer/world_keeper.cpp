@@ -324,6 +324,9 @@ void WorldKeeper::stage(KeepRound& round, const Candidate& candidate, world::Pag
   staged.key = candidate.key;
   staged.mark = mark;
   staged.structure = entry.now;
+  // One that rests because no view showed it has not settled (Freezer): its loss does not go along, and once back it
+  // would rest at whatever it is first seen with.
+  if (entry.now.state == model::PageState::Frozen && entry.loss == 0) staged.structure.state = model::PageState::Active;
   staged.bounds = entry.bounds;
   staged.step = store_.step();
   staged.block.resize(words);

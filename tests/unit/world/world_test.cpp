@@ -4,6 +4,8 @@
 #include <chrono>
 #include <future>
 
+#include "model/channels.h"
+#include "world/gathered_model.h"
 #include "world_fixture.h"
 
 namespace splatbus::world {
@@ -40,6 +42,35 @@ TEST_F(WorldTest, WhatWasCommittedIsThereAgainBitByBit) {
   EXPECT_EQ(again.manifest().epoch, 2U);
   EXPECT_TRUE(again.damage().empty());
   EXPECT_EQ(again.cut_bytes(), 0U);
+}
+
+TEST_F(WorldTest, AModelIsGatheredPageAfterPage) {
+  const Page first = make_page(1, 10, 1), second = make_page(2, 3, 2);  // of frames 1 and 2
+  World world(folder_, {});
+  put(world, second);
+  put(world, first);
+  world.commit({});
+  const GatheredModel gathered = gather_model(world);
+  const GaussiansBuffer& model = gathered.gaussians;
+  EXPECT_EQ(gathered.page_ends, (std::vector<std::size_t>{10, 13}));
+  ASSERT_EQ(model.count(), 13U);
+  const auto value = [&](const Page& page, model::Channel channel, std::uint32_t row, std::uint32_t lane) {
+    const std::uint32_t first_row = model::rows_of(channel, world.layout()).first;
+    return std::bit_cast<float>(page.words[(first_row + row) * page.count + lane]);
+  };
+  for (std::uint32_t i = 0; i < 13; ++i) {
+    const Page& page = i < 10 ? first : second;
+    const std::uint32_t lane = i < 10 ? i : i - 10;
+    EXPECT_EQ(model.object_id[i], i < 10 ? 1U : 2U);
+    EXPECT_EQ(model.gaussian_id[i], (i < 10 ? 2000U : 4000U) + lane);
+    for (const int channel : {0, 40}) {
+      EXPECT_EQ(model.view().plane(channel)[i],
+                value(page, model::Channel::Average, static_cast<std::uint32_t>(channel), lane));
+    }
+    EXPECT_EQ(model.normal[2 * model.stride() + i], value(page, model::Channel::Normal, 2, lane));
+    EXPECT_EQ(model.surface_point[model.stride() + i], value(page, model::Channel::SurfacePoint, 1, lane));
+    EXPECT_EQ(model.visibility[i], value(page, model::Channel::Visibility, 0, lane));
+  }
 }
 
 TEST_F(WorldTest, ALivePageTakesLessThanTwoThirdsOfItsMemory) {

@@ -122,6 +122,16 @@ TEST_F(FreezerTest, WhatAFolderHadFrozenRestsAtWhatItIsFirstSeenWith) {
   EXPECT_EQ(second({0.4}).thaw, std::vector{pages_[0]});
 }
 
+TEST_F(FreezerTest, WhatAFolderHadFrozenTrainsWhenAViewComesNearerThanTheFirst) {
+  for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
+  ASSERT_EQ(state(0), PageState::Frozen);
+  store().table().entry(pages_[0]).loss = -1;
+  freezer_ = {};
+  EXPECT_TRUE(second({0.1}, 8, 12).thaw.empty());
+  EXPECT_TRUE(second({0.1}, 8, 9).thaw.empty());
+  EXPECT_EQ(second({0.1}, 8, 3).thaw, std::vector{pages_[0]});
+}
+
 TEST_F(FreezerTest, WhatIsPutInIsToBeLearned) {
   for (int s = 0; s < 5; ++s) (void)second({0.1});
   SampleBatch more = scene_.truth();
@@ -215,18 +225,21 @@ TEST_P(FreezingOn, WhatComesBackFrozenTrainsWhereNothingIsToRest) {
 TEST_P(FreezingOn, PagesThatRestAreNeitherPrunedNorSplit) {
   Settings settings = kAtOnce;
   settings.back() = {"prune", "true"};
-  settings.insert(settings.end(), {{"prune_interval", "50"},
+  // Later than all rest, for what either does to a page begins its window anew.
+  const std::string interval = std::to_string(looking(50));
+  settings.insert(settings.end(), {{"prune_interval", interval},
                                    {"prune_min_age", "0"},
                                    {"densify", "true"},
-                                   {"densify_interval", "50"},
-                                   {"densify_gradient", "0"}});
+                                   {"densify_interval", interval},
+                                   {"densify_gradient", "0"},
+                                   {"thaw_rise", "100"}});
   Trial s = trial(settings);
   s.train(looking(40));
   ASSERT_EQ(s.store().frozen_pages(), s.store().page_count());
   for (std::size_t k = 0; k < 100; ++k) {
     trainer::poke(s.store(), ParameterLayout::kOpacityLogit, s.model().index(k), -20);
   }
-  s.train(20);
+  s.train(looking(20));
   EXPECT_EQ(s.store().count(), 3000U);
 }
 
