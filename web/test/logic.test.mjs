@@ -58,6 +58,17 @@ test('a motion goes on for a tenth of a second without scenes, and rests then', 
   assert.ok(playout.movingAt(1150) && !playout.movingAt(1300));
 });
 
+test('an engine whose clock is behind is followed as the first was', () => {
+  const playout = new logic.Playout();
+  for (let ms = 0; ms < 1000; ms += 33) playout.add(ball(ms), { captureMs: 50_000 + ms, arrivedMs: ms });
+  for (let ms = 1000; ms < 2000; ms += 33) playout.add(ball(ms), { captureMs: ms, arrivedMs: ms });
+  const shown = playout.shownMs(2000);
+  assert.ok(shown > 1800 && shown <= 2000, `${shown}`);
+  const truth = ball(shown);
+  const at = playout.at(2000);
+  assert.ok(Math.hypot(at[15] - truth[15], at[23] - truth[23]) < 0.01);
+});
+
 test('what is hidden does not come from where it was', () => {
   const playout = new logic.Playout();
   const hidden = ball(0).fill(0, 12);
