@@ -104,6 +104,15 @@ test('a row that is given away while it fades stays', () => {
   assert.deepEqual([...mirror.everything().records], record(90));
 });
 
+test('a row that has vanished becomes free however long the page is open', () => {
+  for (let nowS = 10 * 3600; nowS < 10 * 3600 + 1; nowS += 0.0107) {
+    const mirror = new logic.RowMirror();
+    update(mirror, { 3: record(200) }, nowS - 10);
+    update(mirror, { 3: record(0) }, nowS);
+    assert.deepEqual([...(mirror.takeVanished(nowS + 0.3)?.rows ?? [])], [3], `${nowS} s`);
+  }
+});
+
 test('a picture that stands is replaced by a whole model, and by no part of one', async () => {
   const publisher = new logic.Publisher(() => 1);
   const sent = [];
