@@ -9,9 +9,9 @@ set(SPLATBUS_WASM)
 if(SPLATBUS_SANITIZE)
   # The module is the same whatever watches over the programs.
 elseif(NOT SPLATBUS_EMXX OR NOT SPLATBUS_EMSCRIPTEN_TOOLCHAIN)
-  message(STATUS "No em++ here: nothing is built for browsers")
+  message(STATUS "No em++ here, so the page is not built")
 elseif(NOT EXISTS "${SPLATBUS_DRACO_SOURCE}/src/draco" OR NOT EXISTS "${SPLATBUS_ZSTD_SOURCE}/lib")
-  message(STATUS "No sources of draco and libzstd in build/: nothing is built for browsers; `./splatbus build` fetches them")
+  message(STATUS "No sources of draco and libzstd in build/, so the page is not built; `./splatbus build` fetches them")
 else()
   include(ExternalProject)
   set(SPLATBUS_WASM "${CMAKE_BINARY_DIR}/wasm/splatbus.wasm")
@@ -22,6 +22,7 @@ else()
     PREFIX "${CMAKE_BINARY_DIR}/CMakeFiles/wasm"
     DEPENDS splatbus_wire_generate
     CMAKE_ARGS "-DCMAKE_TOOLCHAIN_FILE=${SPLATBUS_EMSCRIPTEN_TOOLCHAIN}" -DCMAKE_BUILD_TYPE=Release
+               "-DSPLATBUS_WARNINGS_AS_ERRORS=${SPLATBUS_WARNINGS_AS_ERRORS}"
                "-DSPLATBUS_WIRE_INCLUDE=${CMAKE_BINARY_DIR}/schemas/include"
                "-DSPLATBUS_DRACO_SOURCE=${SPLATBUS_DRACO_SOURCE}" "-DSPLATBUS_ZSTD_SOURCE=${SPLATBUS_ZSTD_SOURCE}"
     BUILD_ALWAYS ON

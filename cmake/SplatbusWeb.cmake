@@ -8,7 +8,7 @@ find_program(SPLATBUS_NPM npm)
 if(NOT SPLATBUS_WASM)
   return()
 elseif(NOT SPLATBUS_NODE OR NOT SPLATBUS_NPM)
-  message(STATUS "No node and npm here: the page is not built")
+  message(STATUS "No node and npm here, so the page is not built")
   return()
 endif()
 
@@ -17,13 +17,14 @@ set(installed "${web}/node_modules/.package-lock.json")
 if(NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${installed}")
   message(STATUS "Installing what the page is built with, by npm ci")
   execute_process(
-    COMMAND "${SPLATBUS_NPM}" ci --ignore-scripts --no-audit --no-fund --loglevel=error
+    COMMAND "${SPLATBUS_NPM}" ci --ignore-scripts --no-audit --no-fund --loglevel=error --fetch-retry-maxtimeout=10000
     WORKING_DIRECTORY "${web}"
+    TIMEOUT 120
     RESULT_VARIABLE result
     OUTPUT_VARIABLE said
     ERROR_VARIABLE said)
   if(NOT result EQUAL 0)
-    message(STATUS "npm ci failed, the page is not built: ${said}")
+    message(STATUS "npm ci failed (${result}), so the page is not built; `cmake ${CMAKE_BINARY_DIR}` tries again. ${said}")
     return()
   endif()
   file(TOUCH "${installed}")

@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <deque>
 #include <exception>
 #include <string>
 #include <string_view>
@@ -94,15 +95,15 @@ int main(int argc, char** argv) {
   // Short for --set probe=true, --set window=true and --set packet_log=FILE.
   std::vector<char*> arguments;
   char set[] = "--set", probe[] = "probe=true", window[] = "window=true";
-  std::string packet_log = "packet_log=";
+  std::deque<std::string> packet_logs;  // where each lies stays
   bool standalone = false;
   for (int i = 0; i < argc; ++i) {
     const std::string_view argument = argv[i];
     standalone = standalone || argument.starts_with("--connect");
     if (argument == "--record" && i + 1 < argc) {
-      packet_log += argv[++i];
+      packet_logs.push_back(std::string("packet_log=") + argv[++i]);
       arguments.push_back(set);
-      arguments.push_back(packet_log.data());
+      arguments.push_back(packet_logs.back().data());
     } else if (argument == "--probe" || argument == "--window") {
       arguments.push_back(set);
       arguments.push_back(argument == "--probe" ? probe : window);
@@ -116,8 +117,7 @@ int main(int argc, char** argv) {
       .kind = "viewer",
       .summary =
           "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window, --record FILE; and --connect "
-          "ENDPOINT to "
-          "view a streamer elsewhere without any bus",
+          "ENDPOINT to view a streamer elsewhere without any bus",
       .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
   };
   return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);

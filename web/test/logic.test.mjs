@@ -58,6 +58,17 @@ test('a motion goes on for a tenth of a second without scenes, and rests then', 
   assert.ok(playout.movingAt(1150) && !playout.movingAt(1300));
 });
 
+test('an engine whose clock is behind is followed as the first was', () => {
+  const playout = new logic.Playout();
+  for (let ms = 0; ms < 1000; ms += 33) playout.add(ball(ms), { captureMs: 50_000 + ms, arrivedMs: ms });
+  for (let ms = 1000; ms < 2000; ms += 33) playout.add(ball(ms), { captureMs: ms, arrivedMs: ms });
+  const shown = playout.shownMs(2000);
+  assert.ok(shown > 1800 && shown <= 2000, `${shown}`);
+  const truth = ball(shown);
+  const at = playout.at(2000);
+  assert.ok(Math.hypot(at[15] - truth[15], at[23] - truth[23]) < 0.01);
+});
+
 test('what is hidden does not come from where it was', () => {
   const playout = new logic.Playout();
   const hidden = ball(0).fill(0, 12);
@@ -91,6 +102,15 @@ test('a row that is given away while it fades stays', () => {
   assert.deepEqual([...update(mirror, { 3: record(90) }, 11.1).fades], [Math.fround(11.1)]);
   assert.equal(mirror.takeVanished(12), null);
   assert.deepEqual([...mirror.everything().records], record(90));
+});
+
+test('a row that has vanished becomes free however long the page is open', () => {
+  for (let nowS = 10 * 3600; nowS < 10 * 3600 + 1; nowS += 0.0107) {
+    const mirror = new logic.RowMirror();
+    update(mirror, { 3: record(200) }, nowS - 10);
+    update(mirror, { 3: record(0) }, nowS);
+    assert.deepEqual([...(mirror.takeVanished(nowS + 0.3)?.rows ?? [])], [3], `${nowS} s`);
+  }
 });
 
 test('a picture that stands is replaced by a whole model, and by no part of one', async () => {

@@ -33,8 +33,12 @@ export class Playout {
       this.#kept = []; // nobody knows when it was
       return;
     }
-    const last = this.#kept.at(-1);
-    if (last && captureMs < last.captureMs) this.#kept = this.#offsets = []; // another engine
+    let last = this.#kept.at(-1);
+    if (last && captureMs < last.captureMs) {
+      this.#kept = []; // another engine, of another clock
+      this.#offsets = [];
+      last = undefined;
+    }
     if (last && captureMs === last.captureMs) return;
     this.#offsets.push(captureMs - arrivedMs);
     if (this.#offsets.length > 4 * kKept) this.#offsets.shift();

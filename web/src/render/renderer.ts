@@ -64,6 +64,12 @@ export function blendedBackground(scene: Scene): [number, number, number] {
   return scene.displaySpace ? [srgb(r), srgb(g), srgb(b)] : [r, g, b];
 }
 
+/** Gives the canvas the view's size; setting what it has already would clear it. */
+export function fitTo({ width, height }: View, canvas: HTMLCanvasElement): void {
+  if (canvas.width !== width) canvas.width = width;
+  if (canvas.height !== height) canvas.height = height;
+}
+
 /** Size of the splats' own target. */
 export function targetSize(frame: Frame): { width: number; height: number } {
   const side = (pixels: number): number => Math.max(1, Math.round(pixels * frame.resolution));

@@ -66,6 +66,7 @@ export interface Sorted {
 export interface WorkerScope<In, Out> {
   onmessage: ((event: MessageEvent<In>) => void) | null;
   postMessage(message: Out, transfer?: Transferable[]): void;
+  close(): void;
 }
 
 export const transfersOf = (batch: SceneBatch): Transferable[] => [

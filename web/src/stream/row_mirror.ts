@@ -13,7 +13,7 @@ export class RowMirror {
   #records = new Uint32Array(0);
   #fades = new Float32Array(0);
   #used = 0;
-  #vanishing: { row: number; until: number }[] = [];
+  #vanishing: { row: number; sinceS: number }[] = [];
 
   /** Takes rows as the model has them; what vanishes is kept until it has faded. */
   take(rows: Uint32Array, records: Uint32Array, nowS: number): RowUpdate {
@@ -30,7 +30,7 @@ export class RowMirror {
       if (wasThere && !isThere) {
         update.records.set(this.#records.subarray(at, at + kRecordWords), kRecordWords * index);
         this.#fades[row] = -nowS;
-        this.#vanishing.push({ row, until: nowS + kFadeS });
+        this.#vanishing.push({ row, sinceS: -this.#fades[row] });
       } else {
         if (isThere && !wasThere) this.#fades[row] = nowS;
         else if (!isThere && this.#fades[row] < 0) update.records.set(this.#records.subarray(at, at + kRecordWords), kRecordWords * index);
@@ -51,8 +51,8 @@ export class RowMirror {
   takeVanished(nowS: number): RowUpdate | null {
     if (this.#vanishing.length === 0) return null;
     let count = 0;
-    while (count < this.#vanishing.length && this.#vanishing[count].until <= nowS) ++count;
-    const due = this.#vanishing.splice(0, count).filter(({ row, until }) => this.#fades[row] < 0 && -this.#fades[row] + kFadeS <= until + 1e-3);
+    while (count < this.#vanishing.length && this.#vanishing[count].sinceS + kFadeS <= nowS) ++count;
+    const due = this.#vanishing.splice(0, count).filter(({ row, sinceS }) => this.#fades[row] === -sinceS);
     if (due.length === 0) return null;
     const rows = Uint32Array.from(due, ({ row }) => row);
     for (const row of rows) {

@@ -31,8 +31,10 @@ export class StreamLink {
     worker.onerror = died;
     worker.onmessageerror = died;
     worker.onmessage = ({ data }: MessageEvent<FromStreamWorker>) => {
-      if (data.kind === 'failed') died();
-      else {
+      if (data.kind === 'failed') {
+        console.warn(data.reason);
+        died();
+      } else {
         if (data.kind === 'connection' && data.state === 'open') this.#backoff.reset();
         this.onMessage(data);
       }

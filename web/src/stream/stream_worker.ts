@@ -72,7 +72,11 @@ class Stream {
   #hear(bytes: ArrayBuffer): void {
     const result = this.#follower.receive(bytes, performance.now());
     if (result === 'refused' && this.#warned++ < 10) console.warn(`a packet was refused: ${this.#follower.error}`);
-    if (result === 'out of memory') console.warn('the model does not fit into memory, and is asked for anew');
+    if (result === 'out of memory') {
+      scope.postMessage({ kind: 'failed', reason: 'the model did not fit into memory' });
+      scope.close(); // nothing more is shown of what is half gone
+      return;
+    }
     this.#speak();
     this.#publishSoon();
   }

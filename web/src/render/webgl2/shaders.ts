@@ -1,6 +1,7 @@
 // Quads that cover exactly what a Gaussian can reach: a square in the whitened plane, brought to pixels by the Cholesky
 // factor of the covariance. Any root of it would do; all have the same area.
-import { kBatch, kOrderWidth, kRowsWide } from './layout';
+import { kBatch } from '../quads';
+import { kOrderWidth, kRowsWide } from './layout';
 import { kFadeS } from '../renderer';
 
 export const kSplatVertex = `#version 300 es

@@ -1,8 +1,9 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
-import { blendedBackground, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import { batchIndices, kBatch } from '../quads';
+import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
-import { kBatch, kOrderWidth } from './layout';
+import { kOrderWidth } from './layout';
 import { RowStore } from './row_store';
 import { kResolveFragment, kResolveVertex, kSplatFragment, kSplatVertex } from './shaders';
 
@@ -55,10 +56,8 @@ export class WebGl2Renderer implements Renderer {
     this.#nothing = gl.createVertexArray();
     this.#quads = gl.createVertexArray();
     gl.bindVertexArray(this.#quads);
-    const corners = new Uint16Array(6 * kBatch);
-    for (let quad = 0; quad < kBatch; ++quad) corners.set([0, 1, 2, 2, 1, 3].map((corner) => 4 * quad + corner), 6 * quad);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, batchIndices(), gl.STATIC_DRAW);
     gl.bindVertexArray(null);
     this.#order = this.#makeOrder(8);
     this.#objects = this.#makeObjects(1);
@@ -100,9 +99,7 @@ export class WebGl2Renderer implements Renderer {
   }
 
   draw(frame: Frame): void {
-    const { width, height } = frame.view;
-    if (this.canvas.width !== width) this.canvas.width = width;
-    if (this.canvas.height !== height) this.canvas.height = height;
+    fitTo(frame.view, this.canvas);
     this.#drawTo(null, frame);
   }
 

@@ -1,9 +1,8 @@
 // Projection once a Gaussian in compute, a stable radix sort of the depths of what is seen, and quads from the results.
 // Nothing needs subgroups, nothing comes back to the page, and equal depths keep the order of rows in every frame.
+import { kBatch } from '../quads';
 import { kFadeS } from '../renderer';
 
-/** Quads of one instance. */
-export const kBatch = 128;
 /** Threads of every workgroup. */
 export const kThreads = 256;
 /** Keys that one workgroup sorts at a time: barriers cost more than keys do. */

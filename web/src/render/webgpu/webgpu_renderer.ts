@@ -1,9 +1,10 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
-import { blendedBackground, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import { batchIndices } from '../quads';
+import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
 import { DepthOrder, DepthPipelines } from './depth_order';
 import { bindGroup, RowBuffers } from './row_buffers';
-import { kBatch, kResolve, kSplats } from './shaders';
+import { kResolve, kSplats } from './shaders';
 
 const kViewBytes = 64;
 
@@ -49,10 +50,9 @@ export class WebGpuRenderer implements Renderer {
     this.#pipelines = new DepthPipelines(device);
     this.#view = device.createBuffer({ size: kViewBytes, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.#objects = this.#makeObjects(64);
-    const corners = new Uint16Array(6 * kBatch);
-    for (let quad = 0; quad < kBatch; ++quad) corners.set([0, 1, 2, 2, 1, 3].map((corner) => 4 * quad + corner), 6 * quad);
-    this.#quads = device.createBuffer({ size: corners.byteLength, usage: GPUBufferUsage.INDEX | GPUBufferUsage.COPY_DST });
-    device.queue.writeBuffer(this.#quads, 0, corners);
+    const indices = batchIndices();
+    this.#quads = device.createBuffer({ size: indices.byteLength, usage: GPUBufferUsage.INDEX | GPUBufferUsage.COPY_DST });
+    device.queue.writeBuffer(this.#quads, 0, indices);
     this.#splats = this.#makeSplats();
     this.#resolveModule = device.createShaderModule({ label: 'resolve', code: kResolve });
     this.#between = device.createSampler({ magFilter: 'linear', minFilter: 'linear' });
@@ -79,9 +79,7 @@ export class WebGpuRenderer implements Renderer {
   }
 
   draw(frame: Frame): void {
-    const { width, height } = frame.view;
-    if (this.canvas.width !== width) this.canvas.width = width;
-    if (this.canvas.height !== height) this.canvas.height = height;
+    fitTo(frame.view, this.canvas);
     const commands = this.device.createCommandEncoder();
     this.#encode(commands, frame, this.context.getCurrentTexture());
     this.device.queue.submit([commands.finish()]);
