@@ -72,7 +72,8 @@ class ConnectionGuard {
   void run(const std::stop_token& stop);
   void accept_events();
   void begin(int fd);
-  void sweep(std::int64_t now);
+  /// Looks at all of them. Returns the bytes that came, and were not taken, by the one of which there are the most.
+  std::uint64_t sweep(std::int64_t now);
   bool look(int fd, Connection& connection, std::int64_t now, std::string& why);
   void shut(int fd, Connection& connection, const std::string& why);
 

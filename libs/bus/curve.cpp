@@ -150,7 +150,7 @@ bool Authenticator::serve() {
   if (parts.size() == 7 && parts[0] == "1.0" && parts[5] == "CURVE" && parts[6].size() == key_bytes) {
     for (const char c : parts[6]) user += fmt::format("{:02x}", static_cast<std::uint8_t>(c));
     const auto needed = parse_rights(parts[2]);
-    const bool welcome = needed && needed->any() && allowed_->rights_of(user).include(*needed);
+    const bool welcome = needed && needed->any() && allowed_->rights_now(user).include(*needed);
     code = welcome ? "200" : "400";
     text = welcome ? "OK" : "not allowed";
   }

@@ -51,8 +51,8 @@ void use_keys(zmq::socket_t& socket, const ClientKeys& keys);
 /// not nothing. Without an Authenticator in the socket's context nobody gets in.
 void require_keys(zmq::socket_t& socket, const ServerKeys& keys, const Rights& needed);
 
-/// The ZAP handler of a ZeroMQ context: the allow-list decides at each handshake. Nobody gets in by another mechanism
-/// than CURVE. Make it before sockets bind; it goes before the context does.
+/// The ZAP handler of a ZeroMQ context: the allow-list, as it is then, decides at each handshake. Nobody gets in by
+/// another mechanism than CURVE. Make it before sockets bind; it goes before the context does.
 class Authenticator {
  public:
   Authenticator(zmq::context_t& context, std::shared_ptr<AllowList> allowed);

@@ -202,15 +202,23 @@ AllowList::AllowList(fs::path file) : file_(std::move(file)) {
 
 Rights AllowList::rights_of(const Key& public_key) {
   const std::scoped_lock lock(mutex_);
+  if (now_ns() - checked_ns_ >= check_every_ns) refresh();
+  return find(public_key);
+}
+
+Rights AllowList::rights_now(const Key& public_key) {
+  const std::scoped_lock lock(mutex_);
   refresh();
+  return find(public_key);
+}
+
+Rights AllowList::find(const Key& public_key) const {
   const auto found = rights_.find(public_key);
   return found == rights_.end() ? Rights() : found->second;
 }
 
 void AllowList::refresh() {
-  const std::int64_t now = now_ns();
-  if (checked_ns_ != 0 && now - checked_ns_ < check_every_ns) return;
-  checked_ns_ = now;
+  checked_ns_ = now_ns();
   struct stat status {};
   std::string stamp = "none";
   if (::lstat(file_.c_str(), &status) == 0) {

@@ -54,9 +54,14 @@ class AllowList {
  public:
   explicit AllowList(std::filesystem::path file);
 
+  /// By the file as it was at most 200 ms ago: for each message.
   [[nodiscard]] Rights rights_of(const Key& public_key);
 
+  /// By the file as it is: for who comes in, so that what was just allowed holds. Asks the file system each time.
+  [[nodiscard]] Rights rights_now(const Key& public_key);
+
  private:
+  [[nodiscard]] Rights find(const Key& public_key) const;
   void refresh();
 
   const std::filesystem::path file_;

@@ -19,6 +19,7 @@ struct PeerSocket {
   [[nodiscard]] static PeerSocket of(const zmq::message_t& frame);
   /// False once the peer has closed it, though libzmq may not have seen that yet.
   [[nodiscard]] bool is_open() const;
+  friend bool operator==(const PeerSocket&, const PeerSocket&) = default;
 };
 
 }  // namespace splatbus::bus

@@ -24,8 +24,8 @@ bool Sources::admit(std::string_view source, std::uint64_t epoch, const zmq::mes
     return false;
   }
   const auto found = owners_.find(source);
-  if (found != owners_.end() && found->second.socket.fd == bus::descriptor_of(frame)) return true;
   const Owner caller{bus::PeerSocket::of(frame), local};
+  if (found != owners_.end() && found->second.socket == caller.socket) return true;
   if (found == owners_.end()) {
     if (!make_room(caller.socket, why)) return false;
     owners_.emplace(source, caller);
@@ -46,9 +46,8 @@ bool Sources::speaks_here(std::string_view source) const {
 }
 
 bool Sources::make_room(const bus::PeerSocket& socket, std::string& why) {
-  const auto of_this = std::count_if(owners_.begin(), owners_.end(), [&](const auto& entry) {
-    return entry.second.socket.fd == socket.fd && entry.second.socket.cookie == socket.cookie;
-  });
+  const auto of_this =
+      std::count_if(owners_.begin(), owners_.end(), [&](const auto& entry) { return entry.second.socket == socket; });
   if (of_this >= max_of_a_connection) {
     why = "one connection calls itself by too many names";
     return false;

@@ -3,9 +3,7 @@
 // reads what it must not.
 #include <gtest/gtest.h>
 
-#include <array>
 #include <atomic>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -22,6 +20,7 @@
 #include "bus/inliner.h"
 #include "bus/slab_memory.h"
 #include "bus/subscriber.h"
+#include "mutate.h"
 #include "wire/capture_generated.h"
 #include "wire/engine_generated.h"
 #include "wire/model_generated.h"
@@ -39,39 +38,6 @@ std::string read_golden(const std::string& name) {
   std::ifstream file(path, std::ios::binary);
   EXPECT_TRUE(file) << path;
   return {std::istreambuf_iterator<char>(file), {}};
-}
-
-std::string mutate(std::string bytes, std::mt19937_64& random) {
-  const std::size_t changes = 1 + random() % 4;
-  for (std::size_t i = 0; i < changes && !bytes.empty(); ++i) {
-    const std::size_t at = random() % bytes.size();
-    switch (random() % 6) {
-      case 0:
-        bytes[at] = static_cast<char>(random());
-        break;
-      case 1:
-        bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
-        break;
-      case 2:
-        bytes.resize(at);
-        break;
-      case 3:
-        bytes.insert(at, random() % 64, static_cast<char>(random()));
-        break;
-      case 4: {  // an offset or a length of interest
-        constexpr std::array<std::uint32_t, 6> values{0, 1, 0x7fffffff, 0x80000000, 0xffffffff, 0xfffffff0};
-        const std::uint32_t value = values[random() % values.size()];
-        if (at + sizeof(value) <= bytes.size()) std::memcpy(bytes.data() + at, &value, sizeof(value));
-        break;
-      }
-      default: {
-        const std::size_t from = random() % bytes.size();
-        const std::size_t length = std::min({random() % 32, bytes.size() - at, bytes.size() - from});
-        std::memmove(bytes.data() + at, bytes.data() + from, length);
-      }
-    }
-  }
-  return bytes;
 }
 
 /// Receives mutated messages over a real socket.

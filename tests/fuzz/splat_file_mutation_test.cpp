@@ -3,15 +3,14 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <cstring>
 #include <fstream>
 #include <iterator>
 #include <random>
 #include <sstream>
 #include <string>
 
+#include "mutate.h"
 #include "splats/ply.h"
 #include "splats/spz.h"
 
@@ -19,38 +18,11 @@ namespace splatbus::splats {
 namespace {
 
 constexpr int kMutations = 4000;
+constexpr std::size_t kHeaderBytes = 130;  // of a .ply; it covers those of .spz
 
 std::string bytes_of(const std::string& name) {
   std::ifstream file(std::string(SPLATBUS_SOURCE_DIR "/tests/golden/splats/") + name, std::ios::binary);
   return {std::istreambuf_iterator<char>(file), {}};
-}
-
-std::string mutate(std::string bytes, std::mt19937_64& random) {
-  const std::size_t changes = 1 + random() % 3;
-  for (std::size_t i = 0; i < changes && !bytes.empty(); ++i) {
-    // Half of them where headers are.
-    const std::size_t at = random() % (random() % 2 == 0 ? bytes.size() : std::min<std::size_t>(bytes.size(), 130));
-    switch (random() % 5) {
-      case 0:
-        bytes[at] = static_cast<char>(random());
-        break;
-      case 1:
-        bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
-        break;
-      case 2:
-        bytes.resize(at);
-        break;
-      case 3:
-        bytes.insert(at, random() % 64, static_cast<char>(random()));
-        break;
-      default: {
-        constexpr std::array<std::uint32_t, 6> kValues{0, 1, 0x7fffffff, 0x80000000, 0xffffffff, 0xfffffff0};
-        const std::uint32_t value = kValues[random() % kValues.size()];
-        if (at + sizeof value <= bytes.size()) std::memcpy(bytes.data() + at, &value, sizeof value);
-      }
-    }
-  }
-  return bytes;
 }
 
 /// Whether it was read.
@@ -77,7 +49,7 @@ TEST(SplatFileMutation, IsReadOrRefused) {
     ASSERT_TRUE(survives(good)) << name;
     for (std::size_t size = 0; size < good.size(); size += 7) EXPECT_FALSE(survives(good.substr(0, size))) << name;
     int read = 0;
-    for (int i = 0; i < kMutations; ++i) read += survives(mutate(good, random)) ? 1 : 0;
+    for (int i = 0; i < kMutations; ++i) read += survives(fuzz::mutate(good, random, kHeaderBytes)) ? 1 : 0;
     EXPECT_GT(read, kMutations / 200) << name << ": nothing behind the header was reached";
     EXPECT_LT(read, kMutations) << name;
   }
@@ -96,7 +68,7 @@ TEST(SplatFileMutation, Version3IsReadOrRefusedBehindItsCompression) {
   std::mt19937_64 random(2027);
   std::string plain("NGSP\x03\x00\x00\x00\x04\x00\x00\x00\x01\x0C\x01\x00", 16);
   for (int i = 0; i < 4 * 29; ++i) plain += static_cast<char>(random());
-  for (int i = 0; i < kMutations; ++i) EXPECT_FALSE(survives(stored_gzip(mutate(plain, random))));
+  for (int i = 0; i < kMutations; ++i) EXPECT_FALSE(survives(stored_gzip(fuzz::mutate(plain, random, kHeaderBytes))));
 }
 
 }  // namespace

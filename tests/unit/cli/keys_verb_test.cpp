@@ -1,14 +1,13 @@
 #include <gmock/gmock.h>
 #include <sys/stat.h>
 
-#include <CLI/CLI.hpp>
-#include <algorithm>
 #include <fstream>
+#include <utility>
 
 #include "../bus/bus_fixture.h"
 #include "bus/error.h"
 #include "bus/keys.h"
-#include "verbs.h"
+#include "run_verb.h"
 
 namespace splatbus::cli {
 namespace {
@@ -18,20 +17,8 @@ using testing::HasSubstr;
 class KeysVerb : public testing::Test {
  protected:
   std::string run(std::vector<std::string> arguments) {
-    CLI::App app;
-    Action action;
-    add_keys_verb(app, action);
     arguments.insert(arguments.begin(), {"keys", "--folder", folder_});
-    std::reverse(arguments.begin(), arguments.end());
-    app.parse(arguments);
-    testing::internal::CaptureStdout();
-    try {
-      EXPECT_EQ(action(), 0);
-    } catch (...) {
-      static_cast<void>(testing::internal::GetCapturedStdout());
-      throw;
-    }
-    return testing::internal::GetCapturedStdout();
+    return run_verb(add_keys_verb, std::move(arguments));
   }
   [[nodiscard]] bus::Rights rights_of(const bus::Key& key) const {
     return bus::AllowList(folder_ + "/allowed").rights_of(key);

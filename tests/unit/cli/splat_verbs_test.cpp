@@ -1,8 +1,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <CLI/CLI.hpp>
-#include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <stdexcept>
@@ -11,30 +9,14 @@
 
 #include "../gaussians/random.h"
 #include "metrics/image_io.h"
+#include "run_verb.h"
 #include "splats/file.h"
-#include "verbs.h"
 
 namespace splatbus::cli {
 namespace {
 
 using ::testing::HasSubstr;
 using ::testing::ThrowsMessage;
-
-std::string run(void (*add)(CLI::App&, Action&), std::vector<std::string> arguments) {
-  CLI::App app;
-  Action action;
-  add(app, action);
-  std::reverse(arguments.begin(), arguments.end());
-  app.parse(arguments);
-  testing::internal::CaptureStdout();
-  try {
-    EXPECT_EQ(action(), 0);
-  } catch (...) {
-    static_cast<void>(testing::internal::GetCapturedStdout());
-    throw;
-  }
-  return testing::internal::GetCapturedStdout();
-}
 
 /// Red above, green to the right, for who looks along -z; our axes.
 class SplatVerbs : public testing::Test {
@@ -59,7 +41,7 @@ class SplatVerbs : public testing::Test {
     std::vector<std::string> arguments = {"view", file,        "--out", png,     "--width", "64",       "--height",
                                           "64",   "--backend", "cpu",   "--eye", "0,0,4",   "--target", "0,0,0"};
     arguments.insert(arguments.end(), more.begin(), more.end());
-    run(add_view_verb, arguments);
+    run_verb(add_view_verb, arguments);
     return metrics::read_png(png);
   }
 
@@ -84,19 +66,19 @@ TEST_F(SplatVerbs, ViewShowsAFileTheRightWayUp) {
 
 TEST_F(SplatVerbs, ExportConvertsFiles) {
   const std::string spz = folder_.file("model.spz"), kept = folder_.file("kept.ply");
-  EXPECT_THAT(run(add_export_verb, {"export", spz, "--from", path_, "--json"}), HasSubstr(R"("gaussians":2)"));
+  EXPECT_THAT(run_verb(add_export_verb, {"export", spz, "--from", path_, "--json"}), HasSubstr(R"("gaussians":2)"));
   EXPECT_GT(red(picture(spz), 32, 32 - kMetre_px), 150);
-  run(add_export_verb, {"export", kept, "--from", spz, "--axes", "keep"});
+  run_verb(add_export_verb, {"export", kept, "--from", spz, "--axes", "keep"});
   EXPECT_GT(red(picture(kept), 32, 32 - kMetre_px), 150);
   std::ifstream file(kept);
   EXPECT_THAT(std::string(std::istreambuf_iterator<char>(file), {}), HasSubstr("comment SplatAxes: y-up\n"));
-  run(add_export_verb, {"export", spz, "--from", path_, "--spz-version", "3"});
+  run_verb(add_export_verb, {"export", spz, "--from", path_, "--spz-version", "3"});
   EXPECT_EQ(std::ifstream(spz).get(), 0x1F);
 }
 
 TEST_F(SplatVerbs, ViewFindsAViewOfItsOwn) {
   const std::string png = folder_.file("picture.png");
-  run(add_view_verb, {"view", path_, "--out", png, "--width", "64", "--height", "64", "--backend", "cpu"});
+  run_verb(add_view_verb, {"view", path_, "--out", png, "--width", "64", "--height", "64", "--backend", "cpu"});
   const cv::Mat image = metrics::read_png(png);
   EXPECT_GT(cv::norm(image, cv::NORM_INF), 150) << "something is seen";
 }
@@ -104,12 +86,12 @@ TEST_F(SplatVerbs, ViewFindsAViewOfItsOwn) {
 TEST_F(SplatVerbs, WrongNamesAreRefusedBeforeAnybodyWaits) {
   EXPECT_THAT(
       [&] {
-        run(add_export_verb, {"export", "model.obj", "--timeout", "1000"});
+        run_verb(add_export_verb, {"export", "model.obj", "--timeout", "1000"});
       },
       ThrowsMessage<std::runtime_error>(HasSubstr("model.obj: .ply, .glb and .spz can be written")));
   EXPECT_THAT(
       [&] {
-        run(add_view_verb, {"view", "/no/such.ply", "--out", "x.png"});
+        run_verb(add_view_verb, {"view", "/no/such.ply", "--out", "x.png"});
       },
       ThrowsMessage<std::runtime_error>(HasSubstr("/no/such.ply: cannot be opened")));
 }

@@ -1,139 +1,21 @@
 #include "supervisor.h"
 
 #include <gmock/gmock.h>
-#include <gtest/gtest.h>
 #include <sys/resource.h>
+#include <unistd.h>
 
-#include <algorithm>
-#include <atomic>
-#include <chrono>
-#include <condition_variable>
 #include <csignal>
-#include <filesystem>
-#include <map>
-#include <memory>
-#include <thread>
-#include <zmq.hpp>
+#include <string>
+#include <vector>
 
-#include "bus/broker.h"
-#include "bus/publisher.h"
-#include "wire/system_generated.h"
+#include "bus/file_descriptor.h"
+#include "supervisor_fixture.h"
 
 namespace splatbus::cli {
 namespace {
 
-using namespace std::chrono_literals;
 using testing::ElementsAre;
 using testing::HasSubstr;
-
-constexpr auto kPatience = 60s;
-
-ProcessPlan shell(const std::string& name, const std::string& script, std::vector<std::size_t> after = {}) {
-  ProcessPlan plan;
-  plan.name = name;
-  plan.program = "/bin/sh";
-  plan.arguments = {"-c", script};
-  plan.after = std::move(after);
-  plan.heartbeat_timeout_s = 0;
-  return plan;
-}
-
-/// Runs a plan on a thread, on a bus with an in-process broker, and remembers what was said.
-class SupervisorTest : public testing::Test {
- protected:
-  SupervisorTest() {
-    std::string path = (std::filesystem::temp_directory_path() / "splatbus-supervisor-XXXXXX").string();
-    folder_ = mkdtemp(path.data());
-    broker_.emplace(bus_service::BrokerOptions{.address = bus::Address::parse("ipc://" + folder_)});
-    broker_->start();
-  }
-  ~SupervisorTest() override {
-    stop();
-    supervisor_.reset();
-    broker_.reset();
-    std::filesystem::remove_all(folder_);
-  }
-
-  void launch(std::vector<ProcessPlan> processes) {
-    LaunchPlan plan{bus::Address::parse("ipc://" + folder_), std::move(processes)};
-    supervisor_.emplace(
-        plan,
-        [this](const std::string& process, const std::string& line, bool own) {
-          const std::scoped_lock lock(mutex_);
-          lines_.push_back(process + (own ? " * " : " | ") + line);
-          changed_.notify_all();
-        },
-        [this] {
-          ++clock_reads_;
-          return clock_stopped_ ? stopped_at_ns_.load() : bus::now_ns();
-        });
-    thread_ = std::jthread([this] { success_ = supervisor_->run(stop_.get_token(), kill_.get_token()); });
-  }
-
-  void stop() {
-    stop_.request_stop();
-    wait_for_end();
-  }
-  void wait_for_end() {
-    if (thread_.joinable()) thread_.join();
-  }
-
-  [[nodiscard]] bool wait_for_line(const std::string& text, std::size_t times = 1) {
-    std::unique_lock lock(mutex_);
-    return changed_.wait_for(lock, kPatience, [&] {
-      return static_cast<std::size_t>(std::count_if(lines_.begin(), lines_.end(), [&](const std::string& line) {
-               return line.find(text) != std::string::npos;
-             })) >= times;
-    });
-  }
-
-  [[nodiscard]] std::vector<std::string> lines() {
-    const std::scoped_lock lock(mutex_);
-    return lines_;
-  }
-
-  [[nodiscard]] ProcessStatus status(const std::string& name) const {
-    for (const ProcessStatus& status : supervisor_->status()) {
-      if (status.name == name) return status;
-    }
-    return {};
-  }
-
-  [[nodiscard]] bool wait_for_state(const std::string& name, ProcessState state) const {
-    const auto end = std::chrono::steady_clock::now() + kPatience;
-    while (status(name).state != state) {
-      if (std::chrono::steady_clock::now() > end) return false;
-      std::this_thread::yield();
-    }
-    return true;
-  }
-
-  /// The supervisor's clock stands still, but for pass(). Before launch().
-  void stop_clock() {
-    stopped_at_ns_ = bus::now_ns();
-    clock_stopped_ = true;
-  }
-  /// Moves a clock that was stopped, and returns when the supervisor has judged everything by the new time.
-  void pass(double seconds) {
-    stopped_at_ns_ += static_cast<std::int64_t>(seconds * 1e9);
-    constexpr std::uint64_t kReadsInTwoRounds = 6;  // at least two are in each
-    const std::uint64_t enough = clock_reads_ + kReadsInTwoRounds;
-    while (clock_reads_ < enough) std::this_thread::yield();
-  }
-
-  std::string folder_;
-  std::optional<bus_service::Broker> broker_;
-  std::atomic<bool> clock_stopped_ = false;
-  std::atomic<std::int64_t> stopped_at_ns_ = 0;
-  std::atomic<std::uint64_t> clock_reads_ = 0;
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  std::vector<std::string> lines_;
-  std::optional<Supervisor> supervisor_;
-  std::stop_source stop_, kill_;
-  std::atomic<bool> success_ = false;
-  std::jthread thread_;
-};
 
 TEST_F(SupervisorTest, EndsWhenAllHaveEnded) {
   launch({shell("a", "echo hello"), shell("b", "exit 0")});
@@ -273,140 +155,6 @@ TEST_F(SupervisorTest, WhatCannotBeStartedForWantOfDescriptorsIsTriedAgain) {
   EXPECT_TRUE(tried);
   EXPECT_TRUE(wait_for_line("a * started", 2));
   EXPECT_FALSE(supervisor_->failure().has_value());
-}
-
-/// Sends heartbeats as if it were the processes, by a clock that stands still.
-class HeartbeatTest : public SupervisorTest {
- protected:
-  HeartbeatTest() { stop_clock(); }
-
-  /// A heartbeat of `source`, of a process `pid` as it says.
-  void beat(const std::string& source, pid_t pid) {
-    auto found = publishers_.find(source);
-    if (found == publishers_.end()) {
-      const auto context = bus::Context::create(bus::Address::parse("ipc://" + folder_), source);
-      found = publishers_.emplace(source, std::make_unique<bus::Publisher>(context)).first;
-    }
-    found->second->publish(Topic<wire::Heartbeat>{"sys/heartbeat"}, [&](auto& builder, auto header) {
-      const std::vector counters{wire::CreateCounterDirect(builder, "frames", 42.0)};
-      return wire::CreateHeartbeatDirect(builder, header, "fake", static_cast<std::uint32_t>(pid),
-                                         wire::ServiceState::Running, "fine", &counters);
-    });
-  }
-
-  /// Until `condition` holds, `source` sending the heartbeats of process `name` all the while when that runs.
-  template <class Condition>
-  [[nodiscard]] bool beat_until(const std::string& source, const std::string& name, Condition condition) {
-    const auto end = std::chrono::steady_clock::now() + kPatience;
-    while (!condition()) {
-      if (std::chrono::steady_clock::now() > end) return false;
-      if (const pid_t pid = status(name).pid; pid != 0) beat(source, pid);
-      pass(0);
-    }
-    return true;
-  }
-
-  [[nodiscard]] bool was_said(const std::string& line) {
-    const auto said = lines();
-    return std::find(said.begin(), said.end(), line) != said.end();
-  }
-
-  static ProcessPlan beating(const std::string& name, std::vector<std::size_t> after = {}) {
-    ProcessPlan plan = shell(name, "exec sleep 100", std::move(after));
-    plan.heartbeat_timeout_s = 2;
-    return plan;
-  }
-
-  std::map<std::string, std::unique_ptr<bus::Publisher>> publishers_;
-};
-
-TEST_F(HeartbeatTest, ReadyWithTheFirstHeartbeatAndThenOthersStart) {
-  launch({beating("a"), shell("b", "exec sleep 100", {0})});
-  ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
-  EXPECT_EQ(status("b").state, ProcessState::Waiting);
-  ASSERT_TRUE(beat_until("a", "a", [&] { return status("b").state == ProcessState::Running; }));
-  EXPECT_EQ(status("a").state, ProcessState::Running);
-  EXPECT_EQ(status("a").detail, "fine");
-  EXPECT_EQ(status("a").counters.at("frames"), 42.0);
-}
-
-TEST_F(HeartbeatTest, SilentProcessIsKilledAndStartedAgain) {
-  launch({beating("a")});
-  ASSERT_TRUE(beat_until("a", "a", [&] { return status("a").state == ProcessState::Running; }));
-  pass(1.9);
-  EXPECT_EQ(status("a").state, ProcessState::Running);
-  pass(0.2);
-  EXPECT_TRUE(wait_for_line("a * no heartbeat for 2 s, killing it"));
-  EXPECT_TRUE(wait_for_line("a * killed by signal 9"));
-  ASSERT_TRUE(wait_for_state("a", ProcessState::BackOff));
-  pass(0.2);
-  EXPECT_TRUE(wait_for_line("a * started", 2));
-}
-
-TEST_F(HeartbeatTest, NobodyElseSpeaksForASilentProcess) {
-  launch({beating("a")});
-  ASSERT_TRUE(beat_until("a", "a", [&] { return status("a").state == ProcessState::Running; }));
-  // A process of another machine that happens to have the same id goes on.
-  EXPECT_TRUE(beat_until("remote", "a", [&] {
-    pass(0.25);
-    return was_said("a * no heartbeat for 2 s, killing it");
-  }));
-}
-
-TEST_F(HeartbeatTest, EarlierLifeDoesNotMakeReady) {
-  launch({beating("a"), shell("b", "exec sleep 100", {0})});
-  ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
-  const pid_t earlier = status("a").pid + 1;
-  for (int i = 0; i < 20; ++i) {
-    beat("a", earlier);
-    pass(0);
-  }
-  EXPECT_EQ(status("a").state, ProcessState::Starting);
-}
-
-TEST_F(HeartbeatTest, NeverReadyIsKilledToo) {
-  ProcessPlan plan = beating("a");
-  plan.start_timeout_s = 0.2;
-  launch({plan});
-  ASSERT_TRUE(wait_for_state("a", ProcessState::Starting));
-  pass(0.3);
-  EXPECT_TRUE(wait_for_line("a * no heartbeat for 0.2 s, killing it"));
-}
-
-/// A broker that believes whoever calls himself "bus".
-class CredulousBroker {
- public:
-  explicit CredulousBroker(const bus::Address& address) {
-    from_publishers_.bind(address.publish_endpoint());
-    to_subscribers_.bind(address.subscribe_endpoint());
-    thread_ = std::thread([this] { zmq_proxy(from_publishers_.handle(), to_subscribers_.handle(), nullptr); });
-  }
-  ~CredulousBroker() {
-    context_.shutdown();
-    thread_.join();
-  }
-  CredulousBroker(const CredulousBroker&) = delete;
-  CredulousBroker& operator=(const CredulousBroker&) = delete;
-
- private:
-  zmq::context_t context_;
-  zmq::socket_t from_publishers_{context_, zmq::socket_type::xsub}, to_subscribers_{context_, zmq::socket_type::xpub};
-  std::thread thread_;
-};
-
-TEST_F(HeartbeatTest, SilenceIsForgivenWhileTheBrokerIsSilent) {
-  broker_.reset();
-  const CredulousBroker credulous(bus::Address::parse("ipc://" + folder_));
-  ProcessPlan broker = beating("the-broker");
-  broker.broker = true;
-  broker.heartbeat_timeout_s = 1000;
-  launch({broker, beating("a", {0})});
-  ASSERT_TRUE(beat_until("bus", "the-broker", [&] { return status("a").state == ProcessState::Starting; }));
-  ASSERT_TRUE(beat_until("a", "a", [&] { return status("a").state == ProcessState::Running; }));
-  // Nobody beats for longer than is allowed, and nobody is killed; then only the broker beats.
-  pass(3);
-  EXPECT_FALSE(was_said("a * no heartbeat for 2 s, killing it"));
-  EXPECT_TRUE(beat_until("bus", "the-broker", [&] { return was_said("a * no heartbeat for 2 s, killing it"); }));
 }
 
 }  // namespace

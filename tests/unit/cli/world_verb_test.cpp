@@ -1,9 +1,9 @@
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "../world/world_fixture.h"
+#include "run_verb.h"
 #include "splats/file.h"
-#include "verbs.h"
 
 namespace splatbus::cli {
 namespace {
@@ -23,21 +23,8 @@ class WorldVerbTest : public world::WorldTest {
   }
 
   nlohmann::json run(std::vector<std::string> arguments) {
-    CLI::App app;
-    Action action;
-    add_world_verb(app, action);
     arguments.insert(arguments.begin(), "world");
-    std::reverse(arguments.begin(), arguments.end());
-    app.parse(arguments);
-    testing::internal::CaptureStdout();
-    try {
-      EXPECT_EQ(action(), 0);
-    } catch (...) {
-      static_cast<void>(testing::internal::GetCapturedStdout());
-      throw;
-    }
-    const std::string output = testing::internal::GetCapturedStdout();
-    return nlohmann::json::parse(output);
+    return nlohmann::json::parse(run_verb(add_world_verb, std::move(arguments)));
   }
 };
 
