@@ -183,7 +183,9 @@ void SlabRegistry::collect() {
       if (source_of(name) == source->first && !by_id_.at(id)->descriptor().kept) names.push_back(name);
     }
     for (const auto& name : names) remove(name);
-    if (!names.empty()) spdlog::info("dropped {} slabs of {}, which is gone", names.size(), source->first);
+    if (!names.empty() && limiter_.allow()) {
+      spdlog::info("dropped {} slabs of {}, which is gone", names.size(), bus::printable(source->first));
+    }
     source = abandoned_ns_.erase(source);
   }
 }
