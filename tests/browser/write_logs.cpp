@@ -1,4 +1,5 @@
-// What a viewer in a browser has to make of a stream: writes FOLDER/long.log and short.log (stream/packet_log.h), the
+// What a viewer in a browser has to make of a stream: writes FOLDER/long.log, short.log and radiance.log, whose colours
+// depend on where one looks from (stream/packet_log.h), the
 // hash of what is held after each message (.hashes, a line each), and of the long one the rows that a GPU would have at
 // its end (.rows: for each a record of 32 bytes).
 #include <fmt/format.h>
@@ -84,8 +85,8 @@ Light light_at(float turn) {
   return light;
 }
 
-void write(Writer& writer, std::size_t gaussians, int ticks) {
-  ToyServer server(21, gaussians);
+void write(Writer& writer, std::size_t gaussians, int ticks, Appearance appearance = Appearance::Transfer) {
+  ToyServer server(21, gaussians, appearance);
   server.scene.objects[7] = ObjectTransform(Rigid{.translation = {0, 1, 0}});
   server.scene.light = light_at(0);
   server.change_scene();
@@ -116,6 +117,8 @@ int main(int argc, char** argv) {
   Writer longer((folder / "long").string());
   write(longer, 20'000, 12);
   longer.write_rows();
+  Writer radiant((folder / "radiance").string());
+  write(radiant, 8'000, 6, Appearance::Radiance);
   Writer shorter((folder / "short").string());
   write(shorter, 60, 8);
   return testing::Test::HasFailure() ? 1 : 0;

@@ -1,11 +1,14 @@
 import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
+import { kTurnSpeed } from './camera/keys';
 import { Rig, viewOf } from './camera/rig';
-import { Flight, postFigures } from './bench';
+import { BenchRun } from './bench';
+import { Comparison } from './compare/comparison';
+import { downloadModel, rightsHere, type ModelFile } from './download';
 import type { View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
-import type { Frame } from './render/renderer';
+import type { EyeRenderer, Frame } from './render/renderer';
 import { savePng } from './snapshot';
 import { Stage } from './stage';
 import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
@@ -15,6 +18,7 @@ import { make, button } from './ui/dom';
 import { Menu } from './ui/menu';
 import { Notice, Overlay } from './ui/overlay';
 import { keepSettings, kBackgrounds, kResolutions, type Settings } from './ui/settings';
+import { canImmerse, Immersion } from './xr/immersion';
 
 const kPoseEveryMs = 50;
 const kAddressEveryMs = 500;
@@ -29,6 +33,9 @@ export interface ViewerOptions {
   /** Seconds of a flight that is measured; 0: none. */
   readonly bench: number;
 }
+
+const poseFloats = ({ viewFromWorld, fx, fy, cx, cy, width, height }: View): Float32Array<ArrayBuffer> =>
+  new Float32Array([...viewFromWorld, fx, fy, cx, cy, width, height]);
 
 /** The page: stream, picture, camera, figures and menu. */
 export class Viewer {
@@ -60,9 +67,9 @@ export class Viewer {
   #rested = true;
   #redraw = true;
   #framed = false;
-  #flight: Flight | null = null;
-  #benchAsked: boolean;
-  #benchDue = false;
+  readonly #bench: BenchRun;
+  readonly comparison: Comparison;
+  immersion: Immersion | null = null;
   /** Pictures drawn since the page was opened. */
   frames = 0;
 
@@ -70,7 +77,15 @@ export class Viewer {
     root: HTMLElement,
     private readonly options: ViewerOptions,
   ) {
-    this.#benchAsked = options.bench > 0;
+    this.#bench = new BenchRun(options.bench, options.token);
+    this.comparison = new Comparison({
+      ask: (probeId, view) => {
+        const floats = poseFloats(view);
+        this.link.send({ kind: 'probe', probeId, floats }, [floats.buffer]);
+      },
+      capture: (view, transforms) => this.stage.capture(this.#frameOfProbe(view, transforms)),
+      notice: (text) => this.#notice.pass(text),
+    });
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
     this.stage = new Stage(
@@ -91,10 +106,14 @@ export class Viewer {
       snapshot: () => void this.#saveSnapshot(),
       share: () => void this.#share(),
       figures: () => this.#overlay.toggle(),
+      compare: () => void this.#compare(),
+      immerse: () => void this.#immerse(),
+      download: (kind) => void this.#download(kind),
       changed: () => this.#settingsChanged(),
     });
     const bar = make('div', { class: 'bar' }, button(texts.menu, () => this.#menu.toggle()));
-    root.append(this.stage.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
+    void canImmerse().then((can) => can && this.#menu.offerImmersion());
+    root.append(this.stage.element, this.comparison.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
     addEventListener('keydown', (event) => this.#key(event));
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
@@ -106,7 +125,7 @@ export class Viewer {
     this.stage.element.focus({ preventScroll: true });
     const tick = (nowMs: number): void => {
       requestAnimationFrame(tick);
-      this.#tick(nowMs);
+      if (!this.immersion) this.#tick(nowMs);
     };
     requestAnimationFrame(tick);
   }
@@ -125,7 +144,11 @@ export class Viewer {
     this.#lastMs = nowMs;
     this.#controls.advance(seconds);
     if (this.rig.goal !== this.#goal) this.#steered = true;
-    this.#fly(nowMs);
+    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
+    if (flown) {
+      this.rig.jump(flown);
+      this.#movedMs = nowMs;
+    }
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
@@ -133,11 +156,12 @@ export class Viewer {
     const view = this.#view();
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
+    this.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
     if (nowMs - this.#figuresMs > kFiguresEveryMs) {
       this.#figuresMs = nowMs;
       this.#showFigures(nowMs);
     }
-    if (this.#steered && !this.#flight && nowMs - this.#addressMs > kAddressEveryMs && nowMs - this.#movedMs > kSettleMs) {
+    if (this.#steered && !this.#bench.flying && nowMs - this.#addressMs > kAddressEveryMs && nowMs - this.#movedMs > kSettleMs) {
       this.#addressMs = nowMs;
       const address = addressWith(new URL(location.href), this.rig.goal);
       if (address !== location.href) history.replaceState(null, '', address);
@@ -194,7 +218,7 @@ export class Viewer {
     }
     if (nowMs - this.#poseMs < kPoseEveryMs) return;
     this.#poseMs = nowMs;
-    const floats = new Float32Array([...viewFromWorld, view.fx, view.fy, view.cx, view.cy, view.width, view.height]);
+    const floats = poseFloats(view);
     this.link.send({ kind: 'pose', floats }, [floats.buffer]);
   }
 
@@ -203,14 +227,15 @@ export class Viewer {
       this.figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
       const unframed = !this.#framed && !this.#steered;
-      if (message.figures.gaussians > 0 && (unframed || (this.#benchAsked && this.stage.standing))) {
+      if (message.figures.gaussians > 0 && (unframed || (this.#bench.asked && this.stage.standing))) {
         this.#framed = true;
-        this.#benchDue = this.#benchAsked;
-        this.#benchAsked = false;
+        this.#bench.prepare();
         this.frameAll();
       }
     } else if (message.kind === 'bounds') {
       this.#showAll(message.centre, message.radius);
+    } else if (message.kind === 'picture') {
+      void this.comparison.hear(message.picture);
     } else if (message.kind === 'connection') {
       this.connection = message.state;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
@@ -218,34 +243,16 @@ export class Viewer {
   }
 
   #showAll(centre: [number, number, number], radius: number): void {
-    if (this.#benchDue) {
-      this.#benchDue = false;
-      this.#flight = new Flight(centre, radius, this.options.bench);
-    }
+    this.#bench.around(centre, radius);
     const { clientWidth, clientHeight } = this.stage.element;
     this.rig.frame(centre, radius, clientWidth, clientHeight);
     if (!this.stage.standing) this.rig.jump(this.rig.goal);
     if (!this.#steered) this.#goal = this.rig.goal;
   }
 
-  #fly(nowMs: number): void {
-    if (!this.#flight) return;
-    const pose = this.#flight.at(nowMs / 1000);
-    if (pose) {
-      this.rig.jump(pose);
-      this.#movedMs = nowMs;
-      return;
-    }
-    const flown = this.#flight;
-    this.#flight = null;
-    void this.#report(flown);
-  }
-
-  async #report(flight: Flight): Promise<void> {
-    const figures = flight.figures();
+  #benchContext(): object {
     const { width, height } = this.#view();
-    const report = {
-      ...figures,
+    return {
       api: this.stage.renderer?.api ?? 'none',
       width,
       height,
@@ -254,11 +261,7 @@ export class Viewer {
       sortMs: this.stage.sortMs,
       browser: navigator.userAgent,
     };
-    const posted = await postFigures(report, this.options.token);
-    document.body.dataset.bench = JSON.stringify(report);
-    this.#benchText = `${texts.benchDone(figures.framesPerSecond, figures.medianMs)} ${posted ? texts.benchPosted : texts.benchKept}`;
   }
-  #benchText = '';
 
   #showFigures(nowMs: number): void {
     const figures = this.figures;
@@ -284,9 +287,64 @@ export class Viewer {
     const problem =
       this.#graphics ||
       (this.#retryAtMs > 0 ? texts.reconnecting(waiting) : '') ||
-      (this.#flight ? texts.benchRunning(this.#flight.part(nowMs / 1000)) : this.#benchText) ||
+      this.#bench.text(nowMs / 1000) ||
       (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);
+  }
+
+  #frameOfProbe(view: View, transforms: Float32Array): Frame {
+    const now = performance.now();
+    const { scene } = this.stage;
+    const then = scene.transforms.slice(); // with objects that have come since
+    then.set(transforms.subarray(0, then.length));
+    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: now / 1000 };
+  }
+
+  async #compare(): Promise<void> {
+    if (!this.comparison.on && !(await rightsHere(this.options.token)).split(',').includes('probe')) {
+      this.#notice.pass(texts.compareForbidden);
+    } else {
+      this.comparison.toggle();
+      this.#menu.element.close();
+    }
+  }
+
+  async #download(kind: ModelFile): Promise<void> {
+    this.#notice.pass(texts.downloading);
+    if (!(await downloadModel(kind, this.options.token))) this.#notice.pass(texts.downloadFailed);
+  }
+
+  async #immerse(): Promise<void> {
+    const renderer = async (): Promise<EyeRenderer> => {
+      const found = await this.stage.use('webgl2');
+      if (!found || !('drawEyes' in found)) throw new Error('WebGL2 is not available');
+      return found as EyeRenderer;
+    };
+    try {
+      this.immersion = await Immersion.start(renderer, {
+        pose: () => this.rig.shown,
+        steer: (motion, turn, seconds) => {
+          this.rig.fly(motion, seconds);
+          this.rig.look(turn * kTurnSpeed * seconds, 0);
+          this.rig.jump(this.rig.goal); // a head is not to be moved on of its own accord
+        },
+        frame: (nowMs, head) => {
+          this.stage.take(nowMs);
+          this.#announce(head, nowMs);
+        },
+        draw: (target, eyes, nowMs) => {
+          const drawing = this.stage.renderer;
+          if (drawing && 'drawEyes' in drawing) (drawing as EyeRenderer).drawEyes(target, eyes, this.#frame(eyes[0].view, 1, nowMs));
+          ++this.frames;
+        },
+        ended: () => {
+          this.immersion = null;
+          this.#redraw = true;
+        },
+      });
+    } catch (error) {
+      this.#notice.pass(texts.immersionFailed(error instanceof Error ? error.message : String(error)));
+    }
   }
 
   #settingsChanged(): void {
@@ -315,12 +373,14 @@ export class Viewer {
   #key(event: KeyboardEvent): void {
     if (event.code === 'Escape') this.#menu.element.close();
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
+    if (event.target instanceof HTMLInputElement && event.code.startsWith('Arrow')) return;
     if (this.#controls.keys.press(event.code)) {
       event.preventDefault();
       return;
     }
     if (event.repeat) return;
     const actions: Readonly<Record<string, () => void>> = {
+      KeyC: () => void this.#compare(),
       KeyF: () => this.frameAll(),
       KeyI: () => this.#overlay.toggle(),
       KeyM: () => this.#menu.toggle(),

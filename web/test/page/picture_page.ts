@@ -49,7 +49,8 @@ function messagesOf(log: ArrayBuffer): ArrayBuffer[] {
 
 function takeRows(follower: Follower, renderer: Renderer, sorter: Sorter): void {
   const changed = follower.takeChanges(1 << 22);
-  renderer.apply({ rows: changed.rows.slice(), records: changed.records.slice(), fades: new Float32Array(changed.rows.length) });
+  const harmonics = changed.harmonics && { words: changed.harmonics.words, values: changed.harmonics.values.slice() };
+  renderer.apply({ rows: changed.rows.slice(), records: changed.records.slice(), fades: new Float32Array(changed.rows.length), harmonics });
   sorter.update(follower.rowCapacity, changed.rows.slice(), changed.records.slice());
   const colors = follower.takeColors(1 << 22);
   renderer.recolor({ rows: colors.rows.slice(), colors: colors.colors.slice() });
