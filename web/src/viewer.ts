@@ -72,6 +72,8 @@ export class Viewer {
   immersion: Immersion | null = null;
   /** Pictures drawn since the page was opened. */
   frames = 0;
+  /** When the first was drawn that shows something, after the page was opened; 0: not yet. */
+  firstPictureMs = 0;
 
   constructor(
     root: HTMLElement,
@@ -193,6 +195,7 @@ export class Viewer {
     this.#rested = settled;
     this.stage.draw(this.#frame(view, resolution, nowMs), settled);
     ++this.frames;
+    if (this.firstPictureMs === 0 && this.stage.standing) this.firstPictureMs = performance.now();
     if (moving) this.#pace.drawn(nowMs);
     else this.#pace.rest();
   }

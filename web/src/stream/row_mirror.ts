@@ -72,6 +72,10 @@ export class RowMirror {
     return { ...this.#nothing(rows.length), rows };
   }
 
+  get bytes(): number {
+    return this.#records.byteLength + this.#harmonics.byteLength + this.#fades.byteLength;
+  }
+
   /** Every row that is not free. */
   everything(): RowUpdate {
     const rows: number[] = [];
