@@ -1,15 +1,12 @@
 import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
-import { kTurnSpeed } from './camera/keys';
 import { Rig, viewOf } from './camera/rig';
 import { BenchRun } from './bench';
-import { Comparison } from './compare/comparison';
-import { downloadModel, rightsHere, type ModelFile } from './download';
-import type { View } from './math';
+import { Extras } from './extras';
+import { poseFloats, type View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
-import type { EyeRenderer, Frame } from './render/renderer';
-import { savePng } from './snapshot';
+import type { Frame } from './render/renderer';
 import { Stage } from './stage';
 import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
@@ -18,7 +15,7 @@ import { make, button } from './ui/dom';
 import { Menu } from './ui/menu';
 import { Notice, Overlay } from './ui/overlay';
 import { keepSettings, kBackgrounds, kResolutions, type Settings } from './ui/settings';
-import { canImmerse, Immersion } from './xr/immersion';
+import { canImmerse } from './xr/immersion';
 
 const kPoseEveryMs = 50;
 const kAddressEveryMs = 500;
@@ -33,9 +30,6 @@ export interface ViewerOptions {
   /** Seconds of a flight that is measured; 0: none. */
   readonly bench: number;
 }
-
-const poseFloats = ({ viewFromWorld, fx, fy, cx, cy, width, height }: View): Float32Array<ArrayBuffer> =>
-  new Float32Array([...viewFromWorld, fx, fy, cx, cy, width, height]);
 
 /** The page: stream, picture, camera, figures and menu. */
 export class Viewer {
@@ -68,8 +62,7 @@ export class Viewer {
   #redraw = true;
   #framed = false;
   readonly #bench: BenchRun;
-  readonly comparison: Comparison;
-  immersion: Immersion | null = null;
+  readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
   frames = 0;
   /** When the first was drawn that shows something, after the page was opened; 0: not yet. */
@@ -80,14 +73,6 @@ export class Viewer {
     private readonly options: ViewerOptions,
   ) {
     this.#bench = new BenchRun(options.bench, options.token);
-    this.comparison = new Comparison({
-      ask: (probeId, view) => {
-        const floats = poseFloats(view);
-        this.link.send({ kind: 'probe', probeId, floats }, [floats.buffer]);
-      },
-      capture: (view, transforms) => this.stage.capture(this.#frameOfProbe(view, transforms)),
-      notice: (text) => this.#notice.pass(text),
-    });
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
     this.stage = new Stage(
@@ -99,23 +84,31 @@ export class Viewer {
         this.#redraw = true;
       },
     );
+    this.extras = new Extras(this.stage, this.rig, this.link, options.token, {
+      view: () => this.#view(),
+      frame: (shown, resolution, nowMs) => this.#frame(shown, resolution, nowMs),
+      announce: (shown, nowMs) => this.#announce(shown, nowMs),
+      drawn: () => ++this.frames,
+      redraw: () => (this.#redraw = true),
+      notice: (text) => this.#notice.pass(text),
+    });
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
     this.#controls.onFrameAll = () => this.frameAll();
     this.#menu = new Menu(options.settings, {
       frameAll: () => this.frameAll(),
-      fullScreen: () => this.#toggleFullScreen(),
-      snapshot: () => void this.#saveSnapshot(),
-      share: () => void this.#share(),
+      fullScreen: () => this.extras.toggleFullScreen(),
+      snapshot: () => void this.extras.saveSnapshot(),
+      share: () => void this.extras.share(),
       figures: () => this.#overlay.toggle(),
-      compare: () => void this.#compare(),
-      immerse: () => void this.#immerse(),
-      download: (kind) => void this.#download(kind),
+      compare: () => this.#compare(),
+      immerse: () => void this.extras.immerse(),
+      download: (kind) => void this.extras.download(kind),
       changed: () => this.#settingsChanged(),
     });
     const bar = make('div', { class: 'bar' }, button(texts.menu, () => this.#menu.toggle()));
     void canImmerse().then((can) => can && this.#menu.offerImmersion());
-    root.append(this.stage.element, this.comparison.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
+    root.append(this.stage.element, this.extras.comparison.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
     addEventListener('keydown', (event) => this.#key(event));
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
@@ -127,7 +120,7 @@ export class Viewer {
     this.stage.element.focus({ preventScroll: true });
     const tick = (nowMs: number): void => {
       requestAnimationFrame(tick);
-      if (!this.immersion) this.#tick(nowMs);
+      if (!this.extras.immersion) this.#tick(nowMs);
     };
     requestAnimationFrame(tick);
   }
@@ -158,7 +151,7 @@ export class Viewer {
     const view = this.#view();
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
-    this.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
+    this.extras.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
     if (nowMs - this.#figuresMs > kFiguresEveryMs) {
       this.#figuresMs = nowMs;
       this.#showFigures(nowMs);
@@ -238,7 +231,7 @@ export class Viewer {
     } else if (message.kind === 'bounds') {
       this.#showAll(message.centre, message.radius);
     } else if (message.kind === 'picture') {
-      void this.comparison.hear(message.picture);
+      void this.extras.comparison.hear(message.picture);
     } else if (message.kind === 'connection') {
       this.connection = message.state;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
@@ -295,82 +288,15 @@ export class Viewer {
     this.#notice.keep(problem);
   }
 
-  #frameOfProbe(view: View, transforms: Float32Array): Frame {
-    const now = performance.now();
-    const { scene } = this.stage;
-    const then = scene.transforms.slice(); // with objects that have come since
-    then.set(transforms.subarray(0, then.length));
-    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: now / 1000 };
-  }
-
-  async #compare(): Promise<void> {
-    if (!this.comparison.on && !(await rightsHere(this.options.token)).split(',').includes('probe')) {
-      this.#notice.pass(texts.compareForbidden);
-    } else {
-      this.comparison.toggle();
-      this.#menu.element.close();
-    }
-  }
-
-  async #download(kind: ModelFile): Promise<void> {
-    this.#notice.pass(texts.downloading);
-    if (!(await downloadModel(kind, this.options.token))) this.#notice.pass(texts.downloadFailed);
-  }
-
-  async #immerse(): Promise<void> {
-    const renderer = async (): Promise<EyeRenderer> => {
-      const found = await this.stage.use('webgl2');
-      if (!found || !('drawEyes' in found)) throw new Error('WebGL2 is not available');
-      return found as EyeRenderer;
-    };
-    try {
-      this.immersion = await Immersion.start(renderer, {
-        pose: () => this.rig.shown,
-        steer: (motion, turn, seconds) => {
-          this.rig.fly(motion, seconds);
-          this.rig.look(turn * kTurnSpeed * seconds, 0);
-          this.rig.jump(this.rig.goal); // a head is not to be moved on of its own accord
-        },
-        frame: (nowMs, head) => {
-          this.stage.take(nowMs);
-          this.#announce(head, nowMs);
-        },
-        draw: (target, eyes, nowMs) => {
-          const drawing = this.stage.renderer;
-          if (drawing && 'drawEyes' in drawing) (drawing as EyeRenderer).drawEyes(target, eyes, this.#frame(eyes[0].view, 1, nowMs));
-          ++this.frames;
-        },
-        ended: () => {
-          this.immersion = null;
-          this.#redraw = true;
-        },
-      });
-    } catch (error) {
-      this.#notice.pass(texts.immersionFailed(error instanceof Error ? error.message : String(error)));
-    }
-  }
-
   #settingsChanged(): void {
     keepSettings(this.options.settings);
     this.link.setBudget(this.options.settings.budget);
     this.#redraw = true;
   }
 
-  async #saveSnapshot(): Promise<void> {
-    const { renderer } = this.stage;
-    if (!renderer) return;
-    const picture = await renderer.capture(this.#frame(this.#view(), 1, performance.now()));
-    await savePng(picture, `splatbus-${new Date().toISOString().replaceAll(':', '-').slice(0, 19)}.png`);
-  }
-
-  async #share(): Promise<void> {
-    const address = addressWith(new URL(location.href), this.rig.goal);
-    history.replaceState(null, '', address);
-    await navigator.clipboard?.writeText(address).then(() => this.#notice.pass(texts.shared));
-  }
-
-  #toggleFullScreen(): void {
-    void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()).catch(() => {});
+  #compare(): void {
+    this.#menu.element.close();
+    void this.extras.compare();
   }
 
   #key(event: KeyboardEvent): void {
@@ -383,12 +309,12 @@ export class Viewer {
     }
     if (event.repeat) return;
     const actions: Readonly<Record<string, () => void>> = {
-      KeyC: () => void this.#compare(),
+      KeyC: () => this.#compare(),
       KeyF: () => this.frameAll(),
       KeyI: () => this.#overlay.toggle(),
       KeyM: () => this.#menu.toggle(),
-      KeyP: () => void this.#saveSnapshot(),
-      KeyV: () => this.#toggleFullScreen(),
+      KeyP: () => void this.extras.saveSnapshot(),
+      KeyV: () => this.extras.toggleFullScreen(),
     };
     actions[event.code]?.();
   }

@@ -6,6 +6,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 
 export const kFirefox = process.env.SPLATBUS_FIREFOX ?? '/usr/bin/firefox-esr';
+export const hasFirefox = existsSync(kFirefox);
 const kXvfb = process.env.SPLATBUS_XVFB ?? '/usr/bin/Xvfb';
 
 const kPreferences = {

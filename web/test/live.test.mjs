@@ -48,8 +48,8 @@ test('a scene that is made while it is watched', async () => {
 
 test('the engine\'s own picture is compared with the splats', async () => {
   await page.keyboard.press('c');
-  await page.waitForFunction(() => window.splatbus.comparison.quality);
-  const { ssim, flip } = await page.evaluate(() => window.splatbus.comparison.quality);
+  await page.waitForFunction(() => window.splatbus.extras.comparison.quality);
+  const { ssim, flip } = await page.evaluate(() => window.splatbus.extras.comparison.quality);
   // A young model of a toy scene; another view, or one upside down, is below 0.5.
   assert.ok(ssim > 0.7 && flip < 0.3, `SSIM ${ssim}, FLIP ${flip}`);
   await page.keyboard.press('c');
