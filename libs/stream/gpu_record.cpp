@@ -40,7 +40,7 @@ std::uint32_t shared_exponent_rgb(const glm::vec3& color) {
   return out;
 }
 
-RecordMaker::RecordMaker(const QuantizedGaussians& gaussians, const StreamLayout& layout)
+RecordMaker::RecordMaker(const HeldGaussians& gaussians, const StreamLayout& layout)
     : gaussians_(gaussians),
       transfer_(layout.parameters().appearance == Appearance::Transfer),
       mean_(layout.at(Attribute::Mean)),
