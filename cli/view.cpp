@@ -5,15 +5,19 @@
 #include <cmath>
 #include <glm/gtc/constants.hpp>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <thread>
 #include <vector>
 
+#include "gl/context.h"
 #include "metrics/image_io.h"
 #include "raster/model_renderer.h"
 #include "splat_options.h"
 #include "splats/file.h"
 #include "verbs.h"
+#include "viewer/gl/file_rows.h"
+#include "viewer/gl/stage.h"
 #include "viewer/window.h"
 
 namespace splatbus::cli {
@@ -74,51 +78,74 @@ Camera camera_of(const ViewOptions& options, const GaussiansView& gaussians) {
   return camera;
 }
 
-class FileView {
- public:
-  explicit FileView(const ViewOptions& options)
-      : file_(splats::read_file(options.path, options.axes)),
-        camera_(camera_of(options, file_.gaussians.view())),
-        renderer_(raster::make_model_renderer(own_backend(options.backend))) {
-    scene_.light.background = vector_of(options.background);
-    renderer_->take(file_.gaussians.view());
+/// A file, where it is seen from, and what is behind it.
+struct Scene {
+  explicit Scene(const ViewOptions& options)
+      : file(splats::read_file(options.path, options.axes)), camera(camera_of(options, file.gaussians.view())) {
+    state.light.background = vector_of(options.background);
+  }
+  /// With this one's depths.
+  [[nodiscard]] Camera seen(Camera from) const {
+    from.near_m = camera.near_m;
+    from.far_m = camera.far_m;
+    return from;
   }
 
-  [[nodiscard]] const Camera& camera() const { return camera_; }
-  [[nodiscard]] std::size_t count() const { return file_.gaussians.count(); }
-  [[nodiscard]] cv::Mat draw(Camera camera) {
-    camera.near_m = camera_.near_m;
-    camera.far_m = camera_.far_m;
-    renderer_->draw(camera, scene_, {.antialias = file_.mip}, render_);
-    return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, false);
-  }
-
- private:
-  splats::SplatFile file_;
-  Camera camera_;
-  SceneState scene_;
-  std::unique_ptr<raster::ModelRenderer> renderer_;
-  raster::Render render_;
+  splats::SplatFile file;
+  Camera camera;
+  SceneState state;
 };
 
-int view(const ViewOptions& options) {
-  FileView file(options);
-  if (!options.out.empty()) {
-    metrics::write_png(options.out, file.draw(file.camera()));
-    fmt::print("{}: {} Gaussians\n", options.out, file.count());
-    return 0;
-  }
-  viewer::Window window(file.camera(), options.path);
-  Camera shown;
+cv::Mat rasterised(const Scene& scene, const std::string& backend) {
+  const auto renderer = raster::make_model_renderer(own_backend(backend));
+  renderer->take(scene.file.gaussians.view());
+  raster::Render render;
+  renderer->draw(scene.camera, scene.state, {.antialias = scene.file.mip}, render);
+  return metrics::from_planes(render.color.data.data(), scene.camera.width, scene.camera.height, false);
+}
+
+/// In the current context.
+std::unique_ptr<viewer::gl::Stage> make_stage(const Scene& scene) {
+  auto stage = std::make_unique<viewer::gl::Stage>();
+  stage->set_antialias(scene.file.mip);
+  stage->add(viewer::gl::rows_of(scene.file.gaussians.view()));
+  stage->settle(scene.camera, scene.state);
+  return stage;
+}
+
+cv::Mat drawn(const Scene& scene) {
+  const GlContext context;
+  const viewer::gl::Picture picture = make_stage(scene)->capture(scene.camera, scene.state, viewer::gl::kSettled_s);
+  return metrics::from_rgba(picture.rgba.data(), scene.camera.width, scene.camera.height);
+}
+
+void show(const Scene& scene, const std::string& title) {
+  viewer::Window window(scene.camera, title, viewer::Window::For::Splats);
+  const auto stage = make_stage(scene);
+  const Middle middle = middle_of(scene.file.gaussians.view());
+  std::optional<Camera> shown;
   for (; !window.closed(); window.poll_events()) {
-    const Camera camera = window.camera();
-    if (camera == shown) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(8));
+    if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
+    const Camera camera = scene.seen(window.camera());
+    if (shown == camera && !stage->behind()) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(4));
       continue;
     }
     shown = camera;
-    window.show(file.draw(camera));
+    stage->prepare(camera, scene.state);
+    stage->draw(camera, scene.state, viewer::gl::kSettled_s);
+    window.swap();
   }
+}
+
+int view(const ViewOptions& options) {
+  const Scene scene(options);
+  if (options.out.empty()) {
+    show(scene, options.path);
+    return 0;
+  }
+  metrics::write_png(options.out, options.backend == "gl" ? drawn(scene) : rasterised(scene, options.backend));
+  fmt::print("{}: {} Gaussians\n", options.out, scene.file.gaussians.count());
   return 0;
 }
 
@@ -140,8 +167,9 @@ void add_view_verb(CLI::App& app, Action& action) {
   triple("--eye", options->eye, "x,y,z: where the camera is (default: where it sees all)");
   triple("--target", options->target, "x,y,z: what it looks at (default: the middle)");
   triple("--background", options->background, "r,g,b: linear light behind everything (default black)");
-  verb->add_option("--backend", options->backend, "cpu, cuda or auto: what draws")
-      ->check(CLI::IsMember({"cpu", "cuda", "auto"}));
+  verb->add_option("--backend", options->backend,
+                   "cpu, cuda, auto or gl: what draws the PNG file; a window is OpenGL's")
+      ->check(CLI::IsMember({"cpu", "cuda", "auto", "gl"}));
   verb->callback([options, &action] { action = [options] { return view(*options); }; });
 }
 

@@ -5,7 +5,7 @@
 #include <optional>
 #include <vector>
 
-#include "sim/gl_objects.h"
+#include "gl/objects.h"
 #include "sim/gpu_scene.h"
 #include "sim/light_maps.h"
 

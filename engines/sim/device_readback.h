@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "sim/gl_context.h"
+#include "gl/context.h"
 #include "sim/readback.h"
 
 namespace splatbus::sim {

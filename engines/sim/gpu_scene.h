@@ -4,7 +4,7 @@
 #include <span>
 #include <vector>
 
-#include "sim/gl_objects.h"
+#include "gl/objects.h"
 #include "sim/scene.h"
 #include "sim/shaders.h"
 

@@ -178,7 +178,7 @@ void run(const Flags& flags) {
     return;
   }
   Scene scene = make_scene(flags);
-  const auto context = std::make_shared<GlContext>();
+  const auto context = std::make_shared<splatbus::GlContext>();
   spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());
   spdlog::info("{}", description(scene));
   Renderer renderer(context, std::move(scene), flags.renderer);

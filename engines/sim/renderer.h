@@ -5,8 +5,8 @@
 #include <optional>
 #include <vector>
 
+#include "gl/context.h"
 #include "sdk/splatbus_engine.h"
-#include "sim/gl_context.h"
 #include "sim/light_maps.h"
 #include "sim/pictures.h"
 #include "sim/readback.h"

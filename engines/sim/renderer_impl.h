@@ -4,8 +4,8 @@
 #include <memory>
 #include <utility>
 
+#include "gl/objects.h"
 #include "sim/depth_versions.h"
-#include "sim/gl_objects.h"
 #include "sim/gpu_scene.h"
 #include "sim/lit_shading.h"
 #include "sim/renderer.h"

@@ -3,8 +3,8 @@
 #include <cstddef>
 #include <string>
 
+#include "gl/objects.h"
 #include "sdk/splatbus_engine.h"
-#include "sim/gl_objects.h"
 
 namespace splatbus::sim {
 

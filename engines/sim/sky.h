@@ -1,7 +1,7 @@
 #pragma once
 
+#include "gl/objects.h"
 #include "sdk/splatbus_engine.h"
-#include "sim/gl_objects.h"
 
 namespace splatbus::sim {
 

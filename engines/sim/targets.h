@@ -4,7 +4,7 @@
 #include <memory>
 #include <vector>
 
-#include "sim/gl_objects.h"
+#include "gl/objects.h"
 
 namespace splatbus::sim {
 

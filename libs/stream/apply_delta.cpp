@@ -224,15 +224,10 @@ void take_lanes(ReplicatedState& state, Step& step, HeldPage& page, Change& chan
 
 void take_appended(ReplicatedState& state, const DeltaReader& delta, const Step& step, const HeldPage& page,
                    Change& change) {
-  for (std::uint32_t i = 0; i < step.said.appended(); ++i) {
-    const std::uint32_t row = page.row(step.left + i), from = step.first_appended + i;
-    for (std::size_t c = 0; c < state.gaussians.channels.size(); ++c) {
-      state.gaussians.channels[c][row] = delta.appended.channels[c][from];
-    }
-    state.gaussians.object_id[row] = delta.appended.object_id[from];
-    state.gaussians.gaussian_id[row] = 0;
-    change.rows.push_back(row);
-  }
+  std::vector<std::uint32_t> rows(step.said.appended());
+  for (std::uint32_t i = 0; i < rows.size(); ++i) rows[i] = page.row(step.left + i);
+  state.gaussians.write(rows, delta.appended, step.first_appended);
+  change.rows.insert(change.rows.end(), rows.begin(), rows.end());
 }
 
 void finish_step(ReplicatedState& state, const DeltaReader& delta, Step& step, HeldPage& page, Change& change) {
@@ -287,13 +282,14 @@ Change apply_delta(ReplicatedState& state, const wire::PageDelta& body, std::spa
     for (std::size_t i = 0; i < values.at.size(); ++i) {
       const std::uint32_t row = row_of(values.at[i]);
       changed.rows.push_back(row);
-      for (int c = 0; c < values.channels; ++c) state.gaussians.channels[values.first + c][row] = values.values[c][i];
+      for (int c = 0; c < values.channels; ++c)
+        state.gaussians.channels[values.first + c].set(row, values.values[c][i]);
     }
     if (!changed.rows.empty()) change.values.push_back(std::move(changed));
   }
   for (std::size_t i = 0; i < delta.objects.at.size(); ++i) {
     const std::uint32_t row = row_of(delta.objects.at[i]);
-    state.gaussians.object_id[row] = delta.objects.ids[i];
+    state.gaussians.object_id.set(row, delta.objects.ids[i]);
     change.objects.push_back(row);
   }
   if (body.gone()) {

@@ -86,20 +86,17 @@ Change apply_page(ReplicatedState& state, const wire::Page& body, std::span<cons
   page.level = body.level();
   page.frozen = body.frozen();
   const AttributeChannels* sun = state.layout.find(Attribute::Visibility);
-  for (std::uint32_t i = 0; i < body.part(); ++i) {
-    const std::uint32_t row = page.row(body.first() + i);
-    for (std::size_t c = 0; c < lanes.channels.size(); ++c) state.gaussians.channels[c][row] = lanes.channels[c][i];
-    state.gaussians.object_id[row] = lanes.object_id[i];
-    state.gaussians.gaussian_id[row] = 0;
-    if (sun) state.gaussians.channels[sun->first][row] = kAll;
+  for (std::uint32_t i = 0; i < body.part(); ++i) change.rows.push_back(page.row(body.first() + i));
+  state.gaussians.write(change.rows, lanes, 0);
+  for (const std::uint32_t row : change.rows) {
+    if (sun) state.gaussians.channels[sun->first].set(row, kAll);
     state.light_rows.forget(row);
-    change.rows.push_back(row);
   }
   for (const SeenValues& light : seen) {
     Bytes* others = light.light_id != 0 ? state.light_rows.find(light.light_id) : nullptr;
     for (std::uint32_t i = 0; i < body.part(); ++i) {
       const std::uint32_t row = page.row(body.first() + i);
-      if (light.light_id == 0 && sun) state.gaussians.channels[sun->first][row] = light.values[i];
+      if (light.light_id == 0 && sun) state.gaussians.channels[sun->first].set(row, light.values[i]);
       if (others) (*others)[row] = light.values[i];
     }
   }

@@ -42,10 +42,9 @@ std::size_t bucket(float score) {
   return static_cast<std::size_t>(std::clamp(octave * 8, 0.0F, static_cast<float>(kBuckets - 1)));
 }
 
-}  // namespace
-
-std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
-                                 std::span<const Camera> cameras, const ObjectTransforms& objects) {
+template <class Gaussians>
+std::vector<float> shares(const Gaussians& gaussians, const StreamLayout& layout, std::span<const Camera> cameras,
+                          const ObjectTransforms& objects) {
   std::vector<View> views;
   for (const Camera& camera : cameras) views.push_back({camera, inverse(camera.world_from_camera)});
   const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale),
@@ -79,6 +78,18 @@ std::vector<float> picture_share(const QuantizedGaussians& gaussians, const Stre
     share[i] = shown * area * value(opacity, 0, i);
   }
   return share;
+}
+
+}  // namespace
+
+std::vector<float> picture_share(const HeldGaussians& gaussians, const StreamLayout& layout,
+                                 std::span<const Camera> cameras, const ObjectTransforms& objects) {
+  return shares(gaussians, layout, cameras, objects);
+}
+
+std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
+                                 std::span<const Camera> cameras, const ObjectTransforms& objects) {
+  return shares(gaussians, layout, cameras, objects);
 }
 
 Schedules default_schedules() {
@@ -115,7 +126,7 @@ void DeltaSelection::resize(std::size_t rows) {
   for (auto& calm : calm_) calm.resize(rows);
 }
 
-void DeltaSelection::begin(std::uint32_t row, const QuantizedGaussians& held) {
+void DeltaSelection::begin(std::uint32_t row, const HeldGaussians& held) {
   for (std::size_t c = 0; c < anchor_.size(); ++c) anchor_[c][row] = held.channels[c][row];
   for (auto& calm : calm_) calm[row] = 0;
 }
@@ -132,7 +143,7 @@ double DeltaSelection::bytes_per_entry(Attribute attribute) const {
   return 1;
 }
 
-void DeltaSelection::collect(std::uint32_t attribute, const QuantizedGaussians& held, const QuantizedGaussians& target,
+void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held, const QuantizedGaussians& target,
                              std::span<const std::uint32_t> target_column, std::span<const float> share) {
   const AttributeChannels& a = layout_.attributes()[attribute];
   const AttributeSchedule& plan = schedule(attribute);
@@ -143,15 +154,17 @@ void DeltaSelection::collect(std::uint32_t attribute, const QuantizedGaussians& 
   drift_.assign(rows, 0);
   // Plane by plane: a plane fits the cache, a Gaussian's row over all planes does not.
   for (int c = a.first; c < a.first + a.channels; ++c) {
-    const std::int32_t *to = target.channels[c].data(), *from = held.channels[c].data(), *rest = anchor_[c].data();
-    for (std::size_t row = 0; row < rows; ++row) {
-      if (target_column[row] == kNotHeld) continue;
-      const std::int32_t value = to[target_column[row]];
-      const std::int32_t change = std::abs(value - from[row]);
-      largest_[row] = std::max(largest_[row], change);
-      sum_[row] += std::min(change, kSaturation);
-      drift_[row] = std::max(drift_[row], std::abs(value - rest[row]));
-    }
+    const std::int32_t *to = target.channels[c].data(), *rest = anchor_[c].data();
+    held.channels[c].each_chunk([&](std::size_t first, const auto* from) {
+      for (std::size_t row = first; row < std::min(rows, first + kChunkRows); ++row) {
+        if (target_column[row] == kNotHeld) continue;
+        const std::int32_t value = to[target_column[row]];
+        const std::int32_t change = std::abs(value - from[row - first]);
+        largest_[row] = std::max(largest_[row], change);
+        sum_[row] += std::min(change, kSaturation);
+        drift_[row] = std::max(drift_[row], std::abs(value - rest[row]));
+      }
+    });
   }
   auto& calm = calm_[attribute];
   for (std::uint32_t row = 0; row < rows; ++row) {
@@ -170,7 +183,7 @@ void DeltaSelection::collect(std::uint32_t attribute, const QuantizedGaussians& 
   }
 }
 
-std::vector<SelectedRows> DeltaSelection::select(const QuantizedGaussians& held, const QuantizedGaussians& target,
+std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, const QuantizedGaussians& target,
                                                  std::span<const std::uint32_t> target_column,
                                                  std::span<const float> share, double budget_bytes) {
   candidates_.clear();

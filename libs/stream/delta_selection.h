@@ -8,6 +8,7 @@
 #include "gaussians/camera.h"
 #include "gaussians/light.h"
 #include "stream/codecs.h"
+#include "stream/held_gaussians.h"
 
 namespace splatbus::stream {
 
@@ -15,6 +16,8 @@ namespace splatbus::stream {
 /// its one-sigma ellipse's two largest axes, the largest over the viewers' cameras. Outside all pictures, and of an
 /// object that is not there, a tenth of what it would be inside: viewers turn, objects come back. Without cameras the
 /// area is in square centimetres.
+[[nodiscard]] std::vector<float> picture_share(const HeldGaussians& gaussians, const StreamLayout& layout,
+                                               std::span<const Camera> cameras, const ObjectTransforms& objects);
 [[nodiscard]] std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
                                                std::span<const Camera> cameras, const ObjectTransforms& objects);
 
@@ -48,12 +51,12 @@ class DeltaSelection {
   /// Follows the held state's rows.
   void resize(std::size_t rows);
   /// Another Gaussian is in the row.
-  void begin(std::uint32_t row, const QuantizedGaussians& held);
+  void begin(std::uint32_t row, const HeldGaussians& held);
   void move(std::uint32_t from, std::uint32_t to);
 
   /// `target_column[row]` is the row's column in `target`, or kNotHeld when nothing of it is to be sent.
   /// `share[row]` as picture_share. Stays near `budget_bytes` after compression, most picture for the byte first.
-  [[nodiscard]] std::vector<SelectedRows> select(const QuantizedGaussians& held, const QuantizedGaussians& target,
+  [[nodiscard]] std::vector<SelectedRows> select(const HeldGaussians& held, const QuantizedGaussians& target,
                                                  std::span<const std::uint32_t> target_column,
                                                  std::span<const float> share, double budget_bytes);
   [[nodiscard]] double bytes_per_entry(Attribute attribute) const;
@@ -72,7 +75,7 @@ class DeltaSelection {
     std::uint32_t row;
     std::uint32_t attribute;  ///< index into the layout's attributes
   };
-  void collect(std::uint32_t attribute, const QuantizedGaussians& held, const QuantizedGaussians& target,
+  void collect(std::uint32_t attribute, const HeldGaussians& held, const QuantizedGaussians& target,
                std::span<const std::uint32_t> target_column, std::span<const float> share);
   [[nodiscard]] const AttributeSchedule& schedule(std::uint32_t attribute) const;
 

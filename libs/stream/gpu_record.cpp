@@ -46,7 +46,7 @@ std::size_t harmonic_words(const StreamLayout& layout) {
   return rest ? (static_cast<std::size_t>(3 + rest->channels) + 7) / 8 * 4 : 0;
 }
 
-RecordMaker::RecordMaker(const QuantizedGaussians& gaussians, const StreamLayout& layout)
+RecordMaker::RecordMaker(const HeldGaussians& gaussians, const StreamLayout& layout)
     : gaussians_(gaussians),
       transfer_(layout.parameters().appearance == Appearance::Transfer),
       mean_(layout.at(Attribute::Mean)),

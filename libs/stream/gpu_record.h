@@ -7,7 +7,7 @@
 #include <span>
 
 #include "gaussians/transfer.h"
-#include "stream/quantized.h"
+#include "stream/held_gaussians.h"
 
 namespace splatbus::stream {
 
@@ -36,7 +36,7 @@ inline constexpr float kRotationStep_rad = 3.14159265F / 32767;
 /// Makes records of the columns of Gaussians that it was made for and that stay as they are meanwhile.
 class RecordMaker {
  public:
-  RecordMaker(const QuantizedGaussians& gaussians, const StreamLayout& layout);
+  RecordMaker(const HeldGaussians& gaussians, const StreamLayout& layout);
 
   [[nodiscard]] GpuRecord record(std::size_t column, std::uint32_t object_index) const;
   /// The record's color; `light_object` and `visibility` as shade_transfer takes them, not looked at for Radiance.
@@ -60,7 +60,7 @@ class RecordMaker {
 
   static constexpr std::size_t kTabled = 256;
 
-  const QuantizedGaussians& gaussians_;
+  const HeldGaussians& gaussians_;
   bool transfer_;
   std::array<float, kTabled> albedo_{};  ///< of 0, 1, ... steps
   AttributeChannels mean_, log_scale_, rotation_, opacity_, color_, residual_, normal_, visibility_, rest_;

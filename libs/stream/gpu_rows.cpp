@@ -45,12 +45,13 @@ Light shading_light(const Light& light, const ObjectTransform& object) {
 }  // namespace
 
 void GpuRows::on_reset(const ReplicatedState& shown) {
-  stale_.assign(std::max(stale_.size(), shown.rows()), kRecord);
+  stale_.assign(stale_.size(), kRecord);
   unsent_ = stale_.size();
   recolored_ = 0;
+  stale_.resize(std::max(stale_.size(), shown.rows()), kNothing);
   shown_.assign(stale_.size() / kBlockRows, 0);
   for (const auto& [number, page] : shown.pages) {
-    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) shown_[page.blocks[k]] = page.shown[k];
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) show(page.blocks[k], page.shown[k]);
   }
   forget_objects();
 }
@@ -145,9 +146,9 @@ void GpuRows::follow_scene() {
     any_relit = true;
   }
   if (!any_relit || replica_.layout().appearance != Appearance::Transfer) return;
-  const std::vector<std::uint32_t>& ids = replica_.shown().gaussians.object_id;
+  const SparseRows<std::uint32_t>& ids = replica_.shown().gaussians.object_id;
   std::uint32_t id = kWorldFrame, index = 0;
-  for (std::uint32_t row = 0; row < ids.size(); ++row) {
+  for (std::uint32_t row = 0; row < ids.rows(); ++row) {
     if (!is_shown(row)) continue;
     if (ids[row] != id) {
       id = ids[row];
@@ -217,7 +218,7 @@ class GpuRows::Shader {
 void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records,
                            std::vector<std::uint32_t>* harmonics) {
   find_rows(std::min(most, unsent_), kRecord, record_cursor_, rows);
-  const std::vector<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
+  const SparseRows<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
   // The scene is followed for all objects before there is a colour.
   for (const std::uint32_t row : rows) {
     if (is_shown(row)) static_cast<void>(index_of(object_ids[row]));
@@ -240,7 +241,7 @@ void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, s
 void GpuRows::take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors) {
   follow_scene();
   find_rows(std::min(most, recolored_), kColor, color_cursor_, rows);
-  const std::vector<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
+  const SparseRows<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
   colors.assign(rows.size(), 0);
   Shader shader(*this);
   for (std::size_t k = 0; k < rows.size(); ++k) {

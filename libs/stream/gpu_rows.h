@@ -46,6 +46,12 @@ class GpuRows final : public ShownObserver {
   [[nodiscard]] const std::vector<Transform>& transforms();
   /// The same under another scene of the objects.
   [[nodiscard]] std::vector<Transform> transforms_in(const SceneState& scene) const;
+  /// Their ids.
+  [[nodiscard]] std::vector<std::uint32_t> object_ids() const {
+    std::vector<std::uint32_t> ids;
+    for (const Object& object : objects_) ids.push_back(object.id);
+    return ids;
+  }
   /// Index of the far field, 0 while nothing was seen of it.
   [[nodiscard]] std::uint32_t far_field() const { return far_field_; }
 

@@ -131,7 +131,7 @@ class ModelQuantizer::Impl {
     return ids_;
   }
 
-  void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const QuantizedGaussians* held,
+  void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const HeldGaussians* held,
                 std::span<const std::uint32_t> held_column) {
     const kernels::ModelChannels channels = channels_of(gaussians);
     assert(ids_.size() == channels.count && layout.carries(gaussians.layout));
@@ -244,13 +244,12 @@ class ModelQuantizer::Impl {
   }
 
   /// Null when nothing is held.
-  const kernels::HeldRotation* upload_held(const StreamLayout& layout, const QuantizedGaussians* held,
+  const kernels::HeldRotation* upload_held(const StreamLayout& layout, const HeldGaussians* held,
                                            std::span<const std::uint32_t> held_column) {
     if (held == nullptr || count_ == 0) return nullptr;
     assert(held_column.size() == count_);
     const auto first = static_cast<std::size_t>(layout.at(Attribute::Rotation).first);
-    const std::int32_t *x = held->channels[first].data(), *y = held->channels[first + 1].data(),
-                       *z = held->channels[first + 2].data();
+    const HeldChannel &x = held->channels[first], &y = held->channels[first + 1], &z = held->channels[first + 2];
     host_held_.resize(count_);
     for (std::size_t i = 0; i < count_; ++i) {
       const std::uint32_t column = held_column[i];
@@ -322,8 +321,8 @@ std::span<const std::uint64_t> ModelQuantizer::ids(const GaussiansView& gaussian
   return impl_->ids(gaussians);
 }
 
-void ModelQuantizer::quantize(const GaussiansView& gaussians, const StreamLayout& layout,
-                              const QuantizedGaussians* held, std::span<const std::uint32_t> held_column) {
+void ModelQuantizer::quantize(const GaussiansView& gaussians, const StreamLayout& layout, const HeldGaussians* held,
+                              std::span<const std::uint32_t> held_column) {
   impl_->quantize(gaussians, layout, held, held_column);
 }
 

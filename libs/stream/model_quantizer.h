@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "device/device.h"
+#include "stream/held_gaussians.h"
 #include "stream/quantized.h"
 
 namespace splatbus::stream {
@@ -37,10 +38,10 @@ class ModelQuantizer {
 
   /// Nearest integers of all columns of the view whose ids() were asked for last. Reads parameters, normal and
   /// visibility (Transfer; null: up, 1) and object_id (null: 0). Values are clamped to the layout's range. A Gaussian
-  /// with a value that is not finite is not usable, and all zero. `held_column[i]` is the column of `held` that
+  /// with a value that is not finite is not usable, and all zero. `held_column[i]` is the row of `held` that
   /// Gaussian i has, or kNotHeld: its rotation is then written as the equivalent one nearest to that which is held.
   /// `held` is null when nothing is.
-  void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const QuantizedGaussians* held,
+  void quantize(const GaussiansView& gaussians, const StreamLayout& layout, const HeldGaussians* held,
                 std::span<const std::uint32_t> held_column);
 
   /// Makes `target` and `usable`, which the last commit() left, what the last quantize() read; its ids are those of

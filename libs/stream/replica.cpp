@@ -38,7 +38,7 @@ Bytes values_of(const Bytes& row, const std::vector<std::uint32_t>& rows) {
 Bytes sun_of(const ReplicatedState& state, const std::vector<std::uint32_t>& rows) {
   Bytes values;
   if (const AttributeChannels* a = state.layout.find(Attribute::Visibility)) {
-    const std::vector<std::int32_t>& plane = state.gaussians.channels[a->first];
+    const HeldChannel& plane = state.gaussians.channels[a->first];
     for (const std::uint32_t row : rows) values.push_back(static_cast<std::uint8_t>(plane[row]));
   }
   return values;
@@ -109,7 +109,7 @@ void Replica::begin(const wire::Layout& body, std::uint64_t epoch) {
   }
   auto next = std::make_unique<ReplicatedState>();
   next->layout = std::move(layout);
-  next->gaussians = QuantizedGaussians(next->layout);
+  next->gaussians = HeldGaussians(next->layout);
   next->epoch = epoch;
   manifest_.clear();
   manifest_gaussians_ = 0;

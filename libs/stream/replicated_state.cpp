@@ -75,7 +75,7 @@ Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body
     change.seen.push_back({body.light_id(), std::move(rows)});
   } else {
     auto& plane = state.gaussians.channels[a->first];
-    for (std::size_t i = 0; i < rows.size(); ++i) plane[rows[i]] = seen[i];
+    for (std::size_t i = 0; i < rows.size(); ++i) plane.set(rows[i], seen[i]);
     change.values.push_back({Attribute::Visibility, std::move(rows)});
   }
   return change;
@@ -112,7 +112,7 @@ Change drop_pages(ReplicatedState& state, const wire::PagesGone& body) {
 
 void ReplicatedState::set_count(HeldPage& page, std::uint32_t new_count, Change& change) {
   const std::uint32_t before = HeldPage::blocks_of(page.count), after = HeldPage::blocks_of(new_count);
-  for (std::uint32_t lane = new_count; lane < page.count; ++lane) gaussians.gaussian_id[page.row(lane)] = 0;
+  for (std::uint32_t lane = new_count; lane < page.count; ++lane) gaussians.gaussian_id.set(page.row(lane), 0);
   for (std::uint32_t k = after; k < before; ++k) {
     free_blocks.push_back(page.blocks[k]);
     change.blocks.push_back({page.blocks[k], page.shown[k] = 0});
@@ -120,9 +120,8 @@ void ReplicatedState::set_count(HeldPage& page, std::uint32_t new_count, Change&
   for (std::uint32_t k = before; k < after; ++k) {
     if (free_blocks.empty()) {
       const std::size_t rows_before = rows();
-      const std::size_t more = std::max<std::size_t>(kBlockRows, rows_before / kBlockRows / 4 * kBlockRows);
-      gaussians.resize(rows_before + more);
-      light_rows.resize(rows_before + more);
+      gaussians.grow();
+      light_rows.resize(rows());
       for (std::size_t block = rows() / kBlockRows; block > rows_before / kBlockRows; --block) {
         free_blocks.push_back(static_cast<std::uint32_t>(block - 1));
       }
@@ -152,9 +151,7 @@ void ReplicatedState::show(HeldPage& page, Change& change) {
 }
 
 void ReplicatedState::move_row(std::uint32_t from, std::uint32_t to) {
-  for (auto& plane : gaussians.channels) plane[to] = plane[from];
-  gaussians.object_id[to] = gaussians.object_id[from];
-  gaussians.gaussian_id[to] = gaussians.gaussian_id[from];
+  gaussians.move(from, to);
   light_rows.move(from, to);
 }
 

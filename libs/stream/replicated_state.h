@@ -10,6 +10,7 @@
 
 #include "gaussians/light.h"
 #include "gaussians/pages.h"
+#include "stream/held_gaussians.h"
 #include "stream/light_rows.h"
 #include "stream/packets.h"
 #include "stream/quantized.h"
@@ -49,7 +50,7 @@ struct Change;
 /// only by apply(), so that they agree bit for bit; which pages, and in which rows, is everybody's own affair.
 struct ReplicatedState {
   StreamLayout layout;
-  QuantizedGaussians gaussians;             ///< columns are rows; those of no page hold anything
+  HeldGaussians gaussians;                  ///< rows of no page hold anything
   std::map<std::uint32_t, HeldPage> pages;  ///< by number
   std::vector<std::uint32_t> free_blocks;   ///< below the rows there are
   std::size_t count = 0;                    ///< Gaussians of the pages, those missing in parts included

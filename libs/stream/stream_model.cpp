@@ -234,8 +234,8 @@ bool StreamModel::fill_page(const TargetPage& target) {
   for (const std::uint32_t column : columns) {
     const std::uint32_t row = row_of_column_[column];
     if (sun)
-      sun_seen.push_back(
-          (row != kNotHeld ? held_.gaussians : target_).channels[sun->first][row != kNotHeld ? row : column]);
+      sun_seen.push_back(row != kNotHeld ? held_.gaussians.channels[sun->first][row]
+                                         : target_.channels[sun->first][column]);
     for (const auto& [id, values] : held_.light_rows.all()) {
       seen[id].push_back(row != kNotHeld ? values[row] : std::uint8_t{255});
     }
@@ -250,13 +250,10 @@ bool StreamModel::fill_page(const TargetPage& target) {
   column_of_row_.resize(held_.rows(), kNotHeld);
   for (std::uint32_t lane = 0; lane < page.count; ++lane) {
     const std::uint32_t row = page.row(lane), column = columns[lane];
-    for (std::size_t c = 0; c < target_.channels.size(); ++c) {
-      held_.gaussians.channels[c][row] = target_.channels[c][column];
-    }
-    if (sun) held_.gaussians.channels[sun->first][row] = sun_seen[lane];
+    held_.gaussians.write({&row, 1}, target_, column);
+    if (sun) held_.gaussians.channels[sun->first].set(row, sun_seen[lane]);
     for (const auto& [id, values] : seen) (*held_.light_rows.find(id))[row] = values[lane];
-    held_.gaussians.object_id[row] = target_.object_id[column];
-    held_.gaussians.gaussian_id[row] = target_.gaussian_id[column];
+    held_.gaussians.gaussian_id.set(row, target_.gaussian_id[column]);
     row_of_id_[target_.gaussian_id[column]] = row;
     column_of_row_[row] = column;
     row_of_column_[column] = row;
@@ -283,7 +280,7 @@ void StreamModel::reset_to_target() {
     held_.epoch = epoch;
     version_ = 0;
     held_.layout = *target_layout_;
-    held_.gaussians = QuantizedGaussians(held_.layout);
+    held_.gaussians = HeldGaussians(held_.layout);
     hold_scene();
     update_ = {};
     blobs_.clear();

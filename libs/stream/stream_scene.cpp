@@ -126,8 +126,8 @@ void StreamModel::hold_scene() {
 
 StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const {
   LightChange out{.light_id = light_id, .rows = {}, .values = {}, .weight = 0};
-  const std::int32_t* sun =
-      light_id == 0 ? held_.gaussians.channels[held_.layout.at(Attribute::Visibility).first].data() : nullptr;
+  const HeldChannel* sun =
+      light_id == 0 ? &held_.gaussians.channels[held_.layout.at(Attribute::Visibility).first] : nullptr;
   const Bytes* others = light_id != 0 ? held_.light_rows.find(light_id) : nullptr;
   const Illumination light(held_, light_id);
   for (const TargetPage& page : target_pages_) {
@@ -137,7 +137,7 @@ StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::spa
     for (std::uint32_t k = 0; k < page.count; ++k) {
       const std::uint32_t row = row_of_column_[page.first + k];
       if (row == kNotHeld || target_page_of_row_[row] != page.page) continue;
-      const int held = sun ? sun[row] : (*others)[row];
+      const int held = sun ? (*sun)[row] : (*others)[row];
       const int wanted = of_index[page.index + k];
       if (!differs(wanted, held)) continue;
       out.rows.push_back(row);

@@ -113,7 +113,7 @@ void StreamModel::take_appended(const PagePlan& plan, std::uint32_t left) {
   for (const std::vector<std::uint32_t>* columns : {&plan.moved, &plan.fresh}) {
     for (const std::uint32_t column : *columns) {
       const std::uint32_t row = page.row(lane++);
-      held_.gaussians.gaussian_id[row] = target_.gaussian_id[column];
+      held_.gaussians.gaussian_id.set(row, target_.gaussian_id[column]);
       row_of_id_[target_.gaussian_id[column]] = row;
       row_of_column_[column] = row;
       selection_.begin(row, held_.gaussians);

@@ -65,10 +65,11 @@ void StreamModel::follow_unheld() {
       if (row == kNotHeld || !usable_[column] || page_of_row(row) != target.page) continue;
       for (std::size_t c = 0; c < target_.channels.size(); ++c) {
         if (sun && c == static_cast<std::size_t>(sun->first)) continue;
-        differs |=
-            std::exchange(held_.gaussians.channels[c][row], target_.channels[c][column]) != target_.channels[c][column];
+        differs |= held_.gaussians.channels[c][row] != target_.channels[c][column];
+        held_.gaussians.channels[c].set(row, target_.channels[c][column]);
       }
-      differs |= std::exchange(held_.gaussians.object_id[row], target_.object_id[column]) != target_.object_id[column];
+      differs |= held_.gaussians.object_id[row] != target_.object_id[column];
+      held_.gaussians.object_id.set(row, target_.object_id[column]);
       selection_.begin(row, held_.gaussians);
     }
     if (!differs) continue;

@@ -12,6 +12,9 @@
 
 #include "bus/error.h"
 #include "bus/service.h"
+#include "gl/context.h"
+#include "viewer/gl/flight.h"
+#include "viewer/replay.h"
 #include "viewer/viewer.h"
 
 namespace {
@@ -36,15 +39,45 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
       .run();
 }
 
-/// The viewer without a bus, beside a streamer on another machine: --connect ENDPOINT, --name, --backend, --set,
-/// --log-level. Returns the exit status.
+/// A fixed flight through OpenGL without a window, and a line of JSON: how fast it was.
+void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Options& options) {
+  namespace gl = splatbus::viewer::gl;
+  const splatbus::GlContext context;
+  gl::Stage stage;
+  const gl::SharedBatch floor = gl::wavy_floor(gaussians);
+  stage.add(floor);
+  splatbus::SceneState scene;
+  scene.light.background = glm::vec3(0.1F, 0.2F, 0.4F);
+  const gl::FlightFigures f = gl::fly(stage, scene, *floor->bounds, options.path.width, options.path.height, seconds);
+  fmt::print(
+      R"({{"gaussians": {}, "width": {}, "height": {}, "frames": {}, "seconds": {:.2f}, "frames_per_s": {:.1f}, )"
+      R"("median_ms": {:.3f}, "p95_ms": {:.3f}, "p99_ms": {:.3f}, "sort_ms": {:.2f}, "sorts": {}, "device": "{}"}})"
+      "\n",
+      gaussians, options.path.width, options.path.height, f.frames, f.seconds, f.frames_per_s, f.median_ms, f.p95_ms,
+      f.p99_ms, f.sort_ms, f.sorts, context.description());
+}
+
+/// The viewer without a bus: --connect ENDPOINT, beside a streamer on another machine; --replay LOG; --bench SECONDS.
+/// Returns the exit status.
 int standalone_main(int argc, char** argv) {
   CLI::App app("Shows a stream without any bus", "splatbus-viewer");
   std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info", backend = "auto";
   std::vector<std::string> changes;
-  app.add_option("--connect", endpoint,
-                 "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680")
-      ->required();
+  std::string log;
+  double bench_s = 0;
+  std::size_t bench_gaussians = 1'000'000;
+  auto* source = app.add_option_group("source", "what is shown");
+  source->add_option("--connect", endpoint,
+                     "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680");
+  source->add_option("--replay", log, "a log that --record has written");
+  source
+      ->add_option("--bench", bench_s,
+                   "so many seconds of a fixed flight through OpenGL, without a window: how fast it is")
+      ->check(CLI::Range(0.1, 3600.0));
+  source->require_option(1);
+  app.add_option("--gaussians", bench_gaussians, "with --bench")
+      ->check(CLI::Range(std::size_t{1}, splatbus::stream::kMaxGaussians))
+      ->capture_default_str();
   app.add_option("--name", name, "told to the streamer")->capture_default_str();
   app.add_option_function<std::string>(
       "--key", [&](const std::string& file) { changes.push_back("key=" + file); },
@@ -59,7 +92,7 @@ int standalone_main(int argc, char** argv) {
       "--ca", [&](const std::string& file) { changes.push_back("ca=" + file); },
       "PEM file of who vouches for that gateway's certificate; else whom this system trusts");
   app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
-  app.add_option("--backend", backend, "what draws: cpu, cuda or auto")
+  app.add_option("--backend", backend, "what draws: cpu, cuda or auto; or gl, through OpenGL")
       ->envname("SPLATBUS_BACKEND")
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
       ->capture_default_str();
@@ -77,6 +110,15 @@ int standalone_main(int argc, char** argv) {
     }
     std::stop_source stop;
     const splatbus::bus::StopSignals signals(stop);
+    const splatbus::viewer::Options options = parameters.read<splatbus::viewer::Options>();
+    if (bench_s > 0) {
+      bench(bench_s, bench_gaussians, options);
+      return 0;
+    }
+    if (!log.empty()) {
+      splatbus::viewer::replay(log, options, splatbus::bus::choose_backend(backend), stop.get_token());
+      return 0;
+    }
     std::string detail;
     splatbus::viewer::Viewer(parameters, {.name = name,
                                           .endpoint = endpoint,
@@ -100,18 +142,24 @@ int standalone_main(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  // Short for --set probe=true, --set window=true and --set packet_log=FILE.
+  // Short for --set probe=true, --set window=true, --set opengl=true and --set packet_log=FILE.
   std::vector<char*> arguments;
-  char set[] = "--set", probe[] = "probe=true", window[] = "window=true";
+  char set[] = "--set", probe[] = "probe=true", window[] = "window=true", opengl[] = "opengl=true";
   std::deque<std::string> packet_logs;  // where each lies stays
   bool standalone = false;
   for (int i = 0; i < argc; ++i) {
     const std::string_view argument = argv[i];
-    standalone = standalone || argument.starts_with("--connect");
+    for (const std::string_view alone : {"--connect", "--replay", "--bench"}) {
+      standalone = standalone || argument.starts_with(alone);
+    }
     if (argument == "--record" && i + 1 < argc) {
       packet_logs.push_back(std::string("packet_log=") + argv[++i]);
       arguments.push_back(set);
       arguments.push_back(packet_logs.back().data());
+    } else if (argument == "--backend" && i + 1 < argc && std::string_view(argv[i + 1]) == "gl") {
+      ++i;
+      arguments.push_back(set);
+      arguments.push_back(opengl);
     } else if (argument == "--probe" || argument == "--window") {
       arguments.push_back(set);
       arguments.push_back(argument == "--probe" ? probe : window);
@@ -124,8 +172,8 @@ int main(int argc, char** argv) {
   const splatbus::bus::ServiceDescription description{
       .kind = "viewer",
       .summary =
-          "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window, --record FILE; and --connect "
-          "ENDPOINT to view a streamer elsewhere without any bus",
+          "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window, --record FILE, --backend gl; "
+          "and without any bus --connect ENDPOINT, to view a streamer elsewhere, --replay FILE and --bench SECONDS",
       .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
   };
   return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);

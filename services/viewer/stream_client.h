@@ -52,6 +52,7 @@ class StreamClient {
 
   // The follower's.
   [[nodiscard]] const stream::Replica& replica() const { return follower_.replica(); }
+  [[nodiscard]] stream::Replica& replica() { return follower_.replica(); }
   [[nodiscard]] stream::DisplayChanges take_changes() { return follower_.replica().take_changes(); }
   [[nodiscard]] std::optional<ProbeAnswer> take_probe_answer() { return follower_.take_probe_answer(); }
   [[nodiscard]] bool connected() const { return follower_.connected(); }

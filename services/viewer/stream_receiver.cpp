@@ -15,13 +15,16 @@ using namespace std::chrono_literals;
 
 constexpr std::chrono::milliseconds kLongestPoll = 50ms;  // a client has more to do than to receive
 constexpr std::int64_t kMeasureEveryNs = 250'000'000;
+constexpr std::size_t kMaxScenes = 16;
+constexpr std::size_t kMinBatchRows = 1 << 18;  // below that all is not worth its while
 
 }  // namespace
 
-StreamReceiver::StreamReceiver(ClientOptions options)
-    : client_(std::move(options)), wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+StreamReceiver::StreamReceiver(ClientOptions options, Gives gives)
+    : client_(std::move(options)), begin_ns_(bus::now_ns()), wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   if (!wake_.valid()) throw bus::Error("cannot make an eventfd");
   shown_.scene = std::make_shared<const SceneState>();
+  if (gives == Gives::Rows) feed_.emplace(client_.replica(), true);
   thread_ = std::thread([this] { run(); });
 }
 
@@ -79,7 +82,8 @@ ReceiverStatus StreamReceiver::measure() {
 void StreamReceiver::hand_over(bool changed) {
   const stream::Replica& replica = client_.replica();
   stream::DisplayChanges changes = client_.take_changes();
-  changed = changed || !changes.empty();
+  gl::SharedBatch batch = feed_ ? feed_->take(fade_time_s(bus::now_ns())) : nullptr;
+  changed = changed || !changes.empty() || batch;
   const SceneKey key{replica.epoch(), replica.scene_version(), replica.scene_instant().frame};
   std::shared_ptr<const SceneState> scene;
   if (changed && key != scene_key_) {
@@ -95,7 +99,21 @@ void StreamReceiver::hand_over(bool changed) {
   shown_.changes.append(std::move(changes));
   // Whoever draws no more does not make this grow.
   if (replica.exceeds_whole(shown_.changes)) shown_.changes = replica.whole();
-  if (scene) shown_.scene = std::move(scene);
+  if (batch) {
+    batch_rows_ += batch->update.rows.size() + batch->colors.rows.size();
+    if (batch_rows_ > kMinBatchRows + 2 * feed_->capacity()) {
+      shown_.batches.clear();
+      batch = feed_->everything();
+      batch_rows_ = batch->update.rows.size();
+    }
+    shown_.batches.push_back(std::move(batch));
+  }
+  shown_.gaussians = replica.count();
+  if (scene) {
+    shown_.scene = scene;
+    if (shown_.scenes.size() >= kMaxScenes) shown_.scenes.erase(shown_.scenes.begin());
+    shown_.scenes.push_back({std::move(scene), replica.scene_instant().capture_ns, bus::now_ns()});
+  }
   if (status) status_ = *status;
   changed_ = changed_ || changed;
   if (!answer_) answer_ = client_.take_probe_answer();
@@ -105,9 +123,10 @@ void StreamReceiver::hand_over(bool changed) {
 bool StreamReceiver::take(Shown& shown) {
   const std::scoped_lock lock(mutex_);
   if (failure_) std::rethrow_exception(failure_);
-  shown.changes.clear();
-  shown.scene = shown_.scene;
-  std::swap(shown.changes, shown_.changes);
+  shown = std::exchange(shown_, {});
+  shown_.scene = shown.scene;
+  shown_.gaussians = shown.gaussians;
+  batch_rows_ = 0;
   return std::exchange(changed_, false);
 }
 

@@ -13,6 +13,8 @@
 #include <vector>
 
 #include "bus/file_descriptor.h"
+#include "viewer/row_feed.h"
+#include "viewer/shown.h"
 #include "viewer/stream_client.h"
 
 namespace splatbus::viewer {
@@ -31,20 +33,22 @@ struct ReceiverStatus {
 /// for a packet to be decoded.
 class StreamReceiver {
  public:
-  /// Throws as StreamClient.
-  explicit StreamReceiver(ClientOptions options);
+  enum class Gives { Changes, Rows };
+  /// `gives`: Shown::changes, or Shown::batches. Throws as StreamClient.
+  explicit StreamReceiver(ClientOptions options, Gives gives = Gives::Changes);
   ~StreamReceiver();
   StreamReceiver(const StreamReceiver&) = delete;
   StreamReceiver& operator=(const StreamReceiver&) = delete;
 
-  struct Shown {
-    stream::DisplayChanges changes;           ///< since the last call
-    std::shared_ptr<const SceneState> scene;  ///< under which they are shown; not null
-  };
   /// False, with nothing in it, when the picture is as it was. Throws what has ended the thread.
   [[nodiscard]] bool take(Shown& shown);
   /// Until take() or take_probe_answer() has something.
   void wait_for(std::chrono::nanoseconds timeout);
+
+  /// Of the fades of Shown::batches.
+  [[nodiscard]] float fade_time_s(std::int64_t now_ns) const {
+    return 1 + static_cast<float>(static_cast<double>(now_ns - begin_ns_) / 1e9);
+  }
 
   void send_pose(const Camera& camera);
   void send_probe(std::uint64_t probe_id, const Camera& camera);
@@ -62,14 +66,17 @@ class StreamReceiver {
 
   using SceneKey = std::tuple<std::uint64_t, std::uint64_t, std::uint64_t>;  // epoch, version, frame
   StreamClient client_;                                                      // the thread's own
-  SceneKey scene_key_{};                                                     // too
-  std::int64_t measured_ns_ = 0;                                             // too
+  std::int64_t begin_ns_;
+  std::optional<RowFeed> feed_;   // too
+  SceneKey scene_key_{};          // too
+  std::int64_t measured_ns_ = 0;  // too
   bus::FileDescriptor wake_;
 
   mutable std::mutex mutex_;  // of all below
   std::condition_variable arrived_;
   bool stop_ = false, changed_ = false;
   Shown shown_;
+  std::size_t batch_rows_ = 0;  ///< of shown_
   std::optional<ProbeAnswer> answer_;
   std::vector<std::function<void(StreamClient&)>> posted_;
   ReceiverStatus status_;

@@ -21,6 +21,7 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kLongestWaitNs = 50'000'000;
+constexpr std::int64_t kIdleWindowNs = 5'000'000;  // until mouse and keys are looked at again
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
   return {.endpoint = host.endpoint,
@@ -39,14 +40,15 @@ std::uint64_t first_probe_id() {
   return std::uint64_t{std::random_device{}()} << 20 | 1;
 }
 
-/// CV_8UC1: 255 where Gaussians hide all that lies behind them.
-cv::Mat alpha_picture(const raster::Render& render) {
-  const raster::Image& alpha = render.alpha;
-  cv::Mat picture;
-  cv::Mat(static_cast<int>(alpha.height), static_cast<int>(alpha.width), CV_32FC1,
-          const_cast<float*>(alpha.data.data()))
-      .convertTo(picture, CV_8U, 255);
-  return picture;
+std::unique_ptr<Window> make_window(const Options& options, const Camera& camera, const std::string& name) {
+  if (!options.window) return nullptr;
+  const auto what = options.draws_through_opengl() ? Window::For::Splats : Window::For::Pictures;
+  return std::make_unique<Window>(camera, "splatbus: " + name, what);
+}
+
+std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
+  if (options.draws_through_opengl()) return make_gl_painter(options.window);
+  return make_raster_painter(device, options.threads);
 }
 
 }  // namespace
@@ -70,7 +72,8 @@ void Options::bind(bus::ParameterBinder& p) {
         "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: only what others "
         "ask for",
         {0, 1e6});
-  p.add("window", window, "show a window, steered with mouse and keys", kFixed);
+  p.add("window", window, "show a window, steered with mouse and keys, drawn at the display's own rate", kFixed);
+  p.add("opengl", opengl, "draw through OpenGL, as in a window, where there is none", kFixed);
   p.add("max_gaussians", max_gaussians, "that are held; of a larger world what adds most to this viewer's picture",
         {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);
   p.add("record_file", record_file, "the camera's way is written there, for path=recorded; empty: it is not", kFixed);
@@ -81,18 +84,17 @@ void Options::bind(bus::ParameterBinder& p) {
 Viewer::Viewer(const bus::Parameters& parameters, ViewerHost host)
     : options_(parameters),
       host_(std::move(host)),
-      receiver_(client_options(*options_, host_)),
-      stream_(host_.device),
-      display_(stream_),
-      renderer_(raster::make_model_renderer(host_.device, options_->threads)),
+      receiver_(client_options(*options_, host_),
+                options_->draws_through_opengl() ? StreamReceiver::Gives::Rows : StreamReceiver::Gives::Changes),
       path_(options_->path),
       path_clock_(options_->path, bus::now_ns()),
       path_options_(options_->path),
       camera_(path_.at(options_->path.start_s)),
+      window_(make_window(*options_, camera_, host_.name)),
+      painter_(make_painter(*options_, host_.device)),
       begin_ns_(bus::now_ns()),
       next_probe_id_(first_probe_id()) {
   if (!options_->record_file.empty()) recorder_.emplace(options_->record_file);
-  if (options_->window) window_ = std::make_unique<Window>(camera_, "splatbus: " + host_.name);
 }
 
 void Viewer::run() {
@@ -101,16 +103,18 @@ void Viewer::run() {
     refresh_options();
     const auto period_ns = static_cast<std::int64_t>(1e9 / options_->fps);
     // Until the next picture is due; with none to draw, until the camera may have moved. Packets are taken at once.
-    const std::int64_t left_ns = drawn_ns_ + period_ns - bus::now_ns();
-    const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed ? 0 : period_ns, kLongestWaitNs);
+    const std::int64_t left_ns = draws_at_display_rate() ? 0 : drawn_ns_ + period_ns - bus::now_ns();
+    const std::int64_t idle_ns = draws_at_display_rate() ? kIdleWindowNs : period_ns;
+    const std::int64_t wait_ns = std::min(left_ns > 0 ? left_ns : changed ? 0 : idle_ns, kLongestWaitNs);
     receiver_.wait_for(std::chrono::nanoseconds(wait_ns));
     changed = take() || changed;
     if (window_) window_->poll_events();
     const std::int64_t now_ns = bus::now_ns();
-    const bool first = first_picture_ns_ == 0 && display_.count() > 0;
-    if (now_ns >= drawn_ns_ + period_ns || first) {
-      if (show(changed)) drawn_ns_ = now_ns;
-      changed = false;
+    const bool first = first_picture_ns_ == 0 && shown_.gaussians > 0;
+    if (draws_at_display_rate() || now_ns >= drawn_ns_ + period_ns || first) {
+      const bool drawn = show(changed);
+      if (drawn) drawn_ns_ = now_ns;
+      changed = drawn && draws_at_display_rate();  // the camera may be on its way
     }
     ask_probe(now_ns);
     answer_probes();
@@ -134,24 +138,16 @@ void Viewer::refresh_options() {
 
 bool Viewer::take() {
   const bool changed = receiver_.take(shown_);
-  if (shown_.changes.empty()) return changed;
-  display_.apply(shown_.changes);
-  shown_.changes.clear();
-  model_changed_ = true;
-  return true;
+  for (TimedScene& state : shown_.scenes) playout_.add(std::move(state.scene), state.capture_ns, state.arrived_ns);
+  shown_.scenes.clear();
+  return painter_->take(shown_) || changed;
 }
 
 cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
   const std::int64_t begin_ns = bus::now_ns();
-  const GaussiansView view = display_.view(scene.light.sources);
-  // The rows of a probe's lights may be others.
-  if (model_changed_ || view.visibility_u8 != drawn_rows_) renderer_->read_in_place(view);
-  drawn_rows_ = view.visibility_u8;
-  model_changed_ = false;
-  renderer_->draw(camera, scene, {}, render_);
+  cv::Mat picture = painter_->draw(camera, scene);
   draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
-  const bool linear = view.layout.appearance == Appearance::Transfer;
-  return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, linear);
+  return picture;
 }
 
 bool Viewer::show(bool changed) {
@@ -163,20 +159,35 @@ bool Viewer::show(bool changed) {
         {.time_s = static_cast<double>(now_ns - begin_ns_) / 1e9, .world_from_camera = camera_.world_from_camera});
   }
   receiver_.send_pose(camera_);
-  const bool empty = display_.count() == 0;
-  if (empty || (!changed && frames_ > 0 && before == camera_)) return false;
-  const cv::Mat picture = draw(camera_, *shown_.scene);
-  if (first_picture_ns_ == 0) {
-    first_picture_ns_ = bus::now_ns();
-    spdlog::info("first picture, {} Gaussians", display_.count());
-  }
-  ++frames_;
-  if (window_) window_->show(picture);
+  if (shown_.gaussians == 0) return false;
+  if (window_ && window_->take_frame_all()) frame_all();
+  const float time_s = receiver_.fade_time_s(now_ns);
+  changed = changed || playout_.moving() || (window_ && painter_->settles(time_s));
+  if (!changed && frames_ > 0 && before == camera_) return false;
+  playout_.advance(now_ns);
+  const std::shared_ptr<const SceneState> played = playout_.scene();
+  const SceneState& scene = played ? *played : *shown_.scene;
   const std::string& out = options_->out;
   const std::uint64_t every = options_->frames;
-  if (out.empty() || every == 0 || (frames_ - 1) % every != 0) return true;
-  write_picture(fmt::format("frame_{:06}.png", frames_ - 1), picture);
+  const bool writes = !out.empty() && every > 0 && frames_ % every == 0;
+  cv::Mat picture;
+  if (writes || !window_) picture = draw(camera_, scene);
+  if (window_) {
+    const std::int64_t begin_ns = bus::now_ns();
+    painter_->show(*window_, camera_, scene, time_s);
+    draw_ms_ = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+  }
+  if (first_picture_ns_ == 0) {
+    first_picture_ns_ = bus::now_ns();
+    spdlog::info("first picture, {} Gaussians", shown_.gaussians);
+  }
+  if (writes) write_picture(fmt::format("frame_{:06}.png", frames_), picture);
+  ++frames_;
   return true;
+}
+
+void Viewer::frame_all() {
+  if (const std::optional<gl::Bounds> bounds = painter_->bounds()) window_->frame(bounds->centre, bounds->radius_m);
 }
 
 void Viewer::write_picture(const std::string& name, const cv::Mat& picture) {
@@ -200,21 +211,21 @@ void Viewer::ask_probe(std::int64_t now_ns) {
 void Viewer::answer_probes() {
   // One a turn: packets are taken in between. Without a model there is nothing to compare.
   const std::optional<ProbeAnswer> probe = receiver_.take_probe_answer();
-  if (!probe || display_.count() == 0) return;
+  if (!probe || shown_.gaussians == 0) return;
   const cv::Mat picture = draw(probe->camera, probe->scene);
   const cv::Mat reference = metrics::from_rgba(probe->rgba.data(), probe->camera.width, probe->camera.height);
   last_quality_ = metrics::compare(picture, reference);
   ++compared_;
   if (!options_->out.empty()) {
     write_picture(fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
-    write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), alpha_picture(render_));
+    write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), painter_->alpha());
   }
   receiver_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }
 
 void Viewer::report() {
   const ReceiverStatus status = receiver_.status();
-  host_.counter("gaussians", static_cast<double>(display_.count()));
+  host_.counter("gaussians", static_cast<double>(shown_.gaussians));
   host_.counter("frames", static_cast<double>(frames_));
   host_.counter("unwritten_pictures", static_cast<double>(unwritten_));
   host_.counter("draw_ms", draw_ms_);
@@ -233,7 +244,7 @@ void Viewer::report() {
     host_.counter("flip", last_quality_.flip);
   }
   host_.detail(!status.connected       ? fmt::format("waits for the streamer at {}", host_.endpoint)
-               : display_.count() == 0 ? "waits for Gaussians"
+               : shown_.gaussians == 0 ? "waits for Gaussians"
                : status.missing_pages > 0
                    ? fmt::format("shows {} of {} pages", status.pages - status.missing_pages, status.pages)
                    : "shows the stream");

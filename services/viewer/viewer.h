@@ -12,9 +12,9 @@
 #include "bus/backend.h"
 #include "bus/log_sink.h"
 #include "bus/parameters.h"
-#include "raster/model_renderer.h"
-#include "stream/display_gaussians.h"
+#include "stream/playout.h"
 #include "viewer/camera_path.h"
+#include "viewer/painter.h"
 #include "viewer/stream_receiver.h"
 #include "viewer/window.h"
 
@@ -31,11 +31,15 @@ struct Options {
   bool probe = false;
   double probe_period_s = 5;
   bool window = false;
+  bool opengl = false;
   std::size_t max_gaussians = stream::kMaxGaussians;
   std::string record_file, packet_log;
   PathOptions path;
 
   void bind(bus::ParameterBinder& parameters);
+  /// A window's pictures are drawn in its context, unless they are to be compared with the engine's, under whose light
+  /// only a rasteriser draws.
+  [[nodiscard]] bool draws_through_opengl() const { return (window || opengl) && !probe; }
 };
 
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
@@ -62,10 +66,13 @@ class Viewer {
 
  private:
   [[nodiscard]] cv::Mat draw(const Camera& camera, const SceneState& scene);
+  /// In the window, at the display's own rate.
+  [[nodiscard]] bool draws_at_display_rate() const { return window_ && options_->draws_through_opengl(); }
   /// What has arrived; true when it shows.
   bool take();
   /// False when there is nothing new to show.
   bool show(bool changed);
+  void frame_all();
   /// Takes over parameters that have changed.
   void refresh_options();
   void answer_probes();
@@ -77,21 +84,17 @@ class Viewer {
   bus::LiveOptions<Options> options_;
   ViewerHost host_;
   StreamReceiver receiver_;
-  StreamReceiver::Shown shown_;
-  device::Stream stream_;
-  stream::DisplayGaussians display_;
-  std::unique_ptr<raster::ModelRenderer> renderer_;
-  std::unique_ptr<Window> window_;
-  raster::Render render_;
+  Shown shown_;
+  stream::Playout playout_;
   CameraPath path_;
   PathClock path_clock_;
   PathOptions path_options_;  ///< that path_ was asked for with
   std::optional<PathRecorder> recorder_;
   Camera camera_;
+  std::unique_ptr<Window> window_;
+  std::unique_ptr<Painter> painter_;  // in the window's context
   std::int64_t begin_ns_, first_picture_ns_ = 0, next_probe_ns_ = 0, last_report_ns_ = 0;
   std::int64_t drawn_ns_ = 0;
-  bool model_changed_ = true;  ///< since the renderer read it
-  const std::uint8_t* drawn_rows_ = nullptr;
   std::uint64_t frames_ = 0, next_probe_id_, compared_ = 0, unwritten_ = 0;
   bus::LogLimiter log_limiter_;
   metrics::Quality last_quality_;

@@ -201,7 +201,7 @@ TEST_F(CudaEngine, ABurstOfNewCamerasIsOutAtOnce) {
   std::atomic<bool> ready = false;
   const std::jthread engine_thread([&](const std::stop_token& ends) {
     const std::stop_callback stops(ends, [&] { stop = true; });
-    const auto gl = std::make_shared<sim::GlContext>();  // current on this thread
+    const auto gl = std::make_shared<GlContext>();  // current on this thread
     sim::Renderer renderer(gl, sim::make_toys(1, false));
     const auto readback = sim::make_device_readback(*gl, "cuda");
     renderer.warm_up(readback.get());

@@ -35,7 +35,7 @@ class EngineLoopTest : public SdkTest {
       scene.objects.back().motion = motion;
       scene.lighting.sun_rate_deg_s = sun_rate_deg_s;
       scene.lighting.sources = sources;
-      sim::Renderer renderer(std::make_shared<sim::GlContext>(), std::move(scene), {.shadow_map_size = 256});
+      sim::Renderer renderer(std::make_shared<GlContext>(), std::move(scene), {.shadow_map_size = 256});
       const sim::EngineHandle engine = sim::open_engine(directory_.address().text(), "engine");
       sim::EngineLoop(*engine, renderer, nullptr, {.fps = fps, .pictures_s = pictures_s}).run(stop_);
     });

@@ -108,7 +108,8 @@ TEST(Quantize, RotationStaysNearWhatIsHeld) {
   for (int step = 0; step < 600; ++step) {
     const float angle = 0.01F * static_cast<float>(step);
     turn(angle);
-    next = test::quantize_once(model.view(), layout, &held, {0}).gaussians;
+    const HeldGaussians rows = test::held_of(held, layout);
+    next = test::quantize_once(model.view(), layout, &rows, {0}).gaussians;
     for (int c = 6; c < 9; ++c) ASSERT_LE(std::abs(next.channels[c][0] - held.channels[c][0]), 3) << "at " << angle;
     held = next;
   }
@@ -125,7 +126,8 @@ TEST(Quantize, ARotationAndItsNegativeAreTheSame) {
     for (std::size_t i = 0; i < model.count(); ++i)
       model.parameters[static_cast<std::size_t>(c) * model.stride() + i] *= -1;
   }
-  next = test::quantize_once(model.view(), layout, &held, columns).gaussians;
+  const HeldGaussians rows = test::held_of(held, layout);
+  next = test::quantize_once(model.view(), layout, &rows, columns).gaussians;
   for (std::size_t c = 6; c < 9; ++c) {
     for (std::size_t i = 0; i < model.count(); ++i) ASSERT_NEAR(next.channels[c][i], held.channels[c][i], 1);
   }

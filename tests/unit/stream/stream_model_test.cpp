@@ -127,7 +127,7 @@ TEST(StreamModel, BudgetBoundsEveryTickAndEverythingArrivesInTheEnd) {
 TEST(StreamModel, DeltasOfWhatIsSeenComeFirst) {
   ToyServer server(16, 4000);
   const Camera camera = look_at({-2.5F, 1, 0}, {-2, 0, 0}, 64, 64, 0.8F);
-  const QuantizedGaussians before = server.stream.held().gaussians;
+  const HeldGaussians before = server.stream.held().gaussians;
   const std::size_t rows = before.count();
   for (std::size_t i = 0; i < server.model().count(); ++i) {
     server.model().parameters[static_cast<std::size_t>(ParameterLayout::kAlbedo) * server.model().stride() + i] += 0.1F;

@@ -1,4 +1,4 @@
-#include "sim/gl_context.h"
+#include "gl/context.h"
 
 #include <epoxy/egl.h>
 #include <epoxy/gl.h>
@@ -10,7 +10,7 @@
 #include <string_view>
 #include <vector>
 
-namespace splatbus::sim {
+namespace splatbus {
 namespace {
 
 constexpr EGLint kMaxDevices = 32;
@@ -111,4 +111,4 @@ void GlContext::make_current() const {
   }
 }
 
-}  // namespace splatbus::sim
+}  // namespace splatbus

@@ -3,7 +3,7 @@
 #include <memory>
 #include <string>
 
-namespace splatbus::sim {
+namespace splatbus {
 
 /// An OpenGL 4.5 core context without a window: the first hardware EGL device that gives one, else Mesa's surfaceless
 /// platform. Current on the thread that made it, for as long as it lives. Throws std::runtime_error that lists what was
@@ -28,4 +28,4 @@ class GlContext {
   bool software_ = false;
 };
 
-}  // namespace splatbus::sim
+}  // namespace splatbus

@@ -4,7 +4,7 @@
 
 #include <utility>
 
-namespace splatbus::sim {
+namespace splatbus {
 
 /// Owns one OpenGL name. The context that made it must be current when it dies.
 template <void (*Delete)(GLuint)>
@@ -92,4 +92,4 @@ using GlQuery = GlName<delete_query>;
   return GlFramebuffer(name);
 }
 
-}  // namespace splatbus::sim
+}  // namespace splatbus

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <cstddef>
+#include <string>
+
+#include "viewer/gl/stage.h"
+
+namespace splatbus::viewer::gl {
+
+/// Rows of a wavy floor, 10 m along each side, that N Gaussians of a trained scene's sizes cover: for measuring.
+[[nodiscard]] SharedBatch wavy_floor(std::size_t gaussians);
+
+struct FlightFigures {
+  std::size_t frames = 0;
+  double seconds = 0, frames_per_s = 0;
+  double median_ms = 0, p95_ms = 0, p99_ms = 0;  ///< between pictures
+  double sort_ms = 0;                            ///< the median
+  std::size_t sorts = 0;                         ///< that were shown
+};
+
+/// Once around a sphere about all, nearer and farther, as the page's ?bench=1: as many pictures as the device gives,
+/// into memory of its own, two at a time on their way. The first tenth is not counted.
+[[nodiscard]] FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, std::uint32_t width,
+                                std::uint32_t height, double seconds);
+
+}  // namespace splatbus::viewer::gl

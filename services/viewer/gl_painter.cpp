@@ -1,0 +1,59 @@
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+
+#include "gl/context.h"
+#include "metrics/image_io.h"
+#include "viewer/gl/shaders.h"
+#include "viewer/gl/stage.h"
+#include "viewer/painter.h"
+
+namespace splatbus::viewer {
+namespace {
+
+class GlPainter final : public Painter {
+ public:
+  explicit GlPainter(bool in_window) {
+    if (!in_window) context_ = std::make_unique<GlContext>();
+    if (context_) spdlog::info("draws through {}", context_->description());
+    stage_ = std::make_unique<gl::Stage>();
+  }
+
+  bool take(Shown& shown) override {
+    const bool any = !shown.batches.empty();
+    for (gl::SharedBatch& batch : shown.batches) {
+      for (const float fade : batch->update.fades) faded_s_ = std::max(faded_s_, std::abs(fade) + gl::kFade_s);
+      stage_->add(std::move(batch));
+    }
+    shown.batches.clear();
+    return any;
+  }
+
+  cv::Mat draw(const Camera& camera, const SceneState& scene) override {
+    stage_->settle(camera, scene);
+    const gl::Picture picture = stage_->capture(camera, scene, gl::kSettled_s);
+    return metrics::from_rgba(picture.rgba.data(), camera.width, camera.height);
+  }
+
+  void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) override {
+    stage_->prepare(camera, scene);
+    stage_->draw(camera, scene, time_s);
+    window.swap();
+  }
+
+  bool settles(float time_s) const override { return stage_->behind() || time_s < faded_s_; }
+  std::optional<gl::Bounds> bounds() const override { return stage_->bounds(); }
+
+ private:
+  std::unique_ptr<GlContext> context_;  // outlives what was made in it
+  std::unique_ptr<gl::Stage> stage_;
+  float faded_s_ = 0;
+};
+
+}  // namespace
+
+std::unique_ptr<Painter> make_gl_painter(bool in_window) {
+  return std::make_unique<GlPainter>(in_window);
+}
+
+}  // namespace splatbus::viewer

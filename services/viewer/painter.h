@@ -1,0 +1,38 @@
+#pragma once
+
+#include <memory>
+#include <opencv2/core.hpp>
+
+#include "device/device.h"
+#include "gaussians/camera.h"
+#include "viewer/shown.h"
+#include "viewer/window.h"
+
+namespace splatbus::viewer {
+
+/// What makes pictures of a replica. One thread. Throws std::runtime_error when its device fails.
+class Painter {
+ public:
+  virtual ~Painter() = default;
+
+  /// Takes what has arrived out of `shown`; true when the picture is another one.
+  virtual bool take(Shown& shown) = 0;
+  /// The picture of exactly what was taken. CV_8UC3 BGR.
+  [[nodiscard]] virtual cv::Mat draw(const Camera& camera, const SceneState& scene) = 0;
+  /// CV_8UC1 of the last draw(): 255 where Gaussians hide all that lies behind them. Empty where it is not known.
+  [[nodiscard]] virtual cv::Mat alpha() const { return {}; }
+  /// A picture in the window. `time_s`: of the fades, as RowFeed::take has it.
+  virtual void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) = 0;
+  /// Whether the next show() may be another picture though nothing arrives.
+  [[nodiscard]] virtual bool settles(float) const { return false; }
+  /// Of what there is; nullopt where it is not known.
+  [[nodiscard]] virtual std::optional<gl::Bounds> bounds() const { return std::nullopt; }
+};
+
+/// By a rasteriser; `threads` on the CPU, 0: all cores.
+[[nodiscard]] std::unique_ptr<Painter> make_raster_painter(Device device, int threads);
+/// Through OpenGL 4.5: in the context of a window that was opened For::Splats, or, with none, in one of its own without
+/// any display.
+[[nodiscard]] std::unique_ptr<Painter> make_gl_painter(bool in_window);
+
+}  // namespace splatbus::viewer

@@ -1,0 +1,174 @@
+#include "viewer/replay.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+#include <thread>
+
+#include "bus/clock.h"
+#include "bus/error.h"
+#include "metrics/image_io.h"
+#include "stream/follower.h"
+#include "stream/packet_log.h"
+#include "stream/playout.h"
+#include "viewer/camera_path.h"
+#include "viewer/painter.h"
+#include "viewer/row_feed.h"
+#include "viewer/window.h"
+
+namespace splatbus::viewer {
+namespace {
+
+constexpr std::int64_t kStateNs = 33'333'333;  // where the log does not say how far states are apart
+constexpr std::int64_t kMaxStateNs = 1'000'000'000;
+constexpr std::chrono::milliseconds kIdle{5};
+
+/// What a StreamReceiver hands over, from a file.
+class LogFeed {
+ public:
+  LogFeed(const std::string& log, bool rows, bool fades, std::size_t max_gaussians)
+      : reader_(log), follower_({.name = "replay", .max_gaussians = max_gaussians}, 0), begin_ns_(bus::now_ns()) {
+    if (rows) feed_.emplace(follower_.replica(), fades);
+    shown_.scene = std::make_shared<const SceneState>();
+  }
+
+  /// The next message; false at the end.
+  bool next() {
+    const auto message = reader_.next();
+    if (!message) return false;
+    const stream::SceneInstant before = follower_.replica().scene_instant();
+    const std::uint64_t version = follower_.replica().scene_version();
+    try {
+      follower_.receive(message->packet, message->payload, bus::now_ns());
+    } catch (const stream::StreamError& error) {
+      spdlog::warn("message {}: {}", count_, error.what());
+    }
+    ++count_;
+    const stream::Replica& replica = follower_.replica();
+    new_state_ = replica.scene_instant() != before || replica.scene_version() != version;
+    return true;
+  }
+  [[nodiscard]] bool new_state() const { return new_state_; }
+  [[nodiscard]] std::int64_t capture_ns() const { return follower_.replica().scene_instant().capture_ns; }
+
+  [[nodiscard]] float time_s() const {
+    return 1 + static_cast<float>(static_cast<double>(bus::now_ns() - begin_ns_) / 1e9);
+  }
+
+  Shown& take() {
+    shown_.changes.append(follower_.replica().take_changes());
+    if (feed_) {
+      if (gl::SharedBatch batch = feed_->take(time_s())) shown_.batches.push_back(std::move(batch));
+    }
+    if (new_state_) shown_.scene = std::make_shared<const SceneState>(follower_.replica().scene());
+    shown_.gaussians = follower_.replica().count();
+    return shown_;
+  }
+
+ private:
+  stream::PacketLogReader reader_;
+  stream::Follower follower_;
+  std::optional<RowFeed> feed_;
+  std::int64_t begin_ns_;
+  std::size_t count_ = 0;
+  bool new_state_ = false;
+  Shown shown_;
+};
+
+std::uint64_t replay_to_files(LogFeed& feed, Painter& painter, const Options& options, const std::stop_token& stop) {
+  namespace fs = std::filesystem;
+  fs::create_directories(options.out);
+  const CameraPath path(options.path);
+  std::uint64_t drawn = 0;
+  while (!stop.stop_requested() && feed.next()) {
+    Shown& shown = feed.take();
+    const bool changed = painter.take(shown) || feed.new_state();
+    if (!changed || shown.gaussians == 0) continue;
+    if (drawn % options.frames == 0) {
+      const Camera camera = path.at(options.path.start_s + static_cast<double>(drawn) / options.fps);
+      metrics::write_png((fs::path(options.out) / fmt::format("frame_{:06}.png", drawn)).string(),
+                         painter.draw(camera, *shown.scene));
+    }
+    ++drawn;
+  }
+  return drawn;
+}
+
+/// States come when the engine had them, from the first one on.
+class Pace {
+ public:
+  explicit Pace(std::int64_t now_ns) : due_ns_(now_ns) {}
+  void state(std::int64_t capture_ns) {
+    const std::int64_t apart_ns = before_ns_ > 0 ? capture_ns - before_ns_ : kStateNs;
+    due_ns_ += apart_ns > 0 ? std::min(apart_ns, kMaxStateNs) : kStateNs;
+    before_ns_ = capture_ns;
+  }
+  [[nodiscard]] bool due(std::int64_t now_ns) const { return now_ns >= due_ns_; }
+
+ private:
+  std::int64_t due_ns_, before_ns_ = 0;
+};
+
+std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, const std::stop_token& stop) {
+  stream::Playout playout;
+  Pace pace(bus::now_ns());
+  std::uint64_t drawn = 0;
+  bool more = true;
+  Camera before;
+  while (!stop.stop_requested() && !window.closed()) {
+    window.poll_events();
+    bool changed = false;
+    while (more && pace.due(bus::now_ns())) {
+      more = feed.next();
+      const bool new_state = more && feed.new_state();
+      Shown& shown = feed.take();
+      changed = painter.take(shown) || new_state || changed;
+      if (!new_state) continue;
+      pace.state(feed.capture_ns());
+      playout.add(shown.scene, feed.capture_ns(), bus::now_ns());
+    }
+    Shown& shown = feed.take();  // what has faded
+    changed = painter.take(shown) || changed;
+    if (window.take_frame_all()) {
+      if (const auto bounds = painter.bounds()) window.frame(bounds->centre, bounds->radius_m);
+    }
+    const Camera camera = window.camera();
+    changed = changed || playout.moving() || painter.settles(feed.time_s()) || !(camera == before);
+    if (!changed) {
+      std::this_thread::sleep_for(kIdle);
+      continue;
+    }
+    before = camera;
+    playout.advance(bus::now_ns());
+    const auto scene = playout.scene();
+    painter.show(window, camera, scene ? *scene : *shown.scene, feed.time_s());
+    ++drawn;
+  }
+  return drawn;
+}
+
+}  // namespace
+
+std::uint64_t replay(const std::string& log, const Options& options, Device device, std::stop_token stop) {
+  if (!options.window && (options.out.empty() || options.frames == 0)) {
+    throw bus::Error(
+        "a replay needs a window (--window), or a folder and which pictures: --set out=FOLDER --set frames=1");
+  }
+  const bool opengl = options.draws_through_opengl();
+  std::unique_ptr<Window> window;
+  if (options.window) {
+    window = std::make_unique<Window>(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
+                                      opengl ? Window::For::Splats : Window::For::Pictures);
+  }
+  const auto painter = opengl ? make_gl_painter(options.window) : make_raster_painter(device, options.threads);
+  LogFeed feed(log, opengl, options.window, options.max_gaussians);
+  const std::uint64_t drawn =
+      window ? replay_in_window(feed, *painter, *window, stop) : replay_to_files(feed, *painter, options, stop);
+  spdlog::info("{}: {} pictures", log, drawn);
+  return drawn;
+}
+
+}  // namespace splatbus::viewer

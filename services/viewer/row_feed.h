@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <vector>
+
+#include "stream/gpu_rows.h"
+#include "viewer/gl/batch.h"
+
+namespace splatbus::viewer {
+
+/// What a gl::Stage is given of a replica: the rows that have changed and nothing else. Rows that arrive or leave fade.
+/// One thread, the replica's.
+class RowFeed {
+ public:
+  /// Observes the replica, which outlives this.
+  RowFeed(stream::Replica& replica, bool fades);
+
+  /// What has changed until `now_s`, which is above 0 and rises; null where nothing has.
+  [[nodiscard]] gl::SharedBatch take(float now_s);
+  /// All that there is, for who begins anew or has waited for too long.
+  [[nodiscard]] gl::SharedBatch everything() const;
+  /// Rows that were ever used.
+  [[nodiscard]] std::size_t capacity() const { return records_.size(); }
+
+ private:
+  void take_rows(float now_s, gl::RowUpdate& out);
+  void take_vanished(float now_s, gl::RowUpdate& out);
+  [[nodiscard]] std::optional<gl::Bounds> bounds() const;
+  void describe(gl::Batch& batch) const;
+
+  stream::Replica& replica_;
+  stream::GpuRows rows_;
+  bool fades_on_;
+  std::vector<stream::GpuRecord> records_;  ///< as they were handed on
+  std::vector<float> fades_;
+  struct Vanishing {
+    std::uint32_t row;
+    float since_s;
+  };
+  std::deque<Vanishing> vanishing_;
+  float bounded_s_ = -1;
+};
+
+}  // namespace splatbus::viewer
