@@ -163,10 +163,10 @@ TEST_F(WorldTest, NearItsCeilingLessIsWasted) {
     World world(folder_ / (bounded ? "bounded" : "free"), options);
     std::uint32_t pages = 0;
     while (world.segments() < 2) {
-      put(world, make_page(10 * pages++, 100, 2));
+      put(world, make_page(10 * pages++, 20, 2));
       world.commit({.next_gaussian_id = 10000});
     }
-    for (std::uint32_t k = 0; k < pages / 4; ++k) put(world, make_page(10 * k, 100, 5));
+    for (std::uint32_t k = 0; k < (pages + 3) / 4; ++k) put(world, make_page(10 * k, 20, 5));
     world.commit({.next_gaussian_id = 10000});
     const std::uint64_t before = world.bytes();
     EXPECT_EQ(world.is_crowded(), bounded);
