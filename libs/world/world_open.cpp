@@ -100,7 +100,9 @@ void World::load() {
   if (error) throw WorldError(fmt::format("{}: cannot be read: {}", folder_.string(), error.message()));
   std::sort(files.begin(), files.end());
   std::size_t sound_damage = 0;  // up to the last commit
-  for (const auto& [number, path] : files) {
+  for (const auto& listed : files) {
+    const std::uint32_t number = listed.first;
+    const fs::path& path = listed.second;
     highest_number_ = std::max(highest_number_, number);
     std::shared_ptr<const File> file;
     try {

@@ -8,6 +8,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "bus/log_sink.h"
 #include "bus/memory.h"
 #include "model/published_model.h"
 #include "wire/capture_generated.h"
@@ -132,7 +133,8 @@ bool Expander::adopt_model() try {
   return true;
 } catch (const bus::Error& error) {
   bus::require_usable(inserter_.memory());
-  spdlog::warn("model/published is refused: {}", error.what());
+  static bus::LogLimiter limiter;
+  if (limiter.allow()) spdlog::warn("model/published is refused: {}", error.what());
   return false;
 }
 
@@ -143,7 +145,8 @@ void Expander::take_rounds() {
       ++counters_.rounds_lost;
       continue;
     }
-    if (round->invalid > 0) {
+    static bus::LogLimiter limiter;
+    if (round->invalid > 0 && limiter.allow()) {
       spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
                    round->rig_generation, round->invalid);
     }

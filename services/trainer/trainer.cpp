@@ -10,6 +10,8 @@
 #include <map>
 
 #include "bus/clock.h"
+#include "bus/frames.h"
+#include "bus/log_sink.h"
 #include "bus/memory.h"
 #include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
@@ -146,9 +148,12 @@ void Trainer::take_insert(const bus::Message& message) {
   if (reading.batch.dropped > 0) {
     dropped_rows_ += reading.batch.dropped;
     service_.counter("dropped_rows", static_cast<double>(dropped_rows_));
-    spdlog::warn("model/insert from {}: {} of {} Gaussians in batch {} are not valid and were dropped",
-                 message.header().source()->str(), reading.batch.dropped, reading.batch.dropped + reading.batch.count,
-                 reading.batch.batch);
+    static bus::LogLimiter limiter;
+    if (limiter.allow()) {
+      spdlog::warn("model/insert from {}: {} of {} Gaussians in batch {} are not valid and were dropped",
+                   bus::printable(message.header().source()->string_view()), reading.batch.dropped,
+                   reading.batch.dropped + reading.batch.count, reading.batch.batch);
+    }
   }
   bool taken = false;
   commands_.post([&](Commands& commands) { taken = commands.add(std::move(reading.batch)); });
