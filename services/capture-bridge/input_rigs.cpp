@@ -40,56 +40,6 @@ std::int64_t nanoseconds(double seconds) {
 
 }  // namespace
 
-DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const FreeSpace* free, float heading_before) {
-  if (viewer == nullptr) return {.centre = options.centre, .heading_radians = heading_before};
-  DomePlace place{.centre = options.centre, .heading_radians = viewer->heading(heading_before)};
-  if (options.fixed_centre) return place;
-  glm::vec3 from = viewer->position() + options.lead_s * viewer->velocity_m_s;
-  glm::vec3 ahead = viewer->forward();
-  if (free != nullptr) {
-    from = free->reachable(from, 0);
-    // Nothing is to be seen in the sky.
-    if (std::isinf(free->distance(ahead))) ahead.y = std::min(ahead.y, 0.0F);
-  }
-  place.centre = from + options.focus_m * ahead;
-  if (free == nullptr) return place;
-  const float metres = glm::distance(place.centre, free->place());
-  if (metres > 0) {
-    const glm::vec3 way = (place.centre - free->place()) / metres;
-    place.centre = free->place() + std::min(metres, free->distance(way)) * way;
-  }
-  return place;
-}
-
-namespace {
-
-/// Of places ever higher over the dome's centre the first that can be seen, else the one that was wished, drawn back.
-glm::vec3 free_place(const glm::vec3& wished, const glm::vec3& centre, const FreeSpace& free, float clearance_m) {
-  const float radius_m = glm::distance(wished, centre);
-  const glm::vec3 direction = (wished - centre) / radius_m;
-  for (const float lift : {0.0F, 0.3F, 0.6F}) {
-    const glm::vec3 place = centre + radius_m * glm::normalize(glm::mix(direction, glm::vec3(0, 1, 0), lift));
-    if (free.reachable(place, clearance_m) == place) return lift == 0 ? wished : place;
-  }
-  return free.reachable(wished, clearance_m);
-}
-
-}  // namespace
-
-std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
-                              float clearance_m) {
-  std::vector<Camera> cameras = dome_cameras(options, place.centre, place.heading_radians);
-  if (free == nullptr) return cameras;
-  for (Camera& camera : cameras) {
-    const glm::vec3 wished = camera.world_from_camera.translation;
-    const glm::vec3 eye = free_place(wished, place.centre, *free, clearance_m);
-    if (eye == wished) continue;
-    const bool near = glm::distance(eye, place.centre) < 0.5F * options.radius_m;
-    camera.world_from_camera = look_at(eye, near ? free->place() : place.centre, 1, 1, 1).world_from_camera;
-  }
-  return cameras;
-}
-
 std::vector<Camera> InputRigs::update(const Options& options, bool anew, const Viewers& viewers,
                                       const RangeFinder& ranges, std::int64_t now_ns, CameraSet& cameras) {
   shares_.set_total(options.dome.cameras);
@@ -105,7 +55,9 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
   for (const Wish& wish : wished) {
     InputRig& rig = rigs_[wish.name];
     if (shares.at(wish.name) == 0) continue;
-    if (!anew && !is_due(options, wish, rig, now_ns)) continue;
+    const auto due_cameras = static_cast<std::size_t>(std::min(shares.at(wish.name), kLeastCameras));
+    const bool robbed = rig.cameras.size() < due_cameras;
+    if (!anew && !is_due(options, wish, robbed, rig, now_ns)) continue;
     place(options, wish, shares, now_ns);
     placed.push_back(wish.name);
   }
@@ -141,11 +93,12 @@ std::vector<InputRigs::Wish> InputRigs::wishes(const Options& options, const Vie
   return wished;
 }
 
-bool InputRigs::is_due(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns) const {
+bool InputRigs::is_due(const Options& options, const Wish& wish, bool robbed, InputRig& rig,
+                       std::int64_t now_ns) const {
   const bool moved = glm::distance(wish.place.centre, rig.place.centre) > options.placement.move_m ||
                      turned(wish.place, rig.place) > options.placement.turn_radians;
   const bool can_be_tested = !rig.tested && wish.free != nullptr;
-  if (rig.placed() && !moved && !can_be_tested) return false;
+  if (rig.placed() && !moved && !can_be_tested && !robbed) return false;
   // A rig that an engine is rendering stays until its pictures are there, or a viewer on the move would never see one
   // complete. Whoever jumps is elsewhere at once, but for those that do nothing else.
   const std::int64_t deadline_ns = nanoseconds(options.input_deadline_s);
@@ -174,13 +127,15 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.anchor = wish.free != nullptr     ? wish.free->place()
                : wish.viewer != nullptr ? wish.viewer->position()
                                         : wish.place.centre + glm::vec3(0, options.dome.radius_m, 0);
+  const std::size_t eyes = wish.viewer != nullptr && !options.placement.fixed_centre && ids.size() > 1 ? 1 : 0;
   DomeOptions dome = options.dome;
-  dome.cameras = static_cast<int>(ids.size());
+  dome.cameras = static_cast<int>(ids.size() - eyes);
   const std::vector<Camera> stands = free_dome(dome, wish.place, wish.free, options.clearance_m);
-  const std::vector<std::size_t> places = spread_places(ids.size());
+  const std::vector<std::size_t> places = spread_places(stands.size());
   rig.cameras.clear();
   for (std::size_t k = 0; k < ids.size(); ++k) {
-    Camera camera = stands[places[k]];
+    Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
+                             : stands[places[k - eyes]];
     camera.id = ids[k];
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;

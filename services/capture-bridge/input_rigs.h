@@ -10,28 +10,13 @@
 #include <vector>
 
 #include "capture-bridge/camera_shares.h"
+#include "capture-bridge/dome.h"
 #include "capture-bridge/parameters.h"
 #include "capture-bridge/range_finder.h"
 #include "capture-bridge/requests.h"
 #include "capture-bridge/viewers.h"
 
 namespace splatbus::capture_bridge {
-
-/// Where a dome of input cameras stands.
-struct DomePlace {
-  glm::vec3 centre{0};
-  float heading_radians = 0;
-};
-
-/// Where the dome is to stand for a viewer (null: none is known yet), whose free space is known or not (null).
-[[nodiscard]] DomePlace dome_place(const DomePlacement& options, const Viewer* viewer, const FreeSpace* free,
-                                   float heading_before);
-
-/// The dome's cameras there, each where it can see: what would stand in a wall or behind one stands higher on the dome,
-/// or is drawn towards the place of the free space; one that comes nearer to the centre than half the radius by that
-/// looks back along its way.
-[[nodiscard]] std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
-                                            float clearance_m);
 
 /// The input cameras of one viewer, and the rounds of their pictures.
 struct InputRig {
@@ -92,7 +77,9 @@ class InputRigs {
     float need = 0;
   };
   [[nodiscard]] std::vector<Wish> wishes(const Options& options, const Viewers& viewers, const RangeFinder& ranges);
-  [[nodiscard]] bool is_due(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns) const;
+  /// `robbed`: others have so many of its cameras that it has no dome any more.
+  [[nodiscard]] bool is_due(const Options& options, const Wish& wish, bool robbed, InputRig& rig,
+                            std::int64_t now_ns) const;
   void place(const Options& options, const Wish& wish, const CameraShares::Shares& shares, std::int64_t now_ns);
   void forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares);
   std::vector<Camera> request(const Options& options, const std::vector<std::string>& placed, std::int64_t now_ns,

@@ -28,22 +28,21 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
   credit_ = std::min(kMaxCredit, credit_ + options.rate_hz * static_cast<double>(now_ns - credited_ns_) * 1e-9);
   credited_ns_ = now_ns;
   while (options.rate_hz > 0 && credit_ + kOverdraft >= 1) {
-    const std::pair<const std::string, Viewer>* neediest = nullptr;
-    float most_m = credit_ >= 1 ? options.move_m : options.reach_m;
+    // Whoever has waited longest: one who outruns his cubes starves nobody, nor by always having none.
+    const std::pair<const std::string, Viewer>* next = nullptr;
     std::int64_t oldest_ns = 0;
     for (const auto& entry : viewers.all()) {
-      const float off_m = off_cube(entry.first, entry.second);
       const auto known = ranges_.find(entry.first);
       const std::int64_t asked_ns = known == ranges_.end() ? 0 : known->second.asked_ns;
-      // Of those in equal need, whoever has waited longest: one who outruns his cubes starves nobody.
-      const bool waited_longer = off_m == most_m && neediest != nullptr && asked_ns < oldest_ns;
-      if (!(off_m > most_m || waited_longer)) continue;
-      most_m = off_m;
+      const bool overdraws = credit_ < 1;
+      if (overdraws && asked_ns > 0 && now_ns - asked_ns < kPatienceNs) continue;
+      const float least_m = overdraws ? options.reach_m : options.move_m;
+      if (!(off_cube(entry.first, entry.second) > least_m) || (next != nullptr && asked_ns >= oldest_ns)) continue;
       oldest_ns = asked_ns;
-      neediest = &entry;
+      next = &entry;
     }
-    if (neediest == nullptr) return;
-    ask(options, neediest->second, range_of(neediest->first), now_ns, cameras);
+    if (next == nullptr) return;
+    ask(options, next->second, range_of(next->first), now_ns, cameras);
     credit_ -= 1;
   }
 }

@@ -155,6 +155,27 @@ TEST_F(WorldTest, WhoeverAsksWaitsForNoDisk) {
   EXPECT_TRUE(world.read(second.key));
 }
 
+/// Where a folder comes near what it may take, segments are rewritten that would else be left alone.
+TEST_F(WorldTest, NearItsCeilingLessIsWasted) {
+  for (const bool bounded : {false, true}) {
+    WorldOptions options{.segment_bytes = 60000};
+    options.max_bytes = bounded ? 70000 : 0;
+    World world(folder_ / (bounded ? "bounded" : "free"), options);
+    std::uint32_t pages = 0;
+    while (world.segments() < 2) {
+      put(world, make_page(10 * pages++, 20, 2));
+      world.commit({.next_gaussian_id = 10000});
+    }
+    for (std::uint32_t k = 0; k < (pages + 3) / 4; ++k) put(world, make_page(10 * k, 20, 5));
+    world.commit({.next_gaussian_id = 10000});
+    const std::uint64_t before = world.bytes();
+    EXPECT_EQ(world.is_crowded(), bounded);
+    EXPECT_EQ(world.compact(), bounded) << "a quarter of it is waste";
+    EXPECT_EQ(world.bytes() < before, bounded);
+    EXPECT_EQ(world.pages().size(), pages);
+  }
+}
+
 TEST_F(WorldTest, OnlyOneWriterAtATime) {
   {
     const World world(folder_, {});

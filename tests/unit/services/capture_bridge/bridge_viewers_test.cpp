@@ -43,6 +43,7 @@ TEST_F(BridgeViewersTest, InARoomNoInputCameraStandsInAWallOrBehindOne) {
   }));
   for (const glm::vec3& place : stands) {
     const glm::vec3 way = place - eye;
+    if (glm::length(way) < 1e-3F) continue;  // the viewer's own place
     const auto hit = engine_.scene.cast(eye, glm::normalize(way));
     EXPECT_TRUE(!hit || hit->distance > glm::length(way)) << place.x << " " << place.y << " " << place.z;
   }

@@ -150,6 +150,35 @@ TEST(FreeDome, InARoomAlsoLooksBack) {
   EXPECT_GE(ahead, 8);
 }
 
+/// One input camera sees all that the viewer will see: the ceiling over him, and what a door shows of the next room.
+TEST(EyeCamera, SeesWhatTheViewerWillSee) {
+  AnalyticScene scene;
+  scene.boxes = room({0, 0, 0}, true);
+  Viewer viewer = at({0, 1.5F, 0.5F}, {0.3F, 2.1F, -2});
+  viewer.camera.width = 160;
+  viewer.camera.height = 90;
+  viewer.camera.cx = 80;
+  viewer.camera.cy = 45;
+  viewer.camera.fx = viewer.camera.fy = 70;
+  viewer.velocity_m_s = {0, 0, -1.4F};
+  const FreeSpace free = seen_from(scene, viewer.position());
+  const Camera eye = eye_camera({.size = {64, 48}}, {.lead_s = 0.5F}, viewer, &free, kClearance_m);
+  const glm::vec3 will_be = viewer.position() + 0.5F * viewer.velocity_m_s;
+  EXPECT_LT(glm::distance(eye.world_from_camera.translation, will_be), 1e-4F);
+  EXPECT_EQ(eye.width, 64U);
+  for (const glm::vec2 corner : {glm::vec2(0, 0), glm::vec2(160, 0), glm::vec2(0, 90), glm::vec2(160, 90)}) {
+    const glm::vec3 ray((corner.x - 80) / 70, (corner.y - 45) / 70, 1);
+    const glm::vec3 world = viewer.camera.world_from_camera.rotation * ray;
+    const glm::vec3 seen = glm::inverse(eye.world_from_camera.rotation) * world;
+    EXPECT_LT(std::abs(eye.fx * seen.x / seen.z), 0.5F * 64);
+    EXPECT_LT(std::abs(eye.fy * seen.y / seen.z), 0.5F * 48);
+  }
+  // Through no wall.
+  viewer.velocity_m_s = {9, 0, 0};
+  EXPECT_TRUE(
+      free.sees(eye_camera({.size = 64}, {.lead_s = 0.5F}, viewer, &free, kClearance_m).world_from_camera.translation));
+}
+
 TEST(DomePlace, LeadsButNotThroughWalls) {
   const DomePlacement options{.focus_m = 3, .lead_s = 0.5F};
   Viewer viewer = at({0, 1.5F, 0}, {0, 1.5F, -1});

@@ -101,6 +101,14 @@ TEST_F(RigControlTest, MovesBeyondItsThresholdsAndWithTheHeight) {
   EXPECT_NEAR(rig("v").place.heading_radians, 1.2F, 1e-4F);
 }
 
+TEST_F(RigControlTest, OneInputCameraIsTheViewersEye) {
+  look("v", standing({0, 1.6F, 0}));
+  update();
+  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 0.01F), 1);
+  const Camera& eye = of(CameraRole::Input)[0];
+  EXPECT_LT(glm::distance(eye.world_from_camera.rotation * glm::vec3(0, 0, 1), glm::vec3(0, 0, -1)), 1e-4F);
+}
+
 TEST_F(RigControlTest, AHeadingThatWrapsIsNotATurn) {
   set("input_center", "0,0.25,0");
   const auto look_along = [&](float angle) {
@@ -210,6 +218,22 @@ TEST_F(RigControlTest, OfEqualNeedWhoeverHasWaitedLongestGetsTheCube) {
   }
   EXPECT_GE(asked["a"], 6 * 8);
   EXPECT_NEAR(asked["a"], asked["b"], 6 * 2);
+}
+
+/// Who walks has a cube of use all the while, and is in less need than one who outruns each of his: he has new ones
+/// all the same.
+TEST_F(RigControlTest, WhoOutrunsHisCubesStarvesNobody) {
+  set("input_range_hz", "2");
+  int walkers = 0;
+  float ran = 0, walked = 0;
+  for (; now_ns_ < 10 * kSecond; pass(kSecond / 100)) {
+    look("runs", standing({ran += 2, 1.6F, 0}));
+    look("walks", standing({walked += 0.014F, 1.6F, 500}));
+    update();
+    for (const Camera& camera : of(CameraRole::Probe)) walkers += camera.world_from_camera.translation.z > 250 ? 1 : 0;
+    answer_cubes(10);
+  }
+  EXPECT_GE(walkers, 6 * 8);
 }
 
 TEST_F(RigControlTest, CubesAreBoundedAndAskedForWhereTheyAreOfUse) {

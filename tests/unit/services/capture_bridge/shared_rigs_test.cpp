@@ -199,6 +199,22 @@ TEST_F(RigControlTest, MoreViewersThanCamerasTakeTurns) {
   EXPECT_EQ(about(CameraRole::Reference, {0, 1.6F, 0}, 1e-4F), 1);
 }
 
+TEST_F(RigControlTest, WhoStandsStillGetsCamerasBackThatOthersTook) {
+  set("input_cameras", "4");
+  look("a", standing({0, 1.6F, 0}));
+  update();
+  control_.inputs().note_new_share(rig("a").round.rig_generation(), 0.5F);
+  pass(kSecond / 10);
+  look("b", standing({100, 1.6F, 0}));
+  update();
+  ASSERT_EQ(rig("b").cameras.size(), 4U);
+  ASSERT_TRUE(rig("a").cameras.empty());
+  control_.inputs().note_new_share(rig("b").round.rig_generation(), 0);
+  pass(kSecond / 10);
+  update();
+  EXPECT_EQ(rig("a").cameras.size(), 4U) << "though it has not moved";
+}
+
 TEST_F(RigControlTest, CascadesLieAboutTheViewersThatAreNearEachOther) {
   Light light;
   look("a", standing({10, 1.6F, 0}));
