@@ -163,7 +163,8 @@ Response Site::choose(const Request& request, std::int64_t now_ns) {
   const auto format = ModelFiles::format_of_path(path);
   const bool manifest_asked = path == "/manifest" || path == "/manifest.json";
   if (path == "/status" || path == "/metrics" || name || format || manifest_asked) {
-    if (!rights_of(token_of(request))) {
+    const auto rights = rights_of(token_of(request));
+    if (!rights) {
       traffic_.refuse(Refusal::Token);
       return text(401, "a token is needed\n");
     }
@@ -173,7 +174,8 @@ Response Site::choose(const Request& request, std::int64_t now_ns) {
     if (path == "/metrics") {
       return text(200, metrics_text(pipeline_, traffic_, now_ns), "text/plain; version=0.0.4; charset=utf-8");
     }
-    const auto status = status_json(pipeline_, traffic_, bench_, now_ns);
+    auto status = status_json(pipeline_, traffic_, bench_, now_ns);
+    status["rights"] = bus::to_text(*rights);
     return text(200, status.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n", "application/json");
   }
   if (path == "/stream") {
