@@ -34,8 +34,6 @@ struct BorrowedDescriptor {
   BorrowedDescriptor& operator=(const BorrowedDescriptor&) = delete;
 };
 
-constexpr std::int64_t kPendingNs = 60'000'000'000;  // what is asked for is made, or fetched, within
-
 }  // namespace
 
 struct Server::Impl {
@@ -152,15 +150,18 @@ struct Server::Impl {
     const std::int64_t began_ns = bus::now_ns();
     asio::steady_timer timer(io);
     Response response = site.answer(view_of(request), began_ns);
-    while (response.pending && bus::now_ns() - began_ns < kPendingNs) {
-      if (pages.poll(bus::now_ns())) wake_waiting();  // what it has asked for may be there already
-      timer.expires_after(kTick);
-      waiting.insert(&timer);
-      co_await timer.async_wait(kNoThrow);
-      waiting.erase(&timer);
+    while (static_cast<double>(bus::now_ns() - began_ns) / 1e9 < response.pending_s) {
+      if (pages.poll(bus::now_ns())) {
+        wake_waiting();
+      } else {
+        timer.expires_after(kTick);
+        waiting.insert(&timer);
+        co_await timer.async_wait(kNoThrow);
+        waiting.erase(&timer);
+      }
       response = site.answer(view_of(request), bus::now_ns(), true);
     }
-    if (response.pending) response = unavailable("nothing has come yet");
+    if (response.pending_s > 0) response = unavailable("nothing has come yet");
     co_return response;
   }
   void wake_waiting() {
@@ -192,7 +193,7 @@ struct Server::Impl {
     for (Browser* browser : std::vector<Browser*>(relay.browsers.begin(), relay.browsers.end())) {
       const auto rights = site.rights_of(browser->token);
       if (rights) browser->rights = *rights;
-      if (!rights) browser->stop();
+      if (!rights) browser->close("its token has been withdrawn");
     }
   }
 

@@ -13,6 +13,7 @@ namespace {
 
 constexpr std::size_t kMaxToken = 256;
 constexpr std::string_view kTokenProtocol = "splatbus.token.";
+constexpr double kFetchS = 20, kExportS = 60;  // in which pages come, and files are made
 constexpr std::int64_t kBenchEveryNs = 500'000'000;
 
 Response text(int status, std::string body, std::string type = "text/plain; charset=utf-8") {
@@ -140,7 +141,7 @@ std::optional<Response> Site::refuse_stranger(const Request& request) {
 Response Site::answer(const Request& request, std::int64_t now_ns, bool again) {
   traffic_.requests += again ? 0 : 1;
   Response response = choose(request, now_ns);
-  if (!response.pending) reduce(request, response);
+  if (response.pending_s == 0) reduce(request, response);
   return response;
 }
 
@@ -200,7 +201,7 @@ std::string_view Site::audience() const {
 
 Response Site::page(const PageName& name, std::int64_t now_ns) {
   PageLibrary::Found found = pages_.page(name, now_ns);
-  if (found.state == PageLibrary::State::Waits) return {.pending = true};
+  if (found.state == PageLibrary::State::Waits) return {.pending_s = kFetchS};
   if (found.state == PageLibrary::State::Absent) return text(404, "no page that rests; /manifest names them\n");
   return {
       .fields = {{"ETag", found.etag}, {"Cache-Control", fmt::format("{}, max-age=31536000, immutable", audience())}},
@@ -210,7 +211,7 @@ Response Site::page(const PageName& name, std::int64_t now_ns) {
 
 Response Site::manifest(bool json, std::int64_t now_ns) {
   PageLibrary::Found found = pages_.manifest(json, now_ns);
-  if (found.state == PageLibrary::State::Waits) return {.pending = true};
+  if (found.state == PageLibrary::State::Waits) return {.pending_s = kFetchS};
   return {
       .fields = {{"ETag", found.etag}, {"Cache-Control", fmt::format("{}, max-age=1, must-revalidate", audience())}},
       .type = json ? "application/json" : "application/octet-stream",
@@ -220,7 +221,7 @@ Response Site::manifest(bool json, std::int64_t now_ns) {
 Response Site::model(splats::Format format, std::int64_t now_ns) {
   ModelFiles::Found found = models_.find(format, now_ns);
   if (!found.problem.empty()) return unavailable(found.problem);
-  if (!found.file) return {.pending = true};
+  if (!found.file) return {.pending_s = kExportS};
   const char* name = format == splats::Format::Ply ? "ply" : format == splats::Format::Glb ? "glb" : "spz";
   return {.fields = {{"ETag", found.file->etag},
                      {"Cache-Control", "private, no-cache"},

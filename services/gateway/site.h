@@ -35,7 +35,7 @@ struct Response {
   std::shared_ptr<const std::string> body;  ///< null: none
   std::shared_ptr<const ModelFile> file;    ///< in place of a body
   std::size_t first = 0, bytes = 0;         ///< what of either is sent
-  bool pending = false;                     ///< not known yet: the same is to be asked again, a little later
+  double pending_s = 0;                     ///< not known yet: it is to be asked again, for so long at most
 };
 
 /// 503, worth another try.

@@ -2,12 +2,15 @@
 
 // Part of server.cpp: of Boost.Beast, which is slow to compile.
 
+#include <spdlog/spdlog.h>
+
 #include <memory>
 #include <set>
 #include <string>
 #include <utility>
 
 #include "bus/clock.h"
+#include "bus/log_sink.h"
 #include "bus/token_bucket.h"
 #include "gateway/boost_types.h"
 #include "gateway/packet_gate.h"
@@ -24,6 +27,8 @@ class Browser {
   virtual ~Browser() = default;
   /// Ends it without another word.
   virtual void stop() = 0;
+  /// Tells it why, and ends it.
+  virtual void close(const char* why) = 0;
   [[nodiscard]] virtual int socket() = 0;
 
   bus::Rights rights;
@@ -76,9 +81,12 @@ class Relay {
   }
   void stall(Browser& browser) {
     traffic.refuse(Refusal::Stalled);
+    // It would not read a word about that either.
+    if (log_limiter_.allow()) spdlog::warn("a browser that does not read is closed");
     browser.write_began_ns = 0;
     browser.stop();
   }
+  bus::LogLimiter log_limiter_;
 };
 
 /// Relays between one browser's WebSocket and its link to the streamer. Held by its coroutines.
@@ -135,16 +143,26 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
     beast::get_lowest_layer(socket_).close();
     wake_.cancel();
   }
+  void close(const char* why) override {
+    if (std::exchange(closing_, true)) return;
+    wake_.cancel();
+    asio::co_spawn(socket_.get_executor(), close(this->shared_from_this(), why), asio::detached);
+  }
   [[nodiscard]] int socket() override { return beast::get_lowest_layer(socket_).socket().native_handle(); }
 
  private:
   static asio::awaitable<void> write_packets(std::shared_ptr<StreamSession> self) {
     co_await self->write_packets();
+    if (!self->closing_) self->stop();
+  }
+  static asio::awaitable<void> close(std::shared_ptr<StreamSession> self, std::string why) {
+    const websocket::close_reason reason(websocket::close_code::policy_error, why);
+    co_await self->socket_.async_close(reason, kNoThrow);
     self->stop();
   }
   asio::awaitable<void> write_packets() {
     StreamPacket packet;
-    while (!stopped_) {
+    while (!stopped_ && !closing_) {
       if (!link_.receive(packet)) {
         // Cancelled when a send has emptied it.
         co_await wake_.async_wait(asio::posix::stream_descriptor::wait_read, kNoThrow);
@@ -175,9 +193,10 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
       ++relay_.traffic.messages_from;
       relay_.traffic.bytes_from += bytes;
       co_await wait_for_turn();
-      if (!take({static_cast<const std::uint8_t*>(buffer.data().data()), bytes})) {
+      if (!closing_ && !take({static_cast<const std::uint8_t*>(buffer.data().data()), bytes})) {
         relay_.traffic.refuse(Refusal::Malformed);
-        const websocket::close_reason reason(websocket::close_code::policy_error);
+        closing_ = true;
+        const websocket::close_reason reason(websocket::close_code::policy_error, "no packet");
         co_await socket_.async_close(reason, kNoThrow);
         co_return;
       }
@@ -228,7 +247,7 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
   StreamLink link_;
   asio::posix::stream_descriptor wake_;
   bus::TokenBucket messages_;
-  bool stopped_ = false;
+  bool stopped_ = false, closing_ = false;
 };
 
 }  // namespace splatbus::gateway

@@ -244,6 +244,7 @@ TEST_F(Http, ATokenThatIsTakenAwayEndsItsConnection) {
   ASSERT_TRUE(page.open());
   write("tokens", "# nobody any more\n");
   EXPECT_FALSE(page.receive());
+  EXPECT_EQ(page.close_code(), 1008) << "it is told";
   EXPECT_TRUE(page.wire().ends());
 }
 

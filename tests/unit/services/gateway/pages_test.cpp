@@ -255,8 +255,8 @@ TEST_F(Library, KeepsThoseThatWereAskedForLast) {
   EXPECT_LE(library.bytes(), 2 * largest);
   EXPECT_EQ(traffic_.page_bytes, library.bytes());
   EXPECT_EQ(traffic_.pages_fetched, 3U);
-  ASSERT_EQ(fetch(library, names[2]).state, PageLibrary::State::Here);
-  EXPECT_EQ(traffic_.pages_fetched, 3U);
+  ASSERT_EQ(fetch(library, names[0]).state, PageLibrary::State::Here);
+  EXPECT_EQ(traffic_.pages_fetched, 3U) << "the other one had to go";
   for (const PageName& name : names) ASSERT_EQ(fetch(library, name).state, PageLibrary::State::Here);
   EXPECT_GT(traffic_.pages_fetched, 3U);
   EXPECT_LE(library.bytes(), 2 * largest);
