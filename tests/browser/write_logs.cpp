@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "../unit/stream/toy_server.h"
+#include "gaussians/sh.h"
 #include "stream/follower.h"
 #include "stream/gpu_rows.h"
 #include "stream/held_hash.h"
@@ -90,7 +91,7 @@ Light light_at(float turn) {
 }
 
 void write(Writer& writer, std::size_t gaussians, int ticks, Appearance appearance = Appearance::Transfer) {
-  ToyServer server(21, gaussians, appearance);
+  ToyServer server(21, gaussians, appearance, {}, 76, kMaxShDegree);
   server.scene.objects[7] = ObjectTransform(Rigid{.translation = {0, 1, 0}});
   server.scene.light = light_at(0);
   server.change_scene();

@@ -68,7 +68,7 @@ export class Extras {
     let drawing: EyeRenderer | null = null;
     const renderer = async (): Promise<EyeRenderer> => {
       const found = await this.stage.use('webgl2');
-      if (!found || !('drawEyes' in found)) throw new Error('WebGL2 is not available');
+      if (!found || !('drawEyes' in found)) throw new Error(texts.lacks.webgl2);
       return (drawing = found as EyeRenderer);
     };
     try {

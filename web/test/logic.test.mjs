@@ -95,6 +95,24 @@ test('rows that appear and vanish fade, those that change do not', () => {
   assert.deepEqual([...mirror.everything().rows], [5]);
 });
 
+test('harmonics fade with their rows, and are there for who begins anew', () => {
+  const mirror = new logic.RowMirror();
+  const radiant = (row, opacity, value, nowS) => {
+    const harmonics = { words: 4, values: new Uint32Array(4).fill(value) };
+    return mirror.take({ rows: new Uint32Array([row]), records: new Uint32Array(record(opacity)), harmonics }, nowS);
+  };
+  radiant(3, 200, 11, 10);
+  radiant(5, 200, 12, 10);
+  assert.deepEqual([...radiant(3, 0, 0, 12).harmonics.values], [11, 11, 11, 11], 'they are still to be seen');
+  assert.deepEqual([...mirror.everything().harmonics.values], [11, 11, 11, 11, 12, 12, 12, 12]);
+  // Without harmonics a renderer would take it for a model that has none.
+  assert.equal(mirror.takeVanished(12.5).harmonics.words, 4);
+  assert.deepEqual([...mirror.everything().harmonics.values], [12, 12, 12, 12]);
+  // Another model, whose colors do not depend on the view.
+  update(mirror, { 5: record(200) }, 13);
+  assert.equal(mirror.everything().harmonics, undefined);
+});
+
 test('a row that is given away while it fades stays', () => {
   const mirror = new logic.RowMirror();
   update(mirror, { 3: record(200) }, 10);
@@ -167,4 +185,28 @@ test('an address keeps a view and loses a token', () => {
   assert.ok(!/secret|other/.test(next), next);
   assert.deepEqual(logic.readAddress(new URL(next)).pose, pose);
   assert.equal(logic.readAddress(new URL(next)).options.get('gpu'), 'webgpu');
+});
+
+test('the camera comes to its goal without a jump, in the same time at any rate of pictures; at once where less motion is asked for', () => {
+  const goal = { target: [1, 0.4, 0], yaw: 1, pitch: 0.5, distance: 2 };
+  const after = (seconds, rate) => {
+    const rig = new logic.Rig();
+    rig.move(goal);
+    let largest = 0;
+    for (let k = 0; k < seconds * rate; ++k) {
+      const before = rig.shown.yaw;
+      rig.advance(1 / rate);
+      largest = Math.max(largest, rig.shown.yaw - before);
+    }
+    return { yaw: rig.shown.yaw, largest };
+  };
+  const [slow, quick] = [after(0.1, 30), after(0.1, 240)];
+  assert.ok(Math.abs(slow.yaw - quick.yaw) < 1e-9 && slow.yaw > 0.7 && slow.yaw < 0.9, `${slow.yaw}, ${quick.yaw}`);
+  assert.ok(quick.largest < 0.1, `a step of ${quick.largest}`);
+  assert.equal(after(1, 60).yaw, 1);
+  const still = new logic.Rig();
+  still.smooth = false;
+  still.move(goal);
+  still.advance(1 / 60);
+  assert.deepEqual([still.shown.yaw, still.shown.distance], [1, 2]);
 });

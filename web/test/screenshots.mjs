@@ -29,7 +29,7 @@ try {
   await page.addInitScript((settings) => localStorage.setItem('splatbus.settings', settings), kSettings);
   await page.goto(`${pipeline.url}/${kView}`);
   await trained();
-  await page.waitForFunction(kWhole);
+  await page.waitForFunction(new Function(`return ${kWhole}`)); // the site lets no page make functions of text
   writeFileSync(join(folder, 'page_chromium.png'), await page.screenshot());
   await page.keyboard.press('i');
   await page.keyboard.press('c');

@@ -22,6 +22,7 @@ inline GaussiansBuffer toy_model(std::size_t count, std::uint32_t seed, std::uin
     return model.parameters[static_cast<std::size_t>(channel) * model.stride() + i];
   };
   const float spacing = 5 / std::sqrt(static_cast<float>(count) + 1);
+  const float residual = sh_degree > 1 ? 0.12F : 0.01F;  // a colour that is another from every side
   for (std::size_t i = 0; i < count; ++i) {
     const float x = 5 * uniform(random) - 2.5F, z = 5 * uniform(random) - 2.5F;
     at(0, i) = x;
@@ -35,7 +36,7 @@ inline GaussiansBuffer toy_model(std::size_t count, std::uint32_t seed, std::uin
       const float smooth = 0.4F + 0.3F * std::sin(static_cast<float>(c + 1) * x + 2 * z);
       at(11 + c, i) = appearance == Appearance::Transfer ? smooth + 0.03F * normal(random) : (smooth - 0.5F) / 0.282F;
     }
-    for (int c = 14; c < layout.channels(); ++c) at(c, i) = 0.01F * normal(random);
+    for (int c = 14; c < layout.channels(); ++c) at(c, i) = residual * normal(random);
     const glm::vec3 n = glm::normalize(glm::vec3(-0.3F * std::cos(3 * x), 1, 0.02F * normal(random)));
     for (int c = 0; c < 3; ++c) model.normal[static_cast<std::size_t>(c) * model.stride() + i] = n[c];
     model.visibility[i] = x > 0.5F ? 0.0F : 1.0F;

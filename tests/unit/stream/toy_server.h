@@ -57,10 +57,10 @@ inline std::vector<EncodedPacket> packets_of(StreamModel& stream) {
 class ToyServer {
  public:
   explicit ToyServer(std::uint32_t seed, std::size_t count = 600, Appearance appearance = Appearance::Transfer,
-                     const StreamOptions& options = {}, std::uint64_t epoch = 76)
+                     const StreamOptions& options = {}, std::uint64_t epoch = 76, int sh_degree = 1)
       : stream(PacketWriter("streamer", 1), epoch, options),
         random_(seed),
-        model_(toy_model(count, seed, 1, appearance)),
+        model_(toy_model(count, seed, 1, appearance, sh_degree)),
         next_id_(count + 1) {
     scene.light.sun_direction = {0, 1, 0};
     scene.light.generation = 1;
@@ -73,8 +73,8 @@ class ToyServer {
   }
 
   void insert(std::size_t count) {
-    const GaussiansBuffer more =
-        toy_model(count, static_cast<std::uint32_t>(random_()), next_id_, model_.layout().appearance);
+    const GaussiansBuffer more = toy_model(count, static_cast<std::uint32_t>(random_()), next_id_,
+                                           model_.layout().appearance, model_.layout().sh_degree);
     next_id_ += count;
     const std::size_t before = model_.count();
     model_.resize(before + count);

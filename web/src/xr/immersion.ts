@@ -1,6 +1,7 @@
 import type { Motion, Pose } from '../camera/rig';
 import type { View } from '../math';
 import type { Eye, EyeRenderer } from '../render/renderer';
+import { texts } from '../texts';
 import { viewFromXr, viewOfEye, xrFromWorld } from './xr_view';
 
 const kDead = 0.15;
@@ -37,7 +38,7 @@ export class Immersion {
 
   /** To be called by a person's click. `renderer` is asked for once the session is granted. */
   static async start(renderer: () => Promise<EyeRenderer>, actions: ImmersionActions): Promise<Immersion> {
-    if (!navigator.xr) throw new Error('no WebXR');
+    if (!navigator.xr) throw new Error(texts.lacks.headset);
     const session = await navigator.xr.requestSession('immersive-vr');
     try {
       const gl = await (await renderer()).forXr();

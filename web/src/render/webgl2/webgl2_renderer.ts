@@ -1,5 +1,6 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
+import { texts } from '../../texts';
 import { batchIndices, kBatch } from '../quads';
 import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Eye, type EyeRenderer, type Frame, type Picture } from '../renderer';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
@@ -36,9 +37,9 @@ export class WebGl2Renderer implements EyeRenderer {
   /** Throws GraphicsError where the browser has no WebGL2, or cannot blend into 16-bit floats. */
   constructor(readonly canvas: HTMLCanvasElement) {
     const gl = canvas.getContext('webgl2', { alpha: false, antialias: false, depth: false, powerPreference: 'high-performance' });
-    if (!gl) throw new GraphicsError('WebGL2 is not available');
+    if (!gl) throw new GraphicsError(texts.lacks.webgl2);
     const floats = gl.getExtension('EXT_color_buffer_float');
-    if (!floats) throw new GraphicsError('the graphics driver cannot draw into 16-bit floats');
+    if (!floats) throw new GraphicsError(texts.lacks.floats);
     this.#gl = gl;
     this.lost = new Promise((resolve) =>
       canvas.addEventListener(

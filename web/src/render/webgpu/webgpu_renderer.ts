@@ -2,6 +2,7 @@ import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
 import { batchIndices } from '../quads';
 import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import { texts } from '../../texts';
 import { DepthOrder, DepthPipelines } from './depth_order';
 import { bindGroup, RowBuffers } from './row_buffers';
 import { kResolve, kSplats } from './shaders';
@@ -28,13 +29,13 @@ export class WebGpuRenderer implements Renderer {
 
   /** Throws GraphicsError where the browser has no WebGPU. */
   static async make(canvas: HTMLCanvasElement): Promise<WebGpuRenderer> {
-    if (!navigator.gpu) throw new GraphicsError('WebGPU is not available');
+    if (!navigator.gpu) throw new GraphicsError(texts.lacks.webgpu);
     const adapter = await navigator.gpu.requestAdapter({ powerPreference: 'high-performance' });
-    if (!adapter) throw new GraphicsError('WebGPU found no device');
+    if (!adapter) throw new GraphicsError(texts.lacks.device);
     const { maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
     const device = await adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize, maxBufferSize } });
     const context = canvas.getContext('webgpu');
-    if (!context) throw new GraphicsError('WebGPU cannot draw to the page');
+    if (!context) throw new GraphicsError(texts.lacks.canvas);
     return new WebGpuRenderer(canvas, device, context);
   }
 
