@@ -71,6 +71,8 @@ void Expander::subscribe() {
           [this](const wire::ViewerPose& pose, const bus::Message& message) {
             viewpoints_.take(pose, message.header().publish_ns(), bus::now_ns());
           })
+      .on(topics::kTrainerStats,
+          [this](const wire::TrainerStats& stats, const bus::Message&) { steps_per_s_ = stats.steps_per_s(); })
       .on(topics::kModelPublished, [this](const wire::ModelPublished& published, const bus::Message& message) {
         handle_published(published, message);
       });
@@ -173,7 +175,7 @@ void Expander::insert_rounds() {
 void Expander::insert(const Round& round) {
   const std::int64_t start = bus::now_ns();
   const std::size_t limit = options_->max_gaussians;
-  InsertOptions options = options_->insert;
+  InsertOptions options = options_->insert_at(steps_per_s_);
   options.select.room = static_cast<std::uint32_t>(limit - std::min(limit, inserter_.modelled().size()));
   InsertResult result =
       inserter_.insert(round, viewpoints_.at(bus::now_ns(), options_->ahead_s, round.cameras), options);

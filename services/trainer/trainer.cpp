@@ -67,7 +67,8 @@ void Trainer::run() {
 void Trainer::open_store() {
   const Options& options = *options_;
   model::PageStoreOptions store{.max_gaussians = options.max_gaussians};
-  const std::size_t most = WorldKeeper::most_pages(options.world, options.layout, service_.backend);
+  constexpr double kLeastActive = 0.25;
+  const std::size_t most = WorldKeeper::most_pages(options.world, options.layout, service_.backend, kLeastActive);
   // A split takes its new pages before it gives the old one back.
   constexpr std::size_t kSplits = 64;
   if (most < std::numeric_limits<std::size_t>::max() - kSplits) store.max_pages = most + kSplits;

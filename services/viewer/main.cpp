@@ -42,7 +42,9 @@ int standalone_main(int argc, char** argv) {
   CLI::App app("Shows a stream without any bus", "splatbus-viewer");
   std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info", backend = "auto";
   std::vector<std::string> changes;
-  app.add_option("--connect", endpoint, "the streamer's endpoint, such as tcp://host:7600")->required();
+  app.add_option("--connect", endpoint,
+                 "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680")
+      ->required();
   app.add_option("--name", name, "told to the streamer")->capture_default_str();
   app.add_option_function<std::string>(
       "--key", [&](const std::string& file) { changes.push_back("key=" + file); },
@@ -50,6 +52,12 @@ int standalone_main(int argc, char** argv) {
   app.add_option_function<std::string>(
       "--server-key", [&](const std::string& key) { changes.push_back("server_key=" + key); },
       "that streamer's public key; else SPLATBUS_SERVER_KEY");
+  app.add_option_function<std::string>(
+      "--token", [&](const std::string& token) { changes.push_back("token=" + token); },
+      "for a gateway that asks for one; else the address's own, or SPLATBUS_TOKEN");
+  app.add_option_function<std::string>(
+      "--ca", [&](const std::string& file) { changes.push_back("ca=" + file); },
+      "PEM file of who vouches for that gateway's certificate; else whom this system trusts");
   app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
   app.add_option("--backend", backend, "what draws: cpu, cuda or auto")
       ->envname("SPLATBUS_BACKEND")
