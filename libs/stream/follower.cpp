@@ -63,7 +63,7 @@ bool Follower::take(const ParsedPacket& packet, std::int64_t now_ns) {
   const bool changed = replica_.receive(packet);
   if (const std::int64_t captured_ns = replica_.scene_instant().capture_ns;
       version != 0 && replica_.scene_version() != version && captured_ns != 0) {
-    scene_delays_.add(static_cast<double>(now_ns - captured_ns) / 1e6);
+    scene_delays_.add((static_cast<double>(now_ns) - static_cast<double>(captured_ns)) / 1e6);  // it may be any number
   }
   return changed;
 }

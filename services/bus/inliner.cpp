@@ -50,6 +50,7 @@ std::optional<bus::Frames> inline_slab_tensors(const bus::Frames& frames, const 
 
   struct Part {
     std::shared_ptr<bus::Slab> slab;
+    wire::Span* in_body;
     wire::Span from;
     std::size_t offset;
   };
@@ -67,9 +68,15 @@ std::optional<bus::Frames> inline_slab_tensors(const bus::Frames& frames, const 
       throw bus::Error(fmt::format("its tensors have more than the {} bytes of a frame", bus::max_frame_bytes));
     }
     bytes = offset + span->bytes();
-    parts.push_back({std::move(slab), *span, offset});
-    *span = wire::Span(0, 0, offset, span->bytes(), wire::Storage::Inline);
+    parts.push_back({std::move(slab), span, *span, offset});
   }
+  // Only now, and looked at again: the tables of a hostile message overlap.
+  for (const Part& part : parts) {
+    *part.in_body = wire::Span(0, 0, part.offset, part.from.bytes(), wire::Storage::Inline);
+  }
+  std::string why;
+  const wire::Header* written = bus::verified_header(result.body, why);
+  if (written == nullptr || has_slab_tensors(*written)) throw bus::Error("its tensors overlap");
 
   result.payload = counted_frame(bytes, unsent);
   result.has_payload = true;

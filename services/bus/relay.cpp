@@ -253,6 +253,11 @@ bool Relay::hold(const bus::Frames& frames, const wire::Header& header, bool loc
   copy.topic.rebuild(frames.topic.data(), frames.topic.size());
   copy.body.rebuild(frames.body.data(), frames.body.size());
   flatbuffers::GetMutableRoot<wire::Envelope>(copy.body.data())->mutable_header()->mutate_resent(true);
+  // The tables of a hostile one overlap: what was written is then more than this field.
+  if (std::string why; bus::verified_header(copy.body, why) == nullptr) {
+    refuse(frames, why);
+    return false;
+  }
   if (frames.has_payload) {
     copy.payload.rebuild(frames.payload.data(), frames.payload.size());
     copy.has_payload = true;

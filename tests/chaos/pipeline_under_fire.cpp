@@ -17,6 +17,7 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kPatience = 120s;
+constexpr std::int64_t kSilenceNs = 3'000'000'000;
 constexpr std::int64_t kAskAgainNs = 1'500'000'000;
 constexpr std::size_t kLinesKept = 400;
 
@@ -34,8 +35,7 @@ PipelineUnderFire::PipelineUnderFire()
       probes_(std::make_unique<cli::ProbeRounds>(context_,
                                                  cli::circle_cameras({.count = 1, .size = 64, .phase_degrees = 45}))),
       scene_(std::make_unique<cli::LiveScene>(context_)),
-      liveness_(
-          std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/liveness", "sys/heartbeat"})) {
+      heartbeats_(std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/heartbeat"})) {
   std::ofstream(files_.path() / "chaos.yaml") << cli::Pipeline::launch_file();
   start();
 }
@@ -77,17 +77,14 @@ void PipelineUnderFire::poll(std::chrono::milliseconds timeout) {
   watch_->poll(timeout);
   scene_->poll(0ms);
   probes_->poll(0ms, [](std::size_t, const cli::ProbePicture&) {});
-  while (const auto message = liveness_->receive(0ms)) {
-    if (message->topic() == "sys/liveness") {
-      nodes_.clear();
-      for (const auto* node : *message->root<wire::Liveness>().nodes()) {
-        nodes_[node->source()->str()] = {.pid = static_cast<pid_t>(node->pid()),
-                                         .runs = node->alive() && node->state() == wire::ServiceState::Running};
-      }
-      continue;
-    }
+  while (const auto message = heartbeats_->receive(0ms)) {
+    if (message->header().resent()) continue;  // of who may be gone
     const auto& heartbeat = message->root<wire::Heartbeat>();
-    if (message->header().source()->string_view() != "bus" || heartbeat.counters() == nullptr) continue;
+    const std::string source = message->header().source()->str();
+    nodes_[source] = {.pid = static_cast<pid_t>(heartbeat.pid()),
+                      .heard_ns = bus::now_ns(),
+                      .runs = heartbeat.state() == wire::ServiceState::Running};
+    if (source != "bus" || heartbeat.counters() == nullptr) continue;
     for (const auto* counter : *heartbeat.counters()) {
       if (counter->name()->string_view() == "slabs") slabs_ = counter->value();
     }
@@ -112,6 +109,7 @@ bool PipelineUnderFire::all_alive(const std::map<std::string, pid_t>& killed) co
   return std::ranges::all_of(services(), [&](const std::string& name) {
     const auto node = nodes_.find(name);
     if (node == nodes_.end() || !node->second.runs) return false;
+    if (bus::now_ns() - node->second.heard_ns > kSilenceNs) return false;
     const auto was = killed.find(name);
     return was == killed.end() || was->second != node->second.pid;
   });
@@ -151,14 +149,10 @@ Usage PipelineUnderFire::usage() const {
 std::optional<std::vector<std::uint64_t>> PipelineUnderFire::gaussian_ids() {
   std::optional<std::vector<std::uint64_t>> ids;
   (void)wait_until([&] {
-    const PublishedModel* model = scene_->model();
-    if (model == nullptr) return false;
-    const GaussiansView& view = model->average();
-    ids.emplace();
-    for (const IndexRange& range : view.ranges) {
-      ids->insert(ids->end(), view.gaussian_id + range.first, view.gaussian_id + range.first + range.count);
-    }
-    return model->still_valid() && ids->size() == model->count();
+    const std::optional<GaussiansBuffer> model = scene_->copy_average(1000ms);
+    if (!model) return false;
+    ids.emplace(model->gaussian_id.begin(), model->gaussian_id.begin() + static_cast<std::ptrdiff_t>(model->count()));
+    return true;
   });
   return ids;
 }

@@ -64,6 +64,7 @@ class PipelineUnderFire {
 
   struct Node {
     pid_t pid = 0;
+    std::int64_t heard_ns = 0;
     bool runs = false;
   };
   cli::PrivateBusFolder bus_, files_;
@@ -71,7 +72,7 @@ class PipelineUnderFire {
   std::unique_ptr<cli::PipelineWatch> watch_;
   std::unique_ptr<cli::ProbeRounds> probes_;
   std::unique_ptr<cli::LiveScene> scene_;
-  std::unique_ptr<bus::Subscriber> liveness_;
+  std::unique_ptr<bus::Subscriber> heartbeats_;
   std::unique_ptr<cli::ChildProcess> supervisor_;
   std::map<std::string, Node> nodes_;
   double slabs_ = 0, ssim_ = 0;

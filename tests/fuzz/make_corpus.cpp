@@ -4,6 +4,7 @@
 #include <fstream>
 #include <iostream>
 #include <iterator>
+#include <limits>
 #include <sstream>
 
 #include "splats/file.h"
@@ -147,6 +148,10 @@ void write_packets(const Corpus& corpus) {
     all.packet(packet);
   }
   corpus.write("follower", "news", all);
+  ToyStream toy;
+  Maker ancient;
+  ancient.byte(1).packet(*toy.move(std::numeric_limits<std::int64_t>::min()));
+  corpus.write("follower", "scene_before_all_time", ancient);
 }
 
 void write_viewers(const Corpus& corpus) {

@@ -1,9 +1,12 @@
-// Every fuzz target over its committed corpus, and over changes of it that are the same in every run. For more of them
-// there is libFuzzer: ./splatbus fuzz.
+// Every fuzz target over its committed corpus, and over changes of it that are the same in every run: --mutations N of
+// them, --seconds N at most for each target, --seed N. For changes that look for new ways through the code there is
+// libFuzzer: ./splatbus fuzz.
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -14,9 +17,10 @@
 namespace splatbus::fuzz {
 namespace {
 
-constexpr int kMutations = 2000;
+long mutations = 2000;
 /// A machine that is slower makes fewer.
-constexpr std::chrono::seconds kLimit(4);
+std::chrono::seconds limit(4);
+unsigned seed = 7;
 
 std::vector<std::string> corpus_of(const std::string& target) {
   std::vector<std::filesystem::path> paths;
@@ -43,11 +47,13 @@ TEST_P(Replay, CorpusAndChangesOfItDoNoHarm) {
   ASSERT_FALSE(corpus.empty());
   call("");
   for (const std::string& input : corpus) call(input);
-  std::mt19937_64 random(7);
-  const auto end = std::chrono::steady_clock::now() + kLimit;
-  for (int i = 0; i < kMutations && std::chrono::steady_clock::now() < end; ++i) {
+  std::mt19937_64 random(seed);
+  const auto end = std::chrono::steady_clock::now() + limit;
+  long made = 0;
+  for (; made < mutations && std::chrono::steady_clock::now() < end; ++made) {
     call(mutate(corpus[random() % corpus.size()], random));
   }
+  std::printf("%ld changes of %zu inputs, seed %u\n", made, corpus.size(), seed);
 }
 
 std::vector<Target> in_order() {
@@ -60,3 +66,15 @@ INSTANTIATE_TEST_SUITE_P(Targets, Replay, testing::ValuesIn(in_order()),
 
 }  // namespace
 }  // namespace splatbus::fuzz
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  for (int i = 1; i + 1 < argc; i += 2) {
+    const std::string option = argv[i];
+    const long value = std::atol(argv[i + 1]);
+    if (option == "--mutations") splatbus::fuzz::mutations = value;
+    if (option == "--seconds") splatbus::fuzz::limit = std::chrono::seconds(value);
+    if (option == "--seed") splatbus::fuzz::seed = static_cast<unsigned>(value);
+  }
+  return RUN_ALL_TESTS();
+}

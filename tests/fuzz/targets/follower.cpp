@@ -26,13 +26,15 @@ class Viewer {
     while (const auto said = follower_.next_outgoing(now_ns_)) {
       (void)stream::ParsedPacket::parse(said->packet, said->payload);
     }
-    const stream::Replica& replica = follower_.replica();
-    require(replica.count() <= 2 * kMaxGaussians, "no more Gaussians than it takes");
-    shown_.apply(follower_.replica().take_changes());
-    require(shown_.count() >= replica.count(), "what is held is shown");
+    require(follower_.replica().count() <= 2 * kMaxGaussians, "no more Gaussians than it takes");
     while (follower_.take_probe_answer()) {
     }
     (void)follower_.take_notice();
+  }
+
+  void draw() {
+    shown_.apply(follower_.replica().take_changes());
+    require(shown_.count() >= follower_.replica().count(), "what is held is shown");
   }
 
  private:
@@ -56,5 +58,6 @@ SPLATBUS_FUZZ_TARGET(follower, bytes) {
     const auto packet_bytes = input.number<std::uint32_t>(), payload_bytes = input.number<std::uint32_t>();
     const auto packet = input.take(packet_bytes);
     viewer.receive(packet, input.take(payload_bytes));
+    viewer.draw();
   }
 }

@@ -52,8 +52,8 @@ class ToyStream {
     return stream_.take_visibility(
         {.light_ids = {&kSun, 1}, .of_index = seen, .scene_version = stream_.scene_version()});
   }
-  std::optional<stream::EncodedPacket> move() {
-    return stream_.take_scene(toy_scene(stream_.scene_version() + 1), {.frame = 3, .capture_ns = 5});
+  std::optional<stream::EncodedPacket> move(std::int64_t capture_ns = 5) {
+    return stream_.take_scene(toy_scene(stream_.scene_version() + 1), {.frame = 3, .capture_ns = capture_ns});
   }
 
   [[nodiscard]] static const stream::PacketWriter& writer() {

@@ -81,6 +81,32 @@ TEST_F(Relay, AClockThatIsAheadKeepsNobodyOut) {
               {1, 2}, 2);
 }
 
+/// The broker marks what it holds, in place. Here the mark's place is another one, up to those that say where the rest
+/// of the message is.
+TEST_F(Relay, AMessageWhoseFieldsOverlapIsNotHeld) {
+  for (int place = 0; place < 48; ++place) {
+    flatbuffers::FlatBufferBuilder builder;
+    builder.ForceDefaults(true);
+    const auto offset = wire::CreateHeaderDirect(builder, "ViewerProbe/1", "a", 1, 1, 0, 0, 0, true,
+                                                 ("key-" + std::to_string(place)).c_str());
+    const wire::Camera camera;
+    builder.Finish(wire::CreateViewerProbe(builder, offset, 1, &camera));
+    std::string body(reinterpret_cast<const char*>(builder.GetBufferPointer()), builder.GetSize());
+    auto* header = flatbuffers::GetMutableRoot<wire::Envelope>(body.data())->mutable_header();
+    auto* table = reinterpret_cast<std::uint8_t*>(header);
+    std::uint8_t* const vtable = table - flatbuffers::ReadScalar<flatbuffers::soffset_t>(table);
+    flatbuffers::WriteScalar(vtable + wire::Header::VT_RESENT, static_cast<flatbuffers::voffset_t>(place));
+    // The second one is compared with what is held of the first.
+    for (int i = 0; i < 2; ++i) raw_.send({"grid/state", body});
+  }
+  send("viewer/probe", {.source = "b"}, 99, false);
+  std::optional<std::uint64_t> number;
+  while ((number = receive_number(witness_)) && *number != 99) {
+  }
+  EXPECT_EQ(number, 99u) << "the broker goes on";
+  EXPECT_GT(broker_->statistics().malformed, 0u);
+}
+
 TEST_F(Relay, AReaderThatHasLeftIsInlinedForNoMore) {
   const auto context = connect("maker");
   NumberPublisher publisher(context, "viewer/probe");
