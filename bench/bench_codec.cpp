@@ -55,12 +55,13 @@ struct Quantized {
   }
 
   [[nodiscard]] std::vector<stream::QuantizedGaussians> pages(float coarseness) const {
+    const stream::Precision precision(layout, coarseness);
     std::vector<stream::QuantizedGaussians> out;
     std::size_t begin = 0;
     for (const std::size_t end : page_ends) {
       std::vector<std::uint32_t> columns(end - begin);
       std::iota(columns.begin(), columns.end(), static_cast<std::uint32_t>(begin));
-      stream::round_page(out.emplace_back(all.gather(columns)), layout, coarseness);
+      precision.round(out.emplace_back(all.gather(columns)));
       begin = end;
     }
     return out;
@@ -75,7 +76,7 @@ double psnr_db(const Pictures& pictures, const Quantized& model, const std::vect
 
 void report(const Options& options, const Quantized& model, const std::vector<stream::QuantizedGaussians>& pages,
             PageCodec codec, const std::string& title) {
-  const stream::PageOptions page_options{.ids = options.ids};
+  const stream::PageOptions page_options{.ids = options.ids, .keep_order = false, .origin = {}};
   const auto count = static_cast<double>(model.all.count());
   double encode_ms = 1e300, decode_ms = 1e300, bytes = 0;
   std::vector<stream::PageBlob> blobs;
@@ -141,7 +142,7 @@ int main(int argc, char** argv) {
   CLI::App app("Codecs of pages: bytes, quality and time");
   app.add_option("models", options.models, "PLY files and world folders")->required();
   app.add_option("--degree", options.degrees, "SH degrees that a PLY is cut to");
-  app.add_option("--coarseness", options.coarseness, "of round_page()");
+  app.add_option("--coarseness", options.coarseness, "of stream::Precision");
   app.add_option("--target-db", options.target_db, "search the coarseness that still gives this");
   app.add_option("--mean-fraction", options.mean_fraction, "of the step that ModelQuantizer chooses for means");
   app.add_option("--steps", options.steps, "of the layout's attributes in their order; 0: its own");

@@ -110,8 +110,9 @@ Schedules default_schedules() {
   return s;
 }
 
-DeltaSelection::DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks)
-    : layout_(layout), schedules_(schedules), calm_ticks_(std::min(calm_ticks, 255U)) {
+DeltaSelection::DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks,
+                               float coarseness)
+    : layout_(layout), schedules_(schedules), calm_ticks_(std::min(calm_ticks, 255U)), precision_(layout, coarseness) {
   anchor_.resize(static_cast<std::size_t>(layout.channels()));
   calm_.resize(layout.attributes().size());
   for (const AttributeChannels& a : layout.attributes()) bytes_per_entry_.push_back(0.6 + 0.7 * a.channels);
@@ -170,14 +171,16 @@ void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held,
   for (std::uint32_t row = 0; row < rows; ++row) {
     const std::uint32_t column = target_column[row];
     if (column == kNotHeld) continue;
-    if (drift_[row] > 1) {
+    const int shift = precision_.shift(attribute, classes_[row]);
+    if (drift_[row] > 1 << shift) {
       for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][row] = target.channels[c][column];
       calm[row] = 0;
     } else if (calm[row] < calm_ticks_) {
       ++calm[row];
     }
     const std::int32_t zone = calm[row] < calm_ticks_ ? plan.dead_zone : std::min(kCalmZone, plan.dead_zone);
-    if (largest_[row] <= zone) continue;
+    // What is rounded is off by half of what it is rounded to, and one that wavers about that stays.
+    if (largest_[row] <= std::max(zone << shift, (1 << shift) >> 1)) continue;
     const auto steps = static_cast<float>(sum_[row]);
     candidates_.push_back({share[row] * steps * scale, steps * plan.weight, row, attribute});
   }
@@ -187,6 +190,10 @@ std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, cons
                                                  std::span<const std::uint32_t> target_column,
                                                  std::span<const float> share, double budget_bytes) {
   candidates_.clear();
+  classes_.assign(target_column.size(), {});
+  for (std::size_t row = 0; row < target_column.size() && !precision_.lossless(); ++row) {
+    if (target_column[row] != kNotHeld) classes_[row] = precision_.of(target, target_column[row]);
+  }
   for (std::uint32_t a = 0; a < layout_.attributes().size(); ++a) {
     if (!is_delta_coded(layout_.attributes()[a].attribute) || tick_ % std::max(schedule(a).every, 1U) != 0) continue;
     collect(a, held, target, target_column, share);

@@ -9,6 +9,7 @@
 #include "gaussians/light.h"
 #include "stream/codecs.h"
 #include "stream/held_gaussians.h"
+#include "stream/page_precision.h"
 
 namespace splatbus::stream {
 
@@ -41,10 +42,11 @@ struct SelectedRows {
 
 /// Chooses what of target - held is worth its bytes. Keeps, for each row and attribute, how long the target has rested:
 /// what rested for `calm_ticks` is sent to within one step and then left alone, what still moves only beyond its dead
-/// zone.
+/// zone. A step is as coarse as the Gaussian's values may be: what is held is rounded so.
 class DeltaSelection {
  public:
-  DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks = 8);
+  DeltaSelection(const StreamLayout& layout, const Schedules& schedules, std::uint32_t calm_ticks = 8,
+                 float coarseness = Precision::kLossless);
 
   void set_schedules(const Schedules& schedules) { schedules_ = schedules; }
 
@@ -82,11 +84,13 @@ class DeltaSelection {
   StreamLayout layout_;
   Schedules schedules_;
   std::uint32_t calm_ticks_;
+  Precision precision_;
   std::uint64_t tick_ = 0;
   std::vector<std::vector<std::int32_t>> anchor_;  ///< [channels][rows] where the target rests
   std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][rows] ticks of rest
   std::vector<double> bytes_per_entry_;            ///< [attributes]
   std::vector<Candidate> candidates_;
+  std::vector<Precision::Class> classes_;            ///< [rows] of the target
   std::vector<std::int32_t> largest_, sum_, drift_;  ///< [rows] scratch of collect()
   std::vector<std::uint32_t> left_rows_;
 };

@@ -125,7 +125,7 @@ void Follower::hello(std::int64_t now_ns) {
     const wire::Camera camera = camera_ ? to_wire(*camera_) : wire::Camera();
     return wire::CreateHelloDirect(builder, options_.name.c_str(), camera_ ? &camera : nullptr, options_.probes,
                                    static_cast<std::uint32_t>(options_.max_gaussians), &held,
-                                   replica_.visibility_version(), replica_.scene_version());
+                                   replica_.visibility_version(), replica_.scene_version(), options_.max_kbps);
   });
 }
 
@@ -169,7 +169,7 @@ void Follower::say_held(std::int64_t now_ns) {
   say(wire::Body::Held, [&](auto& builder) {
     return wire::CreateHeldDirect(builder, report.newest, &missing, received_bytes_ - said_bytes_,
                                   static_cast<std::uint32_t>((now_ns - said_ns_) / 1000), &lacks, &dropped,
-                                  report.scene_lost, static_cast<std::uint32_t>(replica_.count()));
+                                  report.scene_lost, static_cast<std::uint32_t>(replica_.count()), options_.max_kbps);
   });
   replica_.clear_report();
   said_ns_ = now_ns;

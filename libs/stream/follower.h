@@ -24,6 +24,7 @@ struct FollowerOptions {
   std::int64_t silence_ns = 3'000'000'000;   ///< after that the streamer is taken for gone, and greeted again
   std::int64_t pose_every_ns = 100'000'000;  ///< at most, while the camera moves; a tenth as often while it rests
   std::size_t max_gaussians = kMaxGaussians;
+  std::uint32_t max_kbps = 0;                             ///< that it wants to be sent; 0: as the streamer likes
   std::size_t held_picture_bytes = std::size_t{1} << 28;  ///< of answers that nobody took yet; more are not kept
 };
 
@@ -55,6 +56,8 @@ class Follower {
     camera_ = camera;
     pose_is_new_ = true;
   }
+  /// Another bound than the options'; the streamer hears of it with the next Held.
+  void set_max_kbps(std::uint32_t kbps) { options_.max_kbps = kbps; }
   /// Queues a packet of another kind; `build` as PacketWriter::write takes it.
   template <class Build>
   void say(wire::Body body, Build&& build) {

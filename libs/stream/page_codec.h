@@ -1,7 +1,9 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -28,8 +30,11 @@ inline constexpr std::size_t kMaxPageGaussians = 4096;
 
 struct PageOptions {
   bool ids = true;  ///< whether Gaussian ids travel; else the decoder gives 0
-  /// The blob's lanes are the columns as they are: where both ends hold the page's lanes already. Draco only.
+  /// The blob's lanes are the columns as they are. Planes code how that differs from page_order(), Draco takes any
+  /// order for its own.
   bool keep_order = false;
+  /// mean_origin() of the page that the columns are a part of: its page_order() is then theirs, too.
+  std::optional<std::array<std::int32_t, 3>> origin;
 };
 
 struct PageBlob {
@@ -42,6 +47,12 @@ struct PageBlob {
 /// decode_page() gives page.gather(order). Safe from any thread.
 [[nodiscard]] PageBlob encode_page(const QuantizedGaussians& page, const StreamLayout& layout, PageCodec codec,
                                    const PageOptions& options = {});
+
+/// The order in which the columns cost least: encode_page() without keep_order gives it, and keeping it costs nothing.
+[[nodiscard]] std::vector<std::uint32_t> page_order(const QuantizedGaussians& page, const StreamLayout& layout,
+                                                    PageCodec codec);
+/// The least mean, axis by axis. Asserts that there is one.
+[[nodiscard]] std::array<std::int32_t, 3> mean_origin(const QuantizedGaussians& page, const StreamLayout& layout);
 
 /// Throws StreamError unless the bytes are a blob of that codec with exactly `count` Gaussians of this layout, every
 /// value within its limits. Allocates no more than `count`, at most kMaxPageGaussians, allows. Safe from any thread.

@@ -25,7 +25,6 @@ PageBlob encode_draco(const QuantizedGaussians& page, const StreamLayout& layout
 PageBlob encode_page(const QuantizedGaussians& page, const StreamLayout& layout, PageCodec codec,
                      const PageOptions& options) {
   assert(page.count() <= kMaxPageGaussians && page.channels.size() == static_cast<std::size_t>(layout.channels()));
-  assert(!options.keep_order || codec == PageCodec::Draco);
   if (page.count() == 0) return {};
   return codec == PageCodec::Draco ? encode_draco(page, layout, options) : encode_planes(page, layout, options);
 }

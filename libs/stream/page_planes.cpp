@@ -99,8 +99,7 @@ ShiftRule::ShiftRule(const StreamLayout& layout, Attribute attribute) : attribut
       fine_at(1.0F / 200, 6);
       break;
     case Attribute::Visibility:
-      fine_at(1.0F / 100, 6);
-      break;
+      break;  // exact: it is the lights' to say, beside the blob
     case Attribute::Residual:
       fine_at(1.0F / 512, 7);
       break;

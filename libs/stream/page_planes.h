@@ -13,8 +13,8 @@
 // every machine.
 namespace splatbus::stream::planes {
 
-inline constexpr std::uint8_t kFormat = 1;
-enum Flags : std::uint8_t { kHasIds = 1, kOneObject = 2 };
+inline constexpr std::uint8_t kFormat = 2;
+enum Flags : std::uint8_t { kHasIds = 1, kOneObject = 2, kOwnOrder = 4 };
 
 // Entropy coding: range asymmetric numeral systems (Duda 2014), words of 16 bits, kStates of them by turns.
 inline constexpr int kStates = 8;

@@ -1,3 +1,4 @@
+#include <cstddef>
 #include <limits>
 
 #include "stream/page_codec_parts.h"
@@ -170,6 +171,28 @@ std::vector<std::uint32_t> read_object_ids(Source& source, bool one) {
   return ids;
 }
 
+/// [lanes in the order of the blob] of where they go.
+std::vector<std::uint32_t> read_order(Source& source) {
+  const std::vector<std::uint64_t> places = read_gaps(source);
+  std::vector<std::uint32_t> left, order;
+  left.reserve(places.size());
+  order.reserve(places.size());
+  for (std::size_t i = places.size(); i > 0; --i) left.push_back(static_cast<std::uint32_t>(i - 1));
+  for (const std::uint64_t place : places) {
+    if (place >= left.size()) refuse("a lane beyond its last");
+    const auto at = left.end() - 1 - static_cast<std::ptrdiff_t>(place);
+    order.push_back(*at);
+    left.erase(at);
+  }
+  return order;
+}
+
+QuantizedGaussians scatter(const QuantizedGaussians& lanes, const std::vector<std::uint32_t>& order) {
+  std::vector<std::uint32_t> from(order.size());
+  for (std::uint32_t i = 0; i < order.size(); ++i) from[order[i]] = i;
+  return lanes.gather(from);
+}
+
 }  // namespace
 
 }  // namespace planes
@@ -178,7 +201,7 @@ QuantizedGaussians decode_planes(std::span<const std::uint8_t> bytes, const Stre
   using namespace planes;
   if (bytes.size() < 2 || bytes[0] != kFormat) refuse("not of this format");
   const std::uint8_t flags = bytes[1];
-  if (flags > (kHasIds | kOneObject)) refuse("unknown flags");
+  if (flags > (kHasIds | kOneObject | kOwnOrder)) refuse("unknown flags");
   Source source(bytes.subspan(2), count);
   QuantizedGaussians out(layout, count);
 
@@ -227,6 +250,7 @@ QuantizedGaussians decode_planes(std::span<const std::uint8_t> bytes, const Stre
     const std::vector<std::uint64_t> gaps = read_gaps(source);
     for (std::size_t i = 0; i < count; ++i) out.gaussian_id[i] = id += static_cast<std::uint64_t>(unzigzag(gaps[i]));
   }
+  if ((flags & kOwnOrder) != 0) out = scatter(out, read_order(source));
   source.finish();
   return out;
 }

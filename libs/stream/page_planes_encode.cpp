@@ -1,10 +1,10 @@
 #include <algorithm>
-#include <bit>
 #include <cassert>
-#include <cmath>
-#include <utility>
+#include <iterator>
+#include <numeric>
 
 #include "stream/page_codec_parts.h"
+#include "stream/page_curve.h"
 #include "stream/page_plane_fit.h"
 #include "stream/page_planes_sink.h"
 
@@ -44,60 +44,19 @@ void put_gaps(Sink& sink, const std::vector<std::uint64_t>& gaps, PlaneFitter& f
   }
 }
 
-/// Where the columns of a page lie on the curve, and how many low bits of theirs are cheaper as they are.
-struct Curve {
-  MortonGrid grid;
-  std::vector<std::pair<std::uint64_t, std::uint32_t>> order;  ///< key, column
-};
-
-Curve curve_of(const QuantizedGaussians& page, const AttributeChannels& mean, const std::vector<std::uint8_t>& shift) {
-  Curve curve;
-  const std::size_t count = page.count();
-  const auto first = static_cast<std::size_t>(mean.first);
-  int widest = 0;
-  std::array<int, 3> bits{};
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    const auto& plane = page.channels[first + axis];
-    const auto [low, high] = std::minmax_element(plane.begin(), plane.end());
-    curve.grid.origin[axis] = *low >> kMaxShift << kMaxShift;
-    bits[axis] = std::bit_width(static_cast<std::uint32_t>(*high - curve.grid.origin[axis]));
-    widest = std::max(widest, bits[axis]);
+/// How the kept order differs from the curve's: of each lane of the curve, in turn, its place among those that are
+/// left.
+void put_order(Sink& sink, const std::vector<std::uint32_t>& order, PlaneFitter& fitter) {
+  std::vector<std::uint32_t> left(order.size());
+  std::iota(left.rbegin(), left.rend(), 0U);  // the first is at the back, where it costs nothing to take it
+  std::vector<std::uint64_t> places;
+  places.reserve(order.size());
+  for (const std::uint32_t lane : order) {
+    const auto at = std::find(left.rbegin(), left.rend(), lane);
+    places.push_back(static_cast<std::uint64_t>(at - left.rbegin()));
+    left.erase(std::next(at).base());
   }
-  // The curve at its finest; a coarser one has the same order.
-  const int finest = std::max(0, widest - kMaxCellBits), coarsest = std::min(kMaxLowBits, widest);
-  std::array<int, 3> fine_bits{};
-  for (std::size_t axis = 0; axis < 3; ++axis) fine_bits[axis] = std::max(bits[axis], coarsest) - finest;
-  const Interleaver fine(fine_bits);
-  curve.order.reserve(count);
-  for (std::uint32_t i = 0; i < count; ++i) {
-    std::array<std::uint32_t, 3> cell{};
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      cell[axis] = static_cast<std::uint32_t>(page.channels[first + axis][i] - curve.grid.origin[axis]) >> finest;
-    }
-    curve.order.emplace_back(fine(cell), i);
-  }
-  std::ranges::sort(curve.order);
-
-  std::array<std::uint32_t, kMaxShift + 1> at_shift{};
-  for (const std::uint8_t s : shift) ++at_shift[s];
-  double least = INFINITY;
-  for (int low = finest; low <= coarsest; ++low) {
-    double cost = 0;
-    for (int s = 0; s < low && s <= kMaxShift; ++s) cost += 3.0 * (low - s) * at_shift[static_cast<std::size_t>(s)];
-    std::uint64_t before = 0;
-    for (const auto& [key, column] : curve.order) {
-      const std::uint64_t at = key >> (3 * (low - finest));
-      cost += std::max(
-          0, static_cast<int>(std::bit_width(at - before + 1)) - 2);  // what the class says besides is much the same
-      before = at;
-    }
-    if (cost < least) {
-      least = cost;
-      curve.grid.low = low;
-    }
-  }
-  for (std::size_t axis = 0; axis < 3; ++axis) curve.grid.bits[axis] = std::max(0, bits[axis] - curve.grid.low);
-  return curve;
+  put_gaps(sink, places, fitter);
 }
 
 void put_means(Sink& sink, const MortonGrid& grid, std::span<const std::vector<std::int32_t>> means,
@@ -148,10 +107,12 @@ PageBlob encode_planes(const QuantizedGaussians& page, const StreamLayout& layou
   using namespace planes;
   const std::size_t count = page.count();
   const std::vector<std::uint8_t> klass = classes_of(page, layout);
-  const Curve curve = curve_of(page, layout.at(Attribute::Mean), shifts_of(page, layout, Attribute::Mean, klass));
+  const Curve curve =
+      curve_of(page, layout.at(Attribute::Mean), options.origin, shifts_of(page, layout, Attribute::Mean, klass));
   PageBlob blob;
   blob.order.reserve(count);
   for (const auto& [key, column] : curve.order) blob.order.push_back(column);
+  const bool own_order = options.keep_order && !std::ranges::is_sorted(blob.order);
   const QuantizedGaussians lanes = page.gather(blob.order);
   std::vector<std::uint8_t> lane_klass(count);
   for (std::size_t i = 0; i < count; ++i) lane_klass[i] = klass[blob.order[i]];
@@ -206,7 +167,13 @@ PageBlob encode_planes(const QuantizedGaussians& page, const StreamLayout& layou
     put_gaps(sink, differences, fitter);
     part_ends("ids");
   }
-  blob.bytes = sink.finish(static_cast<std::uint8_t>((options.ids ? kHasIds : 0) | (one_object ? kOneObject : 0)));
+  if (own_order) {
+    put_order(sink, blob.order, fitter);
+    part_ends("order");
+    std::iota(blob.order.begin(), blob.order.end(), 0U);
+  }
+  blob.bytes = sink.finish(static_cast<std::uint8_t>((options.ids ? kHasIds : 0) | (one_object ? kOneObject : 0) |
+                                                     (own_order ? kOwnOrder : 0)));
   return blob;
 }
 

@@ -3,52 +3,60 @@
 #include <algorithm>
 #include <cmath>
 
-#include "stream/page_planes.h"
-
 namespace splatbus::stream {
 
 namespace {
 
-/// The nearest multiple of 2^shift, half upwards, within the limits.
-std::int32_t rounded(std::int32_t value, int shift, const AttributeChannels& a) {
-  const std::int32_t nearest = (value + ((1 << shift) >> 1)) >> shift << shift;
-  return nearest > a.maximum ? a.maximum >> shift << shift : nearest;
-}
+constexpr float kFaintest = 1e-3F;
 
 }  // namespace
 
-void round_page(QuantizedGaussians& page, const StreamLayout& layout, float coarseness, std::span<const float> weight) {
-  using namespace planes;
-  const std::size_t count = page.count();
-  const AttributeChannels& scale = layout.at(Attribute::LogScale);
-  const AttributeChannels& opacity = layout.at(Attribute::Opacity);
-  const auto planes_of = [&](const AttributeChannels& a) {
-    return std::span(page.channels).subspan(static_cast<std::size_t>(a.first), static_cast<std::size_t>(a.channels));
-  };
-  const auto log_scale = planes_of(scale);
-  std::vector<int> klass(count);
-  const float finest = std::log2(layout.at(Attribute::Mean).quantizer.step) + 7;
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::int32_t x = log_scale[0][i], y = log_scale[1][i], z = log_scale[2][i];
-    const auto two_largest = static_cast<float>(x + y + z - std::min({x, y, z}));
-    const float octaves = 0.5F * two_largest * scale.quantizer.step / 0.6931472F;
-    const float shown = static_cast<float>(page.channels[static_cast<std::size_t>(opacity.first)][i]) *
-                        opacity.quantizer.step * (weight.empty() ? 1.0F : weight[i]);
-    const float importance = std::log2(std::max(shown, 1e-3F)) + octaves - finest;
-    klass[i] = static_cast<int>(std::clamp(std::floor(coarseness - importance), -16.0F, 15.0F));
+Precision::Precision(const StreamLayout& layout, float coarseness)
+    : coarseness_(coarseness),
+      finest_(std::log2(layout.at(Attribute::Mean).quantizer.step) + 7),
+      octaves_per_step_(layout.at(Attribute::LogScale).quantizer.step / 0.6931472F),
+      attributes_(layout.attributes()) {
+  for (std::size_t a = 0; a < attributes_.size(); ++a) {
+    rules_.emplace_back(layout, attributes_[a].attribute);
+    if (attributes_[a].attribute == Attribute::LogScale) scale_ = a;
   }
-  const auto round_attribute = [&](const AttributeChannels& a) {
-    const ShiftRule rule(layout, a.attribute);
-    const auto planes = planes_of(a);
-    for (std::size_t i = 0; i < count; ++i) {
-      const int offset = rule.offset(log_scale[0][i], log_scale[1][i], log_scale[2][i]);
-      const int shift = shift_at(klass[i], offset, rule.cap());
-      for (auto& plane : planes) plane[i] = rounded(plane[i], shift, a);
+  const AttributeChannels& opacity = layout.at(Attribute::Opacity);
+  opacity_channel_ = static_cast<std::size_t>(opacity.first);
+  for (std::size_t q = 0; q < log_opacity_.size(); ++q) {
+    log_opacity_[q] = std::log2(std::max(static_cast<float>(q) * opacity.quantizer.step, kFaintest));
+  }
+}
+
+Precision::Class Precision::of(const QuantizedGaussians& gaussians, std::size_t column, float weight) const {
+  const AttributeChannels& scale = attributes_[scale_];
+  const auto first = static_cast<std::size_t>(scale.first);
+  Class out;
+  for (std::size_t axis = 0; axis < 3; ++axis) out.log_scale[axis] = gaussians.channels[first + axis][column];
+  if (lossless()) return out;
+  const auto [x, y, z] = out.log_scale;
+  const float octaves = 0.5F * static_cast<float>(x + y + z - std::min({x, y, z})) * octaves_per_step_;
+  float shown = log_opacity_[static_cast<std::size_t>(gaussians.channels[opacity_channel_][column])];
+  if (weight != 1) shown = std::max(shown + std::log2(std::max(weight, kFaintest)), std::log2(kFaintest));
+  const float importance = shown + octaves - finest_;
+  out.number = static_cast<int>(std::clamp(std::floor(coarseness_ - importance), -16.0F, 15.0F));
+  const int at = shift(scale_, out);  // the same for all sizes
+  for (std::int32_t& value : out.log_scale) value = rounded(value, at, scale);
+  return out;
+}
+
+void Precision::round(QuantizedGaussians& gaussians, std::span<const float> weight) const {
+  if (lossless()) return;
+  std::vector<Class> classes(gaussians.count());
+  for (std::size_t i = 0; i < classes.size(); ++i) classes[i] = of(gaussians, i, weight.empty() ? 1.0F : weight[i]);
+  for (std::size_t k = 0; k < attributes_.size(); ++k) {
+    const AttributeChannels& a = attributes_[k];
+    for (std::size_t i = 0; i < classes.size(); ++i) {
+      const int by = shift(k, classes[i]);
+      for (int c = a.first; c < a.first + a.channels; ++c) {
+        std::int32_t& value = gaussians.channels[static_cast<std::size_t>(c)][i];
+        value = rounded(value, by, a);
+      }
     }
-  };
-  round_attribute(scale);  // which the others' rules read
-  for (const AttributeChannels& a : layout.attributes()) {
-    if (a.attribute != Attribute::LogScale) round_attribute(a);
   }
 }
 

@@ -6,6 +6,7 @@
 #include <cassert>
 #include <cmath>
 #include <unordered_set>
+#include <utility>
 
 #include "stream/bytes.h"
 #include "stream/codecs.h"
@@ -36,7 +37,8 @@ StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const 
     : writer_(std::move(writer)),
       options_(options),
       quantizer_(device),
-      selection_(StreamLayout{}, options_.schedules, options_.calm_ticks) {
+      selection_(StreamLayout{}, options_.schedules, options_.calm_ticks),
+      precision_(StreamLayout{}, options_.coarseness) {
   held_.epoch = stream_epoch;
 }
 
@@ -213,6 +215,12 @@ std::uint64_t StreamModel::place_of(std::uint32_t number) const {
   return spread(b.low.x, b.high.x) | spread(b.low.y, b.high.y) << 1 | spread(b.low.z, b.high.z) << 2;
 }
 
+QuantizedGaussians StreamModel::rounded(std::span<const std::uint32_t> columns) const {
+  QuantizedGaussians out = target_.gather(columns);
+  precision_.round(out);
+  return out;
+}
+
 bool StreamModel::fill_page(const TargetPage& target) {
   std::vector<std::uint32_t> columns;
   for (std::uint32_t column = target.first; column < target.first + target.count; ++column) {
@@ -220,7 +228,13 @@ bool StreamModel::fill_page(const TargetPage& target) {
     const bool first = row == kNotHeld || (target_page_of_row_[row] == target.page && column_of_row_[row] == column);
     if (usable_[column] && first) columns.push_back(column);
   }
-  columns = morton_order(target_, *target_layout_, columns);
+  QuantizedGaussians lanes = rounded(columns);
+  {
+    const std::vector<std::uint32_t> order = page_order(lanes, held_.layout, options_.codec);
+    lanes = lanes.gather(order);
+    std::vector<std::uint32_t> unordered = std::exchange(columns, {});
+    for (const std::uint32_t i : order) columns.push_back(unordered[i]);
+  }
   const HeldPage* before = held_.find(target.page);
   const std::size_t held = before ? before->count : 0;
   const std::size_t room = options_.max_gaussians - std::min(options_.max_gaussians, held_.count - held);
@@ -250,7 +264,7 @@ bool StreamModel::fill_page(const TargetPage& target) {
   column_of_row_.resize(held_.rows(), kNotHeld);
   for (std::uint32_t lane = 0; lane < page.count; ++lane) {
     const std::uint32_t row = page.row(lane), column = columns[lane];
-    held_.gaussians.write({&row, 1}, target_, column);
+    held_.gaussians.write({&row, 1}, lanes, lane);
     if (sun) held_.gaussians.channels[sun->first].set(row, sun_seen[lane]);
     for (const auto& [id, values] : seen) (*held_.light_rows.find(id))[row] = values[lane];
     held_.gaussians.gaussian_id.set(row, target_.gaussian_id[column]);
@@ -290,7 +304,8 @@ void StreamModel::reset_to_target() {
   quiet_.clear();
   row_of_id_.clear();
   row_of_column_.assign(target_.count(), kNotHeld);
-  selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks);
+  selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks, options_.coarseness);
+  precision_ = Precision(held_.layout, options_.coarseness);
   map_columns();
   std::unordered_set<std::uint64_t> seen;
   for (std::uint32_t column = 0; column < target_.count(); ++column) {

@@ -15,6 +15,7 @@
 #include "stream/delta_selection.h"
 #include "stream/model_quantizer.h"
 #include "stream/page_codec.h"
+#include "stream/page_precision.h"
 #include "stream/replica.h"
 #include "stream/replicated_state.h"
 
@@ -24,7 +25,8 @@ struct StreamOptions {
   std::size_t max_gaussians = kMaxGaussians;  ///< that are offered; of a larger model a part is
   Schedules schedules = default_schedules();
   std::uint32_t calm_ticks = 8;
-  PageCodec codec = PageCodec::Draco;
+  PageCodec codec = PageCodec::Planes;
+  float coarseness = Precision::kLossless;  ///< of what is held, as Precision has it
 };
 
 /// As relight says it.
@@ -222,6 +224,8 @@ class StreamModel {
   [[nodiscard]] std::uint32_t base_of(const TargetPage& page, std::span<const std::uint32_t> from) const;
   [[nodiscard]] bool anybody_holds(std::uint32_t page) const;
   [[nodiscard]] std::uint64_t place_of(std::uint32_t page) const;
+  /// The target's columns as they are held: rounded.
+  [[nodiscard]] QuantizedGaussians rounded(std::span<const std::uint32_t> columns) const;
 
   /// Makes the page what was observed of it; false, and all is as before, when none of its Gaussians can be held.
   bool fill_page(const TargetPage& page);
@@ -229,7 +233,8 @@ class StreamModel {
   void tick_structure(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
   void hold_back(std::vector<PagePlan>& plans, double budget_bytes, std::span<const Camera> viewers,
                  const ObjectTransforms& objects);
-  void emit_structure(std::span<const PagePlan> plans, std::span<const std::uint32_t> ended);
+  void emit_structure(std::span<PagePlan> plans, std::span<const std::uint32_t> ended);
+  void order_appended(std::span<PagePlan> plans) const;
   void tick_values(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects);
   struct PageValues;
   void emit_values(std::span<const PageValues> pages);
@@ -247,6 +252,7 @@ class StreamModel {
   StreamOptions options_;
   ModelQuantizer quantizer_;
   DeltaSelection selection_;
+  Precision precision_;
   double tick_bytes_ = 0;  ///< of this tick's packets
 
   // What two threads touch. Who observes and ticks reads the Gaussians, their layout, ready_, version_ and

@@ -89,14 +89,16 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
     parts = blob.parts;
   }
   std::vector<PagePacket> out;
+  if (page.count == 0) return out;
+  const PageOptions blob_options{.ids = false, .keep_order = true, .origin = mean_origin(lanes, layout)};
   for (std::uint32_t first = 0; first < page.count; first += part_lanes) {
     const std::uint32_t count = std::min(part_lanes, page.count - first);
     std::shared_ptr<const Bytes>& blob = parts[{first, count}];
     if (!blob) {
       std::vector<std::uint32_t> columns(count);
       std::iota(columns.begin(), columns.end(), first);
-      blob = std::make_shared<const Bytes>(
-          encode_page(lanes.gather(columns), layout, options_.codec, {.ids = false, .keep_order = true}).bytes);
+      blob =
+          std::make_shared<const Bytes>(encode_page(lanes.gather(columns), layout, options_.codec, blob_options).bytes);
       const std::scoped_lock lock(mutex_);
       const auto kept = blobs_.find(number);  // not when the page has ended meanwhile
       if (kept != blobs_.end() && kept->second.version == page.version) kept->second.parts[{first, count}] = blob;
@@ -142,7 +144,7 @@ std::vector<EncodedPacket> StreamModel::manifest_packets(std::span<const Offered
       const wire::PageBox box(to_wire(page.bounds.low), to_wire(page.bounds.high), page.bounds.max_scale_m);
       infos.emplace_back(page.page, page.version, page.count,
                          static_cast<std::uint32_t>(page.count * bytes_per_gaussian), page.object_id, box, page.level,
-                         page.frozen);
+                         page.frozen, static_cast<std::uint8_t>(options_.codec));
     }
     out.push_back(writer_.write(now.epoch, 0, wire::Body::Manifest, [&](auto& builder) {
       const auto pages_at = builder.CreateVectorOfStructs(infos);

@@ -121,7 +121,29 @@ void StreamModel::take_appended(const PagePlan& plan, std::uint32_t left) {
   }
 }
 
-void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<const std::uint32_t> ended) {
+// Of a step they may come in any order: in that of the packet's blob they cost least.
+void StreamModel::order_appended(std::span<PagePlan> plans) const {
+  std::vector<std::uint32_t> columns;
+  for (const PagePlan& plan : plans) {
+    columns.insert(columns.end(), plan.moved.begin(), plan.moved.end());
+    columns.insert(columns.end(), plan.fresh.begin(), plan.fresh.end());
+  }
+  const std::vector<std::uint32_t> order = page_order(rounded(columns), held_.layout, options_.codec);
+  std::vector<std::uint32_t> place(order.size());
+  for (std::uint32_t i = 0; i < order.size(); ++i) place[order[i]] = i;
+  std::size_t at = 0;
+  for (PagePlan& plan : plans) {
+    for (std::vector<std::uint32_t>* part : {&plan.moved, &plan.fresh}) {
+      std::vector<std::pair<std::uint32_t, std::uint32_t>> sorted;
+      for (const std::uint32_t column : *part) sorted.emplace_back(place[at++], column);
+      std::ranges::sort(sorted);
+      for (std::size_t i = 0; i < sorted.size(); ++i) (*part)[i] = sorted[i].second;
+    }
+  }
+}
+
+void StreamModel::emit_structure(std::span<PagePlan> plans, std::span<const std::uint32_t> ended) {
+  order_appended(plans);
   const std::uint32_t version = version_ + 1;
   std::vector<wire::PageStep> steps;
   std::vector<DeltaPacket::Step> infos;
@@ -158,13 +180,13 @@ void StreamModel::emit_structure(std::span<const PagePlan> plans, std::span<cons
   append(payload, removed.bytes);
   Bytes blob;
   if (!columns.empty()) {
-    QuantizedGaussians appended = target_.gather(columns);
+    QuantizedGaussians appended = rounded(columns);
     const AttributeChannels* sun = held_.layout.find(Attribute::Visibility);
     for (std::size_t i = 0; sun && i < columns.size(); ++i) {
       const std::uint32_t row = row_of_column_[columns[i]];  // of what moves relight has spoken
       if (row != kNotHeld) appended.channels[sun->first][i] = held_.gaussians.channels[sun->first][row];
     }
-    blob = encode_page(appended, held_.layout, options_.codec, {.ids = false, .keep_order = true}).bytes;
+    blob = encode_page(appended, held_.layout, options_.codec, {.ids = false, .keep_order = true, .origin = {}}).bytes;
     append(payload, blob);
     const double bytes = static_cast<double>(blob.size()) / static_cast<double>(columns.size());
     const std::scoped_lock lock(mutex_);

@@ -10,7 +10,8 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr std::size_t kFollowedPages = 64;        // that nobody holds, a tick
+constexpr std::size_t kFollowedPages = 64;  // that nobody holds and that have changed, a tick
+constexpr std::size_t kLookedAtPages = 256;
 constexpr std::size_t kRoom = 2 * kMaxGaussians;  // what moves may be in two pages for a moment
 
 }  // namespace
@@ -51,22 +52,28 @@ double StreamModel::make_tick(double budget_bytes, std::span<const Camera> viewe
 
 // What they see of the lights stays: relight says it, not the model.
 void StreamModel::follow_unheld() {
-  std::size_t followed = 0;
+  std::size_t followed = 0, looked_at = 0;
   const std::size_t count = target_pages_.size();
   const AttributeChannels* sun = held_.layout.find(Attribute::Visibility);
-  for (std::size_t k = 0; k < count && followed < kFollowedPages; ++k) {
+  for (std::size_t k = 0; k < count && followed < kFollowedPages && looked_at < kLookedAtPages; ++k) {
     const TargetPage& target = target_pages_[follow_next_++ % count];
     if (anybody_holds(target.page) || !held_.find(target.page)) continue;
-    const std::scoped_lock lock(mutex_);
-    if (asked_.contains(target.page)) continue;
-    bool differs = false;
+    ++looked_at;
+    std::vector<std::uint32_t> columns;
     for (std::uint32_t column = target.first; column < target.first + target.count; ++column) {
       const std::uint32_t row = row_of_column_[column];
-      if (row == kNotHeld || !usable_[column] || page_of_row(row) != target.page) continue;
-      for (std::size_t c = 0; c < target_.channels.size(); ++c) {
+      if (row != kNotHeld && usable_[column] && page_of_row(row) == target.page) columns.push_back(column);
+    }
+    const QuantizedGaussians now = rounded(columns);
+    bool differs = false;
+    const std::scoped_lock lock(mutex_);
+    if (asked_.contains(target.page)) continue;
+    for (std::size_t i = 0; i < columns.size(); ++i) {
+      const std::uint32_t column = columns[i], row = row_of_column_[column];
+      for (std::size_t c = 0; c < now.channels.size(); ++c) {
         if (sun && c == static_cast<std::size_t>(sun->first)) continue;
-        differs |= held_.gaussians.channels[c][row] != target_.channels[c][column];
-        held_.gaussians.channels[c].set(row, target_.channels[c][column]);
+        differs |= held_.gaussians.channels[c][row] != now.channels[c][i];
+        held_.gaussians.channels[c].set(row, now.channels[c][i]);
       }
       differs |= held_.gaussians.object_id[row] != target_.object_id[column];
       held_.gaussians.object_id.set(row, target_.object_id[column]);

@@ -121,20 +121,23 @@ void StreamModel::emit_values(std::span<const PageValues> pages) {
     const AttributeChannels& channels = attributes[a];
     Delta delta;
     std::vector<std::uint32_t> rows;
+    std::vector<int> shifts;
     std::uint32_t first = 0;
     for (const PageValues& values : pages) {
       const HeldPage& page = *held_.find(values.page);
       for (const std::uint32_t lane : values.lanes[a]) {
         delta.slots.push_back(first + lane);
         rows.push_back(page.row(lane));
+        shifts.push_back(precision_.shift(a, precision_.of(target_, column_of_row_[rows.back()])));
       }
       first += page.count;
     }
     if (rows.empty()) continue;
     for (int c = channels.first; c < channels.first + channels.channels; ++c) {
       auto& plane = delta.residuals.emplace_back();
-      for (const std::uint32_t row : rows) {
-        plane.push_back(target_.channels[c][column_of_row_[row]] - held_.gaussians.channels[c][row]);
+      for (std::size_t i = 0; i < rows.size(); ++i) {
+        const std::int32_t value = target_.channels[c][column_of_row_[rows[i]]];
+        plane.push_back(Precision::rounded(value, shifts[i], channels) - held_.gaussians.channels[c][rows[i]]);
       }
     }
     const Payload encoded = encode_delta(delta);

@@ -42,6 +42,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("visibility_hz", visibility_hz, "updates a second, at most, of which Gaussians see the sun", {0.1, 240});
   p.add("visibility_kbps", visibility_kbps,
         "kbit/s for these, encoded once for all viewers; shadows lag where it is too low", {10, 1e7});
+  p.add("coarseness", stream.coarseness,
+        "octaves; values of what is small or faint are rounded so much more, a bit for each. -20: none is",
+        {stream::Precision::kLossless, 10}, kFixed);
   p.add("calm_ticks", stream.calm_ticks,
         "ticks after which a value that rests is sent to within a step of its quantizer", {1, 255}, kFixed);
   p.add("max_viewers", hub.max_viewers, "that are served", {1, 4096}, kFixed);

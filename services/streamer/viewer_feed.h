@@ -12,31 +12,9 @@
 #include "gaussians/light.h"
 #include "streamer/page_board.h"
 #include "streamer/page_weights.h"
+#include "streamer/viewer_rate.h"
 
 namespace splatbus::streamer {
-
-/// Bytes to one viewer: no second has more than 1.1 times the rate.
-class ViewerRate {
- public:
-  /// kbps 0: found out from what the viewer says that it has received.
-  void set(double kbps, std::int64_t now_ns);
-  /// What is larger than the burst goes when that is there, and is paid for later.
-  void take(double bytes, std::int64_t now_ns);
-  [[nodiscard]] double available(std::int64_t now_ns);
-  [[nodiscard]] double bytes_per_s() const { return bytes_per_s_; }
-  [[nodiscard]] double burst() const { return std::max(kBurst_s * bytes_per_s_, kLeastBurst); }
-
-  /// What the viewer said it has received: `bytes`, over `window_s`.
-  void acknowledged(double bytes, double window_s, std::int64_t now_ns);
-
- private:
-  static constexpr double kBurst_s = 0.1, kLeastBurst = 8192;
-  void use(double bytes_per_s, std::int64_t now_ns);
-
-  bool auto_ = false;
-  double kbps_ = -1, bytes_per_s_ = 0, debt_ = 0, in_flight_ = 0, sent_since_ = 0;
-  bus::TokenBucket bucket_{1, 1};
-};
 
 /// One viewer's place in the stream: which pages it holds as far as is known, and what it is sent next. That is what
 /// adds most to its own picture over its bytes: pages in view and near, and those that will be soon; then deltas of
@@ -80,10 +58,14 @@ class ViewerFeed {
     std::vector<stream::PageVersion> lacks;
     std::vector<std::uint32_t> dropped;
     double bytes = 0, window_s = 0;
+    double most_kbps = 0;  ///< that it wants to be sent; 0: it does not mind
   };
   /// True when packets were lost that only a new beginning replaces: Layout, Scene and Manifest again.
   [[nodiscard]] bool acknowledge(const Said& said, const stream::StreamModel& model, std::int64_t now_ns);
 
+  /// What it wants at most; 0: it does not mind.
+  void want(double most_kbps) { most_kbps_ = most_kbps; }
+  [[nodiscard]] double most_kbps() const { return most_kbps_; }
   [[nodiscard]] ViewerRate& rate() { return rate_; }
   void hold_pages(std::set<std::uint32_t>& pages) const;
   [[nodiscard]] std::uint64_t lost_packets() const { return lost_packets_; }
@@ -113,12 +95,18 @@ class ViewerFeed {
     std::uint32_t page = 0;
     bool visibility = false;  ///< only how it sees the lights
   };
+  static constexpr std::size_t kMaxTraces = 4096;
   enum class Kind : std::uint8_t { None, Control, Scene, Visibility, Gone, Part, Delta, PageVisibility };
 
   void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
             double budget_bytes);
   [[nodiscard]] double largest_packet() const;
-  void plan_deltas(const PageBoard& board, std::map<std::uint32_t, std::uint32_t>& versions, std::vector<Item>& items);
+  using Versions = std::map<std::uint32_t, std::uint32_t>;  ///< by page
+  template <class Goes, class Visit>
+  void walk_deltas(const PageBoard& board, Versions& versions, const Goes& goes, const Visit& visit) const;
+  void find_missed(const PageBoard& board, Versions versions);
+  void plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items);
+  void drop_ended(const stream::StreamModel& model);
   void order(std::vector<Item> items, double budget_bytes);
   [[nodiscard]] bool make_room(stream::StreamModel& model, const stream::OfferedPage& page);
   [[nodiscard]] bool begin_item(stream::StreamModel& model, PageBoard& board, const Item& item);
@@ -134,6 +122,13 @@ class ViewerFeed {
   std::map<std::uint32_t, Record> held_;
   std::map<std::uint32_t, std::int64_t> declined_;  ///< pages, and until when they are not sent again
   std::map<std::uint32_t, float> weights_;          ///< of the last plan
+  struct Missed {
+    double bytes = 0;
+    float steps = 0;  ///< that a Gaussian of the page is off
+    std::uint32_t deltas = 0;
+  };
+  std::map<std::uint32_t, Missed> missed_;  ///< by page, of the last plan
+  std::vector<std::uint32_t> ended_;        ///< that it holds, and that no delta of that plan ends
   std::deque<SharedPacket> control_, scenes_;
   struct Visibility {
     SharedPacket packet;
@@ -163,6 +158,7 @@ class ViewerFeed {
   Kind offered_ = Kind::None;
   SharedPacket packet_;
   bool waits_ = false;
+  double most_kbps_ = 0;
   std::uint64_t sequence_ = 0;
   std::deque<Trace> traces_;
   ViewerRate rate_;

@@ -114,7 +114,7 @@ bool ViewerHub::pump(std::int64_t now_ns) {
   bool waits = false;
   for (auto at = viewers_.begin(); at != viewers_.end();) {
     Viewer& viewer = at->second;
-    viewer.feed.rate().set(options_.viewer_kbps, now_ns);
+    viewer.feed.rate().set(options_.viewer_kbps, viewer.feed.most_kbps(), now_ns);
     auto sent = Endpoint::Sent::Yes;
     bool idle = false;
     for (int k = 0; k < kPacketsATurn && sent == Endpoint::Sent::Yes && !idle; ++k) {

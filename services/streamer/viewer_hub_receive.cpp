@@ -133,7 +133,8 @@ void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t n
                         .lacks = {},
                         .dropped = {},
                         .bytes = static_cast<double>(held.bytes()),
-                        .window_s = static_cast<double>(held.window_us()) * 1e-6};
+                        .window_s = static_cast<double>(held.window_us()) * 1e-6,
+                        .most_kbps = static_cast<double>(held.max_kbps())};
   if (held.missing()) {
     for (const wire::SequenceRange* range : *held.missing()) said.missing.push_back({range->first(), range->last()});
   }
@@ -196,7 +197,7 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
   viewer.wants_probes = body.probes();
   viewer.heard_ns = viewer.sent_ns = now_ns;
   if (body.camera()) viewer.gaze.add(from_wire(*body.camera()), now_ns);
-  viewer.feed.rate().set(options_.viewer_kbps, now_ns);
+  viewer.feed.want(body.max_kbps());
   const stream::StreamModel::Status held = model_.status();
   const bool same = held.ready && packet.stream_epoch() == held.epoch;
   if (same && body.held()) {
@@ -215,6 +216,7 @@ void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {
   say(fmt::format("viewer {} {}", viewer.name, same ? "is back" : "joined"));
   statistics_.begin(now_ns);
   send(peer, WirePacket(welcome(viewer.connection)));
+  viewer.feed.rate().set(options_.viewer_kbps, viewer.feed.most_kbps(), now_ns);
   if (held.ready) begin(viewer, same && body.scene_version() == model_.scene_version());
   viewers_.insert_or_assign(peer, std::move(viewer));
 }

@@ -1,4 +1,4 @@
-// What a viewer is sent next, and how fast.
+// What a viewer is sent next.
 
 #include <algorithm>
 #include <cmath>
@@ -10,86 +10,79 @@ namespace splatbus::streamer {
 
 namespace {
 
-constexpr float kBehindSteps = 5;  // of a page that has missed deltas which are no longer kept
-constexpr float kSeenSteps = 5;    // of one that has missed how it sees the lights
+constexpr float kBehindSteps = 5;          // of a page that has missed deltas which are no longer kept
+constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
+constexpr float kSeenSteps = 5;            // of one that has missed how it sees the lights
 constexpr double kSeenBytes = 400;
-constexpr double kFirstAuto = 1.25e6, kLeastAuto = 6e4, kMostAuto = 1.25e8;  // bytes a second
-constexpr double kQueued_s = 0.5;
 
 }  // namespace
 
-void ViewerRate::use(double bytes_per_s, std::int64_t now_ns) {
-  const bool first = bytes_per_s_ == 0;
-  bytes_per_s_ = bytes_per_s;
-  if (first) bucket_ = bus::TokenBucket(bytes_per_s_, burst());
-  bucket_.set(bytes_per_s_, burst(), now_ns);
-}
-
-void ViewerRate::set(double kbps, std::int64_t now_ns) {
-  if (kbps == kbps_) return;
-  kbps_ = kbps;
-  auto_ = kbps <= 0;
-  use(auto_ ? kFirstAuto : kbps * 125, now_ns);
-}
-
-double ViewerRate::available(std::int64_t now_ns) {
-  if (debt_ > 0) {
-    const double paid = std::min(debt_, bucket_.available(now_ns));
-    if (bucket_.take(paid, now_ns)) debt_ -= paid;
-  }
-  return debt_ > 0 ? 0 : bucket_.available(now_ns);
-}
-
-void ViewerRate::take(double bytes, std::int64_t now_ns) {
-  in_flight_ += bytes;
-  sent_since_ += bytes;
-  const double there = std::min(bytes, bucket_.available(now_ns));
-  if (bucket_.take(there, now_ns)) debt_ += bytes - there;
-}
-
-// More than half a second's worth on the way: the link takes less. As much as is sent arrives: it may take more.
-void ViewerRate::acknowledged(double bytes, double window_s, std::int64_t now_ns) {
-  in_flight_ = std::max(0.0, in_flight_ - bytes);
-  const double sent = std::exchange(sent_since_, 0);
-  if (!auto_ || window_s < 0.01) return;
-  const double arrived = bytes / window_s;
-  if (in_flight_ > kQueued_s * bytes_per_s_) {
-    use(std::clamp(0.9 * std::min(arrived, bytes_per_s_), kLeastAuto, kMostAuto), now_ns);
-  } else if (sent > 0.8 * bytes_per_s_ * window_s) {
-    use(std::min(1.1 * bytes_per_s_, kMostAuto), now_ns);
-  }
-}
-
-void ViewerFeed::plan_deltas(const PageBoard& board, std::map<std::uint32_t, std::uint32_t>& versions,
-                             std::vector<Item>& items) {
-  std::uint64_t oldest = 0;
+// Visits the deltas that make what is held newer, one after the other, with what of each fits; `goes`, whether one
+// does.
+template <class Goes, class Visit>
+void ViewerFeed::walk_deltas(const PageBoard& board, Versions& versions, const Goes& goes, const Visit& visit) const {
+  std::vector<const stream::DeltaPacket::Step*> fitting;
   for (const SharedDelta& delta : board.deltas()) {
-    // What is larger than the rate's burst never goes: its pages come whole.
-    if (delta.number < oldest_delta_ || static_cast<double>(delta.packet->bytes()) > largest_packet()) continue;
-    float value = 0;
+    if (delta.number < oldest_delta_) continue;
+    fitting.clear();
     bool fits = false;
-    std::vector<std::pair<std::uint32_t, std::uint32_t>> after;
     for (const stream::DeltaPacket::Step& step : delta.steps) {
       const auto base = versions.find(step.base);
-      if (base == versions.end() || base->second != step.from_version) continue;
-      fits = true;
-      const auto weight = weights_.find(step.page);
-      value += step.steps * (weight != weights_.end() ? weight->second : 0);
-      after.emplace_back(step.page, step.version);
+      if (base == versions.end() || base->second != step.from_version || !goes(delta, step.base)) continue;
+      fitting.push_back(&step);
     }
     for (const auto& [page, version] : delta.gone) {
       const auto held = versions.find(page);
-      if (held == versions.end() || held->second > version) continue;
+      if (held == versions.end() || held->second > version || !goes(delta, page)) continue;
       fits = true;
       versions.erase(held);
     }
-    if (!fits) continue;
-    for (const auto& [page, version] : after) versions[page] = version;
-    const auto bytes = static_cast<double>(delta.packet->bytes());
-    if (oldest == 0) oldest = delta.number;
-    items.push_back({.score = value / static_cast<float>(bytes), .bytes = bytes, .delta = delta.number});
+    if (!fits && fitting.empty()) continue;
+    for (const auto* step : fitting) versions[step->page] = step->version;
+    visit(delta, fitting);
   }
+}
+
+// What pages have missed.
+void ViewerFeed::find_missed(const PageBoard& board, Versions versions) {
+  missed_.clear();
+  std::uint64_t oldest = 0;
+  const auto all = [](const SharedDelta&, std::uint32_t) { return true; };
+  walk_deltas(board, versions, all, [&](const SharedDelta& delta, const auto& fitting) {
+    if (oldest == 0) oldest = delta.number;
+    const auto steps = static_cast<double>(std::max<std::size_t>(fitting.size(), 1));
+    for (const auto* step : fitting) {
+      Missed& missed = missed_[step->page];
+      missed.bytes += static_cast<double>(delta.packet->bytes()) / steps;
+      missed.steps += step->steps;
+      ++missed.deltas;
+    }
+  });
   oldest_delta_ = oldest != 0 ? oldest : board.deltas().empty() ? 0 : board.deltas().back().number + 1;
+}
+
+// A page whose deltas have more bytes than it has itself comes whole: who is slow is sent fewer states of a page rather
+// than all of them later.
+void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items) {
+  find_missed(board, versions);
+  std::set<std::uint32_t> whole;
+  for (const auto& [number, missed] : missed_) {
+    const stream::OfferedPage* page = board.find(number);
+    if (page && missed.deltas > kTicksDeltas && missed.bytes > board.bytes_of(*page)) whole.insert(number);
+  }
+  const auto goes = [&](const SharedDelta& delta, std::uint32_t page) {
+    // What is larger than the rate's burst never goes: its pages come whole.
+    return !whole.contains(page) && static_cast<double>(delta.packet->bytes()) <= largest_packet();
+  };
+  walk_deltas(board, versions, goes, [&](const SharedDelta& delta, const auto& fitting) {
+    float value = 0;
+    for (const auto* step : fitting) {
+      const auto weight = weights_.find(step->page);
+      value += step->steps * (weight != weights_.end() ? weight->second : 0);
+    }
+    const auto bytes = static_cast<double>(delta.packet->bytes());
+    items.push_back({.score = value / static_cast<float>(bytes), .bytes = bytes, .delta = delta.number});
+  });
 }
 
 void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
@@ -99,9 +92,13 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     weights_.emplace_hint(weights_.end(), page.page, page_weight(page, gaze, objects));
   }
   std::vector<Item> items;
-  std::map<std::uint32_t, std::uint32_t> versions;
+  Versions versions;
   for (const auto& [page, record] : held_) versions.emplace_hint(versions.end(), page, record.version);
   plan_deltas(board, versions, items);
+  ended_.clear();
+  for (const auto& [page, version] : versions) {
+    if (!board.find(page) && held_.contains(page)) ended_.push_back(page);
+  }
 
   std::erase_if(declined_, [&](const auto& entry) { return entry.second < planned_ns_; });
   for (const stream::OfferedPage& page : board.offered()) {
@@ -120,7 +117,11 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
       continue;
     }
     const double bytes = board.bytes_of(page);
-    const float steps = held != held_.end() ? kBehindSteps : stream::kAbsentSteps;
+    const auto missed = missed_.find(page.page);
+    const float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
+    // However old, what is held shows more than nothing; what has missed most comes first.
+    const float behind = off * stream::kAbsentSteps / (off + stream::kAbsentSteps);
+    const float steps = held != held_.end() ? behind : stream::kAbsentSteps;
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
   }

@@ -31,6 +31,7 @@ StreamClient::StreamClient(ClientOptions options)
                  .silence_ns = options_.silence_ns,
                  .pose_every_ns = options_.pose_every_ns,
                  .max_gaussians = options_.max_gaussians,
+                 .max_kbps = options_.max_kbps,
                  .held_picture_bytes = options_.held_picture_bytes},
                 options_.now_ns()) {
   if (!options_.packet_log.empty()) packet_log_.emplace(options_.packet_log);

@@ -25,6 +25,7 @@ struct ClientOptions {
   std::string token, ca;                              ///< for a gateway: as WebLinkOptions has them
   bool probes = false;                                ///< wants ProbePictures; else they are ignored
   std::size_t max_gaussians = stream::kMaxGaussians;  ///< that are held
+  std::uint32_t max_kbps = 0;                         ///< that it wants to be sent; 0: as the streamer likes
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;   ///< after that the streamer is taken for gone, and greeted again
   std::int64_t pose_every_ns = 100'000'000;  ///< at most, while the camera moves; a tenth as often while it rests

@@ -32,6 +32,7 @@ ClientOptions client_options(const Options& options, const ViewerHost& host) {
           .ca = options.ca,
           .probes = options.probe,
           .max_gaussians = options.max_gaussians,
+          .max_kbps = static_cast<std::uint32_t>(options.max_kbps),
           .packet_log = options.packet_log};
 }
 
@@ -76,6 +77,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("opengl", opengl, "draw through OpenGL, as in a window, where there is none", kFixed);
   p.add("max_gaussians", max_gaussians, "that are held; of a larger world what adds most to this viewer's picture",
         {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);
+  p.add("max_kbps", max_kbps, "kbit/s that the streamer is asked to keep below; 0: as it is set there", {0, 1e7},
+        kFixed);
   p.add("record_file", record_file, "the camera's way is written there, for path=recorded; empty: it is not", kFixed);
   p.add("packet_log", packet_log, "file for all that the streamer says, as it came; empty: none", kFixed);
   path.bind(p);

@@ -33,6 +33,7 @@ struct Options {
   bool window = false;
   bool opengl = false;
   std::size_t max_gaussians = stream::kMaxGaussians;
+  double max_kbps = 0;
   std::string record_file, packet_log;
   PathOptions path;
 

@@ -51,7 +51,8 @@ QuantizedGaussians without_ids(QuantizedGaussians page) {
 void expect_lossless(const Page& page, PageCodec codec) {
   const std::size_t count = page.gaussians.count();
   for (const bool ids : {true, false}) {
-    const PageBlob blob = encode_page(page.gaussians, page.layout, codec, {.ids = ids});
+    const PageBlob blob =
+        encode_page(page.gaussians, page.layout, codec, {.ids = ids, .keep_order = false, .origin = {}});
     std::vector<std::uint32_t> sorted = blob.order;
     std::ranges::sort(sorted);
     std::vector<std::uint32_t> all(count);
@@ -81,11 +82,49 @@ TEST_P(PageCodecs, AreLosslessForTrainedPagesOfEveryAppearance) {
 TEST_P(PageCodecs, AreLosslessForRoundedPages) {
   for (const float coarseness : {-20.0F, 0.0F, 2.5F, 5.0F, 40.0F}) {
     Page page = toy_page(1000);
-    round_page(page.gaussians, page.layout, coarseness);
+    Precision(page.layout, coarseness).round(page.gaussians);
     expect_lossless(page, GetParam());
     page = toy_page(300, Appearance::Radiance, 2);
-    round_page(page.gaussians, page.layout, coarseness);
+    Precision(page.layout, coarseness).round(page.gaussians);
     expect_lossless(page, GetParam());
+  }
+}
+
+TEST_P(PageCodecs, KeepWhateverOrderTheColumnsHave) {
+  Page page = toy_page(1000);
+  page.gaussians = page.gaussians.gather(page_order(page.gaussians, page.layout, GetParam()));
+  std::mt19937 random(8);
+  const auto bytes_of = [&](const QuantizedGaussians& columns) {
+    const PageBlob blob =
+        encode_page(columns, page.layout, GetParam(), {.ids = true, .keep_order = true, .origin = {}});
+    EXPECT_TRUE(std::ranges::is_sorted(blob.order));
+    EXPECT_EQ(decode_page(blob.bytes, page.layout, GetParam(), columns.count()), columns);
+    return static_cast<double>(blob.bytes.size());
+  };
+  const double sorted = bytes_of(page.gaussians);
+  EXPECT_EQ(sorted, static_cast<double>(encode_page(page.gaussians, page.layout, GetParam()).bytes.size()))
+      << "the codec's own order costs nothing";
+  std::vector<std::uint32_t> columns(1000);
+  std::iota(columns.begin(), columns.end(), 0U);
+  for (int k = 0; k < 20; ++k) std::swap(columns[random() % 1000], columns[random() % 1000]);
+  EXPECT_LT(bytes_of(page.gaussians.gather(columns)), 1.2 * sorted);
+  std::ranges::shuffle(columns, random);
+  static_cast<void>(bytes_of(page.gaussians.gather(columns)));
+}
+
+TEST(PlanesCodec, PartsOfASortedPageAreSortedWhereTheyCountFromItsOrigin) {
+  Page page = toy_page(1024);
+  page.gaussians = page.gaussians.gather(page_order(page.gaussians, page.layout, PageCodec::Planes));
+  for (std::uint32_t first = 0; first < 1024; first += 256) {
+    std::vector<std::uint32_t> columns(256);
+    std::iota(columns.begin(), columns.end(), first);
+    const QuantizedGaussians part = page.gaussians.gather(columns);
+    const PageOptions free{.ids = false, .keep_order = false, .origin = mean_origin(page.gaussians, page.layout)};
+    PageOptions kept = free;
+    kept.keep_order = true;
+    const PageBlob a = encode_page(part, page.layout, PageCodec::Planes, free);
+    EXPECT_TRUE(std::ranges::is_sorted(a.order));
+    EXPECT_EQ(a.bytes, encode_page(part, page.layout, PageCodec::Planes, kept).bytes);
   }
 }
 
@@ -145,9 +184,10 @@ TEST_P(PageCodecs, RefuseEveryBeginningAndEveryContinuation) {
 }
 
 /// What comes back of a mutated blob is within the layout's limits, or nothing does.
-void survive_mutations(const Page& page, PageCodec codec, int rounds, std::uint32_t seed) {
+void survive_mutations(const Page& page, PageCodec codec, int rounds, std::uint32_t seed, bool keep_order = false) {
   const std::size_t count = page.gaussians.count();
-  const Bytes bytes = encode_page(page.gaussians, page.layout, codec).bytes;
+  const PageOptions options{.ids = true, .keep_order = keep_order, .origin = {}};
+  const Bytes bytes = encode_page(page.gaussians, page.layout, codec, options).bytes;
   std::mt19937 random(seed);
   const auto below = [&](std::size_t n) { return random() % n; };
   for (int round = 0; round < rounds; ++round) {
@@ -178,9 +218,10 @@ void survive_mutations(const Page& page, PageCodec codec, int rounds, std::uint3
 TEST(PageCodecHostile, MutatedPlanesAreRefusedOrHarmless) {
   Page page = toy_page(40, Appearance::Radiance, 1);
   survive_mutations(page, PageCodec::Planes, 8000, 1);
-  round_page(page.gaussians, page.layout, 3);
+  Precision(page.layout, 3).round(page.gaussians);
   survive_mutations(page, PageCodec::Planes, 8000, 2);
   survive_mutations(random_page(5, 3), PageCodec::Planes, 4000, 3);
+  survive_mutations(page, PageCodec::Planes, 4000, 5, true);
 }
 
 TEST(PageCodecHostile, MutatedDracoPagesAreRefusedOrHarmless) {
@@ -203,7 +244,7 @@ TEST(PageCodec, PlanesTakeFewerBytesThanDraco) {
     const auto bytes = [&](PageCodec codec) { return encode_page(page.gaussians, page.layout, codec).bytes.size(); };
     EXPECT_LT(bytes(PageCodec::Planes), bytes(PageCodec::Draco));
     const std::size_t unrounded = bytes(PageCodec::Planes);
-    round_page(page.gaussians, page.layout, 3);
+    Precision(page.layout, 3).round(page.gaussians);
     EXPECT_LT(bytes(PageCodec::Planes), 0.9 * static_cast<double>(unrounded));
   }
 }
@@ -237,7 +278,7 @@ Page golden_page() {
 TEST(PageCodec, GoldenBlobsAreRead) {
   for (const bool rounded : {false, true}) {
     Page page = golden_page();
-    if (rounded) round_page(page.gaussians, page.layout, 4);
+    if (rounded) Precision(page.layout, 4).round(page.gaussians);
     const std::string path = std::string(SPLATBUS_PAGE_GOLDEN) + (rounded ? "/planes_rounded.bin" : "/planes.bin");
     if (std::getenv("SPLATBUS_UPDATE_GOLDEN") != nullptr) {
       const Bytes bytes = encode_page(page.gaussians, page.layout, PageCodec::Planes).bytes;
@@ -257,9 +298,9 @@ TEST(PageCodec, GoldenBlobsAreRead) {
 
 TEST(PagePrecision, RoundingTwiceIsRoundingOnce) {
   Page page = toy_page(500);
-  round_page(page.gaussians, page.layout, 2.5F);
+  Precision(page.layout, 2.5F).round(page.gaussians);
   const QuantizedGaussians once = page.gaussians;
-  round_page(page.gaussians, page.layout, 2.5F);
+  Precision(page.layout, 2.5F).round(page.gaussians);
   // Rounding moves what the class follows from, now and then across a border: then to a neighbouring class.
   std::size_t moved = 0;
   for (std::size_t c = 0; c < once.channels.size(); ++c) {
@@ -277,7 +318,7 @@ TEST(PagePrecision, WhatShowsLessIsCoarser) {
   for (auto& plane : g.channels) plane[1] = plane[0];
   g.channels[opacity] = {255, 8};
   g.channels[albedo] = {77, 77};
-  round_page(g, page.layout, 3);
+  Precision(page.layout, 3).round(g);
   EXPECT_LE(std::abs(g.channels[albedo][0] - 77), 4);
   EXPECT_NE(g.channels[albedo][1], 77);
   EXPECT_LE(std::abs(g.channels[albedo][1] - 77), 32);

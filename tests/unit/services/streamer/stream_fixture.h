@@ -168,6 +168,7 @@ class StreamTest : public bus_test::BusTest {
 
   void start_streamer(std::vector<std::pair<std::string, std::string>> changes = {}, Device backend = Device::Cpu) {
     changes.insert(changes.begin(), {"tick_hz", "50"});
+    changes.insert(changes.begin(), {"coarseness", "-20"});  // ids_by_row() knows them by where they are
     changes.insert(changes.begin(), {"budget_kbps", "1000000"});
     changes.insert(changes.begin(), {"viewer_kbps", "1000000"});
     streamer_ = std::make_unique<RunningStreamer>(connect("streamer"), changes, backend);

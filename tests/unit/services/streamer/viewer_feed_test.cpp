@@ -19,7 +19,7 @@ constexpr std::int64_t kSecond = 1'000'000'000, kTick = kSecond / 5, kStep = kSe
 struct Seat {
   explicit Seat(double kbps, std::size_t max_gaussians = stream::kMaxGaussians)
       : feed(max_gaussians), replica(max_gaussians) {
-    feed.rate().set(kbps, 0);
+    feed.rate().set(kbps, 0, 0);
   }
 
   void read(stream::StreamModel& model, PageBoard& board, std::int64_t now_ns) {
@@ -97,20 +97,74 @@ class ViewerFeedTest : public testing::Test {
   std::int64_t now_ns_ = kSecond;
 };
 
+/// The most bytes of any second, read every kStep.
+class Seconds {
+ public:
+  void add(std::uint64_t bytes) {
+    window_.push_back(bytes);
+    if (window_.size() <= 100) return;
+    largest_ = std::max(largest_, window_.back() - window_.front());
+    window_.pop_front();
+  }
+  [[nodiscard]] double largest_kbps() const { return static_cast<double>(largest_) / 125; }
+
+ private:
+  std::deque<std::uint64_t> window_;
+  std::uint64_t largest_ = 0;
+};
+
 TEST_F(ViewerFeedTest, NoSecondHasMoreThanATenthAboveTheRate) {
   for (const double kbps : {1000.0, 4000.0}) {
     Seat seat(kbps);
     sit(seat);
-    std::deque<std::uint64_t> window;
-    std::uint64_t largest = 0;
-    live({&seat}, 4, 0.02F, [&] {
-      window.push_back(seat.bytes);
-      if (window.size() <= 100) return;
-      largest = std::max(largest, window.back() - window.front());
-      window.pop_front();
-    });
-    EXPECT_LE(static_cast<double>(largest), kbps * 125 * 1.1);
-    EXPECT_GT(static_cast<double>(largest), kbps * 125 * 0.8) << "the rate was not used";
+    Seconds most;
+    live({&seat}, 4, 0.02F, [&] { most.add(seat.bytes); });
+    EXPECT_LE(most.largest_kbps(), kbps * 1.1);
+    EXPECT_GT(most.largest_kbps(), kbps * 0.8) << "the rate was not used";
+  }
+}
+
+TEST_F(ViewerFeedTest, ARateThatIsChangedHoldsFromThenOn) {
+  Seat seat(4000);
+  sit(seat);
+  live({&seat}, 1);
+  const auto most_in = [&](double seconds) {
+    live({&seat}, 0.2);  // what was allowed before has gone
+    Seconds most;
+    live({&seat}, seconds, 0.02F, [&] { most.add(seat.bytes); });
+    return most.largest_kbps();
+  };
+  seat.feed.rate().set(1500, 0, now_ns_);
+  double most = most_in(2.5);
+  EXPECT_LE(most, 1500 * 1.1);
+  EXPECT_GT(most, 1500 * 0.8);
+  // What the viewer itself wants bounds that, and no more than that.
+  seat.feed.rate().set(1500, 700, now_ns_);
+  most = most_in(2.5);
+  EXPECT_LE(most, 700 * 1.1);
+  EXPECT_GT(most, 700 * 0.8);
+  seat.feed.rate().set(1500, 9000, now_ns_);
+  most = most_in(2.5);
+  EXPECT_LE(most, 1500 * 1.1);
+  EXPECT_GT(most, 1500 * 0.8);
+}
+
+TEST_F(ViewerFeedTest, WhoIsTooSlowForTheDeltasIsSentFewerStatesRatherThanOldOnes) {
+  Seat slow(1000), fast(1e6);
+  sit(slow);
+  sit(fast);
+  live({&slow, &fast}, 4);  // until it holds all of them
+  ASSERT_EQ(slow.replica.held().pages.size(), board_.offered().size());
+  // When each version was new.
+  std::map<std::uint32_t, std::int64_t> since;
+  const std::uint64_t bytes = fast.bytes;
+  live({&slow, &fast}, 8, 0.02F, [&] { since.emplace(server_.stream.status().version, now_ns_); });
+  ASSERT_GT(static_cast<double>(fast.bytes - bytes), 4 * 8 * 125'000.0) << "the deltas are no burden";
+  for (const auto& [number, page] : slow.replica.held().pages) {
+    const auto newer = since.upper_bound(page.version);
+    const double age_s = newer != since.end() ? static_cast<double>(now_ns_ - newer->second) * 1e-9 : 0;
+    // All pages take two to three seconds of its rate.
+    EXPECT_LT(age_s, 5) << "page " << number;
   }
 }
 
@@ -267,28 +321,53 @@ TEST_F(ViewerFeedTest, WithinItsMemoryItStaysWhenGaussiansOfItsPagesComeAndGo) {
   EXPECT_GT(seat.replica.count(), kMost - 2 * kPageLanes);
 }
 
-TEST(ViewerRate, FindsOutWhatALinkTakes) {
-  ViewerRate rate;
-  std::int64_t now_ns = kSecond;
-  rate.set(0, now_ns);
-  constexpr double kLink = 400'000;  // bytes a second
-  double queued = 0;
-  for (int step = 0; step < 400; ++step) {
-    now_ns += kSecond / 4;
-    double bytes = rate.available(now_ns);
+/// A link of so many bytes a second that is filled as the rate allows; the viewer says four times a second what came.
+class Link {
+ public:
+  explicit Link(double most_kbps = 0) { rate.set(0, most_kbps, now_ns_); }
+
+  /// A quarter of a second.
+  void pass(double bytes_per_s) {
+    now_ns_ += kSecond / 4;
     for (int k = 0; k < 25; ++k) {
-      const double more = rate.available(now_ns + k * kStep);
-      rate.take(more, now_ns + k * kStep);
+      const double more = rate.available(now_ns_ + k * kStep);
+      rate.take(more, now_ns_ + k * kStep);
       queued += more;
     }
-    bytes = std::min(queued, kLink / 4);
+    const double bytes = std::min(queued, bytes_per_s / 4);
     queued -= bytes;
-    rate.acknowledged(bytes, 0.25, now_ns + kSecond / 4);
-    if (step > 100) {
-      ASSERT_LT(queued, 1.5 * kLink) << step;
-      ASSERT_GT(rate.bytes_per_s(), kLink / 4) << step;
-    }
+    arrived += bytes;
+    rate.acknowledged(bytes, 0.25, now_ns_ + kSecond / 4);
   }
+
+  ViewerRate rate;
+  double queued = 0, arrived = 0;
+
+ private:
+  std::int64_t now_ns_ = kSecond;
+};
+
+TEST(ViewerRate, FindsOutWhatALinkTakesAndFollowsIt) {
+  Link link;
+  // Bytes a second: less than it begins with, much less, more than ever before.
+  for (const double takes : {400'000.0, 90'000.0, 3'000'000.0}) {
+    for (int k = 0; k < 100; ++k) link.pass(takes);
+    link.arrived = 0;
+    for (int k = 0; k < 200; ++k) {
+      link.pass(takes);
+      ASSERT_LT(link.queued, 1.5 * takes) << takes << ", " << k;
+    }
+    EXPECT_GT(link.arrived, 0.75 * 50 * takes) << takes;
+  }
+}
+
+TEST(ViewerRate, TakesNoMoreThanTheViewerWants) {
+  Link link(2000);
+  for (int k = 0; k < 100; ++k) {
+    link.pass(4'000'000);
+    ASSERT_LE(link.rate.bytes_per_s(), 250'000);
+  }
+  EXPECT_GT(link.rate.bytes_per_s(), 200'000);
 }
 
 }  // namespace

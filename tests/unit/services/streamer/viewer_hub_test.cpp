@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <deque>
+
 #include "../../bus/bus_fixture.h"
 #include "../../stream/toy_server.h"
 #include "wire/convert.h"
@@ -131,6 +133,65 @@ TEST_F(ViewerHubTest, AViewerThatTalksAndDoesNotReadIsRemoved) {
   EXPECT_FALSE(hub_.pump(now_ns_));
   hub_.send_keepalive(now_ns_);
   EXPECT_EQ(sent_packets(), sent);
+}
+
+// All that it is sent: what it joins with, scenes at the engine's rate, keepalives.
+TEST_F(ViewerHubTest, NoSecondHasMoreThanATenthAboveTheRateWhateverIsSent) {
+  constexpr double kKbps = 1500;
+  hub_.set_rate(kKbps);
+  publish(stream::test::toy_model(60'000, 1));
+  join();
+  SceneState scene;
+  std::deque<double> window;
+  double bytes = 0, largest = 0;
+  for (int step = 0; step < 500; ++step) {
+    now_ns_ += kSecond / 100;
+    if (step % 3 == 0) {
+      ++scene.version;
+      scene.objects[7].rigid.translation.x += 0.5F;
+      if (const auto packet = model_.take_scene(scene, {})) hub_.add_scene(*packet);
+    }
+    if (step % 100 == 99) hub_.send_keepalive(now_ns_);
+    hub_.pump(now_ns_);
+    while (read()) {
+    }
+    bytes += static_cast<double>(hub_.statistics().close_window(now_ns_).bytes);
+    window.push_back(bytes);
+    if (window.size() <= 100) continue;
+    largest = std::max(largest, window.back() - window.front());
+    window.pop_front();
+  }
+  EXPECT_LE(largest, kKbps * 125 * 1.1);
+  EXPECT_GT(bytes, kKbps * 125) << "it was sent nothing";
+}
+
+TEST_F(ViewerHubTest, WhatAViewerWantsAtMostIsHeardOfAtOnceAndLater) {
+  publish(stream::test::toy_model(60'000, 1));
+  say(wire::Body::Hello,
+      [](auto& b) { return wire::CreateHelloDirect(b, "modest", nullptr, false, 0, nullptr, 0, 0, 800); });
+  ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_), hub_.viewers() == 1; }));
+  const auto said_kbps = [&]() -> std::uint32_t {
+    hub_.pump(now_ns_ += kSecond);
+    hub_.send_keepalive(now_ns_);
+    std::uint32_t kbps = 0;
+    EXPECT_TRUE(bus_test::eventually([&] {
+      while (const auto packet = read()) {
+        if (packet->body() == wire::Body::Keepalive) kbps = packet->root().body_as_Keepalive()->kbps();
+      }
+      return kbps != 0;
+    }));
+    return kbps;
+  };
+  EXPECT_EQ(said_kbps(), 800U);
+  (void)socket_.send(zmq::buffer(writer_
+                                     .write(model_.status().epoch, 0, wire::Body::Held,
+                                            [](auto& b) {
+                                              return wire::CreateHeldDirect(b, 0, nullptr, 0, 0, nullptr, nullptr,
+                                                                            false, 0, 300);
+                                            })
+                                     .packet),
+                     zmq::send_flags::dontwait);
+  EXPECT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_), said_kbps() == 300; }));
 }
 
 TEST_F(ViewerHubTest, ViewersDropThePagesThatEnd) {
