@@ -27,7 +27,7 @@ class StreamReceiverTest : public StreamTest {
     });
   }
 
-  StreamReceiver::Shown shown_;
+  Shown shown_;
   stream::DisplayGaussians display_;
 };
 
