@@ -121,7 +121,7 @@ class World {
     world.disk_bytes = arguments.disk_mb << 20U;
     world.fetch_m = arguments.fetch_m;
     most_pages_ = folder.empty() ? std::numeric_limits<std::size_t>::max()
-                                 : WorldKeeper::most_pages(world, options.layout, device_);
+                                 : WorldKeeper::most_pages(world, options.layout, device_, 1);
     model::PageStoreOptions store{.max_gaussians = arguments.gaussians + 2 * arguments.batch};
     if (most_pages_ < std::numeric_limits<std::size_t>::max() - kSplits)
       store.max_pages = most_pages_ + kSplits + 2 * arguments.batch / kPageLanes;

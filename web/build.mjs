@@ -22,7 +22,7 @@ const entries = values.tests
       stream_worker: 'test/page/fake_stream_worker.ts',
       logic: 'test/logic.ts',
     }
-  : { app: 'src/main.ts', stream_worker: 'src/stream/stream_worker.ts', sort_worker: 'src/stream/sort_worker.ts' };
+  : { app: 'src/main.ts', stream_worker: 'src/stream/stream_worker.ts', sort_worker: 'src/stream/sort_worker.ts', metrics_worker: 'src/compare/metrics_worker.ts' };
 const options = {
   absWorkingDir: here,
   entryPoints: entries,

@@ -13,6 +13,7 @@
 #include "bus/context_impl.h"
 #include "bus/frames.h"
 #include "bus/log_sink.h"
+#include "bus/token_bucket.h"
 
 namespace splatbus::bus {
 namespace {
@@ -43,6 +44,7 @@ struct Subscriber::Impl {
   std::deque<std::shared_ptr<Message::Content>> early;                            // came during wait_connected()
   std::map<std::string, std::function<void(const Message&)>, std::less<>> handlers;
   std::map<std::pair<std::string, std::string>, LogLimiter> refusal_limiters;  // topic, source
+  TokenBucket refusals_said{5, 20};                                            // of all: a peer has many names
   std::uint64_t lost = 0;
   std::uint64_t malformed = 0;
   std::uint64_t refused = 0;
@@ -210,7 +212,7 @@ bool Subscriber::dispatch(const Message& message) {
     auto& limiters = impl_->refusal_limiters;
     if (limiters.size() >= max_tracked) limiters.clear();
     const std::string source = message.header().source()->str();
-    if (limiters[{message.topic(), source}].allow()) {
+    if (limiters[{message.topic(), source}].allow() && impl_->refusals_said.take(1, now_ns())) {
       spdlog::error("{} from {} (sequence {}) is refused, {} so far: {}", message.topic(), printable(source),
                     message.header().sequence(), impl_->refused, error.what());
     }

@@ -69,7 +69,7 @@ bool Follower::take(const ParsedPacket& packet, std::int64_t now_ns) {
 }
 
 void Follower::take_probe_picture(const ParsedPacket& packet) {
-  if (!options_.probes) return;
+  if (!options_.probes && !options_.own_probes) return;
   const wire::ProbePicture& body = *packet.root().body_as_ProbePicture();
   ProbeAnswer answer{.probe_id = body.probe_id(),
                      .camera = from_wire(*body.camera()),

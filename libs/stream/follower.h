@@ -18,7 +18,8 @@ namespace splatbus::stream {
 
 struct FollowerOptions {
   std::string name;
-  bool probes = false;  ///< wants ProbePictures; else they are ignored
+  bool probes = false;      ///< wants ProbePictures that others ask for
+  bool own_probes = false;  ///< asks for some itself; where neither is set they are ignored
   std::int64_t hello_every_ns = 200'000'000;
   std::int64_t silence_ns = 3'000'000'000;   ///< after that the streamer is taken for gone, and greeted again
   std::int64_t pose_every_ns = 100'000'000;  ///< at most, while the camera moves; a tenth as often while it rests

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/packing.hpp>
 
 #include "gaussians/sh.h"
 
@@ -40,6 +41,11 @@ std::uint32_t shared_exponent_rgb(const glm::vec3& color) {
   return out;
 }
 
+std::size_t harmonic_words(const StreamLayout& layout) {
+  const AttributeChannels* rest = layout.find(Attribute::ShRest);
+  return rest ? (static_cast<std::size_t>(3 + rest->channels) + 7) / 8 * 4 : 0;
+}
+
 RecordMaker::RecordMaker(const HeldGaussians& gaussians, const StreamLayout& layout)
     : gaussians_(gaussians),
       transfer_(layout.parameters().appearance == Appearance::Transfer),
@@ -50,7 +56,8 @@ RecordMaker::RecordMaker(const HeldGaussians& gaussians, const StreamLayout& lay
       color_(layout.at(transfer_ ? Attribute::Albedo : Attribute::ShDc)),
       residual_(channels_of(layout, Attribute::Residual)),
       normal_(channels_of(layout, Attribute::Normal)),
-      visibility_(channels_of(layout, Attribute::Visibility)) {
+      visibility_(channels_of(layout, Attribute::Visibility)),
+      rest_(channels_of(layout, Attribute::ShRest)) {
   const Quantizer& q = color_.quantizer;
   for (std::size_t k = 0; transfer_ && k < kTabled; ++k) {
     albedo_[k] = coding::linear_odd(q.offset + q.step * static_cast<float>(k));
@@ -83,6 +90,13 @@ GpuRecord RecordMaker::record(std::size_t column, std::uint32_t object_index) co
 
 float RecordMaker::sun_visibility(std::size_t column) const {
   return transfer_ ? value(visibility_, 0, column) : 1.0F;
+}
+
+void RecordMaker::harmonics(std::size_t column, std::span<std::uint32_t> out) const {
+  std::array<float, 3 * kMaxShCoefficients> values{};
+  for (int c = 0; c < 3; ++c) values[static_cast<std::size_t>(c)] = 0.5F + kShC0 * value(color_, c, column);
+  for (int c = 0; c < rest_.channels; ++c) values[static_cast<std::size_t>(3 + c)] = value(rest_, c, column);
+  for (std::size_t k = 0; k < out.size(); ++k) out[k] = glm::packHalf2x16({values[2 * k], values[2 * k + 1]});
 }
 
 std::uint32_t RecordMaker::color(std::size_t column, std::span<const float> visibility,

@@ -28,6 +28,11 @@ inline constexpr float kRotationStep_rad = 3.14159265F / 32767;
 /// or no number becomes 0, what is too large 65408.
 [[nodiscard]] std::uint32_t shared_exponent_rgb(const glm::vec3& color);
 
+/// Words of a Gaussian's harmonics, [coefficient][RGB] as two half floats a word, the rest of them 0: Radiance above
+/// degree 0, in display space, the constant one being 0.5 + kShC0 times itself. A multiple of four; 0 for any other
+/// layout.
+[[nodiscard]] std::size_t harmonic_words(const StreamLayout& layout);
+
 /// Makes records of the columns of Gaussians that it was made for and that stay as they are meanwhile.
 class RecordMaker {
  public:
@@ -37,6 +42,8 @@ class RecordMaker {
   /// The record's color; `light_object` and `visibility` as shade_transfer takes them, not looked at for Radiance.
   [[nodiscard]] std::uint32_t color(std::size_t column, std::span<const float> visibility,
                                     const Light& light_object) const;
+  /// `out`: harmonic_words() of the layout.
+  void harmonics(std::size_t column, std::span<std::uint32_t> out) const;
   /// How much of the sun is seen, in [0, 1].
   [[nodiscard]] float sun_visibility(std::size_t column) const;
 
@@ -56,7 +63,7 @@ class RecordMaker {
   const HeldGaussians& gaussians_;
   bool transfer_;
   std::array<float, kTabled> albedo_{};  ///< of 0, 1, ... steps
-  AttributeChannels mean_, log_scale_, rotation_, opacity_, color_, residual_, normal_, visibility_;
+  AttributeChannels mean_, log_scale_, rotation_, opacity_, color_, residual_, normal_, visibility_, rest_;
 };
 
 }  // namespace splatbus::stream

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <glm/glm.hpp>
+#include <optional>
+#include <span>
 #include <utility>
 
 #include "gaussians/frames.h"
@@ -22,6 +24,14 @@ GpuRows::Transform matrix_of(const ObjectTransform& transform) {
     out[static_cast<std::size_t>(4 * row + 3)] = transform.rigid.translation[row];
   }
   return out;
+}
+
+/// For an eye in the origin; nullopt for what is hidden.
+std::optional<ObjectTransform> transform_in(const SceneState& scene, std::uint32_t object_id) {
+  if (object_id == kWorldFrame) return ObjectTransform{};
+  const auto found = scene.objects.find(object_id);
+  if (found == scene.objects.end()) return std::nullopt;
+  return seen_from(glm::vec3(0), object_id, found->second);
 }
 
 /// What makes no difference to colours is left out.
@@ -62,11 +72,12 @@ void GpuRows::on_change(const ReplicatedState& shown, const Change& change) {
   for (const Change::Block& block : change.blocks) show(block.block, block.count);
   mark_all(change.rows, kRecord);
   mark_all(change.objects, kRecord);
+  const bool harmonics = harmonic_words(shown.layout) > 0;
   for (const Change::Values& values : change.values) {
     const Attribute a = values.attribute;
     const bool shape =
         a == Attribute::Mean || a == Attribute::LogScale || a == Attribute::Rotation || a == Attribute::Opacity;
-    mark_all(values.rows, shape ? kRecord : kColor);
+    mark_all(values.rows, shape || harmonics ? kRecord : kColor);
   }
   for (const Change::Seen& seen : change.seen) mark_all(seen.rows, kColor);
   if (change.scene && objects_are_full_) {  // of some that are long gone
@@ -123,17 +134,12 @@ void GpuRows::follow_scene() {
   const SceneState& scene = replica_.scene();
   std::vector<std::uint8_t> relit(objects_.size());
   bool any_relit = false;
-  transforms_.assign(objects_.size(), {});
+  transforms_ = transforms_in(scene);
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     Object& object = objects_[k];
-    ObjectTransform transform;
-    if (object.id != kWorldFrame) {
-      const auto found = scene.objects.find(object.id);
-      if (found == scene.objects.end()) continue;
-      transform = seen_from(glm::vec3(0), object.id, found->second);
-    }
-    transforms_[k] = matrix_of(transform);
-    Light light = shading_light(scene.light, transform);
+    const std::optional<ObjectTransform> transform = transform_in(scene, object.id);
+    if (!transform) continue;
+    Light light = shading_light(scene.light, *transform);
     if (light == object.light) continue;
     object.light = std::move(light);
     relit[k] = 1;
@@ -151,6 +157,14 @@ void GpuRows::follow_scene() {
     }
     if (index != kHidden && relit[index]) mark(row, kColor);
   }
+}
+
+std::vector<GpuRows::Transform> GpuRows::transforms_in(const SceneState& scene) const {
+  std::vector<Transform> transforms(objects_.size());
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    if (const auto transform = transform_in(scene, objects_[k].id)) transforms[k] = matrix_of(*transform);
+  }
+  return transforms;
 }
 
 const std::vector<GpuRows::Transform>& GpuRows::transforms() {
@@ -182,6 +196,7 @@ class GpuRows::Shader {
     out.color = color(column, object_index);
     return out;
   }
+  void harmonics(std::size_t column, std::span<std::uint32_t> out) const { maker_.harmonics(column, out); }
   [[nodiscard]] std::uint32_t color(std::size_t column, std::uint32_t object_index) {
     const Light& light = rows_.objects_[object_index].light;
     visibility_.resize(1 + light.sources.size(), 1.0F);
@@ -200,7 +215,8 @@ class GpuRows::Shader {
   std::vector<float> visibility_;
 };
 
-void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records) {
+void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records,
+                           std::vector<std::uint32_t>* harmonics) {
   find_rows(std::min(most, unsent_), kRecord, record_cursor_, rows);
   const SparseRows<std::uint32_t>& object_ids = replica_.shown().gaussians.object_id;
   // The scene is followed for all objects before there is a colour.
@@ -209,11 +225,15 @@ void GpuRows::take_records(std::size_t most, std::vector<std::uint32_t>& rows, s
   }
   follow_scene();
   records.assign(rows.size(), {});
+  const std::size_t words = harmonics ? harmonic_words(replica_.shown().layout) : 0;
+  if (harmonics) harmonics->assign(words * rows.size(), 0);
   Shader shader(*this);
   for (std::size_t k = 0; k < rows.size(); ++k) {
     stale_[rows[k]] = kNothing;
     const std::uint32_t object = is_shown(rows[k]) ? index_of(object_ids[rows[k]]) : kHidden;
-    if (object != kHidden) records[k] = shader.record(rows[k], object);
+    if (object == kHidden) continue;
+    records[k] = shader.record(rows[k], object);
+    if (words > 0) shader.harmonics(rows[k], std::span(*harmonics).subspan(words * k, words));
   }
   unsent_ -= rows.size();
 }

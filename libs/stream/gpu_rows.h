@@ -29,8 +29,10 @@ class GpuRows final : public ShownObserver {
 
   /// Up to `most` rows that have changed since they were taken, ascending from where the last call ended, and what is
   /// in them now: a row that is free has no opacity. What is there already is overwritten.
-  void take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records);
-  /// The same of rows in which nothing but the colour has changed, for as long as there are no others.
+  /// `harmonics`: harmonic_words() of each; for who draws them.
+  void take_records(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<GpuRecord>& records,
+                    std::vector<std::uint32_t>* harmonics = nullptr);
+  /// The same of rows in which nothing but the colour has changed. With harmonics there are none: they go with records.
   void take_colors(std::size_t most, std::vector<std::uint32_t>& rows, std::vector<std::uint32_t>& colors);
   /// As if nothing had been taken: the GPU's memory was lost.
   void forget_taken();
@@ -48,6 +50,8 @@ class GpuRows final : public ShownObserver {
     for (const Object& object : objects_) ids.push_back(object.id);
     return ids;
   }
+  /// The same under another scene of the objects.
+  [[nodiscard]] std::vector<Transform> transforms_in(const SceneState& scene) const;
   /// Index of the far field, 0 while nothing was seen of it.
   [[nodiscard]] std::uint32_t far_field() const { return far_field_; }
 

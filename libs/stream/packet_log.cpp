@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <stdexcept>
 #include <utility>
@@ -35,6 +36,9 @@ void PacketLog::add(std::span<const std::uint8_t> packet, std::span<const std::u
 }
 
 PacketLogReader::PacketLogReader(std::string path) : path_(std::move(path)), file_(path_, std::ios::binary) {
+  file_.seekg(0, std::ios::end);
+  left_ = static_cast<std::size_t>(std::max<std::streamoff>(0, file_.tellg()));
+  file_.seekg(0);
   if (!file_) throw std::runtime_error(fmt::format("{}: cannot be read", path_));
 }
 
@@ -47,6 +51,9 @@ std::optional<LoggedMessage> PacketLogReader::next() {
   if (packet > kMaxPacketBytes || payload > kMaxPayloadBytes) {
     throw std::runtime_error(fmt::format("{}: a message of {} and {} bytes: it is no log", path_, packet, payload));
   }
+  // Before there is memory for it.
+  if (packet + payload + kLengths > left_) return std::nullopt;
+  left_ -= packet + payload + kLengths;
   for (auto [bytes, size] : {std::pair{&message.packet, packet}, std::pair{&message.payload, payload}}) {
     bytes->resize(size);
     if (!file_.read(reinterpret_cast<char*>(bytes->data()), static_cast<std::streamsize>(size))) return std::nullopt;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <fstream>
 #include <optional>
@@ -37,6 +38,7 @@ class PacketLogReader {
  private:
   std::string path_;
   std::ifstream file_;
+  std::size_t left_ = 0;  ///< bytes
 };
 
 }  // namespace splatbus::stream

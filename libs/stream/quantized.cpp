@@ -35,9 +35,15 @@ QuantizedGaussians::QuantizedGaussians(const StreamLayout& layout, std::size_t c
 }
 
 void QuantizedGaussians::resize(std::size_t count) {
-  for (auto& plane : channels) plane.resize(count);
-  object_id.resize(count);
-  gaussian_id.resize(count);
+  // Whoever lets it grow a little at a time asks for more than is needed now: doubled once more, it would not fit a
+  // page.
+  const auto exactly = [count](auto& plane) {
+    plane.reserve(count);
+    plane.resize(count);
+  };
+  for (auto& plane : channels) exactly(plane);
+  exactly(object_id);
+  exactly(gaussian_id);
 }
 
 void QuantizedGaussians::append(const QuantizedGaussians& other) {

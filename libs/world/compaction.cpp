@@ -8,12 +8,19 @@
 
 namespace splatbus::world {
 
+namespace {
+
+/// Of a segment: what counts is rewritten where it is less.
+constexpr double kShare = 0.5, kCrowdedShare = 0.9;
+
+}  // namespace
+
 bool World::compact(bool last_too) {
   const std::lock_guard writes(writing_);
   if (!pending_.empty()) return false;
   // The emptiest; not the one that is being written.
   auto chosen = segments_.end();
-  double least = 0.5;
+  double least = is_crowded() ? kCrowdedShare : kShare;
   std::map<PageKey, PageEntry> live;  // of it
   {
     const std::lock_guard lock(mutex_);

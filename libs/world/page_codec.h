@@ -19,6 +19,12 @@ class WorldError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// The disk takes no more.
+class DiskFull : public WorldError {
+ public:
+  using WorldError::WorldError;
+};
+
 /// A page by itself, in host memory.
 struct Page {
   PageKey key;

@@ -16,7 +16,10 @@ namespace splatbus::world {
 namespace {
 
 [[noreturn]] void fail(const std::filesystem::path& path, const char* verb) {
-  throw WorldError(fmt::format("{}: {}: {}", path.string(), verb, std::strerror(errno)));
+  const int error = errno;
+  const std::string what = fmt::format("{}: {}: {}", path.string(), verb, std::strerror(error));
+  if (error == ENOSPC || error == EDQUOT || error == EFBIG) throw DiskFull(what);
+  throw WorldError(what);
 }
 
 /// The header at an offset, where there is one that says so itself.

@@ -35,6 +35,7 @@ struct WorldOptions {
   ParameterLayout layout;
   std::string note;  ///< of a new world
   std::size_t segment_bytes = kSegmentBytes;
+  std::size_t max_bytes = 0;  ///< from three quarters of it on, less is wasted for more writing; 0: none
   /// Brings a file to disk; other than File::sync() in tests.
   std::function<void(const File&)> sync = [](const File& file) { file.sync(); };
 };
@@ -61,6 +62,8 @@ class World {
   [[nodiscard]] std::optional<PageEntry> find(const PageKey& key) const;
   [[nodiscard]] std::uint64_t bytes() const;       ///< on disk, of all segments
   [[nodiscard]] std::uint64_t live_bytes() const;  ///< of them, those that count
+  /// Whether they are near max_bytes.
+  [[nodiscard]] bool is_crowded() const { return max_bytes_ > 0 && bytes() > max_bytes_ / 4 * 3; }
   [[nodiscard]] std::size_t segments() const;
   /// What was found not to be as it was written, and the pages that are lost by it: they are left out.
   [[nodiscard]] std::vector<Damage> damage() const;
@@ -80,8 +83,8 @@ class World {
   /// Forgets what was written since the last commit.
   void abandon();
 
-  /// Rewrites what still counts of one segment, where it is less than half of it, and removes that. False when there
-  /// is none. Not between put() and commit().
+  /// Rewrites what still counts of one segment, where it is less than half of it (nine tenths, while bytes() is near
+  /// max_bytes), and removes that. False when there is none. Not between put() and commit().
   /// `last_too`: also the segment that is being written, which then ends.
   bool compact(bool last_too = false);
 
@@ -115,7 +118,7 @@ class World {
 
   std::filesystem::path folder_;
   Manifest manifest_;
-  std::size_t segment_bytes_ = kSegmentBytes;
+  std::size_t segment_bytes_ = kSegmentBytes, max_bytes_ = 0;
   std::unique_ptr<File> lock_;  ///< of a writer
 
   std::function<void(const File&)> sync_;

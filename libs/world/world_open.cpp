@@ -46,10 +46,15 @@ std::optional<WorldProgress> progress_of(const ScannedRecord& record) {
 World::World(const fs::path& folder, const WorldOptions& options)
     : folder_(folder),
       segment_bytes_(std::clamp(options.segment_bytes, std::size_t{4096}, kSegmentBytes)),
+      max_bytes_(options.max_bytes),
       sync_(options.sync) {
   std::error_code error;
   fs::create_directories(folder_ / "segments", error);
-  if (error) throw WorldError(fmt::format("{}: cannot be made: {}", folder_.string(), error.message()));
+  if (error) {
+    const std::string what = fmt::format("{}: cannot be made: {}", folder_.string(), error.message());
+    if (error == std::errc::no_space_on_device) throw DiskFull(what);
+    throw WorldError(what);
+  }
   lock_ = std::make_unique<File>(folder_ / "lock", O_RDWR | O_CREAT);
   if (::flock(lock_->descriptor(), LOCK_EX | LOCK_NB) != 0) {
     throw WorldError(fmt::format("{}: another process writes this world", folder_.string()));
@@ -95,7 +100,9 @@ void World::load() {
   if (error) throw WorldError(fmt::format("{}: cannot be read: {}", folder_.string(), error.message()));
   std::sort(files.begin(), files.end());
   std::size_t sound_damage = 0;  // up to the last commit
-  for (const auto& [number, path] : files) {
+  for (const auto& listed : files) {
+    const std::uint32_t number = listed.first;
+    const fs::path& path = listed.second;
     highest_number_ = std::max(highest_number_, number);
     std::shared_ptr<const File> file;
     try {

@@ -32,6 +32,7 @@ using bus::SlabStatus;
 
 constexpr std::size_t max_clients = 512;
 constexpr std::size_t max_slabs = 2048;
+constexpr std::ptrdiff_t max_sources_of_one = 64;  // as a connection of the relay may have
 constexpr timeval send_timeout{1, 0};
 constexpr int collect_every_ms = 500;
 
@@ -153,6 +154,10 @@ void SlabRegistry::take_lease(const std::string& name, const Client& client) {
                               bus::printable(source)));
     }
   }
+  const auto of_one = std::ranges::count_if(leases_, [&](const auto& held) { return held.second == client.number; });
+  if (of_one >= max_sources_of_one && (lease == leases_.end() || lease->second != client.number)) {
+    throw Error(fmt::format("process {} has the slabs of {} sources already", client.pid, of_one));
+  }
   leases_.insert_or_assign(std::string(source), client.number);
   if (const auto abandoned = abandoned_ns_.find(source); abandoned != abandoned_ns_.end())
     abandoned_ns_.erase(abandoned);
@@ -165,7 +170,9 @@ void SlabRegistry::end_leases(const Client& client) {
       ++lease;
       continue;
     }
-    abandoned_ns_[lease->first] = bus::now_ns();
+    const bool has_slabs =
+        std::ranges::any_of(by_name_, [&](const auto& named) { return source_of(named.first) == lease->first; });
+    if (has_slabs) abandoned_ns_[lease->first] = bus::now_ns();
     lease = leases_.erase(lease);
   }
 }
@@ -183,7 +190,9 @@ void SlabRegistry::collect() {
       if (source_of(name) == source->first && !by_id_.at(id)->descriptor().kept) names.push_back(name);
     }
     for (const auto& name : names) remove(name);
-    if (!names.empty()) spdlog::info("dropped {} slabs of {}, which is gone", names.size(), source->first);
+    if (!names.empty() && limiter_.allow()) {
+      spdlog::info("dropped {} slabs of {}, which is gone", names.size(), bus::printable(source->first));
+    }
     source = abandoned_ns_.erase(source);
   }
 }

@@ -8,6 +8,8 @@
 #include <utility>
 
 #include "bus/clock.h"
+#include "bus/frames.h"
+#include "bus/log_sink.h"
 #include "bus/memory.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -186,7 +188,11 @@ void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Mess
   if (evicted) {
     rigs_.cameras().remove(CameraRole::Probe, evicted->camera.id);
     ++counters_.probes_dropped;
-    spdlog::warn("probe {} of {} dropped: {} wait already", evicted->probe_id, evicted->asker, kMaxProbes);
+    static bus::LogLimiter limiter;
+    if (limiter.allow()) {
+      spdlog::warn("probe {} of {} dropped: {} wait already", evicted->probe_id, bus::printable(evicted->asker),
+                   kMaxProbes);
+    }
   }
   if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);
 }
@@ -195,8 +201,11 @@ void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const 
   const std::uint64_t held = std::uint64_t{stats.ready_references()} + stats.ready_inputs();
   const std::uint64_t published = references_published_.size() + inputs_published_.size();
   if (!trainer_watch_.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
-  spdlog::info("{} holds {} of {} views: asking the engine for all again", message.header().source()->str(), held,
-               published);
+  static bus::LogLimiter limiter;
+  if (limiter.allow()) {
+    spdlog::info("{} holds {} of {} views: asking the engine for all again",
+                 bus::printable(message.header().source()->string_view()), held, published);
+  }
   if (options_->input_views) rigs_.inputs().reissue_all(rigs_.cameras());
   rigs_.cameras().reissue_all(CameraRole::Reference);
 }
@@ -235,7 +244,10 @@ void CaptureBridge::update_rounds(std::int64_t now_ns) {
     if (round.ready(now_ns, deadline)) submit_round(rig);
     rig.patience_ns = std::max(rig.patience_ns, deadline);
     if (round.missing().empty() || now_ns - rig.asked_ns < rig.patience_ns) continue;
-    if (!round.empty()) spdlog::warn("{} input frames have not come: asking again", round.missing().size());
+    static bus::LogLimiter limiter;
+    if (!round.empty() && limiter.allow()) {
+      spdlog::warn("{} input frames have not come: asking again", round.missing().size());
+    }
     rigs_.inputs().reissue_missing(rig, now_ns, rigs_.cameras());
     rig.patience_ns = std::min(2 * rig.patience_ns, kInputPatienceMaxNs);
   }
@@ -271,7 +283,10 @@ void CaptureBridge::update_probes(std::int64_t now_ns) {
   for (const Probe& probe : probes_.expire(now_ns - nanoseconds(options_->probe_timeout_s))) {
     rigs_.cameras().remove(CameraRole::Probe, probe.camera.id);
     ++counters_.probes_dropped;
-    spdlog::warn("probe {} of {} dropped: the engine did not answer", probe.probe_id, probe.asker);
+    static bus::LogLimiter limiter;
+    if (limiter.allow()) {
+      spdlog::warn("probe {} of {} dropped: the engine did not answer", probe.probe_id, bus::printable(probe.asker));
+    }
   }
   for (Probe* probe : probes_.overdue(now_ns - kProbePatienceNs)) {
     probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);

@@ -7,6 +7,7 @@
 #include <exception>
 #include <utility>
 
+#include "bus/log_sink.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -79,7 +80,10 @@ void InputWorker::submit(InputJob job) {
     const std::scoped_lock lock(mutex_);
     std::erase_if(jobs_, [&](const InputJob& waiting) { return waiting.rig_generation == job.rig_generation; });
     if (jobs_.size() >= kMaxQueued) {
-      spdlog::warn("input round of rig generation {} dropped: sampling is behind", jobs_.front().rig_generation);
+      static bus::LogLimiter limiter;
+      if (limiter.allow()) {
+        spdlog::warn("input round of rig generation {} dropped: sampling is behind", jobs_.front().rig_generation);
+      }
       jobs_.pop_front();
     }
     jobs_.push_back(std::move(job));
@@ -109,7 +113,8 @@ void InputWorker::run(const std::stop_token& stop) {
     try {
       process(job);
     } catch (const std::exception& error) {
-      spdlog::error("input round of rig generation {}: {}", job.rig_generation, error.what());
+      static bus::LogLimiter limiter;
+      if (limiter.allow()) spdlog::error("input round of rig generation {}: {}", job.rig_generation, error.what());
       failed_ = true;
     }
   }

@@ -8,6 +8,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "bus/log_sink.h"
 #include "bus/memory.h"
 #include "model/published_model.h"
 #include "wire/capture_generated.h"
@@ -70,6 +71,8 @@ void Expander::subscribe() {
           [this](const wire::ViewerPose& pose, const bus::Message& message) {
             viewpoints_.take(pose, message.header().publish_ns(), bus::now_ns());
           })
+      .on(topics::kTrainerStats,
+          [this](const wire::TrainerStats& stats, const bus::Message&) { steps_per_s_ = stats.steps_per_s(); })
       .on(topics::kModelPublished, [this](const wire::ModelPublished& published, const bus::Message& message) {
         handle_published(published, message);
       });
@@ -130,7 +133,8 @@ bool Expander::adopt_model() try {
   return true;
 } catch (const bus::Error& error) {
   bus::require_usable(inserter_.memory());
-  spdlog::warn("model/published is refused: {}", error.what());
+  static bus::LogLimiter limiter;
+  if (limiter.allow()) spdlog::warn("model/published is refused: {}", error.what());
   return false;
 }
 
@@ -141,7 +145,8 @@ void Expander::take_rounds() {
       ++counters_.rounds_lost;
       continue;
     }
-    if (round->invalid > 0) {
+    static bus::LogLimiter limiter;
+    if (round->invalid > 0 && limiter.allow()) {
       spdlog::warn("capture/input of rig generation {}: dropped {} samples that are not finite or make no sense",
                    round->rig_generation, round->invalid);
     }
@@ -170,7 +175,7 @@ void Expander::insert_rounds() {
 void Expander::insert(const Round& round) {
   const std::int64_t start = bus::now_ns();
   const std::size_t limit = options_->max_gaussians;
-  InsertOptions options = options_->insert;
+  InsertOptions options = options_->insert_at(steps_per_s_);
   options.select.room = static_cast<std::uint32_t>(limit - std::min(limit, inserter_.modelled().size()));
   InsertResult result =
       inserter_.insert(round, viewpoints_.at(bus::now_ns(), options_->ahead_s, round.cameras), options);

@@ -85,6 +85,7 @@ class Expander {
   std::optional<PublishedModel> opened_;  // as it was read last: its pages stay mapped
   std::deque<Waiting> waiting_;           // rounds that are not in the model yet, oldest first
   Viewpoints viewpoints_;
+  double steps_per_s_ = 0;  // of the optimizer, as it has told; 0: nothing yet
   std::size_t gaussian_limit_logged_ = 0;
   bool cell_limit_logged_ = false, beyond_logged_ = false;
   bool ring_prepared_ = false;

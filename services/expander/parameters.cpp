@@ -1,5 +1,7 @@
 #include "expander/parameters.h"
 
+#include <cmath>
+
 namespace splatbus::expander {
 
 void Options::bind(bus::ParameterBinder& p) {
@@ -16,6 +18,9 @@ void Options::bind(bus::ParameterBinder& p) {
         "what is modelled nearer than this covers a sample, as a fraction of its spacing", {0, 10});
   p.add("fill_distance", insert.select.fill_distance,
         "the same in a cell that is being filled, where it is the smaller one", {0, 10});
+  p.add("fill_steps_per_s", fill_steps_per_s,
+        "optimizer steps a second from which on a cell is filled that densely; at fewer less so, down to new_distance",
+        {0, 1e6});
   p.add("hole_distance", insert.select.hole_distance,
         "where nothing is modelled nearer than this there is a hole, as a fraction of a sample's spacing", {0, 10});
   p.add("refine_factor", insert.select.refine_factor,
@@ -44,6 +49,14 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("kept_mb", queue.kept_bytes, "acknowledged batches kept for a trainer that loses its model, MiB", {0, 1 << 20},
         kFixed, bus::kMebibytes);
   queue.resend_ns = static_cast<std::int64_t>(resend_s * 1e9);
+}
+
+InsertOptions Options::insert_at(double steps_per_s) const {
+  InsertOptions at = insert;
+  if (steps_per_s > 0 && steps_per_s < fill_steps_per_s) {
+    at.select.fill_distance *= static_cast<float>(std::sqrt(fill_steps_per_s / steps_per_s));
+  }
+  return at;
 }
 
 }  // namespace splatbus::expander

@@ -19,6 +19,12 @@ struct Options {
   std::size_t max_gaussians = kDefaultMaxGaussians;
   double adopt_wait_s = 3, refresh_s = 2, resend_s = 1;
   double ahead_s = 3, repeat_s = 1;
+  /// From this pace of the optimizer on cells are filled as densely as insert.select says.
+  double fill_steps_per_s = 20;
+
+  /// What a round is inserted by while the optimizer takes so many steps a second; 0: nobody knows. Gaussians that it
+  /// has no time to train cost more steps than they are worth: as many fewer of them fill a surface as it is slower.
+  [[nodiscard]] InsertOptions insert_at(double steps_per_s) const;
 
   void bind(bus::ParameterBinder& parameters);
 };

@@ -18,7 +18,7 @@ std::string BenchLog::add(std::string_view text) {
   };
   nlohmann::json report = nlohmann::json::parse(text, shallow, false);
   if (deep || !report.is_object()) return "a JSON object of few levels was expected";
-  spdlog::info("bench: {}", bus::printable(report.dump(-1, ' ', true), 1024));
+  if (log_limiter_.allow()) spdlog::info("bench: {}", bus::printable(report.dump(-1, ' ', true), 1024));
   if (reports_.size() == kKept) reports_.pop_front();
   reports_.push_back(std::move(report));
   return {};

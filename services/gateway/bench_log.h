@@ -5,6 +5,8 @@
 #include <string>
 #include <string_view>
 
+#include "bus/log_sink.h"
+
 namespace splatbus::gateway {
 
 /// What pages measured of themselves (?bench=1): the last few reports. One thread.
@@ -19,6 +21,7 @@ class BenchLog {
 
  private:
   std::deque<nlohmann::json> reports_;
+  bus::LogLimiter log_limiter_;
 };
 
 }  // namespace splatbus::gateway

@@ -13,8 +13,12 @@ void run(bus::ServiceContext& service) {
   gateway::check(options);
   gateway::PipelineView pipeline(service.bus);
   gateway::Traffic traffic;
-  gateway::Site site(options, pipeline, traffic);
-  gateway::Server server(options, gateway::streamer_endpoint(options, service.bus->address()), site, traffic);
+  const std::string streamer = gateway::streamer_endpoint(options, service.bus->address());
+  zmq::context_t context;
+  gateway::PageLibrary pages(context, streamer, options.page_cache_bytes, traffic);
+  gateway::ModelFiles models(service.bus, options.max_model_gaussians, traffic);
+  gateway::Site site(options, pipeline, pages, models, traffic);
+  gateway::Server server(options, streamer, site, pages, traffic);
   spdlog::info("{}, {} files of the page", server.url(), site.files());
   service.detail(server.url());
   server.run(service.stop, [&] {

@@ -104,6 +104,11 @@ void add_gateway(Families& out, const Traffic& traffic) {
   out.gauge("splatbus_gateway_queued_bytes", "Of packets that are being written to browsers",
             static_cast<double>(traffic.queued_bytes));
   out.counter("splatbus_gateway_requests_total", "HTTP requests", traffic.requests);
+  out.counter("splatbus_gateway_pages_served_total", "Frozen pages sent over HTTP", traffic.pages_served);
+  out.counter("splatbus_gateway_pages_fetched_total", "Of them, asked of the streamer", traffic.pages_fetched);
+  out.gauge("splatbus_gateway_page_cache_bytes", "Of pages that are kept to be served again",
+            static_cast<double>(traffic.page_bytes));
+  out.counter("splatbus_gateway_exports_total", "Files made of the live model", traffic.exports);
   const std::vector<Label> from{{"direction", "from_browser"}}, to{{"direction", "to_browser"}};
   const std::string bytes = "splatbus_gateway_bytes_total", messages = "splatbus_gateway_messages_total";
   out.counter(bytes, "Of WebSocket messages", traffic.bytes_from, from);
@@ -192,6 +197,10 @@ nlohmann::json status_json(const PipelineView& pipeline, const Traffic& traffic,
                        {"messages_from_browsers", traffic.messages_from},
                        {"messages_to_browsers", traffic.messages_to},
                        {"requests", traffic.requests},
+                       {"pages_served", traffic.pages_served},
+                       {"pages_fetched", traffic.pages_fetched},
+                       {"page_cache_bytes", traffic.page_bytes},
+                       {"exports", traffic.exports},
                        {"refused", refused}};
   for (const auto& report : bench.reports()) status["bench"].push_back(report);
   return status;

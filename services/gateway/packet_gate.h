@@ -1,25 +1,14 @@
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
-#include <span>
 
 #include "bus/rights.h"
+#include "stream/web_message.h"
 #include "wire/stream_generated.h"
 
 namespace splatbus::gateway {
 
-/// One WebSocket message of subprotocol splatbus.stream.1, taken apart: u32 (lowest byte first) length of the Packet,
-/// the Packet, and its payload to the end of the message. Views into the message.
-struct FramedPacket {
-  std::span<const std::uint8_t> packet, payload;
-};
-
-/// Bytes in front of a Packet.
-inline constexpr std::size_t kFrameHeaderBytes = 4;
-
-/// Throws stream::StreamError when the length is 0 or points past the message.
-[[nodiscard]] FramedPacket unframe(std::span<const std::uint8_t> message);
+using FramedPacket = stream::WebMessage;
 
 enum class Passage : std::uint8_t { Pass, Forbidden };
 

@@ -26,6 +26,14 @@ void Options::bind(bus::ParameterBinder& p) {
         "web origins besides our own whose pages may connect, such as https://example.org; separated by commas",
         kFixed);
   p.add("web_root", web_root, "folder with the page; empty: share/splatbus/web beside the program's", kFixed);
+  p.add(
+      "shared_caches", shared_caches,
+      "with 'tokens': caches that others share, such as a CDN's, may keep frozen pages; who gets them is theirs to say",
+      kFixed);
+  p.add("page_cache_mb", page_cache_bytes, "MB of frozen pages that are kept to be served again", {1, 65536}, kFixed,
+        bus::kMebibytes);
+  p.add("max_model_gaussians", max_model_gaussians,
+        "of a model that is given away as a file, which takes a copy of it in memory; 0: none is", {0, 1e9}, kFixed);
   p.add("max_connections", limits.connections, "at a time", {1, 16384}, kFixed);
   p.add("max_connections_per_address", limits.connections_per_address,
         "at a time from one IPv4 address or IPv6 /64; behind a proxy all come from the same", {1, 16384}, kFixed);

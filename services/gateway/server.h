@@ -14,7 +14,7 @@ class Server {
  public:
   /// Binds. Throws bus::Error naming the address, the certificate or the key, and what is wrong. The references outlive
   /// it.
-  Server(const Options& options, std::string streamer_endpoint, Site& site, Traffic& traffic);
+  Server(const Options& options, std::string streamer_endpoint, Site& site, PageLibrary& pages, Traffic& traffic);
   ~Server();
   Server(const Server&) = delete;
   Server& operator=(const Server&) = delete;

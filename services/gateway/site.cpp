@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "gateway/metrics.h"
+#include "gateway/partial_content.h"
 
 namespace splatbus::gateway {
 
@@ -15,10 +16,12 @@ constexpr std::string_view kTokenProtocol = "splatbus.token.";
 constexpr std::int64_t kBenchEveryNs = 500'000'000;
 
 Response text(int status, std::string body, std::string type = "text/plain; charset=utf-8") {
+  const std::size_t bytes = body.size();
   return {.status = status,
           .fields = {{"Cache-Control", "no-store"}},
           .type = std::move(type),
-          .body = std::make_shared<const std::string>(std::move(body))};
+          .body = std::make_shared<const std::string>(std::move(body)),
+          .bytes = bytes};
 }
 
 /// Calls `take` with each part of a list, trimmed, until it returns true.
@@ -53,14 +56,45 @@ std::string_view token_of(const Request& request) {
   return token;
 }
 
-bool has_etag(std::string_view if_none_match, std::string_view etag) {
-  return any_of_list(if_none_match, ',', [&](std::string_view part) {
+/// What a body of 200 is reduced to by what its receiver has, or wants of it.
+void reduce(const Request& request, Response& response) {
+  const std::size_t bytes = response.file ? response.file->bytes : response.body ? response.body->size() : 0;
+  response.bytes = bytes;
+  const auto etag = std::find_if(response.fields.begin(), response.fields.end(),
+                                 [](const auto& field) { return field.first == "ETag"; });
+  if (response.status != 200 || etag == response.fields.end()) return;
+  const std::string_view tag = etag->second;
+  const auto is_it = [&](std::string_view part) {
     if (part.starts_with("W/")) part.remove_prefix(2);
-    return part == etag || part == "*";
-  });
+    return part == tag || part == "*";
+  };
+  if (request.if_none_match && any_of_list(*request.if_none_match, ',', is_it)) {
+    response.status = 304;
+    response.body = nullptr;
+    response.file = nullptr;
+    response.bytes = 0;
+    return;
+  }
+  response.fields.emplace_back("Accept-Ranges", "bytes");
+  if (!request.range || request.method != "GET" || (request.if_range && *request.if_range != tag)) return;
+  const PartialContent part = partial_content(*request.range, bytes);
+  if (part.kind == PartialContent::Kind::Whole) return;
+  const bool none = part.kind == PartialContent::Kind::Nothing;
+  response.status = none ? 416 : 206;
+  response.fields.emplace_back("Content-Range",
+                               none ? fmt::format("bytes */{}", bytes)
+                                    : fmt::format("bytes {}-{}/{}", part.first, part.first + part.bytes - 1, bytes));
+  response.first = part.first;
+  response.bytes = part.bytes;
 }
 
 }  // namespace
+
+Response unavailable(const std::string& problem) {
+  Response response = text(503, problem + "\n");
+  response.fields.emplace_back("Retry-After", "1");
+  return response;
+}
 
 const std::vector<std::pair<std::string, std::string>>& common_fields() {
   static const std::vector<std::pair<std::string, std::string>> fields{
@@ -76,9 +110,11 @@ const std::vector<std::pair<std::string, std::string>>& common_fields() {
   return fields;
 }
 
-Site::Site(const Options& options, PipelineView& pipeline, Traffic& traffic)
+Site::Site(const Options& options, PipelineView& pipeline, PageLibrary& pages, ModelFiles& models, Traffic& traffic)
     : options_(options),
       pipeline_(pipeline),
+      pages_(pages),
+      models_(models),
       traffic_(traffic),
       files_(web_root(options)),
       tokens_(options.tokens),
@@ -101,8 +137,14 @@ std::optional<Response> Site::refuse_stranger(const Request& request) {
   return std::nullopt;
 }
 
-Response Site::answer(const Request& request, std::int64_t now_ns) {
-  ++traffic_.requests;
+Response Site::answer(const Request& request, std::int64_t now_ns, bool again) {
+  traffic_.requests += again ? 0 : 1;
+  Response response = choose(request, now_ns);
+  if (!response.pending) reduce(request, response);
+  return response;
+}
+
+Response Site::choose(const Request& request, std::int64_t now_ns) {
   if (auto refusal = refuse_stranger(request)) return std::move(*refusal);
   const std::string_view path = request.target.substr(0, request.target.find('?'));
   const bool reads = request.method == "GET" || request.method == "HEAD";
@@ -116,15 +158,23 @@ Response Site::answer(const Request& request, std::int64_t now_ns) {
     const std::string ill = pipeline_.ill_because(now_ns);
     return ill.empty() ? text(200, "ok\n") : text(503, ill + "\n");
   }
-  if (path == "/status" || path == "/metrics") {
-    if (!rights_of(token_of(request))) {
+  const auto name = parse_page_path(path);
+  const auto format = ModelFiles::format_of_path(path);
+  const bool manifest_asked = path == "/manifest" || path == "/manifest.json";
+  if (path == "/status" || path == "/metrics" || name || format || manifest_asked) {
+    const auto rights = rights_of(token_of(request));
+    if (!rights) {
       traffic_.refuse(Refusal::Token);
       return text(401, "a token is needed\n");
     }
+    if (name) return page(*name, now_ns);
+    if (format) return model(*format, now_ns);
+    if (manifest_asked) return manifest(path.ends_with(".json"), now_ns);
     if (path == "/metrics") {
       return text(200, metrics_text(pipeline_, traffic_, now_ns), "text/plain; version=0.0.4; charset=utf-8");
     }
-    const auto status = status_json(pipeline_, traffic_, bench_, now_ns);
+    auto status = status_json(pipeline_, traffic_, bench_, now_ns);
+    status["rights"] = bus::to_text(*rights);
     return text(200, status.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n", "application/json");
   }
   if (path == "/stream") {
@@ -132,22 +182,51 @@ Response Site::answer(const Request& request, std::int64_t now_ns) {
     response.fields.emplace_back("Upgrade", "websocket");
     return response;
   }
-  return file(request, path);
+  return file(path);
 }
 
-Response Site::file(const Request& request, std::string_view path) const {
+Response Site::file(std::string_view path) const {
   const StaticFiles::File* found = files_.find(path);
   if (found == nullptr) {
     const bool unbuilt = files_.size() == 0 && path == "/";
     return text(404, unbuilt ? "the page is not built; /status, /metrics and /stream are here\n" : "not here\n");
   }
-  Response response{.fields = {{"ETag", found->etag}, {"Cache-Control", "no-cache"}}, .type = found->type};
-  if (request.if_none_match && has_etag(*request.if_none_match, found->etag)) {
-    response.status = 304;
-  } else {
-    response.body = found->body;
-  }
-  return response;
+  return {.fields = {{"ETag", found->etag}, {"Cache-Control", "no-cache"}}, .type = found->type, .body = found->body};
+}
+
+std::string_view Site::audience() const {
+  return tokens_.required() && !options_.shared_caches ? "private" : "public";
+}
+
+Response Site::page(const PageName& name, std::int64_t now_ns) {
+  PageLibrary::Found found = pages_.page(name, now_ns);
+  if (found.state == PageLibrary::State::Waits) return {.pending = true};
+  if (found.state == PageLibrary::State::Absent) return text(404, "no page that rests; /manifest names them\n");
+  return {
+      .fields = {{"ETag", found.etag}, {"Cache-Control", fmt::format("{}, max-age=31536000, immutable", audience())}},
+      .type = "application/octet-stream",
+      .body = std::move(found.body)};
+}
+
+Response Site::manifest(bool json, std::int64_t now_ns) {
+  PageLibrary::Found found = pages_.manifest(json, now_ns);
+  if (found.state == PageLibrary::State::Waits) return {.pending = true};
+  return {
+      .fields = {{"ETag", found.etag}, {"Cache-Control", fmt::format("{}, max-age=1, must-revalidate", audience())}},
+      .type = json ? "application/json" : "application/octet-stream",
+      .body = std::move(found.body)};
+}
+
+Response Site::model(splats::Format format, std::int64_t now_ns) {
+  ModelFiles::Found found = models_.find(format, now_ns);
+  if (!found.problem.empty()) return unavailable(found.problem);
+  if (!found.file) return {.pending = true};
+  const char* name = format == splats::Format::Ply ? "ply" : format == splats::Format::Glb ? "glb" : "spz";
+  return {.fields = {{"ETag", found.file->etag},
+                     {"Cache-Control", "private, no-cache"},
+                     {"Content-Disposition", fmt::format("attachment; filename=\"model.{}\"", name)}},
+          .type = std::string(ModelFiles::type_of(format)),
+          .file = std::move(found.file)};
 }
 
 Response Site::take_bench(const Request& request, std::int64_t now_ns) {

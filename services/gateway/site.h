@@ -10,19 +10,22 @@
 
 #include "gateway/access.h"
 #include "gateway/bench_log.h"
+#include "gateway/model_files.h"
+#include "gateway/page_library.h"
 #include "gateway/parameters.h"
 #include "gateway/pipeline_view.h"
 #include "gateway/static_files.h"
 #include "gateway/traffic.h"
+#include "stream/web_message.h"
 
 namespace splatbus::gateway {
 
-inline constexpr std::string_view kSubprotocol = "splatbus.stream.1";
+inline constexpr std::string_view kSubprotocol = stream::kWebSubprotocol;
 
 /// What of a request decides its answer. Views into the request.
 struct Request {
   std::string_view method, target, host, body;
-  std::optional<std::string_view> origin, authorization, if_none_match, content_type, protocols;
+  std::optional<std::string_view> origin, authorization, if_none_match, if_range, range, content_type, protocols;
 };
 
 struct Response {
@@ -30,7 +33,13 @@ struct Response {
   std::vector<std::pair<std::string, std::string>> fields;  ///< besides those of its body
   std::string type = "text/plain; charset=utf-8";
   std::shared_ptr<const std::string> body;  ///< null: none
+  std::shared_ptr<const ModelFile> file;    ///< in place of a body
+  std::size_t first = 0, bytes = 0;         ///< what of either is sent
+  bool pending = false;                     ///< not known yet: the same is to be asked again, a little later
 };
+
+/// 503, worth another try.
+[[nodiscard]] Response unavailable(const std::string& problem);
 
 /// Fields that every response has.
 [[nodiscard]] const std::vector<std::pair<std::string, std::string>>& common_fields();
@@ -39,11 +48,11 @@ struct Response {
 /// outlive it.
 class Site {
  public:
-  /// `tls`: how browsers reach us. Throws bus::Error and std::runtime_error.
-  Site(const Options& options, PipelineView& pipeline, Traffic& traffic);
+  /// Throws bus::Error and std::runtime_error.
+  Site(const Options& options, PipelineView& pipeline, PageLibrary& pages, ModelFiles& models, Traffic& traffic);
 
-  /// `now_ns`: CLOCK_MONOTONIC.
-  [[nodiscard]] Response answer(const Request& request, std::int64_t now_ns);
+  /// `now_ns`: CLOCK_MONOTONIC. `again`: it was asked before, and the answer was pending.
+  [[nodiscard]] Response answer(const Request& request, std::int64_t now_ns, bool again = false);
 
   /// Of a request to become a WebSocket: the rights that it comes with, or what to say instead.
   struct Admission {
@@ -61,11 +70,19 @@ class Site {
 
  private:
   [[nodiscard]] std::optional<Response> refuse_stranger(const Request& request);
-  [[nodiscard]] Response file(const Request& request, std::string_view path) const;
+  [[nodiscard]] Response choose(const Request& request, std::int64_t now_ns);
+  [[nodiscard]] Response file(std::string_view path) const;
+  [[nodiscard]] Response page(const PageName& name, std::int64_t now_ns);
+  [[nodiscard]] Response manifest(bool json, std::int64_t now_ns);
+  [[nodiscard]] Response model(splats::Format format, std::int64_t now_ns);
+  /// For whom caches may keep what is behind a token.
+  [[nodiscard]] std::string_view audience() const;
   [[nodiscard]] Response take_bench(const Request& request, std::int64_t now_ns);
 
   const Options& options_;
   PipelineView& pipeline_;
+  PageLibrary& pages_;
+  ModelFiles& models_;
   Traffic& traffic_;
   StaticFiles files_;
   Tokens tokens_;

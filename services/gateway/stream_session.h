@@ -2,19 +2,6 @@
 
 // Part of server.cpp: of Boost.Beast, which is slow to compile.
 
-#include <boost/asio/as_tuple.hpp>
-#include <boost/asio/awaitable.hpp>
-#include <boost/asio/co_spawn.hpp>
-#include <boost/asio/detached.hpp>
-#include <boost/asio/ip/tcp.hpp>
-#include <boost/asio/posix/stream_descriptor.hpp>
-#include <boost/asio/steady_timer.hpp>
-#include <boost/asio/use_awaitable.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
-#include <boost/beast/websocket.hpp>
-#include <boost/beast/websocket/ssl.hpp>
 #include <memory>
 #include <set>
 #include <string>
@@ -22,25 +9,14 @@
 
 #include "bus/clock.h"
 #include "bus/token_bucket.h"
+#include "gateway/boost_types.h"
 #include "gateway/packet_gate.h"
 #include "gateway/site.h"
 #include "gateway/sockets.h"
 #include "gateway/stream_link.h"
-#include "stream/bytes.h"
+#include "stream/web_message.h"
 
 namespace splatbus::gateway {
-
-namespace asio = boost::asio;
-namespace beast = boost::beast;
-namespace http = beast::http;
-namespace websocket = beast::websocket;
-using Tcp = beast::basic_stream<asio::ip::tcp, asio::any_io_executor, beast::simple_rate_policy>;
-using Tls = beast::ssl_stream<Tcp>;
-inline constexpr auto kNoThrow = asio::as_tuple(asio::use_awaitable);
-
-inline std::chrono::nanoseconds seconds(double s) {
-  return std::chrono::nanoseconds(static_cast<std::int64_t>(s * 1e9));
-}
 
 /// A browser that views the stream, as the others see it.
 class Browser {
@@ -174,11 +150,8 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
         co_await wake_.async_wait(asio::posix::stream_descriptor::wait_read, kNoThrow);
         continue;
       }
-      const std::size_t bytes = kFrameHeaderBytes + packet.bytes();
-      std::array<std::uint8_t, kFrameHeaderBytes> header{};
-      for (std::size_t i = 0; i < header.size(); ++i) {
-        header[i] = static_cast<std::uint8_t>(packet.packet.size() >> (8 * i));
-      }
+      const std::size_t bytes = stream::kWebHeaderBytes + packet.bytes();
+      const auto header = stream::web_header(packet.packet.size());
       const std::array<asio::const_buffer, 3> message{asio::buffer(header),
                                                       asio::buffer(packet.packet.data(), packet.packet.size()),
                                                       asio::buffer(packet.payload.data(), packet.payload.size())};
@@ -216,7 +189,7 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
   bool take(std::span<const std::uint8_t> message) {
     if (!socket_.got_binary()) return false;
     try {
-      const FramedPacket packet = unframe(message);
+      const FramedPacket packet = stream::take_apart(message);
       if (examine(packet, rights) == Passage::Forbidden) {
         relay_.traffic.refuse(Refusal::Forbidden);
       } else if (link_.send(packet, rights)) {

@@ -101,7 +101,7 @@ void Streamer::step(std::int64_t now_ns) {
   take_messages(now_ns);
   hub_.receive(now_ns);
   // The first Gaussians do not wait for the tick.
-  const bool first = announcement_ && !model_.status().ready && hub_.viewers() > 0;
+  const bool first = announcement_ && !model_.status().ready && hub_.is_followed();
   if (!follower_.busy() && (now_ns >= next_tick_ns_ || first)) {
     begin_tick(now_ns);
     const auto period_ns = static_cast<std::int64_t>(1e9 / static_cast<double>(options_->hub.tick_hz));
@@ -212,7 +212,7 @@ void Streamer::forward_probe(const wire::CaptureProbe& body, const bus::Message&
 void Streamer::begin_tick(std::int64_t now_ns) {
   // Whoever comes back soon goes on with what it holds.
   if (hub_.empty_s(now_ns) > kKeepForNobody_s) model_.release();
-  if (hub_.viewers() == 0) {
+  if (!hub_.is_followed()) {
     service_.detail(ticked_.opened ? "waits for viewers" : "waits for model/published");
     return;
   }

@@ -149,6 +149,7 @@ void ViewerHub::send_keepalive(std::int64_t now_ns) {
 }
 
 void ViewerHub::expire(std::int64_t now_ns) {
+  if (readers_.expire(now_ns) && viewers_.empty()) empty_since_ns_ = now_ns;
   const auto limit_ns = static_cast<std::int64_t>(options_.viewer_timeout_s * 1e9);
   const auto gone = std::erase_if(viewers_, [&](const auto& entry) {
     const Viewer& viewer = entry.second;
@@ -189,7 +190,7 @@ void ViewerHub::send_probe_picture(std::uint64_t probe_id, const stream::Encoded
 }
 
 double ViewerHub::empty_s(std::int64_t now_ns) const {
-  return viewers_.empty() ? static_cast<double>(now_ns - empty_since_ns_) * 1e-9 : 0;
+  return is_followed() ? 0 : static_cast<double>(now_ns - empty_since_ns_) * 1e-9;
 }
 
 std::vector<Camera> ViewerHub::cameras() {

@@ -14,6 +14,7 @@
 #include "stream/stream_model.h"
 #include "streamer/endpoint.h"
 #include "streamer/page_board.h"
+#include "streamer/page_readers.h"
 #include "streamer/peer_limits.h"
 #include "streamer/viewer_feed.h"
 #include "streamer/wire_statistics.h"
@@ -68,6 +69,8 @@ class ViewerHub {
   void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
+  /// Whether anybody is sent anything of the model: a viewer, or one who asks for pages.
+  [[nodiscard]] bool is_followed() const { return !viewers_.empty() || !readers_.empty(); }
   /// How long nobody has been here; 0 while somebody is.
   [[nodiscard]] double empty_s(std::int64_t now_ns) const;
   /// Of some viewers, in turn: what they see comes first in a tick.
@@ -111,6 +114,7 @@ class ViewerHub {
   void pass_pose(Viewer& viewer, std::int64_t now_ns);
   void take_probe(const Endpoint::Peer& peer, Viewer& viewer, const wire::Probe& probe, std::int64_t now_ns);
   void take_held(Viewer& viewer, const wire::Held& held, std::int64_t now_ns);
+  void take_page_request(const Endpoint::Received& received, std::int64_t now_ns);
   void begin(Viewer& viewer, bool has_scene);
   /// Its counts, when it goes.
   void remember(const Viewer& viewer);
@@ -126,6 +130,7 @@ class ViewerHub {
   HubEvents events_;
   std::map<Endpoint::Peer, Viewer> viewers_;
   PageBoard board_;
+  PageReaders readers_;
   ObjectTransforms objects_;
   std::map<std::uint64_t, Probe> probes_;
   bus::TokenBucket answers_{50, 50};  ///< to those who are nobody's

@@ -49,6 +49,11 @@ void ViewerHub::handle(const Endpoint::Received& received, std::int64_t now_ns) 
   const auto& [peer, packet, rights] = received;
   const wire::Packet& root = packet.root();
   const auto found = viewers_.find(peer);
+  if (packet.body() == wire::Body::PageRequest) {
+    if (found != viewers_.end()) found->second.heard_ns = now_ns;
+    take_page_request(received, now_ns);
+    return;
+  }
   if (found == viewers_.end()) {
     if (!answers_.take(1, now_ns)) {
       ++ignored_;
@@ -145,6 +150,33 @@ void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t n
       viewer.feed.push_scene(std::make_shared<WirePacket>(*scene));
     }
   }
+}
+
+void ViewerHub::take_page_request(const Endpoint::Received& received, std::int64_t now_ns) {
+  const auto& [peer, packet, rights] = received;
+  const wire::PageRequest& request = *packet.root().body_as_PageRequest();
+  const std::size_t pages = request.pages() ? request.pages()->size() : 0;
+  const std::size_t manifests = request.manifest() ? 1 + board_.offered().size() / 100 : 0;
+  if (!readers_.take(peer, static_cast<double>(pages + manifests), now_ns)) {
+    ++ignored_;
+    return;
+  }
+  if (!model_.status().ready) return;
+  if (request.manifest()) {
+    send(peer, WirePacket(model_.layout_packet()));
+    for (const auto& part : model_.manifest_packets(board_.offered(), {}, true)) send(peer, WirePacket(part));
+  }
+  std::vector<std::uint32_t> gone;
+  for (std::size_t k = 0; k < pages; ++k) {
+    const wire::PageVersion* asked = request.pages()->Get(static_cast<flatbuffers::uoffset_t>(k));
+    const auto page = board_.find(asked->page()) ? board_.page(asked->page(), false) : nullptr;
+    if (page && page->version == asked->version() && packet.stream_epoch() == model_.status().epoch) {
+      for (const SharedPacket& part : page->parts) send(peer, *part);
+    } else {
+      gone.push_back(asked->page());
+    }
+  }
+  if (!gone.empty()) send(peer, WirePacket(model_.gone_packet(gone)));
 }
 
 void ViewerHub::hello(const Endpoint::Received& received, std::int64_t now_ns) {

@@ -10,6 +10,8 @@
 #include <map>
 
 #include "bus/clock.h"
+#include "bus/frames.h"
+#include "bus/log_sink.h"
 #include "bus/memory.h"
 #include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
@@ -65,7 +67,8 @@ void Trainer::run() {
 void Trainer::open_store() {
   const Options& options = *options_;
   model::PageStoreOptions store{.max_gaussians = options.max_gaussians};
-  const std::size_t most = WorldKeeper::most_pages(options.world, options.layout, service_.backend);
+  constexpr double kLeastActive = 0.25;
+  const std::size_t most = WorldKeeper::most_pages(options.world, options.layout, service_.backend, kLeastActive);
   // A split takes its new pages before it gives the old one back.
   constexpr std::size_t kSplits = 64;
   if (most < std::numeric_limits<std::size_t>::max() - kSplits) store.max_pages = most + kSplits;
@@ -145,9 +148,12 @@ void Trainer::take_insert(const bus::Message& message) {
   if (reading.batch.dropped > 0) {
     dropped_rows_ += reading.batch.dropped;
     service_.counter("dropped_rows", static_cast<double>(dropped_rows_));
-    spdlog::warn("model/insert from {}: {} of {} Gaussians in batch {} are not valid and were dropped",
-                 message.header().source()->str(), reading.batch.dropped, reading.batch.dropped + reading.batch.count,
-                 reading.batch.batch);
+    static bus::LogLimiter limiter;
+    if (limiter.allow()) {
+      spdlog::warn("model/insert from {}: {} of {} Gaussians in batch {} are not valid and were dropped",
+                   bus::printable(message.header().source()->string_view()), reading.batch.dropped,
+                   reading.batch.dropped + reading.batch.count, reading.batch.batch);
+    }
   }
   bool taken = false;
   commands_.post([&](Commands& commands) { taken = commands.add(std::move(reading.batch)); });

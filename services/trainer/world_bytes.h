@@ -13,11 +13,23 @@ namespace splatbus::trainer {
   return (3 * static_cast<std::size_t>(layout.channels()) + 16) * sizeof(float);
 }
 
-/// Of the model as it is, with what is kept beside it. Frozen pages have no moments.
+/// Of a page: what is kept beside it while it rests, and what it takes besides while it trains, which is its moments.
+struct PageCost {
+  std::size_t page, beside, moments;
+
+  explicit constexpr PageCost(const ParameterLayout& layout)
+      : page(model::page_bytes(layout)),
+        beside(kPageLanes * bytes_beside(layout)),
+        moments(kPageLanes * 2 * static_cast<std::size_t>(layout.channels()) * sizeof(float)) {
+    beside -= moments;
+  }
+  [[nodiscard]] constexpr std::size_t all(bool trains) const { return page + beside + (trains ? moments : 0); }
+};
+
+/// Of the model as it is, with what is kept beside it.
 [[nodiscard]] inline std::size_t model_bytes(const model::PageStore& store) {
-  const std::size_t moments = 2 * static_cast<std::size_t>(store.layout().channels()) * sizeof(float);
   return store.arena_bytes() + store.view().count * bytes_beside(store.layout()) -
-         store.frozen_pages() * kPageLanes * moments;
+         store.frozen_pages() * PageCost(store.layout()).moments;
 }
 
 }  // namespace splatbus::trainer

@@ -13,6 +13,7 @@
 
 #include "model/page_store.h"
 #include "trainer/options.h"
+#include "trainer/world_bytes.h"
 #include "trainer/world_writer.h"
 #include "world/world.h"
 
@@ -26,7 +27,8 @@ namespace splatbus::trainer {
 class WorldKeeper {
  public:
   /// Opens the folder, or makes it. A store that is empty gets what the folder holds; one that holds a living model
-  /// stands, and the folder follows. Throws world::WorldError when it is not a world of this layout, or is in use.
+  /// stands, and the folder follows. Where there is no room on the disk for a new one, it is made later. Throws
+  /// world::WorldError when it is not a world of this layout, or is in use.
   WorldKeeper(model::PageStore& store, const WorldParameters& parameters);
   /// Keeps what there is to keep, for as long as a few seconds.
   ~WorldKeeper();
@@ -40,9 +42,10 @@ class WorldKeeper {
   /// Where viewers are and will be soon, world frame, metres. Those of before hold when there are none.
   void see(std::vector<math::Vec3> places);
 
-  /// Pages that the ceilings have room for; as many as there can be where there are none.
+  /// Pages that the ceilings have room for when that share of them trains and the others rest; as many as there can be
+  /// where there are none.
   [[nodiscard]] static std::size_t most_pages(const WorldParameters& parameters, const ParameterLayout& layout,
-                                              Device device);
+                                              Device device, double active_share);
 
   struct Stats {
     std::uint64_t disk_bytes = 0, spilled = 0, spilled_pages = 0;
@@ -54,6 +57,7 @@ class WorldKeeper {
 
  private:
   using Clock = std::chrono::steady_clock;
+  static constexpr std::chrono::seconds kRetryPeriod{5};  ///< of a disk that has refused
   /// Of a page as it is in the folder, or about to be.
   struct Kept {
     std::uint32_t page = 0;
@@ -68,17 +72,28 @@ class WorldKeeper {
   };
 
   using Pages = std::vector<std::optional<world::Page>>;
+  [[nodiscard]] static world::PageKey key_of(const model::PageStructure& page) {
+    return {page.frame_id, page.level, page.morton_first, page.id_first};
+  }
+
+  // world_restore.cpp
+  void open();
   /// Whoever adopts the slabs later has to know of pages that only the folder has.
   void mark_elsewhere(const world::WorldProgress& progress);
   void restore();
   std::vector<std::uint32_t> put_in(Pages& pages, std::uint64_t next_gaussian_id);
   void follow();
+
+  // world_keeper.cpp
   void finish(std::unique_ptr<KeepRound> round, const Restructure& restructure);
   [[nodiscard]] bool start_round(Clock::time_point now, double seconds);
   void look(std::vector<Candidate>& changed, std::vector<Candidate>& stale);
   void stage(KeepRound& round, const Candidate& candidate, world::PageMark mark);
 
   // world_spill.cpp
+  [[nodiscard]] std::size_t bytes_here() const;
+  /// Pages that fit in below the margin, if they train.
+  [[nodiscard]] std::size_t room_for_pages() const;
   [[nodiscard]] float distance_m(const world::PageKey& key, const PageBounds& bounds) const;
   [[nodiscard]] std::vector<Candidate> choose_victims() const;
   void spill(const KeepRound& round, const Restructure& restructure);
@@ -89,17 +104,18 @@ class WorldKeeper {
 
   model::PageStore& store_;
   WorldParameters parameters_;
+  PageCost cost_;
+  std::size_t ceiling_bytes_;  ///< of memory; 0: none
   device::StreamView stream_;
-  std::shared_ptr<world::World> world_;
+  std::shared_ptr<world::World> world_;  ///< null: there is no room for it on the disk yet
   std::map<world::PageKey, Kept> kept_;
   std::map<world::PageKey, world::PageEntry> elsewhere_;  ///< pages that are in the folder alone
   std::vector<world::PageKey> uncommitted_;
   Clock::time_point next_fetch_{};
   world::WorldProgress committed_;
   std::unique_ptr<KeepRound> spare_;
-  std::size_t most_pages_;
   std::vector<math::Vec3> places_;
-  std::size_t wanted_ = 0;  ///< pages that a viewer is near to, for which there is no room yet
+  std::vector<float> wanted_m_;  ///< ascending distances of pages that are to come back and find no room
   std::vector<world::PageKey> reading_;
   std::future<Pages> read_;
   std::uint64_t looks_ = 0;
@@ -108,7 +124,7 @@ class WorldKeeper {
   bool failing_ = false;
   int open_rounds_ = 0;  ///< in a row that did not commit
   Stats stats_;
-  WorldWriter writer_;
+  std::optional<WorldWriter> writer_;  ///< with world_
 };
 
 }  // namespace splatbus::trainer

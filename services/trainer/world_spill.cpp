@@ -8,7 +8,6 @@
 #include <limits>
 #include <utility>
 
-#include "trainer/world_bytes.h"
 #include "trainer/world_keeper.h"
 
 namespace splatbus::trainer {
@@ -18,15 +17,40 @@ namespace {
 constexpr std::size_t kNoBound = std::numeric_limits<std::size_t>::max();
 constexpr std::size_t kFetchedAtOnce = 16;
 constexpr auto kFetchPeriod = std::chrono::milliseconds(50);
-/// Farther than what is fetched: what has just come back does not go at once.
+/// Times the distance of what is to come back: farther away, pages leave for it. What comes back so does not go at
+/// once.
 constexpr float kLeave = 1.25F;
+/// Of a ceiling: where pages begin to leave, and where they end. Insertions have room meanwhile.
+constexpr std::size_t kHighMargin = 16, kLowMargin = 8;
+/// Of what folders may take on disk, what counts of them may be; the rest is for what no longer does.
+constexpr std::size_t kLiveEighths = 5;
 
 }  // namespace
 
-std::size_t WorldKeeper::most_pages(const WorldParameters& parameters, const ParameterLayout& layout, Device device) {
+std::size_t WorldKeeper::most_pages(const WorldParameters& parameters, const ParameterLayout& layout, Device device,
+                                    double active_share) {
   const std::size_t bytes = device == Device::Cpu ? parameters.host_bytes : parameters.device_bytes;
   if (bytes == 0) return kNoBound;
-  return std::max<std::size_t>(8, bytes / (model::page_bytes(layout) + kPageLanes * bytes_beside(layout)));
+  const PageCost cost(layout);
+  const auto moments = static_cast<std::size_t>(active_share * static_cast<double>(cost.moments));
+  return std::max<std::size_t>(8, bytes / (cost.all(false) + moments));
+}
+
+std::size_t WorldKeeper::bytes_here() const {
+  const std::size_t pages = store_.page_count();
+  // Memory of pages that have left between others is there for the next ones.
+  const std::size_t places = std::max(pages, store_.view().count >> kPageShift);
+  return places * cost_.page + pages * cost_.beside + (pages - store_.frozen_pages()) * cost_.moments;
+}
+
+std::size_t WorldKeeper::room_for_pages() const {
+  if (ceiling_bytes_ == 0) return kNoBound;
+  const std::size_t places = store_.view().count >> kPageShift;
+  const std::size_t gaps = places - std::min(places, store_.page_count());
+  const std::size_t high = ceiling_bytes_ - ceiling_bytes_ / kHighMargin;
+  const std::size_t left = high - std::min(high, bytes_here());
+  const std::size_t in_gaps = std::min(gaps, left / (cost_.beside + cost_.moments));
+  return in_gaps + (left - in_gaps * (cost_.beside + cost_.moments)) / cost_.all(true);
 }
 
 void WorldKeeper::see(std::vector<math::Vec3> places) {
@@ -47,28 +71,40 @@ float WorldKeeper::distance_m(const world::PageKey& key, const PageBounds& bound
 }
 
 std::vector<WorldKeeper::Candidate> WorldKeeper::choose_victims() const {
-  const std::size_t here = store_.page_count();
-  if (most_pages_ == kNoBound || here + wanted_ + most_pages_ / 16 <= most_pages_) return {};
-  // A sixteenth below the ceiling is where it begins, an eighth where it ends: insertions have room meanwhile.
-  const std::size_t low = most_pages_ - most_pages_ / 8;
-  const std::size_t excess = here + wanted_ > low ? here + wanted_ - low : 0;
-  const std::size_t must = here > most_pages_ - most_pages_ / 16 ? here - low : 0;
-  std::vector<std::pair<float, Candidate>> far;
+  if (ceiling_bytes_ == 0) return {};
+  const std::size_t here = bytes_here();
+  const bool is_high = here > ceiling_bytes_ - ceiling_bytes_ / kHighMargin;
+  if (!is_high && wanted_m_.empty()) return {};
+  const std::size_t low = ceiling_bytes_ - ceiling_bytes_ / kLowMargin;
+  const std::size_t excess = is_high ? here - low : 0;
+  struct Far {
+    float distance_m;
+    Candidate candidate;
+    std::size_t bytes;
+  };
+  std::vector<Far> far;
   for (const IndexRange& range : store_.view().ranges) {
     const std::uint32_t page = range.first >> kPageShift;
     const model::PageEntry& entry = store_.table().entry(page);
-    const world::PageKey key{entry.now.frame_id, entry.now.level, entry.now.morton_first, entry.now.id_first};
-    if (key.frame_id == kWorldFrame) far.push_back({distance_m(key, entry.bounds), {key, page, 0}});
+    const world::PageKey key = key_of(entry.now);
+    if (key.frame_id != kWorldFrame) continue;
+    const bool trains = entry.now.state != model::PageState::Frozen;
+    far.push_back({distance_m(key, entry.bounds), {key, page, 0}, cost_.beside + (trains ? cost_.moments : 0)});
   }
-  std::sort(far.begin(), far.end(), [](const auto& a, const auto& b) {
-    return a.first != b.first ? a.first > b.first : a.second.key < b.second.key;
+  std::sort(far.begin(), far.end(), [](const Far& a, const Far& b) {
+    return a.distance_m != b.distance_m ? a.distance_m > b.distance_m : a.candidate.key < b.candidate.key;
   });
   std::vector<Candidate> victims;
-  for (const auto& [distance, candidate] : far) {
-    const bool needed = victims.size() < must;
-    const bool welcome = victims.size() < excess && distance > kLeave * parameters_.fetch_m;
-    if (!needed && !welcome) break;
-    victims.push_back(candidate);
+  std::size_t freed = 0, replaced = 0;
+  for (const Far& page : far) {
+    if (freed < excess) {
+      freed += page.bytes;
+    } else if (replaced < wanted_m_.size() && page.distance_m > kLeave * wanted_m_[replaced]) {
+      ++replaced;
+    } else {
+      break;
+    }
+    victims.push_back(page.candidate);
   }
   return victims;
 }
@@ -100,13 +136,14 @@ void WorldKeeper::spill(const KeepRound& round, const Restructure& restructure) 
 
 void WorldKeeper::forget(KeepRound& round) {
   if (parameters_.disk_bytes == 0) return;
+  const std::uint64_t most_live = parameters_.disk_bytes / 8 * kLiveEighths;
   std::uint64_t live = world_->live_bytes();
-  if (live <= parameters_.disk_bytes) return;
+  if (live <= most_live) return;
   std::vector<std::pair<float, world::PageKey>> far;
   for (const auto& [key, entry] : elsewhere_) far.emplace_back(distance_m(key, entry.bounds), key);
   std::sort(far.begin(), far.end(), std::greater<>());
   for (const auto& [distance, key] : far) {
-    if (live <= parameters_.disk_bytes) break;
+    if (live <= most_live) break;
     if (std::find(reading_.begin(), reading_.end(), key) != reading_.end()) continue;
     live -= elsewhere_.at(key).bytes;
     kept_[key] = {};  // so that a round that fails is made up for
@@ -119,7 +156,7 @@ void WorldKeeper::forget(KeepRound& round) {
 void WorldKeeper::start_fetch() {
   if (!reading_.empty()) return;
   if (elsewhere_.empty() || places_.empty()) {
-    wanted_ = 0;
+    wanted_m_.clear();
     return;
   }
   // Not with each step: all that was ever spilled is looked at.
@@ -132,9 +169,10 @@ void WorldKeeper::start_fetch() {
     if (distance <= parameters_.fetch_m) near.emplace_back(distance, key);
   }
   std::sort(near.begin(), near.end());
-  const std::size_t room = most_pages_ - std::min(most_pages_, store_.page_count() + most_pages_ / 16);
+  const std::size_t room = room_for_pages();
   const std::size_t count = std::min({near.size(), room, kFetchedAtOnce});
-  wanted_ = near.size() - count;
+  wanted_m_.clear();
+  for (std::size_t k = room; k < near.size(); ++k) wanted_m_.push_back(near[k].first);
   for (std::size_t k = 0; k < count; ++k) reading_.push_back(near[k].second);
   if (reading_.empty()) return;
   read_ = std::async(std::launch::async, [world = world_, keys = reading_] {

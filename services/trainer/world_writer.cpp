@@ -66,7 +66,8 @@ void WorldWriter::run(const std::stop_token& stop) {
     changed_.notify_all();
     if (!committed) continue;
     try {
-      world_->compact();
+      while (world_->compact() && world_->is_crowded() && !stop.stop_requested()) {
+      }
     } catch (const std::exception& error) {
       spdlog::warn("world: {}", error.what());
     }

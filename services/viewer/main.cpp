@@ -67,7 +67,7 @@ int standalone_main(int argc, char** argv) {
   double bench_s = 0;
   std::size_t bench_gaussians = 1'000'000;
   auto* source = app.add_option_group("source", "what is shown");
-  source->add_option("--connect", endpoint, "the streamer's endpoint, such as tcp://host:7600");
+  source->add_option("--connect", endpoint, "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680");
   source->add_option("--replay", log, "a log that --record has written");
   source
       ->add_option("--bench", bench_s,
@@ -84,6 +84,12 @@ int standalone_main(int argc, char** argv) {
   app.add_option_function<std::string>(
       "--server-key", [&](const std::string& key) { changes.push_back("server_key=" + key); },
       "that streamer's public key; else SPLATBUS_SERVER_KEY");
+  app.add_option_function<std::string>(
+      "--token", [&](const std::string& token) { changes.push_back("token=" + token); },
+      "for a gateway that asks for one; else the address's own, or SPLATBUS_TOKEN");
+  app.add_option_function<std::string>(
+      "--ca", [&](const std::string& file) { changes.push_back("ca=" + file); },
+      "PEM file of who vouches for that gateway's certificate; else whom this system trusts");
   app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
   app.add_option("--backend", backend, "what draws: cpu, cuda or auto; or gl, through OpenGL")
       ->envname("SPLATBUS_BACKEND")

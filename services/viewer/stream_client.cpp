@@ -1,31 +1,30 @@
 #include "viewer/stream_client.h"
 
-#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <utility>
 
-#include "bus/curve.h"
-#include "bus/error.h"
-#include "stream/layout.h"
+#include "viewer/web_address.h"
 #include "wire/convert.h"
 
 namespace splatbus::viewer {
 
 namespace {
 
-constexpr int kQueuedMessages = 64;
 constexpr int kMessagesACall = 256;
 
-std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
-  return {static_cast<const std::uint8_t*>(message.data()), message.size()};
+std::unique_ptr<PacketLink> make_link(const ClientOptions& options) {
+  if (is_web_address(options.endpoint)) {
+    return make_web_link({.url = options.endpoint, .token = options.token, .ca = options.ca});
+  }
+  return make_zmq_link(options.endpoint, options.key, options.server_key);
 }
 
 }  // namespace
 
 StreamClient::StreamClient(ClientOptions options)
     : options_(std::move(options)),
-      socket_(context_, zmq::socket_type::dealer),
+      link_(make_link(options_)),
       follower_({.name = options_.name,
                  .probes = options_.probes,
                  .hello_every_ns = options_.hello_every_ns,
@@ -35,24 +34,6 @@ StreamClient::StreamClient(ClientOptions options)
                  .held_picture_bytes = options_.held_picture_bytes},
                 options_.now_ns()) {
   if (!options_.packet_log.empty()) packet_log_.emplace(options_.packet_log);
-  socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
-  socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
-  socket_.set(zmq::sockopt::linger, 100);
-  socket_.set(zmq::sockopt::immediate, true);  // poses do not pile up for a streamer that is away
-  socket_.set(zmq::sockopt::reconnect_ivl, 50);
-  socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
-  socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
-  socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
-  socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));
-  bus::require_transport(options_.endpoint);
-  if (const auto keys = bus::client_keys(options_.endpoint, options_.key, options_.server_key)) {
-    bus::use_keys(socket_, *keys);
-  }
-  try {
-    socket_.connect(options_.endpoint);
-  } catch (const zmq::error_t& error) {
-    throw bus::Error(fmt::format("{}: {}", options_.endpoint, error.what()));
-  }
 }
 
 StreamClient::~StreamClient() {
@@ -60,8 +41,7 @@ StreamClient::~StreamClient() {
 }
 
 void StreamClient::send(const stream::EncodedPacket& packet) {
-  // Dropped while nobody is connected: all of these are repeated or have become stale by then.
-  (void)socket_.send(zmq::buffer(packet.packet), zmq::send_flags::dontwait);
+  link_->send(packet.packet);
 }
 
 void StreamClient::send_all() {
@@ -70,11 +50,10 @@ void StreamClient::send_all() {
 
 bool StreamClient::poll(std::chrono::milliseconds timeout, int wake) {
   send_all();
-  zmq::pollitem_t items[]{{socket_.handle(), 0, ZMQ_POLLIN, 0}, {nullptr, wake, ZMQ_POLLIN, 0}};
-  try {
-    zmq::poll(items, wake >= 0 ? 2 : 1, timeout);
-  } catch (const zmq::error_t& error) {
-    if (error.num() != EINTR) throw;
+  link_->wait(timeout, wake);
+  if (link_->take_opened()) {
+    follower_.restart();
+    send_all();
   }
   const bool changed = receive_all();
   send_all();
@@ -84,16 +63,11 @@ bool StreamClient::poll(std::chrono::milliseconds timeout, int wake) {
 bool StreamClient::receive_all() {
   bool changed = false;
   for (int i = 0; i < kMessagesACall; ++i) {
-    zmq::message_t packet, payload;
-    if (!socket_.recv(packet, zmq::recv_flags::dontwait)) break;
-    bool more = packet.more();
-    if (more) {
-      (void)socket_.recv(payload);
-      more = payload.more();
-    }
-    for (zmq::message_t rest; more; more = rest.more()) (void)socket_.recv(rest);
-    changed = receive(bytes_of(packet), bytes_of(payload)) || changed;
+    const auto message = link_->receive();
+    if (!message) break;
+    changed = receive(message->packet, message->payload) || changed;
   }
+  if (const auto notice = link_->take_notice()) spdlog::warn("{}", *notice);
   if (const auto notice = follower_.take_notice(); notice && log_limiter_.allow()) spdlog::warn("{}", *notice);
   return changed;
 }

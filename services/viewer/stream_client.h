@@ -3,10 +3,10 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
-#include <zmq.hpp>
 
 #include "bus/clock.h"
 #include "bus/log_sink.h"
@@ -14,13 +14,15 @@
 #include "metrics/metrics.h"
 #include "stream/follower.h"
 #include "stream/packet_log.h"
+#include "viewer/packet_link.h"
 
 namespace splatbus::viewer {
 
 struct ClientOptions {
-  std::string endpoint;
+  std::string endpoint;  ///< of ZeroMQ; or a gateway's address: ws://, wss://, http:// or https://
   std::string name;
   std::string key, server_key;                        ///< for a streamer elsewhere: as bus::client_keys() has them
+  std::string token, ca;                              ///< for a gateway: as WebLinkOptions has them
   bool probes = false;                                ///< wants ProbePictures; else they are ignored
   std::size_t max_gaussians = stream::kMaxGaussians;  ///< that are held
   std::int64_t hello_every_ns = 200'000'000;
@@ -33,7 +35,7 @@ struct ClientOptions {
 
 using stream::ProbeAnswer;
 
-/// A Follower of the streamer at a ZeroMQ endpoint. Needs no bus. One thread.
+/// A Follower of the streamer at a ZeroMQ endpoint, or behind a gateway. Needs no bus. One thread.
 class StreamClient {
  public:
   /// Connects; the streamer may start later. Throws bus::Error naming the endpoint, or the log.
@@ -74,8 +76,7 @@ class StreamClient {
   void send(const stream::EncodedPacket& packet);
 
   ClientOptions options_;
-  zmq::context_t context_;
-  zmq::socket_t socket_;
+  std::unique_ptr<PacketLink> link_;
   stream::Follower follower_;
   std::optional<stream::PacketLog> packet_log_;
   std::function<bool(const stream::ParsedPacket&)> lose_;

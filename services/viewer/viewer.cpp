@@ -28,6 +28,8 @@ ClientOptions client_options(const Options& options, const ViewerHost& host) {
           .name = host.name,
           .key = options.key,
           .server_key = options.server_key,
+          .token = options.token,
+          .ca = options.ca,
           .probes = options.probe,
           .max_gaussians = options.max_gaussians,
           .packet_log = options.packet_log};
@@ -58,6 +60,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("threads", threads, "that draw, on the CPU; 0: one a core", {0, 1024}, kFixed);
   p.add("key", key, "key file for a streamer elsewhere; empty: SPLATBUS_KEY", kFixed);
   p.add("server_key", server_key, "that streamer's public key; empty: SPLATBUS_SERVER_KEY", kFixed);
+  p.add("token", token, "for a gateway (ws://, wss://); empty: the address's own, or SPLATBUS_TOKEN", kFixed);
+  p.add("ca", ca, "PEM file of who vouches for that gateway; empty: whom this system trusts", kFixed);
   p.add("out", out, "folder for pictures; empty: none are written", kFixed);
   p.add("frames", frames, "every n-th picture is written there as frame_<number>.png; 0: none", {0, 1e9});
   p.add("probe", probe,

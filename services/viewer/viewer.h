@@ -23,7 +23,7 @@ namespace splatbus::viewer {
 /// The viewer's parameters.
 struct Options {
   std::string endpoint;
-  std::string key, server_key;
+  std::string key, server_key, token, ca;
   double fps = 30;
   int threads = 0;
   std::string out;

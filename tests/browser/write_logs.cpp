@@ -1,4 +1,5 @@
-// What a viewer in a browser has to make of a stream: writes FOLDER/long.log and short.log (stream/packet_log.h), the
+// What a viewer in a browser has to make of a stream: writes FOLDER/long.log, short.log and radiance.log, whose colours
+// depend on where one looks from (stream/packet_log.h), or large.log of so many Gaussians to measure with, the
 // hash of what is held after each message (.hashes, a line each), and of the long one the rows that a GPU would have at
 // its end (.rows: for each a record of 32 bytes).
 #include <fmt/format.h>
@@ -22,8 +23,10 @@ using stream::test::ToyServer;
 
 class Writer {
  public:
-  explicit Writer(const std::string& path)
+  /// `compared`: with the hashes and rows that are held.
+  explicit Writer(const std::string& path, bool compared = true)
       : path_(path),
+        compared_(compared),
         log_(path + ".log"),
         hashes_(path + ".hashes"),
         follower_({.name = "writer"}, 0),
@@ -32,6 +35,7 @@ class Writer {
   void add(const stream::EncodedPacket& packet) {
     log_.add(packet.packet, packet.payload);
     follower_.receive(packet.packet, packet.payload, 0);
+    if (!compared_) return;
     hashes_ << fmt::format("{:016x}\n", stream::held_hash(follower_.replica().held()));
     take();
   }
@@ -67,6 +71,7 @@ class Writer {
     for (std::size_t k = 0; k < rows.size(); ++k) memory_[rows[k]].color = colors[k];
   }
   std::string path_;
+  bool compared_;
   stream::PacketLog log_;
   std::ofstream hashes_;
   stream::Follower follower_;
@@ -84,8 +89,8 @@ Light light_at(float turn) {
   return light;
 }
 
-void write(Writer& writer, std::size_t gaussians, int ticks) {
-  ToyServer server(21, gaussians);
+void write(Writer& writer, std::size_t gaussians, int ticks, Appearance appearance = Appearance::Transfer) {
+  ToyServer server(21, gaussians, appearance);
   server.scene.objects[7] = ObjectTransform(Rigid{.translation = {0, 1, 0}});
   server.scene.light = light_at(0);
   server.change_scene();
@@ -107,15 +112,22 @@ void write(Writer& writer, std::size_t gaussians, int ticks) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 2) {
-    std::fputs("usage: write_logs FOLDER\n", stderr);
+  if (argc != 2 && argc != 3) {
+    std::fputs("usage: write_logs FOLDER [GAUSSIANS]\n", stderr);
     return 2;
   }
   const std::filesystem::path folder = argv[1];
   std::filesystem::create_directories(folder);
+  if (argc == 3) {
+    Writer large((folder / "large").string(), false);
+    write(large, std::stoul(argv[2]), 0);
+    return testing::Test::HasFailure() ? 1 : 0;
+  }
   Writer longer((folder / "long").string());
   write(longer, 20'000, 12);
   longer.write_rows();
+  Writer radiant((folder / "radiance").string());
+  write(radiant, 8'000, 6, Appearance::Radiance);
   Writer shorter((folder / "short").string());
   write(shorter, 60, 8);
   return testing::Test::HasFailure() ? 1 : 0;

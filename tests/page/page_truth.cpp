@@ -2,6 +2,7 @@
 //   page_truth render LOG FOLDER      draws the log's model at three times from six cameras as the native viewer does:
 //                                     FOLDER/truth_TIME_CAMERA.png and FOLDER/views.json, which says where from
 //   page_truth compare FOLDER NAME    compares FOLDER/NAME_TIME_CAMERA.png with them
+//   page_truth quality PICTURE REFERENCE WIDTH HEIGHT   of two files of RGBA, as JSON
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -9,6 +10,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
@@ -100,6 +102,19 @@ bool compare(const fs::path& folder, std::string_view name) {
   return worst.psnr_db >= kLeastPsnr && worst.ssim >= kLeastSsim && worst.flip <= kMostFlip;
 }
 
+std::vector<std::uint8_t> read_bytes(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+void print_quality(const fs::path& picture, const fs::path& reference, std::uint32_t width, std::uint32_t height) {
+  const auto image_of = [&](const fs::path& path) {
+    return metrics::from_rgba(read_bytes(path).data(), width, height);
+  };
+  const metrics::Quality quality = metrics::compare(image_of(picture), image_of(reference));
+  fmt::print("{}\n", nlohmann::json{{"ssim", quality.ssim}, {"flip", quality.flip}}.dump());
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -109,6 +124,14 @@ int main(int argc, char** argv) {
     return 0;
   }
   if (arguments.size() == 3 && arguments[0] == "compare") return compare(arguments[1], arguments[2]) ? 0 : 1;
-  std::fputs("usage: page_truth render LOG FOLDER | page_truth compare FOLDER NAME\n", stderr);
+  if (arguments.size() == 5 && arguments[0] == "quality") {
+    const auto side = [&](std::size_t k) { return static_cast<std::uint32_t>(std::stoul(arguments[k])); };
+    print_quality(arguments[1], arguments[2], side(3), side(4));
+    return 0;
+  }
+  std::fputs(
+      "usage: page_truth render LOG FOLDER | page_truth compare FOLDER NAME |\n"
+      "       page_truth quality PICTURE REFERENCE WIDTH HEIGHT\n",
+      stderr);
   return 2;
 }

@@ -1,9 +1,10 @@
 // A fixed flight, and how long its frames took.
 import type { Pose } from './camera/rig';
+import { texts } from './texts';
 
 const kWarmUp = 0.1; // of the flight
 
-export interface BenchFigures {
+interface BenchFigures {
   readonly frames: number;
   readonly seconds: number;
   readonly framesPerSecond: number;
@@ -14,7 +15,7 @@ export interface BenchFigures {
 }
 
 /** Once around a sphere, nearer and farther. */
-export class Flight {
+class Flight {
   #began = 0;
   #intervals: number[] = [];
   #last = 0;
@@ -60,8 +61,59 @@ export class Flight {
   }
 }
 
+/** A flight that the address asked for, once all of the scene is there, and what was said of it. */
+export class BenchRun {
+  #flight: Flight | null = null;
+  #due = false;
+  #text = '';
+
+  constructor(
+    private readonly seconds: number,
+    private readonly token: string | null,
+  ) {
+    this.asked = seconds > 0;
+  }
+
+  /** A flight is wanted, and has not begun. */
+  asked: boolean;
+
+  get flying(): boolean {
+    return this.#flight !== null;
+  }
+
+  /** What it flies around is asked for. */
+  prepare(): void {
+    this.#due = this.asked;
+    this.asked = false;
+  }
+  around(centre: readonly [number, number, number], radius: number): void {
+    if (this.#due) this.#flight = new Flight(centre, radius, this.seconds);
+    this.#due = false;
+  }
+
+  /** Where the camera is; null when no flight is under way. `told` is what is reported with the figures of one that ends. */
+  at(nowS: number, told: () => object): Pose | null {
+    const flown = this.#flight;
+    const pose = flown?.at(nowS) ?? null;
+    if (!flown || pose) return pose;
+    this.#flight = null;
+    void this.#report({ ...flown.figures(), ...told() }, flown.figures());
+    return null;
+  }
+
+  text(nowS: number): string {
+    return this.#flight ? texts.benchRunning(this.#flight.part(nowS)) : this.#text;
+  }
+
+  async #report(report: object, figures: BenchFigures): Promise<void> {
+    const posted = await postFigures(report, this.token);
+    document.body.dataset.bench = JSON.stringify(report);
+    this.#text = `${texts.benchDone(figures.framesPerSecond, figures.medianMs)} ${posted ? texts.benchPosted : texts.benchKept}`;
+  }
+}
+
 /** True if the server took them. */
-export async function postFigures(figures: object, token: string | null): Promise<boolean> {
+async function postFigures(figures: object, token: string | null): Promise<boolean> {
   try {
     const answer = await fetch('bench', {
       method: 'POST',

@@ -34,6 +34,10 @@ export function viewFromWorld(eye: Vec3, forward: Vec3): Float64Array {
   return new Float64Array([...row(right), ...row(down), ...row(forward), 0, 0, 0, 1]);
 }
 
+/** As the stream worker is told: view_from_world, fx, fy, cx, cy, width, height. */
+export const poseFloats = ({ viewFromWorld, fx, fy, cx, cy, width, height }: View): Float32Array<ArrayBuffer> =>
+  new Float32Array([...viewFromWorld, fx, fy, cx, cy, width, height]);
+
 /** The same picture in another number of pixels. */
 export function scaledView(view: View, width: number, height: number): View {
   const x = width / view.width;

@@ -7,6 +7,16 @@
 //   7      color, linear, rgb9e5
 export const kRecordWords = 8;
 
+/**
+ * Colors that depend on where one looks from, in display space: [n][words], as [coefficient][RGB] of two half floats a word;
+ * the first coefficient is the share that does not depend. Directions are from the eye to the mean, in the object's frame.
+ */
+export interface Harmonics {
+  /** A multiple of four. */
+  readonly words: number;
+  readonly values: Uint32Array;
+}
+
 /** Rows that changed. A row keeps its Gaussian until that is removed. */
 export interface RowUpdate {
   /** [n] ascending or not, each once. */
@@ -15,6 +25,8 @@ export interface RowUpdate {
   readonly records: Uint32Array;
   /** [n] When the row began to show, in seconds of the page's clock, or, negative, began to vanish. */
   readonly fades: Float32Array;
+  /** In place of the records' colors. */
+  readonly harmonics?: Harmonics | undefined;
 }
 
 /** Rows of which the color alone changed. */

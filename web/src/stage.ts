@@ -2,7 +2,7 @@ import { Backoff } from './backoff';
 import { Playout } from './motion/playout';
 import { makeRenderer, type Api } from './render/make_renderer';
 import { kNoScene, type Scene } from './records';
-import { kFadeS, type Frame, type Renderer } from './render/renderer';
+import { kFadeS, type Frame, type Picture, type Renderer } from './render/renderer';
 import type { SceneBatch, Sorted, ToSortWorker } from './stream/messages';
 import { make } from './ui/dom';
 
@@ -34,7 +34,7 @@ export class Stage {
   sortMs = 0;
 
   constructor(
-    private readonly wanted: Api | null,
+    private wanted: Api | null,
     /** Everything is wanted, through this port. */
     private readonly attach: (port: MessagePort, standing: boolean) => void,
     /** As many batches are in what is drawn from now on. */
@@ -78,6 +78,18 @@ export class Stage {
       setTimeout(() => void this.start(), 1000 * this.#backoff.seconds());
     });
     this.feed();
+  }
+
+  /** The renderer of this interface, started if another one draws. */
+  async use(api: Api): Promise<Renderer | null> {
+    if (this.#renderer?.api === api) return this.#renderer;
+    this.wanted = api;
+    const before = this.#renderer;
+    this.#renderer = null;
+    this.#still.hidden = !this.standing;
+    before?.dispose();
+    await this.start();
+    return this.#renderer;
   }
 
   /** Asks for everything anew: after a start of the renderer, of the sorter or of the stream. */
@@ -160,6 +172,11 @@ export class Stage {
   /** Rows still fade, or an object is on its way to where it was last. */
   movingAt(nowMs: number): boolean {
     return nowMs - this.#changedMs < 1000 * kFadeS || this.#playout.movingAt(nowMs);
+  }
+
+  /** What the splats look like, at this moment, in memory. */
+  async capture(frame: Frame): Promise<Picture | null> {
+    return (await this.#renderer?.capture(frame)) ?? null;
   }
 
   draw(frame: Frame, atRest: boolean): void {

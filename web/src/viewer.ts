@@ -1,12 +1,12 @@
 import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
 import { Rig, viewOf } from './camera/rig';
-import { Flight, postFigures } from './bench';
-import type { View } from './math';
+import { BenchRun } from './bench';
+import { Extras } from './extras';
+import { poseFloats, type View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
-import { savePng } from './snapshot';
 import { Stage } from './stage';
 import type { ConnectionState, FromStreamWorker, StreamFigures } from './stream/messages';
 import { StreamLink } from './stream/stream_link';
@@ -15,6 +15,7 @@ import { make, button } from './ui/dom';
 import { Menu } from './ui/menu';
 import { Notice, Overlay } from './ui/overlay';
 import { keepSettings, kBackgrounds, kResolutions, type Settings } from './ui/settings';
+import { canImmerse } from './xr/immersion';
 
 const kPoseEveryMs = 50;
 const kAddressEveryMs = 500;
@@ -60,17 +61,18 @@ export class Viewer {
   #rested = true;
   #redraw = true;
   #framed = false;
-  #flight: Flight | null = null;
-  #benchAsked: boolean;
-  #benchDue = false;
+  readonly #bench: BenchRun;
+  readonly extras: Extras;
   /** Pictures drawn since the page was opened. */
   frames = 0;
+  /** When the first was drawn that shows something, after the page was opened; 0: not yet. */
+  firstPictureMs = 0;
 
   constructor(
     root: HTMLElement,
     private readonly options: ViewerOptions,
   ) {
-    this.#benchAsked = options.bench > 0;
+    this.#bench = new BenchRun(options.bench, options.token);
     this.rig.smooth = !matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.link = new StreamLink({ socket: options.socket, token: options.token, budget: options.settings.budget });
     this.stage = new Stage(
@@ -82,19 +84,31 @@ export class Viewer {
         this.#redraw = true;
       },
     );
+    this.extras = new Extras(this.stage, this.rig, this.link, options.token, {
+      view: () => this.#view(),
+      frame: (shown, resolution, nowMs) => this.#frame(shown, resolution, nowMs),
+      announce: (shown, nowMs) => this.#announce(shown, nowMs),
+      drawn: () => ++this.frames,
+      redraw: () => (this.#redraw = true),
+      notice: (text) => this.#notice.pass(text),
+    });
     this.stage.element.setAttribute('aria-label', texts.picture);
     this.#controls = new Controls(this.stage.element, this.rig);
     this.#controls.onFrameAll = () => this.frameAll();
     this.#menu = new Menu(options.settings, {
       frameAll: () => this.frameAll(),
-      fullScreen: () => this.#toggleFullScreen(),
-      snapshot: () => void this.#saveSnapshot(),
-      share: () => void this.#share(),
+      fullScreen: () => this.extras.toggleFullScreen(),
+      snapshot: () => void this.extras.saveSnapshot(),
+      share: () => void this.extras.share(),
       figures: () => this.#overlay.toggle(),
+      compare: () => this.#compare(),
+      immerse: () => void this.extras.immerse(),
+      download: (kind) => void this.extras.download(kind),
       changed: () => this.#settingsChanged(),
     });
     const bar = make('div', { class: 'bar' }, button(texts.menu, () => this.#menu.toggle()));
-    root.append(this.stage.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
+    void canImmerse().then((can) => can && this.#menu.offerImmersion());
+    root.append(this.stage.element, this.extras.comparison.element, this.#overlay.element, this.#controls.stick.element, bar, this.#menu.element, this.#notice.element);
     addEventListener('keydown', (event) => this.#key(event));
     this.link.onMessage = (message) => this.#hear(message);
     this.link.onStarted = () => this.stage.feed();
@@ -106,7 +120,7 @@ export class Viewer {
     this.stage.element.focus({ preventScroll: true });
     const tick = (nowMs: number): void => {
       requestAnimationFrame(tick);
-      this.#tick(nowMs);
+      if (!this.extras.immersion) this.#tick(nowMs);
     };
     requestAnimationFrame(tick);
   }
@@ -125,7 +139,11 @@ export class Viewer {
     this.#lastMs = nowMs;
     this.#controls.advance(seconds);
     if (this.rig.goal !== this.#goal) this.#steered = true;
-    this.#fly(nowMs);
+    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
+    if (flown) {
+      this.rig.jump(flown);
+      this.#movedMs = nowMs;
+    }
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
@@ -133,11 +151,12 @@ export class Viewer {
     const view = this.#view();
     this.#announce(view, nowMs);
     this.#draw(view, nowMs);
+    this.extras.comparison.advance(nowMs, view, this.stage.standing && nowMs - this.#movedMs > kSettleMs);
     if (nowMs - this.#figuresMs > kFiguresEveryMs) {
       this.#figuresMs = nowMs;
       this.#showFigures(nowMs);
     }
-    if (this.#steered && !this.#flight && nowMs - this.#addressMs > kAddressEveryMs && nowMs - this.#movedMs > kSettleMs) {
+    if (this.#steered && !this.#bench.flying && nowMs - this.#addressMs > kAddressEveryMs && nowMs - this.#movedMs > kSettleMs) {
       this.#addressMs = nowMs;
       const address = addressWith(new URL(location.href), this.rig.goal);
       if (address !== location.href) history.replaceState(null, '', address);
@@ -169,6 +188,7 @@ export class Viewer {
     this.#rested = settled;
     this.stage.draw(this.#frame(view, resolution, nowMs), settled);
     ++this.frames;
+    if (this.firstPictureMs === 0 && this.stage.standing) this.firstPictureMs = performance.now();
     if (moving) this.#pace.drawn(nowMs);
     else this.#pace.rest();
   }
@@ -194,7 +214,7 @@ export class Viewer {
     }
     if (nowMs - this.#poseMs < kPoseEveryMs) return;
     this.#poseMs = nowMs;
-    const floats = new Float32Array([...viewFromWorld, view.fx, view.fy, view.cx, view.cy, view.width, view.height]);
+    const floats = poseFloats(view);
     this.link.send({ kind: 'pose', floats }, [floats.buffer]);
   }
 
@@ -203,14 +223,15 @@ export class Viewer {
       this.figures = message.figures;
       this.#rate.add(message.figures.atMs, message.figures.bytes);
       const unframed = !this.#framed && !this.#steered;
-      if (message.figures.gaussians > 0 && (unframed || (this.#benchAsked && this.stage.standing))) {
+      if (message.figures.gaussians > 0 && (unframed || (this.#bench.asked && this.stage.standing))) {
         this.#framed = true;
-        this.#benchDue = this.#benchAsked;
-        this.#benchAsked = false;
+        this.#bench.prepare();
         this.frameAll();
       }
     } else if (message.kind === 'bounds') {
       this.#showAll(message.centre, message.radius);
+    } else if (message.kind === 'picture') {
+      void this.extras.comparison.hear(message.picture);
     } else if (message.kind === 'connection') {
       this.connection = message.state;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
@@ -218,34 +239,16 @@ export class Viewer {
   }
 
   #showAll(centre: [number, number, number], radius: number): void {
-    if (this.#benchDue) {
-      this.#benchDue = false;
-      this.#flight = new Flight(centre, radius, this.options.bench);
-    }
+    this.#bench.around(centre, radius);
     const { clientWidth, clientHeight } = this.stage.element;
     this.rig.frame(centre, radius, clientWidth, clientHeight);
     if (!this.stage.standing) this.rig.jump(this.rig.goal);
     if (!this.#steered) this.#goal = this.rig.goal;
   }
 
-  #fly(nowMs: number): void {
-    if (!this.#flight) return;
-    const pose = this.#flight.at(nowMs / 1000);
-    if (pose) {
-      this.rig.jump(pose);
-      this.#movedMs = nowMs;
-      return;
-    }
-    const flown = this.#flight;
-    this.#flight = null;
-    void this.#report(flown);
-  }
-
-  async #report(flight: Flight): Promise<void> {
-    const figures = flight.figures();
+  #benchContext(): object {
     const { width, height } = this.#view();
-    const report = {
-      ...figures,
+    return {
       api: this.stage.renderer?.api ?? 'none',
       width,
       height,
@@ -254,11 +257,7 @@ export class Viewer {
       sortMs: this.stage.sortMs,
       browser: navigator.userAgent,
     };
-    const posted = await postFigures(report, this.options.token);
-    document.body.dataset.bench = JSON.stringify(report);
-    this.#benchText = `${texts.benchDone(figures.framesPerSecond, figures.medianMs)} ${posted ? texts.benchPosted : texts.benchKept}`;
   }
-  #benchText = '';
 
   #showFigures(nowMs: number): void {
     const figures = this.figures;
@@ -284,7 +283,7 @@ export class Viewer {
     const problem =
       this.#graphics ||
       (this.#retryAtMs > 0 ? texts.reconnecting(waiting) : '') ||
-      (this.#flight ? texts.benchRunning(this.#flight.part(nowMs / 1000)) : this.#benchText) ||
+      this.#bench.text(nowMs / 1000) ||
       (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);
   }
@@ -295,37 +294,27 @@ export class Viewer {
     this.#redraw = true;
   }
 
-  async #saveSnapshot(): Promise<void> {
-    const { renderer } = this.stage;
-    if (!renderer) return;
-    const picture = await renderer.capture(this.#frame(this.#view(), 1, performance.now()));
-    await savePng(picture, `splatbus-${new Date().toISOString().replaceAll(':', '-').slice(0, 19)}.png`);
-  }
-
-  async #share(): Promise<void> {
-    const address = addressWith(new URL(location.href), this.rig.goal);
-    history.replaceState(null, '', address);
-    await navigator.clipboard?.writeText(address).then(() => this.#notice.pass(texts.shared));
-  }
-
-  #toggleFullScreen(): void {
-    void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()).catch(() => {});
+  #compare(): void {
+    this.#menu.element.close();
+    void this.extras.compare();
   }
 
   #key(event: KeyboardEvent): void {
     if (event.code === 'Escape') this.#menu.element.close();
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
+    if (event.target instanceof HTMLInputElement && event.code.startsWith('Arrow')) return;
     if (this.#controls.keys.press(event.code)) {
       event.preventDefault();
       return;
     }
     if (event.repeat) return;
     const actions: Readonly<Record<string, () => void>> = {
+      KeyC: () => this.#compare(),
       KeyF: () => this.frameAll(),
       KeyI: () => this.#overlay.toggle(),
       KeyM: () => this.#menu.toggle(),
-      KeyP: () => void this.#saveSnapshot(),
-      KeyV: () => this.#toggleFullScreen(),
+      KeyP: () => void this.extras.saveSnapshot(),
+      KeyV: () => this.extras.toggleFullScreen(),
     };
     actions[event.code]?.();
   }

@@ -79,7 +79,7 @@ test('what is hidden does not come from where it was', () => {
 
 const record = (opacity, color = 7) => [0, 0, 0, 0, 0, 0, opacity, color];
 const update = (mirror, rows, nowS) =>
-  mirror.take(new Uint32Array(Object.keys(rows).map(Number)), new Uint32Array(Object.values(rows).flat()), nowS);
+  mirror.take({ rows: new Uint32Array(Object.keys(rows).map(Number)), records: new Uint32Array(Object.values(rows).flat()) }, nowS);
 
 test('rows that appear and vanish fade, those that change do not', () => {
   const mirror = new logic.RowMirror();
@@ -120,7 +120,7 @@ test('a picture that stands is replaced by a whole model, and by no part of one'
   const scene = { transforms: new Float32Array(12), farField: 0, background: [0, 0, 0], displaySpace: false };
   const nothing = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
   const publish = (row, complete) =>
-    publisher.publish(new Uint32Array([row]), new Uint32Array(record(9)), nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);
+    publisher.publish({ rows: new Uint32Array([row]), records: new Uint32Array(record(9)) }, nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);
   publisher.attach(port, true);
   publish(0, false);
   assert.equal(sent.length, 0);

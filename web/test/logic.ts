@@ -1,6 +1,10 @@
 // What tests of the logic need, without a browser.
 export { addressWith, poseOf, poseText, readAddress } from '../src/camera/address';
 export { Rig, viewOf } from '../src/camera/rig';
+export { flip } from '../src/compare/flip';
+export { ssim } from '../src/compare/ssim';
+export { viewOfEye, xrFromWorld } from '../src/xr/xr_view';
+export { randomNumbers } from './page/synthetic_scene';
 export { Playout } from '../src/motion/playout';
 export { Pace, Rate } from '../src/pace';
 export { Publisher } from '../src/stream/publisher';

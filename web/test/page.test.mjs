@@ -19,9 +19,11 @@ after(async () => {
 });
 
 /** The page, once it shows the scene at rest. */
-async function opened(path, run, options = {}) {
+async function opened(path, run, { init = () => {}, ...options } = {}) {
   const context = await browser.newContext({ viewport: { width: 320, height: 200 }, ...options });
   const page = await context.newPage();
+  page.setDefaultTimeout(90_000);
+  await page.addInitScript(init);
   const errors = [];
   page.on('pageerror', (error) => errors.push(String(error)));
   try {
@@ -183,9 +185,17 @@ test('a lost context comes back, and the last picture stands meanwhile', () =>
     await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]')?.width > 300);
     const before = await shownColors(page);
     assert.ok(before > 500, `${before} colors`);
-    await page.evaluate(() => window.splatbus.stage.renderer.dispose());
-    await page.waitForFunction(() => window.splatbus.stage.renderer === null);
-    assert.ok((await shownColors(page)) > 500, 'the picture stands');
+    // Asked at the moment of the loss: another context may be there before the test looks.
+    const stands = await page.evaluate(async () => {
+      const { stage } = window.splatbus;
+      const { renderer } = stage;
+      renderer.dispose();
+      await renderer.lost;
+      const still = [...stage.element.querySelectorAll('canvas')].at(-1);
+      const { data } = still.getContext('2d').getImageData(60, 60, 200, 100);
+      return { lost: stage.renderer === null, shown: !still.hidden, colors: new Set(new Uint32Array(data.buffer)).size };
+    });
+    assert.ok(stands.lost && stands.shown && stands.colors > 500, JSON.stringify(stands));
     await page.waitForFunction(() => window.splatbus.stage.renderer && window.splatbus.stage.uploadedRows === 6000);
     await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]'));
     assert.ok((await shownColors(page)) > 500, 'it is drawn again');
@@ -241,3 +251,157 @@ test('a flight is measured, shown and posted', () =>
     assert.deepEqual(JSON.parse(body), shown);
     assert.ok(shown.frames > 5 && shown.medianMs > 0 && shown.gaussians === 3000, body);
   }));
+
+test('a slider between the engine\'s own picture and the splats, and how alike they are', () =>
+  opened(`${kPage.replace('index.html', 'index.html?gpu=webgl2')}`, async (page) => {
+    await page.route('**/status', (route) => route.fulfill({ json: { rights: 'view' } }));
+    await page.keyboard.press('c');
+    await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('may not'));
+    await page.unroute('**/status');
+    await page.route('**/status', (route) => route.fulfill({ json: { rights: 'view,probe' } }));
+    await page.keyboard.press('c');
+    await page.waitForFunction(() => window.splatbus.extras.comparison.quality);
+    const { ssim, flip } = await page.evaluate(() => window.splatbus.extras.comparison.quality);
+    assert.ok(ssim > 0.995 && flip < 0.02, `SSIM ${ssim}, FLIP ${flip}`);
+    assert.match(await page.locator('.compare .quality').textContent(), /SSIM 0\.99\d +FLIP 0\.0[01]\d|SSIM 1\.000/);
+    // By the keyboard: all of it the engine's.
+    const clipped = () => page.evaluate(() => getComputedStyle(document.querySelector('.compare .engine')).clipPath);
+    const half = await clipped();
+    await page.locator('.compare input').focus();
+    await page.keyboard.press('Home');
+    assert.notEqual(await clipped(), half);
+    assert.equal(await page.evaluate(() => window.splatbus.rig.goal.yaw), kStart.yaw, 'the slider does not turn the camera');
+    // Of a view that is no more nothing is shown; of the next one again.
+    await page.evaluate(() => window.splatbus.rig.zoom(0.8));
+    await page.waitForFunction(() => !window.splatbus.extras.comparison.quality && document.querySelector('.compare canvas').hidden);
+    await page.waitForFunction(() => window.splatbus.extras.comparison.quality && !document.querySelector('.compare canvas').hidden);
+    await page.keyboard.press('c');
+    await page.waitForFunction(() => !window.splatbus.extras.comparison.on);
+  }));
+
+test('the model is downloaded as a file, or it is said that there is none', () =>
+  opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
+    await page.route('**/model.glb', (route) =>
+      route.fulfill({ body: route.request().headers().authorization === 'Bearer abc' ? 'a model' : 'no token' }),
+    );
+    await page.keyboard.press('m');
+    const download = page.waitForEvent('download');
+    await page.getByRole('button', { name: '.glb' }).click();
+    const file = await download;
+    assert.equal(file.suggestedFilename(), 'splatbus.glb');
+    assert.equal(readFileSync(await file.path(), 'utf8'), 'a model');
+    await page.getByRole('button', { name: '.spz' }).click();
+    await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('no such file'));
+  }));
+
+/** A headset that is none: two eyes beside one another in a texture, 64 mm apart, that looks where the test says. */
+function emulateXr() {
+  const kEye = 128;
+  const xr = { yaw: 0, ended: false, lower: null };
+  const matrix = (x) => {
+    const [c, s] = [Math.cos(xr.yaw), Math.sin(xr.yaw)];
+    const [px, py, pz] = [x * c, 0, -x * s];
+    const m = new Float32Array([c, 0, -s, 0, 0, 1, 0, 0, s, 0, c, 0, px, py, pz, 1]);
+    const inverse = new Float32Array([c, 0, s, 0, 0, 1, 0, 0, -s, 0, c, 0, -(c * px - s * pz), -py, -(s * px + c * pz), 1]);
+    return { matrix: m, inverse: { matrix: inverse, inverse: null } };
+  };
+  // An eye sees further outwards than towards the nose.
+  const projection = (skew) => new Float32Array([1.2, 0, 0, 0, 0, 1.1, 0, 0, skew, 0.05, -1, -1, 0, 0, -0.1, 0]);
+  class Session extends EventTarget {
+    inputSources = [];
+    updateRenderState() {}
+    async requestReferenceSpace() {
+      return new EventTarget();
+    }
+    requestAnimationFrame(callback) {
+      return requestAnimationFrame((now) => {
+        if (xr.ended) return;
+        const views = [
+          { eye: 'left', transform: matrix(-0.032), projectionMatrix: projection(-0.1) },
+          { eye: 'right', transform: matrix(0.032), projectionMatrix: projection(0.1) },
+        ];
+        callback(now, { getViewerPose: () => ({ transform: matrix(0), views }) });
+      });
+    }
+    async end() {
+      xr.ended = true;
+      this.dispatchEvent(new Event('end'));
+    }
+  }
+  window.XRWebGLLayer = class {
+    constructor(session, gl) {
+      const texture = gl.createTexture();
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, 2 * kEye, kEye);
+      this.framebuffer = gl.createFramebuffer();
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+      gl.makeXRCompatible = async () => {};
+      xr.pixels = (x) => {
+        const out = new Uint8Array(4 * kEye * kEye);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+        gl.readPixels(x, 0, kEye, kEye, gl.RGBA, gl.UNSIGNED_BYTE, out);
+        return out;
+      };
+    }
+    getViewport({ eye }) {
+      return { x: eye === 'left' ? 0 : kEye, y: 0, width: kEye, height: kEye };
+    }
+  };
+  WebGL2RenderingContext.prototype.makeXRCompatible = async () => {};
+  Object.defineProperty(navigator, 'xr', { value: { isSessionSupported: async () => true, requestSession: async () => (xr.session = new Session()) } });
+  window.xr = xr;
+}
+
+test('a headset is given both eyes of one sort, and the page goes on when it is taken off', () =>
+  opened(
+    `index.html?gpu=webgl2#${view(kStart)}`,
+    async (page) => {
+      await page.keyboard.press('m');
+      await page.getByRole('button', { name: 'Headset' }).click();
+      await page.waitForFunction(() => window.splatbus.extras.immersion && window.splatbus.frames > 20);
+      // What the page itself shows from where an eye is, by our own camera of the same place.
+      const eyes = await page.evaluate(async (start) => {
+        const { stage } = window.splatbus;
+        const kEye = 128;
+        const eye = [0, 1, 2].map((k) => [Math.cos(start.pitch) * Math.cos(start.yaw), Math.sin(start.pitch), Math.cos(start.pitch) * Math.sin(start.yaw)][k] * start.distance);
+        const forward = [-Math.cos(start.yaw), 0, -Math.sin(start.yaw)];
+        const right = [Math.sin(start.yaw), 0, -Math.cos(start.yaw)];
+        const results = [];
+        for (const [side, skew] of [[-1, -0.1], [1, 0.1]]) {
+          const at = eye.map((value, k) => value + 0.032 * side * right[k]);
+          const dot = (axis) => -axis.reduce((sum, value, k) => sum + value * at[k], 0);
+          const viewFromWorld = new Float64Array([...right, dot(right), 0, -1, 0, at[1], ...forward, dot(forward), 0, 0, 0, 1]);
+          const view = { viewFromWorld, fx: 0.6 * kEye, fy: 0.55 * kEye, cx: ((1 - skew) * kEye) / 2, cy: (1.05 * kEye) / 2, width: kEye, height: kEye };
+          const expected = await stage.renderer.capture({ view, scene: stage.scene, resolution: 1, timeS: 1e6 });
+          const drawn = window.xr.pixels(side < 0 ? 0 : kEye);
+          let different = 0;
+          let colors = new Set();
+          for (let y = 0; y < kEye; ++y) {
+            for (let i = 0; i < 4 * kEye; ++i) {
+              const ours = drawn[4 * kEye * (kEye - 1 - y) + i];
+              if (i % 4 === 0) colors.add(ours);
+              different = Math.max(different, Math.abs(ours - expected.rgba[4 * kEye * y + i]));
+            }
+          }
+          results.push({ different, colors: colors.size });
+        }
+        const [left, right_] = [window.xr.pixels(0), window.xr.pixels(kEye)];
+        return { results, disparate: left.filter((value, i) => Math.abs(value - right_[i]) > 8).length };
+      }, kStart);
+      for (const { different, colors } of eyes.results) {
+        assert.ok(different <= 2, `an eye differs by ${different}`);
+        assert.ok(colors > 20, 'there is something to see');
+      }
+      assert.ok(eyes.disparate > 100, 'the eyes see it from two places');
+      // A head that turns about turns its back on the scene.
+      await page.evaluate(() => (window.xr.yaw = Math.PI));
+      await page.waitForFunction(() => new Set(window.xr.pixels(0)).size < 8);
+      const before = await page.evaluate(() => window.splatbus.frames);
+      await page.evaluate(() => window.splatbus.extras.immersion.end());
+      await page.waitForFunction(() => !window.splatbus.extras.immersion);
+      await page.evaluate(() => window.splatbus.rig.zoom(0.9));
+      await page.waitForFunction((frames) => window.splatbus.frames > frames, before);
+    },
+    { init: emulateXr },
+  ));

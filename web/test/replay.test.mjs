@@ -1,47 +1,55 @@
-// A recorded stream, with insertions, removals, objects that move and light that changes, in both renderers: against what
-// the native viewer draws of the same messages.
+// Recorded streams, with insertions, removals, objects that move and light that changes, in both renderers: against what
+// the native viewer draws of the same messages. One is shaded; of the other colors depend on where one looks from.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
-import { copyFileSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { copyFileSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, test } from 'node:test';
 import { launch, serve } from './browser.mjs';
 
-const { SPLATBUS_WEB: site, SPLATBUS_WEB_TESTS: pages, SPLATBUS_PAGE_TRUTH: truth, SPLATBUS_LOG: log } = process.env;
+const { SPLATBUS_WEB: site, SPLATBUS_WEB_TESTS: pages, SPLATBUS_PAGE_TRUTH: truth, SPLATBUS_LOGS: logs } = process.env;
+const kLogs = ['long', 'radiance'];
 let browser;
 let server;
-let folder;
-let views;
+let root;
+const views = {};
 before(async () => {
-  folder = mkdtempSync(join(tmpdir(), 'splatbus-replay-'));
-  execFileSync(truth, ['render', log, folder]);
-  views = JSON.parse(readFileSync(join(folder, 'views.json'), 'utf8'));
-  copyFileSync(log, join(folder, 'stream.bin'));
-  server = await serve([pages, site, folder]);
+  root = mkdtempSync(join(tmpdir(), 'splatbus-replay-'));
+  for (const log of kLogs) {
+    const folder = join(root, log);
+    mkdirSync(folder);
+    execFileSync(truth, ['render', join(logs, `${log}.log`), folder]);
+    views[log] = JSON.parse(readFileSync(join(folder, 'views.json'), 'utf8'));
+    copyFileSync(join(logs, `${log}.log`), join(root, `${log}.bin`));
+  }
+  server = await serve([pages, site, root]);
   browser = await launch();
 });
 after(async () => {
   await browser?.close();
   server?.close();
-  rmSync(folder, { recursive: true, force: true });
+  if (process.env.SPLATBUS_WEB_PICTURES) execFileSync('cp', ['-r', `${root}/.`, process.env.SPLATBUS_WEB_PICTURES]);
+  rmSync(root, { recursive: true, force: true });
 });
 
 for (const api of ['webgl2', 'webgpu']) {
-  test(`${api} shows what the native viewer shows`, async () => {
-    const page = await browser.newPage();
-    await page.goto(`${server.url}/picture.html`);
-    const pictures = await page.evaluate(
-      ([name, { times, poses }]) => window.tests.replay(name, 'stream.bin', times, poses),
-      [api, views],
-    );
-    pictures.forEach((ofTime, time) =>
-      ofTime.forEach((png, camera) => writeFileSync(join(folder, `${api}_${time}_${camera}.png`), Buffer.from(png, 'base64'))),
-    );
-    assert.equal(pictures.flat().length, 18);
-    if (process.env.SPLATBUS_WEB_PICTURES) execFileSync('cp', ['-r', `${folder}/.`, process.env.SPLATBUS_WEB_PICTURES]);
-    // It fails, and says by how much, where they differ.
-    console.log(execFileSync(truth, ['compare', folder, api], { encoding: 'utf8' }).trim());
-    await page.close();
-  });
+  for (const log of kLogs) {
+    test(`${api} shows what the native viewer shows of ${log}.log`, async () => {
+      const page = await browser.newPage();
+      await page.goto(`${server.url}/picture.html`);
+      const pictures = await page.evaluate(
+        ([name, file, { times, poses }]) => window.tests.replay(name, file, times, poses),
+        [api, `${log}.bin`, views[log]],
+      );
+      const folder = join(root, log);
+      pictures.forEach((ofTime, time) =>
+        ofTime.forEach((png, camera) => writeFileSync(join(folder, `${api}_${time}_${camera}.png`), Buffer.from(png, 'base64'))),
+      );
+      assert.equal(pictures.flat().length, 18);
+      // It fails, and says by how much, where they differ.
+      console.log(execFileSync(truth, ['compare', folder, api], { encoding: 'utf8' }).trim());
+      await page.close();
+    });
+  }
 }

@@ -26,6 +26,7 @@ namespace {
 constexpr double kNsAMs = 1e6;
 constexpr std::size_t kLengthBytes = 4;
 constexpr float kRotationTolerance = 0.01F;
+constexpr std::size_t kHeldPictureBytes = std::size_t{1} << 25;
 
 std::int64_t ns_of(double now_ms) {
   return static_cast<std::int64_t>(now_ms * kNsAMs);
@@ -69,12 +70,15 @@ struct Session {
   std::optional<Held> held;
   std::string error;
   stream::Bytes outgoing;
-  std::vector<std::uint32_t> changed_rows, changed_colors;
+  std::vector<std::uint32_t> changed_rows, changed_colors, changed_harmonics;
   std::vector<stream::GpuRecord> changed_records;
   std::array<float, 3> background{};
   std::array<double, kStats> stats{};
   std::array<std::uint32_t, 2> hash{};
   double scene_arrived_ms = 0;
+  stream::ProbeAnswer picture;
+  std::array<double, 3> picture_info{};
+  std::vector<stream::GpuRows::Transform> picture_transforms;
 
   void put(const stream::EncodedPacket& packet) {
     const auto length = static_cast<std::uint32_t>(packet.packet.size());
@@ -104,6 +108,8 @@ void release(void* memory) {
 Session* follower_new(const char* name, uint32_t name_bytes, uint32_t max_gaussians, double now_ms) {
   auto session = std::make_unique<Session>();
   session->options.name.assign(name, name_bytes);
+  session->options.own_probes = true;
+  session->options.held_picture_bytes = kHeldPictureBytes;
   session->options.max_gaussians = std::min<std::size_t>(max_gaussians, stream::kMaxGaussians);
   session->held.emplace(session->options, ns_of(now_ms));
   return session.release();
@@ -170,8 +176,42 @@ int32_t set_pose(Session* session, const float* pose) {
   return 1;
 }
 
+int32_t ask_picture(Session* session, double probe_id, const float* pose) {
+  const auto camera = camera_of(pose);
+  if (!camera) return 0;
+  session->held->follower.say(wire::Body::Probe, [&](auto& builder) {
+    const wire::Camera wired = to_wire(*camera);
+    return wire::CreateProbe(builder, static_cast<std::uint64_t>(probe_id), &wired);
+  });
+  return 1;
+}
+
+int32_t take_picture(Session* session) {
+  auto answer = session->held->follower.take_probe_answer();
+  if (!answer) return 0;
+  session->picture = std::move(*answer);
+  const auto& [id, camera, scene, rgba] = session->picture;
+  session->picture_info = {static_cast<double>(id), static_cast<double>(camera.width),
+                           static_cast<double>(camera.height)};
+  session->picture_transforms = session->held->rows.transforms_in(scene);
+  return 1;
+}
+
+const double* picture_info_ptr(const Session* session) {
+  return session->picture_info.data();
+}
+
+const uint8_t* picture_ptr(const Session* session) {
+  return session->picture.rgba.data();
+}
+
+const float* picture_transforms_ptr(const Session* session) {
+  return session->picture_transforms.data()->data();
+}
+
 uint32_t take_changes(Session* session, uint32_t max_rows) {
-  session->held->rows.take_records(max_rows, session->changed_rows, session->changed_records);
+  session->held->rows.take_records(max_rows, session->changed_rows, session->changed_records,
+                                   &session->changed_harmonics);
   return static_cast<std::uint32_t>(session->changed_rows.size());
 }
 
@@ -181,6 +221,14 @@ const uint32_t* changed_rows_ptr(const Session* session) {
 
 const uint8_t* changed_records_ptr(const Session* session) {
   return reinterpret_cast<const std::uint8_t*>(session->changed_records.data());
+}
+
+uint32_t harmonic_words(const Session* session) {
+  return static_cast<std::uint32_t>(stream::harmonic_words(session->held->follower.replica().shown().layout));
+}
+
+const uint32_t* changed_harmonics_ptr(const Session* session) {
+  return session->changed_harmonics.data();
 }
 
 uint32_t take_colors(Session* session, uint32_t max_rows) {

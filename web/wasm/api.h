@@ -59,6 +59,17 @@ SPLATBUS_EXPORT uint32_t farewell(Session* session);
 /// z forward; metres), fx, fy, cx, cy, width, height in pixels. False, and nothing is taken, for what is no camera.
 SPLATBUS_EXPORT int32_t set_pose(Session* session, const float* pose);
 
+/// Asks the engine for its own picture from there, `pose` as in set_pose(). False, and nothing is asked, for what is no
+/// camera. It may never come: who may not probe is not answered.
+SPLATBUS_EXPORT int32_t ask_picture(Session* session, double probe_id, const float* pose);
+/// Takes the oldest picture that has come; false if there is none. Until the next call: picture_info_ptr() f64[3],
+/// probe_id, width, height; picture_ptr() RGBA8 under the sRGB curve, row 0 on top; and where objects were in it,
+/// picture_transforms_ptr(), as transforms_ptr().
+SPLATBUS_EXPORT int32_t take_picture(Session* session);
+SPLATBUS_EXPORT const double* picture_info_ptr(const Session* session);
+SPLATBUS_EXPORT const uint8_t* picture_ptr(const Session* session);
+SPLATBUS_EXPORT const float* picture_transforms_ptr(const Session* session);
+
 // What is shown. A Gaussian keeps its row as long as it is there. Take records until there are none, or as many a frame
 // as the GPU is to be given; then colours; both are of the same picture, and so are transforms and background.
 
@@ -68,10 +79,15 @@ SPLATBUS_EXPORT int32_t set_pose(Session* session, const float* pose);
 ///   18 rotation vector i16[3], steps of pi / 32767, at most half a turn
 ///   24 u32: opacity u8 (255 is 1), above it the index of its object among the transforms
 ///   28 colour rgb9e5 (as RGB9_E5): linear and shaded for Transfer; of Radiance degree 0 in display space
-/// A row that is free has opacity 0.
+/// A row that is free has opacity 0. For Radiance above degree 0 besides changed_harmonics_ptr(),
+/// u32[n][harmonic_words()]: [coefficient][RGB] of the whole colour as two half floats a word, the first of them 0.5
+/// and the constant band's share. Directions are from the eye to the mean, in the object's frame.
 SPLATBUS_EXPORT uint32_t take_changes(Session* session, uint32_t max_rows);
 SPLATBUS_EXPORT const uint32_t* changed_rows_ptr(const Session* session);
 SPLATBUS_EXPORT const uint8_t* changed_records_ptr(const Session* session);
+/// A multiple of 4; 0: there are no harmonics. It changes only when all rows do.
+SPLATBUS_EXPORT uint32_t harmonic_words(const Session* session);
+SPLATBUS_EXPORT const uint32_t* changed_harmonics_ptr(const Session* session);
 /// The same for rows of which the colour alone has changed, as all have when the sun moves: changed_rows_ptr() and
 /// changed_colors_ptr() u32[n] rgb9e5.
 SPLATBUS_EXPORT uint32_t take_colors(Session* session, uint32_t max_rows);

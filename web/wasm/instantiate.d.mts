@@ -13,9 +13,16 @@ export interface Exports {
   outgoing_ptr(session: number): number;
   farewell(session: number): number;
   set_pose(session: number, pose: number): number;
+  ask_picture(session: number, probeId: number, pose: number): number;
+  take_picture(session: number): number;
+  picture_info_ptr(session: number): number;
+  picture_ptr(session: number): number;
+  picture_transforms_ptr(session: number): number;
   take_changes(session: number, maxRows: number): number;
   changed_rows_ptr(session: number): number;
   changed_records_ptr(session: number): number;
+  harmonic_words(session: number): number;
+  changed_harmonics_ptr(session: number): number;
   take_colors(session: number, maxRows: number): number;
   changed_colors_ptr(session: number): number;
   forget_taken(session: number): void;

@@ -21,7 +21,7 @@ namespace splatbus::bus_test {
 using namespace std::chrono_literals;
 
 /// How long a condition that must come true may take, on a loaded machine.
-constexpr auto patience = 10s;
+constexpr auto patience = 60s;
 
 /// A folder of its own, removed at the end.
 class TemporaryDirectory {

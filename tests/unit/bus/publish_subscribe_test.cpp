@@ -1,12 +1,11 @@
 #include <gmock/gmock.h>
-#include <spdlog/sinks/ostream_sink.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <sstream>
 #include <stdexcept>
 
 #include "bus_fixture.h"
+#include "fake_broker.h"
+#include "log_capture.h"
 
 namespace splatbus::bus_test {
 namespace {
@@ -248,22 +247,46 @@ TEST_F(PublishSubscribe, RefusalsOfASourceAreLoggedOnceASecond) {
                 [](const wire::ViewerProbe&, const bus::Message&) { throw std::runtime_error("never good enough"); });
   meet(publisher, subscriber);
   meet(other, subscriber);
-  std::ostringstream lines;
-  const auto before = spdlog::default_logger();
-  spdlog::set_default_logger(
-      std::make_shared<spdlog::logger>("test", std::make_shared<spdlog::sinks::ostream_sink_mt>(lines)));
-  for (int i = 0; i < 50; ++i) {
-    publish_number(publisher, 1);
-    publish_number(other, 1);
+  std::string text;
+  {
+    const LogCapture log;
+    for (int i = 0; i < 50; ++i) {
+      publish_number(publisher, 1);
+      publish_number(other, 1);
+    }
+    for (std::size_t taken = 0; taken < 100;) taken += subscriber.dispatch_all(patience);
+    text = log.text();
   }
-  for (std::size_t taken = 0; taken < 100;) taken += subscriber.dispatch_all(patience);
-  spdlog::set_default_logger(before);
   EXPECT_EQ(subscriber.refused(), 100u);
-  const std::string text = lines.str();
   EXPECT_THAT(text, testing::HasSubstr("viewer/probe from maker"));
   EXPECT_THAT(text, testing::HasSubstr("viewer/probe from other"));
   EXPECT_THAT(text, testing::HasSubstr("never good enough"));
   EXPECT_LT(std::count(text.begin(), text.end(), '\n'), 50);
+}
+
+/// Under many names as under one.
+TEST_F(PublishSubscribe, RefusalsOfAllSourcesAreBoundedTogether) {
+  constexpr int kNames = 60;
+  bus::Subscriber subscriber(connect("reader"));
+  subscriber.on(topics::kViewerProbe,
+                [](const wire::ViewerProbe&, const bus::Message&) { throw std::runtime_error("never good enough"); });
+  ASSERT_TRUE(subscriber.wait_connected(patience));
+  RawPublisher publisher(directory_.address().publish_endpoint());
+  const LogCapture log;
+  for (int i = 0; i < kNames; ++i) {
+    flatbuffers::FlatBufferBuilder builder;
+    const auto header = wire::CreateHeaderDirect(builder, std::string(topics::kViewerProbe.schema).c_str(),
+                                                 ("maker-" + std::to_string(i)).c_str(), 1, 1);
+    const wire::Camera camera;
+    builder.Finish(wire::CreateViewerProbe(builder, header, 1, &camera));
+    publisher.send({"viewer/probe", {reinterpret_cast<const char*>(builder.GetBufferPointer()), builder.GetSize()}});
+  }
+  ASSERT_TRUE(eventually([&] {
+    subscriber.dispatch_all(0ms);
+    return subscriber.refused() == kNames;
+  }));
+  EXPECT_GT(log.lines(), 0);
+  EXPECT_LT(log.lines(), kNames);
 }
 
 }  // namespace

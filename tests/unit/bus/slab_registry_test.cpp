@@ -1,3 +1,5 @@
+#include "bus/slab_registry.h"
+
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <sys/mman.h>
@@ -15,6 +17,7 @@
 #include "bus/slab_memory.h"
 #include "bus/slab_protocol.h"
 #include "bus_fixture.h"
+#include "log_capture.h"
 
 namespace splatbus::bus_test {
 namespace {
@@ -123,6 +126,37 @@ TEST_F(SlabRegistry, GarbageEndsThatConnectionOnly) {
   EXPECT_EQ(ask(bus::SlabOperation::OpenByName, descriptor_of(0, "maker/none", 1), -1, -1).status,
             bus::SlabStatus::NotFound);
   EXPECT_THROW(ask(static_cast<bus::SlabOperation>(77), descriptor_of(1, "a", 1), -1, -1), bus::Error);
+}
+
+TEST_F(SlabRegistry, WhoLeavesUnderManyNamesIsTalkedOfOnceASecond) {
+  const std::string path = directory_.path() + "/other-slabs";
+  const LogCapture log;
+  {
+    const bus_service::SlabRegistry registry(path, 0ms);
+    socket_ = connect_to(path);
+    for (std::uint64_t i = 1; i <= 60; ++i) {
+      const auto of_one = bus::create_slab_memory(descriptor_of(i, "maker-" + std::to_string(i) + "/ring", 4096), true);
+      EXPECT_EQ(ask(bus::SlabOperation::Register, of_one->descriptor(), of_one->control_fd(), of_one->data_fd()).status,
+                bus::SlabStatus::Ok);
+    }
+    EXPECT_EQ(registry.size(), 60U);
+    socket_.reset();
+    const bus::FileDescriptor next = connect_to(path);  // its turn ends the others' leases
+    EXPECT_TRUE(eventually([&] { return registry.size() == 0; }));
+  }
+  EXPECT_GT(log.lines(), 0);
+  EXPECT_LT(log.lines(), 50);
+}
+
+TEST_F(SlabRegistry, OneProcessHasAFewNamesOnly) {
+  for (int i = 0; i < 200; ++i) {
+    const auto answer =
+        ask(bus::SlabOperation::OpenByName, descriptor_of(0, "maker-" + std::to_string(i) + "/none", 1), -1, -1);
+    EXPECT_EQ(answer.status, i < 64 ? bus::SlabStatus::NotFound : bus::SlabStatus::Refused) << i;
+  }
+  EXPECT_EQ(ask(bus::SlabOperation::OpenByName, descriptor_of(0, "maker-5/none", 1), -1, -1).status,
+            bus::SlabStatus::NotFound)
+      << "a name that it has";
 }
 
 /// A registry that hands out less than it says, to see what the client makes of it.

@@ -29,6 +29,7 @@ class PagedPublisher {
   explicit PagedPublisher(std::shared_ptr<bus::Context> context, Device device = Device::Cpu)
       : context_(std::move(context)), device_(device) {}
 
+  bool frozen = false;             ///< all pages are
   bool keeps_generations = false;  ///< of pages whose content is what it was, as the trainer does
 
   /// Returns the index of each Gaussian.
@@ -51,7 +52,9 @@ class PagedPublisher {
       for (std::size_t k = 0; k < members.size(); k += kPageLanes, ++page) {
         const std::size_t count = std::min<std::size_t>(kPageLanes, members.size() - k);
         PageEntry& entry = table.entry(page);
-        entry.now = {.state = PageState::Active, .frame_id = frame_id, .count = static_cast<std::uint32_t>(count)};
+        entry.now = {.state = frozen ? PageState::Frozen : PageState::Active,
+                     .frame_id = frame_id,
+                     .count = static_cast<std::uint32_t>(count)};
         for (std::size_t lane = 0; lane < count; ++lane) {
           index[members[k + lane]] = page * kPageLanes + static_cast<std::uint32_t>(lane);
         }

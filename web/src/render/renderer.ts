@@ -11,6 +11,13 @@ export interface Frame {
   readonly timeS: number;
 }
 
+/** What an eye sees, and where in the target, from its lower left corner. */
+export interface Eye {
+  readonly view: View;
+  readonly x: number;
+  readonly y: number;
+}
+
 /** Row 0 on top, sRGB, opaque. */
 export interface Picture {
   readonly width: number;
@@ -54,6 +61,14 @@ export interface Renderer {
   /** Resolves when all that was drawn has been. */
   finish(): Promise<void>;
   dispose(): void;
+}
+
+/** A renderer that WebXR can have draw. */
+export interface EyeRenderer extends Renderer {
+  /** Its context, on the device that the headset hangs on. */
+  forXr(): Promise<WebGL2RenderingContext>;
+  /** All eyes in the order that stands; `frame.view` is not looked at. */
+  drawEyes(target: WebGLFramebuffer | null, eyes: readonly Eye[], frame: Frame): void;
 }
 
 const srgb = (linear: number): number => (linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055);

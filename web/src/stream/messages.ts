@@ -15,6 +15,17 @@ export interface Budget {
   readonly gaussians: number;
 }
 
+/** The engine's own picture for one that was asked for. */
+export interface EnginePicture {
+  readonly probeId: number;
+  readonly width: number;
+  readonly height: number;
+  /** sRGB, row 0 on top. */
+  readonly rgba: Uint8ClampedArray<ArrayBuffer>;
+  /** Where objects were in it, as Scene.transforms. */
+  readonly transforms: Float32Array<ArrayBuffer>;
+}
+
 export type ToStreamWorker =
   | { kind: 'start'; socket: string; token: string | null; clockOriginMs: number; budget: Budget }
   /**
@@ -26,6 +37,8 @@ export type ToStreamWorker =
   | { kind: 'taken'; batches: number }
   /** view_from_world row-major 4x4, fx, fy, cx, cy, width, height. */
   | { kind: 'pose'; floats: Float32Array }
+  /** Asks for the engine's own picture from there; floats as in 'pose'. It may never come. */
+  | { kind: 'probe'; probeId: number; floats: Float32Array }
   | { kind: 'bounds' };
 
 export type ConnectionState = 'connecting' | 'open' | 'waiting';
@@ -37,6 +50,7 @@ export interface StreamFigures {
   readonly gaussians: number;
   readonly sequence: number;
   readonly epoch: number;
+  readonly sceneVersion: number;
   /** Pages of the model that have not come yet. */
   readonly missing: number;
   readonly bytes: number;
@@ -48,6 +62,7 @@ export type FromStreamWorker =
   | { kind: 'connection'; state: ConnectionState; retryS: number }
   | { kind: 'figures'; figures: StreamFigures }
   | { kind: 'bounds'; centre: [number, number, number]; radius: number }
+  | { kind: 'picture'; picture: EnginePicture }
   /** The worker cannot go on: another one is needed. */
   | { kind: 'failed'; reason: string };
 
@@ -76,4 +91,5 @@ export const transfersOf = (batch: SceneBatch): Transferable[] => [
   batch.colors.rows.buffer,
   batch.colors.colors.buffer,
   batch.scene.transforms.buffer,
+  ...(batch.update.harmonics ? [batch.update.harmonics.values.buffer] : []),
 ];

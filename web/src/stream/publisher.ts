@@ -1,7 +1,7 @@
 import { kNoScene, type ColorUpdate, type RowUpdate, type Scene, type SceneTime } from '../records';
 import { kNoFade } from '../render/renderer';
 import { transfersOf } from './messages';
-import { RowMirror } from './row_mirror';
+import { RowMirror, type ChangedRows } from './row_mirror';
 
 const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uint32Array(0) });
 
@@ -49,15 +49,15 @@ export class Publisher {
   }
 
   /** What has changed; `complete` when the model is all there, which it is not while it first arrives. */
-  publish(rows: Uint32Array, records: Uint32Array, colors: ColorUpdate, scene: Scene, time: SceneTime, complete: boolean): void {
+  publish(changed: ChangedRows, colors: ColorUpdate, scene: Scene, time: SceneTime, complete: boolean): void {
     const same = sameScene(scene, this.#scene);
     this.#scene = scene;
     this.#time = time;
     this.#complete = complete;
-    const update = this.#mirror.take(rows, records, this.nowS());
+    const update = this.#mirror.take(changed, this.nowS());
     this.#mirror.recolor(colors);
     if (!this.#begun) this.#begin();
-    else if (!same || rows.length > 0 || colors.rows.length > 0) this.#send(false, update, colors);
+    else if (!same || changed.rows.length > 0 || colors.rows.length > 0) this.#send(false, update, colors);
   }
 
   /** To be called now and then: what has faded away becomes free. */

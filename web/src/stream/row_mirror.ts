@@ -8,33 +8,43 @@ const kSampled = 20000;
 /** Of the samples along each axis, this part on either side is left out. */
 const kOutside = 0.03;
 
+/** Rows as the model has them now. */
+export type ChangedRows = Omit<RowUpdate, 'fades'>;
+type Filled = Pick<RowUpdate, 'records' | 'harmonics'>;
+
 /** The rows as they were handed on: for whoever has to begin anew, and to know which appear and which vanish. */
 export class RowMirror {
   #records = new Uint32Array(0);
+  #harmonics = new Uint32Array(0);
+  #words = 0; // of harmonics
   #fades = new Float32Array(0);
   #used = 0;
   #vanishing: { row: number; sinceS: number }[] = [];
 
   /** Takes rows as the model has them; what vanishes is kept until it has faded. */
-  take(rows: Uint32Array, records: Uint32Array, nowS: number): RowUpdate {
+  take({ rows, records, harmonics }: ChangedRows, nowS: number): RowUpdate {
+    if ((harmonics?.words ?? 0) !== this.#words) {
+      this.#words = harmonics?.words ?? 0;
+      this.#harmonics = new Uint32Array(0);
+    }
     this.#reserve(rows.reduce((most, row) => Math.max(most, row + 1), this.#used));
     const update = {
       rows: rows.slice(),
       records: records.slice(),
       fades: new Float32Array(rows.length),
+      harmonics: harmonics && { words: harmonics.words, values: harmonics.values.slice() },
     };
     rows.forEach((row, index) => {
-      const at = kRecordWords * row;
       const wasThere = opacityOf(this.#records, row) > 0 && this.#fades[row] >= 0;
       const isThere = opacityOf(records, index) > 0;
       if (wasThere && !isThere) {
-        update.records.set(this.#records.subarray(at, at + kRecordWords), kRecordWords * index);
+        this.#copyOut(row, update, index);
         this.#fades[row] = -nowS;
         this.#vanishing.push({ row, sinceS: -this.#fades[row] });
       } else {
         if (isThere && !wasThere) this.#fades[row] = nowS;
-        else if (!isThere && this.#fades[row] < 0) update.records.set(this.#records.subarray(at, at + kRecordWords), kRecordWords * index);
-        this.#records.set(update.records.subarray(kRecordWords * index, kRecordWords * (index + 1)), at);
+        else if (!isThere && this.#fades[row] < 0) this.#copyOut(row, update, index);
+        this.#copyIn(row, update, index);
       }
       update.fades[index] = this.#fades[row];
     });
@@ -59,18 +69,20 @@ export class RowMirror {
       this.#records.fill(0, kRecordWords * row, kRecordWords * (row + 1));
       this.#fades[row] = kNoFade;
     }
-    return { rows, records: new Uint32Array(kRecordWords * rows.length), fades: new Float32Array(rows.length) };
+    return { ...this.#nothing(rows.length), rows };
+  }
+
+  get bytes(): number {
+    return this.#records.byteLength + this.#harmonics.byteLength + this.#fades.byteLength;
   }
 
   /** Every row that is not free. */
   everything(): RowUpdate {
     const rows: number[] = [];
     for (let row = 0; row < this.#used; ++row) if (opacityOf(this.#records, row) > 0) rows.push(row);
-    const records = new Uint32Array(kRecordWords * rows.length);
-    rows.forEach((row, index) =>
-      records.set(this.#records.subarray(kRecordWords * row, kRecordWords * (row + 1)), kRecordWords * index),
-    );
-    return { rows: new Uint32Array(rows), records, fades: Float32Array.from(rows, (row) => this.#fades[row]) };
+    const update = { ...this.#nothing(rows.length), rows: new Uint32Array(rows), fades: Float32Array.from(rows, (row) => this.#fades[row]) };
+    rows.forEach((row, index) => this.#copyOut(row, update, index));
+    return update;
   }
 
   /** A sphere about most of what there is but for the far field; null while there is nothing. */
@@ -100,8 +112,26 @@ export class RowMirror {
     return { centre, radius: Math.max(Math.hypot(half[0], half[1], half[2]), 0.1) };
   }
 
+  #nothing(rows: number): Omit<RowUpdate, 'rows'> {
+    const words = this.#words;
+    return {
+      records: new Uint32Array(kRecordWords * rows),
+      fades: new Float32Array(rows),
+      harmonics: words > 0 ? { words, values: new Uint32Array(words * rows) } : undefined,
+    };
+  }
+  #copyOut(row: number, { records, harmonics }: Filled, index: number): void {
+    records.set(this.#records.subarray(kRecordWords * row, kRecordWords * (row + 1)), kRecordWords * index);
+    harmonics?.values.set(this.#harmonics.subarray(this.#words * row, this.#words * (row + 1)), this.#words * index);
+  }
+  #copyIn(row: number, { records, harmonics }: Filled, index: number): void {
+    this.#records.set(records.subarray(kRecordWords * index, kRecordWords * (index + 1)), kRecordWords * row);
+    if (harmonics) this.#harmonics.set(harmonics.values.subarray(this.#words * index, this.#words * (index + 1)), this.#words * row);
+  }
+
   #reserve(rows: number): void {
     this.#records = grown(this.#records, kRecordWords * rows);
+    this.#harmonics = grown(this.#harmonics, this.#words * rows);
     this.#fades = grown(this.#fades, rows);
     this.#used = Math.max(this.#used, rows);
   }

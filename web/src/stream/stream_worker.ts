@@ -61,6 +61,10 @@ class Stream {
         this.#follower.setPose(message.floats);
         this.#speak();
         break;
+      case 'probe':
+        this.#follower.askPicture(message.probeId, message.floats);
+        this.#speak();
+        break;
       case 'bounds': {
         const bounds = this.#publisher.bounds();
         if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });
@@ -76,6 +80,9 @@ class Stream {
       scope.postMessage({ kind: 'failed', reason: 'the model did not fit into memory' });
       scope.close(); // nothing more is shown of what is half gone
       return;
+    }
+    for (let picture = this.#follower.takePicture(); picture; picture = this.#follower.takePicture()) {
+      scope.postMessage({ kind: 'picture', picture }, [picture.rgba.buffer, picture.transforms.buffer]);
     }
     this.#speak();
     this.#publishSoon();
@@ -102,6 +109,7 @@ class Stream {
     const follower = this.#follower;
     const changed = follower.takeChanges(kMostRows);
     const [rows, records] = [changed.rows.slice(), changed.records.slice()];
+    const harmonics = changed.harmonics && { words: changed.harmonics.words, values: changed.harmonics.values.slice() };
     const recolored = follower.takeColors(kMostRows);
     const colors = { rows: recolored.rows.slice(), colors: recolored.colors.slice() };
     const stats = follower.stats;
@@ -115,7 +123,7 @@ class Stream {
     };
     const more = rows.length === kMostRows || colors.rows.length === kMostRows;
     const time = { captureMs: stats.sceneCaptureMs, arrivedMs: stats.sceneArrivedMs + this.#aheadMs };
-    this.#publisher.publish(rows, records, colors, scene, time, isWhole(stats) && !more);
+    this.#publisher.publish({ rows, records, harmonics }, colors, scene, time, isWhole(stats) && !more);
     if (more) this.#publishSoon();
   }
 
@@ -144,6 +152,7 @@ class Stream {
       gaussians: stats.gaussians,
       sequence: stats.sequence,
       epoch: stats.epoch,
+      sceneVersion: stats.sceneVersion,
       missing: stats.missingPages,
       bytes: stats.bytesIn,
       ageMs: stats.sceneArrivedMs > 0 ? nowMs - stats.sceneArrivedMs : -1,

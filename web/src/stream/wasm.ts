@@ -1,6 +1,9 @@
 // splatbus.wasm as classes. What they give as typed arrays are views on the module's memory: copy what is to last beyond
 // the next call.
 import { instantiate, type Exports } from '../../wasm/instantiate.mjs';
+import { kTransformFloats } from '../math';
+import { kRecordWords, type Harmonics } from '../records';
+import type { EnginePicture } from './messages';
 
 export type { Exports };
 
@@ -32,8 +35,6 @@ export interface FollowerStats {
   readonly radiance: boolean;
 }
 const kStats = 16;
-const kTransformFloats = 12;
-const kRecordWords = 8;
 const kPoseFloats = 22;
 
 export type ReceiveResult = 'received' | 'refused' | 'out of memory';
@@ -113,11 +114,30 @@ export class Follower {
     return this.wasm.set_pose(this.#session, this.#pose.put(bytesOf(floats))) !== 0;
   }
 
+  /** Asks for the engine's own picture from there, as setPose(); false for what is no camera. */
+  askPicture(probeId: number, floats: Float32Array): boolean {
+    return this.wasm.ask_picture(this.#session, probeId, this.#pose.put(bytesOf(floats))) !== 0;
+  }
+
+  /** The oldest picture that has come; a copy. */
+  takePicture(): EnginePicture | null {
+    if (this.wasm.take_picture(this.#session) === 0) return null;
+    const { buffer } = this.wasm.memory;
+    const [probeId, width, height] = new Float64Array(buffer, this.wasm.picture_info_ptr(this.#session), 3);
+    const rgba = new Uint8ClampedArray(buffer, this.wasm.picture_ptr(this.#session), 4 * width * height).slice();
+    const n = kTransformFloats * this.wasm.transform_count(this.#session);
+    const transforms = new Float32Array(buffer, this.wasm.picture_transforms_ptr(this.#session), n).slice();
+    return { probeId, width, height, rgba, transforms };
+  }
+
   /** Rows that have changed, [n], and what is in them now, [n][8]. */
-  takeChanges(maxRows: number): { rows: Uint32Array; records: Uint32Array } {
+  takeChanges(maxRows: number): { rows: Uint32Array; records: Uint32Array; harmonics?: Harmonics } {
     const n = this.wasm.take_changes(this.#session, maxRows);
     const rows = this.#words(this.wasm.changed_rows_ptr(this.#session), n);
-    return { rows, records: this.#words(this.wasm.changed_records_ptr(this.#session), kRecordWords * n) };
+    const records = this.#words(this.wasm.changed_records_ptr(this.#session), kRecordWords * n);
+    const words = this.wasm.harmonic_words(this.#session);
+    if (words === 0) return { rows, records };
+    return { rows, records, harmonics: { words, values: this.#words(this.wasm.changed_harmonics_ptr(this.#session), words * n) } };
   }
 
   /** Rows of which the colour alone has changed. */

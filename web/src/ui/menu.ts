@@ -1,3 +1,4 @@
+import { kModelFiles, type ModelFile } from '../download';
 import { texts } from '../texts';
 import { button, choice, make } from './dom';
 import { kGaussianBudgets, type Settings } from './settings';
@@ -8,6 +9,9 @@ export interface MenuActions {
   readonly snapshot: () => void;
   readonly share: () => void;
   readonly figures: () => void;
+  readonly compare: () => void;
+  readonly immerse: () => void;
+  readonly download: (kind: ModelFile) => void;
   /** `settings` have changed. */
   readonly changed: () => void;
 }
@@ -17,8 +21,11 @@ const count = (value: number): string => (value >= 1e6 ? `${value / 1e6} M` : `$
 /** A dialog that leaves the picture usable. */
 export class Menu {
   readonly element: HTMLDialogElement;
+  readonly #immerse: HTMLButtonElement;
 
   constructor(settings: Settings, actions: MenuActions) {
+    this.#immerse = button(texts.immerse, actions.immerse);
+    this.#immerse.hidden = true;
     const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), count(value)]));
     const change = (apply: () => void) => (): void => {
       apply();
@@ -35,16 +42,25 @@ export class Menu {
         button(texts.snapshot, actions.snapshot),
         button(texts.share, actions.share),
         button(texts.figures, actions.figures),
+        button(texts.compare, actions.compare),
+        this.#immerse,
       ),
       choice(texts.quality, texts.qualities, settings.quality, (key) => change(() => (settings.quality = key))()),
       choice(texts.gaussianBudget, budgets, String(settings.budget.gaussians), (key) =>
         change(() => (settings.budget = { gaussians: Number(key) }))(),
       ),
       choice(texts.background, texts.backgrounds, settings.background, (key) => change(() => (settings.background = key))()),
+      make('h2', {}, texts.download),
+      make('div', { class: 'buttons' }, ...kModelFiles.map((kind) => button(`.${kind}`, () => actions.download(kind)))),
       make('h2', {}, texts.keys),
       make('dl', { class: 'keys' }, ...texts.keyList.map(([key, what]) => make('div', {}, make('dt', {}, key), make('dd', {}, what)))),
       button(texts.close, () => this.element.close()),
     );
+  }
+
+  /** There is a headset. */
+  offerImmersion(): void {
+    this.#immerse.hidden = false;
   }
 
   toggle(): void {

@@ -1,6 +1,7 @@
 // Stands in for the stream worker in the tests of the page: the same messages, of a scene that no engine made.
-import type { FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from '../../src/stream/messages';
+import type { EnginePicture, FromStreamWorker, StreamFigures, ToStreamWorker, WorkerScope } from '../../src/stream/messages';
 import { Publisher } from '../../src/stream/publisher';
+import { referencePicture } from './reference';
 import { syntheticScene } from './synthetic_scene';
 
 const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
@@ -16,22 +17,33 @@ const figures = (): StreamFigures => ({
   gaussians: scene.gaussians.length,
   sequence: poses,
   epoch: 1,
+  sceneVersion: 1,
   missing: 0,
   bytes: 32 * scene.gaussians.length,
   ageMs: 5,
   roundTripMs: 1,
 });
 
+/** What an engine would answer: the scene in double precision. */
+function engineDraws(probeId: number, floats: Float32Array): EnginePicture {
+  const [fx, fy, cx, cy, width, height] = floats.subarray(16);
+  const view = { viewFromWorld: Float64Array.from(floats.subarray(0, 16)), fx, fy, cx, cy, width, height };
+  const rgb = referencePicture(scene, view, state.background);
+  const rgba = new Uint8ClampedArray(4 * width * height).fill(255);
+  for (let i = 0; i < width * height; ++i) rgba.set(rgb.subarray(3 * i, 3 * i + 3), 4 * i);
+  return { probeId, width, height, rgba, transforms: state.transforms.slice() };
+}
+
 /** A few rows change: what the test says to a channel of its own. */
 new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
   const rows = Uint32Array.from({ length: data }, (_, row) => row);
-  publisher.publish(rows, scene.records.slice(0, 8 * data), noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+  publisher.publish({ rows, records: scene.records.slice(0, 8 * data) }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
 };
 
 scope.onmessage = ({ data }) => {
   if (data.kind === 'start') {
     clockOriginMs = data.clockOriginMs;
-    publisher.publish(Uint32Array.from(scene.gaussians, (_, row) => row), scene.records, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+    publisher.publish({ rows: Uint32Array.from(scene.gaussians, (_, row) => row), records: scene.records }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
     scope.postMessage({ kind: 'connection', state: 'open', retryS: 0 });
   } else if (data.kind === 'attach') {
     publisher.attach(data.port, data.standing);
@@ -40,6 +52,8 @@ scope.onmessage = ({ data }) => {
   } else if (data.kind === 'pose') {
     ++poses;
     scope.postMessage({ kind: 'figures', figures: figures() });
+  } else if (data.kind === 'probe') {
+    scope.postMessage({ kind: 'picture', picture: engineDraws(data.probeId, data.floats) });
   } else if (data.kind === 'bounds') {
     const bounds = publisher.bounds();
     if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });

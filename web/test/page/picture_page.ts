@@ -2,7 +2,8 @@
 import { viewFromWorld, type View } from '../../src/math';
 import { kRecordWords, type RowUpdate } from '../../src/records';
 import type { Frame, Picture, Renderer } from '../../src/render/renderer';
-import { Follower, loadWasm, Sorter } from '../../src/stream/wasm';
+import { RowMirror } from '../../src/stream/row_mirror';
+import { Follower, loadWasm, Sorter, type Exports } from '../../src/stream/wasm';
 import { makeRenderer } from '../../src/render/make_renderer';
 import { psnr, rgbOf, ssim } from './quality';
 import { referenceOrder, referencePicture, linearOf, srgb } from './reference';
@@ -49,7 +50,8 @@ function messagesOf(log: ArrayBuffer): ArrayBuffer[] {
 
 function takeRows(follower: Follower, renderer: Renderer, sorter: Sorter): void {
   const changed = follower.takeChanges(1 << 22);
-  renderer.apply({ rows: changed.rows.slice(), records: changed.records.slice(), fades: new Float32Array(changed.rows.length) });
+  const harmonics = changed.harmonics && { words: changed.harmonics.words, values: changed.harmonics.values.slice() };
+  renderer.apply({ rows: changed.rows.slice(), records: changed.records.slice(), fades: new Float32Array(changed.rows.length), harmonics });
   sorter.update(follower.rowCapacity, changed.rows.slice(), changed.records.slice());
   const colors = follower.takeColors(1 << 22);
   renderer.recolor({ rows: colors.rows.slice(), colors: colors.colors.slice() });
@@ -185,6 +187,36 @@ const tests = {
       pictures.push(await drawPoses(follower, renderer, sorter, poses));
     }
     return pictures;
+  },
+
+  /** What a recorded model costs the workers of a page: milliseconds of sorts from all around, memory. */
+  async million(log: string): Promise<object> {
+    const [following, sorting] = [await loadWasm('splatbus.wasm'), await loadWasm('splatbus.wasm')];
+    const follower = new Follower(following, 'measure', 4_000_000, 0);
+    const sorter = new Sorter(sorting);
+    const mirror = new RowMirror();
+    const kRows = 65536; // as the stream worker hands them on
+    for (const message of messagesOf(await (await fetch(log)).arrayBuffer())) {
+      if (follower.receive(message, 0) !== 'received') throw new Error(follower.error);
+      for (;;) {
+        const { rows, records } = follower.takeChanges(kRows);
+        if (rows.length === 0) break;
+        const update = mirror.take({ rows, records }, 1);
+        sorter.update(follower.rowCapacity, update.rows, update.records);
+        if (rows.length < kRows) break;
+      }
+    }
+    sorter.setTransforms(follower.transforms.slice(), 0);
+    const sortMs = [];
+    for (let k = 0; k < 25; ++k) {
+      const view = new Float32Array(testView(256, k).viewFromWorld);
+      const start = performance.now();
+      sorter.sort(view);
+      sortMs.push(performance.now() - start);
+    }
+    const megabytes = (wasm: Exports): number => wasm.memory.buffer.byteLength / 2 ** 20;
+    const { gaussians } = follower.stats;
+    return { count: gaussians, sortMs, followerMb: megabytes(following), sorterMb: megabytes(sorting), mirrorMb: mirror.bytes / 2 ** 20 };
   },
 
   /** Milliseconds a frame, for whoever wants to know. */

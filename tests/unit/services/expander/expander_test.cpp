@@ -27,6 +27,31 @@ TEST_P(ExpanderTest, InsertsARoundOnceInBoundedBatches) {
   EXPECT_EQ(trainer_->points.size(), round.size());
 }
 
+/// A surface that is seen more finely is filled as densely as there are steps to train it.
+TEST_P(ExpanderTest, ASlowOptimizerGetsFewerGaussians) {
+  std::map<double, std::size_t> added;
+  for (const double steps_per_s : {0.0, 1.0, 30.0}) {
+    start_trainer();
+    start();
+    publish_input(floor_round(-1, 1));
+    ASSERT_TRUE(settled_after(1));
+    const std::size_t before = trainer_->points.size();
+    publisher_.publish(topics::kTrainerStats, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
+      return wire::CreateTrainerStats(builder, header, 1, 1, 1, steps_per_s);
+    });
+    HostRound finer = floor_round(-1, 1, 0.2F);
+    for (float& spacing_m : finer.spacing_m) spacing_m *= 0.5F;
+    publish_input(finer);
+    ASSERT_TRUE(settled_after(2));
+    added[steps_per_s] = trainer_->points.size() - before;
+    expander_.reset();
+    trainer_.reset();
+  }
+  EXPECT_GT(added[30], 100U);
+  EXPECT_EQ(added[30], added[0]) << "while nobody knows, there is time";
+  EXPECT_LT(added[1], added[30] / 2);
+}
+
 TEST_P(ExpanderTest, RepeatsWhatIsNotAcknowledged) {
   start();
   trainer_->deaf = true;

@@ -25,9 +25,13 @@ using Settings = std::vector<std::pair<std::string, std::string>>;
 class RunningGateway {
  public:
   RunningGateway(std::shared_ptr<bus::Context> context, const std::string& streamer, const Settings& settings)
-      : options_(read(settings)), pipeline_(std::move(context)), site_(options_, pipeline_, traffic_) {
+      : options_(read(settings)),
+        pipeline_(context),
+        pages_(zmq_, streamer, options_.page_cache_bytes, traffic_),
+        models_(std::move(context), options_.max_model_gaussians, traffic_),
+        site_(options_, pipeline_, pages_, models_, traffic_) {
     gateway::check(options_);
-    server_ = std::make_unique<gateway::Server>(options_, streamer, site_, traffic_);
+    server_ = std::make_unique<gateway::Server>(options_, streamer, site_, pages_, traffic_);
     thread_ = std::thread([this] { server_->run(stop_.get_token(), [this] { pipeline_.poll(bus::now_ns()); }); });
   }
   ~RunningGateway() {
@@ -54,6 +58,9 @@ class RunningGateway {
   gateway::Options options_;
   gateway::PipelineView pipeline_;
   gateway::Traffic traffic_;
+  zmq::context_t zmq_;
+  gateway::PageLibrary pages_;
+  gateway::ModelFiles models_;
   gateway::Site site_;
   std::unique_ptr<gateway::Server> server_;
   std::stop_source stop_;
@@ -68,7 +75,6 @@ class FakeStreamer {
     router_.set(zmq::sockopt::sndhwm, 64);
     router_.set(zmq::sockopt::linger, 0);
     router_.set(zmq::sockopt::router_mandatory, true);
-    router_.set(zmq::sockopt::rcvtimeo, static_cast<int>(kPatience.count()));
     router_.bind(endpoint_);
   }
   [[nodiscard]] const std::string& endpoint() const { return endpoint_; }
@@ -78,7 +84,9 @@ class FakeStreamer {
     std::vector<std::string> frames;  ///< of the packet, without the rights before it
     std::string rights;
   };
-  Received receive() {
+  Received receive() { return receive(kPatience); }
+  Received receive(std::chrono::milliseconds timeout) {
+    router_.set(zmq::sockopt::rcvtimeo, static_cast<int>(timeout.count()));
     Received received;
     zmq::message_t frame;
     if (!router_.recv(frame)) return received;

@@ -2,6 +2,7 @@
 #include <dirent.h>
 
 #include <fstream>
+#include <thread>
 
 #include "gateway/packet_gate.h"
 #include "gateway_fixture.h"
@@ -183,6 +184,60 @@ TEST_F(Hostile, ARequestThatTricklesIsCutOff) {
   EXPECT_TRUE(ended);
 }
 
+TEST_F(Hostile, RequestsThatComeAllAtOnceAreAnsweredUpToABound) {
+  start({{"max_rate_kbps", "100000"}});
+  WireClient client(port_);
+  std::thread sender([&] {
+    std::string requests;
+    for (int i = 0; i < 1200; ++i) requests += "GET /none HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    client.send(requests);
+  });
+  const std::string all = client.receive_rest();
+  sender.join();
+  std::size_t answers = 0;
+  for (std::size_t at = all.find("HTTP/1.1 404"); at != std::string::npos; at = all.find("HTTP/1.1 404", at + 1)) {
+    ++answers;
+  }
+  EXPECT_EQ(answers, 1000U) << "then they have to connect again";
+  expect_good_one_served();
+}
+
+TEST_F(Hostile, UpgradesOneAfterTheOtherLeaveNothingBehind) {
+  start({{"max_connections", "20"}});
+  const std::size_t before = open_descriptors();
+  for (int i = 0; i < 100; ++i) {
+    WebSocketClient page(port_);
+    if (page.open() && i % 2 == 0) page.send_frame(Frame::kBinary, "garbage");
+  }
+  EXPECT_TRUE(bus_test::eventually([&] {
+    const auto now = status();
+    return now.is_object() && now["gateway"]["viewers"] == 1 && now["gateway"]["connections"] == 2;
+  }));
+  EXPECT_TRUE(bus_test::eventually([&] { return open_descriptors() <= before; }));
+  expect_good_one_served();
+}
+
+TEST_F(Hostile, AnUpgradeIsNotFollowedByWhatItsAnswerHasNotAllowedYet) {
+  start();
+  const std::string upgrade =
+      "GET /stream HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+      "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+      "Sec-WebSocket-Protocol: splatbus.stream.1\r\n\r\n";
+  const HttpAnswer answer = ask(port_, upgrade + "GET /status HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  EXPECT_EQ(answer.status, 400);
+  EXPECT_EQ(answer.body, "too early\n");
+  expect_good_one_served();
+}
+
+TEST_F(Hostile, WhoSaysNoMoreThanOneRequestGetsItsAnswer) {
+  start();
+  WireClient client(port_);
+  client.send("GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  client.end_sending();
+  EXPECT_EQ(parse_answer(client.receive_rest()).status, 200);
+  expect_good_one_served();
+}
+
 TEST_F(Hostile, ASilentBrowserIsLetGo) {
   start_with_fake({{"idle_s", "0.4"}});
   WebSocketClient silent(port_);
@@ -225,7 +280,8 @@ TEST_F(Hostile, TheStreamerHeedsTheRightsOfABrowser) {
       for (auto body = wire::Body::NONE; body != wire::Body::Welcome;) {
         const auto message = page.receive();
         ASSERT_TRUE(message);
-        const auto framed = gateway::unframe({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
+        const auto framed =
+            stream::take_apart({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
         body = stream::ParsedPacket::parse(framed.packet, framed.payload).body();
       }
     };

@@ -1,6 +1,7 @@
 // Figures, as Prometheus and people read them.
 #include "gateway/metrics.h"
 
+#include <map>
 #include <regex>
 #include <set>
 #include <sstream>
@@ -28,8 +29,8 @@ class Figures : public bus_test::BusTest {
     publisher_.publish(topics::kStreamStats, [](auto& builder, auto header) {
       const std::vector<flatbuffers::Offset<wire::PacketBytes>> types{
           wire::CreatePacketBytesDirect(builder, "TensorDelta", 123456, 10, 17)};
-      return wire::CreateStreamStatsDirect(builder, header, 1, 2, 4, 3, 4000, 5000, 123456, 10, 1, 0.5, 0.25, 2, 6, 7, 9,
-                                           8, &types);
+      return wire::CreateStreamStatsDirect(builder, header, 1, 2, 4, 3, 4000, 5000, 123456, 10, 1, 0.5, 0.25, 2, 6, 7,
+                                           9, 8, &types);
     });
     publisher_.publish(topics::kTrainerStats, [](auto& builder, auto header) {
       wire::TrainerStatsBuilder stats(builder);
@@ -90,6 +91,39 @@ TEST_F(Figures, AreThoseOfTheBus) {
     EXPECT_LT(service["heartbeat_age_s"], 10);
   }
   EXPECT_TRUE(found);
+}
+
+// What promtool's "check metrics" asks for, and the format itself.
+TEST_F(Figures, AreNamedAsPrometheusWantsThem) {
+  gather();
+  std::istringstream lines(metrics());
+  std::map<std::string, std::string> types;
+  std::set<std::string> helped, series;
+  const std::regex sample(R"re(^([a-z_]+)(\{([a-z_]+="[^"]*",?)*\})? [-+0-9.e]+(Inf|NaN)?$)re"),
+      name("splatbus(_[a-z0-9]+)+");
+  for (std::string line; std::getline(lines, line);) {
+    std::istringstream words(line);
+    std::string hash, what, metric, rest;
+    words >> hash >> what >> metric;
+    std::getline(words, rest);
+    std::smatch match;
+    if (hash == "#" && what == "HELP") {
+      EXPECT_TRUE(helped.insert(metric).second) << metric << " twice";
+      EXPECT_GT(rest.size(), 1U) << metric;
+    } else if (hash == "#" && what == "TYPE") {
+      EXPECT_TRUE(types.emplace(metric, rest).second) << metric << " twice";
+      EXPECT_TRUE(std::regex_match(metric, name)) << metric;
+      EXPECT_EQ(rest == " counter", metric.ends_with("_total")) << metric << rest;
+      for (const char* part : {"_ms", "_milliseconds", "_kbps", "_mbps", "_mb", "_count", "_gauge", "_counter"}) {
+        EXPECT_FALSE(metric.ends_with(part)) << metric << ": base units, and no types in names";
+      }
+    } else {
+      ASSERT_TRUE(std::regex_match(line, match, sample)) << line;
+      EXPECT_TRUE(types.contains(match[1]) && helped.contains(match[1])) << line;
+      EXPECT_TRUE(series.insert(line.substr(0, line.rfind(' '))).second) << line << " twice";
+    }
+  }
+  EXPECT_GT(types.size(), 30U);
 }
 
 TEST_F(Figures, EveryMetricOfTheDashboardExists) {

@@ -21,10 +21,10 @@ class PacketGate : public GatewayTest {
 
 TEST_F(PacketGate, FramingIsALengthAndWhatFollows) {
   const std::vector<std::uint8_t> message{3, 0, 0, 0, 10, 11, 12, 13, 14};
-  const auto framed = gateway::unframe(message);
+  const auto framed = stream::take_apart(message);
   EXPECT_THAT(framed.packet, testing::ElementsAre(10, 11, 12));
   EXPECT_THAT(framed.payload, testing::ElementsAre(13, 14));
-  EXPECT_TRUE(gateway::unframe(std::span(message).first(7)).payload.empty());
+  EXPECT_TRUE(stream::take_apart(std::span(message).first(7)).payload.empty());
   for (const std::vector<std::uint8_t>& wrong :
        std::vector<std::vector<std::uint8_t>>{{},
                                               {1},
@@ -34,7 +34,7 @@ TEST_F(PacketGate, FramingIsALengthAndWhatFollows) {
                                               {1, 1, 0, 0, 9},
                                               {255, 255, 255, 255, 9},
                                               {252, 255, 255, 255, 9, 9, 9, 9}}) {
-    EXPECT_THROW(static_cast<void>(gateway::unframe(wrong)), stream::StreamError);
+    EXPECT_THROW(static_cast<void>(stream::take_apart(wrong)), stream::StreamError);
   }
 }
 

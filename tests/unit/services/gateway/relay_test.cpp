@@ -23,7 +23,7 @@ class Follower {
         greet();
         continue;
       }
-      const auto framed = gateway::unframe({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
+      const auto framed = stream::take_apart({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
       const auto packet = stream::ParsedPacket::parse(framed.packet, framed.payload);
       if (packet.body() == wire::Body::Welcome && packet.root().body_as_Welcome()->asks()) greet();
       replica_.receive(packet);
@@ -67,6 +67,28 @@ TEST_F(Relay, ManyBrowsersHoldIt) {
   for (int i = 0; i < 20; ++i) pages.push_back(std::make_unique<Follower>(port_, "page " + std::to_string(i)));
   for (const auto& page : pages) EXPECT_TRUE(page->until([&] { return page->replica().count() == 500; }));
   EXPECT_EQ(status()["gateway"]["viewers"], 20);
+}
+
+TEST_F(Relay, OneThatStopsReadingHarmsNoneOfTwenty) {
+  start_streamer();
+  start_gateway(endpoint(), {{"stall_s", "0.5"}});
+  trainer_.publish(stream::test::toy_model(500, 1));
+  std::vector<std::unique_ptr<Follower>> pages;
+  for (int i = 0; i < 20; ++i) pages.push_back(std::make_unique<Follower>(port_, "page " + std::to_string(i)));
+  WebSocketClient::Options slow;
+  slow.wire.receive_buffer = 4096;
+  WebSocketClient stopped(port_, slow);
+  stopped.send_packet(hello("stopped").packet);
+  // The model grows by more than all buffers on its way hold, until it has been let go of.
+  std::size_t count = 500;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    count += 1000;
+    trainer_.publish(stream::test::toy_model(count, static_cast<std::uint32_t>(count)));
+    for (const auto& page : pages) EXPECT_TRUE(page->until([&] { return page->replica().count() == count; }));
+    stopped.send_packet(pose().packet);  // it is no silent one
+    return refused("stalled") == 1;
+  }));
+  EXPECT_TRUE(bus_test::eventually([&] { return status()["gateway"]["viewers"] == 20; }));
 }
 
 TEST_F(Relay, AStreamerThatComesBackIsFoundByTheSameConnection) {

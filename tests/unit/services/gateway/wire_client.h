@@ -24,7 +24,7 @@
 namespace splatbus::gateway_test {
 
 using namespace std::chrono_literals;
-inline constexpr std::chrono::milliseconds kPatience = 10s;
+inline constexpr std::chrono::milliseconds kPatience = 60s;
 
 /// A TCP connection to this machine, with TLS where that is asked for, that sends exactly the bytes that it is told to.
 class WireClient {

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "../../bus/bus_fixture.h"
 
 namespace splatbus::streamer {
@@ -74,6 +76,20 @@ TEST_F(EndpointTest, PacketAndPayloadArriveTogether) {
   ASSERT_EQ(received.size(), 2U);
   EXPECT_TRUE(std::ranges::equal(received[0].packet.payload(), stream::Bytes{1, 2, 3}));
   EXPECT_EQ(endpoint_.malformed(), 0U);
+}
+
+TEST_F(EndpointTest, GarbageTakesItsShareOfATurnAndNoMore) {
+  zmq::socket_t hostile = connect("hostile");
+  hostile.set(zmq::sockopt::sndhwm, 0);
+  for (int i = 0; i < 3000; ++i) send(hostile, {{1, 2, 3}});
+  std::uint64_t most = 0;
+  ASSERT_TRUE(bus_test::eventually([&] {
+    const std::uint64_t before = endpoint_.malformed();
+    EXPECT_FALSE(endpoint_.receive().has_value());
+    most = std::max(most, endpoint_.malformed() - before);
+    return endpoint_.malformed() == 3000;
+  }));
+  EXPECT_LE(most, 256U);
 }
 
 }  // namespace

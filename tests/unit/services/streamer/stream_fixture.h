@@ -73,6 +73,8 @@ class FakeTrainer {
     return pages_.publish(publisher_, model, ++generation_);
   }
   [[nodiscard]] std::uint64_t generation() const { return generation_; }
+  /// All pages of what is published from now on are frozen, or none is.
+  void freeze(bool frozen) { pages_.frozen = frozen; }
 
   /// As relight does, by index.
   void publish_visibility(const std::vector<std::uint8_t>& of_index, std::uint64_t generation, std::uint64_t version,

@@ -71,12 +71,12 @@ class ViewerHubTest : public testing::Test {
   stream::PacketWriter writer_{"viewer", 1};
   Endpoint endpoint_;
   stream::StreamModel model_{stream::PacketWriter("streamer", 1), 77, stream::StreamOptions{}};
-  std::uint64_t poses_ = 0, scenes_ = 0;
+  std::uint64_t poses_ = 0, scenes_ = 0, qualities_ = 0;
   std::vector<std::uint64_t> probes_;
   ViewerHub hub_{endpoint_, model_, stream::PacketWriter("streamer", 1), HubOptions{.viewer_kbps = 1e7},
                  HubEvents{.pose = [this](const auto&, const auto&) { ++poses_; },
                            .probe = [this](const auto&, const auto& body) { probes_.push_back(body.probe_id()); },
-                           .quality = [](const auto&, const auto&) {}}};
+                           .quality = [this](const auto&, const auto&) { ++qualities_; }}};
   std::int64_t now_ns_ = kSecond;
 };
 
@@ -233,6 +233,45 @@ TEST_F(ViewerHubTest, AWelcomeAsksOnlyWhomItDoesNotKnow) {
     say(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "viewer"); });
     EXPECT_FALSE(next_welcome());
   }
+}
+
+TEST_F(ViewerHubTest, AQualityCountsForAPictureThatWasSentAndOnce) {
+  join();
+  const auto quality = [&](std::uint64_t id) {
+    const std::uint64_t known = qualities_ + hub_.ignored();
+    say(wire::Body::Quality, [&](auto& b) { return wire::CreateQuality(b, id, 99, 1, 0); });
+    return bus_test::eventually([&] { return hub_.receive(now_ns_), qualities_ + hub_.ignored() > known; });
+  };
+  ASSERT_TRUE(quality(7));
+  EXPECT_EQ(qualities_, 0U) << "of a picture that it was never sent";
+  probe(7);
+  ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_), probes_.size() == 1; }));
+  const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1));
+  hub_.send_probe_picture(7, writer_.write(77, 0, wire::Body::ProbePicture, [&](auto& b) {
+    return wire::CreateProbePicture(b, 7, &camera, 0, 0, to_wire(b, Light{}));
+  }));
+  ASSERT_TRUE(quality(7));
+  EXPECT_EQ(qualities_, 1U);
+  ASSERT_TRUE(quality(7));
+  EXPECT_EQ(qualities_, 1U) << "said again";
+}
+
+TEST_F(ViewerHubTest, HellosAloneFillItForSecondsOnly) {
+  const std::size_t most = HubOptions().max_viewers;
+  std::vector<zmq::socket_t> crowd;
+  for (std::size_t i = 0; i < most; ++i) {
+    crowd.emplace_back(context_, zmq::socket_type::dealer);
+    crowd.back().set(zmq::sockopt::linger, 0);
+    crowd.back().connect(endpoint_.bound().front());
+    const auto hello = writer_.write(0, 0, wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "x"); });
+    (void)crowd.back().send(zmq::buffer(hello.packet), zmq::send_flags::none);
+  }
+  // Strangers are answered so many times a second.
+  ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_ += kSecond / 100), hub_.viewers() == most; }));
+  now_ns_ += 6 * kSecond;
+  hub_.expire(now_ns_);
+  EXPECT_EQ(hub_.viewers(), 0U);
+  join();
 }
 
 }  // namespace

@@ -23,9 +23,15 @@ class WorldKeeperTest : public model::DeviceTest {
   [[nodiscard]] std::string folder() const { return directory_.path() + "/world"; }
 
   void start(const WorldParameters& parameters = {}, std::size_t max_gaussians = kKeptGaussians) {
+    start_store(max_gaussians);
+    start_keeper(parameters);
+  }
+  void start_store(std::size_t max_gaussians = kKeptGaussians) {
     context_ = connect("trainer");
     store_ = std::make_unique<model::PageStore>(context_, ParameterLayout{},
                                                 model::PageStoreOptions{.max_gaussians = max_gaussians}, GetParam());
+  }
+  void start_keeper(const WorldParameters& parameters = {}) {
     WorldParameters with = parameters;
     with.folder = folder();
     with.period_s = 0.01;
@@ -166,6 +172,27 @@ TEST_P(WorldKeeperTest, ADiskThatRefusesStopsNobody) {
     keeper_->turn();
     return keeper_->stats().rounds > 0;
   }));
+  end(true);
+  start();
+  expect_whole(Found(*store_), truth_);
+}
+
+TEST_P(WorldKeeperTest, ADiskThatIsFullAtTheStartStopsNobody) {
+  start_store();
+  ::signal(SIGXFSZ, SIG_IGN);
+  rlimit before{};
+  ::getrlimit(RLIMIT_FSIZE, &before);
+  const rlimit none{.rlim_cur = 0, .rlim_max = before.rlim_max};
+  ::setrlimit(RLIMIT_FSIZE, &none);
+  start_keeper();
+  EXPECT_EQ(keeper_->stats().refused_rounds, 1U);
+  ::setrlimit(RLIMIT_FSIZE, &before);
+  change(3);
+  ASSERT_TRUE(bus_test::eventually([&] {
+    keeper_->turn();
+    return keeper_->stats().rounds > 0;
+  }));
+  expect_whole(Found(*store_), truth_);
   end(true);
   start();
   expect_whole(Found(*store_), truth_);

@@ -22,13 +22,13 @@ class WorldSpillTest : public model::DeviceTest {
  protected:
   ~WorldSpillTest() override { keeper_.reset(); }
 
-  void start(std::size_t disk_bytes = 0) {
+  void start(std::size_t disk_bytes = 0, float fetch_m = kFetch_m) {
     WorldParameters parameters{.folder = directory_.path() + "/world", .period_s = 0.01};
     parameters.device_bytes = parameters.host_bytes = kPages * 962560 + 1000;
     parameters.disk_bytes = disk_bytes;
-    parameters.fetch_m = kFetch_m;
+    parameters.fetch_m = fetch_m;
     context_ = connect("trainer");
-    const std::size_t most = WorldKeeper::most_pages(parameters, {}, GetParam());
+    const std::size_t most = WorldKeeper::most_pages(parameters, {}, GetParam(), 1);
     ASSERT_EQ(most, kPages);
     store_ = std::make_unique<model::PageStore>(
         context_, ParameterLayout{}, model::PageStoreOptions{.max_gaussians = 1000000, .max_pages = most + 64},
@@ -173,7 +173,8 @@ TEST_P(WorldSpillTest, AnotherTrainerGoesOnWithBoth) {
 }
 
 TEST_P(WorldSpillTest, BeyondTheDiskTheFarthestIsForgottenAndSeenAnew) {
-  start(std::size_t{1800000});
+  constexpr std::size_t kDisk = 3'000'000;
+  start(kDisk);
   walk_out();
   std::set<int> folder_has;
   ASSERT_TRUE(turn_until([&] {
@@ -182,11 +183,51 @@ TEST_P(WorldSpillTest, BeyondTheDiskTheFarthestIsForgottenAndSeenAnew) {
     for (const auto& [key, entry] : folder.pages()) {
       folder_has.insert(static_cast<int>(std::floor(entry.bounds.low.x / 10)));
     }
-    return folder.live_bytes() <= std::size_t{1800000};
+    return folder.live_bytes() <= kDisk && !folder_has.contains(0);
   }));
-  EXPECT_FALSE(folder_has.contains(0));
   EXPECT_TRUE(folder_has.contains(39));
   EXPECT_EQ(insert(*store_, heap(0), 1000).left_out, 0U);
+  // All values change, again and again: what no longer counts is compacted in time.
+  for (int again = 0; again < 8; ++again) {
+    store_->add_step(1, 0.1);
+    const std::uint64_t pages = keeper_->stats().pages;
+    ASSERT_TRUE(turn_until([&] {
+      EXPECT_LE(keeper_->stats().disk_bytes, kDisk);
+      return keeper_->stats().pages >= pages + 10;
+    }));
+  }
+}
+
+/// With more to come back than there is room for, what is near takes the place of what is far.
+TEST_P(WorldSpillTest, ThereIsRoomForWhatIsNearWhereAllIsToComeBack) {
+  start(0, 1000);
+  walk_out();
+  EXPECT_FALSE(heaps_here().contains(0));
+  stand(5);
+  ASSERT_TRUE(turn_until([&] { return all_near(5); }));
+  EXPECT_FALSE(heaps_here().contains(39));
+  expect_everybody();
+}
+
+/// What rests has no moments: more of it has room, and as much as the ceiling says.
+TEST_P(WorldSpillTest, WhatRestsTakesLessOfTheCeiling) {
+  start();
+  int heaps = 0;
+  while (keeper_->stats().spilled_pages == 0) {
+    ASSERT_LT(heaps, 40);
+    stand(10.0F * static_cast<float>(heaps) + 5);
+    const model::Batch batch = heap(heaps);
+    insert(*store_, batch, static_cast<std::uint64_t>(++heaps));
+    truth_.insert(batch, batch.count);
+    std::vector<std::uint32_t> pages;
+    for (const IndexRange& range : store_->view().ranges) pages.push_back(range.first / kPageLanes);
+    store_->freeze(pages);
+    const std::uint64_t rounds = keeper_->stats().rounds;
+    ASSERT_TRUE(turn_until([&] { return keeper_->stats().rounds > rounds; }));
+  }
+  EXPECT_GT(store_->page_count() + keeper_->stats().spilled_pages, kPages);
+  EXPECT_LE(store_->page_count() * 626688, kPages * 962560);
+  EXPECT_EQ(heaps_here().contains(0), false) << "the farthest goes first";
 }
 
 INSTANTIATE_TEST_SUITE_P(Devices, WorldSpillTest, testing::Values(Device::Cpu, Device::Cuda), model::device_name);

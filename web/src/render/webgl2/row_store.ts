@@ -1,5 +1,6 @@
 import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
+import { HarmonicStore } from './harmonic_store';
 import { kRowsWide } from './layout';
 import { kScatterFragment, kScatterVertex } from './shaders';
 
@@ -18,6 +19,7 @@ export class RowStore {
   readonly #arrays: WebGLVertexArrayObject;
   readonly #colorArrays: WebGLVertexArrayObject;
   readonly #buffers: readonly [WebGLBuffer, WebGLBuffer, WebGLBuffer, WebGLBuffer];
+  readonly #harmonics: HarmonicStore;
   readonly uploaded = { rows: 0, bytes: 0 };
 
   constructor(private readonly gl: Gl) {
@@ -46,12 +48,14 @@ export class RowStore {
     // Where an array is not given: of the shader's type.
     for (const location of [1, 2, 4]) gl.vertexAttribI4ui(location, 0, 0, 0, 0);
     this.#textures = this.#make(8);
+    this.#harmonics = new HarmonicStore(gl);
   }
 
   bind(program: Program): void {
     program.sampler('uGeometry', 0, this.#textures.geometry);
     program.sampler('uAppearance', 1, this.#textures.appearance);
     program.sampler('uFade', 2, this.#textures.fade);
+    this.#harmonics.bind(program, 5, this.#textures.geometry);
   }
 
   apply(update: RowUpdate): void {
@@ -65,6 +69,7 @@ export class RowStore {
       [fades, update.fades],
     ] as const;
     this.#draw(contents, this.#arrays, update.rows.length);
+    this.uploaded.bytes += this.#harmonics.apply(update, this.#textures.high);
   }
 
   recolor(update: ColorUpdate): void {

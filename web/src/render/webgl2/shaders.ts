@@ -15,6 +15,8 @@ uniform usampler2D uAppearance;  // log scale z and rotation, opacity and object
 uniform sampler2D uFade;
 uniform usampler2D uOrder;
 uniform sampler2D uObjects;      // camera_from_object, three texels an object
+uniform usampler2D uHarmonics;
+uniform int uHarmonicTexels;     // of a row, eight half floats each; 0: colors do not depend on where one looks from
 uniform int uCount;
 uniform int uObjectsWide;        // objects a row of uObjects
 uniform vec4 uPinhole;           // fx, fy, cx, cy
@@ -49,6 +51,30 @@ mat3 rotationOf(vec3 vector) {
 vec3 colorOf(uint word) {
   uvec3 mantissa = uvec3(word, word >> 9, word >> 18) & 0x1ffu;
   return vec3(mantissa) * exp2(float(int(word >> 27) - 24));
+}
+
+vec3 radianceOf(int row, vec3 d) {
+  float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z;
+  float basis[16] = float[16](
+    1.0,
+    -0.4886025119 * d.y, 0.4886025119 * d.z, -0.4886025119 * d.x,
+    1.0925484306 * d.x * d.y, -1.0925484306 * d.y * d.z, 0.3153915653 * (2.0 * zz - xx - yy), -1.0925484306 * d.x * d.z,
+    0.5462742153 * (xx - yy),
+    -0.5900435899 * d.y * (3.0 * xx - yy), 2.8906114426 * d.x * d.y * d.z, -0.4570457995 * d.y * (4.0 * zz - xx - yy),
+    0.3731763326 * d.z * (2.0 * zz - 3.0 * xx - 3.0 * yy), -0.4570457995 * d.x * (4.0 * zz - xx - yy),
+    1.4453057213 * d.z * (xx - yy), -0.5900435899 * d.x * (xx - 3.0 * yy));
+  vec3 sum = vec3(0.0);
+  ivec2 first = ivec2(row % ${kRowsWide}, (row / ${kRowsWide}) * uHarmonicTexels);
+  for (int texel = 0; texel < uHarmonicTexels; ++texel) {
+    uvec4 words = texelFetch(uHarmonics, first + ivec2(0, texel), 0);
+    for (int i = 0; i < 4; ++i) {
+      vec2 two = unpackHalf2x16(words[i]);
+      int at = 8 * texel + 2 * i;
+      sum[at % 3] += basis[at / 3] * two.x;
+      sum[(at + 1) % 3] += basis[(at + 1) / 3] * two.y;
+    }
+  }
+  return max(sum, 0.0);
 }
 
 float fadeOf(float since) {
@@ -104,7 +130,10 @@ void main() {
   vec2 pixel = centre + offset;
   gl_Position = vec4(2.0 * pixel.x / uSize.x - 1.0, 1.0 - 2.0 * pixel.y / uSize.y, 0.0, 1.0);
   vWhite = white;
-  vColor = vec4(colorOf(appearance.w), log2Alpha);
+  vec3 color = uHarmonicTexels == 0
+      ? colorOf(appearance.w)
+      : radianceOf(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
+  vColor = vec4(color, log2Alpha);
 }`;
 
 export const kSplatFragment = `#version 300 es
@@ -177,3 +206,27 @@ void main() {
   oAppearance = vAppearance;
   oFade = vFade;
 }`;
+
+/** Writes one texel of rows' harmonics. */
+export const kHarmonicVertex = `#version 300 es
+precision highp float;
+precision highp int;
+layout(location = 0) in uint aRow;
+layout(location = 1) in uvec4 aWords;
+uniform vec2 uStoreSize;
+uniform uint uTexel;
+uniform uint uTexels;
+flat out uvec4 vWords;
+void main() {
+  vec2 texel = vec2(float(aRow % ${kRowsWide}u), float(aRow / ${kRowsWide}u * uTexels + uTexel)) + 0.5;
+  gl_Position = vec4(2.0 * texel / uStoreSize - 1.0, 0.0, 1.0);
+  gl_PointSize = 1.0;
+  vWords = aWords;
+}`;
+
+export const kHarmonicFragment = `#version 300 es
+precision highp float;
+precision highp int;
+flat in uvec4 vWords;
+out uvec4 oWords;
+void main() { oWords = vWords; }`;

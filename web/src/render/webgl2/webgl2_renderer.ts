@@ -1,7 +1,7 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
 import { batchIndices, kBatch } from '../quads';
-import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
+import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Eye, type EyeRenderer, type Frame, type Picture } from '../renderer';
 import { Program, makeTarget, makeTexture, type Gl } from './gl';
 import { kOrderWidth } from './layout';
 import { RowStore } from './row_store';
@@ -17,7 +17,7 @@ interface Target {
 /** Objects a row of their texture: three texels each, within what every device takes. */
 const kObjectsWide = 512;
 
-export class WebGl2Renderer implements Renderer {
+export class WebGl2Renderer implements EyeRenderer {
   readonly api = 'webgl2';
   readonly sortsItself = false;
   readonly lost: Promise<string>;
@@ -121,6 +121,15 @@ export class WebGl2Renderer implements Renderer {
     return { width, height, rgba };
   }
 
+  async forXr(): Promise<WebGL2RenderingContext> {
+    await (this.#gl as Gl & { makeXRCompatible(): Promise<void> }).makeXRCompatible();
+    return this.#gl;
+  }
+
+  drawEyes(target: WebGLFramebuffer | null, eyes: readonly Eye[], frame: Frame): void {
+    for (const { view, x, y } of eyes) this.#drawTo(target, { ...frame, view }, x, y);
+  }
+
   async finish(): Promise<void> {
     this.#gl.finish();
   }
@@ -138,11 +147,11 @@ export class WebGl2Renderer implements Renderer {
     return { texture: makeTexture(this.#gl, this.#gl.RGBA32F, 3 * kObjectsWide, high, this.#gl.NEAREST), high };
   }
 
-  #drawTo(framebuffer: WebGLFramebuffer | null, frame: Frame): void {
+  #drawTo(framebuffer: WebGLFramebuffer | null, frame: Frame, x = 0, y = 0): void {
     const gl = this.#gl;
     const target = this.#drawSplats(frame);
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    gl.viewport(0, 0, frame.view.width, frame.view.height);
+    gl.viewport(x, y, frame.view.width, frame.view.height);
     gl.disable(gl.BLEND);
     this.#resolve.use();
     this.#resolve.sampler('uSplats', 0, target.texture);

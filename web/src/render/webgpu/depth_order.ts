@@ -41,7 +41,7 @@ export class DepthOrder {
       this.#steps.push({ pipeline, over, group: bindGroup(device, pipeline, buffers) });
     };
     const { seen } = this;
-    step(pipelines.project, 'rows', { 0: view, 1: rows.records, 2: rows.fades, 3: objects, 4: this.splats, 5: keys, 6: blockCounts });
+    step(pipelines.project, 'rows', { 0: view, 1: rows.records, 2: rows.fades, 3: objects, 4: this.splats, 5: keys, 6: blockCounts, 7: rows.harmonics });
     step(pipelines.countSeen, 'one', { 0: view, 1: blockCounts, 2: seen, 3: this.#sortArgs, 4: this.drawArgs });
     step(pipelines.closeUp, 'rows', { 0: view, 1: keys, 2: blockCounts, 3: from.keys, 4: from.rows });
     for (const shift of pipelines.shifts) {

@@ -1,5 +1,5 @@
 import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
-import { kScatterColors, kScatterRows, kThreads } from './shaders';
+import { kScatterColors, kScatterHarmonics, kScatterRows, kThreads } from './shaders';
 
 /** A pipeline of one shader that computes. */
 export function computePipeline(device: GPUDevice, label: string, code: string): GPUComputePipeline {
@@ -28,6 +28,10 @@ export class RowBuffers {
   used = 0;
   records: GPUBuffer;
   fades: GPUBuffer;
+  /** [capacity][harmonicWords]; something where there are none. */
+  harmonics: GPUBuffer;
+  harmonicWords = 0;
+  readonly #scatterHarmonics: GPUComputePipeline;
   readonly #scatterRows: GPUComputePipeline;
   readonly #scatterColors: GPUComputePipeline;
   readonly #staging = new Map<string, GPUBuffer>();
@@ -35,10 +39,12 @@ export class RowBuffers {
 
   constructor(private readonly device: GPUDevice) {
     this.#scatterRows = computePipeline(device, 'scatter rows', kScatterRows);
+    this.#scatterHarmonics = computePipeline(device, 'scatter harmonics', kScatterHarmonics);
     this.#scatterColors = computePipeline(device, 'scatter colors', kScatterColors);
     this.#count = device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.records = this.#make(kRecordWords);
     this.fades = this.#make(1);
+    this.harmonics = this.#make(1);
     this.#reserve(16384);
   }
 
@@ -54,6 +60,20 @@ export class RowBuffers {
       3: this.records,
       4: this.fades,
     });
+    this.uploaded.rows += update.rows.length;
+    if (update.rows.length > 0) this.#applyHarmonics(update);
+  }
+
+  #applyHarmonics({ rows, harmonics }: RowUpdate): void {
+    const words = harmonics?.words ?? 0;
+    if (words !== this.harmonicWords) {
+      this.harmonicWords = words;
+      this.harmonics.destroy();
+      this.harmonics = this.#make(Math.max(words, 1));
+    }
+    if (!harmonics) return;
+    const staged = { 0: this.#stage('rows', rows, false), 1: this.#stage('harmonics', harmonics.values), 3: this.harmonics };
+    this.#scatter(this.#scatterHarmonics, rows.length, staged, words);
   }
 
   recolor(update: ColorUpdate): void {
@@ -62,6 +82,7 @@ export class RowBuffers {
       1: this.#stage('colors', update.colors),
       3: this.records,
     });
+    this.uploaded.rows += update.rows.length;
   }
 
   clear(): void {
@@ -71,9 +92,9 @@ export class RowBuffers {
     this.used = 0;
   }
 
-  #scatter(pipeline: GPUComputePipeline, count: number, buffers: Readonly<Record<number, GPUBuffer>>): void {
+  #scatter(pipeline: GPUComputePipeline, count: number, buffers: Readonly<Record<number, GPUBuffer>>, words = 0): void {
     if (count === 0) return;
-    this.device.queue.writeBuffer(this.#count, 0, new Uint32Array([count]));
+    this.device.queue.writeBuffer(this.#count, 0, new Uint32Array([count, words]));
     const commands = this.device.createCommandEncoder();
     const pass = commands.beginComputePass();
     pass.setPipeline(pipeline);
@@ -81,10 +102,9 @@ export class RowBuffers {
     pass.dispatchWorkgroups(Math.ceil(count / kThreads));
     pass.end();
     this.device.queue.submit([commands.finish()]);
-    this.uploaded.rows += count;
   }
 
-  #stage(name: string, data: Uint32Array | Float32Array): GPUBuffer {
+  #stage(name: string, data: Uint32Array | Float32Array, isNew = true): GPUBuffer {
     let buffer = this.#staging.get(name);
     if (!buffer || buffer.size < data.byteLength) {
       buffer?.destroy();
@@ -92,6 +112,7 @@ export class RowBuffers {
       buffer = this.device.createBuffer({ label: name, size, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST });
       this.#staging.set(name, buffer);
     }
+    if (!isNew) return buffer;
     this.device.queue.writeBuffer(buffer, 0, data as Uint32Array<ArrayBuffer>);
     this.uploaded.bytes += data.byteLength;
     return buffer;
@@ -104,13 +125,15 @@ export class RowBuffers {
 
   #reserve(rows: number): void {
     if (rows <= this.capacity) return;
-    const most = Math.floor(this.device.limits.maxStorageBufferBindingSize / (4 * kRecordWords));
+    const widest = Math.max(kRecordWords, this.harmonicWords);
+    const most = Math.floor(this.device.limits.maxStorageBufferBindingSize / (4 * widest));
     this.capacity = Math.min(Math.max(rows, 2 * this.capacity), most);
-    const before = [this.records, this.fades];
+    const before = [this.records, this.fades, this.harmonics];
     this.records = this.#make(kRecordWords);
     this.fades = this.#make(1);
+    this.harmonics = this.#make(Math.max(this.harmonicWords, 1));
     const commands = this.device.createCommandEncoder();
-    [this.records, this.fades].forEach((after, i) => commands.copyBufferToBuffer(before[i], 0, after, 0, before[i].size));
+    [this.records, this.fades, this.harmonics].forEach((after, i) => commands.copyBufferToBuffer(before[i], 0, after, 0, before[i].size));
     this.device.queue.submit([commands.finish()]);
     for (const buffer of before) buffer.destroy();
   }

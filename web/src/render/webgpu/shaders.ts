@@ -21,6 +21,7 @@ struct View {
   rows: u32,
   background: vec3f,
   display_space: u32,
+  harmonic_words: u32,  // of a row; 0: colors do not depend on where one looks from
 }
 @group(0) @binding(0) var<uniform> view: View;
 `;
@@ -60,6 +61,16 @@ export const kScatterColors = `
   records[2 * rows[id.x] + 1].w = changed[id.x];
 }`;
 
+export const kScatterHarmonics = `
+@group(0) @binding(0) var<storage, read> rows: array<u32>;
+@group(0) @binding(1) var<storage, read> changed: array<u32>;
+@group(0) @binding(3) var<storage, read_write> harmonics: array<u32>;
+@group(0) @binding(5) var<uniform> count: vec2u;  // rows, words of each
+@compute @workgroup_size(${kThreads}) fn main(@builtin(global_invocation_id) id: vec3u) {
+  if (id.x >= count.x) { return; }
+  for (var k = 0u; k < count.y; k++) { harmonics[count.y * rows[id.x] + k] = changed[count.y * id.x + k]; }
+}`;
+
 /** Of every row what the quads need, and a key: nearer is greater; kUnseen where nothing can show. */
 export const kProject = `${kView}${kSplat}
 @group(0) @binding(1) var<storage, read> records: array<vec4u>;
@@ -68,6 +79,7 @@ export const kProject = `${kView}${kSplat}
 @group(0) @binding(4) var<storage, read_write> splats: array<Splat>;
 @group(0) @binding(5) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(6) var<storage, read_write> block_counts: array<u32>;
+@group(0) @binding(7) var<storage, read> harmonics: array<u32>;
 
 const kBlur = 0.3;
 const kNear = 0.05;
@@ -97,6 +109,37 @@ fn rotation_of(vector: vec3f) -> mat3x3f {
 fn fade_of(since: f32) -> f32 {
   let part = clamp((view.time - abs(since)) * ${(1 / kFadeS).toFixed(4)}, 0.0, 1.0);
   return select(part, 1.0 - part, since < 0.0);
+}
+
+fn rgb9e5(color: vec3f) -> u32 {
+  let bounded = clamp(color, vec3f(0), vec3f(65408));
+  let largest = max(max(bounded.r, bounded.g), max(bounded.b, 3e-5));
+  var exponent = clamp(i32(bitcast<u32>(largest) >> 23) - 127 + 16, 0, 31);
+  if (floor(largest * exp2(f32(24 - exponent)) + 0.5) >= 512) { exponent += 1; }
+  let steps = vec3u(bounded * exp2(f32(24 - exponent)) + 0.5);
+  return steps.r | (steps.g << 9) | (steps.b << 18) | (u32(exponent) << 27);
+}
+
+fn radiance_of(row: u32, d: vec3f) -> u32 {
+  let xx = d.x * d.x;
+  let yy = d.y * d.y;
+  let zz = d.z * d.z;
+  var basis = array<f32, 16>(
+    1,
+    -0.4886025119 * d.y, 0.4886025119 * d.z, -0.4886025119 * d.x,
+    1.0925484306 * d.x * d.y, -1.0925484306 * d.y * d.z, 0.3153915653 * (2 * zz - xx - yy), -1.0925484306 * d.x * d.z,
+    0.5462742153 * (xx - yy),
+    -0.5900435899 * d.y * (3 * xx - yy), 2.8906114426 * d.x * d.y * d.z, -0.4570457995 * d.y * (4 * zz - xx - yy),
+    0.3731763326 * d.z * (2 * zz - 3 * xx - 3 * yy), -0.4570457995 * d.x * (4 * zz - xx - yy),
+    1.4453057213 * d.z * (xx - yy), -0.5900435899 * d.x * (xx - 3 * yy));
+  var sum = vec3f(0);
+  for (var word = 0u; word < view.harmonic_words; word++) {
+    let two = unpack2x16float(harmonics[view.harmonic_words * row + word]);
+    let at = 2 * word;
+    sum[at % 3] += basis[at / 3] * two.x;
+    sum[(at + 1) % 3] += basis[(at + 1) / 3] * two.y;
+  }
+  return rgb9e5(sum);
 }
 
 fn project(row: u32) -> u32 {
@@ -138,8 +181,12 @@ fn project(row: u32) -> u32 {
   let extent = reach / kWhiteScale * sqrt(vec2f(a, c)) + 0.01;
   if (any(centre + extent < vec2f(0.5)) || any(centre - extent > view.size - 0.5)) { return kUnseen; }
 
+  var color = appearance.w;
+  if (view.harmonic_words != 0) {
+    color = radiance_of(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
+  }
   let root_c = sqrt(c);
-  splats[row] = Splat(centre, log2_alpha, reach, vec3f(sqrt(blurred) / root_c, b / root_c, root_c) / kWhiteScale, appearance.w);
+  splats[row] = Splat(centre, log2_alpha, reach, vec3f(sqrt(blurred) / root_c, b / root_c, root_c) / kWhiteScale, color);
   // The bits of a float above those of 2^-5 m: 16 octaves, 65,536 steps each.
   return kMostKey - min((bitcast<u32>(point.z) - 0x3d000000u) >> 7, kMostKey);
 }

@@ -6,7 +6,7 @@ import { DepthOrder, DepthPipelines } from './depth_order';
 import { bindGroup, RowBuffers } from './row_buffers';
 import { kResolve, kSplats } from './shaders';
 
-const kViewBytes = 64;
+const kViewBytes = 80;
 
 export class WebGpuRenderer implements Renderer {
   readonly api = 'webgpu';
@@ -148,6 +148,7 @@ export class WebGpuRenderer implements Renderer {
     words[11] = this.#rows.used;
     floats.set(blendedBackground(scene), 12);
     words[15] = Number(scene.displaySpace);
+    words[16] = this.#rows.harmonicWords;
     this.device.queue.writeBuffer(this.#view, 0, bytes);
     const objects = new Float32Array(scene.transforms.length);
     cameraFromObjects(frame.view, scene.transforms, scene.farField, objects);
@@ -161,10 +162,10 @@ export class WebGpuRenderer implements Renderer {
 
   /** Made anew where the rows, or the objects, lie elsewhere than before. */
   #orderOfRows(): DepthOrder {
-    if (this.#order && this.#orderOf === this.#rows.records) return this.#order;
+    if (this.#order && this.#orderOf === this.#rows.harmonics) return this.#order;
     this.#order?.destroy();
     this.#order = new DepthOrder(this.device, this.#pipelines, this.#view, this.#rows, this.#objects);
-    this.#orderOf = this.#rows.records;
+    this.#orderOf = this.#rows.harmonics; // they move whenever the records do
     const { seen, order, splats } = this.#order;
     this.#splatGroup = bindGroup(this.device, this.#splats, { 0: this.#view, 1: seen, 2: order, 3: splats });
     return this.#order;

@@ -1,0 +1,191 @@
+#include "pipeline_under_fire.h"
+
+#include <signal.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+
+#include "../hostile/budgets.h"
+#include "../integration/pipeline.h"
+#include "gateway_url.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::chaos {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kPatience = 120s;
+constexpr std::int64_t kAskAgainNs = 1'500'000'000;
+constexpr std::size_t kLinesKept = 400;
+
+const std::vector<std::string>& services() {
+  static const std::vector<std::string> all{"bus",     "engine",   "capture-bridge", "expander", "trainer",
+                                            "relight", "streamer", "viewer",         "gateway"};
+  return all;
+}
+
+}  // namespace
+
+PipelineUnderFire::PipelineUnderFire()
+    : context_(bus::Context::create(bus_.address(), "chaos-test")),
+      watch_(std::make_unique<cli::PipelineWatch>(context_)),
+      probes_(std::make_unique<cli::ProbeRounds>(context_,
+                                                 cli::circle_cameras({.count = 1, .size = 64, .phase_degrees = 45}))),
+      scene_(std::make_unique<cli::LiveScene>(context_)),
+      liveness_(
+          std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/liveness", "sys/heartbeat"})) {
+  std::ofstream(files_.path() / "chaos.yaml") << cli::Pipeline::launch_file();
+  start();
+}
+
+void PipelineUnderFire::start() {
+  supervisor_ = std::make_unique<cli::ChildProcess>(
+      std::string(SPLATBUS_BIN_DIR) + "/splatbus",
+      std::vector<std::string>{"launch", (files_.path() / "chaos.yaml").string(), "--bus", bus_.address().text()},
+      std::map<std::string, std::string>{});
+}
+
+bool PipelineUnderFire::start_again() {
+  if (!wait_until([&] { return survivors().empty(); })) return false;
+  supervisor_.reset();
+  nodes_.clear();
+  start();
+  return true;
+}
+
+std::map<std::string, pid_t> PipelineUnderFire::pids() const {
+  std::map<std::string, pid_t> result{{kSupervisor, supervisor_->pid()}};
+  for (const auto& [name, node] : nodes_) {
+    if (std::ranges::count(services(), name) > 0) result[name] = node.pid;
+  }
+  return result;
+}
+
+void PipelineUnderFire::take_output() {
+  (void)supervisor_->poll_exit();
+  for (std::string& line : supervisor_->read_lines(false)) {
+    log_bytes_ += line.size() + 1;
+    last_lines_.push_back(std::move(line));
+  }
+  if (last_lines_.size() > 2 * kLinesKept) last_lines_.erase(last_lines_.begin(), last_lines_.end() - kLinesKept);
+}
+
+void PipelineUnderFire::poll(std::chrono::milliseconds timeout) {
+  take_output();
+  watch_->poll(timeout);
+  scene_->poll(0ms);
+  probes_->poll(0ms, [](std::size_t, const cli::ProbePicture&) {});
+  while (const auto message = liveness_->receive(0ms)) {
+    if (message->topic() == "sys/liveness") {
+      nodes_.clear();
+      for (const auto* node : *message->root<wire::Liveness>().nodes()) {
+        nodes_[node->source()->str()] = {.pid = static_cast<pid_t>(node->pid()),
+                                         .runs = node->alive() && node->state() == wire::ServiceState::Running};
+      }
+      continue;
+    }
+    const auto& heartbeat = message->root<wire::Heartbeat>();
+    if (message->header().source()->string_view() != "bus" || heartbeat.counters() == nullptr) continue;
+    for (const auto* counter : *heartbeat.counters()) {
+      if (counter->name()->string_view() == "slabs") slabs_ = counter->value();
+    }
+  }
+}
+
+bool PipelineUnderFire::wait_until(const std::function<bool()>& condition) {
+  const auto end = std::chrono::steady_clock::now() + kPatience;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > end) return false;
+    poll(20ms);
+  }
+  return true;
+}
+
+void PipelineUnderFire::let_pass(std::chrono::milliseconds time) {
+  const auto end = std::chrono::steady_clock::now() + time;
+  while (std::chrono::steady_clock::now() < end) poll(20ms);
+}
+
+bool PipelineUnderFire::all_alive(const std::map<std::string, pid_t>& killed) const {
+  return std::ranges::all_of(services(), [&](const std::string& name) {
+    const auto node = nodes_.find(name);
+    if (node == nodes_.end() || !node->second.runs) return false;
+    const auto was = killed.find(name);
+    return was == killed.end() || was->second != node->second.pid;
+  });
+}
+
+bool PipelineUnderFire::wait_until_well(double ssim, const std::map<std::string, pid_t>& killed) {
+  std::int64_t asked_ns = 0;
+  std::uint64_t first_id = 0;
+  return wait_until([&] {
+    if (!all_alive(killed)) return false;
+    for (const auto& [probe_id, quality] : state().viewer_quality) {
+      if (first_id == 0 || probe_id < first_id || quality.ssim < ssim) continue;
+      ssim_ = quality.ssim;
+      return true;
+    }
+    if (bus::now_ns() - asked_ns > kAskAgainNs) {
+      asked_ns = bus::now_ns();
+      probes_->begin();
+      if (first_id == 0) first_id = probes_->first_id();
+    }
+    return false;
+  });
+}
+
+Usage PipelineUnderFire::usage() const {
+  Usage usage{.slabs = slabs_};
+  for (const auto& [name, pid] : pids()) {
+    usage.resident_bytes[name] = hostile::resident_bytes(pid);
+    usage.descriptors[name] = hostile::open_descriptors(pid);
+  }
+  for (const auto& entry : std::filesystem::directory_iterator(bus_.path())) {
+    usage.files.insert(entry.path().filename().string());
+  }
+  return usage;
+}
+
+std::optional<std::vector<std::uint64_t>> PipelineUnderFire::gaussian_ids() {
+  std::optional<std::vector<std::uint64_t>> ids;
+  (void)wait_until([&] {
+    const PublishedModel* model = scene_->model();
+    if (model == nullptr) return false;
+    const GaussiansView& view = model->average();
+    ids.emplace();
+    for (const IndexRange& range : view.ranges) {
+      ids->insert(ids->end(), view.gaussian_id + range.first, view.gaussian_id + range.first + range.count);
+    }
+    return model->still_valid() && ids->size() == model->count();
+  });
+  return ids;
+}
+
+std::string PipelineUnderFire::log() const {
+  std::string text;
+  const std::size_t first = last_lines_.size() > kLinesKept ? last_lines_.size() - kLinesKept : 0;
+  for (std::size_t i = first; i < last_lines_.size(); ++i) text += last_lines_[i] + "\n";
+  return text;
+}
+
+std::set<std::string> PipelineUnderFire::survivors() const {
+  std::set<std::string> found;
+  const std::string folder = bus_.path().string();
+  for (const auto& entry : std::filesystem::directory_iterator("/proc")) {
+    std::ifstream file(entry.path() / "cmdline", std::ios::binary);
+    const std::string command{std::istreambuf_iterator<char>(file), {}};
+    if (command.find(folder) != std::string::npos) found.insert(entry.path().filename().string() + " " + command);
+  }
+  return found;
+}
+
+std::set<std::string> PipelineUnderFire::stop() {
+  ::kill(supervisor_->pid(), SIGTERM);
+  const auto end = std::chrono::steady_clock::now() + kPatience;
+  while (!survivors().empty() && std::chrono::steady_clock::now() < end) poll(50ms);
+  return survivors();
+}
+
+}  // namespace splatbus::chaos

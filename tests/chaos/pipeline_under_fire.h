@@ -1,0 +1,82 @@
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "child_process.h"
+#include "live_scene.h"
+#include "pipeline_watch.h"
+#include "probe_round.h"
+#include "supervised_run.h"
+
+namespace splatbus::chaos {
+
+/// What the processes of a pipeline take, by source.
+struct Usage {
+  std::map<std::string, std::size_t> resident_bytes, descriptors;
+  double slabs = 0;             ///< in the registry
+  std::set<std::string> files;  ///< in the bus's folder
+};
+
+/// The pipeline of the integration tests under `splatbus launch`, a process of its own, which can die too.
+class PipelineUnderFire {
+ public:
+  PipelineUnderFire();
+
+  /// Of the supervisor and each service that was heard of, by name; those that are gone among them.
+  [[nodiscard]] std::map<std::string, pid_t> pids() const;
+  static constexpr const char* kSupervisor = "supervisor";
+
+  /// After the supervisor was killed: waits until nobody of it is left, and starts it again.
+  [[nodiscard]] bool start_again();
+
+  /// Every service is alive, those of `killed` as other processes, and a picture that was asked for from now on has
+  /// come back to the viewer with that SSIM. False after a patience that is long.
+  [[nodiscard]] bool wait_until_well(double ssim, const std::map<std::string, pid_t>& killed);
+  [[nodiscard]] bool wait_until(const std::function<bool()>& condition);
+  /// Polls meanwhile.
+  void let_pass(std::chrono::milliseconds time);
+
+  [[nodiscard]] Usage usage() const;
+  [[nodiscard]] const cli::PipelineState& state() const { return watch_->state(); }
+  /// Of the last picture of wait_until_well().
+  [[nodiscard]] double ssim() const { return ssim_; }
+  /// Ids of the model as it is now; nullopt when none could be had.
+  [[nodiscard]] std::optional<std::vector<std::uint64_t>> gaussian_ids();
+  [[nodiscard]] std::size_t log_bytes() const { return log_bytes_; }
+  /// The last of it.
+  [[nodiscard]] std::string log() const;
+  /// SIGTERM, and what is left of it a while later: processes that name the bus's folder.
+  [[nodiscard]] std::set<std::string> stop();
+
+ private:
+  void start();
+  void poll(std::chrono::milliseconds timeout);
+  void take_output();
+  [[nodiscard]] bool all_alive(const std::map<std::string, pid_t>& killed) const;
+  [[nodiscard]] std::set<std::string> survivors() const;
+
+  struct Node {
+    pid_t pid = 0;
+    bool runs = false;
+  };
+  cli::PrivateBusFolder bus_, files_;
+  std::shared_ptr<bus::Context> context_;
+  std::unique_ptr<cli::PipelineWatch> watch_;
+  std::unique_ptr<cli::ProbeRounds> probes_;
+  std::unique_ptr<cli::LiveScene> scene_;
+  std::unique_ptr<bus::Subscriber> liveness_;
+  std::unique_ptr<cli::ChildProcess> supervisor_;
+  std::map<std::string, Node> nodes_;
+  double slabs_ = 0, ssim_ = 0;
+  std::size_t log_bytes_ = 0;
+  std::vector<std::string> last_lines_;
+};
+
+}  // namespace splatbus::chaos

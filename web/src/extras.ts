@@ -1,0 +1,120 @@
+import { addressWith } from './camera/address';
+import { kTurnSpeed } from './camera/keys';
+import type { Rig } from './camera/rig';
+import { Comparison } from './compare/comparison';
+import { downloadModel, rightsHere, type ModelFile } from './download';
+import { poseFloats, type View } from './math';
+import type { EyeRenderer, Frame } from './render/renderer';
+import { savePng } from './snapshot';
+import type { Stage } from './stage';
+import type { StreamLink } from './stream/stream_link';
+import { texts } from './texts';
+import { Immersion } from './xr/immersion';
+
+/** What of the page they need. */
+export interface PageActions {
+  readonly view: () => View;
+  readonly frame: (view: View, resolution: number, nowMs: number) => Frame;
+  /** From where is looked, to those who sort and to the streamer. */
+  readonly announce: (view: View, nowMs: number) => void;
+  readonly drawn: () => void;
+  readonly redraw: () => void;
+  readonly notice: (text: string) => void;
+}
+
+/** What a person can do with the picture besides looking at it. */
+export class Extras {
+  readonly comparison: Comparison;
+  immersion: Immersion | null = null;
+
+  constructor(
+    private readonly stage: Stage,
+    private readonly rig: Rig,
+    private readonly link: StreamLink,
+    private readonly token: string | null,
+    private readonly page: PageActions,
+  ) {
+    this.comparison = new Comparison({
+      ask: (probeId, view) => {
+        const floats = poseFloats(view);
+        this.link.send({ kind: 'probe', probeId, floats }, [floats.buffer]);
+      },
+      capture: (view, transforms) => this.stage.capture(this.#frameOfProbe(view, transforms)),
+      notice: this.page.notice,
+    });
+  }
+
+  #frameOfProbe(view: View, transforms: Float32Array): Frame {
+    const { scene } = this.stage;
+    const then = scene.transforms.slice(); // with objects that have come since
+    then.set(transforms.subarray(0, then.length));
+    return { view, scene: { ...scene, transforms: then }, resolution: 1, timeS: performance.now() / 1000 };
+  }
+
+  async compare(): Promise<void> {
+    if (!this.comparison.on && !(await rightsHere(this.token)).split(',').includes('probe')) {
+      this.page.notice(texts.compareForbidden);
+    } else {
+      this.comparison.toggle();
+    }
+  }
+
+  async download(kind: ModelFile): Promise<void> {
+    this.page.notice(texts.downloading);
+    if (!(await downloadModel(kind, this.token))) this.page.notice(texts.downloadFailed);
+  }
+
+  async immerse(): Promise<void> {
+    let drawing: EyeRenderer | null = null;
+    const renderer = async (): Promise<EyeRenderer> => {
+      const found = await this.stage.use('webgl2');
+      if (!found || !('drawEyes' in found)) throw new Error('WebGL2 is not available');
+      return (drawing = found as EyeRenderer);
+    };
+    try {
+      this.immersion = await Immersion.start(renderer, {
+        pose: () => this.rig.shown,
+        steer: (motion, turn, seconds) => {
+          this.rig.fly(motion, seconds);
+          this.rig.look(turn * kTurnSpeed * seconds, 0);
+          this.rig.jump(this.rig.goal); // a head is not to be moved on of its own accord
+        },
+        frame: (nowMs, head) => {
+          this.stage.take(nowMs);
+          this.page.announce(head, nowMs);
+        },
+        draw: (target, eyes, nowMs) => {
+          if (!drawing || this.stage.renderer !== drawing) {
+            this.immersion?.end(); // the headset's target went with the context
+            return;
+          }
+          drawing.drawEyes(target, eyes, this.page.frame(eyes[0].view, 1, nowMs));
+          this.page.drawn();
+        },
+        ended: () => {
+          this.immersion = null;
+          this.page.redraw();
+        },
+      });
+    } catch (error) {
+      this.page.notice(texts.immersionFailed(error instanceof Error ? error.message : String(error)));
+    }
+  }
+
+  async saveSnapshot(): Promise<void> {
+    const { renderer } = this.stage;
+    if (!renderer) return;
+    const picture = await renderer.capture(this.page.frame(this.page.view(), 1, performance.now()));
+    await savePng(picture, `splatbus-${new Date().toISOString().replaceAll(':', '-').slice(0, 19)}.png`);
+  }
+
+  async share(): Promise<void> {
+    const address = addressWith(new URL(location.href), this.rig.goal);
+    history.replaceState(null, '', address);
+    await navigator.clipboard?.writeText(address).then(() => this.page.notice(texts.shared));
+  }
+
+  toggleFullScreen(): void {
+    void (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()).catch(() => {});
+  }
+}

@@ -1,0 +1,77 @@
+// A real pipeline, whose gateway serves the page.
+import { spawn } from 'node:child_process';
+import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
+import { createServer } from 'node:net';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+
+const { SPLATBUS_WEB: site, SPLATBUS_BIN: bin } = process.env;
+
+/** A port that nobody listens on now. */
+const freePort = () =>
+  new Promise((resolve) => {
+    const server = createServer().listen(0, '127.0.0.1', () => {
+      const { port } = server.address();
+      server.close(() => resolve(port));
+    });
+  });
+
+export async function until(condition) {
+  while (!(await condition())) await new Promise((resolve) => setTimeout(resolve, 50));
+}
+
+/** Of the toy scene that lives; `capture`: parameters of the capture-bridge. */
+export async function startPipeline(capture) {
+  const folder = mkdtempSync(join(tmpdir(), 'splatbus-live-'));
+  const port = await freePort();
+  const url = `http://127.0.0.1:${port}`;
+  const services = `
+services:
+  - name: bus
+  - name: engine
+    program: splatbus-engine-sim
+    args: [--dynamics, --sun-rate, "6"]
+  - name: capture-bridge
+    parameters: ${JSON.stringify({ ...capture, reference_rig: 'ring' })}
+  - name: expander
+  - name: trainer
+  - name: relight
+  - name: streamer
+  - name: gateway
+    parameters: {http: "127.0.0.1:${port}", web_root: "${site}"}
+`;
+  writeFileSync(join(folder, 'live.yaml'), services);
+  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: 'ignore' });
+  const ended = new Promise((resolve) => launched.once('exit', resolve));
+  /** Of the gateway, as soon as there is one. */
+  const status = async () => {
+    for (;;) {
+      try {
+        return await (await fetch(`${url}/status`)).json();
+      } catch {
+        if (launched.exitCode !== null) throw new Error('the pipeline has ended');
+        await new Promise((resolve) => setTimeout(resolve, 50));
+      }
+    }
+  };
+  await status();
+  return {
+    url,
+    status,
+    /** Kills a service, and waits until another one lives. */
+    async restarted(source) {
+      const service = async () => (await status()).services.find((one) => one.source === source);
+      const { pid } = await service();
+      process.kill(pid, 'SIGKILL');
+      await until(async () => {
+        const now = await service();
+        return now && now.pid !== pid && now.alive;
+      });
+    },
+    async close() {
+      launched.kill('SIGINT');
+      await ended;
+      rmSync(folder, { recursive: true, force: true });
+    },
+  };
+}
