@@ -44,14 +44,14 @@ class GpuRows final : public ShownObserver {
   /// Of the objects, by the index that records have: 0 is the world. All zero for what is hidden, and the far field's
   /// is that of an eye in the origin: it moves with it.
   [[nodiscard]] const std::vector<Transform>& transforms();
-  /// The same under another scene of the objects.
-  [[nodiscard]] std::vector<Transform> transforms_in(const SceneState& scene) const;
   /// Their ids.
   [[nodiscard]] std::vector<std::uint32_t> object_ids() const {
     std::vector<std::uint32_t> ids;
     for (const Object& object : objects_) ids.push_back(object.id);
     return ids;
   }
+  /// The same under another scene of the objects.
+  [[nodiscard]] std::vector<Transform> transforms_in(const SceneState& scene) const;
   /// Index of the far field, 0 while nothing was seen of it.
   [[nodiscard]] std::uint32_t far_field() const { return far_field_; }
 

@@ -27,7 +27,7 @@ class StreamReceiverTest : public StreamTest {
     });
   }
 
-  StreamReceiver::Shown shown_;
+  viewer::Shown shown_;
   stream::DisplayGaussians display_;
 };
 

@@ -13,6 +13,7 @@
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "metrics/image_io.h"
+#include "raster/model_renderer.h"
 #include "wire/capture_generated.h"
 #include "wire/viewer_generated.h"
 
