@@ -55,7 +55,7 @@ struct ServerSample {
 struct ViewersStage {
   std::size_t viewers = 0;
   double from_s = 0, to_s = 0;
-  std::size_t whole = 0;  ///< of the light-weight ones, at its end
+  std::size_t whole = 0;  ///< most of the light-weight ones that had everything at once
 };
 
 /// One run of the pipeline with a viewer behind a link. Times of the run count from `begin_ns`.

@@ -99,14 +99,16 @@ class StreamRun {
   void stage(std::size_t viewers) {
     followers_.grow_to(viewers - 1);
     const std::int64_t since_ns = bus::now_ns();
-    while (followers_.whole() < viewers - 1 && seconds_since(since_ns) < kMostFollow_s) step(true);
-    ViewersStage stage{.viewers = viewers, .from_s = time_s()};
+    ViewersStage stage{.viewers = viewers};
+    const auto count_whole = [&] { return stage.whole = std::max(stage.whole, followers_.whole()); };
+    while (count_whole() < viewers - 1 && seconds_since(since_ns) < kMostFollow_s) step(true);
+    stage.from_s = time_s();
     const double cut_at_s = stage.from_s + options_.seconds / 2;
     stage.to_s = stage.from_s + options_.seconds;
     while (time_s() < stage.to_s) {
       if (options_.cut_s > 0 && !cut_ && time_s() >= cut_at_s) begin_cut();
       step(true);
-      stage.whole = followers_.whole();
+      count_whole();
     }
     if (options_.viewers.size() > 1) results_.stages.push_back(stage);
     while (cut_ && !results_.cut_whole_s && seconds_since(cut_->to_ns) < kMostRecovery_s) step(true);
