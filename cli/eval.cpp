@@ -5,32 +5,16 @@
 #include <map>
 
 #include "dynamics_evaluation.h"
+#include "eval_options.h"
 #include "explore_evaluation.h"
 #include "fixed_evaluation.h"
-#include "launch_plan.h"
 #include "moving_evaluation.h"
 #include "relight_evaluation.h"
-#include "schema_json.h"
 #include "start_evaluation.h"
-#include "terminal.h"
-#include "verbs.h"
 
 namespace splatbus::cli {
 
 namespace {
-
-/// What every evaluation has, as the command line gives it.
-struct CommonOptions {
-  std::string default_launch = "eval_fixed.yaml";  ///< under launch/
-  std::string launch_file;
-  std::string out = "out/eval";
-  bool json = false;
-
-  void complete(EvaluationSetup& setup) const {
-    setup.launch_file = launch_file.empty() ? default_launch_file(default_launch) : std::filesystem::path(launch_file);
-    setup.out = out;
-  }
-};
 
 struct FixedVerbOptions : CommonOptions {
   FixedEvaluationOptions fixed;
@@ -90,20 +74,6 @@ int evaluate_fixed(FixedVerbOptions options) {
   return 0;
 }
 
-/// Runs an evaluation that tells only its state on the way; `evaluate` is given the signals and what shows a state.
-template <class Evaluate>
-int evaluate(const CommonOptions& options, const char* files, Evaluate evaluate) {
-  const StopSignals signals;
-  ProgressLine line;
-  const nlohmann::json summary = evaluate(signals, [&](const std::string& state) {
-    if (!options.json) line.show(state);
-  });
-  line.finish();
-  fmt::print("{}\n", json_text(summary, options.json ? -1 : 2));
-  if (!options.json) fmt::print("{}: {}\n", options.out, files);
-  return 0;
-}
-
 int evaluate_start(StartVerbOptions options) {
   options.complete(options.setup);
   return evaluate(options, "summary.json", [&](const StopSignals& signals, const auto& show) {
@@ -139,24 +109,6 @@ int evaluate_relight(RelightVerbOptions options) {
   return evaluate(options, "summary.json, contact_sheet.png", [&](const StopSignals& signals, const auto& show) {
     return run_relight_evaluation(options.relight, signals, show);
   });
-}
-
-void add_setup_options(CLI::App& verb, CommonOptions& options, EvaluationSetup& setup) {
-  verb.option_defaults()->always_capture_default();
-  verb.add_option("--cameras", setup.cameras, "reference cameras")->check(CLI::Range(1, 64));
-  verb.add_option("--size", setup.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
-  verb.add_option("--input-cameras", setup.input_cameras, "input cameras")->check(CLI::Range(1, 256));
-  verb.add_option("--input-size", setup.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
-  verb.add_option("--budget", setup.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
-  verb.add_option("--ready-gaussians", setup.ready_gaussians,
-                  "Gaussians that make the model count as there; 0: 95 % of the budget");
-  verb.add_option("--seed", setup.seed, "of the trainer's random choices; the scene is the launch file's");
-  verb.add_option("--timeout", setup.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
-  verb.add_option("--out", options.out, "folder for what is written");
-  verb.add_option("--launch", options.launch_file,
-                  fmt::format("launch file (default: launch/{} of this build)", options.default_launch));
-  verb.add_flag("--json", options.json, "progress and summary as JSON, one object a line");
-  add_backend_option(verb, setup.backend);
 }
 
 void add_fixed_verb(CLI::App& eval, Action& action) {
@@ -258,6 +210,24 @@ void add_relight_verb(CLI::App& eval, Action& action) {
 
 }  // namespace
 
+void add_setup_options(CLI::App& verb, CommonOptions& options, EvaluationSetup& setup) {
+  verb.option_defaults()->always_capture_default();
+  verb.add_option("--cameras", setup.cameras, "reference cameras")->check(CLI::Range(1, 64));
+  verb.add_option("--size", setup.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
+  verb.add_option("--input-cameras", setup.input_cameras, "input cameras")->check(CLI::Range(1, 256));
+  verb.add_option("--input-size", setup.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
+  verb.add_option("--budget", setup.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
+  verb.add_option("--ready-gaussians", setup.ready_gaussians,
+                  "Gaussians that make the model count as there; 0: 95 % of the budget");
+  verb.add_option("--seed", setup.seed, "of the trainer's random choices; the scene is the launch file's");
+  verb.add_option("--timeout", setup.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
+  verb.add_option("--out", options.out, "folder for what is written");
+  verb.add_option("--launch", options.launch_file,
+                  fmt::format("launch file (default: launch/{} of this build)", options.default_launch));
+  verb.add_flag("--json", options.json, "progress and summary as JSON, one object a line");
+  add_backend_option(verb, setup.backend);
+}
+
 void add_eval_verb(CLI::App& app, Action& action) {
   CLI::App* eval = app.add_subcommand("eval", "Measure the quality that the real services reach");
   eval->require_subcommand(1);
@@ -267,6 +237,7 @@ void add_eval_verb(CLI::App& app, Action& action) {
   add_moving_verb(*eval, action);
   add_explore_verb(*eval, action);
   add_relight_verb(*eval, action);
+  add_stream_verbs(*eval, action);
 }
 
 }  // namespace splatbus::cli

@@ -49,7 +49,8 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
   apply_settings(settings, file);
 }
 
-/// What the engine says when it is asked for the walk through its scene.
+}  // namespace
+
 std::string print_walk(const ProcessPlan& engine) {
   std::vector<std::string> arguments = engine.arguments;
   arguments.emplace_back("--print-walk");
@@ -70,8 +71,6 @@ std::string print_walk(const ProcessPlan& engine) {
   }
   return text;
 }
-
-}  // namespace
 
 ExplorePlan plan_exploration(const ExploreRunOptions& options, const bus::Address& address, const fs::path& pictures) {
   ExplorePlan plan;

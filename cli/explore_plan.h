@@ -22,4 +22,8 @@ struct ExplorePlan {
 [[nodiscard]] ExplorePlan plan_exploration(const ExploreRunOptions& options, const bus::Address& address,
                                            const std::filesystem::path& pictures);
 
+/// The walk through its scene, `x y z` a line, that the engine has by --print-walk. Throws std::runtime_error where it
+/// has none.
+[[nodiscard]] std::string print_walk(const ProcessPlan& engine);
+
 }  // namespace splatbus::cli

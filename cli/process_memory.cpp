@@ -1,8 +1,10 @@
 #include "process_memory.h"
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <fstream>
+#include <sstream>
 #include <string>
 
 namespace splatbus::cli {
@@ -16,6 +18,19 @@ std::optional<std::uint64_t> resident_bytes(pid_t pid) {
     std::getline(file, line);
   }
   return {};
+}
+
+std::optional<double> processor_seconds(pid_t pid) {
+  std::ifstream file(fmt::format("/proc/{}/stat", pid));
+  std::string text;
+  if (!std::getline(file, text)) return {};
+  // The name, in parentheses, may have anything in it.
+  std::istringstream fields(text.substr(text.rfind(')') + 1));
+  std::string skipped;
+  for (int i = 0; i < 11; ++i) fields >> skipped;
+  std::uint64_t user = 0, system = 0;
+  if (!(fields >> user >> system)) return {};
+  return static_cast<double>(user + system) / static_cast<double>(sysconf(_SC_CLK_TCK));
 }
 
 }  // namespace splatbus::cli

@@ -11,4 +11,7 @@ namespace splatbus::cli {
 /// over processes counts every page once. nullopt where the process is gone or is not ours to look at.
 [[nodiscard]] std::optional<std::uint64_t> resident_bytes(pid_t pid);
 
+/// Seconds of processor time that a process has had; nullopt where it is gone.
+[[nodiscard]] std::optional<double> processor_seconds(pid_t pid);
+
 }  // namespace splatbus::cli

@@ -271,6 +271,36 @@ TEST(Measure, EvalExploreWalksOutAndBackAndJumpsToTheStart) {
   }
 }
 
+TEST(Measure, EvalStreamGoesOverALinkThatIsCut) {
+  const PrivateBusFolder folder;
+  const fs::path out = folder.path() / "eval";
+  const Answer answer = splatbus_command(
+      {"eval",         "stream", "--cameras",    "4",     "--size",    "64",    "--input-cameras", "8",
+       "--input-size", "64",     "--budget",     "4000",  "--seconds", "6",     "--every",         "0.5",
+       "--viewers",    "1,3",    "--round-trip", "40",    "--rate",    "20",    "--loss",          "1",
+       "--cut",        "1",      "--link",       "relay", "--json",    "--out", out.string()});
+  ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
+  const Json summary = read_json(out / "summary.json");
+  EXPECT_EQ(answer.json().back(), summary);
+  expect_finite(summary, {"gaussians", "mbps_mean", "mbps_median", "mbps_peak", "ssim_server", "ssim_viewer",
+                          "ssim_gap_worst", "join_first_s", "join_whole_s", "latency_ms", "cut_s"});
+  EXPECT_EQ(summary["link"], "relay: 20 Mbit/s, 40 ms round trip, 1 % loss");
+  EXPECT_GT(summary["gaussians"], 100);
+  EXPECT_GT(summary["mbps_peak"], 0);
+  EXPECT_LE(summary["mbps_mean"], summary["mbps_peak"]);
+  EXPECT_GT(summary["ssim_server"], 0.5);
+  EXPECT_GT(summary["ssim_viewer"], 0.5);
+  EXPECT_GE(summary["join_first_s"], 0.06) << "a connection takes a round trip, its first words another";
+  EXPECT_GE(summary["join_whole_s"], summary["join_first_s"]);
+  EXPECT_GE(summary["latency_delivery_ms"], 20) << "half of a round trip";
+  EXPECT_EQ(summary["cut_s"], 1);
+  ASSERT_EQ(summary["stages"].size(), 2U);
+  EXPECT_EQ(summary["stages"][1]["viewers"], 3);
+  EXPECT_EQ(summary["stages"][1]["whole"], 2) << "those that only follow";
+  for (const char* name : {"figures.csv", "bitrate.csv", "server.csv"}) EXPECT_TRUE(fs::exists(out / name)) << name;
+  EXPECT_FALSE(metrics::read_png((out / "figures.png").string()).empty());
+}
+
 TEST(Measure, EvalRelightShowsSunsThatItWasNotTrainedWith) {
   const PrivateBusFolder folder;
   const fs::path out = folder.path() / "eval";
