@@ -20,7 +20,7 @@ StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint)
   socket_.set(zmq::sockopt::rcvhwm, kQueuedFromStreamer);
   socket_.set(zmq::sockopt::sndhwm, kQueuedToStreamer);
   socket_.set(zmq::sockopt::linger, 0);
-  socket_.set(zmq::sockopt::immediate, true);
+  // Not ZMQ_IMMEDIATE: a connection that ends between two frames of a message would end the process (libzmq's fq.cpp).
   socket_.set(zmq::sockopt::reconnect_ivl, 50);
   socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
@@ -58,10 +58,6 @@ bool StreamLink::send(const FramedPacket& packet, const bus::Rights& rights) {
     }
   }
   return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0;
-}
-
-bool StreamLink::connected() {
-  return (socket_.get(zmq::sockopt::events) & ZMQ_POLLOUT) != 0;
 }
 
 int StreamLink::descriptor() const {

@@ -27,13 +27,10 @@ class StreamLink {
   /// one. Messages that are not one or two frames are skipped.
   [[nodiscard]] bool receive(StreamPacket& packet);
 
-  /// With what its sender may do. Dropped while there is no streamer, and while it does not read: every packet of a
-  /// viewer is repeated, or has become stale by then. True when descriptor() may have been emptied although there is
+  /// With what its sender may do. While there is no streamer, and while it does not read, a few wait and others are
+  /// dropped: every packet of a viewer is repeated. True when descriptor() may have been emptied although there is
   /// something to receive.
   bool send(const FramedPacket& packet, const bus::Rights& rights);
-
-  /// Whether there is a streamer that takes what is sent.
-  [[nodiscard]] bool connected();
 
   /// ZMQ_FD: edge-triggered.
   [[nodiscard]] int descriptor() const;

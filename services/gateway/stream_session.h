@@ -129,7 +129,6 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
     socket_.control_callback([this](websocket::frame_type, beast::string_view) {
       if (!messages_.take(1, bus::now_ns())) flood();
     });
-    co_await wait_for_streamer();
     const auto [error] = co_await socket_.async_accept(request, kNoThrow);
     if (error) co_return;
     bound_unsent_bytes(socket());
@@ -217,15 +216,6 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
       return true;
     } catch (const stream::StreamError&) {
       return false;
-    }
-  }
-
-  /// A moment, so that the browser's first word is not lost.
-  asio::awaitable<void> wait_for_streamer() {
-    asio::steady_timer timer(socket_.get_executor());
-    for (int i = 0; i < 100 && !link_.connected(); ++i) {
-      timer.expires_after(std::chrono::milliseconds(5));
-      co_await timer.async_wait(kNoThrow);
     }
   }
 

@@ -25,7 +25,7 @@ class PacketLink {
   /// Without waiting; nullopt when nothing has come.
   [[nodiscard]] virtual std::optional<Message> receive() = 0;
 
-  /// Dropped while there is no connection, and while the other side does not read.
+  /// While there is no connection, and while the other side does not read, a few wait and others are dropped.
   virtual void send(std::span<const std::uint8_t> packet) = 0;
 
   /// True once after each connection that the streamer knows nothing of.

@@ -25,7 +25,7 @@ class ZmqLink final : public PacketLink {
     socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
     socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
     socket_.set(zmq::sockopt::linger, 100);
-    socket_.set(zmq::sockopt::immediate, true);  // poses do not pile up for a streamer that is away
+    // Not ZMQ_IMMEDIATE: a connection that ends between two frames of a message would end the process (libzmq's fq.cpp).
     socket_.set(zmq::sockopt::reconnect_ivl, 50);
     socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
     socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
@@ -62,7 +62,7 @@ class ZmqLink final : public PacketLink {
   }
 
   void send(std::span<const std::uint8_t> packet) override {
-    // Dropped while nobody is connected: all of these are repeated or have become stale by then.
+    // A few wait while nobody is connected, and the rest are dropped: all of these are repeated.
     (void)socket_.send(zmq::buffer(packet.data(), packet.size()), zmq::send_flags::dontwait);
   }
 

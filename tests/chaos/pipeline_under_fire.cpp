@@ -34,7 +34,7 @@ PipelineUnderFire::PipelineUnderFire()
       watch_(std::make_unique<cli::PipelineWatch>(context_)),
       probes_(std::make_unique<cli::ProbeRounds>(context_,
                                                  cli::circle_cameras({.count = 1, .size = 64, .phase_degrees = 45}))),
-      scene_(std::make_unique<cli::LiveScene>(context_)),
+      scene_(std::make_unique<LiveScene>(context_)),
       heartbeats_(std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/heartbeat"})) {
   std::ofstream(files_.path() / "chaos.yaml") << cli::Pipeline::launch_file();
   start();

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "child_process.h"
-#include "live_scene.h"
+#include "model/live_scene.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "supervised_run.h"
@@ -71,7 +71,7 @@ class PipelineUnderFire {
   std::shared_ptr<bus::Context> context_;
   std::unique_ptr<cli::PipelineWatch> watch_;
   std::unique_ptr<cli::ProbeRounds> probes_;
-  std::unique_ptr<cli::LiveScene> scene_;
+  std::unique_ptr<LiveScene> scene_;
   std::unique_ptr<bus::Subscriber> heartbeats_;
   std::unique_ptr<cli::ChildProcess> supervisor_;
   std::map<std::string, Node> nodes_;

@@ -2,6 +2,7 @@
 #include "gateway/packet_gate.h"
 
 #include "stream/packets.h"
+#include "stream/web_message.h"
 #include "target.h"
 
 namespace gateway = splatbus::gateway;
@@ -17,13 +18,14 @@ SPLATBUS_FUZZ_TARGET(packet_gate, bytes) {
   rights.probe = (bits & 2U) != 0;
   const auto message = input.rest();
   try {
-    const gateway::FramedPacket framed = gateway::unframe(message);
-    require(gateway::kFrameHeaderBytes + framed.packet.size() + framed.payload.size() == message.size(),
+    const gateway::FramedPacket framed = stream::take_apart(message);
+    require(stream::kWebHeaderBytes + framed.packet.size() + framed.payload.size() == message.size(),
             "all of the message, once");
     const bool passes = gateway::examine(framed, rights) == gateway::Passage::Pass;
     const auto body = stream::ParsedPacket::parse(framed.packet, framed.payload).body();
     const bool probes = body == splatbus::wire::Body::Probe || body == splatbus::wire::Body::Quality;
-    require(passes == (rights.probe || !probes), "who may not probe does not");
+    const bool asks_for_pages = body == splatbus::wire::Body::PageRequest;
+    require(passes == ((rights.probe || !probes) && !asks_for_pages), "who may not probe does not, and caches go elsewhere");
   } catch (const stream::StreamError&) {  // refused
   }
 }
