@@ -105,7 +105,6 @@ class ViewerFeed {
   template <class Goes, class Visit>
   void walk_deltas(const PageBoard& board, Versions& versions, const Goes& goes, const Visit& visit) const;
   void find_missed(const PageBoard& board, Versions versions);
-  [[nodiscard]] std::set<std::uint32_t> find_whole(const PageBoard& board, Versions versions) const;
   void plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items);
   void drop_ended(const stream::StreamModel& model);
   void order(std::vector<Item> items, double budget_bytes);

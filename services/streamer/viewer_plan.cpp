@@ -61,39 +61,19 @@ void ViewerFeed::find_missed(const PageBoard& board, Versions versions) {
   oldest_delta_ = oldest != 0 ? oldest : board.deltas().empty() ? 0 : board.deltas().back().number + 1;
 }
 
-// The pages that come whole, since their deltas have more bytes than they have themselves: who is slow, or was away, is
-// sent fewer states of a page rather than all of them later. A delta goes whole for whichever pages it goes on with, so
-// that what is left after a page's own choice is chosen for all together.
-std::set<std::uint32_t> ViewerFeed::find_whole(const PageBoard& board, Versions versions) const {
-  std::set<std::uint32_t> whole, others;
-  double others_bytes = 0, delta_bytes = 0;
-  for (const auto& [number, missed] : missed_) {
-    const stream::OfferedPage* page = board.find(number);
-    if (!page || missed.deltas <= kTicksDeltas) continue;
-    const double bytes = board.bytes_of(*page);
-    if (missed.bytes > bytes) {
-      whole.insert(number);
-    } else {
-      others.insert(number);
-      others_bytes += bytes;
-    }
-  }
-  if (others.empty()) return whole;
-  const auto goes = [&](const SharedDelta&, std::uint32_t page) { return !whole.contains(page); };
-  walk_deltas(board, versions, goes,
-              [&](const SharedDelta& delta, const auto&) { delta_bytes += static_cast<double>(delta.packet->bytes()); });
-  if (delta_bytes > others_bytes) whole.merge(others);
-  return whole;
-}
-
+// A page whose deltas have more bytes than it has itself comes whole: who is slow is sent fewer states of a page rather
+// than all of them later.
 void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items) {
   find_missed(board, versions);
-  const std::set<std::uint32_t> whole = find_whole(board, versions);
+  std::set<std::uint32_t> whole;
+  for (const auto& [number, missed] : missed_) {
+    const stream::OfferedPage* page = board.find(number);
+    if (page && missed.deltas > kTicksDeltas && missed.bytes > board.bytes_of(*page)) whole.insert(number);
+  }
   const auto goes = [&](const SharedDelta& delta, std::uint32_t page) {
     // What is larger than the rate's burst never goes: its pages come whole.
     return !whole.contains(page) && static_cast<double>(delta.packet->bytes()) <= largest_packet();
   };
-  const std::size_t first = items.size();
   walk_deltas(board, versions, goes, [&](const SharedDelta& delta, const auto& fitting) {
     float value = 0;
     for (const auto* step : fitting) {
@@ -103,10 +83,6 @@ void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::ve
     const auto bytes = static_cast<double>(delta.packet->bytes());
     items.push_back({.score = value / static_cast<float>(bytes), .bytes = bytes, .delta = delta.number});
   });
-  // Without those before it a delta goes on with nothing.
-  for (std::size_t i = items.size(); i > first + 1; --i) {
-    items[i - 2].score = std::max(items[i - 2].score, items[i - 1].score);
-  }
 }
 
 void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,

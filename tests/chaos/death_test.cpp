@@ -91,7 +91,8 @@ TEST_P(DeathInAChange, AnotherFindsTheModelBeforeOrAfterIt) {
       SCOPED_TRACE("change " + std::to_string(change) + ", store " + std::to_string(store) + " of " +
                    std::to_string(most));
       const int status = run({"model", GetParam(), std::to_string(change), std::to_string(store)});
-      ASSERT_TRUE(status == -SIGKILL || store == most) << status << ": " << said();
+      // How many there are differs a little from run to run.
+      ASSERT_TRUE(status == -SIGKILL || (status == 0 && stores() <= store)) << status << ": " << said();
       const auto context = connect("trainer");
       {
         PageStore adopted(context, {}, {.max_gaussians = model::kScriptGaussians}, Device::Cpu);

@@ -28,7 +28,6 @@ struct Seat {
       feed.sent(now_ns);
       bytes += packet->bytes();
       sent.emplace_back(packet->body(), packet->bytes());
-      if (packet->body() == wire::Body::PageDelta) ++deltas[packet];
       if (lose > 0 && packet->body() == lost) {
         --lose;
         continue;
@@ -55,7 +54,6 @@ struct Seat {
   std::optional<ViewerGaze> gaze;
   std::uint64_t bytes = 0;
   std::vector<std::pair<wire::Body, std::size_t>> sent;
-  std::map<SharedPacket, int> deltas;  ///< how often each came
   wire::Body lost = wire::Body::NONE;
   int lose = 0;
 };
@@ -167,34 +165,6 @@ TEST_F(ViewerFeedTest, WhoIsTooSlowForTheDeltasIsSentFewerStatesRatherThanOldOne
     const double age_s = newer != since.end() ? static_cast<double>(now_ns_ - newer->second) * 1e-9 : 0;
     // All pages take two to three seconds of its rate.
     EXPECT_LT(age_s, 5) << "page " << number;
-  }
-}
-
-/// After a link was cut: what it has missed comes in the order in which it goes on, or whole, and each packet once.
-TEST_F(ViewerFeedTest, WhoWasCutOffIsCurrentSoonAfterwards) {
-  for (const float amount : {0.0005F, 0.003F, 0.02F}) {
-    SCOPED_TRACE(amount);
-    ViewerFeedTest_WhoWasCutOffIsCurrentSoonAfterwards_Test other;
-    Seat cut(3000), witness(1e6);
-    other.sit(cut);
-    other.sit(witness);
-    other.live({&cut, &witness}, 3, amount);
-    // Later deltas say more than those that they go on from.
-    for (int k = 0; k < 50; ++k) {
-      other.tick({&cut, &witness}, amount * (0.2F + 0.1F * static_cast<float>(k % 10)));
-      witness.read(other.server_.stream, other.board_, other.now_ns_ += kTick);
-      witness.say(other.server_.stream, other.now_ns_);
-    }
-    cut.deltas.clear();
-    std::map<std::uint32_t, std::int64_t> since;
-    other.live({&cut, &witness}, 3, amount,
-               [&] { since.emplace(other.server_.stream.status().version, other.now_ns_); });
-    for (const auto& [packet, times] : cut.deltas) EXPECT_EQ(times, 1);
-    for (const auto& [number, page] : cut.replica.held().pages) {
-      const auto newer = since.upper_bound(page.version);
-      const double age_s = newer != since.end() ? static_cast<double>(other.now_ns_ - newer->second) * 1e-9 : 0;
-      EXPECT_LT(age_s, 2) << "page " << number;
-    }
   }
 }
 

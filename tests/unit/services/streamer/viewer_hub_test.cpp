@@ -162,7 +162,7 @@ TEST_F(ViewerHubTest, NoSecondHasMoreThanATenthAboveTheRateWhateverIsSent) {
     window.pop_front();
   }
   EXPECT_LE(largest, kKbps * 125 * 1.1);
-  EXPECT_GT(bytes, kKbps * 125) << "it was sent nothing";
+  EXPECT_GT(largest, kKbps * 125 * 0.7) << "the rate was not used";
 }
 
 TEST_F(ViewerHubTest, WhatAViewerWantsAtMostIsHeardOfAtOnceAndLater) {
@@ -324,11 +324,14 @@ TEST_F(ViewerHubTest, HellosAloneFillItForSecondsOnly) {
     crowd.emplace_back(context_, zmq::socket_type::dealer);
     crowd.back().set(zmq::sockopt::linger, 0);
     crowd.back().connect(endpoint_.bound().front());
-    const auto hello = writer_.write(0, 0, wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "x"); });
-    (void)crowd.back().send(zmq::buffer(hello.packet), zmq::send_flags::none);
   }
+  const auto hello = writer_.write(0, 0, wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "x"); });
   // Strangers are answered so many times a second.
-  ASSERT_TRUE(bus_test::eventually([&] { return hub_.receive(now_ns_ += kSecond / 100), hub_.viewers() == most; }));
+  ASSERT_TRUE(bus_test::eventually([&] {
+    for (zmq::socket_t& socket : crowd) (void)socket.send(zmq::buffer(hello.packet), zmq::send_flags::dontwait);
+    hub_.receive(now_ns_ += kSecond / 10);
+    return hub_.viewers() == most;
+  }));
   now_ns_ += 6 * kSecond;
   hub_.expire(now_ns_);
   EXPECT_EQ(hub_.viewers(), 0U);
