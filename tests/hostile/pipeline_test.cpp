@@ -98,11 +98,11 @@ class HostilePipeline : public testing::Test {
   }
 
   /// After an attack: nobody has ended, memory, descriptors and logs are within bounds, the good viewer was served.
-  void expect_unharmed() {
+  void expect_unharmed(std::size_t growth = kGrowth) {
     int at = 0;
     for (const auto* process : {bus_.get(), streamer_.get()}) {
       EXPECT_GT(resident_bytes(process->pid()), 0U) << "it has ended";
-      EXPECT_LT(resident_bytes(process->pid()), before_.at(at++) + kGrowth);
+      EXPECT_LT(resident_bytes(process->pid()), before_.at(at++) + growth);
       EXPECT_TRUE(eventually([&] { return open_descriptors(process->pid()) < 400; }));
     }
     EXPECT_LT(std::filesystem::file_size(log("bus")) + std::filesystem::file_size(log("streamer")), 16 * kMiB);
@@ -153,7 +153,9 @@ TEST_F(HostilePipeline, MessagesWithoutAnEndOnEveryTcpSocket) {
       while (std::chrono::steady_clock::now() < end && raw.send_frame(part, true)) {
       }
     }
-    expect_unharmed();
+    // Between two looks of the guard's thread a busy machine takes in more than it allows; without the guard it is 1
+    // GiB.
+    expect_unharmed(3 * kGrowth);
   }
 }
 

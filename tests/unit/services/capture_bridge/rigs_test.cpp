@@ -105,7 +105,7 @@ TEST_F(RigControlTest, OneInputCameraIsTheViewersEye) {
   look("v", standing({0, 1.6F, 0}));
   update();
   EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 0.01F), 1);
-  const Camera& eye = of(CameraRole::Input)[0];
+  const Camera eye = of(CameraRole::Input)[0];
   EXPECT_LT(glm::distance(eye.world_from_camera.rotation * glm::vec3(0, 0, 1), glm::vec3(0, 0, -1)), 1e-4F);
 }
 

@@ -209,12 +209,13 @@ TEST_F(Hostile, UpgradesOneAfterTheOtherLeaveNothingBehind) {
     WebSocketClient page(port_);
     if (page.open() && i % 2 == 0) page.send_frame(Frame::kBinary, "garbage");
   }
+  expect_good_one_served();
+  // At the latest when they have been silent for too long; then the good one, which answers no ping, has gone too.
   EXPECT_TRUE(bus_test::eventually([&] {
     const auto now = status();
-    return now.is_object() && now["gateway"]["viewers"] == 1 && now["gateway"]["connections"] == 2;
+    return now.is_object() && now["gateway"]["viewers"] <= 1 && now["gateway"]["connections"] <= 2;
   }));
   EXPECT_TRUE(bus_test::eventually([&] { return open_descriptors() <= before; }));
-  expect_good_one_served();
 }
 
 TEST_F(Hostile, AnUpgradeIsNotFollowedByWhatItsAnswerHasNotAllowedYet) {
