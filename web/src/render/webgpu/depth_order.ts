@@ -1,5 +1,7 @@
 import { bindGroup, computePipeline, type RowBuffers } from './row_buffers';
-import { kBlock, kCloseUp, kCountSeen, kDigitBits, kDigits, kHistogram, kKeyBits, kProject, kReorder, kScanCounts, kThreads } from './shaders';
+import { kKeyBits, kProject } from './projection_shader';
+import { kThreads } from './shared_shaders';
+import { kBlock, kCloseUp, kCountSeen, kDigitBits, kDigits, kHistogram, kReorder, kScanCounts } from './sort_shaders';
 
 interface Step {
   readonly pipeline: GPUComputePipeline;

@@ -1,5 +1,6 @@
 import { kRecordWords, type ColorUpdate, type RowUpdate } from '../../records';
-import { kScatterColors, kScatterHarmonics, kScatterRows, kThreads } from './shaders';
+import { kScatterColors, kScatterHarmonics, kScatterRows } from './row_shaders';
+import { kThreads } from './shared_shaders';
 
 /** A pipeline of one shader that computes. */
 export function computePipeline(device: GPUDevice, label: string, code: string): GPUComputePipeline {

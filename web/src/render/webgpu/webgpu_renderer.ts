@@ -5,7 +5,7 @@ import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, typ
 import { texts } from '../../texts';
 import { DepthOrder, DepthPipelines } from './depth_order';
 import { bindGroup, RowBuffers } from './row_buffers';
-import { kResolve, kSplats } from './shaders';
+import { kResolve, kSplats } from './quad_shaders';
 
 const kViewBytes = 80;
 

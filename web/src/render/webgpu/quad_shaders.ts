@@ -1,0 +1,49 @@
+// Quads from what was projected, and the picture from the quads.
+import { kBatch } from '../quads';
+import { kSplat, kView } from './shared_shaders';
+
+export const kSplats = `${kView}${kSplat}
+@group(0) @binding(1) var<storage, read> seen: array<u32>;
+@group(0) @binding(2) var<storage, read> order: array<u32>;
+@group(0) @binding(3) var<storage, read> splats: array<Splat>;
+struct Corner {
+  @builtin(position) position: vec4f,
+  @location(0) white: vec2f,
+  @location(1) @interpolate(flat) color: vec4f,  // rgb, log2 of alpha in the middle
+}
+fn color_of(word: u32) -> vec3f {
+  return vec3f(vec3u(word, word >> 9, word >> 18) & vec3u(0x1ff)) * exp2(f32(i32(word >> 27) - 24));
+}
+@vertex fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) batch: u32) -> Corner {
+  let rank = batch * ${kBatch} + (corner >> 2);
+  if (rank >= seen[0]) { return Corner(vec4f(2, 2, 2, 1), vec2f(), vec4f()); }
+  let splat = splats[order[rank]];
+  let white = (vec2f(f32(corner & 1), f32((corner >> 1) & 1)) * 2 - 1) * (splat.reach + 0.02);
+  let pixel = splat.centre + vec2f(dot(splat.root.xy, white), splat.root.z * white.y);
+  let ndc = vec2f(2, -2) * pixel / view.size + vec2f(-1, 1);
+  return Corner(vec4f(ndc, 0, 1), white, vec4f(color_of(splat.color), splat.log2_alpha));
+}
+@fragment fn fragment(corner: Corner) -> @location(0) vec4f {
+  let log2_alpha = corner.color.a - dot(corner.white, corner.white);
+  if (log2_alpha < -7.9943534) { discard; }
+  let alpha = min(exp2(log2_alpha), 0.999);
+  return vec4f(corner.color.rgb * alpha, alpha);
+}`;
+
+export const kResolve = `${kView}
+@group(0) @binding(1) var picture: texture_2d<f32>;
+@group(0) @binding(2) var between: sampler;
+struct Corner {
+  @builtin(position) position: vec4f,
+  @location(0) at: vec2f,
+}
+@vertex fn vertex(@builtin(vertex_index) corner: u32) -> Corner {
+  let at = vec2f(f32((corner << 1) & 2), f32(corner & 2));
+  return Corner(vec4f(at * vec2f(2, -2) + vec2f(-1, 1), 0, 1), at);
+}
+@fragment fn fragment(corner: Corner) -> @location(0) vec4f {
+  let splats = textureSample(picture, between, corner.at);
+  let linear = clamp(splats.rgb + (1 - splats.a) * view.background, vec3f(0), vec3f(1));
+  let curve = select(1.055 * pow(max(linear, vec3f(1e-9)), vec3f(1 / 2.4)) - 0.055, 12.92 * linear, linear <= vec3f(0.0031308));
+  return vec4f(select(curve, linear, view.display_space != 0), 1);
+}`;

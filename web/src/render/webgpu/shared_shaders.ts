@@ -1,0 +1,28 @@
+// What several shaders have in common.
+
+/** Threads of every workgroup. */
+export const kThreads = 256;
+
+export const kView = `
+struct View {
+  pinhole: vec4f,      // fx, fy, cx, cy
+  tangents: vec4f,     // low x, high x, low y, high y
+  size: vec2f,
+  time: f32,
+  rows: u32,
+  background: vec3f,
+  display_space: u32,
+  harmonic_words: u32,  // of a row; 0: colors do not depend on where one looks from
+}
+@group(0) @binding(0) var<uniform> view: View;
+`;
+
+export const kSplat = `
+struct Splat {
+  centre: vec2f,
+  log2_alpha: f32,
+  reach: f32,          // white units
+  root: vec3f,         // Cholesky factor of the covariance: xu, xv, yv, pixels a white unit
+  color: u32,
+}
+`;
