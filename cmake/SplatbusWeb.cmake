@@ -31,7 +31,7 @@ if(NOT EXISTS "${installed}" OR "${web}/package-lock.json" IS_NEWER_THAN "${inst
 endif()
 
 set(SPLATBUS_WEB "${CMAKE_BINARY_DIR}/share/splatbus/web")
-file(GLOB_RECURSE sources CONFIGURE_DEPENDS "${web}/src/*.ts" "${web}/static/*")
+file(GLOB_RECURSE sources CONFIGURE_DEPENDS "${web}/src/*.ts" "${web}/src/*.glsl" "${web}/static/*")
 list(APPEND sources "${web}/build.mjs" "${web}/tsconfig.json" "${web}/package-lock.json" "${web}/wasm/instantiate.mjs")
 add_custom_command(
   OUTPUT "${SPLATBUS_WEB}/app.js"

@@ -28,6 +28,7 @@ const options = {
   entryPoints: entries,
   outdir: out,
   bundle: true,
+  loader: { '.glsl': 'text' },
   format: 'esm',
   target: ['es2022'],
   minify: !values.tests,

@@ -1,6 +1,6 @@
 #pragma once
 
-// The page's quads, order and formula (web/src/render/webgl2/shaders.ts), which a test holds to the CPU rasteriser's
+// The page's quads and formula (web/src/render/splat.glsl), in its order, which a test holds to the CPU rasteriser's
 // pictures, as OpenGL 4.5 has them.
 namespace splatbus::viewer::gl {
 
