@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <memory>
-#include <thread>
 
 #include "bus/clock.h"
 #include "bus/error.h"
@@ -24,7 +23,7 @@ namespace {
 
 constexpr std::int64_t kStateNs = 33'333'333;  // where the log does not say how far states are apart
 constexpr std::int64_t kMaxStateNs = 1'000'000'000;
-constexpr std::chrono::milliseconds kIdle{5};
+constexpr std::chrono::milliseconds kIdle{5};  // until the log is looked at again
 
 /// What a StreamReceiver hands over, from a file.
 class LogFeed {
@@ -138,7 +137,7 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
     const Camera camera = window.camera();
     changed = changed || playout.moving() || painter.settles(feed.time_s()) || !(camera == before);
     if (!changed) {
-      std::this_thread::sleep_for(kIdle);
+      window.wait_events(kIdle);
       continue;
     }
     before = camera;

@@ -154,6 +154,11 @@ void Window::poll_events() {
   impl_->advance();
 }
 
+void Window::wait_events(std::chrono::milliseconds most) {
+  glfwWaitEventsTimeout(std::chrono::duration<double>(most).count());
+  impl_->moved_ns = bus::now_ns();  // a key moves from when it was pressed
+}
+
 bool Window::closed() const {
   return glfwWindowShouldClose(impl_->window) == GLFW_TRUE;
 }

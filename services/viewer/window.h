@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <string>
@@ -26,6 +27,8 @@ class Window {
 
   /// Takes what the person did, and moves the camera on to now.
   void poll_events();
+  /// Waits for something that the person does, at most so long; for a camera that rests.
+  void wait_events(std::chrono::milliseconds most);
   /// CV_8UC3 BGR, stretched to the window.
   void show(const cv::Mat& picture);
   /// What was drawn into framebuffer 0, which has the camera's size, is shown; with Splats at the display's next frame.

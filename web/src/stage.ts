@@ -31,7 +31,8 @@ export class Stage {
   /** A picture has been shown. */
   standing = false;
   scene: Scene = kNoScene;
-  sortMs = 0;
+  /** Of the last order; a browser's clock may not tell it from 0. */
+  sortMs: number | null = null;
 
   constructor(
     private wanted: Api | null,

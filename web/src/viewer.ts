@@ -254,7 +254,7 @@ export class Viewer {
       height,
       gaussians: this.figures?.gaussians ?? 0,
       resolution: this.#pace.resolution,
-      sortMs: this.stage.sortMs,
+      sortMs: this.stage.sortMs ?? 0,
       browser: navigator.userAgent,
     };
   }
@@ -269,7 +269,7 @@ export class Viewer {
     this.#overlay.show({
       frames: moving ? this.#pace.framesPerSecond.toFixed(0) : texts.rows.atRest,
       frame: moving ? texts.ms(this.#pace.frameMs) : texts.unknown,
-      sort: this.stage.sortMs > 0 ? texts.ms(this.stage.sortMs) : texts.unknown,
+      sort: this.stage.sortMs === null ? texts.unknown : texts.ms(this.stage.sortMs),
       gaussians: known(figures?.gaussians, (n) => n.toLocaleString('en')),
       rate: this.#rate.megabits.toFixed(2),
       roundTrip: known(figures?.roundTripMs, texts.ms),

@@ -2,12 +2,12 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <glm/gtc/constants.hpp>
 #include <memory>
 #include <optional>
 #include <stdexcept>
-#include <thread>
 #include <vector>
 
 #include "gl/context.h"
@@ -119,6 +119,8 @@ cv::Mat drawn(const Scene& scene) {
   return metrics::from_rgba(picture.rgba.data(), scene.camera.width, scene.camera.height);
 }
 
+constexpr std::chrono::milliseconds kIdle{100};
+
 void show(const Scene& scene, const std::string& title) {
   viewer::Window window(scene.camera, title, viewer::Window::For::Splats);
   const auto stage = make_stage(scene);
@@ -128,7 +130,7 @@ void show(const Scene& scene, const std::string& title) {
     if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
     const Camera camera = scene.seen(window.camera());
     if (shown == camera && !stage->behind()) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(4));
+      window.wait_events(kIdle);
       continue;
     }
     shown = camera;
