@@ -67,8 +67,9 @@ int standalone_main(int argc, char** argv) {
   double bench_s = 0;
   std::size_t bench_gaussians = 1'000'000;
   auto* source = app.add_option_group("source", "what is shown");
-  source->add_option("--connect", endpoint,
-                     "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680");
+  source->add_option(
+      "--connect", endpoint,
+      "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680");
   source->add_option("--replay", log, "a log that --record has written");
   source
       ->add_option("--bench", bench_s,
