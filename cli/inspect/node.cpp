@@ -95,7 +95,8 @@ int list(const NodeOptions& options) {
   std::optional<LaunchFile> file;
   if (!options.wait.empty()) file = read_launch_file(options.wait);
   const bool own_bus = options.bus.empty() && file && file->bus;
-  const auto context = connect(own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus));
+  const auto address = own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus);
+  const auto context = file ? connect_later(address) : connect(address);
   if (file) wait_for_services(options, context, *file, signals);
   bus::Subscriber subscriber(context, {std::string(topics::kHeartbeat.name)});
   std::map<std::string, bus::Message> newest;
@@ -130,14 +131,15 @@ int list(const NodeOptions& options) {
 }  // namespace
 
 void add_node_verb(CLI::App& app, Action& action) {
-  CLI::App* node = app.add_subcommand("node", "Look at the processes on the bus");
+  CLI::App* node = app.add_subcommand("node", "Inspect the processes on the bus");
   node->require_subcommand(1);
   auto options = std::make_shared<NodeOptions>();
-  CLI::App* verb = node->add_subcommand("list", "Processes that send heartbeats, with state, age and counters");
-  verb->add_option("--seconds", options->seconds, "how long to listen (default 1)")->check(CLI::PositiveNumber);
-  verb->add_flag("--json", options->json, "one JSON object a line");
-  verb->add_option("--wait", options->wait, "launch file: wait first until each of its services is alive");
-  verb->add_option("--timeout", options->timeout_s, "seconds to wait at most (default 60)")->check(CLI::PositiveNumber);
+  CLI::App* verb = node->add_subcommand("list", "List processes with state, age and counters");
+  verb->add_option("--seconds", options->seconds, "time to listen, s (default 1)")->check(CLI::PositiveNumber);
+  verb->add_flag("--json", options->json, "print JSON, one object per line");
+  verb->add_option("--wait", options->wait, "launch file: first wait until all of its services are alive");
+  verb->add_option("--timeout", options->timeout_s, "longest wait for --wait, s (default 60)")
+      ->check(CLI::PositiveNumber);
   add_bus_option(*verb, options->bus);
   verb->callback([options, &action] { action = [options] { return list(*options); }; });
 }
