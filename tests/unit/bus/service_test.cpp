@@ -127,7 +127,8 @@ TEST_F(Service, ParametersArePrintedOnDemand) {
   const auto child = start({"--parameters"});
   EXPECT_EQ(child->wait(), 0);
   EXPECT_THAT(read_text(output_path()),
-              testing::AllOf(HasSubstr("rate_hz = 5"), HasSubstr("hertz From 1 to 10."), HasSubstr("Fixed at start.")));
+              testing::AllOf(HasSubstr("rate_hz = 5"), HasSubstr("hertz (number, from 1 to 10)"),
+                             HasSubstr("a name (text, fixed at start)")));
 }
 
 TEST_F(Service, TheBrokerTellsWhoIsAlive) {
