@@ -137,7 +137,7 @@ TEST(Launch, StopsByItselfAfterSeconds) {
 
 TEST(Launch, FailureForGoodIsTheExitStatus) {
   LaunchedFile launched(
-      "services:\n  - {name: job, program: /bin/false, restart: never, heartbeat_timeout_s: 0}\n"
+      "services:\n  - {name: job, program: /bin/false, restart: never}\n"
       "  - {name: relight, after: [job]}\n");
   EXPECT_EQ(launched.wait_for_end().text(), "exited with status 1");
   EXPECT_TRUE(launched.wait_for({"splatbus launch: job: exited with status 1"}));
@@ -170,13 +170,13 @@ const BadFile kBadFiles[] = {
     {"OutOfRange", "services:\n  - name: trainer\n    parameters: {ssim_weight: 7}\n",
      ":3:31: service 'trainer': parameter 'ssim_weight' must be a number from 0 to 1, not '7'"},
     {"MistypedArgument", "services:\n  - {name: engine, program: splatbus-engine-sim, args: [--dynamcs]}\n",
-     ":2:56: service 'engine' refuses its arguments: splatbus-engine-sim: unknown option '--dynamcs'; did you mean "
+     ":2:57: service 'engine' refuses its arguments: splatbus-engine-sim: unknown option '--dynamcs'; did you mean "
      "'--dynamics'?"},
-    {"BusArgument", "services:\n  - {name: bus, args: [--tcp, nonsense]}\n", ":2:24: service 'bus' refuses"},
+    {"BusArgument", "services:\n  - {name: bus, args: [--tcp, nonsense]}\n", ":2:31: service 'bus' refuses"},
     {"BadEndpoint", "services:\n  - {name: streamer, endpoint: \"tcp:/*:7600\"}\n",
      ":2:32: service 'streamer': parameter 'endpoint' must be an endpoint"},
     {"NotTogether", "services:\n  - {name: gateway, parameters: {http: \"0.0.0.0:7680\"}}\n",
-     ":2:11: service 'gateway': http: 0.0.0.0:7680 can be reached from other machines"},
+     ":2:12: service 'gateway': http: 0.0.0.0:7680 can be reached from other machines"},
     {"UnknownVariable", "services:\n  - {name: relight, args: [\"${nmae}\"]}\n",
      ":2:28: unknown variable '${nmae}'; did you mean 'name'?"},
     {"Cycle", "services:\n  - {name: trainer, after: [viewer]}\n  - {name: viewer, after: [trainer]}\n",
@@ -225,9 +225,9 @@ TEST(Launch, ValidateNamesEveryProblemForEditors) {
   ASSERT_EQ(report.at("problems").size(), 2U);
   EXPECT_EQ(report.at("problems")[0].at("file"), path.string());
   EXPECT_EQ(report.at("problems")[0].at("line"), 2);
-  EXPECT_EQ(report.at("problems")[0].at("column"), 41);
+  EXPECT_EQ(report.at("problems")[0].at("column"), 40);
   EXPECT_THAT(report.at("problems")[0].at("message"), HasSubstr("did you mean 'batch'?"));
-  EXPECT_EQ(report.at("problems")[1].at("column"), 57);
+  EXPECT_EQ(report.at("problems")[1].at("column"), 56);
 }
 
 TEST(Commands, SayAtOnceThatThereIsNoBus) {
