@@ -89,6 +89,11 @@ TEST(ParameterEdit, RefusesWhatItDoesNotUnderstand) {
   EXPECT_THAT(error_of("services:\n  - name: a\n    parameters: 3\n", "a"), HasSubstr("x.yaml:3:17: "));
 }
 
+TEST(ParameterEdit, AnEmptyMapGetsNoComma) {
+  EXPECT_EQ(with_parameters("services:\n  - name: a\n    parameters: {}\n", "x.yaml", "a", {{"b", "1"}}),
+            "services:\n  - name: a\n    parameters: {b: 1}\n");
+}
+
 TEST(ParameterEdit, AFileWithoutALastLineBreakIsGood) {
   EXPECT_EQ(with_parameters("services:\n  - name: a", "x.yaml", "a", {{"b", "1"}}),
             "services:\n  - name: a\n    parameters:\n      b: 1");
