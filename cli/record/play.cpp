@@ -23,7 +23,7 @@ using Json = nlohmann::json;
 constexpr std::chrono::seconds kBusPatience(5);
 
 struct PlayVerbOptions {
-  std::string bus, path, clock = "now";
+  std::string bus, name, path, clock = "now";
   std::vector<std::string> remap;
   PlayOptions play;
   bool json = false;
@@ -85,7 +85,8 @@ int play(const PlayVerbOptions& options) {
   const StopSignals signals;
   mcap::Reader reader(options.path);
   const bus::Address address = bus_address(options.bus);
-  const auto context = bus::Context::create(address, fmt::format("play-{}", ::getpid()));
+  const auto context =
+      bus::Context::create(address, options.name.empty() ? fmt::format("play-{}", ::getpid()) : options.name);
   if (!context->wait_connected(kBusPatience)) {
     throw std::runtime_error(fmt::format("no bus at {}: is anything launched there?", address.text()));
   }
@@ -145,6 +146,7 @@ void add_play_verb(CLI::App& app, Action& action) {
       ->allow_extra_args(false);
   verb->add_option("--clock", options->clock, "times in headers: now (of this machine) or as recorded (default now)")
       ->check(CLI::IsMember({"now", "recorded"}));
+  verb->add_option("--name", options->name, "name on the bus of this command itself (default: play-PID)");
   verb->add_flag("--json", options->json, "print the result as JSON");
   add_bus_option(*verb, options->bus);
   verb->callback([options, &action] { action = [options] { return play(*options); }; });

@@ -30,7 +30,7 @@ constexpr std::chrono::seconds kBusPatience(5);
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 
 struct RecordOptions {
-  std::string bus, path, launch_file;
+  std::string bus, name, path, launch_file;
   std::vector<std::string> topics{"*"}, exclude, payloads;
   double seconds = 0;
   std::uint64_t max_mb = 0, buffer_mb = 256;
@@ -139,7 +139,8 @@ int record(const RecordOptions& options) {
   const StopSignals signals;
   const fs::path path = options.path.empty() ? default_path() : fs::path(options.path);
   const bus::Address address = bus_address(options.bus);
-  const auto context = bus::Context::create(address, fmt::format("record-{}", ::getpid()));
+  const auto context =
+      bus::Context::create(address, options.name.empty() ? fmt::format("record-{}", ::getpid()) : options.name);
   if (!context->wait_connected(kBusPatience)) {
     throw std::runtime_error(fmt::format("no bus at {}: is anything launched there?", address.text()));
   }
@@ -200,6 +201,7 @@ void add_record_verb(CLI::App& app, Action& action) {
                    "memory between the bus and the disk; beyond it messages are dropped and counted (default 256)")
       ->check(CLI::Range(8, 65536));
   verb->add_option("--launch", options->launch_file, "launch file to keep in the recording");
+  verb->add_option("--name", options->name, "name on the bus (default: record-PID)");
   verb->add_flag("--json", options->json, "print the result as JSON");
   add_bus_option(*verb, options->bus);
   verb->callback([verb, options, &action] {
