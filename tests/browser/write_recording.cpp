@@ -27,10 +27,12 @@ std::shared_ptr<const cli::Blob> read(const fs::path& path) {
 }
 
 void write(const fs::path& path, const fs::path& golden) {
-  cli::RecordingFile file(
-      {.writer = {.header = {.profile = "splatbus", .library = "write_recording"}, .chunk_bytes = 4096},
-       .metadata = {{.name = cli::kRecordingMetadata, .values = {{"splatbus", "0"}}}},
-       .open = [&](unsigned) { return mcap::create_file(path); }});
+  cli::RecordingFileOptions options;
+  options.writer.header = {.profile = "splatbus", .library = "write_recording"};
+  options.writer.chunk_bytes = 4096;
+  options.metadata = {{.name = cli::kRecordingMetadata, .values = {{"splatbus", "0"}}}};
+  options.open = [&](unsigned) { return mcap::create_file(path); };
+  cli::RecordingFile file(options);
   std::uint32_t number = 0;
   for (const char* name : {"SceneUpdate", "CaptureReference", "ModelPublished", "Heartbeat", "EngineFrame"}) {
     cli::QueuedMessage message{.topic = fmt::format("golden/{}", name),
@@ -38,8 +40,8 @@ void write(const fs::path& path, const fs::path& golden) {
                                .latched = number % 2 == 0,
                                .latch_key = "",
                                .sequence = ++number,
-                               .log_time = 1'700'000'000'000'000'000 + number,
-                               .publish_time = 1'600'000'000'000'000'000 + number,
+                               .log_time = 1'700'000'000'000'000'000U + number,
+                               .publish_time = 1'600'000'000'000'000'000U + number,
                                .data = read(golden / fmt::format("{}.bin", name))};
     file.write(message);
   }

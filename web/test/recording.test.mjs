@@ -9,10 +9,11 @@ import { join } from 'node:path';
 import { after, before, test } from 'node:test';
 import { McapIndexedReader, McapStreamReader } from '@mcap/core';
 import { ByteBuffer } from 'flatbuffers';
-import { Parser, Table } from 'flatbuffers_reflection';
+import flatbuffersReflection from 'flatbuffers_reflection';
 import { decompress } from 'fzstd';
 
 const { SPLATBUS_WRITE_RECORDING: program, SPLATBUS_GOLDEN: golden } = process.env;
+const { Parser, Schema, Table } = flatbuffersReflection;
 const kTables = ['SceneUpdate', 'CaptureReference', 'ModelPublished', 'Heartbeat', 'EngineFrame'];
 const decompressHandlers = { zstd: (bytes, size) => decompress(bytes, new Uint8Array(Number(size))) };
 let folder;
@@ -81,9 +82,7 @@ test('its indexes name every message, and its schemas read it', async () => {
     assert.equal(channel.metadata.get('latched'), String(seen.length % 2 === 0));
     assert.equal(message.publishTime, 1600000000000000001n + BigInt(seen.length));
     assert.equal(message.sequence, seen.length + 1);
-    const parser = Parser.fromByteBuffer
-      ? Parser.fromByteBuffer(new ByteBuffer(schema.data))
-      : new Parser(new ByteBuffer(schema.data));
+    const parser = new Parser(Schema.getRootAsSchema(new ByteBuffer(schema.data)));
     const read = plain(parser.toObject(Table.getRootTable(new ByteBuffer(message.data)), true));
     compare(read, JSON.parse(readFileSync(join(golden, `${name}.json`), 'utf8')), name);
     seen.push(name);
