@@ -105,19 +105,21 @@ void Writer::close_chunk() {
   if (!chunk_.empty()) write_chunk();
 }
 
-void Writer::write_chunk() {
+std::span<const std::byte> Writer::compress() {
+  if (options_.compression_level == 0) return chunk_;
   compressed_.resize(std::max(compressed_.size(), ZSTD_compressBound(chunk_.size())));
   const std::size_t size = ZSTD_compressCCtx(compressor_->context.get(), compressed_.data(), compressed_.size(),
                                              chunk_.data(), chunk_.size(), options_.compression_level);
   if (ZSTD_isError(size) != 0) throw Error(fmt::format("Zstandard: {}", ZSTD_getErrorName(size)));
-  const bool smaller = size < chunk_.size();
-  const auto records =
-      smaller ? std::span<const std::byte>(compressed_).first(size) : std::span<const std::byte>(chunk_);
+  return size < chunk_.size() ? std::span<const std::byte>(compressed_).first(size) : chunk_;
+}
 
+void Writer::write_chunk() {
+  const std::span<const std::byte> records = compress();
   ChunkIndex index{.message_start_time = chunk_start_time_,
                    .message_end_time = chunk_end_time_,
                    .chunk_start_offset = offset_,
-                   .compression = smaller ? "zstd" : "",
+                   .compression = records.data() == chunk_.data() ? "" : "zstd",
                    .compressed_size = records.size(),
                    .uncompressed_size = chunk_.size()};
   std::vector<std::byte> head;

@@ -22,7 +22,7 @@ class Output {
 struct WriterOptions {
   Header header;
   std::size_t chunk_bytes = std::size_t{4} << 20;  ///< a chunk is closed when it has that many
-  int compression_level = 1;  ///< of Zstandard; a chunk that it does not make smaller is left as it is
+  int compression_level = 1;  ///< of Zstandard, 0: none; a chunk that it does not make smaller is left as it is
 };
 
 /// Writes an MCAP file: messages in chunks with their schemas and channels, message indexes, metadata, and at close() a
@@ -51,6 +51,7 @@ class Writer {
 
  private:
   void put(std::span<const std::byte> bytes);
+  [[nodiscard]] std::span<const std::byte> compress();
   void write_chunk();
 
   struct Compressor;
