@@ -22,6 +22,7 @@ constexpr std::size_t kMinSlots = 8, kMaxSlots = 64;
 constexpr std::size_t kLatchedSlots = 4;  // what it replaces may still be read
 constexpr std::size_t kMaxRings = 512;
 constexpr std::size_t kMaxSources = 64;
+constexpr std::chrono::seconds kBusPatience(10);
 constexpr double kMaxSeconds = 1e9;  // what a file can claim of its length
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 
@@ -240,7 +241,10 @@ Player::Speaker& Player::speaker_of(const std::string& source) {
   const auto found = speakers_.find(source);
   if (found != speakers_.end()) return found->second;
   if (speakers_.size() == kMaxSources) throw bus::Error(fmt::format("more than {} sources", kMaxSources));
-  Speaker speaker{.publisher = std::make_unique<bus::Publisher>(bus::Context::create(address_, source)), .rings = {}};
+  // Of what is latched only the last would wait for the broker.
+  const auto context = bus::Context::create(address_, source);
+  if (!context->wait_connected(kBusPatience)) throw std::runtime_error(fmt::format("no bus at {}", address_.text()));
+  Speaker speaker{.publisher = std::make_unique<bus::Publisher>(context), .rings = {}};
   return speakers_.emplace(source, std::move(speaker)).first->second;
 }
 

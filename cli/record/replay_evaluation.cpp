@@ -76,7 +76,7 @@ class Replay {
     {
       const std::jthread player([&](const std::stop_token& stop) {
         try {
-          Player of_engine(reader_, folder_.address(), {.topics = {"capture/*", "scene/*"}});
+          Player of_engine(reader_, folder_.address(), {.topics = {"capture/*", "scene/*", "viewer/pose"}});
           played = of_engine.run(stop, [](const PlayState&) {});
         } catch (const std::exception& error) {
           failure = error.what();
@@ -98,6 +98,8 @@ class Replay {
             {"messages", played.messages},
             {"most_late_s", rounded(static_cast<double>(played.late_ns) / 1e9)},
             {"pictures", figures_.size()},
+            {"without_maps", without_maps_},
+            {"unpaired_views", trainer.unpaired_views},
             {"gaussians", trainer.gaussians},
             {"steps", trainer.step},
             {"steps_per_s", rounded(trainer.steps_per_s)},
@@ -135,6 +137,7 @@ class Replay {
     const auto drawn =
         view_.render(live_, waiting.picture.camera, waiting.picture.scene, waiting.lights ? &*waiting.lights : nullptr);
     if (!drawn) return late;
+    if (!waiting.lights) ++without_maps_;
     figures_[waiting.picture.probe_id] = metrics::compare(*drawn, waiting.picture.picture);
     cameras_.insert(waiting.picture.camera.id);
     return true;
@@ -157,7 +160,8 @@ class Replay {
   bus::Subscriber probes_;
   SceneView view_;
   std::deque<Waiting> waiting_;
-  ViewFigures figures_;  // by probe id
+  ViewFigures figures_;           // by probe id
+  std::size_t without_maps_ = 0;  // pictures that were drawn with the model's own visibility
   std::set<std::uint32_t> cameras_;
   SupervisedRun run_;
 };
