@@ -25,6 +25,7 @@ constexpr std::size_t kMaxSources = 64;
 constexpr std::chrono::seconds kBusPatience(10);
 constexpr double kMaxSeconds = 1e9;  // what a file can claim of its length
 constexpr std::int64_t kSecondNs = 1'000'000'000;
+constexpr std::int64_t kMinLoopNs = kSecondNs / 10;
 
 std::int64_t number_in(const mcap::StringMap& values, const std::string& key) {
   std::int64_t number = 0;
@@ -70,6 +71,7 @@ PlayState Player::run(const std::stop_token& stop, const std::function<void(cons
     const std::uint64_t before = state_.messages;
     if (options_.start_s > 0) say_latched(begin_log_time_);
     play_once(stop);
+    if (options_.loop) wait_until(begin_ns_ + kMinLoopNs, stop);  // one that is over at once would flood the bus
     ++state_.loops;
     if (state_.messages == before) break;  // nothing to play: not for ever
   } while (options_.loop && !stop.stop_requested());
