@@ -10,6 +10,7 @@
 #include "fixed_evaluation.h"
 #include "moving_evaluation.h"
 #include "relight_evaluation.h"
+#include "replay_evaluation.h"
 #include "start_evaluation.h"
 
 namespace splatbus::cli {
@@ -238,6 +239,7 @@ void add_eval_verb(CLI::App& app, Action& action) {
   add_explore_verb(*eval, action);
   add_relight_verb(*eval, action);
   add_stream_verbs(*eval, action);
+  add_replay_verb(*eval, action);
 }
 
 }  // namespace splatbus::cli

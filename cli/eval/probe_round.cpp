@@ -27,6 +27,25 @@ cv::Mat optional_plane(const bus::Message& message, const char* name, bus::Eleme
 
 }  // namespace
 
+std::optional<ProbePicture> to_probe_picture(const bus::Message& message) {
+  const auto& probe = message.root<wire::CaptureProbe>();
+  ProbePicture picture{.probe_id = probe.probe_id(),
+                       .camera = from_wire(*probe.camera()),
+                       .scene = from_wire(*probe.scene()),
+                       .time_s = probe.scene()->time_s(),
+                       .picture = {},
+                       .object_id = {},
+                       .depth = {}};
+  const auto color = message.tensor("color", bus::ElementType::U8, {picture.camera.height, picture.camera.width, 4});
+  if (!color) return std::nullopt;
+  std::vector<std::uint8_t> rgba(color->bytes());
+  if (!color->copy(rgba.data())) return std::nullopt;
+  picture.picture = metrics::from_rgba(rgba.data(), picture.camera.width, picture.camera.height);
+  picture.object_id = optional_plane(message, "object_id", bus::ElementType::U32, picture.picture.size());
+  picture.depth = optional_plane(message, "depth", bus::ElementType::F32, picture.picture.size());
+  return picture;
+}
+
 ProbeRounds::ProbeRounds(const std::shared_ptr<bus::Context>& context, std::vector<Camera> cameras)
     : cameras_(std::move(cameras)),
       publisher_(context),
@@ -77,22 +96,9 @@ void ProbeRounds::poll(std::chrono::milliseconds timeout,
       if (first_id_ == 0 || probe.probe_id() < first_id_ || probe.probe_id() - first_id_ >= cameras_.size()) return;
       const auto index = static_cast<std::size_t>(probe.probe_id() - first_id_);
       if (pictures_.contains(index)) return;
-      ProbePicture picture{.probe_id = probe.probe_id(),
-                           .camera = from_wire(*probe.camera()),
-                           .scene = from_wire(*probe.scene()),
-                           .time_s = probe.scene()->time_s(),
-                           .picture = {},
-                           .object_id = {},
-                           .depth = {}};
-      const auto color =
-          message->tensor("color", bus::ElementType::U8, {picture.camera.height, picture.camera.width, 4});
-      if (!color) return;
-      std::vector<std::uint8_t> rgba(color->bytes());
-      if (!color->copy(rgba.data())) return;
-      picture.picture = metrics::from_rgba(rgba.data(), picture.camera.width, picture.camera.height);
-      picture.object_id = optional_plane(*message, "object_id", bus::ElementType::U32, picture.picture.size());
-      picture.depth = optional_plane(*message, "depth", bus::ElementType::F32, picture.picture.size());
-      handle(index, pictures_.emplace(index, std::move(picture)).first->second);
+      auto picture = to_probe_picture(*message);
+      if (!picture) return;
+      handle(index, pictures_.emplace(index, std::move(*picture)).first->second);
     });
   }
 }

@@ -28,6 +28,9 @@ struct ProbePicture {
   cv::Mat depth;      ///< CV_32FC1, metres, 0 where there is no surface; empty where the engine gave none
 };
 
+/// What a capture/probe says, whoever asked; nullopt when its color is gone. Throws bus::Error when it makes no sense.
+[[nodiscard]] std::optional<ProbePicture> to_probe_picture(const bus::Message& message);
+
 /// Held-out cameras: asks the engine for their pictures by viewer/probe, and gathers capture/probe. Each round has new
 /// probe ids, begin() ... begin() + size - 1. Not thread-safe.
 class ProbeRounds {

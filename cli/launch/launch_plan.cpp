@@ -119,8 +119,12 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
   process.broker = is_broker(service);
   if (service.heartbeat_timeout_s > 0) process.arguments = {"--bus", address.text()};
   if (takes_parameters(service)) process.arguments.insert(process.arguments.end(), {"--name", name});
+  // A verb of the program's, as in `splatbus record`, comes before what it takes.
+  const bool verb = !service.args.empty() && !service.args.front().starts_with('-');
+  std::size_t place = verb ? 0 : process.arguments.size();
   for (const std::string& argument : service.args) {
-    process.arguments.push_back(expand(argument, variables, service.mark));
+    process.arguments.insert(process.arguments.begin() + static_cast<std::ptrdiff_t>(place++),
+                             expand(argument, variables, service.mark));
   }
   for (const auto& [key, setting] : service.parameters) {
     process.arguments.emplace_back("--set");

@@ -78,11 +78,34 @@ flatbuffers::Offset<wire::Header> Publisher::make_header(flatbuffers::FlatBuffer
   return header;
 }
 
-std::uint64_t Publisher::send(flatbuffers::FlatBufferBuilder& builder, std::string_view topic, bool latch,
+std::uint64_t Publisher::publish_again(std::string_view topic, std::span<std::uint8_t> body, const Again& again) const {
+  if (topic.empty() || topic.size() > max_topic_bytes) throw Error(fmt::format("'{}' is no topic", printable(topic)));
+  wire::Header& header = *flatbuffers::GetMutableRoot<wire::Envelope>(body.data())->mutable_header();
+  if (header.source()->string_view() != context_->source()) {
+    throw Error(fmt::format("{}: its source is '{}', not '{}'", topic, printable(header.source()->string_view()),
+                            context_->source()));
+  }
+  const bool written = header.mutate_epoch(again.epoch) && header.mutate_sequence(1) &&
+                       header.mutate_capture_ns(again.capture_ns) && header.mutate_publish_ns(again.publish_ns) &&
+                       (!header.resent() || header.mutate_resent(false));
+  const std::size_t tensors = header.tensors() == nullptr ? 0 : header.tensors()->size();
+  if (!written || tensors != again.tensors.size()) throw Error(fmt::format("{}: its header lacks fields", topic));
+  const MessageInfo info{.capture_ns = again.capture_ns,
+                         .latch_key = header.latch_key() == nullptr ? "" : header.latch_key()->str(),
+                         .tensors = again.tensors};
+  std::size_t payload_bytes = 0;
+  const auto spans = place(topic, info, payload_bytes);
+  for (flatbuffers::uoffset_t i = 0; i < spans.size(); ++i) {
+    *header.mutable_tensors()->GetMutableObject(i)->mutable_span() = spans[i];
+  }
+  return send(body, topic, header.latch(), info);
+}
+
+std::uint64_t Publisher::send(std::span<const std::uint8_t> body, std::string_view topic, bool latch,
                               const MessageInfo& info) const {
   Frames frames;
   frames.topic.rebuild(topic.data(), topic.size());
-  frames.body.rebuild(builder.GetBufferPointer(), builder.GetSize());
+  frames.body.rebuild(body.data(), body.size());
   std::size_t payload_bytes = 0;
   const auto spans = place(topic, info, payload_bytes);
   for (std::size_t i = 0; i < spans.size(); ++i) {

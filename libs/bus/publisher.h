@@ -2,7 +2,9 @@
 
 #include <flatbuffers/flatbuffers.h>
 
+#include <cstdint>
 #include <memory>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -38,12 +40,22 @@ class Publisher {
     const auto header = make_header(builder, topic.name, topic.schema, topic.latch, info);
     const flatbuffers::Offset<Table> root = build(builder, header);
     builder.Finish(root);
-    return send(builder, topic.name, topic.latch, info);
+    return send({builder.GetBufferPointer(), builder.GetSize()}, topic.name, topic.latch, info);
   }
   template <class Table, class Build>
   std::uint64_t publish(const Topic<Table>& topic, Build&& build) const {
     return publish(topic, MessageInfo(), std::forward<Build>(build));
   }
+
+  /// How a message that was published before is published again.
+  struct Again {
+    std::uint64_t epoch = 0;  ///< not before the context's, so that its sequences begin a new count
+    std::int64_t capture_ns = 0, publish_ns = 0;
+    std::vector<OutgoingTensor> tensors;  ///< all of the header's, in its order
+  };
+  /// `body` verifies as an Envelope; its header is written anew in place, and what else it says stays. Throws Error
+  /// when it is of another source than this, or lacks a field that it takes.
+  std::uint64_t publish_again(std::string_view topic, std::span<std::uint8_t> body, const Again& again) const;
 
   [[nodiscard]] const std::shared_ptr<Context>& context() const { return context_; }
 
@@ -51,7 +63,7 @@ class Publisher {
   /// Throws Error when the topic has no name or too long a one, and when a tensor cannot be sent.
   flatbuffers::Offset<wire::Header> make_header(flatbuffers::FlatBufferBuilder& builder, std::string_view topic,
                                                 std::string_view schema, bool latch, const MessageInfo& info) const;
-  std::uint64_t send(flatbuffers::FlatBufferBuilder& builder, std::string_view topic, bool latch,
+  std::uint64_t send(std::span<const std::uint8_t> body, std::string_view topic, bool latch,
                      const MessageInfo& info) const;
   [[nodiscard]] std::vector<wire::Span> place(std::string_view topic, const MessageInfo& info,
                                               std::size_t& payload_bytes) const;

@@ -7,6 +7,8 @@
 #include <limits>
 #include <sstream>
 
+#include "bus/tensor.h"
+#include "mcap/writer.h"
 #include "splats/file.h"
 #include "stream/codecs.h"
 #include "stream/page_codec.h"
@@ -237,6 +239,47 @@ void write_bus(const Corpus& corpus) {
   corpus.write("slab_registry", "wrong", wrong);
 }
 
+/// A golden message whose tensors have a few bytes behind it.
+Buffer recorded(const char* name) {
+  Buffer data = read_file(kGolden / "messages" / (std::string(name) + ".bin"));
+  auto* tensors = flatbuffers::GetMutableRoot<wire::Envelope>(data.data())->mutable_header()->mutable_tensors();
+  std::size_t end = data.size();
+  for (flatbuffers::uoffset_t i = 0; i < tensors->size(); ++i) {
+    wire::Tensor& tensor = *tensors->GetMutableObject(i);
+    std::size_t bytes = bus::element_bytes(tensor.type());
+    for (flatbuffers::uoffset_t axis = 0; axis < tensor.shape()->size(); ++axis) {
+      tensor.mutable_shape()->Mutate(axis, 2);
+      bytes *= 2;
+    }
+    const std::size_t offset = bus::aligned(end);
+    *tensor.mutable_span() = wire::Span(0, 0, offset, bytes, wire::Storage::Inline);
+    end = offset + bytes;
+  }
+  data.resize(end);
+  return data;
+}
+
+void write_recordings(const Corpus& corpus) {
+  const std::filesystem::path path = std::filesystem::temp_directory_path() / "splatbus-fuzz-corpus.mcap";
+  for (const int level : {0, 1}) {
+    std::filesystem::remove(path);
+    mcap::Writer writer(mcap::create_file(path), {.header = {"splatbus", "corpus"}, .compression_level = level});
+    const auto schema = writer.add_schema("splatbus.wire.Any", "flatbuffer", std::vector<std::byte>(20));
+    for (const char* name : {"SceneUpdate", "CaptureReference", "RelightVisibility"}) {
+      const auto channel = writer.add_channel(schema, name, "flatbuffer", {{"latched", "true"}});
+      const Buffer data = recorded(name);
+      writer.write({.channel_id = channel, .data = std::as_bytes(std::span(data))});
+      if (level == 1) writer.close_chunk();
+    }
+    writer.write(mcap::Metadata{"about", {{"key", "value"}}});
+    writer.close();
+    const Buffer file = read_file(path);
+    corpus.write("recording", level == 0 ? "plain" : "zstd", Maker().add(file));
+    if (level == 0) corpus.write("recording", "cut", Maker().add(Buffer(file.begin(), file.end() - 400)));
+  }
+  std::filesystem::remove(path);
+}
+
 void write_files(const Corpus& corpus) {
   corpus.write("ply", "given", Maker().byte(0).add(read_file(kGolden / "splats" / "given.ply")));
   corpus.write("ply", "transform", Maker().byte(1).add(read_file(kGolden / "splats" / "splat_transform.ply")));
@@ -290,4 +333,5 @@ int main(int argc, char** argv) {
   splatbus::fuzz::write_viewers(corpus);
   splatbus::fuzz::write_bus(corpus);
   splatbus::fuzz::write_files(corpus);
+  splatbus::fuzz::write_recordings(corpus);
 }

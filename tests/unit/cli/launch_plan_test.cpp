@@ -87,6 +87,15 @@ services:
   EXPECT_EQ(viewer.environment.at("A"), "viewer");
 }
 
+TEST_F(LaunchPlanTest, AVerbComesFirst) {
+  const LaunchPlan p = plan(R"(
+services:
+  - {name: tape, program: splatbus-viewer, args: [record, --seconds, "3"]}
+)");
+  EXPECT_THAT(p.processes.at(0).arguments,
+              ElementsAre("record", "--seconds", "3", "--bus", "ipc:///tmp/b", "--name", "tape"));
+}
+
 TEST_F(LaunchPlanTest, ABackendOfAServiceGoesBeforeTheFiles) {
   const LaunchPlan p = plan(R"(
 backend: auto

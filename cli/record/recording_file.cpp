@@ -1,0 +1,114 @@
+#include "recording_file.h"
+
+#include <flatbuffers/flatbuffers.h>
+
+#include <algorithm>
+
+namespace splatbus::cli {
+
+namespace {
+
+constexpr std::size_t kMaxLatchedBytes = std::size_t{256} << 20;
+
+/// Bytes of the tensors that lie in the message's data.
+std::uint64_t tensor_bytes_in(const QueuedMessage& message) {
+  std::uint64_t bytes = 0;
+  const auto* tensors = flatbuffers::GetRoot<wire::Envelope>(message.data->data.get())->header()->tensors();
+  if (tensors == nullptr) return 0;
+  for (const wire::Tensor* tensor : *tensors) {
+    if (tensor->span()->storage() == wire::Storage::Inline) bytes += bus::aligned(tensor->span()->bytes());
+  }
+  return bytes;
+}
+
+}  // namespace
+
+RecordingFile::RecordingFile(RecordingFileOptions options) : options_(std::move(options)) {
+  begin_part();
+}
+
+void RecordingFile::begin_part() {
+  writer_ = std::make_unique<mcap::Writer>(options_.open(part_), options_.writer);
+  for (const mcap::Metadata& metadata : options_.metadata) writer_->write(metadata);
+}
+
+bool RecordingFile::full() const {
+  return !options_.split && options_.max_bytes > 0 && writer_->bytes() >= options_.max_bytes;
+}
+
+void RecordingFile::write(const QueuedMessage& message) {
+  if (options_.split && options_.max_bytes > 0 && writer_->bytes() >= options_.max_bytes) {
+    next_part(message.log_time);
+  }
+  append(message);
+  if (options_.split && message.latched) hold(message);
+}
+
+void RecordingFile::next_part(std::uint64_t log_time) {
+  close({});
+  closed_bytes_ += writer_->bytes();
+  ++part_;
+  channels_.clear();
+  schemas_.clear();
+  begin_part();
+  std::vector<const QueuedMessage*> held;
+  for (const auto& [key, message] : latched_) held.push_back(&message);
+  std::ranges::sort(held, {}, &QueuedMessage::publish_time);
+  for (const QueuedMessage* message : held) {
+    QueuedMessage repeated = *message;
+    repeated.log_time = log_time;
+    append(repeated);
+  }
+}
+
+void RecordingFile::append(const QueuedMessage& message) {
+  auto& largest = largest_[message.topic];
+  largest = std::max(largest, tensor_bytes_in(message));
+  writer_->write(mcap::Message{.channel_id = channel_of(message),
+                               .sequence = message.sequence,
+                               .log_time = message.log_time,
+                               .publish_time = message.publish_time,
+                               .data = message.data->bytes()});
+}
+
+void RecordingFile::hold(const QueuedMessage& message) {
+  const std::pair key(message.topic, message.latch_key);
+  if (const auto found = latched_.find(key); found != latched_.end()) {
+    latched_bytes_ -= found->second.data->size;
+    latched_.erase(found);
+  }
+  if (latched_bytes_ + message.data->size > kMaxLatchedBytes) return;
+  latched_bytes_ += message.data->size;
+  latched_.emplace(key, message);
+}
+
+std::uint16_t RecordingFile::channel_of(const QueuedMessage& message) {
+  const std::pair key(message.topic, message.schema);
+  if (const auto found = channels_.find(key); found != channels_.end()) return found->second;
+  const std::uint16_t schema = schema_of(message.schema);
+  const std::uint16_t channel =
+      writer_->add_channel(schema, message.topic, "flatbuffer",
+                           {{"schema", message.schema}, {"latched", message.latched ? "true" : "false"}});
+  return channels_[key] = channel;
+}
+
+std::uint16_t RecordingFile::schema_of(const std::string& schema) {
+  if (const auto found = schemas_.find(schema); found != schemas_.end()) return found->second;
+  const std::string table = "splatbus.wire." + schema.substr(0, schema.find('/'));
+  auto binary = binary_schema(table);
+  const std::uint16_t id =
+      binary.empty() ? std::uint16_t{0} : writer_->add_schema(table, "flatbuffer", std::move(binary));
+  return schemas_[schema] = id;
+}
+
+void RecordingFile::close(const mcap::StringMap& drops) {
+  mcap::Metadata largest{.name = kLargestMetadata, .values = {}};
+  for (const auto& [topic, bytes] : largest_) {
+    if (bytes > 0) largest.values[topic] = std::to_string(bytes);
+  }
+  writer_->write(largest);
+  writer_->write(mcap::Metadata{.name = kDropsMetadata, .values = drops});
+  writer_->close();
+}
+
+}  // namespace splatbus::cli
