@@ -11,8 +11,8 @@ namespace splatbus::gateway {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "the streamer's ZeroMQ endpoint; empty: ipc, 'streamer' in the folder of the bus",
-        kFixed);
+  p.add("endpoint", endpoint,
+        "ZeroMQ endpoint of the one streamer that serves everybody; empty: those on the bus share browsers", kFixed);
   p.add("http", http,
         "address and port to listen on; one beyond this machine needs 'tokens', and a certificate or 'insecure'",
         kFixed);
@@ -71,9 +71,7 @@ void check(const Options& options) {
 
 std::string streamer_endpoint(const Options& options, const bus::Address& address) {
   if (!options.endpoint.empty()) return options.endpoint;
-  if (!address.is_local()) {
-    throw bus::Error(fmt::format("the bus at {} has no folder: set 'endpoint' to the streamer's", address.text()));
-  }
+  if (!address.is_local()) return {};
   return "ipc://" + *address.directory + "/streamer";
 }
 

@@ -37,13 +37,15 @@ Streamer::Streamer(bus::ServiceContext& service)
       options_(service.parameters),
       subscriber_(service.bus),
       publisher_(service.bus),
-      endpoint_(streamer::endpoints(*options_, service.bus->address()),
+      endpoint_(streamer::endpoints(*options_, service.bus->address(), service.bus->source()),
                 {.keys = options_->keys, .silence_s = 3 * options_->hub.viewer_timeout_s}),
       writer_(service.bus->source(), service.bus->epoch()),
       model_(writer_, service.bus->epoch(), options_->stream, service.backend),
       hub_(endpoint_, model_, writer_, options_->hub, events()),
+      others_(service.bus->address().is_local()),
       follower_(model_, service.backend) {
   subscribe();
+  publish_offer();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
 
@@ -71,15 +73,27 @@ HubEvents Streamer::events() {
 }
 
 void Streamer::run() {
-  while (!service_.stop.stop_requested()) {
-    const std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
-    const std::int64_t wait_ns = std::clamp<std::int64_t>(due_ns - bus::now_ns(), 0, blocked_ ? kBlockedNs : kIdleNs);
-    zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0},
-                            {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0},
-                            {nullptr, follower_.descriptor(), ZMQ_POLLIN, 0}};
-    zmq::poll(items, 3, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
-    step(bus::now_ns());
-  }
+  while (!service_.stop.stop_requested()) wait_and_step();
+  drain();
+}
+
+void Streamer::wait_and_step() {
+  const std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
+  const std::int64_t wait_ns = std::clamp<std::int64_t>(due_ns - bus::now_ns(), 0, blocked_ ? kBlockedNs : kIdleNs);
+  zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0},
+                          {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0},
+                          {nullptr, follower_.descriptor(), ZMQ_POLLIN, 0}};
+  zmq::poll(items, 3, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
+  step(bus::now_ns());
+}
+
+void Streamer::drain() {
+  if (hub_.viewers() == 0 || !others_.others_serve(service_.bus->source())) return;
+  draining_ = true;
+  publish_offer();
+  service_.detail("its viewers move to another streamer");
+  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_->drain_s * 1e9);
+  while (hub_.viewers() > 0 && bus::now_ns() < end_ns) wait_and_step();
 }
 
 void Streamer::take_messages(std::int64_t now_ns) {
@@ -97,6 +111,7 @@ void Streamer::turn(std::int64_t now_ns) {
 }
 
 void Streamer::step(std::int64_t now_ns) {
+  now_ns_ = now_ns;
   end_tick(now_ns);
   take_messages(now_ns);
   hub_.receive(now_ns);
@@ -119,6 +134,7 @@ void Streamer::step(std::int64_t now_ns) {
 }
 
 void Streamer::subscribe() {
+  stream::follow_offers(subscriber_, others_, now_ns_);
   subscriber_
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
@@ -232,6 +248,8 @@ void Streamer::end_tick(std::int64_t now_ns) {
   const std::optional<ModelFollower::Result> result = follower_.take_result();
   if (!result) return;
   ticked_ = *result;
+  ++load_.ticks;
+  load_.encode_ms += result->cpu_ms;
   balance_bytes_ -= result->spent_bytes;
   if (result->fresh) observed_generation_ = result->generation;
   // Gaussians that have come since do not know yet what they see.

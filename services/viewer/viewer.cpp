@@ -25,6 +25,7 @@ constexpr std::int64_t kIdleWindowNs = 5'000'000;  // until mouse and keys are l
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
   return {.endpoint = host.endpoint,
+          .find_endpoint = host.find_endpoint,
           .name = host.name,
           .key = options.key,
           .server_key = options.server_key,
@@ -56,7 +57,8 @@ std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "of the streamer; empty: 'streamer' in the folder of the bus", kFixed);
+  p.add("endpoint", endpoint, "of the streamer; empty: one of those on the bus, and another one when that leaves",
+        kFixed);
   p.add("fps", fps, "pictures a second, at most: one is drawn when scene, model or camera have changed", {0.1, 240});
   p.add("threads", threads, "that draw, on the CPU; 0: one a core", {0, 1024}, kFixed);
   p.add("key", key, "key file for a streamer elsewhere; empty: SPLATBUS_KEY", kFixed);
