@@ -39,6 +39,10 @@ class Streamer {
     std::vector<std::uint32_t> light_ids;
     std::vector<std::uint8_t> of_index;  ///< [light_ids][indices]
     bool sent = false;
+    // Where replicas share the pages:
+    std::uint32_t page_indices = 0;
+    std::vector<std::uint8_t> covered;             ///< of each page; empty: it is all there
+    std::vector<std::uint64_t> version_of_page{};  ///< the same
   };
 
   void subscribe();
@@ -51,6 +55,7 @@ class Streamer {
   void begin_tick(std::int64_t now_ns);
   void end_tick(std::int64_t now_ns);
   void take_visibility(const wire::RelightVisibility& body, const bus::Message& message);
+  void merge_visibility(const wire::RelightVisibility& body, const std::vector<std::uint8_t>& part);
   void send_visibility(std::int64_t now_ns);
   void publish_statistics(std::int64_t now_ns);
   void publish_offer();
