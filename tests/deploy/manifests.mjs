@@ -52,7 +52,9 @@ assert.deepEqual(services["streamer-1"].ports, ["7600:7600"]);
 assert.deepEqual(services["streamer-2"].ports, ["7601:7601"]);
 assert.deepEqual(services.gateway.ports, ["127.0.0.1:7680:7680"]);
 assert.deepEqual(services["far-1"].secrets, ["server_key", "allowed", "client_key"]);
-assert.deepEqual(services["relight-1"].depends_on, { trainer: { condition: "service_healthy" } });
+assert.deepEqual(services["relight-1"].depends_on, {
+  bus: { condition: "service_healthy" },
+  trainer: { condition: "service_healthy" } });
 assert.equal(services.trainer.deploy.resources.reservations.devices[0].capabilities[0], "gpu");
 assert.equal(services.relight, undefined);
 assert.ok(volumes.run && volumes.world);
