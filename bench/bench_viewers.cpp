@@ -42,22 +42,25 @@ double thread_ms() {
   zmq::context_t context;
   std::vector<zmq::socket_t> sockets;
   std::vector<zmq::pollitem_t> items;
+  std::vector<bool> served(static_cast<std::size_t>(viewers), false);
   const stream::PacketWriter writer("viewer", 1);
   for (int k = 0; k < viewers; ++k) {
     zmq::socket_t& socket = sockets.emplace_back(context, zmq::socket_type::dealer);
     socket.set(zmq::sockopt::linger, 0);
     socket.connect(endpoint);
-    const auto hello =
-        writer.write(0, 0, wire::Body::Hello, [](auto& builder) { return wire::CreateHelloDirect(builder, "viewer"); });
-    (void)socket.send(zmq::buffer(hello.packet), zmq::send_flags::none);
   }
   for (zmq::socket_t& socket : sockets) items.push_back({socket.handle(), 0, ZMQ_POLLIN, 0});
+  const auto hello =
+      writer.write(0, 0, wire::Body::Hello, [](auto& builder) { return wire::CreateHelloDirect(builder, "viewer"); });
   zmq::message_t frame;
   while (true) {
-    zmq::poll(items, std::chrono::milliseconds(-1));
-    for (zmq::socket_t& socket : sockets) {
-      while (socket.recv(frame, zmq::recv_flags::dontwait)) {
-      }
+    // Again, until it is answered: strangers are so many times a second.
+    for (std::size_t k = 0; k < sockets.size(); ++k) {
+      if (!served[k]) (void)sockets[k].send(zmq::buffer(hello.packet), zmq::send_flags::dontwait);
+    }
+    zmq::poll(items, std::chrono::milliseconds(200));
+    for (std::size_t k = 0; k < sockets.size(); ++k) {
+      while (sockets[k].recv(frame, zmq::recv_flags::dontwait)) served[k] = true;
     }
   }
 }

@@ -22,6 +22,7 @@ int run(int argc, char** argv) {
   splatbus::cli::add_node_verb(app, action);
   splatbus::cli::add_keys_verb(app, action);
   splatbus::cli::add_export_verb(app, action);
+  splatbus::cli::add_health_verb(app, action);
   splatbus::cli::add_world_verb(app, action);
   splatbus::cli::add_eval_verb(app, action);
   splatbus::cli::add_demo_verb(app, action);

@@ -24,6 +24,9 @@ void add_topic_verb(CLI::App& app, Action& action);
 void add_node_verb(CLI::App& app, Action& action);
 void add_keys_verb(CLI::App& app, Action& action);
 void add_export_verb(CLI::App& app, Action& action);
+void add_health_verb(CLI::App& app, Action& action);
+/// What a launch file is exported as, to the verb export.
+void add_deploy_formats(CLI::App& verb, Action& action);
 void add_world_verb(CLI::App& app, Action& action);
 void add_eval_verb(CLI::App& app, Action& action);
 void add_demo_verb(CLI::App& app, Action& action);

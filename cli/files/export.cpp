@@ -59,9 +59,11 @@ int export_model(const ExportOptions& options) {
 
 void add_export_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<ExportOptions>();
-  CLI::App* verb =
-      app.add_subcommand("export", "Write the live model under its current light to a file for splat tools");
-  verb->add_option("file", options->path, "file to write (.ply, .glb, .spz)")->required();
+  CLI::App* verb = app.add_subcommand("export",
+                                      "Write the live model under its current light to a file for splat tools, or a "
+                                      "launch file for Docker Compose or Kubernetes");
+  verb->add_option("file", options->path, "file to write (.ply, .glb, .spz)");
+  add_deploy_formats(*verb, action);
   add_write_options(*verb, options->write);
   verb->add_option("--from", options->from, "convert a file (.ply, .spz) instead of the live model");
   add_axes_option(*verb, options->from_axes, "--from-axes");
@@ -69,7 +71,11 @@ void add_export_verb(CLI::App& app, Action& action) {
       ->check(CLI::PositiveNumber);
   verb->add_flag("--json", options->json, "print the result as JSON");
   add_bus_option(*verb, options->bus);
-  verb->callback([options, &action] { action = [options] { return export_model(*options); }; });
+  verb->callback([verb, options, &action] {
+    if (!verb->get_subcommands().empty()) return;
+    if (options->path.empty()) throw CLI::RequiredError("file");
+    action = [options] { return export_model(*options); };
+  });
 }
 
 }  // namespace splatbus::cli

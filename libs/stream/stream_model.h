@@ -35,6 +35,8 @@ struct LightsVisibility {
       light_ids;                           ///< ascending, 0 is the sun; those that the scene does not have are left out
   std::span<const std::uint8_t> of_index;  ///< [light_ids][indices of the model], 255 sees all of the light
   std::uint64_t scene_version = 0;
+  std::uint32_t page_indices = 0;         ///< of a page; with `covered`
+  std::span<const std::uint8_t> covered;  ///< of each page of indices: 0 where of_index says nothing; empty: it is all
 };
 
 /// A page that viewers may have.
@@ -254,7 +256,8 @@ class StreamModel {
 
   [[nodiscard]] EncodedPacket write_scene(const QuantizedScene* base) const;
   void hold_scene();
-  [[nodiscard]] LightChange change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const;
+  [[nodiscard]] LightChange change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index,
+                                      const LightsVisibility& all) const;
   [[nodiscard]] VisibilityPacket write_visibility(const LightChange& light) const;
 
   PacketWriter writer_, brief_writer_ = PacketWriter::brief();

@@ -121,7 +121,8 @@ void StreamModel::hold_scene() {
   held_.renew_light_rows();
 }
 
-StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const {
+StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index,
+                                                const LightsVisibility& all) const {
   LightChange out{.light_id = light_id, .rows = {}, .values = {}, .weight = 0};
   const HeldChannel* sun =
       light_id == 0 ? &held_.gaussians.channels[held_.layout.at(Attribute::Visibility).first] : nullptr;
@@ -131,6 +132,7 @@ StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::spa
     if (std::size_t{page.index} + page.count > of_index.size()) {
       throw StreamError(fmt::format("visibility: of {} indices, the model has more", of_index.size()));
     }
+    if (!all.covered.empty() && all.covered[page.index / all.page_indices] == 0) continue;
     for (std::uint32_t k = 0; k < page.count; ++k) {
       const std::uint32_t row = row_of_column_[page.first + k];
       if (row == kNotHeld || target_page_of_row_[row] != page.page) continue;
@@ -183,7 +185,7 @@ std::vector<VisibilityPacket> StreamModel::take_visibility(const LightsVisibilit
   for (std::size_t k = 0; k < visibility.light_ids.size(); ++k) {
     const std::uint32_t id = visibility.light_ids[k];
     if (id != 0 && !held_.light_rows.find(id)) continue;
-    LightChange light = change_of(id, visibility.of_index.subspan(k * indices, indices));
+    LightChange light = change_of(id, visibility.of_index.subspan(k * indices, indices), visibility);
     if (light.rows.empty()) continue;
     if (const auto waits = visibility_waits_.find(id); waits != visibility_waits_.end())
       light.weight *= 1 + waits->second;

@@ -21,6 +21,7 @@ struct RelightVisibility;
 struct SceneLightDepth;
 struct SceneUpdate;
 struct StreamStats;
+struct StreamerOffer;
 struct Topics;
 struct TrainerStats;
 struct ViewerPose;
@@ -64,6 +65,8 @@ inline constexpr std::string_view kSchema<wire::SceneUpdate> = "SceneUpdate/1";
 template <>
 inline constexpr std::string_view kSchema<wire::StreamStats> = "StreamStats/2";
 template <>
+inline constexpr std::string_view kSchema<wire::StreamerOffer> = "StreamerOffer/1";
+template <>
 inline constexpr std::string_view kSchema<wire::Topics> = "Topics/1";
 template <>
 inline constexpr std::string_view kSchema<wire::TrainerStats> = "TrainerStats/2";
@@ -101,7 +104,8 @@ inline constexpr Topic<wire::ViewerPose> kViewerPose{"viewer/pose"};
 inline constexpr Topic<wire::ViewerProbe> kViewerProbe{"viewer/probe"};
 inline constexpr Topic<wire::ViewerQuality> kViewerQuality{"viewer/quality"};
 inline constexpr Topic<wire::StreamStats> kStreamStats{"stream/stats"};
-inline constexpr Topic<wire::Heartbeat> kHeartbeat{"sys/heartbeat", kLatched};  ///< keyed by source
+inline constexpr Topic<wire::StreamerOffer> kStreamerOffer{"stream/offer", kLatched};  ///< keyed by source
+inline constexpr Topic<wire::Heartbeat> kHeartbeat{"sys/heartbeat", kLatched};         ///< keyed by source
 inline constexpr Topic<wire::Liveness> kLiveness{"sys/liveness", kLatched};
 inline constexpr Topic<wire::Topics> kTopics{"sys/topics", kLatched};
 inline constexpr Topic<wire::Log> kLog{"sys/log"};

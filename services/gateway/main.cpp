@@ -13,16 +13,19 @@ void run(bus::ServiceContext& service) {
   gateway::PipelineView pipeline(service.bus);
   gateway::Traffic traffic;
   const std::string streamer = gateway::streamer_endpoint(options, service.bus->address());
+  gateway::Streamers streamers =
+      options.endpoint.empty() ? gateway::Streamers(service.bus, streamer) : gateway::Streamers(streamer);
   zmq::context_t context;
   gateway::PageLibrary pages(context, streamer, options.page_cache_bytes, traffic);
   gateway::ModelFiles models(service.bus, options.max_model_gaussians, traffic);
   gateway::Site site(options, pipeline, pages, models, traffic);
-  gateway::Server server(options, streamer, site, pages, traffic);
+  gateway::Server server(options, streamers, site, pages, traffic);
   spdlog::info("{}, {} files of the page", server.url(), site.files());
   service.detail(server.url());
   server.run(service.stop, [&] {
     pipeline.poll(bus::now_ns());
     service.counter("connections", static_cast<double>(traffic.connections));
+    service.counter("moves", static_cast<double>(traffic.moves));
     service.counter("viewers", static_cast<double>(traffic.viewers));
     service.counter("bytes_to", static_cast<double>(traffic.bytes_to));
   });

@@ -104,6 +104,7 @@ void add_gateway(Families& out, const Traffic& traffic) {
   out.gauge("splatbus_gateway_queued_bytes", "Of packets that are being written to browsers",
             static_cast<double>(traffic.queued_bytes));
   out.counter("splatbus_gateway_requests_total", "HTTP requests", traffic.requests);
+  out.counter("splatbus_gateway_moves_total", "Browsers that went on with another streamer", traffic.moves);
   out.counter("splatbus_gateway_pages_served_total", "Frozen pages sent over HTTP", traffic.pages_served);
   out.counter("splatbus_gateway_pages_fetched_total", "Of them, asked of the streamer", traffic.pages_fetched);
   out.gauge("splatbus_gateway_page_cache_bytes", "Of pages that are kept to be served again",
@@ -126,7 +127,7 @@ void add_gateway(Families& out, const Traffic& traffic) {
 std::string metrics_text(const PipelineView& pipeline, const Traffic& traffic, std::int64_t now_ns) {
   Families out;
   add_services(out, pipeline.services(now_ns));
-  if (const auto* stream = pipeline.stream(now_ns)) add_stream(out, *stream);
+  if (const auto stream = pipeline.stream(now_ns)) add_stream(out, *stream);
   if (const auto& quality = pipeline.quality()) {
     out.gauge("splatbus_stream_ssim", "A viewer's picture against the engine's, the newest comparison", quality->ssim);
     out.gauge("splatbus_stream_psnr_db", "The same", quality->psnr_db);
@@ -153,7 +154,7 @@ nlohmann::json status_json(const PipelineView& pipeline, const Traffic& traffic,
                                   {"detail", s.detail},
                                   {"counters", s.counters}});
   }
-  if (const auto* s = pipeline.stream(now_ns)) {
+  if (const auto s = pipeline.stream(now_ns)) {
     Json types = Json::object();
     for (const auto& [body, type] : s->by_type) types[body] = {{"packets", type.packets}, {"bytes", type.bytes}};
     status["stream"] = {{"viewers", s->viewers},

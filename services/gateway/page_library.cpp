@@ -71,7 +71,17 @@ std::string etag_of(const PageName& name) {
 }
 
 PageLibrary::PageLibrary(zmq::context_t& context, const std::string& streamer, std::size_t max_bytes, Traffic& traffic)
-    : link_(context, streamer), max_bytes_(max_bytes), traffic_(traffic) {}
+    : context_(context), streamer_(streamer), link_(context, streamer), max_bytes_(max_bytes), traffic_(traffic) {}
+
+bool PageLibrary::ask_at(const std::string& streamer) {
+  if (streamer == streamer_) return false;
+  link_ = StreamLink(context_, streamer);
+  streamer_ = streamer;
+  manifest_ns_ = manifest_asked_ns_ = 0;
+  coming_ = {};
+  for (auto& [name, want] : wants_) want.asked_ns = 0;
+  return true;
+}
 
 bool PageLibrary::knows(const PageName& name) const {
   if (name.epoch != manifest_.epoch) return false;

@@ -55,6 +55,8 @@ class PageLibrary {
 
   /// Takes what the streamer has said. True when something has come.
   bool poll(std::int64_t now_ns);
+  /// Asks that streamer from now on. True when it asked another one before: descriptor() is another one too.
+  bool ask_at(const std::string& streamer);
   /// Edge-triggered: to be waited for after poll() only.
   [[nodiscard]] int descriptor() const { return link_.descriptor(); }
 
@@ -93,6 +95,8 @@ class PageLibrary {
   [[nodiscard]] std::string manifest_packets() const;
   [[nodiscard]] std::string manifest_json() const;
 
+  zmq::context_t& context_;
+  std::string streamer_;
   StreamLink link_;
   std::size_t max_bytes_, bytes_ = 0;
   Traffic& traffic_;

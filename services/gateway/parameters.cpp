@@ -11,7 +11,7 @@ namespace splatbus::gateway {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "ZeroMQ endpoint of the streamer; empty: 'streamer' in the bus's folder",
+  p.add("endpoint", endpoint, "ZeroMQ endpoint of one streamer for all; empty: those on the bus share the browsers",
         bus::endpoint_rule(), kFixed);
   p.add("http", http,
         "address and port to listen on; beyond this machine it needs 'tokens', and a certificate or 'insecure'",
@@ -69,9 +69,7 @@ void check(const Options& options) {
 
 std::string streamer_endpoint(const Options& options, const bus::Address& address) {
   if (!options.endpoint.empty()) return options.endpoint;
-  if (!address.is_local()) {
-    throw bus::Error(fmt::format("the bus at {} has no folder: set 'endpoint' to the streamer's", address.text()));
-  }
+  if (!address.is_local()) return {};
   return "ipc://" + *address.directory + "/streamer";
 }
 

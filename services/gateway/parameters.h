@@ -39,7 +39,8 @@ struct Options {
 /// `certificate` and `key` or `insecure`.
 void check(const Options& options);
 
-/// Where the streamer is: `endpoint`, or ipc, "streamer" in the bus's folder. Throws bus::Error.
+/// The streamer's place before the bus has named one: `endpoint`, or ipc, "streamer" in the bus's folder; empty where
+/// the bus has no folder.
 [[nodiscard]] std::string streamer_endpoint(const Options& options, const bus::Address& address);
 
 /// `web_root`, or share/splatbus/web beside the program's folder.

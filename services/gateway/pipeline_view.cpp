@@ -72,8 +72,11 @@ PipelineView::PipelineView(std::shared_ptr<bus::Context> context) : subscriber_(
   subscriber_.on(topics::kHeartbeat, [this](const wire::Heartbeat& body, const Message&) { take_heartbeat(body); })
       .on(topics::kLiveness, [this](const wire::Liveness& body, const Message& m) { take_liveness(body, m); })
       .on(topics::kStreamStats,
-          [this](const wire::StreamStats& body, const Message&) {
-            stream_ = {figures_of(body), now_ns_};
+          [this](const wire::StreamStats& body, const Message& message) {
+            const std::string source = message.header().source()->str();
+            if (streams_.contains(source) || streams_.size() < kMaxServices) {
+              streams_[source] = {figures_of(body), now_ns_};
+            }
           })
       .on(topics::kTrainerStats,
           [this](const wire::TrainerStats& body, const Message&) {
@@ -87,6 +90,34 @@ PipelineView::PipelineView(std::shared_ptr<bus::Context> context) : subscriber_(
 void PipelineView::poll(std::int64_t now_ns) {
   now_ns_ = now_ns;
   subscriber_.dispatch_all(std::chrono::milliseconds(0), kMessagesACall);
+}
+
+std::optional<StreamFigures> PipelineView::stream(std::int64_t now_ns) const {
+  std::optional<StreamFigures> all;
+  for (const auto& [source, heard] : streams_) {
+    const StreamFigures* one = fresh(heard, now_ns);
+    if (one == nullptr) continue;
+    if (!all) {
+      all = *one;
+      continue;
+    }
+    const StreamFigures before = *all;
+    if (one->epoch > all->epoch) all = *one;
+    all->total_bytes = before.total_bytes + one->total_bytes;
+    all->whole_pages = before.whole_pages + one->whole_pages;
+    all->lost_packets = before.lost_packets + one->lost_packets;
+    all->lost_viewers = before.lost_viewers + one->lost_viewers;
+    all->viewers = before.viewers + one->viewers;
+    all->wire_mbps = before.wire_mbps + one->wire_mbps;
+    all->wire_mbps_mean = before.wire_mbps_mean + one->wire_mbps_mean;
+    all->wire_mbps_peak = before.wire_mbps_peak + one->wire_mbps_peak;
+    all->by_type = before.by_type;
+    for (const auto& [name, type] : one->by_type) {
+      all->by_type[name].packets += type.packets;
+      all->by_type[name].bytes += type.bytes;
+    }
+  }
+  return all;
 }
 
 void PipelineView::take_heartbeat(const wire::Heartbeat& heartbeat) {
@@ -116,6 +147,7 @@ void PipelineView::take_liveness(const wire::Liveness& liveness, const bus::Mess
                       .alive = node->alive(),
                       .age_s = node->age_s()});
   }
+  std::erase_if(streams_, [&](const auto& entry) { return fresh(entry.second, now_ns_) == nullptr; });
   std::erase_if(beats_, [&](const auto& beat) {
     return std::none_of(nodes_.begin(), nodes_.end(), [&](const auto& node) { return node.source == beat.first; });
   });

@@ -56,8 +56,10 @@ class PipelineView {
   void poll(std::int64_t now_ns);
 
   [[nodiscard]] std::vector<ServiceFigures> services(std::int64_t now_ns) const;
+  /// Of all streamers together: sums, and of the model what the one that started last says. Nullopt where nothing came
+  /// for 10 s.
+  [[nodiscard]] std::optional<StreamFigures> stream(std::int64_t now_ns) const;
   /// Null where nothing came for 10 s.
-  [[nodiscard]] const StreamFigures* stream(std::int64_t now_ns) const { return fresh(stream_, now_ns); }
   [[nodiscard]] const TrainerFigures* trainer(std::int64_t now_ns) const { return fresh(trainer_, now_ns); }
   /// The newest, however old.
   [[nodiscard]] const std::optional<QualityFigures>& quality() const { return quality_; }
@@ -80,10 +82,10 @@ class PipelineView {
 
   bus::Subscriber subscriber_;
   std::int64_t now_ns_ = 0;
-  std::vector<ServiceFigures> nodes_;            ///< of the newest liveness
-  std::int64_t liveness_ns_ = 0;                 ///< when it was heard; 0: only a held one, or none
-  std::map<std::string, ServiceFigures> beats_;  ///< by source; what liveness does not say
-  Heard<StreamFigures> stream_;
+  std::vector<ServiceFigures> nodes_;                    ///< of the newest liveness
+  std::int64_t liveness_ns_ = 0;                         ///< when it was heard; 0: only a held one, or none
+  std::map<std::string, ServiceFigures> beats_;          ///< by source; what liveness does not say
+  std::map<std::string, Heard<StreamFigures>> streams_;  ///< by source
   Heard<TrainerFigures> trainer_;
   std::optional<QualityFigures> quality_;
 };

@@ -37,18 +37,18 @@ struct BorrowedDescriptor {
 }  // namespace
 
 struct Server::Impl {
-  Impl(const Options& all, std::string streamer, Site& to_see, PageLibrary& library, Traffic& counts)
+  Impl(const Options& all, Streamers& streamers, Site& to_see, PageLibrary& library, Traffic& counts)
       : options(all),
         site(to_see),
         pages(library),
         traffic(counts),
-        relay(all.limits, counts, std::move(streamer)),
+        relay(all.limits, counts, streamers),
         connections(most_connections(), static_cast<std::size_t>(all.limits.connections_per_address), counts),
         tls(load_certificate(all)),
         library_wake(io, library.descriptor()),
         acceptors(bind(io, all.http)),
         url(url_of(all.http, acceptors.front().local_endpoint().port(), tls.has_value())) {
-    relay.context.set(zmq::ctxopt::max_sockets, static_cast<int>(most_connections()) + 8);
+    relay.context.set(zmq::ctxopt::max_sockets, 2 * static_cast<int>(most_connections()) + 8);
   }
 
   [[nodiscard]] std::size_t most_connections() const {
@@ -130,7 +130,9 @@ struct Server::Impl {
       if (websocket::is_upgrade(request)) {
         Site::Admission admission = site.admit(view_of(request));
         if (admission.rights && buffer.size() == 0) {
-          const auto session = std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission));
+          const stream::StreamerPlace place = relay.streamers.choose(bus::now_ns());
+          const auto session =
+              std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission), place);
           co_await session->run(request);
           co_return;
         }
@@ -182,11 +184,26 @@ struct Server::Impl {
       tick();
       const std::int64_t now = bus::now_ns();
       relay.check(now);
+      relay.streamers.poll(now);
+      relay.share(now);
+      follow_streamer(now);
       if (count % 10 == 0 && site.refresh_tokens()) renew_rights();
       timer.expires_after(kTick);
       co_await timer.async_wait(kNoThrow);
     }
     io.stop();
+  }
+
+  /// Pages are asked of one streamer for as long as it is there.
+  void follow_streamer(std::int64_t now_ns) {
+    const auto place = library_place ? relay.streamers.instead_of(*library_place, now_ns)
+                                     : std::optional(relay.streamers.choose(now_ns));
+    if (!place) return;
+    library_place = place->source.empty() && place->endpoint.empty() ? std::nullopt : place;
+    if (!pages.ask_at(place->endpoint)) return;
+    library_wake.descriptor.release();
+    library_wake.descriptor.assign(pages.descriptor());
+    wake_waiting();
   }
 
   void renew_rights() {
@@ -206,14 +223,15 @@ struct Server::Impl {
   ConnectionCounts connections;
   std::optional<asio::ssl::context> tls;
   std::set<asio::steady_timer*> waiting;
+  std::optional<stream::StreamerPlace> library_place;
   asio::io_context io{1};  ///< after all that its coroutines use
   BorrowedDescriptor library_wake;
   std::vector<tcp::acceptor> acceptors;
   std::string url;
 };
 
-Server::Server(const Options& options, std::string streamer_endpoint, Site& site, PageLibrary& pages, Traffic& traffic)
-    : impl_(std::make_unique<Impl>(options, std::move(streamer_endpoint), site, pages, traffic)) {}
+Server::Server(const Options& options, Streamers& streamers, Site& site, PageLibrary& pages, Traffic& traffic)
+    : impl_(std::make_unique<Impl>(options, streamers, site, pages, traffic)) {}
 
 Server::~Server() = default;
 

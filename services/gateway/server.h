@@ -6,15 +6,17 @@
 #include <string>
 
 #include "gateway/site.h"
+#include "gateway/streamers.h"
 
 namespace splatbus::gateway {
 
-/// Listens, serves the site over HTTP, and relays between browsers' WebSockets and the streamer. One thread.
+/// Listens, serves the site over HTTP, and relays between browsers' WebSockets and
+/// streamers: moves them when one leaves. One thread.
 class Server {
  public:
   /// Binds. Throws bus::Error naming the address, the certificate or the key, and what is wrong. The references outlive
   /// it.
-  Server(const Options& options, std::string streamer_endpoint, Site& site, PageLibrary& pages, Traffic& traffic);
+  Server(const Options& options, Streamers& streamers, Site& site, PageLibrary& pages, Traffic& traffic);
   ~Server();
   Server(const Server&) = delete;
   Server& operator=(const Server&) = delete;

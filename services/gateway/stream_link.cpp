@@ -2,7 +2,9 @@
 
 #include <fmt/format.h>
 
+#include "bus/curve.h"
 #include "bus/error.h"
+#include "stream/packets.h"
 
 namespace splatbus::gateway {
 
@@ -11,6 +13,7 @@ namespace {
 // Few, since what waits here is memory of a browser that does not read; the streamer holds the rest, once for all.
 constexpr int kQueuedFromStreamer = 8;
 constexpr int kQueuedToStreamer = 64;
+constexpr int kGoodbyeMs = 100;
 constexpr std::int64_t kMaxFrameBytes = std::int64_t{32} << 20;
 
 }  // namespace
@@ -24,6 +27,9 @@ StreamLink::StreamLink(zmq::context_t& context, const std::string& endpoint)
   socket_.set(zmq::sockopt::reconnect_ivl, 50);
   socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
   socket_.set(zmq::sockopt::maxmsgsize, kMaxFrameBytes);
+  if (endpoint.empty()) return;
+  bus::require_transport(endpoint);
+  if (const auto keys = bus::client_keys(endpoint, "", "")) bus::use_keys(socket_, *keys);
   try {
     socket_.connect(endpoint);
   } catch (const zmq::error_t& error) {
@@ -58,6 +64,13 @@ bool StreamLink::send(const FramedPacket& packet, const bus::Rights& rights) {
     }
   }
   return (socket_.get(zmq::sockopt::events) & ZMQ_POLLIN) != 0;
+}
+
+void StreamLink::say_goodbye() {
+  const auto packet = stream::PacketWriter::brief().write(
+      0, 0, wire::Body::Bye, [](auto& builder) { return wire::CreateByeDirect(builder, "goes to another streamer"); });
+  socket_.set(zmq::sockopt::linger, kGoodbyeMs);
+  (void)send({.packet = packet.packet, .payload = {}}, bus::Rights{.view = true});
 }
 
 int StreamLink::descriptor() const {

@@ -20,7 +20,8 @@ struct StreamPacket {
 /// comes back. One thread; `context` outlives it.
 class StreamLink {
  public:
-  /// Throws bus::Error naming the endpoint.
+  /// An empty endpoint: to nobody. One that asks for keys gets this process's own, by SPLATBUS_KEY and
+  /// SPLATBUS_SERVER_KEY. Throws bus::Error naming the endpoint.
   StreamLink(zmq::context_t& context, const std::string& endpoint);
 
   /// The next packet, without waiting. False when there is none; then descriptor() becomes readable before there is
@@ -31,6 +32,9 @@ class StreamLink {
   /// dropped: every packet of a viewer is repeated. True when descriptor() may have been emptied although there is
   /// something to receive.
   bool send(const FramedPacket& packet, const bus::Rights& rights);
+
+  /// Its viewer is at another streamer from now on: so that this one, if it is there, does not count it any more.
+  void say_goodbye();
 
   /// ZMQ_FD: edge-triggered.
   [[nodiscard]] int descriptor() const;

@@ -17,6 +17,7 @@
 #include "gateway/site.h"
 #include "gateway/sockets.h"
 #include "gateway/stream_link.h"
+#include "gateway/streamers.h"
 #include "stream/web_message.h"
 
 namespace splatbus::gateway {
@@ -30,9 +31,12 @@ class Browser {
   /// Tells it why, and ends it.
   virtual void close(const char* why) = 0;
   [[nodiscard]] virtual int socket() = 0;
+  /// To `streamer`, which has become another one. What it shows stays until it has that one's.
+  virtual void move() = 0;
 
   bus::Rights rights;
   std::string token;
+  stream::StreamerPlace streamer;
   std::int64_t write_began_ns = 0;  ///< 0: nothing is being written
   std::int64_t progress_ns = 0;     ///< when its kernel last took bytes of that
   std::uint64_t acknowledged = 0;
@@ -41,8 +45,8 @@ class Browser {
 /// What all browsers share. Outlives them.
 class Relay {
  public:
-  Relay(const Limits& bounds, Traffic& counts, std::string endpoint)
-      : limits(bounds), traffic(counts), streamer(std::move(endpoint)) {}
+  Relay(const Limits& bounds, Traffic& counts, Streamers& all_streamers)
+      : limits(bounds), traffic(counts), streamers(all_streamers) {}
 
   void begin_write(Browser& browser, std::size_t bytes) {
     browser.write_began_ns = browser.progress_ns = bus::now_ns();
@@ -64,13 +68,35 @@ class Relay {
     }
   }
 
+  /// Moves those whose streamer is gone, or about to go; and now and then one to where far fewer are.
+  void share(std::int64_t now_ns) {
+    const bool balances = now_ns >= next_balance_ns_;
+    if (balances) next_balance_ns_ = now_ns + kBalanceNs;
+    bool balanced = !balances;
+    int moves = 0;
+    for (Browser* browser : browsers) {
+      if (moves == kMovesACall) break;
+      std::optional<stream::StreamerPlace> place = streamers.instead_of(browser->streamer, now_ns);
+      if (!place && !balanced) balanced = (place = streamers.better_than(browser->streamer, now_ns)).has_value();
+      if (!place) continue;
+      const bool is_there = place->endpoint == browser->streamer.endpoint;  // before the bus had named it
+      browser->streamer = *place;
+      if (is_there) continue;
+      browser->move();
+      ++moves;
+      ++traffic.moves;
+    }
+  }
+
   const Limits& limits;
   Traffic& traffic;
-  const std::string streamer;
+  Streamers& streamers;
   zmq::context_t context;
   std::set<Browser*> browsers;
 
  private:
+  static constexpr std::int64_t kBalanceNs = 500'000'000;
+  static constexpr int kMovesACall = 64;  // for a moment each has two connections
   Browser& slowest() {
     return **std::min_element(browsers.begin(), browsers.end(), [](const Browser* a, const Browser* b) {
       const auto began = [](const Browser* browser) {
@@ -87,20 +113,22 @@ class Relay {
     browser.stop();
   }
   bus::LogLimiter log_limiter_;
+  std::int64_t next_balance_ns_ = 0;
 };
 
 /// Relays between one browser's WebSocket and its link to the streamer. Held by its coroutines.
 template <class Stream>
 class StreamSession final : public Browser, public std::enable_shared_from_this<StreamSession<Stream>> {
  public:
-  StreamSession(Stream stream, Relay& relay, Site::Admission admission)
+  StreamSession(Stream stream, Relay& relay, Site::Admission admission, const stream::StreamerPlace& place)
       : relay_(relay),
         socket_(std::move(stream)),
-        link_(relay.context, relay.streamer),
+        link_(relay.context, place.endpoint),
         wake_(socket_.get_executor(), link_.descriptor()),
         messages_(relay.limits.messages_per_s, 2 * relay.limits.messages_per_s) {
     rights = *admission.rights;
     token = std::move(admission.token);
+    streamer = place;
     ++relay_.traffic.viewers;
     relay_.browsers.insert(this);
   }
@@ -147,6 +175,13 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
     wake_.cancel();
     asio::co_spawn(socket_.get_executor(), close(this->shared_from_this(), why), asio::detached);
   }
+  void move() override {
+    link_.say_goodbye();
+    wake_.release();  // which ends a wait for it
+    link_ = StreamLink(relay_.context, streamer.endpoint);
+    wake_.assign(link_.descriptor());
+    moved_ = true;
+  }
   [[nodiscard]] int socket() override { return beast::get_lowest_layer(socket_).socket().native_handle(); }
 
  private:
@@ -159,10 +194,19 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
     co_await self->socket_.async_close(reason, kNoThrow);
     self->stop();
   }
+  /// So that it greets its streamer at once, and not when it next says something.
+  static StreamPacket question() {
+    const auto asks = stream::PacketWriter::brief().write(0, 0, wire::Body::Welcome, [](auto& builder) {
+      return wire::CreateWelcome(builder, wire::Appearance::Transfer, 0, 0, 0, true);
+    });
+    return {.packet = zmq::message_t(asks.packet.data(), asks.packet.size()), .payload = {}};
+  }
   asio::awaitable<void> write_packets() {
     StreamPacket packet;
     while (!stopped_ && !closing_) {
-      if (!link_.receive(packet)) {
+      if (std::exchange(moved_, false)) {
+        packet = question();
+      } else if (!link_.receive(packet)) {
         // Cancelled when a send has emptied it.
         co_await wake_.async_wait(asio::posix::stream_descriptor::wait_read, kNoThrow);
         continue;
@@ -237,7 +281,7 @@ class StreamSession final : public Browser, public std::enable_shared_from_this<
   StreamLink link_;
   asio::posix::stream_descriptor wake_;
   bus::TokenBucket messages_;
-  bool stopped_ = false, closing_ = false;
+  bool stopped_ = false, closing_ = false, moved_ = false;
 };
 
 }  // namespace splatbus::gateway

@@ -19,6 +19,7 @@ struct Traffic {
   std::uint64_t bytes_from = 0, bytes_to = 0;        ///< of WebSocket messages, browsers' side
   std::uint64_t messages_from = 0, messages_to = 0;  ///< the same
   std::uint64_t requests = 0;
+  std::uint64_t moves = 0;     ///< of browsers, from one streamer to another
   std::size_t page_bytes = 0;  ///< of pages that are kept to be served again
   std::uint64_t pages_served = 0, pages_fetched = 0, exports = 0;
   std::array<std::uint64_t, kRefusalNames.size()> refused{};

@@ -1,5 +1,7 @@
 #include "relight/relight.h"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
 #include <chrono>
 #include <iterator>
@@ -14,6 +16,7 @@
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/scene_generated.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::relight {
 
@@ -23,6 +26,7 @@ using namespace std::chrono_literals;
 
 constexpr auto kReceiveTimeout = 50ms;
 constexpr std::size_t kRingSlots = 8;
+constexpr std::int64_t kAloneNs = 2'000'000'000;  // without a word of who else is there, until it computes everything
 constexpr std::uint32_t kMaxSide = 16384;
 constexpr std::size_t kMaxReady = 8;      // versions that are kept for a model whose structure changes
 constexpr std::size_t kMaxWaiting = 256;  // versions whose maps have not come
@@ -54,6 +58,8 @@ Relight::Relight(bus::ServiceContext& service)
       ring_(service.bus, "visibility", kRingSlots, 0, memory_),
       depths_(memory_),
       options_(service.parameters),
+      shares_(service.bus->source()),
+      begin_ns_(bus::now_ns()),
       rows_(stream_) {}
 
 void Relight::run() {
@@ -63,6 +69,12 @@ void Relight::run() {
           [this](const wire::SceneUpdate& update, const bus::Message&) { take_scene(*update.scene(), false); })
       .on(topics::kSceneLightDepth,
           [this](const wire::SceneLightDepth& depth, const bus::Message& message) { take_depth(depth, message); })
+      .on(topics::kLiveness,
+          [this](const wire::Liveness& liveness, const bus::Message&) {
+            if (!shares_.take(liveness)) return;
+            spdlog::info("one of {} that share the pages", shares_.sources().size());
+            for (auto& [number, version] : versions_) version.computed_generation.reset();
+          })
       .on(topics::kCaptureReference, [this](const wire::CaptureReference& picture, const bus::Message&) {
         if (!picture.retire()) take_scene(*picture.scene(), true);
       });
@@ -199,6 +211,7 @@ void Relight::update() {
   }
   if (model_->root<wire::ModelPublished>().count() == 0) return;
   const std::int64_t now_ns = bus::now_ns();
+  if (!shares_.heard() && now_ns - begin_ns_ < kAloneNs) return;
   const auto newest_ready = newest();
   std::optional<PublishedModel> model;
   // The newest first: viewers and most pictures wait for it.
@@ -215,9 +228,17 @@ void Relight::update() {
 
 bool Relight::compute(Version& version, const PublishedModel& model) {
   const auto start = std::chrono::steady_clock::now();
-  const GaussiansView& gaussians = model.average();
+  GaussiansView gaussians = model.average();
+  std::vector<IndexRange> ranges;
+  std::vector<std::uint64_t> generations;
+  for (std::size_t k = 0; k < gaussians.ranges.size(); ++k) {
+    if (!shares_.owns(gaussians.ranges[k].first >> gaussians.page_shift)) continue;
+    ranges.push_back(gaussians.ranges[k]);
+    generations.push_back(model.page_generations()[k]);
+  }
+  gaussians.ranges = ranges;
   const std::uint8_t* const visibility =
-      rows_.compute({.gaussians = gaussians, .page_generations = model.page_generations(), .step = model.step()},
+      rows_.compute({.gaussians = gaussians, .page_generations = generations, .step = model.step()},
                     version.scene.objects, version.lights, options_->visibility);
   host_copied_bytes_ += model.copied_bytes();
   if (!model.still_valid()) {
@@ -227,23 +248,35 @@ bool Relight::compute(Version& version, const PublishedModel& model) {
   const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - start;
   service_.counter("compute_ms", spent.count());
   version.computed_generation = model.generation();
-  publish(model.generation(), version.scene, gaussians.count, visibility);
+  publish(model.generation(), version.scene, gaussians, visibility);
   return true;
 }
 
-void Relight::publish(std::uint64_t model_generation, const SceneState& scene, std::size_t count,
+void Relight::publish(std::uint64_t model_generation, const SceneState& scene, const GaussiansView& mine,
                       const std::uint8_t* visibility) {
+  const std::size_t count = mine.count;
   const std::vector<std::uint32_t> ids = light_ids(scene.light);
   const bus::TensorSource source{.name = "visibility",
                                  .shape = {static_cast<std::uint32_t>(ids.size()), static_cast<std::uint32_t>(count)},
                                  .type = bus::ElementType::U8,
                                  .data = visibility,
                                  .memory = memory_};
-  publisher_.publish(topics::kRelightVisibility, {.tensors = ring_.write(std::span(&source, 1))},
-                     [&](auto& builder, auto header) {
-                       return wire::CreateRelightVisibility(builder, header, model_generation, scene.version, count,
-                                                            builder.CreateVector(ids));
-                     });
+  std::vector<std::uint32_t> pages;
+  if (!shares_.alone()) {
+    for (const IndexRange& range : mine.ranges) pages.push_back(range.first >> mine.page_shift);
+  }
+  publisher_.publish(
+      topics::kRelightVisibility, {.latch_key = service_.bus->source(), .tensors = ring_.write(std::span(&source, 1))},
+      [&](auto& builder, auto header) {
+        const auto ids_at = builder.CreateVector(ids);
+        if (shares_.alone()) {
+          return wire::CreateRelightVisibility(builder, header, model_generation, scene.version, count, ids_at);
+        }
+        return wire::CreateRelightVisibility(builder, header, model_generation, scene.version, count, ids_at,
+                                             static_cast<std::uint32_t>(shares_.sources().size()), shares_.part(),
+                                             shares_.division(), std::uint32_t{1} << mine.page_shift,
+                                             builder.CreateVector(pages));
+      });
   ++published_;
 }
 

@@ -17,6 +17,7 @@
 #include "model/published_model.h"
 #include "relight/light_rows.h"
 #include "relight/map_ring.h"
+#include "relight/page_shares.h"
 #include "relight/visibility.h"
 
 namespace splatbus::relight {
@@ -30,7 +31,7 @@ struct RelightOptions {
 
 /// The relight service: computes relight/visibility for every scene version that training pictures are of, and for the
 /// newest one, and again when the model's structure changes. A version waits until all maps of all its lights that cast
-/// shadows are there.
+/// shadows are there. Of several on a bus each computes the pages that are its own.
 class Relight {
  public:
   explicit Relight(bus::ServiceContext& service);
@@ -63,7 +64,8 @@ class Relight {
   [[nodiscard]] bool is_due(const Version& version, std::int64_t now_ns);
   /// False when the model has moved on meanwhile.
   bool compute(Version& version, const PublishedModel& model);
-  void publish(std::uint64_t model_generation, const SceneState& scene, std::size_t count,
+  /// Of the pages in `mine` where several replicas share them.
+  void publish(std::uint64_t model_generation, const SceneState& scene, const GaussiansView& mine,
                const std::uint8_t* visibility);
   void report();
 
@@ -77,6 +79,8 @@ class Relight {
   std::optional<bus::Message> model_;
   MapRing maps_;
   Versions versions_;
+  PageShares shares_;
+  std::int64_t begin_ns_ = 0;
   LightRows rows_;
   std::uint64_t model_epoch_ = 0;                     ///< of the trainer whose model rows_ are of
   std::atomic<std::uint64_t> host_copied_bytes_ = 0;  ///< bulk that came from, or went through, host memory

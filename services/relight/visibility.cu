@@ -207,6 +207,7 @@ void compute_visibility(device::StreamView stream, const GaussiansView& gaussian
     for (const LightDepthMap& map : light.maps) maps.push_back(view_of(map));
   }
   const std::vector<Tier> tiers = tiers_of(gaussians, frame_ids, kept);
+  if (tiers.empty()) return;
   const auto map_table = placed<MapView>(stream, maps);
   std::vector<LightView> views;
   std::size_t first_map = 0;

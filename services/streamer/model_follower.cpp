@@ -88,7 +88,7 @@ bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
 }
 
 ModelFollower::Result ModelFollower::follow(Job& job) {
-  const std::int64_t begin_ns = bus::now_ns();
+  const std::int64_t begin_ns = bus::now_ns(), begin_cpu_ns = bus::thread_cpu_ns();
   Result result;
   try {
     result.fresh = observe(job.announcement);
@@ -112,6 +112,7 @@ ModelFollower::Result ModelFollower::follow(Job& job) {
   result.host_copied_bytes = copied_before_ + (published_ ? published_->copied_bytes() : 0);
   result.observed_bytes = model_.quantizer().copied_bytes();
   result.ms = static_cast<double>(bus::now_ns() - begin_ns) / 1e6;
+  result.cpu_ms = static_cast<double>(bus::thread_cpu_ns() - begin_cpu_ns) / 1e6;
   return result;
 }
 

@@ -36,7 +36,7 @@ class ModelFollower {
     bool fresh = false;            ///< it could be observed
     bool restarted = false;        ///< the stream was reset to it: everybody starts over
     std::uint64_t generation = 0;  ///< of what was observed; with `fresh`
-    double spent_bytes = 0, ms = 0;
+    double spent_bytes = 0, ms = 0, cpu_ms = 0;
     std::size_t observed = 0, unsent = 0, pending_deltas = 0;
     bool full = false;
     std::uint64_t host_copied_bytes = 0, observed_bytes = 0;

@@ -1,8 +1,11 @@
 #include "streamer/parameters.h"
 
 #include <fmt/format.h>
+#include <unistd.h>
 
+#include <algorithm>
 #include <array>
+#include <string_view>
 #include <utility>
 
 #include "bus/error.h"
@@ -26,11 +29,17 @@ constexpr std::array<std::pair<Attribute, const char*>, 8> kScheduled{{{Attribut
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "ZeroMQ endpoint for viewers; empty: 'streamer' in the bus's folder",
+  p.add("endpoint", endpoint, "ZeroMQ endpoint for viewers; empty: the streamer's name, in the bus's folder",
         bus::endpoint_rule(), kFixed);
   p.add("tcp", tcp,
         "second endpoint, for viewers on other machines, which need keys, such as tcp://*:7600; empty: none",
         bus::endpoint_rule(), kFixed);
+  p.add("tcp_address", tcp_address,
+        "host, or host:port, by which others reach 'tcp'; empty: this machine's name where it is bound to all addresses",
+        kFixed);
+  p.add("drain_s", drain_s,
+        "time in which viewers move to another streamer when this one is told to end, if there is another, s", {0, 60},
+        kFixed);
   p.add("key", keys.key, "key file for the tcp endpoint; empty: server.key of 'splatbus keys'", kFixed);
   p.add("allowed", keys.allowed, "file that lists who may connect over tcp; empty: that of 'splatbus keys'", kFixed);
   p.add("keys_on_loopback", keys.always, "require keys on the loopback address too", kFixed);
@@ -61,12 +70,14 @@ void Options::bind(bus::ParameterBinder& p) {
   }
 }
 
-std::vector<std::string> endpoints(const Options& options, const bus::Address& address) {
+std::vector<std::string> endpoints(const Options& options, const bus::Address& address, const std::string& source) {
   std::vector<std::string> endpoints;
   if (!options.endpoint.empty()) {
     endpoints.push_back(options.endpoint);
   } else if (address.is_local()) {
-    endpoints.push_back("ipc://" + *address.directory + "/streamer");
+    std::string name = source;
+    std::ranges::replace(name, '/', '_');
+    endpoints.push_back(fmt::format("ipc://{}/{}", *address.directory, name));
   }
   if (!options.tcp.empty()) endpoints.push_back(options.tcp);
   if (endpoints.empty()) {
@@ -74,6 +85,26 @@ std::vector<std::string> endpoints(const Options& options, const bus::Address& a
         fmt::format("the bus at {} has no folder: set 'endpoint' or 'tcp' to where viewers connect", address.text()));
   }
   return endpoints;
+}
+
+std::vector<std::string> offered_endpoints(const Options& options, std::vector<std::string> bound) {
+  constexpr std::string_view kTcp = "tcp://";
+  for (std::string& endpoint : bound) {
+    if (!endpoint.starts_with(kTcp)) continue;
+    const std::size_t colon = endpoint.rfind(':');
+    const std::string host = endpoint.substr(kTcp.size(), colon - kTcp.size());
+    const bool everywhere = host == "0.0.0.0" || host == "[::]" || host == "*";
+    if (!options.tcp_address.empty()) {
+      const bool has_port = options.tcp_address.find(':') != std::string::npos;
+      endpoint = fmt::format("{}{}{}", kTcp, options.tcp_address, has_port ? "" : endpoint.substr(colon));
+    } else if (everywhere) {
+      std::array<char, 256> name{};
+      if (::gethostname(name.data(), name.size() - 1) == 0) {
+        endpoint = fmt::format("{}{}{}", kTcp, name.data(), endpoint.substr(colon));
+      }
+    }
+  }
+  return bound;
 }
 
 }  // namespace splatbus::streamer

@@ -39,13 +39,15 @@ Streamer::Streamer(bus::ServiceContext& service)
       options_(service.parameters),
       subscriber_(service.bus),
       publisher_(service.bus),
-      endpoint_(streamer::endpoints(*options_, service.bus->address()),
+      endpoint_(streamer::endpoints(*options_, service.bus->address(), service.bus->source()),
                 {.keys = options_->keys, .silence_s = 3 * options_->hub.viewer_timeout_s}),
       writer_(service.bus->source(), service.bus->epoch()),
       model_(writer_, service.bus->epoch(), options_->stream, service.backend),
       hub_(endpoint_, model_, writer_, options_->hub, events()),
+      others_(service.bus->address().is_local()),
       follower_(model_, service.backend) {
   subscribe();
+  publish_offer();
   for (const std::string& endpoint : endpoint_.bound()) spdlog::info("viewers connect to {}", endpoint);
 }
 
@@ -73,15 +75,27 @@ HubEvents Streamer::events() {
 }
 
 void Streamer::run() {
-  while (!service_.stop.stop_requested()) {
-    const std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
-    const std::int64_t wait_ns = std::clamp<std::int64_t>(due_ns - bus::now_ns(), 0, blocked_ ? kBlockedNs : kIdleNs);
-    zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0},
-                            {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0},
-                            {nullptr, follower_.descriptor(), ZMQ_POLLIN, 0}};
-    zmq::poll(items, 3, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
-    step(bus::now_ns());
-  }
+  while (!service_.stop.stop_requested()) wait_and_step();
+  drain();
+}
+
+void Streamer::wait_and_step() {
+  const std::int64_t due_ns = follower_.busy() ? next_stats_ns_ : std::min(next_tick_ns_, next_stats_ns_);
+  const std::int64_t wait_ns = std::clamp<std::int64_t>(due_ns - bus::now_ns(), 0, blocked_ ? kBlockedNs : kIdleNs);
+  zmq::pollitem_t items[]{{endpoint_.socket(), 0, ZMQ_POLLIN, 0},
+                          {subscriber_.zmq_socket(), 0, ZMQ_POLLIN, 0},
+                          {nullptr, follower_.descriptor(), ZMQ_POLLIN, 0}};
+  zmq::poll(items, 3, std::chrono::milliseconds((wait_ns + 999'999) / 1'000'000));
+  step(bus::now_ns());
+}
+
+void Streamer::drain() {
+  if (hub_.viewers() == 0 || !others_.others_serve(service_.bus->source())) return;
+  draining_ = true;
+  publish_offer();
+  service_.detail("its viewers move to another streamer");
+  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options_->drain_s * 1e9);
+  while (hub_.viewers() > 0 && bus::now_ns() < end_ns) wait_and_step();
 }
 
 void Streamer::take_messages(std::int64_t now_ns) {
@@ -99,6 +113,7 @@ void Streamer::turn(std::int64_t now_ns) {
 }
 
 void Streamer::step(std::int64_t now_ns) {
+  now_ns_ = now_ns;
   end_tick(now_ns);
   take_messages(now_ns);
   hub_.receive(now_ns);
@@ -121,6 +136,7 @@ void Streamer::step(std::int64_t now_ns) {
 }
 
 void Streamer::subscribe() {
+  stream::follow_offers(subscriber_, others_, now_ns_);
   subscriber_
       .on(topics::kModelPublished,
           [this](const wire::ModelPublished&, const bus::Message& message) { announcement_ = message; })
@@ -142,8 +158,12 @@ void Streamer::take_scene(const wire::SceneUpdate& body) {
 // Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
 void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::Message& message) {
   const std::uint64_t generation = body.model_generation(), version = body.scene_version();
-  if (generation < observed_generation_ || version < model_.status().visibility_version) return;
-  if (const auto newest = relit_.find(generation); newest != relit_.end() && newest->second.scene_version > version) {
+  const bool is_part = body.parts() > 0;
+  if (generation < observed_generation_) return;
+  // Another replica may be ahead of this one; each page has the newest of its own.
+  if (!is_part && version < model_.status().visibility_version) return;
+  if (const auto newest = relit_.find(generation);
+      !is_part && newest != relit_.end() && newest->second.scene_version > version) {
     return;
   }
   if (body.count() > stream::kMaxModelGaussians) {
@@ -158,12 +178,51 @@ void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::M
   const auto tensor =
       message.tensor("visibility", bus::ElementType::U8, {lights.size(), static_cast<std::uint32_t>(body.count())});
   if (!tensor) return;
-  Visibility relit{.scene_version = version,
-                   .light_ids = {lights.begin(), lights.end()},
-                   .of_index = std::vector<std::uint8_t>(tensor->bytes())};
-  if (!tensor->copy(relit.of_index.data())) return;
-  relit_[generation] = std::move(relit);
+  std::vector<std::uint8_t> of_index(tensor->bytes());
+  if (!tensor->copy(of_index.data())) return;
+  if (is_part) {
+    merge_visibility(body, of_index);
+  } else {
+    relit_[generation] = {.scene_version = version,
+                          .light_ids = {lights.begin(), lights.end()},
+                          .of_index = std::move(of_index),
+                          .covered = {}};
+  }
   if (relit_.size() > kMaxRelit) relit_.erase(relit_.begin());
+}
+
+void Streamer::merge_visibility(const wire::RelightVisibility& body, const std::vector<std::uint8_t>& part) {
+  const std::size_t count = body.count(), page_indices = body.page_indices();
+  if (page_indices == 0) throw bus::Error("relight/visibility: a part without page_indices");
+  const std::size_t pages = (count + page_indices - 1) / page_indices;
+  const std::vector<std::uint32_t> lights(body.light_ids()->begin(), body.light_ids()->end());
+  Visibility& relit = relit_[body.model_generation()];
+  if (relit.light_ids != lights || relit.of_index.size() != part.size()) {
+    if (body.scene_version() < relit.scene_version) return;
+    relit = {.scene_version = body.scene_version(),
+             .light_ids = lights,
+             .of_index = std::vector<std::uint8_t>(part.size(), 255),
+             .page_indices = body.page_indices(),
+             .covered = std::vector<std::uint8_t>(pages, 0),
+             .version_of_page = std::vector<std::uint64_t>(pages, 0)};
+  } else if (relit.covered.empty() || relit.page_indices != page_indices) {
+    relit.page_indices = body.page_indices();
+    relit.covered.assign(pages, 1);
+    relit.version_of_page.assign(pages, relit.scene_version);
+  }
+  if (body.pages() == nullptr) return;
+  for (const std::uint32_t page : *body.pages()) {
+    if (page >= pages || body.scene_version() < relit.version_of_page[page]) continue;
+    relit.version_of_page[page] = body.scene_version();
+    relit.covered[page] = 1;
+    const std::size_t first = page * page_indices, length = std::min(page_indices, count - first);
+    for (std::size_t light = 0; light < lights.size(); ++light) {
+      std::copy_n(part.begin() + static_cast<std::ptrdiff_t>(light * count + first), length,
+                  relit.of_index.begin() + static_cast<std::ptrdiff_t>(light * count + first));
+    }
+    relit.sent = false;
+  }
+  relit.scene_version = std::max(relit.scene_version, body.scene_version());
 }
 
 void Streamer::send_visibility(std::int64_t now_ns) {
@@ -180,7 +239,9 @@ void Streamer::send_visibility(std::int64_t now_ns) {
   try {
     auto packets = model_.take_visibility({.light_ids = relit->second.light_ids,
                                            .of_index = relit->second.of_index,
-                                           .scene_version = relit->second.scene_version},
+                                           .scene_version = relit->second.scene_version,
+                                           .page_indices = relit->second.page_indices,
+                                           .covered = relit->second.covered},
                                           visibility_balance_bytes_);
     relit->second.sent = model_.visibility_rests();
     for (const auto& packet : packets) visibility_balance_bytes_ -= static_cast<double>(packet.packet.bytes());
@@ -237,6 +298,8 @@ void Streamer::end_tick(std::int64_t now_ns) {
   const std::optional<ModelFollower::Result> result = follower_.take_result();
   if (!result) return;
   ticked_ = *result;
+  ++load_.ticks;
+  load_.encode_ms += result->cpu_ms;
   balance_bytes_ -= result->spent_bytes;
   if (result->fresh) observed_generation_ = result->generation;
   // Gaussians that have come since do not know yet what they see.

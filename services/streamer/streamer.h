@@ -11,6 +11,7 @@
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "stream/stream_model.h"
+#include "stream/streamer_choice.h"
 #include "streamer/endpoint.h"
 #include "streamer/model_follower.h"
 #include "streamer/parameters.h"
@@ -24,7 +25,7 @@ class Streamer {
   /// Binds the endpoints. Throws bus::Error.
   explicit Streamer(bus::ServiceContext& service);
 
-  /// Until `service.stop`.
+  /// Until `service.stop`; then, where another streamer is, until viewers have gone there, for drain_s at most.
   void run();
   /// One turn of run() at `now_ns` (CLOCK_MONOTONIC): takes what has come, ticks, waits for that, reports when it is
   /// due, sends what the sockets take.
@@ -38,6 +39,10 @@ class Streamer {
     std::vector<std::uint32_t> light_ids;
     std::vector<std::uint8_t> of_index;  ///< [light_ids][indices]
     bool sent = false;
+    // Where replicas share the pages:
+    std::uint32_t page_indices = 0;
+    std::vector<std::uint8_t> covered;             ///< of each page; empty: it is all there
+    std::vector<std::uint64_t> version_of_page{};  ///< the same
   };
 
   void subscribe();
@@ -50,8 +55,13 @@ class Streamer {
   void begin_tick(std::int64_t now_ns);
   void end_tick(std::int64_t now_ns);
   void take_visibility(const wire::RelightVisibility& body, const bus::Message& message);
+  void merge_visibility(const wire::RelightVisibility& body, const std::vector<std::uint8_t>& part);
   void send_visibility(std::int64_t now_ns);
   void publish_statistics(std::int64_t now_ns);
+  void publish_offer();
+  void close_load(const WireStatistics::Window& window);
+  void wait_and_step();
+  void drain();
   void say_what_is_served(const ModelFollower::Result& result);
   [[nodiscard]] HubEvents events();
 
@@ -75,6 +85,17 @@ class Streamer {
   bool full_ = false;             ///< viewers take no more of the model
   double balance_bytes_ = 0;      ///< of the budget; negative when a tick went over it
   ModelFollower::Result ticked_;  ///< by the last tick
+  /// What the last window cost.
+  struct Load {
+    int ticks = 0;
+    double encode_ms = 0;                                                           ///< CPU time of its ticks
+    std::int64_t begin_cpu_ns = 0;                                                  ///< of the process
+    double encode_ms_a_tick = 0, send_ms_a_tick = 0, tick_ms = 0, bytes_per_s = 0;  ///< of the window before
+  };
+  Load load_;
+  stream::StreamerChoice others_;
+  std::int64_t now_ns_ = 0;
+  bool draining_ = false;
   bus::LogLimiter log_limiter_;
   ModelFollower follower_;  ///< last: its thread uses model_
 };

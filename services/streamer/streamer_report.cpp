@@ -3,6 +3,9 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
+
+#include "bus/clock.h"
 #include "streamer/streamer.h"
 #include "wire/stream_generated.h"
 #include "wire/topics.h"
@@ -24,6 +27,32 @@ void Streamer::say_what_is_served(const ModelFollower::Result& result) {
             : fmt::format("streams to {} viewers", hub_.viewers()));
 }
 
+void Streamer::close_load(const WireStatistics::Window& window) {
+  const std::int64_t cpu_ns = bus::process_cpu_ns();
+  const double all_ms = static_cast<double>(cpu_ns - load_.begin_cpu_ns) / 1e6;
+  const double tick_ms = 1e3 / static_cast<double>(options_->hub.tick_hz);
+  const double seconds = window.seconds > 0 ? window.seconds : 1;
+  const double ticks = load_.ticks > 0 ? load_.ticks : 1e3 * seconds / tick_ms;
+  load_ = {.ticks = 0,
+           .encode_ms = 0,
+           .begin_cpu_ns = cpu_ns,
+           .encode_ms_a_tick = load_.encode_ms / ticks,
+           .send_ms_a_tick = load_.begin_cpu_ns == 0 ? 0 : std::max(0.0, all_ms - load_.encode_ms) / ticks,
+           .tick_ms = tick_ms,
+           .bytes_per_s = static_cast<double>(window.bytes) / seconds};
+}
+
+void Streamer::publish_offer() {
+  const std::vector<std::string> endpoints = offered_endpoints(*options_, endpoint_.bound());
+  publisher_.publish(topics::kStreamerOffer, {.latch_key = service_.bus->source()}, [&](auto& builder, auto header) {
+    return wire::CreateStreamerOffer(builder, header, builder.CreateVectorOfStrings(endpoints),
+                                     static_cast<std::uint32_t>(hub_.viewers()),
+                                     static_cast<std::uint32_t>(options_->hub.max_viewers),
+                                     static_cast<float>(load_.tick_ms), static_cast<float>(load_.encode_ms_a_tick),
+                                     static_cast<float>(load_.send_ms_a_tick), load_.bytes_per_s, draining_);
+  });
+}
+
 void Streamer::publish_statistics(std::int64_t now_ns) {
   const auto window = hub_.statistics().close_window(now_ns);
   const stream::StreamModel::Status held = model_.status();
@@ -42,7 +71,12 @@ void Streamer::publish_statistics(std::int64_t now_ns) {
                                          window.mbps_mean, window.mbps_peak, counts.whole_pages, counts.lost_packets,
                                          counts.refused_pages, hub_.lost_viewers(), &types);
   });
+  close_load(window);
+  publish_offer();
   service_.counter("viewers", static_cast<double>(hub_.viewers()));
+  service_.counter("encode_ms", load_.encode_ms_a_tick);
+  service_.counter("send_ms", load_.send_ms_a_tick);
+  service_.counter("bytes_per_s", load_.bytes_per_s);
   service_.counter("gaussians", static_cast<double>(held.gaussians));
   service_.counter("unsent_gaussians", static_cast<double>(ticked_.unsent));
   service_.counter("pending_deltas", static_cast<double>(ticked_.pending_deltas));

@@ -22,6 +22,15 @@ struct VisibilityCommand {
   std::size_t count = 0;
   std::vector<std::uint32_t> light_ids{0};  ///< of the rows: [light_ids.size()][count]
   std::shared_ptr<std::byte> visibility;    ///< whoever takes the command may write to it
+  /// Replicas that share the pages; 0: this is all of them. This is part `part`, which says what `pages` see.
+  std::uint32_t parts = 0, part = 0;
+  std::uint64_t division = 0;  ///< which replicas they are
+  std::vector<std::uint32_t> pages;
+
+  [[nodiscard]] bool replaces(const VisibilityCommand& before) const {
+    return before.scene_version == scene_version &&
+           (parts == 0 || (before.parts == parts && before.part == part && before.division == division));
+  }
 };
 
 /// What others ask of the model, in order of arrival within each kind. Bounded: the optimizer takes all of it between
@@ -33,7 +42,7 @@ struct Commands {
 
   std::vector<InsertBatch> inserts;
   std::vector<TrainingViewPtr> pictures;        ///< that bring depth: the newest of each camera
-  std::vector<VisibilityCommand> visibilities;  ///< one a scene version
+  std::vector<VisibilityCommand> visibilities;  ///< one a scene version, or a part of it
 
   /// False when there is no room for it. A batch that waits here already is not taken twice.
   [[nodiscard]] bool add(InsertBatch&& batch) {
@@ -61,7 +70,7 @@ struct Commands {
 
   /// Takes the place of what waits for the same version, or, where too many wait, of the oldest.
   void add(VisibilityCommand&& visibility) {
-    std::erase_if(visibilities, [&](const auto& waiting) { return waiting.scene_version == visibility.scene_version; });
+    std::erase_if(visibilities, [&](const auto& waiting) { return visibility.replaces(waiting); });
     if (visibilities.size() >= kMaxVisibilities) visibilities.erase(visibilities.begin());
     visibilities.push_back(std::move(visibility));
   }

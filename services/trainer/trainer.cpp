@@ -178,6 +178,15 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
     throw bus::Error(message.topic() + ": its light_ids are not 0 and at most " + std::to_string(kMaxLightSources) +
                      " more, ascending");
   }
+  constexpr std::uint32_t kMaxParts = 64;
+  const auto is_shared_out = [&] {
+    const bool pages_fit = relit.page_indices() == 1U << kPageShift &&
+                           (relit.pages() == nullptr || std::is_sorted(relit.pages()->begin(), relit.pages()->end()));
+    return relit.parts() <= kMaxParts && relit.part() < relit.parts() && pages_fit;
+  };
+  if (relit.parts() != 0 && !is_shared_out()) {
+    throw bus::Error(message.topic() + ": its part, or the pages of it, make no sense");
+  }
   if (relit.count() == 0) return;
   const auto tensor =
       message.tensor("visibility", bus::ElementType::U8,
@@ -200,7 +209,12 @@ void Trainer::take_visibility(const wire::RelightVisibility& relit, const bus::M
                             .scene_version = relit.scene_version(),
                             .count = relit.count(),
                             .light_ids = std::move(light_ids),
-                            .visibility = values};
+                            .visibility = values,
+                            .parts = relit.parts(),
+                            .part = relit.part(),
+                            .division = relit.division(),
+                            .pages = {}};
+  if (relit.pages() != nullptr) command.pages.assign(relit.pages()->begin(), relit.pages()->end());
   commands_.post([&](Commands& commands) { commands.add(std::move(command)); });
 }
 

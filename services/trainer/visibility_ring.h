@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <set>
 #include <span>
 #include <vector>
 
@@ -17,8 +18,8 @@ namespace splatbus::trainer {
 
 /// Every light's visibility of every Gaussian under the last few scene versions, so that a picture trains with its own.
 /// It follows the model's structure: until relight has seen it too, a Gaussian that is inserted after a version was
-/// computed has what the model itself says of the sun, and sees all of the other lights. In the order of a stream;
-/// belongs to one thread.
+/// computed has what the model itself says of the sun, and sees all of the other lights. A version whose pages several
+/// replicas share is there once the parts of all of them have come. In the order of a stream; belongs to one thread.
 class VisibilityRing {
  public:
   static constexpr std::size_t kMaxVersions = 128;
@@ -43,6 +44,9 @@ class VisibilityRing {
     std::shared_ptr<std::uint8_t> values;
     std::size_t stride = 0;
     std::vector<std::uint32_t> light_ids;
+    std::uint64_t division = 0;
+    std::set<std::uint32_t> parts;  ///< of that division, that have come
+    bool whole = true;
 
     [[nodiscard]] std::uint32_t rows() const { return static_cast<std::uint32_t>(light_ids.size()); }
     [[nodiscard]] std::size_t bytes() const { return stride * light_ids.size(); }
@@ -50,6 +54,7 @@ class VisibilityRing {
   };
   /// All lights are seen by all.
   [[nodiscard]] OfIndex make(std::size_t stride, const std::vector<std::uint32_t>& light_ids) const;
+  [[nodiscard]] OfIndex of_model(const std::vector<std::uint32_t>& light_ids) const;
   void drop(std::span<const std::uint64_t> needed);
 
   model::PageStore& store_;

@@ -3,11 +3,15 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <chrono>
 #include <cstdio>
 #include <deque>
 #include <exception>
+#include <functional>
+#include <memory>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <vector>
 
 #include "bus/clock.h"
@@ -15,6 +19,7 @@
 #include "bus/error.h"
 #include "bus/service.h"
 #include "gl/context.h"
+#include "stream/streamer_choice.h"
 #include "viewer/gl/flight.h"
 #include "viewer/replay.h"
 #include "viewer/viewer.h"
@@ -23,17 +28,25 @@ namespace {
 
 void run_on_bus(splatbus::bus::ServiceContext& service) {
   std::string endpoint = service.parameters.read<splatbus::viewer::Options>().endpoint;
-  const splatbus::bus::Address& address = service.bus->address();
+  std::function<std::string()> find_endpoint;
   if (endpoint.empty()) {
-    if (!address.is_local()) {
-      throw splatbus::bus::Error(
-          fmt::format("the bus at {} has no folder: set 'endpoint' to the streamer's", address.text()));
+    const auto finder = std::make_shared<splatbus::stream::StreamerFinder>(service.bus);
+    find_endpoint = [finder] { return finder->endpoint(splatbus::bus::now_ns()); };
+    const splatbus::bus::Address& address = service.bus->address();
+    if (address.is_local()) {
+      endpoint = "ipc://" + *address.directory + "/streamer";
+    } else {
+      service.detail("waits for a streamer");
+      while ((endpoint = find_endpoint()).empty()) {
+        if (service.stop.stop_requested()) return;
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+      }
     }
-    endpoint = "ipc://" + *address.directory + "/streamer";
   }
   splatbus::viewer::Viewer(service.parameters,
                            {.name = service.bus->source(),
                             .endpoint = endpoint,
+                            .find_endpoint = find_endpoint,
                             .device = service.backend,
                             .stop = service.stop,
                             .counter = [&](const std::string& name, double value) { service.counter(name, value); },

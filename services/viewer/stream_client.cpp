@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "viewer/web_address.h"
@@ -12,6 +13,7 @@ namespace splatbus::viewer {
 namespace {
 
 constexpr int kMessagesACall = 256;
+constexpr std::int64_t kFindEveryNs = 200'000'000;
 
 std::unique_ptr<PacketLink> make_link(const ClientOptions& options) {
   if (is_web_address(options.endpoint)) {
@@ -49,7 +51,22 @@ void StreamClient::send_all() {
   while (const auto packet = follower_.next_outgoing(options_.now_ns())) send(*packet);
 }
 
+// Moves while the picture stands: the follower goes on showing what it holds until it has the other streamer's.
+void StreamClient::follow_streamer() {
+  const std::int64_t now_ns = options_.now_ns();
+  if (!options_.find_endpoint || now_ns < next_find_ns_) return;
+  next_find_ns_ = now_ns + kFindEveryNs;
+  std::string found = options_.find_endpoint();
+  if (found.empty() || found == options_.endpoint) return;
+  send(follower_.farewell());
+  options_.endpoint = std::move(found);
+  link_ = make_link(options_);
+  follower_.restart();
+}
+
 bool StreamClient::poll(std::chrono::milliseconds timeout, int wake) {
+  follow_streamer();
+  if (options_.find_endpoint) timeout = std::min(timeout, std::chrono::milliseconds(kFindEveryNs / 1'000'000));
   send_all();
   link_->wait(timeout, wake);
   if (link_->take_opened()) {

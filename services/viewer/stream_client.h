@@ -20,6 +20,9 @@ namespace splatbus::viewer {
 
 struct ClientOptions {
   std::string endpoint;  ///< of ZeroMQ; or a gateway's address: ws://, wss://, http:// or https://
+  /// Where the streamer is now: asked several times a second by whoever polls. Another answer than before, that is not
+  /// empty: the viewer goes there. Null: `endpoint` it is.
+  std::function<std::string()> find_endpoint;
   std::string name;
   std::string key, server_key;                        ///< for a streamer elsewhere: as bus::client_keys() has them
   std::string token, ca;                              ///< for a gateway: as WebLinkOptions has them
@@ -71,6 +74,7 @@ class StreamClient {
   StreamClient& operator=(const StreamClient&) = delete;
 
  private:
+  void follow_streamer();
   bool receive_all();
   bool receive(std::span<const std::uint8_t> packet, std::span<const std::uint8_t> payload);
   void send_all();
@@ -82,6 +86,7 @@ class StreamClient {
   std::optional<stream::PacketLog> packet_log_;
   std::function<bool(const stream::ParsedPacket&)> lose_;
   std::string last_refusal_;
+  std::int64_t next_find_ns_ = 0;
   bus::LogLimiter log_limiter_;
 };
 

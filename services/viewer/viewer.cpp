@@ -25,6 +25,7 @@ constexpr std::int64_t kIdleWindowNs = 5'000'000;  // until mouse and keys are l
 
 ClientOptions client_options(const Options& options, const ViewerHost& host) {
   return {.endpoint = host.endpoint,
+          .find_endpoint = host.find_endpoint,
           .name = host.name,
           .key = options.key,
           .server_key = options.server_key,
@@ -56,7 +57,7 @@ std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "endpoint of the streamer; empty: 'streamer' in the bus's folder",
+  p.add("endpoint", endpoint, "endpoint of a streamer; empty: one of those on the bus, and another when it leaves",
         bus::viewer_endpoint_rule(), kFixed);
   p.add("fps", fps, "most pictures per second; one is drawn when scene, model or camera have changed", {0.1, 240});
   p.add("threads", threads, "CPU rendering threads (0: one per core)", {0, 1024}, kFixed);

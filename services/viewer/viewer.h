@@ -46,7 +46,8 @@ struct Options {
 /// What surrounds a viewer: a service on the bus, or a program of its own on another machine.
 struct ViewerHost {
   std::string name;
-  std::string endpoint;  ///< of the streamer
+  std::string endpoint;                        ///< of the streamer
+  std::function<std::string()> find_endpoint;  ///< as ClientOptions has it; null: `endpoint` it is
   Device device = Device::Cpu;
   std::stop_token stop;
   std::function<void(const std::string& name, double value)> counter;

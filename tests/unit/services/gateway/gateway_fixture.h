@@ -27,11 +27,12 @@ class RunningGateway {
   RunningGateway(std::shared_ptr<bus::Context> context, const std::string& streamer, const Settings& settings)
       : options_(read(settings)),
         pipeline_(context),
+        streamers_(streamer.empty() ? gateway::Streamers(context, "") : gateway::Streamers(streamer)),
         pages_(zmq_, streamer, options_.page_cache_bytes, traffic_),
         models_(std::move(context), options_.max_model_gaussians, traffic_),
         site_(options_, pipeline_, pages_, models_, traffic_) {
     gateway::check(options_);
-    server_ = std::make_unique<gateway::Server>(options_, streamer, site_, pages_, traffic_);
+    server_ = std::make_unique<gateway::Server>(options_, streamers_, site_, pages_, traffic_);
     thread_ = std::thread([this] { server_->run(stop_.get_token(), [this] { pipeline_.poll(bus::now_ns()); }); });
   }
   ~RunningGateway() {
@@ -57,6 +58,7 @@ class RunningGateway {
  private:
   gateway::Options options_;
   gateway::PipelineView pipeline_;
+  gateway::Streamers streamers_;
   gateway::Traffic traffic_;
   zmq::context_t zmq_;
   gateway::PageLibrary pages_;

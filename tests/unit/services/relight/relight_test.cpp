@@ -5,6 +5,7 @@
 #include <map>
 
 #include "relight_fixture.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::relight {
 namespace {
@@ -49,6 +50,48 @@ TEST_F(RelightTest, AnotherMapOfTheSameSceneAndAModelThatBeginsAnewAreFollowed) 
   EXPECT_EQ(visibility(5, 1), (std::vector<float>{1, 1, 1}));
   publish_model(2);
   EXPECT_EQ(visibility(2, 1), (std::vector<float>{1, 1, 1})) << "a trainer without the model before it";
+}
+
+/// Another replica's pages are left to it, and taken back when it ends.
+TEST_F(RelightTest, TwoReplicasShareThePages) {
+  publish_model(1);
+  publish_depth(1, -2.0F);
+  ASSERT_EQ(visibility(1, 1), (std::vector<float>{1, 0, 1}));
+  const bus::Publisher other(connect("relight-2"));
+  const auto beat = [&](wire::ServiceState state) {
+    other.publish(topics::kHeartbeat, {.latch_key = "relight-2"}, [&](auto& builder, auto header) {
+      return wire::CreateHeartbeatDirect(builder, header, "relight", 1, state);
+    });
+  };
+  beat(wire::ServiceState::Running);
+  std::vector<std::uint32_t> pages;
+  (void)next_visibility([&](const wire::RelightVisibility& body) {
+    if (body.parts() != 2) return false;
+    EXPECT_EQ(body.part(), 0U) << "by name";
+    EXPECT_EQ(body.page_indices(), kPageLanes);
+    pages.assign(body.pages()->begin(), body.pages()->end());
+    return true;
+  });
+  // By the hashes of page and name, computed apart (tests/unit/services/relight/page_shares_test.cpp says what they
+  // do).
+  std::vector<std::uint32_t> own;
+  PageShares shares("relight");
+  {
+    flatbuffers::FlatBufferBuilder builder;
+    const auto header = wire::CreateHeaderDirect(builder, "Liveness/1", "bus");
+    const std::vector<flatbuffers::Offset<wire::Node>> nodes{
+        wire::CreateNodeDirect(builder, "relight-2", "relight", 1, 1, wire::ServiceState::Running, true)};
+    builder.Finish(wire::CreateLivenessDirect(builder, header, &nodes));
+    shares.take(*flatbuffers::GetRoot<wire::Liveness>(builder.GetBufferPointer()));
+  }
+  for (const std::uint32_t index : index_) {
+    const std::uint32_t page = index / kPageLanes;
+    if (shares.owns(page) && (own.empty() || own.back() != page)) own.push_back(page);
+  }
+  EXPECT_EQ(pages, own);
+  beat(wire::ServiceState::Stopping);
+  const Relit whole = next_visibility([](const wire::RelightVisibility& body) { return body.parts() == 0; });
+  EXPECT_EQ(whole.of_gaussian, (std::vector<float>{1, 0, 1}));
 }
 
 constexpr std::uint32_t kLamp = 5;

@@ -295,7 +295,7 @@ TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
 TEST_F(StreamerTest, ASecondStreamerOnTheSamePathIsRefused) {
   start_streamer();
   try {
-    RunningStreamer second(connect("second"), {});
+    RunningStreamer second(connect("second"), {{"endpoint", endpoint()}});
     FAIL() << "it bound a path that is taken";
   } catch (const bus::Error& error) {
     EXPECT_NE(std::string(error.what()).find("another streamer"), std::string::npos) << error.what();

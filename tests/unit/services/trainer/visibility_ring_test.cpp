@@ -116,6 +116,37 @@ class VisibilityRingTest : public bus_test::BusTest {
   std::unique_ptr<Optimizer> optimizer_;
 };
 
+/// What replicas of relight share is used once all of them have said theirs, each of its own pages alone.
+TEST_F(VisibilityRingTest, PartsOfSeveralReplicasMakeAVersion) {
+  insert(2, 3000);
+  const std::uint32_t pages = static_cast<std::uint32_t>((store_->view().count + kPageLanes - 1) / kPageLanes);
+  ASSERT_GE(pages, 3U);
+  const auto part_of = [&](std::uint32_t part, std::uint64_t division) {
+    VisibilityCommand command = relit(1, {0, 4});
+    command.parts = 2;
+    command.part = part;
+    command.division = division;
+    for (std::uint32_t page = 0; page < pages; ++page) {
+      if (page % 2 == part) {
+        command.pages.push_back(page);
+        continue;
+      }
+      for (std::size_t row = 0; row < 2; ++row) {  // anything
+        const std::size_t first = row * command.count + page * kPageLanes;
+        const std::size_t length = std::min<std::size_t>(kPageLanes, command.count - page * kPageLanes);
+        std::memset(command.visibility.get() + first, 77, length);
+      }
+    }
+    return command;
+  };
+  apply(part_of(0, 10));
+  EXPECT_EQ(stepped(1, {0, 4}).values, nullptr);
+  apply(part_of(1, 11));
+  EXPECT_EQ(stepped(1, {0, 4}).values, nullptr) << "of another division";
+  apply(part_of(0, 11));
+  expect_own(stepped(1, {0, 4}), 1, {0, 4}, 3100);
+}
+
 TEST_F(VisibilityRingTest, AViewIsSteppedWithItsOwnVersionAndLightsOrWithNone) {
   apply(relit(1, {0, 4}));
   apply(relit(3, {0, 4, 9}));

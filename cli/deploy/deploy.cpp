@@ -1,0 +1,116 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <stdexcept>
+
+#include "bus/subscriber.h"
+#include "deploy_plan.h"
+#include "verbs.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct ExportOptions {
+  std::string launch_file, folder;
+  std::vector<std::string> overrides;
+  std::string backend;
+  DeployOptions deploy;
+};
+
+using Write = std::string (*)(const DeployPlan&, const DeployOptions&);
+
+int write(const ExportOptions& options, const char* file_name, Write write_text) {
+  LaunchFile file = read_launch_file(options.launch_file);
+  for (const std::string& assignment : options.overrides) apply_override(file, assignment);
+  set_backend(file, options.backend);
+  const DeployPlan plan = plan_deployment(file, program_directory(), options.deploy);
+  const std::string text = write_text(plan, options.deploy);
+  if (options.folder.empty()) {
+    fmt::print("{}", text);
+    return 0;
+  }
+  fs::create_directories(options.folder);
+  const fs::path path = fs::path(options.folder) / file_name;
+  std::ofstream out(path);
+  if (!(out << text) || !out.flush()) throw std::runtime_error(path.string() + " cannot be written");
+  fmt::print("{}\n", path.string());
+  return 0;
+}
+
+void add_format(CLI::App& verb, Action& action, const char* name, const char* summary, const char* file_name,
+                Write write_text) {
+  auto options = std::make_shared<ExportOptions>();
+  CLI::App* format = verb.add_subcommand(name, summary);
+  format->add_option("launch-file", options->launch_file, "launch file (.yaml)")->required();
+  format->add_option("-o,--out", options->folder, "folder to write to; else to standard output");
+  format->add_option("--set", options->overrides, "service.parameter=value, before the file's; repeatable")
+      ->allow_extra_args(false);
+  format->add_option("--image", options->deploy.image, "container image with splatbus")->capture_default_str();
+  format->add_option("--gateway-port", options->deploy.gateway_port, "port of the gateway")
+      ->check(CLI::Range(1, 65535))
+      ->capture_default_str();
+  format
+      ->add_option("--streamer-port", options->deploy.streamer_port,
+                   "port of the first streamer; the next has the next")
+      ->check(CLI::Range(1, 65000))
+      ->capture_default_str();
+  add_backend_option(*format, options->backend);
+  format->callback([options, file_name, write_text, &action] {
+    action = [options, file_name, write_text] { return write(*options, file_name, write_text); };
+  });
+}
+
+struct HealthOptions {
+  std::string bus, source;
+  double timeout_s = 5;
+};
+
+/// 0 when the source, or with no name the bus itself, is alive as the broker sees it.
+int health(const HealthOptions& options) {
+  const bus::Address address = bus_address(options.bus);
+  bus::Subscriber subscriber(connect(address));
+  std::string said;
+  subscriber.on(topics::kLiveness, [&](const wire::Liveness& liveness, const bus::Message& message) {
+    if (message.header().resent()) return;  // of a moment ago, or of a broker that is gone
+    said = options.source.empty() ? "alive" : "is not on the bus";
+    if (liveness.nodes() == nullptr || options.source.empty()) return;
+    for (const auto* node : *liveness.nodes()) {
+      if (node->source()->string_view() == options.source) said = node->alive() ? "alive" : "is silent, or has ended";
+    }
+  });
+  const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(options.timeout_s * 1e9);
+  while (said != "alive" && bus::now_ns() < end_ns) subscriber.dispatch_all(std::chrono::milliseconds(50));
+  const std::string who = options.source.empty() ? "the bus" : options.source;
+  if (said.empty()) throw std::runtime_error(fmt::format("no bus answers at {}", address.text()));
+  if (said != "alive") throw std::runtime_error(fmt::format("{} {}", who, said));
+  fmt::print("{} is alive\n", who);
+  return 0;
+}
+
+}  // namespace
+
+void add_deploy_formats(CLI::App& verb, Action& action) {
+  add_format(verb, action, "compose", "Write a launch file as a docker compose file", "compose.yaml", compose_text);
+  add_format(verb, action, "kubernetes", "Write a launch file as Kubernetes manifests", "splatbus.yaml",
+             kubernetes_text);
+}
+
+void add_health_verb(CLI::App& app, Action& action) {
+  auto options = std::make_shared<HealthOptions>();
+  CLI::App* verb = app.add_subcommand("health", "Whether a service is alive: exit status 0, else 1. For probes");
+  verb->add_option("name", options->source, "of a service on the bus; none: the bus itself");
+  verb->add_option("--timeout", options->timeout_s, "seconds to wait for the bus")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  add_bus_option(*verb, options->bus);
+  verb->callback([options, &action] { action = [options] { return health(*options); }; });
+}
+
+}  // namespace splatbus::cli

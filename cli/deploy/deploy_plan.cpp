@@ -1,0 +1,164 @@
+#include "deploy_plan.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cctype>
+#include <set>
+#include <utility>
+
+#include "bus/error.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string host_name(const std::string& text) {
+  std::string name;
+  for (const unsigned char c : text) {
+    name += std::isalnum(c) != 0 ? static_cast<char>(std::tolower(c)) : '-';
+  }
+  while (name.starts_with('-')) name.erase(0, 1);
+  while (name.ends_with('-')) name.pop_back();
+  return name.empty() ? "splatbus" : name;
+}
+
+/// Of "--set key=value"; the last one counts.
+std::string parameter(const DeployProcess& process, const std::string& key) {
+  std::string value;
+  for (std::size_t i = 0; i + 1 < process.command.size(); ++i) {
+    if (process.command[i] == "--set" && process.command[i + 1].starts_with(key + "=")) {
+      value = process.command[i + 1].substr(key.size() + 1);
+    }
+  }
+  return value;
+}
+
+void set_parameter(DeployProcess& process, const std::string& key, const std::string& value) {
+  for (std::size_t i = 0; i + 1 < process.command.size();) {
+    const bool is_it = process.command[i] == "--set" && process.command[i + 1].starts_with(key + "=");
+    const auto at = process.command.begin() + static_cast<std::ptrdiff_t>(i);
+    if (is_it) process.command.erase(at, at + 2);
+    i += is_it ? 0 : 1;
+  }
+  process.command.insert(process.command.end(), {"--set", fmt::format("{}={}", key, value)});
+}
+
+std::string secret(DeployProcess& process, const std::string& file) {
+  process.secrets.push_back(file);
+  return fmt::format("{}/{}", kSecretFolder, file);
+}
+
+int port_of(const std::string& endpoint) {
+  const std::size_t colon = endpoint.rfind(':');
+  if (colon == std::string::npos) return 0;
+  try {
+    return std::stoi(endpoint.substr(colon + 1));
+  } catch (const std::exception&) {
+    return 0;
+  }
+}
+
+void place_broker(DeployProcess& process) {
+  for (std::size_t i = 0; i + 1 < process.command.size(); ++i) {
+    if (process.command[i] != "--tcp") continue;
+    const int port = port_of(process.command[i + 1]);
+    process.command[i + 1] = fmt::format("0.0.0.0:{}", port);
+    process.ports = {{"bus", port}, {"bus-read", port + 1}};
+    process.command.insert(process.command.end(),
+                           {"--key", secret(process, "server_key"), "--allowed", secret(process, "allowed")});
+    return;
+  }
+}
+
+void place_gateway(DeployProcess& process, const DeployOptions& options) {
+  process.ports = {{"http", options.gateway_port}};
+  set_parameter(process, "http", fmt::format("0.0.0.0:{}", options.gateway_port));
+  set_parameter(process, "tokens", secret(process, "tokens"));
+  if (parameter(process, "certificate").empty()) {
+    set_parameter(process, "insecure", "true");  // what is before it speaks TLS
+  } else {
+    set_parameter(process, "certificate", secret(process, "certificate"));
+    set_parameter(process, "key", secret(process, "certificate_key"));
+  }
+}
+
+void place_streamer(DeployProcess& process, int port) {
+  process.ports = {{"stream", port}};
+  set_parameter(process, "tcp", fmt::format("tcp://0.0.0.0:{}", port));
+  set_parameter(process, "tcp_address", process.name);
+  set_parameter(process, "key", secret(process, "server_key"));
+  set_parameter(process, "allowed", secret(process, "allowed"));
+}
+
+/// A bus over tcp needs a key there.
+void place_client(DeployProcess& process) {
+  process.environment["SPLATBUS_KEY"] = secret(process, "client_key");
+}
+
+DeployProcess containerised(const ProcessPlan& plan, const LaunchService& service, const fs::path& programs) {
+  DeployProcess process;
+  process.name = plan.name;
+  process.service = service.name;
+  const bool is_ours = plan.program.parent_path() == programs;
+  process.command = {is_ours ? plan.program.filename().string() : plan.program.string()};
+  process.command.insert(process.command.end(), plan.arguments.begin(), plan.arguments.end());
+  process.environment = plan.environment;
+  process.restart = plan.restart;
+  process.broker = plan.broker;
+  const std::string program = plan.program.filename();
+  process.gateway = program == "splatbus-gateway";
+  process.streamer = program == "splatbus-streamer";
+  process.cuda = plan.backend == "cuda";
+  process.beats = plan.heartbeat_timeout_s > 0;
+  process.start_timeout_s = plan.start_timeout_s;
+  if (program == "splatbus-trainer" && !parameter(process, "world").empty()) {
+    process.has_world = true;
+    set_parameter(process, "world", kWorldFolder);
+  }
+  return process;
+}
+
+}  // namespace
+
+DeployPlan plan_deployment(const LaunchFile& file, const fs::path& programs, const DeployOptions& options) {
+  LaunchFile inside = file;
+  for (LaunchService& service : inside.services) {
+    if (!service.bus) continue;
+    if (bus::Address::parse(service.bus->value).is_local()) {
+      throw LaunchError(service.bus->mark,
+                        "a bus of its own that lies in memory is not exported: put what is on it "
+                        "into a launch file of its own");
+    }
+  }
+  const LaunchPlan launch = plan_launch(inside, bus::Address::parse(fmt::format("ipc://{}", kBusFolder)), programs);
+  DeployPlan plan;
+  plan.name = host_name(fs::path(file.path).stem().string());
+  int streamer_port = options.streamer_port;
+  for (const ProcessPlan& process : launch.processes) {
+    const auto service = std::ranges::find_if(inside.services, [&](const LaunchService& s) {
+      return s.name == process.name || (s.replicas > 1 && process.name.starts_with(s.name + "-"));
+    });
+    DeployProcess placed = containerised(process, *service, programs);
+    for (const std::size_t index : process.after) placed.after.push_back(launch.processes[index].name);
+    if (!process.broker && placed.beats && placed.after.empty() && !service->bus) placed.after.emplace_back("bus");
+    if (placed.broker) place_broker(placed);
+    if (placed.gateway) place_gateway(placed, options);
+    if (placed.streamer) place_streamer(placed, service->bus ? options.streamer_port : streamer_port++);
+    if (service->bus) place_client(placed);
+    (service->bus ? plan.remote : plan.local).push_back(std::move(placed));
+  }
+  // Only what is there is waited for.
+  std::set<std::string> names;
+  for (const DeployProcess& process : plan.local) names.insert(process.name);
+  for (auto* part : {&plan.local, &plan.remote}) {
+    for (DeployProcess& process : *part) {
+      std::erase_if(process.after, [&](const std::string& name) { return !names.contains(name); });
+    }
+  }
+  return plan;
+}
+
+}  // namespace splatbus::cli

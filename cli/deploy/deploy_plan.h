@@ -1,0 +1,63 @@
+#pragma once
+
+#include <filesystem>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "launch_file.h"
+#include "launch_plan.h"
+
+namespace splatbus::cli {
+
+/// A port that a container listens on.
+struct DeployPort {
+  std::string name;
+  int port = 0;
+};
+
+/// A process of a launch file as it runs in a container.
+struct DeployProcess {
+  std::string name;                  ///< source on the bus
+  std::string service;               ///< entry of the launch file: that of replicas is the same
+  std::vector<std::string> command;  ///< the program, found by PATH where it is one of ours, and its arguments
+  std::map<std::string, std::string> environment;
+  std::vector<std::string> after;    ///< names of processes
+  std::vector<std::string> secrets;  ///< files of kSecretFolder that it reads
+  std::vector<DeployPort> ports;
+  RestartPolicy restart = RestartPolicy::OnFailure;
+  bool broker = false, gateway = false, streamer = false, cuda = false, beats = true, has_world = false;
+  double start_timeout_s = 30;
+};
+
+/// Processes of one launch file: those on its own bus, which lies in memory and wants them on one machine, and those
+/// with a bus of their own over tcp, which run anywhere.
+struct DeployPlan {
+  std::string name;  ///< of the file, fit for a host's name
+  std::vector<DeployProcess> local, remote;
+};
+
+struct DeployOptions {
+  std::string image = "splatbus";
+  int gateway_port = 7680;   ///< published
+  int streamer_port = 7600;  ///< of the first streamer; the next has the next
+};
+
+inline constexpr const char* kBusFolder = "/run/splatbus";
+inline constexpr const char* kSecretFolder = "/run/secrets";
+inline constexpr const char* kWorldFolder = "/var/lib/splatbus/world";
+
+/// Where streamers listen over tcp, and where a bus over tcp is reached, they take keys: server_key, allowed, and for
+/// clients client_key, with the server's public key in SPLATBUS_SERVER_KEY. A gateway, which is reached from outside of
+/// its container, takes tokens. Throws LaunchError.
+[[nodiscard]] DeployPlan plan_deployment(const LaunchFile& file, const std::filesystem::path& programs,
+                                         const DeployOptions& options);
+
+/// As a docker compose file, by the Compose specification.
+[[nodiscard]] std::string compose_text(const DeployPlan& plan, const DeployOptions& options);
+
+/// As Kubernetes manifests, one document after the other: a pod for what shares memory, a stateful set for each entry
+/// with a bus of its own, and services before streamers, bus and gateway.
+[[nodiscard]] std::string kubernetes_text(const DeployPlan& plan, const DeployOptions& options);
+
+}  // namespace splatbus::cli

@@ -1,0 +1,146 @@
+// Streamers that share browsers: where each goes, and what it holds when one of them leaves.
+#include <gmock/gmock.h>
+
+#include <algorithm>
+#include <atomic>
+#include <map>
+
+#include "gateway_fixture.h"
+#include "stream/follower.h"
+#include "viewer/stream_client.h"
+#include "wire/system_generated.h"
+
+namespace splatbus::gateway_test {
+namespace {
+
+/// A browser's part in the protocol, as the page has it.
+class Page {
+ public:
+  explicit Page(std::uint16_t port, const std::string& name)
+      : socket_(port), follower_({.name = name, .hello_every_ns = 50'000'000}, bus::now_ns()) {}
+
+  void poll() {
+    while (const auto packet = follower_.next_outgoing(bus::now_ns())) socket_.send_packet(packet->packet);
+    const auto message = socket_.receive(5ms);
+    if (!message) return;
+    const auto framed = stream::take_apart({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
+    // What came behind another one that is lost, or of a streamer that is left, is refused without harm.
+    try {
+      follower_.receive(framed.packet, framed.payload, bus::now_ns());
+    } catch (const stream::StreamError&) {
+    }
+    ever_empty_ = ever_empty_ || (shown_ && replica().count() == 0);
+    shown_ = shown_ || replica().count() > 0;
+  }
+  [[nodiscard]] const stream::Replica& replica() const { return follower_.replica(); }
+  [[nodiscard]] bool holds(std::size_t count) const {
+    return replica().count() == count && replica().missing_pages() == 0;
+  }
+  /// Whether its picture has been without Gaussians since it had some.
+  [[nodiscard]] bool ever_empty() const { return ever_empty_; }
+
+ private:
+  WebSocketClient socket_;
+  stream::Follower follower_;
+  bool shown_ = false, ever_empty_ = false;
+};
+
+class Shared : public GatewayTest {
+ protected:
+  Shared() : observer_(connect("observer")) {
+    observer_.on(topics::kStreamerOffer, [this](const wire::StreamerOffer& offer, const bus::Message& message) {
+      offers_[message.header().source()->str()] = {offer.viewers(), offer.draining()};
+    });
+  }
+  std::unique_ptr<stream_test::RunningStreamer> streamer(const std::string& name) {
+    return std::make_unique<stream_test::RunningStreamer>(
+        connect(name), std::vector<std::pair<std::string, std::string>>{{"tick_hz", "20"}, {"drain_s", "20"}});
+  }
+  void open_pages(int count) {
+    for (int i = 0; i < count; ++i) pages_.push_back(std::make_unique<Page>(port_, "page " + std::to_string(i)));
+  }
+  bool until(const std::function<bool()>& condition) {
+    const auto deadline = std::chrono::steady_clock::now() + bus_test::patience;
+    while (!condition()) {
+      observer_.dispatch_all(0ms);
+      if (mortal_) mortal_->turn(0.02);
+      for (const auto& page : pages_) page->poll();
+      if (std::chrono::steady_clock::now() > deadline) return false;
+    }
+    return true;
+  }
+  [[nodiscard]] bool all_hold(std::size_t count) const {
+    return std::ranges::all_of(pages_, [&](const auto& page) { return page->holds(count); });
+  }
+  [[nodiscard]] std::uint32_t viewers(const std::string& name) const {
+    const auto found = offers_.find(name);
+    return found == offers_.end() ? 0 : found->second.first;
+  }
+
+  bus::Subscriber observer_;
+  std::map<std::string, std::pair<std::uint32_t, bool>> offers_;
+  std::vector<std::unique_ptr<Page>> pages_;
+  std::unique_ptr<stream_test::SteppedStreamer> mortal_;  ///< turns while somebody waits; its end is a death
+};
+
+TEST_F(Shared, TwoStreamersShareBrowsersAndOneThatEndsHandsItsOwnOver) {
+  auto first = streamer("streamer-1"), second = streamer("streamer-2");
+  trainer_.publish(stream::test::toy_model(2000, 1));
+  start_gateway("");
+  ASSERT_TRUE(until([&] { return offers_.size() == 2; }));
+  open_pages(6);
+  ASSERT_TRUE(until([&] { return all_hold(2000) && viewers("streamer-1") == 3 && viewers("streamer-2") == 3; }));
+  first.reset();  // as on SIGTERM: it waits for them to go
+  EXPECT_TRUE(offers_.contains("streamer-1"));
+  trainer_.publish(stream::test::toy_model(2500, 1));
+  ASSERT_TRUE(until([&] { return all_hold(2500) && viewers("streamer-2") == 6; }));
+  for (const auto& page : pages_) EXPECT_FALSE(page->ever_empty()) << "the picture stands meanwhile";
+}
+
+TEST_F(Shared, WhoeverTheDeadOneServedIsServedByTheOther) {
+  const auto second = streamer("streamer-2");
+  mortal_ = std::make_unique<stream_test::SteppedStreamer>(connect("streamer-1"),
+                                                           std::vector<std::pair<std::string, std::string>>{});
+  const bus::Publisher heart(connect("streamer-1"));
+  const auto beat = [&] {
+    heart.publish(topics::kHeartbeat, {.latch_key = "streamer-1"}, [](auto& builder, auto header) {
+      return wire::CreateHeartbeatDirect(builder, header, "streamer", 1, wire::ServiceState::Running);
+    });
+    return true;
+  };
+  trainer_.publish(stream::test::toy_model(2000, 1));
+  start_gateway("");
+  ASSERT_TRUE(until([&] { return beat() && offers_.size() == 2; }));
+  open_pages(4);
+  ASSERT_TRUE(
+      until([&] { return beat() && all_hold(2000) && viewers("streamer-1") == 2 && viewers("streamer-2") == 2; }));
+  mortal_.reset();
+  trainer_.publish(stream::test::toy_model(2500, 1));
+  ASSERT_TRUE(until([&] { return all_hold(2500) && viewers("streamer-2") == 4; }));
+  for (const auto& page : pages_) EXPECT_FALSE(page->ever_empty()) << "the picture stands meanwhile";
+}
+
+/// A native viewer, which asks the bus itself.
+TEST_F(Shared, ANativeViewerFindsAnotherStreamer) {
+  auto first = streamer("streamer-1");
+  trainer_.publish(stream::test::toy_model(1000, 1));
+  stream::StreamerFinder finder(connect("viewer"));
+  viewer::StreamClient client({.endpoint = "ipc://" + directory_.path() + "/streamer",
+                               .find_endpoint = [&] { return finder.endpoint(bus::now_ns()); },
+                               .name = "viewer"});
+  ASSERT_TRUE(poll_until([&] { return client.replica().count() == 1000; }, client));
+  const auto second = streamer("streamer-2");
+  ASSERT_TRUE(until([&] { return offers_.size() == 2; }));
+  std::atomic<bool> ended = false;
+  std::thread end([&] {
+    first.reset();
+    ended = true;
+  });
+  EXPECT_TRUE(poll_until([&] { return ended.load(); }, client));
+  end.join();
+  trainer_.publish(stream::test::toy_model(1200, 1));
+  EXPECT_TRUE(poll_until([&] { return client.replica().count() == 1200; }, client));
+}
+
+}  // namespace
+}  // namespace splatbus::gateway_test
