@@ -86,24 +86,25 @@ Feed::Feed(std::shared_ptr<bus::Context> context, Hub& hub, const Options& optio
 
 void Feed::run(const std::stop_token& stop) {
   while (hub_.wait_for_client(stop)) {
-    const auto wanted = hub_.wanted();
-    if (!wanted) continue;
     try {
-      serve(*wanted);
+      if (serve()) continue;
+      sources_.clear();
+      wanted_.clear();
+      numbers_.clear();
+      scene_.reset();
     } catch (const std::exception& error) {
       if (log_limiter_.allow()) spdlog::error("foxglove: {}", error.what());
       std::this_thread::sleep_for(std::chrono::nanoseconds(kTurnNs));
     }
-    if (hub_.wanted()) continue;
-    sources_.clear();
-    wanted_.clear();
-    scene_.reset();
   }
 }
 
-void Feed::serve(const Channels& wanted) {
-  arrange(wanted);
-  wait();
+bool Feed::serve() {
+  if (!sources_.empty()) wait();
+  // After the wait: what somebody causes who has just subscribed to it may be what has ended it.
+  const auto wanted = hub_.wanted();
+  if (!wanted) return false;
+  arrange(*wanted);
   for (auto& [topic, source] : sources_) receive(source);
   const std::int64_t now = bus::now_ns();
   if (wanted_.contains(std::string(kPoints))) send_points(now);
@@ -112,12 +113,13 @@ void Feed::serve(const Channels& wanted) {
     hub_.tell_time(utc(now));
   }
   hub_.expire(now);
+  return true;
 }
 
-void Feed::arrange(const Channels& wanted) {
+void Feed::arrange(const Hub::Wanted& wanted) {
   std::set<std::string> needed;
   for (const std::string_view topic : kAlways) needed.emplace(topic);
-  for (const std::string& channel : wanted) needed.merge(sources_of(channel));
+  for (const auto& [channel, number] : wanted) needed.merge(sources_of(channel));
   std::erase_if(sources_, [&](const auto& source) { return !needed.contains(source.first); });
   for (const std::string& topic : needed) {
     if (sources_.contains(topic)) continue;
@@ -133,8 +135,13 @@ void Feed::arrange(const Channels& wanted) {
       scene_.emplace(context_);
   }
   Channels fresh;
-  std::set_difference(wanted.begin(), wanted.end(), wanted_.begin(), wanted_.end(), std::inserter(fresh, fresh.end()));
-  wanted_ = wanted;
+  wanted_.clear();
+  for (const auto& [channel, number] : wanted) {
+    wanted_.insert(channel);
+    const auto before = numbers_.find(channel);
+    if (before == numbers_.end() || before->second != number) fresh.insert(channel);
+  }
+  numbers_ = wanted;
   if (fresh.empty()) return;
   if (fresh.contains(std::string(kTransforms))) {
     hub_.deliver(std::string(kTransforms), utc(bus::now_ns()), frame_transforms({world_in_map()}, utc(bus::now_ns())),

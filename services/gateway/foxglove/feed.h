@@ -46,9 +46,10 @@ class Feed {
     std::map<std::string, bus::Message> held;  ///< the newest latched ones, by key
   };
 
-  void serve(const Channels& wanted);
+  /// One turn; false when nobody is there any more.
+  bool serve();
   /// Subscribes to what `wanted` needs, and to nothing else; who is new gets what is held.
-  void arrange(const Channels& wanted);
+  void arrange(const Hub::Wanted& wanted);
   void wait();
   void receive(Source& source);
   /// For `channels` only: of what is wanted all, or those that have become so.
@@ -73,8 +74,9 @@ class Feed {
   const Options& options_;
   const std::int64_t utc_offset_ns_;
   bus::Publisher publisher_;
-  std::map<std::string, Source> sources_;  ///< by topic
-  Channels wanted_;
+  std::map<std::string, Source> sources_;       ///< by topic
+  Hub::Wanted numbers_;                         ///< of what is wanted
+  Channels wanted_;                             ///< the same without numbers
   std::map<std::string, std::string> schemas_;  ///< Header.schema of each topic of the bus that is offered
   Channels cameras_;                            ///< names of those that are offered
   std::map<std::string, std::int64_t> next_picture_ns_;

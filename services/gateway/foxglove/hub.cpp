@@ -170,7 +170,7 @@ void Hub::subscribe(Client& client, const ClientMessage& message) {
     } else {
       client.subscriptions.emplace(subscription, channel);
       Known& known = channels_.at(topic->second);
-      ++known.subscribers;
+      if (known.subscribers++ == 0) ++known.wanted;
       for (const auto& [key, kept] : known.kept) {
         send_data(client, message_data(subscription, kept.time_ns, kept.payload));
       }
@@ -195,12 +195,12 @@ bool Hub::wait_for_client(std::stop_token stop) {
   return somebody_.wait(lock, std::move(stop), [this] { return !clients_.empty(); });
 }
 
-std::optional<std::set<std::string>> Hub::wanted() const {
+std::optional<Hub::Wanted> Hub::wanted() const {
   const std::scoped_lock lock(mutex_);
   if (clients_.empty()) return std::nullopt;
-  std::set<std::string> topics;
+  Wanted topics;
   for (const auto& [topic, known] : channels_) {
-    if (known.subscribers > 0) topics.insert(topic);
+    if (known.subscribers > 0) topics.emplace(topic, known.wanted);
   }
   return topics;
 }

@@ -71,8 +71,10 @@ class Hub {
   void on_set(SetParameters set);
   /// Waits until somebody is there; false at the stop.
   bool wait_for_client(std::stop_token stop);
-  /// Topics of channels that somebody is subscribed to; nullopt when nobody is there.
-  [[nodiscard]] std::optional<std::set<std::string>> wanted() const;
+  /// Topics of channels that somebody is subscribed to, each with a number that is another one when nobody was for a
+  /// while; nullopt when nobody is there.
+  using Wanted = std::map<std::string, std::uint64_t>;
+  [[nodiscard]] std::optional<Wanted> wanted() const;
   /// Which channels there are of one kind; those of that kind that are not named are gone.
   enum class Kind : std::uint8_t { Bus, Fixed, Cameras };
   void offer(Kind kind, const std::vector<Offer>& offers);
@@ -110,6 +112,7 @@ class Hub {
     bool offered = false;
     std::vector<std::string> publishers;
     std::size_t subscribers = 0, kept_bytes = 0;
+    std::uint64_t wanted = 0;  ///< how often the first has come
     struct Kept {
       std::uint64_t time_ns = 0;
       Payload payload;
