@@ -85,7 +85,7 @@ Feed::Feed(std::shared_ptr<bus::Context> context, Hub& hub, const Options& optio
 }
 
 void Feed::run(const std::stop_token& stop) {
-  while (hub_.wait_for_client(stop)) {
+  while (!stop.stop_requested() && hub_.wait_for_client(stop)) {
     try {
       if (serve()) continue;
       sources_.clear();

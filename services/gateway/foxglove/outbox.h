@@ -14,7 +14,7 @@ namespace splatbus::gateway::foxglove {
 /// there is no room. Not thread-safe.
 class Outbox {
  public:
-  static constexpr std::size_t kMaxMessages = 1024, kMaxAnswers = 1024, kMaxAnswerBytes = std::size_t{8} << 20;
+  static constexpr std::size_t kMaxMessages = 1024, kMaxAnswers = 1024, kMaxAnswerBytes = std::size_t{40} << 20;
 
   explicit Outbox(std::size_t max_data_bytes) : max_data_bytes_(max_data_bytes) {}
 
