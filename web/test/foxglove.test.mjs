@@ -191,7 +191,9 @@ live('a parameter that is set is seen, and one out of range refused with the ran
   };
   client.foxglove.getParameters(['source/rate', 'source/shown'], 'two');
   assert.deepEqual(await answer('two'), [{ name: 'source/rate', value: 0.25, type: 'float64' }, { name: 'source/shown', value: true }]);
+  const subscriptions = client.subscriptions.size;
   const log = messagesOf('foxglove/log', (lines) => lines.some(({ message }) => message.includes('rate set to 0.5')));
+  await until(() => client.subscriptions.size > subscriptions);
   client.foxglove.subscribeParameterUpdates(['source/rate']);
   client.foxglove.setParameters([{ name: 'source/rate', value: 0.5 }, { name: 'source/shown', value: false }], 'set');
   assert.deepEqual(await answer('set'), [{ name: 'source/rate', value: 0.5, type: 'float64' }, { name: 'source/shown', value: false }]);

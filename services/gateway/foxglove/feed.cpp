@@ -177,8 +177,9 @@ void Feed::receive(Source& source) {
 void Feed::take(const bus::Message& message, const Channels& channels) {
   const std::string& topic = message.topic();
   bus::guarded(message, [&] {
-    if (channels.contains(topic)) take_as_it_is(message);
-    if (topic == topics::kLog.name) take_log(message, channels);
+    // A log line is neither held nor repeated: whether somebody wants it by now is the hub's to say.
+    if (channels.contains(topic) || topic == topics::kLog.name) take_as_it_is(message);
+    if (topic == topics::kLog.name) take_log(message);
     if (topic == topics::kEngineCameras.name) take_cameras(message, channels);
     if (topic == topics::kSceneState.name && channels.contains(std::string(kTransforms))) take_scene(message);
     if (topic == topics::kViewerPose.name) take_pose(message, channels);
@@ -228,12 +229,11 @@ void Feed::take_heartbeat(const wire::Heartbeat& heartbeat) {
   hub_.heard(heartbeat.header()->source()->str(), parameters);
 }
 
-void Feed::take_log(const bus::Message& message, const Channels& channels) {
+void Feed::take_log(const bus::Message& message) {
   const auto& log = message.root<wire::Log>();
   const std::string source = message.header().source()->str();
   const std::string text = bus::printable(log.text()->string_view(), kMaxText);
   if (log.level() == wire::LogLevel::Error) hub_.logged_error(source, text);
-  if (!channels.contains(std::string(kLog))) return;
   const auto level = static_cast<std::uint8_t>(static_cast<int>(log.level()) + 1);  // theirs begin with UNKNOWN
   hub_.deliver(std::string(kLog), time_of(message), log_line(level, source, text, time_of(message)));
 }

@@ -57,7 +57,7 @@ class Feed {
   void take_as_it_is(const bus::Message& message);
   void take_topics(const wire::Topics& topics);
   void take_heartbeat(const wire::Heartbeat& heartbeat);
-  void take_log(const bus::Message& message, const Channels& channels);
+  void take_log(const bus::Message& message);
   void take_cameras(const bus::Message& message, const Channels& channels);
   void take_scene(const bus::Message& message);
   void take_pose(const bus::Message& message, const Channels& channels);
