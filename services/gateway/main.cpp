@@ -2,6 +2,7 @@
 
 #include "bus/clock.h"
 #include "bus/service.h"
+#include "gateway/foxglove/service.h"
 #include "gateway/server.h"
 
 namespace {
@@ -19,7 +20,8 @@ void run(bus::ServiceContext& service) {
   gateway::PageLibrary pages(context, streamer, options.page_cache_bytes, traffic);
   gateway::ModelFiles models(service.bus, options.max_model_gaussians, traffic);
   gateway::Site site(options, pipeline, pages, models, traffic);
-  gateway::Server server(options, streamers, site, pages, traffic);
+  gateway::foxglove::Service foxglove(service.bus, options);
+  gateway::Server server(options, streamers, site, pages, models, foxglove.hub(), traffic);
   spdlog::info("{}, {} files of the page", server.url(), site.files());
   service.detail(server.url());
   server.run(service.stop, [&] {

@@ -110,6 +110,12 @@ void add_gateway(Families& out, const Traffic& traffic) {
   out.gauge("splatbus_gateway_page_cache_bytes", "Of pages that are kept to be served again",
             static_cast<double>(traffic.page_bytes));
   out.counter("splatbus_gateway_exports_total", "Files made of the live model", traffic.exports);
+  out.gauge("splatbus_gateway_foxglove_clients", "Clients of Foxglove's protocol",
+            static_cast<double>(traffic.foxglove.clients));
+  out.gauge("splatbus_gateway_foxglove_queued_bytes", "Of messages that wait for such clients",
+            static_cast<double>(traffic.foxglove.queued_bytes));
+  out.counter("splatbus_gateway_foxglove_dropped_total", "Messages that slow clients were not sent",
+              traffic.foxglove.dropped);
   const std::vector<Label> from{{"direction", "from_browser"}}, to{{"direction", "to_browser"}};
   const std::string bytes = "splatbus_gateway_bytes_total", messages = "splatbus_gateway_messages_total";
   out.counter(bytes, "Of WebSocket messages", traffic.bytes_from, from);
@@ -202,6 +208,10 @@ nlohmann::json status_json(const PipelineView& pipeline, const Traffic& traffic,
                        {"pages_fetched", traffic.pages_fetched},
                        {"page_cache_bytes", traffic.page_bytes},
                        {"exports", traffic.exports},
+                       {"foxglove",
+                        {{"clients", traffic.foxglove.clients},
+                         {"queued_bytes", traffic.foxglove.queued_bytes},
+                         {"dropped", traffic.foxglove.dropped}}},
                        {"refused", refused}};
   for (const auto& report : bench.reports()) status["bench"].push_back(report);
   return status;

@@ -48,6 +48,16 @@ void Options::bind(bus::ParameterBinder& p) {
         {0.2, 3600}, kFixed);
   p.add("stall_s", limits.stall_s, "time without progress in writing after which a connection is closed, s",
         {0.2, 3600}, kFixed);
+  p.add("max_foxglove_clients", foxglove.clients, "clients of Foxglove's protocol at a time; 0: none", {0, 256},
+        kFixed);
+  p.add("foxglove_queue_mb", foxglove.queue_bytes,
+        "MB of messages that wait for one such client; above that the oldest are left out", {1, 1024}, kFixed,
+        bus::kMebibytes);
+  p.add("foxglove_pictures_hz", foxglove.pictures_hz, "pictures a second of one camera for such clients", {0.01, 60},
+        kFixed);
+  p.add("foxglove_points", foxglove.points, "of the model's Gaussians that its point cloud has, at most", {1, 5e6},
+        kFixed);
+  p.add("foxglove_points_hz", foxglove.points_hz, "point clouds a second", {0.01, 10}, kFixed);
 }
 
 void check(const Options& options) {

@@ -22,6 +22,15 @@ struct Limits {
   double stall_s = 10;                                ///< in which a browser that is being written to takes no byte
 };
 
+/// For Foxglove and other clients of its protocol.
+struct FoxgloveOptions {
+  int clients = 16;                                 ///< at a time; 0: none
+  std::size_t queue_bytes = std::size_t{16} << 20;  ///< of messages that wait for one client
+  double pictures_hz = 5;                           ///< of one camera
+  std::size_t points = 200'000;                     ///< of the model's Gaussians in a cloud
+  double points_hz = 1;
+};
+
 /// The gateway's parameters.
 struct Options {
   std::string endpoint;
@@ -31,6 +40,7 @@ struct Options {
   std::size_t page_cache_bytes = std::size_t{64} << 20;  ///< of frozen pages that are kept to be served again
   std::size_t max_model_gaussians = 4'000'000;           ///< of a model that is given away as a file; 0: none is
   Limits limits;
+  FoxgloveOptions foxglove;
 
   void bind(bus::ParameterBinder& parameters);
 };

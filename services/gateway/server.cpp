@@ -11,6 +11,7 @@
 
 #include "bus/log_sink.h"
 #include "gateway/connections.h"
+#include "gateway/foxglove/session.h"
 #include "gateway/http_exchange.h"
 #include "gateway/listening.h"
 #include "gateway/stream_session.h"
@@ -23,7 +24,7 @@ using asio::awaitable;
 using asio::ip::tcp;
 
 constexpr int kRequestsAConnection = 1000;
-constexpr std::size_t kDescriptorsAConnection = 4, kDescriptorsReserved = 96;
+constexpr std::size_t kDescriptorsAConnection = 4, kDescriptorsReserved = 288;
 constexpr std::chrono::milliseconds kTick(100);
 /// Somebody else's, who closes it.
 struct BorrowedDescriptor {
@@ -37,10 +38,12 @@ struct BorrowedDescriptor {
 }  // namespace
 
 struct Server::Impl {
-  Impl(const Options& all, Streamers& streamers, Site& to_see, PageLibrary& library, Traffic& counts)
+  Impl(const Options& all, Streamers& streamers, Site& to_see, PageLibrary& library, foxglove::Door to_foxglove,
+       Traffic& counts)
       : options(all),
         site(to_see),
         pages(library),
+        door(to_foxglove),
         traffic(counts),
         relay(all.limits, counts, streamers),
         connections(most_connections(), static_cast<std::size_t>(all.limits.connections_per_address), counts),
@@ -129,14 +132,22 @@ struct Server::Impl {
       const bool head = request.method() == http::verb::head;
       if (websocket::is_upgrade(request)) {
         Site::Admission admission = site.admit(view_of(request));
-        if (admission.rights && buffer.size() == 0) {
-          const stream::StreamerPlace place = relay.streamers.choose(bus::now_ns());
-          const auto session =
-              std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission), place);
+        const bool to_stream = admission.subprotocol == kSubprotocol;
+        const bool is_early = buffer.size() > 0, has_room = to_stream || door.hub.has_room();
+        if (admission.rights && !is_early && has_room) {
+          std::shared_ptr<BrowserSocket<Stream>> session;
+          if (to_stream) {
+            const stream::StreamerPlace place = relay.streamers.choose(bus::now_ns());
+            session = std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission), place);
+          } else {
+            session = std::make_shared<foxglove::Session<Stream>>(std::move(stream), relay, door, std::move(admission));
+          }
           co_await session->run(request);
           co_return;
         }
-        if (admission.rights) admission.refusal = plain(400, "too early\n");
+        if (admission.rights && !has_room) traffic.refuse(Refusal::Busy);
+        if (admission.rights)
+          admission.refusal = is_early ? plain(400, "too early\n") : unavailable("too many clients");
         co_await respond(stream, admission.refusal, head, false);
         break;
       }
@@ -187,6 +198,7 @@ struct Server::Impl {
       relay.streamers.poll(now);
       relay.share(now);
       follow_streamer(now);
+      traffic.foxglove = door.hub.figures();
       if (count % 10 == 0 && site.refresh_tokens()) renew_rights();
       timer.expires_after(kTick);
       co_await timer.async_wait(kNoThrow);
@@ -217,6 +229,7 @@ struct Server::Impl {
   const Options& options;
   Site& site;
   PageLibrary& pages;
+  foxglove::Door door;
   Traffic& traffic;
   bus::LogLimiter log_limiter;
   Relay relay;
@@ -230,8 +243,9 @@ struct Server::Impl {
   std::string url;
 };
 
-Server::Server(const Options& options, Streamers& streamers, Site& site, PageLibrary& pages, Traffic& traffic)
-    : impl_(std::make_unique<Impl>(options, streamers, site, pages, traffic)) {}
+Server::Server(const Options& options, Streamers& streamers, Site& site, PageLibrary& pages, ModelFiles& models,
+               foxglove::Hub& hub, Traffic& traffic)
+    : impl_(std::make_unique<Impl>(options, streamers, site, pages, foxglove::Door{hub, models}, traffic)) {}
 
 Server::~Server() = default;
 
@@ -242,6 +256,7 @@ void Server::run(const std::stop_token& stop, const std::function<void()>& tick)
     if (thrown) std::rethrow_exception(thrown);
   });
   impl_->io.run();
+  impl_->door.hub.leave_all();  // which would wake sessions by an io_context that is about to go
 }
 
 const std::string& Server::url() const {

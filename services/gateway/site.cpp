@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <initializer_list>
 
+#include "gateway/foxglove/protocol.h"
 #include "gateway/metrics.h"
 #include "gateway/partial_content.h"
 
@@ -55,6 +57,15 @@ std::string_view token_of(const Request& request) {
   const std::size_t query = std::min(request.target.find('?'), request.target.size());
   any_of_list(request.target.substr(std::min(query + 1, request.target.size())), '&', take("token="));
   return token;
+}
+
+/// The first of `ours` that the client has named too; empty when it has named none.
+std::string_view agreed(const Request& request, std::initializer_list<std::string_view> ours) {
+  if (!request.protocols) return {};
+  for (const std::string_view name : ours) {
+    if (any_of_list(*request.protocols, ',', [&](std::string_view part) { return part == name; })) return name;
+  }
+  return {};
 }
 
 /// What a body of 200 is reduced to by what its receiver has, or wants of it.
@@ -178,8 +189,9 @@ Response Site::choose(const Request& request, std::int64_t now_ns) {
     status["rights"] = bus::to_text(*rights);
     return text(200, status.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n", "application/json");
   }
-  if (path == "/stream") {
-    Response response = text(426, "a WebSocket of subprotocol splatbus.stream.1\n");
+  if (path == "/stream" || path == "/foxglove") {
+    Response response = text(426, path == "/stream" ? "a WebSocket of subprotocol splatbus.stream.1\n"
+                                                    : "a WebSocket of subprotocol foxglove.sdk.v1\n");
     response.fields.emplace_back("Upgrade", "websocket");
     return response;
   }
@@ -250,11 +262,20 @@ Response Site::take_bench(const Request& request, std::int64_t now_ns) {
 Site::Admission Site::admit(const Request& request) {
   ++traffic_.requests;
   if (auto refusal = refuse_stranger(request)) return {.refusal = std::move(*refusal)};
-  if (request.target.substr(0, request.target.find('?')) != "/stream") return {.refusal = text(404, "not here\n")};
-  const auto is_ours = [](std::string_view name) { return name == kSubprotocol; };
-  if (!request.protocols || !any_of_list(*request.protocols, ',', is_ours)) {
+  const std::string_view path = request.target.substr(0, request.target.find('?'));
+  // Who has only a host and a port to type says the rest by the subprotocol.
+  std::string_view subprotocol;
+  if (path == "/stream") subprotocol = agreed(request, {kSubprotocol});
+  if (path == "/foxglove" || path == "/") {
+    subprotocol = agreed(request, {foxglove::kSdkSubprotocol, foxglove::kLegacySubprotocol});
+  }
+  if (subprotocol.empty()) {
+    if (path != "/stream" && path != "/foxglove") return {.refusal = text(404, "not here\n")};
     traffic_.refuse(Refusal::Malformed);
-    return {.refusal = text(400, fmt::format("subprotocol {} was expected\n", kSubprotocol))};
+    return {.refusal =
+                text(400, path == "/stream" ? fmt::format("subprotocol {} was expected\n", kSubprotocol)
+                                            : fmt::format("subprotocol {} or {} was expected\n",
+                                                          foxglove::kSdkSubprotocol, foxglove::kLegacySubprotocol))};
   }
   const std::string_view token = token_of(request);
   const auto rights = rights_of(token);
@@ -262,7 +283,8 @@ Site::Admission Site::admit(const Request& request) {
     traffic_.refuse(Refusal::Token);
     return {.refusal = text(401, "a token is needed\n")};
   }
-  return {.rights = rights, .refusal = {}, .token = std::string(token.substr(0, kMaxToken))};
+  return {
+      .rights = rights, .refusal = {}, .token = std::string(token.substr(0, kMaxToken)), .subprotocol = subprotocol};
 }
 
 }  // namespace splatbus::gateway

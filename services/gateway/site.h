@@ -58,7 +58,8 @@ class Site {
   struct Admission {
     std::optional<bus::Rights> rights;
     Response refusal;
-    std::string token;  ///< to look at again when the tokens change
+    std::string token;             ///< to look at again when the tokens change
+    std::string_view subprotocol;  ///< that was agreed on, a constant: of the stream, or one of Foxglove's
   };
   [[nodiscard]] Admission admit(const Request& request);
 

@@ -8,7 +8,7 @@ import { join } from 'node:path';
 const { SPLATBUS_WEB: site, SPLATBUS_BIN: bin } = process.env;
 
 /** A port that nobody listens on now. */
-const freePort = () =>
+export const freePort = () =>
   new Promise((resolve) => {
     const server = createServer().listen(0, '127.0.0.1', () => {
       const { port } = server.address();

@@ -99,7 +99,8 @@ class PagedPublisher {
     layout_ = layout;
     const std::size_t turn = turn_++ % 8;
     if (turn == slabs_.size()) {
-      const std::string suffix = "-" + std::to_string(turn);
+      std::string suffix = std::to_string(turn);
+      suffix.insert(suffix.begin(), '-');
       slabs_.emplace_back(context_->create_slab("page-table" + suffix, 1, page_table_bytes(kArenaPages)),
                           context_->create_slab("pages" + suffix, 1, kArenaPages * page_bytes(layout), 10000, device_));
     }

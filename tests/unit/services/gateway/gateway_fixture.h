@@ -14,6 +14,7 @@
 #include <zmq.hpp>
 
 #include "../streamer/stream_fixture.h"
+#include "gateway/foxglove/service.h"
 #include "gateway/server.h"
 #include "wire_client.h"
 
@@ -29,10 +30,11 @@ class RunningGateway {
         pipeline_(context),
         streamers_(streamer.empty() ? gateway::Streamers(context, "") : gateway::Streamers(streamer)),
         pages_(zmq_, streamer, options_.page_cache_bytes, traffic_),
-        models_(std::move(context), options_.max_model_gaussians, traffic_),
-        site_(options_, pipeline_, pages_, models_, traffic_) {
+        models_(context, options_.max_model_gaussians, traffic_),
+        site_(options_, pipeline_, pages_, models_, traffic_),
+        foxglove_(std::move(context), options_) {
     gateway::check(options_);
-    server_ = std::make_unique<gateway::Server>(options_, streamers_, site_, pages_, traffic_);
+    server_ = std::make_unique<gateway::Server>(options_, streamers_, site_, pages_, models_, foxglove_.hub(), traffic_);
     thread_ = std::thread([this] { server_->run(stop_.get_token(), [this] { pipeline_.poll(bus::now_ns()); }); });
   }
   ~RunningGateway() {
@@ -64,6 +66,7 @@ class RunningGateway {
   gateway::PageLibrary pages_;
   gateway::ModelFiles models_;
   gateway::Site site_;
+  gateway::foxglove::Service foxglove_;
   std::unique_ptr<gateway::Server> server_;
   std::stop_source stop_;
   std::thread thread_;

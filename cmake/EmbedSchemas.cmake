@@ -1,0 +1,11 @@
+# cmake -DFOLDER=... -DOUTPUT=... -P: every .bfbs of FOLDER as an initialiser of {name, {bytes}} in OUTPUT.
+file(GLOB_RECURSE files RELATIVE "${FOLDER}" "${FOLDER}/*.bfbs")
+list(SORT files)
+set(text)
+foreach(file IN LISTS files)
+  string(REGEX REPLACE "\\.bfbs$" "" name "${file}")
+  file(READ "${FOLDER}/${file}" hex HEX)
+  string(REGEX REPLACE "([0-9a-f][0-9a-f])" "0x\\1," bytes "${hex}")
+  string(APPEND text "{\"${name}\", {${bytes}}},\n")
+endforeach()
+file(WRITE "${OUTPUT}" "${text}")

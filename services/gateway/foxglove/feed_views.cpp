@@ -1,0 +1,141 @@
+// What the feed makes for Foxglove's own schemas: frames, cameras, pictures and points.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "bus/frames.h"
+#include "gateway/foxglove/convert.h"
+#include "gateway/foxglove/feed.h"
+#include "gateway/foxglove/point_sample.h"
+#include "metrics/image_io.h"
+#include "wire/capture_generated.h"
+#include "wire/convert.h"
+#include "wire/engine_generated.h"
+#include "wire/scene_generated.h"
+#include "wire/schemas.h"
+#include "wire/viewer_generated.h"
+
+namespace splatbus::gateway::foxglove {
+
+namespace {
+
+constexpr std::size_t kMaxCameras = 64;
+
+std::string calibration_topic(const std::string& camera) {
+  return fmt::format("foxglove/cameras/{}/calibration", camera);
+}
+
+std::string picture_topic(const std::string& camera) {
+  return fmt::format("foxglove/cameras/{}/picture", camera);
+}
+
+std::vector<Offer> offers_of(const std::set<std::string>& cameras) {
+  const auto calibration = wire::foxglove_schema("foxglove.CameraCalibration");
+  const auto picture = wire::foxglove_schema("foxglove.CompressedImage");
+  std::vector<Offer> offers;
+  for (const std::string& camera : cameras) {
+    offers.push_back({calibration_topic(camera), std::string(calibration.table), calibration.binary, {}});
+    offers.push_back({picture_topic(camera), std::string(picture.table), picture.binary, {}});
+  }
+  return offers;
+}
+
+}  // namespace
+
+void Feed::take_cameras(const bus::Message& message, const Channels& channels) {
+  const auto& body = message.root<wire::EngineCameras>();
+  std::map<std::string, Camera> cameras;
+  if (body.cameras() != nullptr) {
+    for (const auto* request : *body.cameras()) {
+      const Camera camera = from_wire(*request->camera());
+      if (camera.role != CameraRole::Input && camera.role != CameraRole::Reference) continue;
+      if (cameras.size() < kMaxCameras) cameras.emplace(camera_name(camera), camera);
+    }
+  }
+  Channels names;
+  for (const auto& [name, camera] : cameras) names.insert(name);
+  if (names != cameras_) hub_.offer(Hub::Kind::Cameras, offers_of(names));
+  cameras_ = std::move(names);
+  const std::uint64_t time = time_of(message);
+  std::vector<FrameTransform> frames;
+  for (const auto& [name, camera] : cameras) {
+    const std::string topic = calibration_topic(name), frame = camera_frame(name);
+    if (channels.contains(topic)) hub_.deliver(topic, time, camera_calibration(camera, frame, time), "");
+    frames.push_back({std::string(kWorld), frame, camera.world_from_camera});
+  }
+  if (channels.contains(std::string(kTransforms))) {
+    hub_.deliver(std::string(kTransforms), time, frame_transforms(frames, time), "cameras");
+  }
+}
+
+void Feed::take_scene(const bus::Message& message) {
+  const SceneState scene = from_wire(*message.root<wire::SceneUpdate>().scene());
+  hub_.deliver(std::string(kTransforms), time_of(message),
+               frame_transforms(object_frames(scene.objects), time_of(message)), "objects");
+}
+
+void Feed::take_pose(const bus::Message& message, const Channels& channels) {
+  const auto& body = message.root<wire::ViewerPose>();
+  const Camera camera = from_wire(*body.camera());
+  const std::string viewer = bus::printable(body.viewer()->string_view());
+  const std::string frame = "viewer/" + viewer;
+  const std::uint64_t time = time_of(message);
+  if (channels.contains(std::string(kTransforms))) {
+    hub_.deliver(std::string(kTransforms), time,
+                 frame_transforms({{std::string(kWorld), frame, camera.world_from_camera}}, time), frame);
+  }
+  if (channels.contains(std::string(kViewers))) {
+    hub_.deliver(std::string(kViewers), time, camera_calibration(camera, frame, time), viewer);
+  }
+}
+
+void Feed::take_reference(const bus::Message& message, const Channels& channels) {
+  const auto& body = message.root<wire::CaptureReference>();
+  const std::string name = camera_name(from_wire(*body.camera()));
+  if (channels.contains(picture_topic(name)) && !body.retire()) {
+    send_picture(message, picture_topic(name), camera_frame(name));
+  }
+}
+
+void Feed::take_probe(const bus::Message& message, const Channels& channels) {
+  const Camera camera = from_wire(*message.root<wire::CaptureProbe>().camera());
+  const std::string frame = camera_frame("probe");
+  const std::uint64_t time = time_of(message);
+  if (channels.contains(std::string(kTransforms))) {
+    hub_.deliver(std::string(kTransforms), time,
+                 frame_transforms({{std::string(kWorld), frame, camera.world_from_camera}}, time), frame);
+  }
+  if (channels.contains(std::string(kProbeCalibration))) {
+    hub_.deliver(std::string(kProbeCalibration), time, camera_calibration(camera, frame, time), "");
+  }
+  if (channels.contains(std::string(kProbePicture))) send_picture(message, std::string(kProbePicture), frame);
+}
+
+void Feed::send_picture(const bus::Message& message, const std::string& topic, const std::string& frame) {
+  const std::int64_t now = bus::now_ns();
+  std::int64_t& next_ns = next_picture_ns_[topic];
+  if (now < next_ns) return;
+  const auto color = message.tensor("color", bus::ElementType::U8, {0, 0, 4});
+  if (!color) return;
+  std::vector<std::uint8_t> rgba(color->bytes());
+  if (!color->copy(rgba.data())) return;
+  next_ns = now + static_cast<std::int64_t>(1e9 / options_.foxglove.pictures_hz);
+  const std::uint64_t time = time_of(message);
+  hub_.deliver(topic, time,
+               compressed_image(metrics::from_rgba(rgba.data(), color->dim(1), color->dim(0)), frame, time), "");
+}
+
+void Feed::send_points(std::int64_t now_ns) {
+  scene_->poll(std::chrono::milliseconds(0));
+  if (now_ns < next_points_ns_ || !scene_->published() || !scene_->has_scene()) return;
+  if (scene_->published()->count > options_.max_model_gaussians) return;
+  const PublishedModel* model = scene_->model();
+  if (model == nullptr) return;
+  const std::string points = sample_points(model->average(), scene_->scene(), options_.foxglove.points);
+  if (!model->still_valid()) return;
+  next_points_ns_ = now_ns + static_cast<std::int64_t>(1e9 / options_.foxglove.points_hz);
+  hub_.deliver(std::string(kPoints), utc(now_ns), point_cloud(points, utc(now_ns)), "");
+}
+
+}  // namespace splatbus::gateway::foxglove

@@ -1,0 +1,225 @@
+// The gateway as Foxglove's own client sees it, before a bus whose scene tests/foxglove/foxglove_source.cpp makes up.
+import assert from 'node:assert/strict';
+import { spawn } from 'node:child_process';
+import { mkdtempSync, rmSync } from 'node:fs';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { after, before, test } from 'node:test';
+import protocol from '@foxglove/ws-protocol';
+import { ByteBuffer } from 'flatbuffers';
+import reflection from 'flatbuffers_reflection';
+import WebSocket from 'ws';
+import { freePort, until } from './pipeline.mjs';
+
+const { FoxgloveClient } = protocol;
+const kPatienceMs = 90_000;
+const folder = mkdtempSync(join(tmpdir(), 'splatbus-foxglove-'));
+const processes = [];
+let url;
+let client;
+
+/** A client that keeps what it has been told; its channels by topic. */
+async function connect(subprotocol) {
+  const socket = new WebSocket(`${url.replace('http', 'ws')}/foxglove`, [subprotocol]);
+  const foxglove = new FoxgloveClient({ ws: socket });
+  const kept = { foxglove, socket, channels: new Map(), subscriptions: new Map(), statuses: [], values: [], times: [], graphs: [], assets: [] };
+  foxglove.on('serverInfo', (info) => (kept.info = info));
+  foxglove.on('advertise', (added) => added.forEach((channel) => kept.channels.set(channel.topic, channel)));
+  foxglove.on('message', ({ subscriptionId, data, timestamp }) => kept.subscriptions.get(subscriptionId)?.push({ data, timestamp }));
+  foxglove.on('status', (status) => kept.statuses.push(status));
+  foxglove.on('parameterValues', (values) => kept.values.push(values));
+  foxglove.on('time', (time) => kept.times.push(time.timestamp));
+  foxglove.on('connectionGraphUpdate', (graph) => kept.graphs.push(graph));
+  foxglove.on('fetchAssetResponse', (asset) => kept.assets.push(asset));
+  foxglove.on('error', (error) => (kept.error = error));
+  await new Promise((resolve, reject) => {
+    foxglove.on('open', resolve);
+    socket.on('unexpected-response', (_, response) => reject(new Error(`HTTP ${response.statusCode}`)));
+  });
+  return kept;
+}
+
+/** As Foxglove itself decodes a channel's messages: by nothing but the schema that came with it. */
+function decoder({ schema, schemaName }) {
+  const rootSchema = reflection.Schema.getRootAsSchema(new ByteBuffer(Buffer.from(schema, 'base64')));
+  const typeIndex = rootSchema.unpack().objects.findIndex(({ name }) => name === schemaName);
+  assert.notEqual(typeIndex, -1, schemaName);
+  const toObject = new reflection.Parser(rootSchema).toObjectLambda(typeIndex, true);
+  return (data) => {
+    // At an address of its own: scalars are read where they are aligned.
+    const buffer = new ByteBuffer(new Uint8Array(data.buffer.slice(data.byteOffset, data.byteOffset + data.byteLength)));
+    return toObject(new reflection.Table(buffer, typeIndex, buffer.readInt32(buffer.position()) + buffer.position(), false));
+  };
+}
+
+/** Decoded messages of a topic, once `enough` holds for those that have come. */
+async function messagesOf(topic, enough = (messages) => messages.length > 0) {
+  await until(() => client.channels.has(topic));
+  const channel = client.channels.get(topic);
+  const decode = decoder(channel);
+  const raw = [];
+  const id = client.foxglove.subscribe(channel.id);
+  client.subscriptions.set(id, raw);
+  let decoded = [];
+  await until(() => {
+    decoded = raw.map(({ data, timestamp }) => ({ ...decode(data), timestamp_ns: timestamp }));
+    return enough(decoded);
+  });
+  client.foxglove.unsubscribe(id);
+  return decoded;
+}
+
+const near = (actual, expected, tolerance = 1e-5) =>
+  assert.ok(actual.every((value, i) => Math.abs(value - expected[i]) <= tolerance), `${actual} is not ${expected}`);
+const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
+
+/** p_parent = rotation * p_child + translation, as FrameTransform's documentation has it. */
+function toParent({ rotation: q, translation: t }, p) {
+  const v = [q.x, q.y, q.z];
+  const twice = cross(v, p).map((x) => 2 * x);
+  const turned = cross(v, twice);
+  return p.map((x, i) => x + q.w * twice[i] + turned[i] + [t.x, t.y, t.z][i]);
+}
+
+before(async () => {
+  const { SPLATBUS_BIN: bin } = process.env;
+  url = `http://127.0.0.1:${await freePort()}`;
+  const start = (program, ...args) =>
+    processes.push(spawn(join(bin, program), ['--bus', `ipc://${folder}/bus`, ...args], { stdio: 'ignore' }));
+  start('splatbus-bus');
+  start('foxglove_source');
+  start('splatbus-gateway', '--set', `http=${new URL(url).host}`, '--set', 'web_root=/nonexistent', '--set', 'foxglove_points=500');
+  await until(() => fetch(`${url}/status`).then(() => true, () => false));
+  client = await connect('foxglove.websocket.v1');
+}, { timeout: kPatienceMs });
+after(async () => {
+  client?.socket.terminate();
+  for (const one of processes) {
+    const ended = new Promise((resolve) => one.once('exit', resolve));
+    one.kill('SIGKILL');
+    await ended;
+  }
+  rmSync(folder, { recursive: true, force: true });
+});
+
+const live = (name, run) => test(name, { timeout: kPatienceMs }, run);
+
+live('what there is, is listed, under both subprotocols', async () => {
+  const expected = ['scene/state', 'sys/heartbeat', 'engine/cameras', 'capture/reference', 'foxglove/transforms', 'foxglove/points', 'foxglove/log', 'foxglove/cameras/reference-2/picture', 'foxglove/cameras/reference-2/calibration'];
+  const newer = await connect('foxglove.sdk.v1');
+  for (const one of [client, newer]) {
+    await until(() => expected.every((topic) => one.channels.has(topic)));
+    assert.ok(one.info.capabilities.includes('parameters'));
+    assert.equal(one.error, undefined);
+  }
+  assert.equal(newer.socket.protocol, 'foxglove.sdk.v1');
+  for (const channel of client.channels.values()) decoder(channel);
+  newer.socket.terminate();
+});
+
+live('a message of the bus decodes by its schema', async () => {
+  const [state] = await messagesOf('scene/state');
+  assert.equal(state.header.source, 'source');
+  assert.equal(state.header.schema, 'SceneUpdate/1');
+  assert.equal(state.scene.objects[0].id, 7);
+  const { translation } = state.scene.objects[0].world_from_object;
+  near([translation.x, translation.y, translation.z], [5, 6, 7]);
+  assert.ok(Math.abs(Number(state.timestamp_ns) / 1e6 - Date.now()) < 600_000, 'the time is of day');
+  const again = await messagesOf('scene/state');
+  assert.equal(again.length, 1, 'a latched one comes to who subscribes later, too');
+});
+
+live('frames are where they have to be, and right-handed', async () => {
+  const find = (messages, child) => messages.flatMap(({ transforms }) => transforms).find(({ child_frame_id }) => child_frame_id === child);
+  const wanted = ['world', 'object/7', 'camera/reference-2', 'viewer/page'];
+  const messages = await messagesOf('foxglove/transforms', (all) => wanted.every((child) => find(all, child)));
+  const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+  for (const child of wanted) {
+    const frame = find(messages, child);
+    assert.equal(frame.parent_frame_id, child === 'world' ? 'map' : 'world');
+    const origin = toParent(frame, [0, 0, 0]);
+    const [x, y, z] = axes.map((axis) => toParent(frame, axis).map((value, i) => value - origin[i]));
+    near(cross(x, y), z);
+  }
+  near(toParent(find(messages, 'world'), [0, 1, 0]), [0, 0, 1]);
+  near(toParent(find(messages, 'object/7'), [1, 0, 0]), [5 + Math.cos(0.5), 6, 7 - Math.sin(0.5)]);
+  const camera = find(messages, 'camera/reference-2');
+  near(toParent(camera, [0, 0, 0]), [1, 2, 3]);
+  near(toParent(camera, [0, 0, Math.hypot(1, 2, 3)]), [0, 0, 0], 1e-4);
+  assert.ok(toParent(camera, [0, 1, 0])[1] < 2, 'y is down');
+});
+
+live('a picture goes with its calibration', async () => {
+  const [calibration] = await messagesOf('foxglove/cameras/reference-2/calibration');
+  const [picture] = await messagesOf('foxglove/cameras/reference-2/picture');
+  assert.equal(picture.frame_id, 'camera/reference-2');
+  assert.equal(picture.frame_id, calibration.frame_id);
+  const focal = 24 / Math.tan(0.5);
+  near([...calibration.k], [focal, 0, 31.5, 0, focal, 23.5, 0, 0, 1], 1e-3);
+  const jpeg = Buffer.from(picture.data);
+  assert.equal(picture.format, 'jpeg');
+  assert.equal(jpeg.readUInt16BE(0), 0xffd8);
+  const frame = jpeg.indexOf(Buffer.from([0xff, 0xc0]));
+  assert.deepEqual([jpeg.readUInt16BE(frame + 7), jpeg.readUInt16BE(frame + 5)], [calibration.width, calibration.height]);
+});
+
+live('the cloud has as many of the model\'s Gaussians as are allowed, where they are', async () => {
+  const [cloud] = await messagesOf('foxglove/points');
+  assert.deepEqual(cloud.fields.map(({ name, offset, type }) => [name, offset, type]), [['x', 0, 7], ['y', 4, 7], ['z', 8, 7], ['red', 12, 1], ['green', 13, 1], ['blue', 14, 1], ['alpha', 15, 1]]);
+  assert.equal(cloud.point_stride, 16);
+  const bytes = Buffer.from(cloud.data);
+  const count = bytes.length / 16;
+  assert.ok(Number.isInteger(count) && count > 250 && count <= 500, `${count} points`);
+  let moved = 0;
+  for (let i = 0; i < count; ++i) {
+    const y = bytes.readFloatLE(16 * i + 4);
+    if (y > 5) ++moved;
+    assert.ok(Math.abs(y) < 0.2 || Math.abs(y - 6) < 0.2, 'on the floor, or on object 7');
+    assert.ok(bytes[16 * i + 15] > 60, 'nearly all are opaque');
+  }
+  assert.ok(moved > count / 6 && moved < count / 2, `${moved} of ${count} are of object 7`);
+});
+
+live('a parameter that is set is seen, and one out of range refused with the range', async () => {
+  await until(() => {
+    client.foxglove.getParameters([], 'all');
+    return client.values.some(({ id, parameters }) => id === 'all' && parameters.some(({ name }) => name === 'source/rate'));
+  });
+  const answer = async (id) => {
+    await until(() => client.values.some((one) => one.id === id));
+    return client.values.find((one) => one.id === id).parameters;
+  };
+  client.foxglove.getParameters(['source/rate', 'source/shown'], 'two');
+  assert.deepEqual(await answer('two'), [{ name: 'source/rate', value: 0.25, type: 'float64' }, { name: 'source/shown', value: true }]);
+  const subscriptions = client.subscriptions.size;
+  const log = messagesOf('foxglove/log', (lines) => lines.some(({ message }) => message.includes('rate set to 0.5')));
+  await until(() => client.subscriptions.size > subscriptions);
+  client.foxglove.subscribeParameterUpdates(['source/rate']);
+  client.foxglove.setParameters([{ name: 'source/rate', value: 0.5 }, { name: 'source/shown', value: false }], 'set');
+  assert.deepEqual(await answer('set'), [{ name: 'source/rate', value: 0.5, type: 'float64' }, { name: 'source/shown', value: false }]);
+  await until(() => client.values.some(({ id, parameters }) => id === undefined && parameters[0].name === 'source/rate' && parameters[0].value === 0.5));
+  client.foxglove.setParameters([{ name: 'source/rate', value: 7 }], 'refused');
+  assert.deepEqual(await answer('refused'), [{ name: 'source/rate', value: 0.5, type: 'float64' }]);
+  const status = client.statuses.find(({ message }) => message.includes("'rate'"));
+  assert.equal(status.level, protocol.StatusLevel.ERROR);
+  assert.match(status.message, /'7' is not from 0 to 1/);
+  const line = (await log).find(({ message }) => message.includes('rate set to 0.5'));
+  assert.equal(line.name, 'source');
+  assert.equal(line.level, 2);
+});
+
+live('who publishes what, the time, and the model as a file', async () => {
+  client.foxglove.subscribeConnectionGraph();
+  await until(() => client.graphs.length > 0);
+  assert.deepEqual(client.graphs[0].publishedTopics.find(({ name }) => name === 'scene/state').publisherIds, ['source']);
+  await until(() => client.times.length > 2);
+  assert.ok(client.times.every((time, i) => i === 0 || time > client.times[i - 1]));
+  client.foxglove.fetchAsset('package://splatbus/model.ply', 3);
+  client.foxglove.fetchAsset('package://elsewhere/robot.urdf', 4);
+  await until(() => client.assets.length === 2);
+  const [model, none] = [3, 4].map((id) => client.assets.find(({ requestId }) => requestId === id));
+  assert.equal(Buffer.from(model.data.buffer, model.data.byteOffset, 4).toString(), 'ply\n');
+  assert.equal(none.status, protocol.FetchAssetStatus.ERROR);
+  assert.match(none.error, /model\.glb/);
+  assert.equal(client.error, undefined);
+});
