@@ -22,6 +22,7 @@ int run(int argc, char** argv) {
   splatbus::cli::add_eval_verb(app, action);
   splatbus::cli::add_demo_verb(app, action);
   splatbus::cli::add_view_verb(app, action);
+  splatbus::cli::add_reference_verbs(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -27,6 +27,7 @@ void add_world_verb(CLI::App& app, Action& action);
 void add_eval_verb(CLI::App& app, Action& action);
 void add_demo_verb(CLI::App& app, Action& action);
 void add_view_verb(CLI::App& app, Action& action);
+void add_reference_verbs(CLI::App& app, Action& action);
 
 /// Adds --bus to a verb, and --key and --server-key for one over tcp.
 void add_bus_option(CLI::App& verb, std::string& address);
