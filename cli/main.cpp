@@ -29,6 +29,7 @@ int run(int argc, char** argv) {
   splatbus::cli::add_view_verb(app, action);
   splatbus::cli::add_record_verb(app, action);
   splatbus::cli::add_play_verb(app, action);
+  splatbus::cli::add_reference_verbs(app, action);
   if (const auto status = bus::parse_command_line(app, argc, argv)) return *status;
   return action();
 }

@@ -33,6 +33,7 @@ void add_demo_verb(CLI::App& app, Action& action);
 void add_view_verb(CLI::App& app, Action& action);
 void add_record_verb(CLI::App& app, Action& action);
 void add_play_verb(CLI::App& app, Action& action);
+void add_reference_verbs(CLI::App& app, Action& action);
 
 /// Adds --bus to a verb, and --key and --server-key for one over tcp.
 void add_bus_option(CLI::App& verb, std::string& address);

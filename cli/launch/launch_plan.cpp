@@ -219,6 +219,7 @@ std::filesystem::path default_launch_file(const std::string& name) {
   const fs::path programs = program_directory();
   for (fs::path folder = programs; folder.has_relative_path(); folder = folder.parent_path()) {
     if (fs::exists(folder / relative)) return folder / relative;
+    if (fs::exists(folder / "share/splatbus" / relative)) return folder / "share/splatbus" / relative;  // installed
   }
   throw std::runtime_error(relative.string() + " is neither here nor above " + programs.string() + "; give --launch");
 }

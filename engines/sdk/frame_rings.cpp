@@ -17,26 +17,30 @@ constexpr std::size_t kMinSlot = std::size_t{64} << 10;
 constexpr std::size_t kRingBytes = std::size_t{256} << 20;
 constexpr std::size_t kMinSlots = 8;
 constexpr std::size_t kMaxSlots = 128;
-constexpr int kBrokerTimeout_ms = 2000;
 
 }  // namespace
 
-bus::Slab& FrameRings::ring_for(std::size_t bytes) {
+const std::shared_ptr<FrameRing>& FrameRings::ring_for(std::size_t bytes) {
   const std::size_t slot_bytes = std::bit_ceil(std::max(bytes, kMinSlot));
-  std::shared_ptr<bus::Slab>& ring = rings_[slot_bytes];
+  std::shared_ptr<FrameRing>& ring = rings_[slot_bytes];
   if (!ring) {
     const std::size_t slots = std::clamp(kRingBytes / slot_bytes, kMinSlots, kMaxSlots);
-    ring =
-        context_->create_slab(fmt::format("frames-{}k", slot_bytes >> 10), slots, slot_bytes, kBrokerTimeout_ms, kind_);
+    const std::string role = fmt::format("frames-{}k", slot_bytes >> 10);
+    ring = std::make_shared<FrameRing>(FrameRing{context_->make_slab(role, slots, slot_bytes, kind_), false, {}});
   }
-  return *ring;
+  return ring;
 }
 
-std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) {
+void FrameRings::forget(const FrameRing& ring) {
+  std::erase_if(rings_, [&](const auto& entry) { return entry.second.get() == &ring; });
+}
+
+WrittenFrame FrameRings::write(const splatbus_frame& frame) {
   const std::span images(frame.images, frame.image_count);
   std::size_t total = 0;
   for (const splatbus_image& image : images) total += bus::aligned(image.bytes);
-  bus::Slab& ring = ring_for(total);
+  WrittenFrame written{ring_for(total), {}};
+  bus::Slab& ring = *written.ring->slab;
 
   const std::size_t slot = ring.next_slot();
   std::size_t offset = 0;
@@ -51,7 +55,6 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
   if (on_device) bus::finish_copies();
   const std::uint64_t generation = ring.end_write(slot);
 
-  std::vector<bus::OutgoingTensor> tensors;
   offset = 0;
   for (const splatbus_image& image : images) {
     bus::OutgoingTensor tensor;
@@ -61,10 +64,10 @@ std::vector<bus::OutgoingTensor> FrameRings::write(const splatbus_frame& frame) 
       tensor.shape.push_back(static_cast<std::uint32_t>(buffer_channels(image.buffer)));
     tensor.type = buffer_type(image.buffer);
     tensor.span = ring.span(slot, offset, image.bytes, generation);
-    tensors.push_back(std::move(tensor));
+    written.tensors.push_back(std::move(tensor));
     offset += bus::aligned(image.bytes);
   }
-  return tensors;
+  return written;
 }
 
 }  // namespace splatbus::engine_sdk

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "bus/context.h"
@@ -12,26 +13,42 @@
 
 namespace splatbus::engine_sdk {
 
+/// Of slots for frames of one size. A FrameSender registers it with the bus, under its own lock.
+struct FrameRing {
+  std::shared_ptr<bus::Slab> slab;
+  bool registered = false;  ///< readers can open it
+  std::string refusal;      ///< why the bus will not have it
+};
+
+/// A frame's images in a slot of a ring.
+struct WrittenFrame {
+  std::shared_ptr<FrameRing> ring;
+  std::vector<bus::OutgoingTensor> tensors;
+};
+
 /// Slab rings for frames, one for each power of two of a frame's bytes, so that cameras of many sizes make few slabs. A
 /// slot holds all images of a frame. Pages that are never written take no memory.
 class FrameRings {
  public:
   FrameRings(std::shared_ptr<bus::Context> context, Device kind) : context_(std::move(context)), kind_(kind) {}
 
-  /// Copies the images of a checked frame, from whichever memory each lies in, and waits for the copies. Throws
-  /// bus::Error when a slab is needed and the broker does not answer, or the device fails.
-  [[nodiscard]] std::vector<bus::OutgoingTensor> write(const splatbus_frame& frame);
+  /// Copies the images of a checked frame, from whichever memory each lies in, and waits for the copies; never
+  /// for the broker. Throws bus::Error when there is no memory for a ring, or the device fails.
+  [[nodiscard]] WrittenFrame write(const splatbus_frame& frame);
+
+  /// The next frame of its size gets another ring.
+  void forget(const FrameRing& ring);
 
   /// Bytes of all images that did not stay on the device.
   [[nodiscard]] std::uint64_t host_copied_bytes() const { return host_copied_bytes_; }
 
  private:
-  bus::Slab& ring_for(std::size_t bytes);
+  const std::shared_ptr<FrameRing>& ring_for(std::size_t bytes);
 
   std::shared_ptr<bus::Context> context_;
   Device kind_;
   std::uint64_t host_copied_bytes_ = 0;
-  std::map<std::size_t, std::shared_ptr<bus::Slab>> rings_;  ///< by slot size
+  std::map<std::size_t, std::shared_ptr<FrameRing>> rings_;  ///< by slot size
 };
 
 }  // namespace splatbus::engine_sdk

@@ -12,10 +12,10 @@
 #include "bus/context.h"
 #include "bus/error.h"
 #include "bus/heartbeat_thread.h"
-#include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "sdk/frame_rings.h"
+#include "sdk/frame_sender.h"
 #include "sdk/image_memory.h"
 #include "sdk/messages.h"
 #include "sdk/validate.h"
@@ -40,9 +40,9 @@ struct splatbus_engine {
   splatbus_engine(const std::shared_ptr<bus::Context>& bus_context, Device memory)
       : context(bus_context),
         service(context, parameters, stop.get_token(), memory),
-        publisher(context),
         subscriber(context),
         rings(context, memory),
+        sender(context),
         heartbeats(service, "engine") {
     subscriber.on(topics::kEngineCameras, [this](const wire::EngineCameras& root, const bus::Message& message) {
       requests_changed |= take_requests(engine_sdk::read_requests(root, message));
@@ -62,9 +62,9 @@ struct splatbus_engine {
   bus::Parameters parameters{{}};
   std::stop_source stop;
   bus::ServiceContext service;
-  bus::Publisher publisher;
   bus::Subscriber subscriber;
   FrameRings rings;
+  engine_sdk::FrameSender sender;
   bus::HeartbeatThread heartbeats;
 
   std::vector<splatbus_camera_request> requests;
@@ -153,13 +153,18 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
     if (!wrong.empty()) throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame->frame, wrong));
     const bool same_frame = engine->last && engine->last->frame == frame->frame;
     const std::int64_t capture_ns = same_frame ? engine->capture_ns : bus::now_ns();
-    const bus::MessageInfo info{.capture_ns = capture_ns, .tensors = engine->rings.write(*frame)};
-    engine->publisher.publish(topics::kEngineFrame, info, [&](auto& builder, auto header) {
-      return engine_sdk::build_frame(builder, header, *frame);
-    });
+    engine_sdk::WrittenFrame written = engine->rings.write(*frame);
+    if (const std::string refusal = engine->sender.refusal(*written.ring); !refusal.empty()) {
+      engine->rings.forget(*written.ring);
+      throw bus::Error(refusal);
+    }
+    engine->sender.send(*frame, std::move(written), capture_ns);
     engine->last = {.frame = frame->frame, .time_s = frame->time_s};
     engine->capture_ns = capture_ns;
     engine->service.counter("host_copied_bytes", static_cast<double>(engine->rings.host_copied_bytes()));
+    if (const std::uint64_t dropped = engine->sender.dropped(); dropped > 0) {
+      engine->service.counter("frames_dropped", static_cast<double>(dropped));
+    }
   });
 }
 
@@ -169,6 +174,10 @@ splatbus_status splatbus_engine_counter(splatbus_engine* engine, const char* nam
     require(name != nullptr && *name != '\0', "splatbus_engine_counter: name is NULL or empty");
     engine->service.counter(name, value);
   });
+}
+
+uint64_t splatbus_engine_frames_dropped(const splatbus_engine* engine) {
+  return engine == nullptr ? 0 : engine->sender.dropped();
 }
 
 const char* splatbus_engine_last_error(const splatbus_engine* engine) {

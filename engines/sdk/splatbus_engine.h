@@ -4,7 +4,8 @@
  * +0.5; quaternions w x y z; images row-major with row 0 on top; light linear. An engine that differs converts before
  * it calls.
  *
- * Threads: one handle, one thread at a time. Ownership: pointers passed in are read during the call only; pointers
+ * Threads: one handle, one thread at a time, of which none is ever kept waiting for the bus: there need not be one yet,
+ * and it may go and come back. Ownership: pointers passed in are read during the call only; pointers
  * passed out stay good until the next call of the same function on that handle. Errors: functions return SPLATBUS_OK or
  * a negative code, and splatbus_engine_last_error() has the words. A call that fails changes nothing: submit the next
  * frame. */
@@ -38,6 +39,7 @@ typedef enum {
                                          SPLATBUS_RESERVED_ID are not modelled */
 } splatbus_buffer;
 
+/* A camera is known by its role and its id together: an input camera 3 and a reference camera 3 are two. */
 typedef enum { SPLATBUS_ROLE_INPUT, SPLATBUS_ROLE_REFERENCE, SPLATBUS_ROLE_PROBE, SPLATBUS_ROLE_LIGHT } splatbus_role;
 
 /* Where bytes lie: CUDA is the memory of this process's first CUDA device. */
@@ -51,7 +53,7 @@ typedef struct {
 
 /* Pinhole, in pixels; role light, of the sun and directional lights: orthographic, fx and fy in pixels a metre. */
 typedef struct {
-  uint32_t id;
+  uint32_t id;   /* unique among the cameras of its role */
   uint32_t role; /* splatbus_role */
   uint32_t width, height;
   float fx, fy, cx, cy;
@@ -86,7 +88,11 @@ typedef enum {
 
 /* What can move, come or go is an object: it has an id, any but 0, that its surfaces have in the picture OBJECT_ID, and
  * a rigid frame. An object exists in the frames that list it. One that is no longer listed is hidden, keeps what was
- * learned of it, and is whole again when it returns under its id; surfaces with ids that were never listed stand still.
+ * learned of it, and is whole again when it returns under its id.
+ *
+ * Static geometry needs no object and is not listed. Its surfaces have any id that is never listed: 1 for all of it
+ * will do. Not 0, which says that there is no surface, and not SPLATBUS_RESERVED_ID. An engine whose ids name every
+ * mesh may leave those of what stands still as they are.
  *
  * Characters: each bone of a skinned mesh is an object with an id of its own, whose frame is the bone's rigid one. A
  * surface has the id of the bone that has the greatest weight there, the dominant bone, so write ids by vertex weights,
@@ -121,6 +127,13 @@ typedef struct {
   uint64_t depth_version;
 } splatbus_light_source;
 
+/* What lit the picture COLOR, all of it. Two things follow from it. Appearance is learned as albedo and a residual, so
+ * that a model can be shown under a light that it was not trained with: what the engine shades by is said here, or the
+ * light of this moment is learned as paint. And depth maps of role LIGHT are asked for by it. Shading is expected to be
+ * Lambert's, albedo / pi * irradiance * visibility, summed over the sun and the sources, and the ambient light's
+ * irradiance; what differs (gloss, bounces) is learned as the residual. An engine that knows none of this leaves
+ * everything 0 but sun_direction, and the trainer and the expander get the parameter appearance=radiance: the model has
+ * then the colours as they are seen. */
 typedef struct {
   float ambient_sh[27];    /* incident radiance: 9 real SH coefficients for R, 9 for G, 9 for B, signs as in 3DGS; the
                               first of each channel is not below 0 */
@@ -140,9 +153,11 @@ typedef struct {
 } splatbus_image;
 
 typedef struct {
-  uint64_t frame; /* never less than that of the frame before, on one handle; the same for all cameras of one frame */
-  double time_s;  /* engine time, never less either: an engine whose clock starts anew opens another handle */
-  uint64_t request_id;
+  /* Grows from one instant of the engine to the next, by 1 or by more, and is the same for all cameras of one instant.
+   * One that is less than the last is refused, on one handle; objects and light are those of the first camera of it. */
+  uint64_t frame;
+  double time_s;       /* engine time, never less either: an engine whose clock starts anew opens another handle */
+  uint64_t request_id; /* of the request */
   splatbus_camera camera;
   uint32_t light_id, light_map; /* role light: of the request */
   const splatbus_image* images;
@@ -161,7 +176,8 @@ typedef struct splatbus_engine splatbus_engine;
 splatbus_status splatbus_engine_open(const char* address, const char* source, uint32_t abi, uint32_t memory,
                                      splatbus_engine** out);
 
-/* Leaves the bus. NULL is allowed. */
+/* Leaves the bus; gives the broker up to a second, or where it hangs three, to take what was submitted. NULL is
+ * allowed. */
 void splatbus_engine_close(splatbus_engine* engine);
 
 /* Takes in camera requests that have arrived, waiting up to timeout_ms for a change. The whole set as it now stands is
@@ -169,9 +185,13 @@ void splatbus_engine_close(splatbus_engine* engine);
 splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, const splatbus_camera_request** requests,
                                      size_t* count, int* changed);
 
-/* Publishes one camera of one frame; copies the images into a slab ring in which readers have about a second. Checks
- * everything but the pixels: transforms, ids, light, camera, sizes, and that frame and time do not run backwards. What
- * is wrong is refused with SPLATBUS_ERROR_ARGUMENT and words that name it, and nothing of the call is published.
+/* Publishes one camera of one frame; copies the images into a slab ring in which readers have about a second. Waits for
+ * nobody: frames of a size that is new are published by a thread of this library as soon as the broker has their
+ * memory, and where there is no broker the newest wait for it, half a ring of them (4 large ones, 64 small ones); the
+ * others are dropped and counted. SPLATBUS_ERROR_BUS: the bus refused the memory of frames before this one, because
+ * another process publishes under this name, say; or there is no memory, or the device failed. Checks everything but
+ * the pixels: transforms, ids, light, camera, sizes, and that frame and time do not run backwards. What is wrong is
+ * refused with SPLATBUS_ERROR_ARGUMENT and words that name it, and nothing of the call is published.
  *
  * An image in CUDA memory is complete before the call: its writer has waited for its stream, or for the graphics API
  * that it is shared with. The copy runs on a stream of the calling thread's own, from device to device when the frames
@@ -180,6 +200,9 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
 
 /* Shown in heartbeats, which are sent 5 times a second. */
 splatbus_status splatbus_engine_counter(splatbus_engine* engine, const char* name, double value);
+
+/* Frames that were submitted and could not be published. Also a counter of the heartbeats, frames_dropped. */
+uint64_t splatbus_engine_frames_dropped(const splatbus_engine* engine);
 
 /* The words for the last call that failed on this handle; for NULL, for this thread's last splatbus_engine_open(). */
 const char* splatbus_engine_last_error(const splatbus_engine* engine);

@@ -82,6 +82,15 @@ bool Context::wait_connected(std::chrono::milliseconds timeout) const {
 
 std::shared_ptr<Slab> Context::create_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
                                            int timeout_ms, Device kind, SlabLife life) {
+  auto slab = make_slab(role, slots, slot_bytes, kind, life);
+  if (!register_slab(slab, std::chrono::milliseconds(timeout_ms))) {
+    throw Error(fmt::format("slab '{}': no broker answers at {}", slab->name(), impl_->address.slab_socket()));
+  }
+  return slab;
+}
+
+std::shared_ptr<Slab> Context::make_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes,
+                                         Device kind, SlabLife life) {
   SlabDescriptor descriptor;
   descriptor.kind = kind;
   descriptor.id = random_id();
@@ -90,14 +99,16 @@ std::shared_ptr<Slab> Context::create_slab(const std::string& role, std::size_t 
   descriptor.slot_bytes = slot_bytes;
   descriptor.kept = life == SlabLife::ForSuccessor;
   auto slab = create_slab_memory(descriptor, impl_->address.is_local());
-  if (impl_->slabs) {
-    impl_->slabs->add(slab, std::chrono::milliseconds(timeout_ms));
-  } else {
+  if (!impl_->slabs) {
     const std::scoped_lock lock(impl_->mutex);
     std::erase_if(impl_->private_slabs, [](const auto& entry) { return entry.second.expired(); });
     impl_->private_slabs[descriptor.id] = slab;
   }
   return slab;
+}
+
+bool Context::register_slab(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout) {
+  return !impl_->slabs || impl_->slabs->add(slab, timeout);
 }
 
 std::shared_ptr<Slab> Context::open_slab(std::uint64_t id) {

@@ -46,6 +46,13 @@ class Context : public std::enable_shared_from_this<Context> {
                                     int timeout_ms = 10000, Device kind = Device::Cpu,
                                     SlabLife life = SlabLife::OfItsMaker);
 
+  /// The two halves of create_slab(), for a thread that may not wait. This one makes a slab that nobody can open yet.
+  std::shared_ptr<Slab> make_slab(const std::string& role, std::size_t slots, std::size_t slot_bytes, Device kind,
+                                  SlabLife life = SlabLife::OfItsMaker);
+  /// Registers what make_slab() made; false when the broker does not answer within `timeout`. Throws Error when it
+  /// refuses the slab.
+  [[nodiscard]] bool register_slab(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout);
+
   /// Opens a registered slab, read-only; cached by id. Null when the registry has no such slab or cannot be reached;
   /// throws Error when what it got is malformed (a slab smaller than it claims).
   std::shared_ptr<Slab> open_slab(std::uint64_t id);

@@ -56,7 +56,7 @@ SlabClient::~SlabClient() {
   thread_.join();
 }
 
-void SlabClient::add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout) {
+bool SlabClient::add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout) {
   const auto deadline = std::chrono::steady_clock::now() + timeout;
   std::unique_lock lock(mutex_);
   while (connected_changed_.wait_until(lock, deadline, [this] { return connected_; })) {
@@ -66,9 +66,9 @@ void SlabClient::add(const std::shared_ptr<Slab>& slab, std::chrono::millisecond
       throw Error(fmt::format("slab '{}' was refused: {}", slab->name(), answer->text));
     }
     own_[slab->name()] = slab;
-    return;
+    return true;
   }
-  throw Error(fmt::format("slab '{}': no broker answers at {}", slab->name(), socket_path_));
+  return false;
 }
 
 void SlabClient::keep(const std::shared_ptr<Slab>& slab) {

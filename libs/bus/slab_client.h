@@ -25,9 +25,9 @@ class SlabClient {
   SlabClient(const SlabClient&) = delete;
   SlabClient& operator=(const SlabClient&) = delete;
 
-  /// Registers, and again after each reconnection for as long as the slab lives. Throws Error when the registry refuses
-  /// it, or cannot be reached within `timeout`.
-  void add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout);
+  /// Registers, and again after each reconnection for as long as the slab lives. False when the registry cannot be
+  /// reached within `timeout`; throws Error when it refuses the slab.
+  [[nodiscard]] bool add(const std::shared_ptr<Slab>& slab, std::chrono::milliseconds timeout);
 
   /// Registers again after a reconnection what is registered already (an adopted slab).
   void keep(const std::shared_ptr<Slab>& slab);

@@ -1,9 +1,11 @@
 #include <gmock/gmock.h>
 
 #include <array>
+#include <filesystem>
 #include <set>
 #include <thread>
 
+#include "../bus/child_process.h"
 #include "c_engine.h"
 #include "sdk_fixture.h"
 
@@ -253,11 +255,25 @@ TEST_F(SdkTest, LightsObjectsAndMapsArriveAsTheyWere) {
   EXPECT_NE(generation(), light.generation());
 }
 
+/// Submits frames 0 to count - 1, whose pixels have the frame's number.
+void submit_numbered(splatbus_engine* engine, std::uint8_t count) {
+  for (std::uint8_t i = 0; i < count; ++i) {
+    OwnedFrame owned(small_camera());
+    owned.frame.frame = i;
+    owned.objects = {{i + 1U, {{1, 0, 0, 0}, {1, 2, 3}}, 1, 0}};
+    owned.refresh();
+    std::ranges::fill(owned.color, i);
+    ASSERT_EQ(splatbus_engine_submit(engine, &owned.frame), SPLATBUS_OK) << splatbus_engine_last_error(engine);
+  }
+}
+
 TEST_F(SdkTest, ReadersHaveRoomForManyFrames) {
   const auto context = connect("tester");
   bus::Subscriber frames(context, {"engine/frame"});
   ASSERT_TRUE(frames.wait_connected(patience));
   const Engine engine = open();
+  submit_numbered(engine.get(), 1);  // from here on they have a ring
+  ASSERT_TRUE(frames.receive(patience).has_value());
   constexpr std::size_t kFrames = 100;
   for (std::size_t i = 0; i < kFrames; ++i) {
     OwnedFrame owned(small_camera());
@@ -297,6 +313,52 @@ TEST_F(SdkTest, TheEngineOutlivesTheBroker) {
     return message && message->tensor("color").has_value();
   });
   EXPECT_TRUE(again);
+}
+
+constexpr std::uint8_t kNumbered = 150;
+constexpr std::uint8_t kHalfARing = 64;
+
+TEST_F(SdkTest, SubmitNeedsNoBroker) {
+  broker_.reset();
+  const Engine engine = open();
+  submit_numbered(engine.get(), kNumbered);
+  EXPECT_EQ(splatbus_engine_frames_dropped(engine.get()), kNumbered - kHalfARing);
+}
+
+TEST_F(SdkTest, TheNewestFramesArriveOnceTheirMemoryCanBeFound) {
+  // A broker that takes messages and no slabs yet.
+  const std::filesystem::path slabs = directory_.address().slab_socket(), hidden = slabs.string() + ".hidden";
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  ASSERT_TRUE(context->wait_connected(patience));
+  std::filesystem::rename(slabs, hidden);
+  const Engine engine = open();
+  submit_numbered(engine.get(), kNumbered);
+  std::filesystem::rename(hidden, slabs);
+  for (std::uint64_t expected = kNumbered - kHalfARing; expected < kNumbered; ++expected) {
+    const auto message = frames.receive(patience);
+    ASSERT_TRUE(message.has_value());
+    const wire::SceneState& scene = *message->root<wire::EngineFrame>().scene();
+    ASSERT_EQ(scene.frame(), expected);
+    EXPECT_EQ(scene.objects()->Get(0)->id(), expected + 1);
+    const auto color = message->tensor("color");
+    ASSERT_TRUE(color.has_value()) << "of frame " << expected;
+    EXPECT_EQ(color->as<std::uint8_t>()[0], expected);
+  }
+  EXPECT_EQ(splatbus_engine_frames_dropped(engine.get()), kNumbered - kHalfARing);
+}
+
+TEST_F(SdkTest, ASecondEngineOfOneNameIsToldSo) {
+  const bus_test::ChildProcess first("bus-test-service", {"--bus", directory_.address().text()},
+                                     directory_.path() + "/output");
+  ASSERT_TRUE(bus_test::eventually([&] { return broker_->statistics().slabs == 2; }));
+  const Engine engine = open("test");
+  OwnedFrame owned(small_camera());
+  EXPECT_TRUE(
+      bus_test::eventually([&] { return splatbus_engine_submit(engine.get(), &owned.frame) == SPLATBUS_ERROR_BUS; }));
+  EXPECT_THAT(splatbus_engine_last_error(engine.get()), HasSubstr("was refused"));
+  EXPECT_GT(splatbus_engine_frames_dropped(engine.get()), 0U);
 }
 
 }  // namespace
