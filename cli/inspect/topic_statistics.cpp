@@ -1,5 +1,8 @@
 #include "topic_statistics.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace splatbus::cli {
 
 namespace {
@@ -13,6 +16,23 @@ std::set<std::string> to_set(const Strings* strings) {
   return result;
 }
 
+/// An older broker says none.
+wire::Spread value_of(const wire::Spread* spread) {
+  return spread != nullptr ? *spread : wire::Spread();
+}
+
+Summary summary(const wire::Spread& before, const wire::Spread& after) {
+  if (after.count() <= before.count()) return {};
+  const auto count = static_cast<double>(after.count() - before.count());
+  const double mean = (after.sum_s() - before.sum_s()) / count;
+  const double variance = (after.squares_s2() - before.squares_s2()) / count - mean * mean;
+  return {.count = after.count() - before.count(),
+          .mean_s = mean,
+          .deviation_s = std::sqrt(std::max(0.0, variance)),
+          .least_s = after.least_s(),
+          .greatest_s = after.greatest_s()};
+}
+
 }  // namespace
 
 TopicSnapshot read_topics(const wire::Topics& topics) {
@@ -23,7 +43,12 @@ TopicSnapshot read_topics(const wire::Topics& topics) {
                                            .sources = to_set(topic->sources()),
                                            .latched = topic->latched(),
                                            .messages = topic->messages(),
-                                           .bytes = topic->bytes()};
+                                           .bytes = topic->bytes(),
+                                           .shared_bytes = topic->shared_bytes(),
+                                           .intervals = value_of(topic->intervals()),
+                                           .transits = value_of(topic->transits()),
+                                           .ages = value_of(topic->ages()),
+                                           .subscribers = to_set(topic->subscribers())};
   }
   return result;
 }
@@ -36,9 +61,14 @@ TopicTraffic traffic_between(const TopicSnapshot& before, const TopicSnapshot& a
   if (now->second.messages < earlier.messages) return {};
   const double seconds = static_cast<double>(after.published_ns - before.published_ns) / 1e9;
   const std::uint64_t messages = now->second.messages - earlier.messages;
+  const std::uint64_t shared = now->second.shared_bytes - earlier.shared_bytes;
   return {.messages = messages,
           .rate_hz = static_cast<double>(messages) / seconds,
-          .megabits_per_s = static_cast<double>(now->second.bytes - earlier.bytes) * 8e-6 / seconds};
+          .megabits_per_s = static_cast<double>(now->second.bytes - earlier.bytes - shared) * 8e-6 / seconds,
+          .shared_megabits_per_s = static_cast<double>(shared) * 8e-6 / seconds,
+          .intervals = summary(earlier.intervals, now->second.intervals),
+          .transits = summary(earlier.transits, now->second.transits),
+          .ages = summary(earlier.ages, now->second.ages)};
 }
 
 }  // namespace splatbus::cli

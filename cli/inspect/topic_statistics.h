@@ -13,8 +13,17 @@ namespace splatbus::cli {
 struct TopicSeen {
   std::set<std::string> schemas, sources;
   bool latched = false;
-  std::uint64_t messages = 0;  ///< since the broker started
-  std::uint64_t bytes = 0;     ///< messages and the tensors that they announce, wherever those lie
+  std::uint64_t messages = 0;      ///< since the broker started
+  std::uint64_t bytes = 0;         ///< messages and the tensors that they announce, wherever those lie
+  std::uint64_t shared_bytes = 0;  ///< of these, in slabs
+  wire::Spread intervals, transits, ages;
+  std::set<std::string> subscribers;
+};
+
+/// Of a quantity between two snapshots; least and greatest of the snapshots from after the first to the last.
+struct Summary {
+  std::uint64_t count = 0;
+  double mean_s = 0, deviation_s = 0, least_s = 0, greatest_s = 0;
 };
 
 /// One sys/topics.
@@ -29,7 +38,9 @@ struct TopicSnapshot {
 struct TopicTraffic {
   std::uint64_t messages = 0;
   double rate_hz = 0;
-  double megabits_per_s = 0;
+  double megabits_per_s = 0;         ///< that crossed a socket
+  double shared_megabits_per_s = 0;  ///< in slabs, which cross none on this machine
+  Summary intervals, transits, ages;
 };
 
 /// All zero when no time lies between them, and when the broker has started again.

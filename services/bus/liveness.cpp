@@ -1,5 +1,6 @@
 #include "bus/liveness.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace splatbus::bus_service {
@@ -51,7 +52,23 @@ bool Liveness::take_changed() {
   return std::exchange(changed_, false);
 }
 
-void TopicTable::note(std::string_view name, const wire::Header& header, std::size_t body_bytes) {
+void RunningSpread::add(std::int64_t value_ns) {
+  const double value = static_cast<double>(value_ns) * 1e-9;
+  ++count_;
+  sum_s_ += value;
+  squares_s2_ += value * value;
+  least_s_ = recent_ == 0 ? value : std::min(least_s_, value);
+  greatest_s_ = recent_ == 0 ? value : std::max(greatest_s_, value);
+  ++recent_;
+}
+
+wire::Spread RunningSpread::take() {
+  const bool any = std::exchange(recent_, 0) > 0;
+  return {count_, sum_s_, squares_s2_, any ? least_s_ : 0, any ? greatest_s_ : 0};
+}
+
+void TopicTable::note(std::string_view name, const wire::Header& header, std::size_t body_bytes, std::int64_t now,
+                      bool local) {
   auto found = topics_.find(name);
   if (found == topics_.end()) {
     if (topics_.size() >= max_topics) return;
@@ -61,10 +78,19 @@ void TopicTable::note(std::string_view name, const wire::Header& header, std::si
   remember(topic.schemas, *header.schema());
   remember(topic.sources, *header.source());
   topic.latched = topic.latched || header.latch();
+  if (topic.messages > 0) topic.intervals.add(now - topic.last_ns);
+  topic.last_ns = now;
+  if (local) {
+    topic.transits.add(now - header.publish_ns());
+    if (header.capture_ns() > 0) topic.ages.add(now - header.capture_ns());
+  }
   ++topic.messages;
   topic.bytes += body_bytes;
   if (header.tensors() == nullptr) return;
-  for (const wire::Tensor* tensor : *header.tensors()) topic.bytes += tensor->span()->bytes();
+  for (const wire::Tensor* tensor : *header.tensors()) {
+    topic.bytes += tensor->span()->bytes();
+    if (tensor->span()->storage() == wire::Storage::Slab) topic.shared_bytes += tensor->span()->bytes();
+  }
 }
 
 }  // namespace splatbus::bus_service

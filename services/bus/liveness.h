@@ -38,6 +38,18 @@ class Liveness {
   bool changed_ = false;
 };
 
+/// wire::Spread, while it grows.
+class RunningSpread {
+ public:
+  void add(std::int64_t value_ns);
+  /// Begins the least and the greatest anew.
+  [[nodiscard]] wire::Spread take();
+
+ private:
+  std::uint64_t count_ = 0, recent_ = 0;
+  double sum_s_ = 0, squares_s2_ = 0, least_s_ = 0, greatest_s_ = 0;
+};
+
 /// What has passed of each topic, for sys/topics.
 class TopicTable {
  public:
@@ -45,13 +57,18 @@ class TopicTable {
     std::set<std::string> schemas, sources;
     bool latched = false;
     std::uint64_t messages = 0;
-    std::uint64_t bytes = 0;  ///< with the tensors that they announce
+    std::uint64_t bytes = 0;         ///< with the tensors that they announce
+    std::uint64_t shared_bytes = 0;  ///< of tensors in slabs
+    std::int64_t last_ns = 0;
+    RunningSpread intervals, transits, ages;
   };
 
-  /// A message whose body has `body_bytes`. What goes beyond the bounds that schemas/system.fbs names is left out.
-  void note(std::string_view topic, const wire::Header& header, std::size_t body_bytes);
+  /// A message whose body has `body_bytes`, at `now`. What goes beyond the bounds that schemas/system.fbs names is left
+  /// out, and so is how old it is where it is not `local`: clocks of other machines do not compare.
+  void note(std::string_view topic, const wire::Header& header, std::size_t body_bytes, std::int64_t now, bool local);
 
   [[nodiscard]] const std::map<std::string, Topic, std::less<>>& topics() const { return topics_; }
+  [[nodiscard]] std::map<std::string, Topic, std::less<>>& topics() { return topics_; }
 
  private:
   std::map<std::string, Topic, std::less<>> topics_;

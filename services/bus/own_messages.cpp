@@ -67,19 +67,22 @@ bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& n
   return make_frames(splatbus::topics::kLiveness.name, builder);
 }
 
-bus::Frames OwnMessages::topics(const TopicTable& table) {
+bus::Frames OwnMessages::topics(TopicTable& table, const Readers& readers) {
   flatbuffers::FlatBufferBuilder builder;
   const auto head = header(builder, splatbus::topics::kTopics.schema, ++topics_messages_);
   const auto strings = [&](const std::set<std::string>& names) {
     return builder.CreateVectorOfStrings(std::vector<std::string>(names.begin(), names.end()));
   };
   std::vector<flatbuffers::Offset<wire::TopicInfo>> offsets;
-  for (const auto& [name, topic] : table.topics()) {
+  for (auto& [name, topic] : table.topics()) {
     const auto name_offset = builder.CreateString(name);
     const auto schemas = strings(topic.schemas);
     const auto sources = strings(topic.sources);
-    offsets.push_back(
-        wire::CreateTopicInfo(builder, name_offset, schemas, sources, topic.latched, topic.messages, topic.bytes));
+    const auto subscribers = strings(readers(name));
+    const wire::Spread intervals = topic.intervals.take(), transits = topic.transits.take(), ages = topic.ages.take();
+    offsets.push_back(wire::CreateTopicInfo(builder, name_offset, schemas, sources, topic.latched, topic.messages,
+                                            topic.bytes, topic.shared_bytes, &intervals, &transits, &ages,
+                                            subscribers));
   }
   builder.Finish(wire::CreateTopicsDirect(builder, head, &offsets));
   return make_frames(splatbus::topics::kTopics.name, builder);

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <set>
 #include <string>
 
 #include "bus/broker.h"
@@ -17,7 +19,10 @@ class OwnMessages {
 
   bus::Frames heartbeat(const BrokerStatistics& statistics, wire::ServiceState state);
   bus::Frames liveness(const std::map<std::string, Liveness::Node>& nodes);
-  bus::Frames topics(const TopicTable& table);
+  /// Who reads a topic.
+  using Readers = std::function<std::set<std::string>(const std::string& topic)>;
+  /// Begins the table's least and greatest values anew.
+  bus::Frames topics(TopicTable& table, const Readers& readers);
 
  private:
   flatbuffers::Offset<wire::Header> header(flatbuffers::FlatBufferBuilder& builder, std::string_view schema,

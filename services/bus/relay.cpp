@@ -222,7 +222,7 @@ void Relay::take(const bus::Frames& frames, bool local) {
 void Relay::relay(const bus::Frames& frames, const wire::Header& header, bool local) {
   if (header.latch() && !hold(frames, header, local)) return;
   ++relayed_;
-  topics_.note(frames.topic_text(), header, frames.body.size());
+  topics_.note(frames.topic_text(), header, frames.body.size(), bus::now_ns(), local);
   send(local_, frames, header);
   send(remote_, frames, header);
 }
@@ -306,6 +306,7 @@ void Relay::read_subscriptions(Side& side) {
     if (kind > 1) continue;
     const auto prefix = event.to_string().substr(1);
     if (side.local) {
+      local_readers_.note(event, prefix, kind == 1);
       if (kind == 1) resend_held(side, prefix);
     } else if (kind == 1) {
       remote_readers_.subscribe(prefix);
@@ -313,6 +314,12 @@ void Relay::read_subscriptions(Side& side) {
       remote_readers_.unsubscribe(prefix);
     }
   }
+}
+
+std::set<std::string> Relay::readers_of(const std::string& topic) const {
+  std::set<std::string> names = local_readers_.names(topic, liveness_.nodes());
+  if (remote_readers_.wants(topic)) names.insert("tcp");
+  return names;
 }
 
 void Relay::resend_held(Side& side, const std::string& prefix) {
@@ -341,7 +348,8 @@ void Relay::tick() {
   if (liveness_.take_changed() || due) relay_own(own_.liveness(liveness_.nodes()));
   if (!due) return;
   next_report_ns_ = now + report_ns;
-  relay_own(own_.topics(topics_));
+  local_readers_.forget_closed();
+  relay_own(own_.topics(topics_, [this](const std::string& topic) { return readers_of(topic); }));
 }
 
 void Relay::refuse(const bus::Frames& frames, const std::string& why) {

@@ -5,6 +5,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
 #include <zmq.hpp>
@@ -16,6 +17,7 @@
 #include "bus/frames.h"
 #include "bus/latch_store.h"
 #include "bus/liveness.h"
+#include "bus/local_readers.h"
 #include "bus/log_sink.h"
 #include "bus/own_messages.h"
 #include "bus/remote_readers.h"
@@ -56,6 +58,7 @@ class Relay {
   void send(Side& side, const bus::Frames& frames, const wire::Header& header);
   void send_inlined();
   void read_subscriptions(Side& side);
+  std::set<std::string> readers_of(const std::string& topic) const;
   void resend_held(Side& side, const std::string& prefix);
   void resend_due();
   void tick();
@@ -71,6 +74,7 @@ class Relay {
   std::uint16_t tcp_port_ = 0;
   bus::LatchStore held_;
   std::uint64_t next_order_ = 1;
+  LocalReaders local_readers_;
   RemoteReaders remote_readers_;
   Sources sources_;
   Liveness liveness_;

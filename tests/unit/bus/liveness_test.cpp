@@ -54,8 +54,8 @@ TEST(LivenessTest, NodesAndTopicsAreBounded) {
     builder.Finish(wire::CreateHeartbeatDirect(builder, header, "service"));
     const auto& heartbeat = *flatbuffers::GetRoot<wire::Heartbeat>(builder.GetBufferPointer());
     liveness.note(heartbeat, second);
-    table.note("one", *heartbeat.header(), 10);
-    table.note("topic" + std::to_string(i), *heartbeat.header(), 10);
+    table.note("one", *heartbeat.header(), 10, second, true);
+    table.note("topic" + std::to_string(i), *heartbeat.header(), 10, second, true);
   }
   EXPECT_EQ(liveness.nodes().size(), 1024u);
   EXPECT_EQ(table.topics().size(), 1024u);
@@ -64,6 +64,39 @@ TEST(LivenessTest, NodesAndTopicsAreBounded) {
   EXPECT_EQ(one.schemas.size(), 16u);
   EXPECT_EQ(one.messages, 1100u);
   EXPECT_EQ(one.bytes, 11000u);
+}
+
+TEST(TopicTableTest, TellsIntervalsAgesAndSharedMemoryApart) {
+  TopicTable table;
+  const auto note = [&](std::int64_t now, bool local) {
+    flatbuffers::FlatBufferBuilder builder;
+    const std::vector<std::uint32_t> shape{1000};
+    const wire::Span shared(7, 2, 0, 1000, wire::Storage::Slab), carried(0, 0, 0, 50, wire::Storage::Inline);
+    const std::vector<flatbuffers::Offset<wire::Tensor>> tensors{
+        wire::CreateTensorDirect(builder, "shared", &shared, &shape),
+        wire::CreateTensorDirect(builder, "carried", &carried, &shape)};
+    builder.Finish(wire::CreateHeaderDirect(builder, "EngineFrame/3", "engine", 1, 1, now - 3 * second, now - second, 0,
+                                            false, nullptr, &tensors));
+    table.note("topic", *flatbuffers::GetRoot<wire::Header>(builder.GetBufferPointer()), 10, now, local);
+  };
+  for (const std::int64_t at : {10, 11, 14}) note(at * second, true);
+  note(16 * second, false);
+  auto& topic = table.topics().at("topic");
+  EXPECT_EQ(topic.bytes, 4 * 1060u);
+  EXPECT_EQ(topic.shared_bytes, 4 * 1000u);
+  const wire::Spread intervals = topic.intervals.take();  // 1, 3 and 2 s
+  EXPECT_EQ(intervals.count(), 3u);
+  EXPECT_DOUBLE_EQ(intervals.sum_s(), 6);
+  EXPECT_DOUBLE_EQ(intervals.squares_s2(), 14);
+  EXPECT_DOUBLE_EQ(intervals.least_s(), 1);
+  EXPECT_DOUBLE_EQ(intervals.greatest_s(), 3);
+  const wire::Spread transits = topic.transits.take();
+  EXPECT_EQ(transits.count(), 3u) << "the clock of what came over tcp is another";
+  EXPECT_DOUBLE_EQ(transits.sum_s(), 3);
+  EXPECT_DOUBLE_EQ(topic.ages.take().sum_s(), 9);
+  note(17 * second, true);
+  EXPECT_DOUBLE_EQ(topic.intervals.take().greatest_s(), 1) << "of the time since it was asked";
+  EXPECT_EQ(topic.intervals.take().count(), 4u);
 }
 
 TEST(LivenessTest, AStoppedServiceIsNotAlive) {

@@ -1,0 +1,61 @@
+#include "bus/local_readers.h"
+
+#include <fmt/format.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+
+namespace splatbus::bus_service {
+namespace {
+
+constexpr std::size_t max_readers = 1024;
+constexpr std::size_t max_prefixes = 256;  // of a reader
+constexpr std::size_t max_names = 16;
+
+std::uint32_t process_of(int fd) {
+  ucred peer{};
+  socklen_t size = sizeof(peer);
+  if (fd < 0 || ::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) return 0;
+  return static_cast<std::uint32_t>(peer.pid);
+}
+
+}  // namespace
+
+void LocalReaders::note(const zmq::message_t& event, const std::string& prefix, bool begins) {
+  const auto socket = bus::PeerSocket::of(event);
+  if (socket.cookie == 0) return;
+  const auto found = readers_.find(socket.cookie);
+  if (!begins) {
+    if (found != readers_.end()) found->second.prefixes.erase(prefix);
+    return;
+  }
+  if (found == readers_.end() && readers_.size() >= max_readers) return;
+  Reader& reader = readers_[socket.cookie];
+  if (found == readers_.end()) reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}};
+  if (reader.prefixes.size() < max_prefixes) reader.prefixes.insert(prefix);
+}
+
+void LocalReaders::forget_closed() {
+  std::erase_if(readers_, [](const auto& entry) { return !entry.second.socket.is_open(); });
+}
+
+std::set<std::string> LocalReaders::names(const std::string& topic,
+                                          const std::map<std::string, Liveness::Node>& nodes) const {
+  std::set<std::string> result;
+  for (const auto& [cookie, reader] : readers_) {
+    if (result.size() >= max_names) break;
+    const bool reads = std::any_of(reader.prefixes.begin(), reader.prefixes.end(),
+                                   [&](const std::string& prefix) { return topic.starts_with(prefix); });
+    if (!reads) continue;
+    bool named = false;
+    for (const auto& [source, node] : nodes) {
+      if (node.pid != reader.pid || !node.alive) continue;
+      result.insert(source);
+      named = true;
+    }
+    if (!named) result.insert(fmt::format("pid {}", reader.pid));
+  }
+  return result;
+}
+
+}  // namespace splatbus::bus_service
