@@ -138,7 +138,9 @@ void Supervisor::start_child(Life& life) {
   life.service_state.clear();
   life.detail.clear();
   life.counters.clear();
-  life.child.emplace(life.plan.program, life.plan.arguments, life.plan.environment);
+  auto environment = life.plan.environment;
+  environment.emplace("SPLATBUS_SUPERVISED", "1");
+  life.child.emplace(life.plan.program, life.plan.arguments, environment);
 }
 
 void Supervisor::check_signs_of_life() {

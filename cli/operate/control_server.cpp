@@ -130,8 +130,7 @@ void ControlServer::stream(Connection& connection) {
   }
 }
 
-void ControlServer::publish(const Json& object) {
-  const std::string line = object.dump(-1, ' ', false, Json::error_handler_t::replace);
+void ControlServer::publish_line(const std::string& line) {
   const std::scoped_lock lock(mutex_);
   for (Connection& connection : connections_) {
     if (!connection.attached || connection.done) continue;

@@ -39,9 +39,9 @@ class ControlServer {
   void handle(const std::string& verb, Handler handler);
   void start();
 
-  /// Passes an object on to everybody who asked with the verb "attach". Never blocks: who reads too slowly misses some,
-  /// and is told how many. Any thread.
-  void publish(const nlohmann::json& object);
+  /// Passes a JSON object on to everybody who asked with the verb "attach". Never blocks: who reads too slowly misses
+  /// some, and is told how many. Any thread.
+  void publish_line(const std::string& line);
 
  private:
   struct Connection {
