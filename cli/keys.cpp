@@ -39,7 +39,7 @@ fs::path allow_list(const KeysOptions& options) {
 
 bus::Rights rights_of(const KeysOptions& options) {
   const auto rights = bus::parse_rights(fmt::format("{}", fmt::join(options.roles, ",")));
-  if (!rights) throw std::runtime_error("a role is view, steer, probe or control");
+  if (!rights) throw std::runtime_error("a role must be view, steer, probe or control");
   return *rights;
 }
 
@@ -57,10 +57,10 @@ void allow(const KeysOptions& options, const bus::Key& public_key) {
 int make(const KeysOptions& options) {
   // Before anything is written.
   static_cast<void>(rights_of(options));
-  if (options.name.find('/') != std::string::npos) throw std::runtime_error("a name has no slash");
+  if (options.name.find('/') != std::string::npos) throw std::runtime_error("the name must not contain a slash");
   const auto keys = bus::make_key_pair();
   bus::write_key_file(key_file(options), keys);
-  fmt::print("{}: keep it to yourself\npublic key: {}\n", key_file(options).string(), keys.public_key);
+  fmt::print("{}: keep this file secret\npublic key: {}\n", key_file(options).string(), keys.public_key);
   if (!options.roles.empty()) allow(options, keys.public_key);
   return 0;
 }
@@ -92,45 +92,46 @@ int revoke(const KeysOptions& options) {
   auto keys = bus::read_allow_list(allow_list(options));
   const auto revoked = std::erase_if(
       keys, [&](const bus::AllowedKey& key) { return key.name == options.name || key.public_key == options.name; });
-  if (revoked == 0) throw std::runtime_error(fmt::format("nothing was allowed to '{}'", options.name));
+  if (revoked == 0) throw std::runtime_error(fmt::format("no key '{}' is allowed here", options.name));
   bus::write_allow_list(allow_list(options), keys);
-  fmt::print("{} may nothing any more; what is connected is closed within two seconds\n", options.name);
+  fmt::print("{} is revoked; open connections close within two seconds\n", options.name);
   return 0;
 }
 
 void add_roles(CLI::App& verb, KeysOptions& options, bool required) {
-  auto* option = verb.add_option("--role", options.roles, "view, steer, probe or control (repeatable)")
-                     ->check(CLI::IsMember({"view", "steer", "probe", "control"}))
-                     ->allow_extra_args(false);
+  auto* option =
+      verb.add_option("--role", options.roles, "what the key may do: view, steer, probe or control (repeatable)")
+          ->check(CLI::IsMember({"view", "steer", "probe", "control"}))
+          ->allow_extra_args(false);
   if (required) option->required();
 }
 
 }  // namespace
 
 void add_keys_verb(CLI::App& app, Action& action) {
-  CLI::App* keys = app.add_subcommand("keys", "Keys for connections over a network, and who may do what");
+  CLI::App* keys = app.add_subcommand("keys", "Manage keys for network connections and what their owners may do");
   keys->require_subcommand(1);
   auto options = std::make_shared<KeysOptions>();
   keys->add_option("--folder", options->folder,
-                   "where they are kept (default: SPLATBUS_KEYS, else splatbus/keys in ~/.config)");
+                   "folder of the keys (default: SPLATBUS_KEYS, else ~/.config/splatbus/keys)");
 
   CLI::App* verb =
-      keys->add_subcommand("new", "Make a key; with roles, allow it here too. A server's is called 'server'");
-  verb->add_option("name", options->name, "of its file, NAME.key")->required();
+      keys->add_subcommand("new", "Create a key; with --role, allow it here too. A server's key is named 'server'");
+  verb->add_option("name", options->name, "name of the key; its file is NAME.key")->required();
   add_roles(*verb, *options, false);
   verb->callback([options, &action] { action = [options] { return make(*options); }; });
 
-  verb = keys->add_subcommand("list", "The keys of this folder, and those that are allowed");
+  verb = keys->add_subcommand("list", "Print the keys of this folder and those that may connect");
   verb->callback([options, &action] { action = [options] { return list(*options); }; });
 
-  verb = keys->add_subcommand("allow", "Let a public key that was made elsewhere connect here");
+  verb = keys->add_subcommand("allow", "Let a public key from elsewhere connect here");
   verb->add_option("key", options->public_key, "64 hexadecimal digits")->required();
-  verb->add_option("--name", options->name, "for it (default: its first digits)");
+  verb->add_option("--name", options->name, "name for the key (default: its first digits)");
   add_roles(*verb, *options, true);
   verb->callback([options, &action] { action = [options] { return allow_key(*options); }; });
 
-  verb = keys->add_subcommand("revoke", "Shut a key out, at once");
-  verb->add_option("name", options->name, "or the public key")->required();
+  verb = keys->add_subcommand("revoke", "Revoke a key at once");
+  verb->add_option("name", options->name, "name of the key, or the public key")->required();
   verb->callback([options, &action] { action = [options] { return revoke(*options); }; });
 }
 

@@ -3,9 +3,12 @@
 #include <CLI/CLI.hpp>
 #include <exception>
 
+#include "bus/command_line.h"
 #include "verbs.h"
 
 namespace {
+
+using namespace splatbus;
 
 int run(int argc, char** argv) {
   CLI::App app{"splatbus turns a live game engine into a stream of 3D Gaussians."};
@@ -15,6 +18,7 @@ int run(int argc, char** argv) {
   splatbus::cli::Action action;
   splatbus::cli::add_launch_verb(app, action);
   splatbus::cli::add_operate_verbs(app, action);
+  splatbus::cli::add_param_verb(app, action);
   splatbus::cli::add_topic_verb(app, action);
   splatbus::cli::add_node_verb(app, action);
   splatbus::cli::add_keys_verb(app, action);
@@ -23,11 +27,7 @@ int run(int argc, char** argv) {
   splatbus::cli::add_eval_verb(app, action);
   splatbus::cli::add_demo_verb(app, action);
   splatbus::cli::add_view_verb(app, action);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
-  }
+  if (const auto status = bus::parse_command_line(app, argc, argv)) return *status;
   return action();
 }
 

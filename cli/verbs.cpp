@@ -6,6 +6,8 @@
 #include <CLI/CLI.hpp>
 #include <cstdlib>
 
+#include "bus_probe.h"
+
 namespace splatbus::cli {
 
 namespace {
@@ -18,15 +20,16 @@ struct BusKeys {
 }  // namespace
 
 void add_bus_option(CLI::App& verb, std::string& address) {
-  verb.add_option("--bus", address,
-                  "bus address, ipc:///folder or tcp://host:port (default: SPLATBUS_BUS, else a folder of this user)");
-  verb.add_option("--key", bus_keys.key, "key file for a bus over tcp (made by 'splatbus keys'); else SPLATBUS_KEY");
-  verb.add_option("--server-key", bus_keys.server_key, "public key of that bus; else SPLATBUS_SERVER_KEY");
+  verb.add_option(
+      "--bus", address,
+      "bus address, ipc:///folder or tcp://host:port (default: SPLATBUS_BUS, else a folder of the current user)");
+  verb.add_option("--key", bus_keys.key,
+                  "key file for a bus over tcp, made by 'splatbus keys' (default: SPLATBUS_KEY)");
+  verb.add_option("--server-key", bus_keys.server_key, "public key of that bus (default: SPLATBUS_SERVER_KEY)");
 }
 
 void add_backend_option(CLI::App& verb, std::string& backend) {
-  verb.add_option("--backend", backend,
-                  "cpu, cuda or auto, for every service that the launch file gives none of its own")
+  verb.add_option("--backend", backend, "default backend for services that set none: cpu, cuda or auto")
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}));
 }
 
@@ -44,6 +47,11 @@ bus::Address bus_address(const std::string& option) {
 }
 
 std::shared_ptr<bus::Context> connect(const bus::Address& address) {
+  require_bus(address);
+  return connect_later(address);
+}
+
+std::shared_ptr<bus::Context> connect_later(const bus::Address& address) {
   return bus::Context::create(address, fmt::format("cli-{}", getpid()));
 }
 

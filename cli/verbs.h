@@ -20,6 +20,7 @@ using Action = std::function<int()>;
 // Each verb adds itself to the program, and sets `action` when it is the one that was asked for.
 void add_launch_verb(CLI::App& app, Action& action);
 void add_operate_verbs(CLI::App& app, Action& action);
+void add_param_verb(CLI::App& app, Action& action);
 void add_topic_verb(CLI::App& app, Action& action);
 void add_node_verb(CLI::App& app, Action& action);
 void add_keys_verb(CLI::App& app, Action& action);
@@ -38,7 +39,9 @@ void add_backend_option(CLI::App& verb, std::string& backend);
 [[nodiscard]] Device own_backend(const std::string& backend);
 /// The bus that --bus names, or the default one, with its keys.
 [[nodiscard]] bus::Address bus_address(const std::string& option);
-/// A connection of this command, under a name of its own.
+/// A connection of this command, under a name of its own. Throws bus::Error at once where no bus is.
 [[nodiscard]] std::shared_ptr<bus::Context> connect(const bus::Address& address);
+/// The same for commands that start the bus themselves, or wait for it.
+[[nodiscard]] std::shared_ptr<bus::Context> connect_later(const bus::Address& address);
 
 }  // namespace splatbus::cli

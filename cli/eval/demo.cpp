@@ -83,17 +83,17 @@ int demo(DemoVerbOptions options) {
 
 void add_demo_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<DemoVerbOptions>();
-  CLI::App* verb = app.add_subcommand("demo", "The whole pipeline on a built-in scene, with true figures beside it");
+  CLI::App* verb = app.add_subcommand("demo", "Run the whole pipeline on a built-in scene, with measured quality");
   verb->option_defaults()->always_capture_default();
-  verb->add_option("--seconds", options->demo.seconds, "how long it runs")->check(CLI::Range(5.0, 86400.0));
-  verb->add_flag("--still", options->demo.still, "sun and objects rest");
-  verb->add_option("--seed", options->demo.seed, "of everything random: the scene and the trainer's choices")
+  verb->add_option("--seconds", options->demo.seconds, "duration, s")->check(CLI::Range(5.0, 86400.0));
+  verb->add_flag("--still", options->demo.still, "keep sun and objects still");
+  verb->add_option("--seed", options->demo.seed, "random seed of the scene and the trainer")
       ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{0xFFFFFFFF}));
-  verb->add_option("--out", options->out, "folder for contact_sheet.png, model.ply and summary.json");
+  verb->add_option("--out", options->out, "output folder for contact_sheet.png, model.ply and summary.json");
   verb->add_option("--launch", options->launch_file, "launch file (default: launch/demo.yaml of this build)");
-  verb->add_option("--bus", options->demo.bus, "bus address (default: a folder of its own)");
+  verb->add_option("--bus", options->demo.bus, "bus address (default: a temporary folder)");
   add_backend_option(*verb, options->demo.backend);
-  verb->add_flag("--json", options->json, "live figures and summary as JSON, one object a line");
+  verb->add_flag("--json", options->json, "print live figures and summary as JSON, one object per line");
   verb->callback([options, &action] { action = [options] { return demo(*options); }; });
 }
 

@@ -10,6 +10,7 @@
 #include "engine_scene.h"
 #include "launch_plan.h"
 #include "live_scene.h"
+#include "parameter_check.h"
 #include "pipeline_watch.h"
 #include "probe_round.h"
 #include "scene_view.h"
@@ -73,7 +74,7 @@ class Demo {
         address_(options.bus.empty() ? folder_.address() : bus::Address::parse(options.bus)),
         viewer_pictures_(folder_.path() / "viewer"),
         plan_(make_plan(options, address_, viewer_pictures_, gateway_)),
-        context_(connect(address_)),
+        context_(connect_later(address_)),
         watch_(context_),
         live_(context_),
         depths_(context_),

@@ -15,7 +15,7 @@ void set_flag(std::vector<std::string>& args, const std::string& flag, const std
 
 void apply(const EngineScene& scene, LaunchFile& file) {
   LaunchService* engine = file.find("engine");
-  if (engine == nullptr) throw LaunchError(file.path + ": there is no service 'engine'");
+  if (engine == nullptr) throw LaunchError({file.path, 0, 0}, "there is no service 'engine'");
   // The engine's flags are its own.
   std::vector<std::string>& args = engine->args;
   if (scene.fps) set_flag(args, "--fps", fmt::format("{}", *scene.fps));

@@ -125,7 +125,7 @@ void add_fixed_verb(CLI::App& eval, Action& action) {
 
 void add_start_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<StartVerbOptions>();
-  CLI::App* verb = eval.add_subcommand("start", "How soon after the engine's first frame there is a trained model");
+  CLI::App* verb = eval.add_subcommand("start", "Time from the engine's first frame to a trained model");
   add_setup_options(*verb, *options, options->setup);
   verb->callback([options, &action] { action = [options] { return evaluate_start(*options); }; });
 }
@@ -134,26 +134,25 @@ void add_dynamics_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<DynamicsVerbOptions>();
   options->default_launch = "eval_dynamics.yaml";
   CLI::App* verb = eval.add_subcommand(
-      "dynamics", "Sun and objects that move: held-out views through time, beside the still scene and a frozen state");
+      "dynamics", "A moving sun and objects: quality of held-out views over time, compared with the still scene");
   DynamicsOptions& dynamics = options->dynamics;
   add_setup_options(*verb, *options, dynamics.setup);
-  verb->add_option("--seconds", dynamics.seconds, "how long the living scene runs")->check(CLI::Range(5.0, 86400.0));
-  verb->add_option("--still-seconds", dynamics.still_seconds,
-                   "how long the same scene stands still before that; 0: not at all")
+  verb->add_option("--seconds", dynamics.seconds, "duration of the living scene, s")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--still-seconds", dynamics.still_seconds, "duration of the still scene before it, s; 0: none")
       ->check(CLI::Range(0.0, 86400.0));
-  verb->add_flag("--still", dynamics.still_only, "the still scene alone, for --seconds");
+  verb->add_flag("--still", dynamics.still_only, "run only the still scene, for --seconds");
   verb->add_option("--lights", dynamics.lights,
-                   "of the living scene, a run each: turning (the sun), fixed (the sun), points (a night with three)")
+                   "lights of the living scene, one run each: turning (sun), fixed (sun), points (three at night)")
       ->delimiter(',')
       ->transform(CLI::CheckedTransformer(std::map<std::string, SceneLight>{
           {"turning", SceneLight::TurningSun}, {"fixed", SceneLight::FixedSun}, {"points", SceneLight::PointLights}}));
-  verb->add_option("--sun-rate", dynamics.sun_rate_deg_s, "degrees a second of a turning sun");
+  verb->add_option("--sun-rate", dynamics.sun_rate_deg_s, "rate of the turning sun, degrees per second");
   verb->add_option("--support", dynamics.support,
-                   "what is drawn: on (the scene's state of each picture), off (its state at the start), or both")
+                   "scene state that is drawn: on (that of each picture), off (that of the start), or both")
       ->transform(CLI::CheckedTransformer(
           std::map<std::string, Support>{{"on", Support::On}, {"off", Support::Off}, {"both", Support::Both}}));
-  verb->add_option("--fps", dynamics.fps, "engine frames a second")->check(CLI::Range(1.0, 240.0));
-  verb->add_option("--reference-rate", dynamics.reference_rate_hz, "pictures a second of each reference camera")
+  verb->add_option("--fps", dynamics.fps, "engine frames per second")->check(CLI::Range(1.0, 240.0));
+  verb->add_option("--reference-rate", dynamics.reference_rate_hz, "pictures per second of each reference camera")
       ->check(CLI::Range(0.1, 240.0));
   verb->callback([options, &action] { action = [options] { return evaluate_dynamics(*options); }; });
 }
@@ -162,14 +161,13 @@ void add_moving_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<MovingVerbOptions>();
   options->default_launch = "eval_moving.yaml";
   CLI::App* verb = eval.add_subcommand(
-      "moving",
-      "A viewer that orbits: with reference cameras that stand on its circle, and with a rig that moves with it");
+      "moving", "An orbiting viewer: reference cameras that stand on its circle, compared with a rig that follows it");
   MovingOptions& moving = options->moving;
   add_setup_options(*verb, *options, moving.setup);
-  verb->add_option("--rig-cameras", moving.rig_cameras, "reference cameras of the rig that moves")
+  verb->add_option("--rig-cameras", moving.rig_cameras, "reference cameras of the rig that follows")
       ->check(CLI::Range(1, 64));
-  verb->add_option("--seconds", moving.seconds, "of each of both runs")->check(CLI::Range(5.0, 86400.0));
-  verb->add_option("--period", moving.period_s, "of the orbit, s")->check(CLI::Range(0.1, 86400.0));
+  verb->add_option("--seconds", moving.seconds, "duration of each of the two runs, s")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--period", moving.period_s, "time of one orbit, s")->check(CLI::Range(0.1, 86400.0));
   verb->callback([options, &action] { action = [options] { return evaluate_moving(*options); }; });
 }
 
@@ -177,29 +175,30 @@ void add_explore_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<ExploreVerbOptions>();
   options->default_launch = "eval_explore.yaml";
   CLI::App* verb = eval.add_subcommand(
-      "explore", "A walk through a world, back over its own path, and a teleport to the start, over time");
+      "explore", "A walk through a world and back, then a teleport to the start: quality over time");
   ExploreRunOptions& run = options->explore.run;
   add_setup_options(*verb, *options, run.setup);
-  verb->add_option("--seconds", run.seconds, "of the walk out")->check(CLI::Range(5.0, 86400.0));
-  verb->add_option("--back-seconds", run.back_s, "of the way back over its own path (default: half of that)")
+  verb->add_option("--seconds", run.seconds, "duration of the walk out, s")->check(CLI::Range(5.0, 86400.0));
+  verb->add_option("--back-seconds", run.back_s, "duration of the way back, s (default: half of --seconds)")
       ->check(CLI::Range(1.0, 86400.0));
-  verb->add_option("--speed", run.speed_m_s, "of the walk, m/s")->check(CLI::Range(0.01, 100.0));
-  verb->add_option("--stay", run.stay_s, "after the teleport, s")->check(CLI::Range(0.0, 86400.0));
-  verb->add_option("--scene", run.scene, "of the engine");
-  verb->get_option("--seed")->description("of the scene, and of the trainer's random choices");
-  verb->add_option("--path", run.path, "polyline to walk along, 'x y z' a line (default: the engine's own walk)")
+  verb->add_option("--speed", run.speed_m_s, "speed of the walk, m/s")->check(CLI::Range(0.01, 100.0));
+  verb->add_option("--stay", run.stay_s, "time after the teleport, s")->check(CLI::Range(0.0, 86400.0));
+  verb->add_option("--scene", run.scene, "scene of the engine");
+  verb->get_option("--seed")->description("random seed of the scene and the trainer");
+  verb->add_option("--path", run.path, "file with the walk, 'x y z' in m per line (default: the engine's own walk)")
       ->check(CLI::ExistingFile);
-  verb->add_option("--world", run.world, "folder that keeps the world, and may have one already");
-  verb->add_option("--viewers", run.viewers, "the second walks 100 m ahead of the first")->check(CLI::Range(1, 2));
-  verb->add_option("--max-gaussians", run.max_gaussians, "Gaussians beyond which nothing is inserted");
-  verb->add_flag("--compare", options->explore.compare, "beside the same run without freezing");
+  verb->add_option("--world", run.world, "folder that keeps the world; it may hold one already");
+  verb->add_option("--viewers", run.viewers, "number of viewers; the second walks 100 m ahead of the first")
+      ->check(CLI::Range(1, 2));
+  verb->add_option("--max-gaussians", run.max_gaussians, "most Gaussians in the model");
+  verb->add_flag("--compare", options->explore.compare, "compare with the same run without freezing");
   verb->callback([options, &action] { action = [options] { return evaluate_explore(*options); }; });
 }
 
 void add_relight_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<RelightVerbOptions>();
   CLI::App* verb = eval.add_subcommand(
-      "relight", "Train under one sun, pause, and show suns 60 to 180 degrees away, and point lights at night");
+      "relight", "Train under one sun, then show suns 60 to 180 degrees away and point lights at night");
   RelightEvaluationOptions& relight = options->relight;
   add_setup_options(*verb, *options, relight.setup);
   verb->add_option("--iterations", relight.iterations, "optimizer steps under the first sun")
@@ -212,19 +211,20 @@ void add_relight_verb(CLI::App& eval, Action& action) {
 
 void add_setup_options(CLI::App& verb, CommonOptions& options, EvaluationSetup& setup) {
   verb.option_defaults()->always_capture_default();
-  verb.add_option("--cameras", setup.cameras, "reference cameras")->check(CLI::Range(1, 64));
-  verb.add_option("--size", setup.size, "their width and height, pixels")->check(CLI::Range(32, 2048));
-  verb.add_option("--input-cameras", setup.input_cameras, "input cameras")->check(CLI::Range(1, 256));
-  verb.add_option("--input-size", setup.input_size, "their width and height, pixels")->check(CLI::Range(16, 1024));
-  verb.add_option("--budget", setup.budget, "samples that become Gaussians")->check(CLI::Range(1, 10000000));
+  verb.add_option("--cameras", setup.cameras, "number of reference cameras")->check(CLI::Range(1, 64));
+  verb.add_option("--size", setup.size, "width and height of reference pictures, pixels")->check(CLI::Range(32, 2048));
+  verb.add_option("--input-cameras", setup.input_cameras, "number of input cameras")->check(CLI::Range(1, 256));
+  verb.add_option("--input-size", setup.input_size, "width and height of input pictures, pixels")
+      ->check(CLI::Range(16, 1024));
+  verb.add_option("--budget", setup.budget, "most samples that become Gaussians")->check(CLI::Range(1, 10000000));
   verb.add_option("--ready-gaussians", setup.ready_gaussians,
-                  "Gaussians that make the model count as there; 0: 95 % of the budget");
-  verb.add_option("--seed", setup.seed, "of the trainer's random choices; the scene is the launch file's");
-  verb.add_option("--timeout", setup.timeout_s, "longest wait for any one thing, s")->check(CLI::PositiveNumber);
-  verb.add_option("--out", options.out, "folder for what is written");
+                  "Gaussians at which the model counts as complete; 0: 95 % of the budget");
+  verb.add_option("--seed", setup.seed, "random seed of the trainer; the launch file sets the scene");
+  verb.add_option("--timeout", setup.timeout_s, "longest wait for any one step, s")->check(CLI::PositiveNumber);
+  verb.add_option("--out", options.out, "output folder");
   verb.add_option("--launch", options.launch_file,
                   fmt::format("launch file (default: launch/{} of this build)", options.default_launch));
-  verb.add_flag("--json", options.json, "progress and summary as JSON, one object a line");
+  verb.add_flag("--json", options.json, "print progress and summary as JSON, one object per line");
   add_backend_option(verb, setup.backend);
 }
 

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <cstdio>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -34,7 +35,12 @@ int evaluate(const CommonOptions& options, const char* files, Evaluate evaluate)
   const StopSignals signals;
   ProgressLine line;
   const nlohmann::json summary = evaluate(signals, [&](const std::string& state) {
-    if (!options.json) line.show(state);
+    if (options.json) {
+      fmt::print("{}\n", json_text({{"state", state}}));
+      std::fflush(stdout);
+    } else {
+      line.show(state);
+    }
   });
   line.finish();
   fmt::print("{}\n", json_text(summary, options.json ? -1 : 2));

@@ -30,8 +30,8 @@ int evaluate_stream(StreamVerbOptions options) {
   options.complete(run.setup);
   run.shape.loss = options.loss_percent / 100;
   if (options.curve) options.stream.curve_mbps = {1, 2, 5, 10, 20};
-  if (options.curve && run.shape.mbps > 0) throw std::runtime_error("--curve has rates of its own: leave out --rate");
-  if (run.walk && run.still) throw std::runtime_error("--still is for the demo's scene: leave it out with --walk");
+  if (options.curve && run.shape.mbps > 0) throw std::runtime_error("--curve sets the rates: omit --rate");
+  if (run.walk && run.still) throw std::runtime_error("--still applies to the demo's scene: omit it with --walk");
   return evaluate(options, "figures.csv, bitrate.csv, server.csv, figures.png, summary.json",
                   [&](const StopSignals& signals, const auto& show) {
                     return run_stream_evaluation(options.stream, signals, show);
@@ -46,34 +46,37 @@ int follow(const FollowersVerbOptions& options) {
 
 void add_stream_verb(CLI::App& eval, Action& action) {
   auto options = std::make_shared<StreamVerbOptions>();
-  CLI::App* verb = eval.add_subcommand("stream", "What a viewer behind a link is sent, and what it shows, over time");
+  CLI::App* verb = eval.add_subcommand("stream", "Bit rate and quality of a viewer behind a network link, over time");
   StreamRunOptions& run = options->stream.run;
   add_setup_options(*verb, *options, run.setup);
-  verb->get_option("--seed")->description("of the scene, and of the trainer's random choices");
+  verb->get_option("--seed")->description("random seed of the scene and the trainer");
   verb->get_option("--launch")->description("launch file (default: launch/demo.yaml, with --walk eval_explore.yaml)");
-  verb->add_option("--seconds", run.seconds, "from the first picture on; of each of several --viewers")
+  verb->add_option("--seconds", run.seconds, "duration from the first picture on, for each count of --viewers, s")
       ->check(CLI::Range(5.0, 86400.0));
-  verb->add_option("--every", run.every_s, "seconds between pictures that are compared")->check(CLI::Range(0.1, 60.0));
-  verb->add_flag("--walk", run.walk, "the walk of 'eval explore', else the demo's scene and a viewer that orbits");
-  verb->add_flag("--still", run.still, "sun and objects rest");
-  verb->add_option("--speed", run.speed_m_s, "of the walk, m/s")->check(CLI::Range(0.01, 100.0));
-  verb->add_option("--period", run.period_s, "of the orbit, s")->check(CLI::Range(0.1, 86400.0));
-  verb->add_option("--rate", run.shape.mbps, "of the link, Mbit/s each way; 0: no limit")->check(CLI::Range(0.0, 1e5));
-  verb->add_option("--round-trip", run.shape.round_trip_ms, "of the link, ms")->check(CLI::Range(0.0, 1e4));
-  verb->add_option("--loss", options->loss_percent, "of the link, percent")->check(CLI::Range(0.0, 50.0));
-  verb->add_option("--cut", run.cut_s, "half-way nothing passes for so long, s; 0: never")
-      ->check(CLI::Range(0.0, 3600.0));
+  verb->add_option("--every", run.every_s, "time between compared pictures, s")->check(CLI::Range(0.1, 60.0));
+  verb->add_flag("--walk", run.walk,
+                 "use the walk of 'eval explore' (default: the demo's scene and an orbiting viewer)");
+  verb->add_flag("--still", run.still, "keep sun and objects still");
+  verb->add_option("--speed", run.speed_m_s, "speed of the walk, m/s")->check(CLI::Range(0.01, 100.0));
+  verb->add_option("--period", run.period_s, "time of one orbit, s")->check(CLI::Range(0.1, 86400.0));
+  verb->add_option("--rate", run.shape.mbps, "rate of the link each way, Mbit/s; 0: no limit")
+      ->check(CLI::Range(0.0, 1e5));
+  verb->add_option("--round-trip", run.shape.round_trip_ms, "round trip of the link, ms")->check(CLI::Range(0.0, 1e4));
+  verb->add_option("--loss", options->loss_percent, "packet loss of the link, percent")->check(CLI::Range(0.0, 50.0));
+  verb->add_option("--cut", run.cut_s, "outage of the link half-way, s; 0: none")->check(CLI::Range(0.0, 3600.0));
   verb->add_option("--link", run.link,
-                   "what shapes it: netem in a network namespace, a relay of our own, or auto: netem where that can be")
+                   "what shapes the link: netem in a network namespace, a built-in relay, or auto (netem if permitted)")
       ->transform(CLI::CheckedTransformer(std::map<std::string, LinkKind>{
           {"auto", LinkKind::Auto}, {"netem", LinkKind::Netem}, {"relay", LinkKind::Relay}}))
       ->default_str("auto");
-  verb->add_option("--viewer-kbps", run.viewer_kbps,
-                   "the streamer's viewer_kbps, 0: found out (default: that over a link with a rate, else the launch "
-                   "file's)")
+  verb->add_option(
+          "--viewer-kbps", run.viewer_kbps,
+          "the streamer's viewer_kbps; 0: estimate (default: estimate over a link with a rate, else the launch "
+          "file's)")
       ->check(CLI::Range(0.0, 1e7));
-  verb->add_flag("--curve", options->curve, "a run each over links of 1, 2, 5, 10 and 20 Mbit/s");
-  verb->add_option("--viewers", run.viewers, "one after the other, such as 1,10,100: all but the first only follow")
+  verb->add_flag("--curve", options->curve, "one run each over links of 1, 2, 5, 10 and 20 Mbit/s");
+  verb->add_option("--viewers", run.viewers,
+                   "viewer counts to run one after the other, such as 1,10,100; all but the first draw nothing")
       ->delimiter(',')
       ->check(CLI::Range(std::size_t{1}, kMostViewers));
   verb->callback([options, &action] { action = [options] { return evaluate_stream(*options); }; });

@@ -4,6 +4,7 @@
 
 #include <utility>
 
+#include "parameter_check.h"
 #include "probe_round.h"
 
 namespace splatbus::cli {

@@ -10,6 +10,7 @@
 #include "explore_plan.h"
 #include "figures.h"
 #include "metrics/image_io.h"
+#include "parameter_query.h"
 #include "probe_round.h"
 #include "process_memory.h"
 #include "staged_training.h"

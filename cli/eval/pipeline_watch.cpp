@@ -111,7 +111,7 @@ nlohmann::json StartWatch::summary() const {
   return {{"enough_gaussians", gaussians_},
           {"inserted_s", since_first_frame(inserted_ns_)},
           {"ready_s", since_first_frame(ready_ns_)},
-          {"optimised_s", since_first_frame(optimised_ns_)}};
+          {"optimized_s", since_first_frame(optimised_ns_)}};
 }
 
 }  // namespace splatbus::cli

@@ -71,7 +71,7 @@ class StartWatch {
 
   /// Seconds from the capture of the first engine/frame to the publishing of the first model/published that has enough
   /// Gaussians ("inserted_s"), that has them at step 1 or later ("ready_s"), and that has trained since it had them
-  /// ("optimised_s"); null where it has not come to that.
+  /// ("optimized_s"); null where it has not come to that.
   [[nodiscard]] nlohmann::json summary() const;
 
  private:

@@ -14,6 +14,7 @@
 #include "figures.h"
 #include "metrics/contact_sheet.h"
 #include "metrics/image_io.h"
+#include "parameter_query.h"
 #include "scene_view.h"
 #include "schema_json.h"
 #include "staged_training.h"

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "parameter_query.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
 
@@ -103,17 +104,6 @@ void StagedTraining::wait_until(const std::string& what, const std::function<boo
       shown_ns = bus::now_ns();
     }
   }
-}
-
-void send_control(bus::Publisher& publisher, const std::string& receiver,
-                  const std::vector<std::pair<std::string, std::string>>& changes) {
-  publisher.publish(topics::control("control/" + receiver), [&](auto& builder, auto header) {
-    std::vector<flatbuffers::Offset<wire::KeyValue>> entries;
-    for (const auto& [key, value] : changes) {
-      entries.push_back(wire::CreateKeyValueDirect(builder, key.c_str(), value.c_str()));
-    }
-    return wire::CreateControl(builder, header, builder.CreateVector(entries));
-  });
 }
 
 }  // namespace splatbus::cli

@@ -66,8 +66,4 @@ class StagedTraining {
   SupervisedRun run_;
 };
 
-/// Publishes control/<receiver> with these changes.
-void send_control(bus::Publisher& publisher, const std::string& receiver,
-                  const std::vector<std::pair<std::string, std::string>>& changes);
-
 }  // namespace splatbus::cli

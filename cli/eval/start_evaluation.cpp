@@ -23,7 +23,7 @@ nlohmann::json run_start_evaluation(const EvaluationSetup& setup, const StopSign
   std::filesystem::create_directories(setup.out);
   const PrivateBusFolder folder;
   LaunchPlan plan = plan_evaluation(setup, folder.address(), false);
-  const auto context = connect(folder.address());
+  const auto context = connect_later(folder.address());
   PipelineWatch watch(context);
   StartWatch start(context, setup.enough_gaussians());
   SupervisedRun run(std::move(plan), setup.out / "services.log");

@@ -23,7 +23,7 @@ constexpr float kFov_degrees = 60;
 constexpr double kWalkBudget_kbps = 6000, kWalkViewer_kbps = 9000;  // the streamer's defaults: the launch file has more
 
 void require_service(LaunchFile& file, const char* name) {
-  if (file.find(name) == nullptr) throw LaunchError(fmt::format("{}: there is no service '{}'", file.path, name));
+  if (file.find(name) == nullptr) throw LaunchError({file.path, 0, 0}, fmt::format("there is no service '{}'", name));
 }
 
 void change_launch(const StreamRunOptions& options, std::uint16_t port, LaunchFile& file) {

@@ -43,11 +43,12 @@ int export_model(const ExportOptions& options) {
   const auto model = live.copy_average(std::chrono::milliseconds(1000));
   if (!model) {
     throw std::runtime_error(
-        fmt::format("no model/published within {} s on {}: is a trainer running?", options.timeout_s, address.text()));
+        fmt::format("no model on {1} within {0} s: is a trainer running?", options.timeout_s, address.text()));
   }
   if (model->layout().appearance == Appearance::Transfer && !live.has_scene()) {
-    throw std::runtime_error(fmt::format("no scene/state within {} s on {}, which this model is shaded with",
-                                         options.timeout_s, address.text()));
+    throw std::runtime_error(
+        fmt::format("no scene state on {1} within {0} s, which this model is shaded with: is a capture-bridge running?",
+                    options.timeout_s, address.text()));
   }
   print_written(options.path, splats::write_file(options.path, model->view(), live.scene(), options.write),
                 options.json);
@@ -59,10 +60,10 @@ int export_model(const ExportOptions& options) {
 void add_export_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<ExportOptions>();
   CLI::App* verb =
-      app.add_subcommand("export", "Write the live model, under its light of now, as a file for splat tools");
+      app.add_subcommand("export", "Write the live model under its current light to a file for splat tools");
   verb->add_option("file", options->path, "file to write (.ply, .glb, .spz)")->required();
   add_write_options(*verb, options->write);
-  verb->add_option("--from", options->from, "a file (.ply, .spz) instead of the live model");
+  verb->add_option("--from", options->from, "convert a file (.ply, .spz) instead of the live model");
   add_axes_option(*verb, options->from_axes, "--from-axes");
   verb->add_option("--timeout", options->timeout_s, "seconds to wait for the model (default 30)")
       ->check(CLI::PositiveNumber);

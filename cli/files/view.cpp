@@ -155,22 +155,22 @@ int view(const ViewOptions& options) {
 
 void add_view_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<ViewOptions>();
-  CLI::App* verb = app.add_subcommand("view", "Show a file of Gaussians, in a window or as a PNG file");
+  CLI::App* verb = app.add_subcommand("view", "Show a file of Gaussians in a window or render it to a PNG file");
   verb->add_option("file", options->path, "file to show (.ply, .spz)")->required();
   verb->add_option("--out", options->out, "PNG file to write instead of opening a window");
   add_axes_option(*verb, options->axes);
-  verb->add_option("--width", options->width, "pixels (default 1280)")->check(CLI::Range(8, 8192));
-  verb->add_option("--height", options->height, "pixels (default 720)")->check(CLI::Range(8, 8192));
+  verb->add_option("--width", options->width, "width in pixels (default 1280)")->check(CLI::Range(8, 8192));
+  verb->add_option("--height", options->height, "height in pixels (default 720)")->check(CLI::Range(8, 8192));
   verb->add_option("--fov", options->fov_degrees, "vertical field of view, degrees (default 60)")
       ->check(CLI::Range(1, 170));
   const auto triple = [&](const char* name, std::vector<float>& value, const char* description) {
     verb->add_option(name, value, description)->delimiter(',')->expected(3);
   };
-  triple("--eye", options->eye, "x,y,z: where the camera is (default: where it sees all)");
-  triple("--target", options->target, "x,y,z: what it looks at (default: the middle)");
-  triple("--background", options->background, "r,g,b: linear light behind everything (default black)");
+  triple("--eye", options->eye, "camera position x,y,z (default: where it sees everything)");
+  triple("--target", options->target, "point x,y,z that the camera looks at (default: the middle)");
+  triple("--background", options->background, "linear background color r,g,b (default: black)");
   verb->add_option("--backend", options->backend,
-                   "cpu, cuda, auto or gl: what draws the PNG file; a window is OpenGL's")
+                   "renderer of the PNG file: cpu, cuda, auto or gl; a window always uses OpenGL")
       ->check(CLI::IsMember({"cpu", "cuda", "auto", "gl"}));
   verb->callback([options, &action] { action = [options] { return view(*options); }; });
 }

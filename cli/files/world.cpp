@@ -77,7 +77,7 @@ int info(const WorldVerbOptions& options) {
                                   {"damage", damage}}));
     return 0;
   }
-  fmt::print("{} Gaussians in {} pages, {} of them frozen, {} on disk alone\n", totals.gaussians, folder.pages().size(),
+  fmt::print("{} Gaussians in {} pages, {} of them frozen, {} on disk only\n", totals.gaussians, folder.pages().size(),
              totals.frozen, totals.spilled);
   fmt::print("{:.1f} MB in {} segments, of which {:.1f} MB count\n", static_cast<double>(folder.bytes()) / 1e6,
              folder.segments(), static_cast<double>(totals.bytes) / 1e6);
@@ -161,7 +161,7 @@ int prune(const WorldVerbOptions& options) {
 
 void add_world_verb(CLI::App& app, Action& action) {
   auto options = std::make_shared<WorldVerbOptions>();
-  CLI::App* world = app.add_subcommand("world", "Look at a world folder, which keeps a model across runs");
+  CLI::App* world = app.add_subcommand("world", "Inspect and change a world folder, which keeps a model across runs");
   world->require_subcommand(1);
   const auto add = [&](const char* name, const char* description, int (*run)(const WorldVerbOptions&)) {
     CLI::App* verb = world->add_subcommand(name, description);
@@ -170,14 +170,14 @@ void add_world_verb(CLI::App& app, Action& action) {
     verb->callback([options, run, &action] { action = [options, run] { return run(*options); }; });
     return verb;
   };
-  add("info", "What it holds, and what of it is damaged", info);
-  CLI::App* verb = add("export", "Write it as a file that splat tools read, under white light", export_world);
+  add("info", "Print what the folder holds and what is damaged", info);
+  CLI::App* verb = add("export", "Write the model under white light to a file for splat tools", export_world);
   verb->add_option("file", options->path, "file to write (.ply, .glb, .spz)")->required();
   add_write_options(*verb, options->write);
-  verb = add("prune", "Take pages out of it for good; no trainer may use it meanwhile", prune);
-  verb->add_option("--max-mb", options->max_mb, "until at most that many MB of pages are left, longest untaught first")
+  verb = add("prune", "Delete pages for good; no trainer may use the folder meanwhile", prune);
+  verb->add_option("--max-mb", options->max_mb, "delete pages until this many MB are left, longest untrained first")
       ->check(CLI::PositiveNumber);
-  verb->add_option("--beyond", options->beyond, "x,y,z,r: those farther than r metres from that point")
+  verb->add_option("--beyond", options->beyond, "x,y,z,r: delete pages farther than r metres from that point")
       ->delimiter(',')
       ->expected(4);
 }

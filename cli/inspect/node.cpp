@@ -32,7 +32,7 @@ struct NodeOptions {
   double seconds = 1;
   std::string wait;  ///< launch file whose services shall be there first
   double timeout_s = 60;
-  bool json = false;
+  bool json = false, counters = false;
 };
 
 Json describe(const wire::Heartbeat& heartbeat) {
@@ -95,7 +95,8 @@ int list(const NodeOptions& options) {
   std::optional<LaunchFile> file;
   if (!options.wait.empty()) file = read_launch_file(options.wait);
   const bool own_bus = options.bus.empty() && file && file->bus;
-  const auto context = connect(own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus));
+  const auto address = own_bus ? bus::Address::parse(file->bus->value) : bus_address(options.bus);
+  const auto context = file ? connect_later(address) : connect(address);
   if (file) wait_for_services(options, context, *file, signals);
   bus::Subscriber subscriber(context, {std::string(topics::kHeartbeat.name)});
   std::map<std::string, bus::Message> newest;
@@ -107,20 +108,22 @@ int list(const NodeOptions& options) {
   }
   if (!options.json) {
     fmt::print("{:<18} {:<16} {:>8} {:<9} {:<7} {:>7}  {}\n", "SOURCE", "KIND", "PID", "STATE", "BACKEND", "AGE s",
-               "COUNTERS");
+               "DETAIL");
   }
   for (const auto& [source, message] : newest) {
     bus::guarded(message, [&message = message, &options] {
       const Json node = describe(message.root<wire::Heartbeat>());
-      if (options.json) return fmt::print("{}\n", json_text(node));
-      std::string counters = node["detail"];
-      for (const auto& [name, value] : node["counters"].items()) {
-        counters +=
-            fmt::format("{}{}={:.6g}", counters.empty() ? "" : " ", name, value.is_null() ? 0.0 : value.get<double>());
+      if (options.json) {
+        fmt::print("{}\n", json_text(node));
+        return;
       }
       fmt::print("{:<18} {:<16} {:>8} {:<9} {:<7} {:>7.2f}  {}\n", node["source"].get<std::string>(),
                  node["kind"].get<std::string>(), node["pid"].get<int>(), node["state"].get<std::string>(),
-                 node["backend"].get<std::string>(), node["age_s"].get<double>(), counters);
+                 node["backend"].get<std::string>(), node["age_s"].get<double>(), node["detail"].get<std::string>());
+      if (!options.counters) return;
+      for (const auto& [name, value] : node["counters"].items()) {
+        fmt::print("    {:<24} {:.6g}\n", name, value.is_null() ? 0.0 : value.get<double>());
+      }
     });
   }
   if (newest.empty()) fmt::print(stderr, "splatbus node list: no heartbeat within {} s\n", options.seconds);
@@ -130,14 +133,16 @@ int list(const NodeOptions& options) {
 }  // namespace
 
 void add_node_verb(CLI::App& app, Action& action) {
-  CLI::App* node = app.add_subcommand("node", "Look at the processes on the bus");
+  CLI::App* node = app.add_subcommand("node", "Inspect the processes on the bus");
   node->require_subcommand(1);
   auto options = std::make_shared<NodeOptions>();
-  CLI::App* verb = node->add_subcommand("list", "Processes that send heartbeats, with state, age and counters");
-  verb->add_option("--seconds", options->seconds, "how long to listen (default 1)")->check(CLI::PositiveNumber);
-  verb->add_flag("--json", options->json, "one JSON object a line");
-  verb->add_option("--wait", options->wait, "launch file: wait first until each of its services is alive");
-  verb->add_option("--timeout", options->timeout_s, "seconds to wait at most (default 60)")->check(CLI::PositiveNumber);
+  CLI::App* verb = node->add_subcommand("list", "List processes with state, age and what they wait for");
+  verb->add_option("--seconds", options->seconds, "time to listen, s (default 1)")->check(CLI::PositiveNumber);
+  verb->add_flag("--json", options->json, "print JSON, one object per line, with counters and parameters");
+  verb->add_flag("--counters", options->counters, "print the counters of each process below it");
+  verb->add_option("--wait", options->wait, "launch file: first wait until all of its services are alive");
+  verb->add_option("--timeout", options->timeout_s, "longest wait for --wait, s (default 60)")
+      ->check(CLI::PositiveNumber);
   add_bus_option(*verb, options->bus);
   verb->callback([options, &action] { action = [options] { return list(*options); }; });
 }

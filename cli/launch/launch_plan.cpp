@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <poll.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -13,7 +12,8 @@
 
 #include "bus/backend.h"
 #include "bus/error.h"
-#include "child_process.h"
+#include "bus/nearest.h"
+#include "substitution.h"
 
 namespace splatbus::cli {
 
@@ -23,38 +23,40 @@ namespace fs = std::filesystem;
 
 constexpr const char* kBrokerProgram = "splatbus-bus";
 
-std::string joined(const std::set<std::string>& names) {
-  return fmt::format("{}", fmt::join(names, ", "));
-}
-
-fs::path find_program(const LaunchService& service, const LaunchFile& file, const fs::path& programs) {
+fs::path find_program(const LaunchService& service, const fs::path& programs) {
   const std::string& name = service.program.value;
   const bool is_path = name.find('/') != std::string::npos;
   fs::path found = programs / name;
-  if (is_path) found = fs::path(name).is_absolute() ? fs::path(name) : fs::path(file.path).parent_path() / name;
+  if (is_path)
+    found = fs::path(name).is_absolute() ? fs::path(name) : fs::path(service.program.mark.file).parent_path() / name;
   if (fs::is_regular_file(found) && access(found.c_str(), X_OK) == 0) return found;
   if (is_path)
-    throw LaunchError(service.program.mark, fmt::format("'{}' is no program that can be run", found.string()));
-  std::set<std::string> known;
+    throw LaunchError(service.program.mark, fmt::format("'{}' is not an executable program", found.string()));
+  std::vector<std::string> known;
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(programs, error)) {
     const std::string candidate = entry.path().filename();
-    if (candidate.starts_with("splatbus-")) known.insert(candidate);
+    if (candidate.starts_with("splatbus-")) known.push_back(candidate);
   }
-  throw LaunchError(service.program.mark, fmt::format("unknown service: no program '{}' in {} (there are: {})", name,
-                                                      programs.string(), joined(known)));
+  std::sort(known.begin(), known.end());
+  throw LaunchError(service.program.mark,
+                    fmt::format("no program '{}' in {}{}", name, programs.string(), bus::suggestion(name, known)));
 }
 
 using Variables = std::map<std::string, std::string>;
 
-std::string expand(std::string text, const Variables& variables) {
-  for (const auto& [name, value] : variables) {
-    const std::string reference = "${" + name + "}";
-    for (std::size_t at = text.find(reference); at != std::string::npos; at = text.find(reference, at + value.size())) {
-      text.replace(at, reference.size(), value);
-    }
+/// A setting of the file with what is known of its process only now. What the file says of unknown names was refused
+/// where it was read; overrides come here unread.
+std::string expand(const std::string& text, const Variables& variables, const SourceMark& mark) {
+  try {
+    return unescaped(substitute(text, [&](const std::string& name) -> std::optional<std::string> {
+      if (const auto found = variables.find(name); found != variables.end()) return escaped(found->second);
+      throw LaunchError(mark,
+                        fmt::format("unknown variable '${{{}}}'{}", name, bus::suggestion(name, process_variables())));
+    }));
+  } catch (const std::invalid_argument& error) {
+    throw LaunchError(mark, error.what());
   }
-  return text;
 }
 
 std::vector<std::string> process_names(const LaunchService& service) {
@@ -96,8 +98,7 @@ std::vector<const LaunchService*> ordered(const LaunchFile& file) {
 }
 
 ProcessPlan make_process(const LaunchService& service, const fs::path& program, const std::string& name, int replica,
-                         const LaunchFile& file, const bus::Address& file_bus) {
-  const bus::Address address = service.bus ? bus::Address::parse(service.bus->value) : file_bus;
+                         const LaunchFile& file, const bus::Address& address) {
   const Variables variables{
       {"name", name}, {"replica", std::to_string(replica)}, {"bus_dir", address.directory.value_or("")}};
   ProcessPlan process;
@@ -105,39 +106,37 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
   process.service = service.name;
   process.replica = replica;
   process.program = program;
-  process.restart = service.restart;
+  process.restart = service.restart.policy;
+  process.restart_attempts = service.restart.max_attempts;
+  process.restart_window_s = service.restart.window_s;
+  process.restart_delay_s = service.restart.first_delay_s;
+  process.restart_max_delay_s = service.restart.max_delay_s;
   process.heartbeat_timeout_s = service.heartbeat_timeout_s;
   process.start_timeout_s = service.start_timeout_s;
+  process.stop_timeout_s = service.stop_timeout_s;
+  process.readiness = service.readiness;
+  process.liveness = service.liveness;
   process.broker = is_broker(service);
   if (service.heartbeat_timeout_s > 0) process.arguments = {"--bus", address.text()};
   if (takes_parameters(service)) process.arguments.insert(process.arguments.end(), {"--name", name});
-  for (const std::string& argument : service.args) process.arguments.push_back(expand(argument, variables));
+  for (const std::string& argument : service.args) {
+    process.arguments.push_back(expand(argument, variables, service.mark));
+  }
   for (const auto& [key, setting] : service.parameters) {
     process.arguments.emplace_back("--set");
-    process.arguments.push_back(key + "=" + expand(setting.value, variables));
+    process.arguments.push_back(fmt::format("{}={}", key, expand(setting.value, variables, setting.mark)));
   }
-  process.environment = {{"SPLATBUS_BUS", address.text()}};
+  process.environment = {{"SPLATBUS_BUS", address.text()},
+                         {kLaunchFileVariable, fs::absolute(service.mark.file).lexically_normal().string()},
+                         {kLaunchServiceVariable, service.name}};
   // In the environment: a program that knows of no backends does not mind.
   if (const auto& backend = service.backend ? service.backend : file.backend) {
     process.backend = backend->value;
     process.environment["SPLATBUS_BACKEND"] = backend->value;
   }
-  for (const auto& [key, value] : service.environment) process.environment[key] = expand(value, variables);
+  for (const auto& [key, value] : service.environment)
+    process.environment[key] = expand(value, variables, service.mark);
   return process;
-}
-
-/// Output and exit status of a program that is expected to end by itself; nullopt when it takes too long.
-struct Answer {
-  ExitStatus status;
-  std::string output;
-};
-
-std::optional<Answer> ask(ChildProcess& child, int timeout_ms) {
-  pollfd exit{.fd = child.exit_fd(), .events = POLLIN, .revents = 0};
-  if (poll(&exit, 1, timeout_ms) <= 0) return {};
-  const auto status = child.poll_exit();
-  if (!status) return {};
-  return Answer{*status, fmt::format("{}", fmt::join(child.read_lines(true), "\n"))};
 }
 
 }  // namespace
@@ -151,11 +150,12 @@ LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs
   std::map<std::string, std::vector<std::size_t>> indices;  // of a service's replicas
   std::vector<std::size_t> brokers;
   std::map<std::string, SourceMark> names;
-  for (const LaunchService* service : ordered(file)) {
-    const fs::path program = find_program(*service, file, programs);
+  std::vector<LaunchProblem> problems;
+  const auto place = [&](const LaunchService* service) {
+    const fs::path program = find_program(*service, programs);
     if (!takes_parameters(*service) && !service->parameters.empty()) {
       throw LaunchError(service->parameters.begin()->second.mark,
-                        fmt::format("'{}' takes no parameters: give it args", service->name));
+                        fmt::format("'{}' takes no parameters: use 'args'", service->name));
     }
     std::set<std::size_t> after(brokers.begin(), brokers.end());
     for (const auto& dependency : service->after) {
@@ -168,24 +168,28 @@ LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs
       if (!inserted) {
         throw LaunchError(service->mark, fmt::format("process name '{}' is taken, at {}", name, taken->second.text()));
       }
-      try {
-        plan.processes.push_back(make_process(*service, program, name, ++replica, file, bus));
-      } catch (const bus::Error& error) {
-        throw LaunchError(service->bus->mark, error.what());
-      }
+      plan.processes.push_back(make_process(*service, program, name, ++replica, file, bus));
       plan.processes.back().after.assign(after.begin(), after.end());
       own.push_back(plan.processes.size() - 1);
     }
     if (is_broker(*service)) brokers.insert(brokers.end(), own.begin(), own.end());
     indices[service->name] = std::move(own);
+  };
+  for (const LaunchService* service : ordered(file)) {
+    try {
+      place(service);
+    } catch (const LaunchError& error) {
+      problems.insert(problems.end(), error.problems().begin(), error.problems().end());
+    }
   }
+  if (!problems.empty()) throw LaunchError(std::move(problems));
   return plan;
 }
 
 std::vector<std::string> heartbeat_sources(const LaunchFile& file) {
   std::vector<std::string> sources;
   for (const LaunchService& service : file.services) {
-    if (is_broker(service) || service.heartbeat_timeout_s <= 0 || service.bus) continue;
+    if (is_broker(service) || service.heartbeat_timeout_s <= 0) continue;
     for (std::string& name : process_names(service)) sources.push_back(std::move(name));
   }
   return sources;
@@ -202,35 +206,6 @@ void check_backends(const LaunchFile& file) {
   };
   check(file.backend);
   for (const LaunchService& service : file.services) check(service.backend);
-}
-
-void check_parameters(const LaunchFile& file, const LaunchPlan& plan) {
-  constexpr int kPatienceMs = 10000;
-  struct Question {
-    const LaunchService* service;
-    ChildProcess child;
-  };
-  std::vector<Question> questions;
-  for (const LaunchService& service : file.services) {
-    if (service.parameters.empty()) continue;
-    const std::string name = process_names(service).front();
-    const auto process = std::find_if(plan.processes.begin(), plan.processes.end(),
-                                      [&](const ProcessPlan& p) { return p.name == name; });
-    if (process == plan.processes.end()) continue;
-    std::vector<std::string> arguments = process->arguments;
-    arguments.emplace_back("--parameters");
-    questions.push_back({&service, ChildProcess(process->program, arguments, process->environment)});
-  }
-  for (Question& question : questions) {
-    const auto answer = ask(question.child, kPatienceMs);
-    if (!answer || answer->status.success()) continue;
-    SourceMark mark = question.service->mark;
-    for (const auto& [key, setting] : question.service->parameters) {
-      if (answer->output.find("'" + key + "'") != std::string::npos) mark = setting.mark;
-    }
-    throw LaunchError(mark,
-                      fmt::format("service '{}' refuses its parameters: {}", question.service->name, answer->output));
-  }
 }
 
 std::filesystem::path default_launch_file(const std::string& name) {

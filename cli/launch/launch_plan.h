@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -10,6 +11,10 @@
 #include "launch_file.h"
 
 namespace splatbus::cli {
+
+/// In the environment of each process: the launch file that has its entry, and the entry's name.
+inline constexpr const char* kLaunchFileVariable = "SPLATBUS_LAUNCH_FILE";
+inline constexpr const char* kLaunchServiceVariable = "SPLATBUS_LAUNCH_SERVICE";
 
 /// One process to run and look after.
 struct ProcessPlan {
@@ -20,12 +25,15 @@ struct ProcessPlan {
   std::vector<std::string> arguments;
   std::map<std::string, std::string> environment;
   RestartPolicy restart = RestartPolicy::OnFailure;
-  int restart_attempts = 8;        ///< ends in a row after which it has failed for good; 0: never
-  double restart_window_s = 10;    ///< ready for longer than that: earlier ends are forgotten
+  int restart_attempts = 8;      ///< ends in a row after which it has failed for good; 0: never
+  double restart_window_s = 10;  ///< ready for longer than that: earlier ends are forgotten
+  double restart_delay_s = 0.1;  ///< before the second start; doubles with every attempt
+  double restart_max_delay_s = 8;
   std::vector<std::size_t> after;  ///< earlier entries of the plan
   double heartbeat_timeout_s = 5;  ///< 0: ready as soon as it runs
   double start_timeout_s = 30;
-  double stop_timeout_s = 3;  ///< from SIGTERM to SIGKILL
+  double stop_timeout_s = 3;                 ///< from SIGTERM to SIGKILL
+  std::optional<Probe> readiness, liveness;  ///< besides heartbeats
   bool broker = false;
   std::string backend;  ///< cpu, cuda or auto, as SPLATBUS_BACKEND; empty: what that variable says here
 };
@@ -40,8 +48,7 @@ struct LaunchPlan {
 [[nodiscard]] std::filesystem::path program_directory();
 
 /// Makes replicas, finds programs, orders. In parameters, args and environment `${name}` is the process's name,
-/// `${replica}` its number from 1, `${bus_dir}` the folder of an ipc bus. Throws LaunchError with the place in the
-/// file.
+/// `${replica}` its number from 1, `${bus_dir}` the folder of an ipc bus. Throws LaunchError with every problem.
 [[nodiscard]] LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus,
                                      const std::filesystem::path& programs);
 
@@ -50,10 +57,6 @@ struct LaunchPlan {
 
 /// Throws LaunchError with the place when a service shall use CUDA and this machine or build cannot.
 void check_backends(const LaunchFile& file);
-
-/// Asks each service's program whether it accepts its parameters (--parameters runs nothing), and throws LaunchError
-/// with the place of the first that it does not.
-void check_parameters(const LaunchFile& file, const LaunchPlan& plan);
 
 /// launch/NAME under the working folder, or under a folder above the program's. Throws std::runtime_error.
 [[nodiscard]] std::filesystem::path default_launch_file(const std::string& name);

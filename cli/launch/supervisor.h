@@ -54,7 +54,7 @@ struct ProcessStatus {
 };
 
 /// Seconds until a process is started again that ended `attempts` times in a row, at least once.
-[[nodiscard]] double back_off_s(int attempts);
+[[nodiscard]] double back_off_s(int attempts, double first_s = 0.1, double max_s = 8);
 
 /// Runs a launch plan: starts each process when those before it are ready (first heartbeat with state Running), passes
 /// its output on, and starts it again with back-off when it ends, when it sends no heartbeat any more, or never became

@@ -12,17 +12,14 @@ namespace splatbus::cli {
 
 namespace {
 
-constexpr double kFirstBackOffS = 0.1;
-constexpr double kMaxBackOffS = 8;
-
 std::int64_t from_seconds(double seconds) {
   return static_cast<std::int64_t>(seconds * 1e9);
 }
 
 }  // namespace
 
-double back_off_s(int attempts) {
-  return std::min(std::ldexp(kFirstBackOffS, attempts - 1), kMaxBackOffS);
+double back_off_s(int attempts, double first_s, double max_s) {
+  return std::min(std::ldexp(first_s, attempts - 1), max_s);
 }
 
 void Supervisor::ready(Process& process) {
@@ -86,7 +83,8 @@ void Supervisor::start_later(Process& process, const std::string& reason, std::o
   if (++process.attempts >= limit && limit > 0) {
     return fail(process, fmt::format("{}, {} times in a row", reason, process.attempts), exit);
   }
-  const double delay_s = back_off_s(process.attempts);
+  const double delay_s =
+      back_off_s(process.attempts, process.life->plan.restart_delay_s, process.life->plan.restart_max_delay_s);
   process.next_start_ns = now_ns_() + from_seconds(delay_s);
   process.state = ProcessState::BackOff;
   process.life->detail = reason;

@@ -34,7 +34,7 @@ std::string problem(const splatbus_rigid& pose, const char* name) {
   if (!finite(pose.rotation_wxyz)) return fmt::format("{}.rotation_wxyz is not finite", name);
   const float length = norm(pose.rotation_wxyz);
   if (std::abs(length - 1) > kUnitTolerance)
-    return fmt::format("{}.rotation_wxyz is no unit quaternion (norm {:.4g})", name, length);
+    return fmt::format("{}.rotation_wxyz is not a unit quaternion (norm {:.4g})", name, length);
   return {};
 }
 
@@ -86,7 +86,7 @@ std::string problem(const splatbus_light& light) {
   std::vector<std::uint32_t> ids;
   for (const splatbus_light_source& source : std::span(light.sources, light.source_count)) {
     if (std::string wrong = problem(source); !wrong.empty()) return fmt::format("light {}: {}", source.id, wrong);
-    if (std::ranges::count(ids, source.id) > 0) return fmt::format("light {}: it is there twice", source.id);
+    if (std::ranges::count(ids, source.id) > 0) return fmt::format("light {} was given twice", source.id);
     ids.push_back(source.id);
   }
   return {};
@@ -123,7 +123,7 @@ std::string problem(std::span<const splatbus_object> objects) {
   }
   if (!std::ranges::is_sorted(ids)) std::ranges::sort(ids);
   const auto twice = std::ranges::adjacent_find(ids);
-  return twice == ids.end() ? std::string() : fmt::format("object {}: it is there twice", *twice);
+  return twice == ids.end() ? std::string() : fmt::format("object {} was given twice", *twice);
 }
 
 std::string problem(const splatbus_image& image, const splatbus_camera& camera) {
@@ -229,7 +229,7 @@ std::string problem(const splatbus_frame& frame) {
   std::uint32_t seen = 0;
   for (const splatbus_image& image : std::span(frame.images, frame.image_count)) {
     if (std::string wrong = problem(image, frame.camera); !wrong.empty()) return wrong;
-    if ((seen & image.buffer) != 0) return fmt::format("{}: it is there twice", buffer_name(image.buffer));
+    if ((seen & image.buffer) != 0) return fmt::format("{} was given twice", buffer_name(image.buffer));
     seen |= image.buffer;
   }
   if (frame.object_count > 0 && frame.objects == nullptr) return "objects is NULL";

@@ -37,7 +37,7 @@ std::string camera_problem(const splatbus_camera& camera) {
   float norm = 0;
   for (const float q : pose.rotation_wxyz) norm += q * q;
   if (std::abs(norm - 1) > 1e-2F)
-    return named(fmt::format("its rotation is no unit quaternion (norm {:.3f})", std::sqrt(norm)));
+    return named(fmt::format("rotation is not a unit quaternion (norm {:.3f})", std::sqrt(norm)));
   return {};
 }
 

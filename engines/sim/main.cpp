@@ -10,6 +10,8 @@
 #include <memory>
 #include <stdexcept>
 
+#include "bus/command_line.h"
+#include "bus/parameter_json.h"
 #include "sim/device_readback.h"
 #include "sim/engine_loop.h"
 #include "sim/field.h"
@@ -52,69 +54,74 @@ struct Flags {
   std::uint32_t width = 512, height = 512;
   double time_s = 0;
   bool print_walk = false;
+  bool only_check = false, json = false;
 };
 
 void add_flags(CLI::App& app, Flags& flags) {
-  app.add_option("--bus", flags.bus, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
+  app.add_option("--bus", flags.bus, "bus address, ipc:///folder or tcp://host:port")->envname("SPLATBUS_BUS");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
   app.add_option("--scene", flags.scene,
                  "toys, world (a town of 224 m), field200 (posts and boxes on 200 m), or a glTF file (.glb, .gltf)")
       ->capture_default_str();
-  app.add_option("--scale", flags.gltf.metres_a_unit, "metres a unit of the glTF file")
+  app.add_option("--scale", flags.gltf.metres_a_unit, "metres per unit of the glTF file")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);
-  app.add_option("--up", flags.gltf.up, "the glTF file's axis that points up")
+  app.add_option("--up", flags.gltf.up, "up axis of the glTF file")
       ->capture_default_str()
       ->check(CLI::IsMember({"x", "-x", "y", "-y", "z", "-z"}));
-  app.add_option("--seed", flags.seed, "shifts, turns and tones of the toys")->capture_default_str();
+  app.add_option("--seed", flags.seed, "random seed of the scene")->capture_default_str();
   app.add_flag("--dynamics", flags.dynamics,
-               "toys that live: one walks, one bounces, one turns, some come and go (toys only)");
-  app.add_flag("--breathing", flags.breathing, "a toy that grows and shrinks (toys only)");
-  app.add_option("--point-lights", flags.point_lights, "lamps that move over the toys (toys only)")
+               "move objects: they walk, bounce, turn, come and go (toys and world only)");
+  app.add_flag("--breathing", flags.breathing, "add a toy that grows and shrinks (toys only)");
+  app.add_option("--point-lights", flags.point_lights, "number of lamps that move over the toys (toys only)")
       ->capture_default_str()
       ->check(CLI::Range(std::size_t{0}, splatbus::sim::kLamps));
-  app.add_flag("--clouds", flags.clouds,
-               "clouds and hills behind everything, not a plain background (the world has them)");
-  app.add_flag("--night", flags.night, "no sun, and a faint sky");
-  app.add_option("--sun-azimuth", flags.lighting.sun_azimuth_deg, "degrees about the vertical, from +x towards +z")
+  app.add_flag("--clouds", flags.clouds, "show clouds and hills instead of a plain background (world always has them)");
+  app.add_flag("--night", flags.night, "no sun and a faint sky");
+  app.add_option("--sun-azimuth", flags.lighting.sun_azimuth_deg,
+                 "sun's angle about the vertical, from +x towards +z, degrees")
       ->capture_default_str();
-  app.add_option("--sun-zenith", flags.lighting.sun_zenith_deg, "degrees from the vertical")
+  app.add_option("--sun-zenith", flags.lighting.sun_zenith_deg, "sun's angle from the vertical, degrees")
       ->capture_default_str()
       ->check(CLI::Range(0, 90));
-  app.add_option("--sun-rate", flags.lighting.sun_rate_deg_s, "degrees a second that the sun turns about the vertical")
+  app.add_option("--sun-rate", flags.lighting.sun_rate_deg_s,
+                 "rate at which the sun turns about the vertical, degrees per second")
       ->capture_default_str();
-  app.add_option("--fps", flags.loop.fps, "engine frames a second")
+  app.add_option("--fps", flags.loop.fps, "engine frames per second")
       ->capture_default_str()
       ->check(CLI::Range(0.1, 1000.0));
   app.add_option("--pictures-s", flags.loop.pictures_s,
-                 "seconds for the pictures of one frame; more of them wait for the next")
+                 "longest time for the pictures of one frame, s; the rest wait for the next")
       ->capture_default_str()
       ->check(CLI::Range(0.0, 1000.0));
-  app.add_option("--frames", flags.loop.frames, "end after so many frames; 0: never")->capture_default_str();
+  app.add_option("--frames", flags.loop.frames, "stop after this many frames; 0: never")->capture_default_str();
   app.add_option("--supersample", flags.renderer.supersample,
-                 "pixels a side shaded for one pixel, each with coverage samples")
+                 "shaded pixels per side of a pixel, each with coverage samples")
       ->capture_default_str()
       ->check(CLI::Range(1, 4));
   app.add_option("--backend", flags.backend,
-                 "where frames are handed over: cpu, cuda (from a renderer on the first CUDA device) or auto")
+                 "memory that frames are handed over in: cpu, cuda (rendered on the first CUDA device) or auto")
       ->envname("SPLATBUS_BACKEND")
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
       ->capture_default_str();
   app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
       ->capture_default_str()
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}));
-  app.add_option("--snapshot", flags.snapshot, "render one picture to this PNG, without a bus, and end");
+  app.add_option("--snapshot", flags.snapshot, "render one picture to this PNG file without a bus, and exit");
   app.add_option(
       "--pose", flags.pose,
-      "of the snapshot: eye x,y,z, target x,y,z, vertical field of view in degrees; or fit, which has all of "
-      "the scene in view, as a glTF scene's is when there is none");
-  app.add_option("--buffer", flags.buffer, "of the snapshot: color, albedo, normal, position, depth, id or light_depth")
+      "pose of the snapshot: eye x,y,z, target x,y,z, vertical field of view in degrees; or fit, which shows the "
+      "whole scene (default for glTF files)");
+  app.add_option("--buffer", flags.buffer,
+                 "buffer of the snapshot: color, albedo, normal, position, depth, id or light_depth")
       ->capture_default_str();
-  app.add_option("--width", flags.width, "of the snapshot, pixels")->capture_default_str();
-  app.add_option("--height", flags.height, "of the snapshot, pixels")->capture_default_str();
+  app.add_option("--width", flags.width, "width of the snapshot, pixels")->capture_default_str();
+  app.add_option("--height", flags.height, "height of the snapshot, pixels")->capture_default_str();
   app.add_flag("--print-walk", flags.print_walk,
-               "print a walk through the world of the seed, an eye position 'x y z' in metres a line, and end");
-  app.add_option("--time", flags.time_s, "of the snapshot, seconds of engine time")->capture_default_str();
+               "print a walk through the world, an eye position 'x y z' in m per line, and exit");
+  app.add_option("--time", flags.time_s, "engine time of the snapshot, s")->capture_default_str();
+  app.add_flag("--parameters", flags.only_check, "check the options and exit; there are no parameters");
+  app.add_flag("--json", flags.json, "with --parameters: print a line of JSON");
 }
 
 splatbus::sim::Scene make_scene(const Flags& flags) {
@@ -207,10 +214,18 @@ void run(const Flags& flags) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app("The built-in engine: renders a scene for whoever asks on the bus.", "splatbus-engine-sim");
+  CLI::App app("The built-in engine: renders a scene for the cameras that the bus asks for.", "splatbus-engine-sim");
   Flags flags;
   add_flags(app, flags);
-  CLI11_PARSE(app, argc, argv);
+  if (const auto status = splatbus::bus::parse_command_line(app, argc, argv)) return *status;
+  if (flags.dynamics && flags.scene != "toys" && flags.scene != "world") {
+    fmt::print(stderr, "splatbus-engine-sim: --dynamics is for the scenes toys and world, not '{}'\n", flags.scene);
+    return splatbus::bus::kExitUsage;
+  }
+  if (flags.only_check) {
+    if (flags.json) fmt::print("{}\n", splatbus::bus::to_json({}));
+    return 0;
+  }
   spdlog::set_default_logger(spdlog::stderr_color_mt(flags.name));
   spdlog::set_level(spdlog::level::from_str(flags.log_level));
   handle_signals();

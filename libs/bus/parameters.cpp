@@ -9,6 +9,8 @@
 #include <cmath>
 #include <optional>
 
+#include "bus/nearest.h"
+
 namespace splatbus::bus {
 namespace {
 
@@ -20,11 +22,55 @@ std::optional<T> parse_number(const std::string& text) {
   return value;
 }
 
+/// A bound that somebody chose, and not the type's own.
+bool is_bound(double bound) {
+  return std::abs(bound) < 1e18;
+}
+
 std::optional<bool> parse_boolean(const std::string& text) {
   if (text == "true" || text == "1" || text == "on" || text == "yes") return true;
   if (text == "false" || text == "0" || text == "off" || text == "no") return false;
   return std::nullopt;
 }
+
+std::string suggestion_of(const std::string& text, const std::vector<std::string>& choices) {
+  const std::string meant = nearest(text, choices);
+  return meant.empty() ? "" : fmt::format("; did you mean '{}'?", meant);
+}
+
+// The value, or what is wrong with it.
+std::variant<ParameterValue, std::string> parse_value(const ParameterSpec& spec, const std::string& text) {
+  const auto refuse = [&](const std::string& expected) { return fmt::format("must be {}, not '{}'", expected, text); };
+  if (std::holds_alternative<bool>(spec.default_value)) {
+    const auto value = parse_boolean(text);
+    if (!value) return refuse("true or false");
+    return ParameterValue(*value);
+  }
+  if (std::holds_alternative<std::string>(spec.default_value)) {
+    const bool known =
+        spec.choices.empty() || std::find(spec.choices.begin(), spec.choices.end(), text) != spec.choices.end();
+    if (!known) return refuse(bounds_text(spec)) + suggestion_of(text, spec.choices);
+    if (spec.rule.holds && !spec.rule.holds(text)) return refuse(spec.rule.expected);
+    return ParameterValue(text);
+  }
+  const auto in_range = [&](const std::string& kind) {
+    const std::string bounds = bounds_text(spec);
+    return bounds.empty() ? kind : fmt::format("{} {}", kind, bounds);
+  };
+  if (std::holds_alternative<std::int64_t>(spec.default_value)) {
+    const auto value = parse_number<std::int64_t>(text);
+    const auto number = static_cast<double>(value.value_or(0));
+    if (!value || number < spec.range.minimum || number > spec.range.maximum) return refuse(in_range("a whole number"));
+    return ParameterValue(*value);
+  }
+  const auto value = parse_number<double>(text);
+  if (!value || !std::isfinite(*value) || *value < spec.range.minimum || *value > spec.range.maximum) {
+    return refuse(in_range("a number"));
+  }
+  return ParameterValue(*value);
+}
+
+}  // namespace
 
 std::string to_text(const ParameterValue& value) {
   if (const auto* boolean = std::get_if<bool>(&value)) return *boolean ? "true" : "false";
@@ -33,37 +79,31 @@ std::string to_text(const ParameterValue& value) {
   return std::get<std::string>(value);
 }
 
-// The value, or what is wrong with it.
-std::variant<ParameterValue, std::string> parse_value(const ParameterSpec& spec, const std::string& text) {
-  const auto refuse = [&](const std::string& expected) {
-    return fmt::format("parameter '{}': '{}' is not {}", spec.name, text, expected);
-  };
-  if (std::holds_alternative<bool>(spec.default_value)) {
-    const auto value = parse_boolean(text);
-    if (!value) return refuse("true or false");
-    return ParameterValue(*value);
-  }
-  if (std::holds_alternative<std::string>(spec.default_value)) {
-    if (!spec.choices.empty() && std::find(spec.choices.begin(), spec.choices.end(), text) == spec.choices.end()) {
-      return refuse(fmt::format("one of {}", fmt::join(spec.choices, ", ")));
-    }
-    return ParameterValue(text);
-  }
-  const auto range = fmt::format("from {} to {}", spec.range.minimum, spec.range.maximum);
-  if (std::holds_alternative<std::int64_t>(spec.default_value)) {
-    const auto value = parse_number<std::int64_t>(text);
-    if (!value) return refuse("a whole number");
-    const auto number = static_cast<double>(*value);
-    if (number < spec.range.minimum || number > spec.range.maximum) return refuse(range);
-    return ParameterValue(*value);
-  }
-  const auto value = parse_number<double>(text);
-  if (!value || !std::isfinite(*value)) return refuse("a number");
-  if (*value < spec.range.minimum || *value > spec.range.maximum) return refuse(range);
-  return ParameterValue(*value);
+std::string type_name(const ParameterSpec& spec) {
+  if (std::holds_alternative<bool>(spec.default_value)) return "boolean";
+  if (std::holds_alternative<std::int64_t>(spec.default_value)) return "integer";
+  if (std::holds_alternative<double>(spec.default_value)) return "number";
+  return spec.choices.empty() ? "text" : "choice";
 }
 
-}  // namespace
+std::string bounds_text(const ParameterSpec& spec) {
+  if (std::holds_alternative<bool>(spec.default_value)) return "true or false";
+  if (std::holds_alternative<std::string>(spec.default_value)) {
+    if (spec.choices.empty()) return spec.rule.expected;
+    return fmt::format("{}", fmt::join(spec.choices, spec.choices.size() == 2 ? " or " : ", "));
+  }
+  const auto [minimum, maximum] = spec.range;
+  const bool above = is_bound(minimum), below = is_bound(maximum);
+  if (above && below) return fmt::format("from {} to {}", minimum, maximum);
+  if (above) return fmt::format("at least {}", minimum);
+  return below ? fmt::format("at most {}", maximum) : "";
+}
+
+std::string problem_of(const ParameterSpec& spec, const std::string& text) {
+  const auto parsed = parse_value(spec, text);
+  const auto* problem = std::get_if<std::string>(&parsed);
+  return problem != nullptr ? *problem : "";
+}
 
 double ParameterBinder::as_written(float member, double unit) {
   return unit == 1 ? std::stod(fmt::format("{}", member)) : std::stod(fmt::format("{:.6g}", member / unit));
@@ -93,6 +133,15 @@ void ParameterBinder::add(const std::string& name, std::string& member, const st
   }
 }
 
+void ParameterBinder::add(const std::string& name, std::string& member, const std::string& description, TextRule rule,
+                          Change change) {
+  if (values_ != nullptr) {
+    member = std::get<std::string>(values_->at(name));
+  } else {
+    declare({name, member, description, {}, {}, change, std::move(rule)});
+  }
+}
+
 Parameters::Parameters(std::vector<ParameterSpec> specs) : specs_(std::move(specs)) {
   for (const auto& spec : specs_) {
     [[maybe_unused]] const bool inserted = values_.emplace(spec.name, spec.default_value).second;
@@ -106,13 +155,13 @@ std::string Parameters::set(const std::string& name, const std::string& text, bo
   if (spec == specs_.end()) {
     std::vector<std::string> known;
     for (const auto& candidate : specs_) known.push_back(candidate.name);
-    return fmt::format("there is no parameter '{}' to set to '{}'; there is: {}", name, text, fmt::join(known, ", "));
+    return fmt::format("no parameter '{}' to set to '{}'{}", name, text, suggestion(name, known));
   }
   if (at_runtime && spec->change == kFixed) {
-    return fmt::format("parameter '{}' cannot change to '{}' while the service runs", name, text);
+    return fmt::format("parameter '{}' is fixed while the service runs: restart it with '{}'", name, text);
   }
   const auto parsed = parse_value(*spec, text);
-  if (const auto* problem = std::get_if<std::string>(&parsed)) return *problem;
+  if (const auto* problem = std::get_if<std::string>(&parsed)) return fmt::format("parameter '{}' {}", name, *problem);
   const std::scoped_lock lock(mutex_);
   values_[name] = std::get<ParameterValue>(parsed);
   ++version_;

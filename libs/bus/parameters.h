@@ -12,6 +12,8 @@
 #include <variant>
 #include <vector>
 
+#include "bus/text_rules.h"
+
 namespace splatbus::bus {
 
 using ParameterValue = std::variant<bool, std::int64_t, double, std::string>;
@@ -38,7 +40,17 @@ struct ParameterSpec {
   Range range;                       ///< numbers only
   std::vector<std::string> choices;  ///< strings only; empty: any
   Change change = kRuntime;
+  TextRule rule{};  ///< strings only, and only where `holds` is set
 };
+
+/// "boolean", "integer", "number", "text" or "choice".
+[[nodiscard]] std::string type_name(const ParameterSpec& spec);
+/// What it may be set to, in words: "from 0 to 1", "at least 0", "ring or follow", "true or false"; empty: anything.
+[[nodiscard]] std::string bounds_text(const ParameterSpec& spec);
+/// Empty when set() takes the text, else what is wrong: "must be a whole number from 1 to 8, not 'x'".
+[[nodiscard]] std::string problem_of(const ParameterSpec& spec, const std::string& text);
+/// A value as set() takes it.
+[[nodiscard]] std::string to_text(const ParameterValue& value);
 
 /// Ties a service's parameters to the members of a struct. The struct has `void bind(ParameterBinder&)`, which adds
 /// each of its members; the member's initialiser is the parameter's default, and stands nowhere else:
@@ -75,6 +87,9 @@ class ParameterBinder {
   }
   void add(const std::string& name, bool& member, const std::string& description, Change change = kRuntime);
   void add(const std::string& name, std::string& member, const std::string& description, Change change = kRuntime);
+  /// A text that has to be something.
+  void add(const std::string& name, std::string& member, const std::string& description, TextRule rule,
+           Change change = kRuntime);
 
   /// One of a few, each with its name.
   template <class Enum>
@@ -133,7 +148,7 @@ class Parameters {
   }
 
   /// Parses, checks and sets; booleans are true/false, 1/0, on/off or yes/no. Returns an empty string, or what was
-  /// wrong, in words that name parameter and value.
+  /// wrong, in words that name parameter and value, and the nearest parameter where there is none of that name.
   [[nodiscard]] std::string set(const std::string& name, const std::string& text, bool at_runtime);
 
   [[nodiscard]] std::uint64_t version() const;  ///< grows with every change

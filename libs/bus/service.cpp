@@ -7,15 +7,16 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
-#include <cmath>
 #include <cstdio>
 #include <exception>
 #include <utility>
 
+#include "bus/command_line.h"
 #include "bus/connection_guard.h"
 #include "bus/error.h"
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
+#include "bus/parameter_json.h"
 
 namespace splatbus::bus {
 namespace {
@@ -27,59 +28,60 @@ struct Flags {
   std::string backend = "auto";
   std::vector<std::string> changes;
   bool list_parameters = false;
+  bool json = false;
 };
 
 void add_flags(CLI::App& app, Flags& flags) {
-  app.add_option("--bus", flags.address, "ipc:///directory or tcp://host:port of the bus")->envname("SPLATBUS_BUS");
-  app.add_option("--key", flags.key, "key file, for a bus over tcp (made by 'splatbus keys'); else SPLATBUS_KEY");
-  app.add_option("--server-key", flags.server_key, "public key of that bus; else SPLATBUS_SERVER_KEY");
+  app.add_option("--bus", flags.address, "bus address, ipc:///folder or tcp://host:port")->envname("SPLATBUS_BUS");
+  app.add_option("--key", flags.key, "key file for a bus over tcp, made by 'splatbus keys' (default: SPLATBUS_KEY)");
+  app.add_option("--server-key", flags.server_key, "public key of that bus (default: SPLATBUS_SERVER_KEY)");
   app.add_option("--name", flags.name, "name on the bus, unique there")->capture_default_str();
-  app.add_option("--set", flags.changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
-  app.add_option("--backend", flags.backend, "where it computes: cpu, cuda or auto")
+  app.add_option("--set", flags.changes, "set a parameter, name=value (repeatable)")->allow_extra_args(false);
+  app.add_option("--backend", flags.backend, "device to compute on: cpu, cuda or auto")
       ->envname("SPLATBUS_BACKEND")
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
       ->capture_default_str();
-  app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")->capture_default_str();
-  app.add_flag("--parameters", flags.list_parameters, "print the parameters with their defaults, and exit");
-}
-
-std::string describe_range(const ParameterSpec& spec) {
-  if (!spec.choices.empty()) return fmt::format(" One of: {}.", fmt::join(spec.choices, ", "));
-  const bool number =
-      std::holds_alternative<double>(spec.default_value) || std::holds_alternative<std::int64_t>(spec.default_value);
-  const auto bounded = [](double bound) { return std::abs(bound) < 1e18; };
-  const auto [minimum, maximum] = spec.range;
-  if (!number || (!bounded(minimum) && !bounded(maximum))) return {};
-  if (!bounded(maximum)) return fmt::format(" At least {}.", minimum);
-  if (!bounded(minimum)) return fmt::format(" At most {}.", maximum);
-  return fmt::format(" From {} to {}.", minimum, maximum);
+  app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
+      ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
+      ->capture_default_str();
+  app.add_flag("--parameters", flags.list_parameters, "check and print the parameters, and exit");
+  app.add_flag("--json", flags.json, "with --parameters: print them as one line of JSON");
 }
 
 void print_parameters(const Parameters& parameters) {
-  const auto values = parameters.list();
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    const auto& spec = parameters.specs()[i];
-    fmt::print("{} = {}\n    {}{}{}\n", values[i].first, values[i].second, spec.description, describe_range(spec),
-               spec.change == kRuntime ? "" : " Fixed at start.");
+  for (const ParameterDescription& p : describe(parameters)) {
+    const std::string bounds = p.bounds.empty() ? "" : ", " + p.bounds;
+    fmt::print("{} = {}\n    {} ({}{}{})\n", p.name, p.value, p.text, p.type, bounds,
+               p.at_start ? ", fixed at start" : "");
   }
 }
 
-void set_parameters(Parameters& parameters, const std::vector<std::string>& changes) {
+/// Applies every --set, and returns what is wrong with those that cannot be, or with all of them together.
+std::vector<ParameterProblem> set_parameters(Parameters& parameters, const std::vector<std::string>& changes,
+                                             const ServiceDescription& description) {
+  std::vector<ParameterProblem> problems;
   for (const auto& change : changes) {
     const auto equals = change.find('=');
-    if (equals == std::string::npos) throw Error(fmt::format("--set '{}': expected name=value", change));
-    const auto problem = parameters.set(change.substr(0, equals), change.substr(equals + 1), false);
-    if (!problem.empty()) throw Error("--set: " + problem);
+    const std::string name = change.substr(0, equals);
+    const std::string problem = equals == std::string::npos ? fmt::format("'{}': expected name=value", change)
+                                                            : parameters.set(name, change.substr(equals + 1), false);
+    if (!problem.empty()) problems.push_back({name, problem});
   }
+  if (!problems.empty() || !description.check) return problems;
+  try {
+    description.check(parameters);
+  } catch (const std::exception& error) {
+    problems.push_back({"", error.what()});
+  }
+  return problems;
 }
 
-int run_service(const Flags& flags, const ServiceDescription& description, Parameters& parameters,
+int run_service(const Flags& flags, Address address, const ServiceDescription& description, Parameters& parameters,
                 const std::function<void(ServiceContext&)>& run) {
   std::stop_source stop;
   const StopSignals signals(stop);
   const Device backend = choose_backend(flags.backend);
   raise_descriptor_limit();
-  auto address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
   address.key_file = flags.key;
   address.server_key = flags.server_key;
   const auto context = Context::create(address, flags.name);
@@ -109,18 +111,31 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
   Flags flags;
   flags.name = description.kind;
   add_flags(app, flags);
-  CLI11_PARSE(app, argc, argv);
+  if (const auto status = parse_command_line(app, argc, argv)) return *status;
   Parameters parameters(description.parameters);
+  const auto problems = set_parameters(parameters, flags.changes, description);
+  if (flags.list_parameters && flags.json) {
+    fmt::print("{}\n", to_json({describe(parameters), problems}));
+    return problems.empty() ? 0 : kExitUsage;
+  }
+  for (const auto& problem : problems) fmt::print(stderr, "splatbus-{}: {}\n", description.kind, problem.text);
+  if (!problems.empty()) return kExitUsage;
+  if (flags.list_parameters) {
+    print_parameters(parameters);
+    return 0;
+  }
+  Address address;
   try {
-    set_parameters(parameters, flags.changes);
-    if (flags.list_parameters) {
-      print_parameters(parameters);
-      return 0;
-    }
-    return run_service(flags, description, parameters, run);
+    address = flags.address.empty() ? Address::from_environment() : Address::parse(flags.address);
+  } catch (const Error& error) {
+    fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
+    return kExitUsage;
+  }
+  try {
+    return run_service(flags, std::move(address), description, parameters, run);
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
-    return 1;
+    return kExitFailed;
   }
 }
 

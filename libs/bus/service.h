@@ -41,13 +41,16 @@ struct ServiceDescription {
   std::string kind;     ///< "trainer"
   std::string summary;  ///< one line for --help
   std::vector<ParameterSpec> parameters;
+  /// Throws Error when parameters that are good each for itself do not go together.
+  std::function<void(const Parameters&)> check{};
 };
 
 /// The main of every service but the broker. Flags: --bus ADDRESS, --name SOURCE (default: kind), --backend
 /// cpu, cuda or auto (default: SPLATBUS_BACKEND, or auto), --set name=value (repeatable), --log-level, --parameters
-/// (print them with defaults and units, and exit). Sets up spdlog (to stderr and sys/log), signals, heartbeats 5 times
-/// a second, and control/<kind> and control/<source>, then calls `run` and returns its exit status: 0 after a stop was
-/// asked for, 1 with a logged reason when `run` throws.
+/// (print them with defaults and units, and exit; with --json one line, parse_parameter_report()). Sets up spdlog (to
+/// stderr and sys/log), signals, heartbeats 5 times a second, and control/<kind> and control/<source>, then calls `run`
+/// and returns its exit status: 0 after a stop was asked for, 1 with a logged reason when `run` throws, 2 when flags or
+/// parameters are wrong.
 int service_main(int argc, char** argv, const ServiceDescription& description,
                  const std::function<void(ServiceContext&)>& run);
 

@@ -10,16 +10,31 @@
 #include <string>
 
 #include "bus/broker.h"
+#include "bus/command_line.h"
 #include "bus/connection_guard.h"
 #include "bus/error.h"
+#include "bus/parameter_json.h"
 #include "bus/service.h"
 
 namespace {
 
 using splatbus::bus::Address;
 
-int run(const std::string& address, const std::string& tcp, const splatbus::bus::ServerKeyFiles& keys,
-        const std::string& log_level) {
+splatbus::bus_service::BrokerOptions broker_options(const std::string& address, const std::string& tcp,
+                                                    const splatbus::bus::ServerKeyFiles& keys) {
+  splatbus::bus_service::BrokerOptions options;
+  options.address = address.empty() ? Address::from_environment() : Address::parse(address);
+  if (!options.address.is_local()) throw splatbus::bus::Error("--bus: a broker's own bus is ipc:///folder; see --tcp");
+  if (!tcp.empty()) {
+    const auto remote = Address::parse("tcp://" + tcp);
+    options.tcp_host = remote.host;
+    options.tcp_port = remote.port;
+  }
+  options.keys = keys;
+  return options;
+}
+
+int run(const splatbus::bus_service::BrokerOptions& options, const std::string& tcp, const std::string& log_level) {
   std::stop_source stop;
   const splatbus::bus::StopSignals signals(stop);
   spdlog::set_default_logger(spdlog::stderr_logger_mt("bus"));
@@ -28,14 +43,6 @@ int run(const std::string& address, const std::string& tcp, const splatbus::bus:
   spdlog::set_level(spdlog::level::from_str(log_level));
 
   splatbus::bus::raise_descriptor_limit();
-  splatbus::bus_service::BrokerOptions options;
-  options.address = address.empty() ? Address::from_environment() : Address::parse(address);
-  if (!tcp.empty()) {
-    const auto remote = Address::parse("tcp://" + tcp);
-    options.tcp_host = remote.host;
-    options.tcp_port = remote.port;
-  }
-  options.keys = keys;
   splatbus::bus_service::Broker broker(options);
   broker.start();
   spdlog::info("bus on {}{}", options.address.text(), tcp.empty() ? "" : " and tcp://" + tcp);
@@ -54,22 +61,38 @@ int run(const std::string& address, const std::string& tcp, const splatbus::bus:
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App app("The splatbus broker: relays messages, keeps latched ones, registers slabs", "splatbus-bus");
+  CLI::App app("The broker: relays messages, keeps latched ones, registers slabs", "splatbus-bus");
   std::string address;
   std::string tcp;
   std::string log_level = "info";
   splatbus::bus::ServerKeyFiles keys;
-  app.add_option("--bus", address, "ipc:///directory for the sockets")->envname("SPLATBUS_BUS");
-  app.add_option("--tcp", tcp, "host:port to listen on for other machines; the port after it is used too");
-  app.add_option("--key", keys.key, "file of the bus's key for tcp; default: server.key of 'splatbus keys'");
-  app.add_option("--allowed", keys.allowed, "file with who may connect; default: that of 'splatbus keys'");
-  app.add_flag("--keys-on-loopback", keys.always, "take keys on the loopback address too");
-  app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+  bool only_check = false, json = false;
+  app.add_option("--bus", address, "bus address, ipc:///folder")->envname("SPLATBUS_BUS");
+  app.add_option("--tcp", tcp, "host:port to listen on for other machines; the next port is used too");
+  app.add_option("--key", keys.key, "key file of the bus for tcp (default: server.key of 'splatbus keys')");
+  app.add_option("--allowed", keys.allowed, "file that lists who may connect (default: that of 'splatbus keys')");
+  app.add_flag("--keys-on-loopback", keys.always, "require keys on the loopback address too");
+  app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")
+      ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
+      ->capture_default_str();
+  app.add_flag("--parameters", only_check, "check the options and exit; there are no parameters");
+  app.add_flag("--json", json, "with --parameters: print a line of JSON");
+  if (const auto status = splatbus::bus::parse_command_line(app, argc, argv)) return *status;
+  splatbus::bus_service::BrokerOptions options;
   try {
-    return run(address, tcp, keys, log_level);
+    options = broker_options(address, tcp, keys);
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-bus: {}\n", error.what());
-    return 1;
+    return splatbus::bus::kExitUsage;
+  }
+  if (only_check) {
+    if (json) fmt::print("{}\n", splatbus::bus::to_json({}));
+    return 0;
+  }
+  try {
+    return run(options, tcp, log_level);
+  } catch (const std::exception& error) {
+    fmt::print(stderr, "splatbus-bus: {}\n", error.what());
+    return splatbus::bus::kExitFailed;
   }
 }

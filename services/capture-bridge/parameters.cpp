@@ -1,24 +1,25 @@
 #include "capture-bridge/parameters.h"
 
-#include <spdlog/spdlog.h>
+#include <fmt/format.h>
 
 namespace splatbus::capture_bridge {
 
 namespace {
 
-/// Text that is no point is reported, and `point` stands.
-void read_point(const char* name, const std::string& text, glm::vec3& point) {
-  if (!text.empty() && !parse_point(text, point)) {
-    spdlog::error("parameter {}: '{}' is not a point; write x,y,z in metres", name, text);
-  }
+constexpr int kMinSize = 8, kMaxReferenceSize = 4096, kMaxInputSize = 2048;  // pixels a side
+
+bus::TextRule point_rule() {
+  return {"a point x,y,z in metres", [](const std::string& text) {
+            glm::vec3 point;
+            return text.empty() || parse_point(text, point);
+          }};
 }
 
-/// The same for sizes of pictures.
-void read_size(const char* name, const std::string& text, int minimum, int maximum, PictureSize& size) {
-  if (!parse_size(text, minimum, maximum, size)) {
-    spdlog::error("parameter {}: '{}' is no size; write WxH or one number, {} to {} pixels", name, text, minimum,
-                  maximum);
-  }
+bus::TextRule size_rule(int maximum) {
+  return {fmt::format("WxH or one number, {} to {} pixels", kMinSize, maximum), [maximum](const std::string& text) {
+            PictureSize size;
+            return parse_size(text, kMinSize, maximum, size);
+          }};
 }
 
 }  // namespace
@@ -28,105 +29,99 @@ void Options::bind(bus::ParameterBinder& p) {
   using bus::kRuntime;
   p.add("fov_deg", ring.fov_radians, "vertical field of view of reference cameras, degrees", {10, 150}, kRuntime,
         kDegrees);
-  p.add("input_fov_deg", input_fov_radians, "vertical field of view of input cameras, degrees; 0: fov_deg", {0, 150},
-        kRuntime, kDegrees);
-  p.add("near_m", near_m, "nearest depth that cameras see, metres", {.minimum = 1e-4});
-  p.add("far_m", far_m, "farthest depth that cameras see, metres", {.minimum = 0.1});
+  p.add("input_fov_deg", input_fov_radians, "vertical field of view of input cameras, degrees; 0: that of fov_deg",
+        {0, 150}, kRuntime, kDegrees);
+  p.add("near_m", near_m, "nearest depth that cameras see, m", {.minimum = 1e-4});
+  p.add("far_m", far_m, "farthest depth that cameras see, m", {.minimum = 0.1});
   p.add("input_cameras", dome.cameras, "cameras of the input dome", {0, 255});
-  p.add("input_size", input_size, "of input pictures, pixels: WxH, or one number for a square");
-  p.add("input_radius_m", dome.radius_m, "radius of the input dome, metres", {.minimum = 0.05});
-  p.add("input_focus_m", placement.focus_m,
-        "distance in front of the viewer at which the input dome is centred, metres", {.minimum = 0});
-  p.add("input_lead_s", placement.lead_s,
-        "the input dome is placed for where the viewer will be after this time at its velocity, seconds", {0, 10});
-  p.add("input_center", input_center,
-        "fixed centre of the input dome, x,y,z in metres; empty: the input cameras follow the viewers");
+  p.add("input_size", input_size, "size of input pictures in pixels, WxH or one number for a square",
+        size_rule(kMaxInputSize));
+  p.add("input_radius_m", dome.radius_m, "radius of the input dome, m", {.minimum = 0.05});
+  p.add("input_focus_m", placement.focus_m, "distance in front of the viewer at which the input dome is centered, m",
+        {.minimum = 0});
+  p.add("input_lead_s", placement.lead_s, "time ahead of the viewer at which the input dome is placed, s", {0, 10});
+  p.add("input_center", input_center, "fixed center of the input dome, x,y,z in m; empty: the dome follows the viewers",
+        point_rule());
   p.add("input_range_hz", range.rate_hz,
-        "depth cubes a second, of all viewers together, that find where input cameras can see; 0: none, and input "
-        "cameras may stand in walls",
+        "depth cubes per second, over all viewers, that find free places for input cameras; 0: none, and cameras may "
+        "stand in walls",
         {0, 60});
-  p.add("input_range_size", range.size, "width and height of each of a depth cube's six faces, pixels", {8, 512});
-  p.add("input_clearance_m", clearance_m, "how far from a surface cameras stand that would stand in one, metres",
-        {.minimum = 0});
+  p.add("input_range_size", range.size, "width and height of each face of a depth cube, pixels", {8, 512});
+  p.add("input_clearance_m", clearance_m, "least distance of input cameras from surfaces, m", {.minimum = 0});
   p.add("input_blind_m", blind_m,
-        "input pictures half of which show nearer surfaces are dropped, and their cameras placed elsewhere, metres; 0: "
-        "none",
+        "depth below which a surface blocks an input camera; pictures half blocked are dropped; 0: keep all, m",
         {.minimum = 0});
-  p.add("input_move_m", placement.move_m, "the dome follows when its centre is off by more, metres", {.minimum = 0});
-  p.add("input_turn_deg", placement.turn_radians, "the dome follows when its heading is off by more, degrees", {0, 360},
-        kRuntime, kDegrees);
-  p.add("input_rate_hz", input_rate_hz, "rate of input pictures, Hz; 0: once for each place of the dome", {0, 240});
+  p.add("input_move_m", placement.move_m, "offset of its center beyond which the dome follows, m", {.minimum = 0});
+  p.add("input_turn_deg", placement.turn_radians, "offset of its heading beyond which the dome follows, degrees",
+        {0, 360}, kRuntime, kDegrees);
+  p.add("input_rate_hz", input_rate_hz, "input pictures per second and camera; 0: one at each place of the dome",
+        {0, 240});
   p.add("input_refresh_hz", input_refresh_hz,
-        "input pictures a second, of all cameras together, that are rendered anew because the scene has changed since, "
-        "the "
-        "oldest first; 0: none",
+        "input pictures per second, over all cameras, rendered again because the scene changed, oldest first; 0: none",
         {0, 1000});
-  p.add("input_deadline_s", input_deadline_s, "an incomplete round of input pictures goes on after this time, seconds",
+  p.add("input_deadline_s", input_deadline_s, "time after which an incomplete round of input pictures is used, s",
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");
-  p.add("sample_budget", sampling.budget, "most samples of one input round", {100, 4e6});
+  p.add("sample_budget", sampling.budget, "most samples in one input round", {100, 4e6});
   p.add("far_field", far_field,
-        "where input pictures show no surface, and something else than the background, they are samples of the far "
-        "field");
-  p.add("min_cosine", sampling.min_cosine, "samples seen at a smaller cosine to the normal are dropped", {0.01, 1});
+        "sample the far field where input pictures show no surface but more than the background");
+  p.add("min_cosine", sampling.min_cosine, "smallest cosine to the normal at which a sample is kept", {0.01, 1});
   p.add("cameras_per_surface", sampling.cameras_per_surface,
-        "how many input cameras keep their samples of the same surface, the best ones; 0: as many as sample_budget has "
-        "room for",
+        "input cameras that keep their samples of one surface, best first; 0: as many as sample_budget allows",
         {0, 255});
-  p.add("reference_rig", follow,
-        "where reference cameras stand: about the viewers, and on a ring until one is known; or always on the ring",
+  p.add("reference_rig", follow, "place of reference cameras: on a ring, or around the viewers once one is known",
         {{"ring", false}, {"follow", true}});
-  p.add("reference_cameras", ring.cameras, "reference cameras", {0, 255});
-  p.add("reference_size", reference_size, "of reference pictures, pixels: WxH, or one number for a square");
+  p.add("reference_cameras", ring.cameras, "number of reference cameras", {0, 255});
+  p.add("reference_size", reference_size, "size of reference pictures in pixels, WxH or one number for a square",
+        size_rule(kMaxReferenceSize));
   p.add("reference_rate_hz", reference_rate_hz,
-        "rate of reference pictures, Hz of engine time; 0: for each change of the rig, and as the scene changes",
-        {0, 240});
+        "reference pictures per second of engine time; 0: one for each change of the rig or the scene", {0, 240});
   p.add("reference_refresh_hz", reference_refresh_hz,
-        "reference pictures a second, of all cameras together, that are rendered anew because the scene has changed "
-        "since, the oldest first, where reference_rate_hz is 0; 0: none",
+        "reference pictures per second, over all cameras, rendered again because the scene changed, oldest first, when "
+        "reference_rate_hz is 0; 0: none",
         {0, 1000});
   p.add("reference_depth", reference_depth, "ask the engine for depth with reference pictures");
-  p.add("ring_radius_m", ring.radius_m, "radius of the reference ring, metres", {.minimum = 0.01});
-  p.add("ring_height_m", ring.height_m, "height of the reference ring above y = 0, metres");
-  p.add("ring_target", ring_target, "where the ring looks, x,y,z in metres");
+  p.add("ring_radius_m", ring.radius_m, "radius of the reference ring, m", {.minimum = 0.01});
+  p.add("ring_height_m", ring.height_m, "height of the reference ring above y = 0, m");
+  p.add("ring_target", ring_target, "point that the ring's cameras look at, x,y,z in m", point_rule());
   p.add("ring_phase_deg", ring.phase_radians, "angle of the ring's first camera from +x towards +z, degrees", {},
         kRuntime, kDegrees);
   p.add("follow_picture", follow_rig.viewers_picture,
-        "follow rig: whose shape and field of view pictures have; the viewer's, a little widened, have as many pixels "
-        "as reference_size",
+        "shape and field of view of the follow rig's pictures: fov_deg and reference_size, or the viewer's, widened, "
+        "with as many pixels as reference_size",
         {{"own", false}, {"viewer", true}});
-  p.add("follow_margin", follow_rig.margin, "follow rig: by how much the viewer's picture is widened", {1, 3});
-  p.add("follow_side_m", follow_rig.side_m, "follow rig: distance of the side cameras, metres");
-  p.add("follow_above_m", follow_rig.above_m, "follow rig: height of the upper camera above the viewer, metres");
+  p.add("follow_margin", follow_rig.margin, "factor by which the follow rig widens the viewer's picture", {1, 3});
+  p.add("follow_side_m", follow_rig.side_m, "distance of the follow rig's side cameras, m");
+  p.add("follow_above_m", follow_rig.above_m, "height of the follow rig's upper camera above the viewer, m");
   p.add("follow_toe_in_deg", follow_rig.toe_in_radians,
-        "follow rig: how far side and upper cameras turn towards the viewer's axis, degrees", {}, kRuntime, kDegrees);
-  p.add("follow_move_m", follow_move_m, "follow rig: smallest move that is followed, metres", {.minimum = 0});
-  p.add("follow_turn_deg", follow_turn_radians, "follow rig: smallest turn that is followed, degrees", {.minimum = 0},
+        "angle by which the follow rig's side and upper cameras turn towards the viewer's axis, degrees", {}, kRuntime,
+        kDegrees);
+  p.add("follow_move_m", follow_move_m, "smallest move that the follow rig follows, m", {.minimum = 0});
+  p.add("follow_turn_deg", follow_turn_radians, "smallest turn that the follow rig follows, degrees", {.minimum = 0},
         kRuntime, kDegrees);
   p.add("light_depth_size", light.depth_size,
         "width and height of a depth map of the sun or a directional light, pixels", {16, 8192});
   p.add("light_source_size", light.source_size,
         "width and height of a spot light's depth map, and of each of a point light's six, pixels", {16, 4096});
   p.add("light_cascades", light.cascades,
-        "most depth maps of the sun or a directional light: the whole scene's, and finer ones about the viewers "
-        "where the scene is large",
+        "most depth maps per sun or directional light: one of the whole scene, finer ones around the viewers",
         {1, kMaxLightMaps});
-  p.add("light_extent_m", light.extent_m, "side of the finest cascade, metres; each further one is four times as large",
+  p.add("light_extent_m", light.extent_m, "side of the finest cascade; each further one is four times as large, m",
         {.minimum = 0.1});
-  p.add("probe_timeout_s", probe_timeout_s,
-        "a probe that the engine does not answer is dropped after this time, seconds", {.minimum = 0.1});
+  p.add("probe_timeout_s", probe_timeout_s, "time after which an unanswered probe is dropped, s", {.minimum = 0.1});
 
   follow_rig.fov_radians = ring.fov_radians;
   dome.fov_radians = input_fov_radians > 0 ? input_fov_radians : ring.fov_radians;
-  read_size("reference_size", reference_size, 8, 4096, ring.size);
-  read_size("input_size", input_size, 8, 2048, dome.size);
+  // Both are good by their rules.
+  static_cast<void>(parse_size(reference_size, kMinSize, kMaxReferenceSize, ring.size));
+  static_cast<void>(parse_size(input_size, kMinSize, kMaxInputSize, dome.size));
   follow_rig.cameras = ring.cameras;
   follow_rig.size = ring.size;
   range.move_m = 2 * placement.move_m;
   range.reach_m = dome.radius_m;
   placement.fixed_centre = !input_center.empty();
-  read_point("input_center", input_center, placement.centre);
-  read_point("ring_target", ring_target, ring.target);
+  if (!input_center.empty()) static_cast<void>(parse_point(input_center, placement.centre));
+  if (!ring_target.empty()) static_cast<void>(parse_point(ring_target, ring.target));
 }
 
 RoundSizes Options::round_sizes() const {

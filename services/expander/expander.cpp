@@ -91,7 +91,7 @@ void Expander::handle_published(const wire::ModelPublished& published, const bus
 }
 
 void Expander::step(std::chrono::milliseconds timeout) {
-  options_.refresh();
+  if (options_.refresh()) queue_.set_resend(options_->queue.resend_ns);
   receive(timeout);
   follow_model();
   take_rounds();

@@ -24,6 +24,8 @@ class RetransmitQueue {
 
   explicit RetransmitQueue(const Options& options) : options_(options) {}
 
+  void set_resend(std::int64_t resend_ns) { options_.resend_ns = resend_ns; }
+
   /// Takes a batch over and numbers it.
   void add(InsertBatch batch);
 

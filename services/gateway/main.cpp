@@ -10,7 +10,6 @@ using namespace splatbus;
 
 void run(bus::ServiceContext& service) {
   const auto options = service.parameters.read<gateway::Options>();
-  gateway::check(options);
   gateway::PipelineView pipeline(service.bus);
   gateway::Traffic traffic;
   const std::string streamer = gateway::streamer_endpoint(options, service.bus->address());
@@ -34,8 +33,9 @@ void run(bus::ServiceContext& service) {
 int main(int argc, char** argv) {
   const bus::ServiceDescription description{
       .kind = "gateway",
-      .summary = "The door for browsers: the page, the stream over WebSocket, and figures, over HTTP",
+      .summary = "Serves browsers over HTTP: the page, the stream over WebSocket, and metrics",
       .parameters = bus::Parameters::declare<gateway::Options>(),
+      .check = [](const bus::Parameters& parameters) { gateway::check(parameters.read<gateway::Options>()); },
   };
   return bus::service_main(argc, argv, description, run);
 }

@@ -11,44 +11,42 @@ namespace splatbus::gateway {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "the streamer's ZeroMQ endpoint; empty: ipc, 'streamer' in the folder of the bus",
-        kFixed);
+  p.add("endpoint", endpoint, "ZeroMQ endpoint of the streamer; empty: 'streamer' in the bus's folder",
+        bus::endpoint_rule(), kFixed);
   p.add("http", http,
-        "address and port to listen on; one beyond this machine needs 'tokens', and a certificate or 'insecure'",
+        "address and port to listen on; beyond this machine it needs 'tokens', and a certificate or 'insecure'",
         kFixed);
-  p.add("certificate", certificate, "PEM file with the chain of certificates; with 'key' it is https and wss", kFixed);
+  p.add("certificate", certificate, "PEM file with the certificate chain; with 'key', serve https and wss", kFixed);
   p.add("key", key, "PEM file with the certificate's private key", kFixed);
-  p.add("insecure", insecure, "beyond this machine without TLS: whoever is on the way reads and changes everything",
-        kFixed);
+  p.add("insecure", insecure,
+        "allow plain http beyond this machine, where anybody on the way can read and change everything", kFixed);
   p.add("tokens", tokens, "file with a role and the SHA-256 of a token on each line; empty: anybody may do anything",
         kFixed);
   p.add("origins", origins,
-        "web origins besides our own whose pages may connect, such as https://example.org; separated by commas",
-        kFixed);
-  p.add("web_root", web_root, "folder with the page; empty: share/splatbus/web beside the program's", kFixed);
-  p.add(
-      "shared_caches", shared_caches,
-      "with 'tokens': caches that others share, such as a CDN's, may keep frozen pages; who gets them is theirs to say",
-      kFixed);
-  p.add("page_cache_mb", page_cache_bytes, "MB of frozen pages that are kept to be served again", {1, 65536}, kFixed,
+        "other web origins whose pages may connect, such as https://example.org, separated by commas", kFixed);
+  p.add("web_root", web_root, "folder with the page; empty: share/splatbus/web beside the program's folder", kFixed);
+  p.add("shared_caches", shared_caches,
+        "with 'tokens': let shared caches, such as a CDN's, keep frozen pages and decide who gets them", kFixed);
+  p.add("page_cache_mb", page_cache_bytes, "memory for frozen pages that are served again, MiB", {1, 65536}, kFixed,
         bus::kMebibytes);
   p.add("max_model_gaussians", max_model_gaussians,
-        "of a model that is given away as a file, which takes a copy of it in memory; 0: none is", {0, 1e9}, kFixed);
-  p.add("max_connections", limits.connections, "at a time", {1, 16384}, kFixed);
+        "largest model offered as a file, which needs a copy in memory, in Gaussians; 0: offer none", {0, 1e9}, kFixed);
+  p.add("max_connections", limits.connections, "most connections at a time", {1, 16384}, kFixed);
   p.add("max_connections_per_address", limits.connections_per_address,
-        "at a time from one IPv4 address or IPv6 /64; behind a proxy all come from the same", {1, 16384}, kFixed);
-  p.add("max_message_bytes", limits.message_bytes, "bytes of one WebSocket message from a browser", {64, 1 << 20},
+        "most connections at a time from one IPv4 address or IPv6 /64; behind a proxy all share one", {1, 16384},
         kFixed);
-  p.add("max_rate_kbps", limits.rate_kbps, "kbit/s that are read from one connection", {8, 1e6}, kFixed);
-  p.add("max_messages_per_s", limits.messages_per_s, "messages a second that are read from one browser", {1, 10000},
+  p.add("max_message_bytes", limits.message_bytes, "largest WebSocket message from a browser, bytes", {64, 1 << 20},
+        kFixed);
+  p.add("max_rate_kbps", limits.rate_kbps, "most data read from one connection, kbit/s", {8, 1e6}, kFixed);
+  p.add("max_messages_per_s", limits.messages_per_s, "most messages per second read from one browser", {1, 10000},
         kFixed);
   p.add("max_queued_mb", limits.queued_bytes,
-        "MB of packets being written to browsers; above that the one that has taken longest is closed", {8, 16384},
+        "memory for packets being written to browsers; beyond, the slowest browser is disconnected, MiB", {8, 16384},
         kFixed, bus::kMebibytes);
-  p.add("handshake_s", limits.handshake_s, "seconds for TLS, and for the header of a request", {0.1, 60}, kFixed);
-  p.add("idle_s", limits.idle_s, "seconds without a request, or a pong from a browser, until it is closed", {0.2, 3600},
-        kFixed);
-  p.add("stall_s", limits.stall_s, "seconds without a byte taken by one that is written to, until it is closed",
+  p.add("handshake_s", limits.handshake_s, "longest TLS handshake or request header, s", {0.1, 60}, kFixed);
+  p.add("idle_s", limits.idle_s, "time without a request or a browser's pong after which a connection is closed, s",
+        {0.2, 3600}, kFixed);
+  p.add("stall_s", limits.stall_s, "time without progress in writing after which a connection is closed, s",
         {0.2, 3600}, kFixed);
 }
 

@@ -34,16 +34,16 @@ bool has_light(const Light& light, std::uint32_t id) {
 }  // namespace
 
 void VisibilityOptions::bind(bus::ParameterBinder& p) {
-  p.add("softness_m", softness_m, "radius in metres of the shadow's filter, as the engine's own", {0, 10});
-  p.add("footprint", footprint, "added to that radius, in standard deviations of the Gaussian", {0, 10});
-  p.add("lift_texels", lift_texels, "by which a tested point is raised along its normal, in texels of the depth map",
+  p.add("softness_m", softness_m, "radius of the shadow filter, as in the engine, m", {0, 10});
+  p.add("footprint", footprint, "addition to the filter radius, in standard deviations of the Gaussian", {0, 10});
+  p.add("lift_texels", lift_texels, "height above the surface at which a point is tested, in texels of the depth map",
         {0, 100});
 }
 
 void RelightOptions::bind(bus::ParameterBinder& p) {
   visibility.bind(p);
   p.add("newest_rate_hz", newest_rate_hz,
-        "rate at which visibility of the newest scene is computed where no training picture is of it, Hz", {0.1, 1000});
+        "rate of visibility for the newest scene when no training picture shows it, Hz", {0.1, 1000});
 }
 
 Relight::Relight(bus::ServiceContext& service)

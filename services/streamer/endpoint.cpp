@@ -40,7 +40,8 @@ std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
 bus::FileDescriptor lock_beside(const std::string& path) {
   const std::string name = path + ".lock";
   bus::FileDescriptor file(::open(name.c_str(), O_CREAT | O_RDWR | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (!file.valid()) throw bus::Error(fmt::format("{}: {}", name, std::strerror(errno)));
+  if (!file.valid())
+    throw bus::Error(fmt::format("cannot lock the endpoint ipc://{}: {}: {}", path, name, std::strerror(errno)));
   if (::flock(file.get(), LOCK_EX | LOCK_NB) != 0) {
     throw bus::Error(fmt::format("ipc://{}: another streamer is bound there", path));
   }

@@ -26,38 +26,38 @@ constexpr std::array<std::pair<Attribute, const char*>, 8> kScheduled{{{Attribut
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "ZeroMQ endpoint for viewers; empty: ipc, 'streamer' in the folder of the bus", kFixed);
-  p.add("tcp", tcp, "another endpoint, for viewers elsewhere, such as tcp://*:7600, where they need keys; empty: none",
-        kFixed);
-  p.add("key", keys.key, "file of this end's key for a tcp endpoint; empty: server.key of 'splatbus keys'", kFixed);
-  p.add("allowed", keys.allowed, "file with who may connect there; empty: that of 'splatbus keys'", kFixed);
-  p.add("keys_on_loopback", keys.always, "a tcp endpoint takes keys on the loopback address too", kFixed);
-  p.add("tick_hz", hub.tick_hz, "updates a second", {0.1, 120}, kFixed);
+  p.add("endpoint", endpoint, "ZeroMQ endpoint for viewers; empty: 'streamer' in the bus's folder",
+        bus::endpoint_rule(), kFixed);
+  p.add("tcp", tcp,
+        "second endpoint, for viewers on other machines, which need keys, such as tcp://*:7600; empty: none",
+        bus::endpoint_rule(), kFixed);
+  p.add("key", keys.key, "key file for the tcp endpoint; empty: server.key of 'splatbus keys'", kFixed);
+  p.add("allowed", keys.allowed, "file that lists who may connect over tcp; empty: that of 'splatbus keys'", kFixed);
+  p.add("keys_on_loopback", keys.always, "require keys on the loopback address too", kFixed);
+  p.add("tick_hz", hub.tick_hz, "updates per second", {0.1, 120}, kFixed);
   p.add("budget_kbps", budget_kbps,
-        "kbit/s for new Gaussians and deltas of pages that are held, encoded once for all viewers", {10, 1e7});
+        "rate for new Gaussians and changes of held pages, encoded once for all viewers, kbit/s", {10, 1e7});
   p.add("viewer_kbps", hub.viewer_kbps,
-        "kbit/s to one viewer, of everything but probe pictures; no second has more than a tenth above it. 0: found "
-        "out from what arrives",
+        "rate for one viewer, all but probe pictures; at most a tenth more in any second; 0: found from what arrives, "
+        "kbit/s",
         {0, 1e7});
-  p.add("visibility_hz", visibility_hz, "updates a second, at most, of which Gaussians see the sun", {0.1, 240});
+  p.add("visibility_hz", visibility_hz, "most updates per second of which Gaussians see the light", {0.1, 240});
   p.add("visibility_kbps", visibility_kbps,
-        "kbit/s for these, encoded once for all viewers; shadows lag where it is too low", {10, 1e7});
-  p.add("coarseness", stream.coarseness,
-        "octaves; values of what is small or faint are rounded so much more, a bit for each. -20: none is",
+        "rate for visibility, encoded once for all viewers; shadows lag when it is too low, kbit/s", {10, 1e7});
+  p.add("coarseness", stream.coarseness, "extra rounding of what is small or faint, octaves; -20: none",
         {stream::Precision::kLossless, 10}, kFixed);
-  p.add("calm_ticks", stream.calm_ticks,
-        "ticks after which a value that rests is sent to within a step of its quantizer", {1, 255}, kFixed);
-  p.add("max_viewers", hub.max_viewers, "that are served", {1, 4096}, kFixed);
+  p.add("calm_ticks", stream.calm_ticks, "ticks after which a resting value is sent to within one quantizer step",
+        {1, 255}, kFixed);
+  p.add("max_viewers", hub.max_viewers, "most viewers at a time", {1, 4096}, kFixed);
   p.add("viewer_timeout_s", hub.viewer_timeout_s,
-        "seconds after which a viewer that sends or reads nothing is forgotten", {0.1, 3600}, kFixed);
-  p.add("history_mb", hub.history_bytes, "MB of deltas kept for viewers that are behind", {0, 1024}, kFixed,
+        "time after which a viewer that neither sends nor reads is forgotten, s", {0.1, 3600}, kFixed);
+  p.add("history_mb", hub.history_bytes, "memory for deltas kept for viewers that lag, MiB", {0, 1024}, kFixed,
         bus::kMebibytes);
   for (const auto& [attribute, name] : kScheduled) {
     stream::AttributeSchedule& s = stream.schedules[static_cast<std::size_t>(attribute)];
     p.add(fmt::format("{}_dead_zone", name), s.dead_zone,
-          "quantizer steps; a change up to that, in every channel, is not sent while the value still moves",
-          {0, 10000});
-    p.add(fmt::format("{}_every", name), s.every, "ticks between its deltas", {1, 1000});
+          "largest change, in every channel, that is not sent while the value moves, quantizer steps", {0, 10000});
+    p.add(fmt::format("{}_every", name), s.every, "ticks between deltas of it", {1, 1000});
   }
 }
 

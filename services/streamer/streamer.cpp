@@ -27,8 +27,10 @@ constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
 constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
 constexpr double kKeepForNobody_s = 60;
-constexpr std::size_t kMaxRelit = 4;  // generations of the model
-constexpr int kPictureZstdLevel = 1;  // probe pictures are for measurements on the same machine
+constexpr double kDeltaShare = 2.0 / 3;  // of the fastest viewer's rate: the rest is for pages that it lacks
+constexpr double kUnlimited = 1e18;      // bytes a second
+constexpr std::size_t kMaxRelit = 4;     // generations of the model
+constexpr int kPictureZstdLevel = 1;     // probe pictures are for measurements on the same machine
 
 }  // namespace
 
@@ -220,7 +222,10 @@ void Streamer::begin_tick(std::int64_t now_ns) {
     model_.set_schedules(options_->stream.schedules);
     hub_.set_rate(options_->hub.viewer_kbps);
   }
-  const double per_tick = options_->budget_kbps * 125 / static_cast<double>(options_->hub.tick_hz);
+  // What no viewer has room for would only make all of them late.
+  const double there = hub_.most_bytes_per_s().value_or(kUnlimited);
+  const double bytes_per_s = std::min(options_->budget_kbps * 125, kDeltaShare * there);
+  const double per_tick = bytes_per_s / static_cast<double>(options_->hub.tick_hz);
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   follower_.start({.announcement = std::exchange(announcement_, std::nullopt),
                    .budget_bytes = std::max(balance_bytes_, 0.0),

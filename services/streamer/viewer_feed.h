@@ -67,6 +67,7 @@ class ViewerFeed {
   void want(double most_kbps) { most_kbps_ = most_kbps; }
   [[nodiscard]] double most_kbps() const { return most_kbps_; }
   [[nodiscard]] ViewerRate& rate() { return rate_; }
+  [[nodiscard]] const ViewerRate& rate() const { return rate_; }
   void hold_pages(std::set<std::uint32_t>& pages) const;
   [[nodiscard]] std::uint64_t lost_packets() const { return lost_packets_; }
   [[nodiscard]] std::uint64_t refused_pages() const { return refused_pages_; }

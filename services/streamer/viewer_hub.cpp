@@ -134,6 +134,12 @@ bool ViewerHub::pump(std::int64_t now_ns) {
   return waits;
 }
 
+std::optional<double> ViewerHub::most_bytes_per_s() const {
+  std::optional<double> most;
+  for (const auto& [peer, viewer] : viewers_) most = std::max(most.value_or(0), viewer.feed.rate().bytes_per_s());
+  return most;
+}
+
 void ViewerHub::send_keepalive(std::int64_t now_ns) {
   const stream::StreamModel::Status held = model_.status();
   for (auto& [peer, viewer] : viewers_) {

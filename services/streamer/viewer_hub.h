@@ -68,6 +68,8 @@ class ViewerHub {
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
   void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 
+  /// What the fastest viewer is sent at most; nullopt without viewers.
+  [[nodiscard]] std::optional<double> most_bytes_per_s() const;
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
   /// Whether anybody is sent anything of the model: a viewer, or one who asks for pages.
   [[nodiscard]] bool is_followed() const { return !viewers_.empty() || !readers_.empty(); }

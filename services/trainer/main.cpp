@@ -5,7 +5,7 @@
 int main(int argc, char** argv) {
   const splatbus::bus::ServiceDescription description{
       .kind = "trainer",
-      .summary = "Holds the Gaussian model and refines it on the engine's renders",
+      .summary = "Holds the Gaussian model and trains it on the engine's pictures",
       .parameters = splatbus::bus::Parameters::declare<splatbus::trainer::Options>(),
   };
   return splatbus::bus::service_main(argc, argv, description, [](splatbus::bus::ServiceContext& service) {

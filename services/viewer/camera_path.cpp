@@ -26,37 +26,37 @@ WalkPath::Options walk_options(const PathOptions& options) {
 void PathOptions::bind(bus::ParameterBinder& p) {
   using bus::kDegrees;
   using bus::kRuntime;
-  p.add("width", width, "pixels", {8, 8192});
-  p.add("height", height, "pixels", {8, 8192});
+  p.add("width", width, "width of pictures, pixels", {8, 8192});
+  p.add("height", height, "height of pictures, pixels", {8, 8192});
   p.add("fov_degrees", fov_radians, "vertical field of view, degrees", {5, 150}, kRuntime, kDegrees);
-  p.add(
-      "path", kind,
-      "of the camera, when there is no window to steer it: orbit about the target, still where that begins; walk along "
-      "the points of path_file, fly along a smooth curve through them; recorded as path_file says",
-      {{"orbit", PathKind::Orbit},
-       {"still", PathKind::Still},
-       {"walk", PathKind::Walk},
-       {"fly", PathKind::Fly},
-       {"recorded", PathKind::Recorded}});
-  p.add("radius_m", radius_m, "metres from the target, level", {0.01, 1e4});
-  p.add("height_m", height_m, "metres above the world's zero", {-1e4, 1e4});
-  p.add("period_s", period_s, "seconds a turn", {0.1, 1e6});
-  p.add("phase_degrees", phase_radians, "where the orbit begins, from +x towards +z", {-360, 360}, kRuntime, kDegrees);
-  p.add("target_x_m", target_m.x, "metres, what the camera looks at", {-1e4, 1e4});
-  p.add("target_y_m", target_m.y, "metres", {-1e4, 1e4});
-  p.add("target_z_m", target_m.z, "metres", {-1e4, 1e4});
+  p.add("path", kind,
+        "camera path without a window: orbit around the target, still at its start, walk along the points of "
+        "path_file, fly smoothly through them, or replay a recorded one",
+        {{"orbit", PathKind::Orbit},
+         {"still", PathKind::Still},
+         {"walk", PathKind::Walk},
+         {"fly", PathKind::Fly},
+         {"recorded", PathKind::Recorded}});
+  p.add("radius_m", radius_m, "horizontal distance from the target, m", {0.01, 1e4});
+  p.add("height_m", height_m, "height above the world's zero, m", {-1e4, 1e4});
+  p.add("period_s", period_s, "time of one orbit, s", {0.1, 1e6});
+  p.add("phase_degrees", phase_radians, "start of the orbit, from +x towards +z, degrees", {-360, 360}, kRuntime,
+        kDegrees);
+  p.add("target_x_m", target_m.x, "x of the point that the camera looks at, m", {-1e4, 1e4});
+  p.add("target_y_m", target_m.y, "y of that point, m", {-1e4, 1e4});
+  p.add("target_z_m", target_m.z, "z of that point, m", {-1e4, 1e4});
   p.add("path_file", file,
-        "of walk and fly: the eye's positions, 'x y z' a line in metres; of recorded: 't x y z qw qx qy qz' a line, "
-        "seconds and world from camera. A line 'teleport' between two: the camera jumps");
-  p.add("speed_m_s", speed_m_s, "of walk and fly, metres a second", {0.001, 1e3});
-  p.add("turn_s", turn_s, "over which walk and fly spread the turn at a point, seconds", {0, 60});
-  p.add("pitch_limit_degrees", pitch_limit_radians, "how far a walk looks up and down stairs at most, degrees", {0, 80},
-        kRuntime, kDegrees);
-  p.add("there_and_back", there_and_back, "walk and fly lead back over their own way");
-  p.add("path_end", loop, "where the way of path_file has an end: stay there, or loop",
+        "file for walk and fly, an eye position 'x y z' per line in m; for recorded, 't x y z qw qx qy qz' per line in "
+        "s, world from camera; a line 'teleport' between two makes the camera jump");
+  p.add("speed_m_s", speed_m_s, "speed of walk and fly, m/s", {0.001, 1e3});
+  p.add("turn_s", turn_s, "time over which walk and fly spread the turn at a point, s", {0, 60});
+  p.add("pitch_limit_degrees", pitch_limit_radians, "largest pitch of a walk on stairs, degrees", {0, 80}, kRuntime,
+        kDegrees);
+  p.add("there_and_back", there_and_back, "lead walk and fly back over their own way");
+  p.add("path_end", loop, "what happens at the end of path_file: stay there, or loop",
         {{"stay", false}, {"loop", true}});
-  p.add("path_start_s", start_s, "the path's time at its beginning; a change begins it anew there, seconds", {0, 1e9});
-  p.add("path_run", run, "whether the path's time goes on; off: the camera stays where it is");
+  p.add("path_start_s", start_s, "time in the path at which it begins; a change starts it again there, s", {0, 1e9});
+  p.add("path_run", run, "let the path's time run; false: the camera stays where it is");
 }
 
 CameraPath::CameraPath(const PathOptions& options)

@@ -10,6 +10,8 @@
 #include <string_view>
 #include <vector>
 
+#include "bus/clock.h"
+#include "bus/command_line.h"
 #include "bus/error.h"
 #include "bus/service.h"
 #include "gl/context.h"
@@ -57,57 +59,71 @@ void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Option
       f.p99_ms, f.sort_ms, f.sorts, context.description());
 }
 
+/// Logs what the viewer waits for: when that changes, and again every ten seconds as long as nobody answers.
+void report_detail(const std::string& text, std::string& said, std::int64_t& said_ns) {
+  constexpr std::int64_t kRepeatNs = 10'000'000'000;
+  const std::int64_t now = splatbus::bus::now_ns();
+  if (text == said && (!text.starts_with("waits for the streamer") || now - said_ns < kRepeatNs)) return;
+  if (text == said) {
+    spdlog::warn("{}: no answer; are the address, the key and the server's key right?", text);
+  } else {
+    spdlog::info("{}", text);
+  }
+  said = text;
+  said_ns = now;
+}
+
 /// The viewer without a bus: --connect ENDPOINT, beside a streamer on another machine; --replay LOG; --bench SECONDS.
 /// Returns the exit status.
 int standalone_main(int argc, char** argv) {
-  CLI::App app("Shows a stream without any bus", "splatbus-viewer");
+  CLI::App app("Shows a stream without a bus", "splatbus-viewer");
   std::string endpoint, name = fmt::format("viewer-{}", ::getpid()), log_level = "info", backend = "auto";
   std::vector<std::string> changes;
   std::string log;
   double bench_s = 0;
   std::size_t bench_gaussians = 1'000'000;
-  auto* source = app.add_option_group("source", "what is shown");
-  source->add_option(
-      "--connect", endpoint,
-      "the streamer's endpoint, such as tcp://host:7600, or a gateway's address, such as wss://host:7680");
-  source->add_option("--replay", log, "a log that --record has written");
-  source
-      ->add_option("--bench", bench_s,
-                   "so many seconds of a fixed flight through OpenGL, without a window: how fast it is")
+  auto* source = app.add_option_group("source", "What to show (exactly one)");
+  source->add_option("--connect", endpoint,
+                     "streamer's endpoint, such as tcp://host:7600, or gateway's address, such as wss://host:7680");
+  source->add_option("--replay", log, "packet log written with --record");
+  source->add_option("--bench", bench_s, "measure a fixed flight through OpenGL without a window for this many seconds")
       ->check(CLI::Range(0.1, 3600.0));
   source->require_option(1);
-  app.add_option("--gaussians", bench_gaussians, "with --bench")
+  app.add_option("--gaussians", bench_gaussians, "Gaussians of the flight of --bench")
       ->check(CLI::Range(std::size_t{1}, splatbus::stream::kMaxGaussians))
       ->capture_default_str();
-  app.add_option("--name", name, "told to the streamer")->capture_default_str();
+  app.add_option("--name", name, "name that the streamer is told")->capture_default_str();
   app.add_option_function<std::string>(
       "--key", [&](const std::string& file) { changes.push_back("key=" + file); },
-      "key file, for a streamer on another machine (made by 'splatbus keys'); else SPLATBUS_KEY");
+      "key file for a streamer on another machine, made by 'splatbus keys' (default: SPLATBUS_KEY)");
   app.add_option_function<std::string>(
       "--server-key", [&](const std::string& key) { changes.push_back("server_key=" + key); },
-      "that streamer's public key; else SPLATBUS_SERVER_KEY");
+      "public key of that streamer (default: SPLATBUS_SERVER_KEY)");
   app.add_option_function<std::string>(
       "--token", [&](const std::string& token) { changes.push_back("token=" + token); },
-      "for a gateway that asks for one; else the address's own, or SPLATBUS_TOKEN");
+      "token for a gateway (default: the one in the address, or SPLATBUS_TOKEN)");
   app.add_option_function<std::string>(
       "--ca", [&](const std::string& file) { changes.push_back("ca=" + file); },
-      "PEM file of who vouches for that gateway's certificate; else whom this system trusts");
-  app.add_option("--set", changes, "name=value of a parameter; repeatable")->allow_extra_args(false);
-  app.add_option("--backend", backend, "what draws: cpu, cuda or auto; or gl, through OpenGL")
+      "PEM file of the authority that signed the gateway's certificate (default: those the system trusts)");
+  app.add_option("--set", changes, "set a parameter, name=value (repeatable)")->allow_extra_args(false);
+  app.add_option("--backend", backend, "renderer: cpu, cuda, auto, or gl for OpenGL")
       ->envname("SPLATBUS_BACKEND")
       ->check(CLI::IsMember({"cpu", "cuda", "auto"}))
       ->capture_default_str();
   app.add_option("--log-level", log_level, "trace, debug, info, warn, error or off")->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+  if (const auto status = splatbus::bus::parse_command_line(app, argc, argv)) return *status;
   try {
     spdlog::set_level(spdlog::level::from_str(log_level));
     splatbus::bus::Parameters parameters(splatbus::bus::Parameters::declare<splatbus::viewer::Options>());
+    if (!endpoint.empty()) changes.push_back("endpoint=" + endpoint);
     for (const std::string& change : changes) {
       const auto equals = change.find('=');
-      if (equals == std::string::npos)
-        throw splatbus::bus::Error(fmt::format("--set '{}': expected name=value", change));
-      const std::string problem = parameters.set(change.substr(0, equals), change.substr(equals + 1), false);
-      if (!problem.empty()) throw splatbus::bus::Error("--set: " + problem);
+      const std::string problem = equals == std::string::npos
+                                      ? fmt::format("--set '{}': expected name=value", change)
+                                      : parameters.set(change.substr(0, equals), change.substr(equals + 1), false);
+      if (problem.empty()) continue;
+      fmt::print(stderr, "splatbus-viewer: {}\n", problem);
+      return splatbus::bus::kExitUsage;
     }
     std::stop_source stop;
     const splatbus::bus::StopSignals signals(stop);
@@ -121,17 +137,15 @@ int standalone_main(int argc, char** argv) {
       return 0;
     }
     std::string detail;
-    splatbus::viewer::Viewer(parameters, {.name = name,
-                                          .endpoint = endpoint,
-                                          .device = splatbus::bus::choose_backend(backend),
-                                          .stop = stop.get_token(),
-                                          .counter = [](const std::string& counter,
-                                                        double value) { spdlog::debug("{} {}", counter, value); },
-                                          .detail =
-                                              [&](const std::string& text) {
-                                                if (text != detail) spdlog::info("{}", text);
-                                                detail = text;
-                                              }})
+    std::int64_t said_ns = 0;
+    splatbus::viewer::Viewer(
+        parameters,
+        {.name = name,
+         .endpoint = endpoint,
+         .device = splatbus::bus::choose_backend(backend),
+         .stop = stop.get_token(),
+         .counter = [](const std::string& counter, double value) { spdlog::debug("{} {}", counter, value); },
+         .detail = [&](const std::string& text) { report_detail(text, detail, said_ns); }})
         .run();
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-viewer: {}\n", error.what());
@@ -173,8 +187,9 @@ int main(int argc, char** argv) {
   const splatbus::bus::ServiceDescription description{
       .kind = "viewer",
       .summary =
-          "Keeps a replica of the Gaussian model and shows it. Also: --probe, --window, --record FILE, --backend gl; "
-          "and without any bus --connect ENDPOINT, to view a streamer elsewhere, --replay FILE and --bench SECONDS",
+          "Shows the Gaussian model. Short for parameters: --window, --probe, --record FILE, --backend gl. Without a "
+          "bus: --connect ENDPOINT (a streamer or gateway elsewhere), --replay FILE, --bench SECONDS; add --help to "
+          "one of these for its options",
       .parameters = splatbus::bus::Parameters::declare<splatbus::viewer::Options>(),
   };
   return splatbus::bus::service_main(count, arguments.data(), description, run_on_bus);

@@ -56,31 +56,35 @@ std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
 
 void Options::bind(bus::ParameterBinder& p) {
   using bus::kFixed;
-  p.add("endpoint", endpoint, "of the streamer; empty: 'streamer' in the folder of the bus", kFixed);
-  p.add("fps", fps, "pictures a second, at most: one is drawn when scene, model or camera have changed", {0.1, 240});
-  p.add("threads", threads, "that draw, on the CPU; 0: one a core", {0, 1024}, kFixed);
-  p.add("key", key, "key file for a streamer elsewhere; empty: SPLATBUS_KEY", kFixed);
-  p.add("server_key", server_key, "that streamer's public key; empty: SPLATBUS_SERVER_KEY", kFixed);
-  p.add("token", token, "for a gateway (ws://, wss://); empty: the address's own, or SPLATBUS_TOKEN", kFixed);
-  p.add("ca", ca, "PEM file of who vouches for that gateway; empty: whom this system trusts", kFixed);
-  p.add("out", out, "folder for pictures; empty: none are written", kFixed);
-  p.add("frames", frames, "every n-th picture is written there as frame_<number>.png; 0: none", {0, 1e9});
+  p.add("endpoint", endpoint, "endpoint of the streamer; empty: 'streamer' in the bus's folder",
+        bus::viewer_endpoint_rule(), kFixed);
+  p.add("fps", fps, "most pictures per second; one is drawn when scene, model or camera have changed", {0.1, 240});
+  p.add("threads", threads, "CPU rendering threads (0: one per core)", {0, 1024}, kFixed);
+  p.add("key", key, "key file for a streamer on another machine; empty: SPLATBUS_KEY", kFixed);
+  p.add("server_key", server_key, "public key of that streamer; empty: SPLATBUS_SERVER_KEY", kFixed);
+  p.add("token", token, "token for a gateway (ws://, wss://); empty: the one in the address, or SPLATBUS_TOKEN",
+        kFixed);
+  p.add("ca", ca, "PEM file of the authority that signed the gateway's certificate; empty: those the system trusts",
+        kFixed);
+  p.add("out", out, "folder for pictures; empty: write none", kFixed);
+  p.add("frames", frames, "write every n-th picture to 'out' as frame_<number>.png; 0: none", {0, 1e9});
   p.add("probe", probe,
-        "compare with the engine's own picture whenever one arrives: quality, and in 'out' probe_<id>_viewer.png and "
-        "probe_<id>_alpha.png, which is black where nothing is modelled",
+        "compare with the engine's own pictures when they arrive; write probe_<id>_viewer.png and probe_<id>_alpha.png "
+        "(black where nothing is modelled) to 'out'",
         kFixed);
   p.add("probe_period_s", probe_period_s,
-        "with 'probe': seconds between requests for the engine's picture of this viewer's camera; 0: only what others "
-        "ask for",
+        "with 'probe': time between requests for the engine's picture of this camera; 0: only what others ask for, s",
         {0, 1e6});
-  p.add("window", window, "show a window, steered with mouse and keys, drawn at the display's own rate", kFixed);
-  p.add("opengl", opengl, "draw through OpenGL, as in a window, where there is none", kFixed);
-  p.add("max_gaussians", max_gaussians, "that are held; of a larger world what adds most to this viewer's picture",
+  p.add("window", window, "open a window, steered with mouse and keys, drawn at the display's rate", kFixed);
+  p.add("opengl", opengl, "draw with OpenGL even without a window", kFixed);
+  p.add("max_gaussians", max_gaussians,
+        "most Gaussians held; of a larger world, those that add most to this viewer's picture",
         {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);
-  p.add("max_kbps", max_kbps, "kbit/s that the streamer is asked to keep below; 0: as it is set there", {0, 1e7},
+  p.add("max_kbps", max_kbps, "rate below which the streamer is asked to stay, kbit/s; 0: the streamer's own", {0, 1e7},
         kFixed);
-  p.add("record_file", record_file, "the camera's way is written there, for path=recorded; empty: it is not", kFixed);
-  p.add("packet_log", packet_log, "file for all that the streamer says, as it came; empty: none", kFixed);
+  p.add("record_file", record_file, "file for the camera's way, to be replayed with path=recorded; empty: none",
+        kFixed);
+  p.add("packet_log", packet_log, "file for every packet from the streamer; empty: none", kFixed);
   path.bind(p);
 }
 

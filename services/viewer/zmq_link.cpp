@@ -25,7 +25,8 @@ class ZmqLink final : public PacketLink {
     socket_.set(zmq::sockopt::sndhwm, kQueuedMessages);
     socket_.set(zmq::sockopt::rcvhwm, kQueuedMessages);
     socket_.set(zmq::sockopt::linger, 100);
-    // Not ZMQ_IMMEDIATE: a connection that ends between two frames of a message would end the process (libzmq's fq.cpp).
+    // Not ZMQ_IMMEDIATE: a connection that ends between two frames of a message would end the process (libzmq's
+    // fq.cpp).
     socket_.set(zmq::sockopt::reconnect_ivl, 50);
     socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
     socket_.set(zmq::sockopt::heartbeat_ivl, 1000);

@@ -11,6 +11,7 @@
 #include <string>
 
 #include "child_process.h"
+#include "command.h"
 #include "pipeline.h"
 
 namespace splatbus::cli {
@@ -136,10 +137,11 @@ TEST(Launch, StopsByItselfAfterSeconds) {
 
 TEST(Launch, FailureForGoodIsTheExitStatus) {
   LaunchedFile launched(
-      "services:\n  - name: bus\n    restart: never\n    args: [--tcp, nonsense]\n  - name: relight\n");
+      "services:\n  - {name: job, program: /bin/false, restart: never}\n"
+      "  - {name: relight, after: [job]}\n");
   EXPECT_EQ(launched.wait_for_end().text(), "exited with status 1");
-  EXPECT_TRUE(launched.wait_for({"splatbus launch: bus: failed, exited with status 1"}));
-  EXPECT_TRUE(launched.wait_for({"waits for bus, which failed"}));
+  EXPECT_TRUE(launched.wait_for({"splatbus launch: job: failed, exited with status 1"}));
+  EXPECT_TRUE(launched.wait_for({"waits for job, which failed"}));
 }
 
 struct BadFile {
@@ -160,17 +162,25 @@ TEST_P(BadLaunchFile, IsRefusedBeforeAnythingStarts) {
 const BadFile kBadFiles[] = {
     {"NotYaml", "services: [\n", ":2:1: not YAML"},
     {"UnknownKey", "services:\n  - name: bus\n    color: red\n", ":3:5: unknown key 'color' of service 'bus'"},
-    {"UnknownService", "services:\n  - name: bus\n  - name: strimer\n",
-     ":3:11: unknown service: no program 'splatbus-strimer'"},
+    {"UnknownService", "services:\n  - name: bus\n  - name: strimer\n", ":3:11: no program 'splatbus-strimer'"},
     {"UnknownParameter", "services:\n  - name: trainer\n    parameters:\n      batch: 2\n      bach: 2\n",
-     ":5:13: service 'trainer' refuses its parameters: splatbus-trainer: --set: there is no parameter 'bach'"},
+     ":5:13: service 'trainer': no parameter 'bach' to set to '2'; did you mean 'batch'?"},
     {"WrongType", "services:\n  - name: trainer\n    parameters: {batch: some}\n",
-     ":3:25: service 'trainer' refuses its parameters: splatbus-trainer: --set: parameter 'batch': 'some' is not a "
-     "whole number"},
+     ":3:25: service 'trainer': parameter 'batch' must be a whole number from 0 to 256, not 'some'"},
     {"OutOfRange", "services:\n  - name: trainer\n    parameters: {ssim_weight: 7}\n",
-     ":3:31: service 'trainer' refuses"},
+     ":3:31: service 'trainer': parameter 'ssim_weight' must be a number from 0 to 1, not '7'"},
+    {"MistypedArgument", "services:\n  - {name: engine, program: splatbus-engine-sim, args: [--dynamcs]}\n",
+     ":2:57: service 'engine' refuses its arguments: splatbus-engine-sim: unknown option '--dynamcs'; did you mean "
+     "'--dynamics'?"},
+    {"BusArgument", "services:\n  - {name: bus, args: [--tcp, nonsense]}\n", ":2:31: service 'bus' refuses"},
+    {"BadEndpoint", "services:\n  - {name: streamer, endpoint: \"tcp:/*:7600\"}\n",
+     ":2:32: service 'streamer': parameter 'endpoint' must be an endpoint"},
+    {"NotTogether", "services:\n  - {name: gateway, parameters: {http: \"0.0.0.0:7680\"}}\n",
+     ":2:12: service 'gateway': http: 0.0.0.0:7680 can be reached from other machines"},
+    {"UnknownVariable", "services:\n  - {name: relight, args: [\"${nmae}\"]}\n",
+     ":2:28: unknown variable '${nmae}'; did you mean 'name'?"},
     {"Cycle", "services:\n  - {name: trainer, after: [viewer]}\n  - {name: viewer, after: [trainer]}\n",
-     ":3:28: the services start after one another in a circle: trainer after viewer after trainer"},
+     ":3:28: circular `after`: trainer → viewer → trainer"},
     {"Duplicate", "services:\n  - name: bus\n  - name: bus\n", ":3:11: service name 'bus' is taken, first at"},
 };
 
@@ -183,18 +193,63 @@ TEST(Launch, BadOverridesAreRefused) {
   EXPECT_THAT(unknown.lines(), testing::Contains(HasSubstr("--set relite.bias=1: ")));
   LaunchedFile refused("services:\n  - name: trainer\n", {"--set", "trainer.batch=x"});
   EXPECT_EQ(refused.wait_for_end().code, 1);
-  EXPECT_THAT(refused.lines(), testing::Contains(HasSubstr("--set trainer.batch=x: service 'trainer' refuses")));
+  EXPECT_THAT(refused.lines(),
+              testing::Contains(HasSubstr("--set trainer.batch=x: service 'trainer': parameter 'batch' must be")));
+}
+
+TEST(Launch, ADryRunPrintsEveryProcessAndStartsNone) {
+  const PrivateBusFolder folder;
+  const fs::path path = folder.path() / "test.yaml";
+  std::ofstream(path) << "arguments: {size: 160}\nservices:\n  - {name: viewer, after: [relight], parameters: {width: "
+                         "\"${size}\"}}\n  - {name: relight, replicas: 2}\n  - name: bus\n";
+  const std::string bus = folder.address().text();
+  const Answer answer = splatbus_command({"launch", path.string(), "size=200", "--dry-run", "--json", "--bus", bus});
+  ASSERT_TRUE(answer.status.success()) << answer.lines.front();
+  ASSERT_EQ(answer.lines.size(), 4U);
+  const Json viewer = answer.json().back();
+  EXPECT_EQ(viewer.at("service"), "viewer");
+  EXPECT_EQ(viewer.at("after"), Json({"bus", "relight-1", "relight-2"}));
+  EXPECT_EQ(viewer.at("arguments"), Json({"--bus", bus, "--name", "viewer", "--set", "width=200"}));
+  EXPECT_FALSE(fs::exists(folder.path() / "lock")) << "no broker was there";
+}
+
+TEST(Launch, ValidateNamesEveryProblemForEditors) {
+  const PrivateBusFolder folder;
+  const fs::path path = folder.path() / "test.yaml";
+  std::ofstream(path) << "services:\n  - {name: trainer, parameters: {bach: 2, ssim_weight: 7}}\n";
+  const Answer answer = splatbus_command({"launch", path.string(), "--validate", "--json"});
+  EXPECT_EQ(answer.status.code, 1);
+  ASSERT_EQ(answer.lines.size(), 1U);
+  const Json report = answer.json().front();
+  EXPECT_EQ(report.at("valid"), false);
+  ASSERT_EQ(report.at("problems").size(), 2U);
+  EXPECT_EQ(report.at("problems")[0].at("file"), path.string());
+  EXPECT_EQ(report.at("problems")[0].at("line"), 2);
+  EXPECT_EQ(report.at("problems")[0].at("column"), 40);
+  EXPECT_THAT(report.at("problems")[0].at("message"), HasSubstr("did you mean 'batch'?"));
+  EXPECT_EQ(report.at("problems")[1].at("column"), 56);
+}
+
+TEST(Commands, SayAtOnceThatThereIsNoBus) {
+  const PrivateBusFolder folder;
+  const std::string nowhere = "ipc://" + (folder.path() / "nowhere").string();
+  const std::vector<std::vector<std::string>> verbs{{"topic", "list"}, {"topic", "hz"},   {"topic", "echo"},
+                                                    {"node", "list"},  {"param", "list"}, {"export", "x.ply"}};
+  for (std::vector<std::string> verb : verbs) {
+    verb.insert(verb.end(), {"--bus", nowhere});
+    const Answer answer = splatbus_command(verb);
+    EXPECT_EQ(answer.status.code, 1) << verb[0];
+    EXPECT_THAT(answer.lines, testing::Contains(HasSubstr("no bus at " + nowhere))) << verb[0];
+  }
+  EXPECT_EQ(splatbus_command({"lunch"}).status.code, 2);
 }
 
 TEST(Launch, ShippedFilesAreGood) {
   for (const auto& entry : fs::directory_iterator(fs::path(SPLATBUS_SOURCE_DIR) / "launch")) {
     if (entry.path().extension() != ".yaml") continue;
-    ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", {"launch", entry.path().string(), "--check"}, {});
-    pollfd end{.fd = child.exit_fd(), .events = POLLIN, .revents = 0};
-    ASSERT_EQ(poll(&end, 1, kPatienceMs), 1) << entry.path();
-    const auto status = child.poll_exit();
-    EXPECT_TRUE(status && status->success()) << entry.path();
-    EXPECT_THAT(child.read_lines(true), testing::Contains("bus"));
+    const Answer answer = splatbus_command({"launch", entry.path().string(), "--validate"});
+    EXPECT_TRUE(answer.status.success()) << entry.path();
+    EXPECT_THAT(answer.lines, testing::ElementsAre(HasSubstr(": valid, ")));
   }
 }
 

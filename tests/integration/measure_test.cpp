@@ -127,7 +127,7 @@ TEST(Measure, EvalFixedWritesItsFigures) {
   EXPECT_FALSE(metrics::read_png((out / "contact_sheet.png").string()).empty());
   EXPECT_GT(summary["inserted_s"], 0);
   EXPECT_GE(summary["ready_s"], summary["inserted_s"]);
-  EXPECT_GE(summary["optimised_s"], summary["ready_s"]);
+  EXPECT_GE(summary["optimized_s"], summary["ready_s"]);
 }
 
 TEST(Measure, EvalStartSaysWhenThereIsAModel) {
@@ -140,10 +140,10 @@ TEST(Measure, EvalStartSaysWhenThereIsAModel) {
   const Json summary = read_json(out / "summary.json");
   EXPECT_EQ(answer.json().back(), summary);
   expect_finite(summary,
-                {"enough_gaussians", "inserted_s", "ready_s", "optimised_s", "gaussians", "step", "host_copied_bytes"});
+                {"enough_gaussians", "inserted_s", "ready_s", "optimized_s", "gaussians", "step", "host_copied_bytes"});
   EXPECT_GE(summary["gaussians"], 100);
   EXPECT_GT(summary["inserted_s"], 0);
-  EXPECT_GE(summary["optimised_s"], summary["inserted_s"]);
+  EXPECT_GE(summary["optimized_s"], summary["inserted_s"]);
 }
 
 TEST(Measure, EvalDynamicsTellsOnFromOff) {

@@ -6,6 +6,10 @@
 #include <tuple>
 #include <vector>
 
+#include "bus/error.h"
+#include "bus/nearest.h"
+#include "bus/parameter_json.h"
+
 namespace splatbus::bus {
 namespace {
 
@@ -85,11 +89,11 @@ TEST(ParametersTest, BadValuesAreRefusedByNameAndChangeNothing) {
       {"rate_hz", "inf", "a number"},
       {"rate_hz", "-1", "from 0 to 100"},
       {"rate_hz", "5 ", "a number"},
-      {"rig", "spiral", "ring, moving"},
-      {"turn_deg", "-1", "from 0"},
+      {"rig", "spiral", "ring or moving"},
+      {"turn_deg", "-1", "at least 0"},
       {"room_mb", "-1", "from 0"},
       {"room_mb", "99999999999999999", "from 0"},
-      {"camera", "3", "no parameter"}};
+      {"camera", "3", "did you mean 'cameras'?"}};
   for (const auto& [name, value, why] : refusals) {
     EXPECT_THAT(parameters.set(name, value, false), testing::AllOf(HasSubstr(name), HasSubstr(value), HasSubstr(why)));
   }
@@ -101,6 +105,66 @@ TEST(ParametersTest, WhatIsFixedAtStartStaysFixed) {
   auto parameters = make_parameters();
   EXPECT_THAT(parameters.set("rig", "moving", true), HasSubstr("while the service runs"));
   EXPECT_EQ(parameters.read<Options>().rig, Rig::Ring);
+}
+
+TEST(ParametersTest, TextsKeepToTheirRule) {
+  struct Connection {
+    std::string endpoint, viewer;
+    void bind(ParameterBinder& p) {
+      p.add("endpoint", endpoint, "where", endpoint_rule());
+      p.add("viewer", viewer, "where", viewer_endpoint_rule(), kFixed);
+    }
+  };
+  Parameters parameters(Parameters::declare<Connection>());
+  for (const char* good : {"", "tcp://*:7600", "tcp://127.0.0.1:*", "tcp://[::1]:5", "ipc:///tmp/x"}) {
+    EXPECT_EQ(parameters.set("endpoint", good, true), "") << good;
+  }
+  for (const char* bad : {"tcp:/*:7600", "7600", "127.0.0.1:7999", "tcp://:7600", "tcp://a:70000", "tcp://a:1x",
+                          "tcp://a/b:1", "ipc://", "wss://host:1"}) {
+    EXPECT_THAT(parameters.set("endpoint", bad, true), HasSubstr("must be an endpoint such as tcp://HOST:PORT")) << bad;
+  }
+  EXPECT_EQ(parameters.set("viewer", "wss://host:7680", false), "");
+  EXPECT_NE(parameters.set("viewer", "wss://", false), "");
+  EXPECT_EQ(parameters.read<Connection>().endpoint, "ipc:///tmp/x");
+}
+
+TEST(ParametersTest, AReportGoesThroughJsonWhole) {
+  auto parameters = make_parameters();
+  ASSERT_EQ(parameters.set("cameras", "9", false), "");
+  const auto report = parse_parameter_report(to_json({describe(parameters), {{"rig", "it \"spins\""}}}));
+  ASSERT_EQ(report.parameters.size(), 7u);
+  const auto& cameras = report.parameters.at(1);
+  EXPECT_EQ(cameras.name, "cameras");
+  EXPECT_EQ(cameras.type, "integer");
+  EXPECT_EQ(cameras.bounds, "from 1 to 64");
+  EXPECT_EQ(cameras.default_value, "8");
+  EXPECT_EQ(cameras.value, "9");
+  EXPECT_EQ(cameras.text, "how many");
+  EXPECT_FALSE(cameras.at_start);
+  EXPECT_EQ(report.parameters.at(3).bounds, "ring or moving");
+  EXPECT_EQ(report.parameters.at(3).type, "choice");
+  EXPECT_TRUE(report.parameters.at(3).at_start);
+  ASSERT_EQ(report.problems.size(), 1u);
+  EXPECT_EQ(report.problems.at(0).text, "it \"spins\"");
+  for (const char* bad : {"", "{}", "[]", "{\"parameters\": 3, \"problems\": []}"}) {
+    EXPECT_THROW(static_cast<void>(parse_parameter_report(bad)), Error) << bad;
+  }
+}
+
+TEST(Nearest, IsWhatWasMeant) {
+  const std::vector<std::string> known{"launch", "export", "engine", "capture-bridge", "set"};
+  EXPECT_EQ(nearest("lunch", known), "launch");
+  EXPECT_EQ(nearest("luanch", known), "launch") << "a swap is one mistake";
+  EXPECT_EQ(nearest("LAUNCH", known), "launch");
+  EXPECT_EQ(nearest("engin", known), "engine");
+  EXPECT_EQ(nearest("capturebridge", known), "capture-bridge");
+  EXPECT_EQ(nearest("ste", known), "set");
+  EXPECT_EQ(nearest("viewer", known), "");
+  EXPECT_EQ(nearest("", known), "");
+  EXPECT_EQ(nearest(std::string(100000, 'x'), known), "");
+  EXPECT_EQ(suggestion("engin", known), "; did you mean 'engine'?");
+  EXPECT_EQ(suggestion("zzz", {"a", "b"}), " (known: a, b)");
+  EXPECT_EQ(suggestion("zzz", {}), "");
 }
 
 TEST(ParametersTest, LiveOptionsChangeWhenTheyAreRenewed) {

@@ -110,14 +110,16 @@ TEST_F(Service, BadFlagsAreExplained) {
   const std::pair<std::vector<std::string>, const char*> cases[] = {{{"--set", "rate_hz=99"}, "from 1 to 10"},
                                                                     {{"--set", "rate_hz"}, "name=value"},
                                                                     {{"--set", "speed=1"}, "speed"},
+                                                                    {{"--set", "numbr=1"}, "did you mean 'number'?"},
+                                                                    {{"--backnd", "cpu"}, "did you mean '--backend'?"},
                                                                     {{"--log-level", "loud"}, "loud"}};
   for (const auto& [arguments, text] : cases) {
     const auto child = start(arguments);
-    EXPECT_NE(child->wait(), 0);
+    EXPECT_EQ(child->wait(), 2);
     EXPECT_THAT(read_text(output_path()), HasSubstr(text));
   }
   ChildProcess child("bus-test-service", {"--bus", "nowhere"}, output_path());
-  EXPECT_EQ(child.wait(), 1);
+  EXPECT_EQ(child.wait(), 2);
   EXPECT_THAT(read_text(output_path()), HasSubstr("'nowhere'"));
 }
 
@@ -125,7 +127,8 @@ TEST_F(Service, ParametersArePrintedOnDemand) {
   const auto child = start({"--parameters"});
   EXPECT_EQ(child->wait(), 0);
   EXPECT_THAT(read_text(output_path()),
-              testing::AllOf(HasSubstr("rate_hz = 5"), HasSubstr("hertz From 1 to 10."), HasSubstr("Fixed at start.")));
+              testing::AllOf(HasSubstr("rate_hz = 5"), HasSubstr("hertz (number, from 1 to 10)"),
+                             HasSubstr("a name (text, fixed at start)")));
 }
 
 TEST_F(Service, TheBrokerTellsWhoIsAlive) {

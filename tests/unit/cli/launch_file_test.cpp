@@ -3,8 +3,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace splatbus::cli {
@@ -41,21 +46,23 @@ services:
       size: 160
       probe: true
     endpoint: tcp://127.0.0.1:5999
-    bus: tcp://127.0.0.1:6000
     backend: cpu
     replicas: 3
-    restart: never
+    restart: {policy: never, max_attempts: 3, window_s: 60, first_delay_s: 0.5, max_delay_s: 20}
+    stop_timeout_s: 7
+    readiness: {tcp: "127.0.0.1:5999", period_s: 0.5}
+    liveness: {command: [test, -e, /tmp/alive], timeout_s: 2, failures: 5}
 )",
                                             "x.yaml");
   EXPECT_EQ(file.bus->value, "ipc:///tmp/somewhere");
   ASSERT_EQ(file.services.size(), 3U);
   EXPECT_EQ(file.services[0].program.value, "splatbus-bus");
-  EXPECT_EQ(file.services[0].restart, RestartPolicy::OnFailure);
+  EXPECT_EQ(file.services[0].restart.policy, RestartPolicy::OnFailure);
   const LaunchService& engine = file.services[1];
   EXPECT_EQ(engine.program.value, "splatbus-engine-sim");
   EXPECT_EQ(engine.args, (std::vector<std::string>{"--fps", "30"}));
   EXPECT_EQ(engine.environment.at("LIBGL_ALWAYS_SOFTWARE"), "1");
-  EXPECT_EQ(engine.restart, RestartPolicy::Always);
+  EXPECT_EQ(engine.restart.policy, RestartPolicy::Always);
   ASSERT_EQ(engine.after.size(), 1U);
   EXPECT_EQ(engine.after[0].value, "bus");
   EXPECT_DOUBLE_EQ(engine.heartbeat_timeout_s, 2.5);
@@ -65,12 +72,22 @@ services:
   EXPECT_EQ(viewer.parameters.at("probe").value, "true");
   EXPECT_EQ(viewer.parameters.at("endpoint").value, "tcp://127.0.0.1:5999");
   EXPECT_EQ(viewer.parameters.at("size").mark.text(), "x.yaml:16:13");
-  EXPECT_EQ(viewer.bus->value, "tcp://127.0.0.1:6000");
   EXPECT_EQ(viewer.replicas, 3);
   EXPECT_EQ(file.backend->value, "cuda");
   EXPECT_EQ(viewer.backend->value, "cpu");
   EXPECT_FALSE(engine.backend.has_value());
-  EXPECT_EQ(viewer.restart, RestartPolicy::Never);
+  EXPECT_EQ(viewer.restart.policy, RestartPolicy::Never);
+  EXPECT_EQ(viewer.restart.max_attempts, 3);
+  EXPECT_DOUBLE_EQ(viewer.restart.window_s, 60);
+  EXPECT_DOUBLE_EQ(viewer.restart.first_delay_s, 0.5);
+  EXPECT_DOUBLE_EQ(viewer.restart.max_delay_s, 20);
+  EXPECT_DOUBLE_EQ(viewer.stop_timeout_s, 7);
+  EXPECT_EQ(viewer.readiness->kind, Probe::Kind::Tcp);
+  EXPECT_EQ(viewer.readiness->target, "127.0.0.1:5999");
+  EXPECT_DOUBLE_EQ(viewer.readiness->period_s, 0.5);
+  EXPECT_EQ(viewer.liveness->kind, Probe::Kind::Command);
+  EXPECT_EQ(viewer.liveness->command, (std::vector<std::string>{"test", "-e", "/tmp/alive"}));
+  EXPECT_EQ(viewer.liveness->failures, 5);
 }
 
 struct BadCase {
@@ -102,31 +119,59 @@ const BadCase kBadCases[] = {
     {"ServiceBackend", "services:\n  - name: bus\n    backend: [cpu]\n",
      "x.yaml:3:14:", "backend of service 'bus' must be a single value"},
     {"UnknownServiceKey", "services:\n  - name: bus\n    parametres: {}\n",
-     "x.yaml:3:5:", "unknown key 'parametres' of service 'bus' (known: after, args"},
+     "x.yaml:3:5:", "unknown key 'parametres' of service 'bus'; did you mean 'parameters'?"},
     {"DuplicateKey", "services:\n  - name: bus\n    restart: never\n    restart: always\n",
      "x.yaml:4:5:", "key 'restart' appears twice"},
     {"NoName", "services:\n  - program: x\n", "x.yaml:2:5:", "has no name"},
     {"EntryNoMap", "services:\n  - bus\n", "x.yaml:2:5:", "must be a map"},
     {"NameIsList", "services:\n  - name: [bus]\n", "x.yaml:2:11:", "name must be a single value, not a list"},
-    {"BadName", "services:\n  - name: a/b\n", "x.yaml:2:11:", "'a/b' may only have letters"},
+    {"BadName", "services:\n  - name: a/b\n", "x.yaml:2:11:", "'a/b' may have only letters"},
     {"ParametersNoMap", "services:\n  - name: bus\n    parameters: [a]\n", "x.yaml:3:17:", "must be a map, not a list"},
     {"ParameterNoScalar", "services:\n  - name: bus\n    parameters:\n      size: [1]\n",
-     "x.yaml:4:13:", "parameter 'size' of service 'bus' must be a single value"},
+     "x.yaml:4:13:", "'size' in parameters of service 'bus' must be a single value"},
     {"ArgsNoList", "services:\n  - name: bus\n    args: --x\n", "x.yaml:3:11:", "must be a list"},
     {"ReplicasText", "services:\n  - name: bus\n    replicas: many\n", "x.yaml:3:15:", "from 1 to 64, not 'many'"},
     {"ReplicasZero", "services:\n  - name: bus\n    replicas: 0\n", "x.yaml:3:15:", "from 1 to 64, not '0'"},
     {"RestartWord", "services:\n  - name: bus\n    restart: sometimes\n",
      "x.yaml:3:14:", "always, on-failure or never, not 'sometimes'"},
-    {"TimeoutText", "services:\n  - name: bus\n    heartbeat_timeout_s: soon\n", "x.yaml:3:26:", "must be seconds"},
-    {"TimeoutNegative", "services:\n  - name: bus\n    start_timeout_s: -1\n", "x.yaml:3:22:", "must be seconds"},
-    {"TimeoutNan", "services:\n  - name: bus\n    start_timeout_s: .nan\n", "x.yaml:3:22:", "must be seconds"},
+    {"TimeoutText", "services:\n  - name: bus\n    heartbeat_timeout_s: soon\n",
+     "x.yaml:3:26:", "must be a number, 0 or more, not 'soon'"},
+    {"TimeoutNegative", "services:\n  - name: bus\n    start_timeout_s: -1\n", "x.yaml:3:22:", "must be a number"},
+    {"TimeoutNan", "services:\n  - name: bus\n    start_timeout_s: .nan\n", "x.yaml:3:22:", "must be a number"},
     {"DuplicateName", "services:\n  - name: bus\n  - name: bus\n",
      "x.yaml:3:11:", "service name 'bus' is taken, first at x.yaml:2:11"},
     {"AfterNobody", "services:\n  - name: bus\n    after: [engine]\n",
-     "x.yaml:3:13:", "'engine', which no entry is named"},
-    {"AfterItself", "services:\n  - name: bus\n    after: [bus]\n", "x.yaml:3:13:", "circle: bus after bus"},
+     "x.yaml:3:13:", "`after` names unknown service 'engine' (known: bus)"},
+    {"AfterItself", "services:\n  - name: bus\n    after: [bus]\n", "x.yaml:3:13:", "circular `after`: bus → bus"},
+    {"AfterAlmost", "services:\n  - name: engine\n  - {name: bus, after: [engin]}\n",
+     "x.yaml:3:25:", "`after` names unknown service 'engin'; did you mean 'engine'?"},
+    {"OwnBus", "services:\n  - name: viewer\n    bus: tcp://127.0.0.1:6000\n", "x.yaml:3:10:", "share one bus"},
+    {"UnknownVariable", "variables: {size: 1}\nservices:\n  - {name: viewer, parameters: {size: \"${siez}\"}}\n",
+     "x.yaml:3:39:", "unknown variable '${siez}'; did you mean 'size'?"},
+    {"MistypedName", "services:\n  - {name: viewer, args: [\"${nmae}\"]}\n",
+     "x.yaml:2:27:", "unknown variable '${nmae}'; did you mean 'name'?"},
+    {"OpenVariable", "services:\n  - {name: viewer, args: [\"${name\"]}\n", "x.yaml:2:27:", "'${' has no '}'"},
+    {"ProcessVariableTooSoon", "bus: ipc://${bus_dir}\nservices:\n  - {name: viewer}\n",
+     "x.yaml:1:6:", "'${bus_dir}' is known in parameters, args and environment alone"},
+    {"VariableTwice", "arguments: {a: 1}\nvariables: {a: 2}\nservices:\n  - {name: viewer}\n",
+     "x.yaml:2:13:", "'${a}' stands for something else already"},
+    {"VariableLaughs",
+     "variables: {a: aaaaaaaaaaaaaaaaaaaa, b: \"${a}${a}${a}${a}${a}${a}${a}${a}${a}${a}\", "
+     "c: \"${b}${b}${b}${b}${b}${b}${b}${b}${b}${b}\", d: \"${c}${c}${c}${c}${c}${c}${c}${c}${c}${c}\", "
+     "e: \"${d}${d}${d}${d}${d}${d}${d}${d}${d}${d}\"}\nservices:\n  - {name: viewer}\n",
+     "x.yaml:1:", "more than 64 KiB"},
+    {"ArgumentWithoutValue", "arguments: {size: {type: integer}}\nservices:\n  - {name: viewer}\n",
+     "x.yaml:1:13:", "argument 'size' needs a value: launch x.yaml size=VALUE"},
+    {"ArgumentDefault", "arguments: {size: {type: integer, default: big}}\nservices:\n  - {name: viewer}\n",
+     "x.yaml:1:44:", "argument 'size' must be a whole number, not 'big'"},
+    {"ArgumentKey", "arguments: {size: {typ: integer}}\nservices:\n  - {name: viewer}\n",
+     "x.yaml:1:20:", "unknown key 'typ' of argument 'size'; did you mean 'type'?"},
+    {"ProbeOfTwoKinds", "services:\n  - {name: a, readiness: {tcp: \"a:1\", http: \"http://a\"}}\n",
+     "x.yaml:2:45:", "one of tcp, http"},
+    {"ProbeOfNothing", "services:\n  - {name: a, liveness: {period_s: 2}}\n", "x.yaml:2:25:", "needs tcp, http or"},
+    {"IncludeNowhere", "include: [nowhere.yaml]\n", "x.yaml:1:11:", "'nowhere.yaml' cannot be read"},
     {"Cycle", "services:\n  - {name: a, after: [b]}\n  - {name: b, after: [c]}\n  - {name: c, after: [a]}\n",
-     "x.yaml:4:23:", "circle: a after b after c after a"},
+     "x.yaml:4:23:", "circular `after`: a → b → c → a"},
 };
 
 INSTANTIATE_TEST_SUITE_P(Cases, BadLaunchFile, testing::ValuesIn(kBadCases),
@@ -182,6 +227,178 @@ services:
   LaunchFile without = parse_launch_file("services:\n  - name: viewer\n", "x.yaml");
   EXPECT_THROW(set_world(without, "here"), LaunchError);
   EXPECT_THROW(parse_launch_file("world: here\nservices:\n  - name: viewer\n", "x.yaml"), LaunchError);
+}
+
+std::vector<std::string> places_of(const std::string& yaml) {
+  std::vector<std::string> places;
+  try {
+    static_cast<void>(parse_launch_file(yaml, "x.yaml"));
+  } catch (const LaunchError& error) {
+    for (const LaunchProblem& problem : error.problems()) places.push_back(problem.mark.text());
+  }
+  return places;
+}
+
+TEST(LaunchFile, EveryProblemIsNamedAtOnce) {
+  EXPECT_THAT(places_of("services:\n  - name: bus\n    color: red\n    replicas: 0\n  - name: b/c\n"
+                        "  - {name: a, after: 3, args: [\"${x}\"]}\ncolour: 1\n"),
+              testing::UnorderedElementsAre("x.yaml:7:1", "x.yaml:3:5", "x.yaml:4:15", "x.yaml:5:11", "x.yaml:6:22",
+                                            "x.yaml:6:32"));
+  EXPECT_THAT(places_of("services:\n  - {name: a, after: [b]}\n  - {name: c, after: [d]}\n"),
+              testing::ElementsAre("x.yaml:2:23", "x.yaml:3:23"));
+}
+
+constexpr const char* kWithArguments = R"(
+arguments:
+  cameras: {type: integer, default: 8, minimum: 1, maximum: 64, text: how many}
+  rig: {default: ring, choices: [ring, follow]}
+  rate: 2.5
+  label: "7"
+  still: false
+variables:
+  folder: out/${rig}
+  each: ${folder}/${name}
+services:
+  - name: viewer
+    replicas: ${cameras}
+    parameters: {out: "${each}", label: "${label}", cost: "$${5}", rate: "${rate}"}
+)";
+
+TEST(LaunchArguments, AreTypedAndHaveDefaults) {
+  const LaunchFile file = parse_launch_file(kWithArguments, "x.yaml");
+  const auto& viewer = file.services.at(0);
+  EXPECT_EQ(viewer.replicas, 8);
+  EXPECT_EQ(viewer.parameters.at("out").value, "out/ring/${name}") << "what is known of a process comes later";
+  EXPECT_EQ(viewer.parameters.at("label").value, "7");
+  EXPECT_EQ(viewer.parameters.at("cost").value, "$${5}");
+  const LaunchFile given =
+      parse_launch_file(kWithArguments, "x.yaml", parse_arguments({"cameras=3", "rig=follow", "label=${name}=x"}));
+  EXPECT_EQ(given.services.at(0).replicas, 3);
+  EXPECT_EQ(given.services.at(0).parameters.at("out").value, "out/follow/${name}");
+  EXPECT_EQ(given.services.at(0).parameters.at("label").value, "$${name}=x") << "a value stands for itself";
+}
+
+TEST(LaunchArguments, RefusesWhatTheFileDoesNotTake) {
+  const std::pair<const char*, const char*> refusals[] = {
+      {"cameras=65", "cameras=65: argument 'cameras' must be a whole number from 1 to 64, not '65'"},
+      {"cameras=2.5", "argument 'cameras' must be a whole number"},
+      {"rate=fast", "argument 'rate' must be a number, not 'fast'"},
+      {"still=maybe", "argument 'still' must be true or false"},
+      {"rig=folow", "argument 'rig' must be ring or follow, not 'folow'; did you mean 'follow'?"},
+      {"camera=3", "camera=3: x.yaml has no argument 'camera'; did you mean 'cameras'?"}};
+  for (const auto& [given, text] : refusals) {
+    try {
+      static_cast<void>(parse_launch_file(kWithArguments, "x.yaml", parse_arguments({given})));
+      ADD_FAILURE() << given;
+    } catch (const LaunchError& error) {
+      EXPECT_THAT(error.what(), HasSubstr(text));
+    }
+  }
+  EXPECT_THROW(static_cast<void>(parse_arguments({"cameras"})), LaunchError);
+  EXPECT_THROW(static_cast<void>(parse_arguments({"a=1", "a=2"})), LaunchError);
+}
+
+/// A folder of launch files.
+class Includes : public testing::Test {
+ protected:
+  Includes() {
+    std::string path = (std::filesystem::temp_directory_path() / "splatbus-include-XXXXXX").string();
+    folder_ = mkdtemp(path.data());
+  }
+  ~Includes() override { std::filesystem::remove_all(folder_); }
+  std::string write(const std::string& name, const std::string& yaml) const {
+    std::filesystem::create_directories((folder_ / name).parent_path());
+    std::ofstream(folder_ / name) << yaml;
+    return (folder_ / name).string();
+  }
+  [[nodiscard]] std::string error_of(const std::string& path) const {
+    try {
+      static_cast<void>(read_launch_file(path));
+    } catch (const LaunchError& error) {
+      return error.what();
+    }
+    return "no error";
+  }
+  std::filesystem::path folder_;
+};
+
+TEST_F(Includes, ServicesComeFirstAndMayBeChanged) {
+  write("base/base.yaml",
+        "arguments: {size: 10}\nbus: ipc:///tmp/base\nworld: kept\nservices:\n  - name: bus\n"
+        "  - name: trainer\n    program: ./mine\n    args: [a, b]\n    parameters: {batch: 2, size: \"${size}\"}\n"
+        "  - {name: second, program: splatbus-trainer}\n");
+  const std::string path = write("top.yaml",
+                                 "include:\n  - {file: base/base.yaml, arguments: {size: 20}}\nbus: ipc:///tmp/top\n"
+                                 "services:\n  - name: viewer\n  - name: trainer\n    args: [c]\n"
+                                 "    parameters: {batch: 4}\n");
+  const LaunchFile file = read_launch_file(path);
+  EXPECT_THAT(file.service_names(), testing::ElementsAre("bus", "trainer", "second", "viewer"));
+  EXPECT_EQ(file.bus->value, "ipc:///tmp/top");
+  EXPECT_EQ(file.world->value, (folder_ / "base/kept").string()) << "relative to the file that says it";
+  const LaunchService& trainer = file.services.at(1);
+  EXPECT_EQ(trainer.program.value, "./mine");
+  EXPECT_EQ(trainer.program.mark.file, (folder_ / "base/base.yaml").string());
+  EXPECT_THAT(trainer.args, testing::ElementsAre("c"));
+  EXPECT_EQ(trainer.parameters.at("batch").value, "4");
+  EXPECT_EQ(trainer.parameters.at("size").value, "20");
+  EXPECT_THAT(file.files, testing::ElementsAre(path, (folder_ / "base/base.yaml").string()));
+}
+
+TEST_F(Includes, ArgumentsOfTheCommandLineReachThem) {
+  write("base.yaml", "arguments: {size: 10}\nservices:\n  - {name: viewer, parameters: {size: \"${size}\"}}\n");
+  const std::string path = write("top.yaml", "include: [base.yaml]\n");
+  EXPECT_EQ(read_launch_file(path, {{"size", "30"}}).services.at(0).parameters.at("size").value, "30");
+  EXPECT_THROW(static_cast<void>(read_launch_file(path, {{"size", "x"}})), LaunchError);
+  EXPECT_THROW(static_cast<void>(read_launch_file(path, {{"sized", "30"}})), LaunchError);
+}
+
+TEST_F(Includes, CyclesAreRefusedWithTheWayRound) {
+  const std::string a = write("a.yaml", "include: [sub/b.yaml]\n");
+  const std::string b = write("sub/b.yaml", "services:\n  - name: bus\ninclude:\n  - ../a.yaml\n");
+  EXPECT_EQ(error_of(a), b + ":4:5: circular include: " + a + " → " + b + " → " + a);
+  const std::string own = write("own.yaml", "include: [own.yaml]\n");
+  EXPECT_THAT(error_of(own), HasSubstr(own + ":1:11: circular include"));
+}
+
+TEST_F(Includes, NamesAndArgumentsAreCheckedAcrossFiles) {
+  write("a.yaml", "services:\n  - name: viewer\n");
+  write("b.yaml", "services:\n  - name: viewer\n");
+  EXPECT_THAT(error_of(write("two.yaml", "include: [a.yaml, b.yaml]\n")),
+              testing::AllOf(StartsWith((folder_ / "b.yaml").string() + ":2:11: "), HasSubstr("is taken, first at")));
+  EXPECT_THAT(error_of(write("twice.yaml", "include: [a.yaml]\nservices:\n  - name: viewer\n  - name: viewer\n")),
+              HasSubstr("twice.yaml:4:11: service name 'viewer' is taken"));
+  EXPECT_THAT(error_of(write("wrong.yaml", "include:\n  - {file: a.yaml, arguments: {size: 1}}\n")),
+              HasSubstr("wrong.yaml:2:32: "));
+  EXPECT_THAT(error_of(write("folder.yaml", "include: [\".\"]\n")), HasSubstr("folder.yaml:1:11: "));
+}
+
+TEST(LaunchSchema, IsTheOneThatIsPublished) {
+  const auto folder = std::filesystem::path(SPLATBUS_SOURCE_DIR) / "launch";
+  std::ifstream stream(folder / "launch.schema.json");
+  const std::string published(std::istreambuf_iterator<char>(stream), {});
+  EXPECT_EQ(published, launch_schema()) << "splatbus launch --schema > launch/launch.schema.json";
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+    if (entry.path().extension() != ".yaml") continue;
+    std::ifstream file(entry.path());
+    std::string line;
+    std::getline(file, line);
+    EXPECT_EQ(line, "# yaml-language-server: $schema=launch.schema.json") << entry.path();
+  }
+}
+
+TEST(LaunchSchema, HasWhatTheReaderTakes) {
+  const auto schema = nlohmann::json::parse(launch_schema());
+  const auto& service = schema.at("properties").at("services").at("items");
+  EXPECT_EQ(service.at("required"), nlohmann::json({"name"}));
+  EXPECT_EQ(service.at("additionalProperties"), false);
+  EXPECT_EQ(service.at("properties").at("replicas").at("anyOf").at(0),
+            nlohmann::json({{"type", "integer"}, {"minimum", 1.0}, {"maximum", 64.0}}));
+  EXPECT_EQ(schema.at("properties").at("backend").at("anyOf").at(0).at("enum"),
+            nlohmann::json({"cpu", "cuda", "auto"}));
+  EXPECT_TRUE(service.at("properties").at("restart").at("anyOf").at(0).contains("anyOf")) << "a word or a map";
+  for (const auto& [name, property] : service.at("properties").items()) {
+    EXPECT_FALSE(property.at("description").get<std::string>().empty()) << name;
+  }
 }
 
 TEST(LaunchOverride, RefusesWhatNamesNothing) {

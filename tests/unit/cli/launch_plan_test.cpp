@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <fstream>
 
+#include "parameter_check.h"
+
 namespace splatbus::cli {
 namespace {
 
@@ -98,13 +100,12 @@ services:
   EXPECT_FALSE(silent.processes[0].environment.contains("SPLATBUS_BACKEND")) << "ours is passed on";
 }
 
-TEST_F(LaunchPlanTest, HeartbeatSourcesAreThoseOfThisBus) {
+TEST_F(LaunchPlanTest, HeartbeatSourcesAreThoseThatSendThem) {
   const LaunchFile file = parse_launch_file(R"(
 services:
   - {name: bus}
   - {name: viewer, replicas: 2}
   - {name: job, program: /bin/sh, heartbeat_timeout_s: 0}
-  - {name: trainer, bus: "tcp://127.0.0.1:6000"}
   - {name: engine, program: splatbus-engine-sim}
 )",
                                             "x.yaml");
@@ -129,28 +130,56 @@ TEST_F(LaunchPlanTest, ProgramsWithoutHeartbeatGetTheirOwnArgumentsOnly) {
 
 TEST_F(LaunchPlanTest, UnknownServicesAreNamedWithThoseThatExist) {
   const std::string error = error_of("services:\n  - name: trianer\n");
-  EXPECT_THAT(error, HasSubstr("x.yaml:2:11: unknown service: no program 'splatbus-trianer'"));
-  EXPECT_THAT(error, HasSubstr("splatbus-bus, splatbus-engine-sim, splatbus-trainer, splatbus-viewer"));
+  EXPECT_THAT(error, HasSubstr("x.yaml:2:11: no program 'splatbus-trianer'"));
+  EXPECT_THAT(error, HasSubstr("did you mean 'splatbus-trainer'?"));
+  EXPECT_THAT(error_of("services:\n  - name: painter\n  - name: drawing_office\n"),
+              testing::AllOf(HasSubstr("x.yaml:2:11: "), HasSubstr("x.yaml:3:11: "),
+                             HasSubstr("splatbus-bus, splatbus-engine-sim, splatbus-trainer, splatbus-viewer")));
   EXPECT_THAT(error_of("services:\n  - {name: a, program: /nonexistent/a}\n"),
-              HasSubstr("x.yaml:2:24: '/nonexistent/a' is no program"));
+              HasSubstr("x.yaml:2:24: '/nonexistent/a' is not an executable program"));
 }
 
-TEST_F(LaunchPlanTest, BadBusAndClashingReplicaNames) {
-  EXPECT_THAT(error_of("services:\n  - {name: viewer, bus: nonsense}\n"), HasSubstr("x.yaml:2:25: "));
+TEST_F(LaunchPlanTest, ClashingReplicaNames) {
   EXPECT_THAT(error_of("services:\n  - {name: viewer, replicas: 2}\n  - {name: viewer-2, program: splatbus-viewer}\n"),
               HasSubstr("process name 'viewer-2' is taken"));
   EXPECT_THAT(error_of("services:\n  - {name: a, program: /bin/sh, heartbeat_timeout_s: 0, parameters: {x: 1}}\n"),
-              HasSubstr("'a' takes no parameters: give it args"));
+              HasSubstr("'a' takes no parameters: use 'args'"));
 }
 
 TEST_F(LaunchPlanTest, ParametersAreCheckedByTheProgram) {
-  program("splatbus-trainer", "echo \"splatbus-trainer: --set: there is no parameter 'bacth'\" >&2; exit 1");
-  EXPECT_THAT(
-      error_of("services:\n  - name: trainer\n    parameters:\n      batch: 1\n      bacth: 2\n"),
-      testing::StartsWith("x.yaml:5:14: service 'trainer' refuses its parameters: splatbus-trainer: --set: there "
-                          "is no parameter 'bacth'"));
-  program("splatbus-trainer", "for a; do last=$a; done; [ \"$last\" = --parameters ]");
+  program("splatbus-trainer",
+          R"(echo '{"parameters": [], "problems": [{"parameter": "bacth", "text": "no bacth"},)"
+          R"({"parameter": "rate", "text": "no rate"}, {"parameter": "", "text": "not together"}]}'; exit 2)");
+  EXPECT_EQ(error_of("services:\n  - name: trainer\n    parameters:\n      rate: 1\n      bacth: 2\n"),
+            "x.yaml:5:14: service 'trainer': no bacth\nx.yaml:4:13: service 'trainer': no rate\n"
+            "x.yaml:2:11: service 'trainer': not together");
+  program("splatbus-trainer", "for a; do before=$last; last=$a; done; [ \"$before $last\" = '--parameters --json' ]");
   EXPECT_EQ(error_of("services:\n  - name: trainer\n    parameters: {batch: 1}\n"), "no error");
+}
+
+TEST_F(LaunchPlanTest, ArgumentsAreCheckedByTheProgram) {
+  program("splatbus-engine-sim",
+          "echo \"splatbus-engine-sim: unknown option '--dynamcs'\" >&2; echo 'Run with --help ...' >&2; exit 2");
+  EXPECT_EQ(error_of("services:\n  - name: engine\n    program: splatbus-engine-sim\n    args: [--fps, --dynamcs]\n"),
+            "x.yaml:4:19: service 'engine' refuses its arguments: splatbus-engine-sim: unknown option '--dynamcs'");
+  program("job", "touch " + (programs_ / "ran").string());
+  EXPECT_EQ(error_of("services:\n  - {name: job, program: " + (programs_ / "job").string() + ", args: [x]}\n"),
+            "no error");
+  EXPECT_FALSE(fs::exists(programs_ / "ran")) << "programs of others know nothing of --parameters";
+}
+
+TEST_F(LaunchPlanTest, VariablesOfAProcess) {
+  const LaunchPlan p = plan("services:\n  - {name: viewer, args: [\"$${name}\", \"${name}\"]}\n");
+  EXPECT_THAT(p.processes.at(0).arguments,
+              ElementsAre("--bus", "ipc:///tmp/b", "--name", "viewer", "${name}", "viewer"));
+  LaunchFile file = parse_launch_file("services:\n  - name: viewer\n", "x.yaml");
+  apply_override(file, "viewer.out=${nmae}");
+  try {
+    static_cast<void>(plan_launch(file, bus::Address::parse("ipc:///tmp/b"), programs_));
+    FAIL();
+  } catch (const LaunchError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("--set viewer.out=${nmae}: unknown variable '${nmae}'; did you mean 'name'?"));
+  }
 }
 
 }  // namespace

@@ -82,7 +82,7 @@ TEST_F(SdkRefusal, Cameras) {
   EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.translation[1] = kNan; }),
               AllOf(HasSubstr("camera 3"), HasSubstr("world_from_camera.translation is not finite")));
   EXPECT_THAT(words([](auto& f) { f.frame.camera.world_from_camera.rotation_wxyz[0] = 2; }),
-              HasSubstr("world_from_camera.rotation_wxyz is no unit quaternion (norm 2)"));
+              HasSubstr("world_from_camera.rotation_wxyz is not a unit quaternion (norm 2)"));
   EXPECT_THAT(words([](auto& f) { f.frame.camera.width = 0; }), HasSubstr("0 x 6 pixels"));
   EXPECT_THAT(words([](auto& f) { f.frame.camera.role = 9; }), HasSubstr("no such role"));
   EXPECT_THAT(words([](auto& f) { f.frame.camera.far_m = 0; }), HasSubstr("near_m < far_m"));
@@ -111,7 +111,7 @@ TEST_F(SdkRefusal, Images) {
               HasSubstr("color: its memory is 2, which does not exist"));
   EXPECT_THAT(words([](auto& f) { f.images[0].memory = SPLATBUS_MEMORY_CUDA; }), HasSubstr("CUDA"));
   EXPECT_THAT(words([](auto& f) { f.images[0].buffer = 3; }), HasSubstr("0x3 is not one known buffer"));
-  EXPECT_THAT(words([](auto& f) { f.images.push_back(f.images[0]); }), HasSubstr("color: it is there twice"));
+  EXPECT_THAT(words([](auto& f) { f.images.push_back(f.images[0]); }), HasSubstr("color was given twice"));
   EXPECT_THAT(words([](auto& f) { f.images.clear(); }), HasSubstr("no image"));
   EXPECT_THAT(words([](auto& f) { f.images[0].buffer = SPLATBUS_BUFFER_LIGHT_DEPTH; }),
               HasSubstr("only a camera of role light"));
@@ -155,7 +155,7 @@ TEST_F(SdkRefusal, LightsBesidesTheSun) {
     });
   };
   EXPECT_THAT(spoilt([](auto& s) { s[1].id = 0; }), HasSubstr("light 0: 0 is the sun"));
-  EXPECT_THAT(spoilt([](auto& s) { s[2].id = 2; }), HasSubstr("light 2: it is there twice"));
+  EXPECT_THAT(spoilt([](auto& s) { s[2].id = 2; }), HasSubstr("light 2 was given twice"));
   EXPECT_THAT(spoilt([](auto& s) { s[1].kind = 3; }), HasSubstr("light 3: 3 is no kind of light"));
   EXPECT_THAT(spoilt([](auto& s) { s[1].intensity[2] = kNan; }), HasSubstr("light 3: intensity is not finite"));
   EXPECT_THAT(spoilt([](auto& s) { s[0].intensity[0] = -1e-3F; }), HasSubstr("light 2: intensity is below 0"));
@@ -223,19 +223,19 @@ TEST_F(SdkRefusal, Objects) {
   EXPECT_THAT(words([](auto& f) { f.objects[1].world_from_object.rotation_wxyz[1] = kNan; }),
               HasSubstr("object 7: world_from_object.rotation_wxyz is not finite"));
   EXPECT_THAT(words([](auto& f) { f.objects[0].world_from_object.rotation_wxyz[0] = 0; }),
-              HasSubstr("object 4: world_from_object.rotation_wxyz is no unit quaternion (norm 0)"));
+              HasSubstr("object 4: world_from_object.rotation_wxyz is not a unit quaternion (norm 0)"));
   EXPECT_THAT(words([](auto& f) { f.objects[0].world_from_object.rotation_wxyz[2] = 3e38F; }),
-              HasSubstr("object 4: world_from_object.rotation_wxyz is no unit quaternion (norm inf)"));
+              HasSubstr("object 4: world_from_object.rotation_wxyz is not a unit quaternion (norm inf)"));
   for (const float scale : {0.0F, -1.0F, kNan, kInfinity}) {
     EXPECT_THAT(words([&](auto& f) { f.objects[1].scale = scale; }), HasSubstr("object 7: scale is ")) << scale;
   }
   EXPECT_THAT(words([](auto& f) { f.objects[1].flags = 5; }), HasSubstr("object 7: 0x5 are no flags of an object"));
   EXPECT_THAT(words([](auto& f) { f.objects[0].id = 0; }), HasSubstr("object 0"));
-  EXPECT_THAT(words([](auto& f) { f.objects[1].id = 4; }), HasSubstr("object 4: it is there twice"));
+  EXPECT_THAT(words([](auto& f) { f.objects[1].id = 4; }), HasSubstr("object 4 was given twice"));
   EXPECT_THAT(words([](auto& f) {
                 f.objects = {object(0xFFFFFFFF), object(2), object(9), object(0xFFFFFFFF)};
               }),
-              HasSubstr("object 4294967295: it is there twice"));
+              HasSubstr("object 4294967295 was given twice"));
   OwnedFrame nowhere = next_frame(small_camera());
   nowhere.frame.objects = nullptr;
   EXPECT_THAT(refused(nowhere.frame), HasSubstr("objects is NULL"));

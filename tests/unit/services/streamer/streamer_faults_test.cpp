@@ -317,7 +317,7 @@ TEST_F(StreamerTest, ServesOverTcpTooAndRefusesMoreThanMaxViewers) {
 
 TEST_F(StreamerTest, AnEndpointThatCannotBeBoundIsNamed) {
   try {
-    RunningStreamer broken(connect("broken"), {{"endpoint", "tcp://256.1.1.1:x"}});
+    RunningStreamer broken(connect("broken"), {{"endpoint", "tcp://256.1.1.1:1"}});
     FAIL();
   } catch (const bus::Error& error) {
     EXPECT_NE(std::string(error.what()).find("256.1.1.1"), std::string::npos) << error.what();

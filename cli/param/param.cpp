@@ -1,0 +1,212 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+
+#include "bus/nearest.h"
+#include "launch_plan.h"
+#include "parameter_edit.h"
+#include "parameter_query.h"
+#include "schema_json.h"
+#include "verbs.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct ParamOptions {
+  std::string bus, service, key, value;
+  std::string file;  ///< launch file to save to
+  bool save = false;
+  bool json = false;
+};
+
+const bus::ParameterDescription* find(const std::optional<bus::ParameterReport>& report, const std::string& key) {
+  if (!report) return nullptr;
+  const auto found = std::find_if(report->parameters.begin(), report->parameters.end(),
+                                  [&](const auto& parameter) { return parameter.name == key; });
+  return found == report->parameters.end() ? nullptr : &*found;
+}
+
+void print(const ParameterOwner& owner, const bus::ParameterDescription& parameter, bool known) {
+  if (!known) {
+    fmt::print("{}.{} = {}\n", owner.source, parameter.name, parameter.value);
+    return;
+  }
+  const std::string bounds = parameter.bounds.empty() ? "" : " " + parameter.bounds;
+  fmt::print("{}.{} = {}\n    {}\n    {}{}, default {}{}\n", owner.source, parameter.name, parameter.value,
+             parameter.text, parameter.type, bounds,
+             parameter.default_value.empty() ? "empty" : parameter.default_value,
+             parameter.at_start ? ", fixed at start" : "");
+}
+
+int list(const ParamOptions& options) {
+  const auto context = connect(bus_address(options.bus));
+  bool any = false;
+  for (const ParameterOwner& owner : find_owners(context, options.service)) {
+    const auto report = owner.values.empty() ? std::nullopt : ask_program(owner.kind, {}, program_directory());
+    for (const auto& [name, value] : owner.values) {
+      const auto* known = find(report, name);
+      bus::ParameterDescription parameter;
+      if (known != nullptr) parameter = *known;
+      parameter.name = name;
+      parameter.value = value;
+      any = true;
+      if (!options.json) {
+        print(owner, parameter, known != nullptr);
+        continue;
+      }
+      nlohmann::json json{{"service", owner.source}, {"kind", owner.kind}, {"name", name}, {"value", value}};
+      if (known != nullptr) {
+        json.update({{"type", parameter.type},
+                     {"bounds", parameter.bounds},
+                     {"default", parameter.default_value},
+                     {"text", parameter.text},
+                     {"at_start", parameter.at_start}});
+      }
+      fmt::print("{}\n", json_text(json));
+    }
+  }
+  if (!any) throw std::runtime_error(fmt::format("'{}' has no parameters", options.service));
+  return 0;
+}
+
+[[noreturn]] void refuse_key(const ParameterOwner& owner, const std::string& key) {
+  if (owner.values.empty()) throw std::runtime_error(fmt::format("'{}' has no parameters", owner.source));
+  const std::string meant = bus::nearest(key, owner.names());
+  throw std::runtime_error(fmt::format("{} has no parameter '{}'; {}", owner.source, key,
+                                       meant.empty() ? fmt::format("'splatbus param list {}' names them", owner.source)
+                                                     : fmt::format("did you mean '{}'?", meant)));
+}
+
+int get(const ParamOptions& options) {
+  const auto context = connect(bus_address(options.bus));
+  for (const ParameterOwner& owner : find_owners(context, options.service)) {
+    const std::string* value = owner.find(options.key);
+    if (value == nullptr) refuse_key(owner, options.key);
+    if (options.json) {
+      fmt::print("{}\n", json_text({{"service", owner.source}, {"name", options.key}, {"value", *value}}));
+    } else {
+      fmt::print("{}\n", *value);
+    }
+  }
+  return 0;
+}
+
+/// A variable of a process's environment, as it was started; empty when that cannot be read.
+std::string variable_of(std::uint32_t pid, const std::string& name) {
+  std::ifstream environment(fmt::format("/proc/{}/environ", pid));
+  for (std::string entry; std::getline(environment, entry, '\0');) {
+    if (entry.starts_with(name + "=")) return entry.substr(name.size() + 1);
+  }
+  return {};
+}
+
+/// Writes the parameter to the launch file that the process was started from, or to the one that is named.
+void save(const ParamOptions& options, const ParameterOwner& owner, bool local) {
+  const std::string file =
+      !options.file.empty() ? options.file : (local ? variable_of(owner.pid, kLaunchFileVariable) : "");
+  if (file.empty()) {
+    throw std::runtime_error(
+        fmt::format("{} was not started here by a launch file: name one with --file", owner.source));
+  }
+  const std::string started_as = local ? variable_of(owner.pid, kLaunchServiceVariable) : "";
+  std::ifstream stream(file);
+  const std::string before{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
+  if (!stream) throw std::runtime_error(file + ": cannot be read");
+  const std::string after =
+      with_parameters(before, file, started_as.empty() ? owner.source : started_as, {{options.key, options.value}});
+  // Beside it, and in its place once it is whole: whoever reads it finds the one or the other.
+  const fs::path target = fs::canonical(file);
+  const fs::path draft = target.string() + ".new";
+  std::ofstream out(draft);
+  out << after;
+  out.close();
+  if (!out) throw std::runtime_error(draft.string() + ": cannot be written");
+  fs::permissions(draft, fs::status(target).permissions());
+  fs::rename(draft, target);
+  if (!options.json) fmt::print("saved in {}\n", target.string());
+}
+
+int set(const ParamOptions& options) {
+  const bus::Address address = bus_address(options.bus);
+  const auto context = connect(address);
+  const auto owners = find_owners(context, options.service);
+  bool restart = false;
+  for (const ParameterOwner& owner : owners) {
+    if (owner.find(options.key) == nullptr) refuse_key(owner, options.key);
+    const auto report = ask_program(owner.kind, {{options.key, options.value}}, program_directory());
+    if (report && !report->problems.empty()) throw std::runtime_error(report->problems.front().text);
+    const auto* known = find(report, options.key);
+    const std::string before = *owner.find(options.key);
+    std::string now = before;
+    if (known != nullptr && known->at_start) {
+      restart = true;
+      if (!options.save) {
+        throw std::runtime_error(
+            fmt::format("parameter '{}' is fixed while {} runs: save it with --save and restart {}", options.key,
+                        owner.source, owner.source));
+      }
+    } else {
+      now = set_parameter(context, owner, options.key, options.value);
+      if (known != nullptr && now != known->value) {
+        throw std::runtime_error(fmt::format("{} still has {} = {}", owner.source, options.key, now));
+      }
+    }
+    if (options.json) {
+      fmt::print("{}\n", json_text({{"service", owner.source},
+                                    {"name", options.key},
+                                    {"before", before},
+                                    {"value", now},
+                                    {"needs_restart", restart}}));
+    } else if (restart) {
+      fmt::print("{}.{} is {} until {} is restarted\n", owner.source, options.key, before, owner.source);
+    } else {
+      fmt::print("{}.{} = {} (was {})\n", owner.source, options.key, now, before);
+    }
+  }
+  if (options.save) save(options, owners.front(), address.is_local());
+  return 0;
+}
+
+CLI::App* add_verb(CLI::App& parent, const char* name, const char* text, const std::shared_ptr<ParamOptions>& options,
+                   bool service_required) {
+  CLI::App* verb = parent.add_subcommand(name, text);
+  verb->add_option("service", options->service, "name or kind of a service")->required(service_required);
+  verb->add_flag("--json", options->json, "print JSON, one object per line");
+  add_bus_option(*verb, options->bus);
+  return verb;
+}
+
+}  // namespace
+
+void add_param_verb(CLI::App& app, Action& action) {
+  CLI::App* param = app.add_subcommand("param", "List, read and change parameters of running services");
+  param->require_subcommand(1);
+  auto options = std::make_shared<ParamOptions>();
+
+  CLI::App* verb =
+      add_verb(*param, "list", "Print parameters with value, text, type, range and default", options, false);
+  verb->callback([options, &action] { action = [options] { return list(*options); }; });
+
+  verb = add_verb(*param, "get", "Print the value of a parameter", options, true);
+  verb->add_option("key", options->key, "name of the parameter")->required();
+  verb->callback([options, &action] { action = [options] { return get(*options); }; });
+
+  verb = add_verb(*param, "set", "Change a parameter and wait until the service has it", options, true);
+  verb->add_option("key", options->key, "name of the parameter")->required();
+  verb->add_option("value", options->value, "new value; write -- before a negative number")->required();
+  verb->add_flag("--save", options->save, "write it to the launch file too; comments and layout stay");
+  verb->add_option("--file", options->file, "launch file for --save (default: the one the service was started from)");
+  verb->callback([options, &action] { action = [options] { return set(*options); }; });
+}
+
+}  // namespace splatbus::cli

@@ -1,0 +1,78 @@
+#include "bus/command_line.h"
+
+#include <gmock/gmock.h>
+
+#include <CLI/CLI.hpp>
+#include <string>
+#include <vector>
+
+namespace splatbus::cli {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+struct Outcome {
+  std::optional<int> status;
+  std::string error;
+};
+
+Outcome parse(std::vector<const char*> arguments) {
+  CLI::App app("what it is", "prog");
+  std::string folder;
+  double seconds = 0, rate = 1;
+  app.require_subcommand(1);
+  CLI::App* launch = app.add_subcommand("launch", "");
+  CLI::App* topic = app.add_subcommand("topic", "");
+  topic->require_subcommand(1);
+  topic->add_subcommand("list", "")->add_option("--seconds", seconds)->check(CLI::NonNegativeNumber);
+  topic->add_subcommand("echo", "");
+  app.add_subcommand("secret", "")->group("");
+  auto* group = launch->add_option_group("group", "");
+  group->add_option("--folder", folder);
+  launch->add_option("--rate", rate)->check(CLI::Range(0.5, 4.0));
+  launch->add_option("--wait", seconds)->check(CLI::PositiveNumber);
+  arguments.insert(arguments.begin(), "prog");
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  Outcome outcome;
+  outcome.status = bus::parse_command_line(app, static_cast<int>(arguments.size()), arguments.data());
+  static_cast<void>(testing::internal::GetCapturedStdout());
+  outcome.error = testing::internal::GetCapturedStderr();
+  return outcome;
+}
+
+TEST(CommandLine, GoodOnesRunAndHelpEnds) {
+  EXPECT_EQ(parse({"launch", "--folder", "x"}).status, std::nullopt);
+  EXPECT_EQ(parse({"--help"}).status, 0);
+  EXPECT_EQ(parse({"topic", "--help"}).status, 0);
+}
+
+TEST(CommandLine, MistypedWordsGetTheNearestAndStatusTwo) {
+  const std::pair<std::vector<const char*>, const char*> cases[] = {
+      {{"lunch"}, "prog: unknown verb 'lunch'; did you mean 'launch'?"},
+      {{"lunch", "x.yaml"}, "unknown verb 'lunch'; did you mean 'launch'?"},
+      {{"topic", "lsit"}, "unknown verb 'lsit'; did you mean 'list'?"},
+      {{"topic", "whatever"}, "unknown verb 'whatever' (known: "},
+      {{"launch", "--foldr", "x"}, "unknown option '--foldr'; did you mean '--folder'?"},
+      {{"topic", "list", "--second=1"}, "unknown option '--second'; did you mean '--seconds'?"},
+      {{"launch", "--zzzzzzz"}, "unknown option '--zzzzzzz'\n"},
+      {{}, "give a verb"},
+      {{"topic"}, "give a verb"}};
+  for (const auto& [arguments, text] : cases) {
+    const Outcome outcome = parse(arguments);
+    EXPECT_EQ(outcome.status, 2) << text;
+    EXPECT_THAT(outcome.error, HasSubstr(text));
+    EXPECT_THAT(outcome.error, Not(HasSubstr("secret")));
+  }
+}
+
+TEST(CommandLine, RangesAreWrittenAsOneWouldSayThem) {
+  EXPECT_THAT(parse({"topic", "list", "--seconds", "-1"}).error, HasSubstr("--seconds: must be 0 or more, not '-1'\n"));
+  EXPECT_THAT(parse({"launch", "--rate", "5"}).error, HasSubstr("--rate: must be from 0.5 to 4, not '5'\n"));
+  EXPECT_THAT(parse({"launch", "--wait", "0"}).error, HasSubstr("--wait: must be more than 0, not '0'\n"));
+  EXPECT_EQ(parse({"launch", "--rate", "5"}).status, 2);
+}
+
+}  // namespace
+}  // namespace splatbus::cli
