@@ -17,6 +17,7 @@ int run(int argc, char** argv) {
   app.require_subcommand(1);
   splatbus::cli::Action action;
   splatbus::cli::add_launch_verb(app, action);
+  splatbus::cli::add_operate_verbs(app, action);
   splatbus::cli::add_param_verb(app, action);
   splatbus::cli::add_topic_verb(app, action);
   splatbus::cli::add_node_verb(app, action);

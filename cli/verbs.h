@@ -19,6 +19,7 @@ using Action = std::function<int()>;
 
 // Each verb adds itself to the program, and sets `action` when it is the one that was asked for.
 void add_launch_verb(CLI::App& app, Action& action);
+void add_operate_verbs(CLI::App& app, Action& action);
 void add_param_verb(CLI::App& app, Action& action);
 void add_topic_verb(CLI::App& app, Action& action);
 void add_node_verb(CLI::App& app, Action& action);

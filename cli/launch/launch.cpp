@@ -1,22 +1,17 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <unistd.h>
 
 #include <CLI/CLI.hpp>
-#include <chrono>
-#include <condition_variable>
-#include <mutex>
 #include <optional>
+#include <utility>
 
 #include "bus/error.h"
 #include "gateway_url.h"
 #include "launch_file.h"
 #include "launch_plan.h"
 #include "parameter_check.h"
+#include "run_launch.h"
 #include "schema_json.h"
-#include "supervised_run.h"
-#include "supervisor.h"
-#include "terminal.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -29,12 +24,9 @@ struct LaunchOptions {
   std::string bus, backend, world;
   double seconds = 0;
   bool validate = false, dry_run = false, schema = false;
-  bool json = false;
+  bool json = false, detach = false;
+  double ready_within_s = 120;
 };
-
-std::string json_line(const std::string& name, const std::string& line, bool own) {
-  return json_text({{"service", name}, {own ? "event" : "line", line}});
-}
 
 /// A word as a shell reads it.
 std::string quoted(const std::string& word) {
@@ -79,6 +71,7 @@ void print_plan(const LaunchPlan& plan, bool json) {
 
 /// A launch file with what the command line says of it, checked.
 struct CheckedLaunch {
+  LaunchFile file;
   LaunchPlan plan;
   std::optional<GatewayUrl> gateway;
 };
@@ -96,10 +89,12 @@ CheckedLaunch check(const LaunchOptions& options) {
       throw LaunchError(file.bus->mark, error.what());
     }
   }
-  CheckedLaunch checked{.gateway = settle_gateway(file)};
+  CheckedLaunch checked;
+  checked.gateway = settle_gateway(file);
   checked.plan = plan_launch(file, address, program_directory());
   check_backends(file);
   check_parameters(file, checked.plan);
+  checked.file = std::move(file);
   return checked;
 }
 
@@ -136,68 +131,53 @@ int launch(const LaunchOptions& options) {
     return 0;
   }
   if (options.validate) return validate(options);
-  const auto [plan, gateway] = check(options);
+  const auto [file, plan, gateway] = check(options);
   if (options.dry_run) {
     print_plan(plan, options.json);
     return 0;
   }
 
-  if (gateway) {
-    fmt::print("{}\n", options.json ? json_text({{"url", gateway->url}}) : invitation(*gateway));
-    std::fflush(stdout);
-  }
-  const StopSignals signals;
-  std::vector<std::string> names;
-  for (const ProcessPlan& process : plan.processes) names.push_back(process.name);
-  const PrefixedOutput output(names, !options.json && is_terminal(STDOUT_FILENO));
-  Supervisor supervisor(plan, [&](const std::string& name, const std::string& line, bool own) {
-    if (options.json) {
-      fmt::print("{}\n", json_line(name, line, own));
-      std::fflush(stdout);
-    } else {
-      output.print(name, line, own);
-    }
-  });
-
-  std::stop_source stop;
-  const std::stop_callback on_signal(signals.stop(), [&] { stop.request_stop(); });
-  std::jthread timer;
-  if (options.seconds > 0) {
-    timer = std::jthread([&](const std::stop_token& end) {
-      std::mutex mutex;
-      std::unique_lock lock(mutex);
-      std::condition_variable_any().wait_for(lock, end, std::chrono::duration<double>(options.seconds),
-                                             [] { return false; });
-      stop.request_stop();
-    });
-  }
-  const bool success = supervisor.run(stop.get_token(), signals.kill());
-  if (!success) fmt::print(stderr, "splatbus launch: {}\n", *supervisor.failure());
-  return success ? 0 : 1;
+  RunLaunch run{.file = file,
+                .plan = plan,
+                .invitation = {},
+                .json = options.json,
+                .seconds = options.seconds,
+                .detach = options.detach,
+                .ready_within_s = options.ready_within_s};
+  if (gateway) run.invitation = options.json ? json_text({{"url", gateway->url}}) : invitation(*gateway);
+  return run_launch(run);
 }
 
 }  // namespace
 
 void add_launch_verb(CLI::App& app, Action& action) {
-  auto options = std::make_shared<LaunchOptions>();
-  CLI::App* verb = app.add_subcommand("launch", "Start the services of a launch file and keep them running");
-  verb->add_option("file", options->file, "launch file (YAML)");
-  verb->add_option("arguments", options->arguments, "name=value: an argument of the launch file");
-  verb->add_option("--set", options->overrides, "service.key=value: set a parameter of a service (repeatable)")
-      ->allow_extra_args(false);
-  verb->add_option("--world", options->world, "folder that keeps the model across runs (created if missing)");
+  const auto add = [&](const char* name, const char* help) {
+    auto options = std::make_shared<LaunchOptions>();
+    CLI::App* verb = app.add_subcommand(name, help);
+    verb->add_option("file", options->file, "launch file (YAML)");
+    verb->add_option("arguments", options->arguments, "name=value: an argument of the launch file");
+    verb->add_option("--set", options->overrides, "service.key=value: set a parameter of a service (repeatable)")
+        ->allow_extra_args(false);
+    verb->add_option("--world", options->world, "folder that keeps the model across runs (created if missing)");
+    verb->add_flag("--json", options->json, "print JSON, one object per line");
+    add_backend_option(*verb, options->backend);
+    add_bus_option(*verb, options->bus);
+    verb->callback([options, &action] {
+      if (options->file.empty() && !options->schema) throw CLI::RequiredError("file");
+      action = [options] { return launch(*options); };
+    });
+    return std::pair(verb, options);
+  };
+  const auto [verb, options] = add("launch", "Start the services of a launch file and keep them running");
   verb->add_option("--seconds", options->seconds, "stop after this many seconds; 0: run until Ctrl-C")
       ->check(CLI::NonNegativeNumber);
   verb->add_flag("--validate,--check", options->validate, "check the file and start nothing");
   verb->add_flag("--dry-run", options->dry_run, "print every process in starting order and start nothing");
   verb->add_flag("--schema", options->schema, "print the JSON schema of launch files");
-  verb->add_flag("--json", options->json, "print JSON, one object per line");
-  add_backend_option(*verb, options->backend);
-  add_bus_option(*verb, options->bus);
-  verb->callback([options, &action] {
-    if (options->file.empty() && !options->schema) throw CLI::RequiredError("file");
-    action = [options] { return launch(*options); };
-  });
+  const auto [up, up_options] = add("up", "Start the services of a launch file, in the background with -d");
+  up->add_flag("-d,--detach", up_options->detach, "run in the background; return when everything is ready");
+  up->add_option("--timeout", up_options->ready_within_s, "with -d: seconds until everything must be ready")
+      ->check(CLI::Range(0.0, 86400.0));
 }
 
 }  // namespace splatbus::cli

@@ -103,9 +103,9 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
       {"name", name}, {"replica", std::to_string(replica)}, {"bus_dir", address.directory.value_or("")}};
   ProcessPlan process;
   process.name = name;
-  process.program = program;
   process.service = service.name;
   process.replica = replica;
+  process.program = program;
   process.restart = service.restart.policy;
   process.restart_attempts = service.restart.max_attempts;
   process.restart_window_s = service.restart.window_s;

@@ -1,12 +1,15 @@
 #include "terminal.h"
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstdio>
+#include <cstdlib>
 
 namespace splatbus::cli {
 
@@ -25,6 +28,11 @@ bool is_terminal(int fd) {
   return isatty(fd) != 0;
 }
 
+bool wants_color(int fd) {
+  const char* const refused = std::getenv("NO_COLOR");
+  return is_terminal(fd) && (refused == nullptr || *refused == '\0');
+}
+
 PrefixedOutput::PrefixedOutput(const std::vector<std::string>& names, bool color) : color_(color) {
   for (const std::string& name : names) {
     width_ = std::max(width_, name.size());
@@ -41,7 +49,10 @@ std::string PrefixedOutput::format(const std::string& name, const std::string& l
 }
 
 void PrefixedOutput::print(const std::string& name, const std::string& line, bool own) const {
-  const std::string text = format(name, line, own) + "\n";
+  const auto now = std::chrono::floor<std::chrono::milliseconds>(std::chrono::system_clock::now());
+  const std::string text =
+      fmt::format("{:%H:%M:%S}.{:03} {}\n", fmt::localtime(std::chrono::system_clock::to_time_t(now)),
+                  now.time_since_epoch().count() % 1000, format(name, line, own));
   std::fwrite(text.data(), 1, text.size(), stdout);
   std::fflush(stdout);
 }

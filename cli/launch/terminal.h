@@ -13,7 +13,8 @@ class PrefixedOutput {
   PrefixedOutput(const std::vector<std::string>& names, bool color);
   /// `own`: a line about the process, not from it.
   [[nodiscard]] std::string format(const std::string& name, const std::string& line, bool own) const;
-  void print(const std::string& name, const std::string& line, bool own) const;  ///< to standard output
+  /// To standard output, after the time of day.
+  void print(const std::string& name, const std::string& line, bool own) const;
 
  private:
   std::size_t width_ = 0;
@@ -37,5 +38,7 @@ class ProgressLine {
 };
 
 [[nodiscard]] bool is_terminal(int fd);
+/// On a terminal, unless NO_COLOR says otherwise.
+[[nodiscard]] bool wants_color(int fd);
 
 }  // namespace splatbus::cli

@@ -5,6 +5,7 @@
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
+#include <cstdlib>
 #include <mutex>
 #include <utility>
 
@@ -48,7 +49,8 @@ void install(std::vector<spdlog::sink_ptr> sinks, const std::string& name, spdlo
 
 spdlog::sink_ptr make_stderr_sink() {
   auto sink = std::make_shared<spdlog::sinks::stderr_sink_mt>();
-  sink->set_pattern("[%H:%M:%S.%e] [%n] [%l] %v");
+  // A supervisor writes time and name itself.
+  sink->set_pattern(std::getenv("SPLATBUS_SUPERVISED") != nullptr ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
   return sink;
 }
 

@@ -5,6 +5,7 @@
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <condition_variable>
+#include <cstdlib>
 #include <mutex>
 #include <string>
 
@@ -37,7 +38,8 @@ int run(const splatbus::bus_service::BrokerOptions& options, const std::string& 
   std::stop_source stop;
   const splatbus::bus::StopSignals signals(stop);
   spdlog::set_default_logger(spdlog::stderr_logger_mt("bus"));
-  spdlog::set_pattern("[%H:%M:%S.%e] [%n] [%l] %v");
+  // A supervisor writes time and name itself.
+  spdlog::set_pattern(std::getenv("SPLATBUS_SUPERVISED") != nullptr ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
   spdlog::set_level(spdlog::level::from_str(log_level));
 
   splatbus::bus::raise_descriptor_limit();

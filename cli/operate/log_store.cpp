@@ -1,0 +1,202 @@
+#include "log_store.h"
+
+#include <fcntl.h>
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <poll.h>
+#include <spdlog/pattern_formatter.h>
+#include <spdlog/sinks/rotating_file_sink.h>
+#include <sys/inotify.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <chrono>
+#include <cstdlib>
+#include <fstream>
+#include <optional>
+#include <set>
+#include <stdexcept>
+
+#include "bus/file_descriptor.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+using Sink = spdlog::sinks::rotating_file_sink_st;
+
+constexpr const char* kPattern = "%Y-%m-%dT%H:%M:%S.%fZ %v";
+constexpr const char* kEventMark = " * ";
+
+fs::path current_file(const fs::path& folder, const std::string& process) {
+  return folder / (process + ".log");
+}
+
+/// "TIME | text", as LogStore writes it.
+std::optional<StoredLine> parse(const std::string& process, const std::string& line) {
+  const std::size_t end = line.find(' ');
+  if (end == std::string::npos || line.size() < end + 3) return {};
+  return StoredLine{line.substr(0, end), process, line.substr(end + 3), line.compare(end, 3, kEventMark) == 0};
+}
+
+/// The end of a log file, across its rotations.
+class Tail {
+ public:
+  Tail(fs::path path, std::string process) : path_(std::move(path)), process_(std::move(process)) { open(true); }
+
+  void pass_new(const std::function<void(const StoredLine&)>& pass) {
+    read(pass);
+    struct stat there {
+    }, ours{};
+    if (stat(path_.c_str(), &there) != 0) return;
+    if (file_.valid() && fstat(file_.get(), &ours) == 0 && ours.st_ino == there.st_ino) return;
+    read(pass);
+    open(false);
+    read(pass);
+  }
+
+ private:
+  void open(bool at_end) {
+    file_ = bus::FileDescriptor(::open(path_.c_str(), O_RDONLY | O_CLOEXEC));
+    partial_.clear();
+    if (file_.valid() && at_end) lseek(file_.get(), 0, SEEK_END);
+  }
+
+  void read(const std::function<void(const StoredLine&)>& pass) {
+    std::array<char, 16384> chunk{};
+    for (ssize_t got = 1; file_.valid() && got > 0;) {
+      got = ::read(file_.get(), chunk.data(), chunk.size());
+      if (got > 0) partial_.append(chunk.data(), static_cast<std::size_t>(got));
+    }
+    std::size_t begin = 0;
+    for (std::size_t end = partial_.find('\n'); end != std::string::npos; end = partial_.find('\n', begin)) {
+      if (const auto line = parse(process_, partial_.substr(begin, end - begin))) pass(*line);
+      begin = end + 1;
+    }
+    partial_.erase(0, begin);
+  }
+
+  fs::path path_;
+  std::string process_, partial_;
+  bus::FileDescriptor file_;
+};
+
+}  // namespace
+
+struct LogStore::Sinks {
+  std::map<std::string, std::unique_ptr<Sink>> of_process;
+};
+
+fs::path log_folder(const bus::Address& bus) {
+  const char* const state = std::getenv("XDG_STATE_HOME");
+  const char* const home = std::getenv("HOME");
+  fs::path base;
+  if (state != nullptr && *state == '/') {
+    base = state;
+  } else if (home != nullptr && *home == '/') {
+    base = fs::path(home) / ".local" / "state";
+  } else {
+    return {};
+  }
+  if (!bus.is_local()) return base / "splatbus" / "tcp" / fmt::format("{}:{}", bus.host, bus.port);
+  return base / "splatbus" / "ipc" / fs::path(*bus.directory).relative_path();
+}
+
+LogStore::LogStore(fs::path folder, std::size_t file_bytes, std::size_t files)
+    : folder_(std::move(folder)), file_bytes_(file_bytes), files_(files), sinks_(std::make_unique<Sinks>()) {
+  std::error_code error;
+  fs::create_directories(folder_, error);
+  if (error) throw std::runtime_error(fmt::format("no log files: {}: {}", folder_.string(), error.message()));
+}
+
+LogStore::~LogStore() = default;
+
+void LogStore::write(const OutputLine& line) {
+  try {
+    auto& sink = sinks_->of_process[line.process];
+    if (!sink) {
+      sink = std::make_unique<Sink>(current_file(folder_, line.process).string(), file_bytes_, files_);
+      sink->set_formatter(std::make_unique<spdlog::pattern_formatter>(kPattern, spdlog::pattern_time_type::utc));
+    }
+    const std::string text = (line.event.empty() ? "| " : "* ") + line.text;
+    sink->log({line.process, spdlog::level::info, text});
+    sink->flush();
+  } catch (const spdlog::spdlog_ex&) {  // the lines are on the terminal, and for those who are attached
+  }
+}
+
+std::vector<StoredLine> read_logs(const fs::path& folder, const std::vector<std::string>& processes,
+                                  const std::string& since, int tail) {
+  std::vector<StoredLine> lines;
+  for (const std::string& process : processes) {
+    std::vector<fs::path> files{current_file(folder, process)};
+    for (int number = 1; fs::exists(folder / fmt::format("{}.{}.log", process, number)); ++number) {
+      files.push_back(folder / fmt::format("{}.{}.log", process, number));
+    }
+    for (auto file = files.rbegin(); file != files.rend(); ++file) {
+      std::ifstream stream(*file);
+      for (std::string text; std::getline(stream, text);) {
+        auto line = parse(process, text);
+        if (line && line->time >= since) lines.push_back(std::move(*line));
+      }
+    }
+  }
+  std::stable_sort(lines.begin(), lines.end(), [](const auto& a, const auto& b) { return a.time < b.time; });
+  if (tail >= 0 && lines.size() > static_cast<std::size_t>(tail)) lines.erase(lines.begin(), lines.end() - tail);
+  return lines;
+}
+
+std::vector<std::string> logged_processes(const fs::path& folder) {
+  std::set<std::string> names;
+  std::error_code ignored;
+  for (const auto& entry : fs::directory_iterator(folder, ignored)) {
+    if (entry.path().extension() != ".log") continue;
+    const std::string name = entry.path().stem();
+    names.insert(name.substr(0, name.find('.')));
+  }
+  return {names.begin(), names.end()};
+}
+
+std::string since_time(const std::string& text) {
+  if (text.empty() || text.find('T') != std::string::npos) return text;
+  static const std::map<std::string, int> kSeconds{{"s", 1}, {"m", 60}, {"h", 3600}, {"d", 86400}};
+  double number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  const auto unit = kSeconds.find(std::string(end, text.data() + text.size()));
+  if (error != std::errc() || unit == kSeconds.end() || number < 0 || number > 1e6) {
+    throw std::runtime_error(fmt::format("--since '{}': expected 90s, 10m, 2h, 1d or 2026-11-23T03:32:00Z", text));
+  }
+  const auto before = std::chrono::seconds(static_cast<std::int64_t>(number * unit->second));
+  const auto then = std::chrono::system_clock::to_time_t(std::chrono::system_clock::now() - before);
+  return fmt::format("{:%Y-%m-%dT%H:%M:%S}", fmt::gmtime(then));
+}
+
+void follow_logs(const fs::path& folder, const std::vector<std::string>& processes, int end_fd,
+                 const std::function<void(const StoredLine&)>& pass) {
+  const bus::FileDescriptor watch(inotify_init1(IN_CLOEXEC | IN_NONBLOCK));
+  if (!watch.valid() ||
+      inotify_add_watch(watch.get(), folder.c_str(), IN_MODIFY | IN_CREATE | IN_MOVED_TO | IN_MOVED_FROM) < 0) {
+    throw std::runtime_error(fmt::format("cannot watch {}", folder.string()));
+  }
+  std::vector<Tail> tails;
+  for (const std::string& process : processes) tails.emplace_back(current_file(folder, process), process);
+  const auto pass_all = [&] {
+    for (Tail& tail : tails) tail.pass_new(pass);
+  };
+  for (;;) {
+    std::array<pollfd, 2> items{pollfd{watch.get(), POLLIN, 0}, pollfd{end_fd, POLLIN, 0}};
+    if (poll(items.data(), items.size(), -1) < 0) continue;
+    std::array<char, 16384> events{};
+    while (read(watch.get(), events.data(), events.size()) > 0) {
+    }
+    pass_all();
+    if (items[1].revents != 0) return;
+  }
+}
+
+}  // namespace splatbus::cli
