@@ -83,9 +83,10 @@ TEST(Swap, ATrainerHandsTheModelOver) {
   std::vector<std::uint64_t> before;
   ASSERT_TRUE(pipeline.wait_until([&] {
     model.poll();
-    if (!pipeline.state().trainer.paused || pipeline.state().grid.batches_pending > 0) return false;
+    const PipelineState::Trainer& trainer = pipeline.state().trainer;
+    if (!trainer.paused || model.step != trainer.step || pipeline.state().grid.batches_pending > 0) return false;
     before = model.ids();
-    return !before.empty() && before.size() == pipeline.state().trainer.gaussians;
+    return !before.empty() && before.size() == trainer.gaussians;
   })) << pipeline.log();
   const std::uint64_t step = model.step, epoch = model.epoch;
   const double lost = viewer_counter(pipeline, "lost_packets");
