@@ -17,6 +17,8 @@
 #include <string_view>
 #include <utility>
 
+#include "bus/permanent_error.h"
+
 namespace splatbus::cli {
 
 namespace {
@@ -86,6 +88,10 @@ Pipe make_pipe(int flags) {
 }
 
 }  // namespace
+
+bool ExitStatus::permanent() const {
+  return signal == 0 && (code == bus::kExitPermanent || code == 2);
+}
 
 std::string ExitStatus::text() const {
   if (signal != 0) return fmt::format("killed by signal {} ({})", signal, strsignal(signal));

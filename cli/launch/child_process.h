@@ -19,6 +19,8 @@ struct ExitStatus {
   int signal = 0;
 
   [[nodiscard]] bool success() const { return code == 0 && signal == 0; }
+  /// Said by a program that would only fail again: bus::kExitPermanent, or 2 for a command line that it refuses.
+  [[nodiscard]] bool permanent() const;
   [[nodiscard]] std::string text() const;  ///< "exited with status 3", "killed by signal 9 (Killed)"
 };
 

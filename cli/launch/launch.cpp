@@ -28,8 +28,14 @@ struct LaunchOptions {
   bool json = false;
 };
 
-std::string json_line(const std::string& name, const std::string& line, bool own) {
-  return json_text({{"service", name}, {own ? "event" : "line", line}});
+std::string json_line(const OutputLine& line) {
+  if (line.event.empty()) return json_text({{"service", line.process}, {"line", line.text}});
+  nlohmann::json json{{"service", line.process}, {"event", line.event}, {"text", line.text}};
+  if (line.pid != 0) json["pid"] = line.pid;
+  if (line.exit && line.exit->signal != 0) json["signal"] = line.exit->signal;
+  if (line.exit && line.exit->signal == 0) json["status"] = line.exit->code;
+  if (line.restart_in_s) json["restart_in_s"] = *line.restart_in_s;
+  return json_text(json);
 }
 
 void print_plan(const LaunchPlan& plan, bool json) {
@@ -77,12 +83,12 @@ int launch(const LaunchOptions& options) {
   std::vector<std::string> names;
   for (const ProcessPlan& process : plan.processes) names.push_back(process.name);
   const PrefixedOutput output(names, !options.json && is_terminal(STDOUT_FILENO));
-  Supervisor supervisor(plan, [&](const std::string& name, const std::string& line, bool own) {
+  Supervisor supervisor(plan, [&](const OutputLine& line) {
     if (options.json) {
-      fmt::print("{}\n", json_line(name, line, own));
+      fmt::print("{}\n", json_line(line));
       std::fflush(stdout);
     } else {
-      output.print(name, line, own);
+      output.print(line.process, line.text, !line.event.empty());
     }
   });
 

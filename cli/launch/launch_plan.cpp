@@ -102,6 +102,8 @@ ProcessPlan make_process(const LaunchService& service, const fs::path& program, 
       {"name", name}, {"replica", std::to_string(replica)}, {"bus_dir", address.directory.value_or("")}};
   ProcessPlan process;
   process.name = name;
+  process.service = service.name;
+  process.replica = replica;
   process.program = program;
   process.restart = service.restart;
   process.heartbeat_timeout_s = service.heartbeat_timeout_s;

@@ -13,14 +13,19 @@ namespace splatbus::cli {
 
 /// One process to run and look after.
 struct ProcessPlan {
-  std::string name;  ///< source on the bus
+  std::string name;     ///< source on the bus
+  std::string service;  ///< entry of the launch file that it is a replica of
+  int replica = 1;
   std::filesystem::path program;
   std::vector<std::string> arguments;
   std::map<std::string, std::string> environment;
   RestartPolicy restart = RestartPolicy::OnFailure;
+  int restart_attempts = 8;        ///< ends in a row after which it has failed for good; 0: never
+  double restart_window_s = 10;    ///< ready for longer than that: earlier ends are forgotten
   std::vector<std::size_t> after;  ///< earlier entries of the plan
   double heartbeat_timeout_s = 5;  ///< 0: ready as soon as it runs
   double start_timeout_s = 30;
+  double stop_timeout_s = 3;  ///< from SIGTERM to SIGKILL
   bool broker = false;
   std::string backend;  ///< cpu, cuda or auto, as SPLATBUS_BACKEND; empty: what that variable says here
 };

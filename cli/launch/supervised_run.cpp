@@ -41,8 +41,7 @@ bus::Address PrivateBusFolder::address() const {
 SupervisedRun::SupervisedRun(LaunchPlan plan, const std::filesystem::path& log)
     : log_path_(log),
       log_(log),
-      supervisor_(std::move(plan),
-                  [this](const auto& process, const auto& line, bool own) { log_line(process, line, own); }),
+      supervisor_(std::move(plan), [this](const OutputLine& line) { log_line(line); }),
       thread_([this] { supervisor_.run(stop_.get_token(), kill_.get_token()); }) {}
 
 SupervisedRun::~SupervisedRun() {
@@ -72,11 +71,11 @@ void SupervisedRun::stop() {
   if (thread_.joinable()) thread_.join();
 }
 
-void SupervisedRun::log_line(const std::string& process, const std::string& line, bool own) {
+void SupervisedRun::log_line(const OutputLine& line) {
   const std::scoped_lock lock(mutex_);
-  log_ << process << (own ? " * " : " | ") << line << std::endl;
-  auto& lines = last_lines_[process];
-  lines.push_back(line);
+  log_ << line.process << (line.event.empty() ? " | " : " * ") << line.text << std::endl;
+  auto& lines = last_lines_[line.process];
+  lines.push_back(line.text);
   if (lines.size() > kLinesKept) lines.pop_front();
 }
 

@@ -49,7 +49,7 @@ class SupervisedRun {
   void kill() { kill_.request_stop(); }
 
  private:
-  void log_line(const std::string& process, const std::string& line, bool own);
+  void log_line(const OutputLine& line);
 
   std::filesystem::path log_path_;
   mutable std::mutex mutex_;

@@ -1,11 +1,11 @@
 #include "supervisor.h"
 
 #include <fmt/format.h>
+#include <sys/eventfd.h>
 #include <unistd.h>
 #include <zmq.h>
 
 #include <algorithm>
-#include <cmath>
 #include <csignal>
 #include <utility>
 
@@ -15,24 +15,11 @@ namespace splatbus::cli {
 
 namespace {
 
-constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr int kPollMs = 50;
 constexpr const char* kBrokerSource = "bus";
-constexpr double kFirstBackOffS = 0.1;
-constexpr double kMaxBackOffS = 8;
-constexpr std::int64_t kHealthy = 10 * kSecond;  ///< ready for that long: earlier ends are forgotten
-constexpr int kMaxAttempts = 8;
-constexpr std::int64_t kTerminateTimeout = 3 * kSecond;
-
-std::int64_t from_seconds(double seconds) {
-  return static_cast<std::int64_t>(seconds * static_cast<double>(kSecond));
-}
+constexpr std::size_t kLinesKept = 12;
 
 }  // namespace
-
-double back_off_s(int attempts) {
-  return std::min(std::ldexp(kFirstBackOffS, attempts - 1), kMaxBackOffS);
-}
 
 const char* to_string(ProcessState state) {
   switch (state) {
@@ -44,6 +31,10 @@ const char* to_string(ProcessState state) {
       return "running";
     case ProcessState::BackOff:
       return "back-off";
+    case ProcessState::Stopping:
+      return "stopping";
+    case ProcessState::Stopped:
+      return "stopped";
     case ProcessState::Ended:
       return "ended";
     case ProcessState::Failed:
@@ -55,15 +46,17 @@ const char* to_string(ProcessState state) {
 Supervisor::Supervisor(LaunchPlan plan, Output output, Clock now_ns)
     : output_(std::move(output)),
       now_ns_(std::move(now_ns)),
-      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid()))) {
+      heartbeats_(bus::Context::create(plan.bus, fmt::format("supervisor-{}", getpid()))),
+      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   heartbeats_.on(topics::kHeartbeat, [this](const wire::Heartbeat& heartbeat, const bus::Message& message) {
     take(heartbeat, message.header().source()->string_view());
   });
+  for (const ProcessPlan& process : plan.processes) first_names_.push_back(process.name);
   for (ProcessPlan& process_plan : plan.processes) {
-    Process process;
-    process.status.name = process_plan.name;
-    process.plan = std::move(process_plan);
-    processes_.push_back(std::move(process));
+    Process& process = processes_.emplace_back();
+    process.name = process_plan.name;
+    for (const std::size_t index : process_plan.after) process.after.push_back(first_names_.at(index));
+    process.life->plan = std::move(process_plan);
   }
   publish_status();
 }
@@ -74,18 +67,24 @@ bool Supervisor::run(const std::stop_token& stop, const std::stop_token& kill) {
   while (!stop.stop_requested() && anything_to_do()) {
     start_what_is_due();
     wait_for_events();
+    obey_orders();
     heartbeats_.dispatch_all(std::chrono::milliseconds(0));
     for (Process& process : processes_) reap(process, false);
+    processes_.remove_if([](const Process& process) { return process.gone; });
     check_signs_of_life();
+    kill_what_does_not_stop();
     publish_status();
   }
-  while (std::any_of(processes_.begin(), processes_.end(), [](const Process& p) { return p.child.has_value(); })) {
+  note_what_does_not_run();
+  refuse_orders();
+  const auto lives = [](const Process& p) { return p.life->child || (p.beside && p.beside->life->child); };
+  while (std::any_of(processes_.begin(), processes_.end(), lives)) {
     terminate_in_order(kill.stop_requested());
     wait_for_events();
     for (Process& process : processes_) reap(process, true);
     publish_status();
   }
-  return !failure().has_value();
+  return not_running().empty();
 }
 
 std::vector<ProcessStatus> Supervisor::status() const {
@@ -95,204 +94,167 @@ std::vector<ProcessStatus> Supervisor::status() const {
 
 std::optional<std::string> Supervisor::failure() const {
   const std::scoped_lock lock(mutex_);
-  return failure_;
+  if (failures_.empty()) return {};
+  return fmt::format("{}: {}", failures_.front().first, failures_.front().second);
+}
+
+std::vector<std::string> Supervisor::not_running() const {
+  const std::scoped_lock lock(mutex_);
+  return not_running_;
+}
+
+bool Supervisor::wait_until(const Condition& condition, std::chrono::duration<double> timeout,
+                            const std::stop_token& stop) const {
+  std::unique_lock lock(mutex_);
+  const auto holds = [&] { return condition(published_); };
+  changed_.wait_for(lock, stop, timeout, [&] { return over_ || holds(); });
+  return holds();
 }
 
 void Supervisor::wait_for_events() {
-  std::vector<zmq_pollitem_t> items{{heartbeats_.zmq_socket(), 0, ZMQ_POLLIN, 0}};
+  std::vector<zmq_pollitem_t> items{{heartbeats_.zmq_socket(), 0, ZMQ_POLLIN, 0},
+                                    {nullptr, wake_.get(), ZMQ_POLLIN, 0}};
+  const auto watch = [&](const Life& life) {
+    if (!life.child) return;
+    items.push_back({nullptr, life.child->exit_fd(), ZMQ_POLLIN, 0});
+    if (life.child->output_fd() >= 0) items.push_back({nullptr, life.child->output_fd(), ZMQ_POLLIN, 0});
+  };
   for (const Process& process : processes_) {
-    if (!process.child) continue;
-    items.push_back({nullptr, process.child->exit_fd(), ZMQ_POLLIN, 0});
-    if (process.child->output_fd() >= 0) items.push_back({nullptr, process.child->output_fd(), ZMQ_POLLIN, 0});
+    watch(*process.life);
+    if (process.beside) watch(*process.beside->life);
   }
   zmq_poll(items.data(), static_cast<int>(items.size()), kPollMs);
-  for (Process& process : processes_) pass_output(process, false);
+  for (Process& process : processes_) {
+    pass_output(process, false);
+    pass_beside_output(process, false);
+  }
 }
 
 void Supervisor::pass_output(Process& process, bool rest) {
-  if (!process.child) return;
-  for (const std::string& line : process.child->read_lines(rest)) output_(process.plan.name, line, false);
+  if (!process.life->child) return;
+  for (std::string& line : process.life->child->read_lines(rest)) output_({process.name, std::move(line), {}});
+}
+
+void Supervisor::pass_beside_output(Process& process, bool rest) {
+  if (!process.beside || !process.beside->life->child) return;
+  Beside& beside = *process.beside;
+  for (std::string& line : beside.life->child->read_lines(rest)) {
+    if (beside.last_lines.size() == kLinesKept) beside.last_lines.erase(beside.last_lines.begin());
+    beside.last_lines.push_back(line);
+    output_({beside.successor ? process.name + ".next" : process.name, std::move(line), {}});
+  }
 }
 
 void Supervisor::take(const wire::Heartbeat& heartbeat, std::string_view source) {
-  Process* const process = sender(source, static_cast<pid_t>(heartbeat.pid()));
+  const auto [process, life] = sender(source, static_cast<pid_t>(heartbeat.pid()));
   if (process == nullptr) return;
-  process->last_sign_ns = now_ns_();
-  process->status.detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
-  process->status.counters.clear();
+  const bool is_own = life == process->life.get();
+  const bool running = heartbeat.state() == wire::ServiceState::Running;
+  if (running || !is_own || process->state != ProcessState::Starting) life->last_sign_ns = now_ns_();
+  life->service_state = wire::EnumNameServiceState(heartbeat.state());
+  life->detail = heartbeat.detail() != nullptr ? heartbeat.detail()->str() : "";
+  life->counters.clear();
   if (heartbeat.counters() != nullptr) {
-    for (const auto* counter : *heartbeat.counters()) {
-      process->status.counters[counter->name()->str()] = counter->value();
-    }
+    for (const auto* counter : *heartbeat.counters()) life->counters[counter->name()->str()] = counter->value();
   }
-  if (process->status.state == ProcessState::Starting) ready(*process);
+  if (running && is_own && process->state == ProcessState::Starting) ready(*process);
 }
 
 /// By name, since another machine's process may have the same id; and by id, since the broker also hands out the last
 /// heartbeat of those that are gone. The broker's name on the bus is its own, whatever the launch file calls it.
-Supervisor::Process* Supervisor::sender(std::string_view source, pid_t pid) {
-  const auto found = std::find_if(processes_.begin(), processes_.end(), [&](const Process& process) {
-    return process.child && process.child->pid() == pid &&
-           source == (process.plan.broker ? kBrokerSource : process.plan.name);
-  });
-  return found == processes_.end() ? nullptr : &*found;
-}
-
-void Supervisor::ready(Process& process) {
-  process.status.state = ProcessState::Running;
-  process.was_ready = true;
-  process.ready_ns = now_ns_();
-  process.last_sign_ns = process.ready_ns;
-  if (!process.plan.broker) return;
-  for (Process& other : processes_) other.last_sign_ns = process.ready_ns;
-}
-
-void Supervisor::reap(Process& process, bool stopping) {
-  if (!process.child) return;
-  const auto status = process.child->poll_exit();
-  if (!status) return;
-  pass_output(process, true);
-  process.child.reset();
-  process.status.pid = 0;
-  if (stopping) {
-    process.status.state = ProcessState::Ended;
-  } else {
-    ended(process, *status);
-  }
-}
-
-void Supervisor::ended(Process& process, const ExitStatus& status) {
-  const std::int64_t now = now_ns_();
-  if (process.status.state == ProcessState::Running && now - process.ready_ns > kHealthy) process.attempts = 0;
-  const RestartPolicy policy = process.plan.restart;
-  if (status.success() && policy != RestartPolicy::Always) {
-    process.was_ready = true;  // what waits for it waits for its end at most
-    process.status.state = ProcessState::Ended;
-    say(process, "ended");
-    return;
-  }
-  if (policy == RestartPolicy::Never) return fail(process, status.text());
-  start_later(process, status.text());
-}
-
-void Supervisor::start_later(Process& process, const std::string& reason) {
-  if (++process.attempts >= kMaxAttempts) {
-    return fail(process, fmt::format("{}, {} times in a row", reason, process.attempts));
-  }
-  const double delay_s = back_off_s(process.attempts);
-  process.next_start_ns = now_ns_() + from_seconds(delay_s);
-  process.status.state = ProcessState::BackOff;
-  process.status.detail = reason;
-  say(process, fmt::format("{}; starting it again in {:.1f} s", reason, delay_s));
-}
-
-void Supervisor::start_what_is_due() {
-  const std::int64_t now = now_ns_();
+std::pair<Supervisor::Process*, Supervisor::Life*> Supervisor::sender(std::string_view source, pid_t pid) {
+  const auto is = [&](const Process& process, const Life& life) {
+    if (!life.child || life.child->pid() != pid) return false;
+    const std::string_view name = life.plan.broker ? kBrokerSource : std::string_view(process.name);
+    return source == name || (source.starts_with(name) && source.substr(name.size()) == ".next");
+  };
   for (Process& process : processes_) {
-    if (process.status.state == ProcessState::BackOff && now >= process.next_start_ns) {
-      ++process.status.restarts;
-      start(process);
-    }
-    if (process.status.state != ProcessState::Waiting) continue;
-    const auto failed = std::find_if(process.plan.after.begin(), process.plan.after.end(),
-                                     [&](std::size_t i) { return processes_[i].status.state == ProcessState::Failed; });
-    if (failed != process.plan.after.end()) {
-      fail(process, fmt::format("waits for {}, which failed", processes_[*failed].plan.name));
-    } else if (std::all_of(process.plan.after.begin(), process.plan.after.end(),
-                           [&](std::size_t i) { return processes_[i].was_ready; })) {
-      start(process);
-    }
+    if (is(process, *process.life)) return {&process, process.life.get()};
+    if (process.beside && is(process, *process.beside->life)) return {&process, process.beside->life.get()};
   }
-}
-
-void Supervisor::start(Process& process) {
-  process.started_ns = now_ns_();
-  process.last_sign_ns = process.started_ns;
-  process.terminate_ns = 0;
-  process.status.state = ProcessState::Starting;
-  process.status.detail.clear();
-  try {
-    process.child.emplace(process.plan.program, process.plan.arguments, process.plan.environment);
-  } catch (const StartedTooSoon& error) {
-    return start_later(process, error.what());
-  } catch (const std::runtime_error& error) {
-    return fail(process, error.what());
-  }
-  process.status.pid = process.child->pid();
-  say(process, fmt::format("started, process {}", process.status.pid));
-  if (process.plan.heartbeat_timeout_s <= 0) ready(process);
-}
-
-void Supervisor::check_signs_of_life() {
-  const std::int64_t now = now_ns_();
-  const std::int64_t heard_until = bus_heard_until();
-  for (Process& process : processes_) {
-    if (!process.child || process.plan.heartbeat_timeout_s <= 0 || process.terminate_ns != 0) continue;
-    const bool starting = process.status.state == ProcessState::Starting;
-    const double limit_s = starting ? process.plan.start_timeout_s : process.plan.heartbeat_timeout_s;
-    const std::int64_t judged_at = process.plan.broker ? now : heard_until;
-    if (judged_at - process.last_sign_ns <= from_seconds(limit_s)) continue;
-    say(process, fmt::format("no heartbeat for {} s, killing it", limit_s));
-    process.terminate_ns = now;
-    process.child->signal_group(SIGKILL);
-  }
-}
-
-std::int64_t Supervisor::bus_heard_until() const {
-  std::int64_t until = now_ns_();
-  for (const Process& process : processes_) {
-    if (!process.plan.broker) continue;
-    until = process.status.state == ProcessState::Running ? std::min(until, process.last_sign_ns) : 0;
-  }
-  return until;
+  return {nullptr, nullptr};
 }
 
 bool Supervisor::anything_to_do() const {
   return std::any_of(processes_.begin(), processes_.end(), [](const Process& process) {
-    return process.status.state != ProcessState::Ended && process.status.state != ProcessState::Failed;
+    return process.state != ProcessState::Ended && process.state != ProcessState::Failed;
   });
+}
+
+void Supervisor::note_what_does_not_run() {
+  std::vector<std::string> found;
+  for (const Process& process : processes_) {
+    const ProcessState state = process.state;
+    if (state == ProcessState::Running || state == ProcessState::Ended || state == ProcessState::Stopped ||
+        state == ProcessState::Stopping) {
+      continue;
+    }
+    const std::string& detail = process.life->detail;
+    found.push_back(fmt::format("{}: {}{}{}", process.name, to_string(state), detail.empty() ? "" : ", ", detail));
+  }
+  const std::scoped_lock lock(mutex_);
+  not_running_ = std::move(found);
 }
 
 void Supervisor::terminate_in_order(bool kill) {
   const std::int64_t now = now_ns_();
-  for (std::size_t i = 0; i < processes_.size(); ++i) {
-    Process& process = processes_[i];
-    if (!process.child) continue;
-    const bool needed = std::any_of(processes_.begin(), processes_.end(), [&](const Process& other) {
-      return other.child && std::find(other.plan.after.begin(), other.plan.after.end(), i) != other.plan.after.end();
-    });
+  const auto end = [&](const Process& process, Life& life, bool needed) {
+    if (!life.child) return;
     if (kill) {
-      process.child->signal_group(SIGKILL);
-    } else if (process.terminate_ns == 0) {
-      if (needed) continue;
-      process.terminate_ns = now;
-      process.child->signal_group(SIGTERM);
-    } else if (now - process.terminate_ns > kTerminateTimeout) {
-      say(process, "does not stop, killing it");
-      process.terminate_ns = now;
-      process.child->signal_group(SIGKILL);
+      life.child->signal_group(SIGKILL);
+    } else if (life.terminate_ns == 0) {
+      if (needed) return;
+      life.terminate_ns = now;
+      life.child->signal_group(SIGTERM);
+    } else if (now - life.terminate_ns > static_cast<std::int64_t>(life.plan.stop_timeout_s * 1e9)) {
+      say(process, "killed", "does not stop, killing it", life.child->pid());
+      life.terminate_ns = now;
+      life.child->signal_group(SIGKILL);
     }
+  };
+  for (Process& process : processes_) {
+    const bool needed = std::any_of(processes_.begin(), processes_.end(), [&](const Process& other) {
+      return other.life->child && std::find(other.after.begin(), other.after.end(), process.name) != other.after.end();
+    });
+    end(process, *process.life, needed);
+    if (process.beside) end(process, *process.beside->life, false);
   }
 }
 
-void Supervisor::fail(Process& process, const std::string& reason) {
-  process.status.state = ProcessState::Failed;
-  process.status.detail = reason;
-  {
-    const std::scoped_lock lock(mutex_);
-    if (!failure_) failure_ = process.plan.name + ": " + reason;
-  }
-  say(process, "failed: " + reason);  // whoever reads that line finds the failure
-}
-
-void Supervisor::say(const Process& process, const std::string& text) const {
-  output_(process.plan.name, text, true);
+void Supervisor::say(const Process& process, const std::string& event, const std::string& text, pid_t pid,
+                     std::optional<ExitStatus> exit, std::optional<double> restart_in_s) const {
+  output_({process.name, text, event, pid, exit, restart_in_s});
 }
 
 void Supervisor::publish_status() {
-  const std::scoped_lock lock(mutex_);
-  published_.clear();
-  for (const Process& process : processes_) published_.push_back(process.status);
+  std::vector<ProcessStatus> all;
+  for (const Process& process : processes_) {
+    const Life& life = *process.life;
+    ProcessStatus& status = all.emplace_back();
+    status.name = process.name;
+    status.service = life.plan.service.empty() ? process.name : life.plan.service;
+    status.replica = life.plan.replica;
+    status.state = process.state;
+    status.pid = life.child ? life.child->pid() : 0;
+    status.restarts = process.restarts;
+    status.started_ns = life.child ? life.started_ns : 0;
+    status.detail = life.detail;
+    status.counters = life.counters;
+    if (!process.beside) continue;
+    const Beside& beside = *process.beside;
+    status.beside = BesideStatus{.pid = beside.life->child ? beside.life->child->pid() : 0,
+                                 .successor = beside.successor,
+                                 .service_state = beside.life->service_state,
+                                 .detail = beside.life->detail,
+                                 .counters = beside.life->counters,
+                                 .exit = beside.exit,
+                                 .last_lines = beside.last_lines};
+  }
+  {
+    const std::scoped_lock lock(mutex_);
+    published_ = std::move(all);
+  }
+  changed_.notify_all();
 }
 
 }  // namespace splatbus::cli

@@ -56,9 +56,9 @@ class SupervisorTest : public testing::Test {
     LaunchPlan plan{bus::Address::parse("ipc://" + folder_), std::move(processes)};
     supervisor_.emplace(
         plan,
-        [this](const std::string& process, const std::string& line, bool own) {
+        [this](const OutputLine& line) {
           const std::scoped_lock lock(mutex_);
-          lines_.push_back(process + (own ? " * " : " | ") + line);
+          lines_.push_back(line.process + (line.event.empty() ? " | " : " * ") + line.text);
           changed_.notify_all();
         },
         [this] {

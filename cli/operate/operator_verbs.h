@@ -1,0 +1,29 @@
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "control_server.h"
+#include "launch_file.h"
+#include "supervisor.h"
+
+namespace splatbus::cli {
+
+/// What the operator's verbs work on. Outlives the server.
+struct Operated {
+  Supervisor& supervisor;
+  LaunchFile file;  ///< with what the command line changed; scale changes its replicas
+  bus::Address bus;
+  std::string log_folder;      ///< empty: there are no log files
+  std::function<void()> stop;  ///< asks the supervisor to stop everything
+  std::function<std::int64_t()> now_ns = bus::now_ns;
+};
+
+/// Names of the processes that "trainer", "streamer" (all its replicas) or "streamer-2" mean. Throws std::runtime_error
+/// that names what there is.
+[[nodiscard]] std::vector<std::string> processes_of(const std::vector<ProcessStatus>& all, const std::string& name);
+
+/// status, start, stop, restart, scale, wait and down.
+void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& operated);
+
+}  // namespace splatbus::cli

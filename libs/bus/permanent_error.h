@@ -1,0 +1,16 @@
+#pragma once
+
+#include "bus/error.h"
+
+namespace splatbus::bus {
+
+/// What would only happen again if the program were started again: a parameter that is refused, a port in use.
+class PermanentError : public Error {
+ public:
+  using Error::Error;
+};
+
+/// Exit status of a program that ended for a PermanentError (EX_CONFIG of sysexits.h): a supervisor does not retry.
+inline constexpr int kExitPermanent = 78;
+
+}  // namespace splatbus::bus
