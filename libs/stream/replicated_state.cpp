@@ -15,12 +15,6 @@ namespace {
 
 constexpr std::size_t kSpareBlocks = 256;
 
-std::vector<std::uint32_t> light_ids_of(const QuantizedScene& scene) {
-  std::vector<std::uint32_t> ids;
-  for (const QuantizedSource& source : scene.sources) ids.push_back(source.id);
-  return ids;
-}
-
 Change take_visibility(ReplicatedState& state, const wire::LightVisibility& body,
                        std::span<const std::uint8_t> payload) {
   const AttributeChannels* a = state.layout.find(Attribute::Visibility);
@@ -98,7 +92,7 @@ Change take_scene(ReplicatedState& state, const ParsedPacket& packet) {
   state.instant = {.frame = body.frame(), .capture_ns = packet.capture_ns()};
   Change change;
   change.scene = true;
-  change.lights = state.light_rows.set_lights(light_ids_of(state.quantized_scene), state.rows());
+  change.lights = state.renew_light_rows();
   return change;
 }
 
@@ -109,6 +103,14 @@ Change drop_pages(ReplicatedState& state, const wire::PagesGone& body) {
 }
 
 }  // namespace
+
+bool ReplicatedState::renew_light_rows() {
+  std::vector<std::uint32_t> ids;
+  if (layout.find(Attribute::Visibility)) {
+    for (const QuantizedSource& source : quantized_scene.sources) ids.push_back(source.id);
+  }
+  return light_rows.set_lights(ids, rows());
+}
 
 void ReplicatedState::set_count(HeldPage& page, std::uint32_t new_count, Change& change) {
   const std::uint32_t before = HeldPage::blocks_of(page.count), after = HeldPage::blocks_of(new_count);

@@ -74,6 +74,8 @@ struct ReplicatedState {
   /// All lanes of a page that is whole are shown.
   static void show(HeldPage& page, Change& change);
   void move_row(std::uint32_t from, std::uint32_t to);
+  /// Those of the scene's lights; none where the layout has no visibility. True when they were others.
+  bool renew_light_rows();
   /// The page's lanes, in their order.
   [[nodiscard]] QuantizedGaussians lanes(const HeldPage& page) const;
 };

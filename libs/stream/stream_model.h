@@ -190,6 +190,15 @@ class StreamModel {
       return base != target->page || !gone.empty() || !moved.empty() || !fresh.empty();
     }
   };
+  /// Plans with one base, which change it in one packet: of at most kMaxPageGaussians that come to its pages.
+  struct Family {
+    std::vector<PagePlan*> plans;
+    std::size_t moved = 0;
+    /// False when there is no room for what moves.
+    bool take(PagePlan& plan);
+    /// What is new beyond the room comes with a later tick.
+    void bound();
+  };
   struct QuietPage {
     std::uint32_t ticks = 0;
     bool frozen = false;

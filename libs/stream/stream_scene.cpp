@@ -118,10 +118,7 @@ void StreamModel::hold_scene() {
   held_.quantized_scene = scene_;
   held_.scene = dequantize_scene(scene_);
   held_.instant = instant_;
-  std::vector<std::uint32_t> lights;
-  for (const QuantizedSource& source : scene_.sources) lights.push_back(source.id);
-  held_.light_rows = {};
-  held_.light_rows.set_lights(lights, held_.rows());
+  held_.renew_light_rows();
 }
 
 StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::span<const std::uint8_t> of_index) const {

@@ -18,6 +18,22 @@ constexpr std::size_t kIdsPerGaussian = 2;  // that may be remembered
 
 }  // namespace
 
+bool StreamModel::Family::take(PagePlan& plan) {
+  if (moved + plan.moved.size() > kMaxPageGaussians) return false;
+  moved += plan.moved.size();
+  plans.push_back(&plan);
+  return true;
+}
+
+void StreamModel::Family::bound() {
+  std::size_t room = kMaxPageGaussians - moved;
+  for (PagePlan* plan : plans) {
+    plan->fresh.resize(std::min(plan->fresh.size(), room));
+    room -= plan->fresh.size();
+  }
+  std::erase_if(plans, [](const PagePlan* plan) { return !plan->changes(); });
+}
+
 void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> viewers,
                                  const ObjectTransforms& objects) {
   std::vector<PagePlan> plans = plan_pages();
@@ -25,24 +41,24 @@ void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> vi
   hold_back(plans, left, viewers, objects);
 
   std::set<std::uint32_t> in_target;
-  std::map<std::uint32_t, std::vector<PagePlan*>> families;  // by base
+  std::map<std::uint32_t, Family> families;  // by base
   std::vector<const TargetPage*> whole;
   for (PagePlan& plan : plans) {
     in_target.insert(plan.target->page);
     if (!plan.changes()) continue;
-    if (plan.base != kNoPage && anybody_holds(plan.base)) {
-      families[plan.base].push_back(&plan);
-    } else {
-      whole.push_back(plan.target);
-    }
+    const bool known = plan.base != kNoPage && anybody_holds(plan.base);
+    if (known && families[plan.base].take(plan)) continue;
+    whole.push_back(plan.target);
   }
+  for (auto& [base, family] : families) family.bound();
   std::vector<std::uint32_t> gone;
   for (const auto& [number, page] : held_.pages) {
     if (!in_target.contains(number)) gone.push_back(number);
   }
 
   std::vector<std::pair<std::uint64_t, std::uint32_t>> order;
-  for (const auto& [base, family] : families) order.emplace_back(place_of(family.front()->target->page), base);
+  for (const auto& [base, family] : families)
+    if (!family.plans.empty()) order.emplace_back(place_of(family.plans.front()->target->page), base);
   std::ranges::sort(order);
   std::vector<PagePlan> packet;
   std::vector<std::uint32_t> ended;
@@ -55,9 +71,9 @@ void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> vi
   };
   for (const auto& [place, base] : order) {
     std::size_t more = 0;
-    for (const PagePlan* plan : families[base]) more += plan->moved.size() + plan->fresh.size();
+    for (const PagePlan* plan : families[base].plans) more += plan->moved.size() + plan->fresh.size();
     if (!packet.empty() && (appends + more > kPacketAppends || packet.size() >= kPacketPages)) flush();
-    for (PagePlan* plan : families[base]) packet.push_back(std::move(*plan));
+    for (PagePlan* plan : families[base].plans) packet.push_back(std::move(*plan));
     if (!in_target.contains(base)) ended.push_back(base);
     appends += more;
   }

@@ -208,6 +208,24 @@ TEST(LightRows, NoLightWaitsForEver) {
   EXPECT_GT(sent[2], 3);
 }
 
+TEST(LightRows, AreNotThereForGaussiansWhoseLightIsBakedIn) {
+  ToyServer server(3, 300, Appearance::Radiance);
+  server.scene.light.sources = {point_light(3, {1, 2, 3})};
+  ShownReplica replica, late;
+  join(server.stream, replica);
+  server.tick_for(replica);
+  server.train(0.05F);
+  server.scene.light.sources.push_back(point_light(4, {0, 1, 0}));
+  server.tick_for(replica);
+  join(server.stream, late);
+  for (ShownReplica* each : {&replica, &late}) {
+    ASSERT_EQ(each->scene().light.sources.size(), 2U);
+    const GaussiansView shown = each->view();
+    EXPECT_EQ(shown.count, 300U);
+    EXPECT_EQ(shown.visibility_u8, nullptr);
+  }
+}
+
 TEST(LightRows, AreRefusedByName) {
   ToyServer server(66, 100);
   server.scene.light.sources = {point_light(7, {})};

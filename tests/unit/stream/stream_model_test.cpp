@@ -327,6 +327,35 @@ TEST(StreamModel, APageThatIsSplitTravelsAsItsLanes) {
   test::expect_shown(replica);
 }
 
+// Of a page in a place that is seen for the first time: more comes than a packet of its lanes may bring.
+TEST(StreamModel, APageThatBecomesManyReachesViewersWhole) {
+  constexpr std::size_t kFill = 960, kPages = 6, kKept = kFill / kPages;
+  GaussiansBuffer one = test::toy_model(kFill, 3), many = test::toy_model(kFill * kPages, 4);
+  std::ranges::fill(one.object_id, 0U);
+  std::ranges::fill(many.object_id, 0U);
+  for (std::size_t i = 0; i < many.count(); ++i) {
+    const std::size_t page = i / kFill, lane = i % kFill;
+    many.gaussian_id[i] = lane < kKept ? page * kKept + lane + 1 : 10'000 + i;
+  }
+  const splatbus::test::PagedModel before(one.view(), kFill, 100), after(many.view(), kFill, 100);
+  ASSERT_EQ(before.ranges.size(), 1U);
+  ASSERT_EQ(after.ranges.size(), kPages);
+  StreamModel stream(PacketWriter("streamer", 1), 5);
+  ASSERT_TRUE(stream.observe(before.view()));
+  stream.reset_to_target();
+  test::ShownReplica replica;
+  join(stream, replica);
+  for (int tick = 0; tick < 2; ++tick) {
+    ASSERT_TRUE(stream.observe(after.view()));
+    stream.make_tick(1e9, {});
+    send(test::packets_of(stream), replica);
+    test::send_pages(stream, replica);
+  }
+  EXPECT_EQ(replica.count(), kFill * kPages);
+  test::expect_exact(stream, replica);
+  test::expect_shown(replica);
+}
+
 TEST(StreamModel, AFrozenPagesBlobStaysAsItIsWhileOthersAndTheLightChange) {
   GaussiansBuffer model = test::toy_model(2000, 3);
   splatbus::test::PagedModel paged(model.view(), 600, 100);
