@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <map>
 #include <vector>
 
 #include "../unit/cli/swap_host.h"
@@ -22,6 +23,7 @@ class ModelWatch {
             [this](const wire::ModelPublished& published, const bus::Message& message) {
               step = published.step();
               epoch = message.header().epoch();
+              counts[epoch] = published.count();
               message_ = message;
             })
         .on(topics::kHeartbeat, [this](const wire::Heartbeat& heartbeat, const bus::Message& message) {
@@ -50,6 +52,7 @@ class ModelWatch {
   }
 
   std::uint64_t step = 0, epoch = 0;
+  std::map<std::uint64_t, std::uint64_t> counts;  ///< Gaussians in the last message of each process, by epoch
   pid_t pid = 0;
   double handed_over = 0;
 
@@ -105,7 +108,7 @@ TEST(Swap, ATrainerHandsTheModelOver) {
   const std::vector<std::uint64_t> after = model.ids();
   EXPECT_EQ(std::ranges::adjacent_find(after), after.end()) << "one is there twice";
   EXPECT_EQ(model.step, step);
-  EXPECT_EQ(model.handed_over, static_cast<double>(before.size()))
+  EXPECT_EQ(model.handed_over, static_cast<double>(model.counts[epoch]))
       << "none lost, by ids, when it took over: each with its moments and age";
 
   set_paused(publisher, false);
