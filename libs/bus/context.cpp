@@ -46,8 +46,8 @@ Context::Impl::Impl(Address bus_address, std::string source_name)
       source(checked_source(std::move(source_name))),
       epoch(static_cast<std::uint64_t>(now_ns())),
       keys(keys_of(address)),
+      slabs(address.is_local() ? std::make_unique<SlabClient>(address.slab_socket()) : nullptr),
       outbox(zmq, address, keys) {
-  if (address.is_local()) slabs.emplace(address.slab_socket());
 }
 
 void Context::Impl::forget_unused(std::int64_t now) {
@@ -138,6 +138,14 @@ std::shared_ptr<Slab> Context::adopt_slab(const std::string& name, int timeout_m
   auto slab = map_slab_memory(answer->descriptor, std::move(answer->control), std::move(answer->data), true);
   impl_->slabs->keep(slab);
   return slab;
+}
+
+void Context::claim(std::chrono::milliseconds timeout) {
+  claim_part(source(), timeout);
+}
+
+void Context::claim_part(const std::string& part, std::chrono::milliseconds timeout) {
+  if (impl_->slabs) impl_->slabs->claim(part, timeout);
 }
 
 void Context::drop_slab(const std::string& role) {

@@ -62,6 +62,15 @@ class Context : public std::enable_shared_from_this<Context> {
   /// another process is there that writes it.
   std::shared_ptr<Slab> adopt_slab(const std::string& name, int timeout_ms = 10000);
 
+  /// Takes the lease of this source's slabs, and with it the name: who lets go of its connection to the broker lets go
+  /// of the lease last. Waits up to `timeout` for another process that has it. Throws Error naming that process when it
+  /// stays. Does nothing over tcp, and where no broker answers.
+  void claim(std::chrono::milliseconds timeout);
+
+  /// Takes the lease of a part that only one process of a bus may play ("model": whoever writes the model), whatever
+  /// its source is called, for as long as this context lives. Otherwise as claim().
+  void claim_part(const std::string& part, std::chrono::milliseconds timeout);
+
   /// Makes the registry forget a slab of this source; mappings that others hold stay good.
   void drop_slab(const std::string& role);
 

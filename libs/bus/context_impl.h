@@ -30,9 +30,10 @@ struct Context::Impl {
   const std::string source;
   const std::uint64_t epoch;
   const std::optional<ClientKeys> keys;  // over tcp, where it takes some
+  /// Null over tcp. Goes after the outbox: who gets the lease finds the name free.
+  const std::unique_ptr<SlabClient> slabs;
   zmq::context_t zmq;
   Outbox outbox;
-  std::optional<SlabClient> slabs;  // local buses only
   std::mutex mutex;
   std::unordered_map<std::uint64_t, CachedSlab> cache;                   // opened, read-only
   std::unordered_map<std::uint64_t, std::weak_ptr<Slab>> private_slabs;  // over tcp

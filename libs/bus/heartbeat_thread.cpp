@@ -45,11 +45,19 @@ void HeartbeatThread::run(const std::stop_token& stop) {
     control_.dispatch_all(std::chrono::milliseconds(std::min<std::int64_t>(left_ms, 50)));
     if (now_ns() < next_beat) continue;
     next_beat = std::max(next_beat + beat_ns, now_ns());
-    beat(wire::ServiceState::Running);
+    beat(state());
   }
 }
 
+wire::ServiceState HeartbeatThread::state() const {
+  if (!service_.ready_) return wire::ServiceState::Starting;
+  return service_.stands_by_ ? wire::ServiceState::Standby : wire::ServiceState::Running;
+}
+
 void HeartbeatThread::apply(const wire::Control& control, const Message& message) {
+  if (control.order() != wire::Order::None && control.pid() == static_cast<std::uint32_t>(::getpid())) {
+    obey(control.order());
+  }
   if (control.changes() == nullptr) return;
   for (const auto* change : *control.changes()) {
     const auto name = change->key()->str();
@@ -62,7 +70,19 @@ void HeartbeatThread::apply(const wire::Control& control, const Message& message
       spdlog::error("{} (asked for by {})", problem, message.header().source()->str());
     }
   }
-  beat(wire::ServiceState::Running);
+  beat(state());
+}
+
+void HeartbeatThread::obey(wire::Order order) {
+  if (order == wire::Order::Yield && !service_.stands_by_) {
+    spdlog::info("hands over to a successor");
+    service_.yields_ = true;
+    if (service_.request_stop_) service_.request_stop_();
+  } else if (order == wire::Order::TakeOver && service_.stands_by_) {
+    const std::scoped_lock lock(service_.mutex_);
+    service_.told_to_take_over_ = true;
+    service_.told_.notify_all();
+  }
 }
 
 void HeartbeatThread::beat(wire::ServiceState state) {
@@ -87,7 +107,7 @@ void HeartbeatThread::beat(wire::ServiceState state) {
       parameter_offsets.push_back(wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str()));
     }
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
-                                       detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend));
+                                       detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend), kProtocolVersion);
   });
 }
 
@@ -103,6 +123,26 @@ void ServiceContext::counter(const std::string& name, double value) {
 void ServiceContext::detail(const std::string& text) {
   const std::scoped_lock lock(mutex_);
   detail_ = text;
+}
+
+std::string successor_name(const std::string& name) {
+  return name + ".next";
+}
+
+bool ServiceContext::take_over(const std::function<void()>& turn) {
+  if (!stands_by_) return true;
+  ready();
+  while (!told_to_take_over_ && !stop.stop_requested()) {
+    if (turn) {
+      turn();
+      continue;
+    }
+    std::unique_lock lock(mutex_);
+    told_.wait(lock, stop, [this] { return told_to_take_over_.load(); });
+  }
+  if (stop.stop_requested()) return false;
+  change_name_();
+  return true;
 }
 
 }  // namespace splatbus::bus

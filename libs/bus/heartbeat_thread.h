@@ -26,6 +26,8 @@ class HeartbeatThread {
  private:
   void run(const std::stop_token& stop);
   void beat(wire::ServiceState state);
+  [[nodiscard]] wire::ServiceState state() const;
+  void obey(wire::Order order);
   void apply(const wire::Control& control, const Message& message);
 
   ServiceContext& service_;

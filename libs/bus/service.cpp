@@ -9,6 +9,7 @@
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <exception>
+#include <optional>
 #include <utility>
 
 #include "bus/command_line.h"
@@ -29,6 +30,7 @@ struct Flags {
   std::vector<std::string> changes;
   bool list_parameters = false;
   bool json = false;
+  bool successor = false;
 };
 
 void add_flags(CLI::App& app, Flags& flags) {
@@ -44,6 +46,7 @@ void add_flags(CLI::App& app, Flags& flags) {
   app.add_option("--log-level", flags.log_level, "trace, debug, info, warn, error or off")
       ->check(CLI::IsMember({"trace", "debug", "info", "warn", "error", "off"}))
       ->capture_default_str();
+  app.add_flag("--successor", flags.successor, "stand by, and take the place of the one of that name when told to");
   app.add_flag("--parameters", flags.list_parameters, "check and print the parameters, and exit");
   app.add_flag("--json", flags.json, "with --parameters: print them as one line of JSON");
 }
@@ -76,34 +79,85 @@ std::vector<ParameterProblem> set_parameters(Parameters& parameters, const std::
   return problems;
 }
 
-int run_service(const Flags& flags, Address address, const ServiceDescription& description, Parameters& parameters,
-                const std::function<void(ServiceContext&)>& run) {
-  std::stop_source stop;
-  const StopSignals signals(stop);
-  const Device backend = choose_backend(flags.backend);
-  raise_descriptor_limit();
-  address.key_file = flags.key;
-  address.server_key = flags.server_key;
-  const auto context = Context::create(address, flags.name);
-  install_logger(context, flags.log_level);
-  ServiceContext service(context, parameters, stop.get_token(), backend);
-  std::string failure;
-  {
-    HeartbeatThread heartbeats(service, description.kind);
-    spdlog::info("{} on {}, backend {}", description.kind, address.text(), name_of(backend));
+}  // namespace
+
+/// What service_main has beside the service's own threads.
+class ServiceProcess {
+ public:
+  ServiceProcess(const Flags& flags, Address address, const ServiceDescription& description, Parameters& parameters)
+      : flags_(flags),
+        description_(description),
+        signals_(stop_),
+        backend_(choose_backend(flags.backend)),
+        address_(std::move(address)) {
+    raise_descriptor_limit();
+    address_.key_file = flags.key;
+    address_.server_key = flags.server_key;
+    service_.emplace(connect(flags.successor ? successor_name(flags.name) : flags.name), parameters, stop_.get_token(),
+                     backend_);
+    service_->stands_by_ = flags.successor;
+    service_->ready_ = !flags.successor;
+    service_->request_stop_ = [this] { stop_.request_stop(); };
+    service_->change_name_ = [this] { change_name(); };
+  }
+
+  int run(const std::function<void(ServiceContext&)>& run) {
+    std::string failure;
+    heartbeats_.emplace(*service_, description_.kind);
+    spdlog::info("{} on {}, backend {}{}", description_.kind, address_.text(), name_of(backend_),
+                 flags_.successor ? ", stands by" : "");
     try {
-      run(service);
+      if (!flags_.successor) claim_own_name();
+      if (description_.stands_by || service_->take_over()) run(*service_);
     } catch (const std::exception& error) {
       failure = error.what();
       spdlog::critical("{}", failure);
     }
-    heartbeats.finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
+    heartbeats_->finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
+    heartbeats_.reset();
+    uninstall_logger();
+    return failure.empty() ? 0 : 1;
   }
-  uninstall_logger();
-  return failure.empty() ? 0 : 1;
-}
 
-}  // namespace
+ private:
+  std::shared_ptr<Context> connect(const std::string& name) {
+    auto context = Context::create(address_, name);
+    install_logger(context, flags_.log_level);
+    return context;
+  }
+
+  /// So that a successor knows when it is free.
+  void claim_own_name() {
+    try {
+      service_->bus->claim(std::chrono::milliseconds(0));
+    } catch (const Error& error) {
+      spdlog::warn("{}", error.what());  // what it publishes is refused by the broker; slabs, by the registry
+    }
+  }
+
+  void change_name() {
+    auto context = Context::create(address_, flags_.name);
+    context->claim(kNamePatience);
+    heartbeats_->finish(wire::ServiceState::Stopping, "takes over");
+    heartbeats_.reset();
+    install_logger(context, flags_.log_level);
+    service_->bus = std::move(context);
+    service_->stands_by_ = false;
+    service_->ready_ = !description_.stands_by;
+    heartbeats_.emplace(*service_, description_.kind);
+    spdlog::info("took over as process {}", ::getpid());
+  }
+
+  static constexpr std::chrono::seconds kNamePatience{20};
+  const Flags& flags_;
+  const ServiceDescription& description_;
+  std::stop_source stop_;
+  const StopSignals signals_;
+  const Device backend_;
+  Address address_;
+  std::optional<ServiceContext> service_;
+  std::optional<HeartbeatThread> heartbeats_;
+};
 
 int service_main(int argc, char** argv, const ServiceDescription& description,
                  const std::function<void(ServiceContext&)>& run) {
@@ -132,7 +186,7 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
     return kExitUsage;
   }
   try {
-    return run_service(flags, std::move(address), description, parameters, run);
+    return ServiceProcess(flags, std::move(address), description, parameters).run(run);
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
     return kExitFailed;

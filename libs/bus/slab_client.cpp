@@ -21,6 +21,7 @@ namespace {
 constexpr std::chrono::milliseconds first_pause{50};
 constexpr std::chrono::milliseconds longest_pause{1000};
 constexpr timeval answer_timeout{2, 0};
+constexpr std::chrono::milliseconds claim_pause{5};
 
 FileDescriptor connect_to(const std::string& path) {
   FileDescriptor socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
@@ -84,6 +85,28 @@ void SlabClient::drop(const std::string& name) {
   if (connected_) (void)ask(SlabOperation::Release, descriptor, -1, -1);
 }
 
+void SlabClient::claim(const std::string& source, std::chrono::milliseconds timeout) {
+  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  std::unique_lock lock(mutex_);
+  while (true) {
+    const auto left = std::max(deadline - std::chrono::steady_clock::now(), std::chrono::steady_clock::duration(0));
+    claimed_.insert(source);  // where no broker is yet: when it comes
+    if (!connected_changed_.wait_for(lock, left, [this] { return connected_; })) return;
+    const auto answer = ask_for_lease(source);
+    if (!answer) continue;
+    if (answer->status != SlabStatus::Refused) return;
+    claimed_.erase(source);
+    if (std::chrono::steady_clock::now() >= deadline) throw Error(answer->text);
+    connected_changed_.wait_for(lock, claim_pause, [] { return false; });
+  }
+}
+
+std::optional<SlabPacket> SlabClient::ask_for_lease(const std::string& source) {
+  SlabDescriptor descriptor;
+  descriptor.name = source + "/lease";  // of which there is none: the question alone takes it
+  return ask(SlabOperation::OpenByName, descriptor, -1, -1);
+}
+
 std::optional<SlabPacket> SlabClient::open(std::uint64_t id, const std::string& name,
                                            std::chrono::milliseconds timeout) {
   std::unique_lock lock(mutex_);
@@ -129,6 +152,11 @@ bool SlabClient::connect() {
 }
 
 void SlabClient::register_all() {
+  for (const auto& source : claimed_) {
+    if (!connected_) return;
+    const auto answer = ask_for_lease(source);
+    if (answer && answer->status == SlabStatus::Refused) spdlog::error("{}", answer->text);
+  }
   for (auto it = own_.begin(); it != own_.end() && connected_;) {
     const auto slab = it->second.lock();
     if (slab == nullptr) {

@@ -7,6 +7,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
 
@@ -34,6 +35,10 @@ class SlabClient {
 
   void drop(const std::string& name);
 
+  /// Takes a source's lease, and again after each reconnection. Asks for up to `timeout` while another process has it;
+  /// throws Error then. Returns without it when the registry cannot be reached.
+  void claim(const std::string& source, std::chrono::milliseconds timeout);
+
   /// The registry's answer to Open, or to OpenByName where `name` is not empty; nullopt when it has no such slab or
   /// cannot be reached within `timeout`. Throws Error when another process writes the slabs of that name's source.
   std::optional<SlabPacket> open(std::uint64_t id, const std::string& name, std::chrono::milliseconds timeout);
@@ -43,6 +48,7 @@ class SlabClient {
   bool connect();
   bool connected();
   std::optional<SlabPacket> ask(SlabOperation operation, const SlabDescriptor& descriptor, int control_fd, int data_fd);
+  std::optional<SlabPacket> ask_for_lease(const std::string& source);
   void register_all();
 
   const std::string socket_path_;
@@ -51,6 +57,7 @@ class SlabClient {
   FileDescriptor socket_;  // closed by the thread alone; others shut it down
   bool connected_ = false;
   std::map<std::string, std::weak_ptr<Slab>> own_;
+  std::set<std::string> claimed_;  // sources
   FileDescriptor wake_;
   std::jthread thread_;
 };

@@ -55,7 +55,9 @@ PageStore::PageStore(std::shared_ptr<bus::Context> bus, const ParameterLayout& l
   // Registering anything waits for the broker; asked before that, it would seem to hold no model.
   bus_->create_slab("start", 1, 4096);
   bus_->drop_slab("start");
-  if (!adopt()) begin_empty();
+  if (adopt()) return;
+  if (options_.must_adopt) throw bus::Error("there is no model to go on with: it would begin " + origin_);
+  begin_empty();
 }
 
 std::string PageStore::arena_role(std::uint32_t list, std::uint32_t arena) const {

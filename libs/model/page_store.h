@@ -31,6 +31,8 @@ struct PageStoreOptions {
   std::size_t max_pages = 0;  ///< memory that is taken for pages, in whole arenas; 0: as max_gaussians says
   /// How full the pages are that a split leaves.
   float fill = 0.75F;
+  /// Throws bus::Error where there is no model to go on with, rather than begin an empty one in its place.
+  bool must_adopt = false;
   /// Called at each point of a change; empty outside of tests.
   std::function<void(ChangePoint)> at_point;
 };

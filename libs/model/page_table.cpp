@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <new>
 
+#include "bus/subscriber.h"
 #include "model/channels.h"
 
 namespace splatbus::model {
@@ -67,6 +68,16 @@ std::optional<PageTable> PageTable::adopt(std::byte* memory, std::size_t bytes, 
     }
   }
   return table;
+}
+
+std::string why_not_adoptable(const bus::Message& published, const ParameterLayout& layout) {
+  const auto table = published.tensor("page_table");
+  if (!table || table->memory() != Device::Cpu) return "its page table cannot be read";
+  std::string why_not;
+  // adopt() only looks.
+  auto* const memory = const_cast<std::byte*>(table->data());  // NOLINT(cppcoreguidelines-pro-type-const-cast)
+  if (PageTable::adopt(memory, table->bytes(), layout, why_not)) return {};
+  return why_not;
 }
 
 bool PageTable::holds(const BatchKey& batch) const {

@@ -11,6 +11,10 @@
 #include "gaussians/layout.h"
 #include "gaussians/pages.h"
 
+namespace splatbus::bus {
+class Message;
+}
+
 // What a model's header slab holds, in host memory that other processes read and that outlives its writer: the header,
 // and behind it an entry a page. docs/decisions/0085-pages.md says how a change of structure commits by one store.
 namespace splatbus::model {
@@ -98,6 +102,9 @@ static_assert(std::atomic<std::uint64_t>::is_always_lock_free && std::atomic<std
 [[nodiscard]] inline const PageEntry* page_entries(const PageTableHeader& header) {
   return reinterpret_cast<const PageEntry*>(&header + 1);
 }
+
+/// Why a store of this layout could not go on with the model that the message tells of; empty: it could.
+[[nodiscard]] std::string why_not_adoptable(const bus::Message& published, const ParameterLayout& layout);
 
 struct BatchKey {
   std::uint64_t epoch = 0, batch = 0;

@@ -90,6 +90,38 @@ void Adam::keep(std::span<const IndexRange> ranges) {
   for (; page < pages_.size(); ++page) release(page);
 }
 
+PageMoments Adam::moments_of(std::size_t page) const {
+  if (page >= pages_.size()) return PageMoments::None;
+  if (pages_[page].block != nullptr) return PageMoments::Trains;
+  return pages_[page].rest.empty() ? PageMoments::None : PageMoments::Rests;
+}
+
+void Adam::save(std::size_t page, float* moments) const {
+  const Page& of = pages_[page];
+  const bool rests = of.block == nullptr;
+  if (rests) moments = std::copy_n(of.rest.data(), channels(), moments);
+  const float* row = rests ? of.rest.data() + channels() : of.block;
+  for (std::size_t left = rests ? kCounters : rows(); left-- > 0; row += kRowWords) {
+    moments = std::copy_n(row, kPageLanes, moments);
+  }
+}
+
+void Adam::restore(std::size_t page, PageMoments kind, const float* moments) {
+  if (kind == PageMoments::None || page >= pages_.size()) return;
+  release(page);
+  Page& of = pages_[page];
+  const bool rests = kind == PageMoments::Rests;
+  if (rests) {
+    of.rest.assign(channels() + kCounters * kRowWords, 0.0F);
+    std::copy_n(moments, channels(), of.rest.data());
+    moments += channels();
+  }
+  float* row = rests ? of.rest.data() + channels() : own_block(page);
+  for (std::size_t left = rests ? kCounters : rows(); left-- > 0; row += kRowWords, moments += kPageLanes) {
+    std::copy_n(moments, kPageLanes, row);
+  }
+}
+
 void Adam::prepare(std::span<const IndexRange> ranges) {
   for (const IndexRange& range : ranges) own_block(range.first >> kPageShift);
 }

@@ -13,6 +13,16 @@ namespace splatbus::raster {
 
 struct AdamStep;
 
+/// What Adam keeps of a page: nothing; the moments of one that trains, [2 channels + 3][kPageLanes] (first moments,
+/// second ones, steps as integers, LearningAge's two); or, of one that rests, mean second moments [channels] and the
+/// three counters, [3][kPageLanes].
+enum class PageMoments : std::uint32_t { None, Trains, Rests };
+[[nodiscard]] constexpr std::size_t moment_floats(PageMoments kind, std::size_t channels) {
+  constexpr std::size_t kCounters = 3;
+  if (kind == PageMoments::None) return 0;
+  return kind == PageMoments::Trains ? (2 * channels + kCounters) * kPageLanes : channels + kCounters * kPageLanes;
+}
+
 /// A view of a step, as far as Adam looks at it.
 struct AdamView {
   Camera camera;
@@ -48,6 +58,10 @@ class Adam {
   void keep(std::span<const IndexRange> ranges);
   /// Of the pages that hold these: room for what they learn next.
   void prepare(std::span<const IndexRange> ranges);
+  /// Takes what is kept of a page somewhere else, and puts it in again: moment_floats() of them.
+  [[nodiscard]] PageMoments moments_of(std::size_t page) const;
+  void save(std::size_t page, float* moments) const;
+  void restore(std::size_t page, PageMoments kind, const float* moments);
   /// Of the blocks that pages have.
   [[nodiscard]] std::size_t block_bytes() const { return blocks_in_use_ * block_floats() * sizeof(float); }
 

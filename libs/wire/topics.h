@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string_view>
 
 namespace splatbus {
@@ -28,6 +29,9 @@ struct ViewerPose;
 struct ViewerProbe;
 struct ViewerQuality;
 }  // namespace wire
+
+/// Of all that crosses a process boundary: raised when a peer of before could misread or break what is new.
+inline constexpr std::uint32_t kProtocolVersion = 1;
 
 /// What Header.schema says of a root table: its name and version.
 template <class Table>
@@ -98,6 +102,8 @@ inline constexpr Topic<wire::SceneLightDepth> kSceneLightDepth{"scene/light_dept
 inline constexpr Topic<wire::ModelInsert> kModelInsert{"model/insert"};
 inline constexpr Topic<wire::ModelPublished> kModelPublished{"model/published", kLatched};
 inline constexpr Topic<wire::TrainerStats> kTrainerStats{"trainer/stats"};
+/// Of a trainer that stands by: the capture-bridge has the views rendered again that it lacks.
+inline constexpr Topic<wire::TrainerStats> kTrainerStandby{"trainer/standby"};
 inline constexpr Topic<wire::GridState> kGridState{"grid/state", kLatched};
 inline constexpr Topic<wire::RelightVisibility> kRelightVisibility{"relight/visibility", kLatched};
 inline constexpr Topic<wire::ViewerPose> kViewerPose{"viewer/pose"};

@@ -23,7 +23,7 @@ void Liveness::note(const wire::Heartbeat& heartbeat, std::int64_t now) {
   if (nodes_.size() >= max_nodes && !nodes_.contains(source)) return;
   auto& node = nodes_[source];
   const bool alive =
-      heartbeat.state() == wire::ServiceState::Starting || heartbeat.state() == wire::ServiceState::Running;
+      heartbeat.state() != wire::ServiceState::Stopping && heartbeat.state() != wire::ServiceState::Failed;
   changed_ =
       changed_ || node.alive != alive || node.state != heartbeat.state() || node.epoch != heartbeat.header()->epoch();
   node = {heartbeat.service()->str(), heartbeat.pid(), heartbeat.header()->epoch(), heartbeat.state(), now, alive};

@@ -49,7 +49,7 @@ bus::Frames OwnMessages::heartbeat(const BrokerStatistics& statistics, wire::Ser
     offsets.push_back(wire::CreateCounterDirect(builder, name, static_cast<double>(value)));
   }
   builder.Finish(wire::CreateHeartbeatDirect(builder, head, own_source, static_cast<std::uint32_t>(::getpid()), state,
-                                             nullptr, &offsets, nullptr));
+                                             nullptr, &offsets, nullptr, nullptr, kProtocolVersion));
   return make_frames(splatbus::topics::kHeartbeat.name, builder);
 }
 

@@ -75,8 +75,14 @@ void CaptureBridge::subscribe() {
       .on(topics::kViewerPose, [this](const wire::ViewerPose& pose, const bus::Message&) { handle_pose(pose); })
       .on(topics::kViewerProbe,
           [this](const wire::ViewerProbe& asked, const bus::Message& message) { handle_probe(asked, message); })
-      .on(topics::kTrainerStats, [this](const wire::TrainerStats& stats,
-                                        const bus::Message& message) { handle_trainer_stats(stats, message); })
+      .on(topics::kTrainerStats,
+          [this](const wire::TrainerStats& stats, const bus::Message& message) {
+            handle_trainer_stats(stats, message, trainer_watch_);
+          })
+      .on(topics::kTrainerStandby,
+          [this](const wire::TrainerStats& stats, const bus::Message& message) {
+            handle_trainer_stats(stats, message, standby_watch_);
+          })
       .on(topics::kGridState,
           [this](const wire::GridState& state, const bus::Message& message) { handle_grid_state(state, message); });
 }
@@ -197,10 +203,11 @@ void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Mess
   if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);
 }
 
-void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message) {
+void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message,
+                                         TrainerWatch& watch) {
   const std::uint64_t held = std::uint64_t{stats.ready_references()} + stats.ready_inputs();
   const std::uint64_t published = references_published_.size() + inputs_published_.size();
-  if (!trainer_watch_.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
+  if (!watch.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
   static bus::LogLimiter limiter;
   if (limiter.allow()) {
     spdlog::info("{} holds {} of {} views: asking the engine for all again",

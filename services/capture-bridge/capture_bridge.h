@@ -59,7 +59,7 @@ class CaptureBridge {
   void handle_range(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_pose(const wire::ViewerPose& pose);
   void handle_probe(const wire::ViewerProbe& asked, const bus::Message& message);
-  void handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message);
+  void handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message, TrainerWatch& watch);
   void handle_grid_state(const wire::GridState& state, const bus::Message& message);
 
   void update_rigs(std::int64_t now_ns);
@@ -77,7 +77,7 @@ class CaptureBridge {
   Forwarder forwarder_;
   RigControl rigs_;
   ProbeTable probes_;
-  TrainerWatch trainer_watch_;
+  TrainerWatch trainer_watch_, standby_watch_;
   NewShareWatch new_shares_;
   BridgeCounters counters_;
   bus::MemoryPool input_pictures_;

@@ -26,6 +26,7 @@ constexpr std::int64_t kSettledStatePeriodNs =
 constexpr std::int64_t kWaitingStatePeriodNs = 200'000'000;
 constexpr std::size_t kMaxCellsAMessage = 4096;
 constexpr int kMaxMessagesAStep = 64;
+constexpr std::chrono::seconds kSettlePatience{5};
 constexpr std::size_t kMaxWaitingRounds = 8;
 // Published batches that are not acknowledged must stay readable: more slots than batches in flight.
 constexpr std::size_t kRingSlack = 4096;  // tensors are aligned
@@ -98,6 +99,16 @@ void Expander::step(std::chrono::milliseconds timeout) {
   insert_rounds();
   publish_batches();
   publish_state();
+}
+
+bool Expander::settle(std::chrono::milliseconds timeout) {
+  receive(timeout);
+  incoming_.clear();
+  waiting_.clear();  // the capture-bridge repeats the newest for who comes next
+  follow_model();
+  publish_batches();
+  publish_state();
+  return queue_.pending() > 0;
 }
 
 void Expander::receive(std::chrono::milliseconds timeout) {
@@ -286,6 +297,11 @@ void run(bus::ServiceContext& service) {
     service.counter("round_ms", counters.milliseconds);
     service.counter("latency_ms", counters.latency_milliseconds);
     service.counter("host_copied_bytes", static_cast<double>(expander.inserter().host_copied_bytes()));
+  }
+  // Whoever comes next reads the model, and would insert again what is not in it yet.
+  const auto deadline = std::chrono::steady_clock::now() + kSettlePatience;
+  while (service.yields() && expander.settle(std::chrono::milliseconds(20)) &&
+         std::chrono::steady_clock::now() < deadline) {
   }
 }
 

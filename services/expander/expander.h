@@ -39,6 +39,9 @@ class Expander {
   /// then to end, and the next one adopts what the trainer has.
   void step(std::chrono::milliseconds timeout);
 
+  /// Takes no more rounds, and sees to it that the trainer gets what was inserted: false once it has all of it.
+  [[nodiscard]] bool settle(std::chrono::milliseconds timeout);
+
   [[nodiscard]] const ExpanderCounters& counters() const { return counters_; }
   [[nodiscard]] const GaussianInserter& inserter() const { return inserter_; }
   [[nodiscard]] const RetransmitQueue& queue() const { return queue_; }

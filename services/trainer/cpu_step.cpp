@@ -34,6 +34,11 @@ class CpuStep final : public GradientStep {
   void step(std::span<const PairedView> views) override;
   StepReport finished(bool /*wait*/) override { return std::exchange(report_, {}); }
   void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override;
+  [[nodiscard]] raster::PageMoments moments_of(std::uint32_t page) const override { return adam_.moments_of(page); }
+  void save_moments(std::uint32_t page, float* moments) const override { adam_.save(page, moments); }
+  void restore_moments(std::uint32_t page, raster::PageMoments kind, const float* moments) override {
+    adam_.restore(page, kind, moments);
+  }
   [[nodiscard]] kernels::ScreenStatistics statistics() const override {
     return {.mean2d_norm = mean2d_norm_.data(), .steps = seen_steps_.data()};
   }

@@ -9,6 +9,7 @@
 
 #include "device/stream.h"
 #include "model/page_store.h"
+#include "raster/adam.h"
 #include "raster/rasterizer.h"
 #include "trainer/gaussian_kernels.h"
 #include "trainer/options.h"
@@ -70,6 +71,12 @@ class GradientStep {
   /// The store's structure has changed, or pages have frozen: `fresh` begin anew, then what was kept of moves.from[k]
   /// is that of moves.to[k].
   virtual void follow(std::span<const IndexRange> fresh, const model::Moves& moves) = 0;
+  /// What is kept of a page's moments, to go on elsewhere, on either device: host memory of raster::moment_floats().
+  /// Copies are done when stream() is.
+  [[nodiscard]] virtual raster::PageMoments moments_of(std::uint32_t page) const = 0;
+  virtual void save_moments(std::uint32_t page, float* moments) const = 0;
+  virtual void restore_moments(std::uint32_t page, raster::PageMoments kind, const float* moments) = 0;
+
   /// Of the steps since clear_statistics(), gathered with Options::densify; null where they are not.
   [[nodiscard]] virtual kernels::ScreenStatistics statistics() const = 0;
   virtual void clear_statistics() = 0;

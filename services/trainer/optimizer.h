@@ -16,6 +16,7 @@
 #include "trainer/commands.h"
 #include "trainer/freezing.h"
 #include "trainer/gradient_step.h"
+#include "trainer/handover.h"
 #include "trainer/options.h"
 #include "trainer/per_index.h"
 #include "trainer/view_store.h"
@@ -24,7 +25,8 @@
 namespace splatbus::trainer {
 
 /// Trains the model of a PageStore: applies what others ask of it between steps, and steps. Belongs to one thread.
-/// What it keeps of its own for each Gaussian (Adam's moments, age) begins anew with a new Optimizer.
+/// What it keeps of its own for each Gaussian (Adam's moments, age) begins anew with a new Optimizer, unless that goes
+/// on with what this one has saved.
 ///
 /// On CUDA a few steps may still be under way when step() returns. They count in PageStore::step() already, in its
 /// optimizer_s() once they are done.
@@ -53,6 +55,14 @@ class Optimizer {
 
   /// Waits for all that is under way; the structure may have changed.
   StepReport finish();
+
+  /// After finish(): what it keeps of its own for each Gaussian, for another one on this model as it is now, on either
+  /// device. `memory`: [handover_bytes()] of the host's, 0 so far.
+  [[nodiscard]] std::size_t handover_bytes() const;
+  void save(std::byte* memory) const;
+  /// Goes on with that, page by page; of a page that is not the same any more, everything begins anew. What lies is
+  /// refused.
+  [[nodiscard]] Restored restore(std::span<const std::byte> memory);
 
   /// Lets `change` take pages out of the store or put them back, which count as old, and follows.
   void restructure(const std::function<void()>& change);

@@ -24,6 +24,7 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kReceiveTimeout = 50ms;
+constexpr auto kPartPatience = 20s;
 constexpr int kMaxDrained = 512;
 constexpr std::uint64_t kMaxVisibilities = std::uint64_t{1} << 26;
 
@@ -50,8 +51,13 @@ Trainer::Trainer(bus::ServiceContext& service, StepMaker make_step)
 void Trainer::run() {
   const Options& options = *options_;
   with_depth_ = wants_depth(options);
+  subscribe();
+  if (!stand_by()) return;
   open_store();
+  // Whatever they are called: two that publish a model each would have all others follow now one, now the other.
+  service_.bus->claim_part("model", successor_ ? kPartPatience : 0ms);
   optimizer_ = std::make_unique<Optimizer>(*store_, options, make_step_);
+  adopt_handover();
   pair_views();
 
   try {
@@ -62,11 +68,12 @@ void Trainer::run() {
     throw std::runtime_error(failure.what());
   }
   if (optimizer_failure_) std::rethrow_exception(optimizer_failure_);
+  if (service_.yields()) hand_over();
 }
 
 void Trainer::open_store() {
   const Options& options = *options_;
-  model::PageStoreOptions store{.max_gaussians = options.max_gaussians};
+  model::PageStoreOptions store{.max_gaussians = options.max_gaussians, .must_adopt = successor_};
   constexpr double kLeastActive = 0.25;
   const std::size_t most = WorldKeeper::most_pages(options.world, options.layout, service_.backend, kLeastActive);
   // A split takes its new pages before it gives the old one back.
@@ -97,25 +104,28 @@ void Trainer::subscribe() {
 }
 
 void Trainer::receive() {
-  subscribe();
   while (!service_.stop.stop_requested() && !optimizer_failed_) {
-    auto message = subscriber_.receive(kReceiveTimeout);
-    // Pictures that are outdated by others in the queue are not copied.
-    std::vector<bus::Message> references;
-    for (int n = 0; message && n < kMaxDrained; ++n) {
-      if (message->topic() == topics::kCaptureReference.name) {
-        references.push_back(std::move(*message));
-      } else {
-        subscriber_.dispatch(*message);
-      }
-      message = subscriber_.receive(0ms);
-    }
-    if (message) subscriber_.dispatch(*message);
-    take_references(references);
+    receive_once();
     service_.counter("lost_messages", static_cast<double>(subscriber_.lost()));
     service_.counter("lost_tensors", static_cast<double>(lost_tensors_));
     service_.counter("host_copied_bytes", static_cast<double>(host_copied_bytes_.load()));
   }
+}
+
+void Trainer::receive_once() {
+  auto message = subscriber_.receive(kReceiveTimeout);
+  // Pictures that are outdated by others in the queue are not copied.
+  std::vector<bus::Message> references;
+  for (int n = 0; message && n < kMaxDrained; ++n) {
+    if (message->topic() == topics::kCaptureReference.name) {
+      references.push_back(std::move(*message));
+    } else {
+      subscriber_.dispatch(*message);
+    }
+    message = subscriber_.receive(0ms);
+  }
+  if (message) subscriber_.dispatch(*message);
+  take_references(references);
 }
 
 void Trainer::take_references(const std::vector<bus::Message>& messages) {

@@ -23,6 +23,7 @@
 #include "trainer/view_store.h"
 #include "trainer/viewer_places.h"
 #include "trainer/world_keeper.h"
+#include "wire/model_generated.h"
 
 namespace splatbus::trainer {
 
@@ -55,8 +56,19 @@ class Trainer {
  private:
   void open_store();
 
+  // succession.cpp
+  /// Of a successor: gets ready beside the trainer that runs, and waits for its place. False when it is not to be.
+  [[nodiscard]] bool stand_by();
+  void look_at_model(const wire::ModelPublished& published, const bus::Message& message);
+  void publish_standby();
+  /// Goes on with what the one before has left beside the model.
+  void adopt_handover();
+  /// Leaves it, after all that was published of the model.
+  void hand_over();
+
   // Message thread.
   void receive();
+  void receive_once();
   void subscribe();
   void take_references(const std::vector<bus::Message>& messages);
   void take_reference(const bus::Message& message);
@@ -111,6 +123,15 @@ class Trainer {
     bool operator==(const State&) const = default;
   };
   State announced_;
+  bool successor_ = false;
+  /// While it stands by.
+  struct Before {
+    bool adoptable = false;  ///< the model that the one before has published
+    int refusals = 0;        ///< of it, one after the other
+    std::size_t views = 0;   ///< that the one before has
+  };
+  Before before_;
+  std::string before_failure_;  ///< why it cannot go on with that model
   using Clock = std::chrono::steady_clock;
   Clock::time_point model_published_{}, stats_published_{};
 };

@@ -186,6 +186,31 @@ void AdamState::give_blocks(const std::vector<PageState>& states, float beta2, c
   upload_table(stream);
 }
 
+PageMoments AdamState::moments_of(std::size_t page) const {
+  if (page >= pages_.size()) return PageMoments::None;
+  if (pages_[page].block) return PageMoments::Trains;
+  return pages_[page].rest ? PageMoments::Rests : PageMoments::None;
+}
+
+void AdamState::save(std::size_t page, float* moments, cudaStream_t stream) const {
+  const PageMoments kind = moments_of(page);
+  if (kind == PageMoments::None) return;
+  const float* const from =
+      kind == PageMoments::Trains ? blocks_.data(*pages_[page].block) : rests_.data(*pages_[page].rest);
+  check(cudaMemcpyAsync(moments, from, moment_floats(kind, channels()) * sizeof(float), cudaMemcpyDefault, stream),
+        "saving moments");
+}
+
+void AdamState::restore(std::size_t page, PageMoments kind, const float* moments, cudaStream_t stream) {
+  if (kind == PageMoments::None || page >= pages_.size()) return;
+  Page& of = pages_[page];
+  if (kind == PageMoments::Rests && !of.block && !of.rest) of.rest = rests_.take();
+  if (kind != moments_of(page)) return;
+  float* const to = kind == PageMoments::Trains ? blocks_.data(*of.block) : rests_.data(*of.rest);
+  check(cudaMemcpyAsync(to, moments, moment_floats(kind, channels()) * sizeof(float), cudaMemcpyDefault, stream),
+        "restoring moments");
+}
+
 void AdamState::upload_table(cudaStream_t stream) {
   std::vector<float*> table;
   table.reserve(pages_.size());

@@ -7,6 +7,7 @@
 
 #include "device/buffer.h"
 #include "gaussians/pages.h"
+#include "raster/adam.h"
 #include "raster/cuda/growing_memory.h"
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/slot_pool.h"
@@ -37,6 +38,12 @@ class AdamState {
   /// Begins to gather statistics, or gives their memory back.
   void gather_statistics(bool gather, cudaStream_t stream);
   void clear_statistics(cudaStream_t stream);
+
+  /// As raster::Adam's. Copies are enqueued: `moments`, in host memory, stays until the stream is done.
+  [[nodiscard]] PageMoments moments_of(std::size_t page) const;
+  void save(std::size_t page, float* moments, cudaStream_t stream) const;
+  /// Nothing where the page is not of that kind.
+  void restore(std::size_t page, PageMoments kind, const float* moments, cudaStream_t stream);
 
   [[nodiscard]] OptimizerState view() const { return {.blocks = table_.data(), .channels = layout_.channels()}; }
   /// Null where they are not gathered.

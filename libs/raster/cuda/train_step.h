@@ -103,6 +103,9 @@ class TrainStep {
   /// where the model is empty.
   [[nodiscard]] ScreenStatistics statistics() const { return adam_.statistics(); }
   void clear_statistics() { adam_.clear_statistics(stream()); }
+  /// What Adam keeps of the model's pages; on stream(), as AdamState has it.
+  [[nodiscard]] AdamState& moments() { return adam_; }
+  [[nodiscard]] const AdamState& moments() const { return adam_; }
   [[nodiscard]] cudaStream_t stream() const { return stream_.get(); }
   [[nodiscard]] std::size_t bytes() const;  ///< device memory that it owns
   /// Of Adam's moments, the part that pages have.

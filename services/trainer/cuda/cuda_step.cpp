@@ -102,6 +102,15 @@ class CudaStep final : public GradientStep {
         {.ranges = store_.view().ranges, .fresh = fresh, .from = moves.from, .to = moves.to, .moves = moves.count});
   }
 
+  [[nodiscard]] raster::PageMoments moments_of(std::uint32_t page) const override {
+    return train_.moments().moments_of(page);
+  }
+  void save_moments(std::uint32_t page, float* moments) const override {
+    train_.moments().save(page, moments, train_.stream());
+  }
+  void restore_moments(std::uint32_t page, raster::PageMoments kind, const float* moments) override {
+    train_.moments().restore(page, kind, moments, train_.stream());
+  }
   [[nodiscard]] kernels::ScreenStatistics statistics() const override {
     const raster::cuda::ScreenStatistics gathered = train_.statistics();
     return {.mean2d_norm = gathered.mean2d_norm, .steps = gathered.steps};

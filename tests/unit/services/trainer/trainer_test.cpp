@@ -284,6 +284,11 @@ class FailingStep final : public GradientStep {
   void follow(std::span<const IndexRange> fresh, const model::Moves& moves) override { true_->follow(fresh, moves); }
   [[nodiscard]] kernels::ScreenStatistics statistics() const override { return true_->statistics(); }
   void clear_statistics() override { true_->clear_statistics(); }
+  [[nodiscard]] raster::PageMoments moments_of(std::uint32_t page) const override { return true_->moments_of(page); }
+  void save_moments(std::uint32_t page, float* moments) const override { true_->save_moments(page, moments); }
+  void restore_moments(std::uint32_t page, raster::PageMoments kind, const float* moments) override {
+    true_->restore_moments(page, kind, moments);
+  }
   [[nodiscard]] device::StreamView stream() const override { return true_->stream(); }
 
  private:

@@ -20,6 +20,9 @@ class RecordingStep final : public GradientStep {
   void follow(std::span<const IndexRange> /*fresh*/, const model::Moves& /*moves*/) override {}
   [[nodiscard]] kernels::ScreenStatistics statistics() const override { return {}; }
   void clear_statistics() override {}
+  [[nodiscard]] raster::PageMoments moments_of(std::uint32_t /*page*/) const override { return {}; }
+  void save_moments(std::uint32_t /*page*/, float* /*moments*/) const override {}
+  void restore_moments(std::uint32_t /*page*/, raster::PageMoments /*kind*/, const float* /*moments*/) override {}
   [[nodiscard]] device::StreamView stream() const override { return {}; }
 
  private:

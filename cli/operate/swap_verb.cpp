@@ -1,0 +1,97 @@
+#include "swap_verb.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "swap.h"
+
+namespace splatbus::cli {
+
+namespace {
+
+using Json = nlohmann::json;
+constexpr double kLeaveWithinS = 10;
+
+/// A swap among a supervisor's processes.
+class SupervisorSwapHost final : public SwapHost {
+ public:
+  SupervisorSwapHost(Supervisor& supervisor, ProcessPlan plan) : supervisor_(supervisor), plan_(std::move(plan)) {
+    predecessor_ = status().pid;
+    if (predecessor_ == 0) throw std::runtime_error(fmt::format("'{}' does not run", plan_.name));
+  }
+
+  [[nodiscard]] pid_t predecessor() const override { return predecessor_; }
+  [[nodiscard]] pid_t start_successor() override {
+    supervisor_.start_successor(plan_.name, plan_);
+    const auto beside = status().beside;
+    return beside ? beside->pid : 0;
+  }
+  [[nodiscard]] std::optional<std::string> successor_end() override {
+    const auto beside = status().beside;
+    if (!beside) return "it was dropped";
+    if (!beside->exit) return std::nullopt;
+    const std::string how = beside->exit->text();
+    return beside->last_lines.empty() ? how : fmt::format("{}: {}", how, beside->last_lines.back());
+  }
+  [[nodiscard]] bool predecessor_ended() override { return status().pid != predecessor_; }
+  void exchange() override { supervisor_.exchange(plan_.name, kLeaveWithinS); }
+  void drop_successor() override { supervisor_.drop_beside(plan_.name); }
+  void restart_predecessor() override { supervisor_.restart(plan_.name); }
+
+ private:
+  [[nodiscard]] ProcessStatus status() const {
+    for (ProcessStatus& process : supervisor_.status()) {
+      if (process.name == plan_.name) return std::move(process);
+    }
+    throw std::runtime_error(fmt::format("there is no process '{}'", plan_.name));
+  }
+
+  Supervisor& supervisor_;
+  ProcessPlan plan_;
+  pid_t predecessor_ = 0;
+};
+
+/// The process's plan with what the request changes, as a successor's.
+ProcessPlan successor_plan(const Operated& operated, const Json& request, const std::string& name) {
+  const LaunchPlan plan = plan_launch(operated.file, operated.bus, program_directory());
+  const auto found = std::ranges::find(plan.processes, name, &ProcessPlan::name);
+  if (found == plan.processes.end()) throw std::runtime_error(fmt::format("there is no process '{}'", name));
+  ProcessPlan changed = *found;
+  if (changed.broker) throw std::runtime_error("the broker cannot have a successor beside it: restart it");
+  if (request.contains("program")) changed.program = request.at("program").get<std::string>();
+  if (request.contains("backend")) {
+    changed.backend = request.at("backend").get<std::string>();
+    changed.arguments.insert(changed.arguments.end(), {"--backend", changed.backend});
+  }
+  const Json changes = request.contains("set") ? request.at("set") : Json(Json::value_t::object);
+  for (const auto& [key, value] : changes.items()) {
+    changed.arguments.insert(changed.arguments.end(), {"--set", fmt::format("{}={}", key, value.get<std::string>())});
+  }
+  changed.arguments.emplace_back("--successor");
+  return changed;
+}
+
+}  // namespace
+
+void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& operated) {
+  // One swap at a time.
+  server.handle("swap", [operated, turn = std::make_shared<std::mutex>()](
+                            const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
+    const std::scoped_lock lock(*turn);
+    const auto names = processes_of(operated->supervisor.status(), request.at("service").get<std::string>());
+    const auto bus = bus::Context::create(operated->bus, fmt::format("swap-{}", ::getpid()));
+    for (const std::string& name : names) {
+      SupervisorSwapHost host(operated->supervisor, successor_plan(*operated, request, name));
+      run_swap(
+          host, bus, name, {}, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
+    }
+    return Json{{"processes", names}};
+  });
+}
+
+}  // namespace splatbus::cli
