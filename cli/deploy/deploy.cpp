@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 
 struct ExportOptions {
   std::string launch_file, folder;
-  std::vector<std::string> overrides;
+  std::vector<std::string> overrides, remote;
   std::string backend;
   DeployOptions deploy;
 };
@@ -30,8 +30,16 @@ int write(const ExportOptions& options, const char* file_name, Write write_text)
   LaunchFile file = read_launch_file(options.launch_file);
   for (const std::string& assignment : options.overrides) apply_override(file, assignment);
   set_backend(file, options.backend);
-  const DeployPlan plan = plan_deployment(file, program_directory(), options.deploy);
-  const std::string text = write_text(plan, options.deploy);
+  DeployOptions deploy = options.deploy;
+  for (const std::string& entry : options.remote) {
+    const std::size_t equals = entry.find('=');
+    if (equals == std::string::npos) {
+      throw std::runtime_error(fmt::format("--remote '{}': expected NAME=tcp://host:port", entry));
+    }
+    deploy.remote[entry.substr(0, equals)] = entry.substr(equals + 1);
+  }
+  const DeployPlan plan = plan_deployment(file, program_directory(), deploy);
+  const std::string text = write_text(plan, deploy);
   if (options.folder.empty()) {
     fmt::print("{}", text);
     return 0;
@@ -51,6 +59,11 @@ void add_format(CLI::App& verb, Action& action, const char* name, const char* su
   format->add_option("launch-file", options->launch_file, "launch file (.yaml)")->required();
   format->add_option("-o,--out", options->folder, "folder to write to; else to standard output");
   format->add_option("--set", options->overrides, "service.parameter=value, before the file's; repeatable")
+      ->allow_extra_args(false);
+  format
+      ->add_option(
+          "--remote", options->remote,
+          "NAME=tcp://host:port: run this service on other machines, where it reaches the bus there; repeatable")
       ->allow_extra_args(false);
   format->add_option("--image", options->deploy.image, "container image with splatbus")->capture_default_str();
   format->add_option("--gateway-port", options->deploy.gateway_port, "port of the gateway")

@@ -94,8 +94,22 @@ void place_streamer(DeployProcess& process, int port) {
 }
 
 /// A bus over tcp needs a key there.
-void place_client(DeployProcess& process) {
+void place_client(DeployProcess& process, const std::string& bus) {
+  const auto option = std::ranges::find(process.command, "--bus");
+  if (option != process.command.end()) *std::next(option) = bus;
   process.environment["SPLATBUS_KEY"] = secret(process, "client_key");
+}
+
+void check_remote(const LaunchFile& file, const std::map<std::string, std::string>& remote) {
+  for (const auto& [name, bus] : remote) {
+    const auto is_it = [&entry = name](const LaunchService& service) { return service.name == entry; };
+    if (std::ranges::none_of(file.services, is_it)) {
+      throw LaunchError({"--remote", 0, 0}, fmt::format("unknown service '{}' of {}", name, file.path));
+    }
+    if (bus::Address::parse(bus).is_local()) {
+      throw LaunchError({"--remote", 0, 0}, fmt::format("'{}={}': expected tcp://host:port", name, bus));
+    }
+  }
 }
 
 DeployProcess containerised(const ProcessPlan& plan, const LaunchService& service, const fs::path& programs) {
@@ -124,31 +138,25 @@ DeployProcess containerised(const ProcessPlan& plan, const LaunchService& servic
 }  // namespace
 
 DeployPlan plan_deployment(const LaunchFile& file, const fs::path& programs, const DeployOptions& options) {
-  LaunchFile inside = file;
-  for (LaunchService& service : inside.services) {
-    if (!service.bus) continue;
-    if (bus::Address::parse(service.bus->value).is_local()) {
-      throw LaunchError(service.bus->mark,
-                        "a bus of its own that lies in memory is not exported: put what is on it "
-                        "into a launch file of its own");
-    }
-  }
-  const LaunchPlan launch = plan_launch(inside, bus::Address::parse(fmt::format("ipc://{}", kBusFolder)), programs);
+  check_remote(file, options.remote);
+  const LaunchPlan launch = plan_launch(file, bus::Address::parse(fmt::format("ipc://{}", kBusFolder)), programs);
   DeployPlan plan;
   plan.name = host_name(fs::path(file.path).stem().string());
   int streamer_port = options.streamer_port;
   for (const ProcessPlan& process : launch.processes) {
-    const auto service = std::ranges::find_if(inside.services, [&](const LaunchService& s) {
+    const auto service = std::ranges::find_if(file.services, [&](const LaunchService& s) {
       return s.name == process.name || (s.replicas > 1 && process.name.starts_with(s.name + "-"));
     });
     DeployProcess placed = containerised(process, *service, programs);
+    const auto bus = options.remote.find(service->name);
+    const bool remote = bus != options.remote.end();
     for (const std::size_t index : process.after) placed.after.push_back(launch.processes[index].name);
-    if (!process.broker && placed.beats && placed.after.empty() && !service->bus) placed.after.emplace_back("bus");
+    if (!process.broker && placed.beats && placed.after.empty() && !remote) placed.after.emplace_back("bus");
     if (placed.broker) place_broker(placed);
     if (placed.gateway) place_gateway(placed, options);
-    if (placed.streamer) place_streamer(placed, service->bus ? options.streamer_port : streamer_port++);
-    if (service->bus) place_client(placed);
-    (service->bus ? plan.remote : plan.local).push_back(std::move(placed));
+    if (placed.streamer) place_streamer(placed, remote ? options.streamer_port : streamer_port++);
+    if (remote) place_client(placed, bus->second);
+    (remote ? plan.remote : plan.local).push_back(std::move(placed));
   }
   // Only what is there is waited for.
   std::set<std::string> names;

@@ -30,8 +30,8 @@ struct DeployProcess {
   double start_timeout_s = 30;
 };
 
-/// Processes of one launch file: those on its own bus, which lies in memory and wants them on one machine, and those
-/// with a bus of their own over tcp, which run anywhere.
+/// Processes of one launch file: those on its bus, which lies in memory and wants them on one machine, and those that
+/// reach the bus over tcp, which run anywhere.
 struct DeployPlan {
   std::string name;  ///< of the file, fit for a host's name
   std::vector<DeployProcess> local, remote;
@@ -39,8 +39,9 @@ struct DeployPlan {
 
 struct DeployOptions {
   std::string image = "splatbus";
-  int gateway_port = 7680;   ///< published
-  int streamer_port = 7600;  ///< of the first streamer; the next has the next
+  int gateway_port = 7680;                    ///< published
+  int streamer_port = 7600;                   ///< of the first streamer; the next has the next
+  std::map<std::string, std::string> remote;  ///< by entry: the bus over tcp that it uses from another machine
 };
 
 inline constexpr const char* kBusFolder = "/run/splatbus";
@@ -56,8 +57,8 @@ inline constexpr const char* kWorldFolder = "/var/lib/splatbus/world";
 /// As a docker compose file, by the Compose specification.
 [[nodiscard]] std::string compose_text(const DeployPlan& plan, const DeployOptions& options);
 
-/// As Kubernetes manifests, one document after the other: a pod for what shares memory, a stateful set for each entry
-/// with a bus of its own, and services before streamers, bus and gateway.
+/// As Kubernetes manifests, one document after the other: a pod for what shares memory, a stateful set for each remote
+/// entry, and services before streamers, bus and gateway.
 [[nodiscard]] std::string kubernetes_text(const DeployPlan& plan, const DeployOptions& options);
 
 }  // namespace splatbus::cli

@@ -94,6 +94,7 @@ class Supervisor {
   void restart(const std::string& name);  ///< forgets earlier ends; starts what does not run
   void add(ProcessPlan plan);            ///< one more process; those of its `after` are named by the first plan's index
   void remove(const std::string& name);  ///< stops it, and forgets it when it has ended
+  [[nodiscard]] ProcessPlan plan_of(const std::string& name);  ///< that it runs by, or would
 
   // For a successor that takes over without a gap. A process has one other beside it at most.
   /// Starts `plan` beside process `name`: it sends heartbeats as "name.next", which status() shows as `beside`. What

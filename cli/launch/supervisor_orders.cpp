@@ -61,6 +61,12 @@ void Supervisor::refuse_orders() {
   changed_.notify_all();
 }
 
+ProcessPlan Supervisor::plan_of(const std::string& name) {
+  ProcessPlan plan;
+  order([&] { plan = find(name).life->plan; });
+  return plan;
+}
+
 Supervisor::Process& Supervisor::find(const std::string& name) {
   std::vector<std::string> names;
   for (Process& process : processes_) {

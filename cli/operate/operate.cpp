@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -21,8 +22,8 @@ namespace {
 using Json = nlohmann::json;
 
 struct OperateOptions {
-  std::string bus, scale, since;
-  std::vector<std::string> services;
+  std::string bus, scale, since, service, backend, program;
+  std::vector<std::string> services, settings;
   double wait_s = 60;
   int tail = -1;
   bool json = false, follow = false;
@@ -73,6 +74,20 @@ int scale(const OperateOptions& options) {
   }
   return change(options,
                 {{"verb", "scale"}, {"service", options.scale.substr(0, equals)}, {"replicas", std::stoi(number)}});
+}
+
+int swap(const OperateOptions& options) {
+  Json request{{"verb", "swap"}, {"service", options.service}};
+  if (!options.backend.empty()) request["backend"] = options.backend;
+  if (!options.program.empty()) request["program"] = std::filesystem::absolute(options.program).string();
+  for (const std::string& setting : options.settings) {
+    const std::size_t equals = setting.find('=');
+    if (equals == std::string::npos || equals == 0) {
+      throw std::runtime_error(fmt::format("--set '{}': expected name=value", setting));
+    }
+    request["set"][setting.substr(0, equals)] = setting.substr(equals + 1);
+  }
+  return change(options, std::move(request));
 }
 
 int down(const OperateOptions& options) {
@@ -192,6 +207,14 @@ void add_operate_verbs(CLI::App& app, Action& action) {
   const auto [scale_verb, scale_options] = add("scale", "Set how many replicas of a service run", scale);
   scale_verb->add_option("replicas", scale_options->scale, "NAME=NUMBER")->required();
   add_wait(scale_verb, scale_options);
+  const auto [swap_verb, swap_options] =
+      add("swap", "Hand a service over to a new process of it, while the picture goes on", swap);
+  swap_verb->add_option("service", swap_options->service, "service or process")->required();
+  add_backend_option(*swap_verb, swap_options->backend);
+  swap_verb->add_option("--set", swap_options->settings, "name=value of a parameter; repeatable")
+      ->allow_extra_args(false);
+  swap_verb->add_option("--program", swap_options->program, "another program for it")->check(CLI::ExistingFile);
+  add_wait(swap_verb, swap_options);
 }
 
 }  // namespace splatbus::cli

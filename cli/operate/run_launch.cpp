@@ -24,6 +24,7 @@
 #include "operator_verbs.h"
 #include "supervised_run.h"
 #include "supervisor.h"
+#include "swap_verb.h"
 #include "terminal.h"
 
 namespace splatbus::cli {
@@ -58,11 +59,13 @@ int supervise(const RunLaunch& launch, const std::function<void()>& listening) {
 
   std::stop_source stop;
   const std::stop_callback on_signal(signals.stop(), [&] { stop.request_stop(); });
-  add_operator_verbs(control, std::make_shared<Operated>(Operated{.supervisor = supervisor,
-                                                                  .file = launch.file,
-                                                                  .bus = launch.plan.bus,
-                                                                  .log_folder = logs ? folder.string() : std::string(),
-                                                                  .stop = [&stop] { stop.request_stop(); }}));
+  const auto operated = std::make_shared<Operated>(Operated{.supervisor = supervisor,
+                                                            .file = launch.file,
+                                                            .bus = launch.plan.bus,
+                                                            .log_folder = logs ? folder.string() : std::string(),
+                                                            .stop = [&stop] { stop.request_stop(); }});
+  add_operator_verbs(control, operated);
+  add_swap_handler(control, operated);
   control.start();
   listening();
   std::jthread timer;

@@ -58,10 +58,7 @@ class SupervisorSwapHost final : public SwapHost {
 
 /// The process's plan with what the request changes, as a successor's.
 ProcessPlan successor_plan(const Operated& operated, const Json& request, const std::string& name) {
-  const LaunchPlan plan = plan_launch(operated.file, operated.bus, program_directory());
-  const auto found = std::ranges::find(plan.processes, name, &ProcessPlan::name);
-  if (found == plan.processes.end()) throw std::runtime_error(fmt::format("there is no process '{}'", name));
-  ProcessPlan changed = *found;
+  ProcessPlan changed = operated.supervisor.plan_of(name);
   if (changed.broker) throw std::runtime_error("the broker cannot have a successor beside it: restart it");
   if (request.contains("program")) changed.program = request.at("program").get<std::string>();
   if (request.contains("backend")) {

@@ -18,13 +18,16 @@ delete schema.$schema;  // whose address Ajv knows otherwise
 const text = JSON.stringify(schema).replaceAll(/"id":"[^"]*",/g, "");
 const validCompose = ajv.compile(JSON.parse(text));
 
-const run = (format, file) => execFileSync(splatbus, ["export", format, file], { encoding: "utf8" });
-const files = [join(here, "two_machines.yaml"), join(here, "../../launch/demo.yaml")];
+const run = (format, file, remote) => execFileSync(splatbus, ["export", format, file, ...remote], { encoding: "utf8" });
+const files = [
+  [join(here, "two_machines.yaml"), ["--remote", "far=tcp://bus:7555"]],
+  [join(here, "../../launch/demo.yaml"), []],
+];
 
-for (const file of files) {
-  const compose = parse(run("compose", file));
+for (const [file, remote] of files) {
+  const compose = parse(run("compose", file, remote));
   assert.ok(validCompose(compose), JSON.stringify(validCompose.errors, null, 1));
-  for (const document of parseAllDocuments(run("kubernetes", file))) {
+  for (const document of parseAllDocuments(run("kubernetes", file, remote))) {
     assert.equal(document.errors.length, 0);
     const json = document.toJS();
     assert.ok(kinds[json.kind], json.kind);
