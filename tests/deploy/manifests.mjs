@@ -36,12 +36,12 @@ for (const [file, remote] of files) {
 }
 
 // The schemas tell: what is wrong is refused.
-const wrong = parse(run("compose", files[0]));
+const wrong = parse(run("compose", ...files[0]));
 wrong.services.bus.imag = "x";
 assert.ok(!validCompose(wrong));
 
 // One machine: everything on the bus in memory shares processes and ipc; each of the replicas has its name and port.
-const { services, secrets, volumes } = parse(run("compose", files[0]));
+const { services, secrets, volumes } = parse(run("compose", ...files[0]));
 assert.deepEqual(Object.keys(services).sort(), [
   "bus", "far-1", "far-2", "gateway", "relight-1", "relight-2", "streamer-1", "streamer-2", "trainer"]);
 for (const [name, service] of Object.entries(services)) {
@@ -63,7 +63,7 @@ assert.equal(services.relight, undefined);
 assert.ok(volumes.run && volumes.world);
 assert.ok(services.trainer.command.includes("note=$$literal"));
 
-const objects = parseAllDocuments(run("kubernetes", files[0])).map((document) => document.toJS());
+const objects = parseAllDocuments(run("kubernetes", ...files[0])).map((document) => document.toJS());
 const find = (kind, name) => objects.find((object) => object.kind === kind && object.metadata.name === name);
 const pod = find("Deployment", "two-machines").spec.template.spec;
 assert.equal(pod.shareProcessNamespace, true);
