@@ -11,8 +11,9 @@ write_printed(share/bash-completion/completions/splatbus completion bash)
 write_printed(share/zsh/vendor-completions/_splatbus completion zsh)
 write_printed(share/fish/vendor_completions.d/splatbus.fish completion fish)
 write_printed(share/man/man1/splatbus.1 man)
-file(GLOB programs RELATIVE "${root}/bin" "${root}/bin/splatbus-*")
-foreach(program IN LISTS programs)
+# Not "programs": that is a component, which CMake would compare by this value.
+file(GLOB siblings RELATIVE "${root}/bin" "${root}/bin/splatbus-*")
+foreach(program IN LISTS siblings)
   # bash-completion looks for a file of the program's own name.
   file(CREATE_LINK splatbus "${root}/share/bash-completion/completions/${program}" SYMBOLIC)
   file(CREATE_LINK splatbus.fish "${root}/share/fish/vendor_completions.d/${program}.fish" SYMBOLIC)

@@ -1,6 +1,7 @@
 /* An engine of one sphere, 1 m in radius about the origin, under a sun and a grey sky: answers every camera that is
  * asked for. Build it with `cc engine_c.c $(pkg-config --cflags --libs splatbus-engine) -lm`, or the CMakeLists.txt
- * beside it, and start it from a launch file (`program: /where/engine_c`): that appends `--bus ADDRESS --name NAME`. */
+ * beside it, and start it from a launch file (`program: /where/engine_c`): that appends `--bus ADDRESS --name NAME`.
+ * It answers no request for light maps: give the trainer `pair_visibility: false`, and start no relight. */
 #include <math.h>
 #include <splatbus/engine.h>
 #include <stdint.h>
