@@ -57,7 +57,7 @@ class DynamicsRun {
         show_state_(show_state),
         plan_(plan_evaluation(options.setup, folder_.address(), false,
                               [&](LaunchFile& file) { apply(options.scene, file); })),
-        context_(connect(folder_.address())),
+        context_(connect_later(folder_.address())),
         watch_(context_),
         live_(context_),
         depths_(context_),

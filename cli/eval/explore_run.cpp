@@ -45,7 +45,7 @@ class ExploreRun {
         show_state_(show_state),
         log_(options.setup.out / fmt::format("services_{}.log", name)),
         plan_(plan_exploration(options, folder_.address(), folder_.path())),
-        context_(connect(folder_.address())),
+        context_(connect_later(folder_.address())),
         watch_(context_),
         viewers_(context_),
         probes_(context_, {}),

@@ -64,7 +64,7 @@ class MovingRun {
         signals_(signals),
         show_state_(show_state),
         log_(options.setup.out / fmt::format("services_{}.log", name_of(rig))),
-        context_(connect(folder_.address())),
+        context_(connect_later(folder_.address())),
         watch_(context_),
         viewers_(context_),
         live_(context_),

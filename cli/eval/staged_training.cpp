@@ -24,7 +24,7 @@ StagedTraining::StagedTraining(const EvaluationSetup& setup, std::vector<Camera>
       signals_(signals),
       show_state_(show_state),
       plan_(plan_evaluation(setup, folder_.address(), true)),
-      context_(connect(folder_.address())),
+      context_(connect_later(folder_.address())),
       watch_(context_),
       live_(context_),
       start_(context_, setup.enough_gaussians()),

@@ -37,7 +37,7 @@ class StreamRun {
         port_(free_loopback_port()),
         link_(options.shape.empty() && options.cut_s == 0 ? nullptr : make_link(options.link, options.shape, port_)),
         plan_(plan_stream(options, folder_.address(), port_)),
-        context_(connect(folder_.address())),
+        context_(connect_later(folder_.address())),
         watch_(context_),
         live_(context_),
         depths_(context_),

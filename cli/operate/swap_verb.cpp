@@ -63,6 +63,8 @@ ProcessPlan successor_plan(const Operated& operated, const Json& request, const 
   if (request.contains("program")) changed.program = request.at("program").get<std::string>();
   if (request.contains("backend")) {
     changed.backend = request.at("backend").get<std::string>();
+    const auto before = std::ranges::find(changed.arguments, "--backend");  // of an earlier swap
+    if (before != changed.arguments.end()) changed.arguments.erase(before, before + 2);
     changed.arguments.insert(changed.arguments.end(), {"--backend", changed.backend});
   }
   const Json changes = request.contains("set") ? request.at("set") : Json(Json::value_t::object);

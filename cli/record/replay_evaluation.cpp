@@ -53,7 +53,7 @@ class Replay {
   explicit Replay(const ReplayOptions& options)
       : options_(options),
         reader_(options.path),
-        context_(connect(folder_.address())),
+        context_(connect_later(folder_.address())),
         watch_(context_),
         live_(context_),
         depths_(context_),

@@ -178,9 +178,9 @@ TEST_F(LaunchPlanTest, ArgumentsAreCheckedByTheProgram) {
 }
 
 TEST_F(LaunchPlanTest, VariablesOfAProcess) {
-  const LaunchPlan p = plan("services:\n  - {name: viewer, args: [\"$${name}\", \"${name}\"]}\n");
+  const LaunchPlan p = plan("services:\n  - {name: viewer, args: [\"--$${name}\", \"${name}\"]}\n");
   EXPECT_THAT(p.processes.at(0).arguments,
-              ElementsAre("--bus", "ipc:///tmp/b", "--name", "viewer", "${name}", "viewer"));
+              ElementsAre("--bus", "ipc:///tmp/b", "--name", "viewer", "--${name}", "viewer"));
   LaunchFile file = parse_launch_file("services:\n  - name: viewer\n", "x.yaml");
   apply_override(file, "viewer.out=${nmae}");
   try {

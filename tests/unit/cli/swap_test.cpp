@@ -135,7 +135,7 @@ TEST_F(SwapProcesses, ASuccessorTakesNameAndSlabs) {
 
 TEST_F(SwapProcesses, OneThatCrashesAtStartIsRefused) {
   EXPECT_THAT(refusal(bin("bus-test-service"), arguments({"--successor", "--set", "rate_hz=99"})),
-              testing::AllOf(HasSubstr("ended before it was ready: exited with status 1"), HasSubstr("from 1 to 10"),
+              testing::AllOf(HasSubstr("ended before it was ready: exited with status 2"), HasSubstr("from 1 to 10"),
                              HasSubstr("test goes on as it was")));
 }
 
