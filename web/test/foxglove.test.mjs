@@ -202,7 +202,7 @@ live('a parameter that is set is seen, and one out of range refused with the ran
   assert.deepEqual(await answer('refused'), [{ name: 'source/rate', value: 0.5, type: 'float64' }]);
   const status = client.statuses.find(({ message }) => message.includes("'rate'"));
   assert.equal(status.level, protocol.StatusLevel.ERROR);
-  assert.match(status.message, /'7' is not from 0 to 1/);
+  assert.match(status.message, /must be a number from 0 to 1, not '7'/);
   const line = (await log).find(({ message }) => message.includes('rate set to 0.5'));
   assert.equal(line.name, 'source');
   assert.equal(line.level, 2);
