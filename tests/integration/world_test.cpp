@@ -64,8 +64,7 @@ TEST(World, EverythingKilledAndStartedAgainGoesOnWithTheSameWorld) {
       poll(&output, 1, 200);
       for (const std::string& line : launched.read_lines(true)) {
         const auto json = nlohmann::json::parse(line, nullptr, false);
-        const std::string event = json.is_object() ? json.value("event", "") : "", prefix = "started, process ";
-        if (event.starts_with(prefix)) processes.insert(std::stoi(event.substr(prefix.size())));
+        if (json.is_object() && json.value("event", "") == "started") processes.insert(json.at("pid").get<pid_t>());
       }
       ASSERT_FALSE(launched.poll_exit());
       if (!fs::exists(world / "world.splatbus")) continue;
