@@ -90,7 +90,8 @@ TEST_F(RunningPipeline, TopicRatesAndBandwidth) {
   const Answer bw = splatbus_command({"topic", "bw", "capture/reference", "--seconds", "2.2", "--json", "--bus", bus_});
   EXPECT_TRUE(bw.status.success());
   ASSERT_FALSE(bw.lines.empty());
-  EXPECT_GT(bw.json().back()["mbps"], 0.1) << "pictures of 64 x 64 x 8 bytes, at least one a second";
+  const Json rates = bw.json().back();
+  EXPECT_GT(rates["mbps"].get<double>() + rates["shared_mbps"].get<double>(), 0.1) << "pictures of 64 x 64 x 8 bytes, at least one a second";
 }
 
 TEST_F(RunningPipeline, NodeListShowsEveryService) {
@@ -135,12 +136,13 @@ TEST(Commands, WithoutABusTheySaySo) {
   const std::string bus = nobody.address().text();
   const Answer topics = splatbus_command({"topic", "list", "--seconds", "0.2", "--bus", bus});
   EXPECT_EQ(topics.status.code, 1);
-  EXPECT_THAT(topics.lines, testing::Contains(HasSubstr("nothing arrived within 0.2 s")));
+  EXPECT_THAT(topics.lines, testing::Contains(HasSubstr("no bus at " + bus)));
   const Answer nodes = splatbus_command({"node", "list", "--seconds", "0.2", "--bus", bus});
   EXPECT_EQ(nodes.status.code, 1);
+  EXPECT_THAT(nodes.lines, testing::Contains(HasSubstr("no bus at " + bus)));
   const Answer model = splatbus_command({"export", "/tmp/never.ply", "--timeout", "0.2", "--bus", bus});
   EXPECT_EQ(model.status.code, 1);
-  EXPECT_THAT(model.lines, testing::Contains(HasSubstr("no model/published within 0.2 s")));
+  EXPECT_THAT(model.lines, testing::Contains(HasSubstr("no bus at " + bus)));
 }
 
 TEST(Commands, HelpAndVersionEverywhere) {
