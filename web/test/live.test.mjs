@@ -31,7 +31,7 @@ const standsUntil = (condition, before) =>
     new Function(
       'then',
       `const { stage, figures } = window.splatbus;
-      if (!stage.standing || figures.gaussians < 1000) throw new Error('the picture is gone');
+      if (!stage.standing || figures?.gaussians < 1000) throw new Error('the picture is gone');
       return (${condition})(figures, then);`,
     ),
     before,
@@ -39,7 +39,7 @@ const standsUntil = (condition, before) =>
 
 test('a scene that is made while it is watched', async () => {
   await page.goto(pipeline.url);
-  await page.waitForFunction(() => window.splatbus?.stage.standing && window.splatbus.figures.gaussians > 1000);
+  await page.waitForFunction(() => window.splatbus?.stage.standing && window.splatbus.figures?.gaussians > 1000);
   assert.deepEqual(asked.filter((one) => !one.startsWith(pipeline.url) && !one.startsWith('blob:')), [], 'nothing is loaded from elsewhere');
   const { sequence } = await figures();
   await page.waitForFunction((before) => window.splatbus.figures.sequence > before, sequence);
