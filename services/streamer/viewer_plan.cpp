@@ -10,14 +10,9 @@ namespace splatbus::streamer {
 
 namespace {
 
-// What a Gaussian that is off shows grows with the square of how far, up to what one shows that is missing: so many
-// small steps never hold up what is not there at all.
-float shown_error(float steps) {
-  const float part = steps / (steps + stream::kAbsentSteps);
-  return stream::kAbsentSteps * part * part;
-}
-
-constexpr float kAbsentError = stream::kAbsentSteps;
+// A page that is missing is worth so many of its Gaussians' absences: what it uncovers shows too, and many small steps of
+// what is held never hold it up.
+constexpr float kMissing = 16;
 constexpr float kBehindSteps = 5;          // of a page that has missed deltas which are no longer kept
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
 constexpr float kSeenSteps = 5;            // of one that has missed how it sees the lights
@@ -86,10 +81,7 @@ void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::ve
     float value = 0;
     for (const auto* step : fitting) {
       const auto weight = weights_.find(step->page);
-      if (weight == weights_.end()) continue;
-      // It takes its part of all that the page is behind.
-      const float behind = std::max(missed_.at(step->page).steps, step->steps);
-      if (behind > 0) value += weight->second * shown_error(behind) * (step->steps / behind);
+      value += step->steps * (weight != weights_.end() ? weight->second : 0);
     }
     const auto bytes = static_cast<double>(delta.packet->bytes());
     items.push_back({.score = value / static_cast<float>(bytes), .bytes = bytes, .delta = delta.number});
@@ -119,7 +111,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     const auto held = held_.find(page.page);
     if (version != versions.end() && version->second >= page.version) {
       if (held != held_.end() && held->second.seen_stale) {
-        items.push_back({.score = weight * shown_error(kSeenSteps) / static_cast<float>(kSeenBytes),
+        items.push_back({.score = weight * kSeenSteps / static_cast<float>(kSeenBytes),
                          .bytes = kSeenBytes,
                          .delta = 0,
                          .page = page.page,
@@ -130,9 +122,11 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     const double bytes = board.bytes_of(page);
     const auto missed = missed_.find(page.page);
     const float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
-    const float error = held != held_.end() ? shown_error(off) : kAbsentError;
+    // However old, what is held shows more than nothing; what has missed most comes first.
+    const float behind = off * stream::kAbsentSteps / (off + stream::kAbsentSteps);
+    const float steps = held != held_.end() ? behind : kMissing * stream::kAbsentSteps;
     items.push_back(
-        {.score = weight * error / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
+        {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
   }
   order(std::move(items), budget_bytes);
 }
