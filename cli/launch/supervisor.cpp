@@ -72,6 +72,7 @@ bool Supervisor::run(const std::stop_token& stop, const std::stop_token& kill) {
     for (Process& process : processes_) reap(process, false);
     processes_.remove_if([](const Process& process) { return process.gone; });
     check_signs_of_life();
+    check_probes();
     kill_what_does_not_stop();
     publish_status();
   }
@@ -157,7 +158,7 @@ void Supervisor::take(const wire::Heartbeat& heartbeat, std::string_view source)
   if (heartbeat.counters() != nullptr) {
     for (const auto* counter : *heartbeat.counters()) life->counters[counter->name()->str()] = counter->value();
   }
-  if (running && is_own && process->state == ProcessState::Starting) ready(*process);
+  if (running && is_own && process->state == ProcessState::Starting && !life->plan.readiness) ready(*process);
 }
 
 /// By name, since another machine's process may have the same id; and by id, since the broker also hands out the last

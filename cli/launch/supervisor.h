@@ -20,6 +20,7 @@
 #include "bus/subscriber.h"
 #include "child_process.h"
 #include "launch_plan.h"
+#include "probe_runner.h"
 #include "process_output.h"
 
 namespace splatbus::cli {
@@ -116,6 +117,7 @@ class Supervisor {
     std::int64_t ready_ns = 0;
     std::int64_t last_sign_ns = 0;  ///< last heartbeat, or the broker's return
     std::int64_t terminate_ns = 0;  ///< when SIGTERM or SIGKILL was sent, 0 before
+    std::unique_ptr<ProbeRunner> readiness, liveness;
     std::string service_state, detail;
     std::map<std::string, double> counters;
   };
@@ -167,6 +169,8 @@ class Supervisor {
   void start_later(Process& process, const std::string& reason, std::optional<ExitStatus> exit = {});
   void ready(Process& process);
   void check_signs_of_life();
+  void check_probes();
+  void kill(Life& life, const Process& process, const std::string& why);
   void kill_what_does_not_stop();
   /// The time up to which silence means something: the broker's own last heartbeat, 0 while it is away.
   [[nodiscard]] std::int64_t bus_heard_until() const;

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "supervisor.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::cli {
 
@@ -126,13 +127,15 @@ void Supervisor::spawn(Process& process) {
   }
   const pid_t pid = process.life->child->pid();
   say(process, "started", fmt::format("started, process {}", pid), pid);
-  if (process.life->plan.heartbeat_timeout_s <= 0) ready(process);
+  if (process.life->plan.heartbeat_timeout_s <= 0 && !process.life->plan.readiness) ready(process);
 }
 
 void Supervisor::start_child(Life& life) {
   life.started_ns = now_ns_();
   life.last_sign_ns = life.started_ns;
   life.terminate_ns = 0;
+  life.readiness.reset();
+  life.liveness.reset();
   life.service_state.clear();
   life.detail.clear();
   life.counters.clear();
@@ -151,9 +154,35 @@ void Supervisor::check_signs_of_life() {
     const double limit_s = starting ? life.plan.start_timeout_s : life.plan.heartbeat_timeout_s;
     const std::int64_t judged_at = life.plan.broker ? now : heard_until;
     if (judged_at - life.last_sign_ns <= from_seconds(limit_s)) continue;
-    say(process, "killed", fmt::format("no heartbeat for {} s, killing it", limit_s), life.child->pid());
-    life.terminate_ns = now;
-    life.child->signal_group(SIGKILL);
+    kill(life, process, fmt::format("no heartbeat for {} s, killing it", limit_s));
+  }
+}
+
+void Supervisor::kill(Life& life, const Process& process, const std::string& why) {
+  say(process, "killed", why, life.child->pid());
+  life.terminate_ns = now_ns_();
+  life.child->signal_group(SIGKILL);
+}
+
+void Supervisor::check_probes() {
+  const auto running = wire::EnumNameServiceState(wire::ServiceState::Running);
+  for (Process& process : processes_) {
+    Life& life = *process.life;
+    const ProcessPlan& plan = life.plan;
+    if (!life.child || life.terminate_ns != 0) continue;
+    if (process.state == ProcessState::Starting && plan.readiness) {
+      if (!life.readiness) life.readiness = std::make_unique<ProbeRunner>(*plan.readiness);
+      const bool beats = plan.heartbeat_timeout_s <= 0 || life.service_state == running;
+      if (beats && life.readiness->was_good()) {
+        life.readiness.reset();
+        ready(process);
+      } else if (now_ns_() - life.started_ns > from_seconds(plan.start_timeout_s)) {
+        kill(life, process, fmt::format("not ready within {} s, killing it", plan.start_timeout_s));
+      }
+    } else if (process.state == ProcessState::Running && plan.liveness) {
+      if (!life.liveness) life.liveness = std::make_unique<ProbeRunner>(*plan.liveness);
+      if (life.liveness->fails()) kill(life, process, "its liveness probe fails, killing it");
+    }
   }
 }
 
@@ -164,9 +193,7 @@ void Supervisor::kill_what_does_not_stop() {
   };
   const auto end = [&](const Process& process, Life& life) {
     if (!overdue(life)) return;
-    say(process, "killed", "does not stop, killing it", life.child->pid());
-    life.terminate_ns = now;
-    life.child->signal_group(SIGKILL);
+    kill(life, process, "does not stop, killing it");
   };
   for (Process& process : processes_) {
     if (process.state == ProcessState::Stopping) end(process, *process.life);
