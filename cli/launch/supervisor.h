@@ -118,6 +118,7 @@ class Supervisor {
     std::int64_t last_sign_ns = 0;  ///< last heartbeat, or the broker's return
     std::int64_t terminate_ns = 0;  ///< when SIGTERM or SIGKILL was sent, 0 before
     std::unique_ptr<ProbeRunner> readiness, liveness;
+    void stop_probes() { readiness.reset(), liveness.reset(); }
     std::string service_state, detail;
     std::map<std::string, double> counters;
   };

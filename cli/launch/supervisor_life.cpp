@@ -40,6 +40,7 @@ void Supervisor::reap(Process& process, bool stopping) {
   if (!status) return;
   pass_output(process, true);
   process.life->child.reset();
+  process.life->stop_probes();
   if (stopping) {
     process.state = ProcessState::Ended;
   } else if (process.at_end != AtEnd::Policy) {
@@ -134,8 +135,7 @@ void Supervisor::start_child(Life& life) {
   life.started_ns = now_ns_();
   life.last_sign_ns = life.started_ns;
   life.terminate_ns = 0;
-  life.readiness.reset();
-  life.liveness.reset();
+  life.stop_probes();
   life.service_state.clear();
   life.detail.clear();
   life.counters.clear();
@@ -176,7 +176,7 @@ void Supervisor::check_probes() {
       if (beats && life.readiness->was_good()) {
         life.readiness.reset();
         ready(process);
-      } else if (now_ns_() - life.started_ns > from_seconds(plan.start_timeout_s)) {
+      } else if ((beats ? now_ns_() : bus_heard_until()) - life.started_ns > from_seconds(plan.start_timeout_s)) {
         kill(life, process, fmt::format("not ready within {} s, killing it", plan.start_timeout_s));
       }
     } else if (process.state == ProcessState::Running && plan.liveness) {

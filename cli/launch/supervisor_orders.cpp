@@ -167,6 +167,7 @@ void Supervisor::exchange(const std::string& name, double leave_within_s) {
     }
     Beside& beside = *process.beside;
     std::swap(process.life, beside.life);
+    beside.life->stop_probes();
     beside.successor = !beside.successor;
     std::erase(process.life->plan.arguments, "--successor");  // started again, it is none
     beside.exit.reset();
