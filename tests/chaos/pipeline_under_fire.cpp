@@ -7,6 +7,7 @@
 #include <iterator>
 
 #include "../hostile/budgets.h"
+#include "../integration/command.h"
 #include "../integration/pipeline.h"
 #include "gateway_url.h"
 #include "wire/system_generated.h"
@@ -44,7 +45,7 @@ void PipelineUnderFire::start() {
   supervisor_ = std::make_unique<cli::ChildProcess>(
       std::string(SPLATBUS_BIN_DIR) + "/splatbus",
       std::vector<std::string>{"launch", (files_.path() / "chaos.yaml").string(), "--bus", bus_.address().text()},
-      std::map<std::string, std::string>{});
+      cli::test_environment());
 }
 
 bool PipelineUnderFire::start_again() {

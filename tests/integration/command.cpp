@@ -5,6 +5,8 @@
 
 #include <optional>
 
+#include "supervised_run.h"
+
 namespace splatbus::cli {
 
 namespace {
@@ -13,6 +15,12 @@ constexpr int kPatienceMs = 60000;
 
 }  // namespace
 
+const std::map<std::string, std::string>& test_environment() {
+  static const PrivateBusFolder folder;
+  static const std::map<std::string, std::string> environment{{"XDG_STATE_HOME", folder.path().string()}};
+  return environment;
+}
+
 std::vector<nlohmann::json> Answer::json() const {
   std::vector<nlohmann::json> result;
   for (const std::string& line : lines) result.push_back(nlohmann::json::parse(line, nullptr, false));
@@ -20,7 +28,7 @@ std::vector<nlohmann::json> Answer::json() const {
 }
 
 Answer splatbus_command(const std::vector<std::string>& arguments) {
-  ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, {});
+  ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, test_environment());
   Answer answer;
   std::optional<ExitStatus> status;
   while (!status) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -7,6 +8,9 @@
 #include "child_process.h"
 
 namespace splatbus::cli {
+
+/// For the programs that a test starts: their log files go with the test program, and none to the user's state folder.
+[[nodiscard]] const std::map<std::string, std::string>& test_environment();
 
 /// What a command of the program came to.
 struct Answer {

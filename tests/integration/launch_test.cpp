@@ -31,7 +31,7 @@ class LaunchedFile {
     std::ofstream(path_) << yaml;
     std::vector<std::string> arguments{"launch", path_.string(), "--json", "--bus", folder_.address().text()};
     arguments.insert(arguments.end(), options.begin(), options.end());
-    child_.emplace(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, std::map<std::string, std::string>{});
+    child_.emplace(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, test_environment());
   }
 
   [[nodiscard]] ChildProcess& child() { return *child_; }

@@ -57,7 +57,7 @@ TEST(World, EverythingKilledAndStartedAgainGoesOnWithTheSameWorld) {
   {
     const PrivateBusFolder bus;
     ChildProcess launched(std::string(SPLATBUS_BIN_DIR) + "/splatbus",
-                          {"launch", file.string(), "--json", "--bus", bus.address().text()}, {});
+                          {"launch", file.string(), "--json", "--bus", bus.address().text()}, test_environment());
     std::size_t gaussians = 0;
     while (gaussians < 2000) {
       pollfd output{.fd = launched.output_fd(), .events = POLLIN, .revents = 0};

@@ -41,7 +41,8 @@ services:
     parameters: {http: "127.0.0.1:${port}", web_root: "${site}"}
 `;
   writeFileSync(join(folder, 'live.yaml'), services);
-  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: 'ignore' });
+  const env = { ...process.env, XDG_STATE_HOME: join(folder, 'state') };  // log files
+  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: 'ignore', env });
   const ended = new Promise((resolve) => launched.once('exit', resolve));
   /** Of the gateway, as soon as there is one. */
   const status = async () => {
