@@ -182,6 +182,16 @@ TEST(LatchStore, ASourceBeyondItsShareLosesItsOwn) {
   EXPECT_NE(store.find("light", ""), nullptr);
 }
 
+TEST(LatchStore, ASourcesShareIsOfBytesToo) {
+  bus::LatchStore store(100, 100, 0.5);
+  store.put("light", "", "engine", 1, frames_of(10));
+  EXPECT_EQ(store.put("flood", "2", "flooder", 2, frames_of(20)).evicted, 0u);
+  EXPECT_EQ(store.put("flood", "3", "flooder", 3, frames_of(30)).evicted, 0u) << "50 bytes are its share";
+  EXPECT_EQ(store.put("flood", "4", "flooder", 4, frames_of(1)).evicted, 1u);
+  EXPECT_EQ(store.find("flood", "2"), nullptr);
+  EXPECT_EQ(store.bytes(), 41u);
+}
+
 TEST(LatchStore, MatchesAPrefixOldestFirst) {
   bus::LatchStore store(10, 1000);
   store.put("x/b", "1", "s", 1, frames_of(1), 11);

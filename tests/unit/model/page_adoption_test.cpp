@@ -58,6 +58,47 @@ TEST_P(PageAdoptionTest, WhatIsNotFiniteIsGoneAfterAnAdoption) {
   expect_sound();
 }
 
+TEST_P(PageAdoptionTest, OfAGaussianInTwoLanesOfAnOpenPageTheLaterOneIsWhole) {
+  start(20000);
+  const Batch batch = make_batch(random_, 600, true, 1);
+  insert(*store_, batch, 1);
+  truth_.insert(batch, batch.count);
+  std::map<std::uint32_t, std::uint64_t> id_at;
+  for (const auto& [id, index] : where()) id_at[index] = id;
+  const std::uint32_t removed = id_at.begin()->first, last = removed + store_->view().ranges[0].count - 1;
+  // As a removal leaves them that was cut short: the last one's number is in the lane of what goes, its values are not.
+  const device::Stream stream(GetParam());
+  store_->table().open(removed / kPageLanes);
+  device::copy(stream, store_->memory().wide(store_->memory().gaussian_id, removed), &id_at.at(last),
+               sizeof(std::uint64_t));
+  stream.wait();
+  truth_.remove({id_at.at(removed)});
+  start(20000);
+  expect_sound();
+}
+
+TEST_P(PageAdoptionTest, OfTwoTablesTheLaterOneIsTheModels) {
+  start(20000);
+  start(900000);  // the table moves
+  const auto* const memory = reinterpret_cast<const std::byte*>(&store_->table().header());
+  const std::vector<std::byte> before(memory, memory + page_table_bytes(store_->table().page_capacity()));
+  start(2000000);  // and back
+  const Batch batch = make_batch(random_, 500, false, 1);
+  insert(*store_, batch, 1);
+  truth_.insert(batch, batch.count);
+  // As if the process had been killed before it gave up what it moved from.
+  {
+    const auto slab = context_->create_slab("page-table-moved", 1, before.size(), 10000, Device::Cpu,
+                                            bus::Context::SlabLife::ForSuccessor);
+    slab->begin_write(0);
+    std::memcpy(slab->slot_data(0), before.data(), before.size());
+    slab->end_write(0);
+  }
+  start(2000000);
+  EXPECT_EQ(store_->origin(), "adopted 500 Gaussians at step 0");
+  expect_sound();
+}
+
 TEST_P(PageAdoptionTest, AnotherAppearanceBeginsAnew) {
   start(20000);
   insert(*store_, make_batch(random_, 30, false, 1), 1);

@@ -235,5 +235,16 @@ TEST(Lanes, ThoseAtTheEndFillTheGapsInOrder) {
   EXPECT_EQ(after(3, {0, 1, 2}), (std::vector<std::uint32_t>{}));
 }
 
+TEST(Replica, PagesThatEndBeforeTheyCameAreNotMissedAnyLonger) {
+  test::ToyServer server(3, 3000);
+  Replica replica;
+  replica.receive(test::parse(server.stream.layout_packet()));
+  test::send(server.stream.manifest_packets(*server.stream.offered(), {}, true), replica);
+  EXPECT_EQ(replica.missing_pages(), 3U);
+  const std::vector<std::uint32_t> gone{1};
+  test::send(server.stream.manifest_packets({}, gone, false), replica);
+  EXPECT_EQ(replica.missing_pages(), 2U);
+}
+
 }  // namespace
 }  // namespace splatbus::stream

@@ -383,6 +383,30 @@ TEST(StreamModel, AFrozenPagesBlobStaysAsItIsWhileOthersAndTheLightChange) {
   EXPECT_GT(stream.offered()->at(1).version, 40U);
 }
 
+TEST(StreamModel, AFrozenPageIsOfferedAsSuchOnceNothingOfItIsLeftToSend) {
+  GaussiansBuffer model = test::toy_model(500, 3);
+  splatbus::test::PagedModel paged(model.view(), 600, 100);
+  StreamModel stream(PacketWriter("streamer", 1), 5);
+  ASSERT_TRUE(stream.observe(paged.view()));
+  stream.reset_to_target();
+  stream.make_tick(1e9, {});
+  for (std::size_t k = 0; k < 500; ++k) paged.memory[k] += 0.5F;
+  paged.ranges[0].frozen = 1;
+  for (int tick = 0; tick < 40; ++tick) {
+    ASSERT_TRUE(stream.observe(paged.view()));
+    stream.make_tick(0, {});
+    ASSERT_FALSE(stream.offered()->at(0).frozen) << "and would be kept for good as it was";
+  }
+  for (int tick = 0; tick < 40; ++tick) stream.make_tick(1e9, {});
+  EXPECT_TRUE(stream.offered()->at(0).frozen);
+  const auto& target = stream.observed_gaussians().channels[0];
+  const HeldPage& page = *stream.held().find(0);
+  for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+    const auto id = static_cast<std::size_t>(stream.held().gaussians.gaussian_id[page.row(lane)]);
+    EXPECT_NEAR(stream.held().gaussians.channels[0][page.row(lane)], target[id - 1], 1);
+  }
+}
+
 TEST(StreamModel, WhatNobodyHoldsFollowsWithoutAByte) {
   ToyServer server(21, 3000);
   test::ShownReplica replica;

@@ -33,6 +33,34 @@ TEST(Culling, TheNearerAndLessObliqueCameraWins) {
   EXPECT_GT(std::count(round.samples.camera.begin(), round.samples.camera.end(), 0U), 100);
 }
 
+/// Colours of pixels beside a silhouette are blended: who sees the same floor undisturbed gives its samples.
+TEST(Culling, BesideASilhouetteAnotherCameraWins) {
+  const AnalyticScene scene{.sheet_centre = {9, 9, 9}};
+  const auto views =
+      scene.render_all({look_at({0, 2, 2}, {0, 0, 0}, 64, 64, 1), look_at({0, 2.1F, -2}, {0, 0, 0}, 64, 64, 1)});
+  const ViewSurface first = analyse_surface(views[0]), second = analyse_surface(views[1]);
+  const SampledRound round = sample(views, {}, unlimited());
+  const Camera& other = views[1].camera;
+  const Rigid camera_from_world = inverse(other.world_from_camera);
+  std::size_t better_seen = 0, kept = 0;
+  for (std::size_t i = 0; i < views[0].pixels(); ++i) {
+    if (!first.edge[i] || first.footprint_m[i] == 0 || first.object_id[i] != AnalyticScene::kFloor) continue;
+    const glm::vec3 local = camera_from_world * glm::vec3(views[0].position[i]);
+    const float x = other.fx * local.x / local.z + other.cx, y = other.fy * local.y / local.z + other.cy;
+    if (!(x >= 0 && x < 64 && y >= 0 && y < 64)) continue;
+    const std::size_t there = static_cast<std::size_t>(y) * 64 + static_cast<std::size_t>(x);
+    if (second.edge[there] || second.object_id[there] != AnalyticScene::kFloor) continue;
+    if (std::abs(second.depth_m[there] - local.z) > 0.1F || second.footprint_m[there] > 1.5F * first.footprint_m[i])
+      continue;
+    ++better_seen;
+    for (std::size_t k = 0; k < round.samples.size(); ++k) {
+      kept += round.samples.camera[k] == 0 && round.samples.pixel[k] == i ? 1 : 0;
+    }
+  }
+  EXPECT_GT(better_seen, 20U);
+  EXPECT_EQ(kept, 0U) << "of " << better_seen;
+}
+
 TEST(Culling, CoversNothingTwiceAndLeavesNoHoles) {
   const AnalyticScene scene;
   const auto views = scene.render_all(small_dome());

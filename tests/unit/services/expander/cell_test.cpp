@@ -108,6 +108,15 @@ TEST(FilledCells, AreFilledAgainByFinerSamplesOrWhereMuchIsMissing) {
   EXPECT_EQ(cells.size(), 0U);
 }
 
+TEST(FilledCells, ACellWhoseChildrenWereFilledIsNotFilledForWhatItsParentLacks) {
+  FilledCells cells;
+  const CellKey cell = cell_at({1, 2, 3}, 0, 0.25F, 4);
+  EXPECT_FALSE(cells.fill(parent_of(cell, 5), 0.2F, 1.4F, false));
+  EXPECT_FALSE(cells.fill(first_in(cell, 3), 0.15F, 1.4F, false));
+  // Its parent's 0.2 is more than 1.4 x 1.25 x 0.1, but what is in it was filled from nearer.
+  EXPECT_FALSE(cells.fill(cell, 0.1F, 1.4F, false));
+}
+
 class CellTableTest : public testing::Test {
  protected:
   static CellCount cell(int x, std::uint32_t count) { return {pack_cell({x, 0, 0}, 0, kReportLevel), count}; }

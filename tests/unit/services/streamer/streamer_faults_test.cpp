@@ -173,6 +173,33 @@ TEST_F(SteppedStreamerTest, NoSecondHasMoreThanATenthAboveTheRateFromTheFirstPag
   EXPECT_GT(largest, 200'000U) << "the rate was not used";
 }
 
+TEST_F(SteppedStreamerTest, WhatARestingModelDidNotUseIsNotSpentLater) {
+  start({{"viewer_kbps", "1000000"}, {"budget_kbps", "400"}, {"tick_hz", "10"}});
+  std::mt19937 random(3);
+  GaussiansBuffer model = stream::test::toy_model(20'000, 1);
+  trainer_.publish(model);
+  StreamClient client(options("one"));
+  ASSERT_TRUE(settle([&] { return client.replica().count() == 20'000; }, client));
+  const auto second = [&] {
+    const std::uint64_t before = client.received_bytes();
+    for (int k = 0; k < 10; ++k) {
+      stepped_->turn(0.1);
+      for (int quiet = 0; quiet < 3;) {
+        const std::uint64_t bytes = client.received_bytes();
+        client.poll(1ms);
+        quiet = client.received_bytes() == bytes ? quiet + 1 : 0;
+      }
+    }
+    return client.received_bytes() - before;
+  };
+  for (int k = 0; k < 5; ++k) (void)second();
+  disturb(model, random);
+  trainer_.publish(model);
+  const std::uint64_t spent = second();
+  EXPECT_GT(spent, 25'000U) << "nothing was sent";
+  EXPECT_LT(spent, 75'000U) << "50,000 bytes are a second's";
+}
+
 TEST_F(SteppedStreamerTest, AViewerThatFellSilentGoesOnWhereItWas) {
   start({{"viewer_timeout_s", "2"}, {"tick_hz", "5"}, {"budget_kbps", "1000000"}, {"viewer_kbps", "1000000"}});
   std::mt19937 random(17);

@@ -207,6 +207,17 @@ TEST_F(ViewerHubTest, ViewersDropThePagesThatEnd) {
   EXPECT_EQ(hub_.holders(), std::set<std::uint32_t>{0});
 }
 
+TEST_F(ViewerHubTest, WhatWasSentToThoseWhoLeftStillCounts) {
+  join();
+  publish(stream::test::toy_model(3000, 1));
+  stream::Replica replica;
+  ASSERT_TRUE(follow(replica, [&] { return replica.count() == 3000; }));
+  ASSERT_EQ(hub_.counts().whole_pages, 3U);
+  hub_.expire(now_ns_ += 60 * kSecond);
+  ASSERT_EQ(hub_.viewers(), 0U);
+  EXPECT_EQ(hub_.counts().whole_pages, 3U);
+}
+
 TEST_F(ViewerHubTest, OfScenesThatWaitTooLongAWholeOneIsSent) {
   join();
   publish(stream::test::toy_model(100, 1));

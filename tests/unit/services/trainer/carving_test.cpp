@@ -76,6 +76,12 @@ TEST(Carving, TheMarginIsTheGaussiansExtentAndAPartOfItsDepth) {
   EXPECT_EQ(verdict(depth, 32, 32, 4.38F, 0.1F, 0.1F), Verdict::None);
 }
 
+TEST(Carving, TheMarginIsAPartOfTheDepthNearTheCameraToo) {
+  // 3 x 1 mm + 0.015 x 0.6 m = 12 mm
+  EXPECT_EQ(verdict(plane(0.6115F), 32, 32, 0.6F, 0.001F, 0.001F), Verdict::Supported);
+  EXPECT_EQ(verdict(plane(0.6135F), 32, 32, 0.6F, 0.001F, 0.001F), Verdict::Free);
+}
+
 TEST(Carving, TheSkyIsInfinitelyFarAndNonsenseHides) {
   EXPECT_EQ(verdict(plane(0), 32, 32, 30, 0.5F, 0.5F), Verdict::Free);
   EXPECT_EQ(verdict(plane(INFINITY), 32, 32, 30, 0.5F, 0.5F), Verdict::Free);

@@ -1,0 +1,69 @@
+// Which changes a tick sends: by what they show, over what they cost.
+#include "stream/delta_selection.h"
+
+#include <gtest/gtest.h>
+
+#include "toy_server.h"
+
+namespace splatbus::stream {
+namespace {
+
+class DeltaSelectionTest : public testing::Test {
+ protected:
+  DeltaSelectionTest() : columns_(held().rows(), kNotHeld), share_(columns_.size(), 1) {
+    const HeldPage& page = *held().find(0);
+    for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+      const std::uint64_t id = held().gaussians.gaussian_id[page.row(lane)];
+      columns_[page.row(lane)] =
+          static_cast<std::uint32_t>(std::ranges::find(target_.gaussian_id, id) - target_.gaussian_id.begin());
+    }
+    for (std::uint32_t row = 0; row < columns_.size(); ++row) selection_.begin(row, held().gaussians);
+  }
+  [[nodiscard]] const ReplicatedState& held() const { return server_.stream.held(); }
+  [[nodiscard]] std::uint32_t row(std::uint32_t lane) const { return held().find(0)->row(lane); }
+  void redden(std::uint32_t lane, std::int32_t steps) {
+    target_.channels[held().layout.at(Attribute::Albedo).first][columns_[row(lane)]] += steps;
+  }
+  std::vector<std::uint32_t> chosen(double budget_bytes) {
+    std::vector<std::uint32_t> rows;
+    for (const SelectedRows& of : selection_.select(held().gaussians, target_, columns_, share_, budget_bytes)) {
+      rows.insert(rows.end(), of.rows.begin(), of.rows.end());
+    }
+    return rows;
+  }
+
+  test::ToyServer server_{5, 500};
+  QuantizedGaussians target_ = server_.stream.observed_gaussians();
+  DeltaSelection selection_ = [&] {
+    DeltaSelection selection(held().layout, default_schedules());
+    selection.resize(held().rows());
+    return selection;
+  }();
+  std::vector<std::uint32_t> columns_;
+  std::vector<float> share_;
+};
+
+TEST_F(DeltaSelectionTest, ALargeChangeIsNoMoreUrgentThanOneThatIsSeenToBeWrong) {
+  redden(3, 4000);
+  redden(7, 100);
+  share_[row(7)] = 2;
+  EXPECT_EQ(chosen(1.01 * selection_.bytes_per_entry(Attribute::Albedo)), (std::vector<std::uint32_t>{row(7)}));
+  EXPECT_EQ(selection_.pending(), 1U);
+}
+
+TEST_F(DeltaSelectionTest, WhatEntriesCostIsLearntFromPacketsOfMany) {
+  const double first = selection_.bytes_per_entry(Attribute::Albedo);
+  selection_.learn_cost(Attribute::Albedo, 31, 3100);
+  EXPECT_EQ(selection_.bytes_per_entry(Attribute::Albedo), first) << "a packet's frame is most of a small one";
+  selection_.learn_cost(Attribute::Albedo, 100, 800);
+  EXPECT_DOUBLE_EQ(selection_.bytes_per_entry(Attribute::Albedo), (first + 8) / 2);
+}
+
+TEST_F(DeltaSelectionTest, ABudgetHasRoomForWhatItsEntriesCost) {
+  for (std::uint32_t lane = 0; lane < 400; ++lane) redden(lane, 30);
+  for (int k = 0; k < 20; ++k) selection_.learn_cost(Attribute::Albedo, 100, 500);
+  EXPECT_NEAR(static_cast<double>(chosen(500).size()), 100, 2);
+}
+
+}  // namespace
+}  // namespace splatbus::stream
