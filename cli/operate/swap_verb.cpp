@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <utility>
@@ -16,6 +17,7 @@ namespace {
 
 using Json = nlohmann::json;
 constexpr double kLeaveWithinS = 10;
+constexpr std::chrono::seconds kGonePatience(20);
 
 /// A swap among a supervisor's processes.
 class SupervisorSwapHost final : public SwapHost {
@@ -69,10 +71,20 @@ ProcessPlan successor_plan(const Operated& operated, const Json& request, const 
   }
   const Json changes = request.contains("set") ? request.at("set") : Json(Json::value_t::object);
   for (const auto& [key, value] : changes.items()) {
-    changed.arguments.insert(changed.arguments.end(), {"--set", fmt::format("{}={}", key, value.get<std::string>())});
+    set_parameter(changed, key, value.get<std::string>());
   }
   changed.arguments.emplace_back("--successor");
   return changed;
+}
+
+/// The one before the last swap may still be on its way out.
+void wait_until_alone(const Supervisor& supervisor, const std::string& name, const std::stop_token& stop) {
+  const auto alone = [&](const std::vector<ProcessStatus>& all) {
+    return std::ranges::none_of(all,
+                                [&](const ProcessStatus& process) { return process.name == name && process.beside; });
+  };
+  if (supervisor.wait_until(alone, kGonePatience, stop)) return;
+  throw std::runtime_error(fmt::format("'{}' still has another process beside it", name));
 }
 
 }  // namespace
@@ -83,11 +95,13 @@ void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& op
                             const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
     const std::scoped_lock lock(*turn);
     const auto names = processes_of(operated->supervisor.status(), request.at("service").get<std::string>());
+    const SwapLimits limits{.ready_s = request.value("wait_s", SwapLimits{}.ready_s)};
     const auto bus = bus::Context::create(operated->bus, fmt::format("swap-{}", ::getpid()));
     for (const std::string& name : names) {
+      wait_until_alone(operated->supervisor, name, stop);
       SupervisorSwapHost host(operated->supervisor, successor_plan(*operated, request, name));
       run_swap(
-          host, bus, name, {}, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
+          host, bus, name, limits, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
     }
     return Json{{"processes", names}};
   });
