@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "parameter_check.h"
 #include "swap.h"
 
 namespace splatbus::cli {
@@ -58,10 +59,8 @@ class SupervisorSwapHost final : public SwapHost {
   pid_t predecessor_ = 0;
 };
 
-/// The process's plan with what the request changes, as a successor's.
-ProcessPlan successor_plan(const Operated& operated, const Json& request, const std::string& name) {
-  ProcessPlan changed = operated.supervisor.plan_of(name);
-  if (changed.broker) throw std::runtime_error("the broker cannot have a successor beside it: restart it");
+/// The process's plan with what the request changes.
+ProcessPlan changed_plan(ProcessPlan changed, const Json& request) {
   if (request.contains("program")) changed.program = request.at("program").get<std::string>();
   if (request.contains("backend")) {
     changed.backend = request.at("backend").get<std::string>();
@@ -73,8 +72,48 @@ ProcessPlan successor_plan(const Operated& operated, const Json& request, const 
   for (const auto& [key, value] : changes.items()) {
     set_parameter(changed, key, value.get<std::string>());
   }
-  changed.arguments.emplace_back("--successor");
   return changed;
+}
+
+ProcessPlan as_successor(ProcessPlan plan) {
+  plan.arguments.emplace_back("--successor");
+  return plan;
+}
+
+/// Two brokers cannot be on a bus at once: the new one is started once the old one has gone. What would fail for its
+/// arguments is found before, and one that does not become ready makes way for one as it was.
+void swap_broker(const Operated& operated, const ProcessPlan& before, const ProcessPlan& changed, double ready_s,
+                 const ControlServer::Tell& tell, const std::stop_token& stop) {
+  Supervisor& supervisor = operated.supervisor;
+  const std::string& name = before.name;
+  const auto report = ask_parameters(changed.program, changed.arguments, changed.environment);
+  if (!report || !report->problems.empty()) {
+    throw std::runtime_error(
+        fmt::format("{} does not accept its arguments ('{} --parameters' says why); {} goes on as it was",
+                    changed.program.string(), changed.program.filename().string(), name));
+  }
+  const auto start = [&](const ProcessPlan& plan) {
+    supervisor.change_plan(name, [&](ProcessPlan& now) { now = plan; });
+    supervisor.restart(name);
+    std::string why = "it was not ready in time";
+    const auto settled = [&](const std::vector<ProcessStatus>& all) {
+      const auto broker = std::ranges::find(all, name, &ProcessStatus::name);
+      if (broker == all.end() || broker->state == ProcessState::Running) return true;
+      if (broker->state != ProcessState::BackOff && broker->state != ProcessState::Failed) return false;
+      why = broker->detail;
+      return true;
+    };
+    supervisor.wait_until(settled, std::chrono::duration<double>(ready_s), stop);
+    const auto all = supervisor.status();
+    const auto broker = std::ranges::find(all, name, &ProcessStatus::name);
+    return broker != all.end() && broker->state == ProcessState::Running ? std::string() : why;
+  };
+  tell(fmt::format("{}: another broker takes its place; everything connects to it again", name));
+  const std::string why = start(changed);
+  if (why.empty()) return;
+  const bool is_back = start(before).empty();
+  throw std::runtime_error(
+      fmt::format("the new broker: {}; {}", why, is_back ? name + " was started again as it was" : name + " is gone"));
 }
 
 /// The one before the last swap may still be on its way out.
@@ -99,7 +138,13 @@ void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& op
     const auto bus = bus::Context::create(operated->bus, fmt::format("swap-{}", ::getpid()));
     for (const std::string& name : names) {
       wait_until_alone(operated->supervisor, name, stop);
-      SupervisorSwapHost host(operated->supervisor, successor_plan(*operated, request, name));
+      const ProcessPlan before = operated->supervisor.plan_of(name);
+      const ProcessPlan changed = changed_plan(before, request);
+      if (before.broker) {
+        swap_broker(*operated, before, changed, limits.ready_s, tell, stop);
+        continue;
+      }
+      SupervisorSwapHost host(operated->supervisor, as_successor(changed));
       run_swap(
           host, bus, name, limits, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
     }
