@@ -59,7 +59,6 @@ class LiveSwap : public testing::Test {
 TEST_F(LiveSwap, ATrainerThreeTimesInARow) {
   operate({"stop", "expander"});
   for (const char* off : {"carve", "prune", "densify"}) operate({"param", "set", "trainer", off, "false", "--save"});
-  operate({"param", "set", "capture-bridge", "input_views", "true"});
   const std::vector<std::uint64_t> before = sorted_ids();
   ASSERT_GT(before.size(), 100U);
   EXPECT_EQ(std::ranges::adjacent_find(before), before.end());
