@@ -108,8 +108,10 @@ std::string Endpoint::bind(const std::string& endpoint) {
     const std::string path = endpoint.substr(kIpc.size());
     locks_.emplace_back(path, lock_beside(path));
   }
-  const bus::PrivateUmask umask;
-  bus::bind_patiently(endpoint, [&] { return zmq_bind(socket_.handle(), endpoint.c_str()) == 0 ? 0 : zmq_errno(); });
+  bus::bind_patiently(endpoint, [&] {
+    const bus::PrivateUmask umask;
+    return zmq_bind(socket_.handle(), endpoint.c_str()) == 0 ? 0 : zmq_errno();
+  });
   return socket_.get(zmq::sockopt::last_endpoint);
 }
 

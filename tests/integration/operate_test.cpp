@@ -12,6 +12,7 @@
 #include "bus/file_descriptor.h"
 #include "child_process.h"
 #include "command.h"
+#include "down_if_killed.h"
 #include "gateway_url.h"
 #include "pipeline.h"
 #include "supervised_run.h"
@@ -70,6 +71,7 @@ class OperatedPipeline : public testing::Test {
   [[nodiscard]] pid_t pid_of(const std::string& name) const { return status().at(name).value("pid", 0); }
 
   const PrivateBusFolder folder_, files_;
+  const DownIfKilled down_if_killed_{bus()};
   bool is_up_ = false;
 };
 
