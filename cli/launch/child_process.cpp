@@ -95,6 +95,9 @@ bool ExitStatus::permanent() const {
 
 std::string ExitStatus::text() const {
   if (signal != 0) return fmt::format("killed by signal {} ({})", signal, strsignal(signal));
+  if (const int stopped_by = code - 128; stopped_by > 0 && stopped_by < NSIG) {
+    return fmt::format("stopped by signal {} ({})", stopped_by, strsignal(stopped_by));
+  }
   return fmt::format("exited with status {}", code);
 }
 

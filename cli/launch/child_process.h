@@ -21,7 +21,8 @@ struct ExitStatus {
   [[nodiscard]] bool success() const { return code == 0 && signal == 0; }
   /// Said by a program that would only fail again: bus::kExitPermanent, or 2 for a command line that it refuses.
   [[nodiscard]] bool permanent() const;
-  [[nodiscard]] std::string text() const;  ///< "exited with status 3", "killed by signal 9 (Killed)"
+  /// "exited with status 3", "killed by signal 9 (Killed)"; of 128 + a signal, "stopped by signal 15 (Terminated)".
+  [[nodiscard]] std::string text() const;
 };
 
 /// A process that could not be started for want of memory, descriptors or processes: later it may be.

@@ -149,6 +149,17 @@ fs::path program_directory() {
   return fs::read_symlink("/proc/self/exe").parent_path();
 }
 
+void set_parameter(ProcessPlan& process, const std::string& key, const std::string& value) {
+  const std::string assigned = key + "=";
+  auto& arguments = process.arguments;
+  for (auto at = arguments.begin(); at != arguments.end();) {
+    const auto next = std::next(at);
+    const bool is_it = *at == "--set" && next != arguments.end() && next->starts_with(assigned);
+    at = is_it ? arguments.erase(at, at + 2) : next;
+  }
+  arguments.insert(arguments.end(), {"--set", assigned + value});
+}
+
 LaunchPlan plan_launch(const LaunchFile& file, const bus::Address& bus, const fs::path& programs) {
   LaunchPlan plan{bus, {}};
   std::map<std::string, std::vector<std::size_t>> indices;  // of a service's replicas

@@ -38,6 +38,9 @@ struct ProcessPlan {
   std::string backend;  ///< cpu, cuda or auto, as SPLATBUS_BACKEND; empty: what that variable says here
 };
 
+/// Sets a parameter of a process, in the place of an earlier value.
+void set_parameter(ProcessPlan& process, const std::string& key, const std::string& value);
+
 /// What a launch file comes to: processes, each after those that it waits for; the broker first.
 struct LaunchPlan {
   bus::Address bus;

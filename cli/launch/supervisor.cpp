@@ -64,6 +64,8 @@ Supervisor::Supervisor(LaunchPlan plan, Output output, Clock now_ns)
 Supervisor::~Supervisor() = default;
 
 bool Supervisor::run(const std::stop_token& stop, const std::stop_token& kill) {
+  // Also where this throws: whoever waits for an order would wait for ever.
+  const std::unique_ptr<Supervisor, void (*)(Supervisor*)> over(this, [](Supervisor* self) { self->refuse_orders(); });
   while (!stop.stop_requested() && anything_to_do()) {
     start_what_is_due();
     wait_for_events();

@@ -89,13 +89,16 @@ class Supervisor {
                   const std::stop_token& stop = {}) const;
 
   // Orders of an operator: any thread but run()'s, while that runs. status() shows them at work when they return. They
-  // throw std::runtime_error when there is no such process, when it is in no state for it, or run() is over.
+  // throw std::runtime_error when there is no such process, when it is in no state for it (a successor gets ready
+  // beside it), or run() is over.
   void start(const std::string& name);    ///< nothing when it runs already
   void stop(const std::string& name);     ///< SIGTERM, later SIGKILL; stays stopped
   void restart(const std::string& name);  ///< forgets earlier ends; starts what does not run
   void add(ProcessPlan plan);            ///< one more process; those of its `after` are named by the first plan's index
   void remove(const std::string& name);  ///< stops it, and forgets it when it has ended
   [[nodiscard]] ProcessPlan plan_of(const std::string& name);  ///< that it runs by, or would
+  /// Of the plan that it is started by the next time.
+  void change_plan(const std::string& name, const std::function<void(ProcessPlan&)>& change);
 
   // For a successor that takes over without a gap. A process has one other beside it at most.
   /// Starts `plan` beside process `name`: it sends heartbeats as "name.next", which status() shows as `beside`. What
@@ -105,7 +108,8 @@ class Supervisor {
   /// The other one may end by itself; SIGTERM after `leave_within_s`. Exchanges back where it is called again before
   /// that.
   void exchange(const std::string& name, double leave_within_s);
-  /// Stops and forgets the process beside; nothing when there is none.
+  /// Stops and forgets the process beside; nothing when there is none. An entry that ended beside its successor is
+  /// started again as its policy says: until then it waits for what becomes of that.
   void drop_beside(const std::string& name);
 
  private:
@@ -143,6 +147,9 @@ class Supervisor {
     int attempts = 0;                ///< ends in a row without a healthy while between them
     bool was_ready = false;          ///< in any life: what waits for it may go
     bool gone = false;               ///< to be forgotten
+    std::optional<ExitStatus> held;  ///< how it ended while a successor stands by; what follows waits for that
+    /// A successor is there that may yet take its place.
+    [[nodiscard]] bool is_swapped() const { return beside && beside->successor && !beside->forget; }
   };
 
   // supervisor.cpp
@@ -182,6 +189,7 @@ class Supervisor {
   void obey_orders();
   void refuse_orders();
   [[nodiscard]] Process& find(const std::string& name);
+  [[nodiscard]] Process& find_not_swapped(const std::string& name);
   void stop_for(Process& process, AtEnd at_end);
   void forget_failure(const Process& process);
   void reap_beside(Process& process);

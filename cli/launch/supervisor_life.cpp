@@ -45,6 +45,11 @@ void Supervisor::reap(Process& process, bool stopping) {
     process.state = ProcessState::Ended;
   } else if (process.at_end != AtEnd::Policy) {
     ended_on_order(process);
+  } else if (process.is_swapped()) {
+    process.held = *status;
+    process.state = ProcessState::Stopping;
+    process.life->detail = "its successor takes over";
+    say(process, "ended", "its process " + status->text(), 0, *status);
   } else {
     ended(process, *status);
   }
@@ -118,6 +123,7 @@ void Supervisor::start_what_is_due() {
 }
 
 void Supervisor::spawn(Process& process) {
+  process.held.reset();
   process.state = ProcessState::Starting;
   try {
     start_child(*process.life);

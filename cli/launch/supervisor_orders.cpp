@@ -67,6 +67,10 @@ ProcessPlan Supervisor::plan_of(const std::string& name) {
   return plan;
 }
 
+void Supervisor::change_plan(const std::string& name, const std::function<void(ProcessPlan&)>& change) {
+  order([&] { change(find_not_swapped(name).life->plan); });
+}
+
 Supervisor::Process& Supervisor::find(const std::string& name) {
   std::vector<std::string> names;
   for (Process& process : processes_) {
@@ -74,6 +78,12 @@ Supervisor::Process& Supervisor::find(const std::string& name) {
     names.push_back(process.name);
   }
   throw std::runtime_error(fmt::format("there is no process '{}' (there are: {})", name, fmt::join(names, ", ")));
+}
+
+Supervisor::Process& Supervisor::find_not_swapped(const std::string& name) {
+  Process& process = find(name);
+  if (process.is_swapped()) throw std::runtime_error(fmt::format("'{}' is being swapped", name));
+  return process;
 }
 
 void Supervisor::forget_failure(const Process& process) {
@@ -92,7 +102,7 @@ void Supervisor::stop_for(Process& process, AtEnd at_end) {
 
 void Supervisor::start(const std::string& name) {
   order([this, name] {
-    Process& process = find(name);
+    Process& process = find_not_swapped(name);
     if (process.state == ProcessState::Stopping) {
       process.at_end = AtEnd::StartAgain;
       return;
@@ -106,7 +116,7 @@ void Supervisor::start(const std::string& name) {
 
 void Supervisor::stop(const std::string& name) {
   order([this, name] {
-    Process& process = find(name);
+    Process& process = find_not_swapped(name);
     forget_failure(process);
     if (process.life->child) return stop_for(process, AtEnd::StayStopped);
     process.state = ProcessState::Stopped;
@@ -116,7 +126,7 @@ void Supervisor::stop(const std::string& name) {
 
 void Supervisor::restart(const std::string& name) {
   order([this, name] {
-    Process& process = find(name);
+    Process& process = find_not_swapped(name);
     process.attempts = 0;
     forget_failure(process);
     if (process.life->child) return stop_for(process, AtEnd::StartAgain);
@@ -139,7 +149,7 @@ void Supervisor::add(ProcessPlan plan) {
 
 void Supervisor::remove(const std::string& name) {
   order([this, name] {
-    Process& process = find(name);
+    Process& process = find_not_swapped(name);
     forget_failure(process);
     if (process.life->child) return stop_for(process, AtEnd::Forget);
     processes_.remove_if([&](const Process& other) { return &other == &process; });
@@ -179,6 +189,7 @@ void Supervisor::exchange(const std::string& name, double leave_within_s) {
     life.last_sign_ns = now;
     process.at_end = AtEnd::Policy;
     process.attempts = 0;
+    process.held.reset();
     forget_failure(process);
     process.state = ProcessState::Running;
     process.was_ready = true;
@@ -196,6 +207,7 @@ void Supervisor::drop_beside(const std::string& name) {
     beside.forget = true;
     beside.leave_by_ns = now_ns_();
     if (!beside.life->child) process.beside.reset();
+    if (const auto held = std::exchange(process.held, std::nullopt)) ended(process, *held);
   });
 }
 

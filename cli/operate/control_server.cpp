@@ -30,9 +30,14 @@ ControlServer::ControlServer(bus::Address bus)
       wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
 
 ControlServer::~ControlServer() {
+  stop();
+}
+
+void ControlServer::stop() {
   stop_.request_stop();
   eventfd_write(wake_.get(), 1);
   if (thread_.joinable()) thread_.join();
+  listener_.reset();
   forget_the_gone(true);
 }
 

@@ -31,13 +31,17 @@ class ControlServer {
 
   /// Takes the place of the bus's supervisor; answers from start() on. Throws SupervisorRuns, or bus::Error.
   explicit ControlServer(bus::Address bus);
-  ~ControlServer();  ///< closes all connections
+  ~ControlServer();  ///< stop()
   ControlServer(const ControlServer&) = delete;
   ControlServer& operator=(const ControlServer&) = delete;
 
   /// Before start().
   void handle(const std::string& verb, Handler handler);
   void start();
+  /// Closes all connections and waits for the verbs under way, whose stop is asked for: no handler runs after this, so
+  /// that what they refer to may go. The place is given up first: who hears a connection close may start another
+  /// supervisor.
+  void stop();
 
   /// Passes a JSON object on to everybody who asked with the verb "attach". Never blocks: who reads too slowly misses
   /// some, and is told how many. Any thread.

@@ -16,6 +16,7 @@
 #include <chrono>
 #include <cstdlib>
 #include <fstream>
+#include <limits>
 #include <optional>
 #include <set>
 #include <stdexcept>
@@ -44,47 +45,30 @@ std::optional<StoredLine> parse(const std::string& process, const std::string& l
   return StoredLine{line.substr(0, end), process, line.substr(end + 3), line.compare(end, 3, kEventMark) == 0};
 }
 
-/// The end of a log file, across its rotations.
-class Tail {
- public:
-  Tail(fs::path path, std::string process) : path_(std::move(path)), process_(std::move(process)) { open(true); }
-
-  void pass_new(const std::function<void(const StoredLine&)>& pass) {
-    read(pass);
-    struct stat there {
-    }, ours{};
-    if (stat(path_.c_str(), &there) != 0) return;
-    if (file_.valid() && fstat(file_.get(), &ours) == 0 && ours.st_ino == there.st_ino) return;
-    read(pass);
-    open(false);
-    read(pass);
+/// The current file and those before it, newest first.
+std::vector<fs::path> files_of(const fs::path& folder, const std::string& process) {
+  std::vector<fs::path> files{current_file(folder, process)};
+  for (int number = 1; fs::exists(folder / fmt::format("{}.{}.log", process, number)); ++number) {
+    files.push_back(folder / fmt::format("{}.{}.log", process, number));
   }
+  return files;
+}
 
- private:
-  void open(bool at_end) {
-    file_ = bus::FileDescriptor(::open(path_.c_str(), O_RDONLY | O_CLOEXEC));
-    partial_.clear();
-    if (file_.valid() && at_end) lseek(file_.get(), 0, SEEK_END);
+/// The lines of a file's first bytes that are not older than `since`.
+void read_file(const fs::path& file, const std::string& process, const std::string& since, std::uintmax_t bytes,
+               std::vector<StoredLine>& lines) {
+  std::ifstream stream(file);
+  std::uintmax_t at = 0;
+  for (std::string text; at < bytes && std::getline(stream, text); at += text.size() + 1) {
+    auto line = parse(process, text);
+    if (line && line->time >= since) lines.push_back(std::move(*line));
   }
+}
 
-  void read(const std::function<void(const StoredLine&)>& pass) {
-    std::array<char, 16384> chunk{};
-    for (ssize_t got = 1; file_.valid() && got > 0;) {
-      got = ::read(file_.get(), chunk.data(), chunk.size());
-      if (got > 0) partial_.append(chunk.data(), static_cast<std::size_t>(got));
-    }
-    std::size_t begin = 0;
-    for (std::size_t end = partial_.find('\n'); end != std::string::npos; end = partial_.find('\n', begin)) {
-      if (const auto line = parse(process_, partial_.substr(begin, end - begin))) pass(*line);
-      begin = end + 1;
-    }
-    partial_.erase(0, begin);
-  }
-
-  fs::path path_;
-  std::string process_, partial_;
-  bus::FileDescriptor file_;
-};
+void in_order(std::vector<StoredLine>& lines, int tail) {
+  std::stable_sort(lines.begin(), lines.end(), [](const auto& a, const auto& b) { return a.time < b.time; });
+  if (tail >= 0 && lines.size() > static_cast<std::size_t>(tail)) lines.erase(lines.begin(), lines.end() - tail);
+}
 
 }  // namespace
 
@@ -134,20 +118,12 @@ std::vector<StoredLine> read_logs(const fs::path& folder, const std::vector<std:
                                   const std::string& since, int tail) {
   std::vector<StoredLine> lines;
   for (const std::string& process : processes) {
-    std::vector<fs::path> files{current_file(folder, process)};
-    for (int number = 1; fs::exists(folder / fmt::format("{}.{}.log", process, number)); ++number) {
-      files.push_back(folder / fmt::format("{}.{}.log", process, number));
-    }
+    const auto files = files_of(folder, process);
     for (auto file = files.rbegin(); file != files.rend(); ++file) {
-      std::ifstream stream(*file);
-      for (std::string text; std::getline(stream, text);) {
-        auto line = parse(process, text);
-        if (line && line->time >= since) lines.push_back(std::move(*line));
-      }
+      read_file(*file, process, since, std::numeric_limits<std::uintmax_t>::max(), lines);
     }
   }
-  std::stable_sort(lines.begin(), lines.end(), [](const auto& a, const auto& b) { return a.time < b.time; });
-  if (tail >= 0 && lines.size() > static_cast<std::size_t>(tail)) lines.erase(lines.begin(), lines.end() - tail);
+  in_order(lines, tail);
   return lines;
 }
 
@@ -156,8 +132,11 @@ std::vector<std::string> logged_processes(const fs::path& folder) {
   std::error_code ignored;
   for (const auto& entry : fs::directory_iterator(folder, ignored)) {
     if (entry.path().extension() != ".log") continue;
-    const std::string name = entry.path().stem();
-    names.insert(name.substr(0, name.find('.')));
+    std::string name = entry.path().stem();  // "trainer", "trainer.1", "trainer.next", "trainer.next.1"
+    const std::size_t dot = name.rfind('.');
+    const bool numbered = dot != std::string::npos && dot + 1 < name.size() &&
+                          name.find_first_not_of("0123456789", dot + 1) == std::string::npos;
+    names.insert(numbered ? name.substr(0, dot) : name);
   }
   return {names.begin(), names.end()};
 }
@@ -176,25 +155,113 @@ std::string since_time(const std::string& text) {
   return fmt::format("{:%Y-%m-%dT%H:%M:%S}", fmt::gmtime(then));
 }
 
-void follow_logs(const fs::path& folder, const std::vector<std::string>& processes, int end_fd,
-                 const std::function<void(const StoredLine&)>& pass) {
-  const bus::FileDescriptor watch(inotify_init1(IN_CLOEXEC | IN_NONBLOCK));
-  if (!watch.valid() ||
-      inotify_add_watch(watch.get(), folder.c_str(), IN_MODIFY | IN_CREATE | IN_MOVED_TO | IN_MOVED_FROM) < 0) {
-    throw std::runtime_error(fmt::format("cannot watch {}", folder.string()));
+/// The end of a log file, across its rotations.
+class LogFollower::Tail {
+ public:
+  Tail(fs::path path, std::string process, bool at_end) : path_(std::move(path)), process_(std::move(process)) {
+    open();
+    struct stat status {};
+    if (!at_end || !file_.valid() || fstat(file_.get(), &status) != 0) return;
+    first_inode_ = status.st_ino;
+    // Whole lines: the rest of one that is being written comes with its end.
+    first_byte_ = static_cast<std::uintmax_t>(lseek(file_.get(), last_line_end(status.st_size), SEEK_SET));
   }
-  std::vector<Tail> tails;
-  for (const std::string& process : processes) tails.emplace_back(current_file(folder, process), process);
-  const auto pass_all = [&] {
-    for (Tail& tail : tails) tail.pass_new(pass);
-  };
+
+  /// What was there before.
+  void read_before(const fs::path& folder, const std::string& since, std::vector<StoredLine>& lines) const {
+    const auto files = files_of(folder, process_);
+    const auto first = std::ranges::find_if(files, [&](const fs::path& file) {
+      struct stat status {};
+      return stat(file.c_str(), &status) == 0 && status.st_ino == first_inode_;
+    });
+    if (first == files.end()) return;
+    for (auto file = files.end(); file-- != first;) {
+      read_file(*file, process_, since, file == first ? first_byte_ : std::numeric_limits<std::uintmax_t>::max(),
+                lines);
+    }
+  }
+
+  void pass_new(const std::function<void(const StoredLine&)>& pass) {
+    read(pass);
+    struct stat there {
+    }, ours{};
+    if (stat(path_.c_str(), &there) != 0) return;
+    if (file_.valid() && fstat(file_.get(), &ours) == 0 && ours.st_ino == there.st_ino) return;
+    read(pass);
+    open();
+    read(pass);
+  }
+
+ private:
+  void open() {
+    file_ = bus::FileDescriptor(::open(path_.c_str(), O_RDONLY | O_CLOEXEC));
+    partial_.clear();
+  }
+
+  [[nodiscard]] off_t last_line_end(off_t size) const {
+    for (char byte = 0; size > 0; --size) {
+      if (pread(file_.get(), &byte, 1, size - 1) != 1 || byte == '\n') break;
+    }
+    return size;
+  }
+
+  void read(const std::function<void(const StoredLine&)>& pass) {
+    std::array<char, 16384> chunk{};
+    for (ssize_t got = 1; file_.valid() && got > 0;) {
+      got = ::read(file_.get(), chunk.data(), chunk.size());
+      if (got > 0) partial_.append(chunk.data(), static_cast<std::size_t>(got));
+    }
+    std::size_t begin = 0;
+    for (std::size_t end = partial_.find('\n'); end != std::string::npos; end = partial_.find('\n', begin)) {
+      if (const auto line = parse(process_, partial_.substr(begin, end - begin))) pass(*line);
+      begin = end + 1;
+    }
+    partial_.erase(0, begin);
+  }
+
+  fs::path path_;
+  std::string process_, partial_;
+  bus::FileDescriptor file_;
+  ino_t first_inode_ = 0;  ///< 0: there was none
+  std::uintmax_t first_byte_ = 0;
+};
+
+LogFollower::LogFollower(fs::path folder, Wanted wanted)
+    : folder_(std::move(folder)), wanted_(std::move(wanted)), watch_(inotify_init1(IN_CLOEXEC | IN_NONBLOCK)) {
+  if (!watch_.valid() ||
+      inotify_add_watch(watch_.get(), folder_.c_str(), IN_MODIFY | IN_CREATE | IN_MOVED_TO | IN_MOVED_FROM) < 0) {
+    throw std::runtime_error(fmt::format("cannot watch {}", folder_.string()));
+  }
+  for (const std::string& process : logged_processes(folder_)) {
+    if (wanted_(process)) tails_[process] = std::make_unique<Tail>(current_file(folder_, process), process, true);
+  }
+}
+
+LogFollower::~LogFollower() = default;
+
+std::vector<StoredLine> LogFollower::before(const std::string& since, int tail) const {
+  std::vector<StoredLine> lines;
+  for (const auto& [process, end] : tails_) end->read_before(folder_, since, lines);
+  in_order(lines, tail);
+  return lines;
+}
+
+void LogFollower::find_new_ones() {
+  for (const std::string& process : logged_processes(folder_)) {
+    if (tails_.contains(process) || !wanted_(process)) continue;
+    tails_[process] = std::make_unique<Tail>(current_file(folder_, process), process, false);
+  }
+}
+
+void LogFollower::run(int end_fd, const std::function<void(const StoredLine&)>& pass) {
   for (;;) {
-    std::array<pollfd, 2> items{pollfd{watch.get(), POLLIN, 0}, pollfd{end_fd, POLLIN, 0}};
+    std::array<pollfd, 2> items{pollfd{watch_.get(), POLLIN, 0}, pollfd{end_fd, POLLIN, 0}};
     if (poll(items.data(), items.size(), -1) < 0) continue;
     std::array<char, 16384> events{};
-    while (read(watch.get(), events.data(), events.size()) > 0) {
+    while (::read(watch_.get(), events.data(), events.size()) > 0) {
     }
-    pass_all();
+    find_new_ones();
+    for (auto& [process, tail] : tails_) tail->pass_new(pass);
     if (items[1].revents != 0) return;
   }
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "bus/address.h"
+#include "bus/file_descriptor.h"
 #include "process_output.h"
 
 namespace splatbus::cli {
@@ -53,8 +54,31 @@ struct StoredLine {
 /// "90s", "10m", "2h", "1d" before now, or a time as StoredLine has it, as such a time. Throws std::runtime_error.
 [[nodiscard]] std::string since_time(const std::string& text);
 
-/// Passes on what is appended from now on, across rotations, until `end_fd` is readable or hung up.
-void follow_logs(const std::filesystem::path& folder, const std::vector<std::string>& processes, int end_fd,
-                 const std::function<void(const StoredLine&)>& pass);
+/// Log files from now on, of those processes that are wanted: across rotations, and of processes that come later too.
+/// One thread.
+class LogFollower {
+ public:
+  using Wanted = std::function<bool(const std::string& process)>;
+
+  /// "From now on" is this call. Throws std::runtime_error when the folder cannot be watched.
+  LogFollower(std::filesystem::path folder, Wanted wanted);
+  ~LogFollower();
+  LogFollower(const LogFollower&) = delete;
+  LogFollower& operator=(const LogFollower&) = delete;
+
+  /// As read_logs(): what was there before. Together with run() no line is missing, and none is there twice.
+  [[nodiscard]] std::vector<StoredLine> before(const std::string& since, int tail) const;
+  /// Passes on what is appended, until `end_fd` is readable or hung up.
+  void run(int end_fd, const std::function<void(const StoredLine&)>& pass);
+
+ private:
+  class Tail;
+  void find_new_ones();
+
+  std::filesystem::path folder_;
+  Wanted wanted_;
+  bus::FileDescriptor watch_;
+  std::map<std::string, std::unique_ptr<Tail>> tails_;  ///< by process
+};
 
 }  // namespace splatbus::cli

@@ -5,6 +5,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
+#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -115,26 +116,43 @@ int attach(const OperateOptions& options) {
   return 0;
 }
 
-/// Names of processes from the supervisor where it runs, since it knows which replicas there are; else from the files.
-std::vector<std::string> names_for_logs(const OperateOptions& options, const std::vector<std::string>& logged,
-                                        const std::optional<Json>& running) {
-  if (options.services.empty()) return logged;
-  std::vector<std::string> names;
-  for (const std::string& wanted : options.services) {
-    const std::size_t before = names.size();
+/// Which processes' log files are asked for: by name or service, with their successors, and with replicas that are no
+/// more or not yet. The supervisor, where it runs, knows what is a replica; else a name tells.
+class AskedForLogs {
+ public:
+  AskedForLogs(std::vector<std::string> services, const std::optional<Json>& running) : services_(std::move(services)) {
     for (const Json& p : running ? running->at("services") : Json::array()) {
-      if (p.at("name") == wanted || p.at("service") == wanted) names.push_back(p.at("name"));
-    }
-    if (names.size() == before && std::find(logged.begin(), logged.end(), wanted) != logged.end()) {
-      names.push_back(wanted);
-    }
-    if (names.size() == before) {
-      throw std::runtime_error(
-          fmt::format("there are no logs of '{}' (there are: {})", wanted, fmt::join(logged, ", ")));
+      service_of_[p.at("name")] = p.at("service");
     }
   }
-  return names;
-}
+
+  [[nodiscard]] bool is_asked_for(const std::string& process) const {
+    return services_.empty() ||
+           std::ranges::any_of(services_, [&](const std::string& service) { return is_of(process, service); });
+  }
+
+  void require_each(const std::vector<std::string>& logged) const {
+    for (const std::string& service : services_) {
+      if (std::ranges::any_of(logged, [&](const std::string& process) { return is_of(process, service); })) continue;
+      throw std::runtime_error(
+          fmt::format("there are no logs of '{}' (there are: {})", service, fmt::join(logged, ", ")));
+    }
+  }
+
+ private:
+  [[nodiscard]] bool is_of(const std::string& logged, const std::string& service) const {
+    const std::string_view next = ".next";
+    const std::string process = logged.ends_with(next) ? logged.substr(0, logged.size() - next.size()) : logged;
+    if (logged == service || process == service) return true;
+    if (const auto known = service_of_.find(process); known != service_of_.end()) return known->second == service;
+    const std::string replica = service + "-";
+    return process.size() > replica.size() && process.starts_with(replica) &&
+           process.find_first_not_of("0123456789", replica.size()) == std::string::npos;
+  }
+
+  std::vector<std::string> services_;
+  std::map<std::string, std::string> service_of_;
+};
 
 int logs(const OperateOptions& options) {
   const bus::Address bus = bus_address(options.bus);
@@ -149,7 +167,10 @@ int logs(const OperateOptions& options) {
   } catch (const NoSupervisor&) {
     if (options.follow) throw;
   }
-  const auto names = names_for_logs(options, logged, running);
+  const AskedForLogs asked(options.services, running);
+  asked.require_each(logged);
+  std::vector<std::string> names;
+  std::ranges::copy_if(logged, std::back_inserter(names), [&](const auto& name) { return asked.is_asked_for(name); });
   const PrefixedOutput output(names, !options.json && wants_color(STDOUT_FILENO));
   const auto print = [&](const StoredLine& line) {
     if (options.json) {
@@ -160,8 +181,14 @@ int logs(const OperateOptions& options) {
     }
     std::fflush(stdout);
   };
-  for (const StoredLine& line : read_logs(folder, names, since_time(options.since), options.tail)) print(line);
-  if (options.follow) follow_logs(folder, names, supervisor->fd(), print);
+  const std::string since = since_time(options.since);
+  if (!options.follow) {
+    for (const StoredLine& line : read_logs(folder, names, since, options.tail)) print(line);
+    return 0;
+  }
+  LogFollower follower(folder, [&](const std::string& process) { return asked.is_asked_for(process); });
+  for (const StoredLine& line : follower.before(since, options.tail)) print(line);
+  follower.run(supervisor->fd(), print);
   return 0;
 }
 

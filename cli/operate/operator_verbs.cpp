@@ -166,6 +166,18 @@ Json scale(Operated& operated, const Json& request, const ControlServer::Tell& t
   return {{"added", added}, {"removed", removed}};
 }
 
+/// A parameter that was written to the launch file counts from each process's next start on.
+Json save(Operated& operated, const Json& request) {
+  const std::string service = request.at("service").get<std::string>();
+  const std::string key = request.at("key").get<std::string>(), value = request.at("value").get<std::string>();
+  const auto names = processes_of(operated.supervisor.status(), service);
+  for (const std::string& name : names) {
+    operated.supervisor.change_plan(name, [&](ProcessPlan& plan) { set_parameter(plan, key, value); });
+  }
+  if (LaunchService* const entry = operated.file.find(service)) entry->parameters[key].value = value;
+  return {{"processes", names}};
+}
+
 }  // namespace
 
 std::vector<std::string> processes_of(const std::vector<ProcessStatus>& all, const std::string& name) {
@@ -214,11 +226,15 @@ void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& 
     }
     return Json{{"processes", names}};
   });
-  // One change of the number of replicas at a time.
-  server.handle("scale", [operated, turn = std::make_shared<std::mutex>()](const Json& request, const Tell& tell,
-                                                                           const Stop& stop) {
+  // Those that change the launch file in memory: one at a time.
+  const auto turn = std::make_shared<std::mutex>();
+  server.handle("scale", [operated, turn](const Json& request, const Tell& tell, const Stop& stop) {
     const std::scoped_lock lock(*turn);
     return scale(*operated, request, tell, stop);
+  });
+  server.handle("save", [operated, turn](const Json& request, const Tell&, const Stop&) {
+    const std::scoped_lock lock(*turn);
+    return save(*operated, request);
   });
   server.handle("down", [operated](const Json&, const Tell&, const Stop&) {
     operated->stop();

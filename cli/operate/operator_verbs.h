@@ -23,7 +23,7 @@ struct Operated {
 /// that names what there is.
 [[nodiscard]] std::vector<std::string> processes_of(const std::vector<ProcessStatus>& all, const std::string& name);
 
-/// status, start, stop, restart, scale, wait and down.
+/// status, start, stop, restart, scale, save (of a parameter), wait and down.
 void add_operator_verbs(ControlServer& server, const std::shared_ptr<Operated>& operated);
 
 }  // namespace splatbus::cli

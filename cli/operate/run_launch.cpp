@@ -66,6 +66,9 @@ int supervise(const RunLaunch& launch, const std::function<void()>& listening) {
                                                             .stop = [&stop] { stop.request_stop(); }});
   add_operator_verbs(control, operated);
   add_swap_handler(control, operated);
+  // Handlers refer to what is above, which goes before the server does.
+  const std::unique_ptr<ControlServer, void (*)(ControlServer*)> answering(&control,
+                                                                           [](ControlServer* c) { c->stop(); });
   control.start();
   listening();
   std::jthread timer;

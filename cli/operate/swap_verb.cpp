@@ -4,10 +4,12 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "parameter_check.h"
 #include "swap.h"
 
 namespace splatbus::cli {
@@ -16,6 +18,7 @@ namespace {
 
 using Json = nlohmann::json;
 constexpr double kLeaveWithinS = 10;
+constexpr std::chrono::seconds kGonePatience(20);
 
 /// A swap among a supervisor's processes.
 class SupervisorSwapHost final : public SwapHost {
@@ -56,10 +59,8 @@ class SupervisorSwapHost final : public SwapHost {
   pid_t predecessor_ = 0;
 };
 
-/// The process's plan with what the request changes, as a successor's.
-ProcessPlan successor_plan(const Operated& operated, const Json& request, const std::string& name) {
-  ProcessPlan changed = operated.supervisor.plan_of(name);
-  if (changed.broker) throw std::runtime_error("the broker cannot have a successor beside it: restart it");
+/// The process's plan with what the request changes.
+ProcessPlan changed_plan(ProcessPlan changed, const Json& request) {
   if (request.contains("program")) changed.program = request.at("program").get<std::string>();
   if (request.contains("backend")) {
     changed.backend = request.at("backend").get<std::string>();
@@ -69,10 +70,60 @@ ProcessPlan successor_plan(const Operated& operated, const Json& request, const 
   }
   const Json changes = request.contains("set") ? request.at("set") : Json(Json::value_t::object);
   for (const auto& [key, value] : changes.items()) {
-    changed.arguments.insert(changed.arguments.end(), {"--set", fmt::format("{}={}", key, value.get<std::string>())});
+    set_parameter(changed, key, value.get<std::string>());
   }
-  changed.arguments.emplace_back("--successor");
   return changed;
+}
+
+ProcessPlan as_successor(ProcessPlan plan) {
+  plan.arguments.emplace_back("--successor");
+  return plan;
+}
+
+/// Two brokers cannot be on a bus at once: the new one is started once the old one has gone. What would fail for its
+/// arguments is found before, and one that does not become ready makes way for one as it was.
+void swap_broker(const Operated& operated, const ProcessPlan& before, const ProcessPlan& changed, double ready_s,
+                 const ControlServer::Tell& tell, const std::stop_token& stop) {
+  Supervisor& supervisor = operated.supervisor;
+  const std::string& name = before.name;
+  const auto report = ask_parameters(changed.program, changed.arguments, changed.environment);
+  if (!report || !report->problems.empty()) {
+    throw std::runtime_error(
+        fmt::format("{} does not accept its arguments ('{} --parameters' says why); {} goes on as it was",
+                    changed.program.string(), changed.program.filename().string(), name));
+  }
+  const auto start = [&](const ProcessPlan& plan) {
+    supervisor.change_plan(name, [&](ProcessPlan& now) { now = plan; });
+    supervisor.restart(name);
+    std::string why = "it was not ready in time";
+    const auto settled = [&](const std::vector<ProcessStatus>& all) {
+      const auto broker = std::ranges::find(all, name, &ProcessStatus::name);
+      if (broker == all.end() || broker->state == ProcessState::Running) return true;
+      if (broker->state != ProcessState::BackOff && broker->state != ProcessState::Failed) return false;
+      why = broker->detail;
+      return true;
+    };
+    supervisor.wait_until(settled, std::chrono::duration<double>(ready_s), stop);
+    const auto all = supervisor.status();
+    const auto broker = std::ranges::find(all, name, &ProcessStatus::name);
+    return broker != all.end() && broker->state == ProcessState::Running ? std::string() : why;
+  };
+  tell(fmt::format("{}: another broker takes its place; everything connects to it again", name));
+  const std::string why = start(changed);
+  if (why.empty()) return;
+  const bool is_back = start(before).empty();
+  throw std::runtime_error(
+      fmt::format("the new broker: {}; {}", why, is_back ? name + " was started again as it was" : name + " is gone"));
+}
+
+/// The one before the last swap may still be on its way out.
+void wait_until_alone(const Supervisor& supervisor, const std::string& name, const std::stop_token& stop) {
+  const auto alone = [&](const std::vector<ProcessStatus>& all) {
+    return std::ranges::none_of(all,
+                                [&](const ProcessStatus& process) { return process.name == name && process.beside; });
+  };
+  if (supervisor.wait_until(alone, kGonePatience, stop)) return;
+  throw std::runtime_error(fmt::format("'{}' still has another process beside it", name));
 }
 
 }  // namespace
@@ -83,11 +134,19 @@ void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& op
                             const Json& request, const ControlServer::Tell& tell, const std::stop_token& stop) {
     const std::scoped_lock lock(*turn);
     const auto names = processes_of(operated->supervisor.status(), request.at("service").get<std::string>());
+    const SwapLimits limits{.ready_s = request.value("wait_s", SwapLimits{}.ready_s)};
     const auto bus = bus::Context::create(operated->bus, fmt::format("swap-{}", ::getpid()));
     for (const std::string& name : names) {
-      SupervisorSwapHost host(operated->supervisor, successor_plan(*operated, request, name));
+      wait_until_alone(operated->supervisor, name, stop);
+      const ProcessPlan before = operated->supervisor.plan_of(name);
+      const ProcessPlan changed = changed_plan(before, request);
+      if (before.broker) {
+        swap_broker(*operated, before, changed, limits.ready_s, tell, stop);
+        continue;
+      }
+      SupervisorSwapHost host(operated->supervisor, as_successor(changed));
       run_swap(
-          host, bus, name, {}, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
+          host, bus, name, limits, [&](const std::string& text) { tell(fmt::format("{}: {}", name, text)); }, stop);
     }
     return Json{{"processes", names}};
   });

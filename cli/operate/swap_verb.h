@@ -7,8 +7,8 @@
 
 namespace splatbus::cli {
 
-/// {"verb": "swap", "service": NAME, "backend": "cpu", "set": {"key": "value"}, "program": PATH}; the last three may be
-/// left out. Before start() of the server.
+/// {"verb": "swap", "service": NAME, "wait_s": 60, "backend": "cpu", "set": {"key": "value"}, "program": PATH}; all but
+/// the service may be left out. A successor that is not ready within `wait_s` is refused. Before start() of the server.
 void add_swap_handler(ControlServer& server, const std::shared_ptr<Operated>& operated);
 
 }  // namespace splatbus::cli

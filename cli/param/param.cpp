@@ -6,10 +6,13 @@
 #include <fstream>
 #include <iterator>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <stdexcept>
 
 #include "bus/nearest.h"
+#include "control_request.h"
+#include "control_socket.h"
 #include "launch_plan.h"
 #include "parameter_edit.h"
 #include "parameter_query.h"
@@ -110,8 +113,18 @@ std::string variable_of(std::uint32_t pid, const std::string& name) {
   return {};
 }
 
-/// Writes the parameter to the launch file that the process was started from, or to the one that is named.
-void save(const ParamOptions& options, const ParameterOwner& owner, bool local) {
+/// So that a restart has what the launch file says now. Where nobody supervises, the next launch reads it.
+void tell_supervisor(const bus::Address& bus, const std::string& service, const ParamOptions& options) {
+  try {
+    static_cast<void>(
+        ask_supervisor(bus, {{"verb", "save"}, {"service", service}, {"key", options.key}, {"value", options.value}}));
+  } catch (const NoSupervisor&) {
+  }
+}
+
+/// Writes the parameter to the launch file that the process was started from, or to the one that is named. Returns the
+/// service's name there.
+std::string save(const ParamOptions& options, const ParameterOwner& owner, bool local) {
   const std::string file =
       !options.file.empty() ? options.file : (local ? variable_of(owner.pid, kLaunchFileVariable) : "");
   if (file.empty()) {
@@ -122,8 +135,8 @@ void save(const ParamOptions& options, const ParameterOwner& owner, bool local) 
   std::ifstream stream(file);
   const std::string before{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
   if (!stream) throw std::runtime_error(file + ": cannot be read");
-  const std::string after =
-      with_parameters(before, file, started_as.empty() ? owner.source : started_as, {{options.key, options.value}});
+  const std::string service = started_as.empty() ? owner.source : started_as;
+  const std::string after = with_parameters(before, file, service, {{options.key, options.value}});
   // Beside it, and in its place once it is whole: whoever reads it finds the one or the other.
   const fs::path target = fs::canonical(file);
   const fs::path draft = target.string() + ".new";
@@ -134,6 +147,7 @@ void save(const ParamOptions& options, const ParameterOwner& owner, bool local) 
   fs::permissions(draft, fs::status(target).permissions());
   fs::rename(draft, target);
   if (!options.json) fmt::print("saved in {}\n", target.string());
+  return service;
 }
 
 int set(const ParamOptions& options) {
@@ -173,7 +187,9 @@ int set(const ParamOptions& options) {
       fmt::print("{}.{} = {} (was {})\n", owner.source, options.key, now, before);
     }
   }
-  if (options.save) save(options, owners.front(), address.is_local());
+  if (!options.save) return 0;
+  const std::string service = save(options, owners.front(), address.is_local());
+  if (options.file.empty()) tell_supervisor(address, service, options);
   return 0;
 }
 

@@ -26,10 +26,13 @@
 
 namespace {
 
-std::atomic<bool> stop_requested =
-    false;  // NOLINT(cppcoreguidelines-avoid-non-const-global-variables): set by a signal
+// NOLINTBEGIN(cppcoreguidelines-avoid-non-const-global-variables): set by a signal
+std::atomic<bool> stop_requested = false;
+std::atomic<int> stopped_by = 0;
+// NOLINTEND(cppcoreguidelines-avoid-non-const-global-variables)
 
-void request_stop(int /*signal*/) {
+void request_stop(int signal) {
+  stopped_by = signal;
   stop_requested = true;
 }
 
@@ -235,5 +238,5 @@ int main(int argc, char** argv) {
     spdlog::critical("{}", error.what());
     return 1;
   }
-  return 0;
+  return splatbus::bus::exit_status_after(stopped_by);
 }

@@ -2,7 +2,7 @@
 
 #include <fmt/format.h>
 
-#include "bus/error.h"
+#include "bus/permanent_error.h"
 #ifdef SPLATBUS_HAVE_CUDA
 #include "bus/gpu/cuda_driver.h"
 #endif
@@ -33,7 +33,7 @@ Device choose_backend(const std::string& text) {
   }
   const std::string why = obstacle();
   if (why.empty()) return Device::Cuda;
-  if (text == "cuda") throw Error(fmt::format("no backend cuda: {}", why));
+  if (text == "cuda") throw PermanentError(fmt::format("no backend cuda: {}", why));
   return Device::Cpu;
 }
 

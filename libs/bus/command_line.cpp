@@ -5,6 +5,7 @@
 #include <CLI/CLI.hpp>
 #include <charconv>
 #include <cstdio>
+#include <cstdlib>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -95,6 +96,14 @@ std::string plain(const std::string& text) {
 }
 
 }  // namespace
+
+bool is_supervised() {
+  return std::getenv("SPLATBUS_SUPERVISED") != nullptr;
+}
+
+int exit_status_after(int signal) {
+  return signal != 0 && is_supervised() ? 128 + signal : 0;
+}
 
 std::optional<int> parse_command_line(CLI::App& app, int argc, const char* const* argv) {
   try {

@@ -47,8 +47,7 @@ Context::Impl::Impl(Address bus_address, std::string source_name)
       epoch(static_cast<std::uint64_t>(now_ns())),
       keys(keys_of(address)),
       slabs(address.is_local() ? std::make_unique<SlabClient>(address.slab_socket()) : nullptr),
-      outbox(zmq, address, keys) {
-}
+      outbox(zmq, address, keys) {}
 
 void Context::Impl::forget_unused(std::int64_t now) {
   std::erase_if(cache, [&](const auto& entry) {
@@ -138,6 +137,10 @@ std::shared_ptr<Slab> Context::adopt_slab(const std::string& name, int timeout_m
   auto slab = map_slab_memory(answer->descriptor, std::move(answer->control), std::move(answer->data), true);
   impl_->slabs->keep(slab);
   return slab;
+}
+
+void Context::fall_silent() {
+  impl_->outbox.close();
 }
 
 void Context::claim(std::chrono::milliseconds timeout) {

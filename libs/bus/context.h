@@ -62,6 +62,10 @@ class Context : public std::enable_shared_from_this<Context> {
   /// another process is there that writes it.
   std::shared_ptr<Slab> adopt_slab(const std::string& name, int timeout_ms = 10000);
 
+  /// Lets go of the connection to the broker that this source publishes by, so that another process may have its name.
+  /// What is published later goes nowhere; subscribers, and slabs that they open, stay as they are.
+  void fall_silent();
+
   /// Takes the lease of this source's slabs, and with it the name: who lets go of its connection to the broker lets go
   /// of the lease last. Waits up to `timeout` for another process that has it. Throws Error naming that process when it
   /// stays. Does nothing over tcp, and where no broker answers.

@@ -10,8 +10,8 @@
 #include <utility>
 #include <vector>
 
-#include "bus/error.h"
 #include "bus/frames.h"
+#include "bus/permanent_error.h"
 
 namespace splatbus::bus {
 namespace {
@@ -70,7 +70,7 @@ std::optional<ServerKeys> server_keys(const std::string& endpoint, const ServerK
   const auto allowed = files.allowed.empty() ? keys_folder() / "allowed" : std::filesystem::path(files.allowed);
   std::error_code ignored;
   if (!std::filesystem::exists(key, ignored)) {
-    throw Error(
+    throw PermanentError(
         fmt::format("{}: others than this machine can reach it, so it needs a key, and there is no {}: make one "
                     "with 'splatbus keys new server'",
                     endpoint, key.string()));
@@ -89,12 +89,13 @@ std::optional<ClientKeys> client_keys(const std::string& endpoint, const std::st
   }
   if (file.empty() && server.empty()) {
     if (is_loopback(endpoint)) return std::nullopt;
-    throw Error(
+    throw PermanentError(
         fmt::format("{}: to speak to another machine takes a key (--key FILE or SPLATBUS_KEY) and that machine's "
                     "public key (--server-key or SPLATBUS_SERVER_KEY)",
                     endpoint));
   }
-  if (file.empty() || server.empty()) throw Error(fmt::format("{}: a key needs the server's, and it one", endpoint));
+  if (file.empty() || server.empty())
+    throw PermanentError(fmt::format("{}: a key needs the server's, and it one", endpoint));
   require_key(server, "the server's key");
   return ClientKeys{read_key_file(file), server};
 }

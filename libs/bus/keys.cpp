@@ -20,6 +20,7 @@
 #include "bus/error.h"
 #include "bus/file_descriptor.h"
 #include "bus/frames.h"
+#include "bus/permanent_error.h"
 
 namespace splatbus::bus {
 namespace {
@@ -34,7 +35,7 @@ constexpr std::size_t max_name = 64;
 constexpr std::int64_t check_every_ns = 200'000'000;
 
 [[noreturn]] void refuse(const fs::path& file, const std::string& why) {
-  throw Error(fmt::format("{}: {}", file.string(), why));
+  throw PermanentError(fmt::format("{}: {}", file.string(), why));
 }
 
 Key hex_of_z85(const char* z85) {

@@ -5,10 +5,10 @@
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
-#include <cstdlib>
 #include <mutex>
 #include <utility>
 
+#include "bus/command_line.h"
 #include "bus/error.h"
 #include "bus/publisher.h"
 #include "wire/system_generated.h"
@@ -50,7 +50,7 @@ void install(std::vector<spdlog::sink_ptr> sinks, const std::string& name, spdlo
 spdlog::sink_ptr make_stderr_sink() {
   auto sink = std::make_shared<spdlog::sinks::stderr_sink_mt>();
   // A supervisor writes time and name itself.
-  sink->set_pattern(std::getenv("SPLATBUS_SUPERVISED") != nullptr ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
+  sink->set_pattern(is_supervised() ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
   return sink;
 }
 

@@ -35,18 +35,30 @@ Outbox::Outbox(zmq::context_t& context, const Address& address, const std::optio
 }
 
 Outbox::~Outbox() {
+  close();
+}
+
+void Outbox::close() {
   {
     // A program that publishes one message and ends: give the broker that long to take it.
     std::unique_lock lock(mutex_);
+    if (closed_) return;
     if (waiting_) connected_changed_.wait_for(lock, linger, [this] { return connected_; });
+    closed_ = true;
   }
   thread_.request_stop();
   ::eventfd_write(wake_.get(), 1);
   thread_.join();
+  const std::scoped_lock lock(mutex_);
+  socket_.close();
+  connected_ = false;
+  pending_.clear();
+  pending_bytes_ = 0;
 }
 
 std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
   const std::scoped_lock lock(mutex_);
+  if (closed_) return 0;
   read_subscriptions();
   const std::string topic = frames.topic.to_string();
   const std::uint64_t sequence = ++sequences_[topic];

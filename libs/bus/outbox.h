@@ -37,6 +37,9 @@ class Outbox {
 
   [[nodiscard]] bool wait_connected(std::chrono::milliseconds timeout);
 
+  /// Lets the connection go, once the broker has what was sent, and with it the name. What is sent later goes nowhere.
+  void close();
+
  private:
   struct Pending {
     std::uint64_t order;
@@ -49,7 +52,7 @@ class Outbox {
   std::mutex mutex_;
   std::condition_variable connected_changed_;
   zmq::socket_t socket_;
-  bool connected_ = false;
+  bool connected_ = false, closed_ = false;
   std::uint64_t next_order_ = 1;
   std::map<std::string, std::uint64_t> sequences_;
   LatchStore latched_;

@@ -18,6 +18,7 @@
 #include "bus/heartbeat_thread.h"
 #include "bus/log_sink.h"
 #include "bus/parameter_json.h"
+#include "bus/permanent_error.h"
 
 namespace splatbus::bus {
 namespace {
@@ -103,20 +104,24 @@ class ServiceProcess {
 
   int run(const std::function<void(ServiceContext&)>& run) {
     std::string failure;
+    int status = kExitFailed;
     heartbeats_.emplace(*service_, description_.kind);
     spdlog::info("{} on {}, backend {}{}", description_.kind, address_.text(), name_of(backend_),
                  flags_.successor ? ", stands by" : "");
     try {
       if (!flags_.successor) claim_own_name();
       if (description_.stands_by || service_->take_over()) run(*service_);
+    } catch (const PermanentError& error) {
+      failure = error.what();
+      status = kExitPermanent;
     } catch (const std::exception& error) {
       failure = error.what();
-      spdlog::critical("{}", failure);
     }
+    if (!failure.empty()) spdlog::critical("{}", failure);
     heartbeats_->finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
     heartbeats_.reset();
     uninstall_logger();
-    return failure.empty() ? 0 : 1;
+    return failure.empty() ? signals_.exit_status() : status;
   }
 
  private:
@@ -141,6 +146,8 @@ class ServiceProcess {
     heartbeats_->finish(wire::ServiceState::Stopping, "takes over");
     heartbeats_.reset();
     install_logger(context, flags_.log_level);
+    // Subscribers of before keep it, and the next successor is to have its name.
+    service_->bus->fall_silent();
     service_->bus = std::move(context);
     service_->stands_by_ = false;
     service_->ready_ = !description_.stands_by;
@@ -187,6 +194,9 @@ int service_main(int argc, char** argv, const ServiceDescription& description,
   }
   try {
     return ServiceProcess(flags, std::move(address), description, parameters).run(run);
+  } catch (const PermanentError& error) {
+    fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
+    return kExitPermanent;
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-{}: {}\n", description.kind, error.what());
     return kExitFailed;
@@ -199,14 +209,20 @@ StopSignals::StopSignals(std::stop_source& source) {
   ::sigaddset(&signals, SIGINT);
   ::sigaddset(&signals, SIGTERM);
   ::pthread_sigmask(SIG_BLOCK, &signals, nullptr);
-  thread_ = std::jthread([signals, &source](const std::stop_token& end) {
+  thread_ = std::jthread([this, signals, &source](const std::stop_token& end) {
     const timespec wait{0, 100'000'000};  // how soon `end` is seen; a signal is seen at once
     while (!end.stop_requested()) {
-      if (::sigtimedwait(&signals, nullptr, &wait) < 0) continue;
-      if (source.stop_requested()) ::_exit(130);
+      const int signal = ::sigtimedwait(&signals, nullptr, &wait);
+      if (signal < 0) continue;
+      if (signal_ != 0 || source.stop_requested()) ::_exit(128 + signal);
+      signal_ = signal;
       source.request_stop();
     }
   });
+}
+
+int StopSignals::exit_status() const {
+  return exit_status_after(signal_);
 }
 
 }  // namespace splatbus::bus

@@ -75,8 +75,9 @@ struct ServiceDescription {
 /// cpu, cuda or auto (default: SPLATBUS_BACKEND, or auto), --set name=value (repeatable), --log-level, --parameters
 /// (print them with defaults and units, and exit; with --json one line, parse_parameter_report()). Sets up spdlog (to
 /// stderr and sys/log), signals, heartbeats 5 times a second, and control/<kind> and control/<source>, then calls `run`
-/// and returns its exit status: 0 after a stop was asked for, 1 with a logged reason when `run` throws, 2 when flags or
-/// parameters are wrong. With --successor it stands by, as "<name>.next", until it is told to take over (docs/swap.md).
+/// and returns its exit status: 0 after a stop was asked for (under a supervisor 128 + the signal, where it was one), 1
+/// with a logged reason when `run` throws, 78 when what it throws is a PermanentError, 2 when flags or parameters are
+/// wrong. With --successor it stands by, as "<name>.next", until it is told to take over (docs/swap.md).
 int service_main(int argc, char** argv, const ServiceDescription& description,
                  const std::function<void(ServiceContext&)>& run);
 
@@ -86,7 +87,11 @@ class StopSignals {
  public:
   explicit StopSignals(std::stop_source& source);
 
+  /// exit_status_after() the signal that came, if any.
+  [[nodiscard]] int exit_status() const;
+
  private:
+  std::atomic<int> signal_ = 0;
   std::jthread thread_;
 };
 

@@ -5,7 +5,6 @@
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <condition_variable>
-#include <cstdlib>
 #include <mutex>
 #include <string>
 
@@ -14,6 +13,7 @@
 #include "bus/connection_guard.h"
 #include "bus/error.h"
 #include "bus/parameter_json.h"
+#include "bus/permanent_error.h"
 #include "bus/service.h"
 
 namespace {
@@ -39,7 +39,7 @@ int run(const splatbus::bus_service::BrokerOptions& options, const std::string& 
   const splatbus::bus::StopSignals signals(stop);
   spdlog::set_default_logger(spdlog::stderr_logger_mt("bus"));
   // A supervisor writes time and name itself.
-  spdlog::set_pattern(std::getenv("SPLATBUS_SUPERVISED") != nullptr ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
+  spdlog::set_pattern(splatbus::bus::is_supervised() ? "[%l] %v" : "[%H:%M:%S.%e] [%n] [%l] %v");
   spdlog::set_level(spdlog::level::from_str(log_level));
 
   splatbus::bus::raise_descriptor_limit();
@@ -55,7 +55,7 @@ int run(const splatbus::bus_service::BrokerOptions& options, const std::string& 
     if (!broker.intact()) throw splatbus::bus::Error("the bus's folder was removed: " + options.address.text());
   }
   broker.stop();
-  return 0;
+  return signals.exit_status();
 }
 
 }  // namespace
@@ -91,6 +91,9 @@ int main(int argc, char** argv) {
   }
   try {
     return run(options, tcp, log_level);
+  } catch (const splatbus::bus::PermanentError& error) {
+    fmt::print(stderr, "splatbus-bus: {}\n", error.what());
+    return splatbus::bus::kExitPermanent;
   } catch (const std::exception& error) {
     fmt::print(stderr, "splatbus-bus: {}\n", error.what());
     return splatbus::bus::kExitFailed;

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "bus/bind.h"
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/frames.h"
@@ -123,29 +124,24 @@ void Relay::guard_tcp(const BrokerOptions& options) {
 }
 
 void Relay::bind_tcp(const BrokerOptions& options) {
-  const int attempts = options.tcp_port == 0 ? port_attempts : 1;
-  std::string reason;
-  for (int attempt = 0; attempt < attempts; ++attempt) {
-    try {
-      const auto port = options.tcp_port == 0 ? std::string("*") : std::to_string(options.tcp_port);
-      remote_.xsub.bind(fmt::format("tcp://{}:{}", *options.tcp_host, port));
-    } catch (const zmq::error_t& error) {
-      reason = error.what();
-      break;
+  const auto port = options.tcp_port == 0 ? std::string("*") : std::to_string(options.tcp_port);
+  const auto bind_both = [&] {
+    if (zmq_bind(remote_.xsub.handle(), fmt::format("tcp://{}:{}", *options.tcp_host, port).c_str()) != 0) {
+      return zmq_errno();
     }
     const auto endpoint = remote_.xsub.get(zmq::sockopt::last_endpoint);
     tcp_port_ = port_of(remote_.xsub);
-    try {
-      if (tcp_port_ == 65535) throw zmq::error_t();
-      remote_.xpub.bind(fmt::format("tcp://{}:{}", *options.tcp_host, tcp_port_ + 1));
-      return;
-    } catch (const zmq::error_t& error) {
-      reason = error.what();
-      remote_.xsub.unbind(endpoint);
-    }
+    const auto next = fmt::format("tcp://{}:{}", *options.tcp_host, tcp_port_ + 1);
+    if (tcp_port_ < 65535 && zmq_bind(remote_.xpub.handle(), next.c_str()) == 0) return 0;
+    const int error = tcp_port_ < 65535 ? zmq_errno() : EADDRNOTAVAIL;
+    remote_.xsub.unbind(endpoint);
+    return error;
+  };
+  for (int attempt = 1; options.tcp_port == 0 && attempt < port_attempts; ++attempt) {
+    if (bind_both() == 0) return;
   }
-  throw bus::Error(
-      fmt::format("tcp://{}:{} and the port after it: cannot bind: {}", *options.tcp_host, options.tcp_port, reason));
+  bus::bind_patiently(
+      fmt::format("tcp://{}:{} and the port after it: cannot bind", *options.tcp_host, options.tcp_port), bind_both);
 }
 
 BrokerStatistics Relay::statistics() const {

@@ -11,7 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "bus/error.h"
+#include "bus/bind.h"
+#include "bus/permanent_error.h"
 #include "gateway/access.h"
 #include "gateway/boost_types.h"
 #include "gateway/parameters.h"
@@ -35,9 +36,9 @@ inline std::optional<asio::ssl::context> load_certificate(const Options& options
                   asio::ssl::context::no_tlsv1 | asio::ssl::context::no_tlsv1_1);
   beast::error_code error;
   tls.use_certificate_chain_file(options.certificate, error);
-  if (error) throw bus::Error(fmt::format("certificate {}: {}", options.certificate, error.message()));
+  if (error) throw bus::PermanentError(fmt::format("certificate {}: {}", options.certificate, error.message()));
   tls.use_private_key_file(options.key, asio::ssl::context::pem, error);
-  if (error) throw bus::Error(fmt::format("key {}: {}", options.key, error.message()));
+  if (error) throw bus::PermanentError(fmt::format("key {}: {}", options.key, error.message()));
   return tls;
 }
 
@@ -52,15 +53,22 @@ inline std::vector<asio::ip::tcp::acceptor> bind(asio::io_context& io, const std
   for (const std::string& host : hosts) {
     beast::error_code error;
     const auto ip = asio::ip::make_address(host, error);
-    if (error) throw bus::Error(fmt::format("http: '{}' is no address of a network interface", host));
+    if (error) throw bus::PermanentError(fmt::format("http: '{}' is no address of a network interface", host));
     const tcp::endpoint endpoint(ip, port);
     tcp::acceptor acceptor(io);
-    acceptor.open(endpoint.protocol(), error);
-    if (!error) acceptor.set_option(tcp::acceptor::reuse_address(true), error);
-    if (!error) acceptor.bind(endpoint, error);
-    if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
-    if (error && !acceptors.empty()) break;  // a machine without IPv6
-    if (error) throw bus::Error(fmt::format("http {}: {}", http, error.message()));
+    const auto listen = [&] {
+      acceptor = tcp::acceptor(io);
+      acceptor.open(endpoint.protocol(), error);
+      if (!error) acceptor.set_option(tcp::acceptor::reuse_address(true), error);
+      if (!error) acceptor.bind(endpoint, error);
+      if (!error) acceptor.listen(asio::socket_base::max_listen_connections, error);
+      return error.value();
+    };
+    if (acceptors.empty()) {
+      bus::bind_patiently("http " + http, listen);
+    } else if (listen() != 0) {
+      break;  // a machine without IPv6
+    }
     port = acceptor.local_endpoint().port();
     acceptors.push_back(std::move(acceptor));
   }

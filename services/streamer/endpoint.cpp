@@ -11,6 +11,7 @@
 #include <span>
 #include <utility>
 
+#include "bus/bind.h"
 #include "bus/error.h"
 #include "bus/private_folder.h"
 #include "stream/bytes.h"
@@ -103,16 +104,14 @@ Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOpti
 }
 
 std::string Endpoint::bind(const std::string& endpoint) {
-  try {
-    if (endpoint.starts_with(kIpc)) {
-      const std::string path = endpoint.substr(kIpc.size());
-      locks_.emplace_back(path, lock_beside(path));
-    }
-    const bus::PrivateUmask umask;
-    socket_.bind(endpoint);
-  } catch (const zmq::error_t& error) {
-    throw bus::Error(fmt::format("{}: {}", endpoint, error.what()));
+  if (endpoint.starts_with(kIpc)) {
+    const std::string path = endpoint.substr(kIpc.size());
+    locks_.emplace_back(path, lock_beside(path));
   }
+  bus::bind_patiently(endpoint, [&] {
+    const bus::PrivateUmask umask;
+    return zmq_bind(socket_.handle(), endpoint.c_str()) == 0 ? 0 : zmq_errno();
+  });
   return socket_.get(zmq::sockopt::last_endpoint);
 }
 

@@ -1,5 +1,10 @@
 #include <gmock/gmock.h>
 
+#include <cerrno>
+#include <cstdlib>
+
+#include "bus/bind.h"
+#include "bus/permanent_error.h"
 #include "bus_fixture.h"
 #include "child_process.h"
 #include "wire/system_generated.h"
@@ -93,6 +98,62 @@ TEST_F(Service, SigtermAndSigintStopIt) {
     EXPECT_TRUE(await_heartbeat("test", [](const auto& beat) { return beat.state() == wire::ServiceState::Stopping; }));
     EXPECT_EQ(child->wait(), 0);
   }
+}
+
+/// A supervisor knows what it asked for itself: what somebody else stopped is no end of its own will.
+TEST_F(Service, UnderASupervisorASignalIsTheExitStatus) {
+  ASSERT_EQ(::setenv("SPLATBUS_SUPERVISED", "1", 1), 0);
+  for (const int signal : {SIGTERM, SIGINT}) {
+    const auto child = start();
+    EXPECT_TRUE(await_heartbeat("test", [&](const auto& beat) {
+      return beat.state() == wire::ServiceState::Running && beat.pid() == static_cast<std::uint32_t>(child->pid());
+    }));
+    child->send(signal);
+    EXPECT_EQ(child->wait(), 128 + signal);
+  }
+  ChildProcess broker("splatbus-bus", {"--bus", "ipc://" + directory_.path() + "/second"}, output_path());
+  EXPECT_TRUE(eventually([&] { return read_text(output_path()).find("bus on") != std::string::npos; }));
+  broker.send(SIGTERM);
+  EXPECT_EQ(broker.wait(), 128 + SIGTERM);
+  ::unsetenv("SPLATBUS_SUPERVISED");
+}
+
+/// There is nothing that another attempt would mend.
+TEST_F(Service, WhatIsConfiguredWronglyEndsWithItsOwnStatus) {
+  ChildProcess keyless("bus-test-service", {"--bus", "tcp://192.0.2.1:7600"}, output_path());
+  EXPECT_EQ(keyless.wait(), bus::kExitPermanent);
+  EXPECT_THAT(read_text(output_path()), HasSubstr("takes a key"));
+}
+
+TEST_F(Service, APortInUseIsWaitedForAndThenFinal) {
+  const bus::Address held = bus::Address::parse("ipc://" + directory_.path() + "/holder");
+  std::filesystem::create_directory(*held.directory);
+  std::filesystem::permissions(*held.directory, std::filesystem::perms::owner_all);
+  bus_service::Broker holder({.address = held, .tcp_host = "127.0.0.1", .tcp_port = 0});
+  holder.start();
+  ChildProcess second("splatbus-bus",
+                      {"--bus", "ipc://" + directory_.path() + "/second", "--tcp",
+                       "127.0.0.1:" + std::to_string(holder.tcp_address()->port)},
+                      output_path());
+  EXPECT_EQ(second.wait(), bus::kExitPermanent);
+  EXPECT_THAT(read_text(output_path()), HasSubstr("cannot bind: Address already in use"));
+}
+
+TEST(Bind, WhatIsFreedInTimeIsNoError) {
+  int attempts = 0;
+  EXPECT_NO_THROW(bus::bind_patiently("port", [&] { return ++attempts < 3 ? EADDRINUSE : 0; }));
+  EXPECT_EQ(attempts, 3);
+  EXPECT_THROW(bus::bind_patiently("port", [] { return EADDRINUSE; }), bus::PermanentError);
+  attempts = 0;
+  try {
+    bus::bind_patiently("port", [&] { return ++attempts, EACCES; });
+    FAIL();
+  } catch (const bus::PermanentError&) {
+    FAIL() << "it may pass";
+  } catch (const bus::Error& error) {
+    EXPECT_STREQ(error.what(), "port: Permission denied");
+  }
+  EXPECT_EQ(attempts, 1);
 }
 
 TEST_F(Service, AFailureIsLoggedAndShown) {

@@ -7,6 +7,7 @@
 #include "bus/error.h"
 #include "bus/publisher.h"
 #include "bus/service.h"
+#include "bus/subscriber.h"
 #include "slab_helpers.h"
 #include "wire/viewer_generated.h"
 
@@ -37,6 +38,10 @@ void publish_model(bus::ServiceContext& service, bus::Publisher& publisher, bus:
 }
 
 void run(bus::ServiceContext& service) {
+  // A successor reads before it takes over, and keeps what it reads with.
+  bus::Subscriber kept(service.bus, {"sys/liveness"});
+  if (!service.take_over([&] { static_cast<void>(kept.receive(std::chrono::milliseconds(10))); })) return;
+  service.ready();
   service.detail("counting");
   const auto mortal = service.bus->create_slab("frames", 1, 4096);
   const auto slab = service.bus->create_slab("model", 1, 4096, 10000, splatbus::Device::Cpu,
@@ -53,6 +58,11 @@ void run(bus::ServiceContext& service) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  const bus::ServiceDescription description{"test", "A service for tests", bus::Parameters::declare<Options>()};
+  const bus::ServiceDescription description{
+      .kind = "test",
+      .summary = "A service for tests",
+      .parameters = bus::Parameters::declare<Options>(),
+      .stands_by = true,
+  };
   return bus::service_main(argc, argv, description, run);
 }

@@ -5,9 +5,15 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <array>
+#include <atomic>
+#include <condition_variable>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <map>
+#include <mutex>
 #include <nlohmann/json.hpp>
 
 #include "bus/file_descriptor.h"
@@ -100,6 +106,63 @@ TEST(Control, WhoIsAttachedHearsWhatIsPublished) {
   EXPECT_THAT(socket.receive()->value("line", ""), HasSubstr("hello"));
   server.reset();
   EXPECT_FALSE(socket.receive());
+}
+
+/// What handlers refer to goes right after that.
+TEST(Control, NoVerbRunsOnceItHasStopped) {
+  const PrivateBusFolder folder;
+  ControlServer server(folder.address());
+  std::promise<void> entered;
+  std::atomic<bool> left = false;
+  server.handle("wait", [&](const Json&, const auto&, const std::stop_token& stop) {
+    std::mutex mutex;
+    std::unique_lock lock(mutex);
+    entered.set_value();
+    std::condition_variable_any().wait(lock, stop, [] { return false; });
+    left = true;
+    return Json::object();
+  });
+  server.start();
+  LineSocket socket = connect_control(folder.address());
+  ASSERT_TRUE(socket.send({{"version", kControlVersion}, {"verb", "wait"}}));
+  entered.get_future().wait();
+  server.stop();
+  EXPECT_TRUE(left);
+  EXPECT_NO_THROW(ControlServer second(folder.address())) << "the place is free";
+}
+
+/// Those that were there are read on where their past ends; one that comes later, from its start.
+TEST(Logs, AreFollowedWithThoseThatComeLater) {
+  const PrivateBusFolder folder;
+  LogStore store(folder.path(), 4096, 3);
+  const auto write = [&](const std::string& process, const std::string& text) {
+    store.write({.process = process, .text = text, .event = {}});
+  };
+  for (int i = 0; i < 150; ++i) write("a", std::to_string(i));  // rotated once
+  write("b", "not asked for");
+  LogFollower follower(folder.path(), [](const std::string& process) { return process.starts_with("a"); });
+  for (int i = 150; i < 260; ++i) write("a", std::to_string(i));  // and once more
+  write("a.next", "stands by");
+  write("a-2", "0");
+  write("b", "nor now");
+  const auto before = follower.before("", -1);
+  ASSERT_EQ(before.size(), 150U);
+  EXPECT_EQ(before.front().text, "0");
+  EXPECT_EQ(before.back().text, "149");
+  EXPECT_EQ(follower.before("", 3).front().text, "147");
+  std::map<std::string, std::vector<std::string>> after;
+  std::array<int, 2> ends{};
+  ASSERT_EQ(pipe(ends.data()), 0);
+  bus::FileDescriptor read_end(ends[0]);
+  close(ends[1]);
+  follower.run(read_end.get(), [&](const StoredLine& line) { after[line.process].push_back(line.text); });
+  ASSERT_EQ(after["a"].size(), 110U);
+  EXPECT_EQ(after["a"].front(), "150");
+  EXPECT_EQ(after["a"].back(), "259");
+  EXPECT_THAT(after["a.next"], testing::ElementsAre("stands by"));
+  EXPECT_THAT(after["a-2"], testing::ElementsAre("0"));
+  EXPECT_EQ(after.size(), 3U);
+  EXPECT_THAT(logged_processes(folder.path()), testing::ElementsAre("a", "a-2", "a.next", "b"));
 }
 
 TEST(Logs, AreRotatedAndReadAcrossTheRotation) {

@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <csignal>
+#include <fstream>
 #include <string>
 
 #include "supervisor_fixture.h"
@@ -101,6 +102,46 @@ TEST_F(SupervisorTest, ASuccessorThatDiesChangesNothing) {
   supervisor_->drop_beside("a");
   EXPECT_FALSE(status("a").beside);
   EXPECT_EQ(status("a").pid, old);
+}
+
+/// Between one that has handed over and its successor there is nobody else, whatever the policy.
+TEST_F(SupervisorTest, WhatEndsBesideItsSuccessorWaitsForIt) {
+  const std::string leave = folder_ + "/leave";
+  ProcessPlan plan = shell("a", "echo up; while test ! -e " + leave + "; do sleep 0.01; done; exit 0");
+  plan.restart = RestartPolicy::Always;
+  launch({plan});
+  ASSERT_TRUE(wait_for_line("a | up"));
+  supervisor_->start_successor("a", shell("a", kSleep));
+  EXPECT_THROW(supervisor_->restart("a"), std::runtime_error) << "it is being swapped";
+  EXPECT_THROW(supervisor_->stop("a"), std::runtime_error);
+  std::ofstream{leave};
+  ASSERT_TRUE(wait_for_line("a * its process exited with status 0"));
+  EXPECT_EQ(status("a").pid, 0);
+  EXPECT_EQ(status("a").state, ProcessState::Stopping);
+  std::filesystem::remove(leave);
+  supervisor_->drop_beside("a");
+  EXPECT_TRUE(wait_for_line("a | up", 2)) << "its policy's turn, once the successor is refused";
+
+  ASSERT_TRUE(supervisor_->wait_until([](const auto& all) { return !all[0].beside; }, kPatience));
+  supervisor_->start_successor("a", shell("a", "echo second; " + std::string(kSleep)));
+  ASSERT_TRUE(wait_for_line("a.next | second"));
+  std::ofstream{leave};
+  ASSERT_TRUE(wait_for_line("a * its process exited with status 0", 2));
+  const pid_t successor = status("a").beside->pid;
+  supervisor_->exchange("a", 0);
+  EXPECT_EQ(status("a").pid, successor);
+  EXPECT_EQ(status("a").state, ProcessState::Running);
+}
+
+/// Whoever sent it was not the supervisor.
+TEST_F(SupervisorTest, WhatASignalFromOutsideStoppedIsStartedAgain) {
+  launch({shell("a", "trap 'exit 143' TERM; echo up; while :; do sleep 0.01; done")});
+  ASSERT_TRUE(wait_for_line("a | up"));
+  kill(status("a").pid, SIGTERM);
+  EXPECT_TRUE(wait_for_line("stopped by signal 15 (Terminated); starting it again"));
+  EXPECT_TRUE(wait_for_line("a | up", 2));
+  supervisor_->stop("a");
+  EXPECT_TRUE(wait_for_state("a", ProcessState::Stopped));
 }
 
 TEST_F(SupervisorTest, OrdersAreRefusedWhenItIsOver) {

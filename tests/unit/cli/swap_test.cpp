@@ -3,6 +3,9 @@
 #include <gmock/gmock.h>
 #include <unistd.h>
 
+#include <memory>
+#include <vector>
+
 #include "../bus/bus_fixture.h"
 #include "swap_host.h"
 
@@ -131,6 +134,26 @@ TEST_F(SwapProcesses, ASuccessorTakesNameAndSlabs) {
     models.dispatch_all(std::chrono::milliseconds(50));
     return number == 9;
   }));
+}
+
+/// Each keeps what it read with while it stood by; its name of then is the next one's all the same.
+TEST_F(SwapProcesses, ThreeTimesInARow) {
+  ASSERT_TRUE(runs(old_.pid()));
+  std::vector<std::unique_ptr<ChildSwapHost>> hosts;
+  pid_t pid = old_.pid();
+  for (int time = 0; time < 3; ++time) {
+    auto& host =
+        hosts.emplace_back(std::make_unique<ChildSwapHost>(pid, bin("bus-test-service"), arguments({"--successor"})));
+    ASSERT_NO_THROW(swap_for(*host)) << "time " << time << testing::PrintToString(host->lines);
+    if (time > 0) {
+      ChildProcess& before = *hosts.at(static_cast<std::size_t>(time) - 1)->successor;
+      EXPECT_TRUE(bus_test::eventually([&] { return before.poll_exit().has_value(); }));
+    } else {
+      EXPECT_TRUE(bus_test::eventually([&] { return old_.poll_exit().has_value(); }));
+    }
+    pid = host->successor->pid();
+    ASSERT_TRUE(runs(pid));
+  }
 }
 
 TEST_F(SwapProcesses, OneThatCrashesAtStartIsRefused) {
