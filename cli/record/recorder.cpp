@@ -38,16 +38,19 @@ std::string describe_drops(const TopicRecord& record) {
   return fmt::format("{} ({})", record.dropped(), fmt::join(reasons, ", "));
 }
 
+TopicRecord& TopicRecord::operator+=(const TopicRecord& other) {
+  messages += other.messages;
+  bytes += other.bytes;
+  slow_disk += other.slow_disk;
+  overwritten += other.overwritten;
+  refused += other.refused;
+  lost += other.lost;
+  return *this;
+}
+
 TopicRecord Recorder::State::total() const {
   TopicRecord total;
-  for (const auto& [topic, record] : topics) {
-    total.messages += record.messages;
-    total.bytes += record.bytes;
-    total.slow_disk += record.slow_disk;
-    total.overwritten += record.overwritten;
-    total.refused += record.refused;
-    total.lost += record.lost;
-  }
+  for (const auto& [topic, record] : topics) total += record;
   return total;
 }
 
@@ -114,13 +117,7 @@ void Recorder::take(const bus::Message& message) {
     if (refusals_said_.allow()) spdlog::warn("not recorded: {}", error.what());
   }
   const std::scoped_lock lock(mutex_);
-  TopicRecord& all = state_.topics[message.topic()];
-  all.messages += record.messages;
-  all.bytes += record.bytes;
-  all.slow_disk += record.slow_disk;
-  all.overwritten += record.overwritten;
-  all.refused += record.refused;
-  all.lost += record.lost;
+  state_.topics[message.topic()] += record;
   if (queued.data == nullptr) return;
   state_.queued_bytes += queued.data->size + kMessageBytes;
   state_.most_queued_bytes = std::max(state_.most_queued_bytes, state_.queued_bytes);

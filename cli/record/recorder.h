@@ -36,6 +36,7 @@ struct TopicRecord {
   std::uint64_t refused = 0;      ///< dropped: they make no sense
   std::uint64_t lost = 0;         ///< never arrived here, by gaps in their sequence
   [[nodiscard]] std::uint64_t dropped() const { return slow_disk + overwritten + refused + lost; }
+  TopicRecord& operator+=(const TopicRecord& other);
 };
 
 /// "12 (slow disk 9, overwritten 3)"; empty when nothing is missing.
