@@ -173,26 +173,29 @@ live('depth is a picture of metres', async () => {
   for (const [x, y, metres] of [[0, 0, 2], [31, 47, 2], [32, 3, 0.75], [63, 47, 11.75]]) assert.equal(bytes.readFloatLE(4 * (64 * y + x)), metres);
 });
 
-/** Fields of a message as Foxglove's package for JavaScript has them, and as the schema that the gateway sends. */
+/** Holds a schema that the gateway sends against Foxglove's package for JavaScript: names, order and types of its fields. */
 function compareSchemas(name, { objects, enums }) {
-  const theirs = foxglove.foxgloveMessageSchemas[name];
-  const ours = objects.find((object) => object.name === `foxglove.${name}`);
-  const byId = (a, b) => a.id - b.id;
-  assert.deepEqual(ours.fields.sort(byId).map((field) => field.name).map((field) => field.toLowerCase()), theirs.fields.map((field) => field.name.toLowerCase()), name);
   const { BaseType } = reflection;
-  const primitives = { uint32: BaseType.UInt, float64: BaseType.Double, string: BaseType.String };
-  for (const [i, { type, array }] of theirs.fields.entries()) {
-    const actual = ours.fields[i].type;
-    const base = array !== undefined ? actual.element : actual.baseType;
-    if (array !== undefined) assert.equal(actual.baseType, BaseType.Vector, name);
-    if (type.type === 'primitive' && type.name in primitives) assert.equal(base, primitives[type.name], `${name}.${theirs.fields[i].name}`);
-    if (type.type === 'primitive' && type.name === 'bytes') assert.deepEqual([base, actual.element], [BaseType.Vector, BaseType.UByte]);
-    if (type.type === 'enum') {
-      const values = enums[actual.index].values.map(({ name, value }) => [name, Number(value)]);
-      assert.deepEqual(values, type.enum.values.map(({ name, value }) => [name, value]));
-    }
-    if (type.type === 'nested' && base === BaseType.Obj && type.schema.name in foxglove.foxgloveMessageSchemas) compareSchemas(type.schema.name, { objects, enums });
-  }
+  const primitives = { uint32: BaseType.UInt, float64: BaseType.Double, string: BaseType.String, bytes: BaseType.Vector };
+  const tables = { Timestamp: 'Time' };
+  const nameOf = (message) => `foxglove.${tables[message] ?? message}`;
+  const theirs = foxglove.foxgloveMessageSchemas[name].fields;
+  const ours = objects.find((object) => object.name === nameOf(name)).fields.sort((one, other) => one.id - other.id);
+  assert.deepEqual(ours.map((field) => field.name), theirs.map((field) => field.name.toLowerCase()), name);
+  theirs.forEach(({ type, array }, i) => {
+    const where = `${name}.${theirs[i].name}`;
+    const { baseType, element, index } = ours[i].type;
+    const isVector = array !== undefined && baseType === BaseType.Vector;
+    const one = isVector ? element : baseType;
+    assert.equal(isVector, array !== undefined, where);
+    if (type.type === 'primitive') assert.equal(one, primitives[type.name], where);
+    if (type.name === 'bytes') assert.equal(element, BaseType.UByte, where);
+    if (type.type === 'enum') assert.deepEqual(enums[index].values.map((value) => [value.name, Number(value.value)]), type.enum.values.map((value) => [value.name, value.value]), where);
+    if (type.type !== 'nested') return;
+    assert.equal(one, BaseType.Obj, where);
+    assert.equal(objects[index].name, nameOf(type.schema.name), where);
+    if (type.schema.name !== 'Timestamp') compareSchemas(type.schema.name, { objects, enums });
+  });
 }
 
 live('every schema of Foxglove is what Foxglove says that it is', async () => {
