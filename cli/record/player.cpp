@@ -68,6 +68,7 @@ PlayState Player::run(const std::stop_token& stop, const std::function<void(cons
   next_second_ns_ = bus::now_ns() + kSecondNs;
   do {
     begin_ns_ = bus::now_ns();
+    held_ns_ = 0;
     const std::uint64_t before = state_.messages;
     if (options_.start_s > 0) say_latched(begin_log_time_);
     play_once(stop);
@@ -133,6 +134,7 @@ void Player::play_once(const std::stop_token& stop) {
         if (stop.stop_requested() || message.log_time < begin_log_time_ || message.log_time > end_log_time_) return;
         if (!is_wanted(summary.channels.at(message.channel_id))) return;
         wait_until(due_ns(message.log_time), stop);
+        hold(message.log_time, stop);
         if (stop.stop_requested()) return;
         state_.position_s = static_cast<double>(message.log_time - summary.statistics.message_start_time) / 1e9;
         take(summary.channels.at(message.channel_id), message.data);
@@ -146,7 +148,14 @@ void Player::play_once(const std::stop_token& stop) {
 
 std::int64_t Player::due_ns(std::uint64_t log_time) const {
   const double after_s = static_cast<double>(log_time - begin_log_time_) / 1e9 / options_.rate;
-  return begin_ns_ + static_cast<std::int64_t>(std::min(after_s, kMaxSeconds) * 1e9);
+  return begin_ns_ + held_ns_ + static_cast<std::int64_t>(std::min(after_s, kMaxSeconds) * 1e9);
+}
+
+void Player::hold(std::uint64_t log_time, const std::stop_token& stop) {
+  if (!options_.hold) return;
+  const std::int64_t from_ns = bus::now_ns();
+  options_.hold(log_time, stop);
+  held_ns_ += bus::now_ns() - from_ns;
 }
 
 void Player::wait_until(std::int64_t time_ns, const std::stop_token& stop) {

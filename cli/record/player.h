@@ -31,6 +31,9 @@ struct PlayOptions {
   std::set<std::string> silent;              ///< sources that are not played
   std::map<std::string, std::string> remap;  ///< topic for a recorded topic
   bool recorded_clock = false;               ///< times and scene versions as recorded
+  /// Called in the player's thread before what was logged at that time is played; all that follows is later by as long
+  /// as it takes.
+  std::function<void(std::uint64_t log_time, const std::stop_token& stop)> hold = {};
 };
 
 /// What has been played, and what has not and why.
@@ -71,6 +74,7 @@ class Player {
   Speaker& speaker_of(const std::string& source);
   [[nodiscard]] std::int64_t due_ns(std::uint64_t log_time) const;
   void wait_until(std::int64_t time_ns, const std::stop_token& stop);
+  void hold(std::uint64_t log_time, const std::stop_token& stop);
   void note(const std::string& problem);
 
   mcap::Reader& reader_;
@@ -82,6 +86,7 @@ class Player {
   std::map<std::string, Speaker> speakers_;
   std::size_t rings_ = 0;
   std::int64_t begin_ns_ = 0;  ///< of this loop
+  std::int64_t held_ns_ = 0;   ///< in it, by PlayOptions::hold
   std::uint64_t begin_log_time_ = 0, end_log_time_ = 0;
   PlayState state_;
   std::function<void(const PlayState&)> each_second_;

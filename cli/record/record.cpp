@@ -112,9 +112,13 @@ void print_summary(const RecordOptions& options, const fs::path& path, const Rec
   if (options.json) {
     Json topics = Json::object();
     for (const auto& [topic, record] : state.topics) {
-      topics[topic] = {{"messages", record.messages},   {"bytes", record.bytes},
-                       {"slow_disk", record.slow_disk}, {"overwritten", record.overwritten},
-                       {"refused", record.refused},     {"lost", record.lost}};
+      topics[topic] = {{"messages", record.messages},
+                       {"bytes", record.bytes},
+                       {"slow_disk", record.slow_disk},
+                       {"failed_disk", record.failed_disk},
+                       {"overwritten", record.overwritten},
+                       {"refused", record.refused},
+                       {"lost", record.lost}};
     }
     fmt::print("{}\n", Json{{"file", path.string()},
                             {"parts", state.parts},
@@ -148,6 +152,7 @@ int record(const RecordOptions& options) {
   bus::install_logger(context, "info");
   bus::Parameters no_parameters(std::vector<bus::ParameterSpec>{});
   bus::ServiceContext service(context, no_parameters, signals.stop());
+  std::string failure;
   {
     bus::HeartbeatThread heartbeats(service, "record");
     Reporter reporter(service);
@@ -162,13 +167,21 @@ int record(const RecordOptions& options) {
       reporter.report(recorder.state());
     }
     service.detail("waits for the disk");
-    recorder.finish();
+    try {
+      recorder.finish();
+    } catch (const mcap::Error& error) {
+      failure = error.what();
+    }
     reporter.report(recorder.state());
-    heartbeats.finish(wire::ServiceState::Stopping, "");
+    heartbeats.finish(failure.empty() ? wire::ServiceState::Stopping : wire::ServiceState::Failed, failure);
   }
   bus::uninstall_logger();
   print_summary(options, path, recorder.state());
-  return 0;
+  if (failure.empty()) return 0;
+  throw std::runtime_error(
+      fmt::format("{}; what was written before can be played, and `splatbus record recover` "
+                  "completes the file",
+                  failure));
 }
 
 int recover(const std::string& path) {

@@ -32,22 +32,27 @@ std::string describe_drops(const TopicRecord& record) {
     if (count > 0) reasons.push_back(fmt::format("{} {}", reason, count));
   };
   add("slow disk", record.slow_disk);
+  add("failed disk", record.failed_disk);
   add("overwritten", record.overwritten);
   add("refused", record.refused);
   add("lost", record.lost);
   return fmt::format("{} ({})", record.dropped(), fmt::join(reasons, ", "));
 }
 
+TopicRecord& TopicRecord::operator+=(const TopicRecord& other) {
+  messages += other.messages;
+  bytes += other.bytes;
+  slow_disk += other.slow_disk;
+  failed_disk += other.failed_disk;
+  overwritten += other.overwritten;
+  refused += other.refused;
+  lost += other.lost;
+  return *this;
+}
+
 TopicRecord Recorder::State::total() const {
   TopicRecord total;
-  for (const auto& [topic, record] : topics) {
-    total.messages += record.messages;
-    total.bytes += record.bytes;
-    total.slow_disk += record.slow_disk;
-    total.overwritten += record.overwritten;
-    total.refused += record.refused;
-    total.lost += record.lost;
-  }
+  for (const auto& [topic, record] : topics) total += record;
   return total;
 }
 
@@ -114,13 +119,11 @@ void Recorder::take(const bus::Message& message) {
     if (refusals_said_.allow()) spdlog::warn("not recorded: {}", error.what());
   }
   const std::scoped_lock lock(mutex_);
-  TopicRecord& all = state_.topics[message.topic()];
-  all.messages += record.messages;
-  all.bytes += record.bytes;
-  all.slow_disk += record.slow_disk;
-  all.overwritten += record.overwritten;
-  all.refused += record.refused;
-  all.lost += record.lost;
+  if (queued.data != nullptr && !state_.failure.empty()) {
+    record = {.failed_disk = 1, .lost = record.lost};
+    queued.data.reset();
+  }
+  state_.topics[message.topic()] += record;
   if (queued.data == nullptr) return;
   state_.queued_bytes += queued.data->size + kMessageBytes;
   state_.most_queued_bytes = std::max(state_.most_queued_bytes, state_.queued_bytes);
@@ -173,10 +176,23 @@ void Recorder::write_queue() try {
   const std::scoped_lock lock(mutex_);
   state_.file_bytes = file_.bytes();
 } catch (const std::exception& error) {
+  fail(error.what());
+}
+
+void Recorder::fail(const std::string& why) {
   const std::scoped_lock lock(mutex_);
-  state_.failure = error.what();
+  const auto lose = [&](const std::string& topic, std::uint64_t messages, std::uint64_t bytes) {
+    TopicRecord& record = state_.topics[topic];
+    record.messages -= messages;
+    record.bytes -= bytes;
+    record.failed_disk += messages;
+  };
+  for (const auto& [topic, count] : file_.unwritten()) lose(topic, count.messages, count.bytes);
+  for (const QueuedMessage& message : queue_) lose(message.topic, 1, message.data->size);
   queue_.clear();
   state_.queued_bytes = 0;
+  state_.file_bytes = file_.bytes();
+  state_.failure = why;
 }
 
 void Recorder::finish() {

@@ -32,10 +32,12 @@ struct RecorderOptions {
 struct TopicRecord {
   std::uint64_t messages = 0, bytes = 0;  ///< that went to the disk, or wait for it
   std::uint64_t slow_disk = 0;            ///< dropped: the queue was full
+  std::uint64_t failed_disk = 0;          ///< dropped: the disk failed, or was full, before they were written
   std::uint64_t overwritten = 0;  ///< dropped: a tensor's slot was written again, or its slab gone, before it was read
   std::uint64_t refused = 0;      ///< dropped: they make no sense
   std::uint64_t lost = 0;         ///< never arrived here, by gaps in their sequence
-  [[nodiscard]] std::uint64_t dropped() const { return slow_disk + overwritten + refused + lost; }
+  [[nodiscard]] std::uint64_t dropped() const { return slow_disk + failed_disk + overwritten + refused + lost; }
+  TopicRecord& operator+=(const TopicRecord& other);
 };
 
 /// "12 (slow disk 9, overwritten 3)"; empty when nothing is missing.
@@ -59,7 +61,8 @@ class Recorder {
   /// disk has failed.
   bool poll(std::chrono::milliseconds timeout);
 
-  /// Waits for the disk and completes the file. Throws mcap::Error when the disk has failed.
+  /// Waits for the disk and completes the file. Throws mcap::Error when the disk has failed: what state() counts as
+  /// messages can be read nevertheless.
   void finish();
 
   struct State {
@@ -79,6 +82,7 @@ class Recorder {
   void count_gap(const bus::Message& message, TopicRecord& record);
   [[nodiscard]] bool has_room(std::size_t bytes, bool latched) const;
   void write_queue();
+  void fail(const std::string& why);
   [[nodiscard]] mcap::StringMap drops() const;
 
   const RecorderOptions options_;

@@ -37,15 +37,25 @@ bool RecordingFile::full() const {
 }
 
 void RecordingFile::write(const QueuedMessage& message) {
-  if (options_.split && options_.max_bytes > 0 && writer_->bytes() >= options_.max_bytes) {
+  const bool split = options_.split && options_.max_bytes > 0 && writer_->bytes() >= options_.max_bytes;
+  const auto count = [&] { unwritten_[message.topic] += {.messages = 1, .bytes = message.data->size}; };
+  count();
+  if (split) {
+    close({});
+    count();
     next_part(message.log_time);
   }
   append(message);
   if (options_.split && message.latched) hold(message);
+  if (writer_->open_chunk_bytes() == 0) unwritten_.clear();
+}
+
+void RecordingFile::close_chunk() {
+  writer_->close_chunk();
+  unwritten_.clear();
 }
 
 void RecordingFile::next_part(std::uint64_t log_time) {
-  close({});
   closed_bytes_ += writer_->bytes();
   ++part_;
   channels_.clear();
@@ -102,6 +112,7 @@ std::uint16_t RecordingFile::schema_of(const std::string& schema) {
 }
 
 void RecordingFile::close(const mcap::StringMap& drops) {
+  close_chunk();
   mcap::Metadata largest{.name = kLargestMetadata, .values = {}};
   for (const auto& [topic, bytes] : largest_) {
     if (bytes > 0) largest.values[topic] = std::to_string(bytes);

@@ -30,6 +30,15 @@ struct QueuedMessage {
   std::shared_ptr<const Blob> data;
 };
 
+struct TopicCount {
+  std::uint64_t messages = 0, bytes = 0;
+  TopicCount& operator+=(const TopicCount& other) {
+    messages += other.messages;
+    bytes += other.bytes;
+    return *this;
+  }
+};
+
 struct RecordingFileOptions {
   mcap::WriterOptions writer;
   std::vector<mcap::Metadata> metadata;                              ///< at the start of each part
@@ -45,7 +54,7 @@ class RecordingFile {
   explicit RecordingFile(RecordingFileOptions options);
 
   void write(const QueuedMessage& message);
-  void close_chunk() { writer_->close_chunk(); }
+  void close_chunk();
   /// `drops` by topic, said in the metadata.
   void close(const mcap::StringMap& drops);
 
@@ -53,7 +62,8 @@ class RecordingFile {
   [[nodiscard]] bool full() const;
   [[nodiscard]] std::uint64_t bytes() const { return closed_bytes_ + writer_->bytes(); }
   [[nodiscard]] unsigned parts() const { return part_ + 1; }
-  [[nodiscard]] std::size_t open_chunk_bytes() const { return writer_->open_chunk_bytes(); }
+  /// By topic, what write() has been given that is in no closed chunk: lost, once the output has failed.
+  [[nodiscard]] const std::map<std::string, TopicCount>& unwritten() const { return unwritten_; }
 
  private:
   void begin_part();
@@ -70,6 +80,7 @@ class RecordingFile {
   std::map<std::pair<std::string, std::string>, std::uint16_t> channels_;  ///< by topic and schema
   std::map<std::string, std::uint16_t> schemas_;
   std::map<std::string, std::uint64_t> largest_;
+  std::map<std::string, TopicCount> unwritten_;
   std::map<std::pair<std::string, std::string>, QueuedMessage> latched_;  ///< by topic and latch key
   std::size_t latched_bytes_ = 0;
 };

@@ -17,6 +17,7 @@
 #include "pipeline_watch.h"
 #include "player.h"
 #include "probe_round.h"
+#include "recorded_pace.h"
 #include "scene_view.h"
 
 namespace splatbus::cli {
@@ -32,6 +33,7 @@ struct ReplayOptions {
   CommonOptions common;
   std::string path, backend;
   double timeout_s = 60;
+  bool free_running = false;
 };
 
 /// The launch file's services that work behind the capture-bridge, and the bus.
@@ -71,12 +73,18 @@ class Replay {
       step(signals);
     }
     PlayState played;
+    PaceKeeper pace(context_, options_.free_running ? RecordedPace({}) : RecordedPace(reader_));
+    const bool paced = pace.known();
     std::atomic<bool> over = false;
     std::string failure;
     {
       const std::jthread player([&](const std::stop_token& stop) {
         try {
-          Player of_engine(reader_, folder_.address(), {.topics = {"capture/*", "scene/*", "viewer/pose"}});
+          PlayOptions play{.topics = {"capture/*", "scene/*", "viewer/pose"}};
+          if (paced) {
+            play.hold = [&](std::uint64_t log_time, const std::stop_token& end) { pace.hold(log_time, end); };
+          }
+          Player of_engine(reader_, folder_.address(), play);
           played = of_engine.run(stop, [](const PlayState&) {});
         } catch (const std::exception& error) {
           failure = error.what();
@@ -97,6 +105,8 @@ class Replay {
     return {{"recording", options_.path},
             {"messages", played.messages},
             {"most_late_s", rounded(static_cast<double>(played.late_ns) / 1e9)},
+            {"recorded_steps", pace.recorded_steps()},
+            {"steps_given_up", pace.given_up()},
             {"pictures", figures_.size()},
             {"without_maps", without_maps_},
             {"unpaired_views", trainer.unpaired_views},
@@ -176,6 +186,10 @@ void add_replay_verb(CLI::App& eval, Action& action) {
   verb->add_option("file", options->path, "recording (.mcap) of a demo, from before its first picture")->required();
   verb->add_option("--launch", options->common.launch_file,
                    "launch file whose bus, expander, trainer and relight are used (default: launch/demo.yaml)");
+  verb->add_flag(
+      "--free", options->free_running,
+      "let trainer and expander work as fast as this machine does (default: the trainer takes the steps that "
+      "were recorded, whatever the load)");
   verb->add_option("--timeout", options->timeout_s, "longest wait for the services, s")->check(CLI::PositiveNumber);
   verb->add_option("--out", options->common.out, "folder for what is written");
   verb->add_flag("--json", options->common.json, "print the result as one line of JSON");

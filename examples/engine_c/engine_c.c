@@ -4,7 +4,6 @@
  * It answers no request for light maps: give the trainer `pair_visibility: false`, and start no relight. */
 #include <math.h>
 #include <splatbus/engine.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -60,8 +59,8 @@ static int due(const splatbus_camera_request* request, double time_s) {
   size_t i = 0;
   while (i < count && (seen[i].camera.role != request->camera.role || seen[i].camera.id != request->camera.id)) ++i;
   if (i == sizeof(seen) / sizeof(seen[0])) return 0;
-  const int is_new = i == count || seen[i].request_id != request->request_id;
-  if (!is_new && (request->rate_hz == 0 || time_s < next_s[i])) return 0;
+  const int known = i < count && seen[i].request_id == request->request_id;
+  if (known && (request->rate_hz == 0 || time_s < next_s[i])) return 0;
   if (i == count) ++count;
   seen[i] = *request;
   next_s[i] = time_s + (request->rate_hz > 0 ? 1 / request->rate_hz : 0);

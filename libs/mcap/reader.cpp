@@ -133,6 +133,17 @@ bool Reader::read_summary() try {
   return false;
 }
 
+bool Reader::take_definition(Opcode opcode, Decoder& record) {
+  if (opcode == Opcode::Schema) {
+    Schema schema = record.schema();
+    summary_.schemas.emplace(schema.id, std::move(schema));
+  } else if (opcode == Opcode::Channel) {
+    Channel channel = record.channel();
+    summary_.channels.emplace(channel.id, std::move(channel));
+  }
+  return opcode == Opcode::Schema || opcode == Opcode::Channel;
+}
+
 void Reader::take_summary(std::span<const std::byte> bytes, std::uint64_t offset) {
   std::string where = at("summary", offset);
   std::size_t position = 0;
@@ -140,13 +151,8 @@ void Reader::take_summary(std::span<const std::byte> bytes, std::uint64_t offset
   while (const auto record = next_record(bytes, position, where)) {
     const std::string of_record = at(name_of(record->opcode), offset + record->offset);
     Decoder decoder(record->content, of_record);
-    if (record->opcode == Opcode::Schema) {
-      Schema schema = decoder.schema();
-      summary_.schemas.emplace(schema.id, std::move(schema));
-    } else if (record->opcode == Opcode::Channel) {
-      Channel channel = decoder.channel();
-      summary_.channels.emplace(channel.id, std::move(channel));
-    } else if (record->opcode == Opcode::ChunkIndex) {
+    if (take_definition(record->opcode, decoder)) continue;
+    if (record->opcode == Opcode::ChunkIndex) {
       summary_.chunks.push_back(decoder.chunk_index());
     } else if (record->opcode == Opcode::Statistics) {
       summary_.statistics = decoder.statistics();
@@ -210,12 +216,10 @@ bool Reader::scan_record(std::uint64_t& offset) {
   } else if (opcode == Opcode::Metadata) {
     const auto content = read_record(opcode, begin, whole, limits_.summary_bytes);
     summary_.metadata.push_back({begin, whole, Decoder(content, where).metadata().name});
-  } else if (opcode == Opcode::Schema) {
-    Schema schema = Decoder(read_record(opcode, begin, whole, limits_.summary_bytes), where).schema();
-    summary_.schemas.emplace(schema.id, std::move(schema));
-  } else if (opcode == Opcode::Channel) {
-    Channel channel = Decoder(read_record(opcode, begin, whole, limits_.summary_bytes), where).channel();
-    summary_.channels.emplace(channel.id, std::move(channel));
+  } else if (opcode == Opcode::Schema || opcode == Opcode::Channel) {
+    const auto content = read_record(opcode, begin, whole, limits_.summary_bytes);
+    Decoder decoder(content, where);
+    take_definition(opcode, decoder);
   } else if (opcode == Opcode::MessageIndex && follows_last_chunk(begin)) {
     ChunkIndex& chunk = summary_.chunks.back();
     const auto content = read_record(opcode, begin, whole, limits_.summary_bytes);
@@ -294,13 +298,8 @@ MessageIndexes Reader::visit_records(std::span<const std::byte> records, const s
   while (const auto record = next_record(records, position, where)) {
     const std::string of_record = fmt::format("{}, {} at {} of it", where, name_of(record->opcode), record->offset);
     Decoder decoder(record->content, of_record);
-    if (record->opcode == Opcode::Schema) {
-      Schema schema = decoder.schema();
-      summary_.schemas.emplace(schema.id, std::move(schema));
-    } else if (record->opcode == Opcode::Channel) {
-      Channel channel = decoder.channel();
-      summary_.channels.emplace(channel.id, std::move(channel));
-    } else if (record->opcode == Opcode::Message) {
+    if (take_definition(record->opcode, decoder)) continue;
+    if (record->opcode == Opcode::Message) {
       const Message message = decoder.message();
       if (!summary_.channels.contains(message.channel_id)) {
         decoder.fail(fmt::format("there is no channel {}", message.channel_id));

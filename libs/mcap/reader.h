@@ -50,6 +50,8 @@ class Reader {
                                                    std::uint64_t limit) const;
   void read_header();
   [[nodiscard]] bool read_summary();
+  /// False where it is neither a schema nor a channel.
+  bool take_definition(Opcode opcode, Decoder& record);
   void take_summary(std::span<const std::byte> bytes, std::uint64_t offset);
   void check_indexes() const;
   void scan();

@@ -53,11 +53,12 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("foxglove_queue_mb", foxglove.queue_bytes,
         "MB of messages that wait for one such client; above that the oldest are left out", {1, 1024}, kFixed,
         bus::kMebibytes);
-  p.add("foxglove_pictures_hz", foxglove.pictures_hz, "pictures a second of one camera for such clients", {0.01, 60},
-        kFixed);
-  p.add("foxglove_points", foxglove.points, "of the model's Gaussians that its point cloud has, at most", {1, 5e6},
-        kFixed);
-  p.add("foxglove_points_hz", foxglove.points_hz, "point clouds a second", {0.01, 10}, kFixed);
+  p.add("foxglove_pictures_hz", foxglove.pictures_hz, "rate of pictures of each camera for such clients, Hz",
+        {0.01, 60}, kFixed);
+  p.add("foxglove_pictures", foxglove.png, "how such clients get colour pictures: jpeg, or png, which loses nothing",
+        {{"jpeg", false}, {"png", true}}, kFixed);
+  p.add("foxglove_points", foxglove.points, "most Gaussians shown in a point cloud", {1, 5e6}, kFixed);
+  p.add("foxglove_points_hz", foxglove.points_hz, "rate of point clouds, Hz", {0.01, 10}, kFixed);
 }
 
 void check(const Options& options) {

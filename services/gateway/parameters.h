@@ -27,6 +27,7 @@ struct FoxgloveOptions {
   int clients = 16;                                 ///< at a time; 0: none
   std::size_t queue_bytes = std::size_t{16} << 20;  ///< of messages that wait for one client
   double pictures_hz = 5;                           ///< of one camera
+  bool png = false;                                 ///< pictures without loss, and larger, instead of JPEG
   std::size_t points = 200'000;                     ///< of the model's Gaussians in a cloud
   double points_hz = 1;
 };

@@ -41,6 +41,15 @@ std::vector<std::uint8_t> picture() {
   return rgba;
 }
 
+/// 2 m in the left half, and 0.25 m more in each row on the right.
+std::vector<float> depths() {
+  std::vector<float> metres;
+  for (std::uint32_t i = 0; i < kWidth * kHeight; ++i) {
+    metres.push_back(i % kWidth < kWidth / 2 ? 2.0F : 0.25F * static_cast<float>(i / kWidth));
+  }
+  return metres;
+}
+
 void run(bus::ServiceContext& service) {
   const bus::Publisher publisher(service.bus);
   model::PagedPublisher pages(service.bus);
@@ -59,9 +68,11 @@ void run(bus::ServiceContext& service) {
     return wire::CreateEngineCamerasDirect(builder, header, &requests);
   });
   const std::vector<std::uint8_t> rgba = picture();
+  const std::vector<float> depth = depths();
   const bus::MessageInfo with_picture{
       .tensors = {
-          {.name = "color", .shape = {kHeight, kWidth, 4}, .type = bus::ElementType::U8, .inline_data = rgba.data()}}};
+          {.name = "color", .shape = {kHeight, kWidth, 4}, .type = bus::ElementType::U8, .inline_data = rgba.data()},
+          {.name = "depth", .shape = {kHeight, kWidth}, .type = bus::ElementType::F32, .inline_data = depth.data()}}};
   while (!service.stop.stop_requested()) {
     publisher.publish(topics::kCaptureReference, with_picture, [&](auto& builder, auto header) {
       return wire::CreateCaptureReference(builder, header, &sent, to_wire(builder, scene));

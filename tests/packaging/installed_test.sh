@@ -10,6 +10,7 @@ PATH="$work/usr/bin:$PATH"
 exported="$(nm -D --defined-only "$work/usr/lib/libsplatbus-engine.so.1" | awk '{print $3}')"
 [ -n "$exported" ] && ! grep -qv '^splatbus_engine_' <<<"$exported" || fail "it exports: $exported"
 
+[ "$(wc -l <"$source/examples/engine_c/engine_c.c")" -lt 100 ] || fail "the example has 100 lines or more"
 export PKG_CONFIG_PATH="$work/usr/lib/pkgconfig" LD_LIBRARY_PATH="$work/usr/lib"
 read -ra flags < <(pkg-config --cflags --libs splatbus-engine)
 cc -Wall -Wextra -Werror -o "$work/by_pkg_config" "$source/examples/engine_c/engine_c.c" "${flags[@]}" -lm

@@ -5,6 +5,7 @@ import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, test } from 'node:test';
+import foxglove from '@foxglove/schemas/internal.js';
 import protocol from '@foxglove/ws-protocol';
 import { ByteBuffer } from 'flatbuffers';
 import reflection from 'flatbuffers_reflection';
@@ -105,7 +106,7 @@ after(async () => {
 const live = (name, run) => test(name, { timeout: kPatienceMs }, run);
 
 live('what there is, is listed, under both subprotocols', async () => {
-  const expected = ['scene/state', 'sys/heartbeat', 'engine/cameras', 'capture/reference', 'foxglove/transforms', 'foxglove/points', 'foxglove/log', 'foxglove/cameras/reference-2/picture', 'foxglove/cameras/reference-2/calibration'];
+  const expected = ['scene/state', 'sys/heartbeat', 'engine/cameras', 'capture/reference', 'foxglove/transforms', 'foxglove/points', 'foxglove/log', 'foxglove/cameras/reference-2/picture', 'foxglove/cameras/reference-2/depth', 'foxglove/cameras/reference-2/calibration'];
   const newer = await connect('foxglove.sdk.v1');
   for (const one of [client, newer]) {
     await until(() => expected.every((topic) => one.channels.has(topic)));
@@ -161,6 +162,49 @@ live('a picture goes with its calibration', async () => {
   assert.equal(jpeg.readUInt16BE(0), 0xffd8);
   const frame = jpeg.indexOf(Buffer.from([0xff, 0xc0]));
   assert.deepEqual([jpeg.readUInt16BE(frame + 7), jpeg.readUInt16BE(frame + 5)], [calibration.width, calibration.height]);
+});
+
+live('depth is a picture of metres', async () => {
+  const [depth] = await messagesOf('foxglove/cameras/reference-2/depth');
+  assert.deepEqual([depth.width, depth.height, depth.encoding, depth.step], [64, 48, '32FC1', 256]);
+  assert.equal(depth.frame_id, 'camera/reference-2');
+  const bytes = Buffer.from(depth.data);
+  assert.equal(bytes.length, 64 * 48 * 4);
+  for (const [x, y, metres] of [[0, 0, 2], [31, 47, 2], [32, 3, 0.75], [63, 47, 11.75]]) assert.equal(bytes.readFloatLE(4 * (64 * y + x)), metres);
+});
+
+/** Holds a schema that the gateway sends against Foxglove's package for JavaScript: names, order and types of its fields. */
+function compareSchemas(name, { objects, enums }) {
+  const { BaseType } = reflection;
+  const primitives = { uint32: BaseType.UInt, float64: BaseType.Double, string: BaseType.String, bytes: BaseType.Vector };
+  const tables = { Timestamp: 'Time' };
+  const nameOf = (message) => `foxglove.${tables[message] ?? message}`;
+  const theirs = foxglove.foxgloveMessageSchemas[name].fields;
+  const ours = objects.find((object) => object.name === nameOf(name)).fields.sort((one, other) => one.id - other.id);
+  assert.deepEqual(ours.map((field) => field.name), theirs.map((field) => field.name.toLowerCase()), name);
+  theirs.forEach(({ type, array }, i) => {
+    const where = `${name}.${theirs[i].name}`;
+    const { baseType, element, index } = ours[i].type;
+    const isVector = array !== undefined && baseType === BaseType.Vector;
+    const one = isVector ? element : baseType;
+    assert.equal(isVector, array !== undefined, where);
+    if (type.type === 'primitive') assert.equal(one, primitives[type.name], where);
+    if (type.name === 'bytes') assert.equal(element, BaseType.UByte, where);
+    if (type.type === 'enum') assert.deepEqual(enums[index].values.map((value) => [value.name, Number(value.value)]), type.enum.values.map((value) => [value.name, value.value]), where);
+    if (type.type !== 'nested') return;
+    assert.equal(one, BaseType.Obj, where);
+    assert.equal(objects[index].name, nameOf(type.schema.name), where);
+    if (type.schema.name !== 'Timestamp') compareSchemas(type.schema.name, { objects, enums });
+  });
+}
+
+live('every schema of Foxglove is what Foxglove says that it is', async () => {
+  const topics = ['foxglove/transforms', 'foxglove/points', 'foxglove/log', 'foxglove/cameras/reference-2/picture', 'foxglove/cameras/reference-2/depth', 'foxglove/cameras/reference-2/calibration'];
+  await until(() => topics.every((topic) => client.channels.has(topic)));
+  for (const topic of topics) {
+    const { schema, schemaName } = client.channels.get(topic);
+    compareSchemas(schemaName.replace('foxglove.', ''), reflection.Schema.getRootAsSchema(new ByteBuffer(Buffer.from(schema, 'base64'))).unpack());
+  }
 });
 
 live('the cloud has as many of the model\'s Gaussians as are allowed, where they are', async () => {

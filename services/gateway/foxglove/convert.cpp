@@ -11,6 +11,7 @@
 #include "foxglove/FrameTransforms_generated.h"
 #include "foxglove/Log_generated.h"
 #include "foxglove/PointCloud_generated.h"
+#include "foxglove/RawImage_generated.h"
 #include "gateway/foxglove/point_sample.h"
 
 namespace splatbus::gateway::foxglove {
@@ -89,14 +90,27 @@ Payload camera_calibration(const Camera& camera, const std::string& frame, std::
                                                                camera.height, "plumb_bob", &d, &k, &r, &p));
 }
 
-Payload compressed_image(const cv::Mat& bgr, const std::string& frame, std::uint64_t time_ns) {
-  std::vector<std::uint8_t> jpeg;
-  if (!cv::imencode(".jpg", bgr, jpeg, {cv::IMWRITE_JPEG_QUALITY, kJpegQuality})) {
+Payload compressed_image(const cv::Mat& bgr, bool png, const std::string& frame, std::uint64_t time_ns) {
+  std::vector<std::uint8_t> file;
+  const std::vector<int> settings = png ? std::vector<int>{} : std::vector<int>{cv::IMWRITE_JPEG_QUALITY, kJpegQuality};
+  if (!cv::imencode(png ? ".png" : ".jpg", bgr, file, settings)) {
     throw std::runtime_error("a picture could not be encoded");
   }
-  flatbuffers::FlatBufferBuilder builder(jpeg.size() + 256);
+  flatbuffers::FlatBufferBuilder builder(file.size() + 256);
   const theirs::Time time = time_of(time_ns);
-  return finish(builder, theirs::CreateCompressedImageDirect(builder, &time, frame.c_str(), &jpeg, "jpeg"));
+  return finish(builder,
+                theirs::CreateCompressedImageDirect(builder, &time, frame.c_str(), &file, png ? "png" : "jpeg"));
+}
+
+Payload depth_image(const cv::Mat& metres, const std::string& frame, std::uint64_t time_ns) {
+  const auto width = static_cast<std::uint32_t>(metres.cols), height = static_cast<std::uint32_t>(metres.rows);
+  const std::uint32_t step = width * static_cast<std::uint32_t>(sizeof(float));
+  flatbuffers::FlatBufferBuilder builder(std::size_t{step} * height + 256);
+  const theirs::Time time = time_of(time_ns);
+  const auto frame_at = builder.CreateString(frame);
+  const auto encoding = builder.CreateString("32FC1");
+  const auto data = builder.CreateVector(metres.data, std::size_t{step} * height);
+  return finish(builder, theirs::CreateRawImage(builder, &time, frame_at, width, height, encoding, step, data));
 }
 
 Payload log_line(std::uint8_t level, const std::string& source, const std::string& text, std::uint64_t time_ns) {

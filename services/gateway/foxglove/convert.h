@@ -37,8 +37,11 @@ struct FrameTransform {
 /// Its pixel centres are at whole numbers, as OpenCV has them, and not at +0.5 as ours.
 [[nodiscard]] Payload camera_calibration(const Camera& camera, const std::string& frame, std::uint64_t time_ns);
 
-/// `bgr`: CV_8UC3. As JPEG. Throws std::runtime_error when it cannot be encoded.
-[[nodiscard]] Payload compressed_image(const cv::Mat& bgr, const std::string& frame, std::uint64_t time_ns);
+/// `bgr`: CV_8UC3. As JPEG or as PNG. Throws std::runtime_error when it cannot be encoded.
+[[nodiscard]] Payload compressed_image(const cv::Mat& bgr, bool png, const std::string& frame, std::uint64_t time_ns);
+
+/// RawImage. `metres`: of each pixel, CV_32FC1, along the camera's z.
+[[nodiscard]] Payload depth_image(const cv::Mat& metres, const std::string& frame, std::uint64_t time_ns);
 
 /// `level`: Foxglove's number.
 [[nodiscard]] Payload log_line(std::uint8_t level, const std::string& source, const std::string& text,

@@ -48,9 +48,10 @@ std::set<std::string> sources_of(const std::string& channel) {
   const auto names = [](auto... topics) { return std::set<std::string>{std::string(topics.name)...}; };
   if (channel == kTransforms) return names(topics::kSceneState, topics::kViewerPose);
   if (channel == kViewers) return names(topics::kViewerPose);
-  if (channel == kProbeCalibration || channel == kProbePicture) return names(topics::kCaptureProbe);
+  if (channel.starts_with("foxglove/probe/")) return names(topics::kCaptureProbe);
   if (!channel.starts_with("foxglove/")) return {channel};
-  return channel.ends_with("/picture") ? names(topics::kCaptureReference) : std::set<std::string>();
+  const bool pictured = channel.ends_with("/picture") || channel.ends_with("/depth");
+  return pictured ? names(topics::kCaptureReference) : std::set<std::string>();
 }
 
 Offer offer(std::string_view topic, std::string_view table) {
@@ -64,7 +65,8 @@ std::vector<Offer> fixed_offers() {
           offer(kLog, "foxglove.Log"),
           offer(kViewers, "foxglove.CameraCalibration"),
           offer(kProbeCalibration, "foxglove.CameraCalibration"),
-          offer(kProbePicture, "foxglove.CompressedImage")};
+          offer(kProbePicture, "foxglove.CompressedImage"),
+          offer(kProbeDepth, "foxglove.RawImage")};
 }
 
 }  // namespace

@@ -22,11 +22,12 @@
 namespace splatbus::gateway::foxglove {
 
 // Channels that are made of the bus's topics, besides those for each camera: "foxglove/cameras/<name>/calibration" and
-// ".../picture".
+// ".../picture", ".../depth".
 inline constexpr std::string_view kTransforms = "foxglove/transforms";
 inline constexpr std::string_view kViewers = "foxglove/viewers/calibration";
 inline constexpr std::string_view kProbeCalibration = "foxglove/probe/calibration";
 inline constexpr std::string_view kProbePicture = "foxglove/probe/picture";
+inline constexpr std::string_view kProbeDepth = "foxglove/probe/depth";
 inline constexpr std::string_view kPoints = "foxglove/points";
 inline constexpr std::string_view kLog = "foxglove/log";
 
@@ -64,6 +65,9 @@ class Feed {
   void take_reference(const bus::Message& message, const Channels& channels);
   void take_probe(const bus::Message& message, const Channels& channels);
   void send_picture(const bus::Message& message, const std::string& topic, const std::string& frame);
+  void send_depth(const bus::Message& message, const std::string& topic, const std::string& frame);
+  [[nodiscard]] bool picture_is_due(const std::string& topic) const;
+  void deliver_picture(const std::string& topic, std::uint64_t time, Payload payload);
   void send_points(std::int64_t now_ns);
   /// Of the message's origin.
   [[nodiscard]] std::uint64_t time_of(const bus::Message& message) const;

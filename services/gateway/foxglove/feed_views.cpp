@@ -21,6 +21,7 @@ namespace splatbus::gateway::foxglove {
 namespace {
 
 constexpr std::size_t kMaxCameras = 64;
+constexpr std::size_t kMaxDepthBytes = std::size_t{64} << 20;  // of one picture, which is sent as it is
 
 std::string calibration_topic(const std::string& camera) {
   return fmt::format("foxglove/cameras/{}/calibration", camera);
@@ -30,13 +31,19 @@ std::string picture_topic(const std::string& camera) {
   return fmt::format("foxglove/cameras/{}/picture", camera);
 }
 
+std::string depth_topic(const std::string& camera) {
+  return fmt::format("foxglove/cameras/{}/depth", camera);
+}
+
 std::vector<Offer> offers_of(const std::set<std::string>& cameras) {
   const auto calibration = wire::foxglove_schema("foxglove.CameraCalibration");
   const auto picture = wire::foxglove_schema("foxglove.CompressedImage");
+  const auto depth = wire::foxglove_schema("foxglove.RawImage");
   std::vector<Offer> offers;
   for (const std::string& camera : cameras) {
     offers.push_back({calibration_topic(camera), std::string(calibration.table), calibration.binary, {}});
     offers.push_back({picture_topic(camera), std::string(picture.table), picture.binary, {}});
+    offers.push_back({depth_topic(camera), std::string(depth.table), depth.binary, {}});
   }
   return offers;
 }
@@ -93,9 +100,9 @@ void Feed::take_pose(const bus::Message& message, const Channels& channels) {
 void Feed::take_reference(const bus::Message& message, const Channels& channels) {
   const auto& body = message.root<wire::CaptureReference>();
   const std::string name = camera_name(from_wire(*body.camera()));
-  if (channels.contains(picture_topic(name)) && !body.retire()) {
-    send_picture(message, picture_topic(name), camera_frame(name));
-  }
+  if (body.retire()) return;
+  if (channels.contains(picture_topic(name))) send_picture(message, picture_topic(name), camera_frame(name));
+  if (channels.contains(depth_topic(name))) send_depth(message, depth_topic(name), camera_frame(name));
 }
 
 void Feed::take_probe(const bus::Message& message, const Channels& channels) {
@@ -110,20 +117,38 @@ void Feed::take_probe(const bus::Message& message, const Channels& channels) {
     hub_.deliver(std::string(kProbeCalibration), time, camera_calibration(camera, frame, time), "");
   }
   if (channels.contains(std::string(kProbePicture))) send_picture(message, std::string(kProbePicture), frame);
+  if (channels.contains(std::string(kProbeDepth))) send_depth(message, std::string(kProbeDepth), frame);
+}
+
+bool Feed::picture_is_due(const std::string& topic) const {
+  const auto next = next_picture_ns_.find(topic);
+  return next == next_picture_ns_.end() || bus::now_ns() >= next->second;
+}
+
+void Feed::deliver_picture(const std::string& topic, std::uint64_t time, Payload payload) {
+  next_picture_ns_[topic] = bus::now_ns() + static_cast<std::int64_t>(1e9 / options_.foxglove.pictures_hz);
+  hub_.deliver(topic, time, std::move(payload), "");
 }
 
 void Feed::send_picture(const bus::Message& message, const std::string& topic, const std::string& frame) {
-  const std::int64_t now = bus::now_ns();
-  std::int64_t& next_ns = next_picture_ns_[topic];
-  if (now < next_ns) return;
+  if (!picture_is_due(topic)) return;
   const auto color = message.tensor("color", bus::ElementType::U8, {0, 0, 4});
   if (!color) return;
   std::vector<std::uint8_t> rgba(color->bytes());
   if (!color->copy(rgba.data())) return;
-  next_ns = now + static_cast<std::int64_t>(1e9 / options_.foxglove.pictures_hz);
+  const cv::Mat picture = metrics::from_rgba(rgba.data(), color->dim(1), color->dim(0));
   const std::uint64_t time = time_of(message);
-  hub_.deliver(topic, time,
-               compressed_image(metrics::from_rgba(rgba.data(), color->dim(1), color->dim(0)), frame, time), "");
+  deliver_picture(topic, time, compressed_image(picture, options_.foxglove.png, frame, time));
+}
+
+void Feed::send_depth(const bus::Message& message, const std::string& topic, const std::string& frame) {
+  if (!picture_is_due(topic) || !message.announces("depth")) return;
+  const auto depth = message.tensor("depth", bus::ElementType::F32, {0, 0});
+  if (!depth || depth->bytes() > kMaxDepthBytes) return;
+  cv::Mat metres(static_cast<int>(depth->dim(0)), static_cast<int>(depth->dim(1)), CV_32FC1);
+  if (!depth->copy(metres.data)) return;
+  const std::uint64_t time = time_of(message);
+  deliver_picture(topic, time, depth_image(metres, frame, time));
 }
 
 void Feed::send_points(std::int64_t now_ns) {

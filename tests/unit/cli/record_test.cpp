@@ -289,6 +289,51 @@ TEST_F(RecordTest, ASlowDiskCostsMessagesAndNoMemory) {
   EXPECT_EQ(said, std::to_string(record.slow_disk) + " (slow disk " + std::to_string(record.slow_disk) + ")");
 }
 
+/// A disk that is full after so many bytes.
+class FullDisk : public mcap::Output {
+ public:
+  FullDisk(std::uint64_t room, const std::filesystem::path& path) : room_(room), file_(mcap::create_file(path)) {}
+  void write(std::span<const std::byte> bytes) override {
+    file_->write(bytes.first(std::min<std::uint64_t>(bytes.size(), room_)));
+    if (bytes.size() > room_) throw mcap::Error("test.mcap: No space left on device");
+    room_ -= bytes.size();
+  }
+
+ private:
+  std::uint64_t room_;
+  std::unique_ptr<mcap::Output> file_;
+};
+
+TEST_F(RecordTest, AFullDiskEndsTheRecordingAndWhatIsCountedAsWrittenCanBeRead) {
+  for (const bool split : {false, true}) {
+    std::filesystem::remove(path());
+    RecorderOptions options;
+    options.file = to_file(path());
+    options.file.writer.chunk_bytes = 2000;
+    options.file.writer.compression_level = 0;
+    options.file.max_bytes = split ? 15'000 : 0;
+    options.file.split = split;
+    // With parts it is full when the first is completed.
+    options.file.open = [&](unsigned) { return std::make_unique<FullDisk>(split ? 17'000 : 30'000, path()); };
+    bus_test::NumberPublisher numbers(connect(split ? "b" : "a"), "numbers");
+    const auto recorder = record(options);
+    std::uint64_t published = 0;
+    while (recorder->state().failure.empty()) {
+      publish_number(numbers, published++);
+      poll_until(*recorder, "numbers", published);
+      ASSERT_LT(published, 20'000U);
+    }
+    EXPECT_THROW(recorder->finish(), mcap::Error);
+    const TopicRecord record = recorder->state().topics.at("numbers");
+    EXPECT_EQ(record.messages + record.failed_disk, published);
+    EXPECT_GT(record.failed_disk, 0U);
+    EXPECT_EQ(recorder->state().queued_bytes, 0U);
+    const mcap::Reader reader(path());
+    EXPECT_NE(reader.damage(), "");
+    EXPECT_EQ(reader.summary().statistics.message_count, record.messages);
+  }
+}
+
 TEST_F(RecordTest, EachPartOfASplitRecordingStandsAlone) {
   RecorderOptions options;
   options.file = to_file(path());

@@ -349,6 +349,40 @@ TEST_F(SdkTest, TheNewestFramesArriveOnceTheirMemoryCanBeFound) {
   EXPECT_EQ(splatbus_engine_frames_dropped(engine.get()), kNumbered - kHalfARing);
 }
 
+// If one call in ten waited for the broker as long as the library's own thread does, all would take longer than a test
+// may run.
+TEST_F(SdkTest, SubmitDoesNotWaitForABrokerThatHangs) {
+  broker_.reset();
+  const bus_test::ChildProcess broker("splatbus-bus", {"--bus", directory_.address().text()},
+                                      directory_.path() + "/broker");
+  const auto context = connect("tester");
+  bus::Subscriber frames(context, {"engine/frame"});
+  ASSERT_TRUE(frames.wait_connected(patience));
+  const Engine engine = open();
+  OwnedFrame small(small_camera());
+  ASSERT_TRUE(bus_test::eventually([&] {
+    EXPECT_EQ(splatbus_engine_submit(engine.get(), &small.frame), SPLATBUS_OK);
+    return frames.receive(std::chrono::milliseconds(10)).has_value();
+  }));
+
+  broker.send(SIGSTOP);
+  for (int i = 0; i < 10'000; ++i) ASSERT_EQ(splatbus_engine_submit(engine.get(), &small.frame), SPLATBUS_OK);
+  // Of a size that needs a ring of its own, of which the broker has to be told.
+  splatbus_camera camera = small_camera(9);
+  camera.width = camera.height = 256;
+  OwnedFrame large(camera);
+  for (std::uint64_t i = 1; i <= 10'000; ++i) {
+    large.frame.frame = i;
+    ASSERT_EQ(splatbus_engine_submit(engine.get(), &large.frame), SPLATBUS_OK);
+  }
+  EXPECT_GT(splatbus_engine_frames_dropped(engine.get()), 0U);
+  broker.send(SIGCONT);
+  EXPECT_TRUE(bus_test::eventually([&] {
+    const auto message = frames.receive(std::chrono::milliseconds(10));
+    return message && message->root<wire::EngineFrame>().scene()->frame() == 10'000;
+  })) << "the newest frame arrives once the broker goes on";
+}
+
 TEST_F(SdkTest, ASecondEngineOfOneNameIsToldSo) {
   const bus_test::ChildProcess first("bus-test-service", {"--bus", directory_.address().text()},
                                      directory_.path() + "/output");

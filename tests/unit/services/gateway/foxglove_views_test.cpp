@@ -84,14 +84,17 @@ TEST(FoxgloveViews, ACalibrationProjectsAsTheCameraDoes) {
 TEST(FoxgloveViews, APictureIsDecodedAsItWas) {
   cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(200, 100, 30));
   picture.rowRange(0, 24).setTo(cv::Scalar(20, 40, 220));
-  const Payload payload = compressed_image(picture, "camera/x", 0);
-  const auto& image = read<theirs::CompressedImage>(payload);
-  EXPECT_EQ(image.format()->str(), "jpeg");
-  const cv::Mat decoded =
-      cv::imdecode(std::vector<std::uint8_t>(image.data()->begin(), image.data()->end()), cv::IMREAD_COLOR);
-  ASSERT_EQ(decoded.size(), picture.size());
-  for (const int row : {8, 40}) {
-    for (int c = 0; c < 3; ++c) EXPECT_NEAR(decoded.at<cv::Vec3b>(row, 32)[c], picture.at<cv::Vec3b>(row, 32)[c], 6);
+  for (const bool png : {false, true}) {
+    const Payload payload = compressed_image(picture, png, "camera/x", 0);
+    const auto& image = read<theirs::CompressedImage>(payload);
+    EXPECT_EQ(image.format()->str(), png ? "png" : "jpeg");
+    const cv::Mat decoded =
+        cv::imdecode(std::vector<std::uint8_t>(image.data()->begin(), image.data()->end()), cv::IMREAD_COLOR);
+    ASSERT_EQ(decoded.size(), picture.size());
+    EXPECT_LE(cv::norm(decoded, picture, cv::NORM_INF), png ? 0 : 40);
+    for (const int row : {8, 40}) {
+      for (int c = 0; c < 3; ++c) EXPECT_NEAR(decoded.at<cv::Vec3b>(row, 32)[c], picture.at<cv::Vec3b>(row, 32)[c], 6);
+    }
   }
 }
 
