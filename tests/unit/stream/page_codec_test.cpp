@@ -1,6 +1,7 @@
 #include "stream/page_codec.h"
 
 #include <gtest/gtest.h>
+#include <hwy/targets.h>
 
 #include <cmath>
 #include <fstream>
@@ -133,6 +134,25 @@ TEST(PlanesCodec, IsLosslessWhateverTheValues) {
   for (std::uint32_t seed = 0; seed < 8; ++seed) {
     expect_lossless(random_page(seed * 37 + 1, seed), PageCodec::Planes);
     expect_lossless(random_page(seed * 37 + 1, seed, Appearance::Transfer), PageCodec::Planes);
+  }
+}
+
+TEST(PlanesCodec, IsTheSameOnEveryInstructionSet) {
+  std::vector<Page> pages{toy_page(1000), random_page(77, 5), toy_page(4096, Appearance::Radiance, 1)};
+  Precision(pages[0].layout, 3).round(pages[0].gaussians);
+  const auto code = [&] {
+    std::vector<std::pair<Bytes, QuantizedGaussians>> out;
+    for (const Page& page : pages) {
+      const Bytes bytes = encode_page(page.gaussians, page.layout, PageCodec::Planes).bytes;
+      out.emplace_back(bytes, decode_page(bytes, page.layout, PageCodec::Planes, page.gaussians.count()));
+    }
+    return out;
+  };
+  const auto best = code();
+  for (std::int64_t all = hwy::SupportedTargets(), left = all; left != 0; left &= left - 1) {
+    hwy::SetSupportedTargetsForTest(left & -left);
+    EXPECT_EQ(code(), best) << hwy::TargetName(left & -left);
+    hwy::SetSupportedTargetsForTest(0);
   }
 }
 
