@@ -73,6 +73,7 @@ struct ObjectTransform {
   float scale = 1;        ///< above 0, the same along all axes
   bool emissive = false;  ///< its surfaces shine with their albedo and are not lit
   bool modelled = true;   ///< otherwise no Gaussians are made of it, and pictures do not train where it shows
+  bool camera = false;    ///< it has no surfaces: a player looks from there, x right, y down, z forward
 
   ObjectTransform() = default;
   ObjectTransform(const Rigid& world_from_object) : rigid(world_from_object) {}  // NOLINT(google-explicit-constructor)

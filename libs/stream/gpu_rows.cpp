@@ -60,6 +60,7 @@ void GpuRows::forget_objects() {
   objects_.assign(1, {});
   index_of_object_ = {{kWorldFrame, 0}};
   far_field_ = 0;
+  player_ = 0;
   objects_are_full_ = false;
   objects_are_new_ = true;
 }
@@ -127,9 +128,21 @@ std::uint32_t GpuRows::index_of(std::uint32_t object_id) {
   return index;
 }
 
+void GpuRows::find_player() {
+  player_ = 0;
+  for (const auto& [id, object] : replica_.scene().objects) {
+    if (!object.camera) continue;
+    const std::uint32_t index = index_of(id);
+    if (index != kHidden) player_ = index;
+    return;
+  }
+}
+
 void GpuRows::follow_scene() {
   const std::tuple key(replica_.epoch(), replica_.scene_version(), replica_.scene_instant().frame);
-  if (!std::exchange(objects_are_new_, false) && key == scene_key_) return;
+  if (!objects_are_new_ && key == scene_key_) return;
+  find_player();
+  objects_are_new_ = false;
   scene_key_ = key;
   const SceneState& scene = replica_.scene();
   std::vector<std::uint8_t> relit(objects_.size());

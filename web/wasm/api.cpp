@@ -260,6 +260,11 @@ uint32_t far_field_index(const Session* session) {
   return session->held->rows.far_field();
 }
 
+uint32_t player_index(Session* session) {
+  static_cast<void>(session->held->rows.transforms());
+  return session->held->rows.player();
+}
+
 const float* background_ptr(Session* session) {
   const glm::vec3& color = session->held->follower.replica().scene().light.background;
   session->background = {color.x, color.y, color.z};

@@ -104,6 +104,9 @@ SPLATBUS_EXPORT uint32_t transform_count(Session* session);
 /// Index of the far field, 0: there is none. It goes with the eye: to its transform's last column the eye's position is
 /// to be added.
 SPLATBUS_EXPORT uint32_t far_field_index(const Session* session);
+/// Index of the camera of the engine's player, whose transform is world_from_camera (x right, y down, z forward); 0: there
+/// is none.
+SPLATBUS_EXPORT uint32_t player_index(Session* session);
 /// f32[3], linear.
 SPLATBUS_EXPORT const float* background_ptr(Session* session);
 SPLATBUS_EXPORT double scene_version(const Session* session);
