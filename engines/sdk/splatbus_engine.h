@@ -81,11 +81,11 @@ typedef struct {
 } splatbus_camera_request;
 
 typedef enum {
-  SPLATBUS_OBJECT_EMISSIVE = 1,    /* its surfaces shine with what the picture ALBEDO shows of them, and are not lit */
+  SPLATBUS_OBJECT_EMISSIVE = 1,     /* its surfaces shine with what the picture ALBEDO shows of them, and are not lit */
   SPLATBUS_OBJECT_NOT_MODELLED = 2, /* no Gaussians are made of it, and nothing is learned where it shows: what is
                                        drawn otherwise, a weapon in the hand, say */
-  SPLATBUS_OBJECT_CAMERA = 4 /* no surface has its id: a player looks from there, x right, y down, z forward, and viewers
-                                offer to go along */
+  SPLATBUS_OBJECT_CAMERA = 4        /* no surface has its id: a player looks from there, x right, y down, z forward, and
+                                       viewers        offer to go along */
 } splatbus_object_flags;
 
 /* What can move, come or go is an object: it has an id, any but 0, that its surfaces have in the picture OBJECT_ID, and

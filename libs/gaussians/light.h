@@ -102,6 +102,9 @@ inline constexpr float kFarFieldDistance_m = 1000;
 /// The objects that can move and exist; an id that is not here has local frame = world.
 using ObjectTransforms = std::map<std::uint32_t, ObjectTransform>;
 
+/// The object that is the camera of the engine's player: of several that of the least id. The end where there is none.
+[[nodiscard]] ObjectTransforms::const_iterator player_among(const ObjectTransforms& objects);
+
 /// Of the rows of visibility under that light, ascending: 0, the sun, then every source's.
 [[nodiscard]] std::vector<std::uint32_t> light_ids(const Light& light);
 

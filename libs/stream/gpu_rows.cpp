@@ -129,13 +129,10 @@ std::uint32_t GpuRows::index_of(std::uint32_t object_id) {
 }
 
 void GpuRows::find_player() {
-  player_ = 0;
-  for (const auto& [id, object] : replica_.scene().objects) {
-    if (!object.camera) continue;
-    const std::uint32_t index = index_of(id);
-    if (index != kHidden) player_ = index;
-    return;
-  }
+  const ObjectTransforms& objects = replica_.scene().objects;
+  const auto player = player_among(objects);
+  const std::uint32_t index = player != objects.end() ? index_of(player->first) : kHidden;
+  player_ = index != kHidden ? index : 0;
 }
 
 void GpuRows::follow_scene() {
@@ -151,7 +148,7 @@ void GpuRows::follow_scene() {
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     Object& object = objects_[k];
     const std::optional<ObjectTransform> transform = transform_in(scene, object.id);
-    if (!transform) continue;
+    if (!transform || (k > 0 && k == player_)) continue;
     Light light = shading_light(scene.light, *transform);
     if (light == object.light) continue;
     object.light = std::move(light);

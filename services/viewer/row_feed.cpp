@@ -45,7 +45,7 @@ void RowFeed::add_harmonics(gl::RowUpdate& out) const {
 void RowFeed::take_rows(float now_s, gl::RowUpdate& out) {
   std::vector<std::uint32_t> harmonics;
   rows_.take_records(kMostRows, out.rows, out.records, &harmonics);
-  fit(stream::harmonic_words(replica_.layout()));
+  fit(stream::harmonic_words(replica_.shown().layout));
   out.fades.resize(out.rows.size());
   for (std::size_t k = 0; k < out.rows.size(); ++k) {
     const std::uint32_t row = out.rows[k];

@@ -1,9 +1,9 @@
 import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
-import { Rig, viewOf } from './camera/rig';
+import { poseOf, Rig, viewOf, type Pose } from './camera/rig';
 import { BenchRun } from './bench';
 import { Extras } from './extras';
-import { poseFloats, type View } from './math';
+import { kTransformFloats, poseFloats, type View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
@@ -58,6 +58,8 @@ export class Viewer {
   #goal = this.rig.goal;
   /** Somebody has moved the camera. */
   #steered = false;
+  /** The camera goes with the engine's player. */
+  #following = false;
   #rested = true;
   #redraw = true;
   #framed = false;
@@ -102,6 +104,7 @@ export class Viewer {
       share: () => void this.extras.share(),
       figures: () => this.#overlay.toggle(),
       compare: () => this.#compare(),
+      follow: () => this.#follow(),
       immerse: () => void this.extras.immerse(),
       download: (kind) => void this.extras.download(kind),
       changed: () => this.#settingsChanged(),
@@ -138,12 +141,13 @@ export class Viewer {
     const seconds = Math.max(0, (nowMs - this.#lastMs) / 1000);
     this.#lastMs = nowMs;
     this.#controls.advance(seconds);
-    if (this.rig.goal !== this.#goal) this.#steered = true;
-    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
-    if (flown) {
-      this.rig.jump(flown);
-      this.#movedMs = nowMs;
+    if (this.rig.goal !== this.#goal) {
+      this.#steered = true;
+      this.#following = false;
     }
+    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
+    if (flown) this.rig.jump(flown);
+    if (flown || this.#goAlong(nowMs)) this.#movedMs = nowMs;
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
@@ -161,6 +165,25 @@ export class Viewer {
       const address = addressWith(new URL(location.href), this.rig.goal);
       if (address !== location.href) history.replaceState(null, '', address);
     }
+  }
+
+  /** True while the camera goes with the player's. */
+  #goAlong(nowMs: number): boolean {
+    if (!this.#following) return false;
+    const { player, transforms } = this.stage.sceneAt(nowMs);
+    const camera = transforms.subarray(kTransformFloats * player, kTransformFloats * (player + 1));
+    if (player === 0 || camera.every((value) => value === 0)) return false; // it may come back
+    const pose = poseOf(camera, this.rig.goal.distance);
+    const before = this.rig.goal;
+    this.rig.jump(pose);
+    return Object.entries(this.rig.goal).some(([key, value]) => String(before[key as keyof Pose]) !== String(value));
+  }
+
+  #follow(): void {
+    const offered = this.stage.scene.player > 0;
+    this.#following = offered && !this.#following;
+    if (!offered) this.#notice.pass(texts.noPlayer);
+    else if (this.#following) this.#notice.pass(texts.following);
   }
 
   #view(): View {
@@ -271,7 +294,7 @@ export class Viewer {
       frame: moving ? texts.ms(this.#pace.frameMs) : texts.unknown,
       sort: this.stage.sortMs === null ? texts.unknown : texts.ms(this.stage.sortMs),
       gaussians: known(figures?.gaussians, (n) => n.toLocaleString('en')),
-      rate: this.#rate.megabits.toFixed(2),
+      rate: texts.rate(this.#rate.megabits, this.options.settings.budget.megabits),
       roundTrip: known(figures?.roundTripMs, texts.ms),
       age: known(figures?.ageMs, texts.ms),
       missing: known(figures?.missing, texts.pages),
@@ -286,6 +309,7 @@ export class Viewer {
       this.#bench.text(nowMs / 1000) ||
       (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);
+    this.#menu.offerPlayer(this.stage.scene.player > 0, this.#following);
   }
 
   #settingsChanged(): void {
@@ -311,6 +335,7 @@ export class Viewer {
     const actions: Readonly<Record<string, () => void>> = {
       KeyC: () => this.#compare(),
       KeyF: () => this.frameAll(),
+      KeyG: () => this.#follow(),
       KeyI: () => this.#overlay.toggle(),
       KeyM: () => this.#menu.toggle(),
       KeyP: () => void this.extras.saveSnapshot(),

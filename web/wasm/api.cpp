@@ -119,6 +119,11 @@ void follower_delete(Session* session) {
   delete session;
 }
 
+void set_max_kbps(Session* session, uint32_t kbps) {
+  session->options.max_kbps = kbps;  // of those to come, after an allocation that failed
+  session->held->follower.set_max_kbps(kbps);
+}
+
 void follower_restart(Session* session) {
   session->held->follower.restart();
 }

@@ -6,7 +6,7 @@ import { syntheticScene } from './synthetic_scene';
 
 const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
 const scene = syntheticScene(3000);
-const state = { transforms: scene.transforms, farField: 0, background: [0.1, 0.2, 0.4] as const, displaySpace: false };
+const state = { transforms: scene.transforms, farField: 0, player: 0, background: [0.1, 0.2, 0.4] as const, displaySpace: false };
 const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
 let clockOriginMs = performance.timeOrigin;
 const publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000);

@@ -27,7 +27,7 @@ const wholeUpdate = (scene: SyntheticScene): RowUpdate => {
 
 const frameOf = (scene: SyntheticScene, view: View): Frame => ({
   view,
-  scene: { transforms: scene.transforms, farField: 0, background: kBackground, displaySpace: false },
+  scene: { transforms: scene.transforms, farField: 0, player: 0, background: kBackground, displaySpace: false },
   resolution: 1,
   timeS: 1000,
 });
@@ -62,6 +62,7 @@ async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter,
   const scene = {
     transforms: follower.transforms.slice(),
     farField: follower.farFieldIndex,
+    player: follower.playerIndex,
     background: follower.background,
     displaySpace: follower.stats.radiance,
   };
