@@ -16,8 +16,7 @@ namespace {
 constexpr std::uint32_t kMaxSide = 8192;
 constexpr std::uint32_t kAllBuffers = 127;
 constexpr std::uint32_t kLastLightMap = 255;  // a byte on the bus
-constexpr std::uint32_t kAllObjectFlags =
-    SPLATBUS_OBJECT_EMISSIVE | SPLATBUS_OBJECT_NOT_MODELLED | SPLATBUS_OBJECT_CAMERA;
+constexpr std::uint32_t kAllObjectFlags = SPLATBUS_OBJECT_EMISSIVE | SPLATBUS_OBJECT_NOT_MODELLED;
 constexpr float kUnitTolerance = 1e-2F;
 
 bool finite(std::span<const float> values) {

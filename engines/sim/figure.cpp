@@ -179,11 +179,11 @@ void add_figure(Scene& scene) {
 
 void add_figure_camera(Scene& scene) {
   Object camera;
-  camera.id = static_cast<std::uint32_t>(scene.objects.size() + 1);
+  camera.id = SPLATBUS_PLAYER_ID;
   camera.name = "figure camera";
   camera.motion = figure_camera_at;
-  camera.camera = true;
-  camera.casts_shadow = false;
+  camera.casts_shadow = false;  // it is no thing that depth maps show
+  camera.emissive = true;
   scene.objects.push_back(std::move(camera));
 }
 

@@ -133,7 +133,6 @@ ObjectChanges GpuScene::set_time(const Scene& scene, double time_s, std::span<co
     std::uint32_t flags = 0;
     if (object.emissive) flags |= SPLATBUS_OBJECT_EMISSIVE;
     if (!object.modelled) flags |= SPLATBUS_OBJECT_NOT_MODELLED;
-    if (object.camera) flags |= SPLATBUS_OBJECT_CAMERA;
     if (!object.motion && object.light_id == 0 && flags == 0) continue;
     ObjectState& state = objects_[i];
     const bool dark =

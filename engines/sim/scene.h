@@ -55,12 +55,11 @@ struct Object {
   bool casts_shadow = true;
   bool emissive = false;  ///< it shines with its albedo, and is not lit
   bool modelled = true;   ///< SPLATBUS_OBJECT_NOT_MODELLED where false
-  bool camera = false;    ///< SPLATBUS_OBJECT_CAMERA: it has no parts
   bool enclosed = false;  ///< other objects hide it from most places: drawn after them, and only where it may be seen
 
   /// Whether the depth maps that are handed out show it. A lamp's glass is neither a thing that hides its light nor one
   /// on which light falls.
-  [[nodiscard]] bool in_light_depth() const { return !camera && (casts_shadow || !emissive); }
+  [[nodiscard]] bool in_light_depth() const { return casts_shadow || !emissive; }
 };
 
 /// A light besides the sun.

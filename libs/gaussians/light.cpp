@@ -72,10 +72,6 @@ Incident incident(const LightSource& source, const glm::vec3& point) {
   return {to_light, factor * source.intensity};
 }
 
-ObjectTransforms::const_iterator player_among(const ObjectTransforms& objects) {
-  return std::find_if(objects.begin(), objects.end(), [](const auto& object) { return object.second.camera; });
-}
-
 std::vector<std::uint32_t> light_ids(const Light& light) {
   std::vector<std::uint32_t> ids{0};
   for (const LightSource& source : light.sources) ids.push_back(source.id);

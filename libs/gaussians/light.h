@@ -73,7 +73,6 @@ struct ObjectTransform {
   float scale = 1;        ///< above 0, the same along all axes
   bool emissive = false;  ///< its surfaces shine with their albedo and are not lit
   bool modelled = true;   ///< otherwise no Gaussians are made of it, and pictures do not train where it shows
-  bool camera = false;    ///< it has no surfaces: a player looks from there, x right, y down, z forward
 
   ObjectTransform() = default;
   ObjectTransform(const Rigid& world_from_object) : rigid(world_from_object) {}  // NOLINT(google-explicit-constructor)
@@ -101,9 +100,6 @@ inline constexpr float kFarFieldDistance_m = 1000;
 
 /// The objects that can move and exist; an id that is not here has local frame = world.
 using ObjectTransforms = std::map<std::uint32_t, ObjectTransform>;
-
-/// The object that is the camera of the engine's player: of several that of the least id. The end where there is none.
-[[nodiscard]] ObjectTransforms::const_iterator player_among(const ObjectTransforms& objects);
 
 /// Of the rows of visibility under that light, ascending: 0, the sun, then every source's.
 [[nodiscard]] std::vector<std::uint32_t> light_ids(const Light& light);

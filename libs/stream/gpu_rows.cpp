@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "gaussians/frames.h"
+#include "gaussians/player.h"
 
 namespace splatbus::stream {
 
@@ -129,9 +130,8 @@ std::uint32_t GpuRows::index_of(std::uint32_t object_id) {
 }
 
 void GpuRows::find_player() {
-  const ObjectTransforms& objects = replica_.scene().objects;
-  const auto player = player_among(objects);
-  const std::uint32_t index = player != objects.end() ? index_of(player->first) : kHidden;
+  const bool there = replica_.scene().objects.contains(kPlayerId);
+  const std::uint32_t index = there ? index_of(kPlayerId) : kHidden;
   player_ = index != kHidden ? index : 0;
 }
 

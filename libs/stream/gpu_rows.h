@@ -52,7 +52,7 @@ class GpuRows final : public ShownObserver {
   }
   /// The same under another scene of the objects.
   [[nodiscard]] std::vector<Transform> transforms_in(const SceneState& scene) const;
-  /// Index of the camera of the engine's player, the one of the least id: its transform is world_from_camera. 0: the
+  /// Index of the camera of the engine's player (kPlayerId), whose transform is world_from_camera. 0: the
   /// scene has none. To be read after transforms().
   [[nodiscard]] std::uint32_t player() const { return player_; }
   /// Index of the far field, 0 while nothing was seen of it.

@@ -198,8 +198,7 @@ QuantizedTransform quantize(const ObjectTransform& object, std::uint32_t id) {
   const float octaves =
       std::clamp(std::log2(object.scale), -static_cast<float>(kMaxScaleOctaves), static_cast<float>(kMaxScaleOctaves));
   const auto flags = (object.emissive ? wire::ObjectFlags::Emissive : wire::ObjectFlags{}) |
-                     (object.modelled ? wire::ObjectFlags{} : wire::ObjectFlags::NotModelled) |
-                     (object.camera ? wire::ObjectFlags::Camera : wire::ObjectFlags{});
+                     (object.modelled ? wire::ObjectFlags{} : wire::ObjectFlags::NotModelled);
   return {.position = quantize_position(object.rigid.translation, fmt::format("object {}", id)),
           .rotation = quantize_rotation(object.rigid.rotation),
           .scale = static_cast<std::int32_t>(std::lround(octaves * kScaleStepsAnOctave)),
@@ -213,7 +212,6 @@ ObjectTransform dequantize(const QuantizedTransform& transform) {
   const auto has = [&](wire::ObjectFlags flag) { return (transform.flags & static_cast<std::uint8_t>(flag)) != 0; };
   out.emissive = has(wire::ObjectFlags::Emissive);
   out.modelled = !has(wire::ObjectFlags::NotModelled);
-  out.camera = has(wire::ObjectFlags::Camera);
   return out;
 }
 

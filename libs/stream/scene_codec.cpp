@@ -12,7 +12,7 @@ namespace {
 
 constexpr int kRotationBytes = 6;
 constexpr unsigned kRotation = 4, kScale = 8, kFlags = 16;  // parts of an object
-constexpr unsigned kAllFlags = 7;
+constexpr unsigned kAllFlags = 3;
 
 void put_objects(Bytes& out, const QuantizedScene& scene, const QuantizedScene& base) {
   const Difference<QuantizedObject> difference(scene.objects, base.objects);

@@ -48,7 +48,6 @@ wire::ObjectFlags flags_of(const ObjectTransform& object) {
   auto flags = static_cast<wire::ObjectFlags>(0);
   if (object.emissive) flags |= wire::ObjectFlags::Emissive;
   if (!object.modelled) flags |= wire::ObjectFlags::NotModelled;
-  if (object.camera) flags |= wire::ObjectFlags::Camera;
   return flags;
 }
 
@@ -260,7 +259,6 @@ ObjectTransforms from_wire(const flatbuffers::Vector<const wire::ObjectTransform
     }
     transform.emissive = (object->flags() & wire::ObjectFlags::Emissive) != wire::ObjectFlags{};
     transform.modelled = (object->flags() & wire::ObjectFlags::NotModelled) == wire::ObjectFlags{};
-    transform.camera = (object->flags() & wire::ObjectFlags::Camera) != wire::ObjectFlags{};
     if (!out.emplace(object->id(), transform).second) {
       refuse(fmt::format("{} has two transforms", field));
     }

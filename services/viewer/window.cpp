@@ -14,6 +14,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "gaussians/player.h"
 #include "viewer/rig.h"
 
 namespace splatbus::viewer {
@@ -184,7 +185,7 @@ void Window::frame(const glm::vec3& centre_m, float radius_m) {
 }
 
 void Window::follow(const SceneState& scene) {
-  const auto player = player_among(scene.objects);
+  const auto player = scene.objects.find(kPlayerId);
   if (!impl_->followed || player == scene.objects.end()) return;
   if (!(impl_->rig.goal() == *impl_->followed)) {  // somebody steers
     impl_->followed.reset();
