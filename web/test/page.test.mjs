@@ -231,6 +231,63 @@ test('menu by keys alone: quality, background, budget; they are kept', () =>
     assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
   }));
 
+test('a rate is asked for in the menu, at once and for the next time', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => (new BroadcastChannel('asked').onmessage = ({ data }) => (window.asked ??= []).push(data)));
+    const figure = () => page.locator('[data-figure=rate]').textContent();
+    assert.match(await figure(), /^\d+\.\d\d$/);
+    await page.keyboard.press('m');
+    await page.getByLabel('Mbit/s at most').selectOption('5');
+    await page.waitForFunction(() => window.asked?.length === 1 && window.asked[0] === 5);
+    await page.waitForFunction(() => / of 5$/.test(document.querySelector('[data-figure=rate]').textContent));
+    assert.equal(await page.evaluate(() => window.splatbus.stage.uploadedRows), 3000, 'the stream goes on');
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.budget.megabits), 5);
+  }));
+
+test('G follows the player where there is one, until somebody steers', () =>
+  opened(kPage, async (page) => {
+    const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
+    await page.keyboard.press('g');
+    await says('no player');
+    assert.deepEqual(await goal(page), kStart);
+    await page.keyboard.press('m');
+    const entry = page.getByRole('button', { name: 'Follow the player' });
+    assert.equal(await entry.isVisible(), false);
+    // From (0, 1, 3) along -z, then along -x and down.
+    const player = (camera) => page.evaluate((transform) => new BroadcastChannel('player').postMessage(transform), camera);
+    await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
+    await entry.click();
+    await says('Following');
+    const stands = (eye, yaw, pitch) =>
+      page.waitForFunction(
+        ([[x, y, z], wantedYaw, wantedPitch]) => {
+          const { target, yaw, pitch, distance } = window.splatbus.rig.shown;
+          const at = [target[0] + distance * Math.cos(pitch) * Math.cos(yaw), target[1] + distance * Math.sin(pitch), target[2] + distance * Math.cos(pitch) * Math.sin(yaw)];
+          const off = Math.hypot(at[0] - x, at[1] - y, at[2] - z) + Math.abs(Math.sin((yaw - wantedYaw) / 2)) + Math.abs(pitch - wantedPitch);
+          return off < 1e-4;
+        },
+        [eye, yaw, pitch],
+      );
+    await stands([0, 1, 3], Math.PI / 2, 0);
+    const [c, s] = [Math.cos(0.3), Math.sin(0.3)];
+    await player([0, s, -c, 2, 0, -c, -s, 1.5, -1, 0, 0, 0]);
+    await stands([2, 1.5, 0], 0, 0.3);
+    assert.equal(await entry.getAttribute('aria-pressed'), 'true');
+    await page.mouse.move(100, 150);
+    await page.mouse.wheel(0, -100);
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance < distance, kStart.distance);
+    await page.waitForFunction(() => document.querySelector('[aria-pressed]').getAttribute('aria-pressed') === 'false');
+    const left = await goal(page);
+    await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
+    await page.waitForFunction(() => window.splatbus.stage.scene.transforms.at(-1) === 3);
+    assert.deepEqual(await goal(page), left);
+    // Gone, and here again.
+    await player(null);
+    await entry.waitFor({ state: 'hidden' });
+  }));
+
 test('a snapshot is a PNG of the picture', () =>
   opened(kPage, async (page) => {
     const download = page.waitForEvent('download');
