@@ -275,7 +275,8 @@ test('G follows the player where there is one, until somebody steers', () =>
     await player([0, s, -c, 2, 0, -c, -s, 1.5, -1, 0, 0, 0]);
     await stands([2, 1.5, 0], 0, 0.3);
     assert.equal(await entry.getAttribute('aria-pressed'), 'true');
-    await page.mouse.move(100, 150);
+    await page.keyboard.press('Escape');
+    await page.mouse.move(160, 100);
     await page.mouse.wheel(0, -100);
     await page.waitForFunction((distance) => window.splatbus.rig.goal.distance < distance, kStart.distance);
     await page.waitForFunction(() => document.querySelector('[aria-pressed]').getAttribute('aria-pressed') === 'false');
@@ -283,9 +284,8 @@ test('G follows the player where there is one, until somebody steers', () =>
     await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
     await page.waitForFunction(() => window.splatbus.stage.scene.transforms.at(-1) === 3);
     assert.deepEqual(await goal(page), left);
-    // Gone, and here again.
     await player(null);
-    await entry.waitFor({ state: 'hidden' });
+    await page.waitForFunction(() => document.querySelector('[aria-pressed]').hidden);
   }));
 
 test('a snapshot is a PNG of the picture', () =>
