@@ -37,8 +37,8 @@ layout(location = 7) uniform float uNear;
 
 const float kFade_s = 0.25;
 const uint kUnseen = 0xffffffffu;
-const uint kMostKey = 0xfffffu;
-// The bits of 2^-11 m. Above them 20 bits are 32 octaves of 32,768 steps each.
+const uint kMostKey = 0x1ffffffu;
+// The bits of 2^-11 m. Above them 25 bits are 32 octaves of a million steps each.
 const uint kLeastDepth = 0x3a000000u;
 )glsl"
 #include "viewer/gl/splat_glsl.inc"
@@ -84,7 +84,7 @@ uint keyOf(uint row) {
   splats[2u * row] = floatBitsToUint(vec4(splat.centre, splat.root.xy));
   splats[2u * row + 1u] = uvec4(floatBitsToUint(vec2(splat.root.z, splat.log2Alpha)), packHalf2x16(color.rg),
                                 packHalf2x16(vec2(color.b, 0.0)));
-  return kMostKey - min((max(floatBitsToUint(point.z), kLeastDepth) - kLeastDepth) >> 8u, kMostKey);
+  return kMostKey - min((max(floatBitsToUint(point.z), kLeastDepth) - kLeastDepth) >> 3u, kMostKey);
 }
 
 shared uint seen;
@@ -103,7 +103,7 @@ void main() {
   if (gl_LocalInvocationIndex == 0u) group_counts[gl_WorkGroupID.x] = seen;
 }
 )glsl";
-static_assert(kThreads == 256 && kKeyBits == 20 && kFade_s == 0.25F);
+static_assert(kThreads == 256 && kKeyBits == 25 && kFade_s == 0.25F);
 
 const char* const kSplatVertexText = R"glsl(#version 450 core
 layout(std430, binding = 0) readonly buffer Seen { uint seen_rows; };

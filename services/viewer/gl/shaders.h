@@ -40,7 +40,7 @@ extern const char* const kHistogramText;
 extern const char* const kScanCountsText;
 extern const char* const kReorderText;
 enum SortLocation : int { kShift = 0 };
-inline constexpr unsigned kKeyBits = 20;
+inline constexpr unsigned kKeyBits = 25;
 inline constexpr unsigned kDigitBits = 5;
 inline constexpr unsigned kDigits = 1U << kDigitBits;
 /// Keys that a group sorts at a time.

@@ -125,7 +125,7 @@ TEST_F(GlPictures, AreTheCpuRasterisersOfALivingModel) {
 }
 
 TEST_F(GlPictures, OfALivingRadianceModelToo) {
-  for (const int degree : {0, 2, 3}) {
+  for (const int degree : {1, 2, 3}) {
     SCOPED_TRACE(degree);
     ToyServer server(3, 4000, Appearance::Radiance, {}, 76 + static_cast<std::uint64_t>(degree), degree);
     server.scene.objects[1] = ObjectTransform(Rigid{.rotation = glm::angleAxis(1.0F, glm::vec3(0, 1, 0))});
@@ -137,7 +137,7 @@ TEST_F(GlPictures, OfALivingRadianceModelToo) {
     expect_alike("whole");
     server.remove(300);
     server.insert(500);
-    server.train(0.05F);
+    server.train(0.02F);
     send(server.tick());
     send_pages(server);
     expect_alike("after removals, appends and training");
