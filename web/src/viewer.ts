@@ -2,6 +2,7 @@ import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
 import { poseOf, Rig, viewOf, type Pose } from './camera/rig';
 import { BenchRun } from './bench';
+import { rightsHere } from './download';
 import { Extras } from './extras';
 import { kTransformFloats, poseFloats, type View } from './math';
 import { Pace, Rate } from './pace';
@@ -46,6 +47,8 @@ export class Viewer {
   figures: StreamFigures | null = null;
   connection: ConnectionState = 'connecting';
   #retryAtMs = 0;
+  /** Why the server lets nobody in; empty where it does, or is not there. */
+  #refused = '';
   #graphics = '';
   #lastMs = 0;
   #movedMs = 0;
@@ -258,7 +261,16 @@ export class Viewer {
     } else if (message.kind === 'connection') {
       this.connection = message.state;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
+      if (message.state === 'waiting') void this.#askWhy();
+      if (message.state === 'open') this.#refused = '';
     }
+  }
+
+  /** A WebSocket does not say why it was not opened. */
+  async #askWhy(): Promise<void> {
+    const here = await rightsHere(this.options.token);
+    const refused = this.options.token ? texts.tokenRefused : texts.tokenMissing;
+    this.#refused = here === 'refused' ? refused : '';
   }
 
   #showAll(centre: [number, number, number], radius: number): void {
@@ -299,13 +311,13 @@ export class Viewer {
       age: known(figures?.ageMs, texts.ms),
       missing: known(figures?.missing, texts.pages),
       uploaded: this.stage.uploadedRows.toLocaleString('en'),
-      resolution: `${Math.round(100 * this.#drawn.resolution)} %`,
+      resolution: this.#drawn.resolution > 0 ? `${Math.round(100 * this.#drawn.resolution)} %` : texts.unknown,
       drawnBy: this.stage.renderer ? texts.apis[this.stage.renderer.api] : texts.unknown,
-      connection: this.#retryAtMs > 0 ? texts.reconnecting(waiting) : connection,
+      connection: this.#retryAtMs > 0 ? texts.lost : connection,
     });
     const problem =
       this.#graphics ||
-      (this.#retryAtMs > 0 ? texts.reconnecting(waiting) : '') ||
+      (this.#retryAtMs > 0 ? this.#refused || texts.reconnecting(waiting) : '') ||
       this.#bench.text(nowMs / 1000) ||
       (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);

@@ -288,6 +288,25 @@ test('G follows the player where there is one, until somebody steers', () =>
     await page.waitForFunction(() => document.querySelector('[aria-pressed]').hidden);
   }));
 
+test('who is not let in is told so, and not that nobody is there', () =>
+  opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
+    const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
+    const lost = (retryS) => page.evaluate((seconds) => new BroadcastChannel('connection').postMessage(seconds), retryS);
+    await page.route('**/status', (route) => route.abort());
+    await lost(30);
+    await says('No connection. Trying again in');
+    await page.waitForFunction(() => document.querySelector('[data-figure=connection]').textContent === 'Lost');
+    await page.keyboard.press('c');
+    await says('does not answer');
+    await page.unroute('**/status');
+    await page.route('**/status', (route) => route.fulfill({ status: 401, body: 'a token is needed' }));
+    await lost(30);
+    await says('does not accept the token');
+    assert.ok((await shownColors(page)) > 500, 'the picture stands');
+    await lost(0);
+    await page.waitForFunction(() => document.querySelector('.notice').textContent === '');
+  }));
+
 test('a snapshot is a PNG of the picture', () =>
   opened(kPage, async (page) => {
     const download = page.waitForEvent('download');
@@ -316,8 +335,15 @@ test('a slider between the engine\'s own picture and the splats, and how alike t
     await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('may not'));
     await page.unroute('**/status');
     await page.route('**/status', (route) => route.fulfill({ json: { rights: 'view,probe' } }));
+    await page.evaluate(() => {
+      const label = document.querySelector('.compare .right');
+      const stop = new MutationObserver(() => (window.namedEarly ??= getComputedStyle(label).display !== 'none' && document.querySelector('.compare canvas').hidden));
+      stop.observe(document.querySelector('.compare'), { attributes: true });
+    });
     await page.keyboard.press('c');
     await page.waitForFunction(() => window.splatbus.extras.comparison.quality);
+    assert.equal(await page.evaluate(() => window.namedEarly), false, 'splats are not called the engine\'s');
+    assert.equal(await page.locator('.compare .right').isVisible(), true);
     const { ssim, flip } = await page.evaluate(() => window.splatbus.extras.comparison.quality);
     assert.ok(ssim > 0.995 && flip < 0.02, `SSIM ${ssim}, FLIP ${flip}`);
     assert.match(await page.locator('.compare .quality').textContent(), /SSIM 0\.99\d +FLIP 0\.0[01]\d|SSIM 1\.000/);

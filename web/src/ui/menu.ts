@@ -42,7 +42,7 @@ export class Menu {
       { class: 'menu', 'aria-label': texts.menu },
       make(
         'div',
-        { class: 'buttons' },
+        { class: 'buttons actions' },
         button(texts.frameAll, actions.frameAll),
         button(texts.fullScreen, actions.fullScreen),
         button(texts.snapshot, actions.snapshot),

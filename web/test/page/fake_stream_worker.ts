@@ -46,6 +46,9 @@ new BroadcastChannel('player').onmessage = ({ data }: MessageEvent<number[] | nu
   state = data ? { ...world, transforms: new Float32Array([...scene.transforms, ...data]), player: scene.transforms.length / 12 } : world;
   publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
 };
+/** The connection is lost, to be tried again in so many seconds; 0: it is there again. */
+new BroadcastChannel('connection').onmessage = ({ data }: MessageEvent<number>) =>
+  scope.postMessage({ kind: 'connection', state: data > 0 ? 'waiting' : 'open', retryS: data });
 const asked = new BroadcastChannel('asked');
 
 scope.onmessage = ({ data }) => {
