@@ -8,7 +8,7 @@ export const texts = {
   fullScreen: 'Full screen',
   frameAll: 'Show all',
   snapshot: 'Save picture',
-  share: 'Copy link to this view',
+  share: 'Copy link',
   shared: 'The link is copied.',
   shareByHand: 'The address bar has the link: copy it from there.',
   figures: 'Figures',

@@ -105,6 +105,7 @@ void Projection::upload_objects(const Frame& frame) {
 void Projection::run(const RowStore& rows, const Frame& frame, FrameTimer* timer) {
   reserve(rows.capacity());
   upload_objects(frame);
+  next_step();  // and the last picture has read what is written now
   if (timer) timer->mark(FrameTimer::kBegin);
   project(rows, frame);
   if (timer) timer->mark(FrameTimer::kProjected);

@@ -22,9 +22,9 @@ void synchronise() {
 // Sum over the threads before this one; the sum over all is left in partial[kThreads - 1].
 uint sumBefore(uint thread, uint value) {
   partial[thread] = value;
-  for (uint step = 1u; step < kThreads; step *= 2u) {
+  for (uint apart = 1u; apart < kThreads; apart *= 2u) {
     synchronise();
-    uint other = thread >= step ? partial[thread - step] : 0u;
+    uint other = thread >= apart ? partial[thread - apart] : 0u;
     synchronise();
     partial[thread] += other;
   }
