@@ -180,6 +180,41 @@ test('after the first picture only rows that change are uploaded', () =>
     assert.equal(await uploaded(), 3017);
   }));
 
+test('rows and the order that knows them are shown in one frame', () =>
+  opened(kPage.replace('index.html', 'index.html?gpu=webgl2'), async (page) => {
+    const early = await page.evaluate(async () => {
+      const { stage } = window.splatbus;
+      const { renderer } = stage;
+      let unordered = 0; // rows in memory that no order knows yet
+      let seen = 0;
+      let early = 0;
+      const before = (name, act) => {
+        const original = renderer[name].bind(renderer);
+        renderer[name] = (...given) => {
+          act(...given);
+          return original(...given);
+        };
+      };
+      before('apply', ({ rows }) => {
+        unordered += rows.length;
+        seen += rows.length;
+      });
+      before('setOrder', () => (unordered = 0));
+      before('draw', () => (early += unordered));
+      const channel = new BroadcastChannel('change');
+      for (let k = 1; k <= 5; ++k) {
+        channel.postMessage(100 * k);
+        while (seen < 50 * k * (k + 1)) {
+          window.splatbus.rig.orbit(0.001, 0); // what is drawn meanwhile
+          await new Promise(requestAnimationFrame);
+        }
+      }
+      await new Promise(requestAnimationFrame);
+      return early;
+    });
+    assert.equal(early, 0);
+  }));
+
 test('a lost context comes back, and the last picture stands meanwhile', () =>
   opened(kPage, async (page) => {
     await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]')?.width > 300);
