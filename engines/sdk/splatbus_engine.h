@@ -23,6 +23,8 @@ extern "C" {
 #define SPLATBUS_ENGINE_ABI 3
 #define SPLATBUS_MAX_OBJECTS 32768       /* of one frame */
 #define SPLATBUS_RESERVED_ID 0xFA00FA00U /* of no object: that of what lies beyond all objects */
+#define SPLATBUS_PLAYER_ID 0xFA00FA01U   /* of an object without surfaces: a player's camera, which viewers may follow \
+                                          */
 #define SPLATBUS_MAX_LIGHTS 32           /* of one frame, besides the sun */
 
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;
@@ -98,6 +100,9 @@ typedef enum {
  * surface has the id of the bone that has the greatest weight there, the dominant bone, so write ids by vertex weights,
  * not by mesh. Where several bones share the weight, the surface bends a little against its frame; shear of a bone has
  * no place in it. An id stays with its bone for as long as the character lives.
+ *
+ * A player: an engine may list an object SPLATBUS_PLAYER_ID, whose frame is that of the camera of whoever plays (x
+ * right, y down, z forward). Viewers offer to go along with it. It has no surfaces.
  *
  * p_world = world_from_object.rotation * (scale * p_object) + world_from_object.translation. */
 typedef struct {

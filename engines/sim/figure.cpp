@@ -113,13 +113,25 @@ Mesh shoe() {
   return mesh;
 }
 
+/// On the floor under the hips, x right, y up.
+Pose body_at(double time_s) {
+  const double around = std::remainder(time_s * kSpeed_m_s / kRadius_m, 2 * glm::pi<double>());
+  const glm::quat heading = glm::angleAxis(static_cast<float>(around), kUp);
+  return {heading, heading * glm::vec3{kRadius_m, 0, 0}};
+}
+
 }  // namespace
+
+Pose figure_camera_at(double time_s) {
+  constexpr glm::vec3 kBehind{0, 0.85F, 0.9F};
+  constexpr float kDown = 0.3F, kInwards = 0.45F;  // radians: ahead, and where the toys are
+  const glm::quat about = glm::angleAxis(kInwards, kUp) * glm::angleAxis(glm::pi<float>() - kDown, kRight);
+  return body_at(time_s) * Pose{about, kBehind};
+}
 
 std::array<Pose, kBones> figure_at(double time_s) {
   const double cycles = time_s / kCycle_s;
-  const double around = std::remainder(time_s * kSpeed_m_s / kRadius_m, 2 * glm::pi<double>());
-  const glm::quat heading = glm::angleAxis(static_cast<float>(around), kUp);
-  const Pose body{heading, heading * glm::vec3{kRadius_m, 0, 0}};
+  const Pose body = body_at(time_s);
 
   // Lowest when both feet carry, half way apart; the shoulders turn against the legs.
   const float hip_m = kHip_m + kBob_m * wave(2 * (cycles - kCarries / 2));
@@ -163,6 +175,16 @@ void add_figure(Scene& scene) {
   const auto shoes = [] { return stripes(std::array{color("#2b2b33"), color("#d8b13a")}, 3, false); };
   add(Bone::RightFoot, "right foot", shoe(), shoes(), kAnkle_m, kAnkle_m + kLift_m);
   add(Bone::LeftFoot, "left foot", shoe(), shoes(), kAnkle_m, kAnkle_m + kLift_m);
+}
+
+void add_figure_camera(Scene& scene) {
+  Object camera;
+  camera.id = SPLATBUS_PLAYER_ID;
+  camera.name = "figure camera";
+  camera.motion = figure_camera_at;
+  camera.casts_shadow = false;  // it is no thing that depth maps show
+  camera.emissive = true;
+  scene.objects.push_back(std::move(camera));
 }
 
 }  // namespace splatbus::sim

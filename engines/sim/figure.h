@@ -27,7 +27,12 @@ inline constexpr std::size_t kBones = 10;
 /// along their -z and stand along their y. The foot that carries rests on the floor, y = 0.
 [[nodiscard]] std::array<Pose, kBones> figure_at(double time_s);
 
+/// Where a player's camera is that goes behind it: x right, y down, z forward.
+[[nodiscard]] Pose figure_camera_at(double time_s);
+
 /// Adds the bones, named "figure torso", "figure head", "figure right arm", ...
 void add_figure(Scene& scene);
+/// Adds the "figure camera".
+void add_figure_camera(Scene& scene);
 
 }  // namespace splatbus::sim

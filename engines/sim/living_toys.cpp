@@ -89,6 +89,7 @@ void add_living_toys(Scene& scene) {
                 const double in_round_s = time_s - Times::kRound_s * std::floor(time_s / Times::kRound_s);
                 return in_round_s < Times::kLeave_s || in_round_s >= Times::kReturn_s;
               });
+  add_figure_camera(scene);
 }
 
 void add_breathing_toy(Scene& scene) {

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "gaussians/frames.h"
+#include "gaussians/player.h"
 
 namespace splatbus::stream {
 
@@ -60,6 +61,7 @@ void GpuRows::forget_objects() {
   objects_.assign(1, {});
   index_of_object_ = {{kWorldFrame, 0}};
   far_field_ = 0;
+  player_ = 0;
   objects_are_full_ = false;
   objects_are_new_ = true;
 }
@@ -127,9 +129,17 @@ std::uint32_t GpuRows::index_of(std::uint32_t object_id) {
   return index;
 }
 
+void GpuRows::find_player() {
+  const bool there = replica_.scene().objects.contains(kPlayerId);
+  const std::uint32_t index = there ? index_of(kPlayerId) : kHidden;
+  player_ = index != kHidden ? index : 0;
+}
+
 void GpuRows::follow_scene() {
   const std::tuple key(replica_.epoch(), replica_.scene_version(), replica_.scene_instant().frame);
-  if (!std::exchange(objects_are_new_, false) && key == scene_key_) return;
+  if (!objects_are_new_ && key == scene_key_) return;
+  find_player();
+  objects_are_new_ = false;
   scene_key_ = key;
   const SceneState& scene = replica_.scene();
   std::vector<std::uint8_t> relit(objects_.size());
@@ -138,7 +148,7 @@ void GpuRows::follow_scene() {
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     Object& object = objects_[k];
     const std::optional<ObjectTransform> transform = transform_in(scene, object.id);
-    if (!transform) continue;
+    if (!transform || (k > 0 && k == player_)) continue;
     Light light = shading_light(scene.light, *transform);
     if (light == object.light) continue;
     object.light = std::move(light);

@@ -52,6 +52,9 @@ class GpuRows final : public ShownObserver {
   }
   /// The same under another scene of the objects.
   [[nodiscard]] std::vector<Transform> transforms_in(const SceneState& scene) const;
+  /// Index of the camera of the engine's player (kPlayerId), whose transform is world_from_camera. 0: the
+  /// scene has none. To be read after transforms().
+  [[nodiscard]] std::uint32_t player() const { return player_; }
   /// Index of the far field, 0 while nothing was seen of it.
   [[nodiscard]] std::uint32_t far_field() const { return far_field_; }
 
@@ -73,6 +76,7 @@ class GpuRows final : public ShownObserver {
   [[nodiscard]] bool is_shown(std::uint32_t row) const { return row % kBlockRows < shown_[row / kBlockRows]; }
   /// Objects' transforms and lights of the replica's scene; marks rows on which another light falls.
   void follow_scene();
+  void find_player();
   /// Rows in that state, from the cursor on.
   void find_rows(std::size_t most, Stale wanted, std::size_t& cursor, std::vector<std::uint32_t>& rows) const;
 
@@ -87,7 +91,7 @@ class GpuRows final : public ShownObserver {
   std::vector<Object> objects_{Object{}};
   std::vector<Transform> transforms_;
   std::unordered_map<std::uint32_t, std::uint32_t> index_of_object_{{0, 0}};
-  std::uint32_t far_field_ = 0;
+  std::uint32_t far_field_ = 0, player_ = 0;
 };
 
 }  // namespace splatbus::stream

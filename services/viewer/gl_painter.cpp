@@ -21,27 +21,25 @@ class GlPainter final : public Painter {
 
   bool take(Shown& shown) override {
     const bool any = !shown.batches.empty();
-    for (gl::SharedBatch& batch : shown.batches) {
+    for (const gl::SharedBatch& batch : shown.batches) {
       for (const float fade : batch->update.fades) faded_s_ = std::max(faded_s_, std::abs(fade) + gl::kFade_s);
-      stage_->add(std::move(batch));
+      stage_->add(*batch);
     }
     shown.batches.clear();
     return any;
   }
 
   cv::Mat draw(const Camera& camera, const SceneState& scene) override {
-    stage_->settle(camera, scene);
     const gl::Picture picture = stage_->capture(camera, scene, gl::kSettled_s);
     return metrics::from_rgba(picture.rgba.data(), camera.width, camera.height);
   }
 
   void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) override {
-    stage_->prepare(camera, scene);
     stage_->draw(camera, scene, time_s);
     window.swap();
   }
 
-  bool settles(float time_s) const override { return stage_->behind() || time_s < faded_s_; }
+  bool settles(float time_s) const override { return time_s < faded_s_; }
   std::optional<gl::Bounds> bounds() const override { return stage_->bounds(); }
 
  private:

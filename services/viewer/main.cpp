@@ -60,16 +60,17 @@ void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Option
   const splatbus::GlContext context;
   gl::Stage stage;
   const gl::SharedBatch floor = gl::wavy_floor(gaussians);
-  stage.add(floor);
+  stage.add(*floor);
   splatbus::SceneState scene;
   scene.light.background = glm::vec3(0.1F, 0.2F, 0.4F);
   const gl::FlightFigures f = gl::fly(stage, scene, *floor->bounds, options.path.width, options.path.height, seconds);
   fmt::print(
       R"({{"gaussians": {}, "width": {}, "height": {}, "frames": {}, "seconds": {:.2f}, "frames_per_s": {:.1f}, )"
-      R"("median_ms": {:.3f}, "p95_ms": {:.3f}, "p99_ms": {:.3f}, "sort_ms": {:.2f}, "sorts": {}, "device": "{}"}})"
+      R"("median_ms": {:.3f}, "p95_ms": {:.3f}, "p99_ms": {:.3f}, "device_project_ms": {:.3f}, "device_sort_ms": {:.3f}, )"
+      R"("device_draw_ms": {:.3f}, "device": "{}"}})"
       "\n",
       gaussians, options.path.width, options.path.height, f.frames, f.seconds, f.frames_per_s, f.median_ms, f.p95_ms,
-      f.p99_ms, f.sort_ms, f.sorts, context.description());
+      f.p99_ms, f.device.project_ms, f.device.sort_ms, f.device.draw_ms, context.description());
 }
 
 /// Logs what the viewer waits for: when that changes, and again every ten seconds as long as nobody answers.

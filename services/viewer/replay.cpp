@@ -134,15 +134,17 @@ std::uint64_t replay_in_window(LogFeed& feed, Painter& painter, Window& window, 
     if (window.take_frame_all()) {
       if (const auto bounds = painter.bounds()) window.frame(bounds->centre, bounds->radius_m);
     }
+    const bool moving = playout.moving();
+    playout.advance(bus::now_ns());
+    const auto scene = playout.scene();
+    window.follow(scene ? *scene : *shown.scene);
     const Camera camera = window.camera();
-    changed = changed || playout.moving() || painter.settles(feed.time_s()) || !(camera == before);
+    changed = changed || moving || painter.settles(feed.time_s()) || !(camera == before);
     if (!changed) {
       window.wait_events(kIdle);
       continue;
     }
     before = camera;
-    playout.advance(bus::now_ns());
-    const auto scene = playout.scene();
     painter.show(window, camera, scene ? *scene : *shown.scene, feed.time_s());
     ++drawn;
   }

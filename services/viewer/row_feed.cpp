@@ -23,12 +23,29 @@ bool is_there(const stream::GpuRecord& record) {
 
 RowFeed::RowFeed(stream::Replica& replica, bool fades) : replica_(replica), rows_(replica), fades_on_(fades) {}
 
-void RowFeed::take_rows(float now_s, gl::RowUpdate& out) {
-  rows_.take_records(kMostRows, out.rows, out.records);
+void RowFeed::fit(std::size_t harmonic_words) {
   if (rows_.capacity() > records_.size()) {
     records_.resize(rows_.capacity());
     fades_.resize(rows_.capacity(), gl::kNoFade);
   }
+  if (std::exchange(harmonic_words_, harmonic_words) != harmonic_words) harmonics_.clear();  // another model
+  harmonics_.resize(harmonic_words * records_.size());
+}
+
+void RowFeed::add_harmonics(gl::RowUpdate& out) const {
+  out.harmonic_words = harmonic_words_;
+  if (harmonic_words_ == 0) return;
+  out.harmonics.reserve(harmonic_words_ * out.rows.size());
+  for (const std::uint32_t row : out.rows) {
+    const auto first = harmonics_.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * row);
+    out.harmonics.insert(out.harmonics.end(), first, first + static_cast<std::ptrdiff_t>(harmonic_words_));
+  }
+}
+
+void RowFeed::take_rows(float now_s, gl::RowUpdate& out) {
+  std::vector<std::uint32_t> harmonics;
+  rows_.take_records(kMostRows, out.rows, out.records, &harmonics);
+  fit(stream::harmonic_words(replica_.shown().layout));
   out.fades.resize(out.rows.size());
   for (std::size_t k = 0; k < out.rows.size(); ++k) {
     const std::uint32_t row = out.rows[k];
@@ -42,22 +59,26 @@ void RowFeed::take_rows(float now_s, gl::RowUpdate& out) {
       if (fades_on_ && is && !was) fade = now_s;
       if (!is && fade < 0) out.records[k] = records_[row];
       records_[row] = out.records[k];
+      if (is) {
+        const auto first = harmonics.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * k);
+        std::copy_n(first, harmonic_words_, harmonics_.begin() + static_cast<std::ptrdiff_t>(harmonic_words_ * row));
+      }
     }
     out.fades[k] = fade;
   }
 }
 
-void RowFeed::take_vanished(float now_s, gl::RowUpdate& out) {
+std::vector<std::uint32_t> RowFeed::free_vanished(float now_s) {
+  std::vector<std::uint32_t> rows;
   while (!vanishing_.empty() && vanishing_.front().since_s + gl::kFade_s <= now_s) {
     const auto [row, since_s] = vanishing_.front();
     vanishing_.pop_front();
     if (fades_[row] != -since_s) continue;  // it came back
     records_[row] = {};
     fades_[row] = gl::kNoFade;
-    out.rows.push_back(row);
-    out.records.emplace_back();
-    out.fades.push_back(gl::kNoFade);
+    rows.push_back(row);
   }
+  return rows;
 }
 
 void RowFeed::describe(gl::Batch& batch) const {
@@ -67,8 +88,15 @@ void RowFeed::describe(gl::Batch& batch) const {
 
 gl::SharedBatch RowFeed::take(float now_s) {
   auto batch = std::make_shared<gl::Batch>();
+  const std::vector<std::uint32_t> vanished = free_vanished(now_s);
   take_rows(now_s, batch->update);
-  take_vanished(now_s, batch->update);
+  for (const std::uint32_t row : vanished) {
+    if (is_there(records_[row])) continue;  // taken again
+    batch->update.rows.push_back(row);
+    batch->update.records.emplace_back();
+    batch->update.fades.push_back(gl::kNoFade);
+  }
+  add_harmonics(batch->update);
   if (rows_.unsent() == 0) {
     rows_.take_colors(kMostRows, batch->colors.rows, batch->colors.colors);
     for (std::size_t k = 0; k < batch->colors.rows.size(); ++k) {
@@ -93,6 +121,7 @@ gl::SharedBatch RowFeed::everything() const {
     batch->update.records.push_back(records_[row]);
     batch->update.fades.push_back(fades_[row]);
   }
+  add_harmonics(batch->update);
   describe(*batch);
   batch->bounds = bounds();
   return batch;

@@ -25,7 +25,10 @@ class RowFeed {
 
  private:
   void take_rows(float now_s, gl::RowUpdate& out);
-  void take_vanished(float now_s, gl::RowUpdate& out);
+  void fit(std::size_t harmonic_words);
+  void add_harmonics(gl::RowUpdate& out) const;
+  /// Rows that have faded away, and are free from now on.
+  [[nodiscard]] std::vector<std::uint32_t> free_vanished(float now_s);
   [[nodiscard]] std::optional<gl::Bounds> bounds() const;
   void describe(gl::Batch& batch) const;
 
@@ -34,6 +37,8 @@ class RowFeed {
   bool fades_on_;
   std::vector<stream::GpuRecord> records_;  ///< as they were handed on
   std::vector<float> fades_;
+  std::vector<std::uint32_t> harmonics_;  ///< [rows][harmonic_words_]
+  std::size_t harmonic_words_ = 0;
   struct Vanishing {
     std::uint32_t row;
     float since_s;

@@ -161,6 +161,11 @@ cv::Mat Viewer::draw(const Camera& camera, const SceneState& scene) {
 bool Viewer::show(bool changed) {
   const std::int64_t now_ns = bus::now_ns();
   const Camera before = camera_;
+  const bool moving = playout_.moving();
+  playout_.advance(now_ns);
+  const std::shared_ptr<const SceneState> played = playout_.scene();
+  const SceneState& scene = played ? *played : *shown_.scene;
+  if (window_) window_->follow(scene);
   camera_ = window_ ? window_->camera() : path_.at(path_clock_.seconds(now_ns));
   if (recorder_) {
     recorder_->add(
@@ -170,11 +175,8 @@ bool Viewer::show(bool changed) {
   if (shown_.gaussians == 0) return false;
   if (window_ && window_->take_frame_all()) frame_all();
   const float time_s = receiver_.fade_time_s(now_ns);
-  changed = changed || playout_.moving() || (window_ && painter_->settles(time_s));
+  changed = changed || moving || (window_ && painter_->settles(time_s));
   if (!changed && frames_ > 0 && before == camera_) return false;
-  playout_.advance(now_ns);
-  const std::shared_ptr<const SceneState> played = playout_.scene();
-  const SceneState& scene = played ? *played : *shown_.scene;
   const std::string& out = options_->out;
   const std::uint64_t every = options_->frames;
   const bool writes = !out.empty() && every > 0 && frames_ % every == 0;

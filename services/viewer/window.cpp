@@ -9,10 +9,12 @@
 #include <array>
 #include <cmath>
 #include <cstdlib>
+#include <optional>
 #include <utility>
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "gaussians/player.h"
 #include "viewer/rig.h"
 
 namespace splatbus::viewer {
@@ -41,7 +43,8 @@ struct Window::Impl {
   double x = 0, y = 0;
   std::int64_t moved_ns = bus::now_ns();
   bool frame_all = false;
-  std::array<int, 4> windowed{};  // x, y, width, height before it was full screen
+  std::optional<RigPose> followed;  ///< where the player's camera was last
+  std::array<int, 4> windowed{};    // x, y, width, height before it was full screen
 
   explicit Impl(const Camera& camera)
       : rig(RigPose::of(camera)), vertical_fov(2 * std::atan(static_cast<float>(camera.height) / (2 * camera.fy))) {}
@@ -69,6 +72,7 @@ struct Window::Impl {
 
   void key(int which) {
     if (which == GLFW_KEY_F) frame_all = true;
+    if (which == GLFW_KEY_G) followed = followed ? std::nullopt : std::optional(rig.goal());
     if (which == GLFW_KEY_V || which == GLFW_KEY_F11) toggle_full_screen();
     if (which != GLFW_KEY_ESCAPE) return;
     if (glfwGetWindowMonitor(window)) {
@@ -178,6 +182,17 @@ void Window::frame(const glm::vec3& centre_m, float radius_m) {
   const Camera now = camera();
   const float least = static_cast<float>(std::min(now.width, now.height));
   impl_->rig.frame(centre_m, radius_m, 2 * std::atan(least / (2 * now.fy)));
+}
+
+void Window::follow(const SceneState& scene) {
+  const auto player = scene.objects.find(kPlayerId);
+  if (!impl_->followed || player == scene.objects.end()) return;
+  if (!(impl_->rig.goal() == *impl_->followed)) {  // somebody steers
+    impl_->followed.reset();
+    return;
+  }
+  impl_->rig.jump(RigPose::of({.world_from_camera = player->second.rigid}));
+  impl_->followed = impl_->rig.goal();
 }
 
 void Window::show(const cv::Mat& picture) {

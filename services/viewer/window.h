@@ -6,13 +6,14 @@
 #include <string>
 
 #include "gaussians/camera.h"
+#include "gaussians/light.h"
 
 namespace splatbus::viewer {
 
 /// A GLFW window with a camera that a person steers, as the page's. Left button: about the target; another one, or
 /// Shift: along the picture. Wheel, + and -: nearer or farther. W A S D Q E: move, with Shift faster. Arrows: look
-/// about. F: all is framed. V or F11: full screen. Escape: leaves that, or closes. Its OpenGL context is current on the
-/// thread that made it. Main thread only; one a process.
+/// about. F: all is framed. G: goes along with the engine's player. V or F11: full screen. Escape: leaves that, or
+/// closes. Its OpenGL context is current on the thread that made it. Main thread only; one a process.
 class Window {
  public:
   enum class For { Pictures, Splats };
@@ -39,6 +40,8 @@ class Window {
   /// Whether the person asked for it since: frame() does it.
   [[nodiscard]] bool take_frame_all();
   void frame(const glm::vec3& centre_m, float radius_m);
+  /// Goes where the camera of the scene's player is, once the person has asked for it and until they steer again.
+  void follow(const SceneState& scene);
 
  private:
   struct Impl;

@@ -175,6 +175,27 @@ function tamper() {
   console.log(`seed ${seed}: ${fed} mutants, ${results[1]} refused, ${changed} changed what is held`);
 }
 
+/** What a page wishes is in the next thing that it says of what it holds, and in what it greets with. */
+function wishes() {
+  const has = (viewer, nowMs, value) => {
+    const bytes = wasm.next_outgoing(viewer.session, nowMs);
+    const said = Buffer.from(new Uint8Array(wasm.memory.buffer, wasm.outgoing_ptr(viewer.session), bytes));
+    const wanted = Buffer.alloc(4);
+    wanted.writeUInt32LE(value);
+    return bytes > 0 && said.includes(wanted);
+  };
+  const viewer = new Viewer();
+  wasm.set_max_kbps(viewer.session, 7_654_321);
+  assert.ok(has(viewer, 1000, 7_654_321), 'the greeting');
+  viewer.receive(messagesOf(join(folder, 'long.log'))[0]); // the welcome
+  wasm.set_max_kbps(viewer.session, 1_234_567);
+  let heard = false;
+  for (let nowMs = 1000; nowMs < 3000 && !heard; nowMs += 50) heard = has(viewer, nowMs, 1_234_567);
+  assert.ok(heard, 'while it follows');
+  viewer.end();
+}
+
 replayLong();
 compareRows();
+wishes();
 tamper();

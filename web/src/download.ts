@@ -15,13 +15,15 @@ export async function downloadModel(kind: ModelFile, token: string | null): Prom
   }
 }
 
-/** What the server lets this page do, "view,probe"; empty where it does not say. */
-export async function rightsHere(token: string | null): Promise<string> {
+/** What the server lets this page do, "view,probe"; or why that is not known. */
+export async function rightsHere(token: string | null): Promise<{ rights: string } | 'refused' | 'silent'> {
   try {
     const answer = await fetch('status', { headers: token ? { authorization: `Bearer ${token}` } : {}, cache: 'no-store' });
+    if (answer.status === 401 || answer.status === 403) return 'refused';
+    if (!answer.ok) return 'silent';
     const { rights } = (await answer.json()) as { rights?: string };
-    return rights ?? '';
+    return { rights: rights ?? '' };
   } catch {
-    return '';
+    return 'silent';
   }
 }

@@ -52,11 +52,10 @@ export class Extras {
   }
 
   async compare(): Promise<void> {
-    if (!this.comparison.on && !(await rightsHere(this.token)).split(',').includes('probe')) {
-      this.page.notice(texts.compareForbidden);
-    } else {
-      this.comparison.toggle();
-    }
+    const here = this.comparison.on ? null : await rightsHere(this.token);
+    if (here === 'silent') this.page.notice(texts.serverSilent);
+    else if (here === 'refused' || (here && !here.rights.split(',').includes('probe'))) this.page.notice(texts.compareForbidden);
+    else this.comparison.toggle();
   }
 
   async download(kind: ModelFile): Promise<void> {
@@ -111,7 +110,9 @@ export class Extras {
   async share(): Promise<void> {
     const address = addressWith(new URL(location.href), this.rig.goal);
     history.replaceState(null, '', address);
-    await navigator.clipboard?.writeText(address).then(() => this.page.notice(texts.shared));
+    // Without TLS a browser has no clipboard for pages, and with it a person may refuse.
+    const copied = await navigator.clipboard?.writeText(address).then(() => true, () => false);
+    this.page.notice(copied ? texts.shared : texts.shareByHand);
   }
 
   toggleFullScreen(): void {

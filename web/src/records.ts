@@ -42,6 +42,8 @@ export interface Scene {
   readonly transforms: Float32Array;
   /** Index of the transform that goes with the eye; 0: there is none. */
   readonly farField: number;
+  /** Index of the transform that is world_from_camera of the engine's player; 0: there is none. */
+  readonly player: number;
   /** Linear. */
   readonly background: readonly [number, number, number];
   /** Colors are in display space and are blended there. */
@@ -54,7 +56,7 @@ export interface SceneTime {
   readonly arrivedMs: number;
 }
 
-export const kNoScene: Scene = { transforms: new Float32Array(0), farField: 0, background: [0, 0, 0], displaySpace: false };
+export const kNoScene: Scene = { transforms: new Float32Array(0), farField: 0, player: 0, background: [0, 0, 0], displaySpace: false };
 
 export const opacityOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] & 0xff;
 export const objectOf = (records: Uint32Array, index: number): number => records[kRecordWords * index + 6] >>> 8;

@@ -1,9 +1,10 @@
 import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
-import { Rig, viewOf } from './camera/rig';
+import { poseOf, Rig, viewOf, type Pose } from './camera/rig';
 import { BenchRun } from './bench';
+import { rightsHere } from './download';
 import { Extras } from './extras';
-import { poseFloats, type View } from './math';
+import { kTransformFloats, poseFloats, type View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
@@ -46,6 +47,8 @@ export class Viewer {
   figures: StreamFigures | null = null;
   connection: ConnectionState = 'connecting';
   #retryAtMs = 0;
+  /** Why the server lets nobody in; empty where it does, or is not there. */
+  #refused = '';
   #graphics = '';
   #lastMs = 0;
   #movedMs = 0;
@@ -58,6 +61,8 @@ export class Viewer {
   #goal = this.rig.goal;
   /** Somebody has moved the camera. */
   #steered = false;
+  /** The camera goes with the engine's player. */
+  #following = false;
   #rested = true;
   #redraw = true;
   #framed = false;
@@ -102,6 +107,7 @@ export class Viewer {
       share: () => void this.extras.share(),
       figures: () => this.#overlay.toggle(),
       compare: () => this.#compare(),
+      follow: () => this.#follow(),
       immerse: () => void this.extras.immerse(),
       download: (kind) => void this.extras.download(kind),
       changed: () => this.#settingsChanged(),
@@ -138,12 +144,13 @@ export class Viewer {
     const seconds = Math.max(0, (nowMs - this.#lastMs) / 1000);
     this.#lastMs = nowMs;
     this.#controls.advance(seconds);
-    if (this.rig.goal !== this.#goal) this.#steered = true;
-    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
-    if (flown) {
-      this.rig.jump(flown);
-      this.#movedMs = nowMs;
+    if (this.rig.goal !== this.#goal) {
+      this.#steered = true;
+      this.#following = false;
     }
+    const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
+    if (flown) this.rig.jump(flown);
+    if (flown || this.#goAlong(nowMs)) this.#movedMs = nowMs;
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
@@ -161,6 +168,25 @@ export class Viewer {
       const address = addressWith(new URL(location.href), this.rig.goal);
       if (address !== location.href) history.replaceState(null, '', address);
     }
+  }
+
+  /** True while the camera goes with the player's. */
+  #goAlong(nowMs: number): boolean {
+    if (!this.#following) return false;
+    const { player, transforms } = this.stage.sceneAt(nowMs);
+    const camera = transforms.subarray(kTransformFloats * player, kTransformFloats * (player + 1));
+    if (player === 0 || camera.every((value) => value === 0)) return false; // it may come back
+    const pose = poseOf(camera, this.rig.goal.distance);
+    const before = this.rig.goal;
+    this.rig.jump(pose);
+    return Object.entries(this.rig.goal).some(([key, value]) => String(before[key as keyof Pose]) !== String(value));
+  }
+
+  #follow(): void {
+    const offered = this.stage.scene.player > 0;
+    this.#following = offered && !this.#following;
+    if (!offered) this.#notice.pass(texts.noPlayer);
+    else if (this.#following) this.#notice.pass(texts.following);
   }
 
   #view(): View {
@@ -235,7 +261,16 @@ export class Viewer {
     } else if (message.kind === 'connection') {
       this.connection = message.state;
       this.#retryAtMs = message.state === 'waiting' ? performance.now() + 1000 * message.retryS : 0;
+      if (message.state === 'waiting') void this.#askWhy();
+      if (message.state === 'open') this.#refused = '';
     }
+  }
+
+  /** A WebSocket does not say why it was not opened. */
+  async #askWhy(): Promise<void> {
+    const here = await rightsHere(this.options.token);
+    const refused = this.options.token ? texts.tokenRefused : texts.tokenMissing;
+    this.#refused = here === 'refused' ? refused : '';
   }
 
   #showAll(centre: [number, number, number], radius: number): void {
@@ -271,21 +306,22 @@ export class Viewer {
       frame: moving ? texts.ms(this.#pace.frameMs) : texts.unknown,
       sort: this.stage.sortMs === null ? texts.unknown : texts.ms(this.stage.sortMs),
       gaussians: known(figures?.gaussians, (n) => n.toLocaleString('en')),
-      rate: this.#rate.megabits.toFixed(2),
+      rate: texts.rate(this.#rate.megabits, this.options.settings.budget.megabits),
       roundTrip: known(figures?.roundTripMs, texts.ms),
       age: known(figures?.ageMs, texts.ms),
       missing: known(figures?.missing, texts.pages),
       uploaded: this.stage.uploadedRows.toLocaleString('en'),
-      resolution: `${Math.round(100 * this.#drawn.resolution)} %`,
+      resolution: this.#drawn.resolution > 0 ? `${Math.round(100 * this.#drawn.resolution)} %` : texts.unknown,
       drawnBy: this.stage.renderer ? texts.apis[this.stage.renderer.api] : texts.unknown,
-      connection: this.#retryAtMs > 0 ? texts.reconnecting(waiting) : connection,
+      connection: this.#retryAtMs > 0 ? texts.lost : connection,
     });
     const problem =
       this.#graphics ||
-      (this.#retryAtMs > 0 ? texts.reconnecting(waiting) : '') ||
+      (this.#retryAtMs > 0 ? this.#refused || texts.reconnecting(waiting) : '') ||
       this.#bench.text(nowMs / 1000) ||
       (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);
+    this.#menu.offerPlayer(this.stage.scene.player > 0, this.#following);
   }
 
   #settingsChanged(): void {
@@ -311,6 +347,7 @@ export class Viewer {
     const actions: Readonly<Record<string, () => void>> = {
       KeyC: () => this.#compare(),
       KeyF: () => this.frameAll(),
+      KeyG: () => this.#follow(),
       KeyI: () => this.#overlay.toggle(),
       KeyM: () => this.#menu.toggle(),
       KeyP: () => void this.extras.saveSnapshot(),

@@ -135,7 +135,7 @@ test('a picture that stands is replaced by a whole model, and by no part of one'
   const publisher = new logic.Publisher(() => 1);
   const sent = [];
   const port = { postMessage: (batch) => sent.push(batch), close() {} };
-  const scene = { transforms: new Float32Array(12), farField: 0, background: [0, 0, 0], displaySpace: false };
+  const scene = { transforms: new Float32Array(12), farField: 0, player: 0, background: [0, 0, 0], displaySpace: false };
   const nothing = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
   const publish = (row, complete) =>
     publisher.publish({ rows: new Uint32Array([row]), records: new Uint32Array(record(9)) }, nothing, scene, { captureMs: 0, arrivedMs: 0 }, complete);

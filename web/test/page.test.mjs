@@ -180,6 +180,41 @@ test('after the first picture only rows that change are uploaded', () =>
     assert.equal(await uploaded(), 3017);
   }));
 
+test('rows and the order that knows them are shown in one frame', () =>
+  opened(kPage.replace('index.html', 'index.html?gpu=webgl2'), async (page) => {
+    const early = await page.evaluate(async () => {
+      const { stage } = window.splatbus;
+      const { renderer } = stage;
+      let unordered = 0; // rows in memory that no order knows yet
+      let seen = 0;
+      let early = 0;
+      const before = (name, act) => {
+        const original = renderer[name].bind(renderer);
+        renderer[name] = (...given) => {
+          act(...given);
+          return original(...given);
+        };
+      };
+      before('apply', ({ rows }) => {
+        unordered += rows.length;
+        seen += rows.length;
+      });
+      before('setOrder', () => (unordered = 0));
+      before('draw', () => (early += unordered));
+      const channel = new BroadcastChannel('change');
+      for (let k = 1; k <= 5; ++k) {
+        channel.postMessage(100 * k);
+        while (seen < 50 * k * (k + 1)) {
+          window.splatbus.rig.orbit(0.001, 0); // what is drawn meanwhile
+          await new Promise(requestAnimationFrame);
+        }
+      }
+      await new Promise(requestAnimationFrame);
+      return early;
+    });
+    assert.equal(early, 0);
+  }));
+
 test('a lost context comes back, and the last picture stands meanwhile', () =>
   opened(kPage, async (page) => {
     await page.waitForFunction(() => window.splatbus.stage.element.querySelector('canvas[hidden]')?.width > 300);
@@ -231,6 +266,82 @@ test('menu by keys alone: quality, background, budget; they are kept', () =>
     assert.equal(await page.evaluate(() => window.splatbus.options.settings.quality), 'low');
   }));
 
+test('a rate is asked for in the menu, at once and for the next time', () =>
+  opened(kPage, async (page) => {
+    await page.evaluate(() => (new BroadcastChannel('asked').onmessage = ({ data }) => (window.asked ??= []).push(data)));
+    const figure = () => page.locator('[data-figure=rate]').textContent();
+    assert.match(await figure(), /^\d+\.\d\d$/);
+    await page.keyboard.press('m');
+    await page.getByLabel('Mbit/s at most').selectOption('5');
+    await page.waitForFunction(() => window.asked?.length === 1 && window.asked[0] === 5);
+    await page.waitForFunction(() => / of 5$/.test(document.querySelector('[data-figure=rate]').textContent));
+    assert.equal(await page.evaluate(() => window.splatbus.stage.uploadedRows), 3000, 'the stream goes on');
+    await page.reload();
+    await page.waitForFunction(() => window.splatbus?.stage.standing);
+    assert.equal(await page.evaluate(() => window.splatbus.link.options.budget.megabits), 5);
+  }));
+
+test('G follows the player where there is one, until somebody steers', () =>
+  opened(kPage, async (page) => {
+    const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
+    await page.keyboard.press('g');
+    await says('no player');
+    assert.deepEqual(await goal(page), kStart);
+    await page.keyboard.press('m');
+    const entry = page.getByRole('button', { name: 'Follow the player' });
+    assert.equal(await entry.isVisible(), false);
+    // From (0, 1, 3) along -z, then along -x and down.
+    const player = (camera) => page.evaluate((transform) => new BroadcastChannel('player').postMessage(transform), camera);
+    await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
+    await entry.click();
+    await says('Following');
+    const stands = (eye, yaw, pitch) =>
+      page.waitForFunction(
+        ([[x, y, z], wantedYaw, wantedPitch]) => {
+          const { target, yaw, pitch, distance } = window.splatbus.rig.shown;
+          const at = [target[0] + distance * Math.cos(pitch) * Math.cos(yaw), target[1] + distance * Math.sin(pitch), target[2] + distance * Math.cos(pitch) * Math.sin(yaw)];
+          const off = Math.hypot(at[0] - x, at[1] - y, at[2] - z) + Math.abs(Math.sin((yaw - wantedYaw) / 2)) + Math.abs(pitch - wantedPitch);
+          return off < 1e-4;
+        },
+        [eye, yaw, pitch],
+      );
+    await stands([0, 1, 3], Math.PI / 2, 0);
+    const [c, s] = [Math.cos(0.3), Math.sin(0.3)];
+    await player([0, s, -c, 2, 0, -c, -s, 1.5, -1, 0, 0, 0]);
+    await stands([2, 1.5, 0], 0, 0.3);
+    assert.equal(await entry.getAttribute('aria-pressed'), 'true');
+    await page.keyboard.press('Escape');
+    await page.mouse.move(160, 100);
+    await page.mouse.wheel(0, -100);
+    await page.waitForFunction((distance) => window.splatbus.rig.goal.distance < distance, kStart.distance);
+    await page.waitForFunction(() => document.querySelector('[aria-pressed]').getAttribute('aria-pressed') === 'false');
+    const left = await goal(page);
+    await player([1, 0, 0, 0, 0, -1, 0, 1, 0, 0, -1, 3]);
+    await page.waitForFunction(() => window.splatbus.stage.scene.transforms.at(-1) === 3);
+    assert.deepEqual(await goal(page), left);
+    await player(null);
+    await page.waitForFunction(() => document.querySelector('[aria-pressed]').hidden);
+  }));
+
+test('who is not let in is told so, and not that nobody is there', () =>
+  opened(`index.html?token=abc#${view(kStart)}`, async (page) => {
+    const says = (text) => page.waitForFunction((part) => document.querySelector('.notice').textContent.includes(part), text);
+    const lost = (retryS) => page.evaluate((seconds) => new BroadcastChannel('connection').postMessage(seconds), retryS);
+    await page.route('**/status', (route) => route.abort());
+    await lost(30);
+    await says('No connection. Trying again in');
+    await page.waitForFunction(() => document.querySelector('[data-figure=connection]').textContent === 'Lost');
+    await page.keyboard.press('c');
+    await says('does not answer');
+    await page.unroute('**/status');
+    await page.route('**/status', (route) => route.fulfill({ status: 401, body: 'a token is needed' }));
+    await lost(30);
+    await says('does not accept the token');
+    assert.ok((await shownColors(page)) > 500, 'the picture stands');
+    await lost(0);
+    await page.waitForFunction(() => document.querySelector('.notice').textContent === '');
+  }));
+
 test('a snapshot is a PNG of the picture', () =>
   opened(kPage, async (page) => {
     const download = page.waitForEvent('download');
@@ -259,8 +370,15 @@ test('a slider between the engine\'s own picture and the splats, and how alike t
     await page.waitForFunction(() => document.querySelector('.notice').textContent.includes('may not'));
     await page.unroute('**/status');
     await page.route('**/status', (route) => route.fulfill({ json: { rights: 'view,probe' } }));
+    await page.evaluate(() => {
+      const label = document.querySelector('.compare .right');
+      const stop = new MutationObserver(() => (window.namedEarly ??= getComputedStyle(label).display !== 'none' && document.querySelector('.compare canvas').hidden));
+      stop.observe(document.querySelector('.compare'), { attributes: true });
+    });
     await page.keyboard.press('c');
     await page.waitForFunction(() => window.splatbus.extras.comparison.quality);
+    assert.equal(await page.evaluate(() => window.namedEarly), false, 'splats are not called the engine\'s');
+    assert.equal(await page.locator('.compare .right').isVisible(), true);
     const { ssim, flip } = await page.evaluate(() => window.splatbus.extras.comparison.quality);
     assert.ok(ssim > 0.995 && flip < 0.02, `SSIM ${ssim}, FLIP ${flip}`);
     assert.match(await page.locator('.compare .quality').textContent(), /SSIM 0\.99\d +FLIP 0\.0[01]\d|SSIM 1\.000/);

@@ -62,6 +62,12 @@ for (const api of ['webgl2', 'webgpu']) {
       assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);
     });
 
+    test('rows that come and go fade', async () => {
+      for (const { since, atS, psnr } of await page.evaluate((name) => window.tests.fading(name), api)) {
+        assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr} of rows since ${since} at ${atS} s`);
+      }
+    });
+
     test('nothing was said to be wrong', () => assert.deepEqual(errors, []));
   });
 }

@@ -119,6 +119,11 @@ void follower_delete(Session* session) {
   delete session;
 }
 
+void set_max_kbps(Session* session, uint32_t kbps) {
+  session->options.max_kbps = kbps;  // of those to come, after an allocation that failed
+  session->held->follower.set_max_kbps(kbps);
+}
+
 void follower_restart(Session* session) {
   session->held->follower.restart();
 }
@@ -258,6 +263,11 @@ uint32_t transform_count(Session* session) {
 
 uint32_t far_field_index(const Session* session) {
   return session->held->rows.far_field();
+}
+
+uint32_t player_index(Session* session) {
+  static_cast<void>(session->held->rows.transforms());
+  return session->held->rows.player();
 }
 
 const float* background_ptr(Session* session) {

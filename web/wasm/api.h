@@ -34,6 +34,9 @@ SPLATBUS_EXPORT void release(void* memory);
 /// `name`, of `name_bytes` in UTF-8, is told to the streamer.
 SPLATBUS_EXPORT Session* follower_new(const char* name, uint32_t name_bytes, uint32_t max_gaussians, double now_ms);
 SPLATBUS_EXPORT void follower_delete(Session* session);
+/// Rate below which the streamer is asked to stay, kbit/s; 0, as it begins: as the streamer likes. It hears of another
+/// at once.
+SPLATBUS_EXPORT void set_max_kbps(Session* session, uint32_t kbps);
 /// The WebSocket is a new one: the next packet that is sent greets.
 SPLATBUS_EXPORT void follower_restart(Session* session);
 
@@ -104,6 +107,9 @@ SPLATBUS_EXPORT uint32_t transform_count(Session* session);
 /// Index of the far field, 0: there is none. It goes with the eye: to its transform's last column the eye's position is
 /// to be added.
 SPLATBUS_EXPORT uint32_t far_field_index(const Session* session);
+/// Index of the camera of the engine's player, whose transform is world_from_camera (x right, y down, z forward); 0:
+/// there is none.
+SPLATBUS_EXPORT uint32_t player_index(Session* session);
 /// f32[3], linear.
 SPLATBUS_EXPORT const float* background_ptr(Session* session);
 SPLATBUS_EXPORT double scene_version(const Session* session);

@@ -12,6 +12,8 @@ export interface Exports {
   next_outgoing(session: number, nowMs: number): number;
   outgoing_ptr(session: number): number;
   farewell(session: number): number;
+  set_max_kbps(session: number, kbps: number): void;
+  player_index(session: number): number;
   set_pose(session: number, pose: number): number;
   ask_picture(session: number, probeId: number, pose: number): number;
   take_picture(session: number): number;

@@ -22,7 +22,6 @@ struct Batch {
   std::vector<std::uint32_t> object_ids;  ///< by the index that records have; the first is the world
   bool display_space = false;             ///< of the colors
   std::optional<Bounds> bounds;
-  Harmonics harmonics;  ///< where `whole`
 };
 
 using SharedBatch = std::shared_ptr<const Batch>;

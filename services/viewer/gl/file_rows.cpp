@@ -38,15 +38,15 @@ stream::GpuRecord record_of(const GaussiansView& gaussians, std::size_t i) {
   return record;
 }
 
-void append_harmonics(const GaussiansView& gaussians, std::size_t i, Harmonics& out) {
+void append_harmonics(const GaussiansView& gaussians, std::size_t i, RowUpdate& out) {
   std::array<float, 3 * kMaxShCoefficients> values{};
   const int count = 3 * gaussians.layout.sh_coefficients();
   for (int k = 0; k < count; ++k) {
     const float value = *gaussians.at(ParameterLayout::kAppearance + k, i);
     values[static_cast<std::size_t>(k)] = k < 3 ? 0.5F + kShC0 * value : value;
   }
-  for (std::size_t word = 0; word < out.words; ++word) {
-    out.values.push_back(glm::packHalf2x16({values[2 * word], values[2 * word + 1]}));
+  for (std::size_t word = 0; word < out.harmonic_words; ++word) {
+    out.harmonics.push_back(glm::packHalf2x16({values[2 * word], values[2 * word + 1]}));
   }
 }
 
@@ -58,13 +58,13 @@ SharedBatch rows_of(const GaussiansView& gaussians) {
   batch->object_ids = {kWorldFrame};
   batch->display_space = true;
   if (gaussians.layout.sh_degree > 0) {
-    batch->harmonics.words = (3 * static_cast<std::size_t>(gaussians.layout.sh_coefficients()) + 1) / 2;
+    batch->update.harmonic_words = (3 * static_cast<std::size_t>(gaussians.layout.sh_coefficients()) + 1) / 2;
   }
   for (std::size_t i = 0; i < gaussians.count; ++i) {
     batch->update.rows.push_back(static_cast<std::uint32_t>(i));
     batch->update.records.push_back(record_of(gaussians, i));
     batch->update.fades.push_back(kNoFade);
-    if (batch->harmonics.words > 0) append_harmonics(gaussians, i, batch->harmonics);
+    if (batch->update.harmonic_words > 0) append_harmonics(gaussians, i, batch->update);
   }
   return batch;
 }

@@ -78,9 +78,10 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
                   std::uint32_t height, double seconds) {
   using Clock = std::chrono::steady_clock;
   const Target target(width, height);
-  stage.settle(camera_at(bounds, 0, width, height), scene);
+  FrameTimer timer;
+  stage.time_with(&timer);
   FlightFigures figures;
-  std::vector<double> intervals_ms, sorts_ms;
+  std::vector<double> intervals_ms, project_ms, sort_ms, draw_ms;
   std::array<GLsync, 2> fences{};
   const auto begin = Clock::now();
   auto before = begin;
@@ -88,7 +89,6 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
     const double flown = std::chrono::duration<double>(Clock::now() - begin).count() / seconds;
     if (flown >= 1) break;
     const Camera camera = camera_at(bounds, static_cast<float>(flown), width, height);
-    if (stage.prepare(camera, scene)) sorts_ms.push_back(stage.sort_ms());
     stage.draw(camera, scene, kSettled_s, target.get());
     GLsync& fence = fences.at(frame % fences.size());
     if (fence) {
@@ -97,10 +97,17 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
     }
     fence = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
     const auto now = Clock::now();
+    while (const auto times = timer.take()) {
+      if (flown <= kWarmUp) continue;
+      project_ms.push_back(times->project_ms);
+      sort_ms.push_back(times->sort_ms);
+      draw_ms.push_back(times->draw_ms);
+    }
     if (flown > kWarmUp) intervals_ms.push_back(std::chrono::duration<double, std::milli>(now - before).count());
     before = now;
   }
   glFinish();
+  stage.time_with(nullptr);
   for (GLsync fence : fences) {
     if (fence) glDeleteSync(fence);
   }
@@ -110,8 +117,8 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
   figures.median_ms = quantile(intervals_ms, 0.5);
   figures.p95_ms = quantile(intervals_ms, 0.95);
   figures.p99_ms = quantile(intervals_ms, 0.99);
-  figures.sort_ms = quantile(sorts_ms, 0.5);
-  figures.sorts = sorts_ms.size();
+  figures.device = {
+      .project_ms = quantile(project_ms, 0.5), .sort_ms = quantile(sort_ms, 0.5), .draw_ms = quantile(draw_ms, 0.5)};
   return figures;
 }
 

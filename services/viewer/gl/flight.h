@@ -14,8 +14,7 @@ struct FlightFigures {
   std::size_t frames = 0;
   double seconds = 0, frames_per_s = 0;
   double median_ms = 0, p95_ms = 0, p99_ms = 0;  ///< between pictures
-  double sort_ms = 0;                            ///< the median
-  std::size_t sorts = 0;                         ///< that were shown
+  StepTimes device;                              ///< medians
 };
 
 /// Once around a sphere about all, nearer and farther, as the page's ?bench=1: as many pictures as the device gives,

@@ -20,24 +20,31 @@ class RowStore {
 
   void apply(const RowUpdate& update);
   void recolor(const ColorUpdate& update);
-  void set_harmonics(const Harmonics& harmonics);
   /// Every row is free again.
   void clear();
-  /// For the program that draws.
-  void bind() const;
 
-  [[nodiscard]] int harmonic_words() const { return harmonic_words_; }
+  /// Rows that were ever used since the last clear().
+  [[nodiscard]] std::size_t used() const { return used_; }
+  [[nodiscard]] std::size_t capacity() const { return capacity_; }
+  [[nodiscard]] std::size_t harmonic_words() const { return harmonic_words_; }
   [[nodiscard]] const Uploaded& uploaded() const { return uploaded_; }
+
+  [[nodiscard]] GLuint records() const { return records_.get(); }      ///< uvec4[2] a row: GpuRecord
+  [[nodiscard]] GLuint fades() const { return fades_.get(); }          ///< float a row
+  [[nodiscard]] GLuint harmonics() const { return harmonics_.get(); }  ///< uint[harmonic_words()] a row
 
  private:
   void reserve(std::size_t rows);
-  void scatter(std::span<const std::uint32_t> rows, std::span<const std::byte> contents, std::span<const float> fades);
+  void set_harmonic_words(std::size_t words);
+  void name_changed(std::span<const std::uint32_t> rows);
+  /// To the rows that name_changed() had, `words` from word `first` of a row's `stride` in `store`.
+  void scatter(const GlBuffer& store, std::span<const std::byte> contents, std::size_t words, std::size_t stride,
+               std::size_t first);
 
   GlProgram scatter_;
   GlBuffer records_, fades_, harmonics_;
-  GlBuffer changed_rows_, changed_, changed_fades_;
-  std::size_t capacity_ = 0;
-  int harmonic_words_ = 0;
+  GlBuffer changed_rows_, changed_;
+  std::size_t capacity_ = 0, used_ = 0, harmonic_words_ = 0;
   Uploaded uploaded_;
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -18,17 +19,15 @@ struct RowUpdate {
   std::vector<stream::GpuRecord> records;  ///< [rows]
   /// [rows] seconds since when it appears; negative: since when it vanishes.
   std::vector<float> fades;
+  /// Of colours that depend on where one looks from: words a row, [coefficient][RGB] as two half floats each, 48 of
+  /// them at most, in display space. 0: there are none, in any row.
+  std::size_t harmonic_words = 0;
+  std::vector<std::uint32_t> harmonics;  ///< [rows][harmonic_words]
 };
 
 /// Rows of which the color alone is another.
 struct ColorUpdate {
   std::vector<std::uint32_t> rows, colors;  ///< colors: rgb9e5
-};
-
-/// Colors that depend on where one looks from: 48 half floats a row at most, [coefficient][RGB], in display space.
-struct Harmonics {
-  std::size_t words = 0;              ///< a row; 0: there are none
-  std::vector<std::uint32_t> values;  ///< [rows][words], from row 0 on
 };
 
 }  // namespace splatbus::viewer::gl

@@ -2,43 +2,59 @@
 
 namespace splatbus::viewer::gl {
 
-const char* const kSplatVertexText = R"glsl(#version 450 core
+const char* const kScatterText = R"glsl(#version 450 core
+layout(local_size_x = 256) in;
+layout(std430, binding = 0) readonly buffer ChangedRows { uint changed_rows[]; };
+layout(std430, binding = 1) readonly buffer Changed { uint changed[]; };
+layout(std430, binding = 2) writeonly buffer Store { uint store[]; };
+layout(location = 0) uniform uint uBegin;
+layout(location = 1) uniform uint uEnd;
+layout(location = 2) uniform uvec3 uWords;  // a row's, of how many in the store, from which on
+void main() {
+  uint i = uBegin + gl_GlobalInvocationID.x;
+  if (i < uEnd) store[uWords.y * changed_rows[i / uWords.x] + uWords.z + i % uWords.x] = changed[i];
+}
+)glsl";
+
+const char* const kProjectText = R"glsl(#version 450 core
+layout(local_size_x = 256) in;
 layout(std430, binding = 0) readonly buffer Records { uvec4 records[]; };  // mean xyz, log scale xy; log scale z and
-                                                                            // rotation, opacity and object, color
+                                                                           // rotation, opacity and object, color
 layout(std430, binding = 1) readonly buffer Fades { float fades[]; };
-layout(std430, binding = 2) readonly buffer Order { uint order[]; };
-layout(std430, binding = 3) readonly buffer Objects { vec4 objects[]; };
-layout(std430, binding = 4) readonly buffer Harmonics { uint harmonics[]; };
-layout(location = 0) uniform int uCount;
+layout(std430, binding = 2) readonly buffer Harmonics { uint harmonics[]; };
+layout(std430, binding = 3) readonly buffer Objects { vec4 objects[]; };  // [3] each: camera_from_object
+layout(std430, binding = 4) writeonly buffer Splats { uvec4 splats[]; };  // centre, root xy; root z, log2 of alpha, color
+layout(std430, binding = 5) writeonly buffer Keys { uint keys[]; };
+layout(std430, binding = 6) writeonly buffer GroupCounts { uint group_counts[]; };
+layout(location = 0) uniform uint uRows;
 layout(location = 1) uniform vec4 uPinhole;   // fx, fy, cx, cy
 layout(location = 2) uniform vec2 uSize;
 layout(location = 3) uniform vec4 uTangents;  // low x, high x, low y, high y
 layout(location = 4) uniform float uTime;
 layout(location = 5) uniform bool uAntialias;
-layout(location = 6) uniform int uHarmonicWords;  // 0: colors do not depend on where one looks from
-layout(location = 11) uniform float uNear;
+layout(location = 6) uniform uint uHarmonicWords;  // 0: colors do not depend on where one looks from
+layout(location = 7) uniform float uNear;
 
-out vec2 vWhite;
-flat out vec4 vColor;  // rgb, log2 of alpha in the middle
-
-const int kBatch = 128;
 const float kFade_s = 0.25;
+const uint kUnseen = 0xffffffffu;
+const uint kMostKey = 0x1ffffffu;
+// The bits of 2^-11 m. Above them 25 bits are 32 octaves of a million steps each.
+const uint kLeastDepth = 0x3a000000u;
 )glsl"
 #include "viewer/gl/splat_glsl.inc"
-                                     R"glsl(
+                                 R"glsl(
 // [coefficient][RGB] as half floats; `d` in the object's frame, from the eye.
 vec3 radianceOf(uint row, vec3 d) {
   float basis[16];
   harmonicBasis(d, basis);
-  float values[48];
-  for (int k = 0; k < 48; ++k) values[k] = 0.0;
-  for (int word = 0; word < min(uHarmonicWords, 24); ++word) {
-    vec2 two = unpackHalf2x16(harmonics[row * uint(uHarmonicWords) + uint(word)]);
-    values[2 * word] = two.x;
-    values[2 * word + 1] = two.y;
-  }
   vec3 sum = vec3(0.0);
-  for (int k = 0; k < 16; ++k) sum += basis[k] * vec3(values[3 * k], values[3 * k + 1], values[3 * k + 2]);
+  for (uint word = 0u; word < 24u; ++word) {
+    if (word >= uHarmonicWords) break;
+    vec2 two = unpackHalf2x16(harmonics[row * uHarmonicWords + word]);
+    uint at = 2u * word;
+    sum[at % 3u] += basis[at / 3u] * two.x;
+    sum[(at + 1u) % 3u] += basis[(at + 1u) / 3u] * two.y;
+  }
   return max(sum, 0.0);
 }
 
@@ -47,33 +63,74 @@ float fadeOf(float since) {
   return since < 0.0 ? 1.0 - part : part;
 }
 
-void main() {
-  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-  int rank = gl_InstanceID * kBatch + (gl_VertexID >> 2);
-  if (rank >= uCount) return;
-  uint row = order[rank];
+uint keyOf(uint row) {
   uvec4 geometry = records[2u * row];
   uvec4 appearance = records[2u * row + 1u];
   float opacity = float(appearance.z & 0xffu) / 255.0 * fadeOf(fades[row]);
-  if (opacity < kAlphaMin) return;
-
+  if (opacity < kAlphaMin) return kUnseen;
   uint object = 3u * (appearance.z >> 8);
+  if (object + 2u >= uint(objects.length())) return kUnseen;
   vec4 w0 = objects[object], w1 = objects[object + 1u], w2 = objects[object + 2u];
   vec4 mean = vec4(uintBitsToFloat(geometry.xyz), 1.0);
   vec3 point = vec3(dot(w0, mean), dot(w1, mean), dot(w2, mean));
-  if (!(point.z > uNear && point.z < 1e15)) return;
+  if (!(point.z > uNear && point.z < 1e15)) return kUnseen;
 
-  Corner corner;
+  Splat splat;
   mat3 w = mat3(w0.xyz, w1.xyz, w2.xyz);
-  if (!cornerOf(View(uPinhole, uSize, uTangents, uAntialias), geometry, appearance, w, point, opacity, gl_VertexID, corner)) return;
-  gl_Position = corner.position;
-  vWhite = corner.white;
-  vec3 color = uHarmonicWords == 0
+  if (!splatOf(View(uPinhole, uSize, uTangents, uAntialias), geometry, appearance, w, point, opacity, splat)) return kUnseen;
+  vec3 color = uHarmonicWords == 0u
       ? colorOf(appearance.w)
       : radianceOf(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
-  vColor = vec4(color, corner.log2Alpha);
+  splats[2u * row] = floatBitsToUint(vec4(splat.centre, splat.root.xy));
+  splats[2u * row + 1u] = uvec4(floatBitsToUint(vec2(splat.root.z, splat.log2Alpha)), packHalf2x16(color.rg),
+                                packHalf2x16(vec2(color.b, 0.0)));
+  return kMostKey - min((max(floatBitsToUint(point.z), kLeastDepth) - kLeastDepth) >> 3u, kMostKey);
+}
+
+shared uint seen;
+void main() {
+  if (gl_LocalInvocationIndex == 0u) seen = 0u;
+  memoryBarrierShared();
+  barrier();
+  uint row = gl_GlobalInvocationID.x;
+  if (row < uRows) {
+    uint key = keyOf(row);
+    keys[row] = key;
+    if (key != kUnseen) atomicAdd(seen, 1u);
+  }
+  memoryBarrierShared();
+  barrier();
+  if (gl_LocalInvocationIndex == 0u) group_counts[gl_WorkGroupID.x] = seen;
 }
 )glsl";
+static_assert(kThreads == 256 && kKeyBits == 25 && kFade_s == 0.25F);
+
+const char* const kSplatVertexText = R"glsl(#version 450 core
+layout(std430, binding = 0) readonly buffer Seen { uint seen_rows; };
+layout(std430, binding = 1) readonly buffer Order { uint order[]; };
+layout(std430, binding = 2) readonly buffer Splats { uvec4 splats[]; };
+layout(location = 2) uniform vec2 uSize;
+
+out vec2 vWhite;
+flat out vec4 vColor;  // rgb, log2 of alpha in the middle
+
+const uint kBatch = 128u;
+)glsl"
+#include "viewer/gl/splat_glsl.inc"
+                                     R"glsl(
+void main() {
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  uint rank = uint(gl_InstanceID) * kBatch + (uint(gl_VertexID) >> 2u);
+  if (rank >= seen_rows) return;
+  uint row = order[rank];
+  vec4 low = uintBitsToFloat(splats[2u * row]);
+  uvec4 high = splats[2u * row + 1u];
+  Splat splat = Splat(low.xy, vec3(low.zw, uintBitsToFloat(high.x)), uintBitsToFloat(high.y));
+  gl_Position = cornerOf(uSize, splat, gl_VertexID, vWhite);
+  vColor = vec4(unpackHalf2x16(high.z), unpackHalf2x16(high.w).x, splat.log2Alpha);
+}
+)glsl";
+static_assert(kBatch == 128);
 
 const char* const kSplatFragmentText = R"glsl(#version 450 core
 in vec2 vWhite;
@@ -97,8 +154,8 @@ void main() {
 
 const char* const kResolveFragmentText = R"glsl(#version 450 core
 layout(binding = 0) uniform sampler2D uSplats;
-layout(location = 7) uniform vec3 uBackground;
-layout(location = 8) uniform bool uDisplaySpace;
+layout(location = 0) uniform vec3 uBackground;
+layout(location = 1) uniform bool uDisplaySpace;
 in vec2 vAt;
 layout(location = 0) out vec4 oColor;
 void main() {
@@ -107,29 +164,6 @@ void main() {
   vec3 curve = 1.055 * pow(max(linear, 1e-9), vec3(1.0 / 2.4)) - 0.055;
   curve = mix(curve, 12.92 * linear, lessThanEqual(linear, vec3(0.0031308)));
   oColor = vec4(uDisplaySpace ? linear : curve, 1.0);
-}
-)glsl";
-
-const char* const kScatterText = R"glsl(#version 450 core
-layout(local_size_x = 64) in;
-layout(std430, binding = 0) buffer Records { uvec4 records[]; };
-layout(std430, binding = 1) writeonly buffer Fades { float fades[]; };
-layout(std430, binding = 5) readonly buffer ChangedRows { uint changed_rows[]; };
-layout(std430, binding = 6) readonly buffer ChangedRecords { uint changed[]; };
-layout(std430, binding = 7) readonly buffer ChangedFades { float changed_fades[]; };
-layout(location = 9) uniform uint uChanged;
-layout(location = 10) uniform bool uColorOnly;
-void main() {
-  uint i = gl_GlobalInvocationID.x;
-  if (i >= uChanged) return;
-  uint row = changed_rows[i];
-  if (uColorOnly) {
-    records[2u * row + 1u].w = changed[i];
-    return;
-  }
-  records[2u * row] = uvec4(changed[8u * i], changed[8u * i + 1u], changed[8u * i + 2u], changed[8u * i + 3u]);
-  records[2u * row + 1u] = uvec4(changed[8u * i + 4u], changed[8u * i + 5u], changed[8u * i + 6u], changed[8u * i + 7u]);
-  fades[row] = changed_fades[i];
 }
 )glsl";
 

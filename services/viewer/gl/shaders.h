@@ -1,15 +1,57 @@
 #pragma once
 
-// The page's quads and formula (web/src/render/splat.glsl), in its order, which a test holds to the CPU rasteriser's
-// pictures, as OpenGL 4.5 has them.
+// The page's quads and formula (web/src/render/splat.glsl) and the order of its WebGPU, as OpenGL 4.5 has them; a test
+// holds the pictures to the CPU rasteriser's. Buffers are bound from 0 on in the order in which a text declares them.
 namespace splatbus::viewer::gl {
 
+/// Threads of a group.
+inline constexpr unsigned kThreads = 256;
 /// Quads of one instance: batches are several times faster than one quad an instance.
-inline constexpr int kBatch = 128;
+inline constexpr unsigned kBatch = 128;
 /// How long a row takes to appear and to vanish.
 inline constexpr float kFade_s = 0.25F;
-/// Rows that a group of kScatterText writes.
-inline constexpr int kScatterGroup = 64;
+
+/// Writes changed rows to where they belong: words from kScatterBegin to kScatterEnd of what was uploaded; words a row,
+/// of how many in the store, from which on.
+extern const char* const kScatterText;
+enum ScatterLocation : int { kScatterBegin = 0, kScatterEnd = 1, kScatterWords = 2 };
+
+/// Of every row what its quad needs, and a key: nearer is greater; ~0 where nothing can show.
+extern const char* const kProjectText;
+enum ProjectLocation : int {
+  kRows = 0,
+  kPinhole = 1,
+  kSize = 2,  ///< of kSplatVertexText as well
+  kTangents = 3,
+  kTime = 4,
+  kAntialias = 5,
+  kHarmonicWords = 6,
+  kNear = 7
+};
+
+/// A stable radix sort of the keys of what is seen: equal depths keep the order of rows, so that nothing flickers.
+/// Where the seen rows of each group go, and how many there are: Seen.
+extern const char* const kCountSeenText;
+/// The seen rows and their keys, closed up.
+extern const char* const kCloseUpText;
+/// Three steps a digit: how often each occurs in each block, where each digit of each block begins, and every key to
+/// its place.
+extern const char* const kHistogramText;
+extern const char* const kScanCountsText;
+extern const char* const kReorderText;
+enum SortLocation : int { kShift = 0 };
+inline constexpr unsigned kKeyBits = 25;
+inline constexpr unsigned kDigitBits = 5;
+inline constexpr unsigned kDigits = 1U << kDigitBits;
+/// Keys that a group sorts at a time.
+inline constexpr unsigned kBlock = 16 * kThreads;
+
+/// What kCountSeenText writes: `rows` are seen, and so much is to be dispatched and drawn.
+struct Seen {
+  unsigned rows;
+  unsigned sort_groups[3];
+  unsigned draw[5];
+};
 
 /// Quads that cover exactly what a Gaussian can reach: a square in the whitened plane, brought to pixels by the
 /// Cholesky factor of the covariance. Any root of it would do; all have the same area.
@@ -18,34 +60,6 @@ extern const char* const kSplatFragmentText;
 /// Background and sRGB curve over the splats' picture.
 extern const char* const kResolveVertexText;
 extern const char* const kResolveFragmentText;
-/// Writes changed rows to where they belong, so that what is uploaded is what changed.
-extern const char* const kScatterText;
-
-// Bindings of the storage buffers.
-inline constexpr unsigned kRecordBinding = 0;    ///< uvec4[2] a row: GpuRecord
-inline constexpr unsigned kFadeBinding = 1;      ///< float a row
-inline constexpr unsigned kOrderBinding = 2;     ///< uint a Gaussian that is drawn
-inline constexpr unsigned kObjectBinding = 3;    ///< vec4[3] an object: camera_from_object
-inline constexpr unsigned kHarmonicBinding = 4;  ///< uint[uHarmonicWords] a row
-// Of what kScatterText reads.
-inline constexpr unsigned kChangedRowBinding = 5;
-inline constexpr unsigned kChangedRecordBinding = 6;
-inline constexpr unsigned kChangedFadeBinding = 7;
-
-// Uniform locations.
-enum Location : int {
-  kCount = 0,
-  kPinhole = 1,
-  kSize = 2,
-  kTangents = 3,
-  kTime = 4,
-  kAntialias = 5,
-  kHarmonicWords = 6,
-  kBackground = 7,
-  kDisplaySpace = 8,
-  kChanged = 9,
-  kColorOnly = 10,
-  kNear = 11
-};
+enum ResolveLocation : int { kBackground = 0, kDisplaySpace = 1 };
 
 }  // namespace splatbus::viewer::gl

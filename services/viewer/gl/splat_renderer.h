@@ -1,30 +1,14 @@
 #pragma once
 
 #include <cstdint>
-#include <glm/glm.hpp>
-#include <span>
 #include <vector>
 
-#include "gaussians/camera.h"
-#include "gaussians/depth_order.h"
 #include "gl/objects.h"
+#include "viewer/gl/frame.h"
+#include "viewer/gl/projection.h"
 #include "viewer/gl/row_store.h"
 
 namespace splatbus::viewer::gl {
-
-/// world_from_object, row-major [3][4]; all zero hides what is in it.
-using Transform = DepthOrder::Transform;
-
-/// What one picture shows of the rows.
-struct Frame {
-  Camera camera;
-  std::vector<Transform> transforms;  ///< by the index that records have
-  std::uint32_t far_field = 0;  ///< index of what goes with the eye, its transform for an eye in the origin; 0: none
-  glm::vec3 background{0};      ///< linear
-  bool display_space = false;   ///< colors are blended under the sRGB curve
-  bool antialias = true;        ///< what is smaller than a pixel becomes as much fainter as it is made larger
-  float time_s = kSettled_s;    ///< by the clock of RowUpdate::fades
-};
 
 /// sRGB, row 0 on top.
 struct Picture {
@@ -42,29 +26,29 @@ class SplatRenderer {
   SplatRenderer();
 
   [[nodiscard]] RowStore& rows() { return rows_; }
-  /// Which rows there are, back to front.
-  void set_order(std::span<const std::uint32_t> order);
-  [[nodiscard]] std::size_t count() const { return count_; }
+  /// Pictures are timed from now on; null: no more.
+  void time_with(FrameTimer* timer) { timer_ = timer; }
 
   /// Into a framebuffer of the camera's size: 0 is the window's.
   void draw(const Frame& frame, GLuint framebuffer = 0);
   /// The same picture to memory.
   [[nodiscard]] Picture capture(const Frame& frame);
+  /// Rows that the last picture shows. Waits for the device.
+  [[nodiscard]] std::size_t count_seen() const { return projection_.count_seen(); }
 
  private:
   void draw_splats(const Frame& frame);
-  void upload_objects(const Frame& frame);
   void make_target(std::uint32_t width, std::uint32_t height);
 
   RowStore rows_;
+  Projection projection_;
+  FrameTimer* timer_ = nullptr;
   GlProgram splats_, resolve_;
   GlVertexArray quads_, nothing_;
-  GlBuffer indices_, order_, objects_;
+  GlBuffer indices_;
   GlTexture target_;
   GlFramebuffer framebuffer_;
   std::uint32_t width_ = 0, height_ = 0;
-  std::size_t count_ = 0, order_capacity_ = 0;
-  std::vector<float> camera_from_objects_;
 };
 
 }  // namespace splatbus::viewer::gl

@@ -1,7 +1,6 @@
 #include "viewer/gl/stage.h"
 
 #include <algorithm>
-#include <utility>
 
 namespace splatbus::viewer::gl {
 namespace {
@@ -16,6 +15,11 @@ Transform matrix_of(const ObjectTransform& transform) {
     out[static_cast<std::size_t>(4 * row + 3)] = transform.rigid.translation[row];
   }
   return out;
+}
+
+std::uint32_t far_field_of(const std::vector<std::uint32_t>& object_ids) {
+  const auto found = std::find(object_ids.begin(), object_ids.end(), kFarFieldFrame);
+  return found != object_ids.end() ? static_cast<std::uint32_t>(found - object_ids.begin()) : 0;
 }
 
 }  // namespace
@@ -33,58 +37,14 @@ std::vector<Transform> transforms_of(const SceneState& scene, const std::vector<
   return transforms;
 }
 
-std::uint32_t Stage::far_field_of(const std::vector<std::uint32_t>& object_ids) const {
-  const auto found = std::find(object_ids.begin(), object_ids.end(), kFarFieldFrame);
-  return found != object_ids.end() ? static_cast<std::uint32_t>(found - object_ids.begin()) : 0;
-}
-
-void Stage::add(SharedBatch batch) {
-  newest_object_ids_ = batch->object_ids;
-  waiting_.push_back(batch);
-  sorter_.add(std::move(batch));
-}
-
-void Stage::look(const Camera& camera, const SceneState& scene) {
-  const Rigid view = inverse(camera.world_from_camera);
-  const glm::vec3 z = camera.world_from_camera.rotation * glm::vec3(0, 0, 1);
-  SortView now{.view_z = {z.x, z.y, z.z, view.translation.z},
-               .near_m = camera.near_m,
-               .transforms = transforms_of(scene, newest_object_ids_),
-               .far_field = far_field_of(newest_object_ids_)};
-  if (looks_ > 0 && now == view_) return;
-  ++looks_;
-  view_ = now;
-  sorter_.look(std::move(now));
-}
-
-bool Stage::swap() {
-  if (!sorter_.take(sorted_)) return false;
-  for (; applied_ < sorted_.batches; ++applied_) {
-    const Batch& batch = *waiting_.front();
-    if (batch.whole) {
-      renderer_.rows().clear();
-      renderer_.rows().set_harmonics(batch.harmonics);
-    }
-    renderer_.rows().apply(batch.update);
-    renderer_.rows().recolor(batch.colors);
-    object_ids_ = batch.object_ids;
-    display_space_ = batch.display_space;
-    if (batch.bounds) bounds_ = batch.bounds;
-    waiting_.pop_front();
-  }
-  renderer_.set_order(sorted_.order);
-  return true;
-}
-
-bool Stage::prepare(const Camera& camera, const SceneState& scene) {
-  look(camera, scene);
-  return swap();
-}
-
-void Stage::settle(const Camera& camera, const SceneState& scene) {
-  look(camera, scene);
-  sorter_.wait();
-  swap();
+void Stage::add(const Batch& batch) {
+  RowStore& rows = renderer_.rows();
+  if (batch.whole) rows.clear();
+  rows.apply(batch.update);
+  rows.recolor(batch.colors);
+  object_ids_ = batch.object_ids;
+  display_space_ = batch.display_space;
+  if (batch.bounds) bounds_ = batch.bounds;
 }
 
 Frame Stage::frame_of(const Camera& camera, const SceneState& scene, float time_s) const {

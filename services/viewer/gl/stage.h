@@ -1,10 +1,11 @@
 #pragma once
 
-#include <deque>
+#include <cstdint>
+#include <optional>
+#include <vector>
 
 #include "gaussians/light.h"
 #include "viewer/gl/batch.h"
-#include "viewer/gl/sort_thread.h"
 #include "viewer/gl/splat_renderer.h"
 
 namespace splatbus::viewer::gl {
@@ -14,42 +15,27 @@ namespace splatbus::viewer::gl {
 [[nodiscard]] std::vector<Transform> transforms_of(const SceneState& scene,
                                                    const std::vector<std::uint32_t>& object_ids);
 
-/// A picture of rows that change: what is sorted and what is drawn are swapped at once, so that nothing flickers. Of
-/// the thread whose context is current.
+/// A picture of rows that change. Of the thread whose context is current.
 class Stage {
  public:
-  void add(SharedBatch batch);
-  /// Sorts for that view from now on, and shows what has been sorted meanwhile. True if that was anything.
-  bool prepare(const Camera& camera, const SceneState& scene);
-  /// The same, and waits until all that was added is sorted for it.
-  void settle(const Camera& camera, const SceneState& scene);
+  void add(const Batch& batch);
 
-  /// Of what prepare() has shown; `time_s` as Frame's.
+  /// `time_s` as Frame's.
   void draw(const Camera& camera, const SceneState& scene, float time_s, GLuint framebuffer = 0);
   [[nodiscard]] Picture capture(const Camera& camera, const SceneState& scene, float time_s);
 
   void set_antialias(bool antialias) { antialias_ = antialias; }
-  /// Whether what is shown is not sorted for what was prepared last.
-  [[nodiscard]] bool behind() const { return !waiting_.empty() || sorted_.views < looks_; }
-  /// Rows that are drawn.
-  [[nodiscard]] std::size_t count() const { return renderer_.count(); }
+  void time_with(FrameTimer* timer) { renderer_.time_with(timer); }
+  /// Rows that the last picture shows. Waits for the device.
+  [[nodiscard]] std::size_t count_seen() const { return renderer_.count_seen(); }
   [[nodiscard]] const std::optional<Bounds>& bounds() const { return bounds_; }
-  [[nodiscard]] double sort_ms() const { return sorted_.sort_ms; }
   [[nodiscard]] const RowStore::Uploaded& uploaded() { return renderer_.rows().uploaded(); }
 
  private:
   [[nodiscard]] Frame frame_of(const Camera& camera, const SceneState& scene, float time_s) const;
-  void look(const Camera& camera, const SceneState& scene);
-  bool swap();
-  [[nodiscard]] std::uint32_t far_field_of(const std::vector<std::uint32_t>& object_ids) const;
 
   SplatRenderer renderer_;
-  SortThread sorter_;
-  SortThread::Sorted sorted_;
-  std::deque<SharedBatch> waiting_;
-  SortView view_;
-  std::uint64_t applied_ = 0, looks_ = 0;
-  std::vector<std::uint32_t> object_ids_{kWorldFrame}, newest_object_ids_{kWorldFrame};
+  std::vector<std::uint32_t> object_ids_{kWorldFrame};
   std::optional<Bounds> bounds_;
   bool display_space_ = false, antialias_ = true;
 };

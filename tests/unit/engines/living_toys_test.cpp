@@ -38,7 +38,7 @@ glm::vec3 in_frame_of(const Pose& pose, const glm::vec3& world) {
 }
 
 bool is_bone(const Object& object) {
-  return object.name.starts_with("figure ");
+  return object.name.starts_with("figure ") && object.id != SPLATBUS_PLAYER_ID;
 }
 
 /// Calls `visit` with the three corners, in the world, of every triangle of an object that exists at `time_s`.
@@ -170,6 +170,20 @@ TEST(Figure, WalksOutsideOfTheToysAndOnTheFloor) {
   }
   EXPECT_GT(inner, toys);
   EXPECT_LT(outer, 2.5F);
+}
+
+TEST(Figure, ItsCameraGoesBehindIt) {
+  for (int i = 0; i < 40; ++i) {
+    const Pose camera = figure_camera_at(0.9 * i);
+    const Pose torso = of(figure_at(0.9 * i), Bone::Torso);
+    const glm::vec3 seen = in_frame_of(camera, torso.translation);
+    EXPECT_GT(seen.z, 0.5F);
+    EXPECT_LT(glm::length(glm::vec2(seen)) / seen.z, std::tan(glm::pi<float>() / 6)) << "it is in the picture";
+    EXPECT_GT((camera.rotation * glm::vec3(0, -1, 0)).y, 0.8F) << "upright";
+    EXPECT_NEAR((camera.rotation * glm::vec3(1, 0, 0)).y, 0, 1e-5F) << "level";
+    const glm::vec3 ahead = torso.rotation * glm::vec3(0, 0, -1);
+    EXPECT_LT(glm::dot(camera.translation - torso.translation, ahead), -0.3F) << "behind";
+  }
 }
 
 TEST(Figure, ItsBonesStayJointed) {

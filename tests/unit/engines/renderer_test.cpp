@@ -86,7 +86,7 @@ TEST(Renderer, NormalsAreUnitAndFaceTheCamera) {
 TEST(Renderer, MovingObjectsAreListedWhereTheyAre) {
   toys().set_time(0.35);
   const Instant instant = toys().instant();
-  ASSERT_EQ(instant.objects.size(), 14U) << "all that live but the crate, which comes later";
+  ASSERT_EQ(instant.objects.size(), 15U) << "all that live but the crate, which comes later, and the player's camera";
   const splatbus_object& ball = instant.objects[0];
   const float* t = ball.world_from_object.translation;
   const Pictures& pictures = toys().render(ring_camera(1.2F), kAll);

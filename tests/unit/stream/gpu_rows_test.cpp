@@ -4,6 +4,7 @@
 
 #include <map>
 
+#include "gaussians/player.h"
 #include "gaussians/transfer.h"
 #include "shown_replica.h"
 #include "toy_server.h"
@@ -304,6 +305,29 @@ TEST_F(GpuRowsTest, TheFarFieldIsWhereAnEyeInTheOriginSeesIt) {
   const glm::vec3 top = kFarFieldCentre + glm::vec3(0, kFarFieldRadius, 0);
   EXPECT_NEAR(t[4] * top.x + t[5] * top.y + t[6] * top.z + t[7], kFarFieldDistance_m, 0.5F);
   EXPECT_NEAR(t[0] * top.x + t[1] * top.y + t[2] * top.z + t[3], 0, 0.5F);
+}
+
+TEST_F(GpuRowsTest, ThePlayersCameraIsAmongTheTransformsWhileThereIsOne) {
+  ToyServer server(19, 100);
+  join(server);
+  gpu.follow();
+  EXPECT_EQ(gpu.rows().player(), 0U);
+  const glm::quat turn = glm::angleAxis(0.5F, glm::vec3(0, 1, 0));
+  server.scene.objects[kPlayerId] = ObjectTransform(Rigid{.rotation = turn, .translation = {1, 2, 3}});
+  tick(server);
+  gpu.follow();
+  const std::uint32_t index = gpu.rows().player();
+  ASSERT_NE(index, 0U);
+  const GpuRows::Transform& t = gpu.rows().transforms().at(index);
+  const glm::vec3 forward = turn * glm::vec3(0, 0, 1);
+  for (int k = 0; k < 3; ++k) {
+    EXPECT_NEAR(t[static_cast<std::size_t>(4 * k + 2)], forward[k], 1e-3F);
+    EXPECT_NEAR(t[static_cast<std::size_t>(4 * k + 3)], k + 1, 1e-3F);
+  }
+  server.scene.objects.erase(kPlayerId);
+  tick(server);
+  gpu.follow();
+  EXPECT_EQ(gpu.rows().player(), 0U);
 }
 
 }  // namespace

@@ -41,6 +41,18 @@ export function viewOf(pose: Pose, width: number, height: number): View {
   return { viewFromWorld: viewFromWorld(eyeOf(pose), forward), fx: focal, fy: focal, cx: width / 2, cy: height / 2, width, height };
 }
 
+/** Of world_from_camera, row-major 3x4: x right, y down, z forward. Without what it leans to a side. */
+export function poseOf(camera: Float32Array, distance: number): Pose {
+  const column = (k: number): Vec3 => [camera[k], camera[4 + k], camera[8 + k]];
+  const forward = scale(column(2), 1 / Math.max(length(column(2)), 1e-12)); // between two turns it is shorter
+  return {
+    target: add(column(3), scale(forward, distance)),
+    yaw: Math.atan2(-forward[2], -forward[0]),
+    pitch: Math.asin(clamp(-forward[1], -1, 1)),
+    distance,
+  };
+}
+
 const limited = (pose: Pose): Pose => ({
   ...pose,
   pitch: clamp(pose.pitch, -kSteepest, kSteepest),

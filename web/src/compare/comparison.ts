@@ -64,11 +64,17 @@ export class Comparison {
   toggle(): void {
     this.element.hidden = this.on;
     this.#asked = this.#shown = this.quality = null;
-    this.#picture.hidden = true;
+    this.#show(false);
     this.#figures.textContent = this.on ? texts.comparing : '';
     this.#worker?.terminate();
     this.#worker = null;
     if (this.on) this.slider.focus();
+  }
+
+  /** Nothing is called the engine's that is not. */
+  #show(picture: boolean): void {
+    this.#picture.hidden = !picture;
+    this.element.classList.toggle('empty', !picture);
   }
 
   /** To be called with every frame; `resting`: the camera has come to rest, and what is drawn is of this view. */
@@ -77,7 +83,7 @@ export class Comparison {
     const wanted = askedView(view);
     if (this.#shown && !sameView(this.#shown.view, wanted)) {
       this.#shown = this.quality = null;
-      this.#picture.hidden = true;
+      this.#show(false);
       this.#figures.textContent = texts.comparing;
     }
     if (this.#asked && nowMs - this.#asked.atMs > kPatienceMs) {
@@ -103,7 +109,7 @@ export class Comparison {
     this.#picture.width = answer.width;
     this.#picture.height = answer.height;
     this.#picture.getContext('2d')?.putImageData(new ImageData(answer.rgba, answer.width, answer.height), 0, 0);
-    this.#picture.hidden = false;
+    this.#show(true);
     const pair: Pair = { id: asked.id, width: answer.width, height: answer.height, picture: splats.rgba, reference: answer.rgba };
     this.#metrics().postMessage(pair, [pair.picture.buffer, pair.reference.buffer]);
   }

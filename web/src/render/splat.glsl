@@ -39,6 +39,11 @@ void harmonicBasis(vec3 d, out float basis[16]) {
     1.4453057213 * d.z * (xx - yy), -0.5900435899 * d.x * (xx - 3.0 * yy));
 }
 
+// White units to where alpha falls below kAlphaMin.
+float reachOf(float log2Alpha) {
+  return sqrt(max(log2Alpha + 7.9943534, 0.0));
+}
+
 struct View {
   vec4 pinhole;   // fx, fy, cx, cy
   vec2 size;
@@ -46,15 +51,16 @@ struct View {
   bool antialias;
 };
 
-struct Corner {
-  vec4 position;
-  vec2 white;
+// A Gaussian in the picture: pixel = centre + root * (a point of the whitened plane) / kWhiteScale.
+struct Splat {
+  vec2 centre;      // pixels
+  vec3 root;        // Cholesky factor of the covariance: x by the first, x by the second, y by the second
   float log2Alpha;  // in the middle
 };
 
-// Corner `index` of a Gaussian's quad; false where it cannot be seen. `point`: its mean in the camera's frame, beyond the
-// near plane; w: rows of camera_from_object; geometry and appearance: its record.
-bool cornerOf(View view, uvec4 geometry, uvec4 appearance, mat3 w, vec3 point, float opacity, int index, out Corner corner) {
+// False where it cannot be seen. `point`: the Gaussian's mean in the camera's frame, beyond the near plane; w: rows of
+// camera_from_object; geometry and appearance: its record.
+bool splatOf(View view, uvec4 geometry, uvec4 appearance, mat3 w, vec3 point, float opacity, out Splat splat) {
   vec2 tangent = point.xy / point.z;
   vec2 centre = tangent * view.pinhole.xy + view.pinhole.zw;
   tangent = clamp(tangent, view.tangents.xz, view.tangents.yw);
@@ -70,19 +76,21 @@ bool cornerOf(View view, uvec4 geometry, uvec4 appearance, mat3 w, vec3 point, f
   a += kBlur;
   if (!(blurred > 0.0 && blurred < 1e30)) return false;
   float alpha = view.antialias ? opacity * sqrt(sharp / blurred) : opacity;
-  if (alpha < kAlphaMin) return false;
+  if (!(alpha >= kAlphaMin)) return false;
 
   float log2Alpha = log2(alpha);
-  float reach = sqrt(max(log2Alpha + 7.9943534, 0.0));  // white units
-  vec2 extent = reach / kWhiteScale * sqrt(vec2(a, c)) + 0.01;
+  vec2 extent = reachOf(log2Alpha) / kWhiteScale * sqrt(vec2(a, c)) + 0.01;
   if (any(lessThan(centre + extent, vec2(0.5))) || any(greaterThan(centre - extent, view.size - 0.5))) return false;
 
-  vec2 white = (vec2(index & 1, (index >> 1) & 1) * 2.0 - 1.0) * (reach + 0.02);
   float rootC = sqrt(c);
-  vec2 offset = vec2(sqrt(blurred) / rootC * white.x + b / rootC * white.y, rootC * white.y) / kWhiteScale;
-  vec2 pixel = centre + offset;
-  corner.position = vec4(2.0 * pixel.x / view.size.x - 1.0, 1.0 - 2.0 * pixel.y / view.size.y, 0.0, 1.0);
-  corner.white = white;
-  corner.log2Alpha = log2Alpha;
+  splat = Splat(centre, vec3(sqrt(blurred) / rootC, b / rootC, rootC), log2Alpha);
   return true;
+}
+
+// Corner `index` of its quad. white: where that is in the whitened plane.
+vec4 cornerOf(vec2 size, Splat splat, int index, out vec2 white) {
+  white = (vec2(index & 1, (index >> 1) & 1) * 2.0 - 1.0) * (reachOf(splat.log2Alpha) + 0.02);
+  vec2 offset = vec2(dot(splat.root.xy, white), splat.root.z * white.y) / kWhiteScale;
+  vec2 pixel = splat.centre + offset;
+  return vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
 }

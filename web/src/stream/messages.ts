@@ -11,8 +11,11 @@ export interface SceneBatch {
   readonly time: SceneTime;
 }
 
+/** What a page asks the streamer not to exceed. */
 export interface Budget {
   readonly gaussians: number;
+  /** 0: as the streamer likes. */
+  readonly megabits: number;
 }
 
 /** The engine's own picture for one that was asked for. */
@@ -39,6 +42,8 @@ export type ToStreamWorker =
   | { kind: 'pose'; floats: Float32Array }
   /** Asks for the engine's own picture from there; floats as in 'pose'. It may never come. */
   | { kind: 'probe'; probeId: number; floats: Float32Array }
+  /** Another Budget.megabits. */
+  | { kind: 'rate'; megabits: number }
   | { kind: 'bounds' };
 
 export type ConnectionState = 'connecting' | 'open' | 'waiting';

@@ -7,6 +7,7 @@ const noColors = (): ColorUpdate => ({ rows: new Uint32Array(0), colors: new Uin
 
 const sameScene = (a: Scene, b: Scene): boolean =>
   a.farField === b.farField &&
+  a.player === b.player &&
   a.displaySpace === b.displaySpace &&
   a.background.every((value, k) => value === b.background[k]) &&
   a.transforms.length === b.transforms.length &&

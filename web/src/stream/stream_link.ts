@@ -43,10 +43,12 @@ export class StreamLink {
     this.onStarted();
   }
 
-  /** The model is asked for anew where it is another budget. */
+  /** The model is asked for anew where it is to have another size. */
   setBudget(budget: Budget): void {
-    if (budget.gaussians === this.options.budget.gaussians) return;
+    const { gaussians, megabits } = this.options.budget;
     this.options.budget = budget;
+    if (budget.megabits !== megabits) this.send({ kind: 'rate', megabits: budget.megabits });
+    if (budget.gaussians === gaussians) return;
     this.#worker?.terminate();
     this.start();
   }

@@ -32,6 +32,7 @@ class Stream {
 
   constructor(wasm: Awaited<ReturnType<typeof loadWasm>>, start: Extract<ToStreamWorker, { kind: 'start' }>) {
     this.#follower = new Follower(wasm, 'page', start.budget.gaussians, performance.now());
+    this.#follower.setMaxKbps(1000 * start.budget.megabits);
     this.#aheadMs = performance.timeOrigin - start.clockOriginMs;
     this.#publisher = new Publisher(() => (performance.now() + this.#aheadMs) / 1000);
     this.#connection = new Connection(start.socket, start.token, {
@@ -59,6 +60,10 @@ class Stream {
         break;
       case 'pose':
         this.#follower.setPose(message.floats);
+        this.#speak();
+        break;
+      case 'rate':
+        this.#follower.setMaxKbps(1000 * message.megabits);
         this.#speak();
         break;
       case 'probe':
@@ -118,6 +123,7 @@ class Stream {
     const scene = {
       transforms: follower.transforms.slice(),
       farField: follower.farFieldIndex,
+      player: follower.playerIndex,
       background: follower.background,
       displaySpace: stats.radiance,
     };

@@ -80,6 +80,11 @@ export class Follower {
     this.#session = wasm.follower_new(this.#message.put(bytes), bytes.length, maxGaussians, nowMs);
   }
 
+  /** Rate below which the streamer is asked to stay; 0: as it likes. */
+  setMaxKbps(kbps: number): void {
+    this.wasm.set_max_kbps(this.#session, kbps);
+  }
+
   /** The WebSocket is a new one. */
   restart(): void {
     this.wasm.follower_restart(this.#session);
@@ -165,6 +170,11 @@ export class Follower {
   /** 0: there is none. To the last column of its transform the eye's position is to be added. */
   get farFieldIndex(): number {
     return this.wasm.far_field_index(this.#session);
+  }
+
+  /** Of the camera of the engine's player, whose transform is world_from_camera. 0: there is none. */
+  get playerIndex(): number {
+    return this.wasm.player_index(this.#session);
   }
 
   /** Linear. */

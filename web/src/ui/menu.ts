@@ -1,7 +1,7 @@
 import { kModelFiles, type ModelFile } from '../download';
 import { texts } from '../texts';
 import { button, choice, make } from './dom';
-import { kGaussianBudgets, type Settings } from './settings';
+import { kGaussianBudgets, kRateBudgets, type Settings } from './settings';
 
 export interface MenuActions {
   readonly frameAll: () => void;
@@ -10,6 +10,8 @@ export interface MenuActions {
   readonly share: () => void;
   readonly figures: () => void;
   readonly compare: () => void;
+  /** Goes along with the engine's player, or no more. */
+  readonly follow: () => void;
   readonly immerse: () => void;
   readonly download: (kind: ModelFile) => void;
   /** `settings` have changed. */
@@ -21,12 +23,16 @@ const count = (value: number): string => (value >= 1e6 ? `${value / 1e6} M` : `$
 /** A dialog that leaves the picture usable. */
 export class Menu {
   readonly element: HTMLDialogElement;
+  readonly #follow: HTMLButtonElement;
   readonly #immerse: HTMLButtonElement;
 
   constructor(settings: Settings, actions: MenuActions) {
+    this.#follow = button(texts.follow, actions.follow);
+    this.#follow.hidden = true;
     this.#immerse = button(texts.immerse, actions.immerse);
     this.#immerse.hidden = true;
     const budgets = Object.fromEntries(kGaussianBudgets.map((value) => [String(value), count(value)]));
+    const rates = Object.fromEntries(kRateBudgets.map((value) => [String(value), value === 0 ? texts.noLimit : String(value)]));
     const change = (apply: () => void) => (): void => {
       apply();
       actions.changed();
@@ -36,18 +42,22 @@ export class Menu {
       { class: 'menu', 'aria-label': texts.menu },
       make(
         'div',
-        { class: 'buttons' },
+        { class: 'buttons actions' },
         button(texts.frameAll, actions.frameAll),
         button(texts.fullScreen, actions.fullScreen),
         button(texts.snapshot, actions.snapshot),
         button(texts.share, actions.share),
         button(texts.figures, actions.figures),
         button(texts.compare, actions.compare),
+        this.#follow,
         this.#immerse,
       ),
       choice(texts.quality, texts.qualities, settings.quality, (key) => change(() => (settings.quality = key))()),
       choice(texts.gaussianBudget, budgets, String(settings.budget.gaussians), (key) =>
-        change(() => (settings.budget = { gaussians: Number(key) }))(),
+        change(() => (settings.budget = { ...settings.budget, gaussians: Number(key) }))(),
+      ),
+      choice(texts.rateBudget, rates, String(settings.budget.megabits), (key) =>
+        change(() => (settings.budget = { ...settings.budget, megabits: Number(key) }))(),
       ),
       choice(texts.background, texts.backgrounds, settings.background, (key) => change(() => (settings.background = key))()),
       make('h2', {}, texts.download),
@@ -61,6 +71,12 @@ export class Menu {
   /** There is a headset. */
   offerImmersion(): void {
     this.#immerse.hidden = false;
+  }
+
+  /** Whether there is a player to go along with, and who goes. */
+  offerPlayer(there: boolean, following: boolean): void {
+    this.#follow.hidden = !there;
+    this.#follow.setAttribute('aria-pressed', String(following));
   }
 
   toggle(): void {

@@ -9,6 +9,7 @@ export class Overlay {
   readonly #values = new Map<Key, HTMLElement>();
 
   constructor() {
+    this.element.hidden = matchMedia('(max-width: 600px)').matches; // on a phone they would be most of the picture
     const keys: Key[] = [
       'frames', 'frame', 'sort', 'gaussians', 'rate', 'roundTrip', 'age', 'missing', 'uploaded', 'resolution', 'drawnBy', 'connection',
     ];

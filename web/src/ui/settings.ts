@@ -16,10 +16,12 @@ export const kBackgrounds: Readonly<Record<Exclude<Background, 'scene'>, [number
   gray: [0.2, 0.2, 0.2],
   white: [1, 1, 1],
 };
+/** Mbit/s; 0: as the streamer likes. */
+export const kRateBudgets = [0, 1, 2, 5, 10, 20, 50] as const;
 export const kGaussianBudgets = [100_000, 300_000, 1_000_000, 2_000_000, 4_000_000] as const;
 
 const kKey = 'splatbus.settings';
-const kDefaults: Settings = { quality: 'auto', background: 'scene', budget: { gaussians: 1_000_000 } };
+const kDefaults: Settings = { quality: 'auto', background: 'scene', budget: { gaussians: 1_000_000, megabits: 0 } };
 
 export function loadSettings(): Settings {
   try {
@@ -29,6 +31,7 @@ export function loadSettings(): Settings {
       background: kept.background && (kept.background === 'scene' || kept.background in kBackgrounds) ? kept.background : kDefaults.background,
       budget: {
         gaussians: kept.budget && kept.budget.gaussians > 0 ? kept.budget.gaussians : kDefaults.budget.gaussians,
+        megabits: kept.budget && kept.budget.megabits > 0 ? kept.budget.megabits : kDefaults.budget.megabits,
       },
     };
   } catch {

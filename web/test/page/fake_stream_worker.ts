@@ -6,7 +6,8 @@ import { syntheticScene } from './synthetic_scene';
 
 const scope = self as unknown as WorkerScope<ToStreamWorker, FromStreamWorker>;
 const scene = syntheticScene(3000);
-const state = { transforms: scene.transforms, farField: 0, background: [0.1, 0.2, 0.4] as const, displaySpace: false };
+const world = { transforms: scene.transforms, farField: 0, player: 0, background: [0.1, 0.2, 0.4] as const, displaySpace: false };
+let state = world;
 const noColors = { rows: new Uint32Array(0), colors: new Uint32Array(0) };
 let clockOriginMs = performance.timeOrigin;
 const publisher = new Publisher(() => (performance.timeOrigin + performance.now() - clockOriginMs) / 1000);
@@ -40,6 +41,16 @@ new BroadcastChannel('change').onmessage = ({ data }: MessageEvent<number>) => {
   publisher.publish({ rows, records: scene.records.slice(0, 8 * data) }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
 };
 
+/** A player's camera, world_from_camera [3][4]; null: the player is gone. */
+new BroadcastChannel('player').onmessage = ({ data }: MessageEvent<number[] | null>) => {
+  state = data ? { ...world, transforms: new Float32Array([...scene.transforms, ...data]), player: scene.transforms.length / 12 } : world;
+  publisher.publish({ rows: new Uint32Array(0), records: new Uint32Array(0) }, noColors, state, { captureMs: 0, arrivedMs: 0 }, true);
+};
+/** The connection is lost, to be tried again in so many seconds; 0: it is there again. */
+new BroadcastChannel('connection').onmessage = ({ data }: MessageEvent<number>) =>
+  scope.postMessage({ kind: 'connection', state: data > 0 ? 'waiting' : 'open', retryS: data });
+const asked = new BroadcastChannel('asked');
+
 scope.onmessage = ({ data }) => {
   if (data.kind === 'start') {
     clockOriginMs = data.clockOriginMs;
@@ -54,6 +65,8 @@ scope.onmessage = ({ data }) => {
     scope.postMessage({ kind: 'figures', figures: figures() });
   } else if (data.kind === 'probe') {
     scope.postMessage({ kind: 'picture', picture: engineDraws(data.probeId, data.floats) });
+  } else if (data.kind === 'rate') {
+    asked.postMessage(data.megabits);
   } else if (data.kind === 'bounds') {
     const bounds = publisher.bounds();
     if (bounds) scope.postMessage({ kind: 'bounds', ...bounds });

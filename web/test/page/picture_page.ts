@@ -27,7 +27,7 @@ const wholeUpdate = (scene: SyntheticScene): RowUpdate => {
 
 const frameOf = (scene: SyntheticScene, view: View): Frame => ({
   view,
-  scene: { transforms: scene.transforms, farField: 0, background: kBackground, displaySpace: false },
+  scene: { transforms: scene.transforms, farField: 0, player: 0, background: kBackground, displaySpace: false },
   resolution: 1,
   timeS: 1000,
 });
@@ -62,6 +62,7 @@ async function drawPoses(follower: Follower, renderer: Renderer, sorter: Sorter,
   const scene = {
     transforms: follower.transforms.slice(),
     farField: follower.farFieldIndex,
+    player: follower.playerIndex,
     background: follower.background,
     displaySpace: follower.stats.radiance,
   };
@@ -149,6 +150,30 @@ const tests = {
     const blended = kBackground.map(srgb) as [number, number, number];
     const truth = referencePicture(scene, view, blended).map((value) => 255 * linearOf(value / 255));
     return { bytes: replaced, psnr: linear.psnr, display: psnr(rgbOf(picture), truth) };
+  },
+
+  /** Rows on their way in or out are as opaque as the time says, a quarter of a second long. */
+  async fading(api: 'webgl2' | 'webgpu'): Promise<{ since: number; atS: number; psnr: number }[]> {
+    const results = [];
+    for (const [since, atS, part] of [
+      [10, 10, 0],
+      [10, 10.0625, 0.25],
+      [10, 10.125, 0.5],
+      [10, 10.25, 1],
+      [-10, 10.0625, 0.75],
+      [-10, 10.125, 0.5],
+      [-10, 10.25, 0],
+    ]) {
+      const renderer = await cleared(api);
+      const scene = syntheticScene(2000, 4);
+      renderer.apply({ ...wholeUpdate(scene), fades: new Float32Array(2000).fill(since) });
+      const view = testView(128, 1);
+      renderer.setOrder(referenceOrder(scene, view));
+      const picture = await renderer.capture({ ...frameOf(scene, view), timeS: atS });
+      const faded = { ...scene, gaussians: scene.gaussians.map((gaussian) => ({ ...gaussian, opacity: part * gaussian.opacity })) };
+      results.push({ since, atS, psnr: psnr(rgbOf(picture), referencePicture(faded, view, kBackground)) });
+    }
+    return results;
   },
 
   /** An object that goes with the eye looks alike from everywhere. */

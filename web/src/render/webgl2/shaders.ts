@@ -71,15 +71,14 @@ void main() {
   vec3 point = vec3(dot(w0, mean), dot(w1, mean), dot(w2, mean));
   if (!(point.z > kNear && point.z < 1e15)) return;
 
-  Corner corner;
+  Splat splat;
   mat3 w = mat3(w0.xyz, w1.xyz, w2.xyz);
-  if (!cornerOf(View(uPinhole, uSize, uTangents, true), geometry, appearance, w, point, opacity, gl_VertexID, corner)) return;
-  gl_Position = corner.position;
-  vWhite = corner.white;
+  if (!splatOf(View(uPinhole, uSize, uTangents, true), geometry, appearance, w, point, opacity, splat)) return;
+  gl_Position = cornerOf(uSize, splat, gl_VertexID, vWhite);
   vec3 color = uHarmonicTexels == 0
       ? colorOf(appearance.w)
       : radianceOf(row, normalize(w0.xyz * point.x + w1.xyz * point.y + w2.xyz * point.z));
-  vColor = vec4(color, corner.log2Alpha);
+  vColor = vec4(color, splat.log2Alpha);
 }`;
 
 export const kSplatFragment = `#version 300 es
