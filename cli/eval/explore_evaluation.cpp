@@ -116,6 +116,13 @@ Json summarize_exploration(const ExploreResults& results) {
   const auto gaussians = [](const ExploreSample* sample) {
     return sample == nullptr ? Json() : Json(total_gaussians(*sample));
   };
+  // Of the way back: what is on ground that nobody has seen before, a thing's far side say, is no growth of the rest.
+  Json inserted_back;
+  if (before_return != nullptr && after_return != nullptr) {
+    const Inserted &before = before_return->inserted, &after = after_return->inserted;
+    inserted_back = {
+        {"bare", after.bare - before.bare}, {"hole", after.hole - before.hole}, {"fill", after.fill - before.fill}};
+  }
   const std::optional<Stations::Means> stations = results.stations.means();
   const ExploreSample* last = results.samples.empty() ? nullptr : &results.samples.back();
   Json summary{{"gaussians_total", gaussians(last)},
@@ -136,6 +143,7 @@ Json summarize_exploration(const ExploreResults& results) {
                {"stations", stations ? stations->stations : 0},
                {"gaussians_before_return", gaussians(before_return)},
                {"gaussians_after_return", gaussians(after_return)},
+               {"inserted_back", inserted_back},
                {"views_per_s_at_end", or_null(views_per_s)},
                {"views_per_s_ratio", nullptr},
                {"teleport_whole_s", or_null(results.teleport_whole_s)},
@@ -148,31 +156,85 @@ Json summarize_exploration(const ExploreResults& results) {
   return summary;
 }
 
+namespace {
+
+/// Runs once, writes what came of it under names that end with `suffix`, and summarises it.
+class ExploreRuns {
+ public:
+  ExploreRuns(const ExploreOptions& options, const StopSignals& signals,
+              const std::function<void(const std::string&)>& show_state)
+      : signals_(signals),
+        show_state_(show_state),
+        out_(options.run.setup.out),
+        single_(!options.compare && !options.halve && !options.alone) {}
+
+  Json run(const ExploreRunOptions& options, const std::string& name, const std::string& suffix) {
+    const ExploreResults results = run_exploration(
+        options, name, signals_, [&](const std::string& state) { show_state_(single_ ? state : name + ": " + state); });
+    apart_m_ = results.apart_m;
+    write_text(out_ / ("figures" + suffix + ".csv"), exploration_csv(results));
+    write_exploration_plots(results, out_ / ("figures" + suffix + ".png"));
+    write_exploration_sheet(results, out_ / ("contact_sheet" + suffix + ".png"));
+    return summarize_exploration(results);
+  }
+  [[nodiscard]] double apart_m() const { return apart_m_; }
+
+ private:
+  const StopSignals& signals_;
+  const std::function<void(const std::string&)>& show_state_;
+  std::filesystem::path out_;
+  bool single_;
+  double apart_m_ = 0;
+};
+
+/// The same run over a world of its own.
+ExploreRunOptions beside(ExploreRunOptions options, const char* name) {
+  if (!options.world.empty()) options.world += std::string("_") + name;
+  return options;
+}
+
+/// Half of it in MiB, for a ceiling; null: none.
+std::uint64_t half_mb(const Json& megabytes) {
+  const double half = megabytes.get<double>() * kMegabyte / 2 / (1U << 20U);
+  return std::max<std::uint64_t>(1, static_cast<std::uint64_t>(half));
+}
+
+}  // namespace
+
 Json run_explore_evaluation(const ExploreOptions& options, const StopSignals& signals,
                             const std::function<void(const std::string&)>& show_state) {
   const std::filesystem::path& out = options.run.setup.out;
   std::filesystem::create_directories(out);
-  const auto run = [&](const ExploreRunOptions& run_options, const std::string& name, const std::string& suffix) {
-    const ExploreResults results = run_exploration(run_options, name, signals, [&](const std::string& state) {
-      show_state(options.compare ? name + ": " + state : state);
-    });
-    write_text(out / ("figures" + suffix + ".csv"), exploration_csv(results));
-    write_exploration_plots(results, out / ("figures" + suffix + ".png"));
-    write_exploration_sheet(results, out / ("contact_sheet" + suffix + ".png"));
-    return summarize_exploration(results);
-  };
-  Json summary = run(options.run, "explore", "");
+  ExploreRunOptions first = options.run;
+  if (options.halve && first.world.empty()) first.world = out / "world";
+  ExploreRuns runs(options, signals, show_state);
+  Json summary = runs.run(first, "explore", "");
+  const double apart_m = runs.apart_m();
   if (options.compare) {
-    ExploreRunOptions restless = options.run;
+    ExploreRunOptions restless = beside(first, "restless");
     restless.rests = false;
-    if (!restless.world.empty()) restless.world += "_restless";
-    Json beside = run(restless, "restless", "_restless");
-    const Json &rate = summary["views_per_s_at_end"], &rate_beside = beside["views_per_s_at_end"];
+    Json result = runs.run(restless, "restless", "_restless");
+    const Json &rate = summary["views_per_s_at_end"], &rate_beside = result["views_per_s_at_end"];
     if (rate.is_number() && rate_beside.is_number() && rate_beside > 0) {
       summary["views_per_s_ratio"] = rounded(rate.get<double>() / rate_beside.get<double>());
     }
-    beside.erase("views_per_s_ratio");
-    summary["restless"] = std::move(beside);
+    result.erase("views_per_s_ratio");
+    summary["restless"] = std::move(result);
+  }
+  if (options.halve) {
+    ExploreRunOptions halved = beside(first, "halved");
+    halved.memory_mb = half_mb(summary["device_mb_peak"]);
+    halved.disk_mb = half_mb(summary["disk_mb"]);
+    Json result = runs.run(halved, "halved", "_halved");
+    result.update({{"memory_mb", halved.memory_mb}, {"disk_limit_mb", halved.disk_mb}});
+    summary["halved"] = std::move(result);
+  }
+  for (int viewer = 0; options.alone && viewer < first.viewers; ++viewer) {
+    const std::string name = "alone_" + std::to_string(viewer + 1);
+    ExploreRunOptions alone = beside(first, name.c_str());
+    alone.viewers = 1;
+    alone.start_m += viewer * apart_m;
+    summary[name] = runs.run(alone, name, "_" + name);
   }
   summary.update({{"seconds", options.run.seconds},
                   {"seed", options.run.setup.seed},

@@ -12,6 +12,8 @@ struct ExploreOptions {
   ExploreRunOptions run{.setup = {.cameras = 4, .size = 160, .input_cameras = 24, .input_size = 128, .budget = 60000},
                         .scene = "world"};
   bool compare = false;  ///< with the same run without freezing
+  bool halve = false;    ///< with the same run under half of the memory and disk that it took
+  bool alone = false;    ///< with runs in which each of two viewers is alone
 };
 
 /// Figures of one run. "At 30 s" is a third of the walk where that is sooner, and each is the mean of the 10 s about it

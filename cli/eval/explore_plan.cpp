@@ -45,6 +45,11 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
     }
   }
   if (!options.world.empty()) settings.emplace_back("trainer.world", fs::absolute(options.world).string());
+  for (const char* ceiling : {"device_mb", "host_mb"}) {
+    if (options.memory_mb > 0)
+      settings.emplace_back(fmt::format("trainer.{}", ceiling), std::to_string(options.memory_mb));
+  }
+  if (options.disk_mb > 0) settings.emplace_back("trainer.disk_mb", std::to_string(options.disk_mb));
   if (!options.rests) settings.emplace_back("trainer.freeze", "false");
   apply_settings(settings, file);
 }
@@ -84,10 +89,10 @@ ExplorePlan plan_exploration(const ExploreRunOptions& options, const bus::Addres
   }
   const std::vector<viewer::PathLeg> legs = viewer::read_path_points(path);
   if (legs.size() != 1) throw std::runtime_error(path.string() + ": a walk has no teleports");
-  const double way_m = length_m(legs.front());
+  plan.apart_m = std::min(kApart_m, length_m(legs.front()) / 2);
   for (int i = 0; i < options.viewers; ++i) {
     plan.viewers.push_back(options.viewers == 1 ? "viewer" : fmt::format("viewer-{}", i + 1));
-    const double from_m = i * std::min(kApart_m, way_m / 2);
+    const double from_m = options.start_m + i * plan.apart_m;
     plan.ways.emplace_back(legs.front(), from_m, options.seconds, options.back_s.value_or(options.seconds / 2),
                            options.speed_m_s);
     write_text(options.setup.out / fmt::format("path_{}.txt", plan.viewers.back()), plan.ways.back().path_text());

@@ -14,6 +14,7 @@ struct ExplorePlan {
   LaunchPlan launch;
   std::vector<std::string> viewers;  ///< names on the bus
   std::vector<ExploreWay> ways;      ///< of the viewers
+  double apart_m = 0;                ///< along the walk, from one's start to the next one's
 };
 
 /// The launch file with the scene, the cameras that follow and viewers that wait at the start of their ways, which are

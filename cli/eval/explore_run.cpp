@@ -36,6 +36,14 @@ constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
 constexpr float kAtStart_m = 0.2F;
 constexpr int kSheetInstants = 8;
 
+Inserted inserted_of(const std::map<std::string, double>& counters) {
+  const auto count = [&](const char* name) {
+    const auto found = counters.find(name);
+    return found == counters.end() ? 0 : found->second;
+  };
+  return {.bare = count("inserted_bare"), .hole = count("inserted_hole"), .fill = count("inserted_fill")};
+}
+
 class ExploreRun {
  public:
   ExploreRun(const ExploreRunOptions& options, const std::string& name, const StopSignals& signals,
@@ -54,6 +62,7 @@ class ExploreRun {
         run_(plan_.launch, log_) {
     results_.out_s = plan_.ways.front().out_s();
     results_.walk_s = plan_.ways.front().walk_s();
+    results_.apart_m = plan_.apart_m;
   }
 
   ExploreResults run() {
@@ -208,11 +217,13 @@ class ExploreRun {
                          .trainer = watch_.state().trainer,
                          .page_bytes = watch_.state().page_bytes,
                          .draw_ms = {},
+                         .inserted = {},
                          .viewers = {}};
     sample.viewers.resize(plan_.viewers.size());
     for (const ProcessStatus& process : run_.status()) {
       if (process.name != "engine" && process.pid != 0)
         sample.resident_bytes += resident_bytes(process.pid).value_or(0);
+      if (process.name == "expander") sample.inserted = inserted_of(process.counters);
       if (process.name != plan_.viewers.front()) continue;
       if (const auto drawn = process.counters.find("draw_ms"); drawn != process.counters.end()) {
         sample.draw_ms = drawn->second;

@@ -23,8 +23,11 @@ struct ExploreRunOptions {
   double seconds = 300;          ///< of the walk out
   std::optional<double> back_s;  ///< of the way back over its own path; nullopt: half of that
   double speed_m_s = 1.4;
-  double stay_s = 8;  ///< after the teleport
-  int viewers = 1;    ///< the second walks ahead of the first
+  double stay_s = 8;   ///< after the teleport
+  int viewers = 1;     ///< the second walks ahead of the first
+  double start_m = 0;  ///< along the way, where the first viewer begins
+  /// Ceilings of the trainer's memory, wherever the model is, and of its world folder, MiB; 0: none.
+  std::uint64_t memory_mb = 0, disk_mb = 0;
   std::optional<std::uint64_t> max_gaussians;
   bool rests = true;  ///< pages freeze
 };
@@ -33,6 +36,11 @@ struct ExploreRunOptions {
 struct ViewerFigures {
   double ssim = 0, flip = 0;
   std::optional<double> unmodelled_share;
+};
+
+/// Gaussians that the expander has inserted so far, by reason (InsertReasons).
+struct Inserted {
+  double bare = 0, hole = 0, fill = 0;
 };
 
 /// The run at one moment, about once a second. Its figures may not have come.
@@ -44,6 +52,7 @@ struct ExploreSample {
   std::uint64_t page_bytes = 0;
   std::uint64_t resident_bytes = 0;  ///< of all services, without the engine
   std::optional<double> draw_ms;     ///< of the first viewer's last picture
+  Inserted inserted;
   std::vector<std::optional<ViewerFigures>> viewers;
 };
 
@@ -58,6 +67,7 @@ struct ExploreResults {
   std::vector<ExplorePictures> pictures;
   Stations stations;
   double out_s = 0, walk_s = 0;
+  double apart_m = 0;                      ///< along the walk, from one viewer's start to the next one's
   std::optional<double> teleport_whole_s;  ///< until at most a hundredth of the picture was not modelled
 };
 

@@ -58,9 +58,15 @@ std::vector<std::pair<std::string, std::vector<Figure>>> figures_of(const Explor
     flip.push_back(of_viewer("flip" + suffix, &ViewerFigures::flip, viewer));
     unmodelled.push_back(of_viewer("unmodelled_share" + suffix, &ViewerFigures::unmodelled_share, viewer));
   }
+  const auto of_expander = [](const char* name, double Inserted::*reason) {
+    return Figure{name, [=](const ExploreSample& sample) -> std::optional<double> { return sample.inserted.*reason; }};
+  };
   return {{"Gaussians",
            {of_trainer("gaussians", &Trainer::gaussians), of_trainer("active", &Trainer::active),
             of_trainer("frozen", &Trainer::frozen), of_trainer("spilled", &Trainer::spilled)}},
+          {"Gaussians inserted so far",
+           {of_expander("inserted_bare", &Inserted::bare), of_expander("inserted_hole", &Inserted::hole),
+            of_expander("inserted_fill", &Inserted::fill)}},
           {"pages",
            {of_trainer("pages_active", &Trainer::pages_active), of_trainer("pages_frozen", &Trainer::pages_frozen),
             of_trainer("pages_spilled", &Trainer::pages_spilled)}},

@@ -10,7 +10,7 @@ namespace splatbus::bus {
 namespace {
 
 constexpr std::size_t max_name_bytes = 256;
-constexpr std::size_t max_tensors = 256;
+constexpr std::size_t max_tensors = 512;
 constexpr std::size_t frame_alignment = 8;
 
 zmq::message_t share_frame(const zmq::message_t& frame) {

@@ -35,7 +35,7 @@ RecvResult receive_frames(zmq::socket_ref socket, Frames& frames, std::string& w
 /// Never waits: a message that the socket has no room for is dropped by ZeroMQ.
 void send_frames(zmq::socket_ref socket, Frames frames);
 
-/// The Header of a body that verifies as an Envelope and keeps to the limits (names up to 256 bytes, 256 tensors), else
+/// The Header of a body that verifies as an Envelope and keeps to the limits (names up to 256 bytes, 512 tensors), else
 /// null with `why` filled in. Points into the body.
 const wire::Header* verified_header(const zmq::message_t& body, std::string& why);
 

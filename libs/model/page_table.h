@@ -21,7 +21,7 @@ namespace splatbus::model {
 
 inline constexpr std::uint32_t kArenaPages = 128;
 /// As many as one message can name.
-inline constexpr std::uint32_t kMaxArenas = 240;
+inline constexpr std::uint32_t kMaxArenas = 480;
 /// Most recent batches that the model remembers, as model/published carries them.
 inline constexpr std::size_t kRememberedBatches = 4096;
 
@@ -64,7 +64,7 @@ struct ArenaList {
 
 struct alignas(64) PageTableHeader {
   static constexpr std::uint64_t kMagic = 0x7365676170627073;  // "spbpages"
-  static constexpr std::uint32_t kVersion = 1;
+  static constexpr std::uint32_t kVersion = 2;
 
   std::uint64_t magic;
   std::uint32_t version;

@@ -194,6 +194,9 @@ void Expander::insert(const Round& round) {
   counters_.samples += round.samples.count - round.invalid;
   counters_.samples_invalid += round.invalid;
   counters_.samples_beyond += result.beyond;
+  counters_.inserted_bare += result.reasons.bare;
+  counters_.inserted_hole += result.reasons.hole;
+  counters_.inserted_fill += result.reasons.fill;
   if (result.beyond > 0 && !std::exchange(beyond_logged_, true)) {
     spdlog::warn("{} samples lie too far from the origin of their frame for cells of {} m: they are not modelled",
                  result.beyond, options_->cell_size_m);
@@ -206,9 +209,12 @@ void Expander::insert(const Round& round) {
   if (!result.batches.empty() && unsent_since_ns_ == 0) unsent_since_ns_ = round.publish_ns;
   for (InsertBatch& batch : result.batches) queue_.add(std::move(batch));
   counters_.milliseconds = static_cast<double>(bus::now_ns() - start) * 1e-6;
-  spdlog::log(result.selected == 0 ? spdlog::level::debug : spdlog::level::info,
-              "input round of rig generation {}: {} of {} samples inserted, {:.1f} ms", round.rig_generation,
-              result.selected, round.samples.count, counters_.milliseconds);
+  spdlog::log(
+      result.selected == 0 ? spdlog::level::debug : spdlog::level::info,
+      "input round of rig generation {}: {} of {} samples inserted ({} on new ground, {} in holes, {} to fill), "
+      "{:.1f} ms",
+      round.rig_generation, result.selected, round.samples.count, result.reasons.bare, result.reasons.hole,
+      result.reasons.fill, counters_.milliseconds);
 }
 
 void Expander::publish_batches() {
@@ -292,6 +298,9 @@ void run(bus::ServiceContext& service) {
     service.counter("batches_sent", static_cast<double>(counters.batches_sent));
     service.counter("batches_pending", static_cast<double>(expander.queue().pending()));
     service.counter("gaussians_inserted", static_cast<double>(expander.queue().gaussians()));
+    service.counter("inserted_bare", static_cast<double>(counters.inserted_bare));
+    service.counter("inserted_hole", static_cast<double>(counters.inserted_hole));
+    service.counter("inserted_fill", static_cast<double>(counters.inserted_fill));
     service.counter("cells", static_cast<double>(expander.inserter().cells().size()));
     service.counter("adoptions", static_cast<double>(expander.model_sync().adoptions()));
     service.counter("round_ms", counters.milliseconds);

@@ -22,7 +22,8 @@ namespace splatbus::expander {
 struct ExpanderCounters {
   std::uint64_t rounds = 0, rounds_lost = 0;
   std::uint64_t samples = 0, samples_invalid = 0;
-  std::uint64_t samples_beyond = 0;  ///< too far from the origin of their frame
+  std::uint64_t samples_beyond = 0;                                       ///< too far from the origin of their frame
+  std::uint64_t inserted_bare = 0, inserted_hole = 0, inserted_fill = 0;  ///< Gaussians, by InsertReasons
   std::uint64_t batches_sent = 0;
   double milliseconds = 0;          ///< the last round's
   double latency_milliseconds = 0;  ///< from a round's publication until its last batch was published

@@ -36,6 +36,7 @@ InsertResult GaussianInserter::insert(const Round& round, std::span<const Viewpo
   const std::uint32_t selected =
       selector_.select(round.samples, modelled_.near(selector_.search_cells(), objects), filled_, options.select);
   result.selected = selected;
+  result.reasons = selector_.reasons();
   result.beyond = selector_.beyond();
   result.cells = selector_.cells();
   cells_.set_samples(result.cells);

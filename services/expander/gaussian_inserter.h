@@ -22,7 +22,8 @@ struct InsertOptions {
 };
 
 struct InsertResult {
-  std::size_t selected = 0;          ///< Gaussians of all batches
+  std::size_t selected = 0;  ///< Gaussians of all batches
+  InsertReasons reasons;
   std::size_t beyond = 0;            ///< candidates that lie too far from their frame's origin for any cell
   std::vector<CellCount> cells;      ///< with candidates, and how many
   std::vector<InsertBatch> batches;  ///< in the order of the round; not numbered

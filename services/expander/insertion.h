@@ -124,6 +124,13 @@ struct CellSums {
   std::uint32_t uncovered, holes;  ///< the former with the latter
 };
 
+/// Why samples were selected.
+struct InsertReasons {
+  std::uint32_t bare = 0;  ///< nothing that faces the same way is modelled within three spacings or more: new ground
+  std::uint32_t hole = 0;  ///< nothing is within the hole's distance, but something is beyond
+  std::uint32_t fill = 0;  ///< a cell is filled more densely, or more finely than before
+};
+
 /// Finds the samples that the model lacks and makes Gaussians of them. Keeps its memory from round to round. Not
 /// thread-safe.
 class SampleSelector {
@@ -142,6 +149,8 @@ class SampleSelector {
   [[nodiscard]] const std::vector<CellCount>& cells() const { return report_; }
   /// Samples that lie too far from their frame's origin for any cell.
   [[nodiscard]] std::uint32_t beyond() const { return beyond_; }
+  /// Of the last select(), whatever it had room for.
+  [[nodiscard]] const InsertReasons& reasons() const { return reasons_; }
 
   /// Selects candidates of cells that are seen, that no point which faces the same way covers, and that lie in a hole
   /// or in a cell that is to be filled (FilledCells). Coarser points count among the finer ones that join them.
@@ -162,6 +171,7 @@ class SampleSelector {
   device::StreamView stream_;
   float cell_size_m_;
   std::uint32_t binned_ = 0, cells_ = 0, beyond_ = 0;
+  InsertReasons reasons_;
   std::vector<CellCount> report_, search_cells_;
   device::Buffer<ObjectFrame> objects_;
   device::Buffer<Viewpoint> viewpoints_;

@@ -122,8 +122,8 @@ struct TestCell {
   }
 };
 
-/// Ascending by the distance to what is modelled.
-enum Lack : std::uint8_t { kCovered, kGap, kLoose, kHole };
+/// Ascending by the distance to what is modelled; bare is what has nothing within the edge of a search cell.
+enum Lack : std::uint8_t { kCovered, kGap, kLoose, kHole, kBare };
 
 /// For each candidate, in the order of the cells, how far it is from what is modelled.
 struct TestSample {
@@ -152,7 +152,7 @@ struct TestSample {
     const auto reaches = [&](float along, int side) {
       return side == 0 || (side < 0 ? along < -inner : along > inner);
     };
-    Lack lack = kHole;
+    Lack lack = kBare;
     for (std::uint32_t i = 0; i < kNeighbours; ++i) {
       const std::uint32_t k = (i + kNeighbours / 2) % kNeighbours;  // the own cell first
       if (!reaches(within.x, offset_of(k, 9)) || !reaches(within.y, offset_of(k, 3)) ||
@@ -170,14 +170,28 @@ struct TestSample {
         lack = here < lack ? here : lack;
       }
     }
-    return lack;
+    return lack == kBare && is_near(cell, local.normal, position_m, edge_m) ? kHole : lack;
+  }
+
+  /// Whether anything modelled faces the same way within that distance, which is no longer than the cell's edge.
+  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool is_near(std::uint32_t cell, const Vec3& normal, const Vec3& position_m,
+                                                      float distance_m) const {
+    for (std::uint32_t k = 0; k < kNeighbours; ++k) {
+      const std::uint32_t* const range = neighbours + 2 * (std::size_t{cell} * kNeighbours + k);
+      for (std::uint32_t p = range[0]; p < range[1]; ++p) {
+        const Vec3 apart = points[p].position - position_m;
+        if (dot(apart, apart) < distance_m * distance_m && dot(points[p].normal, normal) > kSameSurfaceCosine)
+          return true;
+      }
+    }
+    return false;
   }
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
     lack[i] = seen[cell] ? lack_of(cell, localised(samples, frames, order[i])) : kCovered;
     if (lack[i] >= kLoose) device::atomic_add(&sums[cell].uncovered, 1U);
-    if (lack[i] == kHole) device::atomic_add(&sums[cell].holes, 1U);
+    if (lack[i] >= kHole) device::atomic_add(&sums[cell].holes, 1U);
     const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
     device::atomic_add(&sums[cell].spacing,
                        static_cast<std::uint32_t>(samples.spacing_m[order[i]] / edge_m * kFixedOne + 0.5F));
@@ -191,10 +205,17 @@ struct WantSample {
   const std::uint8_t* lack;
   const std::uint8_t* fill;  ///< [cells]
   std::uint8_t* wanted;      ///< [samples of the round], in its order
+  InsertReasons* reasons;
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
-    wanted[order[i]] = lack[i] == kHole || (lack[i] != kCovered && fill[cell] != 0) ? 1 : 0;
+    const bool is_wanted = lack[i] >= kHole || (lack[i] != kCovered && fill[cell] != 0);
+    wanted[order[i]] = is_wanted ? 1 : 0;
+    if (!is_wanted) return;
+    std::uint32_t* const reason = lack[i] == kBare   ? &reasons->bare
+                                  : lack[i] == kHole ? &reasons->hole
+                                                     : &reasons->fill;
+    device::atomic_add(reason, 1U);
   }
 };
 
@@ -251,6 +272,7 @@ void SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> ob
 
 std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& modelled, FilledCells& filled,
                                      const SelectOptions& options) {
+  reasons_ = {};
   if (binned_ == 0) return 0;
   reserve(seen_, cells_);
   reserve(neighbours_, std::size_t{2} * kNeighbours * cells_);
@@ -278,8 +300,12 @@ std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& mo
     fill[c] = filled.fill(cell.key, spacing_m, options.refine_factor, lacks) ? 1 : 0;
   }
   fill_.assign(fill);
-  for_each_index(stream_, binned_,
-                 WantSample{cells, keys_.data(), order_.data(), lack_.data(), fill_.data(), wanted_.data()});
+  Buffer<InsertReasons> reasons(stream_, 1);
+  reasons.clear();
+  for_each_index(
+      stream_, binned_,
+      WantSample{cells, keys_.data(), order_.data(), lack_.data(), fill_.data(), wanted_.data(), reasons.data()});
+  reasons_ = reasons.to_host().front();
   return with_policy(stream_, [&](auto&& policy) {
     const auto first = thrust::make_counting_iterator(std::uint32_t{0});
     std::uint32_t* const end =

@@ -57,7 +57,7 @@ void WorldKeeper::turn(const Restructure& restructure) {
   finish_fetch(restructure);
   start_fetch();
   const auto now = Clock::now();
-  if (now < next_round_ || writer_->busy()) return;
+  if (writer_->busy() || (now < next_round_ && !hurries(now))) return;
   const double elapsed = last_round_ == Clock::time_point{} ? parameters_.period_s : seconds(now - last_round_);
   static_cast<void>(start_round(now, elapsed));
   if (open_rounds_ < kMostOpenRounds) return;
@@ -127,6 +127,7 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   auto round = spare_ ? std::move(spare_) : std::make_unique<KeepRound>();
   round->used = 0;
   round->removals.clear();
+  round->leaving.clear();
   round->progress = {.next_gaussian_id = store_.next_gaussian_id(),
                      .step = store_.step(),
                      .views = store_.views(),
@@ -144,7 +145,12 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
     stage(*round, changed[c], leaves ? world::PageMark::Spilled : world::PageMark::Resident);
   }
   for (const Candidate& victim : victims) {
-    if (round->used < staged && leaving.contains(victim.key)) stage(*round, victim, world::PageMark::Spilled);
+    if (!leaving.contains(victim.key)) continue;
+    if (is_kept(victim)) {
+      round->leaving.push_back(victim.key);
+    } else if (round->used < staged) {
+      stage(*round, victim, world::PageMark::Spilled);
+    }
   }
   std::erase_if(stale, [&](const Candidate& page) { return leaving.contains(page.key); });
   allowance_bytes_ -= static_cast<double>(round->used * page_bytes);
@@ -161,7 +167,8 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
     allowance_bytes_ -= static_cast<double>(more * page_bytes);
   }
   stream_.wait();
-  const bool any = round->used > 0 || !round->removals.empty() || (round->commits && !uncommitted_.empty());
+  const bool any = round->used > 0 || !round->removals.empty() || !round->leaving.empty() ||
+                   (round->commits && !uncommitted_.empty());
   const double spent_s = seconds(Clock::now() - begin);
   stats_.copy_s += spent_s;
   stats_.longest_copy_s = std::max(stats_.longest_copy_s, spent_s);

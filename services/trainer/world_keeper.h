@@ -96,6 +96,10 @@ class WorldKeeper {
   [[nodiscard]] std::size_t room_for_pages() const;
   [[nodiscard]] float distance_m(const world::PageKey& key, const PageBounds& bounds) const;
   [[nodiscard]] std::vector<Candidate> choose_victims() const;
+  /// Whether the folder has the page as it is: nothing changes it as long as it rests.
+  [[nodiscard]] bool is_kept(const Candidate& candidate) const;
+  /// Whether pages that are wanted back wait for others to leave.
+  [[nodiscard]] bool hurries(Clock::time_point now);
   void spill(const KeepRound& round, const Restructure& restructure);
   void forget(KeepRound& round);
   void start_fetch();
@@ -111,7 +115,7 @@ class WorldKeeper {
   std::map<world::PageKey, Kept> kept_;
   std::map<world::PageKey, world::PageEntry> elsewhere_;  ///< pages that are in the folder alone
   std::vector<world::PageKey> uncommitted_;
-  Clock::time_point next_fetch_{};
+  Clock::time_point next_fetch_{}, next_hurry_{};
   world::WorldProgress committed_;
   std::unique_ptr<KeepRound> spare_;
   std::vector<math::Vec3> places_;

@@ -15,8 +15,9 @@ namespace splatbus::trainer {
 namespace {
 
 constexpr std::size_t kNoBound = std::numeric_limits<std::size_t>::max();
-constexpr std::size_t kFetchedAtOnce = 16;
-constexpr auto kFetchPeriod = std::chrono::milliseconds(50);
+constexpr std::size_t kFetchedAtOnce = 64;
+constexpr auto kFetchPeriod = std::chrono::milliseconds(50);  // of looks that have found all that is wanted
+constexpr auto kHurryPeriod = std::chrono::milliseconds(100);
 /// Times the distance of what is to come back: farther away, pages leave for it. What comes back so does not go at
 /// once.
 constexpr float kLeave = 1.25F;
@@ -109,23 +110,40 @@ std::vector<WorldKeeper::Candidate> WorldKeeper::choose_victims() const {
   return victims;
 }
 
+bool WorldKeeper::is_kept(const Candidate& candidate) const {
+  const auto kept = kept_.find(candidate.key);
+  const model::PageEntry& entry = store_.table().entry(candidate.page);
+  return kept != kept_.end() && entry.now.state == model::PageState::Frozen &&
+         kept->second.generation == entry.generation.load(std::memory_order_relaxed);
+}
+
+bool WorldKeeper::hurries(Clock::time_point now) {
+  if (failing_ || wanted_m_.empty() || now < next_hurry_) return false;
+  next_hurry_ = now + kHurryPeriod;
+  return !choose_victims().empty();
+}
+
 void WorldKeeper::spill(const KeepRound& round, const Restructure& restructure) {
   const auto leaves = [&](const StagedPage& page) { return page.mark == world::PageMark::Spilled; };
   const std::span<const StagedPage> staged(round.pages.data(), round.used);
-  if (std::none_of(staged.begin(), staged.end(), leaves)) return;
+  std::vector<world::PageKey> leaving = round.leaving;
+  for (const StagedPage& page : staged) {
+    if (leaves(page)) leaving.push_back(page.key);
+  }
+  if (leaving.empty()) return;
   restructure([&] {
     std::vector<std::uint32_t> pages;
-    for (const StagedPage& page : staged) {
-      const auto kept = kept_.find(page.key);
-      const auto entry = world_->find(page.key);
-      if (!leaves(page) || kept == kept_.end() || !entry) continue;
+    for (const world::PageKey& key : leaving) {
+      const auto kept = kept_.find(key);
+      const auto entry = world_->find(key);
+      if (kept == kept_.end() || !entry) continue;
       // What has changed since goes another time, and to the folder as it is now.
       if (store_.table().entry(kept->second.page).generation.load() != kept->second.generation) {
         kept->second.generation = 0;
         continue;
       }
       pages.push_back(kept->second.page);
-      elsewhere_[page.key] = *entry;
+      elsewhere_[key] = *entry;
       kept_.erase(kept);
     }
     store_.take_out(pages);
@@ -171,6 +189,7 @@ void WorldKeeper::start_fetch() {
   std::sort(near.begin(), near.end());
   const std::size_t room = room_for_pages();
   const std::size_t count = std::min({near.size(), room, kFetchedAtOnce});
+  if (count < std::min(near.size(), room)) next_fetch_ = now;
   wanted_m_.clear();
   for (std::size_t k = room; k < near.size(); ++k) wanted_m_.push_back(near[k].first);
   for (std::size_t k = 0; k < count; ++k) reading_.push_back(near[k].second);

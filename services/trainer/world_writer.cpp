@@ -91,6 +91,7 @@ void WorldWriter::write(KeepRound& round) {
     world_->put(page, world::encode_page(page, layout));
   }
   for (const world::PageKey& key : round.removals) world_->remove(key);
+  for (const world::PageKey& key : round.leaving) world_->mark(key, world::PageMark::Spilled);
   if (round.commits) world_->commit(round.progress);
 }
 

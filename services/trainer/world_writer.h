@@ -29,7 +29,8 @@ struct KeepRound {
   std::vector<StagedPage> pages;  ///< the first `used` of them; the others are memory for the next round
   std::size_t used = 0;
   std::vector<world::PageKey> removals;
-  bool commits = false;  ///< with this round all since the last commit is what there is now
+  std::vector<world::PageKey> leaving;  ///< pages that the folder has as they are, and that are to be there alone
+  bool commits = false;                 ///< with this round all since the last commit is what there is now
   world::WorldProgress progress;
   std::string error;  ///< when it is done: why nothing since the last commit was written
 };

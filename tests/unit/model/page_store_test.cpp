@@ -4,6 +4,7 @@
 
 #include "page_store_fixture.h"
 #include "wire/model_generated.h"
+#include "wire/model_limits.h"
 
 namespace splatbus::model {
 
@@ -19,6 +20,16 @@ TEST_P(PageStoreTest, AFullModelTakesWhatItHasRoomForAndThenNothing) {
   EXPECT_EQ(insert(*store_, batch, 3).count, 0U);
   EXPECT_TRUE(store_->holds(1, 3)) << "it would be sent for ever";
   expect_sound();
+}
+
+TEST_P(PageStoreTest, AModelMayBeAsLargeAsTheLimitSays) {
+  start(kGaussianLimit);
+  EXPECT_EQ(store_->room(), kGaussianLimit);
+  const Batch batch = make_batch(random_, 80, false, 1);
+  EXPECT_EQ(insert(*store_, batch, 1).count, 80U);
+  truth_.insert(batch, 80);
+  expect_sound();
+  EXPECT_THROW(start(kGaussianLimit + kGaussianLimit / 50), std::invalid_argument);
 }
 
 TEST_P(PageStoreTest, ARadianceModelBeginsWithTheColorThatTheSampleHasUnderTheLight) {

@@ -229,6 +229,29 @@ TEST_P(WorldSpillTest, WhatRestsTakesLessOfTheCeiling) {
   EXPECT_EQ(heaps_here().contains(0), false) << "the farthest goes first";
 }
 
+/// What rests is in the folder as it is: it leaves for what is wanted back without being written once more.
+TEST_P(WorldSpillTest, WhatRestsLeavesWithoutBeingWritten) {
+  start();
+  for (int heaps = 0; keeper_->stats().spilled_pages < 4;) {
+    ASSERT_LT(heaps, 40);
+    stand(10.0F * static_cast<float>(heaps) + 5);
+    const model::Batch batch = heap(heaps);
+    insert(*store_, batch, static_cast<std::uint64_t>(++heaps));
+    truth_.insert(batch, batch.count);
+    std::vector<std::uint32_t> pages;
+    for (const IndexRange& range : store_->view().ranges) pages.push_back(range.first / kPageLanes);
+    store_->freeze(pages);
+    const std::uint64_t rounds = keeper_->stats().rounds;
+    ASSERT_TRUE(turn_until([&] { return keeper_->stats().rounds > rounds; }));
+  }
+  const std::set<int> here = heaps_here();
+  const std::uint64_t spilled = keeper_->stats().spilled_pages, written = keeper_->stats().pages;
+  stand(5);
+  ASSERT_TRUE(turn_until([&] { return all_near(5) && !heaps_here().contains(*here.rbegin()); }));
+  EXPECT_LE(keeper_->stats().pages, written + spilled) << "those that came back are";
+  expect_everybody();
+}
+
 INSTANTIATE_TEST_SUITE_P(Devices, WorldSpillTest, testing::Values(Device::Cpu, Device::Cuda), model::device_name);
 
 }  // namespace
