@@ -15,27 +15,17 @@ namespace splatbus::wire {
 
 namespace {
 
-constexpr std::array kSchemas{kSchema<CaptureInput>,
-                              kSchema<CaptureProbe>,
-                              kSchema<CaptureReference>,
-                              kSchema<Control>,
-                              kSchema<EngineCameras>,
-                              kSchema<EngineFrame>,
-                              kSchema<GridState>,
-                              kSchema<Heartbeat>,
-                              kSchema<Liveness>,
-                              kSchema<Log>,
-                              kSchema<ModelInsert>,
-                              kSchema<ModelPublished>,
-                              kSchema<RelightVisibility>,
-                              kSchema<SceneLightDepth>,
-                              kSchema<SceneUpdate>,
-                              kSchema<StreamStats>,
-                              kSchema<Topics>,
-                              kSchema<TrainerStats>,
-                              kSchema<ViewerPose>,
-                              kSchema<ViewerProbe>,
-                              kSchema<ViewerQuality>};
+constexpr std::array kSchemas{kSchema<CaptureInput>,      kSchema<CaptureProbe>,
+                              kSchema<CaptureReference>,  kSchema<Control>,
+                              kSchema<EngineCameras>,     kSchema<EngineFrame>,
+                              kSchema<GridState>,         kSchema<Heartbeat>,
+                              kSchema<Liveness>,          kSchema<Log>,
+                              kSchema<ModelInsert>,       kSchema<ModelPublished>,
+                              kSchema<RelightVisibility>, kSchema<SceneLightDepth>,
+                              kSchema<SceneUpdate>,       kSchema<StreamStats>,
+                              kSchema<StreamerOffer>,     kSchema<Topics>,
+                              kSchema<TrainerStats>,      kSchema<ViewerPose>,
+                              kSchema<ViewerProbe>,       kSchema<ViewerQuality>};
 /// A family before those that include it, so that a table's schema says no more than it has to.
 constexpr std::array<std::string_view, 7> kFamilies{"engine", "scene",  "capture", "model",
                                                     "viewer", "system", "stream"};
