@@ -12,6 +12,7 @@
 #include "schema_json.h"
 #include "supervised_run.h"
 #include "topic_watch.h"
+#include "units_text.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -130,19 +131,6 @@ int node_info(const NodeInfoOptions& options) {
     print_text(node, info);
   }
   return 0;
-}
-
-std::string duration_text(double seconds) {
-  const auto whole = static_cast<long>(seconds);
-  if (whole < 60) return fmt::format("{} s", whole);
-  if (whole < 3600) return fmt::format("{} min {} s", whole / 60, whole % 60);
-  return fmt::format("{} h {} min", whole / 3600, whole / 60 % 60);
-}
-
-std::string bytes_text(double bytes) {
-  if (bytes < 1024.0 * 1024) return fmt::format("{:.1f} KiB", bytes / 1024);
-  if (bytes < 1024.0 * 1024 * 1024) return fmt::format("{:.1f} MiB", bytes / 1024 / 1024);
-  return fmt::format("{:.2f} GiB", bytes / 1024 / 1024 / 1024);
 }
 
 }  // namespace splatbus::cli

@@ -17,9 +17,4 @@ struct NodeInfoOptions {
 /// `splatbus node info`. Returns the exit status.
 int node_info(const NodeInfoOptions& options);
 
-/// "3 min 2 s"
-[[nodiscard]] std::string duration_text(double seconds);
-/// "512.3 MiB"
-[[nodiscard]] std::string bytes_text(double bytes);
-
 }  // namespace splatbus::cli
