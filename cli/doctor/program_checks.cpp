@@ -19,9 +19,9 @@ Check check_programs(const fs::path& folder) {
   utsname kernel{};
   ::uname(&kernel);
   Check check{.name = "versions",
-              .found = fmt::format("splatbus {}, protocol {}, ZeroMQ {}.{}.{}, FlatBuffers {}, Linux {}",
-                                   SPLATBUS_VERSION, kProtocolVersion, major, minor, patch,
-                                   flatbuffers::flatbuffer_version_string, kernel.release)};
+              .found = fmt::format("splatbus {}, protocol {}, ZeroMQ {}.{}.{}, FlatBuffers {}.{}.{}, Linux {}",
+                                   SPLATBUS_VERSION, kProtocolVersion, major, minor, patch, FLATBUFFERS_VERSION_MAJOR,
+                                   FLATBUFFERS_VERSION_MINOR, FLATBUFFERS_VERSION_REVISION, kernel.release)};
   std::vector<std::string> missing;
   for (const char* name :
        {"bus", "engine-sim", "capture-bridge", "expander", "trainer", "relight", "streamer", "viewer", "gateway"}) {

@@ -11,6 +11,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "bus/trace.h"
 #include "metrics/image_io.h"
 
 namespace splatbus::viewer {
@@ -173,6 +174,7 @@ bool Viewer::show(bool changed) {
   changed = changed || playout_.moving() || (window_ && painter_->settles(time_s));
   if (!changed && frames_ > 0 && before == camera_) return false;
   playout_.advance(now_ns);
+  const bus::TracedWork work("draw", playout_.shown_ns());
   const std::shared_ptr<const SceneState> played = playout_.scene();
   const SceneState& scene = played ? *played : *shown_.scene;
   const std::string& out = options_->out;
