@@ -1,3 +1,4 @@
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <poll.h>
 #include <pty.h>
@@ -64,7 +65,9 @@ TEST_F(TopVerb, PrintsOneTableOfAll) {
   EXPECT_TRUE(service["processor_percent"].is_number()) << service;
   EXPECT_EQ(view["services"][0]["name"], "bus");
   for (const Json& topic : view["topics"]) {
-    if (topic["topic"] == "test/model") EXPECT_EQ(topic["readers"], 0) << "it looks at nobody's messages";
+    if (topic["topic"] == "test/model") {
+      EXPECT_EQ(topic["readers"], 0) << "it looks at nobody's messages";
+    }
     if (topic["topic"] != "sys/heartbeat") continue;
     EXPECT_GT(topic["rate_hz"], 2);
     EXPECT_TRUE(topic["transit_s"].is_number());
