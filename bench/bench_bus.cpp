@@ -1,6 +1,7 @@
 // What the bus costs: small messages between two processes through the broker, against ZeroMQ alone with and without a
 // proxy; and a large payload by slab, against ZeroMQ's copy. Every process is one of its own, as in a pipeline.
 #include <fmt/format.h>
+#include <time.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -29,12 +30,14 @@ namespace {
 struct Options {
   double seconds = 2, paced_hz = 1000, offered_hz = 300e3;
   int runs = 3;
+  bool small_only = false, bus_only = false;
   std::size_t megabytes = 64;
 };
 
 constexpr std::size_t kSamples = 1 << 20;
 constexpr std::size_t kWindow = 2048;  // on the way at most, below the high-water mark of 4096
 constexpr Topic<wire::Log> kSmall{"bench/small"}, kLarge{"bench/large"};
+constexpr const char* kOurs = "splatbus, broker";
 constexpr std::size_t kSmallBytes = 192;  // of a body, as the bus's of this message
 constexpr std::chrono::milliseconds kPatience(100);
 
@@ -146,7 +149,7 @@ std::vector<Way> ways() {
   const auto proxied = [](const std::string& folder) { return zmq_sender(folder, true, kSmallBytes); };
   return {{"ZeroMQ, direct", raw, zmq_read, {}},
           {"ZeroMQ, proxy", proxied, zmq_read, zmq_relay},
-          {"splatbus, broker", bus_sender, bus_read, bus_relay}};
+          {kOurs, bus_sender, bus_read, bus_relay}};
 }
 
 enum class Pace { Flood, Offered, Single };
@@ -171,8 +174,17 @@ void send_for(const Options& options, Pace pace, Shared& shared, const std::func
   shared.sent = sent;
 }
 
+/// Processor time of a process and all its threads, which other programs of the machine hardly change.
+double processor_us(pid_t pid) {
+  clockid_t clock = 0;
+  timespec time{};
+  if (::clock_getcpuclockid(pid, &clock) != 0 || ::clock_gettime(clock, &time) != 0) return 0;
+  return static_cast<double>(time.tv_sec) * 1e6 + static_cast<double>(time.tv_nsec) * 1e-3;
+}
+
 struct Result {
   double rate_hz = 0, median_us = 0, p99_us = 0;
+  std::vector<double> processor_us;  ///< a message: of the relay where there is one, the reader, the sender
   std::uint64_t lost = 0;
 };
 
@@ -193,7 +205,7 @@ class Folder {
 };
 
 void wait_for(const std::function<bool()>& condition) {
-  const std::int64_t end = bus::now_ns() + 30'000'000'000;
+  const std::int64_t end = bus::now_ns() + 120'000'000'000;
   while (!condition()) {
     if (bus::now_ns() > end) throw std::runtime_error("a process of the measurement says nothing");
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
@@ -207,7 +219,7 @@ Result measure(const Options& options, const Way& way, Pace pace) {
   if (way.relay) processes.emplace_back([&] { way.relay(folder.path()); });
   processes.emplace_back([&] { way.read(folder.path(), *shared); });
   // Whoever publishes sees the subscription; the broker's subscriber has been acknowledged.
-  if (way.name.starts_with("splatbus")) wait_for([&] { return shared->reads.load(); });
+  if (way.name == kOurs) wait_for([&] { return shared->reads.load(); });
   processes.emplace_back([&] {
     const auto send = way.make_sender(folder.path());
     send_for(options, pace, *shared, send);
@@ -221,6 +233,9 @@ Result measure(const Options& options, const Way& way, Pace pace) {
   }
   Result result;
   const std::uint64_t received = shared->received;
+  for (const Process& process : processes) {
+    result.processor_us.push_back(processor_us(process.pid()) / static_cast<double>(shared->sent));
+  }
   result.lost = shared->sent - received;
   result.rate_hz = static_cast<double>(received) / (static_cast<double>(shared->last_ns - shared->first_ns) * 1e-9);
   std::vector<std::int32_t> samples(
@@ -243,6 +258,7 @@ void small_messages(const Options& options) {
     std::map<std::string, Result> best;
     for (int run = 0; run < options.runs; ++run) {
       for (const Way& way : ways()) {
+        if (options.bus_only && way.name != kOurs) continue;
         const Result result = measure(options, way, pace);
         const auto [found, fresh] = best.try_emplace(way.name, result);
         Result& kept = found->second;
@@ -250,15 +266,19 @@ void small_messages(const Options& options) {
         if (!fresh && better) kept = result;
       }
     }
-    fmt::print("small messages, {}\n", title);
-    const Result& proxy = best.at("ZeroMQ, proxy");
+    fmt::print("small messages, {} (CPU: relay, reader, sender)\n", title);
     for (const Way& way : ways()) {
+      if (!best.contains(way.name)) continue;
       const Result& r = best.at(way.name);
-      fmt::print(
-          "  {:<18} {:>9.0f} /s  median {:>8.1f} us  p99 {:>9.1f} us  lost {:>6}   {:.2f} of the proxy's rate, {:.2f} "
-          "of its median\n",
-          way.name, r.rate_hz, r.median_us, r.p99_us, r.lost, r.rate_hz / proxy.rate_hz, r.median_us / proxy.median_us);
+      std::string processor;
+      for (const double us : r.processor_us) processor += fmt::format(" {:.2f}", us);
+      fmt::print("  {:<18} {:>9.0f} /s  median {:>8.1f} us  p99 {:>9.1f} us  lost {:>6}  CPU us a message:{}\n",
+                 way.name, r.rate_hz, r.median_us, r.p99_us, r.lost, processor);
     }
+    if (options.bus_only) continue;
+    const Result &ours = best.at(kOurs), &proxy = best.at("ZeroMQ, proxy");
+    fmt::print("  of the proxy: {:.2f} of its rate, {:.2f} of its median\n", ours.rate_hz / proxy.rate_hz,
+               ours.median_us / proxy.median_us);
   }
 }
 
@@ -277,7 +297,7 @@ struct LargeShared {
   std::atomic<std::uint64_t> grown_kib;
 };
 
-constexpr int kLargeMessages = 50;
+constexpr int kLargeMessages = 20;
 
 /// From publish to a reader that has looked at both ends of the payload.
 void large_by_slab(const Options& options, const std::string& folder, LargeShared& shared) {
@@ -288,7 +308,12 @@ void large_by_slab(const Options& options, const std::string& folder, LargeShare
     bus::Subscriber subscriber(bus::Context::create(bus::Address::parse("ipc://" + folder), "reader"));
     std::uint64_t before_kib = 0;
     subscriber.on(kLarge, [&](const wire::Log&, const bus::Message& message) {
-      const auto payload = message.tensor("payload");
+      auto payload = message.tensor("payload");
+      // The first time a slab is asked for, the registry's connection may not be there yet.
+      for (int turn = 0; !payload && turn < 1000; ++turn) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        payload = message.tensor("payload");
+      }
       if (!payload) throw std::runtime_error("the payload is gone");
       const auto* data = static_cast<const volatile std::byte*>(payload->data());
       if (data[0] != data[bytes - 1] || !payload->still_valid()) throw std::runtime_error("the payload is another's");
@@ -371,8 +396,10 @@ int main(int argc, char** argv) {
   app.add_option("--offered", options.offered_hz, "messages a second, for the latency under load");
   app.add_option("--paced", options.paced_hz, "messages a second, for the latency of one at a time");
   app.add_option("--megabytes", options.megabytes, "MiB of the large payload");
+  app.add_flag("--small-only", options.small_only, "leave the large payload out");
+  app.add_flag("--bus-only", options.bus_only, "leave ZeroMQ alone out, for a profiler");
   CLI11_PARSE(app, argc, argv);
-  splatbus::bench::large_payloads(options);
+  if (!options.small_only) splatbus::bench::large_payloads(options);
   splatbus::bench::small_messages(options);
   return 0;
 }

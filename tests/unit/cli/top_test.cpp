@@ -88,7 +88,7 @@ class Terminal {
     pid_ = ::forkpty(&master, nullptr, nullptr, &size);
     if (pid_ == 0) {
       ::setenv("TERM", "xterm", 1);
-      ::execl(SPLATBUS_BIN_DIR "/splatbus", "splatbus", "top", "--bus", bus.c_str(), nullptr);
+      ::execl(SPLATBUS_BIN_DIR "/inspect-test-verbs", "splatbus", "top", "--bus", bus.c_str(), nullptr);
       ::_exit(127);
     }
     master_ = bus::FileDescriptor(master);
