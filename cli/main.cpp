@@ -21,6 +21,9 @@ int run(int argc, char** argv) {
   splatbus::cli::add_param_verb(app, action);
   splatbus::cli::add_topic_verb(app, action);
   splatbus::cli::add_node_verb(app, action);
+  splatbus::cli::add_top_verb(app, action);
+  splatbus::cli::add_trace_verb(app, action);
+  splatbus::cli::add_doctor_verb(app, action);
   splatbus::cli::add_keys_verb(app, action);
   splatbus::cli::add_export_verb(app, action);
   splatbus::cli::add_health_verb(app, action);

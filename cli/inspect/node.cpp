@@ -7,14 +7,15 @@
 #include <iterator>
 #include <map>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
 #include <stdexcept>
 #include <vector>
 
 #include "bus/subscriber.h"
+#include "bus_watch.h"
 #include "launch_plan.h"
+#include "node_info.h"
 #include "schema_json.h"
 #include "supervised_run.h"
 #include "verbs.h"
@@ -24,7 +25,6 @@ namespace splatbus::cli {
 
 namespace {
 
-using Json = nlohmann::json;
 constexpr std::chrono::milliseconds kPatience(50);
 
 struct NodeOptions {
@@ -34,26 +34,6 @@ struct NodeOptions {
   double timeout_s = 60;
   bool json = false, counters = false;
 };
-
-Json describe(const wire::Heartbeat& heartbeat) {
-  const auto text = [](const flatbuffers::String* string) { return string != nullptr ? string->str() : std::string(); };
-  Json node{{"source", heartbeat.header()->source()->str()},
-            {"kind", heartbeat.service()->str()},
-            {"pid", heartbeat.pid()},
-            {"state", wire::EnumNameServiceState(heartbeat.state())},
-            {"backend", text(heartbeat.backend())},
-            {"detail", text(heartbeat.detail())},
-            {"age_s", static_cast<double>(bus::now_ns() - heartbeat.header()->publish_ns()) / 1e9},
-            {"counters", Json::object()},
-            {"parameters", Json::object()}};
-  if (heartbeat.counters() != nullptr) {
-    for (const auto* counter : *heartbeat.counters()) node["counters"][counter->name()->str()] = counter->value();
-  }
-  if (heartbeat.parameters() != nullptr) {
-    for (const auto* entry : *heartbeat.parameters()) node["parameters"][entry->key()->str()] = entry->value()->str();
-  }
-  return node;
-}
 
 /// Names that a sys/liveness message calls alive.
 std::set<std::string> alive_nodes(const bus::Message& message) {
@@ -112,18 +92,15 @@ int list(const NodeOptions& options) {
   }
   for (const auto& [source, message] : newest) {
     bus::guarded(message, [&message = message, &options] {
-      const Json node = describe(message.root<wire::Heartbeat>());
+      const NodeState node = read_heartbeat(message.root<wire::Heartbeat>());
       if (options.json) {
-        fmt::print("{}\n", json_text(node));
+        fmt::print("{}\n", json_text(to_json(node)));
         return;
       }
-      fmt::print("{:<18} {:<16} {:>8} {:<9} {:<7} {:>7.2f}  {}\n", node["source"].get<std::string>(),
-                 node["kind"].get<std::string>(), node["pid"].get<int>(), node["state"].get<std::string>(),
-                 node["backend"].get<std::string>(), node["age_s"].get<double>(), node["detail"].get<std::string>());
+      fmt::print("{:<18} {:<16} {:>8} {:<9} {:<7} {:>7.2f}  {}\n", node.source, node.kind, node.pid, node.state,
+                 node.backend, node.age_s, node.detail);
       if (!options.counters) return;
-      for (const auto& [name, value] : node["counters"].items()) {
-        fmt::print("    {:<24} {:.6g}\n", name, value.is_null() ? 0.0 : value.get<double>());
-      }
+      for (const auto& [name, value] : node.counters) fmt::print("    {:<24} {:.6g}\n", name, value);
     });
   }
   if (newest.empty()) fmt::print(stderr, "splatbus node list: no heartbeat within {} s\n", options.seconds);
@@ -145,6 +122,13 @@ void add_node_verb(CLI::App& app, Action& action) {
       ->check(CLI::PositiveNumber);
   add_bus_option(*verb, options->bus);
   verb->callback([options, &action] { action = [options] { return list(*options); }; });
+
+  auto info_options = std::make_shared<NodeInfoOptions>();
+  CLI::App* info = node->add_subcommand("info", "Show what a process publishes, reads, uses and is set to");
+  info->add_option("name", info_options->name, "its name, or its kind where one process is of that kind")->required();
+  info->add_flag("--json", info_options->json, "print one JSON object");
+  add_bus_option(*info, info_options->bus);
+  info->callback([info_options, &action] { action = [info_options] { return node_info(*info_options); }; });
 }
 
 }  // namespace splatbus::cli

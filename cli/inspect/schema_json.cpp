@@ -7,10 +7,12 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <map>
 #include <optional>
-#include <sstream>
 #include <string>
 #include <vector>
+
+#include "wire/schemas.h"
 
 namespace splatbus::cli {
 
@@ -25,17 +27,6 @@ flatbuffers::IDLOptions json_options() {
   options.output_default_scalars_in_json = true;
   options.allow_non_utf8 = true;
   return options;
-}
-
-/// One text of all schemas can be parsed in one go once its includes, which name files, are gone.
-std::string without_includes(const std::string& text) {
-  std::istringstream lines(text);
-  std::string result, line;
-  while (std::getline(lines, line)) {
-    if (!line.starts_with("include ")) result += line;
-    result += '\n';
-  }
-  return result;
 }
 
 /// FlatBuffers prints nan and inf, which JSON does not have.
@@ -136,32 +127,36 @@ Json tensor_summary(const bus::Message& message, const wire::Tensor& tensor) {
 }  // namespace
 
 struct SchemaJson::Impl {
-  flatbuffers::Parser parser{json_options()};
+  /// Knows the tables of one of wire::find_schema's schemas. Throws bus::Error.
+  flatbuffers::Parser& parser_of(const wire::TableSchema& schema) {
+    auto& parser = parsers[schema.binary.data()];
+    if (parser == nullptr) {
+      parser = std::make_unique<flatbuffers::Parser>(json_options());
+      if (!parser->Deserialize(schema.binary.data(), schema.binary.size())) {
+        throw bus::Error(fmt::format("embedded schema of {}: {}", schema.table, parser->error_));
+      }
+    }
+    return *parser;
+  }
+
+  std::map<const std::uint8_t*, std::unique_ptr<flatbuffers::Parser>> parsers;
 };
 
-SchemaJson::SchemaJson() : impl_(std::make_unique<Impl>()) {
-  for (const EmbeddedSchema& schema : embedded_schemas()) {
-    if (!impl_->parser.Parse(without_includes(schema.text).c_str(), nullptr, schema.name)) {
-      throw bus::Error(fmt::format("embedded schema {}: {}", schema.name, impl_->parser.error_));
-    }
-  }
-  impl_->parser.Serialize();
-}
+SchemaJson::SchemaJson() : impl_(std::make_unique<Impl>()) {}
 
 SchemaJson::~SchemaJson() = default;
 
 Json SchemaJson::to_json(const bus::Message& message) {
   const std::string schema = message.header().schema()->str();
-  const std::string table = "splatbus.wire." + schema.substr(0, schema.find('/'));
-  flatbuffers::Parser& parser = impl_->parser;
-  const auto& reflection = *reflection::GetSchema(parser.builder_.GetBufferPointer());
-  const auto* object = reflection.objects()->LookupByKey(table.c_str());
-  if (object == nullptr || object->is_struct()) {
-    throw bus::Error(fmt::format("{}: unknown schema '{}'", message.topic(), schema));
-  }
-  if (!flatbuffers::Verify(reflection, *object, message.bytes(), message.size())) {
+  const auto known = wire::find_schema(schema);
+  if (!known) throw bus::Error(fmt::format("{}: unknown schema '{}'", message.topic(), schema));
+  const std::string table(known->table);
+  const auto& reflection = *reflection::GetSchema(known->binary.data());
+  if (!flatbuffers::Verify(reflection, *reflection.objects()->LookupByKey(table.c_str()), message.bytes(),
+                           message.size())) {
     throw bus::Error(fmt::format("{}: is no valid {}", message.topic(), schema));
   }
+  flatbuffers::Parser& parser = impl_->parser_of(*known);
   parser.root_struct_def_ = parser.LookupStruct(table);
   std::string text;
   if (!flatbuffers::GenerateText(parser, message.bytes(), &text)) {

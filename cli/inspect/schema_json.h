@@ -2,14 +2,13 @@
 
 #include <memory>
 #include <nlohmann/json.hpp>
-#include <span>
 #include <string>
 
 #include "bus/subscriber.h"
 
 namespace splatbus::cli {
 
-/// Turns any message of the schemas that this program was built with into JSON. Not thread-safe.
+/// Turns any message that wire::find_schema knows into JSON. Not thread-safe.
 class SchemaJson {
  public:
   SchemaJson();
@@ -31,13 +30,5 @@ class SchemaJson {
 [[nodiscard]] inline std::string json_text(const nlohmann::json& json, int indent = -1) {
   return json.dump(indent, ' ', false, nlohmann::json::error_handler_t::replace);
 }
-
-struct EmbeddedSchema {
-  const char* name;  ///< "common.fbs"
-  const char* text;
-};
-
-/// The files of schemas/ as they were at build time, each after those that it includes.
-[[nodiscard]] std::span<const EmbeddedSchema> embedded_schemas();
 
 }  // namespace splatbus::cli

@@ -3,6 +3,9 @@
 #include <flatbuffers/flatbuffers.h>
 
 #include <algorithm>
+#include <span>
+
+#include "wire/schemas.h"
 
 namespace splatbus::cli {
 
@@ -104,10 +107,11 @@ std::uint16_t RecordingFile::channel_of(const QueuedMessage& message) {
 
 std::uint16_t RecordingFile::schema_of(const std::string& schema) {
   if (const auto found = schemas_.find(schema); found != schemas_.end()) return found->second;
-  const std::string table = "splatbus.wire." + schema.substr(0, schema.find('/'));
-  auto binary = binary_schema(table);
-  const std::uint16_t id =
-      binary.empty() ? std::uint16_t{0} : writer_->add_schema(table, "flatbuffer", std::move(binary));
+  std::uint16_t id = 0;
+  if (const auto known = wire::find_schema(schema)) {
+    const auto bytes = std::as_bytes(known->binary);
+    id = writer_->add_schema(std::string(known->table), "flatbuffer", {bytes.begin(), bytes.end()});
+  }
   return schemas_[schema] = id;
 }
 

@@ -85,8 +85,4 @@ class RecordingFile {
   std::size_t latched_bytes_ = 0;
 };
 
-/// The schema of a root table ("splatbus.wire.EngineFrame") as FlatBuffers' reflection has it, with all that it
-/// includes; empty when this program does not know it.
-[[nodiscard]] std::vector<std::byte> binary_schema(const std::string& table);
-
 }  // namespace splatbus::cli

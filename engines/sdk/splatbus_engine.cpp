@@ -12,6 +12,7 @@
 #include "bus/context.h"
 #include "bus/error.h"
 #include "bus/heartbeat_thread.h"
+#include "bus/trace.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
 #include "sdk/frame_rings.h"
@@ -148,11 +149,13 @@ splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_f
   if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
   return guarded_call(engine->error, [&] {
     require(frame != nullptr, "splatbus_engine_submit: frame is NULL");
+    bus::TracedWork work("submit picture");
     std::string wrong = engine_sdk::problem(*frame);
     if (wrong.empty() && engine->last) wrong = engine_sdk::problem(*frame, *engine->last);
     if (!wrong.empty()) throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame->frame, wrong));
     const bool same_frame = engine->last && engine->last->frame == frame->frame;
     const std::int64_t capture_ns = same_frame ? engine->capture_ns : bus::now_ns();
+    work.is_of(capture_ns, 0);
     engine_sdk::WrittenFrame written = engine->rings.write(*frame);
     if (const std::string refusal = engine->sender.refusal(*written.ring); !refusal.empty()) {
       engine->rings.forget(*written.ring);

@@ -10,11 +10,15 @@
 
 #include "bus/clock.h"
 #include "bus/service.h"
+#include "bus/trace.h"
+#include "wire/trace_generated.h"
+#include "wire/trace_topics.h"
 
 namespace splatbus::bus {
 namespace {
 
 constexpr std::int64_t beat_ns = 200'000'000;
+constexpr std::int64_t longest_trace_ns = 10'000'000'000;
 
 }  // namespace
 
@@ -24,6 +28,9 @@ HeartbeatThread::HeartbeatThread(ServiceContext& service, std::string kind)
     control_.on(topics::control("control/" + name),
                 [this](const wire::Control& control, const Message& message) { apply(control, message); });
   }
+  control_.on(topics::kTraceRequest, [](const wire::TraceRequest& request, const Message&) {
+    SpanLog::of_process().record_until(std::min(request.until_ns(), now_ns() + longest_trace_ns));
+  });
   beat(wire::ServiceState::Starting);
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
 }
@@ -46,7 +53,23 @@ void HeartbeatThread::run(const std::stop_token& stop) {
     if (now_ns() < next_beat) continue;
     next_beat = std::max(next_beat + beat_ns, now_ns());
     beat(state());
+    publish_spans();
   }
+}
+
+void HeartbeatThread::publish_spans() {
+  const SpanLog::Taken taken = SpanLog::of_process().take();
+  if (taken.spans.empty() && taken.lost == 0) return;
+  publisher_.publish(topics::kSpans, [&](auto& builder, auto header) {
+    std::vector<flatbuffers::Offset<wire::WorkSpan>> spans;
+    spans.reserve(taken.spans.size());
+    for (const WorkSpan& span : taken.spans) {
+      // Names are few: each is written once.
+      spans.push_back(wire::CreateWorkSpan(builder, builder.CreateSharedString(span.name), span.begin_ns, span.end_ns,
+                                           span.capture_ns, span.scene_version, span.thread));
+    }
+    return wire::CreateSpansDirect(builder, header, static_cast<std::uint32_t>(::getpid()), &spans, taken.lost);
+  });
 }
 
 wire::ServiceState HeartbeatThread::state() const {
@@ -107,7 +130,8 @@ void HeartbeatThread::beat(wire::ServiceState state) {
       parameter_offsets.push_back(wire::CreateKeyValueDirect(builder, name.c_str(), value.c_str()));
     }
     return wire::CreateHeartbeatDirect(builder, header, kind_.c_str(), static_cast<std::uint32_t>(::getpid()), state,
-                                       detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend), kProtocolVersion);
+                                       detail.c_str(), &counter_offsets, &parameter_offsets, name_of(service_.backend),
+                                       kProtocolVersion);
   });
 }
 

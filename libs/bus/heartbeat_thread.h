@@ -12,7 +12,8 @@
 
 namespace splatbus::bus {
 
-/// The thread beside a service's own: heartbeats, and parameters changed through control/<kind> and control/<source>.
+/// The thread beside a service's own: heartbeats, parameters changed through control/<kind> and control/<source>, and
+/// what the service does, while sys/trace asks for it.
 class HeartbeatThread {
  public:
   HeartbeatThread(ServiceContext& service, std::string kind);
@@ -29,6 +30,7 @@ class HeartbeatThread {
   [[nodiscard]] wire::ServiceState state() const;
   void obey(wire::Order order);
   void apply(const wire::Control& control, const Message& message);
+  void publish_spans();
 
   ServiceContext& service_;
   const std::string kind_;

@@ -6,6 +6,7 @@
 
 #include <utility>
 
+#include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/frames.h"
 
@@ -18,6 +19,7 @@ constexpr std::size_t max_pending_messages = 512;
 constexpr std::size_t max_pending_bytes = std::size_t{32} << 20;
 constexpr int poll_ms = 100;  // a net below the edge-triggered ZMQ_FD
 constexpr std::chrono::milliseconds linger{500};
+constexpr std::int64_t read_period_ns = 1'000'000;  // while messages leave
 
 }  // namespace
 
@@ -59,7 +61,7 @@ void Outbox::close() {
 std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
   const std::scoped_lock lock(mutex_);
   if (closed_) return 0;
-  read_subscriptions();
+  read_subscriptions_if_due();
   const std::string topic = frames.topic.to_string();
   const std::uint64_t sequence = ++sequences_[topic];
   auto* header =
@@ -69,7 +71,7 @@ std::uint64_t Outbox::send(Frames frames, const std::string* latch_key) {
   if (latch_key != nullptr) latched_.put(topic, *latch_key, "", order, frames.share());
   if (connected_) {
     send_frames(socket_, std::move(frames));
-    read_subscriptions();
+    read_subscriptions_if_due();
     return sequence;
   }
   waiting_ = true;
@@ -102,7 +104,13 @@ void Outbox::run(const std::stop_token& stop) {
   }
 }
 
+// To look and find nothing takes ZeroMQ several system calls, which would be most of what a small message costs.
+void Outbox::read_subscriptions_if_due() {
+  if (!connected_ || now_ns() - read_ns_ >= read_period_ns) read_subscriptions();
+}
+
 void Outbox::read_subscriptions() {
+  read_ns_ = now_ns();
   zmq::message_t event;
   while (socket_.recv(event, zmq::recv_flags::dontwait)) {
     if (event.empty()) continue;

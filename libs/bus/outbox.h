@@ -47,12 +47,14 @@ class Outbox {
   };
   void run(const std::stop_token& stop);
   void read_subscriptions();
+  void read_subscriptions_if_due();
   void catch_up();
 
   std::mutex mutex_;
   std::condition_variable connected_changed_;
   zmq::socket_t socket_;
   bool connected_ = false, closed_ = false;
+  std::int64_t read_ns_ = 0;  ///< when subscriptions were last read
   std::uint64_t next_order_ = 1;
   std::map<std::string, std::uint64_t> sequences_;
   LatchStore latched_;

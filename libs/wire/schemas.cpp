@@ -10,35 +10,26 @@
 #include <vector>
 
 #include "wire/topics.h"
+#include "wire/trace_topics.h"
 
 namespace splatbus::wire {
 
 namespace {
 
-constexpr std::array kSchemas{kSchema<CaptureInput>,
-                              kSchema<CaptureProbe>,
-                              kSchema<CaptureReference>,
-                              kSchema<Control>,
-                              kSchema<EngineCameras>,
-                              kSchema<EngineFrame>,
-                              kSchema<GridState>,
-                              kSchema<Heartbeat>,
-                              kSchema<Liveness>,
-                              kSchema<Log>,
-                              kSchema<ModelInsert>,
-                              kSchema<ModelPublished>,
-                              kSchema<RelightVisibility>,
-                              kSchema<SceneLightDepth>,
-                              kSchema<SceneUpdate>,
-                              kSchema<StreamStats>,
-                              kSchema<Topics>,
-                              kSchema<TrainerStats>,
-                              kSchema<ViewerPose>,
-                              kSchema<ViewerProbe>,
-                              kSchema<ViewerQuality>};
+constexpr std::array kSchemas{kSchema<CaptureInput>,      kSchema<CaptureProbe>,
+                              kSchema<CaptureReference>,  kSchema<Control>,
+                              kSchema<EngineCameras>,     kSchema<EngineFrame>,
+                              kSchema<GridState>,         kSchema<Heartbeat>,
+                              kSchema<Liveness>,          kSchema<Log>,
+                              kSchema<ModelInsert>,       kSchema<ModelPublished>,
+                              kSchema<RelightVisibility>, kSchema<SceneLightDepth>,
+                              kSchema<SceneUpdate>,       kSchema<StreamStats>,
+                              kSchema<StreamerOffer>,     kSchema<Topics>,
+                              kSchema<TrainerStats>,      kSchema<ViewerPose>,
+                              kSchema<ViewerProbe>,       kSchema<ViewerQuality>};
 /// A family before those that include it, so that a table's schema says no more than it has to.
-constexpr std::array<std::string_view, 7> kFamilies{"engine", "scene",  "capture", "model",
-                                                    "viewer", "system", "stream"};
+constexpr std::array<std::string_view, 8> kFamilies{"engine", "scene",  "capture", "model",
+                                                    "viewer", "system", "stream", "trace"};
 
 /// By family, "system", or file, "foxglove/Log".
 const std::map<std::string_view, std::vector<std::uint8_t>>& files() {

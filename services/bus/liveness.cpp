@@ -12,8 +12,8 @@ constexpr std::size_t max_nodes = 1024;
 constexpr std::size_t max_topics = 1024;
 constexpr std::size_t max_names = 16;  // of sources and of schemas of a topic
 
-void remember(std::set<std::string>& names, const flatbuffers::String& name) {
-  if (names.size() < max_names) names.insert(name.str());
+void remember(std::set<std::string, std::less<>>& names, const flatbuffers::String& name) {
+  if (names.size() < max_names && !names.contains(name.string_view())) names.insert(name.str());
 }
 
 }  // namespace

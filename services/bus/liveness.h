@@ -54,7 +54,7 @@ class RunningSpread {
 class TopicTable {
  public:
   struct Topic {
-    std::set<std::string> schemas, sources;
+    std::set<std::string, std::less<>> schemas, sources;
     bool latched = false;
     std::uint64_t messages = 0;
     std::uint64_t bytes = 0;         ///< with the tensors that they announce

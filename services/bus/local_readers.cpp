@@ -49,7 +49,7 @@ std::set<std::string> LocalReaders::names(const std::string& topic,
     if (!reads) continue;
     bool named = false;
     for (const auto& [source, node] : nodes) {
-      if (node.pid != reader.pid || !node.alive) continue;
+      if (node.pid != reader.pid || !node.alive || result.size() >= max_names) continue;
       result.insert(source);
       named = true;
     }

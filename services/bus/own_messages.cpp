@@ -70,7 +70,7 @@ bus::Frames OwnMessages::liveness(const std::map<std::string, Liveness::Node>& n
 bus::Frames OwnMessages::topics(TopicTable& table, const Readers& readers) {
   flatbuffers::FlatBufferBuilder builder;
   const auto head = header(builder, splatbus::topics::kTopics.schema, ++topics_messages_);
-  const auto strings = [&](const std::set<std::string>& names) {
+  const auto strings = [&](const auto& names) {
     return builder.CreateVectorOfStrings(std::vector<std::string>(names.begin(), names.end()));
   };
   std::vector<flatbuffers::Offset<wire::TopicInfo>> offsets;

@@ -24,7 +24,7 @@ bool Sources::admit(std::string_view source, std::uint64_t epoch, const zmq::mes
     return false;
   }
   const auto found = owners_.find(source);
-  const Owner caller{bus::PeerSocket::of(frame), local};
+  const Owner caller{socket_of(frame, local), local};
   if (found != owners_.end() && found->second.socket == caller.socket) return true;
   if (found == owners_.end()) {
     if (!make_room(caller.socket, why)) return false;
@@ -37,6 +37,15 @@ bool Sources::admit(std::string_view source, std::uint64_t epoch, const zmq::mes
   }
   found->second = caller;
   return true;
+}
+
+bus::PeerSocket Sources::socket_of(const zmq::message_t& frame, bool local) {
+  if (!local) return bus::PeerSocket::of(frame);
+  const int fd = bus::descriptor_of(frame);
+  for (const bus::PeerSocket& known : known_) {
+    if (known.fd == fd) return known;
+  }
+  return known_.emplace_back(bus::PeerSocket::of(frame));
 }
 
 bool Sources::speaks_here(std::string_view source) const {

@@ -4,6 +4,7 @@
 #include <map>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "bus/peer_socket.h"
 
@@ -17,6 +18,10 @@ class Sources {
   bool admit(std::string_view source, std::uint64_t epoch, const zmq::message_t& frame, bool local, std::int64_t now,
              std::string& why);
 
+  /// Connections of this machine are looked up once a turn: one that closes and another that gets its descriptor's
+  /// number within it count as one.
+  void begin_turn() { known_.clear(); }
+
   /// Whether that source is of this machine and its connection is there.
   [[nodiscard]] bool speaks_here(std::string_view source) const;
 
@@ -25,9 +30,11 @@ class Sources {
     bus::PeerSocket socket;
     bool local = false;
   };
+  [[nodiscard]] bus::PeerSocket socket_of(const zmq::message_t& frame, bool local);
   bool make_room(const bus::PeerSocket& socket, std::string& why);
 
   std::map<std::string, Owner, std::less<>> owners_;
+  std::vector<bus::PeerSocket> known_;  // of this turn
 };
 
 }  // namespace splatbus::bus_service

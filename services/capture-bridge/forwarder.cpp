@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "bus/memory.h"
+#include "bus/trace.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/scene_generated.h"
@@ -63,6 +64,7 @@ Forwarder::Forwarder(const std::shared_ptr<bus::Context>& context, Device kind) 
 
 bool Forwarder::reference(const bus::Message& message, const wire::EngineFrame& frame) {
   bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
+  const bus::TracedWork work("forward reference", info.capture_ns, scene_.version);
   auto color = message.forward_tensor("color");
   if (!color) return false;
   info.tensors.push_back(std::move(*color));
@@ -112,6 +114,7 @@ bool Forwarder::probe(const bus::Message& message, const wire::EngineFrame& fram
 bool Forwarder::light_depth(const bus::Message& message, const wire::EngineFrame& frame, std::uint32_t light_maps,
                             std::atomic<std::uint64_t>& host_bytes) {
   const Camera camera = from_wire(*frame.camera());
+  const bus::TracedWork work("forward light depth", frame.header()->capture_ns(), scene_.version);
   const auto depth = message.tensor("light_depth", bus::ElementType::F32, {camera.height, camera.width});
   if (!depth || !depth->still_valid()) return false;
   const bus::TensorSource source{
@@ -164,6 +167,7 @@ bool Forwarder::scene(const wire::EngineFrame& frame, bool with_far_field) {
   newest_frame_ = scene.frame();
   if (unchanged) return true;
   const bus::MessageInfo info{.capture_ns = frame.header()->capture_ns()};
+  const bus::TracedWork work("publish scene", info.capture_ns, scene_.version);
   publisher_.publish(topics::kSceneState, info, [&](flatbuffers::FlatBufferBuilder& builder, auto header) {
     return wire::CreateSceneUpdate(builder, header, to_wire(builder, scene_, scene.frame(), scene.time_s()));
   });

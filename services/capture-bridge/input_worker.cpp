@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "bus/log_sink.h"
+#include "bus/trace.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -124,6 +125,7 @@ void InputWorker::process(const InputJob& job) {
   const auto& newest = **std::max_element(job.views.begin(), job.views.end(), [](const auto& a, const auto& b) {
     return a->capture_ns != b->capture_ns ? a->capture_ns < b->capture_ns : a->frame < b->frame;
   });
+  const bus::TracedWork work("sample round", newest.capture_ns, newest.scene_version);
   const auto views = of_one_size(job.views, newest.camera);
   const auto start = std::chrono::steady_clock::now();
   const RoundSamples round = sampler_.sample(pointers(views), newest.objects, job.options);

@@ -10,6 +10,7 @@
 #include "bus/error.h"
 #include "bus/log_sink.h"
 #include "bus/memory.h"
+#include "bus/trace.h"
 #include "model/published_model.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -184,6 +185,7 @@ void Expander::insert_rounds() {
 }
 
 void Expander::insert(const Round& round) {
+  const bus::TracedWork work("insert round", round.capture_ns);
   const std::int64_t start = bus::now_ns();
   const std::size_t limit = options_->max_gaussians;
   InsertOptions options = options_->insert_at(steps_per_s_);

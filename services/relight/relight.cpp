@@ -12,6 +12,7 @@
 #include "bus/clock.h"
 #include "bus/memory.h"
 #include "bus/parameters.h"
+#include "bus/trace.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
@@ -227,6 +228,7 @@ void Relight::update() {
 }
 
 bool Relight::compute(Version& version, const PublishedModel& model) {
+  const bus::TracedWork work("compute visibility", 0, version.scene.version);
   const auto start = std::chrono::steady_clock::now();
   GaussiansView gaussians = model.average();
   std::vector<IndexRange> ranges;

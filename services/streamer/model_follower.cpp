@@ -8,6 +8,7 @@
 #include "bus/clock.h"
 #include "bus/error.h"
 #include "bus/memory.h"
+#include "bus/trace.h"
 #include "stream/bytes.h"
 
 namespace splatbus::streamer {
@@ -88,6 +89,7 @@ bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
 }
 
 ModelFollower::Result ModelFollower::follow(Job& job) {
+  const bus::TracedWork work("tick", 0, job.scene_version);
   const std::int64_t begin_ns = bus::now_ns(), begin_cpu_ns = bus::thread_cpu_ns();
   Result result;
   try {

@@ -29,6 +29,7 @@ class ModelFollower {
     double budget_bytes = 0;
     std::vector<Camera> cameras;
     std::set<std::uint32_t> holders;  ///< pages that anybody holds
+    std::uint64_t scene_version = 0;  ///< that viewers have been sent, for the trace
   };
   /// After a job.
   struct Result {

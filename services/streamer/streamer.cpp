@@ -10,6 +10,7 @@
 #include <zmq.hpp>
 
 #include "bus/clock.h"
+#include "bus/trace.h"
 #include "stream/bytes.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
@@ -149,8 +150,10 @@ void Streamer::subscribe() {
 
 void Streamer::take_scene(const wire::SceneUpdate& body) {
   const wire::SceneState& wired = *body.scene();
+  const bus::TracedWork work("send scene", body.header()->capture_ns(), wired.version());
   const SceneState scene = from_wire(wired);
   const auto packet = model_.take_scene(scene, {.frame = wired.frame(), .capture_ns = body.header()->capture_ns()});
+  scene_version_ = scene.version;
   hub_.set_objects(scene.objects);
   if (packet) hub_.add_scene(*packet);
 }
@@ -158,6 +161,7 @@ void Streamer::take_scene(const wire::SceneUpdate& body) {
 // Which of them is of the model that viewers hold shows at the next tick: relight may be ahead of it.
 void Streamer::take_visibility(const wire::RelightVisibility& body, const bus::Message& message) {
   const std::uint64_t generation = body.model_generation(), version = body.scene_version();
+  const bus::TracedWork work("take visibility", 0, version);
   const bool is_part = body.parts() > 0;
   if (generation < observed_generation_) return;
   // Another replica may be ahead of this one; each page has the newest of its own.
@@ -291,7 +295,8 @@ void Streamer::begin_tick(std::int64_t now_ns) {
   follower_.start({.announcement = std::exchange(announcement_, std::nullopt),
                    .budget_bytes = std::max(balance_bytes_, 0.0),
                    .cameras = hub_.cameras(),
-                   .holders = hub_.holders()});
+                   .holders = hub_.holders(),
+                   .scene_version = scene_version_});
 }
 
 void Streamer::end_tick(std::int64_t now_ns) {

@@ -13,6 +13,7 @@
 #include "bus/frames.h"
 #include "bus/log_sink.h"
 #include "bus/memory.h"
+#include "bus/trace.h"
 #include "trainer/memory_failure.h"
 #include "wire/capture_generated.h"
 #include "wire/model_generated.h"
@@ -139,6 +140,7 @@ void Trainer::take_references(const std::vector<bus::Message>& messages) {
 }
 
 void Trainer::take_reference(const bus::Message& message) {
+  const bus::TracedWork work("take reference", message.header().capture_ns());
   auto reading = references_.read(message, with_depth_);
   if (reading.retire) return views_.retire(reading.key);
   if (reading.lost) {
@@ -150,6 +152,7 @@ void Trainer::take_reference(const bus::Message& message) {
 }
 
 void Trainer::take_insert(const bus::Message& message) {
+  const bus::TracedWork work("take Gaussians", message.header().capture_ns());
   auto reading = inserts_.read(message);
   if (reading.lost) {
     ++lost_tensors_;

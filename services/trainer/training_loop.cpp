@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "bus/clock.h"
+#include "bus/trace.h"
 #include "trainer/trainer.h"
 #include "trainer/world_bytes.h"
 #include "wire/model_generated.h"
@@ -130,6 +131,7 @@ void Trainer::take(const StepReport& report) {
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
   const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
+  const bus::TracedWork work("train step", 0, batch.empty() ? 0 : batch.front()->scene.version);
   const std::uint64_t generation = store_->generation();
   take(optimizer_->step(batch));
   if (store_->generation() != generation) publish_due(true);

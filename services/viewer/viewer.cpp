@@ -11,6 +11,7 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
+#include "bus/trace.h"
 #include "metrics/image_io.h"
 
 namespace splatbus::viewer {
@@ -177,6 +178,7 @@ bool Viewer::show(bool changed) {
   const float time_s = receiver_.fade_time_s(now_ns);
   changed = changed || moving || (window_ && painter_->settles(time_s));
   if (!changed && frames_ > 0 && before == camera_) return false;
+  const bus::TracedWork work("draw", playout_.shown_ns());
   const std::string& out = options_->out;
   const std::uint64_t every = options_->frames;
   const bool writes = !out.empty() && every > 0 && frames_ % every == 0;

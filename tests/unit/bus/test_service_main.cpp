@@ -8,6 +8,7 @@
 #include "bus/publisher.h"
 #include "bus/service.h"
 #include "bus/subscriber.h"
+#include "bus/trace.h"
 #include "slab_helpers.h"
 #include "wire/viewer_generated.h"
 
@@ -49,6 +50,7 @@ void run(bus::ServiceContext& service) {
   bus::Publisher publisher(service.bus);
   publish_model(service, publisher, *slab);
   for (int turns = 0; !service.stop.stop_requested(); ++turns) {
+    const bus::TracedWork work("turn", 0, 7);
     service.counter("turns", turns);
     if (service.parameters.read<Options>().fail) throw bus::Error("told to fail");
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
