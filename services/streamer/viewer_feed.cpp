@@ -56,6 +56,7 @@ bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now
   const bool first = kind == Kind::Scene || kind == Kind::Control || kind == Kind::Gone;
   const double wanted = static_cast<double>(packet->bytes()) + (first ? 0 : kReserve * burst);
   if (there < std::min(wanted, 0.999 * burst)) return false;
+  if (!rate_.has_room(static_cast<double>(packet->bytes()))) return false;
   offered_ = kind;
   packet_ = packet;
   return true;

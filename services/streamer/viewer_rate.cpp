@@ -9,9 +9,12 @@ namespace {
 constexpr std::int64_t kRememberRateNs = 2'500'000'000, kRememberWayNs = 1'000'000'000;
 constexpr std::size_t kRememberSamples = 6;  // at least: an outage is one of them, and says nothing of the rate after it
 constexpr std::int64_t kLeastSampleNs = 10'000'000;
-// A viewer speaks four times a second, more often while much comes; a moment is for the sending itself.
-constexpr double kUntilSaid_s = 0.25, kMoment_s = 0.15;
-constexpr double kFirstWindow = 256 * 1024;            // bytes, before anything was acknowledged
+// Viewers say what has come at least four times a second; a moment is for the sending itself.
+constexpr double kLeastSaid_s = 0.05, kMostSaid_s = 0.25, kMoment_s = 0.15;
+constexpr double kFirstWindow = 64 * 1024;  // bytes; what is acknowledged adds as much: it doubles each round trip
+constexpr double kLeastWindow = 16 * 1024;
+constexpr double kLongQueue_s = 0.4;  // then what was delivered before says nothing
+constexpr std::size_t kWaysOfAQueue = 3, kSamplesOfAQueue = 2;
 constexpr double kShortQueue_s = 0.1, kQueue_s = 0.2;  // beyond the empty way
 constexpr double kGrow = 1.25, kShrink = 0.8;
 constexpr double kMostOfRate = 1.25;  // that the link is remembered to take
@@ -47,8 +50,8 @@ double ViewerRate::queued_s() const {
 
 double ViewerRate::window() const {
   const double way_s = static_cast<double>(least_way_ns_) * 1e-9;
-  const double bytes = bytes_per_s() * (way_s + kUntilSaid_s + kMoment_s);
-  return std::max(delivered_ > 0 ? bytes : std::min(bytes, kFirstWindow), 2 * burst());
+  const double bytes = bytes_per_s() * (way_s + said_s_ + kMoment_s);
+  return std::max({std::min(bytes, kFirstWindow + delivered_), std::min(delivered_, 2 * burst()), kLeastWindow});
 }
 
 double ViewerRate::available(std::int64_t now_ns) {
@@ -56,8 +59,11 @@ double ViewerRate::available(std::int64_t now_ns) {
     const double paid = std::min(debt_, bucket_.available(now_ns));
     if (bucket_.take(paid, now_ns)) debt_ -= paid;
   }
-  if (debt_ > 0) return 0;
-  return std::clamp(window() - on_the_way_, 0.0, bucket_.available(now_ns));
+  return debt_ > 0 ? 0 : bucket_.available(now_ns);
+}
+
+bool ViewerRate::has_room(double bytes) const {
+  return packets_.empty() || on_the_way_ + bytes <= window();
 }
 
 void ViewerRate::take(std::uint64_t sequence, double bytes, std::int64_t now_ns) {
@@ -91,6 +97,8 @@ void ViewerRate::acknowledged(std::uint64_t newest, std::int64_t now_ns) {
   if (packets_.empty()) on_the_way_ = 0;
   learn_way(*last, now_ns);
   learn_rate(*last, now_ns);
+  const double since_s = static_cast<double>(now_ns - acknowledged_ns_) * 1e-9;
+  said_s_ += 0.25 * (std::clamp(since_s, kLeastSaid_s, kMostSaid_s) - said_s_);
   acknowledged_ns_ = now_ns;
   if (newest > rested_until_) rested_ = false;
   refill(now_ns);
@@ -109,7 +117,11 @@ void ViewerRate::learn_rate(const Packet& packet, std::int64_t now_ns) {
   const double sample = (delivered_ - packet.delivered) / (static_cast<double>(over_ns) * 1e-9);
   if (packet.rested && sample <= link_) return;
   samples_.push_back({now_ns, sample});
-  while (samples_.size() > kRememberSamples && now_ns - samples_.front().at_ns > kRememberRateNs) samples_.pop_front();
+  const bool queues = ways_.size() >= kWaysOfAQueue && queued_s() > kLongQueue_s;
+  while ((samples_.size() > kRememberSamples && now_ns - samples_.front().at_ns > kRememberRateNs) ||
+         (samples_.size() > kSamplesOfAQueue && queues)) {
+    samples_.pop_front();
+  }
   const double largest = std::ranges::max_element(samples_, {}, &Sample::bytes_per_s)->bytes_per_s;
   link_ = std::min(std::max(largest, kLeastLink), kMostOfRate * most_);
 }

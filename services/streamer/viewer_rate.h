@@ -28,8 +28,10 @@ class ViewerRate {
   /// The packets up to `newest` have come, or never will.
   void acknowledged(std::uint64_t newest, std::int64_t now_ns);
 
-  /// Bytes that may be sent now.
+  /// Bytes that the rate allows for now.
   [[nodiscard]] double available(std::int64_t now_ns);
+  /// Whether they may be on the way too.
+  [[nodiscard]] bool has_room(double bytes) const;
   /// What is allowed, and what the link takes.
   [[nodiscard]] double bytes_per_s() const { return std::min(most_, link_); }
   [[nodiscard]] double burst() const { return std::max(kBurst_s * bytes_per_s(), kLeastBurst); }
@@ -65,6 +67,7 @@ class ViewerRate {
 
   std::deque<Packet> packets_;  ///< that are on the way
   double on_the_way_ = 0, delivered_ = 0;
+  double said_s_ = 0.25;  ///< from one acknowledgement to the next
   std::int64_t acknowledged_ns_ = 0, least_way_ns_ = 0;
   std::uint64_t last_sequence_ = 0, rested_until_ = 0;
   bool rested_ = true;

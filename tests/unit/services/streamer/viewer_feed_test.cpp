@@ -37,7 +37,12 @@ struct Seat {
       replica.receive(stream::test::parse(copy));
     }
   }
+  /// As often as a follower.
   void say(const stream::StreamModel& model, std::int64_t now_ns) {
+    const std::int64_t every_ns = bytes - said_bytes >= 32'768 ? kSecond / 20 : kSecond / 4;
+    if (bytes == said_bytes || now_ns - said_ns < every_ns) return;
+    said_bytes = bytes;
+    said_ns = now_ns;
     const auto& report = replica.report();
     (void)feed.acknowledge({.newest = report.newest,
                             .missing = report.missing,
@@ -50,7 +55,8 @@ struct Seat {
   ViewerFeed feed;
   stream::test::ShownReplica replica;
   std::optional<ViewerGaze> gaze;
-  std::uint64_t bytes = 0;
+  std::uint64_t bytes = 0, said_bytes = 0;
+  std::int64_t said_ns = 0;
   std::vector<std::pair<wire::Body, std::size_t>> sent;
   wire::Body lost = wire::Body::NONE;
   int lose = 0;
@@ -83,9 +89,7 @@ class ViewerFeedTest : public testing::Test {
     for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end; now_ns_ += kStep) {
       if (now_ns_ % kTick == 0 && amount >= 0) tick(seats, amount);
       for (Seat* seat : seats) seat->read(server_.stream, board_, now_ns_);
-      if (now_ns_ % kTick == 0) {
-        for (Seat* seat : seats) seat->say(server_.stream, now_ns_);
-      }
+      for (Seat* seat : seats) seat->say(server_.stream, now_ns_);
       if (each) each();
     }
   }
@@ -417,7 +421,7 @@ class Link {
   void pass(double bytes_per_s) {
     for (int k = 0; k < 25; ++k) {
       now_ns_ += kStep;
-      while (rate.available(now_ns_) >= kPacket) {
+      while (rate.available(now_ns_) >= kPacket && rate.has_room(kPacket)) {
         rate.take(++sent_, kPacket, now_ns_);
         queued += kPacket;
       }

@@ -7,14 +7,17 @@
 namespace splatbus::trainer {
 namespace {
 
-class ShownSharesTest : public OptimizerTest {
+class SharesTest : public OptimizerTest {
  protected:
-  ShownSharesTest() {
-    scene_ = SyntheticScene(3000, 4, 32);
-    trial_.emplace(OptimizerTest::trial(Device::Cpu, {}, 8192));
+  SharesTest() { scene_ = SyntheticScene(3000, 4, 32); }
+};
+
+class ShownSharesTest : public SharesTest {
+ protected:
+  ShownSharesTest() : trial_(OptimizerTest::trial(Device::Cpu, {}, 8192)) {
     for (const IndexRange& range : store().view().ranges) pages_.push_back(range.first / kPageLanes);
   }
-  model::PageStore& store() { return trial_->store(); }
+  model::PageStore& store() { return trial_.store(); }
   [[nodiscard]] float share(std::size_t p) { return store().table().entry(pages_[p]).shown_share; }
 
   /// A view from so far away on the z axis that shows so many pixels of the pages, and nothing of those after.
@@ -39,7 +42,7 @@ class ShownSharesTest : public OptimizerTest {
     return std::numbers::pi_v<float> * radius_m * radius_m * fx * fx / (distance_m * distance_m);
   }
 
-  std::optional<Trial> trial_;
+  Trial trial_;
   ShownShares shares_;
   std::vector<std::uint32_t> pages_;
 };
