@@ -26,7 +26,6 @@ struct GaussiansView {
   std::size_t page_stride = 0;           ///< 4-byte words from one page to the next
   std::span<const IndexRange> ranges;    ///< which indices are Gaussians, ascending; with pages only
   std::span<const PageBounds> bounds;    ///< of each range; empty: unknown
-  std::span<const float> shown_shares;   ///< of each range, model::PageEntry::shown_share; empty: unknown
   const float* parameters = nullptr;     ///< [layout.channels()][stride]
   const float* normal = nullptr;         ///< [3][stride], unit, object's frame (Transfer)
   const float* surface_point = nullptr;  ///< [3][stride], where the sample was, object's frame

@@ -52,10 +52,7 @@ struct PageEntry {
   std::atomic<std::uint64_t> change;  ///< that makes `next` of `now`; 0: none
   PageStructure next;
   PageBounds bounds;
-  float loss, movement;
-  /// Of the area of its bounding sphere in the pictures that it was trained with lately, the part that its Gaussians
-  /// make up (their blending weights' sum): 0 where no picture has shown that place, a little where it was hidden.
-  float shown_share;
+  float loss, movement, contribution;
   std::uint64_t last_seen_step;
 };
 

@@ -53,9 +53,6 @@ struct PageLook {
   std::uint32_t page = 0;
   std::uint32_t pairs = 0;  ///< Gaussians of it in tiles of the picture, up to where nothing shows any more
   double error = 0;         ///< of those tiles, each as often as it has such a Gaussian: the mean
-  /// Pixels of the picture that it makes up, the sum of its blending weights; estimated on some of the pixels, and not
-  /// in every look: below 0, not in this one.
-  float weight_px = -1;
 };
 
 /// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians, and

@@ -90,7 +90,6 @@ void StreamModel::cut_target(const GaussiansView& gaussians) {
                              .index = range.first,
                              .object_id = range.frame_id,
                              .frozen = range.frozen != 0,
-                             .shown_share = 0,
                              .bounds = {}});
   };
   if (gaussians.has_pages()) {
@@ -108,7 +107,6 @@ void StreamModel::cut_target(const GaussiansView& gaussians) {
   for (std::size_t k = 0; k < target_pages_.size(); ++k) {
     TargetPage& page = target_pages_[k];
     const bool known = gaussians.has_pages() && gaussians.bounds.size() == target_pages_.size();
-    if (gaussians.shown_shares.size() == target_pages_.size()) page.shown_share = gaussians.shown_shares[k];
     page.bounds = known ? gaussians.bounds[k] : bounds_of_columns(target_, *target_layout_, page.first, page.count);
   }
 }

@@ -45,7 +45,6 @@ struct OfferedPage {
   std::uint32_t object_id = 0;  ///< whose frame `bounds` is in
   std::uint8_t level = 0;
   bool frozen = false;
-  float shown_share = 0;  ///< GaussiansView::shown_shares; 0: nobody knows
   PageBounds bounds;
 };
 
@@ -181,7 +180,6 @@ class StreamModel {
     std::uint32_t index = 0;                       ///< of the first
     std::uint32_t object_id = 0;
     bool frozen = false;
-    float shown_share = 0;
     PageBounds bounds;
   };
   /// What becomes of it.

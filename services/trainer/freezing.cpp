@@ -69,6 +69,7 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
       const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
       float& nearest = page.frozen ? page.thawing_px_per_m : page.px_per_m;
       nearest = std::max(nearest, px_per_m);
+      entry.contribution = static_cast<float>(seen.pairs);
       entry.last_seen_step = store.step();
     }
   }

@@ -12,7 +12,7 @@
 namespace splatbus::trainer {
 
 /// Decides which pages rest, by what views show of them and how far their Gaussians move, and says so in the page
-/// table (PageEntry::loss, movement, last_seen_step). docs/decisions/0103-freezing.md. One thread.
+/// table (PageEntry::loss, movement, contribution, last_seen_step). docs/decisions/0103-freezing.md. One thread.
 class Freezer {
  public:
   /// Takes in what a step saw.

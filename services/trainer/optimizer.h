@@ -15,7 +15,6 @@
 #include "trainer/carving.h"
 #include "trainer/commands.h"
 #include "trainer/freezing.h"
-#include "trainer/shown_shares.h"
 #include "trainer/gradient_step.h"
 #include "trainer/handover.h"
 #include "trainer/options.h"
@@ -118,7 +117,6 @@ class Optimizer {
   std::optional<std::uint64_t> searched_after_;
   Carver carver_;
   Freezer freezer_;
-  ShownShares shown_shares_;
   std::uint64_t carved_ = 0;
   std::chrono::steady_clock::time_point last_carved_{};
   StepReport report_;

@@ -31,13 +31,11 @@ class CpuRasterizer : public Rasterizer {
   void project();
   [[nodiscard]] GradientTarget target_of(ParameterGradient& out) const;
   void blend_backward(const RenderGradient& gradient);
-  void weigh_pixel(std::uint32_t tile);
 
   Workers workers_;
   Frame frame_;
   Scratch<DepthKey> spare_keys_;
   std::vector<PageLook> page_sums_;
-  std::uint64_t looks_ = 0;
   std::vector<IndexRange> shown_ranges_, adam_pieces_;
   std::vector<std::size_t> room_of_piece_, visible_of_piece_, first_of_piece_;
   DepthSorter sorter_;

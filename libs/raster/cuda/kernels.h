@@ -101,7 +101,6 @@ void launch_depth_loss(const float* const* targets, const ViewMasks& masks, cons
 struct PageSums {
   std::uint32_t pairs;
   float error;
-  float weight_px;  ///< where launch_page_weights() follows, else 0
 };
 /// Display-space pictures that views should show, a device array of u8 RGBA each or null, and what of them counts.
 struct LookPictures {
@@ -113,11 +112,6 @@ struct LookPictures {
 /// pixels. A view whose target is null shows nothing.
 void launch_page_looks(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const LookPictures& pictures,
                        PageSums* sums, int pages, cudaStream_t stream);
-
-/// Adds to the sums how many pixels of each view pages make up, by blending one patch of four again for all four:
-/// those of which `phase` is the remainder.
-void launch_page_weights(const DeviceGaussians& gaussians, const WorkspaceView& workspace, PageSums* sums, int pages,
-                         unsigned phase, cudaStream_t stream);
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;

@@ -97,7 +97,7 @@ std::size_t TrainStep::page_count() const {
 }
 
 /// Of a step that is enqueued; the host's copy is there when it is done.
-void TrainStep::look_at_pages(const ViewBatch& batch, const WorkspaceView& w, std::size_t slot, bool weighs) {
+void TrainStep::look_at_pages(const ViewBatch& batch, const WorkspaceView& w, std::size_t slot) {
   const std::size_t pages = page_count(), sums = static_cast<std::size_t>(batch.batch) * pages;
   if (sums > look_room_) {
     // Looks that are on their way lie where they were.
@@ -110,7 +110,6 @@ void TrainStep::look_at_pages(const ViewBatch& batch, const WorkspaceView& w, st
                               .masks = masks_of(batch, w),
                               .encode_srgb = gaussians_.layout.appearance == Appearance::Transfer};
   launch_page_looks(gaussians_, w, pictures, sums_.data(), static_cast<int>(pages), stream());
-  if (weighs) launch_page_weights(gaussians_, w, sums_.data(), static_cast<int>(pages), weighed_++, stream());
   check(cudaMemcpyAsync(host_sums_.data() + slot * look_room_, sums_.data(), sums * sizeof(PageSums),
                         cudaMemcpyDeviceToHost, stream()),
         "reading what views show of pages");

@@ -10,7 +10,6 @@ namespace {
 
 // Numbers of views and sizes of pictures that are known at once.
 constexpr std::size_t kMaxBatches = 32;
-constexpr int kLooksToWeigh = 16;  // from one that blends a quarter of its pictures again to the next
 
 }  // namespace
 
@@ -86,12 +85,7 @@ void TrainStep::step(std::span<const TrainView> views) {
   if (!parts.empty()) parts.back().ends_step = true;
   const bool looks = options_.look_interval > 0 && --steps_to_look_ <= 0;
   if (looks) steps_to_look_ = options_.look_interval;
-  const bool weighs = looks && --looks_to_weigh_ <= 0;
-  if (weighs) looks_to_weigh_ = kLooksToWeigh;
-  for (Part& part : parts) {
-    part.looks = looks;
-    part.weighs = weighs;
-  }
+  for (Part& part : parts) part.looks = looks;
   for (Part& part : parts) launch(std::move(part));
 }
 
@@ -135,7 +129,7 @@ void TrainStep::launch(Part part) {
     enqueue_forward(batch, w);
   }
   const std::size_t slot = launched_++ % done_.size();
-  if (part.looks) look_at_pages(batch, w, slot, part.weighs);
+  if (part.looks) look_at_pages(batch, w, slot);
   part.pages = part.looks ? page_count() : 0;
   check(cudaMemcpyAsync(host_counts_.data() + slot, w.counts, sizeof(StepCounts), cudaMemcpyDeviceToHost, stream()),
         "reading a step's figures");
@@ -203,8 +197,7 @@ void TrainStep::report(const Part& part, std::size_t slot) {
       if (sums[page].pairs == 0) continue;
       look.pages.push_back({.page = static_cast<std::uint32_t>(page),
                             .pairs = sums[page].pairs,
-                            .error = static_cast<double>(sums[page].error) / sums[page].pairs,
-                            .weight_px = part.weighs ? sums[page].weight_px : -1});
+                            .error = static_cast<double>(sums[page].error) / sums[page].pairs});
     }
     report_.looks.push_back(std::move(look));
   }

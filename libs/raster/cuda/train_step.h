@@ -125,7 +125,7 @@ class TrainStep {
   /// Views of one launch: a whole step, or one of several parts of it.
   struct Part {
     std::vector<TrainView> views;
-    bool training = true, ends_step = false, looks = false, weighs = false;
+    bool training = true, ends_step = false, looks = false;
     ViewBatch* batch = nullptr;
     std::uint32_t isect_capacity = 0, list_capacity = 0;  // of its launch
     std::size_t pages = 0;                                // that it looks at
@@ -142,7 +142,7 @@ class TrainStep {
                     const WorkspaceView& w);
   void losses(const ViewBatch& batch, const WorkspaceView& w);
   [[nodiscard]] static ViewMasks masks_of(const ViewBatch& batch, const WorkspaceView& w);
-  void look_at_pages(const ViewBatch& batch, const WorkspaceView& w, std::size_t slot, bool weighs);
+  void look_at_pages(const ViewBatch& batch, const WorkspaceView& w, std::size_t slot);
   [[nodiscard]] std::size_t page_count() const;
   void report(const Part& part, std::size_t slot);
   void update(const ViewBatch& batch, const WorkspaceView& w);
@@ -170,8 +170,7 @@ class TrainStep {
   device::Buffer<PageSums> sums_;
   device::Pinned<PageSums> host_sums_;
   std::size_t look_room_ = 0;
-  int steps_to_look_ = 0, looks_to_weigh_ = 0;
-  unsigned weighed_ = 0;
+  int steps_to_look_ = 0;
   std::size_t launched_ = 0, retired_ = 0;
   std::deque<Part> repeats_;  // for whose intersections there was no room
   LossHistory loss_history_;

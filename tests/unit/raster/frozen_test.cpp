@@ -1,10 +1,7 @@
 // Pages that are drawn and do not train, and what a picture shows of a page.
 #include <gtest/gtest.h>
 
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <numeric>
 
 #include "../gaussians/paged_model.h"
 #include "raster/adam.h"
@@ -195,46 +192,6 @@ TEST(PageLooks, WhatIsHiddenDoesNotShow) {
   rasterizer->look_at_pages(error, seen);
   ASSERT_EQ(seen.size(), 1U);
   EXPECT_EQ(seen[0].page, paged.ranges.back().first / kPageLanes);
-}
-
-TEST(PageLooks, SayNowAndThenHowMuchOfThePictureAPageMakesUp) {
-  // A wall, half of it before the discs.
-  Discs discs;
-  TestScene& scene = discs.scene;
-  scene.at(10, 0) = 0;
-  discs.place(3, {1.2F, 0, 2}, 0.5F);
-  PagedModel paged(scene.view(), 10);
-  const auto rasterizer = make_cpu_rasterizer(1);
-  // What each adds to the picture's opacity, before those behind it: by depth the wall, then disc 2, then 0 and 1.
-  const auto opacity = [&](std::vector<std::size_t> shown) {
-    TestScene some = scene;
-    for (std::size_t i = 0; i < 4; ++i) {
-      if (std::ranges::find(shown, i) == shown.end()) some.at(10, i) = -30;
-    }
-    PagedModel pages(some.view(), 10);
-    Render picture;
-    rasterizer->forward(pages.view(), discs.camera, some.state, {}, picture);
-    return std::accumulate(picture.alpha.data.begin(), picture.alpha.data.end(), 0.0);
-  };
-  const std::array<double, 4> truth{opacity({0, 2, 3}) - opacity({2, 3}), opacity({1, 2, 3}) - opacity({2, 3}),
-                                    opacity({2, 3}) - opacity({3}), opacity({3})};
-  Render picture;
-  rasterizer->forward(paged.view(), discs.camera, scene.state, {}, picture);
-  const Image error(64, 64, 1);
-  std::array<double, 4> sums{};
-  int weighed = 0;
-  for (int k = 0; k < 16 * 256; ++k) {
-    std::vector<PageLook> seen;
-    rasterizer->look_at_pages(error, seen);
-    ASSERT_EQ(seen.size(), 4U);
-    ASSERT_EQ(seen[0].weight_px >= 0, k % 16 == 0);
-    if (k % 16 != 0) continue;
-    ++weighed;
-    for (const PageLook& look : seen) sums[look.page] += look.weight_px;
-  }
-  // A pixel of 64 a look: over 256 looks each has been taken about four times.
-  for (std::size_t p = 0; p < 4; ++p) EXPECT_NEAR(sums[p] / weighed, truth[p], 0.1 * truth[p] + 0.5) << p;
-  EXPECT_LT(truth[1], 0.2 * truth[0]) << "the second is behind the wall, the first faint";
 }
 
 TEST(Adam, APageThatRestsGivesItsMomentsBackAndGoesOnAtItsAge) {

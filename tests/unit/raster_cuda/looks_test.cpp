@@ -134,25 +134,6 @@ TEST_F(CudaTest, PagesThatAreHiddenAreNotLookedAt) {
   EXPECT_EQ(seen[0].page, looking.paged().ranges.back().first / kPageLanes);
 }
 
-TEST_F(CudaTest, PagesAreWeighedNowAndThen) {
-  Looking looking(discs(), {.look_interval = 1});
-  looking.aim_at_what_shows();
-  // Four weighings have blended each patch once.
-  double sum_px = 0;
-  int weighed = 0;
-  for (int k = 0; k < 64; ++k) {
-    const auto seen = looking.looks();
-    ASSERT_EQ(seen.size(), 3U);
-    if (seen[0].weight_px < 0) continue;
-    ++weighed;
-    for (const PageLook& look : seen) sum_px += look.weight_px;
-  }
-  ASSERT_EQ(weighed, 4);
-  double shown_px = 0;
-  for (const float left : looking.shown(looking.workspace().transmittance, 1)) shown_px += 1 - left;
-  EXPECT_NEAR(sum_px / weighed, shown_px, 0.03 * shown_px);
-}
-
 TEST_F(CudaTest, StepsInBetweenSayOnlyTheirLoss) {
   Looking looking(discs(), {.look_interval = 3});
   for (int k = 0; k < 7; ++k) {

@@ -361,31 +361,6 @@ TEST_F(ViewerFeedTest, PagesInViewComeFirst) {
   EXPECT_GE(in_first_half, in_second);
 }
 
-TEST_F(ViewerFeedTest, WhatStandsBehindAWallComesLast) {
-  // Every other page was hidden in all pictures.
-  GaussiansView view = server_.model().view();
-  std::vector<float> shares(board_.offered().empty() ? (view.count + kPageLanes - 1) / kPageLanes : 0);
-  for (std::size_t k = 0; k < shares.size(); ++k) shares[k] = k % 2 == 0 ? 0.4F : 1e-5F;
-  view.shown_shares = shares;
-  ASSERT_TRUE(server_.stream.observe(view));
-  server_.stream.make_tick(1e9, {});
-  (void)server_.stream.take_update();
-  Seat seat(2000);
-  GazeTracker tracker;
-  tracker.add(look_at({0, 6, 0.1F}, {0, 0, 0}, 64, 64, 1.0F), now_ns_);
-  seat.gaze = tracker.gaze();
-  sit(seat);
-  std::vector<std::uint32_t> order;
-  live({&seat}, 3, -1, [&] {
-    for (const auto& [page, held] : seat.replica.held().pages) {
-      if (std::ranges::find(order, page) == order.end()) order.push_back(page);
-    }
-  });
-  ASSERT_EQ(order.size(), shares.size());
-  const std::size_t shown = (shares.size() + 1) / 2;
-  for (std::size_t k = 0; k < order.size(); ++k) EXPECT_EQ(order[k] % 2 == 0, k < shown) << k;
-}
-
 TEST_F(ViewerFeedTest, WithinItsMemoryAViewerHoldsWhatItSees) {
   constexpr std::size_t kMost = 4096;
   Seat seat(1e6, kMost);

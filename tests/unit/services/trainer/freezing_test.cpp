@@ -66,6 +66,7 @@ TEST_F(FreezerTest, APageRestsOnceItsLossNoLongerFallsAndItIsStill) {
   }
   const model::PageEntry& entry = store().table().entry(pages_[0]);
   EXPECT_FLOAT_EQ(entry.loss, 0.1F);
+  EXPECT_EQ(entry.contribution, 5);
   EXPECT_EQ(store().table().entry(pages_[2]).movement, 0.03F);
   movements_[2] = 0.01F;
   falling *= 0.6;  // it goes on
