@@ -11,6 +11,7 @@
 #include "private_pipeline.h"
 #include "probe_round.h"
 #include "scene_view.h"
+#include "verbs.h"
 
 namespace splatbus::cli {
 

@@ -15,6 +15,7 @@
 #include "private_pipeline.h"
 #include "probe_round.h"
 #include "schema_json.h"
+#include "verbs.h"
 #include "viewer_watch.h"
 
 namespace splatbus::cli {
