@@ -56,7 +56,7 @@ class VisibilityParts : public StreamerTest {
         *client_);
   }
 
-  const GaussiansBuffer model_ = stream::test::toy_model(3800, 1);
+  const GaussiansBuffer model_ = stream::test::toy_model(3000, 1);
   std::vector<std::uint32_t> index_;  ///< of each Gaussian
   std::size_t indices_ = 0;
   std::unique_ptr<StreamClient> client_;
