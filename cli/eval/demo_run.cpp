@@ -9,15 +9,12 @@
 #include "demo_results.h"
 #include "engine_scene.h"
 #include "launch_plan.h"
-#include "live_scene.h"
 #include "parameter_check.h"
-#include "pipeline_watch.h"
+#include "private_pipeline.h"
 #include "probe_round.h"
 #include "scene_view.h"
 #include "schema_json.h"
 #include "splats/file.h"
-#include "supervised_run.h"
-#include "verbs.h"
 
 namespace splatbus::cli {
 
@@ -70,52 +67,46 @@ class Demo {
  public:
   Demo(const DemoOptions& options, const StopSignals& signals)
       : options_(options),
-        signals_(signals),
-        address_(options.bus.empty() ? folder_.address() : bus::Address::parse(options.bus)),
-        viewer_pictures_(folder_.path() / "viewer"),
-        plan_(make_plan(options, address_, viewer_pictures_, gateway_)),
-        context_(connect_later(address_)),
-        watch_(context_),
-        live_(context_),
-        depths_(context_),
-        probes_(context_, held_out_cameras()),
+        pipeline_(signals, options.out / "services.log",
+                  options.bus.empty() ? std::nullopt : std::optional(bus::Address::parse(options.bus))),
+        viewer_pictures_(pipeline_.folder() / "viewer"),
+        depths_(pipeline_.context()),
+        probes_(pipeline_.context(), held_out_cameras()),
         view_(1),
-        start_ns_(bus::now_ns()),
-        run_(plan_, options.out / "services.log") {}
+        start_ns_(bus::now_ns()) {
+    pipeline_.start(make_plan(options, pipeline_.address(), viewer_pictures_, gateway_));
+  }
 
-  [[nodiscard]] DemoStart start() const { return {.bus = address_.text(), .gateway = gateway_}; }
+  [[nodiscard]] DemoStart start() const { return {.bus = pipeline_.address().text(), .gateway = gateway_}; }
 
   Json run(const std::function<void(const DemoState&)>& show) {
     const std::int64_t end_ns = start_ns_ + static_cast<std::int64_t>(options_.seconds * 1e9);
     while (bus::now_ns() < end_ns) step(show, bus::now_ns() - asked_ns_ > kRoundNs);
     finish_last_round(show);
-    const auto model = live_.copy_average(std::chrono::seconds(10));
-    if (!model) throw std::runtime_error("there is no model to write; see " + log_path());
-    splats::write_file(options_.out / "model.ply", model->view(), live_.scene());
+    const auto model = pipeline_.live().copy_average(std::chrono::seconds(10));
+    if (!model) throw std::runtime_error("there is no model to write; see " + pipeline_.log().string());
+    splats::write_file(options_.out / "model.ply", model->view(), pipeline_.live().scene());
     if (results_.compared.empty())
-      throw std::runtime_error("no held-out picture came from the engine; see " + log_path());
+      throw std::runtime_error("no held-out picture came from the engine; see " + pipeline_.log().string());
     note_pipeline(model->count());
     write_contact_sheet(results_, options_, viewer_pictures_);
-    Json summary = summarize_demo(results_, options_, log_path());
+    Json summary = summarize_demo(results_, options_, pipeline_.log().string());
     write_text(options_.out / "summary.json", json_text(summary, 2) + "\n");
-    run_.stop();
+    pipeline_.stop();
     return summary;
   }
 
  private:
   void step(const std::function<void(const DemoState&)>& show, bool new_round) {
-    run_.check();
-    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
     // Nothing can be compared before there is a model.
-    if (new_round && live_.published() && live_.published()->count > 0) {
+    if (new_round && pipeline_.has_gaussians()) {
       server_.clear();
       lights_.clear();
       depths_.keep(true);
       probes_.begin();
       asked_ns_ = bus::now_ns();
     }
-    watch_.poll(std::chrono::milliseconds(50));
-    live_.poll(std::chrono::milliseconds(0));
+    pipeline_.poll(std::chrono::milliseconds(50));
     probes_.poll(std::chrono::milliseconds(0), [](std::size_t, const ProbePicture&) {});
     draw_what_has_come();
     remember_round();
@@ -138,7 +129,7 @@ class Demo {
       if (server_.contains(index)) continue;
       const auto& lights = lights_.at(probe.probe_id);
       if (!lights && bus::now_ns() - asked_ns_ < kMapPatienceNs) return;
-      const auto picture = view_.render(live_, probe.camera, probe.scene, lights ? &*lights : nullptr);
+      const auto picture = view_.render(pipeline_.live(), probe.camera, probe.scene, lights ? &*lights : nullptr);
       if (!picture) return;
       server_[index] = metrics::compare(*picture, probe.picture);
       results_.compared[index] = {.engine = probe.picture, .drawn = *picture, .server = server_[index]};
@@ -157,7 +148,7 @@ class Demo {
   [[nodiscard]] ViewFigures viewer_figures() const {
     ViewFigures figures;
     if (probes_.first_id() == 0) return figures;
-    for (const auto& [probe_id, quality] : watch_.state().viewer_quality) {
+    for (const auto& [probe_id, quality] : pipeline_.state().viewer_quality) {
       const auto camera = probes_.camera_of(probe_id);
       if (camera && probe_id >= probes_.first_id()) figures[*camera] = quality;
     }
@@ -181,13 +172,13 @@ class Demo {
       viewer = viewer_figures();
     }
     // By rising id: a later round's answer takes the place of an earlier one's.
-    for (const auto& [probe_id, quality] : watch_.state().viewer_quality) {
+    for (const auto& [probe_id, quality] : pipeline_.state().viewer_quality) {
       if (const auto camera = probes_.camera_of(probe_id)) results_.viewer[*camera] = {probe_id, quality};
     }
   }
 
   void count_steps() {
-    const auto& trainer = watch_.state().trainer;
+    const auto& trainer = pipeline_.state().trainer;
     if (trainer.step == 0) return;
     if (first_step_ns_ == 0 || trainer.step < first_step_) {  // the latter: a trainer that began anew
       first_step_ns_ = bus::now_ns();
@@ -198,29 +189,29 @@ class Demo {
 
   [[nodiscard]] double steps_per_s() const {
     const double seconds = static_cast<double>(last_step_ns_ - first_step_ns_) / 1e9;
-    return seconds > 0 ? static_cast<double>(watch_.state().trainer.step - first_step_) / seconds : 0;
+    return seconds > 0 ? static_cast<double>(pipeline_.state().trainer.step - first_step_) / seconds : 0;
   }
 
   [[nodiscard]] DemoState state() const {
     DemoState state;
     state.elapsed_s = static_cast<double>(bus::now_ns() - start_ns_) / 1e9;
-    const auto processes = run_.status();
+    const auto processes = pipeline_.processes();
     state.services = processes.size();
     for (const ProcessStatus& process : processes) {
       if (process.state == ProcessState::Running) ++state.running;
       const auto pictures = process.counters.find("cameras_rendered");
       if (process.name == "engine" && pictures != process.counters.end()) state.pictures = pictures->second;
     }
-    state.steps_per_s = watch_.state().trainer.steps_per_s;
-    state.gaussians = watch_.state().trainer.gaussians;
+    state.steps_per_s = pipeline_.state().trainer.steps_per_s;
+    state.gaussians = pipeline_.state().trainer.gaussians;
     state.ssim_server = shown_server_;
     state.ssim_viewer = shown_viewer_;
-    state.wire_mbps = watch_.state().stream.wire_mbps;
+    state.wire_mbps = pipeline_.state().stream.wire_mbps;
     return state;
   }
 
   void note_pipeline(std::size_t gaussians) {
-    const PipelineState& state = watch_.state();
+    const PipelineState& state = pipeline_.state();
     results_.last_round = {.first_id = probes_.first_id(), .compared = server_.size(), .timeout_s = kFinalTimeoutS};
     results_.cameras = kHeldOutCameras;
     results_.gaussians = gaussians;
@@ -232,18 +223,10 @@ class Demo {
     }
   }
 
-  [[nodiscard]] std::string log_path() const { return (options_.out / "services.log").string(); }
-
   const DemoOptions& options_;
-  const StopSignals& signals_;
-  PrivateBusFolder folder_;
-  bus::Address address_;
+  PrivatePipeline pipeline_;
   fs::path viewer_pictures_;
   std::optional<GatewayUrl> gateway_;
-  LaunchPlan plan_;
-  std::shared_ptr<bus::Context> context_;
-  PipelineWatch watch_;
-  LiveScene live_;
   LightDepths depths_;
   ProbeRounds probes_;
   SceneView view_;
@@ -256,7 +239,6 @@ class Demo {
   std::int64_t first_step_ns_ = 0, last_step_ns_ = 0;
   std::uint64_t first_step_ = 0;
   std::int64_t start_ns_;
-  SupervisedRun run_;
 };
 
 }  // namespace

@@ -8,8 +8,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "live_scene.h"
-#include "pipeline_watch.h"
+#include "private_pipeline.h"
 #include "probe_round.h"
 #include "scene_view.h"
 #include "verbs.h"
@@ -53,36 +52,34 @@ class DynamicsRun {
   DynamicsRun(const DynamicsRunOptions& options, const StopSignals& signals, const MapsOfCameras* still,
               const std::function<void(const std::string&)>& show_state)
       : options_(options),
-        signals_(signals),
         show_state_(show_state),
-        plan_(plan_evaluation(options.setup, folder_.address(), false,
-                              [&](LaunchFile& file) { apply(options.scene, file); })),
-        context_(connect_later(folder_.address())),
-        watch_(context_),
-        live_(context_),
-        depths_(context_),
-        probes_(context_, circle_cameras({.count = static_cast<int>(kDynamicsCameras),
-                                          .size = options.setup.size,
-                                          .phase_degrees = 180.0F / static_cast<float>(options.setup.cameras)})),
+        pipeline_(signals, options.log),
+        depths_(pipeline_.context()),
+        probes_(pipeline_.context(),
+                circle_cameras({.count = static_cast<int>(kDynamicsCameras),
+                                .size = options.setup.size,
+                                .phase_degrees = 180.0F / static_cast<float>(options.setup.cameras)})),
         view_(own_backend(options.setup.backend) == Device::Cpu ? 1 : 4),
         results_{.window = judged_window(options.seconds)},
         shots_(results_.window, still),
-        start_ns_(bus::now_ns()),
-        run_(plan_, options.log) {}
+        start_ns_(bus::now_ns()) {
+    pipeline_.start(plan_evaluation(options.setup, pipeline_.address(), false,
+                                    [&](LaunchFile& file) { apply(options.scene, file); }));
+  }
 
   DynamicsResults run() {
     const auto limit_ns = start_ns_ + static_cast<std::int64_t>((options_.seconds + kMostStart_s) * 1e9);
     while (engine_s() < options_.seconds && bus::now_ns() < limit_ns) {
       step(true);
       if (!bytes_before_ && engine_s() >= results_.window.from_s) {
-        bytes_before_ = scene_bytes(watch_.state().stream);
+        bytes_before_ = scene_bytes(pipeline_.state().stream);
         bytes_before_ns_ = bus::now_ns();
       }
     }
     note_pipeline();
     const std::int64_t end_ns = bus::now_ns();
     while (bus::now_ns() < end_ns + kViewerPatienceNs && (!waiting_.empty() || !viewer_answered())) step(false);
-    run_.stop();
+    pipeline_.stop();
     shots_.compare(results_.samples);
     take_viewer_figures();
     results_.mean_maps = shots_.mean_maps();
@@ -102,12 +99,9 @@ class DynamicsRun {
   };
 
   void step(bool new_rounds) {
-    run_.check();
-    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
     const std::int64_t since_round_ns = bus::now_ns() - asked_ns_;
     const bool done = probes_.first_id() == 0 || probes_.complete();
-    if (new_rounds && live_.published() && live_.published()->count > 0 &&
-        since_round_ns > (done ? round_ns() : kRoundPatienceNs)) {
+    if (new_rounds && pipeline_.has_gaussians() && since_round_ns > (done ? round_ns() : kRoundPatienceNs)) {
       depths_.keep(true);
       // Between two rounds of all cameras.
       extra_round_ = round_ns() != kRoundNs && bus::now_ns() - whole_round_ns_ < kRoundNs;
@@ -115,14 +109,13 @@ class DynamicsRun {
       probes_.begin(extra_round_ ? 1 : kDynamicsCameras);
       asked_ns_ = bus::now_ns();
     }
-    probes_.poll(std::chrono::milliseconds(10), [this](std::size_t camera, const ProbePicture& picture) {
+    pipeline_.poll(std::chrono::milliseconds(10));
+    probes_.poll(std::chrono::milliseconds(0), [this](std::size_t camera, const ProbePicture& picture) {
       newest_s_ = picture.time_s;
       newest_ns_ = bus::now_ns();
       waiting_.push_back(
           {.probe = picture, .camera = camera, .extra = extra_round_, .since_ns = newest_ns_, .lights = {}});
     });
-    watch_.poll(std::chrono::milliseconds(0));
-    live_.poll(std::chrono::milliseconds(0));
     find_lights();
     while (!waiting_.empty() && draw(waiting_.front())) {
       waiting_.pop_front();
@@ -132,7 +125,7 @@ class DynamicsRun {
     if (shots_.waiting() >= kMostShots) shots_.compare(results_.samples);
     if (bus::now_ns() - shown_ns_ > kShowNs) {
       shown_ns_ = bus::now_ns();
-      const auto& trainer = watch_.state().trainer;
+      const auto& trainer = pipeline_.state().trainer;
       show_state_(fmt::format("{:.0f}/{:.0f} s  {} Gaussians  {:.1f} steps/s  {} held-out pictures", engine_s(),
                               options_.seconds, trainer.gaussians, trainer.steps_per_s, results_.samples.size()));
     }
@@ -168,12 +161,12 @@ class DynamicsRun {
     }
     DynamicsShots::Drawn drawn{.engine = probe.picture, .on = {}, .off = {}};
     if (options_.support != Support::Off) {
-      const auto on = view_.render(live_, probe.camera, probe.scene, lights ? &*lights : nullptr);
+      const auto on = view_.render(pipeline_.live(), probe.camera, probe.scene, lights ? &*lights : nullptr);
       if (!on) return false;
       drawn.on = *on;
     }
     if (options_.support != Support::On) {
-      const auto off = view_.render(live_, probe.camera, *frozen_, &*frozen_lights_);
+      const auto off = view_.render(pipeline_.live(), probe.camera, *frozen_, &*frozen_lights_);
       if (!off) return false;
       drawn.off = *off;
     }
@@ -201,18 +194,18 @@ class DynamicsRun {
   }
 
   [[nodiscard]] bool viewer_answered() const {
-    return !results_.samples.empty() && watch_.state().viewer_quality.contains(results_.samples.back().probe_id);
+    return !results_.samples.empty() && pipeline_.state().viewer_quality.contains(results_.samples.back().probe_id);
   }
 
   void take_viewer_figures() {
-    const auto& answers = watch_.state().viewer_quality;
+    const auto& answers = pipeline_.state().viewer_quality;
     for (DynamicsSample& sample : results_.samples) {
       if (const auto answer = answers.find(sample.probe_id); answer != answers.end()) sample.viewer = answer->second;
     }
   }
 
   void note_pipeline() {
-    const PipelineState& state = watch_.state();
+    const PipelineState& state = pipeline_.state();
     results_.wire_mbps_mean = state.stream.wire_mbps_mean;
     results_.steps_per_s = state.trainer.steps_per_s;
     results_.gaussians = state.trainer.gaussians;
@@ -223,7 +216,7 @@ class DynamicsRun {
       results_.scene_kbps = kilobits_per_s(bytes_before_->scene, bytes.scene, seconds);
       results_.visibility_kbps = kilobits_per_s(bytes_before_->visibility, bytes.visibility, seconds);
     }
-    for (const ProcessStatus& process : run_.status()) {
+    for (const ProcessStatus& process : pipeline_.processes()) {
       const auto counter = [&](const char* name) -> std::optional<double> {
         const auto found = process.counters.find(name);
         if (found == process.counters.end()) return {};
@@ -240,13 +233,8 @@ class DynamicsRun {
   }
 
   const DynamicsRunOptions& options_;
-  const StopSignals& signals_;
   const std::function<void(const std::string&)>& show_state_;
-  PrivateBusFolder folder_;
-  LaunchPlan plan_;
-  std::shared_ptr<bus::Context> context_;
-  PipelineWatch watch_;
-  LiveScene live_;
+  PrivatePipeline pipeline_;
   LightDepths depths_;
   ProbeRounds probes_;
   SceneView view_;
@@ -263,7 +251,6 @@ class DynamicsRun {
   double newest_s_ = 0;         ///< engine time of the newest picture,
   std::int64_t newest_ns_ = 0;  ///< which came then
   std::int64_t start_ns_;
-  SupervisedRun run_;
 };
 
 }  // namespace

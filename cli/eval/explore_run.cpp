@@ -11,10 +11,9 @@
 #include "figures.h"
 #include "metrics/image_io.h"
 #include "parameter_query.h"
+#include "private_pipeline.h"
 #include "probe_round.h"
 #include "process_memory.h"
-#include "staged_training.h"
-#include "verbs.h"
 #include "viewer_watch.h"
 
 namespace splatbus::cli {
@@ -49,17 +48,14 @@ class ExploreRun {
   ExploreRun(const ExploreRunOptions& options, const std::string& name, const StopSignals& signals,
              const std::function<void(const std::string&)>& show_state)
       : options_(options),
-        signals_(signals),
         show_state_(show_state),
-        log_(options.setup.out / fmt::format("services_{}.log", name)),
-        plan_(plan_exploration(options, folder_.address(), folder_.path())),
-        context_(connect_later(folder_.address())),
-        watch_(context_),
-        viewers_(context_),
-        probes_(context_, {}),
-        controls_(context_),
-        begun_ns_(bus::now_ns()),
-        run_(plan_.launch, log_) {
+        pipeline_(signals, options.setup.out / fmt::format("services_{}.log", name)),
+        plan_(plan_exploration(options, pipeline_.address(), pipeline_.folder())),
+        viewers_(pipeline_.context()),
+        probes_(pipeline_.context(), {}),
+        controls_(pipeline_.context()),
+        begun_ns_(bus::now_ns()) {
+    pipeline_.start(plan_.launch);
     results_.out_s = plan_.ways.front().out_s();
     results_.walk_s = plan_.ways.front().walk_s();
     results_.apart_m = plan_.apart_m;
@@ -75,7 +71,7 @@ class ExploreRun {
     asking_ = false;
     const std::int64_t end_ns = bus::now_ns() + kAnswerPatienceNs;
     while (!waiting_.empty() && bus::now_ns() < end_ns) step();
-    run_.stop();
+    pipeline_.stop();
     return std::move(results_);
   }
 
@@ -105,7 +101,7 @@ class ExploreRun {
     if (starts_.size() < plan_.viewers.size()) {
       if (waited_s > kMostStart_s) {
         throw std::runtime_error(
-            fmt::format("no viewer showed its start within {} s; see {}", kMostStart_s, log_.string()));
+            fmt::format("no viewer showed its start within {} s; see {}", kMostStart_s, pipeline_.log().string()));
       }
       return false;
     }
@@ -128,9 +124,7 @@ class ExploreRun {
   static glm::vec3 eye(const ViewerWatch::Pose& pose) { return pose.camera.world_from_camera.translation; }
 
   void step() {
-    run_.check();
-    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
-    watch_.poll(std::chrono::milliseconds(10));
+    pipeline_.poll(std::chrono::milliseconds(10));
     viewers_.poll(std::chrono::milliseconds(0));
     probes_.poll(std::chrono::milliseconds(0), [this](std::size_t, const ProbePicture& probe) { take(probe); });
     note_jump();
@@ -145,7 +139,7 @@ class ExploreRun {
   }
 
   [[nodiscard]] std::string state() const {
-    const auto& trainer = watch_.state().trainer;
+    const auto& trainer = pipeline_.state().trainer;
     std::string text = fmt::format("{:.0f}/{:.0f} s {}  {} Gaussians ({} active, {} spilled)", time_s(),
                                    results_.walk_s, walk_ns_ == 0 ? "waits" : to_string(phase()),
                                    trainer.gaussians + trainer.spilled, trainer.active, trainer.spilled);
@@ -214,13 +208,13 @@ class ExploreRun {
     ExploreSample sample{.time_s = time_s(),
                          .phase = phase(),
                          .eye = eye(*viewers_.pose(plan_.viewers.front())),
-                         .trainer = watch_.state().trainer,
-                         .page_bytes = watch_.state().page_bytes,
+                         .trainer = pipeline_.state().trainer,
+                         .page_bytes = pipeline_.state().page_bytes,
                          .draw_ms = {},
                          .inserted = {},
                          .viewers = {}};
     sample.viewers.resize(plan_.viewers.size());
-    for (const ProcessStatus& process : run_.status()) {
+    for (const ProcessStatus& process : pipeline_.processes()) {
       if (process.name != "engine" && process.pid != 0)
         sample.resident_bytes += resident_bytes(process.pid).value_or(0);
       if (process.name == "expander") sample.inserted = inserted_of(process.counters);
@@ -283,18 +277,14 @@ class ExploreRun {
 
   /// What the viewer wrote of a probe before it answered.
   [[nodiscard]] cv::Mat viewer_picture(const Waiting& waiting, const char* kind) const {
-    const fs::path folder = folder_.path() / plan_.viewers[waiting.viewer];
+    const fs::path folder = pipeline_.folder() / plan_.viewers[waiting.viewer];
     return metrics::read_png(folder / fmt::format("probe_{}_{}.png", waiting.probe_id, kind));
   }
 
   const ExploreRunOptions& options_;
-  const StopSignals& signals_;
   const std::function<void(const std::string&)>& show_state_;
-  fs::path log_;
-  PrivateBusFolder folder_;
+  PrivatePipeline pipeline_;
   ExplorePlan plan_;
-  std::shared_ptr<bus::Context> context_;
-  PipelineWatch watch_;
   ViewerWatch viewers_;
   ProbeRounds probes_;
   bus::Publisher controls_;
@@ -306,7 +296,6 @@ class ExploreRun {
   bool asking_ = true, walked_ = false;
   std::int64_t begun_ns_, first_start_ns_ = 0, walk_ns_ = 0, jump_ns_ = 0;
   std::int64_t asked_ns_ = 0, sampled_ns_ = 0, told_ns_ = 0, shown_ns_ = 0;
-  SupervisedRun run_;
 };
 
 }  // namespace

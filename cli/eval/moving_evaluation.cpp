@@ -12,7 +12,7 @@
 #include "live_scene.h"
 #include "metrics/image_io.h"
 #include "metrics/plot.h"
-#include "pipeline_watch.h"
+#include "private_pipeline.h"
 #include "probe_round.h"
 #include "schema_json.h"
 #include "verbs.h"
@@ -61,17 +61,13 @@ class MovingRun {
             const std::function<void(const std::string&)>& show_state)
       : options_(options),
         rig_(rig),
-        signals_(signals),
         show_state_(show_state),
-        log_(options.setup.out / fmt::format("services_{}.log", name_of(rig))),
-        context_(connect_later(folder_.address())),
-        watch_(context_),
-        viewers_(context_),
-        live_(context_),
-        probes_(context_, {}),
+        pipeline_(signals, options.setup.out / fmt::format("services_{}.log", name_of(rig))),
+        viewers_(pipeline_.context()),
+        probes_(pipeline_.context(), {}),
         view_(own_backend(options.setup.backend), 1),
-        begun_ns_(bus::now_ns()),
-        run_(make_plan(options, rig, folder_.address()), log_) {
+        begun_ns_(bus::now_ns()) {
+    pipeline_.start(make_plan(options, rig, pipeline_.address()));
     results_.window = judged_window(options.seconds);
   }
 
@@ -79,15 +75,15 @@ class MovingRun {
     while (time_s() < options_.seconds) step(true);
     const std::int64_t end_ns = bus::now_ns() + kAnswerPatienceNs;
     while (bus::now_ns() < end_ns && (!probes_.complete() || !answered())) step(false);
-    const PipelineState& state = watch_.state();
+    const PipelineState& state = pipeline_.state();
     results_.steps_per_s = state.trainer.steps_per_s;
     results_.gaussians = state.trainer.gaussians;
     results_.wire_mbps_mean = state.stream.wire_mbps_mean;
-    run_.stop();
+    pipeline_.stop();
     for (std::size_t i = 0; i < results_.samples.size(); ++i) {
       if (const auto* answer = viewers_.answer(kViewer, probe_ids_[i])) results_.samples[i].viewer = answer->quality;
     }
-    if (results_.samples.empty()) throw std::runtime_error("no picture was compared; see " + log_.string());
+    if (results_.samples.empty()) throw std::runtime_error("no picture was compared; see " + pipeline_.log().string());
     return std::move(results_);
   }
 
@@ -102,28 +98,25 @@ class MovingRun {
   }
 
   void step(bool new_rounds) {
-    run_.check();
-    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
     const std::int64_t now_ns = bus::now_ns();
     if (first_round_ns_ == 0 && static_cast<double>(now_ns - begun_ns_) / 1e9 > kMostStart_s) {
       throw std::runtime_error(
-          fmt::format("neither a model nor a viewer came within {} s; see {}", kMostStart_s, log_.string()));
+          fmt::format("neither a model nor a viewer came within {} s; see {}", kMostStart_s, pipeline_.log().string()));
     }
     const ViewerWatch::Pose* pose = viewers_.pose(kViewer);
     const bool done = probes_.first_id() == 0 || probes_.complete();
-    if (new_rounds && pose != nullptr && live_.published() && live_.published()->count > 0 &&
+    if (new_rounds && pose != nullptr && pipeline_.has_gaussians() &&
         now_ns - asked_ns_ > (done ? kRoundNs : kRoundPatienceNs)) {
       if (first_round_ns_ == 0) first_round_ns_ = now_ns;
       probes_.begin(std::vector{pose->camera});
       asked_ns_ = now_ns;
     }
-    watch_.poll(std::chrono::milliseconds(10));
+    pipeline_.poll(std::chrono::milliseconds(10));
     viewers_.poll(std::chrono::milliseconds(0));
-    live_.poll(std::chrono::milliseconds(0));
     probes_.poll(std::chrono::milliseconds(0), [this](std::size_t, const ProbePicture& probe) { compare(probe); });
     if (now_ns - shown_ns_ < kSecond) return;
     shown_ns_ = now_ns;
-    const auto& trainer = watch_.state().trainer;
+    const auto& trainer = pipeline_.state().trainer;
     show_state_(fmt::format("{}: {:.0f}/{:.0f} s  {} Gaussians  {:.1f} steps/s  {} pictures", name_of(rig_), time_s(),
                             options_.seconds, trainer.gaussians, trainer.steps_per_s, results_.samples.size()));
   }
@@ -132,8 +125,8 @@ class MovingRun {
     // Its structure may change while it is drawn.
     std::optional<cv::Mat> drawn;
     for (int attempt = 0; attempt < 3 && !drawn; ++attempt) {
-      live_.poll(std::chrono::milliseconds(0));
-      drawn = view_.render(live_, probe.camera, probe.scene);
+      pipeline_.live().poll(std::chrono::milliseconds(0));
+      drawn = view_.render(pipeline_.live(), probe.camera, probe.scene);
     }
     if (!drawn) return;
     const glm::vec3& eye = probe.camera.world_from_camera.translation;
@@ -146,20 +139,14 @@ class MovingRun {
 
   const MovingOptions& options_;
   const Rig rig_;
-  const StopSignals& signals_;
   const std::function<void(const std::string&)>& show_state_;
-  std::filesystem::path log_;
-  PrivateBusFolder folder_;
-  std::shared_ptr<bus::Context> context_;
-  PipelineWatch watch_;
+  PrivatePipeline pipeline_;
   ViewerWatch viewers_;
-  LiveScene live_;
   ProbeRounds probes_;
   ServerView view_;
   MovingResults results_;
   std::vector<std::uint64_t> probe_ids_;  ///< of the samples
   std::int64_t begun_ns_, first_round_ns_ = 0, asked_ns_ = 0, shown_ns_ = 0;
-  SupervisedRun run_;
 };
 
 template <class Get>

@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "parameter_query.h"
-#include "verbs.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::cli {
@@ -21,28 +20,25 @@ constexpr std::int64_t kShowNs = 1'000'000'000;
 StagedTraining::StagedTraining(const EvaluationSetup& setup, std::vector<Camera> held_out, const StopSignals& signals,
                                const std::function<void(const std::string&)>& show_state)
     : setup_(setup),
-      signals_(signals),
       show_state_(show_state),
-      plan_(plan_evaluation(setup, folder_.address(), true)),
-      context_(connect_later(folder_.address())),
-      watch_(context_),
-      live_(context_),
-      start_(context_, setup.enough_gaussians()),
-      probes_(context_, std::move(held_out)),
-      publisher_(context_),
-      run_(plan_, setup.out / "services.log") {}
+      pipeline_(signals, setup.out / "services.log"),
+      start_(context(), setup.enough_gaussians()),
+      probes_(context(), std::move(held_out)),
+      publisher_(context()) {
+  pipeline_.start(plan_evaluation(setup, pipeline_.address(), true));
+}
 
 void StagedTraining::prepare() {
   ask_held_out();
   const auto ready = [&] {
-    const PipelineState& state = watch_.state();
+    const PipelineState& state = pipeline_.state();
     return probes_.complete() && state.trainer.ready_references >= static_cast<std::uint32_t>(setup_.cameras) &&
            state.trainer.ready_inputs >= static_cast<std::uint32_t>(setup_.input_cameras) && state.grid.rounds >= 1 &&
-           state.grid.batches_pending == 0 && live_.published() && live_.published()->count > 0 &&
-           state.visibility_generation == live_.published()->generation;
+           state.grid.batches_pending == 0 && pipeline_.has_gaussians() &&
+           state.visibility_generation == live().published()->generation;
   };
   wait_until("the services and their first pictures", ready, [&] {
-    const PipelineState& state = watch_.state();
+    const PipelineState& state = pipeline_.state();
     return fmt::format("references {}/{}, inputs {}/{}, held-out views {}/{}, {} Gaussians, {} batches pending{}",
                        state.trainer.ready_references, setup_.cameras, state.trainer.ready_inputs, setup_.input_cameras,
                        probes_.pictures().size(), probes_.cameras().size(), state.trainer.gaussians,
@@ -57,16 +53,15 @@ void StagedTraining::train_until(std::uint64_t step) {
       send_control(publisher_, "trainer", {{"run_until", std::to_string(step)}, {"paused", "false"}});
       told_ns = bus::now_ns();
     }
-    return watch_.state().trainer.step >= step;
+    return state().trainer.step >= step;
   };
   wait_until(fmt::format("step {}", step), ready, [&] {
-    const auto& trainer = watch_.state().trainer;
+    const auto& trainer = state().trainer;
     return fmt::format("step {}/{}, {:.1f} steps/s, {} Gaussians, loss {:.4f}", trainer.step, step, trainer.steps_per_s,
                        trainer.gaussians, trainer.loss);
   });
-  if (watch_.state().trainer.step != step) {
-    throw std::runtime_error(
-        fmt::format("the trainer stopped at step {} instead of {}", watch_.state().trainer.step, step));
+  if (state().trainer.step != step) {
+    throw std::runtime_error(fmt::format("the trainer stopped at step {} instead of {}", state().trainer.step, step));
   }
 }
 
@@ -88,14 +83,11 @@ void StagedTraining::wait_until(const std::string& what, const std::function<boo
   const std::int64_t end_ns = bus::now_ns() + static_cast<std::int64_t>(setup_.timeout_s * 1e9);
   std::int64_t shown_ns = 0;
   while (!condition()) {
-    run_.check();
-    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted while waiting for " + what);
     if (bus::now_ns() > end_ns) {
       throw std::runtime_error(fmt::format("{} did not come within {} s ({}); see {}", what, setup_.timeout_s,
-                                           describe(), (setup_.out / "services.log").string()));
+                                           describe(), pipeline_.log().string()));
     }
-    watch_.poll(std::chrono::milliseconds(20));
-    live_.poll(std::chrono::milliseconds(0));
+    pipeline_.poll(std::chrono::milliseconds(20));
     start_.poll(std::chrono::milliseconds(0));
     probes_.poll(std::chrono::milliseconds(0), [](std::size_t, const ProbePicture&) {});
     ask_again_for_missing();

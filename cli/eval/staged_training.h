@@ -9,10 +9,8 @@
 
 #include "bus/publisher.h"
 #include "evaluation_setup.h"
-#include "live_scene.h"
-#include "pipeline_watch.h"
+#include "private_pipeline.h"
 #include "probe_round.h"
-#include "supervised_run.h"
 
 namespace splatbus::cli {
 
@@ -39,31 +37,25 @@ class StagedTraining {
   void wait_until(const std::string& what, const std::function<bool()>& condition,
                   const std::function<std::string()>& describe);
 
-  [[nodiscard]] const PipelineState& state() const { return watch_.state(); }
-  [[nodiscard]] LiveScene& live() { return live_; }
+  [[nodiscard]] const PipelineState& state() const { return pipeline_.state(); }
+  [[nodiscard]] LiveScene& live() { return pipeline_.live(); }
   [[nodiscard]] const ProbeRounds& held_out() const { return probes_; }
   [[nodiscard]] const StartWatch& start() const { return start_; }
-  [[nodiscard]] std::vector<ProcessStatus> processes() const { return run_.status(); }
-  void stop() { run_.stop(); }  ///< every service
+  [[nodiscard]] std::vector<ProcessStatus> processes() const { return pipeline_.processes(); }
+  void stop() { pipeline_.stop(); }  ///< every service
   [[nodiscard]] bus::Publisher& publisher() { return publisher_; }
-  [[nodiscard]] const std::shared_ptr<bus::Context>& context() const { return context_; }
+  [[nodiscard]] const std::shared_ptr<bus::Context>& context() const { return pipeline_.context(); }
 
  private:
   void ask_again_for_missing();
 
   const EvaluationSetup& setup_;
-  const StopSignals& signals_;
   const std::function<void(const std::string&)>& show_state_;
-  PrivateBusFolder folder_;
-  LaunchPlan plan_;
-  std::shared_ptr<bus::Context> context_;
-  PipelineWatch watch_;
-  LiveScene live_;
+  PrivatePipeline pipeline_;
   StartWatch start_;
   ProbeRounds probes_;
   bus::Publisher publisher_;
   std::int64_t asked_ns_ = 0;
-  SupervisedRun run_;
 };
 
 }  // namespace splatbus::cli

@@ -8,13 +8,11 @@
 
 #include "light_followers.h"
 #include "linked_viewer.h"
-#include "live_scene.h"
-#include "pipeline_watch.h"
+#include "private_pipeline.h"
 #include "probe_round.h"
 #include "process_memory.h"
 #include "scene_view.h"
 #include "tcp_relay.h"
-#include "verbs.h"
 
 namespace splatbus::cli {
 
@@ -31,22 +29,18 @@ class StreamRun {
   StreamRun(const StreamRunOptions& options, const std::string& name, const StopSignals& signals,
             const std::function<void(const std::string&)>& show_state)
       : options_(options),
-        signals_(signals),
         show_state_(show_state),
-        log_(options.setup.out / fmt::format("services_{}.log", name)),
+        pipeline_(signals, options.setup.out / fmt::format("services_{}.log", name)),
         port_(free_loopback_port()),
         link_(options.shape.empty() && options.cut_s == 0 ? nullptr : make_link(options.link, options.shape, port_)),
-        plan_(plan_stream(options, folder_.address(), port_)),
-        context_(connect_later(folder_.address())),
-        watch_(context_),
-        live_(context_),
-        depths_(context_),
-        probes_(context_, plan_.held_out),
+        plan_(plan_stream(options, pipeline_.address(), port_)),
+        depths_(pipeline_.context()),
+        probes_(pipeline_.context(), plan_.held_out),
         view_(1),
         followers_(local_endpoint()),
-        begun_ns_(bus::now_ns()),
-        run_(plan_.launch, log_),
-        viewer_(std::in_place, endpoint(), "viewer") {
+        begun_ns_(bus::now_ns()) {
+    pipeline_.start(plan_.launch);
+    viewer_.emplace(endpoint(), "viewer");
     results_.link = link_ ? link_->text() : "none: the same machine, ipc";
     results_.mbps = options.shape.mbps;
   }
@@ -57,9 +51,9 @@ class StreamRun {
     results_.end_s = time_s();
     note_viewer();
     join();
-    results_.gaussians = watch_.state().trainer.gaussians;
-    run_.stop();
-    if (results_.samples.empty()) throw std::runtime_error("no picture was compared; see " + log_.string());
+    results_.gaussians = pipeline_.state().trainer.gaussians;
+    pipeline_.stop();
+    if (results_.samples.empty()) throw std::runtime_error("no picture was compared; see " + pipeline_.log().string());
     return std::move(results_);
   }
 
@@ -77,7 +71,9 @@ class StreamRun {
     double ssim_server = 0, ssim_viewer = 0;  ///< sums over pictures
   };
 
-  [[nodiscard]] std::string local_endpoint() const { return fmt::format("ipc://{}/streamer", folder_.path().string()); }
+  [[nodiscard]] std::string local_endpoint() const {
+    return fmt::format("ipc://{}/streamer", pipeline_.folder().string());
+  }
   [[nodiscard]] std::string endpoint() const { return link_ ? link_->endpoint() : local_endpoint(); }
 
   [[nodiscard]] double seconds_since(std::int64_t ns) const { return static_cast<double>(bus::now_ns() - ns) / 1e9; }
@@ -88,7 +84,7 @@ class StreamRun {
     while (viewer_->status().first_ns == 0) {
       if (seconds_since(begun_ns_) > kMostStart_s) {
         throw std::runtime_error(
-            fmt::format("the viewer had no Gaussian within {} s; see {}", kMostStart_s, log_.string()));
+            fmt::format("the viewer had no Gaussian within {} s; see {}", kMostStart_s, pipeline_.log().string()));
       }
       step(false);
     }
@@ -133,11 +129,8 @@ class StreamRun {
   [[nodiscard]] bool recovers() const { return cut_ && !results_.cut_whole_s && bus::now_ns() >= cut_->to_ns; }
 
   void step(bool new_rounds) {
-    run_.check();
-    if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
     if (link_) link_->maintain();
-    watch_.poll(std::chrono::milliseconds(10));
-    live_.poll(std::chrono::milliseconds(0));
+    pipeline_.poll(std::chrono::milliseconds(10));
     probes_.poll(std::chrono::milliseconds(0), [](std::size_t, const ProbePicture&) {});
     if (viewer_) viewer_->look(plan_.viewer(time_s()));
     compare_what_has_come();
@@ -187,7 +180,8 @@ class StreamRun {
   /// SSIM of what the server and the viewer show now of what the engine showed; nullopt while one of them cannot say.
   [[nodiscard]] std::optional<std::pair<double, double>> compare(const Compared& compared) {
     const ProbePicture& probe = compared.probe;
-    const auto server = view_.render(live_, probe.camera, probe.scene, compared.lights ? &*compared.lights : nullptr);
+    const auto server =
+        view_.render(pipeline_.live(), probe.camera, probe.scene, compared.lights ? &*compared.lights : nullptr);
     if (!server) return {};
     const auto drawn = shown_->draw(probe.camera, probe.scene);
     if (!drawn) return {};
@@ -217,7 +211,7 @@ class StreamRun {
   }
 
   void note_server() {
-    for (const ProcessStatus& process : run_.status()) {
+    for (const ProcessStatus& process : pipeline_.processes()) {
       if (process.name != "streamer" || process.pid == 0) continue;
       const auto tick_ms = process.counters.find("tick_ms");
       const auto resident = resident_bytes(process.pid);
@@ -236,7 +230,7 @@ class StreamRun {
   }
 
   [[nodiscard]] std::string state() const {
-    const PipelineState& pipeline = watch_.state();
+    const PipelineState& pipeline = pipeline_.state();
     std::string text = fmt::format("{:.0f} s  {} Gaussians  {:.1f} steps/s  {:.2f} Mbit/s to {} viewers", time_s(),
                                    pipeline.trainer.gaussians, pipeline.trainer.steps_per_s, pipeline.stream.wire_mbps,
                                    pipeline.stream.viewers);
@@ -283,16 +277,11 @@ class StreamRun {
   }
 
   const StreamRunOptions& options_;
-  const StopSignals& signals_;
   const std::function<void(const std::string&)>& show_state_;
-  std::filesystem::path log_;
-  PrivateBusFolder folder_;
+  PrivatePipeline pipeline_;
   std::uint16_t port_;
   std::unique_ptr<NetworkLink> link_;  ///< null: none
   StreamPlan plan_;
-  std::shared_ptr<bus::Context> context_;
-  PipelineWatch watch_;
-  LiveScene live_;
   LightDepths depths_;
   ProbeRounds probes_;
   SceneView view_;
@@ -305,7 +294,6 @@ class StreamRun {
   std::optional<double> processor_s_;
   StreamResults results_;
   std::int64_t begun_ns_, sampled_ns_ = 0;
-  SupervisedRun run_;
   std::optional<LinkedViewer> viewer_;
   LinkedViewer* shown_ = nullptr;  ///< whose pictures are compared
 };

@@ -64,6 +64,50 @@ TEST_F(ChainTest, WhatVanishesUnlistedLeavesNoGhost) {
       << gaussians_about(place, reach, kWorldFrame) << " of " << before;
 }
 
+TEST_F(ChainTest, AnObjectThatGrowsKeepsItsGaussiansAndLeavesNoGhostAsItShrinks) {
+  const glm::vec3 place = engine_.scene.ball_centre;
+  const float radius = engine_.scene.ball_radius;
+  const auto scale_to = [&](float scale) {
+    engine_.objects[kBall] = Rigid{.translation = place};
+    engine_.objects[kBall].scale = scale;
+    engine_.scene.ball_radius = scale * radius;
+  };
+  scale_to(1);
+  start();
+  const std::size_t before = gaussians_about({}, 1.2F * radius, kBall);
+  ASSERT_GT(before, 100U);
+  for (const float scale : {1.2F, 1.4F, 0.6F}) {
+    scale_to(scale);
+    for (int k = 0; k < 2; ++k) beat();
+    ASSERT_TRUE(until([&] { return settled(); }));
+    EXPECT_GE(gaussians_about({}, 1.2F * radius, kBall), before * 9 / 10) << scale;
+    EXPECT_LT(gaussians_about({}, 2 * radius, kBall), before * 13 / 10) << "inserted twice at " << scale;
+    EXPECT_EQ(gaussians_about(place, 2 * radius, kWorldFrame), 0U) << scale;
+  }
+}
+
+TEST_F(ChainTest, AnIdThatIsGivenToAnotherObjectShowsNothingOfTheFirst) {
+  engine_.objects[kBall] = {};
+  start();
+  const glm::vec3 place = engine_.scene.ball_centre;
+  const float radius = engine_.scene.ball_radius;
+  const auto within = [&](float part) { return gaussians_about(place, part * radius, kBall); };
+  const std::size_t before = within(1.2F);
+  ASSERT_GT(before, 100U);
+  EXPECT_EQ(within(0.7F), 0U);
+  engine_.objects.erase(kBall);
+  engine_.scene.ball_centre.y = -100;
+  for (int k = 0; k < kBeatsIn2s; ++k) beat();
+  // Another comes by that id: a ball of half the size where the first one's middle was.
+  engine_.objects[kBall] = {};
+  engine_.scene.ball_centre = place;
+  engine_.scene.ball_radius = radius / 2;
+  for (int k = 0; k < kBeatsIn2s; ++k) beat();
+  EXPECT_TRUE(until([&] { return within(1.2F) - within(0.7F) <= before / kHandful; }))
+      << within(1.2F) - within(0.7F) << " of " << before;
+  EXPECT_TRUE(until([&] { return within(0.7F) > before / 8; })) << within(0.7F) << " of " << before;
+}
+
 /// The floor in patches, each an object with an id of its own.
 class PatchesTest : public ChainTest {
  protected:

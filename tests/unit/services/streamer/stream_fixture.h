@@ -54,7 +54,8 @@ inline std::map<std::uint32_t, std::uint64_t> ids_by_row(const stream::Replica& 
     for (std::uint32_t lane = 0; lane < page.count; ++lane) {
       const std::uint32_t row = page.row(lane);
       const auto& planes = held.gaussians.channels;
-      if (const auto found = id_at.find({planes[0][row], planes[1][row], planes[2][row]}); found != id_at.end() && found->second != 0) {
+      if (const auto found = id_at.find({planes[0][row], planes[1][row], planes[2][row]});
+          found != id_at.end() && found->second != 0) {
         ids[row] = found->second;
       }
     }
@@ -76,9 +77,15 @@ class FakeTrainer {
   /// All pages of what is published from now on are frozen, or none is.
   void freeze(bool frozen) { pages_.frozen = frozen; }
 
+  /// Of replicas of relight that share the pages, one's part: what `of_index` has for other pages says nothing.
+  struct Part {
+    std::vector<std::uint32_t> pages;
+    std::uint32_t page_indices = kPageLanes;
+  };
+
   /// As relight does, by index.
   void publish_visibility(const std::vector<std::uint8_t>& of_index, std::uint64_t generation, std::uint64_t version,
-                          const std::vector<std::uint32_t>& light_ids = {0}) {
+                          const std::vector<std::uint32_t>& light_ids = {0}, const std::optional<Part>& part = {}) {
     const std::size_t indices = of_index.size() / light_ids.size();
     const bus::OutgoingTensor visibility{
         .name = "visibility",
@@ -86,8 +93,10 @@ class FakeTrainer {
         .type = bus::ElementType::U8,
         .inline_data = of_index.data()};
     publisher_.publish(topics::kRelightVisibility, {.tensors = {visibility}}, [&](auto& builder, auto header) {
-      return wire::CreateRelightVisibility(builder, header, generation, version, indices,
-                                           builder.CreateVector(light_ids));
+      const auto ids_at = builder.CreateVector(light_ids);
+      if (!part) return wire::CreateRelightVisibility(builder, header, generation, version, indices, ids_at);
+      return wire::CreateRelightVisibility(builder, header, generation, version, indices, ids_at, 2, 0, 1,
+                                           part->page_indices, builder.CreateVector(part->pages));
     });
   }
 
