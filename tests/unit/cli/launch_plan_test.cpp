@@ -194,11 +194,11 @@ TEST_F(LaunchPlanTest, VariablesOfAProcess) {
 /// Programs of others: what they print goes to a terminal, and they may never end.
 TEST_F(LaunchPlanTest, WhatAForeignProgramPrintsIsNotTrusted) {
   program("rude", "printf '\\033[2Jmine\\a'; exit 1");
-  const std::string text = error_of("services: [{name: a, program: rude, parameters: {b: 1}, heartbeat_timeout_s: 0}]");
+  const std::string text = error_of("services: [{name: a, program: rude, parameters: {b: 1}}]");
   EXPECT_THAT(text, HasSubstr("service 'a' refuses its arguments: ?[2Jmine?"));
   EXPECT_EQ(text.find('\033'), std::string::npos);
   program("endless", "exec yes 0123456789012345678901234567890123456789");
-  EXPECT_EQ(error_of("services: [{name: a, program: endless, parameters: {b: 1}, heartbeat_timeout_s: 0}]"),
+  EXPECT_EQ(error_of("services: [{name: a, program: endless, parameters: {b: 1}}]"),
             "no error");
   program("splatbus-trainer", "exec yes 0123456789012345678901234567890123456789");
   EXPECT_THAT(error_of("services: [{name: trainer}]"), HasSubstr("its program does not answer to --parameters"));
