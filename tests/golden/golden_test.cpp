@@ -21,6 +21,7 @@
 #include "wire/scene_generated.h"
 #include "wire/stream_generated.h"
 #include "wire/system_generated.h"
+#include "wire/trace_generated.h"
 #include "wire/viewer_generated.h"
 
 namespace splatbus::golden {
@@ -28,7 +29,7 @@ namespace {
 
 const std::filesystem::path source_dir = SPLATBUS_SOURCE_DIR;
 const auto golden_dir = source_dir / "tests" / "golden" / "messages";
-const char* const families[] = {"common", "engine", "scene", "capture", "model", "viewer", "system", "stream"};
+const char* const families[] = {"common", "engine", "scene", "capture", "model", "viewer", "system", "stream", "trace"};
 
 std::string load(const std::filesystem::path& path, bool binary) {
   std::string text;
@@ -151,6 +152,8 @@ TEST(GoldenFiles, GeneratedCodeReadsThem) {
       {"Liveness", verify<wire::Liveness>},
       {"Log", verify<wire::Log>},
       {"Control", verify<wire::Control>},
+      {"Spans", verify<wire::Spans>},
+      {"TraceRequest", verify<wire::TraceRequest>},
       {"Packet.Hello", verify<wire::Packet>}};
   for (const auto& [name, reads] : readers) {
     const auto bytes = load(golden_dir / (name + ".bin"), true);

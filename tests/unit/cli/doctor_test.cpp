@@ -98,7 +98,7 @@ TEST(Doctor, ReadsKeysAsTheProgramsDo) {
   EXPECT_EQ(check_keys(folder).front().verdict, Verdict::Ok) << "none are needed on one machine";
   const bus::KeyPair pair = bus::make_key_pair();
   bus::write_key_file(folder / "server.key", pair);
-  bus::write_allow_list(folder / "allowed", {{"me", pair.public_key, {}}});
+  bus::write_allow_list(folder / "allowed", {{"me", pair.public_key, bus::parse_rights("view").value()}});
   EXPECT_EQ(check_keys(folder).front().verdict, Verdict::Ok);
   EXPECT_THAT(check_keys(folder).front().found, HasSubstr("1 of our own, 1 allowed"));
   ::chmod((folder / "server.key").c_str(), 0644);

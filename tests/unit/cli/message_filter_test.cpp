@@ -21,8 +21,8 @@ TEST(FieldOf, FollowsNamesAndIndices) {
   EXPECT_EQ(field_of(kMessage, "pid"), 42);
   EXPECT_EQ(field_of(kMessage, "cameras.1.camera.id"), 9);
   EXPECT_EQ(field_of(kMessage, "cameras.0.camera"), Json({{"id", 7}}));
-  for (const char* path :
-       {"cameras.2", "cameras.-1", "cameras.1x", "cameras.", "cameras.99999999999", "pid.0", "none", "service.state"}) {
+  for (const char* path : {"cameras.2", "cameras.-1", "cameras.1x", "cameras..0", "cameras.99999999999", "pid.0",
+                           "none", "service.state"}) {
     EXPECT_TRUE(field_of(kMessage, path).is_null()) << path;
   }
 }
