@@ -124,10 +124,10 @@ void PaceKeeper::hold(std::uint64_t log_time, const std::stop_token& stop) {
   for (; next_moment_ < moments.size() && moments[next_moment_].log_time <= log_time; ++next_moment_) news = true;
   if (news) pace_expander(moments[next_moment_ - 1].steps_per_s);
   if (log_time < slice_end_) return;
-  wait_for_step(pace_.step_at(log_time), stop);
   slice_end_ = log_time + kSliceNs;
   // 0 would let it run for ever.
   set("control/trainer", {{"run_until", static_cast<double>(std::max<std::uint64_t>(1, pace_.step_at(slice_end_)))}});
+  wait_for_step(pace_.step_at(log_time), stop);
 }
 
 void PaceKeeper::wait_for_step(std::uint64_t step, const std::stop_token& stop) {
