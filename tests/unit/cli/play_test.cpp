@@ -37,8 +37,8 @@ std::vector<std::byte> scene_update(std::uint64_t number) {
                                              number == 0 ? 0 : kDepthVersion);
   builder.Finish(wire::CreateSceneUpdate(builder, header,
                                          wire::CreateSceneState(builder, number, 0.5, 0, light, kVersion + number)));
-  const std::span bytes = std::as_bytes(builder.GetBufferSpan());
-  return {bytes.begin(), bytes.end()};
+  const auto* const bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return {bytes, bytes + builder.GetSize()};
 }
 
 class PlayTest : public bus_test::BusTest {
