@@ -19,7 +19,7 @@ namespace {
 constexpr std::uint64_t kSliceNs = 250'000'000;           // of the recording, that the trainer may be ahead
 constexpr std::int64_t kStepPatienceNs = 15'000'000'000;  // for one step
 constexpr std::chrono::seconds kHeartbeatPatience(10);
-constexpr double kMostFillDistance = 10;  // of the expander's parameter
+constexpr double kMostFillDistance = 10, kMostEma_s = 60;  // of the parameters' ranges
 
 std::optional<double> number(const wire::Heartbeat& heartbeat, std::string_view name) {
   if (heartbeat.parameters() == nullptr) return {};
@@ -58,7 +58,7 @@ RecordedPace::RecordedPace(mcap::Reader& reader) {
         const auto& stats = *flatbuffers::GetRoot<wire::TrainerStats>(body.data());
         const PaceMoment before = moments_.empty() ? PaceMoment{} : moments_.back();
         if (message.log_time < before.log_time || stats.step() < before.step) return;
-        moments_.push_back({message.log_time, stats.step(), stats.steps_per_s()});
+        moments_.push_back({message.log_time, stats.step(), stats.steps_per_s(), stats.optimizer_s()});
       });
     } catch (const bus::Error&) {  // the player says what is wrong with a recording
     } catch (const mcap::Error&) {
@@ -79,8 +79,13 @@ std::uint64_t RecordedPace::step_at(std::uint64_t log_time) const {
 PaceKeeper::PaceKeeper(std::shared_ptr<bus::Context> context, RecordedPace pace)
     : pace_(std::move(pace)), publisher_(context), subscriber_(context) {
   subscriber_
-      .on(topics::kTrainerStats, [this](const wire::TrainerStats& stats, const bus::Message&) { step_ = stats.step(); })
+      .on(topics::kTrainerStats,
+          [this](const wire::TrainerStats& stats, const bus::Message&) {
+            step_ = stats.step();
+            optimizer_s_ = stats.optimizer_s();
+          })
       .on(topics::kHeartbeat, [this](const wire::Heartbeat& heartbeat, const bus::Message&) {
+        if (!ema_s_ && heartbeat.service()->string_view() == "trainer") ema_s_ = number(heartbeat, "ema_s");
         if (fill_ || heartbeat.service()->string_view() != "expander") return;
         const auto distance = number(heartbeat, "fill_distance"), steps_per_s = number(heartbeat, "fill_steps_per_s");
         if (distance && steps_per_s) fill_ = Fill{*distance, *steps_per_s};
@@ -114,6 +119,13 @@ void PaceKeeper::pace_expander(double steps_per_s) {
       {{"fill_steps_per_s", 0}, {"fill_distance", std::min(kMostFillDistance, fill_->distance * scarcity)}});
 }
 
+void PaceKeeper::pace_average(const PaceMoment& moment) {
+  if (!ema_s_ || moment.step == 0 || moment.optimizer_s <= 0 || step_ == 0 || optimizer_s_ <= 0) return;
+  const double recorded = static_cast<double>(moment.step) / moment.optimizer_s;
+  const double now = static_cast<double>(step_) / optimizer_s_;
+  set("control/trainer", {{"ema_s", std::min(kMostEma_s, *ema_s_ * recorded / now)}});
+}
+
 void PaceKeeper::hold(std::uint64_t log_time, const std::stop_token& stop) {
   const auto& moments = pace_.moments();
   if (slice_end_ == 0) {
@@ -122,12 +134,15 @@ void PaceKeeper::hold(std::uint64_t log_time, const std::stop_token& stop) {
   }
   bool news = false;
   for (; next_moment_ < moments.size() && moments[next_moment_].log_time <= log_time; ++next_moment_) news = true;
-  if (news) pace_expander(moments[next_moment_ - 1].steps_per_s);
+  if (news) {
+    pace_expander(moments[next_moment_ - 1].steps_per_s);
+    pace_average(moments[next_moment_ - 1]);
+  }
   if (log_time < slice_end_) return;
-  wait_for_step(pace_.step_at(log_time), stop);
   slice_end_ = log_time + kSliceNs;
   // 0 would let it run for ever.
   set("control/trainer", {{"run_until", static_cast<double>(std::max<std::uint64_t>(1, pace_.step_at(slice_end_)))}});
+  wait_for_step(pace_.step_at(log_time), stop);
 }
 
 void PaceKeeper::wait_for_step(std::uint64_t step, const std::stop_token& stop) {

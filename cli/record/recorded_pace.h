@@ -16,6 +16,7 @@ namespace splatbus::cli {
 struct PaceMoment {
   std::uint64_t log_time = 0, step = 0;
   double steps_per_s = 0;
+  double optimizer_s = 0;  ///< of all steps
 };
 
 /// The trainer's steps in a recording, at any time in it. None where it has no trainer/stats.
@@ -35,8 +36,8 @@ class RecordedPace {
 
 /// Lets a live trainer and expander have as much time for what is played as the recorded ones had: the trainer stops
 /// where the recorded one was (its run_until), what is played waits for it where it is slower, and the expander, which
-/// inserts by the trainer's pace, is given the recorded pace. So the result does not depend on this machine's load. One
-/// thread.
+/// inserts by the trainer's pace, is given the recorded pace. The trainer's average over time, by its ema_s, covers as
+/// many steps as it did. So the result does not depend on this machine's load. One thread.
 class PaceKeeper {
  public:
   PaceKeeper(std::shared_ptr<bus::Context> context, RecordedPace pace);
@@ -52,6 +53,7 @@ class PaceKeeper {
  private:
   void find_expander(const std::stop_token& stop);
   void pace_expander(double steps_per_s);
+  void pace_average(const PaceMoment& moment);
   void wait_for_step(std::uint64_t step, const std::stop_token& stop);
   void set(const char* topic, const std::vector<std::pair<const char*, double>>& values);
 
@@ -61,7 +63,9 @@ class PaceKeeper {
   const RecordedPace pace_;
   bus::Publisher publisher_;
   bus::Subscriber subscriber_;
-  std::optional<Fill> fill_;  ///< the expander's own parameters
+  std::optional<Fill> fill_;     ///< the expander's own parameters
+  std::optional<double> ema_s_;  ///< the trainer's own
+  double optimizer_s_ = 0;
   std::size_t next_moment_ = 0;
   std::uint64_t slice_end_ = 0, step_ = 0, given_up_ = 0;
 };

@@ -7,6 +7,7 @@
 #include "../bus/bus_fixture.h"
 #include "mcap/writer.h"
 #include "player.h"
+#include "recorded_pace.h"
 #include "recording_file.h"
 #include "wire/scene_generated.h"
 
@@ -36,8 +37,8 @@ std::vector<std::byte> scene_update(std::uint64_t number) {
                                              number == 0 ? 0 : kDepthVersion);
   builder.Finish(wire::CreateSceneUpdate(builder, header,
                                          wire::CreateSceneState(builder, number, 0.5, 0, light, kVersion + number)));
-  const std::span bytes = std::as_bytes(builder.GetBufferSpan());
-  return {bytes.begin(), bytes.end()};
+  const auto* const bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return {bytes, bytes + builder.GetSize()};
 }
 
 class PlayTest : public bus_test::BusTest {
@@ -143,6 +144,15 @@ TEST_F(PlayTest, ThisMachinesClockKeepsAgesAndMovesVersionsByOneShift) {
     EXPECT_EQ(heard[i].version, kVersion + i + shift);
     EXPECT_EQ(heard[i].depth_version, i == 0 ? 0 : kDepthVersion + shift) << "0 says that there is none";
   }
+}
+
+TEST(RecordedPaceTest, StepsAreSpreadEvenlyBetweenTwoMoments) {
+  const RecordedPace pace(std::vector<PaceMoment>{
+      {.log_time = 1000, .step = 2}, {.log_time = 2000, .step = 12}, {.log_time = 3000, .step = 12}});
+  const std::vector<std::pair<std::uint64_t, std::uint64_t>> expected{{0, 0},     {999, 0},   {1000, 2}, {1500, 7},
+                                                                      {2000, 12}, {2500, 12}, {9000, 12}};
+  for (const auto& [log_time, step] : expected) EXPECT_EQ(pace.step_at(log_time), step) << log_time;
+  EXPECT_TRUE(RecordedPace(std::vector<PaceMoment>{}).empty());
 }
 
 }  // namespace
