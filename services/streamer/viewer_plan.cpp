@@ -144,8 +144,8 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     const double bytes = board.bytes_of(page);
     const auto missed = missed_.find(page.page);
     const float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
-    // However old, what is held shows more than nothing; what has missed most comes first.
-    const float behind = off * stream::kAbsentSteps / (off + stream::kAbsentSteps);
+    // However old, what is held shows more than nothing; what has missed most comes first, however much all have missed.
+    const float behind = stream::kAbsentSteps * std::log1p(off / stream::kAbsentSteps);
     const float steps = held != held_.end() ? behind : kMissing * stream::kAbsentSteps;
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});

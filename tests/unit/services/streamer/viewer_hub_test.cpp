@@ -166,16 +166,16 @@ TEST_F(ViewerHubTest, NoSecondHasMoreThanATenthAboveTheRateWhateverIsSent) {
     if (step % 100 == 99) hub_.send_keepalive(now_ns_);
     hub_.pump(now_ns_);
     // All that was sent has come, and that is known.
-    const auto window = hub_.statistics().close_window(now_ns_);
+    const auto now_sent = hub_.statistics().close_window(now_ns_);
     std::uint64_t sent = 0;
-    for (const auto& type : window.types) sent += type.packets;
+    for (const auto& type : now_sent.types) sent += type.packets;
     EXPECT_TRUE(bus_test::eventually([&] {
       while (read()) ++come;
       return come >= sent;
     }));
     if (step % 5 == 0) acknowledge();
     hub_.receive(now_ns_);
-    bytes += static_cast<double>(window.bytes);
+    bytes += static_cast<double>(now_sent.bytes);
     window.push_back(bytes);
     if (window.size() <= 100) continue;
     largest = std::max(largest, window.back() - window.front());
