@@ -44,11 +44,9 @@ struct Seat {
     said_bytes = bytes;
     said_ns = now_ns;
     const auto& report = replica.report();
-    (void)feed.acknowledge({.newest = report.newest,
-                            .missing = report.missing,
-                            .lacks = report.lacks,
-                            .dropped = report.dropped},
-                           model, now_ns);
+    (void)feed.acknowledge(
+        {.newest = report.newest, .missing = report.missing, .lacks = report.lacks, .dropped = report.dropped}, model,
+        now_ns);
     replica.clear_report();
   }
 
