@@ -231,16 +231,12 @@ bool ConnectionGuard::look(int fd, Connection& connection, std::int64_t now, std
   } else if (connection.sent_since_ns == 0) {
     connection.sent_since_ns = now;
     connection.acked = info.tcpi_bytes_acked;
-  } else if (limits_.stalled_s > 0) {
+  } else if (limits_.stalled_s > 0 && now - connection.sent_since_ns > to_ns(limits_.stalled_s)) {
     const double sent = static_cast<double>(info.tcpi_bytes_acked - connection.acked);
-    const bool enough = sent >= limits_.min_sent_per_s * limits_.stalled_s;
-    const bool over = now - connection.sent_since_ns > to_ns(limits_.stalled_s);
-    if (over && !enough) why = fmt::format("it read {} bytes in {} s", sent, limits_.stalled_s);
-    // Anew as soon as enough was read: what a kernel takes at once on behalf of one who reads nothing buys no time.
-    if (over || enough) {
-      connection.sent_since_ns = now;
-      connection.acked = info.tcpi_bytes_acked;
-    }
+    if (sent < limits_.min_sent_per_s * limits_.stalled_s)
+      why = fmt::format("it read {} bytes in {} s", sent, limits_.stalled_s);
+    connection.sent_since_ns = now;
+    connection.acked = info.tcpi_bytes_acked;
   }
   return why.empty();
 }

@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::int64_t kHeldEveryNs = 250'000'000, kUrgentNs = 50'000'000;
 constexpr std::uint64_t kMuchBytes = std::uint64_t{1} << 15;  // since it last said what it holds
-constexpr std::size_t kMaxHelloPages = 6000;  // of a message that may have 64 KiB
+constexpr std::size_t kMaxHelloPages = 6000;                  // of a message that may have 64 KiB
 constexpr std::size_t kMaxHeldItems = 1000;
 constexpr std::int64_t kRests = 10;
 constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;

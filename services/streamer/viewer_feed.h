@@ -131,8 +131,8 @@ class ViewerFeed {
   std::map<std::uint32_t, Record> held_;
   std::map<std::uint32_t, std::int64_t> declined_;  ///< pages, and until when they are not sent again
   std::map<std::uint32_t, float> weights_;          ///< of the last plan
-  std::map<std::uint32_t, Missed> missed_;  ///< by page, of the last plan
-  std::vector<std::uint32_t> ended_;        ///< that it holds, and that no delta of that plan ends
+  std::map<std::uint32_t, Missed> missed_;          ///< by page, of the last plan
+  std::vector<std::uint32_t> ended_;                ///< that it holds, and that no delta of that plan ends
   std::deque<SharedPacket> control_, scenes_;
   struct Visibility {
     SharedPacket packet;

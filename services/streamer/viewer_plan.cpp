@@ -10,8 +10,8 @@ namespace splatbus::streamer {
 
 namespace {
 
-// A page that is missing is worth so many of its Gaussians' absences: what it uncovers shows too, and many small steps of
-// what is held never hold it up.
+// A page that is missing is worth so many of its Gaussians' absences: what it uncovers shows too, and many small steps
+// of what is held never hold it up.
 constexpr float kMissing = 16;
 constexpr float kBehindSteps = 5;          // of a page that has missed deltas which are no longer kept
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
@@ -144,8 +144,9 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     const double bytes = board.bytes_of(page);
     const auto missed = missed_.find(page.page);
     const float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
-    // However old, what is held shows more than nothing; what has missed most comes first.
-    const float behind = off * stream::kAbsentSteps / (off + stream::kAbsentSteps);
+    // However old, what is held shows more than nothing; what has missed most comes first, however much all have
+    // missed.
+    const float behind = stream::kAbsentSteps * std::log1p(off / stream::kAbsentSteps);
     const float steps = held != held_.end() ? behind : kMissing * stream::kAbsentSteps;
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});

@@ -7,7 +7,8 @@ namespace splatbus::streamer {
 namespace {
 
 constexpr std::int64_t kRememberRateNs = 2'500'000'000, kRememberWayNs = 1'000'000'000;
-constexpr std::size_t kRememberSamples = 6;  // at least: an outage is one of them, and says nothing of the rate after it
+constexpr std::size_t kRememberSamples =
+    6;  // at least: an outage is one of them, and says nothing of the rate after it
 constexpr std::int64_t kLeastSampleNs = 10'000'000;
 // Viewers say what has come at least four times a second; a moment is for the sending itself.
 constexpr double kLeastSaid_s = 0.05, kMostSaid_s = 0.25, kMoment_s = 0.15;

@@ -182,16 +182,6 @@ TEST_F(HostileBus, AReaderThatReadsNothingCostsABoundedQueue) {
   EXPECT_TRUE(good.receive(patience).has_value());
 }
 
-TEST_F(HostileBus, AReaderThatReadsNothingIsClosedAfterThreeSecondsWhateverItsKernelTakes) {
-  ManyBytes model(connect("trainer"), "model/held");
-  RawZmtp raw(readers());
-  ASSERT_TRUE(raw.handshake("SUB"));
-  ASSERT_TRUE(raw.send_frame("\x01model/", false));
-  ASSERT_TRUE(eventually([&] { return broker_->statistics().inlined > 0; }));
-  // Twice three, had what its kernel took first counted as read.
-  EXPECT_TRUE(raw.closed_unread_within(5s));
-}
-
 TEST_F(HostileBus, WhoSubscribesAgainAndAgainIsToldAFewTimesASecond) {
   ManyBytes model(connect("trainer"), "model/held");
   NumberPublisher light(connect("engine"), "scene/held");

@@ -122,11 +122,6 @@ bool RawZmtp::closed_within(std::chrono::milliseconds timeout) {
   }
 }
 
-bool RawZmtp::closed_unread_within(std::chrono::milliseconds timeout) const {
-  pollfd item{socket_.get(), POLLRDHUP, 0};
-  return ::poll(&item, 1, static_cast<int>(timeout.count())) > 0;
-}
-
 std::string RawZmtp::read_some(std::size_t bytes, std::chrono::milliseconds timeout) {
   pollfd item{socket_.get(), POLLIN, 0};
   if (::poll(&item, 1, static_cast<int>(timeout.count())) <= 0) return {};

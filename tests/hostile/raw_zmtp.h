@@ -30,8 +30,6 @@ class RawZmtp {
 
   /// Reads and forgets until the peer has closed or `timeout` is over; whether it closed.
   bool closed_within(std::chrono::milliseconds timeout);
-  /// The same of one who reads nothing meanwhile.
-  [[nodiscard]] bool closed_unread_within(std::chrono::milliseconds timeout) const;
   /// Reads up to `bytes`, and waits for the first of them; empty when the peer closed or nothing came.
   std::string read_some(std::size_t bytes, std::chrono::milliseconds timeout);
 

@@ -3,7 +3,6 @@
 
 #include <deque>
 #include <fstream>
-#include <map>
 
 #include "bus/error.h"
 #include "streamer_fixture.h"
@@ -199,41 +198,6 @@ TEST_F(SteppedStreamerTest, WhatARestingModelDidNotUseIsNotSpentLater) {
   const std::uint64_t spent = second();
   EXPECT_GT(spent, 25'000U) << "nothing was sent";
   EXPECT_LT(spent, 75'000U) << "50,000 bytes are a second's";
-}
-
-TEST_F(SteppedStreamerTest, NoMoreChangesAreMadeThanTheFastestViewerHasRoomFor) {
-  start({{"viewer_kbps", "1500"}, {"tick_hz", "5"}, {"budget_kbps", "6000"}});
-  std::mt19937 random(5);
-  GaussiansBuffer model = stream::test::toy_model(6000, 1);
-  trainer_.publish(model);
-  StreamClient client(options("one"));
-  ASSERT_TRUE(settle([&] { return client.connected(); }, client));
-  std::map<wire::Body, std::uint64_t> bytes;
-  client.lose_packets([&](const stream::ParsedPacket& packet) {
-    bytes[packet.body()] += packet.bytes();
-    return false;
-  });
-  const auto live = [&](int hundredths) {
-    for (int hundredth = 0; hundredth < hundredths; ++hundredth) {
-      if (hundredth % 20 == 0) {
-        disturb(model, random);
-        trainer_.publish(model);
-      }
-      stepped_->turn(0.01);
-      for (int quiet = 0; quiet < 3;) {
-        const std::uint64_t before = client.received_bytes();
-        client.poll(1ms);
-        quiet = client.received_bytes() == before ? quiet + 1 : 0;
-      }
-    }
-  };
-  live(300);
-  ASSERT_EQ(client.replica().count(), 6000U);
-  bytes.clear();
-  live(400);
-  // What it holds it follows, change by change: were there more of them, pages would come whole in their place.
-  EXPECT_GT(bytes[wire::Body::PageDelta], 4 * 187'500 / 3U);
-  EXPECT_LT(bytes[wire::Body::Page], bytes[wire::Body::PageDelta] / 20);
 }
 
 TEST_F(SteppedStreamerTest, AViewerThatFellSilentGoesOnWhereItWas) {

@@ -44,12 +44,21 @@ struct Seat {
     said_bytes = bytes;
     said_ns = now_ns;
     const auto& report = replica.report();
-    (void)feed.acknowledge({.newest = report.newest,
-                            .missing = report.missing,
-                            .lacks = report.lacks,
-                            .dropped = report.dropped},
-                           model, now_ns);
+    (void)feed.acknowledge(
+        {.newest = report.newest, .missing = report.missing, .lacks = report.lacks, .dropped = report.dropped}, model,
+        now_ns);
     replica.clear_report();
+  }
+
+  /// By whose number it knows what was lost before it.
+  void keep_alive(const stream::StreamModel& model, std::int64_t now_ns) {
+    const stream::PacketWriter writer("streamer", 1);
+    auto packet = writer.write(model.status().epoch, 0, wire::Body::Keepalive,
+                               [](auto& builder) { return wire::CreateKeepalive(builder); });
+    stream::set_sequence(packet, feed.next_sequence());
+    feed.sent_beside(static_cast<double>(packet.bytes()), now_ns);
+    bytes += packet.bytes();
+    replica.receive(stream::test::parse(packet));
   }
 
   ViewerFeed feed;
@@ -89,7 +98,10 @@ class ViewerFeedTest : public testing::Test {
     for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end; now_ns_ += kStep) {
       if (now_ns_ % kTick == 0 && amount >= 0) tick(seats, amount);
       for (Seat* seat : seats) seat->read(server_.stream, board_, now_ns_);
-      for (Seat* seat : seats) seat->say(server_.stream, now_ns_);
+      for (Seat* seat : seats) {
+        if (now_ns_ % kSecond == 0) seat->keep_alive(server_.stream, now_ns_);
+        seat->say(server_.stream, now_ns_);
+      }
       if (each) each();
     }
   }
