@@ -3,13 +3,25 @@
 #include <fmt/format.h>
 #include <zstd.h>
 
-#include <algorithm>
+#include <memory>
+#include <new>
 
 namespace splatbus::stream {
 
+namespace {
+
+struct FreeCompressor {
+  void operator()(ZSTD_CCtx* context) const { ZSTD_freeCCtx(context); }
+};
+
+}  // namespace
+
 Bytes zstd_compress(std::span<const std::uint8_t> raw, int level) {
+  // Its tables are larger than most of what is compressed, and cost more to make.
+  thread_local const std::unique_ptr<ZSTD_CCtx, FreeCompressor> context(ZSTD_createCCtx());
+  if (!context) throw std::bad_alloc();
   Bytes out(ZSTD_compressBound(raw.size()));
-  const std::size_t size = ZSTD_compress(out.data(), out.size(), raw.data(), raw.size(), level);
+  const std::size_t size = ZSTD_compressCCtx(context.get(), out.data(), out.size(), raw.data(), raw.size(), level);
   if (ZSTD_isError(size)) throw StreamError(fmt::format("zstd: {}", ZSTD_getErrorName(size)));
   out.resize(size);
   return out;
@@ -32,10 +44,11 @@ void put_byte_planes(Bytes& out, std::span<const std::uint64_t> values) {
   for (const std::uint64_t value : values) all |= value;
   std::size_t width = 1;
   while (width < 8 && (all >> (8 * width)) != 0) ++width;
-  out.push_back(static_cast<std::uint8_t>(width));
-  out.reserve(out.size() + width * values.size());
+  std::size_t to = out.size();
+  out.resize(to + byte_planes_bound(values.size(), width));
+  out[to++] = static_cast<std::uint8_t>(width);
   for (std::size_t byte = 0; byte < width; ++byte) {
-    for (const std::uint64_t value : values) out.push_back(static_cast<std::uint8_t>(value >> (8 * byte)));
+    for (const std::uint64_t value : values) out[to++] = static_cast<std::uint8_t>(value >> (8 * byte));
   }
 }
 

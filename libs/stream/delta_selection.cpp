@@ -1,8 +1,11 @@
 #include "stream/delta_selection.h"
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
-#include <cstdlib>
+
+#include "stream/value_changes.h"
 
 namespace splatbus::stream {
 
@@ -29,17 +32,24 @@ float area_px2(const View& view, const glm::vec3& mean_world, float sigma2_m2) {
   return inside ? area : kOutsideShare * area;
 }
 
-constexpr std::int32_t kCalmZone = 1;     // steps: rounding alone can toggle a value by one
-constexpr std::int32_t kSaturation = 64;  // steps a channel; a larger change is not more urgent
-constexpr std::size_t kBuckets = 512;     // of score, eight an octave
+constexpr std::int32_t kCalmZone = 1;      // steps: rounding alone can toggle a value by one
+constexpr std::size_t kBuckets = 512;      // of score, eight an octave
+constexpr std::size_t kRowsAtOnce = 1024;  // their sums stay in the first level of cache
+static_assert(kChunkRows % kRowsAtOnce == 0);
 
 bool is_delta_coded(Attribute attribute) {
   return attribute != Attribute::Normal && attribute != Attribute::Visibility;
 }
 
-std::size_t bucket(float score) {
-  const float octave = std::log2(std::max(score, 1e-12F)) + 40;
-  return static_cast<std::size_t>(std::clamp(octave * 8, 0.0F, static_cast<float>(kBuckets - 1)));
+/// From 2^-40 on; log2() would take longer than all else that is done for a candidate.
+std::uint32_t bucket(float score) {
+  constexpr std::uint32_t kFirst = 127 - 40, kMantissa = (1U << 23U) - 1;
+  // Of 2^(1/8), 2^(2/8), ...
+  constexpr std::array<std::uint32_t, 7> kEighths = {759234, 1587185, 2490071, 3474676, 4548395, 5719293, 6996167};
+  const auto bits = std::bit_cast<std::uint32_t>(std::max(score, 0x1p-40F));
+  std::uint32_t eighths = 8 * ((bits >> 23U) - kFirst);
+  for (const std::uint32_t from : kEighths) eighths += (bits & kMantissa) >= from ? 1 : 0;
+  return std::min(eighths, static_cast<std::uint32_t>(kBuckets - 1));
 }
 
 template <class Gaussians>
@@ -149,40 +159,36 @@ void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held,
   const AttributeChannels& a = layout_.attributes()[attribute];
   const AttributeSchedule& plan = schedule(attribute);
   const float scale = plan.weight / static_cast<float>(bytes_per_entry_[attribute]);
-  const std::size_t rows = target_column.size();
-  largest_.assign(rows, 0);
-  sum_.assign(rows, 0);
-  drift_.assign(rows, 0);
-  // Plane by plane: a plane fits the cache, a Gaussian's row over all planes does not.
-  for (int c = a.first; c < a.first + a.channels; ++c) {
-    const std::int32_t *to = target.channels[c].data(), *rest = anchor_[c].data();
-    held.channels[c].each_chunk([&](std::size_t first, const auto* from) {
-      for (std::size_t row = first; row < std::min(rows, first + kChunkRows); ++row) {
-        if (target_column[row] == kNotHeld) continue;
-        const std::int32_t value = to[target_column[row]];
-        const std::int32_t change = std::abs(value - from[row - first]);
-        largest_[row] = std::max(largest_[row], change);
-        sum_[row] += std::min(change, kSaturation);
-        drift_[row] = std::max(drift_[row], std::abs(value - rest[row]));
-      }
-    });
-  }
   auto& calm = calm_[attribute];
-  for (std::uint32_t row = 0; row < rows; ++row) {
-    const std::uint32_t column = target_column[row];
-    if (column == kNotHeld) continue;
-    const int shift = precision_.shift(attribute, classes_[row]);
-    if (drift_[row] > 1 << shift) {
-      for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][row] = target.channels[c][column];
-      calm[row] = 0;
-    } else if (calm[row] < calm_ticks_) {
-      ++calm[row];
+  std::array<std::int32_t, kRowsAtOnce> largest, sum, drift;
+  for (std::size_t first = 0; first < target_column.size(); first += kRowsAtOnce) {
+    const std::size_t rows = std::min(kRowsAtOnce, target_column.size() - first);
+    largest.fill(0);
+    sum.fill(0);
+    drift.fill(0);
+    for (int c = a.first; c < a.first + a.channels; ++c) {
+      held.channels[c].visit(first, [&](const auto* from) {
+        add_changes(target.channels[c].data(), target_column.data() + first, from, anchor_[c].data() + first, rows,
+                    {largest.data(), sum.data(), drift.data()});
+      });
     }
-    const std::int32_t zone = calm[row] < calm_ticks_ ? plan.dead_zone : std::min(kCalmZone, plan.dead_zone);
-    // What is rounded is off by half of what it is rounded to, and one that wavers about that stays.
-    if (largest_[row] <= std::max(zone << shift, (1 << shift) >> 1)) continue;
-    const auto steps = static_cast<float>(sum_[row]);
-    candidates_.push_back({share[row] * steps * scale, steps * plan.weight, row, attribute});
+    for (std::size_t i = 0; i < rows; ++i) {
+      const auto row = static_cast<std::uint32_t>(first + i);
+      const std::uint32_t column = target_column[row];
+      if (column == kNotHeld) continue;
+      const int shift = drift[i] > 1 || largest[i] > 0 ? precision_.shift(attribute, classes_[row]) : 0;
+      if (drift[i] > 1 << shift) {
+        for (int c = a.first; c < a.first + a.channels; ++c) anchor_[c][row] = target.channels[c][column];
+        calm[row] = 0;
+      } else if (calm[row] < calm_ticks_) {
+        ++calm[row];
+      }
+      const std::int32_t zone = calm[row] < calm_ticks_ ? plan.dead_zone : std::min(kCalmZone, plan.dead_zone);
+      // What is rounded is off by half of what it is rounded to, and one that wavers about that stays.
+      if (largest[i] <= std::max(zone << shift, (1 << shift) >> 1)) continue;
+      const auto steps = static_cast<float>(sum[i]);
+      candidates_.push_back({bucket(share[row] * steps * scale), steps * plan.weight, row, attribute});
+    }
   }
 }
 
@@ -196,12 +202,13 @@ std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, cons
   }
   for (std::uint32_t a = 0; a < layout_.attributes().size(); ++a) {
     if (!is_delta_coded(layout_.attributes()[a].attribute) || tick_ % std::max(schedule(a).every, 1U) != 0) continue;
+    if (target.count() == 0) break;
     collect(a, held, target, target_column, share);
   }
   ++tick_;
 
   std::vector<double> cost(kBuckets);
-  for (const Candidate& c : candidates_) cost[bucket(c.score)] += bytes_per_entry_[c.attribute];
+  for (const Candidate& c : candidates_) cost[c.bucket] += bytes_per_entry_[c.attribute];
   std::size_t lowest = kBuckets;  // buckets from here on go out whole; of the one below, what still fits
   double left = budget_bytes;
   while (lowest > 0 && cost[lowest - 1] <= left) left -= cost[--lowest];
@@ -209,9 +216,8 @@ std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, cons
   std::vector<SelectedRows> selected(layout_.attributes().size());
   left_rows_.clear();
   for (const Candidate& c : candidates_) {
-    const std::size_t b = bucket(c.score);
-    const bool fits = b >= lowest || (b + 1 == lowest && left >= bytes_per_entry_[c.attribute]);
-    if (b < lowest && fits) left -= bytes_per_entry_[c.attribute];
+    const bool fits = c.bucket >= lowest || (c.bucket + 1 == lowest && left >= bytes_per_entry_[c.attribute]);
+    if (c.bucket < lowest && fits) left -= bytes_per_entry_[c.attribute];
     if (fits) {
       selected[c.attribute].rows.push_back(c.row);
       selected[c.attribute].steps.push_back(c.steps);

@@ -73,7 +73,8 @@ class DeltaSelection {
 
  private:
   struct Candidate {
-    float score, steps;
+    std::uint32_t bucket;  ///< of its score
+    float steps;
     std::uint32_t row;
     std::uint32_t attribute;  ///< index into the layout's attributes
   };
@@ -90,8 +91,7 @@ class DeltaSelection {
   std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][rows] ticks of rest
   std::vector<double> bytes_per_entry_;            ///< [attributes]
   std::vector<Candidate> candidates_;
-  std::vector<Precision::Class> classes_;            ///< [rows] of the target
-  std::vector<std::int32_t> largest_, sum_, drift_;  ///< [rows] scratch of collect()
+  std::vector<Precision::Class> classes_;  ///< [rows] of the target
   std::vector<std::uint32_t> left_rows_;
 };
 

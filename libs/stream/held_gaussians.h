@@ -82,18 +82,17 @@ class HeldChannel {
     }
     assert((*this)[row] == value);
   }
-  /// Calls visit(first row, values of kChunkRows rows) for each chunk, the values as the integers that they are.
+  /// Calls visit(values from that row to the end of its chunk), as the integers that they are.
   template <class Visit>
-  void each_chunk(Visit&& visit) const {
-    for (std::size_t k = 0; k < chunks_.size(); ++k) {
-      const std::byte* chunk = chunks_[k].data();
-      if (width_ == Width::Short) {
-        visit(k * kChunkRows, reinterpret_cast<const std::int16_t*>(chunk));
-      } else if (width_ == Width::Byte) {
-        visit(k * kChunkRows, reinterpret_cast<const std::uint8_t*>(chunk));
-      } else {
-        visit(k * kChunkRows, reinterpret_cast<const std::int32_t*>(chunk));
-      }
+  void visit(std::size_t row, Visit&& visit) const {
+    const std::byte* chunk = chunks_[row / kChunkRows].data();
+    const std::size_t i = row % kChunkRows;
+    if (width_ == Width::Short) {
+      visit(reinterpret_cast<const std::int16_t*>(chunk) + i);
+    } else if (width_ == Width::Byte) {
+      visit(reinterpret_cast<const std::uint8_t*>(chunk) + i);
+    } else {
+      visit(reinterpret_cast<const std::int32_t*>(chunk) + i);
     }
   }
   [[nodiscard]] std::size_t width() const { return static_cast<std::size_t>(width_); }  ///< bytes a row

@@ -38,8 +38,10 @@ Precision::Class Precision::of(const QuantizedGaussians& gaussians, std::size_t 
   float shown = log_opacity_[static_cast<std::size_t>(gaussians.channels[opacity_channel_][column])];
   if (weight != 1) shown = std::max(shown + std::log2(std::max(weight, kFaintest)), std::log2(kFaintest));
   const float importance = shown + octaves - finest_;
-  out.number = static_cast<int>(std::clamp(std::floor(coarseness_ - importance), -16.0F, 15.0F));
-  const int at = shift(scale_, out);  // the same for all sizes
+  const float klass = std::clamp(coarseness_ - importance, -16.0F, 15.0F);
+  out.number = static_cast<int>(klass);
+  out.number -= static_cast<float>(out.number) > klass ? 1 : 0;  // rounded down, without a call
+  const int at = shift(scale_, out);                             // the same for all sizes
   for (std::int32_t& value : out.log_scale) value = rounded(value, at, scale);
   return out;
 }

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "stream/page_planes.h"
+#include "stream/planes/shifts.h"
 #include "stream/quantized.h"
 
 namespace splatbus::stream {

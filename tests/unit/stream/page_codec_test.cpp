@@ -1,6 +1,7 @@
 #include "stream/page_codec.h"
 
 #include <gtest/gtest.h>
+#include <hwy/targets.h>
 
 #include <cmath>
 #include <fstream>
@@ -136,6 +137,29 @@ TEST(PlanesCodec, IsLosslessWhateverTheValues) {
   }
 }
 
+TEST(PlanesCodec, IsTheSameOnEveryInstructionSet) {
+  std::vector<Page> pages{toy_page(1000), random_page(77, 5), toy_page(4096, Appearance::Radiance, 1)};
+  Precision(pages[0].layout, 3).round(pages[0].gaussians);
+  const auto code = [&] {
+    std::vector<std::pair<Bytes, QuantizedGaussians>> out;
+    for (const Page& page : pages) {
+      const Bytes bytes = encode_page(page.gaussians, page.layout, PageCodec::Planes).bytes;
+      out.emplace_back(bytes, decode_page(bytes, page.layout, PageCodec::Planes, page.gaussians.count()));
+    }
+    return out;
+  };
+  const auto best = code();
+  for (const std::int64_t target : {std::int64_t{HWY_AVX3}, std::int64_t{HWY_AVX2}, std::int64_t{HWY_SCALAR}}) {
+    if (target != HWY_SCALAR && (hwy::SupportedTargets() & target) == 0) continue;
+    // The chosen one is forgotten so that the next call chooses again.
+    hwy::SetSupportedTargetsForTest(target | HWY_SCALAR);
+    hwy::GetChosenTarget().DeInit();
+    EXPECT_EQ(code(), best) << hwy::TargetName(target);
+    hwy::SetSupportedTargetsForTest(0);
+    hwy::GetChosenTarget().DeInit();
+  }
+}
+
 TEST_P(PageCodecs, AreLosslessAtTheExtremes) {
   Page page = toy_page(100);
   for (const AttributeChannels& a : page.layout.attributes()) {
@@ -146,6 +170,7 @@ TEST_P(PageCodecs, AreLosslessAtTheExtremes) {
   }
   page.gaussians.object_id[9] = 0xFFFFFFFFU;
   page.gaussians.gaussian_id[9] = ~std::uint64_t{0};
+  page.gaussians.gaussian_id[20] = page.gaussians.gaussian_id[19] + (std::uint64_t{1} << 63U);
   expect_lossless(page, GetParam());
   // All of them one and the same, so that nothing is left to code.
   expect_lossless({page.layout, page.gaussians.gather(std::vector<std::uint32_t>(500, 20))}, GetParam());
@@ -249,9 +274,9 @@ TEST(PageCodec, PlanesTakeFewerBytesThanDraco) {
   }
 }
 
-/// Integers that no library has a part in.
-Page golden_page() {
-  Page page{StreamLayout({Appearance::Radiance, 1}, 1.0F / 4096), {}};
+/// Integers that no library has a part in; read_planes.py has them, too.
+Page golden_page(const ParameterLayout& parameters) {
+  Page page{StreamLayout(parameters, 1.0F / 4096), {}};
   page.gaussians = QuantizedGaussians(page.layout, 333);
   std::uint32_t state = 12345;
   const auto next = [&](std::uint32_t below) {
@@ -265,6 +290,7 @@ Page golden_page() {
         if (a.attribute == Attribute::Mean) value = next(3000) - 1500;
         if (a.attribute == Attribute::LogScale) value -= 200 + next(100);
         if (a.attribute == Attribute::Opacity) value = 255 - next(120);
+        if (a.attribute == Attribute::Visibility) value = std::abs(value);
         page.gaussians.channels[a.first + c][i] = value;
       }
     }
@@ -275,25 +301,38 @@ Page golden_page() {
 }
 
 /// Golden blobs are what was once sent: they stay readable, whatever the encoder has learnt since.
-TEST(PageCodec, GoldenBlobsAreRead) {
-  for (const bool rounded : {false, true}) {
-    Page page = golden_page();
-    if (rounded) Precision(page.layout, 4).round(page.gaussians);
-    const std::string path = std::string(SPLATBUS_PAGE_GOLDEN) + (rounded ? "/planes_rounded.bin" : "/planes.bin");
-    if (std::getenv("SPLATBUS_UPDATE_GOLDEN") != nullptr) {
-      const Bytes bytes = encode_page(page.gaussians, page.layout, PageCodec::Planes).bytes;
-      std::ofstream(path, std::ios::binary)
-          .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
-    }
-    std::ifstream file(path, std::ios::binary);
-    ASSERT_TRUE(file) << path;
-    const Bytes bytes(std::istreambuf_iterator<char>(file), {});
-    const QuantizedGaussians read = decode_page(bytes, page.layout, PageCodec::Planes, page.gaussians.count());
-    std::vector<std::uint32_t> order;
-    for (const std::uint64_t id : read.gaussian_id) order.push_back(static_cast<std::uint32_t>((id - 1'000'000) / 3));
-    ASSERT_TRUE(std::ranges::all_of(order, [&](std::uint32_t i) { return i < page.gaussians.count(); }));
-    EXPECT_EQ(read, page.gaussians.gather(order));
+void expect_golden_is_read(const Page& page, const std::string& name, const PageOptions& options) {
+  const std::string path = std::string(SPLATBUS_PAGE_GOLDEN) + "/" + name;
+  if (std::getenv("SPLATBUS_UPDATE_GOLDEN") != nullptr) {
+    const Bytes bytes = encode_page(page.gaussians, page.layout, PageCodec::Planes, options).bytes;
+    std::ofstream(path, std::ios::binary)
+        .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
   }
+  std::ifstream file(path, std::ios::binary);
+  ASSERT_TRUE(file) << path;
+  const Bytes bytes(std::istreambuf_iterator<char>(file), {});
+  const QuantizedGaussians read = decode_page(bytes, page.layout, PageCodec::Planes, page.gaussians.count());
+  std::vector<std::uint32_t> order;
+  if (options.keep_order) {
+    EXPECT_EQ(read, page.gaussians) << name;
+    return;
+  }
+  for (const std::uint64_t id : read.gaussian_id) order.push_back(static_cast<std::uint32_t>((id - 1'000'000) / 3));
+  ASSERT_TRUE(std::ranges::all_of(order, [&](std::uint32_t i) { return i < page.gaussians.count(); }));
+  EXPECT_EQ(read, page.gaussians.gather(order)) << name;
+}
+
+TEST(PageCodec, GoldenBlobsAreRead) {
+  Page page = golden_page({Appearance::Radiance, 1});
+  expect_golden_is_read(page, "planes.bin", {});
+  Precision(page.layout, 4).round(page.gaussians);
+  expect_golden_is_read(page, "planes_rounded.bin", {});
+  page = golden_page({Appearance::Transfer, 3});
+  Precision(page.layout, 4).round(page.gaussians);
+  std::vector<std::uint32_t> columns;
+  for (std::uint32_t i = 0; i < page.gaussians.count(); ++i) columns.push_back(7 * i % 333);
+  page.gaussians = page.gaussians.gather(columns);
+  expect_golden_is_read(page, "planes_transfer.bin", {.ids = true, .keep_order = true, .origin = {}});
 }
 
 TEST(PagePrecision, RoundingTwiceIsRoundingOnce) {

@@ -1,7 +1,4 @@
-#include "stream/page_planes.h"
-
-#include <bit>
-#include <cmath>
+#include "stream/planes/tables.h"
 
 namespace splatbus::stream::planes {
 
@@ -70,83 +67,6 @@ const Tables& tables() {
     return out;
   }();
   return made;
-}
-
-ShiftRule::ShiftRule(const StreamLayout& layout, Attribute attribute) : attribute_(attribute) {
-  const float step = layout.at(attribute).quantizer.step;
-  const float octaves = layout.at(Attribute::LogScale).quantizer.step * 1.442695F;
-  octaves_per_step_ = static_cast<std::int32_t>((octaves > 1.0F ? 1.0F : octaves) * (1 << kFraction) + 0.5F);
-  // Found by what gives 50 dB in the fewest bytes: docs/decisions/0110-page-codec.md.
-  const auto fine_at = [&](float unit, int cap) {
-    constant_ = std::ilogb(unit / step);
-    cap_ = cap;
-  };
-  switch (attribute) {
-    case Attribute::Mean:
-      constant_ = -std::ilogb(step) - 6;
-      cap_ = 10;
-      break;
-    case Attribute::LogScale:
-      fine_at(1.0F / 128, 6);
-      break;
-    case Attribute::Rotation:
-      fine_at(1.0F / 128, 7);
-      break;
-    case Attribute::Opacity:
-      fine_at(1.0F / 3200, 4);
-      break;
-    case Attribute::Albedo:
-      fine_at(1.0F / 200, 6);
-      break;
-    case Attribute::Visibility:
-      break;  // exact: it is the lights' to say, beside the blob
-    case Attribute::Residual:
-      fine_at(1.0F / 512, 7);
-      break;
-    case Attribute::Normal:
-      fine_at(1.0F / 256, 6);
-      break;
-    case Attribute::ShDc:
-      fine_at(1.0F / 64, 7);
-      break;
-    case Attribute::ShRest:
-      fine_at(1.0F / 128, 7);
-      break;
-  }
-}
-
-Interleaver::Interleaver(const std::array<int, 3>& bits) : part_{} {
-  int to = 0;
-  for (int bit = 0; bit < kMaxCellBits; ++bit) {
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      if (bit >= bits[axis]) continue;
-      auto& part = part_[axis][static_cast<std::size_t>(bit) / 8];
-      for (std::size_t value = 0; value < part.size(); ++value) {
-        part[value] |= static_cast<std::uint64_t>(value >> (bit % 8) & 1) << to;
-      }
-      ++to;
-    }
-  }
-}
-
-Deinterleaver::Deinterleaver(const std::array<int, 3>& bits) : part_{} {
-  int from = 0;
-  for (int bit = 0; bit < kMaxCellBits; ++bit) {
-    for (int axis = 0; axis < 3; ++axis) {
-      if (bit >= bits[static_cast<std::size_t>(axis)]) continue;
-      auto& part = part_[static_cast<std::size_t>(from) / 8];
-      for (std::size_t value = 0; value < part.size(); ++value) {
-        part[value] |= static_cast<std::uint64_t>(value >> (from % 8) & 1) << (kMaxCellBits * axis + bit);
-      }
-      ++from;
-    }
-  }
-}
-
-GapClass gap_class(std::uint64_t gap) {
-  const int exponent = std::bit_width(gap + 1) - 1;
-  if (exponent == 0) return {};
-  return {2 * exponent + static_cast<int>((gap + 1) >> (exponent - 1) & 1), exponent - 1};
 }
 
 }  // namespace splatbus::stream::planes

@@ -1,8 +1,11 @@
+#include <algorithm>
 #include <cstddef>
+#include <cstdlib>
 #include <limits>
 
 #include "stream/page_codec_parts.h"
-#include "stream/page_planes_source.h"
+#include "stream/planes/morton.h"
+#include "stream/planes/source.h"
 
 namespace splatbus::stream {
 
@@ -33,89 +36,35 @@ PlaneModel read_model(ByteReader& header) {
   return model;
 }
 
-/// What the lanes of an attribute are told apart by, and how coarse each is.
-struct Contexts {
-  const std::uint8_t* of_lane;
-  std::array<std::uint8_t, kClasses> shift{};
-};
-
-/// One plane into `out`; `before` are the planes of the same attribute so far.
-void read_plane(Source& source, const Contexts& contexts, std::span<const std::vector<std::int32_t>> before,
-                std::vector<std::int32_t>& out) {
+/// One plane into `out` [count].
+void read_plane(Source& source, const Lanes& lanes, const Before& before, std::int32_t* out) {
   const PlaneModel model = read_model(source.header());
   if (model.predictor == Predictor::Constant) {
-    std::fill(out.begin(), out.end(), model.offset);
+    std::fill_n(out, source.count(), model.offset);
     return;
   }
-  Source::Contexts read;
-  read.of_lane = contexts.of_lane;
-  const bool moves = model.predictor != Predictor::Offset;
-  for (std::size_t k = 0; k < kClasses; ++k) {
-    const int shift = contexts.shift[k];
-    const Spread spread = spread_of(model.spread - model.slope * shift);
-    const std::int32_t offset =
-        model.offset + (model.per_class * (static_cast<int>(k) - kClassBias)) / 8 + ((1 << shift) >> 1);
-    read.table[k] = DecodingTables::at(model.shape, spread.table);
-    read.offset[k] = static_cast<std::uint32_t>(moves ? offset : offset >> shift);
-    read.shift[k] = static_cast<std::uint32_t>(shift);
-    read.low_bits[k] = static_cast<std::uint32_t>(spread.low_bits);
-  }
-  const std::size_t colour = before.size() % 3;
-  if ((model.predictor == Predictor::Channel || model.predictor == Predictor::Both) && colour == 0) {
+  if ((model.predictor == Predictor::Channel || model.predictor == Predictor::Both) && before.last == nullptr) {
     refuse("a first channel that is predicted from one before");
   }
-  // Sums wrap around: whatever comes of it is within the limits, or refused.
-  const auto from = [&](auto base) {
-    source.values(
-        read,
-        [&read, base](std::size_t i, std::uint8_t k, std::uint32_t residual) SPLATBUS_INLINE {
-          const auto predicted = static_cast<std::int32_t>(base(i) + read.offset[k]);
-          return (residual + static_cast<std::uint32_t>(predicted >> read.shift[k])) << read.shift[k];
-        },
-        out.data());
-  };
-  const auto u = [](std::int32_t x) { return static_cast<std::uint32_t>(x); };
-  std::int32_t* const lane = out.data();
-  switch (model.predictor) {
-    case Predictor::Constant:
-    case Predictor::Offset:
-      source.values(
-          read,
-          [&read](std::size_t, std::uint8_t k, std::uint32_t residual)
-              SPLATBUS_INLINE { return (residual + read.offset[k]) << read.shift[k]; },
-          lane);
-      break;
-    case Predictor::Lane:
-      from([=](std::size_t i) SPLATBUS_INLINE { return i > 0 ? u(lane[i - 1]) : 0U; });
-      break;
-    case Predictor::Channel: {
-      const std::int32_t* const a = before.back().data();
-      const std::int32_t* const b = before[before.size() - colour].data();
-      from([=](std::size_t i) SPLATBUS_INLINE { return u((a[i] + b[i]) >> 1); });
-      break;
-    }
-    case Predictor::Both: {
-      const std::int32_t* const a = before.back().data();
-      from([=](std::size_t i) SPLATBUS_INLINE { return i > 0 ? u(lane[i - 1]) + u(a[i]) - u(a[i - 1]) : u(a[0]); });
-      break;
-    }
-  }
+  source.residuals(model, lanes.shift, out);
+  residuals_to_values(model, lanes, before, source.count(), out);
+}
+
+/// A plane by itself.
+void read_alone(Source& source, std::vector<std::int32_t>& out) {
+  const std::vector<std::uint8_t> none(source.count());
+  read_plane(source, {none.data(), none.data()}, {}, out.data());
 }
 
 void require_limits(const AttributeChannels& a, const std::vector<std::int32_t>& plane) {
-  std::int32_t low = a.minimum, high = a.maximum;
-  for (const std::int32_t value : plane) {
-    low = value < low ? value : low;
-    high = value > high ? value : high;
-  }
+  const auto [low, high] = range_of(plane.data(), plane.size());
   if (low < a.minimum || high > a.maximum) refuse("a value beyond its limits");
 }
 
 /// Numbers from 0 that ascend in size rather than value.
 std::vector<std::uint64_t> read_gaps(Source& source) {
-  const std::vector<std::uint8_t> none(source.count());
   std::vector<std::int32_t> number(source.count());
-  read_plane(source, {none.data(), {}}, {}, number);
+  read_alone(source, number);
   std::vector<std::uint64_t> gaps(source.count());
   for (std::size_t i = 0; i < gaps.size(); ++i) {
     if (number[i] < 0 || number[i] > kMaxGapClass) refuse("a gap wider than any");
@@ -208,7 +157,7 @@ QuantizedGaussians decode_planes(std::span<const std::uint8_t> bytes, const Stre
   std::vector<std::uint8_t> klass(count), shift(count);
   {
     std::vector<std::int32_t> plane(count);
-    read_plane(source, {klass.data(), {}}, {}, plane);
+    read_alone(source, plane);
     for (std::size_t i = 0; i < count; ++i) {
       if (plane[i] < 0 || plane[i] >= kClasses) refuse("an unknown class of precision");
       klass[i] = static_cast<std::uint8_t>(plane[i]);
@@ -219,24 +168,16 @@ QuantizedGaussians decode_planes(std::span<const std::uint8_t> bytes, const Stre
   };
   const auto read_attribute = [&](const AttributeChannels& a) {
     const ShiftRule rule(layout, a.attribute);
-    Contexts contexts{klass.data(), {}};
-    for (int k = 0; k < kClasses; ++k) {
-      contexts.shift[k] =
-          static_cast<std::uint8_t>(rule.is_constant() ? shift_at(k - kClassBias, rule.offset(0, 0, 0), rule.cap())
-                                                       : (k < rule.cap() ? k : rule.cap()));
-    }
-    if (!rule.is_constant()) {
-      const auto scale = planes_of(layout.at(Attribute::LogScale));
-      for (std::size_t i = 0; i < count; ++i) {
-        shift[i] = static_cast<std::uint8_t>(
-            shift_at(klass[i] - kClassBias, rule.offset(scale[0][i], scale[1][i], scale[2][i]), rule.cap()));
-      }
-      contexts.of_lane = shift.data();
-    }
+    const auto scale = planes_of(layout.at(Attribute::LogScale));
+    const std::int32_t* const size[3] = {scale[0].data(), scale[1].data(), scale[2].data()};
+    put_shifts(rule, klass, size, shift.data());
     const auto planes = planes_of(a);
     if (a.attribute == Attribute::Mean) return read_means(source, a, shift, planes);
+    const Lanes lanes{shift.data(), rule.is_constant() ? klass.data() : shift.data()};
     for (std::size_t c = 0; c < planes.size(); ++c) {
-      read_plane(source, contexts, planes.first(c), planes[c]);
+      const std::size_t colour = c % 3;
+      const Before before = colour == 0 ? Before{} : Before{planes[c - 1].data(), planes[c - colour].data()};
+      read_plane(source, lanes, before, planes[c].data());
       require_limits(a, planes[c]);
     }
   };
