@@ -32,8 +32,8 @@ float area_px2(const View& view, const glm::vec3& mean_world, float sigma2_m2) {
   return inside ? area : kOutsideShare * area;
 }
 
-constexpr std::int32_t kCalmZone = 1;     // steps: rounding alone can toggle a value by one
-constexpr std::size_t kBuckets = 512;     // of score, eight an octave
+constexpr std::int32_t kCalmZone = 1;      // steps: rounding alone can toggle a value by one
+constexpr std::size_t kBuckets = 512;      // of score, eight an octave
 constexpr std::size_t kRowsAtOnce = 1024;  // their sums stay in the first level of cache
 static_assert(kChunkRows % kRowsAtOnce == 0);
 
@@ -41,11 +41,15 @@ bool is_delta_coded(Attribute attribute) {
   return attribute != Attribute::Normal && attribute != Attribute::Visibility;
 }
 
-/// From 2^-40 on. Within an octave they are equally wide: the highest bits of a float are its logarithm, nearly.
+/// From 2^-40 on; log2() would take longer than all else that is done for a candidate.
 std::uint32_t bucket(float score) {
-  constexpr std::uint32_t kFirst = (127 - 40) << 3U;
-  const std::uint32_t eighths = std::bit_cast<std::uint32_t>(std::max(score, 0x1p-40F)) >> 20U;
-  return std::min(eighths - kFirst, static_cast<std::uint32_t>(kBuckets - 1));
+  constexpr std::uint32_t kFirst = 127 - 40, kMantissa = (1U << 23U) - 1;
+  // Of 2^(1/8), 2^(2/8), ...
+  constexpr std::array<std::uint32_t, 7> kEighths = {759234, 1587185, 2490071, 3474676, 4548395, 5719293, 6996167};
+  const auto bits = std::bit_cast<std::uint32_t>(std::max(score, 0x1p-40F));
+  std::uint32_t eighths = 8 * ((bits >> 23U) - kFirst);
+  for (const std::uint32_t from : kEighths) eighths += (bits & kMantissa) >= from ? 1 : 0;
+  return std::min(eighths, static_cast<std::uint32_t>(kBuckets - 1));
 }
 
 template <class Gaussians>

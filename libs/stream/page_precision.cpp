@@ -41,7 +41,7 @@ Precision::Class Precision::of(const QuantizedGaussians& gaussians, std::size_t 
   const float klass = std::clamp(coarseness_ - importance, -16.0F, 15.0F);
   out.number = static_cast<int>(klass);
   out.number -= static_cast<float>(out.number) > klass ? 1 : 0;  // rounded down, without a call
-  const int at = shift(scale_, out);  // the same for all sizes
+  const int at = shift(scale_, out);                             // the same for all sizes
   for (std::int32_t& value : out.log_scale) value = rounded(value, at, scale);
   return out;
 }

@@ -39,7 +39,8 @@ HWY_INLINE void AddChanges(const std::int32_t* target, const std::uint32_t* colu
     const auto change = hn::Abs(hn::Sub(value, held_value));
     const auto drift = hn::Abs(hn::Sub(value, hn::LoadU(d, anchor + i)));
     hn::StoreU(hn::Max(hn::LoadU(d, to.largest + i), change), d, to.largest + i);
-    hn::StoreU(hn::Add(hn::LoadU(d, to.sum + i), hn::Min(change, hn::Set(d, ValueChanges::kSaturation))), d, to.sum + i);
+    hn::StoreU(hn::Add(hn::LoadU(d, to.sum + i), hn::Min(change, hn::Set(d, ValueChanges::kSaturation))), d,
+               to.sum + i);
     hn::StoreU(hn::Max(hn::LoadU(d, to.drift + i), drift), d, to.drift + i);
   }
   for (; i < rows; ++i) {

@@ -16,8 +16,8 @@ struct ValueChanges {
   static constexpr std::int32_t kSaturation = 64;
 };
 
-/// Adds one channel of `rows` rows: that of row i is target[column[i]]. A column of kNotHeld is in no target: what comes
-/// of its row means nothing.
+/// Adds one channel of `rows` rows: that of row i is target[column[i]]. A column of kNotHeld is in no target: what
+/// comes of its row means nothing.
 void add_changes(const std::int32_t* target, const std::uint32_t* column, const std::uint8_t* held,
                  const std::int32_t* anchor, std::size_t rows, const ValueChanges& to);
 void add_changes(const std::int32_t* target, const std::uint32_t* column, const std::int16_t* held,

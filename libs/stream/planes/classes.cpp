@@ -10,7 +10,8 @@ namespace {
 /// Of the lowest bit that is set; 127 below it where none is, far above any cap.
 std::int32_t trailing_zeros(std::int32_t bits) {
   // By way of the exponent of a float, which compilers vectorise.
-  const auto lowest = static_cast<float>(static_cast<std::int32_t>(static_cast<std::uint32_t>(bits & -bits) & 0x7FFFFFFF));
+  const auto lowest =
+      static_cast<float>(static_cast<std::int32_t>(static_cast<std::uint32_t>(bits & -bits) & 0x7FFFFFFF));
   const std::int32_t exponent = static_cast<std::int32_t>(std::bit_cast<std::uint32_t>(lowest) >> 23U) - 127;
   return exponent < 0 ? 31 : exponent;
 }

@@ -15,11 +15,15 @@ namespace planes {
 
 namespace {
 
-/// Planes of [count] values, zeros before and after each.
+/// Planes of [count] values, zeros before each.
 class PaddedPlanes {
  public:
-  PaddedPlanes(std::size_t planes, std::size_t count)
-      : stride_(padded(count) + kStates), values_(kStates + planes * stride_) {}
+  /// In `memory`, which keeps its size: what is given back to the system has to be asked for and cleared again.
+  PaddedPlanes(std::size_t planes, std::size_t count, std::vector<std::int32_t>& memory)
+      : stride_(padded(count) + kStates), values_(memory) {
+    if (values_.size() < kStates + planes * stride_) values_.resize(kStates + planes * stride_);
+    for (std::size_t plane = 0; plane < planes; ++plane) std::fill_n((*this)[plane] - kStates, kStates, 0);
+  }
   [[nodiscard]] std::int32_t* operator[](std::size_t plane) { return values_.data() + kStates + plane * stride_; }
   [[nodiscard]] const std::int32_t* operator[](std::size_t plane) const {
     return values_.data() + kStates + plane * stride_;
@@ -27,7 +31,7 @@ class PaddedPlanes {
 
  private:
   std::size_t stride_;
-  std::vector<std::int32_t> values_;
+  std::vector<std::int32_t>& values_;
 };
 
 void put_number(Bytes& out, std::int64_t value) {
@@ -45,8 +49,8 @@ void put_model(Bytes& out, const PlaneModel& model) {
 /// Writes planes, one by one.
 class Writer {
  public:
-  Writer(std::size_t count, std::size_t planes, bool account)
-      : sink(count, planes, account), count_(count), fitter_(count), none_(count), alone_(1, count) {}
+  Writer(std::size_t count, bool account)
+      : sink(count, account), count_(count), fitter_(count), none_(count), alone_(1, count, alone_memory_) {}
   Sink sink;
 
   void begin(const Lanes& lanes, PlaneFitter::Effort effort) {
@@ -77,6 +81,7 @@ class Writer {
   std::size_t count_;
   PlaneFitter fitter_;
   std::vector<std::uint8_t> none_;
+  std::vector<std::int32_t> alone_memory_;
   PaddedPlanes alone_;
   Lanes lanes_{};
 };
@@ -161,7 +166,8 @@ PageBlob encode_planes(const QuantizedGaussians& page, const StreamLayout& layou
   const bool own_order = options.keep_order && !std::ranges::is_sorted(order);
 
   const auto channels = static_cast<std::size_t>(layout.channels());
-  PaddedPlanes planes(channels, count);
+  thread_local std::vector<std::int32_t> memory;
+  PaddedPlanes planes(channels, count, memory);
   for (std::size_t c = 0; c < channels; ++c) {
     const std::int32_t* const from = page.channels[c].data();
     std::int32_t* const to = planes[c];
@@ -169,7 +175,7 @@ PageBlob encode_planes(const QuantizedGaussians& page, const StreamLayout& layou
   }
   const std::vector<std::uint8_t> klass = in_order(klass_of_column, order);
 
-  Writer writer(count, channels + 4, account != nullptr);
+  Writer writer(count, account != nullptr);
   Sink& sink = writer.sink;
   double accounted = 0;
   const auto part_ends = [&](const char* name) {

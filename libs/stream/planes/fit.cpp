@@ -100,8 +100,7 @@ void PlaneFitter::sample(Predictor predictor, const Before& before, const std::i
 std::int32_t PlaneFitter::mean_difference() const {
   std::int64_t sum = 0;
   for (const std::int32_t difference : difference_) sum += difference;
-  return static_cast<std::int32_t>(
-      std::lround(static_cast<double>(sum) / static_cast<double>(difference_.size())));
+  return static_cast<std::int32_t>(std::lround(static_cast<double>(sum) / static_cast<double>(difference_.size())));
 }
 
 PlaneModel PlaneFitter::regression() const {
@@ -176,7 +175,7 @@ float PlaneFitter::cost(Shape shape, int slope, int spread) const {
 
 float PlaneFitter::choose(PlaneModel& model) const {
   float least = std::numeric_limits<float>::infinity();
-  for (int slope = 4; slope >= (used_shifts_ > 1 ? 2 : 4); --slope) {
+  const auto attempt = [&](Shape shape, int slope) {
     float count = 0, magnitude = 0, square = 0;
     for (std::size_t k = 0; k < used_shifts_; ++k) {
       const Moments& m = moments_[k];
@@ -185,30 +184,29 @@ float PlaneFitter::choose(PlaneModel& model) const {
       magnitude += m.magnitude * grow;
       square += m.square * grow * grow;
     }
-    bool better = false;
-    for (const Shape shape : {Shape::Laplace, Shape::Gauss}) {
-      int spread = about_spread(shape == Shape::Laplace ? 1.41421356F * magnitude / count : std::sqrt(square / count));
-      float bits = cost(shape, slope, spread);
-      for (const int step : {-1, 1}) {
-        bool moved = false;
-        for (int next = spread + step; next >= 0 && next < kMaxSpread; next += step) {
-          const float there = cost(shape, slope, next);
-          if (there >= bits) break;
-          bits = there;
-          spread = next;
-          moved = true;
-        }
-        if (moved) break;
+    int spread = about_spread(shape == Shape::Laplace ? 1.41421356F * magnitude / count : std::sqrt(square / count));
+    float bits = cost(shape, slope, spread);
+    for (const int step : {-1, 1}) {
+      bool moved = false;
+      for (int next = spread + step; next >= 0 && next < kMaxSpread; next += step) {
+        const float there = cost(shape, slope, next);
+        if (there >= bits) break;
+        bits = there;
+        spread = next;
+        moved = true;
       }
-      if (bits >= least) continue;
-      better = true;
-      least = bits;
-      model.shape = shape;
-      model.slope = slope;
-      model.spread = spread;
+      if (moved) break;
     }
-    if (!better) break;
+    if (bits >= least) return false;
+    least = bits;
+    model.shape = shape;
+    model.slope = slope;
+    model.spread = spread;
+    return true;
+  };
+  for (int slope = 4; slope >= (used_shifts_ > 1 ? 2 : 4) && attempt(Shape::Laplace, slope); --slope) {
   }
+  attempt(Shape::Gauss, model.slope);
   return least;
 }
 

@@ -43,8 +43,8 @@ HWY_INLINE V RoundedLanes(const PlaneModel& model, const Lanes& lanes, V base, V
   const I d;
   V sum = hn::Add(base, hn::Set(d, model.offset));
   if (model.per_class != 0) {
-    const V klass = hn::Sub(hn::PromoteTo(d, hn::LoadU(hn::Rebind<std::uint8_t, I>(), lanes.context + i)),
-                            hn::Set(d, kClassBias));
+    const V klass =
+        hn::Sub(hn::PromoteTo(d, hn::LoadU(hn::Rebind<std::uint8_t, I>(), lanes.context + i)), hn::Set(d, kClassBias));
     const V eighths = hn::Mul(klass, hn::Set(d, model.per_class));
     // Towards 0.
     const V toward = hn::And(hn::ShiftRight<31>(eighths), hn::Set(d, 7));

@@ -6,7 +6,8 @@
 
 #include "stream/planes/plane_model.h"
 
-// What is predicted of a plane's lanes: values from residuals, and back. Vectorised; the same integers on every machine.
+// What is predicted of a plane's lanes: values from residuals, and back. Vectorised; the same integers on every
+// machine.
 namespace splatbus::stream::planes {
 
 /// How a plane's lanes are told apart.
@@ -25,8 +26,8 @@ struct Before {
 void residuals_to_values(const PlaneModel& model, const Lanes& lanes, const Before& before, std::size_t count,
                          std::int32_t* plane);
 
-/// Residuals of the lanes [begin, end) of a plane, which and those before it can be read at the lane -1, too, and have a
-/// 0 there.
+/// Residuals of the lanes [begin, end) of a plane, which and those before it can be read at the lane -1, too, and have
+/// a 0 there.
 void values_to_residuals(const PlaneModel& model, const Lanes& lanes, const Before& before, const std::int32_t* plane,
                          std::size_t begin, std::size_t end, std::int32_t* residual);
 

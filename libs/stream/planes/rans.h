@@ -26,8 +26,8 @@ namespace splatbus::stream::planes {
 using CodedSymbol = std::uint32_t;
 inline constexpr CodedSymbol kEscapes = 1U << 15;
 
-/// One plane's symbols. `shift`, at most kMaxShift, and `residual` [count]; `coded` [padded(count)]; `escaped` [count] gets the lanes whose
-/// bits travel plainly, ascending. Returns how many those are.
+/// One plane's symbols. `shift`, at most kMaxShift, and `residual` [count]; `coded` [padded(count)]; `escaped` [count]
+/// gets the lanes whose bits travel plainly, ascending. Returns how many those are.
 std::size_t put_symbols(const PlaneModel& model, const std::uint8_t* shift, const std::int32_t* residual,
                         std::size_t count, CodedSymbol* coded, std::uint16_t* escaped);
 

@@ -13,7 +13,8 @@
 
 namespace splatbus::stream::planes {
 
-/// For each table and each value of a state's low bits: symbol << 22 | within the symbol << 11 | its frequency.
+/// For each table and each value of a state's low bits: symbol, place within the symbol, frequency, in kProbabilityBits
+/// each but for the symbol.
 inline const std::uint32_t* decoding_entries() {
   static const std::vector<std::uint32_t> made = [] {
     std::vector<std::uint32_t> entries;
@@ -46,7 +47,8 @@ inline void read_lanes(WordReader& reader, const PlaneModel& model, const std::u
                        std::size_t end, std::int32_t* out, std::uint16_t* escaped, std::size_t& escapes) {
   const std::uint32_t* const entries = decoding_entries() + first_entry(model);
   std::uint32_t table[kMaxShift + 1];
-  for (int n = 0; n <= kMaxShift; ++n) table[n] = static_cast<std::uint32_t>(spread_at(model, n).table) << kProbabilityBits;
+  for (int n = 0; n <= kMaxShift; ++n)
+    table[n] = static_cast<std::uint32_t>(spread_at(model, n).table) << kProbabilityBits;
   const std::uint16_t* word = reader.word;
   for (std::size_t i = begin; i < end; ++i) {
     std::uint32_t& state = reader.states[i % kStates];
@@ -91,7 +93,8 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 #if HWY_MAX_BYTES >= 32
 
-using D = hn::CappedTag<std::uint32_t, kStates>;
+// Two short chains of gathers overlap where one long one waits.
+using D = hn::CappedTag<std::uint32_t, 8>;
 using I = hn::RebindToSigned<D>;
 using V = hn::Vec<D>;
 
@@ -100,7 +103,7 @@ HWY_INLINE V Expanded(hn::Mask<D> mask, const std::uint16_t* word) {
   const D d;
   const V next = hn::PromoteTo(d, hn::LoadU(hn::Rebind<std::uint16_t, D>(), word));
 #if HWY_TARGET <= HWY_AVX3
-  return V{_mm512_maskz_expand_epi32(mask.raw, next.raw)};
+  return V{_mm256_maskz_expand_epi32(mask.raw, next.raw)};
 #else
   static_assert(hn::MaxLanes(D()) == 8);
   std::uint8_t bits[8];

@@ -20,7 +20,8 @@ inline const CodedSymbol* coded_symbols() {
   static const std::vector<CodedSymbol> made = [] {
     std::vector<CodedSymbol> out;
     for (const Tables::Frequencies& frequency : tables().frequency) {
-      const CodedSymbol escape = (kProbabilityOne - frequency[kEscape]) | CodedSymbol{frequency[kEscape]} << 16U | kEscapes;
+      const CodedSymbol escape =
+          (kProbabilityOne - frequency[kEscape]) | CodedSymbol{frequency[kEscape]} << 16U | kEscapes;
       std::uint32_t start = 0;
       for (int symbol = 0; symbol < kSymbols; ++symbol) {
         const std::uint32_t f = frequency[static_cast<std::size_t>(symbol)];
@@ -46,7 +47,8 @@ inline void put_lanes(const PlaneModel& model, const std::uint8_t* shift, const 
     const Spread spread = spread_at(model, shift[i]);
     const std::int32_t high = (residual[i] + ((1 << spread.low_bits) >> 1)) >> spread.low_bits;
     const std::uint32_t zigzag = static_cast<std::uint32_t>(high) << 1U ^ static_cast<std::uint32_t>(high >> 31);
-    const CodedSymbol symbol = symbols[spread.table * kSymbols + static_cast<int>(std::min(zigzag, std::uint32_t{kEscape}))];
+    const CodedSymbol symbol =
+        symbols[spread.table * kSymbols + static_cast<int>(std::min(zigzag, std::uint32_t{kEscape}))];
     coded[i] = symbol & ~kEscapes;
     escaped[escapes] = static_cast<std::uint16_t>(i);
     escapes += (symbol & kEscapes) != 0 ? 1 : 0;
@@ -131,11 +133,11 @@ std::uint16_t* PutWords(const CodedSymbol* plane, std::size_t count, std::uint32
       const V symbol = hn::Reverse(d, hn::LoadU(d, plane + end - (v + 1) * kLanes));
       const auto frequency = hn::BitCast(i32, hn::ShiftRight<16>(symbol));
       const V start = hn::And(symbol, hn::Set(d, 0xFFFFU));
-      const auto full = hn::RebindMask(
-          d, hn::Not(hn::Lt(hn::BitCast(i32, x[v]), hn::ShiftLeft<31 - kProbabilityBits>(frequency))));
+      const auto full =
+          hn::RebindMask(d, hn::Not(hn::Lt(hn::BitCast(i32, x[v]), hn::ShiftLeft<31 - kProbabilityBits>(frequency))));
       const V words = hn::Compress(hn::And(x[v], hn::Set(d, 0xFFFFU)), full);
-      hn::StoreU(hn::DemoteTo(hn::Rebind<std::uint16_t, D>(), hn::BitCast(i32, words)),
-                 hn::Rebind<std::uint16_t, D>(), to);
+      hn::StoreU(hn::DemoteTo(hn::Rebind<std::uint16_t, D>(), hn::BitCast(i32, words)), hn::Rebind<std::uint16_t, D>(),
+                 to);
       to += hn::CountTrue(d, full);
       const auto kept = hn::BitCast(i32, hn::IfThenElse(full, hn::ShiftRight<16>(x[v]), x[v]));
       // As a float the quotient, below 2^20, is off by less than one.

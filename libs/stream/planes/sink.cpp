@@ -10,9 +10,19 @@ void put_varint(Bytes& out, std::uint64_t value) {
   out.push_back(static_cast<std::uint8_t>(value));
 }
 
-Sink::Sink(std::size_t count, std::size_t planes, bool account) : count_(count), account_(account), escaped_(count) {
-  coded_.reserve(planes * padded(count));
+namespace {
+
+// Memory that is given back to the system has to be asked for and cleared again.
+std::vector<CodedSymbol>& emptied_symbols() {
+  thread_local std::vector<CodedSymbol> symbols;
+  symbols.clear();
+  return symbols;
 }
+
+}  // namespace
+
+Sink::Sink(std::size_t count, bool account)
+    : count_(count), account_(account), coded_(emptied_symbols()), escaped_(count) {}
 
 void Sink::put_waiting() {
   const std::size_t at = plain_.size();

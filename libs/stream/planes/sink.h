@@ -14,8 +14,8 @@ void put_varint(Bytes& out, std::uint64_t value);
 /// The three parts of a blob.
 class Sink {
  public:
-  /// `planes`: about how many there will be. `account`: size() is asked for.
-  Sink(std::size_t count, std::size_t planes, bool account);
+  /// The only one of its thread. `account`: size() is asked for.
+  Sink(std::size_t count, bool account);
   Bytes header;
 
   /// Up to 63 bits, none above them.
@@ -42,7 +42,7 @@ class Sink {
   std::size_t count_;
   bool account_;
   double symbol_bits_ = 0;
-  std::vector<CodedSymbol> coded_;
+  std::vector<CodedSymbol>& coded_;  ///< the thread's, which keeps its size
   std::vector<std::uint16_t> escaped_;
   Bytes plain_;
   std::uint64_t waiting_ = 0;

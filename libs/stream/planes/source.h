@@ -23,7 +23,8 @@ inline constexpr const char* kWhat = "Page";
 /// The three parts of a blob. Planes have `count` values: what is read of one beyond the end is 0, and then refused.
 class Source {
  public:
-  Source(std::span<const std::uint8_t> bytes, std::size_t count) : count_(count), header_(bytes, kWhat), escaped_(count) {
+  Source(std::span<const std::uint8_t> bytes, std::size_t count)
+      : count_(count), header_(bytes, kWhat), escaped_(count) {
     const std::uint64_t header = header_.varint();
     const std::uint64_t words = header_.varint();
     const std::size_t left = header_.left();

@@ -9,7 +9,7 @@
 namespace splatbus::stream::planes {
 
 inline constexpr std::size_t kStates = 16;
-inline constexpr int kProbabilityBits = 11;
+inline constexpr int kProbabilityBits = 10;
 inline constexpr std::uint32_t kProbabilityOne = 1U << kProbabilityBits;
 inline constexpr std::uint32_t kStateLow = 1U << 15;  ///< a state is in [kStateLow, 2^31)
 

@@ -8,7 +8,7 @@ import math
 import pathlib
 import sys
 
-STATES, ONE, LOW, SYMBOLS, ESCAPE, SPREADS = 16, 1 << 11, 1 << 15, 64, 63, 24
+STATES, ONE, LOW, SYMBOLS, ESCAPE, SPREADS = 16, 1 << 10, 1 << 15, 64, 63, 24
 FRACTION = 1 << 32
 
 # docs/page-codec.md, "Tables"
