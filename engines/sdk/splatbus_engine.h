@@ -23,8 +23,7 @@ extern "C" {
 #define SPLATBUS_ENGINE_ABI 3
 #define SPLATBUS_MAX_OBJECTS 32768       /* of one frame */
 #define SPLATBUS_RESERVED_ID 0xFA00FA00U /* of no object: that of what lies beyond all objects */
-#define SPLATBUS_PLAYER_ID 0xFA00FA01U   /* of an object without surfaces: a player's camera, which viewers may follow \
-                                          */
+#define SPLATBUS_PLAYER_ID 0xFA00FA01U   /* of an object without surfaces: a player's camera */
 #define SPLATBUS_MAX_LIGHTS 32           /* of one frame, besides the sun */
 
 typedef enum { SPLATBUS_OK = 0, SPLATBUS_ERROR_ARGUMENT = -1, SPLATBUS_ERROR_BUS = -2 } splatbus_status;

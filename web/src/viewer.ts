@@ -1,10 +1,11 @@
 import { addressWith } from './camera/address';
 import { Controls } from './camera/controls';
-import { poseOf, Rig, viewOf, type Pose } from './camera/rig';
+import { Player } from './camera/player';
+import { Rig, viewOf } from './camera/rig';
 import { BenchRun } from './bench';
 import { rightsHere } from './download';
 import { Extras } from './extras';
-import { kTransformFloats, poseFloats, type View } from './math';
+import { poseFloats, type View } from './math';
 import { Pace, Rate } from './pace';
 import type { Api } from './render/make_renderer';
 import type { Frame } from './render/renderer';
@@ -61,8 +62,7 @@ export class Viewer {
   #goal = this.rig.goal;
   /** Somebody has moved the camera. */
   #steered = false;
-  /** The camera goes with the engine's player. */
-  #following = false;
+  readonly #player = new Player();
   #rested = true;
   #redraw = true;
   #framed = false;
@@ -146,11 +146,11 @@ export class Viewer {
     this.#controls.advance(seconds);
     if (this.rig.goal !== this.#goal) {
       this.#steered = true;
-      this.#following = false;
+      this.#player.following = false;
     }
     const flown = this.#bench.at(nowMs / 1000, () => this.#benchContext());
     if (flown) this.rig.jump(flown);
-    if (flown || this.#goAlong(nowMs)) this.#movedMs = nowMs;
+    if (flown || this.#player.goAlong(this.stage.sceneAt(nowMs), this.rig)) this.#movedMs = nowMs;
     this.#goal = this.rig.goal;
     const moved = this.rig.advance(seconds);
     if (moved) this.#movedMs = nowMs;
@@ -170,23 +170,9 @@ export class Viewer {
     }
   }
 
-  /** True while the camera goes with the player's. */
-  #goAlong(nowMs: number): boolean {
-    if (!this.#following) return false;
-    const { player, transforms } = this.stage.sceneAt(nowMs);
-    const camera = transforms.subarray(kTransformFloats * player, kTransformFloats * (player + 1));
-    if (player === 0 || camera.every((value) => value === 0)) return false; // it may come back
-    const pose = poseOf(camera, this.rig.goal.distance);
-    const before = this.rig.goal;
-    this.rig.jump(pose);
-    return Object.entries(this.rig.goal).some(([key, value]) => String(before[key as keyof Pose]) !== String(value));
-  }
-
   #follow(): void {
-    const offered = this.stage.scene.player > 0;
-    this.#following = offered && !this.#following;
-    if (!offered) this.#notice.pass(texts.noPlayer);
-    else if (this.#following) this.#notice.pass(texts.following);
+    if (!this.#player.toggle(this.stage.scene)) this.#notice.pass(texts.noPlayer);
+    else if (this.#player.following) this.#notice.pass(texts.following);
   }
 
   #view(): View {
@@ -321,7 +307,7 @@ export class Viewer {
       this.#bench.text(nowMs / 1000) ||
       (this.stage.standing ? '' : this.connection === 'open' ? texts.waitingForScene : texts.connecting);
     this.#notice.keep(problem);
-    this.#menu.offerPlayer(this.stage.scene.player > 0, this.#following);
+    this.#menu.offerPlayer(this.stage.scene.player > 0, this.#player.following);
   }
 
   #settingsChanged(): void {
