@@ -196,7 +196,7 @@ void add_explore_verb(CLI::App& eval, Action& action) {
       ->check(CLI::Range(0.0, 1e6));
   verb->add_option("--memory-mb", run.memory_mb, "ceiling of the trainer's memory, with --world, MiB; 0: none");
   verb->add_option("--disk-mb", run.disk_mb, "ceiling of the world folder, MiB; 0: none");
-  verb->add_flag("--compare", options->explore.compare, "compare with the same run without freezing");
+  verb->add_flag("--compare", options->explore.compare, "compare with the same run without freezing and culling");
   verb->add_flag("--halve", options->explore.halve,
                  "compare with the same run under half of the memory and disk that the first took");
   verb->add_flag("--alone", options->explore.alone, "compare with runs in which each of two viewers is alone");

@@ -50,7 +50,10 @@ void change_launch(const ExploreRunOptions& options, const fs::path& pictures, L
       settings.emplace_back(fmt::format("trainer.{}", ceiling), std::to_string(options.memory_mb));
   }
   if (options.disk_mb > 0) settings.emplace_back("trainer.disk_mb", std::to_string(options.disk_mb));
-  if (!options.rests) settings.emplace_back("trainer.freeze", "false");
+  if (!options.rests) {
+    settings.emplace_back("trainer.freeze", "false");
+    settings.emplace_back("trainer.cull", "false");
+  }
   apply_settings(settings, file);
 }
 

@@ -29,7 +29,7 @@ struct ExploreRunOptions {
   /// Ceilings of the trainer's memory, wherever the model is, and of its world folder, MiB; 0: none.
   std::uint64_t memory_mb = 0, disk_mb = 0;
   std::optional<std::uint64_t> max_gaussians;
-  bool rests = true;  ///< pages freeze
+  bool rests = true;  ///< pages freeze, and those outside of a view are left out of its steps
 };
 
 /// What a viewer drew from where it was.

@@ -170,6 +170,7 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
   const raster::RenderOptions render_options{
       .antialias = options_.antialias, .albedo = with_albedo, .depth = with_depth};
   GaussiansView gaussians = store_.view();
+  if (!options_.cull) gaussians.bounds = {};
   gaussians.visibility_u8 = paired.visibility.values.get();
   gaussians.visibility_stride = paired.visibility.stride;
   gaussians.visibility_rows = paired.visibility.rows;

@@ -67,7 +67,8 @@ struct Options {
   std::size_t max_gaussians = kDefaultMaxGaussians;  ///< beyond it nothing is inserted
   std::size_t max_picture_pixels = 1U << 24U;        ///< larger pictures are refused
   std::uint64_t seed = 1;
-  int threads = 0;  ///< 0: all cores
+  int threads = 0;   ///< 0: all cores
+  bool cull = true;  ///< pages that a view's frustum does not touch are left out of its passes
   WorldParameters world;
 
   // Changed at run time.

@@ -63,7 +63,8 @@ std::vector<raster::cuda::TrainView> train_views(std::span<const PairedView> vie
 
 class CudaStep final : public GradientStep {
  public:
-  CudaStep(model::PageStore& store, const Options& options) : store_(store), train_(train_options(options)) {
+  CudaStep(model::PageStore& store, const Options& options)
+      : store_(store), cull_(options.cull), train_(train_options(options)) {
     train_.set_model(gaussians(), store.view().ranges);
   }
   ~CudaStep() override { cudaStreamSynchronize(train_.stream()); }
@@ -127,7 +128,7 @@ class CudaStep final : public GradientStep {
             .page_shift = view.page_shift,
             .page_stride = static_cast<std::int64_t>(view.page_stride),
             .ranges = store_.device_ranges(),
-            .bounds = store_.device_bounds(),
+            .bounds = cull_ ? store_.device_bounds() : nullptr,
             .range_count = static_cast<int>(view.ranges.size()),
             .parameters = store_.parameters(),
             .normal = view.normal,
@@ -135,6 +136,7 @@ class CudaStep final : public GradientStep {
   }
 
   model::PageStore& store_;
+  const bool cull_;
   raster::cuda::TrainStep train_;
 };
 
