@@ -10,7 +10,6 @@
 #include "bus/error.h"
 #include "bus/frames.h"
 #include "bus/private_folder.h"
-#include "bus/short_slice.h"
 #include "bus/slab_memory.h"
 
 namespace splatbus::bus {
@@ -60,7 +59,6 @@ Context::Context(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 Context::~Context() = default;
 
 std::shared_ptr<Context> Context::create(Address address, std::string source) {
-  const ShortSlice its_threads;
   return std::shared_ptr<Context>(new Context(std::make_unique<Impl>(std::move(address), std::move(source))));
 }
 

@@ -8,7 +8,6 @@
 #include "bus/directory_lock.h"
 #include "bus/error.h"
 #include "bus/relay.h"
-#include "bus/short_slice.h"
 #include "bus/slab_registry.h"
 
 namespace splatbus::bus_service {
@@ -32,7 +31,6 @@ void Broker::start() {
   if (!address.is_local()) {
     throw bus::Error(fmt::format("{}: a broker needs an ipc:// folder; tcp comes on top of it", address.text()));
   }
-  const bus::ShortSlice its_threads;
   impl_->lock.emplace(*address.directory);
   try {
     impl_->registry.emplace(address.slab_socket(), impl_->options.slab_grace);

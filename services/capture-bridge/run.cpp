@@ -1,11 +1,9 @@
-#include "bus/short_slice.h"
 #include "capture-bridge/capture_bridge.h"
 
 namespace splatbus::capture_bridge {
 
 void run(bus::ServiceContext& service) {
   CaptureBridge bridge(service.bus, service.parameters, service.backend);
-  const bus::ShortSlice messages_come_first;
   while (!service.stop.stop_requested()) {
     bridge.step(std::chrono::milliseconds(20));
     const BridgeCounters& counters = bridge.counters();

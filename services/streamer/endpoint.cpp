@@ -14,7 +14,6 @@
 #include "bus/bind.h"
 #include "bus/error.h"
 #include "bus/private_folder.h"
-#include "bus/short_slice.h"
 #include "stream/bytes.h"
 
 namespace splatbus::streamer {
@@ -36,12 +35,6 @@ constexpr double kMinSentPerSecond = 1000;
 
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
   return {static_cast<const std::uint8_t*>(message.data()), message.size()};
-}
-
-/// With which the context's threads start.
-zmq::socket_t first_socket(zmq::context_t& context) {
-  const bus::ShortSlice its_threads;
-  return {context, zmq::socket_type::router};
 }
 
 // Freed by the kernel when its holder dies, so that a killed streamer is no hindrance.
@@ -73,7 +66,7 @@ stream::EncodedPacket WirePacket::copy() const {
 }
 
 Endpoint::Endpoint(const std::vector<std::string>& endpoints, const EndpointOptions& options)
-    : socket_(first_socket(context_)), bound_(endpoints.size()) {
+    : socket_(context_, zmq::socket_type::router), bound_(endpoints.size()) {
   socket_.set(zmq::sockopt::router_mandatory, true);
   socket_.set(zmq::sockopt::sndhwm, kQueuedPackets);
   socket_.set(zmq::sockopt::rcvhwm, 256);

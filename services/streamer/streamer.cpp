@@ -10,7 +10,6 @@
 #include <zmq.hpp>
 
 #include "bus/clock.h"
-#include "bus/short_slice.h"
 #include "bus/trace.h"
 #include "stream/bytes.h"
 #include "wire/capture_generated.h"
@@ -77,7 +76,6 @@ HubEvents Streamer::events() {
 }
 
 void Streamer::run() {
-  const bus::ShortSlice messages_come_first;
   while (!service_.stop.stop_requested()) wait_and_step();
   drain();
 }

@@ -6,7 +6,6 @@
 
 #include "bus/clock.h"
 #include "bus/error.h"
-#include "bus/short_slice.h"
 
 namespace splatbus::viewer {
 
@@ -39,7 +38,6 @@ StreamReceiver::~StreamReceiver() {
 }
 
 void StreamReceiver::run() {
-  const bus::ShortSlice messages_come_first;
   try {
     while (true) {
       const bool changed = client_.poll(kLongestPoll, wake_.get());

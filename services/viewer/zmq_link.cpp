@@ -5,7 +5,6 @@
 
 #include "bus/curve.h"
 #include "bus/error.h"
-#include "bus/short_slice.h"
 #include "stream/layout.h"
 #include "viewer/packet_link.h"
 
@@ -78,7 +77,6 @@ class ZmqLink final : public PacketLink {
 
 std::unique_ptr<PacketLink> make_zmq_link(const std::string& endpoint, const std::string& key,
                                           const std::string& server_key) {
-  const bus::ShortSlice its_threads;
   return std::make_unique<ZmqLink>(endpoint, key, server_key);
 }
 
