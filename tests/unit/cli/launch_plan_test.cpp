@@ -198,8 +198,7 @@ TEST_F(LaunchPlanTest, WhatAForeignProgramPrintsIsNotTrusted) {
   EXPECT_THAT(text, HasSubstr("service 'a' refuses its arguments: ?[2Jmine?"));
   EXPECT_EQ(text.find('\033'), std::string::npos);
   program("endless", "exec yes 0123456789012345678901234567890123456789");
-  EXPECT_EQ(error_of("services: [{name: a, program: endless, parameters: {b: 1}}]"),
-            "no error");
+  EXPECT_EQ(error_of("services: [{name: a, program: endless, parameters: {b: 1}}]"), "no error");
   program("splatbus-trainer", "exec yes 0123456789012345678901234567890123456789");
   EXPECT_THAT(error_of("services: [{name: trainer}]"), HasSubstr("its program does not answer to --parameters"));
   EXPECT_FALSE(ask_parameters(programs_ / "splatbus-trainer", {}, {}).has_value());

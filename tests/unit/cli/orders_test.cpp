@@ -116,8 +116,8 @@ TEST_F(SupervisorTest, WhatEndsBesideItsSuccessorWaitsForIt) {
   EXPECT_THROW(supervisor_->stop("a"), std::runtime_error);
   std::ofstream{leave};
   ASSERT_TRUE(wait_for_line("a * its process exited with status 0"));
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Stopping));
   EXPECT_EQ(status("a").pid, 0);
-  EXPECT_EQ(status("a").state, ProcessState::Stopping);
   std::filesystem::remove(leave);
   supervisor_->drop_beside("a");
   EXPECT_TRUE(wait_for_line("a | up", 2)) << "its policy's turn, once the successor is refused";
