@@ -106,7 +106,7 @@ TEST_F(ViewerHubTest, AViewerThatReadsSlowlyIsNotForgotten) {
     ASSERT_TRUE(bus_test::eventually([&] {
       if (sent_packets() == sent) (void)read();
       acknowledge();
-      hub_.receive(now_ns_);
+      hub_.receive(now_ns_ += kSecond / 100);
       waits = hub_.pump(now_ns_);
       return sent_packets() > sent && poses_ > heard;
     }));
