@@ -222,30 +222,6 @@ TEST_F(ViewerFeedTest, WhoWasAwayIsSentChangesOrPagesWhicheverIsLess) {
   }
 }
 
-TEST_F(ViewerFeedTest, APacketIsNotSentForOneOfItsPagesWhoseOwnBytesAreLess) {
-  Seat away(1e6), stays(1e6);
-  sit(away);
-  sit(stays);
-  live({&away, &stays}, 2);
-  live({&away, &stays}, 0.2, -1);
-  std::uint64_t pages = 0;
-  for (const auto& [body, size] : stays.sent) pages += body == wire::Body::Page ? size : 0;
-  // In each group of pages one changes little, all others much: the deltas hold all of them.
-  const std::size_t count = server_.model().count();
-  for (int k = 0; k < 40; ++k) {
-    for (std::size_t c = 0; c < 3; ++c) {
-      float* const row = server_.model().parameters.data() + c * server_.model().stride();
-      for (std::size_t i = 0; i < count; ++i) row[i] += i / kPageLanes % 4 == 0 && i % 50 != 0 ? 0.0F : 0.01F;
-    }
-    live({&stays}, 0.2, 0);
-  }
-  live({&stays}, 0.2, -1);
-  const std::uint64_t bytes = away.bytes;
-  live({&away, &stays}, 1, -1);
-  expect_exact(server_.stream, away.replica);
-  EXPECT_LE(static_cast<double>(away.bytes - bytes), 1.3 * static_cast<double>(pages));
-}
-
 TEST_F(ViewerFeedTest, WhatAViewerHoldsIsWhatIsOffered) {
   Seat seat(1e6);
   sit(seat);
