@@ -108,8 +108,7 @@ cv::Mat rasterised(const Scene& scene, const std::string& backend) {
 std::unique_ptr<viewer::gl::Stage> make_stage(const Scene& scene) {
   auto stage = std::make_unique<viewer::gl::Stage>();
   stage->set_antialias(scene.file.mip);
-  stage->add(viewer::gl::rows_of(scene.file.gaussians.view()));
-  stage->settle(scene.camera, scene.state);
+  stage->add(*viewer::gl::rows_of(scene.file.gaussians.view()));
   return stage;
 }
 
@@ -129,12 +128,11 @@ void show(const Scene& scene, const std::string& title) {
   for (; !window.closed(); window.poll_events()) {
     if (window.take_frame_all()) window.frame(middle.centre, middle.radius_m);
     const Camera camera = scene.seen(window.camera());
-    if (shown == camera && !stage->behind()) {
+    if (shown == camera) {
       window.wait_events(kIdle);
       continue;
     }
     shown = camera;
-    stage->prepare(camera, scene.state);
     stage->draw(camera, scene.state, viewer::gl::kSettled_s);
     window.swap();
   }
