@@ -137,7 +137,10 @@ TEST_F(SupervisorTest, WhatEndsBesideItsSuccessorWaitsForIt) {
 TEST_F(SupervisorTest, WhatASignalFromOutsideStoppedIsStartedAgain) {
   launch({shell("a", "trap 'exit 143' TERM; echo up; while :; do sleep 0.01; done")});
   ASSERT_TRUE(wait_for_line("a | up"));
-  kill(status("a").pid, SIGTERM);
+  ASSERT_TRUE(wait_for_state("a", ProcessState::Running));
+  const pid_t pid = status("a").pid;
+  ASSERT_GT(pid, 0) << "0 would be this test's whole group";
+  kill(pid, SIGTERM);
   EXPECT_TRUE(wait_for_line("stopped by signal 15 (Terminated); starting it again"));
   EXPECT_TRUE(wait_for_line("a | up", 2));
   supervisor_->stop("a");
