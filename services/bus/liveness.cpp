@@ -29,6 +29,14 @@ void Liveness::note(const wire::Heartbeat& heartbeat, std::int64_t now) {
   node = {heartbeat.service()->str(), heartbeat.pid(), heartbeat.header()->epoch(), heartbeat.state(), now, alive};
 }
 
+/// Under another name: a successor that stood by as NAME.next is NAME from its takeover on.
+bool Liveness::goes_on_elsewhere(const std::string& source, const Node& node) const {
+  return !node.alive && std::ranges::any_of(nodes_, [&](const auto& other) {
+    return other.first != source && other.second.alive && other.second.pid == node.pid &&
+           other.second.service == node.service;
+  });
+}
+
 std::vector<std::string> Liveness::update(std::int64_t now) {
   std::vector<std::string> forgotten;
   for (auto it = nodes_.begin(); it != nodes_.end();) {
@@ -37,7 +45,7 @@ std::vector<std::string> Liveness::update(std::int64_t now) {
       node.alive = false;
       changed_ = true;
     }
-    if (now - node.heard_ns > forgotten_ns) {
+    if (now - node.heard_ns > forgotten_ns || goes_on_elsewhere(it->first, node)) {
       forgotten.push_back(it->first);
       it = nodes_.erase(it);
       changed_ = true;

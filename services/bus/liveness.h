@@ -25,7 +25,8 @@ class Liveness {
 
   void note(const wire::Heartbeat& heartbeat, std::int64_t now);
 
-  /// Marks the silent as gone; returns the sources that have been gone for so long that they leave the list.
+  /// Marks the silent as gone; returns the sources that leave the list: gone for long, or of a process that goes on
+  /// under another name.
   std::vector<std::string> update(std::int64_t now);
 
   /// True once after something else than an age changed.
@@ -34,6 +35,8 @@ class Liveness {
   [[nodiscard]] const std::map<std::string, Node>& nodes() const { return nodes_; }
 
  private:
+  [[nodiscard]] bool goes_on_elsewhere(const std::string& source, const Node& node) const;
+
   std::map<std::string, Node> nodes_;
   bool changed_ = false;
 };

@@ -21,6 +21,7 @@
 #include "command.h"
 #include "model/channels.h"
 #include "pipeline.h"
+#include "verbs.h"
 #include "viewer_watch.h"
 
 namespace splatbus::cli {

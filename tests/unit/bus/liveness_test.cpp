@@ -11,10 +11,10 @@ namespace {
 constexpr std::int64_t second = 1'000'000'000;
 
 void beat(Liveness& liveness, std::int64_t now, wire::ServiceState state = wire::ServiceState::Running,
-          std::uint64_t epoch = 1) {
+          std::uint64_t epoch = 1, const char* source = "trainer", std::uint32_t pid = 42) {
   flatbuffers::FlatBufferBuilder builder;
-  const auto header = wire::CreateHeaderDirect(builder, "Heartbeat/1", "trainer", 1, epoch);
-  builder.Finish(wire::CreateHeartbeatDirect(builder, header, "trainer", 42, state));
+  const auto header = wire::CreateHeaderDirect(builder, "Heartbeat/1", source, 1, epoch);
+  builder.Finish(wire::CreateHeartbeatDirect(builder, header, "trainer", pid, state));
   liveness.note(*flatbuffers::GetRoot<wire::Heartbeat>(builder.GetBufferPointer()), now);
 }
 
@@ -112,6 +112,19 @@ TEST(LivenessTest, TheLongGoneAreForgotten) {
   beat(liveness, 10 * second);
   EXPECT_EQ(liveness.update(71 * second), std::vector<std::string>{"trainer"});
   EXPECT_TRUE(liveness.nodes().empty());
+}
+
+TEST(LivenessTest, AProcessThatGoesOnUnderAnotherNameIsThereOnce) {
+  Liveness liveness;
+  constexpr auto kRunning = wire::ServiceState::Running;
+  beat(liveness, 10 * second, kRunning, 2, "trainer.next", 43);
+  beat(liveness, 10 * second, kRunning, 1, "trainer", 42);
+  beat(liveness, 13 * second, kRunning, 1, "trainer", 42);
+  EXPECT_TRUE(liveness.update(13 * second).empty());
+  EXPECT_EQ(liveness.nodes().size(), 2u) << "one that is silent beside another process may be heard of again";
+  beat(liveness, 14 * second, kRunning, 3, "trainer", 43);
+  EXPECT_EQ(liveness.update(14 * second), std::vector<std::string>{"trainer.next"});
+  EXPECT_EQ(liveness.nodes().size(), 1u);
 }
 
 }  // namespace

@@ -259,7 +259,7 @@ TEST_F(Restart, BadBrokerFlagsAreExplained) {
       {{"--bus", "tcp://127.0.0.1:5000"}, 2, "a broker's own bus is ipc:///folder"},
       {{"--bus", "ipc:///proc/none/bus"}, 1, "/proc/none/bus"},
       {{"--bus", directory_.address().text(), "--tcp", "nohost"}, 2, "nohost"},
-      {{"--bus", directory_.address().text(), "--tcp", "no.such.interface:5000"}, 1, "no.such.interface"}};
+      {{"--bus", directory_.address().text(), "--tcp", "no.such.interface:5000"}, 78, "no.such.interface"}};
   for (const auto& [arguments, status, text] : cases) {
     ChildProcess process("splatbus-bus", arguments, output_path());
     EXPECT_EQ(process.wait(), status) << text;
