@@ -169,11 +169,12 @@ TEST(StreamModel, AFrozenPageIsOfferedAsSuchOnceNothingOfItIsLeftToSend) {
   }
   for (int tick = 0; tick < 40; ++tick) stream.make_tick(1e9, {});
   EXPECT_TRUE(stream.offered()->at(0).frozen);
-  const auto& target = stream.observed_gaussians().channels[0];
+  const QuantizedGaussians& target = stream.observed_gaussians();
   const HeldPage& page = *stream.held().find(0);
   for (std::uint32_t lane = 0; lane < page.count; ++lane) {
-    const auto id = static_cast<std::size_t>(stream.held().gaussians.gaussian_id[page.row(lane)]);
-    EXPECT_NEAR(stream.held().gaussians.channels[0][page.row(lane)], target[id - 1], 1);
+    const std::uint64_t id = stream.held().gaussians.gaussian_id[page.row(lane)];
+    const auto column = std::ranges::find(target.gaussian_id, id) - target.gaussian_id.begin();
+    EXPECT_NEAR(stream.held().gaussians.channels[0][page.row(lane)], target.channels[0][column], 1);
   }
 }
 
