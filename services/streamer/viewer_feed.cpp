@@ -89,6 +89,7 @@ SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, co
     offered_ = Kind::None;
     take_visibility(*visibility_.front().pages, false);
     visibility_.pop_front();
+    plan_is_all_ = false;  // nor is it planned
   }
   while (true) {
     if (page_) return offer(Kind::Part, page_->parts[part_]);
