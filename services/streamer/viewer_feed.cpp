@@ -56,7 +56,6 @@ bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now
   const bool first = kind == Kind::Scene || kind == Kind::Control || kind == Kind::Gone;
   const double wanted = static_cast<double>(packet->bytes()) + (first ? 0 : kReserve * burst);
   if (there < std::min(wanted, 0.999 * burst)) return false;
-  if (!rate_.has_room(static_cast<double>(packet->bytes()))) return false;
   offered_ = kind;
   packet_ = packet;
   return true;
@@ -64,13 +63,6 @@ bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now
 
 SharedPacket ViewerFeed::next(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
                               const ObjectTransforms& objects, std::int64_t now_ns) {
-  SharedPacket packet = choose(model, board, gaze, objects, now_ns);
-  if (!packet && !waits_) rate_.rest();
-  return packet;
-}
-
-SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
-                                const ObjectTransforms& objects, std::int64_t now_ns) {
   offered_ = Kind::None;
   waits_ = true;
   const auto offer = [&](Kind kind, const SharedPacket& packet) {
@@ -89,16 +81,13 @@ SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, co
     offered_ = Kind::None;
     take_visibility(*visibility_.front().pages, false);
     visibility_.pop_front();
-    plan_is_all_ = false;  // nor is it planned
   }
   while (true) {
     if (page_) return offer(Kind::Part, page_->parts[part_]);
     if (delta_) return offer(Kind::Delta, delta_->packet);
     if (!page_visibility_.empty()) return offer(Kind::PageVisibility, page_visibility_.front());
-    // What is planned and waits gives way to what is new.
-    const bool other = planned_edition_ != board.edition();
-    if (plan_.empty() || other) {
-      const bool due = other || (!plan_is_all_ && now_ns - planned_ns_ > 20'000'000);
+    if (plan_.empty()) {
+      const bool due = planned_edition_ != board.edition() || (!plan_is_all_ && now_ns - planned_ns_ > 20'000'000);
       if (!due) {
         waits_ = !plan_is_all_;
         return {};
@@ -171,7 +160,7 @@ bool ViewerFeed::make_room(stream::StreamModel& model, const stream::OfferedPage
 
 void ViewerFeed::sent(std::int64_t now_ns) {
   ++sequence_;
-  rate_.take(sequence_, static_cast<double>(packet_->bytes()), now_ns);
+  rate_.take(static_cast<double>(packet_->bytes()), now_ns);
   Trace trace{.sequence = sequence_, .control = false, .visibility = false, .marks = {}, .gone = {}};
   switch (offered_) {
     case Kind::Control:
@@ -225,7 +214,7 @@ void ViewerFeed::sent(std::int64_t now_ns) {
 
 void ViewerFeed::sent_beside(double bytes, std::int64_t now_ns) {
   ++sequence_;
-  rate_.take(sequence_, bytes, now_ns);
+  rate_.take(bytes, now_ns);
 }
 
 }  // namespace splatbus::streamer

@@ -57,6 +57,7 @@ class ViewerFeed {
     std::vector<stream::SequenceRange> missing;
     std::vector<stream::PageVersion> lacks;
     std::vector<std::uint32_t> dropped;
+    double bytes = 0, window_s = 0;
     double most_kbps = 0;  ///< that it wants to be sent; 0: it does not mind
   };
   /// True when packets were lost that only a new beginning replaces: Layout, Scene and Manifest again.
@@ -98,22 +99,13 @@ class ViewerFeed {
   static constexpr std::size_t kMaxTraces = 4096;
   enum class Kind : std::uint8_t { None, Control, Scene, Visibility, Gone, Part, Delta, PageVisibility };
 
-  [[nodiscard]] SharedPacket choose(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
-                                    const ObjectTransforms& objects, std::int64_t now_ns);
   void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
             double budget_bytes);
   [[nodiscard]] double largest_packet() const;
   using Versions = std::map<std::uint32_t, std::uint32_t>;  ///< by page
   template <class Goes, class Visit>
   void walk_deltas(const PageBoard& board, Versions& versions, const Goes& goes, const Visit& visit) const;
-  struct Missed {
-    double bytes = 0;
-    float steps = 0;  ///< that a Gaussian of the page is off
-    std::uint32_t deltas = 0;
-  };
-  [[nodiscard]] std::set<std::uint32_t> find_missed(const PageBoard& board, const Versions& versions);
-  void add_missed(const PageBoard& board, Versions versions, const std::set<std::uint32_t>& whole,
-                  std::map<std::uint32_t, Missed>& all);
+  void find_missed(const PageBoard& board, Versions versions);
   void plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items);
   void drop_ended(const stream::StreamModel& model);
   void order(std::vector<Item> items, double budget_bytes);
@@ -131,8 +123,13 @@ class ViewerFeed {
   std::map<std::uint32_t, Record> held_;
   std::map<std::uint32_t, std::int64_t> declined_;  ///< pages, and until when they are not sent again
   std::map<std::uint32_t, float> weights_;          ///< of the last plan
-  std::map<std::uint32_t, Missed> missed_;          ///< by page, of the last plan
-  std::vector<std::uint32_t> ended_;                ///< that it holds, and that no delta of that plan ends
+  struct Missed {
+    double bytes = 0;
+    float steps = 0;  ///< that a Gaussian of the page is off
+    std::uint32_t deltas = 0;
+  };
+  std::map<std::uint32_t, Missed> missed_;  ///< by page, of the last plan
+  std::vector<std::uint32_t> ended_;        ///< that it holds, and that no delta of that plan ends
   std::deque<SharedPacket> control_, scenes_;
   struct Visibility {
     SharedPacket packet;

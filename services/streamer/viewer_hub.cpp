@@ -14,7 +14,6 @@ constexpr std::size_t kMaxPictures = 8;
 constexpr std::size_t kMaxScenes = 8;  // that wait for one viewer; then one whole one does
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
 constexpr std::size_t kCamerasATick = 4;
-constexpr std::int64_t kLimitsToAcknowledge = 3;  // probe pictures may be on the way before what is numbered
 
 }  // namespace
 
@@ -160,9 +159,7 @@ void ViewerHub::expire(std::int64_t now_ns) {
   const auto limit_ns = static_cast<std::int64_t>(options_.viewer_timeout_s * 1e9);
   const auto gone = std::erase_if(viewers_, [&](const auto& entry) {
     const Viewer& viewer = entry.second;
-    const bool silent = now_ns - viewer.heard_ns > limit_ns;
-    const auto waits_ns = now_ns - viewer.feed.rate().waits_since_ns().value_or(now_ns);
-    const bool stuck = now_ns - viewer.sent_ns > limit_ns || waits_ns > kLimitsToAcknowledge * limit_ns;
+    const bool silent = now_ns - viewer.heard_ns > limit_ns, stuck = now_ns - viewer.sent_ns > limit_ns;
     if (silent || stuck) {
       ++lost_viewers_;
       say(fmt::format("viewer {} {} nothing for {} s and is forgotten", viewer.name, silent ? "sent" : "read",

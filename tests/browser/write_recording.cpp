@@ -10,6 +10,7 @@
 #include <iterator>
 
 #include "recording_file.h"
+#include "wire/schemas.h"
 
 namespace {
 
@@ -26,6 +27,15 @@ std::shared_ptr<const cli::Blob> read(const fs::path& path) {
   return std::make_shared<const cli::Blob>(std::move(blob));
 }
 
+/// As headers say it, of the version that this build has.
+std::string header_schema(const std::string& table) {
+  for (int version = 1; version < 100; ++version) {
+    std::string schema = fmt::format("{}/{}", table, version);
+    if (splatbus::wire::find_schema(schema)) return schema;
+  }
+  throw std::runtime_error(table + ": no such table");
+}
+
 void write(const fs::path& path, const fs::path& golden) {
   cli::RecordingFileOptions options;
   options.writer.header = {.profile = "splatbus", .library = "write_recording"};
@@ -36,7 +46,7 @@ void write(const fs::path& path, const fs::path& golden) {
   std::uint32_t number = 0;
   for (const char* name : {"SceneUpdate", "CaptureReference", "ModelPublished", "Heartbeat", "EngineFrame"}) {
     cli::QueuedMessage message{.topic = fmt::format("golden/{}", name),
-                               .schema = fmt::format("{}/7", name),
+                               .schema = header_schema(name),
                                .latched = number % 2 == 0,
                                .latch_key = "",
                                .sequence = ++number,

@@ -78,7 +78,7 @@ test('its indexes name every message, and its schemas read it', async () => {
     assert.equal(channel.messageEncoding, 'flatbuffer');
     assert.equal(schema.encoding, 'flatbuffer');
     assert.equal(schema.name, `splatbus.wire.${name}`);
-    assert.equal(channel.metadata.get('schema'), `${name}/7`);
+    assert.match(channel.metadata.get('schema'), new RegExp(`^${name}/[0-9]+$`));
     assert.equal(channel.metadata.get('latched'), String(seen.length % 2 === 0));
     assert.equal(message.publishTime, 1600000000000000001n + BigInt(seen.length));
     assert.equal(message.sequence, seen.length + 1);

@@ -330,7 +330,7 @@ TEST_F(RecordTest, AFullDiskEndsTheRecordingAndWhatIsCountedAsWrittenCanBeRead) 
     EXPECT_EQ(recorder->state().queued_bytes, 0U);
     const mcap::Reader reader(path());
     EXPECT_NE(reader.damage(), "");
-    EXPECT_EQ(reader.summary().statistics.message_count, record.messages);
+    EXPECT_GE(reader.summary().statistics.message_count, record.messages) << "more may have reached the disk";
   }
 }
 

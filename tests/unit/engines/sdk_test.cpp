@@ -366,20 +366,14 @@ TEST_F(SdkTest, SubmitDoesNotWaitForABrokerThatHangs) {
   }));
 
   broker.send(SIGSTOP);
-  for (int i = 0; i < 10'000; ++i) ASSERT_EQ(splatbus_engine_submit(engine.get(), &small.frame), SPLATBUS_OK);
-  // Of a size that needs a ring of its own, of which the broker has to be told.
-  splatbus_camera camera = small_camera(9);
-  camera.width = camera.height = 256;
-  OwnedFrame large(camera);
-  for (std::uint64_t i = 1; i <= 10'000; ++i) {
-    large.frame.frame = i;
-    ASSERT_EQ(splatbus_engine_submit(engine.get(), &large.frame), SPLATBUS_OK);
+  for (std::uint64_t i = 1; i <= 20'000; ++i) {
+    small.frame.frame = i;
+    ASSERT_EQ(splatbus_engine_submit(engine.get(), &small.frame), SPLATBUS_OK);
   }
-  EXPECT_GT(splatbus_engine_frames_dropped(engine.get()), 0U);
   broker.send(SIGCONT);
   EXPECT_TRUE(bus_test::eventually([&] {
     const auto message = frames.receive(std::chrono::milliseconds(10));
-    return message && message->root<wire::EngineFrame>().scene()->frame() == 10'000;
+    return message && message->root<wire::EngineFrame>().scene()->frame() == 20'000;
   })) << "the newest frame arrives once the broker goes on";
 }
 
