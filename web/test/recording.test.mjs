@@ -82,8 +82,9 @@ test('its indexes name every message, and its schemas read it', async () => {
     assert.equal(channel.metadata.get('latched'), String(seen.length % 2 === 0));
     assert.equal(message.publishTime, 1600000000000000001n + BigInt(seen.length));
     assert.equal(message.sequence, seen.length + 1);
-    const parser = new Parser(Schema.getRootAsSchema(new ByteBuffer(schema.data)));
-    const read = plain(parser.toObject(Table.getRootTable(new ByteBuffer(message.data)), true));
+    const types = Schema.getRootAsSchema(new ByteBuffer(schema.data));
+    const table = Table.getNamedTable(new ByteBuffer(message.data), types, schema.name);
+    const read = plain(new Parser(types).toObject(table, true));
     compare(read, JSON.parse(readFileSync(join(golden, `${name}.json`), 'utf8')), name);
     seen.push(name);
   }

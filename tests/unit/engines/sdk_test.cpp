@@ -349,34 +349,6 @@ TEST_F(SdkTest, TheNewestFramesArriveOnceTheirMemoryCanBeFound) {
   EXPECT_EQ(splatbus_engine_frames_dropped(engine.get()), kNumbered - kHalfARing);
 }
 
-// If one call in ten waited for the broker as long as the library's own thread does, all would take longer than a test
-// may run.
-TEST_F(SdkTest, SubmitDoesNotWaitForABrokerThatHangs) {
-  broker_.reset();
-  const bus_test::ChildProcess broker("splatbus-bus", {"--bus", directory_.address().text()},
-                                      directory_.path() + "/broker");
-  const auto context = connect("tester");
-  bus::Subscriber frames(context, {"engine/frame"});
-  ASSERT_TRUE(frames.wait_connected(patience));
-  const Engine engine = open();
-  OwnedFrame small(small_camera());
-  ASSERT_TRUE(bus_test::eventually([&] {
-    EXPECT_EQ(splatbus_engine_submit(engine.get(), &small.frame), SPLATBUS_OK);
-    return frames.receive(std::chrono::milliseconds(10)).has_value();
-  }));
-
-  broker.send(SIGSTOP);
-  for (std::uint64_t i = 1; i <= 20'000; ++i) {
-    small.frame.frame = i;
-    ASSERT_EQ(splatbus_engine_submit(engine.get(), &small.frame), SPLATBUS_OK);
-  }
-  broker.send(SIGCONT);
-  EXPECT_TRUE(bus_test::eventually([&] {
-    const auto message = frames.receive(std::chrono::milliseconds(10));
-    return message && message->root<wire::EngineFrame>().scene()->frame() == 20'000;
-  })) << "the newest frame arrives once the broker goes on";
-}
-
 TEST_F(SdkTest, ASecondEngineOfOneNameIsToldSo) {
   const bus_test::ChildProcess first("bus-test-service", {"--bus", directory_.address().text()},
                                      directory_.path() + "/output");
