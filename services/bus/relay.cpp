@@ -165,8 +165,7 @@ void Relay::run(const std::stop_token& stop) {
     std::int64_t left_ms = std::max<std::int64_t>(0, (next_beat_ns_ - bus::now_ns()) / 1'000'000 + 1);
     if (remote_readers_.has_due()) left_ms = std::min(left_ms, due_check_ms);
     zmq_poll(items, std::size(items), static_cast<long>(left_ms));
-    sources_.begin_turn();
-    // Asking a socket that has nothing takes system calls; those of one turn are shared by all its messages.
+    // To ask a socket that has nothing takes system calls.
     const auto is_readable = [&](const zmq::socket_t& socket) {
       return std::ranges::any_of(items, [&](const zmq_pollitem_t& item) {
         return item.socket == socket.handle() && (item.revents & ZMQ_POLLIN) != 0;
@@ -199,7 +198,7 @@ void Relay::relay_from(Side& side) {
   }
 }
 
-void Relay::take(const bus::Frames& frames, bool local) {
+void Relay::take(bus::Frames& frames, bool local) {
   std::string why;
   const auto* const header = bus::verified_header(frames.body, why);
   if (header == nullptr) return refuse(frames, why);

@@ -50,7 +50,7 @@ class Relay {
   void run(const std::stop_token& stop);
   void relay_from(Side& side);
   /// What a peer sent: refused, or relayed.
-  void take(const bus::Frames& frames, bool local);
+  void take(bus::Frames& frames, bool local);
   void relay(const bus::Frames& frames, const wire::Header& header, bool local);
   void relay_own(const bus::Frames& frames);
   bool hold(const bus::Frames& frames, const wire::Header& header, bool local);

@@ -1,6 +1,7 @@
 #include "bus/sources.h"
 
 #include <algorithm>
+#include <cassert>
 
 namespace splatbus::bus_service {
 namespace {
@@ -9,11 +10,13 @@ constexpr std::size_t max_sources = 2048;
 constexpr std::ptrdiff_t max_of_a_connection = 64;
 constexpr std::int64_t clock_slack_ns = 1'000'000'000;
 constexpr std::string_view own_source = "bus";
+// libzmq's own, by which it answers ZMQ_SRCFD: every connection has one, in memory of its own.
+constexpr const char* connection_property = "__fd";
 
 }  // namespace
 
-bool Sources::admit(std::string_view source, std::uint64_t epoch, const zmq::message_t& frame, bool local,
-                    std::int64_t now, std::string& why) {
+bool Sources::admit(std::string_view source, std::uint64_t epoch, zmq::message_t& frame, bool local, std::int64_t now,
+                    std::string& why) {
   if (source == own_source) {
     why = "only the broker calls itself 'bus'";
     return false;
@@ -23,29 +26,21 @@ bool Sources::admit(std::string_view source, std::uint64_t epoch, const zmq::mes
     why = "its epoch lies in the future";
     return false;
   }
+  const void* const connection = zmq_msg_gets(frame.handle(), connection_property);
+  assert(connection != nullptr);
   const auto found = owners_.find(source);
-  const Owner caller{socket_of(frame, local), local};
-  if (found != owners_.end() && found->second.socket == caller.socket) return true;
-  if (found == owners_.end()) {
-    if (!make_room(caller.socket, why)) return false;
-    owners_.emplace(source, caller);
-    return true;
-  }
-  if (found->second.socket.is_open() && (found->second.local || !local)) {
+  if (found != owners_.end() && found->second.connection == connection) return true;
+  if (found == owners_.end() && !make_room(connection, why)) return false;
+  if (found != owners_.end() && found->second.socket.is_open() && (found->second.local || !local)) {
     why = "another process has that name, and is there";
     return false;
   }
-  found->second = caller;
+  Owner& owner = found != owners_.end() ? found->second : owners_[std::string(source)];
+  owner.connection = connection;
+  owner.holds.copy(frame);
+  owner.socket = bus::PeerSocket::of(frame);
+  owner.local = local;
   return true;
-}
-
-bus::PeerSocket Sources::socket_of(const zmq::message_t& frame, bool local) {
-  if (!local) return bus::PeerSocket::of(frame);
-  const int fd = bus::descriptor_of(frame);
-  for (const bus::PeerSocket& known : known_) {
-    if (known.fd == fd) return known;
-  }
-  return known_.emplace_back(bus::PeerSocket::of(frame));
 }
 
 bool Sources::speaks_here(std::string_view source) const {
@@ -54,9 +49,9 @@ bool Sources::speaks_here(std::string_view source) const {
   return found != owners_.end() && found->second.local && found->second.socket.is_open();
 }
 
-bool Sources::make_room(const bus::PeerSocket& socket, std::string& why) {
+bool Sources::make_room(const void* connection, std::string& why) {
   const auto of_this =
-      std::count_if(owners_.begin(), owners_.end(), [&](const auto& entry) { return entry.second.socket == socket; });
+      std::ranges::count_if(owners_, [&](const auto& entry) { return entry.second.connection == connection; });
   if (of_this >= max_of_a_connection) {
     why = "one connection calls itself by too many names";
     return false;

@@ -4,7 +4,7 @@
 #include <map>
 #include <string>
 #include <string_view>
-#include <vector>
+#include <zmq.hpp>
 
 #include "bus/peer_socket.h"
 
@@ -15,26 +15,24 @@ namespace splatbus::bus_service {
 class Sources {
  public:
   /// Whether a message that came by `frame`'s connection may call itself that; `why` says why not.
-  bool admit(std::string_view source, std::uint64_t epoch, const zmq::message_t& frame, bool local, std::int64_t now,
+  bool admit(std::string_view source, std::uint64_t epoch, zmq::message_t& frame, bool local, std::int64_t now,
              std::string& why);
-
-  /// Connections of this machine are looked up once a turn: one that closes and another that gets its descriptor's
-  /// number within it count as one.
-  void begin_turn() { known_.clear(); }
 
   /// Whether that source is of this machine and its connection is there.
   [[nodiscard]] bool speaks_here(std::string_view source) const;
 
  private:
+  /// A connection as libzmq knows it, unlike its descriptor's number also once that is closed and another's: what the
+  /// connection sent last may be read later than that.
   struct Owner {
+    const void* connection = nullptr;
+    zmq::message_t holds;  // by which no other connection gets that address
     bus::PeerSocket socket;
     bool local = false;
   };
-  [[nodiscard]] bus::PeerSocket socket_of(const zmq::message_t& frame, bool local);
-  bool make_room(const bus::PeerSocket& socket, std::string& why);
+  bool make_room(const void* connection, std::string& why);
 
   std::map<std::string, Owner, std::less<>> owners_;
-  std::vector<bus::PeerSocket> known_;  // of this turn
 };
 
 }  // namespace splatbus::bus_service
