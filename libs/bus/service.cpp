@@ -97,7 +97,7 @@ class ServiceProcess {
     service_.emplace(connect(flags.successor ? successor_name(flags.name) : flags.name), parameters, stop_.get_token(),
                      backend_);
     service_->stands_by_ = flags.successor;
-    service_->ready_ = !flags.successor;
+    service_->ready_ = !flags.successor && !description.opens_ports;
     service_->request_stop_ = [this] { stop_.request_stop(); };
     service_->change_name_ = [this] { change_name(); };
   }
@@ -150,7 +150,7 @@ class ServiceProcess {
     service_->bus->fall_silent();
     service_->bus = std::move(context);
     service_->stands_by_ = false;
-    service_->ready_ = !description_.stands_by;
+    service_->ready_ = !description_.stands_by && !description_.opens_ports;
     heartbeats_.emplace(*service_, description_.kind);
     spdlog::info("took over as process {}", ::getpid());
   }

@@ -32,7 +32,7 @@ class ServiceContext {
   /// Whether this process is a successor that has not taken over yet.
   [[nodiscard]] bool stands_by() const { return stands_by_; }
   /// Of a successor, whose heartbeats say Starting until then: Standby from now on, for all that it needs is here; or,
-  /// after take_over(), Running, for it has gone on where the one before has ended.
+  /// after take_over(), Running, for it has gone on where the one before has ended. Of who opens ports: Running.
   void ready() { ready_ = true; }
   /// Of a successor: ready(), then calls `turn` again and again (where there is none, sleeps) until it is told to take
   /// over and the one before has let go of its name. `bus` is then another context, of that name: whatever publishes
@@ -69,6 +69,8 @@ struct ServiceDescription {
   /// `run` calls ServiceContext::take_over() itself, so that a successor can get ready beside the one before. Of all
   /// others service_main calls it first.
   bool stands_by = false;
+  /// `run` calls ready() once its ports are open; heartbeats say Starting until then.
+  bool opens_ports = false;
 };
 
 /// The main of every service but the broker. Flags: --bus ADDRESS, --name SOURCE (default: kind), --backend

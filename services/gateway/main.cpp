@@ -24,6 +24,7 @@ void run(bus::ServiceContext& service) {
   gateway::Server server(options, streamers, site, pages, models, foxglove.hub(), traffic);
   spdlog::info("{}, {} files of the page", server.url(), site.files());
   service.detail(server.url());
+  service.ready();
   server.run(service.stop, [&] {
     pipeline.poll(bus::now_ns());
     service.counter("connections", static_cast<double>(traffic.connections));
@@ -41,6 +42,7 @@ int main(int argc, char** argv) {
       .summary = "Serves browsers over HTTP: the page, the stream over WebSocket, and metrics",
       .parameters = bus::Parameters::declare<gateway::Options>(),
       .check = [](const bus::Parameters& parameters) { gateway::check(parameters.read<gateway::Options>()); },
+      .opens_ports = true,
   };
   return bus::service_main(argc, argv, description, run);
 }
