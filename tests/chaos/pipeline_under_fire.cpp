@@ -7,7 +7,6 @@
 #include <iterator>
 
 #include "../hostile/budgets.h"
-#include "../integration/command.h"
 #include "../integration/pipeline.h"
 #include "gateway_url.h"
 #include "wire/system_generated.h"
@@ -19,7 +18,7 @@ using namespace std::chrono_literals;
 
 constexpr auto kPatience = 120s;
 constexpr std::int64_t kSilenceNs = 3'000'000'000;
-constexpr std::int64_t kAskAgainNs = 1'500'000'000;
+constexpr std::int64_t kAskAgainNs = 1'500'000'000, kSamplePeriodNs = 500'000'000, kFreshNs = 500'000'000;
 constexpr std::size_t kLinesKept = 400;
 
 const std::vector<std::string>& services() {
@@ -30,14 +29,16 @@ const std::vector<std::string>& services() {
 
 }  // namespace
 
-PipelineUnderFire::PipelineUnderFire()
+PipelineUnderFire::PipelineUnderFire() : PipelineUnderFire(cli::Pipeline::launch_file()) {}
+
+PipelineUnderFire::PipelineUnderFire(const std::string& launch_file)
     : context_(bus::Context::create(bus_.address(), "chaos-test")),
       watch_(std::make_unique<cli::PipelineWatch>(context_)),
       probes_(std::make_unique<cli::ProbeRounds>(context_,
                                                  cli::circle_cameras({.count = 1, .size = 64, .phase_degrees = 45}))),
       scene_(std::make_unique<LiveScene>(context_)),
       heartbeats_(std::make_unique<bus::Subscriber>(context_, std::vector<std::string>{"sys/heartbeat"})) {
-  std::ofstream(files_.path() / "chaos.yaml") << cli::Pipeline::launch_file();
+  std::ofstream(files_.path() / "chaos.yaml") << launch_file;
   start();
 }
 
@@ -78,6 +79,7 @@ void PipelineUnderFire::poll(std::chrono::milliseconds timeout) {
   watch_->poll(timeout);
   scene_->poll(0ms);
   probes_->poll(0ms, [](std::size_t, const cli::ProbePicture&) {});
+  take_sample();
   while (const auto message = heartbeats_->receive(0ms)) {
     if (message->header().resent()) continue;  // of who may be gone
     const auto& heartbeat = message->root<wire::Heartbeat>();
@@ -90,6 +92,42 @@ void PipelineUnderFire::poll(std::chrono::milliseconds timeout) {
       if (counter->name()->string_view() == "slabs") slabs_ = counter->value();
     }
   }
+}
+
+void PipelineUnderFire::take_sample() {
+  if (!sampling_) return;
+  const std::int64_t now = bus::now_ns();
+  const auto& pictures = state().viewer_quality;
+  for (auto picture = pictures.upper_bound(newest_sample_); picture != pictures.end(); ++picture) {
+    newest_sample_ = picture->first;
+    samples_.push_back({now, picture->second.ssim});
+  }
+  if (now - sampled_ns_ < kSamplePeriodNs) return;
+  sampled_ns_ = now;
+  probes_->begin();
+}
+
+cli::ChildProcess PipelineUnderFire::begin(std::vector<std::string> verb) const {
+  verb.insert(verb.end(), {"--bus", bus_.address().text()});
+  return {std::string(SPLATBUS_BIN_DIR) + "/splatbus", verb, cli::test_environment()};
+}
+
+cli::Answer PipelineUnderFire::operate(std::vector<std::string> verb) {
+  cli::ChildProcess command = begin(std::move(verb));
+  cli::Answer answer{.status = {.code = -1}, .lines = {}};
+  (void)wait_until([&] {
+    const auto status = command.poll_exit();
+    for (std::string& line : command.read_lines(status.has_value())) answer.lines.push_back(std::move(line));
+    if (status) answer.status = *status;
+    return status.has_value();
+  });
+  return answer;
+}
+
+pid_t PipelineUnderFire::successor_of(const std::string& name) const {
+  const auto node = nodes_.find(name + ".next");
+  const bool is_there = node != nodes_.end() && bus::now_ns() - node->second.heard_ns < kFreshNs;
+  return is_there ? node->second.pid : 0;
 }
 
 bool PipelineUnderFire::wait_until(const std::function<bool()>& condition) {
@@ -128,7 +166,7 @@ bool PipelineUnderFire::wait_until_well(double ssim, const std::map<std::string,
     }
     if (bus::now_ns() - asked_ns > kAskAgainNs) {
       asked_ns = bus::now_ns();
-      probes_->begin();
+      if (!sampling_ || first_id == 0) probes_->begin();
       if (first_id == 0) first_id = probes_->first_id();
     }
     return false;

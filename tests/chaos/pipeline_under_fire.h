@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "../integration/command.h"
 #include "child_process.h"
 #include "model/live_scene.h"
 #include "pipeline_watch.h"
@@ -28,6 +29,7 @@ struct Usage {
 class PipelineUnderFire {
  public:
   PipelineUnderFire();
+  explicit PipelineUnderFire(const std::string& launch_file);
 
   /// Of the supervisor and each service that was heard of, by name; those that are gone among them.
   [[nodiscard]] std::map<std::string, pid_t> pids() const;
@@ -42,6 +44,21 @@ class PipelineUnderFire {
   [[nodiscard]] bool wait_until(const std::function<bool()>& condition);
   /// Polls meanwhile.
   void let_pass(std::chrono::milliseconds time);
+
+  /// `splatbus VERB...` on this bus, to its end; polls meanwhile.
+  [[nodiscard]] cli::Answer operate(std::vector<std::string> verb);
+  /// The same, begun; poll() with let_pass() until it ends. Its lines come with its end.
+  [[nodiscard]] cli::ChildProcess begin(std::vector<std::string> verb) const;
+  /// Of a successor that gets ready now; 0 when there is none.
+  [[nodiscard]] pid_t successor_of(const std::string& name) const;
+
+  /// The viewer's picture of a held-out view against the engine's, asked for twice a second from now on.
+  void sample_pictures() { sampling_ = true; }
+  struct Sample {
+    std::int64_t time_ns = 0;  ///< when the answer came
+    double ssim = 0;
+  };
+  [[nodiscard]] const std::vector<Sample>& samples() const { return samples_; }
 
   [[nodiscard]] Usage usage() const;
   [[nodiscard]] const cli::PipelineState& state() const { return watch_->state(); }
@@ -59,6 +76,7 @@ class PipelineUnderFire {
   void start();
   void poll(std::chrono::milliseconds timeout);
   void take_output();
+  void take_sample();
   [[nodiscard]] bool all_alive(const std::map<std::string, pid_t>& killed) const;
   [[nodiscard]] std::set<std::string> survivors() const;
 
@@ -76,6 +94,10 @@ class PipelineUnderFire {
   std::unique_ptr<cli::ChildProcess> supervisor_;
   std::map<std::string, Node> nodes_;
   double slabs_ = 0, ssim_ = 0;
+  bool sampling_ = false;
+  std::int64_t sampled_ns_ = 0;
+  std::uint64_t newest_sample_ = 0;  ///< probe
+  std::vector<Sample> samples_;
   std::size_t log_bytes_ = 0;
   std::vector<std::string> last_lines_;
 };
