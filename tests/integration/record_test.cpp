@@ -102,27 +102,32 @@ TEST(Record, ATrainerLearnsFromARecordingWithoutAnEngine) {
     return splatbus_command(
         {"play", path.string(), "--topics", "capture/*,scene/*", "--json", "--bus", chain.folder.address().text()});
   });
+  // From its first words on: how far it has come by then is the machine's.
   const PipelineState& state = watch.state();
-  double first_loss = 0;
+  double worst_loss = 0;
   EXPECT_TRUE(eventually([&] {
     watch.poll(std::chrono::milliseconds(20));
-    if (first_loss == 0) first_loss = state.trainer.loss;
-    return state.trainer.step >= 300 && played.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
-  }));
+    worst_loss = std::max(worst_loss, state.trainer.loss);
+    return state.trainer.step >= 300 && state.trainer.gaussians > 1000 && state.trainer.loss < 0.8 * worst_loss &&
+           played.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
+  })) << "step "
+      << state.trainer.step << ", " << state.trainer.gaussians << " Gaussians, loss " << state.trainer.loss << " of "
+      << worst_loss;
   const Answer answer = played.get();
   EXPECT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines);
-  EXPECT_GT(state.trainer.gaussians, 1000U);
-  EXPECT_LT(state.trainer.loss, 0.8 * first_loss);
 
   LiveScene live(chain.context);
   SceneView view(1);
-  std::optional<cv::Mat> drawn;
-  ASSERT_TRUE(eventually([&] {
+  double ssim = 0;
+  EXPECT_TRUE(eventually([&] {
     live.poll(std::chrono::milliseconds(20));
-    if (live.published() && live.has_scene()) drawn = view.render(live, held_out.camera, held_out.scene, nullptr);
-    return drawn.has_value();
-  }));
-  EXPECT_GT(metrics::compare(*drawn, held_out.picture).ssim, 0.8);
+    if (!live.published() || !live.has_scene()) return false;
+    if (const auto drawn = view.render(live, held_out.camera, held_out.scene, nullptr)) {
+      ssim = metrics::compare(*drawn, held_out.picture).ssim;
+    }
+    return ssim > 0.8;
+  })) << "SSIM "
+      << ssim;
 }
 
 }  // namespace

@@ -318,7 +318,7 @@ test('G follows the player where there is one, until somebody steers', () =>
     const [c, s] = [Math.cos(0.3), Math.sin(0.3)];
     await player([0, s, -c, 2, 0, -c, -s, 1.5, -1, 0, 0, 0]);
     await stands([2, 1.5, 0], 0, 0.3);
-    assert.equal(await entry.getAttribute('aria-pressed'), 'true');
+    await page.waitForFunction(() => document.querySelector('[aria-pressed]').getAttribute('aria-pressed') === 'true');
     await page.keyboard.press('Escape');
     await page.mouse.move(160, 100);
     await page.mouse.wheel(0, -100);
