@@ -5,10 +5,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <array>
-#include <atomic>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <map>
@@ -16,9 +13,8 @@
 #include <thread>
 #include <vector>
 
+#include "bench/bus_ways.h"
 #include "bench/processes.h"
-#include "bus/broker.h"
-#include "bus/clock.h"
 #include "bus/publisher.h"
 #include "bus/subscriber.h"
 #include "wire/system_generated.h"
@@ -34,123 +30,8 @@ struct Options {
   std::size_t megabytes = 64;
 };
 
-constexpr std::size_t kSamples = 1 << 20;
 constexpr std::size_t kWindow = 2048;  // on the way at most, below the high-water mark of 4096
-constexpr Topic<wire::Log> kSmall{"bench/small"}, kLarge{"bench/large"};
-constexpr const char* kOurs = "splatbus, broker";
-constexpr std::size_t kSmallBytes = 192;  // of a body, as the bus's of this message
-constexpr std::chrono::milliseconds kPatience(100);
-
-/// Of one run, in memory that all its processes share.
-struct Shared {
-  std::atomic<bool> reads, stop;
-  std::atomic<std::uint64_t> sent, received;
-  std::atomic<std::int64_t> first_ns, last_ns;
-  std::array<std::int32_t, kSamples> latency_ns;
-
-  void take(std::int64_t sent_ns) {
-    const std::int64_t now = bus::now_ns();
-    const std::uint64_t index = received.load(std::memory_order_relaxed);
-    latency_ns[index % kSamples] = static_cast<std::int32_t>(std::min<std::int64_t>(now - sent_ns, INT32_MAX));
-    if (index == 0) first_ns = now;
-    last_ns = now;
-    received.store(index + 1, std::memory_order_release);
-  }
-};
-
-/// How messages get from one process to another: `prepare` in each process, then one call for each message.
-struct Way {
-  std::string name;
-  std::function<std::function<void()>(const std::string& folder)> make_sender;
-  std::function<void(const std::string& folder, Shared&)> read;
-  std::function<void(const std::string& folder)> relay;  ///< empty: none between
-};
-
-std::string endpoint(const std::string& folder, const char* name) {
-  return "ipc://" + folder + "/" + name;
-}
-
-std::function<void()> zmq_sender(const std::string& folder, bool through_proxy, std::size_t bytes) {
-  auto context = std::make_shared<zmq::context_t>();
-  auto socket = std::make_shared<zmq::socket_t>(*context, zmq::socket_type::xpub);
-  socket->set(zmq::sockopt::sndhwm, 4096);
-  if (through_proxy) {
-    socket->connect(endpoint(folder, "in"));
-  } else {
-    socket->bind(endpoint(folder, "out"));
-  }
-  zmq::message_t subscription;
-  (void)socket->recv(subscription);
-  auto memory = std::make_shared<std::vector<std::byte>>(bytes);
-  return [context, socket, memory] {
-    const std::int64_t now = bus::now_ns();
-    std::memcpy(memory->data(), &now, sizeof now);
-    (void)socket->send(zmq::buffer(kSmall.name), zmq::send_flags::sndmore);
-    (void)socket->send(zmq::buffer(*memory), zmq::send_flags::none);
-  };
-}
-
-void zmq_read(const std::string& folder, Shared& shared) {
-  zmq::context_t context;
-  zmq::socket_t socket(context, zmq::socket_type::sub);
-  socket.set(zmq::sockopt::rcvhwm, 4096);
-  socket.set(zmq::sockopt::subscribe, kSmall.name);
-  socket.connect(endpoint(folder, "out"));
-  shared.reads = true;
-  zmq::message_t topic, body;
-  while (!shared.stop) {
-    (void)socket.recv(topic);
-    (void)socket.recv(body);
-    std::int64_t sent_ns = 0;
-    std::memcpy(&sent_ns, body.data(), sizeof sent_ns);
-    shared.take(sent_ns);
-  }
-}
-
-void zmq_relay(const std::string& folder) {
-  zmq::context_t context;
-  zmq::socket_t in(context, zmq::socket_type::xsub), out(context, zmq::socket_type::xpub);
-  for (zmq::socket_t* socket : {&in, &out}) {
-    socket->set(zmq::sockopt::sndhwm, 4096);
-    socket->set(zmq::sockopt::rcvhwm, 4096);
-  }
-  in.bind(endpoint(folder, "in"));
-  out.bind(endpoint(folder, "out"));
-  zmq::proxy(zmq::socket_ref(in), zmq::socket_ref(out));
-}
-
-std::function<void()> bus_sender(const std::string& folder) {
-  const auto context = bus::Context::create(bus::Address::parse("ipc://" + folder), "sender");
-  if (!context->wait_connected(std::chrono::seconds(20))) throw std::runtime_error("no broker");
-  return [publisher = bus::Publisher(context)] {
-    publisher.publish(kSmall, [](auto& builder, auto header) {
-      return wire::CreateLogDirect(builder, header, wire::LogLevel::Info, "sixteen letters.");
-    });
-  };
-}
-
-void bus_read(const std::string& folder, Shared& shared) {
-  bus::Subscriber subscriber(bus::Context::create(bus::Address::parse("ipc://" + folder), "reader"));
-  subscriber.on(kSmall,
-                [&](const wire::Log&, const bus::Message& message) { shared.take(message.header().publish_ns()); });
-  if (!subscriber.wait_connected(std::chrono::seconds(20))) throw std::runtime_error("no broker");
-  shared.reads = true;
-  while (!shared.stop) subscriber.dispatch_all(kPatience);
-}
-
-void bus_relay(const std::string& folder) {
-  bus_service::Broker broker({.address = bus::Address::parse("ipc://" + folder)});
-  broker.start();
-  while (true) ::pause();
-}
-
-std::vector<Way> ways() {
-  const auto raw = [](const std::string& folder) { return zmq_sender(folder, false, kSmallBytes); };
-  const auto proxied = [](const std::string& folder) { return zmq_sender(folder, true, kSmallBytes); };
-  return {{"ZeroMQ, direct", raw, zmq_read, {}},
-          {"ZeroMQ, proxy", proxied, zmq_read, zmq_relay},
-          {kOurs, bus_sender, bus_read, bus_relay}};
-}
+constexpr Topic<wire::Log> kLarge{"bench/large"};
 
 enum class Pace { Flood, Offered, Single };
 
@@ -187,30 +68,6 @@ struct Result {
   std::vector<double> processor_us;  ///< a message: of the relay where there is one, the reader, the sender
   std::uint64_t lost = 0;
 };
-
-class Folder {
- public:
-  Folder() {
-    std::string name = (std::filesystem::temp_directory_path() / "splatbus-bench-XXXXXX").string();
-    if (::mkdtemp(name.data()) == nullptr) throw std::runtime_error("mkdtemp");
-    path_ = name;
-  }
-  ~Folder() { std::filesystem::remove_all(path_); }
-  Folder(const Folder&) = delete;
-  Folder& operator=(const Folder&) = delete;
-  [[nodiscard]] const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
-};
-
-void wait_for(const std::function<bool()>& condition) {
-  const std::int64_t end = bus::now_ns() + 120'000'000'000;
-  while (!condition()) {
-    if (bus::now_ns() > end) throw std::runtime_error("a process of the measurement says nothing");
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
-  }
-}
 
 Result measure(const Options& options, const Way& way, Pace pace) {
   const Folder folder;
