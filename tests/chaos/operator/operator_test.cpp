@@ -21,12 +21,15 @@ namespace {
 
 using namespace std::chrono_literals;
 
-double seconds = 40;
+double seconds = 20;
 unsigned seed = 1;
 /// From a fault's end to a picture as good as before. Long, for machines differ; the figure is printed.
 double recover_s = 60;
+/// What a picture as good as before may lack. Wide, for training is no constant on a busy machine; the figure is
+/// printed.
+double loss = 0.02;
 
-constexpr double kSsim = 0.8, kLoss = 0.005;
+constexpr double kSsim = 0.8;
 constexpr std::size_t kGrowth = 160 * hostile::kMiB;  ///< of a process, whose model grows meanwhile
 constexpr std::size_t kMoreDescriptors = 48;
 constexpr std::size_t kLogBytesAFault = 65536;
@@ -143,7 +146,7 @@ TEST_F(OperatorChaos, ThePictureComesBackAndNothingIsLeftBehind) {
     const std::int64_t begin_ns = bus::now_ns();
     const auto killed = strike(fault);
     const std::int64_t struck_ns = bus::now_ns();
-    ASSERT_TRUE(pipeline_.wait_until_well(ssim - kLoss, killed)) << pipeline_.log();
+    ASSERT_TRUE(pipeline_.wait_until_well(ssim - loss, killed)) << pipeline_.log();
     const double back_s = static_cast<double>(bus::now_ns() - struck_ns) * 1e-9;
     slowest_s = std::max(slowest_s, back_s);
     const auto least = std::ranges::min_element(pipeline_.samples().begin() + static_cast<std::ptrdiff_t>(first),
@@ -183,6 +186,7 @@ void configure(int argc, char** argv) {
     if (option == "--seconds") set_from(argv[i + 1], seconds);
     if (option == "--seed") set_from(argv[i + 1], seed_number);
     if (option == "--recover") set_from(argv[i + 1], recover_s);
+    if (option == "--loss") set_from(argv[i + 1], loss);
   }
   seed = static_cast<unsigned>(seed_number);
 }
