@@ -75,7 +75,7 @@ void reduce(const Request& request, Response& response) {
   const auto etag = std::find_if(response.fields.begin(), response.fields.end(),
                                  [](const auto& field) { return field.first == "ETag"; });
   if (response.status != 200 || etag == response.fields.end()) return;
-  const std::string_view tag = etag->second;
+  const std::string tag = etag->second;  // of our own: fields are added below
   const auto is_it = [&](std::string_view part) {
     if (part.starts_with("W/")) part.remove_prefix(2);
     return part == tag || part == "*";
