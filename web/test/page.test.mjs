@@ -278,12 +278,13 @@ test('menu by keys alone: quality, background, budget; they are kept', () =>
 test('a rate is asked for in the menu, at once and for the next time', () =>
   opened(kPage, async (page) => {
     await page.evaluate(() => (new BroadcastChannel('asked').onmessage = ({ data }) => (window.asked ??= []).push(data)));
-    const figure = () => page.locator('[data-figure=rate]').textContent();
-    assert.match(await figure(), /^\d+\.\d\d$/);
+    const says = (pattern) =>
+      page.waitForFunction((source) => new RegExp(source).test(document.querySelector('[data-figure=rate]').textContent), pattern.source);
+    await says(/^\d+\.\d\d$/);
     await page.keyboard.press('m');
     await page.getByLabel('Mbit/s at most').selectOption('5');
     await page.waitForFunction(() => window.asked?.length === 1 && window.asked[0] === 5);
-    await page.waitForFunction(() => / of 5$/.test(document.querySelector('[data-figure=rate]').textContent));
+    await says(/ of 5$/);
     assert.equal(await page.evaluate(() => window.splatbus.stage.uploadedRows), 3000, 'the stream goes on');
     await page.reload();
     await page.waitForFunction(() => window.splatbus?.stage.standing);
