@@ -27,7 +27,7 @@ unsigned seed = 1;
 double recover_s = 60;
 /// What a picture as good as before may lack. Wide, for training is no constant on a busy machine; the figure is
 /// printed.
-double loss = 0.02;
+double loss = 0.05;
 
 constexpr double kSsim = 0.8;
 constexpr std::size_t kGrowth = 160 * hostile::kMiB;  ///< of a process, whose model grows meanwhile
