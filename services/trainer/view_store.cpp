@@ -26,9 +26,10 @@ void ViewStore::put(TrainingViewPtr view) {
   const auto [place, is_new] = views_.try_emplace(key);
   Entry& entry = place->second;
   if (is_new) ++cameras_version_;
-  if (entry.waiting) ++unpaired_;
+  if (entry.waiting && !entry.waits_again) ++unpaired_;
   const bool paired = is_paired(*view);
   replace(entry.waiting, paired ? nullptr : view);
+  entry.waits_again = false;
   if (paired) replace(entry.view, std::move(view));
   entry.updated = ++updates_;
   evict(key);
@@ -38,8 +39,14 @@ void ViewStore::set_paired(std::optional<std::vector<PairedVersion>> versions) {
   const std::scoped_lock lock(mutex_);
   paired_ = std::move(versions);
   for (auto& [key, entry] : views_) {
-    // The visibility of a view that has trained may have had to go.
-    if (entry.view && !is_paired(*entry.view)) replace(entry.view, nullptr);
+    if (entry.view && !is_paired(*entry.view)) {
+      // Its visibility is not here yet, or had to go; nobody sends the picture again when it comes.
+      if (!entry.waiting) {
+        entry.waiting = std::exchange(entry.view, nullptr);
+        entry.waits_again = true;
+      }
+      replace(entry.view, nullptr);
+    }
     if (!entry.waiting || !is_paired(*entry.waiting)) continue;
     replace(entry.view, nullptr);
     entry.view = std::exchange(entry.waiting, nullptr);

@@ -84,7 +84,8 @@ class ViewStore {
 
   /// It replaces the camera's view when its version is paired, else whichever waited for that before.
   void put(TrainingViewPtr view);
-  /// The scene versions whose visibility is there, ascending; nullopt, as in the beginning: no view needs any.
+  /// The scene versions whose visibility is there, ascending; nullopt, as in the beginning: no view needs any. A view
+  /// whose version is not among them waits for it, where no newer one does already.
   void set_paired(std::optional<std::vector<PairedVersion>> versions);
   /// Scene versions of all views, those that wait too, ascending.
   [[nodiscard]] std::vector<std::uint64_t> versions() const;
@@ -105,7 +106,8 @@ class ViewStore {
 
  private:
   struct Entry {
-    TrainingViewPtr view, waiting;  ///< null where there is none
+    TrainingViewPtr view, waiting;  ///< one of them may be null
+    bool waits_again = false;       ///< the one that waits could be trained on before
     std::uint64_t updated = 0;
   };
   [[nodiscard]] bool is_paired(const TrainingView& view) const;

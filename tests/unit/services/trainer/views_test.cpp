@@ -205,6 +205,32 @@ TEST(ViewStore, AViewTrainsOnceItsOwnVersionIsThere) {
   EXPECT_EQ(store.unpaired(), 1U);
 }
 
+/// As those that a successor has gathered, before the visibilities that came meanwhile are taken in.
+TEST(ViewStore, AViewWhoseVisibilityIsNotThereAnyMoreWaitsForIt) {
+  const ViewKey key{.role = CameraRole::Input, .id = 1};
+  const auto picture = [](std::uint64_t frame, std::uint64_t version) {
+    return make_view(CameraRole::Input, 1, frame, 16, version);
+  };
+  ViewStore store;
+  store.put(picture(1, 10));
+  ASSERT_NE(store.find(key), nullptr) << "none needs any so far";
+  store.set_paired(paired({}));
+  EXPECT_EQ(store.find(key), nullptr);
+  EXPECT_EQ(store.versions(), (std::vector<std::uint64_t>{10})) << "what is asked for";
+  EXPECT_EQ(store.bytes(), 16U);
+  store.set_paired(paired({10}));
+  ASSERT_NE(store.find(key), nullptr) << "lost for good: nobody sends it again";
+  EXPECT_EQ(store.find(key)->frame, 1U);
+
+  store.put(picture(2, 11));
+  store.set_paired(paired({}));
+  EXPECT_EQ(store.versions(), (std::vector<std::uint64_t>{11})) << "the newer one waits";
+  EXPECT_EQ(store.bytes(), 16U);
+  store.set_paired(paired({10, 11}));
+  EXPECT_EQ(store.find(key)->frame, 2U);
+  EXPECT_EQ(store.unpaired(), 0U);
+}
+
 TEST(ViewStore, AViewWaitsForTheVisibilityOfAllItsLights) {
   const ViewKey key{.role = CameraRole::Reference, .id = 1};
   TrainingView view = *make_view(CameraRole::Reference, 1, 1, 16, 10);
