@@ -100,7 +100,7 @@ void Options::bind(bus::ParameterBinder& p) {
 }
 
 bool wants_depth(const Options& options) {
-  return options.depth_weight > 0 || options.carve.enabled;
+  return options.depth_weight > 0 || options.mask_opacity > 0 || options.carve.enabled;
 }
 
 int active_channels(const Options& options) {

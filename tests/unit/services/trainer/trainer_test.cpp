@@ -156,6 +156,28 @@ TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfItsOwnScene) {
   }));
 }
 
+TEST_F(TrainerTest, AViewThatCameBeforeItsVisibilityWasAskedForTrainsOnceThatIsThere) {
+  const SyntheticScene scene(20, 1);
+  TrainingView view = *scene.views()[0];
+  view.scene.version = 7;
+  start();
+  insert(sample_batch(0, 1, 40));
+  ASSERT_TRUE(until([&] {
+    publish_view(view);
+    return stats() != nullptr && stats()->step() > 0;
+  }));
+  set("paused", "true");
+  ASSERT_TRUE(until([&] { return stats()->paused(); }));
+  const std::uint64_t step = stats()->step();
+  set("pair_visibility", "true");
+  set("paused", "false");
+  const std::vector<std::uint8_t> seen(kPageLanes, 255);
+  EXPECT_TRUE(until([&] {
+    publish_visibility(seen, published()->generation(), 7);
+    return stats()->step() > step;
+  }));
+}
+
 /// Light ids that are no list of a scene's rows are refused, and a view waits until those of all its lights are there.
 TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfAllItsLights) {
   set("pair_visibility", "true");
@@ -238,9 +260,11 @@ TEST_F(TrainerTest, StatsSayWhatRests) {
       << "the moments of a page";
 }
 
+/// Whether or not pictures carve, which need depth for it too.
 TEST_F(TrainerTest, StatsSayHowMuchNothingModels) {
   const SyntheticScene scene;
   SampleBatch half = scene.perturbed();
+  set("carve", "false");
   for (std::size_t i = 0; i < half.count; ++i) {
     if (half.mean[i] > 0) half.opacity_logit[i] = -20;  // x
   }
