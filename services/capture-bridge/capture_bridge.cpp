@@ -77,11 +77,11 @@ void CaptureBridge::subscribe() {
           [this](const wire::ViewerProbe& asked, const bus::Message& message) { handle_probe(asked, message); })
       .on(topics::kTrainerStats,
           [this](const wire::TrainerStats& stats, const bus::Message& message) {
-            handle_trainer_stats(stats, message, trainer_watch_);
+            handle_trainer_stats(stats, message, trainer_watches_);
           })
       .on(topics::kTrainerStandby,
           [this](const wire::TrainerStats& stats, const bus::Message& message) {
-            handle_trainer_stats(stats, message, standby_watch_);
+            handle_trainer_stats(stats, message, standby_watches_);
           })
       .on(topics::kGridState,
           [this](const wire::GridState& state, const bus::Message& message) { handle_grid_state(state, message); });
@@ -103,9 +103,10 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
       rigs_.references().arrived(frame.camera()->id());
       const bool sent = forwarder_.reference(message, frame);
       sent ? ++counters_.references : ++counters_.frames_lost;
-      if (sent) references_published_.insert(frame.camera()->id());
-      if (sent) refreshed_references_.pictures.arrived(frame.camera()->id(), forwarder_.scene_version());
-      if (sent) view_published_ns_ = bus::now_ns();
+      if (!sent) break;
+      references_published_.camera_ids.insert(frame.camera()->id());
+      references_published_.last_ns = bus::now_ns();
+      refreshed_references_.pictures.arrived(frame.camera()->id(), forwarder_.scene_version());
       break;
     }
     case wire::CameraRole::Probe:
@@ -140,8 +141,8 @@ void CaptureBridge::handle_input(const bus::Message& message, const wire::Engine
   ++counters_.inputs;
   refreshed_inputs_.pictures.arrived(camera_id, forwarder_.scene_version());
   if (options_->input_views && forwarder_.reference(message, frame)) {
-    inputs_published_.insert(camera_id);
-    view_published_ns_ = now;
+    inputs_published_.camera_ids.insert(camera_id);
+    inputs_published_.last_ns = now;
   }
 }
 
@@ -204,17 +205,23 @@ void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Mess
 }
 
 void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message,
-                                         TrainerWatch& watch) {
-  const std::uint64_t held = std::uint64_t{stats.ready_references()} + stats.ready_inputs();
-  const std::uint64_t published = references_published_.size() + inputs_published_.size();
-  if (!watch.lacks_views(message.header().epoch(), held, published, view_published_ns_, bus::now_ns())) return;
-  static bus::LogLimiter limiter;
-  if (limiter.allow()) {
-    spdlog::info("{} holds {} of {} views: asking the engine for all again",
-                 bus::printable(message.header().source()->string_view()), held, published);
+                                         TrainerWatches& watches) {
+  const auto lacks = [&](TrainerWatch& watch, std::uint32_t held, const Published& published, const char* what) {
+    const std::size_t all = published.camera_ids.size();
+    if (!watch.lacks_views(message.header().epoch(), held, all, published.last_ns, bus::now_ns())) return false;
+    static bus::LogLimiter limiter;
+    if (limiter.allow()) {
+      spdlog::info("{} holds {} of {} {} views: asking the engine for all again",
+                   bus::printable(message.header().source()->string_view()), held, all, what);
+    }
+    return true;
+  };
+  if (lacks(watches.inputs, stats.ready_inputs(), inputs_published_, "input")) {
+    rigs_.inputs().reissue_all(rigs_.cameras());
   }
-  if (options_->input_views) rigs_.inputs().reissue_all(rigs_.cameras());
-  rigs_.cameras().reissue_all(CameraRole::Reference);
+  if (lacks(watches.references, stats.ready_references(), references_published_, "reference")) {
+    rigs_.cameras().reissue_all(CameraRole::Reference);
+  }
 }
 
 void CaptureBridge::handle_grid_state(const wire::GridState& state, const bus::Message& message) {
@@ -237,7 +244,7 @@ void CaptureBridge::update_rigs(std::int64_t now_ns) {
   rigs_.update_lights(forwarder_.light());
   for (const Camera& camera : left) {
     const bool reference = camera.role == CameraRole::Reference;
-    (reference ? references_published_ : inputs_published_).erase(camera.id);
+    (reference ? references_published_ : inputs_published_).camera_ids.erase(camera.id);
     (reference ? refreshed_references_ : refreshed_inputs_).pictures.forget(camera.id);
     forwarder_.retire(camera);
   }

@@ -51,6 +51,9 @@ class CaptureBridge {
   [[nodiscard]] std::size_t viewers() const { return viewers_.all().size(); }
 
  private:
+  struct TrainerWatches {
+    TrainerWatch references, inputs;
+  };
   void subscribe();
   void handle_frame(const wire::EngineFrame& frame, const bus::Message& message);
   void handle_input(const bus::Message& message, const wire::EngineFrame& frame);
@@ -59,7 +62,7 @@ class CaptureBridge {
   void handle_range(const bus::Message& message, const wire::EngineFrame& frame);
   void handle_pose(const wire::ViewerPose& pose);
   void handle_probe(const wire::ViewerProbe& asked, const bus::Message& message);
-  void handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message, TrainerWatch& watch);
+  void handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message, TrainerWatches& watches);
   void handle_grid_state(const wire::GridState& state, const bus::Message& message);
 
   void update_rigs(std::int64_t now_ns);
@@ -77,7 +80,7 @@ class CaptureBridge {
   Forwarder forwarder_;
   RigControl rigs_;
   ProbeTable probes_;
-  TrainerWatch trainer_watch_, standby_watch_;
+  TrainerWatches trainer_watches_, standby_watches_;
   NewShareWatch new_shares_;
   BridgeCounters counters_;
   bus::MemoryPool input_pictures_;
@@ -93,8 +96,12 @@ class CaptureBridge {
   };
   void refresh(Refresh& of, CameraRole role, double rate_hz, std::int64_t now_ns);
   Refresh refreshed_inputs_, refreshed_references_;
-  std::int64_t view_published_ns_ = 0;
-  std::set<std::uint32_t> references_published_, inputs_published_;  // camera ids
+  /// Views that were published for the trainer. References may come at a rate, while inputs stand for long.
+  struct Published {
+    std::set<std::uint32_t> camera_ids;
+    std::int64_t last_ns = 0;
+  };
+  Published references_published_, inputs_published_;
 
   InputWorker worker_;  // last: its thread uses the context
 };

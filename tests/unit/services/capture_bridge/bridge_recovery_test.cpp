@@ -106,5 +106,33 @@ TEST_F(CaptureBridgeTest, ATrainerThatMissedTheViewsGetsThemAgain) {
   }));
 }
 
+/// Input pictures come once. That others come all the while says nothing of them.
+TEST_F(CaptureBridgeTest, ATrainerThatLostTheInputViewsGetsThemThoughReferencesComeAtARate) {
+  settle();
+  bus::Publisher stats(peer_);
+  const auto say = [&](std::uint32_t inputs) {
+    stats.publish(topics::kTrainerStats, [&](auto& builder, auto header) {
+      wire::TrainerStatsBuilder body(builder);
+      body.add_header(header);
+      body.add_ready_references(2);
+      body.add_ready_inputs(inputs);
+      return body.Finish();
+    });
+  };
+  say(4);
+  const auto inputs = references(CameraRole::Input).size();
+  const Camera reference = from_wire(*references(CameraRole::Reference).front()->camera());
+  auto due = std::chrono::steady_clock::now();
+  EXPECT_TRUE(until([&] {
+    if (std::chrono::steady_clock::now() >= due) {
+      due += 100ms;
+      engine_.submit(reference, wire::EngineBuffer::Color, 1);
+      say(0);
+    }
+    return references(CameraRole::Input).size() >= inputs + 4;
+  }));
+  EXPECT_GT(references(CameraRole::Reference).size(), 4U);
+}
+
 }  // namespace
 }  // namespace splatbus::capture_bridge::test

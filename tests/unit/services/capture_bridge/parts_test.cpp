@@ -216,6 +216,9 @@ TEST(TrainerWatch, AsksAgainForANewTrainerButNotForEver) {
   EXPECT_LE(demands, 5);
   EXPECT_FALSE(watch.lacks_views(1, 0, 8, 0, 200 * kSecond));
   EXPECT_TRUE(watch.lacks_views(2, 0, 8, 0, 200 * kSecond)) << "another trainer";
+  EXPECT_TRUE(watch.lacks_views(3, 0, 8, 201 * kSecond, 201 * kSecond))
+      << "which has seen nothing that was sent before";
+  EXPECT_FALSE(watch.lacks_views(4, 0, 8, 201 * kSecond, 201 * kSecond)) << "the engine has that to render";
 }
 
 }  // namespace
