@@ -41,7 +41,7 @@ bool Trainer::stand_by() {
   const auto start = Clock::now();
   const auto lacks_views = [&] {
     const std::size_t views = views_.count(CameraRole::Reference) + views_.count(CameraRole::Input);
-    return views < before_.views && Clock::now() - start < kViewsPatience;
+    return (!before_.views || views < *before_.views) && Clock::now() - start < kViewsPatience;
   };
   while (!service_.stop.stop_requested() && (!before_.adoptable || lacks_views())) turn();
   if (!service_.take_over(turn)) return false;
@@ -76,7 +76,8 @@ void Trainer::publish_standby() {
   const auto references = static_cast<std::uint32_t>(views_.count(CameraRole::Reference));
   const auto inputs = static_cast<std::uint32_t>(views_.count(CameraRole::Input));
   service_.detail(!before_.adoptable ? "waits for the model"
-                                     : fmt::format("has {} of {} views", references + inputs, before_.views));
+                  : !before_.views   ? "waits for what the one before has"
+                                     : fmt::format("has {} of {} views", references + inputs, *before_.views));
   publisher_.publish(topics::kTrainerStandby, [&](auto& builder, auto header) {
     wire::TrainerStatsBuilder stats(builder);
     stats.add_header(header);

@@ -126,9 +126,9 @@ class Trainer {
   bool successor_ = false;
   /// While it stands by.
   struct Before {
-    bool adoptable = false;  ///< the model that the one before has published
-    int refusals = 0;        ///< of it, one after the other
-    std::size_t views = 0;   ///< that the one before has
+    bool adoptable = false;            ///< the model that the one before has published
+    int refusals = 0;                  ///< of it, one after the other
+    std::optional<std::size_t> views;  ///< that the one before has, once it has said so
   };
   Before before_;
   std::string before_failure_;  ///< why it cannot go on with that model
