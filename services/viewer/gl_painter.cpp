@@ -13,10 +13,10 @@ namespace {
 
 class GlPainter final : public Painter {
  public:
-  explicit GlPainter(bool in_window) {
+  GlPainter(bool in_window, gl::Draw draw) {
     if (!in_window) context_ = std::make_unique<GlContext>();
     if (context_) spdlog::info("draws through {}", context_->description());
-    stage_ = std::make_unique<gl::Stage>();
+    stage_ = std::make_unique<gl::Stage>(draw);
   }
 
   bool take(Shown& shown) override {
@@ -50,8 +50,8 @@ class GlPainter final : public Painter {
 
 }  // namespace
 
-std::unique_ptr<Painter> make_gl_painter(bool in_window) {
-  return std::make_unique<GlPainter>(in_window);
+std::unique_ptr<Painter> make_gl_painter(bool in_window, gl::Draw draw) {
+  return std::make_unique<GlPainter>(in_window, draw);
 }
 
 }  // namespace splatbus::viewer
