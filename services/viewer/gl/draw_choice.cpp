@@ -6,7 +6,7 @@ namespace splatbus::viewer::gl {
 namespace {
 
 constexpr std::size_t kIdle = 2;   // pictures until memory is there and clocks are up
-constexpr std::size_t kTimed = 5;  // of each way
+constexpr std::size_t kTimed = 3;  // of each way
 constexpr std::size_t kGrown = 4;
 
 double median(std::vector<double> values) {
@@ -47,6 +47,7 @@ void DrawChoice::took(unsigned trial, Way way, double ms) {
   }
   chosen_ = cost_ms_[1] < cost_ms_[0] ? Way::Tiles : Way::Quads;
   trying_ = false;
+  decided_ = trial_;
 }
 
 void DrawChoice::try_again() {

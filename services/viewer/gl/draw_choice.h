@@ -28,7 +28,10 @@ class DrawChoice {
   void took(unsigned trial, Way way, double ms);
   /// What was timed of the trial under way was not what it seemed.
   void try_again();
-  /// Median of the last trial, ms; 0: there was none.
+  /// The number of the last trial that has come to an end; 0: none has.
+  [[nodiscard]] unsigned decided() const { return decided_; }
+  [[nodiscard]] Way chosen() const { return chosen_; }
+  /// Median of that trial, ms.
   [[nodiscard]] double cost_ms(Way way) const { return cost_ms_[static_cast<std::size_t>(way)]; }
 
  private:
@@ -37,7 +40,7 @@ class DrawChoice {
   Draw draw_;
   Way chosen_ = Way::Quads;
   bool trying_ = false;
-  unsigned trial_ = 0;
+  unsigned trial_ = 0, decided_ = 0;
   std::size_t tried_rows_ = 0;
   std::array<std::size_t, kWays> begun_{};
   std::array<std::vector<double>, kWays> times_ms_;

@@ -88,8 +88,7 @@ inline constexpr unsigned kMostCounted = 0xffffff;
 /// What kCountPairsText writes. Where there is no room all is 0 but `wanted`.
 struct Pairs {
   Counted counted;
-  unsigned row_groups[3];   ///< of kPairText
-  unsigned tile_groups[3];  ///< of kBlendText
+  unsigned row_groups[3];  ///< of kPairText
   unsigned wanted;
 };
 

@@ -81,24 +81,26 @@ void main() {
 }
 )glsl";
 
+// By four, since a thread that goes through its part waits for memory at each step.
 const char* const kScanCountsText = R"glsl(#version 450 core
 )glsl"
 #include "viewer/gl/sort_head_glsl.inc"
                                     R"glsl(
 layout(std430, binding = 0) readonly buffer CountedRows { Counted counted; };
-layout(std430, binding = 1) buffer Counts { uint counts[]; };
+layout(std430, binding = 1) buffer Counts { uvec4 counts[]; };
 void main() {
   uint thread = gl_LocalInvocationIndex;
-  uint n = counted.groups[0] * kDigits;
+  uint n = counted.groups[0] * (kDigits / 4u);
   uint each = (n + kThreads - 1u) / kThreads;
   uint begin = min(thread * each, n), end = min(begin + each, n);
-  uint sum = 0u;
-  for (uint i = begin; i < end; ++i) sum += counts[i];
-  uint at = sumBefore(thread, sum);
+  uvec4 sums = uvec4(0u);
+  for (uint i = begin; i < end; ++i) sums += counts[i];
+  uint at = sumBefore(thread, sums.x + sums.y + sums.z + sums.w);
   for (uint i = begin; i < end; ++i) {
-    uint count = counts[i];
-    counts[i] = at;
-    at += count;
+    uvec4 count = counts[i];
+    uint second = at + count.x, third = second + count.y, fourth = third + count.z;
+    counts[i] = uvec4(at, second, third, fourth);
+    at = fourth + count.w;
   }
 }
 )glsl";

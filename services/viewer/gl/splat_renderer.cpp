@@ -107,19 +107,19 @@ void SplatRenderer::draw_splats(const Frame& frame) {
   if (way == Way::Tiles) {
     if (!tiles_) tiles_.emplace();
     tiles_->list(projection_, rows_.capacity(), camera.width, camera.height, timer_);
+    tiles_->blend(projection_, target_.get());
   } else {
+    constexpr std::array<float, 4> kNothing{};
+    glClearNamedFramebufferfv(framebuffer_.get(), GL_COLOR, 0, kNothing.data());
     ++drawn_.by_quads;
   }
-  draw_quads(camera);
-  if (way == Way::Tiles) tiles_->blend(projection_, target_.get());
+  draw_quads(camera);  // none, where tiles had room
   timer_.mark(FrameTimer::kDrawn);
 }
 
 void SplatRenderer::draw_quads(const Camera& camera) {
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_.get());
   glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
-  constexpr std::array<float, 4> kNothing{};
-  glClearNamedFramebufferfv(framebuffer_.get(), GL_COLOR, 0, kNothing.data());
   projection_.bind();
   glUseProgram(splats_.get());
   glUniform2f(kSize, static_cast<float>(camera.width), static_cast<float>(camera.height));

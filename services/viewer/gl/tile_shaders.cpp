@@ -53,7 +53,6 @@ layout(std430, binding = 1) buffer Seen {
 layout(std430, binding = 2) writeonly buffer Pairs {
   Counted pairs;
   uint row_groups[3];
-  uint tile_groups[3];
   uint wanted;
 };
 layout(std430, binding = 3) writeonly buffer Ranges { uvec2 ranges[]; };
@@ -81,7 +80,6 @@ void main() {
   pairs.rows = fits ? total : 0u;
   pairs.groups = uint[3](fits ? (total + kBlock - 1u) / kBlock : 0u, 1u, 1u);
   row_groups = uint[3](fits ? groups : 0u, 1u, 1u);
-  tile_groups = uint[3](fits ? uTiles.x : 0u, uTiles.y, 1u);
   if (fits) draw[1] = 0u;
 }
 )glsl";

@@ -99,7 +99,7 @@ void Tiles::blend(const Projection& projection, GLuint picture) {
   glBindImageTexture(0, picture, 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RGBA16F);
   glUseProgram(blend_.get());
   glUniform2ui(kPixels, width_, height_);
-  dispatch_indirect(pairs_.get(), offsetof(Pairs, tile_groups));
+  glDispatchCompute(groups_of(width_, kTileSide), groups_of(height_, kTileSide), 1);
   glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT);
 }
 

@@ -13,9 +13,9 @@
 namespace splatbus::viewer::gl {
 
 /// Draws what a Projection has seen in compute alone: lists for each tile of the picture which splats touch it, near to
-/// far, and blends each tile from its list. The lists' room is bounded: where a picture needs more, nothing of it is
-/// drawn, the quads of Projection's Seen are left to be, and there is more room from one of the next pictures on. Of
-/// the context that was current when it was made.
+/// far, and blends each tile from its list. The lists' room is bounded: where a picture needs more, they are empty, the
+/// quads of Projection's Seen are left to be drawn, and there is more room from one of the next pictures on. Of the
+/// context that was current when it was made.
 class Tiles {
  public:
   /// Most pairs of a tile and a splat: 16 bytes each.
@@ -29,7 +29,7 @@ class Tiles {
   /// `rows`: that the projection has room for. Zeroes the draw in its Seen where there is room for all.
   void list(const Projection& projection, std::size_t rows, std::uint32_t width, std::uint32_t height,
             FrameTimer& timer);
-  /// What was listed, over all of a picture of that size, GL_RGBA16F.
+  /// What was listed: all of a picture of that size, GL_RGBA16F, transparent where nothing is.
   void blend(const Projection& projection, GLuint picture);
 
   /// What has become known of a picture.
