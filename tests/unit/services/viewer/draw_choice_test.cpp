@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include "bus/parameters.h"
+#include "viewer/viewer.h"
+
 namespace splatbus::viewer::gl {
 namespace {
 
@@ -79,6 +82,16 @@ TEST(DrawChoice, IsNotMadeWhereItIsGiven) {
     EXPECT_EQ(choice.next(1000), way);
     EXPECT_EQ(choice.next(1'000'000), way);
   }
+}
+
+TEST(DrawChoice, IsAParameter) {
+  bus::Parameters parameters(bus::Parameters::declare<Options>());
+  EXPECT_EQ(parameters.read<Options>().draw, Draw::Auto);
+  EXPECT_EQ(parameters.set("draw", "tiles", false), "");
+  EXPECT_EQ(parameters.read<Options>().draw, Draw::Tiles);
+  EXPECT_EQ(parameters.set("draw", "quads", false), "");
+  EXPECT_EQ(parameters.read<Options>().draw, Draw::Quads);
+  EXPECT_NE(parameters.set("draw", "points", false), "");
 }
 
 }  // namespace

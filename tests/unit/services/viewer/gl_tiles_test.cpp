@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <memory>
 #include <random>
+#include <utility>
+#include <vector>
 
 #include "gl/context.h"
 #include "viewer/gl/flight.h"
@@ -77,8 +79,8 @@ TEST_F(GlTiles, DrawAsQuadsAtAnySize) {
   const SharedBatch rows = any_sizes(900);
   quads.add(*rows);
   tiles.add(*rows);
-  static_cast<void>(capture(tiles, camera_of(640, 400)));  // makes room
-  for (const auto& [width, height] : {std::pair{250U, 131U}, {640U, 400U}, {16U, 16U}, {17U, 15U}, {9U, 300U}}) {
+  static_cast<void>(capture(tiles, camera_of(640, 480)));  // makes room
+  for (const auto& [width, height] : {std::pair{250U, 131U}, {640U, 480U}, {16U, 16U}, {17U, 15U}, {9U, 300U}}) {
     const Difference difference =
         between(capture(quads, camera_of(width, height)), capture(tiles, camera_of(width, height)));
     EXPECT_LT(difference.root, 0.5) << width << " x " << height;
@@ -145,6 +147,48 @@ TEST_F(GlTiles, AutoSettlesOnOneWayAndDrawsTheSame) {
   EXPECT_GT(any.choice().cost_ms(Way::Tiles), 0);
   EXPECT_GE(any.drawn().by_quads, 5U);
   EXPECT_GE(any.drawn().by_tiles, 5U);
+}
+
+TEST_F(GlTiles, WithoutRoomAreNotWhatATrialTakesForTiles) {
+  Stage any(Draw::Auto);
+  any.add(*any_sizes(400, 0.5F, 1.5F, 0.3F));
+  for (int k = 0; k < 60 && any.choice().decided() == 0; ++k) {
+    static_cast<void>(capture(any, camera_of(200, 200)));
+    static_cast<void>(any.drawn());
+  }
+  EXPECT_EQ(any.drawn().without_room, 1U);
+  EXPECT_EQ(any.choice().decided(), 2U) << "the first one begins anew";
+}
+
+TEST_F(GlTiles, AreTimedStepByStep) {
+  for (const Draw draw : {Draw::Quads, Draw::Tiles}) {
+    Stage stage(draw);
+    stage.add(*any_sizes(300));
+    stage.set_timed(true);
+    static_cast<void>(capture(stage, camera_of(64, 64)));
+    const std::vector<StepTimes> times = stage.take_times();
+    ASSERT_EQ(times.size(), 1U);
+    const StepTimes& t = times[0];
+    EXPECT_NEAR(t.all_ms, t.project_ms + t.sort_ms + t.pairs_ms + t.tile_sort_ms + t.draw_ms + t.resolve_ms, 1e-6);
+    EXPECT_EQ(t.way == Way::Tiles, draw == Draw::Tiles);
+    EXPECT_EQ(t.pairs_ms > 0, draw == Draw::Tiles);
+    EXPECT_EQ(t.tile_sort_ms > 0, draw == Draw::Tiles);
+    EXPECT_GT(t.draw_ms, 0);
+  }
+}
+
+TEST_F(GlTiles, FlyAsTheyAreAsked) {
+  for (const Draw draw : {Draw::Quads, Draw::Tiles}) {
+    Stage stage(draw);
+    const SharedBatch floor = wavy_floor(500);
+    stage.add(*floor);
+    const FlightFigures figures = fly(stage, scene_, *floor->bounds, 64, 36, 0.5);
+    const Drawn& drawn = figures.drawn;
+    EXPECT_GT(draw == Draw::Tiles ? drawn.by_tiles : drawn.by_quads, 0U);
+    EXPECT_EQ(draw == Draw::Tiles ? drawn.by_quads : drawn.by_tiles, 0U);
+    EXPECT_EQ(drawn.pairs > 0, draw == Draw::Tiles);
+    EXPECT_GT(figures.device.all_ms, 0);
+  }
 }
 
 /// What is behind a Stage, to see the lists themselves.
