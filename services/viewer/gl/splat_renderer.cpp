@@ -112,6 +112,7 @@ void SplatRenderer::draw_splats(const Frame& frame) {
     constexpr std::array<float, 4> kNothing{};
     glClearNamedFramebufferfv(framebuffer_.get(), GL_COLOR, 0, kNothing.data());
     ++drawn_.by_quads;
+    if (tiles_ && choice_.trial() == 0) tiles_->release();
   }
   draw_quads(camera);  // none, where tiles had room
   timer_.mark(FrameTimer::kDrawn);

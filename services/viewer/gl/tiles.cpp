@@ -59,6 +59,13 @@ void Tiles::reserve_tiles(std::size_t tiles) {
   ranges_ = make_words(2 * (tiles + 1));
 }
 
+void Tiles::release() {
+  if (capacity_ == 0) return;
+  for (GlBuffer* buffer : {&tile_counts_, &group_counts_, &ranges_}) *buffer = {};
+  for (Keyed* keyed : {&sorted_, &other_}) *keyed = {};
+  rows_ = capacity_ = tiles_ = 0;
+}
+
 void Tiles::list(const Projection& projection, std::size_t rows, std::uint32_t width, std::uint32_t height,
                  FrameTimer& timer) {
   width_ = width;
@@ -122,7 +129,7 @@ std::optional<Tiles::Listed> Tiles::take() {
   asked.done = nullptr;
   ++taken_;
   Listed listed{.pairs = wanted_here_[slot], .fitted = wanted_here_[slot] <= asked.capacity};
-  if (!listed.fitted) {
+  if (!listed.fitted && capacity_ > 0) {
     const std::size_t before = capacity_;
     reserve_pairs(listed.pairs + listed.pairs / 4);
     listed.grown = capacity_ > before;

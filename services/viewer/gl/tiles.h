@@ -40,6 +40,9 @@ class Tiles {
   };
   /// Of the oldest picture that is done and was not taken. Does not wait.
   [[nodiscard]] std::optional<Listed> take();
+  /// Gives back what the lists take, until the next.
+  void release();
+  /// Pairs that there is room for.
   [[nodiscard]] std::size_t capacity() const { return capacity_; }
 
  private:

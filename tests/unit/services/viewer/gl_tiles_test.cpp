@@ -239,5 +239,16 @@ TEST_F(GlTileLists, ThatFitLeaveNoQuads) {
   EXPECT_EQ(quads_to_draw(), 0U);
 }
 
+TEST_F(GlTileLists, ComeBackAfterTheirRoomWasGivenBack) {
+  Tiles tiles;
+  const std::size_t pairs = list(tiles).pairs;
+  EXPECT_GE(tiles.capacity(), pairs);
+  tiles.release();
+  EXPECT_EQ(tiles.capacity(), 0U);
+  const Tiles::Listed listed = list(tiles);
+  EXPECT_TRUE(listed.fitted);
+  EXPECT_EQ(listed.pairs, pairs);
+}
+
 }  // namespace
 }  // namespace splatbus::viewer::gl
