@@ -104,6 +104,7 @@ void Tiles::list(const Projection& projection, std::size_t rows, std::uint32_t w
 void Tiles::blend(const Projection& projection, GLuint picture) {
   bind_buffers({ranges_.get(), sorted_.rows.get(), projection.splats()});
   glBindImageTexture(0, picture, 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RGBA16F);
+  glMemoryBarrier(GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // the last picture has been read
   glUseProgram(blend_.get());
   glUniform2ui(kPixels, width_, height_);
   glDispatchCompute(groups_of(width_, kTileSide), groups_of(height_, kTileSide), 1);
