@@ -13,10 +13,10 @@ namespace {
 
 class GlPainter final : public Painter {
  public:
-  explicit GlPainter(bool in_window) {
+  GlPainter(bool in_window, gl::Draw draw) {
     if (!in_window) context_ = std::make_unique<GlContext>();
     if (context_) spdlog::info("draws through {}", context_->description());
-    stage_ = std::make_unique<gl::Stage>();
+    stage_ = std::make_unique<gl::Stage>(draw);
   }
 
   bool take(Shown& shown) override {
@@ -37,21 +37,32 @@ class GlPainter final : public Painter {
   void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) override {
     stage_->draw(camera, scene, time_s);
     window.swap();
+    say_choice();
   }
 
   bool settles(float time_s) const override { return time_s < faded_s_; }
   std::optional<gl::Bounds> bounds() const override { return stage_->bounds(); }
 
  private:
+  void say_choice() {
+    const gl::DrawChoice& choice = stage_->choice();
+    if (choice.decided() == said_) return;
+    said_ = choice.decided();
+    spdlog::info("draws by {}: {:.2f} ms a picture as tiles, {:.2f} as quads",
+                 choice.chosen() == gl::Way::Tiles ? "tiles" : "quads", choice.cost_ms(gl::Way::Tiles),
+                 choice.cost_ms(gl::Way::Quads));
+  }
+
   std::unique_ptr<GlContext> context_;  // outlives what was made in it
   std::unique_ptr<gl::Stage> stage_;
   float faded_s_ = 0;
+  unsigned said_ = 0;  // the choice of how to draw
 };
 
 }  // namespace
 
-std::unique_ptr<Painter> make_gl_painter(bool in_window) {
-  return std::make_unique<GlPainter>(in_window);
+std::unique_ptr<Painter> make_gl_painter(bool in_window, gl::Draw draw) {
+  return std::make_unique<GlPainter>(in_window, draw);
 }
 
 }  // namespace splatbus::viewer

@@ -58,7 +58,7 @@ void run_on_bus(splatbus::bus::ServiceContext& service) {
 void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Options& options) {
   namespace gl = splatbus::viewer::gl;
   const splatbus::GlContext context;
-  gl::Stage stage;
+  gl::Stage stage(options.draw);
   const gl::SharedBatch floor = gl::wavy_floor(gaussians);
   stage.add(*floor);
   splatbus::SceneState scene;
@@ -66,11 +66,20 @@ void bench(double seconds, std::size_t gaussians, const splatbus::viewer::Option
   const gl::FlightFigures f = gl::fly(stage, scene, *floor->bounds, options.path.width, options.path.height, seconds);
   fmt::print(
       R"({{"gaussians": {}, "width": {}, "height": {}, "frames": {}, "seconds": {:.2f}, "frames_per_s": {:.1f}, )"
-      R"("median_ms": {:.3f}, "p95_ms": {:.3f}, "p99_ms": {:.3f}, "device_project_ms": {:.3f}, "device_sort_ms": {:.3f}, )"
-      R"("device_draw_ms": {:.3f}, "device": "{}"}})"
-      "\n",
+      R"("median_ms": {:.3f}, "p95_ms": {:.3f}, "p99_ms": {:.3f}, )",
       gaussians, options.path.width, options.path.height, f.frames, f.seconds, f.frames_per_s, f.median_ms, f.p95_ms,
-      f.p99_ms, f.device.project_ms, f.device.sort_ms, f.device.draw_ms, context.description());
+      f.p99_ms);
+  fmt::print(
+      R"("draw": "{}", "by_quads": {}, "by_tiles": {}, "without_room": {}, "pairs": {}, "trial_quads_ms": {:.3f}, )"
+      R"("trial_tiles_ms": {:.3f}, )",
+      f.drawn.by_tiles > f.drawn.by_quads ? "tiles" : "quads", f.drawn.by_quads, f.drawn.by_tiles, f.drawn.without_room,
+      f.drawn.pairs, stage.choice().cost_ms(gl::Way::Quads), stage.choice().cost_ms(gl::Way::Tiles));
+  fmt::print(
+      R"("device_ms": {:.3f}, "device_project_ms": {:.3f}, "device_sort_ms": {:.3f}, "device_pairs_ms": {:.3f}, )"
+      R"("device_tile_sort_ms": {:.3f}, "device_draw_ms": {:.3f}, "device_resolve_ms": {:.3f}, "device": "{}"}})"
+      "\n",
+      f.device.all_ms, f.device.project_ms, f.device.sort_ms, f.device.pairs_ms, f.device.tile_sort_ms,
+      f.device.draw_ms, f.device.resolve_ms, context.description());
 }
 
 /// Logs what the viewer waits for: when that changes, and again every ten seconds as long as nobody answers.

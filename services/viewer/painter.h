@@ -5,6 +5,7 @@
 
 #include "device/device.h"
 #include "gaussians/camera.h"
+#include "viewer/gl/draw_choice.h"
 #include "viewer/shown.h"
 #include "viewer/window.h"
 
@@ -33,6 +34,6 @@ class Painter {
 [[nodiscard]] std::unique_ptr<Painter> make_raster_painter(Device device, int threads);
 /// Through OpenGL 4.5: in the context of a window that was opened For::Splats, or, with none, in one of its own without
 /// any display.
-[[nodiscard]] std::unique_ptr<Painter> make_gl_painter(bool in_window);
+[[nodiscard]] std::unique_ptr<Painter> make_gl_painter(bool in_window, gl::Draw draw);
 
 }  // namespace splatbus::viewer

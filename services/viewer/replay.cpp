@@ -164,7 +164,8 @@ std::uint64_t replay(const std::string& log, const Options& options, Device devi
     window = std::make_unique<Window>(CameraPath(options.path).at(options.path.start_s), "splatbus: " + log,
                                       opengl ? Window::For::Splats : Window::For::Pictures);
   }
-  const auto painter = opengl ? make_gl_painter(options.window) : make_raster_painter(device, options.threads);
+  const auto painter =
+      opengl ? make_gl_painter(options.window, options.draw) : make_raster_painter(device, options.threads);
   LogFeed feed(log, opengl, options.window, options.max_gaussians);
   const std::uint64_t drawn =
       window ? replay_in_window(feed, *painter, *window, stop) : replay_to_files(feed, *painter, options, stop);

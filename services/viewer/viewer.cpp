@@ -50,7 +50,7 @@ std::unique_ptr<Window> make_window(const Options& options, const Camera& camera
 }
 
 std::unique_ptr<Painter> make_painter(const Options& options, Device device) {
-  if (options.draws_through_opengl()) return make_gl_painter(options.window);
+  if (options.draws_through_opengl()) return make_gl_painter(options.window, options.draw);
   return make_raster_painter(device, options.threads);
 }
 
@@ -79,6 +79,9 @@ void Options::bind(bus::ParameterBinder& p) {
         {0, 1e6});
   p.add("window", window, "open a window, steered with mouse and keys, drawn at the display's rate", kFixed);
   p.add("opengl", opengl, "draw with OpenGL even without a window", kFixed);
+  p.add("draw", draw,
+        "how OpenGL draws: as quads, as tiles in compute shaders, or by whichever is the faster on this device",
+        {{"auto", gl::Draw::Auto}, {"quads", gl::Draw::Quads}, {"tiles", gl::Draw::Tiles}}, kFixed);
   p.add("max_gaussians", max_gaussians,
         "most Gaussians held; of a larger world, those that add most to this viewer's picture",
         {1024, static_cast<double>(stream::kMaxGaussians)}, kFixed);

@@ -32,6 +32,7 @@ struct Options {
   double probe_period_s = 5;
   bool window = false;
   bool opengl = false;
+  gl::Draw draw = gl::Draw::Auto;
   std::size_t max_gaussians = stream::kMaxGaussians;
   double max_kbps = 0;
   std::string record_file, packet_log;

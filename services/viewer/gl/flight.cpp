@@ -5,7 +5,9 @@
 #include <chrono>
 #include <cmath>
 #include <numbers>
+#include <optional>
 #include <random>
+#include <utility>
 #include <vector>
 
 namespace splatbus::viewer::gl {
@@ -28,6 +30,25 @@ double quantile(std::vector<double> values, double part) {
   const auto nth = std::min(static_cast<std::size_t>(part * static_cast<double>(values.size())), values.size() - 1);
   std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(nth), values.end());
   return values[nth];
+}
+
+StepTimes medians(const std::vector<StepTimes>& pictures) {
+  StepTimes out;
+  for (double StepTimes::*const step :
+       {&StepTimes::project_ms, &StepTimes::sort_ms, &StepTimes::pairs_ms, &StepTimes::tile_sort_ms,
+        &StepTimes::draw_ms, &StepTimes::resolve_ms, &StepTimes::all_ms}) {
+    std::vector<double> values;
+    for (const StepTimes& picture : pictures) values.push_back(picture.*step);
+    out.*step = quantile(std::move(values), 0.5);
+  }
+  return out;
+}
+
+Drawn since(const Drawn& before, const Drawn& now) {
+  return {.by_quads = now.by_quads - before.by_quads,
+          .by_tiles = now.by_tiles - before.by_tiles,
+          .without_room = now.without_room - before.without_room,
+          .pairs = now.pairs};
 }
 
 class Target {
@@ -78,10 +99,11 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
                   std::uint32_t height, double seconds) {
   using Clock = std::chrono::steady_clock;
   const Target target(width, height);
-  FrameTimer timer;
-  stage.time_with(&timer);
+  stage.set_timed(true);
   FlightFigures figures;
-  std::vector<double> intervals_ms, project_ms, sort_ms, draw_ms;
+  std::vector<double> intervals_ms;
+  std::vector<StepTimes> steps;
+  std::optional<Drawn> before_it_counts;
   std::array<GLsync, 2> fences{};
   const auto begin = Clock::now();
   auto before = begin;
@@ -97,17 +119,17 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
     }
     fence = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
     const auto now = Clock::now();
-    while (const auto times = timer.take()) {
-      if (flown <= kWarmUp) continue;
-      project_ms.push_back(times->project_ms);
-      sort_ms.push_back(times->sort_ms);
-      draw_ms.push_back(times->draw_ms);
-    }
+    const std::vector<StepTimes> done = stage.take_times();
+    if (flown > kWarmUp) steps.insert(steps.end(), done.begin(), done.end());
     if (flown > kWarmUp) intervals_ms.push_back(std::chrono::duration<double, std::milli>(now - before).count());
     before = now;
+    if (flown > kWarmUp && !before_it_counts) {
+      before_it_counts = stage.drawn();
+      before = Clock::now();
+    }
   }
-  glFinish();
-  stage.time_with(nullptr);
+  figures.drawn = since(before_it_counts.value_or(Drawn{}), stage.drawn());
+  stage.set_timed(false);
   for (GLsync fence : fences) {
     if (fence) glDeleteSync(fence);
   }
@@ -117,8 +139,7 @@ FlightFigures fly(Stage& stage, const SceneState& scene, const Bounds& bounds, s
   figures.median_ms = quantile(intervals_ms, 0.5);
   figures.p95_ms = quantile(intervals_ms, 0.95);
   figures.p99_ms = quantile(intervals_ms, 0.99);
-  figures.device = {
-      .project_ms = quantile(project_ms, 0.5), .sort_ms = quantile(sort_ms, 0.5), .draw_ms = quantile(draw_ms, 0.5)};
+  figures.device = medians(steps);
   return figures;
 }
 

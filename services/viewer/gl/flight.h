@@ -15,6 +15,7 @@ struct FlightFigures {
   double seconds = 0, frames_per_s = 0;
   double median_ms = 0, p95_ms = 0, p99_ms = 0;  ///< between pictures
   StepTimes device;                              ///< medians
+  Drawn drawn;                                   ///< those that count
 };
 
 /// Once around a sphere about all, nearer and farther, as the page's ?bench=1: as many pictures as the device gives,

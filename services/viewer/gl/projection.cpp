@@ -3,37 +3,15 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
-#include <initializer_list>
-#include <utility>
 
 #include "gl/program.h"
 #include "viewer/gl/shaders.h"
+#include "viewer/gl/steps.h"
 
 namespace splatbus::viewer::gl {
 namespace {
 
-constexpr std::size_t kWord = sizeof(GLuint);
 constexpr std::size_t kSplatBytes = 32;
-constexpr GLintptr kSortOffset = offsetof(Seen, sort_groups);
-
-GlBuffer words(std::size_t count) {
-  GlBuffer buffer = make_buffer();
-  glNamedBufferData(buffer.get(), static_cast<GLsizeiptr>(count * kWord), nullptr, GL_DYNAMIC_COPY);
-  return buffer;
-}
-
-GLuint groups_of(std::size_t count, std::size_t each) {
-  return static_cast<GLuint>((count + each - 1) / each);
-}
-
-void bind_buffers(std::initializer_list<GLuint> buffers) {
-  glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, static_cast<GLsizei>(buffers.size()), buffers.begin());
-}
-
-/// What the next step reads is what the last one wrote.
-void next_step() {
-  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_COMMAND_BARRIER_BIT);
-}
 
 /// view_from_world, row-major [3][4].
 std::array<double, 12> view_of(const Camera& camera) {
@@ -65,22 +43,19 @@ Projection::Projection()
     : project_(make_compute_program(kProjectText)),
       count_seen_(make_compute_program(kCountSeenText)),
       close_up_(make_compute_program(kCloseUpText)),
-      histogram_(make_compute_program(kHistogramText)),
-      scan_counts_(make_compute_program(kScanCountsText)),
-      reorder_(make_compute_program(kReorderText)),
       objects_(make_buffer()),
-      seen_(words(sizeof(Seen) / kWord)) {
+      seen_(make_words(sizeof(Seen) / kWord)) {
   glClearNamedBufferData(seen_.get(), GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
 void Projection::reserve(std::size_t capacity) {
   if (capacity <= capacity_) return;
   capacity_ = capacity;
-  splats_ = words(capacity * kSplatBytes / kWord);
-  keys_ = words(capacity);
-  group_counts_ = words(groups_of(capacity, kThreads));
-  digit_counts_ = words(std::size_t{kDigits} * groups_of(capacity, kBlock));
-  for (Keyed* keyed : {&sorted_, &other_}) *keyed = {words(capacity), words(capacity)};
+  splats_ = make_words(capacity * kSplatBytes / kWord);
+  keys_ = make_words(capacity);
+  group_counts_ = make_words(groups_of(capacity, kThreads));
+  depth_sort_.reserve(capacity);
+  for (Keyed* keyed : {&sorted_, &other_}) *keyed = make_keyed(capacity);
 }
 
 void Projection::upload_objects(const Frame& frame) {
@@ -102,15 +77,14 @@ void Projection::upload_objects(const Frame& frame) {
                     camera_from_objects_.data(), GL_STREAM_DRAW);
 }
 
-void Projection::run(const RowStore& rows, const Frame& frame, FrameTimer* timer) {
+void Projection::run(const RowStore& rows, const Frame& frame, FrameTimer& timer) {
   reserve(rows.capacity());
   upload_objects(frame);
   next_step();  // and the last picture has read what is written now
-  if (timer) timer->mark(FrameTimer::kBegin);
   project(rows, frame);
-  if (timer) timer->mark(FrameTimer::kProjected);
+  timer.mark(FrameTimer::kProjected);
   sort(rows.used());
-  if (timer) timer->mark(FrameTimer::kSorted);
+  timer.mark(FrameTimer::kSorted);
 }
 
 void Projection::project(const RowStore& rows, const Frame& frame) {
@@ -143,25 +117,7 @@ void Projection::sort(std::size_t rows) {
   glUniform1ui(kRows, static_cast<GLuint>(rows));
   glDispatchCompute(groups_of(rows, kThreads), 1, 1);
   next_step();
-  glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, seen_.get());
-  for (unsigned shift = 0; shift < kKeyBits; shift += kDigitBits) {
-    bind_buffers({seen_.get(), sorted_.keys.get(), digit_counts_.get()});
-    glUseProgram(histogram_.get());
-    glUniform1ui(kShift, shift);
-    glDispatchComputeIndirect(kSortOffset);
-    next_step();
-    bind_buffers({seen_.get(), digit_counts_.get()});
-    glUseProgram(scan_counts_.get());
-    glDispatchCompute(1, 1, 1);
-    next_step();
-    bind_buffers({seen_.get(), sorted_.keys.get(), digit_counts_.get(), sorted_.rows.get(), other_.keys.get(),
-                  other_.rows.get()});
-    glUseProgram(reorder_.get());
-    glUniform1ui(kShift, shift);
-    glDispatchComputeIndirect(kSortOffset);
-    next_step();
-    std::swap(sorted_, other_);
-  }
+  depth_sort_.run(seen_.get(), sorted_, other_, kKeyBits);
 }
 
 void Projection::bind() const {
@@ -171,7 +127,7 @@ void Projection::bind() const {
 std::size_t Projection::count_seen() const {
   GLuint rows = 0;
   glMemoryBarrier(GL_BUFFER_UPDATE_BARRIER_BIT);
-  glGetNamedBufferSubData(seen_.get(), offsetof(Seen, rows), kWord, &rows);
+  glGetNamedBufferSubData(seen_.get(), offsetof(Seen, counted.rows), kWord, &rows);
   return rows;
 }
 

@@ -6,6 +6,7 @@
 #include "gl/objects.h"
 #include "viewer/gl/frame.h"
 #include "viewer/gl/frame_timer.h"
+#include "viewer/gl/radix_sort.h"
 #include "viewer/gl/row_store.h"
 
 namespace splatbus::viewer::gl {
@@ -16,11 +17,15 @@ class Projection {
  public:
   Projection();
 
-  void run(const RowStore& rows, const Frame& frame, FrameTimer* timer);
+  void run(const RowStore& rows, const Frame& frame, FrameTimer& timer);
   /// For the program that draws what was seen: Seen, its order, far to near, and what was made of each row.
   void bind() const;
   /// A Seen.
   [[nodiscard]] GLuint seen() const { return seen_.get(); }
+  /// Row by rank, far to near.
+  [[nodiscard]] GLuint order() const { return sorted_.rows.get(); }
+  /// uvec4[2] a row, of what was seen.
+  [[nodiscard]] GLuint splats() const { return splats_.get(); }
   /// How many rows the last run() has seen. Waits for the device.
   [[nodiscard]] std::size_t count_seen() const;
 
@@ -30,12 +35,9 @@ class Projection {
   void project(const RowStore& rows, const Frame& frame);
   void sort(std::size_t rows);
 
-  struct Keyed {
-    GlBuffer keys, rows;
-  };
-
-  GlProgram project_, count_seen_, close_up_, histogram_, scan_counts_, reorder_;
-  GlBuffer objects_, splats_, keys_, group_counts_, digit_counts_, seen_;
+  GlProgram project_, count_seen_, close_up_;
+  RadixSort depth_sort_;
+  GlBuffer objects_, splats_, keys_, group_counts_, seen_;
   Keyed sorted_, other_;
   std::size_t capacity_ = 0;
   std::vector<float> camera_from_objects_;

@@ -46,11 +46,17 @@ inline constexpr unsigned kDigits = 1U << kDigitBits;
 /// Keys that a group sorts at a time.
 inline constexpr unsigned kBlock = 16 * kThreads;
 
-/// What kCountSeenText writes: `rows` are seen, and so much is to be dispatched and drawn.
-struct Seen {
+/// How many there are to sort, and the groups that do it.
+struct Counted {
   unsigned rows;
-  unsigned sort_groups[3];
+  unsigned groups[3];
+};
+
+/// What kCountSeenText writes: so much is seen, and is to be dispatched and drawn. Groups: of kThreads rows.
+struct Seen {
+  Counted counted;
   unsigned draw[5];
+  unsigned row_groups[3];
 };
 
 /// Quads that cover exactly what a Gaussian can reach: a square in the whitened plane, brought to pixels by the
@@ -61,5 +67,29 @@ extern const char* const kSplatFragmentText;
 extern const char* const kResolveVertexText;
 extern const char* const kResolveFragmentText;
 enum ResolveLocation : int { kBackground = 0, kDisplaySpace = 1 };
+
+/// The other way to draw: lists of what each tile of the picture shows, near to far, each blended by one group.
+/// Of every seen row, nearest first, how many tiles it touches.
+extern const char* const kCountTilesText;
+/// Where the pairs of each group of rows go, and whether there is room for all: Pairs. If so, no quads are drawn.
+extern const char* const kCountPairsText;
+/// Pairs of a tile and a row, nearest rows first.
+extern const char* const kPairText;
+/// Of the pairs in the order of tiles, where each tile's begin and end.
+extern const char* const kRangesText;
+/// Each tile to the picture: premultiplied colour and alpha, as the quads leave it.
+extern const char* const kBlendText;
+enum TileLocation : int { kPixels = 0, kTiles = 1, kCapacity = 2 };
+/// Pixels of a tile's side.
+inline constexpr unsigned kTileSide = 16;
+/// Up to here the device counts pairs without error.
+inline constexpr unsigned kMostCounted = 0xffffff;
+
+/// What kCountPairsText writes. Where there is no room all is 0 but `wanted`.
+struct Pairs {
+  Counted counted;
+  unsigned row_groups[3];  ///< of kPairText
+  unsigned wanted;
+};
 
 }  // namespace splatbus::viewer::gl

@@ -6,10 +6,9 @@ const uint kBlock = kEach * kThreads;
 const uint kBatch = 128u;
 const uint kDigits = 32u;
 
-struct SeenRows {
+struct Counted {
   uint rows;
   uint groups[3];
-  uint draw[5];
 };
 
 shared uint partial[kThreads];

@@ -9,7 +9,11 @@ const char* const kCountSeenText = R"glsl(#version 450 core
 #include "viewer/gl/sort_head_glsl.inc"
                                    R"glsl(
 layout(std430, binding = 0) buffer GroupCounts { uint group_counts[]; };
-layout(std430, binding = 1) writeonly buffer Seen { SeenRows seen; };
+layout(std430, binding = 1) writeonly buffer Seen {
+  Counted seen;
+  uint draw[5];
+  uint row_groups[3];
+};
 layout(location = 0) uniform uint uRows;
 void main() {
   uint thread = gl_LocalInvocationIndex;
@@ -28,7 +32,8 @@ void main() {
   uint total = partial[kThreads - 1u];
   seen.rows = total;
   seen.groups = uint[3]((total + kBlock - 1u) / kBlock, 1u, 1u);
-  seen.draw = uint[5](6u * kBatch, (total + kBatch - 1u) / kBatch, 0u, 0u, 0u);
+  draw = uint[5](6u * kBatch, (total + kBatch - 1u) / kBatch, 0u, 0u, 0u);
+  row_groups = uint[3]((total + kThreads - 1u) / kThreads, 1u, 1u);
 }
 )glsl";
 
@@ -57,7 +62,7 @@ const char* const kHistogramText = R"glsl(#version 450 core
 )glsl"
 #include "viewer/gl/sort_head_glsl.inc"
                                    R"glsl(
-layout(std430, binding = 0) readonly buffer Seen { SeenRows seen; };
+layout(std430, binding = 0) readonly buffer CountedRows { Counted counted; };
 layout(std430, binding = 1) readonly buffer Keys { uint keys[]; };
 layout(std430, binding = 2) writeonly buffer Counts { uint counts[]; };  // [digit][block]
 layout(location = 0) uniform uint uShift;
@@ -69,31 +74,33 @@ void main() {
   uint first = gl_WorkGroupID.x * kBlock + thread;
   for (uint i = 0u; i < kEach; ++i) {
     uint at = first + i * kThreads;
-    if (at < seen.rows) atomicAdd(digits[(keys[at] >> uShift) & (kDigits - 1u)], 1u);
+    if (at < counted.rows) atomicAdd(digits[(keys[at] >> uShift) & (kDigits - 1u)], 1u);
   }
   synchronise();
   if (thread < kDigits) counts[thread * gl_NumWorkGroups.x + gl_WorkGroupID.x] = digits[thread];
 }
 )glsl";
 
+// By four, since a thread that goes through its part waits for memory at each step.
 const char* const kScanCountsText = R"glsl(#version 450 core
 )glsl"
 #include "viewer/gl/sort_head_glsl.inc"
                                     R"glsl(
-layout(std430, binding = 0) readonly buffer Seen { SeenRows seen; };
-layout(std430, binding = 1) buffer Counts { uint counts[]; };
+layout(std430, binding = 0) readonly buffer CountedRows { Counted counted; };
+layout(std430, binding = 1) buffer Counts { uvec4 counts[]; };
 void main() {
   uint thread = gl_LocalInvocationIndex;
-  uint n = seen.groups[0] * kDigits;
+  uint n = counted.groups[0] * (kDigits / 4u);
   uint each = (n + kThreads - 1u) / kThreads;
   uint begin = min(thread * each, n), end = min(begin + each, n);
-  uint sum = 0u;
-  for (uint i = begin; i < end; ++i) sum += counts[i];
-  uint at = sumBefore(thread, sum);
+  uvec4 sums = uvec4(0u);
+  for (uint i = begin; i < end; ++i) sums += counts[i];
+  uint at = sumBefore(thread, sums.x + sums.y + sums.z + sums.w);
   for (uint i = begin; i < end; ++i) {
-    uint count = counts[i];
-    counts[i] = at;
-    at += count;
+    uvec4 count = counts[i];
+    uint second = at + count.x, third = second + count.y, fourth = third + count.z;
+    counts[i] = uvec4(at, second, third, fourth);
+    at = fourth + count.w;
   }
 }
 )glsl";
@@ -105,7 +112,7 @@ const char* const kReorderText = R"glsl(#version 450 core
 )glsl"
 #include "viewer/gl/sort_head_glsl.inc"
                                  R"glsl(
-layout(std430, binding = 0) readonly buffer Seen { SeenRows seen; };
+layout(std430, binding = 0) readonly buffer CountedRows { Counted counted; };
 layout(std430, binding = 1) readonly buffer Keys { uint keys[]; };
 layout(std430, binding = 2) readonly buffer Begins { uint begins[]; };  // [digit][block]
 layout(std430, binding = 3) readonly buffer Rows { uint rows[]; };
@@ -119,7 +126,7 @@ uint slot(uint pair, uint thread) { return pair * kPadded + thread + (thread >> 
 void main() {
   uint thread = gl_LocalInvocationIndex;
   uint first = gl_WorkGroupID.x * kBlock + thread * kEach;
-  uint end = min(first + kEach, seen.rows);
+  uint end = min(first + kEach, counted.rows);
   for (uint pair = 0u; pair < kPairs; ++pair) counters[slot(pair, thread)] = 0u;
   for (uint at = first; at < end; ++at) {
     uint digit = (keys[at] >> uShift) & (kDigits - 1u);

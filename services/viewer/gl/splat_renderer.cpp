@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <stdexcept>
+#include <utility>
 
 #include "gl/program.h"
 #include "viewer/gl/shaders.h"
@@ -41,8 +42,9 @@ void require_context() {
 
 }  // namespace
 
-SplatRenderer::SplatRenderer()
-    : splats_(make_program(kSplatVertexText, kSplatFragmentText)),
+SplatRenderer::SplatRenderer(Draw draw)
+    : choice_(draw),
+      splats_(make_program(kSplatVertexText, kSplatFragmentText)),
       resolve_(make_program(kResolveVertexText, kResolveFragmentText)),
       quads_(make_vertex_array()),
       nothing_(make_vertex_array()),
@@ -64,14 +66,61 @@ void SplatRenderer::make_target(std::uint32_t width, std::uint32_t height) {
   height_ = height;
 }
 
+void SplatRenderer::set_timed(bool timed) {
+  timed_ = timed;
+  times_.clear();
+}
+
+std::vector<StepTimes> SplatRenderer::take_times() {
+  look_back();
+  return std::exchange(times_, {});
+}
+
+const Drawn& SplatRenderer::drawn() {
+  glFinish();
+  look_back();
+  return drawn_;
+}
+
+void SplatRenderer::look_back() {
+  std::vector<StepTimes> done;
+  while (const auto times = timer_.take()) done.push_back(*times);
+  // A picture's list was known before it was done: where there was no room, its time is not that of tiles.
+  while (const auto listed = tiles_ ? tiles_->take() : std::nullopt) {
+    ++(listed->fitted ? drawn_.by_tiles : drawn_.by_quads);
+    if (!listed->fitted) ++drawn_.without_room;
+    drawn_.pairs = listed->pairs;
+    if (listed->grown) choice_.try_again();
+  }
+  for (const StepTimes& times : done) {
+    if (times.trial != 0) choice_.took(times.trial, times.way, times.all_ms);
+    if (timed_) times_.push_back(times);
+  }
+}
+
 void SplatRenderer::draw_splats(const Frame& frame) {
   const Camera& camera = frame.camera;
   make_target(camera.width, camera.height);
+  const Way way = choice_.next(rows_.used());
+  if (timed_ || choice_.trial() != 0) timer_.begin(way, choice_.trial());
   projection_.run(rows_, frame, timer_);
+  if (way == Way::Tiles) {
+    if (!tiles_) tiles_.emplace();
+    tiles_->list(projection_, rows_.capacity(), camera.width, camera.height, timer_);
+    tiles_->blend(projection_, target_.get());
+  } else {
+    constexpr std::array<float, 4> kNothing{};
+    glClearNamedFramebufferfv(framebuffer_.get(), GL_COLOR, 0, kNothing.data());
+    ++drawn_.by_quads;
+    if (tiles_ && choice_.trial() == 0) tiles_->release();
+  }
+  draw_quads(camera);  // none, where tiles had room
+  timer_.mark(FrameTimer::kDrawn);
+}
+
+void SplatRenderer::draw_quads(const Camera& camera) {
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_.get());
   glViewport(0, 0, static_cast<GLsizei>(camera.width), static_cast<GLsizei>(camera.height));
-  constexpr std::array<float, 4> kNothing{};
-  glClearNamedFramebufferfv(framebuffer_.get(), GL_COLOR, 0, kNothing.data());
   projection_.bind();
   glUseProgram(splats_.get());
   glUniform2f(kSize, static_cast<float>(camera.width), static_cast<float>(camera.height));
@@ -85,7 +134,13 @@ void SplatRenderer::draw_splats(const Frame& frame) {
 
 void SplatRenderer::draw(const Frame& frame, GLuint framebuffer) {
   require_context();
+  look_back();
   draw_splats(frame);
+  resolve(frame, framebuffer);
+  timer_.end();
+}
+
+void SplatRenderer::resolve(const Frame& frame, GLuint framebuffer) {
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer);
   glViewport(0, 0, static_cast<GLsizei>(frame.camera.width), static_cast<GLsizei>(frame.camera.height));
   glDisable(GL_BLEND);
@@ -97,7 +152,6 @@ void SplatRenderer::draw(const Frame& frame, GLuint framebuffer) {
   glUniform1i(kDisplaySpace, frame.display_space ? GL_TRUE : GL_FALSE);
   glBindVertexArray(nothing_.get());
   glDrawArrays(GL_TRIANGLES, 0, 3);
-  if (timer_) timer_->mark(FrameTimer::kDrawn);
 }
 
 Picture SplatRenderer::capture(const Frame& frame) {

@@ -18,6 +18,8 @@ namespace splatbus::viewer::gl {
 /// A picture of rows that change. Of the thread whose context is current.
 class Stage {
  public:
+  explicit Stage(Draw draw = Draw::Auto) : renderer_(draw) {}
+
   void add(const Batch& batch);
 
   /// `time_s` as Frame's.
@@ -25,7 +27,11 @@ class Stage {
   [[nodiscard]] Picture capture(const Camera& camera, const SceneState& scene, float time_s);
 
   void set_antialias(bool antialias) { antialias_ = antialias; }
-  void time_with(FrameTimer* timer) { renderer_.time_with(timer); }
+  void set_timed(bool timed) { renderer_.set_timed(timed); }
+  [[nodiscard]] std::vector<StepTimes> take_times() { return renderer_.take_times(); }
+  /// How pictures were drawn. Waits for the device.
+  [[nodiscard]] const Drawn& drawn() { return renderer_.drawn(); }
+  [[nodiscard]] const DrawChoice& choice() const { return renderer_.choice(); }
   /// Rows that the last picture shows. Waits for the device.
   [[nodiscard]] std::size_t count_seen() const { return renderer_.count_seen(); }
   [[nodiscard]] const std::optional<Bounds>& bounds() const { return bounds_; }

@@ -33,10 +33,10 @@ cv::Mat picture_of(const gl::Picture& picture) {
                             static_cast<std::uint32_t>(picture.height));
 }
 
-/// Two replicas of the same packets: one that OpenGL draws, and one for the CPU's rasteriser.
-class GlPictures : public ::testing::Test {
+/// Two replicas of the same packets: one that OpenGL draws, one way or the other, and one for the CPU's rasteriser.
+class GlPictures : public ::testing::TestWithParam<gl::Draw> {
  protected:
-  GlPictures() : feed_(drawn_, false), renderer_(raster::make_model_renderer(Device::Cpu)) {}
+  GlPictures() : feed_(drawn_, false), stage_(GetParam()), renderer_(raster::make_model_renderer(Device::Cpu)) {}
 
   void send(const std::vector<stream::EncodedPacket>& packets) {
     for (stream::Replica* replica : {&drawn_, &truth_}) stream::test::send(packets, *replica);
@@ -50,7 +50,20 @@ class GlPictures : public ::testing::Test {
   void feed() {
     if (gl::SharedBatch batch = feed_.take(1)) stage_.add(*batch);
   }
-  cv::Mat drawn(const Camera& camera) { return picture_of(stage_.capture(camera, drawn_.scene(), 10)); }
+  /// By the way under test: the first pictures may make room for its lists.
+  gl::Picture capture(const Camera& camera, const SceneState& scene, float time_s) {
+    for (int k = 0; k < 3; ++k) {
+      const gl::Drawn before = stage_.drawn();
+      gl::Picture picture = stage_.capture(camera, scene, time_s);
+      const gl::Drawn& now = stage_.drawn();
+      const bool by_tiles = now.by_tiles > before.by_tiles;
+      EXPECT_NE(by_tiles, now.by_quads > before.by_quads);
+      if (by_tiles == (GetParam() == gl::Draw::Tiles)) return picture;
+    }
+    ADD_FAILURE() << "drawn the other way";
+    return {};
+  }
+  cv::Mat drawn(const Camera& camera) { return picture_of(capture(camera, drawn_.scene(), 10)); }
   cv::Mat truth(const Camera& camera) {
     display_.apply(truth_.take_changes());
     const SceneState scene = truth_.scene();
@@ -93,7 +106,7 @@ Light light_at(float turn) {
   return light;
 }
 
-TEST_F(GlPictures, AreTheCpuRasterisersOfALivingModel) {
+TEST_P(GlPictures, AreTheCpuRasterisersOfALivingModel) {
   ToyServer server(21, 20'000);
   server.scene.objects[1] = ObjectTransform(Rigid{.translation = {0, 0.3F, 0}});
   server.scene.objects[7] = ObjectTransform(Rigid{.translation = {0, 0.5F, -0.2F}});
@@ -124,7 +137,7 @@ TEST_F(GlPictures, AreTheCpuRasterisersOfALivingModel) {
   expect_alike("under another light, without an object");
 }
 
-TEST_F(GlPictures, OfALivingRadianceModelToo) {
+TEST_P(GlPictures, OfALivingRadianceModelToo) {
   for (const int degree : {1, 2, 3}) {
     SCOPED_TRACE(degree);
     ToyServer server(3, 4000, Appearance::Radiance, {}, 76 + static_cast<std::uint64_t>(degree), degree);
@@ -144,7 +157,7 @@ TEST_F(GlPictures, OfALivingRadianceModelToo) {
   }
 }
 
-TEST_F(GlPictures, UploadWhatChangesAndNothingElse) {
+TEST_P(GlPictures, UploadWhatChangesAndNothingElse) {
   ToyServer server(5, 3000);
   join(server);
   feed();
@@ -163,7 +176,7 @@ TEST_F(GlPictures, UploadWhatChangesAndNothingElse) {
   EXPECT_LE(rows, 150U) << "those that go, and those that take their lanes, in some pages";
 }
 
-TEST_F(GlPictures, FadeInAndOut) {
+TEST_P(GlPictures, FadeInAndOut) {
   RowFeed fading(truth_, true);
   ToyServer server(5, 500);
   server.scene.light = light_at(0);
@@ -171,7 +184,7 @@ TEST_F(GlPictures, FadeInAndOut) {
   join(server);
   const Camera camera = camera_of(0);
   const auto share = [&](float time_s) {  // of the whole picture's difference from the background
-    const gl::Picture picture = stage_.capture(camera, truth_.scene(), time_s);
+    const gl::Picture picture = capture(camera, truth_.scene(), time_s);
     double sum = 0;
     for (std::size_t k = 0; k < picture.rgba.size(); k += 4) {
       for (std::size_t c = 0; c < 3; ++c) sum += std::abs(picture.rgba[k + c] - picture.rgba[c]);
@@ -198,7 +211,7 @@ TEST_F(GlPictures, FadeInAndOut) {
   EXPECT_EQ(stage_.count_seen(), 0U) << "the rows are free";
 }
 
-TEST_F(GlPictures, OfAFileAreTheCpuRasterisersToo) {
+TEST_P(GlPictures, OfAFileAreTheCpuRasterisersToo) {
   GaussiansBuffer file = stream::test::toy_model(1500, 4, 1, Appearance::Radiance, 3);
   file.object_id.assign(file.object_id.size(), 0);
   SceneState scene;
@@ -212,12 +225,15 @@ TEST_F(GlPictures, OfAFileAreTheCpuRasterisersToo) {
       renderer_->draw(camera_of(k), scene, {.antialias = antialias}, render);
       const cv::Mat expected = metrics::from_planes(render.color.data.data(), kSide, kSide, false);
       const metrics::Quality quality =
-          metrics::compare(picture_of(stage_.capture(camera_of(k), scene, gl::kSettled_s)), expected);
+          metrics::compare(picture_of(capture(camera_of(k), scene, gl::kSettled_s)), expected);
       EXPECT_GE(quality.psnr_db, 45) << "camera " << k;
       EXPECT_GE(quality.ssim, 0.998) << "camera " << k;
     }
   }
 }
+
+INSTANTIATE_TEST_SUITE_P(Ways, GlPictures, ::testing::Values(gl::Draw::Quads, gl::Draw::Tiles),
+                         [](const auto& test) { return test.param == gl::Draw::Tiles ? "Tiles" : "Quads"; });
 
 }  // namespace
 }  // namespace splatbus::viewer
