@@ -51,7 +51,7 @@ class LinkedViewer {
 
   viewer::StreamClient client_;           // the thread's own
   std::vector<Arrival> taken_;            // too
-  std::vector<std::int64_t> encoded_ns_;  // too
+  std::vector<Delivery> delivered_;       // too
   double tick_hz_ = 0;                    // too
   device::Stream stream_{Device::Cpu};    // the caller's
   stream::DisplayGaussians display_;      // too

@@ -22,8 +22,8 @@ namespace splatbus::cli {
 namespace {
 
 constexpr std::int64_t kLongestWaitNs = 100'000'000;
-// Of a connection's first segment; a viewer gives a try up by then, and begins another one.
-constexpr std::int64_t kConnectTimeoutNs = 1'000'000'000;
+// A viewer gives a try to connect up after a second, and begins another one half a second later at most.
+constexpr std::int64_t kTryNs = 1'500'000'000;
 constexpr int kBufferBytes = 1 << 16;  // what waits for a slow link waits at its sender
 
 bus::FileDescriptor make_socket() {
@@ -119,7 +119,7 @@ void TcpRelay::accept_all(std::int64_t now_ns) {
     const auto round_trip_ns = static_cast<std::int64_t>(shape_.round_trip_ms * 1e6);
     const std::scoped_lock lock(mutex_);
     std::int64_t open_ns = now_ns;
-    while (cut_.contains(open_ns)) open_ns += kConnectTimeoutNs;
+    while (cut_.contains(open_ns)) open_ns += kTryNs;
     auto connection = std::make_unique<Connection>(Connection{.client = std::move(client),
                                                               .server = {},
                                                               .open_ns = open_ns + round_trip_ns,

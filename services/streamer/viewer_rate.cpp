@@ -18,6 +18,7 @@ constexpr double kLeastWindow = 16 * 1024;
 constexpr double kLongQueue_s = 0.4;  // then what was delivered before says nothing
 constexpr std::size_t kWaysOfAQueue = 3, kSamplesOfAQueue = 2;
 constexpr double kShortQueue_s = 0.1, kQueue_s = 0.2;  // beyond the empty way
+constexpr std::int64_t kQueueNs = 200'000'000;
 constexpr double kGrow = 1.25, kShrink = 0.8;
 constexpr double kMostOfRate = 1.25;  // that the link is remembered to take
 
@@ -50,10 +51,13 @@ double ViewerRate::queued_s() const {
   return static_cast<double>(lately_ns - least_way_ns()) * 1e-9;
 }
 
-double ViewerRate::window() const {
+double ViewerRate::wanted_window() const {
   const double way_s = ways_.empty() ? 0 : static_cast<double>(least_way_ns()) * 1e-9;
-  const double bytes = bytes_per_s() * (way_s + said_s_ + kMoment_s);
-  return std::max({std::min(bytes, kFirstWindow + delivered_), std::min(delivered_, 2 * burst()), kLeastWindow});
+  return std::max(bytes_per_s() * (way_s + said_s_ + kMoment_s), kLeastWindow);
+}
+
+double ViewerRate::window() const {
+  return std::min(wanted_window(), kFirstWindow + delivered_);
 }
 
 double ViewerRate::available(std::int64_t now_ns) {
@@ -66,7 +70,9 @@ double ViewerRate::available(std::int64_t now_ns) {
 
 bool ViewerRate::has_room(double bytes, std::int64_t now_ns) {
   forget_unacknowledged(now_ns);
-  return packets_.empty() || on_the_way_ + bytes <= window();
+  const bool room = packets_.empty() || on_the_way_ + bytes <= window();
+  held_up_ = held_up_ || !room;
+  return room;
 }
 
 void ViewerRate::forget_unacknowledged(std::int64_t now_ns) {
@@ -84,15 +90,18 @@ void ViewerRate::forget_unacknowledged(std::int64_t now_ns) {
 
 void ViewerRate::take(std::uint64_t sequence, double bytes, std::int64_t now_ns) {
   if (acknowledged_ == last_sequence_) acknowledged_ns_ = now_ns;
+  const double tokens = bucket_.available(now_ns);
+  // A full bucket: this process was late, and not the link.
+  if (!std::exchange(held_up_, false) && tokens > 0.999 * burst()) rest();
   packets_.push_back({.sequence = sequence,
                       .bytes = bytes,
                       .sent_ns = now_ns,
                       .acknowledged_ns = acknowledged_ns_,
                       .delivered = delivered_,
-                      .rested = rested_});
+                      .rested = rested_ || starts()});
   on_the_way_ += bytes;
   last_sequence_ = sequence;
-  const double there = std::min(bytes, bucket_.available(now_ns));
+  const double there = std::min(bytes, tokens);
   if (bucket_.take(there, now_ns)) debt_ += bytes - there;
 }
 
@@ -138,6 +147,9 @@ void ViewerRate::learn_way(const Packet& packet, std::int64_t now_ns) {
   least_way_now_ns_ = std::min(least_way_now_ns_, way_ns);
   ways_.push_back({now_ns, way_ns});
   while (now_ns - ways_.front().at_ns > kRememberWayNs) ways_.pop_front();
+  const std::int64_t waits_ns = way_ns - least_way_ns();
+  queued_ = queued_ || (waits_ns > kQueueNs && waited_ns_ > kQueueNs);
+  waited_ns_ = waits_ns;
 }
 
 void ViewerRate::learn_rate(const Packet& packet, std::int64_t now_ns) {

@@ -40,7 +40,10 @@ class ViewerRate {
   [[nodiscard]] std::optional<std::int64_t> owes_since_ns() const;
   /// What is allowed, and what the link takes.
   [[nodiscard]] double bytes_per_s() const { return std::min(most_, link_); }
-  [[nodiscard]] double burst() const { return std::max(kBurst_s * bytes_per_s(), kLeastBurst); }
+  /// What may go at once; window() bounds it on a link that takes less than is allowed.
+  [[nodiscard]] double burst() const { return std::max(kBurst_s * std::min(most_, std::max(link_, kFirst)), kLeastBurst); }
+  /// What may be on the way.
+  [[nodiscard]] double window() const;
   [[nodiscard]] double on_the_way() const { return on_the_way_; }
 
   static constexpr double kFirstWindow = 128 * 1024;  ///< bytes; what is acknowledged adds as much: it doubles each round trip
@@ -70,7 +73,8 @@ class ViewerRate {
   void learn_rate(const Packet& packet, std::int64_t now_ns);
   [[nodiscard]] std::int64_t least_way_ns() const { return std::min(least_way_before_ns_, least_way_now_ns_); }
   [[nodiscard]] double queued_s() const;
-  [[nodiscard]] double window() const;
+  [[nodiscard]] double wanted_window() const;
+  [[nodiscard]] bool starts() const { return !queued_ && kFirstWindow + delivered_ < wanted_window(); }
 
   double kbps_ = -1, most_kbps_ = 0, most_ = kMost, link_ = 0, debt_ = 0;
   bus::TokenBucket bucket_{1, 1};
@@ -80,9 +84,11 @@ class ViewerRate {
   double said_s_ = 0.25;  ///< from one acknowledgement to the next
   std::int64_t acknowledged_ns_ = 0, forgot_ns_ = 0;  ///< the former: or when there was something to acknowledge
   double forgettable_ = 0;  ///< bytes, of the packet that was on the way for longest
+  std::int64_t waited_ns_ = 0;  ///< the packet that was acknowledged last, beyond the least way
   std::int64_t least_way_before_ns_ = kNever, least_way_now_ns_ = kNever, least_way_since_ns_ = 0;
   std::uint64_t last_sequence_ = 0, acknowledged_ = 0, rested_until_ = 0;
-  bool rested_ = true;
+  bool rested_ = true, held_up_ = false;  ///< the latter: by the window
+  bool queued_ = false;                   ///< packets have waited on the way, once
   std::deque<Sample> samples_;  ///< of the last seconds
   std::deque<Way> ways_;        ///< of the last second
 };

@@ -13,7 +13,7 @@ namespace splatbus::viewer {
 namespace {
 
 constexpr int kQueuedMessages = 64;
-constexpr int kConnectMs = 1000, kHandshakeMs = 3000, kHeartbeatTimeoutMs = 3000;
+constexpr int kConnectMs = 1000, kHandshakeMs = 3000;
 
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
   return {static_cast<const std::uint8_t*>(message.data()), message.size()};
@@ -30,11 +30,11 @@ class ZmqLink final : public PacketLink {
     // fq.cpp).
     socket_.set(zmq::sockopt::reconnect_ivl, 50);
     socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
-    // After an outage tcp repeats ever more seldom: a new connection, tried each second, is there sooner.
+    // In an outage tcp repeats a connection's first segment ever more seldom; a new try each second is there sooner.
     socket_.set(zmq::sockopt::connect_timeout, kConnectMs);
     socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
     socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
-    socket_.set(zmq::sockopt::heartbeat_timeout, kHeartbeatTimeoutMs);
+    socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
     socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));
     bus::require_transport(endpoint);
     if (const auto keys = bus::client_keys(endpoint, key, server_key)) bus::use_keys(socket_, *keys);

@@ -387,6 +387,33 @@ TEST_F(ViewerFeedTest, WithinItsMemoryItStaysWhenGaussiansOfItsPagesComeAndGo) {
   EXPECT_GT(seat.replica.count(), kMost - 2 * kPageLanes);
 }
 
+// As long as it does not acknowledge, or its rate lets nothing through.
+TEST_F(ViewerFeedTest, OfWhatWaitsForAViewerLittleIsKept) {
+  Seat seat(1e6);
+  sit(seat);
+  live({&seat}, 1, -1);
+  const auto one_manifest = server_.stream.manifest_packets(*server_.stream.offered(), {}, false);
+  ASSERT_EQ(one_manifest.size(), 1U);
+  const auto news = std::make_shared<WirePacket>(one_manifest.front());
+  const auto visibility = std::make_shared<WirePacket>(stream::PacketWriter("streamer", 1).write(
+      76, 0, wire::Body::Keepalive, [](auto& builder) { return wire::CreateKeepalive(builder); }));
+  const auto seen = std::make_shared<const std::vector<wire::SeenPage>>();
+  for (int k = 0; k < 1000; ++k) {
+    seat.feed.push_news(news);
+    seat.feed.push_visibility(visibility, seen);
+  }
+  EXPECT_LE(news.use_count(), 65);
+  EXPECT_LE(visibility.use_count(), 65);
+  // What many had said one says, the whole.
+  seat.sent.clear();
+  live({&seat}, 0.2, -1);
+  EXPECT_EQ(std::ranges::count(seat.sent, wire::Body::Manifest, &std::pair<wire::Body, std::size_t>::first), 1);
+  seat.sent.clear();
+  seat.feed.push_news(news);
+  live({&seat}, 0.2, -1);
+  EXPECT_EQ(std::ranges::count(seat.sent, wire::Body::Manifest, &std::pair<wire::Body, std::size_t>::first), 1);
+}
+
 /// A link of so many bytes a second that is filled as the rate allows; the viewer says four times a second what came.
 class Link {
  public:
@@ -430,6 +457,29 @@ TEST(ViewerRate, FindsOutWhatALinkTakesAndFollowsIt) {
     }
     EXPECT_GT(link.arrived, 0.75 * 50 * takes) << takes;
   }
+}
+
+TEST(ViewerRate, AWayThatBecomesLongerIsNotTakenForAQueueForEver) {
+  ViewerRate rate;
+  std::int64_t now_ns = kSecond;
+  rate.set(8000, 0, now_ns);
+  std::deque<std::pair<std::int64_t, std::uint64_t>> way;  // when packets come, and their numbers
+  std::uint64_t sent = 0, come = 0;
+  const auto live = [&](double seconds, std::int64_t round_trip_ns) {
+    const std::uint64_t before = come;
+    for (const std::int64_t end = now_ns + static_cast<std::int64_t>(seconds * 1e9); now_ns < end; now_ns += kStep) {
+      while (rate.available(now_ns) >= 1000 && rate.has_room(1000, now_ns)) {
+        rate.take(++sent, 1000, now_ns);
+        way.emplace_back(now_ns + round_trip_ns, sent);
+      }
+      for (; !way.empty() && way.front().first <= now_ns; way.pop_front()) come = way.front().second;
+      if (now_ns % (5 * kStep) == 0) rate.acknowledged(come, now_ns);
+    }
+    return static_cast<double>(come - before) / seconds;
+  };
+  EXPECT_GT(live(10, 20'000'000), 900);
+  live(30, 400'000'000);
+  EXPECT_GT(live(10, 400'000'000), 800) << "packets of 1000 bytes a second, of 1000 that are allowed";
 }
 
 TEST(ViewerRate, TakesNoMoreThanTheViewerWants) {
