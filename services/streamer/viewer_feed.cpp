@@ -27,7 +27,7 @@ void ViewerFeed::start_over() {
 }
 
 double ViewerFeed::largest_packet() const {
-  return (1 - kReserve) * rate_.burst();
+  return (1 - kReserve) * rate_.large();
 }
 
 void ViewerFeed::begin(std::vector<SharedPacket> packets) {
@@ -169,7 +169,7 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
   if (!offered || !make_room(model, *offered)) return false;
   const auto held = held_.find(item.page);
   if (held != held_.end() && held->second.version >= offered->version) return false;
-  page_ = board.page(item.page, item.bytes > 0.5 * std::min(rate_.burst(), rate_.window()));
+  page_ = board.page(item.page, item.bytes > 0.5 * rate_.large());
   part_ = 0;
   page_number_ = item.page;
   page_count_ = offered->count;

@@ -87,7 +87,7 @@ void ViewerFeed::add_missed(const PageBoard& board, Versions versions, const std
 void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items) {
   const std::set<std::uint32_t> whole = find_missed(board, versions);
   const auto goes = [&](const SharedDelta& delta, std::uint32_t page) {
-    // What is larger than the rate's burst never goes: its pages come whole.
+    // What is too large for the link never goes: its pages come whole.
     return !whole.contains(page) && static_cast<double>(delta.packet->bytes()) <= largest_packet();
   };
   std::vector<std::vector<const stream::DeltaPacket::Step*>> steps;  // [items]

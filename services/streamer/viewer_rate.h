@@ -41,12 +41,17 @@ class ViewerRate {
   /// What is allowed, and what the link takes.
   [[nodiscard]] double bytes_per_s() const { return std::min(most_, link_); }
   /// What may go at once; window() bounds it on a link that takes less than is allowed.
-  [[nodiscard]] double burst() const { return std::max(kBurst_s * std::min(most_, std::max(link_, kFirst)), kLeastBurst); }
+  [[nodiscard]] double burst() const {
+    return std::max(kBurst_s * std::min(most_, std::max(link_, kFirst)), kLeastBurst);
+  }
+  /// What the link takes in as long: a packet should have less.
+  [[nodiscard]] double large() const { return std::max(kBurst_s * bytes_per_s(), kLeastBurst); }
   /// What may be on the way.
   [[nodiscard]] double window() const;
   [[nodiscard]] double on_the_way() const { return on_the_way_; }
 
-  static constexpr double kFirstWindow = 128 * 1024;  ///< bytes; what is acknowledged adds as much: it doubles each round trip
+  static constexpr double kFirstWindow =
+      128 * 1024;  ///< bytes; what is acknowledged adds as much: it doubles each round trip
   static constexpr double kSilentBytes_s = 8 * 1024;
 
  private:
@@ -81,16 +86,16 @@ class ViewerRate {
 
   std::deque<Packet> packets_;  ///< that are on the way
   double on_the_way_ = 0, delivered_ = 0;
-  double said_s_ = 0.25;  ///< from one acknowledgement to the next
+  double said_s_ = 0.25;                              ///< from one acknowledgement to the next
   std::int64_t acknowledged_ns_ = 0, forgot_ns_ = 0;  ///< the former: or when there was something to acknowledge
-  double forgettable_ = 0;  ///< bytes, of the packet that was on the way for longest
-  std::int64_t waited_ns_ = 0;  ///< the packet that was acknowledged last, beyond the least way
+  double forgettable_ = 0;                            ///< bytes, of the packet that was on the way for longest
+  std::int64_t waited_ns_ = 0;                        ///< the packet that was acknowledged last, beyond the least way
   std::int64_t least_way_before_ns_ = kNever, least_way_now_ns_ = kNever, least_way_since_ns_ = 0;
   std::uint64_t last_sequence_ = 0, acknowledged_ = 0, rested_until_ = 0;
   bool rested_ = true, held_up_ = false;  ///< the latter: by the window
   bool queued_ = false;                   ///< packets have waited on the way, once
-  std::deque<Sample> samples_;  ///< of the last seconds
-  std::deque<Way> ways_;        ///< of the last second
+  std::deque<Sample> samples_;            ///< of the last seconds
+  std::deque<Way> ways_;                  ///< of the last second
 };
 
 }  // namespace splatbus::streamer

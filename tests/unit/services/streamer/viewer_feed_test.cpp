@@ -395,8 +395,10 @@ TEST_F(ViewerFeedTest, OfWhatWaitsForAViewerLittleIsKept) {
   const auto one_manifest = server_.stream.manifest_packets(*server_.stream.offered(), {}, false);
   ASSERT_EQ(one_manifest.size(), 1U);
   const auto news = std::make_shared<WirePacket>(one_manifest.front());
-  const auto visibility = std::make_shared<WirePacket>(stream::PacketWriter("streamer", 1).write(
-      76, 0, wire::Body::Keepalive, [](auto& builder) { return wire::CreateKeepalive(builder); }));
+  const auto visibility = std::make_shared<WirePacket>(
+      stream::PacketWriter("streamer", 1).write(76, 0, wire::Body::Keepalive, [](auto& builder) {
+        return wire::CreateKeepalive(builder);
+      }));
   const auto seen = std::make_shared<const std::vector<wire::SeenPage>>();
   for (int k = 0; k < 1000; ++k) {
     seat.feed.push_news(news);
@@ -459,27 +461,52 @@ TEST(ViewerRate, FindsOutWhatALinkTakesAndFollowsIt) {
   }
 }
 
-TEST(ViewerRate, AWayThatBecomesLongerIsNotTakenForAQueueForEver) {
-  ViewerRate rate;
-  std::int64_t now_ns = kSecond;
-  rate.set(8000, 0, now_ns);
-  std::deque<std::pair<std::int64_t, std::uint64_t>> way;  // when packets come, and their numbers
-  std::uint64_t sent = 0, come = 0;
-  const auto live = [&](double seconds, std::int64_t round_trip_ns) {
-    const std::uint64_t before = come;
-    for (const std::int64_t end = now_ns + static_cast<std::int64_t>(seconds * 1e9); now_ns < end; now_ns += kStep) {
-      while (rate.available(now_ns) >= 1000 && rate.has_room(1000, now_ns)) {
-        rate.take(++sent, 1000, now_ns);
-        way.emplace_back(now_ns + round_trip_ns, sent);
+/// A link that takes all, a way behind it, and 8 Mbit/s that are allowed.
+class LongWay {
+ public:
+  LongWay() { rate.set(8000, 0, now_ns_); }
+
+  /// Its sender has a turn every `turn_ns`. Returns kB/s that came.
+  double live(double seconds, std::int64_t round_trip_ns, std::int64_t turn_ns = kStep) {
+    const std::uint64_t before = come_;
+    for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end;
+         now_ns_ += turn_ns) {
+      for (; !way_.empty() && way_.front().first <= now_ns_; way_.pop_front()) come_ = way_.front().second;
+      if (now_ns_ - said_ns_ >= kSecond / 20) rate.acknowledged(come_, said_ns_ = now_ns_);
+      while (rate.available(now_ns_) >= 1000 && rate.has_room(1000, now_ns_)) {
+        rate.take(++sent_, 1000, now_ns_);
+        way_.emplace_back(now_ns_ + round_trip_ns, sent_);
       }
-      for (; !way.empty() && way.front().first <= now_ns; way.pop_front()) come = way.front().second;
-      if (now_ns % (5 * kStep) == 0) rate.acknowledged(come, now_ns);
     }
-    return static_cast<double>(come - before) / seconds;
-  };
-  EXPECT_GT(live(10, 20'000'000), 900);
-  live(30, 400'000'000);
-  EXPECT_GT(live(10, 400'000'000), 800) << "packets of 1000 bytes a second, of 1000 that are allowed";
+    return static_cast<double>(come_ - before) / seconds;
+  }
+
+  ViewerRate rate;
+
+ private:
+  std::deque<std::pair<std::int64_t, std::uint64_t>> way_;  // when packets come, and their numbers
+  std::int64_t now_ns_ = kSecond, said_ns_ = 0;
+  std::uint64_t sent_ = 0, come_ = 0;
+};
+
+TEST(ViewerRate, AWayThatBecomesLongerIsNotTakenForAQueueForEver) {
+  LongWay link;
+  EXPECT_GT(link.live(10, 20'000'000), 900);
+  link.live(30, 400'000'000);
+  EXPECT_GT(link.live(10, 400'000'000), 800);
+}
+
+TEST(ViewerRate, ALongWayIsNotTakenForASlowLinkAtTheStart) {
+  LongWay link;
+  link.live(1, 400'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
+}
+
+TEST(ViewerRate, ASenderThatIsLateIsNotTakenForASlowLink) {
+  LongWay link;
+  link.live(10, 20'000'000);
+  link.live(20, 20'000'000, 300'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
 }
 
 TEST(ViewerRate, TakesNoMoreThanTheViewerWants) {
