@@ -7,9 +7,12 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <array>
 #include <chrono>
 #include <filesystem>
 #include <random>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -26,6 +29,8 @@ namespace {
 struct Options {
   std::string model;
   std::vector<int> viewers{1, 100};
+  int stopped = 0;
+  bool slow = false;
   double seconds = 10, viewer_kbps = 9000, budget_kbps = 6000, tick_hz = 5;
   float moves = 0.002F;
 };
@@ -36,45 +41,114 @@ double thread_ms() {
   return static_cast<double>(time.tv_sec) * 1e3 + static_cast<double>(time.tv_nsec) / 1e6;
 }
 
-/// Greets, and reads until it is killed: in a process of its own, whose memory is not the hub's.
-[[noreturn]] void read_as(int viewers, const std::string& endpoint) {
+/// What the viewers that read all they are sent, at any rate, have received.
+struct Readers {
+  double least_mbps = 0, most_mbps = 0, slow_mbps = 0, longest_gap_s = 0;
+};
+
+/// A viewer's end of the protocol: greets until it is answered, reads, and says what has come.
+struct Reader {
+  zmq::socket_t socket;
+  std::uint32_t max_kbps = 0;
+  bool reads = true, served = false;
+  std::uint64_t newest = 0, bytes = 0, said_bytes = 0, epoch = 0;
+  std::int64_t said_ns = 0, come_ns = 0, longest_gap_ns = 0;
+
+  void greet(const stream::PacketWriter& writer) {
+    if (served) return;
+    const auto hello = writer.write(0, 0, wire::Body::Hello, [&](auto& builder) {
+      return wire::CreateHelloDirect(builder, "viewer", nullptr, false, 0, nullptr, 0, 0, max_kbps);
+    });
+    (void)socket.send(zmq::buffer(hello.packet), zmq::send_flags::dontwait);
+  }
+  void read(std::int64_t now_ns) {
+    if (!reads && served) return;
+    zmq::message_t frame;
+    while (socket.recv(frame, zmq::recv_flags::dontwait)) {
+      const auto packet = stream::ParsedPacket::parse({frame.data<std::uint8_t>(), frame.size()}, {});
+      bytes += frame.size();
+      while (frame.more() && socket.recv(frame)) bytes += frame.size();
+      newest = std::max(newest, packet.sequence());
+      if (packet.stream_epoch() != 0) epoch = packet.stream_epoch();
+      if (come_ns != 0) longest_gap_ns = std::max(longest_gap_ns, now_ns - come_ns);
+      come_ns = now_ns;
+      served = true;
+    }
+  }
+  void say(const stream::PacketWriter& writer, std::int64_t now_ns) {
+    const std::int64_t every_ns = bytes - said_bytes >= 32768 ? 50'000'000 : 250'000'000;
+    if (!reads || bytes == said_bytes || now_ns - said_ns < every_ns) return;
+    const auto held = writer.write(epoch, 0, wire::Body::Held, [&](auto& builder) {
+      return wire::CreateHeldDirect(builder, newest, nullptr, 0, 0, nullptr, nullptr, false, 0, max_kbps);
+    });
+    (void)socket.send(zmq::buffer(held.packet), zmq::send_flags::dontwait);
+    said_bytes = bytes;
+    said_ns = now_ns;
+  }
+};
+
+/// Until `stop` can be read: in a process of its own, whose memory is not the hub's. Of the viewers the first
+/// `stopped` never read once they are served, and the next one, if `slow`, wants 1 Mbit/s.
+[[noreturn]] void read_as(int viewers, int stopped, bool slow, const std::string& endpoint, int stop, int figures) {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   zmq::context_t context;
-  std::vector<zmq::socket_t> sockets;
-  std::vector<zmq::pollitem_t> items;
-  std::vector<bool> served(static_cast<std::size_t>(viewers), false);
+  std::vector<Reader> readers;
+  std::vector<zmq::pollitem_t> items{{nullptr, stop, ZMQ_POLLIN, 0}};
   const stream::PacketWriter writer("viewer", 1);
   for (int k = 0; k < viewers; ++k) {
-    zmq::socket_t& socket = sockets.emplace_back(context, zmq::socket_type::dealer);
-    socket.set(zmq::sockopt::linger, 0);
-    socket.connect(endpoint);
+    Reader& reader = readers.emplace_back(Reader{.socket = zmq::socket_t(context, zmq::socket_type::dealer),
+                                                 .max_kbps = slow && k == stopped ? 1000U : 0U,
+                                                 .reads = k >= stopped});
+    reader.socket.set(zmq::sockopt::linger, 0);
+    reader.socket.connect(endpoint);
   }
-  for (zmq::socket_t& socket : sockets) items.push_back({socket.handle(), 0, ZMQ_POLLIN, 0});
-  const auto hello =
-      writer.write(0, 0, wire::Body::Hello, [](auto& builder) { return wire::CreateHelloDirect(builder, "viewer"); });
-  zmq::message_t frame;
-  while (true) {
-    // Again, until it is answered: strangers are so many times a second.
-    for (std::size_t k = 0; k < sockets.size(); ++k) {
-      if (!served[k]) (void)sockets[k].send(zmq::buffer(hello.packet), zmq::send_flags::dontwait);
-    }
-    zmq::poll(items, std::chrono::milliseconds(200));
-    for (std::size_t k = 0; k < sockets.size(); ++k) {
-      while (sockets[k].recv(frame, zmq::recv_flags::dontwait)) served[k] = true;
-    }
+  for (Reader& reader : readers) {
+    if (reader.reads) items.push_back({reader.socket.handle(), 0, ZMQ_POLLIN, 0});
   }
+  const std::int64_t begin_ns = bus::now_ns();
+  std::int64_t greeted_ns = 0;
+  while ((items[0].revents & ZMQ_POLLIN) == 0) {
+    const std::int64_t now_ns = bus::now_ns();
+    const bool greets = now_ns - greeted_ns > 200'000'000;  // strangers are answered so many times a second
+    if (greets) greeted_ns = now_ns;
+    for (Reader& reader : readers) {
+      if (greets) reader.greet(writer);
+      reader.read(now_ns);
+      reader.say(writer, now_ns);
+    }
+    zmq::poll(items, std::chrono::milliseconds(10));
+  }
+  const double seconds = static_cast<double>(bus::now_ns() - begin_ns) * 1e-9;
+  Readers all{.least_mbps = 1e9};
+  for (const Reader& reader : readers) {
+    const double mbps = static_cast<double>(reader.bytes) * 8e-6 / seconds;
+    if (reader.max_kbps != 0) all.slow_mbps = mbps;
+    if (!reader.reads || reader.max_kbps != 0) continue;
+    all.least_mbps = std::min(all.least_mbps, mbps);
+    all.most_mbps = std::max(all.most_mbps, mbps);
+    all.longest_gap_s = std::max(all.longest_gap_s, static_cast<double>(reader.longest_gap_ns) * 1e-9);
+  }
+  ::_exit(::write(figures, &all, sizeof all) == sizeof all ? 0 : 1);
 }
 
 struct Cost {
-  double tick_ms = 0, hub_ms = 0, mib = 0, mbps = 0;
+  double tick_ms = 0, hub_ms = 0, mib = 0;
+  Readers readers;
 };
 
 Cost measure(const Options& options, const CodecScene& scene, int viewers) {
   const std::string folder = std::filesystem::temp_directory_path() / fmt::format("bench_viewers_{}", ::getpid());
   std::filesystem::create_directories(folder);
   const std::string endpoint = fmt::format("ipc://{}/{}", folder, viewers);
+  std::array<int, 2> stop{}, figures{};
+  if (::pipe(stop.data()) != 0 || ::pipe(figures.data()) != 0) throw std::runtime_error("no pipe");
   const pid_t readers = ::fork();
-  if (readers == 0) read_as(viewers, endpoint);
+  if (readers == 0) {
+    ::close(stop[1]);
+    read_as(viewers, options.stopped, options.slow, endpoint, stop[0], figures[1]);
+  }
+  ::close(stop[0]);
+  ::close(figures[1]);
   Cost cost;
   {
     streamer::Endpoint door({endpoint});
@@ -108,6 +182,7 @@ Cost measure(const Options& options, const CodecScene& scene, int viewers) {
       }
       const double from = thread_ms();
       if (due) hub.add(model.take_update());
+      hub.receive(bus::now_ns());
       hub.pump(bus::now_ns());
       cost.hub_ms += thread_ms() - from;
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
@@ -115,10 +190,11 @@ Cost measure(const Options& options, const CodecScene& scene, int viewers) {
     cost.tick_ms /= ticks;
     cost.hub_ms /= ticks;
     cost.mib = used_mib(Device::Cpu) - before;
-    const auto sent = hub.statistics().close_window(bus::now_ns());
-    for (const auto& type : sent.types) cost.mbps += static_cast<double>(type.total_bytes) * 8e-6 / options.seconds;
   }
-  ::kill(readers, SIGKILL);
+  ::close(stop[1]);
+  const bool read = ::read(figures[0], &cost.readers, sizeof cost.readers) == sizeof cost.readers;
+  ::close(figures[0]);
+  if (!read) throw std::runtime_error("the viewers' process has ended");
   ::waitpid(readers, nullptr, 0);
   std::filesystem::remove_all(folder);
   return cost;
@@ -129,8 +205,12 @@ void run(const Options& options) {
   fmt::print("{}: {} Gaussians\n", scene.name, scene.model.count());
   for (const int viewers : options.viewers) {
     const Cost cost = measure(options, scene, viewers);
-    fmt::print("{:>4} viewers: encoding {:.1f} ms a tick, all else {:.1f} ms a tick, {:.1f} MiB, {:.1f} Mbit/s each\n",
-               viewers, cost.tick_ms, cost.hub_ms, cost.mib, cost.mbps / viewers);
+    const Readers& readers = cost.readers;
+    fmt::print(
+        "{:>4} viewers: encoding {:.1f} ms a tick, all else {:.1f} ms a tick, {:.1f} MiB, {:.2f} to {:.2f} Mbit/s, "
+        "longest gap {:.2f} s{}\n",
+        viewers, cost.tick_ms, cost.hub_ms, cost.mib, readers.least_mbps, readers.most_mbps, readers.longest_gap_s,
+        options.slow ? fmt::format(", the slow one {:.2f} Mbit/s", readers.slow_mbps) : "");
   }
 }
 
@@ -143,6 +223,8 @@ int main(int argc, char** argv) {
   CLI::App app("Viewers of one streamer: time and memory");
   app.add_option("model", options.model, "a PLY file or a world folder")->required();
   app.add_option("--viewers", options.viewers, "one run each");
+  app.add_option("--stopped", options.stopped, "viewers among them that do not read");
+  app.add_flag("--slow", options.slow, "one among them wants 1 Mbit/s");
   app.add_option("--seconds", options.seconds, "of a run");
   app.add_option("--viewer-kbps", options.viewer_kbps, "to each");
   app.add_option("--budget-kbps", options.budget_kbps, "of deltas");

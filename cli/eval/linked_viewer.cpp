@@ -23,7 +23,10 @@ LinkedViewer::LinkedViewer(const std::string& endpoint, const std::string& name)
   client_.lose_packets([this](const stream::ParsedPacket& packet) {
     taken_.push_back({.at_ns = bus::now_ns(), .body = packet.body(), .bytes = packet.bytes()});
     const std::int64_t encoded_ns = packet.root().header()->publish_ns();
-    if (packet.body() == wire::Body::PageDelta && encoded_ns != 0) encoded_ns_.push_back(encoded_ns);
+    const bool whole = packet.body() == wire::Body::Page;
+    if ((whole || packet.body() == wire::Body::PageDelta) && encoded_ns != 0) {
+      delivered_.push_back({.encoded_ns = encoded_ns, .whole = whole});
+    }
     if (packet.body() == wire::Body::Welcome) tick_hz_ = packet.root().body_as_Welcome()->tick_hz();
     return false;
   });
@@ -44,10 +47,9 @@ void LinkedViewer::run(const std::stop_token& stop) {
       if (replica.exceeds_whole(changes_)) changes_ = replica.whole();
       arrivals_.insert(arrivals_.end(), taken_.begin(), taken_.end());
       taken_.clear();
-      for (const std::int64_t encoded_ns : encoded_ns_) {
-        deliveries_.push_back({.encoded_ns = encoded_ns, .there_ns = now_ns});
-      }
-      encoded_ns_.clear();
+      for (Delivery& delivery : delivered_) delivery.there_ns = now_ns;
+      deliveries_.insert(deliveries_.end(), delivered_.begin(), delivered_.end());
+      delivered_.clear();
       status_.gaussians = replica.count();
       status_.whole = replica.pages() > 0 && replica.missing_pages() == 0;
       status_.refused = client_.refused();

@@ -49,12 +49,12 @@ class LinkedViewer {
  private:
   void run(const std::stop_token& stop);
 
-  viewer::StreamClient client_;           // the thread's own
-  std::vector<Arrival> taken_;            // too
-  std::vector<std::int64_t> encoded_ns_;  // too
-  double tick_hz_ = 0;                    // too
-  device::Stream stream_{Device::Cpu};    // the caller's
-  stream::DisplayGaussians display_;      // too
+  viewer::StreamClient client_;         // the thread's own
+  std::vector<Arrival> taken_;          // too
+  std::vector<Delivery> delivered_;     // too
+  double tick_hz_ = 0;                  // too
+  device::Stream stream_{Device::Cpu};  // the caller's
+  stream::DisplayGaussians display_;    // too
   std::unique_ptr<raster::ModelRenderer> renderer_;
   raster::Render render_;
 

@@ -127,7 +127,7 @@ Json summarize_stream(const StreamResults& results) {
       median(server_figures(results, judged, [](const ServerSample& sample) { return sample.tick_ms; }));
   std::vector<double> deliveries_ms;
   for (const Delivery& delivery : results.deliveries) {
-    if (!judged.contains(static_cast<double>(delivery.there_ns - results.begin_ns) / 1e9)) continue;
+    if (delivery.whole || !judged.contains(static_cast<double>(delivery.there_ns - results.begin_ns) / 1e9)) continue;
     deliveries_ms.push_back(static_cast<double>(delivery.there_ns - delivery.encoded_ns) / 1e6);
   }
   const auto delivery_ms = median(std::move(deliveries_ms));

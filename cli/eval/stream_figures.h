@@ -21,9 +21,10 @@ struct Arrival {
   std::size_t bytes = 0;
 };
 
-/// A delta of pages: when the streamer encoded it, and when it was in the viewer's replica.
+/// A delta of pages, or a part of a whole one: when the streamer encoded it, and when it was in the viewer's replica.
 struct Delivery {
   std::int64_t encoded_ns = 0, there_ns = 0;
+  bool whole = false;
 };
 
 /// The same pictures at the server and at the viewer, means over the cameras of a round, at a time of the run.

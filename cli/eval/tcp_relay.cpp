@@ -22,8 +22,9 @@ namespace splatbus::cli {
 namespace {
 
 constexpr std::int64_t kLongestWaitNs = 100'000'000;
-constexpr std::int64_t kFirstTimeoutNs = 1'000'000'000;  // of a connection's first segment
-constexpr int kBufferBytes = 1 << 16;                    // what waits for a slow link waits at its sender
+// A viewer gives a try to connect up after a second, and begins another one half a second later at most.
+constexpr std::int64_t kTryNs = 1'500'000'000;
+constexpr int kBufferBytes = 1 << 16;  // what waits for a slow link waits at its sender
 
 bus::FileDescriptor make_socket() {
   bus::FileDescriptor made(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
@@ -117,12 +118,13 @@ void TcpRelay::accept_all(std::int64_t now_ns) {
     tune(client.get());
     const auto round_trip_ns = static_cast<std::int64_t>(shape_.round_trip_ms * 1e6);
     const std::scoped_lock lock(mutex_);
-    auto connection = std::make_unique<Connection>(
-        Connection{.client = std::move(client),
-                   .server = {},
-                   .open_ns = repeated_until_passed(now_ns, kFirstTimeoutNs, cut_) + round_trip_ns,
-                   .up = {.schedule = LinkSchedule(shape_, seed_++)},
-                   .down = {.schedule = LinkSchedule(shape_, seed_++)}});
+    std::int64_t open_ns = now_ns;
+    while (cut_.contains(open_ns)) open_ns += kTryNs;
+    auto connection = std::make_unique<Connection>(Connection{.client = std::move(client),
+                                                              .server = {},
+                                                              .open_ns = open_ns + round_trip_ns,
+                                                              .up = {.schedule = LinkSchedule(shape_, seed_++)},
+                                                              .down = {.schedule = LinkSchedule(shape_, seed_++)}});
     connection->up.schedule.cut(cut_);
     connection->down.schedule.cut(cut_);
     connections_.push_back(std::move(connection));

@@ -18,7 +18,8 @@ namespace splatbus::cli {
 [[nodiscard]] std::uint16_t free_loopback_port();
 
 /// Forwards tcp connections to another port of the loopback address as a link of that shape would, on a thread of its
-/// own. Connections that are tried in a cut come about when a repetition of their first segment passes.
+/// own. Who tries to connect in a cut, again and again as our viewers do, has a connection with the first try behind
+/// it.
 class TcpRelay {
  public:
   /// Listens on a port of the loopback address. Throws std::runtime_error.

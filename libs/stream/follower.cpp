@@ -12,7 +12,8 @@ namespace splatbus::stream {
 namespace {
 
 constexpr std::int64_t kHeldEveryNs = 250'000'000, kUrgentNs = 50'000'000;
-constexpr std::size_t kMaxHelloPages = 6000;  // of a message that may have 64 KiB
+constexpr std::uint64_t kMuchBytes = std::uint64_t{1} << 15;  // since it last said what it holds
+constexpr std::size_t kMaxHelloPages = 6000;                  // of a message that may have 64 KiB
 constexpr std::size_t kMaxHeldItems = 1000;
 constexpr std::int64_t kRests = 10;
 constexpr std::size_t kMaxPictureBytes = std::size_t{1} << 27;
@@ -148,7 +149,8 @@ void Follower::maintain(std::int64_t now_ns) {
     return;
   }
   pose(now_ns);
-  const std::int64_t every_ns = replica_.report().urgent() ? kUrgentNs : kHeldEveryNs;
+  const bool soon = replica_.report().urgent() || received_bytes_ - said_bytes_ >= kMuchBytes;
+  const std::int64_t every_ns = soon ? kUrgentNs : kHeldEveryNs;
   if (now_ns - said_ns_ >= every_ns && received_bytes_ != said_bytes_) say_held(now_ns);
 }
 

@@ -116,8 +116,8 @@ void Streamer::turn(std::int64_t now_ns) {
 void Streamer::step(std::int64_t now_ns) {
   now_ns_ = now_ns;
   end_tick(now_ns);
+  hub_.receive(now_ns);  // before anything is sent: how long the way is, is found from when that is said
   take_messages(now_ns);
-  hub_.receive(now_ns);
   // The first Gaussians do not wait for the tick.
   const bool first = announcement_ && !model_.status().ready && hub_.is_followed();
   if (!follower_.busy() && (now_ns >= next_tick_ns_ || first)) {

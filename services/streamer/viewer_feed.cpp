@@ -27,11 +27,33 @@ void ViewerFeed::start_over() {
 }
 
 double ViewerFeed::largest_packet() const {
-  return (1 - kReserve) * rate_.burst();
+  return (1 - kReserve) * rate_.large();
+}
+
+void ViewerFeed::begin(std::vector<SharedPacket> packets) {
+  control_.assign(std::make_move_iterator(packets.begin()), std::make_move_iterator(packets.end()));
+  news_.clear();
+  manifest_is_due_ = false;
+}
+
+void ViewerFeed::push_news(SharedPacket packet) {
+  if (manifest_is_due_) return;
+  news_.push_back(std::move(packet));
+  if (news_.size() <= kMaxNews) return;
+  news_.clear();
+  manifest_is_due_ = true;
 }
 
 void ViewerFeed::push_visibility(SharedPacket packet, std::shared_ptr<const std::vector<wire::SeenPage>> pages) {
   visibility_.push_back({std::move(packet), std::move(pages)});
+  if (visibility_.size() > kMaxVisibility) drop_visibility();
+}
+
+// What it does not get in time it gets whole, page by page.
+void ViewerFeed::drop_visibility() {
+  take_visibility(*visibility_.front().pages, false);
+  visibility_.pop_front();
+  plan_is_all_ = false;  // nor is it planned
 }
 
 void ViewerFeed::push_gone(const stream::StreamModel& model, std::span<const std::uint32_t> pages) {
@@ -53,9 +75,10 @@ void ViewerFeed::tell_gone(const stream::StreamModel& model, std::vector<std::ui
 
 bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now_ns) {
   const double there = rate_.available(now_ns), burst = rate_.burst();
-  const bool first = kind == Kind::Scene || kind == Kind::Control || kind == Kind::Gone;
+  const bool first = kind == Kind::Scene || kind == Kind::Control || kind == Kind::News || kind == Kind::Gone;
   const double wanted = static_cast<double>(packet->bytes()) + (first ? 0 : kReserve * burst);
   if (there < std::min(wanted, 0.999 * burst)) return false;
+  if (!rate_.has_room(static_cast<double>(packet->bytes()), now_ns)) return false;
   offered_ = kind;
   packet_ = packet;
   return true;
@@ -63,12 +86,25 @@ bool ViewerFeed::affords(Kind kind, const SharedPacket& packet, std::int64_t now
 
 SharedPacket ViewerFeed::next(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
                               const ObjectTransforms& objects, std::int64_t now_ns) {
+  SharedPacket packet = choose(model, board, gaze, objects, now_ns);
+  if (!packet && !waits_) rate_.rest();
+  return packet;
+}
+
+SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
+                                const ObjectTransforms& objects, std::int64_t now_ns) {
   offered_ = Kind::None;
   waits_ = true;
   const auto offer = [&](Kind kind, const SharedPacket& packet) {
     return affords(kind, packet, now_ns) ? packet : SharedPacket();
   };
+  if (control_.empty() && std::exchange(manifest_is_due_, false)) {
+    for (const auto& packet : model.manifest_packets(board.offered(), {}, true)) {
+      control_.push_back(std::make_shared<WirePacket>(packet));
+    }
+  }
   if (!control_.empty()) return offer(Kind::Control, control_.front());
+  if (!news_.empty()) return offer(Kind::News, news_.front());
   if (!scenes_.empty()) return offer(Kind::Scene, scenes_.front());
   if (!gone_.empty()) return offer(Kind::Gone, gone_.front().packet);
   visibility_bucket_.set(kVisibilityShare * rate_.bytes_per_s(), kVisibilityShare * rate_.bytes_per_s() + 1, now_ns);
@@ -77,17 +113,19 @@ SharedPacket ViewerFeed::next(stream::StreamModel& model, PageBoard& board, cons
         visibility_bucket_.take(static_cast<double>(visibility_.front().packet->bytes()), now_ns)) {
       return packet_;
     }
-    // What it does not get in time it gets whole, page by page.
     offered_ = Kind::None;
-    take_visibility(*visibility_.front().pages, false);
-    visibility_.pop_front();
+    drop_visibility();
   }
   while (true) {
+    // What is planned and waits gives way to what is new.
+    const bool other = planned_edition_ != board.edition();
+    if (other && part_ == 0) page_.reset();
+    if (other) delta_.reset();
     if (page_) return offer(Kind::Part, page_->parts[part_]);
     if (delta_) return offer(Kind::Delta, delta_->packet);
     if (!page_visibility_.empty()) return offer(Kind::PageVisibility, page_visibility_.front());
-    if (plan_.empty()) {
-      const bool due = planned_edition_ != board.edition() || (!plan_is_all_ && now_ns - planned_ns_ > 20'000'000);
+    if (plan_.empty() || other) {
+      const bool due = other || (!plan_is_all_ && now_ns - planned_ns_ > 20'000'000);
       if (!due) {
         waits_ = !plan_is_all_;
         return {};
@@ -131,7 +169,7 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
   if (!offered || !make_room(model, *offered)) return false;
   const auto held = held_.find(item.page);
   if (held != held_.end() && held->second.version >= offered->version) return false;
-  page_ = board.page(item.page, item.bytes > 0.5 * rate_.burst());
+  page_ = board.page(item.page, item.bytes > 0.5 * rate_.large());
   part_ = 0;
   page_number_ = item.page;
   page_count_ = offered->count;
@@ -160,12 +198,13 @@ bool ViewerFeed::make_room(stream::StreamModel& model, const stream::OfferedPage
 
 void ViewerFeed::sent(std::int64_t now_ns) {
   ++sequence_;
-  rate_.take(static_cast<double>(packet_->bytes()), now_ns);
+  rate_.take(sequence_, static_cast<double>(packet_->bytes()), now_ns);
   Trace trace{.sequence = sequence_, .control = false, .visibility = false, .marks = {}, .gone = {}};
   switch (offered_) {
     case Kind::Control:
+    case Kind::News:
     case Kind::Scene:
-      (offered_ == Kind::Control ? control_ : scenes_).pop_front();
+      (offered_ == Kind::Control ? control_ : offered_ == Kind::News ? news_ : scenes_).pop_front();
       trace.control = true;
       break;
     case Kind::Gone:
@@ -214,7 +253,7 @@ void ViewerFeed::sent(std::int64_t now_ns) {
 
 void ViewerFeed::sent_beside(double bytes, std::int64_t now_ns) {
   ++sequence_;
-  rate_.take(bytes, now_ns);
+  rate_.take(sequence_, bytes, now_ns);
 }
 
 }  // namespace splatbus::streamer

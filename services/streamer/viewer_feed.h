@@ -29,8 +29,10 @@ class ViewerFeed {
   /// It holds nothing: after the model was reset.
   void start_over();
 
-  /// Goes before everything else: Layout, whole Scenes, manifests.
-  void push(SharedPacket packet) { control_.push_back(std::move(packet)); }
+  /// Goes before everything else: Layout, a whole Scene, the whole Manifest. What waits of another beginning does not.
+  void begin(std::vector<SharedPacket> packets);
+  /// A Manifest of what has changed. In place of many that wait a whole one is sent.
+  void push_news(SharedPacket packet);
   void push_scene(SharedPacket packet) { scenes_.push_back(std::move(packet)); }
   [[nodiscard]] std::size_t scenes() const { return scenes_.size(); }
   /// A whole one is pushed in place of those that wait.
@@ -57,7 +59,6 @@ class ViewerFeed {
     std::vector<stream::SequenceRange> missing;
     std::vector<stream::PageVersion> lacks;
     std::vector<std::uint32_t> dropped;
-    double bytes = 0, window_s = 0;
     double most_kbps = 0;  ///< that it wants to be sent; 0: it does not mind
   };
   /// True when packets were lost that only a new beginning replaces: Layout, Scene and Manifest again.
@@ -97,20 +98,31 @@ class ViewerFeed {
     bool visibility = false;  ///< only how it sees the lights
   };
   static constexpr std::size_t kMaxTraces = 4096;
-  enum class Kind : std::uint8_t { None, Control, Scene, Visibility, Gone, Part, Delta, PageVisibility };
+  static constexpr std::size_t kMaxNews = 64, kMaxVisibility = 64;  ///< that wait
+  enum class Kind : std::uint8_t { None, Control, News, Scene, Visibility, Gone, Part, Delta, PageVisibility };
 
+  [[nodiscard]] SharedPacket choose(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
+                                    const ObjectTransforms& objects, std::int64_t now_ns);
   void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
             double budget_bytes);
   [[nodiscard]] double largest_packet() const;
   using Versions = std::map<std::uint32_t, std::uint32_t>;  ///< by page
   template <class Goes, class Visit>
   void walk_deltas(const PageBoard& board, Versions& versions, const Goes& goes, const Visit& visit) const;
-  void find_missed(const PageBoard& board, Versions versions);
+  struct Missed {
+    double bytes = 0;
+    float steps = 0;  ///< that a Gaussian of the page is off
+    std::uint32_t deltas = 0;
+  };
+  [[nodiscard]] std::set<std::uint32_t> find_missed(const PageBoard& board, const Versions& versions);
+  void add_missed(const PageBoard& board, Versions versions, const std::set<std::uint32_t>& whole,
+                  std::map<std::uint32_t, Missed>& all);
   void plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items);
   void drop_ended(const stream::StreamModel& model);
   void order(std::vector<Item> items, double budget_bytes);
   [[nodiscard]] bool make_room(stream::StreamModel& model, const stream::OfferedPage& page);
   [[nodiscard]] bool begin_item(stream::StreamModel& model, PageBoard& board, const Item& item);
+  void drop_visibility();
   [[nodiscard]] bool affords(Kind kind, const SharedPacket& packet, std::int64_t now_ns);
   [[nodiscard]] static std::vector<bool> fits(const std::map<std::uint32_t, Record>& held, const SharedDelta& delta);
   void take_delta(const SharedDelta& delta, Trace& trace);
@@ -123,14 +135,10 @@ class ViewerFeed {
   std::map<std::uint32_t, Record> held_;
   std::map<std::uint32_t, std::int64_t> declined_;  ///< pages, and until when they are not sent again
   std::map<std::uint32_t, float> weights_;          ///< of the last plan
-  struct Missed {
-    double bytes = 0;
-    float steps = 0;  ///< that a Gaussian of the page is off
-    std::uint32_t deltas = 0;
-  };
-  std::map<std::uint32_t, Missed> missed_;  ///< by page, of the last plan
-  std::vector<std::uint32_t> ended_;        ///< that it holds, and that no delta of that plan ends
-  std::deque<SharedPacket> control_, scenes_;
+  std::map<std::uint32_t, Missed> missed_;          ///< by page, of the last plan
+  std::vector<std::uint32_t> ended_;                ///< that it holds, and that no delta of that plan ends
+  std::deque<SharedPacket> control_, news_, scenes_;
+  bool manifest_is_due_ = false;
   struct Visibility {
     SharedPacket packet;
     std::shared_ptr<const std::vector<wire::SeenPage>> pages;

@@ -103,7 +103,7 @@ void ViewerFeed::drop_ended(const stream::StreamModel& model) {
 }
 
 bool ViewerFeed::acknowledge(const Said& said, const stream::StreamModel& model, std::int64_t now_ns) {
-  rate_.acknowledged(said.bytes, said.window_s, now_ns);
+  rate_.acknowledged(std::min(said.newest, sequence_), now_ns);
   most_kbps_ = said.most_kbps;
   bool anew = false;
   for (const stream::SequenceRange& range : said.missing) {

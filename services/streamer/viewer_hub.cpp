@@ -14,6 +14,7 @@ constexpr std::size_t kMaxPictures = 8;
 constexpr std::size_t kMaxScenes = 8;  // that wait for one viewer; then one whole one does
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
 constexpr std::size_t kCamerasATick = 4;
+constexpr std::int64_t kLimitsToAcknowledge = 3;  // probe pictures may be on the way before what is numbered
 
 }  // namespace
 
@@ -31,14 +32,15 @@ void ViewerHub::say(const std::string& text) {
 }
 
 void ViewerHub::begin(Viewer& viewer, bool has_scene) {
-  viewer.feed.push(std::make_shared<WirePacket>(model_.layout_packet()));
+  std::vector<SharedPacket> packets{std::make_shared<WirePacket>(model_.layout_packet())};
   if (!has_scene) {
     viewer.feed.drop_scenes();
-    if (auto scene = model_.scene_packet()) viewer.feed.push(std::make_shared<WirePacket>(*scene));
+    if (auto scene = model_.scene_packet()) packets.push_back(std::make_shared<WirePacket>(*scene));
   }
   for (const auto& packet : model_.manifest_packets(board_.offered(), {}, true)) {
-    viewer.feed.push(std::make_shared<WirePacket>(packet));
+    packets.push_back(std::make_shared<WirePacket>(packet));
   }
+  viewer.feed.begin(std::move(packets));
 }
 
 void ViewerHub::add(stream::StreamUpdate update) {
@@ -54,7 +56,7 @@ void ViewerHub::add(stream::StreamUpdate update) {
   }
   for (auto& [peer, viewer] : viewers_) {
     viewer.feed.push_gone(model_, ended);
-    for (const SharedPacket& packet : news) viewer.feed.push(packet);
+    for (const SharedPacket& packet : news) viewer.feed.push_news(packet);
   }
 }
 
@@ -159,7 +161,9 @@ void ViewerHub::expire(std::int64_t now_ns) {
   const auto limit_ns = static_cast<std::int64_t>(options_.viewer_timeout_s * 1e9);
   const auto gone = std::erase_if(viewers_, [&](const auto& entry) {
     const Viewer& viewer = entry.second;
-    const bool silent = now_ns - viewer.heard_ns > limit_ns, stuck = now_ns - viewer.sent_ns > limit_ns;
+    const bool silent = now_ns - viewer.heard_ns > limit_ns;
+    const std::int64_t owes_ns = now_ns - viewer.feed.rate().owes_since_ns().value_or(now_ns);
+    const bool stuck = now_ns - viewer.sent_ns > limit_ns || owes_ns > kLimitsToAcknowledge * limit_ns;
     if (silent || stuck) {
       ++lost_viewers_;
       say(fmt::format("viewer {} {} nothing for {} s and is forgotten", viewer.name, silent ? "sent" : "read",

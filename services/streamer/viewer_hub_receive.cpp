@@ -132,8 +132,6 @@ void ViewerHub::take_held(Viewer& viewer, const wire::Held& held, std::int64_t n
                         .missing = {},
                         .lacks = {},
                         .dropped = {},
-                        .bytes = static_cast<double>(held.bytes()),
-                        .window_s = static_cast<double>(held.window_us()) * 1e-6,
                         .most_kbps = static_cast<double>(held.max_kbps())};
   if (held.missing()) {
     for (const wire::SequenceRange* range : *held.missing()) said.missing.push_back({range->first(), range->last()});

@@ -10,8 +10,8 @@ namespace splatbus::streamer {
 
 namespace {
 
-// A page that is missing is worth so many of its Gaussians' absences: what it uncovers shows too, and many small steps of
-// what is held never hold it up.
+// A page that is missing is worth so many of its Gaussians' absences: what it uncovers shows too, and many small steps
+// of what is held never hold it up.
 constexpr float kMissing = 16;
 constexpr float kBehindSteps = 5;          // of a page that has missed deltas which are no longer kept
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
@@ -46,37 +46,51 @@ void ViewerFeed::walk_deltas(const PageBoard& board, Versions& versions, const G
   }
 }
 
-// What pages have missed.
-void ViewerFeed::find_missed(const PageBoard& board, Versions versions) {
+// What pages have missed, and which of them come whole: those whose deltas have more bytes than they have themselves.
+// Who is slow is sent fewer states of a page rather than all of them later. Pages share a packet's bytes; what those
+// that come whole have in it falls to the others, so that these are asked again.
+std::set<std::uint32_t> ViewerFeed::find_missed(const PageBoard& board, const Versions& versions) {
+  std::set<std::uint32_t> whole;
   missed_.clear();
+  add_missed(board, versions, whole, missed_);
+  std::map<std::uint32_t, Missed> shared = missed_;
+  while (true) {
+    const std::size_t before = whole.size();
+    for (const auto& [number, missed] : shared) {
+      const stream::OfferedPage* page = board.find(number);
+      if (page && missed.deltas > kTicksDeltas && missed.bytes > board.bytes_of(*page)) whole.insert(number);
+    }
+    if (whole.size() == before) return whole;
+    shared.clear();
+    add_missed(board, versions, whole, shared);
+  }
+}
+
+void ViewerFeed::add_missed(const PageBoard& board, Versions versions, const std::set<std::uint32_t>& whole,
+                            std::map<std::uint32_t, Missed>& all) {
   std::uint64_t oldest = 0;
-  const auto all = [](const SharedDelta&, std::uint32_t) { return true; };
-  walk_deltas(board, versions, all, [&](const SharedDelta& delta, const auto& fitting) {
+  const auto goes = [&](const SharedDelta&, std::uint32_t page) { return !whole.contains(page); };
+  walk_deltas(board, versions, goes, [&](const SharedDelta& delta, const auto& fitting) {
     if (oldest == 0) oldest = delta.number;
     const auto steps = static_cast<double>(std::max<std::size_t>(fitting.size(), 1));
     for (const auto* step : fitting) {
-      Missed& missed = missed_[step->page];
+      Missed& missed = all[step->page];
       missed.bytes += static_cast<double>(delta.packet->bytes()) / steps;
       missed.steps += step->steps;
       ++missed.deltas;
     }
   });
+  if (!whole.empty()) return;
   oldest_delta_ = oldest != 0 ? oldest : board.deltas().empty() ? 0 : board.deltas().back().number + 1;
 }
 
-// A page whose deltas have more bytes than it has itself comes whole: who is slow is sent fewer states of a page rather
-// than all of them later.
 void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::vector<Item>& items) {
-  find_missed(board, versions);
-  std::set<std::uint32_t> whole;
-  for (const auto& [number, missed] : missed_) {
-    const stream::OfferedPage* page = board.find(number);
-    if (page && missed.deltas > kTicksDeltas && missed.bytes > board.bytes_of(*page)) whole.insert(number);
-  }
+  const std::set<std::uint32_t> whole = find_missed(board, versions);
   const auto goes = [&](const SharedDelta& delta, std::uint32_t page) {
-    // What is larger than the rate's burst never goes: its pages come whole.
+    // What is too large for the link never goes: its pages come whole.
     return !whole.contains(page) && static_cast<double>(delta.packet->bytes()) <= largest_packet();
   };
+  std::vector<std::vector<const stream::DeltaPacket::Step*>> steps;  // [items]
   walk_deltas(board, versions, goes, [&](const SharedDelta& delta, const auto& fitting) {
     float value = 0;
     for (const auto* step : fitting) {
@@ -85,7 +99,15 @@ void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::ve
     }
     const auto bytes = static_cast<double>(delta.packet->bytes());
     items.push_back({.score = value / static_cast<float>(bytes), .bytes = bytes, .delta = delta.number});
+    steps.push_back(fitting);
   });
+  // One that others go on from is worth as much as they are: without it they fit nothing.
+  std::map<std::uint32_t, float> worth;  // of what goes on from a page
+  for (std::size_t k = items.size(); k-- > 0;) {
+    float& score = items[k].score;
+    for (const auto* step : steps[k]) score = std::max(score, worth[step->page]);
+    for (const auto* step : steps[k]) worth[step->base] = std::max(worth[step->base], score);
+  }
 }
 
 void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
@@ -122,8 +144,9 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     const double bytes = board.bytes_of(page);
     const auto missed = missed_.find(page.page);
     const float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
-    // However old, what is held shows more than nothing; what has missed most comes first.
-    const float behind = off * stream::kAbsentSteps / (off + stream::kAbsentSteps);
+    // However old, what is held shows more than nothing; what has missed most comes first, however much all have
+    // missed.
+    const float behind = stream::kAbsentSteps * std::log1p(off / stream::kAbsentSteps);
     const float steps = held != held_.end() ? behind : kMissing * stream::kAbsentSteps;
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});

@@ -13,6 +13,7 @@ namespace splatbus::viewer {
 namespace {
 
 constexpr int kQueuedMessages = 64;
+constexpr int kConnectMs = 1000, kHandshakeMs = 3000;
 
 std::span<const std::uint8_t> bytes_of(const zmq::message_t& message) {
   return {static_cast<const std::uint8_t*>(message.data()), message.size()};
@@ -29,6 +30,9 @@ class ZmqLink final : public PacketLink {
     // fq.cpp).
     socket_.set(zmq::sockopt::reconnect_ivl, 50);
     socket_.set(zmq::sockopt::reconnect_ivl_max, 500);
+    // In an outage tcp repeats a connection's first segment ever more seldom; a new try each second is there sooner.
+    socket_.set(zmq::sockopt::connect_timeout, kConnectMs);
+    socket_.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
     socket_.set(zmq::sockopt::heartbeat_ivl, 1000);
     socket_.set(zmq::sockopt::heartbeat_timeout, 5000);
     socket_.set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(stream::kMaxPayloadBytes));

@@ -58,6 +58,7 @@ StreamResults results() {
                     {.viewers = 11, .from_s = 2, .to_s = 4, .whole = 10}};
   results.deliveries = {{.encoded_ns = kBegin, .there_ns = kBegin + 900'000'000},  // before the first whole picture
                         {.encoded_ns = kBegin + 1'990'000'000, .there_ns = kBegin + 2'000'000'000},
+                        {.encoded_ns = kBegin + 2'000'000'000, .there_ns = kBegin + 2'900'000'000, .whole = true},
                         {.encoded_ns = kBegin + 2'970'000'000, .there_ns = kBegin + 3'000'000'000},
                         {.encoded_ns = kBegin + 3'480'000'000, .there_ns = kBegin + 3'500'000'000}};
   results.tick_hz = 5;

@@ -159,7 +159,7 @@ TEST_F(TcpRelayTest, NothingPassesInACutAndEverythingAfterIt) {
   const LinkCut cut{.from_ns = bus::now_ns(), .to_ns = bus::now_ns() + kSecond};
   relay.cut(cut);
   ASSERT_EQ(::send(client.get(), "within", 6, 0), 6);
-  // Another that is tried meanwhile: its first segment is repeated after a second.
+  // Another that is tried meanwhile comes about with a try after it.
   const bus::FileDescriptor late_client = connect_to(relay.port());
   ASSERT_EQ(::send(late_client.get(), "late", 4, 0), 4);
   EXPECT_EQ(read_some(server.get(), 6), "within");

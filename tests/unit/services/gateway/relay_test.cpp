@@ -13,18 +13,22 @@ class Follower {
  public:
   explicit Follower(std::uint16_t port, std::string name = "page") : name_(std::move(name)), socket_(port) { greet(); }
 
-  /// Takes packets until `done`, and greets a streamer that asks for it or is silent; false after a patience.
+  /// Takes packets until `done`, says what has come, and greets a streamer that asks for it or is silent; false after a
+  /// patience.
   bool until(const std::function<bool()>& done) {
     const auto deadline = std::chrono::steady_clock::now() + kPatience;
     while (!done()) {
       if (std::chrono::steady_clock::now() > deadline) return false;
       const auto message = socket_.receive(200ms);
+      acknowledge();
       if (!message) {
         greet();
         continue;
       }
       const auto framed = stream::take_apart({reinterpret_cast<const std::uint8_t*>(message->data()), message->size()});
       const auto packet = stream::ParsedPacket::parse(framed.packet, framed.payload);
+      if (packet.body() == wire::Body::Welcome) newest_ = said_ = 0;
+      newest_ = std::max(newest_, packet.sequence());
       if (packet.body() == wire::Body::Welcome && packet.root().body_as_Welcome()->asks()) greet();
       replica_.receive(packet);
     }
@@ -33,7 +37,21 @@ class Follower {
   [[nodiscard]] const stream::Replica& replica() const { return replica_; }
   [[nodiscard]] WebSocketClient& socket() { return socket_; }
 
+  /// That what was sent up to `newest` has come.
+  void say_held(std::uint64_t newest) {
+    const auto held = stream::PacketWriter(name_, 1).write(
+        replica_.epoch(), 0, wire::Body::Held, [&](auto& builder) { return wire::CreateHeldDirect(builder, newest); });
+    socket_.send_packet(held.packet);
+  }
+
  private:
+  void acknowledge() {
+    const auto now = std::chrono::steady_clock::now();
+    if (newest_ == said_ || now - said_at_ < 50ms) return;
+    said_ = newest_;
+    said_at_ = now;
+    say_held(newest_);
+  }
   void greet() {
     const auto hello = stream::PacketWriter(name_, 1).write(0, 0, wire::Body::Hello, [&](auto& builder) {
       return wire::CreateHelloDirect(builder, name_.c_str(), nullptr, false, 0);
@@ -44,6 +62,8 @@ class Follower {
   std::string name_;
   WebSocketClient socket_;
   stream::Replica replica_;
+  std::uint64_t newest_ = 0, said_ = 0;
+  std::chrono::steady_clock::time_point said_at_;
 };
 
 class Relay : public GatewayTest {};
@@ -79,16 +99,43 @@ TEST_F(Relay, OneThatStopsReadingHarmsNoneOfTwenty) {
   slow.wire.receive_buffer = 4096;
   WebSocketClient stopped(port_, slow);
   stopped.send_packet(hello("stopped").packet);
-  // The model grows by more than all buffers on its way hold, until it has been let go of.
+  const std::uint64_t epoch = [&] {
+    EXPECT_TRUE(pages[0]->until([&] { return pages[0]->replica().count() == 500; }));
+    return pages[0]->replica().epoch();
+  }();
+  // The model grows by more than all buffers on its way hold, until it has been let go of; it lies about what has come.
   std::size_t count = 500;
   ASSERT_TRUE(bus_test::eventually([&] {
     count += 1000;
     trainer_.publish(stream::test::toy_model(count, static_cast<std::uint32_t>(count)));
     for (const auto& page : pages) EXPECT_TRUE(page->until([&] { return page->replica().count() == count; }));
-    stopped.send_packet(pose().packet);  // it is no silent one
+    const auto lie = [](auto& builder) { return wire::CreateHeldDirect(builder, ~std::uint64_t{0}); };
+    stopped.send_packet(packet(wire::Body::Held, lie, epoch).packet);
     return refused("stalled") == 1;
   }));
   EXPECT_TRUE(bus_test::eventually([&] { return status()["gateway"]["viewers"] == 20; }));
+}
+
+TEST_F(Relay, OnTheWayToABrowserThatStopsReadingIsLittle) {
+  constexpr double kKbps = 9000;
+  start_streamer({{"viewer_kbps", "9000"}});
+  start_gateway(endpoint(), {{"stall_s", "3600"}});
+  trainer_.publish(stream::test::toy_model(20'000, 1));
+  Follower page(port_);
+  ASSERT_TRUE(page.until([&] { return page.replica().count() == 20'000 && page.replica().missing_pages() == 0; }));
+  bus::Subscriber stats(connect("observer"), {"stream/stats"});
+  std::vector<std::uint64_t> sent;  // to all, each second
+  // All of the model changes, again and again.
+  for (std::uint32_t seed = 2; sent.size() < 5; ++seed) {
+    trainer_.publish(stream::test::toy_model(20'000, seed));
+    page.socket().send_packet(pose().packet);
+    if (const auto message = stats.receive(50ms)) {
+      sent.push_back(message->root<wire::StreamStats>("StreamStats/2").total_bytes());
+    }
+  }
+  EXPECT_LE(static_cast<double>(sent.back() - sent.front()), kKbps * 125) << "a second's worth, of four";
+  trainer_.publish(stream::test::toy_model(20'500, 1));
+  EXPECT_TRUE(page.until([&] { return page.replica().count() == 20'500 && page.replica().missing_pages() == 0; }));
 }
 
 TEST_F(Relay, AStreamerThatComesBackIsFoundByTheSameConnection) {

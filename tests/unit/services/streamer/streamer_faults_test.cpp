@@ -263,10 +263,12 @@ TEST_F(SteppedStreamerTest, AViewerThatDoesNotReadCostsNoMemoryAndIsForgotten) {
   deaf.connect(stepped_->endpoint());
   const stream::PacketWriter writer("deaf", 1);
   const auto say = [&](wire::Body body, auto build) {
-    (void)deaf.send(zmq::buffer(writer.write(0, 0, body, build).packet), zmq::send_flags::dontwait);
+    const auto packet = writer.write(good.replica().epoch(), 0, body, build);
+    (void)deaf.send(zmq::buffer(packet.packet), zmq::send_flags::dontwait);
   };
   say(wire::Body::Hello, [](auto& b) { return wire::CreateHelloDirect(b, "deaf"); });
   ASSERT_TRUE(settle([&] { return good.replica().count() == 3000; }, good));
+  say(wire::Body::Held, [](auto& b) { return wire::CreateHeldDirect(b, 1); });  // its last
   bus::Subscriber poses(observer_, {"viewer/pose"});
   const auto pose_of = [&](const std::string& name) {
     while (const auto message = poses.receive(1ms)) {

@@ -37,22 +37,35 @@ struct Seat {
       replica.receive(stream::test::parse(copy));
     }
   }
+  /// As often as a follower.
   void say(const stream::StreamModel& model, std::int64_t now_ns) {
+    const std::int64_t every_ns = bytes - said_bytes >= 32'768 ? kSecond / 20 : kSecond / 4;
+    if (bytes == said_bytes || now_ns - said_ns < every_ns) return;
+    said_bytes = bytes;
+    said_ns = now_ns;
     const auto& report = replica.report();
-    (void)feed.acknowledge({.newest = report.newest,
-                            .missing = report.missing,
-                            .lacks = report.lacks,
-                            .dropped = report.dropped,
-                            .bytes = 0,
-                            .window_s = 0},
-                           model, now_ns);
+    (void)feed.acknowledge(
+        {.newest = report.newest, .missing = report.missing, .lacks = report.lacks, .dropped = report.dropped}, model,
+        now_ns);
     replica.clear_report();
+  }
+
+  /// By whose number it knows what was lost before it.
+  void keep_alive(const stream::StreamModel& model, std::int64_t now_ns) {
+    const stream::PacketWriter writer("streamer", 1);
+    auto packet = writer.write(model.status().epoch, 0, wire::Body::Keepalive,
+                               [](auto& builder) { return wire::CreateKeepalive(builder); });
+    stream::set_sequence(packet, feed.next_sequence());
+    feed.sent_beside(static_cast<double>(packet.bytes()), now_ns);
+    bytes += packet.bytes();
+    replica.receive(stream::test::parse(packet));
   }
 
   ViewerFeed feed;
   stream::test::ShownReplica replica;
   std::optional<ViewerGaze> gaze;
-  std::uint64_t bytes = 0;
+  std::uint64_t bytes = 0, said_bytes = 0;
+  std::int64_t said_ns = 0;
   std::vector<std::pair<wire::Body, std::size_t>> sent;
   wire::Body lost = wire::Body::NONE;
   int lose = 0;
@@ -61,8 +74,8 @@ struct Seat {
 class ViewerFeedTest : public testing::Test {
  protected:
   void sit(Seat& seat) {
-    seat.feed.push(std::make_shared<WirePacket>(server_.stream.layout_packet()));
-    seat.feed.push(std::make_shared<WirePacket>(*server_.stream.scene_packet()));
+    seat.feed.begin({std::make_shared<WirePacket>(server_.stream.layout_packet()),
+                     std::make_shared<WirePacket>(*server_.stream.scene_packet())});
     std::vector<stream::OfferedPage> changed;
     (void)board_.add({}, changed);
   }
@@ -85,8 +98,9 @@ class ViewerFeedTest : public testing::Test {
     for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end; now_ns_ += kStep) {
       if (now_ns_ % kTick == 0 && amount >= 0) tick(seats, amount);
       for (Seat* seat : seats) seat->read(server_.stream, board_, now_ns_);
-      if (now_ns_ % kTick == 0) {
-        for (Seat* seat : seats) seat->say(server_.stream, now_ns_);
+      for (Seat* seat : seats) {
+        if (now_ns_ % kSecond == 0) seat->keep_alive(server_.stream, now_ns_);
+        seat->say(server_.stream, now_ns_);
       }
       if (each) each();
     }
@@ -168,6 +182,46 @@ TEST_F(ViewerFeedTest, WhoIsTooSlowForTheDeltasIsSentFewerStatesRatherThanOldOne
   }
 }
 
+TEST_F(ViewerFeedTest, WhatItLacksComesBeforeWhatItHoldsChanges) {
+  Seat fast(1e6), joins(2000);
+  sit(fast);
+  live({&fast}, 1);
+  std::uint64_t bytes = 0;
+  for (const auto& [body, size] : fast.sent) bytes += body == wire::Body::Page ? size : 0;
+  // All pages change with every tick, by more bytes than the rate has.
+  sit(joins);
+  const std::int64_t begin_ns = now_ns_;
+  std::optional<std::int64_t> whole_ns;
+  live({&fast, &joins}, 12, 0.02F, [&] {
+    if (!whole_ns && joins.replica.held().pages.size() == board_.offered().size()) whole_ns = now_ns_;
+  });
+  ASSERT_TRUE(whole_ns);
+  EXPECT_LE(static_cast<double>(*whole_ns - begin_ns) * 1e-9, 1.6 * static_cast<double>(bytes) / 250'000)
+      << "as if there were no changes, and a half";
+}
+
+TEST_F(ViewerFeedTest, WhoWasAwayIsSentChangesOrPagesWhicheverIsLess) {
+  for (const int ticks : {3, 40}) {
+    Seat away(1e6), stays(1e6);
+    sit(away);
+    sit(stays);
+    live({&away, &stays}, 2);
+    live({&away, &stays}, 0.2, -1);
+    // Its pages change a little with each tick while it is away.
+    std::uint64_t pages = 0, changes = 0;
+    for (const auto& [body, size] : stays.sent) pages += body == wire::Body::Page ? size : 0;
+    const std::size_t before = stays.sent.size();
+    for (int k = 0; k < ticks; ++k) live({&stays}, 0.2);
+    live({&stays}, 0.2, -1);
+    for (std::size_t k = before; k < stays.sent.size(); ++k) changes += stays.sent[k].second;
+    const std::uint64_t bytes = away.bytes;
+    live({&away, &stays}, 1, -1);
+    expect_exact(server_.stream, away.replica);
+    EXPECT_LE(static_cast<double>(away.bytes - bytes), 1.3 * static_cast<double>(std::min(pages, changes)))
+        << ticks << " ticks: all pages have " << pages << " bytes, the changes " << changes;
+  }
+}
+
 TEST_F(ViewerFeedTest, WhatAViewerHoldsIsWhatIsOffered) {
   Seat seat(1e6);
   sit(seat);
@@ -244,7 +298,7 @@ TEST_F(ViewerFeedTest, APacketIsLostOnceHoweverOftenAViewerSaysSo) {
   Seat seat(1e6);
   sit(seat);
   seat.read(server_.stream, board_, now_ns_);
-  const ViewerFeed::Said said{.newest = 0, .missing = {{1, 1}}, .lacks = {}, .dropped = {}, .bytes = 0, .window_s = 0};
+  const ViewerFeed::Said said{.newest = 0, .missing = {{1, 1}}, .lacks = {}, .dropped = {}};
   EXPECT_TRUE(seat.feed.acknowledge(said, server_.stream, now_ns_)) << "the Layout";
   EXPECT_FALSE(seat.feed.acknowledge(said, server_.stream, now_ns_));
   EXPECT_EQ(seat.feed.lost_packets(), 1U);
@@ -312,7 +366,7 @@ TEST_F(ViewerFeedTest, DeltasThatWaitGoOutInTheOrderInWhichTheyWereMade) {
   const std::uint64_t whole = seat.feed.whole_pages();
   tick({&seat}, 0.01F);
   tick({&seat}, 0.05F);  // changes more, and is worth more
-  seat.read(server_.stream, board_, now_ns_ += kStep);
+  live({&seat}, 0.1, -1);
   expect_exact(server_.stream, seat.replica);
   EXPECT_EQ(seat.feed.whole_pages(), whole);
 }
@@ -333,6 +387,35 @@ TEST_F(ViewerFeedTest, WithinItsMemoryItStaysWhenGaussiansOfItsPagesComeAndGo) {
   EXPECT_GT(seat.replica.count(), kMost - 2 * kPageLanes);
 }
 
+// As long as it does not acknowledge, or its rate lets nothing through.
+TEST_F(ViewerFeedTest, OfWhatWaitsForAViewerLittleIsKept) {
+  Seat seat(1e6);
+  sit(seat);
+  live({&seat}, 1, -1);
+  const auto one_manifest = server_.stream.manifest_packets(*server_.stream.offered(), {}, false);
+  ASSERT_EQ(one_manifest.size(), 1U);
+  const auto news = std::make_shared<WirePacket>(one_manifest.front());
+  const auto visibility = std::make_shared<WirePacket>(
+      stream::PacketWriter("streamer", 1).write(76, 0, wire::Body::Keepalive, [](auto& builder) {
+        return wire::CreateKeepalive(builder);
+      }));
+  const auto seen = std::make_shared<const std::vector<wire::SeenPage>>();
+  for (int k = 0; k < 1000; ++k) {
+    seat.feed.push_news(news);
+    seat.feed.push_visibility(visibility, seen);
+  }
+  EXPECT_LE(news.use_count(), 65);
+  EXPECT_LE(visibility.use_count(), 65);
+  // What many had said one says, the whole.
+  seat.sent.clear();
+  live({&seat}, 0.2, -1);
+  EXPECT_EQ(std::ranges::count(seat.sent, wire::Body::Manifest, &std::pair<wire::Body, std::size_t>::first), 1);
+  seat.sent.clear();
+  seat.feed.push_news(news);
+  live({&seat}, 0.2, -1);
+  EXPECT_EQ(std::ranges::count(seat.sent, wire::Body::Manifest, &std::pair<wire::Body, std::size_t>::first), 1);
+}
+
 /// A link of so many bytes a second that is filled as the rate allows; the viewer says four times a second what came.
 class Link {
  public:
@@ -340,23 +423,28 @@ class Link {
 
   /// A quarter of a second.
   void pass(double bytes_per_s) {
-    now_ns_ += kSecond / 4;
     for (int k = 0; k < 25; ++k) {
-      const double more = rate.available(now_ns_ + k * kStep);
-      rate.take(more, now_ns_ + k * kStep);
-      queued += more;
+      now_ns_ += kStep;
+      while (rate.available(now_ns_) >= kPacket && rate.has_room(kPacket, now_ns_)) {
+        rate.take(++sent_, kPacket, now_ns_);
+        queued += kPacket;
+      }
+      const double bytes = std::min(queued, bytes_per_s / 100);
+      queued -= bytes;
+      arrived += bytes;
+      passed_ += bytes;
     }
-    const double bytes = std::min(queued, bytes_per_s / 4);
-    queued -= bytes;
-    arrived += bytes;
-    rate.acknowledged(bytes, 0.25, now_ns_ + kSecond / 4);
+    rate.acknowledged(static_cast<std::uint64_t>(passed_ / kPacket), now_ns_);
   }
 
   ViewerRate rate;
   double queued = 0, arrived = 0;
 
  private:
+  static constexpr double kPacket = 1000;
   std::int64_t now_ns_ = kSecond;
+  std::uint64_t sent_ = 0;
+  double passed_ = 0;
 };
 
 TEST(ViewerRate, FindsOutWhatALinkTakesAndFollowsIt) {
@@ -371,6 +459,54 @@ TEST(ViewerRate, FindsOutWhatALinkTakesAndFollowsIt) {
     }
     EXPECT_GT(link.arrived, 0.75 * 50 * takes) << takes;
   }
+}
+
+/// A link that takes all, a way behind it, and 8 Mbit/s that are allowed.
+class LongWay {
+ public:
+  LongWay() { rate.set(8000, 0, now_ns_); }
+
+  /// Its sender has a turn every `turn_ns`. Returns kB/s that came.
+  double live(double seconds, std::int64_t round_trip_ns, std::int64_t turn_ns = kStep) {
+    const std::uint64_t before = come_;
+    for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end;
+         now_ns_ += turn_ns) {
+      for (; !way_.empty() && way_.front().first <= now_ns_; way_.pop_front()) come_ = way_.front().second;
+      if (now_ns_ - said_ns_ >= kSecond / 20) rate.acknowledged(come_, said_ns_ = now_ns_);
+      while (rate.available(now_ns_) >= 1000 && rate.has_room(1000, now_ns_)) {
+        rate.take(++sent_, 1000, now_ns_);
+        way_.emplace_back(now_ns_ + round_trip_ns, sent_);
+      }
+    }
+    return static_cast<double>(come_ - before) / seconds;
+  }
+
+  ViewerRate rate;
+
+ private:
+  std::deque<std::pair<std::int64_t, std::uint64_t>> way_;  // when packets come, and their numbers
+  std::int64_t now_ns_ = kSecond, said_ns_ = 0;
+  std::uint64_t sent_ = 0, come_ = 0;
+};
+
+TEST(ViewerRate, AWayThatBecomesLongerIsNotTakenForAQueueForEver) {
+  LongWay link;
+  EXPECT_GT(link.live(10, 20'000'000), 900);
+  link.live(30, 400'000'000);
+  EXPECT_GT(link.live(10, 400'000'000), 800);
+}
+
+TEST(ViewerRate, ALongWayIsNotTakenForASlowLinkAtTheStart) {
+  LongWay link;
+  link.live(1, 400'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
+}
+
+TEST(ViewerRate, ASenderThatIsLateIsNotTakenForASlowLink) {
+  LongWay link;
+  link.live(10, 20'000'000);
+  link.live(20, 20'000'000, 300'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
 }
 
 TEST(ViewerRate, TakesNoMoreThanTheViewerWants) {
