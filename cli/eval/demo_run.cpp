@@ -39,8 +39,7 @@ std::vector<Camera> held_out_cameras() {
   return circle_cameras({.count = kHeldOutCameras, .size = kSize, .phase_degrees = 180.0F / kReferenceCameras});
 }
 
-LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, const fs::path& viewer_pictures,
-                     std::optional<GatewayUrl>& gateway) {
+LaunchFile demo_file(const DemoOptions& options, const fs::path& viewer_pictures) {
   LaunchFile file = read_launch_file(options.launch_file);
   for (const auto& [name, value] : ring_parameters({.count = kReferenceCameras, .size = kSize})) {
     apply_override(file, fmt::format("capture-bridge.{}={}", name, value));
@@ -57,10 +56,7 @@ LaunchPlan make_plan(const DemoOptions& options, const bus::Address& address, co
   if (options.still) apply({.reference_rate_hz = kStillReferenceRate_hz}, file);
   set_backend(file, options.backend);
   check_backends(file);
-  gateway = settle_gateway(file);
-  LaunchPlan plan = plan_launch(file, address, program_directory());
-  check_parameters(file, plan);
-  return plan;
+  return file;
 }
 
 class Demo {
@@ -74,7 +70,11 @@ class Demo {
         probes_(pipeline_.context(), held_out_cameras()),
         view_(1),
         start_ns_(bus::now_ns()) {
-    pipeline_.start(make_plan(options, pipeline_.address(), viewer_pictures_, gateway_));
+    LaunchFile file = demo_file(options, viewer_pictures_);
+    gateway_ = settle_gateway(file);
+    const LaunchPlan plan = plan_launch(file, pipeline_.address(), program_directory());
+    check_parameters(file, plan);
+    pipeline_.start(plan, file);
   }
 
   [[nodiscard]] DemoStart start() const { return {.bus = pipeline_.address().text(), .gateway = gateway_}; }

@@ -3,6 +3,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "operator_verbs.h"
+#include "swap_verb.h"
 #include "verbs.h"
 
 namespace splatbus::cli {
@@ -16,9 +18,28 @@ PrivatePipeline::PrivatePipeline(const StopSignals& signals, std::filesystem::pa
       watch_(context_),
       live_(context_) {}
 
+void PrivatePipeline::start(const LaunchPlan& plan, const LaunchFile& file) {
+  control_.emplace(address_);
+  start(plan);
+  const auto operated = std::make_shared<Operated>(Operated{.supervisor = run_->supervisor(),
+                                                            .file = file,
+                                                            .bus = address_,
+                                                            .log_folder = {},
+                                                            .stop = [down = down_]() mutable { down.request_stop(); }});
+  add_operator_verbs(*control_, operated);
+  add_swap_handler(*control_, operated);
+  control_->start();
+}
+
+void PrivatePipeline::stop() {
+  if (control_) control_->stop();  // what its verbs refer to goes
+  run_->stop();
+}
+
 void PrivatePipeline::poll(std::chrono::milliseconds timeout) {
   run_->check();
   if (signals_.stop().stop_requested()) throw std::runtime_error("interrupted");
+  if (down_.stop_requested()) throw std::runtime_error("ended by 'splatbus down'");
   watch_.poll(timeout);
   live_.poll(std::chrono::milliseconds(0));
 }

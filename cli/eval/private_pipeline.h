@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "bus/context.h"
+#include "control_server.h"
 #include "model/live_scene.h"
 #include "pipeline_watch.h"
 #include "supervised_run.h"
@@ -28,10 +29,12 @@ class PrivatePipeline {
 
   /// Once.
   void start(const LaunchPlan& plan) { run_.emplace(plan, log_); }
+  /// The same, and the operator's verbs (status, swap, down ...) are answered on this bus. `file` is what was planned.
+  void start(const LaunchPlan& plan, const LaunchFile& file);
   /// Takes in what has come, and waits for it up to `timeout`. Throws std::runtime_error when a service has failed for
   /// good, or the user interrupts.
   void poll(std::chrono::milliseconds timeout);
-  void stop() { run_->stop(); }  ///< every service
+  void stop();  ///< every service
 
   [[nodiscard]] const PipelineState& state() const { return watch_.state(); }
   [[nodiscard]] LiveScene& live() { return live_; }
@@ -49,6 +52,8 @@ class PrivatePipeline {
   PipelineWatch watch_;
   LiveScene live_;
   std::optional<SupervisedRun> run_;
+  std::stop_source down_;  ///< as an operator asks
+  std::optional<ControlServer> control_;
 };
 
 }  // namespace splatbus::cli

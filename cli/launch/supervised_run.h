@@ -41,6 +41,7 @@ class SupervisedRun {
 
   [[nodiscard]] std::vector<ProcessStatus> status() const { return supervisor_.status(); }
   [[nodiscard]] bool all_running() const;
+  [[nodiscard]] Supervisor& supervisor() { return supervisor_; }
 
   /// Throws std::runtime_error with its last lines of output once a process has failed for good.
   void check() const;

@@ -228,5 +228,25 @@ TEST_F(OperatedPipeline, APortInUseIsFinal) {
   EXPECT_EQ(gateway.at("detail"), "exited with status 78");
 }
 
+/// A demo's services are operated as any others, on the bus that it prints.
+TEST_F(OperatedPipeline, ADemoIsOperatedToo) {
+  std::ofstream(file()) << Pipeline::launch_file();
+  ChildProcess demo(SPLATBUS_BIN_DIR "/splatbus",
+                    {"demo", "--still", "--seconds", "600", "--bus", bus(), "--launch", file(), "--out",
+                     (files_.path() / "demo").string()},
+                    test_environment());
+  ASSERT_TRUE(eventually([&] { return run({"status"}).status.success() && pid_of("relight") != 0; }));
+  ASSERT_TRUE(eventually([&] { return status()["relight"].value("state", "") == "running"; }));
+  const pid_t before = pid_of("relight");
+  expect_success({"swap", "relight"});
+  EXPECT_NE(pid_of("relight"), before);
+  expect_success({"down"});
+  std::optional<ExitStatus> ended;
+  EXPECT_TRUE(eventually([&] { return (ended = demo.poll_exit()).has_value(); }));
+  ASSERT_TRUE(ended);
+  EXPECT_EQ(ended->code, 1);
+  EXPECT_THAT(demo.read_lines(true), Contains(HasSubstr("ended by 'splatbus down'")));
+}
+
 }  // namespace
 }  // namespace splatbus::cli

@@ -10,7 +10,8 @@
 namespace splatbus::raster::testing {
 namespace {
 
-TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
+/// Six steps on three views, one masked, on both devices.
+void expect_same_steps(float learning_rate, float lr_half_life_steps, float noise_damping) {
   const Case c{"", {Appearance::Transfer, 0}, 800, 64, 56, true, true, -2.5F};
   GaussiansBuffer model = random_model(c, 3);
   const SceneState scene = random_scene(true);
@@ -26,12 +27,13 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   }
   std::vector<std::uint8_t> mask(std::size_t{c.width} * c.height);  // of the second view
   for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = i / 7 % 3 == 0 ? 1 : 0;
-  const std::vector<float> rates(41, 1e-3F);
+  const std::vector<float> rates(41, learning_rate);
   constexpr int kSteps = 6;
 
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
-  cuda::TrainStep trainer({.albedo_weight = 0.5F, .lr_half_life_steps = 3});
+  cuda::TrainStep trainer(
+      {.albedo_weight = 0.5F, .lr_half_life_steps = lr_half_life_steps, .noise_damping = noise_damping});
   trainer.set_model(device.view());
   trainer.set_learning_rates(rates);
   std::vector<device::Buffer<std::uint8_t>> pictures(3);
@@ -52,7 +54,8 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
 
   const auto cpu = make_cpu_rasterizer(2);
   Adam adam;
-  adam.lr_half_life_steps = 3;
+  adam.lr_half_life_steps = lr_half_life_steps;
+  adam.noise_damping = noise_damping;
   adam.resize(c.layout, model.count());
   float loss = 0;
   for (int step = 0; step < kSteps; ++step) {
@@ -84,6 +87,14 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
     }
   }
   EXPECT_LT(std::sqrt(difference / norm), 1e-3);
+}
+
+TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
+  expect_same_steps(1e-3F, 3, 0);
+}
+
+TEST_F(CudaTest, TrainStepShrinksSettledStepsAsTheCpuOptimizerDoes) {
+  expect_same_steps(0.05F, 0.05F, 1);  // settled from the second step on
 }
 
 TEST_F(CudaTest, ViewsMayMoveDifferentObjects) {
