@@ -45,12 +45,12 @@ StepReport& StepReport::operator+=(const StepReport& later) {
 }
 
 float active_share(std::span<const raster::PageLook> pages, const model::PageTable& table) {
-  double pairs = 0, active = 0;
+  double all_px = 0, active_px = 0;
   for (const raster::PageLook& page : pages) {
-    pairs += page.pairs;
-    if (table.entry(page.page).now.state != model::PageState::Frozen) active += page.pairs;
+    all_px += page.weight_px;
+    if (table.entry(page.page).now.state != model::PageState::Frozen) active_px += page.weight_px;
   }
-  return pairs > 0 ? static_cast<float>(active / pairs) : 1.0F;
+  return all_px > 0 ? static_cast<float>(active_px / all_px) : 1.0F;
 }
 
 std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const Options& options) {
