@@ -188,6 +188,7 @@ void Optimizer::publish(const bus::Publisher& publisher) {
 void Optimizer::collect(bool wait) {
   const StepReport done = step_->finished(wait);
   if (options_.freeze.enabled) freezer_.see(store_, done.looks);
+  shown_shares_.see(store_, done.looks);
   done_ += done.steps;
   unbooked_s_ += done.seconds;
   report_ += done;
