@@ -102,6 +102,7 @@ void StreamModel::offer() {
                         .object_id = target.object_id,
                         .level = page.level,
                         .frozen = page.frozen,
+                        .shown_share = target.shown_share,
                         .bounds = target.bounds});
   }
   std::ranges::sort(*offered, {}, &OfferedPage::page);

@@ -85,7 +85,8 @@ bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
     if (!sensible) bus::require_usable(device_);
   }
   if (!published_ || !published_->refresh()) return false;
-  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
+  return model_.observe(
+      published_->average(), [&] { return published_->still_valid(); }, published_->shown_shares());
 }
 
 ModelFollower::Result ModelFollower::follow(Job& job) {
