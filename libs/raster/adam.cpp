@@ -222,7 +222,6 @@ AdamStep Adam::piece(const GaussiansView& gaussians, float* parameters, const Pa
                 .epsilon = epsilon,
                 .lr_half_life_steps = lr_half_life_steps,
                 .lr_min_factor = lr_min_factor,
-                .noise_damping = noise_damping,
                 .unit_begin = unit_albedo ? ParameterLayout::kAlbedo : 0,
                 .unit_end = unit_albedo ? ParameterLayout::kAlbedo + 3 : 0};
   look(gaussians, begin, step);

@@ -40,9 +40,6 @@ class Adam {
   /// h and l: the rates of a Gaussian fall with its own age t (LearningAge), in steps, to max(l, h / (h + t)) of what
   /// they are; h 0: they stay.
   float lr_half_life_steps = 0, lr_min_factor = 0;
-  /// c: a parameter's step is multiplied by u^2 / (u^2 + c s), where u = m / sqrt(v) (bias-corrected) says how far its
-  /// gradients agree, and s = max(0, 1 - f / kSettledRate) of its Gaussian, f what age has left of the rates. 0: by 1.
-  float noise_damping = 0;
   bool unit_albedo = false;  ///< Transfer: albedo stays within [0, 1]
   /// Of the next step. Without any, every step ages by one.
   std::vector<AdamView> views;

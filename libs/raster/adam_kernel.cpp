@@ -85,8 +85,6 @@ void AdamRange(const AdamStep& step, std::size_t count) {
   // Bias corrections of every column, the first times its rate; one of 0 marks a column that rests.
   alignas(64) std::array<float, kAdamPiece> first_correction;
   alignas(64) std::array<float, kAdamPiece> second_correction;
-  // Of squared steps without a channel's rate, at which noise halves them.
-  alignas(64) std::array<float, kAdamPiece> damping;
   alignas(64) std::array<float, kAdamPiece> steps;
   alignas(64) std::array<float, kAdamPiece> ages;
   std::array<std::uint8_t, kAdamPiece> busy;  // a vector of columns
@@ -112,8 +110,6 @@ void AdamRange(const AdamStep& step, std::size_t count) {
                        : Splat1(1.0F);
     hn::Store(hn::IfThenElseZero(moving, hn::Div(rate, bias1)), f, first_correction.data() + k);
     hn::Store(hn::IfThenElse(moving, hn::Div(Splat1(1.0F), bias2), Splat1(1.0F)), f, second_correction.data() + k);
-    const V settled = hn::Max(hn::Zero(f), hn::NegMulAdd(Splat1(1 / kSettledRate), rate, Splat1(1.0F)));
-    hn::Store(hn::Mul(hn::Mul(Splat1(step.noise_damping), settled), hn::Mul(rate, rate)), f, damping.data() + k);
   }
 
   const V beta1 = Splat1(step.beta1), beta2 = Splat1(step.beta2), epsilon = Splat1(step.epsilon), one = Splat1(1.0F);
@@ -149,10 +145,7 @@ void AdamRange(const AdamStep& step, std::size_t count) {
       V r = hn::ApproximateReciprocalSqrt(s);
       r = hn::Mul(r, hn::NegMulAdd(hn::Mul(MulScalar(s, 0.5F), r), r, Splat1(1.5F)));
       const V inverse = hn::Mul(r, Reciprocal(hn::MulAdd(epsilon, r, one)));
-      V move = hn::Mul(hn::Mul(correction, m), inverse);
-      const V square = hn::MulAdd(move, move, Splat1(1e-30F));
-      move = hn::Mul(move, hn::Mul(square, Reciprocal(hn::Add(square, hn::Load(f, damping.data() + k)))));
-      const V p = hn::Min(high, hn::Max(low, hn::NegMulAdd(rate, move, p_old)));
+      const V p = hn::Min(high, hn::Max(low, hn::NegMulAdd(hn::Mul(hn::Mul(rate, correction), m), inverse, p_old)));
       StoreFirst(f, hn::IfThenElse(moving, m, m_old), first + k, n);
       StoreFirst(f, hn::IfThenElse(moving, v, v_old), second + k, n);
       StoreFirst(f, hn::IfThenElse(moving, p, p_old), parameters + k, n);

@@ -30,7 +30,6 @@ struct AdamStep {
   float* detail = nullptr;      ///< of LearningAge
   float beta1 = 0, beta2 = 0, epsilon = 0;
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
-  float noise_damping = 0;                          ///< as in Adam
   int unit_begin = 0, unit_end = 0;                 ///< channels that stay within [0, 1]
   std::array<ViewDistance, kMaxDistances> distances{};
   std::size_t distance_count = 0;  ///< 0: every view teaches all there is

@@ -14,10 +14,6 @@ inline constexpr float kAgreement = 0.25F;
 /// What is left of the age at each step of a view whose loss has risen, where gradients agree.
 inline constexpr float kRecovery = 0.5F;
 
-/// Of its first rates, below which a Gaussian begins to count as settled: what is left to learn are small steps, which
-/// noise would have it take for ever.
-inline constexpr float kSettledRate = 0.03F;
-
 /// What is nearer to a camera counts as being this near.
 inline constexpr float kNearestDepth_m = 0.01F;
 

@@ -88,16 +88,14 @@ inline constexpr float kSameSurfaceCosine = 0.5F;  ///< between normals of point
 
 /// Lengths without a unit are of a sample's spacing.
 struct SelectOptions {
-  float reach_m = 60;    ///< what lies nearer to a viewpoint is modelled, however small it is in its pictures
-  float min_pixels = 1;  ///< beyond, what is at least this large there
-  float finest_pixels =
-      0.7F;  ///< samples closer together than this in the nearest viewpoint's pictures count as so far
-  std::uint32_t min_samples = 4;    ///< a cell counts as seen with this many in it and beside it
-  float new_distance = 1;           ///< what is modelled nearer than this covers a sample
-  float fill_distance = 0.75F;      ///< in a cell that is being filled only what is nearer than this does
-  float hole_distance = 1.4F;       ///< where nothing is modelled nearer than this there is a hole, which is filled
-  float refine_factor = 1.4F;       ///< a cell is filled again when its samples are finer than before by this
-  float refine_share = 0.5F;        ///< or when this share of them, min_samples at least, is not covered; or at a hole
+  float reach_m = 60;             ///< what lies nearer to a viewpoint is modelled, however small it is in its pictures
+  float min_pixels = 1;           ///< beyond, what is at least this large there
+  std::uint32_t min_samples = 4;  ///< a cell counts as seen with this many in it and beside it
+  float new_distance = 1;         ///< what is modelled nearer than this covers a sample
+  float fill_distance = 0.75F;    ///< in a cell that is being filled only what is nearer than this does
+  float hole_distance = 1.4F;     ///< where nothing is modelled nearer than this there is a hole, which is filled
+  float refine_factor = 1.4F;     ///< a cell is filled again when its samples are finer than before by this
+  float refine_share = 0.5F;      ///< or when this share of them, min_samples at least, is not covered; or at a hole
   std::uint32_t room = 0xFFFFFFFF;  ///< at most this many are selected, the first of the round
 };
 
@@ -179,7 +177,6 @@ class SampleSelector {
   device::Buffer<Viewpoint> viewpoints_;
   device::Buffer<CellKey> keys_, cell_keys_;
   device::Buffer<std::uint32_t> order_, cell_start_, selected_, counter_;
-  device::Buffer<float> spacing_m_;  ///< of the round's samples, as they count
   device::Buffer<CellSums> sums_;
   device::Buffer<std::uint8_t> fill_, wanted_, lack_;
   device::Buffer<bool> seen_;

@@ -11,8 +11,6 @@ void Options::bind(bus::ParameterBinder& p) {
         {.minimum = 0});
   p.add("min_pixels", insert.select.min_pixels,
         "spacing in a viewer's picture from which farther samples are modelled, pixels", {.minimum = 0});
-  p.add("finest_pixels", insert.select.finest_pixels,
-        "spacing in the nearest viewer's picture below which samples count as no finer, pixels", {0, 100});
   p.add("ahead_s", ahead_s, "time ahead at which viewers count too, s", {0, 60});
   p.add("min_samples", insert.select.min_samples,
         "samples in a cell and its neighbours that make the cell count as seen", {1, 10000});

@@ -42,11 +42,10 @@ struct BinSample {
   ObjectFrames frames;
   const Viewpoint* viewpoints;
   std::uint32_t viewpoint_count;
-  float reach_m, min_pixels, finest_pixels;
+  float reach_m, min_pixels;
   std::uint32_t far_field;  ///< the frame that goes with every viewer
   float cell_size_m, search_factor;
   CellKey *keys, *report_keys;
-  float* spacing_m;
   std::uint32_t* beyond;
 
   [[nodiscard]] SPLATBUS_PORTABLE_MEMBER bool pays(std::uint32_t i) const {
@@ -59,24 +58,10 @@ struct BinSample {
     return viewpoint_count == 0;
   }
 
-  /// A camera may come nearer than any viewer, and no viewer is shown what is finer than his pixels: another camera
-  /// that comes nearer still is no reason to fill again.
-  [[nodiscard]] SPLATBUS_PORTABLE_MEMBER float counted_spacing_m(std::uint32_t i) const {
-    float shown_m = 0;
-    for (std::uint32_t v = 0; v < viewpoint_count && samples.object_id[i] != far_field; ++v) {
-      const float focal_px = viewpoints[v].focal_px;
-      if (!(focal_px > 0)) return samples.spacing_m[i];
-      const float pixel_m = distance_to_path(samples.position[i], viewpoints[v]) / focal_px;
-      shown_m = v == 0 ? pixel_m : math::smaller(shown_m, pixel_m);
-    }
-    return math::larger(samples.spacing_m[i], finest_pixels * shown_m);
-  }
-
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     keys[i] = report_keys[i] = {};
     if (samples.spacing_m[i] == 0 || !pays(i)) return;
-    LocalSample local = localised(samples, frames, i);
-    spacing_m[i] = local.spacing_m = math::larger(local.spacing_m, counted_spacing_m(i));
+    const LocalSample local = localised(samples, frames, i);
     const CellKey finest = cell_at(local.position_m(), local.frame_id, cell_size_m, 0);
     if (finest.none()) {
       device::atomic_add(beyond, 1U);
@@ -149,7 +134,6 @@ struct TestSample {
   float fill_distance, new_distance, hole_distance;
   const CellKey* keys;
   const std::uint32_t* order;
-  const float* spacing_m;  ///< of the round's samples, as they count
   const ModelledPoint* points;
   const bool* seen;
   const std::uint32_t* neighbours;
@@ -205,13 +189,12 @@ struct TestSample {
 
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t i) const {
     const std::uint32_t cell = lower_bound(cells.keys, cells.count, keys[i]);
-    LocalSample local = localised(samples, frames, order[i]);
-    local.spacing_m = spacing_m[order[i]];
-    lack[i] = seen[cell] ? lack_of(cell, local) : kCovered;
+    lack[i] = seen[cell] ? lack_of(cell, localised(samples, frames, order[i])) : kCovered;
     if (lack[i] >= kLoose) device::atomic_add(&sums[cell].uncovered, 1U);
     if (lack[i] >= kHole) device::atomic_add(&sums[cell].holes, 1U);
     const float edge_m = edge_of(cells.keys[cell].level, cell_size_m);
-    device::atomic_add(&sums[cell].spacing, static_cast<std::uint32_t>(local.spacing_m / edge_m * kFixedOne + 0.5F));
+    device::atomic_add(&sums[cell].spacing,
+                       static_cast<std::uint32_t>(samples.spacing_m[order[i]] / edge_m * kFixedOne + 0.5F));
   }
 };
 
@@ -249,7 +232,6 @@ SampleSelector::SampleSelector(StreamView stream, float cell_size_m)
       cell_start_(stream),
       selected_(stream),
       counter_(stream, 1),
-      spacing_m_(stream),
       sums_(stream),
       fill_(stream),
       wanted_(stream),
@@ -268,15 +250,14 @@ void SampleSelector::bin(const Samples& samples, std::span<const ObjectFrame> ob
   viewpoints_.assign(viewpoints);
   for (auto* buffer : {&keys_, &cell_keys_}) reserve(*buffer, n);
   for (auto* buffer : {&order_, &selected_}) reserve(*buffer, n);
-  reserve(spacing_m_, n);
   for (auto* buffer : {&wanted_, &lack_}) reserve(*buffer, n);
   reserve(cell_start_, std::size_t{n} + 1);
   counter_.clear();
   const float search_factor = std::max({kCellSpacings, options.new_distance, options.hole_distance});
   for_each_index(stream_, n,
                  BinSample{samples, frames(), viewpoints_.data(), static_cast<std::uint32_t>(viewpoints.size()),
-                           options.reach_m, options.min_pixels, options.finest_pixels, kFarFieldFrame, cell_size_m_,
-                           search_factor, keys_.data(), cell_keys_.data(), spacing_m_.data(), counter_.data()});
+                           options.reach_m, options.min_pixels, kFarFieldFrame, cell_size_m_, search_factor,
+                           keys_.data(), cell_keys_.data(), counter_.data()});
   report_ = count_cells(stream_, cell_keys_.data(), n);
   beyond_ = counter_.to_host().front();
   with_policy(stream_, [&](auto&& policy) {
@@ -304,8 +285,8 @@ std::uint32_t SampleSelector::select(const Samples& samples, const PointGrid& mo
       TestCell{cells, modelled.keys(), modelled.size(), options.min_samples, seen_.data(), neighbours_.data()});
   for_each_index(stream_, binned_,
                  TestSample{samples, frames(), cells, cell_size_m_, options.fill_distance, options.new_distance,
-                            options.hole_distance, keys_.data(), order_.data(), spacing_m_.data(), modelled.points(),
-                            seen_.data(), neighbours_.data(), lack_.data(), sums_.data()});
+                            options.hole_distance, keys_.data(), order_.data(), modelled.points(), seen_.data(),
+                            neighbours_.data(), lack_.data(), sums_.data()});
   const std::vector<CellSums> sums = sums_.to_host();
   const std::vector<bool> holes = about_holes(sums);
   std::vector<std::uint8_t> fill(cells_);

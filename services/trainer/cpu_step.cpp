@@ -85,7 +85,6 @@ void CpuStep::set_options(Options& options) {
   gradient_.active_channels = active_channels(options);
   adam_.lr_half_life_steps = options.lr_half_life_steps;
   adam_.lr_min_factor = options.lr_min_factor;
-  adam_.noise_damping = options.noise_damping;
   adam_.unit_albedo = options.layout.appearance == Appearance::Transfer;
 }
 

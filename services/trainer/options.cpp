@@ -61,10 +61,6 @@ void Options::bind(bus::ParameterBinder& p) {
         "a Gaussian's own steps after which its learning rates halve; 0: never; -1: 1000 on the CPU, 200 on a GPU",
         {-1, 1e9});
   p.add("lr_min_factor", lr_min_factor, "smallest factor that aging leaves of a Gaussian's learning rates", {0, 1});
-  p.add("noise_damping", noise_damping,
-        "damping of a settled Gaussian's steps where its gradients disagree (0: none; 0.25: steps of pure noise to a "
-        "sixth)",
-        {0, 100});
   p.add("lr_recovery", lr_recovery, "raise learning rates again where the loss of a view rises");
   p.add("lr_mean", learning_rates.mean_extents, "learning rate of means, scene extents", {0, 1});
   p.add("lr_log_scale", learning_rates.log_scale, "learning rate of log-scales", {0, 1});

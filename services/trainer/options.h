@@ -85,7 +85,6 @@ struct Options {
   float ema_decay = 0.98F;                               ///< of the parameters' average, a step
   float ema_s = 0.5F;                                    ///< of optimizer time that the average covers at least
   float lr_half_life_steps = -1, lr_min_factor = 0.01F;  ///< as in raster::Adam; below 0: as suits the optimizer
-  float noise_damping = 0;                               ///< as in raster::Adam
   bool lr_recovery = true;                               ///< rates rise again where the loss of a view does
   float scene_extent_m = 5;
   float prune_scale_extents = 0.5F, densify_scale_extents = 0.01F;

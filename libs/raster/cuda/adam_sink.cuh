@@ -20,7 +20,7 @@ struct AdamSink {
   OptimizerState state;
   AdamOptions options;
   int active_channels;
-  float correction1 = 1.0F, correction2 = 1.0F, damping = 0.0F;
+  float correction1 = 1.0F, correction2 = 1.0F;
 
   /// Of channel 0: the first moment. The second one of a channel lies `second()` behind its first.
   [[nodiscard]] __device__ float* moments(int i) const {
@@ -39,7 +39,6 @@ struct AdamSink {
     const auto step = static_cast<float>(taken);
     const float half = options.lr_half_life_steps;
     const float rate = half > 0.0F ? fmaxf(options.lr_min_factor, half / (half + age(item, mean, step))) : 1.0F;
-    damping = options.noise_damping * fmaxf(0.0F, 1.0F - rate / kSettledRate) * rate * rate;
     correction1 = rate / (1.0F - exp2f(step * log2f(options.beta1)));
     correction2 = 1.0F / (1.0F - exp2f(step * log2f(options.beta2)));
   }
@@ -101,8 +100,7 @@ struct AdamSink {
       first_moments[k * spacing * kLanes] = m[k];
       second_moments[k * spacing * kLanes] = v[k];
       const float scale = square_root(v[k] * correction2) + options.epsilon;
-      const float move = __fdividef(m[k] * correction1, scale), square = move * move + 1e-30F;
-      float next = value[k] - options.learning_rate[channel] * move * __fdividef(square, square + damping);
+      float next = value[k] - __fdividef(options.learning_rate[channel] * m[k] * correction1, scale);
       if (kUnit && options.unit_albedo) next = fminf(fmaxf(next, 0.0F), 1.0F);
       parameters[k * spacing] = next;
     }

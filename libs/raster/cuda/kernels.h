@@ -121,7 +121,6 @@ struct AdamOptions {
   int active_channels = 0;                          ///< 0: all
   bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
-  float noise_damping = 0;                          ///< as in Adam
   /// Device array of what each view's loss is at most before it has risen (LossHistory); null: rates do not recover.
   const float* loss_limits = nullptr;
 };

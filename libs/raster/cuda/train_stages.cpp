@@ -87,7 +87,6 @@ void TrainStep::update(const ViewBatch& batch, const WorkspaceView& w) {
                                  .unit_albedo = options_.unit_albedo,
                                  .lr_half_life_steps = options_.lr_half_life_steps,
                                  .lr_min_factor = options_.lr_min_factor,
-                                 .noise_damping = options_.noise_damping,
                                  .loss_limits = options_.lr_recovery ? batch.loss_limits() : nullptr};
   launch_update(gaussians_, w, options_.project, adam_.view(), adam_options, adam_.statistics(), stream());
   launch_bounds(gaussians_, w, stream());

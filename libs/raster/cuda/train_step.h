@@ -32,7 +32,6 @@ struct TrainStepOptions {
   int active_channels = 0;
   bool unit_albedo = false;                         ///< Transfer: albedo stays within [0, 1]
   float lr_half_life_steps = 0, lr_min_factor = 0;  ///< as in Adam
-  float noise_damping = 0;                          ///< as in Adam
   bool lr_recovery = false;  ///< rates rise again where the loss of a view (of one camera id) does
   /// Pixels of views with depth that nothing models yet count as masked (raster/unmodelled.h); 0: none.
   float mask_opacity = 0;

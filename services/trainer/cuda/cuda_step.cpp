@@ -27,7 +27,6 @@ raster::cuda::TrainStepOptions train_options(const Options& options) {
           .unit_albedo = options.layout.appearance == Appearance::Transfer,
           .lr_half_life_steps = options.lr_half_life_steps,
           .lr_min_factor = options.lr_min_factor,
-          .noise_damping = options.noise_damping,
           .lr_recovery = options.lr_recovery,
           .mask_opacity = options.mask_opacity,
           .look_interval = options.freeze.enabled ? kLookInterval : 0};

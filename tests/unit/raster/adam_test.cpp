@@ -93,48 +93,6 @@ struct AgeFixture : Fixture {
   static float rate_at(float age) { return 10 / (10 + age); }
 };
 
-/// Adam of one parameter in double precision, as Kingma and Ba 2015 have it, its step shrunk where gradients disagree.
-class ScalarAdam {
- public:
-  double step(double gradient, double rate, double damping) {
-    m_ = 0.9 * m_ + 0.1 * gradient;
-    v_ = 0.999 * v_ + 0.001 * gradient * gradient;
-    ++steps_;
-    const double u = m_ / (1 - std::pow(0.9, steps_)) / std::sqrt(v_ / (1 - std::pow(0.999, steps_)));
-    return rate * u * u * u / (u * u + damping * std::max(0.0, 1 - rate / 0.03));
-  }
-
- private:
-  double m_ = 0, v_ = 0;
-  int steps_ = 0;
-};
-
-TEST(Adam, SettledStepsShrinkWhereGradientsDisagree) {
-  AgeFixture fixture;
-  fixture.adam.noise_damping = 0.25F;
-  ScalarAdam agreeing, noisy;
-  double agreed = 0, wandered = 0;
-  std::uint32_t random = 1;
-  for (int step = 1; step <= 1500; ++step) {
-    random = random * 1664525U + 1013904223U;
-    const float noise = (random & 0x80000000U) != 0 ? 1.0F : -1.0F;
-    for (std::size_t i = 0; i < 40; ++i) fixture.gradient.values[4 * fixture.gradient.stride + i] = noise;
-    fixture.step();
-    const double rate = 10.0 / (10 + step);
-    agreed += agreeing.step(2, rate, 0.25);
-    wandered += noisy.step(noise, rate, 0.25);
-  }
-  EXPECT_NEAR(fixture.moved(3, 7), agreed, 1e-2);
-  EXPECT_NEAR(fixture.moved(4, 7), wandered, 1e-2);
-  // A beginner's step is Adam's own.
-  AgeFixture first, undamped;
-  first.adam.noise_damping = 100;
-  first.adam.lr_half_life_steps = undamped.adam.lr_half_life_steps = 1e9F;
-  first.step();
-  undamped.step();
-  EXPECT_NEAR(first.moved(3, 7), undamped.moved(3, 7), 1e-4F);
-}
-
 TEST(Adam, ADistantViewDoesNotAge) {
   AgeFixture fixture;
   fixture.look_from({1});

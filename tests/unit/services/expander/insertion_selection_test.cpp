@@ -18,26 +18,16 @@ class PlainSelection {
  public:
   explicit PlainSelection(const SelectOptions& options) : options_(options) {}
 
-  std::vector<glm::vec3> insert(const HostRound& seen_round, const std::vector<Viewpoint>& viewpoints) {
+  std::vector<glm::vec3> insert(const HostRound& round, const std::vector<Viewpoint>& viewpoints) {
     std::map<Cell, std::size_t> samples;
-    const auto distance_m = [&](std::size_t i, const Viewpoint& viewpoint) {
-      return glm::distance(seen_round.position[i],
-                           glm::vec3(viewpoint.position.x, viewpoint.position.y, viewpoint.position.z));
-    };
     const auto candidate = [&](std::size_t i) {
       return std::any_of(viewpoints.begin(), viewpoints.end(), [&](const Viewpoint& viewpoint) {
-        return distance_m(i, viewpoint) <= options_.reach_m ||
-               seen_round.spacing_m[i] * viewpoint.focal_px / distance_m(i, viewpoint) >= options_.min_pixels;
+        const float distance_m = glm::distance(
+            round.position[i], glm::vec3(viewpoint.position.x, viewpoint.position.y, viewpoint.position.z));
+        return distance_m <= options_.reach_m ||
+               round.spacing_m[i] * viewpoint.focal_px / distance_m >= options_.min_pixels;
       });
     };
-    HostRound round = seen_round;
-    for (std::size_t i = 0; i < round.size(); ++i) {
-      float pixel_m = INFINITY;
-      for (const Viewpoint& viewpoint : viewpoints) {
-        pixel_m = std::min(pixel_m, distance_m(i, viewpoint) / viewpoint.focal_px);
-      }
-      round.spacing_m[i] = std::max(round.spacing_m[i], options_.finest_pixels * pixel_m);
-    }
     for (std::size_t i = 0; i < round.size(); ++i) {
       if (candidate(i)) ++samples[cell_of(round.position[i], round.spacing_m[i])];
     }
@@ -128,8 +118,7 @@ TEST_P(InsertionTest, SelectsWhatThePlainRulesSelect) {
   for (const SelectOptions& options :
        {SelectOptions{}, SelectOptions{.reach_m = 2, .min_pixels = 1.5F, .room = 4000},
         SelectOptions{.min_samples = 20, .new_distance = 0.5F, .hole_distance = 2, .refine_share = 0.5F},
-        SelectOptions{.new_distance = 2, .fill_distance = 1.5F, .hole_distance = 4.5F, .refine_share = 0.1F},
-        SelectOptions{.finest_pixels = 6}}) {
+        SelectOptions{.new_distance = 2, .fill_distance = 1.5F, .hole_distance = 4.5F, .refine_share = 0.1F}}) {
     use_cells_of(kCellSize_m);
     options_.select = options;
     options_.select.refine_factor = 1e6F;  // FilledCells has tests of its own

@@ -132,24 +132,6 @@ TEST_P(InsertionTest, WhatComesNearIsRefinedAndNotDoubled) {
   EXPECT_LT(inserter_->modelled().size() - before, before * 3 / 100);
 }
 
-/// A camera that stands nearer to a floor than any viewer tells nothing that he could be shown; once he is there, it
-/// does.
-TEST_P(InsertionTest, NoCameraRefinesBeyondAViewersPixels) {
-  const Street ground;
-  const auto from = [&](float height_m, float viewer_m) {
-    HostRound round = empty_round();
-    look_around(ground, {0, height_m, 0}, 0.02F, height_m, round);
-    viewpoints_ = {at({0, viewer_m, 0}, 50)};  // a pixel is as wide as what it shows is far, over 50
-    const std::vector<glm::vec3> inserted = insert(round).mean;
-    return std::ranges::count_if(inserted, [](const glm::vec3& p) { return glm::length(p) < 1; });
-  };
-  const auto first = from(3, 3);
-  EXPECT_GT(first, 500);
-  EXPECT_LT(from(0.5F, 3), first / 20);
-  EXPECT_LT(from(0.4F, 3), first / 20);
-  EXPECT_GT(from(0.5F, 0.5F), 5 * first);
-}
-
 TEST_P(InsertionTest, ViewersFarApartGetWhatTheyWouldGetAlone) {
   HostRound both = empty_round();
   std::size_t alone = 0;
