@@ -52,11 +52,7 @@ struct PageEntry {
   std::atomic<std::uint64_t> change;  ///< that makes `next` of `now`; 0: none
   PageStructure next;
   PageBounds bounds;
-  float loss, movement;
-  /// Of the area of its bounding sphere in a picture the part that its Gaussians make up (their blending weights' sum):
-  /// the largest in the pictures that are trained with, where older ones count less. A little where it was hidden in
-  /// all of them, 0 where none has shown that place.
-  float shown_share;
+  float loss, movement, contribution;
   std::uint64_t last_seen_step;
 };
 

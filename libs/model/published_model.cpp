@@ -159,8 +159,6 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
   live_.page_shift = kPageShift;
   live_.page_stride = memory.page_words;
   live_.ranges = ranges_;
-  shown_shares_.resize(ranges_.size());
-  read_shown_shares();
   live_.normal = memory.value(memory.normal, 0);
   live_.surface_point = memory.value(memory.surface_point, 0);
   live_.visibility = memory.value(memory.visibility, 0);
@@ -170,17 +168,7 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
   if (need == Need::Both) live_.parameters = memory.value(row(model::Channel::Parameters), 0);
 }
 
-// Who trains writes them while they are read.
-void PublishedModel::read_shown_shares() {
-  const PageEntry* const entries = model::page_entries(*table_);
-  for (std::size_t k = 0; k < ranges_.size(); ++k) {
-    const float share = entries[ranges_[k].first >> kPageShift].shown_share;
-    shown_shares_[k] = share >= 0 ? std::min(share, 1.0F) : 0;  // 0 for what is no number
-  }
-}
-
 bool PublishedModel::refresh() {
-  read_shown_shares();
   if (!copies_) return still_valid();
   const std::size_t page_bytes = model::page_bytes(live_.layout);
   const std::uint32_t first_row = need_ == Need::Both ? 0 : model::rows_of(model::Channel::Average, live_.layout).first;

@@ -39,8 +39,7 @@ class PublishedModel {
   PublishedModel& operator=(const PublishedModel&) = delete;
   ~PublishedModel() = default;
 
-  /// Brings copied pages, and shown_shares(), up to date; false when the structure has moved on. Pages that are read in
-  /// place always are.
+  /// Brings copied pages up to date; false when the structure has moved on. Pages that are read in place always are.
   [[nodiscard]] bool refresh();
 
   [[nodiscard]] std::uint64_t generation() const { return generation_; }
@@ -52,8 +51,6 @@ class PublishedModel {
   [[nodiscard]] const GaussiansView& average() const { return average_; }
   /// Of each range's page: another one whenever its structure changes.
   [[nodiscard]] const std::vector<std::uint64_t>& page_generations() const { return page_generations_; }
-  /// Of each range's page, PageEntry::shown_share, as of the last refresh().
-  [[nodiscard]] std::span<const float> shown_shares() const { return shown_shares_; }
   [[nodiscard]] bool still_valid() const;
   /// Bytes that open() and refresh() have copied out of, or into, device memory.
   [[nodiscard]] std::uint64_t copied_bytes() const { return copied_bytes_; }
@@ -64,7 +61,6 @@ class PublishedModel {
   void take_table(const bus::Message& message, const bus::TensorView& tensor);
   /// Ranges, bounds and generations of the pages that hold Gaussians; false while one of them changes.
   [[nodiscard]] bool read_pages(const bus::Message& message, std::size_t arenas);
-  void read_shown_shares();
   void map_arenas(const PublishedModel* before);
   void make_views(std::byte* pages, Need need);
 
@@ -73,7 +69,6 @@ class PublishedModel {
   GaussiansView live_, average_;
   std::vector<IndexRange> ranges_;
   std::vector<PageBounds> bounds_;
-  std::vector<float> shown_shares_;
   std::vector<std::uint64_t> page_generations_;  ///< of each range's page
   std::vector<bus::TensorView> tensors_;         ///< the table, then the arenas
   std::shared_ptr<const std::byte> table_copy_;  ///< of a table that came with the message itself

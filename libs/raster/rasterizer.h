@@ -48,17 +48,11 @@ struct RenderGradient {
   Image depth;
 };
 
-/// Transmittance below which all that follows counts as hidden where pages are looked at: walls that were trained let a
-/// few hundredths through.
-constexpr float kHiddenTransmittance = 1.0F / 32;
-
 /// What a picture shows of a page.
 struct PageLook {
   std::uint32_t page = 0;
-  /// Pixels of the picture that it makes up: the sum of its Gaussians' blending weights, as far as they are not hidden.
-  /// An estimate of some of the pixels, each look of others.
-  float weight_px = 0;
-  double error = 0;  ///< of the tiles that it shows in, each by that weight: the mean
+  std::uint32_t pairs = 0;  ///< Gaussians of it in tiles of the picture, up to where nothing shows any more
+  double error = 0;         ///< of those tiles, each as often as it has such a Gaussian: the mean
 };
 
 /// Gradients of the parameters, channel by channel in the order of indices: [channels][stride]. Frozen Gaussians, and
@@ -117,9 +111,8 @@ class Rasterizer {
   virtual void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
                       const RenderOptions& options, Render& out) = 0;
 
-  /// What the picture of the last forward() shows of each page, ascending, of those alone that show; of page 0 without
-  /// pages. `error`: one plane, of its size; pixels below 0, or that are no number, do not count. Nothing where that is
-  /// not known.
+  /// What the picture of the last forward() shows of each page, ascending; of page 0 without pages. `error`: one plane,
+  /// of its size; pixels below 0, or that are no number, do not count. Nothing where that is not known.
   virtual void look_at_pages(const Image& /*error*/, std::vector<PageLook>& looks) { looks.clear(); }
 
   /// Stages of the last forward() or render(), then of the last backward().

@@ -53,8 +53,7 @@ std::uint32_t StreamModel::row_of(std::uint64_t id) const {
   return held_.gaussians.gaussian_id[found->second] == id ? found->second : kNotHeld;
 }
 
-bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid,
-                          std::span<const float> shown_shares) {
+bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid) {
   if (gaussians.count > kMaxModelGaussians) {
     throw StreamError(fmt::format("model: {} Gaussians, at most {} can be read", gaussians.count, kMaxModelGaussians));
   }
@@ -77,12 +76,12 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   quantizer_.commit(target_, usable_);
   target_layout_ = layout;
   row_of_column_ = std::move(rows);
-  cut_target(gaussians, shown_shares);
+  cut_target(gaussians);
   if (ready_) map_columns();
   return true;
 }
 
-void StreamModel::cut_target(const GaussiansView& gaussians, std::span<const float> shown_shares) {
+void StreamModel::cut_target(const GaussiansView& gaussians) {
   target_pages_.clear();
   const auto add = [&](std::uint32_t page, std::uint32_t first, const IndexRange& range) {
     target_pages_.push_back({.page = page,
@@ -91,7 +90,6 @@ void StreamModel::cut_target(const GaussiansView& gaussians, std::span<const flo
                              .index = range.first,
                              .object_id = range.frame_id,
                              .frozen = range.frozen != 0,
-                             .shown_share = 0,
                              .bounds = {}});
   };
   if (gaussians.has_pages()) {
@@ -109,7 +107,6 @@ void StreamModel::cut_target(const GaussiansView& gaussians, std::span<const flo
   for (std::size_t k = 0; k < target_pages_.size(); ++k) {
     TargetPage& page = target_pages_[k];
     const bool known = gaussians.has_pages() && gaussians.bounds.size() == target_pages_.size();
-    if (shown_shares.size() == target_pages_.size()) page.shown_share = shown_shares[k];
     page.bounds = known ? gaussians.bounds[k] : bounds_of_columns(target_, *target_layout_, page.first, page.count);
   }
 }

@@ -45,7 +45,6 @@ struct OfferedPage {
   std::uint32_t object_id = 0;  ///< whose frame `bounds` is in
   std::uint8_t level = 0;
   bool frozen = false;
-  float shown_share = 0;  ///< model::PageEntry has it; 0: nobody knows
   PageBounds bounds;
 };
 
@@ -96,9 +95,8 @@ class StreamModel {
 
   /// Quantizes what is published now into memory of its own; `still_valid` says afterwards whether what was read was
   /// whole. False when it was not: everything is as before. After a view of another layout (appearance, degree) ready()
-  /// is false. A view without pages is cut into some. `shown_shares`: of each of the view's ranges; empty: unknown.
-  bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {},
-               std::span<const float> shown_shares = {});
+  /// is false. A view without pages is cut into some.
+  bool observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid = {});
   void set_schedules(const Schedules& schedules);
 
   /// What was observed becomes what is offered, in a new epoch: pages of the one before are nothing any more.
@@ -182,7 +180,6 @@ class StreamModel {
     std::uint32_t index = 0;                       ///< of the first
     std::uint32_t object_id = 0;
     bool frozen = false;
-    float shown_share = 0;
     PageBounds bounds;
   };
   /// What becomes of it.
@@ -226,7 +223,7 @@ class StreamModel {
     const std::scoped_lock lock(mutex_);
     ready_ = ready;
   }
-  void cut_target(const GaussiansView& gaussians, std::span<const float> shown_shares);
+  void cut_target(const GaussiansView& gaussians);
   [[nodiscard]] std::uint32_t row_of(std::uint64_t id) const;
   [[nodiscard]] std::uint32_t page_of_row(std::uint32_t row) const { return page_of_block_[row / kBlockRows]; }
   [[nodiscard]] std::uint32_t lane_of_row(std::uint32_t row) const {

@@ -102,7 +102,6 @@ void StreamModel::offer() {
                         .object_id = target.object_id,
                         .level = page.level,
                         .frozen = page.frozen,
-                        .shown_share = target.shown_share,
                         .bounds = target.bounds});
   }
   std::ranges::sort(*offered, {}, &OfferedPage::page);

@@ -14,8 +14,6 @@ namespace {
 // A packet's worth: large enough that its tables pay, small enough that a slow viewer can be sent some of them.
 constexpr double kPacketBytes = 12'000;
 constexpr double kObjectBytes = 2;
-constexpr float kWellShown = 0.2F;    // TargetPage::shown_share of a page that nothing hides
-constexpr float kLeastShown = 0.02F;  // a viewer may see what none of the trainer's pictures shows
 
 }  // namespace
 
@@ -36,14 +34,7 @@ void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewe
     if (anybody_holds(number)) continue;
     for (std::uint32_t lane = 0; lane < page.count; ++lane) column_of_row_[page.row(lane)] = kNotHeld;
   }
-  auto share = picture_share(held_.gaussians, held_.layout, viewers, objects);
-  // Which knows nothing of what stands in front.
-  for (const TargetPage& target : target_pages_) {
-    const HeldPage* page = held_.find(target.page);
-    if (page == nullptr || target.shown_share <= 0) continue;
-    const float shown = std::clamp(target.shown_share / kWellShown, kLeastShown, 1.0F);
-    for (std::uint32_t lane = 0; lane < page->count; ++lane) share[page->row(lane)] *= shown;
-  }
+  const auto share = picture_share(held_.gaussians, held_.layout, viewers, objects);
   const auto selected = selection_.select(held_.gaussians, target_, column_of_row_, share, budget_bytes);
 
   std::map<std::uint32_t, PageValues> pages;

@@ -85,8 +85,7 @@ bool ModelFollower::observe(const std::optional<bus::Message>& announcement) {
     if (!sensible) bus::require_usable(device_);
   }
   if (!published_ || !published_->refresh()) return false;
-  return model_.observe(
-      published_->average(), [&] { return published_->still_valid(); }, published_->shown_shares());
+  return model_.observe(published_->average(), [&] { return published_->still_valid(); });
 }
 
 ModelFollower::Result ModelFollower::follow(Job& job) {

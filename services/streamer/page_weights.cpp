@@ -4,8 +4,6 @@
 #include <cmath>
 #include <numbers>
 
-#include "gaussians/page_area.h"
-
 namespace splatbus::streamer {
 
 namespace {
@@ -15,17 +13,27 @@ constexpr float kCentimetres2 = 1e4F;
 constexpr float kAhead_s = 0.5F;
 constexpr std::int64_t kStaleNs = 1'000'000'000;  // older poses say nothing of a velocity
 constexpr float kLeast = 1e-3F;                   // px: whatever is there comes at last
-// Of a page's area that it makes up: of one that no picture was taken of, and of one that was hidden in all of them,
-// which a viewer may see from where none was taken.
-constexpr float kUsuallyShown = 0.3F, kLeastShown = 0.02F;
 
-float area_px2(const Camera& camera, const BoundingSphere& sphere) {
-  if (const auto area = picture_area_px2(camera, sphere)) return std::max(*area, kLeast);
-  // What lies behind comes into view by turning: as large as at its distance.
+struct Sphere {
+  glm::vec3 centre;
+  float radius;
+};
+
+float area_px2(const Camera& camera, const Sphere& sphere) {
   const glm::vec3 p = inverse(camera.world_from_camera) * sphere.centre;
+  const float picture = static_cast<float>(camera.width) * static_cast<float>(camera.height);
+  const float depth = std::max(p.z, camera.near_m);
+  const float radius_px = sphere.radius * std::max(camera.fx, camera.fy) / depth;
+  const float area = std::clamp(std::numbers::pi_v<float> * radius_px * radius_px, kLeast, picture);
+  if (glm::length(p) <= sphere.radius) return picture;
+  const float x = camera.fx * p.x / depth + camera.cx, y = camera.fy * p.y / depth + camera.cy;
+  const bool inside = p.z > -sphere.radius && x > -radius_px && y > -radius_px &&
+                      x < static_cast<float>(camera.width) + radius_px &&
+                      y < static_cast<float>(camera.height) + radius_px;
+  if (inside) return area;
+  // What lies behind comes into view by turning: as large as at its distance.
   const float away = std::max(glm::length(p), camera.near_m);
   const float turned = sphere.radius * std::max(camera.fx, camera.fy) / away;
-  const float picture = static_cast<float>(camera.width) * static_cast<float>(camera.height);
   return kOutside * std::clamp(std::numbers::pi_v<float> * turned * turned, kLeast, picture);
 }
 
@@ -48,20 +56,24 @@ void GazeTracker::add(const Camera& camera, std::int64_t now_ns) {
 
 float page_weight(const stream::OfferedPage& page, const std::optional<ViewerGaze>& gaze,
                   const ObjectTransforms& objects) {
-  const PageBounds& bounds = page.bounds;
-  if (!(bounds.low.x <= bounds.high.x)) return kLeast;
+  const math::Vec3 &low = page.bounds.low, &high = page.bounds.high;
+  if (!(low.x <= high.x)) return kLeast;
+  const glm::vec3 a(low.x, low.y, low.z), b(high.x, high.y, high.z);
+  Sphere sphere{0.5F * (a + b), 0.5F * glm::length(b - a) + page.bounds.max_scale_m};
+  float shown = 1;
   if (page.object_id == kFarFieldFrame) {
     // It goes with whoever looks, and is behind all else.
     return gaze ? static_cast<float>(gaze->now.width) * static_cast<float>(gaze->now.height) * 0.5F : kCentimetres2;
   }
-  auto sphere = bounding_sphere(bounds, page.object_id, objects);
-  float shown = page.shown_share > 0 ? std::max(page.shown_share, kLeastShown) : kUsuallyShown;
-  if (!sphere) {
-    shown *= kOutside;
-    sphere = bounding_sphere(bounds, kWorldFrame, objects);
+  if (page.object_id != kWorldFrame) {
+    if (const auto object = objects.find(page.object_id); object != objects.end()) {
+      sphere = {object->second * sphere.centre, sphere.radius * object->second.scale};
+    } else {
+      shown = kOutside;
+    }
   }
-  if (!gaze) return shown * std::max(sphere->radius * sphere->radius * kCentimetres2, kLeast);
-  return shown * std::max(area_px2(gaze->now, *sphere), area_px2(gaze->soon, *sphere));
+  if (!gaze) return shown * std::max(sphere.radius * sphere.radius * kCentimetres2, kLeast);
+  return shown * std::max(area_px2(gaze->now, sphere), area_px2(gaze->soon, sphere));
 }
 
 }  // namespace splatbus::streamer

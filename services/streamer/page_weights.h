@@ -25,9 +25,8 @@ class GazeTracker {
 };
 
 /// How much of a viewer's picture a page may make up: the area in pixels of the sphere about its bounds, at most that
-/// of the picture, now or soon, times the share of such an area that the trainer's views have shown of it: behind a
-/// wall little. Outside of both, and of an object that is not there, a tenth of what it would be inside. Without a
-/// viewer's camera the area is in square centimetres.
+/// of the picture, now or soon. Outside of both, and of an object that is not there, a tenth of what it would be
+/// inside. Without a viewer's camera the area is in square centimetres.
 [[nodiscard]] float page_weight(const stream::OfferedPage& page, const std::optional<ViewerGaze>& gaze,
                                 const ObjectTransforms& objects);
 

@@ -8,11 +8,8 @@ namespace splatbus::trainer {
 namespace {
 
 constexpr double kDecidePeriod_s = 1;
-/// Fewer pictures of a page say nothing of its loss, nor does what makes up fewer pixels of all of them.
+/// Fewer pictures of a page say nothing of its loss.
 constexpr std::uint32_t kLeastLooks = 8;
-constexpr double kLeastWeight_px = 1024;
-/// Of a picture: what makes up less of it is hidden.
-constexpr float kSeen_px = 0.5F;
 /// Times FreezeOptions::after_s after which a page that no view shows rests as it is.
 constexpr double kUnseenTimes = 4;
 /// A view teaches more when it comes nearer than by rounding and jitter of a camera.
@@ -64,15 +61,15 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
   for (const ViewLook& look : looks) {
     for (const raster::PageLook& seen : look.pages) {
       model::PageEntry& entry = store.table().entry(seen.page);
-      if (!is_present(entry.now.state) || seen.weight_px < kSeen_px) continue;
+      if (!is_present(entry.now.state)) continue;
       Page& page = at(store, seen.page);
-      page.loss += static_cast<double>(seen.weight_px) * seen.error;
-      page.weight_px += static_cast<double>(seen.weight_px);
+      page.loss += seen.error;
       page.looks += 1;
       page.seen_s = store.optimizer_s();
       const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
       float& nearest = page.frozen ? page.thawing_px_per_m : page.px_per_m;
       nearest = std::max(nearest, px_per_m);
+      entry.contribution = static_cast<float>(seen.pairs);
       entry.last_seen_step = store.step();
     }
   }
@@ -97,8 +94,8 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       change.freeze.push_back(number);
       continue;
     }
-    if (page.looks < kLeastLooks || page.weight_px < kLeastWeight_px) continue;
-    const double loss = page.loss / page.weight_px;
+    if (page.looks < kLeastLooks) continue;
+    const double loss = page.loss / page.looks;
     if (page.frozen) {
       // Of one that a world folder had: what it is seen with first is what it rests at, and from there.
       if (page.loss_at_freeze < 0) entry.loss = static_cast<float>(page.loss_at_freeze = loss);
@@ -106,7 +103,7 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       const bool nearer = page.px_per_m > 0 && page.thawing_px_per_m > kNearer * page.px_per_m;
       const bool worse = loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
       if (nearer || worse) change.thaw.push_back(number);
-      page.begin_window();
+      page.loss = page.looks = 0;
       continue;
     }
     entry.loss = static_cast<float>(loss);
@@ -114,7 +111,7 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
     const bool settled = page.loss_before >= 0 && loss > (1 - options.least_gain) * page.loss_before;
     if (settled && movements[r] <= options.most_movement) change.freeze.push_back(number);
     page.loss_before = loss;
-    page.begin_window();
+    page.loss = page.looks = 0;
     page.since_s = now_s;
   }
   return change;

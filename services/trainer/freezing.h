@@ -11,8 +11,8 @@
 
 namespace splatbus::trainer {
 
-/// Decides which pages rest, by what shows of them in views and how far their Gaussians move, and says so in the page
-/// table (PageEntry::loss, movement, last_seen_step). docs/decisions/0103-freezing.md. One thread.
+/// Decides which pages rest, by what views show of them and how far their Gaussians move, and says so in the page
+/// table (PageEntry::loss, movement, contribution, last_seen_step). docs/decisions/0103-freezing.md. One thread.
 class Freezer {
  public:
   /// Takes in what a step saw.
@@ -34,14 +34,12 @@ class Freezer {
     std::uint64_t morton_first = 0;
     bool frozen = false;
     double since_s = 0, seen_s = 0;  ///< of optimizer time: that the window began; of the last look
-    /// Sums over the looks of the window, of losses times weights, and the mean of the one before; below 0: none.
-    double loss = 0, weight_px = 0;
+    /// Sum over the looks of the window, and the mean of the one before; below 0: none.
+    double loss = 0;
     std::uint32_t looks = 0;
     double loss_before = -1;
     float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
     double loss_at_freeze = 0;                 ///< below 0: nobody knows
-
-    void begin_window() { loss = weight_px = looks = 0; }
   };
   Page& at(const model::PageStore& store, std::uint32_t page);
 

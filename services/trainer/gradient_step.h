@@ -22,7 +22,7 @@ struct ViewLook {
   TrainingViewPtr view;
   float loss = 0;
   std::vector<raster::PageLook> pages;  ///< L1 error in display space
-  std::optional<float> active_share;    ///< of what shows, by weight: what pages show that train; none: not looked at
+  std::optional<float> active_share;    ///< of what shows (PageLook::pairs), where pages train; none: not looked at
 };
 
 /// Of pages that a view shows.

@@ -45,12 +45,12 @@ StepReport& StepReport::operator+=(const StepReport& later) {
 }
 
 float active_share(std::span<const raster::PageLook> pages, const model::PageTable& table) {
-  double all_px = 0, active_px = 0;
+  double pairs = 0, active = 0;
   for (const raster::PageLook& page : pages) {
-    all_px += page.weight_px;
-    if (table.entry(page.page).now.state != model::PageState::Frozen) active_px += page.weight_px;
+    pairs += page.pairs;
+    if (table.entry(page.page).now.state != model::PageState::Frozen) active += page.pairs;
   }
-  return all_px > 0 ? static_cast<float>(active_px / all_px) : 1.0F;
+  return pairs > 0 ? static_cast<float>(active / pairs) : 1.0F;
 }
 
 std::unique_ptr<GradientStep> make_gradient_step(model::PageStore& store, const Options& options) {
@@ -188,7 +188,6 @@ void Optimizer::publish(const bus::Publisher& publisher) {
 void Optimizer::collect(bool wait) {
   const StepReport done = step_->finished(wait);
   if (options_.freeze.enabled) freezer_.see(store_, done.looks);
-  shown_shares_.see(store_, done.looks);
   done_ += done.steps;
   unbooked_s_ += done.seconds;
   report_ += done;

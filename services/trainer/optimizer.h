@@ -19,7 +19,6 @@
 #include "trainer/handover.h"
 #include "trainer/options.h"
 #include "trainer/per_index.h"
-#include "trainer/shown_shares.h"
 #include "trainer/view_store.h"
 #include "trainer/visibility_ring.h"
 
@@ -118,7 +117,6 @@ class Optimizer {
   std::optional<std::uint64_t> searched_after_;
   Carver carver_;
   Freezer freezer_;
-  ShownShares shown_shares_;
   std::uint64_t carved_ = 0;
   std::chrono::steady_clock::time_point last_carved_{};
   StepReport report_;

@@ -252,6 +252,43 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
   });
 }
 
+void CpuRasterizer::look_at_pages(const Image& error, std::vector<PageLook>& looks) {
+  if (!frame_.keep) throw std::invalid_argument("rasterizer: look_at_pages() without forward()");
+  const Camera& camera = frame_.camera;
+  if (error.channels != 1 || error.width != camera.width || error.height != camera.height) {
+    throw std::invalid_argument("rasterizer: the errors' size is not that of the render");
+  }
+  looks.clear();
+  page_sums_.assign((frame_.gaussians.count >> frame_.gaussians.page_shift) + 1, {});
+  for (std::uint32_t tile = 0; tile < frame_.tile_count(); ++tile) {
+    const std::uint32_t x0 = tile % frame_.tiles_x * kTileSide, y0 = tile / frame_.tiles_x * kTileSide;
+    const std::uint32_t x1 = std::min(camera.width, x0 + kTileSide), y1 = std::min(camera.height, y0 + kTileSide);
+    double sum = 0;
+    std::uint32_t pixels = 0;
+    for (std::uint32_t y = y0; y < y1; ++y) {
+      for (std::uint32_t x = x0; x < x1; ++x) {
+        const float value = error.data[std::size_t{y} * camera.width + x];
+        if (!(value >= 0)) continue;
+        sum += value;
+        ++pixels;
+      }
+    }
+    if (pixels == 0) continue;
+    const std::uint32_t* const ends = frame_.block_entries.data() + std::size_t{tile} * kTileBlocks;
+    const TileEntry* const entries = frame_.entries.data() + frame_.tile_begin[tile];
+    const std::uint32_t end = *std::max_element(ends, ends + kTileBlocks);
+    for (std::uint32_t k = 0; k < end; ++k) {
+      PageLook& of = page_sums_[(entries[k] & kGaussianMask) >> frame_.gaussians.page_shift];
+      of.error += sum / pixels;
+      of.pairs += 1;
+    }
+  }
+  for (std::uint32_t page = 0; page < page_sums_.size(); ++page) {
+    const PageLook& sums = page_sums_[page];
+    if (sums.pairs != 0) looks.push_back({page, sums.pairs, sums.error / sums.pairs});
+  }
+}
+
 }  // namespace cpu
 
 std::unique_ptr<Rasterizer> make_cpu_rasterizer(int threads) {

@@ -31,15 +31,11 @@ class CpuRasterizer : public Rasterizer {
   void project();
   [[nodiscard]] GradientTarget target_of(ParameterGradient& out) const;
   void blend_backward(const RenderGradient& gradient);
-  void look_at_tile(std::uint32_t tile, const Image& error);
-  /// Of the tile's, in block order: adds what it has of pages, and the error by that, for all of them.
-  void weigh_pixel(std::uint32_t tile, std::uint32_t index, double error);
 
   Workers workers_;
   Frame frame_;
   Scratch<DepthKey> spare_keys_;
-  std::vector<PageLook> page_sums_;  ///< of a look, errors times weights
-  std::uint32_t looks_ = 0;          ///< so far
+  std::vector<PageLook> page_sums_;
   std::vector<IndexRange> shown_ranges_, adam_pieces_;
   std::vector<std::size_t> room_of_piece_, visible_of_piece_, first_of_piece_;
   DepthSorter sorter_;

@@ -115,6 +115,8 @@ class PatchStream {
 
   /// Where the entry of the first staged Gaussian is.
   [[nodiscard]] __device__ std::uint32_t position() const { return position_; }
+  /// Where that of the first one is that is not staged yet; behind all, where there is none.
+  [[nodiscard]] __device__ std::uint32_t next_position() const { return fetched_ > 0 ? fetched_position_ : end_; }
 
  private:
   __device__ void load() {

@@ -33,7 +33,8 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
   const Pixel pixel = locate(w);
   PatchStream<kAlbedo, kDepth, kSegments> stream(gaussians, w, pixel, staged);
   int group = 0;
-  auto segment = static_cast<std::uint32_t>(kPatches * pixel.tile + pixel.patch);
+  const auto patch = static_cast<std::uint32_t>(kPatches * pixel.tile + pixel.patch);
+  std::uint32_t segment = patch;
   bool trains = false;
   float transmittance = pixel.inside ? 1.0F : 0.0F, red = 0.0F, green = 0.0F, blue = 0.0F;
   float albedo[3] = {0.0F, 0.0F, 0.0F}, depth = 0.0F;
@@ -71,7 +72,10 @@ __global__ void __launch_bounds__(kBlendThreads, 8) blend_forward_kernel(DeviceG
     }
     if (__all_sync(kAllLanes, transmittance < kTransmittanceMin)) break;
   }
-  if constexpr (kSegments) end_segment(w, segment, trains);
+  if constexpr (kSegments) {
+    end_segment(w, segment, trains);
+    if (w.patch_end != nullptr && (threadIdx.x & (kLanes - 1)) == 0) w.patch_end[patch] = stream.next_position();
+  }
   if (!pixel.inside) return;
   const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
   const float* background = w.views[pixel.view].background;

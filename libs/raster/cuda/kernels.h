@@ -99,7 +99,8 @@ void launch_depth_loss(const float* const* targets, const ViewMasks& masks, cons
 
 /// What a view shows of a page, as raster::PageLook has it, with the errors' sum.
 struct PageSums {
-  float weight_px, error;
+  std::uint32_t pairs;
+  float error;
 };
 /// Display-space pictures that views should show, a device array of u8 RGBA each or null, and what of them counts.
 struct LookPictures {
@@ -107,13 +108,10 @@ struct LookPictures {
   ViewMasks masks;
   bool encode_srgb = true;
 };
-/// Of so many patches that lie together a look blends one again.
-constexpr unsigned kPatchesALook = 4;
-/// Sums of what each view of the last training forward pass shows of pages, [batch][pages], by blending one patch of
-/// kPatchesALook again for all of them; with the next `turn` it is another one. A view whose target is null shows
-/// nothing.
+/// Sums of what each view of the last training forward pass shows of pages, [batch][pages]; tiles are of kTileSize
+/// pixels. A view whose target is null shows nothing.
 void launch_page_looks(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const LookPictures& pictures,
-                       unsigned turn, PageSums* sums, int pages, cudaStream_t stream);
+                       PageSums* sums, int pages, cudaStream_t stream);
 
 struct AdamOptions {
   float beta1 = 0.9F, beta2 = 0.999F, epsilon = 1e-15F;

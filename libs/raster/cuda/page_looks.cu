@@ -1,94 +1,90 @@
-#include "raster/cuda/blend.cuh"
+#include <cub/block/block_reduce.cuh>
+
+#include "raster/cuda/kernels.h"
+#include "raster/cuda/range_lanes.cuh"
 #include "raster/cuda/srgb.cuh"
-#include "raster/rasterizer.h"
 
 namespace splatbus::raster::cuda {
 namespace {
 
-constexpr float kFixedPoint = 65536.0F;  // the sum of a patch's weights stays below 2^21
+constexpr int kThreads = 128, kLanes = 32;
 
-/// Of the lane's pixel; below 0 where it does not count.
-__device__ float error_at(const LookPictures& pictures, const WorkspaceView& w, const Pixel& pixel) {
+/// Sums over what counts of a tile.
+struct TileError {
+  float sum, pixels;
+
+  __device__ TileError operator+(const TileError& other) const { return {sum + other.sum, pixels + other.pixels}; }
+};
+
+/// Of a thread's pixels of the tile.
+__device__ TileError error_of(const LookPictures& pictures, const WorkspaceView& w, int view, int x0, int y0) {
   const std::size_t pixels = static_cast<std::size_t>(w.width) * w.height;
-  const std::uint8_t* const mask = pictures.masks.of(pixel.view, pixels);
-  if (!pixel.inside || (mask != nullptr && mask[pixel.at] != 0)) return -1.0F;
-  const float* const rendered = w.color + 3 * pixels * pixel.view + pixel.at;
-  const std::uint8_t* const target = pictures.targets[pixel.view] + 4 * pixel.at;
-  float sum = 0.0F;
-  for (int c = 0; c < 3; ++c) {
-    const float shown = display(fminf(fmaxf(rendered[c * pixels], 0.0F), 1.0F), pictures.encode_srgb);
-    sum += fabsf(shown - (1.0F / 255.0F) * static_cast<float>(target[c]));
+  const float* const rendered = w.color + 3 * pixels * view;
+  const std::uint8_t* const mask = pictures.masks.of(view, pixels);
+  const std::uint8_t* const target = pictures.targets[view];
+  TileError error{0.0F, 0.0F};
+  for (int k = threadIdx.x; k < kTileSize * kTileSize; k += kThreads) {
+    const int x = x0 + k % kTileSize, y = y0 + k / kTileSize;
+    if (x >= w.width || y >= w.height) continue;
+    const std::size_t at = static_cast<std::size_t>(y) * w.width + x;
+    if (mask != nullptr && mask[at] != 0) continue;
+    float sum = 0.0F;
+    for (int c = 0; c < 3; ++c) {
+      const float shown = display(fminf(fmaxf(rendered[c * pixels + at], 0.0F), 1.0F), pictures.encode_srgb);
+      sum += fabsf(shown - (1.0F / 255.0F) * static_cast<float>(target[4 * at + c]));
+    }
+    if (!(sum >= 0.0F)) continue;
+    error.sum += (1.0F / 3.0F) * sum;
+    error.pixels += 1.0F;
   }
-  return sum >= 0.0F ? (1.0F / 3.0F) * sum : -1.0F;
+  return error;
 }
 
-/// Adds what each lane has of its page; one lane does it for all that have the same.
-__device__ void add_to_pages(PageSums* sums, std::uint32_t page, std::uint32_t weight, float error) {
-  const unsigned present = __ballot_sync(kAllLanes, weight != 0);
-  if (weight != 0) {
+/// One block a tile.
+__global__ void __launch_bounds__(kThreads)
+    look_kernel(DeviceGaussians gaussians, WorkspaceView w, LookPictures pictures, PageSums* sums, int pages) {
+  using Reduce = cub::BlockReduce<TileError, kThreads>;
+  __shared__ typename Reduce::TempStorage scratch;
+  __shared__ float mean;
+  const int tiles = w.tiles_x * w.tiles_y, tile = static_cast<int>(blockIdx.x), view = tile / tiles;
+  const int in_view = tile - view * tiles;
+  const uint2 range = w.tile_offsets[tile];
+  if (range.x >= range.y || pictures.targets[view] == nullptr) return;
+  const TileError all = Reduce(scratch).Reduce(
+      error_of(pictures, w, view, in_view % w.tiles_x * kTileSize, in_view / w.tiles_x * kTileSize),
+      [](const TileError& a, const TileError& b) { return a + b; });
+  if (threadIdx.x == 0) mean = all.pixels > 0.0F ? all.sum / all.pixels : -1.0F;
+  __syncthreads();
+  if (mean < 0.0F) return;
+  std::uint32_t end = range.x;
+  for (int patch = 0; patch < kPatches; ++patch) end = max(end, w.patch_end[kPatches * tile + patch]);
+  end = min(end, range.y);
+  const int lane = threadIdx.x % kLanes;
+  for (std::uint32_t begin = range.x + threadIdx.x - lane; begin < end; begin += kThreads) {
+    const std::uint32_t k = begin + lane;
+    const unsigned present = __ballot_sync(0xFFFFFFFFU, k < end);
+    if (k >= end) continue;
+    const std::uint32_t page = index_of_row(w.listed, w.flatten_ids[1][k] & kRowMask) >> gaussians.page_shift;
+    // One lane adds for all that have its page.
     const unsigned same = __match_any_sync(present, page);
-    const std::uint32_t all = __reduce_add_sync(same, weight);
-    if (static_cast<int>(threadIdx.x & (kLanes - 1)) == __ffs(static_cast<int>(same)) - 1) {
-      const float weight_px = kPatchesALook / kFixedPoint * static_cast<float>(all);
-      atomicAdd(&sums[page].weight_px, weight_px);
-      atomicAdd(&sums[page].error, error * weight_px);
-    }
-  }
-  __syncwarp();
-}
-
-/// One warp a patch that is blended, as in forward blending and with its tests, up to where all else is hidden.
-__global__ void __launch_bounds__(kBlendThreads)
-    look_kernel(DeviceGaussians gaussians, WorkspaceView w, LookPictures pictures, unsigned turn, PageSums* sums,
-                int pages) {
-  __shared__ Staged<false> all_staged[kBlendWarps];
-  Staged<false>& staged = all_staged[threadIdx.x / kLanes];
-  const unsigned group = blockIdx.x * kBlendWarps + threadIdx.x / kLanes;
-  if (group * kPatchesALook >= static_cast<unsigned>(w.tiles_x * w.tiles_y * w.batch) * kPatches) return;
-  // Neighbours have another one each.
-  const Pixel pixel = locate_patch(w, group * kPatchesALook + (group + turn) % kPatchesALook);
-  if (pictures.targets[pixel.view] == nullptr) return;
-  float error = error_at(pictures, w, pixel);
-  float transmittance = error >= 0.0F ? 1.0F : 0.0F;
-  const int counted = __popc(__ballot_sync(kAllLanes, error >= 0.0F));
-  if (counted == 0) return;
-  error = fmaxf(error, 0.0F);
-  for (int offset = kLanes / 2; offset > 0; offset /= 2) error += __shfl_xor_sync(kAllLanes, error, offset);
-  error /= static_cast<float>(counted);
-
-  PageSums* const of_view = sums + static_cast<std::size_t>(pixel.view) * pages;
-  const int lane = threadIdx.x & (kLanes - 1);
-  PatchStream<false> stream(gaussians, w, pixel, staged);
-  for (int count = stream.advance(); count > 0; count = stream.advance()) {
-    std::uint32_t weight_of_lane = 0;  // of the staged Gaussian with its number
-    for (int j = 0; j < count; ++j) {
-      const float log2_alpha = log2_alpha_at(staged.shape[j], staged.rest[j], pixel);
-      const bool taken = log2_alpha >= kLog2AlphaMin && transmittance >= kHiddenTransmittance;
-      const float alpha = fminf(kAlphaMax, exp2_approximate(log2_alpha));
-      const float weight = taken ? __fmul_rn(alpha, transmittance) : 0.0F;
-      transmittance = __fsub_rn(transmittance, weight);
-      const std::uint32_t all = __reduce_add_sync(kAllLanes, __float2uint_rn(kFixedPoint * weight));
-      if (lane == j) weight_of_lane = all;
-    }
-    const std::uint32_t row = lane < count ? __float_as_uint(staged.tail[lane].y) : 0;
-    const std::uint32_t page = weight_of_lane != 0 ? index_of_row(w.listed, row) >> gaussians.page_shift : 0;
-    add_to_pages(of_view, page, weight_of_lane, error);
-    if (__all_sync(kAllLanes, transmittance < kHiddenTransmittance)) break;
+    if (lane != __ffs(static_cast<int>(same)) - 1) continue;
+    const auto pairs = static_cast<std::uint32_t>(__popc(same));
+    PageSums& of = sums[static_cast<std::size_t>(view) * pages + page];
+    atomicAdd(&of.pairs, pairs);
+    atomicAdd(&of.error, mean * static_cast<float>(pairs));
   }
 }
 
 }  // namespace
 
 void launch_page_looks(const DeviceGaussians& gaussians, const WorkspaceView& workspace, const LookPictures& pictures,
-                       unsigned turn, PageSums* sums, int pages, cudaStream_t stream) {
-  static_assert(kPatches % kPatchesALook == 0, "the patches that one stands for are of its tile");
+                       PageSums* sums, int pages, cudaStream_t stream) {
   const std::size_t bytes =
       sizeof(PageSums) * static_cast<std::size_t>(workspace.batch) * static_cast<std::size_t>(pages);
   check(cudaMemsetAsync(sums, 0, bytes, stream), "clearing the pages' sums");
-  const unsigned tiles = static_cast<unsigned>(workspace.tiles_x * workspace.tiles_y * workspace.batch);
+  const int tiles = workspace.tiles_x * workspace.tiles_y * workspace.batch;
   if (tiles == 0) return;
-  const unsigned blended = tiles * (kPatches / kPatchesALook), blocks = (blended + kBlendWarps - 1) / kBlendWarps;
-  look_kernel<<<blocks, kBlendThreads, 0, stream>>>(gaussians, workspace, pictures, turn, sums, pages);
+  look_kernel<<<static_cast<unsigned>(tiles), kThreads, 0, stream>>>(gaussians, workspace, pictures, sums, pages);
   check(cudaGetLastError(), "looking at pages");
 }
 

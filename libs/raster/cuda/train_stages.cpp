@@ -109,7 +109,7 @@ void TrainStep::look_at_pages(const ViewBatch& batch, const WorkspaceView& w, st
   const LookPictures pictures{.targets = batch.color_targets(),
                               .masks = masks_of(batch, w),
                               .encode_srgb = gaussians_.layout.appearance == Appearance::Transfer};
-  launch_page_looks(gaussians_, w, pictures, looked_++, sums_.data(), static_cast<int>(pages), stream());
+  launch_page_looks(gaussians_, w, pictures, sums_.data(), static_cast<int>(pages), stream());
   check(cudaMemcpyAsync(host_sums_.data() + slot * look_room_, sums_.data(), sums * sizeof(PageSums),
                         cudaMemcpyDeviceToHost, stream()),
         "reading what views show of pages");

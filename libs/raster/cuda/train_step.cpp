@@ -194,10 +194,10 @@ void TrainStep::report(const Part& part, std::size_t slot) {
     Look look{.keep = part.views[k].keep, .loss = own_loss, .looked = part.looks, .pages = {}};
     const PageSums* const sums = host_sums_.data() + slot * look_room_ + k * part.pages;
     for (std::size_t page = 0; page < part.pages; ++page) {
-      if (!(sums[page].weight_px > 0)) continue;
+      if (sums[page].pairs == 0) continue;
       look.pages.push_back({.page = static_cast<std::uint32_t>(page),
-                            .weight_px = sums[page].weight_px,
-                            .error = static_cast<double>(sums[page].error) / sums[page].weight_px});
+                            .pairs = sums[page].pairs,
+                            .error = static_cast<double>(sums[page].error) / sums[page].pairs});
     }
     report_.looks.push_back(std::move(look));
   }

@@ -171,7 +171,6 @@ class TrainStep {
   device::Pinned<PageSums> host_sums_;
   std::size_t look_room_ = 0;
   int steps_to_look_ = 0;
-  unsigned looked_ = 0;  // times that launches looked
   std::size_t launched_ = 0, retired_ = 0;
   std::deque<Part> repeats_;  // for whose intersections there was no room
   LossHistory loss_history_;

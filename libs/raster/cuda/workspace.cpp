@@ -87,6 +87,7 @@ void for_each_array(const WorkspaceRequest& r, WorkspaceView& w, Take take) {
   w.sort_scratch = scratch;
   take(w.segments, segments);
   take(w.segment_trains, training * (tiles * kPatches + segments));
+  take(w.patch_end, training * tiles * kPatches);
   take(w.segment_extra, r.albedo || r.depth ? kLanes * segments : 0);
   take(w.color, 3 * pixels);
   take(w.transmittance, pixels);

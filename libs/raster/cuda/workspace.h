@@ -76,6 +76,9 @@ struct WorkspaceView {
   /// [batch * tiles * kPatches + segment_capacity] of the patches' first segments, then of the others: 1 where one of
   /// its Gaussians trains. The backward pass leaves out the others; null: it takes all.
   std::uint8_t* segment_trains = nullptr;
+  /// [batch * tiles * kPatches] position in flatten_ids[1] behind what a patch needed to become opaque, to within 32
+  /// of its Gaussians; null: nobody wants to know.
+  std::uint32_t* patch_end = nullptr;
 
   // Pictures, [batch][channel][height][width].
   float* color = nullptr;

@@ -2,8 +2,6 @@
 
 #include <gmock/gmock.h>
 
-#include <cmath>
-
 #include "../bus/bus_fixture.h"
 #include "bus/backend.h"
 #include "bus/error.h"
@@ -119,27 +117,6 @@ TEST_P(PublishedModelTest, FrozenPagesAreReadAsOthers) {
   EXPECT_EQ(frozen->live().ranges.front().frozen, 1U);
   EXPECT_EQ(frozen->live().ranges.back().frozen, 0U);
   expect_truth(*frozen);
-}
-
-TEST_P(PublishedModelTest, SharesAreReadWithEachRefresh) {
-  add(3000);
-  const std::span<const IndexRange> ranges = store_->view().ranges;
-  const auto entry = [&](std::size_t k) -> PageEntry& { return store_->table().entry(ranges[k].first >> kPageShift); };
-  ASSERT_GE(ranges.size(), 3U);
-  entry(1).shown_share = 0.25F;
-  auto model = PublishedModel::open(publish(), wanted(), PublishedModel::Need::Average);
-  ASSERT_TRUE(model);
-  ASSERT_EQ(model->shown_shares().size(), ranges.size());
-  EXPECT_EQ(model->shown_shares()[0], 0);
-  EXPECT_EQ(model->shown_shares()[1], 0.25F);
-  entry(0).shown_share = 0.5F;
-  entry(1).shown_share = std::nanf("");
-  entry(2).shown_share = 1e9F;
-  EXPECT_EQ(model->shown_shares()[0], 0);
-  ASSERT_TRUE(model->refresh());
-  EXPECT_EQ(model->shown_shares()[0], 0.5F);
-  EXPECT_EQ(model->shown_shares()[1], 0) << "unknown";
-  EXPECT_EQ(model->shown_shares()[2], 1);
 }
 
 TEST_P(PublishedModelTest, ATableThatLiesIsRefused) {

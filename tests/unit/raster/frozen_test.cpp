@@ -1,7 +1,6 @@
-// Pages that are drawn and do not train.
+// Pages that are drawn and do not train, and what a picture shows of a page.
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <cmath>
 
 #include "../gaussians/paged_model.h"
@@ -109,6 +108,90 @@ TEST(ParameterGradient, ClearingForgetsWhatTheLastStepWrote) {
   EXPECT_EQ(std::count(gradient.touched.begin(), gradient.touched.end(), 0), static_cast<long>(paged.view().count));
   for (const float value : gradient.contribution) ASSERT_EQ(value, 0);
   for (const float value : gradient.mean2d_norm) ASSERT_EQ(value, 0);
+}
+
+/// Opaque discs that face the camera, each in a page of its own.
+struct Discs {
+  TestScene scene{testing::radiance_layout(0), 4};
+  Camera camera = look_at({0, 0, 4}, {0, 0, 0}, 64, 64, 0.9F);
+
+  Discs() {
+    place(0, {-0.8F, 0, 0}, 0.02F);
+    place(1, {0.9F, 0, 0}, 0.02F);
+    place(2, {0.9F, 0, 1}, 0.1F);
+    place(3, {-30, 0, 0}, 0.02F);  // outside of the picture
+    for (std::uint32_t i = 0; i < 4; ++i) scene.object_id[i] = i + 1;
+    for (std::uint32_t i = 0; i < 4; ++i) scene.state.objects[i + 1] = ObjectTransform();
+  }
+  void place(std::size_t i, glm::vec3 mean, float scale) {
+    for (int c = 0; c < 3; ++c) scene.at(c, i) = mean[c];
+    for (int c = 3; c < 6; ++c) scene.at(c, i) = std::log(scale);
+    scene.at(6, i) = 1;
+    scene.at(10, i) = 9;
+  }
+};
+
+TEST(PageLooks, AreOfTheTilesThatAPageShowsIn) {
+  Discs discs;
+  PagedModel paged(discs.scene.view(), 10);
+  ASSERT_EQ(paged.ranges.size(), 4U);
+  const auto rasterizer = make_cpu_rasterizer(1);
+  Render picture;
+  rasterizer->forward(paged.view(), discs.camera, discs.scene.state, {}, picture);
+  Image error(64, 64, 1);
+  const auto looks = [&] {
+    std::vector<PageLook> result;
+    rasterizer->look_at_pages(error, result);
+    return result;
+  };
+  std::fill(error.data.begin(), error.data.end(), 0.25F);
+  auto seen = looks();
+  ASSERT_EQ(seen.size(), 3U) << "one is outside";
+  for (std::size_t k = 0; k < 3; ++k) {
+    EXPECT_EQ(seen[k].page, k);
+    EXPECT_DOUBLE_EQ(seen[k].error, 0.25);
+  }
+  // The first is at x = 32 - 0.8 / 4 fx: a tile or two there, and none in the right half.
+  for (std::uint32_t y = 0; y < 64; ++y) {
+    for (std::uint32_t x = 0; x < 64; ++x) error.data[y * 64 + x] = x < 32 ? 1.0F : 0.0F;
+  }
+  seen = looks();
+  EXPECT_EQ(seen[0].error, 1);
+  EXPECT_EQ(seen[1].error, 0);
+  EXPECT_EQ(seen[2].error, 0);
+  // A pixel that does not count takes no part in a tile's mean.
+  for (std::uint32_t y = 0; y < 64; ++y) {
+    for (std::uint32_t x = 0; x < 64; ++x) error.data[y * 64 + x] = x % 2 == 0 ? 0.5F : (x % 4 == 1 ? -1.0F : NAN);
+  }
+  EXPECT_DOUBLE_EQ(looks()[0].error, 0.5);
+  std::fill(error.data.begin(), error.data.end(), -1.0F);
+  EXPECT_TRUE(looks().empty());
+}
+
+TEST(PageLooks, WhatIsHiddenDoesNotShow) {
+  Discs discs;
+  TestScene& scene = discs.scene;
+  // Forty sheets of alpha 0.999 before everything.
+  TestScene walled(scene.layout, 44);
+  walled.state = scene.state;
+  for (std::size_t i = 0; i < 44; ++i) {
+    for (int c = 0; c < scene.layout.channels(); ++c) walled.at(c, i) = scene.at(c, std::min<std::size_t>(i, 3));
+    walled.object_id[i] = i < 4 ? static_cast<std::uint32_t>(i) + 1 : 9;
+    if (i < 4) continue;
+    walled.at(0, i) = 0;
+    walled.at(2, i) = 2;
+    for (int c = 3; c < 6; ++c) walled.at(c, i) = std::log(3.0F);
+  }
+  walled.state.objects[9] = ObjectTransform();
+  PagedModel paged(walled.view(), 50);
+  const auto rasterizer = make_cpu_rasterizer(1);
+  Render picture;
+  rasterizer->forward(paged.view(), discs.camera, walled.state, {}, picture);
+  const Image error(64, 64, 1);
+  std::vector<PageLook> seen;
+  rasterizer->look_at_pages(error, seen);
+  ASSERT_EQ(seen.size(), 1U);
+  EXPECT_EQ(seen[0].page, paged.ranges.back().first / kPageLanes);
 }
 
 TEST(Adam, APageThatRestsGivesItsMomentsBackAndGoesOnAtItsAge) {

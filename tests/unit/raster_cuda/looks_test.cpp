@@ -1,6 +1,6 @@
 // What a step's pictures show of each page, and what of them is masked.
 #include "../gaussians/paged_model.h"
-#include "../raster/walled_scene.h"
+#include "../raster/scenes.h"
 #include "cuda_scenes.h"
 #include "raster/cuda/device_model.h"
 #include "raster/cuda/train_step.h"
@@ -32,14 +32,13 @@ TestScene discs(std::size_t sheets = 0) {
 /// A step on one picture of a model in pages, which changes nothing.
 class Looking {
  public:
-  explicit Looking(const TestScene& scene, const cuda::TrainStepOptions& options,
-                   const Camera& camera = look_at({0, 0, 4}, {0, 0, 0}, kSide, kSide, 0.9F))
-      : paged_(scene.view(), kPageLanes), state_(scene.state), camera_(camera), train_(options) {
+  explicit Looking(const TestScene& scene, const cuda::TrainStepOptions& options)
+      : paged_(scene.view(), 50), state_(scene.state), train_(options) {
     model_.upload(paged_.bounded_view(), nullptr);
     cudaDeviceSynchronize();
     train_.set_model(model_.view());
     train_.set_learning_rates(std::vector<float>(static_cast<std::size_t>(scene.layout.channels()), 0.0F));
-    target_.assign(4 * pixels(), 0);
+    target_.assign(std::size_t{4} * kSide * kSide, 0);
   }
 
   /// The picture without an error, in bytes.
@@ -48,7 +47,7 @@ class Looking {
     const std::vector<float> color = shown(train_.workspace().color, 3);
     for (std::size_t i = 0; i < color.size() / 3; ++i) {
       for (std::size_t c = 0; c < 3; ++c) {
-        const float value = std::clamp(color[c * pixels() + i], 0.0F, 1.0F);
+        const float value = std::clamp(color[c * kSide * kSide + i], 0.0F, 1.0F);
         target_[4 * i + c] = static_cast<std::uint8_t>(std::lround(255 * value));
       }
     }
@@ -56,8 +55,8 @@ class Looking {
   /// Brighter by so many levels where chosen(x, y), or darker where it would be too bright.
   template <class Chosen>
   void add_error(int levels, Chosen chosen) {
-    for (std::uint32_t i = 0; i < pixels(); ++i) {
-      for (std::uint32_t c = 0; c < 3 && chosen(i % camera_.width, i / camera_.width); ++c) {
+    for (std::uint32_t i = 0; i < kSide * kSide; ++i) {
+      for (std::uint32_t c = 0; c < 3 && chosen(i % kSide, i / kSide); ++c) {
         std::uint8_t& value = target_[4 * i + c];
         value = static_cast<std::uint8_t>(value + levels <= 255 ? value + levels : value - levels);
       }
@@ -76,22 +75,17 @@ class Looking {
     train_.step({&view, 1});
     return train_.finished(true);
   }
-  /// Of as many looks as blend each pixel once.
-  LookSums sums() {
-    LookSums sums;
-    for (unsigned k = 0; k < cuda::kPatchesALook; ++k) sums.add(step().looks.at(0).pages, paged_.ranges);
-    return sums;
-  }
+  std::vector<PageLook> looks() { return step().looks.at(0).pages; }
 
   template <class T>
   std::vector<T> shown(const T* plane, std::size_t channels) {
-    std::vector<T> host(channels * pixels());
+    std::vector<T> host(channels * kSide * kSide);
     cudaStreamSynchronize(train_.stream());
     cudaMemcpy(host.data(), plane, host.size() * sizeof(T), cudaMemcpyDeviceToHost);
     return host;
   }
   [[nodiscard]] const cuda::WorkspaceView& workspace() const { return train_.workspace(); }
-  [[nodiscard]] std::size_t pixels() const { return std::size_t{camera_.width} * camera_.height; }
+  [[nodiscard]] const test::PagedModel& paged() const { return paged_; }
 
   std::vector<std::uint8_t> mask;
   std::vector<float> depth;
@@ -99,7 +93,7 @@ class Looking {
  private:
   test::PagedModel paged_;
   SceneState state_;
-  Camera camera_;
+  Camera camera_ = look_at({0, 0, 4}, {0, 0, 0}, kSide, kSide, 0.9F);
   cuda::DeviceModel model_;
   cuda::TrainStep train_;
   std::vector<std::uint8_t> target_;
@@ -107,60 +101,41 @@ class Looking {
   device::Buffer<float> metres_;
 };
 
-TEST_F(CudaTest, PagesAreLookedAtInThePatchesThatTheyShowIn) {
+TEST_F(CudaTest, PagesAreLookedAtInTheTilesThatTheyShowIn) {
   Looking looking(discs(), {.look_interval = 1});
   looking.aim_at_what_shows();
-  auto seen = looking.sums();
-  ASSERT_EQ(seen.weight_px.size(), 3U) << "one is outside";
-  for (std::uint32_t object = 1; object <= 3; ++object) {
-    EXPECT_GT(seen.weight(object), 0);
-    EXPECT_LT(seen.weight(object), 40);
-    EXPECT_LT(seen.mean_error(object), 0.5 / 255);
+  auto seen = looking.looks();
+  ASSERT_EQ(seen.size(), 3U) << "one is outside";
+  for (std::size_t k = 0; k < 3; ++k) {
+    EXPECT_EQ(seen[k].page, k);
+    EXPECT_GT(seen[k].pairs, 0U);
+    EXPECT_LE(seen[k].pairs, 4U) << "tiles of 16 pixels";
+    EXPECT_LT(seen[k].error, 0.5 / 255);
   }
   looking.add_error(51, [](std::uint32_t x, std::uint32_t) { return x < kSide / 2; });
-  seen = looking.sums();
-  EXPECT_NEAR(seen.mean_error(1), 0.2, 1.0 / 255);
-  EXPECT_LT(seen.mean_error(2), 0.5 / 255);
-  EXPECT_LT(seen.mean_error(3), 0.5 / 255);
-  // What is masked takes no part in a patch's mean.
+  seen = looking.looks();
+  EXPECT_NEAR(seen[0].error, 0.2, 1.0 / 255);
+  EXPECT_LT(seen[1].error, 0.5 / 255);
+  EXPECT_LT(seen[2].error, 0.5 / 255);
+  // What is masked takes no part in a tile's mean.
   looking.add_error(51, [](std::uint32_t x, std::uint32_t) { return x >= kSide / 2 && x % 2 == 0; });
-  EXPECT_NEAR(looking.sums().mean_error(2), 0.1, 1.0 / 255);
+  EXPECT_NEAR(looking.looks()[1].error, 0.1, 1.0 / 255);
   looking.mask.assign(kSide * kSide, 0);
   for (std::size_t i = 0; i < looking.mask.size(); ++i) looking.mask[i] = i % 2 == 0 ? 0 : 255;
-  EXPECT_NEAR(looking.sums().mean_error(2), 0.2, 1.0 / 255);
+  EXPECT_NEAR(looking.looks()[1].error, 0.2, 1.0 / 255);
   looking.mask.assign(kSide * kSide, 255);
-  EXPECT_TRUE(looking.sums().weight_px.empty());
+  EXPECT_TRUE(looking.looks().empty());
 }
 
 TEST_F(CudaTest, PagesThatAreHiddenAreNotLookedAt) {
   Looking looking(discs(40), {.look_interval = 1});
-  const LookSums seen = looking.sums();
-  ASSERT_EQ(seen.weight_px.size(), 1U);
-  EXPECT_EQ(seen.weight_px.begin()->first, 5U) << "the sheets";
-}
-
-TEST_F(CudaTest, LooksSayThePixelsThatAPageMakesUpAndTheirErrors) {
-  for (const Wall wall : {Wall::None, Wall::Opaque, Wall::Leaky}) {
-    SCOPED_TRACE(static_cast<int>(wall));
-    WalledScene scene(wall);
-    Looking looking(scene.scene, {.look_interval = 1}, scene.camera);
-    looking.aim_at_what_shows();
-    looking.add_error(51, [](std::uint32_t, std::uint32_t) { return true; });
-    looking.add_error(51, [](std::uint32_t x, std::uint32_t) { return x >= 48; });
-    const auto error = [](std::uint32_t x, std::uint32_t) { return x < 48 ? 0.2 : 0.4; };
-    expect_true(looking.sums(), scene, wall, error);
-    looking.mask.assign(looking.pixels(), 0);
-    const auto counts = [](std::uint32_t x, std::uint32_t y) { return (x + y) % 3 != 0; };
-    for (std::uint32_t i = 0; i < looking.pixels(); ++i) {
-      if (!counts(i % scene.camera.width, i / scene.camera.width)) looking.mask[i] = 255;
-    }
-    const auto masked = [&](std::uint32_t x, std::uint32_t y) { return counts(x, y) ? error(x, y) : -1; };
-    expect_true(looking.sums(), scene, wall, masked);
-  }
+  const auto seen = looking.looks();
+  ASSERT_EQ(seen.size(), 1U);
+  EXPECT_EQ(seen[0].page, looking.paged().ranges.back().first / kPageLanes);
 }
 
 TEST_F(CudaTest, StepsInBetweenSayOnlyTheirLoss) {
-  Looking looking(discs(1), {.look_interval = 3});
+  Looking looking(discs(), {.look_interval = 3});
   for (int k = 0; k < 7; ++k) {
     const auto report = looking.step();
     ASSERT_EQ(report.looks.size(), 1U);

@@ -349,51 +349,6 @@ TEST_F(ViewerFeedTest, PagesInViewComeFirst) {
   EXPECT_GE(in_first_half, in_second);
 }
 
-TEST(PageWeight, IsWhatAPageMakesUpOfThePictureAsFarAsThatIsKnown) {
-  GazeTracker tracker;
-  tracker.add(look_at({0, 0, 10}, {0, 0, 0}, 100, 100, 1.0F), kSecond);
-  const auto weight = [&](float shown_share, const std::optional<ViewerGaze>& gaze) {
-    stream::OfferedPage page{.shown_share = shown_share, .bounds = {}};
-    page.bounds = {{-1, -1, -1}, {1, 1, 1}, 0.1F};
-    return page_weight(page, gaze, {});
-  };
-  for (const auto& gaze : {tracker.gaze(), std::optional<ViewerGaze>()}) {
-    EXPECT_FLOAT_EQ(weight(0.6F, gaze), 3 * weight(0.2F, gaze));
-    EXPECT_LT(weight(0, gaze), weight(0.6F, gaze)) << "unknown: as most are";
-    EXPECT_GT(weight(0, gaze), weight(0.1F, gaze));
-    EXPECT_GT(weight(1e-5F, gaze), 0.01F * weight(0.6F, gaze)) << "hidden from the trainer, not from all viewers";
-    EXPECT_LT(weight(1e-5F, gaze), 0.1F * weight(0.6F, gaze));
-  }
-}
-
-TEST_F(ViewerFeedTest, OfPagesLikeEachOtherThatComesFirstWhichShows) {
-  // All in one place; every other page was hidden in all pictures.
-  GaussiansBuffer& model = server_.model();
-  for (std::size_t i = 0; i < model.count(); ++i) {
-    for (std::size_t c = 0; c < 3; ++c) {
-      model.parameters[c * model.stride() + i] = model.parameters[c * model.stride() + i % kPageLanes];
-    }
-  }
-  std::vector<float> shares((model.count() + kPageLanes - 1) / kPageLanes);
-  for (std::size_t k = 0; k < shares.size(); ++k) shares[k] = k % 2 == 0 ? 1e-5F : 0.4F;
-  ASSERT_TRUE(server_.stream.observe(model.view(), {}, shares));
-  server_.stream.reset_to_target();
-  Seat seat(2000);
-  GazeTracker tracker;
-  tracker.add(look_at({0, 6, 0.1F}, {0, 0, 0}, 64, 64, 1.0F), now_ns_);
-  seat.gaze = tracker.gaze();
-  board_.clear();
-  sit(seat);
-  std::vector<std::uint32_t> order;
-  live({&seat}, 3, -1, [&] {
-    for (const auto& [page, held] : seat.replica.held().pages) {
-      if (std::ranges::find(order, page) == order.end()) order.push_back(page);
-    }
-  });
-  ASSERT_EQ(order.size(), shares.size()) << "the hidden ones come too";
-  for (std::size_t k = 0; k < order.size(); ++k) EXPECT_EQ(order[k] % 2 == 1, k < shares.size() / 2) << k;
-}
-
 TEST_F(ViewerFeedTest, WithinItsMemoryAViewerHoldsWhatItSees) {
   constexpr std::size_t kMost = 4096;
   Seat seat(1e6, kMost);
