@@ -32,7 +32,7 @@ class ViewerRate {
   /// The packets up to `newest` have come, or never will.
   void acknowledged(std::uint64_t newest, std::int64_t now_ns);
 
-  /// Bytes that the rate allows for now.
+  /// Bytes that the rate allows for at this moment.
   [[nodiscard]] double available(std::int64_t now_ns);
   /// Whether so many more may be on the way.
   [[nodiscard]] bool has_room(double bytes, std::int64_t now_ns);

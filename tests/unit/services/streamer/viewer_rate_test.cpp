@@ -1,0 +1,118 @@
+// What one viewer is sent, and when.
+#include <gtest/gtest.h>
+
+#include <deque>
+
+#include "../../stream/expectations.h"
+#include "../../stream/toy_server.h"
+#include "streamer/viewer_feed.h"
+
+namespace splatbus::streamer {
+namespace {
+
+constexpr std::int64_t kSecond = 1'000'000'000, kStep = kSecond / 100;
+
+/// A link of so many bytes a second that is filled as the rate allows; the viewer says four times a second what came.
+class Link {
+ public:
+  explicit Link(double most_kbps = 0) { rate.set(0, most_kbps, now_ns_); }
+
+  /// A quarter of a second.
+  void pass(double bytes_per_s) {
+    for (int k = 0; k < 25; ++k) {
+      now_ns_ += kStep;
+      while (rate.available(now_ns_) >= kPacket && rate.has_room(kPacket, now_ns_)) {
+        rate.take(++sent_, kPacket, now_ns_);
+        queued += kPacket;
+      }
+      const double bytes = std::min(queued, bytes_per_s / 100);
+      queued -= bytes;
+      arrived += bytes;
+      passed_ += bytes;
+    }
+    rate.acknowledged(static_cast<std::uint64_t>(passed_ / kPacket), now_ns_);
+  }
+
+  ViewerRate rate;
+  double queued = 0, arrived = 0;
+
+ private:
+  static constexpr double kPacket = 1000;
+  std::int64_t now_ns_ = kSecond;
+  std::uint64_t sent_ = 0;
+  double passed_ = 0;
+};
+
+TEST(ViewerRate, FindsOutWhatALinkTakesAndFollowsIt) {
+  Link link;
+  // Bytes a second: less than it begins with, much less, more than ever before.
+  for (const double takes : {400'000.0, 90'000.0, 3'000'000.0}) {
+    for (int k = 0; k < 100; ++k) link.pass(takes);
+    link.arrived = 0;
+    for (int k = 0; k < 200; ++k) {
+      link.pass(takes);
+      ASSERT_LT(link.queued, 1.5 * takes) << takes << ", " << k;
+    }
+    EXPECT_GT(link.arrived, 0.75 * 50 * takes) << takes;
+  }
+}
+
+/// A link that takes all, a way behind it, and 8 Mbit/s that are allowed.
+class LongWay {
+ public:
+  LongWay() { rate.set(8000, 0, now_ns_); }
+
+  /// Its sender has a turn every `turn_ns`. Returns kB/s that came.
+  double live(double seconds, std::int64_t round_trip_ns, std::int64_t turn_ns = kStep) {
+    const std::uint64_t before = come_;
+    for (const std::int64_t end = now_ns_ + static_cast<std::int64_t>(seconds * 1e9); now_ns_ < end;
+         now_ns_ += turn_ns) {
+      for (; !way_.empty() && way_.front().first <= now_ns_; way_.pop_front()) come_ = way_.front().second;
+      if (now_ns_ - said_ns_ >= kSecond / 20) rate.acknowledged(come_, said_ns_ = now_ns_);
+      while (rate.available(now_ns_) >= 1000 && rate.has_room(1000, now_ns_)) {
+        rate.take(++sent_, 1000, now_ns_);
+        way_.emplace_back(now_ns_ + round_trip_ns, sent_);
+      }
+    }
+    return static_cast<double>(come_ - before) / seconds;
+  }
+
+  ViewerRate rate;
+
+ private:
+  std::deque<std::pair<std::int64_t, std::uint64_t>> way_;  // when packets come, and their numbers
+  std::int64_t now_ns_ = kSecond, said_ns_ = 0;
+  std::uint64_t sent_ = 0, come_ = 0;
+};
+
+TEST(ViewerRate, AWayThatBecomesLongerIsNotTakenForAQueueForEver) {
+  LongWay link;
+  EXPECT_GT(link.live(10, 20'000'000), 900);
+  link.live(30, 400'000'000);
+  EXPECT_GT(link.live(10, 400'000'000), 800);
+}
+
+TEST(ViewerRate, ALongWayIsNotTakenForASlowLinkAtTheStart) {
+  LongWay link;
+  link.live(1, 400'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
+}
+
+TEST(ViewerRate, ASenderThatIsLateIsNotTakenForASlowLink) {
+  LongWay link;
+  link.live(10, 20'000'000);
+  link.live(20, 20'000'000, 300'000'000);
+  EXPECT_GT(link.rate.bytes_per_s(), 900'000);
+}
+
+TEST(ViewerRate, TakesNoMoreThanTheViewerWants) {
+  Link link(2000);
+  for (int k = 0; k < 100; ++k) {
+    link.pass(4'000'000);
+    ASSERT_LE(link.rate.bytes_per_s(), 250'000);
+  }
+  EXPECT_GT(link.rate.bytes_per_s(), 200'000);
+}
+
+}  // namespace
+}  // namespace splatbus::streamer
