@@ -108,7 +108,8 @@ class StreamModel {
   [[nodiscard]] bool ready() const { return ready_; }
   [[nodiscard]] bool observed() const { return target_layout_.has_value(); }
 
-  /// Before a tick: the pages that anybody holds at some version. Before the first call: all.
+  /// Before a tick: the pages that anybody holds at some version and is to be sent deltas of. Before the first call:
+  /// all.
   void set_holders(std::set<std::uint32_t> pages);
   /// Follows what was observed: pages that come and go, Gaussians that come and go, values. What viewers see most comes
   /// first, and new Gaussians of pages that are held, and values, stay near `budget_bytes`. Asserts ready(). Returns

@@ -28,7 +28,7 @@ class ModelFollower {
     std::optional<bus::Message> announcement;  ///< model/published that is not open yet
     double budget_bytes = 0;
     std::vector<Camera> cameras;
-    std::set<std::uint32_t> holders;  ///< pages that anybody holds
+    std::set<std::uint32_t> holders;  ///< pages that anybody holds and follows by deltas
     std::uint64_t scene_version = 0;  ///< that viewers have been sent, for the trace
   };
   /// After a job.

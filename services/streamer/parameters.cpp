@@ -34,9 +34,10 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("tcp", tcp,
         "second endpoint, for viewers on other machines, which need keys, such as tcp://*:7600; empty: none",
         bus::endpoint_rule(), kFixed);
-  p.add("tcp_address", tcp_address,
-        "host, or host:port, by which others reach 'tcp'; empty: this machine's name where it is bound to all addresses",
-        kFixed);
+  p.add(
+      "tcp_address", tcp_address,
+      "host, or host:port, by which others reach 'tcp'; empty: this machine's name where it is bound to all addresses",
+      kFixed);
   p.add("drain_s", drain_s,
         "time in which viewers move to another streamer when this one is told to end, if there is another, s", {0, 60},
         kFixed);

@@ -28,10 +28,9 @@ constexpr std::int64_t kSecondNs = 1'000'000'000;
 constexpr std::int64_t kIdleNs = 50'000'000;
 constexpr std::int64_t kBlockedNs = 5'000'000;  // between tries while a viewer's queue is full
 constexpr double kKeepForNobody_s = 60;
-constexpr double kDeltaShare = 2.0 / 3;  // of the fastest viewer's rate: the rest is for pages that it lacks
-constexpr double kUnlimited = 1e18;      // bytes a second
-constexpr std::size_t kMaxRelit = 4;     // generations of the model
-constexpr int kPictureZstdLevel = 1;     // probe pictures are for measurements on the same machine
+constexpr double kUnlimited = 1e18;   // bytes a second
+constexpr std::size_t kMaxRelit = 4;  // generations of the model
+constexpr int kPictureZstdLevel = 1;  // probe pictures are for measurements on the same machine
 
 }  // namespace
 
@@ -288,14 +287,13 @@ void Streamer::begin_tick(std::int64_t now_ns) {
     hub_.set_rate(options_->hub.viewer_kbps);
   }
   // What no viewer has room for would only make all of them late.
-  const double there = hub_.most_bytes_per_s().value_or(kUnlimited);
-  const double bytes_per_s = std::min(options_->budget_kbps * 125, kDeltaShare * there);
+  const double bytes_per_s = std::min(options_->budget_kbps * 125, hub_.delta_bytes_per_s().value_or(kUnlimited));
   const double per_tick = bytes_per_s / static_cast<double>(options_->hub.tick_hz);
   balance_bytes_ = std::min(balance_bytes_ + per_tick, per_tick);
   follower_.start({.announcement = std::exchange(announcement_, std::nullopt),
                    .budget_bytes = std::max(balance_bytes_, 0.0),
                    .cameras = hub_.cameras(),
-                   .holders = hub_.holders(),
+                   .holders = hub_.followed_pages(),
                    .scene_version = scene_version_});
 }
 

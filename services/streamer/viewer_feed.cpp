@@ -131,8 +131,7 @@ SharedPacket ViewerFeed::choose(stream::StreamModel& model, PageBoard& board, co
         return {};
       }
       planned_edition_ = board.edition();
-      planned_ns_ = now_ns;
-      plan(board, gaze, objects, rate_.available(now_ns) + 0.25 * rate_.bytes_per_s());
+      plan(board, gaze, objects, rate_.available(now_ns) + 0.25 * rate_.bytes_per_s(), now_ns);
       if (!ended_.empty()) {
         drop_ended(model);
         return offer(Kind::Gone, gone_.front().packet);

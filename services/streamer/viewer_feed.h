@@ -69,7 +69,11 @@ class ViewerFeed {
   [[nodiscard]] double most_kbps() const { return most_kbps_; }
   [[nodiscard]] ViewerRate& rate() { return rate_; }
   [[nodiscard]] const ViewerRate& rate() const { return rate_; }
-  void hold_pages(std::set<std::uint32_t>& pages) const;
+  /// Adds the pages of which deltas are of use to it: those that it holds and that do not wait to come whole.
+  void follow_pages(std::set<std::uint32_t>& pages) const;
+  /// Of its rate, what deltas may be made for: most of it while they bring up to date what it holds, and little while
+  /// pages have to come whole before they can.
+  [[nodiscard]] double delta_bytes_per_s() const { return delta_share_ * rate_.bytes_per_s(); }
   [[nodiscard]] std::uint64_t lost_packets() const { return lost_packets_; }
   [[nodiscard]] std::uint64_t refused_pages() const { return refused_pages_; }
   [[nodiscard]] std::uint64_t whole_pages() const { return whole_pages_; }
@@ -79,6 +83,7 @@ class ViewerFeed {
     std::uint32_t version = 0, structure = 0, count = 0;
     std::uint64_t sequence = 0;  ///< of the packet that brought it
     bool seen_stale = false;     ///< of its lights' visibility something is missing
+    std::int64_t left_ns = 0;    ///< since when no delta brings it up to date and it waits to come whole; 0: one does
   };
   struct Mark {
     std::uint32_t page = 0, from_version = 0, version = 0;
@@ -104,7 +109,8 @@ class ViewerFeed {
   [[nodiscard]] SharedPacket choose(stream::StreamModel& model, PageBoard& board, const std::optional<ViewerGaze>& gaze,
                                     const ObjectTransforms& objects, std::int64_t now_ns);
   void plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
-            double budget_bytes);
+            double budget_bytes, std::int64_t now_ns);
+  void learn_delta_share(const PageBoard& board, double followed, std::int64_t since_ns);
   [[nodiscard]] double largest_packet() const;
   using Versions = std::map<std::uint32_t, std::uint32_t>;  ///< by page
   template <class Goes, class Visit>
@@ -153,6 +159,7 @@ class ViewerFeed {
   std::deque<Item> plan_;
   std::uint64_t planned_edition_ = 0, oldest_delta_ = 0;  ///< older deltas are of no use
   bool plan_is_all_ = false;
+  double delta_share_ = 0.1;  ///< of the rate
   std::int64_t planned_ns_ = 0;
 
   // The page or delta that is being sent.

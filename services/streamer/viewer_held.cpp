@@ -141,8 +141,10 @@ bool ViewerFeed::acknowledge(const Said& said, const stream::StreamModel& model,
   return anew;
 }
 
-void ViewerFeed::hold_pages(std::set<std::uint32_t>& pages) const {
-  for (const auto& [page, record] : held_) pages.insert(page);
+void ViewerFeed::follow_pages(std::set<std::uint32_t>& pages) const {
+  for (const auto& [page, record] : held_) {
+    if (record.left_ns == 0) pages.insert(page);
+  }
   if (page_) pages.insert(page_number_);
 }
 

@@ -136,9 +136,15 @@ bool ViewerHub::pump(std::int64_t now_ns) {
   return waits;
 }
 
-std::optional<double> ViewerHub::most_bytes_per_s() const {
+std::optional<double> ViewerHub::delta_bytes_per_s() const {
   std::optional<double> most;
-  for (const auto& [peer, viewer] : viewers_) most = std::max(most.value_or(0), viewer.feed.rate().bytes_per_s());
+  for (const auto& [peer, viewer] : viewers_) most = std::max(most.value_or(0), viewer.feed.delta_bytes_per_s());
+  return most;
+}
+
+double ViewerHub::most_bytes_per_s() const {
+  double most = 0;
+  for (const auto& [peer, viewer] : viewers_) most = std::max(most, viewer.feed.rate().bytes_per_s());
   return most;
 }
 
@@ -214,9 +220,9 @@ std::vector<Camera> ViewerHub::cameras() {
   return some;
 }
 
-std::set<std::uint32_t> ViewerHub::holders() const {
+std::set<std::uint32_t> ViewerHub::followed_pages() const {
   std::set<std::uint32_t> pages;
-  for (const auto& [peer, viewer] : viewers_) viewer.feed.hold_pages(pages);
+  for (const auto& [peer, viewer] : viewers_) viewer.feed.follow_pages(pages);
   return pages;
 }
 

@@ -68,8 +68,10 @@ class ViewerHub {
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
   void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 
-  /// What the fastest viewer is sent at most; nullopt without viewers.
-  [[nodiscard]] std::optional<double> most_bytes_per_s() const;
+  /// What the fastest viewer is sent at most; 0 without viewers.
+  [[nodiscard]] double most_bytes_per_s() const;
+  /// The most that any viewer has room for in deltas; nullopt without viewers.
+  [[nodiscard]] std::optional<double> delta_bytes_per_s() const;
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }
   /// Whether anybody is sent anything of the model: a viewer, or one who asks for pages.
   [[nodiscard]] bool is_followed() const { return !viewers_.empty() || !readers_.empty(); }
@@ -77,8 +79,8 @@ class ViewerHub {
   [[nodiscard]] double empty_s(std::int64_t now_ns) const;
   /// Of some viewers, in turn: what they see comes first in a tick.
   [[nodiscard]] std::vector<Camera> cameras();
-  /// Pages that anybody holds.
-  [[nodiscard]] std::set<std::uint32_t> holders() const;
+  /// Pages that anybody holds and follows by deltas.
+  [[nodiscard]] std::set<std::uint32_t> followed_pages() const;
 
   [[nodiscard]] WireStatistics& statistics() { return statistics_; }
   struct Counts {

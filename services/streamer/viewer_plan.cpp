@@ -14,8 +14,11 @@ namespace {
 // of what is held never hold it up.
 constexpr float kMissing = 16;
 constexpr float kBehindSteps = 5;          // of a page that has missed deltas which are no longer kept
+constexpr float kLeftSteps_s = 5;          // what a page changes in a second, while no delta says it
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
-constexpr float kSeenSteps = 5;            // of one that has missed how it sees the lights
+constexpr double kMostDeltaShare = 2.0 / 3, kLeastDeltaShare = 0.1;  // of a viewer's rate
+constexpr double kFollowed = 0.9;                                    // of its picture
+constexpr float kSeenSteps = 5;                                      // of one that has missed how it sees the lights
 constexpr double kSeenBytes = 400;
 
 }  // namespace
@@ -111,7 +114,9 @@ void ViewerFeed::plan_deltas(const PageBoard& board, Versions& versions, std::ve
 }
 
 void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& gaze, const ObjectTransforms& objects,
-                      double budget_bytes) {
+                      double budget_bytes, std::int64_t now_ns) {
+  const std::int64_t before_ns = planned_ns_ != 0 ? planned_ns_ : now_ns;
+  planned_ns_ = now_ns;
   weights_.clear();
   for (const stream::OfferedPage& page : board.offered()) {
     weights_.emplace_hint(weights_.end(), page.page, page_weight(page, gaze, objects));
@@ -126,12 +131,16 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
   }
 
   std::erase_if(declined_, [&](const auto& entry) { return entry.second < planned_ns_; });
+  double followed = 0, all = 0;  // of the picture
   for (const stream::OfferedPage& page : board.offered()) {
     if (declined_.contains(page.page)) continue;
     const float weight = weights_.at(page.page);
+    all += weight;
     const auto version = versions.find(page.page);
     const auto held = held_.find(page.page);
     if (version != versions.end() && version->second >= page.version) {
+      if (held != held_.end()) held->second.left_ns = 0;
+      followed += weight;
       if (held != held_.end() && held->second.seen_stale) {
         items.push_back({.score = weight * kSeenSteps / static_cast<float>(kSeenBytes),
                          .bytes = kSeenBytes,
@@ -143,7 +152,12 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     }
     const double bytes = board.bytes_of(page);
     const auto missed = missed_.find(page.page);
-    const float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
+    float off = std::max(kBehindSteps, missed != missed_.end() ? missed->second.steps : 0);
+    if (held != held_.end()) {
+      // Of what no viewer follows there are no deltas that say how much has changed.
+      if (held->second.left_ns == 0) held->second.left_ns = planned_ns_;
+      off += kLeftSteps_s * static_cast<float>(planned_ns_ - held->second.left_ns) * 1e-9F;
+    }
     // However old, what is held shows more than nothing; what has missed most comes first, however much all have
     // missed.
     const float behind = stream::kAbsentSteps * std::log1p(off / stream::kAbsentSteps);
@@ -151,7 +165,22 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     items.push_back(
         {.score = weight * steps / static_cast<float>(bytes), .bytes = bytes, .delta = 0, .page = page.page});
   }
+  learn_delta_share(board, followed / std::max(all, 1e-9), planned_ns_ - before_ns);
   order(std::move(items), budget_bytes);
+}
+
+// A page that has missed much costs fewer bytes whole than all that it has missed, so that deltas which are made before
+// it has come are made in vain. Once all are followed deltas grow again, as slowly as all pages would come whole: what
+// they take too much of leaves pages behind, and these take long to come.
+void ViewerFeed::learn_delta_share(const PageBoard& board, double followed, std::int64_t since_ns) {
+  double model_bytes = 0;
+  for (const stream::OfferedPage& page : board.offered()) model_bytes += board.bytes_of(page);
+  if (followed < kFollowed) {
+    delta_share_ = kLeastDeltaShare;
+  } else if (model_bytes > 0) {
+    const double models = static_cast<double>(since_ns) * 1e-9 * rate_.bytes_per_s() / model_bytes;
+    delta_share_ = std::min(delta_share_ + models * (kMostDeltaShare - kLeastDeltaShare), kMostDeltaShare);
+  }
 }
 
 // As much as the rate allows for; deltas among it in their order, since each goes on where one before has ended.

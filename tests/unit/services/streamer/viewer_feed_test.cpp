@@ -83,7 +83,7 @@ class ViewerFeedTest : public testing::Test {
     if (amount > 0) server_.train(amount);
     ASSERT_TRUE(server_.stream.observe(server_.model().view()));
     std::set<std::uint32_t> holders;
-    for (const Seat* seat : seats) seat->feed.hold_pages(holders);
+    for (const Seat* seat : seats) seat->feed.follow_pages(holders);
     server_.stream.set_holders(holders);
     server_.stream.make_tick(1e9, {});
     std::vector<stream::OfferedPage> changed;
@@ -179,6 +179,35 @@ TEST_F(ViewerFeedTest, WhoIsTooSlowForTheDeltasIsSentFewerStatesRatherThanOldOne
     const double age_s = newer != since.end() ? static_cast<double>(now_ns_ - newer->second) * 1e-9 : 0;
     // All pages take two to three seconds of its rate.
     EXPECT_LT(age_s, 5) << "page " << number;
+  }
+}
+
+TEST_F(ViewerFeedTest, DeltasAreMadeForPagesThatTheyBringUpToDate) {
+  Seat slow(1000);
+  sit(slow);
+  const double rate = slow.feed.rate().bytes_per_s();
+  const auto followed = [&] {
+    std::set<std::uint32_t> pages;
+    slow.feed.follow_pages(pages);
+    return pages;
+  };
+  EXPECT_LT(slow.feed.delta_bytes_per_s(), 0.2 * rate) << "it holds nothing yet";
+  // Each tick changes all pages by more than the rate has: of most of them only the whole page is of use.
+  std::size_t left = 0, least = board_.offered().size();
+  live({&slow}, 6, 0.02F, [&] {
+    const std::set<std::uint32_t> pages = followed();
+    for (const auto& [page, record] : slow.replica.held().pages) left += pages.contains(page) ? 0 : 1;
+    if (slow.replica.held().pages.size() == board_.offered().size()) least = std::min(least, pages.size());
+  });
+  EXPECT_GT(left, 0U);
+  EXPECT_LT(least, board_.offered().size() / 2);
+  EXPECT_LT(slow.feed.delta_bytes_per_s(), 0.2 * rate);
+  // Nothing changes any more: what it was left with comes whole, and is followed again.
+  live({&slow}, 6, 0);
+  EXPECT_EQ(followed().size(), board_.offered().size());
+  EXPECT_GT(slow.feed.delta_bytes_per_s(), 0.5 * rate);
+  for (const stream::OfferedPage& page : board_.offered()) {
+    EXPECT_EQ(slow.replica.held().pages.at(page.page).version, page.version);
   }
 }
 

@@ -224,11 +224,11 @@ TEST_F(ViewerHubTest, ViewersDropThePagesThatEnd) {
   stream::Replica replica;
   ASSERT_TRUE(follow(replica, [&] { return replica.count() == 3000; }));
   ASSERT_TRUE(model_.observe(stream::test::toy_model(1024, 1).view()));
-  model_.set_holders(hub_.holders());
+  model_.set_holders(hub_.followed_pages());
   model_.make_tick(1e9, {});
   hub_.add(model_.take_update());
   EXPECT_TRUE(follow(replica, [&] { return replica.held_pages().size() == 1; })) << replica.held_pages().size();
-  EXPECT_EQ(hub_.holders(), std::set<std::uint32_t>{0});
+  EXPECT_EQ(hub_.followed_pages(), std::set<std::uint32_t>{0});
 }
 
 TEST_F(ViewerHubTest, WhatWasSentToThoseWhoLeftStillCounts) {

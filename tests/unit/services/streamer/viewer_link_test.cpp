@@ -245,7 +245,7 @@ class ViewerLinkTest : public testing::Test {
   void tick() {
     if (training_) server_.train(0.02F);
     ASSERT_TRUE(server_.stream.observe(server_.model().view()));
-    const double bytes_per_s = std::min(500e3, 2.0 / 3 * hub_.most_bytes_per_s().value_or(1e18));
+    const double bytes_per_s = std::min(500e3, hub_.delta_bytes_per_s().value_or(1e18));
     server_.stream.set_holders(hub_.holders());
     server_.stream.make_tick(bytes_per_s / 5, {});
     hub_.add(server_.stream.take_update());
@@ -321,8 +321,8 @@ TEST_F(ViewerLinkTest, OfASlowLineTheQueueStaysShort) {
   viewer.most_on_the_way = 0;
   live(10);
   EXPECT_LE(viewer.most_on_the_way, 2e6 / 8 * 0.7) << "bytes that wait for the line";
-  EXPECT_GT(hub_.most_bytes_per_s().value_or(0), 0.7 * 2e6 / 8) << "the line is used";
-  EXPECT_LT(hub_.most_bytes_per_s().value_or(0), 1.4 * 2e6 / 8);
+  EXPECT_GT(hub_.most_bytes_per_s(), 0.7 * 2e6 / 8) << "the line is used";
+  EXPECT_LT(hub_.most_bytes_per_s(), 1.4 * 2e6 / 8);
   training_ = false;
   live(10);
   EXPECT_LE(behind_s(viewer).value_or(99), 0.5);
