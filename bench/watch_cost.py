@@ -62,9 +62,10 @@ def main():
             time.sleep(options.warm_up)
             broker = pipeline.nodes()["bus"]["pid"]
             ratios, watching_s, broker_s = [], [], {False: [], True: []}
-            for _ in range(options.pairs):
+            for pair in range(options.pairs):
                 rates = {}
-                for watched in (False, True):
+                # In turns, so that what grows or slows down by itself weighs on both alike.
+                for watched in (False, True) if pair % 2 == 0 else (True, False):
                     tools = [subprocess.Popen([options.splatbus, *tool, "--bus", pipeline.bus], stdout=subprocess.DEVNULL)
                              for tool in WATCHERS if watched]
                     time.sleep(1)

@@ -6,18 +6,32 @@
 #include <fstream>
 #include <sstream>
 #include <string>
+#include <string_view>
 
 namespace splatbus::cli {
 
-std::optional<std::uint64_t> resident_bytes(pid_t pid) {
-  std::ifstream file(fmt::format("/proc/{}/smaps_rollup", pid));
+namespace {
+
+/// Of a file of lines such as "Pss:  12 kB".
+std::optional<std::uint64_t> bytes_in(const std::string& path, std::string_view wanted) {
+  std::ifstream file(path);
   std::string key;
   std::uint64_t kibibytes = 0;
   for (std::string line; file >> key;) {
-    if (key == "Pss:" && file >> kibibytes) return kibibytes * 1024;
+    if (key == wanted && file >> kibibytes) return kibibytes * 1024;
     std::getline(file, line);
   }
   return {};
+}
+
+}  // namespace
+
+std::optional<std::uint64_t> resident_bytes(pid_t pid) {
+  return bytes_in(fmt::format("/proc/{}/smaps_rollup", pid), "Pss:");
+}
+
+std::optional<std::uint64_t> own_bytes(pid_t pid) {
+  return bytes_in(fmt::format("/proc/{}/status", pid), "RssAnon:");
 }
 
 std::optional<double> processor_seconds(pid_t pid) {

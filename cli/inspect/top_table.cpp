@@ -69,7 +69,7 @@ void TopSampler::sample_gpus() {
 void TopSampler::add_loads(TopService& service, std::map<std::uint32_t, double>& processor_s) {
   if (!address_.is_local() || !service.alive || service.pid == 0) return;
   const auto pid = static_cast<pid_t>(service.pid);
-  if (const auto bytes = resident_bytes(pid)) service.memory_bytes = static_cast<double>(*bytes);
+  if (const auto bytes = own_bytes(pid)) service.memory_bytes = static_cast<double>(*bytes);
   if (const auto found = gpus_.process_mib.find(service.pid); found != gpus_.process_mib.end()) {
     service.gpu_bytes = found->second * kMebibyte;
   }
