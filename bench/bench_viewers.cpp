@@ -176,7 +176,7 @@ Cost measure(const Options& options, const CodecScene& scene, int viewers) {
         for (float& value : gaussians.parameters) value += normal(random);
         const double from = thread_ms();
         (void)model.observe(gaussians.view());
-        model.set_holders(hub.holders());
+        model.set_holders(hub.followed_pages());
         model.make_tick(options.budget_kbps * 125 / options.tick_hz, {});
         cost.tick_ms += thread_ms() - from;
       }
