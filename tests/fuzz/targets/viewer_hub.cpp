@@ -78,7 +78,7 @@ class Run {
     // Whoever is silent from now on is forgotten.
     now_ns_ += 60'000'000'000;
     hub_.expire(now_ns_);
-    require(hub_.viewers() == 0 && hub_.holders().empty(), "nothing is left of viewers that are gone");
+    require(hub_.viewers() == 0 && hub_.followed_pages().empty(), "nothing is left of viewers that are gone");
   }
 
  private:

@@ -246,7 +246,7 @@ class ViewerLinkTest : public testing::Test {
     if (training_) server_.train(0.02F);
     ASSERT_TRUE(server_.stream.observe(server_.model().view()));
     const double bytes_per_s = std::min(500e3, hub_.delta_bytes_per_s().value_or(1e18));
-    server_.stream.set_holders(hub_.holders());
+    server_.stream.set_holders(hub_.followed_pages());
     server_.stream.make_tick(bytes_per_s / 5, {});
     hub_.add(server_.stream.take_update());
     for (const stream::OfferedPage& page : *server_.stream.offered()) {
