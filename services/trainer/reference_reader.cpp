@@ -6,8 +6,10 @@
 #include "bus/error.h"
 #include "bus/memory.h"
 #include "device/buffer.h"
+#include "gaussians/portable.h"
 #include "trainer/memory_failure.h"
 #include "trainer/object_mask.h"
+#include "trainer/sky_albedo.h"
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 
@@ -34,6 +36,24 @@ bool ReferenceReader::read_picture(const bus::Message& message, const char* name
     const auto buffer = pool_.take(tensor->bytes());
     if (!bus::copy_tensor(*tensor, buffer.get(), memory_, host_bytes_)) return false;
     out = Pixels<T>(std::shared_ptr<const T>(buffer, reinterpret_cast<const T*>(buffer.get())), tensor->elements());
+    return true;
+  });
+}
+
+bool ReferenceReader::read_albedo(const bus::Message& message, TrainingView& view) {
+  const auto& camera = view.camera;
+  if (!view.scene.objects.contains(kFarFieldFrame)) {
+    return read_picture(message, "albedo", {camera.height, camera.width, 4}, view.albedo);
+  }
+  const auto tensor = message.tensor("albedo", bus::ElementType::U8, {camera.height, camera.width, 4});
+  if (!tensor) return false;
+  return in_own_memory([&] {
+    const auto buffer = pool_.take(tensor->bytes());
+    if (!bus::copy_tensor(*tensor, buffer.get(), memory_, host_bytes_)) return false;
+    auto* const albedo = reinterpret_cast<std::uint8_t*>(buffer.get());
+    add_sky_albedo(device::thread_stream(memory_), view.color.data(), camera.width * camera.height,
+                   portable(view.scene.light.background), albedo);
+    view.albedo = Pixels<std::uint8_t>({buffer, albedo}, tensor->elements());
     return true;
   });
 }
@@ -108,7 +128,7 @@ ReferenceReading ReferenceReader::read(const bus::Message& message, bool with_de
                      " MiB");
   }
   bool whole = read_picture(message, "color", {h, w, 4}, view.color);
-  if (whole && with_albedo) whole = read_picture(message, "albedo", {h, w, 4}, view.albedo);
+  if (whole && with_albedo) whole = read_albedo(message, view);
   if (whole && with_depth) whole = read_picture(message, "depth", {h, w}, view.depth);
   whole = whole && read_mask(message, view);
   reading.lost = !whole;

@@ -36,6 +36,8 @@ class ReferenceReader {
   template <class T>
   [[nodiscard]] bool read_picture(const bus::Message& message, const char* name, std::vector<std::uint32_t> shape,
                                   Pixels<T>& out);
+  /// With what the far field's Gaussians show in it (sky_albedo.h).
+  [[nodiscard]] bool read_albedo(const bus::Message& message, TrainingView& view);
   /// Of the objects that are not to be modelled.
   [[nodiscard]] bool read_mask(const bus::Message& message, TrainingView& view);
 

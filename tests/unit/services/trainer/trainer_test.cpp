@@ -234,6 +234,31 @@ TEST_F(TrainerTest, WhatIsNotToBeModelledIsMaskedInPictures) {
   EXPECT_TRUE(reader.read(next(), true).view->mask.empty());
 }
 
+TEST_F(TrainerTest, TheFarFieldShowsInAlbedoPictures) {
+  TrainingView view = *SyntheticScene(10, 1).views().front();
+  ASSERT_FALSE(view.albedo.empty());
+  view.scene.light.background = glm::vec3(0);
+  std::vector<std::uint8_t> color(view.color.size(), 255), albedo(color.size(), 100);
+  for (std::size_t i = 0; i < color.size() / 2; ++i) color[i] = i % 4 == 3 ? 0 : 50;  // sky
+  view.color = Pixels<std::uint8_t>(std::vector<std::uint8_t>(color));
+  view.albedo = Pixels<std::uint8_t>(std::vector<std::uint8_t>(albedo));
+  std::atomic<std::uint64_t> host_bytes{0};
+  ReferenceReader reader(Device::Cpu, 1 << 20, 1 << 20, host_bytes);
+  bus::Subscriber references(connect("reader"), {"capture/reference"});
+  bus_test::meet(publisher_, references);
+  const auto next = [&] { return reader.read(references.receive(bus_test::patience).value(), true).view; };
+  publish_view(view);
+  const auto without = next();
+  EXPECT_EQ(std::vector<std::uint8_t>(without->albedo.data(), without->albedo.data() + albedo.size()), albedo);
+  view.scene.objects[kFarFieldFrame];
+  publish_view(view);
+  const auto with = next();
+  for (std::size_t i = 0; i < albedo.size(); ++i) {
+    if (i % 4 == 3) continue;
+    ASSERT_EQ(with->albedo[i], i < albedo.size() / 2 ? 50 : 100) << i;
+  }
+}
+
 TEST_F(TrainerTest, StatsSayWhatRests) {
   const SyntheticScene scene;
   set("freeze_after_s", "0");
