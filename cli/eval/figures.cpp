@@ -35,6 +35,15 @@ FigureSummary summarize(const ViewFigures& figures) {
   return summary;
 }
 
+ViewFigures last_round(const ViewFigures& figures_of_probes) {
+  ViewFigures last;
+  for (auto it = figures_of_probes.rbegin(); it != figures_of_probes.rend(); ++it) {
+    if (!last.empty() && last.begin()->first != it->first + 1) break;
+    last.insert(*it);
+  }
+  return last;
+}
+
 std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigures& figures) {
   std::string rows;
   for (const auto& [view, quality] : figures) {

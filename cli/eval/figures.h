@@ -20,6 +20,9 @@ struct FigureSummary {
 /// Of at least one view.
 [[nodiscard]] FigureSummary summarize(const ViewFigures& figures);
 
+/// By probe ids: those of the last round, whose ids follow one another (ProbeRounds).
+[[nodiscard]] ViewFigures last_round(const ViewFigures& figures_of_probes);
+
 /// Lines of one iteration under kCsvHeader; `optimizer_s` is what training has taken so far.
 [[nodiscard]] std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigures& figures);
 inline constexpr const char* kCsvHeader = "iteration,view,ssim,psnr,flip,optimizer_s\n";

@@ -95,12 +95,12 @@ class Replay {
         step(signals);
         const auto& trainer = watch_.state().trainer;
         show(fmt::format("{} Gaussians, step {}, SSIM {:.4f}", trainer.gaussians, trainer.step,
-                         figures_.empty() ? 0 : summarize(last_round()).mean.ssim));
+                         figures_.empty() ? 0 : summarize(last_round(figures_)).mean.ssim));
       }
     }
     if (!failure.empty()) throw std::runtime_error(failure);
     if (figures_.empty()) throw std::runtime_error("no capture/probe in the recording could be compared");
-    const FigureSummary summary = summarize(last_round());
+    const FigureSummary summary = summarize(last_round(figures_));
     const auto& trainer = watch_.state().trainer;
     return {{"recording", options_.path},
             {"messages", played.messages},
@@ -149,15 +149,7 @@ class Replay {
     if (!drawn) return late;
     if (!waiting.lights) ++without_maps_;
     figures_[waiting.picture.probe_id] = metrics::compare(*drawn, waiting.picture.picture);
-    cameras_.insert(waiting.picture.camera.id);
     return true;
-  }
-
-  /// The newest picture of as many as there are cameras.
-  [[nodiscard]] ViewFigures last_round() const {
-    ViewFigures last;
-    for (auto it = figures_.rbegin(); it != figures_.rend() && last.size() < cameras_.size(); ++it) last.insert(*it);
-    return last;
   }
 
   const ReplayOptions& options_;
@@ -172,7 +164,6 @@ class Replay {
   std::deque<Waiting> waiting_;
   ViewFigures figures_;           // by probe id
   std::size_t without_maps_ = 0;  // pictures that were drawn with the model's own visibility
-  std::set<std::uint32_t> cameras_;
   SupervisedRun run_;
 };
 

@@ -19,6 +19,20 @@ TEST(Figures, MeansAndExtremes) {
   EXPECT_DOUBLE_EQ(summary.flip_max, 0.04);
 }
 
+TEST(Figures, ARoundIsOfIdsThatFollowOneAnother) {
+  ViewFigures all;
+  for (const std::size_t id : {256U, 257U, 258U, 259U, 512U, 513U, 768U, 769U, 770U})
+    all[id].ssim = static_cast<double>(id);
+  const ViewFigures last = last_round(all);
+  ASSERT_EQ(last.size(), 3U);
+  EXPECT_EQ(last.begin()->first, 768U);
+  EXPECT_NEAR(summarize(last).mean.ssim, 769, 1e-9);
+  all.erase(770);
+  all.erase(769);
+  EXPECT_EQ(last_round(all).size(), 1U);
+  EXPECT_TRUE(last_round({}).empty());
+}
+
 TEST(Figures, CsvHasARowAView) {
   EXPECT_EQ(csv_rows(100, 0.25, kFigures),
             "100,0,0.90000,30.000,0.02000,0.2500\n100,1,0.98000,100.000,0.04000,0.2500\n");
