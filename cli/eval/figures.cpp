@@ -36,9 +36,10 @@ FigureSummary summarize(const ViewFigures& figures) {
 }
 
 ViewFigures last_round(const ViewFigures& figures_of_probes) {
+  constexpr std::size_t kMostLost = 16;  // rounds are hundreds apart
   ViewFigures last;
   for (auto it = figures_of_probes.rbegin(); it != figures_of_probes.rend(); ++it) {
-    if (!last.empty() && last.begin()->first != it->first + 1) break;
+    if (!last.empty() && last.begin()->first - it->first > kMostLost) break;
     last.insert(*it);
   }
   return last;

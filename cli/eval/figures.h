@@ -20,7 +20,7 @@ struct FigureSummary {
 /// Of at least one view.
 [[nodiscard]] FigureSummary summarize(const ViewFigures& figures);
 
-/// By probe ids: those of the last round, whose ids follow one another (ProbeRounds).
+/// By probe ids: those of the last round (ProbeRounds). Its ids follow one another, but for a few that were lost.
 [[nodiscard]] ViewFigures last_round(const ViewFigures& figures_of_probes);
 
 /// Lines of one iteration under kCsvHeader; `optimizer_s` is what training has taken so far.

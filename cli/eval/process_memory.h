@@ -12,8 +12,8 @@ namespace splatbus::cli {
 [[nodiscard]] std::optional<std::uint64_t> resident_bytes(pid_t pid);
 
 /// Bytes in memory that are a process' own (RssAnon of /proc/PID/status): slabs and libraries are in none. It costs the
-/// process nothing, while the above holds up its page faults for as long as all its pages are counted. nullopt as
-/// above.
+/// process nothing, while the above holds up its page faults for as long as all its pages are counted. nullopt where
+/// the process is gone.
 [[nodiscard]] std::optional<std::uint64_t> own_bytes(pid_t pid);
 
 /// Seconds of processor time that a process has had; nullopt where it is gone.

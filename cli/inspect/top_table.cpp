@@ -197,7 +197,7 @@ Json to_json(const TopView& view) {
                                 {"detail", s.detail},
                                 {"restarts", or_null(s.restarts)},
                                 {"processor_percent", or_null(s.processor_percent)},
-                                {"memory_bytes", or_null(s.memory_bytes)},
+                                {"own_memory_bytes", or_null(s.memory_bytes)},
                                 {"gpu_bytes", or_null(s.gpu_bytes)},
                                 {"rate_hz", s.rate_hz},
                                 {"drops", s.drops}});

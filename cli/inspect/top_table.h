@@ -20,10 +20,10 @@ struct TopService {
   std::uint32_t pid = 0;
   bool alive = false;
   std::optional<int> restarts;
-  std::optional<double> processor_percent;  ///< of one core, since the view before
-  std::optional<double> memory_bytes, gpu_bytes;
-  double rate_hz = 0;  ///< messages of the topics that it alone publishes
-  double drops = 0;    ///< since it started: drops_of()
+  std::optional<double> processor_percent;        ///< of one core, since the view before
+  std::optional<double> memory_bytes, gpu_bytes;  ///< the former as own_bytes()
+  double rate_hz = 0;                             ///< messages of the topics that it alone publishes
+  double drops = 0;                               ///< since it started: drops_of()
 };
 
 struct TopTopic {

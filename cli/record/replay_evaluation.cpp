@@ -108,6 +108,7 @@ class Replay {
             {"recorded_steps", pace.recorded_steps()},
             {"steps_given_up", pace.given_up()},
             {"pictures", figures_.size()},
+            {"last_round", last_round(figures_).size()},
             {"without_maps", without_maps_},
             {"unpaired_views", trainer.unpaired_views},
             {"gaussians", trainer.gaussians},

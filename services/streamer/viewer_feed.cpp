@@ -167,7 +167,10 @@ bool ViewerFeed::begin_item(stream::StreamModel& model, PageBoard& board, const 
   const stream::OfferedPage* offered = board.find(item.page);
   if (!offered || !make_room(model, *offered)) return false;
   const auto held = held_.find(item.page);
-  if (held != held_.end() && held->second.version >= offered->version) return false;
+  if (held != held_.end() && held->second.version >= offered->version) {
+    held->second.left_ns = 0;  // a packet that went for other pages has brought it up to date
+    return false;
+  }
   page_ = board.page(item.page, item.bytes > 0.5 * rate_.large());
   part_ = 0;
   page_number_ = item.page;

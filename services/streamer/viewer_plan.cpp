@@ -17,7 +17,7 @@ constexpr float kBehindSteps = 5;          // of a page that has missed deltas w
 constexpr float kLeftSteps_s = 5;          // what a page changes in a second, while no delta says it
 constexpr std::uint32_t kTicksDeltas = 2;  // that one tick may have of a page: what it is now, and its values
 constexpr double kMostDeltaShare = 2.0 / 3, kLeastDeltaShare = 0.1;  // of a viewer's rate
-constexpr double kFollowed = 0.9;                                    // of its picture
+constexpr double kFollowed = 0.9;                                    // of what shows
 constexpr float kSeenSteps = 5;                                      // of one that has missed how it sees the lights
 constexpr double kSeenBytes = 400;
 
@@ -131,16 +131,20 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
   }
 
   std::erase_if(declined_, [&](const auto& entry) { return entry.second < planned_ns_; });
-  double followed = 0, all = 0;  // of the picture
+  double followed = 0, all = 0;
   for (const stream::OfferedPage& page : board.offered()) {
     if (declined_.contains(page.page)) continue;
     const float weight = weights_.at(page.page);
-    all += weight;
     const auto version = versions.find(page.page);
     const auto held = held_.find(page.page);
+    // Spheres overlap in the picture, and no page shows in more pixels than matter to it; what there is no room for
+    // never comes.
+    const bool fits = held != held_.end() || gaussians_ + page.count <= max_gaussians_;
+    const float shows = fits ? std::min(weight, static_cast<float>(page.count)) : 0;
+    all += shows;
     if (version != versions.end() && version->second >= page.version) {
       if (held != held_.end()) held->second.left_ns = 0;
-      followed += weight;
+      followed += shows;
       if (held != held_.end() && held->second.seen_stale) {
         items.push_back({.score = weight * kSeenSteps / static_cast<float>(kSeenBytes),
                          .bytes = kSeenBytes,

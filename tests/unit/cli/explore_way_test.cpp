@@ -107,7 +107,7 @@ TEST(ResidentBytes, GrowsByWhatIsWritten) {
   std::memset(block.data(), 1, kBytes);
   const auto after = resident_bytes(::getpid());
   ASSERT_TRUE(after);
-  EXPECT_NEAR(static_cast<double>(*after - *before), kBytes, 4 << 20) << static_cast<int>(block[kBytes / 2]);
+  EXPECT_NEAR(static_cast<double>(*after - *before), kBytes, 8 << 20) << static_cast<int>(block[kBytes / 2]);
   EXPECT_FALSE(resident_bytes(0x3fffffff));
 }
 

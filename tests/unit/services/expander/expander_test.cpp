@@ -210,7 +210,7 @@ TEST_P(ExpanderTest, ReadsThePagesThatHaveChangedAndSearchesThoseAboutARound) {
   trainer_->publish();
   start();
   const ModelledPoints& modelled = expander_->inserter().modelled();
-  EXPECT_EQ(modelled.pages_read(), kFarPages);
+  ASSERT_TRUE(until([&] { return modelled.pages_read() == kFarPages; })) << modelled.pages_read();
   publish_input(floor_round(-1, 1));
   ASSERT_TRUE(settled_after(1));
   EXPECT_EQ(modelled.near_pages(), 0U);

@@ -211,6 +211,14 @@ TEST_F(ViewerFeedTest, DeltasAreMadeForPagesThatTheyBringUpToDate) {
   }
 }
 
+TEST_F(ViewerFeedTest, WhatItHasNoRoomForDoesNotHoldUpDeltas) {
+  Seat small(20'000, 4000);
+  sit(small);
+  live({&small}, 4);
+  ASSERT_LT(small.replica.held().pages.size(), board_.offered().size()) << "it has room for all";
+  EXPECT_GT(small.feed.delta_bytes_per_s(), 0.5 * small.feed.rate().bytes_per_s());
+}
+
 TEST_F(ViewerFeedTest, WhatItLacksComesBeforeWhatItHoldsChanges) {
   Seat fast(1e6), joins(2000);
   sit(fast);

@@ -58,6 +58,21 @@ TEST_P(SkyAlbedoOn, AnEdgeHasItsShareOfTheBackground) {
   EXPECT_NEAR(got[0][2], 207, 1);
 }
 
+TEST_P(SkyAlbedoOn, WhatHasAnAlbedoIsASurfaceWhateverItsAlpha) {
+  const Pixel untold{200, 220, 240, 0}, wood{120, 60, 30, 0};
+  const std::vector<Pixel> albedo{wood, kBlack};
+  const auto got = add({untold, kCloud}, albedo, kBackground);
+  EXPECT_EQ(got[0], wood);
+  EXPECT_EQ(got[1][0], kCloud[0]);
+  EXPECT_EQ(add({untold, kPlain}, albedo, kBackground), albedo) << "no sky is in it";
+}
+
+TEST_P(SkyAlbedoOn, ABackgroundBeyondWhitePicturesIsWhite) {
+  const Pixel white{255, 255, 255, 0}, edge{255, 255, 255, 230};
+  const auto got = add({edge, kCloud, white}, {{0, 0, 0, 230}, kBlack, kBlack}, {5, 5, 5});
+  EXPECT_NEAR(got[0][0], 88, 1) << "a tenth of white";
+}
+
 TEST_P(SkyAlbedoOn, NothingIsDoneBeforeAPlainBackground) {
   const Pixel rounded{138, 187, 223, 0}, edge{150, 150, 150, 128};
   const std::vector<Pixel> albedo{kBlack, kWood, {137, 137, 137, 128}, kBlack};

@@ -239,7 +239,10 @@ TEST_F(TrainerTest, TheFarFieldShowsInAlbedoPictures) {
   ASSERT_FALSE(view.albedo.empty());
   view.scene.light.background = glm::vec3(0);
   std::vector<std::uint8_t> color(view.color.size(), 255), albedo(color.size(), 100);
-  for (std::size_t i = 0; i < color.size() / 2; ++i) color[i] = i % 4 == 3 ? 0 : 50;  // sky
+  for (std::size_t i = 0; i < color.size() / 2; ++i) {  // sky
+    color[i] = i % 4 == 3 ? 0 : 50;
+    albedo[i] = 0;
+  }
   view.color = Pixels<std::uint8_t>(std::vector<std::uint8_t>(color));
   view.albedo = Pixels<std::uint8_t>(std::vector<std::uint8_t>(albedo));
   std::atomic<std::uint64_t> host_bytes{0};
