@@ -6,6 +6,7 @@
 #include <cassert>
 #include <cmath>
 #include <fstream>
+#include <ranges>
 #include <stdexcept>
 #include <string>
 
@@ -38,9 +39,9 @@ FigureSummary summarize(const ViewFigures& figures) {
 ViewFigures last_round(const ViewFigures& figures_of_probes) {
   constexpr std::size_t kMostLost = 16;  // rounds are hundreds apart
   ViewFigures last;
-  for (auto it = figures_of_probes.rbegin(); it != figures_of_probes.rend(); ++it) {
-    if (!last.empty() && last.begin()->first - it->first > kMostLost) break;
-    last.insert(*it);
+  for (const auto& probe : std::views::reverse(figures_of_probes)) {
+    if (!last.empty() && last.begin()->first - probe.first > kMostLost) break;
+    last.insert(probe);
   }
   return last;
 }
