@@ -6,7 +6,7 @@
 #include <cassert>
 #include <cmath>
 #include <fstream>
-#include <ranges>
+#include <iterator>
 #include <stdexcept>
 #include <string>
 
@@ -38,12 +38,12 @@ FigureSummary summarize(const ViewFigures& figures) {
 
 ViewFigures last_round(const ViewFigures& figures_of_probes) {
   constexpr std::size_t kMostLost = 16;  // rounds are hundreds apart
-  ViewFigures last;
-  for (const auto& probe : std::views::reverse(figures_of_probes)) {
-    if (!last.empty() && last.begin()->first - probe.first > kMostLost) break;
-    last.insert(probe);
+  const auto end = figures_of_probes.end();
+  auto first = end;
+  while (first != figures_of_probes.begin() && (first == end || first->first - std::prev(first)->first <= kMostLost)) {
+    --first;
   }
-  return last;
+  return {first, end};
 }
 
 std::string csv_rows(std::uint64_t iteration, double optimizer_s, const ViewFigures& figures) {
