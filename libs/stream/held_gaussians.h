@@ -96,7 +96,9 @@ class HeldChannel {
     }
   }
   [[nodiscard]] std::size_t width() const { return static_cast<std::size_t>(width_); }  ///< bytes a row
-  [[nodiscard]] std::size_t bytes() const { return chunks_.size() * (sizeof(chunks_[0]) + kChunkRows * width()); }
+  [[nodiscard]] std::size_t bytes() const {
+    return chunks_.size() * (sizeof(std::vector<std::byte>) + kChunkRows * width());
+  }
   bool operator==(const HeldChannel&) const = default;
 
  private:

@@ -64,7 +64,8 @@ inline constexpr float kHalfWidthDeviations = 2, kLeastWidth_px = 0.125F;
   const float margin = kSupportDeviations * largest_m + kSupportDepthPart * at.z;
   float least = INFINITY;
   for (int k = 0; k < 9; ++k) {
-    const float depth = depth_at(u + static_cast<float>(k % 3 - 1), v + static_cast<float>(k / 3 - 1));
+    const int column = k % 3 - 1, row = k / 3 - 1;
+    const float depth = depth_at(u + static_cast<float>(column), v + static_cast<float>(row));
     if (fabsf(depth - at.z) <= margin) return Verdict::Supported;
     least = math::smaller(depth, least);
   }
@@ -74,8 +75,8 @@ inline constexpr float kHalfWidthDeviations = 2, kLeastWidth_px = 0.125F;
   if (!(2 * kHalfWidthDeviations * second_m * px_per_m >= kLeastWidth_px)) return Verdict::None;
   const float reach_px = kHalfWidthDeviations * largest_m * math::larger(picture.fx, picture.fy) / at.z;
   for (int k = 0; k < 9 && reach_px > 1; ++k) {
-    const float depth =
-        depth_at(u + reach_px * static_cast<float>(k % 3 - 1), v + reach_px * static_cast<float>(k / 3 - 1));
+    const int column = k % 3 - 1, row = k / 3 - 1;
+    const float depth = depth_at(u + reach_px * static_cast<float>(column), v + reach_px * static_cast<float>(row));
     if (!(at.z + margin < depth)) return Verdict::None;
   }
   return Verdict::Free;
