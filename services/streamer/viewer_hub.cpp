@@ -142,12 +142,6 @@ std::optional<double> ViewerHub::delta_bytes_per_s() const {
   return most;
 }
 
-double ViewerHub::most_bytes_per_s() const {
-  double most = 0;
-  for (const auto& [peer, viewer] : viewers_) most = std::max(most, viewer.feed.rate().bytes_per_s());
-  return most;
-}
-
 void ViewerHub::send_keepalive(std::int64_t now_ns) {
   const stream::StreamModel::Status held = model_.status();
   for (auto& [peer, viewer] : viewers_) {

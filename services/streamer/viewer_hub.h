@@ -68,8 +68,6 @@ class ViewerHub {
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
   void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 
-  /// What the fastest viewer is sent at most; 0 without viewers.
-  [[nodiscard]] double most_bytes_per_s() const;
   /// The most that any viewer has room for in deltas; nullopt without viewers.
   [[nodiscard]] std::optional<double> delta_bytes_per_s() const;
   [[nodiscard]] std::size_t viewers() const { return viewers_.size(); }

@@ -137,8 +137,7 @@ void ViewerFeed::plan(const PageBoard& board, const std::optional<ViewerGaze>& g
     const float weight = weights_.at(page.page);
     const auto version = versions.find(page.page);
     const auto held = held_.find(page.page);
-    // Spheres overlap in the picture, and no page shows in more pixels than matter to it; what there is no room for
-    // never comes.
+    // A pixel for each Gaussian at most, since spheres overlap in the picture. What there is no room for never comes.
     const bool fits = held != held_.end() || gaussians_ + page.count <= max_gaussians_;
     const float shows = fits ? std::min(weight, static_cast<float>(page.count)) : 0;
     all += shows;
