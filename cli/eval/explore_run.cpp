@@ -237,7 +237,11 @@ class ExploreRun {
   void take_answers() {
     std::erase_if(waiting_, [this](const Waiting& waiting) {
       const auto* answer = viewers_.answer(plan_.viewers[waiting.viewer], waiting.probe_id);
-      if (answer == nullptr || waiting.engine.empty()) return bus::now_ns() - waiting.asked_ns > kAnswerPatienceNs;
+      if (answer == nullptr || waiting.engine.empty()) {
+        if (bus::now_ns() - waiting.asked_ns <= kAnswerPatienceNs) return false;
+        if (waiting.station) due_.push_back({.station = *waiting.station, .phase = waiting.phase});
+        return true;
+      }
       take(waiting, *answer);
       return true;
     });
