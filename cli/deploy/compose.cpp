@@ -14,7 +14,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Compose takes $ for a variable of its own.
-std::string plain(const std::string& text) {
+std::string literal(const std::string& text) {
   std::string out;
   for (const char c : text) out += c == '$' ? "$$" : std::string(1, c);
   return out;
@@ -44,9 +44,9 @@ Json ports_of(const DeployProcess& process) {
 Json service_of(const DeployProcess& process, const DeployOptions& options, const std::map<std::string, bool>& beats,
                 bool remote) {
   Json command = Json::array();
-  for (const std::string& word : process.command) command.push_back(plain(word));
+  for (const std::string& word : process.command) command.push_back(literal(word));
   Json environment = Json::object();
-  for (const auto& [key, value] : process.environment) environment[key] = plain(value);
+  for (const auto& [key, value] : process.environment) environment[key] = literal(value);
   Json service{{"image", options.image},
                {"command", command},
                {"init", true},

@@ -18,14 +18,13 @@
 #include "node_info.h"
 #include "schema_json.h"
 #include "supervised_run.h"
+#include "topic_watch.h"
 #include "verbs.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::cli {
 
 namespace {
-
-constexpr std::chrono::milliseconds kPatience(50);
 
 struct NodeOptions {
   std::string bus;

@@ -14,12 +14,6 @@
 
 namespace splatbus::cli {
 
-namespace {
-
-constexpr std::size_t kLinesKept = 12;
-
-}  // namespace
-
 PrivateBusFolder::PrivateBusFolder() {
   std::string path = (std::filesystem::temp_directory_path() / "splatbus-run-XXXXXX").string();
   if (mkdtemp(path.data()) == nullptr) {

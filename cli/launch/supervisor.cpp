@@ -17,7 +17,6 @@ namespace {
 
 constexpr int kPollMs = 50;
 constexpr const char* kBrokerSource = "bus";
-constexpr std::size_t kLinesKept = 12;
 
 }  // namespace
 

@@ -30,6 +30,9 @@ enum class ProcessState { Waiting, Starting, Running, BackOff, Stopping, Stopped
 
 [[nodiscard]] const char* to_string(ProcessState state);
 
+/// Last lines of a process's output that are kept, to be told when it fails.
+inline constexpr std::size_t kLinesKept = 12;
+
 /// A second process of an entry: its successor, which gets ready beside it, or, after the exchange, its predecessor.
 struct BesideStatus {
   pid_t pid = 0;  ///< 0 when it has ended

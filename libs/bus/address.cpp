@@ -9,12 +9,11 @@
 #include <string_view>
 
 #include "bus/error.h"
+#include "bus/schemes.h"
 
 namespace splatbus::bus {
 namespace {
 
-constexpr std::string_view ipc_scheme = "ipc://";
-constexpr std::string_view tcp_scheme = "tcp://";
 // A Unix socket's path has room for 107 characters; "/slabs" is the longest that we append.
 constexpr std::size_t max_directory_length = 100;
 

@@ -12,12 +12,11 @@
 
 #include "bus/frames.h"
 #include "bus/permanent_error.h"
+#include "bus/schemes.h"
 
 namespace splatbus::bus {
 namespace {
 
-constexpr std::string_view tcp_scheme = "tcp://";
-constexpr std::string_view ipc_scheme = "ipc://";
 // libzmq 4.3 knows these, and its header names them among the drafts only.
 constexpr int zap_enforce_domain = 93;
 constexpr const char* user_id = "User-Id";

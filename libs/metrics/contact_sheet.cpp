@@ -10,7 +10,7 @@
 namespace splatbus::metrics {
 namespace {
 
-constexpr int kMargin = 24, kGap = 12, kMaxSide = 4096;
+constexpr int kMargin = 24, kGap = 12, kMaxSheetSide = 4096;
 const cv::Scalar kGround(250, 250, 250), kText(40, 36, 32), kFaintText(110, 104, 100), kFrame(205, 205, 205);
 
 struct Font {
@@ -35,12 +35,12 @@ void put(cv::Mat& canvas, const std::string& text, const cv::Point& left_top, co
 
 int scaled_width(const cv::Mat& picture, int height) {
   return std::clamp(static_cast<int>(std::lround(static_cast<double>(picture.cols) * height / picture.rows)), 1,
-                    kMaxSide);
+                    kMaxSheetSide);
 }
 
 void check(const ContactSheet& sheet) {
   if (sheet.columns.empty() || sheet.rows.empty()) throw std::invalid_argument("contact sheet: nothing to show");
-  if (sheet.picture_height < 16 || sheet.picture_height > kMaxSide) {
+  if (sheet.picture_height < 16 || sheet.picture_height > kMaxSheetSide) {
     throw std::invalid_argument(fmt::format("contact sheet: a picture height of {}", sheet.picture_height));
   }
   for (const ContactSheetRow& row : sheet.rows) {

@@ -14,7 +14,7 @@ namespace {
 constexpr int kWidth = 960, kHeight = 320;
 constexpr int kLeft = 90, kRight = 180, kTop = 44, kBottom = 48;
 constexpr int kTicks = 5;
-const cv::Scalar kGround(250, 250, 250), kText(40, 36, 32), kGrid(225, 225, 225), kFrame(160, 160, 160),
+const cv::Scalar kPlotGround(250, 250, 250), kPlotText(40, 36, 32), kGrid(225, 225, 225), kPlotFrame(160, 160, 160),
     kMark(150, 150, 220);
 // Okabe and Ito's palette, which those who see few colours tell apart; BGR.
 const cv::Scalar kLineColors[] = {{178, 114, 0},   {0, 94, 213},  {115, 158, 0},
@@ -65,7 +65,7 @@ class PlotPainter {
   }
 
   void paint() {
-    canvas_.setTo(kGround);
+    canvas_.setTo(kPlotGround);
     text(plot_.title, {kLeft, kTop - 18}, 0.55);
     text(plot_.x_label, {kLeft, kHeight - 8}, 0.42);
     for (double x = x_.from; x <= x_.to + x_.step / 2; x += x_.step) {
@@ -80,7 +80,7 @@ class PlotPainter {
       cv::line(canvas_, at(mark.x, y_.from), at(mark.x, y_.to), kMark, 2);
       text(mark.name, at(mark.x, y_.to) + cv::Point(4, 12), 0.42);
     }
-    cv::rectangle(canvas_, at(x_.from, y_.to), at(x_.to, y_.from), kFrame);
+    cv::rectangle(canvas_, at(x_.from, y_.to), at(x_.to, y_.from), kPlotFrame);
     for (std::size_t i = 0; i < plot_.lines.size(); ++i) {
       const cv::Scalar& color = kLineColors[i % std::size(kLineColors)];
       paint_line(plot_.lines[i], color);
@@ -98,7 +98,7 @@ class PlotPainter {
   }
 
   void text(const std::string& words, const cv::Point& baseline, double scale) {
-    cv::putText(canvas_, words, baseline, cv::FONT_HERSHEY_SIMPLEX, scale, kText, 1, cv::LINE_AA);
+    cv::putText(canvas_, words, baseline, cv::FONT_HERSHEY_SIMPLEX, scale, kPlotText, 1, cv::LINE_AA);
   }
 
   void paint_line(const PlotLine& line, const cv::Scalar& color) {

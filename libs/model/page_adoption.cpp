@@ -11,12 +11,12 @@
 #include "bus/error.h"
 #include "bus/memory.h"
 #include "model/page_store.h"
+#include "model/table_slot.h"
 
 namespace splatbus::model {
 
 namespace {
 
-constexpr std::size_t kSlot = 0;
 constexpr int kTimeout_ms = 10000;
 constexpr auto kLife = bus::Context::SlabLife::ForSuccessor;
 /// The table is in one of these; the other one is what it moves to. So it is with the pages.

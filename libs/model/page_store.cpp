@@ -3,13 +3,12 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "model/table_slot.h"
 #include "wire/model_generated.h"
 
 namespace splatbus::model {
 
 namespace {
-
-constexpr std::size_t kSlot = 0;
 
 GaussiansView view_of(const PageMemory& memory, const ParameterLayout& layout, Channel parameters) {
   GaussiansView view{.layout = layout, .stride = kRowWords, .page_shift = kPageShift, .page_stride = memory.page_words};

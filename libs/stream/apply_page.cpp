@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "stream/all_seen.h"
 #include "stream/bytes.h"
 #include "stream/page_codec.h"
 #include "stream/replicated_state.h"
@@ -10,8 +11,6 @@
 namespace splatbus::stream {
 
 namespace {
-
-constexpr std::uint8_t kAll = 255;
 
 void require_sense(const wire::Page& body) {
   const std::uint32_t first = body.first(), part = body.part(), count = body.count();
@@ -89,7 +88,7 @@ Change apply_page(ReplicatedState& state, const wire::Page& body, std::span<cons
   for (std::uint32_t i = 0; i < body.part(); ++i) change.rows.push_back(page.row(body.first() + i));
   state.gaussians.write(change.rows, lanes, 0);
   for (const std::uint32_t row : change.rows) {
-    if (sun) state.gaussians.channels[sun->first].set(row, kAll);
+    if (sun) state.gaussians.channels[sun->first].set(row, kAllSeen);
     state.light_rows.forget(row);
   }
   for (const SeenValues& light : seen) {

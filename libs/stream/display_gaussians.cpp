@@ -3,14 +3,13 @@
 #include <algorithm>
 #include <cassert>
 
+#include "stream/all_seen.h"
 #include "stream/channel_kernels.h"
 #include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 
 namespace {
-
-constexpr int kAll = 255;  // of a light is seen
 
 /// Host memory as the stream's device reads it.
 template <class T>
@@ -133,7 +132,7 @@ void DisplayGaussians::gather_lights(const std::vector<std::uint32_t>& ids, std:
                                      device::Buffer<std::uint8_t>& to) {
   to.resize((1 + ids.size()) * stride);
   if (to.empty()) return;
-  device::fill(stream_, to.data(), kAll, to.bytes());
+  device::fill(stream_, to.data(), kAllSeen, to.bytes());
   if (!lights_.empty()) device::copy(stream_, to.data(), seen_row(0), stride_);
   for (std::size_t k = 0; k < ids.size(); ++k) {
     if (!std::ranges::binary_search(lights_, ids[k])) continue;

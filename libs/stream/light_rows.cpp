@@ -2,15 +2,10 @@
 
 #include <algorithm>
 
+#include "stream/all_seen.h"
 #include "stream/quantized.h"
 
 namespace splatbus::stream {
-
-namespace {
-
-constexpr std::uint8_t kAll = 255;
-
-}  // namespace
 
 bool LightRows::set_lights(std::span<const std::uint32_t> ids, std::size_t slots) {
   const bool same = std::equal(ids.begin(), ids.end(), rows_.begin(), rows_.end(),
@@ -19,14 +14,14 @@ bool LightRows::set_lights(std::span<const std::uint32_t> ids, std::size_t slots
   std::map<std::uint32_t, Bytes> rows;
   for (const std::uint32_t id : ids) {
     const auto old = rows_.find(id);
-    rows.emplace(id, old != rows_.end() ? std::move(old->second) : Bytes(slots, kAll));
+    rows.emplace(id, old != rows_.end() ? std::move(old->second) : Bytes(slots, kAllSeen));
   }
   rows_ = std::move(rows);
   return true;
 }
 
 void LightRows::resize(std::size_t slots) {
-  for (auto& [id, row] : rows_) row.resize(slots, kAll);
+  for (auto& [id, row] : rows_) row.resize(slots, kAllSeen);
 }
 
 void LightRows::move(std::size_t from, std::size_t to) {
@@ -34,7 +29,7 @@ void LightRows::move(std::size_t from, std::size_t to) {
 }
 
 void LightRows::forget(std::size_t slot) {
-  for (auto& [id, row] : rows_) row[slot] = kAll;
+  for (auto& [id, row] : rows_) row[slot] = kAllSeen;
 }
 
 Bytes* LightRows::find(std::uint32_t id) {

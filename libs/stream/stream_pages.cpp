@@ -2,6 +2,7 @@
 #include <numeric>
 #include <utility>
 
+#include "stream/all_seen.h"
 #include "stream/codecs.h"
 #include "stream/stream_model.h"
 
@@ -10,14 +11,13 @@ namespace splatbus::stream {
 namespace {
 
 constexpr std::size_t kManifestPages = 100;  // in one packet: few bytes, for slow viewers
-constexpr std::uint8_t kAll = 255;
 
 wire::Vec3 to_wire(const math::Vec3& v) {
   return {v.x, v.y, v.z};
 }
 
 bool all_seen(const Bytes& row) {
-  return std::ranges::all_of(row, [](std::uint8_t value) { return value == kAll; });
+  return std::ranges::all_of(row, [](std::uint8_t value) { return value == kAllSeen; });
 }
 
 }  // namespace
@@ -79,7 +79,7 @@ std::vector<PagePacket> StreamModel::page_packets(std::uint32_t number, std::uin
     if (const AttributeChannels* sun = layout.find(Attribute::Visibility)) {
       std::vector<std::int32_t>& plane = lanes.channels[static_cast<std::size_t>(sun->first)];
       seen[0].assign(plane.begin(), plane.end());
-      std::ranges::fill(plane, kAll);
+      std::ranges::fill(plane, kAllSeen);
     }
     for (const auto& [id, row] : held_.light_rows.all()) {
       for (std::uint32_t lane = 0; lane < page.count; ++lane) seen[id].push_back(row[page.row(lane)]);

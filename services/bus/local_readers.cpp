@@ -9,8 +9,8 @@ namespace splatbus::bus_service {
 namespace {
 
 constexpr std::size_t max_readers = 1024;
-constexpr std::size_t max_prefixes = 256;  // of a reader
-constexpr std::size_t max_names = 16;
+constexpr std::size_t max_own_prefixes = 256;  // of a reader
+constexpr std::size_t max_consumers = 16;
 
 std::uint32_t process_of(int fd) {
   ucred peer{};
@@ -32,7 +32,7 @@ void LocalReaders::note(const zmq::message_t& event, const std::string& prefix, 
   if (found == readers_.end() && readers_.size() >= max_readers) return;
   Reader& reader = readers_[socket.cookie];
   if (found == readers_.end()) reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}};
-  if (reader.prefixes.size() < max_prefixes) reader.prefixes.insert(prefix);
+  if (reader.prefixes.size() < max_own_prefixes) reader.prefixes.insert(prefix);
 }
 
 void LocalReaders::forget_closed() {
@@ -43,13 +43,13 @@ std::set<std::string> LocalReaders::names(const std::string& topic,
                                           const std::map<std::string, Liveness::Node>& nodes) const {
   std::set<std::string> result;
   for (const auto& [cookie, reader] : readers_) {
-    if (result.size() >= max_names) break;
+    if (result.size() >= max_consumers) break;
     const bool reads = std::any_of(reader.prefixes.begin(), reader.prefixes.end(),
                                    [&](const std::string& prefix) { return topic.starts_with(prefix); });
     if (!reads) continue;
     bool named = false;
     for (const auto& [source, node] : nodes) {
-      if (node.pid != reader.pid || !node.alive || result.size() >= max_names) continue;
+      if (node.pid != reader.pid || !node.alive || result.size() >= max_consumers) continue;
       result.insert(source);
       named = true;
     }

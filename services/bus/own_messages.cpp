@@ -11,8 +11,6 @@
 namespace splatbus::bus_service {
 namespace {
 
-constexpr const char* own_source = "bus";
-
 bus::Frames make_frames(std::string_view topic, const flatbuffers::FlatBufferBuilder& builder) {
   bus::Frames frames;
   frames.topic.rebuild(topic.data(), topic.size());

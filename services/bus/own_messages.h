@@ -12,6 +12,9 @@
 
 namespace splatbus::bus_service {
 
+/// The broker's name where it publishes itself.
+inline constexpr const char* own_source = "bus";
+
 /// What the broker itself says, as source "bus": its heartbeat, sys/liveness and sys/topics.
 class OwnMessages {
  public:

@@ -3,13 +3,14 @@
 #include <algorithm>
 #include <cassert>
 
+#include "bus/own_messages.h"
+
 namespace splatbus::bus_service {
 namespace {
 
 constexpr std::size_t max_sources = 2048;
 constexpr std::ptrdiff_t max_of_a_connection = 64;
 constexpr std::int64_t clock_slack_ns = 1'000'000'000;
-constexpr std::string_view own_source = "bus";
 // libzmq's own, by which it answers ZMQ_SRCFD: every connection has one, in memory of its own.
 constexpr const char* connection_property = "__fd";
 

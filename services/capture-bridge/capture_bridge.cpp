@@ -11,6 +11,7 @@
 #include "bus/frames.h"
 #include "bus/log_sink.h"
 #include "bus/memory.h"
+#include "capture-bridge/nanoseconds.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
 #include "wire/viewer_generated.h"
@@ -29,10 +30,6 @@ constexpr std::size_t kMaxProbes = 64;
 const wire::EngineBuffer kProbeBuffers =
     wire::EngineBuffer::Color | wire::EngineBuffer::ObjectId | wire::EngineBuffer::Depth;
 constexpr int kMaxMessagesAStep = 256;
-
-std::int64_t nanoseconds(double seconds) {
-  return static_cast<std::int64_t>(seconds * 1e9);
-}
 
 }  // namespace
 

@@ -6,6 +6,8 @@
 #include <numeric>
 #include <utility>
 
+#include "capture-bridge/nanoseconds.h"
+
 namespace splatbus::capture_bridge {
 
 namespace {
@@ -32,10 +34,6 @@ std::vector<std::size_t> spread_places(std::size_t count) {
   };
   std::ranges::sort(places, {}, reversed);
   return places;
-}
-
-std::int64_t nanoseconds(double seconds) {
-  return static_cast<std::int64_t>(seconds * 1e9);
 }
 
 }  // namespace

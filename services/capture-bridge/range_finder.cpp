@@ -9,8 +9,8 @@ namespace splatbus::capture_bridge {
 namespace {
 
 constexpr double kMaxCredit = 2;
-constexpr double kOverdraft = 1;                     // for viewers without a cube of use
-constexpr std::int64_t kPatienceNs = 1'000'000'000;  // then a cube that has not come is given up
+constexpr double kOverdraft = 1;                         // for viewers without a cube of use
+constexpr std::int64_t kCubePatienceNs = 1'000'000'000;  // then a cube that has not come is given up
 constexpr float kNear_m = 0.02F, kFar_m = 200;
 
 }  // namespace
@@ -19,7 +19,7 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
   reach_m_ = options.reach_m;
   for (auto& [name, range] : ranges_) {
     const auto viewer = viewers.all().find(name);
-    const bool late = range.pending && now_ns - range.pending->asked_ns > kPatienceNs;
+    const bool late = range.pending && now_ns - range.pending->asked_ns > kCubePatienceNs;
     if (late || viewer == viewers.all().end() || (range.pending && range.pending->jumps != viewer->second.jumps)) {
       cancel(range, cameras);
     }
@@ -35,7 +35,7 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
       const auto known = ranges_.find(entry.first);
       const std::int64_t asked_ns = known == ranges_.end() ? 0 : known->second.asked_ns;
       const bool overdraws = credit_ < 1;
-      if (overdraws && asked_ns > 0 && now_ns - asked_ns < kPatienceNs) continue;
+      if (overdraws && asked_ns > 0 && now_ns - asked_ns < kCubePatienceNs) continue;
       const float least_m = overdraws ? options.reach_m : options.move_m;
       if (!(off_cube(entry.first, entry.second) > least_m) || (next != nullptr && asked_ns >= oldest_ns)) continue;
       oldest_ns = asked_ns;

@@ -44,7 +44,7 @@ using Plain = beast::tcp_stream;
 using Tls = beast::ssl_stream<beast::tcp_stream>;
 constexpr auto kNoThrow = asio::as_tuple(asio::use_awaitable);
 
-constexpr std::chrono::seconds kConnect(5), kIdle(10);
+constexpr std::chrono::seconds kConnect(5), kIdleTime(10);
 constexpr std::chrono::milliseconds kFarewell(200);
 constexpr std::size_t kMaxMessages = 64, kMaxBytes = std::size_t{16} << 20;  // that wait to be taken
 constexpr std::size_t kMaxUnsent = 64;
@@ -211,7 +211,7 @@ class WebLink final : public PacketLink {
     }
     tcp.expires_never();
     socket.set_option(websocket::stream_base::timeout{
-        .handshake_timeout = kConnect, .idle_timeout = kIdle, .keep_alive_pings = true});
+        .handshake_timeout = kConnect, .idle_timeout = kIdleTime, .keep_alive_pings = true});
     socket.set_option(websocket::stream_base::decorator([this](websocket::request_type& request) {
       request.set(http::field::sec_websocket_protocol, stream::kWebSubprotocol);
       if (!token_.empty()) request.set(http::field::authorization, "Bearer " + token_);

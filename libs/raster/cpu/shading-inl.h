@@ -288,8 +288,10 @@ inline HWY_NOINLINE void SumSources(const Frame& frame, const ObjectFrame& objec
     if (!residual) continue;
     ShBasis(l, 2, [&](int k, V basis) {
       const V weighted = hn::Mul(basis, weight);
-      V* const sum = out.residual + 3 * k;
-      for (int c = 0; c < 3; ++c) sum[c] = MulAddScalar(weighted, source.intensity_over_pi[c], sum[c]);
+      for (int c = 0; c < 3; ++c) {
+        V& sum = out.residual[3 * k + c];
+        sum = MulAddScalar(weighted, source.intensity_over_pi[c], sum);
+      }
     });
   }
 }

@@ -6,21 +6,21 @@
 
 namespace splatbus::raster::cpu {
 namespace {
-constexpr std::size_t kPiece = 16384;
+constexpr std::size_t kSortPiece = 16384;
 constexpr unsigned kMaxDigitBits = 12;
 }  // namespace
 
 void DepthSorter::sort(Scratch<DepthKey>& keys, Scratch<DepthKey>& spare, std::size_t count, Workers& workers) {
   if (count < 2) return;
-  const std::size_t pieces = (count + kPiece - 1) / kPiece;
+  const std::size_t pieces = (count + kSortPiece - 1) / kSortPiece;
   bounds_.resize(pieces);
-  workers.for_pieces(count, kPiece, [&](std::size_t begin, std::size_t end) {
+  workers.for_pieces(count, kSortPiece, [&](std::size_t begin, std::size_t end) {
     std::uint32_t low = keys[begin].depth_bits, high = low;
     for (std::size_t i = begin + 1; i < end; ++i) {
       low = std::min(low, keys[i].depth_bits);
       high = std::max(high, keys[i].depth_bits);
     }
-    bounds_[begin / kPiece] = {low, high};
+    bounds_[begin / kSortPiece] = {low, high};
   });
   auto [low, high] = bounds_.front();
   for (const Bounds& bounds : bounds_) {
@@ -43,15 +43,15 @@ void DepthSorter::sort(Scratch<DepthKey>& keys, Scratch<DepthKey>& spare, std::s
       return (key.depth_bits - lowest) >> shift & (digits - 1);
     };
     histograms_.resize(pieces * digits);
-    workers.for_pieces(count, kPiece, [&](std::size_t begin, std::size_t end) {
-      std::uint32_t* histogram = histograms_.data() + begin / kPiece * digits;
+    workers.for_pieces(count, kSortPiece, [&](std::size_t begin, std::size_t end) {
+      std::uint32_t* histogram = histograms_.data() + begin / kSortPiece * digits;
       std::fill_n(histogram, digits, 0);
       for (std::size_t i = begin; i < end; ++i) ++histogram[digit(from[i])];
     });
     scan_.scan(
         pieces, digits, [&](std::size_t piece) { return histograms_.data() + piece * digits; }, begins_.data());
-    workers.for_pieces(count, kPiece, [&](std::size_t begin, std::size_t end) {
-      std::uint32_t* position = histograms_.data() + begin / kPiece * digits;
+    workers.for_pieces(count, kSortPiece, [&](std::size_t begin, std::size_t end) {
+      std::uint32_t* position = histograms_.data() + begin / kSortPiece * digits;
       for (std::size_t i = begin; i < end; ++i) to[position[digit(from[i])]++] = from[i];
     });
     std::swap(keys, spare);

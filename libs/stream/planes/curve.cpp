@@ -19,7 +19,7 @@ namespace planes {
 namespace {
 
 // Gaps that are looked at to choose by.
-constexpr std::size_t kSample = 256;
+constexpr std::size_t kKeysSampled = 256;
 
 int widest_of(const std::array<int, 3>& bits) {
   return std::max({bits[0], bits[1], bits[2]});
@@ -85,7 +85,7 @@ void Curve::choose_low_bits(std::span<const std::uint8_t> shift) {
   std::array<std::uint32_t, kMaxShift + 1> at_shift{};
   for (const std::uint8_t s : shift) ++at_shift[s];
   std::vector<std::pair<std::uint64_t, std::uint64_t>> sampled;  // keys from and to
-  const std::size_t step = std::max<std::size_t>(1, keys_.size() / kSample);
+  const std::size_t step = std::max<std::size_t>(1, keys_.size() / kKeysSampled);
   for (std::size_t i = 0; i < keys_.size(); i += step) sampled.emplace_back(i > 0 ? keys_[i - 1] : 0, keys_[i]);
   const double lanes_a_sample = static_cast<double>(keys_.size()) / static_cast<double>(sampled.size());
   const int coarsest = std::min(kMaxLowBits, widest_of(extent_bits_));

@@ -8,7 +8,7 @@ namespace splatbus::gateway::foxglove {
 
 namespace {
 
-constexpr std::size_t kMaxSources = 64, kMaxOfSource = 256;
+constexpr std::size_t kMaxServices = 64, kMaxOfSource = 256;
 
 std::optional<double> number(const std::string& text) {
   double value = 0;
@@ -23,7 +23,7 @@ NamedValues ParameterBoard::update(const std::string& source, const NamedValues&
   NamedValues changed;
   std::size_t taken = 0;
   for (const auto& [key, value] : parameters) {
-    if (++taken > kMaxOfSource || parameters_.size() >= kMaxSources * kMaxOfSource) break;
+    if (++taken > kMaxOfSource || parameters_.size() >= kMaxServices * kMaxOfSource) break;
     Parameter& known = parameters_[source + "/" + key];
     if (known.source == source && known.value == value) continue;
     known = {source, key, value};

@@ -5,8 +5,8 @@
 namespace splatbus::viewer::gl {
 namespace {
 
-constexpr std::size_t kIdle = 2;   // pictures until memory is there and clocks are up
-constexpr std::size_t kTimed = 3;  // of each way
+constexpr std::size_t kIdlePictures = 2;  // pictures until memory is there and clocks are up
+constexpr std::size_t kTimed = 3;         // of each way
 constexpr std::size_t kGrown = 4;
 
 double median(std::vector<double> values) {
@@ -41,9 +41,9 @@ Way DrawChoice::next(std::size_t rows) {
 void DrawChoice::took(unsigned trial, Way way, double ms) {
   if (!trying_ || trial != trial_) return;
   times_ms_[static_cast<std::size_t>(way)].push_back(ms);
-  if (std::ranges::any_of(times_ms_, [](const auto& times) { return times.size() < kIdle + kTimed; })) return;
+  if (std::ranges::any_of(times_ms_, [](const auto& times) { return times.size() < kIdlePictures + kTimed; })) return;
   for (std::size_t k = 0; k < kWays; ++k) {
-    cost_ms_[k] = median({times_ms_[k].begin() + kIdle, times_ms_[k].end()});
+    cost_ms_[k] = median({times_ms_[k].begin() + kIdlePictures, times_ms_[k].end()});
   }
   chosen_ = cost_ms_[1] < cost_ms_[0] ? Way::Tiles : Way::Quads;
   trying_ = false;
