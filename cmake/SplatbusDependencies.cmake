@@ -41,6 +41,8 @@ endforeach()
 find_package(ZLIB REQUIRED)
 pkg_check_modules(ZSTD REQUIRED IMPORTED_TARGET libzstd)
 pkg_check_modules(NCURSES REQUIRED IMPORTED_TARGET ncursesw)
+# It defines macros of the C library's, which g++ implies, and which precompiled headers would have to have as well.
+set_property(TARGET PkgConfig::NCURSES PROPERTY INTERFACE_COMPILE_OPTIONS "")
 pkg_check_modules(HWY REQUIRED IMPORTED_TARGET libhwy)
 find_package(draco REQUIRED)
 if(SPLATBUS_BUILD_TESTS)
