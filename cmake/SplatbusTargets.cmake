@@ -98,6 +98,10 @@ function(splatbus_common_options target)
   # Fields that designated initializers leave out are value-initialised, on purpose.
   target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow
                                             -Wno-missing-field-initializers>)
+  if(CMAKE_UNITY_BUILD)
+    # For GCC a source that another includes is a header, which should keep nothing to itself.
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-subobject-linkage>)
+  endif()
   if(SPLATBUS_WARNINGS_AS_ERRORS)
     target_compile_options(
       ${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Werror>

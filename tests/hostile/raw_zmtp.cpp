@@ -6,6 +6,7 @@
 #include <sys/socket.h>
 #include <sys/un.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <stdexcept>
@@ -72,7 +73,7 @@ bool RawZmtp::greet(const std::string& mechanism) {
   greeting[9] = '\x7f';
   greeting[10] = 3;
   greeting[11] = 1;
-  greeting.replace(12, mechanism.size(), mechanism);
+  std::ranges::copy(mechanism, greeting.begin() + 12);
   std::string answer;
   return send_bytes(greeting) && read_exactly(kGreetingBytes, answer);
 }
