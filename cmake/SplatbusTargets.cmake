@@ -7,10 +7,10 @@ set(CMAKE_POSITION_INDEPENDENT_CODE ON)
 set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
 set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/bin")
 
-# Headers of libraries that most sources include, parsed once a build instead of once a source, which is half of the time
-# that a source takes. None of them is our own: an edit does not compile everything. debug and fuzz do without, and notice
-# a source that does not include what it uses.
-option(SPLATBUS_PRECOMPILED_HEADERS "Precompile the headers that most sources include" ON)
+# Headers of libraries that most sources include, parsed once a build instead of once a source, which is up to half of the
+# time that a source takes. None of them is our own: an edit does not compile everything. Presets other than release and
+# programs do without, and notice a source that does not include what it uses.
+option(SPLATBUS_PRECOMPILED_HEADERS "Precompile the headers that most sources include" OFF)
 
 find_program(SPLATBUS_CCACHE ccache)
 if(SPLATBUS_CCACHE)
