@@ -16,7 +16,7 @@ namespace splatbus::cli {
 
 namespace {
 
-constexpr double kNewPatienceS = 10;
+constexpr double kFirstViewPatienceS = 10;
 constexpr std::chrono::milliseconds kKeyPatience(50);
 
 struct TopOptions {
@@ -41,11 +41,11 @@ std::string foot(TopOrder order) {
 
 /// Waits until there are rates and loads, which are differences of two views. False when a stop was asked for.
 bool warm_up(TopSampler& sampler, const StopSignals& signals) {
-  const Deadline deadline(kNewPatienceS);
+  const Deadline deadline(kFirstViewPatienceS);
   for (bool viewed = false; !sampler.complete();) {
     if (signals.stop().stop_requested()) return false;
     if (deadline.passed()) {
-      throw std::runtime_error(fmt::format("the bus has said nothing of its topics for {} s", kNewPatienceS));
+      throw std::runtime_error(fmt::format("the bus has said nothing of its topics for {} s", kFirstViewPatienceS));
     }
     sampler.follow(kPatience);
     if (viewed || !sampler.started()) continue;

@@ -232,7 +232,7 @@ bool ConnectionGuard::look(int fd, Connection& connection, std::int64_t now, std
     connection.sent_since_ns = now;
     connection.acked = info.tcpi_bytes_acked;
   } else if (limits_.stalled_s > 0 && now - connection.sent_since_ns > to_ns(limits_.stalled_s)) {
-    const double sent = static_cast<double>(info.tcpi_bytes_acked - connection.acked);
+    const auto sent = static_cast<double>(info.tcpi_bytes_acked - connection.acked);
     if (sent < limits_.min_sent_per_s * limits_.stalled_s)
       why = fmt::format("it read {} bytes in {} s", sent, limits_.stalled_s);
     connection.sent_since_ns = now;

@@ -18,7 +18,7 @@ namespace {
 using Bytes = std::vector<std::uint8_t>;
 
 constexpr int kZstdLevel = 12;
-constexpr int kMostFractionalBits = 12;
+constexpr int kWrittenFractionalBits = 12;
 constexpr float kMaxPosition = 8388607;  // of 24 bits with sign
 /// Steps of SH coefficients, of the 256 over [-1, 1]: fewer bits than there is room for, so that streams pack better.
 constexpr int kStepOfDegree1 = 8, kStepOfRest = 16;
@@ -54,7 +54,7 @@ int fractional_bits(const BakedModel& model) {
     const glm::vec3 mean = glm::abs(model[i].mean);
     farthest = std::max({farthest, mean.x, mean.y, mean.z});
   }
-  int bits = kMostFractionalBits;
+  int bits = kWrittenFractionalBits;
   while (bits > 0 && std::ldexp(farthest, bits) > kMaxPosition) --bits;
   return bits;
 }

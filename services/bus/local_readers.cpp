@@ -9,7 +9,7 @@ namespace splatbus::bus_service {
 namespace {
 
 constexpr std::size_t max_readers = 1024;
-constexpr std::size_t max_own_prefixes = 256;  // of a reader
+constexpr std::size_t max_prefixes_of_reader = 256;
 constexpr std::size_t max_consumers = 16;
 
 std::uint32_t process_of(int fd) {
@@ -32,7 +32,7 @@ void LocalReaders::note(const zmq::message_t& event, const std::string& prefix, 
   if (found == readers_.end() && readers_.size() >= max_readers) return;
   Reader& reader = readers_[socket.cookie];
   if (found == readers_.end()) reader = {.socket = socket, .pid = process_of(socket.fd), .prefixes = {}};
-  if (reader.prefixes.size() < max_own_prefixes) reader.prefixes.insert(prefix);
+  if (reader.prefixes.size() < max_prefixes_of_reader) reader.prefixes.insert(prefix);
 }
 
 void LocalReaders::forget_closed() {

@@ -111,7 +111,8 @@ bool ViewerFeed::acknowledge(const Said& said, const stream::StreamModel& model,
     const auto first = std::ranges::lower_bound(traces_, range.first, {}, &Trace::sequence);
     const auto last = std::ranges::upper_bound(traces_, range.last, {}, &Trace::sequence);
     if (first == last) continue;
-    for (const Trace& trace : std::ranges::subrange(first, last)) {
+    for (auto at = first; at != last; ++at) {  // clang 14 knows no std::ranges::subrange of libstdc++
+      const Trace& trace = *at;
       anew = anew || trace.control;
       lose(model, trace);
     }
