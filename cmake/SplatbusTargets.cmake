@@ -184,7 +184,6 @@ add_custom_target(untrusted_tests)
 function(splatbus_test name)
   cmake_parse_arguments(ARG "UNTRUSTED" "LABEL;TIMEOUT" "SOURCES;DEPENDS;PROGRAMS" ${ARGN})
   add_executable(test_${name} ${ARG_SOURCES})
-  set_target_properties(test_${name} PROPERTIES UNITY_BUILD OFF)  # sources of a test have fixtures of the same names
   splatbus_common_options(test_${name})
   target_link_libraries(test_${name} PRIVATE ${ARG_DEPENDS} GTest::gmock GTest::gtest_main)
   target_compile_definitions(

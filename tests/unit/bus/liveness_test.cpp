@@ -2,13 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include "../nanoseconds.h"
 #include "bus_fixture.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::bus_service {
 namespace {
-
-constexpr std::int64_t second = 1'000'000'000;
 
 void beat(Liveness& liveness, std::int64_t now, wire::ServiceState state = wire::ServiceState::Running,
           std::uint64_t epoch = 1, const char* source = "trainer", std::uint32_t pid = 42) {
@@ -20,17 +19,17 @@ void beat(Liveness& liveness, std::int64_t now, wire::ServiceState state = wire:
 
 TEST(LivenessTest, SilenceIsDeathAndAHeartbeatIsLife) {
   Liveness liveness;
-  beat(liveness, 10 * second);
+  beat(liveness, 10 * kSecond);
   EXPECT_TRUE(liveness.take_changed());
   EXPECT_TRUE(liveness.nodes().at("trainer").alive);
-  beat(liveness, 11 * second);
+  beat(liveness, 11 * kSecond);
   EXPECT_FALSE(liveness.take_changed());
-  EXPECT_TRUE(liveness.update(13 * second).empty());
+  EXPECT_TRUE(liveness.update(13 * kSecond).empty());
   EXPECT_TRUE(liveness.nodes().at("trainer").alive);
-  EXPECT_TRUE(liveness.update(13 * second + 1).empty());
+  EXPECT_TRUE(liveness.update(13 * kSecond + 1).empty());
   EXPECT_FALSE(liveness.nodes().at("trainer").alive);
   EXPECT_TRUE(liveness.take_changed());
-  beat(liveness, 14 * second, wire::ServiceState::Starting, 2);
+  beat(liveness, 14 * kSecond, wire::ServiceState::Starting, 2);
   EXPECT_TRUE(liveness.nodes().at("trainer").alive);
   EXPECT_TRUE(liveness.take_changed());
 }
@@ -38,7 +37,7 @@ TEST(LivenessTest, SilenceIsDeathAndAHeartbeatIsLife) {
 TEST(LivenessTest, ANewSourceIsAChangeWhateverItSays) {
   for (const auto state : {wire::ServiceState::Starting, wire::ServiceState::Running, wire::ServiceState::Stopping}) {
     Liveness liveness;
-    beat(liveness, 10 * second, state, 0);
+    beat(liveness, 10 * kSecond, state, 0);
     EXPECT_TRUE(liveness.take_changed()) << wire::EnumNameServiceState(state);
     EXPECT_FALSE(liveness.take_changed());
   }
@@ -53,9 +52,9 @@ TEST(LivenessTest, NodesAndTopicsAreBounded) {
     const auto header = wire::CreateHeaderDirect(builder, ("Schema/" + std::to_string(i)).c_str(), name.c_str(), 1, 1);
     builder.Finish(wire::CreateHeartbeatDirect(builder, header, "service"));
     const auto& heartbeat = *flatbuffers::GetRoot<wire::Heartbeat>(builder.GetBufferPointer());
-    liveness.note(heartbeat, second);
-    table.note("one", *heartbeat.header(), 10, second, true);
-    table.note("topic" + std::to_string(i), *heartbeat.header(), 10, second, true);
+    liveness.note(heartbeat, kSecond);
+    table.note("one", *heartbeat.header(), 10, kSecond, true);
+    table.note("topic" + std::to_string(i), *heartbeat.header(), 10, kSecond, true);
   }
   EXPECT_EQ(liveness.nodes().size(), 1024u);
   EXPECT_EQ(table.topics().size(), 1024u);
@@ -75,12 +74,12 @@ TEST(TopicTableTest, TellsIntervalsAgesAndSharedMemoryApart) {
     const std::vector<flatbuffers::Offset<wire::Tensor>> tensors{
         wire::CreateTensorDirect(builder, "shared", &shared, &shape),
         wire::CreateTensorDirect(builder, "carried", &carried, &shape)};
-    builder.Finish(wire::CreateHeaderDirect(builder, "EngineFrame/3", "engine", 1, 1, now - 3 * second, now - second, 0,
-                                            false, nullptr, &tensors));
+    builder.Finish(wire::CreateHeaderDirect(builder, "EngineFrame/3", "engine", 1, 1, now - 3 * kSecond, now - kSecond,
+                                            0, false, nullptr, &tensors));
     table.note("topic", *flatbuffers::GetRoot<wire::Header>(builder.GetBufferPointer()), 10, now, local);
   };
-  for (const std::int64_t at : {10, 11, 14}) note(at * second, true);
-  note(16 * second, false);
+  for (const std::int64_t at : {10, 11, 14}) note(at * kSecond, true);
+  note(16 * kSecond, false);
   auto& topic = table.topics().at("topic");
   EXPECT_EQ(topic.bytes, 4 * 1060u);
   EXPECT_EQ(topic.shared_bytes, 4 * 1000u);
@@ -94,36 +93,36 @@ TEST(TopicTableTest, TellsIntervalsAgesAndSharedMemoryApart) {
   EXPECT_EQ(transits.count(), 3u) << "the clock of what came over tcp is another";
   EXPECT_DOUBLE_EQ(transits.sum_s(), 3);
   EXPECT_DOUBLE_EQ(topic.ages.take().sum_s(), 9);
-  note(17 * second, true);
+  note(17 * kSecond, true);
   EXPECT_DOUBLE_EQ(topic.intervals.take().greatest_s(), 1) << "of the time since it was asked";
   EXPECT_EQ(topic.intervals.take().count(), 4u);
 }
 
 TEST(LivenessTest, AStoppedServiceIsNotAlive) {
   Liveness liveness;
-  beat(liveness, 10 * second);
-  beat(liveness, 11 * second, wire::ServiceState::Stopping);
+  beat(liveness, 10 * kSecond);
+  beat(liveness, 11 * kSecond, wire::ServiceState::Stopping);
   EXPECT_FALSE(liveness.nodes().at("trainer").alive);
   EXPECT_TRUE(liveness.take_changed());
 }
 
 TEST(LivenessTest, TheLongGoneAreForgotten) {
   Liveness liveness;
-  beat(liveness, 10 * second);
-  EXPECT_EQ(liveness.update(71 * second), std::vector<std::string>{"trainer"});
+  beat(liveness, 10 * kSecond);
+  EXPECT_EQ(liveness.update(71 * kSecond), std::vector<std::string>{"trainer"});
   EXPECT_TRUE(liveness.nodes().empty());
 }
 
 TEST(LivenessTest, AProcessThatGoesOnUnderAnotherNameIsThereOnce) {
   Liveness liveness;
   constexpr auto kRunning = wire::ServiceState::Running;
-  beat(liveness, 10 * second, kRunning, 2, "trainer.next", 43);
-  beat(liveness, 10 * second, kRunning, 1, "trainer", 42);
-  beat(liveness, 13 * second, kRunning, 1, "trainer", 42);
-  EXPECT_TRUE(liveness.update(13 * second).empty());
+  beat(liveness, 10 * kSecond, kRunning, 2, "trainer.next", 43);
+  beat(liveness, 10 * kSecond, kRunning, 1, "trainer", 42);
+  beat(liveness, 13 * kSecond, kRunning, 1, "trainer", 42);
+  EXPECT_TRUE(liveness.update(13 * kSecond).empty());
   EXPECT_EQ(liveness.nodes().size(), 2u) << "one that is silent beside another process may be heard of again";
-  beat(liveness, 14 * second, kRunning, 3, "trainer", 43);
-  EXPECT_EQ(liveness.update(14 * second), std::vector<std::string>{"trainer.next"});
+  beat(liveness, 14 * kSecond, kRunning, 3, "trainer", 43);
+  EXPECT_EQ(liveness.update(14 * kSecond), std::vector<std::string>{"trainer.next"});
   EXPECT_EQ(liveness.nodes().size(), 1u);
 }
 

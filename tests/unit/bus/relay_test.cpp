@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "../nanoseconds.h"
 #include "bus/clock.h"
 #include "bus/latch_store.h"
 #include "bus_fixture.h"
@@ -12,8 +13,6 @@
 
 namespace splatbus::bus_test {
 namespace {
-
-constexpr std::int64_t second = 1'000'000'000;
 
 struct Claim {
   std::string source = "a";
@@ -61,9 +60,9 @@ class Relay : public BusTest {
 
 TEST_F(Relay, TheLaterStampOfTwoSourcesIsHeld) {
   const std::int64_t now = bus::now_ns();
-  expect_held({{.source = "a", .publish_ns = now - 1 * second},
-               {.source = "b", .publish_ns = now - 2 * second},
-               {.source = "c", .publish_ns = now - second / 2}},
+  expect_held({{.source = "a", .publish_ns = now - 1 * kSecond},
+               {.source = "b", .publish_ns = now - 2 * kSecond},
+               {.source = "c", .publish_ns = now - kSecond / 2}},
               {1, 3}, 3);
 }
 
@@ -77,8 +76,9 @@ TEST_F(Relay, AnEarlierStartOfASourceIsNotHeard) {
 
 TEST_F(Relay, AClockThatIsAheadKeepsNobodyOut) {
   const std::int64_t now = bus::now_ns();
-  expect_held({{.source = "a", .publish_ns = now + 3600 * second}, {.source = "b", .publish_ns = now + 1800 * second}},
-              {1, 2}, 2);
+  expect_held(
+      {{.source = "a", .publish_ns = now + 3600 * kSecond}, {.source = "b", .publish_ns = now + 1800 * kSecond}},
+      {1, 2}, 2);
 }
 
 /// The broker marks what it holds, in place. Here the mark's place is another one, up to those that say where the rest

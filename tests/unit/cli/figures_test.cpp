@@ -7,11 +7,11 @@
 namespace splatbus::cli {
 namespace {
 
-const ViewFigures kFigures{{0, {.psnr_db = 30, .ssim = 0.9, .flip = 0.02}},
-                           {1, {.psnr_db = std::numeric_limits<double>::infinity(), .ssim = 0.98, .flip = 0.04}}};
+const ViewFigures kViewFigures{{0, {.psnr_db = 30, .ssim = 0.9, .flip = 0.02}},
+                               {1, {.psnr_db = std::numeric_limits<double>::infinity(), .ssim = 0.98, .flip = 0.04}}};
 
 TEST(Figures, MeansAndExtremes) {
-  const FigureSummary summary = summarize(kFigures);
+  const FigureSummary summary = summarize(kViewFigures);
   EXPECT_NEAR(summary.mean.ssim, 0.94, 1e-12);
   EXPECT_NEAR(summary.mean.psnr_db, 65, 1e-12) << "equal pictures count as 100 dB";
   EXPECT_NEAR(summary.mean.flip, 0.03, 1e-12);
@@ -35,7 +35,7 @@ TEST(Figures, ARoundIsOfIdsThatFollowOneAnother) {
 }
 
 TEST(Figures, CsvHasARowAView) {
-  EXPECT_EQ(csv_rows(100, 0.25, kFigures),
+  EXPECT_EQ(csv_rows(100, 0.25, kViewFigures),
             "100,0,0.90000,30.000,0.02000,0.2500\n100,1,0.98000,100.000,0.04000,0.2500\n");
 }
 

@@ -6,12 +6,11 @@
 #include <cmath>
 #include <vector>
 
+#include "../nanoseconds.h"
 #include "network_link.h"
 
 namespace splatbus::cli {
 namespace {
-
-constexpr std::int64_t kMs = 1'000'000, kSecond = 1'000'000'000;
 
 TEST(LinkSchedule, WithoutAShapeEverythingIsThereAtOnce) {
   LinkSchedule link({});

@@ -5,6 +5,7 @@
 #include <future>
 
 #include "../bus/bus_fixture.h"
+#include "../nanoseconds.h"
 #include "mcap/writer.h"
 #include "player.h"
 #include "recorded_pace.h"
@@ -17,7 +18,6 @@ namespace {
 using bus_test::eventually;
 using bus_test::patience;
 
-constexpr std::int64_t kSecond = 1'000'000'000;
 constexpr std::int64_t kMonotonicNs = 5'000 * kSecond;      // of the machine that recorded, when it began
 constexpr std::int64_t kUtcNs = 1'700'000'000 * kSecond;    // the same moment
 constexpr std::int64_t kStep = 100 * kSecond;               // from one message to the next

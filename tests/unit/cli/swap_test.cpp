@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "../bus/bus_fixture.h"
+#include "../nanoseconds.h"
 #include "swap_host.h"
 
 namespace splatbus::cli {
@@ -15,8 +16,6 @@ namespace {
 using testing::HasSubstr;
 using Phase = Swap::Phase;
 using State = wire::ServiceState;
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 class SwapOfTest : public testing::Test {
  protected:

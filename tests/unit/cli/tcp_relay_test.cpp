@@ -13,13 +13,13 @@
 #include <thread>
 #include <vector>
 
+#include "../nanoseconds.h"
 #include "bus/clock.h"
 #include "network_link.h"
 
 namespace splatbus::cli {
 namespace {
 
-constexpr std::int64_t kMs = 1'000'000, kSecond = 1'000'000'000;
 constexpr int kPatienceMs = 60'000;
 
 sockaddr_in loopback(std::uint16_t port) {

@@ -16,6 +16,8 @@ namespace splatbus::engine_test {
 using bus_test::BusTest;
 using bus_test::patience;
 
+inline constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
 struct Close {
   void operator()(splatbus_engine* engine) const { splatbus_engine_close(engine); }
 };

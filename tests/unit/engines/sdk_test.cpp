@@ -14,8 +14,6 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-
 TEST_F(SdkTest, AnEngineInPlainCTakesPart) {
   const auto context = connect("tester");
   const bus::Publisher cameras(context);

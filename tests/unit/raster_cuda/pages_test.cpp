@@ -7,8 +7,8 @@
 namespace splatbus::raster::testing {
 namespace {
 
-constexpr Case kTransfer{"Transfer", {Appearance::Transfer, 0}, 4000, 70, 50, true, true, -2.5F};
-constexpr Case kRadiance{"Radiance", {Appearance::Radiance, 2}, 4000, 70, 50, true, true, -2.5F};
+constexpr Case kPagedTransfer{"Transfer", {Appearance::Transfer, 0}, 4000, 70, 50, true, true, -2.5F};
+constexpr Case kPagedRadiance{"Radiance", {Appearance::Radiance, 2}, 4000, 70, 50, true, true, -2.5F};
 
 /// `spread`: how many times as far apart the Gaussians are.
 GaussiansBuffer spread_model(const Case& c, float spread) {
@@ -292,10 +292,10 @@ TEST_P(CudaPages, MorePagesThanThereIsRoomForAreListedTheNextTime) {
   EXPECT_GT(moved, 1000U) << "and the step was taken";
 }
 
-INSTANTIATE_TEST_SUITE_P(Cases, CudaPages, ::testing::Values(kTransfer, kRadiance), case_name);
+INSTANTIATE_TEST_SUITE_P(Cases, CudaPages, ::testing::Values(kPagedTransfer, kPagedRadiance), case_name);
 
 TEST_F(CudaTest, MomentsStayWhenTheModelGrowsAndGoWhenTheyAreForgotten) {
-  Case large = kRadiance;
+  Case large = kPagedRadiance;
   large.count = 40'000;  // more than one piece of memory takes
   GaussiansBuffer model = random_model(large, 19);
   constexpr int kFirst = 3000;

@@ -27,7 +27,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   std::vector<std::uint8_t> mask(std::size_t{c.width} * c.height);  // of the second view
   for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = i / 7 % 3 == 0 ? 1 : 0;
   const std::vector<float> rates(41, 1e-3F);
-  constexpr int kSteps = 6;
+  constexpr int kManySteps = 6;
 
   cuda::DeviceModel device;
   device.upload(model.view(), nullptr);
@@ -44,7 +44,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   device_mask.upload(mask.data(), mask.size(), nullptr);
   views[1].mask = device_mask.data();
   cudaDeviceSynchronize();
-  for (int k = 0; k < kSteps; ++k) trainer.step(views);
+  for (int k = 0; k < kManySteps; ++k) trainer.step(views);
   const std::vector<float> gpu_losses = trainer.losses();
   std::vector<float> trained(41 * model.count());
   device.download_parameters(trained.data(), trainer.stream());
@@ -55,7 +55,7 @@ TEST_F(CudaTest, TrainStepFollowsTheCpuOptimizer) {
   adam.lr_half_life_steps = 3;
   adam.resize(c.layout, model.count());
   float loss = 0;
-  for (int step = 0; step < kSteps; ++step) {
+  for (int step = 0; step < kManySteps; ++step) {
     ParameterGradient gradient;
     gradient.clear(model.view());
     loss = 0;

@@ -70,14 +70,14 @@ struct Parsed {
   }
 };
 
-Parsed written(const GaussiansBuffer& model, const WriteOptions& options = {}) {
+Parsed written_glb(const GaussiansBuffer& model, const WriteOptions& options = {}) {
   std::ostringstream stream;
   write_glb(stream, BakedModel(model.view(), {}), options);
   return Parsed(stream.str());
 }
 
 TEST(WriteGlb, SaysWhatTheExtensionAsks) {
-  const Parsed file = written(random_model(1, 5));
+  const Parsed file = written_glb(random_model(1, 5));
   EXPECT_EQ(file.gltf["asset"]["version"], "2.0");
   EXPECT_EQ(file.gltf["extensionsUsed"], json({"KHR_gaussian_splatting"}));
   EXPECT_FALSE(file.gltf.contains("extensionsRequired")) << "others may show points";
@@ -100,7 +100,7 @@ TEST(WriteGlb, SaysWhatTheExtensionAsks) {
 TEST(WriteGlb, HoldsEveryValue) {
   const GaussiansBuffer model = random_model(3, 30);
   for (const Axes axes : {Axes::OfFormat, Axes::Turn}) {
-    const Parsed file = written(model, {.axes = axes});
+    const Parsed file = written_glb(model, {.axes = axes});
     glm::dvec3 low(1e9), high(-1e9);
     for (std::size_t i = 0; i < model.count(); ++i) {
       const Splat splat = axes == Axes::Turn ? turned(load(model.view(), i)) : load(model.view(), i);
@@ -134,7 +134,7 @@ TEST(WriteGlb, HoldsEveryValue) {
 }
 
 TEST(WriteGlb, RefusesAModelWithoutGaussians) {
-  EXPECT_THAT([] { (void)written(random_model(0, 0)); },
+  EXPECT_THAT([] { (void)written_glb(random_model(0, 0)); },
               testing::ThrowsMessage<std::runtime_error>(testing::HasSubstr("without Gaussians")));
 }
 

@@ -12,14 +12,14 @@
 namespace splatbus::splats {
 namespace {
 
-std::string written(const GaussiansBuffer& model, const WriteOptions& options = {}) {
+std::string written_ply(const GaussiansBuffer& model, const WriteOptions& options = {}) {
   std::ostringstream stream;
   write_ply(stream, BakedModel(model.view(), {}), options);
   return stream.str();
 }
 
 GaussiansBuffer read_back(const GaussiansBuffer& model, const WriteOptions& options, Axes axes) {
-  std::istringstream stream(written(model, options));
+  std::istringstream stream(written_ply(model, options));
   return read_ply(stream, "model.ply", axes).gaussians;
 }
 
@@ -34,8 +34,8 @@ TEST(WritePly, HasTheHeaderThatOtherToolsExpect) {
   }
   expected += "end_header\n";
   const std::string start = "ply\nformat binary_little_endian 1.0\n";
-  EXPECT_EQ(written(model), start + "comment SplatRenderMode: mip\n" + expected);
-  EXPECT_EQ(written(model, {.axes = Axes::Keep, .mip = false}), start + "comment SplatAxes: y-up\n" + expected);
+  EXPECT_EQ(written_ply(model), start + "comment SplatRenderMode: mip\n" + expected);
+  EXPECT_EQ(written_ply(model, {.axes = Axes::Keep, .mip = false}), start + "comment SplatAxes: y-up\n" + expected);
 }
 
 TEST(WritePly, RestCoefficientsLieColourByColour) {
@@ -45,7 +45,7 @@ TEST(WritePly, RestCoefficientsLieColourByColour) {
     for (std::size_t c = 0; c < 3; ++c) model.parameters[11 + 3 * k + c] = static_cast<float>(10 * k + c);
   }
   const auto colors = [&](Axes axes) {
-    const std::string text = written(model, {.axes = axes});
+    const std::string text = written_ply(model, {.axes = axes});
     std::array<float, 26> row{};
     std::memcpy(row.data(), text.data() + text.size() - sizeof row, sizeof row);
     return std::vector<float>(row.begin() + 6, row.begin() + 18);

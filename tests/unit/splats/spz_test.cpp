@@ -36,7 +36,7 @@ GaussiansBuffer random_model(std::uint32_t seed, int degree, std::size_t count) 
   return model;
 }
 
-std::string written(const GaussiansBuffer& model, const WriteOptions& options = {}) {
+std::string written_spz(const GaussiansBuffer& model, const WriteOptions& options = {}) {
   std::ostringstream stream;
   write_spz(stream, BakedModel(model.view(), {}), options);
   return stream.str();
@@ -112,14 +112,14 @@ const std::string kOne = std::string("\x00\x10\x00\x00\xF8\xFF\x01\x00\x00", 9) 
                          std::string("\xC0\x40\x80\x80\x80\x80\x88\x00\xFF", 9);
 
 TEST(Spz, Version3IsTheBytesOfTheFormat) {
-  const std::string packed = written(one(), {.spz_version = 3});
+  const std::string packed = written_spz(one(), {.spz_version = 3});
   const std::string header("NGSP\x03\x00\x00\x00\x01\x00\x00\x00\x01\x0C\x01\x00", 16);
   EXPECT_EQ(gunzip(packed, 1000), header + kOne);
-  EXPECT_EQ(gunzip(written(one(), {.mip = false, .spz_version = 3}), 1000)[14], 0);
+  EXPECT_EQ(gunzip(written_spz(one(), {.mip = false, .spz_version = 3}), 1000)[14], 0);
 }
 
 TEST(Spz, Version4IsTheBytesOfTheFormat) {
-  const std::string packed = written(one());
+  const std::string packed = written_spz(one());
   EXPECT_EQ(
       packed.substr(0, 32),
       std::string("NGSP\x04\x00\x00\x00\x01\x00\x00\x00\x01\x0C\x01\x06\x20\x00\x00\x00", 20) + std::string(12, '\0'));
@@ -141,7 +141,7 @@ TEST(Spz, ComesBackWithinTheQuantisersSteps) {
   for (int degree = 0; degree <= 3; ++degree) {
     const GaussiansBuffer model = random_model(60 + static_cast<std::uint32_t>(degree), degree, 500);
     for (const int version : {3, 4}) {
-      const SplatFile file = read(written(model, {.spz_version = version}));
+      const SplatFile file = read(written_spz(model, {.spz_version = version}));
       EXPECT_TRUE(file.mip);
       const GaussiansBuffer& back = file.gaussians;
       ASSERT_EQ(back.layout(), model.layout());
@@ -168,7 +168,7 @@ TEST(Spz, ComesBackWithinTheQuantisersSteps) {
 TEST(Spz, PositionsThatAreFarHaveFewerFractionalBits) {
   GaussiansBuffer model = random_model(70, 0, 3);
   model.parameters[1] = -20000;
-  const std::string bytes = written(model, {.mip = false});
+  const std::string bytes = written_spz(model, {.mip = false});
   EXPECT_EQ(bytes[13], 8);  // 20000 * 2^8 < 2^23 < 20000 * 2^9
   const SplatFile file = read(bytes);
   EXPECT_FALSE(file.mip);
@@ -178,17 +178,17 @@ TEST(Spz, PositionsThatAreFarHaveFewerFractionalBits) {
 
 TEST(Spz, AxesAreOursUnlessTurned) {
   const GaussiansBuffer model = one();
-  EXPECT_EQ(read(written(model)).gaussians.parameters[0], 1);
-  EXPECT_EQ(read(written(model, {.axes = Axes::Turn})).gaussians.parameters[0], -1);
-  EXPECT_EQ(read(written(model), Axes::Turn).gaussians.parameters[0], -1);
-  EXPECT_EQ(read(written(model, {.axes = Axes::Keep}), Axes::Keep).gaussians.parameters[0], 1);
+  EXPECT_EQ(read(written_spz(model)).gaussians.parameters[0], 1);
+  EXPECT_EQ(read(written_spz(model, {.axes = Axes::Turn})).gaussians.parameters[0], -1);
+  EXPECT_EQ(read(written_spz(model), Axes::Turn).gaussians.parameters[0], -1);
+  EXPECT_EQ(read(written_spz(model, {.axes = Axes::Keep}), Axes::Keep).gaussians.parameters[0], 1);
 }
 
 TEST(Spz, OpacitiesOfNothingAndAllHaveLogits) {
   GaussiansBuffer model = random_model(71, 0, 2);
   model.parameters[ParameterLayout::kOpacityLogit * model.stride()] = -30;
   model.parameters[ParameterLayout::kOpacityLogit * model.stride() + 1] = 30;
-  const GaussiansBuffer back = read(written(model)).gaussians;
+  const GaussiansBuffer back = read(written_spz(model)).gaussians;
   EXPECT_NEAR(back.view().plane(ParameterLayout::kOpacityLogit)[0], -6.9, 0.1);
   EXPECT_NEAR(back.view().plane(ParameterLayout::kOpacityLogit)[1], 6.9, 0.1);
 }
@@ -215,8 +215,8 @@ TEST(Spz, LeavesOutTheFourthDegree) {
 
 TEST(Spz, RefusesWhatItCannotWrite) {
   const GaussiansBuffer none({Appearance::Radiance, 0}, 0);
-  EXPECT_THAT([&] { (void)written(none); }, ThrowsMessage<std::runtime_error>(HasSubstr("without Gaussians")));
-  EXPECT_THAT([&] { (void)written(one(), {.spz_version = 2}); },
+  EXPECT_THAT([&] { (void)written_spz(none); }, ThrowsMessage<std::runtime_error>(HasSubstr("without Gaussians")));
+  EXPECT_THAT([&] { (void)written_spz(one(), {.spz_version = 2}); },
               ThrowsMessage<std::runtime_error>(HasSubstr("version 2 of SPZ cannot be written")));
 }
 
@@ -226,7 +226,7 @@ void expect_refused(const std::string& bytes, const std::string& reason) {
 }
 
 TEST(Spz, RefusesLiesOfVersion4ByPlace) {
-  const std::string good = written(random_model(72, 1, 20));
+  const std::string good = written_spz(random_model(72, 1, 20));
   ASSERT_EQ(read(good).gaussians.count(), 20U);
   expect_refused(good.substr(0, 31), "header: the file ends inside it");
   expect_refused("NGSX" + good.substr(4), "does not begin with \"NGSP\"");

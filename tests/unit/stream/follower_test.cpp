@@ -4,6 +4,7 @@
 
 #include <map>
 
+#include "../nanoseconds.h"
 #include "expectations.h"
 #include "stream/bytes.h"
 #include "toy_server.h"
@@ -16,8 +17,6 @@ using test::ToyServer;
 using testing::Contains;
 using testing::ElementsAre;
 using testing::Not;
-
-constexpr std::int64_t kMillisecond = 1'000'000, kSecond = 1000 * kMillisecond;
 
 /// A streamer that says what the test wants, when it wants, and a follower under the test's clock.
 class FollowerTest : public testing::Test {
@@ -76,8 +75,8 @@ class FollowerTest : public testing::Test {
 
 TEST_F(FollowerTest, SaysHelloAtOnceAndUntilItIsWelcome) {
   EXPECT_THAT(bodies(), ElementsAre(wire::Body::Hello));
-  EXPECT_THAT(bodies(199 * kMillisecond), ElementsAre());
-  EXPECT_THAT(bodies(kMillisecond), ElementsAre(wire::Body::Hello));
+  EXPECT_THAT(bodies(199 * kMs), ElementsAre());
+  EXPECT_THAT(bodies(kMs), ElementsAre(wire::Body::Hello));
   EXPECT_FALSE(follower->connected());
   welcome();
   EXPECT_TRUE(follower->connected());
@@ -138,8 +137,8 @@ TEST_F(FollowerTest, SaysFourTimesASecondWhatHasCome) {
   const std::uint64_t before = follower->received_bytes();
   number(1);
   number(2);
-  EXPECT_THAT(bodies(249 * kMillisecond), ElementsAre());
-  const auto report = said(kMillisecond);
+  EXPECT_THAT(bodies(249 * kMs), ElementsAre());
+  const auto report = said(kMs);
   ASSERT_EQ(report.size(), 1U);
   ASSERT_EQ(report[0].body(), wire::Body::Held);
   const wire::Held& held = *report[0].root().body_as_Held();
@@ -156,7 +155,7 @@ TEST_F(FollowerTest, WhatDidNotComeIsSaidAtOnceAndOnce) {
   number(1);
   said(kSecond);
   number(5);
-  const auto report = said(50 * kMillisecond);
+  const auto report = said(50 * kMs);
   ASSERT_EQ(report.size(), 1U);
   const wire::Held& held = *report[0].root().body_as_Held();
   ASSERT_EQ(held.missing()->size(), 1U);
@@ -164,14 +163,14 @@ TEST_F(FollowerTest, WhatDidNotComeIsSaidAtOnceAndOnce) {
   EXPECT_EQ(held.missing()->Get(0)->last(), 4U);
   EXPECT_EQ(follower->lost(), 3U);
   number(6);
-  EXPECT_THAT(bodies(249 * kMillisecond), ElementsAre());
-  const auto next = said(kMillisecond);
+  EXPECT_THAT(bodies(249 * kMs), ElementsAre());
+  const auto next = said(kMs);
   ASSERT_EQ(next.size(), 1U);
   EXPECT_EQ(next[0].root().body_as_Held()->missing()->size(), 0U);
   // Another connection begins anew.
   welcome(false, 2);
   number(1);
-  EXPECT_EQ(said(250 * kMillisecond).at(0).root().body_as_Held()->newest(), 1U);
+  EXPECT_EQ(said(250 * kMs).at(0).root().body_as_Held()->newest(), 1U);
   EXPECT_EQ(follower->lost(), 3U);
 }
 
@@ -186,7 +185,7 @@ TEST_F(FollowerTest, APageOfWhichADeltaWasLostIsAskedForAgain) {
   server.tick();  // lost
   server.train(0.05F);
   give(server.tick());
-  const auto report = said(50 * kMillisecond);
+  const auto report = said(50 * kMs);
   ASSERT_EQ(report.size(), 1U);
   const auto* lacks = report[0].root().body_as_Held()->lacks();
   ASSERT_GT(lacks->size(), 0U);
@@ -221,7 +220,7 @@ TEST_F(FollowerTest, TellsWhereTheCameraIsTenTimesASecondWhileItMovesAndOnceWhil
   for (std::int64_t ms = 0; ms < 3000; ms += 20) {  // fifty pictures a second
     if (ms < 1000) camera.world_from_camera.translation.x += 0.01F;
     follower->set_camera(camera);
-    for (const ParsedPacket& packet : said(ms > 0 ? 20 * kMillisecond : 0)) {
+    for (const ParsedPacket& packet : said(ms > 0 ? 20 * kMs : 0)) {
       if (packet.body() != wire::Body::Pose) continue;
       EXPECT_EQ(packet.root().body_as_Pose()->camera()->world_from_camera().translation().x(),
                 camera.world_from_camera.translation.x);
@@ -266,7 +265,7 @@ TEST_F(FollowerTest, MeasuresHowLongScenesTook) {
   EXPECT_EQ(follower->scene_delays().count(), 0U) << "the first scene is old";
   for (int k = 1; k <= 200; ++k) {
     ++server.scene.version;
-    const std::int64_t delay_ns = (k % 2 ? k : 201 - k) * kMillisecond;
+    const std::int64_t delay_ns = (k % 2 ? k : 201 - k) * kMs;
     give(*server.stream.take_scene(server.scene, {.capture_ns = now_ns - delay_ns}));
   }
   EXPECT_EQ(follower->replica().scene_version(), 201U);

@@ -7,10 +7,11 @@
 #include <random>
 #include <vector>
 
+#include "../nanoseconds.h"
+
 namespace splatbus::stream {
 namespace {
 
-constexpr std::int64_t kMs = 1'000'000, kSecond = 1'000 * kMs;
 constexpr std::int64_t kEngineClock = 7'000 * kSecond;  // ahead of the viewer's
 constexpr std::uint32_t kBall = 5;
 

@@ -2,13 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include "../nanoseconds.h"
 #include "wire/stream_generated.h"
 #include "wire/system_generated.h"
 
 namespace splatbus::stream {
 namespace {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 class StreamerChoiceTest : public testing::Test {
  protected:

@@ -7,12 +7,11 @@
 #include <string>
 #include <vector>
 
+#include "../../nanoseconds.h"
 #include "capture-bridge/rig_control.h"
 #include "wire/convert.h"
 
 namespace splatbus::capture_bridge::test {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 /// Poses as viewers tell them.
 class Poses {

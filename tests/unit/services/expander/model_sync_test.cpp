@@ -3,13 +3,12 @@
 
 #include <gtest/gtest.h>
 
+#include "../../nanoseconds.h"
 #include "expander/retransmit_queue.h"
 #include "sample_scene.h"
 
 namespace splatbus::expander {
 namespace {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 InsertBatch batch_at(float x, std::size_t count = 10) {
   std::vector<glm::vec3> positions;

@@ -123,15 +123,16 @@ TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
   const auto still = scene.visibility(points, normals, objects, 0);
   const auto moved = scene.visibility(points, normals, objects, 7);
 
-  constexpr std::size_t kRows = ParameterLayout::kLogScale + 3 + 6;  // log scales at their place, then point and normal
-  std::vector<float> pages(2 * kRows * kPageLanes, std::numeric_limits<float>::quiet_NaN());
+  constexpr std::size_t kFields =
+      ParameterLayout::kLogScale + 3 + 6;  // log scales at their place, then point and normal
+  std::vector<float> pages(2 * kFields * kPageLanes, std::numeric_limits<float>::quiet_NaN());
   for (std::size_t page = 0; page < 2; ++page) {
     for (std::size_t i = 0; i < points.size(); ++i) {
-      float* const lane = pages.data() + page * kRows * kPageLanes + i;
+      float* const lane = pages.data() + page * kFields * kPageLanes + i;
       for (std::size_t c = 0; c < 3; ++c) {
         lane[(ParameterLayout::kLogScale + c) * kPageLanes] = std::log(0.01F);
-        lane[(kRows - 6 + c) * kPageLanes] = lane[c * kPageLanes] = points[i][static_cast<int>(c)];
-        lane[(kRows - 3 + c) * kPageLanes] = normals[i][static_cast<int>(c)];
+        lane[(kFields - 6 + c) * kPageLanes] = lane[c * kPageLanes] = points[i][static_cast<int>(c)];
+        lane[(kFields - 3 + c) * kPageLanes] = normals[i][static_cast<int>(c)];
       }
     }
   }
@@ -143,11 +144,11 @@ TEST(Visibility, OfAModelInPagesIsThatOfItsGaussians) {
   view.count = kPageLanes + count;
   view.stride = kPageLanes;
   view.page_shift = kPageShift;
-  view.page_stride = kRows * kPageLanes;
+  view.page_stride = kFields * kPageLanes;
   view.ranges = ranges;
   view.parameters = pages.data();
-  view.surface_point = pages.data() + (kRows - 6) * kPageLanes;
-  view.normal = pages.data() + (kRows - 3) * kPageLanes;
+  view.surface_point = pages.data() + (kFields - 6) * kPageLanes;
+  view.normal = pages.data() + (kFields - 3) * kPageLanes;
   std::vector<std::uint8_t> visibility(view.count);
   compute_visibility({}, view, objects, {{scene.sun()}}, {}, visibility.data());
   for (std::size_t i = 0; i < points.size(); ++i) {

@@ -1,11 +1,10 @@
 #include <gtest/gtest.h>
 
+#include "../../nanoseconds.h"
 #include "streamer/wire_statistics.h"
 
 namespace splatbus::streamer {
 namespace {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 TEST(WireStatistics, CountsByTypeAndLeavesProbePicturesOutOfTheRates) {
   WireStatistics statistics;

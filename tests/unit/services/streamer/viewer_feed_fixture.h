@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "../../nanoseconds.h"
 #include "../../stream/expectations.h"
 #include "../../stream/toy_server.h"
 #include "streamer/viewer_feed.h"
@@ -18,7 +19,7 @@ namespace splatbus::streamer {
 
 using stream::test::expect_exact;
 
-inline constexpr std::int64_t kSecond = 1'000'000'000, kTick = kSecond / 5, kStep = kSecond / 100;
+inline constexpr std::int64_t kTick = kSecond / 5, kStep = kSecond / 100;
 
 /// A viewer without a network: what its feed gives arrives, unless it is lost.
 struct Seat {

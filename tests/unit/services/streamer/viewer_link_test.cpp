@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 
+#include "../../nanoseconds.h"
 #include "../../stream/toy_server.h"
 #include "link_schedule.h"
 #include "stream/follower.h"
@@ -19,7 +20,7 @@ using cli::LinkCut;
 using cli::LinkSchedule;
 using cli::LinkShape;
 
-constexpr std::int64_t kSecond = 1'000'000'000, kStep = kSecond / 200, kTick = kSecond / 5;
+constexpr std::int64_t kStep = kSecond / 200, kTick = kSecond / 5;
 
 /// One way of a tcp connection: what the sender's socket holds, and behind it the link.
 template <class Message>

@@ -3,6 +3,7 @@
 
 #include <deque>
 
+#include "../../nanoseconds.h"
 #include "../../stream/expectations.h"
 #include "../../stream/toy_server.h"
 #include "streamer/viewer_feed.h"
@@ -10,7 +11,7 @@
 namespace splatbus::streamer {
 namespace {
 
-constexpr std::int64_t kSecond = 1'000'000'000, kStep = kSecond / 100;
+constexpr std::int64_t kStep = kSecond / 100;
 
 /// A link of so many bytes a second that is filled as the rate allows; the viewer says four times a second what came.
 class Link {

@@ -6,12 +6,11 @@
 #include <glm/gtc/constants.hpp>
 
 #include "../../bus/bus_fixture.h"
+#include "../../nanoseconds.h"
 #include "bus/error.h"
 
 namespace splatbus::viewer {
 namespace {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 glm::vec3 eye(const Camera& camera) {
   return camera.world_from_camera.translation;
