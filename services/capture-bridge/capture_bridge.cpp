@@ -198,7 +198,7 @@ void CaptureBridge::handle_probe(const wire::ViewerProbe& asked, const bus::Mess
                    kMaxProbes);
     }
   }
-  if (probe != nullptr) probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);
+  if (probe != nullptr) ProbeTable::ask(*probe, rigs_.cameras().add(probe->camera, kProbeBuffers, 0), bus::now_ns());
 }
 
 void CaptureBridge::handle_trainer_stats(const wire::TrainerStats& stats, const bus::Message& message,
@@ -300,8 +300,7 @@ void CaptureBridge::update_probes(std::int64_t now_ns) {
     }
   }
   for (Probe* probe : probes_.overdue(now_ns - kProbePatienceNs)) {
-    probe->request_id = rigs_.cameras().add(probe->camera, kProbeBuffers, 0);
-    probe->requested_ns = now_ns;
+    ProbeTable::ask(*probe, rigs_.cameras().add(probe->camera, kProbeBuffers, 0), now_ns);
   }
 }
 

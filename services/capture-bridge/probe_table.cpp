@@ -21,12 +21,18 @@ Probe* ProbeTable::add(std::uint64_t probe_id, const std::string& asker, const C
 
 std::optional<Probe> ProbeTable::answer(std::uint32_t camera_id, std::uint64_t request_id) {
   const auto found = std::find_if(waiting_.begin(), waiting_.end(), [&](const Probe& probe) {
-    return probe.camera.id == camera_id && probe.request_id == request_id;
+    return probe.camera.id == camera_id && probe.first_request_id <= request_id && request_id <= probe.request_id;
   });
   if (found == waiting_.end()) return std::nullopt;
   Probe probe = *found;
   waiting_.erase(found);
   return probe;
+}
+
+void ProbeTable::ask(Probe& probe, std::uint64_t request_id, std::int64_t now_ns) {
+  if (probe.first_request_id == 0) probe.first_request_id = request_id;
+  probe.request_id = request_id;
+  probe.requested_ns = now_ns;
 }
 
 std::vector<Probe> ProbeTable::expire(std::int64_t asked_before_ns) {

@@ -14,7 +14,8 @@ struct Probe {
   std::uint64_t probe_id = 0;  ///< the asker's
   std::string asker;           ///< header.source
   Camera camera;               ///< id is ours, role Probe
-  std::uint64_t request_id = 0;
+  /// Of the engine: the first time it was asked and the last. An answer to any of them is one.
+  std::uint64_t first_request_id = 0, request_id = 0;
   std::int64_t asked_ns = 0;
   std::int64_t requested_ns = 0;  ///< when the engine was asked last
 };
@@ -30,6 +31,9 @@ class ProbeTable {
 
   /// The probe that a frame answers; each is answered once.
   std::optional<Probe> answer(std::uint32_t camera_id, std::uint64_t request_id);
+
+  /// The engine was asked for it, for the first time or again, under this id. Ids grow.
+  static void ask(Probe& probe, std::uint64_t request_id, std::int64_t now_ns);
 
   /// Takes out those that were asked before `asked_before_ns`.
   std::vector<Probe> expire(std::int64_t asked_before_ns);

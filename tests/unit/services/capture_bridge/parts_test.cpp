@@ -3,6 +3,7 @@
 
 #include <glm/gtc/constants.hpp>
 
+#include "../../nanoseconds.h"
 #include "capture-bridge/input_worker.h"
 #include "capture-bridge/new_share.h"
 #include "capture-bridge/probe_table.h"
@@ -13,8 +14,6 @@
 
 namespace splatbus::capture_bridge {
 namespace {
-
-constexpr std::int64_t kSecond = 1'000'000'000;
 
 std::vector<std::uint64_t> ids_of(const CameraSet& set, CameraRole role) {
   std::vector<std::uint64_t> ids;
@@ -158,17 +157,31 @@ TEST(ProbeTable, AnswersEachOnce) {
   std::optional<Probe> evicted;
   Probe* probe = table.add(7, "viewer", {}, 0, evicted);
   ASSERT_NE(probe, nullptr);
-  probe->request_id = 70;
+  ProbeTable::ask(*probe, 70, 0);
   EXPECT_EQ(table.add(7, "viewer", {}, 0, evicted), nullptr) << "the same probe again";
   Probe* other = table.add(7, "another", {}, 0, evicted);
   ASSERT_NE(other, nullptr);
-  other->request_id = 71;
+  ProbeTable::ask(*other, 71, 0);
   EXPECT_FALSE(table.answer(other->camera.id, 70));
   const auto answered = table.answer(other->camera.id, 71);
   ASSERT_TRUE(answered);
   EXPECT_EQ(answered->asker, "another");
   EXPECT_FALSE(table.answer(answered->camera.id, 71));
   EXPECT_EQ(table.size(), 1U);
+}
+
+TEST(ProbeTable, AnEngineThatTakesLongerThanItIsGivenAnswersAllTheSame) {
+  ProbeTable table(4);
+  std::optional<Probe> evicted;
+  Probe* probe = table.add(7, "viewer", {}, 0, evicted);
+  ProbeTable::ask(*probe, 70, 0);
+  const std::vector<Probe*> late = table.overdue(3);
+  ASSERT_EQ(late.size(), 1U);
+  ProbeTable::ask(*late[0], 75, 3);
+  EXPECT_TRUE(table.overdue(3).empty()) << "asked a moment ago";
+  EXPECT_FALSE(table.answer(probe->camera.id, 69)) << "of somebody's before";
+  EXPECT_FALSE(table.answer(probe->camera.id, 76));
+  EXPECT_TRUE(table.answer(probe->camera.id, 70)) << "to what it was asked first";
 }
 
 TEST(ProbeTable, IsBoundedAndForgetsTheOld) {
