@@ -75,7 +75,7 @@ class Streamer {
   ViewerHub hub_;
 
   std::optional<bus::Message> announcement_;   ///< model/published that is not open yet
-  std::uint64_t scene_version_ = 0;  // of the newest scene that was sent on
+  std::uint64_t scene_version_ = 0;            // of the newest scene that was sent on
   std::uint64_t observed_generation_ = 0;      ///< of the model that model_ has observed
   std::map<std::uint64_t, Visibility> relit_;  ///< by generation: the newest of each
   std::size_t held_gaussians_ = 0;

@@ -103,6 +103,7 @@ class ViewerHub {
     PeerLimits limits;
     ViewerFeed feed;
     std::deque<SharedPacket> pictures;
+    int sent_before_picture = 0;         ///< packets of the stream, since the last picture, or since none waited
     std::deque<std::uint64_t> compared;  ///< probes whose pictures it was sent
   };
   struct Probe {
@@ -121,6 +122,7 @@ class ViewerHub {
   /// Its counts, when it goes.
   void remember(const Viewer& viewer);
   Endpoint::Sent send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle);
+  Endpoint::Sent send_picture(const Endpoint::Peer& peer, Viewer& viewer);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
   [[nodiscard]] stream::EncodedPacket welcome(std::uint64_t connection) const;
   void say(const std::string& text);
