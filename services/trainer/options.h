@@ -57,14 +57,15 @@ struct WorldParameters {
   std::size_t staging_bytes = std::size_t{64} << 20U;  ///< of memory for pages on their way to the folder
   // Ceilings of the model and of what the trainer keeps beside it; 0: none.
   std::size_t device_bytes = 0, host_bytes = 0, disk_bytes = 0;
-  float fetch_m = 40;  ///< pages nearer to a viewer than this are not on disk alone
+  std::size_t max_gaussians = 0;  ///< in memory; 0: as many as the other ceilings have room for
+  float fetch_m = 40;             ///< pages nearer to a viewer than this are not on disk alone
 };
 
 /// The trainer's parameters as numbers.
 struct Options {
   // Fixed once started.
   ParameterLayout layout;
-  std::size_t max_gaussians = kDefaultMaxGaussians;  ///< beyond it nothing is inserted
+  std::size_t max_gaussians = kDefaultMaxGaussians;  ///< in memory; near it the farthest pages go to disk
   std::size_t max_picture_pixels = 1U << 24U;        ///< larger pictures are refused
   std::uint64_t seed = 1;
   int threads = 0;   ///< 0: all cores

@@ -29,6 +29,7 @@ WorldKeeper::WorldKeeper(model::PageStore& store, const WorldParameters& paramet
       parameters_(parameters),
       cost_(store.layout()),
       ceiling_bytes_(store.device() == Device::Cpu ? parameters.host_bytes : parameters.device_bytes),
+      ceiling_gaussians_(parameters.max_gaussians),
       stream_(device::thread_stream(store.device())) {
   open();
 }

@@ -92,6 +92,11 @@ class WorldKeeper {
 
   // world_spill.cpp
   [[nodiscard]] std::size_t bytes_here() const;
+  struct Excess {
+    std::size_t bytes = 0, gaussians = 0;
+  };
+  /// What has to leave; nothing as long as no ceiling is near.
+  [[nodiscard]] Excess excess() const;
   /// Pages that fit in below the margin, if they train.
   [[nodiscard]] std::size_t room_for_pages() const;
   [[nodiscard]] float distance_m(const world::PageKey& key, const PageBounds& bounds) const;
@@ -109,7 +114,7 @@ class WorldKeeper {
   model::PageStore& store_;
   WorldParameters parameters_;
   PageCost cost_;
-  std::size_t ceiling_bytes_;  ///< of memory; 0: none
+  std::size_t ceiling_bytes_, ceiling_gaussians_;  ///< of memory; 0: none
   device::StreamView stream_;
   std::shared_ptr<world::World> world_;  ///< null: there is no room for it on the disk yet
   std::map<world::PageKey, Kept> kept_;

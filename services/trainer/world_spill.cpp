@@ -44,14 +44,31 @@ std::size_t WorldKeeper::bytes_here() const {
   return places * cost_.page + pages * cost_.beside + (pages - store_.frozen_pages()) * cost_.moments;
 }
 
+WorldKeeper::Excess WorldKeeper::excess() const {
+  const auto beyond = [](std::size_t here, std::size_t ceiling, std::size_t margin) {
+    const std::size_t most = ceiling - ceiling / margin;
+    return ceiling == 0 || here <= most ? 0 : here - most;
+  };
+  const std::size_t bytes = bytes_here();
+  const bool is_high =
+      beyond(bytes, ceiling_bytes_, kHighMargin) > 0 || beyond(store_.count(), ceiling_gaussians_, kHighMargin) > 0;
+  if (!is_high) return {};
+  return {beyond(bytes, ceiling_bytes_, kLowMargin), beyond(store_.count(), ceiling_gaussians_, kLowMargin)};
+}
+
 std::size_t WorldKeeper::room_for_pages() const {
-  if (ceiling_bytes_ == 0) return kNoBound;
+  std::size_t most = kNoBound;
+  if (ceiling_gaussians_ > 0) {
+    const std::size_t high = ceiling_gaussians_ - ceiling_gaussians_ / kHighMargin;
+    most = (high - std::min(high, store_.count())) / kPageLanes;
+  }
+  if (ceiling_bytes_ == 0) return most;
   const std::size_t places = store_.view().count >> kPageShift;
   const std::size_t gaps = places - std::min(places, store_.page_count());
   const std::size_t high = ceiling_bytes_ - ceiling_bytes_ / kHighMargin;
   const std::size_t left = high - std::min(high, bytes_here());
   const std::size_t in_gaps = std::min(gaps, left / (cost_.beside + cost_.moments));
-  return in_gaps + (left - in_gaps * (cost_.beside + cost_.moments)) / cost_.all(true);
+  return std::min(most, in_gaps + (left - in_gaps * (cost_.beside + cost_.moments)) / cost_.all(true));
 }
 
 void WorldKeeper::see(std::vector<math::Vec3> places) {
@@ -72,16 +89,12 @@ float WorldKeeper::distance_m(const world::PageKey& key, const PageBounds& bound
 }
 
 std::vector<WorldKeeper::Candidate> WorldKeeper::choose_victims() const {
-  if (ceiling_bytes_ == 0) return {};
-  const std::size_t here = bytes_here();
-  const bool is_high = here > ceiling_bytes_ - ceiling_bytes_ / kHighMargin;
-  if (!is_high && wanted_m_.empty()) return {};
-  const std::size_t low = ceiling_bytes_ - ceiling_bytes_ / kLowMargin;
-  const std::size_t excess = is_high ? here - low : 0;
+  const Excess leaves = excess();
+  if (leaves.bytes == 0 && leaves.gaussians == 0 && wanted_m_.empty()) return {};
   struct Far {
     float distance_m;
     Candidate candidate;
-    std::size_t bytes;
+    std::size_t bytes, gaussians;
   };
   std::vector<Far> far;
   for (const IndexRange& range : store_.view().ranges) {
@@ -90,16 +103,19 @@ std::vector<WorldKeeper::Candidate> WorldKeeper::choose_victims() const {
     const world::PageKey key = key_of(entry.now);
     if (key.frame_id != kWorldFrame) continue;
     const bool trains = entry.now.state != model::PageState::Frozen;
-    far.push_back({distance_m(key, entry.bounds), {key, page, 0}, cost_.beside + (trains ? cost_.moments : 0)});
+    far.push_back(
+        {distance_m(key, entry.bounds), {key, page, 0}, cost_.beside + (trains ? cost_.moments : 0), entry.now.count});
   }
   std::sort(far.begin(), far.end(), [](const Far& a, const Far& b) {
     return a.distance_m != b.distance_m ? a.distance_m > b.distance_m : a.candidate.key < b.candidate.key;
   });
   std::vector<Candidate> victims;
-  std::size_t freed = 0, replaced = 0;
+  Excess freed;
+  std::size_t replaced = 0;
   for (const Far& page : far) {
-    if (freed < excess) {
-      freed += page.bytes;
+    if (freed.bytes < leaves.bytes || freed.gaussians < leaves.gaussians) {
+      freed.bytes += page.bytes;
+      freed.gaussians += page.gaussians;
     } else if (replaced < wanted_m_.size() && page.distance_m > kLeave * wanted_m_[replaced]) {
       ++replaced;
     } else {

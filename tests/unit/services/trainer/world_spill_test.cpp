@@ -35,6 +35,15 @@ class WorldSpillTest : public model::DeviceTest {
         GetParam());
     keeper_ = std::make_unique<WorldKeeper>(*store_, parameters);
   }
+  /// A ceiling of as many Gaussians, and none of memory.
+  void start_counted(std::size_t gaussians) {
+    const WorldParameters parameters{
+        .folder = directory_.path() + "/world", .period_s = 0.01, .max_gaussians = gaussians, .fetch_m = kFetch_m};
+    context_ = connect("trainer");
+    store_ = std::make_unique<model::PageStore>(context_, ParameterLayout{},
+                                                model::PageStoreOptions{.max_gaussians = gaussians}, GetParam());
+    keeper_ = std::make_unique<WorldKeeper>(*store_, parameters);
+  }
   void end(bool with_slabs) {
     keeper_.reset();
     store_.reset();
@@ -143,6 +152,26 @@ TEST_P(WorldSpillTest, AWalkOutAndBackStaysUnderTheCeilingAndLosesNobody) {
   end(false);  // what is here is written
   start();
   expect_everybody();
+}
+
+TEST_P(WorldSpillTest, AModelThatHasAllItsGaussiansInMemoryGivesPlaceToNewOnes) {
+  constexpr std::size_t kMost = kPages * 900, kHigh = kMost - kMost / 16;
+  start_counted(kMost);
+  for (int h = 0; h < 40; ++h) {
+    stand(10.0F * static_cast<float>(h) + 5);
+    const model::Batch batch = heap(h);
+    insert(*store_, batch, static_cast<std::uint64_t>(h) + 1);
+    truth_.insert(batch, batch.count);
+    ASSERT_TRUE(turn_until([&] { return store_->count() <= kHigh; })) << h;
+  }
+  EXPECT_GE(store_->count(), kMost / 2) << "more has left than had to";
+  EXPECT_TRUE(all_near(395));
+  expect_everybody();
+  for (float x = 390; x >= 0; x -= 5) {
+    stand(x);
+    ASSERT_TRUE(turn_until([&] { return all_near(x) && store_->count() <= kMost; })) << x;
+  }
+  EXPECT_FALSE(heaps_here().contains(39));
 }
 
 TEST_P(WorldSpillTest, WhatIsSpilledIsNotPutInTwice) {
