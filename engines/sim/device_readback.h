@@ -17,6 +17,10 @@ class DeviceReadback : public Readback {
   [[nodiscard]] virtual const std::vector<splatbus_image>& images() = 0;
 };
 
+/// A context of the first CUDA device where `backend` wants it and there is one, else any. Throws as GlContext, and for
+/// cuda where there is none.
+[[nodiscard]] std::shared_ptr<GlContext> make_context(const std::string& backend);
+
 /// By `backend`: null for cpu; for auto null, too, where there is no CUDA or the context, which is current, renders on
 /// something else than the first CUDA device. For cuda these throw std::runtime_error. The context lives longer.
 [[nodiscard]] std::unique_ptr<DeviceReadback> make_device_readback(const GlContext& context,

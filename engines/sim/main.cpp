@@ -188,7 +188,7 @@ void run(const Flags& flags) {
     return;
   }
   Scene scene = make_scene(flags);
-  const auto context = std::make_shared<splatbus::GlContext>();
+  const auto context = make_context(flags.snapshot.empty() ? flags.backend : "cpu");
   spdlog::info("{} objects, rendered by {}", scene.objects.size(), context->description());
   spdlog::info("{}", description(scene));
   Renderer renderer(context, std::move(scene), flags.renderer);

@@ -58,51 +58,67 @@ struct GlContext::Impl {
   EGLContext context = EGL_NO_CONTEXT;
 };
 
-GlContext::GlContext() : impl_(std::make_unique<Impl>()) {
+GlContext::GlContext(const Suits& suits) : impl_(std::make_unique<Impl>()) {
+  const auto displays = candidate_displays();
   std::string tried;
-  for (const auto& [name, display] : candidate_displays()) {
-    EGLint major = 0;
-    EGLint minor = 0;
-    if (display == EGL_NO_DISPLAY || eglInitialize(display, &major, &minor) != EGL_TRUE) {
-      tried += fmt::format(" {}: cannot be initialised (EGL error {:#x});", name, eglGetError());
-      continue;
-    }
-    constexpr std::array<EGLint, 9> kAttributes{EGL_CONTEXT_MAJOR_VERSION,
-                                                4,
-                                                EGL_CONTEXT_MINOR_VERSION,
-                                                5,
-                                                EGL_CONTEXT_OPENGL_PROFILE_MASK,
-                                                EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT,
-                                                EGL_NONE,
-                                                EGL_NONE,
-                                                EGL_NONE};
-    EGLContext context = EGL_NO_CONTEXT;
-    if (eglBindAPI(EGL_OPENGL_API) == EGL_TRUE) {
-      context = eglCreateContext(display, EGL_NO_CONFIG_KHR, EGL_NO_CONTEXT, kAttributes.data());
-    }
-    if (context == EGL_NO_CONTEXT || eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context) != EGL_TRUE) {
-      tried += fmt::format(" {}: no OpenGL 4.5 core context (EGL error {:#x});", name, eglGetError());
-      if (context != EGL_NO_CONTEXT) eglDestroyContext(display, context);
-      continue;
-    }
-    impl_->display = display;
-    impl_->context = context;
-    const auto text = [](GLenum what) { return reinterpret_cast<const char*>(glGetString(what)); };
-    description_ = fmt::format("{}: {}, OpenGL {}", name, text(GL_RENDERER), text(GL_VERSION));
-    software_ = std::string_view(text(GL_RENDERER)).find("llvmpipe") != std::string_view::npos ||
-                std::string_view(text(GL_RENDERER)).find("softpipe") != std::string_view::npos;
-    glEnable(GL_DEBUG_OUTPUT);
-    glDebugMessageCallback(log_gl_message, nullptr);
-    return;
+  for (const auto& [name, display] : suits ? displays : decltype(displays){}) {
+    if (!begin(name, display).empty()) continue;
+    if (suits(*this)) return;
+    end();
+  }
+  for (const auto& [name, display] : displays) {
+    const std::string problem = begin(name, display);
+    if (problem.empty()) return;
+    tried += fmt::format(" {}: {};", name, problem);
   }
   throw std::runtime_error(fmt::format("no OpenGL 4.5 without a window:{}",
                                        tried.empty() ? " EGL offers no device or surfaceless platform" : tried));
 }
 
-GlContext::~GlContext() {
+std::string GlContext::begin(const std::string& name, void* display) {
+  EGLint major = 0;
+  EGLint minor = 0;
+  if (display == EGL_NO_DISPLAY || eglInitialize(display, &major, &minor) != EGL_TRUE) {
+    return fmt::format("cannot be initialised (EGL error {:#x})", eglGetError());
+  }
+  constexpr std::array<EGLint, 9> kAttributes{EGL_CONTEXT_MAJOR_VERSION,
+                                              4,
+                                              EGL_CONTEXT_MINOR_VERSION,
+                                              5,
+                                              EGL_CONTEXT_OPENGL_PROFILE_MASK,
+                                              EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT,
+                                              EGL_NONE,
+                                              EGL_NONE,
+                                              EGL_NONE};
+  EGLContext context = EGL_NO_CONTEXT;
+  if (eglBindAPI(EGL_OPENGL_API) == EGL_TRUE) {
+    context = eglCreateContext(display, EGL_NO_CONFIG_KHR, EGL_NO_CONTEXT, kAttributes.data());
+  }
+  if (context == EGL_NO_CONTEXT || eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context) != EGL_TRUE) {
+    const EGLint error = eglGetError();
+    if (context != EGL_NO_CONTEXT) eglDestroyContext(display, context);
+    return fmt::format("no OpenGL 4.5 core context (EGL error {:#x})", error);
+  }
+  impl_->display = display;
+  impl_->context = context;
+  const auto text = [](GLenum what) { return reinterpret_cast<const char*>(glGetString(what)); };
+  description_ = fmt::format("{}: {}, OpenGL {}", name, text(GL_RENDERER), text(GL_VERSION));
+  software_ = std::string_view(text(GL_RENDERER)).find("llvmpipe") != std::string_view::npos ||
+              std::string_view(text(GL_RENDERER)).find("softpipe") != std::string_view::npos;
+  glEnable(GL_DEBUG_OUTPUT);
+  glDebugMessageCallback(log_gl_message, nullptr);
+  return {};
+}
+
+void GlContext::end() {
   if (impl_->context == EGL_NO_CONTEXT) return;
   eglMakeCurrent(impl_->display, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT);
   eglDestroyContext(impl_->display, impl_->context);
+  impl_->context = EGL_NO_CONTEXT;
+}
+
+GlContext::~GlContext() {
+  end();
 }
 
 void GlContext::make_current() const {

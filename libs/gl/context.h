@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 
@@ -8,9 +9,12 @@ namespace splatbus {
 /// An OpenGL 4.5 core context without a window: the first hardware EGL device that gives one, else Mesa's surfaceless
 /// platform. Current on the thread that made it, for as long as it lives. Throws std::runtime_error that lists what was
 /// tried.
+/// `suits`, asked of one that is current: whether it is on the device that is wanted. The first of which it says so is
+/// taken before any other; where it says so of none, the first as without it.
 class GlContext {
  public:
-  GlContext();
+  using Suits = std::function<bool(const GlContext&)>;
+  explicit GlContext(const Suits& suits = {});
   ~GlContext();
   GlContext(const GlContext&) = delete;
   GlContext& operator=(const GlContext&) = delete;
@@ -23,6 +27,10 @@ class GlContext {
 
  private:
   struct Impl;
+  /// Why there is none on that display; empty: there is, and it is current.
+  std::string begin(const std::string& name, void* display);
+  void end();
+
   std::unique_ptr<Impl> impl_;
   std::string description_;
   bool software_ = false;
