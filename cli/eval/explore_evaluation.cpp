@@ -149,7 +149,14 @@ Json summarize_exploration(const ExploreResults& results) {
                {"teleport_whole_s", or_null(results.teleport_whole_s)},
                {"walk_s", rounded(results.walk_s)},
                {"out_s", rounded(results.out_s)},
-               {"pictures", results.samples.size()}};
+               {"pictures", std::ranges::count_if(results.samples,
+                                                  [](const ExploreSample& sample) {
+                                                    return std::ranges::any_of(sample.viewers, [](const auto& figures) {
+                                                      return figures.has_value();
+                                                    });
+                                                  })},
+               {"unanswered_by_engine", results.unanswered_by_engine},
+               {"unanswered_by_viewer", results.unanswered_by_viewer}};
   if (last != nullptr && last->viewers.size() > 1) {
     summary["ssim_mean_second"] = or_null(mean_of(samples, windows.all, figure_of(&ViewerFigures::ssim, 1)));
   }

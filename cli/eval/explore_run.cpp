@@ -34,6 +34,8 @@ constexpr double kStartPatience_s = 10;       // from the first pictures on, unt
 constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
 constexpr float kAtStart_m = 0.2F;
 constexpr int kSheetInstants = 8;
+constexpr int kMostAskedAgain = 2;          // for a station whose answer was lost
+constexpr std::size_t kStationsARound = 4;  // more of them would keep viewers' own pictures waiting
 
 Inserted inserted_of(const std::map<std::string, double>& counters) {
   const auto count = [&](const char* name) {
@@ -79,6 +81,7 @@ class ExploreRun {
   struct DueStation {
     std::size_t station = 0;
     ExplorePhase phase = ExplorePhase::Out;
+    int asked_again = 0;
   };
   /// A probe whose answers have not all come.
   struct Waiting {
@@ -88,6 +91,7 @@ class ExploreRun {
     std::size_t viewer = 0;                  ///< of this one;
     std::optional<std::size_t> station;      ///< or one that the first viewer left
     ExplorePhase phase = ExplorePhase::Out;  ///< in which the station was due
+    int asked_again = 0;
     cv::Mat engine, depth;
   };
 
@@ -174,8 +178,10 @@ class ExploreRun {
   void begin_round() {
     const std::int64_t now_ns = bus::now_ns();
     const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
-    const bool done = probes_.first_id() == 0 || probes_.complete();
-    const std::int64_t wait_ns = !done ? kRoundPatienceNs : hurried ? kWholeRoundNs : kRoundNs;
+    // Nor is a viewer that compares slowly asked faster than it answers: what waits for it would never end.
+    const bool done = probes_.first_id() == 0 || (probes_.complete() && waiting_.empty());
+    const std::int64_t patience_ns = hurried ? kRoundNs : kRoundPatienceNs;
+    const std::int64_t wait_ns = !done ? patience_ns : hurried ? kWholeRoundNs : kRoundNs;
     if (now_ns - asked_ns_ < wait_ns) return;
     std::vector<Camera> cameras;
     for (const std::string& viewer : plan_.viewers) {
@@ -183,7 +189,8 @@ class ExploreRun {
       if (pose == nullptr) return;
       cameras.push_back(pose->camera);
     }
-    const std::vector<DueStation> stations = std::exchange(due_, {});
+    std::vector<DueStation> stations;
+    for (; !due_.empty() && stations.size() < kStationsARound; due_.pop_front()) stations.push_back(due_.front());
     for (const DueStation& due : stations) cameras.push_back(results_.stations.all()[due.station].camera);
     const std::size_t count = cameras.size();
     probes_.begin(std::move(cameras));
@@ -198,6 +205,7 @@ class ExploreRun {
         const DueStation& due = stations[i - plan_.viewers.size()];
         waiting.station = due.station;
         waiting.phase = due.phase;
+        waiting.asked_again = due.asked_again;
       }
       waiting_.push_back(std::move(waiting));
     }
@@ -239,7 +247,10 @@ class ExploreRun {
       const auto* answer = viewers_.answer(plan_.viewers[waiting.viewer], waiting.probe_id);
       if (answer == nullptr || waiting.engine.empty()) {
         if (bus::now_ns() - waiting.asked_ns <= kAnswerPatienceNs) return false;
-        if (waiting.station) due_.push_back({.station = *waiting.station, .phase = waiting.phase});
+        if (waiting.station && waiting.asked_again < kMostAskedAgain) {
+          due_.push_back({.station = *waiting.station, .phase = waiting.phase, .asked_again = waiting.asked_again + 1});
+        }
+        if (waiting.sample) ++(waiting.engine.empty() ? results_.unanswered_by_engine : results_.unanswered_by_viewer);
         return true;
       }
       take(waiting, *answer);
@@ -293,7 +304,7 @@ class ExploreRun {
   ProbeRounds probes_;
   bus::Publisher controls_;
   std::deque<Waiting> waiting_;
-  std::vector<DueStation> due_;
+  std::deque<DueStation> due_;
   std::map<std::size_t, double> starts_;  ///< unmodelled share of a viewer's first place
   ExploreResults results_;
   int kept_instant_ = -1;

@@ -69,6 +69,8 @@ struct ExploreResults {
   double out_s = 0, walk_s = 0;
   double apart_m = 0;                      ///< along the walk, from one viewer's start to the next one's
   std::optional<double> teleport_whole_s;  ///< until at most a hundredth of the picture was not modelled
+  /// Pictures of viewers' own places that were asked for and never compared, by who did not answer.
+  int unanswered_by_engine = 0, unanswered_by_viewer = 0;
 };
 
 /// The services with viewers that walk. Writes the viewers' path files and a log of the services, named after `name`,
