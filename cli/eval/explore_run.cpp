@@ -27,6 +27,7 @@ constexpr std::int64_t kRoundNs = kSecond;
 constexpr std::int64_t kWholeRoundNs = kSecond / 20;    // until the picture after the teleport is whole,
 constexpr std::int64_t kHurryNs = 5 * kSecond;          // for so long
 constexpr std::int64_t kRoundPatienceNs = 8 * kSecond;  // then those that did not come are given up
+constexpr std::int64_t kComparePatienceNs = 2 * kSecond;
 constexpr std::int64_t kAnswerPatienceNs = 12 * kSecond;
 constexpr std::int64_t kControlNs = kSecond;  // what a viewer was told and does not do yet it is told again
 constexpr double kMostStart_s = 120;          // until every viewer shows the start
@@ -178,10 +179,11 @@ class ExploreRun {
   void begin_round() {
     const std::int64_t now_ns = bus::now_ns();
     const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
-    // Nor is a viewer that compares slowly asked faster than it answers: what waits for it would never end.
-    const bool done = probes_.first_id() == 0 || (probes_.complete() && waiting_.empty());
-    const std::int64_t patience_ns = hurried ? kRoundNs : kRoundPatienceNs;
-    const std::int64_t wait_ns = !done ? patience_ns : hurried ? kWholeRoundNs : kRoundNs;
+    // Nor is a viewer that compares slowly asked much faster than it answers, or what waits for it would never end. A
+    // new round voids what the engine has not answered of the one before.
+    const bool drawn = probes_.first_id() == 0 || probes_.complete();
+    const std::int64_t patience_ns = !drawn ? kRoundPatienceNs : waiting_.empty() ? 0 : kComparePatienceNs;
+    const std::int64_t wait_ns = std::max(patience_ns, hurried ? kWholeRoundNs : kRoundNs);
     if (now_ns - asked_ns_ < wait_ns) return;
     std::vector<Camera> cameras;
     for (const std::string& viewer : plan_.viewers) {

@@ -23,7 +23,7 @@ constexpr int kRotationBits = 15;
 constexpr std::int64_t kRotationMiddle = 1 << (kRotationBits - 1), kRotationUnit = kRotationMiddle - 1;
 constexpr float kMaxSmallest = 0.76F;  // squares of the three smallest of a unit quaternion add up to 3/4 at most
 
-[[noreturn]] void refuse(const std::string& why) {
+[[noreturn]] void refuse_scene(const std::string& why) {
   throw StreamError("scene: " + why);
 }
 
@@ -31,7 +31,7 @@ template <std::size_t N>
 SharedExponent<N> quantize(const std::array<float, N>& values, const char* field) {
   float largest = 0;
   for (const float value : values) {
-    if (!std::isfinite(value)) refuse(fmt::format("{} is {}", field, value));
+    if (!std::isfinite(value)) refuse_scene(fmt::format("{} is {}", field, value));
     largest = std::max(largest, std::abs(value));
   }
   int exponent = 0;
@@ -61,7 +61,7 @@ std::array<float, 3> array_of(const glm::vec3& v) {
 
 std::array<std::int16_t, 2> quantize_direction(const glm::vec3& v, const std::string& field) {
   if (!(std::abs(glm::length(v) - 1) <= kUnitTolerance)) {
-    refuse(fmt::format("{} ({}, {}, {}) is not of length 1", field, v.x, v.y, v.z));
+    refuse_scene(fmt::format("{} ({}, {}, {}) is not of length 1", field, v.x, v.y, v.z));
   }
   const coding::Octahedral e = coding::octahedral(v.x, v.y, v.z);
   return {static_cast<std::int16_t>(std::lround(e.x * kDirectionUnit)),
@@ -78,7 +78,7 @@ std::array<std::int64_t, 3> quantize_position(const glm::vec3& position, const s
   std::array<std::int64_t, 3> out{};
   for (std::size_t axis = 0; axis < 3; ++axis) {
     const float metres = position[static_cast<int>(axis)];
-    if (!std::isfinite(metres)) refuse(fmt::format("{}: position of {}", field, metres));
+    if (!std::isfinite(metres)) refuse_scene(fmt::format("{}: position of {}", field, metres));
     constexpr auto kMost = static_cast<double>(kMaxPositionSteps);
     out[axis] = std::llround(std::clamp(static_cast<double>(metres) / kPositionStep_m, -kMost, kMost));
   }
@@ -101,12 +101,12 @@ QuantizedSource quantize(const LightSource& source) {
   if (source.kind == LightKind::Directional) return out;
   out.position = quantize_position(source.position, field);
   if (!(std::isfinite(source.range_m) && source.range_m > 0)) {
-    refuse(fmt::format("{}: range_m of {}", field, source.range_m));
+    refuse_scene(fmt::format("{}: range_m of {}", field, source.range_m));
   }
   out.range_m = quantize(std::array{std::max(source.range_m, kMinRange_m)}, "range_m");
   if (source.kind == LightKind::Point) return out;
   if (!(source.cos_outer >= -1 && source.cos_outer < source.cos_inner && source.cos_inner <= 1)) {
-    refuse(fmt::format("{}: a cone from {} to {}", field, source.cos_inner, source.cos_outer));
+    refuse_scene(fmt::format("{}: a cone from {} to {}", field, source.cos_inner, source.cos_outer));
   }
   out.inner = static_cast<std::int32_t>(std::lround(source.cos_inner / kCosineStep));
   out.outer = static_cast<std::int32_t>(std::lround(source.cos_outer / kCosineStep));
@@ -191,9 +191,10 @@ glm::quat dequantize_rotation(std::uint64_t bits) {
 
 QuantizedTransform quantize(const ObjectTransform& object, std::uint32_t id) {
   const float length = glm::length(object.rigid.rotation);
-  if (!(std::abs(length - 1) <= kUnitTolerance)) refuse(fmt::format("object {}: rotation of length {}", id, length));
+  if (!(std::abs(length - 1) <= kUnitTolerance))
+    refuse_scene(fmt::format("object {}: rotation of length {}", id, length));
   if (!(std::isfinite(object.scale) && object.scale > 0)) {
-    refuse(fmt::format("object {}: scale of {}", id, object.scale));
+    refuse_scene(fmt::format("object {}: scale of {}", id, object.scale));
   }
   const float octaves =
       std::clamp(std::log2(object.scale), -static_cast<float>(kMaxScaleOctaves), static_cast<float>(kMaxScaleOctaves));
@@ -219,10 +220,10 @@ ObjectTransform dequantize(const QuantizedTransform& transform) {
 
 QuantizedScene quantize_scene(const SceneState& scene) {
   if (scene.objects.size() > kMaxObjects) {
-    refuse(fmt::format("{} objects, at most {} can be streamed", scene.objects.size(), kMaxObjects));
+    refuse_scene(fmt::format("{} objects, at most {} can be streamed", scene.objects.size(), kMaxObjects));
   }
   if (scene.light.sources.size() > kMaxLightSources) {
-    refuse(fmt::format("{} lights, at most {} can be streamed", scene.light.sources.size(), kMaxLightSources));
+    refuse_scene(fmt::format("{} lights, at most {} can be streamed", scene.light.sources.size(), kMaxLightSources));
   }
   QuantizedScene out{.version = scene.version,
                      .light_generation = scene.light.generation,
@@ -231,7 +232,7 @@ QuantizedScene quantize_scene(const SceneState& scene) {
                      .objects = {}};
   for (const LightSource& source : scene.light.sources) {
     if (source.id <= (out.sources.empty() ? 0 : out.sources.back().id)) {
-      refuse(fmt::format("light {}: not in the order of ids", source.id));
+      refuse_scene(fmt::format("light {}: not in the order of ids", source.id));
     }
     out.sources.push_back(quantize(source));
   }

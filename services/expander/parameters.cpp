@@ -35,8 +35,7 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("max_samples", max_samples, "most samples in an input round; larger rounds are refused", {64, 8 << 20}, kFixed);
   p.add("max_cells", max_cells, "most cells in grid/state", {1, 1 << 24}, kFixed);
   p.add("repeat_s", repeat_s, "time after which grid/state repeats some unchanged cells, s", {.minimum = 0.001});
-  p.add("max_gaussians", max_gaussians,
-        "most Gaussians of the world, in memory and on disk; nothing is inserted beyond",
+  p.add("max_gaussians", max_gaussians, "most Gaussians in the model; nothing is inserted beyond",
         {1, static_cast<double>(kGaussianLimit)});
   p.add("resend_s", resend_s, "time after which an unacknowledged batch is sent again, s", {.minimum = 0.01});
   p.add("adopt_wait_s", adopt_wait_s, "longest wait for a trainer to say what it has before insertion begins, s",

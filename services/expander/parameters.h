@@ -16,7 +16,7 @@ struct Options {
   std::size_t max_samples = std::size_t{4} << 20, max_cells = std::size_t{1} << 20;
   InsertOptions insert;  ///< without room
   RetransmitQueue::Options queue;
-  std::size_t max_gaussians = kGaussianLimit;
+  std::size_t max_gaussians = kDefaultMaxGaussians;
   double adopt_wait_s = 3, refresh_s = 2, resend_s = 1;
   double ahead_s = 3, repeat_s = 1;
   /// From this pace of the optimizer on cells are filled as densely as insert.select says.

@@ -64,7 +64,7 @@ class ViewerHub {
   /// Forgets viewers that fell silent.
   void expire(std::int64_t now_ns);
   /// To the viewer that asked for this probe; where somebody else did, to every viewer that wants probe pictures: by
-  /// pump(), behind the model.
+  /// pump(), behind the model, or in its turn where that always has more.
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
   void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 

@@ -15,7 +15,8 @@ void Options::bind(bus::ParameterBinder& p) {
         {{"transfer", Appearance::Transfer}, {"radiance", Appearance::Radiance}}, kFixed);
   p.add("sh_degree", layout.sh_degree, "degree of the spherical harmonics; radiance only", {0, 3}, kFixed);
   p.add("max_gaussians", max_gaussians,
-        "most Gaussians in memory; before they are reached the farthest pages go to disk",
+        "most Gaussians in memory; with a world folder or ceilings the farthest pages go to disk before, else nothing "
+        "is inserted beyond",
         {1, static_cast<double>(kGaussianLimit)}, kFixed);
   p.add("max_picture_mpixels", max_picture_pixels, "largest picture that is trained on, 2^20 pixels", {1, 64}, kFixed,
         kMebipixels);

@@ -65,8 +65,10 @@ struct WorldParameters {
 struct Options {
   // Fixed once started.
   ParameterLayout layout;
-  std::size_t max_gaussians = kDefaultMaxGaussians;  ///< in memory; near it the farthest pages go to disk
-  std::size_t max_picture_pixels = 1U << 24U;        ///< larger pictures are refused
+  std::size_t max_gaussians =
+      kDefaultMaxGaussians;  ///< in memory; beyond it nothing is inserted, but where there is a world folder or a
+                             ///< ceiling of memory the farthest pages go to disk before
+  std::size_t max_picture_pixels = 1U << 24U;  ///< larger pictures are refused
   std::uint64_t seed = 1;
   int threads = 0;   ///< 0: all cores
   bool cull = true;  ///< pages that a view's frustum does not touch are left out of its passes

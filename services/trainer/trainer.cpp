@@ -82,23 +82,15 @@ void Trainer::open_store() {
   if (most < std::numeric_limits<std::size_t>::max() - kSplits) store.max_pages = most + kSplits;
   store_ = std::make_unique<model::PageStore>(service_.bus, options.layout, store, service_.backend);
   spdlog::info("model: {}", store_->origin());
-  if (options.world.folder.empty() && service_.bus->address().is_local()) {
+  WorldParameters world = options.world;
+  world.max_gaussians = options.max_gaussians;
+  const bool bounded = store.max_pages > 0 && service_.bus->address().is_local();
+  if (world.folder.empty() && bounded) {
+    world.folder = *service_.bus->address().directory + "/spilled-" + service_.bus->source();
     // Of another run on this bus, where the model that it belongs to is gone.
     std::error_code ignored;  // what stays is refused by name
-    if (store_->count() == 0) std::filesystem::remove_all(spill_folder(), ignored);
-    if (store.max_pages == 0 && !std::filesystem::exists(spill_folder(), ignored)) return;  // keep_world() opens it
+    if (store_->count() == 0) std::filesystem::remove_all(world.folder, ignored);
   }
-  open_keeper();
-}
-
-std::filesystem::path Trainer::spill_folder() const {
-  return std::filesystem::path(*service_.bus->address().directory) / ("spilled-" + service_.bus->source());
-}
-
-void Trainer::open_keeper() {
-  WorldParameters world = options_->world;
-  world.max_gaussians = options_->max_gaussians;
-  if (world.folder.empty() && service_.bus->address().is_local()) world.folder = spill_folder();
   if (!world.folder.empty()) keeper_ = std::make_unique<WorldKeeper>(*store_, world);
 }
 

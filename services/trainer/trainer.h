@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <deque>
 #include <exception>
-#include <filesystem>
 #include <memory>
 #include <optional>
 #include <stop_token>
@@ -56,9 +55,6 @@ class Trainer {
 
  private:
   void open_store();
-  /// Where pages go that memory has no room for, without a world folder of the user's.
-  [[nodiscard]] std::filesystem::path spill_folder() const;
-  void open_keeper();
 
   // succession.cpp
   /// Of a successor: gets ready beside the trainer that runs, and waits for its place. False when it is not to be.
@@ -84,8 +80,6 @@ class Trainer {
   // Optimizer thread.
   void optimize(const std::stop_token& stop);
   void optimize_once();
-  /// Whether the model's structure has changed by it.
-  bool keep_world();
   void refresh_options();
   /// Tells the views which of them may train.
   void pair_views();
@@ -114,7 +108,7 @@ class Trainer {
 
   std::unique_ptr<model::PageStore> store_;
   ViewerPlaces viewers_;
-  std::unique_ptr<WorldKeeper> keeper_;  ///< null as long as there is a place for everything in memory, and no folder
+  std::unique_ptr<WorldKeeper> keeper_;  ///< null without a world folder
   StepMaker make_step_;
   std::unique_ptr<Optimizer> optimizer_;
   ViewSampler sampler_;

@@ -77,7 +77,12 @@ void Trainer::optimize_once() {
   refresh_options();
   const Commands commands = commands_.take();
   bool structure_changed = optimizer_->apply(commands, views_.versions());
-  structure_changed |= keep_world();
+  if (keeper_) {
+    const std::uint64_t generation = store_->generation();
+    keeper_->see(viewers_.places(bus::now_ns()));
+    keeper_->turn([this](const auto& change) { optimizer_->restructure(change); });
+    structure_changed |= store_->generation() != generation;
+  }
   if (!commands.visibilities.empty()) pair_views();
   const bool steps = may_step();
   // What is published while nothing goes on is the end of all steps so far.
@@ -151,18 +156,6 @@ void Trainer::publish_due(bool structure_changed) {
     stats_published_ = now;
     announced_ = state;
   }
-}
-
-bool Trainer::keep_world() {
-  // A model that has no ceiling but this has no folder before it needs one.
-  constexpr std::size_t kKeepFromQuarters = 3;
-  const bool near = store_->count() / kKeepFromQuarters >= options_->max_gaussians / 4;
-  if (!keeper_ && near && service_.bus->address().is_local()) open_keeper();
-  if (!keeper_) return false;
-  const std::uint64_t generation = store_->generation();
-  keeper_->see(viewers_.places(bus::now_ns()));
-  keeper_->turn([this](const auto& change) { optimizer_->restructure(change); });
-  return store_->generation() != generation;
 }
 
 void Trainer::publish_stats(bool stopped) {

@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <limits>
 #include <optional>
 #include <set>
 #include <utility>
@@ -78,15 +79,20 @@ void WorldKeeper::restore() {
   std::sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
     return std::pair(a.second.segment, a.second.offset) > std::pair(b.second.segment, b.second.offset);
   });
-  if (ceiling_bytes_ > 0) {
-    std::size_t bytes = 0;
+  if (ceiling_bytes_ > 0 || ceiling_gaussians_ > 0) {
+    constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
+    const std::size_t most_bytes = ceiling_bytes_ > 0 ? ceiling_bytes_ / 8 * 7 : kNone;
+    const std::size_t most_gaussians = ceiling_gaussians_ > 0 ? ceiling_gaussians_ - ceiling_gaussians_ / 8 : kNone;
+    std::size_t bytes = 0, gaussians = 0;
     std::erase_if(entries, [&](const auto& entry) {
       const std::size_t page = cost_.all(entry.second.state != model::PageState::Frozen);
-      const bool away = entry.second.mark == world::PageMark::Spilled || bytes + page > ceiling_bytes_ * 7 / 8;
+      const bool away = entry.second.mark == world::PageMark::Spilled || bytes + page > most_bytes ||
+                        gaussians + entry.second.count > most_gaussians;
       if (away) {
         elsewhere_.insert(entry);
       } else {
         bytes += page;
+        gaussians += entry.second.count;
       }
       return away;
     });

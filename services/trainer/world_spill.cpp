@@ -50,10 +50,12 @@ WorldKeeper::Excess WorldKeeper::excess() const {
     return ceiling == 0 || here <= most ? 0 : here - most;
   };
   const std::size_t bytes = bytes_here();
+  // Where nobody is said to look no page is farther than others: a full model takes nothing more then.
+  const std::size_t ceiling_gaussians = places_.empty() ? 0 : ceiling_gaussians_;
   const bool is_high =
-      beyond(bytes, ceiling_bytes_, kHighMargin) > 0 || beyond(store_.count(), ceiling_gaussians_, kHighMargin) > 0;
+      beyond(bytes, ceiling_bytes_, kHighMargin) > 0 || beyond(store_.count(), ceiling_gaussians, kHighMargin) > 0;
   if (!is_high) return {};
-  return {beyond(bytes, ceiling_bytes_, kLowMargin), beyond(store_.count(), ceiling_gaussians_, kLowMargin)};
+  return {beyond(bytes, ceiling_bytes_, kLowMargin), beyond(store_.count(), ceiling_gaussians, kLowMargin)};
 }
 
 std::size_t WorldKeeper::room_for_pages() const {

@@ -149,7 +149,6 @@ TEST_F(ViewerHubTest, AViewerThatTalksAndDoesNotReadIsRemoved) {
   EXPECT_EQ(sent_packets(), sent);
 }
 
-// All that it is sent: what it joins with, scenes at the engine's rate, keepalives.
 TEST_F(ViewerHubTest, AStreamThatAlwaysHasMoreLeavesPicturesTheirTurn) {
   join();
   publish(stream::test::toy_model(400'000, 1));
@@ -176,6 +175,7 @@ TEST_F(ViewerHubTest, AStreamThatAlwaysHasMoreLeavesPicturesTheirTurn) {
   EXPECT_LE(packets, 2 * Endpoint::kQueuedPackets + 64);  // on the way before, and as many as it waits for
 }
 
+// All that it is sent: what it joins with, scenes at the engine's rate, keepalives.
 TEST_F(ViewerHubTest, NoSecondHasMoreThanATenthAboveTheRateWhateverIsSent) {
   constexpr double kKbps = 1500;
   hub_.set_rate(kKbps);
