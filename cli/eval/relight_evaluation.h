@@ -13,7 +13,7 @@ namespace splatbus::cli {
 
 /// `splatbus eval relight`: how true the model is under lights that it was never trained with.
 struct RelightEvaluationOptions {
-  EvaluationSetup setup{.cameras = 8, .size = 160, .input_cameras = 24, .input_size = 128, .budget = 60000};
+  EvaluationSetup setup{.cameras = 8, .size = 160, .input_cameras = 24, .input_size = 128, .budget = 150000};
   int iterations = 3000;
   int views = 4;                                         ///< held out, half-way between reference cameras
   std::vector<double> turns_deg{60, 90, 120, 150, 180};  ///< of the sun about the vertical, away from its first place
