@@ -1,6 +1,8 @@
 #include <bit>
+#include <chrono>
 #include <cmath>
 #include <set>
+#include <thread>
 
 #include "../../model/device_test.h"
 #include "../../model/truth.h"
@@ -172,6 +174,19 @@ TEST_P(WorldSpillTest, AModelThatHasAllItsGaussiansInMemoryGivesPlaceToNewOnes) 
     ASSERT_TRUE(turn_until([&] { return all_near(x) && store_->count() <= kMost; })) << x;
   }
   EXPECT_FALSE(heaps_here().contains(39));
+  // A model that comes out of the folder leaves as much room, and one without viewers has no farthest page.
+  end(true);
+  start_counted(kMost);
+  EXPECT_GT(store_->count(), kMost / 2);
+  EXPECT_LE(store_->count(), kMost - kMost / 8);
+  expect_everybody();
+  int heaps = 0;
+  for (; store_->count() <= kHigh; ++heaps) insert(*store_, heap(50 + heaps), static_cast<std::uint64_t>(50 + heaps));
+  const std::size_t full = store_->count();
+  const auto written = [&, rounds = keeper_->stats().rounds] { return keeper_->stats().rounds > rounds; };
+  ASSERT_TRUE(turn_until(written));
+  for (int k = 0; k < 100; ++k, std::this_thread::sleep_for(std::chrono::milliseconds(1))) keeper_->turn();
+  EXPECT_EQ(store_->count(), full);
 }
 
 TEST_P(WorldSpillTest, WhatIsSpilledIsNotPutInTwice) {
