@@ -39,6 +39,8 @@ elseif(CMAKE_BUILD_TYPE STREQUAL Release)
   # Nor is their speed, and optimizing them costs a third of their compilation.
   set(SPLATBUS_TEST_OPTIONS "$<$<COMPILE_LANGUAGE:CXX>:-O1>")
 endif()
+# Instrumented they take several times as long.
+set(SPLATBUS_TEST_TIMEOUT_S "$<IF:$<BOOL:${SPLATBUS_SANITIZE}>,360,120>")
 # What CTest tells the sanitizers of a test and of the programs that it starts.
 set(SPLATBUS_TEST_ENVIRONMENT)
 if(SPLATBUS_SANITIZE MATCHES thread)
@@ -196,6 +198,6 @@ function(splatbus_test name)
     add_dependencies(untrusted_tests test_${name})
   endif()
   add_test(NAME ${name} COMMAND test_${name})
-  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT "$<IF:$<BOOL:${ARG_TIMEOUT}>,${ARG_TIMEOUT},120>"
+  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT "$<IF:$<BOOL:${ARG_TIMEOUT}>,${ARG_TIMEOUT},${SPLATBUS_TEST_TIMEOUT_S}>"
                                           ENVIRONMENT "${SPLATBUS_TEST_ENVIRONMENT}")
 endfunction()
