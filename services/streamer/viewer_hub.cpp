@@ -11,8 +11,7 @@ namespace {
 
 constexpr int kPacketsATurn = 256;
 constexpr std::size_t kMaxPictures = 8;
-constexpr int kPacketsToAPicture = 32;  // or a stream that always has more would leave pictures none
-constexpr std::size_t kMaxScenes = 8;   // that wait for one viewer; then one whole one does
+constexpr std::size_t kMaxScenes = 8;  // that wait for one viewer; then one whole one does
 constexpr std::size_t kMaxPictureBytes = std::size_t{64} << 20;
 constexpr std::size_t kCamerasATick = 4;
 constexpr std::int64_t kLimitsToAcknowledge = 3;  // probe pictures may be on the way before what is numbered
@@ -99,29 +98,18 @@ Endpoint::Sent ViewerHub::send(const Endpoint::Peer& peer, const WirePacket& pac
   return sent;
 }
 
-Endpoint::Sent ViewerHub::send_picture(const Endpoint::Peer& peer, Viewer& viewer) {
-  // Measurements ask for these, and their rate is not the stream's.
-  const auto sent = send(peer, *viewer.pictures.front());
-  if (sent == Endpoint::Sent::Yes) {
-    viewer.pictures.pop_front();
-    viewer.sent_before_picture = 0;
-  }
-  return sent;
-}
-
 Endpoint::Sent ViewerHub::send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle) {
-  const bool has_pictures = !viewer.pictures.empty();
-  if (has_pictures && viewer.sent_before_picture >= kPacketsToAPicture) return send_picture(peer, viewer);
   if (const SharedPacket packet = viewer.feed.next(model_, board_, viewer.gaze.gaze(), objects_, now_ns)) {
     const auto sent = send(peer, *packet, viewer.feed.next_sequence());
-    if (sent == Endpoint::Sent::Yes) {
-      viewer.feed.sent(now_ns);
-      viewer.sent_before_picture = has_pictures ? viewer.sent_before_picture + 1 : 0;
-    }
+    if (sent == Endpoint::Sent::Yes) viewer.feed.sent(now_ns);
     return sent;
   }
-  idle = !has_pictures;
-  return idle ? Endpoint::Sent::Yes : send_picture(peer, viewer);
+  idle = viewer.pictures.empty();
+  if (idle) return Endpoint::Sent::Yes;
+  // Measurements ask for these, and their rate is not the stream's.
+  const auto sent = send(peer, *viewer.pictures.front());
+  if (sent == Endpoint::Sent::Yes) viewer.pictures.pop_front();
+  return sent;
 }
 
 bool ViewerHub::pump(std::int64_t now_ns) {

@@ -64,7 +64,7 @@ class ViewerHub {
   /// Forgets viewers that fell silent.
   void expire(std::int64_t now_ns);
   /// To the viewer that asked for this probe; where somebody else did, to every viewer that wants probe pictures: by
-  /// pump(), behind the model, or in its turn where that always has more.
+  /// pump(), behind the model.
   void send_probe_picture(std::uint64_t probe_id, const stream::EncodedPacket& picture);
   void set_rate(double viewer_kbps) { options_.viewer_kbps = viewer_kbps; }
 
@@ -103,7 +103,6 @@ class ViewerHub {
     PeerLimits limits;
     ViewerFeed feed;
     std::deque<SharedPacket> pictures;
-    int sent_before_picture = 0;         ///< packets of the stream, since the last picture, or since none waited
     std::deque<std::uint64_t> compared;  ///< probes whose pictures it was sent
   };
   struct Probe {
@@ -122,7 +121,6 @@ class ViewerHub {
   /// Its counts, when it goes.
   void remember(const Viewer& viewer);
   Endpoint::Sent send_next(const Endpoint::Peer& peer, Viewer& viewer, std::int64_t now_ns, bool& idle);
-  Endpoint::Sent send_picture(const Endpoint::Peer& peer, Viewer& viewer);
   Endpoint::Sent send(const Endpoint::Peer& peer, const WirePacket& packet, std::uint64_t sequence = 0);
   [[nodiscard]] stream::EncodedPacket welcome(std::uint64_t connection) const;
   void say(const std::string& text);

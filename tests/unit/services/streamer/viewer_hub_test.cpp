@@ -149,32 +149,6 @@ TEST_F(ViewerHubTest, AViewerThatTalksAndDoesNotReadIsRemoved) {
   EXPECT_EQ(sent_packets(), sent);
 }
 
-TEST_F(ViewerHubTest, AStreamThatAlwaysHasMoreLeavesPicturesTheirTurn) {
-  join();
-  publish(stream::test::toy_model(400'000, 1));
-  ASSERT_TRUE(hub_.pump(now_ns_)) << "all of it went out at once";
-  const wire::Camera camera = to_wire(look_at({1, 2, 3}, {0, 0, 0}, 64, 48, 1));
-  hub_.send_probe_picture(5, writer_.write(77, 0, wire::Body::ProbePicture, [&](auto& b) {
-    return wire::CreateProbePicture(b, 5, &camera, 0, 0, to_wire(b, Light{}));
-  }));
-  // It does not read as fast as it is sent to: always one packet, and then there is room for another.
-  int packets = 0;
-  bool came = false, waits = false;
-  ASSERT_TRUE(bus_test::eventually([&] {
-    while (const auto packet = read()) {
-      ++packets;
-      came = came || packet->body() == wire::Body::ProbePicture;
-      if (packets % 8 == 0 || came) break;
-    }
-    acknowledge();
-    hub_.receive(now_ns_);
-    waits = hub_.pump(now_ns_ += kSecond / 100);
-    return came;
-  }));
-  EXPECT_TRUE(waits) << "the model is too small for this test";
-  EXPECT_LE(packets, 2 * Endpoint::kQueuedPackets + 64);  // on the way before, and as many as it waits for
-}
-
 // All that it is sent: what it joins with, scenes at the engine's rate, keepalives.
 TEST_F(ViewerHubTest, NoSecondHasMoreThanATenthAboveTheRateWhateverIsSent) {
   constexpr double kKbps = 1500;
