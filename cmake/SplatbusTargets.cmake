@@ -40,7 +40,10 @@ elseif(CMAKE_BUILD_TYPE STREQUAL Release)
   set(SPLATBUS_TEST_OPTIONS "$<$<COMPILE_LANGUAGE:CXX>:-O1>")
 endif()
 # Instrumented they take several times as long.
-set(SPLATBUS_TEST_TIMEOUT_S "$<IF:$<BOOL:${SPLATBUS_SANITIZE}>,360,120>")
+set(SPLATBUS_TEST_TIMEOUT_S 120)
+if(SPLATBUS_SANITIZE)
+  set(SPLATBUS_TEST_TIMEOUT_S 360)
+endif()
 # What CTest tells the sanitizers of a test and of the programs that it starts.
 set(SPLATBUS_TEST_ENVIRONMENT)
 if(SPLATBUS_SANITIZE MATCHES thread)
@@ -198,6 +201,9 @@ function(splatbus_test name)
     add_dependencies(untrusted_tests test_${name})
   endif()
   add_test(NAME ${name} COMMAND test_${name})
-  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT "$<IF:$<BOOL:${ARG_TIMEOUT}>,${ARG_TIMEOUT},${SPLATBUS_TEST_TIMEOUT_S}>"
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT ${SPLATBUS_TEST_TIMEOUT_S})
+  endif()
+  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT ${ARG_TIMEOUT}
                                           ENVIRONMENT "${SPLATBUS_TEST_ENVIRONMENT}")
 endfunction()

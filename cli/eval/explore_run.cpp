@@ -179,8 +179,8 @@ class ExploreRun {
   void begin_round() {
     const std::int64_t now_ns = bus::now_ns();
     const bool hurried = jump_ns_ != 0 && !results_.teleport_whole_s && now_ns - jump_ns_ < kHurryNs;
-    // Nor is a viewer that compares slowly asked much faster than it answers, or what waits for it would never end. A
-    // new round voids what the engine has not answered of the one before.
+    // A new round voids what the engine has not answered of the one before; and a viewer that compares slowly is not
+    // asked faster than it answers, or what waits for it would never end.
     const bool drawn = probes_.first_id() == 0 || probes_.complete();
     const std::int64_t patience_ns = !drawn ? kRoundPatienceNs : waiting_.empty() ? 0 : kComparePatienceNs;
     const std::int64_t wait_ns = std::max(patience_ns, hurried ? kWholeRoundNs : kRoundNs);

@@ -65,9 +65,9 @@ struct WorldParameters {
 struct Options {
   // Fixed once started.
   ParameterLayout layout;
-  std::size_t max_gaussians =
-      kDefaultMaxGaussians;  ///< in memory; beyond it nothing is inserted, but where there is a world folder or a
-                             ///< ceiling of memory the farthest pages go to disk before
+  /// In memory; beyond it nothing is inserted, but where there is a world folder or a ceiling of memory the farthest
+  /// pages go to disk before.
+  std::size_t max_gaussians = kDefaultMaxGaussians;
   std::size_t max_picture_pixels = 1U << 24U;  ///< larger pictures are refused
   std::uint64_t seed = 1;
   int threads = 0;   ///< 0: all cores

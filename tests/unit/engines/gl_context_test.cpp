@@ -21,6 +21,17 @@ TEST(GlContext, IsTheFirstThatSuits) {
   EXPECT_EQ(chosen.description(), any);
 }
 
+TEST(GlContext, IsAnotherThanTheFirstWhereThatOneSuits) {
+  std::vector<std::string> asked;
+  const GlContext context([&](const GlContext& one) {
+    asked.push_back(one.description());
+    return asked.size() == 2;
+  });
+  if (asked.size() < 2) GTEST_SKIP() << "there is one: " << context.description();
+  EXPECT_EQ(context.description(), asked[1]);
+  EXPECT_NE(context.description(), asked[0]);
+}
+
 TEST(GlContext, IsTheFirstOfAllWhereNoneSuits) {
   const std::string any = GlContext().description();
   int asked = 0;
