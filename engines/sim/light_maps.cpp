@@ -50,7 +50,7 @@ splatbus_camera pinhole_at(const splatbus_light_source& source, const Axes& axes
 }  // namespace
 
 splatbus_camera cascade_camera(const glm::vec3& centre, float extent_m, const glm::vec3& to_light, const Bounds& scene,
-                               std::uint32_t width, std::uint32_t height) {
+                               std::uint32_t width, std::uint32_t height, float step_texels) {
   constexpr float kMargin_m = 0.5F;
   const Axes axes = axes_along(-glm::normalize(to_light));
   splatbus_camera camera = sized(width, height);
@@ -64,7 +64,10 @@ splatbus_camera cascade_camera(const glm::vec3& centre, float extent_m, const gl
   }
   camera.near_m = kMargin_m / 2;
   camera.far_m = high - low + 1.5F * kMargin_m;
-  const auto snapped = [](float at_m, float px_a_m) { return std::round(at_m * px_a_m) / px_a_m; };
+  const auto snapped = [&](float at_m, float px_a_m) {
+    const float step_m = step_texels / px_a_m;
+    return std::round(at_m / step_m) * step_m;
+  };
   set_pose(camera, glm::mat3(axes.right, axes.down, axes.forward),
            snapped(glm::dot(centre, axes.right), camera.fx) * axes.right +
                snapped(glm::dot(centre, axes.down), camera.fy) * axes.down + (low - kMargin_m) * axes.forward);

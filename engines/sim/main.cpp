@@ -145,14 +145,10 @@ splatbus::sim::Scene make_scene(const Flags& flags) {
 
 /// How much it is, and where.
 std::string description(const splatbus::sim::Scene& scene) {
-  std::size_t triangles = 0;
-  for (const splatbus::sim::Object& object : scene.objects) {
-    for (const splatbus::sim::Part& part : object.parts) triangles += part.mesh.indices.size() / 3;
-  }
   const splatbus::sim::Bounds bounds = scene.bounds(false);
   return fmt::format("{} triangles of {} textures from ({:.2f}, {:.2f}, {:.2f}) to ({:.2f}, {:.2f}, {:.2f}) m",
-                     triangles, scene.images.size(), bounds.low.x, bounds.low.y, bounds.low.z, bounds.high.x,
-                     bounds.high.y, bounds.high.z);
+                     scene.triangle_count(), scene.images.size(), bounds.low.x, bounds.low.y, bounds.low.z,
+                     bounds.high.x, bounds.high.y, bounds.high.z);
 }
 
 /// Where --pose says, or else where the scene shows well.

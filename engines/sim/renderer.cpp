@@ -15,6 +15,9 @@ constexpr std::uint32_t kShadeBuffers = SPLATBUS_BUFFER_COLOR | SPLATBUS_BUFFER_
 constexpr std::uint32_t kGeometryBuffers =
     SPLATBUS_BUFFER_WORLD_POSITION | SPLATBUS_BUFFER_NORMAL | SPLATBUS_BUFFER_DEPTH | SPLATBUS_BUFFER_OBJECT_ID;
 
+/// Beyond them a picture of software costs what its triangles do, not its pixels.
+constexpr std::size_t kManyTriangles = 200'000;
+
 bool same_light(const Instant& a, const Instant& b) {
   const auto values = [](const splatbus_light& light) {
     const float *d = light.sun_direction, *s = light.sun_irradiance;
@@ -36,11 +39,14 @@ Renderer::Renderer(std::shared_ptr<GlContext> context, Scene scene, const Render
   glGetIntegerv(GL_MAX_COLOR_TEXTURE_SAMPLES, &samples);
   bounded.samples = std::clamp(options.samples, 1, samples);
   bounded.supersample = std::clamp(options.supersample, 1, 4);
-  // llvmpipe walks a grazing texel footprint for seconds; the supersamples spread along it anyway.
-  if (context->is_software()) bounded.anisotropy = 1;
+  if (context->is_software()) {
+    // llvmpipe walks a grazing texel footprint for seconds; the supersamples spread along it anyway.
+    bounded.anisotropy = 1;
+    // And of a multisampled target it rasterises even triangles that cover no sample: twice the time of a picture.
+    if (scene.triangle_count() > kManyTriangles) bounded.samples = 1;
+  }
   impl_ = std::make_unique<Impl>(std::move(context), std::move(scene), bounded);
   glEnable(GL_DEPTH_TEST);
-  glEnable(GL_MULTISAMPLE);
   glFrontFace(GL_CW);  // pictures are drawn with their rows downwards
   glPixelStorei(GL_PACK_ALIGNMENT, 1);
   set_time(0);

@@ -16,7 +16,8 @@ namespace splatbus::sim {
 
 struct RendererOptions {
   int supersample = 2;         ///< 1..4; pixels a side that are shaded for one pixel of colour
-  int samples = 4;             ///< coverage samples a shaded pixel; the driver's greatest number when that is less
+  int samples = 4;             ///< coverage samples a shaded pixel; the driver's greatest number when that is less.
+                               ///< Software takes one where there are many triangles
   int shadow_map_size = 2048;  ///< texels a side, of the sun and directional lights
   int source_map_size = 512;   ///< of a point light's face, and a spot light
   float shadow_softness_m = 0.012F;  ///< radius of the shadow's filter

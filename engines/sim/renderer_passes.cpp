@@ -39,6 +39,7 @@ void Renderer::Impl::shade(const LightCamera& view, bool lit, bool albedo, Readb
   const std::array<float, 4> background{behind[0], behind[1], behind[2], 0};
   constexpr std::array<float, 4> kNothing{};
   constexpr float kFar = 1;
+  (options.samples > 1 ? glEnable : glDisable)(GL_MULTISAMPLE);
   if (lit) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 0, background.data());
   if (albedo) glClearNamedFramebufferfv(target.shade.get(), GL_COLOR, 1, kNothing.data());
   glClearNamedFramebufferfv(target.shade.get(), GL_DEPTH, 0, &kFar);

@@ -33,6 +33,14 @@ Object& Scene::add(std::string name, Mesh mesh, int material, const glm::mat4& w
   return objects.back();
 }
 
+std::size_t Scene::triangle_count() const {
+  std::size_t count = 0;
+  for (const Object& object : objects) {
+    for (const Part& part : object.parts) count += part.mesh.indices.size() / 3;
+  }
+  return count;
+}
+
 Bounds Scene::bounds(bool shadow_casters_only) const {
   Bounds result;
   for (const Object& object : objects) {

@@ -104,6 +104,7 @@ struct Scene {
 
   /// World bounds of what depth maps show, over the whole way of what moves.
   [[nodiscard]] Bounds bounds(bool shadow_casters_only) const;
+  [[nodiscard]] std::size_t triangle_count() const;
 };
 
 [[nodiscard]] glm::mat4 matrix(const Pose& world_from_object);

@@ -15,6 +15,9 @@ namespace {
 constexpr float kFinestTexel_m = 0.012F;  // of the first cascade
 constexpr float kCascadeRatio = 4;        // of a cascade's texels to those of the one before
 constexpr float kWidestTexel_m = 0.025F;  // of a map that is alone
+/// Of a cascade's width: what it moves by. The cameras that follow one viewer then share a map, and a walk draws it
+/// anew every 6 m. It reaches at least three eighths of its width from an eye.
+constexpr float kStep = 0.25F;
 
 bool same_map(const splatbus_camera& a, const splatbus_camera& b) {
   const float* p = a.world_from_camera.translation;
@@ -37,7 +40,8 @@ splatbus_camera SunShadow::camera_of(std::size_t map, const glm::vec3& sun_direc
     const float texel_m = kFinestTexel_m * std::pow(kCascadeRatio, static_cast<float>(map));
     Bounds all = casters_;
     all.add(receivers_);
-    return cascade_camera(eye, texel_m * static_cast<float>(size_), sun_direction, all, size, size);
+    return cascade_camera(eye, texel_m * static_cast<float>(size_), sun_direction, all, size, size,
+                          kStep * static_cast<float>(size_));
   }
   splatbus_camera camera = fit_light_camera(casters_, sun_direction, size, size);
   // The depth range takes in the receivers: what lies beyond the far plane would fail every comparison.

@@ -154,7 +154,7 @@ void CaptureBridge::handle_range(const bus::Message& message, const wire::Engine
   }
   host_copied_bytes_ += depth->bytes();
   ++counters_.ranges;
-  rigs_.ranges().take(camera->id, std::move(depth_m), rigs_.cameras());
+  rigs_.ranges().take(camera->id, std::move(depth_m), bus::now_ns(), rigs_.cameras());
 }
 
 void CaptureBridge::handle_probe_frame(const bus::Message& message, const wire::EngineFrame& frame) {
@@ -272,7 +272,10 @@ void CaptureBridge::update_light_maps(std::int64_t now_ns) {
 }
 
 void CaptureBridge::refresh_pictures(std::int64_t now_ns) {
-  if (options_->input_rate_hz <= 0) refresh(refreshed_inputs_, CameraRole::Input, options_->input_refresh_hz, now_ns);
+  // What shows new ground comes first: an engine that renders slowly would do nothing but render old places again.
+  if (options_->input_rate_hz <= 0 && !rigs_.inputs().any_incomplete()) {
+    refresh(refreshed_inputs_, CameraRole::Input, options_->input_refresh_hz, now_ns);
+  }
   if (options_->reference_rate_hz <= 0) {
     refresh(refreshed_references_, CameraRole::Reference, options_->reference_refresh_hz, now_ns);
   }
@@ -286,8 +289,10 @@ void CaptureBridge::refresh(Refresh& of, CameraRole role, double rate_hz, std::i
 
 void CaptureBridge::submit_round(InputRig& rig) {
   rig.submitted_ns = bus::now_ns();
-  worker_.submit(
-      {.views = rig.round.take(), .rig_generation = rig.round.rig_generation(), .options = options_->sampling});
+  InputJob job{.views = rig.round.take(), .rig_generation = rig.round.rig_generation(), .options = options_->sampling};
+  // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely.
+  job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * rig.share_asked());
+  worker_.submit(std::move(job));
 }
 
 void CaptureBridge::update_probes(std::int64_t now_ns) {

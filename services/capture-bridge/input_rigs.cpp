@@ -55,8 +55,12 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
     if (shares.at(wish.name) == 0) continue;
     const auto due_cameras = static_cast<std::size_t>(std::min(shares.at(wish.name), kLeastCameras));
     const bool robbed = rig.cameras.size() < due_cameras;
-    if (!anew && !is_due(options, wish, robbed, rig, now_ns)) continue;
-    place(options, wish, shares, now_ns);
+    if (anew || is_due(options, wish, robbed, rig, now_ns)) {
+      place(options, wish, shares, now_ns);
+    } else if (rig.to_come.empty() || !rig.round.missing().empty()) {
+      continue;
+    }
+    grow(options, rig);
     placed.push_back(wish.name);
   }
   const std::size_t before = rigs_.size();
@@ -131,14 +135,27 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   const std::vector<Camera> stands = free_dome(dome, wish.place, wish.free, options.clearance_m);
   const std::vector<std::size_t> places = spread_places(stands.size());
   rig.cameras.clear();
+  rig.to_come.clear();
   for (std::size_t k = 0; k < ids.size(); ++k) {
     Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
                              : stands[places[k - eyes]];
     camera.id = ids[k];
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;
-    rig.cameras.push_back(camera);
+    rig.to_come.push_back(camera);
+    placed_.push_back(camera.id);
   }
+}
+
+void InputRigs::grow(const Options& options, InputRig& rig) const {
+  std::size_t most = rig.to_come.size();
+  if (pictures_per_s_) {
+    const double in_time = *pictures_per_s_ * options.input_deadline_s;
+    most = std::min(most, static_cast<std::size_t>(std::max<double>(kLeastCameras, in_time)));
+  }
+  const auto end = rig.to_come.begin() + static_cast<std::ptrdiff_t>(most);
+  rig.cameras.insert(rig.cameras.end(), rig.to_come.begin(), end);
+  rig.to_come.erase(rig.to_come.begin(), end);
 }
 
 /// Rigs whose viewer has left stay until those who are there have theirs: their cameras are not to be missed before.
@@ -158,21 +175,28 @@ std::vector<Camera> InputRigs::request(const Options& options, const std::vector
   std::vector<Camera> wanted;
   for (auto& [name, rig] : rigs_) {
     const auto ids = shares_.of(name);
-    std::erase_if(rig.cameras, [&](const Camera& camera) {
-      const bool gone = std::ranges::find(ids, camera.id) == ids.end();
-      if (gone) rig.round.drop(camera.id);
-      return gone;
-    });
+    const auto gone = [&](const Camera& camera) { return std::ranges::find(ids, camera.id) == ids.end(); };
+    for (const Camera& camera : rig.cameras) {
+      if (gone(camera)) rig.round.drop(camera.id);
+    }
+    std::erase_if(rig.cameras, gone);
+    std::erase_if(rig.to_come, gone);
     wanted.insert(wanted.end(), rig.cameras.begin(), rig.cameras.end());
+    // Until it is asked for anew a camera keeps the picture of where it was.
+    for (const CameraRequest& before : cameras.of_role(CameraRole::Input)) {
+      if (std::ranges::count(rig.to_come, before.camera.id, &Camera::id) > 0) wanted.push_back(before.camera);
+    }
   }
   auto left = cameras.replace(CameraRole::Input, wanted,
                               EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition |
                                   EngineBuffer::Normal | EngineBuffer::ObjectId,
                               options.input_rate_hz);
   for (auto& [name, rig] : rigs_) {
-    const auto before = std::exchange(rig.requested, {});
-    renew(rig, cameras);
-    if (std::ranges::find(placed, name) == placed.end()) continue;
+    if (std::ranges::find(placed, name) == placed.end()) {
+      renew(rig, cameras);
+      continue;
+    }
+    const auto before = std::exchange(rig.requested, own_requests(rig, cameras));
     if (before == rig.requested && rig.round.rig_generation() != 0) continue;
     std::vector<CameraRequest> requests;
     for (const CameraRequest& one : cameras.of_role(CameraRole::Input)) {
@@ -180,21 +204,25 @@ std::vector<Camera> InputRigs::request(const Options& options, const std::vector
     }
     rig.round.begin(requests, ++generations_);
     rig.blind.clear();
-    rig.asked_ns = now_ns;
+    rig.asked_ns = rig.begun_ns = now_ns;
+    rig.begun_with = rig.round.missing().size();
     rig.patience_ns = 0;
-    for (const auto& [id, request_id] : rig.requested) placed_.push_back(id);
   }
   return left;
 }
 
-void InputRigs::renew(InputRig& rig, const CameraSet& cameras) {
-  rig.requested.clear();
-  const auto requests = cameras.of_role(CameraRole::Input);
-  for (const CameraRequest& one : requests) {
+std::map<std::uint32_t, std::uint64_t> InputRigs::own_requests(const InputRig& rig, const CameraSet& cameras) {
+  std::map<std::uint32_t, std::uint64_t> requested;
+  for (const CameraRequest& one : cameras.of_role(CameraRole::Input)) {
     const bool own = std::ranges::any_of(rig.cameras, [&](const Camera& camera) { return camera.id == one.camera.id; });
-    if (own) rig.requested[one.camera.id] = one.request_id;
+    if (own) requested[one.camera.id] = one.request_id;
   }
-  rig.round.renew(requests);
+  return requested;
+}
+
+void InputRigs::renew(InputRig& rig, const CameraSet& cameras) {
+  rig.requested = own_requests(rig, cameras);
+  rig.round.renew(cameras.of_role(CameraRole::Input));
 }
 
 InputRig* InputRigs::awaiting(std::uint32_t camera_id, std::uint64_t request_id) {
@@ -205,7 +233,13 @@ InputRig* InputRigs::awaiting(std::uint32_t camera_id, std::uint64_t request_id)
 
 void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view,
                         std::int64_t now_ns) {
+  const bool incomplete = !rig.round.missing().empty();
   rig.round.add(camera_id, request_id, std::move(view), now_ns);
+  if (incomplete && rig.round.missing().empty()) {
+    const double took_s = std::max(1e-3, static_cast<double>(now_ns - rig.begun_ns) * 1e-9);
+    const double now = static_cast<double>(rig.begun_with) / took_s;
+    pictures_per_s_ = pictures_per_s_ ? std::midpoint(*pictures_per_s_, now) : now;
+  }
   rig.blind.erase(camera_id);
   rig.asked_ns = now_ns;
   rig.patience_ns = 0;
@@ -225,6 +259,10 @@ void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_n
   cameras.move(CameraRole::Input, *camera);
   renew(rig, cameras);
   rig.asked_ns = now_ns;
+}
+
+bool InputRigs::any_incomplete() const {
+  return std::ranges::any_of(rigs_, [](const auto& entry) { return !entry.second.round.missing().empty(); });
 }
 
 void InputRigs::reissue(std::uint32_t camera_id, CameraSet& cameras) {

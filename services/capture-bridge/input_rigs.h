@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <glm/glm.hpp>
 #include <map>
@@ -21,10 +22,15 @@ namespace splatbus::capture_bridge {
 /// The input cameras of one viewer, and the rounds of their pictures.
 struct InputRig {
   std::vector<Camera> cameras;
+  /// Cameras of this place that are asked for when those are there: an engine that renders slowly does not get a whole
+  /// dome at once, or a viewer who walks on would always wait for pictures of where he was.
+  std::vector<Camera> to_come;
   DomePlace place;
   InputRound round;
-  std::int64_t asked_ns = 0;      ///< last request for, or arrival of, a picture
-  std::int64_t patience_ns = 0;   ///< before the next request for what is missing
+  std::int64_t asked_ns = 0;     ///< last request for, or arrival of, a picture
+  std::int64_t patience_ns = 0;  ///< before the next request for what is missing
+  std::int64_t begun_ns = 0;     ///< of the round that is under way, which asked for so many pictures
+  std::size_t begun_with = 0;
   std::int64_t submitted_ns = 0;  ///< a round, for sampling
   float new_share = 1;            ///< of the samples of its last round: they became Gaussians
 
@@ -38,6 +44,11 @@ struct InputRig {
 
   /// Whether it has stood anywhere. Others may have all of its cameras by now.
   [[nodiscard]] bool placed() const { return round.rig_generation() != 0; }
+  /// Of this place's cameras: those that have been asked for.
+  [[nodiscard]] double share_asked() const {
+    return 1 - static_cast<double>(to_come.size()) /
+                   static_cast<double>(std::max<std::size_t>(1, cameras.size() + to_come.size()));
+  }
 };
 
 /// The input cameras of all viewers, who share them by need. Times are CLOCK_MONOTONIC nanoseconds. Not thread-safe.
@@ -56,6 +67,9 @@ class InputRigs {
                std::int64_t now_ns);
   /// It has come and shows hardly more than what is right before it: the camera is asked for elsewhere, or given up.
   void blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_ns, CameraSet& cameras);
+
+  /// Whether a rig waits for pictures of where it stands now.
+  [[nodiscard]] bool any_incomplete() const;
 
   /// Has pictures rendered again: one, those of a rig that are missing, or all.
   void reissue(std::uint32_t camera_id, CameraSet& cameras);
@@ -81,16 +95,21 @@ class InputRigs {
   [[nodiscard]] bool is_due(const Options& options, const Wish& wish, bool robbed, InputRig& rig,
                             std::int64_t now_ns) const;
   void place(const Options& options, const Wish& wish, const CameraShares::Shares& shares, std::int64_t now_ns);
+  /// Takes so many of the cameras that are to come as the engine renders in time for a round.
+  void grow(const Options& options, InputRig& rig) const;
   void forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares);
   std::vector<Camera> request(const Options& options, const std::vector<std::string>& placed, std::int64_t now_ns,
                               CameraSet& cameras);
+  [[nodiscard]] static std::map<std::uint32_t, std::uint64_t> own_requests(const InputRig& rig,
+                                                                           const CameraSet& cameras);
   static void renew(InputRig& rig, const CameraSet& cameras);
 
   Rigs rigs_;
   CameraShares shares_;
   std::vector<std::uint32_t> placed_;
   std::uint64_t generations_ = 0;
-  bool answered_ = false;  // the engine has rendered an input camera
+  bool answered_ = false;                 // the engine has rendered an input camera
+  std::optional<double> pictures_per_s_;  // of a round, as the last ones came
 };
 
 }  // namespace splatbus::capture_bridge

@@ -10,7 +10,9 @@ namespace {
 
 constexpr double kMaxCredit = 2;
 constexpr double kOverdraft = 1;                         // for viewers without a cube of use
-constexpr std::int64_t kCubePatienceNs = 1'000'000'000;  // then a cube that has not come is given up
+constexpr std::int64_t kCubePatienceNs = 3'000'000'000;  // then a cube that has not come is given up
+constexpr std::int64_t kOverdraftPatienceNs = 1'000'000'000;
+constexpr std::int64_t kRest = 5;  // times as long as a cube took, until the next: the engine has other things to do
 constexpr float kNear_m = 0.02F, kFar_m = 200;
 
 }  // namespace
@@ -35,8 +37,8 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
       const auto known = ranges_.find(entry.first);
       const std::int64_t asked_ns = known == ranges_.end() ? 0 : known->second.asked_ns;
       const bool overdraws = credit_ < 1;
-      if (overdraws && asked_ns > 0 && now_ns - asked_ns < kCubePatienceNs) continue;
-      const float least_m = overdraws ? options.reach_m : options.move_m;
+      if (overdraws && asked_ns > 0 && now_ns - asked_ns < kOverdraftPatienceNs) continue;
+      const float least_m = overdraws || now_ns < rest_until_ns_ ? options.reach_m : options.move_m;
       if (!(off_cube(entry.first, entry.second) > least_m) || (next != nullptr && asked_ns >= oldest_ns)) continue;
       oldest_ns = asked_ns;
       next = &entry;
@@ -95,7 +97,7 @@ const Camera* RangeFinder::awaited(std::uint32_t camera_id, std::uint64_t reques
   return found == ranges_.end() ? nullptr : &found->second.pending->cameras.at(face);
 }
 
-void RangeFinder::take(std::uint32_t camera_id, std::vector<float> depth_m, CameraSet& cameras) {
+void RangeFinder::take(std::uint32_t camera_id, std::vector<float> depth_m, std::int64_t now_ns, CameraSet& cameras) {
   const std::uint32_t slot = (camera_id - kFirstId) / FreeSpace::kFaces;
   const auto found = std::ranges::find_if(ranges_, [&](const auto& entry) { return entry.second.slot == slot; });
   if (found == ranges_.end() || !found->second.pending) return;
@@ -103,6 +105,7 @@ void RangeFinder::take(std::uint32_t camera_id, std::vector<float> depth_m, Came
   range.pending->depth_m.at((camera_id - kFirstId) % FreeSpace::kFaces) = std::move(depth_m);
   if (std::ranges::any_of(range.pending->depth_m, [](const auto& face) { return face.empty(); })) return;
   range.free.emplace(range.pending->cameras, std::move(range.pending->depth_m));
+  rest_until_ns_ = now_ns + kRest * (now_ns - range.pending->asked_ns);
   cancel(range, cameras);
 }
 

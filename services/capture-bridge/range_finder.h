@@ -20,7 +20,8 @@ struct RangeOptions {
 };
 
 /// Finds the free space about viewers: has the engine render depth cubes where they are, as probes with ids of their
-/// own. Bounded: three at once, and then so many a second. Times are CLOCK_MONOTONIC nanoseconds. Not thread-safe.
+/// own. Bounded: three at once, and then so many a second, and no more than a sixth of the time. Times are
+/// CLOCK_MONOTONIC nanoseconds. Not thread-safe.
 class RangeFinder {
  public:
   /// Asks for what is due; `cameras` are the ones the engine is told of.
@@ -31,7 +32,7 @@ class RangeFinder {
   /// The camera whose picture is waited for; null when it is not.
   [[nodiscard]] const Camera* awaited(std::uint32_t camera_id, std::uint64_t request_id) const;
   /// It has come: metres along z, as many as that camera has pixels.
-  void take(std::uint32_t camera_id, std::vector<float> depth_m, CameraSet& cameras);
+  void take(std::uint32_t camera_id, std::vector<float> depth_m, std::int64_t now_ns, CameraSet& cameras);
 
   /// Of a cube near enough to the viewer and in its sight; null when there is none.
   [[nodiscard]] const FreeSpace* about(const std::string& viewer, const glm::vec3& position) const;
@@ -62,6 +63,7 @@ class RangeFinder {
   float reach_m_ = 0;
   double credit_ = 0;  // cubes that may be asked for
   std::int64_t credited_ns_ = 0;
+  std::int64_t rest_until_ns_ = 0;  // only viewers without a cube of use have one before
 };
 
 }  // namespace splatbus::capture_bridge

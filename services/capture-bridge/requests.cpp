@@ -118,9 +118,13 @@ std::optional<std::uint32_t> StalestFirst::take(std::uint64_t scene_version, std
 }
 
 void InputRound::begin(std::span<const CameraRequest> requests, std::uint64_t rig_generation) {
-  slots_.clear();
+  const std::vector<Slot> before = std::exchange(slots_, {});
   for (const CameraRequest& request : requests) {
-    slots_.push_back({.camera_id = request.camera.id, .request_id = request.request_id, .view = nullptr});
+    Slot slot{.camera_id = request.camera.id, .request_id = request.request_id, .view = nullptr};
+    const auto same = std::ranges::find_if(
+        before, [&](const Slot& old) { return old.camera_id == slot.camera_id && old.request_id == slot.request_id; });
+    if (same != before.end()) slot.view = same->view;
+    slots_.push_back(std::move(slot));
   }
   first_fresh_ns_.reset();
   handed_on_incomplete_ = false;

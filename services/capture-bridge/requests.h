@@ -88,7 +88,8 @@ using InputViewPointer = std::shared_ptr<const InputView>;
 /// another round together with those that were there. Times are CLOCK_MONOTONIC nanoseconds.
 class InputRound {
  public:
-  /// A rig in a new place: forgets all frames. A rig generation is never 0, and has one place of one rig.
+  /// A rig in a new place, or one that has grown: forgets all frames but those that still answer. A rig generation is
+  /// never 0, and has one place of one rig.
   void begin(std::span<const CameraRequest> requests, std::uint64_t rig_generation);
   /// The same rig under other request ids: keeps the frames that are there.
   void renew(std::span<const CameraRequest> requests);

@@ -108,6 +108,9 @@ TEST_F(InputRoundTest, RefusesFramesOfAnotherRig) {
   const std::uint64_t generation = round_.rig_generation();
   round_.begin(set_.of_role(CameraRole::Input), ++generations_);
   EXPECT_GT(round_.rig_generation(), generation);
+  EXPECT_EQ(round_.views().size(), 1U) << "that camera has not been asked for anew";
+  set_.reissue_all(CameraRole::Input);
+  round_.begin(set_.of_role(CameraRole::Input), ++generations_);
   EXPECT_TRUE(round_.empty());
 }
 

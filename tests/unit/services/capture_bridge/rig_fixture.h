@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -59,6 +60,20 @@ class RigControlTest : public testing::Test {
       control_.inputs().arrived(*rig, request.camera.id, request.request_id, std::make_shared<InputView>(), now_ns_);
     }
   }
+  /// The input picture that has been waited for longest comes. Returns its request's id; 0 where none is waited for.
+  std::uint64_t answer_oldest_input() {
+    std::optional<CameraRequest> oldest;
+    for (const CameraRequest& request : control_.cameras().of_role(CameraRole::Input)) {
+      InputRig* const rig = control_.inputs().awaiting(request.camera.id, request.request_id);
+      if (rig == nullptr || answered_.contains(request.request_id)) continue;
+      if (!oldest || request.request_id < oldest->request_id) oldest = request;
+    }
+    if (!oldest) return 0;
+    InputRig* const rig = control_.inputs().awaiting(oldest->camera.id, oldest->request_id);
+    control_.inputs().arrived(*rig, oldest->camera.id, oldest->request_id, std::make_shared<InputView>(), now_ns_);
+    answered_.insert(oldest->request_id);
+    return oldest->request_id;
+  }
   /// Every face of each depth cube that is asked for shows surfaces at that distance. Returns how many faces.
   int answer_cubes(float depth_m) {
     int faces = 0;
@@ -66,7 +81,7 @@ class RigControlTest : public testing::Test {
       const Camera* const camera = control_.ranges().awaited(request.camera.id, request.request_id);
       if (camera == nullptr) continue;
       std::vector<float> depth(std::size_t{camera->width} * camera->height, depth_m);
-      control_.ranges().take(request.camera.id, std::move(depth), control_.cameras());
+      control_.ranges().take(request.camera.id, std::move(depth), now_ns_, control_.cameras());
       ++faces;
     }
     return faces;
@@ -95,6 +110,8 @@ class RigControlTest : public testing::Test {
   RigControl control_{parameters_, 1000};
   Poses told_;
   std::int64_t now_ns_ = kSecond;
+  float walked_m_ = 0;
+  std::set<std::uint64_t> answered_;  ///< requests, by answer_oldest_input()
 };
 
 }  // namespace splatbus::capture_bridge::test

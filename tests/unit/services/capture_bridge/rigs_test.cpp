@@ -270,9 +270,75 @@ TEST_F(RigControlTest, CubesAreBoundedAndAskedForWhereTheyAreOfUse) {
   update();
   EXPECT_EQ(control_.cameras().of_role(CameraRole::Probe).size(), 6U);
   const auto before = control_.cameras().of_role(CameraRole::Probe).front().request_id;
-  pass(kSecond * 3 / 2);
+  pass(kSecond * 7 / 2);
   update();
   EXPECT_GT(control_.cameras().of_role(CameraRole::Probe).front().request_id, before);
+}
+
+TEST_F(RigControlTest, CubesTakeASixthOfTheTime) {
+  set("input_range_hz", "20");
+  const auto cubes_in = [&](std::int64_t span_ns, std::int64_t cube_ns) {
+    int faces = 0;
+    std::int64_t asked_ns = now_ns_;
+    for (const std::int64_t end_ns = now_ns_ + span_ns; now_ns_ < end_ns; pass(kSecond / 100)) {
+      walked_m_ += 0.007F;
+      look("v", standing({walked_m_, 1.6F, 0}));
+      if (of(CameraRole::Probe).empty()) asked_ns = now_ns_;
+      update();
+      if (now_ns_ - asked_ns >= cube_ns) faces += answer_cubes(10);
+    }
+    return faces / 6;
+  };
+  set("input_move_m", "0.01");
+  cubes_in(5 * kSecond, kSecond / 2);
+  EXPECT_NEAR(cubes_in(30 * kSecond, kSecond / 2), 10, 2) << "half a second, and then two and a half of rest";
+  cubes_in(5 * kSecond, kSecond / 50);
+  EXPECT_GE(cubes_in(10 * kSecond, kSecond / 50), 60);
+}
+
+/// Of an engine that renders four pictures a second, six seconds' worth of which were asked for at once.
+TEST_F(RigControlTest, ASlowEngineIsAskedForAsManyPicturesAsComeInTime) {
+  set("input_cameras", "24");
+  const auto generation = [&] { return rig("v").round.rig_generation(); };
+  const auto walk = [&](float metres) {
+    walked_m_ += metres;
+    pass(kSecond / 4);
+    look("v", standing({walked_m_, 1.6F, 0}));
+    update(false);
+    return answer_oldest_input();
+  };
+  look("v", standing({0, 1.6F, 0}));
+  update(false);
+  EXPECT_EQ(of(CameraRole::Input).size(), 24U) << "nobody knows yet how long they take";
+  for (int i = 0; i < 24; ++i) walk(0);
+  std::int64_t placed_ns = now_ns_, longest_ns = 0;
+  std::uint64_t before = generation();
+  for (int i = 0; i < 80; ++i) {
+    walk(0.35F);
+    if (generation() == before) continue;
+    longest_ns = std::max(longest_ns, now_ns_ - placed_ns);
+    placed_ns = now_ns_;
+    before = generation();
+  }
+  EXPECT_LE(longest_ns, 2 * kSecond) << "a round is of where the viewer is";
+  EXPECT_GE(longest_ns, kSecond) << "and no smaller than what comes in time";
+  EXPECT_NEAR(rig("v").share_asked(), 6 / 24.0, 2 / 24.0);
+  EXPECT_EQ(of(CameraRole::Input).size(), 24U) << "cameras that wait for their turn keep their pictures";
+
+  // Who stops gets the rest of the dome, each picture once.
+  std::set<std::uint64_t> answers;
+  int asked = 0;
+  for (int i = 0; i < 60; ++i) {
+    const std::uint64_t answer = walk(0);
+    asked += answer != 0 ? 1 : 0;
+    answers.insert(answer);
+  }
+  EXPECT_EQ(about(CameraRole::Input, {walked_m_, 1.6F, -3.4F}, 3.5F), 24);
+  EXPECT_LE(asked, 24 + 8) << "the round under way and one dome";
+  EXPECT_EQ(static_cast<int>(answers.size()), asked + 1) << "and 0";
+  EXPECT_TRUE(rig("v").round.missing().empty());
+  EXPECT_EQ(rig("v").share_asked(), 1);
+  EXPECT_EQ(rig("v").round.views().size(), 24U) << "all of it is sampled together";
 }
 
 }  // namespace
