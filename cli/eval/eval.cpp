@@ -99,7 +99,7 @@ int evaluate_moving(MovingVerbOptions options) {
 
 int evaluate_explore(ExploreVerbOptions options) {
   options.complete(options.explore.run.setup);
-  return evaluate(options, "figures.csv, figures.png, contact_sheet.png, summary.json",
+  return evaluate(options, "figures.csv, figures.png, contact_sheet.png, worst.png, summary.json",
                   [&](const StopSignals& signals, const auto& show) {
                     return run_explore_evaluation(options.explore, signals, show);
                   });

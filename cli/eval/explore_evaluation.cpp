@@ -181,7 +181,10 @@ class ExploreRuns {
     apart_m_ = results.apart_m;
     write_text(out_ / ("figures" + suffix + ".csv"), exploration_csv(results));
     write_exploration_plots(results, out_ / ("figures" + suffix + ".png"));
-    write_exploration_sheet(results, out_ / ("contact_sheet" + suffix + ".png"));
+    write_exploration_sheet(results, results.pictures, "from where the viewer is",
+                            out_ / ("contact_sheet" + suffix + ".png"));
+    write_exploration_sheet(results, results.worst, "from where the viewer is, the worst of each part",
+                            out_ / ("worst" + suffix + ".png"));
     return summarize_exploration(results);
   }
   [[nodiscard]] double apart_m() const { return apart_m_; }

@@ -34,7 +34,7 @@ constexpr double kMostStart_s = 120;          // until every viewer shows the st
 constexpr double kStartPatience_s = 10;       // from the first pictures on, until they are whole
 constexpr double kStartUnmodelled = 0.02, kWholeUnmodelled = 0.01;
 constexpr float kAtStart_m = 0.2F;
-constexpr int kSheetInstants = 8;
+constexpr int kSheetInstants = 12;
 constexpr int kMostAskedAgain = 2;          // for a station whose answer was lost
 constexpr std::size_t kStationsARound = 4;  // more of them would keep viewers' own pictures waiting
 
@@ -286,10 +286,16 @@ class ExploreRun {
   void keep_for_sheet(const Waiting& waiting) {
     const double part = results_.samples[*waiting.sample].time_s / (results_.walk_s + options_.stay_s);
     const int instant = static_cast<int>(part * kSheetInstants);
-    if (instant <= kept_instant_) return;
-    kept_instant_ = instant;
-    results_.pictures.push_back(
-        {.sample = *waiting.sample, .engine = waiting.engine, .viewer = viewer_picture(waiting, "viewer")});
+    const auto ssim = [this](const ExplorePictures& of) { return results_.samples[of.sample].viewers.front()->ssim; };
+    const ExplorePictures kept{
+        .sample = *waiting.sample, .engine = waiting.engine, .viewer = viewer_picture(waiting, "viewer")};
+    if (instant > kept_instant_) {
+      kept_instant_ = instant;
+      results_.pictures.push_back(kept);
+      results_.worst.push_back(kept);
+    } else if (ssim(kept) < ssim(results_.worst.back())) {
+      results_.worst.back() = kept;
+    }
   }
 
   /// What the viewer wrote of a probe before it answered.

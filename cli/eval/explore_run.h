@@ -64,7 +64,8 @@ struct ExplorePictures {
 
 struct ExploreResults {
   std::vector<ExploreSample> samples;
-  std::vector<ExplorePictures> pictures;
+  std::vector<ExplorePictures> pictures;  ///< the first one of each of the walk's parts
+  std::vector<ExplorePictures> worst;     ///< the one of least SSIM
   Stations stations;
   double out_s = 0, walk_s = 0;
   double apart_m = 0;                      ///< along the walk, from one viewer's start to the next one's

@@ -133,13 +133,14 @@ void write_exploration_plots(const ExploreResults& results, const std::filesyste
   metrics::write_png(path, metrics::draw(plots));
 }
 
-void write_exploration_sheet(const ExploreResults& results, const std::filesystem::path& path) {
-  metrics::ContactSheet sheet{.title = "from where the viewer is",
+void write_exploration_sheet(const ExploreResults& results, const std::vector<ExplorePictures>& chosen,
+                             const std::string& title, const std::filesystem::path& path) {
+  metrics::ContactSheet sheet{.title = title,
                               .columns = {},
                               .rows = {{.caption = "engine", .figures = {}, .pictures = {}},
                                        {.caption = "viewer", .figures = {}, .pictures = {}}},
                               .picture_height = 192};
-  for (const ExplorePictures& pictures : results.pictures) {
+  for (const ExplorePictures& pictures : chosen) {
     const ExploreSample& sample = results.samples[pictures.sample];
     sheet.columns.push_back(
         fmt::format("{:.0f} s {}  {:.3f}", sample.time_s, to_string(sample.phase), sample.viewers.front()->ssim));

@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "dynamics_figures.h"
 #include "explore_run.h"
@@ -18,7 +19,8 @@ namespace splatbus::cli {
 [[nodiscard]] std::string exploration_csv(const ExploreResults& results);
 /// Gaussians, pages, memory, times, SSIM and FLIP, and what nothing modelled, over time.
 void write_exploration_plots(const ExploreResults& results, const std::filesystem::path& path);
-/// Some instants: the engine's picture from where the first viewer was, and the viewer's own.
-void write_exploration_sheet(const ExploreResults& results, const std::filesystem::path& path);
+/// Some instants of `results`: the engine's picture from where the first viewer was, and the viewer's own.
+void write_exploration_sheet(const ExploreResults& results, const std::vector<ExplorePictures>& chosen,
+                             const std::string& title, const std::filesystem::path& path);
 
 }  // namespace splatbus::cli
