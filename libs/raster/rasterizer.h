@@ -46,6 +46,9 @@ struct RenderGradient {
   Image alpha;
   Image albedo;
   Image depth;
+  /// [height][width], as the engine has it; null: unknown. A Gaussian of the far field whose middle is not where the
+  /// picture shows sky gets no gradient: what the model lets through elsewhere is no fault of the sky's.
+  const float* surface_depth = nullptr;
 };
 
 /// What a picture shows of a page.
@@ -114,6 +117,11 @@ class Rasterizer {
   /// What the picture of the last forward() shows of each page, ascending; of page 0 without pages. `error`: one plane,
   /// of its size; pixels below 0, or that are no number, do not count. Nothing where that is not known.
   virtual void look_at_pages(const Image& /*error*/, std::vector<PageLook>& looks) { looks.clear(); }
+
+  /// Of the last forward(): the opacity of what is nearer to the camera than `distance_m`, at kUnmodelledSamples
+  /// pixels of each square of kUnmodelledSide (raster/unmodelled.h), row after row; 0 where they lie outside. Above
+  /// 0.99 it may be less than it would come to. Nothing where that is not known.
+  virtual void opacity_within(float /*distance_m*/, std::vector<float>& opacity) { opacity.clear(); }
 
   /// Stages of the last forward() or render(), then of the last backward().
   [[nodiscard]] virtual std::vector<StageTime> stage_times() const { return {}; }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <map>
 
 #include "stream/all_seen.h"
 #include "stream/channel_kernels.h"
@@ -18,6 +19,9 @@ const T* on_device(device::Buffer<T>& buffer, const std::vector<T>& host) {
   buffer.assign(host);
   return buffer.data();
 }
+
+/// Of whose bytes an opacity logit of -1574 is made: rows of it are not seen.
+constexpr int kTransparentByte = 0xC4;
 
 }  // namespace
 
@@ -45,6 +49,7 @@ void DisplayGaussians::reserve(std::size_t rows) {
   std::size_t stride = std::max({rows, 2 * stride_, std::size_t{4096}});
   stride = (stride + kPageLanes - 1) / kPageLanes * kPageLanes;
   device::Buffer<float> values(stream_, static_cast<std::size_t>(row_count_) * stride);
+  device::fill(stream_, values.data(), kTransparentByte, values.bytes());
   for (int r = 0; r < row_count_; ++r) {
     device::copy(stream_, values.data() + static_cast<std::size_t>(r) * stride, row(r), stride_ * sizeof(float));
   }
@@ -107,18 +112,33 @@ void DisplayGaussians::apply(const DisplayObjects& change) {
 }
 
 void DisplayGaussians::apply(const DisplayBlocks& change) {
+  // A block that one page has left may be another's by the end of the change, with rows that are there already.
+  std::map<std::uint32_t, std::uint32_t> before;
   for (const auto& [block, count] : change.blocks) {
     if (block >= block_counts_.size()) block_counts_.resize(std::size_t{block} + 1);
     reserve((std::size_t{block} + 1) * kBlockRows);
+    before.try_emplace(block, block_counts_[block]);
     block_counts_[block] = count;
   }
+  for (const auto& [block, shown] : before) {
+    const std::uint32_t count = block_counts_[block];
+    if (count < shown) hide_rows(block * kBlockRows + count, shown - count);
+  }
+  stream_.wait();
   count_ = 0;
   ranges_.clear();
   for (std::uint32_t block = 0; block < block_counts_.size(); ++block) {
     if (block_counts_[block] == 0) continue;
-    ranges_.push_back({.first = block * kBlockRows, .count = block_counts_[block]});
+    const std::uint32_t begin = block * kBlockRows, end = begin + block_counts_[block];
+    const std::uint32_t page = begin >> kPageShift << kPageShift;
+    if (ranges_.empty() || ranges_.back().first < page) ranges_.push_back({.first = begin, .count = 0});
+    ranges_.back().count = end - ranges_.back().first;
     count_ += block_counts_[block];
   }
+}
+
+void DisplayGaussians::hide_rows(std::uint32_t first, std::uint32_t count) {
+  device::fill(stream_, row(row_of(Attribute::Opacity)) + first, kTransparentByte, count * sizeof(float));
 }
 
 std::uint8_t* DisplayGaussians::seen_row(std::uint32_t light_id) const {

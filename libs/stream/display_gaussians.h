@@ -20,8 +20,9 @@ class DisplayGaussians {
   void apply(const DisplayChanges& changes);
 
   [[nodiscard]] std::size_t count() const { return count_; }
-  /// In ranges that lie in pages of one array, without bounds. Valid until the next change. gaussian_id, surface_point
-  /// and flags are null; without Transfer normal and visibility too.
+  /// In ranges, one a page of one array, without bounds; rows of a range that are no Gaussian's are transparent: a
+  /// rasteriser takes room for whole pages, and a page here has several of the stream's. Valid until the next change.
+  /// gaussian_id, surface_point and flags are null; without Transfer normal and visibility too.
   [[nodiscard]] GaussiansView view() const;
   /// The same under a light with these sources, by ascending id: rows of visibility_u8 in their order, one that is not
   /// known seen by all.
@@ -38,6 +39,7 @@ class DisplayGaussians {
   void apply(const DisplayLights& change);
   void apply(const DisplaySeen& change);
   void reserve(std::size_t rows);
+  void hide_rows(std::uint32_t first, std::uint32_t count);
   [[nodiscard]] int row_of(Attribute attribute) const;
   /// Rows for `ids` in `to`, [1 + ids][stride], from what is seen now.
   void gather_lights(const std::vector<std::uint32_t>& ids, std::size_t stride, device::Buffer<std::uint8_t>& to);

@@ -187,10 +187,11 @@ std::vector<Camera> InputRigs::request(const Options& options, const std::vector
       if (std::ranges::count(rig.to_come, before.camera.id, &Camera::id) > 0) wanted.push_back(before.camera);
     }
   }
-  auto left = cameras.replace(CameraRole::Input, wanted,
-                              EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition |
-                                  EngineBuffer::Normal | EngineBuffer::ObjectId,
-                              options.input_rate_hz);
+  EngineBuffer buffers = EngineBuffer::Color | EngineBuffer::Albedo | EngineBuffer::WorldPosition |
+                         EngineBuffer::Normal | EngineBuffer::ObjectId;
+  // A view without it would train the far field where it shows through what nothing models yet.
+  if (options.input_views && options.reference_depth) buffers |= EngineBuffer::Depth;
+  auto left = cameras.replace(CameraRole::Input, wanted, buffers, options.input_rate_hz);
   for (auto& [name, rig] : rigs_) {
     if (std::ranges::find(placed, name) == placed.end()) {
       renew(rig, cameras);

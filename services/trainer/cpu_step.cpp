@@ -8,6 +8,7 @@
 #include "raster/loss.h"
 #include "raster/loss_history.h"
 #include "raster/rasterizer.h"
+#include "raster/unmodelled.h"
 #include "trainer/gradient_step.h"
 #include "trainer/unmodelled.h"
 
@@ -67,6 +68,7 @@ class CpuStep final : public GradientStep {
   raster::RenderGradient render_gradient_;
   raster::Image error_;
   std::vector<std::uint8_t> mask_;
+  std::vector<float> near_opacity_;
   float masked_share_ = 0;                   ///< of the step
   const std::uint8_t* view_mask_ = nullptr;  ///< of the last view: its own or mask_
   raster::LossHistory losses_;
@@ -192,6 +194,7 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
     scale_image(render_gradient_.albedo, scale * options_.albedo_weight);
   }
   if (with_depth) loss += depth_loss(view, scale);
+  render_gradient_.surface_depth = view.depth.empty() ? nullptr : view.depth.data();
   adam_.views.push_back({.camera = view.camera,
                          .objects = &view.scene.objects,
                          .loss_has_risen = options_.lr_recovery && loss > losses_.limit(view.camera)});
@@ -202,7 +205,11 @@ double CpuStep::render_loss(const PairedView& paired, float scale) {
 
 const std::uint8_t* CpuStep::mask_of(const TrainingView& view, float share) {
   if (view.depth.empty() || !(options_.mask_opacity > 0)) return view.mask.data();
-  const std::size_t masked = mask_unmodelled(render_.alpha, view, options_.mask_opacity, mask_);
+  near_opacity_.clear();
+  if (view.scene.objects.contains(kFarFieldFrame)) {
+    rasterizer_->opacity_within(raster::kNearerThanFarField_m, near_opacity_);
+  }
+  const std::size_t masked = mask_unmodelled(render_.alpha, view, options_.mask_opacity, near_opacity_, mask_);
   if (masked == 0) return view.mask.data();
   masked_share_ += share * static_cast<float>(masked) / static_cast<float>(mask_.size());
   return mask_.data();

@@ -14,6 +14,8 @@ namespace {
 
 using model::Moves;
 
+constexpr std::uint64_t kLimitPeriod = 4;  // steps
+
 /// Indices that were nobody's, or somebody else's, under the ranges before: the end of pages that grew, and new pages.
 std::vector<IndexRange> fresh_ranges(std::span<const IndexRange> before, std::span<const IndexRange> now) {
   std::vector<IndexRange> fresh;
@@ -162,13 +164,25 @@ StepReport Optimizer::step(std::span<const TrainingViewPtr> views) {
   launched_ += 1;
   collect(false);
   store_.add_step(views.size(), std::exchange(unbooked_s_, 0.0));
-  average();
   const std::uint64_t step = store_.step();
+  if (options_.most_size > 0 && step % kLimitPeriod == 0) limit_sizes(views);
+  average();
   if (options_.prune.enabled && step % options_.prune.interval_steps == 0 && !searched_after_) search_prunable();
   prune_found(false);
   if (options_.densify.enabled && step % options_.densify.interval_steps == 0) densify();
   if (options_.freeze.enabled) rest_settled();
   return std::exchange(report_, {});
+}
+
+void Optimizer::limit_sizes(std::span<const TrainingViewPtr> views) {
+  kernels::Eyes eyes;
+  for (const TrainingViewPtr& view : views.first(std::min<std::size_t>(views.size(), kernels::Eyes::kMost))) {
+    const glm::vec3& eye = view->camera.world_from_camera.translation;
+    eyes.x_m[eyes.count] = eye.x;
+    eyes.y_m[eyes.count] = eye.y;
+    eyes.z_m[eyes.count++] = eye.z;
+  }
+  kernels::limit_sizes(step_->stream(), gaussians(), eyes, options_.most_size);
 }
 
 StepReport Optimizer::finish() {

@@ -86,6 +86,8 @@ class Optimizer {
   void follow(const model::Moves& moves) { follow(moves, store_.step()); }
   void follow(const model::Moves& moves, std::uint64_t created_step);
   void average();
+  /// So that none of what trains on for holes and edges grows through the whole picture of who comes near.
+  void limit_sizes(std::span<const TrainingViewPtr> views);
   /// Of the objects of the newest view that has trained.
   void list_scales();
   [[nodiscard]] kernels::FrameScales frame_scales() const {

@@ -81,6 +81,8 @@ void Optimizer::look_at(std::span<const TrainingViewPtr> pictures) {
   const kernels::CarveLimits limits{.votes = options_.carve.votes,
                                     .min_opacity_logit = logit(options_.prune.min_opacity)};
   for (const TrainingViewPtr& view : pictures) {
+    // An input camera may stand in a wall whose back faces are not drawn: it would see free space.
+    if (view->camera.role != CameraRole::Reference) continue;
     carver_.look(view, gaussians(), store_.device_bounds(), limits, launched_);
   }
 }

@@ -90,6 +90,8 @@ struct Options {
   float lr_half_life_steps = -1, lr_min_factor = 0.01F;  ///< as in raster::Adam; below 0: as suits the optimizer
   bool lr_recovery = true;                               ///< rates rise again where the loss of a view does
   float scene_extent_m = 5;
+  float most_size =
+      0.1F;  ///< standard deviation of a Gaussian, of its distance to a camera that it trains with; 0: any
   float prune_scale_extents = 0.5F, densify_scale_extents = 0.01F;
   LearningRates learning_rates;
   PruneOptions prune;

@@ -20,8 +20,9 @@ class Painter {
   virtual bool take(Shown& shown) = 0;
   /// The picture of exactly what was taken. CV_8UC3 BGR.
   [[nodiscard]] virtual cv::Mat draw(const Camera& camera, const SceneState& scene) = 0;
-  /// CV_8UC1 of the last draw(): 255 where Gaussians hide all that lies behind them. Empty where it is not known.
-  [[nodiscard]] virtual cv::Mat alpha() const { return {}; }
+  /// CV_8UC1: 255 where Gaussians of what was taken hide all that lies behind them, the far field's left out. Empty
+  /// where it is not known.
+  [[nodiscard]] virtual cv::Mat alpha(const Camera& /*camera*/, const SceneState& /*scene*/) { return {}; }
   /// A picture in the window. `time_s`: of the fades, as RowFeed::take has it.
   virtual void show(Window& window, const Camera& camera, const SceneState& scene, float time_s) = 0;
   /// Whether the next show() may be another picture though nothing arrives.

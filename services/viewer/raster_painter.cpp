@@ -21,17 +21,14 @@ class RasterPainter final : public Painter {
   }
 
   cv::Mat draw(const Camera& camera, const SceneState& scene) override {
-    const GaussiansView view = display_.view(scene.light.sources);
-    // The rows of a probe's lights may be others.
-    if (model_changed_ || view.visibility_u8 != drawn_rows_) renderer_->read_in_place(view);
-    drawn_rows_ = view.visibility_u8;
-    model_changed_ = false;
-    renderer_->draw(camera, scene, {}, render_);
-    const bool linear = view.layout.appearance == Appearance::Transfer;
+    const bool linear = render(camera, scene);
     return metrics::from_planes(render_.color.data.data(), camera.width, camera.height, linear);
   }
 
-  cv::Mat alpha() const override {
+  cv::Mat alpha(const Camera& camera, const SceneState& scene) override {
+    SceneState near = scene;
+    near.objects.erase(kFarFieldFrame);
+    render(camera, near);
     const raster::Image& alpha = render_.alpha;
     cv::Mat picture;
     cv::Mat(static_cast<int>(alpha.height), static_cast<int>(alpha.width), CV_32FC1,
@@ -45,6 +42,17 @@ class RasterPainter final : public Painter {
   }
 
  private:
+  /// Returns whether colours are linear.
+  bool render(const Camera& camera, const SceneState& scene) {
+    const GaussiansView view = display_.view(scene.light.sources);
+    // The rows of a probe's lights may be others.
+    if (model_changed_ || view.visibility_u8 != drawn_rows_) renderer_->read_in_place(view);
+    drawn_rows_ = view.visibility_u8;
+    model_changed_ = false;
+    renderer_->draw(camera, scene, {}, render_);
+    return view.layout.appearance == Appearance::Transfer;
+  }
+
   device::Stream stream_;
   stream::DisplayGaussians display_;
   std::unique_ptr<raster::ModelRenderer> renderer_;

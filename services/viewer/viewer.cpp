@@ -233,7 +233,7 @@ void Viewer::answer_probes() {
   ++compared_;
   if (!options_->out.empty()) {
     write_picture(fmt::format("probe_{}_viewer.png", probe->probe_id), picture);
-    write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), painter_->alpha());
+    write_picture(fmt::format("probe_{}_alpha.png", probe->probe_id), painter_->alpha(probe->camera, probe->scene));
   }
   receiver_.send_quality(probe->probe_id, last_quality_, first_picture_ns_);
 }

@@ -11,6 +11,7 @@
 #include "raster/adam_kernel.h"
 #include "raster/cpu/kernels.h"
 #include "raster/cpu/pieces.h"
+#include "raster/unmodelled.h"
 
 namespace splatbus::raster {
 namespace cpu {
@@ -212,6 +213,7 @@ void CpuRasterizer::backward(const RenderGradient& gradient, ParameterGradient& 
     throw std::invalid_argument("rasterizer: the gradient has no room for values");
   }
   backward_times_.clear();
+  frame_.surface_depth = gradient.surface_depth;
   timed(backward_times_, "blend_backward", [&] { blend_backward(gradient); });
   timed(backward_times_, "project_backward", [&] {
     workers_.for_pieces(frame_.pieces.size(), 1, [&](std::size_t piece, std::size_t) {
@@ -225,6 +227,7 @@ void CpuRasterizer::backward_step(const RenderGradient& gradient, const std::vec
   const GradientTarget target = target_of(statistics);
   const GaussiansView& gaussians = frame_.gaussians;
   adam.check(statistics, learning_rate);
+  frame_.surface_depth = gradient.surface_depth;
   adam_pieces_.clear();
   GaussiansView shown = gaussians;
   if (gaussians.has_pages()) shown.ranges = frame_.pieces;
@@ -286,6 +289,37 @@ void CpuRasterizer::look_at_pages(const Image& error, std::vector<PageLook>& loo
   for (std::uint32_t page = 0; page < page_sums_.size(); ++page) {
     const PageLook& sums = page_sums_[page];
     if (sums.pairs != 0) looks.push_back({page, sums.pairs, sums.error / sums.pairs});
+  }
+}
+
+void CpuRasterizer::opacity_within(float distance_m, std::vector<float>& opacity) {
+  if (!frame_.keep) throw std::invalid_argument("rasterizer: opacity_within() without forward()");
+  static_assert(kTileSide == kUnmodelledSide);
+  constexpr float kOpaque = 0.01F;  // transmittance
+  const Camera& camera = frame_.camera;
+  opacity.assign(std::size_t{frame_.tile_count()} * kUnmodelledSamples, 0.0F);
+  for (std::uint32_t tile = 0; tile < frame_.tile_count(); ++tile) {
+    const TileEntry* const entries = frame_.entries.data() + frame_.tile_begin[tile];
+    const std::uint32_t count = frame_.tile_begin[tile + 1] - frame_.tile_begin[tile];
+    for (int sample = 0; sample < kUnmodelledSamples; ++sample) {
+      const auto offset = static_cast<std::uint32_t>(unmodelled_sample(sample));
+      const std::uint32_t column = tile % frame_.tiles_x * kTileSide + offset,
+                          row = tile / frame_.tiles_x * kTileSide + offset;
+      if (column >= camera.width || row >= camera.height) continue;
+      const float x = static_cast<float>(column) + 0.5F, y = static_cast<float>(row) + 0.5F;
+      float transmittance = 1;
+      for (std::uint32_t k = 0; k < count && transmittance > kOpaque; ++k) {
+        const Splat& splat = frame_.splats[entries[k] & kGaussianMask];
+        const float dx = x - splat.x, dy = y - splat.y;
+        const float u = splat.uxx * dx + splat.uxy * dy, v = splat.uyy * dy;
+        const float alpha = std::min(std::exp2(splat.log2_alpha - u * u - v * v), kAlphaMax);
+        if (!(alpha >= kAlphaMin)) continue;
+        const float tan_x = (splat.x - camera.cx) / camera.fx, tan_y = (splat.y - camera.cy) / camera.fy;
+        if (splat.depth * std::sqrt(1 + tan_x * tan_x + tan_y * tan_y) >= distance_m) continue;
+        transmittance *= 1 - alpha;
+      }
+      opacity[std::size_t{tile} * kUnmodelledSamples + static_cast<std::size_t>(sample)] = 1 - transmittance;
+    }
   }
 }
 

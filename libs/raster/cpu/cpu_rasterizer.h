@@ -21,6 +21,7 @@ class CpuRasterizer : public Rasterizer {
   void render(const GaussiansView& gaussians, const Camera& camera, const SceneState& scene,
               const RenderOptions& options, Render& out) override;
   void look_at_pages(const Image& error, std::vector<PageLook>& looks) override;
+  void opacity_within(float distance_m, std::vector<float>& opacity) override;
   [[nodiscard]] std::vector<StageTime> stage_times() const override;
 
  private:

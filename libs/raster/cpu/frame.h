@@ -120,6 +120,7 @@ struct Frame {
   std::uint32_t tiles_x = 0, tiles_y = 0;
   [[nodiscard]] std::uint32_t tile_count() const { return tiles_x * tiles_y; }
 
+  const float* surface_depth = nullptr;   ///< RenderGradient's
   std::vector<IndexRange> pieces;         ///< Gaussians that may show, as they are worked on
   std::vector<std::uint8_t> frozen_page;  ///< by page, where any of `pieces` is frozen; else empty
   Scratch<Splat> splats;                  ///< [count], valid where visible

@@ -2,6 +2,7 @@
 #include <bit>
 
 #include "raster/cpu/kernels.h"
+#include "raster/unmodelled.h"
 
 // Highway needs this order.
 // clang-format off
@@ -60,6 +61,21 @@ HWY_INLINE void AddGradients(const Frame& frame, const GaussianLanes& in, const 
   }
 }
 
+/// Without those of the far field whose middle lies where no sky is (RenderGradient::surface_depth).
+HWY_INLINE M WithoutHiddenSky(const Frame& frame, std::size_t first, M touched) {
+  std::uint32_t bits = LaneBits(touched);
+  for (std::uint32_t rest = bits; rest != 0; rest &= rest - 1) {
+    const std::uint32_t lane = std::countr_zero(rest);
+    const Splat& splat = frame.splats[first + lane];
+    const bool inside = splat.x >= 0 && splat.y >= 0 && splat.x < static_cast<float>(frame.camera.width) &&
+                        splat.y < static_cast<float>(frame.camera.height);
+    const auto x = inside ? static_cast<std::size_t>(splat.x) : 0, y = inside ? static_cast<std::size_t>(splat.y) : 0;
+    if (!inside || shows_surface(frame.surface_depth[y * frame.camera.width + x])) bits &= ~(1U << lane);
+  }
+  const std::uint8_t bytes[8] = {static_cast<std::uint8_t>(bits), static_cast<std::uint8_t>(bits >> 8U)};
+  return hn::LoadMaskBits(F(), bytes);
+}
+
 void ProjectRangeBackward(const Frame& frame, const IndexRange& piece, const GradientTarget& out) {
   const F f;
   const std::size_t begin = piece.first, end = begin + piece.count;
@@ -83,7 +99,10 @@ void ProjectRangeBackward(const Frame& frame, const IndexRange& piece, const Gra
   for (std::size_t i = begin; i < end; i += hn::Lanes(f)) {
     const GaussianLanes in{gaussians, i, std::min(hn::Lanes(f), end - i), end};
     PixelSums sums;
-    const M touched = SumPairs(frame, in, sums);
+    M touched = SumPairs(frame, in, sums);
+    if (frame.surface_depth != nullptr && piece.frame_id == kFarFieldFrame) {
+      touched = WithoutHiddenSky(frame, i, touched);
+    }
     const std::uint32_t bits = LaneBits(touched);
     if (bits == 0) continue;
     PrefetchChannels(gaussians, i, end, 0, std::min(out.active_channels, gaussians.layout.channels()));

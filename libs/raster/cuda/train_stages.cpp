@@ -69,7 +69,8 @@ ViewMasks TrainStep::masks_of(const ViewBatch& batch, const WorkspaceView& w) {
 
 void TrainStep::losses(const ViewBatch& batch, const WorkspaceView& w) {
   if (w.mask != nullptr) {
-    launch_mask_unmodelled(batch.depth_targets(), batch.masks(), options_.mask_opacity, w, stream());
+    launch_mask_unmodelled(batch.depth_targets(), batch.masks(), options_.mask_opacity, batch.has_far_field(), w,
+                           stream());
   }
   picture_loss(w.color, batch, false, w.color_gradient, w);
   if (w.albedo != nullptr) picture_loss(w.albedo, batch, true, w.albedo_gradient, w);

@@ -4,6 +4,7 @@
 #include "raster/cuda/kernels.h"
 #include "raster/cuda/range_lanes.cuh"
 #include "raster/cuda/source_light.cuh"
+#include "raster/unmodelled.h"
 
 namespace splatbus::raster::cuda {
 namespace {
@@ -196,6 +197,20 @@ __device__ void clear_gradients(const Item& item) {
   }
 }
 
+/// Those of `views` that show no sky where the middle of a Gaussian lies.
+__device__ std::uint32_t views_without_sky(const WorkspaceView& w, std::uint32_t views, int row) {
+  std::uint32_t hidden = 0;
+  for (int b = 0; b < w.batch; ++b) {
+    const float* const depth = w.surface_depths[b];
+    if ((views >> b & 1U) == 0 || depth == nullptr) continue;
+    const float4 shape = w.projected_shape[2 * (static_cast<std::size_t>(b) * w.rows + row)];
+    const bool inside = shape.x >= 0.0F && shape.y >= 0.0F && shape.x < w.width && shape.y < w.height;
+    const std::size_t at = inside ? static_cast<std::size_t>(shape.y) * w.width + static_cast<std::size_t>(shape.x) : 0;
+    hidden |= (!inside || shows_surface(depth[at]) ? 1U : 0U) << b;
+  }
+  return hidden;
+}
+
 template <class Sink, int kCoefficients, bool kExtra, bool kSources>
 __global__ void __launch_bounds__(kThreads, 4)
     update_kernel(DeviceGaussians gaussians, WorkspaceView w, ProjectOptions options, Sink sink, bool residual,
@@ -208,6 +223,12 @@ __global__ void __launch_bounds__(kThreads, 4)
     views |= static_cast<std::uint32_t>(w.projected_visible[static_cast<std::size_t>(b) * w.rows + lane.row]) << b;
   }
   if (views == 0) return;
+  if (lane.slot() == w.far_slot && w.surface_depths != nullptr) {
+    const std::uint32_t hidden = views_without_sky(w, views, lane.row);
+    clear_gradients<kExtra>(Item{gaussians, w, i, lane.row, lane.slot(), hidden});
+    views &= ~hidden;
+    if (views == 0) return;
+  }
   const Item item{gaussians, w, i, lane.row, lane.slot(), views};
   if constexpr (std::is_same_v<Sink, GradientSink>) sink.touched[i] = 1;
   if (!is_frozen(gaussians, i)) {

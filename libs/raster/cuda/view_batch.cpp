@@ -132,6 +132,9 @@ void ViewBatch::bind(WorkspaceView& w) const {
   w.source_room = source_room_;
   w.object_ids = device_object_ids_.data();
   w.object_slot = slotted_ ? object_slot_.data() : nullptr;
+  const auto far_field = std::ranges::lower_bound(object_ids_, kFarFieldFrame);
+  w.far_slot = has_far_field() ? 1 + static_cast<int>(far_field - object_ids_.begin()) : -1;
+  w.surface_depths = targets().depth ? depth_targets() : nullptr;
 }
 
 void ViewBatch::set_capacity(std::uint32_t isects) {
@@ -140,6 +143,10 @@ void ViewBatch::set_capacity(std::uint32_t isects) {
   max_isects_ = 0;
   steps_ = 0;
   graph.invalidate();
+}
+
+bool ViewBatch::has_far_field() const {
+  return std::ranges::binary_search(object_ids_, kFarFieldFrame);
 }
 
 void ViewBatch::set_list_capacity(std::uint32_t ranges) {

@@ -74,6 +74,8 @@ class ViewBatch {
   void size_by(std::uint32_t isects, std::uint32_t ranges);
   [[nodiscard]] bool sized() const { return sized_; }
   [[nodiscard]] std::uint32_t isect_capacity() const { return isect_capacity_; }
+  /// Whether any view has, or lately had, a far field.
+  [[nodiscard]] bool has_far_field() const;
   [[nodiscard]] std::uint32_t list_capacity() const { return list_capacity_; }
 
   [[nodiscard]] std::size_t bytes() const;  ///< of device memory

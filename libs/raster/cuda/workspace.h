@@ -101,6 +101,10 @@ struct WorkspaceView {
   ShadingSource* sources = nullptr;      ///< [kMaxBatch][source_room], the views' light sources; null: none
   int object_count = 1;
   int source_room = 0;  ///< 0: kernels are those that know no sources
+  /// Of the far field; -1: there is none. Its Gaussians learn nothing from a view with depth that shows no sky where
+  /// their middle is (RenderGradient::surface_depth).
+  int far_slot = -1;
+  const float* const* surface_depths = nullptr;  ///< [batch], null for a view that has none; null: no view has one
 };
 
 /// With s = dL/d(ln alpha) and d the offset of a pixel from the Gaussian, sums over pixels: s dx, s dy, s dx^2, s dx

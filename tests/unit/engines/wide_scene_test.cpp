@@ -79,7 +79,7 @@ TEST(WideScene, NoCascadeShadesTheField) {
 
 TEST(WideScene, CascadesAreDrawnAgainOnlyWhenTheCameraMoves) {
   // What a pixel shows of a shadow far from its border stays as the camera glides by; and nothing is drawn again while
-  // the camera stays within a texel.
+  // the camera stays within an eighth of a cascade's width, which is 24.6 m at the least.
   Renderer renderer(shared_context(), field());
   const auto drawn = [&](const glm::vec3& eye) {
     static_cast<void>(renderer.render(look_at(eye, {1, 0, -0.8F}, 16, 16, 40), SPLATBUS_BUFFER_COLOR));
@@ -87,8 +87,9 @@ TEST(WideScene, CascadesAreDrawnAgainOnlyWhenTheCameraMoves) {
   };
   EXPECT_EQ(drawn({1, 4, -0.8F}), 3U);
   EXPECT_EQ(drawn({1, 4, -0.8F}), 3U);
-  const std::uint64_t after = drawn({1.5F, 4, -0.8F});
-  EXPECT_EQ(after, 5U) << "the two about the camera";
+  EXPECT_EQ(drawn({1.5F, 4, -0.8F}), 3U);
+  EXPECT_EQ(drawn({9, 4, -0.8F}), 4U) << "the finest one";
+  EXPECT_EQ(drawn({49, 4, -0.8F}), 6U) << "the two about the camera";
 }
 
 }  // namespace

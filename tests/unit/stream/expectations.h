@@ -36,6 +36,18 @@ inline void expect_exact(const StreamModel& server, const Replica& replica) {
   EXPECT_EQ(replica.count(), want.count);
 }
 
+/// Rows between the Gaussians of a range are transparent.
+inline bool is_shown(const GaussiansView& gaussians, std::uint32_t row) {
+  return *gaussians.at(ParameterLayout::kOpacityLogit, row) > -100;
+}
+inline std::size_t count_shown(const GaussiansView& gaussians) {
+  std::size_t count = 0;
+  for (const IndexRange& range : gaussians.ranges) {
+    for (std::uint32_t k = 0; k < range.count; ++k) count += is_shown(gaussians, range.first + k) ? 1 : 0;
+  }
+  return count;
+}
+
 /// The floats that are shown equal those made afresh from the integers, row by row.
 inline void expect_shown(ShownReplica& replica) {
   DisplayGaussians fresh;
@@ -46,6 +58,8 @@ inline void expect_shown(ShownReplica& replica) {
   ASSERT_EQ(got.visibility_rows, want.visibility_rows);
   for (const IndexRange& range : want.ranges) {
     for (std::uint32_t i = range.first; i < range.first + range.count; ++i) {
+      ASSERT_EQ(is_shown(got, i), is_shown(want, i)) << i;
+      if (!is_shown(want, i)) continue;
       for (int c = 0; c < want.layout.channels(); ++c) ASSERT_EQ(*got.at(c, i), *want.at(c, i)) << "channel " << c;
       ASSERT_EQ(got.object_id[i], want.object_id[i]);
       if (want.visibility != nullptr) {

@@ -4,6 +4,7 @@
 
 #include <map>
 
+#include "expectations.h"
 #include "gaussians/player.h"
 #include "gaussians/transfer.h"
 #include "shown_replica.h"
@@ -89,7 +90,8 @@ void expect_shows(Gpu& gpu, ShownReplica& shown) {
   std::size_t used = 0, free = 0;
   const auto is_shown = [&](std::uint32_t row) {
     return std::ranges::any_of(view.ranges,
-                               [&](const IndexRange& r) { return row >= r.first && row < r.first + r.count; });
+                               [&](const IndexRange& r) { return row >= r.first && row < r.first + r.count; }) &&
+           test::is_shown(view, row);
   };
   for (std::uint32_t i = 0; i < gpu.memory.size(); ++i) {
     const GpuRecord& record = gpu.memory[i];

@@ -295,6 +295,71 @@ TEST_P(FreezingOn, WhereNothingModelsYetWhatShowsNothingIsLearned) {
   EXPECT_EQ(masked_share(GetParam(), "0"), 0);
 }
 
+/// In a house nothing is the sky's fault, whatever it shows through walls that are not there yet.
+TEST_P(FreezingOn, WhereASurfaceShowsTheFarFieldLearnsNothing) {
+  SampleBatch half = scene_.truth();
+  const std::size_t near = half.count;
+  for (std::size_t i = 0; i < near; ++i) {
+    half.opacity_logit[i] = half.mean[i] > 0 ? -20.0F : 0.5F;
+  }
+  SampleBatch sky;
+  sky.count = 400;
+  for (const auto& [plane, channels] :
+       {std::pair(&sky.mean, 3), std::pair(&sky.log_scale, 3), std::pair(&sky.rotation, 4),
+        std::pair(&sky.opacity_logit, 1), std::pair(&sky.albedo, 3), std::pair(&sky.normal, 3),
+        std::pair(&sky.visibility, 1)}) {
+    plane->assign(static_cast<std::size_t>(channels) * sky.count, 0.0F);
+  }
+  sky.object_id.assign(sky.count, kFarFieldFrame);
+  for (std::size_t i = 0; i < sky.count; ++i) {
+    const float z = 2 * (static_cast<float>(i) + 0.5F) / 400 - 1, angle = 2.399963F * static_cast<float>(i);
+    const glm::vec3 towards(std::sqrt(1 - z * z) * std::cos(angle), z, std::sqrt(1 - z * z) * std::sin(angle));
+    for (std::size_t c = 0; c < 3; ++c) {
+      sky.mean[c * 400 + i] = kFarFieldCentre[static_cast<int>(c)] + kFarFieldRadius * towards[static_cast<int>(c)];
+      sky.log_scale[c * 400 + i] = std::log(0.15F * kFarFieldRadius);
+      sky.normal[c * 400 + i] = c == 1 ? 1.0F : 0.0F;
+      sky.albedo[c * 400 + i] = 0.2F;
+    }
+    sky.rotation[i] = 1;
+    sky.opacity_logit[i] = 4;
+  }
+  sky.scene.objects[kFarFieldFrame] = far_field();
+  sky.epoch = half.epoch;
+  sky.batch = half.batch + 1;
+  TrainingView view = *scene_.views()[0];
+  view.scene.objects[kFarFieldFrame] = far_field();
+  view.depth = Pixels<float>(std::vector<float>(std::size_t{view.camera.width} * view.camera.height, 3.0F));
+
+  const auto after = [&](bool with_depth) {
+    Trial s(connect("sky-" + std::to_string(++trials_)), GetParam(), half,
+            {{"prune", "false"}, {"freeze", "false"}, {"carve", "false"}}, 8192);
+    Commands commands;
+    commands.inserts.push_back(sky.on(GetParam()));
+    s.optimizer().apply(commands, {});
+    TrainingView seen = view;
+    if (!with_depth) seen.depth = {};
+    StepReport report;
+    for (int step = 0; step < 12; ++step) report += s.step({&seen});
+    report += s.optimizer().finish();
+    const HostModel model = s.model();
+    float moved = 0;
+    std::size_t of_sky = 0;
+    for (std::size_t k = 0; k < model.count(); ++k) {
+      if (model.live().object_id[k] != kFarFieldFrame) continue;
+      ++of_sky;
+      moved = std::max(moved, std::abs(model.at(ParameterLayout::kAlbedo, k) - 0.2F));
+    }
+    EXPECT_EQ(of_sky, sky.count);
+    return std::pair(moved, report.masked_share);
+  };
+  const auto [moved, masked] = after(true);
+  EXPECT_EQ(moved, 0);
+  EXPECT_GT(masked, 0.05) << "though the far field makes all of it opaque";
+  const auto [blamed, unmasked] = after(false);
+  EXPECT_GT(blamed, 0.01F) << "where nobody knows what is a surface";
+  EXPECT_EQ(unmasked, 0);
+}
+
 INSTANTIATE_TEST_SUITE_P(Devices, FreezingOn, testing::Values(Device::Cpu, Device::Cuda), model::device_name);
 
 }  // namespace

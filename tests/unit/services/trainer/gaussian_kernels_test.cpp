@@ -57,6 +57,28 @@ TEST_P(KernelsOn, AgeCountsFromWhenTheGaussianWasMade) {
   EXPECT_FLOAT_EQ(pages.at(kAverage, 2), 0.125F) << "old";
 }
 
+TEST_P(KernelsOn, NoGaussianIsLargerThanItsShareOfTheDistanceToACamera) {
+  constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
+  Pages pages = make_pages({{0, 2}, {kPageLanes, 1, 7}, {2 * kPageLanes, 1}});
+  pages.ranges.back().frozen = 1;
+  for (std::uint32_t i : {0U, 1U, kPageLanes, 2 * kPageLanes}) {
+    pages.at(kMean, i) = 2;  // metres from one eye, and 6 from the other
+    for (int axis = 0; axis < 3; ++axis) {
+      pages.at(kScale + axis, i) = pages.at(kAverage + kScale + axis, i) = std::log(axis == 1 ? 5.0F : 0.1F);
+    }
+  }
+  pages.at(kMean, 1) = 60;
+  Eyes eyes{.x_m = {0, 8}, .y_m = {0, 0}, .z_m = {0, 0}, .count = 2};
+  pages.run([&](auto stream, const auto& g) { limit_sizes(stream, g, eyes, 0.2F); });
+  for (const std::uint32_t live : {0U, kAverage}) {
+    EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, 0)), 0.4F);
+    EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale, 0)), 0.1F);
+    EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, 1)), 5) << "far off";
+    EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, kPageLanes)), 5) << "of an object";
+    EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, 2 * kPageLanes)), 5) << "frozen";
+  }
+}
+
 TEST_P(KernelsOn, MarksWhatIsTransparentHugeOrNotFinite) {
   Pages pages = make_pages({{0, 20}, {kPageLanes, 10}});
   std::vector<std::uint64_t> created_step(pages.indices(), 0);

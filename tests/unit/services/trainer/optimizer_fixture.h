@@ -55,6 +55,7 @@ class Trial {
     EXPECT_EQ(parameters_.set("threads", "1", false), "");
     EXPECT_EQ(parameters_.set("batch", "1", true), "");
     EXPECT_EQ(parameters_.set("freeze", "false", true), "");            // as does this
+    EXPECT_EQ(parameters_.set("most_size", "0", true), "");             // tests make Gaussians that are too large
     EXPECT_EQ(parameters_.set("ema_s", "0", true), "");                 // it depends on the pace
     EXPECT_EQ(parameters_.set("lr_half_life_steps", "200", true), "");  // each backend has one of its own
     for (const auto& [name, value] : settings) EXPECT_EQ(parameters_.set(name, value, false), "");

@@ -13,6 +13,7 @@ struct Scene {
   raster::Image alpha{32, 24, 1};
   std::vector<float> depth = std::vector<float>(32 * 24, 2.0F);
   std::vector<std::uint8_t> own;
+  std::vector<float> near_opacity;  // two samples of each of 4 x 3 squares
 
   Scene() {
     view.camera.width = 32;
@@ -26,7 +27,7 @@ struct Scene {
   std::size_t mask(std::vector<std::uint8_t>& out) {
     view.depth = Pixels<float>(std::vector<float>(depth));
     if (!own.empty()) view.mask = Pixels<std::uint8_t>(std::vector<std::uint8_t>(own));
-    return mask_unmodelled(alpha, view, 0.5F, out);
+    return mask_unmodelled(alpha, view, 0.5F, near_opacity, out);
   }
 };
 
@@ -49,6 +50,23 @@ TEST(Unmodelled, SkyIsNot) {
   std::vector<std::uint8_t> mask;
   EXPECT_EQ(scene.mask(mask), 32U * 12);
   for (std::uint32_t i = 0; i < mask.size(); ++i) ASSERT_EQ(mask[i], i < 12 * 32 ? 0 : 255);
+}
+
+TEST(Unmodelled, IsWhatLetsTheFarFieldThrough) {
+  Scene scene;  // the far field is behind all of it, so that nothing is transparent
+  scene.near_opacity.assign(24, 0.97F);
+  scene.near_opacity[2 * 5] = 0.3F;
+  scene.near_opacity[2 * 5 + 1] = 0.6F;
+  scene.near_opacity[2 * 7] = 0.3F;
+  scene.near_opacity[2 * 7 + 1] = 0.8F;
+  scene.near_opacity[0] = scene.near_opacity[1] = 0;
+  scene.fill(scene.depth, 0, 0, 8, 6, 0);  // sky at both samples
+  std::vector<std::uint8_t> mask;
+  EXPECT_EQ(scene.mask(mask), 64U);
+  for (std::uint32_t i = 0; i < mask.size(); ++i) {
+    const std::uint32_t x = i % 32, y = i / 32;
+    ASSERT_EQ(mask[i], x >= 8 && x < 16 && y >= 8 && y < 16 ? 255 : 0) << i;
+  }
 }
 
 TEST(Unmodelled, AHoleInWhatIsModelledIsNot) {
