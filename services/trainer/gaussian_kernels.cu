@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "device/parallel.h"
+#include "gaussians/light.h"
 #include "trainer/gaussian_kernels.h"
 
 namespace splatbus::trainer::kernels {
@@ -91,12 +92,14 @@ struct LimitSize {
   SPLATBUS_PORTABLE_MEMBER void operator()(std::uint32_t item) const {
     const std::uint32_t i = index_of(gaussians, item);
     const IndexRange range = gaussians.ranges[item / kPageLanes];
-    if (i == kNobody || range.frozen != 0 || range.frame_id != kWorldFrame) return;
+    const bool far_field = range.frame_id == kFarFieldFrame;
+    if (i == kNobody || range.frozen != 0 || (range.frame_id != kWorldFrame && !far_field)) return;
     constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
-    float least_m2 = 3e38F;
+    // The far field goes with the camera, in a unit of its own.
+    float least_m2 = far_field ? kFarFieldRadius * kFarFieldRadius : 3e38F;
     const float x = *gaussians.memory.value(kMean, i), y = *gaussians.memory.value(kMean + 1, i),
                 z = *gaussians.memory.value(kMean + 2, i);
-    for (std::uint32_t k = 0; k < eyes.count; ++k) {
+    for (std::uint32_t k = 0; !far_field && k < eyes.count; ++k) {
       const float dx = x - eyes.x_m[k], dy = y - eyes.y_m[k], dz = z - eyes.z_m[k];
       least_m2 = math::smaller(least_m2, dx * dx + dy * dy + dz * dz);
     }

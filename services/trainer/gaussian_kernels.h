@@ -68,8 +68,8 @@ struct Eyes {
   float x_m[kMost], y_m[kMost], z_m[kMost];
   std::uint32_t count = 0;
 };
-/// A Gaussian of the world becomes no larger, in any direction, than `share` of its distance to each of these cameras,
-/// and so does its average. Frozen pages stay as they are.
+/// A Gaussian of the world or of the far field becomes no larger, in any direction, than `share` of its distance to
+/// each of these cameras, and so does its average. Frozen pages stay as they are.
 void limit_sizes(StreamView stream, const PagedGaussians& gaussians, const Eyes& eyes, float share);
 
 struct PruneLimits {

@@ -73,7 +73,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("lr_sh_dc", learning_rates.sh_dc,
         "learning rate of the constant band; a twentieth for the others; radiance only", {0, 1});
   p.add("most_size", most_size,
-        "largest standard deviation of a Gaussian of the world, of its distance to any camera that trains; 0: any",
+        "largest standard deviation of a Gaussian of the world or the sky, of its distance to any camera that trains; "
+        "0: any",
         {0, 100});
   p.add("prune", prune.enabled, "remove Gaussians that are transparent, huge or not finite");
   p.add("prune_interval", prune.interval_steps, "steps between prunings", {1, 1e9});

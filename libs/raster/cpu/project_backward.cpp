@@ -67,10 +67,11 @@ HWY_INLINE M WithoutHiddenSky(const Frame& frame, std::size_t first, M touched) 
   for (std::uint32_t rest = bits; rest != 0; rest &= rest - 1) {
     const std::uint32_t lane = std::countr_zero(rest);
     const Splat& splat = frame.splats[first + lane];
-    const bool inside = splat.x >= 0 && splat.y >= 0 && splat.x < static_cast<float>(frame.camera.width) &&
-                        splat.y < static_cast<float>(frame.camera.height);
-    const auto x = inside ? static_cast<std::size_t>(splat.x) : 0, y = inside ? static_cast<std::size_t>(splat.y) : 0;
-    if (!inside || shows_surface(frame.surface_depth[y * frame.camera.width + x])) bits &= ~(1U << lane);
+    // Where it lies, or nearest to that in the picture.
+    const float x = std::clamp(splat.x, 0.0F, static_cast<float>(frame.camera.width - 1));
+    const float y = std::clamp(splat.y, 0.0F, static_cast<float>(frame.camera.height - 1));
+    const std::size_t at = static_cast<std::size_t>(y) * frame.camera.width + static_cast<std::size_t>(x);
+    if (shows_surface(frame.surface_depth[at])) bits &= ~(1U << lane);
   }
   const std::uint8_t bytes[8] = {static_cast<std::uint8_t>(bits), static_cast<std::uint8_t>(bits >> 8U)};
   return hn::LoadMaskBits(F(), bytes);

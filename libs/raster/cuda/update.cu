@@ -204,9 +204,10 @@ __device__ std::uint32_t views_without_sky(const WorkspaceView& w, std::uint32_t
     const float* const depth = w.surface_depths[b];
     if ((views >> b & 1U) == 0 || depth == nullptr) continue;
     const float4 shape = w.projected_shape[2 * (static_cast<std::size_t>(b) * w.rows + row)];
-    const bool inside = shape.x >= 0.0F && shape.y >= 0.0F && shape.x < w.width && shape.y < w.height;
-    const std::size_t at = inside ? static_cast<std::size_t>(shape.y) * w.width + static_cast<std::size_t>(shape.x) : 0;
-    hidden |= (!inside || shows_surface(depth[at]) ? 1U : 0U) << b;
+    // Where it lies, or nearest to that in the picture.
+    const int x = static_cast<int>(fminf(fmaxf(shape.x, 0.0F), static_cast<float>(w.width - 1)));
+    const int y = static_cast<int>(fminf(fmaxf(shape.y, 0.0F), static_cast<float>(w.height - 1)));
+    hidden |= (shows_surface(depth[static_cast<std::size_t>(y) * w.width + x]) ? 1U : 0U) << b;
   }
   return hidden;
 }

@@ -59,9 +59,9 @@ TEST_P(KernelsOn, AgeCountsFromWhenTheGaussianWasMade) {
 
 TEST_P(KernelsOn, NoGaussianIsLargerThanItsShareOfTheDistanceToACamera) {
   constexpr int kMean = ParameterLayout::kMean, kScale = ParameterLayout::kLogScale;
-  Pages pages = make_pages({{0, 2}, {kPageLanes, 1, 7}, {2 * kPageLanes, 1}});
-  pages.ranges.back().frozen = 1;
-  for (std::uint32_t i : {0U, 1U, kPageLanes, 2 * kPageLanes}) {
+  Pages pages = make_pages({{0, 2}, {kPageLanes, 1, 7}, {2 * kPageLanes, 1}, {3 * kPageLanes, 1, kFarFieldFrame}});
+  pages.ranges[2].frozen = 1;
+  for (std::uint32_t i : {0U, 1U, kPageLanes, 2 * kPageLanes, 3 * kPageLanes}) {
     pages.at(kMean, i) = 2;  // metres from one eye, and 6 from the other
     for (int axis = 0; axis < 3; ++axis) {
       pages.at(kScale + axis, i) = pages.at(kAverage + kScale + axis, i) = std::log(axis == 1 ? 5.0F : 0.1F);
@@ -76,6 +76,7 @@ TEST_P(KernelsOn, NoGaussianIsLargerThanItsShareOfTheDistanceToACamera) {
     EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, 1)), 5) << "far off";
     EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, kPageLanes)), 5) << "of an object";
     EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, 2 * kPageLanes)), 5) << "frozen";
+    EXPECT_FLOAT_EQ(std::exp(pages.at(live + kScale + 1, 3 * kPageLanes)), 0.2F * kFarFieldRadius);
   }
 }
 
