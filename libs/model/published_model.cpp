@@ -125,7 +125,11 @@ bool PublishedModel::read_pages(const bus::Message& message, std::size_t arenas)
     if (generation % 2 != 0 || entry.generation.load(std::memory_order_relaxed) != generation) return false;
     if (!model::is_present(now.state) || now.count == 0) continue;
     if (now.count > kPageLanes) reject(message, fmt::format("page {} holds {} Gaussians", page, now.count));
-    if (page >= arenas * model::kArenaPages) reject(message, fmt::format("page {} is in none of its arenas", page));
+    if (page >= arenas * model::kArenaPages) {
+      // In shared memory the model may have grown since: a later message has the arena.
+      if (table_copy_ == nullptr) return false;
+      reject(message, fmt::format("page {} is in none of its arenas", page));
+    }
     ranges_.push_back({static_cast<std::uint32_t>(page) << kPageShift, now.count, now.frame_id,
                        now.state == model::PageState::Frozen ? 1U : 0U});
     bounds_.push_back(bounds);
