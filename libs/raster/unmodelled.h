@@ -19,7 +19,8 @@ inline constexpr int kUnmodelledSamples = 2;
 SPLATBUS_PORTABLE int unmodelled_sample(int index) {
   return index == 0 ? 2 : 5;
 }
-/// Metres from the camera: what is nearer is no far field.
+/// Metres from the camera: what is nearer is no far field. Surfaces beyond it never count as modelled where there is
+/// one.
 inline constexpr float kNearerThanFarField_m = 0.9F * kFarFieldDistance_m;
 
 /// `depth`: metres along z, as the engine has it.

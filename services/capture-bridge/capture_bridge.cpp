@@ -120,7 +120,12 @@ void CaptureBridge::handle_frame(const wire::EngineFrame& frame, const bus::Mess
 void CaptureBridge::handle_input(const bus::Message& message, const wire::EngineFrame& frame) {
   const std::uint32_t camera_id = frame.camera()->id();
   InputRig* const rig = rigs_.inputs().awaiting(camera_id, frame.request_id());
-  if (rig == nullptr) return;
+  if (rig == nullptr) {
+    // Of a camera that waits for its turn in a new place a trainer may have asked for the old one's view.
+    const bool asked = rigs_.cameras().asks_for(CameraRole::Input, camera_id, frame.request_id());
+    if (asked && options_->input_views) forwarder_.reference(message, frame);
+    return;
+  }
   auto view = decode_input_frame(message, frame, input_pictures_, host_copied_bytes_);
   if (!view) {
     ++counters_.frames_lost;

@@ -60,7 +60,7 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
     } else if (rig.to_come.empty() || !rig.round.missing().empty()) {
       continue;
     }
-    grow(options, rig);
+    grow(options, cameras, rig);
     placed.push_back(wish.name);
   }
   const std::size_t before = rigs_.size();
@@ -136,6 +136,8 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   const std::vector<std::size_t> places = spread_places(stands.size());
   rig.cameras.clear();
   rig.to_come.clear();
+  rig.blind.clear();
+  rig.given_up.clear();
   for (std::size_t k = 0; k < ids.size(); ++k) {
     Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
                              : stands[places[k - eyes]];
@@ -143,19 +145,24 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;
     rig.to_come.push_back(camera);
-    placed_.push_back(camera.id);
   }
 }
 
-void InputRigs::grow(const Options& options, InputRig& rig) const {
+void InputRigs::grow(const Options& options, const CameraSet& cameras, InputRig& rig) {
   std::size_t most = rig.to_come.size();
-  if (pictures_per_s_) {
+  // At a rate all cameras are rendered again and again, wherever they stand.
+  if (pictures_per_s_ && options.input_rate_hz <= 0) {
     const double in_time = *pictures_per_s_ * options.input_deadline_s;
     most = std::min(most, static_cast<std::size_t>(std::max<double>(kLeastCameras, in_time)));
   }
-  const auto end = rig.to_come.begin() + static_cast<std::ptrdiff_t>(most);
-  rig.cameras.insert(rig.cameras.end(), rig.to_come.begin(), end);
-  rig.to_come.erase(rig.to_come.begin(), end);
+  std::size_t taken = 0;
+  std::erase_if(rig.to_come, [&](const Camera& camera) {
+    const bool stands = cameras.asks_for(camera);  // and costs nothing
+    if (!stands) placed_.push_back(camera.id);
+    if (!stands && taken++ >= most) return false;
+    rig.cameras.push_back(camera);
+    return true;
+  });
 }
 
 /// Rigs whose viewer has left stay until those who are there have theirs: their cameras are not to be missed before.
@@ -201,12 +208,13 @@ std::vector<Camera> InputRigs::request(const Options& options, const std::vector
     if (before == rig.requested && rig.round.rig_generation() != 0) continue;
     std::vector<CameraRequest> requests;
     for (const CameraRequest& one : cameras.of_role(CameraRole::Input)) {
-      if (rig.requested.contains(one.camera.id)) requests.push_back(one);
+      const std::uint32_t id = one.camera.id;
+      if (rig.requested.contains(id) && !rig.given_up.contains(id)) requests.push_back(one);
     }
     rig.round.begin(requests, ++generations_);
-    rig.blind.clear();
-    rig.asked_ns = rig.begun_ns = now_ns;
-    rig.begun_with = rig.round.missing().size();
+    rig.asked_ns = now_ns;
+    rig.first_arrival_ns.reset();
+    rig.arrivals = 0;
     rig.patience_ns = 0;
   }
   return left;
@@ -236,11 +244,9 @@ void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t re
                         std::int64_t now_ns) {
   const bool incomplete = !rig.round.missing().empty();
   rig.round.add(camera_id, request_id, std::move(view), now_ns);
-  if (incomplete && rig.round.missing().empty()) {
-    const double took_s = std::max(1e-3, static_cast<double>(now_ns - rig.begun_ns) * 1e-9);
-    const double now = static_cast<double>(rig.begun_with) / took_s;
-    pictures_per_s_ = pictures_per_s_ ? std::midpoint(*pictures_per_s_, now) : now;
-  }
+  if (!rig.first_arrival_ns) rig.first_arrival_ns = now_ns;
+  ++rig.arrivals;
+  if (incomplete && rig.round.missing().empty()) measure(rig, now_ns);
   rig.blind.erase(camera_id);
   rig.asked_ns = now_ns;
   rig.patience_ns = 0;
@@ -252,7 +258,9 @@ void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_n
   const auto camera = std::ranges::find(rig.cameras, camera_id, &Camera::id);
   if (camera == rig.cameras.end()) return;
   if (++rig.blind[camera_id] >= kMaxBlind) {
+    rig.given_up.insert(camera_id);
     rig.round.drop(camera_id);
+    if (rig.round.missing().empty()) measure(rig, now_ns);
     return;
   }
   const glm::vec3 eye = glm::mix(camera->world_from_camera.translation, rig.anchor, 0.5F);
@@ -260,6 +268,14 @@ void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_n
   cameras.move(CameraRole::Input, *camera);
   renew(rig, cameras);
   rig.asked_ns = now_ns;
+}
+
+void InputRigs::measure(const InputRig& rig, std::int64_t now_ns) {
+  if (!rig.first_arrival_ns || rig.arrivals < 2) return;
+  // From picture to picture: how long the first one took to begin says nothing of how many come.
+  const double took_s = std::max(1e-3, static_cast<double>(now_ns - *rig.first_arrival_ns) * 1e-9);
+  const double now = static_cast<double>(rig.arrivals - 1) / took_s;
+  pictures_per_s_ = pictures_per_s_ ? std::midpoint(*pictures_per_s_, now) : now;
 }
 
 bool InputRigs::any_incomplete() const {

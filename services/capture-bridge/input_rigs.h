@@ -5,6 +5,7 @@
 #include <glm/glm.hpp>
 #include <map>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <utility>
@@ -29,13 +30,15 @@ struct InputRig {
   InputRound round;
   std::int64_t asked_ns = 0;     ///< last request for, or arrival of, a picture
   std::int64_t patience_ns = 0;  ///< before the next request for what is missing
-  std::int64_t begun_ns = 0;     ///< of the round that is under way, which asked for so many pictures
-  std::size_t begun_with = 0;
+  /// Of the pictures that the round under way asked for: the first one's arrival, and how many have come.
+  std::optional<std::int64_t> first_arrival_ns;
+  std::size_t arrivals = 0;
   std::int64_t submitted_ns = 0;  ///< a round, for sampling
   float new_share = 1;            ///< of the samples of its last round: they became Gaussians
 
   glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
   std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
+  std::set<std::uint32_t> given_up;    ///< cameras that show nothing from this place
   std::map<std::uint32_t, std::uint64_t> requested;  ///< request ids, by camera id
   bool tested = false;                               ///< it stands in free space that was known
   std::uint64_t jumps = 0;                           ///< the viewer's, when it was placed
@@ -96,7 +99,9 @@ class InputRigs {
                             std::int64_t now_ns) const;
   void place(const Options& options, const Wish& wish, const CameraShares::Shares& shares, std::int64_t now_ns);
   /// Takes so many of the cameras that are to come as the engine renders in time for a round.
-  void grow(const Options& options, InputRig& rig) const;
+  void grow(const Options& options, const CameraSet& cameras, InputRig& rig);
+  /// The engine's rate, by a round that has come to its end.
+  void measure(const InputRig& rig, std::int64_t now_ns);
   void forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares);
   std::vector<Camera> request(const Options& options, const std::vector<std::string>& placed, std::int64_t now_ns,
                               CameraSet& cameras);

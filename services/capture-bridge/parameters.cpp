@@ -59,7 +59,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("input_refresh_hz", input_refresh_hz,
         "input pictures per second, over all cameras, rendered again because the scene changed, oldest first; 0: none",
         {0, 1000});
-  p.add("input_deadline_s", input_deadline_s, "time after which an incomplete round of input pictures is used, s",
+  p.add("input_deadline_s", input_deadline_s,
+        "time after which an incomplete round of input pictures is used, and in which a round is to come, s",
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");
   p.add("sample_budget", sampling.budget, "most samples in one input round", {100, 4e6});
@@ -80,7 +81,8 @@ void Options::bind(bus::ParameterBinder& p) {
         "reference pictures per second, over all cameras, rendered again because the scene changed, oldest first, when "
         "reference_rate_hz is 0; 0: none",
         {0, 1000});
-  p.add("reference_depth", reference_depth, "ask the engine for depth with reference pictures");
+  p.add("reference_depth", reference_depth,
+        "ask the engine for depth with reference pictures, and with input pictures that are trained on");
   p.add("ring_radius_m", ring.radius_m, "radius of the reference ring, m", {.minimum = 0.01});
   p.add("ring_height_m", ring.height_m, "height of the reference ring above y = 0, m");
   p.add("ring_target", ring_target, "point that the ring's cameras look at, x,y,z in m", point_rule());

@@ -22,6 +22,7 @@ void RangeFinder::update(const RangeOptions& options, const Viewers& viewers, st
   for (auto& [name, range] : ranges_) {
     const auto viewer = viewers.all().find(name);
     const bool late = range.pending && now_ns - range.pending->asked_ns > kCubePatienceNs;
+    if (late) rest_until_ns_ = now_ns + kCubePatienceNs;
     if (late || viewer == viewers.all().end() || (range.pending && range.pending->jumps != viewer->second.jumps)) {
       cancel(range, cameras);
     }

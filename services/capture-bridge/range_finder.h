@@ -20,7 +20,8 @@ struct RangeOptions {
 };
 
 /// Finds the free space about viewers: has the engine render depth cubes where they are, as probes with ids of their
-/// own. Bounded: three at once, and then so many a second, and no more than a sixth of the time. Times are
+/// own. Bounded: three at once, and then so many a second, and no more than a sixth of
+/// the time but for viewers without one of use. Times are
 /// CLOCK_MONOTONIC nanoseconds. Not thread-safe.
 class RangeFinder {
  public:

@@ -100,6 +100,16 @@ std::vector<CameraRequest> CameraSet::of_role(CameraRole role) const {
   return found;
 }
 
+bool CameraSet::asks_for(const Camera& camera) const {
+  const auto found = std::find_if(requests_.begin(), requests_.end(), is(camera.role, camera.id));
+  return found != requests_.end() && same(found->camera, camera);
+}
+
+bool CameraSet::asks_for(CameraRole role, std::uint32_t camera_id, std::uint64_t request_id) const {
+  const auto found = std::find_if(requests_.begin(), requests_.end(), is(role, camera_id));
+  return found != requests_.end() && found->request_id == request_id;
+}
+
 bool CameraSet::take_changed() {
   return std::exchange(changed_, false);
 }
@@ -124,6 +134,7 @@ void InputRound::begin(std::span<const CameraRequest> requests, std::uint64_t ri
     const auto same = std::ranges::find_if(
         before, [&](const Slot& old) { return old.camera_id == slot.camera_id && old.request_id == slot.request_id; });
     if (same != before.end()) slot.view = same->view;
+    slot.fresh = slot.view != nullptr;  // the new round has it too
     slots_.push_back(std::move(slot));
   }
   first_fresh_ns_.reset();

@@ -47,6 +47,9 @@ class CameraSet {
   void move(CameraRole role, const Camera& camera);
 
   [[nodiscard]] std::vector<CameraRequest> of_role(CameraRole role) const;
+  /// Whether that camera is asked for as it is; by the other, whether this is its request.
+  [[nodiscard]] bool asks_for(const Camera& camera) const;
+  [[nodiscard]] bool asks_for(CameraRole role, std::uint32_t camera_id, std::uint64_t request_id) const;
   [[nodiscard]] const std::vector<CameraRequest>& requests() const { return requests_; }
 
   /// True once after any change.

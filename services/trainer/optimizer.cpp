@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "bus/error.h"
+#include "trainer/size_limit.h"
 
 namespace splatbus::trainer {
 

@@ -325,20 +325,30 @@ TEST_F(RigControlTest, ASlowEngineIsAskedForAsManyPicturesAsComeInTime) {
   EXPECT_NEAR(rig("v").share_asked(), 6 / 24.0, 2 / 24.0);
   EXPECT_EQ(of(CameraRole::Input).size(), 24U) << "cameras that wait for their turn keep their pictures";
 
-  // Who stops gets the rest of the dome, each picture once.
+  // Who stops gets the rest of the dome, each picture once, and each part is handed on as it is there.
   std::set<std::uint64_t> answers;
-  int asked = 0;
+  int asked = 0, parts = 0;
   for (int i = 0; i < 60; ++i) {
     const std::uint64_t answer = walk(0);
     asked += answer != 0 ? 1 : 0;
     answers.insert(answer);
+    if (!rig("v").round.ready(now_ns_, kSecond * 3 / 2)) continue;
+    EXPECT_TRUE(rig("v").round.missing().empty());
+    EXPECT_EQ(rig("v").round.take().size(), rig("v").cameras.size()) << "with those that were there";
+    ++parts;
   }
+  EXPECT_GE(parts, 3);
   EXPECT_EQ(about(CameraRole::Input, {walked_m_, 1.6F, -3.4F}, 3.5F), 24);
   EXPECT_LE(asked, 24 + 8) << "the round under way and one dome";
   EXPECT_EQ(static_cast<int>(answers.size()), asked + 1) << "and 0";
   EXPECT_TRUE(rig("v").round.missing().empty());
   EXPECT_EQ(rig("v").share_asked(), 1);
   EXPECT_EQ(rig("v").round.views().size(), 24U) << "all of it is sampled together";
+
+  // A changed parameter that moves nothing has nothing rendered again, and loses no picture.
+  set("input_clearance_m", "0.31");
+  for (int i = 0; i < 8; ++i) EXPECT_EQ(walk(0), 0U);
+  EXPECT_EQ(rig("v").round.views().size(), 24U);
 }
 
 }  // namespace

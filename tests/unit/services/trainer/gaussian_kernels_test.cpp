@@ -8,6 +8,8 @@
 #include <random>
 
 #include "device_pages.h"
+#include "gaussians/light.h"
+#include "trainer/size_limit.h"
 
 namespace splatbus::trainer::kernels {
 namespace {
