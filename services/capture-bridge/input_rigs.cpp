@@ -213,7 +213,7 @@ std::vector<Camera> InputRigs::request(const Options& options, const std::vector
     }
     rig.round.begin(requests, ++generations_);
     rig.asked_ns = now_ns;
-    rig.first_arrival_ns.reset();
+    rig.begun_ns = answered_ ? std::optional(now_ns) : std::nullopt;
     rig.arrivals = 0;
     rig.patience_ns = 0;
   }
@@ -244,7 +244,6 @@ void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t re
                         std::int64_t now_ns) {
   const bool incomplete = !rig.round.missing().empty();
   rig.round.add(camera_id, request_id, std::move(view), now_ns);
-  if (!rig.first_arrival_ns) rig.first_arrival_ns = now_ns;
   ++rig.arrivals;
   if (incomplete && rig.round.missing().empty()) measure(rig, now_ns);
   rig.blind.erase(camera_id);
@@ -271,10 +270,9 @@ void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_n
 }
 
 void InputRigs::measure(const InputRig& rig, std::int64_t now_ns) {
-  if (!rig.first_arrival_ns || rig.arrivals < 2) return;
-  // From picture to picture: how long the first one took to begin says nothing of how many come.
-  const double took_s = std::max(1e-3, static_cast<double>(now_ns - *rig.first_arrival_ns) * 1e-9);
-  const double now = static_cast<double>(rig.arrivals - 1) / took_s;
+  if (!rig.begun_ns) return;  // the engine may not have been there
+  const double took_s = std::max(1e-3, static_cast<double>(now_ns - *rig.begun_ns) * 1e-9);
+  const double now = static_cast<double>(rig.arrivals) / took_s;
   pictures_per_s_ = pictures_per_s_ ? std::midpoint(*pictures_per_s_, now) : now;
 }
 

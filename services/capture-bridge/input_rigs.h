@@ -30,8 +30,8 @@ struct InputRig {
   InputRound round;
   std::int64_t asked_ns = 0;     ///< last request for, or arrival of, a picture
   std::int64_t patience_ns = 0;  ///< before the next request for what is missing
-  /// Of the pictures that the round under way asked for: the first one's arrival, and how many have come.
-  std::optional<std::int64_t> first_arrival_ns;
+  /// That the round under way was asked for, once the engine is known to answer; and how many pictures have come since.
+  std::optional<std::int64_t> begun_ns;
   std::size_t arrivals = 0;
   std::int64_t submitted_ns = 0;  ///< a round, for sampling
   float new_share = 1;            ///< of the samples of its last round: they became Gaussians

@@ -311,6 +311,7 @@ TEST_F(RigControlTest, ASlowEngineIsAskedForAsManyPicturesAsComeInTime) {
   update(false);
   EXPECT_EQ(of(CameraRole::Input).size(), 24U) << "nobody knows yet how long they take";
   for (int i = 0; i < 24; ++i) walk(0);
+  for (int i = 0; i < 24; ++i) walk(i == 0 ? 2.0F : 0);  // now it is known to answer
   std::int64_t placed_ns = now_ns_, longest_ns = 0;
   std::uint64_t before = generation();
   for (int i = 0; i < 80; ++i) {
