@@ -120,7 +120,7 @@ class Rasterizer {
 
   /// Of the last forward(): the opacity of what is nearer to the camera than `distance_m`, at kUnmodelledSamples
   /// pixels of each square of kUnmodelledSide (raster/unmodelled.h), row after row; 0 where they lie outside. Above
-  /// 0.99 it may be less than it would come to. Nothing where that is not known.
+  /// 0.99 it may be less than it would come to. Nothing where that is not known, or where the model has no far field.
   virtual void opacity_within(float /*distance_m*/, std::vector<float>& opacity) { opacity.clear(); }
 
   /// Stages of the last forward() or render(), then of the last backward().

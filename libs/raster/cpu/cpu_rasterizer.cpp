@@ -297,8 +297,11 @@ void CpuRasterizer::opacity_within(float distance_m, std::vector<float>& opacity
   static_assert(kTileSide == kUnmodelledSide);
   constexpr float kOpaque = 0.01F;  // transmittance
   const Camera& camera = frame_.camera;
+  opacity.clear();
+  const auto of_far_field = [](const IndexRange& piece) { return piece.frame_id == kFarFieldFrame; };
+  if (frame_.gaussians.object_id == nullptr && std::ranges::none_of(frame_.pieces, of_far_field)) return;
   opacity.assign(std::size_t{frame_.tile_count()} * kUnmodelledSamples, 0.0F);
-  for (std::uint32_t tile = 0; tile < frame_.tile_count(); ++tile) {
+  const auto of_tile = [&](std::uint32_t tile) {
     const TileEntry* const entries = frame_.entries.data() + frame_.tile_begin[tile];
     const std::uint32_t count = frame_.tile_begin[tile + 1] - frame_.tile_begin[tile];
     for (int sample = 0; sample < kUnmodelledSamples; ++sample) {
@@ -320,7 +323,11 @@ void CpuRasterizer::opacity_within(float distance_m, std::vector<float>& opacity
       }
       opacity[std::size_t{tile} * kUnmodelledSamples + static_cast<std::size_t>(sample)] = 1 - transmittance;
     }
-  }
+  };
+  constexpr std::size_t kTilesAPiece = 16;
+  workers_.for_pieces(frame_.tile_count(), kTilesAPiece, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t tile = begin; tile < end; ++tile) of_tile(static_cast<std::uint32_t>(tile));
+  });
 }
 
 }  // namespace cpu

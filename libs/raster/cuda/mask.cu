@@ -85,7 +85,8 @@ __global__ void __launch_bounds__(kThreads)
     surface += __shfl_xor_sync(kAllLanes, surface, step);
   }
   bool unmodelled = surface > 0.0F && sum < opacity * surface;
-  if (kFarField && surface > 0.0F && lacks_near(w, depth, view, corner_x, corner_y, opacity)) {
+  if (kFarField && w.counts->far_field > 0 && surface > 0.0F &&
+      lacks_near(w, depth, view, corner_x, corner_y, opacity)) {
     unmodelled = true;
 #pragma unroll
     for (int k = 0; k < kEach; ++k) lacks[k] = inside[k] && shows_surface(depth[at[k]]);

@@ -76,6 +76,7 @@ __global__ void __launch_bounds__(kListThreads) list_ranges_kernel(DeviceGaussia
     const std::uint32_t at = before++;
     if (at >= w.list_capacity) break;
     const IndexRange range = gaussians.ranges[k];
+    if (static_cast<int>(mark >> 16) == w.far_slot) atomicAdd(&w.counts->far_field, 1U);
     w.listed[at] = {.first = range.first,
                     .count = range.count,
                     .frozen = range.frozen,

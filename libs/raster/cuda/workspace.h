@@ -17,11 +17,12 @@ using device::check;
 /// What a step leaves for the host to read.
 struct StepCounts {
   float loss[kMaxBatch];
-  std::uint32_t isects;    ///< intersections that there are; above isect_capacity the rest is missing
-  std::uint32_t segments;  ///< in `segments`
-  std::uint32_t listed;    ///< ranges in `listed`
-  std::uint32_t seen;      ///< ranges that some view may see; above list_capacity the rest is not listed
-  std::uint32_t masked;    ///< pixels that only mask_unmodelled masks
+  std::uint32_t isects;     ///< intersections that there are; above isect_capacity the rest is missing
+  std::uint32_t segments;   ///< in `segments`
+  std::uint32_t listed;     ///< ranges in `listed`
+  std::uint32_t seen;       ///< ranges that some view may see; above list_capacity the rest is not listed
+  std::uint32_t masked;     ///< pixels that only mask_unmodelled masks
+  std::uint32_t far_field;  ///< ranges in `listed` that are the far field's
 };
 
 /// Gaussians of a model in pages that some view may see.
