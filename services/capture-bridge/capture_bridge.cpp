@@ -277,8 +277,10 @@ void CaptureBridge::update_light_maps(std::int64_t now_ns) {
 }
 
 void CaptureBridge::refresh_pictures(std::int64_t now_ns) {
-  // What shows new ground comes first: an engine that renders slowly would do nothing but render old places again.
-  if (options_->input_rate_hz <= 0 && !rigs_.inputs().any_incomplete()) {
+  // What shows new ground comes first: an engine that renders slowly would do nothing but render old places again. A
+  // picture that never comes keeps the others from it for a while only.
+  const bool waits = rigs_.inputs().wait_for_pictures(nanoseconds(options_->input_deadline_s));
+  if (options_->input_rate_hz <= 0 && !waits) {
     refresh(refreshed_inputs_, CameraRole::Input, options_->input_refresh_hz, now_ns);
   }
   if (options_->reference_rate_hz <= 0) {

@@ -137,7 +137,6 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.cameras.clear();
   rig.to_come.clear();
   rig.blind.clear();
-  rig.given_up.clear();
   for (std::size_t k = 0; k < ids.size(); ++k) {
     Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
                              : stands[places[k - eyes]];
@@ -209,7 +208,9 @@ std::vector<Camera> InputRigs::request(const Options& options, const std::vector
     std::vector<CameraRequest> requests;
     for (const CameraRequest& one : cameras.of_role(CameraRole::Input)) {
       const std::uint32_t id = one.camera.id;
-      if (rig.requested.contains(id) && !rig.given_up.contains(id)) requests.push_back(one);
+      const auto blind = rig.blind.find(id);
+      const bool given_up = blind != rig.blind.end() && blind->second >= kMaxBlind;
+      if (rig.requested.contains(id) && !given_up) requests.push_back(one);
     }
     rig.round.begin(requests, ++generations_);
     rig.asked_ns = now_ns;
@@ -257,7 +258,6 @@ void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_n
   const auto camera = std::ranges::find(rig.cameras, camera_id, &Camera::id);
   if (camera == rig.cameras.end()) return;
   if (++rig.blind[camera_id] >= kMaxBlind) {
-    rig.given_up.insert(camera_id);
     rig.round.drop(camera_id);
     if (rig.round.missing().empty()) measure(rig, now_ns);
     return;
@@ -276,8 +276,11 @@ void InputRigs::measure(const InputRig& rig, std::int64_t now_ns) {
   pictures_per_s_ = pictures_per_s_ ? std::midpoint(*pictures_per_s_, now) : now;
 }
 
-bool InputRigs::any_incomplete() const {
-  return std::ranges::any_of(rigs_, [](const auto& entry) { return !entry.second.round.missing().empty(); });
+bool InputRigs::wait_for_pictures(std::int64_t deadline_ns) const {
+  return std::ranges::any_of(rigs_, [&](const auto& entry) {
+    const InputRig& rig = entry.second;
+    return !rig.round.missing().empty() && rig.patience_ns <= deadline_ns;
+  });
 }
 
 void InputRigs::reissue(std::uint32_t camera_id, CameraSet& cameras) {

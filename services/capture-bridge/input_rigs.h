@@ -5,7 +5,6 @@
 #include <glm/glm.hpp>
 #include <map>
 #include <optional>
-#include <set>
 #include <span>
 #include <string>
 #include <utility>
@@ -38,7 +37,6 @@ struct InputRig {
 
   glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
   std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
-  std::set<std::uint32_t> given_up;    ///< cameras that show nothing from this place
   std::map<std::uint32_t, std::uint64_t> requested;  ///< request ids, by camera id
   bool tested = false;                               ///< it stands in free space that was known
   std::uint64_t jumps = 0;                           ///< the viewer's, when it was placed
@@ -71,8 +69,8 @@ class InputRigs {
   /// It has come and shows hardly more than what is right before it: the camera is asked for elsewhere, or given up.
   void blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_ns, CameraSet& cameras);
 
-  /// Whether a rig waits for pictures of where it stands now.
-  [[nodiscard]] bool any_incomplete() const;
+  /// Whether a rig waits for pictures of where it stands now, and has not yet had to ask again for them.
+  [[nodiscard]] bool wait_for_pictures(std::int64_t deadline_ns) const;
 
   /// Has pictures rendered again: one, those of a rig that are missing, or all.
   void reissue(std::uint32_t camera_id, CameraSet& cameras);

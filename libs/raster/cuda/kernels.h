@@ -72,8 +72,8 @@ struct ViewMasks {
 };
 
 /// Makes workspace.mask of the views' own `masks`, as in ViewMasks, and of what nothing models yet
-/// (raster/unmodelled.h, with `opacity`), and counts the latter in counts->masked. `depths`: device array of [h][w]
-/// each, or null for a view that has none. Behind launch_blend_forward().
+/// (raster/unmodelled.h, with `opacity`; `far_field`: some view may have one), and counts the latter in counts->masked.
+/// `depths`: device array of [h][w] each, or null for a view that has none. Behind launch_blend_forward().
 void launch_mask_unmodelled(const float* const* depths, const std::uint8_t* const* masks, float opacity, bool far_field,
                             const WorkspaceView& workspace, cudaStream_t stream);
 

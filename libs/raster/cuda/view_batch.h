@@ -20,7 +20,8 @@ struct TrainView {
   SceneView view;
   const std::uint8_t* color = nullptr;
   const std::uint8_t* albedo = nullptr;  ///< null: this view has no albedo loss
-  const float* depth = nullptr;          ///< metres along z, 0 where there is no surface; null: it has no depth loss
+  const float* depth = nullptr;          ///< metres along z, 0 where there is no surface; null: no depth loss, no mask
+                                         ///< of what nothing models, no sky told from surfaces
   const std::uint8_t* mask = nullptr;    ///< [h][w], as in raster::LossOptions; null: none
   std::shared_ptr<const void> keep = nullptr;  ///< owner of the scene and the pictures, held until the step is done
 };

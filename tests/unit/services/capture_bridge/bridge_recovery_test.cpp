@@ -1,4 +1,6 @@
 // What the bridge does about frames that are lost or broken, and about peers that have missed something.
+#include <cmath>
+#include <functional>
 #include <limits>
 
 #include "bridge_fixture.h"
@@ -15,6 +17,32 @@ TEST_F(CaptureBridgeTest, ALostFrameBlocksNoRoundAndIsAskedForAgain) {
   EXPECT_EQ(last_input().cameras()->size(), 3U);
   losing = false;
   ASSERT_TRUE(until([&] { return last_input().cameras()->size() == 4; }));
+}
+
+TEST_F(CaptureBridgeTest, OldPicturesWaitForTheRoundUnderWayButNotForEver) {
+  set("input_refresh_hz", "1000");
+  set("reference_refresh_hz", "1000");
+  set("input_deadline_s", "60");
+  engine_.lose = [](const Camera& camera) { return camera.role == CameraRole::Input && camera.id == 2; };
+  start();
+  int turns = 0;
+  Camera unasked = look_at({0, 2, 2}, {0, 0, 0}, 8, 8, 1);
+  unasked.role = CameraRole::Probe;
+  unasked.id = 1'000'000;
+  const auto until_turning = [&](const std::function<bool()>& condition) {
+    return until([&] {
+      const float angle = 0.01F * static_cast<float>(++turns);
+      engine_.light.sun_direction = {std::sin(angle), std::cos(angle), 0};
+      engine_.submit(unasked, wire::EngineBuffer::Color, 0);  // tells of the light, whatever is asked for
+      return condition();
+    });
+  };
+  ASSERT_TRUE(until_turning([&] { return references(CameraRole::Input).size() == 3; }));
+  const std::size_t seen = references(CameraRole::Reference).size();
+  ASSERT_TRUE(until_turning([&] { return references(CameraRole::Reference).size() >= seen + 20; }));
+  EXPECT_EQ(references(CameraRole::Input).size(), 3U) << "the light has changed, and one of the place is missing";
+  set("input_deadline_s", "0.05");
+  EXPECT_TRUE(until_turning([&] { return references(CameraRole::Input).size() > 8; }));
 }
 
 TEST_F(CaptureBridgeTest, ALightMapThatTheEngineLosesIsAskedForAgain) {

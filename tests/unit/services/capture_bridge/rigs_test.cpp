@@ -177,6 +177,32 @@ TEST_F(RigControlTest, ABlindCameraIsTriedElsewhereAndThenGivenUp) {
   EXPECT_EQ(rig("v").round.views().size(), 11U);
 }
 
+TEST_F(RigControlTest, ABlindCameraIsNotAskedForAgainAsItsDomeGrows) {
+  set("input_cameras", "24");
+  const auto turn = [&](float metres) {
+    walked_m_ += metres;
+    pass(kSecond / 4);
+    look("v", standing({walked_m_, 1.6F, 0}));
+    update(false);
+  };
+  for (int i = 0; i < 48; ++i) {  // until it is known how slow the engine is
+    turn(i == 24 ? 2.0F : 0);
+    answer_oldest_input();
+  }
+  turn(2);
+  ASSERT_LT(rig("v").cameras.size(), 12U) << "a part of the dome";
+  const std::uint32_t id = rig("v").cameras.back().id;
+  for (int tries = 0; tries < 3; ++tries) control_.inputs().blind(rig("v"), id, now_ns_, control_.cameras());
+  for (int i = 0; i < 60; ++i) {
+    const auto missing = rig("v").round.missing();
+    ASSERT_EQ(std::ranges::count(missing, id), 0) << i;
+    answer_oldest_input();
+    turn(0);
+  }
+  EXPECT_EQ(rig("v").round.views().size(), 23U);
+  EXPECT_EQ(rig("v").share_asked(), 1);
+}
+
 TEST_F(RigControlTest, ADomeThatWasNotTestedIsTestedOnceFreeSpaceIsKnown) {
   set("input_range_hz", "2");
   update();
