@@ -57,6 +57,15 @@ for (const api of ['webgl2', 'webgpu']) {
       assert.ok(display >= 45, `PSNR ${display} in display space`);
     });
 
+    test('of those at one depth later rows are in front', async () => {
+      const psnr = await page.evaluate((name) => window.tests.equalDepths(name), api);
+      assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);
+    });
+
+    test('nothing is left when the camera turns away', async () => {
+      assert.equal(await page.evaluate((name) => window.tests.away(name), api), 0);
+    });
+
     test('the far field goes with the eye', async () => {
       const psnr = await page.evaluate((name) => window.tests.farField(name), api);
       assert.ok(psnr >= kLeastPsnr, `PSNR ${psnr}`);

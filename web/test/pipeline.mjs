@@ -42,7 +42,9 @@ services:
 `;
   writeFileSync(join(folder, 'live.yaml'), services);
   const env = { ...process.env, XDG_STATE_HOME: join(folder, 'state') };  // log files
-  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: 'ignore', env });
+  const launched = spawn(join(bin, 'splatbus'), ['launch', join(folder, 'live.yaml'), '--bus', `ipc://${folder}/bus`], { stdio: ['ignore', 'pipe', 'pipe'], env });
+  let said = '';
+  for (const stream of [launched.stdout, launched.stderr]) stream.on('data', (text) => (said = (said + text).slice(-4000)));
   const ended = new Promise((resolve) => launched.once('exit', resolve));
   /** Of the gateway, as soon as there is one. */
   const status = async () => {
@@ -50,7 +52,7 @@ services:
       try {
         return await (await fetch(`${url}/status`)).json();
       } catch {
-        if (launched.exitCode !== null) throw new Error('the pipeline has ended');
+        if (launched.exitCode !== null) throw new Error(`the pipeline has ended: ${said}`);
         await new Promise((resolve) => setTimeout(resolve, 50));
       }
     }

@@ -126,7 +126,8 @@ void main() {
   vec4 low = uintBitsToFloat(splats[2u * row]);
   uvec4 high = splats[2u * row + 1u];
   Splat splat = Splat(low.xy, vec3(low.zw, uintBitsToFloat(high.x)), uintBitsToFloat(high.y));
-  gl_Position = cornerOf(uSize, splat, gl_VertexID, vWhite);
+  vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
+  gl_Position = cornerOf(uSize, splat, corner, vWhite);
   vColor = vec4(unpackHalf2x16(high.z), unpackHalf2x16(high.w).x, splat.log2Alpha);
 }
 )glsl";

@@ -1,6 +1,6 @@
 #pragma once
 
-// The page's quads and formula (web/src/render/splat.glsl) and the order of its WebGPU, as OpenGL 4.5 has them; a test
+// The page's formula (web/src/render/splat.glsl) and the order of its WebGPU, as OpenGL 4.5 has them; a test
 // holds the pictures to the CPU rasteriser's. Buffers are bound from 0 on in the order in which a text declares them.
 namespace splatbus::viewer::gl {
 

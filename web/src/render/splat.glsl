@@ -1,6 +1,6 @@
-// What the page's WebGL2 and the window's OpenGL 4.5 have in common: GLSL ES 3.00 that is GLSL 4.50 as well. Quads cover
-// exactly what a Gaussian can reach: a square in the whitened plane, brought to pixels by the Cholesky factor of the
-// covariance. Any root of it would do; all have the same area.
+// What the page's WebGL2 and the window's OpenGL 4.5 have in common: GLSL ES 3.00 that is GLSL 4.50 as well. What is drawn
+// covers all that a Gaussian can reach: a polygon about the unit circle in the whitened plane, brought to pixels by the Cholesky
+// factor of the covariance. Any root of it would do; all have the same area.
 const float kBlur = 0.3;
 const float kAlphaMin = 1.0 / 255.0;
 const float kWhiteScale = 0.8493218002880191;  // alpha = 2^(log2 alpha - |this x|^2)
@@ -87,9 +87,9 @@ bool splatOf(View view, uvec4 geometry, uvec4 appearance, mat3 w, vec3 point, fl
   return true;
 }
 
-// Corner `index` of its quad. white: where that is in the whitened plane.
-vec4 cornerOf(vec2 size, Splat splat, int index, out vec2 white) {
-  white = (vec2(index & 1, (index >> 1) & 1) * 2.0 - 1.0) * (reachOf(splat.log2Alpha) + 0.02);
+// A corner of its polygon. white: where that is in the whitened plane.
+vec4 cornerOf(vec2 size, Splat splat, vec2 corner, out vec2 white) {
+  white = corner * (reachOf(splat.log2Alpha) + 0.02);
   vec2 offset = vec2(dot(splat.root.xy, white), splat.root.z * white.y) / kWhiteScale;
   vec2 pixel = splat.centre + offset;
   return vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);

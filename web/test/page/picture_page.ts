@@ -195,6 +195,34 @@ const tests = {
     return psnr(rgbOf(picture), referencePicture(scene, view, kBackground));
   },
 
+  /** Where many are at one place, those of later rows are in front, however far apart their rows are. */
+  async equalDepths(api: 'webgl2' | 'webgpu'): Promise<number> {
+    const renderer = await cleared(api);
+    const scene = syntheticScene(3000, 6);
+    scene.gaussians.forEach((gaussian, row) => {
+      const { mean, object } = scene.gaussians[row % 300];
+      Object.assign(gaussian, { mean: [...mean], object });
+    });
+    const packed = { ...scene, records: packRecords(scene.gaussians) };
+    renderer.apply(wholeUpdate(packed));
+    return (await shown(renderer, packed, testView(128, 1))).psnr;
+  },
+
+  /** Pixels that differ from the background once the camera has turned away from everything. */
+  async away(api: 'webgl2' | 'webgpu'): Promise<number> {
+    const renderer = await cleared(api);
+    const scene = syntheticScene(3000, 1);
+    renderer.apply(wholeUpdate(scene));
+    const view = testView(64, 1);
+    await shown(renderer, scene, view);
+    const turned = view.viewFromWorld.map((value, i) => (i < 4 || (i >= 8 && i < 12) ? -value : value));
+    const away = { ...view, viewFromWorld: turned };
+    renderer.setOrder(referenceOrder(scene, away));
+    const { rgba } = await renderer.capture(frameOf(scene, away));
+    const background = kBackground.map((value) => Math.round(255 * srgb(value)));
+    return rgba.filter((value, i) => i % 4 < 3 && Math.abs(value - background[i % 4]) > 1).length;
+  },
+
   /** PNGs of a recorded stream, as base64: after so many messages each, from each of the poses. */
   async replay(api: 'webgl2' | 'webgpu', log: string, times: number[], poses: number[][]): Promise<string[][]> {
     const renderer = await cleared(api);

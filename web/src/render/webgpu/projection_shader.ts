@@ -1,25 +1,24 @@
 // Projection, once a Gaussian.
 import { kFadeS } from '../renderer';
-import { kSplat, kThreads, kView } from './shared_shaders';
+import { kSplat, kThreads, kUnseen, kView } from './shared_shaders';
 
 /** Bits of a key. */
 export const kKeyBits = 20;
 
-/** Of every row what the quads need, and a key: nearer is greater; kUnseen where nothing can show. */
+/** Of every row what its triangle needs, and a key: nearer is greater; kUnseen where nothing can show. */
 export const kProject = `${kView}${kSplat}
 @group(0) @binding(1) var<storage, read> records: array<vec4u>;
 @group(0) @binding(2) var<storage, read> fades: array<f32>;
 @group(0) @binding(3) var<storage, read> objects: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> splats: array<Splat>;
 @group(0) @binding(5) var<storage, read_write> keys: array<u32>;
-@group(0) @binding(6) var<storage, read_write> block_counts: array<u32>;
-@group(0) @binding(7) var<storage, read> harmonics: array<u32>;
+@group(0) @binding(6) var<storage, read> harmonics: array<u32>;
 
 const kBlur = 0.3;
 const kNear = 0.05;
 const kAlphaMin = 1.0 / 255.0;
 const kWhiteScale = 0.8493218002880191;
-const kUnseen = 0xffffffffu;
+const kUnseen = ${kUnseen}u;
 const kMostKey = ${(1 << kKeyBits) - 1}u;
 
 fn signed_halves(word: u32) -> vec2f {
@@ -125,15 +124,6 @@ fn project(row: u32) -> u32 {
   return kMostKey - min((bitcast<u32>(point.z) - 0x3d000000u) >> 7, kMostKey);
 }
 
-var<workgroup> seen: atomic<u32>;
-@compute @workgroup_size(${kThreads}) fn main(
-    @builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) block: vec3u, @builtin(local_invocation_index) thread: u32) {
-  var key = kUnseen;
-  if (id.x < view.rows) {
-    key = project(id.x);
-    keys[id.x] = key;
-  }
-  if (key != kUnseen) { atomicAdd(&seen, 1u); }
-  workgroupBarrier();
-  if (thread == 0) { block_counts[block.x] = atomicLoad(&seen); }
+@compute @workgroup_size(${kThreads}) fn main(@builtin(global_invocation_id) id: vec3u) {
+  if (id.x < view.rows) { keys[id.x] = project(id.x); }
 }`;

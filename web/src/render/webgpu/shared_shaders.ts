@@ -3,6 +3,9 @@
 /** Threads of every workgroup. */
 export const kThreads = 256;
 
+/** The key of a row that cannot be seen. */
+export const kUnseen = 0xffffffff;
+
 export const kView = `
 struct View {
   pinhole: vec4f,      // fx, fy, cx, cy

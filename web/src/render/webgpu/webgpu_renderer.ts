@@ -1,11 +1,10 @@
 import { cameraFromObjects, kTransformFloats, scaledView } from '../../math';
 import type { ColorUpdate, RowUpdate } from '../../records';
-import { batchIndices } from '../quads';
 import { blendedBackground, fitTo, GraphicsError, tangentLimits, targetSize, type Frame, type Picture, type Renderer } from '../renderer';
 import { texts } from '../../texts';
 import { DepthOrder, DepthPipelines } from './depth_order';
 import { bindGroup, RowBuffers } from './row_buffers';
-import { kResolve, kSplats } from './quad_shaders';
+import { kResolve, kSplats } from './triangle_shaders';
 
 const kViewBytes = 80;
 
@@ -16,7 +15,6 @@ export class WebGpuRenderer implements Renderer {
   readonly #rows: RowBuffers;
   readonly #pipelines: DepthPipelines;
   readonly #view: GPUBuffer;
-  readonly #quads: GPUBuffer;
   readonly #splats: GPURenderPipeline;
   readonly #resolves = new Map<GPUTextureFormat, GPURenderPipeline>();
   readonly #resolveModule: GPUShaderModule;
@@ -51,9 +49,6 @@ export class WebGpuRenderer implements Renderer {
     this.#pipelines = new DepthPipelines(device);
     this.#view = device.createBuffer({ size: kViewBytes, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.#objects = this.#makeObjects(64);
-    const indices = batchIndices();
-    this.#quads = device.createBuffer({ size: indices.byteLength, usage: GPUBufferUsage.INDEX | GPUBufferUsage.COPY_DST });
-    device.queue.writeBuffer(this.#quads, 0, indices);
     this.#splats = this.#makeSplats();
     this.#resolveModule = device.createShaderModule({ label: 'resolve', code: kResolve });
     this.#between = device.createSampler({ magFilter: 'linear', minFilter: 'linear' });
@@ -126,8 +121,7 @@ export class WebGpuRenderer implements Renderer {
     });
     splats.setPipeline(this.#splats);
     splats.setBindGroup(0, this.#splatGroup);
-    splats.setIndexBuffer(this.#quads, 'uint16');
-    splats.drawIndexedIndirect(order.drawArgs, 0);
+    splats.drawIndirect(order.drawArgs, 0);
     splats.end();
     const resolve = commands.beginRenderPass({
       colorAttachments: [{ view: to.createView(), loadOp: 'clear', storeOp: 'store' }],
@@ -167,8 +161,8 @@ export class WebGpuRenderer implements Renderer {
     this.#order?.destroy();
     this.#order = new DepthOrder(this.device, this.#pipelines, this.#view, this.#rows, this.#objects);
     this.#orderOf = this.#rows.harmonics; // they move whenever the records do
-    const { seen, order, splats } = this.#order;
-    this.#splatGroup = bindGroup(this.device, this.#splats, { 0: this.#view, 1: seen, 2: order, 3: splats });
+    const { order, splats } = this.#order;
+    this.#splatGroup = bindGroup(this.device, this.#splats, { 0: this.#view, 1: order, 2: splats });
     return this.#order;
   }
 

@@ -1,11 +1,10 @@
-// Quads from what was projected, and the picture from the quads.
-import { kBatch } from '../quads';
+// Triangles from what was projected, and the picture from them.
+import { kHalfBase } from '../triangle';
 import { kSplat, kView } from './shared_shaders';
 
 export const kSplats = `${kView}${kSplat}
-@group(0) @binding(1) var<storage, read> seen: array<u32>;
-@group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> splats: array<Splat>;
+@group(0) @binding(1) var<storage, read> order: array<u32>;
+@group(0) @binding(2) var<storage, read> splats: array<Splat>;
 struct Corner {
   @builtin(position) position: vec4f,
   @location(0) white: vec2f,
@@ -14,11 +13,10 @@ struct Corner {
 fn color_of(word: u32) -> vec3f {
   return vec3f(vec3u(word, word >> 9, word >> 18) & vec3u(0x1ff)) * exp2(f32(i32(word >> 27) - 24));
 }
-@vertex fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) batch: u32) -> Corner {
-  let rank = batch * ${kBatch} + (corner >> 2);
-  if (rank >= seen[0]) { return Corner(vec4f(2, 2, 2, 1), vec2f(), vec4f()); }
-  let splat = splats[order[rank]];
-  let white = (vec2f(f32(corner & 1), f32((corner >> 1) & 1)) * 2 - 1) * (splat.reach + 0.02);
+@vertex fn vertex(@builtin(vertex_index) index: u32) -> Corner {
+  let splat = splats[order[index / 3]];
+  let corner = index % 3;
+  let white = vec2f((f32(corner) - 1) * ${kHalfBase}, select(-1.0, 2.0, corner == 1)) * (splat.reach + 0.02);
   let pixel = splat.centre + vec2f(dot(splat.root.xy, white), splat.root.z * white.y);
   let ndc = vec2f(2, -2) * pixel / view.size + vec2f(-1, 1);
   return Corner(vec4f(ndc, 0, 1), white, vec4f(color_of(splat.color), splat.log2_alpha));
