@@ -22,6 +22,8 @@ const T* on_device(device::Buffer<T>& buffer, const std::vector<T>& host) {
 
 /// Of whose bytes an opacity logit of -1574 is made: rows of it are not seen.
 constexpr int kTransparentByte = 0xC4;
+constexpr std::uint32_t kTransparent = 0xC4C4C4C4;
+constexpr std::uint8_t kHidden[] = {1};
 
 }  // namespace
 
@@ -36,7 +38,11 @@ DisplayGaussians::DisplayGaussians(const StreamLayout& layout, device::StreamVie
       ids_(stream),
       columns_(stream),
       bytes_(stream),
-      values_(stream) {}
+      values_(stream) {
+  for (const AttributeChannels& attribute : layout_.attributes()) {
+    pending_values_.emplace_back(static_cast<std::size_t>(attribute.channels));
+  }
+}
 
 int DisplayGaussians::row_of(Attribute attribute) const {
   const int channels = layout_.parameters().channels();
@@ -69,6 +75,8 @@ void DisplayGaussians::apply(const DisplayChanges& changes) {
   for (const DisplayChange& change : changes.list()) {
     std::visit([this](const auto& c) { apply(c); }, change);
   }
+  flush();
+  list_ranges();
 }
 
 void DisplayGaussians::apply(const DisplayReset& change) {
@@ -92,23 +100,22 @@ void DisplayGaussians::apply(const DisplayRows& change) {
   }
 }
 
+template <class T>
+void DisplayGaussians::add(PendingRows<T>& pending, const std::vector<std::uint32_t>& rows, std::span<const T> values) {
+  if (pending.any_of(rows)) flush();
+  pending.add(rows, values);
+}
+
 void DisplayGaussians::apply(const DisplayValues& change) {
   const AttributeChannels& a = layout_.at(change.attribute);
   assert(change.values.size() == static_cast<std::size_t>(a.channels) * change.rows.size());
-  kernels::dequantize({.offset = a.quantizer.offset,
-                       .step = a.quantizer.step,
-                       .kind = coding_of(change.attribute),
-                       .channels = a.channels,
-                       .row = row_of(change.attribute)},
-                      on_device(values_, change.values), on_device(columns_, change.rows),
-                      static_cast<std::uint32_t>(change.rows.size()), rows_.data(), stride_, stream_);
-  stream_.wait();
+  if (change.attribute == Attribute::Opacity && pending_hidden_.any_of(change.rows)) flush();
+  add<std::int32_t>(pending_values_[static_cast<std::size_t>(&a - layout_.attributes().data())], change.rows,
+                    change.values);
 }
 
 void DisplayGaussians::apply(const DisplayObjects& change) {
-  kernels::scatter(on_device(ids_, change.object_ids), on_device(columns_, change.rows),
-                   static_cast<std::uint32_t>(change.rows.size()), object_id_.data(), stream_);
-  stream_.wait();
+  add<std::uint32_t>(pending_objects_, change.rows, change.object_ids);
 }
 
 void DisplayGaussians::apply(const DisplayBlocks& change) {
@@ -121,10 +128,14 @@ void DisplayGaussians::apply(const DisplayBlocks& change) {
     block_counts_[block] = count;
   }
   for (const auto& [block, shown] : before) {
-    const std::uint32_t count = block_counts_[block];
-    if (count < shown) hide_rows(block * kBlockRows + count, shown - count);
+    for (std::uint32_t row = block_counts_[block]; row < shown; ++row) {
+      const std::uint32_t hidden[] = {block * kBlockRows + row};
+      if (!pending_hidden_.any_of(hidden)) pending_hidden_.add(hidden, std::span<const std::uint8_t>(kHidden));
+    }
   }
-  stream_.wait();
+}
+
+void DisplayGaussians::list_ranges() {
   count_ = 0;
   ranges_.clear();
   for (std::uint32_t block = 0; block < block_counts_.size(); ++block) {
@@ -135,10 +146,6 @@ void DisplayGaussians::apply(const DisplayBlocks& change) {
     ranges_.back().count = end - ranges_.back().first;
     count_ += block_counts_[block];
   }
-}
-
-void DisplayGaussians::hide_rows(std::uint32_t first, std::uint32_t count) {
-  device::fill(stream_, row(row_of(Attribute::Opacity)) + first, kTransparentByte, count * sizeof(float));
 }
 
 std::uint8_t* DisplayGaussians::seen_row(std::uint32_t light_id) const {
@@ -161,6 +168,8 @@ void DisplayGaussians::gather_lights(const std::vector<std::uint32_t>& ids, std:
 }
 
 void DisplayGaussians::apply(const DisplayLights& change) {
+  flush();
+  pending_seen_.clear();
   device::Buffer<std::uint8_t> seen(stream_);
   if (!change.ids.empty()) gather_lights(change.ids, stride_, seen);
   stream_.wait();
@@ -169,9 +178,49 @@ void DisplayGaussians::apply(const DisplayLights& change) {
 }
 
 void DisplayGaussians::apply(const DisplaySeen& change) {
-  kernels::scatter(on_device(bytes_, change.values), on_device(columns_, change.rows),
-                   static_cast<std::uint32_t>(change.rows.size()), seen_row(change.light_id), stream_);
+  add<std::uint8_t>(pending_seen(change.light_id), change.rows, change.values);
+}
+
+void DisplayGaussians::flush() {
+  // The device may read them until it is waited for.
+  std::vector<std::vector<std::int32_t>> values;
+  std::vector<std::vector<std::uint8_t>> seen;
+  for (std::size_t k = 0; k < pending_values_.size(); ++k) {
+    if (!pending_values_[k].empty())
+      write(layout_.attributes()[k], pending_values_[k], values.emplace_back(pending_values_[k].values()));
+  }
+  const std::vector<std::uint32_t> objects = pending_objects_.values();
+  if (!pending_objects_.empty()) {
+    kernels::scatter(on_device(ids_, objects), on_device(columns_, pending_objects_.rows()),
+                     static_cast<std::uint32_t>(objects.size()), object_id_.data(), stream_);
+  }
+  for (const auto& [light_id, pending] : pending_seen_) {
+    if (pending.empty()) continue;
+    kernels::scatter(on_device(bytes_, seen.emplace_back(pending.values())), on_device(columns_, pending.rows()),
+                     static_cast<std::uint32_t>(pending.rows().size()), seen_row(light_id), stream_);
+  }
+  const std::vector<std::uint32_t> transparent(pending_hidden_.rows().size(), kTransparent);
+  if (!pending_hidden_.empty()) {
+    auto* const opacity = reinterpret_cast<std::uint32_t*>(row(row_of(Attribute::Opacity)));
+    kernels::scatter(on_device(ids_, transparent), on_device(columns_, pending_hidden_.rows()),
+                     static_cast<std::uint32_t>(transparent.size()), opacity, stream_);
+  }
   stream_.wait();
+  for (auto& pending : pending_values_) pending.clear();
+  pending_objects_.clear();
+  for (auto& [light_id, pending] : pending_seen_) pending.clear();
+  pending_hidden_.clear();
+}
+
+void DisplayGaussians::write(const AttributeChannels& attribute, const PendingRows<std::int32_t>& pending,
+                             const std::vector<std::int32_t>& values) {
+  kernels::dequantize({.offset = attribute.quantizer.offset,
+                       .step = attribute.quantizer.step,
+                       .kind = coding_of(attribute.attribute),
+                       .channels = attribute.channels,
+                       .row = row_of(attribute.attribute)},
+                      on_device(values_, values), on_device(columns_, pending.rows()),
+                      static_cast<std::uint32_t>(pending.rows().size()), rows_.data(), stride_, stream_);
 }
 
 GaussiansView DisplayGaussians::view() const {

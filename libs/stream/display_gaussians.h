@@ -1,17 +1,21 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
+#include <span>
 #include <vector>
 
 #include "device/buffer.h"
 #include "gaussians/model.h"
 #include "stream/display_changes.h"
+#include "stream/pending_rows.h"
 
 namespace splatbus::stream {
 
-/// The floats that a rasterizer reads, in the memory of a stream's device: only what changes goes there. Rows grow
-/// by doubling, so that a model which arrives page by page is not copied once a page. One thread, any. Each call has
-/// been done when it returns. Throws std::runtime_error when the device fails.
+/// The floats that a rasterizer reads, in the memory of a stream's device: only what changes goes there, the changes of
+/// many pages at a time, for a device that others use as well lets each of its calls wait. Rows grow by doubling, so
+/// that a model which arrives page by page is not copied once a page. One thread, any. Each call has been done when it
+/// returns. Throws std::runtime_error when the device fails.
 class DisplayGaussians {
  public:
   explicit DisplayGaussians(device::StreamView stream = {}) : DisplayGaussians(StreamLayout{}, stream) {}
@@ -39,7 +43,16 @@ class DisplayGaussians {
   void apply(const DisplayLights& change);
   void apply(const DisplaySeen& change);
   void reserve(std::size_t rows);
-  void hide_rows(std::uint32_t first, std::uint32_t count);
+  template <class T>
+  void add(PendingRows<T>& pending, const std::vector<std::uint32_t>& rows, std::span<const T> values);
+  [[nodiscard]] PendingRows<std::uint8_t>& pending_seen(std::uint32_t light_id) {
+    return pending_seen_.try_emplace(light_id).first->second;
+  }
+  /// Writes what is pending.
+  void flush();
+  void write(const AttributeChannels& attribute, const PendingRows<std::int32_t>& pending,
+             const std::vector<std::int32_t>& values);
+  void list_ranges();
   [[nodiscard]] int row_of(Attribute attribute) const;
   /// Rows for `ids` in `to`, [1 + ids][stride], from what is seen now.
   void gather_lights(const std::vector<std::uint32_t>& ids, std::size_t stride, device::Buffer<std::uint8_t>& to);
@@ -57,6 +70,10 @@ class DisplayGaussians {
   std::vector<std::uint32_t> lights_;
   device::Buffer<std::uint8_t> seen_;    ///< [1 + lights][stride_], the sun's first; empty without lights
   device::Buffer<std::uint8_t> others_;  ///< the same in the order of other lights
+  std::vector<PendingRows<std::int32_t>> pending_values_;  ///< of each attribute of the layout
+  PendingRows<std::uint32_t> pending_objects_;
+  std::map<std::uint32_t, PendingRows<std::uint8_t>> pending_seen_;  ///< by light
+  PendingRows<std::uint8_t> pending_hidden_;  ///< rows that are to be transparent, after all that
   device::Buffer<std::uint32_t> ids_, columns_;
   device::Buffer<std::uint8_t> bytes_;
   device::Buffer<std::int32_t> values_;

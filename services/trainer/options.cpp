@@ -45,6 +45,10 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("batch", batch, "views per optimizer step (0: one on the CPU, two on a GPU)", {0, 256});
   p.add("input_view_interval", input_view_interval,
         "reference views between two input pictures that are trained on; 0: train on none", {0, 1e6});
+  p.add("kept_view_interval", kept_view_interval,
+        "reference views between two pictures of where their cameras stood before, which are kept while the scene "
+        "stands still; 0: none are kept",
+        {0, 1e6});
   p.add("views_by_loss", views_by_loss, "skip views of low loss now and then; CPU only");
   p.add("pair_visibility", pair_visibility,
         "train a view only with the visibility of its own scene version; false: with the newest; transfer only");

@@ -79,6 +79,7 @@ struct Options {
   std::uint64_t run_until = 0;  ///< step at which to stop, 0: none
   int batch = 0;                ///< views a step, 0: as suits the optimizer
   int input_view_interval = 3;  ///< one input view after that many reference views, 0: none
+  int kept_view_interval = 1;   ///< one view of where cameras stood before after that many reference views, 0: none
   bool views_by_loss = true;    ///< views that have less to teach than others have fewer turns
   bool pair_visibility = true;  ///< Transfer: a view trains with its own scene version's visibility, or not at all
   bool antialias = true;

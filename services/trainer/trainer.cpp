@@ -52,6 +52,7 @@ Trainer::Trainer(bus::ServiceContext& service, StepMaker make_step)
 void Trainer::run() {
   const Options& options = *options_;
   with_depth_ = wants_depth(options);
+  views_.set_keeps(options.kept_view_interval > 0);
   subscribe();
   if (!stand_by()) return;
   open_store();

@@ -7,6 +7,7 @@
 #include <exception>
 #include <memory>
 #include <optional>
+#include <span>
 #include <stop_token>
 #include <thread>
 #include <vector>
@@ -89,6 +90,8 @@ class Trainer {
   void take(const StepReport& report);
   /// Waits for what is under way. Returns whether the structure changed.
   bool finish_steps();
+  /// Of the kept views those that show something else than these new pictures.
+  void drop_untrue(std::span<const TrainingViewPtr> pictures);
   void publish_due(bool structure_changed);
   void publish_stats(bool stopped);
 
@@ -104,7 +107,7 @@ class Trainer {
   ReferenceReader references_;
   InsertReader inserts_;
   bus::MemoryPool visibilities_;
-  std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0;
+  std::uint64_t lost_tensors_ = 0, dropped_rows_ = 0, refused_commands_ = 0, untrue_views_ = 0;
 
   std::unique_ptr<model::PageStore> store_;
   ViewerPlaces viewers_;

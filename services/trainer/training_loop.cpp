@@ -10,6 +10,7 @@
 
 #include "bus/clock.h"
 #include "bus/trace.h"
+#include "trainer/seen_through.h"
 #include "trainer/trainer.h"
 #include "trainer/world_bytes.h"
 #include "wire/model_generated.h"
@@ -76,6 +77,7 @@ void Trainer::optimize(const std::stop_token& stop) {
 void Trainer::optimize_once() {
   refresh_options();
   const Commands commands = commands_.take();
+  drop_untrue(commands.pictures);
   bool structure_changed = optimizer_->apply(commands, views_.versions());
   if (keeper_) {
     const std::uint64_t generation = store_->generation();
@@ -95,6 +97,21 @@ void Trainer::optimize_once() {
   }
 }
 
+void Trainer::drop_untrue(std::span<const TrainingViewPtr> pictures) {
+  for (const TrainingViewPtr& picture : pictures) {
+    if (picture->camera.role != CameraRole::Reference) continue;
+    const std::vector<TrainingViewPtr> kept = views_.kept_about(*picture);
+    if (kept.empty()) continue;
+    const auto seen = seen_through(device::thread_stream(picture->memory), *picture, kept);
+    std::vector<std::uint32_t> untrue;
+    for (std::size_t k = 0; k < kept.size(); ++k) {
+      if (seen[k].differs()) untrue.push_back(kept[k]->kept_number);
+    }
+    views_.drop_kept(untrue);
+    untrue_views_ += untrue.size();
+  }
+}
+
 bool Trainer::finish_steps() {
   const std::uint64_t generation = store_->generation();
   take(optimizer_->finish());
@@ -104,6 +121,7 @@ bool Trainer::finish_steps() {
 void Trainer::refresh_options() {
   if (!options_.refresh()) return;
   optimizer_->set_options(*options_);
+  views_.set_keeps(optimizer_->options().kept_view_interval > 0);
   pair_views();
   with_depth_ = wants_depth(optimizer_->options());
 }
@@ -130,7 +148,8 @@ void Trainer::take(const StepReport& report) {
 
 void Trainer::train_step() {
   const Options& options = optimizer_->options();
-  const auto batch = sampler_.next_batch(views_, options.batch, options.input_view_interval);
+  const auto batch = sampler_.next_batch(views_, options.batch,
+                                         {.input = options.input_view_interval, .kept = options.kept_view_interval});
   const bus::TracedWork work("train step", 0, batch.empty() ? 0 : batch.front()->scene.version);
   const std::uint64_t generation = store_->generation();
   take(optimizer_->step(batch));
@@ -166,6 +185,8 @@ void Trainer::publish_stats(bool stopped) {
   service_.counter("steps_per_s", progress_.steps_per_s());
   service_.counter("loss", progress_.loss());
   service_.counter("carved", static_cast<double>(optimizer_->carved()));
+  service_.counter("kept_views", static_cast<double>(views_.kept()));
+  service_.counter("untrue_views", static_cast<double>(untrue_views_));
   service_.counter("unpaired_views", static_cast<double>(views_.unpaired()));
   if (stopped) {
     service_.detail("stopped at step " + std::to_string(store_->step()));

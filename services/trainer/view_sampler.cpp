@@ -30,7 +30,9 @@ void ViewSampler::learn(const ViewKey& key, float loss, std::optional<float> act
   worth.to_teach = loss * (kRestingWorth + (1 - kRestingWorth) * worth.active_share);
 }
 
-void ViewSampler::leave_out(std::vector<ViewKey>& keys) {
+void ViewSampler::leave_out(Epoch& epoch) {
+  std::vector<ViewKey>& keys = epoch.left;
+  epoch.to_teach = 0;
   double sum = 0;
   std::size_t known = 0;
   for (const ViewKey& key : keys) {
@@ -41,6 +43,7 @@ void ViewSampler::leave_out(std::vector<ViewKey>& keys) {
   }
   if (known == 0) return;
   const auto mean = static_cast<float>(sum / static_cast<double>(known));
+  epoch.to_teach = mean;
   std::erase_if(keys, [&](const ViewKey& key) {
     const auto found = views_.find(key);
     if (found == views_.end()) return false;
@@ -52,6 +55,11 @@ void ViewSampler::leave_out(std::vector<ViewKey>& keys) {
   });
 }
 
+std::vector<ViewKey> ViewSampler::keys(const ViewStore& views, Kind kind) {
+  if (kind == Kind::Kept) return views.kept_keys();
+  return views.keys(kind == Kind::Input ? CameraRole::Input : CameraRole::Reference);
+}
+
 TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch) {
   for (int refills = 0;; ++refills) {
     while (!epoch.left.empty()) {
@@ -61,9 +69,9 @@ TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch) {
       if (view) return view;
     }
     if (refills == 2) return nullptr;
-    epoch.left = views.keys(epoch.role);
+    epoch.left = keys(views, epoch.kind);
     shuffle(epoch.left, random_);
-    if (refills == 0) leave_out(epoch.left);  // those that are left may have nothing to train on
+    if (refills == 0) leave_out(epoch);  // those that are left may have nothing to train on
   }
 }
 
@@ -77,23 +85,35 @@ std::vector<TrainingViewPtr> ViewSampler::draw_batch(const ViewStore& views, int
   return batch;
 }
 
-std::vector<TrainingViewPtr> ViewSampler::next_batch(const ViewStore& views, int size, int input_interval) {
-  const bool input_is_due = input_interval > 0 && references_since_input_ >= input_interval;
+float ViewSampler::kept_turns(int interval) const {
+  if (interval <= 0) return 0;
+  const bool known = kept_.to_teach > 0 && references_.to_teach > 0;
+  const float worth = known ? std::clamp(kept_.to_teach / references_.to_teach, kLeastTurns, 1.0F) : 1.0F;
+  return worth / static_cast<float>(interval);
+}
+
+std::vector<TrainingViewPtr> ViewSampler::next_batch(const ViewStore& views, int size, ViewIntervals intervals) {
+  if (kept_owed_ >= 1) {
+    kept_owed_ -= 1;
+    if (auto batch = draw_batch(views, size, kept_); !batch.empty()) return batch;
+  }
+  const bool input_is_due = intervals.input > 0 && references_since_input_ >= intervals.input;
   if (!input_is_due) {
     if (auto batch = draw_batch(views, size, references_); !batch.empty()) {
       ++references_since_input_;
+      kept_owed_ += kept_turns(intervals.kept);
       return batch;
     }
   }
   references_since_input_ = 0;
-  if (input_interval > 0) {
+  if (intervals.input > 0) {
     if (auto batch = draw_batch(views, size, inputs_); !batch.empty()) return batch;
   }
   return draw_batch(views, size, references_);
 }
 
-TrainingViewPtr ViewSampler::next(const ViewStore& views, int input_interval) {
-  auto batch = next_batch(views, 1, input_interval);
+TrainingViewPtr ViewSampler::next(const ViewStore& views, ViewIntervals intervals) {
+  auto batch = next_batch(views, 1, intervals);
   return batch.empty() ? nullptr : std::move(batch.front());
 }
 

@@ -10,12 +10,17 @@
 
 namespace splatbus::trainer {
 
+/// Batches of what reference cameras see now between two of another kind; 0: none of that kind.
+struct ViewIntervals {
+  int input = 0, kept = 0;
+};
+
 /// Which views are trained when: epochs over the reference cameras, each in an order of its own, from which those are
-/// left out now and then that have less to teach than the mean, down to every fourth time; and one input camera after
-/// every `input_interval` reference views (docs/decisions/0073-training-defaults.md). Without reference
-/// cameras, input cameras only. A batch of several views is of one kind, for pictures of one size are trained at once;
-/// one of input cameras then comes after every `input_interval` batches of reference views. The same seed, cameras and
-/// calls give the same choice.
+/// left out now and then that have less to teach than the mean, down to every fourth time; after every so many of them
+/// one input camera (docs/decisions/0073-training-defaults.md), and one view that is kept of a place nearby, or
+/// more seldom where what is seen now has more to teach (0134-kept-views.md). Without reference cameras, input cameras
+/// only. A batch of several views is of one kind, for pictures of one size are trained at once; intervals then are
+/// batches. The same seed, cameras and calls give the same choice.
 class ViewSampler {
  public:
   explicit ViewSampler(std::uint64_t seed);
@@ -26,16 +31,19 @@ class ViewSampler {
   /// All views are worth the same from now on.
   void forget() { views_.clear(); }
 
-  /// The next views, at most `size`; none when there are none. `input_interval` 0: no input cameras.
-  [[nodiscard]] std::vector<TrainingViewPtr> next_batch(const ViewStore& views, int size, int input_interval);
+  /// The next views, at most `size`; none when there are none.
+  [[nodiscard]] std::vector<TrainingViewPtr> next_batch(const ViewStore& views, int size, ViewIntervals intervals);
   /// A batch of one; null when there is none.
-  [[nodiscard]] TrainingViewPtr next(const ViewStore& views, int input_interval);
+  [[nodiscard]] TrainingViewPtr next(const ViewStore& views, ViewIntervals intervals);
 
  private:
+  enum class Kind : std::uint8_t { Reference, Input, Kept };
   struct Epoch {
-    CameraRole role;
-    std::vector<ViewKey> left;
+    Kind kind;
+    std::vector<ViewKey> left{};
+    float to_teach = 0;  ///< mean of its views; 0: nobody knows
   };
+  static std::vector<ViewKey> keys(const ViewStore& views, Kind kind);
   TrainingViewPtr draw(const ViewStore& views, Epoch& epoch);
   std::vector<TrainingViewPtr> draw_batch(const ViewStore& views, int size, Epoch& epoch);
 
@@ -43,13 +51,17 @@ class ViewSampler {
     float to_teach = 0, active_share = 1;
     float turns = 0;  ///< that it is owed, below 1
   };
-  void leave_out(std::vector<ViewKey>& keys);
+  void leave_out(Epoch& epoch);
+  /// Turns of kept views that a reference view's is worth.
+  [[nodiscard]] float kept_turns(int interval) const;
 
   std::map<ViewKey, Worth> views_;
   std::mt19937_64 random_;
-  Epoch references_{.role = CameraRole::Reference, .left = {}};
-  Epoch inputs_{.role = CameraRole::Input, .left = {}};
+  Epoch references_{.kind = Kind::Reference};
+  Epoch inputs_{.kind = Kind::Input};
+  Epoch kept_{.kind = Kind::Kept};
   int references_since_input_ = 0;
+  float kept_owed_ = 0;  ///< turns
 };
 
 }  // namespace splatbus::trainer

@@ -5,6 +5,15 @@
 
 namespace splatbus::trainer {
 
+namespace {
+
+/// Of a reference camera: what is farther off shows hardly anything of where it stands.
+constexpr float kKeptReach_m = 15;
+/// Views that a new one is held against: all of a place have their turn within a second or two.
+constexpr std::size_t kKeptAtOnce = 16;
+
+}  // namespace
+
 ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
 
 bool ViewStore::is_paired(const TrainingView& view) const {
@@ -20,6 +29,18 @@ void ViewStore::replace(TrainingViewPtr& old, TrainingViewPtr view) {
   old = std::move(view);
 }
 
+void ViewStore::keep_before(const Entry& entry, const TrainingView& newer) {
+  if (!keeps_ || newer.camera.role != CameraRole::Reference) return;
+  kept_.see(newer);
+  if (entry.view && same_kind(*entry.view, newer)) kept_.keep(*entry.view);
+}
+
+void ViewStore::set_keeps(bool keeps) {
+  const std::scoped_lock lock(mutex_);
+  keeps_ = keeps;
+  if (!keeps) kept_.clear();
+}
+
 void ViewStore::put(TrainingViewPtr view) {
   const ViewKey key = key_of(*view);
   const std::scoped_lock lock(mutex_);
@@ -28,6 +49,7 @@ void ViewStore::put(TrainingViewPtr view) {
   if (is_new) ++cameras_version_;
   if (entry.waiting && !entry.waits_again) ++unpaired_;
   const bool paired = is_paired(*view);
+  if (paired) keep_before(entry, *view);
   replace(entry.waiting, paired ? nullptr : view);
   entry.waits_again = false;
   if (paired) replace(entry.view, std::move(view));
@@ -97,6 +119,10 @@ void ViewStore::retire(const ViewKey& key) {
 
 TrainingViewPtr ViewStore::find(const ViewKey& key) const {
   const std::scoped_lock lock(mutex_);
+  if (key.kept_number != 0) {
+    TrainingViewPtr kept = kept_.find(key);
+    return kept && is_paired(*kept) ? kept : nullptr;
+  }
   const auto found = views_.find(key);
   return found == views_.end() ? nullptr : found->second.view;
 }
@@ -110,6 +136,25 @@ std::vector<ViewKey> ViewStore::keys(CameraRole role) const {
   return keys;
 }
 
+std::vector<ViewKey> ViewStore::kept_keys() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<Camera> cameras;
+  for (const auto& [key, entry] : views_) {
+    if (key.role == CameraRole::Reference && entry.view) cameras.push_back(entry.view->camera);
+  }
+  return kept_.keys(cameras, kKeptReach_m);
+}
+
+std::vector<TrainingViewPtr> ViewStore::kept_about(const TrainingView& view) {
+  const std::scoped_lock lock(mutex_);
+  return kept_.some_about(view.camera, kKeptReach_m, kKeptAtOnce);
+}
+
+void ViewStore::drop_kept(std::span<const std::uint32_t> numbers) {
+  const std::scoped_lock lock(mutex_);
+  kept_.drop(numbers);
+}
+
 bool ViewStore::any_to_train(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
   return std::any_of(views_.begin(), views_.end(),
@@ -120,6 +165,11 @@ std::size_t ViewStore::count(CameraRole role) const {
   const std::scoped_lock lock(mutex_);
   return static_cast<std::size_t>(
       std::count_if(views_.begin(), views_.end(), [&](const auto& view) { return view.first.role == role; }));
+}
+
+std::size_t ViewStore::kept() const {
+  const std::scoped_lock lock(mutex_);
+  return kept_.count();
 }
 
 std::size_t ViewStore::bytes() const {

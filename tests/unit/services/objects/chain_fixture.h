@@ -54,7 +54,7 @@ class TrainerHere {
     subscriber_.dispatch_all(0ms, 256);
     const trainer::Commands commands = std::exchange(commands_, {});
     const bool changed = optimizer_.apply(commands);
-    optimizer_.step(sampler_.next_batch(views_, 1, options_.input_view_interval));
+    optimizer_.step(sampler_.next_batch(views_, 1, {.input = options_.input_view_interval}));
     if (changed || !commands.inserts.empty()) optimizer_.publish(publisher_);
   }
 

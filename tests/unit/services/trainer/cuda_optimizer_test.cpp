@@ -120,7 +120,7 @@ TEST_F(CudaOptimizerTest, PruningComesWhileSteppingToo) {
   ViewStore views;
   for (const auto& view : scene_.views()) views.put(placed(*view, Device::Cuda));
   ViewSampler sampler(3);
-  for (int i = 0; i < 30; ++i) s.optimizer().step(sampler.next_batch(views, 1, 0));
+  for (int i = 0; i < 30; ++i) s.optimizer().step(sampler.next_batch(views, 1, {}));
   EXPECT_EQ(s.store().count(), before - 2);
   s.optimizer().finish();
 }

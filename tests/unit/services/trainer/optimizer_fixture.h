@@ -76,7 +76,7 @@ class Trial {
   double train(int steps) {
     StepReport sum;
     for (int i = 0; i < steps; ++i) {
-      sum += optimizer_->step(sampler_.next_batch(views_, optimizer_->options().batch, 0));
+      sum += optimizer_->step(sampler_.next_batch(views_, optimizer_->options().batch, {}));
     }
     sum += optimizer_->finish();
     EXPECT_EQ(sum.steps, static_cast<std::size_t>(steps));

@@ -20,6 +20,7 @@
 #include "wire/capture_generated.h"
 #include "wire/convert.h"
 #include "wire/model_generated.h"
+#include "wire/system_generated.h"
 
 namespace splatbus::trainer {
 
@@ -34,7 +35,7 @@ class TrainerTest : public bus_test::BusTest {
  protected:
   TrainerTest()
       : peer_(connect("peer")),
-        subscriber_(peer_, {"model/published", "trainer/stats"}),
+        subscriber_(peer_, {"model/published", "trainer/stats", "sys/heartbeat"}),
         publisher_(peer_),
         ring_(std::make_unique<bus::TensorRing>(peer_, "pictures", 32)) {
     set("threads", "1", false);
@@ -98,6 +99,16 @@ class TrainerTest : public bus_test::BusTest {
   const wire::TrainerStats* stats() {
     const auto found = newest_.find("trainer/stats");
     return found == newest_.end() ? nullptr : &found->second.root<wire::TrainerStats>();
+  }
+  /// Of the trainer's newest heartbeat.
+  std::optional<double> counter(const std::string& name) {
+    const auto found = newest_.find("sys/heartbeat");
+    if (found == newest_.end()) return {};
+    const auto* const counters = found->second.root<wire::Heartbeat>().counters();
+    for (const wire::Counter* one : *counters) {
+      if (one->name()->str() == name) return one->value();
+    }
+    return {};
   }
   bool holds(std::uint64_t batch) {
     const auto* model = published();

@@ -63,7 +63,7 @@ TEST(ViewSampler, TakesOneInputViewAfterThreeReferences) {
   for (std::uint32_t id = 0; id < 40; ++id) store.put(make_view(CameraRole::Input, id));
   ViewSampler sampler(7);
   std::map<CameraRole, int> drawn;
-  for (int i = 0; i < 400; ++i) ++drawn[sampler.next(store, 3)->camera.role];
+  for (int i = 0; i < 400; ++i) ++drawn[sampler.next(store, {.input = 3})->camera.role];
   EXPECT_EQ(drawn[CameraRole::Reference], 300);
   EXPECT_EQ(drawn[CameraRole::Input], 100);
 }
@@ -75,13 +75,13 @@ TEST(ViewSampler, BatchesAreOfOneKind) {
   ViewSampler sampler(7);
   std::string kinds;
   for (int i = 0; i < 8; ++i) {
-    const auto batch = sampler.next_batch(store, 4, 3);
+    const auto batch = sampler.next_batch(store, 4, {.input = 3});
     ASSERT_EQ(batch.size(), 4U);
     for (const auto& view : batch) EXPECT_EQ(view->camera.role, batch.front()->camera.role);
     kinds += batch.front()->camera.role == CameraRole::Input ? 'i' : 'r';
   }
   EXPECT_EQ(kinds, "rrrirrri");
-  EXPECT_TRUE(sampler.next_batch(ViewStore(), 4, 3).empty());
+  EXPECT_TRUE(sampler.next_batch(ViewStore(), 4, {.input = 3}).empty());
 }
 
 TEST(ViewSampler, VisitsEveryReferenceOnceAnEpochInChangingOrder) {
@@ -91,7 +91,7 @@ TEST(ViewSampler, VisitsEveryReferenceOnceAnEpochInChangingOrder) {
   std::set<std::vector<std::uint32_t>> orders;
   for (int epoch = 0; epoch < 5; ++epoch) {
     std::vector<std::uint32_t> order;
-    for (int i = 0; i < 10; ++i) order.push_back(sampler.next(store, 0)->camera.id);
+    for (int i = 0; i < 10; ++i) order.push_back(sampler.next(store, {.input = 0})->camera.id);
     orders.insert(order);
     EXPECT_EQ(std::set<std::uint32_t>(order.begin(), order.end()).size(), 10U);
   }
@@ -106,9 +106,9 @@ TEST(ViewSampler, IsTheSameForTheSameSeed) {
   ViewSampler c(4);
   int differing = 0;
   for (int i = 0; i < 50; ++i) {
-    const auto id = a.next(store, 0)->camera.id;
-    EXPECT_EQ(id, b.next(store, 0)->camera.id);
-    differing += id == c.next(store, 0)->camera.id ? 0 : 1;
+    const auto id = a.next(store, {.input = 0})->camera.id;
+    EXPECT_EQ(id, b.next(store, {.input = 0})->camera.id);
+    differing += id == c.next(store, {.input = 0})->camera.id ? 0 : 1;
   }
   EXPECT_GT(differing, 10);
 }
@@ -116,13 +116,13 @@ TEST(ViewSampler, IsTheSameForTheSameSeed) {
 TEST(ViewSampler, MakesDoWithWhatIsThere) {
   ViewStore store;
   ViewSampler sampler(1);
-  EXPECT_EQ(sampler.next(store, 3), nullptr);
+  EXPECT_EQ(sampler.next(store, {.input = 3}), nullptr);
   store.put(make_view(CameraRole::Input, 5));
-  EXPECT_EQ(sampler.next(store, 0), nullptr);
-  EXPECT_EQ(sampler.next(store, 3)->camera.id, 5U);
+  EXPECT_EQ(sampler.next(store, {.input = 0}), nullptr);
+  EXPECT_EQ(sampler.next(store, {.input = 3})->camera.id, 5U);
   store.put(make_view(CameraRole::Reference, 6));
   store.retire({.role = CameraRole::Input, .id = 5});
-  for (int i = 0; i < 8; ++i) EXPECT_EQ(sampler.next(store, 3)->camera.id, 6U);
+  for (int i = 0; i < 8; ++i) EXPECT_EQ(sampler.next(store, {.input = 3})->camera.id, 6U);
 }
 
 TEST(ViewSampler, AViewWithLessToTeachHasFewerTurnsAndAtLeastAFourth) {
@@ -135,7 +135,7 @@ TEST(ViewSampler, AViewWithLessToTeachHasFewerTurnsAndAtLeastAFourth) {
   std::map<std::uint32_t, int> drawn;
   std::map<std::uint32_t, int> last;
   for (int i = 0; i < 485; ++i) {
-    const std::uint32_t id = sampler.next(store, 0)->camera.id;
+    const std::uint32_t id = sampler.next(store, {.input = 0})->camera.id;
     ++drawn[id];
     EXPECT_LE(i - std::exchange(last[id], i), 4 * 6) << id;
   }
@@ -145,13 +145,13 @@ TEST(ViewSampler, AViewWithLessToTeachHasFewerTurnsAndAtLeastAFourth) {
 
   sampler.learn({.role = CameraRole::Reference, .id = 2}, 0.1F, 0);
   drawn.clear();
-  for (int i = 0; i < 485; ++i) ++drawn[sampler.next(store, 0)->camera.id];
+  for (int i = 0; i < 485; ++i) ++drawn[sampler.next(store, {.input = 0})->camera.id];
   EXPECT_LT(drawn[2], 40);
   EXPECT_GT(drawn[2], 20);
 
   sampler.forget();
   std::set<std::uint32_t> all;
-  for (int i = 0; i < 18; ++i) all.insert(sampler.next(store, 0)->camera.id);
+  for (int i = 0; i < 18; ++i) all.insert(sampler.next(store, {.input = 0})->camera.id);
   EXPECT_EQ(all.size(), 6U);
 }
 
@@ -164,7 +164,7 @@ TEST(ViewSampler, WhereThoseWhoseTurnItIsHaveNoPictureOthersHaveIt) {
   sampler.learn({.role = CameraRole::Reference, .id = 1}, 1, 1);
   sampler.learn({.role = CameraRole::Reference, .id = 2}, 0.01F, 1);
   for (int i = 0; i < 9; ++i) {
-    const auto view = sampler.next(store, 0);
+    const auto view = sampler.next(store, {.input = 0});
     ASSERT_NE(view, nullptr);
     EXPECT_EQ(view->camera.id, 2U);
   }
@@ -254,11 +254,11 @@ TEST(ViewSampler, SkipsCamerasThatRetiredWithinAnEpoch) {
   ViewStore store;
   for (std::uint32_t id = 0; id < 4; ++id) store.put(make_view(CameraRole::Reference, id));
   ViewSampler sampler(1);
-  const auto first = sampler.next(store, 0)->camera.id;
+  const auto first = sampler.next(store, {.input = 0})->camera.id;
   for (std::uint32_t id = 0; id < 4; ++id) {
     if (id != first) store.retire({.role = CameraRole::Reference, .id = id});
   }
-  EXPECT_EQ(sampler.next(store, 0)->camera.id, first);
+  EXPECT_EQ(sampler.next(store, {.input = 0})->camera.id, first);
 }
 
 }  // namespace
