@@ -22,8 +22,9 @@ const T* on_device(device::Buffer<T>& buffer, const std::vector<T>& host) {
 
 /// Of whose bytes an opacity logit of -1574 is made: rows of it are not seen.
 constexpr int kTransparentByte = 0xC4;
-constexpr std::uint32_t kTransparent = 0xC4C4C4C4;
-constexpr std::uint8_t kHidden[] = {1};
+constexpr std::uint32_t kTransparent = 0x01010101U * kTransparentByte;
+/// Changes as large as that are worth calls of their own; as much may be pending.
+constexpr std::size_t kManyBytes = std::size_t{1} << 21;
 
 }  // namespace
 
@@ -100,22 +101,32 @@ void DisplayGaussians::apply(const DisplayRows& change) {
   }
 }
 
-template <class T>
-void DisplayGaussians::add(PendingRows<T>& pending, const std::vector<std::uint32_t>& rows, std::span<const T> values) {
-  if (pending.any_of(rows)) flush();
+template <class T, class Write>
+void DisplayGaussians::gather(PendingRows<T>& pending, const std::vector<std::uint32_t>& rows,
+                              const std::vector<T>& values, Write&& write) {
+  const std::size_t bytes = rows.size() * sizeof(std::uint32_t) + values.size() * sizeof(T);
+  const bool many = bytes >= kManyBytes;
+  if (many || pending_bytes_ + bytes > kManyBytes || pending.any_of(rows)) flush();
+  if (many) {
+    write(rows, values);
+    stream_.wait();
+    return;
+  }
   pending.add(rows, values);
+  pending_bytes_ += bytes;
 }
 
 void DisplayGaussians::apply(const DisplayValues& change) {
   const AttributeChannels& a = layout_.at(change.attribute);
   assert(change.values.size() == static_cast<std::size_t>(a.channels) * change.rows.size());
   if (change.attribute == Attribute::Opacity && pending_hidden_.any_of(change.rows)) flush();
-  add<std::int32_t>(pending_values_[static_cast<std::size_t>(&a - layout_.attributes().data())], change.rows,
-                    change.values);
+  gather(pending_values_[static_cast<std::size_t>(&a - layout_.attributes().data())], change.rows, change.values,
+         [&](const auto& rows, const auto& values) { write_values(a, rows, values); });
 }
 
 void DisplayGaussians::apply(const DisplayObjects& change) {
-  add<std::uint32_t>(pending_objects_, change.rows, change.object_ids);
+  gather(pending_objects_, change.rows, change.object_ids,
+         [this](const auto& rows, const auto& ids) { write_objects(rows, ids); });
 }
 
 void DisplayGaussians::apply(const DisplayBlocks& change) {
@@ -129,8 +140,8 @@ void DisplayGaussians::apply(const DisplayBlocks& change) {
   }
   for (const auto& [block, shown] : before) {
     for (std::uint32_t row = block_counts_[block]; row < shown; ++row) {
-      const std::uint32_t hidden[] = {block * kBlockRows + row};
-      if (!pending_hidden_.any_of(hidden)) pending_hidden_.add(hidden, std::span<const std::uint8_t>(kHidden));
+      const std::uint32_t hidden[] = {block * kBlockRows + row}, opacity[] = {kTransparent};
+      if (!pending_hidden_.any_of(hidden)) pending_hidden_.add(hidden, opacity);
     }
   }
 }
@@ -178,49 +189,55 @@ void DisplayGaussians::apply(const DisplayLights& change) {
 }
 
 void DisplayGaussians::apply(const DisplaySeen& change) {
-  add<std::uint8_t>(pending_seen(change.light_id), change.rows, change.values);
+  gather(pending_seen_.try_emplace(change.light_id).first->second, change.rows, change.values,
+         [&](const auto& rows, const auto& seen) { write_seen(change.light_id, rows, seen); });
 }
 
 void DisplayGaussians::flush() {
   // The device may read them until it is waited for.
   std::vector<std::vector<std::int32_t>> values;
-  std::vector<std::vector<std::uint8_t>> seen;
+  std::vector<Bytes> seen;
   for (std::size_t k = 0; k < pending_values_.size(); ++k) {
-    if (!pending_values_[k].empty())
-      write(layout_.attributes()[k], pending_values_[k], values.emplace_back(pending_values_[k].values()));
+    const auto& pending = pending_values_[k];
+    if (!pending.empty()) write_values(layout_.attributes()[k], pending.rows(), values.emplace_back(pending.values()));
   }
-  const std::vector<std::uint32_t> objects = pending_objects_.values();
-  if (!pending_objects_.empty()) {
-    kernels::scatter(on_device(ids_, objects), on_device(columns_, pending_objects_.rows()),
-                     static_cast<std::uint32_t>(objects.size()), object_id_.data(), stream_);
-  }
+  const std::vector<std::uint32_t> objects = pending_objects_.values(), hidden = pending_hidden_.values();
+  if (!objects.empty()) write_objects(pending_objects_.rows(), objects);
   for (const auto& [light_id, pending] : pending_seen_) {
-    if (pending.empty()) continue;
-    kernels::scatter(on_device(bytes_, seen.emplace_back(pending.values())), on_device(columns_, pending.rows()),
-                     static_cast<std::uint32_t>(pending.rows().size()), seen_row(light_id), stream_);
+    if (!pending.empty()) write_seen(light_id, pending.rows(), seen.emplace_back(pending.values()));
   }
-  const std::vector<std::uint32_t> transparent(pending_hidden_.rows().size(), kTransparent);
-  if (!pending_hidden_.empty()) {
+  if (!hidden.empty()) {
     auto* const opacity = reinterpret_cast<std::uint32_t*>(row(row_of(Attribute::Opacity)));
-    kernels::scatter(on_device(ids_, transparent), on_device(columns_, pending_hidden_.rows()),
-                     static_cast<std::uint32_t>(transparent.size()), opacity, stream_);
+    kernels::scatter(on_device(ids_, hidden), on_device(columns_, pending_hidden_.rows()),
+                     static_cast<std::uint32_t>(hidden.size()), opacity, stream_);
   }
   stream_.wait();
   for (auto& pending : pending_values_) pending.clear();
   pending_objects_.clear();
   for (auto& [light_id, pending] : pending_seen_) pending.clear();
   pending_hidden_.clear();
+  pending_bytes_ = 0;
 }
 
-void DisplayGaussians::write(const AttributeChannels& attribute, const PendingRows<std::int32_t>& pending,
-                             const std::vector<std::int32_t>& values) {
+void DisplayGaussians::write_values(const AttributeChannels& attribute, const std::vector<std::uint32_t>& rows,
+                                    const std::vector<std::int32_t>& values) {
   kernels::dequantize({.offset = attribute.quantizer.offset,
                        .step = attribute.quantizer.step,
                        .kind = coding_of(attribute.attribute),
                        .channels = attribute.channels,
                        .row = row_of(attribute.attribute)},
-                      on_device(values_, values), on_device(columns_, pending.rows()),
-                      static_cast<std::uint32_t>(pending.rows().size()), rows_.data(), stride_, stream_);
+                      on_device(values_, values), on_device(columns_, rows), static_cast<std::uint32_t>(rows.size()),
+                      rows_.data(), stride_, stream_);
+}
+
+void DisplayGaussians::write_objects(const std::vector<std::uint32_t>& rows, const std::vector<std::uint32_t>& ids) {
+  kernels::scatter(on_device(ids_, ids), on_device(columns_, rows), static_cast<std::uint32_t>(rows.size()),
+                   object_id_.data(), stream_);
+}
+
+void DisplayGaussians::write_seen(std::uint32_t light_id, const std::vector<std::uint32_t>& rows, const Bytes& seen) {
+  kernels::scatter(on_device(bytes_, seen), on_device(columns_, rows), static_cast<std::uint32_t>(rows.size()),
+                   seen_row(light_id), stream_);
 }
 
 GaussiansView DisplayGaussians::view() const {

@@ -13,7 +13,7 @@
 namespace splatbus::stream {
 
 /// The floats that a rasterizer reads, in the memory of a stream's device: only what changes goes there, the changes of
-/// many pages at a time, for a device that others use as well lets each of its calls wait. Rows grow by doubling, so
+/// many pages at a time, for a device that others use as well lets each call wait. Rows grow by doubling, so
 /// that a model which arrives page by page is not copied once a page. One thread, any. Each call has been done when it
 /// returns. Throws std::runtime_error when the device fails.
 class DisplayGaussians {
@@ -43,15 +43,17 @@ class DisplayGaussians {
   void apply(const DisplayLights& change);
   void apply(const DisplaySeen& change);
   void reserve(std::size_t rows);
-  template <class T>
-  void add(PendingRows<T>& pending, const std::vector<std::uint32_t>& rows, std::span<const T> values);
-  [[nodiscard]] PendingRows<std::uint8_t>& pending_seen(std::uint32_t light_id) {
-    return pending_seen_.try_emplace(light_id).first->second;
-  }
+  /// Adds to what is pending, or, where that is much, writes it at once. `write(rows, values)` does.
+  template <class T, class Write>
+  void gather(PendingRows<T>& pending, const std::vector<std::uint32_t>& rows, const std::vector<T>& values,
+              Write&& write);
   /// Writes what is pending.
   void flush();
-  void write(const AttributeChannels& attribute, const PendingRows<std::int32_t>& pending,
-             const std::vector<std::int32_t>& values);
+  // To be waited for before their arguments go.
+  void write_values(const AttributeChannels& attribute, const std::vector<std::uint32_t>& rows,
+                    const std::vector<std::int32_t>& values);
+  void write_objects(const std::vector<std::uint32_t>& rows, const std::vector<std::uint32_t>& ids);
+  void write_seen(std::uint32_t light_id, const std::vector<std::uint32_t>& rows, const Bytes& seen);
   void list_ranges();
   [[nodiscard]] int row_of(Attribute attribute) const;
   /// Rows for `ids` in `to`, [1 + ids][stride], from what is seen now.
@@ -73,7 +75,8 @@ class DisplayGaussians {
   std::vector<PendingRows<std::int32_t>> pending_values_;  ///< of each attribute of the layout
   PendingRows<std::uint32_t> pending_objects_;
   std::map<std::uint32_t, PendingRows<std::uint8_t>> pending_seen_;  ///< by light
-  PendingRows<std::uint8_t> pending_hidden_;  ///< rows that are to be transparent, after all that
+  PendingRows<std::uint32_t> pending_hidden_;                        ///< opacity of rows of nobody, after all that
+  std::size_t pending_bytes_ = 0;
   device::Buffer<std::uint32_t> ids_, columns_;
   device::Buffer<std::uint8_t> bytes_;
   device::Buffer<std::int32_t> values_;

@@ -2,96 +2,129 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
+#include <ranges>
+#include <utility>
 
 namespace splatbus::trainer {
 
 namespace {
 
+/// Who tells views apart by their cameras is to tell these from what the camera sees now.
+constexpr std::uint32_t kKeptIds = 1U << 31U;
+
 const glm::vec3& place_of(const Camera& camera) {
   return camera.world_from_camera.translation;
+}
+
+float distance_m(const Camera& a, const Camera& b) {
+  return glm::distance(place_of(a), place_of(b));
 }
 
 float turned_radians(const Camera& a, const Camera& b) {
   return 2 * std::acos(std::min(1.0F, std::abs(glm::dot(a.world_from_camera.rotation, b.world_from_camera.rotation))));
 }
 
+/// Tangents of half the picture's height, one in the other.
+float zoom(const Camera& a, const Camera& b) {
+  const float ratio = static_cast<float>(a.height) / a.fy / (static_cast<float>(b.height) / b.fy);
+  return std::max(ratio, 1 / ratio);
+}
+
 }  // namespace
 
-bool same_kind(const TrainingView& a, const TrainingView& b) {
-  return a.scene.version == b.scene.version && a.camera.width == b.camera.width && a.camera.height == b.camera.height;
-}
-
 bool KeptViews::show_the_same(const Camera& a, const Camera& b) const {
-  return glm::distance(place_of(a), place_of(b)) < limits_.apart_m && turned_radians(a, b) < limits_.apart_radians;
+  return distance_m(a, b) < limits_.apart_m && turned_radians(a, b) < limits_.apart_radians &&
+         zoom(a, b) < limits_.apart_zoom;
 }
 
-void KeptViews::keep(const TrainingView& view) {
-  const auto shows_it = [&](const auto& kept) { return show_the_same(kept.second->camera, view.camera); };
-  if (view.depth.empty() || view.bytes() > limits_.bytes || std::ranges::any_of(views_, shows_it)) return;
-  make_room(view);
+KeptViews::Views::iterator KeptViews::take_out(Views::iterator at, std::vector<TrainingViewPtr>& gone) {
+  bytes_ -= at->second.view->bytes();
+  gone.push_back(std::move(at->second.view));
+  return views_.erase(at);
+}
+
+KeptViews::Views::iterator KeptViews::farthest(std::span<const Camera> cameras) {
+  return std::ranges::max_element(views_, {}, [&](const auto& kept) {
+    float nearest_m = std::numeric_limits<float>::infinity();
+    for (const Camera& camera : cameras) nearest_m = std::min(nearest_m, distance_m(camera, kept.second.view->camera));
+    return nearest_m;
+  });
+}
+
+std::vector<TrainingViewPtr> KeptViews::keep(const TrainingView& view, std::span<const Camera> cameras) {
+  std::vector<TrainingViewPtr> gone;
+  if (view.scene.version != scene_version_ || view.depth.empty() || view.bytes() > limits_.bytes) return gone;
+  const auto now = Clock::now();
+  const auto same = std::ranges::find_if(
+      views_, [&](const auto& kept) { return show_the_same(kept.second.view->camera, view.camera); });
+  if (same != views_.end()) {
+    if (now - same->second.since < limits_.lasts) return gone;
+    take_out(same, gone);
+  }
+  while (!views_.empty() && (views_.size() >= limits_.views || bytes_ + view.bytes() > limits_.bytes)) {
+    take_out(farthest(cameras), gone);
+  }
   TrainingView kept = view;
   kept.kept_number = ++numbers_;
+  kept.camera.id = kKeptIds | kept.kept_number;
   bytes_ += kept.bytes();
-  views_.emplace(kept.kept_number, std::make_shared<const TrainingView>(std::move(kept)));
+  views_.emplace(kept.kept_number, Kept{.view = std::make_shared<const TrainingView>(std::move(kept)), .since = now});
+  return gone;
 }
 
-void KeptViews::make_room(const TrainingView& view) {
-  const auto distance_m = [&](const auto& kept) {
-    return glm::distance(place_of(kept.second->camera), place_of(view.camera));
-  };
-  while (!views_.empty() && (views_.size() >= limits_.views || bytes_ + view.bytes() > limits_.bytes)) {
-    const auto farthest = std::ranges::max_element(views_, {}, distance_m);
-    bytes_ -= farthest->second->bytes();
-    views_.erase(farthest);
-  }
+std::vector<TrainingViewPtr> KeptViews::see(std::uint64_t scene_version) {
+  if (scene_version <= scene_version_) return {};
+  scene_version_ = scene_version;
+  return clear();
 }
 
-void KeptViews::see(const TrainingView& newer) {
-  if (!views_.empty() && !same_kind(*views_.begin()->second, newer)) clear();
+std::vector<TrainingViewPtr> KeptViews::clear() {
+  std::vector<TrainingViewPtr> gone;
+  for (auto at = views_.begin(); at != views_.end();) at = take_out(at, gone);
+  return gone;
 }
 
-void KeptViews::clear() {
-  views_.clear();
-  bytes_ = 0;
-}
-
-void KeptViews::drop(std::span<const std::uint32_t> numbers) {
+std::vector<TrainingViewPtr> KeptViews::drop(std::span<const std::uint32_t> numbers) {
+  std::vector<TrainingViewPtr> gone;
   for (const std::uint32_t number : numbers) {
-    const auto found = views_.find(number);
-    if (found == views_.end()) continue;
-    bytes_ -= found->second->bytes();
-    views_.erase(found);
+    if (const auto found = views_.find(number); found != views_.end()) take_out(found, gone);
   }
+  return gone;
 }
 
-std::vector<TrainingViewPtr> KeptViews::some_about(const Camera& camera, float reach_m, std::size_t most) {
+std::vector<TrainingViewPtr> KeptViews::some_about(const TrainingView& view, float reach_m, std::size_t most) {
+  if (view.scene.version != scene_version_) return {};
+  std::vector<Kept*> about;
+  for (auto& [number, kept] : views_) {
+    if (distance_m(kept.view->camera, view.camera) <= reach_m) about.push_back(&kept);
+  }
+  std::ranges::stable_sort(about, {}, &Kept::asked);
+  ++asked_;
   std::vector<TrainingViewPtr> some;
-  auto at = views_.upper_bound(last_given_);
-  for (std::size_t looked = 0; looked < views_.size() && some.size() < most; ++looked, ++at) {
-    if (at == views_.end()) at = views_.begin();
-    if (glm::distance(place_of(at->second->camera), place_of(camera)) > reach_m) continue;
-    some.push_back(at->second);
-    last_given_ = at->first;
+  for (Kept* const kept : about | std::views::take(most)) {
+    kept->asked = asked_;
+    some.push_back(kept->view);
   }
   return some;
 }
 
 std::vector<ViewKey> KeptViews::keys(std::span<const Camera> cameras, float reach_m) const {
   std::vector<ViewKey> keys;
-  for (const auto& [number, view] : views_) {
-    const Camera& kept = view->camera;
-    const bool near = std::ranges::any_of(
-        cameras, [&](const Camera& camera) { return glm::distance(place_of(camera), place_of(kept)) <= reach_m; });
+  for (const auto& [number, one] : views_) {
+    const Camera& kept = one.view->camera;
+    const bool near =
+        std::ranges::any_of(cameras, [&](const Camera& camera) { return distance_m(camera, kept) <= reach_m; });
     const bool shown = std::ranges::any_of(cameras, [&](const Camera& camera) { return show_the_same(camera, kept); });
-    if (near && !shown) keys.push_back(key_of(*view));
+    if (near && !shown) keys.push_back(key_of(*one.view));
   }
   return keys;
 }
 
 TrainingViewPtr KeptViews::find(const ViewKey& key) const {
   const auto found = views_.find(key.kept_number);
-  return found == views_.end() ? nullptr : found->second;
+  return found == views_.end() ? nullptr : found->second.view;
 }
 
 }  // namespace splatbus::trainer

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -10,46 +11,57 @@
 
 namespace splatbus::trainer {
 
-/// Whether two views show the same state of the scene in pictures of one size.
-[[nodiscard]] bool same_kind(const TrainingView& a, const TrainingView& b);
-
 /// Pictures that reference cameras had of where they stood before, as far as the scene is still as they show it: what a
-/// viewer has walked past goes on being learned (docs/decisions/0134-kept-views.md). All of one scene version and one
-/// size; about one for each place and direction. Not thread-safe.
+/// viewer has walked past goes on being learned (docs/decisions/0134-kept-views.md). All of one scene version; about
+/// one for each place and direction. Not thread-safe. What goes is handed back, so that its memory is not freed under
+/// the owner's lock.
 class KeptViews {
  public:
   struct Limits {
     std::size_t views = 512, bytes = std::size_t{512} << 20;
-    /// A view nearer than this to one that is kept, and turned less, shows nothing else.
-    float apart_m = 1, apart_radians = 0.5F;
+    /// A view nearer than this to one that is kept, turned less and as wide, shows nothing else.
+    float apart_m = 1, apart_radians = 0.5F, apart_zoom = 1.25F;
+    /// Then it takes the other's place: what has changed in colour alone is nobody's version.
+    std::chrono::seconds lasts{30};
   };
 
   KeptViews() = default;
   explicit KeptViews(const Limits& limits) : limits_(limits) {}
 
-  /// Of the kind of those that are there. Where there is no room for it, the one farthest from it goes.
-  void keep(const TrainingView& view);
-  /// All go when they are not of the kind of this newer view.
-  void see(const TrainingView& newer);
-  void clear();
-  void drop(std::span<const std::uint32_t> numbers);
+  /// A view of their scene version, with depth. Where there is no room for it, the one farthest from all of `cameras`
+  /// goes.
+  [[nodiscard]] std::vector<TrainingViewPtr> keep(const TrainingView& view, std::span<const Camera> cameras);
+  /// All go when they are of an older scene version.
+  [[nodiscard]] std::vector<TrainingViewPtr> see(std::uint64_t scene_version);
+  [[nodiscard]] std::vector<TrainingViewPtr> clear();
+  [[nodiscard]] std::vector<TrainingViewPtr> drop(std::span<const std::uint32_t> numbers);
 
   /// Of the views within `reach_m` of one of these cameras, but for those that show what one of them shows.
   [[nodiscard]] std::vector<ViewKey> keys(std::span<const Camera> cameras, float reach_m) const;
-  /// At most `most` of those within `reach_m` of a camera, others with each call.
-  [[nodiscard]] std::vector<TrainingViewPtr> some_about(const Camera& camera, float reach_m, std::size_t most);
+  /// At most `most` of those within `reach_m` of a view of their scene version: those that were asked for longest ago.
+  [[nodiscard]] std::vector<TrainingViewPtr> some_about(const TrainingView& view, float reach_m, std::size_t most);
   /// Null when it has gone.
   [[nodiscard]] TrainingViewPtr find(const ViewKey& key) const;
   [[nodiscard]] std::size_t count() const { return views_.size(); }
   [[nodiscard]] std::size_t bytes() const { return bytes_; }
 
  private:
+  using Clock = std::chrono::steady_clock;
+  struct Kept {
+    TrainingViewPtr view;
+    Clock::time_point since{};
+    std::uint64_t asked = 0;  ///< number of the last some_about() that gave it
+  };
+  using Views = std::map<std::uint32_t, Kept>;  ///< by number, from 1
+
   [[nodiscard]] bool show_the_same(const Camera& a, const Camera& b) const;
-  void make_room(const TrainingView& view);
+  Views::iterator farthest(std::span<const Camera> cameras);
+  Views::iterator take_out(Views::iterator at, std::vector<TrainingViewPtr>& gone);
 
   Limits limits_;
-  std::map<std::uint32_t, TrainingViewPtr> views_;  ///< by number, from 1
-  std::uint32_t numbers_ = 0, last_given_ = 0;
+  Views views_;
+  std::uint32_t numbers_ = 0;
+  std::uint64_t scene_version_ = 0, asked_ = 0;
   std::size_t bytes_ = 0;
 };
 

@@ -18,7 +18,7 @@ constexpr float kLeastPixel_px = 0.5F;
 
 struct DepthView {
   math::Rigid world_from_camera, camera_from_world;
-  float fx, fy, cx, cy, near_m;
+  float fx, fy, cx, cy, near_m, far_m;
   int width, height;
   const float* depth;
   const std::uint8_t* mask;  ///< or null
@@ -43,6 +43,7 @@ DepthView view_of(const TrainingView& view) {
           .cx = camera.cx,
           .cy = camera.cy,
           .near_m = camera.near_m,
+          .far_m = camera.far_m,
           .width = static_cast<int>(camera.width),
           .height = static_cast<int>(camera.height),
           .depth = view.depth.data(),
@@ -74,7 +75,9 @@ struct JudgeSample {
     const math::Vec3 in_camera{(static_cast<float>(column) + 0.5F - from.cx) / from.fx * depth_m,
                                (static_cast<float>(row) + 0.5F - from.cy) / from.fy * depth_m, depth_m};
     const math::Vec3 at = transformed(to.camera_from_world, transformed(from.world_from_camera, in_camera));
-    if (!(at.z > to.near_m) || !(depth_m * to.fx >= kLeastPixel_px * at.z * from.fx)) return;
+    // Beyond its far plane it sees nothing at all.
+    if (!(at.z > to.near_m && (1 + kBehindPart) * at.z < to.far_m)) return;
+    if (!(depth_m * to.fx >= kLeastPixel_px * at.z * from.fx)) return;
     const float u = to.fx * at.x / at.z + to.cx, v = to.fy * at.y / at.z + to.cy;
     if (!(u >= 0 && u < static_cast<float>(to.width) && v >= 0 && v < static_cast<float>(to.height))) return;
     const float nearest_m = nearest(to, static_cast<int>(u), static_cast<int>(v));

@@ -17,6 +17,8 @@ void shuffle(std::vector<ViewKey>& keys, std::mt19937_64& random) {
 constexpr float kLeastTurns = 0.25F;
 /// What a view is worth where nothing of it trains, of what it would be: its loss may rise.
 constexpr float kRestingWorth = 0.05F;
+/// Kept views of an epoch.
+constexpr std::size_t kMostKept = 64;
 
 }  // namespace
 
@@ -28,6 +30,12 @@ void ViewSampler::learn(const ViewKey& key, float loss, std::optional<float> act
   Worth& worth = views_[key];
   worth.active_share = active_share.value_or(worth.active_share);
   worth.to_teach = loss * (kRestingWorth + (1 - kRestingWorth) * worth.active_share);
+}
+
+void ViewSampler::forget_but(const std::vector<ViewKey>& kept) {
+  std::erase_if(views_, [&](const auto& known) {
+    return known.first.kept_number != 0 && !std::ranges::binary_search(kept, known.first);
+  });
 }
 
 void ViewSampler::leave_out(Epoch& epoch) {
@@ -70,7 +78,10 @@ TrainingViewPtr ViewSampler::draw(const ViewStore& views, Epoch& epoch) {
     }
     if (refills == 2) return nullptr;
     epoch.left = keys(views, epoch.kind);
+    if (epoch.kind == Kind::Kept) forget_but(epoch.left);
     shuffle(epoch.left, random_);
+    // Whoever looks may have gone elsewhere before all have had their turn.
+    if (epoch.kind == Kind::Kept) epoch.left.resize(std::min(epoch.left.size(), kMostKept));
     if (refills == 0) leave_out(epoch);  // those that are left may have nothing to train on
   }
 }

@@ -52,6 +52,8 @@ class ViewSampler {
     float turns = 0;  ///< that it is owed, below 1
   };
   void leave_out(Epoch& epoch);
+  /// Of kept views those that are not among these, which ascend.
+  void forget_but(const std::vector<ViewKey>& kept);
   /// Turns of kept views that a reference view's is worth.
   [[nodiscard]] float kept_turns(int interval) const;
 

@@ -1,6 +1,7 @@
 #include "trainer/view_store.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 namespace splatbus::trainer {
@@ -9,12 +10,17 @@ namespace {
 
 /// Of a reference camera: what is farther off shows hardly anything of where it stands.
 constexpr float kKeptReach_m = 15;
-/// Views that a new one is held against: all of a place have their turn within a second or two.
-constexpr std::size_t kKeptAtOnce = 16;
+/// Views that a new one is held against.
+constexpr std::size_t kKeptAtOnce = 4;
+/// What is kept has at most that part of the room of what cameras see now.
+constexpr std::size_t kKeptPart = 4;
 
 }  // namespace
 
-ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes) : max_views_(max_views), max_bytes_(max_bytes) {}
+ViewStore::ViewStore(std::size_t max_views, std::size_t max_bytes)
+    : max_views_(max_views),
+      max_bytes_(max_bytes),
+      kept_({.bytes = std::min(KeptViews::Limits().bytes, max_bytes / kKeptPart)}) {}
 
 bool ViewStore::is_paired(const TrainingView& view) const {
   if (!paired_) return true;
@@ -29,35 +35,47 @@ void ViewStore::replace(TrainingViewPtr& old, TrainingViewPtr view) {
   old = std::move(view);
 }
 
-void ViewStore::keep_before(const Entry& entry, const TrainingView& newer) {
-  if (!keeps_ || newer.camera.role != CameraRole::Reference) return;
-  kept_.see(newer);
-  if (entry.view && same_kind(*entry.view, newer)) kept_.keep(*entry.view);
+std::vector<Camera> ViewStore::reference_cameras() const {
+  std::vector<Camera> cameras;
+  for (const auto& [key, entry] : views_) {
+    if (key.role == CameraRole::Reference && entry.view) cameras.push_back(entry.view->camera);
+  }
+  return cameras;
+}
+
+ViewStore::Views ViewStore::succeed(Entry& entry, TrainingViewPtr view) {
+  const TrainingViewPtr before = entry.view;
+  replace(entry.view, std::move(view));
+  if (!keeps_ || !before || before->camera.role != CameraRole::Reference) return {};
+  return kept_.keep(*before, reference_cameras());
 }
 
 void ViewStore::set_keeps(bool keeps) {
+  Views gone;  // freed without the lock
   const std::scoped_lock lock(mutex_);
   keeps_ = keeps;
-  if (!keeps) kept_.clear();
+  if (!keeps) gone = kept_.clear();
 }
 
 void ViewStore::put(TrainingViewPtr view) {
   const ViewKey key = key_of(*view);
+  Views gone, replaced;  // freed without the lock
   const std::scoped_lock lock(mutex_);
+  if (key.role == CameraRole::Reference) gone = kept_.see(view->scene.version);
   const auto [place, is_new] = views_.try_emplace(key);
   Entry& entry = place->second;
   if (is_new) ++cameras_version_;
   if (entry.waiting && !entry.waits_again) ++unpaired_;
   const bool paired = is_paired(*view);
-  if (paired) keep_before(entry, *view);
   replace(entry.waiting, paired ? nullptr : view);
   entry.waits_again = false;
-  if (paired) replace(entry.view, std::move(view));
+  if (paired) replaced = succeed(entry, std::move(view));
   entry.updated = ++updates_;
   evict(key);
 }
 
 void ViewStore::set_paired(std::optional<std::vector<PairedVersion>> versions) {
+  Views gone;  // freed without the lock
   const std::scoped_lock lock(mutex_);
   paired_ = std::move(versions);
   for (auto& [key, entry] : views_) {
@@ -70,8 +88,9 @@ void ViewStore::set_paired(std::optional<std::vector<PairedVersion>> versions) {
       replace(entry.view, nullptr);
     }
     if (!entry.waiting || !is_paired(*entry.waiting)) continue;
-    replace(entry.view, nullptr);
-    entry.view = std::exchange(entry.waiting, nullptr);
+    const TrainingViewPtr waited = entry.waiting;
+    replace(entry.waiting, nullptr);
+    std::ranges::move(succeed(entry, waited), std::back_inserter(gone));
   }
 }
 
@@ -138,21 +157,18 @@ std::vector<ViewKey> ViewStore::keys(CameraRole role) const {
 
 std::vector<ViewKey> ViewStore::kept_keys() const {
   const std::scoped_lock lock(mutex_);
-  std::vector<Camera> cameras;
-  for (const auto& [key, entry] : views_) {
-    if (key.role == CameraRole::Reference && entry.view) cameras.push_back(entry.view->camera);
-  }
-  return kept_.keys(cameras, kKeptReach_m);
+  return kept_.keys(reference_cameras(), kKeptReach_m);
 }
 
 std::vector<TrainingViewPtr> ViewStore::kept_about(const TrainingView& view) {
   const std::scoped_lock lock(mutex_);
-  return kept_.some_about(view.camera, kKeptReach_m, kKeptAtOnce);
+  return kept_.some_about(view, kKeptReach_m, kKeptAtOnce);
 }
 
 void ViewStore::drop_kept(std::span<const std::uint32_t> numbers) {
+  Views gone;  // freed without the lock
   const std::scoped_lock lock(mutex_);
-  kept_.drop(numbers);
+  gone = kept_.drop(numbers);
 }
 
 bool ViewStore::any_to_train(CameraRole role) const {

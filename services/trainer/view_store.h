@@ -37,8 +37,9 @@ class ViewStore {
   /// Whether what reference cameras saw of where they stood before is kept; not at first.
   void set_keeps(bool keeps);
 
-  /// Some of what is kept about that view's place, others with each call; and those of them that are not true any more.
+  /// A few of what is kept about that view's place, those that were asked for longest ago.
   [[nodiscard]] std::vector<TrainingViewPtr> kept_about(const TrainingView& view);
+  /// Of kept views, which are not true any more.
   void drop_kept(std::span<const std::uint32_t> numbers);
 
   /// To train on; null when there is none.
@@ -63,8 +64,10 @@ class ViewStore {
   };
   [[nodiscard]] bool is_paired(const TrainingView& view) const;
   void replace(TrainingViewPtr& old, TrainingViewPtr view);
-  /// What that camera had, when it has moved on to this.
-  void keep_before(const Entry& entry, const TrainingView& newer);
+  using Views = std::vector<TrainingViewPtr>;
+  /// Gives the camera its next view, and keeps what it had. Returns what has gone for that.
+  [[nodiscard]] Views succeed(Entry& entry, TrainingViewPtr view);
+  [[nodiscard]] std::vector<Camera> reference_cameras() const;
   void evict(const ViewKey& newest);
 
   const std::size_t max_views_, max_bytes_;

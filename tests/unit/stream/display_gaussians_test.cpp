@@ -56,6 +56,13 @@ class DisplayGaussiansOn : public testing::TestWithParam<Device> {
     stream_->wait();
     return value;
   }
+  int seen(std::size_t light, std::uint32_t row) {
+    std::uint8_t seen = 0;
+    const GaussiansView view = display_->view();
+    device::copy(*stream_, &seen, view.visibility_u8 + light * view.visibility_stride + row, 1);
+    stream_->wait();
+    return seen;
+  }
   /// In 255ths.
   float shown(std::uint32_t row) { return 255 / (1 + std::exp(-value(ParameterLayout::kOpacityLogit, row))); }
 
@@ -81,16 +88,46 @@ TEST_P(DisplayGaussiansOn, TheLastOfTwoValuesStands) {
 }
 
 TEST_P(DisplayGaussiansOn, TheLastStandsOfManyToo) {
-  constexpr std::uint32_t kRows = 1 << 19;
-  changes_.add(DisplayBlocks{{{kRows / kBlockRows - 1, kBlockRows}}});
-  std::vector<std::uint32_t> rows(kRows);
-  std::iota(rows.begin(), rows.end(), 0U);
-  opacity(rows, std::vector<std::int32_t>(kRows, 10));
-  // Who wrote them at the same time would have written these first, and the others over half of them.
-  std::ranges::reverse(rows);
-  opacity(rows, std::vector<std::int32_t>(kRows, 200));
+  for (const std::uint32_t count : {1U << 17U, 1U << 20U}) {  // that are gathered, and that are not
+    blocks(count / kBlockRows - 1, kBlockRows);
+    std::vector<std::uint32_t> rows(count);
+    std::iota(rows.begin(), rows.end(), 0U);
+    opacity(rows, std::vector<std::int32_t>(count, 10));
+    // Who wrote them at the same time would have written these first, and the others over half of them.
+    std::ranges::reverse(rows);
+    opacity(rows, std::vector<std::int32_t>(count, 200));
+    apply();
+    for (std::uint32_t row = 0; row < count; row += 997) ASSERT_NEAR(shown(row), 200, 0.01) << row;
+  }
+}
+
+TEST_P(DisplayGaussiansOn, AnotherModelBeginsWithNothing) {
+  blocks(0, 2);
+  for (const std::uint32_t row : {0U, 1U}) whole(row, 100, 0);
+  changes_.add(DisplayReset{kLayout});
+  blocks(0, 1);
+  whole(0, 70, 1024);
   apply();
-  for (std::uint32_t row = 0; row < kRows; row += 997) ASSERT_NEAR(shown(row), 200, 0.01) << row;
+  EXPECT_NEAR(shown(0), 70, 0.01);
+  EXPECT_EQ(shown(1), 0);
+  EXPECT_EQ(display_->count(), 1U);
+}
+
+TEST_P(DisplayGaussiansOn, WhatIsPendingOutlivesGrowth) {
+  blocks(0, 1);
+  whole(0, 100, 1024);
+  changes_.add(DisplayLights{{4}});
+  changes_.add(DisplaySeen{4, {0}, {40}});
+  blocks(1000, 1);  // the rows grow
+  whole(1000 * kBlockRows, 60, 2048);
+  changes_.add(DisplaySeen{4, {1000 * kBlockRows}, {44}});
+  apply();
+  EXPECT_NEAR(shown(0), 100, 0.01);
+  EXPECT_EQ(value(0, 0), 1);
+  EXPECT_NEAR(shown(1000 * kBlockRows), 60, 0.01);
+  EXPECT_EQ(value(0, 1000 * kBlockRows), 2);
+  EXPECT_EQ(seen(1, 0), 40);
+  EXPECT_EQ(seen(1, 1000 * kBlockRows), 44);
 }
 
 TEST_P(DisplayGaussiansOn, RowsThatABlockLeavesAreNotSeenUntilOthersHaveThem) {
@@ -123,15 +160,9 @@ TEST_P(DisplayGaussiansOn, WhatLightsShowFollowsTheirOrder) {
   changes_.add(DisplayLights{{9, 12}});
   changes_.add(DisplaySeen{12, {0}, {120}});
   apply();
-  const GaussiansView view = display_->view();
-  ASSERT_EQ(view.visibility_rows, 3U);
-  std::vector<std::uint8_t> seen(3);
-  for (std::size_t k = 0; k < 3; ++k) {
-    device::copy(*stream_, &seen[k], view.visibility_u8 + k * view.visibility_stride, 1);
-  }
-  stream_->wait();
-  EXPECT_EQ(seen[1], 90);
-  EXPECT_EQ(seen[2], 120);
+  ASSERT_EQ(display_->view().visibility_rows, 3U);
+  EXPECT_EQ(seen(1, 0), 90);
+  EXPECT_EQ(seen(2, 0), 120);
 }
 
 INSTANTIATE_TEST_SUITE_P(Devices, DisplayGaussiansOn, testing::Values(Device::Cpu, Device::Cuda),

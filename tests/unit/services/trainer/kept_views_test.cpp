@@ -28,75 +28,124 @@ TrainingViewPtr shared(TrainingView view) {
   return std::make_shared<const TrainingView>(std::move(view));
 }
 
-std::set<float> places(const KeptViews& kept, const std::vector<ViewKey>& keys) {
-  std::set<float> at;
-  for (const ViewKey& key : keys) at.insert(kept.find(key)->camera.world_from_camera.translation.x);
-  return at;
-}
+/// Of version 1.
+class KeptViewsTest : public testing::Test {
+ protected:
+  KeptViewsTest() { make({}); }
+  void make(const KeptViews::Limits& limits) {
+    kept_ = KeptViews(limits);
+    EXPECT_TRUE(kept_.see(1).empty());
+  }
+  /// How many have gone for it.
+  std::size_t keep(const TrainingView& view, std::vector<float> cameras_m = {0}) {
+    std::vector<Camera> cameras;
+    for (const float x_m : cameras_m) cameras.push_back(view_at(x_m).camera);
+    return kept_.keep(view, cameras).size();
+  }
+  [[nodiscard]] std::set<float> places(const std::vector<float>& cameras_m, float reach_m) const {
+    std::vector<Camera> cameras;
+    for (const float x_m : cameras_m) cameras.push_back(view_at(x_m).camera);
+    std::set<float> at;
+    for (const ViewKey& key : kept_.keys(cameras, reach_m)) {
+      at.insert(kept_.find(key)->camera.world_from_camera.translation.x);
+    }
+    return at;
+  }
 
-TEST(KeptViews, AreOneForAPlaceAndDirection) {
-  KeptViews kept;
-  for (int k = 0; k <= 25; ++k) kept.keep(view_at(0.1F * static_cast<float>(k)));
-  EXPECT_EQ(kept.count(), 3U) << "at 0, 1 and 2 m";
-  TrainingView turned = view_at(1);
+  KeptViews kept_;
+};
+
+TEST_F(KeptViewsTest, AreOneForAPlaceADirectionAndAZoom) {
+  for (int k = 0; k <= 25; ++k) keep(view_at(0.1F * static_cast<float>(k)));
+  EXPECT_EQ(kept_.count(), 3U) << "at 0, 1 and 2 m";
+  TrainingView turned = view_at(1), near = view_at(1);
   turned.camera = look_at({1, 1, 0}, {6, 1, 0}, 4, 4, 1);
-  kept.keep(turned);
-  EXPECT_EQ(kept.count(), 4U);
-  kept.keep(turned);
-  EXPECT_EQ(kept.count(), 4U);
+  near.camera.fx *= 2;
+  near.camera.fy *= 2;
+  for (int times = 0; times < 2; ++times) {
+    keep(turned);
+    keep(near);
+    EXPECT_EQ(kept_.count(), 5U);
+  }
+  // The same with more pixels.
+  TrainingView large = near;
+  large.camera = look_at({1, 1, 0}, {1, 1, 5}, 8, 8, 1);
+  keep(large);
+  EXPECT_EQ(kept_.count(), 5U);
 }
 
-TEST(KeptViews, OfAnotherSceneOrSizeOrWithoutDepthThereAreNone) {
-  KeptViews kept;
+TEST_F(KeptViewsTest, OneOfLongAgoMakesPlace) {
+  make({.lasts = std::chrono::seconds(0)});
+  keep(view_at(0));
+  TrainingView newer = view_at(0.2F);
+  newer.frame = 9;
+  EXPECT_EQ(keep(newer), 1U);
+  const auto keys = kept_.keys(std::vector{view_at(5).camera}, 100);
+  ASSERT_EQ(keys.size(), 1U);
+  EXPECT_EQ(kept_.find(keys.front())->frame, 9U);
+}
+
+TEST_F(KeptViewsTest, OfAnotherSceneOrWithoutDepthThereAreNone) {
   TrainingView flat = view_at(0);
   flat.depth = {};
-  kept.keep(flat);
-  EXPECT_EQ(kept.count(), 0U);
-  kept.keep(view_at(0));
-  kept.see(view_at(5));
-  EXPECT_EQ(kept.count(), 1U);
-  kept.see(view_at(5, 2));
-  EXPECT_EQ(kept.count(), 0U);
-  EXPECT_EQ(kept.bytes(), 0U);
-  kept.keep(view_at(0, 2));
-  TrainingView large = view_at(5, 2);
-  large.camera.width = 8;
-  kept.see(large);
-  EXPECT_EQ(kept.count(), 0U);
+  keep(flat);
+  keep(view_at(0, 2));
+  EXPECT_EQ(kept_.count(), 0U);
+  keep(view_at(0));
+  EXPECT_TRUE(kept_.see(1).empty());
+  EXPECT_EQ(kept_.see(2).size(), 1U);
+  EXPECT_EQ(kept_.count(), 0U);
+  EXPECT_EQ(kept_.bytes(), 0U);
+  keep(view_at(0, 2));
+  EXPECT_TRUE(kept_.see(1).empty()) << "an older one";
+  EXPECT_EQ(kept_.count(), 1U);
+  EXPECT_TRUE(kept_.some_about(view_at(0, 1), 100, 9).empty());
+  EXPECT_EQ(kept_.some_about(view_at(0, 2), 100, 9).size(), 1U);
 }
 
-TEST(KeptViews, TheFarthestMakesRoom) {
+TEST_F(KeptViewsTest, TheFarthestFromAllCamerasMakesRoom) {
   const std::size_t bytes = view_at(0).bytes();
-  for (const KeptViews::Limits limits : {KeptViews::Limits{.views = 3}, KeptViews::Limits{.bytes = 3 * bytes}}) {
-    KeptViews kept(limits);
-    for (const float x_m : {0.0F, 4.0F, 10.0F, 6.0F}) kept.keep(view_at(x_m));
-    EXPECT_EQ(kept.bytes(), 3 * bytes);
-    EXPECT_EQ(places(kept, kept.keys(std::vector{view_at(7).camera}, 100)), (std::set<float>{4, 6, 10}));
+  for (const KeptViews::Limits limits : {KeptViews::Limits{.views = 4}, KeptViews::Limits{.bytes = 4 * bytes}}) {
+    make(limits);
+    for (const float x_m : {0.0F, 4.0F, 10.0F, 90.0F}) EXPECT_EQ(keep(view_at(x_m), {7, 88}), 0U);
+    EXPECT_EQ(keep(view_at(6), {7, 88}), 1U);
+    EXPECT_EQ(kept_.bytes(), 4 * bytes);
+    EXPECT_EQ(places({50}, 100), (std::set<float>{4, 6, 10, 90}));
   }
 }
 
-TEST(KeptViews, ThoseNearbyTrainUnlessACameraShowsTheSame) {
-  KeptViews kept;
-  for (const float x_m : {0.0F, 4.0F, 10.0F, 30.0F}) kept.keep(view_at(x_m));
-  EXPECT_EQ(places(kept, kept.keys(std::vector{view_at(0.5F).camera}, 12)), (std::set<float>{4, 10}));
-  EXPECT_EQ(places(kept, kept.keys(std::vector{view_at(0.5F).camera, view_at(29).camera}, 5)),
-            (std::set<float>{4, 30}));
+TEST_F(KeptViewsTest, ThoseNearbyTrainUnlessACameraShowsTheSame) {
+  for (const float x_m : {0.0F, 4.0F, 10.0F, 30.0F}) keep(view_at(x_m));
+  EXPECT_EQ(places({0.5F}, 12), (std::set<float>{4, 10}));
+  EXPECT_EQ(places({0.5F, 29}, 5), (std::set<float>{4, 30}));
 }
 
-TEST(KeptViews, AreHeldAgainstNewOnesInTurn) {
-  KeptViews kept;
-  for (int k = 0; k < 10; ++k) kept.keep(view_at(2 * static_cast<float>(k)));
+TEST_F(KeptViewsTest, AreHeldAgainstNewOnesInTurn) {
+  // Of two viewers, whose pictures come by turns.
+  for (int k = 0; k < 6; ++k) {
+    keep(view_at(2 * static_cast<float>(k)));
+    keep(view_at(100 + 2 * static_cast<float>(k)));
+  }
   std::map<std::uint32_t, int> times;
   for (int turn = 0; turn < 4; ++turn) {
-    const auto some = kept.some_about(view_at(9).camera, 5.5F, 3);
-    EXPECT_EQ(some.size(), 3U);
-    for (const auto& view : some) ++times[view->kept_number];
+    for (const float x_m : {5.0F, 105.0F}) {
+      const auto some = kept_.some_about(view_at(x_m), 5.5F, 3);
+      EXPECT_EQ(some.size(), 3U);
+      for (const auto& view : some) ++times[view->kept_number];
+    }
   }
-  EXPECT_EQ(times.size(), 6U) << "those at 4 to 14 m";
+  EXPECT_EQ(times.size(), 12U);
   for (const auto& [number, count] : times) EXPECT_EQ(count, 2) << number;
-  EXPECT_EQ(kept.some_about(view_at(9).camera, 5.5F, 100).size(), 6U) << "each once";
-  kept.drop(std::vector{times.begin()->first});
-  EXPECT_EQ(kept.some_about(view_at(9).camera, 5.5F, 100).size(), 5U);
+  EXPECT_EQ(kept_.some_about(view_at(5), 5.5F, 100).size(), 6U) << "each once";
+  EXPECT_EQ(kept_.drop(std::vector{times.begin()->first}).size(), 1U);
+  EXPECT_EQ(kept_.some_about(view_at(5), 5.5F, 100).size(), 5U);
+}
+
+TEST_F(KeptViewsTest, NoneIsTakenForWhatItsCameraSeesNow) {
+  keep(view_at(0));
+  keep(view_at(3));
+  std::set<std::uint32_t> ids{view_at(0).camera.id};
+  for (const auto& view : kept_.some_about(view_at(0), 100, 9)) EXPECT_TRUE(ids.insert(view->camera.id).second);
 }
 
 TEST(ViewStore, KeepsWhereAReferenceCameraStood) {
@@ -122,8 +171,13 @@ TEST(ViewStore, KeepsWhereAReferenceCameraStood) {
   const std::vector<ViewKey> before = store.kept_keys();
   store.set_paired(std::vector<PairedVersion>{{.version = 7}});
   for (const ViewKey& key : before) EXPECT_EQ(store.find(key), nullptr) << "without its visibility";
-  store.put(shared(view_at(9, 7)));
-  EXPECT_EQ(store.kept(), 0U) << "the scene is another";
+  store.put(shared(view_at(9, 8)));
+  EXPECT_EQ(store.kept(), 0U) << "the scene is another, if its visibility is not there yet";
+  store.put(shared(view_at(12, 8)));
+  store.set_paired(std::vector<PairedVersion>{{.version = 8}});
+  EXPECT_EQ(store.kept(), 0U);
+  store.put(shared(view_at(15, 8)));
+  EXPECT_EQ(store.kept(), 1U);
 }
 
 TEST(ViewSampler, AKeptViewHasItsTurnAfterSoManyReferences) {

@@ -11,6 +11,7 @@
 
 #include "../../model/device_test.h"
 #include "device/buffer.h"
+#include "device/memory.h"
 #include "sample_batch.h"
 
 namespace splatbus::trainer {
@@ -111,6 +112,20 @@ TEST_P(SeenThroughOn, WhatHasComeOrGoneShows) {
   EXPECT_TRUE(compare(view(with(room(), tower), kEye, {0, 2, 6}), view(room(), kAside, {0, 2, 6})).differs());
 }
 
+TEST_P(SeenThroughOn, WhatLiesBeyondAFarPlaneIsNotGone) {
+  // The wall is 6 m from one, and 10 m from the other, who sees 8 m.
+  auto far = std::make_shared<TrainingView>(*view(room(), {0, 1.6F, -4}, kAhead));
+  far->camera.far_m = 8;
+  std::vector<float> depth(far->depth.size());
+  device::copy(*stream_, depth.data(), far->depth.data(), far->depth.bytes());
+  stream_->wait();
+  for (float& depth_m : depth) depth_m = depth_m < far->camera.far_m ? depth_m : 0;
+  far->depth = on_device(depth);
+  const SeenThrough seen = compare(view(room(), kEye, kAhead), far);
+  EXPECT_GT(seen.judged, 10U);
+  EXPECT_FALSE(seen.differs()) << seen.through << " of " << seen.judged;
+}
+
 TEST_P(SeenThroughOn, EachOfThemIsJudgedAlone) {
   const auto now = view(with(room(), kThing), kEye, kAhead);
   const auto seen = seen_through(*stream_, *now,
@@ -142,6 +157,7 @@ TEST_P(SeenThroughOn, WhatPixelsMissIsNotGone) {
   const auto expect_same = [&](const std::vector<Box>& scene, const glm::vec3& other) {
     const SeenThrough seen = compare(view(scene, {0, 1, 0.5F}, {0, 0.8F, 3}), view(scene, other, {0, 0.8F, 3}));
     EXPECT_FALSE(seen.differs()) << seen.through << " of " << seen.judged;
+    return seen.judged;
   };
   expect_same(fence(0.15F, 1), {0.3F, 1.2F, -40});      // 7 pixels here, a third of one there
   expect_same(fence(0.01F, 0.1F), {0.4F, 1.2F, 0.4F});  // half a pixel from everywhere

@@ -143,27 +143,31 @@ TEST_F(TrainerTest, WhereACameraStoodIsKeptUntilTheSceneIsAnother) {
   bus::HeartbeatThread heartbeats(*service_, "trainer");
   insert(scene.truth());
   std::uint64_t frame = 10;
-  const auto stand_at = [&](const TrainingView& place) {
-    TrainingView view = place;
+  const auto stand_at = [&](TrainingView view, std::uint64_t version) {
     view.camera.id = 0;
     view.frame = ++frame;
+    view.scene.version = version;
     publish_view(view);
   };
   ASSERT_TRUE(until([&] {
-    stand_at(*scene.views()[1]);
-    return counter("kept_views") == 0;
-  }));
-  ASSERT_TRUE(until([&] {
-    stand_at(*scene.views()[frame % 2 == 0 ? 1 : 3]);
+    stand_at(*scene.views()[frame % 2 == 0 ? 1 : 3], 5);
     return counter("kept_views") == 2;
   }));
   EXPECT_EQ(counter("untrue_views"), 0);
-  // The floor has gone: what shows it is not true any more.
+  // The floor has gone, and with it those that show it.
   TrainingView empty = *scene.views()[2];
   empty.depth = Pixels<float>(std::vector<float>(empty.depth.size(), 0.0F));
   ASSERT_TRUE(until([&] {
-    stand_at(empty);
+    stand_at(empty, 5);
     return counter("untrue_views") >= 2;
+  }));
+  ASSERT_TRUE(until([&] {
+    stand_at(*scene.views()[frame % 2 == 0 ? 1 : 3], 6);
+    return counter("kept_views") == 2;
+  }));
+  ASSERT_TRUE(until([&] {
+    stand_at(*scene.views()[1], 7);
+    return counter("kept_views") < 2;
   }));
 }
 
