@@ -13,6 +13,7 @@
 
 #include "device/memory.h"
 #include "stream/quantized.h"
+#include "stream/replicated_state.h"
 
 namespace splatbus::stream {
 namespace {
