@@ -33,12 +33,14 @@ struct Arguments {
   double active = 0.05;
   std::size_t device_mb = 0, host_mb = 0, disk_mb = 0;
   int steps = 100, views = 8, size = 512;
-  float fetch_m = 40, speed = 14, walk_s = 5;
+  float back = 0.5F, fetch_m = 40, speed = 14, walk_s = 5;
   std::string backend = "cpu", folder;
 };
 
 constexpr float kSpacing_m = 0.1F;  // of a Gaussian to its neighbours
 constexpr std::size_t kSplits = 64;
+constexpr double kWhole = 0.95;  // of what is to be back
+constexpr double kPatience_s = 120;
 
 double seconds_since(Clock::time_point begin) {
   return std::chrono::duration<double>(Clock::now() - begin).count();
@@ -58,6 +60,25 @@ class Floor {
   [[nodiscard]] glm::vec3 centre(std::size_t block) const {
     const std::size_t row = block / row_, at = block % row_, column = row % 2 == 0 ? at : row_ - 1 - at;
     return {edge_m_ * static_cast<float>(column), 0, edge_m_ * static_cast<float>(row)};
+  }
+
+  /// In the middle of a row, with that share of the rows before it.
+  [[nodiscard]] std::size_t block_at(float share) const {
+    const std::size_t rows = (blocks_ + row_ - 1) / row_;
+    return std::min(blocks_ - 1, static_cast<std::size_t>(share * static_cast<float>(rows)) * row_ + row_ / 2);
+  }
+  /// Gaussians that lie within that, as many as were put there.
+  [[nodiscard]] double count_near(const glm::vec3& at, float radius_m) const {
+    constexpr float kStep_m = 0.5F;
+    const auto steps = static_cast<int>(radius_m / kStep_m) + 1;
+    double cells = 0;
+    for (int i = -steps; i <= steps; ++i) {
+      for (int k = -steps; k <= steps; ++k) {
+        const float aside = kStep_m * static_cast<float>(i), along = kStep_m * static_cast<float>(k);
+        if (std::hypot(aside, along) < radius_m && is_filled(at.x + aside, at.z + along)) ++cells;
+      }
+    }
+    return cells * kStep_m * kStep_m / (kSpacing_m * kSpacing_m);
   }
 
   [[nodiscard]] InsertBatch fill(std::size_t block, Device device) const {
@@ -96,6 +117,13 @@ class Floor {
   }
 
  private:
+  [[nodiscard]] bool is_filled(float x, float z) const {
+    const float column = std::floor(x / edge_m_ + 0.5F), row = std::floor(z / edge_m_ + 0.5F);
+    if (column < 0 || row < 0 || column >= static_cast<float>(row_)) return false;
+    const auto c = static_cast<std::size_t>(column), r = static_cast<std::size_t>(row);
+    return r * row_ + (r % 2 == 0 ? c : row_ - 1 - c) < blocks_;
+  }
+
   std::size_t batch_;
   float edge_m_;
   std::size_t blocks_, row_;
@@ -222,11 +250,10 @@ void run(const Arguments& arguments, const std::string& folder) {
   const Floor floor(arguments);
   const auto active_blocks = std::clamp<std::size_t>(
       static_cast<std::size_t>(std::lround(arguments.active * static_cast<double>(floor.blocks()))), 1, floor.blocks());
-  const std::size_t middle = floor.blocks() / 2;
-  // The nearest to the middle of what is filled.
+  // The nearest to the place that it goes back to.
   std::vector<std::size_t> near(floor.blocks());
   std::iota(near.begin(), near.end(), std::size_t{0});
-  const glm::vec3 place = floor.centre(middle);
+  const glm::vec3 place = floor.centre(floor.block_at(arguments.back));
   std::stable_sort(near.begin(), near.end(), [&](std::size_t a, std::size_t b) {
     return glm::distance(floor.centre(a), place) < glm::distance(floor.centre(b), place);
   });
@@ -250,18 +277,25 @@ void run(const Arguments& arguments, const std::string& folder) {
   const double fill_s = seconds_since(fill_begin);
   const auto back_begin = Clock::now();
   const float radius_m = std::min(arguments.fetch_m, 0.4F * side_m);
-  const double there = 3.1415927 * radius_m * radius_m / (kSpacing_m * kSpacing_m);
   const auto is_there = [&](const glm::vec3& at) {
-    return static_cast<double>(world.count_near(at, radius_m)) / there;
+    return static_cast<double>(world.count_near(at, radius_m)) / floor.count_near(at, radius_m);
   };
-  while (is_there(place) < 0.95 && seconds_since(back_begin) < 120) {
-    world.turn(place);
+  double longest_ms = 0;  // of the world's turns
+  const auto turn = [&](const glm::vec3& at) {
+    const auto begin = Clock::now();
+    world.turn(at);
+    longest_ms = std::max(longest_ms, 1e3 * seconds_since(begin));
+  };
+  while (is_there(place) < kWhole && seconds_since(back_begin) < kPatience_s) {
+    turn(place);
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
   const double back_s = seconds_since(back_begin);
-  fmt::print("filled: {} Gaussians here and {} on disk ({:.0f} MB) in {:.1f} s; back at the middle within {:.2f} s\n",
-             world.store().count(), world.kept().spilled, static_cast<double>(world.kept().disk_bytes) / 1e6, fill_s,
-             back_s);
+  fmt::print(
+      "filled: {} Gaussians here and {} on disk ({:.0f} MB) in {:.1f} s; {:.0f} % of what is within {:.0f} m of"
+      " the place is back after {:.2f} s, the world's longest turn {:.1f} ms\n",
+      world.store().count(), world.kept().spilled, static_cast<double>(world.kept().disk_bytes) / 1e6, fill_s,
+      100 * std::min(is_there(place), 1.0), radius_m, back_s, longest_ms);
 
   const auto views = views_about(place, side_m, arguments, world.device());
   const double all_ms = world.step_ms(views, arguments.steps);
@@ -285,14 +319,13 @@ void run(const Arguments& arguments, const std::string& folder) {
 
   // Along the way that was filled, with steps between.
   const auto walk_begin = Clock::now();
-  double least = 1, longest_ms = 0;
+  double least = 1;
+  longest_ms = 0;
   int steps = 0;
   while (seconds_since(walk_begin) < arguments.walk_s) {
     const float along_m = arguments.speed * static_cast<float>(seconds_since(walk_begin));
     const glm::vec3 at = place + glm::vec3(0, 0, -along_m);
-    const auto begin = Clock::now();
-    world.turn(at);
-    longest_ms = std::max(longest_ms, 1e3 * seconds_since(begin));
+    turn(at);
     if (at.z > radius_m) least = std::min(least, is_there(at));
     world.step(views);
     ++steps;
@@ -318,6 +351,8 @@ int main(int argc, char** argv) {
   app.add_option("--steps", arguments.steps, "that are timed");
   app.add_option("--size", arguments.size, "of the pictures, pixels");
   app.add_option("--views", arguments.views, "pictures");
+  app.add_option("--back", arguments.back, "where it goes back to, as a share of what is filled: 0 is its beginning")
+      ->check(CLI::Range(0.0F, 1.0F));
   app.add_option("--fetch-m", arguments.fetch_m, "what is nearer is not on disk alone");
   app.add_option("--speed", arguments.speed, "of the walk, m/s");
   app.add_option("--walk-s", arguments.walk_s, "of the walk");

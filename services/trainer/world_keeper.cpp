@@ -3,9 +3,12 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <cstring>
 #include <exception>
 #include <set>
 #include <utility>
+
+#include "trainer/world_ids.h"
 
 namespace splatbus::trainer {
 
@@ -17,6 +20,7 @@ using world::PageKey;
 constexpr auto kLastRounds = 3s;  // at the end
 constexpr int kMostOpenRounds = 4;
 constexpr std::size_t kRoundsInDisk = 8;
+constexpr std::size_t kPagesToldApart = 256;  // at once
 
 double seconds(std::chrono::steady_clock::duration duration) {
   return std::chrono::duration<double>(duration).count();
@@ -38,6 +42,7 @@ WorldKeeper::~WorldKeeper() {
   if (!writer_ || std::uncaught_exceptions() > 0) return;  // whatever failed, the last commit is sound
   try {
     stream_ = device::thread_stream(store_.device());
+    wanted_m_.clear();  // nothing comes back any more: nothing leaves for it, or round by round all would
     for (const auto end = Clock::now() + kLastRounds; !failing_ && Clock::now() < end;) {
       writer_->wait();
       if (auto round = writer_->take_done()) finish(std::move(round), [](const auto& change) { change(); });
@@ -78,6 +83,9 @@ void WorldKeeper::finish(std::unique_ptr<KeepRound> round, const Restructure& re
     stats_.pages += round->used;
     if (round->commits) {
       for (const PageKey& key : round->removals) kept_.erase(key);
+      for (const PageKey& key : round->fetched) {
+        if (const auto found = kept_.find(key); found != kept_.end()) found->second.spilled = false;
+      }
       committed_ = round->progress;
       uncommitted_.clear();
       spill(*round, restructure);
@@ -99,6 +107,7 @@ void WorldKeeper::finish(std::unique_ptr<KeepRound> round, const Restructure& re
 void WorldKeeper::look(std::vector<Candidate>& changed, std::vector<Candidate>& stale) {
   ++looks_;
   const std::uint64_t step = store_.step();
+  std::vector<Candidate> other;
   for (const IndexRange& range : store_.view().ranges) {
     const std::uint32_t page = range.first >> kPageShift;
     const model::PageEntry& entry = store_.table().entry(page);
@@ -106,10 +115,40 @@ void WorldKeeper::look(std::vector<Candidate>& changed, std::vector<Candidate>& 
     Kept& kept = kept_[key];
     kept.seen = looks_;
     const std::uint64_t generation = entry.generation.load(std::memory_order_relaxed);
-    if (kept.generation != generation || kept.page != page) {
+    if (kept.generation == generation && kept.page == page) {
+      if (entry.now.state == model::PageState::Active && kept.step < step) stale.push_back({key, page, kept.step});
+    } else if (kept.generation == 0 || kept.ids == 0 || kept.page != page) {
       changed.push_back({key, page, 0});
-    } else if (entry.now.state == model::PageState::Active && kept.step < step) {
+    } else if (kept.same == generation) {
       stale.push_back({key, page, kept.step});
+    } else {
+      other.push_back({key, page, kept.step});
+    }
+  }
+  tell_apart(other, changed, stale);
+}
+
+void WorldKeeper::tell_apart(std::span<const Candidate> other, std::vector<Candidate>& changed,
+                             std::vector<Candidate>& stale) {
+  const model::PageMemory& memory = store_.memory();
+  std::vector<std::uint64_t> ids(std::min(other.size(), kPagesToldApart) * kPageLanes);
+  for (std::size_t first = 0; first < other.size(); first += kPagesToldApart) {
+    const auto some = other.subspan(first, std::min(kPagesToldApart, other.size() - first));
+    for (std::size_t c = 0; c < some.size(); ++c) {
+      const std::uint32_t page = some[c].page;
+      device::copy(stream_, ids.data() + c * kPageLanes, memory.wide(memory.gaussian_id, page * kPageLanes),
+                   store_.table().entry(page).now.count * sizeof(std::uint64_t));
+    }
+    stream_.wait();
+    for (std::size_t c = 0; c < some.size(); ++c) {
+      const model::PageEntry& entry = store_.table().entry(some[c].page);
+      Kept& kept = kept_[some[c].key];
+      if (hash_of_ids(std::span(ids).subspan(c * kPageLanes, entry.now.count)) == kept.ids) {
+        kept.same = entry.generation.load(std::memory_order_relaxed);
+        stale.push_back(some[c]);
+      } else {
+        changed.push_back(some[c]);
+      }
     }
   }
 }
@@ -129,6 +168,8 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   round->used = 0;
   round->removals.clear();
   round->leaving.clear();
+  round->fetched.clear();
+  round->hurries = !wanted_m_.empty();
   round->progress = {.next_gaussian_id = store_.next_gaussian_id(),
                      .step = store_.step(),
                      .views = store_.views(),
@@ -157,7 +198,11 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
   allowance_bytes_ -= static_cast<double>(round->used * page_bytes);
   if (round->commits) {
     for (const auto& [key, kept] : kept_) {
-      if (kept.seen != looks_) round->removals.push_back(key);
+      if (kept.seen != looks_) {
+        round->removals.push_back(key);
+      } else if (kept.spilled && !leaving.contains(key)) {
+        round->fetched.push_back(key);
+      }
     }
     forget(*round);
     const double affordable = std::max(0.0, allowance_bytes_) / static_cast<double>(page_bytes);
@@ -168,7 +213,8 @@ bool WorldKeeper::start_round(Clock::time_point now, double elapsed_s) {
     allowance_bytes_ -= static_cast<double>(more * page_bytes);
   }
   stream_.wait();
-  const bool any = round->used > 0 || !round->removals.empty() || !round->leaving.empty() ||
+  note_ids(*round);
+  const bool any = round->used > 0 || !round->removals.empty() || !round->leaving.empty() || !round->fetched.empty() ||
                    (round->commits && !uncommitted_.empty());
   const double spent_s = seconds(Clock::now() - begin);
   stats_.copy_s += spent_s;
@@ -207,7 +253,17 @@ void WorldKeeper::stage(KeepRound& round, const Candidate& candidate, world::Pag
   kept.page = candidate.page;
   kept.generation = entry.generation.load(std::memory_order_relaxed);
   kept.step = staged.step;
+  kept.spilled = false;
   uncommitted_.push_back(candidate.key);
+}
+
+void WorldKeeper::note_ids(const KeepRound& round) {
+  const std::size_t row = std::size_t{store_.memory().gaussian_id} * kRowWords;
+  std::vector<std::uint64_t> ids(kPageLanes);
+  for (const StagedPage& page : std::span(round.pages).first(round.used)) {
+    std::memcpy(ids.data(), page.block.data() + row, page.structure.count * sizeof(std::uint64_t));
+    kept_[page.key].ids = hash_of_ids(std::span(ids).first(page.structure.count));
+  }
 }
 
 WorldKeeper::Stats WorldKeeper::stats() const {

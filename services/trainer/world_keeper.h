@@ -8,6 +8,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -20,10 +21,10 @@
 namespace splatbus::trainer {
 
 /// Keeps a trainer's model in a world folder (docs/world-folder.md), so that after a crash at any moment what is lost
-/// are at most the last two seconds of its structure: about once a second, all pages whose structure has changed are
-/// copied between two steps and written as one commit, and beside them, as bytes a second allow, those whose values
-/// have changed and were kept longest ago. Belongs to the thread that owns the store; compression and the disk are a
-/// thread of its own.
+/// are at most the last two seconds of its structure: about once a second, all pages whose Gaussians are others are
+/// copied between two steps and written as one commit, and beside them, as bytes a second allow, those whose values or
+/// state have changed and were kept longest ago. Belongs to the thread that owns the store; compression and the disk
+/// are a thread of its own.
 class WorldKeeper {
  public:
   /// Opens the folder, or makes it. A store that is empty gets what the folder holds; one that holds a living model
@@ -64,6 +65,9 @@ class WorldKeeper {
     std::uint64_t generation = 0;  ///< of the page's entry; 0: to be written in any case
     std::uint64_t step = 0;
     std::uint64_t seen = 0;  ///< number of the last look at the store that found it
+    std::uint64_t ids = 0;   ///< hash_of_ids() there; 0: not known
+    std::uint64_t same = 0;  ///< generation of the page's entry that was found to have the same ids
+    bool spilled = false;    ///< the folder says that it is nowhere else, and is to be told
   };
   struct Candidate {
     world::PageKey key;
@@ -81,6 +85,8 @@ class WorldKeeper {
   /// Whoever adopts the slabs later has to know of pages that only the folder has.
   void mark_elsewhere(const world::WorldProgress& progress);
   void restore();
+  /// Of a page of the folder that has been put in as it was there.
+  [[nodiscard]] Kept kept_as(const world::Page& page, std::uint32_t placed, std::uint64_t step) const;
   std::vector<std::uint32_t> put_in(Pages& pages, std::uint64_t next_gaussian_id);
   void follow();
 
@@ -88,7 +94,12 @@ class WorldKeeper {
   void finish(std::unique_ptr<KeepRound> round, const Restructure& restructure);
   [[nodiscard]] bool start_round(Clock::time_point now, double seconds);
   void look(std::vector<Candidate>& changed, std::vector<Candidate>& stale);
+  /// Those that have the Gaussians that the folder has are stale, though their entries are others: they rest, or train
+  /// again.
+  void tell_apart(std::span<const Candidate> other, std::vector<Candidate>& changed, std::vector<Candidate>& stale);
   void stage(KeepRound& round, const Candidate& candidate, world::PageMark mark);
+  /// Once what is staged has been copied.
+  void note_ids(const KeepRound& round);
 
   // world_spill.cpp
   [[nodiscard]] std::size_t bytes_here() const;
@@ -107,7 +118,8 @@ class WorldKeeper {
   [[nodiscard]] bool hurries(Clock::time_point now);
   void spill(const KeepRound& round, const Restructure& restructure);
   void forget(KeepRound& round);
-  void start_fetch();
+  /// `arriving`: pages that have been read and are about to be put in.
+  void start_fetch(const std::vector<world::PageKey>& arriving = {});
   void finish_fetch(const Restructure& restructure);
   void tell_spilled();
 

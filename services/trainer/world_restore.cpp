@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "trainer/id_set.h"
+#include "trainer/world_ids.h"
 #include "trainer/world_keeper.h"
 
 namespace splatbus::trainer {
@@ -84,18 +85,23 @@ void WorldKeeper::restore() {
     const std::size_t most_bytes = ceiling_bytes_ > 0 ? ceiling_bytes_ / 8 * 7 : kNone;
     const std::size_t most_gaussians = ceiling_gaussians_ > 0 ? ceiling_gaussians_ - ceiling_gaussians_ / 8 : kNone;
     std::size_t bytes = 0, gaussians = 0;
-    std::erase_if(entries, [&](const auto& entry) {
-      const std::size_t page = cost_.all(entry.second.state != model::PageState::Frozen);
-      const bool away = entry.second.mark == world::PageMark::Spilled || bytes + page > most_bytes ||
-                        gaussians + entry.second.count > most_gaussians;
-      if (away) {
-        elsewhere_.insert(entry);
-      } else {
-        bytes += page;
-        gaussians += entry.second.count;
+    const auto choose = [&](bool fetched) {
+      for (const auto& [key, entry] : entries) {
+        if ((entry.mark == world::PageMark::Fetched) != fetched) continue;
+        const std::size_t page = cost_.all(entry.state != model::PageState::Frozen);
+        if (entry.mark == world::PageMark::Spilled || bytes + page > most_bytes ||
+            gaussians + entry.count > most_gaussians) {
+          elsewhere_.emplace(key, entry);
+        } else {
+          bytes += page;
+          gaussians += entry.count;
+        }
       }
-      return away;
-    });
+    };
+    // First what had come back: viewers were near, and its records are older than all others.
+    choose(true);
+    choose(false);
+    std::erase_if(entries, [&](const auto& entry) { return elsewhere_.contains(entry.first); });
   }
   IdSet ids(kMaxIdBytes);
   std::size_t left = 0;
@@ -119,9 +125,7 @@ void WorldKeeper::restore() {
         left += entry.count;
         continue;
       }
-      const model::PageEntry& now = store_.table().entry(placed[p]);
-      const bool whole = now.now.count == entry.count;
-      kept_[key] = {.page = placed[p], .generation = whole ? now.generation.load() : 0, .step = progress.step};
+      kept_[key] = kept_as(*pages[p], placed[p], progress.step);
     }
   }
   tell_spilled();
@@ -144,6 +148,21 @@ std::vector<std::uint32_t> WorldKeeper::put_in(Pages& pages, std::uint64_t next_
                         page ? std::span<const std::uint32_t>(page->words) : std::span<const std::uint32_t>()});
   }
   return store_.restore(contents, next_gaussian_id);
+}
+
+WorldKeeper::Kept WorldKeeper::kept_as(const world::Page& page, std::uint32_t placed, std::uint64_t step) const {
+  const model::PageEntry& entry = store_.table().entry(placed);
+  // Of one that has lost Gaussians, for nobody can use them, the folder is to have what is left.
+  if (entry.now.count != page.count) return {.page = placed};
+  std::vector<std::uint64_t> ids;
+  for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+    ids.push_back(model::id_of(store_.layout(), {entry.now, page.words}, lane));
+  }
+  return {.page = placed,
+          .generation = entry.generation.load(),
+          .step = step,
+          .ids = hash_of_ids(ids),
+          .spilled = page.mark == world::PageMark::Spilled};
 }
 
 void WorldKeeper::follow() {

@@ -1,11 +1,13 @@
 // What a WorldKeeper takes out of memory, and when it brings it back.
 
 #include <spdlog/spdlog.h>
+#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <set>
 #include <utility>
 
 #include "trainer/world_keeper.h"
@@ -189,7 +191,7 @@ void WorldKeeper::forget(KeepRound& round) {
   tell_spilled();
 }
 
-void WorldKeeper::start_fetch() {
+void WorldKeeper::start_fetch(const std::vector<world::PageKey>& arriving) {
   if (!reading_.empty()) return;
   if (elsewhere_.empty() || places_.empty()) {
     wanted_m_.clear();
@@ -204,8 +206,12 @@ void WorldKeeper::start_fetch() {
     const float distance = distance_m(key, entry.bounds);
     if (distance <= parameters_.fetch_m) near.emplace_back(distance, key);
   }
+  if (!arriving.empty()) {
+    const std::set<world::PageKey> come(arriving.begin(), arriving.end());
+    std::erase_if(near, [&](const auto& page) { return come.contains(page.second); });
+  }
   std::sort(near.begin(), near.end());
-  const std::size_t room = room_for_pages();
+  const std::size_t room = room_for_pages() - std::min(room_for_pages(), arriving.size());
   const std::size_t count = std::min({near.size(), room, kFetchedAtOnce});
   if (count < std::min(near.size(), room)) next_fetch_ = now;
   wanted_m_.clear();
@@ -213,8 +219,8 @@ void WorldKeeper::start_fetch() {
   for (std::size_t k = 0; k < count; ++k) reading_.push_back(near[k].second);
   if (reading_.empty()) return;
   read_ = std::async(std::launch::async, [world = world_, keys = reading_] {
-    Pages pages;
-    for (const world::PageKey& key : keys) pages.push_back(world->read(key));
+    Pages pages(keys.size());
+    tbb::parallel_for(std::size_t{0}, keys.size(), [&](std::size_t k) { pages[k] = world->read(keys[k]); });
     return pages;
   });
 }
@@ -222,19 +228,19 @@ void WorldKeeper::start_fetch() {
 void WorldKeeper::finish_fetch(const Restructure& restructure) {
   if (reading_.empty() || read_.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
   Pages pages = read_.get();
+  const std::vector<world::PageKey> keys = std::exchange(reading_, {});
+  start_fetch(keys);  // the next ones are read while these are put in
   restructure([&] {
     const std::vector<std::uint32_t> placed = put_in(pages, store_.next_gaussian_id());
     for (std::size_t p = 0; p < placed.size(); ++p) {
-      const world::PageKey& key = reading_[p];
-      const bool whole = placed[p] != model::kNotInserted;
-      if (!whole && pages[p] && (store_.room() < pages[p]->count || !store_.has_page())) continue;  // another time
-      // To be written once more: in the folder it is one that is nowhere else.
-      kept_[key] = {.page = whole ? placed[p] : 0, .generation = 0, .step = store_.step()};
+      const world::PageKey& key = keys[p];
+      const bool is_in = placed[p] != model::kNotInserted;
+      if (!is_in && pages[p] && (store_.room() < pages[p]->count || !store_.has_page())) continue;  // another time
+      kept_[key] = is_in ? kept_as(*pages[p], placed[p], store_.step()) : Kept{};
       elsewhere_.erase(key);
     }
     tell_spilled();
   });
-  reading_.clear();
 }
 
 void WorldKeeper::tell_spilled() {

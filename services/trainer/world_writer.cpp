@@ -2,13 +2,21 @@
 
 #include <spdlog/spdlog.h>
 #include <sys/resource.h>
+#include <tbb/parallel_for.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "model/page_content.h"
 
 namespace splatbus::trainer {
+
+namespace {
+
+constexpr std::size_t kEncodedAtOnce = 32;
+
+}  // namespace
 
 WorldWriter::WorldWriter(std::shared_ptr<world::World> world)
     : world_(std::move(world)), thread_([this](const std::stop_token& stop) { run(stop); }) {}
@@ -32,8 +40,10 @@ std::unique_ptr<KeepRound> WorldWriter::take_done() {
 }
 
 void WorldWriter::wait() const {
+  awaited_ = true;
   std::unique_lock lock(mutex_);
   changed_.wait(lock, [&] { return !next_ && !writing_; });
+  awaited_ = false;
 }
 
 void WorldWriter::run(const std::stop_token& stop) {
@@ -76,9 +86,10 @@ void WorldWriter::run(const std::stop_token& stop) {
 
 void WorldWriter::write(KeepRound& round) {
   const ParameterLayout& layout = world_->layout();
-  world::Page page;
-  for (std::size_t p = 0; p < round.used; ++p) {
-    const StagedPage& staged = round.pages[p];
+  std::vector<world::Page> pages(kEncodedAtOnce);
+  std::vector<std::vector<std::byte>> payloads(kEncodedAtOnce);
+  const auto encode = [&](const StagedPage& staged, std::size_t at) {
+    world::Page& page = pages[at];
     page.key = staged.key;
     page.mark = staged.mark;
     page.state = staged.structure.state;
@@ -88,9 +99,20 @@ void WorldWriter::write(KeepRound& round) {
     page.words.resize(model::content_words(layout, page.count));
     model::pack_page(layout, staged.block.data(), page.count, page.words.data());
     page.morton_last = model::last_morton_key(layout, {staged.structure, page.words});
-    world_->put(page, world::encode_page(page, layout));
+    payloads[at] = world::encode_page(page, layout);
+  };
+  for (std::size_t first = 0; first < round.used;) {
+    const std::size_t n = round.hurries || awaited_ ? std::min(kEncodedAtOnce, round.used - first) : 1;
+    if (n == 1) {
+      encode(round.pages[first], 0);
+    } else {
+      tbb::parallel_for(std::size_t{0}, n, [&](std::size_t p) { encode(round.pages[first + p], p); });
+    }
+    for (std::size_t p = 0; p < n; ++p) world_->put(pages[p], payloads[p]);
+    first += n;
   }
   for (const world::PageKey& key : round.removals) world_->remove(key);
+  for (const world::PageKey& key : round.fetched) world_->mark(key, world::PageMark::Fetched);
   for (const world::PageKey& key : round.leaving) world_->mark(key, world::PageMark::Spilled);
   if (round.commits) world_->commit(round.progress);
 }

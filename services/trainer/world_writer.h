@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <condition_variable>
 #include <cstdint>
 #include <memory>
@@ -30,13 +31,15 @@ struct KeepRound {
   std::size_t used = 0;
   std::vector<world::PageKey> removals;
   std::vector<world::PageKey> leaving;  ///< pages that the folder has as they are, and that are to be there alone
+  std::vector<world::PageKey> fetched;  ///< pages that are in memory again, as the folder has them
+  bool hurries = false;                 ///< somebody waits for what it makes room for
   bool commits = false;                 ///< with this round all since the last commit is what there is now
   world::WorldProgress progress;
   std::string error;  ///< when it is done: why nothing since the last commit was written
 };
 
-/// Compresses pages and writes them to a world on a thread of its own, which gives way to all others. One round at a
-/// time; start() and take_done() from one thread.
+/// Compresses pages and writes them to a world on a thread of its own, which gives way to all others, and with all
+/// cores as long as somebody waits for it. One round at a time; start() and take_done() from one thread.
 class WorldWriter {
  public:
   explicit WorldWriter(std::shared_ptr<world::World> world);
@@ -54,6 +57,7 @@ class WorldWriter {
   void write(KeepRound& round);
 
   std::shared_ptr<world::World> world_;
+  mutable std::atomic<bool> awaited_ = false;
   mutable std::mutex mutex_;
   mutable std::condition_variable_any changed_;
   std::unique_ptr<KeepRound> next_, done_;

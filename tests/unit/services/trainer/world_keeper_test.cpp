@@ -271,18 +271,52 @@ TEST_P(WorldKeeperTest, WhateverMomentItIsKilledTheModelIsWhole) {
   }
 }
 
+/// A page that begins to rest, or to train again, has the Gaussians that the folder has: no commit waits for it.
+TEST_P(WorldKeeperTest, PagesThatBeginToRestHoldNobodyUp) {
+  start({.bytes_per_s = 1000, .staging_bytes = 1});  // a page a round, and none that may wait but at the end
+  change(30);
+  ASSERT_GT(store_->page_count(), 4U);
+  const auto turn_until_kept = [&] {
+    return bus_test::eventually([&] {
+      keeper_->turn();
+      return world::World(folder()).progress().generation == store_->generation();
+    });
+  };
+  ASSERT_TRUE(turn_until_kept());
+  std::uint64_t number = 1000;
+  for (const bool rest : {true, false, true}) {
+    std::vector<std::uint32_t> all;
+    for (const IndexRange& range : store_->view().ranges) all.push_back(range.first / kPageLanes);
+    for (const std::uint32_t page : all) store_->table().entry(page).loss = 0.1F;
+    rest ? store_->freeze(all) : store_->thaw(all);
+    std::mt19937 random(5);
+    insert(*store_, model::make_batch(random, 1, true, 1), ++number);
+    const std::uint64_t written = keeper_->stats().pages;
+    ASSERT_TRUE(turn_until_kept());
+    EXPECT_LE(keeper_->stats().pages, written + 2) << "those of the new one";
+    std::size_t count = 0;
+    for (const auto& [key, entry] : world::World(folder()).pages()) count += entry.count;
+    EXPECT_EQ(count, store_->count());
+  }
+  truth_.gaussians.clear();
+  for (const auto& [id, place] : Found(*store_).by_id) truth_.gaussians[id] = place.gaussian;
+  const std::size_t frozen = store_->frozen_pages();
+  end(true);
+  start();
+  expect_whole(Found(*store_), truth_);
+  EXPECT_EQ(store_->frozen_pages(), frozen) << "it was written in the end";
+}
+
 TEST_P(WorldKeeperTest, PagesThatChangeFasterThanRoundsTakeThemAreKeptAllTheSame) {
   start({.staging_bytes = 1});  // a page a round
   change(30);
   ASSERT_GT(store_->page_count(), 3U);
   const std::uint64_t before = keeper_->stats().rounds;
   // All of them change with every turn, the structure of each.
-  std::uint64_t committed = 0;
   ASSERT_TRUE(bus_test::eventually([&] {
-    std::vector<std::uint32_t> pages;
-    for (const IndexRange& range : store_->view().ranges) pages.push_back(range.first / kPageLanes);
-    committed % 2 == 0 ? store_->freeze(pages) : store_->thaw(pages);
-    ++committed;
+    std::vector<std::uint32_t> first_of_each;
+    for (const IndexRange& range : store_->view().ranges) first_of_each.push_back(range.first);
+    remove(*store_, first_of_each);
     keeper_->turn();
     const world::World reader(folder());
     return reader.pages().size() == store_->page_count();
