@@ -78,7 +78,8 @@ void Hub::heard(const std::string& source, const NamedValues& parameters) {
 
 void Hub::logged_error(const std::string& source, const std::string& text) {
   const std::scoped_lock lock(mutex_);
-  for (auto& [id, client] : clients_) {
+  for (auto& entry : clients_) {
+    auto& client = entry.second;  // clang 14 lets no lambda take a structured binding
     for (Setting& setting : client.settings) {
       std::erase_if(setting.open, [&](const auto& asked) {
         const ParameterBoard::Parameter* known = board_.find(asked.first);
