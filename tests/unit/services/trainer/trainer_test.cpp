@@ -9,7 +9,6 @@
 #include <numeric>
 
 #include "bus/error.h"
-#include "bus/heartbeat_thread.h"
 #include "bus/memory.h"
 #include "trainer/memory_failure.h"
 #include "trainer_fixture.h"
@@ -135,40 +134,6 @@ TEST_F(TrainerTest, CarvesWhatPicturesShowFree) {
   const HostModel model = read_model().value();
   EXPECT_EQ(model.count(), 300U);
   EXPECT_EQ(model.ids().back(), 300U) << "those of the first batch";
-}
-
-TEST_F(TrainerTest, WhereACameraStoodIsKeptUntilTheSceneIsAnother) {
-  const SyntheticScene scene;
-  start();
-  bus::HeartbeatThread heartbeats(*service_, "trainer");
-  insert(scene.truth());
-  std::uint64_t frame = 10;
-  const auto stand_at = [&](TrainingView view, std::uint64_t version) {
-    view.camera.id = 0;
-    view.frame = ++frame;
-    view.scene.version = version;
-    publish_view(view);
-  };
-  ASSERT_TRUE(until([&] {
-    stand_at(*scene.views()[frame % 2 == 0 ? 1 : 3], 5);
-    return counter("kept_views") == 2;
-  }));
-  EXPECT_EQ(counter("untrue_views"), 0);
-  // The floor has gone, and with it those that show it.
-  TrainingView empty = *scene.views()[2];
-  empty.depth = Pixels<float>(std::vector<float>(empty.depth.size(), 0.0F));
-  ASSERT_TRUE(until([&] {
-    stand_at(empty, 5);
-    return counter("untrue_views") >= 2;
-  }));
-  ASSERT_TRUE(until([&] {
-    stand_at(*scene.views()[frame % 2 == 0 ? 1 : 3], 6);
-    return counter("kept_views") == 2;
-  }));
-  ASSERT_TRUE(until([&] {
-    stand_at(*scene.views()[1], 7);
-    return counter("kept_views") < 2;
-  }));
 }
 
 TEST_F(TrainerTest, AViewWaitsForTheVisibilityOfItsOwnScene) {
