@@ -101,7 +101,9 @@ test('the streamer is killed: the picture stands until another has a whole one',
 
 test('the trainer is killed: the picture stands, and what another makes of it arrives', async () => {
   await pipeline.restarted('trainer');
-  const { version } = (await pipeline.status()).stream;
+  // Of the streamer that the test before has put there: the page can have its model before the gateway has its report.
+  let version;
+  await until(async () => (version = (await pipeline.status()).stream?.version) !== undefined);
   await until(async () => (await pipeline.status()).stream?.version > version);
   await standsUntil((now, then) => now.sequence > then && now.missing === 0, (await figures()).sequence);
 });
