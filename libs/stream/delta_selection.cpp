@@ -5,6 +5,7 @@
 #include <bit>
 #include <cmath>
 
+#include "stream/replicated_state.h"
 #include "stream/value_changes.h"
 
 namespace splatbus::stream {
@@ -32,10 +33,9 @@ float area_px2(const View& view, const glm::vec3& mean_world, float sigma2_m2) {
   return inside ? area : kOutsideShare * area;
 }
 
-constexpr std::int32_t kCalmZone = 1;      // steps: rounding alone can toggle a value by one
-constexpr std::size_t kBuckets = 512;      // of score, eight an octave
-constexpr std::size_t kRowsAtOnce = 1024;  // their sums stay in the first level of cache
-static_assert(kChunkRows % kRowsAtOnce == 0);
+constexpr std::int32_t kCalmZone = 1;  // steps: rounding alone can toggle a value by one
+constexpr std::size_t kBuckets = 512;  // of score, eight an octave
+static_assert(kChunkRows % kBlockRows == 0);
 
 bool is_delta_coded(Attribute attribute) {
   return attribute != Attribute::Normal && attribute != Attribute::Visibility;
@@ -52,54 +52,73 @@ std::uint32_t bucket(float score) {
   return std::min(eighths, static_cast<std::uint32_t>(kBuckets - 1));
 }
 
+/// Of one Gaussian after the other.
 template <class Gaussians>
-std::vector<float> shares(const Gaussians& gaussians, const StreamLayout& layout, std::span<const Camera> cameras,
-                          const ObjectTransforms& objects) {
-  std::vector<View> views;
-  for (const Camera& camera : cameras) views.push_back({camera, inverse(camera.world_from_camera)});
-  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale),
-                          &opacity = layout.at(Attribute::Opacity);
-  const auto value = [&](const AttributeChannels& a, int channel, std::size_t i) {
-    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + channel][i]);
-  };
-  std::vector<float> share(gaussians.count());
-  for (std::size_t i = 0; i < share.size(); ++i) {
-    const float a = value(scale, 0, i), b = value(scale, 1, i), c = value(scale, 2, i);
+class Shares {
+ public:
+  Shares(const Gaussians& gaussians, const StreamLayout& layout, std::span<const Camera> cameras,
+         const ObjectTransforms& objects)
+      : gaussians_(gaussians),
+        objects_(objects),
+        mean_(layout.at(Attribute::Mean)),
+        scale_(layout.at(Attribute::LogScale)),
+        opacity_(layout.at(Attribute::Opacity)) {
+    for (const Camera& camera : cameras) views_.push_back({camera, inverse(camera.world_from_camera)});
+  }
+
+  float operator()(std::size_t i) const {
+    const float a = value(scale_, 0, i), b = value(scale_, 1, i), c = value(scale_, 2, i);
     float sigma2 = std::exp(std::min(a + b + c - std::min({a, b, c}), 10.0F));
-    glm::vec3 p(value(mean, 0, i), value(mean, 1, i), value(mean, 2, i));
+    glm::vec3 p(value(mean_, 0, i), value(mean_, 1, i), value(mean_, 2, i));
+    const std::uint32_t object_id = gaussians_.object_id[i];
     float shown = 1;
-    if (gaussians.object_id[i] != 0) {
-      if (const auto object = objects.find(gaussians.object_id[i]); object != objects.end()) {
+    if (object_id != 0) {
+      if (const auto object = objects_.find(object_id); object != objects_.end()) {
         p = object->second * p;
         sigma2 *= object->second.scale * object->second.scale;
       } else {
         shown = kOutsideShare;  // it is hidden, and may come back
       }
     }
-    float area = views.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
-    for (const View& view : views) {
-      if (gaussians.object_id[i] == kFarFieldFrame) {
+    float area = views_.empty() ? std::min(sigma2 * kCentimetres2, kMaxAreaPx2) : 0;
+    for (const View& view : views_) {
+      if (object_id == kFarFieldFrame) {
         const ObjectTransform seen = seen_from(view.camera.world_from_camera.translation, kFarFieldFrame, {});
         area = std::max(area, area_px2(view, seen * p, sigma2 * seen.scale * seen.scale));
       } else {
         area = std::max(area, area_px2(view, p, sigma2));
       }
     }
-    share[i] = shown * area * value(opacity, 0, i);
+    return shown * area * value(opacity_, 0, i);
   }
-  return share;
-}
+
+ private:
+  [[nodiscard]] float value(const AttributeChannels& a, int channel, std::size_t i) const {
+    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians_.channels[a.first + channel][i]);
+  }
+  const Gaussians& gaussians_;
+  const ObjectTransforms& objects_;
+  const AttributeChannels &mean_, &scale_, &opacity_;
+  std::vector<View> views_;
+};
 
 }  // namespace
 
-std::vector<float> picture_share(const HeldGaussians& gaussians, const StreamLayout& layout,
-                                 std::span<const Camera> cameras, const ObjectTransforms& objects) {
-  return shares(gaussians, layout, cameras, objects);
+void picture_share(const HeldGaussians& gaussians, const StreamLayout& layout, std::span<const std::uint32_t> blocks,
+                   std::span<const Camera> cameras, const ObjectTransforms& objects, std::span<float> share) {
+  const Shares of(gaussians, layout, cameras, objects);
+  for (const std::uint32_t block : blocks) {
+    const std::size_t first = std::size_t{block} * kBlockRows;
+    for (std::size_t row = first; row < first + kBlockRows; ++row) share[row] = of(row);
+  }
 }
 
 std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
                                  std::span<const Camera> cameras, const ObjectTransforms& objects) {
-  return shares(gaussians, layout, cameras, objects);
+  const Shares of(gaussians, layout, cameras, objects);
+  std::vector<float> share(gaussians.count());
+  for (std::size_t i = 0; i < share.size(); ++i) share[i] = of(i);
+  return share;
 }
 
 Schedules default_schedules() {
@@ -155,24 +174,25 @@ double DeltaSelection::bytes_per_entry(Attribute attribute) const {
 }
 
 void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held, const QuantizedGaussians& target,
-                             std::span<const std::uint32_t> target_column, std::span<const float> share) {
+                             std::span<const std::uint32_t> target_column, std::span<const std::uint32_t> blocks,
+                             std::span<const float> share) {
   const AttributeChannels& a = layout_.attributes()[attribute];
   const AttributeSchedule& plan = schedule(attribute);
   const float scale = plan.weight / static_cast<float>(bytes_per_entry_[attribute]);
   auto& calm = calm_[attribute];
-  std::array<std::int32_t, kRowsAtOnce> largest, sum, drift;
-  for (std::size_t first = 0; first < target_column.size(); first += kRowsAtOnce) {
-    const std::size_t rows = std::min(kRowsAtOnce, target_column.size() - first);
+  std::array<std::int32_t, kBlockRows> largest, sum, drift;
+  for (const std::uint32_t block : blocks) {
+    const std::size_t first = std::size_t{block} * kBlockRows;
     largest.fill(0);
     sum.fill(0);
     drift.fill(0);
     for (int c = a.first; c < a.first + a.channels; ++c) {
       held.channels[c].visit(first, [&](const auto* from) {
-        add_changes(target.channels[c].data(), target_column.data() + first, from, anchor_[c].data() + first, rows,
-                    {largest.data(), sum.data(), drift.data()});
+        add_changes(target.channels[c].data(), target_column.data() + first, from, anchor_[c].data() + first,
+                    kBlockRows, {largest.data(), sum.data(), drift.data()});
       });
     }
-    for (std::size_t i = 0; i < rows; ++i) {
+    for (std::size_t i = 0; i < kBlockRows; ++i) {
       const auto row = static_cast<std::uint32_t>(first + i);
       const std::uint32_t column = target_column[row];
       if (column == kNotHeld) continue;
@@ -194,16 +214,21 @@ void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held,
 
 std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, const QuantizedGaussians& target,
                                                  std::span<const std::uint32_t> target_column,
-                                                 std::span<const float> share, double budget_bytes) {
+                                                 std::span<const std::uint32_t> blocks, std::span<const float> share,
+                                                 double budget_bytes) {
   candidates_.clear();
-  classes_.assign(target_column.size(), {});
-  for (std::size_t row = 0; row < target_column.size() && !precision_.lossless(); ++row) {
-    if (target_column[row] != kNotHeld) classes_[row] = precision_.of(target, target_column[row]);
+  classes_.resize(target_column.size());
+  for (const std::uint32_t block : blocks) {
+    for (std::size_t row = std::size_t{block} * kBlockRows; row < (std::size_t{block} + 1) * kBlockRows; ++row) {
+      classes_[row] = target_column[row] != kNotHeld && !precision_.lossless()
+                          ? precision_.of(target, target_column[row])
+                          : Precision::Class{};
+    }
   }
   for (std::uint32_t a = 0; a < layout_.attributes().size(); ++a) {
     if (!is_delta_coded(layout_.attributes()[a].attribute) || tick_ % std::max(schedule(a).every, 1U) != 0) continue;
     if (target.count() == 0) break;
-    collect(a, held, target, target_column, share);
+    collect(a, held, target, target_column, blocks, share);
   }
   ++tick_;
 

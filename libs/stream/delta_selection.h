@@ -16,9 +16,9 @@ namespace splatbus::stream {
 /// How much of the pictures each Gaussian makes up, an estimate without occlusion: opacity times the area in pixels of
 /// its one-sigma ellipse's two largest axes, the largest over the viewers' cameras. Outside all pictures, and of an
 /// object that is not there, a tenth of what it would be inside: viewers turn, objects come back. Without cameras the
-/// area is in square centimetres.
-[[nodiscard]] std::vector<float> picture_share(const HeldGaussians& gaussians, const StreamLayout& layout,
-                                               std::span<const Camera> cameras, const ObjectTransforms& objects);
+/// area is in square centimetres. Of what is held, share[row] of the rows of `blocks` (of kBlockRows).
+void picture_share(const HeldGaussians& gaussians, const StreamLayout& layout, std::span<const std::uint32_t> blocks,
+                   std::span<const Camera> cameras, const ObjectTransforms& objects, std::span<float> share);
 [[nodiscard]] std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
                                                std::span<const Camera> cameras, const ObjectTransforms& objects);
 
@@ -56,11 +56,13 @@ class DeltaSelection {
   void begin(std::uint32_t row, const HeldGaussians& held);
   void move(std::uint32_t from, std::uint32_t to);
 
-  /// `target_column[row]` is the row's column in `target`, or kNotHeld when nothing of it is to be sent.
-  /// `share[row]` as picture_share. Stays near `budget_bytes` after compression, most picture for the byte first.
+  /// Looks at the rows of `blocks`, which ascend, alone. `target_column[row]` is the row's column in `target`, or
+  /// kNotHeld when nothing of it is to be sent. `share[row]` as picture_share. Stays near `budget_bytes` after
+  /// compression, most picture for the byte first.
   [[nodiscard]] std::vector<SelectedRows> select(const HeldGaussians& held, const QuantizedGaussians& target,
                                                  std::span<const std::uint32_t> target_column,
-                                                 std::span<const float> share, double budget_bytes);
+                                                 std::span<const std::uint32_t> blocks, std::span<const float> share,
+                                                 double budget_bytes);
   [[nodiscard]] double bytes_per_entry(Attribute attribute) const;
   /// Rows, in no order and some of them several times, of what the last select() left for later.
   [[nodiscard]] const std::vector<std::uint32_t>& left_rows() const { return left_rows_; }
@@ -79,7 +81,8 @@ class DeltaSelection {
     std::uint32_t attribute;  ///< index into the layout's attributes
   };
   void collect(std::uint32_t attribute, const HeldGaussians& held, const QuantizedGaussians& target,
-               std::span<const std::uint32_t> target_column, std::span<const float> share);
+               std::span<const std::uint32_t> target_column, std::span<const std::uint32_t> blocks,
+               std::span<const float> share);
   [[nodiscard]] const AttributeSchedule& schedule(std::uint32_t attribute) const;
 
   StreamLayout layout_;
@@ -91,7 +94,7 @@ class DeltaSelection {
   std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][rows] ticks of rest
   std::vector<double> bytes_per_entry_;            ///< [attributes]
   std::vector<Candidate> candidates_;
-  std::vector<Precision::Class> classes_;  ///< [rows] of the target
+  std::vector<Precision::Class> classes_;  ///< [rows] of the target, of those that were looked at
   std::vector<std::uint32_t> left_rows_;
 };
 

@@ -13,26 +13,6 @@
 
 namespace splatbus::stream {
 
-namespace {
-
-constexpr std::size_t kWorthABase = 32;  // Gaussians; fewer are sent anew with their page
-
-PageBounds bounds_of_columns(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
-                             std::uint32_t count) {
-  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale);
-  const auto value = [&](const AttributeChannels& a, int c, std::uint32_t i) {
-    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + c][i]);
-  };
-  PageBounds bounds;
-  for (std::uint32_t i = first; i < first + count; ++i) {
-    include(bounds, {value(mean, 0, i), value(mean, 1, i), value(mean, 2, i)},
-            std::max({value(scale, 0, i), value(scale, 1, i), value(scale, 2, i)}));
-  }
-  return bounds;
-}
-
-}  // namespace
-
 StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const StreamOptions& options, Device device)
     : writer_(std::move(writer)),
       options_(options),
@@ -45,150 +25,13 @@ StreamModel::StreamModel(PacketWriter writer, std::uint64_t stream_epoch, const 
 void StreamModel::set_schedules(const Schedules& schedules) {
   options_.schedules = schedules;
   selection_.set_schedules(schedules);
+  for (KnownPage& page : known_) page.idle_ticks = 0;
 }
 
 std::uint32_t StreamModel::row_of(std::uint64_t id) const {
   const auto found = row_of_id_.find(id);
   if (found == row_of_id_.end() || found->second >= held_.rows()) return kNotHeld;
   return held_.gaussians.gaussian_id[found->second] == id ? found->second : kNotHeld;
-}
-
-bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid) {
-  if (gaussians.count > kMaxModelGaussians) {
-    throw StreamError(fmt::format("model: {} Gaussians, at most {} can be read", gaussians.count, kMaxModelGaussians));
-  }
-  const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
-  const StreamLayout layout =
-      another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
-  const bool mirrored = ready_ && !another;
-  const std::span<const std::uint64_t> ids = quantizer_.ids(gaussians);
-  std::vector<std::uint32_t> rows(ids.size(), kNotHeld);
-  for (std::size_t i = 0; mirrored && i < ids.size(); ++i) {
-    // Columns mostly stay where they were: look there first.
-    const std::uint32_t before = i < row_of_column_.size() ? row_of_column_[i] : kNotHeld;
-    const bool same = before < held_.rows() && ids[i] != 0 && held_.gaussians.gaussian_id[before] == ids[i];
-    rows[i] = same ? before : row_of(ids[i]);
-  }
-  quantizer_.quantize(gaussians, layout, mirrored ? &held_.gaussians : nullptr, rows);
-  if (still_valid && !still_valid()) return false;
-
-  if (another) set_ready(false);
-  quantizer_.commit(target_, usable_);
-  target_layout_ = layout;
-  row_of_column_ = std::move(rows);
-  cut_target(gaussians);
-  if (ready_) map_columns();
-  return true;
-}
-
-void StreamModel::cut_target(const GaussiansView& gaussians) {
-  target_pages_.clear();
-  const auto add = [&](std::uint32_t page, std::uint32_t first, const IndexRange& range) {
-    target_pages_.push_back({.page = page,
-                             .first = first,
-                             .count = range.count,
-                             .index = range.first,
-                             .object_id = range.frame_id,
-                             .frozen = range.frozen != 0,
-                             .bounds = {}});
-  };
-  if (gaussians.has_pages()) {
-    std::uint32_t first = 0;
-    for (const IndexRange& range : gaussians.ranges) {
-      add(range.first >> gaussians.page_shift, first, range);
-      first += range.count;
-    }
-  } else {
-    const auto count = static_cast<std::uint32_t>(gaussians.count);
-    for (std::uint32_t first = 0; first < count; first += kPageLanes) {
-      add(first / kPageLanes, first, {.first = first, .count = std::min(kPageLanes, count - first)});
-    }
-  }
-  for (std::size_t k = 0; k < target_pages_.size(); ++k) {
-    TargetPage& page = target_pages_[k];
-    const bool known = gaussians.has_pages() && gaussians.bounds.size() == target_pages_.size();
-    page.bounds = known ? gaussians.bounds[k] : bounds_of_columns(target_, *target_layout_, page.first, page.count);
-  }
-}
-
-void StreamModel::index_blocks() {
-  page_of_block_.assign(held_.rows() / kBlockRows, kNoPage);
-  block_index_.assign(page_of_block_.size(), 0);
-  for (const auto& [number, page] : held_.pages) {
-    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) {
-      page_of_block_[page.blocks[k]] = number;
-      block_index_[page.blocks[k]] = k;
-    }
-  }
-}
-
-// An id that comes twice is a mistake of the publisher's; the first one counts.
-void StreamModel::map_columns() {
-  index_blocks();
-  column_of_row_.assign(held_.rows(), kNotHeld);
-  target_page_of_row_.assign(held_.rows(), kNoPage);
-  for (const TargetPage& page : target_pages_) {
-    for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
-      const std::uint32_t row = row_of_column_[column];
-      if (row == kNotHeld || target_page_of_row_[row] != kNoPage) continue;
-      target_page_of_row_[row] = page.page;
-      if (usable_[column]) column_of_row_[row] = column;
-    }
-  }
-}
-
-std::uint32_t StreamModel::base_of(const TargetPage& page, std::span<const std::uint32_t> from) const {
-  std::map<std::uint32_t, std::size_t> shares;
-  for (const std::uint32_t number : from) ++shares[number];
-  if (shares.contains(page.page)) return page.page;
-  // Elsewhere its number is that of a page whose Gaussians go: it has to be replaced as a whole.
-  if (held_.find(page.page)) return kNoPage;
-  std::uint32_t base = kNoPage;
-  std::size_t most = kWorthABase;
-  for (const auto& [number, share] : shares) {
-    if (share >= most && anybody_holds(number)) {
-      most = share;
-      base = number;
-    }
-  }
-  return base;
-}
-
-std::vector<StreamModel::PagePlan> StreamModel::plan_pages() {
-  std::vector<PagePlan> plans;
-  plans.reserve(target_pages_.size());
-  std::unordered_set<std::uint64_t> seen;
-  for (const TargetPage& page : target_pages_) {
-    PagePlan plan{.target = &page, .base = kNoPage, .gone = {}, .moved = {}, .fresh = {}};
-    std::vector<std::uint32_t> from;
-    std::vector<std::pair<std::uint32_t, std::uint32_t>> rows;  // column, row
-    for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
-      const std::uint32_t row = row_of_column_[column];
-      if (row != kNotHeld) {
-        // Of several columns with one id the mapped one counts; where that is not usable, any other would not be
-        // either.
-        const bool counts =
-            target_page_of_row_[row] == page.page && (column_of_row_[row] == column || column_of_row_[row] == kNotHeld);
-        if (!counts) continue;
-        from.push_back(page_of_row(row));
-        rows.emplace_back(column, row);
-      } else if (usable_[column] && seen.insert(target_.gaussian_id[column]).second) {
-        plan.fresh.push_back(column);
-      }
-    }
-    plan.base = base_of(page, from);
-    for (const auto& [column, row] : rows) {
-      if (page_of_row(row) != plan.base && usable_[column]) plan.moved.push_back(column);
-    }
-    if (plan.base != kNoPage) {
-      const HeldPage& base = *held_.find(plan.base);
-      for (std::uint32_t lane = 0; lane < base.count; ++lane) {
-        if (target_page_of_row_[base.row(lane)] != page.page) plan.gone.push_back(lane);
-      }
-    }
-    plans.push_back(std::move(plan));
-  }
-  return plans;
 }
 
 bool StreamModel::anybody_holds(std::uint32_t page) const {
@@ -202,8 +45,8 @@ void StreamModel::set_holders(std::set<std::uint32_t> pages) {
 }
 
 std::uint64_t StreamModel::place_of(std::uint32_t number) const {
-  const auto found = std::ranges::lower_bound(target_pages_, number, {}, &TargetPage::page);
-  if (found == target_pages_.end() || found->page != number) return 0;
+  const TargetPage* found = find_target(number);
+  if (!found) return 0;
   const auto spread = [](float low, float high) {
     auto v = static_cast<std::uint64_t>(std::clamp(0.5F * (low + high) * 2 + 8192, 0.0F, 16383.0F));
     std::uint64_t bits = 0;
@@ -304,12 +147,18 @@ void StreamModel::reset_to_target() {
   quiet_.clear();
   row_of_id_.clear();
   row_of_column_.assign(target_.count(), kNotHeld);
+  column_of_row_.clear();
+  target_page_of_row_.clear();
+  page_of_block_.clear();
+  for (KnownPage& page : known_) page.settled = page.followed = false, page.idle_ticks = 0;
   selection_ = DeltaSelection(held_.layout, options_.schedules, options_.calm_ticks, options_.coarseness);
   precision_ = Precision(held_.layout, options_.coarseness);
   map_columns();
   std::unordered_set<std::uint64_t> seen;
-  for (std::uint32_t column = 0; column < target_.count(); ++column) {
-    if (usable_[column] && !seen.insert(target_.gaussian_id[column]).second) usable_[column] = 0;
+  for (const TargetPage& page : target_pages_) {
+    for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
+      if (usable_[column] && !seen.insert(target_.gaussian_id[column]).second) usable_[column] = 0;
+    }
   }
   for (const TargetPage& page : target_pages_) (void)fill_page(page);
   map_columns();

@@ -9,6 +9,7 @@
 #include <set>
 #include <span>
 #include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
 #include "gaussians/camera.h"
@@ -82,7 +83,9 @@ struct StreamUpdate {
 };
 
 /// The streamer's side: the pages that viewers may have, as integers, and the packets that follow the published model.
-/// What anybody holds changes only by the very bytes that are sent; what nobody holds, without any.
+/// What anybody holds changes only by the very bytes that are sent; what nobody holds, without any. What rests costs
+/// nothing but its place: pages that are frozen are not read again (a few in turn are, in case), and pages of which
+/// nothing has changed for long are in no tick's way.
 ///
 /// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_update(),
 /// page_packets(), page_visibility(), manifest_packets(), gone_packet(), scene_packet(), scene_version(),
@@ -161,9 +164,13 @@ class StreamModel {
   static constexpr int kMaxVisibilityError = 6;
 
   [[nodiscard]] const ReplicatedState& held() const { return held_; }
-  [[nodiscard]] std::size_t observed_count() const { return target_.count(); }
+  [[nodiscard]] std::size_t observed_count() const { return observed_count_; }
+  /// By index of the model: what is in no page is 0.
   [[nodiscard]] const QuantizedGaussians& observed_gaussians() const { return target_; }
-  [[nodiscard]] const std::vector<std::uint8_t>& usable() const { return usable_; }
+  /// Of all that was observed, Gaussians that the last observation has read.
+  [[nodiscard]] std::size_t read_count() const { return read_.count(); }
+  /// Pages that the last tick looked through for values to send.
+  [[nodiscard]] std::size_t busy_pages() const { return busy_pages_; }
   [[nodiscard]] const ModelQuantizer& quantizer() const { return quantizer_; }
   /// Observed and not offered, after the last tick.
   [[nodiscard]] std::size_t unsent() const { return unsent_; }
@@ -177,11 +184,19 @@ class StreamModel {
 
   /// A page of the model that was observed.
   struct TargetPage {
-    std::uint32_t page = 0, first = 0, count = 0;  ///< columns
-    std::uint32_t index = 0;                       ///< of the first
+    std::uint32_t page = 0, first = 0, count = 0;  ///< columns, which are the model's indices
     std::uint32_t object_id = 0;
     bool frozen = false;
     PageBounds bounds;
+  };
+  /// What is known of one, from its first observation on.
+  struct KnownPage {
+    IndexRange range;              ///< when it was observed last; of none: not at all, or it is gone
+    std::uint32_t usable = 0;      ///< Gaussians
+    bool rests = false;            ///< the last observation found it as the one before
+    bool settled = false;          ///< and what is held of it has the same Gaussians, in the same page
+    bool followed = false;         ///< and nobody holds it, and what is held of it has the same values
+    std::uint32_t idle_ticks = 0;  ///< while somebody held it, and none of its values was worth sending
   };
   /// What becomes of it.
   struct PagePlan {
@@ -224,7 +239,17 @@ class StreamModel {
     const std::scoped_lock lock(mutex_);
     ready_ = ready;
   }
+  [[nodiscard]] std::vector<IndexRange> ranges_to_read(const GaussiansView& gaussians, bool all);
+  void take_observed(std::span<const IndexRange> ranges, std::span<const std::uint32_t> rows);
+  /// Columns `from`, ... of read_; false when they were there already.
+  bool take_columns(std::uint32_t first, std::uint32_t count, std::size_t from);
+  void vacate(const IndexRange& range);
   void cut_target(const GaussiansView& gaussians);
+  [[nodiscard]] const TargetPage* find_target(std::uint32_t page) const;
+  [[nodiscard]] KnownPage& known(std::uint32_t page);
+  [[nodiscard]] bool is_settled(std::uint32_t page) const { return page < known_.size() && known_[page].settled; }
+  [[nodiscard]] bool is_idle(std::uint32_t page) const;
+  [[nodiscard]] std::vector<std::uint32_t> busy_blocks();
   [[nodiscard]] std::uint32_t row_of(std::uint64_t id) const;
   [[nodiscard]] std::uint32_t page_of_row(std::uint32_t row) const { return page_of_block_[row / kBlockRows]; }
   [[nodiscard]] std::uint32_t lane_of_row(std::uint32_t row) const {
@@ -232,8 +257,10 @@ class StreamModel {
   }
   void index_blocks();
   void map_columns();
+  void map_page(const TargetPage& page);
   [[nodiscard]] std::vector<PagePlan> plan_pages();
-  [[nodiscard]] std::uint32_t base_of(const TargetPage& page, std::span<const std::uint32_t> from) const;
+  [[nodiscard]] PagePlan plan_page(const TargetPage& page, std::unordered_set<std::uint64_t>& fresh_ids) const;
+  [[nodiscard]] std::uint32_t base_of(const TargetPage& page, const std::map<std::uint32_t, std::size_t>& shares) const;
   [[nodiscard]] bool anybody_holds(std::uint32_t page) const;
   [[nodiscard]] std::uint64_t place_of(std::uint32_t page) const;
   /// The target's columns as they are held: rounded.
@@ -286,9 +313,16 @@ class StreamModel {
   std::optional<std::set<std::uint32_t>> holders_now_;  ///< of both, when the tick began
 
   std::optional<StreamLayout> target_layout_;
+  QuantizedGaussians read_;  ///< by the last observation, range after range
+  std::vector<std::uint8_t> read_usable_;
   QuantizedGaussians target_;
+  std::vector<std::uint8_t> usable_;  ///< [columns]
   std::vector<TargetPage> target_pages_;
-  std::vector<std::uint8_t> usable_;
+  std::vector<KnownPage> known_;           ///< by page
+  std::size_t read_next_ = 0;              ///< range that is read though it rests
+  std::uint32_t page_lanes_ = kPageLanes;  ///< of a page of the model
+  std::size_t observed_count_ = 0, busy_pages_ = 0;
+  std::vector<float> share_;                                    ///< [rows] of the pictures, of rows that are looked at
   std::vector<std::uint32_t> page_of_block_, block_index_;      ///< kNoPage: nobody's
   std::vector<std::uint32_t> row_of_column_;                    ///< kNotHeld: not held
   std::vector<std::uint32_t> column_of_row_;                    ///< kNotHeld: not in the target, or not usable

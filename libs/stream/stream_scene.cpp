@@ -129,15 +129,15 @@ StreamModel::LightChange StreamModel::change_of(std::uint32_t light_id, std::spa
   const Bytes* others = light_id != 0 ? held_.light_rows.find(light_id) : nullptr;
   const Illumination light(held_, light_id);
   for (const TargetPage& page : target_pages_) {
-    if (std::size_t{page.index} + page.count > of_index.size()) {
+    if (std::size_t{page.first} + page.count > of_index.size()) {
       throw StreamError(fmt::format("visibility: of {} indices, the model has more", of_index.size()));
     }
-    if (!all.covered.empty() && all.covered[page.index / all.page_indices] == 0) continue;
+    if (!all.covered.empty() && all.covered[page.first / all.page_indices] == 0) continue;
     for (std::uint32_t k = 0; k < page.count; ++k) {
       const std::uint32_t row = row_of_column_[page.first + k];
       if (row == kNotHeld || target_page_of_row_[row] != page.page) continue;
       const int held = sun ? (*sun)[row] : (*others)[row];
-      const int wanted = of_index[page.index + k];
+      const int wanted = of_index[page.first + k];
       if (!differs(wanted, held)) continue;
       out.rows.push_back(row);
       out.values.push_back(static_cast<std::uint8_t>(level_of(wanted)));

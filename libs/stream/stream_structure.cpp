@@ -15,8 +15,71 @@ namespace {
 constexpr std::size_t kPacketAppends = 2048;
 constexpr double kAppendShare = 0.8;        // of the budget, while deltas wait
 constexpr std::size_t kIdsPerGaussian = 2;  // that may be remembered
+constexpr std::size_t kWorthABase = 32;     // Gaussians; fewer are sent anew with their page
 
 }  // namespace
+
+std::uint32_t StreamModel::base_of(const TargetPage& page, const std::map<std::uint32_t, std::size_t>& shares) const {
+  if (shares.contains(page.page)) return page.page;
+  // Elsewhere its number is that of a page whose Gaussians go: it has to be replaced as a whole.
+  if (held_.find(page.page)) return kNoPage;
+  std::uint32_t base = kNoPage;
+  std::size_t most = kWorthABase;
+  for (const auto& [number, share] : shares) {
+    if (share >= most && anybody_holds(number)) {
+      most = share;
+      base = number;
+    }
+  }
+  return base;
+}
+
+StreamModel::PagePlan StreamModel::plan_page(const TargetPage& page,
+                                             std::unordered_set<std::uint64_t>& fresh_ids) const {
+  PagePlan plan{.target = &page, .base = kNoPage, .gone = {}, .moved = {}, .fresh = {}};
+  std::map<std::uint32_t, std::size_t> from;                  // Gaussians, by the page that has them
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> rows;  // column, row
+  std::size_t* share = nullptr;  // of the page before: neighbours mostly come from the same
+  std::uint32_t share_of = kNoPage;
+  for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
+    const std::uint32_t row = row_of_column_[column];
+    if (row != kNotHeld) {
+      // Of several columns with one id the mapped one counts; where that is not usable, any other would not be either.
+      const bool counts =
+          target_page_of_row_[row] == page.page && (column_of_row_[row] == column || column_of_row_[row] == kNotHeld);
+      if (!counts) continue;
+      if (share == nullptr || share_of != page_of_row(row)) share = &from[share_of = page_of_row(row)];
+      ++*share;
+      rows.emplace_back(column, row);
+    } else if (usable_[column] && fresh_ids.insert(target_.gaussian_id[column]).second) {
+      plan.fresh.push_back(column);
+    }
+  }
+  plan.base = base_of(page, from);
+  for (const auto& [column, row] : rows) {
+    if (page_of_row(row) != plan.base && usable_[column]) plan.moved.push_back(column);
+  }
+  if (plan.base != kNoPage) {
+    const HeldPage& base = *held_.find(plan.base);
+    for (std::uint32_t lane = 0; lane < base.count; ++lane) {
+      if (target_page_of_row_[base.row(lane)] != page.page) plan.gone.push_back(lane);
+    }
+  }
+  return plan;
+}
+
+/// Of pages that are not settled.
+std::vector<StreamModel::PagePlan> StreamModel::plan_pages() {
+  std::vector<PagePlan> plans;
+  std::unordered_set<std::uint64_t> fresh_ids;
+  for (const TargetPage& page : target_pages_) {
+    KnownPage& known_page = known(page.page);
+    if (known_page.settled) continue;
+    plans.push_back(plan_page(page, fresh_ids));
+    known_page.settled = known_page.rests && !plans.back().changes();
+  }
+  return plans;
+}
 
 bool StreamModel::Family::take(PagePlan& plan) {
   if (moved + plan.moved.size() > kMaxPageGaussians) return false;
@@ -40,11 +103,9 @@ void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> vi
   const double left = selection_.pending() > 0 ? kAppendShare * budget_bytes : budget_bytes;
   hold_back(plans, left, viewers, objects);
 
-  std::set<std::uint32_t> in_target;
   std::map<std::uint32_t, Family> families;  // by base
   std::vector<const TargetPage*> whole;
   for (PagePlan& plan : plans) {
-    in_target.insert(plan.target->page);
     if (!plan.changes()) continue;
     const bool known = plan.base != kNoPage && anybody_holds(plan.base);
     if (known && families[plan.base].take(plan)) continue;
@@ -53,7 +114,7 @@ void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> vi
   for (auto& [base, family] : families) family.bound();
   std::vector<std::uint32_t> gone;
   for (const auto& [number, page] : held_.pages) {
-    if (!in_target.contains(number)) gone.push_back(number);
+    if (!find_target(number)) gone.push_back(number);
   }
 
   std::vector<std::pair<std::uint64_t, std::uint32_t>> order;
@@ -74,7 +135,7 @@ void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> vi
     for (const PagePlan* plan : families[base].plans) more += plan->moved.size() + plan->fresh.size();
     if (!packet.empty() && (appends + more > kPacketAppends || packet.size() >= kPacketPages)) flush();
     for (PagePlan* plan : families[base].plans) packet.push_back(std::move(*plan));
-    if (!in_target.contains(base)) ended.push_back(base);
+    if (!find_target(base)) ended.push_back(base);
     appends += more;
   }
   flush();
@@ -88,7 +149,8 @@ void StreamModel::tick_structure(double budget_bytes, std::span<const Camera> vi
     std::erase_if(row_of_id_, [&](const auto& entry) { return row_of(entry.first) == kNotHeld; });
   }
   map_columns();
-  const auto usable = static_cast<std::size_t>(std::ranges::count(usable_, 1));
+  std::size_t usable = 0;
+  for (const TargetPage& page : target_pages_) usable += known(page.page).usable;
   unsent_ = usable - std::min(usable, held_.count);
   full_ = unsent_ > 0 && held_.count >= options_.max_gaussians;
 }

@@ -57,7 +57,7 @@ void StreamModel::follow_unheld() {
   const AttributeChannels* sun = held_.layout.find(Attribute::Visibility);
   for (std::size_t k = 0; k < count && followed < kFollowedPages && looked_at < kLookedAtPages; ++k) {
     const TargetPage& target = target_pages_[follow_next_++ % count];
-    if (anybody_holds(target.page) || !held_.find(target.page)) continue;
+    if (anybody_holds(target.page) || !held_.find(target.page) || known(target.page).followed) continue;
     ++looked_at;
     std::vector<std::uint32_t> columns;
     for (std::uint32_t column = target.first; column < target.first + target.count; ++column) {
@@ -79,6 +79,7 @@ void StreamModel::follow_unheld() {
       held_.gaussians.object_id.set(row, target_.object_id[column]);
       selection_.begin(row, held_.gaussians);
     }
+    known(target.page).followed = known(target.page).settled;
     if (!differs) continue;
     held_.pages.at(target.page).version = ++version_;
     ++followed;

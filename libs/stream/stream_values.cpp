@@ -27,15 +27,34 @@ struct StreamModel::PageValues {
   std::vector<std::uint32_t> objects;             ///< lanes that are another object's now
 };
 
+bool StreamModel::is_idle(std::uint32_t page) const {
+  std::uint32_t every = 1;
+  for (const AttributeSchedule& schedule : options_.schedules) every = std::max(every, schedule.every);
+  return page < known_.size() && known_[page].idle_ticks > (options_.calm_ticks + 2) * every;
+}
+
+// Of pages that nobody holds nothing is to be sent. Of the others each has been looked at for as long as values take to
+// calm down, and once more, before it is left alone.
+std::vector<std::uint32_t> StreamModel::busy_blocks() {
+  std::vector<std::uint32_t> blocks;
+  busy_pages_ = 0;
+  for (const auto& [number, page] : held_.pages) {
+    if (!anybody_holds(number) || is_idle(number)) continue;
+    ++busy_pages_;
+    ++known(number).idle_ticks;
+    known(number).followed = false;
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) blocks.push_back(page.blocks[k]);
+  }
+  std::ranges::sort(blocks);
+  return blocks;
+}
+
 void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects) {
   if (budget_bytes <= 0) return;
-  // Of pages that nobody holds nothing is to be sent.
-  for (const auto& [number, page] : held_.pages) {
-    if (anybody_holds(number)) continue;
-    for (std::uint32_t lane = 0; lane < page.count; ++lane) column_of_row_[page.row(lane)] = kNotHeld;
-  }
-  const auto share = picture_share(held_.gaussians, held_.layout, viewers, objects);
-  const auto selected = selection_.select(held_.gaussians, target_, column_of_row_, share, budget_bytes);
+  const std::vector<std::uint32_t> blocks = busy_blocks();
+  share_.resize(held_.rows());
+  picture_share(held_.gaussians, held_.layout, blocks, viewers, objects, share_);
+  const auto selected = selection_.select(held_.gaussians, target_, column_of_row_, blocks, share_, budget_bytes);
 
   std::map<std::uint32_t, PageValues> pages;
   const auto& attributes = held_.layout.attributes();
@@ -50,20 +69,23 @@ void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewe
       page.steps += rows.steps[i];
     }
   }
-  for (std::uint32_t row = 0; row < column_of_row_.size(); ++row) {
-    const std::uint32_t column = column_of_row_[row];
-    if (column == kNotHeld || target_.object_id[column] == held_.gaussians.object_id[row]) continue;
-    PageValues& page = pages[page_of_row(row)];
-    page.lanes.resize(attributes.size());
-    page.objects.push_back(lane_of_row(row));
-    page.bytes += kObjectBytes;
-    page.steps += kAbsentSteps;
+  for (const std::uint32_t block : blocks) {
+    for (std::uint32_t row = block * kBlockRows; row < (block + 1) * kBlockRows; ++row) {
+      const std::uint32_t column = column_of_row_[row];
+      if (column == kNotHeld || target_.object_id[column] == held_.gaussians.object_id[row]) continue;
+      PageValues& page = pages[page_of_row(row)];
+      page.lanes.resize(attributes.size());
+      page.objects.push_back(lane_of_row(row));
+      page.bytes += kObjectBytes;
+      page.steps += kAbsentSteps;
+    }
   }
   for (auto& [number, quiet] : quiet_) ++quiet.ticks;
-  for (const std::uint32_t row : selection_.left_rows()) quiet_[page_of_row(row)].ticks = 0;
+  const auto is_busy = [&](std::uint32_t number) { quiet_[number].ticks = known(number).idle_ticks = 0; };
+  for (const std::uint32_t row : selection_.left_rows()) is_busy(page_of_row(row));
   std::vector<PageValues> order;
   for (auto& [number, page] : pages) {
-    quiet_[number].ticks = 0;
+    is_busy(number);
     page.page = number;
     page.place = place_of(number);
     page.steps /= static_cast<float>(held_.find(number)->count);

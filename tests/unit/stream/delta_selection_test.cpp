@@ -18,6 +18,7 @@ class DeltaSelectionTest : public testing::Test {
           static_cast<std::uint32_t>(std::ranges::find(target_.gaussian_id, id) - target_.gaussian_id.begin());
     }
     for (std::uint32_t row = 0; row < columns_.size(); ++row) selection_.begin(row, held().gaussians);
+    for (std::uint32_t block = 0; block < columns_.size() / kBlockRows; ++block) blocks_.push_back(block);
   }
   [[nodiscard]] const ReplicatedState& held() const { return server_.stream.held(); }
   [[nodiscard]] std::uint32_t row(std::uint32_t lane) const { return held().find(0)->row(lane); }
@@ -26,7 +27,8 @@ class DeltaSelectionTest : public testing::Test {
   }
   std::vector<std::uint32_t> chosen(double budget_bytes) {
     std::vector<std::uint32_t> rows;
-    for (const SelectedRows& of : selection_.select(held().gaussians, target_, columns_, share_, budget_bytes)) {
+    for (const SelectedRows& of :
+         selection_.select(held().gaussians, target_, columns_, blocks_, share_, budget_bytes)) {
       rows.insert(rows.end(), of.rows.begin(), of.rows.end());
     }
     return rows;
@@ -39,7 +41,7 @@ class DeltaSelectionTest : public testing::Test {
     selection.resize(held().rows());
     return selection;
   }();
-  std::vector<std::uint32_t> columns_;
+  std::vector<std::uint32_t> columns_, blocks_;
   std::vector<float> share_;
 };
 

@@ -1,0 +1,235 @@
+// What is observed: which of it is read, and where it lies.
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cassert>
+#include <utility>
+
+#include "stream/bytes.h"
+#include "stream/stream_model.h"
+
+namespace splatbus::stream {
+
+namespace {
+
+constexpr std::size_t kReadAnyway = 16;  // ranges that rest, an observation
+
+PageBounds bounds_of_columns(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
+                             std::uint32_t count) {
+  const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale);
+  const auto value = [&](const AttributeChannels& a, int c, std::uint32_t i) {
+    return a.quantizer.offset + a.quantizer.step * static_cast<float>(gaussians.channels[a.first + c][i]);
+  };
+  PageBounds bounds;
+  for (std::uint32_t i = first; i < first + count; ++i) {
+    include(bounds, {value(mean, 0, i), value(mean, 1, i), value(mean, 2, i)},
+            std::max({value(scale, 0, i), value(scale, 1, i), value(scale, 2, i)}));
+  }
+  return bounds;
+}
+
+}  // namespace
+
+bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bool()>& still_valid) {
+  if (gaussians.count > kMaxModelGaussians) {
+    throw StreamError(fmt::format("model: {} Gaussians, at most {} can be read", gaussians.count, kMaxModelGaussians));
+  }
+  const bool another = !target_layout_ || !target_layout_->carries(gaussians.layout);
+  const StreamLayout layout =
+      another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
+  const bool mirrored = ready_ && !another;
+  const std::vector<IndexRange> ranges = ranges_to_read(gaussians, !mirrored);
+  GaussiansView part = gaussians;
+  if (gaussians.has_pages()) part.ranges = ranges;
+  const std::span<const std::uint64_t> ids = quantizer_.ids(part);
+  std::vector<std::uint32_t> rows;
+  rows.reserve(ids.size());
+  for (const IndexRange& range : ranges) {
+    for (std::uint32_t column = range.first; column < range.first + range.count; ++column) {
+      const std::uint64_t id = ids[rows.size()];
+      // Columns mostly stay where they were: look there first.
+      const std::uint32_t before = mirrored && column < row_of_column_.size() ? row_of_column_[column] : kNotHeld;
+      const bool same = before < held_.rows() && id != 0 && held_.gaussians.gaussian_id[before] == id;
+      rows.push_back(same ? before : mirrored ? row_of(id) : kNotHeld);
+    }
+  }
+  quantizer_.quantize(part, layout, mirrored ? &held_.gaussians : nullptr, rows);
+  if (still_valid && !still_valid()) return false;
+
+  if (another) set_ready(false);
+  quantizer_.commit(read_, read_usable_);
+  if (target_layout_ != layout) {
+    target_ = QuantizedGaussians(layout);
+    known_.clear();
+  }
+  target_layout_ = layout;
+  take_observed(ranges, rows);
+  cut_target(gaussians);
+  if (ready_) map_columns();
+  return true;
+}
+
+// What is frozen stays as it is, and what thaws says so. One that has thawed and frozen again between two observations
+// would be missed: so a few are read in turn.
+std::vector<IndexRange> StreamModel::ranges_to_read(const GaussiansView& gaussians, bool all) {
+  std::vector<IndexRange> read;
+  if (!gaussians.has_pages()) {
+    page_lanes_ = kPageLanes;
+    const auto count = static_cast<std::uint32_t>(gaussians.count);
+    for (std::uint32_t first = 0; first < count; first += kPageLanes) {
+      read.push_back({.first = first, .count = std::min(kPageLanes, count - first)});
+    }
+    return read;
+  }
+  page_lanes_ = 1U << gaussians.page_shift;
+  const std::size_t count = gaussians.ranges.size(), turn = read_next_;
+  read_next_ = count == 0 ? 0 : (turn + kReadAnyway) % count;
+  for (std::size_t k = 0; k < count; ++k) {
+    const IndexRange& range = gaussians.ranges[k];
+    const std::uint32_t page = range.first / page_lanes_;
+    const bool rests = !all && range.frozen != 0 && page < known_.size() && known_[page].range == range;
+    if (!rests || (k + count - turn) % count < kReadAnyway) read.push_back(range);
+  }
+  return read;
+}
+
+StreamModel::KnownPage& StreamModel::known(std::uint32_t page) {
+  if (page >= known_.size()) known_.resize(page + 1);
+  return known_[page];
+}
+
+void StreamModel::take_observed(std::span<const IndexRange> ranges, std::span<const std::uint32_t> rows) {
+  std::size_t columns = 0;
+  for (const IndexRange& range : ranges) columns = std::max<std::size_t>(columns, range.first + range.count);
+  if (columns > target_.count()) {
+    target_.resize(columns + columns / 8);
+    usable_.resize(target_.count());
+    row_of_column_.resize(target_.count(), kNotHeld);
+  }
+  std::size_t from = 0;
+  for (const IndexRange& range : ranges) {
+    KnownPage& page = known(range.first / page_lanes_);
+    const bool same_place = page.range.first == range.first && page.range.frame_id == range.frame_id;
+    if (!same_place) {
+      vacate(page.range);
+    } else if (page.range.count > range.count) {
+      vacate({.first = range.first + range.count, .count = page.range.count - range.count});
+    }
+    const bool other_count = !same_place || page.range.count != range.count;
+    std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(from), range.count, row_of_column_.begin() + range.first);
+    const bool changed = take_columns(range.first, range.count, from);
+    if (changed || other_count) {
+      page.rests = page.settled = page.followed = false;
+      page.idle_ticks = 0;
+      const auto first = usable_.begin() + range.first;
+      page.usable = static_cast<std::uint32_t>(std::count(first, first + range.count, 1));
+    } else {
+      page.rests = true;
+    }
+    page.range = range;
+    from += range.count;
+  }
+}
+
+bool StreamModel::take_columns(std::uint32_t first, std::uint32_t count, std::size_t from) {
+  bool changed = false;
+  const auto take = [&](const auto& read, auto& target) {
+    const auto begin = read.begin() + static_cast<std::ptrdiff_t>(from), end = begin + count;
+    const auto to = target.begin() + first;
+    if (std::equal(begin, end, to)) return;
+    std::copy(begin, end, to);
+    changed = true;
+  };
+  for (std::size_t c = 0; c < target_.channels.size(); ++c) take(read_.channels[c], target_.channels[c]);
+  take(read_.object_id, target_.object_id);
+  take(read_.gaussian_id, target_.gaussian_id);
+  take(read_usable_, usable_);
+  return changed;
+}
+
+void StreamModel::vacate(const IndexRange& range) {
+  const auto clear = [&](auto& values, auto nothing) {
+    std::fill_n(values.begin() + range.first, range.count, nothing);
+  };
+  if (range.count == 0) return;
+  for (auto& channel : target_.channels) clear(channel, 0);
+  clear(target_.object_id, 0U);
+  clear(target_.gaussian_id, std::uint64_t{0});
+  clear(usable_, std::uint8_t{0});
+  clear(row_of_column_, kNotHeld);
+}
+
+void StreamModel::cut_target(const GaussiansView& gaussians) {
+  const std::vector<TargetPage> before = std::exchange(target_pages_, {});
+  const auto add = [&](const IndexRange& range) {
+    target_pages_.push_back({.page = range.first / page_lanes_,
+                             .first = range.first,
+                             .count = range.count,
+                             .object_id = range.frame_id,
+                             .frozen = range.frozen != 0,
+                             .bounds = {}});
+  };
+  if (gaussians.has_pages()) {
+    for (const IndexRange& range : gaussians.ranges) add(range);
+  } else {
+    for (const IndexRange& range : ranges_to_read(gaussians, true)) add(range);
+  }
+  observed_count_ = 0;
+  for (std::size_t k = 0; k < target_pages_.size(); ++k) {
+    TargetPage& page = target_pages_[k];
+    observed_count_ += page.count;
+    const bool said = gaussians.has_pages() && gaussians.bounds.size() == target_pages_.size();
+    page.bounds = said ? gaussians.bounds[k] : bounds_of_columns(target_, *target_layout_, page.first, page.count);
+  }
+  for (const TargetPage& page : before) {
+    if (find_target(page.page) != nullptr) continue;
+    vacate(known(page.page).range);
+    known(page.page) = {};
+  }
+}
+
+const StreamModel::TargetPage* StreamModel::find_target(std::uint32_t page) const {
+  const auto found = std::ranges::lower_bound(target_pages_, page, {}, &TargetPage::page);
+  return found != target_pages_.end() && found->page == page ? &*found : nullptr;
+}
+
+void StreamModel::index_blocks() {
+  page_of_block_.assign(held_.rows() / kBlockRows, kNoPage);
+  block_index_.assign(page_of_block_.size(), 0);
+  for (const auto& [number, page] : held_.pages) {
+    for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) {
+      page_of_block_[page.blocks[k]] = number;
+      block_index_[page.blocks[k]] = k;
+    }
+  }
+}
+
+// Of pages that are settled everything stays: nobody else's columns are in their rows.
+void StreamModel::map_columns() {
+  const std::vector<std::uint32_t> before = std::exchange(page_of_block_, {});
+  index_blocks();
+  column_of_row_.resize(held_.rows(), kNotHeld);
+  target_page_of_row_.resize(held_.rows(), kNoPage);
+  for (std::uint32_t block = 0; block < page_of_block_.size(); ++block) {
+    const std::uint32_t page = page_of_block_[block];
+    if (page != kNoPage && is_settled(page) && block < before.size() && before[block] == page) continue;
+    std::fill_n(column_of_row_.begin() + block * kBlockRows, kBlockRows, kNotHeld);
+    std::fill_n(target_page_of_row_.begin() + block * kBlockRows, kBlockRows, kNoPage);
+  }
+  for (const TargetPage& page : target_pages_) {
+    if (!is_settled(page.page)) map_page(page);
+  }
+}
+
+// An id that comes twice is a mistake of the publisher's; the first one counts.
+void StreamModel::map_page(const TargetPage& page) {
+  for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
+    const std::uint32_t row = row_of_column_[column];
+    if (row == kNotHeld || target_page_of_row_[row] != kNoPage) continue;
+    target_page_of_row_[row] = page.page;
+    if (usable_[column]) column_of_row_[row] = column;
+  }
+}
+
+}  // namespace splatbus::stream
