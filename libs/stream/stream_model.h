@@ -191,11 +191,11 @@ class StreamModel {
   };
   /// What is known of one, from its first observation on.
   struct KnownPage {
-    IndexRange range;              ///< when it was observed last; of none: not at all, or it is gone
-    std::uint32_t usable = 0;      ///< Gaussians
-    bool rests = false;            ///< the last observation found it as the one before
-    bool settled = false;          ///< and what is held of it has the same Gaussians, in the same page
-    bool followed = false;         ///< and nobody holds it, and what is held of it has the same values
+    IndexRange range;          ///< when it was observed last; of none: not at all, or it is gone
+    std::uint32_t usable = 0;  ///< Gaussians
+    // Since its Gaussians were last found to be others than before:
+    bool settled = false;          ///< what is held has the same Gaussians, in the same page
+    bool followed = false;         ///< nobody held it, and what is held took its values
     std::uint32_t idle_ticks = 0;  ///< while somebody held it, and none of its values was worth sending
   };
   /// What becomes of it.

@@ -76,7 +76,7 @@ std::vector<StreamModel::PagePlan> StreamModel::plan_pages() {
     KnownPage& known_page = known(page.page);
     if (known_page.settled) continue;
     plans.push_back(plan_page(page, fresh_ids));
-    known_page.settled = known_page.rests && !plans.back().changes();
+    known_page.settled = !plans.back().changes();
   }
   return plans;
 }

@@ -120,12 +120,10 @@ void StreamModel::take_observed(std::span<const IndexRange> ranges, std::span<co
     std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(from), range.count, row_of_column_.begin() + range.first);
     const bool changed = take_columns(range.first, range.count, from);
     if (changed || other_count) {
-      page.rests = page.settled = page.followed = false;
+      page.settled = page.followed = false;
       page.idle_ticks = 0;
       const auto first = usable_.begin() + range.first;
       page.usable = static_cast<std::uint32_t>(std::count(first, first + range.count, 1));
-    } else {
-      page.rests = true;
     }
     page.range = range;
     from += range.count;

@@ -79,7 +79,7 @@ void StreamModel::follow_unheld() {
       held_.gaussians.object_id.set(row, target_.object_id[column]);
       selection_.begin(row, held_.gaussians);
     }
-    known(target.page).followed = known(target.page).settled;
+    known(target.page).followed = true;
     if (!differs) continue;
     held_.pages.at(target.page).version = ++version_;
     ++followed;

@@ -42,7 +42,6 @@ std::vector<std::uint32_t> StreamModel::busy_blocks() {
     if (!anybody_holds(number) || is_idle(number)) continue;
     ++busy_pages_;
     ++known(number).idle_ticks;
-    known(number).followed = false;
     for (std::uint32_t k = 0; k < HeldPage::blocks_of(page.count); ++k) blocks.push_back(page.blocks[k]);
   }
   std::ranges::sort(blocks);

@@ -28,6 +28,8 @@ double recover_s = 60;
 /// What a picture as good as before may lack. Wide, for training is no constant on a busy machine; the figure is
 /// printed.
 double loss = 0.05;
+/// The same where another engine begins, and its sun with it: that is another picture.
+constexpr double kOtherSunLoss = 0.05;
 
 constexpr double kSsim = 0.8;
 constexpr std::size_t kGrowth = 160 * hostile::kMiB;  ///< of a process, whose model grows meanwhile
@@ -141,12 +143,14 @@ TEST_F(OperatorChaos, ThePictureComesBackAndNothingIsLeftBehind) {
     const OperatorFault fault = chance.next();
     SCOPED_TRACE("seed " + std::to_string(seed) + ", fault " + std::to_string(faults) + ": " + fault.name());
     const double ssim = ssim_before();
+    const bool other_sun = fault.name().ends_with("engine");
+    const double lacking = other_sun ? std::max(loss, kOtherSunLoss) : loss;
     const std::uint64_t gaussians = pipeline_.state().trainer.gaussians;
     const std::size_t first = pipeline_.samples().size();
     const std::int64_t begin_ns = bus::now_ns();
     const auto killed = strike(fault);
     const std::int64_t struck_ns = bus::now_ns();
-    ASSERT_TRUE(pipeline_.wait_until_well(ssim - loss, killed)) << pipeline_.log();
+    ASSERT_TRUE(pipeline_.wait_until_well(ssim - lacking, killed)) << pipeline_.log();
     const double back_s = static_cast<double>(bus::now_ns() - struck_ns) * 1e-9;
     slowest_s = std::max(slowest_s, back_s);
     const auto least = std::ranges::min_element(pipeline_.samples().begin() + static_cast<std::ptrdiff_t>(first),
