@@ -64,6 +64,7 @@ class Plain {
     out.page_stride = kPageFloats;
     out.ranges = ranges_;
     out.bounds = bounds_;
+    out.generations = generations_;
     out.parameters = memory_.data();
     out.normal = memory_.data() + kChannels * kPageLanes;
     out.visibility = out.normal + std::size_t{3} * kPageLanes;
@@ -81,6 +82,7 @@ class Plain {
     const std::size_t page = ranges_.size();
     const auto x = static_cast<float>(page % 64), z = static_cast<float>(page / 64);
     memory_.resize(memory_.size() + kPageFloats);
+    generations_.push_back(1);
     ranges_.push_back({.first = static_cast<std::uint32_t>(page) * kPageLanes, .count = 0});
     bounds_.push_back({.low = {x, 0, z}, .high = {x + 1, 1, z + 1}, .max_scale_m = 0.05F});
     while (ranges_[page].count < count) put(page);
@@ -103,6 +105,7 @@ class Plain {
   std::mt19937 random_{1};
   std::vector<float> memory_;  ///< [pages][parameters, normal, visibility, ids]
   std::vector<IndexRange> ranges_;
+  std::vector<std::uint64_t> generations_;
   std::vector<PageBounds> bounds_;
   std::size_t count_ = 0, resting_ = 0;
 };

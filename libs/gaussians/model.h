@@ -20,12 +20,14 @@ namespace splatbus {
 /// page_stride apart), and then `ranges` says which indices are Gaussians.
 struct GaussiansView {
   ParameterLayout layout;
-  std::size_t count = 0;                 ///< indices below it may be Gaussians
-  std::size_t stride = 0;                ///< elements from one channel to the next
-  std::uint32_t page_shift = kNoPages;   ///< index >> page_shift is the page
-  std::size_t page_stride = 0;           ///< 4-byte words from one page to the next
-  std::span<const IndexRange> ranges;    ///< which indices are Gaussians, ascending; with pages only
-  std::span<const PageBounds> bounds;    ///< of each range; empty: unknown
+  std::size_t count = 0;                ///< indices below it may be Gaussians
+  std::size_t stride = 0;               ///< elements from one channel to the next
+  std::uint32_t page_shift = kNoPages;  ///< index >> page_shift is the page
+  std::size_t page_stride = 0;          ///< 4-byte words from one page to the next
+  std::span<const IndexRange> ranges;   ///< which indices are Gaussians, ascending; with pages only
+  std::span<const PageBounds> bounds;   ///< of each range; empty: unknown
+  /// Of each range: another one whenever its page has other Gaussians, freezes or thaws; empty: unknown.
+  std::span<const std::uint64_t> generations;
   const float* parameters = nullptr;     ///< [layout.channels()][stride]
   const float* normal = nullptr;         ///< [3][stride], unit, object's frame (Transfer)
   const float* surface_point = nullptr;  ///< [3][stride], where the sample was, object's frame

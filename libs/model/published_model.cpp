@@ -163,6 +163,7 @@ void PublishedModel::make_views(std::byte* pages, Need need) {
   live_.page_shift = kPageShift;
   live_.page_stride = memory.page_words;
   live_.ranges = ranges_;
+  live_.generations = page_generations_;
   live_.normal = memory.value(memory.normal, 0);
   live_.surface_point = memory.value(memory.surface_point, 0);
   live_.visibility = memory.value(memory.visibility, 0);

@@ -49,7 +49,7 @@ class PublishedModel {
   [[nodiscard]] const GaussiansView& live() const { return live_; }
   /// Averaged over time: what is shown and streamed.
   [[nodiscard]] const GaussiansView& average() const { return average_; }
-  /// Of each range's page: another one whenever its structure changes.
+  /// Of each range's page: another one whenever its structure changes, freezing and thawing among it.
   [[nodiscard]] const std::vector<std::uint64_t>& page_generations() const { return page_generations_; }
   [[nodiscard]] bool still_valid() const;
   /// Bytes that open() and refresh() have copied out of, or into, device memory.

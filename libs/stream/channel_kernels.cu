@@ -36,7 +36,7 @@ struct TakeId {
     bool changed = false;
     for (std::uint32_t k = 0; k < block.size; ++k) {
       const std::uint64_t id =
-          model.gaussian_id != nullptr ? model.gaussian_id[offset + k] : std::uint64_t{block.first} + k + 1;
+          model.gaussian_id != nullptr ? model.gaussian_id[offset + k] : std::uint64_t{block.index} + k + 1;
       changed |= replace(integers.gaussian_id[block.first + k], id);
     }
     if (changed) raise(&counts->ids);

@@ -12,7 +12,7 @@
 
 namespace splatbus::stream {
 
-/// Columns of a model that can be read; of a larger one than kMaxGaussians a part is served.
+/// Indices of a model are below it; of more than kMaxGaussians Gaussians a part is served.
 inline constexpr std::size_t kMaxModelGaussians = std::size_t{1} << 24;
 
 /// Reads a published model in the memory of one device and makes integers of it there: the same on either, bit for bit.
@@ -20,7 +20,8 @@ inline constexpr std::size_t kMaxModelGaussians = std::size_t{1} << 24;
 /// them, packed, when many have. One observation is ids(), then quantize(), then commit(); when what was read turns out
 /// not to have been whole, commit() is left out, and nothing has changed. Not thread-safe.
 ///
-/// Views have at most kMaxModelGaussians columns. Works on a stream of its own, which each call waits for. All of it
+/// Columns are numbered in the order of the view's ranges, without gaps: those of one observation need not be those of
+/// the next. Views have at most kMaxModelGaussians. Works on a stream of its own, which each call waits for. All of it
 /// throws std::runtime_error when a device fails.
 class ModelQuantizer {
  public:
@@ -33,7 +34,7 @@ class ModelQuantizer {
   /// m; 2^-11 m when there is none. Error of a mean: at most half of that, under 2 % of a typical Gaussian's sigma.
   [[nodiscard]] float choose_mean_step(const GaussiansView& gaussians);
 
-  /// The ids of the view's columns; 1, 2, ... where it has none. Valid until the next call.
+  /// The ids of the view's columns; index + 1 where it has none. Valid until the next call.
   [[nodiscard]] std::span<const std::uint64_t> ids(const GaussiansView& gaussians);
 
   /// Nearest integers of all columns of the view whose ids() were asked for last. Reads parameters, normal and

@@ -157,7 +157,9 @@ void StreamModel::reset_to_target() {
   std::unordered_set<std::uint64_t> seen;
   for (const TargetPage& page : target_pages_) {
     for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
-      if (usable_[column] && !seen.insert(target_.gaussian_id[column]).second) usable_[column] = 0;
+      if (!usable_[column] || seen.insert(target_.gaussian_id[column]).second) continue;
+      usable_[column] = 0;
+      --known(page.page).usable;
     }
   }
   for (const TargetPage& page : target_pages_) (void)fill_page(page);

@@ -84,8 +84,8 @@ struct StreamUpdate {
 
 /// The streamer's side: the pages that viewers may have, as integers, and the packets that follow the published model.
 /// What anybody holds changes only by the very bytes that are sent; what nobody holds, without any. What rests costs
-/// nothing but its place: pages that are frozen are not read again (a few in turn are, in case), and pages of which
-/// nothing has changed for long are in no tick's way.
+/// nothing but its place: pages that were frozen all the time are not read again, and pages of which nothing has
+/// changed for long are in no tick's way.
 ///
 /// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_update(),
 /// page_packets(), page_visibility(), manifest_packets(), gone_packet(), scene_packet(), scene_version(),
@@ -191,12 +191,12 @@ class StreamModel {
   };
   /// What is known of one, from its first observation on.
   struct KnownPage {
-    IndexRange range;          ///< when it was observed last; of none: not at all, or it is gone
-    std::uint32_t usable = 0;  ///< Gaussians
-    // Since its Gaussians were last found to be others than before:
-    bool settled = false;          ///< what is held has the same Gaussians, in the same page
-    bool followed = false;         ///< nobody held it, and what is held took its values
-    std::uint32_t idle_ticks = 0;  ///< while somebody held it, and none of its values was worth sending
+    IndexRange range;              ///< when it was read last; count 0: it never was, or is gone
+    std::uint64_t generation = 0;  ///< then
+    std::uint32_t usable = 0;      ///< Gaussians
+    bool settled = false;          ///< since its Gaussians last changed, what is held was found to have the same
+    bool followed = false;         ///< since anything of it last changed, what is held took its values: nobody holds it
+    std::uint32_t idle_ticks = 0;  ///< since then, while somebody held it and nothing of it was worth sending
   };
   /// What becomes of it.
   struct PagePlan {
@@ -204,6 +204,7 @@ class StreamModel {
     std::uint32_t base = kNoPage;             ///< kNoPage: all of it is new
     std::vector<std::uint32_t> gone;          ///< lanes of the base
     std::vector<std::uint32_t> moved, fresh;  ///< columns that come from elsewhere; that are new
+    bool left_out = false;                    ///< some of its columns are of Gaussians that another page has
     [[nodiscard]] bool changes() const {
       return base != target->page || !gone.empty() || !moved.empty() || !fresh.empty();
     }
@@ -239,10 +240,20 @@ class StreamModel {
     const std::scoped_lock lock(mutex_);
     ready_ = ready;
   }
-  [[nodiscard]] std::vector<IndexRange> ranges_to_read(const GaussiansView& gaussians, bool all);
-  void take_observed(std::span<const IndexRange> ranges, std::span<const std::uint32_t> rows);
-  /// Columns `from`, ... of read_; false when they were there already.
-  bool take_columns(std::uint32_t first, std::uint32_t count, std::size_t from);
+  /// What of a view an observation reads.
+  struct Reading {
+    std::vector<IndexRange> ranges;
+    std::vector<std::uint64_t> generations;  ///< of each
+    std::vector<std::uint32_t> rows;         ///< of each column, range after range; kNotHeld: not held
+  };
+  [[nodiscard]] Reading ranges_to_read(const GaussiansView& gaussians, bool all);
+  void find_rows(Reading& reading, std::span<const std::uint64_t> ids) const;
+  void take_observed(const Reading& reading);
+  struct Difference {
+    bool gaussians = false, values = false;
+  };
+  /// Takes columns `from`, from + 1, ... of read_ as columns first, first + 1, ..., and says what differed.
+  Difference take_columns(std::uint32_t first, std::uint32_t count, std::size_t from);
   void vacate(const IndexRange& range);
   void cut_target(const GaussiansView& gaussians);
   [[nodiscard]] const TargetPage* find_target(std::uint32_t page) const;
@@ -319,7 +330,6 @@ class StreamModel {
   std::vector<std::uint8_t> usable_;  ///< [columns]
   std::vector<TargetPage> target_pages_;
   std::vector<KnownPage> known_;           ///< by page
-  std::size_t read_next_ = 0;              ///< range that is read though it rests
   std::uint32_t page_lanes_ = kPageLanes;  ///< of a page of the model
   std::size_t observed_count_ = 0, busy_pages_ = 0;
   std::vector<float> share_;                                    ///< [rows] of the pictures, of rows that are looked at

@@ -47,12 +47,15 @@ StreamModel::PagePlan StreamModel::plan_page(const TargetPage& page,
       // Of several columns with one id the mapped one counts; where that is not usable, any other would not be either.
       const bool counts =
           target_page_of_row_[row] == page.page && (column_of_row_[row] == column || column_of_row_[row] == kNotHeld);
+      plan.left_out |= !counts;
       if (!counts) continue;
       if (share == nullptr || share_of != page_of_row(row)) share = &from[share_of = page_of_row(row)];
       ++*share;
       rows.emplace_back(column, row);
-    } else if (usable_[column] && fresh_ids.insert(target_.gaussian_id[column]).second) {
-      plan.fresh.push_back(column);
+    } else if (usable_[column]) {
+      const bool is_first = fresh_ids.insert(target_.gaussian_id[column]).second;
+      plan.left_out |= !is_first;
+      if (is_first) plan.fresh.push_back(column);
     }
   }
   plan.base = base_of(page, from);
@@ -76,7 +79,7 @@ std::vector<StreamModel::PagePlan> StreamModel::plan_pages() {
     KnownPage& known_page = known(page.page);
     if (known_page.settled) continue;
     plans.push_back(plan_page(page, fresh_ids));
-    known_page.settled = !plans.back().changes();
+    known_page.settled = !plans.back().changes() && !plans.back().left_out;
   }
   return plans;
 }

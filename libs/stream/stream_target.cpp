@@ -13,8 +13,6 @@ namespace splatbus::stream {
 
 namespace {
 
-constexpr std::size_t kReadAnyway = 16;  // ranges that rest, an observation
-
 PageBounds bounds_of_columns(const QuantizedGaussians& gaussians, const StreamLayout& layout, std::uint32_t first,
                              std::uint32_t count) {
   const AttributeChannels &mean = layout.at(Attribute::Mean), &scale = layout.at(Attribute::LogScale);
@@ -39,59 +37,67 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   const StreamLayout layout =
       another || !ready_ ? StreamLayout(gaussians.layout, quantizer_.choose_mean_step(gaussians)) : *target_layout_;
   const bool mirrored = ready_ && !another;
-  const std::vector<IndexRange> ranges = ranges_to_read(gaussians, !mirrored);
+  Reading reading = ranges_to_read(gaussians, !mirrored);
   GaussiansView part = gaussians;
-  if (gaussians.has_pages()) part.ranges = ranges;
+  if (gaussians.has_pages()) part.ranges = reading.ranges;
   const std::span<const std::uint64_t> ids = quantizer_.ids(part);
-  std::vector<std::uint32_t> rows;
-  rows.reserve(ids.size());
-  for (const IndexRange& range : ranges) {
-    for (std::uint32_t column = range.first; column < range.first + range.count; ++column) {
-      const std::uint64_t id = ids[rows.size()];
-      // Columns mostly stay where they were: look there first.
-      const std::uint32_t before = mirrored && column < row_of_column_.size() ? row_of_column_[column] : kNotHeld;
-      const bool same = before < held_.rows() && id != 0 && held_.gaussians.gaussian_id[before] == id;
-      rows.push_back(same ? before : mirrored ? row_of(id) : kNotHeld);
-    }
-  }
-  quantizer_.quantize(part, layout, mirrored ? &held_.gaussians : nullptr, rows);
+  reading.rows.assign(ids.size(), kNotHeld);
+  if (mirrored) find_rows(reading, ids);
+  quantizer_.quantize(part, layout, mirrored ? &held_.gaussians : nullptr, reading.rows);
   if (still_valid && !still_valid()) return false;
 
   if (another) set_ready(false);
+  if (reading.rows.size() < read_.count() / 2) read_ = {};  // the first observation reads all
   quantizer_.commit(read_, read_usable_);
   if (target_layout_ != layout) {
     target_ = QuantizedGaussians(layout);
     known_.clear();
   }
   target_layout_ = layout;
-  take_observed(ranges, rows);
+  take_observed(reading);
   cut_target(gaussians);
   if (ready_) map_columns();
   return true;
 }
 
-// What is frozen stays as it is, and what thaws says so. One that has thawed and frozen again between two observations
-// would be missed: so a few are read in turn.
-std::vector<IndexRange> StreamModel::ranges_to_read(const GaussiansView& gaussians, bool all) {
-  std::vector<IndexRange> read;
+// What is frozen stays as it is. A page that has thawed meanwhile, or is another one in the same place, says so by its
+// generation.
+StreamModel::Reading StreamModel::ranges_to_read(const GaussiansView& gaussians, bool all) {
+  const std::uint32_t page_lanes = gaussians.has_pages() ? 1U << gaussians.page_shift : kPageLanes;
+  if (page_lanes != std::exchange(page_lanes_, page_lanes)) known_.clear();
+  Reading read;
   if (!gaussians.has_pages()) {
-    page_lanes_ = kPageLanes;
     const auto count = static_cast<std::uint32_t>(gaussians.count);
     for (std::uint32_t first = 0; first < count; first += kPageLanes) {
-      read.push_back({.first = first, .count = std::min(kPageLanes, count - first)});
+      read.ranges.push_back({.first = first, .count = std::min(kPageLanes, count - first)});
     }
+    read.generations.resize(read.ranges.size());
     return read;
   }
-  page_lanes_ = 1U << gaussians.page_shift;
-  const std::size_t count = gaussians.ranges.size(), turn = read_next_;
-  read_next_ = count == 0 ? 0 : (turn + kReadAnyway) % count;
-  for (std::size_t k = 0; k < count; ++k) {
+  const bool says = gaussians.generations.size() == gaussians.ranges.size();
+  for (std::size_t k = 0; k < gaussians.ranges.size(); ++k) {
     const IndexRange& range = gaussians.ranges[k];
+    const std::uint64_t generation = says ? gaussians.generations[k] : 0;
     const std::uint32_t page = range.first / page_lanes_;
-    const bool rests = !all && range.frozen != 0 && page < known_.size() && known_[page].range == range;
-    if (!rests || (k + count - turn) % count < kReadAnyway) read.push_back(range);
+    const bool rests = !all && says && range.frozen != 0 && page < known_.size() && known_[page].range == range &&
+                       known_[page].generation == generation;
+    if (rests) continue;
+    read.ranges.push_back(range);
+    read.generations.push_back(generation);
   }
   return read;
+}
+
+void StreamModel::find_rows(Reading& reading, std::span<const std::uint64_t> ids) const {
+  std::size_t i = 0;
+  for (const IndexRange& range : reading.ranges) {
+    for (std::uint32_t column = range.first; column < range.first + range.count; ++column, ++i) {
+      // Columns mostly stay where they were: look there first.
+      const std::uint32_t before = column < row_of_column_.size() ? row_of_column_[column] : kNotHeld;
+      const bool same = before < held_.rows() && ids[i] != 0 && held_.gaussians.gaussian_id[before] == ids[i];
+      reading.rows[i] = same ? before : row_of(ids[i]);
+    }
+  }
 }
 
 StreamModel::KnownPage& StreamModel::known(std::uint32_t page) {
@@ -99,51 +105,58 @@ StreamModel::KnownPage& StreamModel::known(std::uint32_t page) {
   return known_[page];
 }
 
-void StreamModel::take_observed(std::span<const IndexRange> ranges, std::span<const std::uint32_t> rows) {
+void StreamModel::take_observed(const Reading& reading) {
   std::size_t columns = 0;
-  for (const IndexRange& range : ranges) columns = std::max<std::size_t>(columns, range.first + range.count);
+  for (const IndexRange& range : reading.ranges) columns = std::max<std::size_t>(columns, range.first + range.count);
   if (columns > target_.count()) {
     target_.resize(columns + columns / 8);
     usable_.resize(target_.count());
     row_of_column_.resize(target_.count(), kNotHeld);
   }
   std::size_t from = 0;
-  for (const IndexRange& range : ranges) {
+  for (std::size_t k = 0; k < reading.ranges.size(); ++k) {
+    const IndexRange& range = reading.ranges[k];
     KnownPage& page = known(range.first / page_lanes_);
     const bool same_place = page.range.first == range.first && page.range.frame_id == range.frame_id;
+    const bool other_count = !same_place || page.range.count != range.count;
     if (!same_place) {
       vacate(page.range);
     } else if (page.range.count > range.count) {
       vacate({.first = range.first + range.count, .count = page.range.count - range.count});
     }
-    const bool other_count = !same_place || page.range.count != range.count;
-    std::copy_n(rows.begin() + static_cast<std::ptrdiff_t>(from), range.count, row_of_column_.begin() + range.first);
-    const bool changed = take_columns(range.first, range.count, from);
-    if (changed || other_count) {
-      page.settled = page.followed = false;
+    const Difference difference = take_columns(range.first, range.count, from);
+    const auto rows = reading.rows.begin() + static_cast<std::ptrdiff_t>(from), end = rows + range.count;
+    const auto row_of_first = row_of_column_.begin() + range.first;
+    if (difference.gaussians || other_count || !std::equal(rows, end, row_of_first)) page.settled = false;
+    if (difference.gaussians || difference.values || other_count) {
+      page.followed = false;
       page.idle_ticks = 0;
-      const auto first = usable_.begin() + range.first;
-      page.usable = static_cast<std::uint32_t>(std::count(first, first + range.count, 1));
     }
+    std::copy(rows, end, row_of_first);
+    const auto first_usable = usable_.begin() + range.first;
+    page.usable = static_cast<std::uint32_t>(std::count(first_usable, first_usable + range.count, 1));
     page.range = range;
+    page.generation = reading.generations[k];
     from += range.count;
   }
 }
 
-bool StreamModel::take_columns(std::uint32_t first, std::uint32_t count, std::size_t from) {
-  bool changed = false;
+StreamModel::Difference StreamModel::take_columns(std::uint32_t first, std::uint32_t count, std::size_t from) {
   const auto take = [&](const auto& read, auto& target) {
     const auto begin = read.begin() + static_cast<std::ptrdiff_t>(from), end = begin + count;
     const auto to = target.begin() + first;
-    if (std::equal(begin, end, to)) return;
+    if (std::equal(begin, end, to)) return false;
     std::copy(begin, end, to);
-    changed = true;
+    return true;
   };
-  for (std::size_t c = 0; c < target_.channels.size(); ++c) take(read_.channels[c], target_.channels[c]);
-  take(read_.object_id, target_.object_id);
-  take(read_.gaussian_id, target_.gaussian_id);
-  take(read_usable_, usable_);
-  return changed;
+  Difference difference;
+  for (std::size_t c = 0; c < target_.channels.size(); ++c) {
+    difference.values |= take(read_.channels[c], target_.channels[c]);
+  }
+  difference.values |= take(read_.object_id, target_.object_id);
+  difference.gaussians |= take(read_.gaussian_id, target_.gaussian_id);
+  difference.gaussians |= take(read_usable_, usable_);
+  return difference;
 }
 
 void StreamModel::vacate(const IndexRange& range) {
@@ -171,7 +184,7 @@ void StreamModel::cut_target(const GaussiansView& gaussians) {
   if (gaussians.has_pages()) {
     for (const IndexRange& range : gaussians.ranges) add(range);
   } else {
-    for (const IndexRange& range : ranges_to_read(gaussians, true)) add(range);
+    for (const IndexRange& range : ranges_to_read(gaussians, true).ranges) add(range);
   }
   observed_count_ = 0;
   for (std::size_t k = 0; k < target_pages_.size(); ++k) {
@@ -203,7 +216,7 @@ void StreamModel::index_blocks() {
   }
 }
 
-// Of pages that are settled everything stays: nobody else's columns are in their rows.
+// Of pages that are settled everything stays.
 void StreamModel::map_columns() {
   const std::vector<std::uint32_t> before = std::exchange(page_of_block_, {});
   index_blocks();
@@ -220,10 +233,13 @@ void StreamModel::map_columns() {
   }
 }
 
-// An id that comes twice is a mistake of the publisher's; the first one counts.
+// An id that comes twice is a mistake of the publisher's; the first one counts. Of a page that was not read the rows
+// may have become another's since.
 void StreamModel::map_page(const TargetPage& page) {
   for (std::uint32_t column = page.first; column < page.first + page.count; ++column) {
-    const std::uint32_t row = row_of_column_[column];
+    std::uint32_t& row = row_of_column_[column];
+    const std::uint64_t id = target_.gaussian_id[column];
+    if (row == kNotHeld || held_.gaussians.gaussian_id[row] != id) row = row_of(id);
     if (row == kNotHeld || target_page_of_row_[row] != kNoPage) continue;
     target_page_of_row_[row] = page.page;
     if (usable_[column]) column_of_row_[row] = column;

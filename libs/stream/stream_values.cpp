@@ -37,7 +37,6 @@ bool StreamModel::is_idle(std::uint32_t page) const {
 // calm down, and once more, before it is left alone.
 std::vector<std::uint32_t> StreamModel::busy_blocks() {
   std::vector<std::uint32_t> blocks;
-  busy_pages_ = 0;
   for (const auto& [number, page] : held_.pages) {
     if (!anybody_holds(number) || is_idle(number)) continue;
     ++busy_pages_;
@@ -49,6 +48,7 @@ std::vector<std::uint32_t> StreamModel::busy_blocks() {
 }
 
 void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects) {
+  busy_pages_ = 0;
   if (budget_bytes <= 0) return;
   const std::vector<std::uint32_t> blocks = busy_blocks();
   share_.resize(held_.rows());
