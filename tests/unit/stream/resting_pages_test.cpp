@@ -56,6 +56,7 @@ class TrainedPages {
     }
   }
   [[nodiscard]] std::size_t count() const { return values_.size(); }
+  float& opacity_logit(std::uint64_t id) { return values_[id][ParameterLayout::kOpacityLogit]; }
 
   GaussiansView view() {
     const std::size_t most = pages.empty() ? 0 : pages.rbegin()->first + 1;
@@ -236,6 +237,43 @@ TEST_P(RestingPages, WhatNobodyHoldsIsFollowedAgainWhenItChanges) {
   for (int round = 0; round < 10; ++round) tick(1e9);
   model_.train(7, 0.05F);
   for (int round = 0; round < 10; ++round) tick(1e9);
+  expect_everything_arrived();
+}
+
+TEST_P(RestingPages, APageThatIsInTheRowsOfAnotherIsFoundThere) {
+  stream_.set_holders({});
+  model_.hand_over(5, kPages + 3, 1000);
+  model_.insert(5, 14);
+  for (const std::uint32_t page : {5U, kPages + 3}) model_.set_frozen(page, true);
+  for (int round = 0; round < 4; ++round) tick(1e9);
+  expect_everything_arrived();
+}
+
+// A mistake of the publisher's that it mends: where the id came first it goes, where it came again it stays.
+TEST_P(RestingPages, AnIdThatWasThereTwiceIsNotMissed) {
+  model_.pages[30].ids.push_back(model_.pages[5].ids.back());
+  model_.insert(6, 1);
+  model_.pages[31].ids.push_back(model_.pages[6].ids.back());
+  for (const std::uint32_t page : {5U, 6U, 30U, 31U}) model_.set_frozen(page, true);
+  for (int round = 0; round < 4; ++round) tick(1e9);
+  for (const std::uint32_t page : {5U, 6U}) {
+    model_.pages[page].ids.pop_back();
+    model_.set_frozen(page, true);
+  }
+  for (int round = 0; round < 4; ++round) tick(1e9);
+  expect_everything_arrived();
+}
+
+TEST_P(RestingPages, WhatCouldNotBeReadComesWhenItCan) {
+  const std::uint64_t id = model_.pages[9].ids.back();
+  model_.insert(9, 1);
+  const std::uint64_t spoilt = model_.pages[9].ids.back();
+  const float before = std::exchange(model_.opacity_logit(spoilt), std::numeric_limits<float>::quiet_NaN());
+  for (int round = 0; round < 4; ++round) tick(1e9);
+  EXPECT_EQ(rows_by_id(stream_, replica_).count(spoilt), 0U);
+  EXPECT_EQ(rows_by_id(stream_, replica_).count(id), 1U);
+  model_.opacity_logit(spoilt) = before;
+  tick(1e9);
   expect_everything_arrived();
 }
 
