@@ -1,6 +1,5 @@
 // What a tick of the streamer takes of a large model of which most rests: observing it, and what is sent of it.
 #include <fmt/format.h>
-#include <time.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -9,6 +8,7 @@
 #include <random>
 #include <vector>
 
+#include "bus/clock.h"
 #include "stream/stream_model.h"
 
 namespace splatbus::bench {
@@ -25,9 +25,7 @@ struct Options {
 };
 
 double thread_ms() {
-  timespec time{};
-  ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
-  return static_cast<double>(time.tv_sec) * 1e3 + static_cast<double>(time.tv_nsec) / 1e6;
+  return static_cast<double>(bus::thread_cpu_ns()) / 1e6;
 }
 
 /// Gaussians of a plain, three quarters of each page full; the last pages are trained, and grow.

@@ -1,14 +1,10 @@
 #include "stream/stream_model.h"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <cassert>
-#include <cmath>
 #include <unordered_set>
 #include <utility>
 
-#include "stream/bytes.h"
 #include "stream/codecs.h"
 
 namespace splatbus::stream {

@@ -255,7 +255,7 @@ class StreamModel {
   /// Takes columns `from`, from + 1, ... of read_ as columns first, first + 1, ..., and says what differed.
   Difference take_columns(std::uint32_t first, std::uint32_t count, std::size_t from);
   void vacate(const IndexRange& range);
-  void cut_target(const GaussiansView& gaussians);
+  void cut_target(const GaussiansView& gaussians, std::span<const IndexRange> ranges);
   [[nodiscard]] const TargetPage* find_target(std::uint32_t page) const;
   [[nodiscard]] KnownPage& known(std::uint32_t page);
   [[nodiscard]] bool is_settled(std::uint32_t page) const { return page < known_.size() && known_[page].settled; }

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cassert>
 #include <utility>
 
 #include "stream/bytes.h"
@@ -55,7 +54,7 @@ bool StreamModel::observe(const GaussiansView& gaussians, const std::function<bo
   }
   target_layout_ = layout;
   take_observed(reading);
-  cut_target(gaussians);
+  cut_target(gaussians, gaussians.has_pages() ? gaussians.ranges : reading.ranges);
   if (ready_) map_columns();
   return true;
 }
@@ -171,20 +170,15 @@ void StreamModel::vacate(const IndexRange& range) {
   clear(row_of_column_, kNotHeld);
 }
 
-void StreamModel::cut_target(const GaussiansView& gaussians) {
+void StreamModel::cut_target(const GaussiansView& gaussians, std::span<const IndexRange> ranges) {
   const std::vector<TargetPage> before = std::exchange(target_pages_, {});
-  const auto add = [&](const IndexRange& range) {
+  for (const IndexRange& range : ranges) {
     target_pages_.push_back({.page = range.first / page_lanes_,
                              .first = range.first,
                              .count = range.count,
                              .object_id = range.frame_id,
                              .frozen = range.frozen != 0,
                              .bounds = {}});
-  };
-  if (gaussians.has_pages()) {
-    for (const IndexRange& range : gaussians.ranges) add(range);
-  } else {
-    for (const IndexRange& range : ranges_to_read(gaussians, true).ranges) add(range);
   }
   observed_count_ = 0;
   for (std::size_t k = 0; k < target_pages_.size(); ++k) {
