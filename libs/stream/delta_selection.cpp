@@ -5,6 +5,7 @@
 #include <bit>
 #include <cmath>
 
+#include "stream/pieces.h"
 #include "stream/replicated_state.h"
 #include "stream/value_changes.h"
 
@@ -107,10 +108,12 @@ class Shares {
 void picture_share(const HeldGaussians& gaussians, const StreamLayout& layout, std::span<const std::uint32_t> blocks,
                    std::span<const Camera> cameras, const ObjectTransforms& objects, std::span<float> share) {
   const Shares of(gaussians, layout, cameras, objects);
-  for (const std::uint32_t block : blocks) {
-    const std::size_t first = std::size_t{block} * kBlockRows;
-    for (std::size_t row = first; row < first + kBlockRows; ++row) share[row] = of(row);
-  }
+  for_each_piece(blocks, kPieceBlocks, [&](std::size_t, std::span<const std::uint32_t> piece) {
+    for (const std::uint32_t block : piece) {
+      const std::size_t first = std::size_t{block} * kBlockRows;
+      for (std::size_t row = first; row < first + kBlockRows; ++row) share[row] = of(row);
+    }
+  });
 }
 
 std::vector<float> picture_share(const QuantizedGaussians& gaussians, const StreamLayout& layout,
@@ -175,11 +178,13 @@ double DeltaSelection::bytes_per_entry(Attribute attribute) const {
 
 void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held, const QuantizedGaussians& target,
                              std::span<const std::uint32_t> target_column, std::span<const std::uint32_t> blocks,
-                             std::span<const float> share) {
+                             std::span<const float> share, Found& found) {
   const AttributeChannels& a = layout_.attributes()[attribute];
   const AttributeSchedule& plan = schedule(attribute);
   const float scale = plan.weight / static_cast<float>(bytes_per_entry_[attribute]);
   auto& calm = calm_[attribute];
+  auto& candidates = found.candidates[attribute];
+  auto& count = found.count[attribute];
   std::array<std::int32_t, kBlockRows> largest, sum, drift;
   for (const std::uint32_t block : blocks) {
     const std::size_t first = std::size_t{block} * kBlockRows;
@@ -207,17 +212,14 @@ void DeltaSelection::collect(std::uint32_t attribute, const HeldGaussians& held,
       // What is rounded is off by half of what it is rounded to, and one that wavers about that stays.
       if (largest[i] <= std::max(zone << shift, (1 << shift) >> 1)) continue;
       const auto steps = static_cast<float>(sum[i]);
-      candidates_.push_back({bucket(share[row] * steps * scale), steps * plan.weight, row, attribute});
+      candidates.push_back({bucket(share[row] * steps * scale), steps * plan.weight, row});
+      ++count[candidates.back().bucket];
     }
   }
 }
 
-std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, const QuantizedGaussians& target,
-                                                 std::span<const std::uint32_t> target_column,
-                                                 std::span<const std::uint32_t> blocks, std::span<const float> share,
-                                                 double budget_bytes) {
-  candidates_.clear();
-  classes_.resize(target_column.size());
+void DeltaSelection::classify(const QuantizedGaussians& target, std::span<const std::uint32_t> target_column,
+                              std::span<const std::uint32_t> blocks) {
   for (const std::uint32_t block : blocks) {
     for (std::size_t row = std::size_t{block} * kBlockRows; row < (std::size_t{block} + 1) * kBlockRows; ++row) {
       classes_[row] = target_column[row] != kNotHeld && !precision_.lossless()
@@ -225,32 +227,67 @@ std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, cons
                           : Precision::Class{};
     }
   }
-  for (std::uint32_t a = 0; a < layout_.attributes().size(); ++a) {
-    if (!is_delta_coded(layout_.attributes()[a].attribute) || tick_ % std::max(schedule(a).every, 1U) != 0) continue;
-    if (target.count() == 0) break;
-    collect(a, held, target, target_column, blocks, share);
-  }
+}
+
+bool DeltaSelection::is_due(std::uint32_t attribute) const {
+  return is_delta_coded(layout_.attributes()[attribute].attribute) &&
+         tick_ % std::max(schedule(attribute).every, 1U) == 0;
+}
+
+std::vector<SelectedRows> DeltaSelection::select(const HeldGaussians& held, const QuantizedGaussians& target,
+                                                 std::span<const std::uint32_t> target_column,
+                                                 std::span<const std::uint32_t> blocks, std::span<const float> share,
+                                                 double budget_bytes) {
+  const auto attributes = static_cast<std::uint32_t>(layout_.attributes().size());
+  classes_.resize(target_column.size());
+  found_.resize(pieces_of(blocks.size(), kPieceBlocks));
+  for_each_piece(blocks, kPieceBlocks, [&](std::size_t k, std::span<const std::uint32_t> piece) {
+    Found& found = found_[k];
+    found.candidates.resize(attributes);
+    found.count.resize(attributes);
+    for (auto& candidates : found.candidates) candidates.clear();
+    for (auto& count : found.count) count.assign(kBuckets, 0);
+    if (target.count() == 0) return;
+    classify(target, target_column, piece);
+    for (std::uint32_t a = 0; a < attributes; ++a) {
+      if (is_due(a)) collect(a, held, target, target_column, piece, share, found);
+    }
+  });
   ++tick_;
 
   std::vector<double> cost(kBuckets);
-  for (const Candidate& c : candidates_) cost[c.bucket] += bytes_per_entry_[c.attribute];
+  for (std::uint32_t a = 0; a < attributes; ++a) {
+    for (const Found& found : found_) {
+      for (std::size_t b = 0; b < kBuckets; ++b) cost[b] += bytes_per_entry_[a] * found.count[a][b];
+    }
+  }
   std::size_t lowest = kBuckets;  // buckets from here on go out whole; of the one below, what still fits
   double left = budget_bytes;
   while (lowest > 0 && cost[lowest - 1] <= left) left -= cost[--lowest];
 
-  std::vector<SelectedRows> selected(layout_.attributes().size());
-  left_rows_.clear();
-  for (const Candidate& c : candidates_) {
-    const bool fits = c.bucket >= lowest || (c.bucket + 1 == lowest && left >= bytes_per_entry_[c.attribute]);
-    if (c.bucket < lowest && fits) left -= bytes_per_entry_[c.attribute];
-    if (fits) {
-      selected[c.attribute].rows.push_back(c.row);
-      selected[c.attribute].steps.push_back(c.steps);
-    } else {
-      left_rows_.push_back(c.row);
+  std::vector<SelectedRows> selected(attributes);
+  left_blocks_.clear();
+  left_ = 0;
+  for (std::uint32_t a = 0; a < attributes; ++a) {
+    selected[a].attribute = layout_.attributes()[a].attribute;
+    for (const Found& found : found_) {
+      for (const Candidate& c : found.candidates[a]) {
+        const bool fits = c.bucket >= lowest || (c.bucket + 1 == lowest && left >= bytes_per_entry_[a]);
+        if (c.bucket < lowest && fits) left -= bytes_per_entry_[a];
+        if (fits) {
+          selected[a].rows.push_back(c.row);
+          selected[a].steps.push_back(c.steps);
+          continue;
+        }
+        ++left_;
+        const auto block = static_cast<std::uint32_t>(c.row / kBlockRows);
+        if (left_blocks_.empty() || left_blocks_.back() != block) left_blocks_.push_back(block);
+      }
     }
   }
-  for (std::size_t a = 0; a < selected.size(); ++a) selected[a].attribute = layout_.attributes()[a].attribute;
+  std::ranges::sort(left_blocks_);
+  const auto again = std::ranges::unique(left_blocks_);
+  left_blocks_.erase(again.begin(), again.end());
   std::erase_if(selected, [](const SelectedRows& s) { return s.rows.empty(); });
   return selected;
 }

@@ -64,25 +64,32 @@ class DeltaSelection {
                                                  std::span<const std::uint32_t> blocks, std::span<const float> share,
                                                  double budget_bytes);
   [[nodiscard]] double bytes_per_entry(Attribute attribute) const;
-  /// Rows, in no order and some of them several times, of what the last select() left for later.
-  [[nodiscard]] const std::vector<std::uint32_t>& left_rows() const { return left_rows_; }
+  /// Blocks, ascending, of which the last select() left something for later.
+  [[nodiscard]] const std::vector<std::uint32_t>& left_blocks() const { return left_blocks_; }
 
   /// What a packet of `count` entries came to, for the next estimate.
   void learn_cost(Attribute attribute, std::size_t count, std::size_t bytes);
 
   /// Entries above their dead zone that the last select() left for later.
-  [[nodiscard]] std::size_t pending() const { return left_rows_.size(); }
+  [[nodiscard]] std::size_t pending() const { return left_; }
 
  private:
   struct Candidate {
     std::uint32_t bucket;  ///< of its score
     float steps;
     std::uint32_t row;
-    std::uint32_t attribute;  ///< index into the layout's attributes
   };
+  /// What one worker found in some of the blocks.
+  struct Found {
+    std::vector<std::vector<Candidate>> candidates;  ///< [attributes], by row
+    std::vector<std::vector<std::uint32_t>> count;   ///< [attributes][buckets]
+  };
+  void classify(const QuantizedGaussians& target, std::span<const std::uint32_t> target_column,
+                std::span<const std::uint32_t> blocks);
   void collect(std::uint32_t attribute, const HeldGaussians& held, const QuantizedGaussians& target,
                std::span<const std::uint32_t> target_column, std::span<const std::uint32_t> blocks,
-               std::span<const float> share);
+               std::span<const float> share, Found& found);
+  [[nodiscard]] bool is_due(std::uint32_t attribute) const;
   [[nodiscard]] const AttributeSchedule& schedule(std::uint32_t attribute) const;
 
   StreamLayout layout_;
@@ -93,9 +100,10 @@ class DeltaSelection {
   std::vector<std::vector<std::int32_t>> anchor_;  ///< [channels][rows] where the target rests
   std::vector<std::vector<std::uint8_t>> calm_;    ///< [attributes][rows] ticks of rest
   std::vector<double> bytes_per_entry_;            ///< [attributes]
-  std::vector<Candidate> candidates_;
-  std::vector<Precision::Class> classes_;  ///< [rows] of the target, of those that were looked at
-  std::vector<std::uint32_t> left_rows_;
+  std::vector<Found> found_;                       ///< block after block
+  std::vector<Precision::Class> classes_;          ///< [rows] of the target, of those that were looked at
+  std::vector<std::uint32_t> left_blocks_;
+  std::size_t left_ = 0;
 };
 
 }  // namespace splatbus::stream

@@ -8,6 +8,7 @@
 #include "device/buffer.h"
 #include "device/stream.h"
 #include "stream/channel_kernels.h"
+#include "stream/pieces.h"
 #ifdef SPLATBUS_HAVE_CUDA
 #include "device/pinned.h"
 #endif
@@ -251,13 +252,13 @@ class ModelQuantizer::Impl {
     const auto first = static_cast<std::size_t>(layout.at(Attribute::Rotation).first);
     const HeldChannel &x = held->channels[first], &y = held->channels[first + 1], &z = held->channels[first + 2];
     host_held_.resize(count_);
-    for (std::size_t i = 0; i < count_; ++i) {
+    for_each_at_once(count_, [&](std::size_t i) {
       const std::uint32_t column = held_column[i];
       host_held_[i] = column == kNotHeld ? kernels::HeldRotation{}
                                          : kernels::HeldRotation{static_cast<std::int16_t>(x[column]),
                                                                  static_cast<std::int16_t>(y[column]),
                                                                  static_cast<std::int16_t>(z[column]), 1};
-    }
+    });
     held_.assign(host_held_);
     return held_.data();
   }
@@ -265,7 +266,7 @@ class ModelQuantizer::Impl {
   void unpack(QuantizedGaussians& target) const {
     target.channels.resize(storage_->row_of_channel.size());
     target.resize(count_);
-    for (std::size_t channel = 0; channel < target.channels.size(); ++channel) {
+    for_each_at_once(target.channels.size(), [&](std::size_t channel) {
       const auto [row, is_wide] = storage_->row_of_channel[channel];
       const std::size_t first = static_cast<std::size_t>(row) * count_;
       if (is_wide) {
@@ -273,7 +274,7 @@ class ModelQuantizer::Impl {
       } else {
         std::copy_n(host_narrow_.data() + first, count_, target.channels[channel].begin());
       }
-    }
+    });
   }
 
   device::Stream stream_;

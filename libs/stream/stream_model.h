@@ -90,6 +90,7 @@ struct StreamUpdate {
 /// One thread, or two: while one of them observes, ticks or resets, the other may call take_scene(), take_update(),
 /// page_packets(), page_visibility(), manifest_packets(), gone_packet(), scene_packet(), scene_version(),
 /// layout_packet(), offered() and status(), which wait for one packet at most (a reset for longer), and nothing else.
+/// What is done for each Gaussian is shared among TBB's workers.
 class StreamModel {
  public:
   /// `device`: in whose memory the views lie that observe() is given.
@@ -244,11 +245,14 @@ class StreamModel {
   struct Reading {
     std::vector<IndexRange> ranges;
     std::vector<std::uint64_t> generations;  ///< of each
+    std::vector<std::size_t> offsets;        ///< of each, its first column's
     std::vector<std::uint32_t> rows;         ///< of each column, range after range; kNotHeld: not held
+    void place();
   };
   [[nodiscard]] Reading ranges_to_read(const GaussiansView& gaussians, bool all);
   void find_rows(Reading& reading, std::span<const std::uint64_t> ids) const;
   void take_observed(const Reading& reading);
+  void take_range(const Reading& reading, std::size_t k);
   struct Difference {
     bool gaussians = false, values = false;
   };
@@ -261,6 +265,7 @@ class StreamModel {
   [[nodiscard]] bool is_settled(std::uint32_t page) const { return page < known_.size() && known_[page].settled; }
   [[nodiscard]] bool is_idle(std::uint32_t page) const;
   [[nodiscard]] std::vector<std::uint32_t> busy_blocks();
+  [[nodiscard]] std::vector<std::uint32_t> rows_of_other_objects(std::span<const std::uint32_t> blocks) const;
   [[nodiscard]] std::uint32_t row_of(std::uint64_t id) const;
   [[nodiscard]] std::uint32_t page_of_row(std::uint32_t row) const { return page_of_block_[row / kBlockRows]; }
   [[nodiscard]] std::uint32_t lane_of_row(std::uint32_t row) const {

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "stream/bytes.h"
+#include "stream/pieces.h"
 #include "stream/stream_model.h"
 
 namespace splatbus::stream {
@@ -71,6 +72,7 @@ StreamModel::Reading StreamModel::ranges_to_read(const GaussiansView& gaussians,
       read.ranges.push_back({.first = first, .count = std::min(kPageLanes, count - first)});
     }
     read.generations.resize(read.ranges.size());
+    read.place();
     return read;
   }
   const bool says = gaussians.generations.size() == gaussians.ranges.size();
@@ -84,19 +86,29 @@ StreamModel::Reading StreamModel::ranges_to_read(const GaussiansView& gaussians,
     read.ranges.push_back(range);
     read.generations.push_back(generation);
   }
+  read.place();
   return read;
 }
 
+void StreamModel::Reading::place() {
+  std::size_t columns = 0;
+  for (const IndexRange& range : ranges) {
+    offsets.push_back(columns);
+    columns += range.count;
+  }
+}
+
 void StreamModel::find_rows(Reading& reading, std::span<const std::uint64_t> ids) const {
-  std::size_t i = 0;
-  for (const IndexRange& range : reading.ranges) {
+  for_each_at_once(reading.ranges.size(), [&](std::size_t k) {
+    const IndexRange& range = reading.ranges[k];
+    std::size_t i = reading.offsets[k];
     for (std::uint32_t column = range.first; column < range.first + range.count; ++column, ++i) {
       // Columns mostly stay where they were: look there first.
       const std::uint32_t before = column < row_of_column_.size() ? row_of_column_[column] : kNotHeld;
       const bool same = before < held_.rows() && ids[i] != 0 && held_.gaussians.gaussian_id[before] == ids[i];
       reading.rows[i] = same ? before : row_of(ids[i]);
     }
-  }
+  });
 }
 
 StreamModel::KnownPage& StreamModel::known(std::uint32_t page) {
@@ -106,38 +118,45 @@ StreamModel::KnownPage& StreamModel::known(std::uint32_t page) {
 
 void StreamModel::take_observed(const Reading& reading) {
   std::size_t columns = 0;
-  for (const IndexRange& range : reading.ranges) columns = std::max<std::size_t>(columns, range.first + range.count);
+  std::uint32_t pages = 0;
+  for (const IndexRange& range : reading.ranges) {
+    columns = std::max<std::size_t>(columns, range.first + range.count);
+    pages = std::max(pages, range.first / page_lanes_ + 1);
+  }
+  if (pages > known_.size()) known_.resize(pages);
   if (columns > target_.count()) {
     target_.resize(columns + columns / 8);
     usable_.resize(target_.count());
     row_of_column_.resize(target_.count(), kNotHeld);
   }
-  std::size_t from = 0;
-  for (std::size_t k = 0; k < reading.ranges.size(); ++k) {
-    const IndexRange& range = reading.ranges[k];
-    KnownPage& page = known(range.first / page_lanes_);
-    const bool same_place = page.range.first == range.first && page.range.frame_id == range.frame_id;
-    const bool other_count = !same_place || page.range.count != range.count;
-    if (!same_place) {
-      vacate(page.range);
-    } else if (page.range.count > range.count) {
-      vacate({.first = range.first + range.count, .count = page.range.count - range.count});
-    }
-    const Difference difference = take_columns(range.first, range.count, from);
-    const auto rows = reading.rows.begin() + static_cast<std::ptrdiff_t>(from), end = rows + range.count;
-    const auto row_of_first = row_of_column_.begin() + range.first;
-    if (difference.gaussians || other_count || !std::equal(rows, end, row_of_first)) page.settled = false;
-    if (difference.gaussians || difference.values || other_count) {
-      page.followed = false;
-      page.idle_ticks = 0;
-    }
-    std::copy(rows, end, row_of_first);
-    const auto first_usable = usable_.begin() + range.first;
-    page.usable = static_cast<std::uint32_t>(std::count(first_usable, first_usable + range.count, 1));
-    page.range = range;
-    page.generation = reading.generations[k];
-    from += range.count;
+  // Each range is of a page of its own.
+  for_each_at_once(reading.ranges.size(), [&](std::size_t k) { take_range(reading, k); });
+}
+
+void StreamModel::take_range(const Reading& reading, std::size_t k) {
+  const IndexRange& range = reading.ranges[k];
+  const std::size_t from = reading.offsets[k];
+  KnownPage& page = known_[range.first / page_lanes_];
+  const bool same_place = page.range.first == range.first && page.range.frame_id == range.frame_id;
+  const bool other_count = !same_place || page.range.count != range.count;
+  if (!same_place) {
+    vacate(page.range);
+  } else if (page.range.count > range.count) {
+    vacate({.first = range.first + range.count, .count = page.range.count - range.count});
   }
+  const Difference difference = take_columns(range.first, range.count, from);
+  const auto rows = reading.rows.begin() + static_cast<std::ptrdiff_t>(from), end = rows + range.count;
+  const auto row_of_first = row_of_column_.begin() + range.first;
+  if (difference.gaussians || other_count || !std::equal(rows, end, row_of_first)) page.settled = false;
+  if (difference.gaussians || difference.values || other_count) {
+    page.followed = false;
+    page.idle_ticks = 0;
+  }
+  std::copy(rows, end, row_of_first);
+  const auto first_usable = usable_.begin() + range.first;
+  page.usable = static_cast<std::uint32_t>(std::count(first_usable, first_usable + range.count, 1));
+  page.range = range;
+  page.generation = reading.generations[k];
 }
 
 StreamModel::Difference StreamModel::take_columns(std::uint32_t first, std::uint32_t count, std::size_t from) {

@@ -5,6 +5,7 @@
 
 #include "stream/codecs.h"
 #include "stream/delta_selection.h"
+#include "stream/pieces.h"
 #include "stream/stream_model.h"
 
 namespace splatbus::stream {
@@ -47,6 +48,22 @@ std::vector<std::uint32_t> StreamModel::busy_blocks() {
   return blocks;
 }
 
+std::vector<std::uint32_t> StreamModel::rows_of_other_objects(std::span<const std::uint32_t> blocks) const {
+  std::vector<std::vector<std::uint32_t>> found(pieces_of(blocks.size(), kPieceBlocks));
+  for_each_piece(blocks, kPieceBlocks, [&](std::size_t k, std::span<const std::uint32_t> piece) {
+    for (const std::uint32_t block : piece) {
+      for (std::uint32_t row = block * kBlockRows; row < (block + 1) * kBlockRows; ++row) {
+        const std::uint32_t column = column_of_row_[row];
+        if (column == kNotHeld || target_.object_id[column] == held_.gaussians.object_id[row]) continue;
+        found[k].push_back(row);
+      }
+    }
+  });
+  std::vector<std::uint32_t> rows;
+  for (const auto& part : found) rows.insert(rows.end(), part.begin(), part.end());
+  return rows;
+}
+
 void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewers, const ObjectTransforms& objects) {
   busy_pages_ = 0;
   if (budget_bytes <= 0) return;
@@ -68,20 +85,16 @@ void StreamModel::tick_values(double budget_bytes, std::span<const Camera> viewe
       page.steps += rows.steps[i];
     }
   }
-  for (const std::uint32_t block : blocks) {
-    for (std::uint32_t row = block * kBlockRows; row < (block + 1) * kBlockRows; ++row) {
-      const std::uint32_t column = column_of_row_[row];
-      if (column == kNotHeld || target_.object_id[column] == held_.gaussians.object_id[row]) continue;
-      PageValues& page = pages[page_of_row(row)];
-      page.lanes.resize(attributes.size());
-      page.objects.push_back(lane_of_row(row));
-      page.bytes += kObjectBytes;
-      page.steps += kAbsentSteps;
-    }
+  for (const std::uint32_t row : rows_of_other_objects(blocks)) {
+    PageValues& page = pages[page_of_row(row)];
+    page.lanes.resize(attributes.size());
+    page.objects.push_back(lane_of_row(row));
+    page.bytes += kObjectBytes;
+    page.steps += kAbsentSteps;
   }
   for (auto& [number, quiet] : quiet_) ++quiet.ticks;
   const auto is_busy = [&](std::uint32_t number) { quiet_[number].ticks = known(number).idle_ticks = 0; };
-  for (const std::uint32_t row : selection_.left_rows()) is_busy(page_of_row(row));
+  for (const std::uint32_t block : selection_.left_blocks()) is_busy(page_of_block_[block]);
   std::vector<PageValues> order;
   for (auto& [number, page] : pages) {
     is_busy(number);

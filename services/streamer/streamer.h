@@ -89,8 +89,8 @@ class Streamer {
   /// What the last window cost.
   struct Load {
     int ticks = 0;
-    double encode_ms = 0;                                                           ///< CPU time of its ticks
-    std::int64_t begin_cpu_ns = 0;                                                  ///< of the process
+    double encode_ms = 0;           ///< CPU time of the thread that ticks
+    std::int64_t begin_cpu_ns = 0;  ///< of the thread that sends
     double encode_ms_a_tick = 0, send_ms_a_tick = 0, tick_ms = 0, bytes_per_s = 0;  ///< of the window before
   };
   Load load_;

@@ -28,8 +28,8 @@ void Streamer::say_what_is_served(const ModelFollower::Result& result) {
 }
 
 void Streamer::close_load(const WireStatistics::Window& window) {
-  const std::int64_t cpu_ns = bus::process_cpu_ns();
-  const double all_ms = static_cast<double>(cpu_ns - load_.begin_cpu_ns) / 1e6;
+  const std::int64_t cpu_ns = bus::thread_cpu_ns();
+  const double send_ms = static_cast<double>(cpu_ns - load_.begin_cpu_ns) / 1e6;
   const double tick_ms = 1e3 / static_cast<double>(options_->hub.tick_hz);
   const double seconds = window.seconds > 0 ? window.seconds : 1;
   const double ticks = load_.ticks > 0 ? load_.ticks : 1e3 * seconds / tick_ms;
@@ -37,7 +37,7 @@ void Streamer::close_load(const WireStatistics::Window& window) {
            .encode_ms = 0,
            .begin_cpu_ns = cpu_ns,
            .encode_ms_a_tick = load_.encode_ms / ticks,
-           .send_ms_a_tick = load_.begin_cpu_ns == 0 ? 0 : std::max(0.0, all_ms - load_.encode_ms) / ticks,
+           .send_ms_a_tick = load_.begin_cpu_ns == 0 ? 0 : send_ms / ticks,
            .tick_ms = tick_ms,
            .bytes_per_s = static_cast<double>(window.bytes) / seconds};
 }
