@@ -140,6 +140,7 @@ void CaptureBridge::handle_input(const bus::Message& message, const wire::Engine
   view->scene_version = forwarder_.scene_version();
   if (options_->far_field) view->objects.insert_or_assign(kFarFieldFrame, far_field());
   rigs_.inputs().arrived(*rig, camera_id, frame.request_id(), std::make_shared<const InputView>(std::move(*view)), now);
+  submit_glance(*rig);
   ++counters_.inputs;
   refreshed_inputs_.pictures.arrived(camera_id, forwarder_.scene_version());
   if (options_->input_views && forwarder_.reference(message, frame)) {
@@ -299,6 +300,17 @@ void CaptureBridge::submit_round(InputRig& rig) {
   InputJob job{.views = rig.round.take(), .rig_generation = rig.round.rig_generation(), .options = options_->sampling};
   // The cameras that are asked for later bring their own: a part of a dome is not to be sampled more finely.
   job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * rig.share_asked());
+  worker_.submit(std::move(job));
+}
+
+void CaptureBridge::submit_glance(InputRig& rig) {
+  const InputViewPointer glance = std::exchange(rig.glance, nullptr);
+  // A round that is complete by it has it too.
+  if (!glance || options_->glance_share <= 0 || rig.round.ready(bus::now_ns(), INT64_MAX)) return;
+  InputJob job{
+      .views = {glance}, .rig_generation = rig.round.rig_generation(), .options = options_->sampling, .glance = true};
+  job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * options_->glance_share);
+  ++counters_.glances;
   worker_.submit(std::move(job));
 }
 

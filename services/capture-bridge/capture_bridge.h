@@ -26,6 +26,7 @@ namespace splatbus::capture_bridge {
 struct BridgeCounters {
   std::uint64_t frames = 0, frames_lost = 0;
   std::uint64_t refused = 0;        ///< messages that make no sense
+  std::uint64_t glances = 0;        ///< input pictures that were sampled before their round was there
   std::uint64_t inputs_blind = 0;   ///< input pictures of what is right before the camera
   std::uint64_t ranges = 0;         ///< pictures of depth cubes
   std::uint64_t poses_dropped = 0;  ///< of more viewers than can be followed
@@ -71,6 +72,7 @@ class CaptureBridge {
   void refresh_pictures(std::int64_t now_ns);
   void update_probes(std::int64_t now_ns);
   void submit_round(InputRig& rig);
+  void submit_glance(InputRig& rig);
   void publish_cameras();
 
   std::shared_ptr<bus::Context> context_;

@@ -16,6 +16,8 @@ using wire::EngineBuffer;
 
 constexpr int kLeastCameras = 4;                        // a round by fewer shows too little
 constexpr int kMaxBlind = 3;                            // pictures of a camera, before it is given up
+constexpr float kEyeMove_m = 0.25F;                     // beyond which the eye looks anew
+constexpr float kEyeTurn = 0.9659258F;                  // cosine of 15 degrees
 constexpr std::int64_t kRangePatienceNs = 300'000'000;  // then a dome stands untested
 
 float turned(const DomePlace& a, const DomePlace& b) {
@@ -57,8 +59,9 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
     const bool robbed = rig.cameras.size() < due_cameras;
     if (anew || is_due(options, wish, robbed, rig, now_ns)) {
       place(options, wish, shares, now_ns);
-    } else if (rig.to_come.empty() || !rig.round.missing().empty()) {
-      continue;
+    } else {
+      if (options.glance_share > 0 && options.input_rate_hz <= 0) follow_eye(options, wish, rig, cameras);
+      if (rig.to_come.empty() || !rig.round.missing().empty()) continue;
     }
     grow(options, cameras, rig);
     placed.push_back(wish.name);
@@ -137,6 +140,8 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.cameras.clear();
   rig.to_come.clear();
   rig.blind.clear();
+  rig.eye = eyes > 0 ? std::optional(ids.front()) : std::nullopt;
+  rig.eye_stands = rig.eye_went_ahead = false;
   for (std::size_t k = 0; k < ids.size(); ++k) {
     Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
                              : stands[places[k - eyes]];
@@ -162,6 +167,26 @@ void InputRigs::grow(const Options& options, const CameraSet& cameras, InputRig&
     rig.cameras.push_back(camera);
     return true;
   });
+}
+
+void InputRigs::follow_eye(const Options& options, const Wish& wish, InputRig& rig, CameraSet& cameras) {
+  if (!rig.eye || !rig.eye_stands || wish.viewer == nullptr) return;
+  const auto eye = std::ranges::find(rig.cameras, *rig.eye, &Camera::id);
+  if (eye == rig.cameras.end()) return;
+  Camera now = eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m);
+  const Rigid &from = eye->world_from_camera, &to = now.world_from_camera;
+  const bool moved = glm::distance(from.translation, to.translation) > kEyeMove_m;
+  const bool turned = glm::dot(from.rotation * glm::vec3(0, 0, 1), to.rotation * glm::vec3(0, 0, 1)) < kEyeTurn;
+  if (!moved && !turned) return;
+  now.id = eye->id;
+  now.near_m = options.near_m;
+  now.far_m = options.far_m;
+  *eye = now;
+  cameras.move(CameraRole::Input, now);
+  placed_.push_back(now.id);
+  rig.eye_stands = false;
+  rig.eye_went_ahead = true;
+  renew(rig, cameras);
 }
 
 /// Rigs whose viewer has left stay until those who are there have theirs: their cameras are not to be missed before.
@@ -244,7 +269,14 @@ InputRig* InputRigs::awaiting(std::uint32_t camera_id, std::uint64_t request_id)
 void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view,
                         std::int64_t now_ns) {
   const bool incomplete = !rig.round.missing().empty();
-  rig.round.add(camera_id, request_id, std::move(view), now_ns);
+  const bool is_eye = camera_id == rig.eye, went_ahead = is_eye && std::exchange(rig.eye_went_ahead, false);
+  rig.eye_stands |= is_eye;
+  if (went_ahead || (is_eye && incomplete)) rig.glance = view;
+  if (went_ahead && !incomplete) {
+    rig.round.replace(camera_id, request_id, std::move(view));
+  } else {
+    rig.round.add(camera_id, request_id, std::move(view), now_ns);
+  }
   ++rig.arrivals;
   if (incomplete && rig.round.missing().empty()) measure(rig, now_ns);
   rig.blind.erase(camera_id);

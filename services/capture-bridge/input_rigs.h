@@ -35,6 +35,13 @@ struct InputRig {
   std::int64_t submitted_ns = 0;  ///< a round, for sampling
   float new_share = 1;            ///< of the samples of its last round: they became Gaussians
 
+  /// The camera that stands where the viewer will be, and goes ahead of the dome. Its picture is worth a look alone:
+  /// what the viewer sees next is in it, and a dome takes an engine many pictures.
+  std::optional<std::uint32_t> eye;
+  bool eye_stands = false;      ///< the picture that was asked for last has come
+  bool eye_went_ahead = false;  ///< it was asked for apart from the dome's
+  InputViewPointer glance;      ///< it, until it is handed on
+
   glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
   std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
   std::map<std::uint32_t, std::uint64_t> requested;  ///< request ids, by camera id
@@ -100,6 +107,8 @@ class InputRigs {
   void grow(const Options& options, const CameraSet& cameras, InputRig& rig);
   /// The engine's rate, by a round that has come to its end.
   void measure(const InputRig& rig, std::int64_t now_ns);
+  /// Has the eye look from where the viewer will be, once it has shown where it stood.
+  void follow_eye(const Options& options, const Wish& wish, InputRig& rig, CameraSet& cameras);
   void forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares);
   std::vector<Camera> request(const Options& options, const std::vector<std::string>& placed, std::int64_t now_ns,
                               CameraSet& cameras);

@@ -79,7 +79,9 @@ void InputWorker::submit(InputJob job) {
   if (job.views.empty()) return;
   {
     const std::scoped_lock lock(mutex_);
-    std::erase_if(jobs_, [&](const InputJob& waiting) { return waiting.rig_generation == job.rig_generation; });
+    std::erase_if(jobs_, [&](const InputJob& waiting) {
+      return waiting.rig_generation == job.rig_generation && (waiting.glance || !job.glance);
+    });
     if (jobs_.size() >= kMaxQueued) {
       static bus::LogLimiter limiter;
       if (limiter.allow()) {

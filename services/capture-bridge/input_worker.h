@@ -36,6 +36,7 @@ struct InputJob {
   std::vector<InputViewPointer> views;
   std::uint64_t rig_generation = 0;
   SamplingOptions options;
+  bool glance = false;  ///< a look ahead of the round; it takes no round's place
 };
 
 struct PublishedRound {
@@ -61,8 +62,8 @@ class InputWorker {
 
   static constexpr std::size_t kMaxQueued = 16;
 
-  /// Queues a round. One of the same rig that still waits is replaced; others wait their turn, the oldest of more than
-  /// kMaxQueued is dropped.
+  /// Queues a round. What of the same rig still waits, and a look of it, is replaced; others wait their turn, the
+  /// oldest of more than kMaxQueued is dropped.
   void submit(InputJob job);
   [[nodiscard]] InputStatistics statistics() const;
   /// Rounds that were published since this was asked last, in their order; the last few, when it is never asked.

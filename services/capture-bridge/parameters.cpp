@@ -64,6 +64,8 @@ void Options::bind(bus::ParameterBinder& p) {
         {.minimum = 0.01});
   p.add("input_views", input_views, "publish input pictures as training views too");
   p.add("sample_budget", sampling.budget, "most samples in one input round", {100, 4e6});
+  p.add("glance_share", glance_share,
+        "share of sample_budget that the picture of a viewer's eye brings at once; 0: it waits for its round", {0, 1});
   p.add("far_field", far_field,
         "sample the far field where input pictures show no surface but more than the background");
   p.add("min_cosine", sampling.min_cosine, "smallest cosine to the normal at which a sample is kept", {0.01, 1});

@@ -22,6 +22,7 @@ struct Options {
   float blind_m = 0.2F;      ///< a picture that shows mostly nearer surfaces is of no use
   std::string input_center;  ///< fixed centre of the dome; empty: it follows the viewer
   float input_rate_hz = 0;
+  double glance_share = 0.25;   ///< of sampling.budget
   double input_refresh_hz = 8;  ///< pictures of all input cameras together, while the scene changes
   double input_deadline_s = 1.5;
   bool input_views = true;  ///< input pictures are training views too

@@ -160,14 +160,26 @@ bool InputRound::awaits(std::uint32_t camera_id, std::uint64_t request_id) const
   });
 }
 
-bool InputRound::add(std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view, std::int64_t now_ns) {
-  const auto slot = std::find_if(slots_.begin(), slots_.end(), [&](const Slot& candidate) {
+InputRound::Slot* InputRound::find(std::uint32_t camera_id, std::uint64_t request_id) {
+  const auto slot = std::ranges::find_if(slots_, [&](const Slot& candidate) {
     return candidate.camera_id == camera_id && candidate.request_id == request_id;
   });
-  if (slot == slots_.end()) return false;
+  return slot == slots_.end() ? nullptr : &*slot;
+}
+
+bool InputRound::add(std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view, std::int64_t now_ns) {
+  Slot* const slot = find(camera_id, request_id);
+  if (slot == nullptr) return false;
   slot->view = std::move(view);
   slot->fresh = true;
   if (!first_fresh_ns_) first_fresh_ns_ = now_ns;
+  return true;
+}
+
+bool InputRound::replace(std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view) {
+  Slot* const slot = find(camera_id, request_id);
+  if (slot == nullptr) return false;
+  slot->view = std::move(view);
   return true;
 }
 

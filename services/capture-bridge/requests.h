@@ -104,6 +104,9 @@ class InputRound {
   /// Takes a frame in. False when it answers no request of this rig (an older rig's frame).
   bool add(std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view, std::int64_t now_ns);
 
+  /// The same, of a camera that has gone on alone: no reason for another round.
+  bool replace(std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view);
+
   /// True when there is something to hand on: a full round, or a partial one whose first frame is `deadline_ns` old.
   [[nodiscard]] bool ready(std::int64_t now_ns, std::int64_t deadline_ns) const;
   /// All frames of the rig so far, by camera id; the next round starts.
@@ -122,6 +125,8 @@ class InputRound {
     InputViewPointer view;
     bool fresh = false;  // arrived since the last round
   };
+  [[nodiscard]] Slot* find(std::uint32_t camera_id, std::uint64_t request_id);
+
   std::vector<Slot> slots_;
   std::optional<std::int64_t> first_fresh_ns_;
   bool handed_on_incomplete_ = false;

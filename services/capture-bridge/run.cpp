@@ -14,6 +14,7 @@ void run(bus::ServiceContext& service) {
     service.counter("refused", static_cast<double>(counters.refused));
     service.counter("references", static_cast<double>(counters.references));
     service.counter("inputs", static_cast<double>(counters.inputs));
+    service.counter("glances", static_cast<double>(counters.glances));
     service.counter("inputs_blind", static_cast<double>(counters.inputs_blind));
     service.counter("ranges", static_cast<double>(counters.ranges));
     service.counter("viewers", static_cast<double>(bridge.viewers()));

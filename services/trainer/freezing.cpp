@@ -14,6 +14,8 @@ constexpr std::uint32_t kLeastLooks = 8;
 constexpr double kUnseenTimes = 4;
 /// A view teaches more when it comes nearer than by rounding and jitter of a camera.
 constexpr float kNearer = 1.5F;
+/// A view that is farther away than by this has little to teach what nearer ones have begun.
+constexpr float kAsNear = 0.5F;
 /// What is nearer counts as being this near: cameras stand in the bounds of pages.
 constexpr float kNearestDistance_m = 0.25F;
 /// A grey level: errors below it are not told apart.
@@ -101,7 +103,9 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       if (page.loss_at_freeze < 0) entry.loss = static_cast<float>(page.loss_at_freeze = loss);
       if (page.px_per_m == 0) page.px_per_m = page.thawing_px_per_m;
       const bool nearer = page.px_per_m > 0 && page.thawing_px_per_m > kNearer * page.px_per_m;
-      const bool worse = loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
+      // One that had not settled goes on where views come near again. From the end of a street all of it is in sight.
+      const bool teaches = page.loss_at_freeze > 0 || page.thawing_px_per_m >= kAsNear * page.px_per_m;
+      const bool worse = teaches && loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
       if (nearer || worse) change.thaw.push_back(number);
       page.loss = page.looks = 0;
       continue;

@@ -66,6 +66,31 @@ TEST_F(BridgeViewersTest, AnEngineWithoutDepthCubesIsNotWaitedFor) {
   }));
 }
 
+TEST_F(BridgeViewersTest, WhatAViewerSeesNextIsSampledBeforeTheRoundIsThere) {
+  set("input_range_hz", "0");
+  set("input_lead_s", "0");
+  set("input_deadline_s", "60");
+  set("sample_budget", "400");
+  const glm::vec3 eye(0, 1.6F, 3);
+  const auto at_eye = [&](const Camera& camera) {
+    return glm::distance(camera.world_from_camera.translation, eye) < 1e-3F;
+  };
+  engine_.lose = [&](const Camera& camera) { return camera.role == CameraRole::Input && !at_eye(camera); };
+  start();
+  ASSERT_TRUE(until([&] {
+    look_as("walker", look_at(eye, {0, 0.2F, 0}, 64, 64, 1));
+    return !received_["capture/input"].empty();
+  }));
+  const wire::CaptureInput& glance = last_input();
+  ASSERT_EQ(glance.cameras()->size(), 1U);
+  EXPECT_TRUE(at_eye(from_wire(*glance.cameras()->Get(0))));
+  const auto samples = received_["capture/input"].back().tensor("object_id", bus::ElementType::U32, {0});
+  ASSERT_TRUE(samples);
+  EXPECT_GT(samples->shape()[0], 50U);
+  EXPECT_LE(samples->shape()[0], 100U) << "a quarter of the budget: all of the dome's are to come";
+  EXPECT_EQ(bridge_->counters().glances, 1U);
+}
+
 TEST_F(BridgeViewersTest, BlindPicturesGoNowhereAndTheirPlaceIsTriedElsewhere) {
   // A block that fills the upper part of the dome about the place of interest.
   engine_.scene.boxes = {{{-9, 2.4F, -9}, {9, 2.6F, 9}}};

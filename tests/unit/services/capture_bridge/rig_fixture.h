@@ -60,6 +60,14 @@ class RigControlTest : public testing::Test {
       control_.inputs().arrived(*rig, request.camera.id, request.request_id, std::make_shared<InputView>(), now_ns_);
     }
   }
+  /// The picture of one input camera comes.
+  void answer_input(std::uint32_t camera_id) {
+    for (const CameraRequest& request : control_.cameras().of_role(CameraRole::Input)) {
+      InputRig* const rig = control_.inputs().awaiting(request.camera.id, request.request_id);
+      if (request.camera.id != camera_id || rig == nullptr) continue;
+      control_.inputs().arrived(*rig, camera_id, request.request_id, std::make_shared<InputView>(), now_ns_);
+    }
+  }
   /// The input picture that has been waited for longest comes. Returns its request's id; 0 where none is waited for.
   std::uint64_t answer_oldest_input() {
     std::optional<CameraRequest> oldest;

@@ -1,4 +1,7 @@
 // Where both rigs stand for one viewer.
+#include <algorithm>
+#include <cmath>
+
 #include "rig_fixture.h"
 
 namespace splatbus::capture_bridge::test {
@@ -107,6 +110,58 @@ TEST_F(RigControlTest, OneInputCameraIsTheViewersEye) {
   EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 0.01F), 1);
   const Camera eye = of(CameraRole::Input)[0];
   EXPECT_LT(glm::distance(eye.world_from_camera.rotation * glm::vec3(0, 0, 1), glm::vec3(0, 0, -1)), 1e-4F);
+}
+
+/// Between places of the dome, at most one picture at a time.
+TEST_F(RigControlTest, TheEyeGoesAheadOfItsDome) {
+  look("v", standing({0, 1.6F, 0}));
+  update();
+  const auto place = rig("v").round.rig_generation();
+  const std::uint32_t eye = of(CameraRole::Input)[0].id;
+  (void)rig("v").round.take();
+  rig("v").glance.reset();
+  const auto eye_x = [&] {
+    for (const Camera& camera : of(CameraRole::Input)) {
+      if (camera.id == eye) return camera.world_from_camera.translation.x;
+    }
+    return NAN;
+  };
+  const auto step = [&](float x) {
+    pass(kSecond / 10);
+    look("v", standing({x, 1.6F, 0}));
+    update(false);
+    return eye_x();
+  };
+  EXPECT_EQ(step(0.2F), 0) << "no picture for a hand's breadth";
+  EXPECT_NEAR(step(0.3F), 0.3F, 1e-5F);
+  EXPECT_NEAR(step(0.45F), 0.3F, 1e-5F) << "until it has shown that";
+  EXPECT_EQ(rig("v").glance, nullptr);
+  answer_input(eye);
+  EXPECT_NE(rig("v").glance, nullptr) << "it is worth a look";
+  EXPECT_FALSE(rig("v").round.ready(now_ns_ + 60 * kSecond, kSecond)) << "and no reason for another round";
+  EXPECT_EQ(rig("v").round.rig_generation(), place) << "the dome stays";
+  EXPECT_EQ(rig("v").round.take().size(), 12U);
+
+  // While the dome's other pictures are on their way it looks about.
+  step(2);
+  EXPECT_GT(rig("v").round.rig_generation(), place);
+  rig("v").glance.reset();
+  answer_input(eye);
+  EXPECT_NE(rig("v").glance, nullptr) << "at once";
+  pass(kSecond / 10);
+  look("v", look_at({2, 1.6F, 0}, {2.4F, 1.6F, -1}, 64, 64, 1));
+  update(false);
+  const auto cameras = of(CameraRole::Input);
+  const auto now = std::ranges::find(cameras, eye, &Camera::id);
+  ASSERT_NE(now, cameras.end());
+  EXPECT_GT((now->world_from_camera.rotation * glm::vec3(0, 0, 1)).x, 0.3F);
+  answer_all();
+  EXPECT_TRUE(rig("v").round.ready(now_ns_, kSecond)) << "the round has its newest picture";
+
+  set("glance_share", "0");
+  step(2);
+  answer_all();
+  EXPECT_EQ(step(2.3F), 2) << "unless it is not wanted";
 }
 
 TEST_F(RigControlTest, AHeadingThatWrapsIsNotATurn) {

@@ -110,6 +110,14 @@ TEST_F(FreezerTest, WhatNoViewShowsRestsUntilOneDoes) {
   EXPECT_EQ(second({0.1, 0.1}).thaw, std::vector{pages_[1]}) << "it had not settled";
 }
 
+TEST_F(FreezerTest, WhatHadNotSettledDoesNotTrainFromAfar) {
+  for (int s = 0; s < 3; ++s) (void)second({0.1, 0.1}, 8, 3);
+  for (int s = 0; s < 13; ++s) (void)second({0.1});
+  ASSERT_EQ(state(1), PageState::Frozen);
+  for (int s = 0; s < 3; ++s) EXPECT_TRUE(second({0.1, 0.3}, 8, 7).thaw.empty());
+  EXPECT_EQ(second({0.1, 0.3}, 8, 5).thaw, std::vector{pages_[1]});
+}
+
 TEST_F(FreezerTest, WhatAFolderHadFrozenRestsAtWhatItIsFirstSeenWith) {
   for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
   ASSERT_EQ(state(0), PageState::Frozen);
