@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <map>
 #include <span>
 #include <vector>
 
@@ -41,12 +42,13 @@ class GpuScene {
   void draw(const glm::mat4& clip_from_world, const ShaderVariant& variant, Shown shown, ProgramFor&& program_for) {
     glBindVertexArray(vertex_array_.get());
     VisibleParts visible = visible_parts(clip_from_world, shown);
-    draw_parts(visible.open, variant, program_for);
+    draw_parts(visible.open, variant, program_for, {});
+    SeenQueries seen;
     if (cull_ && !visible.enclosed.empty()) {
-      leave_out_hidden(visible.enclosed, clip_from_world,
-                       program_for(ShaderVariant{.kind = ShaderVariant::Kind::Depth}));
+      seen = ask_what_is_seen(visible.enclosed, clip_from_world,
+                              program_for(ShaderVariant{.kind = ShaderVariant::Kind::Depth}));
     }
-    draw_parts(visible.enclosed, variant, program_for);
+    draw_parts(visible.enclosed, variant, program_for, seen);
   }
 
  private:
@@ -75,14 +77,22 @@ class GpuScene {
   };
   [[nodiscard]] bool shows(const ObjectState& object, Shown shown) const;
   [[nodiscard]] VisibleParts visible_parts(const glm::mat4& clip_from_world, Shown shown) const;
-  /// Takes out the parts of objects whose boxes are wholly behind what was drawn.
-  void leave_out_hidden(std::vector<const Part*>& parts, const glm::mat4& clip_from_world, GLuint depth_program);
+  using SeenQueries = std::map<std::size_t, GLuint>;  ///< by object
+  /// Whether anything of their objects' boxes is before what was drawn. The answers stay on the GPU, which draws by
+  /// them: to wait for them here would take a turn of everybody who shares it.
+  SeenQueries ask_what_is_seen(const std::vector<const Part*>& parts, const glm::mat4& clip_from_world,
+                               GLuint depth_program);
   template <class ProgramFor>
-  void draw_parts(const std::vector<const Part*>& parts, ShaderVariant variant, ProgramFor&& program_for) {
+  void draw_parts(const std::vector<const Part*>& parts, ShaderVariant variant, ProgramFor&& program_for,
+                  const SeenQueries& seen) {
     for (const Part* part : parts) {
       variant.holes = part->alpha_cutoff > 0;
       variant.emissive = variant.lit && objects_[part->object].emissive;
-      draw_part(*part, variant, program_for(variant));
+      const GLuint program = program_for(variant);
+      const auto query = seen.find(part->object);
+      if (query != seen.end()) glBeginConditionalRender(query->second, GL_QUERY_WAIT);
+      draw_part(*part, variant, program);
+      if (query != seen.end()) glEndConditionalRender();
     }
   }
   void draw_part(const Part& part, const ShaderVariant& variant, GLuint program) const;

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <glm/gtc/matrix_transform.hpp>
 #include <glm/gtc/type_ptr.hpp>
-#include <map>
 #include <utility>
 
 #include "sim/gpu_scene.h"
@@ -65,10 +64,10 @@ GpuScene::VisibleParts GpuScene::visible_parts(const glm::mat4& clip_from_world,
   return parts;
 }
 
-void GpuScene::leave_out_hidden(std::vector<const Part*>& parts, const glm::mat4& clip_from_world,
-                                GLuint depth_program) {
-  constexpr float kMargin_m = 0.01F;    // surfaces on the box's own faces are behind it
-  std::map<std::size_t, GLuint> asked;  // queries by object
+GpuScene::SeenQueries GpuScene::ask_what_is_seen(const std::vector<const Part*>& parts,
+                                                 const glm::mat4& clip_from_world, GLuint depth_program) {
+  constexpr float kMargin_m = 0.01F;  // surfaces on the box's own faces are behind it
+  SeenQueries asked;
   glUseProgram(depth_program);
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   glDepthMask(GL_FALSE);
@@ -94,16 +93,7 @@ void GpuScene::leave_out_hidden(std::vector<const Part*>& parts, const glm::mat4
   }
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   glDepthMask(GL_TRUE);
-  std::map<std::size_t, bool> hidden;
-  for (const auto& [object, query] : asked) {
-    GLuint seen = GL_TRUE;
-    glGetQueryObjectuiv(query, GL_QUERY_RESULT, &seen);
-    hidden[object] = seen == GL_FALSE;
-  }
-  std::erase_if(parts, [&](const Part* part) {
-    const auto found = hidden.find(part->object);
-    return found != hidden.end() && found->second;
-  });
+  return asked;
 }
 
 }  // namespace splatbus::sim
