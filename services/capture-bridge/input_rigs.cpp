@@ -140,12 +140,14 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.cameras.clear();
   rig.to_come.clear();
   rig.blind.clear();
-  rig.eye = eyes > 0 ? std::optional(ids.front()) : std::nullopt;
+  rig.eye = eyes > 0 ? std::optional(std::ranges::min(ids)) : std::nullopt;  // which engines render first
   rig.eye_stands = rig.eye_went_ahead = false;
-  for (std::size_t k = 0; k < ids.size(); ++k) {
+  std::vector<std::uint32_t> in_order(ids.begin(), ids.end());
+  if (rig.eye) std::iter_swap(in_order.begin(), std::ranges::find(in_order, *rig.eye));
+  for (std::size_t k = 0; k < in_order.size(); ++k) {
     Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
                              : stands[places[k - eyes]];
-    camera.id = ids[k];
+    camera.id = in_order[k];
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;
     rig.to_come.push_back(camera);

@@ -151,7 +151,7 @@ TEST_F(CaptureBridgeTest, AViewerThatMovesTakesTheInputRigAlong) {
   settle();
   const std::uint64_t generation = last_input().rig_generation();
   look_from(look_at({2, 1.6F, 3.4F}, {2, 0.25F, 0}, 64, 64, 1));
-  ASSERT_TRUE(until([&] { return last_input().rig_generation() > generation; }));
+  ASSERT_TRUE(until([&] { return last_input().rig_generation() > generation && last_input().cameras()->size() == 4; }));
   glm::vec3 middle(0);
   for (const wire::Camera* camera : *last_input().cameras()) middle += from_wire(*camera).world_from_camera.translation;
   EXPECT_GT((middle / 4.0F).x, 1.0F);

@@ -117,7 +117,9 @@ TEST_F(RigControlTest, TheEyeGoesAheadOfItsDome) {
   look("v", standing({0, 1.6F, 0}));
   update();
   const auto place = rig("v").round.rig_generation();
-  const std::uint32_t eye = of(CameraRole::Input)[0].id;
+  ASSERT_TRUE(rig("v").eye);
+  const std::uint32_t eye = *rig("v").eye;
+  for (const Camera& camera : of(CameraRole::Input)) EXPECT_GE(camera.id, eye) << "rendered first";
   (void)rig("v").round.take();
   rig("v").glance.reset();
   const auto eye_x = [&] {
