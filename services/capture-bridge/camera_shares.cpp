@@ -49,6 +49,9 @@ void CameraShares::take_share(const std::string& owner, const Shares& shares) {
   ids_.try_emplace(owner);
   while (ids_.at(owner).size() < wanted && take_one(owner, shares)) {
   }
+  // Others take from the back, and engines render the smallest first: that is its eye.
+  std::vector<std::uint32_t>& own = ids_.at(owner);
+  if (!own.empty()) std::iter_swap(own.begin(), std::ranges::min_element(own));
 }
 
 bool CameraShares::take_one(const std::string& owner, const Shares& shares) {

@@ -231,7 +231,7 @@ void CaptureBridge::handle_grid_state(const wire::GridState& state, const bus::M
   new_shares_.published(worker_.take_published());
   for (const NewShareWatch::Share& share :
        new_shares_.state(message.header().epoch(), state.rounds(), state.gaussians_inserted())) {
-    rigs_.inputs().note_new_share(share.rig_generation, share.of_samples);
+    if (share.rig_generation != 0) rigs_.inputs().note_new_share(share.rig_generation, share.of_samples);
   }
   if (state.rounds() > 0 || worker_.statistics().rounds == 0) return;
   // An expander that has seen no round has missed ours: it started later, or again.
@@ -310,6 +310,7 @@ void CaptureBridge::submit_glance(InputRig& rig) {
   InputJob job{
       .views = {glance}, .rig_generation = rig.round.rig_generation(), .options = options_->sampling, .glance = true};
   job.options.budget = static_cast<std::size_t>(static_cast<double>(job.options.budget) * options_->glance_share);
+  rig.submitted_ns = bus::now_ns();
   ++counters_.glances;
   worker_.submit(std::move(job));
 }

@@ -14,10 +14,11 @@ namespace {
 
 using wire::EngineBuffer;
 
-constexpr int kLeastCameras = 4;                        // a round by fewer shows too little
-constexpr int kMaxBlind = 3;                            // pictures of a camera, before it is given up
-constexpr float kEyeMove_m = 0.25F;                     // beyond which the eye looks anew
-constexpr float kEyeTurn = 0.9659258F;                  // cosine of 15 degrees
+constexpr int kLeastCameras = 4;        // a round by fewer shows too little
+constexpr int kMaxBlind = 3;            // pictures of a camera, before it is given up
+constexpr float kEyeMove_m = 0.25F;     // beyond which the eye looks anew
+constexpr float kEyeTurn = 0.9659258F;  // cosine of 15 degrees
+constexpr std::int64_t kEyePeriodNs = 200'000'000;
 constexpr std::int64_t kRangePatienceNs = 300'000'000;  // then a dome stands untested
 
 float turned(const DomePlace& a, const DomePlace& b) {
@@ -60,7 +61,7 @@ std::vector<Camera> InputRigs::update(const Options& options, bool anew, const V
     if (anew || is_due(options, wish, robbed, rig, now_ns)) {
       place(options, wish, shares, now_ns);
     } else {
-      if (options.glance_share > 0 && options.input_rate_hz <= 0) follow_eye(options, wish, rig, cameras);
+      if (options.glance_share > 0 && options.input_rate_hz <= 0) follow_eye(options, wish, rig, now_ns, cameras);
       if (rig.to_come.empty() || !rig.round.missing().empty()) continue;
     }
     grow(options, cameras, rig);
@@ -140,14 +141,13 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.cameras.clear();
   rig.to_come.clear();
   rig.blind.clear();
-  rig.eye = eyes > 0 ? std::optional(std::ranges::min(ids)) : std::nullopt;  // which engines render first
-  rig.eye_stands = rig.eye_went_ahead = false;
-  std::vector<std::uint32_t> in_order(ids.begin(), ids.end());
-  if (rig.eye) std::iter_swap(in_order.begin(), std::ranges::find(in_order, *rig.eye));
-  for (std::size_t k = 0; k < in_order.size(); ++k) {
+  rig.eye = eyes > 0 ? std::optional(ids.front()) : std::nullopt;
+  rig.eye_in_flight = false;
+  for (std::size_t k = 0; k < ids.size(); ++k) {
     Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
                              : stands[places[k - eyes]];
-    camera.id = in_order[k];
+    if (k < eyes) rig.eye_wished = camera.world_from_camera;
+    camera.id = ids[k];
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;
     rig.to_come.push_back(camera);
@@ -171,23 +171,27 @@ void InputRigs::grow(const Options& options, const CameraSet& cameras, InputRig&
   });
 }
 
-void InputRigs::follow_eye(const Options& options, const Wish& wish, InputRig& rig, CameraSet& cameras) {
-  if (!rig.eye || !rig.eye_stands || wish.viewer == nullptr) return;
+void InputRigs::follow_eye(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns,
+                           CameraSet& cameras) {
+  if (!rig.eye || wish.viewer == nullptr || !rig.round.shows(*rig.eye)) return;
+  if (now_ns - rig.eye_asked_ns < (rig.eye_in_flight ? nanoseconds(options.input_deadline_s) : kEyePeriodNs)) return;
   const auto eye = std::ranges::find(rig.cameras, *rig.eye, &Camera::id);
   if (eye == rig.cameras.end()) return;
   Camera now = eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m);
-  const Rigid &from = eye->world_from_camera, &to = now.world_from_camera;
+  const Rigid &from = rig.eye_wished, &to = now.world_from_camera;
   const bool moved = glm::distance(from.translation, to.translation) > kEyeMove_m;
   const bool turned = glm::dot(from.rotation * glm::vec3(0, 0, 1), to.rotation * glm::vec3(0, 0, 1)) < kEyeTurn;
-  if (!moved && !turned) return;
+  const bool is_lost = rig.eye_in_flight;
+  if (!moved && !turned && !is_lost) return;
+  rig.eye_wished = to;
+  rig.eye_asked_ns = now_ns;
+  rig.eye_in_flight = true;
   now.id = eye->id;
   now.near_m = options.near_m;
   now.far_m = options.far_m;
   *eye = now;
   cameras.move(CameraRole::Input, now);
   placed_.push_back(now.id);
-  rig.eye_stands = false;
-  rig.eye_went_ahead = true;
   renew(rig, cameras);
 }
 
@@ -270,21 +274,21 @@ InputRig* InputRigs::awaiting(std::uint32_t camera_id, std::uint64_t request_id)
 
 void InputRigs::arrived(InputRig& rig, std::uint32_t camera_id, std::uint64_t request_id, InputViewPointer view,
                         std::int64_t now_ns) {
-  const bool incomplete = !rig.round.missing().empty();
-  const bool is_eye = camera_id == rig.eye, went_ahead = is_eye && std::exchange(rig.eye_went_ahead, false);
-  rig.eye_stands |= is_eye;
-  if (went_ahead || (is_eye && incomplete)) rig.glance = view;
-  if (went_ahead && !incomplete) {
-    rig.round.replace(camera_id, request_id, std::move(view));
-  } else {
-    rig.round.add(camera_id, request_id, std::move(view), now_ns);
+  rig.blind.erase(camera_id);
+  answered_ = true;
+  if (camera_id == rig.eye && std::exchange(rig.eye_in_flight, false)) {
+    // The dome's pictures are waited for as if this had not come.
+    rig.round.replace(camera_id, request_id, view);
+    rig.glance = std::move(view);
+    return;
   }
+  const bool incomplete = !rig.round.missing().empty();
+  if (camera_id == rig.eye && !rig.round.shows(camera_id)) rig.glance = view;
+  rig.round.add(camera_id, request_id, std::move(view), now_ns);
   ++rig.arrivals;
   if (incomplete && rig.round.missing().empty()) measure(rig, now_ns);
-  rig.blind.erase(camera_id);
   rig.asked_ns = now_ns;
   rig.patience_ns = 0;
-  answered_ = true;
 }
 
 void InputRigs::blind(InputRig& rig, std::uint32_t camera_id, std::int64_t now_ns, CameraSet& cameras) {

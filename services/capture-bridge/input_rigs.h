@@ -38,9 +38,10 @@ struct InputRig {
   /// The camera that stands where the viewer will be, and goes ahead of the dome. Its picture is worth a look alone:
   /// what the viewer sees next is in it, and a dome takes an engine many pictures.
   std::optional<std::uint32_t> eye;
-  bool eye_stands = false;      ///< the picture that was asked for last has come
-  bool eye_went_ahead = false;  ///< it was asked for apart from the dome's
-  InputViewPointer glance;      ///< it, until it is handed on
+  Rigid eye_wished;            ///< where it was to look from last; if that was blind it stands elsewhere
+  bool eye_in_flight = false;  ///< a picture of it, apart from the dome's, is on its way
+  std::int64_t eye_asked_ns = 0;
+  InputViewPointer glance;  ///< it, until it is handed on
 
   glm::vec3 anchor{0};                 ///< where the cameras could be seen from; blind ones draw nearer to it
   std::map<std::uint32_t, int> blind;  ///< how often a camera's picture was, by camera id
@@ -108,7 +109,7 @@ class InputRigs {
   /// The engine's rate, by a round that has come to its end.
   void measure(const InputRig& rig, std::int64_t now_ns);
   /// Has the eye look from where the viewer will be, once it has shown where it stood.
-  void follow_eye(const Options& options, const Wish& wish, InputRig& rig, CameraSet& cameras);
+  void follow_eye(const Options& options, const Wish& wish, InputRig& rig, std::int64_t now_ns, CameraSet& cameras);
   void forget_left(const std::vector<Wish>& wishes, const CameraShares::Shares& shares);
   std::vector<Camera> request(const Options& options, const std::vector<std::string>& placed, std::int64_t now_ns,
                               CameraSet& cameras);

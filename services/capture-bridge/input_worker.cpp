@@ -150,7 +150,8 @@ void InputWorker::process(const InputJob& job) {
   statistics_.dropped += dropped.broken();
   statistics_.milliseconds = took.count();
   if (published_.size() >= kMaxPublished) published_.erase(published_.begin());
-  published_.push_back({.rig_generation = job.rig_generation, .samples = round.size});
+  // How much is new to a look ahead says nothing of its dome.
+  published_.push_back({.rig_generation = job.glance ? 0 : job.rig_generation, .samples = round.size});
 }
 
 }  // namespace splatbus::capture_bridge

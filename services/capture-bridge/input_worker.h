@@ -40,7 +40,7 @@ struct InputJob {
 };
 
 struct PublishedRound {
-  std::uint64_t rig_generation = 0;
+  std::uint64_t rig_generation = 0;  ///< 0: of a glance
   std::size_t samples = 0;
 };
 

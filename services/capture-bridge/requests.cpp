@@ -198,6 +198,10 @@ std::vector<InputViewPointer> InputRound::take() {
   return views();
 }
 
+bool InputRound::shows(std::uint32_t camera_id) const {
+  return std::ranges::any_of(slots_, [&](const Slot& slot) { return slot.camera_id == camera_id && slot.view; });
+}
+
 std::vector<std::uint32_t> InputRound::missing() const {
   std::vector<std::uint32_t> ids;
   for (const Slot& slot : slots_) {

@@ -112,6 +112,7 @@ class InputRound {
   /// All frames of the rig so far, by camera id; the next round starts.
   [[nodiscard]] std::vector<InputViewPointer> take();
 
+  [[nodiscard]] bool shows(std::uint32_t camera_id) const;  ///< a frame of it is there
   /// Cameras without any frame.
   [[nodiscard]] std::vector<std::uint32_t> missing() const;
   [[nodiscard]] bool empty() const;  ///< no camera has delivered yet

@@ -16,6 +16,7 @@ constexpr double kUnseenTimes = 4;
 constexpr float kNearer = 1.5F;
 /// A view that is farther away than by this has little to teach what nearer ones have begun.
 constexpr float kAsNear = 0.5F;
+constexpr float kNear_m = 2;  // nobody has to come nearer than twice that
 /// What is nearer counts as being this near: cameras stand in the bounds of pages.
 constexpr float kNearestDistance_m = 0.25F;
 /// A grey level: errors below it are not told apart.
@@ -71,6 +72,7 @@ void Freezer::see(const model::PageStore& store, std::span<const ViewLook> looks
       const float px_per_m = nearest_px_per_m(*look.view, entry.now.frame_id, entry.bounds);
       float& nearest = page.frozen ? page.thawing_px_per_m : page.px_per_m;
       nearest = std::max(nearest, px_per_m);
+      page.seen_from_near |= px_per_m >= kAsNear * std::min(page.px_per_m, look.view->camera.fx / kNear_m);
       entry.contribution = static_cast<float>(seen.pairs);
       entry.last_seen_step = store.step();
     }
@@ -104,7 +106,7 @@ Freezer::Change Freezer::decide(const model::PageStore& store, const FreezeOptio
       if (page.px_per_m == 0) page.px_per_m = page.thawing_px_per_m;
       const bool nearer = page.px_per_m > 0 && page.thawing_px_per_m > kNearer * page.px_per_m;
       // One that had not settled goes on where views come near again. From the end of a street all of it is in sight.
-      const bool teaches = page.loss_at_freeze > 0 || page.thawing_px_per_m >= kAsNear * page.px_per_m;
+      const bool teaches = page.loss_at_freeze > 0 || page.seen_from_near;
       const bool worse = teaches && loss > options.thaw_rise * page.loss_at_freeze + kLeastError;
       if (nearer || worse) change.thaw.push_back(number);
       page.loss = page.looks = 0;

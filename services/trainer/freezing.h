@@ -39,6 +39,7 @@ class Freezer {
     std::uint32_t looks = 0;
     double loss_before = -1;
     float px_per_m = 0, thawing_px_per_m = 0;  ///< in the nearest view it trained with; in one since it froze
+    bool seen_from_near = false;               ///< since it froze, or about as near as it trained
     double loss_at_freeze = 0;                 ///< below 0: nobody knows
   };
   Page& at(const model::PageStore& store, std::uint32_t page);

@@ -3,6 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <set>
+#include <unordered_map>
+#include <vector>
+
 #include "toy_server.h"
 
 namespace splatbus::stream {
@@ -65,6 +70,53 @@ TEST_F(DeltaSelectionTest, ABudgetHasRoomForWhatItsEntriesCost) {
   for (std::uint32_t lane = 0; lane < 400; ++lane) redden(lane, 30);
   for (int k = 0; k < 20; ++k) selection_.learn_cost(Attribute::Albedo, 100, 500);
   EXPECT_NEAR(static_cast<double>(chosen(500).size()), 100, 2);
+}
+
+/// However many workers look at them.
+TEST(DeltaSelectionOfMany, TakesRowsInTheirOrderAndSaysWhereTheOthersAre) {
+  constexpr std::uint32_t kPages = 40, kEvery = 37;
+  const test::ToyServer server(5, std::size_t{kPages} * kPageLanes);
+  const ReplicatedState& held = server.stream.held();
+  QuantizedGaussians target = server.stream.observed_gaussians();
+  std::unordered_map<std::uint64_t, std::uint32_t> column_of;
+  for (std::uint32_t c = 0; c < target.count(); ++c) column_of[target.gaussian_id[c]] = c;
+  DeltaSelection selection(held.layout, default_schedules());
+  selection.resize(held.rows());
+  std::vector<std::uint32_t> columns(held.rows(), kNotHeld), blocks, reddened;
+  for (const auto& [number, page] : held.pages) {
+    for (std::uint32_t lane = 0; lane < page.count; ++lane) {
+      const std::uint32_t row = page.row(lane);
+      columns[row] = column_of.at(held.gaussians.gaussian_id[row]);
+    }
+  }
+  for (std::uint32_t row = 0; row < columns.size(); ++row) {
+    selection.begin(row, held.gaussians);
+    if (row % kBlockRows == 0) blocks.push_back(row / kBlockRows);
+    if (columns[row] == kNotHeld || row % kEvery != 0) continue;
+    target.channels[held.layout.at(Attribute::Albedo).first][columns[row]] += 30;
+    reddened.push_back(row);
+  }
+  ASSERT_GT(blocks.size(), 100U);
+  const std::vector<float> share(columns.size(), 1);
+  const auto select = [&](double bytes) {
+    return selection.select(held.gaussians, target, columns, blocks, share, bytes);
+  };
+  const auto all = select(1e9);
+  ASSERT_EQ(all.size(), 1U);
+  EXPECT_EQ(all[0].rows, reddened);
+  EXPECT_EQ(selection.pending(), 0U);
+  EXPECT_TRUE(selection.left_blocks().empty());
+
+  const double half = 0.5 * static_cast<double>(reddened.size()) * selection.bytes_per_entry(Attribute::Albedo);
+  const auto some = select(half);
+  ASSERT_EQ(some.size(), 1U);
+  const std::size_t taken = some[0].rows.size();
+  EXPECT_NEAR(static_cast<double>(taken), 0.5 * static_cast<double>(reddened.size()), 1);
+  EXPECT_TRUE(std::equal(some[0].rows.begin(), some[0].rows.end(), reddened.begin())) << "of equal worth the first";
+  EXPECT_EQ(selection.pending(), reddened.size() - taken);
+  std::set<std::uint32_t> left;
+  for (std::size_t k = taken; k < reddened.size(); ++k) left.insert(reddened[k] / kBlockRows);
+  EXPECT_EQ(selection.left_blocks(), std::vector<std::uint32_t>(left.begin(), left.end()));
 }
 
 }  // namespace
