@@ -1,0 +1,115 @@
+// The input camera that stands where its viewer will be, between two places of its dome.
+#include "rig_fixture.h"
+
+namespace splatbus::capture_bridge::test {
+namespace {
+
+/// A viewer whose eye goes ahead of its dome.
+class GoingEyeTest : public RigControlTest {
+ protected:
+  GoingEyeTest() {
+    look("v", standing({0, 1.6F, 0}));
+    update();
+    EXPECT_TRUE(rig("v").eye);
+    eye_ = *rig("v").eye;
+    place_ = rig("v").round.rig_generation();
+    (void)rig("v").round.take();
+    rig("v").glance.reset();
+  }
+  [[nodiscard]] Camera eye() {
+    for (const Camera& camera : of(CameraRole::Input)) {
+      if (camera.id == eye_) return camera;
+    }
+    return {};
+  }
+  float see(const Camera& from, std::int64_t after_ns = kSecond / 4) {
+    pass(after_ns);
+    look("v", from);
+    update(false);
+    return eye().world_from_camera.translation.x;
+  }
+  float step(float x, std::int64_t after_ns = kSecond / 4) { return see(standing({x, 1.6F, 0}), after_ns); }
+
+  std::uint32_t eye_ = 0;
+  std::uint64_t place_ = 0;
+};
+
+TEST_F(GoingEyeTest, OnePictureAtATime) {
+  EXPECT_EQ(step(0.2F), 0) << "none for a hand's breadth";
+  EXPECT_NEAR(step(0.3F), 0.3F, 1e-5F);
+  EXPECT_NEAR(step(0.05F), 0.3F, 1e-5F) << "until it has shown that";
+  EXPECT_EQ(rig("v").glance, nullptr);
+  answer_input(eye_);
+  EXPECT_NE(rig("v").glance, nullptr) << "it is worth a look";
+  EXPECT_FALSE(rig("v").round.ready(now_ns_ + 60 * kSecond, kSecond)) << "and no reason for another round";
+  EXPECT_NEAR(step(0.02F, kSecond / 50), 0.05F, 0.031F) << "on its way again";
+  EXPECT_EQ(rig("v").round.rig_generation(), place_) << "the dome stays";
+  EXPECT_EQ(rig("v").round.take().size(), 12U);
+}
+
+TEST_F(GoingEyeTest, NotMoreOftenThanItsPictureIsOfUse) {
+  EXPECT_NEAR(step(0.3F), 0.3F, 1e-5F);
+  answer_input(eye_);
+  EXPECT_NEAR(step(0, kSecond / 10), 0.3F, 1e-5F);
+  EXPECT_NEAR(step(0, kSecond / 10), 0, 1e-5F);
+}
+
+TEST_F(GoingEyeTest, APictureThatIsLostIsAskedForAgain) {
+  EXPECT_NEAR(step(0.3F), 0.3F, 1e-5F);
+  const auto request = [&] { return rig("v").requested.at(eye_); };
+  const std::uint64_t lost = request();
+  step(0.3F, kSecond);
+  EXPECT_EQ(request(), lost);
+  step(0.3F, kSecond);
+  EXPECT_NE(request(), lost);
+}
+
+TEST_F(GoingEyeTest, WhereItIsBlindItIsNotAskedAgainAndAgain) {
+  set("input_deadline_s", "0.1");
+  update();
+  answer_all();
+  EXPECT_NEAR(step(0.3F), 0.3F, 1e-5F);
+  control_.inputs().blind(rig("v"), eye_, now_ns_, control_.cameras());
+  answer_input(eye_);
+  const auto asked = rig("v").requested.at(eye_);
+  for (int k = 0; k < 10; ++k) step(0.3F);
+  EXPECT_EQ(rig("v").requested.at(eye_), asked) << "who stands still";
+}
+
+TEST_F(GoingEyeTest, ItLooksAboutWhileItsDomeIsRenderedAndDelaysNothing) {
+  step(2);
+  EXPECT_GT(rig("v").round.rig_generation(), place_);
+  answer_input(eye_);
+  EXPECT_NE(rig("v").glance, nullptr) << "at once";
+  const std::uint64_t missing = rig("v").round.missing().size();
+  see(look_at({2, 1.6F, 0}, {2.4F, 1.6F, -1}, 64, 64, 1));
+  EXPECT_GT((eye().world_from_camera.rotation * glm::vec3(0, 0, 1)).x, 0.3F);
+  const std::int64_t asked_ns = rig("v").asked_ns;
+  answer_input(eye_);
+  EXPECT_EQ(rig("v").asked_ns, asked_ns) << "what is missing is asked for again as if it had not come";
+  EXPECT_EQ(rig("v").round.missing().size(), missing);
+}
+
+TEST_F(GoingEyeTest, UnlessItIsNotWanted) {
+  set("glance_share", "0");
+  step(2);
+  answer_all();
+  EXPECT_EQ(step(2.3F), 2);
+}
+
+/// Who came later has the others' last cameras, and keeps his eye when they want some back.
+TEST_F(RigControlTest, TheEyeIsRenderedFirstAndKeptLongest) {
+  look("a", standing({0, 1.6F, 0}));
+  update();
+  for (int k = 0; k < 3; ++k) {
+    pass(kSecond / 4);
+    look("a", standing({static_cast<float>(k), 1.6F, 0}));
+    look("b", standing({100, 1.6F, 0}));
+    update();
+  }
+  ASSERT_TRUE(rig("b").eye);
+  for (const Camera& camera : rig("b").cameras) EXPECT_GE(camera.id, *rig("b").eye);
+}
+
+}  // namespace
+}  // namespace splatbus::capture_bridge::test
