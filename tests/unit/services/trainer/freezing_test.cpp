@@ -118,6 +118,14 @@ TEST_F(FreezerTest, WhatHadNotSettledDoesNotTrainFromAfar) {
   EXPECT_EQ(second({0.1, 0.3}, 8, 5).thaw, std::vector{pages_[1]});
 }
 
+TEST_F(FreezerTest, NobodyHasToComeAsNearAsACameraThatStoodInIt) {
+  for (int s = 0; s < 3; ++s) (void)second({0.1, 0.1}, 8, 0.3F);
+  for (int s = 0; s < 13; ++s) (void)second({0.1}, 8, 0.3F);
+  ASSERT_EQ(state(1), PageState::Frozen);
+  EXPECT_TRUE(second({-1, 0.3}, 8, 5).thaw.empty());
+  EXPECT_EQ(second({-1, 0.3}, 8, 3.5F).thaw, std::vector{pages_[1]});
+}
+
 TEST_F(FreezerTest, WhatAFolderHadFrozenRestsAtWhatItIsFirstSeenWith) {
   for (int s = 0; s < 6; ++s) (void)second({0.1, 0.1});
   ASSERT_EQ(state(0), PageState::Frozen);
