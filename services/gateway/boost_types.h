@@ -12,11 +12,11 @@
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
 #include <boost/beast/websocket.hpp>
-#include <boost/beast/websocket/ssl.hpp>
 #include <chrono>
 #include <cstdint>
+
+#include "web/connection.h"
 
 namespace splatbus::gateway {
 
@@ -24,8 +24,7 @@ namespace asio = boost::asio;
 namespace beast = boost::beast;
 namespace http = beast::http;
 namespace websocket = beast::websocket;
-using Tcp = beast::basic_stream<asio::ip::tcp, asio::any_io_executor, beast::simple_rate_policy>;
-using Tls = beast::ssl_stream<Tcp>;
+using web::Connection, web::Tcp, web::Tls;
 inline constexpr auto kNoThrow = asio::as_tuple(asio::use_awaitable);
 
 inline std::chrono::nanoseconds seconds(double s) {

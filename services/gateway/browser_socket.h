@@ -40,8 +40,8 @@ class Browser {
   bus::Rights rights;
   std::string token;
   std::optional<stream::StreamerPlace> streamer;  ///< nullopt: it follows none
-  std::int64_t write_began_ns = 0;  ///< 0: nothing is being written
-  std::int64_t progress_ns = 0;     ///< when its kernel last took bytes of that
+  std::int64_t write_began_ns = 0;                ///< 0: nothing is being written
+  std::int64_t progress_ns = 0;                   ///< when its kernel last took bytes of that
   std::uint64_t acknowledged = 0;
 };
 
@@ -122,12 +122,11 @@ class Relay {
 
 /// A browser's WebSocket, whatever is said on it: how it is accepted, held to its bounds, and ended. Held by its
 /// coroutines.
-template <class Stream>
-class BrowserSocket : public Browser, public std::enable_shared_from_this<BrowserSocket<Stream>> {
+class BrowserSocket : public Browser, public std::enable_shared_from_this<BrowserSocket> {
  public:
-  BrowserSocket(Stream stream, Relay& relay, Site::Admission admission)
+  BrowserSocket(Connection connection, Relay& relay, Site::Admission admission)
       : relay_(relay),
-        socket_(std::move(stream)),
+        socket_(std::move(connection)),
         subprotocol_(admission.subprotocol),
         messages_(relay.limits.messages_per_s, 2 * relay.limits.messages_per_s) {
     rights = *admission.rights;
@@ -139,7 +138,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
   /// Until either side ends.
   template <class Request>
   asio::awaitable<void> run(Request request) {
-    const auto self = this->shared_from_this();
+    const auto self = shared_from_this();
     beast::get_lowest_layer(socket_).expires_never();
     socket_.set_option(websocket::stream_base::timeout{.handshake_timeout = seconds(relay_.limits.handshake_s),
                                                        .idle_timeout = seconds(relay_.limits.idle_s),
@@ -172,7 +171,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
   void close(const char* why) override {
     if (std::exchange(closing_, true)) return;
     wake_writer();
-    asio::co_spawn(socket_.get_executor(), close(this->shared_from_this(), why), asio::detached);
+    asio::co_spawn(socket_.get_executor(), close(shared_from_this(), why), asio::detached);
   }
   [[nodiscard]] int socket() override { return beast::get_lowest_layer(socket_).socket().native_handle(); }
 
@@ -200,7 +199,7 @@ class BrowserSocket : public Browser, public std::enable_shared_from_this<Browse
   }
 
   Relay& relay_;
-  websocket::stream<Stream> socket_;
+  websocket::stream<Connection> socket_;
   bool stopped_ = false, closing_ = false;
 
  private:

@@ -11,7 +11,6 @@
 #include <optional>
 #include <string>
 #include <string_view>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -70,8 +69,7 @@ inline Response refusal_of(const beast::error_code& error) {
 // GCC 12 destroys twice what is made in an expression with co_await: there, everything has a name.
 
 /// Sends it; false when the connection is of no use any more.
-template <class Stream>
-asio::awaitable<bool> respond(Stream& stream, const Response& response, bool head, bool keep) {
+inline asio::awaitable<bool> respond(Connection& connection, const Response& response, bool head, bool keep) {
   http::response<http::empty_body> message(static_cast<http::status>(response.status), 11);
   for (const auto& [name, value] : common_fields()) message.set(name, value);
   for (const auto& [name, value] : response.fields) message.set(name, value);
@@ -79,9 +77,9 @@ asio::awaitable<bool> respond(Stream& stream, const Response& response, bool hea
   if (response.status != 204 && response.status != 304) message.content_length(response.bytes);
   message.keep_alive(keep);
   http::response_serializer<http::empty_body> serializer(message);
-  auto& lowest = beast::get_lowest_layer(stream);
+  auto& lowest = connection.next_layer();
   lowest.expires_after(seconds(kSliceS));
-  if (const auto [error, sent] = co_await http::async_write_header(stream, serializer, kNoThrow); error)
+  if (const auto [error, sent] = co_await http::async_write_header(connection, serializer, kNoThrow); error)
     co_return false;
   std::vector<char> read;  // of a file
   const std::size_t end = response.first + response.bytes;
@@ -97,17 +95,16 @@ asio::awaitable<bool> respond(Stream& stream, const Response& response, bool hea
     }
     at += slice.size();
     lowest.expires_after(seconds(kSliceS));
-    if (const auto [error, sent] = co_await asio::async_write(stream, slice, kNoThrow); error) co_return false;
+    if (const auto [error, sent] = co_await asio::async_write(connection, slice, kNoThrow); error) co_return false;
   }
   co_return keep;
 }
 
 /// Ends a connection so that its last response arrives even where something of the request was left unread.
-template <class Stream>
-asio::awaitable<void> finish(Stream& stream) {
-  auto& lowest = beast::get_lowest_layer(stream);
+inline asio::awaitable<void> finish(Connection& connection) {
+  auto& lowest = connection.next_layer();
   lowest.expires_after(std::chrono::seconds(1));
-  if constexpr (!std::is_same_v<Stream, Tcp>) co_await stream.async_shutdown(kNoThrow);
+  if (connection.tls() != nullptr) co_await connection.tls()->async_shutdown(kNoThrow);
   beast::error_code ignored;
   lowest.socket().shutdown(asio::ip::tcp::socket::shutdown_send, ignored);
   std::array<char, 4096> rest;

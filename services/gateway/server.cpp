@@ -97,34 +97,34 @@ struct Server::Impl {
     stream.rate_policy().read_limit(
         std::max<std::size_t>(1024, static_cast<std::size_t>(options.limits.rate_kbps * 125)));
     if (!tls) {
-      co_await serve(std::move(stream));
+      Connection plain(std::move(stream));
+      co_await serve(std::move(plain));
       co_return;
     }
     Tls secured(std::move(stream), *tls);
     beast::get_lowest_layer(secured).expires_after(seconds(options.limits.handshake_s));
     if (const auto [error] = co_await secured.async_handshake(asio::ssl::stream_base::server, kNoThrow); !error) {
-      co_await serve(std::move(secured));
+      Connection whole(std::move(secured));
+      co_await serve(std::move(whole));
     }
   }
 
   /// Requests one after the other, until one becomes a WebSocket.
-  template <class Stream>
-  awaitable<void> serve(Stream stream) {
+  awaitable<void> serve(Connection connection) {
     beast::flat_buffer buffer(kMaxHeaderBytes + BenchLog::kMaxBytes);
     for (int served = 0; served < kRequestsAConnection; ++served) {
       http::request_parser<http::string_body> parser;
       parser.header_limit(kMaxHeaderBytes);
       parser.body_limit(BenchLog::kMaxBytes);
-      beast::get_lowest_layer(stream).expires_after(
-          seconds(served == 0 ? options.limits.handshake_s : options.limits.idle_s));
-      const auto [error, bytes] = co_await http::async_read(stream, buffer, parser, kNoThrow);
+      connection.next_layer().expires_after(seconds(served == 0 ? options.limits.handshake_s : options.limits.idle_s));
+      const auto [error, bytes] = co_await http::async_read(connection, buffer, parser, kNoThrow);
       if (error || !is_plain(parser.get())) {
         const bool said_something =
             !error || error.category() == http::make_error_code(http::error::bad_target).category();
         if (error != http::error::end_of_stream && said_something) {
           traffic.refuse(Refusal::Malformed);
           const Response response = refusal_of(error);
-          co_await respond(stream, response, false, false);
+          co_await respond(connection, response, false, false);
         }
         break;
       }
@@ -135,12 +135,12 @@ struct Server::Impl {
         const bool to_stream = admission.subprotocol == kSubprotocol;
         const bool is_early = buffer.size() > 0, has_room = to_stream || door.hub.has_room();
         if (admission.rights && !is_early && has_room) {
-          std::shared_ptr<BrowserSocket<Stream>> session;
+          std::shared_ptr<BrowserSocket> session;
           if (to_stream) {
             const stream::StreamerPlace place = relay.streamers.choose(bus::now_ns());
-            session = std::make_shared<StreamSession<Stream>>(std::move(stream), relay, std::move(admission), place);
+            session = std::make_shared<StreamSession>(std::move(connection), relay, std::move(admission), place);
           } else {
-            session = std::make_shared<foxglove::Session<Stream>>(std::move(stream), relay, door, std::move(admission));
+            session = std::make_shared<foxglove::Session>(std::move(connection), relay, door, std::move(admission));
           }
           co_await session->run(request);
           co_return;
@@ -148,14 +148,14 @@ struct Server::Impl {
         if (admission.rights && !has_room) traffic.refuse(Refusal::Busy);
         if (admission.rights)
           admission.refusal = is_early ? plain(400, "too early\n") : unavailable("too many clients");
-        co_await respond(stream, admission.refusal, head, false);
+        co_await respond(connection, admission.refusal, head, false);
         break;
       }
       const bool keep = request.keep_alive() && served + 1 < kRequestsAConnection;
       const Response response = co_await answer(request);
-      if (!co_await respond(stream, response, head, keep)) break;
+      if (!co_await respond(connection, response, head, keep)) break;
     }
-    co_await finish(stream);
+    co_await finish(connection);
   }
 
   /// Waits where the answer has to be fetched, or made, first.

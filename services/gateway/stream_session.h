@@ -16,25 +16,24 @@
 namespace splatbus::gateway {
 
 /// Relays between one browser's WebSocket and its link to the streamer.
-template <class Stream>
-class StreamSession final : public BrowserSocket<Stream> {
+class StreamSession final : public BrowserSocket {
  public:
-  StreamSession(Stream stream, Relay& relay, Site::Admission admission, const stream::StreamerPlace& place)
-      : BrowserSocket<Stream>(std::move(stream), relay, std::move(admission)),
+  StreamSession(Connection connection, Relay& relay, Site::Admission admission, const stream::StreamerPlace& place)
+      : BrowserSocket(std::move(connection), relay, std::move(admission)),
         link_(relay.context, place.endpoint),
-        wake_(this->socket_.get_executor(), link_.descriptor()) {
-    this->streamer = place;
+        wake_(socket_.get_executor(), link_.descriptor()) {
+    streamer = place;
     ++relay.traffic.viewers;
   }
   ~StreamSession() override {
     wake_.release();  // ZeroMQ closes it
-    --this->relay_.traffic.viewers;
+    --relay_.traffic.viewers;
   }
 
   void move() override {
     link_.say_goodbye();
     wake_.release();  // which ends a wait for it
-    link_ = StreamLink(this->relay_.context, this->streamer->endpoint);
+    link_ = StreamLink(relay_.context, streamer->endpoint);
     wake_.assign(link_.descriptor());
     moved_ = true;
   }
@@ -49,7 +48,7 @@ class StreamSession final : public BrowserSocket<Stream> {
   }
   asio::awaitable<void> write_messages() override {
     StreamPacket packet;
-    while (!this->stopped_ && !this->closing_) {
+    while (!stopped_ && !closing_) {
       if (std::exchange(moved_, false)) {
         packet = question();
       } else if (!link_.receive(packet)) {
@@ -61,7 +60,7 @@ class StreamSession final : public BrowserSocket<Stream> {
       const std::array<asio::const_buffer, 3> message{asio::buffer(header),
                                                       asio::buffer(packet.packet.data(), packet.packet.size()),
                                                       asio::buffer(packet.payload.data(), packet.payload.size())};
-      const bool written = co_await this->write(message);
+      const bool written = co_await write(message);
       if (!written) co_return;
     }
   }
@@ -71,9 +70,9 @@ class StreamSession final : public BrowserSocket<Stream> {
     if (!binary) return "no packet";
     try {
       const FramedPacket packet = stream::take_apart(message);
-      if (examine(packet, this->rights) == Passage::Forbidden) {
-        this->relay_.traffic.refuse(Refusal::Forbidden);
-      } else if (link_.send(packet, this->rights)) {
+      if (examine(packet, rights) == Passage::Forbidden) {
+        relay_.traffic.refuse(Refusal::Forbidden);
+      } else if (link_.send(packet, rights)) {
         wake_.cancel();
       }
       return {};

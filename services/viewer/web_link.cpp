@@ -15,14 +15,12 @@
 #include <boost/asio/use_awaitable.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
 #include <boost/beast/websocket.hpp>
-#include <boost/beast/websocket/ssl.hpp>
 #include <cstdlib>
 #include <deque>
 #include <exception>
+#include <optional>
 #include <random>
-#include <type_traits>
 #include <utility>
 
 #include "bus/error.h"
@@ -30,6 +28,7 @@
 #include "stream/web_message.h"
 #include "viewer/packet_link.h"
 #include "viewer/web_address.h"
+#include "web/connection.h"
 
 namespace splatbus::viewer {
 
@@ -40,8 +39,7 @@ namespace beast = boost::beast;
 namespace http = beast::http;
 namespace websocket = beast::websocket;
 using asio::awaitable;
-using Plain = beast::tcp_stream;
-using Tls = beast::ssl_stream<beast::tcp_stream>;
+using WebSocket = websocket::stream<web::Connection>;
 constexpr auto kNoThrow = asio::as_tuple(asio::use_awaitable);
 
 constexpr std::chrono::seconds kConnect(5), kIdleTime(10);
@@ -142,13 +140,7 @@ class WebLink final : public PacketLink {
     std::minstd_rand random(std::random_device{}());
     while (!ending_) {
       heard_ = false;
-      if (address_.tls) {
-        websocket::stream<Tls> socket(io_, tls_);
-        co_await live(socket);
-      } else {
-        websocket::stream<Plain> socket(io_);
-        co_await live(socket);
-      }
+      co_await live();
       open_ = false;
       unsent_.clear();
       pause = heard_ ? options_.first_pause : std::min(2 * pause, options_.longest_pause);
@@ -160,13 +152,19 @@ class WebLink final : public PacketLink {
   }
 
   /// One connection, from its beginning to its end.
-  template <class Socket>
-  awaitable<void> live(Socket& socket) {
-    const std::string problem = co_await open(socket);
+  awaitable<void> live() {
+    std::optional<web::Connection> connection;
+    std::string problem = co_await connect(connection);
+    std::optional<WebSocket> greeted;
+    if (connection) {
+      greeted.emplace(std::move(*connection));
+      problem = co_await greet(*greeted);
+    }
     if (!problem.empty()) {
       say(fmt::format("{}: {}", address_.authority(), problem));
       co_return;
     }
+    WebSocket& socket = *greeted;
     said_.clear();
     open_ = opened_ = true;
     reading_ = true;
@@ -189,27 +187,34 @@ class WebLink final : public PacketLink {
     }
   }
 
-  /// Empty, or what went wrong.
-  template <class Socket>
-  awaitable<std::string> open(Socket& socket) {
+  /// Makes `connection`, or says what went wrong.
+  awaitable<std::string> connect(std::optional<web::Connection>& connection) {
     asio::ip::tcp::resolver resolver(io_);
     const auto [unknown, endpoints] = co_await resolver.async_resolve(address_.host, address_.port, kNoThrow);
     if (unknown) co_return unknown.message();
-    auto& tcp = beast::get_lowest_layer(socket);
+    web::Tcp tcp(io_);
     tcp.expires_after(kConnect);
     const auto [unreached, endpoint] = co_await tcp.async_connect(endpoints, kNoThrow);
     if (unreached) co_return unreached.message();
     beast::error_code ignored;
     tcp.socket().set_option(asio::ip::tcp::no_delay(true), ignored);
-    if constexpr (std::is_same_v<Socket, websocket::stream<Tls>>) {
-      Tls& tls = socket.next_layer();
-      tls.set_verify_callback(asio::ssl::host_name_verification(address_.host));
-      const bool named = !is_address(address_.host);
-      if (named) SSL_set_tlsext_host_name(tls.native_handle(), address_.host.c_str());
-      const auto [distrusted] = co_await tls.async_handshake(asio::ssl::stream_base::client, kNoThrow);
-      if (distrusted) co_return fmt::format("no TLS that can be trusted: {}", distrusted.message());
+    if (!address_.tls) {
+      connection.emplace(std::move(tcp));
+      co_return std::string();
     }
-    tcp.expires_never();
+    web::Tls tls(std::move(tcp), tls_);
+    tls.set_verify_callback(asio::ssl::host_name_verification(address_.host));
+    const bool named = !is_address(address_.host);
+    if (named) SSL_set_tlsext_host_name(tls.native_handle(), address_.host.c_str());
+    const auto [distrusted] = co_await tls.async_handshake(asio::ssl::stream_base::client, kNoThrow);
+    if (distrusted) co_return fmt::format("no TLS that can be trusted: {}", distrusted.message());
+    connection.emplace(std::move(tls));
+    co_return std::string();
+  }
+
+  /// Empty, or what went wrong.
+  awaitable<std::string> greet(WebSocket& socket) {
+    beast::get_lowest_layer(socket).expires_never();
     socket.set_option(websocket::stream_base::timeout{
         .handshake_timeout = kConnect, .idle_timeout = kIdleTime, .keep_alive_pings = true});
     socket.set_option(websocket::stream_base::decorator([this](websocket::request_type& request) {
@@ -230,8 +235,7 @@ class WebLink final : public PacketLink {
     co_return std::string();
   }
 
-  template <class Socket>
-  awaitable<void> read(Socket& socket) {
+  awaitable<void> read(WebSocket& socket) {
     for (;;) {
       beast::flat_buffer buffer;
       const auto [error, bytes] = co_await socket.async_read(buffer, kNoThrow);

@@ -25,13 +25,12 @@ struct Door {
 };
 
 /// One client of Foxglove's protocol.
-template <class Stream>
-class Session final : public BrowserSocket<Stream> {
+class Session final : public BrowserSocket {
  public:
-  Session(Stream stream, Relay& relay, Door& door, Site::Admission admission)
-      : BrowserSocket<Stream>(std::move(stream), relay, std::move(admission)),
+  Session(Connection connection, Relay& relay, Door& door, Site::Admission admission)
+      : BrowserSocket(std::move(connection), relay, std::move(admission)),
         door_(door),
-        idle_(this->socket_.get_executor(), asio::steady_timer::time_point::max()) {}
+        idle_(socket_.get_executor(), asio::steady_timer::time_point::max()) {}
   ~Session() override { door_.hub.leave(client_); }
 
  private:
@@ -39,7 +38,7 @@ class Session final : public BrowserSocket<Stream> {
   static constexpr double kAssetS = 60;
 
   void opened() override {
-    client_ = door_.hub.join([executor = this->socket_.get_executor(), weak = this->weak_from_this()] {
+    client_ = door_.hub.join([executor = socket_.get_executor(), weak = weak_from_this()] {
       asio::post(executor, [weak] {
         if (const auto self = weak.lock()) static_cast<Session&>(*self).idle_.cancel();
       });
@@ -47,9 +46,9 @@ class Session final : public BrowserSocket<Stream> {
   }
 
   asio::awaitable<void> write_messages() override {
-    while (!this->stopped_ && !this->closing_) {
+    while (!stopped_ && !closing_) {
       if (!door_.hub.reads(client_)) {
-        this->relay_.traffic.refuse(Refusal::Stalled);
+        relay_.traffic.refuse(Refusal::Stalled);
         co_return;
       }
       const std::optional<OutgoingMessage> next = door_.hub.take(client_);
@@ -57,10 +56,10 @@ class Session final : public BrowserSocket<Stream> {
         co_await idle_.async_wait(kNoThrow);
         continue;
       }
-      this->socket_.binary(next->binary);
+      socket_.binary(next->binary);
       const std::string_view payload = next->payload ? std::string_view(*next->payload) : std::string_view();
       const std::array<asio::const_buffer, 2> message{asio::buffer(next->head), asio::buffer(payload)};
-      const bool written = co_await this->write(message);
+      const bool written = co_await write(message);
       if (!written) co_return;
     }
   }
@@ -68,9 +67,9 @@ class Session final : public BrowserSocket<Stream> {
 
   std::string take(std::span<const std::uint8_t> message, bool binary) override {
     std::optional<Hub::AssetRequest> asset;
-    const auto reception = door_.hub.receive(client_, message, binary, this->rights, bus::now_ns(), asset);
+    const auto reception = door_.hub.receive(client_, message, binary, rights, bus::now_ns(), asset);
     if (reception == Hub::Reception::Malformed) return "not understood";
-    if (reception == Hub::Reception::Forbidden) this->relay_.traffic.refuse(Refusal::Forbidden);
+    if (reception == Hub::Reception::Forbidden) relay_.traffic.refuse(Refusal::Forbidden);
     if (!asset) return {};
     constexpr std::string_view kPackage = "package://splatbus";
     const bool known = asset->uri.starts_with(kPackage);
@@ -82,12 +81,11 @@ class Session final : public BrowserSocket<Stream> {
       return {};
     }
     fetching_ = true;
-    asio::co_spawn(this->socket_.get_executor(), fetch(this->shared_from_this(), asset->id, *format), asio::detached);
+    asio::co_spawn(socket_.get_executor(), fetch(shared_from_this(), asset->id, *format), asio::detached);
     return {};
   }
 
-  static asio::awaitable<void> fetch(std::shared_ptr<BrowserSocket<Stream>> self, std::uint32_t id,
-                                     splats::Format format) {
+  static asio::awaitable<void> fetch(std::shared_ptr<BrowserSocket> self, std::uint32_t id, splats::Format format) {
     Session& session = static_cast<Session&>(*self);
     asio::steady_timer timer(session.socket_.get_executor());
     const std::int64_t began_ns = bus::now_ns();
