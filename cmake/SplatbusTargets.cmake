@@ -54,8 +54,8 @@ elseif(SPLATBUS_SANITIZE)
        "UBSAN_OPTIONS=print_stacktrace=1")
 endif()
 
-# splatbus_precompiled_headers(TARGET): libraries, programs and tests have a set each, since neither code that is
-# position-independent in another way nor GoogleTest is of use to the others.
+# splatbus_precompiled_headers(TARGET): one set for products and one, with GoogleTest, for tests. Compiled headers are of
+# use only to code that is position-independent in the same way, so programs are compiled as libraries are.
 function(splatbus_precompiled_headers target)
   # LibTorch has its users define a macro of libstdc++'s.
   if(target MATCHES "torch|raster_oracle")
@@ -64,10 +64,12 @@ function(splatbus_precompiled_headers target)
   get_target_property(type ${target} TYPE)
   if(target MATCHES "^test_")
     set(kind test)
-  elseif(type STREQUAL EXECUTABLE)
-    set(kind program)
   else()
-    set(kind library)
+    set(kind product)
+  endif()
+  if(type STREQUAL EXECUTABLE)
+    set_target_properties(${target} PROPERTIES POSITION_INDEPENDENT_CODE OFF)
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-fPIC>)
   endif()
   set(headers splatbus_${kind}_headers)
   if(NOT TARGET ${headers})
@@ -75,10 +77,6 @@ function(splatbus_precompiled_headers target)
     add_library(${headers} OBJECT "${CMAKE_BINARY_DIR}/${headers}.cpp")
     # What changes a predefined macro has to be as it is where the headers are used.
     target_compile_options(${headers} PRIVATE -Wpedantic)
-    if(NOT kind STREQUAL library)
-      set_target_properties(${headers} PROPERTIES POSITION_INDEPENDENT_CODE OFF)
-      target_compile_options(${headers} PRIVATE -fPIE)
-    endif()
     target_link_libraries(${headers} PRIVATE cppzmq glm::glm fmt::fmt)
     if(SPLATBUS_FMT_HAS_ITS_FORMATTER)
       target_include_directories(${headers} SYSTEM BEFORE PRIVATE "${CMAKE_SOURCE_DIR}/cmake/fmt_once")
@@ -122,12 +120,25 @@ function(splatbus_common_options target)
   endif()
 endfunction()
 
+# Where sources are joined, so many of a library are: what they include is then read once, and what they instantiate
+# compiled once. Tests are joined as CMAKE_UNITY_BUILD_BATCH_SIZE says: theirs take much more memory.
+set(SPLATBUS_UNITY_BATCH_OF_A_LIBRARY "" CACHE STRING "Sources of a library in a unit; empty: as of everything")
+
 # splatbus_library(NAME SOURCES a.cpp ... DEPENDS target ... [PRIVATE_DEPENDS target ...])
 function(splatbus_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
   add_library(splatbus_${name} STATIC ${ARG_SOURCES})
   splatbus_common_options(splatbus_${name})
+  if(SPLATBUS_UNITY_BATCH_OF_A_LIBRARY)
+    set_target_properties(splatbus_${name} PROPERTIES UNITY_BUILD_BATCH_SIZE ${SPLATBUS_UNITY_BATCH_OF_A_LIBRARY})
+  endif()
   target_link_libraries(splatbus_${name} PUBLIC ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
+endfunction()
+
+# splatbus_compile_sooner(TARGET): for what reads command lines and files, which is not worth the seconds that the optimizer
+# would spend on it.
+function(splatbus_compile_sooner target)
+  target_compile_options(${target} PRIVATE $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<CONFIG:Release>>:-O1>)
 endfunction()
 
 # splatbus_service(NAME SOURCES a.cpp ... DEPENDS target ...): the static library splatbus_service_NAME of all sources,
@@ -136,6 +147,7 @@ function(splatbus_service name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
   splatbus_library(service_${name} SOURCES ${ARG_SOURCES} DEPENDS ${ARG_DEPENDS})
   splatbus_program(splatbus-${name} SOURCES main.cpp DEPENDS splatbus_service_${name})
+  splatbus_compile_sooner(splatbus-${name})
 endfunction()
 
 # splatbus_cuda_sources(TARGET a.cu b.cpp ...): what a library holds besides when there is CUDA; its other sources then see

@@ -12,7 +12,7 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr glm::vec3 kRight{1, 0, 0}, kUp{0, 1, 0};
+constexpr glm::vec3 kRight{1, 0, 0};
 
 // The body, in metres. Its frame: x right, y up, looking along -z, on the floor under the hips.
 constexpr float kLimb_m = 0.165F;  // thigh, and shin
@@ -52,12 +52,12 @@ Step step_at(double cycles, float half_step_m) {
   return {-half_step_m * std::cos(swing), kLift_m * std::sin(swing), -0.35F * std::sin(2 * swing)};
 }
 
-struct Leg {
+struct LegPose {
   Pose thigh, shin, foot;
 };
 
 /// Thigh and shin are of one length: they bend by the same angle about the line from hip to ankle.
-Leg leg_at(double cycles, float side, float hip_m) {
+LegPose leg_at(double cycles, float side, float hip_m) {
   // On a circle the outer leg takes longer steps.
   const Step step = step_at(cycles, kHalfStep_m * (1 + side * kHipApart_m / kRadius_m));
   const glm::vec3 hip{side * kHipApart_m, hip_m, 0};
@@ -135,8 +135,8 @@ std::array<Pose, kBones> figure_at(double time_s) {
 
   // Lowest when both feet carry, half way apart; the shoulders turn against the legs.
   const float hip_m = kHip_m + kBob_m * wave(2 * (cycles - kCarries / 2));
-  const Leg right = leg_at(cycles, 1, hip_m);
-  const Leg left = leg_at(cycles + 0.5, -1, hip_m);
+  const LegPose right = leg_at(cycles, 1, hip_m);
+  const LegPose left = leg_at(cycles + 0.5, -1, hip_m);
   const float stride = wave(cycles - kCarries / 2 + 0.25);
   const Pose torso{glm::angleAxis(-0.16F * stride, kUp) * glm::angleAxis(-0.07F, kRight), {0, hip_m, 0}};
   const auto arm = [&](float side) {

@@ -36,11 +36,11 @@ float focal_length(float middle_px, float tangent) {
 
 splatbus_camera pinhole_at(const splatbus_light_source& source, const Axes& axes, float tangent, std::uint32_t width,
                            std::uint32_t height) {
-  constexpr float kNear_m = 0.02F;
+  constexpr float kNearest_m = 0.02F;
   splatbus_camera camera = sized(width, height);
   camera.fx = focal_length(camera.cx, tangent);
   camera.fy = focal_length(camera.cy, tangent);
-  camera.near_m = std::min(kNear_m, source.range_m / 10);
+  camera.near_m = std::min(kNearest_m, source.range_m / 10);
   camera.far_m = source.range_m;
   const float* eye = source.position;
   set_pose(camera, glm::mat3(axes.right, axes.down, axes.forward), {eye[0], eye[1], eye[2]});

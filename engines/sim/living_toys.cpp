@@ -11,8 +11,6 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr glm::vec3 kUp{0, 1, 0};
-
 /// A rotation by radians that grow without end, without loss of precision.
 glm::quat turned(double radians, const glm::vec3& axis) {
   return glm::angleAxis(static_cast<float>(std::remainder(radians, 2 * glm::pi<double>())), axis);

@@ -91,16 +91,16 @@ splatbus_light Lighting::sky() {
   // Real SH, signs as in 3DGS: Y00 = 0.2820948, Y1 = 0.4886025 (-y, z, -x), Y2,2 = 0.5462742 (x^2 - y^2), ... A bluish
   // sky above a warm ground, a little brighter towards +x and +z.
   constexpr glm::vec3 kMean{0.25F, 0.27F, 0.31F};
-  constexpr glm::vec3 kUp{0.13F, 0.17F, 0.24F};
-  constexpr glm::vec3 kSide{0.05F, 0.04F, 0.03F};
+  constexpr glm::vec3 kFromAbove{0.13F, 0.17F, 0.24F};
+  constexpr glm::vec3 kFromSide{0.05F, 0.04F, 0.03F};
   constexpr glm::vec3 kZonal{0.02F, 0.02F, 0.03F};
   splatbus_light light{};
   for (int c = 0; c < 3; ++c) {
     float* sh = light.ambient_sh + std::ptrdiff_t{9} * c;
     sh[0] = kMean[c] / 0.2820948F;
-    sh[1] = -kUp[c] / 0.4886025F;
-    sh[2] = kSide[c] / 0.4886025F;
-    sh[3] = -kSide[c] / 0.4886025F;
+    sh[1] = -kFromAbove[c] / 0.4886025F;
+    sh[2] = kFromSide[c] / 0.4886025F;
+    sh[3] = -kFromSide[c] / 0.4886025F;
     sh[6] = -kZonal[c] / 0.3153916F;
     sh[8] = -kZonal[c] / 0.5462742F;
   }

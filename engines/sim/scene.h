@@ -13,6 +13,8 @@
 
 namespace splatbus::sim {
 
+inline constexpr glm::vec3 kUp{0, 1, 0};  ///< of every scene
+
 /// RGBA8, row 0 on top, linear light under the sRGB curve.
 struct Image {
   std::uint32_t width = 0, height = 0;

@@ -12,7 +12,6 @@ namespace splatbus::sim {
 namespace {
 
 constexpr int kRound = 32;  // segments of a round toy
-constexpr glm::vec3 kUp{0, 1, 0};
 
 glm::mat4 at(float x, float y, float z, float turn_deg = 0) {
   return glm::rotate(glm::translate(glm::mat4(1), {x, y, z}), glm::radians(turn_deg), kUp);

@@ -36,13 +36,13 @@ void add_pavilion(const Site& site, Draw& draw) {
              tiles = site.palette().look(Surface::RoofTile, Palette::near(color("#7d4a3c"), 0.2F, draw), draw);
   const Look floor = site.palette().look(Surface::Boards, color("#a58560"), draw);
   constexpr int kPosts = 8;
-  constexpr float kRadius_m = 2.6F;
-  site.add(cylinder(kRadius_m + 0.3F, 0.7F, kPosts), floor, moved({0, -0.5F, 0}));
+  constexpr float kPavilion_m = 2.6F;
+  site.add(cylinder(kPavilion_m + 0.3F, 0.7F, kPosts), floor, moved({0, -0.5F, 0}));
   for (int i = 0; i < kPosts; ++i) {
     const float angle = glm::two_pi<float>() * static_cast<float>(i) / kPosts,
                 next = glm::two_pi<float>() * static_cast<float>(i + 1) / kPosts;
-    const glm::vec3 a(kRadius_m * std::cos(angle), 0.2F, kRadius_m * std::sin(angle)),
-        b(kRadius_m * std::cos(next), 0.2F, kRadius_m * std::sin(next));
+    const glm::vec3 a(kPavilion_m * std::cos(angle), 0.2F, kPavilion_m * std::sin(angle)),
+        b(kPavilion_m * std::cos(next), 0.2F, kPavilion_m * std::sin(next));
     site.add(cylinder(0.08F, 2.4F, 12), wood, moved(a));
     if (i == 0) continue;  // the way in
     const glm::vec3 middle = (a + b) / 2.0F;
@@ -53,8 +53,8 @@ void add_pavilion(const Site& site, Draw& draw) {
       site.add(box({0.03F, 0.55F, 0.03F}, 1), wood,
                rail * moved({glm::distance(a, b) * (static_cast<float>(k) / 10 - 0.5F), 0.57F, 0}));
   }
-  site.add(cone(kRadius_m + 0.6F, 1.7F, kPosts, 12), tiles, moved({0, 2.6F, 0}));
-  site.add(cylinder(kRadius_m + 0.15F, 0.16F, kPosts), wood, moved({0, 2.46F, 0}));
+  site.add(cone(kPavilion_m + 0.6F, 1.7F, kPosts, 12), tiles, moved({0, 2.6F, 0}));
+  site.add(cylinder(kPavilion_m + 0.15F, 0.16F, kPosts), wood, moved({0, 2.46F, 0}));
   site.add(sphere(0.16F, 14), wood, moved({0, 4.35F, 0}));
 }
 

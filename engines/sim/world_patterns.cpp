@@ -9,7 +9,7 @@
 namespace splatbus::sim {
 namespace {
 
-constexpr std::uint32_t kSide = 256;
+constexpr std::uint32_t kTexels = 256;
 
 float fraction(float x) {
   return x - std::floor(x);
@@ -25,7 +25,7 @@ float grainy(std::uint32_t seed, float u, float v, int cells, float contrast) {
 }  // namespace
 
 Image brick_wall(std::uint32_t seed, int rows, float contrast) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     const float y = v * static_cast<float>(rows);
     const int row = static_cast<int>(y);
     const float x = u * static_cast<float>(rows) / 3 + (row % 2 == 0 ? 0.0F : 0.5F);
@@ -38,14 +38,14 @@ Image brick_wall(std::uint32_t seed, int rows, float contrast) {
 }
 
 Image plaster(std::uint32_t seed, float contrast) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float blotch = noise(seed + 5, {u * 5, v * 5}, {5, 5});
     return glm::vec3(0.88F * grainy(seed, u, v, 40, contrast) * (1 - 0.25F * contrast * blotch));
   });
 }
 
 Image siding(std::uint32_t seed, int boards, bool upright) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float along = upright ? v : u, across = (upright ? u : v) * static_cast<float>(boards);
     const int board = static_cast<int>(across);
     const float tone = 0.8F + 0.14F * hash01(seed, board, 1);
@@ -57,7 +57,7 @@ Image siding(std::uint32_t seed, int boards, bool upright) {
 }
 
 Image roof_tiles(std::uint32_t seed, int rows) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     const float y = v * static_cast<float>(rows);
     const int row = static_cast<int>(y);
     const float x = u * static_cast<float>(rows) + (row % 2 == 0 ? 0.0F : 0.5F);
@@ -74,7 +74,7 @@ Image wallpaper(std::uint32_t seed, int kind) {
   const glm::vec3 ground(0.9F, 0.88F, 0.84F);
   const glm::vec3 ink(0.42F + 0.3F * hash01(seed, 1, 1), 0.4F + 0.3F * hash01(seed, 1, 2),
                       0.42F + 0.3F * hash01(seed, 1, 3));
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float x = u * 4, y = v * 4;
     const float cx = fraction(x) - 0.5F, cy = fraction(y) - 0.5F;
     const float radius = std::hypot(cx, cy), angle = std::atan2(cy, cx);
@@ -92,7 +92,7 @@ Image wallpaper(std::uint32_t seed, int kind) {
 }
 
 Image floor_boards(std::uint32_t seed, int rows) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     const float across = v * static_cast<float>(rows);
     const int row = static_cast<int>(across);
     const float along = u * 3 + 3 * hash01(seed, row, 7);
@@ -105,7 +105,7 @@ Image floor_boards(std::uint32_t seed, int rows) {
 }
 
 Image floor_tiles(std::uint32_t seed, int tiles, bool checked) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float x = u * static_cast<float>(tiles), y = v * static_cast<float>(tiles);
     const int column = static_cast<int>(x), row = static_cast<int>(y);
     const float grain = grainy(seed, u, v, 32, 0.14F);
@@ -116,7 +116,7 @@ Image floor_tiles(std::uint32_t seed, int tiles, bool checked) {
 }
 
 Image grass(std::uint32_t seed) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     const float patch = noise(seed, {u * 9, v * 9}, {9, 9});
     const float blades = noise(seed + 1, {u * 90, v * 60}, {90, 60}),
                 other = noise(seed + 2, {u * 50, v * 110}, {50, 110});
@@ -126,7 +126,7 @@ Image grass(std::uint32_t seed) {
 }
 
 Image asphalt(std::uint32_t seed) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     const float grit = noise(seed, {u * 170, v * 170}, {170, 170}), wear = noise(seed + 1, {u * 7, v * 7}, {7, 7});
     // A crack is where a smooth noise passes its middle.
     const float crack = std::abs(noise(seed + 2, {u * 6, v * 6}, {6, 6}) - 0.5F);
@@ -135,7 +135,7 @@ Image asphalt(std::uint32_t seed) {
 }
 
 Image paving(std::uint32_t seed, int stones) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     const float y = v * static_cast<float>(stones);
     const int row = static_cast<int>(y);
     const float x = u * static_cast<float>(stones) + 0.5F * static_cast<float>(row % 2);
@@ -147,14 +147,14 @@ Image paving(std::uint32_t seed, int stones) {
 }
 
 Image bark(std::uint32_t seed) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float ridge = std::abs(noise(seed, {u * 14, v * 4}, {14, 4}) - 0.5F) * 2;
     return glm::vec3(0.9F, 0.85F, 0.8F) * (0.35F + 0.6F * ridge) * grainy(seed + 1, u, v, 30, 0.5F);
   });
 }
 
 Image leaves(std::uint32_t seed) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     // The nearest of scattered leaves, one a cell: Worley 1996.
     constexpr int kCells = 14;
     float nearest = 9, tone = 0;
@@ -174,7 +174,7 @@ Image leaves(std::uint32_t seed) {
 }
 
 Image fabric(std::uint32_t seed, int kind) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float weave = 0.82F + 0.18F * std::sin(u * 96 * glm::pi<float>()) * std::sin(v * 96 * glm::pi<float>());
     float tone = 0.9F;
     if (kind == 1 && fraction(u * 8) < 0.4F) tone = 0.5F;
@@ -185,7 +185,7 @@ Image fabric(std::uint32_t seed, int kind) {
 }
 
 Image wood_grain(std::uint32_t seed) {
-  return paint(kSide, [&](float u, float v) {
+  return paint(kTexels, [&](float u, float v) {
     const float bend = noise(seed + 9, {u * 3, v * 3}, {3, 3});
     const float rings = 0.5F + 0.5F * std::sin(glm::two_pi<float>() * (v * 8 + 0.8F * bend));
     const float streak = noise(seed, {u * 5, v * 60}, {5, 60});
@@ -194,7 +194,7 @@ Image wood_grain(std::uint32_t seed) {
 }
 
 Image book_spines(std::uint32_t seed) {
-  return paint(2 * kSide, [&](float u, float v) {
+  return paint(2 * kTexels, [&](float u, float v) {
     constexpr int kShelves = 4, kBooks = 26;
     const float y = v * kShelves;
     const int shelf = static_cast<int>(y);

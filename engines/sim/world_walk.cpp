@@ -89,12 +89,12 @@ std::vector<HousePlan> row(const WorldPlan& plan, std::size_t i, std::size_t j, 
 }
 
 /// A stretch of pavement, and whose doors are along it.
-struct Leg {
+struct Stretch {
   glm::vec2 to;
   std::vector<HousePlan> houses;  ///< in order
 };
 
-std::vector<Leg> round(const WorldPlan& plan) {
+std::vector<Stretch> round(const WorldPlan& plan) {
   const Rect first = plan.block(1, 1).grown(kFromLawn_m), second = plan.block(2, 1).grown(kFromLawn_m);
   std::vector<HousePlan> out = row(plan, 1, 1, true), back = row(plan, 2, 1, true);
   std::ranges::reverse(out);
@@ -119,7 +119,7 @@ Walked walk_into(const WorldPlan& plan, const std::vector<bool>& visited) {
   Walked walked{Path(plan)};
   walked.path.along(plan.block(1, 1).grown(kFromLawn_m).high);
   std::size_t turn = 0;
-  for (const Leg& leg : round(plan)) {
+  for (const Stretch& leg : round(plan)) {
     for (const HousePlan& house : leg.houses) {
       if (!visited[turn++]) continue;
       walked.path.along({before_door(house, kBeforeDoor_m).x, walked.path.plan_place().y});
@@ -172,7 +172,7 @@ std::vector<glm::vec3> tour_of(const HousePlan& house) {
 std::vector<glm::vec3> world_walk(std::uint32_t seed) {
   const WorldPlan plan = plan_world(seed);
   std::vector<HousePlan> houses;
-  for (const Leg& leg : round(plan)) houses.insert(houses.end(), leg.houses.begin(), leg.houses.end());
+  for (const Stretch& leg : round(plan)) houses.insert(houses.end(), leg.houses.begin(), leg.houses.end());
   std::vector<bool> visited(houses.size(), false);
   // Stairs first, and then as many others, spread over the way, as it has length for.
   const auto stairs = std::ranges::find_if(houses, [](const HousePlan& house) { return house.storeys > 1; });
@@ -186,7 +186,7 @@ std::vector<glm::vec3> world_walk(std::uint32_t seed) {
   }
   Path path = walk_into(plan, visited).path;
   // What is left leads round the first block again.
-  for (const Leg& leg : round(plan)) {
+  for (const Stretch& leg : round(plan)) {
     if (path.length() < kWalk_m) path.along(leg.to);
   }
   std::vector<glm::vec3> eyes = path.cut(kWalk_m);

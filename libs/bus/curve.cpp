@@ -22,7 +22,6 @@ constexpr int zap_enforce_domain = 93;
 constexpr const char* user_id = "User-Id";
 constexpr const char* zap_endpoint = "inproc://zeromq.zap.01";
 constexpr int stop_check_ms = 100;
-constexpr std::size_t key_bytes = 32;
 constexpr std::size_t max_zap_parts = 16;
 
 std::array<std::uint8_t, key_bytes> binary(const Key& key) {

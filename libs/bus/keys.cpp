@@ -27,7 +27,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t key_bytes = 32;
 constexpr std::size_t key_digits = 2 * key_bytes;
 constexpr std::size_t z85_room = 41;
 constexpr std::size_t max_file_bytes = std::size_t{1} << 20;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <map>
@@ -14,6 +15,7 @@ namespace splatbus::bus {
 
 /// A CURVE key, in 64 hexadecimal digits.
 using Key = std::string;
+inline constexpr std::size_t key_bytes = 32;
 
 struct KeyPair {
   Key public_key, secret_key;
