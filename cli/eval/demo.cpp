@@ -59,7 +59,10 @@ int demo(DemoVerbOptions options) {
       if (start.gateway) fmt::print("{}\n", json_text({{"url", start.gateway->url}}));
       return;
     }
-    fmt::print("{:.0f} s demo; look inside with: ./splatbus node list --bus {}\n", options.demo.seconds, start.bus);
+    fmt::print("{:.0f} s demo on the bus {}\n", options.demo.seconds, start.bus);
+    // Its first use would build it, on the cores that the demo needs.
+    if (std::filesystem::exists(program_directory() / "splatbus"))
+      fmt::print("look inside with: ./splatbus node list --bus {}\n", start.bus);
     if (start.gateway) fmt::print("{}\n", invitation(*start.gateway));
     std::fflush(stdout);
   };

@@ -107,7 +107,8 @@ std::vector<ProgramHelp> programs_in(const fs::path& folder) {
   std::set<std::string> names;
   for (const auto& entry : fs::directory_iterator(folder)) {
     const std::string name = entry.path().filename();
-    if (name.starts_with("splatbus-") && name.find('.') == std::string::npos) names.insert(name);
+    const bool is_verb = name == "splatbus-demo";  // of the program itself
+    if (name.starts_with("splatbus-") && !is_verb && name.find('.') == std::string::npos) names.insert(name);
   }
   std::vector<ProgramHelp> programs;
   for (const std::string& name : names) {

@@ -27,8 +27,8 @@ std::vector<nlohmann::json> Answer::json() const {
   return result;
 }
 
-Answer splatbus_command(const std::vector<std::string>& arguments) {
-  ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/splatbus", arguments, test_environment());
+Answer splatbus_command(const std::vector<std::string>& arguments, const std::string& program) {
+  ChildProcess child(std::string(SPLATBUS_BIN_DIR) + "/" + program, arguments, test_environment());
   Answer answer;
   std::optional<ExitStatus> status;
   while (!status) {
@@ -38,7 +38,7 @@ Answer splatbus_command(const std::vector<std::string>& arguments) {
     status = child.poll_exit();
     for (std::string& line : child.read_lines(status.has_value())) answer.lines.push_back(std::move(line));
   }
-  EXPECT_TRUE(status.has_value()) << "splatbus " << arguments.front() << " did not end";
+  EXPECT_TRUE(status.has_value()) << program << " " << arguments.front() << " did not end";
   answer.status = status.value_or(ExitStatus{.code = -1, .signal = 0});
   return answer;
 }

@@ -21,6 +21,7 @@ struct Answer {
 };
 
 /// Runs the program with a command that ends by itself; one that says nothing for a minute counts as failed.
-[[nodiscard]] Answer splatbus_command(const std::vector<std::string>& arguments);
+[[nodiscard]] Answer splatbus_command(const std::vector<std::string>& arguments,
+                                      const std::string& program = "splatbus");
 
 }  // namespace splatbus::cli

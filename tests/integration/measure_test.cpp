@@ -39,7 +39,8 @@ TEST(Measure, DemoWritesItsFigures) {
   std::ofstream(launch_file) << Pipeline::launch_file();
   const fs::path out = folder.path() / "demo";
   const Answer answer = splatbus_command(
-      {"demo", "--seconds", "5", "--seed", "3", "--json", "--launch", launch_file.string(), "--out", out.string()});
+      {"demo", "--seconds", "5", "--seed", "3", "--json", "--launch", launch_file.string(), "--out", out.string()},
+      "splatbus-demo");
   std::ostringstream log;
   log << std::ifstream(out / "services.log").rdbuf();
   ASSERT_TRUE(answer.status.success()) << testing::PrintToString(answer.lines) << log.str();

@@ -12,7 +12,7 @@ namespace splatbus::trainer {
 namespace {
 
 // At more than a thousand steps a second, held-out views get worse after a while unless rates fall early.
-constexpr float kDefaultHalfRateSteps = 200;
+constexpr float kHalfRateStepsOnDevice = 200;
 constexpr int kDefaultBatch = 2;  // takes a quarter longer than one view, and 200 steps of it are worth 300
 // At this pace pages are seen often enough, and looking at them costs a hundredth.
 constexpr int kLookInterval = 4;
@@ -71,7 +71,7 @@ class CudaStep final : public GradientStep {
 
   void set_options(Options& options) override {
     if (options.batch == 0) options.batch = kDefaultBatch;
-    if (options.lr_half_life_steps < 0) options.lr_half_life_steps = kDefaultHalfRateSteps;
+    if (options.lr_half_life_steps < 0) options.lr_half_life_steps = kHalfRateStepsOnDevice;
     train_.set_options(train_options(options));
     train_.set_learning_rates(channel_learning_rates(options));
   }
