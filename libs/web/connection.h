@@ -46,8 +46,9 @@ class FirstBuffers {
   std::size_t count_ = 0;
 };
 
-/// A connection with TLS or without. As a type for itself what is above it is compiled once, not once for either, and
-/// what is below it once, not for each of its users. An AsyncStream as Asio has it.
+/// A connection with TLS or without: an AsyncStream as Asio has it, for one thread at a time. One type for both, which
+/// knows its callers by erased handlers: what is above it is compiled once, not for either, and what is below it once,
+/// not for every caller. No operation can be cancelled by itself, and none may be under way when it is moved.
 class Connection {
  public:
   using executor_type = Tcp::executor_type;
