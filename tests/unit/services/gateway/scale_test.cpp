@@ -101,8 +101,7 @@ TEST_F(Shared, WhoeverTheDeadOneServedIsServedByTheOther) {
   const auto second = streamer("streamer-2");
   // One process, that is one connection: the broker lets no second one speak by the name.
   const auto process = connect("streamer-1");
-  mortal_ =
-      std::make_unique<stream_test::SteppedStreamer>(process, std::vector<std::pair<std::string, std::string>>{});
+  mortal_ = std::make_unique<stream_test::SteppedStreamer>(process, std::vector<std::pair<std::string, std::string>>{});
   const bus::Publisher heart(process);
   const auto beat = [&] {
     heart.publish(topics::kHeartbeat, {.latch_key = "streamer-1"}, [](auto& builder, auto header) {
