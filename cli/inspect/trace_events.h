@@ -17,9 +17,9 @@ struct TracedSpan {
   std::uint64_t scene_version = 0;
 };
 
-/// Which engine frame each span is of. Frames are known from the spans that say both capture_ns and scene version. A span
-/// that says its scene version alone is of the newest such frame of that version captured before it ended; one that
-/// says an instant alone, of the newest frame captured until then. Then sorts the spans by their begin.
+/// Which engine frame each span is of. Frames are known from the spans that say both capture_ns and scene version. A
+/// span that says its scene version alone is of the newest such frame of that version captured before it ended; one
+/// that says an instant alone, of the newest frame captured until then. Then sorts the spans by their begin.
 void assign_frames(std::vector<TracedSpan>& spans);
 
 /// What became of each engine frame: the first span of each process and name, by begin. Frames by capture_ns.

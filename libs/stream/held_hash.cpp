@@ -23,7 +23,8 @@ std::uint64_t held_hash(const ReplicatedState& state) {
   hash.add(state.visibility_version);
   for (const auto& entry : state.pages) {
     const HeldPage& page = entry.second;
-    for (const std::uint32_t value : {entry.first, page.version, page.structure, page.count, page.missing}) hash.add(value);
+    for (const std::uint32_t value : {entry.first, page.version, page.structure, page.count, page.missing})
+      hash.add(value);
     const auto add_lanes = [&](const auto& values) {
       for (std::uint32_t lane = 0; lane < page.count; ++lane) {
         if ((page.missing >> (lane / kBlockRows) & 1U) == 0) {

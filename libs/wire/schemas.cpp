@@ -29,7 +29,7 @@ constexpr std::array kSchemas{kSchema<CaptureInput>,      kSchema<CaptureProbe>,
                               kSchema<ViewerProbe>,       kSchema<ViewerQuality>};
 /// A family before those that include it, so that a table's schema says no more than it has to.
 constexpr std::array<std::string_view, 8> kFamilies{"engine", "scene",  "capture", "model",
-                                                    "viewer", "system", "stream", "trace"};
+                                                    "viewer", "system", "stream",  "trace"};
 
 /// By family, "system", or file, "foxglove/Log".
 const std::map<std::string_view, std::vector<std::uint8_t>>& files() {

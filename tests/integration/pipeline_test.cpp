@@ -91,7 +91,8 @@ TEST_F(RunningPipeline, TopicRatesAndBandwidth) {
   EXPECT_TRUE(bw.status.success());
   ASSERT_FALSE(bw.lines.empty());
   const Json rates = bw.json().back();
-  EXPECT_GT(rates["mbps"].get<double>() + rates["shared_mbps"].get<double>(), 0.1) << "pictures of 64 x 64 x 8 bytes, at least one a second";
+  EXPECT_GT(rates["mbps"].get<double>() + rates["shared_mbps"].get<double>(), 0.1)
+      << "pictures of 64 x 64 x 8 bytes, at least one a second";
 }
 
 TEST_F(RunningPipeline, NodeListShowsEveryService) {

@@ -25,7 +25,8 @@ SPLATBUS_FUZZ_TARGET(packet_gate, bytes) {
     const auto body = stream::ParsedPacket::parse(framed.packet, framed.payload).body();
     const bool probes = body == splatbus::wire::Body::Probe || body == splatbus::wire::Body::Quality;
     const bool asks_for_pages = body == splatbus::wire::Body::PageRequest;
-    require(passes == ((rights.probe || !probes) && !asks_for_pages), "who may not probe does not, and caches go elsewhere");
+    require(passes == ((rights.probe || !probes) && !asks_for_pages),
+            "who may not probe does not, and caches go elsewhere");
   } catch (const stream::StreamError&) {  // refused
   }
 }

@@ -34,7 +34,8 @@ class RunningGateway {
         site_(options_, pipeline_, pages_, models_, traffic_),
         foxglove_(std::move(context), options_) {
     gateway::check(options_);
-    server_ = std::make_unique<gateway::Server>(options_, streamers_, site_, pages_, models_, foxglove_.hub(), traffic_);
+    server_ =
+        std::make_unique<gateway::Server>(options_, streamers_, site_, pages_, models_, foxglove_.hub(), traffic_);
     thread_ = std::thread([this] { server_->run(stop_.get_token(), [this] { pipeline_.poll(bus::now_ns()); }); });
   }
   ~RunningGateway() {
