@@ -124,10 +124,19 @@ endfunction()
 # compiled once. Tests are joined as CMAKE_UNITY_BUILD_BATCH_SIZE says: theirs take much more memory.
 set(SPLATBUS_UNITY_BATCH_OF_A_LIBRARY "" CACHE STRING "Sources of a library in a unit; empty: as of everything")
 
+# splatbus_alone(SOURCE...): kernels among these are compiled one by one, by versions of CMake too that would join them: what
+# nvcc compiles takes long, and is worth all cores.
+function(splatbus_alone)
+  set(kernels ${ARGN})
+  list(FILTER kernels INCLUDE REGEX "\\.cu$")
+  set_source_files_properties(${kernels} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+endfunction()
+
 # splatbus_library(NAME SOURCES a.cpp ... DEPENDS target ... [PRIVATE_DEPENDS target ...])
 function(splatbus_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
   add_library(splatbus_${name} STATIC ${ARG_SOURCES})
+  splatbus_alone(${ARG_SOURCES})
   splatbus_common_options(splatbus_${name})
   if(SPLATBUS_UNITY_BATCH_OF_A_LIBRARY)
     set_target_properties(splatbus_${name} PROPERTIES UNITY_BUILD_BATCH_SIZE ${SPLATBUS_UNITY_BATCH_OF_A_LIBRARY})
@@ -157,6 +166,7 @@ function(splatbus_cuda_sources target)
     return()
   endif()
   target_sources(${target} PRIVATE ${ARGN})
+  splatbus_alone(${ARGN})
   target_link_libraries(${target} PUBLIC splatbus_device)
   target_compile_definitions(${target} PRIVATE SPLATBUS_HAVE_CUDA)
   target_compile_options(${target}
@@ -170,6 +180,7 @@ function(splatbus_single_source target)
   target_sources(${target} PRIVATE ${ARGN})
   target_link_libraries(${target} PUBLIC splatbus_device)
   if(SPLATBUS_WITH_CUDA)
+    splatbus_alone(${ARGN})
     set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS "--fmad=false;-Xcompiler=-ffp-contract=off")
     target_compile_options(${target}
                            PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--expt-relaxed-constexpr -Xcompiler=-Wall,-Wextra>)

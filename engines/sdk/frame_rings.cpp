@@ -35,39 +35,56 @@ void FrameRings::forget(const FrameRing& ring) {
   std::erase_if(rings_, [&](const auto& entry) { return entry.second.get() == &ring; });
 }
 
-WrittenFrame FrameRings::write(const splatbus_frame& frame) {
+std::vector<WrittenFrame> FrameRings::write(std::span<const splatbus_frame> frames) {
+  std::vector<WrittenFrame> written;
+  std::vector<BegunFrame> begun;
+  for (const splatbus_frame& frame : frames) {
+    begun.push_back(begin(frame));
+    const auto& ring = begun.back().ring;
+    const auto in_ring = static_cast<std::size_t>(std::ranges::count(begun, ring, &BegunFrame::ring));
+    if (in_ring >= ring->slab->slots() / 2) finish(begun, written);
+  }
+  finish(begun, written);
+  return written;
+}
+
+FrameRings::BegunFrame FrameRings::begin(const splatbus_frame& frame) {
   const std::span images(frame.images, frame.image_count);
   std::size_t total = 0;
   for (const splatbus_image& image : images) total += bus::aligned(image.bytes);
-  WrittenFrame written{ring_for(total), {}};
-  bus::Slab& ring = *written.ring->slab;
-
-  const std::size_t slot = ring.next_slot();
+  BegunFrame begun{.frame = &frame, .ring = ring_for(total)};
+  bus::Slab& slab = *begun.ring->slab;
+  begun.slot = slab.next_slot();
   std::size_t offset = 0;
-  bool on_device = false;
   for (const splatbus_image& image : images) {
     const Device from = image.memory == SPLATBUS_MEMORY_CUDA ? Device::Cuda : Device::Cpu;
-    bus::copy_memory(ring.slot_data(slot) + offset, kind_, image.data, from, image.bytes);
-    on_device |= kind_ == Device::Cuda || from == Device::Cuda;
+    bus::copy_memory(slab.slot_data(begun.slot) + offset, kind_, image.data, from, image.bytes);
     if (kind_ == Device::Cpu || from == Device::Cpu) host_copied_bytes_ += image.bytes;
     offset += bus::aligned(image.bytes);
   }
-  if (on_device) bus::finish_copies();
-  const std::uint64_t generation = ring.end_write(slot);
+  return begun;
+}
 
-  offset = 0;
-  for (const splatbus_image& image : images) {
-    bus::OutgoingTensor tensor;
-    tensor.name = buffer_name(image.buffer);
-    tensor.shape = {frame.camera.height, frame.camera.width};
-    if (buffer_channels(image.buffer) > 1)
-      tensor.shape.push_back(static_cast<std::uint32_t>(buffer_channels(image.buffer)));
-    tensor.type = buffer_type(image.buffer);
-    tensor.span = ring.span(slot, offset, image.bytes, generation);
-    written.tensors.push_back(std::move(tensor));
-    offset += bus::aligned(image.bytes);
+void FrameRings::finish(std::vector<BegunFrame>& begun, std::vector<WrittenFrame>& written) {
+  bus::finish_copies();
+  for (const BegunFrame& done : begun) {
+    bus::Slab& slab = *done.ring->slab;
+    const std::uint64_t generation = slab.end_write(done.slot);
+    WrittenFrame& frame = written.emplace_back(WrittenFrame{done.ring, {}});
+    std::size_t offset = 0;
+    for (const splatbus_image& image : std::span(done.frame->images, done.frame->image_count)) {
+      bus::OutgoingTensor tensor;
+      tensor.name = buffer_name(image.buffer);
+      tensor.shape = {done.frame->camera.height, done.frame->camera.width};
+      if (buffer_channels(image.buffer) > 1)
+        tensor.shape.push_back(static_cast<std::uint32_t>(buffer_channels(image.buffer)));
+      tensor.type = buffer_type(image.buffer);
+      tensor.span = slab.span(done.slot, offset, image.bytes, generation);
+      frame.tensors.push_back(std::move(tensor));
+      offset += bus::aligned(image.bytes);
+    }
   }
-  return written;
+  begun.clear();
 }
 
 }  // namespace splatbus::engine_sdk

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -32,9 +33,10 @@ class FrameRings {
  public:
   FrameRings(std::shared_ptr<bus::Context> context, Device kind) : context_(std::move(context)), kind_(kind) {}
 
-  /// Copies the images of a checked frame, from whichever memory each lies in, and waits for the copies; never
-  /// for the broker. Throws bus::Error when there is no memory for a ring, or the device fails.
-  [[nodiscard]] WrittenFrame write(const splatbus_frame& frame);
+  /// Copies the images of checked frames, from whichever memory each lies in, and waits for the copies of as many as half
+  /// a ring holds together; never for the broker. Throws bus::Error when there is no memory for a ring, or the device
+  /// fails.
+  [[nodiscard]] std::vector<WrittenFrame> write(std::span<const splatbus_frame> frames);
 
   /// The next frame of its size gets another ring.
   void forget(const FrameRing& ring);
@@ -43,6 +45,15 @@ class FrameRings {
   [[nodiscard]] std::uint64_t host_copied_bytes() const { return host_copied_bytes_; }
 
  private:
+  /// A frame whose images are being copied.
+  struct BegunFrame {
+    const splatbus_frame* frame = nullptr;
+    std::shared_ptr<FrameRing> ring;
+    std::size_t slot = 0;
+  };
+  [[nodiscard]] BegunFrame begin(const splatbus_frame& frame);
+  /// Waits for their copies.
+  static void finish(std::vector<BegunFrame>& begun, std::vector<WrittenFrame>& written);
   const std::shared_ptr<FrameRing>& ring_for(std::size_t bytes);
 
   std::shared_ptr<bus::Context> context_;

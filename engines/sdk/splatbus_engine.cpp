@@ -6,6 +6,7 @@
 #include <exception>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -146,24 +147,36 @@ splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, co
 }
 
 splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_frame* frame) {
+  return splatbus_engine_submit_all(engine, frame, 1);
+}
+
+splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatbus_frame* frames, size_t count) {
   if (engine == nullptr) return SPLATBUS_ERROR_ARGUMENT;
   return guarded_call(engine->error, [&] {
-    require(frame != nullptr, "splatbus_engine_submit: frame is NULL");
+    require(frames != nullptr || count == 0, "splatbus_engine_submit: frame is NULL");
+    const std::span submitted(frames, count);
     bus::TracedWork work("submit picture");
-    std::string wrong = engine_sdk::problem(*frame);
-    if (wrong.empty() && engine->last) wrong = engine_sdk::problem(*frame, *engine->last);
-    if (!wrong.empty()) throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame->frame, wrong));
-    const bool same_frame = engine->last && engine->last->frame == frame->frame;
-    const std::int64_t capture_ns = same_frame ? engine->capture_ns : bus::now_ns();
-    work.is_of(capture_ns, 0);
-    engine_sdk::WrittenFrame written = engine->rings.write(*frame);
-    if (const std::string refusal = engine->sender.refusal(*written.ring); !refusal.empty()) {
-      engine->rings.forget(*written.ring);
-      throw bus::Error(refusal);
+    std::optional<engine_sdk::EngineClock> last = engine->last;
+    for (const splatbus_frame& frame : submitted) {
+      std::string wrong = engine_sdk::problem(frame);
+      if (wrong.empty() && last) wrong = engine_sdk::problem(frame, *last);
+      if (!wrong.empty()) throw ArgumentError(fmt::format("splatbus_engine_submit: frame {}: {}", frame.frame, wrong));
+      last = {.frame = frame.frame, .time_s = frame.time_s};
     }
-    engine->sender.send(*frame, std::move(written), capture_ns);
-    engine->last = {.frame = frame->frame, .time_s = frame->time_s};
-    engine->capture_ns = capture_ns;
+    std::vector<engine_sdk::WrittenFrame> written = engine->rings.write(submitted);
+    for (const engine_sdk::WrittenFrame& one : written) {
+      if (const std::string refusal = engine->sender.refusal(*one.ring); !refusal.empty()) {
+        engine->rings.forget(*one.ring);
+        throw bus::Error(refusal);
+      }
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+      const bool same_frame = engine->last && engine->last->frame == frames[i].frame;
+      if (!same_frame) engine->capture_ns = bus::now_ns();
+      work.is_of(engine->capture_ns, 0);
+      engine->sender.send(frames[i], std::move(written[i]), engine->capture_ns);
+      engine->last = {.frame = frames[i].frame, .time_s = frames[i].time_s};
+    }
     engine->service.counter("host_copied_bytes", static_cast<double>(engine->rings.host_copied_bytes()));
     if (const std::uint64_t dropped = engine->sender.dropped(); dropped > 0) {
       engine->service.counter("frames_dropped", static_cast<double>(dropped));

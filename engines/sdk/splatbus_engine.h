@@ -202,6 +202,11 @@ splatbus_status splatbus_engine_poll(splatbus_engine* engine, int timeout_ms, co
  * lie there, and has ended when the call returns: the image may be written again at once. */
 splatbus_status splatbus_engine_submit(splatbus_engine* engine, const splatbus_frame* frame);
 
+/* As splatbus_engine_submit() for each of `count` cameras in turn, of one frame or of several; but copies on a device are
+ * waited for together. Others use the device meanwhile, and each wait is as long as their turn. Where one is refused,
+ * nothing of the call is published. */
+splatbus_status splatbus_engine_submit_all(splatbus_engine* engine, const splatbus_frame* frames, size_t count);
+
 /* Shown in heartbeats, which are sent 5 times a second. */
 splatbus_status splatbus_engine_counter(splatbus_engine* engine, const char* name, double value);
 

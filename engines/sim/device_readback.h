@@ -12,9 +12,11 @@ namespace splatbus::sim {
 /// Hands pictures over in CUDA memory, without a copy through the host.
 class DeviceReadback : public Readback {
  public:
-  /// The pictures taken since begin(), complete and in the layout that the host would read. Valid until the next
-  /// begin(). Throws std::runtime_error.
-  [[nodiscard]] virtual const std::vector<splatbus_image>& images() = 0;
+  /// The pictures taken since each begin() after the last finish(), in that order, complete and in the layout that the
+  /// host would read. All are waited for together. Valid until the next begin(). Throws std::runtime_error.
+  [[nodiscard]] virtual const std::vector<std::vector<splatbus_image>>& finish() = 0;
+  /// Of the first `cameras` since the last finish(); what was begun after them is not wanted.
+  virtual void keep(std::size_t cameras) = 0;
 };
 
 /// A context of the first CUDA device where `backend` wants it and there is one, else any. Throws as GlContext, and for

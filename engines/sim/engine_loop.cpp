@@ -5,8 +5,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cassert>
 #include <chrono>
 #include <cmath>
+#include <span>
 #include <stdexcept>
 #include <vector>
 
@@ -14,6 +16,7 @@ namespace splatbus::sim {
 namespace {
 
 constexpr std::size_t kMostRemembered = 64;
+constexpr std::size_t kMostAtOnce = 8;  // cameras, between two waits for a device that others use too
 constexpr std::uint64_t kMostRememberedPixels = std::uint64_t{384} * 384;
 
 bool same_view(const splatbus_camera& a, const splatbus_camera& b) {
@@ -28,6 +31,10 @@ bool same_view(const splatbus_camera& a, const splatbus_camera& b) {
 std::int64_t now_ns() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
       .count();
+}
+
+bool is_picture(const splatbus_camera_request& request) {
+  return request.camera.role != SPLATBUS_ROLE_LIGHT && request.camera.role != SPLATBUS_ROLE_PROBE;
 }
 
 template <class T>
@@ -47,6 +54,11 @@ std::vector<splatbus_image> images_of(const Pictures& pictures) {
   add_image(images, SPLATBUS_BUFFER_DEPTH, pictures.depth);
   add_image(images, SPLATBUS_BUFFER_LIGHT_DEPTH, pictures.light_depth);
   return images;
+}
+
+void show(const std::vector<splatbus_image>& images, splatbus_frame& frame) {
+  frame.images = images.data();
+  frame.image_count = images.size();
 }
 
 }  // namespace
@@ -127,41 +139,79 @@ void EngineLoop::render_cameras(std::uint64_t frame, const std::vector<splatbus_
   renderer_.set_time(time_of(frame));
   const std::int64_t end_ns = now_ns() + std::llround(options_.pictures_s * 1e9);
   bool has_picture = false;
-  for (const splatbus_camera_request& request : requests) {
-    const bool is_picture = request.camera.role != SPLATBUS_ROLE_LIGHT && request.camera.role != SPLATBUS_ROLE_PROBE;
-    if (bounded && is_picture && has_picture && now_ns() > end_ns) {
+  for (std::span<const splatbus_camera_request> left = requests; !left.empty();) {
+    const splatbus_camera_request& request = left.front();
+    if (bounded && is_picture(request) && has_picture && now_ns() > end_ns) {
       schedule_.postpone(request);
       count("cameras_postponed", static_cast<double>(++cameras_postponed_));
+      left = left.subspan(1);
       continue;
     }
-    has_picture = has_picture || is_picture;
-    try {
-      render_camera(frame, request);
-    } catch (const std::exception& failed) {
-      spdlog::error("frame {}: {}", frame, failed.what());
-      // Pictures wait for it; while its light rests it would not be due again.
-      if (request.camera.role == SPLATBUS_ROLE_LIGHT) schedule_.postpone(request);
-      count("cameras_failed", static_cast<double>(++cameras_failed_));
-    }
+    const std::size_t rendered = render_next(frame, left);
+    has_picture = has_picture || std::ranges::any_of(left.first(rendered), is_picture);
+    left = left.subspan(rendered);
   }
   count("cameras_submitted", static_cast<double>(cameras_submitted_));
   count("cameras_rendered", static_cast<double>(cameras_rendered_));
   count("render_ms", render_ms_);
 }
 
-std::vector<splatbus_image> EngineLoop::images_for(const splatbus_camera_request& request, const LightCamera& camera) {
-  if (readback_ == nullptr) return images_of(pictures_for(request, camera));
+std::size_t EngineLoop::render_next(std::uint64_t frame, std::span<const splatbus_camera_request> requests) {
+  const std::span next = requests.first(readback_ == nullptr ? 1 : std::min(kMostAtOnce, requests.size()));
   const std::int64_t begin_ns = now_ns();
-  renderer_.render(camera, request.buffers, *readback_);
-  std::vector<splatbus_image> images = readback_->images();
-  count_render(begin_ns);
-  return images;
+  Drawn drawn;
+  for (const splatbus_camera_request& request : next) {
+    try {
+      draw(frame, request, drawn);
+    } catch (const std::exception& why) {
+      if (readback_ != nullptr) readback_->keep(drawn.frames.size());
+      failed(frame, request, why);
+    }
+  }
+  if (readback_ == nullptr || drawn.frames.empty()) return next.size();
+  try {
+    const std::vector<std::vector<splatbus_image>>& images = readback_->finish();
+    assert(images.size() == drawn.frames.size());
+    count_render(begin_ns, images.size());
+    for (std::size_t i = 0; i < images.size(); ++i) show(images[i], drawn.frames[i]);
+    submit(drawn.frames);
+  } catch (const std::exception& why) {
+    for (const splatbus_camera_request& request : drawn.requests) failed(frame, request, why);
+  }
+  return next.size();
 }
 
-void EngineLoop::count_render(std::int64_t begin_ns) {
-  ++cameras_rendered_;
-  const double took_ms = static_cast<double>(now_ns() - begin_ns) * 1e-6;
-  render_ms_ = cameras_rendered_ == 1 ? took_ms : 0.95 * render_ms_ + 0.05 * took_ms;
+void EngineLoop::draw(std::uint64_t frame, const splatbus_camera_request& request, Drawn& drawn) {
+  LightCamera view{request.camera, Projection::Pinhole};
+  if (request.camera.role == SPLATBUS_ROLE_LIGHT) {
+    const std::optional<LightCamera> light = renderer_.light_camera(request);
+    if (!light) return;
+    view = *light;
+  }
+  if (readback_ == nullptr) {
+    // In host memory there is room for one camera's pictures.
+    const std::vector<splatbus_image> images = images_of(pictures_for(request, view));
+    splatbus_frame out = frame_of(frame, request, view);
+    show(images, out);
+    submit(std::span(&out, 1));
+    return;
+  }
+  renderer_.render(view, request.buffers, *readback_);
+  drawn.frames.push_back(frame_of(frame, request, view));
+  drawn.requests.push_back(request);
+}
+
+void EngineLoop::failed(std::uint64_t frame, const splatbus_camera_request& request, const std::exception& why) {
+  spdlog::error("frame {}: {}", frame, why.what());
+  // Pictures wait for it; while its light rests it would not be due again.
+  if (request.camera.role == SPLATBUS_ROLE_LIGHT) schedule_.postpone(request);
+  count("cameras_failed", static_cast<double>(++cameras_failed_));
+}
+
+void EngineLoop::count_render(std::int64_t begin_ns, std::size_t cameras) {
+  const double took_ms = static_cast<double>(now_ns() - begin_ns) * 1e-6 / static_cast<double>(cameras);
+  render_ms_ = cameras_rendered_ == 0 ? took_ms : std::lerp(took_ms, render_ms_, std::pow(0.95, cameras));
+  cameras_rendered_ += cameras;
 }
 
 const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request, const LightCamera& view) {
@@ -174,7 +224,7 @@ const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request,
   }
   const std::int64_t begin_ns = now_ns();
   const Pictures& pictures = renderer_.render(view, request.buffers);
-  count_render(begin_ns);
+  count_render(begin_ns, 1);
   const bool room = known != rendered_.end() || rendered_.size() < kMostRemembered;
   if (schedule_.repeats(key) && room && std::uint64_t{camera.width} * camera.height <= kMostRememberedPixels) {
     rendered_.insert_or_assign(key, Rendered{camera, request.buffers, renderer_.scene_version(), pictures});
@@ -182,14 +232,8 @@ const Pictures& EngineLoop::pictures_for(const splatbus_camera_request& request,
   return pictures;
 }
 
-void EngineLoop::render_camera(std::uint64_t frame, const splatbus_camera_request& request) {
-  LightCamera view{request.camera, Projection::Pinhole};
-  if (request.camera.role == SPLATBUS_ROLE_LIGHT) {
-    const std::optional<LightCamera> light = renderer_.light_camera(request);
-    if (!light) return;
-    view = *light;
-  }
-  const std::vector<splatbus_image> images = images_for(request, view);
+splatbus_frame EngineLoop::frame_of(std::uint64_t frame, const splatbus_camera_request& request,
+                                    const LightCamera& view) const {
   const Instant& instant = renderer_.instant();
   splatbus_frame out{};
   out.frame = frame;
@@ -198,15 +242,17 @@ void EngineLoop::render_camera(std::uint64_t frame, const splatbus_camera_reques
   out.camera = view.camera;
   out.light_id = request.light_id;
   out.light_map = request.light_map;
-  out.images = images.data();
-  out.image_count = images.size();
   out.objects = instant.objects.data();
   out.object_count = instant.objects.size();
   out.light = instant.whole_light();
-  if (splatbus_engine_submit(&engine_, &out) != SPLATBUS_OK) {
+  return out;
+}
+
+void EngineLoop::submit(std::span<const splatbus_frame> frames) {
+  if (splatbus_engine_submit_all(&engine_, frames.data(), frames.size()) != SPLATBUS_OK) {
     throw std::runtime_error(splatbus_engine_last_error(&engine_));
   }
-  ++cameras_submitted_;
+  cameras_submitted_ += frames.size();
 }
 
 void EngineLoop::count(const char* name, double value) {

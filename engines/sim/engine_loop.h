@@ -2,10 +2,12 @@
 
 #include <atomic>
 #include <cstdint>
+#include <exception>
 #include <functional>
 #include <map>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -53,11 +55,23 @@ class EngineLoop {
   void render_newcomers();
   /// With `bounded` within pictures_s.
   void render_cameras(std::uint64_t frame, const std::vector<splatbus_camera_request>& requests, bool bounded);
-  void render_camera(std::uint64_t frame, const splatbus_camera_request& request);
-  std::vector<splatbus_image> images_for(const splatbus_camera_request& request, const LightCamera& camera);
+  /// The first of them that are rendered before one waits for the device. Returns how many.
+  std::size_t render_next(std::uint64_t frame, std::span<const splatbus_camera_request> requests);
+  /// What is drawn and waits for the device.
+  struct Drawn {
+    std::vector<splatbus_camera_request> requests;
+    std::vector<splatbus_frame> frames;
+  };
+  /// Through host memory it is submitted at once.
+  void draw(std::uint64_t frame, const splatbus_camera_request& request, Drawn& drawn);
+  void failed(std::uint64_t frame, const splatbus_camera_request& request, const std::exception& why);
+  /// Of the instant, without its images.
+  [[nodiscard]] splatbus_frame frame_of(std::uint64_t frame, const splatbus_camera_request& request,
+                                        const LightCamera& view) const;
+  void submit(std::span<const splatbus_frame> frames);
   const Pictures& pictures_for(const splatbus_camera_request& request, const LightCamera& view);
   [[nodiscard]] Schedule::DepthVersion depth_versions() const;
-  void count_render(std::int64_t begin_ns);
+  void count_render(std::int64_t begin_ns, std::size_t cameras);
   void count(const char* name, double value);
   [[nodiscard]] double time_of(std::uint64_t frame) const { return static_cast<double>(frame) / options_.fps; }
 

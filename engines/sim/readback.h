@@ -30,7 +30,7 @@ inline void read_pixels(const DrawnPicture& drawn, void* pixels) {
 class Readback {
  public:
   virtual ~Readback() = default;
-  /// A camera's pictures follow; those of the camera before may go.
+  /// A camera's pictures follow.
   virtual void begin(std::uint32_t width, std::uint32_t height) = 0;
   /// Each buffer once. Throws std::runtime_error.
   virtual void take(const DrawnPicture& drawn) = 0;

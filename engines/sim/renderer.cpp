@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "sim/camera_check.h"
+#include "sim/device_readback.h"
 #include "sim/projection.h"
 #include "sim/renderer_impl.h"
 
@@ -124,14 +125,15 @@ void Renderer::render(const LightCamera& view, std::uint32_t buffers, Readback& 
   if ((buffers & SPLATBUS_BUFFER_LIGHT_DEPTH) != 0) impl_->geometry(view, SPLATBUS_BUFFER_LIGHT_DEPTH, readback);
 }
 
-void Renderer::warm_up(Readback* readback) {
+void Renderer::warm_up(DeviceReadback* readback) {
   constexpr std::uint32_t kSize = 64;
   HostReadback host(impl_->pictures);
   const auto draw = [&] {
     // The light's camera has every object in view, and so every program in use.
     const splatbus_camera camera = light_camera(0, kSize, kSize);
     for (const std::uint32_t buffers : {kShadeBuffers | kGeometryBuffers, std::uint32_t{SPLATBUS_BUFFER_COLOR}}) {
-      render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? *readback : host);
+      render(camera, buffers | SPLATBUS_BUFFER_LIGHT_DEPTH, readback != nullptr ? static_cast<Readback&>(*readback) : host);
+      if (readback != nullptr) static_cast<void>(readback->finish());
     }
   };
   draw();

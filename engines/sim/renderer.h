@@ -14,6 +14,8 @@
 
 namespace splatbus::sim {
 
+class DeviceReadback;
+
 struct RendererOptions {
   int supersample = 2;         ///< 1..4; pixels a side that are shaded for one pixel of colour
   int samples = 4;             ///< coverage samples a shaded pixel; the driver's greatest number when that is less.
@@ -79,7 +81,7 @@ class Renderer {
   void render(const LightCamera& camera, std::uint32_t buffers, Readback& readback);
 
   /// Draws small pictures of what cameras usually ask for, so that the first real one waits for no program to be built.
-  void warm_up(Readback* readback);
+  void warm_up(DeviceReadback* readback);
 
   /// A light camera of that size over the whole scene, for LIGHT_DEPTH: id is the caller's, pose, scale and range are
   /// the sun's. Constant as long as the sun rests.

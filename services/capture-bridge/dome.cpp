@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/gtc/constants.hpp>
 
 namespace splatbus::capture_bridge {
 
@@ -55,9 +56,10 @@ std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place
   return cameras;
 }
 
-Camera eye_camera(const DomeOptions& options, const DomePlacement& placement, const Viewer& viewer,
-                  const FreeSpace* free, float clearance_m) {
-  constexpr float kMargin = 1.15F;  // of the tangents of half the picture's angles
+std::vector<Camera> eye_cameras(const DomeOptions& options, const DomePlacement& placement, const Viewer& viewer,
+                                const FreeSpace* free, float clearance_m, std::size_t about) {
+  constexpr float kMargin = 1.15F;        // of the tangents of half a picture's angles
+  constexpr float kWidest = 1.9198622F;   // of a picture that looks about: 110 degrees
   DomeOptions one = options;
   one.cameras = 1;
   Camera camera = dome_cameras(one, {0, 0, 0}, 0).front();
@@ -68,10 +70,22 @@ Camera eye_camera(const DomeOptions& options, const DomePlacement& placement, co
   };
   camera.fx = camera.fy = std::min({camera.fx, focal(picture.width, camera.width, picture.cx, picture.fx),
                                     focal(picture.height, camera.height, picture.cy, picture.fy)});
-  camera.world_from_camera = picture.world_from_camera;
+  camera.world_from_camera = viewer.pose_in(placement.lead_s);
   glm::vec3& eye = camera.world_from_camera.translation;
-  if (free != nullptr) eye = free->reachable(eye + placement.lead_s * viewer.velocity_m_s, clearance_m);
-  return camera;
+  eye = free != nullptr ? free->reachable(eye, clearance_m) : viewer.position();
+  std::vector<Camera> cameras{camera};
+  const float step = glm::two_pi<float>() / static_cast<float>(about + 1);
+  camera.fx = camera.fy =
+      0.5F * static_cast<float>(camera.width) / (kMargin * std::tan(0.5F * std::min(step, kWidest)));
+  const glm::vec3 gaze = camera.world_from_camera.rotation * glm::vec3(0, 0, 1);
+  const float heading = std::atan2(gaze.z, gaze.x);
+  for (std::size_t k = 1; k <= about; ++k) {
+    const float angle = heading + step * static_cast<float>(k);
+    const glm::vec3 direction(std::cos(angle), 0, std::sin(angle));
+    camera.world_from_camera = look_at(eye, eye + direction, 1, 1, 1).world_from_camera;
+    cameras.push_back(camera);
+  }
+  return cameras;
 }
 
 }  // namespace splatbus::capture_bridge

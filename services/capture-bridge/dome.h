@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <glm/glm.hpp>
 #include <vector>
 
@@ -25,9 +26,11 @@ struct DomePlace {
 [[nodiscard]] std::vector<Camera> free_dome(const DomeOptions& options, const DomePlace& place, const FreeSpace* free,
                                             float clearance_m);
 
-/// The picture of an input camera where the viewer will be, as far as he can get: all that his own will show, and a
-/// margin about it. The dome looks at what is before him, and at no ceiling and through no door.
-[[nodiscard]] Camera eye_camera(const DomeOptions& options, const DomePlacement& placement, const Viewer& viewer,
-                                const FreeSpace* free, float clearance_m);
+/// Input cameras where the viewer will be, as far as he can get. The first has his gaze of then: all that his own
+/// picture will show, and a margin about it. The dome looks at what is before him, and at no ceiling and through no door.
+/// `about` further ones look level all about from there: wherever he turns is modelled before he has turned.
+[[nodiscard]] std::vector<Camera> eye_cameras(const DomeOptions& options, const DomePlacement& placement,
+                                              const Viewer& viewer, const FreeSpace* free, float clearance_m,
+                                              std::size_t about);
 
 }  // namespace splatbus::capture_bridge

@@ -15,6 +15,7 @@ namespace {
 using wire::EngineBuffer;
 
 constexpr int kLeastCameras = 4;        // a round by fewer shows too little
+constexpr std::size_t kCamerasAnAbout = 4;  // besides the eye, for each that looks about
 constexpr int kMaxBlind = 3;            // pictures of a camera, before it is given up
 constexpr float kEyeMove_m = 0.25F;     // beyond which the eye looks anew
 constexpr float kEyeTurn = 0.9659258F;  // cosine of 15 degrees
@@ -133,20 +134,24 @@ void InputRigs::place(const Options& options, const Wish& wish, const CameraShar
   rig.anchor = wish.free != nullptr     ? wish.free->place()
                : wish.viewer != nullptr ? wish.viewer->position()
                                         : wish.place.centre + glm::vec3(0, options.dome.radius_m, 0);
-  const std::size_t eyes = wish.viewer != nullptr && !options.placement.fixed_centre && ids.size() > 1 ? 1 : 0;
+  std::vector<Camera> eyes;
+  if (wish.viewer != nullptr && !options.placement.fixed_centre && ids.size() > 1) {
+    const std::size_t about = std::min(static_cast<std::size_t>(options.placement.about), (ids.size() - 1) / kCamerasAnAbout);
+    eyes = eye_cameras(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m, about);
+    rig.eye_wished = eyes.front().world_from_camera;
+  }
   DomeOptions dome = options.dome;
-  dome.cameras = static_cast<int>(ids.size() - eyes);
+  dome.cameras = static_cast<int>(ids.size() - eyes.size());
   const std::vector<Camera> stands = free_dome(dome, wish.place, wish.free, options.clearance_m);
   const std::vector<std::size_t> places = spread_places(stands.size());
   rig.cameras.clear();
   rig.to_come.clear();
   rig.blind.clear();
-  rig.eye = eyes > 0 ? std::optional(ids.front()) : std::nullopt;
+  rig.ahead = eyes.size();
+  rig.eye = eyes.empty() ? std::nullopt : std::optional(ids.front());
   rig.eye_in_flight = false;
   for (std::size_t k = 0; k < ids.size(); ++k) {
-    Camera camera = k < eyes ? eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m)
-                             : stands[places[k - eyes]];
-    if (k < eyes) rig.eye_wished = camera.world_from_camera;
+    Camera camera = k < eyes.size() ? eyes[k] : stands[places[k - eyes.size()]];
     camera.id = ids[k];
     camera.near_m = options.near_m;
     camera.far_m = options.far_m;
@@ -161,6 +166,8 @@ void InputRigs::grow(const Options& options, const CameraSet& cameras, InputRig&
     const double in_time = *pictures_per_s_ * options.input_deadline_s;
     most = std::min(most, static_cast<std::size_t>(std::max<double>(kLeastCameras, in_time)));
   }
+  if (rig.ahead > 1 && options.input_rate_hz <= 0) most = std::min(most, rig.ahead);
+  rig.ahead = 0;
   std::size_t taken = 0;
   std::erase_if(rig.to_come, [&](const Camera& camera) {
     const bool stands = cameras.asks_for(camera);  // and costs nothing
@@ -177,7 +184,8 @@ void InputRigs::follow_eye(const Options& options, const Wish& wish, InputRig& r
   if (now_ns - rig.eye_asked_ns < (rig.eye_in_flight ? nanoseconds(options.input_deadline_s) : kEyePeriodNs)) return;
   const auto eye = std::ranges::find(rig.cameras, *rig.eye, &Camera::id);
   if (eye == rig.cameras.end()) return;
-  Camera now = eye_camera(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m);
+  Camera now =
+      eye_cameras(options.dome, options.placement, *wish.viewer, wish.free, options.clearance_m, 0).front();
   const Rigid &from = rig.eye_wished, &to = now.world_from_camera;
   const bool moved = glm::distance(from.translation, to.translation) > kEyeMove_m;
   const bool turned = glm::dot(from.rotation * glm::vec3(0, 0, 1), to.rotation * glm::vec3(0, 0, 1)) < kEyeTurn;

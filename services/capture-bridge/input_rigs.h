@@ -25,6 +25,9 @@ struct InputRig {
   /// Cameras of this place that are asked for when those are there: an engine that renders slowly does not get a whole
   /// dome at once, or a viewer who walks on would always wait for pictures of where he was.
   std::vector<Camera> to_come;
+  /// So many of those to come look from where the viewer will be, and are asked for before the dome: what he sees next is
+  /// in the model before what he might.
+  std::size_t ahead = 0;
   DomePlace place;
   InputRound round;
   std::int64_t asked_ns = 0;     ///< last request for, or arrival of, a picture

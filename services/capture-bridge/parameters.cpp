@@ -40,6 +40,8 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("input_focus_m", placement.focus_m, "distance in front of the viewer at which the input dome is centered, m",
         {.minimum = 0});
   p.add("input_lead_s", placement.lead_s, "time ahead of the viewer at which the input dome is placed, s", {0, 10});
+  p.add("input_about", placement.about,
+        "input cameras that look about from where a viewer will be, at most a quarter of all but one", {0, 64});
   p.add("input_center", input_center, "fixed center of the input dome, x,y,z in m; empty: the dome follows the viewers",
         point_rule());
   p.add("input_range_hz", range.rate_hz,
@@ -65,7 +67,9 @@ void Options::bind(bus::ParameterBinder& p) {
   p.add("input_views", input_views, "publish input pictures as training views too");
   p.add("sample_budget", sampling.budget, "most samples in one input round", {100, 4e6});
   p.add("glance_share", glance_share,
-        "share of sample_budget that the picture of a viewer's eye brings at once; 0: it waits for its round", {0, 1});
+        "share of sample_budget that the picture of a viewer's eye brings at once, and at least of a part of a dome; 0: it "
+        "waits for its round",
+        {0, 1});
   p.add("far_field", far_field,
         "sample the far field where input pictures show no surface but more than the background");
   p.add("min_cosine", sampling.min_cosine, "smallest cosine to the normal at which a sample is kept", {0.01, 1});

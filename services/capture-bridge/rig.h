@@ -71,6 +71,7 @@ struct DomePlacement {
   float lead_s = 0.5F;              ///< it is placed for where the viewer will be after that time
   float move_m = 0.5F;              ///< it stays until its centre is off by more ...
   float turn_radians = 1.0471976F;  ///< ... or the heading has turned by more than this
+  int about = 5;                    ///< cameras that look about from where the viewer will be, if there are many
   bool fixed_centre = false;
   glm::vec3 centre{0, 0.25F, 0};  ///< the place of interest: the centre when fixed, and until a viewer is known
 };

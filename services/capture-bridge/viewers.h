@@ -15,6 +15,7 @@ namespace splatbus::capture_bridge {
 struct Viewer {
   Camera camera;
   glm::vec3 velocity_m_s{0};
+  glm::vec3 turn_radians_s{0};  ///< about this axis of the world, by its length
   std::uint64_t jumps = 0;    ///< poses so far that were farther from the one before than anybody walks
   std::uint64_t arrival = 0;  ///< whoever came earlier has a smaller one
   std::int64_t posed_ns = 0;  ///< CLOCK_MONOTONIC
@@ -24,6 +25,8 @@ struct Viewer {
   [[nodiscard]] glm::vec3 forward() const { return camera.world_from_camera.rotation * glm::vec3(0, 0, 1); }
   /// Angle about world y, radians, 0 looking along -z. Keeps `fallback` where the viewer looks straight up or down.
   [[nodiscard]] float heading(float fallback = 0) const;
+  /// Where he will look from, as he moves and turns now.
+  [[nodiscard]] Rigid pose_in(float seconds) const;
 };
 
 /// The viewers by name. Those that have left are forgotten while others are there; when nobody is, the last ones stay

@@ -14,7 +14,8 @@ namespace splatbus::sim::cuda {
 [[nodiscard]] bool renders_on_first_device();
 
 /// Reads pictures into pixel buffer objects that CUDA maps: OpenGL converts and lays them out as for the host, and they
-/// never leave the device. One buffer for each of splatbus_buffer, registered once and again only when it grows.
+/// never leave the device. One buffer for each of splatbus_buffer and each camera that is read before the next finish(),
+/// registered once and again only when it grows.
 class GlInterop final : public DeviceReadback {
  public:
   GlInterop() = default;
@@ -24,7 +25,8 @@ class GlInterop final : public DeviceReadback {
 
   void begin(std::uint32_t width, std::uint32_t height) override;
   void take(const DrawnPicture& drawn) override;
-  [[nodiscard]] const std::vector<splatbus_image>& images() override;
+  [[nodiscard]] const std::vector<std::vector<splatbus_image>>& finish() override;
+  void keep(std::size_t cameras) override;
 
  private:
   struct PixelBuffer {
@@ -35,10 +37,11 @@ class GlInterop final : public DeviceReadback {
   void grow(PixelBuffer& buffer, std::size_t bytes);
   void unmap();
 
-  std::map<splatbus_buffer, PixelBuffer> buffers_;
-  std::vector<cudaGraphicsResource*> taken_;  ///< resources of images_, in order
-  std::vector<splatbus_image> images_;
-  bool mapped_ = false;
+  std::vector<std::map<splatbus_buffer, PixelBuffer>> buffers_;  ///< by camera since the last finish()
+  std::vector<std::vector<cudaGraphicsResource*>> taken_;       ///< resources of images_
+  std::vector<std::vector<splatbus_image>> images_;
+  std::vector<cudaGraphicsResource*> mapped_;
+  bool finished_ = false;
 };
 
 }  // namespace splatbus::sim::cuda

@@ -157,8 +157,9 @@ TEST_F(CudaEngine, SharedPicturesAreThoseOfTheHost) {
     const splatbus_camera camera = sim::look_at({2.4F, 1.6F, 2.1F}, {0, 0.25F, 0}, width, height, 60);
     const sim::Pictures host = renderer.render(camera, kAll);
     renderer.render(camera, kAll, *readback);
-    ASSERT_EQ(readback->images().size(), 6U);
-    expect_same(host, readback->images());
+    ASSERT_EQ(readback->finish().size(), 1U);
+    ASSERT_EQ(readback->finish().front().size(), 6U);
+    expect_same(host, readback->finish().front());
     EXPECT_EQ(host.depth.size(), std::size_t{width} * height);
   }
   const splatbus_camera light = renderer.light_camera(0, 128, 96);
@@ -166,8 +167,27 @@ TEST_F(CudaEngine, SharedPicturesAreThoseOfTheHost) {
                                       std::uint32_t{SPLATBUS_BUFFER_LIGHT_DEPTH | SPLATBUS_BUFFER_DEPTH}}) {
     const sim::Pictures host = renderer.render(light, buffers);
     renderer.render(light, buffers, *readback);
-    expect_same(host, readback->images());
-    EXPECT_EQ(readback->images().size(), buffers == SPLATBUS_BUFFER_LIGHT_DEPTH ? 1U : 2U);
+    expect_same(host, readback->finish().front());
+    EXPECT_EQ(readback->finish().front().size(), buffers == SPLATBUS_BUFFER_LIGHT_DEPTH ? 1U : 2U);
+  }
+}
+
+TEST_F(CudaEngine, CamerasThatAreWaitedForTogetherKeepTheirOwnPictures) {
+  sim::Renderer renderer(sim::shared_context(), sim::make_toys(1, true));
+  renderer.set_time(0.7);
+  const auto readback = sim::make_device_readback(*sim::shared_context(), "cuda");
+  ASSERT_NE(readback, nullptr);
+  const auto camera = [](int k) {
+    return sim::look_at({2.4F, 1.6F, 0.4F * static_cast<float>(k)}, {0, 0.25F, 0}, 64 + 8 * k, 48, 60);
+  };
+  for (const int count : {5, 2, 6}) {
+    for (int k = 0; k < count; ++k) renderer.render(camera(k), kAll, *readback);
+    // One that failed half-way.
+    readback->begin(64, 48);
+    readback->keep(static_cast<std::size_t>(count));
+    const auto images = readback->finish();
+    ASSERT_EQ(images.size(), static_cast<std::size_t>(count));
+    for (int k = 0; k < count; ++k) expect_same(renderer.render(camera(k), kAll), images[static_cast<std::size_t>(k)]);
   }
 }
 

@@ -1,4 +1,8 @@
 // The input camera that stands where its viewer will be, between two places of its dome.
+#include <cmath>
+#include <glm/gtc/constants.hpp>
+
+#include "capture-bridge/dome.h"
 #include "rig_fixture.h"
 
 namespace splatbus::capture_bridge::test {
@@ -97,6 +101,53 @@ TEST_F(GoingEyeTest, UnlessItIsNotWanted) {
   step(2);
   answer_all();
   EXPECT_EQ(step(2.3F), 2);
+}
+
+/// Of who turns by a quarter in a second the eye looks half of that ahead.
+TEST(Eye, LooksWhereTheViewerWillHaveTurned) {
+  Poses told;
+  Viewers viewers;
+  for (int k = 0; k <= 20; ++k) {
+    const float angle = 0.5F * glm::pi<float>() * static_cast<float>(k) / 20;
+    const glm::vec3 ahead(std::sin(angle), 0, -std::cos(angle));
+    told.tell("v", look_at({0, 1.6F, 0}, glm::vec3(0, 1.6F, 0) + ahead, 64, 64, 1), kSecond + k * kSecond / 20);
+    viewers.update(told.poses, 3, kSecond + k * kSecond / 20);
+  }
+  const Viewer& viewer = viewers.all().begin()->second;
+  const auto gaze = [&](float lead_s) {
+    const Camera eye = eye_cameras({.size = 64}, {.lead_s = lead_s}, viewer, nullptr, 0, 0).front();
+    return eye.world_from_camera.rotation * glm::vec3(0, 0, 1);
+  };
+  EXPECT_LT(glm::distance(gaze(0), glm::vec3(1, 0, 0)), 1e-4F);
+  EXPECT_LT(glm::distance(gaze(0.5F), glm::normalize(glm::vec3(1, 0, 1))), 0.02F);
+  EXPECT_LT(glm::distance(gaze(10), glm::vec3(0, 0, 1)), 0.02F) << "no farther than a quarter of a turn";
+}
+
+/// They are few, and the dome would take an engine as long as he takes to pass.
+TEST_F(RigControlTest, ThoseThatLookAboutComeBeforeTheDome) {
+  set("input_about", "3");
+  set("input_cameras", "16");
+  const glm::vec3 eye(0, 1.6F, 0);
+  look("v", standing(eye));
+  update(false);
+  EXPECT_EQ(rig("v").cameras.size(), 4U);
+  EXPECT_EQ(about(CameraRole::Input, eye, 1e-4F), 4) << "and no other is asked for yet";
+  EXPECT_NEAR(rig("v").share_asked(), 4.0 / 16, 1e-6) << "they are a part of it";
+  update(false);
+  EXPECT_EQ(rig("v").cameras.size(), 4U) << "until they are there";
+  answer_all();
+  update(false);
+  EXPECT_EQ(rig("v").cameras.size(), 16U);
+  EXPECT_EQ(about(CameraRole::Input, eye, 1e-4F), 4);
+  EXPECT_EQ(rig("v").round.missing().size(), 12U);
+}
+
+TEST_F(RigControlTest, FewCamerasLookAboutAmongFew) {
+  set("input_about", "5");
+  set("input_cameras", "9");
+  look("v", standing({0, 1.6F, 0}));
+  update(false);
+  EXPECT_EQ(about(CameraRole::Input, {0, 1.6F, 0}, 1e-4F), 3);
 }
 
 /// Who came later has the others' last cameras, and keeps his eye when they want some back.

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -162,7 +163,10 @@ TEST(EyeCamera, SeesWhatTheViewerWillSee) {
   viewer.camera.fx = viewer.camera.fy = 70;
   viewer.velocity_m_s = {0, 0, -1.4F};
   const FreeSpace free = seen_from(scene, viewer.position());
-  const Camera eye = eye_camera({.size = {64, 48}}, {.lead_s = 0.5F}, viewer, &free, kClearance_m);
+  const auto eyes = [&](const DomeOptions& pictures, std::size_t about) {
+    return eye_cameras(pictures, {.lead_s = 0.5F}, viewer, &free, kClearance_m, about);
+  };
+  const Camera eye = eyes({.size = {64, 48}}, 0).front();
   const glm::vec3 will_be = viewer.position() + 0.5F * viewer.velocity_m_s;
   EXPECT_LT(glm::distance(eye.world_from_camera.translation, will_be), 1e-4F);
   EXPECT_EQ(eye.width, 64U);
@@ -175,8 +179,25 @@ TEST(EyeCamera, SeesWhatTheViewerWillSee) {
   }
   // Through no wall.
   viewer.velocity_m_s = {9, 0, 0};
-  EXPECT_TRUE(
-      free.sees(eye_camera({.size = 64}, {.lead_s = 0.5F}, viewer, &free, kClearance_m).world_from_camera.translation));
+  EXPECT_TRUE(free.sees(eyes({.size = 64}, 0).front().world_from_camera.translation));
+}
+
+/// Wherever a viewer looks level, some camera shows it.
+TEST(EyeCamera, OthersLookAllAbout) {
+  const Viewer viewer = at({0, 1.5F, 0}, {0.3F, 1.2F, -2});
+  for (const std::size_t about : {2U, 3U, 5U}) {
+    const std::vector<Camera> eyes = eye_cameras({.size = 64}, {}, viewer, nullptr, kClearance_m, about);
+    ASSERT_EQ(eyes.size(), about + 1);
+    for (int degrees = 0; degrees < 360; degrees += 5) {
+      const float angle = glm::radians(static_cast<float>(degrees));
+      const glm::vec3 ray(std::cos(angle), 0, std::sin(angle));
+      EXPECT_TRUE(std::ranges::any_of(eyes, [&](const Camera& camera) {
+        const glm::vec3 seen = glm::inverse(camera.world_from_camera.rotation) * ray;
+        return seen.z > 0 && std::abs(camera.fx * seen.x / seen.z) < 32 && std::abs(camera.fy * seen.y / seen.z) < 32;
+      })) << degrees
+          << " of " << about;
+    }
+  }
 }
 
 TEST(DomePlace, LeadsButNotThroughWalls) {

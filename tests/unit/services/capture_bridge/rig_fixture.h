@@ -40,6 +40,7 @@ class RigControlTest : public testing::Test {
     set("reference_cameras", "4");
     set("input_range_hz", "0");
     set("input_lead_s", "0");
+    set("input_about", "0");
     set("reference_size", "64");
   }
   void set(const char* name, const char* value) { ASSERT_EQ(parameters_.set(name, value, true), ""); }
